@@ -1,0 +1,232 @@
+"""YAML files -> validated frozen types. Every error is one line: file, field, value, what was expected.
+
+A fleet file holds what all vehicles must agree on; its hash travels with every peer packet. A vehicle file holds what is
+one vehicle's own and names its fleet file. Only a leader's vehicle file holds a reference (RFT).
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta, Struct
+
+from companion.config_file import ConfigError, load
+from companion.types import Role, Vector3
+
+VehicleId = Annotated[int, Meta(ge=1, le=250, description="MAVLink system id of the vehicle")]
+Seconds = Annotated[float, Meta(gt=0, le=60)]
+Coordinate = Annotated[float, Meta(ge=-10_000, le=10_000)]
+PositionM = tuple[Coordinate, Coordinate, Coordinate]
+Port = Annotated[int, Meta(ge=1, le=65535)]
+
+
+class _Base(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    pass
+
+
+# ---------------------------------------------------------------- fleet file
+
+
+class GeodeticOrigin(_Base):
+    """Where the fleet frame (ENU) has its zero."""
+
+    latitude_deg: Annotated[float, Meta(ge=-85, le=85)]
+    longitude_deg: Annotated[float, Meta(ge=-180, le=180)]
+    altitude_amsl_m: Annotated[float, Meta(ge=-500, le=9000)]
+
+    def as_tuple(self) -> Vector3:
+        return (self.latitude_deg, self.longitude_deg, self.altitude_amsl_m)
+
+
+class FormationMember(_Base):
+    """One vehicle's place. `slot_enu_m` is d_i0 of eq. 12, the offset from the RFT."""
+
+    id: VehicleId
+    role: Role
+    slot_enu_m: PositionM
+
+
+class Gains(_Base):
+    """K = [k1, k2] of eq. 14: k1 on position [1/s^2], k2 on velocity [1/s]."""
+
+    position_1_s2: Annotated[float, Meta(gt=0, le=10)] = 1.39
+    velocity_1_s: Annotated[float, Meta(gt=0, le=10)] = 1.2
+
+
+LawName = Literal["weighted", "average_22", "average_26"]
+
+
+class Law(_Base):
+    """Which formation law flies. `exponent` is alpha of the weights 1/p^alpha (1 is the paper's Algorithm 2)."""
+
+    name: LawName = "weighted"
+    gains: Gains = Gains()
+    exponent: Annotated[float, Meta(ge=0, le=16)] = 1.0
+    altitude: Literal["formation", "hold"] = "formation"
+    altitude_hold_gains: Gains = Gains(position_1_s2=2.0, velocity_1_s=2.4)
+
+
+class RangeNeighbours(_Base):
+    """Neighbours are the vehicles nearer than `range_m`; one that is lost must come `hysteresis_m` nearer to return."""
+
+    range_m: Annotated[float, Meta(gt=0, le=10_000)]
+    hysteresis_m: Annotated[float, Meta(ge=0, le=1_000)] = 0.0
+
+
+class EdgeNeighbours(_Base):
+    """Neighbours are given as undirected edges between vehicle ids."""
+
+    edges: tuple[tuple[VehicleId, VehicleId], ...]
+
+
+class PeerLimits(_Base):
+    """What is believed of a peer, and for how long."""
+
+    max_age_s: Annotated[float, Meta(gt=0.02, le=5)] = 0.3
+    leader_word_max_age_s: Annotated[float, Meta(gt=0.02, le=10)] = 0.5
+    max_speed_m_s: Annotated[float, Meta(gt=0, le=100)] = 25.0
+
+
+class Envelope(_Base):
+    """The last gate's limits. The fence is a box in the fleet frame."""
+
+    max_tilt_deg: Annotated[float, Meta(gt=0, le=45)] = 25.0
+    max_tilt_rate_deg_s: Annotated[float, Meta(gt=0, le=1000)] = 400.0
+    min_thrust_ratio: Annotated[float, Meta(gt=0, lt=1)] = 0.3  # of hover thrust
+    max_thrust_ratio: Annotated[float, Meta(gt=1, le=4)] = 1.6
+    max_thrust_rate_1_s: Annotated[float, Meta(gt=0, le=100)] = 10.0  # hover thrusts per second
+    fence_min_enu_m: PositionM = (-100.0, -100.0, -5.0)
+    fence_max_enu_m: PositionM = (100.0, 100.0, 50.0)
+
+
+class FleetConfig(_Base):
+    """What all vehicles of a fleet must agree on."""
+
+    name: Annotated[str, Meta(pattern="^[a-z0-9][a-z0-9_-]{0,40}$")]
+    origin: GeodeticOrigin | Literal["local"]
+    vehicles: tuple[FormationMember, ...]
+    neighbours: EdgeNeighbours | RangeNeighbours
+    law: Law = Law()
+    takeoff_height_m: Annotated[float, Meta(ge=0.5, le=120)] = 2.5
+    peers: PeerLimits = PeerLimits()
+    envelope: Envelope = Envelope()
+
+    def formation_hash(self) -> int:
+        """64 bits over everything in this file: two vehicles fly together only where it is the same."""
+        digest = hashlib.sha256(msgspec.json.encode(self, order="sorted")).digest()
+        return int.from_bytes(digest[:8], "big")
+
+    def member(self, vehicle_id: int) -> FormationMember | None:
+        return next((m for m in self.vehicles if m.id == vehicle_id), None)
+
+
+# ---------------------------------------------------------------- vehicle file
+
+
+class PointReference(_Base, tag_field="kind", tag="point"):
+    """RFT that stands still, r = point, r' = 0."""
+
+    point_enu_m: PositionM
+
+
+Reference = PointReference
+
+
+class ZenohEndpoints(_Base):
+    """Explicit endpoints, like "tcp/192.168.1.11:7447". Multicast scouting stays off."""
+
+    listen: tuple[str, ...] = ()
+    connect: tuple[str, ...] = ()
+
+
+class VehicleConfig(_Base):
+    """What is one vehicle's own.
+
+    `mavlink`: "udpin:HOST:PORT" (listen), "tcp:HOST:PORT" (connect) or "serial:DEVICE:BAUD".
+    `fleet`: path of the fleet file, relative to this file.
+    """
+
+    id: VehicleId
+    fleet: str
+    mavlink: Annotated[str, Meta(pattern="^(udpin|tcp|serial):.+:[0-9]+$")]
+    hover_thrust_norm: Annotated[float, Meta(ge=0.1, le=0.9)]
+    zenoh: ZenohEndpoints = ZenohEndpoints()
+    reference: Reference | None = None
+
+
+# ---------------------------------------------------------------- what no single field can say
+
+
+def check_fleet(file: Path, fleet: FleetConfig, where: str = "") -> None:
+    """Ids unique, a leader, edges between known vehicles, a fence that is a box. Raises ConfigError."""
+    ids = [member.id for member in fleet.vehicles]
+    known = ", ".join(str(i) for i in ids)
+    if not ids:
+        raise ConfigError(file, f"{where}vehicles", "is empty; list at least one vehicle with id, role and slot_enu_m")
+    for index, vehicle_id in enumerate(ids):
+        if vehicle_id in ids[:index]:
+            raise ConfigError(
+                file,
+                f"{where}vehicles[{index}].id",
+                f"{vehicle_id} is used twice; every vehicle needs an id of its own (vehicles[{ids.index(vehicle_id)}] has it)",
+            )
+    if not any(member.role is Role.LEADER for member in fleet.vehicles):
+        raise ConfigError(file, f"{where}vehicles", "no vehicle leads; set role: leader for at least one of " + known)
+    if isinstance(fleet.neighbours, EdgeNeighbours):
+        _check_edges(file, f"{where}neighbours.edges", fleet.neighbours, ids)
+    slots = [member.slot_enu_m for member in fleet.vehicles]
+    for index, slot in enumerate(slots):
+        if slot in slots[:index]:
+            other = ids[slots.index(slot)]
+            raise ConfigError(
+                file, f"{where}vehicles[{index}].slot_enu_m", f"{list(slot)} is also the slot of vehicle {other}; give each its own"
+            )
+    for axis, low, high in zip("xyz", fleet.envelope.fence_min_enu_m, fleet.envelope.fence_max_enu_m, strict=True):
+        if low >= high:
+            raise ConfigError(
+                file, f"{where}envelope.fence_min_enu_m", f"{axis} is {low}, expected less than fence_max_enu_m's {high}"
+            )
+
+
+def _check_edges(file: Path, where: str, neighbours: EdgeNeighbours, ids: list[int]) -> None:
+    for index, edge in enumerate(neighbours.edges):
+        for vehicle_id in edge:
+            if vehicle_id not in ids:
+                raise ConfigError(
+                    file,
+                    f"{where}[{index}]",
+                    f"{list(edge)} names vehicle {vehicle_id}, which is not in the fleet; expected two of "
+                    + ", ".join(str(i) for i in ids),
+                )
+        if edge[0] == edge[1]:
+            raise ConfigError(file, f"{where}[{index}]", f"{list(edge)} joins a vehicle to itself; expected two different ids")
+
+
+@dataclass(frozen=True, slots=True)
+class AgentConfig:
+    """A vehicle file together with its fleet file, checked against each other."""
+
+    vehicle: VehicleConfig
+    fleet: FleetConfig
+    member: FormationMember
+
+
+def load_agent(path: Path) -> AgentConfig:
+    """Read a vehicle file and the fleet file that it names. Raises ConfigError."""
+    vehicle = load(path, VehicleConfig)
+    fleet_path = path.parent / vehicle.fleet
+    fleet = load(fleet_path, FleetConfig)
+    check_fleet(fleet_path, fleet)
+    member = fleet.member(vehicle.id)
+    if member is None:
+        ids = ", ".join(str(m.id) for m in fleet.vehicles)
+        raise ConfigError(path, "id", f"{vehicle.id} has no slot in {fleet_path}; expected one of {ids}")
+    if member.role is Role.LEADER and vehicle.reference is None:
+        raise ConfigError(path, "reference", f"missing; vehicle {vehicle.id} leads and needs the reference trajectory (RFT)")
+    if member.role is Role.FOLLOWER and vehicle.reference is not None:
+        raise ConfigError(path, "reference", f"vehicle {vehicle.id} follows; only a leader may know the RFT, take this section out")
+    return AgentConfig(vehicle, fleet, member)

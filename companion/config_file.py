@@ -1,0 +1,137 @@
+"""One YAML file -> one validated type, or one line that says which file, field and value, and what was expected."""
+
+from __future__ import annotations
+
+import re
+from difflib import get_close_matches
+from math import isfinite
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+import yaml
+
+T = TypeVar("T")
+
+
+class ConfigError(Exception):
+    """A file that cannot be used. str() is one line: file, field, value, what was expected, what to do."""
+
+    def __init__(self, file: Path | str, field: str, problem: str) -> None:
+        super().__init__(f"{file}: {field}: {problem}" if field else f"{file}: {problem}")
+
+
+def load(path: Path, type_: type[T]) -> T:
+    """Read a YAML file into a msgspec type. Raises ConfigError."""
+    return convert(path, read_yaml(path), type_)
+
+
+def read_yaml(path: Path) -> Any:
+    """The plain content of a YAML file. Raises ConfigError; a key that stands twice is an error, too."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(path, "", f"cannot be read: {error.strerror}; check the path") from error
+    except UnicodeDecodeError as error:
+        raise ConfigError(path, "", f"is not UTF-8 text (byte {error.start})") from error
+    try:
+        return yaml.load(text, Loader=_UniqueKeyLoader)
+    except yaml.MarkedYAMLError as error:
+        line = f"line {error.problem_mark.line + 1}" if error.problem_mark else ""
+        raise ConfigError(path, line, f"not valid YAML: {error.problem}") from error
+    except yaml.YAMLError as error:
+        raise ConfigError(path, "", "not valid YAML: " + " ".join(str(error).split())) from error
+
+
+def convert(path: Path, data: Any, type_: type[T]) -> T:
+    """Plain content -> type. `path` only names the file in errors. Raises ConfigError."""
+    if data is None:
+        raise ConfigError(path, "", "is empty")
+    _refuse_non_finite(path, data, "")
+    try:
+        return msgspec.convert(data, type_, strict=True)
+    except msgspec.ValidationError as error:
+        raise _explain(path, data, type_, str(error)) from error
+
+
+def _refuse_non_finite(path: Path, data: Any, where: str) -> None:
+    if isinstance(data, float) and not isfinite(data):
+        raise ConfigError(path, where, f"{data} is not a finite number")
+    if isinstance(data, dict):
+        for key, value in data.items():
+            _refuse_non_finite(path, value, f"{where}.{key}".lstrip("."))
+    elif isinstance(data, list):
+        for index, value in enumerate(data):
+            _refuse_non_finite(path, value, f"{where}[{index}]")
+
+
+def _explain(path: Path, data: Any, type_: type, message: str) -> ConfigError:
+    """msgspec's "Expected `float`, got `str` - at `$.law.gains`" with the value, and the nearest key for an unknown one."""
+    problem, _, place = message.partition(" - at `")
+    field = place.rstrip("`").removeprefix("$").removeprefix(".")
+    unknown = re.search(r"unknown field `(.*)`", problem)
+    if unknown:
+        key = unknown[1]
+        near = get_close_matches(key, sorted(_field_names(type_)), n=1)
+        hint = f'; did you mean "{near[0]}"?' if near else "; take it out"
+        return ConfigError(path, f"{field}.{key}".lstrip("."), "unknown key" + hint)
+    missing = re.search(r"missing required field `(.*)`", problem)
+    if missing:
+        return ConfigError(path, f"{field}.{missing[1]}".lstrip("."), "missing; this key is required")
+    value = _value_at(data, field)
+    shown = "" if isinstance(value, dict | list) else f"{value!r}: "
+    return ConfigError(path, field, shown + problem.replace("`", "")[:1].lower() + problem.replace("`", "")[1:])
+
+
+def _value_at(data: Any, field: str) -> Any:
+    """Follow "law.gains[0]" into plain content; an empty dict where it does not lead anywhere."""
+    for key, index in re.findall(r"([^.\[\]]+)|\[(\d+)\]", field):
+        try:
+            data = data[int(index)] if index else data[key]
+        except (KeyError, IndexError, TypeError):
+            return {}
+    return data
+
+
+def _field_names(type_: Any, seen: set[Any] | None = None) -> set[str]:
+    """All keys that a type and the types inside it know."""
+    seen = set() if seen is None else seen
+    names: set[str] = set()
+    for node in _walk(msgspec.inspect.type_info(type_), seen):
+        names.update(field.encode_name for field in node.fields)
+    return names
+
+
+def _walk(node: Any, seen: set[Any]) -> list[msgspec.inspect.StructType]:
+    found: list[msgspec.inspect.StructType] = []
+    if isinstance(node, msgspec.inspect.StructType):
+        if node.cls in seen:
+            return found
+        seen.add(node.cls)
+        found.append(node)
+        for field in node.fields:
+            found += _walk(field.type, seen)
+    elif isinstance(node, msgspec.inspect.UnionType):
+        for part in node.types:
+            found += _walk(part, seen)
+    elif isinstance(node, msgspec.inspect.DictType):
+        found += _walk(node.value_type, seen)
+    else:
+        items = getattr(node, "item_types", None) or [getattr(node, "item_type", None)]
+        for part in items:
+            if part is not None:
+                found += _walk(part, seen)
+    return found
+
+
+class _UniqueKeyLoader(yaml.SafeLoader):
+    """SafeLoader keeps the last of two equal keys in silence; here that is an error."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        seen: set[Any] = set()
+        for key_node, _ in node.value:
+            key = self.construct_object(key_node, deep=True)
+            if key in seen:
+                raise yaml.constructor.ConstructorError(None, None, f'key "{key}" stands twice', key_node.start_mark)
+            seen.add(key)
+        return super().construct_mapping(node, deep)

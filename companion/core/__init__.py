@@ -1,0 +1,1 @@
+"""Pure control core: no clocks, sockets, asyncio, randomness or files. Time is an argument."""

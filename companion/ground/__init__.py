@@ -1,0 +1,1 @@
+"""Ground side: watches the fleet over Zenoh. It never computes a control command."""

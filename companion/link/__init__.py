@@ -1,0 +1,1 @@
+"""The only room on board with asyncio, sockets, Zenoh and clocks."""

@@ -1,0 +1,1 @@
+"""MAVLink without input or output: bytes <-> messages <-> the types of companion.types."""

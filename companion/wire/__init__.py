@@ -1,0 +1,1 @@
+"""The versioned messages that vehicles and ground exchange over Zenoh."""

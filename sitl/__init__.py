@@ -1,0 +1,1 @@
+"""Stand-in vehicles that speak MAVLink, and the tools that fly whole fleets of them."""

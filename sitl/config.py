@@ -1,0 +1,124 @@
+"""What a stand-in vehicle and a scenario are made of: the types of their YAML files, in the manner of companion.config."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from msgspec import Meta, Struct
+
+from companion.config import (
+    FleetConfig,
+    GeodeticOrigin,
+    LawName,
+    Port,
+    PositionM,
+    Reference,
+    Seconds,
+    VehicleId,
+    check_fleet,
+)
+from companion.config_file import ConfigError, load, read_yaml, convert
+from companion.types import CommandName, Role
+
+NonNegative = Annotated[float, Meta(ge=0, le=1000)]
+Positive = Annotated[float, Meta(gt=0, le=1000)]
+
+
+class _Base(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    pass
+
+
+class Airframe(_Base):
+    """Rigid body of eq. 1-5. `attitude: instant` is the paper's ideal (section 3.1: no tracking error of the angles)."""
+
+    mass_kg: Positive = 1.0
+    inertia_kg_m2: tuple[Positive, Positive, Positive] = (0.021, 0.021, 0.042)
+    hover_thrust_norm: Annotated[float, Meta(ge=0.1, le=0.9)] = 0.49
+    drag_n_per_m_s: NonNegative = 0.25
+    motor_lag_s: Annotated[float, Meta(ge=0, le=1)] = 0.05
+    attitude: Literal["rigid_body", "instant"] = "rigid_body"
+
+
+class Sensors(_Base):
+    """The error of the autopilot's estimate against truth: slow drifts (sd, correlation time) and white noise."""
+
+    position_sd_m: tuple[NonNegative, NonNegative, NonNegative] = (0.0, 0.0, 0.0)
+    position_time_s: Positive = 20.0
+    velocity_sd_m_s: NonNegative = 0.0
+    velocity_time_s: Positive = 2.0
+    velocity_white_sd_m_s: NonNegative = 0.0
+    attitude_sd_deg: NonNegative = 0.0
+    origin_sd_m: tuple[NonNegative, NonNegative, NonNegative] = (0.0, 0.0, 0.0)
+
+
+SENSORS: dict[str, Sensors] = {
+    "ideal": Sensors(),
+    # An estimator whose noise parameters fit its sensors: position within 0.04 to 0.08 m.
+    "default": Sensors(
+        position_sd_m=(0.05, 0.05, 0.06),
+        velocity_sd_m_s=0.04,
+        velocity_white_sd_m_s=0.02,
+        attitude_sd_deg=0.3,
+        origin_sd_m=(0.3, 0.3, 0.8),
+    ),
+    # PX4's SIH with stock EKF2 parameters, as measured.
+    "px4_sih": Sensors(
+        position_sd_m=(0.11, 0.09, 0.16),
+        velocity_sd_m_s=0.13,
+        velocity_white_sd_m_s=0.03,
+        attitude_sd_deg=0.6,
+        origin_sd_m=(0.3, 0.3, 0.8),
+    ),
+}
+
+
+class Wind(_Base):
+    """Steady wind and gusts (first-order, seeded)."""
+
+    mean_enu_m_s: PositionM = (0.0, 0.0, 0.0)
+    gust_sd_m_s: NonNegative = 0.0
+    gust_time_s: Positive = 2.0
+
+
+class StandIn(_Base):
+    """The world round the stand-in vehicles, the same for all of a scenario."""
+
+    airframe: Airframe = Airframe()
+    sensors: Literal["ideal", "default", "px4_sih"] | Sensors = "default"
+    wind: Wind = Wind()
+    seed: Annotated[int, Meta(ge=0)] = 1
+    parameters: dict[str, float] = {}
+
+    def sensor_model(self) -> Sensors:
+        return SENSORS[self.sensors] if isinstance(self.sensors, str) else self.sensors
+
+
+class AutopilotFile(_Base):
+    """The file of `sitl autopilot --config`: one stand-in vehicle. The world's ENU frame has its zero at `world_origin`."""
+
+    id: VehicleId
+    world_origin: GeodeticOrigin = GeodeticOrigin(latitude_deg=47.397742, longitude_deg=8.545594, altitude_amsl_m=488.0)
+    start_enu_m: PositionM = (0.0, 0.0, 0.0)
+    start_yaw_deg: Annotated[float, Meta(ge=-360, le=360)] = 0.0
+    stand_in: StandIn = StandIn()
+
+
+class TimelineStep(_Base):
+    """Give a command to every vehicle, wait until all have done it, then stay so for `for_s`."""
+
+    command: CommandName
+    for_s: Annotated[float, Meta(ge=0, le=3600)] = 0.0
+    timeout_s: Annotated[float, Meta(gt=0, le=600)] = 30.0
+
+
+class Scenario(_Base):
+    """A whole flight: the fleet, where the vehicles stand, the reference, the world and the timeline."""
+
+    name: Annotated[str, Meta(pattern="^[a-z0-9][a-z0-9_-]{0,40}$")]
+    description: str = ""
+    fleet: FleetConfig
+    starts_enu_m: dict[VehicleId, PositionM]
+    reference: Reference
+    stand_in: StandIn = StandIn()
+    timeline: tuple[TimelineStep, ...]
