@@ -1,25 +1,12 @@
-"""What a stand-in vehicle and a scenario are made of: the types of their YAML files, in the manner of companion.config."""
+"""What a stand-in vehicle is made of: the types of its YAML file, in the manner of companion.config."""
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
-from companion.config import (
-    FleetConfig,
-    GeodeticOrigin,
-    LawName,
-    Port,
-    PositionM,
-    Reference,
-    Seconds,
-    VehicleId,
-    check_fleet,
-)
-from companion.config_file import ConfigError, load, read_yaml, convert
-from companion.types import CommandName, Role
+from companion.config import GeodeticOrigin, PositionM, VehicleId
 
 NonNegative = Annotated[float, Meta(ge=0, le=1000)]
 Positive = Annotated[float, Meta(gt=0, le=1000)]
@@ -82,7 +69,7 @@ class Wind(_Base):
 
 
 class StandIn(_Base):
-    """The world round the stand-in vehicles, the same for all of a scenario."""
+    """The stand-in vehicles of a scenario and the air round them. `parameters` overrides autopilot parameters by name."""
 
     airframe: Airframe = Airframe()
     sensors: Literal["ideal", "default", "px4_sih"] | Sensors = "default"
@@ -97,28 +84,8 @@ class StandIn(_Base):
 class AutopilotFile(_Base):
     """The file of `sitl autopilot --config`: one stand-in vehicle. The world's ENU frame has its zero at `world_origin`."""
 
-    id: VehicleId
+    id: VehicleId = 1
     world_origin: GeodeticOrigin = GeodeticOrigin(latitude_deg=47.397742, longitude_deg=8.545594, altitude_amsl_m=488.0)
     start_enu_m: PositionM = (0.0, 0.0, 0.0)
     start_yaw_deg: Annotated[float, Meta(ge=-360, le=360)] = 0.0
     stand_in: StandIn = StandIn()
-
-
-class TimelineStep(_Base):
-    """Give a command to every vehicle, wait until all have done it, then stay so for `for_s`."""
-
-    command: CommandName
-    for_s: Annotated[float, Meta(ge=0, le=3600)] = 0.0
-    timeout_s: Annotated[float, Meta(gt=0, le=600)] = 30.0
-
-
-class Scenario(_Base):
-    """A whole flight: the fleet, where the vehicles stand, the reference, the world and the timeline."""
-
-    name: Annotated[str, Meta(pattern="^[a-z0-9][a-z0-9_-]{0,40}$")]
-    description: str = ""
-    fleet: FleetConfig
-    starts_enu_m: dict[VehicleId, PositionM]
-    reference: Reference
-    stand_in: StandIn = StandIn()
-    timeline: tuple[TimelineStep, ...]
