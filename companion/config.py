@@ -70,14 +70,14 @@ class Law(_Base):
     altitude_hold_gains: Gains = Gains(position_1_s2=2.0, velocity_1_s=2.4)
 
 
-class RangeNeighbours(_Base):
+class RangeNeighbours(_Base, tag_field="kind", tag="range"):
     """Neighbours are the vehicles nearer than `range_m`; one that is lost must come `hysteresis_m` nearer to return."""
 
     range_m: Annotated[float, Meta(gt=0, le=10_000)]
     hysteresis_m: Annotated[float, Meta(ge=0, le=1_000)] = 0.0
 
 
-class EdgeNeighbours(_Base):
+class EdgeNeighbours(_Base, tag_field="kind", tag="edges"):
     """Neighbours are given as undirected edges between vehicle ids."""
 
     edges: tuple[tuple[VehicleId, VehicleId], ...]

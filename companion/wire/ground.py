@@ -1,0 +1,79 @@
+"""What passes between vehicles and ground: status reports, commands and their answers. MessagePack maps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeVar
+
+import msgspec
+
+from companion.types import Command, CommandReply, Status
+from companion.wire.version import WireError, seal, unseal
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class Percentiles:
+    """Of one measured time in microseconds."""
+
+    p50: float
+    p99: float
+    max: float
+
+
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """How well an agent keeps its 50 Hz, counted since it entered formation (or since its start).
+
+    `late_us`: start of a tick after its due time, one period after the tick before. `missed`: periods without a tick.
+    `telemetry_to_command_us`: from a position's arrival at the socket to its setpoint handed to the socket.
+    """
+
+    rate_hz: float
+    ticks: int
+    missed: int
+    late_us: Percentiles
+    telemetry_to_command_us: Percentiles
+    cpu_percent: float
+    rss_mb: float
+
+
+@dataclass(frozen=True, slots=True)
+class StatusReport:
+    """One vehicle's status with its timing."""
+
+    status: Status
+    timing: Timing
+
+
+_encoder = msgspec.msgpack.Encoder()
+_report_decoder = msgspec.msgpack.Decoder(StatusReport)
+_command_decoder = msgspec.msgpack.Decoder(Command)
+_reply_decoder = msgspec.msgpack.Decoder(CommandReply)
+
+
+def encode(message: StatusReport | Command | CommandReply) -> bytes:
+    return seal(_encoder.encode(message))
+
+
+def decode_report(data: bytes) -> StatusReport:
+    """Raises WireError."""
+    return _decode(_report_decoder, data, "status report")
+
+
+def decode_command(data: bytes) -> Command:
+    """Raises WireError."""
+    return _decode(_command_decoder, data, "command")
+
+
+def decode_reply(data: bytes) -> CommandReply:
+    """Raises WireError."""
+    return _decode(_reply_decoder, data, "command reply")
+
+
+def _decode(decoder: msgspec.msgpack.Decoder[T], data: bytes, what: str) -> T:
+    try:
+        return decoder.decode(unseal(data))
+    except msgspec.MsgspecError as error:
+        raise WireError(f"malformed {what}") from error

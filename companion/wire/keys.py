@@ -1,0 +1,35 @@
+"""Zenoh key expressions: formation/FLEET/KIND/VEHICLE."""
+
+from __future__ import annotations
+
+ROOT = "formation"
+
+
+def peer_key(fleet: str, vehicle_id: int) -> str:
+    """Where a vehicle publishes its PeerPacket at every tick."""
+    return f"{ROOT}/{fleet}/peer/{vehicle_id}"
+
+
+def status_key(fleet: str, vehicle_id: int) -> str:
+    """Where a vehicle publishes its Status a few times a second."""
+    return f"{ROOT}/{fleet}/status/{vehicle_id}"
+
+
+def command_key(fleet: str, vehicle_id: int) -> str:
+    """Where a vehicle answers queries that carry a Command."""
+    return f"{ROOT}/{fleet}/command/{vehicle_id}"
+
+
+def every_peer(fleet: str) -> str:
+    return f"{ROOT}/{fleet}/peer/*"
+
+
+def every_status(fleet: str) -> str:
+    """`fleet` may be * to watch all fleets."""
+    return f"{ROOT}/{fleet}/status/*"
+
+
+def vehicle_of(key: str) -> int | None:
+    """The vehicle id at the end of a key, None where there is none."""
+    last = key.rpartition("/")[2]
+    return int(last) if last.isascii() and last.isdigit() else None

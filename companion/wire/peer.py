@@ -1,0 +1,71 @@
+"""PeerPacket <-> bytes: a MessagePack array, so that 50 packets a second stay small on the air."""
+
+from __future__ import annotations
+
+import msgspec
+
+from companion.types import FlightPhase, LeaderWord, PeerPacket, Role, Vector3
+from companion.wire.version import WireError, seal, unseal
+
+
+class _PeerWire(msgspec.Struct, array_like=True, frozen=True, forbid_unknown_fields=True):
+    vehicle_id: int
+    session: int
+    sequence: int
+    formation_hash: int
+    phase: FlightPhase
+    role: Role
+    position_enu_m: Vector3
+    velocity_enu_m_s: Vector3
+    acceleration_enu_m_s2: Vector3
+    state_age_s: float
+    prc: int
+    leader_word: tuple[int, int, float] | None  # leader id, epoch, age in seconds
+
+
+_encoder = msgspec.msgpack.Encoder()
+_decoder = msgspec.msgpack.Decoder(_PeerWire)
+
+
+def encode_peer(packet: PeerPacket) -> bytes:
+    word = packet.leader_word
+    return seal(
+        _encoder.encode(
+            _PeerWire(
+                packet.vehicle_id,
+                packet.session,
+                packet.sequence,
+                packet.formation_hash,
+                packet.phase,
+                packet.role,
+                packet.position_enu_m,
+                packet.velocity_enu_m_s,
+                packet.acceleration_enu_m_s2,
+                packet.state_age_s,
+                packet.prc,
+                (word.leader_id, word.epoch, word.age_s) if word else None,
+            )
+        )
+    )
+
+
+def decode_peer(data: bytes) -> PeerPacket:
+    """Checks form and version only; what the numbers may be is `core/peers.py`'s. Raises WireError."""
+    try:
+        wire = _decoder.decode(unseal(data))
+    except msgspec.MsgspecError as error:
+        raise WireError("malformed peer packet") from error
+    return PeerPacket(
+        wire.vehicle_id,
+        wire.session,
+        wire.sequence,
+        wire.formation_hash,
+        wire.phase,
+        wire.role,
+        wire.position_enu_m,
+        wire.velocity_enu_m_s,
+        wire.acceleration_enu_m_s2,
+        wire.state_age_s,
+        wire.prc,
+        LeaderWord(*wire.leader_word) if wire.leader_word else None,
+    )
