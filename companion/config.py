@@ -31,7 +31,7 @@ class _Base(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 # ---------------------------------------------------------------- fleet file
 
 
-class GeodeticOrigin(_Base):
+class GeodeticOrigin(_Base, frozen=True):
     """Where the fleet frame (ENU) has its zero."""
 
     latitude_deg: Annotated[float, Meta(ge=-85, le=85)]
@@ -42,7 +42,7 @@ class GeodeticOrigin(_Base):
         return (self.latitude_deg, self.longitude_deg, self.altitude_amsl_m)
 
 
-class FormationMember(_Base):
+class FormationMember(_Base, frozen=True):
     """One vehicle's place. `slot_enu_m` is d_i0 of eq. 12, the offset from the RFT."""
 
     id: VehicleId
@@ -50,7 +50,7 @@ class FormationMember(_Base):
     slot_enu_m: PositionM
 
 
-class Gains(_Base):
+class Gains(_Base, frozen=True):
     """K = [k1, k2] of eq. 14: k1 on position [1/s^2], k2 on velocity [1/s]."""
 
     position_1_s2: Annotated[float, Meta(gt=0, le=10)] = 1.39
@@ -60,7 +60,7 @@ class Gains(_Base):
 LawName = Literal["weighted", "average_22", "average_26"]
 
 
-class Law(_Base):
+class Law(_Base, frozen=True):
     """Which formation law flies. `exponent` is alpha of the weights 1/p^alpha (1 is the paper's Algorithm 2)."""
 
     name: LawName = "weighted"
@@ -70,20 +70,20 @@ class Law(_Base):
     altitude_hold_gains: Gains = Gains(position_1_s2=2.0, velocity_1_s=2.4)
 
 
-class RangeNeighbours(_Base, tag_field="kind", tag="range"):
-    """Neighbours are the vehicles nearer than `range_m`; one that is lost must come `hysteresis_m` nearer to return."""
+class RangeNeighbours(_Base, frozen=True, tag_field="kind", tag="range"):
+    """A vehicle becomes a neighbour within `range_m` and stays one until it is `hysteresis_m` farther away."""
 
     range_m: Annotated[float, Meta(gt=0, le=10_000)]
     hysteresis_m: Annotated[float, Meta(ge=0, le=1_000)] = 0.0
 
 
-class EdgeNeighbours(_Base, tag_field="kind", tag="edges"):
+class EdgeNeighbours(_Base, frozen=True, tag_field="kind", tag="edges"):
     """Neighbours are given as undirected edges between vehicle ids."""
 
     edges: tuple[tuple[VehicleId, VehicleId], ...]
 
 
-class PeerLimits(_Base):
+class PeerLimits(_Base, frozen=True):
     """What is believed of a peer, and for how long."""
 
     max_age_s: Annotated[float, Meta(gt=0.02, le=5)] = 0.3
@@ -91,7 +91,7 @@ class PeerLimits(_Base):
     max_speed_m_s: Annotated[float, Meta(gt=0, le=100)] = 25.0
 
 
-class Envelope(_Base):
+class Envelope(_Base, frozen=True):
     """The last gate's limits. The fence is a box in the fleet frame."""
 
     max_tilt_deg: Annotated[float, Meta(gt=0, le=45)] = 25.0
@@ -103,7 +103,7 @@ class Envelope(_Base):
     fence_max_enu_m: PositionM = (100.0, 100.0, 50.0)
 
 
-class FleetConfig(_Base):
+class FleetConfig(_Base, frozen=True):
     """What all vehicles of a fleet must agree on."""
 
     name: Annotated[str, Meta(pattern="^[a-z0-9][a-z0-9_-]{0,40}$")]
@@ -127,7 +127,7 @@ class FleetConfig(_Base):
 # ---------------------------------------------------------------- vehicle file
 
 
-class PointReference(_Base, tag_field="kind", tag="point"):
+class PointReference(_Base, frozen=True, tag_field="kind", tag="point"):
     """RFT that stands still, r = point, r' = 0."""
 
     point_enu_m: PositionM
@@ -136,14 +136,14 @@ class PointReference(_Base, tag_field="kind", tag="point"):
 Reference = PointReference
 
 
-class ZenohEndpoints(_Base):
+class ZenohEndpoints(_Base, frozen=True):
     """Explicit endpoints, like "tcp/192.168.1.11:7447". Multicast scouting stays off."""
 
     listen: tuple[str, ...] = ()
     connect: tuple[str, ...] = ()
 
 
-class VehicleConfig(_Base):
+class VehicleConfig(_Base, frozen=True):
     """What is one vehicle's own.
 
     `mavlink`: "udpin:HOST:PORT" (listen), "tcp:HOST:PORT" (connect) or "serial:DEVICE:BAUD".
@@ -183,12 +183,16 @@ def check_fleet(file: Path, fleet: FleetConfig, where: str = "") -> None:
         if slot in slots[:index]:
             other = ids[slots.index(slot)]
             raise ConfigError(
-                file, f"{where}vehicles[{index}].slot_enu_m", f"{list(slot)} is also the slot of vehicle {other}; give each its own"
+                file,
+                f"{where}vehicles[{index}].slot_enu_m",
+                f"{list(slot)} is also the slot of vehicle {other}; give each its own",
             )
     for axis, low, high in zip("xyz", fleet.envelope.fence_min_enu_m, fleet.envelope.fence_max_enu_m, strict=True):
         if low >= high:
             raise ConfigError(
-                file, f"{where}envelope.fence_min_enu_m", f"{axis} is {low}, expected less than fence_max_enu_m's {high}"
+                file,
+                f"{where}envelope.fence_min_enu_m",
+                f"{axis} is {low}, expected less than fence_max_enu_m's {high}",
             )
 
 
@@ -203,7 +207,9 @@ def _check_edges(file: Path, where: str, neighbours: EdgeNeighbours, ids: list[i
                     + ", ".join(str(i) for i in ids),
                 )
         if edge[0] == edge[1]:
-            raise ConfigError(file, f"{where}[{index}]", f"{list(edge)} joins a vehicle to itself; expected two different ids")
+            raise ConfigError(
+                file, f"{where}[{index}]", f"{list(edge)} joins a vehicle to itself; expected two different ids"
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,7 +232,11 @@ def load_agent(path: Path) -> AgentConfig:
         ids = ", ".join(str(m.id) for m in fleet.vehicles)
         raise ConfigError(path, "id", f"{vehicle.id} has no slot in {fleet_path}; expected one of {ids}")
     if member.role is Role.LEADER and vehicle.reference is None:
-        raise ConfigError(path, "reference", f"missing; vehicle {vehicle.id} leads and needs the reference trajectory (RFT)")
+        raise ConfigError(
+            path, "reference", f"missing; vehicle {vehicle.id} leads and needs the reference trajectory (RFT)"
+        )
     if member.role is Role.FOLLOWER and vehicle.reference is not None:
-        raise ConfigError(path, "reference", f"vehicle {vehicle.id} follows; only a leader may know the RFT, take this section out")
+        raise ConfigError(
+            path, "reference", f"vehicle {vehicle.id} follows; only a leader may know the RFT, take this section out"
+        )
     return AgentConfig(vehicle, fleet, member)

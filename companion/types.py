@@ -168,16 +168,10 @@ class VehicleState:
     landed: LandedState = LandedState.UNDEFINED
     landed_time_s: float = float("-inf")
     origin_known: bool = False
+    altitude_amsl_m: float = 0.0  # by the autopilot's own origin
 
 
 # ---------------------------------------------------------------- agent -> autopilot
-
-
-@dataclass(frozen=True, slots=True)
-class AccelerationSetpoint:
-    """u = [uX, uY, uZ] of eq. 14, m/s^2 in ENU, without gravity."""
-
-    acceleration_enu_m_s2: Vector3
 
 
 @dataclass(frozen=True, slots=True)
@@ -292,7 +286,7 @@ class HealthFlag(StrEnum):
 
     STATE_STALE = "position older than allowed"
     ATTITUDE_STALE = "attitude older than allowed"
-    MODE_STALE = "no word of the flight mode"
+    MODE_STALE = "flight mode older than allowed"
     ORIGIN_UNKNOWN = "the autopilot's origin is unknown"
     LEADER_LOST = "no leader's word"
     FENCE = "outside the fence"

@@ -16,7 +16,7 @@ class _Base(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     pass
 
 
-class Airframe(_Base):
+class Airframe(_Base, frozen=True):
     """Rigid body of eq. 1-5. `attitude: instant` is the paper's ideal (section 3.1: no tracking error of the angles)."""
 
     mass_kg: Positive = 1.0
@@ -27,7 +27,7 @@ class Airframe(_Base):
     attitude: Literal["rigid_body", "instant"] = "rigid_body"
 
 
-class Sensors(_Base):
+class Sensors(_Base, frozen=True):
     """The error of the autopilot's estimate against truth: slow drifts (sd, correlation time) and white noise."""
 
     position_sd_m: tuple[NonNegative, NonNegative, NonNegative] = (0.0, 0.0, 0.0)
@@ -60,7 +60,7 @@ SENSORS: dict[str, Sensors] = {
 }
 
 
-class Wind(_Base):
+class Wind(_Base, frozen=True):
     """Steady wind and gusts (first-order, seeded)."""
 
     mean_enu_m_s: PositionM = (0.0, 0.0, 0.0)
@@ -68,7 +68,7 @@ class Wind(_Base):
     gust_time_s: Positive = 2.0
 
 
-class StandIn(_Base):
+class StandIn(_Base, frozen=True):
     """The stand-in vehicles of a scenario and the air round them. `parameters` overrides autopilot parameters by name."""
 
     airframe: Airframe = Airframe()
@@ -81,7 +81,7 @@ class StandIn(_Base):
         return SENSORS[self.sensors] if isinstance(self.sensors, str) else self.sensors
 
 
-class AutopilotFile(_Base):
+class AutopilotFile(_Base, frozen=True):
     """The file of `sitl autopilot --config`: one stand-in vehicle. The world's ENU frame has its zero at `world_origin`."""
 
     id: VehicleId = 1

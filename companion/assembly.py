@@ -1,0 +1,79 @@
+"""Configuration -> Agent. Everything that can be chosen is chosen here, once, and never again in a tick."""
+
+from __future__ import annotations
+
+from math import radians
+
+from companion.config import AgentConfig, EdgeNeighbours, Envelope, FleetConfig, Law
+from companion.core import formation, reference
+from companion.core.agent import Agent, AgentSetup
+from companion.core.cooperation import Cooperation
+from companion.core.envelope import EnvelopeLimits
+from companion.core.formation import FormationLaw, Gains
+from companion.core.health import AgeLimits
+from companion.core.neighbours import EdgeRule, NeighbourRule, RangeRule
+from companion.core.peers import PeerTable
+from companion.core.vehicle_state import VehicleTracker
+
+
+def build_agent(config: AgentConfig, session: int) -> Agent:
+    """`session` is any number that differs from one start of this vehicle's agent to the next."""
+    fleet, member, law = config.fleet, config.member, config.fleet.law
+    formation_hash = fleet.formation_hash()
+    peers = PeerTable(
+        member.id,
+        {m.id: m.role for m in fleet.vehicles},
+        formation_hash,
+        fleet.peers.max_age_s,
+        fleet.peers.max_speed_m_s,
+    )
+    setup = AgentSetup(
+        vehicle_id=member.id,
+        session=session,
+        fleet=fleet.name,
+        formation_hash=formation_hash,
+        law_name=law.name,
+        role=member.role,
+        slot_enu_m=member.slot_enu_m,
+        law=_law(law),
+        altitude_hold_gains=_altitude_hold(law),
+        reference=reference.point(config.vehicle.reference.point_enu_m) if config.vehicle.reference else None,
+        takeoff_height_m=fleet.takeoff_height_m,
+        envelope=_limits(fleet.envelope, config.vehicle.hover_thrust_norm),
+        ages=AgeLimits(leader_word_s=fleet.peers.leader_word_max_age_s),
+    )
+    tracker = VehicleTracker(None if fleet.origin == "local" else fleet.origin.as_tuple())
+    slots = {m.id: m.slot_enu_m for m in fleet.vehicles}
+    return Agent(setup, tracker, Cooperation(member.id, member.role, slots, peers, _neighbour_rule(fleet, member.id)))
+
+
+def _law(law: Law) -> FormationLaw:
+    gains = Gains(law.gains.position_1_s2, law.gains.velocity_1_s)
+    if law.name == "weighted":
+        return formation.weighted(gains, law.exponent)
+    return {"average_22": formation.average_22, "average_26": formation.average_26}[law.name](gains)
+
+
+def _altitude_hold(law: Law) -> Gains | None:
+    if law.altitude == "formation":
+        return None
+    return Gains(law.altitude_hold_gains.position_1_s2, law.altitude_hold_gains.velocity_1_s)
+
+
+def _neighbour_rule(fleet: FleetConfig, own_id: int) -> NeighbourRule:
+    if isinstance(fleet.neighbours, EdgeNeighbours):
+        return EdgeRule(own_id, fleet.neighbours.edges)
+    return RangeRule(fleet.neighbours.range_m, fleet.neighbours.hysteresis_m)
+
+
+def _limits(envelope: Envelope, hover_thrust_norm: float) -> EnvelopeLimits:
+    return EnvelopeLimits(
+        max_tilt_rad=radians(envelope.max_tilt_deg),
+        max_tilt_rate_rad_s=radians(envelope.max_tilt_rate_deg_s),
+        hover_thrust_norm=hover_thrust_norm,
+        min_thrust_ratio=envelope.min_thrust_ratio,
+        max_thrust_ratio=envelope.max_thrust_ratio,
+        max_thrust_rate_1_s=envelope.max_thrust_rate_1_s,
+        fence_min_enu_m=envelope.fence_min_enu_m,
+        fence_max_enu_m=envelope.fence_max_enu_m,
+    )

@@ -1,0 +1,269 @@
+"""Agent.step: one tick from all that came in to all that goes out. The whole flow, top to bottom."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from math import cos
+
+from companion.core.attitude import attitude_target, limit_acceleration
+from companion.core.cooperation import Cooperation, Neighbourhood
+from companion.core.envelope import EnvelopeLimits, LastGate
+from companion.core.failsafe import failsafe_action
+from companion.core.formation import (
+    FormationLaw,
+    Gains,
+    Place,
+    feedback,
+    formation_acceleration,
+    place,
+)
+from companion.core.health import AgeLimits, health_flags
+from companion.core.phase import PhaseMachine
+from companion.core.reference import ReferenceTrajectory
+from companion.core.vehicle_state import VehicleTracker
+from companion.types import (
+    ZERO3,
+    AttitudeTarget,
+    AutopilotRequest,
+    Command,
+    CommandName,
+    CommandReply,
+    FailsafeAction,
+    FlightPhase,
+    HealthFlag,
+    Inbox,
+    Outbox,
+    PeerPacket,
+    RequestOrigin,
+    Role,
+    Status,
+    Vector3,
+    VehicleState,
+)
+
+SILENT_TOO_LONG_S = 0.5  # less than COM_OF_LOSS_T: PX4 re-enters OFFBOARD by itself when a stream returns
+ORIGIN_REPEAT_S = 1.0
+STATUS_PERIOD_S = 0.099  # every fifth tick of 50 Hz, also where a tick comes a little early
+
+
+@dataclass(frozen=True, slots=True)
+class AgentSetup:
+    """What does not change in flight. `altitude_hold_gains` is None where z follows the formation law, too."""
+
+    vehicle_id: int
+    session: int
+    fleet: str
+    formation_hash: int
+    law_name: str
+    role: Role
+    slot_enu_m: Vector3
+    law: FormationLaw
+    altitude_hold_gains: Gains | None
+    reference: ReferenceTrajectory | None  # leaders only
+    takeoff_height_m: float
+    envelope: EnvelopeLimits
+    ages: AgeLimits
+
+
+class Agent:
+    """One vehicle's decisions. Pure: what comes out depends on the calls made so far and on nothing else."""
+
+    def __init__(self, setup: AgentSetup, tracker: VehicleTracker, cooperation: Cooperation) -> None:
+        self._setup = setup
+        self._tracker = tracker
+        self._cooperation = cooperation
+        self._gate = LastGate(setup.envelope)
+        self._machine = PhaseMachine(setup.takeoff_height_m)
+        self._refused: Counter[str] = Counter()
+        self._sequence = 0
+        self._position_used_s = float("-inf")
+        self._origin_asked_s = float("-inf")
+        self._formation_since_s = 0.0
+        self._spoke_s = 0.0
+        self._status_s = float("-inf")
+        self._yaw_rad = 0.0
+        self._hold_altitude_m = 0.0
+        self._last_event = ""
+
+    @property
+    def phase(self) -> FlightPhase:
+        return self._machine.phase
+
+    def reject(self, reason: str) -> None:
+        """Count a message that was refused before it came here."""
+        self._refused[reason] += 1
+
+    def step(self, now_s: float, inbox: Inbox) -> Outbox:
+        """One tick: telemetry -> state -> peers -> PrC and weights -> acceleration -> attitude -> the last gate."""
+        vehicle = self._tracker.fold(inbox.telemetry)
+        around = self._cooperation.update(now_s, vehicle.position_enu_m, inbox.peers)
+        flags = health_flags(now_s, vehicle, around.leader_word, self._setup.ages, self._setup.envelope)
+
+        streamed = self._machine.streams(vehicle)
+        replies = tuple(self._obey(command, now_s, vehicle, flags) for command in inbox.commands)
+        if self._machine.streams(vehicle) and not streamed:
+            self._open_stream(now_s, vehicle)
+        self._act_on(flags, now_s, vehicle)
+        requests = self._ask_origin(now_s, vehicle) + self._machine.advance(now_s, vehicle, inbox.telemetry)
+
+        acceleration, target = ZERO3, None
+        if self._machine.streams(vehicle) and self._may_decide(flags, vehicle):
+            acceleration = self._acceleration(now_s, vehicle, around)
+            target = self._gate.admit(now_s, self._attitude(vehicle, acceleration))
+            self._position_used_s = vehicle.position_time_s
+            self._spoke_s = now_s
+
+        events = self._drain_events()
+        return Outbox(
+            attitude_target=target,
+            requests=requests,
+            peer_packet=self._peer_packet(now_s, vehicle, around, acceleration),
+            status=self._status(now_s, vehicle, around, flags) if self._status_due(now_s, events) else None,
+            replies=replies,
+            events=events,
+        )
+
+    def _obey(
+        self, command: Command, now_s: float, vehicle: VehicleState, flags: frozenset[HealthFlag]
+    ) -> CommandReply:
+        missing = self._missing_for(command.name, flags)
+        if missing:
+            return CommandReply(self._setup.vehicle_id, command.number, False, f"{command.name}: {', '.join(missing)}")
+        accepted, reason = self._machine.command(command.name, now_s, vehicle)
+        return CommandReply(self._setup.vehicle_id, command.number, accepted, reason)
+
+    def _missing_for(self, name: CommandName, flags: frozenset[HealthFlag]) -> list[str]:
+        """Landing and holding are always allowed; the rest needs a vehicle that knows where it is."""
+        if name in (CommandName.LAND, CommandName.HOLD, CommandName.DISARM):
+            return []
+        needed = {HealthFlag.STATE_STALE, HealthFlag.ATTITUDE_STALE, HealthFlag.MODE_STALE, HealthFlag.ORIGIN_UNKNOWN}
+        if name is CommandName.FORM:
+            needed |= {HealthFlag.LEADER_LOST, HealthFlag.FENCE}
+        return sorted(needed & flags)
+
+    def _act_on(self, flags: frozenset[HealthFlag], now_s: float, vehicle: VehicleState) -> None:
+        if not self._machine.streams(vehicle):
+            return
+        action = failsafe_action(flags)
+        if action is FailsafeAction.HOLD:
+            self._machine.hand_over(now_s, vehicle, ", ".join(sorted(flags)))
+        elif action is FailsafeAction.SILENT and now_s - self._spoke_s > SILENT_TOO_LONG_S:
+            self._machine.give_up(f"silent for {SILENT_TOO_LONG_S} s: " + ", ".join(sorted(flags)))
+
+    def _ask_origin(self, now_s: float, vehicle: VehicleState) -> tuple[AutopilotRequest, ...]:
+        if vehicle.origin_known or now_s - self._origin_asked_s < ORIGIN_REPEAT_S:
+            return ()
+        self._origin_asked_s = now_s
+        return (RequestOrigin(),)
+
+    def _open_stream(self, now_s: float, vehicle: VehicleState) -> None:
+        self._yaw_rad = vehicle.yaw_rad
+        self._hold_altitude_m = vehicle.position_enu_m[2]
+        self._spoke_s = now_s
+        self._gate.open_at(now_s, self._level(vehicle))
+
+    def _may_decide(self, flags: frozenset[HealthFlag], vehicle: VehicleState) -> bool:
+        """A decision needs a position that no decision was made from before."""
+        new = vehicle.position_time_s > self._position_used_s
+        return new and failsafe_action(flags) is not FailsafeAction.SILENT
+
+    def _acceleration(self, now_s: float, vehicle: VehicleState, around: Neighbourhood) -> Vector3:
+        """Eq. 14, within what the envelope's tilt and thrust can give. Zero until the autopilot has taken the stream."""
+        if self._machine.phase is FlightPhase.ENGAGE:
+            self._formation_since_s = now_s
+            return ZERO3
+        own = place(vehicle.position_enu_m, vehicle.velocity_enu_m_s, self._setup.slot_enu_m)
+        wanted = formation_acceleration(self._setup.law, own, around.neighbours, self._reference(now_s))
+        if self._setup.altitude_hold_gains is not None:
+            climb_m = vehicle.position_enu_m[2] - self._hold_altitude_m
+            hold = feedback(
+                self._setup.altitude_hold_gains, (0.0, 0.0, climb_m), (0.0, 0.0, vehicle.velocity_enu_m_s[2])
+            )
+            wanted = (wanted[0], wanted[1], hold[2])
+        envelope = self._setup.envelope
+        return limit_acceleration(wanted, envelope.max_tilt_rad, envelope.min_thrust_ratio, envelope.max_thrust_ratio)
+
+    def _attitude(self, vehicle: VehicleState, acceleration: Vector3) -> AttitudeTarget:
+        if self._machine.phase is FlightPhase.ENGAGE:
+            return self._level(vehicle)
+        return attitude_target(
+            acceleration, self._yaw_rad, vehicle.roll_rad, vehicle.pitch_rad, self._setup.envelope.hover_thrust_norm
+        )
+
+    def _level(self, vehicle: VehicleState) -> AttitudeTarget:
+        """The attitude that the vehicle has, with the thrust that carries it: no step where the autopilot takes over."""
+        share = max(0.5, cos(vehicle.roll_rad) * cos(vehicle.pitch_rad))
+        thrust = self._setup.envelope.hover_thrust_norm / share
+        return AttitudeTarget(vehicle.roll_rad, vehicle.pitch_rad, self._yaw_rad, thrust)
+
+    def _reference(self, now_s: float) -> Place | None:
+        """R for a leader. Until it is in formation, time stands at the beginning."""
+        if self._setup.reference is None:
+            return None
+        flying = self._machine.phase in (FlightPhase.FORMATION, FlightPhase.RELEASE)
+        return self._setup.reference(now_s - self._formation_since_s if flying else 0.0)
+
+    def _drain_events(self) -> tuple[str, ...]:
+        events = tuple(self._machine.events)
+        self._machine.events.clear()
+        if events:
+            self._last_event = events[-1]
+        return events
+
+    def _peer_packet(
+        self, now_s: float, vehicle: VehicleState, around: Neighbourhood, acceleration: Vector3
+    ) -> PeerPacket | None:
+        """Nothing is told before there is a position."""
+        if vehicle.position_time_s == float("-inf"):
+            return None
+        self._sequence += 1
+        return PeerPacket(
+            vehicle_id=self._setup.vehicle_id,
+            session=self._setup.session,
+            sequence=self._sequence,
+            formation_hash=self._setup.formation_hash,
+            phase=self._machine.phase,
+            role=self._setup.role,
+            position_enu_m=vehicle.position_enu_m,
+            velocity_enu_m_s=vehicle.velocity_enu_m_s,
+            acceleration_enu_m_s2=acceleration,
+            state_age_s=max(0.0, now_s - vehicle.position_time_s),
+            prc=around.prc,
+            leader_word=around.leader_word,
+        )
+
+    def _status_due(self, now_s: float, events: tuple[str, ...]) -> bool:
+        """Ten times a second, and at once when something happened."""
+        if not events and now_s - self._status_s < STATUS_PERIOD_S:
+            return False
+        self._status_s = now_s
+        return True
+
+    def _status(
+        self, now_s: float, vehicle: VehicleState, around: Neighbourhood, flags: frozenset[HealthFlag]
+    ) -> Status:
+        reference = self._reference(now_s)
+        return Status(
+            vehicle_id=self._setup.vehicle_id,
+            session=self._setup.session,
+            fleet=self._setup.fleet,
+            formation_hash=self._setup.formation_hash,
+            law=self._setup.law_name,
+            phase=self._machine.phase,
+            mode_name=vehicle.mode_name,
+            armed=vehicle.armed,
+            landed=vehicle.landed,
+            position_enu_m=vehicle.position_enu_m,
+            velocity_enu_m_s=vehicle.velocity_enu_m_s,
+            state_age_s=min(1e6, now_s - vehicle.position_time_s),
+            role=self._setup.role,
+            prc=around.prc,
+            leader_word=around.leader_word,
+            neighbours=around.neighbour_ids,
+            slot_enu_m=self._setup.slot_enu_m,
+            reference_enu_m=reference.position_enu_m if reference else None,
+            flags=tuple(sorted(flags)),
+            rejected=dict(self._refused + self._tracker.rejected + self._cooperation.peers.rejected),
+            last_event=self._last_event,
+        )

@@ -1,0 +1,24 @@
+"""HealthFlags -> what to do while setpoints stream: a ranked table, nothing else.
+
+SILENT is not an emergency brake: it lets the autopilot's own failsafe act (PX4 COM_OBL_RC_ACT, ArduPilot GUID_TIMEOUT).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from companion.types import FailsafeAction, HealthFlag
+
+ACTIONS: dict[HealthFlag, FailsafeAction] = {
+    HealthFlag.STATE_STALE: FailsafeAction.SILENT,
+    HealthFlag.ATTITUDE_STALE: FailsafeAction.SILENT,
+    HealthFlag.MODE_STALE: FailsafeAction.SILENT,
+    HealthFlag.ORIGIN_UNKNOWN: FailsafeAction.SILENT,
+    HealthFlag.LEADER_LOST: FailsafeAction.HOLD,
+    HealthFlag.FENCE: FailsafeAction.HOLD,
+}
+
+
+def failsafe_action(flags: Iterable[HealthFlag]) -> FailsafeAction:
+    """The highest-ranked action of all raised flags. It clears by itself when its flags do; a hold, once begun, is finished."""
+    return max((ACTIONS[flag] for flag in flags), default=FailsafeAction.NONE)

@@ -1,0 +1,43 @@
+"""Ages and places -> HealthFlags. Stale is a value here, not an exception."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from companion.core.envelope import EnvelopeLimits
+from companion.types import HealthFlag, LeaderWord, VehicleState
+
+
+@dataclass(frozen=True, slots=True)
+class AgeLimits:
+    """How old what the agent decides on may be, in seconds."""
+
+    state_s: float = 0.04  # two periods of 50 Hz: no fresh decision, no setpoint
+    attitude_s: float = 0.1
+    mode_s: float = 0.5  # without it a pilot's take-over would go unseen
+    leader_word_s: float = 0.5
+
+
+def health_flags(
+    now_s: float, vehicle: VehicleState, leader_word: LeaderWord | None, ages: AgeLimits, envelope: EnvelopeLimits
+) -> frozenset[HealthFlag]:
+    """All that is wrong at `now_s`."""
+    return frozenset(_raised(now_s, vehicle, leader_word, ages, envelope))
+
+
+def _raised(
+    now_s: float, vehicle: VehicleState, leader_word: LeaderWord | None, ages: AgeLimits, envelope: EnvelopeLimits
+) -> Iterator[HealthFlag]:
+    if now_s - vehicle.position_time_s > ages.state_s:
+        yield HealthFlag.STATE_STALE
+    if now_s - vehicle.attitude_time_s > ages.attitude_s:
+        yield HealthFlag.ATTITUDE_STALE
+    if now_s - vehicle.mode_time_s > ages.mode_s:
+        yield HealthFlag.MODE_STALE
+    if not vehicle.origin_known:
+        yield HealthFlag.ORIGIN_UNKNOWN
+    if leader_word is None or leader_word.age_s > ages.leader_word_s:
+        yield HealthFlag.LEADER_LOST
+    if vehicle.position_time_s > float("-inf") and not envelope.inside_fence(vehicle.position_enu_m):
+        yield HealthFlag.FENCE

@@ -1,0 +1,120 @@
+"""Newest believable state of every peer. Nothing from outside reaches the law but through here."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from math import dist, hypot, isfinite
+
+from companion.types import LeaderWord, PeerPacket, ReceivedPeerPacket, Role, Vector3
+
+MAX_COORDINATE_M = 20_000.0
+MAX_ACCELERATION_M_S2 = 100.0
+JUMP_MARGIN_M = 1.0  # what an estimator's correction may add to the way flown between two packets
+
+
+@dataclass(frozen=True, slots=True)
+class PeerState:
+    """A peer's newest packet and when it came."""
+
+    packet: PeerPacket
+    received_s: float
+
+    def age_s(self, now_s: float) -> float:
+        """Age of the position itself: what it had when it was sent and what has passed since."""
+        return self.packet.state_age_s + (now_s - self.received_s)
+
+    def position_at(self, now_s: float) -> Vector3:
+        """The position carried on with its velocity over its age, so that both sides of x_i - x_j mean the same time."""
+        age_s = self.age_s(now_s)
+        (x, y, z), (vx, vy, vz) = self.packet.position_enu_m, self.packet.velocity_enu_m_s
+        return (x + vx * age_s, y + vy * age_s, z + vz * age_s)
+
+    def leader_word_at(self, now_s: float) -> LeaderWord | None:
+        """The leader's word with the age that it has by now."""
+        word = self.packet.leader_word
+        if word is None:
+            return None
+        return LeaderWord(word.leader_id, word.epoch, word.age_s + (now_s - self.received_s))
+
+
+class PeerTable:
+    """Checks every packet: identity, formation, order, finite, plausible. `rejected` counts what was refused, by reason."""
+
+    def __init__(
+        self,
+        own_id: int,
+        roles: Mapping[int, Role],
+        formation_hash: int,
+        max_age_s: float,
+        max_speed_m_s: float,
+    ) -> None:
+        self._own_id = own_id
+        self._roles = roles
+        self._formation_hash = formation_hash
+        self._max_age_s = max_age_s
+        self._max_speed_m_s = max_speed_m_s
+        self._newest: dict[int, PeerState] = {}
+        self.rejected: Counter[str] = Counter()
+
+    def fold(self, packets: Iterable[ReceivedPeerPacket]) -> None:
+        for received in packets:
+            reason = self._refusal(received)
+            if reason is None:
+                self._newest[received.packet.vehicle_id] = PeerState(received.packet, received.received_s)
+            else:
+                self.rejected[f"peer {received.packet.vehicle_id}: {reason}"[:80]] += 1
+
+    def fresh(self, now_s: float) -> dict[int, PeerState]:
+        """Peers whose state is not older than the configured age."""
+        return {i: peer for i, peer in self._newest.items() if peer.age_s(now_s) <= self._max_age_s}
+
+    def _refusal(self, received: ReceivedPeerPacket) -> str | None:
+        packet = received.packet
+        if packet.vehicle_id == self._own_id:
+            return "uses this vehicle's own id"
+        role = self._roles.get(packet.vehicle_id)
+        if role is None:
+            return "not in the fleet file"
+        if packet.formation_hash != self._formation_hash:
+            return "has another fleet file (formation hash differs)"
+        if packet.role is not role:
+            return f"claims to be {packet.role}, the fleet file says {role}"
+        return self._implausible(packet) or self._out_of_order(received) or self._jumped(received)
+
+    def _implausible(self, packet: PeerPacket) -> str | None:
+        numbers = (*packet.position_enu_m, *packet.velocity_enu_m_s, *packet.acceleration_enu_m_s2, packet.state_age_s)
+        if not all(map(isfinite, numbers)):
+            return "numbers not finite"
+        if max(map(abs, packet.position_enu_m)) > MAX_COORDINATE_M:
+            return "position not plausible"
+        if hypot(*packet.velocity_enu_m_s) > self._max_speed_m_s:
+            return "speed not plausible"
+        if hypot(*packet.acceleration_enu_m_s2) > MAX_ACCELERATION_M_S2:
+            return "acceleration not plausible"
+        if packet.state_age_s < 0.0:
+            return "state from the future"
+        if not 1 <= packet.prc <= len(self._roles) or (packet.prc == 1) is not (packet.role is Role.LEADER):
+            return "PrC not plausible"
+        word = packet.leader_word
+        if word is not None and (self._roles.get(word.leader_id) is not Role.LEADER or not 0.0 <= word.age_s < 1e6):
+            return "leader's word not plausible"
+        return None
+
+    def _out_of_order(self, received: ReceivedPeerPacket) -> str | None:
+        newest = self._newest.get(received.packet.vehicle_id)
+        if newest is None:
+            return None
+        if newest.packet.session == received.packet.session:
+            return None if received.packet.sequence > newest.packet.sequence else "out of order or replayed"
+        # A vehicle that restarted has been silent for a while; another session at once is a second vehicle with the same id.
+        return None if newest.age_s(received.received_s) > self._max_age_s else "two vehicles with one id"
+
+    def _jumped(self, received: ReceivedPeerPacket) -> str | None:
+        newest = self._newest.get(received.packet.vehicle_id)
+        if newest is None or newest.age_s(received.received_s) > self._max_age_s:
+            return None
+        elapsed_s = max(0.0, received.received_s - newest.received_s) + self._max_age_s
+        way_m = dist(received.packet.position_enu_m, newest.packet.position_enu_m)
+        return "position jumped" if way_m > self._max_speed_m_s * elapsed_s + JUMP_MARGIN_M else None

@@ -1,0 +1,206 @@
+"""Flight phases: the table of what a command does from where, and the machine that walks it.
+
+The pilot always wins: whenever the autopilot's mode is not one that this phase commanded, the agent falls back to OBSERVE
+and sends nothing until it is told to again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+from companion.core.procedure import Procedure, Progress, RunningProcedure
+from companion.types import (
+    Arm,
+    AutopilotMode,
+    AutopilotRequest,
+    CommandName,
+    Disarm,
+    FlightPhase,
+    LandedState,
+    SetMode,
+    TakeOff,
+    Telemetry,
+    VehicleState,
+)
+
+P, M, C = FlightPhase, AutopilotMode, CommandName
+
+STREAM_BEFORE_OFFBOARD_S = 0.3  # PX4 takes OFFBOARD only from a running stream
+CLIMBED_WITHIN_M = 0.3
+
+
+def _mode_is(mode: AutopilotMode) -> Callable[[VehicleState], bool]:
+    return lambda vehicle: vehicle.mode is mode
+
+
+def _armed(vehicle: VehicleState) -> bool:
+    return vehicle.armed
+
+
+def _disarmed(vehicle: VehicleState) -> bool:
+    return not vehicle.armed
+
+
+def in_air(vehicle: VehicleState) -> bool:
+    """Armed and not known to stand on the ground: doubt counts as flying."""
+    return vehicle.armed and vehicle.landed is not LandedState.ON_GROUND
+
+
+def _hold(_vehicle: VehicleState, _height_m: float) -> Procedure:
+    # The settling time: an OFFBOARD request sent just before a hold may still arrive after it looked done.
+    return Procedure(SetMode(M.HOLD), _mode_is(M.HOLD), _mode_is(M.HOLD), timeout_s=5.0, settle_s=0.2)
+
+
+def _offboard(_vehicle: VehicleState, _height_m: float) -> Procedure:
+    taken = _mode_is(M.OFFBOARD)
+    return Procedure(SetMode(M.OFFBOARD), taken, taken, timeout_s=5.0, delay_s=STREAM_BEFORE_OFFBOARD_S)
+
+
+def _arm(_vehicle: VehicleState, _height_m: float) -> Procedure:
+    return Procedure(Arm(), _armed, _armed, timeout_s=10.0, repeat_s=1.0)
+
+
+def _disarm(_vehicle: VehicleState, _height_m: float) -> Procedure:
+    return Procedure(Disarm(), _disarmed, _disarmed, timeout_s=5.0)
+
+
+def _land(_vehicle: VehicleState, _height_m: float) -> Procedure:
+    return Procedure(SetMode(M.LAND), _mode_is(M.LAND), _disarmed, timeout_s=120.0)
+
+
+def _take_off(vehicle: VehicleState, height_m: float) -> Procedure:
+    target_z_m = vehicle.position_enu_m[2] + height_m
+    return Procedure(
+        TakeOff(vehicle.altitude_amsl_m + height_m, height_m),
+        taken=lambda v: v.mode is M.TAKEOFF or in_air(v),
+        done=lambda v: v.mode is M.HOLD and abs(v.position_enu_m[2] - target_z_m) < CLIMBED_WITHIN_M,
+        timeout_s=15.0 + 2.0 * height_m,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """A command: allowed from where, the phase while it is under way, the phase it leads to, and where a failure leads."""
+
+    allowed: frozenset[FlightPhase]
+    via: FlightPhase
+    to: FlightPhase
+    on_failure: FlightPhase
+    on_ground: bool  # where the vehicle must be: on the ground or in the air
+    procedure: Callable[[VehicleState, float], Procedure]
+
+
+ON_GROUND = frozenset({P.READY, P.ARM, P.ARMED})
+FLYING = frozenset({P.TAKEOFF, P.HOLD, P.ENGAGE, P.FORMATION, P.RELEASE, P.LAND})
+
+RULES: dict[CommandName, Rule] = {
+    C.PREPARE: Rule(frozenset({P.OBSERVE, P.READY}), P.PREPARE, P.READY, P.OBSERVE, True, _hold),
+    C.ARM: Rule(frozenset({P.READY}), P.ARM, P.ARMED, P.READY, True, _arm),
+    C.TAKEOFF: Rule(frozenset({P.ARMED}), P.TAKEOFF, P.HOLD, P.OBSERVE, True, _take_off),
+    C.FORM: Rule(frozenset({P.HOLD}), P.ENGAGE, P.FORMATION, P.HOLD, False, _offboard),
+    C.HOLD: Rule(FLYING | {P.OBSERVE}, P.RELEASE, P.HOLD, P.OBSERVE, False, _hold),
+    C.LAND: Rule(FLYING | {P.OBSERVE}, P.LAND, P.OBSERVE, P.OBSERVE, False, _land),
+    C.DISARM: Rule(ON_GROUND | {P.OBSERVE}, P.LAND, P.OBSERVE, P.OBSERVE, True, _disarm),
+}
+
+# The modes that a phase brings about. While its procedure runs it tolerates the mode that it began in, too.
+# Phases on the ground live with any mode.
+MODES: dict[FlightPhase, frozenset[AutopilotMode]] = {
+    P.TAKEOFF: frozenset({M.TAKEOFF, M.HOLD}),
+    P.HOLD: frozenset({M.HOLD}),
+    P.ENGAGE: frozenset({M.HOLD, M.OFFBOARD}),
+    P.FORMATION: frozenset({M.OFFBOARD}),
+    P.RELEASE: frozenset({M.HOLD}),
+    P.LAND: frozenset({M.LAND}),
+}
+
+
+class PhaseMachine:
+    """Where in the flight the agent is. All it wants of the autopilot comes out of `advance`."""
+
+    def __init__(self, takeoff_height_m: float) -> None:
+        self._takeoff_height_m = takeoff_height_m
+        self.phase = P.OBSERVE
+        self._rule: Rule | None = None
+        self._running: RunningProcedure | None = None
+        self._leaving_formation = False
+        self._tolerated: frozenset[AutopilotMode] = frozenset()
+        self.events: list[str] = []
+
+    def streams(self, vehicle: VehicleState) -> bool:
+        """True while attitude targets go out: just before formation, in it, and until the autopilot has taken over."""
+        if self.phase in (P.ENGAGE, P.FORMATION):
+            return True
+        return self._leaving_formation and vehicle.mode is M.OFFBOARD
+
+    def command(self, name: CommandName, now_s: float, vehicle: VehicleState) -> tuple[bool, str]:
+        """(accepted, why not or what happens now). A command that is under way or done already is accepted again."""
+        rule = RULES[name]
+        if self._rule is rule or (self._rule is None and self.phase is rule.to is not P.OBSERVE):
+            return True, f"already {self.phase}"
+        if self.phase not in rule.allowed:
+            return False, f"{name} is not possible in phase {self.phase}, only in {', '.join(sorted(rule.allowed))}"
+        if rule.on_ground is in_air(vehicle):
+            return False, f"{name} needs the vehicle {'on the ground' if rule.on_ground else 'in the air'}"
+        self._begin(rule, now_s, vehicle, f"command {name}")
+        return True, f"{self.phase}"
+
+    def hand_over(self, now_s: float, vehicle: VehicleState, reason: str) -> None:
+        """Leave formation for the autopilot's own hold."""
+        if self.phase in (P.ENGAGE, P.FORMATION):
+            self._begin(RULES[C.HOLD], now_s, vehicle, reason)
+
+    def give_up(self, reason: str) -> None:
+        """Back to OBSERVE: nothing more is sent until a command comes."""
+        self._enter(P.OBSERVE, reason)
+
+    def advance(
+        self, now_s: float, vehicle: VehicleState, telemetry: Iterable[Telemetry]
+    ) -> tuple[AutopilotRequest, ...]:
+        """Follow the autopilot's truth by one tick; what is to be asked of it now."""
+        self._follow_truth(vehicle)
+        if self._running is None or self._rule is None:
+            return ()
+        self._running.hear(telemetry)
+        match self._running.progress(now_s, vehicle):
+            case Progress.DONE:
+                self._enter(self._rule.to)
+                return ()
+            case Progress.FAILED:
+                self._enter(self._rule.on_failure, f"{self.phase} failed: {self._running.reason}")
+                return ()
+        return self._running.due(now_s, vehicle)
+
+    def _begin(self, rule: Rule, now_s: float, vehicle: VehicleState, reason: str) -> None:
+        leaving = self.streams(vehicle) and rule.via is not P.ENGAGE
+        self._enter(rule.via, reason)
+        self._rule = rule
+        self._leaving_formation = leaving
+        self._tolerated = frozenset({vehicle.mode}) | ({M.OFFBOARD} if leaving else frozenset())
+        self._running = RunningProcedure(rule.procedure(vehicle, self._takeoff_height_m), now_s)
+
+    def _enter(self, phase: FlightPhase, reason: str = "") -> None:
+        if phase is not self.phase or reason:
+            self.events.append(f"{self.phase} -> {phase}" + (f" ({reason})" if reason else ""))
+        self.phase = phase
+        self._rule = None
+        self._running = None
+        self._leaving_formation = False
+        self._tolerated = frozenset()
+
+    def _follow_truth(self, vehicle: VehicleState) -> None:
+        """Someone else changed the mode or disarmed: observe."""
+        must_be_armed = self.phase is P.ARMED or (self.phase in FLYING and self.phase is not P.LAND)
+        if must_be_armed and not vehicle.armed:
+            self._enter(P.OBSERVE, "the autopilot disarmed")
+        elif vehicle.armed and not self._mode_is_ours(vehicle):
+            self._enter(P.OBSERVE, f"mode {vehicle.mode_name} was set by someone else")
+
+    def _mode_is_ours(self, vehicle: VehicleState) -> bool:
+        own = MODES.get(self.phase)
+        if own is None or vehicle.mode in own:
+            if self.phase is P.LAND and self._rule is RULES[C.LAND]:
+                self._tolerated = frozenset()  # landing has begun: any other mode from now on is the pilot's
+            return True
+        return vehicle.mode in self._tolerated

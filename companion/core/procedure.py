@@ -1,0 +1,71 @@
+"""One thing asked of the autopilot: repeated until the autopilot's own truth shows it, or given up with the reason.
+
+Acknowledgements are not believed (PX4 first accepts a mode change and then refuses it); they only say why.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from enum import Enum
+
+from companion.types import AckSample, AutopilotRequest, Telemetry, TextSample, VehicleState
+
+Truth = Callable[[VehicleState], bool]
+
+
+class Progress(Enum):
+    PENDING = "pending"
+    DONE = "done"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True, slots=True)
+class Procedure:
+    """`taken` ends the repeating, `done` ends the procedure. The first request goes out after `delay_s`, whatever `taken` says.
+
+    `done` is not believed before `settle_s`: a request on its way may still change what already looks right.
+    """
+
+    request: AutopilotRequest
+    taken: Truth
+    done: Truth
+    timeout_s: float
+    delay_s: float = 0.0
+    settle_s: float = 0.0
+    repeat_s: float = 0.5
+
+
+@dataclass(slots=True)
+class RunningProcedure:
+    """A procedure on its way. `reason` is the autopilot's last word of refusal."""
+
+    procedure: Procedure
+    started_s: float
+    reason: str = "no answer from the autopilot"
+    _next_s: float = field(init=False)
+    _sent: bool = False
+
+    def __post_init__(self) -> None:
+        self._next_s = self.started_s + self.procedure.delay_s
+
+    def hear(self, telemetry: Iterable[Telemetry]) -> None:
+        for sample in telemetry:
+            if isinstance(sample, AckSample) and not sample.accepted:
+                self.reason = sample.reason
+            elif isinstance(sample, TextSample) and sample.severity <= 4:  # MAV_SEVERITY_WARNING and worse
+                self.reason = sample.text
+
+    def progress(self, now_s: float, vehicle: VehicleState) -> Progress:
+        elapsed_s = now_s - self.started_s
+        if self._sent and elapsed_s >= self.procedure.settle_s and self.procedure.done(vehicle):
+            return Progress.DONE
+        return Progress.FAILED if elapsed_s > self.procedure.timeout_s else Progress.PENDING
+
+    def due(self, now_s: float, vehicle: VehicleState) -> tuple[AutopilotRequest, ...]:
+        """The request, whenever it is time to send it (again)."""
+        if now_s < self._next_s or (self._sent and self.procedure.taken(vehicle)):
+            return ()
+        self._sent = True
+        self._next_s = now_s + self.procedure.repeat_s
+        return (self.procedure.request,)

@@ -1,0 +1,115 @@
+"""Folds telemetry into one VehicleState in the fleet frame, and keeps out what cannot be true."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import replace
+from math import isfinite
+
+from companion.frames import enu_from_geodetic
+from companion.types import (
+    ZERO3,
+    AttitudeSample,
+    HeartbeatSample,
+    LandedSample,
+    ModeSample,
+    OriginSample,
+    PositionSample,
+    Telemetry,
+    Vector3,
+    VehicleState,
+)
+
+MAX_LOCAL_M = 100_000.0  # LOCAL_POSITION_NED loses centimetres to its 32 bit floats far before this
+MAX_SPEED_M_S = 100.0
+REBOOT_S = 1.0  # time_boot_ms that runs back by more than this is a reboot, by less a datagram overtaken by another
+
+
+class VehicleTracker:
+    """The own vehicle's newest state.
+
+    `fleet_origin` is (latitude deg, longitude deg, altitude AMSL m) of the fleet frame, or None where the autopilot's local
+    frame is the fleet frame already (one motion-capture system for all). Until the autopilot's own origin is known, a
+    geodetic fleet has no position.
+    """
+
+    def __init__(self, fleet_origin: Vector3 | None) -> None:
+        self._fleet_origin = fleet_origin
+        self._offset_enu_m: Vector3 | None = ZERO3 if fleet_origin is None else None
+        self._own_origin_altitude_m: float | None = None
+        self._boot_time_s = float("-inf")
+        self.rejected: Counter[str] = Counter()
+        self.state = VehicleState()
+
+    def fold(self, telemetry: Iterable[Telemetry]) -> VehicleState:
+        """The state after these samples. What is out of range is counted in `rejected` and changes nothing."""
+        for sample in telemetry:
+            match sample:
+                case PositionSample():
+                    self._fold_position(sample)
+                case AttitudeSample():
+                    self._fold_attitude(sample)
+                case ModeSample():
+                    self.state = replace(
+                        self.state, mode=sample.mode, mode_name=sample.name, mode_time_s=sample.received_s
+                    )
+                case HeartbeatSample():
+                    self.state = replace(
+                        self.state, armed=sample.armed, critical=sample.critical, heartbeat_time_s=sample.received_s
+                    )
+                case LandedSample():
+                    self.state = replace(self.state, landed=sample.landed, landed_time_s=sample.received_s)
+                case OriginSample():
+                    self._fold_origin(sample)
+        return self.state
+
+    def _fold_position(self, sample: PositionSample) -> None:
+        step_s = sample.boot_time_s - self._boot_time_s
+        if -REBOOT_S < step_s <= 0.0:
+            self.rejected["position out of order"] += 1
+            return
+        if not _within(sample.position_local_enu_m, MAX_LOCAL_M) or not _within(sample.velocity_enu_m_s, MAX_SPEED_M_S):
+            self.rejected["position not plausible"] += 1
+            return
+        self._boot_time_s = sample.boot_time_s
+        if self._offset_enu_m is None:
+            return
+        east, north, up = sample.position_local_enu_m
+        offset = self._offset_enu_m
+        self.state = replace(
+            self.state,
+            position_enu_m=(east + offset[0], north + offset[1], up + offset[2]),
+            velocity_enu_m_s=sample.velocity_enu_m_s,
+            position_time_s=sample.received_s,
+            altitude_amsl_m=(self._own_origin_altitude_m or 0.0) + up,
+        )
+
+    def _fold_attitude(self, sample: AttitudeSample) -> None:
+        if not all(map(isfinite, (sample.roll_rad, sample.pitch_rad, sample.yaw_rad))):
+            self.rejected["attitude not finite"] += 1
+            return
+        self.state = replace(
+            self.state,
+            roll_rad=sample.roll_rad,
+            pitch_rad=sample.pitch_rad,
+            yaw_rad=sample.yaw_rad,
+            attitude_time_s=sample.received_s,
+        )
+
+    def _fold_origin(self, sample: OriginSample) -> None:
+        plausible = abs(sample.latitude_deg) <= 90.0 and abs(sample.longitude_deg) <= 180.0
+        if not plausible or not -1000.0 < sample.altitude_amsl_m < 10_000.0:
+            self.rejected["origin not plausible"] += 1
+            return
+        self._own_origin_altitude_m = sample.altitude_amsl_m
+        if self._fleet_origin is not None:
+            self._offset_enu_m = enu_from_geodetic(
+                sample.latitude_deg, sample.longitude_deg, sample.altitude_amsl_m, self._fleet_origin
+            )
+        self.state = replace(self.state, origin_known=True)
+
+
+def _within(vector: Vector3, limit: float) -> bool:
+    """False for NaN, too."""
+    return all(abs(component) <= limit for component in vector)

@@ -1,0 +1,79 @@
+"""PX4's manners: all that differs from one autopilot to the next. Facts are of v1.16."""
+
+from __future__ import annotations
+
+from math import nan
+
+from companion.mavlink.codec import MavlinkMessage, mavlink
+from companion.types import Arm, AutopilotMode, AutopilotRequest, Disarm, RequestOrigin, SetMode, TakeOff
+
+NAME = "PX4"
+MAV_AUTOPILOT = mavlink.MAV_AUTOPILOT_PX4
+
+# custom_mode carries the main mode in its third byte and the sub mode in its fourth.
+MAIN_MODES = {
+    1: "MANUAL",
+    2: "ALTCTL",
+    3: "POSCTL",
+    4: "AUTO",
+    5: "ACRO",
+    6: "OFFBOARD",
+    7: "STABILIZED",
+    8: "RATTITUDE",
+}
+AUTO_MODES = {1: "READY", 2: "TAKEOFF", 3: "LOITER", 4: "MISSION", 5: "RTL", 6: "LAND", 8: "FOLLOW", 9: "PRECLAND"}
+MODES = {
+    AutopilotMode.OFFBOARD: (6, 0),
+    AutopilotMode.TAKEOFF: (4, 2),
+    AutopilotMode.HOLD: (4, 3),
+    AutopilotMode.LAND: (4, 6),
+}
+MEANING = {numbers: mode for mode, numbers in MODES.items()}
+
+# Message id -> microseconds between messages (MAV_CMD_SET_MESSAGE_INTERVAL); -1 is off. CURRENT_MODE shows a change of
+# mode within 20 ms, where HEARTBEAT stays at 1 Hz whatever is asked. What is off would only cost the companion time.
+STREAMS_US = {
+    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 20_000,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 20_000,
+    mavlink.MAVLINK_MSG_ID_CURRENT_MODE: 20_000,
+    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 100_000,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE: -1,
+    mavlink.MAVLINK_MSG_ID_ODOMETRY: -1,
+    mavlink.MAVLINK_MSG_ID_HIGHRES_IMU: -1,
+}
+
+TYPE_MASK_ATTITUDE_AND_THRUST = 7  # ignore body rates; bit 6 (throttle ignore) would mean zero thrust
+
+
+def mode_of(custom_mode: int) -> tuple[AutopilotMode, str]:
+    """Meaning and PX4's own name of a custom_mode."""
+    main, sub = custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF
+    name = MAIN_MODES.get(main, f"mode {main}")
+    if main == 4:
+        name += "." + AUTO_MODES.get(sub, str(sub))
+    return MEANING.get((main, sub if main == 4 else 0), AutopilotMode.OTHER), name
+
+
+def command_for(request: AutopilotRequest, system_id: int) -> MavlinkMessage:
+    """The COMMAND_LONG that asks for it, addressed to the autopilot (commands to 0/0 are silently ignored)."""
+    match request:
+        case SetMode(mode):
+            main, sub = MODES[mode]
+            return command_long(
+                system_id, mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, main, sub
+            )
+        case Arm():
+            return command_long(system_id, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)
+        case Disarm():
+            return command_long(system_id, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0)
+        case TakeOff(altitude_amsl_m):
+            # NaN: where it stands, with the heading it has. Param 7 is above mean sea level.
+            return command_long(system_id, mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, nan, nan, nan, altitude_amsl_m)
+        case RequestOrigin():
+            return command_long(system_id, mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
+
+
+def command_long(system_id: int, command: int, *parameters: float) -> MavlinkMessage:
+    """COMMAND_LONG to the autopilot component, the parameters that are left out being zero."""
+    padded = [float(p) for p in parameters] + [0.0] * (7 - len(parameters))
+    return mavlink.MAVLink_command_long_message(system_id, mavlink.MAV_COMP_ID_AUTOPILOT1, command, 0, *padded)

@@ -1,0 +1,100 @@
+"""MAVLink messages -> Telemetry in the house's frames and units, the same for every autopilot."""
+
+from __future__ import annotations
+
+from math import isfinite
+
+from companion.frames import enu_from_ned, euler_enu_from_ned, euler_from_quaternion
+from companion.mavlink.codec import MavlinkMessage, mavlink
+from companion.types import (
+    AckSample,
+    AttitudeSample,
+    HeartbeatSample,
+    LandedSample,
+    LandedState,
+    OriginSample,
+    PositionSample,
+    TextSample,
+)
+
+RESULT_WORDS = {
+    mavlink.MAV_RESULT_ACCEPTED: "accepted",
+    mavlink.MAV_RESULT_TEMPORARILY_REJECTED: "temporarily rejected",
+    mavlink.MAV_RESULT_DENIED: "denied",
+    mavlink.MAV_RESULT_UNSUPPORTED: "not supported",
+    mavlink.MAV_RESULT_FAILED: "failed",
+    mavlink.MAV_RESULT_IN_PROGRESS: "in progress",
+}
+
+
+def position(message: MavlinkMessage, received_s: float) -> PositionSample:
+    """LOCAL_POSITION_NED. Its numbers may still be NaN; the vehicle tracker refuses those."""
+    return PositionSample(
+        received_s,
+        message.time_boot_ms / 1000.0,
+        enu_from_ned((message.x, message.y, message.z)),
+        enu_from_ned((message.vx, message.vy, message.vz)),
+    )
+
+
+def attitude(message: MavlinkMessage, received_s: float) -> AttitudeSample | None:
+    """ATTITUDE_QUATERNION; None where it is no rotation."""
+    quaternion = (message.q1, message.q2, message.q3, message.q4)
+    if not all(map(isfinite, quaternion)):
+        return None
+    try:
+        euler_ned = euler_from_quaternion(quaternion)
+    except ValueError:
+        return None
+    return AttitudeSample(received_s, *euler_enu_from_ned(*euler_ned))
+
+
+def heartbeat(message: MavlinkMessage, received_s: float) -> HeartbeatSample:
+    """HEARTBEAT's armed flag and MAV_STATE."""
+    return HeartbeatSample(
+        received_s,
+        armed=bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED),
+        critical=message.system_status >= mavlink.MAV_STATE_CRITICAL,
+    )
+
+
+def landed(message: MavlinkMessage, received_s: float) -> LandedSample:
+    """EXTENDED_SYS_STATE; a number that MAVLink does not know is undefined."""
+    known = message.landed_state in list(LandedState)
+    return LandedSample(received_s, LandedState(message.landed_state) if known else LandedState.UNDEFINED)
+
+
+def origin(message: MavlinkMessage, received_s: float) -> OriginSample:
+    """GPS_GLOBAL_ORIGIN, degrees in 1e-7 (about 1 cm) and altitude in mm."""
+    return OriginSample(received_s, message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1e3)
+
+
+def acknowledgement(message: MavlinkMessage, received_s: float) -> AckSample:
+    """COMMAND_ACK with the command and the result in words."""
+    accepted = message.result in (mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_IN_PROGRESS)
+    entry = mavlink.enums["MAV_CMD"].get(message.command)
+    name = entry.name.removeprefix("MAV_CMD_") if entry else f"command {message.command}"
+    word = RESULT_WORDS.get(message.result, f"result {message.result}")
+    return AckSample(received_s, message.command, accepted, f"{name} {word}")
+
+
+class TextAssembler:
+    """STATUSTEXT comes in chunks of 50 characters that share an id; a chunk shorter than that is the last."""
+
+    def __init__(self) -> None:
+        self._id = 0
+        self._chunks: list[str] = []
+
+    def add(self, message: MavlinkMessage, received_s: float) -> TextSample | None:
+        """The whole text once its last chunk is there. A text that lost its beginning is dropped."""
+        chunk: str = message.text
+        if message.id == 0:
+            return TextSample(received_s, message.severity, chunk.strip())
+        if message.chunk_seq == 0:
+            self._id, self._chunks = message.id, []
+        if message.id != self._id or message.chunk_seq != len(self._chunks):
+            return None
+        self._chunks.append(chunk)
+        if len(chunk) >= 50:
+            return None
+        return TextSample(received_s, message.severity, "".join(self._chunks).strip())

@@ -1,0 +1,100 @@
+"""One vehicle's MAVLink: bytes -> Telemetry, Outbox -> bytes. No sockets, no clocks."""
+
+from __future__ import annotations
+
+from companion.frames import euler_ned_from_enu, quaternion_from_euler
+from companion.mavlink import px4, telemetry
+from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
+from companion.types import AttitudeTarget, AutopilotRequest, ModeSample, Telemetry
+
+AUTOPILOT = mavlink.MAV_COMP_ID_AUTOPILOT1
+
+
+class Translator:
+    """Listens to the autopilot of system id `vehicle_id` alone; speaks as the onboard computer of the same system."""
+
+    def __init__(self, vehicle_id: int) -> None:
+        self._system_id = vehicle_id
+        self._codec = MavlinkCodec(vehicle_id, mavlink.MAV_COMP_ID_ONBOARD_COMPUTER)
+        self._texts = telemetry.TextAssembler()
+        self.other_systems: set[int] = set()  # system ids heard that are not ours
+        self.unsupported_autopilot: int | None = None  # MAV_AUTOPILOT of a heartbeat that is not PX4's
+
+    def telemetry(self, data: bytes, received_s: float) -> list[Telemetry]:
+        """All samples in these bytes, in their order."""
+        samples: list[Telemetry] = []
+        for message in self._codec.decode(data):
+            if message.get_srcSystem() != self._system_id:
+                self.other_systems.add(message.get_srcSystem())
+            elif message.get_srcComponent() == AUTOPILOT:
+                samples += self._samples(message, received_s)
+        return samples
+
+    def _samples(self, message: MavlinkMessage, received_s: float) -> list[Telemetry]:
+        match message.get_type():
+            case "LOCAL_POSITION_NED":
+                return [telemetry.position(message, received_s)]
+            case "ATTITUDE_QUATERNION":
+                attitude = telemetry.attitude(message, received_s)
+                return [attitude] if attitude else []
+            case "CURRENT_MODE":
+                return [ModeSample(received_s, *px4.mode_of(message.custom_mode))]
+            case "HEARTBEAT":
+                if message.autopilot != px4.MAV_AUTOPILOT:
+                    self.unsupported_autopilot = message.autopilot
+                    return []
+                mode = ModeSample(received_s, *px4.mode_of(message.custom_mode))
+                return [telemetry.heartbeat(message, received_s), mode]
+            case "EXTENDED_SYS_STATE":
+                return [telemetry.landed(message, received_s)]
+            case "GPS_GLOBAL_ORIGIN":
+                return [telemetry.origin(message, received_s)]
+            case "COMMAND_ACK":
+                return [telemetry.acknowledgement(message, received_s)]
+            case "STATUSTEXT":
+                text = self._texts.add(message, received_s)
+                return [text] if text else []
+        return []
+
+    def attitude_target(self, target: AttitudeTarget, now_s: float) -> bytes:
+        """SET_ATTITUDE_TARGET with attitude and thrust; `now_s` becomes its time_boot_ms."""
+        euler_ned = euler_ned_from_enu(target.roll_rad, target.pitch_rad, target.yaw_rad)
+        return self._codec.encode(
+            mavlink.MAVLink_set_attitude_target_message(
+                int(now_s * 1000.0) & 0xFFFFFFFF,
+                self._system_id,
+                AUTOPILOT,
+                px4.TYPE_MASK_ATTITUDE_AND_THRUST,
+                quaternion_from_euler(*euler_ned),
+                0.0,
+                0.0,
+                0.0,
+                target.thrust_norm,
+            )
+        )
+
+    def request(self, request: AutopilotRequest) -> bytes:
+        """A COMMAND_LONG."""
+        return self._codec.encode(px4.command_for(request, self._system_id))
+
+    def heartbeat(self) -> bytes:
+        """The companion's own HEARTBEAT. Never that of a ground station: it would hide a lost one from the autopilot."""
+        return self._codec.encode(
+            mavlink.MAVLink_heartbeat_message(
+                mavlink.MAV_TYPE_ONBOARD_CONTROLLER,
+                mavlink.MAV_AUTOPILOT_INVALID,
+                0,
+                0,
+                mavlink.MAV_STATE_ACTIVE,
+                3,
+            )
+        )
+
+    def stream_requests(self) -> list[bytes]:
+        """The telemetry rates that the agent lives on (MAV_CMD_SET_MESSAGE_INTERVAL)."""
+        return [
+            self._codec.encode(
+                px4.command_long(self._system_id, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, message_id, interval_us)
+            )
+            for message_id, interval_us in px4.STREAMS_US.items()
+        ]
