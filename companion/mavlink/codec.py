@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from pymavlink.dialects.v20 import common as mavlink
+# The development dialect is common.xml and the few messages that PX4 already sends, CURRENT_MODE (436) among them.
+from pymavlink.dialects.v20 import development as mavlink
+
+__all__ = ["MavlinkCodec", "MavlinkMessage", "mavlink"]
 
 MavlinkMessage = Any  # pymavlink generates its classes without types
 
