@@ -1,0 +1,116 @@
+"""Eq. 7 and 8 (corrected) against eq. 2, and the last gate under everything that can be thrown at it."""
+
+from math import cos, hypot, inf, nan, pi, radians, sin
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from companion.core.attitude import GRAVITY_M_S2, attitude_target, limit_acceleration
+from companion.core.envelope import EnvelopeLimits, LastGate
+from companion.types import AttitudeTarget
+
+LIMITS = EnvelopeLimits(
+    max_tilt_rad=radians(25.0),
+    max_tilt_rate_rad_s=radians(200.0),
+    hover_thrust_norm=0.5,
+    min_thrust_ratio=0.3,
+    max_thrust_ratio=1.6,
+    max_thrust_rate_1_s=10.0,
+    fence_min_enu_m=(-10.0, -10.0, 0.0),
+    fence_max_enu_m=(10.0, 10.0, 20.0),
+)
+LEVEL = AttitudeTarget(0.0, 0.0, 0.0, 0.5)
+acceleration = st.floats(-8.0, 8.0)
+angle = st.floats(-pi, pi)
+anything = st.floats(allow_nan=True, allow_infinity=True)
+
+
+def resultant(target: AttitudeTarget, hover_thrust_norm: float) -> tuple[float, float, float]:
+    """Eq. 2: the acceleration of a vehicle with this attitude and thrust."""
+    force = target.thrust_norm / hover_thrust_norm * GRAVITY_M_S2
+    phi, theta, psi = target.roll_rad, target.pitch_rad, target.yaw_rad
+    return (
+        (sin(psi) * sin(phi) + cos(psi) * cos(phi) * sin(theta)) * force,
+        (cos(phi) * sin(psi) * sin(theta) - cos(psi) * sin(phi)) * force,
+        cos(theta) * cos(phi) * force - GRAVITY_M_S2,
+    )
+
+
+@given(acceleration, acceleration, acceleration, angle)
+def test_attitude_and_thrust_give_the_wanted_acceleration(ux: float, uy: float, uz: float, yaw: float) -> None:
+    wanted = (ux, uy, uz)
+    first = attitude_target(wanted, yaw, 0.0, 0.0, 0.49)
+    reached = attitude_target(wanted, yaw, first.roll_rad, first.pitch_rad, 0.49)  # once the attitude is there
+    assert resultant(reached, 0.49) == pytest.approx(wanted, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("yaw", "wanted", "sign"),
+    [(0.0, (1.0, 0.0, 0.0), ("pitch", 1)), (0.0, (0.0, 1.0, 0.0), ("roll", -1)), (pi / 2, (0.0, 1.0, 0.0), ("pitch", 1))],
+)
+def test_signs(yaw: float, wanted: tuple[float, float, float], sign: tuple[str, int]) -> None:
+    target = attitude_target(wanted, yaw, 0.0, 0.0, 0.5)
+    angles = {"roll": target.roll_rad, "pitch": target.pitch_rad}
+    assert angles.pop(sign[0]) * sign[1] == pytest.approx(0.1016, abs=1e-3)
+    assert angles.popitem()[1] == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize(("uz", "roll"), [(-GRAVITY_M_S2, 0.0), (-20.0, 0.0), (0.0, pi / 2 + 0.1), (nan, 0.0)])
+def test_what_no_attitude_can_give_is_refused(uz: float, roll: float) -> None:
+    with pytest.raises(ValueError, match="no attitude"):
+        attitude_target((0.0, 0.0, uz), 0.0, roll, 0.0, 0.5)
+
+
+@given(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6), st.floats(-1e6, 1e6), angle)
+def test_a_limited_acceleration_needs_no_more_than_the_limits(ux: float, uy: float, uz: float, yaw: float) -> None:
+    limited = limit_acceleration((ux, uy, uz), LIMITS.max_tilt_rad, 0.3, 1.6)
+    assert 0.3 * GRAVITY_M_S2 - 1e-9 <= limited[2] + GRAVITY_M_S2 <= 1.6 * GRAVITY_M_S2 + 1e-9
+    target = attitude_target(limited, yaw, 0.0, 0.0, 0.5)
+    assert cos(target.roll_rad) * cos(target.pitch_rad) >= cos(LIMITS.max_tilt_rad) - 1e-9
+    assert limited[0] * uy == pytest.approx(limited[1] * ux, rel=1e-6, abs=1e-6)  # the direction over ground is kept
+
+
+@given(st.lists(st.tuples(anything, anything, anything, anything, st.floats(0.0, 0.1)), min_size=1, max_size=30))
+def test_nothing_outside_the_limits_passes_the_gate(wishes: list[tuple[float, float, float, float, float]]) -> None:
+    gate = LastGate(LIMITS)
+    gate.open_at(0.0, LEVEL)
+    now_s, last = 0.0, LEVEL
+    for roll, pitch, yaw, thrust, elapsed_s in wishes:
+        now_s += elapsed_s
+        wanted = AttitudeTarget(roll, pitch, yaw, thrust)
+        admitted = gate.admit(now_s, wanted)
+        if any(x != x or x in (inf, -inf) for x in (roll, pitch, yaw, thrust)):
+            assert admitted is None
+            continue
+        assert admitted is not None
+        assert hypot(admitted.roll_rad, admitted.pitch_rad) <= LIMITS.max_tilt_rad + 1e-9
+        assert 0.5 * 0.3 - 1e-9 <= admitted.thrust_norm <= 0.5 * 1.6 + 1e-9
+        assert abs(admitted.thrust_norm - last.thrust_norm) <= 10.0 * 0.5 * 0.1 + 1e-9
+        last = admitted
+
+
+def test_the_gate_slews_towards_what_is_wanted() -> None:
+    gate = LastGate(LIMITS)
+    gate.open_at(0.0, LEVEL)
+    first = gate.admit(0.02, AttitudeTarget(0.3, 0.0, 0.0, 0.5))
+    assert first is not None
+    assert first.roll_rad == pytest.approx(radians(4.0))
+    for tick in range(2, 10):
+        first = gate.admit(0.02 * tick, AttitudeTarget(0.3, 0.0, 0.0, 0.5))
+    assert first is not None
+    assert first.roll_rad == pytest.approx(0.3)
+
+
+def test_a_gate_that_was_not_opened_admits_nothing() -> None:
+    gate = LastGate(LIMITS)
+    assert gate.admit(1.0, LEVEL) is None
+    assert gate.refused == 1
+
+
+@pytest.mark.parametrize(
+    ("position", "inside"),
+    [((0.0, 0.0, 1.0), True), ((10.0, -10.0, 20.0), True), ((10.1, 0.0, 1.0), False), ((nan, 0.0, 1.0), False)],
+)
+def test_the_fence(position: tuple[float, float, float], inside: bool) -> None:
+    assert LIMITS.inside_fence(position) is inside
