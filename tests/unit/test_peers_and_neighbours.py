@@ -1,0 +1,132 @@
+"""What reaches the law from outside, and what never does."""
+
+from dataclasses import replace
+from math import inf, nan
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from companion.core.neighbours import EdgeRule, RangeRule
+from companion.core.peers import PeerTable
+from companion.types import FlightPhase, LeaderWord, PeerPacket, ReceivedPeerPacket, Role
+
+ROLES = {1: Role.LEADER, 2: Role.FOLLOWER, 3: Role.FOLLOWER}
+GOOD = PeerPacket(
+    vehicle_id=2,
+    session=77,
+    sequence=10,
+    formation_hash=42,
+    phase=FlightPhase.FORMATION,
+    role=Role.FOLLOWER,
+    position_enu_m=(1.0, 2.0, 3.0),
+    velocity_enu_m_s=(0.5, 0.0, 0.0),
+    acceleration_enu_m_s2=(0.0, 0.0, 0.0),
+    state_age_s=0.01,
+    prc=2,
+    leader_word=LeaderWord(1, 0, 0.02),
+)
+
+
+def table() -> PeerTable:
+    return PeerTable(own_id=3, roles=ROLES, formation_hash=42, max_age_s=0.3, max_speed_m_s=25.0)
+
+
+def heard(peers: PeerTable, received_s: float = 1.0, **changes: Any) -> list[str]:
+    """Fold one packet; the reasons of refusal counted so far."""
+    peers.fold([ReceivedPeerPacket(received_s, replace(GOOD, **changes))])
+    return list(peers.rejected)
+
+
+def test_a_good_packet_is_believed() -> None:
+    peers = table()
+    assert heard(peers) == []
+    assert peers.fresh(1.1)[2].position_at(1.1) == pytest.approx((1.055, 2.0, 3.0))  # 0.11 s at 0.5 m/s
+    assert peers.fresh(1.1)[2].leader_word_at(1.1) == LeaderWord(1, 0, pytest.approx(0.12))
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"vehicle_id": 3}, "own id"),
+        ({"vehicle_id": 9}, "not in the fleet file"),
+        ({"formation_hash": 43}, "another fleet file"),
+        ({"role": Role.LEADER, "prc": 1}, "claims to be leader"),
+        ({"position_enu_m": (nan, 0.0, 0.0)}, "not finite"),
+        ({"velocity_enu_m_s": (inf, 0.0, 0.0)}, "not finite"),
+        ({"acceleration_enu_m_s2": (0.0, nan, 0.0)}, "not finite"),
+        ({"state_age_s": nan}, "not finite"),
+        ({"position_enu_m": (30_000.0, 0.0, 0.0)}, "position not plausible"),
+        ({"velocity_enu_m_s": (20.0, 20.0, 0.0)}, "speed not plausible"),
+        ({"acceleration_enu_m_s2": (0.0, 0.0, 500.0)}, "acceleration not plausible"),
+        ({"state_age_s": -0.5}, "future"),
+        ({"prc": 0}, "PrC"),
+        ({"prc": 4}, "PrC"),
+        ({"prc": 1}, "PrC"),
+        ({"leader_word": LeaderWord(2, 0, 0.1)}, "leader's word"),
+        ({"leader_word": LeaderWord(1, 0, -1.0)}, "leader's word"),
+        ({"leader_word": LeaderWord(1, 0, nan)}, "leader's word"),
+    ],
+)
+def test_what_cannot_be_true_is_counted_and_never_used(changes: dict[str, Any], reason: str) -> None:
+    peers = table()
+    rejected = heard(peers, **changes)
+    assert len(rejected) == 1
+    assert reason in rejected[0]
+    assert peers.fresh(1.0) == {}
+
+
+@given(st.tuples(*[st.floats()] * 3), st.tuples(*[st.floats()] * 3), st.floats(), st.integers())
+def test_whatever_comes_the_table_holds_only_finite_numbers(position: Any, velocity: Any, age: float, prc: int) -> None:
+    peers = table()
+    heard(peers, position_enu_m=position, velocity_enu_m_s=velocity, state_age_s=age, prc=prc)
+    for peer in peers.fresh(1.0).values():
+        assert all(abs(x) < 1e6 for x in peer.position_at(1.0))
+
+
+def test_a_stale_peer_drops_out() -> None:
+    peers = table()
+    heard(peers)
+    assert 2 in peers.fresh(1.28)
+    assert 2 not in peers.fresh(1.31)  # 0.01 s old when it was sent
+
+
+def test_replayed_and_overtaken_packets_are_refused() -> None:
+    peers = table()
+    heard(peers)
+    assert "replayed" in heard(peers, 1.02)[0]
+    assert "replayed" in heard(peers, 1.02, sequence=9)[0]
+    assert peers.rejected.total() == 2
+
+
+def test_a_restarted_peer_is_believed_once_its_old_life_is_stale() -> None:
+    peers = table()
+    heard(peers)
+    assert "two vehicles" in heard(peers, 1.02, session=78, sequence=1)[0]
+    heard(peers, 2.0, session=78, sequence=2)
+    assert peers.fresh(2.0)[2].packet.session == 78
+
+
+def test_a_jump_is_refused_until_the_old_state_is_stale() -> None:
+    peers = table()
+    heard(peers)
+    assert "jumped" in heard(peers, 1.02, sequence=11, position_enu_m=(60.0, 2.0, 3.0))[0]
+    heard(peers, 1.5, sequence=30, position_enu_m=(60.0, 2.0, 3.0))
+    assert peers.fresh(1.5)[2].packet.position_enu_m[0] == 60.0
+
+
+def test_edges() -> None:
+    rule = EdgeRule(2, [(1, 2), (2, 3), (3, 4)])
+    everyone = {i: (0.0, 0.0, 0.0) for i in (1, 3, 4)}
+    assert rule.select((0.0, 0.0, 0.0), everyone) == (1, 3)
+    del everyone[1]
+    assert rule.select((0.0, 0.0, 0.0), everyone) == (3,)
+
+
+def test_range_with_hysteresis() -> None:
+    rule = RangeRule(3.0, 0.5)
+    own = (0.0, 0.0, 0.0)
+    seen = [rule.select(own, {7: (x, 0.0, 0.0)}) for x in (3.2, 3.0, 3.4, 3.6, 3.4, 2.9)]
+    assert seen == [(), (7,), (7,), (), (), (7,)]
+    assert rule.select(own, {}) == ()

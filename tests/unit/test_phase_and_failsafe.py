@@ -1,0 +1,175 @@
+"""Every command in every phase, the pilot's take-over, and the failsafe table."""
+
+from collections.abc import Iterable
+from dataclasses import replace
+from itertools import chain, combinations
+
+import pytest
+
+from companion.core.failsafe import ACTIONS, failsafe_action
+from companion.core.phase import FLYING, RULES, PhaseMachine
+from companion.types import (
+    AckSample,
+    Arm,
+    AutopilotMode,
+    AutopilotRequest,
+    CommandName,
+    Disarm,
+    FailsafeAction,
+    FlightPhase,
+    HealthFlag,
+    LandedState,
+    SetMode,
+    TakeOff,
+    VehicleState,
+)
+
+GROUND = VehicleState(mode=AutopilotMode.OTHER, mode_name="POSCTL", landed=LandedState.ON_GROUND)
+AIR = replace(GROUND, armed=True, landed=LandedState.IN_AIR, mode=AutopilotMode.HOLD, position_enu_m=(0.0, 0.0, 2.5))
+
+
+class Obedient:
+    """An autopilot that does at once what it is asked."""
+
+    def __init__(self) -> None:
+        self.state = GROUND
+        self.asked: list[AutopilotRequest] = []
+
+    def obey(self, requests: Iterable[AutopilotRequest]) -> None:
+        for request in requests:
+            self.asked.append(request)
+            match request:
+                case SetMode(mode):
+                    self.state = replace(self.state, mode=mode, mode_name=mode)
+                case Arm():
+                    self.state = replace(self.state, armed=True)
+                case Disarm():
+                    self.state = replace(self.state, armed=False)
+                case TakeOff():
+                    self.state = replace(AIR, mode=AutopilotMode.HOLD)
+
+
+def flown_to(phase: FlightPhase) -> tuple[PhaseMachine, Obedient, float]:
+    """A machine that came to `phase` by the ordinary way."""
+    machine, autopilot, now_s = PhaseMachine(2.5), Obedient(), 0.0
+    for name in (CommandName.PREPARE, CommandName.ARM, CommandName.TAKEOFF, CommandName.FORM):
+        if machine.phase is phase:
+            break
+        assert machine.command(name, now_s, autopilot.state)[0]
+        for _ in range(100):
+            if machine.phase is phase:
+                return machine, autopilot, now_s
+            autopilot.obey(machine.advance(now_s, autopilot.state, ()))
+            now_s += 0.02
+    return machine, autopilot, now_s
+
+
+def test_the_ordinary_flight() -> None:
+    machine, autopilot, now_s = flown_to(FlightPhase.FORMATION)
+    assert machine.phase is FlightPhase.FORMATION
+    assert [type(r) for r in autopilot.asked] == [SetMode, Arm, TakeOff, SetMode]
+    assert machine.command(CommandName.LAND, now_s, autopilot.state)[0]
+    autopilot.obey(machine.advance(now_s, autopilot.state, ()))
+    assert autopilot.state.mode is AutopilotMode.LAND
+    machine.advance(now_s + 0.02, autopilot.state, ())
+    assert machine.phase is FlightPhase.LAND
+    machine.advance(now_s + 5.0, replace(autopilot.state, armed=False), ())
+    assert machine.phase is FlightPhase.OBSERVE
+
+
+def test_setpoints_stream_until_the_autopilot_has_taken_over() -> None:
+    machine, autopilot, now_s = flown_to(FlightPhase.FORMATION)
+    machine.command(CommandName.HOLD, now_s, autopilot.state)
+    assert machine.phase is FlightPhase.RELEASE
+    assert machine.streams(autopilot.state)
+    autopilot.obey(machine.advance(now_s, autopilot.state, ()))
+    assert not machine.streams(autopilot.state)
+
+
+@pytest.mark.parametrize("phase", sorted(FLYING - {FlightPhase.LAND}))
+def test_the_pilot_always_wins(phase: FlightPhase) -> None:
+    machine, autopilot, now_s = flown_to(phase)
+    if phase is FlightPhase.RELEASE:
+        machine, autopilot, now_s = flown_to(FlightPhase.FORMATION)
+        machine.command(CommandName.HOLD, now_s, autopilot.state)
+    assert machine.phase is phase
+    flown_by_pilot = replace(AIR, mode=AutopilotMode.OTHER, mode_name="POSCTL")
+    assert machine.advance(now_s, flown_by_pilot, ()) == ()
+    assert machine.phase is FlightPhase.OBSERVE
+    assert not machine.streams(flown_by_pilot)
+    for tick in range(500):
+        assert machine.advance(now_s + 0.02 * tick, flown_by_pilot, ()) == ()
+
+
+def test_the_pilot_wins_over_a_landing_that_has_begun() -> None:
+    machine, autopilot, now_s = flown_to(FlightPhase.HOLD)
+    machine.command(CommandName.LAND, now_s, autopilot.state)
+    autopilot.obey(machine.advance(now_s, autopilot.state, ()))
+    machine.advance(now_s + 0.02, autopilot.state, ())
+    machine.advance(now_s + 0.04, replace(autopilot.state, mode=AutopilotMode.HOLD, mode_name="HOLD"), ())
+    assert machine.phase is FlightPhase.OBSERVE
+
+
+@pytest.mark.parametrize("phase", [FlightPhase.OBSERVE, FlightPhase.READY, FlightPhase.ARMED, FlightPhase.HOLD, FlightPhase.FORMATION])
+@pytest.mark.parametrize("name", list(CommandName))
+def test_every_command_in_every_phase_is_accepted_by_the_table_or_refused_in_words(
+    phase: FlightPhase, name: CommandName
+) -> None:
+    machine, autopilot, now_s = flown_to(phase)
+    assert machine.phase is phase
+    before = machine.phase
+    accepted, reason = machine.command(name, now_s, autopilot.state)
+    if accepted:
+        assert machine.phase in (RULES[name].via, RULES[name].to)
+    else:
+        assert machine.phase is before
+        assert name in reason
+
+
+def test_after_a_restart_in_the_air_nothing_is_asked_and_arming_is_refused() -> None:
+    machine = PhaseMachine(2.5)
+    flying = replace(AIR, mode=AutopilotMode.OFFBOARD)
+    for tick in range(200):
+        assert machine.advance(0.02 * tick, flying, ()) == ()
+    assert not machine.streams(flying)
+    for name in (CommandName.PREPARE, CommandName.ARM, CommandName.TAKEOFF, CommandName.FORM):
+        assert not machine.command(name, 5.0, flying)[0]
+    assert machine.command(CommandName.HOLD, 5.0, flying)[0]
+    assert machine.advance(5.0, flying, ()) == (SetMode(AutopilotMode.HOLD),)
+    assert not machine.streams(flying)
+
+
+def test_a_refusal_is_relayed_in_words_and_retries_are_bounded() -> None:
+    machine, _, now_s = flown_to(FlightPhase.READY)
+    machine.command(CommandName.ARM, now_s, GROUND)
+    refusal = AckSample(0.0, 400, False, "COMPONENT_ARM_DISARM temporarily rejected")
+    asked = 0
+    for tick in range(1000):
+        asked += len(machine.advance(now_s + 0.02 * tick, GROUND, [refusal]))
+    assert 5 <= asked <= 12
+    assert machine.phase is FlightPhase.READY
+    assert "COMPONENT_ARM_DISARM temporarily rejected" in machine.events[-1]
+
+
+def test_a_hold_asked_for_just_after_offboard_stays_a_hold() -> None:
+    """The OFFBOARD request may overtake the hold: the agent must then ask again instead of thinking itself held."""
+    machine, autopilot, now_s = flown_to(FlightPhase.HOLD)
+    machine.command(CommandName.FORM, now_s, autopilot.state)
+    now_s += 0.4
+    assert machine.advance(now_s, autopilot.state, ()) == (SetMode(AutopilotMode.OFFBOARD),)
+    machine.command(CommandName.HOLD, now_s, autopilot.state)
+    assert machine.advance(now_s, autopilot.state, ()) == (SetMode(AutopilotMode.HOLD),)
+    offboard = replace(autopilot.state, mode=AutopilotMode.OFFBOARD, mode_name="OFFBOARD")
+    asked = [request for tick in range(1, 60) for request in machine.advance(now_s + 0.02 * tick, offboard, ())]
+    assert asked == [SetMode(AutopilotMode.HOLD)] * 2
+    machine.advance(now_s + 2.0, autopilot.state, ())
+    assert machine.phase is FlightPhase.HOLD
+
+
+def test_the_failsafe_table_over_every_set_of_flags() -> None:
+    assert set(ACTIONS) == set(HealthFlag)
+    flags = list(HealthFlag)
+    for chosen in chain.from_iterable(combinations(flags, r) for r in range(len(flags) + 1)):
+        action = failsafe_action(chosen)
+        assert action == max((ACTIONS[f] for f in chosen), default=FailsafeAction.NONE)
+        assert (action is FailsafeAction.NONE) is (not chosen)
