@@ -10,6 +10,18 @@ from typing import Any, TypeVar
 
 import msgspec
 import yaml
+from msgspec.inspect import (
+    DictType,
+    EnumType,
+    ListType,
+    LiteralType,
+    Metadata,
+    StructType,
+    TupleType,
+    Type,
+    UnionType,
+    VarTupleType,
+)
 
 T = TypeVar("T")
 
@@ -72,56 +84,86 @@ def _explain(path: Path, data: Any, type_: type, message: str) -> ConfigError:
     unknown = re.search(r"unknown field `(.*)`", problem)
     if unknown:
         key = unknown[1]
-        near = get_close_matches(key, sorted(_field_names(type_)), n=1)
+        near = get_close_matches(key, sorted(_field_names(msgspec.inspect.type_info(type_))), n=1)
         hint = f'; did you mean "{near[0]}"?' if near else "; take it out"
         return ConfigError(path, f"{field}.{key}".lstrip("."), "unknown key" + hint)
     missing = re.search(r"missing required field `(.*)`", problem)
     if missing:
         return ConfigError(path, f"{field}.{missing[1]}".lstrip("."), "missing; this key is required")
     value = _value_at(data, field)
+    if problem.startswith("Invalid enum value"):
+        choices = sorted(_choices_at(msgspec.inspect.type_info(type_), field))
+        near = get_close_matches(str(value), choices, n=1)
+        hint = f'; did you mean "{near[0]}"?' if near else ""
+        return ConfigError(path, field, f"{value!r}: expected one of {', '.join(choices)}{hint}")
     shown = "" if isinstance(value, dict | list) else f"{value!r}: "
     return ConfigError(path, field, shown + problem.replace("`", "")[:1].lower() + problem.replace("`", "")[1:])
 
 
+def _steps(field: str) -> list[str | int]:
+    """ "law.gains[0]" -> ["law", "gains", 0]."""
+    found = re.findall(r"([^.\[\]]+)|\[(\d+)\]", field)
+    return [int(index) if index else name for name, index in found]
+
+
 def _value_at(data: Any, field: str) -> Any:
-    """Follow "law.gains[0]" into plain content; an empty dict where it does not lead anywhere."""
-    for key, index in re.findall(r"([^.\[\]]+)|\[(\d+)\]", field):
+    """Follow a field's path into plain content; an empty dict where it does not lead anywhere."""
+    for step in _steps(field):
         try:
-            data = data[int(index)] if index else data[key]
+            data = data[step]
         except (KeyError, IndexError, TypeError):
             return {}
     return data
 
 
-def _field_names(type_: Any, seen: set[Any] | None = None) -> set[str]:
+def _choices_at(node: Type, field: str) -> set[str]:
+    """The words that are allowed at a field's path."""
+    nodes = [node]
+    for step in _steps(field):
+        nodes = [inner for node in nodes for part in _alternatives(node) for inner in _inside(part, step)]
+    choices: set[str] = set()
+    for part in (part for node in nodes for part in _alternatives(node)):
+        if isinstance(part, LiteralType):
+            choices.update(str(value) for value in part.values)
+        elif isinstance(part, EnumType):
+            choices.update(str(member.value) for member in part.cls)
+    return choices
+
+
+def _alternatives(node: Type) -> list[Type]:
+    """The parts of a union; a type with bounds on it as itself."""
+    if isinstance(node, UnionType):
+        return [inner for part in node.types for inner in _alternatives(part)]
+    if isinstance(node, Metadata):
+        return _alternatives(node.type)
+    return [node]
+
+
+def _inside(node: Type, step: str | int | None) -> list[Type]:
+    """The types one step further inside; all of them for None."""
+    if isinstance(node, StructType):
+        return [field.type for field in node.fields if step is None or field.encode_name == step]
+    if isinstance(node, DictType):
+        return [node.value_type]
+    if isinstance(node, VarTupleType | ListType):
+        return [node.item_type]
+    if isinstance(node, TupleType):
+        return list(node.item_types)
+    return []
+
+
+def _field_names(node: Type, seen: frozenset[type] = frozenset()) -> set[str]:
     """All keys that a type and the types inside it know."""
-    seen = set() if seen is None else seen
     names: set[str] = set()
-    for node in _walk(msgspec.inspect.type_info(type_), seen):
-        names.update(field.encode_name for field in node.fields)
+    for part in _alternatives(node):
+        if isinstance(part, StructType):
+            if part.cls in seen:
+                continue
+            seen |= {part.cls}
+            names.update(field.encode_name for field in part.fields)
+        for inner in _inside(part, None):
+            names |= _field_names(inner, seen)
     return names
-
-
-def _walk(node: Any, seen: set[Any]) -> list[msgspec.inspect.StructType]:
-    found: list[msgspec.inspect.StructType] = []
-    if isinstance(node, msgspec.inspect.StructType):
-        if node.cls in seen:
-            return found
-        seen.add(node.cls)
-        found.append(node)
-        for field in node.fields:
-            found += _walk(field.type, seen)
-    elif isinstance(node, msgspec.inspect.UnionType):
-        for part in node.types:
-            found += _walk(part, seen)
-    elif isinstance(node, msgspec.inspect.DictType):
-        found += _walk(node.value_type, seen)
-    else:
-        items = getattr(node, "item_types", None) or [getattr(node, "item_type", None)]
-        for part in items:
-            if part is not None:
-                found += _walk(part, seen)
-    return found
 
 
 class _UniqueKeyLoader(yaml.SafeLoader):
