@@ -44,7 +44,7 @@ class FleetSession:
     def drain(self) -> list[StatusReport]:
         """All reports that came since the last call, oldest first. Never blocks."""
         reports = []
-        for sample in drain(self._reports):
+        for sample in drain(self._reports, REPORTS_KEPT):
             try:
                 report = decode_report(sample.payload.to_bytes())
             except WireError as error:

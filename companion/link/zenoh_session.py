@@ -20,6 +20,7 @@ SETTINGS: dict[str, Any] = {
     "transport/shared_memory/enabled": False,  # a hardened systemd unit may not create it, and opening would then fail
     "transport/link/tx/lease": LEASE_MS,
     "transport/link/tx/keep_alive": 4,
+    "transport/link/rx/max_message_size": 65536,  # the default is a gigabyte; the longest of ours are a few kilobytes
     "listen/timeout_ms": 0,
     "listen/exit_on_failure": True,
     "connect/timeout_ms": -1,  # a peer that is not there yet is tried for ever, in the background
@@ -55,9 +56,11 @@ def open_session(listen: Sequence[str], connect: Sequence[str]) -> zenoh.Session
         raise _explain(str(error), listen, connect) from error
 
 
-def drain(channel: Any) -> Iterator[Any]:
-    """All that waits in a subscriber's or queryable's channel, without blocking."""
-    while (item := channel.try_recv()) is not None:
+def drain(channel: Any, limit: int) -> Iterator[Any]:
+    """What waits in a subscriber's or queryable's channel, without blocking; no more, however fast more comes."""
+    for _ in range(limit):
+        if (item := channel.try_recv()) is None:
+            return
         yield item
 
 

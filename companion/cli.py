@@ -1,0 +1,146 @@
+"""The `companion` command. Each subcommand imports what it needs itself: the agent stays small."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from companion import __version__
+
+EXIT_FILE, EXIT_NO_AUTOPILOT = 2, 3
+
+DESCRIPTION = """\
+Formation flight for quadrotors that carry a computer of their own.
+
+  companion agent     runs on each vehicle, beside its autopilot
+  companion monitor   shows a whole fleet on the ground
+"""
+
+AGENT = """\
+Run the agent of one vehicle: telemetry from its autopilot over MAVLink and the states of its peers over Zenoh in,
+attitude and thrust out, 50 times a second. It starts as an observer and sends no setpoint until it is commanded to.
+"""
+
+AGENT_MORE = """\
+examples:
+  companion agent --config config/vehicles/simulation-1.yaml
+  companion agent --config /etc/companion/vehicle-3.yaml --wait-s 60
+
+The vehicle file says which autopilot and which peers; see config/vehicles/ for a serial line and for UDP:
+  mavlink: udpin:0.0.0.0:14540             listen where the autopilot sends (PX4's onboard link)
+  mavlink: tcp:192.168.1.20:5760           connect
+  mavlink: serial:/dev/ttyAMA0:921600      a telemetry port of the flight controller
+
+SIGTERM and SIGINT (Ctrl-C) end it. A vehicle in formation is first handed over to the autopilot's own hold, for at
+most 2 s. It logs one line per event to standard error.
+
+exit codes:
+  0  ended by a signal
+  2  a file, an endpoint in it or an argument cannot be used; the one line on standard error says which and why
+  3  the autopilot never answered
+"""
+
+
+MONITOR = """\
+Show every vehicle of a fleet, from Zenoh alone: phase, mode, altitude, PrC, error to its slot, age of its data.
+A vehicle that says nothing for a second is shown as SILENT and stays in the table.
+"""
+
+MONITOR_MORE = """\
+examples:
+  companion monitor                                          the first eight vehicles of a simulation on this machine
+  companion monitor --connect tcp/192.168.1.11:7447          a real fleet, through any one vehicle
+  companion monitor --fleet platoon --once                   one table, for scripts
+  companion monitor --once --json | jq '.[].error_to_slot_m'
+
+One vehicle's endpoint (zenoh.listen in its vehicle file) leads to all that it is connected with; more endpoints help
+where one vehicle may be away. On a terminal the table is live; into a pipe or a file it is printed once a second.
+
+columns:
+  PrC     cooperation priority, 1 is nearest to a leader          error  metres from its slot in the formation, - where
+  data    age of the vehicle's position, with its way to here             it does not fly or no leader reports
+  rej     messages refused by the vehicle so far
+
+exit codes:
+  0  ended by Ctrl-C, or --once has heard at least one vehicle
+  1  --once heard nobody for 3 s
+  2  an argument cannot be used, or the live table's package is missing
+"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The exit code; `companion --help` explains it."""
+    options = _parser().parse_args(arguments)
+    return _agent(options) if options.command == "agent" else _monitor(options)
+
+
+def _parser() -> argparse.ArgumentParser:
+    raw = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(
+        prog="companion",
+        description=DESCRIPTION,
+        epilog="`companion agent --help` and `companion monitor --help` show examples and exit codes.",
+        formatter_class=raw,
+    )
+    parser.add_argument("--version", action="version", version=f"companion {__version__}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="agent|monitor")
+
+    agent = commands.add_parser("agent", description=AGENT, epilog=AGENT_MORE, formatter_class=raw)
+    agent.add_argument("--config", type=Path, required=True, metavar="FILE", help="the vehicle file (YAML)")
+    agent.add_argument(
+        "--wait-s", type=_seconds, default=15.0, metavar="S", help="how long to wait for the autopilot (default 15)"
+    )
+
+    monitor = commands.add_parser("monitor", description=MONITOR, epilog=MONITOR_MORE, formatter_class=raw)
+    monitor.add_argument("--fleet", default="*", metavar="NAME", help="only this fleet (default: every fleet heard)")
+    monitor.add_argument(
+        "--connect",
+        nargs="+",
+        metavar="ENDPOINT",
+        help="Zenoh endpoints of vehicles (default: tcp/127.0.0.1:7448 to 7455, vehicles 1 to 8 of a simulation)",
+    )
+    monitor.add_argument("--once", action="store_true", help="print one table after at most 3 s and end")
+    monitor.add_argument("--json", action="store_true", help="one JSON array per table instead of the table")
+    return parser
+
+
+def _agent(options: argparse.Namespace) -> int:
+    from companion.app import AutopilotSilentError, Settings, run_agent
+    from companion.config_file import ConfigError
+
+    try:
+        run_agent(Settings(options.config, options.wait_s))
+    except ConfigError as error:
+        return _fail(str(error), EXIT_FILE)
+    except AutopilotSilentError as error:
+        return _fail(str(error), EXIT_NO_AUTOPILOT)
+    return 0
+
+
+def _monitor(options: argparse.Namespace) -> int:
+    from companion.ground.monitor import MonitorError, run_monitor
+    from companion.link.zenoh_session import EndpointError
+
+    try:
+        return run_monitor(options.fleet, options.connect, once=options.once, as_json=options.json)
+    except EndpointError as error:
+        return _fail(f'companion monitor: --connect "{error.endpoint}": {error}', EXIT_FILE)
+    except MonitorError as error:
+        return _fail(f"companion monitor: {error}", EXIT_FILE)
+
+
+def _fail(line: str, code: int) -> int:
+    print(line, file=sys.stderr)
+    return code
+
+
+def _seconds(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0 < value <= 3600:
+        raise argparse.ArgumentTypeError(f"{text!r}, expected seconds from 0 to 3600")
+    return value

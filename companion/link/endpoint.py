@@ -1,0 +1,31 @@
+"""What every way to the autopilot has in common: where bytes go, and what to say when an endpoint cannot be opened."""
+
+from __future__ import annotations
+
+import errno
+from collections.abc import Callable
+
+Received = Callable[[bytes, float], bool]  # (bytes, when they arrived) -> were they the autopilot's?
+
+_IN_USE = "{what} is in use; stop what has it (another agent or ground station?) or choose another one"
+_ADVICE = {
+    errno.EADDRINUSE: _IN_USE,
+    errno.EBUSY: _IN_USE,
+    errno.EAGAIN: _IN_USE,  # the lock on a serial device
+    errno.EADDRNOTAVAIL: "this machine has no such address; use one of its own, or 0.0.0.0 for all of them",
+    errno.EACCES: "no permission for {what}; use a port above 1023, or join the device's group (usually dialout)",
+    errno.EPERM: "no permission for {what}; join the device's group (usually dialout)",
+    errno.ENOENT: "there is no {what}; is it plugged in? expected a device like /dev/ttyACM0, see /dev/serial/by-id",
+    errno.ECONNREFUSED: "nobody listens at {what}; is the autopilot running?",
+    errno.ENOTTY: "{what} is no serial device; expected one like /dev/ttyACM0, see /dev/serial/by-id",
+}
+
+
+class LinkError(Exception):
+    """An endpoint that cannot be opened. str() says what is wrong with it and what to do."""
+
+
+def explain(error: OSError, what: str) -> str:
+    """An operating system's error about `what` in words, with what to do."""
+    advice = _ADVICE.get(error.errno or 0)
+    return advice.format(what=what) if advice else f"{what} cannot be opened: {error.strerror or error}"

@@ -1,0 +1,33 @@
+"""One line per event on standard error, never one per tick."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Mapping
+
+REPEAT_AFTER_S = 1.0
+
+_log = logging.getLogger(__name__)
+
+
+def log_to_stderr(vehicle_id: int) -> None:
+    """Lines like "12:00:01.234 vehicle 3: takeoff -> hold", in local time."""
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(logging.Formatter(f"%(asctime)s.%(msecs)03d vehicle {vehicle_id}: %(message)s", "%H:%M:%S"))
+    logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
+
+
+class RejectionLog:
+    """Logs counted rejections: at most one line per reason and second, with how many there were since the last one."""
+
+    def __init__(self) -> None:
+        self._logged: dict[str, tuple[int, float]] = {}  # reason -> (count, when)
+
+    def update(self, counts: Mapping[str, int], now_s: float) -> None:
+        """`counts` are totals since the start, by reason."""
+        for reason, count in counts.items():
+            before, logged_s = self._logged.get(reason, (0, float("-inf")))
+            if count > before and now_s - logged_s >= REPEAT_AFTER_S:
+                self._logged[reason] = (count, now_s)
+                _log.warning("rejected %d (%d in all): %s", count - before, count, reason)

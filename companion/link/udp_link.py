@@ -1,0 +1,106 @@
+"""MAVLink over UDP: listens on a port and answers the autopilot that was first heard there."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import socket
+import struct
+import time
+
+from companion.link.endpoint import LinkError, Received, explain
+
+READ_BYTES = 65536
+RELOCK_AFTER_S = 5.0  # the autopilot's process may come back at another port
+
+_SO_TIMESTAMPNS = 35  # Linux; the socket module does not name it
+_TIMESPEC = struct.Struct("@ll")
+
+_log = logging.getLogger(__name__)
+
+
+class UdpLink:
+    """Listens, and answers the address from which the autopilot's packets came first, and only that one.
+
+    The kernel says when a datagram arrived: after a pause of this process the ones that have waited are as old as they
+    are, not new.
+    """
+
+    def __init__(self, host: str, port: int, received: Received) -> None:
+        self._received = received
+        self._socket = _bound_udp_socket(host, port)
+        self._autopilot: tuple[str, int] | None = None
+        self._heard_s = float("-inf")
+        self._anything_came = False
+
+    def send(self, data: bytes) -> None:
+        if self._autopilot:
+            # ConnectionRefused tells of an earlier datagram, BlockingIOError of a full buffer: both are lost packets.
+            with contextlib.suppress(OSError):
+                self._socket.sendto(data, self._autopilot)
+
+    async def run(self) -> None:
+        loop = asyncio.get_running_loop()
+        loop.add_reader(self._socket, self._readable)
+        try:
+            await loop.create_future()
+        finally:
+            loop.remove_reader(self._socket)
+
+    def problem(self) -> str:
+        if self._anything_came:
+            return "packets came, none of them was this autopilot's"
+        return "nothing came at all; is the autopilot running, and does it send to this port?"
+
+    def close(self) -> None:
+        self._socket.close()
+
+    def _readable(self) -> None:
+        while True:
+            try:
+                data, ancillary, _, sender = self._socket.recvmsg(READ_BYTES, socket.CMSG_SPACE(_TIMESPEC.size))
+            except BlockingIOError:
+                return
+            except OSError:
+                continue  # an ICMP error about a datagram sent earlier
+            self._datagram(data, _arrival_s(ancillary), sender)
+
+    def _datagram(self, data: bytes, received_s: float, sender: tuple[str, int]) -> None:
+        self._anything_came = True
+        is_locked = self._autopilot is not None and received_s - self._heard_s < RELOCK_AFTER_S
+        if is_locked and sender != self._autopilot:
+            return
+        if self._received(data, received_s):
+            if sender != self._autopilot:
+                self._autopilot = sender
+                _log.info("autopilot heard from %s:%d", *sender[:2])
+            self._heard_s = received_s
+
+
+def _bound_udp_socket(host: str, port: int) -> socket.socket:
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
+    except socket.gaierror as error:
+        raise LinkError(f'"{host}" is no address of this machine; use 0.0.0.0 for all of them') from error
+    udp = socket.socket(family, kind, protocol)
+    try:
+        udp.bind(address)
+    except OSError as error:
+        udp.close()
+        raise LinkError(explain(error, f"UDP port {port}")) from error
+    udp.setblocking(False)
+    with contextlib.suppress(OSError):  # not Linux: the time of reading serves instead
+        udp.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
+    return udp
+
+
+def _arrival_s(ancillary: list[tuple[int, int, bytes]]) -> float:
+    """When the kernel got the datagram, on the monotonic clock; never later than now."""
+    now_s = time.monotonic()
+    for level, kind, value in ancillary:
+        if (level, kind) == (socket.SOL_SOCKET, _SO_TIMESTAMPNS) and len(value) == _TIMESPEC.size:
+            seconds, nanoseconds = _TIMESPEC.unpack(value)
+            waited_s = (time.time_ns() - int(seconds) * 1_000_000_000 - int(nanoseconds)) * 1e-9
+            return now_s - max(0.0, waited_s)
+    return now_s

@@ -1,0 +1,125 @@
+"""An agent's side of Zenoh: peers and commands in, peer packets, replies and status out.
+
+Rings that the control loop drains at each tick: no thread of Zenoh's ever crosses into the loop, and nothing waits for a
+loop that hangs.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections import deque
+from collections.abc import Callable, Iterable
+
+import zenoh
+
+from companion.config import FleetConfig, ZenohEndpoints
+from companion.link.zenoh_session import drain, open_session
+from companion.types import Command, CommandReply, PeerPacket, ReceivedPeerPacket
+from companion.wire.ground import StatusReport, decode_command, encode
+from companion.wire.keys import command_key, every_peer, peer_key, status_key, vehicle_of
+from companion.wire.peer import decode_peer, encode_peer
+from companion.wire.version import WireError
+
+PACKETS_KEPT_PER_VEHICLE = 8
+COMMANDS_KEPT = 32
+LONG_PAUSE_S = 0.1  # five ticks
+
+
+class ZenohLink:
+    """What one vehicle says and hears over Zenoh. Close it on every path, else the process may hang at its exit.
+
+    `reject` is called with the reason for every message that is refused here.
+    """
+
+    def __init__(
+        self, vehicle_id: int, fleet: FleetConfig, endpoints: ZenohEndpoints, reject: Callable[[str], None]
+    ) -> None:
+        """Raises EndpointError. Vehicles that are not there yet are waited for in the background."""
+        self._vehicle_id = vehicle_id
+        self._reject = reject
+        self._drained_s: float | None = None
+        self._open_queries: deque[tuple[int, zenoh.Query]] = deque(maxlen=COMMANDS_KEPT)
+        self._session = open_session(endpoints.listen, endpoints.connect)
+        self._packets_kept = PACKETS_KEPT_PER_VEHICLE * len(fleet.vehicles)
+        self._peers = self._session.declare_subscriber(
+            every_peer(fleet.name),
+            zenoh.handlers.RingChannel(self._packets_kept),
+            allowed_origin=zenoh.Locality.REMOTE,
+        )
+        self._command_key = command_key(fleet.name, vehicle_id)
+        self._commands = self._session.declare_queryable(
+            self._command_key, zenoh.handlers.RingChannel(COMMANDS_KEPT), complete=True
+        )
+        self._peer_publisher = self._session.declare_publisher(
+            peer_key(fleet.name, vehicle_id),
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=zenoh.Priority.REAL_TIME,
+            express=True,
+        )
+        self._status_publisher = self._session.declare_publisher(
+            status_key(fleet.name, vehicle_id),
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=zenoh.Priority.DATA,
+        )
+
+    def receive(self, now_s: float) -> tuple[tuple[ReceivedPeerPacket, ...], tuple[Command, ...]]:
+        """All peer packets and commands since the last call. Never blocks.
+
+        After a pause of this process nobody knows how long a packet has waited: it counts as arrived when the pause began.
+        """
+        before_s, self._drained_s = self._drained_s, now_s
+        received_s = before_s if before_s is not None and now_s - before_s > LONG_PAUSE_S else now_s
+        packets = (self._packet(sample) for sample in drain(self._peers, self._packets_kept))
+        commands = (self._command(query) for query in drain(self._commands, COMMANDS_KEPT))
+        return (
+            tuple(ReceivedPeerPacket(received_s, packet) for packet in packets if packet),
+            tuple(command for command in commands if command),
+        )
+
+    def publish_peer(self, packet: PeerPacket) -> None:
+        self._peer_publisher.put(encode_peer(packet))
+
+    def publish_status(self, report: StatusReport) -> None:
+        self._status_publisher.put(encode(report))
+
+    def reply(self, replies: Iterable[CommandReply]) -> None:
+        """Answer the queries that brought the commands. A reply without a query is nobody's and goes nowhere."""
+        for reply in replies:
+            for number, query in self._open_queries:
+                if number == reply.number:
+                    self._answer(query, reply)
+                    self._open_queries.remove((number, query))
+                    break
+
+    def close(self) -> None:
+        self._session.close()  # type: ignore[no-untyped-call]
+
+    def _packet(self, sample: zenoh.Sample) -> PeerPacket | None:
+        try:
+            packet = decode_peer(sample.payload.to_bytes())
+        except WireError as error:
+            self._reject(str(error))
+            return None
+        if packet.vehicle_id != vehicle_of(str(sample.key_expr)):
+            self._reject("peer packet of another vehicle than its key says")
+            return None
+        if packet.vehicle_id == self._vehicle_id:
+            self._reject("peer packet with this vehicle's own id; does another vehicle have it, too?")
+            return None
+        return packet
+
+    def _command(self, query: zenoh.Query) -> Command | None:
+        try:
+            command = decode_command(query.payload.to_bytes() if query.payload else b"")
+        except WireError as error:
+            self._reject(str(error))
+            self._answer(query, CommandReply(self._vehicle_id, 0, False, f"refused: {error}"))
+            return None
+        self._open_queries.append((command.number, query))
+        return command
+
+    def _answer(self, query: zenoh.Query, reply: CommandReply) -> None:
+        """Dropping the query tells the asker that no more will come."""
+        with contextlib.suppress(zenoh.ZError):  # the asker has gone
+            query.reply(self._command_key, encode(reply), express=True)
+        query.drop()  # type: ignore[no-untyped-call]
