@@ -167,8 +167,8 @@ class VehicleState:
     heartbeat_time_s: float = float("-inf")
     landed: LandedState = LandedState.UNDEFINED
     landed_time_s: float = float("-inf")
-    origin_known: bool = False
-    altitude_amsl_m: float = 0.0  # by the autopilot's own origin
+    frame_known: bool = False  # can positions be mapped into the fleet frame?
+    altitude_amsl_m: float | None = None  # by the autopilot's own origin, None until that is known
 
 
 # ---------------------------------------------------------------- agent -> autopilot
@@ -287,7 +287,7 @@ class HealthFlag(StrEnum):
     STATE_STALE = "position older than allowed"
     ATTITUDE_STALE = "attitude older than allowed"
     MODE_STALE = "flight mode older than allowed"
-    ORIGIN_UNKNOWN = "the autopilot's origin is unknown"
+    FRAME_UNKNOWN = "the autopilot's origin is unknown"
     LEADER_LOST = "no leader's word"
     FENCE = "outside the fence"
 

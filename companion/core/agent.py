@@ -137,7 +137,7 @@ class Agent:
         """Landing and holding are always allowed; the rest needs a vehicle that knows where it is."""
         if name in (CommandName.LAND, CommandName.HOLD, CommandName.DISARM):
             return []
-        needed = {HealthFlag.STATE_STALE, HealthFlag.ATTITUDE_STALE, HealthFlag.MODE_STALE, HealthFlag.ORIGIN_UNKNOWN}
+        needed = {HealthFlag.STATE_STALE, HealthFlag.ATTITUDE_STALE, HealthFlag.MODE_STALE, HealthFlag.FRAME_UNKNOWN}
         if name is CommandName.FORM:
             needed |= {HealthFlag.LEADER_LOST, HealthFlag.FENCE}
         return sorted(needed & flags)
@@ -152,7 +152,7 @@ class Agent:
             self._machine.give_up(f"silent for {SILENT_TOO_LONG_S} s: " + ", ".join(sorted(flags)))
 
     def _ask_origin(self, now_s: float, vehicle: VehicleState) -> tuple[AutopilotRequest, ...]:
-        if vehicle.origin_known or now_s - self._origin_asked_s < ORIGIN_REPEAT_S:
+        if vehicle.altitude_amsl_m is not None or now_s - self._origin_asked_s < ORIGIN_REPEAT_S:
             return ()
         self._origin_asked_s = now_s
         return (RequestOrigin(),)

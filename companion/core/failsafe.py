@@ -13,7 +13,7 @@ ACTIONS: dict[HealthFlag, FailsafeAction] = {
     HealthFlag.STATE_STALE: FailsafeAction.SILENT,
     HealthFlag.ATTITUDE_STALE: FailsafeAction.SILENT,
     HealthFlag.MODE_STALE: FailsafeAction.SILENT,
-    HealthFlag.ORIGIN_UNKNOWN: FailsafeAction.SILENT,
+    HealthFlag.FRAME_UNKNOWN: FailsafeAction.SILENT,
     HealthFlag.LEADER_LOST: FailsafeAction.HOLD,
     HealthFlag.FENCE: FailsafeAction.HOLD,
 }

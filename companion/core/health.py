@@ -35,8 +35,8 @@ def _raised(
         yield HealthFlag.ATTITUDE_STALE
     if now_s - vehicle.mode_time_s > ages.mode_s:
         yield HealthFlag.MODE_STALE
-    if not vehicle.origin_known:
-        yield HealthFlag.ORIGIN_UNKNOWN
+    if not vehicle.frame_known:
+        yield HealthFlag.FRAME_UNKNOWN
     if leader_word is None or leader_word.age_s > ages.leader_word_s:
         yield HealthFlag.LEADER_LOST
     if vehicle.position_time_s > float("-inf") and not envelope.inside_fence(vehicle.position_enu_m):

@@ -70,6 +70,8 @@ def _land(_vehicle: VehicleState, _height_m: float) -> Procedure:
 
 
 def _take_off(vehicle: VehicleState, height_m: float) -> Procedure:
+    if vehicle.altitude_amsl_m is None:
+        raise ValueError("the autopilot's altitude above sea level is unknown")
     target_z_m = vehicle.position_enu_m[2] + height_m
     return Procedure(
         TakeOff(vehicle.altitude_amsl_m + height_m, height_m),
@@ -88,7 +90,7 @@ class Rule:
     to: FlightPhase
     on_failure: FlightPhase
     on_ground: bool  # where the vehicle must be: on the ground or in the air
-    procedure: Callable[[VehicleState, float], Procedure]
+    procedure: Callable[[VehicleState, float], Procedure]  # ValueError where the state does not allow it
 
 
 ON_GROUND = frozenset({P.READY, P.ARM, P.ARMED})
@@ -143,7 +145,10 @@ class PhaseMachine:
             return False, f"{name} is not possible in phase {self.phase}, only in {', '.join(sorted(rule.allowed))}"
         if rule.on_ground is in_air(vehicle):
             return False, f"{name} needs the vehicle {'on the ground' if rule.on_ground else 'in the air'}"
-        self._begin(rule, now_s, vehicle, f"command {name}")
+        try:
+            self._begin(rule, now_s, vehicle, f"command {name}")
+        except ValueError as error:
+            return False, f"{name}: {error}"
         return True, f"{self.phase}"
 
     def hand_over(self, now_s: float, vehicle: VehicleState, reason: str) -> None:
@@ -173,12 +178,13 @@ class PhaseMachine:
         return self._running.due(now_s, vehicle)
 
     def _begin(self, rule: Rule, now_s: float, vehicle: VehicleState, reason: str) -> None:
+        running = RunningProcedure(rule.procedure(vehicle, self._takeoff_height_m), now_s)
         leaving = self.streams(vehicle) and rule.via is not P.ENGAGE
         self._enter(rule.via, reason)
         self._rule = rule
         self._leaving_formation = leaving
         self._tolerated = frozenset({vehicle.mode}) | ({M.OFFBOARD} if leaving else frozenset())
-        self._running = RunningProcedure(rule.procedure(vehicle, self._takeoff_height_m), now_s)
+        self._running = running
 
     def _enter(self, phase: FlightPhase, reason: str = "") -> None:
         if phase is not self.phase or reason:

@@ -40,7 +40,7 @@ class VehicleTracker:
         self._own_origin_altitude_m: float | None = None
         self._boot_time_s = float("-inf")
         self.rejected: Counter[str] = Counter()
-        self.state = VehicleState()
+        self.state = VehicleState(frame_known=fleet_origin is None)
 
     def fold(self, telemetry: Iterable[Telemetry]) -> VehicleState:
         """The state after these samples. What is out of range is counted in `rejected` and changes nothing."""
@@ -82,7 +82,7 @@ class VehicleTracker:
             position_enu_m=(east + offset[0], north + offset[1], up + offset[2]),
             velocity_enu_m_s=sample.velocity_enu_m_s,
             position_time_s=sample.received_s,
-            altitude_amsl_m=(self._own_origin_altitude_m or 0.0) + up,
+            altitude_amsl_m=None if self._own_origin_altitude_m is None else self._own_origin_altitude_m + up,
         )
 
     def _fold_attitude(self, sample: AttitudeSample) -> None:
@@ -107,7 +107,7 @@ class VehicleTracker:
             self._offset_enu_m = enu_from_geodetic(
                 sample.latitude_deg, sample.longitude_deg, sample.altitude_amsl_m, self._fleet_origin
             )
-        self.state = replace(self.state, origin_known=True)
+        self.state = replace(self.state, frame_known=True)
 
 
 def _within(vector: Vector3, limit: float) -> bool:

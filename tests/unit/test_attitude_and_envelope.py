@@ -47,7 +47,11 @@ def test_attitude_and_thrust_give_the_wanted_acceleration(ux: float, uy: float, 
 
 @pytest.mark.parametrize(
     ("yaw", "wanted", "sign"),
-    [(0.0, (1.0, 0.0, 0.0), ("pitch", 1)), (0.0, (0.0, 1.0, 0.0), ("roll", -1)), (pi / 2, (0.0, 1.0, 0.0), ("pitch", 1))],
+    [
+        (0.0, (1.0, 0.0, 0.0), ("pitch", 1)),
+        (0.0, (0.0, 1.0, 0.0), ("roll", -1)),
+        (pi / 2, (0.0, 1.0, 0.0), ("pitch", 1)),
+    ],
 )
 def test_signs(yaw: float, wanted: tuple[float, float, float], sign: tuple[str, int]) -> None:
     target = attitude_target(wanted, yaw, 0.0, 0.0, 0.5)

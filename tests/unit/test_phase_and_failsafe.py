@@ -24,7 +24,7 @@ from companion.types import (
     VehicleState,
 )
 
-GROUND = VehicleState(mode=AutopilotMode.OTHER, mode_name="POSCTL", landed=LandedState.ON_GROUND)
+GROUND = VehicleState(mode=AutopilotMode.OTHER, mode_name="POSCTL", landed=LandedState.ON_GROUND, altitude_amsl_m=488.0)
 AIR = replace(GROUND, armed=True, landed=LandedState.IN_AIR, mode=AutopilotMode.HOLD, position_enu_m=(0.0, 0.0, 2.5))
 
 
@@ -110,7 +110,9 @@ def test_the_pilot_wins_over_a_landing_that_has_begun() -> None:
     assert machine.phase is FlightPhase.OBSERVE
 
 
-@pytest.mark.parametrize("phase", [FlightPhase.OBSERVE, FlightPhase.READY, FlightPhase.ARMED, FlightPhase.HOLD, FlightPhase.FORMATION])
+@pytest.mark.parametrize(
+    "phase", [FlightPhase.OBSERVE, FlightPhase.READY, FlightPhase.ARMED, FlightPhase.HOLD, FlightPhase.FORMATION]
+)
 @pytest.mark.parametrize("name", list(CommandName))
 def test_every_command_in_every_phase_is_accepted_by_the_table_or_refused_in_words(
     phase: FlightPhase, name: CommandName
@@ -137,6 +139,14 @@ def test_after_a_restart_in_the_air_nothing_is_asked_and_arming_is_refused() -> 
     assert machine.command(CommandName.HOLD, 5.0, flying)[0]
     assert machine.advance(5.0, flying, ()) == (SetMode(AutopilotMode.HOLD),)
     assert not machine.streams(flying)
+
+
+def test_no_take_off_without_a_known_altitude() -> None:
+    machine, autopilot, now_s = flown_to(FlightPhase.ARMED)
+    accepted, reason = machine.command(CommandName.TAKEOFF, now_s, replace(autopilot.state, altitude_amsl_m=None))
+    assert not accepted
+    assert "altitude" in reason
+    assert machine.phase is FlightPhase.ARMED
 
 
 def test_a_refusal_is_relayed_in_words_and_retries_are_bounded() -> None:

@@ -11,13 +11,15 @@ from companion.types import AttitudeSample, OriginSample, PositionSample, Vector
 FLEET = (47.397742, 8.545594, 488.0)
 
 
-def sample(boot_time_s: float, position: Vector3 = (1.0, 2.0, 3.0), velocity: Vector3 = (0.0, 0.0, 0.0)) -> PositionSample:
+def sample(
+    boot_time_s: float, position: Vector3 = (1.0, 2.0, 3.0), velocity: Vector3 = (0.0, 0.0, 0.0)
+) -> PositionSample:
     return PositionSample(boot_time_s + 100.0, boot_time_s, position, velocity)
 
 
 def test_without_an_origin_there_is_no_position() -> None:
     state = VehicleTracker(FLEET).fold([sample(1.0)])
-    assert not state.origin_known
+    assert not state.frame_known
     assert state.position_time_s == float("-inf")
 
 

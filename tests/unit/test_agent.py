@@ -1,0 +1,340 @@
+"""Agent.step from telemetry to setpoint: when it speaks, when it must be silent, and what it tells the others."""
+
+from dataclasses import replace
+from math import inf, nan
+
+import pytest
+
+from companion.assembly import build_agent
+from companion.config import (
+    AgentConfig,
+    EdgeNeighbours,
+    FleetConfig,
+    FormationMember,
+    Law,
+    PointReference,
+    VehicleConfig,
+)
+from companion.types import (
+    Arm,
+    AttitudeSample,
+    AttitudeTarget,
+    AutopilotMode,
+    Command,
+    CommandName,
+    FlightPhase,
+    HealthFlag,
+    HeartbeatSample,
+    Inbox,
+    LandedSample,
+    LandedState,
+    LeaderWord,
+    ModeSample,
+    OriginSample,
+    Outbox,
+    PeerPacket,
+    PositionSample,
+    ReceivedPeerPacket,
+    RequestOrigin,
+    Role,
+    SetMode,
+    TakeOff,
+    Telemetry,
+    Vector3,
+)
+
+FLEET = FleetConfig(
+    name="pair",
+    origin="local",
+    vehicles=(
+        FormationMember(id=1, role=Role.LEADER, slot_enu_m=(0.0, 0.0, 0.0)),
+        FormationMember(id=2, role=Role.FOLLOWER, slot_enu_m=(-1.5, 0.0, 0.0)),
+    ),
+    neighbours=EdgeNeighbours(edges=((1, 2),)),
+    takeoff_height_m=1.0,
+)
+
+
+class Flight:
+    """One agent, fed at 50 Hz by an autopilot that obeys at once and stands still where it is put."""
+
+    def __init__(self, vehicle_id: int = 2, fleet: FleetConfig = FLEET) -> None:
+        member = fleet.member(vehicle_id)
+        assert member is not None
+        leads = member.role is Role.LEADER
+        vehicle = VehicleConfig(
+            id=vehicle_id,
+            fleet="fleet.yaml",
+            mavlink="udpin:127.0.0.1:14540",
+            hover_thrust_norm=0.5,
+            reference=PointReference(point_enu_m=(1.0, 0.0, 1.0)) if leads else None,
+        )
+        self.agent = build_agent(AgentConfig(vehicle, fleet, member), session=7)
+        self.fleet = fleet
+        self.now_s = 100.0
+        self.position: Vector3 = (-1.5, 0.0, 0.0)
+        self.mode, self.armed, self.landed = AutopilotMode.OTHER, False, LandedState.ON_GROUND
+        self.peer_position: Vector3 | None = (0.0, 0.0, 1.0)
+        self.outbox = Outbox()
+        self.tells_origin = True
+        self.targets: list[AttitudeTarget] = []
+        self.events: list[str] = []
+        self._peer_sequence = 0
+
+    def telemetry(self) -> list[Telemetry]:
+        t = self.now_s
+        return [
+            AttitudeSample(t, 0.0, 0.0, 0.3),
+            ModeSample(t, self.mode, self.mode),
+            HeartbeatSample(t, self.armed, False),
+            LandedSample(t, self.landed),
+            *(
+                [OriginSample(t, 47.0, 8.0, 400.0)]
+                if RequestOrigin() in self.outbox.requests and self.tells_origin
+                else []
+            ),
+            PositionSample(t, t - 50.0, self.position, (0.0, 0.0, 0.0)),
+        ]
+
+    def peer(self) -> list[ReceivedPeerPacket]:
+        if self.peer_position is None:
+            return []
+        self._peer_sequence += 1
+        leads = 1 if self.agent_id == 2 else 2
+        packet = PeerPacket(
+            vehicle_id=leads,
+            session=1,
+            sequence=self._peer_sequence,
+            formation_hash=self.fleet.formation_hash(),
+            phase=FlightPhase.FORMATION,
+            role=Role.LEADER if leads == 1 else Role.FOLLOWER,
+            position_enu_m=self.peer_position,
+            velocity_enu_m_s=(0.0, 0.0, 0.0),
+            acceleration_enu_m_s2=(0.0, 0.0, 0.0),
+            state_age_s=0.0,
+            prc=leads,
+            leader_word=LeaderWord(1, 0, 0.0),
+        )
+        return [ReceivedPeerPacket(self.now_s, packet)]
+
+    @property
+    def agent_id(self) -> int:
+        return 2 if self.position[0] < 0 else 1
+
+    def tick(self, *names: CommandName, telemetry: list[Telemetry] | None = None) -> Outbox:
+        self.now_s += 0.02
+        commands = tuple(Command(name, number) for number, name in enumerate(names))
+        samples = self.telemetry() if telemetry is None else telemetry
+        self.outbox = self.agent.step(self.now_s, Inbox(tuple(samples), tuple(self.peer()), commands))
+        self._obey()
+        if self.outbox.attitude_target:
+            self.targets.append(self.outbox.attitude_target)
+        self.events += self.outbox.events
+        return self.outbox
+
+    def _obey(self) -> None:
+        for request in self.outbox.requests:
+            match request:
+                case SetMode(mode):
+                    self.mode = mode
+                case Arm():
+                    self.armed = True
+                case TakeOff(_, height_m):
+                    self.mode, self.landed = AutopilotMode.HOLD, LandedState.IN_AIR
+                    self.position = (self.position[0], self.position[1], self.position[2] + height_m)
+
+    def fly_to(self, phase: FlightPhase) -> "Flight":
+        for name in (CommandName.PREPARE, CommandName.ARM, CommandName.TAKEOFF, CommandName.FORM):
+            if self.agent.phase is phase:
+                break
+            self.tick()
+            assert self.tick(name).replies[0].accepted, self.outbox.replies
+            for _ in range(50):
+                self.tick()
+        assert self.agent.phase is phase, self.events
+        return self
+
+
+def test_on_the_ground_and_after_start_it_sends_no_setpoint() -> None:
+    flight = Flight()
+    assert flight.tick().requests == (RequestOrigin(),)
+    for _ in range(100):
+        assert flight.tick().requests == ()
+    assert flight.targets == []
+
+
+def test_a_geodetic_fleet_asks_for_the_origin_once_a_second() -> None:
+    from companion.config import GeodeticOrigin
+
+    origin = GeodeticOrigin(latitude_deg=47.0, longitude_deg=8.0, altitude_amsl_m=400.0)
+    flight = Flight(fleet=FleetConfig(name="pair", origin=origin, vehicles=FLEET.vehicles, neighbours=FLEET.neighbours))
+    flight.tells_origin = False
+    asked = [request for _ in range(150) for request in flight.tick().requests]
+    assert asked == [RequestOrigin()] * 3
+    reply = flight.tick(CommandName.PREPARE).replies[0]
+    assert not reply.accepted
+    assert HealthFlag.FRAME_UNKNOWN in reply.reason
+
+
+def test_in_formation_there_is_one_setpoint_for_every_tick() -> None:
+    flight = Flight().fly_to(FlightPhase.FORMATION)
+    before = len(flight.targets)
+    for _ in range(50):
+        flight.tick()
+    assert len(flight.targets) - before == 50
+
+
+def test_the_follower_follows_eq_14() -> None:
+    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight.peer_position = (0.5, 0.0, 1.0)  # the leader is 0.5 m ahead of where this vehicle's slot would have it
+    for _ in range(20):
+        flight.tick()
+    assert flight.outbox.peer_packet is not None
+    assert flight.outbox.peer_packet.acceleration_enu_m_s2 == pytest.approx((1.39 * 0.5, 0.0, 0.0))
+    target = flight.targets[-1]
+    assert target.yaw_rad == pytest.approx(0.3)  # the heading it had when the stream began
+    assert target.pitch_rad > 0.0
+
+
+def test_the_leader_tracks_its_reference() -> None:
+    flight = Flight(vehicle_id=1)
+    flight.position, flight.peer_position = (0.0, 0.0, 0.0), (-1.5, 0.0, 1.0)
+    flight.fly_to(FlightPhase.FORMATION)
+    for _ in range(20):
+        flight.tick()
+    assert flight.outbox.peer_packet is not None
+    assert flight.outbox.peer_packet.acceleration_enu_m_s2 == pytest.approx((1.39 * 1.0, 0.0, 0.0))
+    assert flight.outbox.peer_packet.leader_word == LeaderWord(1, 0, 0.0)
+
+
+def test_the_hand_over_begins_level_and_steps_little() -> None:
+    flight = Flight().fly_to(FlightPhase.HOLD)
+    flight.peer_position = (5.0, 0.0, 1.0)
+    flight.tick(CommandName.FORM)
+    for _ in range(60):
+        flight.tick()
+    assert flight.agent.phase is FlightPhase.FORMATION
+    first = flight.targets[0]
+    assert (first.roll_rad, first.pitch_rad, first.thrust_norm) == (0.0, 0.0, 0.5)
+    steps = [abs(b.pitch_rad - a.pitch_rad) for a, b in zip(flight.targets, flight.targets[1:], strict=False)]
+    assert 0.0 < max(steps) <= 400.0 * 0.02 * 3.1416 / 180.0 + 1e-9
+
+
+@pytest.mark.parametrize("ticks", [1, 5, 20])
+def test_no_fresh_state_no_setpoint(ticks: int) -> None:
+    flight = Flight().fly_to(FlightPhase.FORMATION)
+    before = len(flight.targets)
+    for _ in range(ticks):
+        flight.tick(telemetry=[])
+    assert len(flight.targets) == before
+    assert flight.agent.phase is FlightPhase.FORMATION
+    flight.tick()
+    assert len(flight.targets) == before + 1
+
+
+def test_silent_for_too_long_it_does_not_speak_again_by_itself() -> None:
+    """PX4 re-enters OFFBOARD when a stream returns: an agent that was silent must wait for a command."""
+    flight = Flight().fly_to(FlightPhase.FORMATION)
+    for _ in range(30):
+        flight.tick(telemetry=[])
+    assert flight.agent.phase is FlightPhase.OBSERVE
+    before = len(flight.targets)
+    for _ in range(50):
+        flight.tick()
+    assert len(flight.targets) == before
+
+
+@pytest.mark.parametrize("bad", [nan, inf, 1e12])
+def test_telemetry_that_cannot_be_true_never_becomes_a_setpoint(bad: float) -> None:
+    flight = Flight().fly_to(FlightPhase.FORMATION)
+    before = len(flight.targets)
+    flight.position = (bad, 0.0, 1.0)
+    for _ in range(10):
+        flight.tick()
+    assert len(flight.targets) == before
+    assert flight.outbox.peer_packet is not None
+    assert flight.outbox.peer_packet.position_enu_m == (-1.5, 0.0, 1.0)
+
+
+def test_a_lost_leader_ends_in_the_autopilots_hold() -> None:
+    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight.peer_position = None
+    for _ in range(60):
+        flight.tick()
+    assert flight.agent.phase is FlightPhase.HOLD
+    assert flight.mode is AutopilotMode.HOLD
+    assert any(HealthFlag.LEADER_LOST in event for event in flight.events)
+    reply = flight.tick(CommandName.FORM).replies[0]
+    assert not reply.accepted
+    assert HealthFlag.LEADER_LOST in reply.reason
+
+
+def test_leaving_the_fence_ends_in_the_autopilots_hold() -> None:
+    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight.position = (-101.0, 0.0, 1.0)
+    for _ in range(30):
+        flight.tick()
+    assert flight.agent.phase is FlightPhase.HOLD
+
+
+def test_the_pilots_mode_stops_the_stream_at_once() -> None:
+    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight.mode = AutopilotMode.OTHER
+    assert flight.tick().attitude_target is None
+    assert flight.agent.phase is FlightPhase.OBSERVE
+    assert flight.tick().requests == ()
+
+
+def test_own_altitude_hold_leaves_the_horizontal_law_alone() -> None:
+    fleet = FleetConfig(
+        name="pair",
+        origin="local",
+        vehicles=FLEET.vehicles,
+        neighbours=FLEET.neighbours,
+        law=Law(altitude="hold"),
+        takeoff_height_m=1.0,
+    )
+    flight = Flight(fleet=fleet).fly_to(FlightPhase.FORMATION)
+    flight.peer_position = (0.5, 0.0, 7.0)  # a neighbour's altitude is none of its business
+    flight.position = (-1.5, 0.0, 0.9)  # 0.1 m below where it was when the formation began
+    for _ in range(20):
+        flight.tick()
+    assert flight.outbox.peer_packet is not None
+    assert flight.outbox.peer_packet.acceleration_enu_m_s2 == pytest.approx((1.39 * 0.5, 0.0, 0.2))
+
+
+def test_a_peer_with_another_fleet_file_never_reaches_the_law() -> None:
+    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight.fleet = FleetConfig(name="other", origin="local", vehicles=FLEET.vehicles, neighbours=FLEET.neighbours)
+    for _ in range(40):
+        flight.tick()
+    assert flight.agent.phase in (FlightPhase.HOLD, FlightPhase.RELEASE)
+    status = next(flight.outbox.status for _ in range(10) if flight.tick().status)
+    assert status is not None
+    assert any("another fleet file" in reason for reason in status.rejected)
+
+
+def test_the_same_inputs_give_the_same_outputs_to_the_bit() -> None:
+    def outputs() -> list[AttitudeTarget]:
+        flight = Flight().fly_to(FlightPhase.FORMATION)
+        for tick in range(200):
+            flight.peer_position = (0.001 * tick, 0.01, 1.0)
+            flight.tick()
+        return flight.targets
+
+    assert outputs() == outputs()
+
+
+def test_commands_are_answered_with_their_number() -> None:
+    flight = Flight()
+    flight.tick()
+    outbox = flight.tick(CommandName.PREPARE, CommandName.LAND)
+    assert [(reply.number, reply.accepted) for reply in outbox.replies] == [(0, True), (1, False)]
+    assert all(reply.vehicle_id == 2 for reply in outbox.replies)
+
+
+def test_a_status_comes_ten_times_a_second() -> None:
+    flight = Flight()
+    statuses = [status for _ in range(100) if (status := flight.tick().status)]
+    assert len(statuses) == 20
+    assert replace(statuses[-1], state_age_s=0.0).phase is FlightPhase.OBSERVE
