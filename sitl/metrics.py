@@ -1,0 +1,123 @@
+"""True tracks -> the figures of a flight. Pure: arrays in, figures out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import combinations
+from math import dist
+
+import numpy as np
+
+from companion.core.reference import ReferenceTrajectory
+from companion.types import Vector3
+from sitl.tracks import FloatArray, Track
+
+SAMPLE_S = 0.02
+SETTLED_WITHIN_M = 0.10
+FINAL_S = 2.0  # what "final" is taken over
+
+Pair = tuple[int, int]
+Tracks = Mapping[int, Track]  # by vehicle id
+
+
+@dataclass(frozen=True, slots=True)
+class Formation:
+    """When a formation flew, in seconds of the tracks' clock: the last vehicle's entry until the command that ended it.
+
+    The reference's own time begins at `reference_start_s`, the leader's entry.
+    """
+
+    start_s: float
+    end_s: float
+    reference_start_s: float
+
+    def times_s(self) -> FloatArray:
+        """Sample times (n,), at least two, the first and the last on the interval's ends."""
+        count = max(2, round((self.end_s - self.start_s) / SAMPLE_S) + 1)
+        return np.linspace(self.start_s, self.end_s, count)
+
+
+@dataclass(frozen=True, slots=True)
+class FormationFigures:
+    """Over the formation's interval, from true positions; by pair "1-2" or by vehicle id.
+
+    `settle_s`: from the formation's start to the time from which on no vehicle is farther than 10 cm from its place;
+    None where that never came. `final_error_m` (RMS distance to the place) and `final_distance_m` (mean) are of the
+    last 2 s.
+    """
+
+    duration_s: float
+    wanted_distance_m: dict[str, float]
+    max_distance_m: dict[str, float]
+    min_distance_m: dict[str, float]
+    final_distance_m: dict[str, float]
+    settle_s: float | None
+    final_error_m: float
+    final_error_of_vehicle_m: dict[int, float]
+
+
+def pair_name(pair: Pair) -> str:
+    return f"{pair[0]}-{pair[1]}"
+
+
+def pairs_of(vehicle_ids: Mapping[int, object]) -> list[Pair]:
+    """All pairs of vehicles, the smaller id first."""
+    return list(combinations(sorted(vehicle_ids), 2))
+
+
+def distances_m(tracks: Tracks, pair: Pair, times_s: FloatArray) -> FloatArray:
+    """Distance (n,) of two vehicles at these times."""
+    apart = tracks[pair[0]].at(times_s) - tracks[pair[1]].at(times_s)
+    return np.asarray(np.linalg.norm(apart, axis=1))
+
+
+def reference_positions_m(reference: ReferenceTrajectory, start_s: float, times_s: FloatArray) -> FloatArray:
+    """The RFT's positions (n, 3) at these times. Before its start it stands at its beginning, as for the leader."""
+    return np.array([reference(max(0.0, time_s - start_s)).position_enu_m for time_s in times_s.tolist()])
+
+
+def errors_m(track: Track, slot_enu_m: Vector3, reference_enu_m: FloatArray, times_s: FloatArray) -> FloatArray:
+    """Distance (n,) of a vehicle to its place r + d_i0. `reference_enu_m` (n, 3) is r at these times."""
+    return np.asarray(np.linalg.norm(track.at(times_s) - reference_enu_m - np.array(slot_enu_m), axis=1))
+
+
+def settle_time_s(times_s: FloatArray, error_m: FloatArray, within_m: float = SETTLED_WITHIN_M) -> float | None:
+    """Seconds from the first time until the error (n,) stays within `within_m`; None where it is not at the end."""
+    outside = np.flatnonzero(error_m > within_m)
+    if outside.size == 0:
+        return 0.0
+    first_inside = int(outside[-1]) + 1
+    return float(times_s[first_inside] - times_s[0]) if first_inside < times_s.size else None
+
+
+def formation_figures(
+    tracks: Tracks, slots_enu_m: Mapping[int, Vector3], reference: ReferenceTrajectory, formation: Formation
+) -> FormationFigures:
+    """All figures of one formation. `tracks` and `slots_enu_m` name the same vehicles."""
+    times_s = formation.times_s()
+    last = times_s >= formation.end_s - FINAL_S
+    reference_enu_m = reference_positions_m(reference, formation.reference_start_s, times_s)
+    errors = {i: errors_m(tracks[i], slots_enu_m[i], reference_enu_m, times_s) for i in sorted(tracks)}
+    final = {i: float(np.sqrt(np.mean(error_m[last] ** 2))) for i, error_m in errors.items()}
+    distances = {pair: distances_m(tracks, pair, times_s) for pair in pairs_of(tracks)}
+    return FormationFigures(
+        duration_s=formation.end_s - formation.start_s,
+        wanted_distance_m={pair_name(p): dist(slots_enu_m[p[0]], slots_enu_m[p[1]]) for p in distances},
+        max_distance_m={pair_name(p): float(d.max()) for p, d in distances.items()},
+        min_distance_m={pair_name(p): float(d.min()) for p, d in distances.items()},
+        final_distance_m={pair_name(p): float(d[last].mean()) for p, d in distances.items()},
+        settle_s=settle_time_s(times_s, np.max(list(errors.values()), axis=0)),
+        final_error_m=max(final.values()),
+        final_error_of_vehicle_m=final,
+    )
+
+
+def smallest_distance_m(tracks: Tracks) -> float | None:
+    """Of any two vehicles at any time that all tracks cover; None for a single vehicle or tracks that never overlap."""
+    start_s = max(float(track.time_s[0]) for track in tracks.values())
+    end_s = min(float(track.time_s[-1]) for track in tracks.values())
+    if len(tracks) < 2 or end_s < start_s:
+        return None
+    times_s = Formation(start_s, end_s, start_s).times_s()
+    return min(float(distances_m(tracks, pair, times_s).min()) for pair in pairs_of(tracks))

@@ -1,0 +1,54 @@
+"""Where the stand-ins truly were: the CSV files that they write, as arrays."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+USED = ("monotonic_s", "x_m", "y_m", "z_m")
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """One vehicle's true flight: `time_s` (k,) of the machine's monotonic clock, rising; `position_enu_m` (k, 3)."""
+
+    time_s: FloatArray
+    position_enu_m: FloatArray
+
+    def at(self, times_s: FloatArray) -> FloatArray:
+        """True positions (n, 3) in metres, interpolated; beyond its ends a track stands still."""
+        axes = [np.interp(times_s, self.time_s, self.position_enu_m[:, axis]) for axis in range(3)]
+        return np.stack(axes, axis=1)
+
+
+class TrackError(Exception):
+    """A track that cannot be used. str() is one line."""
+
+
+def read_track(path: Path) -> Track:
+    """Read a stand-in's CSV. A last line that was cut off in the middle is left out. Raises TrackError."""
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            return _track(path, csv.reader(file))
+    except OSError as error:
+        raise TrackError(f"{path}: cannot be read: {error.strerror}") from error
+
+
+def _track(path: Path, lines: Iterable[list[str]]) -> Track:
+    rows = iter(lines)
+    header = next(rows, [])
+    if missing := [name for name in USED if name not in header]:
+        raise TrackError(f"{path}: has no column {', '.join(missing)}")
+    columns = [header.index(name) for name in USED]
+    whole = [[float(row[column]) for column in columns] for row in rows if len(row) == len(header)]
+    if not whole:
+        raise TrackError(f"{path}: holds no positions")
+    table = np.array(whole)
+    return Track(table[:, 0], table[:, 1:])
