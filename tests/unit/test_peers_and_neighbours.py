@@ -118,7 +118,7 @@ def test_a_jump_is_refused_until_the_old_state_is_stale() -> None:
 
 def test_edges() -> None:
     rule = EdgeRule(2, [(1, 2), (2, 3), (3, 4)])
-    everyone = {i: (0.0, 0.0, 0.0) for i in (1, 3, 4)}
+    everyone = dict.fromkeys((1, 3, 4), (0.0, 0.0, 0.0))
     assert rule.select((0.0, 0.0, 0.0), everyone) == (1, 3)
     del everyone[1]
     assert rule.select((0.0, 0.0, 0.0), everyone) == (3,)

@@ -1,6 +1,7 @@
 """Algorithms 1 and 2 and the interaction matrices that the paper prints, from roles and neighbour sets alone."""
 
 from fractions import Fraction
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -97,7 +98,7 @@ def test_weights_add_up_to_one_and_favour_the_smaller_prc(prcs: list[int], expon
     weights = neighbour_weights(prcs, exponent)
     assert sum(weights) == pytest.approx(1.0)
     order = sorted(range(len(prcs)), key=lambda i: prcs[i])
-    assert all(weights[a] >= weights[b] for a, b in zip(order, order[1:], strict=False))
+    assert all(weights[a] >= weights[b] for a, b in pairwise(order))
 
 
 def test_no_neighbours_no_weights() -> None:

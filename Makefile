@@ -1,0 +1,53 @@
+# The two commands of the README are `make fly` and `make test`. Each sets up .venv by itself; python3 with venv is enough.
+
+PYTHON ?= python3
+SCENARIO ?= config/scenarios/platoon.yaml
+BIN := .venv/bin
+
+.PHONY: help fly test test-fast check format setup clean
+
+help:
+	@echo "make fly        fly the paper's platoon with four agents and four stand-in autopilots, weighted against average"
+	@echo "make test       all tests, real fleets included (about ten minutes); make test-fast leaves the fleets out"
+	@echo "make check      ruff, mypy --strict and the import directions"
+	@echo "make setup      only make .venv ready"
+	@echo "make fly SCENARIO=FILE flies another scenario; $(BIN)/sitl fly --help tells more"
+
+fly: .venv/fly.ready
+	$(BIN)/sitl fly $(SCENARIO) --compare average_22
+
+test: .venv/test.ready
+	$(BIN)/pytest
+
+test-fast: .venv/test.ready
+	$(BIN)/pytest -m "not fleet"
+
+check: .venv/test.ready
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+format: .venv/test.ready
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+setup: .venv/test.ready
+
+.venv/bin/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+		{ echo "This needs Python 3.11 or newer; try make PYTHON=python3.12 ..."; exit 1; }
+	@$(PYTHON) -m venv .venv || { echo "This needs Python's venv; on Debian and Ubuntu: apt install python3-venv"; exit 1; }
+
+.venv/fly.ready: .venv/bin/python pyproject.toml
+	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[ground]'
+	@touch $@
+
+# MAVProxy is an independent client in the tests; its windows (OpenCV, VTK) are not needed.
+.venv/test.ready: .venv/fly.ready
+	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[ground,test,check]'
+	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps MAVProxy==1.8.75
+	@touch $@
+
+clean:
+	rm -rf .venv build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
