@@ -1,0 +1,125 @@
+"""Bad files: one line that says which file, which field, what stood there and what was expected."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from companion.config import load_agent
+from companion.config_file import ConfigError
+
+FLEET: dict[str, Any] = {
+    "name": "pair",
+    "origin": {"latitude_deg": 47.4, "longitude_deg": 8.5, "altitude_amsl_m": 488.0},
+    "vehicles": [
+        {"id": 1, "role": "leader", "slot_enu_m": [0.0, 0.0, 0.0]},
+        {"id": 2, "role": "follower", "slot_enu_m": [-1.5, 0.0, 0.0]},
+    ],
+    "neighbours": {"kind": "edges", "edges": [[1, 2]]},
+    "law": {"name": "weighted", "gains": {"position_1_s2": 1.39, "velocity_1_s": 1.2}},
+}
+VEHICLE: dict[str, Any] = {"id": 2, "fleet": "fleet.yaml", "mavlink": "udpin:0.0.0.0:14541", "hover_thrust_norm": 0.5}
+LEADER: dict[str, Any] = VEHICLE | {"id": 1, "reference": {"kind": "point", "point_enu_m": [1.0, 0.0, 1.0]}}
+
+
+def write(folder: Path, fleet: Any, vehicle: Any) -> Path:
+    (folder / "fleet.yaml").write_text(yaml.safe_dump(fleet))
+    (folder / "vehicle.yaml").write_text(yaml.safe_dump(vehicle))
+    return folder / "vehicle.yaml"
+
+
+def deep_copy(data: dict[str, Any]) -> Any:
+    return yaml.safe_load(yaml.safe_dump(data))
+
+
+def refusal(path: Path) -> str:
+    with pytest.raises(ConfigError) as caught:
+        load_agent(path)
+    line = str(caught.value)
+    assert "\n" not in line
+    return line
+
+
+def test_good_files_load(tmp_path: Path) -> None:
+    config = load_agent(write(tmp_path, FLEET, LEADER))
+    assert config.member.id == 1
+    assert config.fleet.law.exponent == 1.0
+
+
+@pytest.mark.parametrize(
+    ("change", "parts"),
+    [
+        (lambda f: f["law"].update(gians={}), ["law.gians", "unknown key", '"gains"']),
+        (lambda f: f["law"]["gains"].update(position_1_s2=-1.0), ["law.gains.position_1_s2", "-1.0", "> 0"]),
+        (lambda f: f["law"]["gains"].update(velocity_1_s="fast"), ["law.gains.velocity_1_s", "'fast'", "float"]),
+        (lambda f: f["law"].update(name="weigthed"), ["law.name", "'weigthed'", "average_22", '"weighted"']),
+        (lambda f: f["law"].update(exponent=99), ["law.exponent", "99", "<= 16"]),
+        (lambda f: f["vehicles"][1].update(id=1), ["vehicles[1].id", "used twice"]),
+        (lambda f: f["vehicles"][1].update(id=0), ["vehicles[1].id", "0", ">= 1"]),
+        (lambda f: f["vehicles"][1].pop("slot_enu_m"), ["vehicles[1].slot_enu_m", "required"]),
+        (lambda f: f["vehicles"][1].update(slot_enu_m=[0, 0, 0]), ["vehicles[1].slot_enu_m", "vehicle 1"]),
+        (lambda f: f["vehicles"][0].update(role="follower"), ["vehicles", "no vehicle leads"]),
+        (lambda f: f["vehicles"][0].update(role="boss"), ["vehicles[0].role", "'boss'", "leader"]),
+        (lambda f: f["neighbours"].update(edges=[[1, 7]]), ["neighbours.edges[0]", "vehicle 7", "1, 2"]),
+        (lambda f: f["neighbours"].update(edges=[[2, 2]]), ["neighbours.edges[0]", "itself"]),
+        (lambda f: f["neighbours"].update(edges=[[1]]), ["neighbours.edges[0]", "length 2"]),
+        (lambda f: f.update(neighbours={"kind": "range", "range_m": 0}), ["neighbours.range_m", "> 0"]),
+        (lambda f: f["origin"].update(latitude_deg=float("nan")), ["origin.latitude_deg", "nan", "finite"]),
+        (lambda f: f["origin"].update(latitude_deg=95), ["origin.latitude_deg", "95", "<= 85"]),
+        (lambda f: f.update(vehicles=[]), ["vehicles", "empty"]),
+        (lambda f: f.update(envelope={"max_tilt_deg": 80}), ["envelope.max_tilt_deg", "80", "<= 45"]),
+        (lambda f: f.update(envelope={"fence_min_enu_m": [200, 0, 0]}), ["fence_min_enu_m", "x is 200"]),
+    ],
+)
+def test_a_bad_fleet_file(tmp_path: Path, change: Callable[[Any], Any], parts: list[str]) -> None:
+    fleet = deep_copy(FLEET)
+    change(fleet)
+    line = refusal(write(tmp_path, fleet, LEADER))
+    for part in ["fleet.yaml", *parts]:
+        assert part in line, line
+
+
+@pytest.mark.parametrize(
+    ("change", "parts"),
+    [
+        ({"id": 9}, ["id: 9", "no slot", "1, 2"]),
+        ({"id": 1}, ["reference", "leads"]),
+        ({"reference": LEADER["reference"]}, ["reference", "only a leader"]),
+        ({"mavlink": "/dev/ttyACM0"}, ["mavlink", "/dev/ttyACM0"]),
+        ({"hover_thrust_norm": 49}, ["hover_thrust_norm", "49", "<= 0.9"]),
+        ({"fleet": "nowhere.yaml"}, ["nowhere.yaml", "cannot be read"]),
+        ({"hover_trust_norm": 0.4}, ["hover_trust_norm", "unknown key", "hover_thrust_norm"]),
+    ],
+)
+def test_a_bad_vehicle_file(tmp_path: Path, change: dict[str, Any], parts: list[str]) -> None:
+    line = refusal(write(tmp_path, FLEET, VEHICLE | change))
+    for part in parts:
+        assert part in line, line
+
+
+@pytest.mark.parametrize(
+    ("text", "part"),
+    [
+        ("", "empty"),
+        ("id: 1\nid: 2\n", "stands twice"),
+        ("id: [1\n", "not valid YAML"),
+        ("- 1\n- 2\n", "expected object"),
+        ("\x00", "not valid YAML"),
+    ],
+)
+def test_a_file_that_is_no_mapping(tmp_path: Path, text: str, part: str) -> None:
+    (tmp_path / "vehicle.yaml").write_text(text)
+    line = refusal(tmp_path / "vehicle.yaml")
+    assert "vehicle.yaml" in line
+    assert part in line
+
+
+def test_the_hash_tells_fleets_apart_and_files_alike(tmp_path: Path) -> None:
+    one = load_agent(write(tmp_path, FLEET, LEADER)).fleet
+    same = load_agent(write(tmp_path, dict(reversed(FLEET.items())), LEADER)).fleet
+    moved = deep_copy(FLEET)
+    moved["vehicles"][1]["slot_enu_m"] = [-1.6, 0.0, 0.0]
+    other = load_agent(write(tmp_path, moved, LEADER)).fleet
+    assert one.formation_hash() == same.formation_hash() != other.formation_hash()
