@@ -36,6 +36,7 @@ class ZenohLink:
     ) -> None:
         """Raises EndpointError. Vehicles that are not there yet are waited for in the background."""
         self._vehicle_id = vehicle_id
+        self._fleet_ids = frozenset(member.id for member in fleet.vehicles)
         self._reject = reject
         self._drained_s: float | None = None
         self._open_queries: deque[tuple[int, zenoh.Query]] = deque(maxlen=COMMANDS_KEPT)
@@ -103,8 +104,8 @@ class ZenohLink:
         if packet.vehicle_id != vehicle_of(str(sample.key_expr)):
             self._reject("peer packet of another vehicle than its key says")
             return None
-        if packet.vehicle_id == self._vehicle_id:
-            self._reject("peer packet with this vehicle's own id; does another vehicle have it, too?")
+        if packet.vehicle_id not in self._fleet_ids:  # one reason for all of them: strangers cannot fill the counters
+            self._reject("peer packet of a vehicle that is not in the fleet file")
             return None
         return packet
 

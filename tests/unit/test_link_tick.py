@@ -1,0 +1,119 @@
+"""Histogram, tick meter and tick trigger."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from companion.link.tick import BACK_UP_S, PERIOD_S, Histogram, TickMeter, TickTrigger
+from companion.types import FlightPhase
+
+
+@given(st.lists(st.floats(min_value=2.0, max_value=1e7), min_size=1, max_size=300))
+def test_percentiles_lie_within_five_percent_above_the_true_ones(values_us: list[float]) -> None:
+    histogram = Histogram()
+    for value_us in values_us:
+        histogram.add(value_us)
+    measured, exact = histogram.percentiles(), sorted(values_us)
+    for fraction, got_us in ((0.50, measured.p50), (0.99, measured.p99)):
+        true_us = exact[math.ceil(fraction * len(exact)) - 1]
+        assert true_us - 0.1 <= got_us <= true_us * 1.0501 + 0.1
+    assert measured.max == pytest.approx(exact[-1], abs=0.051)
+
+
+@given(st.floats(allow_nan=False, allow_infinity=False, min_value=-1e12, max_value=1e12))
+def test_any_time_finds_a_bucket(value_us: float) -> None:
+    histogram = Histogram()
+    histogram.add(value_us)
+    assert histogram.percentiles().p50 <= max(1.0, histogram.percentiles().max) + 1.0
+
+
+def test_an_empty_histogram_says_zero() -> None:
+    assert Histogram().percentiles().max == 0.0
+    assert Histogram().percentiles().p99 == 0.0
+
+
+def ticks(meter: TickMeter, times_s: list[float]) -> None:
+    for time_s in times_s:
+        meter.tick(time_s)
+
+
+def test_a_steady_loop_is_never_late_and_misses_nothing() -> None:
+    meter = TickMeter(0.0)
+    ticks(meter, [n * PERIOD_S for n in range(501)])
+    timing = meter.timing(10.0)
+    assert timing.rate_hz == pytest.approx(50.0)
+    assert (timing.ticks, timing.missed) == (501, 0)
+    assert timing.late_us.max == pytest.approx(0.0, abs=0.1)
+    assert timing.rss_mb > 1.0
+
+
+@pytest.mark.parametrize(
+    ("interval_s", "missed", "late_us"),
+    [(0.019, 0, 0), (0.0205, 0, 500), (0.030, 0, 10_000), (0.040, 1, 20_000), (0.061, 2, 41_000), (1.0, 49, 980_000)],
+)
+def test_a_long_interval_is_late_and_counts_the_periods_without_a_tick(
+    interval_s: float, missed: int, late_us: float
+) -> None:
+    meter = TickMeter(5.0)
+    ticks(meter, [5.0, 5.0 + interval_s])
+    timing = meter.timing(6.0)
+    assert timing.missed == missed
+    assert timing.late_us.max == pytest.approx(late_us, abs=1.0)
+
+
+def test_timing_begins_anew_in_formation_and_stays_after_it() -> None:
+    meter = TickMeter(0.0)
+    ticks(meter, [0.0, 1.0])  # a bad start that must not count
+    meter.phase_after_tick(FlightPhase.FORMATION, 1.0)
+    for n in range(1, 51):
+        meter.tick(1.0 + n * PERIOD_S)
+        meter.command_sent(1.0 + n * PERIOD_S - 0.0005, 1.0 + n * PERIOD_S)
+        meter.phase_after_tick(FlightPhase.FORMATION, 1.0 + n * PERIOD_S)
+    in_formation = meter.timing(2.0)
+    assert (in_formation.ticks, in_formation.missed) == (50, 0)
+    assert in_formation.telemetry_to_command_us.max == pytest.approx(500.0, abs=1.0)
+
+    meter.tick(2.02)
+    meter.phase_after_tick(FlightPhase.RELEASE, 2.02)
+    ended = meter.timing(2.02)
+    ticks(meter, [5.0, 9.0])  # landing is another matter
+    meter.command_sent(0.0, 9.0)
+    meter.phase_after_tick(FlightPhase.LAND, 9.0)
+    assert meter.timing(9.0) == ended
+    assert ended.ticks == 51
+
+    meter.phase_after_tick(FlightPhase.FORMATION, 10.0)
+    meter.tick(10.02)
+    assert meter.timing(10.02).ticks == 1
+
+
+def test_a_position_sets_off_the_tick_before_the_back_up_does() -> None:
+    async def scenario() -> tuple[float, float]:
+        loop, trigger = asyncio.get_running_loop(), TickTrigger()
+        start_s = loop.time()
+        loop.call_later(0.001, trigger.position_arrived)
+        await trigger.wait(start_s + 1.0)  # the back-up would come in a second
+        by_position_s = loop.time() - start_s
+        start_s = loop.time()
+        await trigger.wait(start_s)
+        return by_position_s, loop.time() - start_s
+
+    by_position_s, by_timer_s = asyncio.run(scenario())
+    assert by_position_s < 0.9
+    assert by_timer_s >= BACK_UP_S * 0.99
+
+
+def test_a_position_that_came_during_a_tick_is_not_forgotten() -> None:
+    async def scenario() -> float:
+        loop, trigger = asyncio.get_running_loop(), TickTrigger()
+        trigger.position_arrived()
+        start_s = loop.time()
+        await trigger.wait(start_s + 5.0)
+        return loop.time() - start_s
+
+    assert asyncio.run(scenario()) < 4.0

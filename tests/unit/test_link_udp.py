@@ -1,0 +1,172 @@
+"""The UDP link: whom it answers, how old it says a datagram is, and what it says when it cannot open."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import pytest
+
+from companion.link.endpoint import LinkError
+from companion.link.mavlink_link import open_link
+from companion.link.udp_link import UdpLink
+
+HOST = "127.0.0.1"
+
+
+@contextmanager
+def sender(port: int) -> Iterator[socket.socket]:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
+        udp.connect((HOST, port))
+        udp.settimeout(5.0)
+        yield udp
+
+
+@contextmanager
+def free_port() -> Iterator[int]:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
+        udp.bind((HOST, 0))
+        port = udp.getsockname()[1]
+    yield port
+
+
+async def until(condition: Callable[[], object]) -> None:
+    async with asyncio.timeout(5.0):
+        while not condition():
+            await asyncio.sleep(0.002)
+
+
+class Autopilots:
+    """Takes what a link receives; everything that begins with b"A" is the autopilot's."""
+
+    def __init__(self) -> None:
+        self.received: list[tuple[bytes, float]] = []
+
+    def __call__(self, data: bytes, received_s: float) -> bool:
+        self.received.append((data, received_s))
+        return data.startswith(b"A")
+
+    def data(self) -> list[bytes]:
+        return [data for data, _ in self.received]
+
+
+def test_it_answers_the_autopilot_and_is_deaf_to_everybody_else() -> None:
+    async def scenario(port: int) -> None:
+        heard = Autopilots()
+        link = UdpLink(HOST, port, heard)
+        task = asyncio.create_task(link.run())
+        with sender(port) as stranger, sender(port) as autopilot, sender(port) as second:
+            link.send(b"to nobody yet")
+            stranger.send(b"S1")
+            await until(lambda: heard.data() == [b"S1"])
+            link.send(b"still to nobody")
+            autopilot.send(b"A1")
+            await until(lambda: b"A1" in heard.data())
+            second.send(b"A from elsewhere")
+            stranger.send(b"S2")
+            autopilot.send(b"A2")
+            await until(lambda: b"A2" in heard.data())
+            assert heard.data() == [b"S1", b"A1", b"A2"]
+            link.send(b"setpoint")
+            assert autopilot.recv(100) == b"setpoint"
+            for other in (stranger, second):
+                other.setblocking(False)
+                with pytest.raises(BlockingIOError):
+                    other.recv(100)
+        task.cancel()
+        link.close()
+
+    with free_port() as port:
+        asyncio.run(scenario(port))
+
+
+def test_an_autopilot_that_comes_back_at_another_port_is_found_after_its_silence(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async def scenario(port: int) -> None:
+        heard = Autopilots()
+        link = UdpLink(HOST, port, heard)
+        task = asyncio.create_task(link.run())
+        with sender(port) as before, sender(port) as after:
+            before.send(b"A1")
+            await until(heard.data)
+            monkeypatch.setattr("companion.link.udp_link.RELOCK_AFTER_S", 0.0)
+            after.send(b"A2")
+            await until(lambda: b"A2" in heard.data())
+            link.send(b"hello")
+            assert after.recv(100) == b"hello"
+        task.cancel()
+        link.close()
+
+    with free_port() as port:
+        asyncio.run(scenario(port))
+
+
+def test_a_datagram_that_waited_in_the_kernel_is_as_old_as_it_is() -> None:
+    async def scenario(port: int) -> None:
+        heard = Autopilots()
+        link = UdpLink(HOST, port, heard)
+        with sender(port) as autopilot:
+            sent_s = time.monotonic()
+            autopilot.send(b"A waiting")
+            time.sleep(0.3)  # the process hangs
+            task = asyncio.create_task(link.run())
+            await until(heard.received.__len__)
+            _, received_s = heard.received[0]
+            assert sent_s - 0.05 <= received_s <= sent_s + 0.2
+        task.cancel()
+        link.close()
+
+    with free_port() as port:
+        asyncio.run(scenario(port))
+
+
+def test_a_gone_autopilot_does_not_end_the_link() -> None:
+    """The kernel reports the closed port of an earlier datagram as an error of a later call."""
+
+    async def scenario(port: int) -> None:
+        heard = Autopilots()
+        link = UdpLink(HOST, port, heard)
+        task = asyncio.create_task(link.run())
+        with sender(port) as autopilot:
+            autopilot.send(b"A1")
+            await until(heard.data)
+        for _ in range(5):
+            link.send(b"into the void")
+            await asyncio.sleep(0.01)
+        assert not task.done()
+        task.cancel()
+        link.close()
+
+    with free_port() as port:
+        asyncio.run(scenario(port))
+
+
+def test_a_port_in_use_is_told_in_words() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind((HOST, 0))
+        port = other.getsockname()[1]
+        with pytest.raises(LinkError, match=f"UDP port {port} is in use; stop"):
+            open_link(f"udpin:{HOST}:{port}", Autopilots())
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "words"),
+    [
+        ("udpin:no-such-host.invalid:14540", "use 0.0.0.0"),
+        ("udpin:192.0.2.1:24590", "no such address"),
+        ("udpin:127.0.0.1:70000", "expected 1 to 65535"),
+        ("tcp:127.0.0.1:0", "expected 1 to 65535"),
+        ("serial:/dev/no-such-device:57600", "there is no serial device /dev/no-such-device"),
+        ("serial:/dev/null:57600", "is no serial device"),
+        ("serial:/tmp:57600", "serial device /tmp"),
+    ],
+)
+def test_what_cannot_be_opened_is_told_in_one_line(endpoint: str, words: str) -> None:
+    with pytest.raises(LinkError) as caught:
+        open_link(endpoint, Autopilots())
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
