@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
+from copy import deepcopy
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
+import yaml
 from msgspec import Meta, Struct
 
 from companion.config import FleetConfig, PositionM, Reference, VehicleId, check_fleet
-from companion.config_file import ConfigError, convert
+from companion.config_file import ConfigError, convert, read_yaml
 from companion.types import CommandName
 from sitl.config import StandIn
+
+SET = Path("--set")  # stands where errors name a file
 
 
 class TimelineStep(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -32,12 +38,26 @@ class Scenario(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     timeline: tuple[TimelineStep, ...]
 
 
+def load_scenario(path: Path, overrides: Sequence[str] = ()) -> Scenario:
+    """Read a scenario file and put overrides "KEY.PATH=VALUE" (a YAML value) into it. Raises ConfigError."""
+    data = read_yaml(path)
+    scenario = scenario_from(path, data)  # the file must be right by itself, so that an error below is an override's
+    if not overrides:
+        return scenario
+    data = deepcopy(data)
+    for override in overrides:
+        _put(data, override)
+    return scenario_from(SET, data)
+
+
 def scenario_from(path: Path, data: object) -> Scenario:
     """Plain content of a scenario file -> checked scenario; `path` names the file in errors. Raises ConfigError."""
     scenario = convert(path, data, Scenario)
     check_fleet(path, scenario.fleet, "fleet.")
     if scenario.fleet.origin == "local":
-        raise ConfigError(path, "fleet.origin", '"local" is for one shared indoor frame; stand-ins need latitude, longitude, altitude')
+        raise ConfigError(
+            path, "fleet.origin", '"local" is for one shared indoor frame; stand-ins need latitude, longitude, altitude'
+        )
     ids = {member.id for member in scenario.fleet.vehicles}
     for vehicle_id in sorted(ids - scenario.starts_enu_m.keys()):
         raise ConfigError(path, f"starts_enu_m.{vehicle_id}", "missing; every vehicle needs a place to start from")
@@ -47,3 +67,45 @@ def scenario_from(path: Path, data: object) -> Scenario:
     if not scenario.timeline:
         raise ConfigError(path, "timeline", "is empty; list at least one step with a command")
     return scenario
+
+
+def _put(data: Any, override: str) -> None:
+    """Set one value in a scenario's plain content; sections that are missing are made. Raises ConfigError."""
+    field, equals, text = override.partition("=")
+    steps = _steps(field)
+    if not equals or not steps:
+        raise ConfigError(SET, override, "expected KEY=VALUE, like fleet.law.name=average_22 or timeline[3].for_s=20")
+    try:
+        value = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise ConfigError(SET, field, f"{text!r} is not a YAML value") from error
+    node, place = data, ""
+    for step, following in zip(steps, [*steps[1:], None], strict=True):
+        _check_step(node, place, step)
+        if following is None:
+            node[step] = value
+        elif isinstance(node, dict):
+            node = node.setdefault(step, {})
+        else:
+            node = node[step]
+        place = f"{place}[{step}]" if isinstance(step, int) else f"{place}.{step}".lstrip(".")
+
+
+def _steps(field: str) -> list[str | int]:
+    """ "timeline[3].for_s" -> ["timeline", 3, "for_s"]; a bare number is a number, too (starts_enu_m.1)."""
+    if not re.fullmatch(r"\w+(\.\w+|\[\d+\])*", field):
+        return []
+    return [int(step) if step.isdecimal() else step for step in re.findall(r"\w+", field)]
+
+
+def _check_step(node: Any, place: str, step: str | int) -> None:
+    if isinstance(node, dict):
+        return
+    if not isinstance(node, list):
+        raise ConfigError(SET, place, f"is {node!r}, which has no keys inside; set it as a whole")
+    if not isinstance(step, int):
+        raise ConfigError(
+            SET, f"{place}.{step}", f"{place} is a list; expected a number, {place}[0] to [{len(node) - 1}]"
+        )
+    if step >= len(node):
+        raise ConfigError(SET, f"{place}[{step}]", f"no such item; expected {place}[0] to [{len(node) - 1}]")

@@ -1,0 +1,185 @@
+"""Scenario files: what is refused, in which words, and what --set puts into them."""
+
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from companion.config import EdgeNeighbours, RangeNeighbours
+from companion.config_file import ConfigError, read_yaml
+from sitl.scenario import load_scenario, scenario_from
+
+SCENARIOS = Path(__file__).parents[2] / "config" / "scenarios"
+PLATOON = SCENARIOS / "platoon.yaml"
+
+
+def error_of(*overrides: str) -> str:
+    with pytest.raises(ConfigError) as caught:
+        load_scenario(PLATOON, overrides)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def error_of_file(change: Any) -> str:
+    """`change` damages the platoon's plain content."""
+    data = read_yaml(PLATOON)
+    change(data)
+    with pytest.raises(ConfigError) as caught:
+        scenario_from(Path("s.yaml"), data)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("path", sorted(SCENARIOS.glob("*.yaml")), ids=lambda path: path.stem)
+def test_the_scenarios_of_the_project_are_right(path: Path) -> None:
+    assert load_scenario(path).description
+
+
+@pytest.mark.parametrize("path", sorted(SCENARIOS.glob("*.yaml")), ids=lambda path: path.stem)
+def test_a_scenario_as_flown_can_be_flown_again(path: Path, tmp_path: Path) -> None:
+    scenario = load_scenario(path, ["stand_in.seed=7"])
+    again = tmp_path / "scenario.yaml"
+    again.write_text(yaml.safe_dump(msgspec.to_builtins(scenario, builtin_types=()), sort_keys=False), encoding="utf-8")
+    assert load_scenario(again) == scenario
+
+
+# ---------------------------------------------------------------- files
+
+
+def test_a_missing_file() -> None:
+    with pytest.raises(ConfigError, match=r"^nowhere\.yaml: cannot be read: No such file"):
+        load_scenario(Path("nowhere.yaml"))
+
+
+def test_a_wrong_type() -> None:
+    message = error_of_file(lambda d: d["fleet"].update(takeoff_height_m="high"))
+    assert message == "s.yaml: fleet.takeoff_height_m: 'high': expected float, got str"
+
+
+def test_an_unknown_key_names_the_nearest() -> None:
+    message = error_of_file(lambda d: d["fleet"]["law"].update(exponnent=2))
+    assert message == 's.yaml: fleet.law.exponnent: unknown key; did you mean "exponent"?'
+
+
+def test_an_unknown_key_of_a_step_of_the_timeline() -> None:
+    message = error_of_file(lambda d: d["timeline"][3].update(fors=2))
+    assert message == 's.yaml: timeline[3].fors: unknown key; did you mean "for_s"?'
+
+
+def test_a_gain_out_of_bounds() -> None:
+    message = error_of_file(lambda d: d["fleet"]["law"]["gains"].update(position_1_s2=-1.0))
+    assert message == "s.yaml: fleet.law.gains.position_1_s2: -1.0: expected float > 0.0"
+
+
+def test_two_vehicles_with_one_id() -> None:
+    message = error_of_file(lambda d: d["fleet"]["vehicles"][2].update(id=2))
+    assert message.startswith("s.yaml: fleet.vehicles[2].id: 2 is used twice")
+
+
+def test_an_edge_to_nobody() -> None:
+    message = error_of_file(lambda d: d["fleet"]["neighbours"]["edges"].append([4, 9]))
+    assert message.startswith("s.yaml: fleet.neighbours.edges[3]: [4, 9] names vehicle 9, which is not in the fleet")
+
+
+def test_a_formation_without_a_slot() -> None:
+    message = error_of_file(lambda d: d["fleet"]["vehicles"][1].pop("slot_enu_m"))
+    assert message == "s.yaml: fleet.vehicles[1].slot_enu_m: missing; this key is required"
+
+
+def test_no_leader() -> None:
+    message = error_of_file(lambda d: d["fleet"]["vehicles"][0].update(role="follower"))
+    assert message.startswith("s.yaml: fleet.vehicles: no vehicle leads; set role: leader")
+
+
+def test_a_vehicle_without_a_start() -> None:
+    message = error_of_file(lambda d: d["starts_enu_m"].pop(3))
+    assert message == "s.yaml: starts_enu_m.3: missing; every vehicle needs a place to start from"
+
+
+def test_a_start_of_nobody() -> None:
+    message = error_of_file(lambda d: d["starts_enu_m"].update({7: [0, 0, 0]}))
+    assert message == "s.yaml: starts_enu_m.7: no such vehicle in the fleet; expected 1, 2, 3, 4"
+
+
+def test_an_unknown_command_names_the_known_ones() -> None:
+    message = error_of_file(lambda d: d["timeline"][2].update(command="take_off"))
+    assert message.startswith("s.yaml: timeline[2].command: 'take_off': expected one of arm, disarm, form")
+    assert 'did you mean "takeoff"?' in message
+
+
+def test_an_empty_timeline_and_a_frame_without_latitude() -> None:
+    assert "timeline: is empty" in error_of_file(lambda d: d.update(timeline=[]))
+    assert "fleet.origin" in error_of_file(lambda d: d["fleet"].update(origin="local"))
+
+
+# ---------------------------------------------------------------- --set
+
+
+def test_values_are_yaml_and_reach_their_place() -> None:
+    scenario = load_scenario(
+        PLATOON,
+        [
+            "stand_in.sensors=default",
+            "stand_in.airframe.attitude=instant",
+            "stand_in.wind.mean_enu_m_s=[1.0, 0, 0]",
+            "fleet.law.name=average_26",
+            "timeline[3].for_s=20",
+            "starts_enu_m.2=[-2.0, 0, 0]",
+            "stand_in.parameters.COM_OF_LOSS_T=0.5",
+        ],
+    )
+    assert scenario.stand_in.sensors == "default"
+    assert scenario.stand_in.airframe.attitude == "instant"
+    assert scenario.stand_in.airframe.drag_n_per_m_s == 0.0  # what stands beside it stays
+    assert scenario.stand_in.wind.mean_enu_m_s == (1.0, 0.0, 0.0)
+    assert scenario.fleet.law.name == "average_26"
+    assert [step.for_s for step in scenario.timeline] == [0.0, 0.0, 0.0, 20.0, 0.0]
+    assert scenario.starts_enu_m[2] == (-2.0, 0.0, 0.0)
+    assert scenario.stand_in.parameters == {"COM_OF_LOSS_T": 0.5}
+
+
+def test_a_later_override_wins_and_whole_sections_can_be_set() -> None:
+    overrides = ["fleet.neighbours={kind: range, range_m: 3}", "fleet.neighbours.range_m=4"]
+    assert load_scenario(PLATOON, overrides).fleet.neighbours == RangeNeighbours(range_m=4.0)
+    assert isinstance(load_scenario(PLATOON).fleet.neighbours, EdgeNeighbours)
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("fleet.law.nam=weighted", '--set: fleet.law.nam: unknown key; did you mean "name"?'),
+        ("fleet.lwa.name=weighted", '--set: fleet.lwa: unknown key; did you mean "law"?'),
+        ("stand_in.sensors.x=1", "--set: stand_in.sensors: is 'ideal', which has no keys inside; set it as a whole"),
+        ("timeline[9].for_s=1", "--set: timeline[9]: no such item; expected timeline[0] to [4]"),
+        ("timeline.form=1", "--set: timeline.form: timeline is a list; expected a number, timeline[0] to [4]"),
+        ("timeline[3].for_s=long", "--set: timeline[3].for_s: 'long': expected float, got str"),
+        ("fleet.takeoff_height_m=[", "--set: fleet.takeoff_height_m: '[' is not a YAML value"),
+        ("fleet.law.gains.velocity_1_s=11", "--set: fleet.law.gains.velocity_1_s: 11: expected float <= 10.0"),
+        (
+            "fleet..law=1",
+            "--set: fleet..law=1: expected KEY=VALUE, like fleet.law.name=average_22 or timeline[3].for_s=20",
+        ),
+    ],
+)
+def test_a_wrong_override_is_said_in_a_line(override: str, message: str) -> None:
+    assert error_of(override) == message
+
+
+def test_an_override_without_a_value() -> None:
+    assert error_of("fleet.law.name").startswith("--set: fleet.law.name: expected KEY=VALUE")
+
+
+def test_an_override_is_checked_like_the_file() -> None:
+    assert error_of("fleet.vehicles[1].id=1").startswith("--set: fleet.vehicles[1].id: 1 is used twice")
+
+
+@given(st.text(max_size=40))
+def test_no_override_ends_in_anything_but_a_line(text: str) -> None:
+    try:
+        load_scenario(PLATOON, [text])
+    except ConfigError as error:
+        assert str(error).startswith("--set: ")
