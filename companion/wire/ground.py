@@ -8,7 +8,7 @@ from typing import TypeVar
 import msgspec
 
 from companion.types import Command, CommandReply, Status
-from companion.wire.version import WireError, seal, unseal
+from companion.wire.version import DECODE_ERRORS, WireError, seal, unseal
 
 T = TypeVar("T")
 
@@ -75,5 +75,5 @@ def decode_reply(data: bytes) -> CommandReply:
 def _decode(decoder: msgspec.msgpack.Decoder[T], data: bytes, what: str) -> T:
     try:
         return decoder.decode(unseal(data))
-    except msgspec.MsgspecError as error:
+    except DECODE_ERRORS as error:
         raise WireError(f"malformed {what}") from error

@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 
 from companion.types import FlightPhase, LeaderWord, PeerPacket, Role, Vector3
-from companion.wire.version import WireError, seal, unseal
+from companion.wire.version import DECODE_ERRORS, WireError, seal, unseal
 
 
 class _PeerWire(msgspec.Struct, array_like=True, frozen=True, forbid_unknown_fields=True):
@@ -53,7 +53,7 @@ def decode_peer(data: bytes) -> PeerPacket:
     """Checks form and version only; what the numbers may be is `core/peers.py`'s. Raises WireError."""
     try:
         wire = _decoder.decode(unseal(data))
-    except msgspec.MsgspecError as error:
+    except DECODE_ERRORS as error:
         raise WireError("malformed peer packet") from error
     return PeerPacket(
         wire.vehicle_id,

@@ -5,7 +5,12 @@ A receiver can so tell another version from damage, whatever the rest of that ve
 
 from __future__ import annotations
 
+import msgspec
+
 WIRE_VERSION = 1
+
+# All that msgspec raises for bytes it cannot take: text that is not UTF-8 and deep nesting have errors of their own.
+DECODE_ERRORS = (msgspec.MsgspecError, UnicodeDecodeError, RecursionError)
 
 
 class WireError(Exception):

@@ -1,0 +1,214 @@
+"""The wire format: what goes in comes out, and whatever else comes in is a WireError and nothing worse."""
+
+from __future__ import annotations
+
+from math import inf, isnan, nan
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from companion.types import (
+    Command,
+    CommandName,
+    CommandReply,
+    FlightPhase,
+    HealthFlag,
+    LandedState,
+    LeaderWord,
+    PeerPacket,
+    Role,
+    Status,
+)
+from companion.wire import keys
+from companion.wire.ground import (
+    Percentiles,
+    StatusReport,
+    Timing,
+    decode_command,
+    decode_reply,
+    decode_report,
+    encode,
+)
+from companion.wire.peer import decode_peer, encode_peer
+from companion.wire.version import WIRE_VERSION, WireError
+
+numbers = st.floats(allow_nan=False)
+vectors = st.tuples(numbers, numbers, numbers)
+counts = st.integers(0, 2**63 - 1)
+texts = st.text(max_size=40)
+leader_words = st.none() | st.builds(LeaderWord, st.integers(1, 250), counts, numbers)
+
+packets = st.builds(
+    PeerPacket,
+    vehicle_id=st.integers(1, 250),
+    session=counts,
+    sequence=counts,
+    formation_hash=st.integers(0, 2**64 - 1),
+    phase=st.sampled_from(FlightPhase),
+    role=st.sampled_from(Role),
+    position_enu_m=vectors,
+    velocity_enu_m_s=vectors,
+    acceleration_enu_m_s2=vectors,
+    state_age_s=numbers,
+    prc=st.integers(1, 250),
+    leader_word=leader_words,
+)
+percentiles = st.builds(Percentiles, numbers, numbers, numbers)
+reports = st.builds(
+    StatusReport,
+    st.builds(
+        Status,
+        vehicle_id=st.integers(1, 250),
+        session=counts,
+        fleet=texts,
+        formation_hash=st.integers(0, 2**64 - 1),
+        law=texts,
+        phase=st.sampled_from(FlightPhase),
+        mode_name=texts,
+        armed=st.booleans(),
+        landed=st.sampled_from(LandedState),
+        position_enu_m=vectors,
+        velocity_enu_m_s=vectors,
+        state_age_s=numbers,
+        role=st.sampled_from(Role),
+        prc=st.integers(1, 250),
+        leader_word=leader_words,
+        neighbours=st.lists(st.integers(1, 250), max_size=5).map(tuple),
+        slot_enu_m=vectors,
+        reference_enu_m=st.none() | vectors,
+        flags=st.lists(st.sampled_from(HealthFlag), max_size=3).map(tuple),
+        rejected=st.dictionaries(texts, counts, max_size=3),
+        last_event=texts,
+    ),
+    st.builds(Timing, numbers, counts, counts, percentiles, percentiles, numbers, numbers),
+)
+commands = st.builds(Command, st.sampled_from(CommandName), counts)
+replies = st.builds(CommandReply, st.integers(1, 250), counts, st.booleans(), texts)
+
+
+@given(packets)
+def test_a_peer_packet_comes_out_as_it_went_in(packet: PeerPacket) -> None:
+    assert decode_peer(encode_peer(packet)) == packet
+
+
+@given(reports)
+def test_a_status_report_comes_out_as_it_went_in(report: StatusReport) -> None:
+    assert decode_report(encode(report)) == report
+
+
+@given(commands, replies)
+def test_commands_and_replies_come_out_as_they_went_in(command: Command, reply: CommandReply) -> None:
+    assert decode_command(encode(command)) == command
+    assert decode_reply(encode(reply)) == reply
+
+
+PACKET = PeerPacket(
+    3, 2**32 - 1, 10**6, 2**64 - 1, FlightPhase.FORMATION, Role.FOLLOWER, (1.0, 2.0, 3.0), (0.1, 0.2, 0.3),
+    (0.01, 0.02, 0.03), 0.021, 4, LeaderWord(1, 7, 0.06),
+)  # fmt: skip
+REPORT = StatusReport(
+    Status(
+        3, 1, "platoon", 5, "weighted", FlightPhase.HOLD, "AUTO.LOITER", True, LandedState.IN_AIR, (1.0, 2.0, 3.0),
+        (0.0, 0.0, 0.0), 0.02, Role.FOLLOWER, 2, None, (2, 4), (-3.0, 0.0, 0.0), None, (HealthFlag.FENCE,),
+        {"malformed": 3}, "takeoff -> hold",
+    ),
+    Timing(50.0, 3000, 0, Percentiles(1.0, 2.0, 3.0), Percentiles(4.0, 5.0, 6.0), 5.1, 49.0),
+)  # fmt: skip
+DECODERS = {
+    "peer packet": (decode_peer, encode_peer(PACKET)),
+    "status report": (decode_report, encode(REPORT)),
+    "command": (decode_command, encode(Command(CommandName.FORM, 9))),
+    "command reply": (decode_reply, encode(CommandReply(3, 9, True, "engage"))),
+}
+
+
+def test_a_peer_packet_stays_small() -> None:
+    assert len(encode_peer(PACKET)) < 180
+
+
+@pytest.mark.parametrize("name", DECODERS)
+@given(data=st.data())
+@settings(max_examples=400)
+def test_mutated_bytes_raise_nothing_but_wire_errors(name: str, data: st.DataObject) -> None:
+    decode, good = DECODERS[name]
+    damaged = bytearray(good)
+    for _ in range(data.draw(st.integers(1, 4), "mutations")):
+        at = data.draw(st.integers(0, max(0, len(damaged) - 1)), "at")
+        match data.draw(st.sampled_from(["flip", "cut", "insert", "drop"]), "kind"):
+            case "flip" if damaged:
+                damaged[at] = data.draw(st.integers(0, 255), "byte")
+            case "cut":
+                del damaged[at:]
+            case "insert":
+                damaged[at:at] = data.draw(st.binary(max_size=20), "bytes")
+            case "drop" if damaged:
+                del damaged[at]
+    try:
+        decode(bytes(damaged))
+    except WireError as error:
+        assert 0 < len(str(error)) < 80  # it is counted by its text
+
+
+@pytest.mark.parametrize("name", DECODERS)
+@given(payload=st.binary(max_size=200))
+def test_any_bytes_raise_nothing_but_wire_errors(name: str, payload: bytes) -> None:
+    decode, _ = DECODERS[name]
+    for message in (payload, bytes((WIRE_VERSION,)) + payload):
+        try:
+            decode(message)
+        except WireError as error:
+            assert str(error)
+
+
+@pytest.mark.parametrize("name", DECODERS)
+@pytest.mark.parametrize("payload", [b"\x91" * 100_000, b"\x81\xa1x" + b"\x91" * 100_000, b"\xdd\xff\xff\xff\xff"])
+def test_deep_nesting_and_huge_counts_are_malformed(name: str, payload: bytes) -> None:
+    decode, _ = DECODERS[name]
+    with pytest.raises(WireError, match="malformed"):
+        decode(bytes((WIRE_VERSION,)) + payload)
+
+
+@pytest.mark.parametrize("name", DECODERS)
+def test_another_version_is_told_from_damage(name: str) -> None:
+    decode, good = DECODERS[name]
+    with pytest.raises(WireError, match="wire version 9, expected 1"):
+        decode(b"\x09" + good[1:])
+    with pytest.raises(WireError, match=f"malformed {name}"):
+        decode(good[:-1])
+    with pytest.raises(WireError, match="empty message"):
+        decode(b"")
+
+
+@pytest.mark.parametrize("name", DECODERS)
+def test_a_message_of_another_kind_is_refused(name: str) -> None:
+    decode, _ = DECODERS[name]
+    for other, (_, message) in DECODERS.items():
+        if other != name:
+            with pytest.raises(WireError):
+                decode(message)
+
+
+def test_numbers_that_are_not_finite_pass_the_wire_and_are_left_to_the_core() -> None:
+    packet = PeerPacket(
+        1, 1, 1, 1, FlightPhase.HOLD, Role.LEADER, (nan, inf, -inf), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 1, None
+    )
+    x, y, z = decode_peer(encode_peer(packet)).position_enu_m
+    assert isnan(x)
+    assert (y, z) == (inf, -inf)
+
+
+@pytest.mark.parametrize(
+    ("key", "vehicle_id"),
+    [
+        (keys.peer_key("platoon", 3), 3),
+        (keys.status_key("f", 250), 250),
+        ("formation/f/peer/x", None),
+        ("formation/f/peer/", None),
+        ("formation/f/peer/-1", None),
+        ("formation/f/peer/²", None),
+        ("", None),
+    ],
+)
+def test_the_vehicle_of_a_key(key: str, vehicle_id: int | None) -> None:
+    assert keys.vehicle_of(key) == vehicle_id
