@@ -1,0 +1,187 @@
+"""Figures 5 and 6 of Hou and Zhang (2021) from true tracks: curves of x and y, and inter-distances.
+
+Readable in grey: every vehicle and pair has a line style and a marker of its own besides its colour.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import dist
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from companion.core.reference import ReferenceTrajectory
+from companion.types import Vector3
+from sitl.metrics import Formation, Pair, Tracks, distances_m, pair_name, reference_positions_m
+from sitl.tracks import FloatArray
+
+BEFORE_S = 2.0  # how much of the flight before the formation is shown
+MIN_SPAN_M = 1.0  # curves that hardly move are not blown up
+
+# Okabe and Ito's colours, which all eyes tell apart.
+COLOURS = ("#000000", "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+STYLES: tuple[Any, ...] = ("-", (0, (6, 2)), (0, (5, 1.5, 1, 1.5)), (0, (2, 1.2)))
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+MARKERS_PER_CURVE = 12
+GUIDE: dict[str, Any] = {"color": "#808080", "linewidth": 1.1, "linestyle": (0, (1, 1.8)), "zorder": 1.5}
+TIME_LABEL = "time since the start of the formation [s]"
+LAW_TITLES = {
+    "weighted": "weighted neighbours, eq. 14",
+    "average_22": "average of neighbours, eq. 22",
+    "average_26": "average of neighbours, eq. 26",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Flight:
+    """What the figures are drawn from. The distances of `pairs` are drawn, the other pairs' are not."""
+
+    law: str
+    tracks: Tracks
+    slots_enu_m: Mapping[int, Vector3]
+    pairs: Sequence[Pair]
+    reference: ReferenceTrajectory
+    formation: Formation
+
+    @property
+    def law_title(self) -> str:
+        return LAW_TITLES.get(self.law, self.law)
+
+    def times_s(self) -> FloatArray:
+        """Sample times (n,), from a little before the formation to its end."""
+        return Formation(self.formation.start_s - BEFORE_S, self.formation.end_s, 0.0).times_s()
+
+
+def save_figure_5(path: Path, flight: Flight, name: str) -> None:
+    """x and y of all vehicles over time, with their places."""
+    figure = _figure(8.4, 6.0, f"{name}: x and y of every vehicle")
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=_heights([flight]))
+    upper.set_title(f"true positions, {flight.law_title}", fontsize=10, color="#444444")
+    _draw_positions(upper, flight, 0)
+    _draw_positions(lower, flight, 1)
+    _keep_a_span([upper])
+    _keep_a_span([lower])
+    upper.set_ylabel("x, east [m]")
+    lower.set_ylabel("y, north [m]")
+    lower.set_xlabel(TIME_LABEL)
+    _legend_beside(upper)
+    figure.savefig(path, dpi=150)
+
+
+def save_figure_6(path: Path, flight: Flight, name: str) -> None:
+    """Inter-distances over time, with the wanted ones."""
+    figure = _figure(8.4, 4.6, f"{name}: inter-distances")
+    axes = figure.subplots()
+    axes.set_title(f"from true positions, {flight.law_title}", fontsize=10, color="#444444")
+    _draw_distances(axes, flight)
+    _keep_a_span([axes], 0.5)
+    axes.set_ylabel("distance [m]")
+    axes.set_xlabel(TIME_LABEL)
+    figure.savefig(path, dpi=150)
+
+
+def save_comparison(path: Path, flights: Sequence[Flight], name: str) -> None:
+    """Figures 5 and 6 side by side, a column for each law."""
+    figure = _figure(1.4 + 4.4 * len(flights), 8.6, f"{name}: the laws side by side, from true positions")
+    heights = [*_heights(flights), 1.0]
+    grid = figure.subplots(3, len(flights), sharex="col", sharey="row", squeeze=False, height_ratios=heights)
+    for (x, y, distance), flight in zip(grid.T, flights, strict=True):
+        x.set_title(flight.law_title, fontsize=11)
+        _draw_positions(x, flight, 0)
+        _draw_positions(y, flight, 1)
+        _draw_distances(distance, flight)
+        distance.set_xlabel(TIME_LABEL)
+    for row, label, span_m in zip(grid, ("x, east [m]", "y, north [m]", "distance [m]"), (1.0, 1.0, 0.5), strict=True):
+        row[0].set_ylabel(label)
+        _keep_a_span(row, span_m)
+    _legend_beside(grid[0, -1])
+    figure.savefig(path, dpi=130)
+
+
+def _figure(width_in: float, height_in: float, title: str) -> Figure:
+    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+    figure.suptitle(title, fontsize=13, fontweight="bold")
+    return figure
+
+
+def _heights(flights: Sequence[Flight]) -> list[float]:
+    """How high x's and y's panels are: one in which little happens is half as high."""
+    extents = [np.ptp(track.position_enu_m, axis=0) for flight in flights for track in flight.tracks.values()]
+    x_m, y_m, _ = np.max(extents, axis=0)
+    widest_m = max(x_m, y_m, MIN_SPAN_M)
+    return [max(0.5, float(extent_m / widest_m)) for extent_m in (x_m, y_m)]
+
+
+def _look(index: int, samples: int) -> dict[str, Any]:
+    """A curve's look; markers of different curves stand at different times."""
+    every = max(1, samples // MARKERS_PER_CURVE)
+    return {
+        "color": COLOURS[index % len(COLOURS)],
+        "linestyle": STYLES[index % len(STYLES)],
+        "linewidth": 1.5,
+        "marker": MARKERS[index % len(MARKERS)],
+        "markersize": 4.5,
+        "markerfacecolor": "white",
+        "markeredgewidth": 1.1,
+        "markevery": (index * every // 4 % every, every),
+    }
+
+
+def _draw_positions(axes: Axes, flight: Flight, axis: int) -> None:
+    """One coordinate of every vehicle; thin dotted lines are the places r + d_i0."""
+    times_s = flight.times_s()
+    since_s = times_s - flight.formation.start_s
+    reference_m = reference_positions_m(flight.reference, flight.formation.reference_start_s, times_s)[:, axis]
+    for index, (vehicle_id, track) in enumerate(sorted(flight.tracks.items())):
+        axes.plot(since_s, reference_m + flight.slots_enu_m[vehicle_id][axis], **GUIDE, label="_")
+        axes.plot(since_s, track.at(times_s)[:, axis], label=f"UAV {vehicle_id}", **_look(index, times_s.size))
+    axes.plot([], [], **GUIDE, label="its place")
+    _dress(axes, since_s)
+
+
+def _draw_distances(axes: Axes, flight: Flight) -> None:
+    """The distance of every drawn pair, largest values in the legend; thin dotted lines are the wanted distances."""
+    times_s = flight.times_s()
+    since_s = times_s - flight.formation.start_s
+    inside = times_s >= flight.formation.start_s
+    wanted_m = sorted({round(dist(flight.slots_enu_m[i], flight.slots_enu_m[j]), 3) for i, j in flight.pairs})
+    for index, pair in enumerate(flight.pairs):
+        distance_m = distances_m(flight.tracks, pair, times_s)
+        label = f"UAV {pair_name(pair)}, largest {distance_m[inside].max():.2f} m"
+        axes.plot(since_s, distance_m, label=label, **_look(index, times_s.size))
+    if not flight.pairs:
+        axes.text(0.5, 0.5, "one vehicle has no inter-distance", transform=axes.transAxes, ha="center")
+    for value_m in wanted_m:
+        axes.axhline(value_m, **GUIDE)
+    axes.plot([], [], **GUIDE, label="wanted, " + " and ".join(f"{value_m:.2f} m" for value_m in wanted_m))
+    _dress(axes, since_s)
+    axes.legend(loc="upper right", fontsize=8, framealpha=0.9, handlelength=3.5)
+
+
+def _dress(axes: Axes, since_s: FloatArray) -> None:
+    axes.axvline(0.0, color="#bbbbbb", linewidth=0.8, zorder=1)
+    axes.set_xlim(float(since_s[0]), float(since_s[-1]))
+    axes.grid(visible=True, color="#e6e6e6", linewidth=0.7)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.tick_params(labelsize=9)
+
+
+def _keep_a_span(row: Sequence[Axes], span_m: float = MIN_SPAN_M) -> None:
+    """Axes that share their scale show at least `span_m`."""
+    lows, highs = np.array([axes.dataLim.intervaly for axes in row]).T
+    low_m, high_m = float(lows.min()), float(highs.max())
+    if not np.isfinite(high_m - low_m):  # nothing was drawn
+        return
+    margin_m = max(0.07 * (high_m - low_m), (span_m - (high_m - low_m)) / 2)
+    for axes in row:
+        axes.set_ylim(low_m - margin_m, high_m + margin_m)
+
+
+def _legend_beside(axes: Axes) -> None:
+    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=9, frameon=False, handlelength=3.5)

@@ -1,0 +1,138 @@
+"""What a flight leaves behind in summary.json, and in words."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+from msgspec import Struct
+
+from companion.wire.ground import Percentiles, Timing
+from sitl.metrics import FormationFigures
+
+SCHEMA = 1
+
+
+class Tick(Struct, frozen=True, kw_only=True):
+    """How well an agent kept its 50 Hz in formation; times in microseconds."""
+
+    rate_hz: float
+    ticks: int
+    missed: int
+    late_us: Percentiles
+
+
+class VehicleSummary(Struct, frozen=True, kw_only=True):
+    """One vehicle's agent, as its own status reports said. None where no report came in formation."""
+
+    id: int
+    role: str
+    tick: Tick | None
+    telemetry_to_command_us: Percentiles | None
+    cpu_percent: float | None
+    rss_mb: float | None
+    final_error_m: float | None
+    rejected: dict[str, int]  # counted rejections by reason
+
+
+class Event(Struct, frozen=True, kw_only=True):
+    """Something that a vehicle said, `time_s` after the flight's first command."""
+
+    time_s: float
+    vehicle: int
+    event: str
+
+
+class Summary(Struct, frozen=True, kw_only=True):
+    """One flight. What belongs to the formation is None where none was flown; `failure` is None where all went well."""
+
+    schema: int = SCHEMA
+    scenario: str
+    law: str
+    exponent: float
+    vehicles: list[VehicleSummary]
+    sensors: str
+    seed: int
+    failure: str | None
+    flight_s: float
+    duration_s: float | None
+    wanted_distance_m: dict[str, float] | None
+    max_distance_m: dict[str, float] | None
+    min_distance_m: dict[str, float] | None
+    final_distance_m: dict[str, float] | None
+    settle_s: float | None
+    final_error_m: float | None
+    smallest_distance_m: float | None
+    events: list[Event]
+
+
+def vehicle_summary(
+    vehicle_id: int, role: str, timing: Timing | None, figures: FormationFigures | None, rejected: dict[str, int]
+) -> VehicleSummary:
+    """`timing` is of the formation's last report."""
+    return VehicleSummary(
+        id=vehicle_id,
+        role=role,
+        tick=Tick(rate_hz=timing.rate_hz, ticks=timing.ticks, missed=timing.missed, late_us=timing.late_us)
+        if timing
+        else None,
+        telemetry_to_command_us=timing.telemetry_to_command_us if timing else None,
+        cpu_percent=timing.cpu_percent if timing else None,
+        rss_mb=timing.rss_mb if timing else None,
+        final_error_m=round(figures.final_error_of_vehicle_m[vehicle_id], 4) if figures else None,
+        rejected=rejected,
+    )
+
+
+def write_json(path: Path, content: object) -> None:
+    path.write_bytes(msgspec.json.format(msgspec.json.encode(content), indent=2) + b"\n")
+
+
+def read_summary(path: Path) -> Summary:
+    """What `write_json` wrote of a Summary."""
+    return msgspec.json.decode(path.read_bytes(), type=Summary)
+
+
+def in_words(summary: Summary) -> str:
+    """The result, for people: a few lines."""
+    head = f"{summary.scenario}, {summary.law}: " + (summary.failure or f"flown and landed in {summary.flight_s:.0f} s")
+    if summary.max_distance_m is None or summary.wanted_distance_m is None:
+        return head
+    lines = [head, f"  formation         {summary.duration_s:.1f} s"]
+    pairs = neighbouring(summary.wanted_distance_m)
+    if pairs:
+        largest = "   ".join(f"{pair} {summary.max_distance_m[pair]:.2f} m" for pair in pairs)
+        wanted = "/".join(sorted({f"{summary.wanted_distance_m[pair]:.2f}" for pair in pairs}))
+        lines.append(f"  largest distance  {largest}   (wanted {wanted} m)")
+    if summary.smallest_distance_m is not None:
+        lines.append(f"  smallest distance {summary.smallest_distance_m:.2f} m, of any two in the whole flight")
+    settled = "not settled to 10 cm" if summary.settle_s is None else f"{summary.settle_s:.1f} s to 10 cm"
+    lines.append(f"  settled           {settled}; final error {summary.final_error_m:.3f} m")
+    lines.extend(_ticks_in_words(summary))
+    return "\n".join(lines)
+
+
+def _ticks_in_words(summary: Summary) -> list[str]:
+    ticks = [vehicle.tick for vehicle in summary.vehicles if vehicle.tick]
+    if not ticks:
+        return []
+    slowest, fastest = min(tick.rate_hz for tick in ticks), max(tick.rate_hz for tick in ticks)
+    rate = f"{slowest:.2f}" if f"{slowest:.2f}" == f"{fastest:.2f}" else f"{slowest:.2f} to {fastest:.2f}"
+    missed, count = sum(tick.missed for tick in ticks), sum(tick.ticks for tick in ticks)
+    return [f"  control loop      {rate} Hz, {missed} of {missed + count} ticks missed"]
+
+
+def neighbouring(wanted_distance_m: dict[str, float]) -> list[str]:
+    """The pairs that are worth a look: for each vehicle those nearest to it by the formation's design.
+
+    In a line the steps from one to the next, in a square the sides.
+    """
+    nearest: dict[str, float] = {}
+    for pair, distance_m in wanted_distance_m.items():
+        for vehicle in pair.split("-"):
+            nearest[vehicle] = min(distance_m, nearest.get(vehicle, distance_m))
+    return [
+        pair
+        for pair, distance_m in wanted_distance_m.items()
+        if any(distance_m <= nearest[vehicle] * 1.01 for vehicle in pair.split("-"))
+    ]
