@@ -137,7 +137,7 @@ class ControlLoop:
 
     def _inbox(self, now_s: float) -> Inbox:
         peers, commands = self._peers.receive(now_s)
-        if self._stop_asked_s is not None and not self._hold_given:
+        if self._stop_asked_s is not None and not self._hold_given and self._agent.phase in STREAMING:
             self._hold_given = True
             commands += (OWN_HOLD,)
         return Inbox(self._autopilot.drain(), peers, commands)

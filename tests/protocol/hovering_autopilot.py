@@ -1,0 +1,100 @@
+"""An autopilot that hovers: enough of PX4, on a real UDP socket, for an agent process to fly against. No physics.
+
+It is not the stand-in: it says exactly what a test tells it to say, and remembers exactly what it was sent.
+"""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Self
+
+from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
+
+PERIOD_S = 0.02
+LOITER, OFFBOARD = (4, 3), (6, 0)
+
+
+@dataclass
+class HoveringAutopilot:
+    """Sends to `port` of this machine from its construction's `with` on. Attributes may be changed while it runs."""
+
+    vehicle_id: int
+    port: int
+    autopilot: int = mavlink.MAV_AUTOPILOT_PX4
+    positions: bool = True  # LOCAL_POSITION_NED at 50 Hz
+    obeys: bool = True  # takes modes that are commanded
+    mode: tuple[int, int] = LOITER
+    target_times_s: list[float] = field(default_factory=list)
+    received: list[MavlinkMessage] = field(default_factory=list)  # all but SET_ATTITUDE_TARGET
+
+    def __post_init__(self) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+        self._codec = MavlinkCodec(self.vehicle_id, mavlink.MAV_COMP_ID_AUTOPILOT1)
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._ended.set()
+        self._thread.join()
+        self._socket.close()
+
+    def commands(self, number: int) -> list[MavlinkMessage]:
+        """The COMMAND_LONGs of this number that came."""
+        return [m for m in self.received if m.get_type() == "COMMAND_LONG" and m.command == number]
+
+    def _run(self) -> None:
+        start_s, count = time.monotonic(), 0
+        while not self._ended.wait(max(0.0, start_s + count * PERIOD_S - time.monotonic())):
+            for message in self._said(int((time.monotonic() - start_s) * 1000), count):
+                self._socket.sendto(self._codec.encode(message), ("127.0.0.1", self.port))
+            self._listen()
+            count += 1
+
+    def _said(self, boot_ms: int, count: int) -> list[MavlinkMessage]:
+        main, sub = self.mode
+        custom_mode = main << 16 | sub << 24
+        said = [
+            mavlink.MAVLink_attitude_quaternion_message(boot_ms, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+            mavlink.MAVLink_current_mode_message(0, custom_mode, custom_mode),
+        ]
+        if count % 10 == 0:
+            armed = mavlink.MAV_MODE_FLAG_SAFETY_ARMED | mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+            said += [
+                mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_QUADROTOR, self.autopilot, armed, custom_mode, 4, 3),
+                mavlink.MAVLink_extended_sys_state_message(0, mavlink.MAV_LANDED_STATE_IN_AIR),
+                mavlink.MAVLink_gps_global_origin_message(473977420, 85455940, 488000),
+            ]
+        if self.positions:
+            said.append(mavlink.MAVLink_local_position_ned_message(boot_ms, 0.0, 0.0, -2.0, 0.0, 0.0, 0.0))
+        return said
+
+    def _listen(self) -> None:
+        while True:
+            try:
+                data = self._socket.recv(4096)
+            except BlockingIOError:
+                return
+            except ConnectionError:
+                continue  # nobody listens there yet
+            for message in self._codec.decode(data):
+                self._take(message)
+
+    def _take(self, message: MavlinkMessage) -> None:
+        if message.get_type() == "SET_ATTITUDE_TARGET":
+            self.target_times_s.append(time.monotonic())
+            return
+        self.received.append(message)
+        is_mode = message.get_type() == "COMMAND_LONG" and message.command == mavlink.MAV_CMD_DO_SET_MODE
+        if is_mode and self.obeys:
+            self.mode = (int(message.param2), int(message.param3))

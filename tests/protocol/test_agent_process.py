@@ -1,0 +1,328 @@
+"""A real `companion agent` process: MAVLink over real UDP on one side, real Zenoh on the other."""
+
+from __future__ import annotations
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+import pytest
+from agent_process import AgentFiles, Running, agent, agent_files, companion, until
+from hovering_autopilot import LOITER, OFFBOARD, HoveringAutopilot
+
+from companion.ground.session import FleetSession
+from companion.link.zenoh_session import open_session
+from companion.mavlink.codec import mavlink
+from companion.types import CommandName, CommandReply, FlightPhase
+from companion.wire.ground import StatusReport
+from companion.wire.keys import command_key, peer_key
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> AgentFiles:
+    return agent_files(tmp_path)
+
+
+@contextmanager
+def ground(files: AgentFiles) -> Iterator[FleetSession]:
+    with FleetSession.open("processtest", (files.zenoh,)) as session:
+        yield session
+
+
+def newest(session: FleetSession) -> StatusReport:
+    reports: list[StatusReport] = []
+    until(lambda: reports.extend(session.drain()) or reports)
+    return reports[-1]
+
+
+def command(session: FleetSession, name: CommandName) -> CommandReply:
+    reply = session.command([1], name, timeout_s=10.0)[1]
+    assert reply is not None
+    return reply
+
+
+def wait_for_phase(session: FleetSession, phase: FlightPhase) -> StatusReport:
+    reports: list[StatusReport] = []
+    until(lambda: reports.extend(session.drain()) or (reports and reports[-1].status.phase is phase))
+    return reports[-1]
+
+
+def into_formation(session: FleetSession, process: Running) -> None:
+    process.wait_for_log("heartbeat of autopilot 1")
+    until(lambda: command(session, CommandName.HOLD).accepted)
+    wait_for_phase(session, FlightPhase.HOLD)
+    assert command(session, CommandName.FORM).accepted
+    wait_for_phase(session, FlightPhase.FORMATION)
+
+
+# ---------------------------------------------------------------- the way it flies
+
+
+def test_it_observes_until_commanded_and_ends_at_once(files: AgentFiles) -> None:
+    with HoveringAutopilot(1, files.udp_port) as autopilot, agent(files) as process, ground(files) as session:
+        process.wait_for_log("heartbeat of autopilot 1")
+        assert newest(session).status.phase is FlightPhase.OBSERVE
+        assert process.stop() == 0
+        assert autopilot.target_times_s == []
+        assert [m.to_dict() for m in autopilot.commands(mavlink.MAV_CMD_DO_SET_MODE)] == []
+    assert "SIGTERM in phase observe: stopping" in process.log
+    assert "Traceback" not in process.log
+
+
+def test_it_asks_for_its_telemetry_and_says_that_it_is_there(files: AgentFiles) -> None:
+    with HoveringAutopilot(1, files.udp_port) as autopilot, agent(files):
+        until(lambda: [m for m in autopilot.received if m.get_type() == "HEARTBEAT"])
+        asked = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
+        until(lambda: autopilot.commands(asked))
+        until(lambda: mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED in [m.param1 for m in autopilot.commands(asked)])
+        beat = next(m for m in autopilot.received if m.get_type() == "HEARTBEAT")
+        assert (beat.get_srcSystem(), beat.type) == (1, mavlink.MAV_TYPE_ONBOARD_CONTROLLER)
+        assert autopilot.commands(asked)[0].target_system == 1
+
+
+def test_it_asks_for_telemetry_again_while_too_little_comes(files: AgentFiles) -> None:
+    with HoveringAutopilot(1, files.udp_port, positions=False) as autopilot, agent(files) as process:
+        first = mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED
+        requests = lambda: [m for m in autopilot.commands(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL) if m.param1 == first]  # noqa: E731
+        until(lambda: len(requests()) >= 2)
+        autopilot.positions = True
+        process.wait_for_log("positions come at 50 Hz", timeout_s=30.0)
+
+
+def test_in_formation_every_position_is_answered_and_silence_with_silence(files: AgentFiles) -> None:
+    with HoveringAutopilot(1, files.udp_port) as autopilot, agent(files) as process, ground(files) as session:
+        into_formation(session, process)
+        before = len(autopilot.target_times_s)
+        until(lambda: len(autopilot.target_times_s) > before + 100)
+        timing = wait_for_phase(session, FlightPhase.FORMATION).timing
+        assert timing.rss_mb < 60.0
+        assert timing.telemetry_to_command_us.p50 > 0.0
+
+        autopilot.positions = False
+        time.sleep(0.2)  # what was under way arrives
+        heard = len(autopilot.target_times_s)
+        time.sleep(0.6)
+        assert len(autopilot.target_times_s) == heard  # nothing is ever sent again
+        assert newest(session).status.state_age_s > 0.3  # but it goes on ticking and reporting
+
+
+def test_a_pilots_mode_ends_the_stream(files: AgentFiles) -> None:
+    with HoveringAutopilot(1, files.udp_port) as autopilot, agent(files) as process, ground(files) as session:
+        into_formation(session, process)
+        autopilot.mode = (3, 0)  # POSCTL
+        wait_for_phase(session, FlightPhase.OBSERVE)
+        sent = len(autopilot.target_times_s)
+        time.sleep(0.3)
+        assert len(autopilot.target_times_s) == sent
+        assert autopilot.mode == (3, 0)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_in_formation_hands_over_to_the_autopilots_hold(files: AgentFiles, number: int) -> None:
+    with HoveringAutopilot(1, files.udp_port) as autopilot, agent(files) as process, ground(files) as session:
+        into_formation(session, process)
+        assert autopilot.mode == OFFBOARD
+        assert process.stop(number) == 0
+        assert autopilot.mode == LOITER
+    assert "formation -> release" in process.log
+    assert "ends in phase hold" in process.log
+
+
+def test_an_autopilot_that_does_not_take_over_delays_the_end_but_does_not_prevent_it(files: AgentFiles) -> None:
+    with HoveringAutopilot(1, files.udp_port) as autopilot, agent(files) as process, ground(files) as session:
+        into_formation(session, process)
+        autopilot.obeys = False
+        assert process.stop() == 0
+        assert autopilot.mode == OFFBOARD
+        assert autopilot.commands(mavlink.MAV_CMD_DO_SET_MODE)[-1].param2 == LOITER[0]  # it was asked
+
+
+def test_what_is_refused_is_counted_reported_and_logged_once_a_second(files: AgentFiles) -> None:
+    with (
+        HoveringAutopilot(1, files.udp_port),
+        agent(files) as process,
+        ground(files) as session,
+        closing(open_session((), (files.zenoh,))) as stranger,
+    ):
+        newest(session)
+        reason = "wire version 9, expected 1"
+        start_s = time.monotonic()
+
+        def disturbed() -> bool:
+            stranger.put(peer_key("processtest", 2), b"\x09whatever")
+            return newest(session).status.rejected.get(reason, 0) >= 30
+
+        until(disturbed, timeout_s=60.0)
+        reply = session.command([1], CommandName.HOLD, 10.0)[1]
+        assert reply is not None  # it goes on working
+        stranger.get(command_key("processtest", 1), payload=b"nonsense")
+        until(lambda: any("wire version 110" in words for words in newest(session).status.rejected))
+        seconds = time.monotonic() - start_s
+    lines = [line for line in process.log.splitlines() if reason in line]
+    assert 1 <= len(lines) <= seconds + 2
+    assert "rejected" in lines[0]
+
+
+# ---------------------------------------------------------------- what cannot work
+
+
+def one_line(result: subprocess.CompletedProcess[str]) -> str:
+    """The last line of standard error; none of them may be a traceback."""
+    assert "Traceback" not in result.stderr
+    assert result.stdout == ""
+    return result.stderr.strip().splitlines()[-1]
+
+
+def test_an_autopilot_that_never_answers_ends_it_with_3(files: AgentFiles) -> None:
+    result = companion("agent", "--config", str(files.file), "--wait-s", "0.5")
+    line = one_line(result)
+    assert result.returncode == 3
+    assert f'{files.file}: mavlink: "udpin:127.0.0.1:{files.udp_port}": no HEARTBEAT of system 1 in 0.5 s' in line
+    assert "nothing came at all" in line
+
+
+def test_another_vehicles_autopilot_is_named(files: AgentFiles) -> None:
+    with HoveringAutopilot(7, files.udp_port):
+        result = companion("agent", "--config", str(files.file), "--wait-s", "1.5")
+    assert result.returncode == 3
+    assert "heard system 7 instead; correct the id here or the autopilot's (MAV_SYS_ID)" in one_line(result)
+
+
+def test_an_autopilot_of_another_kind_is_named(files: AgentFiles) -> None:
+    with HoveringAutopilot(1, files.udp_port, autopilot=mavlink.MAV_AUTOPILOT_INVALID):
+        result = companion("agent", "--config", str(files.file), "--wait-s", "1.5")
+    assert result.returncode == 3
+    assert "MAV_AUTOPILOT 8, expected 12 (PX4)" in one_line(result)
+
+
+def test_an_autopilot_that_nobody_runs_over_tcp_is_told_so(tmp_path: Path) -> None:
+    files = agent_files(tmp_path, mavlink="tcp:127.0.0.1:24999")
+    result = companion("agent", "--config", str(files.file), "--wait-s", "0.5")
+    assert result.returncode == 3
+    assert "nobody listens at tcp:127.0.0.1:24999; is the autopilot running?" in one_line(result)
+
+
+def test_a_udp_port_in_use_ends_it_with_2(files: AgentFiles) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", files.udp_port))
+        result = companion("agent", "--config", str(files.file))
+    assert result.returncode == 2
+    assert (
+        f'{files.file}: mavlink: "udpin:127.0.0.1:{files.udp_port}": UDP port {files.udp_port} is in use'
+        in one_line(result)
+    )
+
+
+def test_a_zenoh_port_in_use_ends_it_with_2(files: AgentFiles) -> None:
+    with closing(open_session((files.zenoh,), ())):
+        result = companion("agent", "--config", str(files.file))
+    assert result.returncode == 2
+    assert f'{files.file}: zenoh.listen: "{files.zenoh}": the port is in use' in one_line(result)
+
+
+@pytest.mark.parametrize(
+    ("mavlink_value", "words"),
+    [
+        ("serial:/dev/ttyNotThere:57600", "there is no serial device /dev/ttyNotThere"),
+        ("udpin:192.0.2.7:14540", "this machine has no such address"),
+        ("udpin:14540", "mavlink"),
+        ("carrier-pigeon:1:2", "mavlink"),
+    ],
+)
+def test_an_endpoint_that_cannot_be_opened_ends_it_with_2(tmp_path: Path, mavlink_value: str, words: str) -> None:
+    files = agent_files(tmp_path, mavlink=mavlink_value)
+    result = companion("agent", "--config", str(files.file))
+    assert result.returncode == 2
+    assert words in one_line(result)
+    assert f"{files.file}: mavlink:" in one_line(result)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["agent", "--config", "/no/such/vehicle.yaml"], "/no/such/vehicle.yaml: cannot be read"),
+        (["agent"], "--config"),
+        (["agent", "--config", "x.yaml", "--wait-s", "soon"], "'soon', expected seconds"),
+        (["agent", "--config", "x.yaml", "--wait-s", "nan"], "'nan', expected seconds"),
+        (["fly"], "agent"),
+        ([], "agent"),
+        (["monitor", "--connect", "nonsense", "--once"], '"nonsense": expected PROTOCOL/HOST:PORT'),
+        (["monitor", "--fleet", "a/b", "--once"], "expected the name in a fleet file"),
+    ],
+)
+def test_bad_arguments_end_it_with_2(arguments: list[str], words: str) -> None:
+    result = companion(*arguments)
+    assert result.returncode == 2
+    assert words in one_line(result)
+
+
+@pytest.mark.parametrize("command_name", [[], ["agent"], ["monitor"]])
+def test_help_teaches(command_name: list[str]) -> None:
+    result = companion(*command_name, "--help")
+    assert result.returncode == 0
+    assert "exit codes" in result.stdout
+    if command_name:
+        assert "examples:" in result.stdout
+
+
+def test_the_agent_imports_nothing_of_the_ground() -> None:
+    program = (
+        "import sys, companion.app\n"
+        "heavy = {'numpy', 'matplotlib', 'rich', 'mavsdk', 'lxml', 'sitl'} & set(sys.modules)\n"
+        "assert not heavy, heavy"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True, timeout=30)
+
+
+# ---------------------------------------------------------------- the monitor beside it
+
+
+def test_the_monitor_lists_the_vehicle(files: AgentFiles) -> None:
+    with HoveringAutopilot(1, files.udp_port), agent(files) as process:
+        process.wait_for_log("heartbeat of autopilot 1")
+        table = companion("monitor", "--connect", files.zenoh, "--once")
+        rows = json.loads(companion("monitor", "--connect", files.zenoh, "--once", "--json").stdout)
+    assert table.returncode == 0, table.stderr
+    header, line = table.stdout.splitlines()
+    assert header.split()[:3] == ["vehicle", "phase", "mode"]
+    assert line.split()[:6] == ["1", "observe", "AUTO.LOITER", "armed", "2.00", "m"]
+    assert rows[0]["vehicle_id"] == 1
+    assert rows[0]["error_to_slot_m"] == pytest.approx(0.0, abs=1e-3)
+    assert rows[0]["silent"] is False
+
+
+def test_the_monitor_shows_a_killed_vehicle_as_silent(files: AgentFiles) -> None:
+    with HoveringAutopilot(1, files.udp_port), agent(files) as process:
+        monitor = subprocess.Popen(
+            [sys.executable, "-m", "companion", "monitor", "--connect", files.zenoh],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        try:
+            assert monitor.stdout
+            lines = iter(monitor.stdout)
+            assert "observe" in next(line for line in lines if line.startswith("1 "))
+            process.process.kill()
+            assert "SILENT for" in next(line for line in lines if "SILENT" in line)
+            assert next(lines).startswith("vehicle")
+            assert "SILENT for" in next(lines)  # and it stays
+            monitor.send_signal(signal.SIGINT)
+            assert monitor.wait(10.0) == 0
+            assert monitor.stderr
+            assert monitor.stderr.read() == ""
+        finally:
+            monitor.kill()
+            monitor.communicate()
+
+
+def test_the_monitor_says_so_when_nobody_is_there(files: AgentFiles) -> None:
+    result = companion("monitor", "--connect", files.zenoh, "--fleet", "nobody", "--once")
+    assert result.returncode == 1
+    assert "nobody was heard for 3 s at " + files.zenoh in one_line(result)
