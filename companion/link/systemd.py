@@ -30,9 +30,9 @@ class Notifier:
         """One control cycle is done. The first with an autopilot makes the service ready."""
         if autopilot_heard and not self._is_ready:
             self._is_ready = self._send("READY=1")
-        if self._watchdog_period_s and now_s - self._fed_s >= self._watchdog_period_s:
+        is_due = self._watchdog_period_s is not None and now_s - self._fed_s >= self._watchdog_period_s
+        if is_due and self._send("WATCHDOG=1"):
             self._fed_s = now_s
-            self._send("WATCHDOG=1")
 
     def status(self, text: str) -> None:
         """One line for `systemctl status`."""

@@ -1,0 +1,223 @@
+"""sd_notify as a service manager hears it, and the unit file as systemd judges it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from agent_process import AgentFiles, agent, agent_files, until
+from hovering_autopilot import HoveringAutopilot
+
+from companion.link.systemd import MIN_WATCHDOG_PERIOD_S, Notifier
+
+UNIT = Path(__file__).parents[2] / "deploy" / "companion@.service"
+WATCHDOG_S = 1.0
+
+
+class ServiceManager:
+    """Listens where NOTIFY_SOCKET points to."""
+
+    def __init__(self, address: str) -> None:
+        self.address = address
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._socket.bind("\0" + address[1:] if address.startswith("@") else address)
+        self._socket.setblocking(False)
+        self.messages: list[str] = []
+
+    def listen(self) -> list[str]:
+        """All messages so far."""
+        while True:
+            try:
+                self.messages.append(self._socket.recv(4096).decode())
+            except BlockingIOError:
+                return self.messages
+
+    def forget(self) -> None:
+        self.listen()
+        self.messages.clear()
+
+    def wait_for(self, message: str) -> None:
+        until(lambda: message in self.listen())
+
+    def environment(self) -> dict[str, str]:
+        return {"NOTIFY_SOCKET": self.address, "WATCHDOG_USEC": str(int(WATCHDOG_S * 1e6)), "WATCHDOG_PID": ""}
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+@contextmanager
+def service_manager(address: str) -> Iterator[ServiceManager]:
+    manager = ServiceManager(address)
+    try:
+        yield manager
+    finally:
+        manager.close()
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> AgentFiles:
+    return agent_files(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["path", "abstract"])
+def test_an_agent_is_ready_alive_and_stopping(files: AgentFiles, tmp_path: Path, name: str) -> None:
+    address = str(tmp_path / "notify") if name == "path" else f"@companion-test-{os.getpid()}"
+    with service_manager(address) as manager, agent(files, environment=manager.environment()) as process:
+        manager.wait_for("WATCHDOG=1")  # it ticks,
+        assert "READY=1" not in manager.listen()  # but nothing was heard of an autopilot
+        with HoveringAutopilot(1, files.udp_port):
+            manager.wait_for("READY=1")
+            manager.forget()
+            started_s = time.monotonic()
+            until(lambda: manager.listen().count("WATCHDOG=1") >= 5)
+            assert manager.messages.count("WATCHDOG=1") <= 1 + (time.monotonic() - started_s) / MIN_WATCHDOG_PERIOD_S
+            assert "READY=1" not in manager.messages  # it is said once
+            assert process.stop() == 0
+        assert manager.listen()[-1] == "STOPPING=1"
+
+
+def test_a_frozen_agent_starves_the_watchdog(files: AgentFiles, tmp_path: Path) -> None:
+    with (
+        service_manager(str(tmp_path / "notify")) as manager,
+        HoveringAutopilot(1, files.udp_port),
+        agent(files, environment=manager.environment()) as process,
+    ):
+        manager.wait_for("READY=1")
+        manager.wait_for("WATCHDOG=1")
+        process.process.send_signal(signal.SIGSTOP)
+        time.sleep(0.1)
+        manager.forget()
+        time.sleep(1.5 * WATCHDOG_S)  # systemd would have acted
+        assert manager.listen() == []
+        process.process.send_signal(signal.SIGCONT)
+        manager.wait_for("WATCHDOG=1")
+
+
+def test_an_agent_without_a_service_manager_says_nothing_to_anybody(files: AgentFiles, tmp_path: Path) -> None:
+    gone = str(tmp_path / "gone")
+    with HoveringAutopilot(1, files.udp_port), agent(files, environment={"NOTIFY_SOCKET": gone}) as process:
+        process.wait_for_log("heartbeat of autopilot 1")
+        assert process.stop() == 0
+    assert "Traceback" not in process.log
+
+
+# ---------------------------------------------------------------- the notifier alone
+
+
+def notifier(manager: ServiceManager, **environment: str) -> Notifier:
+    return Notifier({"NOTIFY_SOCKET": manager.address, **environment})
+
+
+@pytest.mark.parametrize(
+    ("environment", "fed"),
+    [
+        ({}, 0),
+        ({"WATCHDOG_USEC": "0"}, 0),
+        ({"WATCHDOG_USEC": "soon"}, 0),
+        ({"WATCHDOG_USEC": "2000000", "WATCHDOG_PID": "1"}, 0),  # meant for another process
+        ({"WATCHDOG_USEC": "2000000", "WATCHDOG_PID": str(os.getpid())}, 20),  # every half second
+        ({"WATCHDOG_USEC": "2000000"}, 20),
+        ({"WATCHDOG_USEC": "100000"}, 50),  # not more than a few times a second
+    ],
+)
+def test_the_watchdog_is_fed_a_few_times_per_its_period(tmp_path: Path, environment: dict[str, str], fed: int) -> None:
+    with service_manager(str(tmp_path / "notify")) as manager:
+        speaker = notifier(manager, **environment)
+        for cycle in range(500):
+            speaker.cycle_completed(cycle * 0.02, autopilot_heard=False)
+            manager.listen()  # the kernel keeps ten messages, not more
+        assert abs(manager.listen().count("WATCHDOG=1") - fed) <= 3
+        speaker.close()
+
+
+def test_no_cycle_no_food(tmp_path: Path) -> None:
+    with service_manager(str(tmp_path / "notify")) as manager:
+        speaker = notifier(manager, WATCHDOG_USEC="1000000")
+        speaker.status("takeoff -> hold")
+        time.sleep(0.6)
+        assert manager.listen() == ["STATUS=takeoff -> hold"]
+        speaker.close()
+
+
+def test_ready_is_said_again_where_nobody_took_it(tmp_path: Path) -> None:
+    address = str(tmp_path / "notify")
+    speaker = Notifier({"NOTIFY_SOCKET": address})
+    speaker.cycle_completed(0.0, autopilot_heard=True)  # nobody listens yet
+    with service_manager(address) as manager:
+        speaker.cycle_completed(0.02, autopilot_heard=True)
+        speaker.cycle_completed(0.04, autopilot_heard=True)
+        assert manager.listen() == ["READY=1"]
+    speaker.close()
+
+
+# ---------------------------------------------------------------- the unit file
+
+needs_systemd = pytest.mark.skipif(not shutil.which("systemd-analyze"), reason="systemd-analyze is not installed")
+
+
+def verify(unit: Path) -> subprocess.CompletedProcess[str]:
+    """systemd-analyze reports an unknown key on standard error and still ends with 0."""
+    return subprocess.run(
+        ["systemd-analyze", "verify", str(unit)], capture_output=True, text=True, timeout=60, check=False
+    )
+
+
+@needs_systemd
+def test_the_unit_verifies_as_it_is(tmp_path: Path) -> None:
+    unit = tmp_path / "companion@3.service"
+    unit.write_bytes(UNIT.read_bytes())
+    for path in (UNIT, unit):
+        result = verify(path)
+        assert (result.returncode, result.stderr) == (0, "")
+
+
+@needs_systemd
+@pytest.mark.parametrize(
+    "change", [("WatchdogSec=", "WatchdogSecs="), ("Type=notify", "Type=loud"), ("/usr/bin/env", "/no/such/binary")]
+)
+def test_a_damaged_unit_would_be_noticed(tmp_path: Path, change: tuple[str, str]) -> None:
+    unit = tmp_path / "companion@3.service"
+    unit.write_text(UNIT.read_text(encoding="utf-8").replace(*change), encoding="utf-8")
+    result = verify(unit)
+    assert result.returncode != 0 or result.stderr
+
+
+def setting(key: str) -> list[str]:
+    lines = UNIT.read_text(encoding="utf-8").splitlines()
+    return [line.partition("=")[2] for line in lines if line.startswith(key + "=")]
+
+
+def test_the_unit_is_one_per_vehicle_and_watched() -> None:
+    assert setting("ExecStart") == ["/usr/bin/env companion agent --config /etc/companion/vehicle-%i.yaml"]
+    assert setting("Type") == ["notify"]
+    assert setting("Restart") == ["on-failure"]
+    assert float(setting("WatchdogSec")[0]) > 4 * MIN_WATCHDOG_PERIOD_S
+
+
+def test_the_unit_leaves_the_agent_time_for_what_it_does() -> None:
+    from companion.app import HAND_OVER_S, WAIT_FOR_AUTOPILOT_S
+
+    assert float(setting("TimeoutStartSec")[0]) > WAIT_FOR_AUTOPILOT_S
+    assert float(setting("TimeoutStopSec")[0]) > HAND_OVER_S
+
+
+@needs_systemd
+def test_the_sandbox_is_a_tight_one() -> None:
+    """What can be judged without a running systemd: systemd's own score of the sandbox (0 is best, 10 is none)."""
+    result = subprocess.run(
+        ["systemd-analyze", "security", "--offline=true", "--threshold=30", str(UNIT)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert result.returncode == 0, result.stdout[-300:]
