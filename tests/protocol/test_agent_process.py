@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import signal
 import socket
 import subprocess
@@ -278,51 +277,3 @@ def test_the_agent_imports_nothing_of_the_ground() -> None:
         "assert not heavy, heavy"
     )
     subprocess.run([sys.executable, "-c", program], check=True, timeout=30)
-
-
-# ---------------------------------------------------------------- the monitor beside it
-
-
-def test_the_monitor_lists_the_vehicle(files: AgentFiles) -> None:
-    with HoveringAutopilot(1, files.udp_port), agent(files) as process:
-        process.wait_for_log("heartbeat of autopilot 1")
-        table = companion("monitor", "--connect", files.zenoh, "--once")
-        rows = json.loads(companion("monitor", "--connect", files.zenoh, "--once", "--json").stdout)
-    assert table.returncode == 0, table.stderr
-    header, line = table.stdout.splitlines()
-    assert header.split()[:3] == ["vehicle", "phase", "mode"]
-    assert line.split()[:6] == ["1", "observe", "AUTO.LOITER", "armed", "2.00", "m"]
-    assert rows[0]["vehicle_id"] == 1
-    assert rows[0]["error_to_slot_m"] == pytest.approx(0.0, abs=1e-3)
-    assert rows[0]["silent"] is False
-
-
-def test_the_monitor_shows_a_killed_vehicle_as_silent(files: AgentFiles) -> None:
-    with HoveringAutopilot(1, files.udp_port), agent(files) as process:
-        monitor = subprocess.Popen(
-            [sys.executable, "-m", "companion", "monitor", "--connect", files.zenoh],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        try:
-            assert monitor.stdout
-            lines = iter(monitor.stdout)
-            assert "observe" in next(line for line in lines if line.startswith("1 "))
-            process.process.kill()
-            assert "SILENT for" in next(line for line in lines if "SILENT" in line)
-            assert next(lines).startswith("vehicle")
-            assert "SILENT for" in next(lines)  # and it stays
-            monitor.send_signal(signal.SIGINT)
-            assert monitor.wait(10.0) == 0
-            assert monitor.stderr
-            assert monitor.stderr.read() == ""
-        finally:
-            monitor.kill()
-            monitor.communicate()
-
-
-def test_the_monitor_says_so_when_nobody_is_there(files: AgentFiles) -> None:
-    result = companion("monitor", "--connect", files.zenoh, "--fleet", "nobody", "--once")
-    assert result.returncode == 1
-    assert "nobody was heard for 3 s at " + files.zenoh in one_line(result)

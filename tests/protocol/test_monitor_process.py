@@ -1,0 +1,137 @@
+"""`companion monitor` as a process, beside a real agent."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import pty
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from agent_process import AgentFiles, agent, agent_files, companion, until
+from hovering_autopilot import HoveringAutopilot
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> AgentFiles:
+    return agent_files(tmp_path)
+
+
+def test_the_monitor_lists_the_vehicle(files: AgentFiles) -> None:
+    with HoveringAutopilot(1, files.udp_port), agent(files) as process:
+        process.wait_for_log("heartbeat of autopilot 1")
+        table = companion("monitor", "--connect", files.zenoh, "--once")
+        rows = json.loads(companion("monitor", "--connect", files.zenoh, "--once", "--json").stdout)
+    assert table.returncode == 0, table.stderr
+    header, line = table.stdout.splitlines()
+    assert header.split()[:3] == ["vehicle", "phase", "mode"]
+    assert line.split()[:6] == ["1", "observe", "AUTO.LOITER", "armed", "2.00", "m"]
+    assert rows[0]["vehicle_id"] == 1
+    assert rows[0]["error_to_slot_m"] == pytest.approx(0.0, abs=1e-3)
+    assert rows[0]["silent"] is False
+
+
+def test_the_monitor_shows_a_killed_vehicle_as_silent(files: AgentFiles) -> None:
+    with HoveringAutopilot(1, files.udp_port), agent(files) as process:
+        monitor = subprocess.Popen(
+            [sys.executable, "-m", "companion", "monitor", "--connect", files.zenoh],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        try:
+            assert monitor.stdout
+            lines = iter(monitor.stdout)
+            assert "observe" in next(line for line in lines if line.startswith("1 "))
+            process.process.kill()
+            assert "SILENT for" in next(line for line in lines if "SILENT" in line)
+            assert next(lines).startswith("vehicle")
+            assert "SILENT for" in next(lines)  # and it stays
+            monitor.send_signal(signal.SIGINT)
+            assert monitor.wait(10.0) == 0
+            assert monitor.stderr
+            assert monitor.stderr.read() == ""
+        finally:
+            monitor.kill()
+            monitor.communicate()
+
+
+def test_the_monitor_says_so_when_nobody_is_there(files: AgentFiles) -> None:
+    result = companion("monitor", "--connect", files.zenoh, "--fleet", "nobody", "--once")
+    assert result.returncode == 1
+    assert "nobody was heard for 3 s at " + files.zenoh in result.stderr
+
+
+def test_a_terminal_gets_a_live_table(files: AgentFiles) -> None:
+    terminal, terminal_of_the_monitor = pty.openpty()
+    os.set_blocking(terminal, False)
+    shown = b""
+
+    def look() -> str:
+        nonlocal shown
+        with contextlib.suppress(BlockingIOError):
+            shown += os.read(terminal, 65536)
+        return re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", shown.decode(errors="replace"))
+
+    with HoveringAutopilot(1, files.udp_port), agent(files) as process:
+        process.wait_for_log("heartbeat of autopilot 1")
+        monitor = subprocess.Popen(
+            [sys.executable, "-m", "companion", "monitor", "--connect", files.zenoh],
+            stdout=terminal_of_the_monitor,
+            stderr=terminal_of_the_monitor,
+            env={**os.environ, "TERM": "xterm", "COLUMNS": "160", "LINES": "40"},
+        )
+        os.close(terminal_of_the_monitor)
+        try:
+            until(lambda: "AUTO.LOITER" in look())
+            process.process.kill()
+            until(lambda: "SILENT for" in look())
+            monitor.send_signal(signal.SIGINT)
+            assert monitor.wait(10.0) == 0
+            assert "Traceback" not in shown.decode(errors="replace")
+        finally:
+            monitor.kill()
+            monitor.wait()
+            os.close(terminal)
+
+
+def test_a_live_table_without_its_package_says_what_to_install(tmp_path: Path) -> None:
+    (tmp_path / "rich.py").write_text("raise ImportError('not here')", encoding="utf-8")
+    terminal, terminal_of_the_monitor = pty.openpty()
+    try:
+        result = subprocess.run(
+            [sys.executable, "-m", "companion", "monitor"],
+            stdout=terminal_of_the_monitor,
+            stderr=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "PYTHONPATH": str(tmp_path)},
+            timeout=30,
+            check=False,
+        )
+    finally:
+        os.close(terminal)
+        os.close(terminal_of_the_monitor)
+    assert result.returncode == 2
+    assert "pip install 'formation-companion[ground]'" in result.stderr
+    assert len(result.stderr.splitlines()) == 1
+
+
+def test_a_reader_that_has_seen_enough_is_no_error(files: AgentFiles) -> None:
+    monitor = subprocess.Popen(
+        [sys.executable, "-m", "companion", "monitor", "--connect", files.zenoh],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert monitor.stdout
+    assert monitor.stderr
+    assert monitor.stdout.readline().startswith("vehicle")
+    monitor.stdout.close()
+    assert monitor.wait(20.0) == 0
+    assert monitor.stderr.read() == ""
+    monitor.stderr.close()
