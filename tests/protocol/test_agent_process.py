@@ -168,6 +168,27 @@ def test_what_is_refused_is_counted_reported_and_logged_once_a_second(files: Age
     assert "rejected" in lines[0]
 
 
+def test_a_defect_in_decoding_ends_the_process_instead_of_flying_on_without_telemetry(files: AgentFiles) -> None:
+    program = f"""
+import sys
+from companion import cli
+from companion.mavlink.translator import Translator
+
+def telemetry(self, data, received_s):
+    raise ZeroDivisionError("a defect")
+
+Translator.telemetry = telemetry
+sys.exit(cli.main(["agent", "--config", {str(files.file)!r}]))
+"""
+    with HoveringAutopilot(1, files.udp_port):
+        result = subprocess.run(
+            [sys.executable, "-c", program], capture_output=True, text=True, timeout=30, check=False
+        )
+    assert result.returncode == 1
+    assert "ZeroDivisionError: a defect" in result.stderr
+    assert result.stderr.count("Traceback") == 1  # not once per datagram
+
+
 # ---------------------------------------------------------------- what cannot work
 
 
