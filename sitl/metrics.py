@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from math import dist
@@ -39,6 +39,18 @@ class Formation:
 
 
 @dataclass(frozen=True, slots=True)
+class Flight:
+    """One formation as it was flown, and what was wanted of it. `pairs` are those whose distances are worth a look."""
+
+    law: str
+    tracks: Tracks
+    slots_enu_m: Mapping[int, Vector3]
+    pairs: Sequence[Pair]
+    reference: ReferenceTrajectory
+    formation: Formation
+
+
+@dataclass(frozen=True, slots=True)
 class FormationFigures:
     """Over the formation's interval, from true positions; by pair "1-2" or by vehicle id.
 
@@ -64,6 +76,13 @@ def pair_name(pair: Pair) -> str:
 def pairs_of(vehicle_ids: Mapping[int, object]) -> list[Pair]:
     """All pairs of vehicles, the smaller id first."""
     return list(combinations(sorted(vehicle_ids), 2))
+
+
+def neighbouring_pairs(slots_enu_m: Mapping[int, Vector3]) -> list[Pair]:
+    """For each vehicle the pairs with those nearest to it by design: the steps along a line, the sides of a square."""
+    wanted_m = {(i, j): dist(slots_enu_m[i], slots_enu_m[j]) for i, j in pairs_of(slots_enu_m)}
+    nearest_m = {i: min((d for pair, d in wanted_m.items() if i in pair), default=0.0) for i in slots_enu_m}
+    return [pair for pair, d in wanted_m.items() if d <= 1.01 * max(nearest_m[pair[0]], nearest_m[pair[1]])]
 
 
 def distances_m(tracks: Tracks, pair: Pair, times_s: FloatArray) -> FloatArray:

@@ -5,8 +5,7 @@ Readable in grey: every vehicle and pair has a line style and a marker of its ow
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from math import dist
 from pathlib import Path
 from typing import Any
@@ -15,9 +14,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from companion.core.reference import ReferenceTrajectory
-from companion.types import Vector3
-from sitl.metrics import Formation, Pair, Tracks, distances_m, pair_name, reference_positions_m
+from sitl.metrics import Flight, Formation, distances_m, pair_name, reference_positions_m
 from sitl.tracks import FloatArray
 
 BEFORE_S = 2.0  # how much of the flight before the formation is shown
@@ -37,31 +34,11 @@ LAW_TITLES = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Flight:
-    """What the figures are drawn from. The distances of `pairs` are drawn, the other pairs' are not."""
-
-    law: str
-    tracks: Tracks
-    slots_enu_m: Mapping[int, Vector3]
-    pairs: Sequence[Pair]
-    reference: ReferenceTrajectory
-    formation: Formation
-
-    @property
-    def law_title(self) -> str:
-        return LAW_TITLES.get(self.law, self.law)
-
-    def times_s(self) -> FloatArray:
-        """Sample times (n,), from a little before the formation to its end."""
-        return Formation(self.formation.start_s - BEFORE_S, self.formation.end_s, 0.0).times_s()
-
-
 def save_figure_5(path: Path, flight: Flight, name: str) -> None:
     """x and y of all vehicles over time, with their places."""
     figure = _figure(8.4, 6.0, f"{name}: x and y of every vehicle")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=_heights([flight]))
-    upper.set_title(f"true positions, {flight.law_title}", fontsize=10, color="#444444")
+    upper.set_title(f"true positions, {_law_title(flight)}", fontsize=10, color="#444444")
     _draw_positions(upper, flight, 0)
     _draw_positions(lower, flight, 1)
     _keep_a_span([upper])
@@ -77,7 +54,7 @@ def save_figure_6(path: Path, flight: Flight, name: str) -> None:
     """Inter-distances over time, with the wanted ones."""
     figure = _figure(8.4, 4.6, f"{name}: inter-distances")
     axes = figure.subplots()
-    axes.set_title(f"from true positions, {flight.law_title}", fontsize=10, color="#444444")
+    axes.set_title(f"from true positions, {_law_title(flight)}", fontsize=10, color="#444444")
     _draw_distances(axes, flight)
     _keep_a_span([axes], 0.5)
     axes.set_ylabel("distance [m]")
@@ -91,7 +68,7 @@ def save_comparison(path: Path, flights: Sequence[Flight], name: str) -> None:
     heights = [*_heights(flights), 1.0]
     grid = figure.subplots(3, len(flights), sharex="col", sharey="row", squeeze=False, height_ratios=heights)
     for (x, y, distance), flight in zip(grid.T, flights, strict=True):
-        x.set_title(flight.law_title, fontsize=11)
+        x.set_title(_law_title(flight), fontsize=11)
         _draw_positions(x, flight, 0)
         _draw_positions(y, flight, 1)
         _draw_distances(distance, flight)
@@ -101,6 +78,15 @@ def save_comparison(path: Path, flights: Sequence[Flight], name: str) -> None:
         _keep_a_span(row, span_m)
     _legend_beside(grid[0, -1])
     figure.savefig(path, dpi=130)
+
+
+def _law_title(flight: Flight) -> str:
+    return LAW_TITLES.get(flight.law, flight.law)
+
+
+def _times_s(flight: Flight) -> FloatArray:
+    """Sample times (n,), from a little before the formation to its end."""
+    return Formation(flight.formation.start_s - BEFORE_S, flight.formation.end_s, 0.0).times_s()
 
 
 def _figure(width_in: float, height_in: float, title: str) -> Figure:
@@ -134,7 +120,7 @@ def _look(index: int, samples: int) -> dict[str, Any]:
 
 def _draw_positions(axes: Axes, flight: Flight, axis: int) -> None:
     """One coordinate of every vehicle; thin dotted lines are the places r + d_i0."""
-    times_s = flight.times_s()
+    times_s = _times_s(flight)
     since_s = times_s - flight.formation.start_s
     reference_m = reference_positions_m(flight.reference, flight.formation.reference_start_s, times_s)[:, axis]
     for index, (vehicle_id, track) in enumerate(sorted(flight.tracks.items())):
@@ -146,7 +132,7 @@ def _draw_positions(axes: Axes, flight: Flight, axis: int) -> None:
 
 def _draw_distances(axes: Axes, flight: Flight) -> None:
     """The distance of every drawn pair, largest values in the legend; thin dotted lines are the wanted distances."""
-    times_s = flight.times_s()
+    times_s = _times_s(flight)
     since_s = times_s - flight.formation.start_s
     inside = times_s >= flight.formation.start_s
     wanted_m = sorted({round(dist(flight.slots_enu_m[i], flight.slots_enu_m[j]), 3) for i, j in flight.pairs})
@@ -158,9 +144,10 @@ def _draw_distances(axes: Axes, flight: Flight) -> None:
         axes.text(0.5, 0.5, "one vehicle has no inter-distance", transform=axes.transAxes, ha="center")
     for value_m in wanted_m:
         axes.axhline(value_m, **GUIDE)
-    axes.plot([], [], **GUIDE, label="wanted, " + " and ".join(f"{value_m:.2f} m" for value_m in wanted_m))
+    if wanted_m:
+        axes.plot([], [], **GUIDE, label="wanted, " + " and ".join(f"{value_m:.2f} m" for value_m in wanted_m))
+        axes.legend(loc="upper right", fontsize=8, framealpha=0.9, handlelength=3.5)
     _dress(axes, since_s)
-    axes.legend(loc="upper right", fontsize=8, framealpha=0.9, handlelength=3.5)
 
 
 def _dress(axes: Axes, since_s: FloatArray) -> None:

@@ -13,6 +13,7 @@ from msgspec import Meta, Struct
 
 from companion.config import FleetConfig, PositionM, Reference, VehicleId, check_fleet
 from companion.config_file import ConfigError, convert, read_yaml
+from companion.core.reference import ReferenceTrajectory, point
 from companion.types import CommandName
 from sitl.config import StandIn
 
@@ -48,6 +49,11 @@ def load_scenario(path: Path, overrides: Sequence[str] = ()) -> Scenario:
     for override in overrides:
         _put(data, override)
     return scenario_from(SET, data)
+
+
+def reference_of(scenario: Scenario) -> ReferenceTrajectory:
+    """The RFT as the leaders fly it: seconds since the leader entered formation -> R."""
+    return point(scenario.reference.point_enu_m)
 
 
 def scenario_from(path: Path, data: object) -> Scenario:

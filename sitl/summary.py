@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import msgspec
 from msgspec import Struct
 
 from companion.wire.ground import Percentiles, Timing
-from sitl.metrics import FormationFigures
+from sitl.metrics import FormationFigures, neighbouring_pairs, pair_name
+from sitl.scenario import Scenario
+from sitl.watch import Event, FlightWatch
 
 SCHEMA = 1
 
@@ -35,14 +38,6 @@ class VehicleSummary(Struct, frozen=True, kw_only=True):
     rejected: dict[str, int]  # counted rejections by reason
 
 
-class Event(Struct, frozen=True, kw_only=True):
-    """Something that a vehicle said, `time_s` after the flight's first command."""
-
-    time_s: float
-    vehicle: int
-    event: str
-
-
 class Summary(Struct, frozen=True, kw_only=True):
     """One flight. What belongs to the formation is None where none was flown; `failure` is None where all went well."""
 
@@ -56,6 +51,7 @@ class Summary(Struct, frozen=True, kw_only=True):
     failure: str | None
     flight_s: float
     duration_s: float | None
+    pairs: list[str]  # those with the nearest by design
     wanted_distance_m: dict[str, float] | None
     max_distance_m: dict[str, float] | None
     min_distance_m: dict[str, float] | None
@@ -66,22 +62,61 @@ class Summary(Struct, frozen=True, kw_only=True):
     events: list[Event]
 
 
-def vehicle_summary(
+def summarize(
+    scenario: Scenario,
+    name: str,
+    watch: FlightWatch,
+    figures: FormationFigures | None,
+    smallest_distance_m: float | None,
+    failure: str | None,
+    flight_s: float,
+) -> Summary:
+    """`figures` and `smallest_distance_m` are of the true tracks, the rest is what the vehicles reported."""
+    fleet, stand_in = scenario.fleet, scenario.stand_in
+    slots_enu_m = {member.id: member.slot_enu_m for member in fleet.vehicles}
+    return Summary(
+        scenario=name,
+        law=fleet.law.name,
+        exponent=fleet.law.exponent,
+        sensors=stand_in.sensors if isinstance(stand_in.sensors, str) else "as given",
+        seed=stand_in.seed,
+        failure=failure,
+        flight_s=round(flight_s, 1),
+        duration_s=round(figures.duration_s, 3) if figures else None,
+        pairs=[pair_name(pair) for pair in neighbouring_pairs(slots_enu_m)],
+        wanted_distance_m=_rounded(figures.wanted_distance_m) if figures else None,
+        max_distance_m=_rounded(figures.max_distance_m) if figures else None,
+        min_distance_m=_rounded(figures.min_distance_m) if figures else None,
+        final_distance_m=_rounded(figures.final_distance_m) if figures else None,
+        settle_s=round(figures.settle_s, 2) if figures and figures.settle_s is not None else None,
+        final_error_m=round(figures.final_error_m, 4) if figures else None,
+        smallest_distance_m=None if smallest_distance_m is None else round(smallest_distance_m, 4),
+        vehicles=[
+            _vehicle(member.id, member.role, watch.timing.get(member.id), figures, watch.rejected()[member.id])
+            for member in sorted(fleet.vehicles, key=lambda member: member.id)
+        ],
+        events=watch.events,
+    )
+
+
+def _vehicle(
     vehicle_id: int, role: str, timing: Timing | None, figures: FormationFigures | None, rejected: dict[str, int]
 ) -> VehicleSummary:
-    """`timing` is of the formation's last report."""
+    tick = timing and Tick(rate_hz=timing.rate_hz, ticks=timing.ticks, missed=timing.missed, late_us=timing.late_us)
     return VehicleSummary(
         id=vehicle_id,
         role=role,
-        tick=Tick(rate_hz=timing.rate_hz, ticks=timing.ticks, missed=timing.missed, late_us=timing.late_us)
-        if timing
-        else None,
+        tick=tick or None,
         telemetry_to_command_us=timing.telemetry_to_command_us if timing else None,
         cpu_percent=timing.cpu_percent if timing else None,
         rss_mb=timing.rss_mb if timing else None,
         final_error_m=round(figures.final_error_of_vehicle_m[vehicle_id], 4) if figures else None,
         rejected=rejected,
     )
+
+
+def _rounded(values_m: Mapping[str, float]) -> dict[str, float]:
+    return {name: round(value_m, 4) for name, value_m in values_m.items()}
 
 
 def write_json(path: Path, content: object) -> None:
@@ -99,7 +134,7 @@ def in_words(summary: Summary) -> str:
     if summary.max_distance_m is None or summary.wanted_distance_m is None:
         return head
     lines = [head, f"  formation         {summary.duration_s:.1f} s"]
-    pairs = neighbouring(summary.wanted_distance_m)
+    pairs = summary.pairs
     if pairs:
         largest = "   ".join(f"{pair} {summary.max_distance_m[pair]:.2f} m" for pair in pairs)
         wanted = "/".join(sorted({f"{summary.wanted_distance_m[pair]:.2f}" for pair in pairs}))
@@ -120,19 +155,3 @@ def _ticks_in_words(summary: Summary) -> list[str]:
     rate = f"{slowest:.2f}" if f"{slowest:.2f}" == f"{fastest:.2f}" else f"{slowest:.2f} to {fastest:.2f}"
     missed, count = sum(tick.missed for tick in ticks), sum(tick.ticks for tick in ticks)
     return [f"  control loop      {rate} Hz, {missed} of {missed + count} ticks missed"]
-
-
-def neighbouring(wanted_distance_m: dict[str, float]) -> list[str]:
-    """The pairs that are worth a look: for each vehicle those nearest to it by the formation's design.
-
-    In a line the steps from one to the next, in a square the sides.
-    """
-    nearest: dict[str, float] = {}
-    for pair, distance_m in wanted_distance_m.items():
-        for vehicle in pair.split("-"):
-            nearest[vehicle] = min(distance_m, nearest.get(vehicle, distance_m))
-    return [
-        pair
-        for pair, distance_m in wanted_distance_m.items()
-        if any(distance_m <= nearest[vehicle] * 1.01 for vehicle in pair.split("-"))
-    ]

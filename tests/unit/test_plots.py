@@ -8,8 +8,8 @@ import pytest
 from matplotlib.figure import Figure
 
 from companion.core.reference import point
-from sitl.metrics import Formation
-from sitl.plots import COLOURS, MARKERS, STYLES, Flight, save_comparison, save_figure_5, save_figure_6
+from sitl.metrics import Flight, Formation
+from sitl.plots import COLOURS, MARKERS, STYLES, save_comparison, save_figure_5, save_figure_6
 from sitl.tracks import Track
 
 PNG = b"\x89PNG\r\n\x1a\n"

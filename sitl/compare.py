@@ -1,0 +1,87 @@
+"""The same scenario flown with one law after another: one table, one figure, comparison.json."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from msgspec import Struct
+from msgspec.structs import replace
+
+from companion.config import LawName
+from sitl.metrics import Flight
+from sitl.scenario import Scenario
+from sitl.summary import SCHEMA, Summary, write_json
+
+BEST = "*"
+
+
+class Row(Struct, frozen=True, kw_only=True):
+    """One figure of every law, in the order of the flights. `best` names the laws that did best."""
+
+    figure: str
+    unit: str
+    values: dict[str, float | None]
+    best: list[str]
+
+
+class Comparison(Struct, frozen=True, kw_only=True):
+    """comparison.json."""
+
+    schema: int = SCHEMA
+    scenario: str
+    laws: list[str]
+    rows: list[Row]
+
+
+def with_law(scenario: Scenario, law: LawName) -> Scenario:
+    return replace(scenario, fleet=replace(scenario.fleet, law=replace(scenario.fleet.law, name=law)))
+
+
+def compare(summaries: Sequence[Summary]) -> Comparison:
+    """`summaries` are of one scenario, each with a law of its own and with a formation."""
+    rows = [
+        _row(f"largest distance {pair}", "m", {s.law: (s.max_distance_m or {}).get(pair) for s in summaries})
+        for pair in summaries[0].pairs
+    ]
+    rows += [
+        _row("smallest distance", "m", {s.law: s.smallest_distance_m for s in summaries}, largest_is_best=True),
+        _row("settled to 10 cm", "s", {s.law: s.settle_s for s in summaries}),
+        _row("final error", "m", {s.law: s.final_error_m for s in summaries}),
+    ]
+    return Comparison(scenario=summaries[0].scenario, laws=[s.law for s in summaries], rows=rows)
+
+
+def _row(figure: str, unit: str, values: dict[str, float | None], largest_is_best: bool = False) -> Row:
+    known = [value for value in values.values() if value is not None]
+    best = (max(known) if largest_is_best else min(known)) if known else None
+    winners = [law for law, value in values.items() if best is not None and value == best]
+    return Row(figure=figure, unit=unit, values=values, best=winners)
+
+
+def in_a_table(comparison: Comparison) -> str:
+    """For people; the best of each row is marked, and a law that never settled says so."""
+    names = [f"{row.figure} [{row.unit}]" for row in comparison.rows]
+    first = max(len(name) for name in [*names, comparison.scenario])
+    lines = [f"{comparison.scenario:<{first}}" + "".join(f"{law:>14}" for law in comparison.laws)]
+    for name, row in zip(names, comparison.rows, strict=True):
+        cells = (_cell(row, law) for law in comparison.laws)
+        lines.append((f"{name:<{first}}" + "".join(f"{cell:>14}" for cell in cells)).rstrip())
+    return "\n".join([*lines, f"{BEST} best"])
+
+
+def _cell(row: Row, law: str) -> str:
+    value = row.values[law]
+    if value is None:
+        return "never  "
+    digits = 1 if row.unit == "s" else 3
+    return f"{value:.{digits}f} {BEST if law in row.best else ' '}"
+
+
+def write_comparison(folder: Path, comparison: Comparison, flights: Sequence[Flight]) -> None:
+    """comparison.json and comparison.png."""
+    from sitl.plots import save_comparison  # matplotlib takes its time and memory; not before the flights are over
+
+    write_json(folder / "comparison.json", comparison)
+    if flights:
+        save_comparison(folder / "comparison.png", flights, comparison.scenario)

@@ -1,0 +1,198 @@
+"""Flies a scenario's timeline: each step's command to every vehicle over Zenoh, until all have done it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import contextmanager
+
+from companion.core.phase import ON_GROUND, RULES
+from companion.ground.session import FleetSession
+from companion.types import CommandName, FlightPhase, LandedState, Status
+from sitl.progress import Progress
+from sitl.scenario import TimelineStep
+from sitl.watch import FlightWatch
+
+POLL_S = 0.02  # as often as an agent ticks: the entry into formation is known to this
+REPEAT_S = 0.5
+REPLY_WITHIN_S = 0.5
+LANDED_WITHIN_S = 60.0
+LISTEN_S = 0.3  # three reports of every vehicle
+GROUND_PHASES = frozenset({FlightPhase.OBSERVE, FlightPhase.PREPARE, FlightPhase.READY})
+# A vehicle that was told one of these may be in phase observe without anything being wrong.
+MAY_OBSERVE = (CommandName.PREPARE, CommandName.LAND, CommandName.DISARM)
+
+
+class FlightFailure(Exception):  # noqa: N818 -- what happened to a flight, not an error of this program
+    """The flight cannot go on. str() says why in one line."""
+
+
+class Director:
+    """Gives the commands of one flight and follows what the vehicles report.
+
+    `check` is called in every pass and raises FlightFailure when something outside the vehicles ends the flight.
+    """
+
+    def __init__(
+        self, session: FleetSession, watch: FlightWatch, progress: Progress, check: Callable[[], None]
+    ) -> None:
+        self._session = session
+        self._watch = watch
+        self._progress = progress
+        self._check = check
+
+    def fly(self, timeline: Sequence[TimelineStep]) -> None:
+        """All steps in turn. Raises FlightFailure; the vehicles are then where they were."""
+        with self._formation_ends():
+            for number, step in enumerate(timeline, start=1):
+                self._progress.begin_step(f"step {number} of {len(timeline)}, {step.command}")
+                _Order(self._session, self._watch, step).carry_out(self._pass)
+                self._stay(number, len(timeline), step)
+
+    @contextmanager
+    def _formation_ends(self) -> Iterator[None]:
+        """However a timeline ends, a formation that is flown ends with it."""
+        try:
+            yield
+        finally:
+            self._watch.end_formation(time.monotonic())
+
+    def _stay(self, number: int, steps: int, step: TimelineStep) -> None:
+        """Keep what the step brought about for its `for_s`; a vehicle that leaves it ends the flight."""
+        forms = step.command is CommandName.FORM
+        since_s = self._watch.begin_formation() if forms else time.monotonic()
+        if step.for_s:
+            self._progress.begin_step(f"step {number} of {steps}, {step.command}", since_s, step.for_s)
+        while time.monotonic() < since_s + step.for_s:
+            self._pass()
+            for status in self._statuses():
+                if status.phase is not RULES[step.command].to:
+                    raise FlightFailure(
+                        f"vehicle {status.vehicle_id} left phase {RULES[step.command].to}: {_last(status)}"
+                    )
+            if step.command not in MAY_OBSERVE and (silent := self._watch.silent(time.monotonic())):
+                raise FlightFailure(f"nothing heard of {_vehicles(silent)} for seconds")
+
+    def _pass(self) -> None:
+        """Listen and show, once, within POLL_S. Raises FlightFailure."""
+        time.sleep(POLL_S)
+        self._listen()
+        self._check()
+
+    def _listen(self) -> None:
+        reports, now_s = self._session.drain(), time.monotonic()
+        for report in reports:
+            self._watch.hear(report, now_s)
+        self._progress.show(self._watch.rows(now_s), now_s)
+
+    def _statuses(self) -> list[Status]:
+        found = (self._watch.status(vehicle_id) for vehicle_id in self._watch.vehicle_ids)
+        return [status for status in found if status]
+
+    def land_all(self) -> str | None:
+        """Bring down whatever flies, from any phase; what could not be landed, in words. A silent vehicle is left alone."""
+        began_s = time.monotonic()
+        self._progress.begin_step("landing all")
+        next_ask_s = began_s + LISTEN_S
+        while (now_s := time.monotonic()) < began_s + LANDED_WITHIN_S:
+            time.sleep(POLL_S)
+            self._listen()
+            if now_s < next_ask_s:
+                continue
+            up = self._still_up(now_s)
+            if not up:
+                return None
+            for name in (CommandName.LAND, CommandName.DISARM):
+                ids = [s.vehicle_id for s in up if _way_down(s) is name]
+                if ids:
+                    self._session.command(ids, name, REPLY_WITHIN_S)
+            next_ask_s = now_s + REPEAT_S
+        up = self._still_up(time.monotonic())
+        return f"{_vehicles([s.vehicle_id for s in up])} could not be landed: {_last(up[0])}" if up else None
+
+    def _still_up(self, now_s: float) -> list[Status]:
+        heard = [row.vehicle_id for row in self._watch.rows(now_s) if not row.silent]
+        return [s for s in self._statuses() if s.vehicle_id in heard and (s.armed or s.phase not in GROUND_PHASES)]
+
+
+class _Order:
+    """One command on its way to every vehicle, repeated to those that refuse it or fall back from it."""
+
+    def __init__(self, session: FleetSession, watch: FlightWatch, step: TimelineStep) -> None:
+        self._session = session
+        self._watch = watch
+        self._step = step
+        self._accepted_s: dict[int, float] = {}
+        self._reasons: dict[int, str] = {}
+
+    def carry_out(self, wait_a_little: Callable[[], None]) -> None:
+        """Until every vehicle has done it. Raises FlightFailure."""
+        deadline_s = time.monotonic() + self._step.timeout_s
+        next_ask_s = 0.0
+        # The command that follows a formation ends it, so the time is taken before it is given.
+        self._watch.end_formation(time.monotonic())
+        while missing := [i for i in self._watch.vehicle_ids if not self._done(i)]:
+            now_s = time.monotonic()
+            if now_s > deadline_s:
+                raise FlightFailure(self._too_late(missing))
+            ask = [i for i in missing if i not in self._accepted_s]
+            if ask and now_s >= next_ask_s:
+                next_ask_s = now_s + REPEAT_S
+                self._ask(ask)
+            wait_a_little()
+            for vehicle_id in missing:
+                self._look_for_falling_back(vehicle_id, time.monotonic())
+
+    def _ask(self, vehicle_ids: Collection[int]) -> None:
+        answers = self._session.command(vehicle_ids, self._step.command, REPLY_WITHIN_S)
+        for vehicle_id, reply in answers.items():
+            if reply is not None and reply.accepted:
+                self._accepted_s[vehicle_id] = time.monotonic()
+            self._reasons[vehicle_id] = reply.reason if reply else "its agent does not answer"
+
+    def _done(self, vehicle_id: int) -> bool:
+        status = self._watch.status(vehicle_id)
+        if status is None or vehicle_id not in self._accepted_s:
+            return False
+        lands = self._step.command in (CommandName.LAND, CommandName.DISARM)
+        return status.phase is RULES[self._step.command].to and not (lands and status.armed)
+
+    def _look_for_falling_back(self, vehicle_id: int, now_s: float) -> None:
+        """A vehicle that took the command and is neither there nor on its way is asked again; one that observes is lost."""
+        status, rule = self._watch.status(vehicle_id), RULES[self._step.command]
+        accepted_s = self._accepted_s.get(vehicle_id)
+        if status is None or accepted_s is None or now_s < accepted_s + REPEAT_S:
+            return  # what was reported before the command does not count
+        if status.phase not in (rule.via, rule.to):
+            del self._accepted_s[vehicle_id]
+            self._reasons[vehicle_id] = _last(status)
+            if status.phase is FlightPhase.OBSERVE and self._step.command not in MAY_OBSERVE:
+                raise FlightFailure(f"vehicle {vehicle_id} gave up at {self._step.command}: {_last(status)}")
+        elif self._step.command is CommandName.LAND and status.phase is rule.to and status.armed:
+            raise FlightFailure(f"vehicle {vehicle_id} stopped landing: {_last(status)}")
+
+    def _too_late(self, missing: Sequence[int]) -> str:
+        by_reason: dict[str, list[int]] = {}
+        for vehicle_id in missing:
+            status, reason = self._watch.status(vehicle_id), self._reasons.get(vehicle_id, "")
+            if vehicle_id in self._accepted_s and status:
+                under_way = status.phase is RULES[self._step.command].via
+                reason = f"still in phase {status.phase}" if under_way else _last(status)
+            by_reason.setdefault(reason, []).append(vehicle_id)
+        said = "; ".join(f"{_vehicles(ids)}: {reason}" for reason, ids in by_reason.items())
+        return f"{self._step.command} not done within {self._step.timeout_s:g} s: {said}"
+
+
+def _way_down(status: Status) -> CommandName | None:
+    if status.phase is FlightPhase.LAND:
+        return None
+    stands = status.landed is LandedState.ON_GROUND and status.phase is FlightPhase.OBSERVE
+    return CommandName.DISARM if status.phase in ON_GROUND or stands else CommandName.LAND
+
+
+def _last(status: Status) -> str:
+    return status.last_event or f"phase {status.phase}, mode {status.mode_name}"
+
+
+def _vehicles(ids: Sequence[int]) -> str:
+    return f"vehicle{'s' if len(ids) > 1 else ''} {', '.join(str(i) for i in ids)}"

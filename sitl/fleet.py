@@ -1,0 +1,230 @@
+"""N stand-in autopilots and N agents as processes: their files, their ports, their start and their end."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import msgspec
+import yaml
+
+from companion.config import GeodeticOrigin, VehicleConfig, VehicleId, ZenohEndpoints
+from companion.types import Role
+from sitl.config import AutopilotFile
+from sitl.ports import LOOPBACK, ports_of
+from sitl.scenario import Scenario
+
+AGENT_ENDS_WITHIN_S = 5.0  # it may first hand over to the autopilot
+STAND_IN_ENDS_WITHIN_S = 3.0
+POLL_S = 0.02
+
+
+class PortInUseError(Exception):
+    """str() is one line: which port, what wants it, what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class Child:
+    """One process of a fleet. `name` is "agent 3" or "autopilot 3"."""
+
+    name: str
+    vehicle_id: int
+    log: Path
+    process: subprocess.Popen[bytes]
+
+    def last_words(self) -> str:
+        """The last line of its log."""
+        lines = self.log.read_text(encoding="utf-8", errors="replace").split("\n")
+        return next((line.strip() for line in reversed(lines) if line.strip()), "it said nothing")
+
+    def ending(self) -> str:
+        """How it ended, with its last words; "" while it runs."""
+        code = self.process.poll()
+        if code is None:
+            return ""
+        how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
+        return f"{self.name} {how}: {self.last_words()}"
+
+
+class Fleet:
+    """The processes of one flight. Use it in a `with`: none outlives it."""
+
+    def __init__(self, children: Sequence[Child]) -> None:
+        self._children = tuple(children)
+        self._gone: set[str] = set()
+
+    @classmethod
+    def start(cls, scenario: Scenario, folder: Path, port_offset: int) -> Fleet:
+        """Write every process's file into `folder` and start it. The stand-ins come first."""
+        write_files(scenario, folder, port_offset)
+        fleet = cls([])
+        try:
+            for vehicle_id in ids_of(scenario):
+                arguments = ["--port-offset", str(port_offset), "--truth", str(truth_path(folder, vehicle_id))]
+                fleet._start(folder, "sitl", "autopilot", vehicle_id, arguments)
+            for vehicle_id in ids_of(scenario):
+                fleet._start(folder, "companion", "agent", vehicle_id, [])
+        except BaseException:  # also an interruption: what has been started must not stay
+            fleet.kill()
+            raise
+        return fleet
+
+    def _start(self, folder: Path, program: str, role: str, vehicle_id: int, more: Sequence[str]) -> None:
+        config = folder / f"{'vehicle' if role == 'agent' else role}_{vehicle_id}.yaml"
+        command = [sys.executable, "-m", program, role, "--config", str(config), *more]
+        log = folder / f"{role}_{vehicle_id}.log"
+        with log.open("wb") as output:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "sitl.bound", str(os.getpid()), *command],
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,  # a Ctrl-C in the terminal is the parent's: it lands first
+            )
+        self._children = (*self._children, Child(f"{role} {vehicle_id}", vehicle_id, log, process))
+
+    def unexpected_end(self) -> str | None:
+        """What the first process that ended by itself has to say; each is told once."""
+        for child in self._children:
+            if child.name not in self._gone and (ending := child.ending()):
+                self._gone.add(child.name)
+                return ending
+        return None
+
+    def stop(self) -> list[str]:
+        """End the agents, then the stand-ins; kill what does not end. Returns the names of those that were killed."""
+        agents = [child for child in self._children if child.name.startswith("agent")]
+        stand_ins = [child for child in self._children if child not in agents]
+        killed = _end(agents, AGENT_ENDS_WITHIN_S) + _end(stand_ins, STAND_IN_ENDS_WITHIN_S)
+        self._gone.update(child.name for child in self._children)
+        return killed
+
+    def kill(self) -> None:
+        """End everything at once."""
+        _kill(self._children)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.kill()
+
+
+def _end(children: Sequence[Child], within_s: float) -> list[str]:
+    for child in children:
+        _signal(child, signal.SIGTERM)
+    deadline_s = time.monotonic() + within_s
+    while time.monotonic() < deadline_s and any(child.process.poll() is None for child in children):
+        time.sleep(POLL_S)
+    late = [child for child in children if child.process.poll() is None]
+    _kill(late)
+    return [child.name for child in late]
+
+
+def _kill(children: Iterable[Child]) -> None:
+    running = [child for child in children if child.process.poll() is None]
+    for child in running:
+        _signal(child, signal.SIGKILL)
+    for child in running:
+        child.process.wait()
+
+
+def _signal(child: Child, number: signal.Signals) -> None:
+    """To the process's whole session; Popen knows whether its process id is still its own."""
+    if child.process.poll() is None:
+        os.killpg(child.process.pid, number)
+
+
+# ---------------------------------------------------------------- files and ports
+
+
+def ids_of(scenario: Scenario) -> list[VehicleId]:
+    return sorted(member.id for member in scenario.fleet.vehicles)
+
+
+def endpoint_of(vehicle_id: int, port_offset: int) -> str:
+    """Where a vehicle's agent listens for Zenoh."""
+    return f"tcp/{LOOPBACK}:{ports_of(vehicle_id, port_offset).zenoh}"
+
+
+def truth_path(folder: Path, vehicle_id: int) -> Path:
+    return folder / f"truth_{vehicle_id}.csv"
+
+
+def write_files(scenario: Scenario, folder: Path, port_offset: int) -> None:
+    """scenario.yaml as flown, fleet.yaml, vehicle_N.yaml and autopilot_N.yaml."""
+    _write_yaml(folder / "scenario.yaml", scenario)
+    _write_yaml(folder / "fleet.yaml", scenario.fleet)
+    for vehicle_id in ids_of(scenario):
+        _write_yaml(folder / f"vehicle_{vehicle_id}.yaml", vehicle_file(scenario, vehicle_id, port_offset))
+        _write_yaml(folder / f"autopilot_{vehicle_id}.yaml", autopilot_file(scenario, vehicle_id))
+
+
+def vehicle_file(scenario: Scenario, vehicle_id: int, port_offset: int) -> VehicleConfig:
+    """An agent's file. Of two vehicles the one with the larger id connects; only a leader is given the reference."""
+    member = next(member for member in scenario.fleet.vehicles if member.id == vehicle_id)
+    return VehicleConfig(
+        id=vehicle_id,
+        fleet="fleet.yaml",
+        mavlink=f"udpin:{LOOPBACK}:{ports_of(vehicle_id, port_offset).companion}",
+        hover_thrust_norm=scenario.stand_in.airframe.hover_thrust_norm,
+        zenoh=ZenohEndpoints(
+            listen=(endpoint_of(vehicle_id, port_offset),),
+            connect=tuple(endpoint_of(i, port_offset) for i in ids_of(scenario) if i < vehicle_id),
+        ),
+        reference=scenario.reference if member.role is Role.LEADER else None,
+    )
+
+
+def autopilot_file(scenario: Scenario, vehicle_id: int) -> AutopilotFile:
+    """A stand-in's file. The world's frame is the fleet's."""
+    origin = scenario.fleet.origin
+    assert isinstance(origin, GeodeticOrigin)  # scenario_from refuses any other
+    return AutopilotFile(
+        id=vehicle_id,
+        world_origin=origin,
+        start_enu_m=scenario.starts_enu_m[vehicle_id],
+        stand_in=scenario.stand_in,
+    )
+
+
+def _write_yaml(path: Path, content: msgspec.Struct) -> None:
+    path.write_text(yaml.safe_dump(msgspec.to_builtins(content), sort_keys=False), encoding="utf-8")
+
+
+def check_ports(vehicle_ids: Iterable[int], port_offset: int) -> None:
+    """Try every port of these vehicles before anything is started. Raises PortInUseError."""
+    for vehicle_id in vehicle_ids:
+        ports = ports_of(vehicle_id, port_offset)
+        for kind, port, purpose in (
+            (socket.SOCK_DGRAM, ports.onboard, f"autopilot {vehicle_id} towards its agent"),
+            (socket.SOCK_DGRAM, ports.companion, f"agent {vehicle_id} towards its autopilot"),
+            (socket.SOCK_DGRAM, ports.ground_link, f"autopilot {vehicle_id} towards a ground station"),
+            (socket.SOCK_STREAM, ports.zenoh, f"Zenoh of agent {vehicle_id}"),
+        ):
+            _check_port(kind, port, purpose, port_offset)
+
+
+def _check_port(kind: socket.SocketKind, port: int, purpose: str, port_offset: int) -> None:
+    protocol = "UDP" if kind is socket.SOCK_DGRAM else "TCP"
+    with socket.socket(socket.AF_INET, kind) as probe:
+        if kind is socket.SOCK_STREAM:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # the last flight's closed connections linger
+        try:
+            probe.bind((LOOPBACK, port))
+        except OSError as error:
+            raise PortInUseError(
+                f"{protocol} port {port}, wanted by {purpose}, cannot be used ({error.strerror}); another fleet may be"
+                f" flying: wait for it, or take other ports with --port-offset {port_offset + 100}"
+            ) from error

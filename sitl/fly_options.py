@@ -1,0 +1,107 @@
+"""The command line of `sitl fly`. Light to import: what flies is imported when it does."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import get_args
+
+from companion.config import LawName
+
+LAWS: tuple[LawName, ...] = get_args(LawName)
+MAX_PORT_OFFSET = 40_000
+
+DESCRIPTION = """\
+Fly a scenario with real processes: one stand-in autopilot and one agent per vehicle, MAVLink between them, Zenoh between
+the agents. Shows every vehicle live, lands, and leaves a folder with figures, plots, files and logs.
+"""
+
+MORE = """\
+examples:
+  sitl fly config/scenarios/platoon.yaml                        the paper's platoon with the paper's law
+  sitl fly config/scenarios/platoon.yaml --law average_22       with another law
+  sitl fly config/scenarios/platoon.yaml --compare              all laws in turn, one table, one figure
+  sitl fly config/scenarios/platoon.yaml --compare average_26   only these two
+  sitl fly config/scenarios/platoon.yaml --set stand_in.sensors=default --set timeline[3].for_s=20
+  sitl fly config/scenarios/platoon.yaml --set stand_in.airframe.attitude=instant \\
+                                         --set stand_in.airframe.motor_lag_s=0
+  sitl fly runs/platoon-weighted-20250131-120000/scenario.yaml  once more, exactly as it was flown
+
+--set takes any key of the scenario file, [N] for the N-th item of a list from 0, and a YAML value.
+
+the folder (default: runs/SCENARIO-LAW-DATE-TIME; with --compare one folder per law inside it):
+  summary.json                   largest, smallest and final distances, settling time, final error, timing of each agent
+  figure_5.png, figure_6.png     x and y curves, inter-distances; all from true positions
+  comparison.json, .png          with --compare
+  scenario.yaml                  as flown; fleet.yaml, vehicle_N.yaml, autopilot_N.yaml are made from it
+  truth_N.csv                    where vehicle N truly was, 50 times a second
+  agent_N.log, autopilot_N.log   what the processes said
+
+Ctrl-C lands all vehicles and stops everything; a second Ctrl-C stops at once.
+
+exit codes:
+  0    flown and landed
+  1    the flight failed; the one line says which vehicle and why, the logs say more
+  2    the scenario, an argument or a port cannot be used; the one line says which and what to do
+  130  ended by Ctrl-C (129 by SIGHUP, 143 by SIGTERM), vehicles landed
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class FlyOptions:
+    """What the command line says. `others` are the laws to compare with, None where nothing is to be compared."""
+
+    scenario: Path
+    overrides: Sequence[str] = ()
+    others: Sequence[LawName] | None = None
+    out: Path | None = None
+    port_offset: int = 0
+    quiet: bool = False
+
+
+def add_fly_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("scenario", type=Path, metavar="SCENARIO", help="a scenario file, see config/scenarios/")
+    parser.add_argument("--law", choices=LAWS, help="fly with this law (short for --set fleet.law.name=LAW)")
+    parser.add_argument(
+        "--compare",
+        nargs="*",
+        choices=LAWS,
+        metavar="LAW",
+        help="fly with the scenario's law, then with these (default: with all others), and compare",
+    )
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        dest="overrides",
+        metavar="KEY=VALUE",
+        help="change one key of the scenario; may be given many times",
+    )
+    parser.add_argument("--out", type=Path, metavar="DIR", help="the folder for the results")
+    parser.add_argument(
+        "--port-offset",
+        type=_offset,
+        default=0,
+        metavar="N",
+        help="move all ports by N, so that two fleets can fly on one machine",
+    )
+    parser.add_argument("--quiet", action="store_true", help="print the result only")
+
+
+def fly_options(parsed: argparse.Namespace) -> FlyOptions:
+    """--law comes first: a --set of the same key wins."""
+    law = [f"fleet.law.name={parsed.law}"] if parsed.law else []
+    others: Sequence[LawName] | None = parsed.compare
+    if others is not None and not others:
+        others = LAWS
+    return FlyOptions(
+        parsed.scenario, [*law, *parsed.overrides], others, parsed.out, parsed.port_offset, quiet=parsed.quiet
+    )
+
+
+def _offset(text: str) -> int:
+    if not text.isdecimal() or int(text) > MAX_PORT_OFFSET:
+        raise argparse.ArgumentTypeError(f"{text!r}, expected a whole number from 0 to {MAX_PORT_OFFSET}")
+    return int(text)

@@ -1,0 +1,80 @@
+"""The live lines of a flight: a headline and one line per vehicle, in place on a terminal, now and then elsewhere."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+import time
+from collections.abc import Sequence
+from typing import TextIO
+
+from companion.ground.fleet_status import VehicleRow
+
+IN_PLACE_EVERY_S = 0.2
+PLAIN_EVERY_S = 5.0
+UP, ERASE_DOWN = "\x1b[{}F", "\x1b[J"
+
+
+class Progress:
+    """Shows one flight. `quiet` shows nothing."""
+
+    def __init__(self, name: str, quiet: bool, out: TextIO | None = None) -> None:
+        self._name = name
+        self._quiet = quiet
+        self._out = out or sys.stdout
+        self._in_place = self._out.isatty()
+        self._began_s = time.monotonic()
+        self._step, self._step_began_s, self._step_lasts_s = "starting", self._began_s, 0.0
+        self._next_s = 0.0
+        self._lines_up = 0
+
+    def begin_step(self, step: str, since_s: float | None = None, lasts_s: float = 0.0) -> None:
+        """From now or since a time; `lasts_s` is 0 where nobody knows."""
+        self._next_s = 0.0  # shown at once, however soon after the last
+        self._step, self._step_lasts_s = step, lasts_s
+        self._step_began_s = time.monotonic() if since_s is None else since_s
+
+    def show(self, rows: Sequence[VehicleRow], now_s: float) -> None:
+        """Refresh, when it is time."""
+        if self._quiet or now_s < self._next_s:
+            return
+        self._next_s = now_s + (IN_PLACE_EVERY_S if self._in_place else PLAIN_EVERY_S)
+        lines = [self._headline(now_s), *(vehicle_line(row) for row in rows)]
+        if not self._in_place:
+            self._write("\n".join(lines) + "\n")
+            return
+        width = shutil.get_terminal_size().columns - 1  # a line that wraps would spoil the way back up
+        self._clear()
+        self._write("".join(line[:width] + "\n" for line in lines))
+        self._lines_up = len(lines)
+
+    def end(self) -> None:
+        """Leave the last lines where they are; what is printed next comes below."""
+        self._lines_up = 0
+
+    def _headline(self, now_s: float) -> str:
+        total = f" of {self._step_lasts_s:g}" if self._step_lasts_s else ""
+        step_s = max(0.0, now_s - self._step_began_s)
+        return f"{self._name}   {self._step}   {step_s:.1f}{total} s   (flight {now_s - self._began_s:.0f} s)"
+
+    def _clear(self) -> None:
+        if self._lines_up:
+            self._write(UP.format(self._lines_up) + ERASE_DOWN)
+
+    def _write(self, text: str) -> None:
+        try:
+            self._out.write(text)
+            self._out.flush()
+        except BrokenPipeError:  # nobody reads any more; the flight goes on
+            self._quiet = True
+
+
+def vehicle_line(row: VehicleRow) -> str:
+    """One vehicle: id, role, phase, altitude, error to its slot, PrC, age of its data."""
+    error = "   -  " if row.error_to_slot_m is None else f"{row.error_to_slot_m:4.2f} m"
+    data = f"SILENT for {row.age_s:.1f} s" if row.silent else f"data {row.data_age_s * 1000:3.0f} ms old"
+    alarm = f"   ! {', '.join(row.flags)}" if row.flags else ""
+    return (
+        f"  UAV {row.vehicle_id:<3d} {row.role:<8}  {row.phase:<9}  altitude {row.altitude_m:5.2f} m"
+        f"   error {error}   PrC {row.prc}   {data}{alarm}"
+    )

@@ -1,0 +1,82 @@
+"""What the vehicles said during a flight: their newest status, when each entered formation, what happened to them."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+
+from msgspec import Struct
+
+from companion.ground.fleet_status import FleetState, VehicleRow, fold, rows
+from companion.types import FlightPhase, Status
+from companion.wire.ground import StatusReport, Timing
+from sitl.metrics import Formation
+
+SILENT_S = 3.0  # a flying vehicle's agent that says nothing for so long has failed
+
+
+class Event(Struct, frozen=True, kw_only=True):
+    """Something that a vehicle said, `time_s` after the flight's beginning."""
+
+    time_s: float
+    vehicle: int
+    event: str
+
+
+class FlightWatch:
+    """A record that grows with every report. Times are of one monotonic clock, given as arguments."""
+
+    def __init__(self, vehicle_ids: Collection[int], leader_ids: Collection[int], began_s: float) -> None:
+        self.vehicle_ids = sorted(vehicle_ids)
+        self.began_s = began_s
+        self.events: list[Event] = []
+        self.timing: dict[int, Timing] = {}  # of each vehicle's last formation
+        self.formation: Formation | None = None  # the last one flown
+        self._leader_ids = frozenset(leader_ids)
+        self._entered_s: dict[int, float] = {}
+        self._formed_from_s: float | None = None
+        self._state = FleetState()
+
+    def hear(self, report: StatusReport, now_s: float) -> None:
+        """Take in one report that came at `now_s`."""
+        status = report.status
+        vehicle_id = status.vehicle_id
+        if vehicle_id not in self.vehicle_ids:
+            return
+        before = self.status(vehicle_id)
+        self._state = fold(self._state, report, now_s)
+        if status.phase is FlightPhase.FORMATION and (before is None or before.phase is not FlightPhase.FORMATION):
+            self._entered_s[vehicle_id] = now_s
+        if vehicle_id in self._entered_s:
+            self.timing[vehicle_id] = report.timing
+        if status.last_event and (before is None or status.last_event != before.last_event):
+            self.events.append(
+                Event(time_s=round(now_s - self.began_s, 3), vehicle=vehicle_id, event=status.last_event)
+            )
+
+    def status(self, vehicle_id: int) -> Status | None:
+        heard = next((h for (_, i), h in self._state.vehicles.items() if i == vehicle_id), None)
+        return heard.report.status if heard else None
+
+    def rows(self, now_s: float) -> list[VehicleRow]:
+        return rows(self._state, now_s)
+
+    def silent(self, now_s: float) -> list[int]:
+        """Vehicles that were heard once and say nothing any more."""
+        return [row.vehicle_id for row in self.rows(now_s) if row.age_s > SILENT_S]
+
+    def begin_formation(self) -> float:
+        """All vehicles are in formation. Returns when the last one entered it."""
+        self._formed_from_s = max(self._entered_s[i] for i in self.vehicle_ids)
+        return self._formed_from_s
+
+    def end_formation(self, now_s: float) -> None:
+        """The formation, if there is one, ends now."""
+        if self._formed_from_s is not None:
+            leader_entered_s = min(self._entered_s[i] for i in self._leader_ids)
+            self.formation = Formation(self._formed_from_s, now_s, leader_entered_s)
+            self._formed_from_s = None
+
+    def rejected(self) -> Mapping[int, dict[str, int]]:
+        """What each vehicle refused to believe, counted by reason."""
+        statuses = {vehicle_id: self.status(vehicle_id) for vehicle_id in self.vehicle_ids}
+        return {vehicle_id: status.rejected if status else {} for vehicle_id, status in statuses.items()}

@@ -1,0 +1,223 @@
+"""The director against vehicles that obey, refuse, fall back and fall silent, without any process."""
+
+import io
+import time
+from collections.abc import Iterable
+from dataclasses import replace
+
+import pytest
+
+from companion.core.phase import RULES
+from companion.types import CommandName, CommandReply, FlightPhase, LandedState, Role, Status
+from companion.wire.ground import Percentiles, StatusReport, Timing
+from sitl.director import Director, FlightFailure
+from sitl.progress import Progress
+from sitl.scenario import TimelineStep
+from sitl.watch import FlightWatch
+
+C, P = CommandName, FlightPhase
+TIMING = Timing(50.0, 100, 0, Percentiles(1, 2, 3), Percentiles(4, 5, 6), 5.0, 48.0)
+DOING_S = 0.05  # how long a vehicle takes to do what it is told
+
+
+def status(vehicle_id: int) -> Status:
+    leads = vehicle_id == 1
+    return Status(
+        vehicle_id=vehicle_id,
+        session=1,
+        fleet="pair",
+        formation_hash=1,
+        law="weighted",
+        phase=P.OBSERVE,
+        mode_name="HOLD",
+        armed=False,
+        landed=LandedState.ON_GROUND,
+        position_enu_m=(0.0, 0.0, 0.0),
+        velocity_enu_m_s=(0.0, 0.0, 0.0),
+        state_age_s=0.01,
+        role=Role.LEADER if leads else Role.FOLLOWER,
+        prc=vehicle_id,
+        leader_word=None,
+        neighbours=(),
+        slot_enu_m=(0.0, 0.0, 0.0),
+        reference_enu_m=(0.0, 0.0, 0.0) if leads else None,
+        flags=(),
+        rejected={},
+        last_event="",
+    )
+
+
+class Vehicles:
+    """Stands in for a FleetSession with two vehicles behind it."""
+
+    def __init__(self) -> None:
+        self.statuses = {1: status(1), 2: status(2)}
+        self.refuses: dict[tuple[int, CommandName], list[str]] = {}  # reasons, one for each time
+        self.falls: dict[tuple[int, CommandName], str] = {}  # the procedure fails with this event
+        self.mute: set[int] = set()
+        self.heard: list[tuple[CommandName, tuple[int, ...]]] = []
+        self._due: dict[int, tuple[float, CommandName]] = {}
+
+    def command(self, ids: Iterable[int], name: CommandName, timeout_s: float) -> dict[int, CommandReply | None]:
+        assert timeout_s > 0
+        asked = tuple(ids)
+        self.heard.append((name, asked))
+        return {i: None if i in self.mute else self._obey(i, name) for i in asked}
+
+    def _obey(self, vehicle_id: int, name: CommandName) -> CommandReply:
+        reasons = self.refuses.get((vehicle_id, name))
+        if reasons:
+            return CommandReply(vehicle_id, 1, False, reasons.pop(0))
+        self.statuses[vehicle_id] = replace(self.statuses[vehicle_id], phase=RULES[name].via)
+        self._due[vehicle_id] = (time.monotonic() + DOING_S * vehicle_id, name)
+        return CommandReply(vehicle_id, 1, True, "yes")
+
+    def drain(self) -> list[StatusReport]:
+        for vehicle_id, (due_s, name) in list(self._due.items()):
+            if time.monotonic() >= due_s:
+                del self._due[vehicle_id]
+                self._finish(vehicle_id, name)
+        return [StatusReport(s, TIMING) for s in self.statuses.values() if s.vehicle_id not in self.mute]
+
+    def _finish(self, vehicle_id: int, name: CommandName) -> None:
+        before = self.statuses[vehicle_id]
+        if event := self.falls.get((vehicle_id, name)):
+            self.statuses[vehicle_id] = replace(before, phase=RULES[name].on_failure, last_event=event)
+            return
+        up = name in (C.TAKEOFF, C.FORM, C.HOLD)
+        self.statuses[vehicle_id] = replace(
+            before,
+            phase=RULES[name].to,
+            armed=name not in (C.PREPARE, C.LAND, C.DISARM),
+            landed=LandedState.IN_AIR if up else LandedState.ON_GROUND,
+        )
+
+    def change(self, vehicle_id: int, **what: object) -> None:
+        self.statuses[vehicle_id] = replace(self.statuses[vehicle_id], **what)  # type: ignore[arg-type]
+
+
+class Flight:
+    def __init__(self) -> None:
+        self.vehicles = Vehicles()
+        self.watch = FlightWatch([1, 2], [1], time.monotonic())
+        self.shown = io.StringIO()
+        self.checks: list[str] = []
+        self.director = Director(self.vehicles, self.watch, Progress("pair", False, self.shown), self._check)  # type: ignore[arg-type]
+
+    def _check(self) -> None:
+        if self.checks:
+            raise FlightFailure(self.checks.pop())
+
+    def fly(self, *commands: CommandName, for_s: float = 0.3, timeout_s: float = 2.0) -> None:
+        steps = [
+            TimelineStep(command=name, for_s=for_s if name is C.FORM else 0.0, timeout_s=timeout_s) for name in commands
+        ]
+        self.director.fly(steps)
+
+    def fails(self, *commands: CommandName, for_s: float = 0.3, timeout_s: float = 2.0) -> str:
+        with pytest.raises(FlightFailure) as caught:
+            self.fly(*commands, for_s=for_s, timeout_s=timeout_s)
+        assert "\n" not in str(caught.value)
+        return str(caught.value)
+
+
+WHOLE = (C.PREPARE, C.ARM, C.TAKEOFF, C.FORM, C.LAND)
+
+
+@pytest.fixture
+def flight() -> Flight:
+    return Flight()
+
+
+def test_a_whole_timeline_is_flown_and_the_formation_timed(flight: Flight) -> None:
+    flight.fly(*WHOLE)
+    assert [name for name, _ in flight.vehicles.heard] == list(WHOLE)
+    formation = flight.watch.formation
+    assert formation is not None
+    # The last vehicle enters 0.1 s after the command, the leader 0.05 s before it; the clock starts with the last.
+    assert formation.end_s - formation.start_s == pytest.approx(0.3, abs=0.1)
+    assert formation.start_s - formation.reference_start_s == pytest.approx(DOING_S, abs=0.03)
+    assert flight.watch.timing == {1: TIMING, 2: TIMING}
+    assert flight.director.land_all() is None
+    assert flight.vehicles.heard[-1][0] is C.LAND  # nobody had to be told again
+
+
+def test_a_refused_command_is_repeated_to_those_who_refused(flight: Flight) -> None:
+    flight.vehicles.refuses[2, C.ARM] = ["arm: not ready", "arm: still not ready"]
+    flight.fly(C.PREPARE, C.ARM, timeout_s=5.0)
+    assert flight.vehicles.heard == [(C.PREPARE, (1, 2)), (C.ARM, (1, 2)), (C.ARM, (2,)), (C.ARM, (2,))]
+
+
+def test_who_never_accepts_is_named_with_its_last_reason(flight: Flight) -> None:
+    flight.vehicles.refuses[2, C.ARM] = ["first", *["arm: the autopilot's origin is unknown"] * 20]
+    message = flight.fails(C.PREPARE, C.ARM, timeout_s=1.2)
+    assert message == "arm not done within 1.2 s: vehicle 2: arm: the autopilot's origin is unknown"
+
+
+def test_vehicles_with_one_reason_are_said_together(flight: Flight) -> None:
+    flight.vehicles.mute = {1, 2}
+    message = flight.fails(C.PREPARE, timeout_s=0.2)
+    assert message == "prepare not done within 0.2 s: vehicles 1, 2: its agent does not answer"
+
+
+def test_a_procedure_that_fails_on_the_ground_is_tried_again(flight: Flight) -> None:
+    flight.vehicles.falls[1, C.ARM] = "arm -> ready (arm failed: no)"
+    message = flight.fails(C.PREPARE, C.ARM, timeout_s=1.5)
+    assert message == "arm not done within 1.5 s: vehicle 1: arm -> ready (arm failed: no)"
+    assert flight.vehicles.heard.count((C.ARM, (1,))) >= 1
+
+
+def test_a_take_off_that_ends_in_observe_ends_the_flight(flight: Flight) -> None:
+    flight.vehicles.falls[2, C.TAKEOFF] = "takeoff -> observe (the autopilot disarmed)"
+    message = flight.fails(C.PREPARE, C.ARM, C.TAKEOFF)
+    assert message == "vehicle 2 gave up at takeoff: takeoff -> observe (the autopilot disarmed)"
+
+
+def test_a_pilot_who_takes_over_in_formation_ends_the_flight_and_all_are_landed(flight: Flight) -> None:
+    flight.fly(C.PREPARE, C.ARM, C.TAKEOFF)
+    flight.director._check = lambda: (
+        flight.vehicles.change(  # type: ignore[method-assign]
+            2, phase=P.OBSERVE, last_event="formation -> observe (mode POSCTL was set by someone else)"
+        )
+        if flight.vehicles.statuses[2].phase is P.FORMATION
+        else None
+    )
+    message = flight.fails(C.FORM, for_s=5.0)
+    assert "vehicle 2" in message
+    assert "mode POSCTL was set by someone else" in message
+    assert flight.director.land_all() is None
+    assert flight.vehicles.heard[-1] == (C.LAND, (1, 2))
+    assert not any(s.armed for s in flight.vehicles.statuses.values())
+
+
+def test_what_ends_the_flight_from_outside_closes_the_formation(flight: Flight) -> None:
+    flight.fly(C.PREPARE, C.ARM, C.TAKEOFF, C.FORM)
+    flight.checks = ["agent 2 was killed by SIGKILL: it said nothing"]
+    assert flight.fails(C.FORM) == "agent 2 was killed by SIGKILL: it said nothing"
+    assert flight.watch.formation is not None
+
+
+def test_armed_vehicles_on_the_ground_are_disarmed_and_the_silent_left_alone(flight: Flight) -> None:
+    flight.fly(C.PREPARE, C.ARM)
+    flight.vehicles.mute = {2}
+    time.sleep(1.1)
+    assert flight.director.land_all() is None
+    assert flight.vehicles.heard[-1] == (C.DISARM, (1,))
+    assert flight.vehicles.statuses[2].armed
+
+
+def test_events_are_recorded_once_and_by_vehicle(flight: Flight) -> None:
+    for event in ("a", "a", "b"):
+        flight.vehicles.change(1, last_event=event)
+        for report in flight.vehicles.drain():
+            flight.watch.hear(report, flight.watch.began_s + 1.0)
+    assert [(e.time_s, e.vehicle, e.event) for e in flight.watch.events] == [(1.0, 1, "a"), (1.0, 1, "b")]
+
+
+def test_progress_off_a_terminal_is_plain_lines(flight: Flight) -> None:
+    flight.fly(C.PREPARE, C.ARM)
+    text = flight.shown.getvalue()
+    assert "\x1b" not in text
+    assert "pair   step 1 of 2, prepare" in text
+    assert "UAV 1   leader    arm" in text
+    assert "PrC 2" in text
