@@ -1,0 +1,89 @@
+"""The `sitl` command: one entry per subcommand, each loaded only when it is called."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import NoReturn
+
+from companion import __version__
+from companion.config_file import ConfigError
+
+EXIT_BAD_INPUT = 2
+
+
+def main() -> NoReturn:
+    arguments = _parser().parse_args()
+    run: Callable[[argparse.Namespace], int] = arguments.run
+    try:
+        sys.exit(run(arguments))
+    except ConfigError as error:
+        print(error, file=sys.stderr)
+        sys.exit(EXIT_BAD_INPUT)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="sitl", description="Stand-in vehicles, and whole fleets of real processes.")
+    parser.add_argument("--version", action="version", version=__version__)
+    subcommands = parser.add_subparsers(required=True, metavar="COMMAND")
+    _add_autopilot(subcommands)
+    _add_fly(subcommands)
+    return parser
+
+
+def _add_autopilot(subcommands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = subcommands.add_parser(
+        "autopilot",
+        help="one stand-in quadrotor with PX4's manners behind UDP",
+        description="One stand-in quadrotor with PX4's manners behind UDP on this machine.",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog="""\
+With id N (instance i = N - 1, K the port offset) it listens for a companion on UDP 14580+i+K and sends to 14540+i+K; for a
+ground station it listens on 18570+i+K and sends to 14550. It lets itself be armed about 4 s after its start.
+
+examples:
+  sitl autopilot                                        vehicle 1 with the default airframe and sensor noise
+  sitl autopilot --id 3 --truth truth.csv               vehicle 3; where it truly was, at 50 Hz
+  sitl autopilot --config autopilot.yaml --seconds 60   as the file says, for a minute
+
+exit codes: 0 ended as asked, 2 bad file or port in use""",
+    )
+    parser.add_argument("--config", type=Path, metavar="FILE", help="YAML file: id, start_enu_m, stand_in, ...")
+    parser.add_argument("--id", type=int, help="vehicle id (MAVLink system id), instead of the file's")
+    parser.add_argument("--port-offset", type=int, default=0, metavar="K", help="added to all ports (default 0)")
+    parser.add_argument("--truth", type=Path, metavar="CSV", help="write true states at 50 Hz")
+    parser.add_argument("--seconds", type=float, metavar="S", help="end after S seconds")
+    parser.set_defaults(run=_run_autopilot)
+
+
+def _run_autopilot(arguments: argparse.Namespace) -> int:
+    from sitl.autopilot_file import load_autopilot_file
+    from sitl.ports import ports_of
+    from sitl.realtime import run
+
+    file = load_autopilot_file(arguments.config, arguments.id)
+    run(file, ports_of(file.id, arguments.port_offset), arguments.truth, arguments.seconds)
+    return 0
+
+
+def _add_fly(subcommands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    from sitl.fly_options import DESCRIPTION, MORE, add_fly_arguments
+
+    parser = subcommands.add_parser(
+        "fly",
+        help="a whole fleet of real processes through a scenario, with figures at its end",
+        description=DESCRIPTION,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog=MORE,
+    )
+    add_fly_arguments(parser)
+    parser.set_defaults(run=_run_fly)
+
+
+def _run_fly(arguments: argparse.Namespace) -> int:
+    from sitl.fly import run_fly
+    from sitl.fly_options import fly_options
+
+    return run_fly(fly_options(arguments))

@@ -1,0 +1,66 @@
+"""Seeded random processes: the estimator's error against truth, and gusts."""
+
+from __future__ import annotations
+
+from math import exp, radians, sqrt
+from random import Random
+
+from companion.types import Vector3
+from sitl.config import Sensors, Wind
+
+
+class GaussMarkov:
+    """Noise of standard deviation `sd` that forgets within `time_s`; it starts from its stationary distribution."""
+
+    def __init__(self, random: Random, sd: float, time_s: float, dt_s: float) -> None:
+        self._random = random
+        self._keep = exp(-dt_s / time_s)
+        self._kick = sd * sqrt(1.0 - self._keep**2)
+        self.value = random.gauss(0.0, sd)
+
+    def step(self) -> float:
+        self.value = self._keep * self.value + self._random.gauss(0.0, self._kick)
+        return self.value
+
+
+class EstimatorError:
+    """What the autopilot's estimate is off by. `step` is due every `dt_s`; position error [m], velocity error [m/s]."""
+
+    def __init__(self, sensors: Sensors, random: Random, dt_s: float) -> None:
+        self._random = random
+        self._white_m_s = sensors.velocity_white_sd_m_s
+        self._attitude_rad = radians(sensors.attitude_sd_deg)
+        self._position = [GaussMarkov(random, sd, sensors.position_time_s, dt_s) for sd in sensors.position_sd_m]
+        self._velocity = [GaussMarkov(random, sensors.velocity_sd_m_s, sensors.velocity_time_s, dt_s) for _ in range(3)]
+        self._attitude = [GaussMarkov(random, self._attitude_rad, sensors.velocity_time_s, dt_s) for _ in range(3)]
+        self.quiet = sensors == Sensors(origin_sd_m=sensors.origin_sd_m)
+        self.position_m: Vector3 = (0.0, 0.0, 0.0)
+        self.velocity_m_s: Vector3 = (0.0, 0.0, 0.0)
+        self.attitude_rad: Vector3 = (0.0, 0.0, 0.0)
+        self.step()
+
+    def step(self) -> None:
+        if self.quiet:
+            return
+        x, y, z = (process.step() for process in self._position)
+        self.position_m = (x, y, z)
+        white = self._random.gauss
+        x, y, z = (process.step() + white(0.0, self._white_m_s) for process in self._velocity)
+        self.velocity_m_s = (x, y, z)
+        x, y, z = (process.step() for process in self._attitude)
+        self.attitude_rad = (x, y, z)
+
+
+class Gusts:
+    """Steady wind with first-order gusts, m/s in ENU."""
+
+    def __init__(self, wind: Wind, random: Random, dt_s: float) -> None:
+        self._mean = wind.mean_enu_m_s
+        self._quiet = wind.gust_sd_m_s == 0.0
+        self._gusts = [GaussMarkov(random, wind.gust_sd_m_s, wind.gust_time_s, dt_s) for _ in range(3)]
+
+    def step(self) -> Vector3:
+        if self._quiet:
+            return self._mean
+        x, y, z = (mean + gust.step() for mean, gust in zip(self._mean, self._gusts, strict=True))
+        return (x, y, z)

@@ -1,0 +1,106 @@
+"""The rigid body of eq. 1-5 with lagging motors, linear drag and flat ground. Pure; plain floats, because one vehicle is small.
+
+State, in this order: position x y z [m] and velocity [m/s] in ENU, attitude quaternion w x y z (FLU body to ENU), body rates
+p q r [rad/s], collective thrust [N] and moments about the body axes [N m] as the motors give them just now.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import sqrt
+
+from companion.types import Vector3
+
+GRAVITY_M_S2 = 9.80665
+
+State = tuple[float, ...]  # 17 numbers
+Derivative = Callable[[State], State]
+
+POSITION, VELOCITY, ATTITUDE, RATES = slice(0, 3), slice(3, 6), slice(6, 10), slice(10, 13)
+THRUST = 13
+
+
+@dataclass(frozen=True, slots=True)
+class Body:
+    """What the equations of motion need to know of an airframe."""
+
+    mass_kg: float
+    inertia_kg_m2: Vector3
+    drag_n_per_m_s: float
+    motor_lag_s: float
+
+
+def at_rest(position_enu_m: Vector3, quaternion: tuple[float, float, float, float]) -> State:
+    """Standing still, motors off."""
+    return (*position_enu_m, 0.0, 0.0, 0.0, *quaternion, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def derivative(body: Body, thrust_n: float, moments_n_m: Vector3, wind_enu_m_s: Vector3) -> Derivative:
+    """d(state)/dt for commanded thrust and moments, in free air.
+
+    Eq. 1: m x'' = -m g e3 + R F e3 - drag (x' - wind), R' = R S(Omega), J Omega' + S(Omega) J Omega = tau. The attitude is a
+    quaternion, which eq. 3-5 in Euler angles become once their singularity is taken out.
+    """
+    mass, drag = body.mass_kg, body.drag_n_per_m_s
+    jx, jy, jz = body.inertia_kg_m2
+    tx, ty, tz = moments_n_m
+    wx, wy, wz = wind_enu_m_s
+    follow = 1.0 / body.motor_lag_s if body.motor_lag_s > 0.0 else 0.0
+
+    def rate_of_change(state: State) -> State:
+        _, _, _, vx, vy, vz, w, x, y, z, p, q, r, force, mx, my, mz = state
+        per_mass = force / mass
+        return (
+            vx,
+            vy,
+            vz,
+            2.0 * (x * z + w * y) * per_mass - drag / mass * (vx - wx),
+            2.0 * (y * z - w * x) * per_mass - drag / mass * (vy - wy),
+            (1.0 - 2.0 * (x * x + y * y)) * per_mass - GRAVITY_M_S2 - drag / mass * (vz - wz),
+            0.5 * (-x * p - y * q - z * r),
+            0.5 * (w * p + y * r - z * q),
+            0.5 * (w * q - x * r + z * p),
+            0.5 * (w * r + x * q - y * p),
+            (mx - (jz - jy) * q * r) / jx,
+            (my - (jx - jz) * r * p) / jy,
+            (mz - (jy - jx) * p * q) / jz,
+            follow * (thrust_n - force),
+            follow * (tx - mx),
+            follow * (ty - my),
+            follow * (tz - mz),
+        )
+
+    return rate_of_change
+
+
+def euler(rate_of_change: Derivative, state: State, dt_s: float) -> State:
+    """One step, velocities first: position and attitude move with the new ones, which keeps orbits closed at 250 Hz."""
+    d = rate_of_change(state)
+    moved = tuple([a + dt_s * b for a, b in zip(state, d, strict=True)])
+    x, y, z, vx, vy, vz = moved[:6]
+    # Position with the mean of old and new velocity: exact under constant acceleration.
+    return (
+        x + 0.5 * dt_s * (vx - state[3]),
+        y + 0.5 * dt_s * (vy - state[4]),
+        z + 0.5 * dt_s * (vz - state[5]),
+        *moved[3:],
+    )
+
+
+def rk4(rate_of_change: Derivative, state: State, dt_s: float) -> State:
+    """One classical Runge-Kutta step of fourth order."""
+    half = 0.5 * dt_s
+    k1 = rate_of_change(state)
+    k2 = rate_of_change(tuple([a + half * b for a, b in zip(state, k1, strict=True)]))
+    k3 = rate_of_change(tuple([a + half * b for a, b in zip(state, k2, strict=True)]))
+    k4 = rate_of_change(tuple([a + dt_s * b for a, b in zip(state, k3, strict=True)]))
+    sixth = dt_s / 6.0
+    return tuple([a + sixth * (b + 2.0 * (c + d) + e) for a, b, c, d, e in zip(state, k1, k2, k3, k4, strict=True)])
+
+
+def normalised(state: State) -> State:
+    """The same state with a unit quaternion."""
+    w, x, y, z = state[ATTITUDE]
+    norm = sqrt(w * w + x * x + y * y + z * z)
+    return (*state[:6], w / norm, x / norm, y / norm, z / norm, *state[10:])

@@ -1,0 +1,78 @@
+"""One MAVLink link of the stand-in: which messages go out on it how often, and whether a ground station listens there."""
+
+from __future__ import annotations
+
+from companion.mavlink.codec import mavlink
+
+M = mavlink
+MAX_RATE_HZ = 125.0  # 500 Hz is accepted and gives 125
+
+# Default rates in Hz of the onboard link; what is not listed is off until asked for.
+ONBOARD_RATES_HZ = {
+    M.MAVLINK_MSG_ID_HEARTBEAT: 1.0,
+    M.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 30.0,
+    M.MAVLINK_MSG_ID_ATTITUDE: 100.0,
+    M.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 50.0,
+    M.MAVLINK_MSG_ID_ODOMETRY: 30.0,
+    M.MAVLINK_MSG_ID_TIMESYNC: 10.0,
+    M.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,
+    M.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 10.0,
+    M.MAVLINK_MSG_ID_GPS_RAW_INT: 5.0,
+    M.MAVLINK_MSG_ID_SYS_STATUS: 5.0,
+    M.MAVLINK_MSG_ID_BATTERY_STATUS: 0.5,
+    M.MAVLINK_MSG_ID_ATTITUDE_TARGET: 10.0,
+    M.MAVLINK_MSG_ID_VFR_HUD: 4.0,
+    M.MAVLINK_MSG_ID_ALTITUDE: 10.0,
+    M.MAVLINK_MSG_ID_HOME_POSITION: 0.5,
+    M.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 1.0,
+    M.MAVLINK_MSG_ID_CURRENT_MODE: 0.5,
+}
+GROUND_RATES_HZ = ONBOARD_RATES_HZ | {
+    M.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 10.0,
+    M.MAVLINK_MSG_ID_ATTITUDE: 15.0,
+    M.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 10.0,
+    M.MAVLINK_MSG_ID_ODOMETRY: 0.0,
+}
+HEARTBEAT_ONLY = {M.MAVLINK_MSG_ID_HEARTBEAT: 1.0}
+STREAMABLE = frozenset(ONBOARD_RATES_HZ) | {M.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN}
+
+
+class Schedule:
+    """Rates of one link, on the autopilot's own clock. They outlive a reconnection of the peer."""
+
+    def __init__(self, rates_hz: dict[int, float]) -> None:
+        self.reset(rates_hz, 0.0)
+
+    def reset(self, rates_hz: dict[int, float], now_s: float) -> None:
+        """Other defaults: a ground link says more once somebody was heard there."""
+        self._defaults = rates_hz
+        self._period_s = {message_id: 1.0 / rate_hz for message_id, rate_hz in rates_hz.items() if rate_hz > 0.0}
+        self._due_s = dict.fromkeys(self._period_s, now_s)
+
+    def set_interval(self, message_id: int, interval_us: float, now_s: float) -> bool:
+        """MAV_CMD_SET_MESSAGE_INTERVAL: 0 is the default, -1 off. False where it cannot be changed."""
+        if message_id not in STREAMABLE or message_id == M.MAVLINK_MSG_ID_HEARTBEAT or interval_us < -1.0:
+            return False
+        rate_hz = self._defaults.get(message_id, 0.0) if interval_us == 0.0 else 1e6 / interval_us
+        self._due_s.pop(message_id, None)
+        self._period_s.pop(message_id, None)
+        if rate_hz > 0.0:
+            self._period_s[message_id] = 1.0 / min(rate_hz, MAX_RATE_HZ)
+            self._due_s[message_id] = now_s
+        return True
+
+    def interval_us(self, message_id: int) -> int:
+        """As MESSAGE_INTERVAL tells it: -1 off."""
+        return round(self._period_s[message_id] * 1e6) if message_id in self._period_s else -1
+
+    def due(self, now_s: float) -> list[int]:
+        """What is to be sent now. Evenly spaced: a late step does not shift what follows."""
+        ready = []
+        for message_id, due_s in self._due_s.items():
+            if now_s >= due_s - 1e-6:
+                ready.append(message_id)
+        for message_id in ready:
+            period_s = self._period_s[message_id]
+            next_s = self._due_s[message_id] + period_s
+            self._due_s[message_id] = next_s if next_s > now_s else now_s + period_s
+        return ready

@@ -1,0 +1,86 @@
+"""The parameters that the stand-in knows, by PX4's names. Integers travel bytewise in the float field, as PX4 sends them."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+from companion.mavlink.codec import mavlink
+
+INT32: int
+REAL32: int
+INT32, REAL32 = mavlink.MAV_PARAM_TYPE_INT32, mavlink.MAV_PARAM_TYPE_REAL32
+
+DEFAULTS: dict[str, float | int] = {
+    "BAT1_CAPACITY": -1.0,
+    "BAT1_N_CELLS": 4,
+    "CBRK_SUPPLY_CHK": 894281,
+    "COM_ARM_WO_GPS": 1,
+    "COM_DISARM_LAND": 2.0,
+    "COM_DISARM_PRFLT": 10.0,
+    "COM_OBL_RC_ACT": 0,
+    "COM_OF_LOSS_T": 1.0,
+    "COM_RC_IN_MODE": 4,
+    "COM_RC_OVERRIDE": 1,
+    "EKF2_GPS_P_NOISE": 0.5,
+    "EKF2_GPS_V_NOISE": 0.3,
+    "GF_ACTION": 2,
+    "GF_MAX_HOR_DIST": 0.0,
+    "GF_MAX_VER_DIST": 0.0,
+    "MAV_COMP_ID": 1,
+    "MAV_SYS_ID": 1,
+    "MAV_TYPE": 2,
+    "MIS_TAKEOFF_ALT": 2.5,
+    "MPC_LAND_SPEED": 0.7,
+    "MPC_THR_HOVER": 0.5,
+    "MPC_TKO_SPEED": 1.5,
+    "MPC_XY_CRUISE": 5.0,
+    "NAV_DLL_ACT": 0,
+    "NAV_RCL_ACT": 2,
+    "RTL_RETURN_ALT": 60.0,
+    "SYS_AUTOSTART": 10040,
+    "SYS_HITL": 0,
+}
+
+
+@dataclass(slots=True)
+class Parameters:
+    """Values by name; the type of a parameter is that of its default."""
+
+    values: dict[str, float | int]
+
+    def __init__(self, system_id: int, overrides: dict[str, float]) -> None:
+        """Raises KeyError for a parameter that does not exist."""
+        self.values = DEFAULTS | {"MAV_SYS_ID": system_id}
+        for name, value in overrides.items():
+            self.set(name, value)
+
+    def __getitem__(self, name: str) -> float:
+        return self.values[name]
+
+    def set(self, name: str, value: float) -> None:
+        self.values[name] = int(value) if isinstance(self.values[name], int) else float(value)
+
+    def set_from_wire(self, name: str, value: float, kind: int) -> bool:
+        """PARAM_SET; False where the parameter does not exist or the type is not its own."""
+        if name not in self.values or kind != self._kind(name):
+            return False
+        self.set(name, struct.unpack("<i", struct.pack("<f", value))[0] if kind == INT32 else value)
+        return True
+
+    def messages(self) -> list[mavlink.MAVLink_param_value_message]:
+        """PARAM_VALUE of all, in order."""
+        return [self.message(name) for name in sorted(self.values)]
+
+    def message(self, name: str) -> mavlink.MAVLink_param_value_message:
+        names = sorted(self.values)
+        value = self.values[name]
+        wire = struct.unpack("<f", struct.pack("<i", value))[0] if isinstance(value, int) else value
+        return mavlink.MAVLink_param_value_message(name.encode(), wire, self._kind(name), len(names), names.index(name))
+
+    def name_at(self, index: int) -> str | None:
+        names = sorted(self.values)
+        return names[index] if 0 <= index < len(names) else None
+
+    def _kind(self, name: str) -> int:
+        return INT32 if isinstance(self.values[name], int) else REAL32

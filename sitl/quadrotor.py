@@ -1,0 +1,143 @@
+"""One stand-in vehicle as a body in the world: attitude loop, motors, rigid body, ground, and the estimate of it all."""
+
+from __future__ import annotations
+
+from math import cos, radians, sin
+from random import Random
+
+from companion.frames import (
+    Quaternion,
+    enu_from_geodetic,
+    euler_from_quaternion,
+    geodetic_from_enu,
+    quaternion_from_euler,
+)
+from companion.types import ZERO3, Vector3
+from sitl.attitude_control import DelayLine, Setpoint, moments, wanted_rates
+from sitl.config import AutopilotFile
+from sitl.disturbances import EstimatorError, Gusts
+from sitl.dynamics import (
+    ATTITUDE,
+    GRAVITY_M_S2,
+    POSITION,
+    RATES,
+    THRUST,
+    VELOCITY,
+    Body,
+    at_rest,
+    derivative,
+    euler,
+    normalised,
+)
+
+MOTORS_OFF = Setpoint((1.0, 0.0, 0.0, 0.0), 0.0)
+ESTIMATE_PERIOD_STEPS = 2  # the estimator's error moves every other step
+
+
+class Quadrotor:
+    """Advances in steps of `dt_s`. Everything random comes out of (seed, vehicle id)."""
+
+    def __init__(self, file: AutopilotFile, dt_s: float) -> None:
+        airframe = file.stand_in.airframe
+        random = Random(f"{file.stand_in.seed} {file.id}")
+        self._dt_s = dt_s
+        self._airframe = airframe
+        self._body = Body(airframe.mass_kg, airframe.inertia_kg_m2, airframe.drag_n_per_m_s, airframe.motor_lag_s)
+        self._newton_per_thrust = airframe.mass_kg * GRAVITY_M_S2 / airframe.hover_thrust_norm
+        yaw = quaternion_from_euler(0.0, 0.0, radians(file.start_yaw_deg))
+        self.state = at_rest(file.start_enu_m, yaw)
+        self._ground_z_m = file.start_enu_m[2]
+        self._delay = DelayLine(MOTORS_OFF, dt_s)
+        self._gusts = Gusts(file.stand_in.wind, random, dt_s)
+        sensors = file.stand_in.sensor_model()
+        self._error = EstimatorError(sensors, random, dt_s * ESTIMATE_PERIOD_STEPS)
+        self._steps = 0
+        self.world_origin = file.world_origin.as_tuple()
+        x, y, z = (a + random.gauss(0.0, sd) for a, sd in zip(file.start_enu_m, sensors.origin_sd_m, strict=True))
+        self.set_origin(geodetic_from_enu((x, y, z), self.world_origin))
+
+    def set_origin(self, origin_deg_deg_m: Vector3) -> None:
+        """Begin the local frame somewhere else (SET_GPS_GLOBAL_ORIGIN). As coarse as GPS_GLOBAL_ORIGIN tells it."""
+        latitude, longitude, altitude = origin_deg_deg_m
+        self.origin = (round(latitude, 7), round(longitude, 7), round(altitude, 3))
+        self._origin_enu_m = enu_from_geodetic(*self.origin, self.world_origin)
+
+    @property
+    def thrust_norm(self) -> float:
+        return self.state[THRUST] / self._newton_per_thrust
+
+    @property
+    def position_enu_m(self) -> Vector3:
+        """Truth, in the world's frame."""
+        x, y, z = self.state[POSITION]
+        return (x, y, z)
+
+    @property
+    def velocity_enu_m_s(self) -> Vector3:
+        x, y, z = self.state[VELOCITY]
+        return (x, y, z)
+
+    @property
+    def quaternion(self) -> Quaternion:
+        w, x, y, z = self.state[ATTITUDE]
+        return (w, x, y, z)
+
+    @property
+    def rates_rad_s(self) -> Vector3:
+        p, q, r = self.state[RATES]
+        return (p, q, r)
+
+    def estimated_position_local_enu_m(self) -> Vector3:
+        x, y, z = self.state[POSITION]
+        ex, ey, ez = self._error.position_m
+        ox, oy, oz = self._origin_enu_m
+        return (x + ex - ox, y + ey - oy, z + ez - oz)
+
+    def estimated_velocity_enu_m_s(self) -> Vector3:
+        x, y, z = self.state[VELOCITY]
+        ex, ey, ez = self._error.velocity_m_s
+        return (x + ex, y + ey, z + ez)
+
+    def estimated_euler_rad(self) -> Vector3:
+        """Roll, pitch, yaw of FLU in ENU."""
+        roll, pitch, yaw = euler_from_quaternion(self.quaternion)
+        er, ep, ey = self._error.attitude_rad
+        return (roll + er, pitch + ep, yaw + ey)
+
+    @property
+    def stands(self) -> bool:
+        """On the ground and not moving."""
+        return self.state[2] <= self._ground_z_m and self.state[5] <= 0.0
+
+    def step(self, setpoint: Setpoint) -> None:
+        """Advance by dt_s under this setpoint."""
+        wind = self._gusts.step()
+        if self._airframe.attitude == "instant":
+            self._take_attitude(setpoint)
+            torque = ZERO3
+        else:
+            setpoint = self._delay.pass_on(setpoint)
+            rates = wanted_rates(setpoint, self.quaternion)
+            torque = moments(rates, self.rates_rad_s, self._body.inertia_kg_m2)
+        thrust_n = setpoint.thrust_norm * self._newton_per_thrust
+        if self._body.motor_lag_s == 0.0:
+            self.state = (*self.state[:THRUST], thrust_n, *torque)
+        self.state = normalised(euler(derivative(self._body, thrust_n, torque, wind), self.state, self._dt_s))
+        self._touch_ground()
+        self._steps += 1
+        if self._steps % ESTIMATE_PERIOD_STEPS == 0:
+            self._error.step()
+
+    def _take_attitude(self, setpoint: Setpoint) -> None:
+        self.state = (*self.state[:6], *setpoint.quaternion, 0.0, 0.0, 0.0, *self.state[THRUST:])
+
+    def _touch_ground(self) -> None:
+        """Flat, hard and sticky: it stops the fall, and levels the vehicle."""
+        if self.state[2] > self._ground_z_m or self.state[5] > 0.0:
+            return
+        x, y, _ = self.state[POSITION]
+        _, _, yaw = euler_from_quaternion(self.quaternion)
+        half = yaw / 2.0
+        self.state = (
+            x, y, self._ground_z_m, 0.0, 0.0, 0.0, cos(half), 0.0, 0.0, sin(half), 0.0, 0.0, 0.0, *self.state[THRUST:]
+        )  # fmt: skip
