@@ -24,6 +24,7 @@ from sitl.px4_messages import BUILDERS
 DT_S = 0.004  # physics and control at 250 Hz
 MAX_LAG_S = 0.5  # a machine that slept does not fly the time it missed
 GROUND_STATION_FORGOTTEN_S = 5.0
+PORT_HINT = "stop what uses the port, or move all ports with --port-offset"
 TRUTH_HEADER = "monotonic_s,x_m,y_m,z_m,vx_m_s,vy_m_s,vz_m_s,roll_rad,pitch_rad,yaw_rad,thrust_norm,armed,mode\n"
 
 
@@ -113,15 +114,9 @@ async def _run(file: AutopilotFile, ports: Ports, log: TruthLog | None, seconds:
         try:
             await loop.create_datagram_endpoint(lambda link=link: link, local_addr=(LOOPBACK, port))  # type: ignore[misc]
         except OSError as error:
-            raise ConfigError(
-                f"UDP port {port}",
-                "",
-                f"cannot be bound ({error.strerror}); stop what uses it or move all with --port-offset",
-            ) from error
-    print(
-        f"vehicle {file.id}: MAVLink on UDP {ports.onboard} to {ports.companion}, ground station on {ports.ground_link}",
-        flush=True,
-    )
+            raise ConfigError(f"UDP port {port}", "", f"{error.strerror}; {PORT_HINT}") from error
+    ground = f"ground station on {ports.ground_link}"
+    print(f"vehicle {file.id}: MAVLink on UDP {ports.onboard} to {ports.companion}, {ground}", flush=True)
     end_s = time.monotonic() + seconds if seconds is not None else float("inf")
     await _fly(px4, links, log, done, end_s)
     if log:
