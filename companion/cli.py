@@ -59,9 +59,10 @@ One vehicle's endpoint (zenoh.listen in its vehicle file) leads to all that it i
 where one vehicle may be away. On a terminal the table is live; into a pipe or a file it is printed once a second.
 
 columns:
-  PrC     cooperation priority, 1 is nearest to a leader          error  metres from its slot in the formation, - where
-  data    age of the vehicle's position, with its way to here             it does not fly or no leader reports
-  rej     messages refused by the vehicle so far
+  PrC    cooperation priority: 1 is a leader, 2 hears one, 3 hears a 2, and so on
+  error  metres from its place in the formation; - where it does not fly or no leader reports
+  data   age of its position, with the way to here
+  rej    messages that the vehicle has refused so far
 
 exit codes:
   0  ended by Ctrl-C, or --once has heard at least one vehicle

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -46,7 +47,7 @@ def run_monitor(fleet: str, connect: Sequence[str] | None, once: bool, as_json: 
         except KeyboardInterrupt:
             return 0
         except BrokenPipeError:  # `| head` has seen enough
-            sys.stderr.close()
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what Python still flushes at its exit
             return 0
     return 0
 
