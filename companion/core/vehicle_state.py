@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import replace
 from math import isfinite
+from typing import Any
 
 from companion.frames import enu_from_geodetic
 from companion.types import (
@@ -41,6 +41,7 @@ class VehicleTracker:
         self._boot_time_s = float("-inf")
         self.rejected: Counter[str] = Counter()
         self.state = VehicleState(frame_known=fleet_origin is None)
+        self._fields: dict[str, Any] = {"frame_known": self.state.frame_known}  # all that was ever heard
 
     def fold(self, telemetry: Iterable[Telemetry]) -> VehicleState:
         """The state after these samples. What is out of range is counted in `rejected` and changes nothing."""
@@ -51,17 +52,17 @@ class VehicleTracker:
                 case AttitudeSample():
                     self._fold_attitude(sample)
                 case ModeSample():
-                    self.state = replace(
-                        self.state, mode=sample.mode, mode_name=sample.name, mode_time_s=sample.received_s
-                    )
+                    self._fields.update(mode=sample.mode, mode_name=sample.name, mode_time_s=sample.received_s)
                 case HeartbeatSample():
-                    self.state = replace(
-                        self.state, armed=sample.armed, critical=sample.critical, heartbeat_time_s=sample.received_s
+                    self._fields.update(
+                        armed=sample.armed, critical=sample.critical, heartbeat_time_s=sample.received_s
                     )
                 case LandedSample():
-                    self.state = replace(self.state, landed=sample.landed, landed_time_s=sample.received_s)
+                    self._fields.update(landed=sample.landed, landed_time_s=sample.received_s)
                 case OriginSample():
                     self._fold_origin(sample)
+        # Once a tick: a new state for every sample would cost more than the law.
+        self.state = VehicleState(**self._fields)
         return self.state
 
     def _fold_position(self, sample: PositionSample) -> None:
@@ -77,8 +78,7 @@ class VehicleTracker:
             return
         east, north, up = sample.position_local_enu_m
         offset = self._offset_enu_m
-        self.state = replace(
-            self.state,
+        self._fields.update(
             position_enu_m=(east + offset[0], north + offset[1], up + offset[2]),
             velocity_enu_m_s=sample.velocity_enu_m_s,
             position_time_s=sample.received_s,
@@ -89,8 +89,7 @@ class VehicleTracker:
         if not all(map(isfinite, (sample.roll_rad, sample.pitch_rad, sample.yaw_rad))):
             self.rejected["attitude not finite"] += 1
             return
-        self.state = replace(
-            self.state,
+        self._fields.update(
             roll_rad=sample.roll_rad,
             pitch_rad=sample.pitch_rad,
             yaw_rad=sample.yaw_rad,
@@ -107,7 +106,7 @@ class VehicleTracker:
             self._offset_enu_m = enu_from_geodetic(
                 sample.latitude_deg, sample.longitude_deg, sample.altitude_amsl_m, self._fleet_origin
             )
-        self.state = replace(self.state, frame_known=True)
+        self._fields.update(frame_known=True)
 
 
 def _within(vector: Vector3, limit: float) -> bool:
