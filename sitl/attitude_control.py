@@ -8,26 +8,31 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
-from math import radians
+from math import radians, sqrt
 
 from companion.frames import Quaternion
 from companion.types import Vector3
 
-ATTITUDE_GAIN_1_S = 7.0
-YAW_GAIN_1_S = 2.8
-RATE_GAIN_1_S = 13.3
-YAW_RATE_GAIN_1_S = 5.5
-MAX_RATE_RAD_S = radians(220.0)  # MC_ROLLRATE_MAX
+# Fitted together with motors that lag by 50 ms.
+TILT_GAIN_1_S = 6.5  # MC_ROLL_P and MC_PITCH_P
+YAW_GAIN_1_S = 2.5
+RATE_GAIN_1_S = 12.5
+YAW_RATE_GAIN_1_S = 7.5
+DELAY_S = 0.028  # of the attitude on its way through PX4's loops and filters
+MAX_RATE_RAD_S = radians(220.0)  # MC_ROLLRATE_MAX, MC_PITCHRATE_MAX
 MAX_YAW_RATE_RAD_S = radians(109.0)
-DELAY_S = 0.042  # from a setpoint's arrival to the motors' first answer
 
 
 @dataclass(frozen=True, slots=True)
 class Setpoint:
-    """What the loops follow: attitude (FLU to ENU), collective thrust 0..1, or body rates where `rates_rad_s` is given."""
+    """What the loops follow: an attitude (FLU to ENU) and the collective thrust in 0..1.
+
+    `yaw_rate_rad_s` about the vertical is fed forward. Where `rates_rad_s` (p, q, r) is given it replaces the attitude.
+    """
 
     quaternion: Quaternion
     thrust_norm: float
+    yaw_rate_rad_s: float = 0.0
     rates_rad_s: Vector3 | None = None
 
 
@@ -47,8 +52,13 @@ def wanted_rates(setpoint: Setpoint, measured: Quaternion) -> Vector3:
     if setpoint.rates_rad_s is not None:
         p, q, r = setpoint.rates_rad_s
     else:
-        ex, ey, ez = _rotation_error(measured, setpoint.quaternion)
-        p, q, r = ATTITUDE_GAIN_1_S * ex, ATTITUDE_GAIN_1_S * ey, YAW_GAIN_1_S * ez
+        ex, ey, ez = rotation_error(measured, setpoint.quaternion)
+        p, q, r = TILT_GAIN_1_S * ex, TILT_GAIN_1_S * ey, YAW_GAIN_1_S * ez
+        if setpoint.yaw_rate_rad_s:
+            w, x, y, z = measured
+            p += setpoint.yaw_rate_rad_s * 2.0 * (x * z - w * y)
+            q += setpoint.yaw_rate_rad_s * 2.0 * (y * z + w * x)
+            r += setpoint.yaw_rate_rad_s * (1.0 - 2.0 * (x * x + y * y))
     return (
         _clamped(p, MAX_RATE_RAD_S),
         _clamped(q, MAX_RATE_RAD_S),
@@ -65,17 +75,23 @@ def moments(rates_wanted: Vector3, rates: Vector3, inertia_kg_m2: Vector3) -> Ve
     )
 
 
-def _rotation_error(measured: Quaternion, wanted: Quaternion) -> Vector3:
-    """Twice the vector part of measured^-1 * wanted: the small rotation in body axes, the same for q and -q."""
+def rotation_error(measured: Quaternion, wanted: Quaternion) -> Vector3:
+    """Tilt about body x and y, and turn about body z, from measured to wanted; small angles in rad. The same for q and -q.
+
+    The rotation is split into a tilt and a turn after it, so that a large error of yaw does not disturb the tilt: thrust
+    must point the right way first.
+    """
     mw, mx, my, mz = measured
     w, x, y, z = wanted
     ew = mw * w + mx * x + my * y + mz * z
-    sign = 2.0 if ew >= 0.0 else -2.0
-    return (
-        sign * (mw * x - mx * w - my * z + mz * y),
-        sign * (mw * y + mx * z - my * w - mz * x),
-        sign * (mw * z - mx * y + my * x - mz * w),
-    )
+    ex = mw * x - mx * w - my * z + mz * y
+    ey = mw * y + mx * z - my * w - mz * x
+    ez = mw * z - mx * y + my * x - mz * w
+    turn = sqrt(ew * ew + ez * ez)
+    if turn < 1e-6:  # upside down: any way round is as short
+        return (2.0 * ex, 2.0 * ey, 0.0)
+    yaw = 2.0 * ez / turn
+    return (2.0 * (ew * ex - ez * ey) / turn, 2.0 * (ew * ey + ez * ex) / turn, yaw if ew >= 0.0 else -yaw)
 
 
 def _clamped(value: float, limit: float) -> float:

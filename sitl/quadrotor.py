@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import cos, radians, sin
+from math import cos, radians, sin, sqrt
 from random import Random
 
 from companion.frames import (
@@ -39,7 +39,10 @@ class Quadrotor:
 
     def __init__(self, file: AutopilotFile, dt_s: float) -> None:
         airframe = file.stand_in.airframe
-        random = Random(f"{file.stand_in.seed} {file.id}")
+        # Each subject draws from a stream of its own: gusts that are switched on leave the sensors as they were.
+        sensor_noise, gust_noise, origin_noise = (
+            Random(f"{file.stand_in.seed} {file.id} {subject}") for subject in ("sensors", "gusts", "origin")
+        )
         self._dt_s = dt_s
         self._airframe = airframe
         self._body = Body(airframe.mass_kg, airframe.inertia_kg_m2, airframe.drag_n_per_m_s, airframe.motor_lag_s)
@@ -48,12 +51,12 @@ class Quadrotor:
         self.state = at_rest(file.start_enu_m, yaw)
         self._ground_z_m = file.start_enu_m[2]
         self._delay = DelayLine(MOTORS_OFF, dt_s)
-        self._gusts = Gusts(file.stand_in.wind, random, dt_s)
+        self._gusts = Gusts(file.stand_in.wind, gust_noise, dt_s)
         sensors = file.stand_in.sensor_model()
-        self._error = EstimatorError(sensors, random, dt_s * ESTIMATE_PERIOD_STEPS)
+        self._error = EstimatorError(sensors, sensor_noise, dt_s * ESTIMATE_PERIOD_STEPS)
         self._steps = 0
         self.world_origin = file.world_origin.as_tuple()
-        x, y, z = (a + random.gauss(0.0, sd) for a, sd in zip(file.start_enu_m, sensors.origin_sd_m, strict=True))
+        x, y, z = (a + origin_noise.gauss(0.0, sd) for a, sd in zip(file.start_enu_m, sensors.origin_sd_m, strict=True))
         self.set_origin(geodetic_from_enu((x, y, z), self.world_origin))
 
     def set_origin(self, origin_deg_deg_m: Vector3) -> None:
@@ -79,6 +82,7 @@ class Quadrotor:
 
     @property
     def quaternion(self) -> Quaternion:
+        """Truth, FLU to ENU."""
         w, x, y, z = self.state[ATTITUDE]
         return (w, x, y, z)
 
@@ -98,11 +102,16 @@ class Quadrotor:
         ex, ey, ez = self._error.velocity_m_s
         return (x + ex, y + ey, z + ez)
 
+    def estimated_quaternion(self) -> Quaternion:
+        """FLU to ENU, as the autopilot believes; every loop of the autopilot works on it."""
+        w, x, y, z = self.state[ATTITUDE]
+        if self._error.quiet:
+            return (w, x, y, z)
+        return _turned((w, x, y, z), self._error.attitude_rad)
+
     def estimated_euler_rad(self) -> Vector3:
         """Roll, pitch, yaw of FLU in ENU."""
-        roll, pitch, yaw = euler_from_quaternion(self.quaternion)
-        er, ep, ey = self._error.attitude_rad
-        return (roll + er, pitch + ep, yaw + ey)
+        return euler_from_quaternion(self.estimated_quaternion())
 
     @property
     def stands(self) -> bool:
@@ -116,8 +125,7 @@ class Quadrotor:
             self._take_attitude(setpoint)
             torque = ZERO3
         else:
-            setpoint = self._delay.pass_on(setpoint)
-            rates = wanted_rates(setpoint, self.quaternion)
+            rates = wanted_rates(self._delay.pass_on(setpoint), self.estimated_quaternion())
             torque = moments(rates, self.rates_rad_s, self._body.inertia_kg_m2)
         thrust_n = setpoint.thrust_norm * self._newton_per_thrust
         if self._body.motor_lag_s == 0.0:
@@ -129,7 +137,17 @@ class Quadrotor:
             self._error.step()
 
     def _take_attitude(self, setpoint: Setpoint) -> None:
-        self.state = (*self.state[:6], *setpoint.quaternion, 0.0, 0.0, 0.0, *self.state[THRUST:])
+        """The ideal of section 3.1: the estimated attitude is the commanded one at once."""
+        rates = setpoint.rates_rad_s
+        if rates is not None:
+            p, q, r = rates
+            attitude = _turned(self.quaternion, (p * self._dt_s, q * self._dt_s, r * self._dt_s))
+        elif self._error.quiet:
+            attitude = setpoint.quaternion
+        else:
+            ex, ey, ez = self._error.attitude_rad
+            attitude = _turned(setpoint.quaternion, (-ex, -ey, -ez))
+        self.state = (*self.state[:6], *attitude, 0.0, 0.0, 0.0, *self.state[THRUST:])
 
     def _touch_ground(self) -> None:
         """Flat, hard and sticky: it stops the fall, and levels the vehicle."""
@@ -141,3 +159,16 @@ class Quadrotor:
         self.state = (
             x, y, self._ground_z_m, 0.0, 0.0, 0.0, cos(half), 0.0, 0.0, sin(half), 0.0, 0.0, 0.0, *self.state[THRUST:]
         )  # fmt: skip
+
+
+def _turned(quaternion: Quaternion, angles_rad: Vector3) -> Quaternion:
+    """A unit quaternion turned further by small angles about its own body axes."""
+    w, x, y, z = quaternion
+    a, b, c = 0.5 * angles_rad[0], 0.5 * angles_rad[1], 0.5 * angles_rad[2]
+    norm = sqrt(1.0 + a * a + b * b + c * c)
+    return (
+        (w - x * a - y * b - z * c) / norm,
+        (x + w * a + y * c - z * b) / norm,
+        (y + w * b + z * a - x * c) / norm,
+        (z + w * c + x * b - y * a) / norm,
+    )
