@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from math import isfinite
+from collections.abc import Callable, Iterator, Sequence
+from math import isfinite, sqrt
 
-from companion.frames import euler_enu_from_ned, euler_from_quaternion, quaternion_from_euler
+from companion.frames import Quaternion, euler_enu_from_ned, euler_from_quaternion, quaternion_from_euler
 from companion.mavlink.codec import MavlinkMessage, mavlink
+from companion.types import Vector3
 from sitl.attitude_control import Setpoint
+from sitl.body_axes import flu_from_frd
 from sitl.px4 import Mode, Px4
 from sitl.px4_link import Schedule
 from sitl.px4_messages import BUILDERS
@@ -16,7 +18,7 @@ M = mavlink
 ACCEPTED, LATER, DENIED = M.MAV_RESULT_ACCEPTED, M.MAV_RESULT_TEMPORARILY_REJECTED, M.MAV_RESULT_DENIED
 UNSUPPORTED, FAILED = M.MAV_RESULT_UNSUPPORTED, M.MAV_RESULT_FAILED
 FORCE = 21196.0  # param 2 of COMPONENT_ARM_DISARM
-IGNORE_THROTTLE, IGNORE_ATTITUDE = 0x40, 0x80
+IGNORE_RATES, IGNORE_THROTTLE, IGNORE_ATTITUDE = (0x01, 0x02, 0x04), 0x40, 0x80
 CHUNK = 50  # characters of a STATUSTEXT
 
 Answers = Iterator[MavlinkMessage]
@@ -132,20 +134,21 @@ class Receiver:
         yield from ()
 
     def _set_attitude_target(self, message: MavlinkMessage) -> Answers:
-        """Nothing is refused: throttle ignore, NaN and negative thrust mean zero thrust, and it falls."""
+        """Nothing is refused: throttle ignore, a thrust that is NaN or negative and a q that is no rotation make it fall."""
         thrust = message.thrust
         falls = message.type_mask & IGNORE_THROTTLE or not isfinite(thrust) or thrust < 0.0
         thrust = 0.0 if falls else min(thrust, 1.0)
-        rates = (message.body_roll_rate, -message.body_pitch_rate, -message.body_yaw_rate)
-        if message.type_mask & IGNORE_ATTITUDE:
-            if all(map(isfinite, rates)):
-                self._px4.offboard_setpoint(Setpoint(self._px4.quad.quaternion, thrust, rates))
-            return
-        norm = sum(x * x for x in message.q) ** 0.5
-        if isfinite(norm) and norm > 1e-3:
-            w, x, y, z = (component / norm for component in message.q)
-            euler = euler_enu_from_ned(*euler_from_quaternion((w, x, y, z)))
-            self._px4.offboard_setpoint(Setpoint(quaternion_from_euler(*euler), thrust))
+        rates = flu_from_frd(_given_rates(message))
+        if not message.type_mask & IGNORE_ATTITUDE:
+            quaternion = _unit(message.q)
+            if quaternion is None:
+                setpoint = Setpoint(self._px4.quad.estimated_quaternion(), 0.0)
+            else:  # the yaw rate is a feed-forward, about the vertical
+                euler = euler_enu_from_ned(*euler_from_quaternion(quaternion))
+                setpoint = Setpoint(quaternion_from_euler(*euler), thrust, rates[2])
+            self._px4.offboard_setpoint(setpoint)
+        elif not message.type_mask & (IGNORE_RATES[0] | IGNORE_RATES[1]):
+            self._px4.offboard_setpoint(Setpoint(self._px4.quad.estimated_quaternion(), thrust, rates_rad_s=rates))
         yield from ()
 
     def _set_origin(self, message: MavlinkMessage) -> Answers:
@@ -241,3 +244,21 @@ class Receiver:
         known = all(map(isfinite, parameters[:2]))
         done = known and self._schedule.set_interval(int(parameters[0]), parameters[1], self._px4.time_s)
         yield ACCEPTED if done else FAILED
+
+
+def _given_rates(message: MavlinkMessage) -> Vector3:
+    """Body rates FRD of a SET_ATTITUDE_TARGET; zero where they are masked or no numbers."""
+    mask, rates = message.type_mask, (message.body_roll_rate, message.body_pitch_rate, message.body_yaw_rate)
+    p, q, r = (
+        0.0 if mask & ignored or not isfinite(rate) else rate for ignored, rate in zip(IGNORE_RATES, rates, strict=True)
+    )
+    return (p, q, r)
+
+
+def _unit(q: Sequence[float]) -> Quaternion | None:
+    """The rotation that a scaled or negated quaternion still means; None where it means none."""
+    norm = sqrt(sum(part * part for part in q))
+    if not isfinite(norm) or norm < 1e-6:
+        return None
+    w, x, y, z = q
+    return (w / norm, x / norm, y / norm, z / norm)

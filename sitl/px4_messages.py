@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 from companion.frames import euler_ned_from_enu, geodetic_from_enu, ned_from_enu, quaternion_from_euler
 from companion.mavlink.codec import MavlinkMessage, mavlink
+from companion.types import Vector3
+from sitl.body_axes import frd_from_flu
 
 if TYPE_CHECKING:
     from sitl.px4 import Px4
@@ -36,14 +38,14 @@ def local_position(px4: Px4) -> MavlinkMessage:
 
 
 def attitude(px4: Px4) -> MavlinkMessage:
-    p, q, r = px4.quad.rates_rad_s
-    return M.MAVLink_attitude_message(px4.boot_ms, *euler_ned_from_enu(*px4.quad.estimated_euler_rad()), p, -q, -r)
+    return M.MAVLink_attitude_message(
+        px4.boot_ms, *euler_ned_from_enu(*px4.quad.estimated_euler_rad()), *_rates_frd(px4)
+    )
 
 
 def attitude_quaternion(px4: Px4) -> MavlinkMessage:
-    p, q, r = px4.quad.rates_rad_s
     quaternion = quaternion_from_euler(*euler_ned_from_enu(*px4.quad.estimated_euler_rad()))
-    return M.MAVLink_attitude_quaternion_message(px4.boot_ms, *quaternion, p, -q, -r)
+    return M.MAVLink_attitude_quaternion_message(px4.boot_ms, *quaternion, *_rates_frd(px4))
 
 
 def attitude_target(px4: Px4) -> MavlinkMessage:
@@ -52,12 +54,11 @@ def attitude_target(px4: Px4) -> MavlinkMessage:
 
 
 def odometry(px4: Px4) -> MavlinkMessage:
-    p, q, r = px4.quad.rates_rad_s
     quaternion = quaternion_from_euler(*euler_ned_from_enu(*px4.quad.estimated_euler_rad()))
     return M.MAVLink_odometry_message(
         px4.boot_ms * 1000, M.MAV_FRAME_LOCAL_NED, M.MAV_FRAME_LOCAL_NED,
         *ned_from_enu(px4.quad.estimated_position_local_enu_m()), quaternion,
-        *ned_from_enu(px4.quad.estimated_velocity_enu_m_s()), p, -q, -r, [nan] * 21, [nan] * 21,
+        *ned_from_enu(px4.quad.estimated_velocity_enu_m_s()), *_rates_frd(px4), [nan] * 21, [nan] * 21,
     )  # fmt: skip
 
 
@@ -153,6 +154,10 @@ def autopilot_version(px4: Px4) -> MavlinkMessage:
     return M.MAVLink_autopilot_version_message(
         capabilities, version, version, 0, 0, b"\0" * 8, b"\0" * 8, b"\0" * 8, 0, 0, 0x5117000000000000 | px4.system_id
     )
+
+
+def _rates_frd(px4: Px4) -> Vector3:
+    return frd_from_flu(px4.quad.rates_rad_s)
 
 
 def _heading_cdeg(px4: Px4) -> int:
