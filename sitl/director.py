@@ -92,7 +92,6 @@ class Director:
     def land_all(self) -> str | None:
         """Bring down whatever flies, from any phase; what could not be landed, in words. A silent vehicle is left alone."""
         began_s = time.monotonic()
-        self._progress.begin_step("landing all")
         next_ask_s = began_s + LISTEN_S
         while (now_s := time.monotonic()) < began_s + LANDED_WITHIN_S:
             time.sleep(POLL_S)
@@ -102,6 +101,8 @@ class Director:
             up = self._still_up(now_s)
             if not up:
                 return None
+            if next_ask_s == began_s + LISTEN_S:
+                self._progress.begin_step("landing all")
             for name in (CommandName.LAND, CommandName.DISARM):
                 ids = [s.vehicle_id for s in up if _way_down(s) is name]
                 if ids:

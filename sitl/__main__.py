@@ -1,0 +1,5 @@
+"""`python -m sitl`, the same as `sitl`."""
+
+from sitl.cli import main
+
+main()
