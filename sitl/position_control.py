@@ -1,64 +1,99 @@
 """The stand-in's own position control, for the modes that it flies by itself: hold, take-off, return, landing.
 
-It flies on the estimate. A proportional and damped loop with an integrator, towards a target that moves at a limited speed.
+It flies on the estimate: a damped proportional loop with an integrator follows a target that moves with limited speed and
+acceleration.
 """
 
 from __future__ import annotations
 
-from math import dist, radians
+from dataclasses import dataclass
+from math import copysign, inf, radians, sqrt
 
 from companion.core.attitude import attitude_target, limit_acceleration
 from companion.frames import quaternion_from_euler
 from companion.types import Vector3
 from sitl.attitude_control import Setpoint
 
-LEVEL_GAINS = (1.6, 2.2, 0.3)  # on position [1/s^2], velocity [1/s] and the integral of position [1/s^3]
-CLIMB_GAINS = (4.0, 3.6, 0.6)
+LEVEL_GAINS = (1.6, 2.2, 0.2)  # on position [1/s^2], velocity [1/s] and the integral of position [1/s^3]
+CLIMB_GAINS = (4.0, 3.6, 0.4)
 MAX_INTEGRAL_M_S2 = 3.0
+MAX_ERROR_M = 2.0  # a vehicle that is held back does not build up more than this
 MAX_TILT_RAD = radians(30.0)
+ACCELERATION_M_S2, BRAKING_M_S2 = 2.0, 1.5
+MIN_LIFT_RATIO, MAX_LIFT_RATIO = 0.3, 1.7  # vertical thrust over weight
+
+
+@dataclass(slots=True)
+class Axis:
+    """One axis: the target on its way to the goal, and the loop that follows it."""
+
+    gains: tuple[float, float, float]
+    goal_m: float = 0.0
+    max_speed_m_s: float = inf
+    target_m: float = 0.0
+    target_m_s: float = 0.0
+    integral_m_s2: float = 0.0
+
+    def stop_from(self, position_m: float, velocity_m_s: float) -> None:
+        """Brake, and stay where that ends."""
+        self.goal_m = position_m + velocity_m_s * abs(velocity_m_s) / (2.0 * BRAKING_M_S2)
+        self.target_m, self.target_m_s, self.integral_m_s2 = position_m, velocity_m_s, 0.0
+
+    def acceleration_m_s2(self, position_m: float, velocity_m_s: float, dt_s: float) -> float:
+        """Move the target by one step; what it takes to follow it."""
+        feed_forward = self._move_target(dt_s)
+        k1, k2, ki = self.gains
+        error = min(max(self.target_m - position_m, -MAX_ERROR_M), MAX_ERROR_M)
+        if self.target_m == self.goal_m:  # on the way it would only wind up
+            integral = self.integral_m_s2 + ki * error * dt_s
+            self.integral_m_s2 = min(max(integral, -MAX_INTEGRAL_M_S2), MAX_INTEGRAL_M_S2)
+        return feed_forward + k1 * error + k2 * (self.target_m_s - velocity_m_s) + self.integral_m_s2
+
+    def _move_target(self, dt_s: float) -> float:
+        """The target's acceleration over this step."""
+        before = self.target_m_s
+        left = self.goal_m - self.target_m
+        if abs(left) <= max(1e-3, abs(before) * dt_s) and abs(before) <= 2.0 * ACCELERATION_M_S2 * dt_s:
+            self.target_m, self.target_m_s = self.goal_m, 0.0
+            return 0.0
+        wanted = copysign(min(self.max_speed_m_s, sqrt(2.0 * BRAKING_M_S2 * abs(left))), left)
+        most = ACCELERATION_M_S2 * dt_s
+        self.target_m_s = before + min(max(wanted - before, -most), most)
+        self.target_m += self.target_m_s * dt_s
+        return (self.target_m_s - before) / dt_s
 
 
 class PositionControl:
-    """Flies to `goal` at `level_speed_m_s` and `climb_speed_m_s`; both may be changed at any time."""
+    """Three axes in the local ENU frame and a heading. `axes` may be told other goals and speeds at any time."""
 
     def __init__(self, hover_thrust_norm: float) -> None:
         self._hover_thrust_norm = hover_thrust_norm
-        self.start((0.0, 0.0, 0.0), 0.0)
+        self.axes = (Axis(LEVEL_GAINS), Axis(LEVEL_GAINS), Axis(CLIMB_GAINS))
+        self.yaw_rad = 0.0
 
-    def start(self, position_m: Vector3, yaw_rad: float) -> None:
-        """Hold here from now on."""
-        self._target = position_m
-        self._integral = [0.0, 0.0, 0.0]
-        self.goal = position_m
+    def stop(self, position_m: Vector3, velocity_m_s: Vector3, yaw_rad: float) -> None:
+        """Brake and hold from now on."""
         self.yaw_rad = yaw_rad
-        self.level_speed_m_s = 3.0
-        self.climb_speed_m_s = 1.5
+        for axis, position, velocity in zip(self.axes, position_m, velocity_m_s, strict=True):
+            axis.stop_from(position, velocity)
 
-    def arrived(self, position_m: Vector3, within_m: float) -> bool:
-        return self._target == self.goal and dist(position_m, self.goal) < within_m
+    def shift(self, offset_m: Vector3) -> None:
+        """The local frame has moved by this under a vehicle that has not."""
+        for axis, offset in zip(self.axes, offset_m, strict=True):
+            axis.goal_m += offset
+            axis.target_m += offset
 
     def setpoint(self, position_m: Vector3, velocity_m_s: Vector3, euler_rad: Vector3, dt_s: float) -> Setpoint:
-        """One step: move the target towards the goal and follow it."""
-        target_velocity = self._move_target(dt_s)
-        wanted = []
-        for axis, (k1, k2, ki) in enumerate((LEVEL_GAINS, LEVEL_GAINS, CLIMB_GAINS)):
-            error = self._target[axis] - position_m[axis]
-            if self._target == self.goal:  # on the way it would only wind up
-                integral = self._integral[axis] + ki * error * dt_s
-                self._integral[axis] = max(-MAX_INTEGRAL_M_S2, min(MAX_INTEGRAL_M_S2, integral))
-            wanted.append(k1 * error + k2 * (target_velocity[axis] - velocity_m_s[axis]) + self._integral[axis])
-        acceleration = limit_acceleration((wanted[0], wanted[1], wanted[2]), MAX_TILT_RAD, 0.3, 1.7)
+        """One step of `dt_s`."""
+        x, y, z = (
+            axis.acceleration_m_s2(position, velocity, dt_s)
+            for axis, position, velocity in zip(self.axes, position_m, velocity_m_s, strict=True)
+        )
+        acceleration = limit_acceleration((x, y, z), MAX_TILT_RAD, MIN_LIFT_RATIO, MAX_LIFT_RATIO)
         roll, pitch, _ = euler_rad
+        # Far over, eq. 7 has no answer: what matters then is to come upright.
+        tilted = max(abs(roll), abs(pitch)) > 2.0 * MAX_TILT_RAD
+        roll, pitch = (0.0, 0.0) if tilted else (roll, pitch)
         target = attitude_target(acceleration, self.yaw_rad, roll, pitch, self._hover_thrust_norm)
         quaternion = quaternion_from_euler(target.roll_rad, target.pitch_rad, target.yaw_rad)
         return Setpoint(quaternion, min(1.0, target.thrust_norm))
-
-    def _move_target(self, dt_s: float) -> Vector3:
-        """The target's velocity over this step."""
-        steps = []
-        for axis, speed in enumerate((self.level_speed_m_s, self.level_speed_m_s, self.climb_speed_m_s)):
-            most = speed * dt_s
-            steps.append(max(-most, min(most, self.goal[axis] - self._target[axis])))
-        x, y, z = self._target
-        self._target = (x + steps[0], y + steps[1], z + steps[2])
-        return (steps[0] / dt_s, steps[1] / dt_s, steps[2] / dt_s)

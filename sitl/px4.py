@@ -5,48 +5,30 @@
 
 from __future__ import annotations
 
-from enum import Enum
-
 from companion.frames import enu_from_geodetic, euler_from_quaternion, geodetic_from_enu
 from companion.types import Vector3
 from sitl.attitude_control import Setpoint
 from sitl.config import AutopilotFile
-from sitl.position_control import PositionControl
+from sitl.own_flight import OwnFlight
 from sitl.px4_messages import LANDED_IN_AIR, LANDED_LANDING, LANDED_ON_GROUND, LANDED_TAKEOFF
+from sitl.px4_modes import GROUND_STATION_LOSS, NEED_A_PILOT, OFFBOARD_LOSS, PREVENT_ARMING, Mode
 from sitl.px4_parameters import Parameters
 from sitl.quadrotor import MOTORS_OFF, Quadrotor
 
 ARMABLE_AFTER_S = 4.0
+CONTROL_PERIOD_S = 0.02  # of its own position control, and of looking after returned streams
+FAILSAFE_PERIOD_S = 0.1  # of looking for lost ones: a failsafe comes up to this late
+STREAM_BACK_AFTER_S = 0.03  # a stream that returns is believed after this
 IDLE_THRUST_NORM = 0.08
-FAILSAFE_SINK_M_S = 0.85  # POSCTL without a pilot: sinks and drifts
-GROUND_STATION_LOST_S = 5.0  # COM_DL_LOSS_T
-HOLD_BEFORE_RETURN_S = 5.0  # COM_FAIL_ACT_T
+LANDED_AFTER_S = 0.5  # on the ground with little thrust
+LITTLE_THRUST = 0.6  # of hover thrust
 STATE_STANDBY, STATE_ACTIVE, STATE_CRITICAL = 3, 4, 5  # MAV_STATE
-
-
-class Mode(Enum):
-    """PX4's flight modes by (main, sub) of custom_mode."""
-
-    MANUAL = (1, 0)
-    ALTCTL = (2, 0)
-    POSCTL = (3, 0)
-    TAKEOFF = (4, 2)
-    LOITER = (4, 3)
-    MISSION = (4, 4)
-    RTL = (4, 5)
-    LAND = (4, 6)
-    ACRO = (5, 0)
-    OFFBOARD = (6, 0)
-    STABILIZED = (7, 0)
-
-    @property
-    def custom_mode(self) -> int:
-        main, sub = self.value
-        return int(main << 16 | sub << 24)
+CRITICAL, INFO = 2, 6  # MAV_SEVERITY
+NOT_HEALTHY = "Resolve system health failures first"
 
 
 class Px4:
-    """One vehicle. `dt_s` is the step of physics and control alike."""
+    """One vehicle. `dt_s` is the step of physics and attitude control."""
 
     def __init__(self, file: AutopilotFile, dt_s: float) -> None:
         self.system_id = file.id
@@ -63,15 +45,23 @@ class Px4:
         self.takeoff_altitude_amsl_m: float | None = None
         self.texts: list[tuple[int, str]] = []  # (severity, text), taken by whoever sends them
         self.ground_station_s: float | None = None  # when its last heartbeat came
-        self._hover_thrust_norm = file.stand_in.airframe.hover_thrust_norm
-        self._control = PositionControl(self._hover_thrust_norm)
+        self.origin_changes = 0
+        self._steps = 0
+        self._control_steps = max(1, round(CONTROL_PERIOD_S / dt_s))
+        self._failsafe_steps = max(1, round(FAILSAFE_PERIOD_S / dt_s))
+        self._little_thrust_norm = LITTLE_THRUST * file.stand_in.airframe.hover_thrust_norm
+        self._own = OwnFlight(self.quad, self.parameters, file.stand_in.airframe.hover_thrust_norm)
+        self._mode_after_disarming = Mode.LOITER
         self._offboard: Setpoint | None = None
         self._offboard_s = float("-inf")
+        self._stream_since_s = float("-inf")
+        self._ground_station_failsafe_s: float | None = None
+        self._ground_station_loss_known = False
         self._armed_s = 0.0
         self._flown = False
-        self._landed_s: float | None = None
-        self._return_s: float | None = None
-        self._hold_here()
+        self._landed = True
+        self._still_since_s: float | None = None
+        self._landed_s = 0.0
 
     # ------------------------------------------------------------ what it is like now
 
@@ -81,7 +71,12 @@ class Px4:
 
     @property
     def armable(self) -> bool:
-        return self.time_s >= ARMABLE_AFTER_S
+        """May it be armed in the mode that it is in?"""
+        if self.time_s < ARMABLE_AFTER_S or self.mode in PREVENT_ARMING | NEED_A_PILOT | {Mode.MISSION}:
+            return False
+        if self.mode is Mode.OFFBOARD and not self.streaming:
+            return False
+        return not (self.parameters["NAV_DLL_ACT"] > 0 and self.ground_station_lost)
 
     @property
     def system_status(self) -> int:
@@ -91,18 +86,19 @@ class Px4:
 
     @property
     def landed_state(self) -> int:
-        if not self.armed or not self._flown:
+        if self._landed:
             return LANDED_ON_GROUND
-        if self.mode is Mode.TAKEOFF:
-            return LANDED_TAKEOFF
-        if self.mode is Mode.LAND and not self.quad.stands:
-            return LANDED_LANDING
-        return LANDED_ON_GROUND if self._landed_s is not None else LANDED_IN_AIR
+        return {Mode.TAKEOFF: LANDED_TAKEOFF, Mode.LAND: LANDED_LANDING}.get(self.mode, LANDED_IN_AIR)
 
     @property
     def streaming(self) -> bool:
         """Do setpoints come often enough? COM_OF_LOSS_T is the longest gap."""
         return self.time_s - self._offboard_s <= self.parameters["COM_OF_LOSS_T"]
+
+    @property
+    def ground_station_lost(self) -> bool:
+        heard_s = self.ground_station_s
+        return heard_s is None or self.time_s - heard_s > self.parameters["COM_DL_LOSS_T"]
 
     def wanted_euler_rad(self) -> Vector3:
         """Of the attitude setpoint just now, FLU in ENU."""
@@ -111,6 +107,8 @@ class Px4:
     # ------------------------------------------------------------ what can be asked of it
 
     def offboard_setpoint(self, setpoint: Setpoint) -> None:
+        if not self.streaming:
+            self._stream_since_s = self.time_s
         self._offboard = setpoint
         self._offboard_s = self.time_s
 
@@ -118,151 +116,171 @@ class Px4:
         self.texts.append((severity, text))
 
     def set_mode(self, mode: Mode) -> bool:
-        """A mode change on request. OFFBOARD is refused while armed without a stream."""
-        if mode is Mode.OFFBOARD and self.armed and not self.streaming:
+        """A mode change on request. Disarmed it always works; armed the mode must be able to fly the vehicle just now."""
+        can_fly = mode not in NEED_A_PILOT | {Mode.MISSION} and (mode is not Mode.OFFBOARD or self.streaming)
+        if self.armed and not can_fly:
             return False
         self.intended_mode = mode
+        if mode not in PREVENT_ARMING:
+            self._mode_after_disarming = mode
         self.failsafe = False
-        self._return_s = None
+        self._ground_station_failsafe_s = None
         self._switch(mode)
         return True
 
-    def arm(self) -> str | None:
+    def take_off(self, altitude_amsl_m: float | None) -> bool:
+        """NAV_TAKEOFF, also of a vehicle that takes off already: the new altitude counts."""
+        self.takeoff_altitude_amsl_m = altitude_amsl_m
+        if self.mode is Mode.TAKEOFF and not self.failsafe:
+            self._enter(Mode.TAKEOFF)
+        return self.set_mode(Mode.TAKEOFF)
+
+    def go_to(self, position_local_enu_m: Vector3, yaw_rad: float | None) -> bool:
+        """DO_REPOSITION: hold there."""
+        if not self.armed or self._landed:
+            return False
+        self.set_mode(Mode.LOITER)
+        self._own.go_to(position_local_enu_m, yaw_rad)
+        return True
+
+    def set_origin(self, origin_deg_deg_m: Vector3) -> None:
+        """SET_GPS_GLOBAL_ORIGIN: the local frame begins there at once; nothing moves in the world."""
+        before = self.quad.origin
+        self.quad.set_origin(origin_deg_deg_m)
+        self._own.origin_moved(enu_from_geodetic(*before, self.quad.origin))
+        self.origin_changes += 1
+
+    def arm(self, forced: bool = False) -> str | None:
         """Why not, or None."""
         if self.armed:
             return None
-        if not self.armable:
-            return "Resolve system health failures first"
-        if self.mode is Mode.OFFBOARD and not self.streaming:
-            return "Offboard control signal lost"
-        if self.mode in (Mode.LAND, Mode.RTL, Mode.MISSION):
-            return "Mode not suitable for takeoff"
+        if not forced and not self.armable:
+            return NOT_HEALTHY
         self.armed = True
         self._armed_s = self.time_s
         self._flown = False
-        self._landed_s = None
         self.home = self._here_geodetic()
-        self._hold_here()
-        if self.mode is Mode.TAKEOFF:
-            self._start_takeoff()
+        self._enter(self.mode)
+        self.say(INFO, "Armed by external command")
         return None
 
-    def disarm(self, forced: bool) -> str | None:
-        """Why not, or None."""
-        if self.armed and not forced and self.landed_state != LANDED_ON_GROUND:
+    def disarm(self, forced: bool, reason: str = "external command") -> str | None:
+        """Why not, or None. The vehicle is then back in the last mode that it may be armed in."""
+        if not self.armed:
+            return None
+        if not forced and not self._landed:
             return "not landed"
         self.armed = False
         self.failsafe = False
+        self._ground_station_failsafe_s = None
+        self.intended_mode = self._mode_after_disarming
+        self._switch(self._mode_after_disarming)
+        self.say(INFO, f"Disarmed by {reason}")
         return None
 
     # ------------------------------------------------------------ time
 
     def step(self) -> None:
         """Advance by dt_s: failsafes, the mode's control, physics, and what follows from touching the ground."""
-        self.time_s += self.dt_s
-        self._watch_stream()
-        self._watch_ground_station()
-        self.setpoint = self._control_setpoint() if self.armed else MOTORS_OFF
+        self._steps += 1
+        self.time_s = self._steps * self.dt_s
+        control_is_due = self._steps % self._control_steps == 0
+        if self.armed:
+            if control_is_due:
+                self._look_after_stream_and_ground_station(self._steps % self._failsafe_steps == 0)
+            self._control(control_is_due)
+        else:
+            self.setpoint = MOTORS_OFF
         self.quad.step(self.setpoint)
-        self._watch_ground()
+        if self.armed:
+            self._watch_ground()
 
-    def _watch_stream(self) -> None:
-        if not self.armed:
-            return
-        if self.mode is Mode.OFFBOARD and not self.streaming:
-            self.failsafe = True
-            self.say(2, "Failsafe activated")
-            self._switch({4: Mode.LAND, 5: Mode.LOITER}.get(int(self.parameters["COM_OBL_RC_ACT"]), Mode.POSCTL))
-        elif self.intended_mode is Mode.OFFBOARD and self.mode is not Mode.OFFBOARD and self.streaming:
+    def _control(self, control_is_due: bool) -> None:
+        if self.mode is Mode.OFFBOARD and self._offboard:
+            self.setpoint = self._offboard
+        elif control_is_due:
+            if self._landed and self.mode is not Mode.TAKEOFF:
+                self.setpoint = Setpoint(self.quad.estimated_quaternion(), IDLE_THRUST_NORM)
+                return
+            if self.mode is Mode.TAKEOFF and self._own.taken_off():
+                # It holds the height that was asked for, not the one where it happens to be.
+                self.mode = Mode.LOITER
+                if self.intended_mode is Mode.TAKEOFF:
+                    self.intended_mode = self._mode_after_disarming = Mode.LOITER
+            self.setpoint = self._own.setpoint(self.mode, self._control_steps * self.dt_s)
+
+    # ------------------------------------------------------------ failsafes
+
+    def _look_after_stream_and_ground_station(self, look_for_losses: bool) -> None:
+        if self._ground_station_failsafe_s is not None:
+            self._go_on_without_ground_station(self._ground_station_failsafe_s)
+        elif look_for_losses and self._ground_station_is_newly_lost():
+            self._ground_station_failsafe_s = self.time_s
+            self._activate_failsafe(Mode.LOITER)  # a while in which somebody may still take over
+        elif self.mode is Mode.OFFBOARD:
+            if look_for_losses and not self.streaming:
+                self._activate_failsafe(OFFBOARD_LOSS.get(int(self.parameters["COM_OBL_RC_ACT"]), Mode.POSCTL))
+        elif self.intended_mode is Mode.OFFBOARD and self._stream_is_back():
             # PX4 goes back into OFFBOARD by itself as soon as setpoints come again.
             self.failsafe = False
             self._switch(Mode.OFFBOARD)
 
-    def _watch_ground_station(self) -> None:
-        if self.parameters["NAV_DLL_ACT"] != 2 or self.ground_station_s is None or not self.armed:
-            return
-        lost = self.time_s - self.ground_station_s > GROUND_STATION_LOST_S
-        if lost and self._return_s is None and self._flown:
-            self._return_s = self.time_s + HOLD_BEFORE_RETURN_S
-            self.failsafe = True
-            self.intended_mode = Mode.LOITER
-            self.say(2, "Failsafe activated")
-            self._switch(Mode.LOITER)
-        elif self._return_s is not None and self.time_s >= self._return_s and self.mode is Mode.LOITER:
-            self.intended_mode = Mode.RTL
-            self._switch(Mode.RTL)
+    def _stream_is_back(self) -> bool:
+        return self.streaming and self.time_s - self._stream_since_s >= STREAM_BACK_AFTER_S
+
+    def _ground_station_is_newly_lost(self) -> bool:
+        lost = self.ground_station_lost and int(self.parameters["NAV_DLL_ACT"]) in GROUND_STATION_LOSS
+        newly = lost and not self._ground_station_loss_known and self.mode is not Mode.LAND
+        self._ground_station_loss_known = lost
+        return newly
+
+    def _go_on_without_ground_station(self, since_s: float) -> None:
+        """Latched: neither the ground station's return nor a setpoint stream ends it, only a change of mode does."""
+        if self.mode is Mode.LOITER and self.time_s - since_s >= self.parameters["COM_FAIL_ACT_T"]:
+            self._fly_failsafe(GROUND_STATION_LOSS.get(int(self.parameters["NAV_DLL_ACT"]), Mode.LOITER))
+
+    def _activate_failsafe(self, mode: Mode | None) -> None:
+        self.failsafe = True
+        self.say(CRITICAL, "Failsafe activated")
+        self._fly_failsafe(mode)
+
+    def _fly_failsafe(self, mode: Mode | None) -> None:
+        if mode is None:
+            self.disarm(forced=True, reason="failsafe")
+        else:
+            self._switch(mode)
+
+    # ------------------------------------------------------------ ground and modes
 
     def _watch_ground(self) -> None:
-        if not self.armed:
-            return
         if not self.quad.stands:
-            self._flown, self._landed_s = True, None
-            return
-        if not self._flown:
-            if self.time_s - self._armed_s > self.parameters["COM_DISARM_PRFLT"] > 0:
-                self.disarm(forced=True)
-            return
-        if self._landed_s is None:
-            self._landed_s = self.time_s
-        wants_down = self.setpoint.thrust_norm < 0.6 * self._hover_thrust_norm or self.mode is Mode.LAND
-        if wants_down and self.time_s - self._landed_s > self.parameters["COM_DISARM_LAND"] > 0:
-            self.disarm(forced=True)
+            if self._landed:
+                self.say(INFO, "Takeoff detected")
+            self._flown, self._landed, self._still_since_s = True, False, None
+        elif not self._landed:
+            self._look_for_landing()
+        elif self._flown:
+            if self.time_s - self._landed_s > self.parameters["COM_DISARM_LAND"] > 0:
+                self.disarm(forced=True, reason="landing")
+        elif self.time_s - self._armed_s > self.parameters["COM_DISARM_PRFLT"] > 0:
+            self.disarm(forced=True, reason="auto preflight disarming")
 
-    # ------------------------------------------------------------ flying by itself
-
-    def _control_setpoint(self) -> Setpoint:
-        if self.mode is Mode.OFFBOARD and self._offboard:
-            return self._offboard
-        if self.quad.stands and not self._flown and self.mode is not Mode.TAKEOFF:
-            return Setpoint(self.quad.quaternion, IDLE_THRUST_NORM)
-        position = self.quad.estimated_position_local_enu_m()
-        if self.mode is Mode.TAKEOFF and self._control.arrived(position, 0.1):
-            self.intended_mode = Mode.LOITER
-            self._switch(Mode.LOITER)
-        if self.mode is Mode.RTL and self._control.arrived(position, 0.5):
-            self._switch(Mode.LAND)
-        if self.mode in (Mode.LAND, Mode.POSCTL):
-            self._sink(position)
-        return self._control.setpoint(
-            position, self.quad.estimated_velocity_enu_m_s(), self.quad.estimated_euler_rad(), self.dt_s
-        )
-
-    def _sink(self, position: Vector3) -> None:
-        """Down where it is: landing, or POSCTL that nobody flies."""
-        x, y, _ = self._control.goal
-        self._control.goal = (x, y, position[2] - 2.0)
+    def _look_for_landing(self) -> None:
+        if self.setpoint.thrust_norm > self._little_thrust_norm:
+            self._still_since_s = None
+        elif self._still_since_s is None:
+            self._still_since_s = self.time_s
+        elif self.time_s - self._still_since_s >= LANDED_AFTER_S:
+            self._landed, self._landed_s = True, self.time_s
+            self.say(INFO, "Landing detected")
 
     def _switch(self, mode: Mode) -> None:
-        if mode is self.mode:
-            return
-        came_from, self.mode = self.mode, mode
-        if mode is Mode.OFFBOARD or (mode is Mode.LOITER and came_from is Mode.TAKEOFF):
-            return  # after the climb it holds the height that was asked for, not where it happens to be
-        self._hold_here()
-        if mode is Mode.TAKEOFF:
-            self._start_takeoff()
-        elif mode is Mode.LAND:
-            self._control.climb_speed_m_s = self.parameters["MPC_LAND_SPEED"]
-        elif mode is Mode.POSCTL:
-            self._control.climb_speed_m_s = FAILSAFE_SINK_M_S
-        elif mode is Mode.RTL:
-            self._start_return()
+        if mode is not self.mode:
+            self.mode = mode
+            self._enter(mode)
 
-    def _hold_here(self) -> None:
-        position = self.quad.estimated_position_local_enu_m()
-        self._control.start(position, self.quad.estimated_euler_rad()[2])
-
-    def _start_takeoff(self) -> None:
-        x, y, z = self._control.goal
-        wanted = self.takeoff_altitude_amsl_m
-        top = z + self.parameters["MIS_TAKEOFF_ALT"] if wanted is None else wanted - self.quad.origin[2]
-        self._control.climb_speed_m_s = self.parameters["MPC_TKO_SPEED"]
-        self._control.goal = (x, y, max(top, z))
-
-    def _start_return(self) -> None:
-        """Straight home at the present height: the stand-in's fields are small."""
-        x, y, _ = enu_from_geodetic(*self.home, self.quad.origin)
-        self._control.goal = (x, y, self._control.goal[2])
+    def _enter(self, mode: Mode) -> None:
+        self._own.enter(mode, self.home, self.takeoff_altitude_amsl_m)
 
     def _here_geodetic(self) -> Vector3:
         return geodetic_from_enu(self.quad.estimated_position_local_enu_m(), self.quad.origin)

@@ -10,9 +10,10 @@ from companion.mavlink.codec import MavlinkMessage, mavlink
 from companion.types import Vector3
 from sitl.attitude_control import Setpoint
 from sitl.body_axes import flu_from_frd
-from sitl.px4 import Mode, Px4
+from sitl.px4 import CRITICAL, Px4
 from sitl.px4_link import Schedule
 from sitl.px4_messages import BUILDERS
+from sitl.px4_modes import Mode
 
 M = mavlink
 ACCEPTED, LATER, DENIED = M.MAV_RESULT_ACCEPTED, M.MAV_RESULT_TEMPORARILY_REJECTED, M.MAV_RESULT_DENIED
@@ -152,7 +153,7 @@ class Receiver:
         yield from ()
 
     def _set_origin(self, message: MavlinkMessage) -> Answers:
-        self._px4.quad.set_origin((message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1e3))
+        self._px4.set_origin((message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1e3))
         yield BUILDERS[M.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN](self._px4)
 
     def _param_list(self, _message: MavlinkMessage) -> Answers:
@@ -224,21 +225,20 @@ class Receiver:
     def _arm_disarm(self, parameters: list[float]) -> Iterator[int]:
         forced = parameters[1] == FORCE
         if parameters[0] == 1.0:
-            refusal, word = self._px4.arm(), "Arming denied: "
+            refusal, word = self._px4.arm(forced), "Arming denied: "
         elif parameters[0] == 0.0:
             refusal, word = self._px4.disarm(forced), "Disarming denied: "
         else:
             yield DENIED
             return
         if refusal:
-            self._px4.say(2, word + refusal)
+            self._px4.say(CRITICAL, word + refusal)
         yield LATER if refusal else ACCEPTED
 
     def _takeoff(self, parameters: list[float]) -> Iterator[int]:
         """Param 7 is above mean sea level; NaN takes MIS_TAKEOFF_ALT."""
         altitude = parameters[6]
-        self._px4.takeoff_altitude_amsl_m = altitude if isfinite(altitude) else None
-        yield from self._to(Mode.TAKEOFF)
+        yield ACCEPTED if self._px4.take_off(altitude if isfinite(altitude) else None) else LATER
 
     def _set_interval(self, parameters: list[float]) -> Iterator[int]:
         known = all(map(isfinite, parameters[:2]))
