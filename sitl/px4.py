@@ -165,7 +165,7 @@ class Px4:
         return None
 
     def disarm(self, forced: bool, reason: str = "external command") -> str | None:
-        """Why not, or None. The vehicle is then back in the last mode that it may be armed in."""
+        """Why not, or None."""
         if not self.armed:
             return None
         if not forced and not self._landed:
@@ -173,8 +173,6 @@ class Px4:
         self.armed = False
         self.failsafe = False
         self._ground_station_failsafe_s = None
-        self.intended_mode = self._mode_after_disarming
-        self._switch(self._mode_after_disarming)
         self.say(INFO, f"Disarmed by {reason}")
         return None
 
