@@ -31,15 +31,22 @@ class Director:
     """Gives the commands of one flight and follows what the vehicles report.
 
     `check` is called in every pass and raises FlightFailure when something outside the vehicles ends the flight.
+    `lost` names the vehicles that nobody can land any more.
     """
 
     def __init__(
-        self, session: FleetSession, watch: FlightWatch, progress: Progress, check: Callable[[], None]
+        self,
+        session: FleetSession,
+        watch: FlightWatch,
+        progress: Progress,
+        check: Callable[[], None],
+        lost: Callable[[], Collection[int]],
     ) -> None:
         self._session = session
         self._watch = watch
         self._progress = progress
         self._check = check
+        self._lost = lost
 
     def fly(self, timeline: Sequence[TimelineStep]) -> None:
         """All steps in turn. Raises FlightFailure; the vehicles are then where they were."""
@@ -90,7 +97,7 @@ class Director:
         return [status for status in found if status]
 
     def land_all(self) -> str | None:
-        """Bring down whatever flies, from any phase; what could not be landed, in words. A silent vehicle is left alone."""
+        """Bring down whatever flies, from any phase; silent and lost vehicles are left alone. What is still up, in words."""
         began_s = time.monotonic()
         next_ask_s = began_s + LISTEN_S
         while (now_s := time.monotonic()) < began_s + LANDED_WITHIN_S:
@@ -112,7 +119,7 @@ class Director:
         return f"{_vehicles([s.vehicle_id for s in up])} could not be landed: {_last(up[0])}" if up else None
 
     def _still_up(self, now_s: float) -> list[Status]:
-        heard = [row.vehicle_id for row in self._watch.rows(now_s) if not row.silent]
+        heard = {row.vehicle_id for row in self._watch.rows(now_s) if not row.silent} - set(self._lost())
         return [s for s in self._statuses() if s.vehicle_id in heard and (s.armed or s.phase not in GROUND_PHASES)]
 
 

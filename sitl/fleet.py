@@ -100,6 +100,10 @@ class Fleet:
                 return ending
         return None
 
+    def lost_vehicles(self) -> set[int]:
+        """Vehicles without their agent or their autopilot: nobody can land them any more."""
+        return {child.vehicle_id for child in self._children if child.process.poll() is not None}
+
     def stop(self) -> list[str]:
         """End the agents, then the stand-ins; kill what does not end. Returns the names of those that were killed."""
         agents = [child for child in self._children if child.name.startswith("agent")]

@@ -149,7 +149,7 @@ def _fly(
                 if ending := fleet.unexpected_end():
                     raise FlightFailure(ending)
 
-            director = Director(session, watch, progress, check)
+            director = Director(session, watch, progress, check, fleet.lost_vehicles)
             failures = []
             try:
                 director.fly(scenario.timeline)

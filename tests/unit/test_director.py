@@ -102,7 +102,14 @@ class Flight:
         self.watch = FlightWatch([1, 2], [1], time.monotonic())
         self.shown = io.StringIO()
         self.checks: list[str] = []
-        self.director = Director(self.vehicles, self.watch, Progress("pair", False, self.shown), self._check)  # type: ignore[arg-type]
+        self.lost: set[int] = set()
+        self.director = Director(
+            self.vehicles,  # type: ignore[arg-type]
+            self.watch,
+            Progress("pair", False, self.shown),
+            self._check,
+            lambda: self.lost,
+        )
 
     def _check(self) -> None:
         if self.checks:
@@ -204,6 +211,14 @@ def test_armed_vehicles_on_the_ground_are_disarmed_and_the_silent_left_alone(fli
     assert flight.director.land_all() is None
     assert flight.vehicles.heard[-1] == (C.DISARM, (1,))
     assert flight.vehicles.statuses[2].armed
+
+
+def test_a_vehicle_without_its_autopilot_is_not_waited_for(flight: Flight) -> None:
+    flight.fly(C.PREPARE, C.ARM, C.TAKEOFF)
+    flight.lost = {2}
+    flight.vehicles.refuses[2, C.LAND] = ["no autopilot"] * 1000
+    assert flight.director.land_all() is None
+    assert flight.vehicles.heard[-1] == (C.LAND, (1,))
 
 
 def test_events_are_recorded_once_and_by_vehicle(flight: Flight) -> None:
