@@ -2,25 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from math import isfinite, sqrt
+from collections.abc import Callable, Iterator
+from math import isfinite, nan
 
-from companion.frames import Quaternion, euler_enu_from_ned, euler_from_quaternion, quaternion_from_euler
+from companion.frames import enu_from_geodetic, euler_enu_from_ned, geodetic_from_enu
 from companion.mavlink.codec import MavlinkMessage, mavlink
-from companion.types import Vector3
-from sitl.attitude_control import Setpoint
-from sitl.body_axes import flu_from_frd
 from sitl.px4 import CRITICAL, Px4
 from sitl.px4_link import Schedule
 from sitl.px4_messages import BUILDERS
 from sitl.px4_modes import Mode
+from sitl.px4_parameters import HASH_CHECK
+from sitl.px4_setpoints import setpoint_of
 
 M = mavlink
 ACCEPTED, LATER, DENIED = M.MAV_RESULT_ACCEPTED, M.MAV_RESULT_TEMPORARILY_REJECTED, M.MAV_RESULT_DENIED
 UNSUPPORTED, FAILED = M.MAV_RESULT_UNSUPPORTED, M.MAV_RESULT_FAILED
 FORCE = 21196.0  # param 2 of COMPONENT_ARM_DISARM
-IGNORE_RATES, IGNORE_THROTTLE, IGNORE_ATTITUDE = (0x01, 0x02, 0x04), 0x40, 0x80
 CHUNK = 50  # characters of a STATUSTEXT
+NO_COORDINATE = 2**31 - 1  # COMMAND_INT's NaN
+MAX_LATITUDE_1E7 = 900_000_000
+MAX_DISTANCE_M = 10_000.0
+ABOVE_SEA_LEVEL = (M.MAV_FRAME_GLOBAL, M.MAV_FRAME_GLOBAL_INT)
+# Commands that are REQUEST_MESSAGE by an older name.
+REQUESTS_OF_ONE_MESSAGE = {
+    M.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: M.MAVLINK_MSG_ID_AUTOPILOT_VERSION,
+    M.MAV_CMD_REQUEST_PROTOCOL_VERSION: M.MAVLINK_MSG_ID_PROTOCOL_VERSION,
+    M.MAV_CMD_GET_HOME_POSITION: M.MAVLINK_MSG_ID_HOME_POSITION,
+}
 
 Answers = Iterator[MavlinkMessage]
 
@@ -44,7 +52,9 @@ class Receiver:
             "PARAM_REQUEST_READ": self._param_read,
             "PARAM_SET": self._param_set,
             "MISSION_REQUEST_LIST": self._mission_list,
-            "MISSION_COUNT": self._mission_denied,
+            "MISSION_COUNT": self._mission_count,
+            "MISSION_REQUEST": self._no_such_item,
+            "MISSION_REQUEST_INT": self._no_such_item,
             "MISSION_CLEAR_ALL": self._mission_cleared,
             "TIMESYNC": self._timesync,
             "PING": self._ping,
@@ -57,6 +67,8 @@ class Receiver:
             M.MAV_CMD_NAV_LAND: lambda _p: self._to(Mode.LAND),
             M.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda _p: self._to(Mode.RTL),
             M.MAV_CMD_NAV_LOITER_UNLIM: lambda _p: self._to(Mode.LOITER),
+            M.MAV_CMD_DO_REPOSITION: self._reposition,
+            M.MAV_CMD_MISSION_START: self._mission_start,
             M.MAV_CMD_SET_MESSAGE_INTERVAL: self._set_interval,
         }
 
@@ -98,23 +110,24 @@ class Receiver:
 
     def _command_int(self, message: MavlinkMessage) -> Answers:
         first = [getattr(message, f"param{i}") for i in range(1, 5)]
-        yield from self._command(message, [*first, message.x / 1e7, message.y / 1e7, message.z])
+        latitude, longitude = (nan if abs(x) >= NO_COORDINATE else x / 1e7 for x in (message.x, message.y))
+        if message.frame in ABOVE_SEA_LEVEL:
+            yield from self._command(message, [*first, latitude, longitude, message.z])
+        else:
+            yield self._ack(message, UNSUPPORTED)
 
     def _command(self, message: MavlinkMessage, parameters: list[float]) -> Answers:
         command = message.command
-        if command in (M.MAV_CMD_REQUEST_MESSAGE, M.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES):
-            wanted = M.MAVLINK_MSG_ID_AUTOPILOT_VERSION
-            if command == M.MAV_CMD_REQUEST_MESSAGE:
-                wanted = int(parameters[0]) if isfinite(parameters[0]) else -1
-            builder = BUILDERS.get(wanted)
-            yield self._ack(message, ACCEPTED if builder else DENIED)
+        number = int(parameters[0]) if isfinite(parameters[0]) and 0.0 <= parameters[0] <= 65535.0 else -1
+        if command == M.MAV_CMD_REQUEST_MESSAGE or command in REQUESTS_OF_ONE_MESSAGE:
+            builder = BUILDERS.get(REQUESTS_OF_ONE_MESSAGE.get(command, number))
             if builder:
                 yield builder(self._px4)
+            yield self._ack(message, ACCEPTED if builder else DENIED)
             return
-        if command == M.MAV_CMD_GET_MESSAGE_INTERVAL and isfinite(parameters[0]):
+        if command == M.MAV_CMD_GET_MESSAGE_INTERVAL and number >= 0:
+            yield M.MAVLink_message_interval_message(number, self._schedule.interval_us(number))
             yield self._ack(message, ACCEPTED)
-            message_id = int(parameters[0])
-            yield M.MAVLink_message_interval_message(message_id, self._schedule.interval_us(message_id))
             return
         handler = self._commands.get(command)
         if handler is None:
@@ -135,26 +148,16 @@ class Receiver:
         yield from ()
 
     def _set_attitude_target(self, message: MavlinkMessage) -> Answers:
-        """Nothing is refused: throttle ignore, a thrust that is NaN or negative and a q that is no rotation make it fall."""
-        thrust = message.thrust
-        falls = message.type_mask & IGNORE_THROTTLE or not isfinite(thrust) or thrust < 0.0
-        thrust = 0.0 if falls else min(thrust, 1.0)
-        rates = flu_from_frd(_given_rates(message))
-        if not message.type_mask & IGNORE_ATTITUDE:
-            quaternion = _unit(message.q)
-            if quaternion is None:
-                setpoint = Setpoint(self._px4.quad.estimated_quaternion(), 0.0)
-            else:  # the yaw rate is a feed-forward, about the vertical
-                euler = euler_enu_from_ned(*euler_from_quaternion(quaternion))
-                setpoint = Setpoint(quaternion_from_euler(*euler), thrust, rates[2])
+        setpoint = setpoint_of(message, self._px4.quad.estimated_quaternion())
+        if setpoint is not None:
             self._px4.offboard_setpoint(setpoint)
-        elif not message.type_mask & (IGNORE_RATES[0] | IGNORE_RATES[1]):
-            self._px4.offboard_setpoint(Setpoint(self._px4.quad.estimated_quaternion(), thrust, rates_rad_s=rates))
         yield from ()
 
     def _set_origin(self, message: MavlinkMessage) -> Answers:
-        self._px4.set_origin((message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1e3))
-        yield BUILDERS[M.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN](self._px4)
+        """Every link then tells of the new origin by itself."""
+        if abs(message.latitude) <= MAX_LATITUDE_1E7 and abs(message.longitude) <= 2 * MAX_LATITUDE_1E7:
+            self._px4.set_origin((message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1e3))
+        yield from ()
 
     def _param_list(self, _message: MavlinkMessage) -> Answers:
         yield from self._px4.parameters.messages()
@@ -163,7 +166,9 @@ class Receiver:
         name = message.param_id
         if message.param_index >= 0:
             name = self._px4.parameters.name_at(message.param_index)
-        if name in self._px4.parameters.values:
+        if name == HASH_CHECK:
+            yield self._px4.parameters.hash_message()
+        elif name in self._px4.parameters.values:
             yield self._px4.parameters.message(name)
 
     def _param_set(self, message: MavlinkMessage) -> Answers:
@@ -177,14 +182,19 @@ class Receiver:
             message.get_srcSystem(), message.get_srcComponent(), 0, message.mission_type
         )
 
-    def _mission_denied(self, message: MavlinkMessage) -> Answers:
-        yield M.MAVLink_mission_ack_message(
-            message.get_srcSystem(), message.get_srcComponent(), M.MAV_MISSION_UNSUPPORTED, message.mission_type
-        )
+    def _mission_count(self, message: MavlinkMessage) -> Answers:
+        """An upload: there is room for a mission of no items."""
+        yield self._mission_ack(message, M.MAV_MISSION_NO_SPACE if message.count else M.MAV_MISSION_ACCEPTED)
 
     def _mission_cleared(self, message: MavlinkMessage) -> Answers:
-        yield M.MAVLink_mission_ack_message(
-            message.get_srcSystem(), message.get_srcComponent(), M.MAV_MISSION_ACCEPTED, message.mission_type
+        yield self._mission_ack(message, M.MAV_MISSION_ACCEPTED)
+
+    def _no_such_item(self, message: MavlinkMessage) -> Answers:
+        yield self._mission_ack(message, M.MAV_MISSION_INVALID_SEQUENCE)
+
+    def _mission_ack(self, message: MavlinkMessage, result: int) -> MavlinkMessage:
+        return M.MAVLink_mission_ack_message(
+            message.get_srcSystem(), message.get_srcComponent(), result, message.mission_type
         )
 
     def _timesync(self, message: MavlinkMessage) -> Answers:
@@ -209,15 +219,15 @@ class Receiver:
     # ------------------------------------------------------------ commands, as results in their order
 
     def _do_set_mode(self, parameters: list[float]) -> Iterator[int]:
-        """Answered twice: accepted at once, then what really came of it."""
+        """Answered twice: accepted at once by who receives it, then by who decides, with what really came of it."""
         yield ACCEPTED
         try:
             mode = Mode((int(parameters[1]), int(parameters[2])))
-        except (ValueError, OverflowError):
-            yield DENIED
-            return
-        if not self._px4.set_mode(mode):
+        except (ValueError, OverflowError):  # no number, or no mode
+            self._px4.say(CRITICAL, "Unsupported auto mode")
             yield LATER
+            return
+        yield ACCEPTED if self._px4.set_mode(mode) else LATER
 
     def _to(self, mode: Mode) -> Iterator[int]:
         yield ACCEPTED if self._px4.set_mode(mode) else LATER
@@ -240,25 +250,24 @@ class Receiver:
         altitude = parameters[6]
         yield ACCEPTED if self._px4.take_off(altitude if isfinite(altitude) else None) else LATER
 
+    def _reposition(self, parameters: list[float]) -> Iterator[int]:
+        """To a latitude, a longitude and an altitude above sea level; what is no number stays as it is."""
+        latitude, longitude, altitude = parameters[4:7]
+        here = geodetic_from_enu(self._px4.quad.estimated_position_local_enu_m(), self._px4.quad.origin)
+        goal = [new if isfinite(new) else old for new, old in zip((latitude, longitude, altitude), here, strict=True)]
+        place = enu_from_geodetic(goal[0], goal[1], goal[2], self._px4.quad.origin)
+        yaw_ned = parameters[3]
+        yaw = euler_enu_from_ned(0.0, 0.0, yaw_ned)[2] if isfinite(yaw_ned) else None
+        if max(map(abs, place)) > MAX_DISTANCE_M:
+            yield DENIED
+        else:
+            yield ACCEPTED if self._px4.go_to(place, yaw) else LATER
+
+    def _mission_start(self, _parameters: list[float]) -> Iterator[int]:
+        self._px4.say(CRITICAL, "Mission start denied! No valid mission")
+        yield LATER
+
     def _set_interval(self, parameters: list[float]) -> Iterator[int]:
         known = all(map(isfinite, parameters[:2]))
-        done = known and self._schedule.set_interval(int(parameters[0]), parameters[1], self._px4.time_s)
+        done = known and self._schedule.set_interval(int(parameters[0] + 0.5), parameters[1], self._px4.time_s)
         yield ACCEPTED if done else FAILED
-
-
-def _given_rates(message: MavlinkMessage) -> Vector3:
-    """Body rates FRD of a SET_ATTITUDE_TARGET; zero where they are masked or no numbers."""
-    mask, rates = message.type_mask, (message.body_roll_rate, message.body_pitch_rate, message.body_yaw_rate)
-    p, q, r = (
-        0.0 if mask & ignored or not isfinite(rate) else rate for ignored, rate in zip(IGNORE_RATES, rates, strict=True)
-    )
-    return (p, q, r)
-
-
-def _unit(q: Sequence[float]) -> Quaternion | None:
-    """The rotation that a scaled or negated quaternion still means; None where it means none."""
-    norm = sqrt(sum(part * part for part in q))
-    if not isfinite(norm) or norm < 1e-6:
-        return None
-    w, x, y, z = q
-    return (w / norm, x / norm, y / norm, z / norm)

@@ -6,10 +6,17 @@ from collections.abc import Callable
 from math import atan2, degrees, hypot, nan
 from typing import TYPE_CHECKING
 
-from companion.frames import euler_ned_from_enu, geodetic_from_enu, ned_from_enu, quaternion_from_euler
+from companion.frames import (
+    enu_from_geodetic,
+    euler_ned_from_enu,
+    geodetic_from_enu,
+    ned_from_enu,
+    quaternion_from_euler,
+)
 from companion.mavlink.codec import MavlinkMessage, mavlink
 from companion.types import Vector3
 from sitl.body_axes import frd_from_flu
+from sitl.px4_modes import NEED_A_PILOT
 
 if TYPE_CHECKING:
     from sitl.px4 import Px4
@@ -21,6 +28,10 @@ BATTERY_V, BATTERY_PERCENT = 16.2, 98
 
 def heartbeat(px4: Px4) -> MavlinkMessage:
     base = M.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | M.MAV_MODE_FLAG_STABILIZE_ENABLED
+    if px4.mode.is_auto:
+        base |= M.MAV_MODE_FLAG_AUTO_ENABLED | M.MAV_MODE_FLAG_GUIDED_ENABLED
+    elif px4.mode in NEED_A_PILOT:
+        base |= M.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED
     base |= M.MAV_MODE_FLAG_SAFETY_ARMED if px4.armed else 0
     return M.MAVLink_heartbeat_message(
         M.MAV_TYPE_QUADROTOR, M.MAV_AUTOPILOT_PX4, base, px4.mode.custom_mode, px4.system_status, 3
@@ -92,9 +103,10 @@ def gps_global_origin(px4: Px4) -> MavlinkMessage:
 
 def home_position(px4: Px4) -> MavlinkMessage:
     latitude, longitude, altitude = px4.home
+    local = ned_from_enu(enu_from_geodetic(latitude, longitude, altitude, px4.quad.origin))
     return M.MAVLink_home_position_message(
-        round(latitude * 1e7), round(longitude * 1e7), round(altitude * 1e3), 0.0, 0.0, 0.0, [1.0, 0.0, 0.0, 0.0],
-        0.0, 0.0, 0.0,
+        round(latitude * 1e7), round(longitude * 1e7), round(altitude * 1e3), *local, [1.0, 0.0, 0.0, 0.0],
+        0.0, 0.0, 0.0, px4.boot_ms * 1000,
     )  # fmt: skip
 
 
@@ -140,6 +152,28 @@ def estimator_status(px4: Px4) -> MavlinkMessage:
     return M.MAVLink_estimator_status_message(px4.boot_ms * 1000, 0x3F, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.2)
 
 
+def highres_imu(px4: Px4) -> MavlinkMessage:
+    """Gyroscopes and specific force as they truly are; the other sensors are not modelled."""
+    force = frd_from_flu(px4.quad.specific_force_m_s2)
+    fields_updated = 0x3F
+    return M.MAVLink_highres_imu_message(
+        px4.boot_ms * 1000, *force, *_rates_frd(px4), 0.2, 0.0, 0.4, 0.0, 0.0, 0.0, 25.0, fields_updated
+    )
+
+
+def system_time(px4: Px4) -> MavlinkMessage:
+    """Time since boot alone: there is no wall clock here."""
+    return M.MAVLink_system_time_message(0, px4.boot_ms)
+
+
+def ping(px4: Px4) -> MavlinkMessage:
+    return M.MAVLink_ping_message(px4.boot_ms * 1000, px4.boot_ms // 1000, 0, 0)
+
+
+def protocol_version(_px4: Px4) -> MavlinkMessage:
+    return M.MAVLink_protocol_version_message(200, 100, 200, b"\0" * 8, b"\0" * 8)
+
+
 def timesync(px4: Px4) -> MavlinkMessage:
     return M.MAVLink_timesync_message(0, px4.boot_ms * 1_000_000)
 
@@ -148,7 +182,8 @@ def autopilot_version(px4: Px4) -> MavlinkMessage:
     capabilities = (
         M.MAV_PROTOCOL_CAPABILITY_MISSION_INT | M.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
         | M.MAV_PROTOCOL_CAPABILITY_SET_ATTITUDE_TARGET | M.MAV_PROTOCOL_CAPABILITY_MAVLINK2
-        | M.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
+        | M.MAV_PROTOCOL_CAPABILITY_COMMAND_INT | M.MAV_PROTOCOL_CAPABILITY_MISSION_FENCE
+        | M.MAV_PROTOCOL_CAPABILITY_MISSION_RALLY
     )  # fmt: skip
     version = (1 << 24) | (16 << 16) | 255  # 1.16.0, release
     return M.MAVLink_autopilot_version_message(
@@ -183,6 +218,10 @@ BUILDERS: dict[int, Callable[[Px4], MavlinkMessage]] = {
     M.MAVLINK_MSG_ID_VFR_HUD: vfr_hud,
     M.MAVLINK_MSG_ID_ALTITUDE: altitude,
     M.MAVLINK_MSG_ID_ESTIMATOR_STATUS: estimator_status,
+    M.MAVLINK_MSG_ID_HIGHRES_IMU: highres_imu,
+    M.MAVLINK_MSG_ID_SYSTEM_TIME: system_time,
+    M.MAVLINK_MSG_ID_PING: ping,
+    M.MAVLINK_MSG_ID_PROTOCOL_VERSION: protocol_version,
     M.MAVLINK_MSG_ID_TIMESYNC: timesync,
     M.MAVLINK_MSG_ID_AUTOPILOT_VERSION: autopilot_version,
 }

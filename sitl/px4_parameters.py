@@ -4,28 +4,49 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
+from math import isfinite
+from zlib import crc32
 
 from companion.mavlink.codec import mavlink
 
 INT32: int
 REAL32: int
 INT32, REAL32 = mavlink.MAV_PARAM_TYPE_INT32, mavlink.MAV_PARAM_TYPE_REAL32
+HASH_CHECK = "_HASH_CHECK"  # the name under which PX4 tells a checksum of all parameters
+NO_INDEX = 65535
 
 DEFAULTS: dict[str, float | int] = {
     "BAT1_CAPACITY": -1.0,
     "BAT1_N_CELLS": 4,
+    "BAT1_V_CHARGED": 4.05,
+    "BAT1_V_EMPTY": 3.6,
+    "BAT_CRIT_THR": 0.07,
+    "BAT_EMERGEN_THR": 0.05,
+    "BAT_LOW_THR": 0.15,
+    "CAL_ACC0_ID": 1310988,
+    "CAL_GYRO0_ID": 1310988,
+    "CAL_MAG0_ID": 197388,
+    "CBRK_FLIGHTTERM": 121212,
+    "CBRK_IO_SAFETY": 22027,
     "CBRK_SUPPLY_CHK": 894281,
+    "CBRK_USB_CHK": 197848,
     "COM_ARM_WO_GPS": 1,
-    "COM_DL_LOSS_T": 10,
     "COM_DISARM_LAND": 2.0,
     "COM_DISARM_PRFLT": 10.0,
+    "COM_DL_LOSS_T": 10,
     "COM_FAIL_ACT_T": 5.0,
+    "COM_LOW_BAT_ACT": 0,
     "COM_OBL_RC_ACT": 0,
     "COM_OF_LOSS_T": 1.0,
+    "COM_RCL_EXCEPT": 0,
     "COM_RC_IN_MODE": 4,
+    "COM_RC_LOSS_T": 0.5,
     "COM_RC_OVERRIDE": 1,
+    "EKF2_ACC_NOISE": 0.35,
     "EKF2_GPS_P_NOISE": 0.5,
     "EKF2_GPS_V_NOISE": 0.3,
+    "EKF2_GYR_NOISE": 0.015,
+    "EKF2_HGT_REF": 1,
     "GF_ACTION": 2,
     "GF_MAX_HOR_DIST": 0.0,
     "GF_MAX_VER_DIST": 0.0,
@@ -35,15 +56,22 @@ DEFAULTS: dict[str, float | int] = {
     "MIS_TAKEOFF_ALT": 2.5,
     "MPC_LAND_SPEED": 0.7,
     "MPC_THR_HOVER": 0.5,
+    "MPC_TILTMAX_AIR": 45.0,
     "MPC_TKO_SPEED": 1.5,
     "MPC_XY_CRUISE": 5.0,
+    "MPC_XY_VEL_MAX": 12.0,
+    "MPC_Z_VEL_MAX_DN": 1.5,
+    "MPC_Z_VEL_MAX_UP": 3.0,
     "MPC_Z_V_AUTO_DN": 1.5,
     "MPC_Z_V_AUTO_UP": 3.0,
+    "NAV_ACC_RAD": 10.0,
     "NAV_DLL_ACT": 0,
     "NAV_RCL_ACT": 2,
     "RTL_CONE_ANG": 45,
     "RTL_MIN_DIST": 10.0,
     "RTL_RETURN_ALT": 60.0,
+    "SDLOG_MODE": 0,
+    "SYS_AUTOCONFIG": 0,
     "SYS_AUTOSTART": 10040,
     "SYS_HITL": 0,
 }
@@ -71,22 +99,34 @@ class Parameters:
         """PARAM_SET; False where the parameter does not exist or the type is not its own."""
         if name not in self.values or kind != self._kind(name):
             return False
+        if kind == REAL32 and not isfinite(value):
+            return False
         self.set(name, struct.unpack("<i", struct.pack("<f", value))[0] if kind == INT32 else value)
         return True
 
     def messages(self) -> list[mavlink.MAVLink_param_value_message]:
-        """PARAM_VALUE of all, in order."""
-        return [self.message(name) for name in sorted(self.values)]
+        """PARAM_VALUE of all, in order, after their checksum: who has them already may stop listening."""
+        return [self.hash_message(), *(self.message(name) for name in sorted(self.values))]
+
+    def hash_message(self) -> mavlink.MAVLink_param_value_message:
+        """PARAM_VALUE of _HASH_CHECK: a checksum over names and values, without an index."""
+        content = b"".join(name.encode() + self._bytes(name) for name in sorted(self.values))
+        wire = struct.unpack("<f", struct.pack("<I", crc32(content)))[0]
+        kind = mavlink.MAV_PARAM_TYPE_UINT32
+        return mavlink.MAVLink_param_value_message(HASH_CHECK.encode(), wire, kind, len(self.values), NO_INDEX)
 
     def message(self, name: str) -> mavlink.MAVLink_param_value_message:
         names = sorted(self.values)
-        value = self.values[name]
-        wire = struct.unpack("<f", struct.pack("<i", value))[0] if isinstance(value, int) else value
+        wire = struct.unpack("<f", self._bytes(name))[0]
         return mavlink.MAVLink_param_value_message(name.encode(), wire, self._kind(name), len(names), names.index(name))
 
     def name_at(self, index: int) -> str | None:
         names = sorted(self.values)
         return names[index] if 0 <= index < len(names) else None
+
+    def _bytes(self, name: str) -> bytes:
+        value = self.values[name]
+        return struct.pack("<i" if isinstance(value, int) else "<f", value)
 
     def _kind(self, name: str) -> int:
         return INT32 if isinstance(self.values[name], int) else REAL32

@@ -91,6 +91,11 @@ class Quadrotor:
         p, q, r = self.state[RATES]
         return (p, q, r)
 
+    @property
+    def specific_force_m_s2(self) -> Vector3:
+        """What accelerometers feel, FLU; the little that drag adds is left out."""
+        return (0.0, 0.0, GRAVITY_M_S2 if self.stands else self.state[THRUST] / self._body.mass_kg)
+
     def estimated_position_local_enu_m(self) -> Vector3:
         x, y, z = self.state[POSITION]
         ex, ey, ez = self._error.position_m

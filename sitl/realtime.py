@@ -38,6 +38,8 @@ class Link(asyncio.DatagramProtocol):
         self._address = address
         self._heard_rates_hz = heard_rates_hz
         self._heard = False
+        self._speaks_fully = not heard_rates_hz
+        self._origin_told: int | None = None
         self._codec = MavlinkCodec(px4.system_id, mavlink.MAV_COMP_ID_AUTOPILOT1)
         self.schedule = Schedule(rates_hz)
         self.receiver = Receiver(px4, self.schedule)
@@ -49,6 +51,7 @@ class Link(asyncio.DatagramProtocol):
     def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
         if not self._heard:
             self._heard, self._address = True, addr
+            self._speaks_fully = True
             if self._heard_rates_hz:
                 self.schedule.reset(self._heard_rates_hz, self._px4.time_s)
         elif addr != self._address:
@@ -65,6 +68,10 @@ class Link(asyncio.DatagramProtocol):
                 self._transport.sendto(self._codec.encode(message), self._address)
 
     def send_due(self) -> None:
+        if self._speaks_fully and self._origin_told != self._px4.origin_changes:
+            # Once and on every change, as PX4 does.
+            self._origin_told = self._px4.origin_changes
+            self.send(iter([BUILDERS[mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN](self._px4)]))
         self.send(BUILDERS[message_id](self._px4) for message_id in self.schedule.due(self._px4.time_s))
 
     def listens_for_texts(self) -> bool:
