@@ -205,6 +205,8 @@ class PhaseMachine:
 
     def _mode_is_ours(self, vehicle: VehicleState) -> bool:
         own = MODES.get(self.phase)
+        if self.phase is P.LAND and vehicle.landed is LandedState.ON_GROUND:
+            return True  # at disarming PX4 changes its mode, and shows that before it shows that it is disarmed
         if own is None or vehicle.mode in own:
             if self.phase is P.LAND and self._rule is RULES[C.LAND]:
                 self._tolerated = frozenset()  # landing has begun: any other mode from now on is the pilot's

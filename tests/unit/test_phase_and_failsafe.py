@@ -128,6 +128,18 @@ def test_every_command_in_every_phase_is_accepted_by_the_table_or_refused_in_wor
         assert name in reason
 
 
+def test_on_the_ground_a_landing_waits_for_the_disarming_whatever_the_mode() -> None:
+    machine, autopilot, now_s = flown_to(FlightPhase.HOLD)
+    machine.command(CommandName.LAND, now_s, autopilot.state)
+    autopilot.obey(machine.advance(now_s, autopilot.state, ()))
+    down = replace(autopilot.state, mode=AutopilotMode.HOLD, landed=LandedState.ON_GROUND)
+    machine.advance(now_s + 5.0, down, ())
+    assert machine.phase is FlightPhase.LAND
+    machine.advance(now_s + 6.0, replace(down, armed=False), ())
+    assert machine.phase is FlightPhase.OBSERVE
+    assert "someone else" not in machine.events[-1]
+
+
 def test_after_a_restart_in_the_air_nothing_is_asked_and_arming_is_refused() -> None:
     machine = PhaseMachine(2.5)
     flying = replace(AIR, mode=AutopilotMode.OFFBOARD)
