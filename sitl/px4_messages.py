@@ -170,10 +170,6 @@ def ping(px4: Px4) -> MavlinkMessage:
     return M.MAVLink_ping_message(px4.boot_ms * 1000, px4.boot_ms // 1000, 0, 0)
 
 
-def protocol_version(_px4: Px4) -> MavlinkMessage:
-    return M.MAVLink_protocol_version_message(200, 100, 200, b"\0" * 8, b"\0" * 8)
-
-
 def timesync(px4: Px4) -> MavlinkMessage:
     return M.MAVLink_timesync_message(0, px4.boot_ms * 1_000_000)
 
@@ -221,7 +217,6 @@ BUILDERS: dict[int, Callable[[Px4], MavlinkMessage]] = {
     M.MAVLINK_MSG_ID_HIGHRES_IMU: highres_imu,
     M.MAVLINK_MSG_ID_SYSTEM_TIME: system_time,
     M.MAVLINK_MSG_ID_PING: ping,
-    M.MAVLINK_MSG_ID_PROTOCOL_VERSION: protocol_version,
     M.MAVLINK_MSG_ID_TIMESYNC: timesync,
     M.MAVLINK_MSG_ID_AUTOPILOT_VERSION: autopilot_version,
 }
