@@ -66,7 +66,10 @@ def _run(options: FlyOptions, stop: StopRequest) -> int:
 
 
 def _fly_laws(scenario: Scenario, name: str, folder: Path, options: FlyOptions, stop: StopRequest) -> int:
-    """The scenario's own law and then the others, until one fails; then the table and the figure."""
+    """The scenario's own law and then the others; then the table and the figure.
+
+    A law that fails in formation is part of the comparison; a flight that never got there ends it.
+    """
     own = scenario.fleet.law.name
     laws = [own, *(law for law in options.others or () if law != own)]
     results: list[Result] = []
@@ -74,13 +77,13 @@ def _fly_laws(scenario: Scenario, name: str, folder: Path, options: FlyOptions, 
         result = fly_once(with_law(scenario, law), name, folder / law, options, stop)
         results.append(result)
         print(in_words(result.summary) + "\n", flush=True)
-        if result.summary.failure:
+        if stop.number or result.flight is None:
             print(f"results so far in {folder}")
             return stop.exit_code if stop.number else EXIT_FAILED
     comparison = compare([result.summary for result in results])
     write_comparison(folder, comparison, [result.flight for result in results if result.flight])
     print(f"{in_a_table(comparison)}\nresults in {folder}")
-    return EXIT_FLOWN
+    return max(_exit_code(result.summary) for result in results)
 
 
 def _exit_code(summary: Summary) -> int:

@@ -1,0 +1,156 @@
+"""Real processes fly the paper's platoon; the figures are those that the project promises."""
+
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from sitl.scenario import load_scenario
+from sitl.summary import Summary, read_summary
+
+pytestmark = [pytest.mark.fleet, pytest.mark.timeout(600)]
+
+PLATOON = Path(__file__).parents[2] / "config" / "scenarios" / "platoon.yaml"
+FORM = "timeline[3].for_s"
+PNG = b"\x89PNG\r\n\x1a\n"
+
+
+def fly(folder: Path, port_offset: int, *more: str) -> subprocess.CompletedProcess[str]:
+    command = [
+        sys.executable,
+        "-m",
+        "sitl",
+        "fly",
+        str(PLATOON),
+        "--out",
+        str(folder),
+        "--port-offset",
+        str(port_offset),
+    ]
+    return subprocess.run([*command, *more], capture_output=True, text=True, timeout=580, check=False)
+
+
+def flown(folder: Path, port_offset: int, *more: str) -> Summary:
+    done = fly(folder, port_offset, *more)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return read_summary(folder / "summary.json")
+
+
+class Compared:
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.done = fly(folder, 2000, "--compare", "--quiet", "--set", f"{FORM}=60")
+        assert self.done.returncode == 0, self.done.stdout + self.done.stderr
+        self.weighted, self.average_22, self.average_26 = (
+            read_summary(folder / law / "summary.json") for law in ("weighted", "average_22", "average_26")
+        )
+
+    @property
+    def averages(self) -> Sequence[Summary]:
+        return (self.average_22, self.average_26)
+
+    @property
+    def all(self) -> Sequence[Summary]:
+        return (self.weighted, *self.averages)
+
+
+@pytest.fixture(scope="module")
+def compared(tmp_path_factory: pytest.TempPathFactory) -> Compared:
+    """The three laws over 60 s of formation, once for all tests of this file."""
+    return Compared(tmp_path_factory.mktemp("compared"))
+
+
+def largest(summary: Summary, pair: str = "1-2") -> float:
+    assert summary.max_distance_m is not None
+    return summary.max_distance_m[pair]
+
+
+def test_the_weighted_law_keeps_leader_and_first_follower_closer(compared: Compared) -> None:
+    assert largest(compared.weighted) <= 1.90
+    assert all(largest(compared.weighted) < largest(average) for average in compared.averages)
+
+
+def test_the_weighted_law_settles_sooner(compared: Compared) -> None:
+    settle_s = compared.weighted.settle_s
+    assert settle_s is not None
+    assert all(average.settle_s is None or settle_s < average.settle_s for average in compared.averages)
+
+
+def test_the_platoon_ends_in_its_places(compared: Compared) -> None:
+    assert compared.weighted.final_error_m is not None
+    assert compared.weighted.final_error_m <= 0.05
+    assert compared.weighted.final_distance_m is not None
+    assert [compared.weighted.final_distance_m[pair] for pair in compared.weighted.pairs] == pytest.approx(
+        [1.5, 1.5, 1.5], abs=0.05
+    )
+
+
+def test_every_agent_keeps_50_hz_over_a_minute(compared: Compared) -> None:
+    for summary in compared.all:
+        assert summary.duration_s == pytest.approx(60.0, abs=0.2)
+        for vehicle in summary.vehicles:
+            assert vehicle.tick is not None
+            assert vehicle.tick.rate_hz == pytest.approx(50.0, abs=0.5)
+            assert vehicle.tick.ticks == pytest.approx(3000, abs=60)
+            assert vehicle.telemetry_to_command_us is not None
+            assert 0 < vehicle.telemetry_to_command_us.p50 < 20_000
+            assert vehicle.rejected == {}
+
+
+def test_every_agent_is_small_enough_for_its_board(compared: Compared) -> None:
+    for vehicle in compared.weighted.vehicles:
+        assert vehicle.rss_mb is not None
+        assert vehicle.rss_mb < 60
+        assert vehicle.cpu_percent is not None
+        assert vehicle.cpu_percent < 12
+
+
+def test_nothing_failed_and_everything_was_landed(compared: Compared) -> None:
+    for summary in compared.all:
+        assert summary.failure is None
+        landed = [event.vehicle for event in summary.events if event.event == "land -> observe"]
+        assert sorted(landed) == [1, 2, 3, 4]
+
+
+def test_each_flight_leaves_its_folder(compared: Compared) -> None:
+    for law in ("weighted", "average_22", "average_26"):
+        folder = compared.folder / law
+        for figure in ("figure_5.png", "figure_6.png"):
+            assert (folder / figure).read_bytes().startswith(PNG)
+        assert load_scenario(folder / "scenario.yaml").fleet.law.name == law
+        for vehicle_id in (1, 2, 3, 4):
+            assert "engage -> formation" in (folder / f"agent_{vehicle_id}.log").read_text(encoding="utf-8")
+            assert (folder / f"autopilot_{vehicle_id}.log").stat().st_size > 0
+            assert (folder / f"truth_{vehicle_id}.csv").stat().st_size > 100_000
+
+
+def test_the_comparison_is_a_table_a_figure_and_a_file(compared: Compared) -> None:
+    assert (compared.folder / "comparison.png").read_bytes().startswith(PNG)
+    comparison: Any = msgspec.json.decode((compared.folder / "comparison.json").read_bytes())
+    rows = {row["figure"]: row for row in comparison["rows"]}
+    assert comparison["laws"] == ["weighted", "average_22", "average_26"]
+    assert rows["largest distance 1-2"]["best"] == ["weighted"]
+    assert rows["settled to 10 cm"]["best"] == ["weighted"]
+    table = compared.done.stdout.splitlines()
+    assert any(line.startswith("largest distance 1-2 [m]") and line.count("*") == 1 for line in table)
+    assert table[-1] == f"results in {compared.folder}"
+    assert compared.done.stderr == ""
+
+
+def test_without_lag_the_paper_s_figure_comes_out(tmp_path: Path) -> None:
+    overrides = (f"{FORM}=8", "stand_in.airframe.attitude=instant", "stand_in.airframe.motor_lag_s=0")
+    summary = flown(tmp_path, 2010, "--quiet", *(word for override in overrides for word in ("--set", override)))
+    assert largest(summary) <= 1.76
+
+
+def test_with_sensor_noise_the_platoon_holds_together(tmp_path: Path) -> None:
+    summary = flown(tmp_path, 2020, "--set", "stand_in.sensors=default", "--set", f"{FORM}=45", "--quiet")
+    assert summary.final_error_m is not None
+    assert summary.final_error_m <= 0.30
+    assert summary.smallest_distance_m is not None
+    assert summary.smallest_distance_m >= 0.8
+    assert summary.sensors == "default"
