@@ -109,9 +109,10 @@ class Agent:
 
         acceleration, target = ZERO3, None
         if self._machine.streams(vehicle) and self._may_decide(flags, vehicle):
-            acceleration = self._acceleration(now_s, vehicle, around)
-            target = self._gate.admit(now_s, self._attitude(vehicle, acceleration))
             self._position_used_s = vehicle.position_time_s
+            acceleration = self._acceleration(now_s, vehicle, around)
+            target = self._target(now_s, vehicle, acceleration)
+        if target is not None:
             self._spoke_s = now_s
 
         events = self._drain_events()
@@ -145,11 +146,11 @@ class Agent:
     def _act_on(self, flags: frozenset[HealthFlag], now_s: float, vehicle: VehicleState) -> None:
         if not self._machine.streams(vehicle):
             return
-        action = failsafe_action(flags)
-        if action is FailsafeAction.HOLD:
-            self._machine.hand_over(now_s, vehicle, ", ".join(sorted(flags)))
-        elif action is FailsafeAction.SILENT and now_s - self._spoke_s > SILENT_TOO_LONG_S:
-            self._machine.give_up(f"silent for {SILENT_TOO_LONG_S} s: " + ", ".join(sorted(flags)))
+        reason = ", ".join(sorted(flags)) or "nothing to decide on"
+        if now_s - self._spoke_s > SILENT_TOO_LONG_S:
+            self._machine.give_up(f"silent for {SILENT_TOO_LONG_S} s: {reason}")
+        elif failsafe_action(flags) is FailsafeAction.HOLD:
+            self._machine.hand_over(now_s, vehicle, reason)
 
     def _ask_origin(self, now_s: float, vehicle: VehicleState) -> tuple[AutopilotRequest, ...]:
         if vehicle.altitude_amsl_m is not None or now_s - self._origin_asked_s < ORIGIN_REPEAT_S:
@@ -184,7 +185,20 @@ class Agent:
         envelope = self._setup.envelope
         return limit_acceleration(wanted, envelope.max_tilt_rad, envelope.min_thrust_ratio, envelope.max_thrust_ratio)
 
+    def _target(self, now_s: float, vehicle: VehicleState, acceleration: Vector3) -> AttitudeTarget | None:
+        """What passes the last gate; None where nothing does, and the count of it is in the status."""
+        try:
+            wanted = self._attitude(vehicle, acceleration)
+        except ValueError as error:
+            self.reject(f"own command: {error}")
+            return None
+        admitted = self._gate.admit(now_s, wanted)
+        if admitted is None:
+            self.reject("own command: not finite")
+        return admitted
+
     def _attitude(self, vehicle: VehicleState, acceleration: Vector3) -> AttitudeTarget:
+        """Raises ValueError where no attitude gives this acceleration (Remark 1)."""
         if self._machine.phase is FlightPhase.ENGAGE:
             return self._level(vehicle)
         return attitude_target(

@@ -37,7 +37,6 @@ class LastGate:
         self._limits = limits
         self._last: AttitudeTarget | None = None
         self._last_s = float("-inf")
-        self.refused = 0
 
     def open_at(self, now_s: float, current: AttitudeTarget) -> None:
         """Begin a stream from the attitude and thrust that the vehicle has now, so that the first step is small."""
@@ -48,7 +47,6 @@ class LastGate:
     def admit(self, now_s: float, wanted: AttitudeTarget) -> AttitudeTarget | None:
         """The allowed target nearest to the wanted one, or None where it is not finite or the gate was never opened."""
         if self._last is None or not _finite(wanted):
-            self.refused += 1
             return None
         # After a gap the slew still starts from the last command: a silent vehicle has not turned far meanwhile.
         elapsed_s = min(max(now_s - self._last_s, 0.0), 0.1)

@@ -77,6 +77,7 @@ class Flight:
         self.peer_position: Vector3 | None = (0.0, 0.0, 1.0)
         self.outbox = Outbox()
         self.tells_origin = True
+        self.roll_rad = 0.0
         self.targets: list[AttitudeTarget] = []
         self.events: list[str] = []
         self._peer_sequence = 0
@@ -84,7 +85,7 @@ class Flight:
     def telemetry(self) -> list[Telemetry]:
         t = self.now_s
         return [
-            AttitudeSample(t, 0.0, 0.0, 0.3),
+            AttitudeSample(t, self.roll_rad, 0.0, 0.3),
             ModeSample(t, self.mode, self.mode),
             HeartbeatSample(t, self.armed, False),
             LandedSample(t, self.landed),
@@ -242,6 +243,19 @@ def test_silent_for_too_long_it_does_not_speak_again_by_itself() -> None:
     for _ in range(50):
         flight.tick()
     assert len(flight.targets) == before
+
+
+def test_on_its_back_it_says_nothing_and_gives_up() -> None:
+    """Remark 1: beyond 90 degrees no thrust carries the vehicle; the autopilot is left to its own devices."""
+    flight = Flight().fly_to(FlightPhase.FORMATION)
+    before = len(flight.targets)
+    flight.roll_rad = 2.0
+    for _ in range(30):
+        flight.tick()
+    assert len(flight.targets) == before
+    assert flight.agent.phase is FlightPhase.OBSERVE
+    status = next(status for _ in range(10) if (status := flight.tick().status))
+    assert status.rejected == {"own command: no attitude gives this acceleration": 25}  # half a second
 
 
 @pytest.mark.parametrize("bad", [nan, inf, 1e12])
