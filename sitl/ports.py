@@ -24,5 +24,8 @@ class Ports:
 def ports_of(vehicle_id: int, offset: int = 0) -> Ports:
     instance = vehicle_id - 1 + offset
     return Ports(
-        onboard=14580 + instance, companion=14540 + instance, ground_link=18570 + instance, zenoh=7447 + vehicle_id + offset
+        onboard=14580 + instance,
+        companion=14540 + instance,
+        ground_link=18570 + instance,
+        zenoh=7447 + vehicle_id + offset,
     )
