@@ -213,6 +213,7 @@ class Receiver:
         reply = bytearray(251)
         sequence = int.from_bytes(request[:2], "little") + 1
         reply[:2] = (sequence & 0xFFFF).to_bytes(2, "little")
+        reply[2] = request[2]  # the session, by which MAVProxy knows its answers
         reply[3], reply[4], reply[5], reply[12] = 129, 1, request[3], 10  # NAK, one byte: file not found
         yield M.MAVLink_file_transfer_protocol_message(0, message.get_srcSystem(), message.get_srcComponent(), reply)
 
