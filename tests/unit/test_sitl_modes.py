@@ -1,0 +1,325 @@
+"""Modes, arming and failsafes in virtual time, against what was measured on PX4 v1.16."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import pytest
+from sitl_vehicle import DT_S, LEVEL, Vehicle
+
+from companion.frames import quaternion_from_euler
+from companion.mavlink.codec import mavlink as M  # noqa: N812 -- short, it is in every line
+from sitl.attitude_control import Setpoint
+from sitl.px4_modes import NEED_A_PILOT, Mode
+
+ACCEPTED, LATER, DENIED, UNSUPPORTED = 0, 1, 2, 3
+ARM, SET_MODE, TAKEOFF = M.MAV_CMD_COMPONENT_ARM_DISARM, M.MAV_CMD_DO_SET_MODE, M.MAV_CMD_NAV_TAKEOFF
+FORCE = 21196.0
+
+
+def until(vehicle: Vehicle, mode: Mode, within_s: float, stream: Setpoint | None = None) -> float:
+    """Seconds until it is in that mode."""
+    for step in range(round(within_s / DT_S)):
+        if vehicle.px4.mode is mode:
+            return step * DT_S
+        vehicle.fly(DT_S, stream)
+    raise AssertionError(f"still {vehicle.px4.mode} after {within_s} s")
+
+
+# ---------------------------------------------------------------- arming
+
+
+def test_it_lets_itself_be_armed_about_4_s_after_its_start() -> None:
+    vehicle = Vehicle()
+    vehicle.fly(3.5)
+    assert vehicle.results(ARM, 1.0) == [LATER]
+    assert vehicle.texts() == ["Arming denied: Resolve system health failures first"]
+    vehicle.fly(1.0)
+    assert vehicle.results(ARM, 1.0) == [ACCEPTED]
+    assert vehicle.px4.armed
+
+
+def test_force_arms_at_once() -> None:
+    vehicle = Vehicle()
+    assert vehicle.results(ARM, 1.0, FORCE) == [ACCEPTED]
+
+
+def test_arming_is_neither_on_nor_off() -> None:
+    vehicle = Vehicle()
+    vehicle.fly(4.2)
+    assert vehicle.results(ARM, 0.5) == [DENIED]
+    assert vehicle.results(ARM, float("nan")) == [DENIED]
+
+
+@pytest.mark.parametrize("mode", [Mode.LAND, Mode.RTL, Mode.MISSION, Mode.OFFBOARD, *sorted(NEED_A_PILOT, key=str)])
+def test_modes_that_prevent_arming(mode: Mode) -> None:
+    vehicle = Vehicle()
+    vehicle.fly(4.2)
+    assert vehicle.set_mode(mode) == [ACCEPTED, ACCEPTED]  # disarmed, every mode is accepted
+    assert vehicle.results(ARM, 1.0) == [LATER]
+    vehicle.set_mode(Mode.LOITER)
+    assert vehicle.results(ARM, 1.0) == [ACCEPTED]
+
+
+def test_armed_in_offboard_it_lifts_off() -> None:
+    vehicle = Vehicle()
+    vehicle.fly(4.2)
+    climb = Setpoint(LEVEL.quaternion, 0.65)
+    vehicle.fly(0.5, climb)
+    vehicle.set_mode(Mode.OFFBOARD)
+    assert vehicle.results(ARM, 1.0) == [ACCEPTED]
+    vehicle.fly(0.3, climb)
+    assert vehicle.height_m > 0.02
+    assert vehicle.px4.landed_state == M.MAV_LANDED_STATE_IN_AIR
+
+
+def test_it_disarms_by_itself_when_it_does_not_take_off() -> None:
+    vehicle = Vehicle()
+    vehicle.fly(4.2)
+    vehicle.results(ARM, 1.0)
+    vehicle.fly(9.5)
+    assert vehicle.px4.armed
+    vehicle.fly(1.0)
+    assert not vehicle.px4.armed
+
+
+def test_disarming_in_the_air_needs_force() -> None:
+    vehicle = Vehicle()
+    vehicle.take_off()
+    assert vehicle.results(ARM, 0.0) == [LATER]
+    assert vehicle.texts()[-1] == "Disarming denied: not landed"
+    assert vehicle.results(ARM, 0.0, FORCE) == [ACCEPTED]
+    vehicle.fly(1.0)
+    assert vehicle.height_m == pytest.approx(0.0, abs=0.1)
+
+
+# ---------------------------------------------------------------- its own modes
+
+
+@pytest.mark.parametrize("armed_first", [True, False])
+def test_take_off_of_1_m_is_settled_within_4_s(armed_first: bool) -> None:
+    vehicle = Vehicle()
+    vehicle.fly(4.2)
+    orders = [(ARM, (1.0,)), (TAKEOFF, (0.0,) * 6 + (vehicle.altitude_amsl_m + 1.0,))]
+    for number, parameters in orders if armed_first else reversed(orders):
+        assert vehicle.results(number, *parameters) == [ACCEPTED]
+    assert vehicle.px4.mode is Mode.TAKEOFF
+    vehicle.fly(0.7)
+    assert vehicle.px4.landed_state == M.MAV_LANDED_STATE_TAKEOFF
+    vehicle.fly(3.3)
+    assert vehicle.px4.mode is vehicle.px4.intended_mode is Mode.LOITER
+    for _ in range(20):
+        assert vehicle.px4.quad.position_enu_m == pytest.approx((0.0, 0.0, 1.0), abs=0.01)
+        vehicle.fly(0.5)
+
+
+def test_take_off_without_an_altitude_takes_the_parameter() -> None:
+    vehicle = Vehicle(MIS_TAKEOFF_ALT=4.0)
+    vehicle.fly(4.2)
+    vehicle.results(ARM, 1.0)
+    vehicle.results(TAKEOFF, *[float("nan")] * 7)
+    vehicle.fly(8.0)
+    assert vehicle.height_m == pytest.approx(4.0, abs=0.02)
+
+
+def test_hold_stops_and_holds() -> None:
+    vehicle = Vehicle()
+    vehicle.offboard()
+    vehicle.fly(1.0, Setpoint(quaternion_from_euler(0.0, 0.25, 0.0), 0.51))
+    speed = vehicle.px4.quad.velocity_enu_m_s[0]
+    assert speed > 1.0
+    vehicle.set_mode(Mode.LOITER)
+    xs = [vehicle.px4.quad.position_enu_m[0]]
+    for _ in range(60):
+        vehicle.fly(0.1)
+        xs.append(vehicle.px4.quad.position_enu_m[0])
+    assert max(xs) - xs[-1] < 0.25  # it does not come back to where hold began
+    assert xs[-1] - xs[0] > 0.5
+    assert max(abs(a - b) for a, b in pairwise(xs[-10:])) < 0.002
+
+
+def test_landing() -> None:
+    vehicle = Vehicle()
+    vehicle.take_off()
+    assert vehicle.results(M.MAV_CMD_NAV_LAND) == [ACCEPTED]
+    vehicle.fly(2.0)
+    assert vehicle.px4.landed_state == M.MAV_LANDED_STATE_LANDING
+    assert vehicle.px4.quad.velocity_enu_m_s[2] == pytest.approx(-0.7, abs=0.05)
+    while vehicle.px4.landed_state != M.MAV_LANDED_STATE_ON_GROUND:
+        vehicle.fly(DT_S)
+    landed_s = vehicle.px4.time_s
+    while vehicle.px4.armed:
+        vehicle.fly(DT_S)
+    assert vehicle.px4.time_s - landed_s == pytest.approx(2.0, abs=0.1)
+
+
+def test_return_climbs_comes_home_and_lands_in_its_own_mode() -> None:
+    vehicle = Vehicle(RTL_RETURN_ALT=8.0)
+    vehicle.offboard()
+    vehicle.fly(5.0, Setpoint(quaternion_from_euler(0.0, 0.2, 0.0), 0.50))
+    assert vehicle.px4.quad.position_enu_m[0] > 10.0
+    assert vehicle.results(M.MAV_CMD_NAV_RETURN_TO_LAUNCH) == [ACCEPTED]
+    heights = []
+    for _ in range(60):
+        vehicle.fly(1.0)
+        heights.append(vehicle.height_m)
+        if not vehicle.px4.armed:
+            break
+        assert vehicle.px4.mode is Mode.RTL
+    assert max(heights) == pytest.approx(8.0, abs=0.6)
+    assert vehicle.px4.quad.position_enu_m == pytest.approx((0.0, 0.0, 0.0), abs=0.7)
+
+
+def test_reposition() -> None:
+    vehicle = Vehicle()
+    vehicle.take_off()
+    north = vehicle.px4.quad.origin[0] + 3.0 / 111_170.0
+    message = M.MAVLink_command_int_message(
+        1, 1, M.MAV_FRAME_GLOBAL, M.MAV_CMD_DO_REPOSITION, 0, 0, -1.0, 1.0, 0.0, float("nan"),
+        round(north * 1e7), 2**31 - 1, vehicle.altitude_amsl_m + 1.0,
+    )  # fmt: skip
+    assert [answer.result for answer in vehicle.say(message)] == [ACCEPTED]
+    vehicle.fly(8.0)
+    assert vehicle.px4.quad.position_enu_m == pytest.approx((0.0, 3.0, 3.5), abs=0.1)
+
+
+def test_nobody_flies_manual_modes_in_the_air() -> None:
+    vehicle = Vehicle()
+    vehicle.take_off()
+    for mode in sorted(NEED_A_PILOT, key=str):
+        assert vehicle.set_mode(mode) == [ACCEPTED, LATER]
+    assert vehicle.results(SET_MODE, 1.0, 99.0, 0.0) == [ACCEPTED, LATER]
+    assert vehicle.results(SET_MODE, 1.0, float("nan"), 0.0) == [ACCEPTED, LATER]
+    assert vehicle.px4.mode is Mode.LOITER
+
+
+# ---------------------------------------------------------------- OFFBOARD and the loss of its stream
+
+
+def test_offboard_needs_a_stream_while_armed() -> None:
+    vehicle = Vehicle()
+    vehicle.take_off()
+    assert vehicle.set_mode(Mode.OFFBOARD) == [ACCEPTED, LATER]
+    assert vehicle.px4.mode is Mode.LOITER
+    vehicle.fly(0.1, LEVEL)
+    assert vehicle.set_mode(Mode.OFFBOARD) == [ACCEPTED, ACCEPTED]
+    assert vehicle.px4.mode is Mode.OFFBOARD
+
+
+@pytest.mark.parametrize("rate_hz", [4.0, 2.0, 1.25])
+def test_slow_streams_hold_offboard(rate_hz: float) -> None:
+    vehicle = Vehicle()
+    vehicle.offboard()
+    for _ in range(8):
+        vehicle.fly(1.0 / rate_hz, LEVEL, stream_hz=rate_hz)
+        assert vehicle.px4.mode is Mode.OFFBOARD
+
+
+def test_a_stream_below_1_hz_flaps() -> None:
+    vehicle = Vehicle()
+    vehicle.offboard()
+    modes = set()
+    for step in range(round(8.0 / DT_S)):
+        if step % round(1.0 / 0.9 / DT_S) == 0:
+            vehicle.px4.offboard_setpoint(LEVEL)
+        vehicle.fly(DT_S)
+        modes.add(vehicle.px4.mode)
+    assert modes == {Mode.OFFBOARD, Mode.POSCTL}
+
+
+@pytest.mark.parametrize(
+    ("action", "mode"),
+    [(0, Mode.POSCTL), (1, Mode.ALTCTL), (2, Mode.STABILIZED), (3, Mode.RTL), (4, Mode.LAND), (5, Mode.LOITER)],
+)
+def test_stream_lost_and_found_again(action: int, mode: Mode) -> None:
+    vehicle = Vehicle(COM_OBL_RC_ACT=action)
+    vehicle.offboard()
+    last_setpoint_s = vehicle.px4.time_s - vehicle.px4.time_s % 0.02
+    until(vehicle, mode, 1.5)
+    assert 1.0 <= vehicle.px4.time_s - last_setpoint_s <= 1.12
+    assert vehicle.px4.intended_mode is Mode.OFFBOARD
+    assert vehicle.px4.system_status == M.MAV_STATE_CRITICAL
+    assert vehicle.texts()[-1] == "Failsafe activated"
+    vehicle.fly(0.5)
+    assert 0.03 <= until(vehicle, Mode.OFFBOARD, 0.5, LEVEL) <= 0.055  # by itself
+    assert vehicle.px4.system_status == M.MAV_STATE_ACTIVE
+
+
+def test_without_a_pilot_it_sinks_and_drifts() -> None:
+    vehicle = Vehicle()
+    vehicle.take_off(6.0)
+    vehicle.fly(0.2, LEVEL)
+    vehicle.set_mode(Mode.OFFBOARD)
+    vehicle.fly(0.2, LEVEL)
+    until(vehicle, Mode.POSCTL, 1.5)
+    x0, _, _ = vehicle.px4.quad.position_enu_m
+    vehicle.fly(3.0)
+    assert -1.0 < vehicle.px4.quad.velocity_enu_m_s[2] < -0.7
+    assert vehicle.px4.quad.position_enu_m[0] - x0 > 0.2
+
+
+def test_hold_after_stream_loss_holds_within_half_a_metre() -> None:
+    vehicle = Vehicle(sensors="default", COM_OBL_RC_ACT=5)
+    vehicle.offboard()
+    until(vehicle, Mode.LOITER, 1.5)
+    place = vehicle.px4.quad.position_enu_m
+    for _ in range(10):
+        vehicle.fly(1.0)
+        assert vehicle.px4.quad.position_enu_m == pytest.approx(place, abs=0.5)
+
+
+@pytest.mark.parametrize("action", [6, 7])
+def test_motors_stop_where_the_parameter_says_so(action: int) -> None:
+    vehicle = Vehicle(COM_OBL_RC_ACT=action)
+    vehicle.offboard()
+    vehicle.fly(2.0)
+    assert not vehicle.px4.armed
+    assert vehicle.height_m == 0.0
+
+
+def test_another_mode_ends_the_return_to_offboard() -> None:
+    vehicle = Vehicle()
+    vehicle.offboard()
+    until(vehicle, Mode.POSCTL, 1.5)
+    vehicle.set_mode(Mode.LOITER)
+    assert vehicle.px4.system_status == M.MAV_STATE_ACTIVE
+    vehicle.fly(2.0, LEVEL)
+    assert vehicle.px4.mode is Mode.LOITER
+
+
+# ---------------------------------------------------------------- the ground station
+
+
+def heartbeat_of(kind: int) -> object:
+    return M.MAVLink_heartbeat_message(kind, M.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3)
+
+
+def test_a_lost_ground_station_means_hold_then_return_and_no_offboard() -> None:
+    vehicle = Vehicle(NAV_DLL_ACT=2, RTL_RETURN_ALT=4.0)
+    vehicle.fly(4.2)
+    assert vehicle.results(ARM, 1.0) == [LATER]  # it wants to hear one first
+    vehicle.say(heartbeat_of(M.MAV_TYPE_ONBOARD_CONTROLLER))
+    assert vehicle.results(ARM, 1.0) == [LATER]
+    vehicle.say(heartbeat_of(M.MAV_TYPE_GCS))
+    assert vehicle.results(ARM, 1.0) == [ACCEPTED]
+    vehicle.results(TAKEOFF, *[float("nan")] * 7)
+    vehicle.fly(5.0, LEVEL)
+    vehicle.say(heartbeat_of(M.MAV_TYPE_GCS))
+    vehicle.set_mode(Mode.OFFBOARD)
+    assert until(vehicle, Mode.LOITER, 12.0, LEVEL) == pytest.approx(10.0, abs=0.15)  # COM_DL_LOSS_T
+    assert vehicle.px4.system_status == M.MAV_STATE_CRITICAL
+    assert until(vehicle, Mode.RTL, 7.0, LEVEL) == pytest.approx(5.0, abs=0.15)  # COM_FAIL_ACT_T
+    vehicle.say(heartbeat_of(M.MAV_TYPE_GCS))
+    vehicle.fly(1.0, LEVEL)
+    assert vehicle.px4.mode is Mode.RTL  # neither the stream nor the heartbeat brings it back
+    assert vehicle.set_mode(Mode.OFFBOARD) == [ACCEPTED, ACCEPTED]
+    vehicle.fly(3.0, LEVEL)
+    assert vehicle.px4.mode is Mode.OFFBOARD
+
+
+def test_by_default_nobody_misses_the_ground_station() -> None:
+    vehicle = Vehicle()
+    vehicle.offboard()
+    vehicle.say(heartbeat_of(M.MAV_TYPE_GCS))
+    vehicle.fly(20.0, LEVEL)
+    assert vehicle.px4.mode is Mode.OFFBOARD
