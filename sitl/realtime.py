@@ -100,9 +100,12 @@ class TruthLog:
 
 
 def run(file: AutopilotFile, ports: Ports, truth: Path | None, seconds: float | None) -> None:
-    """Fly until SIGTERM, SIGINT or `seconds` have passed. Raises ConfigError for a port in use."""
+    """Fly until SIGTERM, SIGINT or `seconds` have passed. Raises ConfigError for a port in use or a file it cannot write."""
     with contextlib.ExitStack() as stack:
-        log = TruthLog(stack.enter_context(truth.open("w", encoding="ascii"))) if truth else None
+        try:
+            log = TruthLog(stack.enter_context(truth.open("w", encoding="ascii"))) if truth else None
+        except OSError as error:
+            raise ConfigError(f"--truth {truth}", "", f"{error.strerror}; name a file that can be written") from error
         with asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(selectors.SelectSelector())) as runner:
             runner.run(_run(file, ports, log, seconds))
 

@@ -1,0 +1,110 @@
+"""`sitl autopilot` as a process: its help, its errors in one line, how it ends, what it writes and what it costs."""
+
+from __future__ import annotations
+
+import signal
+import socket
+import subprocess
+import sys
+import time
+from itertools import pairwise
+from pathlib import Path
+from statistics import median
+
+import pytest
+from agent_process import until
+from stand_in_process import free_offset, stand_in
+
+from sitl.ports import ports_of
+from sitl.realtime import TRUTH_HEADER
+
+
+def sitl(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "sitl", *arguments], capture_output=True, text=True, timeout=30.0, check=False
+    )
+
+
+def assert_one_line_of(result: subprocess.CompletedProcess[str], *words: str) -> None:
+    """A refusal: exit code 2 and one line that says what is wrong."""
+    assert result.returncode == 2
+    assert len(result.stderr.splitlines()) == 1, result.stderr
+    for word in words:
+        assert word in result.stderr
+
+
+def test_help_says_ports_and_exit_codes() -> None:
+    result = sitl("autopilot", "--help")
+    assert result.returncode == 0
+    for words in ("14580+i+K", "--truth", "--seconds", "exit codes:"):
+        assert words in result.stdout
+
+
+@pytest.mark.parametrize("which", ["onboard", "ground_link"])
+def test_a_port_in_use(which: str) -> None:
+    offset = free_offset()
+    port = getattr(ports_of(1, offset), which)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", port))
+        result = sitl("autopilot", "--port-offset", str(offset), "--seconds", "1")
+    assert_one_line_of(result, str(port), "--port-offset")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("id: 300\n", ("id", "250")),
+        ("stand_in: {airframe: {mas_kg: 1.0}}\n", ("mas_kg", "mass_kg")),
+        ("stand_in: {airframe: {hover_thrust_norm: 2}}\n", ("hover_thrust_norm",)),
+        ("stand_in: {sensors: perfect}\n", ("sensors",)),
+        ("stand_in: {wind: {mean_enu_m_s: [1, 2]}}\n", ("mean_enu_m_s",)),
+        ("stand_in: {parameters: {NO_SUCH: 1}}\n", ("NO_SUCH",)),
+        ("id: [\n", ("autopilot.yaml",)),
+    ],
+)
+def test_a_bad_file(tmp_path: Path, text: str, words: tuple[str, ...]) -> None:
+    file = tmp_path / "autopilot.yaml"
+    file.write_text(text, encoding="utf-8")
+    assert_one_line_of(sitl("autopilot", "--config", str(file)), "autopilot.yaml", *words)
+
+
+def test_a_file_that_is_not_there_and_an_id_out_of_bounds(tmp_path: Path) -> None:
+    assert_one_line_of(sitl("autopilot", "--config", str(tmp_path / "none.yaml")), "none.yaml")
+    assert_one_line_of(sitl("autopilot", "--id", "0"), "--id", "250")
+
+
+def test_a_truth_file_that_cannot_be_written(tmp_path: Path) -> None:
+    result = sitl("autopilot", "--truth", str(tmp_path / "no" / "truth.csv"), "--port-offset", str(free_offset()))
+    assert_one_line_of(result, "truth.csv")
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_ends_it_at_once_and_the_truth_is_whole(tmp_path: Path, number: signal.Signals) -> None:
+    with stand_in(tmp_path) as process:
+        until(process.truth)
+        process.process.send_signal(number)
+        assert process.process.wait(5.0) == 0
+        assert "Traceback" not in process.log
+        text = process.truth_file.read_text(encoding="ascii")
+    assert text.startswith(TRUTH_HEADER)
+    assert text.endswith("\n")
+
+
+def test_seconds_ends_it_and_the_truth_has_fifty_rows_a_second(tmp_path: Path) -> None:
+    with stand_in(tmp_path, "id: 3\nstart_enu_m: [1.0, 2.0, 0.0]\n", "--id", "1", "--seconds", "2") as process:
+        assert process.process.wait(20.0) == 0
+        lines = process.truth_file.read_text(encoding="ascii").splitlines()[1:]
+    stamps_s = [float(line.split(",")[0]) for line in lines]
+    assert median(later - earlier for earlier, later in pairwise(stamps_s)) == pytest.approx(0.02, rel=0.01)
+    assert 50 <= len(lines) <= 100  # a machine that slept does not fly the time it missed
+    assert stamps_s[-1] == pytest.approx(time.monotonic(), abs=10.0)
+    assert lines[0].split(",")[1:4] == ["1.00000", "2.00000", "0.00000"]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_its_memory_stays_under_60_mb(tmp_path: Path) -> None:
+    with stand_in(tmp_path) as process:
+        until(lambda: len(process.truth()) > 200)
+        status = Path(f"/proc/{process.process.pid}/status").read_text(encoding="ascii")
+    rss_kb = next(int(line.split()[1]) for line in status.splitlines() if line.startswith("VmRSS"))
+    assert rss_kb < 60_000
