@@ -99,7 +99,7 @@ class Schedule:
         self._period_s.pop(message_id, None)
         if rate_hz > 0.0:
             self._period_s[message_id] = 1.0 / min(rate_hz, MAX_RATE_HZ)
-            self._due_s[message_id] = now_s
+            self._due_s[message_id] = now_s + self._period_s[message_id]
         self._next_s = min(self._due_s.values(), default=inf)
         return True
 
