@@ -20,7 +20,6 @@ UNSUPPORTED, FAILED = M.MAV_RESULT_UNSUPPORTED, M.MAV_RESULT_FAILED
 FORCE = 21196.0  # param 2 of COMPONENT_ARM_DISARM
 CHUNK = 50  # characters of a STATUSTEXT
 NO_COORDINATE = 2**31 - 1  # COMMAND_INT's NaN
-MAX_LATITUDE_1E7 = 900_000_000
 MAX_DISTANCE_M = 10_000.0
 ABOVE_SEA_LEVEL = (M.MAV_FRAME_GLOBAL, M.MAV_FRAME_GLOBAL_INT)
 # Commands that are REQUEST_MESSAGE by an older name.
@@ -154,9 +153,10 @@ class Receiver:
         yield from ()
 
     def _set_origin(self, message: MavlinkMessage) -> Answers:
-        """Every link then tells of the new origin by itself."""
-        if abs(message.latitude) <= MAX_LATITUDE_1E7 and abs(message.longitude) <= 2 * MAX_LATITUDE_1E7:
-            self._px4.set_origin((message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1e3))
+        """Every link then tells of the new origin by itself. The stand-in's world is flat, so far ones are not taken."""
+        origin = (message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1e3)
+        if max(map(abs, enu_from_geodetic(*origin, self._px4.quad.world_origin))) <= MAX_DISTANCE_M:
+            self._px4.set_origin(origin)
         yield from ()
 
     def _param_list(self, _message: MavlinkMessage) -> Answers:

@@ -290,7 +290,11 @@ def messages(draw: st.DrawFn) -> MavlinkMessage:
         case "SET_MODE":
             return M.MAVLink_set_mode_message(1, draw(byte), draw(st.integers(0, 2**32 - 1)))
         case "SET_GPS_GLOBAL_ORIGIN":
-            return M.MAVLink_set_gps_global_origin_message(1, draw(integer), draw(integer), draw(integer))
+            near = st.integers(-900_000, 900_000)  # most of all integers are too far away to be taken
+            if draw(st.booleans()):
+                integer = near
+            here = (draw(integer) + 473_977_420, draw(integer) + 85_455_940, draw(integer))
+            return M.MAVLink_set_gps_global_origin_message(1, *(max(-(2**31), min(x, 2**31 - 1)) for x in here))
     names = ["COM_OF_LOSS_T", "MPC_LAND_SPEED", "NAV_DLL_ACT", "MPC_TKO_SPEED", "RTL_CONE_ANG", "RTL_RETURN_ALT", "X"]
     name = draw(st.sampled_from(names))
     return M.MAVLink_param_set_message(1, 1, name.encode(), parameters[0], draw(st.sampled_from([6, 9])))
