@@ -1,0 +1,92 @@
+"""A stranger on the fleet's own Zenoh keys, while four real agents fly: counted, reported, and never felt."""
+
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import replace
+from math import nan
+from pathlib import Path
+
+import pytest
+
+from companion.config import FleetConfig
+from companion.config_file import load
+from companion.link.zenoh_session import open_session
+from companion.types import FlightPhase, LeaderWord, PeerPacket, Role
+from companion.wire.keys import peer_key
+from companion.wire.peer import encode_peer
+from sitl.ports import LOOPBACK, ports_of
+from sitl.summary import read_summary
+
+pytestmark = [pytest.mark.fleet, pytest.mark.timeout(180)]
+
+PLATOON = Path(__file__).parents[2] / "config" / "scenarios" / "platoon.yaml"
+PORT_OFFSET = 2600
+REASONS = (
+    "another fleet file",
+    "two vehicles with one id",
+    "numbers not finite",
+    "position not plausible",
+    "claims to be leader",
+    "wire version 9",
+    "malformed peer packet",
+)
+
+
+def lies(formation_hash: int) -> Iterator[bytes]:
+    """What vehicle 3 never said, one lie of every kind; the last would pull its neighbours a hundred metres away."""
+    packet = PeerPacket(
+        vehicle_id=3,
+        session=1,
+        sequence=10**9,
+        formation_hash=formation_hash,
+        phase=FlightPhase.FORMATION,
+        role=Role.FOLLOWER,
+        position_enu_m=(100.0, 100.0, 100.0),
+        velocity_enu_m_s=(0.0, 0.0, 0.0),
+        acceleration_enu_m_s2=(0.0, 0.0, 0.0),
+        state_age_s=0.0,
+        prc=2,
+        leader_word=LeaderWord(1, 0, 0.0),
+    )
+    yield encode_peer(replace(packet, formation_hash=formation_hash ^ 1))
+    yield encode_peer(replace(packet, position_enu_m=(nan, 0.0, 0.0)))
+    yield encode_peer(replace(packet, position_enu_m=(1e9, 0.0, 0.0)))
+    yield encode_peer(replace(packet, role=Role.LEADER, prc=1))
+    good = encode_peer(packet)
+    yield b"\x09" + good[1:]
+    yield good[:-7]
+    yield good
+
+
+def test_a_stranger_on_the_fleets_keys_is_counted_and_never_felt(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    overrides = ["--set", "timeline[2].for_s=3", "--set", "timeline[3].for_s=12"]
+    command = [sys.executable, "-m", "sitl", "fly", str(PLATOON), "--out", str(out), *overrides]
+    flight = subprocess.Popen(
+        [*command, "--port-offset", str(PORT_OFFSET)], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
+    endpoints = [f"tcp/{LOOPBACK}:{ports_of(i, PORT_OFFSET).zenoh}" for i in (1, 2, 3, 4)]
+    fleet_file = out / "fleet.yaml"
+    while not fleet_file.exists() and flight.poll() is None:
+        time.sleep(0.05)
+    with closing(open_session([], endpoints)) as stranger:
+        time.sleep(0.2)  # the file is written at once, but not in no time
+        formation_hash = load(fleet_file, FleetConfig).formation_hash()
+        while flight.poll() is None:
+            for lie in lies(formation_hash):
+                stranger.put(peer_key("platoon", 3), lie)
+            time.sleep(0.1)
+    printed, _ = flight.communicate(timeout=60)
+
+    assert flight.returncode == 0, printed
+    summary = read_summary(out / "summary.json")
+    assert max(summary.max_distance_m[pair] for pair in ("1-2", "2-3", "3-4")) < 2.0
+    for vehicle in summary.vehicles:
+        if vehicle.id == 3:
+            continue  # it does not listen to packets of its own key
+        counted = " ".join(vehicle.rejected)
+        assert [reason for reason in REASONS if reason not in counted] == [], vehicle.rejected
+        assert "peer 3" in counted
