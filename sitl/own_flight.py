@@ -53,6 +53,10 @@ class OwnFlight:
         elif mode is Mode.RTL:
             self._return()
 
+    def forget_wind(self) -> None:
+        """A new flight: what the last one leant against is over."""
+        self._control.forget_wind()
+
     def taken_off(self) -> bool:
         up = self._control.axes[2]
         z = self._quad.estimated_position_local_enu_m()[2]

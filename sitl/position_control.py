@@ -14,9 +14,9 @@ from companion.frames import quaternion_from_euler
 from companion.types import Vector3
 from sitl.attitude_control import Setpoint
 
-LEVEL_GAINS = (1.6, 2.2, 0.2)  # on position [1/s^2], velocity [1/s] and the integral of position [1/s^3]
+LEVEL_GAINS = (1.6, 2.2, 0.4)  # on position [1/s^2], velocity [1/s] and the integral of position [1/s^3]
 CLIMB_GAINS = (4.0, 3.6, 0.4)
-MAX_INTEGRAL_M_S2 = 3.0
+MAX_INTEGRAL_M_S2 = 5.5  # what MAX_TILT_RAD can hold against
 MAX_ERROR_M = 2.0  # a vehicle that is held back does not build up more than this
 MAX_TILT_RAD = radians(30.0)
 ACCELERATION_M_S2, BRAKING_M_S2 = 2.0, 1.5
@@ -35,9 +35,9 @@ class Axis:
     integral_m_s2: float = 0.0
 
     def stop_from(self, position_m: float, velocity_m_s: float) -> None:
-        """Brake, and stay where that ends."""
+        """Brake, and stay where that ends. The integral stays as well: the wind is still the same."""
         self.goal_m = position_m + velocity_m_s * abs(velocity_m_s) / (2.0 * BRAKING_M_S2)
-        self.target_m, self.target_m_s, self.integral_m_s2 = position_m, velocity_m_s, 0.0
+        self.target_m, self.target_m_s = position_m, velocity_m_s
 
     def acceleration_m_s2(self, position_m: float, velocity_m_s: float, dt_s: float) -> float:
         """Move the target by one step; what it takes to follow it."""
@@ -76,6 +76,11 @@ class PositionControl:
         self.yaw_rad = yaw_rad
         for axis, position, velocity in zip(self.axes, position_m, velocity_m_s, strict=True):
             axis.stop_from(position, velocity)
+
+    def forget_wind(self) -> None:
+        """A new flight."""
+        for axis in self.axes:
+            axis.integral_m_s2 = 0.0
 
     def shift(self, offset_m: Vector3) -> None:
         """The local frame has moved by this under a vehicle that has not."""

@@ -160,6 +160,7 @@ class Px4:
         self._armed_s = self.time_s
         self._flown = False
         self.home = self._here_geodetic()
+        self._own.forget_wind()
         self._enter(self.mode)
         self.say(INFO, "Armed by external command")
         return None

@@ -24,6 +24,7 @@ from sitl.dynamics import (
     THRUST,
     VELOCITY,
     Body,
+    State,
     at_rest,
     derivative,
     euler,
@@ -132,11 +133,12 @@ class Quadrotor:
         else:
             rates = wanted_rates(self._delay.pass_on(setpoint), self.estimated_quaternion())
             torque = moments(rates, self.rates_rad_s, self._body.inertia_kg_m2)
+        stood_at = self.state[:2] if self.stands else None
         thrust_n = setpoint.thrust_norm * self._newton_per_thrust
         if self._body.motor_lag_s == 0.0:
             self.state = (*self.state[:THRUST], thrust_n, *torque)
         self.state = normalised(euler(derivative(self._body, thrust_n, torque, wind), self.state, self._dt_s))
-        self._touch_ground()
+        self._touch_ground(stood_at)
         self._steps += 1
         if self._steps % ESTIMATE_PERIOD_STEPS == 0:
             self._error.step()
@@ -154,11 +156,11 @@ class Quadrotor:
             attitude = _turned(setpoint.quaternion, (-ex, -ey, -ez))
         self.state = (*self.state[:6], *attitude, 0.0, 0.0, 0.0, *self.state[THRUST:])
 
-    def _touch_ground(self) -> None:
-        """Flat, hard and sticky: it stops the fall, and levels the vehicle."""
+    def _touch_ground(self, stood_at: State | None) -> None:
+        """Flat, hard and sticky: it stops the fall, levels the vehicle, and no wind moves one that stood there before."""
         if self.state[2] > self._ground_z_m or self.state[5] > 0.0:
             return
-        x, y, _ = self.state[POSITION]
+        x, y = stood_at or self.state[:2]
         _, _, yaw = euler_from_quaternion(self.quaternion)
         half = yaw / 2.0
         self.state = (
