@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable
+from math import inf
 from pathlib import Path
 from typing import NoReturn
 
@@ -12,6 +13,7 @@ from companion import __version__
 from companion.config_file import ConfigError
 
 EXIT_BAD_INPUT = 2
+MAX_PORT_OFFSET = 40_000  # vehicle 250's ports are then still ports
 
 
 def main() -> NoReturn:
@@ -52,10 +54,26 @@ exit codes: 0 ended as asked, 2 bad file or port in use""",
     )
     parser.add_argument("--config", type=Path, metavar="FILE", help="YAML file: id, start_enu_m, stand_in, ...")
     parser.add_argument("--id", type=int, help="vehicle id (MAVLink system id), instead of the file's")
-    parser.add_argument("--port-offset", type=int, default=0, metavar="K", help="added to all ports (default 0)")
+    parser.add_argument("--port-offset", type=_offset, default=0, metavar="K", help="added to all ports (default 0)")
     parser.add_argument("--truth", type=Path, metavar="CSV", help="write true states at 50 Hz")
-    parser.add_argument("--seconds", type=float, metavar="S", help="end after S seconds")
+    parser.add_argument("--seconds", type=_seconds, metavar="S", help="end after S seconds")
     parser.set_defaults(run=_run_autopilot)
+
+
+def _offset(text: str) -> int:
+    if not text.isdecimal() or int(text) > MAX_PORT_OFFSET:
+        raise argparse.ArgumentTypeError(f"{text!r}, expected 0 to {MAX_PORT_OFFSET}")
+    return int(text)
+
+
+def _seconds(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value < inf:
+        raise argparse.ArgumentTypeError(f"{text!r}, expected seconds above 0")
+    return value
 
 
 def _run_autopilot(arguments: argparse.Namespace) -> int:

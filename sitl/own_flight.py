@@ -5,15 +5,16 @@ Everything here goes by the estimate.
 
 from __future__ import annotations
 
-from math import hypot, radians, tan
+from math import hypot, isfinite, radians, tan
 
-from companion.frames import enu_from_geodetic, quaternion_from_euler
+from companion.frames import enu_from_geodetic, quaternion_from_euler, wrap_pi
 from companion.types import Vector3
 from sitl.attitude_control import Setpoint
 from sitl.dynamics import GRAVITY_M_S2
 from sitl.position_control import PositionControl
 from sitl.px4_modes import NEED_A_PILOT, Mode
 from sitl.px4_parameters import Parameters
+from sitl.px4_setpoints import Course
 from sitl.quadrotor import Quadrotor
 
 SINK_M_S = 0.85  # of a manual mode without a pilot; 0.7 to 1.0 was measured
@@ -69,6 +70,18 @@ class OwnFlight:
         if yaw_rad is not None:
             self._control.yaw_rad = yaw_rad
 
+    def follow(self, course: Course, dt_s: float) -> Setpoint:
+        """OFFBOARD with places or velocities. An axis for which neither is given stays where it is."""
+        for axis, position, velocity in zip(self._control.axes, course.position_m, course.velocity_m_s, strict=True):
+            if isfinite(position):
+                axis.goal_m, axis.goal_m_s = position, None
+            else:
+                axis.goal_m_s = velocity if isfinite(velocity) else 0.0
+        if isfinite(course.yaw_rad):
+            self._control.yaw_rad = course.yaw_rad
+        self._control.yaw_rad = wrap_pi(self._control.yaw_rad + course.yaw_rate_rad_s * dt_s)
+        return self._control_setpoint(dt_s)
+
     def origin_moved(self, offset_m: Vector3) -> None:
         """The local frame was re-based; goals stay where they are in the world."""
         self._control.shift(offset_m)
@@ -76,15 +89,21 @@ class OwnFlight:
     def setpoint(self, mode: Mode, dt_s: float) -> Setpoint:
         """Attitude and thrust for this step."""
         position = self._quad.estimated_position_local_enu_m()
-        velocity = self._quad.estimated_velocity_enu_m_s()
-        euler = self._quad.estimated_euler_rad()
         if mode in NEED_A_PILOT:
-            return self._sink(velocity[2], euler[2])
+            return self._sink(self._quad.estimated_velocity_enu_m_s()[2], self._quad.estimated_euler_rad()[2])
         if mode is Mode.RTL and not self._landing:
             self._follow_return(position)
         if self._landing:
             self._descend(position[2])
-        return self._control.setpoint(position, velocity, euler, dt_s)
+        return self._control_setpoint(dt_s)
+
+    def _control_setpoint(self, dt_s: float) -> Setpoint:
+        return self._control.setpoint(
+            self._quad.estimated_position_local_enu_m(),
+            self._quad.estimated_velocity_enu_m_s(),
+            self._quad.estimated_euler_rad(),
+            dt_s,
+        )
 
     def _sink(self, climb_m_s: float, yaw_rad: float) -> Setpoint:
         lift = 1.0 + SINK_GAIN_1_S * (-SINK_M_S - climb_m_s) / GRAVITY_M_S2

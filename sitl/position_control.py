@@ -29,6 +29,7 @@ class Axis:
 
     gains: tuple[float, float, float]
     goal_m: float = 0.0
+    goal_m_s: float | None = None  # instead of a place: this speed
     max_speed_m_s: float = inf
     target_m: float = 0.0
     target_m_s: float = 0.0
@@ -37,6 +38,7 @@ class Axis:
     def stop_from(self, position_m: float, velocity_m_s: float) -> None:
         """Brake, and stay where that ends. The integral stays as well: the wind is still the same."""
         self.goal_m = position_m + velocity_m_s * abs(velocity_m_s) / (2.0 * BRAKING_M_S2)
+        self.goal_m_s = None
         self.target_m, self.target_m_s = position_m, velocity_m_s
 
     def acceleration_m_s2(self, position_m: float, velocity_m_s: float, dt_s: float) -> float:
@@ -44,7 +46,7 @@ class Axis:
         feed_forward = self._move_target(dt_s)
         k1, k2, ki = self.gains
         error = min(max(self.target_m - position_m, -MAX_ERROR_M), MAX_ERROR_M)
-        if self.target_m == self.goal_m:  # on the way it would only wind up
+        if self.target_m == self.goal_m and self.goal_m_s is None:  # on the way it would only wind up
             integral = self.integral_m_s2 + ki * error * dt_s
             self.integral_m_s2 = min(max(integral, -MAX_INTEGRAL_M_S2), MAX_INTEGRAL_M_S2)
         return feed_forward + k1 * error + k2 * (self.target_m_s - velocity_m_s) + self.integral_m_s2
@@ -53,10 +55,13 @@ class Axis:
         """The target's acceleration over this step."""
         before = self.target_m_s
         left = self.goal_m - self.target_m
-        if abs(left) <= max(1e-3, abs(before) * dt_s) and abs(before) <= 2.0 * ACCELERATION_M_S2 * dt_s:
+        if self.goal_m_s is not None:
+            wanted = min(max(self.goal_m_s, -self.max_speed_m_s), self.max_speed_m_s)
+        elif abs(left) <= max(1e-3, abs(before) * dt_s) and abs(before) <= 2.0 * ACCELERATION_M_S2 * dt_s:
             self.target_m, self.target_m_s = self.goal_m, 0.0
             return 0.0
-        wanted = copysign(min(self.max_speed_m_s, sqrt(2.0 * BRAKING_M_S2 * abs(left))), left)
+        else:
+            wanted = copysign(min(self.max_speed_m_s, sqrt(2.0 * BRAKING_M_S2 * abs(left))), left)
         most = ACCELERATION_M_S2 * dt_s
         self.target_m_s = before + min(max(wanted - before, -most), most)
         self.target_m += self.target_m_s * dt_s

@@ -13,6 +13,7 @@ from sitl.own_flight import OwnFlight
 from sitl.px4_messages import LANDED_IN_AIR, LANDED_LANDING, LANDED_ON_GROUND, LANDED_TAKEOFF
 from sitl.px4_modes import GROUND_STATION_LOSS, NEED_A_PILOT, OFFBOARD_LOSS, PREVENT_ARMING, Mode
 from sitl.px4_parameters import Parameters
+from sitl.px4_setpoints import Course
 from sitl.quadrotor import MOTORS_OFF, Quadrotor
 
 ARMABLE_AFTER_S = 4.0
@@ -52,7 +53,7 @@ class Px4:
         self._little_thrust_norm = LITTLE_THRUST * file.stand_in.airframe.hover_thrust_norm
         self._own = OwnFlight(self.quad, self.parameters, file.stand_in.airframe.hover_thrust_norm)
         self._mode_after_disarming = Mode.LOITER
-        self._offboard: Setpoint | None = None
+        self._offboard: Setpoint | Course | None = None
         self._offboard_s = float("-inf")
         self._stream_since_s = float("-inf")
         self._ground_station_failsafe_s: float | None = None
@@ -106,9 +107,11 @@ class Px4:
 
     # ------------------------------------------------------------ what can be asked of it
 
-    def offboard_setpoint(self, setpoint: Setpoint) -> None:
+    def offboard_setpoint(self, setpoint: Setpoint | Course) -> None:
         if not self.streaming:
             self._stream_since_s = self.time_s
+        if isinstance(setpoint, Course) and not isinstance(self._offboard, Course) and self.mode is Mode.OFFBOARD:
+            self._enter(Mode.OFFBOARD)
         self._offboard = setpoint
         self._offboard_s = self.time_s
 
@@ -195,9 +198,13 @@ class Px4:
             self._watch_ground()
 
     def _control(self, control_is_due: bool) -> None:
-        if self.mode is Mode.OFFBOARD and self._offboard:
+        if self.mode is Mode.OFFBOARD and isinstance(self._offboard, Setpoint):
             self.setpoint = self._offboard
-        elif control_is_due:
+        elif not control_is_due:
+            return
+        elif self.mode is Mode.OFFBOARD and isinstance(self._offboard, Course):
+            self.setpoint = self._own.follow(self._offboard, self._control_steps * self.dt_s)
+        else:
             if self._landed and self.mode is not Mode.TAKEOFF:
                 self.setpoint = Setpoint(self.quad.estimated_quaternion(), IDLE_THRUST_NORM)
                 return

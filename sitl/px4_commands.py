@@ -12,7 +12,7 @@ from sitl.px4_link import Schedule
 from sitl.px4_messages import BUILDERS
 from sitl.px4_modes import Mode
 from sitl.px4_parameters import HASH_CHECK
-from sitl.px4_setpoints import setpoint_of
+from sitl.px4_setpoints import MAX_DISTANCE_M, course_of, setpoint_of
 
 M = mavlink
 ACCEPTED, LATER, DENIED = M.MAV_RESULT_ACCEPTED, M.MAV_RESULT_TEMPORARILY_REJECTED, M.MAV_RESULT_DENIED
@@ -20,7 +20,6 @@ UNSUPPORTED, FAILED = M.MAV_RESULT_UNSUPPORTED, M.MAV_RESULT_FAILED
 FORCE = 21196.0  # param 2 of COMPONENT_ARM_DISARM
 CHUNK = 50  # characters of a STATUSTEXT
 NO_COORDINATE = 2**31 - 1  # COMMAND_INT's NaN
-MAX_DISTANCE_M = 10_000.0
 ABOVE_SEA_LEVEL = (M.MAV_FRAME_GLOBAL, M.MAV_FRAME_GLOBAL_INT)
 # Commands that are REQUEST_MESSAGE by an older name.
 REQUESTS_OF_ONE_MESSAGE = {
@@ -46,6 +45,7 @@ class Receiver:
             "COMMAND_INT": self._command_int,
             "SET_MODE": self._set_mode_message,
             "SET_ATTITUDE_TARGET": self._set_attitude_target,
+            "SET_POSITION_TARGET_LOCAL_NED": self._set_position_target,
             "SET_GPS_GLOBAL_ORIGIN": self._set_origin,
             "PARAM_REQUEST_LIST": self._param_list,
             "PARAM_REQUEST_READ": self._param_read,
@@ -78,7 +78,7 @@ class Receiver:
             return
         target = getattr(message, "target_system", self._px4.system_id)
         component = getattr(message, "target_component", M.MAV_COMP_ID_AUTOPILOT1)
-        if message.get_type() == "SET_ATTITUDE_TARGET":
+        if message.get_type() in ("SET_ATTITUDE_TARGET", "SET_POSITION_TARGET_LOCAL_NED"):
             wanted = (target, component) in ((0, 0), (self._px4.system_id, 0), (self._px4.system_id, 1))
         elif message.get_type() in ("TIMESYNC", "PING"):
             wanted = target in (0, self._px4.system_id)
@@ -150,6 +150,12 @@ class Receiver:
         setpoint = setpoint_of(message, self._px4.quad.estimated_quaternion())
         if setpoint is not None:
             self._px4.offboard_setpoint(setpoint)
+        yield from ()
+
+    def _set_position_target(self, message: MavlinkMessage) -> Answers:
+        course = course_of(message)
+        if course is not None:
+            self._px4.offboard_setpoint(course)
         yield from ()
 
     def _set_origin(self, message: MavlinkMessage) -> Answers:

@@ -1,18 +1,38 @@
-"""SET_ATTITUDE_TARGET -> what the stand-in follows in OFFBOARD, read as PX4 reads it."""
+"""SET_ATTITUDE_TARGET and SET_POSITION_TARGET_LOCAL_NED -> what the stand-in follows in OFFBOARD, read as PX4 reads them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import isfinite, sqrt
+from dataclasses import dataclass
+from math import isfinite, nan, sqrt
 
-from companion.frames import Quaternion, euler_enu_from_ned, euler_from_quaternion, quaternion_from_euler
-from companion.mavlink.codec import MavlinkMessage
+from companion.frames import (
+    Quaternion,
+    enu_from_ned,
+    euler_enu_from_ned,
+    euler_from_quaternion,
+    quaternion_from_euler,
+)
+from companion.mavlink.codec import MavlinkMessage, mavlink
 from companion.types import Vector3
 from sitl.attitude_control import Setpoint
 from sitl.body_axes import flu_from_frd
 
 IGNORE_RATES = (0x01, 0x02, 0x04)  # of type_mask: roll, pitch, yaw
 IGNORE_THROTTLE, IGNORE_ATTITUDE = 0x40, 0x80
+IGNORE_POSITION, IGNORE_VELOCITY = (0x01, 0x02, 0x04), (0x08, 0x10, 0x20)  # of type_mask: x, y, z
+IGNORE_YAW, IGNORE_YAW_RATE = 0x400, 0x800
+MAX_DISTANCE_M = 10_000.0
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """A place or a velocity in the local ENU frame, axis by axis; NaN where none is given. The place goes before."""
+
+    position_m: Vector3
+    velocity_m_s: Vector3
+    yaw_rad: float
+    yaw_rate_rad_s: float
 
 
 def setpoint_of(message: MavlinkMessage, attitude: Quaternion) -> Setpoint | None:
@@ -33,6 +53,31 @@ def setpoint_of(message: MavlinkMessage, attitude: Quaternion) -> Setpoint | Non
         return Setpoint(attitude, 0.0)
     euler = euler_enu_from_ned(*euler_from_quaternion(quaternion))
     return Setpoint(quaternion_from_euler(*euler), thrust, yaw_rate_rad_s=rates[2])  # fed forward, about the vertical
+
+
+def course_of(message: MavlinkMessage) -> Course | None:
+    """SET_POSITION_TARGET_LOCAL_NED; None where it asks for nothing. Accelerations are not followed."""
+    mask = message.type_mask
+    position = _given((message.x, message.y, message.z), IGNORE_POSITION, mask)
+    velocity = _given((message.vx, message.vy, message.vz), IGNORE_VELOCITY, mask)
+    if message.coordinate_frame != mavlink.MAV_FRAME_LOCAL_NED or not any(map(isfinite, (*position, *velocity))):
+        return None
+    no_yaw = mask & IGNORE_YAW or not isfinite(message.yaw)
+    no_rate = mask & IGNORE_YAW_RATE or not isfinite(message.yaw_rate)
+    return Course(
+        enu_from_ned(position),
+        enu_from_ned(velocity),
+        nan if no_yaw else euler_enu_from_ned(0.0, 0.0, message.yaw)[2],
+        0.0 if no_rate else flu_from_frd((0.0, 0.0, message.yaw_rate))[2],
+    )
+
+
+def _given(values: Vector3, ignored: tuple[int, int, int], mask: int) -> Vector3:
+    x, y, z = (
+        value if not mask & bit and abs(value) <= MAX_DISTANCE_M else nan
+        for value, bit in zip(values, ignored, strict=True)
+    )
+    return (x, y, z)
 
 
 def _given_rates(message: MavlinkMessage) -> Vector3:

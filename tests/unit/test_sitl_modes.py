@@ -287,6 +287,48 @@ def test_another_mode_ends_the_return_to_offboard() -> None:
     assert vehicle.px4.mode is Mode.LOITER
 
 
+# ---------------------------------------------------------------- OFFBOARD with places and velocities
+
+
+def follow(vehicle: Vehicle, seconds: float, mask: int, *values: float, frame: int = M.MAV_FRAME_LOCAL_NED) -> None:
+    """SET_POSITION_TARGET_LOCAL_NED at 20 Hz: x y z, vx vy vz, yaw."""
+    numbers = (*values[:6], 0.0, 0.0, 0.0, values[6], 0.0)
+    message = M.MAVLink_set_position_target_local_ned_message(0, 1, 1, frame, mask, *numbers)
+    for step in range(round(seconds / 0.05)):
+        vehicle.say(message)
+        if step == 2:
+            vehicle.set_mode(Mode.OFFBOARD)
+        vehicle.fly(0.05)
+
+
+PLACE, VELOCITY = 0b1001_1111_1000, 0b1001_1100_0111
+
+
+def test_offboard_flies_to_a_place_and_turns() -> None:
+    vehicle = Vehicle()
+    vehicle.take_off()
+    follow(vehicle, 8.0, PLACE, 3.0, -2.0, -4.0, 0.0, 0.0, 0.0, 0.5)
+    assert vehicle.px4.mode is Mode.OFFBOARD
+    assert vehicle.px4.quad.position_enu_m == pytest.approx((-2.0, 3.0, 4.0), abs=0.05)
+    assert vehicle.px4.quad.estimated_euler_rad()[2] == pytest.approx(1.5707963 - 0.5, abs=0.01)
+
+
+def test_offboard_flies_at_a_velocity_and_may_change_over() -> None:
+    vehicle = Vehicle()
+    vehicle.offboard()  # with attitudes
+    follow(vehicle, 4.0, VELOCITY, 0.0, 0.0, 0.0, 1.0, 0.0, -0.5, 0.0)
+    assert vehicle.px4.quad.velocity_enu_m_s == pytest.approx((0.0, 1.0, 0.5), abs=0.1)
+    until(vehicle, Mode.POSCTL, 1.5)  # this stream, too, must go on
+
+
+def test_a_course_in_another_frame_is_no_stream() -> None:
+    vehicle = Vehicle()
+    vehicle.take_off()
+    follow(vehicle, 0.5, VELOCITY, *[1.0] * 7, frame=M.MAV_FRAME_BODY_NED)
+    follow(vehicle, 0.5, VELOCITY, *[float("nan")] * 7)
+    assert vehicle.px4.mode is Mode.LOITER
+
+
 # ---------------------------------------------------------------- the ground station
 
 
