@@ -15,6 +15,7 @@ from companion.config import FleetConfig, PositionM, Reference, VehicleId, check
 from companion.config_file import ConfigError, convert, read_yaml
 from companion.core.reference import ReferenceTrajectory, point
 from companion.types import CommandName
+from sitl.autopilot_file import check_parameters
 from sitl.config import StandIn
 
 SET = Path("--set")  # stands where errors name a file
@@ -70,6 +71,7 @@ def scenario_from(path: Path, data: object) -> Scenario:
     for vehicle_id in sorted(scenario.starts_enu_m.keys() - ids):
         known = ", ".join(str(i) for i in sorted(ids))
         raise ConfigError(path, f"starts_enu_m.{vehicle_id}", f"no such vehicle in the fleet; expected {known}")
+    check_parameters(path, scenario.stand_in)
     if not scenario.timeline:
         raise ConfigError(path, "timeline", "is empty; list at least one step with a command")
     return scenario

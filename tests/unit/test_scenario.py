@@ -112,6 +112,9 @@ def test_an_unknown_command_names_the_known_ones() -> None:
 
 
 def test_an_empty_timeline_and_a_frame_without_latitude() -> None:
+    parameters = error_of_file(lambda d: d["stand_in"].update(parameters={"COM_OF_LOS_T": 1.0}))
+    assert "stand_in.parameters.COM_OF_LOS_T" in parameters
+    assert "COM_OF_LOSS_T" in parameters
     assert "timeline: is empty" in error_of_file(lambda d: d.update(timeline=[]))
     assert "fleet.origin" in error_of_file(lambda d: d["fleet"].update(origin="local"))
 
