@@ -17,6 +17,7 @@ POLL_S = 0.02  # as often as an agent ticks: the entry into formation is known t
 REPEAT_S = 0.5
 REPLY_WITHIN_S = 0.5
 LANDED_WITHIN_S = 60.0
+DISARM_SEEN_WITHIN_S = 1.5  # heartbeats, which say so, come once a second
 LISTEN_S = 0.3  # three reports of every vehicle
 GROUND_PHASES = frozenset({FlightPhase.OBSERVE, FlightPhase.PREPARE, FlightPhase.READY})
 # A vehicle that was told one of these may be in phase observe without anything being wrong.
@@ -132,6 +133,7 @@ class _Order:
         self._step = step
         self._accepted_s: dict[int, float] = {}
         self._reasons: dict[int, str] = {}
+        self._observing_since_s: dict[int, float] = {}
 
     def carry_out(self, wait_a_little: Callable[[], None]) -> None:
         """Until every vehicle has done it. Raises FlightFailure."""
@@ -177,7 +179,9 @@ class _Order:
             if status.phase is FlightPhase.OBSERVE and self._step.command not in MAY_OBSERVE:
                 raise FlightFailure(f"vehicle {vehicle_id} gave up at {self._step.command}: {_last(status)}")
         elif self._step.command is CommandName.LAND and status.phase is rule.to and status.armed:
-            raise FlightFailure(f"vehicle {vehicle_id} stopped landing: {_last(status)}")
+            # Mode and armed state reach the agent in different messages: at touch-down they may disagree for a while.
+            if now_s > self._observing_since_s.setdefault(vehicle_id, now_s) + DISARM_SEEN_WITHIN_S:
+                raise FlightFailure(f"vehicle {vehicle_id} stopped landing: {_last(status)}")
 
     def _too_late(self, missing: Sequence[int]) -> str:
         by_reason: dict[str, list[int]] = {}

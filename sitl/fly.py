@@ -32,7 +32,9 @@ def run_fly(options: FlyOptions) -> int:
     """Fly as the options say; the exit code. Everything that a user can cause ends in one line."""
     with StopRequest() as stop:
         try:
-            return _run(options, stop)
+            code = _run(options, stop)
+            sys.stdout.flush()
+            return code
         except (ConfigError, PortInUseError) as error:
             print(error, file=sys.stderr)
             return EXIT_UNUSABLE

@@ -9,9 +9,11 @@ from collections.abc import Sequence
 from typing import TextIO
 
 from companion.ground.fleet_status import VehicleRow
+from companion.types import FlightPhase, HealthFlag
 
 IN_PLACE_EVERY_S = 0.2
 PLAIN_EVERY_S = 5.0
+NEEDS_A_LEADER = (FlightPhase.HOLD, FlightPhase.ENGAGE, FlightPhase.FORMATION, FlightPhase.RELEASE)
 UP, ERASE_DOWN = "\x1b[{}F", "\x1b[J"
 
 
@@ -48,10 +50,6 @@ class Progress:
         self._write("".join(line[:width] + "\n" for line in lines))
         self._lines_up = len(lines)
 
-    def end(self) -> None:
-        """Leave the last lines where they are; what is printed next comes below."""
-        self._lines_up = 0
-
     def _headline(self, now_s: float) -> str:
         total = f" of {self._step_lasts_s:g}" if self._step_lasts_s else ""
         step_s = max(0.0, now_s - self._step_began_s)
@@ -73,7 +71,8 @@ def vehicle_line(row: VehicleRow) -> str:
     """One vehicle: id, role, phase, altitude, error to its slot, PrC, age of its data."""
     error = "   -  " if row.error_to_slot_m is None else f"{row.error_to_slot_m:4.2f} m"
     data = f"SILENT for {row.age_s:.1f} s" if row.silent else f"data {row.data_age_s * 1000:3.0f} ms old"
-    alarm = f"   ! {', '.join(row.flags)}" if row.flags else ""
+    flags = [flag for flag in row.flags if flag is not HealthFlag.LEADER_LOST or row.phase in NEEDS_A_LEADER]
+    alarm = f"   ! {', '.join(flags)}" if flags else ""
     return (
         f"  UAV {row.vehicle_id:<3d} {row.role:<8}  {row.phase:<9}  altitude {row.altitude_m:5.2f} m"
         f"   error {error}   PrC {row.prc}   {data}{alarm}"

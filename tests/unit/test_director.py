@@ -197,6 +197,13 @@ def test_a_pilot_who_takes_over_in_formation_ends_the_flight_and_all_are_landed(
     assert not any(s.armed for s in flight.vehicles.statuses.values())
 
 
+def test_a_landing_that_a_pilot_stops_ends_the_flight(flight: Flight) -> None:
+    flight.fly(C.PREPARE, C.ARM, C.TAKEOFF)
+    flight.vehicles.falls[2, C.LAND] = "land -> observe (mode POSCTL was set by someone else)"
+    message = flight.fails(C.LAND, timeout_s=5.0)
+    assert message == "vehicle 2 stopped landing: land -> observe (mode POSCTL was set by someone else)"
+
+
 def test_what_ends_the_flight_from_outside_closes_the_formation(flight: Flight) -> None:
     flight.fly(C.PREPARE, C.ARM, C.TAKEOFF, C.FORM)
     flight.checks = ["agent 2 was killed by SIGKILL: it said nothing"]
