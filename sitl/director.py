@@ -180,7 +180,8 @@ class _Order:
                 raise FlightFailure(f"vehicle {vehicle_id} gave up at {self._step.command}: {_last(status)}")
         elif self._step.command is CommandName.LAND and status.phase is rule.to and status.armed:
             # Mode and armed state reach the agent in different messages: at touch-down they may disagree for a while.
-            if now_s > self._observing_since_s.setdefault(vehicle_id, now_s) + DISARM_SEEN_WITHIN_S:
+            observing_since_s = self._observing_since_s.setdefault(vehicle_id, now_s)
+            if now_s > observing_since_s + DISARM_SEEN_WITHIN_S:
                 raise FlightFailure(f"vehicle {vehicle_id} stopped landing: {_last(status)}")
 
     def _too_late(self, missing: Sequence[int]) -> str:
