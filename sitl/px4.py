@@ -19,11 +19,12 @@ from sitl.quadrotor import MOTORS_OFF, Quadrotor
 ARMABLE_AFTER_S = 4.0
 CONTROL_PERIOD_S = 0.02  # of its own position control, and of looking after returned streams
 FAILSAFE_PERIOD_S = 0.1  # of looking for lost ones: a failsafe comes up to this late
+STREAM_LOST_GRACE_S = 0.01  # with the period, a lost stream shows after 1.01 to 1.12 s
 STREAM_BACK_AFTER_S = 0.03  # a stream that returns is believed after this
 IDLE_THRUST_NORM = 0.08
 LANDED_AFTER_S = 0.5  # on the ground with little thrust
 LITTLE_THRUST = 0.6  # of hover thrust
-STATE_STANDBY, STATE_ACTIVE, STATE_CRITICAL = 3, 4, 5  # MAV_STATE
+STATE_UNINIT, STATE_STANDBY, STATE_ACTIVE, STATE_CRITICAL = 0, 3, 4, 5  # MAV_STATE
 CRITICAL, INFO = 2, 6  # MAV_SEVERITY
 NOT_HEALTHY = "Resolve system health failures first"
 
@@ -83,7 +84,9 @@ class Px4:
     def system_status(self) -> int:
         if self.failsafe:
             return STATE_CRITICAL
-        return STATE_ACTIVE if self.armed else STATE_STANDBY
+        if self.armed:
+            return STATE_ACTIVE
+        return STATE_STANDBY if self.armable else STATE_UNINIT
 
     @property
     def landed_state(self) -> int:
@@ -118,11 +121,13 @@ class Px4:
     def say(self, severity: int, text: str) -> None:
         self.texts.append((severity, text))
 
-    def set_mode(self, mode: Mode) -> bool:
+    def set_mode(self, mode: Mode, takeoff_altitude_amsl_m: float | None = None) -> bool:
         """A mode change on request. Disarmed it always works; armed the mode must be able to fly the vehicle just now."""
         can_fly = mode not in NEED_A_PILOT | {Mode.MISSION} and (mode is not Mode.OFFBOARD or self.streaming)
         if self.armed and not can_fly:
             return False
+        if mode is not self.mode or takeoff_altitude_amsl_m is not None:
+            self.takeoff_altitude_amsl_m = takeoff_altitude_amsl_m
         self.intended_mode = mode
         if mode not in PREVENT_ARMING:
             self._mode_after_disarming = mode
@@ -133,10 +138,13 @@ class Px4:
 
     def take_off(self, altitude_amsl_m: float | None) -> bool:
         """NAV_TAKEOFF, also of a vehicle that takes off already: the new altitude counts."""
-        self.takeoff_altitude_amsl_m = altitude_amsl_m
-        if self.mode is Mode.TAKEOFF and not self.failsafe:
+        again = self.mode is Mode.TAKEOFF
+        self.set_mode(Mode.TAKEOFF, altitude_amsl_m)
+        if again:
             self._enter(Mode.TAKEOFF)
-        return self.set_mode(Mode.TAKEOFF)
+        if altitude_amsl_m is not None and altitude_amsl_m < self._here_geodetic()[2]:
+            self.say(CRITICAL, "Already higher than takeoff altitude")  # it stays at the height it has
+        return True
 
     def go_to(self, position_local_enu_m: Vector3, yaw_rad: float | None) -> bool:
         """DO_REPOSITION: hold there."""
@@ -222,9 +230,11 @@ class Px4:
             self._go_on_without_ground_station(self._ground_station_failsafe_s)
         elif look_for_losses and self._ground_station_is_newly_lost():
             self._ground_station_failsafe_s = self.time_s
-            self._activate_failsafe(Mode.LOITER)  # a while in which somebody may still take over
+            hold_s = self.parameters["COM_FAIL_ACT_T"]  # a while in which somebody may still take over
+            self._activate_failsafe(Mode.LOITER, f": entering Hold for {hold_s:.0f} seconds")
         elif self.mode is Mode.OFFBOARD:
-            if look_for_losses and not self.streaming:
+            gap_s = self.time_s - self._offboard_s
+            if look_for_losses and gap_s > self.parameters["COM_OF_LOSS_T"] + STREAM_LOST_GRACE_S:
                 self._activate_failsafe(OFFBOARD_LOSS.get(int(self.parameters["COM_OBL_RC_ACT"]), Mode.POSCTL))
         elif self.intended_mode is Mode.OFFBOARD and self._stream_is_back():
             # PX4 goes back into OFFBOARD by itself as soon as setpoints come again.
@@ -245,9 +255,9 @@ class Px4:
         if self.mode is Mode.LOITER and self.time_s - since_s >= self.parameters["COM_FAIL_ACT_T"]:
             self._fly_failsafe(GROUND_STATION_LOSS.get(int(self.parameters["NAV_DLL_ACT"]), Mode.LOITER))
 
-    def _activate_failsafe(self, mode: Mode | None) -> None:
+    def _activate_failsafe(self, mode: Mode | None, how: str = "") -> None:
         self.failsafe = True
-        self.say(CRITICAL, "Failsafe activated")
+        self.say(CRITICAL, f"Failsafe activated{how}")
         self._fly_failsafe(mode)
 
     def _fly_failsafe(self, mode: Mode | None) -> None:

@@ -45,8 +45,11 @@ class StandInProcess:
         rows = csv.DictReader(line for line in lines if line.endswith("\n"))
         return [Truth(float(r["z_m"]), float(r["roll_rad"]), r["armed"] == "1", r["mode"]) for r in rows]
 
-    def wait_for_truth(self, mode: str, armed: bool, timeout_s: float = 30.0) -> None:
-        until(lambda: (rows := self.truth()) and (rows[-1].mode, rows[-1].armed) == (mode, armed), timeout_s)
+    def wait_for_mode(self, mode: str) -> None:
+        until(lambda: (rows := self.truth()) and rows[-1].mode == mode, 30.0)
+
+    def wait_until_disarmed(self) -> None:
+        until(lambda: not self.truth()[-1].armed, 30.0)
 
 
 def free_offset() -> int:

@@ -147,8 +147,8 @@ def test_its_thread_flies_on_while_the_program_hangs_and_ends_with_it(tmp_path: 
 
     with stand_in(tmp_path, IDEAL) as process:
         fly(process, flight)
-        process.wait_for_truth(mode="LAND", armed=True)
-        process.wait_for_truth(mode=process.truth()[-1].mode, armed=False)
+        process.wait_for_mode("LAND")
+        process.wait_until_disarmed()
         flown = process.truth()
     assert sum(row.mode == "OFFBOARD" for row in flown) > (2.5 + 1.0) * 50
     assert flown[-1].z_m == 0.0

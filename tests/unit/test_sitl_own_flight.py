@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from sitl_vehicle import DT_S, LEVEL, Vehicle
 
+from companion.mavlink.codec import mavlink
 from companion.types import Vector3
 from sitl.config import Airframe, Wind
 from sitl.px4_modes import Mode
@@ -101,6 +102,38 @@ def test_every_airframe_takes_off_holds_and_lands(sensors: Any, airframe: Airfra
     vehicle.fly(8.0)
     assert not vehicle.px4.armed
     assert vehicle.height_m == 0.0
+
+
+def test_an_altitude_to_take_off_to_counts_once() -> None:
+    vehicle = Vehicle()
+    vehicle.take_off(1.0)
+    vehicle.set_mode(Mode.LAND)
+    vehicle.fly(8.0)
+    vehicle.set_mode(Mode.TAKEOFF)  # without one: MIS_TAKEOFF_ALT
+    assert vehicle.px4.arm() is None
+    vehicle.fly(8.0)
+    assert vehicle.height_m == pytest.approx(2.5, abs=0.05)
+
+
+def test_it_does_not_descend_to_take_off() -> None:
+    vehicle = Vehicle()
+    vehicle.take_off(3.0)
+    assert vehicle.px4.take_off(vehicle.altitude_amsl_m - 2.0)
+    assert vehicle.texts()[-1] == "Already higher than takeoff altitude"
+    vehicle.fly(5.0)
+    assert vehicle.height_m == pytest.approx(3.0, abs=0.05)
+    assert vehicle.px4.mode is Mode.LOITER
+
+
+def test_a_mode_that_cannot_be_armed_in_shows_in_the_status() -> None:
+    vehicle = Vehicle()
+    vehicle.fly(5.0)
+    vehicle.set_mode(Mode.OFFBOARD)
+    assert vehicle.px4.arm() == "Resolve system health failures first"  # there is no stream
+    assert vehicle.px4.system_status == mavlink.MAV_STATE_UNINIT
+    vehicle.set_mode(Mode.LOITER)
+    assert vehicle.px4.system_status == mavlink.MAV_STATE_STANDBY
+    assert vehicle.px4.arm() is None
 
 
 def test_landing_touches_the_ground_at_the_landing_speed() -> None:
