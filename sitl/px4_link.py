@@ -79,6 +79,7 @@ class Schedule:
     """Rates of one link, on the autopilot's own clock. They outlive a reconnection of the peer."""
 
     def __init__(self, rates_hz: dict[int, float]) -> None:
+        self._setpoint_told: object = None
         self.reset(rates_hz, 0.0)
 
     def reset(self, rates_hz: dict[int, float], now_s: float) -> None:
@@ -107,11 +108,19 @@ class Schedule:
         """As MESSAGE_INTERVAL tells it: -1 off."""
         return round(self._period_s[message_id] * 1e6) if message_id in self._period_s else -1
 
-    def due(self, now_s: float) -> list[int]:
-        """What is to be sent now. Evenly spaced: a late step does not shift what follows."""
+    def due(self, now_s: float, setpoint: object = None) -> list[int]:
+        """What is to be sent now. Evenly spaced: a late step does not shift what follows.
+
+        ATTITUDE_TARGET is an echo: it waits for another setpoint than it told last, and then goes out at once. None is
+        always another.
+        """
         if now_s < self._next_s - EPSILON_S:
             return []
         ready = [message_id for message_id, due_s in self._due_s.items() if now_s >= due_s - EPSILON_S]
+        if M.MAVLINK_MSG_ID_ATTITUDE_TARGET in ready:
+            if setpoint is not None and setpoint is self._setpoint_told:
+                ready.remove(M.MAVLINK_MSG_ID_ATTITUDE_TARGET)
+            self._setpoint_told = setpoint
         for message_id in ready:
             period_s = self._period_s[message_id]
             next_s = self._due_s[message_id] + period_s

@@ -72,7 +72,8 @@ class Link(asyncio.DatagramProtocol):
             # Once and on every change, as PX4 does.
             self._origin_told = self._px4.origin_changes
             self.send(iter([BUILDERS[mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN](self._px4)]))
-        self.send(BUILDERS[message_id](self._px4) for message_id in self.schedule.due(self._px4.time_s))
+        due = self.schedule.due(self._px4.time_s, self._px4.setpoint if self._px4.armed else None)
+        self.send(BUILDERS[message_id](self._px4) for message_id in due)
 
     def listens_for_texts(self) -> bool:
         """STATUSTEXT goes only where a ground station's heartbeat comes from."""

@@ -44,7 +44,8 @@ class Vehicle:
             if stream is not None and step % every == 0:
                 self.px4.offboard_setpoint(stream)
             self.px4.step()
-            self.sent += [BUILDERS[number](self.px4) for number in self.schedule.due(self.px4.time_s)]
+            due = self.schedule.due(self.px4.time_s, self.px4.setpoint if self.px4.armed else None)
+            self.sent += [BUILDERS[number](self.px4) for number in due]
 
     def say(self, message: MavlinkMessage, sender: tuple[int, int] = (255, 190)) -> list[MavlinkMessage]:
         """Its answers to one message."""
