@@ -11,6 +11,7 @@ from companion.core.cooperation import Cooperation
 from companion.core.envelope import EnvelopeLimits
 from companion.core.formation import FormationLaw, Gains
 from companion.core.health import AgeLimits
+from companion.core.leader_word import LeaderWatch
 from companion.core.neighbours import EdgeRule, NeighbourRule, RangeRule
 from companion.core.peers import PeerTable
 from companion.core.vehicle_state import VehicleTracker
@@ -40,11 +41,13 @@ def build_agent(config: AgentConfig, session: int) -> Agent:
         reference=reference.point(config.vehicle.reference.point_enu_m) if config.vehicle.reference else None,
         takeoff_height_m=fleet.takeoff_height_m,
         envelope=_limits(fleet.envelope, config.vehicle.hover_thrust_norm),
-        ages=AgeLimits(leader_word_s=fleet.peers.leader_word_max_age_s),
+        ages=AgeLimits(),
     )
     tracker = VehicleTracker(None if fleet.origin == "local" else fleet.origin.as_tuple())
     slots = {m.id: m.slot_enu_m for m in fleet.vehicles}
-    return Agent(setup, tracker, Cooperation(member.id, member.role, slots, peers, _neighbour_rule(fleet, member.id)))
+    leader = LeaderWatch(fleet.peers.leader_word_max_age_s)
+    rule = _neighbour_rule(fleet, member.id)
+    return Agent(setup, tracker, Cooperation(member.id, member.role, slots, peers, rule, leader))
 
 
 def _law(law: Law) -> FormationLaw:

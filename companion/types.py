@@ -222,13 +222,12 @@ AutopilotRequest = SetMode | Arm | Disarm | TakeOff | RequestOrigin
 class LeaderWord:
     """What a vehicle has heard of its leader, passed on hop by hop with the PrC.
 
-    PrC alone cannot say "no leader": it climbs to n and stays there, and n is also legal at the end of a chain. The age only
-    ever grows on its way, so a dead leader's word expires everywhere.
+    Only the leader moves `stamp` on (milliseconds of its own clock), so no word gets younger on its way through the others.
     """
 
     leader_id: int
     epoch: int
-    age_s: float
+    stamp: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -319,6 +318,7 @@ class Status:
     role: Role
     prc: int
     leader_word: LeaderWord | None
+    leader_word_age_s: float | None
     neighbours: tuple[int, ...]
     slot_enu_m: Vector3
     reference_enu_m: Vector3 | None  # leaders only

@@ -92,6 +92,10 @@ class Fleet:
             )
         self._children = (*self._children, Child(f"{role} {vehicle_id}", vehicle_id, log, process))
 
+    def pid_of(self, name: str) -> int:
+        """Of a process by its name, like "agent 3"."""
+        return next(child.process.pid for child in self._children if child.name == name)
+
     def unexpected_end(self) -> str | None:
         """What the first process that ended by itself has to say; each is told once."""
         for child in self._children:

@@ -274,6 +274,7 @@ class Agent:
             role=self._setup.role,
             prc=around.prc,
             leader_word=around.leader_word,
+            leader_word_age_s=around.leader_word_age_s if around.leader_word else None,
             neighbours=around.neighbour_ids,
             slot_enu_m=self._setup.slot_enu_m,
             reference_enu_m=reference.position_enu_m if reference else None,

@@ -6,9 +6,10 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from companion.core.formation import Place, place
+from companion.core.leader_word import LeaderWatch
 from companion.core.neighbours import NeighbourRule
 from companion.core.peers import PeerTable
-from companion.core.priority import next_leader_word, next_prc
+from companion.core.priority import next_prc
 from companion.types import FlightPhase, LeaderWord, ReceivedPeerPacket, Role, Vector3
 
 # A vehicle on the ground, climbing, landing or flown by its pilot is nobody's neighbour.
@@ -20,7 +21,8 @@ class Neighbourhood:
     """One tick's outcome: own PrC and leader's word, and every neighbour with its PrC and place."""
 
     prc: int
-    leader_word: LeaderWord | None
+    leader_word: LeaderWord | None  # None where no living leader is heard
+    leader_word_age_s: float
     neighbours: tuple[tuple[int, Place], ...]  # (PrC, place)
     neighbour_ids: tuple[int, ...]
 
@@ -29,12 +31,19 @@ class Cooperation:
     """`slots` holds d_i0 of every vehicle of the fleet; its length is n of Algorithm 1."""
 
     def __init__(
-        self, own_id: int, role: Role, slots_enu_m: Mapping[int, Vector3], peers: PeerTable, rule: NeighbourRule
+        self,
+        own_id: int,
+        role: Role,
+        slots_enu_m: Mapping[int, Vector3],
+        peers: PeerTable,
+        rule: NeighbourRule,
+        leader: LeaderWatch,
     ) -> None:
         self._own_id = own_id
         self._role = role
         self._slots_enu_m = slots_enu_m
         self._rule = rule
+        self._leader = leader
         self.peers = peers
 
     def update(self, now_s: float, own_position_enu_m: Vector3, packets: Iterable[ReceivedPeerPacket]) -> Neighbourhood:
@@ -44,11 +53,13 @@ class Cooperation:
         positions = {i: peer.position_at(now_s) for i, peer in flying.items()}
         ids = self._rule.select(own_position_enu_m, positions)
         leads = self._role is Role.LEADER
+        own = [LeaderWord(self._own_id, 0, int(now_s * 1000.0))] if leads else []
+        self._leader.hear(now_s, own or [flying[i].packet.leader_word for i in ids])
+        leader_word, leader_word_age_s = self._leader.youngest(now_s)
         return Neighbourhood(
             prc=next_prc(leads, (flying[i].packet.prc for i in ids), len(self._slots_enu_m)),
-            leader_word=next_leader_word(
-                LeaderWord(self._own_id, 0, 0.0) if leads else None, (flying[i].leader_word_at(now_s) for i in ids)
-            ),
+            leader_word=leader_word,
+            leader_word_age_s=leader_word_age_s,
             neighbours=tuple(
                 (flying[i].packet.prc, place(positions[i], flying[i].packet.velocity_enu_m_s, self._slots_enu_m[i]))
                 for i in ids

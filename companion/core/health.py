@@ -16,7 +16,6 @@ class AgeLimits:
     state_s: float = 0.04  # two periods of 50 Hz: no fresh decision, no setpoint
     attitude_s: float = 0.1
     mode_s: float = 0.5  # without it a pilot's take-over would go unseen
-    leader_word_s: float = 0.5
 
 
 def health_flags(
@@ -37,7 +36,7 @@ def _raised(
         yield HealthFlag.MODE_STALE
     if not vehicle.frame_known:
         yield HealthFlag.FRAME_UNKNOWN
-    if leader_word is None or leader_word.age_s > ages.leader_word_s:
+    if leader_word is None:
         yield HealthFlag.LEADER_LOST
     if vehicle.position_time_s > float("-inf") and not envelope.inside_fence(vehicle.position_enu_m):
         yield HealthFlag.FENCE

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from math import dist, hypot, isfinite
 
-from companion.types import LeaderWord, PeerPacket, ReceivedPeerPacket, Role, Vector3
+from companion.types import PeerPacket, ReceivedPeerPacket, Role, Vector3
 
 MAX_COORDINATE_M = 20_000.0
 MAX_ACCELERATION_M_S2 = 100.0
@@ -30,13 +30,6 @@ class PeerState:
         age_s = self.age_s(now_s)
         (x, y, z), (vx, vy, vz) = self.packet.position_enu_m, self.packet.velocity_enu_m_s
         return (x + vx * age_s, y + vy * age_s, z + vz * age_s)
-
-    def leader_word_at(self, now_s: float) -> LeaderWord | None:
-        """The leader's word with the age that it has by now."""
-        word = self.packet.leader_word
-        if word is None:
-            return None
-        return LeaderWord(word.leader_id, word.epoch, word.age_s + (now_s - self.received_s))
 
 
 class PeerTable:
@@ -98,7 +91,7 @@ class PeerTable:
         if not 1 <= packet.prc <= len(self._roles) or (packet.prc == 1) is not (packet.role is Role.LEADER):
             return "PrC not plausible"
         word = packet.leader_word
-        if word is not None and (self._roles.get(word.leader_id) is not Role.LEADER or not 0.0 <= word.age_s < 1e6):
+        if word is not None and self._roles.get(word.leader_id) is not Role.LEADER:
             return "leader's word not plausible"
         return None
 

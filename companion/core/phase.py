@@ -209,6 +209,8 @@ class PhaseMachine:
             return True  # at disarming PX4 changes its mode, and shows that before it shows that it is disarmed
         if own is None or vehicle.mode in own:
             if self.phase is P.LAND and self._rule is RULES[C.LAND]:
-                self._tolerated = frozenset()  # landing has begun: any other mode from now on is the pilot's
+                # Landing has begun: any other mode from now on is the pilot's, and nothing is left to hand over.
+                self._tolerated = frozenset()
+                self._leaving_formation = False
             return True
         return vehicle.mode in self._tolerated

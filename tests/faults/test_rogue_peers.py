@@ -49,7 +49,7 @@ def lies(formation_hash: int) -> Iterator[bytes]:
         acceleration_enu_m_s2=(0.0, 0.0, 0.0),
         state_age_s=0.0,
         prc=2,
-        leader_word=LeaderWord(1, 0, 0.0),
+        leader_word=LeaderWord(1, 0, 10**9),
     )
     yield encode_peer(replace(packet, formation_hash=formation_hash ^ 1))
     yield encode_peer(replace(packet, position_enu_m=(nan, 0.0, 0.0)))

@@ -114,7 +114,7 @@ class Flight:
             acceleration_enu_m_s2=(0.0, 0.0, 0.0),
             state_age_s=0.0,
             prc=leads,
-            leader_word=LeaderWord(1, 0, 0.0),
+            leader_word=LeaderWord(1, 0, int(self.now_s * 1000)),
         )
         return [ReceivedPeerPacket(self.now_s, packet)]
 
@@ -205,7 +205,7 @@ def test_the_leader_tracks_its_reference() -> None:
         flight.tick()
     assert flight.outbox.peer_packet is not None
     assert flight.outbox.peer_packet.acceleration_enu_m_s2 == pytest.approx((1.39 * 1.0, 0.0, 0.0))
-    assert flight.outbox.peer_packet.leader_word == LeaderWord(1, 0, 0.0)
+    assert flight.outbox.peer_packet.leader_word == LeaderWord(1, 0, int(flight.now_s * 1000))
 
 
 def test_the_hand_over_begins_level_and_steps_little() -> None:

@@ -38,6 +38,7 @@ def status(vehicle_id: int) -> Status:
         role=Role.LEADER if leads else Role.FOLLOWER,
         prc=vehicle_id,
         leader_word=None,
+        leader_word_age_s=None,
         neighbours=(),
         slot_enu_m=(0.0, 0.0, 0.0),
         reference_enu_m=(0.0, 0.0, 0.0) if leads else None,

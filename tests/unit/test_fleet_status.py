@@ -29,6 +29,7 @@ STATUS = Status(
     role=Role.FOLLOWER,
     prc=2,
     leader_word=None,
+    leader_word_age_s=None,
     neighbours=(),
     slot_enu_m=(0.0, 0.0, 0.0),
     reference_enu_m=None,
@@ -100,9 +101,9 @@ def test_of_two_leaders_the_one_whose_word_was_heard_is_taken() -> None:
     state = heard(
         leader((10.0, 0.0, 1.0)),
         leader((20.0, 0.0, 1.0), vehicle_id=5),
-        follower(2, leader_word=LeaderWord(5, 0, 0.1)),
+        follower(2, leader_word=LeaderWord(5, 0, 100)),
         follower(3),
-        follower(4, leader_word=LeaderWord(77, 0, 0.1)),
+        follower(4, leader_word=LeaderWord(77, 0, 100)),
     )
     assert error_of(state, 2) == pytest.approx(20.0)
     assert error_of(state, 3) == pytest.approx(10.0)

@@ -140,6 +140,18 @@ def test_on_the_ground_a_landing_waits_for_the_disarming_whatever_the_mode() -> 
     assert "someone else" not in machine.events[-1]
 
 
+def test_offboard_shown_again_at_disarming_starts_no_stream() -> None:
+    machine, autopilot, now_s = flown_to(FlightPhase.FORMATION)
+    offboard = autopilot.state
+    machine.command(CommandName.LAND, now_s, offboard)
+    autopilot.obey(machine.advance(now_s, offboard, ()))
+    machine.advance(now_s + 0.02, autopilot.state, ())
+    down = replace(offboard, landed=LandedState.ON_GROUND)  # PX4 shows the intended mode again before it is disarmed
+    machine.advance(now_s + 5.0, down, ())
+    assert machine.phase is FlightPhase.LAND
+    assert not machine.streams(down)
+
+
 def test_after_a_restart_in_the_air_nothing_is_asked_and_arming_is_refused() -> None:
     machine = PhaseMachine(2.5)
     flying = replace(AIR, mode=AutopilotMode.OFFBOARD)

@@ -8,9 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.core.priority import next_leader_word, next_prc
+from companion.core.priority import next_prc
 from companion.core.weights import neighbour_weights
-from companion.types import LeaderWord
 
 Graph = dict[int, set[int]]
 
@@ -119,10 +118,3 @@ def test_prc_is_the_distance_to_the_nearest_leader_plus_one(n: int, data: st.Dat
     leaders = data.draw(st.sets(st.integers(1, n), min_size=1))
     expected = {i: min(abs(i - leader) for leader in leaders) + 1 for i in line}
     assert settled_prcs(line, leaders) == expected
-
-
-def test_the_youngest_leader_word_is_passed_on() -> None:
-    young, old = LeaderWord(1, 0, 0.02), LeaderWord(2, 0, 0.5)
-    assert next_leader_word(None, [old, None, young]) is young
-    assert next_leader_word(LeaderWord(3, 0, 0.0), [young]) == LeaderWord(3, 0, 0.0)
-    assert next_leader_word(None, [None]) is None

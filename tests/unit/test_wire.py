@@ -37,7 +37,7 @@ numbers = st.floats(allow_nan=False)
 vectors = st.tuples(numbers, numbers, numbers)
 counts = st.integers(0, 2**63 - 1)
 texts = st.text(max_size=40)
-leader_words = st.none() | st.builds(LeaderWord, st.integers(1, 250), counts, numbers)
+leader_words = st.none() | st.builds(LeaderWord, st.integers(1, 250), counts, counts)
 
 packets = st.builds(
     PeerPacket,
@@ -74,6 +74,7 @@ reports = st.builds(
         role=st.sampled_from(Role),
         prc=st.integers(1, 250),
         leader_word=leader_words,
+        leader_word_age_s=st.none() | numbers,
         neighbours=st.lists(st.integers(1, 250), max_size=5).map(tuple),
         slot_enu_m=vectors,
         reference_enu_m=st.none() | vectors,
@@ -105,12 +106,12 @@ def test_commands_and_replies_come_out_as_they_went_in(command: Command, reply: 
 
 PACKET = PeerPacket(
     3, 2**32 - 1, 10**6, 2**64 - 1, FlightPhase.FORMATION, Role.FOLLOWER, (1.0, 2.0, 3.0), (0.1, 0.2, 0.3),
-    (0.01, 0.02, 0.03), 0.021, 4, LeaderWord(1, 7, 0.06),
+    (0.01, 0.02, 0.03), 0.021, 4, LeaderWord(1, 7, 60),
 )  # fmt: skip
 REPORT = StatusReport(
     Status(
         3, 1, "platoon", 5, "weighted", FlightPhase.HOLD, "AUTO.LOITER", True, LandedState.IN_AIR, (1.0, 2.0, 3.0),
-        (0.0, 0.0, 0.0), 0.02, Role.FOLLOWER, 2, None, (2, 4), (-3.0, 0.0, 0.0), None, (HealthFlag.FENCE,),
+        (0.0, 0.0, 0.0), 0.02, Role.FOLLOWER, 2, None, None, (2, 4), (-3.0, 0.0, 0.0), None, (HealthFlag.FENCE,),
         {"malformed": 3}, "takeoff -> hold",
     ),
     Timing(50.0, 3000, 0, Percentiles(1.0, 2.0, 3.0), Percentiles(4.0, 5.0, 6.0), 5.1, 49.0),

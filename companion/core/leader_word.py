@@ -1,0 +1,47 @@
+"""The leader's word: how a vehicle knows that there is a living leader, which PrC alone never says.
+
+With no leader in reach PrC climbs by one a tick and stays at n, and p = n is also legal at the end of a chain of n. So every
+packet carries a word beside the PrC: who leads, and a stamp that only the leader itself moves on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from companion.types import LeaderWord
+
+FORGET_S = 2.0
+
+
+class LeaderWatch:
+    """When each leader's stamp last moved on, on this vehicle's own clock.
+
+    Two followers that hear only each other pass the same stamp to and fro, and it does not get younger by that: each vehicle
+    takes a stamp once. A word older than `max_age_s` is not passed on, so it is gone everywhere after `max_age_s` and a tick
+    for each hop; well after that a leader may begin with smaller stamps again (its computer was started anew).
+    """
+
+    def __init__(self, max_age_s: float) -> None:
+        self._max_age_s = max_age_s
+        self._newest: dict[int, tuple[LeaderWord, float]] = {}  # leader id -> newest word, when it came
+
+    def hear(self, now_s: float, words: Iterable[LeaderWord | None]) -> None:
+        """Words that neighbours passed on, or a leader's own."""
+        for word in words:
+            if word is None:
+                continue
+            newest = self._newest.get(word.leader_id)
+            if newest is None or now_s - newest[1] > FORGET_S or _later(word, newest[0]):
+                self._newest[word.leader_id] = (word, now_s)
+
+    def youngest(self, now_s: float) -> tuple[LeaderWord | None, float]:
+        """The word to pass on and its age in seconds; None and infinity where no leader was heard within `max_age_s`."""
+        ages = [(now_s - heard_s, leader_id) for leader_id, (_, heard_s) in self._newest.items()]
+        age_s, leader_id = min(ages, default=(float("inf"), 0))
+        if age_s > self._max_age_s:
+            return None, float("inf")
+        return self._newest[leader_id][0], age_s
+
+
+def _later(word: LeaderWord, than: LeaderWord) -> bool:
+    return (word.epoch, word.stamp) > (than.epoch, than.stamp)
