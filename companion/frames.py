@@ -28,6 +28,15 @@ def ned_from_enu(vector_enu: Vector3) -> Vector3:
     return (north, east, -up)
 
 
+def frd_from_flu(vector_flu: Vector3) -> Vector3:
+    """(forward, left, up) -> (forward, right, down); rates about these axes change in the same way."""
+    forward, left, up = vector_flu
+    return (forward, -left, -up)
+
+
+flu_from_frd = frd_from_flu
+
+
 def wrap_pi(angle_rad: float) -> float:
     """The same angle in [-pi, pi)."""
     return (angle_rad + pi) % (2.0 * pi) - pi

@@ -185,6 +185,8 @@ class Px4:
         self.armed = False
         self.failsafe = False
         self._ground_station_failsafe_s = None
+        self.intended_mode = self._mode_after_disarming
+        self._switch(self._mode_after_disarming)
         self.say(INFO, f"Disarmed by {reason}")
         return None
 

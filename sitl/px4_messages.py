@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 from companion.frames import (
     enu_from_geodetic,
     euler_ned_from_enu,
+    frd_from_flu,
     geodetic_from_enu,
     ned_from_enu,
     quaternion_from_euler,
 )
 from companion.mavlink.codec import MavlinkMessage, mavlink
 from companion.types import Vector3
-from sitl.body_axes import frd_from_flu
 from sitl.px4_modes import NEED_A_PILOT
 
 if TYPE_CHECKING:

@@ -11,12 +11,12 @@ from companion.frames import (
     enu_from_ned,
     euler_enu_from_ned,
     euler_from_quaternion,
+    flu_from_frd,
     quaternion_from_euler,
 )
 from companion.mavlink.codec import MavlinkMessage, mavlink
 from companion.types import Vector3
 from sitl.attitude_control import Setpoint
-from sitl.body_axes import flu_from_frd
 
 IGNORE_RATES = (0x01, 0x02, 0x04)  # of type_mask: roll, pitch, yaw
 IGNORE_THROTTLE, IGNORE_ATTITUDE = 0x40, 0x80

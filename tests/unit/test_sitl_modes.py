@@ -365,3 +365,16 @@ def test_by_default_nobody_misses_the_ground_station() -> None:
     vehicle.say(heartbeat_of(M.MAV_TYPE_GCS))
     vehicle.fly(20.0, LEVEL)
     assert vehicle.px4.mode is Mode.OFFBOARD
+
+
+def test_after_disarming_the_mode_is_the_last_that_could_be_armed_in() -> None:
+    """After a formation that is OFFBOARD, and arming is then refused until another mode is set."""
+    vehicle = Vehicle()
+    vehicle.offboard()
+    vehicle.set_mode(Mode.LAND)
+    vehicle.fly(15.0)
+    assert not vehicle.px4.armed
+    assert vehicle.px4.mode is Mode.OFFBOARD
+    assert vehicle.px4.arm() is not None
+    assert vehicle.px4.set_mode(Mode.LOITER)
+    assert vehicle.px4.arm() is None
