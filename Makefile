@@ -37,14 +37,17 @@ setup: .venv/test.ready
 .venv/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 		{ echo "This needs Python 3.11 or newer; try make PYTHON=python3.12 ..."; exit 1; }
+	@echo "Making .venv ..."
 	@$(PYTHON) -m venv .venv || { echo "This needs Python's venv; on Debian and Ubuntu: apt install python3-venv"; exit 1; }
 
 .venv/fly.ready: .venv/bin/python pyproject.toml
+	@echo "Installing the project and its ground tools into .venv (half a minute) ..."
 	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[ground]'
 	@touch $@
 
 # MAVProxy is an independent client in the tests; its windows (OpenCV, VTK) are not needed.
 .venv/test.ready: .venv/fly.ready
+	@echo "Installing what tests and checks need into .venv (half a minute) ..."
 	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[ground,test,check]'
 	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps MAVProxy==1.8.75
 	@touch $@
