@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import radians
 
-from companion.config import AgentConfig, EdgeNeighbours, Envelope, FleetConfig, Law
+from companion.config import AgentConfig, EdgeNeighbours, Envelope, FleetConfig, Law, LawName
 from companion.core import formation, reference
 from companion.core.agent import Agent, AgentSetup
 from companion.core.cooperation import Cooperation
@@ -36,7 +36,7 @@ def build_agent(config: AgentConfig, session: int) -> Agent:
         law_name=law.name,
         role=member.role,
         slot_enu_m=member.slot_enu_m,
-        law=_law(law),
+        law=law_of(law, law.name),
         altitude_hold_gains=_altitude_hold(law),
         reference=reference.point(config.vehicle.reference.point_enu_m) if config.vehicle.reference else None,
         takeoff_height_m=fleet.takeoff_height_m,
@@ -50,11 +50,12 @@ def build_agent(config: AgentConfig, session: int) -> Agent:
     return Agent(setup, tracker, Cooperation(member.id, member.role, slots, peers, rule, leader))
 
 
-def _law(law: Law) -> FormationLaw:
+def law_of(law: Law, name: LawName) -> FormationLaw:
+    """The law of that name with the gains, and for the weighted law the exponent, of a fleet file."""
     gains = Gains(law.gains.position_1_s2, law.gains.velocity_1_s)
-    if law.name == "weighted":
+    if name == "weighted":
         return formation.weighted(gains, law.exponent)
-    return {"average_22": formation.average_22, "average_26": formation.average_26}[law.name](gains)
+    return {"average_22": formation.average_22, "average_26": formation.average_26}[name](gains)
 
 
 def _altitude_hold(law: Law) -> Gains | None:

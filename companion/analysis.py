@@ -1,0 +1,204 @@
+"""What a formation will do, worked out before anyone flies it: from a fleet or scenario file to figures and a verdict.
+
+`companion analyze` prints it. Figures are those of the linear model of `core/prediction.py`; noise and saturation come on top.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from itertools import combinations
+from math import dist
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+from companion.assembly import law_of
+from companion.config import EdgeNeighbours, FleetConfig, LawName, PositionM, Reference, VehicleId, check_fleet
+from companion.config_file import ConfigError, convert, read_yaml
+from companion.core.interaction import (
+    Graph,
+    eigenvalues,
+    interaction_matrix,
+    mode_figures,
+    reached_from,
+    time_to_shrink_s,
+)
+from companion.core.prediction import LinearModel, errors_over_time, settled_after_s
+from companion.types import Role, Vector3
+
+LAW_NAMES: tuple[LawName, ...] = get_args(LawName)
+AVERAGE_LAWS: tuple[LawName, ...] = ("average_22", "average_26")
+SETTLED_M = 0.10
+PREDICT_S = 120.0
+STEP_M = 1.0  # the disturbance that is predicted where no scenario says where the vehicles start
+
+
+class LawAnalysis(Struct, frozen=True, kw_only=True):
+    """One law with the fleet's own leaders. Distances are of neighbouring pairs; times are None where they never come."""
+
+    lambda_min: float
+    eigenvalues: list[float]
+    rate_1_s: float
+    damping_min: float
+    delay_margin_s: float
+    time_to_10_cm_s: float | None  # by the rate alone
+    predicted_settle_s: float | None  # by the linear model with attitude lag and delay
+    predicted_max_distance_m: dict[str, float]
+    predicted_min_distance_m: dict[str, float]
+    stays_in_range: bool | None  # None: neighbours are given as edges
+    G: list[list[float]]
+
+
+class Analysis(Struct, frozen=True, kw_only=True):
+    """Of one file. `graph` is that at the start; `leaders` tells lambda_min for every vehicle that might lead alone."""
+
+    file: str
+    vehicles: list[int]
+    leaders: list[int]
+    law: LawName
+    graph: dict[int, list[int]]
+    laws: dict[LawName, LawAnalysis]
+    lambda_min_by_leader: dict[int, float]
+    gain_on_average: dict[LawName, float]
+    unreached: list[int]  # vehicles without a path to a leader
+
+
+class _ScenarioPart(Struct, frozen=True, kw_only=True):
+    """What the analysis reads of a scenario; its other keys are the flight's."""
+
+    fleet: FleetConfig
+    starts_enu_m: dict[VehicleId, PositionM] | None = None
+    reference: Reference | None = None
+
+
+class Subject(Struct, frozen=True, kw_only=True):
+    """What is analysed: a fleet, where its vehicles start, and where its reference stands."""
+
+    file: Path
+    fleet: FleetConfig
+    starts_enu_m: Mapping[int, Vector3]
+    reference_enu_m: Vector3
+
+
+def load_subject(path: Path) -> Subject:
+    """A scenario file, or a fleet file alone: its vehicles then start in formation, STEP_M short of the reference.
+
+    Raises ConfigError.
+    """
+    data = read_yaml(path)
+    if not isinstance(data, dict) or "fleet" not in data:
+        fleet = convert(path, data, FleetConfig)
+        check_fleet(path, fleet)
+        starts = {member.id: member.slot_enu_m for member in fleet.vehicles}
+        return Subject(file=path, fleet=fleet, starts_enu_m=starts, reference_enu_m=(STEP_M, 0.0, 0.0))
+    part = convert(path, data, _ScenarioPart)
+    check_fleet(path, part.fleet, "fleet.")
+    starts = part.starts_enu_m or {member.id: member.slot_enu_m for member in part.fleet.vehicles}
+    for member in part.fleet.vehicles:
+        if member.id not in starts:
+            raise ConfigError(path, f"starts_enu_m.{member.id}", "missing; every vehicle needs a place to start from")
+    reference = part.reference.point_enu_m if part.reference else (STEP_M, 0.0, 0.0)
+    return Subject(file=path, fleet=part.fleet, starts_enu_m=starts, reference_enu_m=reference)
+
+
+def neighbour_graph(fleet: FleetConfig, places_enu_m: Mapping[int, Vector3]) -> dict[int, list[int]]:
+    """Neighbour ids of every vehicle, from the edges or from the distances of these places."""
+    graph: dict[int, list[int]] = {member.id: [] for member in fleet.vehicles}
+    for i, j in combinations(sorted(graph), 2):
+        if isinstance(fleet.neighbours, EdgeNeighbours):
+            near = (i, j) in fleet.neighbours.edges or (j, i) in fleet.neighbours.edges
+        else:
+            near = dist(places_enu_m[i], places_enu_m[j]) <= fleet.neighbours.range_m
+        if near:
+            graph[i].append(j)
+            graph[j].append(i)
+    return graph
+
+
+def analyse(subject: Subject) -> Analysis:
+    """All figures of one subject; never raises for a formation that cannot work, it says so."""
+    fleet = subject.fleet
+    ids = sorted(member.id for member in fleet.vehicles)
+    leaders = [member.id for member in fleet.vehicles if member.role is Role.LEADER]
+    graph = neighbour_graph(fleet, _flying_places(subject))
+    unreached = sorted(set(ids) - reached_from(graph, leaders))
+    laws = {} if unreached else {name: _law_analysis(subject, graph, leaders, name) for name in LAW_NAMES}
+    own = law_of(fleet.law, fleet.law.name)
+    by_leader = {
+        i: float(eigenvalues(interaction_matrix(graph, {i}, own))[0])
+        for i in ids
+        if len(reached_from(graph, {i})) == len(ids)
+    }
+    gain = {name: laws[fleet.law.name].lambda_min / laws[name].lambda_min for name in AVERAGE_LAWS if laws}
+    return Analysis(
+        file=str(subject.file),
+        vehicles=ids,
+        leaders=leaders,
+        law=fleet.law.name,
+        graph=graph,
+        laws=laws,
+        lambda_min_by_leader=by_leader,
+        gain_on_average=gain,
+        unreached=unreached,
+    )
+
+
+def _flying_places(subject: Subject) -> dict[int, Vector3]:
+    """Where the vehicles are when the formation begins: above where they start."""
+    return {i: (x, y, z + subject.fleet.takeoff_height_m) for i, (x, y, z) in subject.starts_enu_m.items()}
+
+
+def _law_analysis(subject: Subject, graph: Graph, leaders: Collection[int], name: LawName) -> LawAnalysis:
+    law = law_of(subject.fleet.law, name)
+    matrix = interaction_matrix(graph, leaders, law)
+    spectrum = eigenvalues(matrix)
+    figures = [mode_figures(law.gains, float(value)) for value in spectrum]
+    start_errors_m = _start_errors_m(subject)
+    errors_m = errors_over_time(matrix, law.gains, start_errors_m, LinearModel(), PREDICT_S)
+    distances_m = _distances_m(subject.fleet, graph, errors_m)
+    largest_start_m = float(np.linalg.norm(start_errors_m, axis=1).max())
+    to_10_cm_s = time_to_shrink_s(min(f.rate_1_s for f in figures), largest_start_m, SETTLED_M)
+    return LawAnalysis(
+        lambda_min=float(spectrum[0]),
+        eigenvalues=spectrum.tolist(),
+        rate_1_s=min(f.rate_1_s for f in figures),
+        damping_min=min(f.damping for f in figures),
+        delay_margin_s=min(f.delay_margin_s for f in figures),
+        time_to_10_cm_s=to_10_cm_s,
+        predicted_settle_s=settled_after_s(errors_m, SETTLED_M),
+        predicted_max_distance_m={pair: round(float(d.max()), 4) for pair, d in distances_m.items()},
+        predicted_min_distance_m={pair: round(float(d.min()), 4) for pair, d in distances_m.items()},
+        stays_in_range=_stays_in_range(subject.fleet, distances_m),
+        G=matrix.tolist(),
+    )
+
+
+def _start_errors_m(subject: Subject) -> NDArray[np.float64]:
+    """e_i = x_i - r - d_i0 at the start (n, 3), in rising order of the ids."""
+    places = _flying_places(subject)
+    slots = {member.id: member.slot_enu_m for member in subject.fleet.vehicles}
+    rows = [np.subtract(np.subtract(places[i], subject.reference_enu_m), slots[i]) for i in sorted(slots)]
+    return np.array(rows, dtype=float)
+
+
+def _distances_m(fleet: FleetConfig, graph: Graph, errors_m: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+    """Distance of every neighbouring pair over time (ticks,)."""
+    slots = {member.id: np.array(member.slot_enu_m) for member in fleet.vehicles}
+    ids = sorted(slots)
+    column = {vehicle_id: index for index, vehicle_id in enumerate(ids)}
+    return {
+        f"{i}-{j}": np.linalg.norm(errors_m[:, column[i]] - errors_m[:, column[j]] + slots[i] - slots[j], axis=1)
+        for i in ids
+        for j in sorted(graph[i])
+        if i < j
+    }
+
+
+def _stays_in_range(fleet: FleetConfig, distances_m: Mapping[str, NDArray[np.float64]]) -> bool | None:
+    if isinstance(fleet.neighbours, EdgeNeighbours):
+        return None
+    leave_m = fleet.neighbours.range_m + fleet.neighbours.hysteresis_m
+    return all(float(d.max()) <= leave_m for d in distances_m.values())

@@ -1,0 +1,199 @@
+"""Spectrum and margins against the figures that were worked out independently, and predictions against known chains."""
+
+import json
+from math import sqrt
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from companion.analysis import analyse, load_subject
+from companion.analysis_report import report, verdict
+from companion.cli import main
+from companion.core.formation import Gains, average_22, average_26, weighted
+from companion.core.interaction import (
+    eigenvalues,
+    interaction_matrix,
+    lag_margin_s,
+    mode_figures,
+    reached_from,
+    settled_prcs,
+)
+from companion.core.prediction import LinearModel, errors_over_time, settled_after_s
+
+SCENARIOS = Path(__file__).parents[2] / "config" / "scenarios"
+K = Gains(1.39, 1.2)
+
+
+def chain(n: int) -> dict[int, list[int]]:
+    return {i: [j for j in (i - 1, i + 1) if 1 <= j <= n] for i in range(1, n + 1)}
+
+
+def grid(n: int) -> dict[int, list[int]]:
+    cells = [(x, y) for x in range(n) for y in range(n)]
+    number = {cell: index + 1 for index, cell in enumerate(cells)}
+    steps = ((1, 0), (-1, 0), (0, 1), (0, -1))
+    return {number[x, y]: [number[x + a, y + b] for a, b in steps if (x + a, y + b) in number] for x, y in cells}
+
+
+@pytest.mark.parametrize(
+    ("graph", "alpha", "expected"),
+    [
+        (chain(4), 0, 0.079),
+        (chain(4), 1, 0.182),
+        (chain(4), 2, 0.288),
+        (chain(4), 8, 0.382),
+        (chain(16), 0, 0.005),
+        (chain(16), 1, 0.019),
+        (chain(16), 2, 0.039),
+        (chain(16), 8, 0.223),
+        (grid(10), 0, 0.0015),
+        (grid(10), 1, 0.0123),
+        (grid(10), 2, 0.0327),
+        (grid(10), 8, 0.2072),
+    ],
+)
+def test_lambda_min_by_exponent(graph: dict[int, list[int]], alpha: float, expected: float) -> None:
+    digits = 5e-4 if expected > 0.05 or len(graph) < 50 else 5e-5
+    assert eigenvalues(interaction_matrix(graph, {1}, weighted(K, alpha)))[0] == pytest.approx(expected, abs=digits)
+
+
+def test_the_limit_of_a_large_exponent() -> None:
+    assert eigenvalues(interaction_matrix(chain(6), {1}, weighted(K, 16.0)))[0] == pytest.approx(
+        (3 - sqrt(5)) / 2, abs=0.01
+    )
+
+
+@st.composite
+def connected_graphs(draw: st.DrawFn) -> dict[int, list[int]]:
+    """A random tree with random edges added."""
+    n = draw(st.integers(1, 9))
+    edges = {(draw(st.integers(1, i - 1)), i) for i in range(2, n + 1)}
+    edges |= draw(st.sets(st.tuples(st.integers(1, n), st.integers(1, n)).filter(lambda e: e[0] < e[1]), max_size=9))
+    graph: dict[int, list[int]] = {i: [] for i in range(1, n + 1)}
+    for a, b in sorted(edges):
+        graph[a].append(b)
+        graph[b].append(a)
+    return graph
+
+
+@settings(max_examples=200)
+@given(connected_graphs(), st.data(), st.floats(0, 8))
+def test_lemmas_corollary_2_and_proposition_2(graph: dict[int, list[int]], data: st.DataObject, alpha: float) -> None:
+    leaders = data.draw(st.sets(st.sampled_from(sorted(graph)), min_size=1))
+    matrix = interaction_matrix(graph, leaders, weighted(K, alpha))
+    spectrum = np.linalg.eigvals(matrix)
+    assert np.abs(spectrum.imag).max() < 1e-6  # Lemma 2
+    assert spectrum.real.min() > 0.0  # Lemma 1
+    assert spectrum.real.max() <= 3.0 + 1e-9  # Corollary 2
+    if len(leaders) == 1:
+        paper, average = (interaction_matrix(graph, leaders, law) for law in (weighted(K, 1.0), average_22(K)))
+        assert eigenvalues(paper)[0] >= eigenvalues(average)[0] - 1e-9  # Proposition 2, against eq. 22
+
+
+def test_proposition_2_does_not_hold_against_eq_26() -> None:
+    graph = {1: [2, 3], 2: [1, 3, 4], 3: [1, 2, 4], 4: [2, 3]}
+    assert eigenvalues(interaction_matrix(graph, {1}, average_26(K)))[0] == pytest.approx(0.2324, abs=5e-5)
+    assert eigenvalues(interaction_matrix(graph, {1}, weighted(K, 1.0)))[0] == pytest.approx(0.1979, abs=5e-5)
+
+
+@given(st.floats(0.001, 3.0))
+def test_the_rate_is_proportional_to_lambda_for_the_papers_gains(eigenvalue: float) -> None:
+    assert mode_figures(K, eigenvalue).rate_1_s == pytest.approx(0.6 * eigenvalue)  # Corollary 1, true below 3.861
+    assert mode_figures(K, eigenvalue).damping == pytest.approx(0.509 * sqrt(eigenvalue), rel=1e-3)
+
+
+def test_corollary_1_ends_where_the_mode_is_overdamped() -> None:
+    assert mode_figures(K, 4.5).rate_1_s < 0.6 * 4.5
+
+
+def test_margins() -> None:
+    assert mode_figures(K, 3.0).delay_margin_s == pytest.approx(0.34, abs=0.005)
+    assert mode_figures(K, 0.0789).delay_margin_s == pytest.approx(0.81, abs=0.04)
+    assert lag_margin_s(K) == pytest.approx(0.86, abs=0.005)
+
+
+def test_a_lone_leader() -> None:
+    assert interaction_matrix({7: []}, {7}, weighted(K, 1.0)).tolist() == [[1.0]]
+    assert settled_prcs({7: []}, {7}) == {7: 1}
+
+
+def test_who_is_reached() -> None:
+    assert reached_from({1: [2], 2: [1], 3: []}, {1}) == {1, 2}
+
+
+@pytest.mark.parametrize(
+    ("law", "largest", "smallest", "settles_s"),
+    [
+        (average_22(K), 1.90, 1.20, 68.0),
+        (average_26(K), 2.20, 1.02, 45.0),
+        (weighted(K, 1.0), 1.88, 1.10, 33.0),
+    ],
+)
+def test_predictions_for_the_platoon(law: object, largest: float, smallest: float, settles_s: float) -> None:
+    matrix = interaction_matrix(chain(4), {1}, law)  # type: ignore[arg-type]
+    errors_m = errors_over_time(matrix, K, np.full((4, 1), -1.0), LinearModel(), 120.0)
+    distances_m = 1.5 + errors_m[:, :-1, 0] - errors_m[:, 1:, 0]
+    assert distances_m.max() == pytest.approx(largest, abs=0.015)
+    assert distances_m.min() == pytest.approx(smallest, abs=0.015)
+    assert settled_after_s(errors_m, 0.1) == pytest.approx(settles_s, abs=0.7)
+
+
+# ---------------------------------------------------------------- companion analyze
+
+
+def test_the_platoon_is_analysed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["analyze", str(SCENARIOS / "platoon.yaml"), "--json"]) == 0
+    figures = json.loads(capsys.readouterr().out)
+    assert figures["laws"]["weighted"]["lambda_min"] == pytest.approx(0.1818, abs=5e-5)
+    assert figures["laws"]["average_22"]["rate_1_s"] == pytest.approx(0.6 * 0.0789, abs=5e-5)
+    assert figures["laws"]["average_26"]["G"][0] == [1.0, 0.0, 0.0, 0.0]
+    assert "badly damped" in " ".join(figures["verdict"])
+    assert main(["analyze", str(SCENARIOS / "platoon.yaml")]) == 0
+    assert "0.1818" in capsys.readouterr().out
+
+
+def changed(tmp_path: Path, **changes: object) -> Path:
+    data = yaml.safe_load((SCENARIOS / "platoon.yaml").read_text())
+    data["fleet"].update(changes)
+    (tmp_path / "scenario.yaml").write_text(yaml.safe_dump(data))
+    return tmp_path / "scenario.yaml"
+
+
+@pytest.mark.parametrize(
+    "neighbours",
+    [{"kind": "edges", "edges": [[1, 2], [3, 4]]}, {"kind": "range", "range_m": 0.5}, {"kind": "edges", "edges": []}],
+)
+def test_a_formation_that_cannot_converge(
+    tmp_path: Path, neighbours: dict[str, object], capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = changed(tmp_path, neighbours=neighbours)
+    assert main(["analyze", str(path)]) == 1
+    assert "cannot converge" in capsys.readouterr().out
+
+
+def test_a_range_that_does_not_keep_the_graph_is_said(tmp_path: Path) -> None:
+    analysis = analyse(load_subject(changed(tmp_path, neighbours={"kind": "range", "range_m": 1.7})))
+    assert analysis.laws["weighted"].stays_in_range is False
+    assert any("lose each other" in line for line in verdict(analysis))
+
+
+def test_one_vehicle_alone(tmp_path: Path) -> None:
+    path = changed(
+        tmp_path,
+        vehicles=[{"id": 1, "role": "leader", "slot_enu_m": [0.0, 0.0, 0.0]}],
+        neighbours={"kind": "edges", "edges": []},
+    )
+    analysis = analyse(load_subject(path))
+    assert analysis.laws["weighted"].lambda_min == 1.0
+    assert "verdict" in report(analysis)
+
+
+def test_a_bad_file_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["analyze", str(changed(tmp_path, law={"exponent": 99}))]) == 2
+    error = capsys.readouterr().err
+    assert "fleet.law.exponent: 99" in error
+    assert error.count("\n") == 1
