@@ -1,14 +1,18 @@
-"""Flies a scenario's timeline: each step's command to every vehicle over Zenoh, until all have done it."""
+"""Flies a scenario's timeline: each step's command to every vehicle, until all have done it.
+
+Who carries the commands and whose time it is are given: Zenoh and the machine's clock, or a world in virtual time.
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from typing import Protocol
 
 from companion.core.phase import ON_GROUND, RULES
-from companion.ground.session import FleetSession
-from companion.types import CommandName, FlightPhase, LandedState, Status
+from companion.types import CommandName, CommandReply, FlightPhase, LandedState, Status
+from companion.wire.ground import StatusReport
 from sitl.progress import Progress
 from sitl.scenario import TimelineStep
 from sitl.watch import FlightWatch
@@ -28,6 +32,36 @@ class FlightFailure(Exception):  # noqa: N818 -- what happened to a flight, not 
     """The flight cannot go on. str() says why in one line."""
 
 
+class Session(Protocol):
+    """The vehicles as the ground reaches them; `companion.ground.session.FleetSession` is one."""
+
+    def drain(self) -> list[StatusReport]:
+        """All reports that came since the last call, oldest first."""
+
+    def command(
+        self, vehicle_ids: Iterable[int], name: CommandName, timeout_s: float
+    ) -> dict[int, CommandReply | None]:
+        """Give one command to these vehicles and wait for their answers; None where none came in time."""
+
+
+class Clock(Protocol):
+    def now_s(self) -> float:
+        """Monotonic."""
+
+    def sleep(self, seconds: float) -> None:
+        """Let this time pass."""
+
+
+class MachineClock:
+    """The clock of real flights."""
+
+    def now_s(self) -> float:
+        return time.monotonic()
+
+    def sleep(self, seconds: float) -> None:
+        time.sleep(seconds)
+
+
 class Director:
     """Gives the commands of one flight and follows what the vehicles report.
 
@@ -37,13 +71,15 @@ class Director:
 
     def __init__(
         self,
-        session: FleetSession,
+        session: Session,
         watch: FlightWatch,
         progress: Progress,
         check: Callable[[], None],
         lost: Callable[[], Collection[int]],
+        clock: Clock,
     ) -> None:
         self._session = session
+        self._clock = clock
         self._watch = watch
         self._progress = progress
         self._check = check
@@ -53,8 +89,8 @@ class Director:
         """All steps in turn. Raises FlightFailure; the vehicles are then where they were."""
         with self._formation_ends():
             for number, step in enumerate(timeline, start=1):
-                self._progress.begin_step(f"step {number} of {len(timeline)}, {step.command}")
-                _Order(self._session, self._watch, step).carry_out(self._pass)
+                self._progress.begin_step(f"step {number} of {len(timeline)}, {step.command}", self._clock.now_s())
+                _Order(self._session, self._watch, step, self._clock).carry_out(self._pass)
                 self._stay(number, len(timeline), step)
 
     @contextmanager
@@ -63,35 +99,36 @@ class Director:
         try:
             yield
         finally:
-            self._watch.end_formation(time.monotonic())
+            self._watch.end_formation(self._clock.now_s())
 
     def _stay(self, number: int, steps: int, step: TimelineStep) -> None:
         """Keep what the step brought about for its `for_s`; a vehicle that leaves it ends the flight."""
         forms = step.command is CommandName.FORM
-        since_s = self._watch.begin_formation() if forms else time.monotonic()
+        since_s = self._watch.begin_formation() if forms else self._clock.now_s()
         if step.for_s:
             self._progress.begin_step(f"step {number} of {steps}, {step.command}", since_s, step.for_s)
-        while time.monotonic() < since_s + step.for_s:
+        while self._clock.now_s() < since_s + step.for_s:
             self._pass()
             for status in self._statuses():
                 if status.phase is not RULES[step.command].to:
                     raise FlightFailure(
                         f"vehicle {status.vehicle_id} left phase {RULES[step.command].to}: {_last(status)}"
                     )
-            if step.command not in MAY_OBSERVE and (silent := self._watch.silent(time.monotonic())):
+            if step.command not in MAY_OBSERVE and (silent := self._watch.silent(self._clock.now_s())):
                 raise FlightFailure(f"nothing heard of {_vehicles(silent)} for seconds")
 
     def _pass(self) -> None:
         """Listen and show, once, within POLL_S. Raises FlightFailure."""
-        time.sleep(POLL_S)
+        self._clock.sleep(POLL_S)
         self._listen()
         self._check()
 
     def _listen(self) -> None:
-        reports, now_s = self._session.drain(), time.monotonic()
+        reports, now_s = self._session.drain(), self._clock.now_s()
         for report in reports:
             self._watch.hear(report, now_s)
-        self._progress.show(self._watch.rows(now_s), now_s)
+        if self._progress.is_due():
+            self._progress.show(self._watch.rows(now_s), now_s)
 
     def _statuses(self) -> list[Status]:
         found = (self._watch.status(vehicle_id) for vehicle_id in self._watch.vehicle_ids)
@@ -99,10 +136,10 @@ class Director:
 
     def land_all(self) -> str | None:
         """Bring down whatever flies, from any phase; silent and lost vehicles are left alone. What is still up, in words."""
-        began_s = time.monotonic()
+        began_s = self._clock.now_s()
         next_ask_s = began_s + LISTEN_S
-        while (now_s := time.monotonic()) < began_s + LANDED_WITHIN_S:
-            time.sleep(POLL_S)
+        while (now_s := self._clock.now_s()) < began_s + LANDED_WITHIN_S:
+            self._clock.sleep(POLL_S)
             self._listen()
             if now_s < next_ask_s:
                 continue
@@ -110,13 +147,13 @@ class Director:
             if not up:
                 return None
             if next_ask_s == began_s + LISTEN_S:
-                self._progress.begin_step("landing all")
+                self._progress.begin_step("landing all", now_s)
             for name in (CommandName.LAND, CommandName.DISARM):
                 ids = [s.vehicle_id for s in up if _way_down(s) is name]
                 if ids:
                     self._session.command(ids, name, REPLY_WITHIN_S)
             next_ask_s = now_s + REPEAT_S
-        up = self._still_up(time.monotonic())
+        up = self._still_up(self._clock.now_s())
         return f"{_vehicles([s.vehicle_id for s in up])} could not be landed: {_last(up[0])}" if up else None
 
     def _still_up(self, now_s: float) -> list[Status]:
@@ -127,8 +164,9 @@ class Director:
 class _Order:
     """One command on its way to every vehicle, repeated to those that refuse it or fall back from it."""
 
-    def __init__(self, session: FleetSession, watch: FlightWatch, step: TimelineStep) -> None:
+    def __init__(self, session: Session, watch: FlightWatch, step: TimelineStep, clock: Clock) -> None:
         self._session = session
+        self._clock = clock
         self._watch = watch
         self._step = step
         self._accepted_s: dict[int, float] = {}
@@ -137,12 +175,12 @@ class _Order:
 
     def carry_out(self, wait_a_little: Callable[[], None]) -> None:
         """Until every vehicle has done it. Raises FlightFailure."""
-        deadline_s = time.monotonic() + self._step.timeout_s
-        next_ask_s = 0.0
+        deadline_s = self._clock.now_s() + self._step.timeout_s
+        next_ask_s = float("-inf")
         # The command that follows a formation ends it, so the time is taken before it is given.
-        self._watch.end_formation(time.monotonic())
+        self._watch.end_formation(self._clock.now_s())
         while missing := [i for i in self._watch.vehicle_ids if not self._done(i)]:
-            now_s = time.monotonic()
+            now_s = self._clock.now_s()
             if now_s > deadline_s:
                 raise FlightFailure(self._too_late(missing))
             ask = [i for i in missing if i not in self._accepted_s]
@@ -151,13 +189,13 @@ class _Order:
                 self._ask(ask)
             wait_a_little()
             for vehicle_id in missing:
-                self._look_for_falling_back(vehicle_id, time.monotonic())
+                self._look_for_falling_back(vehicle_id, self._clock.now_s())
 
     def _ask(self, vehicle_ids: Collection[int]) -> None:
         answers = self._session.command(vehicle_ids, self._step.command, REPLY_WITHIN_S)
         for vehicle_id, reply in answers.items():
             if reply is not None and reply.accepted:
-                self._accepted_s[vehicle_id] = time.monotonic()
+                self._accepted_s[vehicle_id] = self._clock.now_s()
             self._reasons[vehicle_id] = reply.reason if reply else "its agent does not answer"
 
     def _done(self, vehicle_id: int) -> bool:

@@ -14,7 +14,7 @@ from companion.config_file import ConfigError
 from companion.ground.session import FleetSession
 from companion.types import CommandName, Role
 from sitl.compare import compare, in_a_table, with_law, write_comparison
-from sitl.director import Director, FlightFailure
+from sitl.director import Director, FlightFailure, MachineClock
 from sitl.fleet import Fleet, PortInUseError, check_ports, endpoint_of, ids_of, truth_path
 from sitl.fly_options import FlyOptions
 from sitl.metrics import Flight, Tracks, formation_figures, neighbouring_pairs, smallest_distance_m
@@ -105,7 +105,7 @@ def fly_once(scenario: Scenario, name: str, folder: Path, options: FlyOptions, s
     folder.mkdir(parents=True, exist_ok=True)
     leader_ids = [member.id for member in scenario.fleet.vehicles if member.role is Role.LEADER]
     watch = FlightWatch(ids_of(scenario), leader_ids, time.monotonic())
-    progress = Progress(f"{name}, {scenario.fleet.law.name}", options.quiet)
+    progress = Progress(f"{name}, {scenario.fleet.law.name}", options.quiet, watch.began_s)
     failure = _fly(scenario, folder, options.port_offset, watch, progress, stop)
     flight_s = time.monotonic() - watch.began_s
     try:
@@ -154,7 +154,7 @@ def _fly(
                 if ending := fleet.unexpected_end():
                     raise FlightFailure(ending)
 
-            director = Director(session, watch, progress, check, fleet.lost_vehicles)
+            director = Director(session, watch, progress, check, fleet.lost_vehicles, MachineClock())
             failures = []
             try:
                 director.fly(scenario.timeline)

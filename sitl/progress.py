@@ -18,29 +18,30 @@ UP, ERASE_DOWN = "\x1b[{}F", "\x1b[J"
 
 
 class Progress:
-    """Shows one flight. `quiet` shows nothing."""
+    """Shows one flight, whose times are given: it may fly in virtual time. `quiet` shows nothing."""
 
-    def __init__(self, name: str, quiet: bool, out: TextIO | None = None) -> None:
+    def __init__(self, name: str, quiet: bool, began_s: float, out: TextIO | None = None) -> None:
         self._name = name
         self._quiet = quiet
         self._out = out or sys.stdout
         self._in_place = self._out.isatty()
-        self._began_s = time.monotonic()
+        self._began_s = began_s
         self._step, self._step_began_s, self._step_lasts_s = "starting", self._began_s, 0.0
-        self._next_s = 0.0
+        self._next_s = 0.0  # of the machine's clock, which people read by
         self._lines_up = 0
 
-    def begin_step(self, step: str, since_s: float | None = None, lasts_s: float = 0.0) -> None:
-        """From now or since a time; `lasts_s` is 0 where nobody knows."""
+    def begin_step(self, step: str, since_s: float, lasts_s: float = 0.0) -> None:
+        """`lasts_s` is 0 where nobody knows."""
         self._next_s = 0.0  # shown at once, however soon after the last
-        self._step, self._step_lasts_s = step, lasts_s
-        self._step_began_s = time.monotonic() if since_s is None else since_s
+        self._step, self._step_began_s, self._step_lasts_s = step, since_s, lasts_s
+
+    def is_due(self) -> bool:
+        """Is it time to show something?"""
+        return not self._quiet and time.monotonic() >= self._next_s
 
     def show(self, rows: Sequence[VehicleRow], now_s: float) -> None:
-        """Refresh, when it is time."""
-        if self._quiet or now_s < self._next_s:
-            return
-        self._next_s = now_s + (IN_PLACE_EVERY_S if self._in_place else PLAIN_EVERY_S)
+        """Refresh."""
+        self._next_s = time.monotonic() + (IN_PLACE_EVERY_S if self._in_place else PLAIN_EVERY_S)
         lines = [self._headline(now_s), *(vehicle_line(row) for row in rows)]
         if not self._in_place:
             self._write("\n".join(lines) + "\n")

@@ -35,6 +35,7 @@ class FlightWatch:
         self._entered_s: dict[int, float] = {}
         self._formed_from_s: float | None = None
         self._state = FleetState()
+        self._statuses: dict[int, Status] = {}  # the newest of every vehicle heard
 
     def hear(self, report: StatusReport, now_s: float) -> None:
         """Take in one report that came at `now_s`."""
@@ -44,9 +45,10 @@ class FlightWatch:
             return
         before = self.status(vehicle_id)
         self._state = fold(self._state, report, now_s)
+        self._statuses[vehicle_id] = status
         if status.phase is FlightPhase.FORMATION and (before is None or before.phase is not FlightPhase.FORMATION):
             self._entered_s[vehicle_id] = now_s
-        if vehicle_id in self._entered_s:
+        if vehicle_id in self._entered_s and report.timing.ticks:  # in virtual time no ticks are timed
             self.timing[vehicle_id] = report.timing
         if status.last_event and (before is None or status.last_event != before.last_event):
             self.events.append(
@@ -54,15 +56,14 @@ class FlightWatch:
             )
 
     def status(self, vehicle_id: int) -> Status | None:
-        heard = next((h for (_, i), h in self._state.vehicles.items() if i == vehicle_id), None)
-        return heard.report.status if heard else None
+        return self._statuses.get(vehicle_id)
 
     def rows(self, now_s: float) -> list[VehicleRow]:
         return rows(self._state, now_s)
 
     def silent(self, now_s: float) -> list[int]:
         """Vehicles that were heard once and say nothing any more."""
-        return [row.vehicle_id for row in self.rows(now_s) if row.age_s > SILENT_S]
+        return sorted(i for (_, i), heard in self._state.vehicles.items() if now_s - heard.received_s > SILENT_S)
 
     def begin_formation(self) -> float:
         """All vehicles are in formation. Returns when the last one entered it."""

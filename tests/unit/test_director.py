@@ -10,7 +10,7 @@ import pytest
 from companion.core.phase import RULES
 from companion.types import CommandName, CommandReply, FlightPhase, LandedState, Role, Status
 from companion.wire.ground import Percentiles, StatusReport, Timing
-from sitl.director import Director, FlightFailure
+from sitl.director import Director, FlightFailure, MachineClock
 from sitl.progress import Progress
 from sitl.scenario import TimelineStep
 from sitl.watch import FlightWatch
@@ -105,11 +105,12 @@ class Flight:
         self.checks: list[str] = []
         self.lost: set[int] = set()
         self.director = Director(
-            self.vehicles,  # type: ignore[arg-type]
+            self.vehicles,
             self.watch,
-            Progress("pair", False, self.shown),
+            Progress("pair", False, self.watch.began_s, self.shown),
             self._check,
             lambda: self.lost,
+            MachineClock(),
         )
 
     def _check(self) -> None:
