@@ -85,6 +85,17 @@ class Director:
         self._check = check
         self._lost = lost
 
+    def fly_and_land(self, timeline: Sequence[TimelineStep]) -> list[str]:
+        """All steps in turn, and down in any case. What went wrong, in one line each."""
+        failures = []
+        try:
+            self.fly(timeline)
+        except FlightFailure as failure:
+            failures.append(str(failure))
+        if still_up := self.land_all():
+            failures.append(still_up)
+        return failures
+
     def fly(self, timeline: Sequence[TimelineStep]) -> None:
         """All steps in turn. Raises FlightFailure; the vehicles are then where they were."""
         with self._formation_ends():

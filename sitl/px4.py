@@ -16,6 +16,7 @@ from sitl.px4_parameters import Parameters
 from sitl.px4_setpoints import Course
 from sitl.quadrotor import MOTORS_OFF, Quadrotor
 
+DT_S = 0.004  # physics and attitude control at 250 Hz
 ARMABLE_AFTER_S = 4.0
 CONTROL_PERIOD_S = 0.02  # of its own position control, and of looking after returned streams
 FAILSAFE_PERIOD_S = 0.1  # of looking for lost ones: a failsafe comes up to this late

@@ -9,23 +9,20 @@ import signal
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TextIO
 
 from companion.config_file import ConfigError
-from companion.frames import euler_from_quaternion
 from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
 from sitl.config import AutopilotFile
 from sitl.ports import GROUND_STATION_PORT, LOOPBACK, Ports
-from sitl.px4 import Px4
+from sitl.px4 import DT_S, Px4
 from sitl.px4_commands import Receiver
 from sitl.px4_link import GROUND_RATES_HZ, HEARTBEAT_ONLY, ONBOARD_RATES_HZ, Schedule
 from sitl.px4_messages import BUILDERS
+from sitl.truth import TruthLog
 
-DT_S = 0.004  # physics and control at 250 Hz
 MAX_LAG_S = 0.5  # a machine that slept does not fly the time it missed
 GROUND_STATION_FORGOTTEN_S = 5.0
 PORT_HINT = "stop what uses the port, or move all ports with --port-offset"
-TRUTH_HEADER = "monotonic_s,x_m,y_m,z_m,vx_m_s,vy_m_s,vz_m_s,roll_rad,pitch_rad,yaw_rad,thrust_norm,armed,mode\n"
 
 
 class Link(asyncio.DatagramProtocol):
@@ -79,25 +76,6 @@ class Link(asyncio.DatagramProtocol):
         """STATUSTEXT goes only where a ground station's heartbeat comes from."""
         heard_s = self.receiver.ground_station_s
         return heard_s is not None and self._px4.time_s - heard_s < GROUND_STATION_FORGOTTEN_S
-
-
-class TruthLog:
-    """True states as CSV at 50 Hz, stamped with the machine's monotonic clock, which all its processes share."""
-
-    def __init__(self, file: TextIO) -> None:
-        self._file = file
-        file.write(TRUTH_HEADER)
-
-    def write(self, px4: Px4, monotonic_s: float) -> None:
-        numbers = (
-            *px4.quad.position_enu_m, *px4.quad.velocity_enu_m_s, *euler_from_quaternion(px4.quad.quaternion),
-            px4.quad.thrust_norm,
-        )  # fmt: skip
-        row = ",".join(f"{number:.5f}" for number in numbers)
-        self._file.write(f"{monotonic_s:.6f},{row},{int(px4.armed)},{px4.mode.name}\n")
-
-    def flush(self) -> None:
-        self._file.flush()
 
 
 def run(file: AutopilotFile, ports: Ports, truth: Path | None, seconds: float | None) -> None:

@@ -26,7 +26,10 @@ class Tick(Struct, frozen=True, kw_only=True):
 
 
 class VehicleSummary(Struct, frozen=True, kw_only=True):
-    """One vehicle's agent, as its own status reports said. None where no report came in formation."""
+    """One vehicle's agent, as its own status reports said.
+
+    What is timed is None where no report came in formation, and in virtual time, where nothing is late.
+    """
 
     id: int
     role: str
@@ -39,7 +42,10 @@ class VehicleSummary(Struct, frozen=True, kw_only=True):
 
 
 class Summary(Struct, frozen=True, kw_only=True):
-    """One flight. What belongs to the formation is None where none was flown; `failure` is None where all went well."""
+    """One flight. What belongs to the formation is None where none was flown; `failure` is None where all went well.
+
+    `real_time_factor`: seconds flown per second that the machine took; None for real processes, which take as long.
+    """
 
     schema: int = SCHEMA
     scenario: str
@@ -50,6 +56,7 @@ class Summary(Struct, frozen=True, kw_only=True):
     seed: int
     failure: str | None
     flight_s: float
+    real_time_factor: float | None = None
     duration_s: float | None
     pairs: list[str]  # those with the nearest by design
     wanted_distance_m: dict[str, float] | None
@@ -70,6 +77,7 @@ def summarize(
     smallest_distance_m: float | None,
     failure: str | None,
     flight_s: float,
+    real_time_factor: float | None = None,
 ) -> Summary:
     """`figures` and `smallest_distance_m` are of the true tracks, the rest is what the vehicles reported."""
     fleet, stand_in = scenario.fleet, scenario.stand_in
@@ -82,6 +90,7 @@ def summarize(
         seed=stand_in.seed,
         failure=failure,
         flight_s=round(flight_s, 1),
+        real_time_factor=None if real_time_factor is None else round(real_time_factor, 1),
         duration_s=round(figures.duration_s, 3) if figures else None,
         pairs=[pair_name(pair) for pair in neighbouring_pairs(slots_enu_m)],
         wanted_distance_m=_rounded(figures.wanted_distance_m) if figures else None,
@@ -144,6 +153,8 @@ def in_words(summary: Summary) -> str:
     settled = "not settled to 10 cm" if summary.settle_s is None else f"{summary.settle_s:.1f} s to 10 cm"
     lines.append(f"  settled           {settled}; final error {summary.final_error_m:.3f} m")
     lines.extend(_ticks_in_words(summary))
+    if summary.real_time_factor is not None:
+        lines.append(f"  virtual time      {summary.real_time_factor:.0f} times as fast as real time")
     return "\n".join(lines)
 
 

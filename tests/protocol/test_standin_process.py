@@ -16,7 +16,7 @@ from agent_process import until
 from stand_in_process import free_offset, stand_in
 
 from sitl.ports import ports_of
-from sitl.realtime import TRUTH_HEADER
+from sitl.truth import TRUTH_HEADER
 
 
 def sitl(*arguments: str) -> subprocess.CompletedProcess[str]:

@@ -9,6 +9,7 @@ import pytest
 from companion.wire.ground import Percentiles, Timing
 from sitl.compare import Comparison, compare, in_a_table, with_law
 from sitl.fly_options import FlyOptions, add_fly_arguments, fly_options
+from sitl.run_options import RunOptions
 from sitl.scenario import load_scenario
 from sitl.summary import Summary, in_words, read_summary, summarize, write_json
 from sitl.watch import FlightWatch
@@ -101,10 +102,14 @@ def test_another_law_changes_nothing_else() -> None:
 # ---------------------------------------------------------------- the command line
 
 
-def options(*arguments: str) -> FlyOptions:
+def fly(*arguments: str) -> FlyOptions:
     parser = argparse.ArgumentParser()
     add_fly_arguments(parser)
     return fly_options(parser.parse_args(["s.yaml", *arguments]))
+
+
+def options(*arguments: str) -> RunOptions:
+    return fly(*arguments).run
 
 
 def test_the_command_line() -> None:

@@ -1,0 +1,147 @@
+"""From a scenario file to a folder of results, under one law or several; how each flight is flown is given."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import datetime
+from importlib.util import find_spec
+from pathlib import Path
+
+from companion.config_file import ConfigError
+from companion.types import CommandName
+from sitl.compare import compare, in_a_table, with_law, write_comparison
+from sitl.fleet import PortInUseError
+from sitl.metrics import Flight, Tracks, formation_figures, neighbouring_pairs, smallest_distance_m
+from sitl.run_options import RunOptions
+from sitl.scenario import Scenario, load_scenario, reference_of
+from sitl.stopping import StopNow, StopRequest
+from sitl.summary import Summary, in_words, summarize, write_json
+from sitl.watch import FlightWatch
+
+EXIT_FLOWN, EXIT_FAILED, EXIT_UNUSABLE = 0, 1, 2
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """One flight: its figures, and what they are drawn from (None where no formation was flown)."""
+
+    summary: Summary
+    flight: Flight | None
+
+
+FlyOnce = Callable[[Scenario, str, Path, StopRequest], Result]  # scenario, its name, the folder for the results
+
+
+def run_flights(
+    command: str, options: RunOptions, fly_once: FlyOnce, check: Callable[[Scenario], None] | None = None
+) -> int:
+    """Fly as the options say; the exit code. Everything that a user can cause ends in one line.
+
+    `check` is called before anything is written or flown; it may raise ConfigError or PortInUseError.
+    """
+    with StopRequest() as stop:
+        try:
+            code = _run(command, options, fly_once, check, stop)
+            sys.stdout.flush()
+            return code
+        except (ConfigError, PortInUseError) as error:
+            print(error, file=sys.stderr)
+            return EXIT_UNUSABLE
+        except BrokenPipeError:  # the reader of a pipe has gone; the flight is over and its folder is written
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return EXIT_FAILED
+        except OSError as error:
+            print(f"{error.filename}: {error.strerror}; choose another folder with --out", file=sys.stderr)
+            return EXIT_UNUSABLE
+        except StopNow:
+            print("stopped at once; nothing was landed", file=sys.stderr)
+            return stop.exit_code
+
+
+def _run(
+    command: str,
+    options: RunOptions,
+    fly_once: FlyOnce,
+    check: Callable[[Scenario], None] | None,
+    stop: StopRequest,
+) -> int:
+    if find_spec("matplotlib") is None:
+        raise ConfigError(command, "matplotlib", "is not installed; pip install 'formation-companion[ground]'")
+    scenario = load_scenario(options.scenario, options.overrides)
+    if options.others is not None and all(step.command is not CommandName.FORM for step in scenario.timeline):
+        raise ConfigError(
+            options.scenario, "timeline", "has no step with command: form, so --compare has nothing to compare"
+        )
+    if check:
+        check(scenario)
+    name = options.scenario.stem
+    folder = options.out or Path("runs") / f"{name}-{scenario.fleet.law.name}-{datetime.now():%Y%m%d-%H%M%S}"
+    if options.others is None:
+        result = fly_once(scenario, name, folder, stop)
+        print(f"{in_words(result.summary)}\nresults in {folder}")
+        return stop.exit_code if stop.number else _exit_code(result.summary)
+    return _fly_laws(scenario, name, folder, options, fly_once, stop)
+
+
+def _fly_laws(
+    scenario: Scenario, name: str, folder: Path, options: RunOptions, fly_once: FlyOnce, stop: StopRequest
+) -> int:
+    """The scenario's own law and then the others; then the table and the figure.
+
+    A law that fails in formation is part of the comparison; a flight that never got there ends it.
+    """
+    own = scenario.fleet.law.name
+    laws = [own, *(law for law in options.others or () if law != own)]
+    results: list[Result] = []
+    for law in laws:
+        result = fly_once(with_law(scenario, law), name, folder / law, stop)
+        results.append(result)
+        print(in_words(result.summary) + "\n", flush=True)
+        if stop.number or result.flight is None:
+            print(f"results so far in {folder}")
+            return stop.exit_code if stop.number else EXIT_FAILED
+    comparison = compare([result.summary for result in results])
+    write_comparison(folder, comparison, [result.flight for result in results if result.flight])
+    print(f"{in_a_table(comparison)}\nresults in {folder}")
+    return max(_exit_code(result.summary) for result in results)
+
+
+def _exit_code(summary: Summary) -> int:
+    return EXIT_FAILED if summary.failure else EXIT_FLOWN
+
+
+def write_results(
+    scenario: Scenario,
+    name: str,
+    folder: Path,
+    watch: FlightWatch,
+    tracks: Tracks | None,
+    failure: str | None,
+    flight_s: float,
+    real_time_factor: float | None = None,
+) -> Result:
+    """summary.json and, where a formation was flown, its figures. `tracks` is None where nothing is known of them."""
+    flight = _flight(scenario, watch, tracks) if tracks else None
+    figures = (
+        formation_figures(flight.tracks, flight.slots_enu_m, flight.reference, flight.formation) if flight else None
+    )
+    smallest_m = smallest_distance_m(tracks) if tracks else None
+    summary = summarize(scenario, name, watch, figures, smallest_m, failure, flight_s, real_time_factor)
+    write_json(folder / "summary.json", summary)
+    if flight:
+        from sitl.plots import save_figure_5, save_figure_6  # matplotlib takes its time and memory
+
+        save_figure_5(folder / "figure_5.png", flight, name)
+        save_figure_6(folder / "figure_6.png", flight, name)
+    return Result(summary, flight)
+
+
+def _flight(scenario: Scenario, watch: FlightWatch, tracks: Tracks) -> Flight | None:
+    if watch.formation is None:
+        return None
+    slots_enu_m = {member.id: member.slot_enu_m for member in scenario.fleet.vehicles}
+    pairs = neighbouring_pairs(slots_enu_m)
+    return Flight(scenario.fleet.law.name, tracks, slots_enu_m, pairs, reference_of(scenario), watch.formation)
