@@ -32,6 +32,7 @@ def _parser() -> argparse.ArgumentParser:
     subcommands = parser.add_subparsers(required=True, metavar="COMMAND")
     _add_autopilot(subcommands)
     _add_fly(subcommands)
+    _add_run(subcommands)
     return parser
 
 
@@ -105,3 +106,24 @@ def _run_fly(arguments: argparse.Namespace) -> int:
     from sitl.fly_options import fly_options
 
     return run_fly(fly_options(arguments))
+
+
+def _add_run(subcommands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    from sitl.run_options import DESCRIPTION, MORE, add_run_arguments
+
+    parser = subcommands.add_parser(
+        "run",
+        help="the same in virtual time, in one process and many times faster, the same to the last bit each time",
+        description=DESCRIPTION,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog=MORE,
+    )
+    add_run_arguments(parser)
+    parser.set_defaults(run=_run_run)
+
+
+def _run_run(arguments: argparse.Namespace) -> int:
+    from sitl.run import run
+    from sitl.run_options import run_options
+
+    return run(run_options(arguments))

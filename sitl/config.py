@@ -82,6 +82,24 @@ class StandIn(_Base, frozen=True):
         return SENSORS[self.sensors] if isinstance(self.sensors, str) else self.sensors
 
 
+DelaySeconds = Annotated[float, Meta(ge=0, le=1)]
+
+
+class Links(_Base, frozen=True):
+    """What the links are like in virtual time; the defaults are as measured between real processes on one machine.
+
+    Telemetry from its sampling to the agent's tick, setpoints from there to the autopilot, and packets between agents:
+    `peer_delay_s` and up to `peer_jitter_s` more, evenly spread; `peer_loss` of them, 0 to 1, never come. A packet waits
+    for its receiver's next tick besides.
+    """
+
+    telemetry_delay_s: DelaySeconds = 0.0003
+    setpoint_delay_s: DelaySeconds = 0.0005
+    peer_delay_s: DelaySeconds = 0.001
+    peer_jitter_s: DelaySeconds = 0.0
+    peer_loss: Annotated[float, Meta(ge=0, le=1)] = 0.0
+
+
 class AutopilotFile(_Base, frozen=True):
     """The file of `sitl autopilot --config`: one stand-in vehicle. The world's ENU frame has its zero at `world_origin`."""
 

@@ -172,11 +172,16 @@ def truth_path(folder: Path, vehicle_id: int) -> Path:
 
 def write_files(scenario: Scenario, folder: Path, port_offset: int) -> None:
     """scenario.yaml as flown, fleet.yaml, vehicle_N.yaml and autopilot_N.yaml."""
-    _write_yaml(folder / "scenario.yaml", scenario)
+    write_scenario(scenario, folder)
     _write_yaml(folder / "fleet.yaml", scenario.fleet)
     for vehicle_id in ids_of(scenario):
         _write_yaml(folder / f"vehicle_{vehicle_id}.yaml", vehicle_file(scenario, vehicle_id, port_offset))
         _write_yaml(folder / f"autopilot_{vehicle_id}.yaml", autopilot_file(scenario, vehicle_id))
+
+
+def write_scenario(scenario: Scenario, folder: Path) -> None:
+    """scenario.yaml as flown."""
+    _write_yaml(folder / "scenario.yaml", scenario)
 
 
 def vehicle_file(scenario: Scenario, vehicle_id: int, port_offset: int) -> VehicleConfig:

@@ -1,4 +1,4 @@
-"""The command line that `sitl fly` and `sitl run` share. Light to import: what flies is imported when it does."""
+"""The command line of `sitl run`, most of which `sitl fly` shares. Light to import: what flies is imported when it does."""
 
 from __future__ import annotations
 
@@ -11,6 +11,37 @@ from typing import get_args
 from companion.config import LawName
 
 LAWS: tuple[LawName, ...] = get_args(LawName)
+
+
+DESCRIPTION = """\
+Fly a scenario in virtual time: the same agents and stand-in autopilots as `sitl fly`, in one loop without sockets, many times
+faster than real time. The same scenario and seed give the same flight to the last bit.
+"""
+
+MORE = """\
+examples:
+  sitl run config/scenarios/platoon.yaml                        the paper's platoon with the paper's law
+  sitl run config/scenarios/platoon.yaml --compare              all laws in turn, one table, one figure
+  sitl run config/scenarios/platoon.yaml --set stand_in.sensors=default --set stand_in.seed=2
+  sitl run config/scenarios/platoon.yaml --set links.peer_loss=0.1 --set links.peer_delay_s=0.1
+
+--set takes any key of the scenario file, [N] for the N-th item of a list from 0, and a YAML value. The section links says
+how late and how surely telemetry, setpoints and peer packets come.
+
+the folder (default: runs/SCENARIO-LAW-DATE-TIME; with --compare one folder per law inside it):
+  summary.json              as of `sitl fly`, and real_time_factor: seconds flown per second that it took to fly them. What
+                            `sitl fly` times (tick, telemetry_to_command_us, cpu_percent, rss_mb) is null in virtual time
+  figure_5.png, figure_6.png, comparison.json, comparison.png, scenario.yaml      as of `sitl fly`
+  truth_N.csv               where vehicle N truly was, 50 times a second; its clock is virtual and begins at 0
+
+Ctrl-C lands all vehicles, which takes no time here, and writes the folder; a second Ctrl-C stops at once.
+
+exit codes:
+  0    flown and landed
+  1    the flight failed; the one line says which vehicle and why
+  2    the scenario or an argument cannot be used; the one line says which and what to do
+  130  ended by Ctrl-C (129 by SIGHUP, 143 by SIGTERM), vehicles landed
+"""
 
 
 @dataclass(frozen=True, slots=True)

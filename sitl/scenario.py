@@ -16,7 +16,7 @@ from companion.config_file import ConfigError, convert, read_yaml
 from companion.core.reference import ReferenceTrajectory, point
 from companion.types import CommandName
 from sitl.autopilot_file import check_parameters
-from sitl.config import StandIn
+from sitl.config import Links, StandIn
 
 SET = Path("--set")  # stands where errors name a file
 
@@ -30,13 +30,17 @@ class TimelineStep(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 
 
 class Scenario(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """`fleet` is what a fleet file holds; `reference` (RFT) goes into the leaders' vehicle files alone."""
+    """`fleet` is what a fleet file holds; `reference` (RFT) goes into the leaders' vehicle files alone.
+
+    `links` is of flights in virtual time; real processes have links of their own.
+    """
 
     description: str = ""
     fleet: FleetConfig
     starts_enu_m: dict[VehicleId, PositionM]
     reference: Reference
     stand_in: StandIn = StandIn()
+    links: Links = Links()
     timeline: tuple[TimelineStep, ...]
 
 

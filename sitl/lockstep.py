@@ -1,0 +1,118 @@
+"""The real agents and the stand-ins' world in one loop and in virtual time: no sockets, no processes, no waiting."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from companion.assembly import build_agent
+from companion.config import AgentConfig
+from companion.core.agent import Agent
+from companion.types import Command, CommandName, CommandReply, Inbox
+from companion.wire.ground import Percentiles, StatusReport, Timing
+from sitl.fleet import autopilot_file, ids_of, vehicle_file
+from sitl.network import Network
+from sitl.px4 import DT_S
+from sitl.scenario import Scenario
+from sitl.world import StandIn, World
+
+_NONE = Percentiles(0.0, 0.0, 0.0)
+NOT_TIMED = Timing(0.0, 0, 0, _NONE, _NONE, 0.0, 0.0)  # in virtual time no tick is late
+
+
+class Lockstep:
+    """A whole fleet, for the director both the session and the clock. What comes out depends on the scenario alone."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        ids = ids_of(scenario)
+        self._world = World([autopilot_file(scenario, i) for i in ids], scenario.links)
+        self._network = Network(ids, scenario.links, scenario.stand_in.seed)
+        self._reports: list[StatusReport] = []
+        self._vehicles = {
+            stand_in.vehicle_id: Vehicle(scenario, stand_in, self._network, self._reports)
+            for stand_in in self._world.stand_ins
+        }
+        self._commands_given = 0
+
+    @property
+    def stand_ins(self) -> list[StandIn]:
+        return self._world.stand_ins
+
+    def now_s(self) -> float:
+        """Virtual time since the start."""
+        return self._world.now_s
+
+    def sleep(self, seconds: float) -> None:
+        """Let the world go on for this long, a whole step at least."""
+        for _ in range(max(1, round(seconds / DT_S))):
+            self._step()
+
+    def drain(self) -> list[StatusReport]:
+        """All reports since the last call, oldest first."""
+        reports = self._reports.copy()
+        self._reports.clear()
+        return reports
+
+    def command(
+        self, vehicle_ids: Iterable[int], name: CommandName, timeout_s: float
+    ) -> dict[int, CommandReply | None]:
+        """Give one command to these vehicles and let the world go on until all have answered."""
+        self._commands_given += 1
+        command = Command(name, self._commands_given)
+        asked = [self._vehicles[vehicle_id] for vehicle_id in vehicle_ids]
+        for vehicle in asked:
+            vehicle.give(command)
+        deadline_s = self.now_s() + timeout_s
+        while self.now_s() < deadline_s and any(vehicle.reply_to(command) is None for vehicle in asked):
+            self._step()
+        return {vehicle.vehicle_id: vehicle.reply_to(command) for vehicle in asked}
+
+    def _step(self) -> None:
+        self._world.step()
+        next_step_s = self._world.now_s + DT_S
+        for vehicle in self._vehicles.values():
+            vehicle.tick_before(next_step_s)
+
+
+class Vehicle:
+    """What the agent's process does, without the process: fills the Inbox, lets the agent decide, sends the Outbox."""
+
+    def __init__(self, scenario: Scenario, stand_in: StandIn, network: Network, reports: list[StatusReport]) -> None:
+        self.vehicle_id = stand_in.vehicle_id
+        self._link = stand_in.link
+        self._network = network
+        self._reports = reports
+        self._agent = _agent(scenario, self.vehicle_id)
+        self._commands: tuple[Command, ...] = ()
+        self._reply: CommandReply | None = None  # the last
+
+    def give(self, command: Command) -> None:
+        self._commands += (command,)
+
+    def reply_to(self, command: Command) -> CommandReply | None:
+        return self._reply if self._reply and self._reply.number == command.number else None
+
+    def tick_before(self, next_step_s: float) -> None:
+        """Every position that arrives before then sets off a tick."""
+        while (now_s := self._link.tick_s(next_step_s)) is not None:
+            self._tick(now_s)
+
+    def _tick(self, now_s: float) -> None:
+        inbox = Inbox(self._link.drain(now_s), self._network.receive(self.vehicle_id, now_s), self._commands)
+        self._commands = ()
+        outbox = self._agent.step(now_s, inbox)
+        if outbox.attitude_target:
+            self._link.command(outbox.attitude_target, now_s)
+        for request in outbox.requests:
+            self._link.request(request, now_s)
+        for reply in outbox.replies:
+            self._reply = reply
+        if outbox.peer_packet:
+            self._network.send(outbox.peer_packet, now_s)
+        if outbox.status:
+            self._reports.append(StatusReport(outbox.status, NOT_TIMED))
+
+
+def _agent(scenario: Scenario, vehicle_id: int) -> Agent:
+    member = next(member for member in scenario.fleet.vehicles if member.id == vehicle_id)
+    config = AgentConfig(vehicle_file(scenario, vehicle_id, port_offset=0), scenario.fleet, member)
+    return build_agent(config, session=1)

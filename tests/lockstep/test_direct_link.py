@@ -1,0 +1,122 @@
+"""What is handed over without sockets is what the bytes would have said."""
+
+from collections.abc import Iterator
+
+import pytest
+
+from companion.mavlink.codec import MavlinkCodec, mavlink
+from companion.mavlink.translator import Translator
+from companion.types import (
+    AckSample,
+    AttitudeSample,
+    AttitudeTarget,
+    OriginSample,
+    PositionSample,
+    RequestOrigin,
+    Telemetry,
+)
+from sitl import px4_setpoints
+from sitl.config import AutopilotFile, Links, StandIn
+from sitl.direct_link import RATES_HZ, SAMPLES, DirectLink, setpoint_of
+from sitl.px4 import DT_S, Px4
+from sitl.px4_messages import BUILDERS
+from sitl.px4_modes import Mode
+
+RECEIVED_S = 12.5
+MICRORADIAN = 1e-6
+
+
+def flying() -> Iterator[Px4]:
+    """One stand-in with noise, at several moments of a flight."""
+    px4 = Px4(AutopilotFile(id=3, start_enu_m=(12.3, -4.5, 0.0), start_yaw_deg=130.0, stand_in=StandIn(seed=5)), DT_S)
+    yield px4
+    for step in range(3000):
+        px4.step()
+        if step == 1100:
+            px4.arm()
+            px4.take_off(None)
+        if step in (1150, 1500, 2500):
+            yield px4
+    assert px4.set_mode(Mode.LAND)
+    yield px4
+
+
+def by_bytes(px4: Px4, message_id: int) -> list[Telemetry]:
+    data = MavlinkCodec(px4.system_id, mavlink.MAV_COMP_ID_AUTOPILOT1).encode(BUILDERS[message_id](px4))
+    return Translator(px4.system_id).telemetry(data, RECEIVED_S)
+
+
+@pytest.mark.parametrize("message_id", [i for i in RATES_HZ if i != mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION])
+def test_samples_are_those_of_the_bytes(message_id: int) -> None:
+    for px4 in flying():
+        assert list(SAMPLES[message_id](px4, RECEIVED_S)) == by_bytes(px4, message_id)
+
+
+def test_attitudes_are_those_of_the_bytes_to_a_microradian() -> None:
+    for px4 in flying():
+        (direct,) = SAMPLES[mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION](px4, RECEIVED_S)
+        (told,) = by_bytes(px4, mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION)
+        assert isinstance(direct, AttitudeSample)
+        assert isinstance(told, AttitudeSample)
+        assert direct.received_s == told.received_s
+        assert (direct.roll_rad, direct.pitch_rad, direct.yaw_rad) == pytest.approx(
+            (told.roll_rad, told.pitch_rad, told.yaw_rad), abs=MICRORADIAN
+        )
+
+
+def test_everything_that_the_agent_asks_for_is_told() -> None:
+    assert SAMPLES.keys() == RATES_HZ.keys()
+    assert RATES_HZ[mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED] == 50.0
+
+
+@pytest.mark.parametrize("target", [AttitudeTarget(0.1, -0.2, 3.0, 0.51), AttitudeTarget(-0.3, 0.05, -3.1, 0.2)])
+def test_setpoints_are_those_of_the_bytes_to_a_microradian(target: AttitudeTarget) -> None:
+    (message,) = MavlinkCodec(1, 1).decode(Translator(1).attitude_target(target, 3.0))
+    told = px4_setpoints.setpoint_of(message, (1.0, 0.0, 0.0, 0.0))
+    direct = setpoint_of(target)
+    assert told is not None
+    assert direct.quaternion == pytest.approx(told.quaternion, abs=MICRORADIAN)
+    assert direct.thrust_norm == pytest.approx(told.thrust_norm, abs=1e-7)
+    assert direct.rates_rad_s is told.rates_rad_s is None
+    assert direct.yaw_rate_rad_s == told.yaw_rate_rad_s == 0.0
+
+
+def stepped(link: DirectLink, first: int, last: int) -> None:
+    for step in range(first, last + 1):
+        link.deliver(step * DT_S)
+        link.px4.step()
+        link.tell(step * DT_S)
+
+
+def test_a_request_is_answered_after_both_delays() -> None:
+    links = Links(telemetry_delay_s=0.03, setpoint_delay_s=0.05)
+    link = DirectLink(Px4(AutopilotFile(), DT_S), links, phase_s=10.0)
+    link.request(RequestOrigin(), 0.0)
+    stepped(link, 1, 30)
+    assert link.drain(0.0815) == ()
+    origin, acknowledgement = link.drain(0.0825)
+    assert isinstance(origin, OriginSample)
+    assert origin.received_s == pytest.approx(0.082)
+    assert isinstance(acknowledgement, AckSample)
+    assert acknowledgement.accepted
+
+
+def test_a_setpoint_acts_from_the_step_after_its_arrival() -> None:
+    link = DirectLink(Px4(AutopilotFile(), DT_S), Links(setpoint_delay_s=0.006), phase_s=10.0)
+    link.command(AttitudeTarget(0.0, 0.0, 0.0, 0.5), 0.0003)
+    stepped(link, 1, 1)
+    assert not link.px4.streaming
+    stepped(link, 2, 2)
+    assert link.px4.streaming
+
+
+def test_positions_set_off_ticks_and_come_at_50_hz_from_their_phase() -> None:
+    link = DirectLink(Px4(AutopilotFile(), DT_S), Links(telemetry_delay_s=0.001), phase_s=0.008)
+    ticks, samples = [], []
+    for step in range(1, 51):
+        stepped(link, step, step)
+        while (tick_s := link.tick_s((step + 1) * DT_S)) is not None:
+            ticks.append(tick_s)
+            samples += link.drain(tick_s)
+    assert ticks == pytest.approx([0.009 + 0.02 * i for i in range(10)])
+    assert [s.received_s for s in samples if isinstance(s, PositionSample)] == ticks

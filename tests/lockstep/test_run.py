@@ -1,0 +1,127 @@
+"""`sitl run` from the command line: its folder, its words, its exit codes."""
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from sitl.scenario import load_scenario
+from sitl.summary import read_summary
+from sitl.tracks import read_track
+
+PLATOON = Path(__file__).parents[2] / "config" / "scenarios" / "platoon.yaml"
+SHORT = ("--set", "timeline[3].for_s=3")
+NOISY = ("--set", "stand_in.sensors=default")
+PNG = b"\x89PNG\r\n\x1a\n"
+
+
+def command(*arguments: object) -> list[str]:
+    return [sys.executable, "-m", "sitl", "run", *map(str, arguments)]
+
+
+def run(*arguments: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(command(*arguments), capture_output=True, text=True, timeout=120, check=False)
+
+
+def content(folder: Path) -> dict[str, Any]:
+    """summary.json without what depends on the machine."""
+    summary: dict[str, Any] = msgspec.json.decode((folder / "summary.json").read_bytes())
+    assert summary.pop("real_time_factor") > 0.0
+    return summary
+
+
+def test_the_folder_holds_what_that_of_a_real_flight_holds(tmp_path: Path) -> None:
+    done = run(PLATOON, "--out", tmp_path, *SHORT, "--law", "average_22")
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    assert done.stdout.splitlines()[-1] == f"results in {tmp_path}"
+    for name in ("figure_5.png", "figure_6.png"):
+        assert (tmp_path / name).read_bytes().startswith(PNG)
+    assert load_scenario(tmp_path / "scenario.yaml").fleet.law.name == "average_22"
+    summary = read_summary(tmp_path / "summary.json")
+    assert summary.law == "average_22"
+    assert summary.duration_s == pytest.approx(3.0, abs=0.1)
+    for vehicle in summary.vehicles:
+        assert vehicle.tick is vehicle.telemetry_to_command_us is vehicle.cpu_percent is vehicle.rss_mb is None
+        assert vehicle.rejected == {}
+        track = read_track(tmp_path / f"truth_{vehicle.id}.csv")
+        assert track.time_s[0] == pytest.approx(0.02)
+        assert track.time_s[-1] == pytest.approx(summary.flight_s, abs=0.1)
+        assert len(track.time_s) == pytest.approx(50 * summary.flight_s, abs=5)
+
+
+def test_two_runs_leave_the_same_folder(tmp_path: Path) -> None:
+    """From two processes, so nothing may hang on the order of sets or on addresses."""
+    first, second = tmp_path / "first", tmp_path / "second"
+    for folder in (first, second):
+        assert run(PLATOON, "--out", folder, "--quiet", *SHORT, *NOISY).returncode == 0
+    for vehicle_id in (1, 2, 3, 4):
+        name = f"truth_{vehicle_id}.csv"
+        assert (first / name).read_bytes() == (second / name).read_bytes()
+    assert content(first) == content(second)
+
+
+def test_laws_are_compared(tmp_path: Path) -> None:
+    done = run(PLATOON, "--out", tmp_path, "--quiet", "--compare", "average_26", *SHORT)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "comparison.png").read_bytes().startswith(PNG)
+    comparison: Any = msgspec.json.decode((tmp_path / "comparison.json").read_bytes())
+    assert comparison["laws"] == ["weighted", "average_26"]
+
+
+def test_quiet_prints_the_result_alone(tmp_path: Path) -> None:
+    done = run(PLATOON, "--out", tmp_path, "--quiet", *SHORT)
+    assert done.stdout.startswith("platoon, weighted: flown and landed")
+    assert "times as fast as real time" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("nowhere.yaml",), "nowhere.yaml: cannot be read: No such file"),
+        ((PLATOON, "--set", "links.peer_loss=1.5"), "--set: links.peer_loss: 1.5"),
+        ((PLATOON, "--set", "links.peer_delay=1"), 'did you mean "peer_delay_s"'),
+        ((PLATOON, "--out", "/dev/null/x"), "choose another folder with --out"),
+    ],
+)
+def test_bad_input_is_one_line(arguments: tuple[object, ...], words: str) -> None:
+    done = run(*arguments)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert words in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_an_unknown_law_is_refused() -> None:
+    done = run(PLATOON, "--law", "fastest")
+    assert done.returncode == 2
+    assert "average_26" in done.stderr
+
+
+def test_a_flight_that_fails_says_so_and_ends_with_1(tmp_path: Path) -> None:
+    done = run(PLATOON, "--out", tmp_path, "--quiet", "--set", "timeline[1].timeout_s=1")
+    assert done.returncode == 1
+    assert "arm not done within 1 s" in done.stdout
+    assert read_summary(tmp_path / "summary.json").failure is not None
+
+
+def test_ctrl_c_lands_and_writes_the_folder(tmp_path: Path) -> None:
+    arguments = (PLATOON, "--out", tmp_path, "--set", "timeline[3].for_s=3600")
+    with subprocess.Popen(command(*arguments), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        while "form" not in process.stdout.readline():
+            pass
+        time.sleep(0.5)
+        process.send_signal(signal.SIGINT)
+        said, complained = process.communicate(timeout=60)
+    assert process.returncode == 130, complained
+    assert "interrupted by SIGINT" in said
+    assert complained == ""
+    summary = read_summary(tmp_path / "summary.json")
+    assert summary.failure == "interrupted by SIGINT"
+    assert [event.vehicle for event in summary.events if event.event == "land -> observe"] != []
