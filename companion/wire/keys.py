@@ -27,9 +27,3 @@ def every_peer(fleet: str) -> str:
 def every_status(fleet: str) -> str:
     """`fleet` may be * to watch all fleets."""
     return f"{ROOT}/{fleet}/status/*"
-
-
-def vehicle_of(key: str) -> int | None:
-    """The vehicle id at the end of a key, None where there is none."""
-    last = key.rpartition("/")[2]
-    return int(last) if last.isascii() and last.isdigit() else None

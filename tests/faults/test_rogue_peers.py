@@ -32,7 +32,11 @@ REASONS = (
     "claims to be leader",
     "wire version 9",
     "malformed peer packet",
+    "another vehicle than its key says",
 )
+
+
+LONG_KEY = peer_key("platoon", 3) + "0" * 5000
 
 
 def lies(formation_hash: int) -> Iterator[bytes]:
@@ -78,6 +82,7 @@ def test_a_stranger_on_the_fleets_keys_is_counted_and_never_felt(tmp_path: Path)
         while flight.poll() is None:
             for lie in lies(formation_hash):
                 stranger.put(peer_key("platoon", 3), lie)
+                stranger.put(LONG_KEY, lie)
             time.sleep(0.1)
     printed, _ = flight.communicate(timeout=60)
 

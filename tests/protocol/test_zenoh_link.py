@@ -144,6 +144,15 @@ def test_what_is_no_peer_packet_is_refused_and_counted(port: int) -> None:
         assert second.packets == []
 
 
+@pytest.mark.parametrize("end", ["9" * 5000, "01", "1x", "²"])
+def test_a_key_that_ends_in_no_vehicle_id_is_refused_and_counted(port: int, end: str) -> None:
+    key = peer_key(FLEET.name, 1).removesuffix("1") + end
+    with vehicle(2, listen=(endpoint(port),)) as second, closing(open_session((), (endpoint(port),))) as stranger:
+        until(lambda: second.rejected, lambda: (stranger.put(key, encode_peer(PACKET)), second.tick()))
+        assert set(second.rejected) == {"peer packet of another vehicle than its key says"}
+        assert second.packets == []
+
+
 def test_after_a_pause_packets_count_as_old_as_the_pause(port: int) -> None:
     with vehicle(1, listen=(endpoint(port),)) as first, vehicle(2, connect=(endpoint(port),)) as second:
         until(lambda: second.packets, lambda: (first.link.publish_peer(PACKET), second.tick()))

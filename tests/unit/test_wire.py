@@ -20,7 +20,6 @@ from companion.types import (
     Role,
     Status,
 )
-from companion.wire import keys
 from companion.wire.ground import (
     Percentiles,
     StatusReport,
@@ -197,19 +196,3 @@ def test_numbers_that_are_not_finite_pass_the_wire_and_are_left_to_the_core() ->
     x, y, z = decode_peer(encode_peer(packet)).position_enu_m
     assert isnan(x)
     assert (y, z) == (inf, -inf)
-
-
-@pytest.mark.parametrize(
-    ("key", "vehicle_id"),
-    [
-        (keys.peer_key("platoon", 3), 3),
-        (keys.status_key("f", 250), 250),
-        ("formation/f/peer/x", None),
-        ("formation/f/peer/", None),
-        ("formation/f/peer/-1", None),
-        ("formation/f/peer/²", None),
-        ("", None),
-    ],
-)
-def test_the_vehicle_of_a_key(key: str, vehicle_id: int | None) -> None:
-    assert keys.vehicle_of(key) == vehicle_id
