@@ -25,6 +25,16 @@ class LinkError(Exception):
     """An endpoint that cannot be opened. str() says what is wrong with it and what to do."""
 
 
+def check_host(host: str) -> None:
+    """Raises LinkError for what can be nobody's name: looking it up would raise more than an OSError."""
+    try:
+        host.encode("idna")
+    except UnicodeError as error:
+        raise LinkError("the host is neither an address nor a name, expected one like 192.168.1.11") from error
+    if "\0" in host:
+        raise LinkError("there is a zero byte in the host, expected one like 192.168.1.11")
+
+
 def explain(error: OSError, what: str) -> str:
     """An operating system's error about `what` in words, with what to do."""
     advice = _ADVICE.get(error.errno or 0)

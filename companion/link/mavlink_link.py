@@ -11,6 +11,8 @@ from companion.link.endpoint import LinkError, Received
 from companion.link.stream_link import SerialLine, StreamLink, TcpConnection
 from companion.link.udp_link import UdpLink
 
+LONGEST_NUMBER = 9  # digits; Python refuses to read thousands of them
+
 
 class MavlinkLink(Protocol):
     """One way to the autopilot."""
@@ -31,6 +33,8 @@ def open_link(endpoint: str, received: Received) -> MavlinkLink:
     """The link for "udpin:HOST:PORT", "tcp:HOST:PORT" or "serial:DEVICE:BAUD". Raises LinkError."""
     kind, _, rest = endpoint.partition(":")
     address, _, number = rest.rpartition(":")
+    if len(number) > LONGEST_NUMBER:
+        raise LinkError(f"the number at its end has {len(number)} digits")
     if kind == "serial":
         return StreamLink(SerialLine(address, int(number)), received)
     if not 0 < int(number) <= 65535:

@@ -18,7 +18,7 @@ from typing import Protocol
 
 import serial
 
-from companion.link.endpoint import LinkError, Received, explain
+from companion.link.endpoint import LinkError, Received, check_host, explain
 
 READ_BYTES = 65536
 RECONNECT_FIRST_S, RECONNECT_MAX_S = 0.2, 2.0
@@ -156,6 +156,8 @@ class TcpConnection:
     """Connects to an autopilot that listens, as ArduPilot's simulation does."""
 
     def __init__(self, host: str, port: int) -> None:
+        """Raises LinkError."""
+        check_host(host)
         self.name = f"tcp:{host}:{port}"
         self._host, self._port = host, port
 

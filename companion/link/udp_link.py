@@ -9,9 +9,10 @@ import socket
 import struct
 import time
 
-from companion.link.endpoint import LinkError, Received, explain
+from companion.link.endpoint import LinkError, Received, check_host, explain
 
 READ_BYTES = 65536
+DATAGRAMS_PER_WAKE_UP = 64  # what is left wakes the loop again, after the tick that may be due
 RELOCK_AFTER_S = 5.0  # the autopilot's process may come back at another port
 
 _SO_TIMESTAMPNS = 35  # Linux; the socket module does not name it
@@ -57,7 +58,7 @@ class UdpLink:
         self._socket.close()
 
     def _readable(self) -> None:
-        while True:
+        for _ in range(DATAGRAMS_PER_WAKE_UP):
             try:
                 data, ancillary, _, sender = self._socket.recvmsg(READ_BYTES, socket.CMSG_SPACE(_TIMESPEC.size))
             except BlockingIOError:
@@ -79,6 +80,7 @@ class UdpLink:
 
 
 def _bound_udp_socket(host: str, port: int) -> socket.socket:
+    check_host(host)
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
     except socket.gaierror as error:

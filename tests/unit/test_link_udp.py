@@ -145,6 +145,35 @@ def test_a_gone_autopilot_does_not_end_the_link() -> None:
         asyncio.run(scenario(port))
 
 
+def test_a_flood_leaves_time_for_the_rest_of_the_loop() -> None:
+    """Every datagram that is read brings the next one: the socket never runs dry."""
+
+    async def scenario(port: int) -> None:
+        with sender(port) as stranger:
+            read_before_the_tick: list[int] = []
+            read = 0
+
+            def flood(_data: bytes, _received_s: float) -> bool:
+                nonlocal read
+                read += 1
+                if read == 1:
+                    asyncio.get_running_loop().call_soon(lambda: read_before_the_tick.append(read))
+                if read < 1000:
+                    stranger.send(b"S")
+                return False
+
+            link = UdpLink(HOST, port, flood)
+            task = asyncio.create_task(link.run())
+            stranger.send(b"S")
+            await until(lambda: read == 1000)
+            assert read_before_the_tick[0] <= 64
+            task.cancel()
+            link.close()
+
+    with free_port() as port:
+        asyncio.run(scenario(port))
+
+
 def test_a_port_in_use_is_told_in_words() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind((HOST, 0))
@@ -160,6 +189,12 @@ def test_a_port_in_use_is_told_in_words() -> None:
         ("udpin:192.0.2.1:24590", "no such address"),
         ("udpin:127.0.0.1:70000", "expected 1 to 65535"),
         ("tcp:127.0.0.1:0", "expected 1 to 65535"),
+        ("udpin:127.0.0.1:" + "1" * 5000, "has 5000 digits"),
+        ("udpin:127.0.0..1:14540", "neither an address nor a name"),
+        ("tcp:127.0.0..1:14540", "neither an address nor a name"),
+        ("udpin:" + "a" * 64 + ":14540", "neither an address nor a name"),
+        ("tcp:" + "a" * 64 + ".local:14540", "neither an address nor a name"),
+        ("udpin:127.0.0.1\0:14540", "zero byte"),
         ("serial:/dev/no-such-device:57600", "there is no serial device /dev/no-such-device"),
         ("serial:/dev/null:57600", "is no serial device"),
         ("serial:/tmp:57600", "serial device /tmp"),
