@@ -12,13 +12,13 @@ from collections.abc import Callable
 
 from companion.frames import quaternion_from_euler
 from companion.mavlink import px4 as manners
+from companion.mavlink import telemetry
 from companion.mavlink.codec import MavlinkCodec, mavlink
 from companion.mavlink.translator import Translator
 from companion.types import (
     AttitudeSample,
     AttitudeTarget,
     AutopilotRequest,
-    HeartbeatSample,
     LandedSample,
     LandedState,
     ModeSample,
@@ -27,9 +27,10 @@ from companion.types import (
 )
 from sitl.attitude_control import Setpoint
 from sitl.config import Links
-from sitl.px4 import STATE_CRITICAL, Px4
+from sitl.px4 import Px4
 from sitl.px4_commands import Receiver
 from sitl.px4_link import Schedule
+from sitl.px4_messages import heartbeat
 from sitl.px4_modes import Mode
 
 M = mavlink
@@ -42,8 +43,7 @@ _FLOATS = struct.Struct("<6f")  # MAVLink's floats have 32 bits: micrometres, wh
 
 
 def _heartbeat(px4: Px4, received_s: float) -> tuple[Telemetry, ...]:
-    heartbeat = HeartbeatSample(received_s, px4.armed, px4.system_status >= STATE_CRITICAL)
-    return (heartbeat, *_mode(px4, received_s))
+    return (telemetry.heartbeat(heartbeat(px4), received_s), *_mode(px4, received_s))
 
 
 def _mode(px4: Px4, received_s: float) -> tuple[Telemetry, ...]:
