@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Hashable
 from difflib import get_close_matches
 from math import isfinite
 from pathlib import Path
@@ -22,6 +23,8 @@ from msgspec.inspect import (
     UnionType,
     VarTupleType,
 )
+
+MAX_DEPTH = 50  # levels of a file; ours have five
 
 T = TypeVar("T")
 
@@ -47,7 +50,7 @@ def read_yaml(path: Path) -> Any:
     except UnicodeDecodeError as error:
         raise ConfigError(path, "", f"is not UTF-8 text (byte {error.start})") from error
     try:
-        return yaml.load(text, Loader=_UniqueKeyLoader)
+        return yaml.load(text, Loader=StrictLoader)
     except yaml.MarkedYAMLError as error:
         line = f"line {error.problem_mark.line + 1}" if error.problem_mark else ""
         raise ConfigError(path, line, f"not valid YAML: {error.problem}") from error
@@ -166,13 +169,46 @@ def _field_names(node: Type, seen: frozenset[type] = frozenset()) -> set[str]:
     return names
 
 
-class _UniqueKeyLoader(yaml.SafeLoader):
-    """SafeLoader keeps the last of two equal keys in silence; here that is an error."""
+class StrictLoader(yaml.SafeLoader):
+    """SafeLoader, whose every refusal is a yaml.MarkedYAMLError.
+
+    SafeLoader keeps the last of two equal keys in silence; here that is an error. So is what contains itself.
+    """
+
+    def __init__(self, stream: str) -> None:
+        super().__init__(stream)
+        self._open_anchors: list[str | None] = []  # of the nodes around the one that is being read
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        event: Any = self.peek_event()  # type: ignore[no-untyped-call]
+        anchor, mark = getattr(event, "anchor", None), event.start_mark
+        if isinstance(event, yaml.AliasEvent) and anchor in self._open_anchors:
+            raise yaml.constructor.ConstructorError(None, None, f"&{anchor} contains itself", mark)
+        if len(self._open_anchors) >= MAX_DEPTH:
+            problem = f"more than {MAX_DEPTH} levels inside each other"
+            raise yaml.constructor.ConstructorError(None, None, problem, mark)
+        self._open_anchors.append(anchor)
+        node: yaml.Node | None = super().compose_node(parent, index)
+        self._open_anchors.pop()
+        return node
+
+    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
+        problem = f"not a {node.tag.rpartition(':')[2]} that can be used"
+        try:
+            value = super().construct_object(node, deep=deep)
+        except (ValueError, LookupError, AttributeError) as error:  # "!!float foo", "!!bool maybe", 2024-13-45
+            raise yaml.constructor.ConstructorError(None, None, problem, node.start_mark) from error
+        if isinstance(value, int) and value.bit_length() > 64:  # Python would refuse to print thousands of digits
+            raise yaml.constructor.ConstructorError(None, None, problem, node.start_mark)
+        return value
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: set[Any] = set()
         for key_node, _ in node.value:
             key = self.construct_object(key_node, deep=True)
+            if not isinstance(key, Hashable):
+                problem = "a list or a mapping cannot be a key; is a pair of braces meant to be brackets?"
+                raise yaml.constructor.ConstructorError(None, None, problem, key_node.start_mark)
             if key in seen:
                 raise yaml.constructor.ConstructorError(None, None, f'key "{key}" stands twice', key_node.start_mark)
             seen.add(key)

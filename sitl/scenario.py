@@ -12,13 +12,14 @@ import yaml
 from msgspec import Meta, Struct
 
 from companion.config import FleetConfig, PositionM, Reference, VehicleId, check_fleet
-from companion.config_file import ConfigError, convert, read_yaml
+from companion.config_file import ConfigError, StrictLoader, convert, read_yaml
 from companion.core.reference import ReferenceTrajectory, point
 from companion.types import CommandName
 from sitl.autopilot_file import check_parameters
 from sitl.config import Links, StandIn
 
 SET = Path("--set")  # stands where errors name a file
+LONGEST_KEY = 200  # of --set
 
 
 class TimelineStep(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -84,11 +85,11 @@ def scenario_from(path: Path, data: object) -> Scenario:
 def _put(data: Any, override: str) -> None:
     """Set one value in a scenario's plain content; sections that are missing are made. Raises ConfigError."""
     field, equals, text = override.partition("=")
-    steps = _steps(field)
+    steps = _steps(field) if len(field) <= LONGEST_KEY else []  # Python refuses to read a number of thousands of digits
     if not equals or not steps:
         raise ConfigError(SET, override, "expected KEY=VALUE, like fleet.law.name=average_22 or timeline[3].for_s=20")
     try:
-        value = yaml.safe_load(text)
+        value = yaml.load(text, Loader=StrictLoader)
     except yaml.YAMLError as error:
         raise ConfigError(SET, field, f"{text!r} is not a YAML value") from error
     node, place = data, ""

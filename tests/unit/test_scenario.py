@@ -177,6 +177,9 @@ def test_an_override_without_a_value() -> None:
 
 
 def test_an_override_is_checked_like_the_file() -> None:
+    for value in ("2024-13-45", "!!float foo", "&a [*a]", "[" * 3000, "9" * 5000, "{[1, 2], [2, 3]}"):
+        assert error_of(f"fleet.name={value}") == f"--set: fleet.name: {value!r} is not a YAML value"
+    assert "expected KEY=VALUE" in error_of(f"timeline[{'9' * 5000}].for_s=1")
     assert error_of("fleet.vehicles[1].id=1").startswith("--set: fleet.vehicles[1].id: 1 is used twice")
 
 
