@@ -89,7 +89,7 @@ class TextAssembler:
         """The whole text once its last chunk is there. A text that lost its beginning is dropped."""
         chunk: str = message.text
         if message.id == 0:
-            return TextSample(received_s, message.severity, chunk.strip())
+            return TextSample(received_s, message.severity, _printable(chunk))
         if message.chunk_seq == 0:
             self._id, self._chunks = message.id, []
         if message.id != self._id or message.chunk_seq != len(self._chunks):
@@ -97,4 +97,9 @@ class TextAssembler:
         self._chunks.append(chunk)
         if len(chunk) >= 50:
             return None
-        return TextSample(received_s, message.severity, "".join(self._chunks).strip())
+        return TextSample(received_s, message.severity, _printable("".join(self._chunks)))
+
+
+def _printable(text: str) -> str:
+    """One line that steers nothing: it goes into logs, to terminals and to the service manager, who reads line by line."""
+    return "".join(c if c.isprintable() else "?" for c in text.strip())

@@ -16,6 +16,7 @@ from companion.types import (
     AttitudeSample,
     AttitudeTarget,
     AutopilotMode,
+    Disarm,
     HeartbeatSample,
     LandedSample,
     LandedState,
@@ -63,7 +64,7 @@ def test_mode_and_arming() -> None:
     armed = mavlink.MAV_MODE_FLAG_SAFETY_ARMED | mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
     message = mavlink.MAVLink_heartbeat_message(2, mavlink.MAV_AUTOPILOT_PX4, armed, AUTO_LOITER, 5, 3)
     assert Translator(3).telemetry(from_autopilot(message), 9.0) == [
-        HeartbeatSample(9.0, armed=True, critical=True),
+        HeartbeatSample(9.0, armed=True),
         ModeSample(9.0, AutopilotMode.HOLD, "AUTO.LOITER"),
     ]
     current = mavlink.MAVLink_current_mode_message(0, 6 << 16, 6 << 16)
@@ -98,9 +99,9 @@ def test_origin_landed_state_and_answers() -> None:
         OriginSample(9.0, 47.397742, 8.545594, 488.123),
         LandedSample(9.0, LandedState.IN_AIR),
         LandedSample(9.0, LandedState.UNDEFINED),
-        AckSample(9.0, 400, False, "COMPONENT_ARM_DISARM temporarily rejected"),
-        AckSample(9.0, 400, True, "COMPONENT_ARM_DISARM accepted"),
-        AckSample(9.0, 65000, False, "command 65000 result 99"),
+        AckSample(9.0, (Arm, Disarm), False, "COMPONENT_ARM_DISARM temporarily rejected"),
+        AckSample(9.0, (Arm, Disarm), True, "COMPONENT_ARM_DISARM accepted"),
+        AckSample(9.0, (), False, "command 65000 result 99"),
     ]
 
 
@@ -115,6 +116,15 @@ def test_a_text_in_chunks_is_put_together() -> None:
         )
     ]
     assert samples == [TextSample(9.0, 2, "Arming denied: Resolve system health failures first")]
+
+
+@pytest.mark.parametrize("number", [0, 5])
+def test_a_text_is_one_line_that_steers_nothing(number: int) -> None:
+    message = mavlink.MAVLink_statustext_message(2, b"bad\nWATCHDOG=1\r\x1b[2J\xff ", number, 0)
+    (sample,) = Translator(3).telemetry(from_autopilot(message), 9.0)
+    assert isinstance(sample, TextSample)
+    assert sample.text.startswith("bad?WATCHDOG=1??[2J")
+    assert sample.text.isprintable()
 
 
 def test_only_the_own_autopilot_is_heard() -> None:
