@@ -4,17 +4,32 @@ from __future__ import annotations
 
 import asyncio
 import logging
+from collections import Counter
 from collections.abc import Callable, Iterable
 from typing import NoReturn
 
 from companion.link.mavlink_link import open_link
 from companion.mavlink import px4
 from companion.mavlink.translator import Translator
-from companion.types import AttitudeTarget, AutopilotRequest, HeartbeatSample, PositionSample, Telemetry
+from companion.types import (
+    AttitudeSample,
+    AttitudeTarget,
+    AutopilotRequest,
+    HeartbeatSample,
+    LandedSample,
+    ModeSample,
+    PositionSample,
+    Telemetry,
+)
 
 HEARTBEAT_PERIOD_S = 1.0
 STREAM_CHECK_PERIOD_S = 2.0
-ENOUGH_POSITIONS_HZ = 40.0
+ENOUGH_HZ: dict[type[Telemetry], tuple[str, float]] = {
+    PositionSample: ("positions", 40.0),
+    AttitudeSample: ("attitudes", 40.0),
+    ModeSample: ("modes", 5.0),  # PX4 may send CURRENT_MODE less often than it was asked to
+    LandedSample: ("landed states", 2.0),
+}
 
 _log = logging.getLogger(__name__)
 
@@ -30,7 +45,7 @@ class AutopilotLink:
         self._translator = translator
         self._position_arrived = position_arrived
         self._telemetry: list[Telemetry] = []
-        self._positions = 0
+        self._came: Counter[type[Telemetry]] = Counter()  # since the last check of the streams
         self._heard = asyncio.Event()
         self._link = open_link(endpoint, self._bytes_arrived)
 
@@ -66,21 +81,31 @@ class AutopilotLink:
             await asyncio.sleep(HEARTBEAT_PERIOD_S)
 
     async def keep_streams(self) -> NoReturn:
-        """Ask for the telemetry rates when the autopilot is there, and again while too few positions come."""
+        """Ask for the telemetry rates when the autopilot is there, and again while too little of one comes.
+
+        A request may be lost like any packet, each by itself: so every stream is watched.
+        """
         await self._heard.wait()
-        is_enough = True
+        slow_before: list[str] = []
         while True:
             for request in self._translator.stream_requests():
                 self._link.send(request)
             while True:
-                self._positions = 0
+                self._came.clear()
                 await asyncio.sleep(STREAM_CHECK_PERIOD_S)
-                rate_hz = self._positions / STREAM_CHECK_PERIOD_S
-                was_enough, is_enough = is_enough, rate_hz >= ENOUGH_POSITIONS_HZ
-                if is_enough is not was_enough:
-                    _log.info("positions come at %.0f Hz%s", rate_hz, "" if is_enough else ", asking for 50 Hz again")
-                if not is_enough:
+                slow = self._slow_streams()
+                if slow != slow_before:
+                    _log.info("%s", f"too few {', '.join(slow)}: asking again" if slow else "all telemetry comes")
+                slow_before = slow
+                if slow:
                     break
+
+    def _slow_streams(self) -> list[str]:
+        """What came too seldom since the last check."""
+        self._came[ModeSample] -= self._came[HeartbeatSample]  # every HEARTBEAT brings a mode, too, asked or not
+        return [
+            name for kind, (name, rate_hz) in ENOUGH_HZ.items() if self._came[kind] < rate_hz * STREAM_CHECK_PERIOD_S
+        ]
 
     def why_silent(self) -> str:
         """Why no HEARTBEAT was heard, and what to do about it."""
@@ -100,8 +125,8 @@ class AutopilotLink:
         samples = self._translator.telemetry(data, received_s)
         self._telemetry += samples
         for sample in samples:
+            self._came[type(sample)] += 1
             if isinstance(sample, PositionSample):
-                self._positions += 1
                 self._position_arrived()
             elif isinstance(sample, HeartbeatSample):
                 self._heard.set()

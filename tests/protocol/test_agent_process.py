@@ -90,8 +90,9 @@ def test_it_asks_for_telemetry_again_while_too_little_comes(files: AgentFiles) -
         first = mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED
         requests = lambda: [m for m in autopilot.commands(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL) if m.param1 == first]  # noqa: E731
         until(lambda: len(requests()) >= 2)
+        process.wait_for_log("too few positions: asking again")
         autopilot.positions = True
-        process.wait_for_log("positions come at 50 Hz", timeout_s=30.0)
+        process.wait_for_log("all telemetry comes", timeout_s=30.0)
 
 
 def test_in_formation_every_position_is_answered_and_silence_with_silence(files: AgentFiles) -> None:

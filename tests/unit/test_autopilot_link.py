@@ -1,0 +1,99 @@
+"""The autopilot's link asks for the telemetry it needs until it comes. A real UDP socket, a scripted autopilot."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import time
+from contextlib import closing
+
+import pytest
+
+from companion.link import autopilot_link
+from companion.link.autopilot_link import AutopilotLink
+from companion.mavlink import px4
+from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
+from companion.mavlink.translator import Translator
+
+HOST = "127.0.0.1"
+SAID = {
+    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: mavlink.MAVLink_local_position_ned_message(0, 0, 0, 0, 0, 0, 0),
+    mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: mavlink.MAVLink_attitude_quaternion_message(0, 1, 0, 0, 0, 0, 0, 0),
+    mavlink.MAVLINK_MSG_ID_CURRENT_MODE: mavlink.MAVLink_current_mode_message(0, 6 << 16, 6 << 16),
+    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: mavlink.MAVLink_extended_sys_state_message(0, 2),
+}
+HEARTBEAT = mavlink.MAVLink_heartbeat_message(2, mavlink.MAV_AUTOPILOT_PX4, 0, 6 << 16, 4, 3)
+
+
+class ScriptedAutopilot:
+    """Sends a stream only after it was asked for it, and never hears the first request for `deaf_to`."""
+
+    def __init__(self, port: int, deaf_to: int) -> None:
+        self.asked: list[int] = []
+        self.interval_s: dict[int, float] = {}
+        self._deaf_to = deaf_to
+        self._port = port
+        self._codec = MavlinkCodec(3, mavlink.MAV_COMP_ID_AUTOPILOT1)
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+
+    async def run(self) -> None:
+        start_s, sent = time.monotonic(), dict.fromkeys(SAID, 0)
+        while True:
+            self._say(HEARTBEAT)  # every 5 ms: its mode must not pass for the stream
+            for message_id, interval_s in self.interval_s.items():
+                while sent[message_id] * interval_s < time.monotonic() - start_s:
+                    self._say(SAID[message_id])
+                    sent[message_id] += 1
+            await asyncio.sleep(0.005)
+            self._listen()
+
+    def close(self) -> None:
+        self._socket.close()
+
+    def _say(self, message: MavlinkMessage) -> None:
+        self._socket.sendto(self._codec.encode(message), (HOST, self._port))
+
+    def _listen(self) -> None:
+        while True:
+            try:
+                data = self._socket.recv(4096)
+            except BlockingIOError:
+                return
+            for message in self._codec.decode(data):
+                if message.get_type() == "COMMAND_LONG" and int(message.param1) in SAID:
+                    self._asked(int(message.param1), message.param2)
+
+    def _asked(self, message_id: int, interval_us: float) -> None:
+        self.asked.append(message_id)
+        if message_id != self._deaf_to or self.asked.count(message_id) > 1:
+            self.interval_s[message_id] = interval_us * 1e-6
+
+
+@pytest.mark.parametrize("lost", SAID)
+def test_a_lost_request_for_any_stream_is_repeated_and_a_heard_one_is_not(
+    lost: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(autopilot_link, "STREAM_CHECK_PERIOD_S", 0.5)
+
+    async def scenario() -> None:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            probe.bind((HOST, 0))
+            port = probe.getsockname()[1]
+        with (
+            closing(AutopilotLink(3, f"udpin:{HOST}:{port}", Translator(3), lambda: None)) as link,
+            closing(ScriptedAutopilot(port, lost)) as autopilot,
+        ):
+            tasks = [asyncio.create_task(job) for job in (autopilot.run(), link.receive(), link.keep_streams())]
+            async with asyncio.timeout(5.0):
+                while lost not in autopilot.interval_s:
+                    await asyncio.sleep(0.01)
+            await asyncio.sleep(0.8)  # the first period of the repeated request may have begun too early for the count
+            asked = len(autopilot.asked)
+            await asyncio.sleep(1.1)
+            assert len(autopilot.asked) == asked
+            assert autopilot.interval_s.keys() == {m for m, interval_us in px4.STREAMS_US.items() if interval_us > 0}
+            for task in tasks:
+                task.cancel()
+
+    asyncio.run(scenario())
