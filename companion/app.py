@@ -27,13 +27,11 @@ from companion.link.tick import TickMeter, TickTrigger
 from companion.link.zenoh_link import ZenohLink
 from companion.link.zenoh_session import EndpointError
 from companion.mavlink.translator import Translator
-from companion.types import Command, CommandName, FlightPhase, Inbox, Outbox, PositionSample, Telemetry
+from companion.types import Inbox, Outbox, PositionSample, Telemetry
 from companion.wire.ground import StatusReport
 
 WAIT_FOR_AUTOPILOT_S = 15.0
 HAND_OVER_S = 2.0  # at the end: how long the autopilot may take to go into its own hold
-OWN_HOLD = Command(CommandName.HOLD, -1)  # the agent's own; nobody waits for its answer
-STREAMING = (FlightPhase.ENGAGE, FlightPhase.FORMATION, FlightPhase.RELEASE)
 
 _log = logging.getLogger(__name__)
 
@@ -101,7 +99,6 @@ class ControlLoop:
         self._meter = TickMeter(time.monotonic())
         self._rejections = RejectionLog()
         self._stop_asked_s: float | None = None
-        self._hold_given = False
         self._failure: BaseException | None = None
 
     async def run(self, wait_s: float) -> bool:
@@ -137,10 +134,7 @@ class ControlLoop:
 
     def _inbox(self, now_s: float) -> Inbox:
         peers, commands = self._peers.receive(now_s)
-        if self._stop_asked_s is not None and not self._hold_given and self._agent.phase in STREAMING:
-            self._hold_given = True
-            commands += (OWN_HOLD,)
-        return Inbox(self._autopilot.drain(), peers, commands)
+        return Inbox(self._autopilot.drain(), peers, commands, stopping=self._stop_asked_s is not None)
 
     def _send(self, now_s: float, telemetry: Sequence[Telemetry], outbox: Outbox) -> None:
         """The setpoint first: a publication costs the caller up to a tenth of a millisecond."""
@@ -171,7 +165,7 @@ class ControlLoop:
             return True
         if self._stop_asked_s is None:
             return not self._autopilot.heard and now_s > give_up_s
-        return self._agent.phase not in STREAMING or now_s - self._stop_asked_s > HAND_OVER_S
+        return self._agent.has_handed_over or now_s - self._stop_asked_s > HAND_OVER_S
 
     def _stop(self, reason: str) -> None:
         if self._stop_asked_s is None:

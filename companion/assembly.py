@@ -37,7 +37,8 @@ def build_agent(config: AgentConfig, session: int) -> Agent:
         role=member.role,
         slot_enu_m=member.slot_enu_m,
         law=law_of(law, law.name),
-        altitude_hold_gains=_altitude_hold(law),
+        law_flies_altitude=law.altitude == "formation",
+        altitude_hold_gains=Gains(law.altitude_hold_gains.position_1_s2, law.altitude_hold_gains.velocity_1_s),
         reference=reference.point(config.vehicle.reference.point_enu_m) if config.vehicle.reference else None,
         takeoff_height_m=fleet.takeoff_height_m,
         envelope=_limits(fleet.envelope, config.vehicle.hover_thrust_norm),
@@ -56,12 +57,6 @@ def law_of(law: Law, name: LawName) -> FormationLaw:
     if name == "weighted":
         return formation.weighted(gains, law.exponent)
     return {"average_22": formation.average_22, "average_26": formation.average_26}[name](gains)
-
-
-def _altitude_hold(law: Law) -> Gains | None:
-    if law.altitude == "formation":
-        return None
-    return Gains(law.altitude_hold_gains.position_1_s2, law.altitude_hold_gains.velocity_1_s)
 
 
 def _neighbour_rule(fleet: FleetConfig, own_id: int) -> NeighbourRule:

@@ -92,11 +92,10 @@ class ModeSample:
 
 @dataclass(frozen=True, slots=True)
 class HeartbeatSample:
-    """HEARTBEAT of the autopilot: armed flag and MAV_STATE (`critical` is MAV_STATE_CRITICAL or worse)."""
+    """HEARTBEAT of the autopilot: its armed flag."""
 
     received_s: float
     armed: bool
-    critical: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,10 +118,10 @@ class OriginSample:
 
 @dataclass(frozen=True, slots=True)
 class AckSample:
-    """COMMAND_ACK. `command` and `result` are MAV_CMD and MAV_RESULT numbers; `reason` says the result in words."""
+    """COMMAND_ACK. `answers` are the kinds of request that the command stands for; `reason` says the result in words."""
 
     received_s: float
-    command: int
+    answers: tuple[type, ...]
     accepted: bool
     reason: str
 
@@ -163,7 +162,6 @@ class VehicleState:
     mode_name: str = "unknown"
     mode_time_s: float = float("-inf")
     armed: bool = False
-    critical: bool = False
     heartbeat_time_s: float = float("-inf")
     landed: LandedState = LandedState.UNDEFINED
     landed_time_s: float = float("-inf")
@@ -287,6 +285,8 @@ class HealthFlag(StrEnum):
     ATTITUDE_STALE = "attitude older than allowed"
     MODE_STALE = "flight mode older than allowed"
     FRAME_UNKNOWN = "the autopilot's origin is unknown"
+    ARMED_STALE = "armed state older than allowed"
+    LANDED_STALE = "landed state older than allowed"
     LEADER_LOST = "no leader's word"
     FENCE = "outside the fence"
 
@@ -329,11 +329,12 @@ class Status:
 
 @dataclass(frozen=True, slots=True)
 class Inbox:
-    """All that came in since the last tick."""
+    """All that came in since the last tick. `stopping`: the process is to end; a formation is handed over first."""
 
     telemetry: tuple[Telemetry, ...] = ()
     peers: tuple[ReceivedPeerPacket, ...] = ()
     commands: tuple[Command, ...] = ()
+    stopping: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -44,12 +44,13 @@ from companion.types import (
 
 SILENT_TOO_LONG_S = 0.5  # less than COM_OF_LOSS_T: PX4 re-enters OFFBOARD by itself when a stream returns
 ORIGIN_REPEAT_S = 1.0
+ORIGIN_REFRESH_S = 5.0  # PX4 tells a changed origin once, and that one datagram may be lost
 STATUS_PERIOD_S = 0.099  # every fifth tick of 50 Hz, also where a tick comes a little early
 
 
 @dataclass(frozen=True, slots=True)
 class AgentSetup:
-    """What does not change in flight. `altitude_hold_gains` is None where z follows the formation law, too."""
+    """What does not change in flight. Where `law_flies_altitude` is False every vehicle holds its own altitude."""
 
     vehicle_id: int
     session: int
@@ -59,7 +60,8 @@ class AgentSetup:
     role: Role
     slot_enu_m: Vector3
     law: FormationLaw
-    altitude_hold_gains: Gains | None
+    law_flies_altitude: bool
+    altitude_hold_gains: Gains
     reference: ReferenceTrajectory | None  # leaders only
     takeoff_height_m: float
     envelope: EnvelopeLimits
@@ -90,6 +92,11 @@ class Agent:
     def phase(self) -> FlightPhase:
         return self._machine.phase
 
+    @property
+    def has_handed_over(self) -> bool:
+        """No setpoint stream is left that the autopilot would miss."""
+        return self.phase is not FlightPhase.RELEASE and not self._machine.streams(self._tracker.state)
+
     def reject(self, reason: str) -> None:
         """Count a message that was refused before it came here."""
         self._refused[reason] += 1
@@ -100,10 +107,13 @@ class Agent:
         around = self._cooperation.update(now_s, vehicle.position_enu_m, inbox.peers)
         flags = health_flags(now_s, vehicle, around.leader_word, self._setup.ages, self._setup.envelope)
 
+        self._machine.follow_truth(vehicle)
         streamed = self._machine.streams(vehicle)
         replies = tuple(self._obey(command, now_s, vehicle, flags) for command in inbox.commands)
         if self._machine.streams(vehicle) and not streamed:
             self._open_stream(now_s, vehicle)
+        if inbox.stopping:
+            self._machine.hand_over(now_s, vehicle, "this agent is to stop")
         self._act_on(flags, now_s, vehicle)
         requests = self._ask_origin(now_s, vehicle) + self._machine.advance(now_s, vehicle, inbox.telemetry)
 
@@ -135,32 +145,33 @@ class Agent:
         return CommandReply(self._setup.vehicle_id, command.number, accepted, reason)
 
     def _missing_for(self, name: CommandName, flags: frozenset[HealthFlag]) -> list[str]:
-        """Landing and holding are always allowed; the rest needs a vehicle that knows where it is."""
+        """Landing, holding and disarming need nothing; the rest needs a vehicle that knows where and how it is."""
         if name in (CommandName.LAND, CommandName.HOLD, CommandName.DISARM):
             return []
-        needed = {HealthFlag.STATE_STALE, HealthFlag.ATTITUDE_STALE, HealthFlag.MODE_STALE, HealthFlag.FRAME_UNKNOWN}
-        if name is CommandName.FORM:
-            needed |= {HealthFlag.LEADER_LOST, HealthFlag.FENCE}
-        return sorted(needed & flags)
+        unneeded = set() if name is CommandName.FORM else {HealthFlag.LEADER_LOST}
+        return sorted(flags - unneeded)
 
     def _act_on(self, flags: frozenset[HealthFlag], now_s: float, vehicle: VehicleState) -> None:
         if not self._machine.streams(vehicle):
             return
         reason = ", ".join(sorted(flags)) or "nothing to decide on"
         if now_s - self._spoke_s > SILENT_TOO_LONG_S:
-            self._machine.give_up(f"silent for {SILENT_TOO_LONG_S} s: {reason}")
+            if self._machine.phase in (FlightPhase.ENGAGE, FlightPhase.FORMATION):
+                self._machine.give_up(f"silent for {SILENT_TOO_LONG_S} s: {reason}")
+            else:
+                self._machine.end_stream()
         elif failsafe_action(flags) is FailsafeAction.HOLD:
             self._machine.hand_over(now_s, vehicle, reason)
 
     def _ask_origin(self, now_s: float, vehicle: VehicleState) -> tuple[AutopilotRequest, ...]:
-        if vehicle.altitude_amsl_m is not None or now_s - self._origin_asked_s < ORIGIN_REPEAT_S:
+        period_s = ORIGIN_REPEAT_S if vehicle.altitude_amsl_m is None else ORIGIN_REFRESH_S
+        if now_s - self._origin_asked_s < period_s:
             return ()
         self._origin_asked_s = now_s
         return (RequestOrigin(),)
 
     def _open_stream(self, now_s: float, vehicle: VehicleState) -> None:
         self._yaw_rad = vehicle.yaw_rad
-        self._hold_altitude_m = vehicle.position_enu_m[2]
         self._spoke_s = now_s
         self._gate.open_at(now_s, self._level(vehicle))
 
@@ -170,20 +181,32 @@ class Agent:
         return new and failsafe_action(flags) is not FailsafeAction.SILENT
 
     def _acceleration(self, now_s: float, vehicle: VehicleState, around: Neighbourhood) -> Vector3:
-        """Eq. 14, within what the envelope's tilt and thrust can give. Zero until the autopilot has taken the stream."""
-        if self._machine.phase is FlightPhase.ENGAGE:
-            self._formation_since_s = now_s
-            return ZERO3
-        own = place(vehicle.position_enu_m, vehicle.velocity_enu_m_s, self._setup.slot_enu_m)
-        wanted = formation_acceleration(self._setup.law, own, around.neighbours, self._reference(now_s))
-        if self._setup.altitude_hold_gains is not None:
-            climb_m = vehicle.position_enu_m[2] - self._hold_altitude_m
-            hold = feedback(
-                self._setup.altitude_hold_gains, (0.0, 0.0, climb_m), (0.0, 0.0, vehicle.velocity_enu_m_s[2])
-            )
-            wanted = (wanted[0], wanted[1], hold[2])
+        """What the phase wants, within what the envelope's tilt and thrust can give."""
+        match self._machine.phase:
+            case FlightPhase.ENGAGE:  # the autopilot has not taken the stream yet
+                self._formation_since_s = now_s
+                self._hold_altitude_m = vehicle.position_enu_m[2]
+                return ZERO3
+            case FlightPhase.FORMATION:
+                wanted = self._formation_acceleration(now_s, vehicle, around)
+            case _:  # handing over: brake, and keep the altitude
+                wanted = self._braking(vehicle)
         envelope = self._setup.envelope
         return limit_acceleration(wanted, envelope.max_tilt_rad, envelope.min_thrust_ratio, envelope.max_thrust_ratio)
+
+    def _formation_acceleration(self, now_s: float, vehicle: VehicleState, around: Neighbourhood) -> Vector3:
+        """Eq. 14, or on z the vehicle's own altitude hold."""
+        own = place(vehicle.position_enu_m, vehicle.velocity_enu_m_s, self._setup.slot_enu_m)
+        wanted = formation_acceleration(self._setup.law, own, around.neighbours, self._reference(now_s))
+        if self._setup.law_flies_altitude:
+            self._hold_altitude_m = vehicle.position_enu_m[2]  # where a hand-over begins
+            return wanted
+        return (wanted[0], wanted[1], self._braking(vehicle)[2])
+
+    def _braking(self, vehicle: VehicleState) -> Vector3:
+        """Against the velocity, and back to the altitude held."""
+        climb_m = vehicle.position_enu_m[2] - self._hold_altitude_m
+        return feedback(self._setup.altitude_hold_gains, (0.0, 0.0, climb_m), vehicle.velocity_enu_m_s)
 
     def _target(self, now_s: float, vehicle: VehicleState, acceleration: Vector3) -> AttitudeTarget | None:
         """What passes the last gate; None where nothing does, and the count of it is in the status."""

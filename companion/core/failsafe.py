@@ -14,6 +14,8 @@ ACTIONS: dict[HealthFlag, FailsafeAction] = {
     HealthFlag.ATTITUDE_STALE: FailsafeAction.SILENT,
     HealthFlag.MODE_STALE: FailsafeAction.SILENT,
     HealthFlag.FRAME_UNKNOWN: FailsafeAction.SILENT,
+    HealthFlag.ARMED_STALE: FailsafeAction.HOLD,
+    HealthFlag.LANDED_STALE: FailsafeAction.HOLD,
     HealthFlag.LEADER_LOST: FailsafeAction.HOLD,
     HealthFlag.FENCE: FailsafeAction.HOLD,
 }

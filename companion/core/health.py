@@ -16,6 +16,8 @@ class AgeLimits:
     state_s: float = 0.04  # two periods of 50 Hz: no fresh decision, no setpoint
     attitude_s: float = 0.1
     mode_s: float = 0.5  # without it a pilot's take-over would go unseen
+    armed_s: float = 3.0  # PX4 sends HEARTBEAT once a second, whatever is asked
+    landed_s: float = 3.0
 
 
 def health_flags(
@@ -34,6 +36,10 @@ def _raised(
         yield HealthFlag.ATTITUDE_STALE
     if now_s - vehicle.mode_time_s > ages.mode_s:
         yield HealthFlag.MODE_STALE
+    if now_s - vehicle.heartbeat_time_s > ages.armed_s:
+        yield HealthFlag.ARMED_STALE
+    if now_s - vehicle.landed_time_s > ages.landed_s:
+        yield HealthFlag.LANDED_STALE
     if not vehicle.frame_known:
         yield HealthFlag.FRAME_UNKNOWN
     if leader_word is None:

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 
 from companion.types import LeaderWord
 
-FORGET_S = 2.0
+HOPS_S = 10.0  # more than a tick for each hop through the largest fleet
 
 
 class LeaderWatch:
@@ -23,6 +23,7 @@ class LeaderWatch:
 
     def __init__(self, max_age_s: float) -> None:
         self._max_age_s = max_age_s
+        self._forget_s = 2.0 * max_age_s + HOPS_S
         self._newest: dict[int, tuple[LeaderWord, float]] = {}  # leader id -> newest word, when it came
 
     def hear(self, now_s: float, words: Iterable[LeaderWord | None]) -> None:
@@ -31,7 +32,7 @@ class LeaderWatch:
             if word is None:
                 continue
             newest = self._newest.get(word.leader_id)
-            if newest is None or now_s - newest[1] > FORGET_S or _later(word, newest[0]):
+            if newest is None or now_s - newest[1] > self._forget_s or _later(word, newest[0]):
                 self._newest[word.leader_id] = (word, now_s)
 
     def youngest(self, now_s: float) -> tuple[LeaderWord | None, float]:

@@ -47,26 +47,41 @@ def in_air(vehicle: VehicleState) -> bool:
     return vehicle.armed and vehicle.landed is not LandedState.ON_GROUND
 
 
+def _mode_time_s(vehicle: VehicleState) -> float:
+    return vehicle.mode_time_s
+
+
+def _heartbeat_time_s(vehicle: VehicleState) -> float:
+    return vehicle.heartbeat_time_s
+
+
 def _hold(_vehicle: VehicleState, _height_m: float) -> Procedure:
     # The settling time: an OFFBOARD request sent just before a hold may still arrive after it looked done.
-    return Procedure(SetMode(M.HOLD), _mode_is(M.HOLD), _mode_is(M.HOLD), timeout_s=5.0, settle_s=0.2)
+    held = _mode_is(M.HOLD)
+    return Procedure(SetMode(M.HOLD), held, held, _mode_time_s, timeout_s=5.0, settle_s=0.2)
 
 
 def _offboard(_vehicle: VehicleState, _height_m: float) -> Procedure:
     taken = _mode_is(M.OFFBOARD)
-    return Procedure(SetMode(M.OFFBOARD), taken, taken, timeout_s=5.0, delay_s=STREAM_BEFORE_OFFBOARD_S)
+    return Procedure(SetMode(M.OFFBOARD), taken, taken, _mode_time_s, timeout_s=5.0, delay_s=STREAM_BEFORE_OFFBOARD_S)
 
 
 def _arm(_vehicle: VehicleState, _height_m: float) -> Procedure:
-    return Procedure(Arm(), _armed, _armed, timeout_s=10.0, repeat_s=1.0)
+    # Once accepted it is never asked again: who disarms meanwhile means it. HEARTBEAT shows it only once a second.
+    return Procedure(Arm(), _armed, _armed, _heartbeat_time_s, timeout_s=10.0, repeat_s=1.5, acceptance_counts=True)
 
 
 def _disarm(_vehicle: VehicleState, _height_m: float) -> Procedure:
-    return Procedure(Disarm(), _disarmed, _disarmed, timeout_s=5.0)
+    return Procedure(Disarm(), _disarmed, _disarmed, _heartbeat_time_s, timeout_s=5.0)
 
 
 def _land(_vehicle: VehicleState, _height_m: float) -> Procedure:
-    return Procedure(SetMode(M.LAND), _mode_is(M.LAND), _disarmed, timeout_s=120.0)
+    # On the ground there is only the disarming to wait for, whatever mode is shown or set there.
+    return Procedure(SetMode(M.LAND), _lands_or_has_landed, _disarmed, _heartbeat_time_s, timeout_s=120.0)
+
+
+def _lands_or_has_landed(vehicle: VehicleState) -> bool:
+    return vehicle.mode is M.LAND or vehicle.landed is LandedState.ON_GROUND
 
 
 def _take_off(vehicle: VehicleState, height_m: float) -> Procedure:
@@ -77,6 +92,7 @@ def _take_off(vehicle: VehicleState, height_m: float) -> Procedure:
         TakeOff(vehicle.altitude_amsl_m + height_m, height_m),
         taken=lambda v: v.mode is M.TAKEOFF or in_air(v),
         done=lambda v: v.mode is M.HOLD and abs(v.position_enu_m[2] - target_z_m) < CLIMBED_WITHIN_M,
+        truth_time=_mode_time_s,
         timeout_s=15.0 + 2.0 * height_m,
     )
 
@@ -93,11 +109,11 @@ class Rule:
     procedure: Callable[[VehicleState, float], Procedure]  # ValueError where the state does not allow it
 
 
-ON_GROUND = frozenset({P.READY, P.ARM, P.ARMED})
+ON_GROUND = frozenset({P.PREPARE, P.READY, P.ARM, P.ARMED})
 FLYING = frozenset({P.TAKEOFF, P.HOLD, P.ENGAGE, P.FORMATION, P.RELEASE, P.LAND})
 
 RULES: dict[CommandName, Rule] = {
-    C.PREPARE: Rule(frozenset({P.OBSERVE, P.READY}), P.PREPARE, P.READY, P.OBSERVE, True, _hold),
+    C.PREPARE: Rule(frozenset({P.OBSERVE}), P.PREPARE, P.READY, P.OBSERVE, True, _hold),
     C.ARM: Rule(frozenset({P.READY}), P.ARM, P.ARMED, P.READY, True, _arm),
     C.TAKEOFF: Rule(frozenset({P.ARMED}), P.TAKEOFF, P.HOLD, P.OBSERVE, True, _take_off),
     C.FORM: Rule(frozenset({P.HOLD}), P.ENGAGE, P.FORMATION, P.HOLD, False, _offboard),
@@ -107,8 +123,11 @@ RULES: dict[CommandName, Rule] = {
 }
 
 # The modes that a phase brings about. While its procedure runs it tolerates the mode that it began in, too.
-# Phases on the ground live with any mode.
 MODES: dict[FlightPhase, frozenset[AutopilotMode]] = {
+    P.PREPARE: frozenset({M.HOLD}),
+    P.READY: frozenset({M.HOLD}),
+    P.ARM: frozenset({M.HOLD}),
+    P.ARMED: frozenset({M.HOLD}),
     P.TAKEOFF: frozenset({M.TAKEOFF, M.HOLD}),
     P.HOLD: frozenset({M.HOLD}),
     P.ENGAGE: frozenset({M.HOLD, M.OFFBOARD}),
@@ -160,11 +179,14 @@ class PhaseMachine:
         """Back to OBSERVE: nothing more is sent until a command comes."""
         self._enter(P.OBSERVE, reason)
 
+    def end_stream(self) -> None:
+        """No more setpoints, but whatever was asked of the autopilot is still asked."""
+        self._leaving_formation = False
+
     def advance(
         self, now_s: float, vehicle: VehicleState, telemetry: Iterable[Telemetry]
     ) -> tuple[AutopilotRequest, ...]:
-        """Follow the autopilot's truth by one tick; what is to be asked of it now."""
-        self._follow_truth(vehicle)
+        """One tick of the procedure under way; what is to be asked of the autopilot now."""
         if self._running is None or self._rule is None:
             return ()
         self._running.hear(telemetry)
@@ -195,12 +217,14 @@ class PhaseMachine:
         self._leaving_formation = False
         self._tolerated = frozenset()
 
-    def _follow_truth(self, vehicle: VehicleState) -> None:
-        """Someone else changed the mode or disarmed: observe."""
+    def follow_truth(self, vehicle: VehicleState) -> None:
+        """Someone else changed the mode, armed, disarmed or took off: observe. Comes before anything else in a tick."""
         must_be_armed = self.phase is P.ARMED or (self.phase in FLYING and self.phase is not P.LAND)
         if must_be_armed and not vehicle.armed:
             self._enter(P.OBSERVE, "the autopilot disarmed")
-        elif vehicle.armed and not self._mode_is_ours(vehicle):
+        elif self.phase in ON_GROUND and in_air(vehicle):
+            self._enter(P.OBSERVE, "someone else flies")
+        elif (vehicle.armed or self.phase in ON_GROUND) and not self._mode_is_ours(vehicle):
             self._enter(P.OBSERVE, f"mode {vehicle.mode_name} was set by someone else")
 
     def _mode_is_ours(self, vehicle: VehicleState) -> bool:

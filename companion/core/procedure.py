@@ -24,16 +24,20 @@ class Progress(Enum):
 class Procedure:
     """`taken` ends the repeating, `done` ends the procedure. The first request goes out after `delay_s`, whatever `taken` says.
 
-    `done` is not believed before `settle_s`: a request on its way may still change what already looks right.
+    `done` is not believed before `settle_s` (a request on its way may still change what already looks right), nor from a
+    truth that is older than the first request: `truth_time` says of when it is. Where `acceptance_counts`, an accepted
+    answer ends the repeating, too.
     """
 
     request: AutopilotRequest
     taken: Truth
     done: Truth
+    truth_time: Callable[[VehicleState], float]
     timeout_s: float
     delay_s: float = 0.0
     settle_s: float = 0.0
     repeat_s: float = 0.5
+    acceptance_counts: bool = False
 
 
 @dataclass(slots=True)
@@ -44,28 +48,35 @@ class RunningProcedure:
     started_s: float
     reason: str = "no answer from the autopilot"
     _next_s: float = field(init=False)
-    _sent: bool = False
+    _sent_s: float | None = None
+    _accepted: bool = False
 
     def __post_init__(self) -> None:
         self._next_s = self.started_s + self.procedure.delay_s
 
     def hear(self, telemetry: Iterable[Telemetry]) -> None:
         for sample in telemetry:
-            if isinstance(sample, AckSample) and not sample.accepted:
-                self.reason = sample.reason
+            if isinstance(sample, AckSample) and isinstance(self.procedure.request, sample.answers):
+                self._accepted = sample.accepted
+                if not sample.accepted:
+                    self.reason = sample.reason
             elif isinstance(sample, TextSample) and sample.severity <= 4:  # MAV_SEVERITY_WARNING and worse
                 self.reason = sample.text
 
     def progress(self, now_s: float, vehicle: VehicleState) -> Progress:
         elapsed_s = now_s - self.started_s
-        if self._sent and elapsed_s >= self.procedure.settle_s and self.procedure.done(vehicle):
+        new = self._sent_s is not None and self.procedure.truth_time(vehicle) > self._sent_s
+        if new and elapsed_s >= self.procedure.settle_s and self.procedure.done(vehicle):
             return Progress.DONE
         return Progress.FAILED if elapsed_s > self.procedure.timeout_s else Progress.PENDING
 
     def due(self, now_s: float, vehicle: VehicleState) -> tuple[AutopilotRequest, ...]:
         """The request, whenever it is time to send it (again)."""
-        if now_s < self._next_s or (self._sent and self.procedure.taken(vehicle)):
+        if now_s < self._next_s or (self._sent_s is not None and self._needs_no_repeat(vehicle)):
             return ()
-        self._sent = True
+        self._sent_s = now_s if self._sent_s is None else self._sent_s
         self._next_s = now_s + self.procedure.repeat_s
         return (self.procedure.request,)
+
+    def _needs_no_repeat(self, vehicle: VehicleState) -> bool:
+        return self.procedure.taken(vehicle) or (self._accepted and self.procedure.acceptance_counts)

@@ -54,9 +54,7 @@ class VehicleTracker:
                 case ModeSample():
                     self._fields.update(mode=sample.mode, mode_name=sample.name, mode_time_s=sample.received_s)
                 case HeartbeatSample():
-                    self._fields.update(
-                        armed=sample.armed, critical=sample.critical, heartbeat_time_s=sample.received_s
-                    )
+                    self._fields.update(armed=sample.armed, heartbeat_time_s=sample.received_s)
                 case LandedSample():
                     self._fields.update(landed=sample.landed, landed_time_s=sample.received_s)
                 case OriginSample():
@@ -73,6 +71,8 @@ class VehicleTracker:
         if not _within(sample.position_local_enu_m, MAX_LOCAL_M) or not _within(sample.velocity_enu_m_s, MAX_SPEED_M_S):
             self.rejected["position not plausible"] += 1
             return
+        if step_s <= -REBOOT_S:
+            self._forget_origin()
         self._boot_time_s = sample.boot_time_s
         if self._offset_enu_m is None:
             return
@@ -84,6 +84,15 @@ class VehicleTracker:
             position_time_s=sample.received_s,
             altitude_amsl_m=None if self._own_origin_altitude_m is None else self._own_origin_altitude_m + up,
         )
+
+    def _forget_origin(self) -> None:
+        """The autopilot began anew, and its origin with it; in a local frame only its altitude is lost."""
+        self._own_origin_altitude_m = None
+        self._fields.update(altitude_amsl_m=None)
+        if self._fleet_origin is not None:
+            self._offset_enu_m = None
+            self._fields.update(frame_known=False)
+            self._fields.pop("position_time_s", None)
 
     def _fold_attitude(self, sample: AttitudeSample) -> None:
         if not all(map(isfinite, (sample.roll_rad, sample.pitch_rad, sample.yaw_rad))):
@@ -103,9 +112,12 @@ class VehicleTracker:
             return
         self._own_origin_altitude_m = sample.altitude_amsl_m
         if self._fleet_origin is not None:
-            self._offset_enu_m = enu_from_geodetic(
+            offset_enu_m = enu_from_geodetic(
                 sample.latitude_deg, sample.longitude_deg, sample.altitude_amsl_m, self._fleet_origin
             )
+            if offset_enu_m != self._offset_enu_m:
+                self._fields.pop("position_time_s", None)  # the last position was of the old origin
+            self._offset_enu_m = offset_enu_m
         self._fields.update(frame_known=True)
 
 

@@ -30,6 +30,14 @@ MODES = {
 }
 MEANING = {numbers: mode for mode, numbers in MODES.items()}
 
+# What a COMMAND_ACK answers.
+ANSWERS: dict[int, tuple[type, ...]] = {
+    mavlink.MAV_CMD_DO_SET_MODE: (SetMode,),
+    mavlink.MAV_CMD_COMPONENT_ARM_DISARM: (Arm, Disarm),
+    mavlink.MAV_CMD_NAV_TAKEOFF: (TakeOff,),
+    mavlink.MAV_CMD_REQUEST_MESSAGE: (RequestOrigin,),
+}
+
 # Message id -> microseconds between messages (MAV_CMD_SET_MESSAGE_INTERVAL); -1 is off. CURRENT_MODE shows a change of
 # mode within 20 ms, where HEARTBEAT stays at 1 Hz whatever is asked. What is off would only cost the companion time.
 STREAMS_US = {

@@ -5,6 +5,7 @@ from __future__ import annotations
 from math import isfinite
 
 from companion.frames import enu_from_ned, euler_enu_from_ned, euler_from_quaternion
+from companion.mavlink import px4
 from companion.mavlink.codec import MavlinkMessage, mavlink
 from companion.types import (
     AckSample,
@@ -50,12 +51,8 @@ def attitude(message: MavlinkMessage, received_s: float) -> AttitudeSample | Non
 
 
 def heartbeat(message: MavlinkMessage, received_s: float) -> HeartbeatSample:
-    """HEARTBEAT's armed flag and MAV_STATE."""
-    return HeartbeatSample(
-        received_s,
-        armed=bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED),
-        critical=message.system_status >= mavlink.MAV_STATE_CRITICAL,
-    )
+    """HEARTBEAT's armed flag."""
+    return HeartbeatSample(received_s, armed=bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED))
 
 
 def landed(message: MavlinkMessage, received_s: float) -> LandedSample:
@@ -75,7 +72,7 @@ def acknowledgement(message: MavlinkMessage, received_s: float) -> AckSample:
     entry = mavlink.enums["MAV_CMD"].get(message.command)
     name = entry.name.removeprefix("MAV_CMD_") if entry else f"command {message.command}"
     word = RESULT_WORDS.get(message.result, f"result {message.result}")
-    return AckSample(received_s, message.command, accepted, f"{name} {word}")
+    return AckSample(received_s, px4.ANSWERS.get(message.command, ()), accepted, f"{name} {word}")
 
 
 class TextAssembler:

@@ -77,6 +77,10 @@ class Flight:
         self.peer_position: Vector3 | None = (0.0, 0.0, 1.0)
         self.outbox = Outbox()
         self.tells_origin = True
+        self.withheld: tuple[type, ...] = ()
+        self.velocity: Vector3 = (0.0, 0.0, 0.0)
+        self.peer_phase = FlightPhase.FORMATION
+        self.stopping = False
         self.roll_rad = 0.0
         self.targets: list[AttitudeTarget] = []
         self.events: list[str] = []
@@ -84,17 +88,20 @@ class Flight:
 
     def telemetry(self) -> list[Telemetry]:
         t = self.now_s
+        return [sample for sample in self._all_telemetry(t) if not isinstance(sample, self.withheld)]
+
+    def _all_telemetry(self, t: float) -> list[Telemetry]:
         return [
             AttitudeSample(t, self.roll_rad, 0.0, 0.3),
             ModeSample(t, self.mode, self.mode),
-            HeartbeatSample(t, self.armed, False),
+            HeartbeatSample(t, self.armed),
             LandedSample(t, self.landed),
             *(
                 [OriginSample(t, 47.0, 8.0, 400.0)]
                 if RequestOrigin() in self.outbox.requests and self.tells_origin
                 else []
             ),
-            PositionSample(t, t - 50.0, self.position, (0.0, 0.0, 0.0)),
+            PositionSample(t, t - 50.0, self.position, self.velocity),
         ]
 
     def peer(self) -> list[ReceivedPeerPacket]:
@@ -107,7 +114,7 @@ class Flight:
             session=1,
             sequence=self._peer_sequence,
             formation_hash=self.fleet.formation_hash(),
-            phase=FlightPhase.FORMATION,
+            phase=self.peer_phase,
             role=Role.LEADER if leads == 1 else Role.FOLLOWER,
             position_enu_m=self.peer_position,
             velocity_enu_m_s=(0.0, 0.0, 0.0),
@@ -126,7 +133,8 @@ class Flight:
         self.now_s += 0.02
         commands = tuple(Command(name, number) for number, name in enumerate(names))
         samples = self.telemetry() if telemetry is None else telemetry
-        self.outbox = self.agent.step(self.now_s, Inbox(tuple(samples), tuple(self.peer()), commands))
+        inbox = Inbox(tuple(samples), tuple(self.peer()), commands, self.stopping)
+        self.outbox = self.agent.step(self.now_s, inbox)
         self._obey()
         if self.outbox.attitude_target:
             self.targets.append(self.outbox.attitude_target)
@@ -158,9 +166,8 @@ class Flight:
 
 def test_on_the_ground_and_after_start_it_sends_no_setpoint() -> None:
     flight = Flight()
-    assert flight.tick().requests == (RequestOrigin(),)
-    for _ in range(100):
-        assert flight.tick().requests == ()
+    asked = [request for _ in range(1000) for request in flight.tick().requests]
+    assert asked == [RequestOrigin()] * 4  # in 20 s: it may have changed without our hearing of it
     assert flight.targets == []
 
 
@@ -352,3 +359,98 @@ def test_a_status_comes_ten_times_a_second() -> None:
     statuses = [status for _ in range(100) if (status := flight.tick().status)]
     assert len(statuses) == 20
     assert replace(statuses[-1], state_age_s=0.0).phase is FlightPhase.OBSERVE
+
+
+# ---------------------------------------------------------------- the pilot, and what is stale
+
+
+def test_a_failsafe_in_the_tick_of_the_pilots_take_over_does_not_override_the_pilot() -> None:
+    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight.mode, flight.position = AutopilotMode.OTHER, (-101.0, 0.0, 1.0)
+    for _ in range(200):
+        outbox = flight.tick()
+        assert outbox.attitude_target is None
+        assert [r for r in outbox.requests if isinstance(r, SetMode)] == []
+    assert flight.agent.phase is FlightPhase.OBSERVE
+
+
+def test_a_command_in_the_tick_of_the_pilots_take_over_is_refused() -> None:
+    flight = Flight().fly_to(FlightPhase.HOLD)
+    flight.mode = AutopilotMode.OTHER
+    reply = flight.tick(CommandName.FORM).replies[0]
+    assert not reply.accepted
+    assert flight.agent.phase is FlightPhase.OBSERVE
+
+
+def test_an_agent_that_stops_hands_over_but_never_takes_from_a_pilot() -> None:
+    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight.stopping = True
+    assert not flight.agent.has_handed_over
+    for _ in range(30):
+        flight.tick()
+    assert flight.mode is AutopilotMode.HOLD
+    assert flight.agent.has_handed_over
+    flown = Flight().fly_to(FlightPhase.FORMATION)
+    flown.stopping, flown.mode = True, AutopilotMode.OTHER
+    for _ in range(30):
+        assert [r for r in flown.tick().requests if isinstance(r, SetMode)] == []
+
+
+@pytest.mark.parametrize("kind", [ModeSample, AttitudeSample])
+def test_without_mode_or_attitude_it_falls_silent(kind: type) -> None:
+    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight.withheld = (kind,)
+    for _ in range(30):
+        flight.tick()
+    assert flight.outbox.attitude_target is None
+
+
+@pytest.mark.parametrize("kind", [HeartbeatSample, LandedSample])
+def test_without_armed_or_landed_state_it_hands_over(kind: type) -> None:
+    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight.withheld = (kind,)
+    for _ in range(200):
+        flight.tick()
+    assert flight.agent.phase is FlightPhase.HOLD
+    assert not flight.tick(CommandName.FORM).replies[0].accepted
+
+
+def test_no_formation_from_outside_the_fence() -> None:
+    flight = Flight().fly_to(FlightPhase.HOLD)
+    flight.position = (-101.0, 0.0, 1.0)
+    reply = flight.tick(CommandName.FORM).replies[0]
+    assert not reply.accepted
+    assert HealthFlag.FENCE in reply.reason
+
+
+@pytest.mark.parametrize("phase", [FlightPhase.OBSERVE, FlightPhase.TAKEOFF, FlightPhase.LAND])
+def test_a_peer_that_lands_or_is_flown_by_its_pilot_is_nobodys_neighbour(phase: FlightPhase) -> None:
+    flight = Flight().fly_to(FlightPhase.HOLD)
+    flight.peer_phase = phase
+    statuses = [status for _ in range(20) if (status := flight.tick().status)]
+    assert statuses[-1].neighbours == ()
+
+
+def test_a_landing_is_asked_for_even_when_the_state_goes_stale() -> None:
+    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight.tick(CommandName.LAND)
+    flight.mode = AutopilotMode.OFFBOARD  # the one request was lost
+    for _ in range(40):
+        flight.tick(telemetry=[])
+    assert flight.agent.phase is FlightPhase.LAND
+    for _ in range(30):
+        assert flight.tick().attitude_target is None
+    assert flight.mode is AutopilotMode.LAND
+
+
+def test_while_it_hands_over_it_brakes_and_keeps_its_altitude() -> None:
+    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight.tick()
+    flight.peer_position = (-120.0, 0.0, 1.0)  # a neighbour that would pull it farther out
+    flight.position, flight.velocity = (-101.0, 0.0, 0.9), (3.0, 0.0, -1.0)
+    flight.tick()
+    assert flight.agent.phase is FlightPhase.RELEASE
+    assert flight.outbox.peer_packet is not None
+    ux, _, uz = flight.outbox.peer_packet.acceleration_enu_m_s2
+    assert ux < -2.0
+    assert uz == pytest.approx(2.0 * 0.1 + 2.4 * 1.0, abs=0.01)

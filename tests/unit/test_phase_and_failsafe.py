@@ -1,6 +1,6 @@
 """Every command in every phase, the pilot's take-over, and the failsafe table."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import chain, combinations
 
@@ -19,13 +19,31 @@ from companion.types import (
     FlightPhase,
     HealthFlag,
     LandedState,
+    RequestOrigin,
     SetMode,
     TakeOff,
+    Telemetry,
     VehicleState,
 )
 
-GROUND = VehicleState(mode=AutopilotMode.OTHER, mode_name="POSCTL", landed=LandedState.ON_GROUND, altitude_amsl_m=488.0)
+NEW = float("inf")  # truth that is always newer than what was asked
+GROUND = VehicleState(
+    mode_time_s=NEW,
+    heartbeat_time_s=NEW,
+    mode=AutopilotMode.OTHER,
+    mode_name="POSCTL",
+    landed=LandedState.ON_GROUND,
+    altitude_amsl_m=488.0,
+)
 AIR = replace(GROUND, armed=True, landed=LandedState.IN_AIR, mode=AutopilotMode.HOLD, position_enu_m=(0.0, 0.0, 2.5))
+
+
+def tick(
+    machine: PhaseMachine, now_s: float, vehicle: VehicleState, telemetry: Sequence[Telemetry]
+) -> tuple[AutopilotRequest, ...]:
+    """What the agent does with the machine in a tick without commands."""
+    machine.follow_truth(vehicle)
+    return machine.advance(now_s, vehicle, telemetry)
 
 
 class Obedient:
@@ -59,7 +77,7 @@ def flown_to(phase: FlightPhase) -> tuple[PhaseMachine, Obedient, float]:
         for _ in range(100):
             if machine.phase is phase:
                 return machine, autopilot, now_s
-            autopilot.obey(machine.advance(now_s, autopilot.state, ()))
+            autopilot.obey(tick(machine, now_s, autopilot.state, ()))
             now_s += 0.02
     return machine, autopilot, now_s
 
@@ -69,11 +87,11 @@ def test_the_ordinary_flight() -> None:
     assert machine.phase is FlightPhase.FORMATION
     assert [type(r) for r in autopilot.asked] == [SetMode, Arm, TakeOff, SetMode]
     assert machine.command(CommandName.LAND, now_s, autopilot.state)[0]
-    autopilot.obey(machine.advance(now_s, autopilot.state, ()))
+    autopilot.obey(tick(machine, now_s, autopilot.state, ()))
     assert autopilot.state.mode is AutopilotMode.LAND
-    machine.advance(now_s + 0.02, autopilot.state, ())
+    tick(machine, now_s + 0.02, autopilot.state, ())
     assert machine.phase is FlightPhase.LAND
-    machine.advance(now_s + 5.0, replace(autopilot.state, armed=False), ())
+    tick(machine, now_s + 5.0, replace(autopilot.state, armed=False), ())
     assert machine.phase is FlightPhase.OBSERVE
 
 
@@ -82,7 +100,7 @@ def test_setpoints_stream_until_the_autopilot_has_taken_over() -> None:
     machine.command(CommandName.HOLD, now_s, autopilot.state)
     assert machine.phase is FlightPhase.RELEASE
     assert machine.streams(autopilot.state)
-    autopilot.obey(machine.advance(now_s, autopilot.state, ()))
+    autopilot.obey(tick(machine, now_s, autopilot.state, ()))
     assert not machine.streams(autopilot.state)
 
 
@@ -94,19 +112,19 @@ def test_the_pilot_always_wins(phase: FlightPhase) -> None:
         machine.command(CommandName.HOLD, now_s, autopilot.state)
     assert machine.phase is phase
     flown_by_pilot = replace(AIR, mode=AutopilotMode.OTHER, mode_name="POSCTL")
-    assert machine.advance(now_s, flown_by_pilot, ()) == ()
+    assert tick(machine, now_s, flown_by_pilot, ()) == ()
     assert machine.phase is FlightPhase.OBSERVE
     assert not machine.streams(flown_by_pilot)
-    for tick in range(500):
-        assert machine.advance(now_s + 0.02 * tick, flown_by_pilot, ()) == ()
+    for count in range(500):
+        assert tick(machine, now_s + 0.02 * count, flown_by_pilot, ()) == ()
 
 
 def test_the_pilot_wins_over_a_landing_that_has_begun() -> None:
     machine, autopilot, now_s = flown_to(FlightPhase.HOLD)
     machine.command(CommandName.LAND, now_s, autopilot.state)
-    autopilot.obey(machine.advance(now_s, autopilot.state, ()))
-    machine.advance(now_s + 0.02, autopilot.state, ())
-    machine.advance(now_s + 0.04, replace(autopilot.state, mode=AutopilotMode.HOLD, mode_name="HOLD"), ())
+    autopilot.obey(tick(machine, now_s, autopilot.state, ()))
+    tick(machine, now_s + 0.02, autopilot.state, ())
+    tick(machine, now_s + 0.04, replace(autopilot.state, mode=AutopilotMode.HOLD, mode_name="HOLD"), ())
     assert machine.phase is FlightPhase.OBSERVE
 
 
@@ -131,11 +149,11 @@ def test_every_command_in_every_phase_is_accepted_by_the_table_or_refused_in_wor
 def test_on_the_ground_a_landing_waits_for_the_disarming_whatever_the_mode() -> None:
     machine, autopilot, now_s = flown_to(FlightPhase.HOLD)
     machine.command(CommandName.LAND, now_s, autopilot.state)
-    autopilot.obey(machine.advance(now_s, autopilot.state, ()))
+    autopilot.obey(tick(machine, now_s, autopilot.state, ()))
     down = replace(autopilot.state, mode=AutopilotMode.HOLD, landed=LandedState.ON_GROUND)
-    machine.advance(now_s + 5.0, down, ())
+    tick(machine, now_s + 5.0, down, ())
     assert machine.phase is FlightPhase.LAND
-    machine.advance(now_s + 6.0, replace(down, armed=False), ())
+    tick(machine, now_s + 6.0, replace(down, armed=False), ())
     assert machine.phase is FlightPhase.OBSERVE
     assert "someone else" not in machine.events[-1]
 
@@ -144,10 +162,10 @@ def test_offboard_shown_again_at_disarming_starts_no_stream() -> None:
     machine, autopilot, now_s = flown_to(FlightPhase.FORMATION)
     offboard = autopilot.state
     machine.command(CommandName.LAND, now_s, offboard)
-    autopilot.obey(machine.advance(now_s, offboard, ()))
-    machine.advance(now_s + 0.02, autopilot.state, ())
+    autopilot.obey(tick(machine, now_s, offboard, ()))
+    tick(machine, now_s + 0.02, autopilot.state, ())
     down = replace(offboard, landed=LandedState.ON_GROUND)  # PX4 shows the intended mode again before it is disarmed
-    machine.advance(now_s + 5.0, down, ())
+    tick(machine, now_s + 5.0, down, ())
     assert machine.phase is FlightPhase.LAND
     assert not machine.streams(down)
 
@@ -155,13 +173,13 @@ def test_offboard_shown_again_at_disarming_starts_no_stream() -> None:
 def test_after_a_restart_in_the_air_nothing_is_asked_and_arming_is_refused() -> None:
     machine = PhaseMachine(2.5)
     flying = replace(AIR, mode=AutopilotMode.OFFBOARD)
-    for tick in range(200):
-        assert machine.advance(0.02 * tick, flying, ()) == ()
+    for count in range(200):
+        assert tick(machine, 0.02 * count, flying, ()) == ()
     assert not machine.streams(flying)
     for name in (CommandName.PREPARE, CommandName.ARM, CommandName.TAKEOFF, CommandName.FORM):
         assert not machine.command(name, 5.0, flying)[0]
     assert machine.command(CommandName.HOLD, 5.0, flying)[0]
-    assert machine.advance(5.0, flying, ()) == (SetMode(AutopilotMode.HOLD),)
+    assert tick(machine, 5.0, flying, ()) == (SetMode(AutopilotMode.HOLD),)
     assert not machine.streams(flying)
 
 
@@ -174,12 +192,12 @@ def test_no_take_off_without_a_known_altitude() -> None:
 
 
 def test_a_refusal_is_relayed_in_words_and_retries_are_bounded() -> None:
-    machine, _, now_s = flown_to(FlightPhase.READY)
-    machine.command(CommandName.ARM, now_s, GROUND)
-    refusal = AckSample(0.0, 400, False, "COMPONENT_ARM_DISARM temporarily rejected")
+    machine, autopilot, now_s = flown_to(FlightPhase.READY)
+    machine.command(CommandName.ARM, now_s, autopilot.state)
+    refusal = AckSample(0.0, (Arm, Disarm), False, "COMPONENT_ARM_DISARM temporarily rejected")
     asked = 0
-    for tick in range(1000):
-        asked += len(machine.advance(now_s + 0.02 * tick, GROUND, [refusal]))
+    for count in range(1000):
+        asked += len(tick(machine, now_s + 0.02 * count, autopilot.state, [refusal]))
     assert 5 <= asked <= 12
     assert machine.phase is FlightPhase.READY
     assert "COMPONENT_ARM_DISARM temporarily rejected" in machine.events[-1]
@@ -190,13 +208,13 @@ def test_a_hold_asked_for_just_after_offboard_stays_a_hold() -> None:
     machine, autopilot, now_s = flown_to(FlightPhase.HOLD)
     machine.command(CommandName.FORM, now_s, autopilot.state)
     now_s += 0.4
-    assert machine.advance(now_s, autopilot.state, ()) == (SetMode(AutopilotMode.OFFBOARD),)
+    assert tick(machine, now_s, autopilot.state, ()) == (SetMode(AutopilotMode.OFFBOARD),)
     machine.command(CommandName.HOLD, now_s, autopilot.state)
-    assert machine.advance(now_s, autopilot.state, ()) == (SetMode(AutopilotMode.HOLD),)
+    assert tick(machine, now_s, autopilot.state, ()) == (SetMode(AutopilotMode.HOLD),)
     offboard = replace(autopilot.state, mode=AutopilotMode.OFFBOARD, mode_name="OFFBOARD")
-    asked = [request for tick in range(1, 60) for request in machine.advance(now_s + 0.02 * tick, offboard, ())]
+    asked = [request for count in range(1, 60) for request in tick(machine, now_s + 0.02 * count, offboard, ())]
     assert asked == [SetMode(AutopilotMode.HOLD)] * 2
-    machine.advance(now_s + 2.0, autopilot.state, ())
+    tick(machine, now_s + 2.0, autopilot.state, ())
     assert machine.phase is FlightPhase.HOLD
 
 
@@ -207,3 +225,86 @@ def test_the_failsafe_table_over_every_set_of_flags() -> None:
         action = failsafe_action(chosen)
         assert action == max((ACTIONS[f] for f in chosen), default=FailsafeAction.NONE)
         assert (action is FailsafeAction.NONE) is (not chosen)
+
+
+def test_on_the_ground_no_landing_is_asked_for_again() -> None:
+    machine, autopilot, now_s = flown_to(FlightPhase.HOLD)
+    machine.command(CommandName.LAND, now_s, autopilot.state)
+    autopilot.obey(tick(machine, now_s, autopilot.state, ()))
+    tick(machine, now_s + 0.02, autopilot.state, ())
+    down = replace(autopilot.state, mode=AutopilotMode.OTHER, mode_name="POSCTL", landed=LandedState.ON_GROUND)
+    for count in range(500):
+        assert tick(machine, now_s + 5.0 + 0.02 * count, down, ()) == ()
+
+
+def test_it_never_arms_again_what_the_pilot_disarmed() -> None:
+    machine, autopilot, now_s = flown_to(FlightPhase.READY)
+    machine.command(CommandName.ARM, now_s, autopilot.state)
+    assert tick(machine, now_s, autopilot.state, ()) == (Arm(),)
+    accepted = AckSample(0.0, (Arm, Disarm), True, "COMPONENT_ARM_DISARM accepted")
+    assert tick(machine, now_s + 0.02, autopilot.state, (accepted,)) == ()
+    for count in range(2, 600):  # disarmed before any heartbeat showed it armed
+        assert tick(machine, now_s + 0.02 * count, autopilot.state, ()) == ()
+    assert machine.phase is FlightPhase.READY
+
+
+def test_the_reason_of_a_failure_is_not_another_commands() -> None:
+    machine, autopilot, now_s = flown_to(FlightPhase.READY)
+    machine.command(CommandName.ARM, now_s, autopilot.state)
+    other = AckSample(0.0, (RequestOrigin,), False, "REQUEST_MESSAGE denied")
+    for count in range(600):
+        tick(machine, now_s + 0.02 * count, autopilot.state, (other,))
+    assert machine.events[-1] == "arm -> ready (arm failed: no answer from the autopilot)"
+
+
+def test_what_was_true_before_it_was_asked_for_does_not_count() -> None:
+    machine, autopilot, now_s = flown_to(FlightPhase.HOLD)
+    machine.command(CommandName.FORM, now_s, autopilot.state)
+    old = replace(autopilot.state, mode=AutopilotMode.OFFBOARD, mode_time_s=now_s + 0.1)
+    for count in range(30):
+        tick(machine, now_s + 0.02 * count, old, ())
+    assert machine.phase is FlightPhase.ENGAGE
+    tick(machine, now_s + 0.7, replace(old, mode_time_s=now_s + 0.7), ())
+    assert machine.phase is FlightPhase.FORMATION
+
+
+def test_setpoints_stream_for_a_while_before_offboard_is_asked_for() -> None:
+    machine, autopilot, now_s = flown_to(FlightPhase.HOLD)
+    machine.command(CommandName.FORM, now_s, autopilot.state)
+    for count in range(14):
+        assert tick(machine, now_s + 0.02 * count, autopilot.state, ()) == ()
+        assert machine.streams(autopilot.state)
+
+
+@pytest.mark.parametrize("phase", [FlightPhase.READY, FlightPhase.ARMED])
+def test_a_pilot_who_takes_off_is_noticed_and_can_be_landed(phase: FlightPhase) -> None:
+    machine, autopilot, now_s = flown_to(phase)
+    flying = replace(autopilot.state, armed=True, landed=LandedState.IN_AIR)
+    tick(machine, now_s, flying, ())
+    assert machine.phase is FlightPhase.OBSERVE
+    assert machine.command(CommandName.LAND, now_s, flying)[0]
+
+
+@pytest.mark.parametrize("phase", [FlightPhase.ARMED, FlightPhase.HOLD, FlightPhase.FORMATION])
+def test_a_disarmed_vehicle_is_only_observed(phase: FlightPhase) -> None:
+    machine, autopilot, now_s = flown_to(phase)
+    tick(machine, now_s, replace(autopilot.state, armed=False), ())
+    assert machine.phase is FlightPhase.OBSERVE
+    assert "disarmed" in machine.events[-1]
+
+
+def test_a_mode_that_someone_sets_on_the_ground_is_noticed() -> None:
+    machine, autopilot, now_s = flown_to(FlightPhase.READY)
+    tick(machine, now_s, replace(autopilot.state, mode=AutopilotMode.OTHER, mode_name="MANUAL"), ())
+    assert machine.phase is FlightPhase.OBSERVE
+
+
+def test_a_climb_is_done_at_its_height() -> None:
+    machine, autopilot, now_s = flown_to(FlightPhase.ARMED)
+    machine.command(CommandName.TAKEOFF, now_s, autopilot.state)
+    tick(machine, now_s, autopilot.state, ())
+    low = replace(AIR, position_enu_m=(0.0, 0.0, 1.0))
+    tick(machine, now_s + 1.0, low, ())
+    assert machine.phase is FlightPhase.TAKEOFF
+    tick(machine, now_s + 2.0, AIR, ())
+    assert machine.phase is FlightPhase.HOLD

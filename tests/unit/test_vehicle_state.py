@@ -54,6 +54,26 @@ def test_what_cannot_be_true_changes_nothing(bad: PositionSample | AttitudeSampl
     assert tracker.rejected.total() == 1
 
 
+def test_a_rebooted_autopilot_has_another_origin() -> None:
+    tracker = VehicleTracker(FLEET)
+    tracker.fold([OriginSample(0.0, *FLEET), sample(1000.0)])
+    after = tracker.fold([sample(2.0)])
+    assert not after.frame_known
+    assert after.altitude_amsl_m is None
+    assert after.position_time_s == float("-inf")
+    again = tracker.fold([OriginSample(0.0, *geodetic_from_enu((0.0, 0.0, 1.0), FLEET)), sample(3.0)])
+    assert again.position_enu_m == pytest.approx((1.0, 2.0, 4.0), abs=1e-6)
+
+
+def test_a_moved_origin_makes_the_last_position_old() -> None:
+    tracker = VehicleTracker(FLEET)
+    tracker.fold([OriginSample(0.0, *FLEET), sample(1.0)])
+    assert tracker.fold([OriginSample(0.0, *FLEET)]).position_time_s == 101.0  # told again, not moved
+    moved = OriginSample(0.0, *geodetic_from_enu((5.0, 0.0, 0.0), FLEET))
+    assert tracker.fold([moved]).position_time_s == float("-inf")
+    assert tracker.fold([sample(1.02)]).position_enu_m == pytest.approx((6.0, 2.0, 3.0), abs=1e-6)
+
+
 def test_a_rebooted_autopilot_is_believed_again() -> None:
     tracker = VehicleTracker(None)
     tracker.fold([sample(1000.0)])
