@@ -14,7 +14,7 @@ import zenoh
 
 from companion.config import FleetConfig, ZenohEndpoints
 from companion.link.zenoh_session import drain, open_session
-from companion.types import Command, CommandReply, PeerPacket, ReceivedPeerPacket
+from companion.types import Command, CommandName, CommandReply, PeerPacket, ReceivedPeerPacket
 from companion.wire.ground import StatusReport, decode_command, encode
 from companion.wire.keys import command_key, every_peer, peer_key, status_key
 from companion.wire.peer import decode_peer, encode_peer
@@ -23,6 +23,7 @@ from companion.wire.version import WireError
 PACKETS_KEPT_PER_VEHICLE = 8
 COMMANDS_KEPT = 32
 LONG_PAUSE_S = 0.1  # five ticks
+OBEYED_LATE = (CommandName.HOLD, CommandName.LAND)  # they end a formation; nobody is endangered when they come late
 
 
 class ZenohLink:
@@ -68,11 +69,13 @@ class ZenohLink:
         """All peer packets and commands since the last call. Never blocks.
 
         After a pause of this process nobody knows how long a packet has waited: it counts as arrived when the pause began.
+        Nor how long a command has, which its giver may have thought lost: it is refused, but for those in OBEYED_LATE.
         """
         before_s, self._drained_s = self._drained_s, now_s
-        received_s = before_s if before_s is not None and now_s - before_s > LONG_PAUSE_S else now_s
+        paused = before_s is not None and now_s - before_s > LONG_PAUSE_S
+        received_s = before_s if before_s is not None and paused else now_s
         packets = (self._packet(sample) for sample in drain(self._peers, self._packets_kept))
-        commands = (self._command(query) for query in drain(self._commands, COMMANDS_KEPT))
+        commands = (self._command(query, paused) for query in drain(self._commands, COMMANDS_KEPT))
         return (
             tuple(ReceivedPeerPacket(received_s, packet) for packet in packets if packet),
             tuple(command for command in commands if command),
@@ -111,12 +114,16 @@ class ZenohLink:
             return None
         return packet
 
-    def _command(self, query: zenoh.Query) -> Command | None:
+    def _command(self, query: zenoh.Query, paused: bool) -> Command | None:
         try:
             command = decode_command(query.payload.to_bytes() if query.payload else b"")
         except WireError as error:
             self._reject(str(error))
             self._answer(query, CommandReply(self._vehicle_id, 0, False, f"refused: {error}"))
+            return None
+        if paused and command.name not in OBEYED_LATE:
+            reason = "came while this agent was paused; give it again"
+            self._answer(query, CommandReply(self._vehicle_id, command.number, False, reason))
             return None
         self._open_queries.append((command.number, query))
         return command

@@ -193,6 +193,29 @@ def test_a_command_gets_its_answer_from_the_tick_that_decided(port: int) -> None
         assert len(first.commands) == 1  # it was never repeated
 
 
+@pytest.mark.parametrize("name", CommandName)
+def test_a_command_that_waited_through_a_pause_is_obeyed_only_if_it_ends_a_formation(
+    port: int, name: CommandName
+) -> None:
+    with (
+        vehicle(1, listen=(endpoint(port),)) as first,
+        FleetSession.open(FLEET.name, (endpoint(port),)) as ground,
+        ThreadPoolExecutor() as pool,
+    ):
+        until(lambda: ground.drain(), lambda: first.link.publish_status(REPORT))  # connected
+        first.tick()
+        asked = pool.submit(ground.command, (1,), name, 10.0)
+        time.sleep(1.0)  # the process hangs
+        first.tick()
+        if name in (CommandName.LAND, CommandName.HOLD):
+            assert [command.name for command in first.commands] == [name]
+            first.link.reply([CommandReply(1, first.commands[0].number, True, "")])
+        else:
+            reply = CommandReply(1, 1, False, "came while this agent was paused; give it again")
+            assert asked.result(15.0) == {1: reply}
+            assert first.commands == []
+
+
 def test_a_vehicle_that_appears_within_the_timeout_still_gets_the_command(port: int) -> None:
     with FleetSession.open(FLEET.name, (endpoint(port),)) as ground, ThreadPoolExecutor() as pool:
         asked = pool.submit(ground.command, (1,), CommandName.LAND, 10.0)
