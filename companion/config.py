@@ -17,6 +17,7 @@ from msgspec import Meta, Struct
 from companion.config_file import ConfigError, load
 from companion.types import Role, Vector3
 
+FLEET_NAME = "^[a-z0-9][a-z0-9_-]{0,40}$"  # it is a part of Zenoh's key expressions
 VehicleId = Annotated[int, Meta(ge=1, le=250, description="MAVLink system id of the vehicle")]
 Seconds = Annotated[float, Meta(gt=0, le=60)]
 Coordinate = Annotated[float, Meta(ge=-10_000, le=10_000)]
@@ -106,7 +107,7 @@ class Envelope(_Base, frozen=True):
 class FleetConfig(_Base, frozen=True):
     """What all vehicles of a fleet must agree on."""
 
-    name: Annotated[str, Meta(pattern="^[a-z0-9][a-z0-9_-]{0,40}$")]
+    name: Annotated[str, Meta(pattern=FLEET_NAME)]
     origin: GeodeticOrigin | Literal["local"]
     vehicles: tuple[FormationMember, ...]
     neighbours: EdgeNeighbours | RangeNeighbours

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -11,6 +12,7 @@ from typing import Any, TextIO
 
 import msgspec
 
+from companion.config import FLEET_NAME
 from companion.ground.fleet_status import FleetState, VehicleRow, fold, rows
 from companion.ground.session import FleetSession
 
@@ -30,8 +32,8 @@ class MonitorError(Exception):
 
 def run_monitor(fleet: str, connect: Sequence[str] | None, once: bool, as_json: bool) -> int:
     """The exit code. Raises MonitorError and link.zenoh_session.EndpointError."""
-    if "/" in fleet or "#" in fleet or "?" in fleet or "$" in fleet or not fleet:
-        raise MonitorError(f'--fleet "{fleet}": expected the name in a fleet file, like platoon')
+    if fleet != "*" and not re.fullmatch(FLEET_NAME, fleet):
+        raise MonitorError(f"--fleet {fleet!r}: expected the name in a fleet file, like platoon, or * for every fleet")
     endpoints = tuple(connect or DEFAULT_ENDPOINTS)
     show = _json if as_json else _plain_table
     live = not once and not as_json and sys.stdout.isatty()

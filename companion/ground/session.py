@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from contextlib import ExitStack
 from types import TracebackType
 from typing import Any, Self
 
@@ -39,7 +40,12 @@ class FleetSession:
 
         Raises link.zenoh_session.EndpointError.
         """
-        return cls(fleet, open_session(listen=(), connect=connect))
+        with ExitStack() as undo:
+            session = open_session(listen=(), connect=connect)
+            undo.callback(session.close)
+            opened = cls(fleet, session)
+            undo.pop_all()
+        return opened
 
     def drain(self) -> list[StatusReport]:
         """All reports that came since the last call, oldest first. Never blocks."""

@@ -44,6 +44,12 @@ class ZenohLink:
         self._open_queries: deque[tuple[int, zenoh.Query]] = deque(maxlen=COMMANDS_KEPT)
         self._session = open_session(endpoints.listen, endpoints.connect)
         self._packets_kept = PACKETS_KEPT_PER_VEHICLE * len(fleet.vehicles)
+        with contextlib.ExitStack() as undo:
+            undo.callback(self._session.close)
+            self._declare(vehicle_id, fleet)
+            undo.pop_all()
+
+    def _declare(self, vehicle_id: int, fleet: FleetConfig) -> None:
         self._peers = self._session.declare_subscriber(
             every_peer(fleet.name),
             zenoh.handlers.RingChannel(self._packets_kept),

@@ -7,12 +7,14 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
 
+import msgspec
 import pytest
+import zenoh
 
 from companion.config import EdgeNeighbours, FleetConfig, FormationMember, ZenohEndpoints
 from companion.ground.session import FleetSession
@@ -325,6 +327,22 @@ def test_a_listen_port_in_use_is_told_in_one_line(port: int) -> None:
     ):
         open_session([endpoint(port)], [])
     assert caught.value.endpoint == endpoint(port)
+
+
+def test_no_session_stays_open_where_a_name_cannot_be_declared(port: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    opened: list[zenoh.Session] = []
+
+    def recording(listen: Sequence[str], connect: Sequence[str]) -> zenoh.Session:
+        opened.append(open_session(listen, connect))
+        return opened[-1]
+
+    monkeypatch.setattr("companion.ground.session.open_session", recording)
+    monkeypatch.setattr("companion.link.zenoh_link.open_session", recording)
+    with pytest.raises(zenoh.ZError):
+        FleetSession.open("a*", (endpoint(port),))
+    with pytest.raises(zenoh.ZError):
+        ZenohLink(1, msgspec.structs.replace(FLEET, name="a*"), ZenohEndpoints(), lambda _reason: None)
+    assert [session.is_closed() for session in opened] == [True, True]
 
 
 def test_a_process_with_a_closed_session_ends(port: int) -> None:

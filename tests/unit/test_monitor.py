@@ -7,6 +7,7 @@ from math import inf, nan
 
 import pytest
 
+from companion.cli import main
 from companion.ground.fleet_status import VehicleRow
 from companion.ground.monitor import COLUMNS, cells
 from companion.types import FlightPhase, HealthFlag, Role
@@ -77,3 +78,11 @@ def test_what_is_wrong_comes_before_what_happened_and_silence_before_both() -> N
 def test_nothing_in_an_event_steers_the_terminal() -> None:
     hostile = replace(ROW, last_event="\x1b[2J\x07arm: no\nroot\u202e")
     assert cell(hostile, "what") == "?[2J?arm: no?root?"
+
+
+@pytest.mark.parametrize("fleet", ["a*", "**", "a/b", "a?b", "", "Platoon", "a\nb", "-"])
+def test_what_is_no_fleets_name_is_refused_in_one_line(fleet: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["monitor", f"--fleet={fleet}", "--once"]) == 2
+    printed = capsys.readouterr().err
+    assert "expected the name in a fleet file" in printed
+    assert printed.count("\n") == 1
