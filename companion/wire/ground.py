@@ -26,7 +26,8 @@ class Percentiles:
 class Timing:
     """How well an agent keeps its 50 Hz, counted since it entered formation (or since its start).
 
-    `late_us`: start of a tick after its due time, one period after the tick before. `missed`: periods without a tick.
+    `late_us`: start of a tick after its due time, one period after the tick before. `missed`: periods without a tick,
+    that is how many more periods went by than ticks came; it never falls.
     `telemetry_to_command_us`: from a position's arrival at the socket to its setpoint handed to the socket.
     """
 
