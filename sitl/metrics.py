@@ -55,8 +55,8 @@ class FormationFigures:
     """Over the formation's interval, from true positions; by pair "1-2" or by vehicle id.
 
     `settle_s`: from the formation's start to the time from which on no vehicle is farther than 10 cm from its place;
-    None where that never came. `final_error_m` (RMS distance to the place) and `final_distance_m` (mean) are of the
-    last 2 s.
+    None where that was not for at least the last 2 s. `final_error_m` (RMS distance to the place) and
+    `final_distance_m` (mean) are of the last 2 s.
     """
 
     duration_s: float
@@ -102,12 +102,15 @@ def errors_m(track: Track, slot_enu_m: Vector3, reference_enu_m: FloatArray, tim
 
 
 def settle_time_s(times_s: FloatArray, error_m: FloatArray, within_m: float = SETTLED_WITHIN_M) -> float | None:
-    """Seconds from the first time until the error (n,) stays within `within_m`; None where it is not at the end."""
+    """Seconds from the first time until the error (n,) stays within `within_m`.
+
+    None where it does not for at least the last FINAL_S: a swing that happens to be inside at the end has not settled.
+    """
     outside = np.flatnonzero(error_m > within_m)
-    if outside.size == 0:
-        return 0.0
-    first_inside = int(outside[-1]) + 1
-    return float(times_s[first_inside] - times_s[0]) if first_inside < times_s.size else None
+    first_inside = int(outside[-1]) + 1 if outside.size else 0
+    if first_inside == times_s.size or times_s[-1] - times_s[first_inside] < FINAL_S - SAMPLE_S / 2:
+        return None
+    return float(times_s[first_inside] - times_s[0])
 
 
 def formation_figures(
