@@ -66,7 +66,11 @@ async def _run(settings: Settings, config: AgentConfig) -> None:
     with ExitStack() as stack:
         try:
             autopilot = AutopilotLink(
-                vehicle.id, vehicle.mavlink, Translator(vehicle.id), position_arrived=trigger.position_arrived
+                vehicle.id,
+                vehicle.mavlink,
+                Translator(vehicle.id),
+                position_arrived=trigger.position_arrived,
+                reject=agent.reject,
             )
             stack.enter_context(closing(autopilot))
             peers = ZenohLink(vehicle.id, config.fleet, vehicle.zenoh, agent.reject)

@@ -35,15 +35,24 @@ _log = logging.getLogger(__name__)
 
 
 class AutopilotLink:
-    """Decodes telemetry as it arrives and keeps it for the next tick. `position_arrived` is called for every position."""
+    """Decodes telemetry as it arrives and keeps it for the next tick. `position_arrived` is called for every position.
+
+    `reject` is called with the reason for everything that came damaged or without sense.
+    """
 
     def __init__(
-        self, vehicle_id: int, endpoint: str, translator: Translator, position_arrived: Callable[[], None]
+        self,
+        vehicle_id: int,
+        endpoint: str,
+        translator: Translator,
+        position_arrived: Callable[[], None],
+        reject: Callable[[str], None],
     ) -> None:
         """Opens the endpoint. Raises LinkError."""
         self._vehicle_id = vehicle_id
         self._translator = translator
         self._position_arrived = position_arrived
+        self._reject = reject
         self._telemetry: list[Telemetry] = []
         self._came: Counter[type[Telemetry]] = Counter()  # since the last check of the streams
         self._heard = asyncio.Event()
@@ -124,6 +133,10 @@ class AutopilotLink:
     def _bytes_arrived(self, data: bytes, received_s: float) -> bool:
         samples = self._translator.telemetry(data, received_s)
         self._telemetry += samples
+        if self._translator.rejected:
+            for reason in self._translator.rejected.elements():
+                self._reject(reason)
+            self._translator.rejected.clear()
         for sample in samples:
             self._came[type(sample)] += 1
             if isinstance(sample, PositionSample):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+
 from companion.frames import euler_ned_from_enu, quaternion_from_euler
 from companion.mavlink import px4, telemetry
 from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
@@ -17,17 +19,21 @@ class Translator:
         self._system_id = vehicle_id
         self._codec = MavlinkCodec(vehicle_id, mavlink.MAV_COMP_ID_ONBOARD_COMPUTER)
         self._texts = telemetry.TextAssembler()
+        self.rejected: Counter[str] = Counter()  # what came damaged or without sense, by reason
         self.other_systems: set[int] = set()  # system ids heard that are not ours
         self.unsupported_autopilot: int | None = None  # MAV_AUTOPILOT of a heartbeat that is not PX4's
 
     def telemetry(self, data: bytes, received_s: float) -> list[Telemetry]:
         """All samples in these bytes, in their order."""
         samples: list[Telemetry] = []
+        unreadable_before = self._codec.unreadable
         for message in self._codec.decode(data):
             if message.get_srcSystem() != self._system_id:
                 self.other_systems.add(message.get_srcSystem())
             elif message.get_srcComponent() == AUTOPILOT:
                 samples += self._samples(message, received_s)
+        if self._codec.unreadable > unreadable_before:
+            self.rejected["MAVLink packet that cannot be read"] += self._codec.unreadable - unreadable_before
         return samples
 
     def _samples(self, message: MavlinkMessage, received_s: float) -> list[Telemetry]:
@@ -36,7 +42,10 @@ class Translator:
                 return [telemetry.position(message, received_s)]
             case "ATTITUDE_QUATERNION":
                 attitude = telemetry.attitude(message, received_s)
-                return [attitude] if attitude else []
+                if attitude is None:
+                    self.rejected["attitude of the autopilot that is no rotation"] += 1
+                    return []
+                return [attitude]
             case "CURRENT_MODE":
                 return [ModeSample(received_s, *px4.mode_of(message.custom_mode))]
             case "HEARTBEAT":

@@ -5,7 +5,9 @@ from __future__ import annotations
 import asyncio
 import socket
 import time
+from collections import Counter
 from contextlib import closing
+from math import nan
 
 import pytest
 
@@ -70,6 +72,40 @@ class ScriptedAutopilot:
             self.interval_s[message_id] = interval_us * 1e-6
 
 
+def ignore(_reason: str) -> None:
+    """For what is not looked at."""
+
+
+def test_what_came_damaged_is_handed_on_by_reason_and_once() -> None:
+    async def scenario() -> Counter[str]:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as autopilot:
+            autopilot.bind((HOST, 0))
+            port = autopilot.getsockname()[1]
+        rejected: Counter[str] = Counter()
+        codec = MavlinkCodec(3, mavlink.MAV_COMP_ID_AUTOPILOT1)
+        damaged = bytearray(codec.encode(HEARTBEAT))
+        damaged[12] ^= 0xFF
+        nowhere = codec.encode(mavlink.MAVLink_attitude_quaternion_message(0, nan, 0, 0, 0, 0, 0, 0))
+        longer = codec.encode(mavlink.MAVLink_attitude_quaternion_message(0, 2, 0, 0, 0, 0, 0, 0))
+        reject = lambda reason: rejected.update([reason])  # noqa: E731
+        with (
+            closing(AutopilotLink(3, f"udpin:{HOST}:{port}", Translator(3), lambda: None, reject)) as link,
+            socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as autopilot,
+        ):
+            task = asyncio.create_task(link.receive())
+            for data in (bytes(damaged), nowhere, longer, codec.encode(HEARTBEAT)):
+                autopilot.sendto(data, (HOST, port))
+            async with asyncio.timeout(5.0):
+                while not link.heard:
+                    await asyncio.sleep(0.01)
+            task.cancel()
+        return rejected
+
+    rejected = asyncio.run(scenario())
+    assert rejected.pop("MAVLink packet that cannot be read") >= 1
+    assert rejected == {"attitude of the autopilot that is no rotation": 2}
+
+
 @pytest.mark.parametrize("lost", SAID)
 def test_a_lost_request_for_any_stream_is_repeated_and_a_heard_one_is_not(
     lost: int, monkeypatch: pytest.MonkeyPatch
@@ -81,7 +117,7 @@ def test_a_lost_request_for_any_stream_is_repeated_and_a_heard_one_is_not(
             probe.bind((HOST, 0))
             port = probe.getsockname()[1]
         with (
-            closing(AutopilotLink(3, f"udpin:{HOST}:{port}", Translator(3), lambda: None)) as link,
+            closing(AutopilotLink(3, f"udpin:{HOST}:{port}", Translator(3), lambda: None, ignore)) as link,
             closing(ScriptedAutopilot(port, lost)) as autopilot,
         ):
             tasks = [asyncio.create_task(job) for job in (autopilot.run(), link.receive(), link.keep_streams())]

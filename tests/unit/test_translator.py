@@ -55,9 +55,11 @@ def test_attitude_is_flipped_to_flu_in_enu() -> None:
 
 
 @pytest.mark.parametrize("quaternion", [(float("nan"), 0, 0, 0), (0, 0, 0, 0), (2, 0, 0, 0)])
-def test_an_attitude_that_is_no_rotation_is_dropped(quaternion: tuple[float, ...]) -> None:
+def test_an_attitude_that_is_no_rotation_is_dropped_and_counted(quaternion: tuple[float, ...]) -> None:
     data = from_autopilot(mavlink.MAVLink_attitude_quaternion_message(1500, *quaternion, 0, 0, 0))
-    assert Translator(3).telemetry(data, 9.0) == []
+    translator = Translator(3)
+    assert translator.telemetry(data, 9.0) == []
+    assert translator.rejected == {"attitude of the autopilot that is no rotation": 1}
 
 
 def test_mode_and_arming() -> None:
