@@ -79,7 +79,7 @@ def test_settling_needs_the_end_and_is_found_on_every_axis() -> None:
 def test_inside_for_less_than_the_last_two_seconds_has_not_settled(
     settles_after_s: float, settle_s: float | None
 ) -> None:
-    error = np.where(TIMES_S - 20.0 < settles_after_s, 0.2, 0.0)
+    error = np.where(settles_after_s > TIMES_S - 20.0, 0.2, 0.0)
     figures = formation_figures({1: track(error)}, {1: SLOTS[1]}, ORIGIN, Formation(20.0, 30.0, 20.0))
     assert figures.settle_s == (None if settle_s is None else pytest.approx(settle_s, abs=0.021))
 
