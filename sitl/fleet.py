@@ -20,7 +20,7 @@ import yaml
 from companion.config import GeodeticOrigin, VehicleConfig, VehicleId, ZenohEndpoints
 from companion.types import Role
 from sitl.config import AutopilotFile
-from sitl.ports import LOOPBACK, ports_of
+from sitl.ports import GROUND_STATION_PORT, LOOPBACK, ports_of
 from sitl.scenario import Scenario
 
 AGENT_ENDS_WITHIN_S = 5.0  # it may first hand over to the autopilot
@@ -218,6 +218,7 @@ def _write_yaml(path: Path, content: msgspec.Struct) -> None:
 
 def check_ports(vehicle_ids: Iterable[int], port_offset: int) -> None:
     """Try every port of these vehicles before anything is started. Raises PortInUseError."""
+    wanted = {(socket.SOCK_DGRAM, GROUND_STATION_PORT): "a ground station"}
     for vehicle_id in vehicle_ids:
         ports = ports_of(vehicle_id, port_offset)
         for kind, port, purpose in (
@@ -226,6 +227,12 @@ def check_ports(vehicle_ids: Iterable[int], port_offset: int) -> None:
             (socket.SOCK_DGRAM, ports.ground_link, f"autopilot {vehicle_id} towards a ground station"),
             (socket.SOCK_STREAM, ports.zenoh, f"Zenoh of agent {vehicle_id}"),
         ):
+            if other := wanted.get((kind, port)):
+                raise PortInUseError(
+                    f"port {port} is wanted by {purpose} and by {other}; take other ports with --port-offset"
+                    f" {port_offset + 100}, or ids that lie less far apart"
+                )
+            wanted[kind, port] = purpose
             _check_port(kind, port, purpose, port_offset)
 
 

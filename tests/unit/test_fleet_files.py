@@ -70,6 +70,24 @@ def test_a_port_of_another_is_named() -> None:
             check_ports([1, 2], 2300)
 
 
+@pytest.mark.parametrize(
+    ("ids", "offset", "message"),
+    [
+        ([11], 0, r"^port 14550 is wanted by agent 11 towards its autopilot and by a ground station; .* 100,"),
+        ([1], 10, r"^port 14550 is wanted by agent 1 towards its autopilot and by a ground station; .* 110,"),
+        (
+            [1, 41],
+            2300,
+            r"^port 16880 is wanted by agent 41 towards its autopilot and by autopilot 1 towards its agent;",
+        ),
+    ],
+)
+def test_a_port_that_two_want_is_refused_in_one_line(ids: list[int], offset: int, message: str) -> None:
+    with pytest.raises(PortInUseError, match=message) as caught:
+        check_ports(ids, offset)
+    assert "\n" not in str(caught.value)
+
+
 # ---------------------------------------------------------------- processes
 
 
