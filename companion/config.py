@@ -153,7 +153,13 @@ class VehicleConfig(_Base, frozen=True):
 
     id: VehicleId
     fleet: str
-    mavlink: Annotated[str, Meta(pattern="^(udpin|tcp|serial):.+:[0-9]+$")]
+    mavlink: Annotated[
+        str,
+        Meta(
+            pattern="^(udpin|tcp|serial):.+:[0-9]+$",
+            description="udpin:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD, like serial:/dev/ttyAMA0:921600",
+        ),
+    ]
     hover_thrust_norm: Annotated[float, Meta(ge=0.1, le=0.9)]
     zenoh: ZenohEndpoints = ZenohEndpoints()
     reference: Reference | None = None
@@ -188,6 +194,13 @@ def check_fleet(file: Path, fleet: FleetConfig, where: str = "") -> None:
                 f"{where}vehicles[{index}].slot_enu_m",
                 f"{list(slot)} is also the slot of vehicle {other}; give each its own",
             )
+    top_m = fleet.envelope.fence_max_enu_m[2]
+    if fleet.takeoff_height_m > top_m:
+        raise ConfigError(
+            file,
+            f"{where}takeoff_height_m",
+            f"{fleet.takeoff_height_m:g} is above the fence, which ends at {top_m:g} m",
+        )
     for axis, low, high in zip("xyz", fleet.envelope.fence_min_enu_m, fleet.envelope.fence_max_enu_m, strict=True):
         if low >= high:
             raise ConfigError(
@@ -226,6 +239,9 @@ def load_agent(path: Path) -> AgentConfig:
     """Read a vehicle file and the fleet file that it names. Raises ConfigError."""
     vehicle = load(path, VehicleConfig)
     fleet_path = path.parent / vehicle.fleet
+    if not fleet_path.is_file():
+        where = f"looked for {fleet_path}; the path is relative to the vehicle file"
+        raise ConfigError(path, "fleet", f'"{vehicle.fleet}": no such file; {where}')
     fleet = load(fleet_path, FleetConfig)
     check_fleet(fleet_path, fleet)
     member = fleet.member(vehicle.id)
@@ -240,4 +256,26 @@ def load_agent(path: Path) -> AgentConfig:
         raise ConfigError(
             path, "reference", f"vehicle {vehicle.id} follows; only a leader may know the RFT, take this section out"
         )
+    if vehicle.reference is not None:
+        check_reference(path, fleet, vehicle.reference)
     return AgentConfig(vehicle, fleet, member)
+
+
+def check_reference(file: Path, fleet: FleetConfig, reference: Reference) -> None:
+    """Every vehicle's place, reference + slot, lies inside the fence. Raises ConfigError."""
+    envelope = fleet.envelope
+    for member in fleet.vehicles:
+        for axis, r, d, low, high in zip(
+            "xyz",
+            reference.point_enu_m,
+            member.slot_enu_m,
+            envelope.fence_min_enu_m,
+            envelope.fence_max_enu_m,
+            strict=True,
+        ):
+            if not low <= r + d <= high:
+                raise ConfigError(
+                    file,
+                    "reference.point_enu_m",
+                    f"puts vehicle {member.id} at {axis} = {r + d:g} m, outside the fence ({low:g} to {high:g})",
+                )

@@ -99,6 +99,8 @@ def _explain(path: Path, data: Any, type_: type, message: str) -> ConfigError:
         near = get_close_matches(str(value), choices, n=1)
         hint = f'; did you mean "{near[0]}"?' if near else ""
         return ConfigError(path, field, f"{value!r}: expected one of {', '.join(choices)}{hint}")
+    if "matching regex" in problem and (wanted := _description_at(msgspec.inspect.type_info(type_), field)):
+        return ConfigError(path, field, f"{value!r}: expected {wanted}")
     shown = "" if isinstance(value, dict | list) else f"{value!r}: "
     return ConfigError(path, field, shown + problem.replace("`", "")[:1].lower() + problem.replace("`", "")[1:])
 
@@ -131,6 +133,15 @@ def _choices_at(node: Type, field: str) -> set[str]:
         elif isinstance(part, EnumType):
             choices.update(str(member.value) for member in part.cls)
     return choices
+
+
+def _description_at(node: Type, field: str) -> str | None:
+    """What a type's own words say that is expected at a field's path."""
+    nodes = [node]
+    for step in _steps(field):
+        nodes = [inner for node in nodes for part in _alternatives(node) for inner in _inside(part, step)]
+    described = (node for node in nodes if isinstance(node, Metadata) and node.extra_json_schema)
+    return next((str(node.extra_json_schema["description"]) for node in described if node.extra_json_schema), None)
 
 
 def _alternatives(node: Type) -> list[Type]:

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import yaml
 from msgspec import Meta, Struct
 
-from companion.config import FleetConfig, PositionM, Reference, VehicleId, check_fleet
+from companion.config import FleetConfig, PositionM, Reference, VehicleId, check_fleet, check_reference
 from companion.config_file import ConfigError, StrictLoader, convert, read_yaml
 from companion.core.reference import ReferenceTrajectory, point
 from companion.types import CommandName
@@ -77,6 +77,7 @@ def scenario_from(path: Path, data: object) -> Scenario:
         known = ", ".join(str(i) for i in sorted(ids))
         raise ConfigError(path, f"starts_enu_m.{vehicle_id}", f"no such vehicle in the fleet; expected {known}")
     check_parameters(path, scenario.stand_in)
+    check_reference(path, scenario.fleet, scenario.reference)
     if not scenario.timeline:
         raise ConfigError(path, "timeline", "is empty; list at least one step with a command")
     return scenario

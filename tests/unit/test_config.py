@@ -69,6 +69,7 @@ def test_good_files_load(tmp_path: Path) -> None:
         (lambda f: f["origin"].update(latitude_deg=float("nan")), ["origin.latitude_deg", "nan", "finite"]),
         (lambda f: f["origin"].update(latitude_deg=95), ["origin.latitude_deg", "95", "<= 85"]),
         (lambda f: f.update(vehicles=[]), ["vehicles", "empty"]),
+        (lambda f: f.update(takeoff_height_m=60.0), ["takeoff_height_m", "60 is above the fence", "50 m"]),
         (lambda f: f.update(envelope={"max_tilt_deg": 80}), ["envelope.max_tilt_deg", "80", "<= 45"]),
         (lambda f: f.update(envelope={"fence_min_enu_m": [200, 0, 0]}), ["fence_min_enu_m", "x is 200"]),
     ],
@@ -87,9 +88,9 @@ def test_a_bad_fleet_file(tmp_path: Path, change: Callable[[Any], Any], parts: l
         ({"id": 9}, ["id: 9", "no slot", "1, 2"]),
         ({"id": 1}, ["reference", "leads"]),
         ({"reference": LEADER["reference"]}, ["reference", "only a leader"]),
-        ({"mavlink": "/dev/ttyACM0"}, ["mavlink", "/dev/ttyACM0"]),
+        ({"mavlink": "/dev/ttyACM0"}, ["mavlink: '/dev/ttyACM0': expected udpin:HOST:PORT", "serial:DEVICE:BAUD"]),
         ({"hover_thrust_norm": 49}, ["hover_thrust_norm", "49", "<= 0.9"]),
-        ({"fleet": "nowhere.yaml"}, ["nowhere.yaml", "cannot be read"]),
+        ({"fleet": "nowhere.yaml"}, ["vehicle.yaml: fleet:", '"nowhere.yaml": no such file', "relative to"]),
         ({"hover_trust_norm": 0.4}, ["hover_trust_norm", "unknown key", "hover_thrust_norm"]),
     ],
 )
@@ -97,6 +98,17 @@ def test_a_bad_vehicle_file(tmp_path: Path, change: dict[str, Any], parts: list[
     line = refusal(write(tmp_path, FLEET, VEHICLE | change))
     for part in parts:
         assert part in line, line
+
+
+@pytest.mark.parametrize(
+    ("point", "words"),
+    [([0.0, 0.0, 500.0], "vehicle 1 at z = 500 m"), ([-99.0, 0.0, 1.0], "vehicle 2 at x = -100.5 m")],
+)
+def test_a_reference_that_leads_out_of_the_fence(tmp_path: Path, point: list[float], words: str) -> None:
+    line = refusal(write(tmp_path, FLEET, LEADER | {"reference": {"kind": "point", "point_enu_m": point}}))
+    assert "vehicle.yaml: reference.point_enu_m" in line
+    assert words in line
+    assert "outside the fence" in line
 
 
 @pytest.mark.parametrize(
