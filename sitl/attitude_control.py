@@ -95,4 +95,6 @@ def rotation_error(measured: Quaternion, wanted: Quaternion) -> Vector3:
 
 
 def _clamped(value: float, limit: float) -> float:
-    return min(max(value, -limit), limit)
+    if value > limit:
+        return limit
+    return -limit if value < -limit else value

@@ -13,13 +13,13 @@ class GaussMarkov:
     """Noise of standard deviation `sd` that forgets within `time_s`; it starts from its stationary distribution."""
 
     def __init__(self, random: Random, sd: float, time_s: float, dt_s: float) -> None:
-        self._random = random
+        self._gauss = random.gauss
         self._keep = exp(-dt_s / time_s)
         self._kick = sd * sqrt(1.0 - self._keep**2)
         self.value = random.gauss(0.0, sd)
 
     def step(self) -> float:
-        self.value = self._keep * self.value + self._random.gauss(0.0, self._kick)
+        self.value = self._keep * self.value + self._gauss(0.0, self._kick)
         return self.value
 
 
@@ -42,13 +42,17 @@ class EstimatorError:
     def step(self) -> None:
         if self.quiet:
             return
-        x, y, z = (process.step() for process in self._position)
-        self.position_m = (x, y, z)
-        white = self._random.gauss
-        x, y, z = (process.step() + white(0.0, self._white_m_s) for process in self._velocity)
-        self.velocity_m_s = (x, y, z)
-        x, y, z = (process.step() for process in self._attitude)
-        self.attitude_rad = (x, y, z)
+        white, white_m_s = self._random.gauss, self._white_m_s
+        x, y, z = self._position
+        self.position_m = (x.step(), y.step(), z.step())
+        x, y, z = self._velocity
+        self.velocity_m_s = (
+            x.step() + white(0.0, white_m_s),
+            y.step() + white(0.0, white_m_s),
+            z.step() + white(0.0, white_m_s),
+        )
+        x, y, z = self._attitude
+        self.attitude_rad = (x.step(), y.step(), z.step())
 
 
 class Gusts:

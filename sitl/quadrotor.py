@@ -28,7 +28,6 @@ from sitl.dynamics import (
     at_rest,
     derivative,
     euler,
-    normalised,
 )
 
 MOTORS_OFF = Setpoint((1.0, 0.0, 0.0, 0.0), 0.0)
@@ -45,7 +44,7 @@ class Quadrotor:
             Random(f"{file.stand_in.seed} {file.id} {subject}") for subject in ("sensors", "gusts", "origin")
         )
         self._dt_s = dt_s
-        self._airframe = airframe
+        self._takes_attitude_at_once = airframe.attitude == "instant"
         self._body = Body(airframe.mass_kg, airframe.inertia_kg_m2, airframe.drag_n_per_m_s, airframe.motor_lag_s)
         self._newton_per_thrust = airframe.mass_kg * GRAVITY_M_S2 / airframe.hover_thrust_norm
         yaw = quaternion_from_euler(0.0, 0.0, radians(file.start_yaw_deg))
@@ -127,7 +126,7 @@ class Quadrotor:
     def step(self, setpoint: Setpoint) -> None:
         """Advance by dt_s under this setpoint."""
         wind = self._gusts.step()
-        if self._airframe.attitude == "instant":
+        if self._takes_attitude_at_once:
             self._take_attitude(setpoint)
             torque = ZERO3
         else:
@@ -137,7 +136,7 @@ class Quadrotor:
         thrust_n = setpoint.thrust_norm * self._newton_per_thrust
         if self._body.motor_lag_s == 0.0:
             self.state = (*self.state[:THRUST], thrust_n, *torque)
-        self.state = normalised(euler(derivative(self._body, thrust_n, torque, wind), self.state, self._dt_s))
+        self.state = euler(derivative(self._body, thrust_n, torque, wind), self.state, self._dt_s)
         self._touch_ground(stood_at)
         self._steps += 1
         if self._steps % ESTIMATE_PERIOD_STEPS == 0:

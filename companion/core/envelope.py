@@ -24,10 +24,10 @@ class EnvelopeLimits:
 
     def inside_fence(self, position_enu_m: Vector3) -> bool:
         """False for NaN, too."""
-        return all(
-            low <= x <= high
-            for low, x, high in zip(self.fence_min_enu_m, position_enu_m, self.fence_max_enu_m, strict=True)
-        )
+        x, y, z = position_enu_m
+        low_x, low_y, low_z = self.fence_min_enu_m
+        high_x, high_y, high_z = self.fence_max_enu_m
+        return low_x <= x <= high_x and low_y <= y <= high_y and low_z <= z <= high_z
 
 
 class LastGate:
@@ -79,7 +79,9 @@ class LastGate:
 
 
 def _clamped(value: float, limit: float) -> float:
-    return min(max(value, -limit), limit)
+    if value > limit:
+        return limit
+    return -limit if value < -limit else value
 
 
 def _finite(target: AttitudeTarget) -> bool:

@@ -72,10 +72,13 @@ def formation_error(
     terms = [(weight, target) for weight, (_, target) in zip(weights, heeded, strict=True)]
     if reference is not None:
         terms.append((1.0, reference))
-    return (
-        _weighted_difference(own.position_enu_m, [(w, t.position_enu_m) for w, t in terms]),
-        _weighted_difference(own.velocity_enu_m_s, [(w, t.velocity_enu_m_s) for w, t in terms]),
-    )
+    (x, y, z), (vx, vy, vz) = own.position_enu_m, own.velocity_enu_m_s
+    ex = ey = ez = evx = evy = evz = 0.0
+    for weight, target in terms:
+        (tx, ty, tz), (tvx, tvy, tvz) = target.position_enu_m, target.velocity_enu_m_s
+        ex, ey, ez = ex + weight * (x - tx), ey + weight * (y - ty), ez + weight * (z - tz)
+        evx, evy, evz = evx + weight * (vx - tvx), evy + weight * (vy - tvy), evz + weight * (vz - tvz)
+    return (ex, ey, ez), (evx, evy, evz)
 
 
 def formation_acceleration(
@@ -92,12 +95,3 @@ def feedback(gains: Gains, position_error_m: Vector3, velocity_error_m_s: Vector
     px, py, pz = position_error_m
     vx, vy, vz = velocity_error_m_s
     return (-k1 * px - k2 * vx, -k1 * py - k2 * vy, -k1 * pz - k2 * vz)
-
-
-def _weighted_difference(own: Vector3, targets: Sequence[tuple[float, Vector3]]) -> Vector3:
-    x = y = z = 0.0
-    for weight, (tx, ty, tz) in targets:
-        x += weight * (own[0] - tx)
-        y += weight * (own[1] - ty)
-        z += weight * (own[2] - tz)
-    return (x, y, z)

@@ -74,17 +74,22 @@ class PeerTable:
             return "has another fleet file (formation hash differs)"
         if packet.role is not role:
             return f"claims to be {packet.role}, the fleet file says {role}"
-        return self._implausible(packet) or self._out_of_order(received) or self._jumped(received)
+        newest = self._newest.get(packet.vehicle_id)
+        return self._implausible(packet) or (self._unlikely_after(newest, received) if newest else None)
 
     def _implausible(self, packet: PeerPacket) -> str | None:
-        numbers = (*packet.position_enu_m, *packet.velocity_enu_m_s, *packet.acceleration_enu_m_s2, packet.state_age_s)
-        if not all(map(isfinite, numbers)):
+        (x, y, z), (vx, vy, vz), (ax, ay, az) = (
+            packet.position_enu_m,
+            packet.velocity_enu_m_s,
+            packet.acceleration_enu_m_s2,
+        )
+        if not isfinite(x + y + z + vx + vy + vz + ax + ay + az + packet.state_age_s):  # one that is not spoils the sum
             return "numbers not finite"
-        if max(map(abs, packet.position_enu_m)) > MAX_COORDINATE_M:
+        if abs(x) > MAX_COORDINATE_M or abs(y) > MAX_COORDINATE_M or abs(z) > MAX_COORDINATE_M:
             return "position not plausible"
-        if hypot(*packet.velocity_enu_m_s) > self._max_speed_m_s:
+        if hypot(vx, vy, vz) > self._max_speed_m_s:
             return "speed not plausible"
-        if hypot(*packet.acceleration_enu_m_s2) > MAX_ACCELERATION_M_S2:
+        if hypot(ax, ay, az) > MAX_ACCELERATION_M_S2:
             return "acceleration not plausible"
         if packet.state_age_s < 0.0:
             return "state from the future"
@@ -95,19 +100,18 @@ class PeerTable:
             return "leader's word not plausible"
         return None
 
-    def _out_of_order(self, received: ReceivedPeerPacket) -> str | None:
-        newest = self._newest.get(received.packet.vehicle_id)
-        if newest is None:
-            return None
-        if newest.packet.session == received.packet.session:
-            return None if received.packet.sequence > newest.packet.sequence else "out of order or replayed"
-        # A vehicle that restarted has been silent for a while; another session at once is a second vehicle with the same id.
-        return None if newest.age_s(received.received_s) > self._max_age_s else "two vehicles with one id"
-
-    def _jumped(self, received: ReceivedPeerPacket) -> str | None:
-        newest = self._newest.get(received.packet.vehicle_id)
-        if newest is None or newest.age_s(received.received_s) > self._max_age_s:
+    def _unlikely_after(self, newest: PeerState, received: ReceivedPeerPacket) -> str | None:
+        """In the light of the newest packet from the same vehicle."""
+        packet, before = received.packet, newest.packet
+        newest_is_old = newest.age_s(received.received_s) > self._max_age_s
+        if before.session != packet.session:
+            # A vehicle that restarted has been silent for a while; another session at once is a second one with the same id.
+            if not newest_is_old:
+                return "two vehicles with one id"
+        elif packet.sequence <= before.sequence:
+            return "out of order or replayed"
+        if newest_is_old:
             return None
         elapsed_s = max(0.0, received.received_s - newest.received_s) + self._max_age_s
-        way_m = dist(received.packet.position_enu_m, newest.packet.position_enu_m)
+        way_m = dist(packet.position_enu_m, before.position_enu_m)
         return "position jumped" if way_m > self._max_speed_m_s * elapsed_s + JUMP_MARGIN_M else None
