@@ -150,7 +150,7 @@ def in_words(summary: Summary) -> str:
         lines.append(f"  largest distance  {largest}   (wanted {wanted} m)")
     if summary.smallest_distance_m is not None:
         lines.append(f"  smallest distance {summary.smallest_distance_m:.2f} m, of any two in the whole flight")
-    settled = "not settled to 10 cm" if summary.settle_s is None else f"{summary.settle_s:.1f} s to 10 cm"
+    settled = "never to 10 cm" if summary.settle_s is None else f"{summary.settle_s:.1f} s to 10 cm"
     lines.append(f"  settled           {settled}; final error {summary.final_error_m:.3f} m")
     lines.extend(_ticks_in_words(summary))
     if summary.real_time_factor is not None:
