@@ -39,6 +39,8 @@ flu_from_frd = frd_from_flu
 
 def wrap_pi(angle_rad: float) -> float:
     """The same angle in [-pi, pi)."""
+    if -pi <= angle_rad < pi:
+        return angle_rad
     return (angle_rad + pi) % (2.0 * pi) - pi
 
 

@@ -109,8 +109,11 @@ class DirectLink:
 
     def tell(self, now_s: float) -> None:
         """Send the telemetry that is due."""
+        due = self._schedule.due(now_s)
+        if not due:
+            return
         received_s = now_s + self._telemetry_delay_s
-        for message_id in self._schedule.due(now_s):
+        for message_id in due:
             self._to_agent.extend(SAMPLES[message_id](self.px4, received_s))
             if message_id == M.MAVLINK_MSG_ID_LOCAL_POSITION_NED:
                 self._positions_s.append(received_s)

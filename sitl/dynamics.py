@@ -36,7 +36,7 @@ def at_rest(position_enu_m: Vector3, quaternion: tuple[float, float, float, floa
     return (*position_enu_m, 0.0, 0.0, 0.0, *quaternion, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-def derivative(body: Body, thrust_n: float, moments_n_m: Vector3, wind_enu_m_s: Vector3) -> Derivative:
+def rate_of_change(body: Body, state: State, thrust_n: float, moments_n_m: Vector3, wind_enu_m_s: Vector3) -> State:
     """d(state)/dt for commanded thrust and moments, in free air.
 
     Eq. 1: m x'' = -m g e3 + R F e3 - drag (x' - wind), R' = R S(Omega), J Omega' + S(Omega) J Omega = tau. The attitude is a
@@ -47,40 +47,46 @@ def derivative(body: Body, thrust_n: float, moments_n_m: Vector3, wind_enu_m_s: 
     tx, ty, tz = moments_n_m
     wx, wy, wz = wind_enu_m_s
     follow = 1.0 / body.motor_lag_s if body.motor_lag_s > 0.0 else 0.0
-
-    def rate_of_change(state: State) -> State:
-        _, _, _, vx, vy, vz, w, x, y, z, p, q, r, force, mx, my, mz = state
-        per_mass = force / mass
-        return (
-            vx,
-            vy,
-            vz,
-            2.0 * (x * z + w * y) * per_mass - drag / mass * (vx - wx),
-            2.0 * (y * z - w * x) * per_mass - drag / mass * (vy - wy),
-            (1.0 - 2.0 * (x * x + y * y)) * per_mass - GRAVITY_M_S2 - drag / mass * (vz - wz),
-            0.5 * (-x * p - y * q - z * r),
-            0.5 * (w * p + y * r - z * q),
-            0.5 * (w * q - x * r + z * p),
-            0.5 * (w * r + x * q - y * p),
-            (mx - (jz - jy) * q * r) / jx,
-            (my - (jx - jz) * r * p) / jy,
-            (mz - (jy - jx) * p * q) / jz,
-            follow * (thrust_n - force),
-            follow * (tx - mx),
-            follow * (ty - my),
-            follow * (tz - mz),
-        )
-
-    return rate_of_change
+    _, _, _, vx, vy, vz, w, x, y, z, p, q, r, force, mx, my, mz = state
+    per_mass = force / mass
+    return (
+        vx,
+        vy,
+        vz,
+        2.0 * (x * z + w * y) * per_mass - drag / mass * (vx - wx),
+        2.0 * (y * z - w * x) * per_mass - drag / mass * (vy - wy),
+        (1.0 - 2.0 * (x * x + y * y)) * per_mass - GRAVITY_M_S2 - drag / mass * (vz - wz),
+        0.5 * (-x * p - y * q - z * r),
+        0.5 * (w * p + y * r - z * q),
+        0.5 * (w * q - x * r + z * p),
+        0.5 * (w * r + x * q - y * p),
+        (mx - (jz - jy) * q * r) / jx,
+        (my - (jx - jz) * r * p) / jy,
+        (mz - (jy - jx) * p * q) / jz,
+        follow * (thrust_n - force),
+        follow * (tx - mx),
+        follow * (ty - my),
+        follow * (tz - mz),
+    )
 
 
-def euler(rate_of_change: Derivative, state: State, dt_s: float) -> State:
-    """One step, velocities first: position and attitude move with the new ones, which keeps orbits closed at 250 Hz.
+def derivative(body: Body, thrust_n: float, moments_n_m: Vector3, wind_enu_m_s: Vector3) -> Derivative:
+    """The same as a function of the state alone, for the integrators."""
+    return lambda state: rate_of_change(body, state, thrust_n, moments_n_m, wind_enu_m_s)
 
-    The quaternion comes out as a unit quaternion. Written out, because it is by far the most frequent thing in a flight.
+
+def euler(derivative_of: Derivative, state: State, dt_s: float) -> State:
+    """One step, velocities first: position and attitude move with the new ones, which keeps orbits closed at 250 Hz."""
+    return advance(state, derivative_of(state), dt_s)
+
+
+def advance(state: State, rate: State, dt_s: float) -> State:
+    """The step of `euler` from a rate of change. The quaternion comes out as a unit quaternion.
+
+    Written out, because it is by far the most frequent thing in a flight.
     """
     x, y, z, vx, vy, vz, qw, qx, qy, qz, p, q, r, force, mx, my, mz = state
-    dx, dy, dz, ax, ay, az, dqw, dqx, dqy, dqz, dp, dq, dr, dforce, dmx, dmy, dmz = rate_of_change(state)
+    dx, dy, dz, ax, ay, az, dqw, dqx, dqy, dqz, dp, dq, dr, dforce, dmx, dmy, dmz = rate
     new_vx, new_vy, new_vz = vx + dt_s * ax, vy + dt_s * ay, vz + dt_s * az
     qw, qx, qy, qz = qw + dt_s * dqw, qx + dt_s * dqx, qy + dt_s * dqy, qz + dt_s * dqz
     norm = sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
@@ -106,13 +112,13 @@ def euler(rate_of_change: Derivative, state: State, dt_s: float) -> State:
     )
 
 
-def rk4(rate_of_change: Derivative, state: State, dt_s: float) -> State:
+def rk4(derivative_of: Derivative, state: State, dt_s: float) -> State:
     """One classical Runge-Kutta step of fourth order."""
     half = 0.5 * dt_s
-    k1 = rate_of_change(state)
-    k2 = rate_of_change(tuple([a + half * b for a, b in zip(state, k1, strict=True)]))
-    k3 = rate_of_change(tuple([a + half * b for a, b in zip(state, k2, strict=True)]))
-    k4 = rate_of_change(tuple([a + dt_s * b for a, b in zip(state, k3, strict=True)]))
+    k1 = derivative_of(state)
+    k2 = derivative_of(tuple([a + half * b for a, b in zip(state, k1, strict=True)]))
+    k3 = derivative_of(tuple([a + half * b for a, b in zip(state, k2, strict=True)]))
+    k4 = derivative_of(tuple([a + dt_s * b for a, b in zip(state, k3, strict=True)]))
     sixth = dt_s / 6.0
     return tuple([a + sixth * (b + 2.0 * (c + d) + e) for a, b, c, d, e in zip(state, k1, k2, k3, k4, strict=True)])
 

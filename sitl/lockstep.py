@@ -31,6 +31,7 @@ class Lockstep:
             stand_in.vehicle_id: Vehicle(scenario, stand_in, self._network, self._reports)
             for stand_in in self._world.stand_ins
         }
+        self._in_order = list(self._vehicles.values())
         self._commands_given = 0
 
     @property
@@ -69,8 +70,10 @@ class Lockstep:
     def _step(self) -> None:
         self._world.step()
         next_step_s = self._world.now_s + DT_S
-        for vehicle in self._vehicles.values():
-            vehicle.tick_before(next_step_s)
+        for vehicle in self._in_order:
+            # Every position that arrives before the next step sets off a tick.
+            while (now_s := vehicle.link.tick_s(next_step_s)) is not None:
+                vehicle.tick(now_s)
 
 
 class Vehicle:
@@ -78,7 +81,7 @@ class Vehicle:
 
     def __init__(self, scenario: Scenario, stand_in: StandIn, network: Network, reports: list[StatusReport]) -> None:
         self.vehicle_id = stand_in.vehicle_id
-        self._link = stand_in.link
+        self.link = stand_in.link
         self._network = network
         self._reports = reports
         self._agent = _agent(scenario, self.vehicle_id)
@@ -91,19 +94,14 @@ class Vehicle:
     def reply_to(self, command: Command) -> CommandReply | None:
         return self._reply if self._reply and self._reply.number == command.number else None
 
-    def tick_before(self, next_step_s: float) -> None:
-        """Every position that arrives before then sets off a tick."""
-        while (now_s := self._link.tick_s(next_step_s)) is not None:
-            self._tick(now_s)
-
-    def _tick(self, now_s: float) -> None:
-        inbox = Inbox(self._link.drain(now_s), self._network.receive(self.vehicle_id, now_s), self._commands)
+    def tick(self, now_s: float) -> None:
+        inbox = Inbox(self.link.drain(now_s), self._network.receive(self.vehicle_id, now_s), self._commands)
         self._commands = ()
         outbox = self._agent.step(now_s, inbox)
         if outbox.attitude_target:
-            self._link.command(outbox.attitude_target, now_s)
+            self.link.command(outbox.attitude_target, now_s)
         for request in outbox.requests:
-            self._link.request(request, now_s)
+            self.link.request(request, now_s)
         for reply in outbox.replies:
             self._reply = reply
         if outbox.peer_packet:

@@ -25,13 +25,13 @@ from sitl.dynamics import (
     VELOCITY,
     Body,
     State,
+    advance,
     at_rest,
-    derivative,
-    euler,
+    rate_of_change,
 )
 
 MOTORS_OFF = Setpoint((1.0, 0.0, 0.0, 0.0), 0.0)
-ESTIMATE_PERIOD_STEPS = 2  # the estimator's error moves every other step
+ESTIMATE_PERIOD_STEPS = 5  # the estimator's error moves at 50 Hz, as often as an agent looks
 
 
 class Quadrotor:
@@ -136,7 +136,8 @@ class Quadrotor:
         thrust_n = setpoint.thrust_norm * self._newton_per_thrust
         if self._body.motor_lag_s == 0.0:
             self.state = (*self.state[:THRUST], thrust_n, *torque)
-        self.state = euler(derivative(self._body, thrust_n, torque, wind), self.state, self._dt_s)
+        rate = rate_of_change(self._body, self.state, thrust_n, torque, wind)
+        self.state = advance(self.state, rate, self._dt_s)
         self._touch_ground(stood_at)
         self._steps += 1
         if self._steps % ESTIMATE_PERIOD_STEPS == 0:

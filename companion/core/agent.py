@@ -109,7 +109,7 @@ class Agent:
 
         self._machine.follow_truth(vehicle)
         streamed = self._machine.streams(vehicle)
-        replies = tuple(self._obey(command, now_s, vehicle, flags) for command in inbox.commands)
+        replies = tuple([self._obey(command, now_s, vehicle, flags) for command in inbox.commands])
         if self._machine.streams(vehicle) and not streamed:
             self._open_stream(now_s, vehicle)
         if inbox.stopping:
@@ -154,14 +154,13 @@ class Agent:
     def _act_on(self, flags: frozenset[HealthFlag], now_s: float, vehicle: VehicleState) -> None:
         if not self._machine.streams(vehicle):
             return
-        reason = ", ".join(sorted(flags)) or "nothing to decide on"
         if now_s - self._spoke_s > SILENT_TOO_LONG_S:
             if self._machine.phase in (FlightPhase.ENGAGE, FlightPhase.FORMATION):
-                self._machine.give_up(f"silent for {SILENT_TOO_LONG_S} s: {reason}")
+                self._machine.give_up(f"silent for {SILENT_TOO_LONG_S} s: {_reason(flags)}")
             else:
                 self._machine.end_stream()
         elif failsafe_action(flags) is FailsafeAction.HOLD:
-            self._machine.hand_over(now_s, vehicle, reason)
+            self._machine.hand_over(now_s, vehicle, _reason(flags))
 
     def _ask_origin(self, now_s: float, vehicle: VehicleState) -> tuple[AutopilotRequest, ...]:
         period_s = ORIGIN_REPEAT_S if vehicle.altitude_amsl_m is None else ORIGIN_REFRESH_S
@@ -305,3 +304,7 @@ class Agent:
             rejected=dict(self._refused + self._tracker.rejected + self._cooperation.peers.rejected),
             last_event=self._last_event,
         )
+
+
+def _reason(flags: frozenset[HealthFlag]) -> str:
+    return ", ".join(sorted(flags)) or "nothing to decide on"

@@ -53,16 +53,14 @@ class Cooperation:
         positions = {i: peer.position_at(now_s) for i, peer in flying.items()}
         ids = self._rule.select(own_position_enu_m, positions)
         leads = self._role is Role.LEADER
+        heard = [(flying[i].packet, positions[i], self._slots_enu_m[i]) for i in ids]
         own = [LeaderWord(self._own_id, 0, int(now_s * 1000.0))] if leads else []
-        self._leader.hear(now_s, own or [flying[i].packet.leader_word for i in ids])
+        self._leader.hear(now_s, own or [packet.leader_word for packet, _, _ in heard])
         leader_word, leader_word_age_s = self._leader.youngest(now_s)
         return Neighbourhood(
-            prc=next_prc(leads, (flying[i].packet.prc for i in ids), len(self._slots_enu_m)),
+            prc=next_prc(leads, [packet.prc for packet, _, _ in heard], len(self._slots_enu_m)),
             leader_word=leader_word,
             leader_word_age_s=leader_word_age_s,
-            neighbours=tuple(
-                (flying[i].packet.prc, place(positions[i], flying[i].packet.velocity_enu_m_s, self._slots_enu_m[i]))
-                for i in ids
-            ),
+            neighbours=tuple([(packet.prc, place(at, packet.velocity_enu_m_s, slot)) for packet, at, slot in heard]),
             neighbour_ids=ids,
         )

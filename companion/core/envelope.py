@@ -85,4 +85,9 @@ def _clamped(value: float, limit: float) -> float:
 
 
 def _finite(target: AttitudeTarget) -> bool:
-    return all(map(isfinite, (target.roll_rad, target.pitch_rad, target.yaw_rad, target.thrust_norm)))
+    return (
+        isfinite(target.roll_rad)
+        and isfinite(target.pitch_rad)
+        and isfinite(target.yaw_rad)
+        and isfinite(target.thrust_norm)
+    )

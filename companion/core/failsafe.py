@@ -23,4 +23,4 @@ ACTIONS: dict[HealthFlag, FailsafeAction] = {
 
 def failsafe_action(flags: Iterable[HealthFlag]) -> FailsafeAction:
     """The highest-ranked action of all raised flags. It clears by itself when its flags do; a hold, once begun, is finished."""
-    return max((ACTIONS[flag] for flag in flags), default=FailsafeAction.NONE)
+    return max([ACTIONS[flag] for flag in flags], default=FailsafeAction.NONE)

@@ -27,7 +27,7 @@ class PeerState:
 
     def position_at(self, now_s: float) -> Vector3:
         """The position carried on with its velocity over its age, so that both sides of x_i - x_j mean the same time."""
-        age_s = self.age_s(now_s)
+        age_s = self.packet.state_age_s + (now_s - self.received_s)
         (x, y, z), (vx, vy, vz) = self.packet.position_enu_m, self.packet.velocity_enu_m_s
         return (x + vx * age_s, y + vy * age_s, z + vz * age_s)
 
@@ -53,11 +53,12 @@ class PeerTable:
 
     def fold(self, packets: Iterable[ReceivedPeerPacket]) -> None:
         for received in packets:
+            packet = received.packet
             reason = self._refusal(received)
             if reason is None:
-                self._newest[received.packet.vehicle_id] = PeerState(received.packet, received.received_s)
+                self._newest[packet.vehicle_id] = PeerState(packet, received.received_s)
             else:
-                self.rejected[f"peer {received.packet.vehicle_id}: {reason}"[:80]] += 1
+                self.rejected[f"peer {packet.vehicle_id}: {reason}"[:80]] += 1
 
     def fresh(self, now_s: float) -> dict[int, PeerState]:
         """Peers whose state is not older than the configured age."""

@@ -95,15 +95,12 @@ class VehicleTracker:
             self._fields.pop("position_time_s", None)
 
     def _fold_attitude(self, sample: AttitudeSample) -> None:
-        if not all(map(isfinite, (sample.roll_rad, sample.pitch_rad, sample.yaw_rad))):
+        if not (isfinite(sample.roll_rad) and isfinite(sample.pitch_rad) and isfinite(sample.yaw_rad)):
             self.rejected["attitude not finite"] += 1
             return
-        self._fields.update(
-            roll_rad=sample.roll_rad,
-            pitch_rad=sample.pitch_rad,
-            yaw_rad=sample.yaw_rad,
-            attitude_time_s=sample.received_s,
-        )
+        fields = self._fields
+        fields["roll_rad"], fields["pitch_rad"], fields["yaw_rad"] = sample.roll_rad, sample.pitch_rad, sample.yaw_rad
+        fields["attitude_time_s"] = sample.received_s
 
     def _fold_origin(self, sample: OriginSample) -> None:
         plausible = abs(sample.latitude_deg) <= 90.0 and abs(sample.longitude_deg) <= 180.0
@@ -123,4 +120,5 @@ class VehicleTracker:
 
 def _within(vector: Vector3, limit: float) -> bool:
     """False for NaN, too."""
-    return all(abs(component) <= limit for component in vector)
+    x, y, z = vector
+    return abs(x) <= limit and abs(y) <= limit and abs(z) <= limit
