@@ -22,7 +22,6 @@ VehicleId = Annotated[int, Meta(ge=1, le=250, description="MAVLink system id of 
 Seconds = Annotated[float, Meta(gt=0, le=60)]
 Coordinate = Annotated[float, Meta(ge=-10_000, le=10_000)]
 PositionM = tuple[Coordinate, Coordinate, Coordinate]
-Port = Annotated[int, Meta(ge=1, le=65535)]
 
 
 class _Base(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
