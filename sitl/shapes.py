@@ -1,0 +1,149 @@
+"""Formations of any size: chain, ring, grid and random geometric graph, as slots and undirected edges.
+
+Vehicle 1 leads, its slot is the origin, and the others are behind it (-x). Up to 250 vehicles have ids that can fly.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from math import cos, dist, floor, pi, sin, sqrt
+
+import numpy as np
+
+from companion.types import Vector3
+
+LEADER = 1
+SPACING_M = 1.5
+RANGE_M = 3.0  # who hears whom in a random geometric graph
+AREA_PER_VEHICLE_M2 = (
+    2.0 * SPACING_M**2
+)  # dense enough to be connected, and sparse enough that darts still hit free places
+DRAWS = 50
+
+Cell = tuple[int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """Slots d_i0 by vehicle id, and every pair of neighbours once, the smaller id first."""
+
+    name: str
+    slots_enu_m: dict[int, Vector3]
+    edges: tuple[tuple[int, int], ...]
+
+    def adjacency(self) -> dict[int, list[int]]:
+        """Neighbour ids of every vehicle, in rising order."""
+        neighbours: dict[int, list[int]] = {i: [] for i in self.slots_enu_m}
+        for a, b in self.edges:
+            neighbours[a].append(b)
+            neighbours[b].append(a)
+        return {i: sorted(found) for i, found in neighbours.items()}
+
+
+def chain(n: int) -> Shape:
+    """1-2-...-n in a line along -x."""
+    _need(n)
+    slots: dict[int, Vector3] = {i: (0.0 - SPACING_M * (i - 1), 0.0, 0.0) for i in range(1, n + 1)}
+    return Shape(f"chain-{n}", slots, tuple(pairwise(range(1, n + 1))))
+
+
+def ring(n: int) -> Shape:
+    """1-2-...-n-1, a regular polygon with sides of one spacing; below three vehicles it is a chain."""
+    _need(n)
+    if n < 3:
+        return Shape(f"ring-{n}", chain(n).slots_enu_m, chain(n).edges)
+    radius_m = SPACING_M / (2.0 * sin(pi / n))
+    turns = {i: 2.0 * pi * (i - 1) / n for i in range(1, n + 1)}
+    slots = {
+        i: (round(radius_m * (cos(turn) - 1.0), 9), round(radius_m * sin(turn), 9), 0.0) for i, turn in turns.items()
+    }
+    return Shape(f"ring-{n}", slots, (*pairwise(range(1, n + 1)), (1, n)))
+
+
+def grid(rows: int, columns: int) -> Shape:
+    """Rows one behind the other, numbered row by row; the leader flies at a corner and neighbours share a side."""
+    _need(rows)
+    _need(columns)
+    cells = [(row, column) for row in range(rows) for column in range(columns)]
+    slots = {1 + r * columns + c: (0.0 - SPACING_M * r, SPACING_M * c, 0.0) for r, c in cells}
+    sideways = [(1 + r * columns + c, 2 + r * columns + c) for r, c in cells if c + 1 < columns]
+    backwards = [(1 + r * columns + c, 1 + (r + 1) * columns + c) for r, c in cells if r + 1 < rows]
+    return Shape(f"grid-{rows}x{columns}", slots, tuple(sorted(sideways + backwards)))
+
+
+def random_geometric(n: int, generator: np.random.Generator) -> Shape:
+    """n places thrown into a square, none nearer than one spacing to another; who is within RANGE_M is a neighbour.
+
+    Drawn again until the graph is connected. Raises ValueError where that does not come within DRAWS draws.
+    """
+    _need(n)
+    for _ in range(DRAWS):
+        thrown = _throw(n, generator)
+        leader_x, leader_y = thrown[0]
+        slots = {i: (round(x - leader_x, 3), round(y - leader_y, 3), 0.0) for i, (x, y) in enumerate(thrown, start=1)}
+        shape = Shape(f"random-{n}", slots, _within(slots, RANGE_M))
+        if is_connected(shape.adjacency()):
+            return shape
+    raise ValueError(f"no connected graph of {n} vehicles in {DRAWS} draws")
+
+
+def is_connected(graph: Mapping[int, Collection[int]]) -> bool:
+    """Whether every vehicle has a path to every other."""
+    first = next(iter(graph), None)
+    if first is None:
+        return True
+    reached, waiting = {first}, deque([first])
+    while waiting:
+        new = set(graph[waiting.popleft()]) - reached
+        reached |= new
+        waiting.extend(new)
+    return len(reached) == len(graph)
+
+
+def _throw(n: int, generator: np.random.Generator) -> list[tuple[float, float]]:
+    """Places in whole millimetres; a dart that lands nearer than a spacing to an earlier one is thrown again."""
+    side_m = sqrt(n * AREA_PER_VEHICLE_M2)
+    taken: dict[Cell, list[tuple[float, float]]] = {}
+    places: list[tuple[float, float]] = []
+    while len(places) < n:
+        x, y = (round(float(value), 3) for value in generator.uniform(0.0, side_m, 2))
+        if all(dist((x, y), other) >= SPACING_M for other in _nearby(taken, (x, y), SPACING_M)):
+            places.append((x, y))
+            taken.setdefault(_cell((x, y), SPACING_M), []).append((x, y))
+    return places
+
+
+def _within(slots: Mapping[int, Vector3], range_m: float) -> tuple[tuple[int, int], ...]:
+    """Every pair at most `range_m` apart; cells of that size keep it from looking at all pairs."""
+    cells: dict[Cell, list[tuple[float, float]]] = {}
+    ids = {(x, y): i for i, (x, y, _) in slots.items()}
+    for place in ids:
+        cells.setdefault(_cell(place, range_m), []).append(place)
+    return tuple(
+        sorted(
+            (i, ids[other])
+            for place, i in ids.items()
+            for other in _nearby(cells, place, range_m)
+            if i < ids[other] and dist(place, other) <= range_m
+        )
+    )
+
+
+def _cell(place: tuple[float, float], size_m: float) -> Cell:
+    return (floor(place[0] / size_m), floor(place[1] / size_m))
+
+
+def _nearby(
+    cells: Mapping[Cell, list[tuple[float, float]]], place: tuple[float, float], size_m: float
+) -> list[tuple[float, float]]:
+    """What lies in the place's own cell and the eight around it."""
+    column, row = _cell(place, size_m)
+    return [found for a in (-1, 0, 1) for b in (-1, 0, 1) for found in cells.get((column + a, row + b), ())]
+
+
+def _need(count: int) -> None:
+    if count < 1:
+        raise ValueError(f"{count} vehicles; expected at least 1")
