@@ -126,7 +126,7 @@ def analyse(subject: Subject) -> Analysis:
     graph = neighbour_graph(fleet, _flying_places(subject))
     unreached = sorted(set(ids) - reached_from(graph, leaders))
     laws = {} if unreached else {name: _law_analysis(subject, graph, leaders, name) for name in LAW_NAMES}
-    own = law_of(fleet.law, fleet.law.name)
+    own = law_of(fleet.law)
     by_leader = {
         i: float(eigenvalues(interaction_matrix(graph, {i}, own))[0])
         for i in ids
@@ -152,7 +152,7 @@ def _flying_places(subject: Subject) -> dict[int, Vector3]:
 
 
 def _law_analysis(subject: Subject, graph: Graph, leaders: Collection[int], name: LawName) -> LawAnalysis:
-    law = law_of(subject.fleet.law, name)
+    law = law_of(subject.fleet.law.renamed(name))
     matrix = interaction_matrix(graph, leaders, law)
     spectrum = eigenvalues(matrix)
     figures = [mode_figures(law.gains, float(value)) for value in spectrum]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from math import radians
+from typing import TypeVar
 
 from companion.config import AgentConfig, EdgeNeighbours, Envelope, FleetConfig, Law, LawName
 from companion.core import formation, reference
@@ -15,6 +17,14 @@ from companion.core.leader_word import LeaderWatch
 from companion.core.neighbours import EdgeRule, NeighbourRule, RangeRule
 from companion.core.peers import PeerTable
 from companion.core.vehicle_state import VehicleTracker
+
+Value = TypeVar("Value")
+LAWS: dict[LawName, Callable[[], FormationLaw]] = {
+    "cooperative": formation.cooperative,
+    "weighted": formation.weighted,
+    "average_22": formation.average_22,
+    "average_26": formation.average_26,
+}
 
 
 def build_agent(config: AgentConfig, session: int) -> Agent:
@@ -36,7 +46,7 @@ def build_agent(config: AgentConfig, session: int) -> Agent:
         law_name=law.name,
         role=member.role,
         slot_enu_m=member.slot_enu_m,
-        law=law_of(law, law.name),
+        law=law_of(law),
         law_flies_altitude=law.altitude == "formation",
         altitude_hold_gains=Gains(law.altitude_hold_gains.position_1_s2, law.altitude_hold_gains.velocity_1_s),
         reference=reference.point(config.vehicle.reference.point_enu_m) if config.vehicle.reference else None,
@@ -51,12 +61,22 @@ def build_agent(config: AgentConfig, session: int) -> Agent:
     return Agent(setup, tracker, Cooperation(member.id, member.role, slots, peers, rule, leader))
 
 
-def law_of(law: Law, name: LawName) -> FormationLaw:
-    """The law of that name with the gains, and for the weighted law the exponent, of a fleet file."""
-    gains = Gains(law.gains.position_1_s2, law.gains.velocity_1_s)
-    if name == "weighted":
-        return formation.weighted(gains, law.exponent)
-    return {"average_22": formation.average_22, "average_26": formation.average_26}[name](gains)
+def law_of(law: Law) -> FormationLaw:
+    """The law of that name with what a fleet file changes of it."""
+    named, changed = LAWS[law.name](), law.gains
+    return FormationLaw(
+        gains=Gains(
+            _first(changed.position_1_s2, named.gains.position_1_s2),
+            _first(changed.velocity_1_s, named.gains.velocity_1_s),
+        ),
+        exponent=_first(law.exponent, named.exponent),
+        leader_heeds_neighbours=_first(law.leader_heeds_neighbours, named.leader_heeds_neighbours),
+        feedforward=_first(law.feedforward, named.feedforward),
+    )
+
+
+def _first(changed: Value | None, named: Value) -> Value:
+    return named if changed is None else changed
 
 
 def _neighbour_rule(fleet: FleetConfig, own_id: int) -> NeighbourRule:

@@ -13,6 +13,7 @@ from typing import Annotated, Literal
 
 import msgspec
 from msgspec import Meta, Struct
+from msgspec.structs import replace
 
 from companion.config_file import ConfigError, load
 from companion.types import Role, Vector3
@@ -50,24 +51,56 @@ class FormationMember(_Base, frozen=True):
     slot_enu_m: PositionM
 
 
+Gain = Annotated[float, Meta(gt=0, le=10)]
+
+
 class Gains(_Base, frozen=True):
-    """K = [k1, k2] of eq. 14: k1 on position [1/s^2], k2 on velocity [1/s]."""
+    """K = [k1, k2] of eq. 14: k1 on position [1/s^2], k2 on velocity [1/s]. What is None is as the law has it."""
 
-    position_1_s2: Annotated[float, Meta(gt=0, le=10)] = 1.39
-    velocity_1_s: Annotated[float, Meta(gt=0, le=10)] = 1.2
+    position_1_s2: Gain | None = None
+    velocity_1_s: Gain | None = None
 
 
-LawName = Literal["weighted", "average_22", "average_26"]
+class AltitudeHoldGains(_Base, frozen=True):
+    """Of a vehicle that holds its own altitude: on position [1/s^2] and on velocity [1/s]."""
+
+    position_1_s2: Gain = 2.0
+    velocity_1_s: Gain = 2.4
+
+
+LawName = Literal["cooperative", "weighted", "average_22", "average_26"]
+PAPER_LAWS: tuple[LawName, ...] = ("weighted", "average_22", "average_26")
 
 
 class Law(_Base, frozen=True):
-    """Which formation law flies. `exponent` is alpha of the weights 1/p^alpha (1 is the paper's Algorithm 2)."""
+    """Which formation law flies, and what of it is changed; what is left out is as the law of that name has it.
 
-    name: LawName = "weighted"
+    `weighted` is the paper's, `average_22` and `average_26` are what it is compared with, `cooperative` is the one to fly.
+    `exponent` is alpha of the weights 1/p^alpha (1 is the paper's Algorithm 2), `feedforward` how much of the neighbours'
+    acceleration is fed forward, and without `leader_heeds_neighbours` a leader tracks its reference alone.
+    """
+
+    name: LawName = "cooperative"
     gains: Gains = Gains()
-    exponent: Annotated[float, Meta(ge=0, le=16)] = 1.0
+    exponent: Annotated[float, Meta(ge=0, le=16)] | None = None
+    feedforward: Annotated[float, Meta(ge=0, le=0.95)] | None = None
+    leader_heeds_neighbours: bool | None = None
     altitude: Literal["formation", "hold"] = "formation"
-    altitude_hold_gains: Gains = Gains(position_1_s2=2.0, velocity_1_s=2.4)
+    altitude_hold_gains: AltitudeHoldGains = AltitudeHoldGains()
+
+    def renamed(self, name: LawName) -> Law:
+        """For comparisons: another law in this one's place. The paper's three are compared with the same gains."""
+        if name == self.name:
+            return self
+        same_gains = name in PAPER_LAWS and self.name in PAPER_LAWS
+        return replace(
+            self,
+            name=name,
+            gains=self.gains if same_gains else Gains(),
+            exponent=None,
+            feedforward=None,
+            leader_heeds_neighbours=None,
+        )
 
 
 class RangeNeighbours(_Base, frozen=True, tag_field="kind", tag="range"):
@@ -182,6 +215,7 @@ def check_fleet(file: Path, fleet: FleetConfig, where: str = "") -> None:
             )
     if not any(member.role is Role.LEADER for member in fleet.vehicles):
         raise ConfigError(file, f"{where}vehicles", "no vehicle leads; set role: leader for at least one of " + known)
+    _check_law(file, f"{where}law", fleet.law)
     if isinstance(fleet.neighbours, EdgeNeighbours):
         _check_edges(file, f"{where}neighbours.edges", fleet.neighbours, ids)
     slots = [member.slot_enu_m for member in fleet.vehicles]
@@ -206,6 +240,19 @@ def check_fleet(file: Path, fleet: FleetConfig, where: str = "") -> None:
                 file,
                 f"{where}envelope.fence_min_enu_m",
                 f"{axis} is {low}, expected less than fence_max_enu_m's {high}",
+            )
+
+
+def _check_law(file: Path, where: str, law: Law) -> None:
+    """The average laws are what they are; anything else would be the weighted law with another exponent."""
+    if law.name not in ("average_22", "average_26"):
+        return
+    for field in ("exponent", "feedforward", "leader_heeds_neighbours"):
+        if getattr(law, field) is not None:
+            raise ConfigError(
+                file,
+                f"{where}.{field}",
+                f"{law.name} takes no {field}; take it out, or fly weighted (its average is exponent: 0)",
             )
 
 

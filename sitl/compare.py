@@ -35,7 +35,7 @@ class Comparison(Struct, frozen=True, kw_only=True):
 
 
 def with_law(scenario: Scenario, law: LawName) -> Scenario:
-    return replace(scenario, fleet=replace(scenario.fleet, law=replace(scenario.fleet.law, name=law)))
+    return replace(scenario, fleet=replace(scenario.fleet, law=scenario.fleet.law.renamed(law)))
 
 
 def compare(summaries: Sequence[Summary]) -> Comparison:

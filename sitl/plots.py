@@ -28,6 +28,7 @@ MARKERS_PER_CURVE = 12
 GUIDE: dict[str, Any] = {"color": "#808080", "linewidth": 1.1, "linestyle": (0, (1, 1.8)), "zorder": 1.5}
 TIME_LABEL = "time since the start of the formation [s]"
 LAW_TITLES = {
+    "cooperative": "cooperative, past the paper",
     "weighted": "weighted neighbours, eq. 14",
     "average_22": "average of neighbours, eq. 22",
     "average_26": "average of neighbours, eq. 26",

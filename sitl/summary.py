@@ -8,6 +8,7 @@ from pathlib import Path
 import msgspec
 from msgspec import Struct
 
+from companion.assembly import law_of
 from companion.wire.ground import Percentiles, Timing
 from sitl.metrics import FormationFigures, neighbouring_pairs, pair_name
 from sitl.scenario import Scenario
@@ -85,7 +86,7 @@ def summarize(
     return Summary(
         scenario=name,
         law=fleet.law.name,
-        exponent=fleet.law.exponent,
+        exponent=law_of(fleet.law).exponent,
         sensors=stand_in.sensors if isinstance(stand_in.sensors, str) else "as given",
         seed=stand_in.seed,
         failure=failure,

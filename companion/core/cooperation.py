@@ -10,7 +10,7 @@ from companion.core.leader_word import LeaderWatch
 from companion.core.neighbours import NeighbourRule
 from companion.core.peers import PeerTable
 from companion.core.priority import next_prc
-from companion.types import FlightPhase, LeaderWord, ReceivedPeerPacket, Role, Vector3
+from companion.types import FlightPhase, LeaderWord, PeerPacket, ReceivedPeerPacket, Role, Vector3
 
 # A vehicle on the ground, climbing, landing or flown by its pilot is nobody's neighbour.
 COOPERATING = frozenset({FlightPhase.HOLD, FlightPhase.ENGAGE, FlightPhase.FORMATION, FlightPhase.RELEASE})
@@ -61,6 +61,10 @@ class Cooperation:
             prc=next_prc(leads, [packet.prc for packet, _, _ in heard], len(self._slots_enu_m)),
             leader_word=leader_word,
             leader_word_age_s=leader_word_age_s,
-            neighbours=tuple([(packet.prc, place(at, packet.velocity_enu_m_s, slot)) for packet, at, slot in heard]),
+            neighbours=tuple([(packet.prc, _place(packet, at, slot)) for packet, at, slot in heard]),
             neighbour_ids=ids,
         )
+
+
+def _place(packet: PeerPacket, position_enu_m: Vector3, slot_enu_m: Vector3) -> Place:
+    return place(position_enu_m, packet.velocity_enu_m_s, slot_enu_m, packet.acceleration_enu_m_s2)

@@ -1,6 +1,7 @@
-"""The formation law: eq. 14 with the weights of Algorithm 2, and the two average laws it is compared with.
+"""The formation law: eq. 14 with the weights of Algorithm 2, the two average laws it is compared with, and what lies past them.
 
-All three are one formula; a law is data: the exponent of its weights, and whether a leader heeds its neighbours.
+All are one formula; a law is data: gains, the exponent of its weights, whether a leader heeds its neighbours, and how much of
+the neighbours' acceleration is fed forward.
 d_ij = d_i0 - d_j0 turns every relative error of the paper into a difference of places:
 x_i - x_j - d_ij = (x_i - d_i0) - (x_j - d_j0).
 """
@@ -11,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from companion.core.weights import neighbour_weights
-from companion.types import Vector3
+from companion.types import ZERO3, Vector3
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,42 +23,65 @@ class Gains:
     velocity_1_s: float
 
 
+PAPER_GAINS = Gains(1.39, 1.2)  # K of section 5.1.1
+
+
 @dataclass(frozen=True, slots=True)
 class FormationLaw:
-    """`exponent` is alpha of the weights 1/p^alpha. Where `leader_heeds_neighbours` is False a leader tracks the RFT alone."""
+    """What tells one law from another.
+
+    `exponent` is alpha of the weights 1/p^alpha. Where `leader_heeds_neighbours` is False a leader tracks the RFT alone.
+    `feedforward` is g: a follower adds g sum_j w_ij u_j, its neighbours' last acceleration commands through the same weights,
+    and a leader g r''. Followers may heed each other, so that the sum comes back to where it started; g < 1 keeps that finite.
+    """
 
     gains: Gains
     exponent: float
     leader_heeds_neighbours: bool
+    feedforward: float = 0.0
 
 
-def weighted(gains: Gains, exponent: float) -> FormationLaw:
+def weighted(gains: Gains = PAPER_GAINS, exponent: float = 1.0) -> FormationLaw:
     """Eq. 14 with Algorithms 1 and 2: the paper's law at exponent 1."""
     return FormationLaw(gains, exponent, leader_heeds_neighbours=True)
 
 
-def average_22(gains: Gains) -> FormationLaw:
+def average_22(gains: Gains = PAPER_GAINS) -> FormationLaw:
     """Equal weights for all neighbours and the leader coupled, the interaction matrix of eq. 22."""
     return FormationLaw(gains, 0.0, leader_heeds_neighbours=True)
 
 
-def average_26(gains: Gains) -> FormationLaw:
+def average_26(gains: Gains = PAPER_GAINS) -> FormationLaw:
     """Eq. 26: followers average their neighbours, leaders track the reference alone."""
     return FormationLaw(gains, 0.0, leader_heeds_neighbours=False)
 
 
+def cooperative() -> FormationLaw:
+    """Past the paper: sharper weights, gains designed for damping and against velocity errors, acceleration fed forward."""
+    return FormationLaw(Gains(1.0, 2.0), 8.0, leader_heeds_neighbours=True, feedforward=0.8)
+
+
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where a vehicle is, seen from its slot: x - d_i0 and its velocity. In perfect formation all places equal the RFT."""
+    """Where a vehicle is, seen from its slot: x - d_i0, its velocity and its last commanded acceleration.
+
+    In perfect formation all places equal the RFT.
+    """
 
     position_enu_m: Vector3
     velocity_enu_m_s: Vector3
+    acceleration_enu_m_s2: Vector3 = ZERO3
 
 
-def place(position_enu_m: Vector3, velocity_enu_m_s: Vector3, slot_enu_m: Vector3) -> Place:
+def place(
+    position_enu_m: Vector3,
+    velocity_enu_m_s: Vector3,
+    slot_enu_m: Vector3,
+    acceleration_enu_m_s2: Vector3 = ZERO3,
+) -> Place:
     x, y, z = position_enu_m
     dx, dy, dz = slot_enu_m
-    return Place((x - dx, y - dy, z - dz), velocity_enu_m_s)
+    return Place((x - dx, y - dy, z - dz), velocity_enu_m_s, acceleration_enu_m_s2)
 
 
 def formation_error(
@@ -84,9 +108,24 @@ def formation_error(
 def formation_acceleration(
     law: FormationLaw, own: Place, neighbours: Sequence[tuple[int, Place]], reference: Place | None
 ) -> Vector3:
-    """u_i of eq. 14, m/s^2 in ENU on all three axes. Zero for a follower without neighbours."""
+    """u_i of eq. 14 and what is fed forward, m/s^2 in ENU on all three axes. Zero for a follower without neighbours."""
     position_error, velocity_error = formation_error(law, own, neighbours, reference)
-    return feedback(law.gains, position_error, velocity_error)
+    fed_back = feedback(law.gains, position_error, velocity_error)
+    if law.feedforward == 0.0:
+        return fed_back
+    ax, ay, az = reference.acceleration_enu_m_s2 if reference else _mean_acceleration(law, neighbours)
+    x, y, z = fed_back
+    return (x + law.feedforward * ax, y + law.feedforward * ay, z + law.feedforward * az)
+
+
+def _mean_acceleration(law: FormationLaw, neighbours: Sequence[tuple[int, Place]]) -> Vector3:
+    """sum_j w_ij u_j."""
+    x = y = z = 0.0
+    weights = neighbour_weights([prc for prc, _ in neighbours], law.exponent)
+    for weight, (_, target) in zip(weights, neighbours, strict=True):
+        ax, ay, az = target.acceleration_enu_m_s2
+        x, y, z = x + weight * ax, y + weight * ay, z + weight * az
+    return (x, y, z)
 
 
 def feedback(gains: Gains, position_error_m: Vector3, velocity_error_m_s: Vector3) -> Vector3:

@@ -51,6 +51,7 @@ FLEET = FleetConfig(
         FormationMember(id=2, role=Role.FOLLOWER, slot_enu_m=(-1.5, 0.0, 0.0)),
     ),
     neighbours=EdgeNeighbours(edges=((1, 2),)),
+    law=Law(name="weighted"),
     takeoff_height_m=1.0,
 )
 
@@ -312,7 +313,7 @@ def test_own_altitude_hold_leaves_the_horizontal_law_alone() -> None:
         origin="local",
         vehicles=FLEET.vehicles,
         neighbours=FLEET.neighbours,
-        law=Law(altitude="hold"),
+        law=Law(name="weighted", altitude="hold"),
         takeoff_height_m=1.0,
     )
     flight = Flight(fleet=fleet).fly_to(FlightPhase.FORMATION)

@@ -6,6 +6,8 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from companion.assembly import law_of
+from companion.core.formation import cooperative
 from companion.wire.ground import Percentiles, Timing
 from sitl.compare import Comparison, compare, in_a_table, with_law
 from sitl.fly_options import FlyOptions, add_fly_arguments, fly_options
@@ -99,6 +101,13 @@ def test_another_law_changes_nothing_else() -> None:
     assert with_law(scenario, "weighted") == scenario
 
 
+def test_the_papers_laws_are_compared_with_the_same_gains_and_cooperative_has_its_own() -> None:
+    scenario = load_scenario(PLATOON, ["fleet.law.gains.velocity_1_s=2", "fleet.law.exponent=3"])
+    average, past = with_law(scenario, "average_22").fleet.law, with_law(scenario, "cooperative").fleet.law
+    assert (average.gains.velocity_1_s, average.exponent) == (2.0, None)
+    assert law_of(past) == cooperative()
+
+
 # ---------------------------------------------------------------- the command line
 
 
@@ -114,7 +123,7 @@ def options(*arguments: str) -> RunOptions:
 
 def test_the_command_line() -> None:
     assert options().others is None
-    assert options("--compare").others == ("weighted", "average_22", "average_26")
+    assert options("--compare").others == ("cooperative", "weighted", "average_22", "average_26")
     assert options("--compare", "average_26").others == ["average_26"]
     both = options("--law", "average_22", "--set", "a=1", "--set", "b=2")
     assert both.overrides == ["fleet.law.name=average_22", "a=1", "b=2"]

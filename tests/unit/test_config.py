@@ -7,8 +7,10 @@ from typing import Any
 import pytest
 import yaml
 
+from companion.assembly import law_of
 from companion.config import load_agent
 from companion.config_file import ConfigError
+from companion.core.formation import Gains, cooperative, weighted
 
 FLEET: dict[str, Any] = {
     "name": "pair",
@@ -45,7 +47,21 @@ def refusal(path: Path) -> str:
 def test_good_files_load(tmp_path: Path) -> None:
     config = load_agent(write(tmp_path, FLEET, LEADER))
     assert config.member.id == 1
-    assert config.fleet.law.exponent == 1.0
+    assert law_of(config.fleet.law) == weighted(Gains(1.39, 1.2), exponent=1.0)
+
+
+def test_a_fleet_that_names_no_law_flies_the_cooperative_one(tmp_path: Path) -> None:
+    fleet = deep_copy(FLEET)
+    del fleet["law"]
+    assert law_of(load_agent(write(tmp_path, fleet, LEADER)).fleet.law) == cooperative()
+
+
+def test_each_part_of_a_law_is_changed_alone(tmp_path: Path) -> None:
+    fleet = deep_copy(FLEET)
+    fleet["law"] = {"name": "weighted", "gains": {"velocity_1_s": 2.0}, "feedforward": 0.5}
+    law = law_of(load_agent(write(tmp_path, fleet, LEADER)).fleet.law)
+    assert (law.gains, law.exponent, law.feedforward) == (Gains(1.39, 2.0), 1.0, 0.5)
+    assert law.leader_heeds_neighbours
 
 
 @pytest.mark.parametrize(
@@ -56,6 +72,9 @@ def test_good_files_load(tmp_path: Path) -> None:
         (lambda f: f["law"]["gains"].update(velocity_1_s="fast"), ["law.gains.velocity_1_s", "'fast'", "float"]),
         (lambda f: f["law"].update(name="weigthed"), ["law.name", "'weigthed'", "average_22", '"weighted"']),
         (lambda f: f["law"].update(exponent=99), ["law.exponent", "99", "<= 16"]),
+        (lambda f: f["law"].update(feedforward=1.0), ["law.feedforward", "1.0", "<= 0.95"]),
+        (lambda f: f["law"].update(name="average_22", exponent=2), ["law.exponent", "average_22", "weighted"]),
+        (lambda f: f["law"].update(name="average_26", feedforward=0.5), ["law.feedforward", "average_26", "weighted"]),
         (lambda f: f["vehicles"][1].update(id=1), ["vehicles[1].id", "used twice"]),
         (lambda f: f["vehicles"][1].update(id=0), ["vehicles[1].id", "0", ">= 1"]),
         (lambda f: f["vehicles"][1].pop("slot_enu_m"), ["vehicles[1].slot_enu_m", "required"]),

@@ -24,6 +24,10 @@ def at(x: float, vx: float = 0.0) -> Place:
     return Place((x, 0.0, 0.0), (vx, 0.0, 0.0))
 
 
+def accelerating(acceleration: float) -> Place:
+    return Place((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (acceleration, 0.0, 0.0))
+
+
 def test_equation_14_of_a_follower_by_hand() -> None:
     # Neighbours with PrC 1 and 3: weights 3/4 and 1/4. z = 3/4 (2 - 1) + 1/4 (2 - 4) = 0.25 m; velocity 0.5 m/s.
     u = formation_acceleration(weighted(K, 1.0), at(2.0, 0.5), [(1, at(1.0)), (3, at(4.0))], None)
@@ -51,6 +55,25 @@ def test_a_follower_without_neighbours_asks_for_nothing() -> None:
 
 def test_places_are_equal_in_perfect_formation() -> None:
     assert place((2.0, 3.0, 1.0), REST, (1.0, 3.0, 0.0)) == Place((1.0, 0.0, 1.0), REST)
+
+
+def test_neighbours_acceleration_comes_through_the_same_weights() -> None:
+    law = FormationLaw(K, 1.0, leader_heeds_neighbours=True, feedforward=0.8)
+    neighbours = [(1, accelerating(1.0)), (3, accelerating(-2.0))]  # weights 3/4 and 1/4
+    assert formation_acceleration(law, at(0.0), neighbours, None) == pytest.approx((0.8 * 0.25, 0.0, 0.0))
+
+
+def test_a_leader_feeds_forward_its_reference_and_no_neighbour() -> None:
+    law = FormationLaw(K, 1.0, leader_heeds_neighbours=True, feedforward=0.8)
+    u = formation_acceleration(law, at(0.0), [(2, accelerating(5.0))], accelerating(0.5))
+    assert u == pytest.approx((0.8 * 0.5, 0.0, 0.0))
+
+
+def test_the_papers_laws_feed_nothing_forward() -> None:
+    neighbours = [(1, accelerating(5.0))]
+    for law in (weighted(), average_22(), average_26()):
+        assert formation_acceleration(law, at(0.0), neighbours, None) == (0.0, 0.0, 0.0)
+        assert formation_acceleration(law, at(0.0), [], accelerating(5.0)) == (0.0, 0.0, 0.0)
 
 
 def fly_platoon(law: FormationLaw, seconds: float = 100.0) -> tuple[list[float], float]:

@@ -71,7 +71,7 @@ def test_an_unknown_key_of_a_step_of_the_timeline() -> None:
 
 
 def test_a_gain_out_of_bounds() -> None:
-    message = error_of_file(lambda d: d["fleet"]["law"]["gains"].update(position_1_s2=-1.0))
+    message = error_of_file(lambda d: d["fleet"]["law"].update(gains={"position_1_s2": -1.0}))
     assert message == "s.yaml: fleet.law.gains.position_1_s2: -1.0: expected float > 0.0"
 
 
