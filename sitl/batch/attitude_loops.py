@@ -1,0 +1,86 @@
+"""sitl.attitude_control for many vehicles: attitude goals -> moments about the body axes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sitl.attitude_control import (
+    DELAY_S,
+    MAX_RATE_RAD_S,
+    MAX_YAW_RATE_RAD_S,
+    RATE_GAIN_1_S,
+    TILT_GAIN_1_S,
+    YAW_GAIN_1_S,
+    YAW_RATE_GAIN_1_S,
+)
+from sitl.tracks import FloatArray
+
+HALF_TURN = 1e-6  # of turn: upside down, where any way round is as short
+MOST_RAD_S = np.array([[MAX_RATE_RAD_S], [MAX_RATE_RAD_S], [MAX_YAW_RATE_RAD_S]])
+
+
+def delay_steps(dt_s: float) -> int:
+    """Of an attitude on its way through the loops."""
+    return max(1, round(DELAY_S / dt_s))
+
+
+class AttitudeLoops:
+    """Both loops of N vehicles of this inertia (3, N). Keeps its working memory between steps."""
+
+    def __init__(self, inertia_kg_m2: FloatArray) -> None:
+        count = inertia_kg_m2.shape[1]
+        self._gain = inertia_kg_m2 * np.array([[RATE_GAIN_1_S], [RATE_GAIN_1_S], [YAW_RATE_GAIN_1_S]])
+        self._products = np.empty((4, 4, count))
+        self._error = np.empty((4, count))
+        self._turn, self._one = np.empty(count), np.empty(count)
+
+    def moments(self, goal: FloatArray, measured: FloatArray, rates_rad_s: FloatArray, out: FloatArray) -> None:
+        """Moments [N m] into `out` (3, N). Attitudes are quaternions (4, N), FLU to ENU."""
+        self._wanted_rates(goal, measured, out)
+        np.minimum(out, MOST_RAD_S, out=out)
+        np.maximum(out, -MOST_RAD_S, out=out)
+        out -= rates_rad_s
+        out *= self._gain
+
+    def _wanted_rates(self, goal: FloatArray, measured: FloatArray, out: FloatArray) -> None:
+        """Gains times sitl.attitude_control.rotation_error."""
+        product, (ew, ex, ey, ez) = self._products, self._error
+        np.multiply(measured[:, None, :], goal[None, :, :], out=product)
+        np.add(product[0, 0], product[1, 1], out=ew)
+        ew += product[2, 2]
+        ew += product[3, 3]
+        np.subtract(product[0, 1], product[1, 0], out=ex)
+        ex -= product[2, 3]
+        ex += product[3, 2]
+        np.subtract(product[0, 2], product[2, 0], out=ey)
+        ey += product[1, 3]
+        ey -= product[3, 1]
+        np.subtract(product[0, 3], product[3, 0], out=ez)
+        ez -= product[1, 2]
+        ez += product[2, 1]
+
+        turn, one = self._turn, self._one
+        np.square(ew, out=turn)
+        np.square(ez, out=one)
+        turn += one
+        np.sqrt(turn, out=turn)
+        upside_down = np.flatnonzero(turn < HALF_TURN) if turn.min() < HALF_TURN else None
+        np.maximum(turn, HALF_TURN, out=turn)
+        np.divide(2.0 * TILT_GAIN_1_S, turn, out=turn)
+
+        p, q, r = out
+        np.multiply(ew, ex, out=p)
+        np.multiply(ez, ey, out=one)
+        p -= one
+        p *= turn
+        np.multiply(ew, ey, out=q)
+        np.multiply(ez, ex, out=one)
+        q += one
+        q *= turn
+        np.multiply(ez, turn, out=r)
+        r *= YAW_GAIN_1_S / TILT_GAIN_1_S
+        np.copysign(1.0, ew, out=one)
+        r *= one
+        if upside_down is not None:
+            out[:, upside_down] = 2.0 * TILT_GAIN_1_S * self._error[1:4, upside_down]
+            out[2, upside_down] = 0.0

@@ -1,0 +1,107 @@
+"""The stand-ins' loops and bodies for many vehicles: targets on their way, delays, motors, and what each autopilot tells."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import ceil, floor
+
+import numpy as np
+
+from sitl.batch.attitude_loops import AttitudeLoops, delay_steps
+from sitl.batch.bodies import ATTITUDE, POSITION, RATES, Bodies
+from sitl.batch.columns import Columns, IntArray
+from sitl.config import Links
+from sitl.px4 import DT_S
+from sitl.scenario import Scenario
+from sitl.tracks import FloatArray
+from sitl.world import TELEMETRY_STEPS
+
+
+class Autopilots:
+    """All stand-ins of a batch. Targets are (5, k): quaternion (FLU to ENU) and thrust in 0..1."""
+
+    def __init__(
+        self, scenarios: Sequence[Scenario], columns: Columns, position_enu_m: FloatArray, velocity_enu_m_s: FloatArray
+    ) -> None:
+        airframes = [scenario.stand_in.airframe for scenario in scenarios]
+        self._bodies = Bodies(airframes, columns.formation)
+        self._loops = AttitudeLoops(self._bodies.inertia_kg_m2)
+        self._state = self._bodies.at_rest(position_enu_m, velocity_enu_m_s)
+        hover_norm = columns.spread([airframe.hover_thrust_norm for airframe in airframes])
+        self._newton_per_thrust = self._bodies.hover_n / hover_norm
+        self._instant = airframes[0].attitude == "instant"
+        self._command = np.zeros((4, columns.count))
+        self._goal = np.zeros((4, columns.count))
+        self._wind = np.array([scenario.stand_in.wind.mean_enu_m_s for scenario in scenarios])[columns.formation].T
+        late = np.array([command_steps(scenario.links) for scenario in scenarios])[columns.formation]
+        loops = 0 if self._instant else delay_steps(DT_S)
+        self._thrusts = _OnTheWay(columns, late)
+        self._attitudes = _OnTheWay(columns, late + loops)
+        kept = int((late.max() + loops) // TELEMETRY_STEPS) + 2
+        self._targets = np.empty((kept, 5, columns.count))
+
+    @property
+    def positions_enu_m(self) -> FloatArray:
+        """Truth (3, B n)."""
+        return self._state[POSITION]
+
+    def begin(self, targets: FloatArray) -> None:
+        """What all vehicles (5, B n) follow until the agents' first targets come."""
+        self._targets[:] = targets
+        self._goal[:] = targets[:4]
+        np.multiply(targets[4], self._newton_per_thrust, out=self._command[0])
+
+    def told(self, group: slice) -> FloatArray:
+        """Telemetry (9, G): position, velocity, roll, pitch, yaw."""
+        told = np.empty((9, group.stop - group.start))
+        told[:6] = self._state[:6, group]
+        told[6:9] = euler_rad(self._state[ATTITUDE, group])
+        return told
+
+    def command(self, tick: int, group: slice, targets: FloatArray) -> None:
+        """Targets that these vehicles' agents decided on in this tick set out."""
+        self._targets[tick % len(self._targets), :, group] = targets
+
+    def step(self, step: int) -> None:
+        """The step of this number, from 1."""
+        places, rows = self._thrusts.arriving(step, len(self._targets))
+        self._command[0, places] = self._targets[rows, 4, places] * self._newton_per_thrust[places]
+        places, rows = self._attitudes.arriving(step, len(self._targets))
+        self._goal[:, places] = self._targets[rows, :4, places].T
+        state = self._state
+        if self._instant:
+            state[ATTITUDE] = self._goal
+            state[RATES] = 0.0
+        else:
+            self._loops.moments(self._goal, state[ATTITUDE], state[RATES], self._command[1:])
+        self._bodies.step(state, self._command, self._wind, DT_S)
+
+
+class _OnTheWay:
+    """When targets reach their vehicles; `late_steps` (B n,) are from the sampling of what they were decided on."""
+
+    def __init__(self, columns: Columns, late_steps: IntArray) -> None:
+        due = columns.phase_steps + late_steps
+        self._places = [np.flatnonzero(due % TELEMETRY_STEPS == phase) for phase in range(TELEMETRY_STEPS)]
+        self._ticks_late = [due[places] // TELEMETRY_STEPS for places in self._places]
+
+    def arriving(self, step: int, kept: int) -> tuple[IntArray, IntArray]:
+        """The columns that get a target for this step, and the ticks, modulo `kept`, of these targets."""
+        tick, phase = divmod(step, TELEMETRY_STEPS)
+        return self._places[phase], (tick - self._ticks_late[phase]) % kept
+
+
+def command_steps(links: Links) -> int:
+    """From the sampling of telemetry to the first step under the target made of it. Exact: steps end at whole times."""
+    arrives = (links.telemetry_delay_s + links.setpoint_delay_s) / DT_S
+    return max(floor(links.telemetry_delay_s / DT_S + 1e-9) + 1, ceil(arrives - 1e-9))
+
+
+def euler_rad(attitude: FloatArray) -> FloatArray:
+    """Roll, pitch, yaw (3, k) of unit quaternions (4, k), FLU in ENU."""
+    w, x, y, z = attitude
+    euler = np.empty((3, w.size))
+    np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y), out=euler[0])
+    np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0), out=euler[1])
+    np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z), out=euler[2])
+    return euler

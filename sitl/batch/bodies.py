@@ -1,0 +1,155 @@
+"""sitl.dynamics for many vehicles: rigid bodies of eq. 1-5 with lagging motors and linear drag, in free air.
+
+A state is (17, N): position [m] and velocity [m/s] in ENU, attitude quaternion w x y z (FLU to ENU), body rates [rad/s],
+thrust [N] and moments [N m] as the motors give them. A command is (4, N): thrust [N] and moments [N m].
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from sitl.batch.columns import IntArray
+from sitl.config import Airframe
+from sitl.dynamics import GRAVITY_M_S2
+from sitl.tracks import FloatArray
+
+ROWS = 17
+POSITION, VELOCITY, ATTITUDE, RATES, MOTORS = slice(0, 3), slice(3, 6), slice(6, 10), slice(10, 13), slice(13, 17)
+
+
+class Bodies:
+    """N vehicles, whose airframes are `airframes[of_column]`. Keeps its working memory between steps."""
+
+    def __init__(self, airframes: Sequence[Airframe], of_column: IntArray) -> None:
+        mass = np.array([a.mass_kg for a in airframes])[of_column]
+        drag = np.array([a.drag_n_per_m_s for a in airframes])[of_column]
+        lag = np.array([a.motor_lag_s for a in airframes])[of_column]
+        self.inertia_kg_m2: FloatArray = np.ascontiguousarray(
+            np.array([a.inertia_kg_m2 for a in airframes])[of_column].T
+        )
+        jx, jy, jz = self.inertia_kg_m2
+        self._per_inertia = 1.0 / self.inertia_kg_m2
+        self._gyro = np.stack([(jz - jy) / jx, (jx - jz) / jy, (jy - jx) / jz])
+        self._twice_per_mass = 2.0 / mass
+        self._drag_per_mass = drag / mass if drag.any() else None
+        self._follow = np.where(lag > 0.0, 1.0 / np.where(lag > 0.0, lag, 1.0), 0.0)
+        self._at_once = lag == 0.0
+        self.hover_n: FloatArray = mass * GRAVITY_M_S2
+        count = mass.size
+        self._rate, self._step = np.empty((ROWS, count)), np.empty((ROWS, count))
+        self._turning = np.empty((4, 3, count))
+        self._three, self._two, self._two_more = np.empty((3, count)), np.empty((2, count)), np.empty((2, count))
+        self._one = np.empty(count)
+
+    def at_rest(self, position_enu_m: FloatArray, velocity_enu_m_s: FloatArray) -> FloatArray:
+        """States (17, N), level and with motors that carry the weight."""
+        state = np.zeros((ROWS, position_enu_m.shape[1]))
+        state[POSITION], state[VELOCITY] = position_enu_m, velocity_enu_m_s
+        state[6] = 1.0
+        state[13] = self.hover_n
+        return state
+
+    def step(self, state: FloatArray, command: FloatArray, wind_enu_m_s: FloatArray, dt_s: float) -> None:
+        """Semi-implicit Euler, as sitl.dynamics.advance. `state` is changed in place."""
+        self.set_motors(state, command)
+        step = self._step
+        np.multiply(self.rate_of_change(state, command, wind_enu_m_s, self._rate), dt_s, out=step)
+        np.multiply(step[VELOCITY], 0.5 * dt_s, out=self._three)
+        step[POSITION] += self._three  # position with the mean of old and new velocity
+        state += step
+        self.normalise(state)
+
+    def set_motors(self, state: FloatArray, command: FloatArray) -> None:
+        """Motors without lag are there at once."""
+        if self._at_once.any():
+            np.copyto(state[MOTORS], command, where=self._at_once)
+
+    def rate_of_change(
+        self, state: FloatArray, command: FloatArray, wind_enu_m_s: FloatArray, out: FloatArray
+    ) -> FloatArray:
+        """d(state)/dt into `out` (17, N); wind is (3, N) or (3, 1). Few whole-row operations: each costs a microsecond."""
+        attitude, rates = state[ATTITUDE], state[RATES]
+        out[POSITION] = state[VELOCITY]
+        self._accelerate(state, wind_enu_m_s, out[VELOCITY])
+
+        turning = self._turning  # q_i omega_j / 2
+        np.multiply(rates, 0.5, out=self._three)
+        np.multiply(attitude[:, None, :], self._three[None, :, :], out=turning)
+        dw, dx, dy, dz = out[ATTITUDE]
+        np.add(turning[1, 0], turning[2, 1], out=dw)
+        dw += turning[3, 2]
+        np.negative(dw, out=dw)
+        np.add(turning[0, 0], turning[2, 2], out=dx)
+        dx -= turning[3, 1]
+        np.subtract(turning[0, 1], turning[1, 2], out=dy)
+        dy += turning[3, 0]
+        np.add(turning[0, 2], turning[1, 1], out=dz)
+        dz -= turning[2, 0]
+
+        spin, precession = out[RATES], self._three
+        np.multiply(rates[1], rates[2], out=precession[0])
+        np.multiply(rates[2], rates[0], out=precession[1])
+        np.multiply(rates[0], rates[1], out=precession[2])
+        precession *= self._gyro
+        np.multiply(state[14:17], self._per_inertia, out=spin)
+        spin -= precession
+
+        motors = out[MOTORS]
+        np.subtract(command, state[MOTORS], out=motors)
+        motors *= self._follow
+        return out
+
+    def _accelerate(self, state: FloatArray, wind_enu_m_s: FloatArray, out: FloatArray) -> None:
+        """m x'' = -m g e3 + R F e3 - drag (x' - wind)."""
+        w, vector = state[6], state[7:10]
+        along, across = self._two, self._two_more
+        np.multiply(state[13], self._twice_per_mass, out=self._one)
+        np.multiply(vector[:2], vector[2], out=along)
+        np.multiply(vector[1::-1], w, out=across)
+        along[0] += across[0]
+        along[1] -= across[1]
+        np.multiply(along, self._one, out=out[:2])
+        np.square(vector[:2], out=across)
+        up = out[2]
+        np.add(across[0], across[1], out=up)
+        np.subtract(0.5, up, out=up)
+        up *= self._one
+        up -= GRAVITY_M_S2
+        if self._drag_per_mass is not None:
+            np.subtract(state[VELOCITY], wind_enu_m_s, out=self._three)
+            self._three *= self._drag_per_mass
+            out -= self._three
+
+    def normalise(self, state: FloatArray) -> None:
+        """Unit quaternions again."""
+        attitude = state[ATTITUDE]
+        squares = self._turning[:, 0]
+        np.square(attitude, out=squares)
+        np.add.reduce(squares, axis=0, out=self._one)
+        np.sqrt(self._one, out=self._one)
+        attitude /= self._one
+
+
+class RungeKutta:
+    """The same bodies stepped by the classical method of fourth order, as sitl.dynamics.rk4."""
+
+    def __init__(self, bodies: Bodies) -> None:
+        self._bodies = bodies
+        shape = (ROWS, bodies.hover_n.size)
+        self._rate, self._between, self._sum = np.empty(shape), np.empty(shape), np.empty(shape)
+
+    def step(self, state: FloatArray, command: FloatArray, wind_enu_m_s: FloatArray, dt_s: float) -> None:
+        bodies, rate, between, total = self._bodies, self._rate, self._between, self._sum
+        bodies.set_motors(state, command)
+        np.copyto(total, bodies.rate_of_change(state, command, wind_enu_m_s, rate))
+        for ahead_s, share in ((0.5 * dt_s, 2.0), (0.5 * dt_s, 2.0), (dt_s, 1.0)):
+            np.multiply(rate, ahead_s, out=between)
+            between += state
+            bodies.rate_of_change(between, command, wind_enu_m_s, rate)
+            np.multiply(rate, share, out=between)
+            total += between
+        total *= dt_s / 6.0
+        state += total
+        bodies.normalise(state)

@@ -1,0 +1,97 @@
+"""Formations side by side: one column of every array per vehicle.
+
+Columns are in the order of the vehicles' phases, so that those which tick in the same step are one slice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from random import Random
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sitl.fleet import ids_of
+from sitl.scenario import Scenario
+from sitl.tracks import FloatArray
+from sitl.world import TELEMETRY_STEPS
+
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """B formations of n vehicles in B n columns.
+
+    `order` (B n,) says which vehicle a column holds, as b n + i with i by rising ids, and `column_of` is its inverse;
+    `formation` (B n,) is b, `phase_steps` (B n,) when within a period a column ticks, `groups` the slice of each phase.
+    """
+
+    formations: int
+    vehicles: int
+    order: IntArray
+    column_of: IntArray
+    formation: IntArray
+    phase_steps: IntArray
+    groups: tuple[slice, ...]
+
+    @property
+    def count(self) -> int:
+        return self.formations * self.vehicles
+
+    def in_columns(self, of_vehicles: FloatArray) -> FloatArray:
+        """(B, n, k) by vehicle -> (k, B n) by column."""
+        flat = of_vehicles.reshape(self.count, -1)
+        return np.ascontiguousarray(flat[self.order].T)
+
+    def by_vehicle(self, rows: FloatArray) -> FloatArray:
+        """(k, B n) by column -> (B, n, k)."""
+        return rows.take(self.column_of, axis=1).T.reshape(self.formations, self.vehicles, -1)
+
+    def spread(self, of_formations: Sequence[float]) -> FloatArray:
+        """One number per formation -> (B n,)."""
+        return np.array(of_formations, dtype=np.float64)[self.formation]
+
+
+def columns_of(scenarios: Sequence[Scenario]) -> Columns:
+    """Raises ValueError where these scenarios cannot be flown side by side."""
+    _check(scenarios)
+    _not_yet(scenarios)
+    ids = [ids_of(scenario) for scenario in scenarios]
+    count, vehicles = len(scenarios), len(ids[0])
+    phases = np.array([[phase_steps(s.stand_in.seed, i) for i in own] for s, own in zip(scenarios, ids, strict=True)])
+    order = np.argsort(phases.ravel(), kind="stable")
+    column_of = np.empty_like(order)
+    column_of[order] = np.arange(order.size)
+    sorted_phases = phases.ravel()[order]
+    ends = np.searchsorted(sorted_phases, np.arange(TELEMETRY_STEPS + 1))
+    groups = tuple(slice(int(a), int(b)) for a, b in pairwise(ends))
+    return Columns(count, vehicles, order, column_of, order // vehicles, sorted_phases, groups)
+
+
+def _not_yet(scenarios: Sequence[Scenario]) -> None:
+    for scenario in scenarios:
+        links, stand_in = scenario.links, scenario.stand_in
+        if links.peer_loss or links.peer_jitter_s or stand_in.wind.gust_sd_m_s:
+            raise ValueError("loss, jitter and gusts are not flown in batches")
+        if not stand_in.sensor_model().position_sd_m == (0.0, 0.0, 0.0):
+            raise ValueError("only ideal sensors are flown in batches")
+
+
+def phase_steps(seed: int, vehicle_id: int) -> int:
+    """As sitl.world has it: when within its period a vehicle's telemetry comes."""
+    return Random(f"{seed} {vehicle_id} phase").randrange(TELEMETRY_STEPS)
+
+
+def _check(scenarios: Sequence[Scenario]) -> None:
+    if not scenarios:
+        raise ValueError("a batch needs at least one scenario")
+    counts = sorted({len(scenario.fleet.vehicles) for scenario in scenarios})
+    if len(counts) > 1:
+        raise ValueError(f"formations of one batch need the same number of vehicles; these have {counts}")
+    kinds = sorted({scenario.stand_in.airframe.attitude for scenario in scenarios})
+    if len(kinds) > 1:
+        raise ValueError(f"formations of one batch need the same kind of attitude control; these have {kinds}")

@@ -1,0 +1,85 @@
+"""The state of a whole batch and how it goes on: in each step some of the agents decide, then all bodies move."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sitl.batch.agents import Agents
+from sitl.batch.autopilots import Autopilots
+from sitl.batch.candidates import candidates_of
+from sitl.batch.columns import BoolArray, Columns
+from sitl.batch.laws import Laws
+from sitl.batch.references import References
+from sitl.fleet import ids_of
+from sitl.px4 import DT_S
+from sitl.scenario import Scenario
+from sitl.tracks import FloatArray
+from sitl.world import TELEMETRY_STEPS
+
+
+@dataclass(frozen=True, slots=True)
+class BatchStart:
+    """Where the vehicles are at t = 0 and how fast: true positions and velocities, (B, n, 3) in ENU. They are level."""
+
+    positions_enu_m: FloatArray
+    velocities_enu_m_s: FloatArray
+
+
+def starts_at_rest(scenarios: Sequence[Scenario]) -> BatchStart:
+    """Hovering over `starts_enu_m` at the height of take-off."""
+    starts = [[scenario.starts_enu_m[i] for i in ids_of(scenario)] for scenario in scenarios]
+    positions = np.array(starts, dtype=np.float64)
+    positions[:, :, 2] += np.array([[scenario.fleet.takeoff_height_m] for scenario in scenarios])
+    return BatchStart(positions, np.zeros_like(positions))
+
+
+class Simulation:
+    """Steps of DT_S. A vehicle's agent decides on the state after the steps that are its own by phase."""
+
+    def __init__(self, scenarios: Sequence[Scenario], columns: Columns, start: BatchStart) -> None:
+        self._columns = columns
+        self._steps = 0
+        laws = Laws(scenarios, columns)
+        self.slots_enu_m = laws.slots_by_vehicle_enu_m
+        self.references = References(scenarios, columns, laws.leads)
+        self._autopilots = Autopilots(
+            scenarios,
+            columns,
+            columns.in_columns(start.positions_enu_m),
+            columns.in_columns(start.velocities_enu_m_s),
+        )
+        everybody = slice(0, columns.count)
+        self._agents = Agents(
+            scenarios,
+            columns,
+            laws,
+            self.references,
+            candidates_of(scenarios, columns),
+            self._autopilots.told(everybody),
+        )
+        self._autopilots.begin(self._agents.targets(everybody))
+
+    @property
+    def time_s(self) -> float:
+        return self._steps * DT_S
+
+    def step(self) -> None:
+        """The agents whose telemetry is of now, then all bodies."""
+        tick, phase = divmod(self._steps, TELEMETRY_STEPS)
+        group = self._columns.groups[phase]
+        if group.stop > group.start:
+            targets = self._agents.decide(tick, phase, self.time_s, self._autopilots.told(group))
+            self._autopilots.command(tick, group, targets)
+        self._steps += 1
+        self._autopilots.step(self._steps)
+
+    def positions_enu_m(self) -> FloatArray:
+        """True positions (B, n, 3)."""
+        return self._columns.by_vehicle(self._autopilots.positions_enu_m)
+
+    def neighbours(self) -> BoolArray:
+        """Who heeds whom (B, n, n)."""
+        return self._agents.relation()
