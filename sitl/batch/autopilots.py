@@ -10,8 +10,11 @@ import numpy as np
 from sitl.batch.attitude_loops import AttitudeLoops, delay_steps
 from sitl.batch.bodies import ATTITUDE, POSITION, RATES, Bodies
 from sitl.batch.columns import Columns, IntArray
+from sitl.batch.disturbances import EstimatorErrors, Gusts
+from sitl.batch.rotations import euler_rad, product, quaternion_of_turns
 from sitl.config import Links
 from sitl.px4 import DT_S
+from sitl.quadrotor import ESTIMATE_PERIOD_STEPS
 from sitl.scenario import Scenario
 from sitl.tracks import FloatArray
 from sitl.world import TELEMETRY_STEPS
@@ -32,7 +35,9 @@ class Autopilots:
         self._instant = airframes[0].attitude == "instant"
         self._command = np.zeros((4, columns.count))
         self._goal = np.zeros((4, columns.count))
-        self._wind = np.array([scenario.stand_in.wind.mean_enu_m_s for scenario in scenarios])[columns.formation].T
+        self._gusts = Gusts(scenarios, columns)
+        self._errors = EstimatorErrors(scenarios, columns)
+        self._turns = quaternion_of_turns(self._errors.attitude_rad)
         late = np.array([command_steps(scenario.links) for scenario in scenarios])[columns.formation]
         loops = 0 if self._instant else delay_steps(DT_S)
         self._thrusts = _OnTheWay(columns, late)
@@ -55,7 +60,12 @@ class Autopilots:
         """Telemetry (9, G): position, velocity, roll, pitch, yaw."""
         told = np.empty((9, group.stop - group.start))
         told[:6] = self._state[:6, group]
-        told[6:9] = euler_rad(self._state[ATTITUDE, group])
+        if self._errors.quiet:
+            told[6:9] = euler_rad(self._state[ATTITUDE, group])
+            return told
+        told[:3] += self._errors.position_m[:, group]
+        told[3:6] += self._errors.velocity_m_s[:, group]
+        told[6:9] = euler_rad(product(self._state[ATTITUDE, group], self._turns[:, group]))
         return told
 
     def command(self, tick: int, group: slice, targets: FloatArray) -> None:
@@ -68,13 +78,26 @@ class Autopilots:
         self._command[0, places] = self._targets[rows, 4, places] * self._newton_per_thrust[places]
         places, rows = self._attitudes.arriving(step, len(self._targets))
         self._goal[:, places] = self._targets[rows, :4, places].T
-        state = self._state
         if self._instant:
-            state[ATTITUDE] = self._goal
-            state[RATES] = 0.0
+            self._take_attitude()
         else:
-            self._loops.moments(self._goal, state[ATTITUDE], state[RATES], self._command[1:])
-        self._bodies.step(state, self._command, self._wind, DT_S)
+            self._loops.moments(self._goal, self._believed(), self._state[RATES], self._command[1:])
+        self._bodies.step(self._state, self._command, self._gusts.step(), DT_S)
+        if step % ESTIMATE_PERIOD_STEPS == 0 and not self._errors.quiet:
+            self._errors.step()
+            self._turns = quaternion_of_turns(self._errors.attitude_rad)
+
+    def _believed(self) -> FloatArray:
+        """Attitudes as the autopilots believe them; every loop works on these."""
+        attitude = self._state[ATTITUDE]
+        return attitude if self._errors.quiet else product(attitude, self._turns)
+
+    def _take_attitude(self) -> None:
+        """The ideal of section 3.1: the believed attitude is the commanded one at once."""
+        self._state[ATTITUDE] = self._goal
+        self._state[RATES] = 0.0
+        if not self._errors.quiet:
+            self._state[ATTITUDE] = product(self._goal, quaternion_of_turns(-self._errors.attitude_rad))
 
 
 class _OnTheWay:
@@ -95,13 +118,3 @@ def command_steps(links: Links) -> int:
     """From the sampling of telemetry to the first step under the target made of it. Exact: steps end at whole times."""
     arrives = (links.telemetry_delay_s + links.setpoint_delay_s) / DT_S
     return max(floor(links.telemetry_delay_s / DT_S + 1e-9) + 1, ceil(arrives - 1e-9))
-
-
-def euler_rad(attitude: FloatArray) -> FloatArray:
-    """Roll, pitch, yaw (3, k) of unit quaternions (4, k), FLU in ENU."""
-    w, x, y, z = attitude
-    euler = np.empty((3, w.size))
-    np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y), out=euler[0])
-    np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0), out=euler[1])
-    np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z), out=euler[2])
-    return euler

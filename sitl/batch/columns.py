@@ -59,7 +59,6 @@ class Columns:
 def columns_of(scenarios: Sequence[Scenario]) -> Columns:
     """Raises ValueError where these scenarios cannot be flown side by side."""
     _check(scenarios)
-    _not_yet(scenarios)
     ids = [ids_of(scenario) for scenario in scenarios]
     count, vehicles = len(scenarios), len(ids[0])
     phases = np.array([[phase_steps(s.stand_in.seed, i) for i in own] for s, own in zip(scenarios, ids, strict=True)])
@@ -70,15 +69,6 @@ def columns_of(scenarios: Sequence[Scenario]) -> Columns:
     ends = np.searchsorted(sorted_phases, np.arange(TELEMETRY_STEPS + 1))
     groups = tuple(slice(int(a), int(b)) for a, b in pairwise(ends))
     return Columns(count, vehicles, order, column_of, order // vehicles, sorted_phases, groups)
-
-
-def _not_yet(scenarios: Sequence[Scenario]) -> None:
-    for scenario in scenarios:
-        links, stand_in = scenario.links, scenario.stand_in
-        if links.peer_loss or links.peer_jitter_s or stand_in.wind.gust_sd_m_s:
-            raise ValueError("loss, jitter and gusts are not flown in batches")
-        if not stand_in.sensor_model().position_sd_m == (0.0, 0.0, 0.0):
-            raise ValueError("only ideal sensors are flown in batches")
 
 
 def phase_steps(seed: int, vehicle_id: int) -> int:

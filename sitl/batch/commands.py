@@ -8,6 +8,7 @@ from math import radians, tan
 import numpy as np
 
 from sitl.batch.columns import Columns
+from sitl.batch.rotations import quaternion_of_euler
 from sitl.dynamics import GRAVITY_M_S2
 from sitl.scenario import Scenario
 from sitl.tracks import FloatArray
@@ -76,17 +77,7 @@ class Commands:
     def targets(self, group: slice) -> FloatArray:
         """What was admitted last: (5, G) quaternion (FLU to ENU) and thrust in 0..1."""
         roll, pitch, thrust = self._last[:, group]
-        halves = 0.5 * np.stack([roll, pitch, self._yaw_rad[group]])
-        (cr, cp, cy), (sr, sp, sy) = np.cos(halves), np.sin(halves)
-        return np.stack(
-            [
-                cr * cp * cy + sr * sp * sy,
-                sr * cp * cy - cr * sp * sy,
-                cr * sp * cy + sr * cp * sy,
-                cr * cp * sy - sr * sp * cy,
-                thrust,
-            ]
-        )
+        return np.vstack([quaternion_of_euler(roll, pitch, self._yaw_rad[group]), thrust])
 
     def _within_limits(self, targets: FloatArray, group: slice) -> FloatArray:
         limited = np.empty_like(targets)

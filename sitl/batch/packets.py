@@ -1,4 +1,4 @@
-"""What the vehicles tell each other, and which of it has reached whom: sitl.network and companion.core.peers in arrays.
+"""What the vehicles tell each other, and what each has heard of it: companion.core.peers in arrays.
 
 Times are exact, as in lockstep: a packet counts at its receiver's first tick after its arrival, and is carried on from
 there. The peers' checks of plausibility are left out; nothing here sends what they refuse.
@@ -12,22 +12,23 @@ from math import ceil
 
 import numpy as np
 
+from sitl.batch.arrivals import PERIOD_S, Arrivals, first_heard
 from sitl.batch.candidates import Candidates
 from sitl.batch.columns import BoolArray, Columns
-from sitl.px4 import DT_S
 from sitl.scenario import Scenario
 from sitl.tracks import FloatArray
 from sitl.world import TELEMETRY_STEPS
 
 # Of a packet: the position less its slot [m], velocity [m/s], acceleration command [m/s^2], PrC and what it is worth.
 PLACE, VELOCITY, ACCELERATION, PRC, SHARE, WIDTH = slice(0, 3), slice(3, 6), slice(6, 9), 9, 10, 11
-ROUND_STEPS = 1e-6  # a delay of whole steps is one
 
 
 @dataclass(frozen=True, slots=True)
 class Heard:
-    """The newest packets (G, K, WIDTH) that a group of vehicles has of its candidates, which of them still count, and
-    their ages [s] since receipt; None where all came in this tick."""
+    """The newest packets (G, K, WIDTH) that a group of vehicles has of its candidates, and which of them still count.
+
+    `age_s` (G, K) is since receipt; None where all came in this tick.
+    """
 
     packets: FloatArray
     fresh: BoolArray
@@ -41,28 +42,31 @@ class Packets:
         self, scenarios: Sequence[Scenario], columns: Columns, candidates: Candidates, start: FloatArray
     ) -> None:
         """`start` (WIDTH, B n) is what everybody tells before the first tick."""
-        self._columns = columns
-        self._valid = candidates.valid
-        delay = columns.spread([s.links.peer_delay_s / DT_S for s in scenarios])
-        first_step = (columns.phase_steps[candidates.sender] - columns.phase_steps[:, None]) + delay[:, None]
-        # Sent in tick k, a packet without jitter is heard in tick k + lag.
-        self._lag = np.floor(first_step / TELEMETRY_STEPS + ROUND_STEPS).astype(np.int64) + 1
-        longest_age_s = max(s.fleet.peers.max_age_s for s in scenarios)
-        jitter = max(s.links.peer_jitter_s for s in scenarios)
-        longest = int(self._lag.max()) + ceil(jitter / (DT_S * TELEMETRY_STEPS))
-        self._perfect = jitter == 0.0 and all(s.links.peer_loss == 0.0 for s in scenarios)
-        kept = longest + 2 + (0 if self._perfect else ceil(longest_age_s / (DT_S * TELEMETRY_STEPS)))
-        self._ring = np.ascontiguousarray(np.broadcast_to(start.T, (kept, columns.count, WIDTH))).reshape(-1, WIDTH)
-        self._kept = kept
-        self._place = (-self._lag % kept) * columns.count + candidates.sender
-        self._sender = candidates.sender
+        self._count = columns.count
+        self._valid, self._sender = candidates.valid, candidates.sender
+        delay = columns.spread([scenario.links.peer_delay_s / PERIOD_S for scenario in scenarios])[:, None]
+        phase = columns.phase_steps / TELEMETRY_STEPS
+        ticks_late = phase[candidates.sender] - phase[:, None] + delay
+        lag = first_heard(ticks_late)
+        jitter_s = max(scenario.links.peer_jitter_s for scenario in scenarios)
+        by_chance = jitter_s > 0.0 or any(scenario.links.peer_loss > 0.0 for scenario in scenarios)
+        self._arrivals = Arrivals(scenarios, columns, candidates.valid, ticks_late) if by_chance else None
+        oldest_s = max(scenario.fleet.peers.max_age_s for scenario in scenarios) + jitter_s if by_chance else 0.0
+        self._kept = int(lag.max()) + ceil(oldest_s / PERIOD_S) + 3
+        self._ring = np.broadcast_to(start.T, (self._kept, columns.count, WIDTH)).reshape(-1, WIDTH).copy()
+        self._place = (-lag % self._kept) * columns.count + candidates.sender
 
     def send(self, tick: int, group: slice, packets: FloatArray) -> None:
         """`packets` (WIDTH, G) of these columns."""
-        begin = tick % self._kept * self._columns.count
+        begin = tick % self._kept * self._count
         self._ring[begin + group.start : begin + group.stop] = packets.T
 
     def hear(self, tick: int, group: slice) -> Heard:
-        count = self._columns.count
-        places = self._place[group] + tick % self._kept * count
-        return Heard(self._ring.take(places, axis=0, mode="wrap"), self._valid[group], None)
+        if self._arrivals is None:
+            places = self._place[group] + tick % self._kept * self._count
+            return Heard(self._ring.take(places, axis=0, mode="wrap"), self._valid[group], None)
+        newest, came = self._arrivals.hear(tick, group)
+        ages_ticks = tick - came
+        packets = self._ring.take(newest % self._kept * self._count + self._sender[group], axis=0)
+        fresh = self._arrivals.fresh(ages_ticks, group) & self._valid[group]
+        return Heard(packets, fresh, np.multiply(ages_ticks, PERIOD_S, dtype=np.float64))

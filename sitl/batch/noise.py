@@ -1,0 +1,64 @@
+"""Random numbers for many formations: each draws from generators of its own, so that its neighbours in a batch do not matter.
+
+Formations of one seed get the same numbers, as in lockstep; studies give each its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from sitl.batch.columns import Columns
+from sitl.tracks import FloatArray
+
+SENSORS, GUSTS, LINKS = 1, 2, 3  # subjects: gusts that are switched on leave the sensors as they were
+
+
+class Gaussians:
+    """Standard normal numbers (rows, B n), drawn in blocks because a call for each formation and tick would cost too much.
+
+    Where a formation is quiet its numbers are zero.
+    """
+
+    def __init__(
+        self, seeds: Sequence[int], quiet: Sequence[bool], subject: int, columns: Columns, rows: int, length: int
+    ) -> None:
+        """`length` is how many a block holds; it must not depend on the batch."""
+        self._generators = [
+            None if still else np.random.default_rng([seed, subject]) for seed, still in zip(seeds, quiet, strict=True)
+        ]
+        self._columns = columns
+        self._drawn = np.zeros((length, rows, columns.formations, columns.vehicles))
+        self._block = np.empty((length, rows, columns.count))
+        self._used = length
+
+    def next(self) -> FloatArray:
+        """Valid until the next call."""
+        if self._used == len(self._block):
+            self._refill()
+        self._used += 1
+        block: FloatArray = self._block[self._used - 1]
+        return block
+
+    def _refill(self) -> None:
+        length, rows, _, n = self._drawn.shape
+        for b, generator in enumerate(self._generators):
+            if generator is not None:
+                self._drawn[:, :, b] = generator.standard_normal((length, rows, n))
+        self._drawn.reshape(length, rows, -1).take(self._columns.order, axis=2, out=self._block)
+        self._used = 0
+
+
+class GaussMarkov:
+    """sitl.disturbances.GaussMarkov for (rows, B n) numbers; all begin from their stationary distributions."""
+
+    def __init__(self, sd: FloatArray, time_s: FloatArray, dt_s: float, first: FloatArray) -> None:
+        """`first` are standard normal numbers, all of this shape."""
+        self._keep = np.exp(-dt_s / time_s)
+        self._kick = sd * np.sqrt(1.0 - self._keep**2)
+        self.value: FloatArray = sd * first
+
+    def step(self, gaussian: FloatArray) -> None:
+        self.value *= self._keep
+        self.value += self._kick * gaussian
