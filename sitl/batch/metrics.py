@@ -1,0 +1,108 @@
+"""The figures of sitl.metrics for every formation of a batch, by the same definitions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from sitl.batch.columns import BoolArray
+from sitl.batch.flight import BatchFlight
+from sitl.metrics import FINAL_S, SETTLED_WITHIN_M, neighbouring_pairs
+from sitl.tracks import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class BatchFigures:
+    """By formation (B,), in the order of the scenarios; distances are the extremes over time.
+
+    `settle_s` is NaN where a formation never settled. Neighbouring pairs are those nearest to each other by design.
+    """
+
+    settle_s: FloatArray
+    final_error_m: FloatArray  # of the vehicle that is farthest off
+    final_error_of_vehicle_m: FloatArray  # (B, n)
+    largest_distance_m: FloatArray
+    smallest_distance_m: FloatArray
+    largest_neighbouring_distance_m: FloatArray
+    smallest_neighbouring_distance_m: FloatArray
+
+
+def batch_figures(flight: BatchFlight) -> BatchFigures:
+    errors_m = flight.errors_m()
+    final = final_errors_m(flight.times_s, errors_m)
+    largest, smallest = distance_extremes_m(flight)
+    near, everybody = neighbouring(flight.slots_enu_m), pairs(flight.slots_enu_m)
+    return BatchFigures(
+        settle_s=settle_times_s(flight.times_s, errors_m.max(axis=2)),
+        final_error_m=np.asarray(final.max(axis=1)),
+        final_error_of_vehicle_m=final,
+        largest_distance_m=_largest(largest, everybody),
+        smallest_distance_m=_smallest(smallest, everybody),
+        largest_neighbouring_distance_m=_largest(largest, near),
+        smallest_neighbouring_distance_m=_smallest(smallest, near),
+    )
+
+
+def settle_times_s(times_s: FloatArray, error_m: FloatArray, within_m: float = SETTLED_WITHIN_M) -> FloatArray:
+    """Seconds (B,) from the first time until the error (ticks, B) stays within `within_m`, or NaN.
+
+    NaN, too, where it does not for at least the last FINAL_S.
+    """
+    outside = error_m > within_m
+    ticks = len(times_s)
+    last_outside = ticks - 1 - outside[::-1].argmax(axis=0)
+    first_inside = np.where(outside.any(axis=0), last_outside + 1, 0)
+    sample_s = float(times_s[1] - times_s[0]) if ticks > 1 else 0.0
+    began_s = times_s[np.minimum(first_inside, ticks - 1)]
+    settled = (first_inside < ticks) & (times_s[-1] - began_s >= FINAL_S - sample_s / 2)
+    return np.where(settled, began_s - times_s[0], np.nan)
+
+
+def final_errors_m(times_s: FloatArray, errors_m: FloatArray) -> FloatArray:
+    """RMS (B, n) of errors (ticks, B, n) over the last FINAL_S."""
+    last = errors_m[times_s >= times_s[-1] - FINAL_S - 1e-9]
+    return np.asarray(np.sqrt(np.mean(np.square(last), axis=0)))
+
+
+def distance_extremes_m(flight: BatchFlight) -> tuple[FloatArray, FloatArray]:
+    """The largest and the smallest distance that each two vehicles ever had, (B, n, n), symmetric; a vehicle to itself is 0."""
+    _, formations, n, _ = flight.positions_enu_m.shape
+    largest, smallest = np.zeros((formations, n, n)), np.zeros((formations, n, n))
+    for i, j in combinations(range(n), 2):
+        apart = flight.positions_enu_m[:, :, i] - flight.positions_enu_m[:, :, j]
+        square = np.einsum("tbk,tbk->tb", apart, apart)
+        largest[:, i, j] = largest[:, j, i] = np.sqrt(square.max(axis=0))
+        smallest[:, i, j] = smallest[:, j, i] = np.sqrt(square.min(axis=0))
+    return largest, smallest
+
+
+def pairs(slots_enu_m: FloatArray) -> BoolArray:
+    """All pairs (B, n, n), each once."""
+    formations, n, _ = slots_enu_m.shape
+    return np.broadcast_to(np.triu(np.ones((n, n), dtype=np.bool_), 1), (formations, n, n))
+
+
+def neighbouring(slots_enu_m: FloatArray) -> BoolArray:
+    """Pairs (B, n, n), each once, that are nearest to each other by design."""
+    near = np.zeros((*slots_enu_m.shape[:2], slots_enu_m.shape[1]), dtype=np.bool_)
+    known: dict[bytes, BoolArray] = {}
+    for b, slots in enumerate(slots_enu_m):
+        key = slots.tobytes()
+        if key not in known:
+            known[key] = np.zeros(near.shape[1:], dtype=np.bool_)
+            for i, j in neighbouring_pairs({i: (x, y, z) for i, (x, y, z) in enumerate(slots.tolist())}):
+                known[key][i, j] = True
+        near[b] = known[key]
+    return near
+
+
+def _largest(distances_m: FloatArray, which: BoolArray) -> FloatArray:
+    """(B,); 0 where there is no such pair."""
+    return np.asarray(np.where(which, distances_m, 0.0).max(axis=(1, 2)))
+
+
+def _smallest(distances_m: FloatArray, which: BoolArray) -> FloatArray:
+    """(B,); infinite where there is no such pair."""
+    return np.asarray(np.where(which, distances_m, np.inf).min(axis=(1, 2)))
