@@ -100,7 +100,7 @@ def load_subject(path: Path) -> Subject:
     for member in part.fleet.vehicles:
         if member.id not in starts:
             raise ConfigError(path, f"starts_enu_m.{member.id}", "missing; every vehicle needs a place to start from")
-    reference = part.reference.point_enu_m if part.reference else (STEP_M, 0.0, 0.0)
+    reference = part.reference.start_enu_m if part.reference else (STEP_M, 0.0, 0.0)
     return Subject(file=path, fleet=part.fleet, starts_enu_m=starts, reference_enu_m=reference)
 
 

@@ -6,8 +6,17 @@ from collections.abc import Callable
 from math import radians
 from typing import TypeVar
 
-from companion.config import AgentConfig, EdgeNeighbours, Envelope, FleetConfig, Law, LawName
-from companion.core import formation, reference
+from companion.config import (
+    AgentConfig,
+    EdgeNeighbours,
+    Envelope,
+    FleetConfig,
+    Law,
+    LawName,
+    PointReference,
+    Reference,
+)
+from companion.core import formation
 from companion.core.agent import Agent, AgentSetup
 from companion.core.cooperation import Cooperation
 from companion.core.envelope import EnvelopeLimits
@@ -16,6 +25,7 @@ from companion.core.health import AgeLimits
 from companion.core.leader_word import LeaderWatch
 from companion.core.neighbours import EdgeRule, NeighbourRule, RangeRule
 from companion.core.peers import PeerTable
+from companion.core.reference import ReferenceTrajectory, figure_8, point
 from companion.core.vehicle_state import VehicleTracker
 
 Value = TypeVar("Value")
@@ -49,7 +59,7 @@ def build_agent(config: AgentConfig, session: int) -> Agent:
         law=law_of(law),
         law_flies_altitude=law.altitude == "formation",
         altitude_hold_gains=Gains(law.altitude_hold_gains.position_1_s2, law.altitude_hold_gains.velocity_1_s),
-        reference=reference.point(config.vehicle.reference.point_enu_m) if config.vehicle.reference else None,
+        reference=trajectory_of(config.vehicle.reference) if config.vehicle.reference else None,
         takeoff_height_m=fleet.takeoff_height_m,
         envelope=_limits(fleet.envelope, config.vehicle.hover_thrust_norm),
         ages=AgeLimits(),
@@ -59,6 +69,13 @@ def build_agent(config: AgentConfig, session: int) -> Agent:
     leader = LeaderWatch(fleet.peers.leader_word_max_age_s)
     rule = _neighbour_rule(fleet, member.id)
     return Agent(setup, tracker, Cooperation(member.id, member.role, slots, peers, rule, leader))
+
+
+def trajectory_of(reference: Reference) -> ReferenceTrajectory:
+    """The RFT that a file describes."""
+    if isinstance(reference, PointReference):
+        return point(reference.point_enu_m)
+    return figure_8(reference.centre_enu_m, reference.width_m, reference.height_m, reference.period_s, reference.ramp_s)
 
 
 def law_of(law: Law) -> FormationLaw:

@@ -11,9 +11,10 @@ from typing import Annotated, Any
 import yaml
 from msgspec import Meta, Struct
 
+from companion.assembly import trajectory_of
 from companion.config import FleetConfig, PositionM, Reference, VehicleId, check_fleet, check_reference
 from companion.config_file import ConfigError, StrictLoader, convert, read_yaml
-from companion.core.reference import ReferenceTrajectory, point
+from companion.core.reference import ReferenceTrajectory
 from companion.types import CommandName
 from sitl.autopilot_file import check_parameters
 from sitl.config import Links, StandIn
@@ -58,8 +59,8 @@ def load_scenario(path: Path, overrides: Sequence[str] = ()) -> Scenario:
 
 
 def reference_of(scenario: Scenario) -> ReferenceTrajectory:
-    """The RFT as the leaders fly it: seconds since the leader entered formation -> R."""
-    return point(scenario.reference.point_enu_m)
+    """The RFT as the leaders fly it: seconds since the leader entered formation -> R and r''."""
+    return trajectory_of(scenario.reference)
 
 
 def scenario_from(path: Path, data: object) -> Scenario:

@@ -1,16 +1,31 @@
-"""Reference formation trajectories (RFT): time -> R = [r, r']. Only leaders hold one."""
+"""Reference formation trajectories (RFT): time -> R = [r, r'] and r''. Only vehicles that may lead hold one."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
+from companion import figure_8 as shape
 from companion.core.formation import Place
 from companion.types import ZERO3, Vector3
 
 ReferenceTrajectory = Callable[[float], Place]
+"""Takes the seconds into the RFT, which begin when the leader enters formation."""
 
 
 def point(position_enu_m: Vector3) -> ReferenceTrajectory:
-    """r stands still, r' = 0. The trajectory takes the seconds since this vehicle entered formation."""
+    """r stands still, r' = r'' = 0."""
     standing = Place(position_enu_m, ZERO3)
-    return lambda _formation_s: standing
+    return lambda _reference_s: standing
+
+
+def figure_8(
+    centre_enu_m: Vector3, width_m: float, height_m: float, period_s: float, ramp_s: float
+) -> ReferenceTrajectory:
+    """A level 8 that lies along x: it leaves its centre with zero speed and runs a lap in `period_s` after `ramp_s`."""
+    cx, cy, cz = centre_enu_m
+
+    def trajectory(reference_s: float) -> Place:
+        (x, y, z), velocity, acceleration = shape.figure_8(reference_s, width_m, height_m, period_s, ramp_s)
+        return Place((cx + x, cy + y, cz + z), velocity, acceleration)
+
+    return trajectory
