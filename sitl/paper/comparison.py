@@ -85,7 +85,7 @@ def proposition_2_against_26(survey: Survey) -> Claim:
         full="-",
         verdict=Verdict.FAILS if fails else Verdict.HOLDS,
         remark=f"at worst {worst.lambda_min:.4f} against {worst.lambda_min_26:.4f}, on {described(worst.pair)}. A leader that "
-        "heeds nobody settles sooner, and leaves its followers behind: it does not hold the formation together",
+        "heeds nobody settles sooner, but does not wait for followers who fall behind (figure 4)",
         measured={
             "pairs": float(len(pairs)),
             "pairs_below": float(len(worse)),
