@@ -18,37 +18,56 @@ from numpy.typing import NDArray
 from companion.assembly import law_of
 from companion.config import EdgeNeighbours, FleetConfig, LawName, PositionM, Reference, VehicleId, check_fleet
 from companion.config_file import ConfigError, convert, read_yaml
+from companion.core.delay_margin import delay_margin_with_lag_s
 from companion.core.interaction import (
+    Coupling,
     Graph,
+    couple,
     eigenvalues,
     interaction_matrix,
+    mode_eigenvalues,
     mode_figures,
     reached_from,
     time_to_shrink_s,
 )
-from companion.core.prediction import LinearModel, errors_over_time, settled_after_s
+from companion.core.prediction import LinearModel, errors_over_time, settled_after_s, transient_peak
+from companion.core.state_space import worst_transient_peak
+from companion.core.string_stability import string_gains
 from companion.types import Role, Vector3
 
 LAW_NAMES: tuple[LawName, ...] = get_args(LawName)
 AVERAGE_LAWS: tuple[LawName, ...] = ("average_22", "average_26")
 SETTLED_M = 0.10
 PREDICT_S = 120.0
+WORST_START_UP_TO = 100  # vehicles; above, the worst start takes too long to work out
 STEP_M = 1.0  # the disturbance that is predicted where no scenario says where the vehicles start
 
 
 class LawAnalysis(Struct, frozen=True, kw_only=True):
-    """One law with the fleet's own leaders. Distances are of neighbouring pairs; times are None where they never come."""
+    """One law with the fleet's own leaders. Distances are of neighbouring pairs; times are None where they never come.
+
+    lambda_min, eigenvalues and G are of the interaction matrix. Rate, damping and delay_margin_s are of the modes without
+    attitude lag, feed-forward included; all else is with lag and delay. String gains are None where there is no hop.
+    """
 
     lambda_min: float
     eigenvalues: list[float]
     rate_1_s: float
     damping_min: float
     delay_margin_s: float
+    delay_margin_with_lag_s: float
+    string_gain_per_hop: float | None
+    string_gain_to_last: float | None
+    transient_peak: float  # largest error over the largest at the start
+    worst_transient_peak: float | None  # of all starts; None for more than WORST_START_UP_TO vehicles
     time_to_10_cm_s: float | None  # by the rate alone
     predicted_settle_s: float | None  # by the linear model with attitude lag and delay
     predicted_max_distance_m: dict[str, float]
     predicted_min_distance_m: dict[str, float]
     stays_in_range: bool | None  # None: neighbours are given as edges
+    margin_to_range_m: (
+        float | None
+    )  # range + hysteresis - the largest distance of any pair that are neighbours at the start
     G: list[list[float]]
 
 
@@ -152,28 +171,39 @@ def _flying_places(subject: Subject) -> dict[int, Vector3]:
 
 
 def _law_analysis(subject: Subject, graph: Graph, leaders: Collection[int], name: LawName) -> LawAnalysis:
-    law = law_of(subject.fleet.law.renamed(name))
-    matrix = interaction_matrix(graph, leaders, law)
-    spectrum = eigenvalues(matrix)
-    figures = [mode_figures(law.gains, float(value)) for value in spectrum]
+    coupling = couple(graph, leaders, law_of(subject.fleet.law.renamed(name)))
+    model = LinearModel()
+    spectrum = eigenvalues(coupling.G)
+    modes = [mode_figures(coupling.law.gains, float(value)) for value in mode_eigenvalues(coupling)]
+    rate_1_s = min(mode.rate_1_s for mode in modes)
     start_errors_m = _start_errors_m(subject)
-    errors_m = errors_over_time(matrix, law.gains, start_errors_m, LinearModel(), PREDICT_S)
+    errors_m = errors_over_time(coupling, start_errors_m, model, PREDICT_S)
     distances_m = _distances_m(subject.fleet, graph, errors_m)
-    largest_start_m = float(np.linalg.norm(start_errors_m, axis=1).max())
-    to_10_cm_s = time_to_shrink_s(min(f.rate_1_s for f in figures), largest_start_m, SETTLED_M)
+    gains = string_gains(coupling, model)
+    margin_m = _margin_to_range_m(subject.fleet, distances_m)
     return LawAnalysis(
         lambda_min=float(spectrum[0]),
         eigenvalues=spectrum.tolist(),
-        rate_1_s=min(f.rate_1_s for f in figures),
-        damping_min=min(f.damping for f in figures),
-        delay_margin_s=min(f.delay_margin_s for f in figures),
-        time_to_10_cm_s=to_10_cm_s,
+        rate_1_s=rate_1_s,
+        damping_min=min(mode.damping for mode in modes),
+        delay_margin_s=min(mode.delay_margin_s for mode in modes),
+        delay_margin_with_lag_s=delay_margin_with_lag_s(coupling, model),
+        string_gain_per_hop=gains.per_hop if gains else None,
+        string_gain_to_last=gains.to_last if gains else None,
+        transient_peak=transient_peak(errors_m),
+        worst_transient_peak=_worst_transient_peak(coupling, model),
+        time_to_10_cm_s=time_to_shrink_s(rate_1_s, float(np.linalg.norm(start_errors_m, axis=1).max()), SETTLED_M),
         predicted_settle_s=settled_after_s(errors_m, SETTLED_M),
         predicted_max_distance_m={pair: round(float(d.max()), 4) for pair, d in distances_m.items()},
         predicted_min_distance_m={pair: round(float(d.min()), 4) for pair, d in distances_m.items()},
-        stays_in_range=_stays_in_range(subject.fleet, distances_m),
-        G=matrix.tolist(),
+        stays_in_range=None if margin_m is None else margin_m >= 0.0,
+        margin_to_range_m=margin_m,
+        G=coupling.G.tolist(),
     )
+
+
+def _worst_transient_peak(coupling: Coupling, model: LinearModel) -> float | None:
+    return worst_transient_peak(coupling, model) if len(coupling.G) <= WORST_START_UP_TO else None
 
 
 def _start_errors_m(subject: Subject) -> NDArray[np.float64]:
@@ -197,8 +227,9 @@ def _distances_m(fleet: FleetConfig, graph: Graph, errors_m: NDArray[np.float64]
     }
 
 
-def _stays_in_range(fleet: FleetConfig, distances_m: Mapping[str, NDArray[np.float64]]) -> bool | None:
-    if isinstance(fleet.neighbours, EdgeNeighbours):
+def _margin_to_range_m(fleet: FleetConfig, distances_m: Mapping[str, NDArray[np.float64]]) -> float | None:
+    """The smallest distance any pair keeps from losing each other; None with edges, or where nobody has a neighbour."""
+    if isinstance(fleet.neighbours, EdgeNeighbours) or not distances_m:
         return None
     leave_m = fleet.neighbours.range_m + fleet.neighbours.hysteresis_m
-    return all(float(d.max()) <= leave_m for d in distances_m.values())
+    return leave_m - max(float(d.max()) for d in distances_m.values())

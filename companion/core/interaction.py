@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.core.formation import FormationLaw, Gains
-from companion.core.priority import next_prc
 from companion.core.weights import neighbour_weights
 
 FloatArray = NDArray[np.float64]
@@ -21,39 +20,16 @@ Graph = Mapping[int, Collection[int]]  # vehicle id -> ids of its neighbours
 
 
 def settled_prcs(graph: Graph, leaders: Collection[int]) -> dict[int, int]:
-    """p_i that Algorithm 1 comes to when every vehicle runs it, from p = n (leaders 1)."""
-    n = len(graph)
-    prcs = {i: 1 if i in leaders else n for i in graph}
-    for _ in range(n):
-        update = {i: next_prc(i in leaders, (prcs[j] for j in graph[i]), n) for i in graph}
-        if update == prcs:
-            break
-        prcs = update
+    """p_i that Algorithm 1 comes to when every vehicle runs it: hops to the nearest leader + 1, and n without a path."""
+    prcs = dict.fromkeys(graph, len(graph))
+    reached, frontier, level = set(leaders), set(leaders), 1
+    while frontier:
+        for i in frontier:
+            prcs[i] = level
+        frontier = {j for i in frontier for j in graph[i]} - reached
+        reached |= frontier
+        level += 1
     return prcs
-
-
-def interaction_matrix(graph: Graph, leaders: Collection[int], law: FormationLaw) -> FloatArray:
-    """G (n x n) of eq. 6 under a law; rows and columns in rising order of the ids.
-
-    u = -K (G e): row i holds the law of vehicle i, with weights from `neighbour_weights` and PrCs from Algorithm 1.
-    """
-    prcs = settled_prcs(graph, leaders)
-    ids = sorted(graph)
-    column = {vehicle_id: index for index, vehicle_id in enumerate(ids)}
-    matrix = np.zeros((len(ids), len(ids)))
-    for i in ids:
-        heeds = i not in leaders or law.leader_heeds_neighbours
-        neighbours = sorted(graph[i]) if heeds else []
-        weights = neighbour_weights([prcs[j] for j in neighbours], law.exponent)
-        for j, weight in zip(neighbours, weights, strict=True):
-            matrix[column[i], column[j]] -= weight
-        matrix[column[i], column[i]] += sum(weights) + (1.0 if i in leaders else 0.0)
-    return matrix
-
-
-def eigenvalues(matrix: FloatArray) -> FloatArray:
-    """Of G, in rising order (n,). They are real (Lemma 2): G is similar to a symmetric matrix."""
-    return np.sort(np.linalg.eigvals(matrix).real)
 
 
 def reached_from(graph: Graph, leaders: Collection[int]) -> set[int]:
@@ -67,9 +43,82 @@ def reached_from(graph: Graph, leaders: Collection[int]) -> set[int]:
     return reached
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Coupling:
+    """How all vehicles act on each other under one law: u = -K (G e) + g W u, in rising order of the ids.
+
+    What is fed forward comes late, so the u on the right is an earlier one.
+    """
+
+    law: FormationLaw
+    G: FloatArray  # (n, n), eq. 6
+    W: FloatArray  # (n, n), weights w_ij of what followers feed forward; a leader's row is zero
+    prcs: NDArray[np.int64]  # (n,), p_i
+    leads: NDArray[np.bool_]  # (n,)
+
+
+def couple(graph: Graph, leaders: Collection[int], law: FormationLaw) -> Coupling:
+    """All vehicles of a graph under a law, with weights from `neighbour_weights` and PrCs from Algorithm 1."""
+    prcs = settled_prcs(graph, leaders)
+    ids = sorted(graph)
+    column = {vehicle_id: index for index, vehicle_id in enumerate(ids)}
+    weights = np.zeros((len(ids), len(ids)))
+    leads = np.array([i in leaders for i in ids])
+    for i in ids:
+        heeds = i not in leaders or law.leader_heeds_neighbours
+        neighbours = sorted(graph[i]) if heeds else []
+        shares = neighbour_weights([prcs[j] for j in neighbours], law.exponent)
+        weights[column[i], [column[j] for j in neighbours]] = shares
+    return Coupling(
+        law=law,
+        G=np.diag(weights.sum(axis=1) + leads) - weights,
+        W=np.where(leads[:, np.newaxis], 0.0, weights),
+        prcs=np.array([prcs[i] for i in ids], dtype=np.int64),
+        leads=leads,
+    )
+
+
+def interaction_matrix(graph: Graph, leaders: Collection[int], law: FormationLaw) -> FloatArray:
+    """G (n x n) of eq. 6 under a law; rows and columns in rising order of the ids."""
+    return couple(graph, leaders, law).G
+
+
+def symmetric_like(matrix: FloatArray) -> FloatArray:
+    """A symmetric matrix with the eigenvalues of G, for neighbours that hear each other.
+
+    Lemma 2: with P = diag(p^-alpha) and S = diag(sum_j p_j^-alpha) the weights S^-1 A P of a graph with adjacency A turn
+    symmetric under the similarity (P S)^(1/2), and w_ij becomes sqrt(w_ij w_ji). Where a leader heeds nobody that is zero
+    and G falls into blocks, whose eigenvalues are G's.
+    """
+    off_diagonal = matrix - np.diag(np.diag(matrix))
+    symmetric: FloatArray = np.diag(np.diag(matrix)) - np.sqrt(off_diagonal * off_diagonal.T)
+    return symmetric
+
+
+def eigenvalues(matrix: FloatArray) -> FloatArray:
+    """Of G, in rising order (n,). They are real (Lemma 2): G is similar to a symmetric matrix."""
+    return np.asarray(np.linalg.eigvalsh(symmetric_like(matrix)), dtype=np.float64)
+
+
+def mode_eigenvalues(coupling: Coupling) -> FloatArray:
+    """Of M = (I - g W)^-1 G, in rising order (n,): without lag and delay e'' = -K (M e). Without feed-forward M is G.
+
+    They are real and positive as G's are. In the symmetric form, with followers F and leaders L, b = W_FL and
+    theta = (1 - mu) / (1 - g mu), an eigenvector has b' (theta - W_FF)^-1 b x_L = (2 - mu - W_LL) x_L. Were Im mu > 0,
+    then Im theta < 0 because g < 1, and the two sides would differ in the sign of their imaginary part.
+    """
+    if coupling.law.feedforward == 0.0:
+        return eigenvalues(coupling.G)
+    symmetric = symmetric_like(coupling.G)
+    weights = np.diag(np.diag(symmetric)) - symmetric
+    weights[coupling.leads] = 0.0
+    loop = np.eye(len(weights)) - coupling.law.feedforward * weights
+    return np.sort(np.linalg.eigvals(np.linalg.solve(loop, symmetric)).real)
+
+
 @dataclass(frozen=True, slots=True)
 class ModeFigures:
-    """What one eigenvalue lambda of G means in flight, for lambda^2 + k2 lambda_G s + k1 lambda_G = 0 (eq. 20)."""
+    """What one eigenvalue lambda of G (or mu of M) means in flight, for s^2 + k2 lambda s + k1 lambda = 0 (eq. 20)."""
 
     rate_1_s: float  # errors shrink like exp(-rate t)
     damping: float  # 1 is critical
@@ -98,4 +147,6 @@ def lag_margin_s(gains: Gains) -> float:
 
 def time_to_shrink_s(rate_1_s: float, error_m: float, within_m: float) -> float:
     """How long an error takes to shrink to `within_m` at this rate. Where G is far from normal it takes longer."""
-    return max(0.0, log(error_m / within_m) / rate_1_s) if rate_1_s > 0.0 else inf
+    if error_m <= within_m:
+        return 0.0
+    return log(error_m / within_m) / rate_1_s if rate_1_s > 0.0 else inf

@@ -6,43 +6,62 @@ saturation and real attitude control are left out.
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.core.formation import Gains
+from companion.core.interaction import Coupling
 
 FloatArray = NDArray[np.float64]
 TICK_S = 0.02
 SUBSTEPS = 4
+LOST_M = 1e6  # errors beyond this have long been a failure; they are not followed until numbers end
 
 
 @dataclass(frozen=True, slots=True)
 class LinearModel:
-    """`attitude_lag_s` and `delay_s` default to what PX4 and a local network were measured to have."""
+    """`attitude_lag_s` and `delay_s` default to what PX4 and a local network were measured to have.
+
+    `feedforward_delay_s` is the age of a neighbour's acceleration command when it is added to the own one: a tick of the
+    neighbour, and the network.
+    """
 
     attitude_lag_s: float = 0.2
     delay_s: float = 0.05
+    feedforward_delay_s: float = TICK_S
 
 
 def errors_over_time(
-    matrix: FloatArray, gains: Gains, start_errors_m: FloatArray, model: LinearModel, duration_s: float
+    coupling: Coupling, start_errors_m: FloatArray, model: LinearModel, duration_s: float
 ) -> FloatArray:
-    """Errors e (ticks, n, axes) [m] under u = -K (G e) from rest at `start_errors_m` (n, axes), every 0.02 s."""
+    """Errors e (ticks, n, axes) [m] from rest at `start_errors_m` (n, axes), every 0.02 s.
+
+    u(k) = -K (G e(k)) + g W u(k - m), where m >= 1 ticks make the feed-forward's delay.
+    """
+    gains, feedforward = coupling.law.gains, coupling.law.feedforward * coupling.W
     ticks = round(duration_s / TICK_S)
-    delay_ticks = round(model.delay_s / TICK_S * SUBSTEPS)
     dt_s = TICK_S / SUBSTEPS
     position, velocity = start_errors_m.astype(float), np.zeros_like(start_errors_m, dtype=float)
     acceleration = np.zeros_like(position)
-    waiting = [np.zeros_like(position)] * (delay_ticks + 1)  # commands on their way
+    waiting = deque([np.zeros_like(position)] * round(model.delay_s / dt_s))  # commands on their way to the motors
+    heard = deque(
+        [np.zeros_like(position)] * max(1, round(model.feedforward_delay_s / TICK_S))
+    )  # and to the neighbours
     history = np.empty((ticks, *position.shape))
     for tick in range(ticks):
         history[tick] = position
-        command = -(matrix @ (gains.position_1_s2 * position + gains.velocity_1_s * velocity))
+        if np.abs(position).max() > LOST_M:
+            history[tick:] = position
+            break
+        command = -(coupling.G @ (gains.position_1_s2 * position + gains.velocity_1_s * velocity))
+        if coupling.law.feedforward > 0.0:
+            command += feedforward @ heard.popleft()
+            heard.append(command)
         for _ in range(SUBSTEPS):
             waiting.append(command)
-            arrived = waiting.pop(0)
+            arrived = waiting.popleft()
             if model.attitude_lag_s > 0.0:
                 acceleration = acceleration + (arrived - acceleration) * (dt_s / model.attitude_lag_s)
             else:
@@ -60,3 +79,9 @@ def settled_after_s(errors_m: FloatArray, within_m: float) -> float | None:
     if outside[-1] == len(errors_m) - 1:
         return None
     return float(outside[-1] + 1) * TICK_S
+
+
+def transient_peak(errors_m: FloatArray) -> float:
+    """The largest error of any vehicle at any time over the largest at the start; 1 where nothing ever grows past that."""
+    largest_m = np.linalg.norm(errors_m, axis=2).max(axis=1)
+    return float(largest_m.max() / largest_m[0]) if largest_m[0] > 0.0 else 1.0

@@ -13,16 +13,20 @@ from hypothesis import strategies as st
 from companion.analysis import analyse, load_subject
 from companion.analysis_report import report, verdict
 from companion.cli import main
-from companion.core.formation import Gains, average_22, average_26, weighted
+from companion.core.formation import FormationLaw, Gains, average_22, average_26, weighted
 from companion.core.interaction import (
+    couple,
     eigenvalues,
     interaction_matrix,
     lag_margin_s,
+    mode_eigenvalues,
     mode_figures,
     reached_from,
     settled_prcs,
+    time_to_shrink_s,
 )
-from companion.core.prediction import LinearModel, errors_over_time, settled_after_s
+from companion.core.prediction import LOST_M, LinearModel, errors_over_time, settled_after_s, transient_peak
+from companion.core.priority import next_prc
 
 SCENARIOS = Path(__file__).parents[2] / "config" / "scenarios"
 K = Gains(1.39, 1.2)
@@ -94,6 +98,31 @@ def test_lemmas_corollary_2_and_proposition_2(graph: dict[int, list[int]], data:
         assert eigenvalues(paper)[0] >= eigenvalues(average)[0] - 1e-9  # Proposition 2, against eq. 22
 
 
+@settings(max_examples=100)
+@given(connected_graphs(), st.data(), st.floats(0, 8), st.floats(0, 0.95), st.booleans())
+def test_modes_with_feedforward_are_real_and_positive(
+    graph: dict[int, list[int]], data: st.DataObject, alpha: float, feedforward: float, leader_heeds: bool
+) -> None:
+    leaders = data.draw(st.sets(st.sampled_from(sorted(graph)), min_size=1))
+    coupling = couple(graph, leaders, FormationLaw(K, alpha, leader_heeds, feedforward))
+    effective = np.linalg.solve(np.eye(len(graph)) - feedforward * coupling.W, coupling.G)
+    spectrum = np.linalg.eigvals(effective)
+    assert np.abs(spectrum.imag).max() < 1e-4
+    assert mode_eigenvalues(coupling) == pytest.approx(np.sort(spectrum.real), abs=1e-4)
+    assert mode_eigenvalues(coupling)[0] > 0.0
+    assert eigenvalues(coupling.G) == pytest.approx(np.sort(np.linalg.eigvals(coupling.G).real), abs=1e-5)
+
+
+@given(connected_graphs(), st.data())
+def test_settled_prcs_are_what_algorithm_1_comes_to(graph: dict[int, list[int]], data: st.DataObject) -> None:
+    leaders = data.draw(st.sets(st.sampled_from(sorted(graph))))  # nobody may lead: p = n then
+    n = len(graph)
+    prcs = {i: 1 if i in leaders else n for i in graph}
+    for _ in range(n + 1):
+        prcs = {i: next_prc(i in leaders, (prcs[j] for j in graph[i]), n) for i in graph}
+    assert settled_prcs(graph, leaders) == prcs
+
+
 def test_proposition_2_does_not_hold_against_eq_26() -> None:
     graph = {1: [2, 3], 2: [1, 3, 4], 3: [1, 2, 4], 4: [2, 3]}
     assert eigenvalues(interaction_matrix(graph, {1}, average_26(K)))[0] == pytest.approx(0.2324, abs=5e-5)
@@ -133,13 +162,57 @@ def test_who_is_reached() -> None:
         (weighted(K, 1.0), 1.88, 1.10, 33.0),
     ],
 )
-def test_predictions_for_the_platoon(law: object, largest: float, smallest: float, settles_s: float) -> None:
-    matrix = interaction_matrix(chain(4), {1}, law)  # type: ignore[arg-type]
-    errors_m = errors_over_time(matrix, K, np.full((4, 1), -1.0), LinearModel(), 120.0)
+def test_predictions_for_the_platoon(law: FormationLaw, largest: float, smallest: float, settles_s: float) -> None:
+    errors_m = stepped(4, law, 120.0)
     distances_m = 1.5 + errors_m[:, :-1, 0] - errors_m[:, 1:, 0]
     assert distances_m.max() == pytest.approx(largest, abs=0.015)
     assert distances_m.min() == pytest.approx(smallest, abs=0.015)
     assert settled_after_s(errors_m, 0.1) == pytest.approx(settles_s, abs=0.7)
+
+
+def stepped(n: int, law: FormationLaw, duration_s: float) -> np.ndarray:
+    """Errors of a chain whose reference steps by 1 m."""
+    return errors_over_time(couple(chain(n), {1}, law), np.full((n, 1), -1.0), LinearModel(), duration_s)
+
+
+@pytest.mark.parametrize(
+    ("law", "largest", "smallest", "settles_s"),
+    [
+        (weighted(Gains(1.0, 2.0)), 1.75, 1.19, 166.0),
+        (FormationLaw(Gains(1.0, 2.0), 1.0, True, 0.9), 1.58, 1.43, 19.0),
+        (FormationLaw(Gains(1.0, 2.0), 8.0, True, 0.9), 1.54, 1.47, 6.0),
+        (FormationLaw(Gains(1.0, 2.0), 8.0, True, 0.8), 1.57, 1.43, 8.0),
+    ],
+)
+def test_predictions_for_a_chain_of_16(law: FormationLaw, largest: float, smallest: float, settles_s: float) -> None:
+    errors_m = stepped(16, law, 200.0)
+    distances_m = 1.5 + errors_m[:, :-1, 0] - errors_m[:, 1:, 0]
+    assert distances_m.max() == pytest.approx(largest, abs=0.01)
+    assert distances_m.min() == pytest.approx(smallest, abs=0.01)
+    assert settled_after_s(errors_m, 0.1) == pytest.approx(settles_s, abs=0.5)
+
+
+def test_sharp_weights_alone_let_a_long_chain_collide() -> None:
+    errors_m = stepped(16, weighted(K, 4.0), 120.0)
+    assert 1.5 + (errors_m[:, :-1, 0] - errors_m[:, 1:, 0]).min() < 0.0
+    assert transient_peak(errors_m) > 10.0
+
+
+def test_the_transient_peak_of_nothing_is_one() -> None:
+    assert transient_peak(np.zeros((5, 3, 2))) == 1.0
+
+
+def test_a_formation_that_flies_apart_is_followed_until_it_is_lost() -> None:
+    errors_m = errors_over_time(
+        couple(chain(3), {1}, weighted(Gains(10.0, 10.0))), np.ones((3, 3)), LinearModel(), 400.0
+    )
+    assert np.isfinite(errors_m).all()
+    assert LOST_M < np.abs(errors_m).max() < 100.0 * LOST_M
+    assert settled_after_s(errors_m, 0.1) is None
+
+
+def test_an_error_that_is_small_already_needs_no_time() -> None:
+    assert time_to_shrink_s(0.5, 0.0, 0.1) == 0.0
 
 
 # ---------------------------------------------------------------- companion analyze

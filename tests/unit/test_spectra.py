@@ -6,6 +6,9 @@ from math import dist
 import numpy as np
 import pytest
 
+from companion.core.formation import PAPER_GAINS, FormationLaw, average_22, average_26, cooperative, weighted
+from companion.core.interaction import couple, eigenvalues, mode_eigenvalues
+from sitl import spectra
 from sitl.shapes import RANGE_M, SPACING_M, Shape, chain, grid, is_connected, random_geometric, ring
 
 SHAPES = [
@@ -57,3 +60,49 @@ def test_a_random_graph_is_all_pairs_within_range_and_the_seeds_own() -> None:
 def test_no_vehicle_at_all_is_refused(build: object) -> None:
     with pytest.raises(ValueError, match="at least 1"):
         build(0)  # type: ignore[operator]
+
+
+LAWS = [
+    weighted(),
+    average_22(),
+    average_26(),
+    cooperative(),
+    FormationLaw(PAPER_GAINS, 3.0, leader_heeds_neighbours=False, feedforward=0.5),
+]
+
+
+@pytest.mark.parametrize(
+    "shape", [chain(1), chain(2), chain(60), ring(30), grid(5, 9), SHAPES[-1]], ids=lambda shape: shape.name
+)
+@pytest.mark.parametrize("leaders", [{1}, {1, 2}], ids=str)
+def test_sparse_spectra_are_those_of_the_core(shape: Shape, leaders: set[int]) -> None:
+    graph = shape.adjacency()
+    for law in LAWS:
+        coupling = couple(graph, leaders & set(graph), law)
+        assert spectra.lambda_min(graph, leaders & set(graph), law) == pytest.approx(
+            eigenvalues(coupling.G)[0], abs=1e-9
+        )
+        assert spectra.mu_min(graph, leaders & set(graph), law) == pytest.approx(
+            mode_eigenvalues(coupling)[0], abs=1e-8
+        )
+        sparse = spectra.interaction_matrix(graph, leaders & set(graph), law).toarray()
+        assert sparse == pytest.approx(coupling.G, abs=1e-12)
+
+
+def test_a_chain_of_10_000_follows_its_formula() -> None:
+    """Eq. 26 on a chain: 1 - cos(pi / (2 (n - 1))), the followers between a fixed end and a free one."""
+    n = 10_000
+    assert spectra.lambda_min(chain(n).adjacency(), {1}, average_26()) == pytest.approx(
+        1.0 - np.cos(np.pi / (2 * (n - 1))), rel=1e-6
+    )
+
+
+def test_10_000_vehicles_anywhere() -> None:
+    graph = random_geometric(10_000, np.random.default_rng(1)).adjacency()
+    paper, average = (spectra.lambda_min(graph, {1}, law) for law in (weighted(), average_22()))
+    assert 0.0 < average < paper < spectra.lambda_min(graph, {1}, cooperative())
+
+
+def test_without_a_path_to_a_leader_nothing_converges() -> None:
+    assert spectra.lambda_min({1: [2], 2: [1], 3: []}, {1}, weighted()) == 0.0
+    assert spectra.mu_min({1: []}, set(), cooperative()) == 0.0

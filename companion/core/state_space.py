@@ -1,0 +1,86 @@
+"""The linear model as one matrix, x' = A x: is it stable, and how far can the worst start swing?
+
+Delays are first-order Pade filters, (1 - s d/2) / (1 + s d/2). They turn the phase like the delay up to 1/d and beyond, and no
+formation answers to anything faster.
+"""
+
+from __future__ import annotations
+
+from math import inf
+
+import numpy as np
+
+from companion.core.interaction import Coupling, FloatArray
+from companion.core.prediction import LOST_M, LinearModel
+
+SHORTEST_S = 1e-3  # a shorter lag or delay is taken as this, so that every filter has a state
+WATCHED = ((0.1, 200), (0.5, 200), (4.0, 200))  # (step s, steps): waves along a chain come early, slow swings late
+
+
+def state_matrix(coupling: Coupling, model: LinearModel) -> FloatArray:
+    """A (5n, 5n) of x = [e, e', e'', command on its way, command as the neighbours will have heard it].
+
+    With Pade output = 2 z - input for z' = (2/d)(input - z): u = -K (G e) + g W (2 z_f - u), so
+    (I + g W) u = -G (k1 e + k2 e') + 2 g W z_f, which can be solved because g < 1.
+    """
+    n = len(coupling.G)
+    one, zero = np.eye(n), np.zeros((n, n))
+    gains = coupling.law.gains
+    lag_s, delay_s, heard_s = (
+        max(value, SHORTEST_S) for value in (model.attitude_lag_s, model.delay_s, model.feedforward_delay_s)
+    )
+    forward = coupling.law.feedforward * coupling.W
+    to_u = np.linalg.inv(one + forward)
+    fed_back = -to_u @ coupling.G
+    u = np.hstack([gains.position_1_s2 * fed_back, gains.velocity_1_s * fed_back, zero, zero, 2.0 * to_u @ forward])
+    e2 = np.hstack([zero, zero, one, zero, zero])
+    on_its_way = np.hstack([zero, zero, zero, one, zero])
+    heard = np.hstack([zero, zero, zero, zero, one])
+    velocity = np.hstack([zero, one, zero, zero, zero])
+    return np.vstack(
+        [
+            velocity,
+            e2,
+            (2.0 * on_its_way - u - e2) / lag_s,
+            (u - on_its_way) * (2.0 / delay_s),
+            (u - heard) * (2.0 / heard_s),
+        ]
+    )
+
+
+def is_stable(coupling: Coupling, model: LinearModel) -> bool:
+    """Whether every error of the coupled system dies out."""
+    return bool(np.linalg.eigvals(state_matrix(coupling, model)).real.max() < 0.0)
+
+
+def worst_transient_peak(coupling: Coupling, model: LinearModel) -> float:
+    """sup over t of |exp(A t)|, from positions to positions, in the maximum norm.
+
+    No start from rest with errors up to 1 m leads to a larger error than this [m], and one start does. inf where it never ends.
+    """
+    n = len(coupling.G)
+    matrix = state_matrix(coupling, model)
+    states = np.vstack([np.eye(n), np.zeros((4 * n, n))])
+    peak = 1.0
+    for step_s, steps in WATCHED:
+        transition = _exponential(matrix * step_s)
+        for _ in range(steps):
+            states = transition @ states
+            reach = float(np.abs(states[:n]).sum(axis=1).max())
+            if reach > LOST_M:
+                return inf
+            peak = max(peak, reach)
+    return peak
+
+
+def _exponential(matrix: FloatArray) -> FloatArray:
+    """exp of a matrix: Taylor for a small part of it, then squared often enough."""
+    halvings = max(0, int(np.ceil(np.log2(max(np.abs(matrix).sum(axis=1).max(), 1e-300)))) + 2)
+    small = matrix / 2.0**halvings
+    term = total = np.eye(len(matrix))
+    for k in range(1, 13):
+        term = term @ small / k
+        total = total + term
+    for _ in range(halvings):
+        total = total @ total
+    return total
