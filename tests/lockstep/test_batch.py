@@ -1,0 +1,153 @@
+"""The batch against lockstep: the same formation begun from where lockstep's vehicles truly were, compared over 15 s.
+
+With ideal sensors nothing is left to chance, and every delay of the batch is lockstep's own to the step. What remains is
+MAVLink's 32 bits (a micrometre), start velocities out of differences of the track, and vehicles taken as level at the start.
+Measured: 1 to 6 micrometres; a step of physics more or less in any delay makes millimetres.
+"""
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from companion.types import Role
+from sitl.batch.columns import phase_steps
+from sitl.batch.flight import fly_batch
+from sitl.batch.metrics import batch_figures
+from sitl.batch.simulation import BatchStart
+from sitl.metrics import Formation, formation_figures
+from sitl.progress import Progress
+from sitl.px4 import DT_S
+from sitl.run import Flown, fly_in_virtual_time
+from sitl.scenario import Scenario, load_scenario, reference_of
+from sitl.tracks import FloatArray
+from sitl.world import TELEMETRY_STEPS
+
+PLATOON = Path(__file__).parents[2] / "config" / "scenarios" / "platoon.yaml"
+FLOWN_S = 15.0
+TOLERANCE_M = 1e-4
+COOPERATIVE = "fleet.law={name: cooperative}"
+SIDEWAYS_AND_UP = "reference.point_enu_m=[1.0, 3.0, 1.5]"
+
+
+@cache
+def scenario_of(*overrides: str) -> Scenario:
+    return load_scenario(PLATOON, (f"timeline[3].for_s={FLOWN_S + 1.0}", *overrides))
+
+
+@cache
+def in_lockstep(*overrides: str) -> Flown:
+    flown = fly_in_virtual_time(scenario_of(*overrides), Progress("test", True, 0.0))
+    assert flown.failure is None
+    return flown
+
+
+def began_s(scenario: Scenario, flown: Flown) -> float:
+    """Lockstep's beginning of the period in which the leader first flew the law; the reports come a little later."""
+    assert flown.watch.formation is not None
+    leader = next(member.id for member in scenario.fleet.vehicles if member.role is Role.LEADER)
+    heard_step = round(flown.watch.formation.reference_start_s / DT_S)
+    phase = phase_steps(scenario.stand_in.seed, leader)
+    return (heard_step - phase) // TELEMETRY_STEPS * TELEMETRY_STEPS * DT_S
+
+
+def positions_m(flown: Flown, times_s: FloatArray) -> FloatArray:
+    """True positions (ticks, n, 3)."""
+    tracks = flown.tracks()
+    return np.stack([tracks[i].at(times_s) for i in sorted(tracks)], axis=1)
+
+
+def start_of(flown: Flown, time_s: float) -> BatchStart:
+    before, now, after = positions_m(flown, time_s + np.array([-0.02, 0.0, 0.02]))
+    return BatchStart(now[None], (after - before)[None] / 0.04)
+
+
+def apart_m(*overrides: str) -> FloatArray:
+    """Distance (ticks, n) between both flights of one scenario."""
+    scenario, flown = scenario_of(*overrides), in_lockstep(*overrides)
+    begin_s = began_s(scenario, flown)
+    batch = fly_batch([scenario], FLOWN_S, start=start_of(flown, begin_s))
+    true_m = positions_m(flown, begin_s + batch.times_s)
+    assert np.abs(true_m - true_m[0]).max() > 0.9  # they did fly somewhere
+    return np.asarray(np.linalg.norm(batch.positions_enu_m[:, 0] - true_m, axis=2))
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        (),
+        (COOPERATIVE,),
+        ("fleet.law.name=average_26",),
+        ("links.peer_delay_s=0.05",),
+        (COOPERATIVE, "links.peer_delay_s=0.05"),
+        ("links.telemetry_delay_s=0.01", "links.setpoint_delay_s=0.013"),
+        ("fleet.law.altitude=hold", SIDEWAYS_AND_UP),
+        (COOPERATIVE, SIDEWAYS_AND_UP, "fleet.neighbours={kind: range, range_m: 2.0, hysteresis_m: 0.2}"),
+        ("reference.point_enu_m=[20.0, -10.0, 1.0]",),  # far beyond what the last gate lets through at once
+    ],
+    ids=lambda overrides: " ".join(overrides) or "weighted",
+)
+def test_with_ideal_sensors_the_batch_is_lockstep(overrides: tuple[str, ...]) -> None:
+    assert apart_m(*overrides).max() <= TOLERANCE_M
+
+
+def test_without_lag_too() -> None:
+    """Here the start matters more: an attitude that is had at once was not level just then."""
+    assert apart_m("stand_in.airframe.attitude=instant", "stand_in.airframe.motor_lag_s=0").max() <= 1e-3
+
+
+def test_a_delay_that_is_another_would_be_seen() -> None:
+    """So that the comparison above is one: 4 ms more on the way to the autopilot are a hundred times its tolerance."""
+    flown = in_lockstep()
+    begin_s = began_s(scenario_of(), flown)
+    late = fly_batch([scenario_of("links.setpoint_delay_s=0.0045")], FLOWN_S, start=start_of(flown, begin_s))
+    off_m = np.linalg.norm(late.positions_enu_m[:, 0] - positions_m(flown, begin_s + late.times_s), axis=2)
+    assert off_m.max() > 20.0 * TOLERANCE_M
+
+
+def test_loss_and_jitter_do_as_much() -> None:
+    """Other random numbers, so other flights; how far they take a formation from where it would have been is compared."""
+    bad = (COOPERATIVE, "links.peer_loss=0.3", "links.peer_jitter_s=0.06")
+    disturbed, undisturbed = (
+        fly_batch([scenario_of(*overrides, f"stand_in.seed={seed}") for seed in range(40)], FLOWN_S).positions_enu_m
+        for overrides in (bad, (COOPERATIVE,))
+    )
+    strayed_m = np.linalg.norm(disturbed - undisturbed, axis=3).max(axis=(0, 2))
+    assert strayed_m.mean() > 100.0 * TOLERANCE_M
+    assert are_of_one_distribution([strayed_in_lockstep_m(bad, seed) for seed in (1, 2, 3)], strayed_m)
+
+
+def are_of_one_distribution(few: list[float], many: FloatArray) -> bool:
+    """As far as the mean of a few tells."""
+    return bool(abs(np.mean(few) - many.mean()) <= 3.0 * many.std() / np.sqrt(len(few)))
+
+
+def strayed_in_lockstep_m(bad: tuple[str, ...], seed: int) -> float:
+    """How far loss and jitter took any vehicle from where it would have been."""
+    seeded = f"stand_in.seed={seed}"
+    one, other = in_lockstep(COOPERATIVE, seeded), in_lockstep(*bad, seeded)
+    from_s = began_s(scenario_of(COOPERATIVE, seeded), one)
+    also_from_s = began_s(scenario_of(*bad, seeded), other)
+    times_s = np.arange(0.0, FLOWN_S, 0.02)
+    apart = positions_m(one, from_s + times_s) - positions_m(other, also_from_s + times_s)
+    return float(np.linalg.norm(apart, axis=2).max())
+
+
+def test_with_sensor_noise_the_figures_are_of_one_distribution() -> None:
+    """Lockstep's own flights lie among the batch's: final error and largest distance of the platoon."""
+    noisy = ("stand_in.sensors=default",)
+    seeds = (1, 2, 3, 4)
+    batch = fly_batch([scenario_of(*noisy, f"stand_in.seed={seed}") for seed in range(100)], FLOWN_S)
+    figures = batch_figures(batch)
+    largest, final = [], []
+    for seed in seeds:
+        scenario, flown = scenario_of(*noisy, f"stand_in.seed={seed}"), in_lockstep(*noisy, f"stand_in.seed={seed}")
+        begin_s = began_s(scenario, flown)
+        slots = {member.id: member.slot_enu_m for member in scenario.fleet.vehicles}
+        formation = Formation(begin_s, begin_s + FLOWN_S, begin_s)
+        lockstep = formation_figures(flown.tracks(), slots, reference_of(scenario), formation)
+        largest.append(lockstep.max_distance_m["1-2"])
+        final.append(lockstep.final_error_m)
+    assert are_of_one_distribution(largest, figures.largest_neighbouring_distance_m)
+    assert are_of_one_distribution(final, figures.final_error_m)

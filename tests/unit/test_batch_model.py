@@ -1,0 +1,155 @@
+"""The batch's vehicles, one by one, against those of sitl and companion.core: random states, every branch."""
+
+from math import radians
+
+import numpy as np
+import pytest
+from batch_scenarios import platoon
+
+from companion.config import Envelope
+from companion.core.attitude import attitude_target, limit_acceleration
+from companion.core.envelope import EnvelopeLimits, LastGate
+from companion.frames import euler_from_quaternion, quaternion_from_euler
+from companion.types import AttitudeTarget
+from sitl.attitude_control import Setpoint, moments, wanted_rates
+from sitl.batch.attitude_loops import AttitudeLoops
+from sitl.batch.bodies import Bodies, RungeKutta
+from sitl.batch.columns import columns_of, phase_steps
+from sitl.batch.commands import Commands
+from sitl.batch.rotations import euler_rad, product, quaternion_of_euler, quaternion_of_turns
+from sitl.config import Airframe, AutopilotFile, StandIn
+from sitl.dynamics import Body, advance, derivative, normalised, rate_of_change, rk4
+from sitl.quadrotor import _turned
+from sitl.tracks import FloatArray
+from sitl.world import _phase_s
+
+AIRFRAMES = [
+    Airframe(),
+    Airframe(mass_kg=2.0, inertia_kg_m2=(0.02, 0.03, 0.06), drag_n_per_m_s=0.0, motor_lag_s=0.02),
+    Airframe(mass_kg=0.5, motor_lag_s=0.0),
+]
+COUNT = 30
+WIND = (2.0, -1.0, 0.5)
+
+
+def random_quaternions(random: np.random.Generator, count: int) -> FloatArray:
+    quaternions = random.standard_normal((4, count))
+    return quaternions / np.linalg.norm(quaternions, axis=0)
+
+
+def random_states(random: np.random.Generator) -> FloatArray:
+    states = random.standard_normal((17, COUNT)) * 3.0
+    states[6:10] = random_quaternions(random, COUNT)
+    return states
+
+
+@pytest.mark.parametrize("runge_kutta", [False, True])
+def test_bodies_move_as_the_stand_in_s(runge_kutta: bool) -> None:
+    random = np.random.default_rng(1)
+    of_column = random.integers(0, len(AIRFRAMES), COUNT)
+    states, commands = random_states(random), random.standard_normal((4, COUNT)) * 5.0
+    expected = []
+    for column, kind in enumerate(of_column.tolist()):
+        airframe = AIRFRAMES[kind]
+        body = Body(airframe.mass_kg, airframe.inertia_kg_m2, airframe.drag_n_per_m_s, airframe.motor_lag_s)
+        state, (thrust_n, mx, my, mz) = tuple(states[:, column].tolist()), commands[:, column].tolist()
+        if airframe.motor_lag_s == 0.0:
+            state = (*state[:13], thrust_n, mx, my, mz)
+        if runge_kutta:
+            expected.append(normalised(rk4(derivative(body, thrust_n, (mx, my, mz), WIND), state, 0.004)))
+        else:
+            expected.append(advance(state, rate_of_change(body, state, thrust_n, (mx, my, mz), WIND), 0.004))
+    bodies = Bodies(AIRFRAMES, of_column)
+    (RungeKutta(bodies) if runge_kutta else bodies).step(states, commands, np.array(WIND)[:, None], 0.004)
+    np.testing.assert_allclose(states.T, expected, rtol=1e-12, atol=1e-12)
+
+
+def test_attitude_loops_answer_as_the_stand_in_s() -> None:
+    random = np.random.default_rng(2)
+    goal, measured = random_quaternions(random, COUNT), random_quaternions(random, COUNT)
+    measured[:, 0], goal[:, 0] = (1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0)  # upside down
+    measured[:, 1] = goal[:, 1]
+    rates = random.standard_normal((3, COUNT))
+    inertia = np.repeat([[0.02], [0.03], [0.05]], COUNT, axis=1)
+    out = np.empty((3, COUNT))
+    AttitudeLoops(inertia).moments(goal, measured, rates, out)
+    for column in range(COUNT):
+        wanted = wanted_rates(Setpoint(tuple(goal[:, column].tolist()), 0.5), tuple(measured[:, column].tolist()))
+        single = moments(wanted, tuple(rates[:, column].tolist()), (0.02, 0.03, 0.05))
+        np.testing.assert_allclose(out[:, column], single, rtol=1e-9, atol=1e-12)
+
+
+def test_rotations_are_those_of_frames() -> None:
+    random = np.random.default_rng(3)
+    quaternions, turns = random_quaternions(random, COUNT), random.standard_normal((3, COUNT)) * 0.02
+    turned = product(quaternions, quaternion_of_turns(turns))
+    euler = euler_rad(quaternions)
+    back = quaternion_of_euler(*euler)
+    for column in range(COUNT):
+        quaternion = tuple(quaternions[:, column].tolist())
+        np.testing.assert_allclose(turned[:, column], _turned(quaternion, tuple(turns[:, column].tolist())), atol=1e-12)
+        np.testing.assert_allclose(euler[:, column], euler_from_quaternion(quaternion), atol=1e-9)
+        np.testing.assert_allclose(back[:, column], quaternion_from_euler(*euler[:, column].tolist()), atol=1e-12)
+
+
+def test_commands_pass_the_same_gate() -> None:
+    """Accelerations far beyond the limits among them, and a vehicle that has fallen over."""
+    random = np.random.default_rng(4)
+    scenarios = [platoon()] * 5
+    columns = columns_of(scenarios)
+    n = columns.count
+    commands = Commands(scenarios, columns, 0.02)
+    euler = np.stack([np.full(n, 0.05), np.full(n, -0.02), random.uniform(-3.0, 3.0, n)])
+    commands.open_at(euler)
+    limits = gate_limits(Envelope())
+    gates = [LastGate(limits) for _ in range(n)]
+    for gate, (roll, pitch, yaw) in zip(gates, euler.T.tolist(), strict=True):
+        gate.open_at(0.0, AttitudeTarget(roll, pitch, yaw, 0.49 / (np.cos(roll) * np.cos(pitch))))
+    everybody = slice(0, n)
+    for tick in range(1, 40):
+        wanted = random.standard_normal((3, n)) * 6.0
+        rolls, pitches = random.uniform(-0.4, 0.4, (2, n))
+        rolls[0] = 2.0 if tick > 5 else 0.0
+        single = [limit_acceleration(u, limits.max_tilt_rad, 0.3, 1.6) for u in wanted.T.tolist()]
+        before = commands.targets(everybody)
+        commands.limit(wanted, everybody)
+        np.testing.assert_allclose(wanted.T, single, atol=1e-9)
+        admitted = commands.admitted(wanted, rolls, pitches, everybody)
+        for column in range(1, n):
+            target = attitude_target(single[column], euler[2, column], rolls[column], pitches[column], 0.49)
+            passed = gates[column].admit(tick * 0.02, target)
+            assert passed is not None
+            quaternion = quaternion_from_euler(passed.roll_rad, passed.pitch_rad, passed.yaw_rad)
+            np.testing.assert_allclose(admitted[:, column], (*quaternion, passed.thrust_norm), atol=1e-9)
+        assert np.array_equal(admitted[:, 0], before[:, 0]) == (tick > 5)  # fallen over
+
+
+def gate_limits(envelope: Envelope) -> EnvelopeLimits:
+    return EnvelopeLimits(
+        radians(envelope.max_tilt_deg),
+        radians(envelope.max_tilt_rate_deg_s),
+        0.49,
+        envelope.min_thrust_ratio,
+        envelope.max_thrust_ratio,
+        envelope.max_thrust_rate_1_s,
+        envelope.fence_min_enu_m,
+        envelope.fence_max_enu_m,
+    )
+
+
+def test_phases_are_those_of_lockstep() -> None:
+    for seed in (1, 7):
+        for vehicle_id in range(1, 9):
+            file = AutopilotFile(id=vehicle_id, stand_in=StandIn(seed=seed))
+            assert phase_steps(seed, vehicle_id) * 0.004 == _phase_s(file)
+
+
+def test_columns_put_vehicles_in_the_order_of_their_phases_and_back() -> None:
+    columns = columns_of([platoon(f"stand_in.seed={seed}") for seed in range(6)])
+    assert (np.diff(columns.phase_steps) >= 0).all()
+    for phase, group in enumerate(columns.groups):
+        assert (columns.phase_steps[group] == phase).all()
+    assert sum(group.stop - group.start for group in columns.groups) == 24
+    by_vehicle = np.arange(24.0 * 3).reshape(6, 4, 3)
+    np.testing.assert_array_equal(columns.by_vehicle(columns.in_columns(by_vehicle)), by_vehicle)
+    np.testing.assert_array_equal(columns.formation, columns.order // 4)
