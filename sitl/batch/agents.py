@@ -37,6 +37,8 @@ class Agents:
         self._commands = Commands(scenarios, columns, DT_S * TELEMETRY_STEPS)
         self._commands.open_at(told[6:9])
         self._hold_altitude_m = told[2].copy()
+        slots = laws.slot_enu_m.T
+        self._slots_apart_m = slots[candidates.sender] - slots[:, None, :] if candidates.by_range else np.zeros(0)
         packets = np.zeros((WIDTH, columns.count))
         packets[PLACE], packets[VELOCITY] = told[:3] - laws.slot_enu_m, told[3:6]
         self._members = self._first_members(packets)
@@ -48,15 +50,16 @@ class Agents:
         """What was commanded last: (5, G) quaternion and thrust."""
         return self._commands.targets(group)
 
-    def decide(self, tick: int, phase: int, time_s: float, told: FloatArray) -> FloatArray:
-        """One tick of the agents of this phase: (5, G) quaternion and thrust."""
+    def decide(self, tick: int, phase: int, reference_s: float, told: FloatArray) -> FloatArray:
+        """One tick of the agents of this phase, so far into the RFT: (5, G) quaternion and thrust."""
         group, laws = self._columns.groups[phase], self._laws
         own = told[:6].copy()
         own[:3] -= laws.slot_enu_m[:, group]
         heard = self._packets.hear(tick, group)
-        members = self._select(group, own[:3], heard)
-        prcs = laws.next_prcs(heard.packets[:, :, PRC], members, group)
-        together, has_neighbours = _together(heard, members)
+        heeded = self._heeded(group, own[:3], heard)
+        packets = self._packets.packets(heeded)
+        prcs = laws.next_prcs(packets[:, :, PRC], heeded.fresh, group)
+        together, has_neighbours = _together(heeded, packets)
         acceleration = laws.acceleration(
             group,
             own,
@@ -64,13 +67,13 @@ class Agents:
             together,
             has_neighbours,
             self._references.leaders[phase],
-            self._references.at(phase, time_s),
+            self._references.at(phase, reference_s),
         )
         self._commands.limit(acceleration, group)
-        packets = np.empty((WIDTH, prcs.size))
-        packets[:6], packets[ACCELERATION], packets[PRC] = own, acceleration, prcs
-        packets[SHARE] = laws.shares(prcs, group)
-        self._packets.send(tick, group, packets)
+        told_to_peers = np.empty((WIDTH, prcs.size))
+        told_to_peers[:6], told_to_peers[ACCELERATION], told_to_peers[PRC] = own, acceleration, prcs
+        told_to_peers[SHARE] = laws.shares(prcs, group)
+        self._packets.send(tick, group, told_to_peers)
         return self._commands.admitted(acceleration, told[6], told[7], group)
 
     def relation(self) -> BoolArray:
@@ -82,29 +85,24 @@ class Agents:
         relation[columns.order[receiver], columns.order[sender] % n] = True
         return relation.reshape(columns.formations, n, n)
 
-    def _select(self, group: slice, own_place_enu_m: FloatArray, heard: Heard) -> BoolArray:
-        """N_i of these vehicles (G, K), remembered for the hysteresis."""
+    def _heeded(self, group: slice, own_place_enu_m: FloatArray, heard: Heard) -> Heard:
+        """N_i of these vehicles, remembered for the hysteresis."""
         if not self._candidates.by_range:
             self._members[group] = heard.fresh
-            return heard.fresh
-        positions = heard.packets[:, :, PLACE]
-        if heard.age_s is not None:
-            positions = positions + heard.packets[:, :, VELOCITY] * heard.age_s[:, :, None]
-        selected = self._in_range(group, own_place_enu_m, positions) & heard.fresh
-        self._members[group] = selected
-        return selected
+            return heard
+        members = self._in_range(group, own_place_enu_m, self._packets.places_now_enu_m(heard))
+        members &= heard.fresh
+        self._members[group] = members
+        return heard.only(members)
 
     def _in_range(self, group: slice, own_place_enu_m: FloatArray, places_enu_m: FloatArray) -> BoolArray:
-        candidates, slots = self._candidates, self._laws.slot_enu_m
-        members = self._members[group]
-        square_m2 = np.zeros(members.shape)
-        for axis in range(3):
-            own_m = own_place_enu_m[axis] + slots[axis, group]
-            apart_m = places_enu_m[:, :, axis] + slots[axis].take(candidates.sender[group])
-            apart_m -= own_m[:, None]
-            square_m2 += np.square(apart_m, out=apart_m)
-        limit_m = np.where(members, candidates.leave_m[group, None], candidates.join_m[group, None])
-        return np.asarray(square_m2 <= np.square(limit_m))
+        """`own_place_enu_m` (3, G), `places_enu_m` (G, K, 3), both less their slots."""
+        apart_m = places_enu_m - own_place_enu_m.T[:, None, :]
+        apart_m += self._slots_apart_m[group]
+        square_m2 = np.einsum("gkx,gkx->gk", apart_m, apart_m)
+        candidates = self._candidates
+        limit_m = np.where(self._members[group], candidates.leave_m[group, None], candidates.join_m[group, None])
+        return np.asarray(square_m2 <= np.square(limit_m, out=limit_m))
 
     def _first_members(self, packets: FloatArray) -> BoolArray:
         """As after a while of hovering within earshot."""
@@ -124,14 +122,14 @@ class Agents:
         return prcs
 
 
-def _together(heard: Heard, members: BoolArray) -> tuple[FloatArray, BoolArray]:
+def _together(heeded: Heard, packets: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Algorithm 2: weighted sums (9, G) of the neighbours' places carried on, velocities and accelerations; are there any?"""
-    weights = heard.packets[:, :, SHARE] * members
+    weights = packets[:, :, SHARE] * heeded.fresh
     total = weights.sum(axis=1)
     has_neighbours = total > 0.0
     weights /= np.where(has_neighbours, total, 1.0)[:, None]
-    sums = np.matmul(weights[:, None, :], heard.packets[:, :, :9])[:, 0].T
-    if heard.age_s is not None:
-        way = np.matmul((weights * heard.age_s)[:, None, :], heard.packets[:, :, VELOCITY])[:, 0].T
+    sums = np.matmul(weights[:, None, :], packets[:, :, :9])[:, 0].T
+    if heeded.age_s is not None:
+        way = np.matmul((weights * heeded.age_s)[:, None, :], packets[:, :, VELOCITY])[:, 0].T
         sums[PLACE] += way
     return sums, has_neighbours

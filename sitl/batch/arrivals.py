@@ -28,14 +28,13 @@ class Arrivals:
         links = [scenario.links for scenario in scenarios]
         self._columns = columns
         self._ticks_late = ticks_late
-        self._lag = first_heard(ticks_late)
+        lag = first_heard(ticks_late)
         self._loss = columns.spread([link.peer_loss for link in links])[:, None]
         self._jitter = columns.spread([link.peer_jitter_s / PERIOD_S for link in links])[:, None]
-        self._window = ceil(float(self._jitter.max())) + 1
+        self._shortest, self._longest = int(lag.min()), int(lag.max()) + ceil(float(self._jitter.max()))
         self._most_age = columns.spread([s.fleet.peers.max_age_s / PERIOD_S for s in scenarios])[:, None]
-        kept = int(self._lag.max()) + self._window + 1
-        self._late = np.broadcast_to(ticks_late, (kept, *ticks_late.shape)).copy()
-        self._newest = -self._lag - 1
+        self._late = np.broadcast_to(ticks_late, (self._longest + 1, *ticks_late.shape)).copy()
+        self._newest = -lag - 1
         self._came = np.full(valid.shape, -1, dtype=np.int64)
         self._drawn = -1
         widths = valid.sum(axis=1)[columns.column_of].reshape(columns.formations, columns.vehicles).max(axis=1)
@@ -50,13 +49,10 @@ class Arrivals:
         """For each way (G, K): the tick in which its newest packet was sent, and the one in which it came."""
         if tick > self._drawn:
             self._draw(tick)
-        newest, came, lag = self._newest[group], self._came[group], self._lag[group]
-        receivers, places = np.ogrid[group, : newest.shape[1]]
-        for further in range(self._window):
-            ago = lag + further
-            sent = tick - ago
-            there = self._late[sent % len(self._late), receivers, places] < ago - ROUND_TICKS
-            there &= sent > newest
+        newest, came = self._newest[group], self._came[group]
+        for sent in range(tick - self._longest, tick - self._shortest + 1):
+            there = self._late[sent % len(self._late), group] < tick - sent - ROUND_TICKS
+            there &= newest < sent
             np.copyto(newest, sent, where=there)
             np.copyto(came, tick, where=there)
         return newest, came
@@ -67,7 +63,7 @@ class Arrivals:
 
     def _draw(self, tick: int) -> None:
         """How all packets of this tick will fare."""
-        n, widest = self._columns.vehicles, self._lag.shape[1]
+        n, widest = self._columns.vehicles, self._ticks_late.shape[1]
         chances = np.ones((2, self._columns.formations, n, widest))
         for b, generator in enumerate(self._generators):
             if generator is not None:

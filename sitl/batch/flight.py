@@ -73,7 +73,8 @@ def fly_batch(
     if stride < 1 or abs(stride * DT_S - sample_s) > 1e-9:
         raise ValueError(f"sample_s is {sample_s:g}; it must be a multiple of {DT_S:g} s")
     columns = columns_of(scenarios)
-    simulation = Simulation(scenarios, columns, start or starts_at_rest(scenarios))
+    begin = start or starts_at_rest(scenarios)
+    simulation = Simulation(scenarios, columns, begin)
     samples = round(duration_s / DT_S) // stride + 1
     n = columns.vehicles
     positions = np.empty((samples, columns.formations, n, 3), dtype=np.float32)
@@ -94,6 +95,6 @@ def fly_batch(
         times_s=times_s,
         positions_enu_m=positions,
         slots_enu_m=simulation.slots_enu_m,
-        reference_enu_m=simulation.references.positions_enu_m(times_s),
+        reference_enu_m=simulation.references.positions_enu_m(begin.reference_s + times_s),
         neighbours=neighbours,
     )

@@ -14,7 +14,7 @@ import numpy as np
 
 from sitl.batch.arrivals import PERIOD_S, Arrivals, first_heard
 from sitl.batch.candidates import Candidates
-from sitl.batch.columns import BoolArray, Columns
+from sitl.batch.columns import BoolArray, Columns, IntArray
 from sitl.scenario import Scenario
 from sitl.tracks import FloatArray
 from sitl.world import TELEMETRY_STEPS
@@ -25,14 +25,29 @@ PLACE, VELOCITY, ACCELERATION, PRC, SHARE, WIDTH = slice(0, 3), slice(3, 6), sli
 
 @dataclass(frozen=True, slots=True)
 class Heard:
-    """The newest packets (G, K, WIDTH) that a group of vehicles has of its candidates, and which of them still count.
+    """The newest packets that a group of vehicles has of its candidates, as places (G, K) in the ring; which still count.
 
     `age_s` (G, K) is since receipt; None where all came in this tick.
     """
 
-    packets: FloatArray
+    places: IntArray
     fresh: BoolArray
     age_s: FloatArray | None
+
+    def only(self, members: BoolArray) -> Heard:
+        """Of these alone, as few to a row as there are. Who is in range is a tenth of those who could be."""
+        receiver, candidate = np.nonzero(members)
+        counts = members.sum(axis=1)
+        first = np.cumsum(counts) - counts
+        shape = (len(counts), max(1, int(counts.max())))
+        at = (receiver, np.arange(receiver.size) - first[receiver])
+        places, fresh = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.bool_)
+        places[at], fresh[at] = self.places[receiver, candidate], True
+        if self.age_s is None:
+            return Heard(places, fresh, None)
+        age_s = np.zeros(shape)
+        age_s[at] = self.age_s[receiver, candidate]
+        return Heard(places, fresh, age_s)
 
 
 class Packets:
@@ -54,19 +69,32 @@ class Packets:
         oldest_s = max(scenario.fleet.peers.max_age_s for scenario in scenarios) + jitter_s if by_chance else 0.0
         self._kept = int(lag.max()) + ceil(oldest_s / PERIOD_S) + 3
         self._ring = np.broadcast_to(start.T, (self._kept, columns.count, WIDTH)).reshape(-1, WIDTH).copy()
+        self._motions = self._ring[:, :6].copy()  # the same, of which range decides
         self._place = (-lag % self._kept) * columns.count + candidates.sender
 
     def send(self, tick: int, group: slice, packets: FloatArray) -> None:
         """`packets` (WIDTH, G) of these columns."""
         begin = tick % self._kept * self._count
         self._ring[begin + group.start : begin + group.stop] = packets.T
+        self._motions[begin + group.start : begin + group.stop] = packets[:6].T
 
     def hear(self, tick: int, group: slice) -> Heard:
         if self._arrivals is None:
             places = self._place[group] + tick % self._kept * self._count
-            return Heard(self._ring.take(places, axis=0, mode="wrap"), self._valid[group], None)
+            return Heard(places, self._valid[group], None)
         newest, came = self._arrivals.hear(tick, group)
         ages_ticks = tick - came
-        packets = self._ring.take(newest % self._kept * self._count + self._sender[group], axis=0)
+        places = newest % self._kept * self._count + self._sender[group]
         fresh = self._arrivals.fresh(ages_ticks, group) & self._valid[group]
-        return Heard(packets, fresh, np.multiply(ages_ticks, PERIOD_S, dtype=np.float64))
+        return Heard(places, fresh, np.multiply(ages_ticks, PERIOD_S, dtype=np.float64))
+
+    def packets(self, heard: Heard) -> FloatArray:
+        """(G, K, WIDTH)."""
+        return self._ring.take(heard.places, axis=0, mode="wrap")
+
+    def places_now_enu_m(self, heard: Heard) -> FloatArray:
+        """Positions less their slots (G, K, 3), carried on to now."""
+        motions = self._motions.take(heard.places, axis=0, mode="wrap")
+        if heard.age_s is not None:
+            motions[:, :, :3] += motions[:, :, 3:] * heard.age_s[:, :, None]
+        return motions[:, :, :3]

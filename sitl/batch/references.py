@@ -15,7 +15,7 @@ from sitl.tracks import FloatArray
 
 
 class References:
-    """`leaders[g]` (L,) are the places within group g of those that know a reference."""
+    """Before its beginning an RFT stands still. `leaders[g]` (L,) are the places within group g of those that know a reference."""
 
     def __init__(self, scenarios: Sequence[Scenario], columns: Columns, leads: BoolArray) -> None:
         kinds: dict[Reference, int] = {}
@@ -38,15 +38,18 @@ class References:
             self._kinds.append(distinct)
             self._which.append(which)
 
-    def at(self, group: int, time_s: float) -> FloatArray:
+    def at(self, group: int, reference_s: float) -> FloatArray:
         """R and r'' (9, L) for the leaders of this group: position, velocity, acceleration."""
-        rows = np.array([_row(self._trajectories[kind](time_s)) for kind in self._kinds[group].tolist()])
+        rows = np.array([_row(self._trajectories[kind](max(0.0, reference_s))) for kind in self._kinds[group].tolist()])
         return rows.reshape(-1, 9)[self._which[group]].T
 
-    def positions_enu_m(self, times_s: FloatArray) -> FloatArray:
+    def positions_enu_m(self, reference_s: FloatArray) -> FloatArray:
         """r (ticks, 3) where all formations have the same, else (ticks, B, 3)."""
         of_kind = np.array(
-            [[trajectory(t).position_enu_m for trajectory in self._trajectories] for t in times_s.tolist()]
+            [
+                [trajectory(t).position_enu_m for trajectory in self._trajectories]
+                for t in np.maximum(0.0, reference_s).tolist()
+            ]
         )
         return of_kind[:, 0] if len(self._trajectories) == 1 else of_kind[:, self._of_formation]
 

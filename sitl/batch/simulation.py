@@ -22,10 +22,14 @@ from sitl.world import TELEMETRY_STEPS
 
 @dataclass(frozen=True, slots=True)
 class BatchStart:
-    """Where the vehicles are at t = 0 and how fast: true positions and velocities, (B, n, 3) in ENU. They are level."""
+    """Where the vehicles are at t = 0 and how fast: true positions and velocities, (B, n, 3) in ENU. They are level.
+
+    `reference_s` is how far into the RFT the fleet is by then.
+    """
 
     positions_enu_m: FloatArray
     velocities_enu_m_s: FloatArray
+    reference_s: float = 0.0
 
 
 def starts_at_rest(scenarios: Sequence[Scenario]) -> BatchStart:
@@ -42,6 +46,7 @@ class Simulation:
     def __init__(self, scenarios: Sequence[Scenario], columns: Columns, start: BatchStart) -> None:
         self._columns = columns
         self._steps = 0
+        self._reference_s = start.reference_s
         laws = Laws(scenarios, columns)
         self.slots_enu_m = laws.slots_by_vehicle_enu_m
         self.references = References(scenarios, columns, laws.leads)
@@ -71,7 +76,7 @@ class Simulation:
         tick, phase = divmod(self._steps, TELEMETRY_STEPS)
         group = self._columns.groups[phase]
         if group.stop > group.start:
-            targets = self._agents.decide(tick, phase, self.time_s, self._autopilots.told(group))
+            targets = self._agents.decide(tick, phase, self._reference_s + self.time_s, self._autopilots.told(group))
             self._autopilots.command(tick, group, targets)
         self._steps += 1
         self._autopilots.step(self._steps)

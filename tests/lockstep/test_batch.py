@@ -28,6 +28,7 @@ PLATOON = Path(__file__).parents[2] / "config" / "scenarios" / "platoon.yaml"
 FLOWN_S = 15.0
 TOLERANCE_M = 1e-4
 COOPERATIVE = "fleet.law={name: cooperative}"
+FIGURE_8 = "reference={kind: figure_8, centre_enu_m: [0, 0, 1], width_m: 16, height_m: 8, period_s: 15, ramp_s: 2}"
 SIDEWAYS_AND_UP = "reference.point_enu_m=[1.0, 3.0, 1.5]"
 
 
@@ -46,9 +47,8 @@ def in_lockstep(*overrides: str) -> Flown:
 def began_s(scenario: Scenario, flown: Flown) -> float:
     """Lockstep's beginning of the period in which the leader first flew the law; the reports come a little later."""
     assert flown.watch.formation is not None
-    leader = next(member.id for member in scenario.fleet.vehicles if member.role is Role.LEADER)
     heard_step = round(flown.watch.formation.reference_start_s / DT_S)
-    phase = phase_steps(scenario.stand_in.seed, leader)
+    phase = phase_steps(scenario.stand_in.seed, leader_of(scenario))
     return (heard_step - phase) // TELEMETRY_STEPS * TELEMETRY_STEPS * DT_S
 
 
@@ -58,16 +58,22 @@ def positions_m(flown: Flown, times_s: FloatArray) -> FloatArray:
     return np.stack([tracks[i].at(times_s) for i in sorted(tracks)], axis=1)
 
 
-def start_of(flown: Flown, time_s: float) -> BatchStart:
+def start_of(scenario: Scenario, flown: Flown, time_s: float) -> BatchStart:
+    """The RFT begins with the leader's first decision in formation."""
     before, now, after = positions_m(flown, time_s + np.array([-0.02, 0.0, 0.02]))
-    return BatchStart(now[None], (after - before)[None] / 0.04)
+    reference_s = -phase_steps(scenario.stand_in.seed, leader_of(scenario)) * DT_S
+    return BatchStart(now[None], (after - before)[None] / 0.04, reference_s)
+
+
+def leader_of(scenario: Scenario) -> int:
+    return next(member.id for member in scenario.fleet.vehicles if member.role is Role.LEADER)
 
 
 def apart_m(*overrides: str) -> FloatArray:
     """Distance (ticks, n) between both flights of one scenario."""
     scenario, flown = scenario_of(*overrides), in_lockstep(*overrides)
     begin_s = began_s(scenario, flown)
-    batch = fly_batch([scenario], FLOWN_S, start=start_of(flown, begin_s))
+    batch = fly_batch([scenario], FLOWN_S, start=start_of(scenario, flown, begin_s))
     true_m = positions_m(flown, begin_s + batch.times_s)
     assert np.abs(true_m - true_m[0]).max() > 0.9  # they did fly somewhere
     return np.asarray(np.linalg.norm(batch.positions_enu_m[:, 0] - true_m, axis=2))
@@ -84,6 +90,7 @@ def apart_m(*overrides: str) -> FloatArray:
         ("links.telemetry_delay_s=0.01", "links.setpoint_delay_s=0.013"),
         ("fleet.law.altitude=hold", SIDEWAYS_AND_UP),
         (COOPERATIVE, SIDEWAYS_AND_UP, "fleet.neighbours={kind: range, range_m: 2.0, hysteresis_m: 0.2}"),
+        (COOPERATIVE, FIGURE_8),
         ("reference.point_enu_m=[20.0, -10.0, 1.0]",),  # far beyond what the last gate lets through at once
     ],
     ids=lambda overrides: " ".join(overrides) or "weighted",
@@ -99,9 +106,9 @@ def test_without_lag_too() -> None:
 
 def test_a_delay_that_is_another_would_be_seen() -> None:
     """So that the comparison above is one: 4 ms more on the way to the autopilot are a hundred times its tolerance."""
-    flown = in_lockstep()
-    begin_s = began_s(scenario_of(), flown)
-    late = fly_batch([scenario_of("links.setpoint_delay_s=0.0045")], FLOWN_S, start=start_of(flown, begin_s))
+    scenario, flown = scenario_of(), in_lockstep()
+    begin_s = began_s(scenario, flown)
+    late = fly_batch([scenario_of("links.setpoint_delay_s=0.0045")], FLOWN_S, start=start_of(scenario, flown, begin_s))
     off_m = np.linalg.norm(late.positions_enu_m[:, 0] - positions_m(flown, begin_s + late.times_s), axis=2)
     assert off_m.max() > 20.0 * TOLERANCE_M
 
