@@ -14,7 +14,12 @@ from companion.core.interaction import Coupling, FloatArray
 from companion.core.prediction import LOST_M, LinearModel
 
 SHORTEST_S = 1e-3  # a shorter lag or delay is taken as this, so that every filter has a state
-WATCHED = ((0.1, 200), (0.5, 200), (4.0, 200))  # (step s, steps): waves along a chain come early, slow swings late
+STEP_S = 0.1
+WATCHED = (
+    (1, 150),
+    (5, 300),
+    (8, 60),
+)  # (times as long a step as before, steps): waves along a chain come before slow swings
 
 
 def state_matrix(coupling: Coupling, model: LinearModel) -> FloatArray:
@@ -62,8 +67,9 @@ def worst_transient_peak(coupling: Coupling, model: LinearModel) -> float:
     matrix = state_matrix(coupling, model)
     states = np.vstack([np.eye(n), np.zeros((4 * n, n))])
     peak = 1.0
-    for step_s, steps in WATCHED:
-        transition = _exponential(matrix * step_s)
+    transition = _exponential(matrix * STEP_S)
+    for longer, steps in WATCHED:
+        transition = np.linalg.matrix_power(transition, longer)
         for _ in range(steps):
             states = transition @ states
             reach = float(np.abs(states[:n]).sum(axis=1).max())
