@@ -4,8 +4,9 @@ The model is that of lockstep: the same bodies, loops, delays, law and last gate
 of every agent in each period of telemetry, at that vehicle's own phase. It begins in formation: the vehicles hover over their
 starts, have heard each other, know their PrC, and fly the law from t = 0.
 
-Left out are take-off and landing, the ground, the fence, and what an agent does when its leader's word stays away or its
-peers tell nonsense. Random numbers are others than in lockstep, of the same distributions.
+Left out are take-off and landing, the ground, the fence, a change of the leader, what an agent does when its leader's word
+stays away, and its doubts about peers (of one faster than `peers.max_speed_m_s`). Delays are exact to the step; random
+numbers are others than in lockstep, of the same distributions.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """What the vehicles tell each other, and what each has heard of it: companion.core.peers in arrays.
 
 Times are exact, as in lockstep: a packet counts at its receiver's first tick after its arrival, and is carried on from
-there. The peers' checks of plausibility are left out; nothing here sends what they refuse.
+there. The peers' checks of plausibility are left out: one that flies faster than `max_speed_m_s` is heeded all the same.
 """
 
 from __future__ import annotations

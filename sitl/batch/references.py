@@ -15,7 +15,7 @@ from sitl.tracks import FloatArray
 
 
 class References:
-    """Before its beginning an RFT stands still. `leaders[g]` (L,) are the places within group g of those that know a reference."""
+    """Before its beginning an RFT stands still. `leaders[g]` (L,) are those columns of group g that know a reference."""
 
     def __init__(self, scenarios: Sequence[Scenario], columns: Columns, leads: BoolArray) -> None:
         kinds: dict[Reference, int] = {}
