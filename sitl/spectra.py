@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csc_array, diags_array, eye_array
+from scipy.sparse import csc_array, diags_array
 from scipy.sparse.linalg import LinearOperator, eigs, eigsh, splu
 
 from companion.core.formation import FormationLaw
@@ -74,7 +74,7 @@ def mu_min(graph: Graph, leaders: Collection[int], law: FormationLaw) -> float:
     symmetric, weights = _symmetric(graph, leaders, law)
     n = len(graph)
     fed = diags_array(1.0 - _leads(graph, leaders)) @ weights
-    loop = (eye_array(n) - law.feedforward * fed).tocsr()
+    loop = (diags_array(np.ones(n)) - law.feedforward * fed).tocsr()
     factors = splu(symmetric)
     inverse = LinearOperator((n, n), matvec=lambda x: factors.solve(loop @ x), dtype=np.float64)
     values = eigs(inverse, k=1, which="LM", v0=_start(n), return_eigenvectors=False)
