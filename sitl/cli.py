@@ -33,6 +33,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_autopilot(subcommands)
     _add_fly(subcommands)
     _add_run(subcommands)
+    _add_switching(subcommands)
     return parser
 
 
@@ -127,3 +128,23 @@ def _run_run(arguments: argparse.Namespace) -> int:
     from sitl.run_options import run_options
 
     return run(run_options(arguments))
+
+
+def _add_switching(subcommands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    from sitl.switching.options import DESCRIPTION, MORE, add_switching_arguments
+
+    parser = subcommands.add_parser(
+        "switching",
+        help="neighbour sets that change with range: who stays connected, from a thousand random starts, under each law",
+        description=DESCRIPTION,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog=MORE,
+    )
+    add_switching_arguments(parser)
+    parser.set_defaults(run=_run_switching)
+
+
+def _run_switching(arguments: argparse.Namespace) -> int:
+    from sitl.switching.command import run_switching
+
+    return run_switching(arguments)

@@ -1,0 +1,170 @@
+"""One case of the study: a shape, a setting of the law, and what the vehicles have to put up with; and its figures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import dist
+from typing import Literal
+
+import numpy as np
+from msgspec import Struct
+
+from companion.config import EdgeNeighbours, Envelope, FleetConfig, FormationMember, GeodeticOrigin, PointReference
+from companion.types import CommandName, Role
+from sitl.batch.flight import BatchFlight, fly_batch
+from sitl.config import Airframe, Links
+from sitl.config import StandIn as StandInConfig
+from sitl.scenario import Scenario, TimelineStep
+from sitl.shapes import LEADER, Shape
+from sitl.study.settings import Setting
+from sitl.tracks import FloatArray
+
+SETTLED_WITHIN_M = 0.10
+STAYS_S = 2.0  # who is inside for less than this at the end has not settled
+STEP_M = 1.0
+HEIGHT_M = 1.0
+FENCE_M = 1000.0
+GOOD_LINKS = Links()
+BAD_LINKS = Links(peer_delay_s=0.1, peer_loss=0.1)
+
+Sensing = Literal["ideal", "default", "px4_sih"]
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """`step_m`: how far along x the reference is from where the leader starts in formation. Eq. 2 knows no drag."""
+
+    shape: Shape
+    setting: Setting
+    sensors: Sensing = "ideal"
+    links: Links = GOOD_LINKS
+    seed: int = 1
+    step_m: float = STEP_M
+    drag_n_per_m_s: float = 0.0
+
+    def scenario(self) -> Scenario:
+        """As a file would say it: with the timeline of a whole flight, so that it can be flown in any way."""
+        ids = sorted(self.shape.slots_enu_m)
+        members = tuple(
+            FormationMember(
+                id=i,
+                role=Role.LEADER if i == LEADER else Role.FOLLOWER,
+                slot_enu_m=self.shape.slots_enu_m[i],
+            )
+            for i in ids
+        )
+        fence = Envelope(fence_min_enu_m=(-FENCE_M, -FENCE_M, -5.0), fence_max_enu_m=(FENCE_M, FENCE_M, 50.0))
+        return Scenario(
+            description=f"{self.shape.name} closes up behind its leader by {self.step_m:g} m.",
+            fleet=FleetConfig(
+                name=self.shape.name,
+                origin=GeodeticOrigin(latitude_deg=47.397742, longitude_deg=8.545594, altitude_amsl_m=488.0),
+                vehicles=members,
+                neighbours=EdgeNeighbours(edges=self.shape.edges),
+                law=self.setting.law,
+                takeoff_height_m=HEIGHT_M,
+                envelope=fence,
+            ),
+            starts_enu_m=self.shape.slots_enu_m,
+            reference=PointReference(point_enu_m=(self.step_m, 0.0, HEIGHT_M)),
+            stand_in=StandInConfig(
+                sensors=self.sensors, seed=self.seed, airframe=Airframe(drag_n_per_m_s=self.drag_n_per_m_s)
+            ),
+            links=self.links,
+            timeline=(
+                TimelineStep(command=CommandName.PREPARE),
+                TimelineStep(command=CommandName.ARM),
+                TimelineStep(command=CommandName.TAKEOFF, for_s=5.0),
+                TimelineStep(command=CommandName.FORM, for_s=60.0),
+                TimelineStep(command=CommandName.LAND),
+            ),
+        )
+
+
+class Figures(Struct, frozen=True, kw_only=True):
+    """What one flight of a case came to, from true positions.
+
+    `settle_s`: from when on nobody is farther than `within_m` from its place; None where that did not come within
+    `duration_s`. `largest_m` and `smallest_m` are of neighbours that are wanted one spacing apart, `closest_m` of any two,
+    `stretch_m` and `squeeze_m` how far any two neighbours were beyond or below what is wanted. `late_error_m`: the largest
+    error of any vehicle in the last third.
+    """
+
+    shape: str
+    vehicles: int
+    setting: str
+    sensors: str
+    peer_delay_s: float
+    peer_loss: float
+    seed: int
+    step_m: float
+    drag_n_per_m_s: float
+    duration_s: float
+    within_m: float
+    settle_s: float | None
+    largest_m: float
+    smallest_m: float
+    closest_m: float
+    stretch_m: float
+    squeeze_m: float
+    late_error_m: float
+
+
+def fly(cases: Sequence[Case], duration_s: float, within_m: float = SETTLED_WITHIN_M) -> list[Figures]:
+    """Cases of one shape, together."""
+    flight = fly_batch([case.scenario() for case in cases], duration_s)
+    errors_m = flight.errors_m()
+    return [_figures(case, flight, errors_m[:, index], index, within_m) for index, case in enumerate(cases)]
+
+
+def _figures(case: Case, flight: BatchFlight, errors_m: FloatArray, index: int, within_m: float) -> Figures:
+    slots = case.shape.slots_enu_m
+    ids = sorted(slots)
+    column = {vehicle_id: k for k, vehicle_id in enumerate(ids)}
+    first, second = (np.array([column[edge[end]] for edge in case.shape.edges], dtype=int) for end in (0, 1))
+    wanted_m = np.array([dist(slots[a], slots[b]) for a, b in case.shape.edges])
+    positions = flight.positions_enu_m[:, index].astype(float)
+    distances_m = np.linalg.norm(positions[:, first] - positions[:, second], axis=2)
+    nearest = wanted_m < wanted_m.min() + 0.01
+    worst_m = errors_m.max(axis=1)
+    duration_s = float(flight.times_s[-1])
+    return Figures(
+        shape=case.shape.name,
+        vehicles=len(ids),
+        setting=case.setting.label,
+        sensors=case.sensors,
+        peer_delay_s=case.links.peer_delay_s,
+        peer_loss=case.links.peer_loss,
+        seed=case.seed,
+        step_m=case.step_m,
+        drag_n_per_m_s=case.drag_n_per_m_s,
+        duration_s=round(duration_s, 2),
+        within_m=round(within_m, 4),
+        settle_s=settled_s(flight.times_s, worst_m, within_m),
+        largest_m=round(float(distances_m[:, nearest].max()), 4),
+        smallest_m=round(float(distances_m[:, nearest].min()), 4),
+        closest_m=round(closest_m(positions), 4),
+        stretch_m=round(float((distances_m - wanted_m).max()), 4),
+        squeeze_m=round(float((wanted_m - distances_m).max()), 4),
+        late_error_m=round(float(worst_m[flight.times_s > duration_s * 2.0 / 3.0].max()), 4),
+    )
+
+
+def settled_s(times_s: FloatArray, error_m: FloatArray, within_m: float) -> float | None:
+    """From when on `error_m` (ticks,) stays within; None where it does not for at least the last STAYS_S."""
+    outside = np.flatnonzero(error_m > within_m)
+    first_inside = int(outside[-1]) + 1 if outside.size else 0
+    if first_inside >= times_s.size or times_s[-1] - times_s[first_inside] < STAYS_S:
+        return None
+    return round(float(times_s[first_inside]), 2)
+
+
+def closest_m(positions_enu_m: FloatArray) -> float:
+    """Smallest distance of any two vehicles at any time (ticks, n, 3)."""
+    n = positions_enu_m.shape[1]
+    smallest = np.inf
+    for k in range(1, n):  # each against all after it: no (ticks, n, n) at once
+        apart = positions_enu_m[:, k:] - positions_enu_m[:, :-k]
+        smallest = min(smallest, float(np.einsum("tij,tij->ti", apart, apart).min()))
+    return float(np.sqrt(smallest))

@@ -1,0 +1,113 @@
+"""Figures of the study: settling against the worst inter-distance for every setting, and lambda_min against size."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from sitl.plots import COLOURS, MARKERS, STYLES
+from sitl.shapes import SPACING_M
+from sitl.study.cases import Figures
+from sitl.study.settings import COOPERATIVE, SETTINGS, Setting
+
+NEVER_LABEL = "not settled"
+
+
+def save_trade_off(path: Path, flights: Sequence[Figures], shapes: Sequence[str]) -> None:
+    """One panel a shape: x is the time to settle, y how far the worst pair of neighbours was off its wanted distance."""
+    figure = Figure(figsize=(5.6 * len(shapes), 5.6), layout="constrained")
+    figure.suptitle("Settling against the worst inter-distance, full quadrotor model, a step of 1 m", fontsize=13)
+    panels = figure.subplots(1, len(shapes), squeeze=False)[0]
+    for axes, shape in zip(panels, shapes, strict=True):
+        _draw_trade_off(axes, [f for f in flights if f.shape == shape])
+        axes.set_title(shape)
+    panels[0].set_ylabel("worst deviation of a neighbour's distance\nfrom the wanted one [m]")
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=8.5, frameon=False)
+    figure.savefig(path, dpi=150)
+
+
+def _draw_trade_off(axes: Axes, flights: Sequence[Figures]) -> None:
+    flown = {f.setting: f for f in flights}
+    duration_s = flights[0].duration_s
+    never_s = duration_s * 1.35
+    for setting in SETTINGS:
+        if setting.label in flown:
+            _draw_setting(axes, setting, flown[setting.label], never_s)
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.axhline(SPACING_M, color="#808080", linewidth=1.0, linestyle=(0, (1, 1.8)))
+    axes.text(
+        0.02,
+        SPACING_M,
+        " one spacing: neighbours may touch",
+        transform=axes.get_yaxis_transform(),
+        va="bottom",
+        fontsize=8,
+    )
+    axes.axvspan(duration_s, never_s * 1.35, color="#eeeeee", zorder=0)
+    axes.text(
+        never_s,
+        0.985,
+        f"{NEVER_LABEL}\nin {duration_s:.0f} s",
+        transform=axes.get_xaxis_transform(),
+        ha="center",
+        va="top",
+        fontsize=8,
+    )
+    axes.set_xlim(right=never_s * 1.35)
+    axes.set_xlabel("settled to 10 cm after [s]")
+    axes.grid(True, which="major", color="#dddddd", linewidth=0.6)
+
+
+def _draw_setting(axes: Axes, setting: Setting, flown: Figures, never_s: float) -> None:
+    colour, marker = _look(setting)
+    chosen = setting is COOPERATIVE
+    axes.plot(
+        flown.settle_s if flown.settle_s is not None else never_s,
+        max(flown.stretch_m, flown.squeeze_m),
+        linestyle="none",
+        marker="*" if chosen else marker,
+        markersize=17 if chosen else 8,
+        markerfacecolor=colour,
+        markeredgecolor="black",
+        markeredgewidth=0.7,
+        label=setting.label,
+        zorder=4 if chosen else 3,
+    )
+
+
+def _look(setting: Setting) -> tuple[str, str]:
+    """Filled by family, so that grey tells them apart: the paper's laws white, parts of cooperative grey, the rest dark."""
+    place = SETTINGS.index(setting)
+    if setting.law.name != "cooperative" and not setting.is_part and "+" not in setting.label:
+        return "#ffffff", MARKERS[place % len(MARKERS)]
+    if setting.law.name == "weighted":
+        return "#E69F00" if setting.is_part else "#56B4E9", MARKERS[place % len(MARKERS)]
+    return "#0072B2", MARKERS[place % len(MARKERS)]
+
+
+def save_spectra(path: Path, spectra: Mapping[str, Mapping[str, Sequence[tuple[int, float]]]]) -> None:
+    """lambda_min against the number of vehicles; `spectra`: kind of shape -> law -> (vehicles, lambda_min)."""
+    figure = Figure(figsize=(4.6 * len(spectra), 4.4), layout="constrained")
+    figure.suptitle("Smallest eigenvalue of the interaction matrix, up to 10,000 vehicles", fontsize=13)
+    panels = figure.subplots(1, len(spectra), squeeze=False, sharey=True)[0]
+    for axes, (kind, laws) in zip(panels, spectra.items(), strict=True):
+        for place, (law, points) in enumerate(laws.items()):
+            axes.loglog(
+                [n for n, _ in points],
+                [value for _, value in points],
+                color=COLOURS[place],
+                linestyle=STYLES[place % len(STYLES)],
+                marker=MARKERS[place],
+                label=law,
+            )
+        axes.set_title(kind)
+        axes.set_xlabel("vehicles")
+        axes.grid(True, which="major", color="#dddddd", linewidth=0.6)
+    panels[0].set_ylabel("lambda_min of G [-]")
+    panels[0].legend(frameon=False, fontsize=9)
+    figure.savefig(path, dpi=150)

@@ -1,0 +1,109 @@
+"""What the study flies: which shapes under which settings, for how long, and in what air."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sitl.config import Airframe, Links
+from sitl.shapes import Shape, chain, grid, random_geometric, ring
+from sitl.study.cases import BAD_LINKS, SETTLED_WITHIN_M, Case, Sensing
+from sitl.study.settings import COOPERATIVE, MAIN, SETTINGS, Setting
+
+SHAPES_SEED = 1
+GOAL_SHAPES = (chain(16), grid(10, 10))
+LARGE = 50  # vehicles; from here on a batch holds fewer formations
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """Cases of one shape that fly together. `within_m` is the band that they are to settle into."""
+
+    cases: tuple[Case, ...]
+    duration_s: float
+    within_m: float = SETTLED_WITHIN_M
+
+    @property
+    def work(self) -> float:
+        """Roughly how long it takes, for the progress line."""
+        n = len(self.cases[0].shape.slots_enu_m)
+        return self.duration_s * (20.0 + len(self.cases) * n * (1.0 + n / 20.0))
+
+
+def shapes(full: bool) -> list[Shape]:
+    """Random ones come out of SHAPES_SEED."""
+    generator = np.random.default_rng(SHAPES_SEED)
+    found = [chain(4), chain(16), ring(16), grid(4, 4), random_geometric(16, generator), grid(10, 10)]
+    if full:
+        found += [
+            chain(8),
+            chain(32),
+            chain(64),
+            ring(64),
+            random_geometric(50, generator),
+            random_geometric(100, generator),
+        ]
+    return found
+
+
+def quiet_batches(full: bool, duration_s: float) -> list[Batch]:
+    """Every shape under every setting, without noise: attitude lag and the links of one machine."""
+    return [
+        batch for shape in shapes(full) for batch in _split([Case(shape, setting) for setting in SETTINGS], duration_s)
+    ]
+
+
+def long_batches(duration_s: float) -> list[Batch]:
+    """The goals' shapes under the main laws, long enough to see the slow ones settle."""
+    return [Batch(tuple(Case(shape, setting) for setting in MAIN), duration_s) for shape in GOAL_SHAPES]
+
+
+def drag_batches(duration_s: float) -> list[Batch]:
+    """The goals' shapes under the main laws, with the drag that a real airframe has: it damps what the law does not."""
+    drag = Airframe().drag_n_per_m_s
+    return [
+        Batch(tuple(Case(shape, setting, drag_n_per_m_s=drag) for setting in MAIN), duration_s) for shape in GOAL_SHAPES
+    ]
+
+
+def still_batches(seeds: int, sensors: Sensing, duration_s: float) -> list[Batch]:
+    """The goals' shapes under `cooperative`, that stay where they are: what the noise alone does."""
+    return [
+        Batch(
+            tuple(Case(shape, COOPERATIVE, sensors, seed=seed, step_m=0.0) for seed in _seeds(shape, seeds)), duration_s
+        )
+        for shape in GOAL_SHAPES
+    ]
+
+
+def noisy_batches(bands_m: dict[str, float], seeds: int, sensors: Sensing, duration_s: float) -> list[Batch]:
+    """The goals' shapes with noise under the main laws, into the band that the noise allows."""
+    return [
+        batch
+        for shape in GOAL_SHAPES
+        for batch in _split(_cases(shape, MAIN, sensors, Links(), seeds), duration_s, bands_m[shape.name])
+    ]
+
+
+def disturbed_batches(bands_m: dict[str, float], seeds: int, sensors: Sensing, duration_s: float) -> list[Batch]:
+    """The same with packets lost and late, under `cooperative`."""
+    return [
+        Batch(tuple(_cases(shape, (COOPERATIVE,), sensors, BAD_LINKS, seeds)), duration_s, bands_m[shape.name])
+        for shape in GOAL_SHAPES
+    ]
+
+
+def _cases(shape: Shape, settings: Sequence[Setting], sensors: Sensing, links: Links, seeds: int) -> list[Case]:
+    return [Case(shape, setting, sensors, links, seed) for setting in settings for seed in _seeds(shape, seeds)]
+
+
+def _seeds(shape: Shape, seeds: int) -> range:
+    """Fewer for large shapes, which have many vehicles to draw noise for anyhow."""
+    return range(1, (seeds if len(shape.slots_enu_m) < LARGE else max(1, seeds // 2)) + 1)
+
+
+def _split(cases: list[Case], duration_s: float, within_m: float = SETTLED_WITHIN_M) -> list[Batch]:
+    most = 10 if len(cases[0].shape.slots_enu_m) >= LARGE else 30
+    return [Batch(tuple(cases[k : k + most]), duration_s, within_m) for k in range(0, len(cases), most)]

@@ -1,0 +1,60 @@
+"""The settings of the law that are compared: the paper's laws, each part of `cooperative` alone, and all together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from companion.assembly import law_of
+from companion.config import Gains, Law
+
+SHARPER = 8.0
+DESIGNED = Gains(position_1_s2=2.0, velocity_1_s=2.4)
+FED_FORWARD = 0.9
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """`label` says in a few words what it is; `is_part` marks what differs from the paper's law in one part alone."""
+
+    label: str
+    law: Law
+    is_part: bool = False
+
+
+def _weighted(**changes: object) -> Law:
+    return Law(name="weighted", **changes)  # type: ignore[arg-type]
+
+
+AVERAGE_22 = Setting("average, eq. 22", Law(name="average_22"))
+WEIGHTED = Setting("weighted (the paper)", Law(name="weighted"))
+COOPERATIVE = Setting("cooperative", Law(name="cooperative"))
+MAIN = (AVERAGE_22, WEIGHTED, COOPERATIVE)
+
+SETTINGS: tuple[Setting, ...] = (
+    AVERAGE_22,
+    Setting("average, eq. 26", Law(name="average_26")),
+    WEIGHTED,
+    Setting("a: exponent 8", _weighted(exponent=SHARPER), is_part=True),
+    Setting("b: K = (2, 2.4)", _weighted(gains=DESIGNED), is_part=True),
+    Setting("c: fed forward 0.9", _weighted(feedforward=FED_FORWARD), is_part=True),
+    Setting("d: leader alone", _weighted(leader_heeds_neighbours=False), is_part=True),
+    Setting("a + b", _weighted(exponent=SHARPER, gains=DESIGNED)),
+    Setting("a + c", _weighted(exponent=SHARPER, feedforward=FED_FORWARD)),
+    Setting("b + c", _weighted(gains=DESIGNED, feedforward=FED_FORWARD)),
+    COOPERATIVE,
+    Setting("cooperative, leader alone", Law(name="cooperative", leader_heeds_neighbours=False)),
+    Setting("cooperative, g = 0.6", Law(name="cooperative", feedforward=0.6)),
+    Setting("cooperative, g = 0.8", Law(name="cooperative", feedforward=0.8)),
+    Setting("cooperative, exponent 4", Law(name="cooperative", exponent=4.0)),
+    Setting("cooperative, exponent 16", Law(name="cooperative", exponent=16.0)),
+    Setting("cooperative, K = (1, 2)", Law(name="cooperative", gains=Gains(position_1_s2=1.0, velocity_1_s=2.0))),
+    Setting("cooperative, K = (1.39, 3)", Law(name="cooperative", gains=Gains(position_1_s2=1.39, velocity_1_s=3.0))),
+)
+
+
+def in_short(setting: Setting) -> str:
+    """Every number of the law, for tables."""
+    law = law_of(setting.law)
+    leader = "" if law.leader_heeds_neighbours else ", leader alone"
+    gains = f"K = ({law.gains.position_1_s2:g}, {law.gains.velocity_1_s:g})"
+    return f"alpha {law.exponent:g}, {gains}, g {law.feedforward:g}{leader}"

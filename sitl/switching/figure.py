@@ -1,0 +1,49 @@
+"""How many formations are still connected as time goes on, and the smallest lambda_min that they came to."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from sitl.plots import COLOURS, STYLES
+from sitl.switching.topology import Topology
+
+
+def save_switching(path: Path, topologies: Sequence[Topology], duration_s: float, title: str) -> None:
+    """Left: the share in which nobody was cut off yet. Right: how the flights' smallest lambda_min are spread."""
+    figure = Figure(figsize=(11.0, 4.6), layout="constrained")
+    figure.suptitle(title, fontsize=12)
+    left, right = figure.subplots(1, 2)
+    laws = list(dict.fromkeys(t.law for t in topologies))
+    hystereses_m = sorted({t.hysteresis_m for t in topologies})
+    for colour, law in zip(COLOURS, laws, strict=False):
+        for style, hysteresis_m in zip(STYLES, hystereses_m, strict=False):
+            group = [t for t in topologies if t.law == law and t.hysteresis_m == hysteresis_m]
+            label = f"{law}, {hysteresis_m:g} m"
+            look = {"color": colour, "linestyle": style, "label": label}
+            _draw_connected(left, group, duration_s, look)
+            _draw_spread(right, group, look)
+    left.set(
+        xlabel="time since the start of the formation [s]", ylabel="nobody cut off yet [% of the starts]", ylim=(0, 102)
+    )
+    left.legend(title="law, hysteresis", fontsize=8, title_fontsize=8, frameon=False)
+    right.set(xlabel="smallest lambda_min over the flight [-]", ylabel="starts below that [%]", ylim=(0, 102))
+    for axes in (left, right):
+        axes.grid(True, color="#dddddd", linewidth=0.6)
+    figure.savefig(path, dpi=150)
+
+
+def _draw_connected(axes: Axes, group: Sequence[Topology], duration_s: float, look: dict[str, object]) -> None:
+    cuts_s = np.sort([t.cut_off_s for t in group if t.cut_off_s is not None])
+    left = 100.0 * (1.0 - np.arange(len(cuts_s) + 1) / len(group))
+    times_s = np.concatenate(([0.0], cuts_s, [duration_s]))
+    axes.plot(times_s, np.concatenate((left, left[-1:])), drawstyle="steps-post", **look)  # type: ignore[arg-type]
+
+
+def _draw_spread(axes: Axes, group: Sequence[Topology], look: dict[str, object]) -> None:
+    values = np.sort([t.lambda_min or 0.0 for t in group])
+    axes.plot(values, 100.0 * (np.arange(len(values)) + 1) / len(values), **look)  # type: ignore[arg-type]

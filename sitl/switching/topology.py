@@ -1,0 +1,71 @@
+"""What the neighbour sets of a flight do over time: edges lost, the smallest lambda_min, who has a path to the leader."""
+
+from __future__ import annotations
+
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+from companion.core.formation import FormationLaw
+from companion.core.interaction import eigenvalues, interaction_matrix, reached_from
+from sitl.shapes import LEADER
+
+BoolArray = NDArray[np.bool_]
+FloatArray = NDArray[np.float64]
+Graph = dict[int, list[int]]
+
+
+class Topology(Struct, frozen=True, kw_only=True):
+    """One flight. `lambda_min` is the smallest over time while all had a path to the leader; None where one never had.
+
+    `edges_lost`: how often two vehicles that heeded each other ceased to; `cut_off_s`: when somebody first had no path to the
+    leader, None where that never was.
+    """
+
+    law: str
+    seed: int
+    hysteresis_m: float
+    edges_lost: int
+    lambda_min: float | None
+    cut_off_s: float | None
+    connected_at_the_end: bool
+    final_error_m: float
+    closest_m: float
+
+
+class Spectra:
+    """lambda_min of every topology that turns up, worked out once: few of them differ."""
+
+    def __init__(self, law: FormationLaw, vehicles: int) -> None:
+        self._law = law
+        self._ids = range(1, vehicles + 1)
+        self._known: dict[bytes, float | None] = {}
+
+    def lambda_min(self, edges: BoolArray) -> float | None:
+        """Of one topology (n, n); None where a vehicle has no path to the leader."""
+        key = np.packbits(edges).tobytes()
+        if key not in self._known:
+            self._known[key] = self._computed(edges)
+        return self._known[key]
+
+    def _computed(self, edges: BoolArray) -> float | None:
+        graph: Graph = {i: [int(j) + 1 for j in np.flatnonzero(edges[i - 1])] for i in self._ids}
+        if len(reached_from(graph, {LEADER})) < len(graph):
+            return None
+        return float(eigenvalues(interaction_matrix(graph, {LEADER}, self._law))[0])
+
+
+def mutual(neighbours: BoolArray) -> BoolArray:
+    """Edges over time (..., n, n): both heed each other."""
+    return neighbours & np.swapaxes(neighbours, -1, -2)
+
+
+def losses(edges: BoolArray) -> int:
+    """How often an edge went, over (ticks, n, n)."""
+    gone = edges[:-1] & ~edges[1:]
+    return int(gone.sum()) // 2
+
+
+def over_time(edges: BoolArray, spectra: Spectra) -> list[float | None]:
+    """lambda_min at every sample of (ticks, n, n)."""
+    return [spectra.lambda_min(now) for now in edges]
