@@ -28,6 +28,8 @@ PLATOON = Path(__file__).parents[2] / "config" / "scenarios" / "platoon.yaml"
 FLOWN_S = 15.0
 TOLERANCE_M = 1e-4
 COOPERATIVE = "fleet.law={name: cooperative}"
+# Vehicles 1 and 3, 3.0 m apart, lose each other while the leader goes ahead, so that PrC changes and comes back.
+LINKS_BREAK = "fleet.neighbours={kind: range, range_m: 3.1, hysteresis_m: 0.1}"
 FIGURE_8 = "reference={kind: figure_8, centre_enu_m: [0, 0, 1], width_m: 16, height_m: 8, period_s: 15, ramp_s: 2}"
 SIDEWAYS_AND_UP = "reference.point_enu_m=[1.0, 3.0, 1.5]"
 
@@ -90,6 +92,7 @@ def apart_m(*overrides: str) -> FloatArray:
         ("links.telemetry_delay_s=0.01", "links.setpoint_delay_s=0.013"),
         ("fleet.law.altitude=hold", SIDEWAYS_AND_UP),
         (COOPERATIVE, SIDEWAYS_AND_UP, "fleet.neighbours={kind: range, range_m: 2.0, hysteresis_m: 0.2}"),
+        (LINKS_BREAK,),
         (COOPERATIVE, FIGURE_8),
         ("reference.point_enu_m=[20.0, -10.0, 1.0]",),  # far beyond what the last gate lets through at once
     ],
@@ -97,6 +100,15 @@ def apart_m(*overrides: str) -> FloatArray:
 )
 def test_with_ideal_sensors_the_batch_is_lockstep(overrides: tuple[str, ...]) -> None:
     assert apart_m(*overrides).max() <= TOLERANCE_M
+
+
+def test_links_do_break_in_one_of_these() -> None:
+    flight = fly_batch([scenario_of(LINKS_BREAK)], FLOWN_S, keep_neighbours=True)
+    assert flight.neighbours is not None
+    related = flight.neighbours[:, 0, 0, 2]
+    assert related[0]
+    assert 0.1 < (~related).mean() < 0.9
+    assert (np.diff(related.astype(int)) == 1).any()  # and they find each other again
 
 
 def test_without_lag_too() -> None:
