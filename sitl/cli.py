@@ -33,6 +33,8 @@ def _parser() -> argparse.ArgumentParser:
     _add_autopilot(subcommands)
     _add_fly(subcommands)
     _add_run(subcommands)
+    _add_sweep(subcommands)
+    _add_study(subcommands)
     _add_switching(subcommands)
     return parser
 
@@ -148,3 +150,44 @@ def _run_switching(arguments: argparse.Namespace) -> int:
     from sitl.switching.command import run_switching
 
     return run_switching(arguments)
+
+
+def _add_study(subcommands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    from sitl.study.options import DESCRIPTION, MORE, add_study_arguments
+
+    parser = subcommands.add_parser(
+        "study",
+        help="what lies past the paper: every setting of the law on formations of 4 to 100 vehicles",
+        description=DESCRIPTION,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog=MORE,
+    )
+    add_study_arguments(parser)
+    parser.set_defaults(run=_run_study)
+
+
+def _run_study(arguments: argparse.Namespace) -> int:
+    from sitl.study.command import run_study_command
+
+    return run_study_command(arguments)
+
+
+def _add_sweep(subcommands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    from sitl.sweep.options import DESCRIPTION, MORE, add_sweep_arguments
+
+    parser = subcommands.add_parser(
+        "sweep",
+        help="statistics: many flights of one formation, with varied keys and seeds, side by side in arrays",
+        description=DESCRIPTION,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog=MORE,
+    )
+    add_sweep_arguments(parser)
+    parser.set_defaults(run=_run_sweep)
+
+
+def _run_sweep(arguments: argparse.Namespace) -> int:
+    from sitl.sweep.options import sweep_options
+    from sitl.sweep.run import run
+
+    return run(sweep_options(arguments))

@@ -1,0 +1,84 @@
+"""`sitl study`: fly it, write its folder, and say what came out."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from datetime import datetime
+from importlib.util import find_spec
+from pathlib import Path
+
+from msgspec import Struct
+
+from companion.config_file import ConfigError
+from sitl.paper.claims import Claim
+from sitl.share import share_shown
+from sitl.study.goals import goal_claims
+from sitl.study.large import Spectra, large_spectra
+from sitl.study.study import Study, run_study
+from sitl.study.table import in_a_table
+from sitl.summary import write_json
+
+EXIT_INTERRUPTED = 130
+SCHEMA = 1
+SHOWN = ("chain-4", "chain-16", "ring-16", "grid-10x10")
+DRAWN = ("chain-16", "ring-16", "grid-10x10")
+SPECTRA_SHARE = 0.1  # of the time
+
+
+class PastThePaper(Struct, frozen=True, kw_only=True):
+    """study.json."""
+
+    schema: int = SCHEMA
+    claims: list[Claim]
+    study: Study
+    smallest_eigenvalues: Spectra
+
+
+def run_study_command(arguments: argparse.Namespace) -> int:
+    """The exit code. Raises ConfigError."""
+    if find_spec("matplotlib") is None or find_spec("scipy") is None:
+        raise ConfigError(
+            "sitl study", "matplotlib, scipy", "are not installed; pip install 'formation-companion[ground]'"
+        )
+    folder: Path = arguments.out or Path("runs") / f"study-{datetime.now():%Y%m%d-%H%M%S}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError("sitl study", "--out", f"{folder}: {error.strerror}; choose another folder") from error
+    try:
+        with share_shown("past the paper", arguments.quiet) as show:
+            found = past_the_paper(arguments.full, show)
+    except KeyboardInterrupt:
+        print("interrupted; nothing was written", file=sys.stderr)
+        return EXIT_INTERRUPTED
+    write_json(folder / "study.json", found)
+    draw(folder, found)
+    print(f"{in_a_table(found.study.quiet, SHOWN)}\n\n{_in_words(found.claims)}\n\nresults in {folder}")
+    return 0
+
+
+def past_the_paper(full: bool, progress: Callable[[float], None]) -> PastThePaper:
+    """All of it; `progress` is told the share done."""
+    spectra = large_spectra(lambda share: progress(SPECTRA_SHARE * share))
+    study = run_study(full, lambda share: progress(SPECTRA_SHARE + (1.0 - SPECTRA_SHARE) * share))
+    return PastThePaper(claims=goal_claims(study), study=study, smallest_eigenvalues=spectra)
+
+
+def draw(folder: Path, found: PastThePaper) -> None:
+    """trade_off.png and spectra.png."""
+    from sitl.study.figures import save_spectra, save_trade_off  # matplotlib takes its time
+
+    save_trade_off(folder / "trade_off.png", found.study.quiet, DRAWN)
+    save_spectra(folder / "spectra.png", found.smallest_eigenvalues)
+
+
+def _in_words(claims: Sequence[Claim]) -> str:
+    return "\n".join(
+        f"{claim.verdict:<14} {claim.claim}\n{'':14} {_found(claim)}\n{'':14} {claim.remark}" for claim in claims
+    )
+
+
+def _found(claim: Claim) -> str:
+    return claim.full if claim.ideal == "-" else f"without noise: {claim.ideal}; with noise: {claim.full}"
