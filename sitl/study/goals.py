@@ -21,9 +21,10 @@ def goal_claims(study: Study) -> list[Claim]:
         quiet = [f for f in study.quiet if f.shape == shape.name]
         noisy = [f for f in study.noisy if f.shape == shape.name]
         disturbed = [f for f in study.disturbed if f.shape == shape.name]
+        still = [f for f in study.still if f.shape == shape.name]
         claims += [
             _sooner(shape.name, quiet, noisy, [f for f in study.with_drag if f.shape == shape.name]),
-            _distances(shape.name, quiet, noisy),
+            _distances(shape.name, quiet, noisy, still),
             _bad_links(shape.name, noisy, disturbed),
         ]
     return claims
@@ -59,7 +60,7 @@ def _is_sooner(flown: Sequence[tuple[float, bool]]) -> bool:
     return settled and average_s >= SOONER_THAN_AVERAGE * ours_s and weighted_s >= SOONER_THAN_WEIGHTED * ours_s
 
 
-def _distances(shape: str, quiet: Sequence[Figures], noisy: Sequence[Figures]) -> Claim:
+def _distances(shape: str, quiet: Sequence[Figures], noisy: Sequence[Figures], still: Sequence[Figures]) -> Claim:
     holds = all(_keeps_distances_best(flights) for flights in (quiet, noisy))
     return Claim(
         id=f"{shape}-distances",
@@ -71,7 +72,7 @@ def _distances(shape: str, quiet: Sequence[Figures], noisy: Sequence[Figures]) -
         full=_extremes(noisy),
         verdict=Verdict.HOLDS if holds else Verdict.FAILS,
         remark="Largest / smallest of neighbours that are wanted 1.5 m apart: eq. 22, weighted, cooperative; with noise the "
-        "median of the seeds.",
+        f"median of the seeds. What the noise alone does to cooperative, without any step: {_alone(still)}.",
         measured={
             f"{air}_{law}_{end}_m": value
             for air, flights in (("quiet", quiet), ("noisy", noisy))
@@ -120,6 +121,11 @@ def _settle_s(flights: Sequence[Figures], setting: Setting) -> tuple[float, bool
 def _extreme_m(flights: Sequence[Figures], setting: Setting) -> tuple[float, float]:
     own = _of(flights, setting)
     return median(f.largest_m for f in own), median(f.smallest_m for f in own)
+
+
+def _alone(still: Sequence[Figures]) -> str:
+    largest_m, smallest_m = _extreme_m(still, COOPERATIVE)
+    return f"{largest_m:.2f}/{smallest_m:.2f} m"
 
 
 def _keeps_distances_best(flights: Sequence[Figures]) -> bool:

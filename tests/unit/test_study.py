@@ -55,7 +55,7 @@ def round_of(cooperative_s: float | None, largest_m: float = 1.56, smallest_m: f
 
 
 def study(quiet: list[Figures], noisy: list[Figures], disturbed: list[Figures]) -> Study:
-    return Study(quiet=quiet, with_drag=quiet, still=[], noisy=noisy, disturbed=disturbed, bands_m={})
+    return Study(quiet=quiet, with_drag=quiet, still=quiet, noisy=noisy, disturbed=disturbed, bands_m={})
 
 
 def verdicts(subject: Study) -> dict[str, Verdict]:
