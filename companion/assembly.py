@@ -23,10 +23,12 @@ from companion.core.envelope import EnvelopeLimits
 from companion.core.formation import FormationLaw, Gains
 from companion.core.health import AgeLimits
 from companion.core.leader_word import LeaderWatch
+from companion.core.leadership import Leadership
 from companion.core.neighbours import EdgeRule, NeighbourRule, RangeRule
 from companion.core.peers import PeerTable
 from companion.core.reference import ReferenceTrajectory, figure_8, point
 from companion.core.vehicle_state import VehicleTracker
+from companion.types import Role
 
 Value = TypeVar("Value")
 LAWS: dict[LawName, Callable[[], FormationLaw]] = {
@@ -43,7 +45,7 @@ def build_agent(config: AgentConfig, session: int) -> Agent:
     formation_hash = fleet.formation_hash()
     peers = PeerTable(
         member.id,
-        {m.id: m.role for m in fleet.vehicles},
+        {m.id: m.can_lead for m in fleet.vehicles},
         formation_hash,
         fleet.peers.max_age_s,
         fleet.peers.max_speed_m_s,
@@ -54,7 +56,6 @@ def build_agent(config: AgentConfig, session: int) -> Agent:
         fleet=fleet.name,
         formation_hash=formation_hash,
         law_name=law.name,
-        role=member.role,
         slot_enu_m=member.slot_enu_m,
         law=law_of(law),
         law_flies_altitude=law.altitude == "formation",
@@ -68,7 +69,12 @@ def build_agent(config: AgentConfig, session: int) -> Agent:
     slots = {m.id: m.slot_enu_m for m in fleet.vehicles}
     leader = LeaderWatch(fleet.peers.leader_word_max_age_s)
     rule = _neighbour_rule(fleet, member.id)
-    return Agent(setup, tracker, Cooperation(member.id, member.role, slots, peers, rule, leader))
+    leadership = Leadership(
+        member.id,
+        [m.id for m in fleet.vehicles if m.role is Role.LEADER],
+        [m.id for m in fleet.vehicles if m.can_lead],
+    )
+    return Agent(setup, tracker, Cooperation(member.id, leadership, slots, peers, rule, leader))
 
 
 def trajectory_of(reference: Reference) -> ReferenceTrajectory:

@@ -1,7 +1,7 @@
 """YAML files -> validated frozen types. Every error is one line: file, field, value, what was expected.
 
 A fleet file holds what all vehicles must agree on; its hash travels with every peer packet. A vehicle file holds what is
-one vehicle's own and names its fleet file. Only a leader's vehicle file holds a reference (RFT).
+one vehicle's own and names its fleet file. Only the file of a vehicle that may lead holds a reference (RFT).
 """
 
 from __future__ import annotations
@@ -48,11 +48,20 @@ class GeodeticOrigin(_Base, frozen=True):
 
 
 class FormationMember(_Base, frozen=True):
-    """One vehicle's place. `slot_enu_m` is d_i0 of eq. 12, the offset from the RFT."""
+    """One vehicle's place. `slot_enu_m` is d_i0 of eq. 12, the offset from the RFT.
+
+    `role` is that at the beginning. Who leads then may be told to follow; of the others, those with `may_lead` to lead.
+    """
 
     id: VehicleId
     role: Role
     slot_enu_m: PositionM
+    may_lead: bool = False
+
+    @property
+    def can_lead(self) -> bool:
+        """Does it hold the RFT?"""
+        return self.may_lead or self.role is Role.LEADER
 
 
 Gain = Annotated[float, Meta(gt=0, le=10)]
@@ -338,13 +347,17 @@ def load_agent(path: Path) -> AgentConfig:
     if member is None:
         ids = ", ".join(str(m.id) for m in fleet.vehicles)
         raise ConfigError(path, "id", f"{vehicle.id} has no slot in {fleet_path}; expected one of {ids}")
-    if member.role is Role.LEADER and vehicle.reference is None:
+    if member.can_lead and vehicle.reference is None:
+        leads = "leads" if member.role is Role.LEADER else "may lead"
         raise ConfigError(
-            path, "reference", f"missing; vehicle {vehicle.id} leads and needs the reference trajectory (RFT)"
+            path, "reference", f"missing; vehicle {vehicle.id} {leads} and needs the reference trajectory (RFT)"
         )
-    if member.role is Role.FOLLOWER and vehicle.reference is not None:
+    if not member.can_lead and vehicle.reference is not None:
         raise ConfigError(
-            path, "reference", f"vehicle {vehicle.id} follows; only a leader may know the RFT, take this section out"
+            path,
+            "reference",
+            f"vehicle {vehicle.id} follows; only a leader may know the RFT, take this section out"
+            f" (or let it lead: may_lead: true in {fleet_path})",
         )
     if vehicle.reference is not None:
         check_reference(path, fleet, vehicle.reference)

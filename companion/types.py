@@ -15,7 +15,7 @@ ZERO3: Vector3 = (0.0, 0.0, 0.0)
 
 
 class Role(StrEnum):
-    """A leader knows the reference formation trajectory (RFT); a follower never does."""
+    """A leader flies by the reference formation trajectory (RFT); a follower never does."""
 
     LEADER = "leader"
     FOLLOWER = "follower"
@@ -221,11 +221,14 @@ class LeaderWord:
     """What a vehicle has heard of its leader, passed on hop by hop with the PrC.
 
     Only the leader moves `stamp` on (milliseconds of its own clock), so no word gets younger on its way through the others.
+    `epoch` counts the changes of the lead; `reference_s` is how far into the RFT the leader is at the time of the packet that
+    carries the word, 0 until it flies it.
     """
 
     leader_id: int
     epoch: int
     stamp: int
+    reference_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,12 +265,25 @@ class CommandName(StrEnum):
     HOLD = "hold"
     LAND = "land"
     DISARM = "disarm"
+    LEAD = "lead"
+
+
+MAX_EPOCH = 2**31 - 1
+
+
+@dataclass(frozen=True, slots=True)
+class Lead:
+    """Who leads from now on; all others follow. Every vehicle is told, and none goes back to an older epoch."""
+
+    leaders: tuple[int, ...]
+    epoch: int
 
 
 @dataclass(frozen=True, slots=True)
 class Command:
     name: CommandName
     number: int  # the sender's own count, echoed in the reply
+    lead: Lead | None = None  # of CommandName.LEAD, and of no other
 
 
 @dataclass(frozen=True, slots=True)
@@ -316,6 +332,7 @@ class Status:
     velocity_enu_m_s: Vector3
     state_age_s: float
     role: Role
+    epoch: int  # of the lead, as this vehicle knows it
     prc: int
     leader_word: LeaderWord | None
     leader_word_age_s: float | None

@@ -33,6 +33,7 @@ from companion.types import (
     FlightPhase,
     HealthFlag,
     Inbox,
+    Lead,
     Outbox,
     PeerPacket,
     RequestOrigin,
@@ -57,12 +58,11 @@ class AgentSetup:
     fleet: str
     formation_hash: int
     law_name: str
-    role: Role
     slot_enu_m: Vector3
     law: FormationLaw
     law_flies_altitude: bool
     altitude_hold_gains: Gains
-    reference: ReferenceTrajectory | None  # leaders only
+    reference: ReferenceTrajectory | None  # of those that may lead, and of no other
     takeoff_height_m: float
     envelope: EnvelopeLimits
     ages: AgeLimits
@@ -81,7 +81,6 @@ class Agent:
         self._sequence = 0
         self._position_used_s = float("-inf")
         self._origin_asked_s = float("-inf")
-        self._formation_since_s = 0.0
         self._spoke_s = 0.0
         self._status_s = float("-inf")
         self._yaw_rad = 0.0
@@ -104,12 +103,15 @@ class Agent:
     def step(self, now_s: float, inbox: Inbox) -> Outbox:
         """One tick: telemetry -> state -> peers -> PrC and weights -> acceleration -> attitude -> the last gate."""
         vehicle = self._tracker.fold(inbox.telemetry)
-        around = self._cooperation.update(now_s, vehicle.position_enu_m, inbox.peers)
+        self._machine.follow_truth(vehicle)
+        commands = [command for command in inbox.commands if command.lead is None]
+        # A new role comes before all that it decides: one tick, its packet included, is of one role.
+        replies = tuple([self._change_lead(c, c.lead, vehicle) for c in inbox.commands if c.lead is not None])
+        around = self._cooperation.update(now_s, vehicle.position_enu_m, inbox.peers, self._machine.in_formation)
         flags = health_flags(now_s, vehicle, around.leader_word, self._setup.ages, self._setup.envelope)
 
-        self._machine.follow_truth(vehicle)
         streamed = self._machine.streams(vehicle)
-        replies = tuple([self._obey(command, now_s, vehicle, flags) for command in inbox.commands])
+        replies += tuple([self._obey(command, now_s, vehicle, flags) for command in commands])
         if self._machine.streams(vehicle) and not streamed:
             self._open_stream(now_s, vehicle)
         if inbox.stopping:
@@ -120,7 +122,7 @@ class Agent:
         acceleration, target = ZERO3, None
         if self._machine.streams(vehicle) and self._may_decide(flags, vehicle):
             self._position_used_s = vehicle.position_time_s
-            acceleration = self._acceleration(now_s, vehicle, around)
+            acceleration = self._acceleration(vehicle, around)
             target = self._target(now_s, vehicle, acceleration)
         if target is not None:
             self._spoke_s = now_s
@@ -134,6 +136,11 @@ class Agent:
             replies=replies,
             events=events,
         )
+
+    def _change_lead(self, command: Command, lead: Lead, vehicle: VehicleState) -> CommandReply:
+        refusal = self._machine.refusal_of_lead(vehicle)
+        accepted, reason = (False, refusal) if refusal else self._cooperation.leadership.obey(lead)
+        return CommandReply(self._setup.vehicle_id, command.number, accepted, reason)
 
     def _obey(
         self, command: Command, now_s: float, vehicle: VehicleState, flags: frozenset[HealthFlag]
@@ -179,24 +186,23 @@ class Agent:
         new = vehicle.position_time_s > self._position_used_s
         return new and failsafe_action(flags) is not FailsafeAction.SILENT
 
-    def _acceleration(self, now_s: float, vehicle: VehicleState, around: Neighbourhood) -> Vector3:
+    def _acceleration(self, vehicle: VehicleState, around: Neighbourhood) -> Vector3:
         """What the phase wants, within what the envelope's tilt and thrust can give."""
         match self._machine.phase:
             case FlightPhase.ENGAGE:  # the autopilot has not taken the stream yet
-                self._formation_since_s = now_s
                 self._hold_altitude_m = vehicle.position_enu_m[2]
                 return ZERO3
             case FlightPhase.FORMATION:
-                wanted = self._formation_acceleration(now_s, vehicle, around)
+                wanted = self._formation_acceleration(vehicle, around)
             case _:  # handing over: brake, and keep the altitude
                 wanted = self._braking(vehicle)
         envelope = self._setup.envelope
         return limit_acceleration(wanted, envelope.max_tilt_rad, envelope.min_thrust_ratio, envelope.max_thrust_ratio)
 
-    def _formation_acceleration(self, now_s: float, vehicle: VehicleState, around: Neighbourhood) -> Vector3:
+    def _formation_acceleration(self, vehicle: VehicleState, around: Neighbourhood) -> Vector3:
         """Eq. 14, or on z the vehicle's own altitude hold."""
         own = place(vehicle.position_enu_m, vehicle.velocity_enu_m_s, self._setup.slot_enu_m)
-        wanted = formation_acceleration(self._setup.law, own, around.neighbours, self._reference(now_s))
+        wanted = formation_acceleration(self._setup.law, own, around.neighbours, self._reference(around))
         if self._setup.law_flies_altitude:
             self._hold_altitude_m = vehicle.position_enu_m[2]  # where a hand-over begins
             return wanted
@@ -233,15 +239,16 @@ class Agent:
         thrust = self._setup.envelope.hover_thrust_norm / share
         return AttitudeTarget(vehicle.roll_rad, vehicle.pitch_rad, self._yaw_rad, thrust)
 
-    def _reference(self, now_s: float) -> Place | None:
-        """R for a leader. Until it is in formation, time stands at the beginning."""
-        if self._setup.reference is None:
+    def _reference(self, around: Neighbourhood) -> Place | None:
+        """R for a leader alone, whoever else holds the RFT."""
+        if self._setup.reference is None or around.role is not Role.LEADER:
             return None
-        flying = self._machine.phase in (FlightPhase.FORMATION, FlightPhase.RELEASE)
-        return self._setup.reference(now_s - self._formation_since_s if flying else 0.0)
+        return self._setup.reference(around.reference_s)
 
     def _drain_events(self) -> tuple[str, ...]:
-        events = tuple(self._machine.events)
+        leadership = self._cooperation.leadership
+        events = (*leadership.events, *self._machine.events)
+        leadership.events.clear()
         self._machine.events.clear()
         if events:
             self._last_event = events[-1]
@@ -260,7 +267,7 @@ class Agent:
             sequence=self._sequence,
             formation_hash=self._setup.formation_hash,
             phase=self._machine.phase,
-            role=self._setup.role,
+            role=around.role,
             position_enu_m=vehicle.position_enu_m,
             velocity_enu_m_s=vehicle.velocity_enu_m_s,
             acceleration_enu_m_s2=acceleration,
@@ -279,7 +286,7 @@ class Agent:
     def _status(
         self, now_s: float, vehicle: VehicleState, around: Neighbourhood, flags: frozenset[HealthFlag]
     ) -> Status:
-        reference = self._reference(now_s)
+        reference = self._reference(around)
         return Status(
             vehicle_id=self._setup.vehicle_id,
             session=self._setup.session,
@@ -293,7 +300,8 @@ class Agent:
             position_enu_m=vehicle.position_enu_m,
             velocity_enu_m_s=vehicle.velocity_enu_m_s,
             state_age_s=min(1e6, now_s - vehicle.position_time_s),
-            role=self._setup.role,
+            role=around.role,
+            epoch=around.epoch,
             prc=around.prc,
             leader_word=around.leader_word,
             leader_word_age_s=around.leader_word_age_s if around.leader_word else None,

@@ -7,9 +7,11 @@ from dataclasses import dataclass
 
 from companion.core.formation import Place, place
 from companion.core.leader_word import LeaderWatch
+from companion.core.leadership import Leadership
 from companion.core.neighbours import NeighbourRule
 from companion.core.peers import PeerTable
 from companion.core.priority import next_prc
+from companion.core.reference_clock import ReferenceClock
 from companion.types import FlightPhase, LeaderWord, PeerPacket, ReceivedPeerPacket, Role, Vector3
 
 # A vehicle on the ground, climbing, landing or flown by its pilot is nobody's neighbour.
@@ -18,8 +20,11 @@ COOPERATING = frozenset({FlightPhase.HOLD, FlightPhase.ENGAGE, FlightPhase.FORMA
 
 @dataclass(frozen=True, slots=True)
 class Neighbourhood:
-    """One tick's outcome: own PrC and leader's word, and every neighbour with its PrC and place."""
+    """One tick's outcome: own role, PrC and leader's word, and every neighbour with its PrC and place."""
 
+    role: Role
+    epoch: int
+    reference_s: float  # how far into the RFT the fleet is, as far as this vehicle knows
     prc: int
     leader_word: LeaderWord | None  # None where no living leader is heard
     leader_word_age_s: float
@@ -33,37 +38,76 @@ class Cooperation:
     def __init__(
         self,
         own_id: int,
-        role: Role,
+        leadership: Leadership,
         slots_enu_m: Mapping[int, Vector3],
         peers: PeerTable,
         rule: NeighbourRule,
         leader: LeaderWatch,
     ) -> None:
         self._own_id = own_id
-        self._role = role
         self._slots_enu_m = slots_enu_m
         self._rule = rule
         self._leader = leader
+        self._clock = ReferenceClock()
+        self.leadership = leadership
         self.peers = peers
 
-    def update(self, now_s: float, own_position_enu_m: Vector3, packets: Iterable[ReceivedPeerPacket]) -> Neighbourhood:
+    def update(
+        self,
+        now_s: float,
+        own_position_enu_m: Vector3,
+        packets: Iterable[ReceivedPeerPacket],
+        in_formation: bool,
+    ) -> Neighbourhood:
         """Algorithm 1 and the neighbour set, from the packets that came since the last tick."""
         self.peers.fold(packets)
-        flying = {i: peer for i, peer in self.peers.fresh(now_s).items() if peer.packet.phase in COOPERATING}
+        fresh = self.peers.fresh(now_s)
+        self.leadership.hear([peer.packet.leader_word for peer in fresh.values()])
+        role, epoch = self.leadership.role, self.leadership.epoch
+        flying = {i: peer for i, peer in fresh.items() if peer.packet.phase in COOPERATING}
         positions = {i: peer.position_at(now_s) for i, peer in flying.items()}
         ids = self._rule.select(own_position_enu_m, positions)
-        leads = self._role is Role.LEADER
         heard = [(flying[i].packet, positions[i], self._slots_enu_m[i]) for i in ids]
-        own = [LeaderWord(self._own_id, 0, int(now_s * 1000.0))] if leads else []
-        self._leader.hear(now_s, own or [packet.leader_word for packet, _, _ in heard])
-        leader_word, leader_word_age_s = self._leader.youngest(now_s)
+        prcs = [self._prc_of(packet, epoch) for packet, _, _ in heard]
+        self._leader.hear(now_s, self._words_of_others(packet for packet, _, _ in heard), epoch)
+        word, word_age_s, reference_s = self._word(now_s, role, epoch, in_formation)
         return Neighbourhood(
-            prc=next_prc(leads, [packet.prc for packet, _, _ in heard], len(self._slots_enu_m)),
-            leader_word=leader_word,
-            leader_word_age_s=leader_word_age_s,
-            neighbours=tuple([(packet.prc, _place(packet, at, slot)) for packet, at, slot in heard]),
+            role=role,
+            epoch=epoch,
+            reference_s=reference_s,
+            prc=next_prc(role is Role.LEADER, prcs, len(self._slots_enu_m)),
+            leader_word=word,
+            leader_word_age_s=word_age_s,
+            neighbours=tuple(
+                [(prc, _place(packet, at, slot)) for prc, (packet, at, slot) in zip(prcs, heard, strict=True)]
+            ),
             neighbour_ids=ids,
         )
+
+    def _prc_of(self, packet: PeerPacket, epoch: int) -> int:
+        """Who leads in an older epoch has not heard of the change yet: until it has, it counts as far from any leader."""
+        if packet.role is Role.LEADER and packet.leader_word is not None and packet.leader_word.epoch < epoch:
+            return len(self._slots_enu_m)
+        return packet.prc
+
+    def _words_of_others(self, packets: Iterable[PeerPacket]) -> list[LeaderWord]:
+        """What this vehicle once said itself, as a leader or before a restart, is nobody's word now."""
+        words = [packet.leader_word for packet in packets]
+        return [word for word in words if word is not None and word.leader_id != self._own_id]
+
+    def _word(self, now_s: float, role: Role, epoch: int, in_formation: bool) -> tuple[LeaderWord | None, float, float]:
+        """The word to pass on, how old it is, and how far into the RFT it says that the fleet is."""
+        word, age_s = self._leader.youngest(now_s)
+        of_other = word if word is not None and word.leader_id != self._own_id else None
+        if role is Role.LEADER:
+            reference_s = self._clock.lead(now_s, in_formation, of_other, age_s)
+            own = LeaderWord(self._own_id, epoch, int(now_s * 1000.0), reference_s)
+            self._leader.hear(now_s, [own], epoch)  # should it have to follow, this is the last word it heard
+            return own, 0.0, reference_s
+        reference_s = self._clock.update(now_s, in_formation, of_other, age_s)
+        if word is None:
+            return None, age_s, reference_s
+        return LeaderWord(word.leader_id, word.epoch, word.stamp, reference_s), age_s, reference_s
 
 
 def _place(packet: PeerPacket, position_enu_m: Vector3, slot_enu_m: Vector3) -> Place:

@@ -26,21 +26,26 @@ class LeaderWatch:
         self._forget_s = 2.0 * max_age_s + HOPS_S
         self._newest: dict[int, tuple[LeaderWord, float]] = {}  # leader id -> newest word, when it came
 
-    def hear(self, now_s: float, words: Iterable[LeaderWord | None]) -> None:
-        """Words that neighbours passed on, or a leader's own."""
+    def hear(self, now_s: float, words: Iterable[LeaderWord | None], epoch: int) -> None:
+        """Words that neighbours passed on; those of epochs before this vehicle's own are not heeded."""
         for word in words:
-            if word is None:
+            if word is None or word.epoch < epoch:
                 continue
             newest = self._newest.get(word.leader_id)
             if newest is None or now_s - newest[1] > self._forget_s or _later(word, newest[0]):
                 self._newest[word.leader_id] = (word, now_s)
 
     def youngest(self, now_s: float) -> tuple[LeaderWord | None, float]:
-        """The word to pass on and its age in seconds; None and infinity where no leader was heard within `max_age_s`."""
-        ages = [(now_s - heard_s, leader_id) for leader_id, (_, heard_s) in self._newest.items()]
-        age_s, leader_id = min(ages, default=(float("inf"), 0))
-        if age_s > self._max_age_s:
+        """The word to pass on and its age in seconds; None and infinity where no leader was heard within `max_age_s`.
+
+        The newest epoch comes first. At a change the last word of the old one counts until it is too old: the new leader's is
+        on its way.
+        """
+        ages = [(now_s - heard_s, word) for word, heard_s in self._newest.values()]
+        living = [(-word.epoch, age_s, word.leader_id) for age_s, word in ages if age_s <= self._max_age_s]
+        if not living:
             return None, float("inf")
+        _, age_s, leader_id = min(living)
         return self._newest[leader_id][0], age_s
 
 

@@ -7,10 +7,11 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from math import dist, hypot, isfinite
 
-from companion.types import PeerPacket, ReceivedPeerPacket, Role, Vector3
+from companion.types import MAX_EPOCH, LeaderWord, PeerPacket, ReceivedPeerPacket, Role, Vector3
 
 MAX_COORDINATE_M = 20_000.0
 MAX_ACCELERATION_M_S2 = 100.0
+MAX_REFERENCE_S = 1e6
 JUMP_MARGIN_M = 1.0  # what an estimator's correction may add to the way flown between two packets
 
 
@@ -38,13 +39,13 @@ class PeerTable:
     def __init__(
         self,
         own_id: int,
-        roles: Mapping[int, Role],
+        may_lead: Mapping[int, bool],
         formation_hash: int,
         max_age_s: float,
         max_speed_m_s: float,
     ) -> None:
         self._own_id = own_id
-        self._roles = roles
+        self._may_lead = may_lead  # by the id of every vehicle of the fleet
         self._formation_hash = formation_hash
         self._max_age_s = max_age_s
         self._max_speed_m_s = max_speed_m_s
@@ -68,13 +69,13 @@ class PeerTable:
         packet = received.packet
         if packet.vehicle_id == self._own_id:
             return "uses this vehicle's own id"
-        role = self._roles.get(packet.vehicle_id)
-        if role is None:
+        may_lead = self._may_lead.get(packet.vehicle_id)
+        if may_lead is None:
             return "not in the fleet file"
         if packet.formation_hash != self._formation_hash:
             return "has another fleet file (formation hash differs)"
-        if packet.role is not role:
-            return f"claims to be {packet.role}, the fleet file says {role}"
+        if packet.role is Role.LEADER and not may_lead:
+            return "claims to be leader, by the fleet file it may not"
         newest = self._newest.get(packet.vehicle_id)
         return self._implausible(packet) or (self._unlikely_after(newest, received) if newest else None)
 
@@ -94,12 +95,19 @@ class PeerTable:
             return "acceleration not plausible"
         if packet.state_age_s < 0.0:
             return "state from the future"
-        if not 1 <= packet.prc <= len(self._roles) or (packet.prc == 1) is not (packet.role is Role.LEADER):
+        leads = packet.role is Role.LEADER
+        if not 1 <= packet.prc <= len(self._may_lead) or (packet.prc == 1) is not leads:
             return "PrC not plausible"
         word = packet.leader_word
-        if word is not None and self._roles.get(word.leader_id) is not Role.LEADER:
+        if leads and (word is None or word.leader_id != packet.vehicle_id):
+            return "a leader without a word of its own"
+        if word is not None and not self._is_plausible(word):
             return "leader's word not plausible"
         return None
+
+    def _is_plausible(self, word: LeaderWord) -> bool:
+        may_lead = self._may_lead.get(word.leader_id, False)
+        return may_lead and 0 <= word.epoch <= MAX_EPOCH and 0.0 <= word.reference_s <= MAX_REFERENCE_S
 
     def _unlikely_after(self, newest: PeerState, received: ReceivedPeerPacket) -> str | None:
         """In the light of the newest packet from the same vehicle."""

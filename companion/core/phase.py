@@ -112,6 +112,9 @@ class Rule:
 ON_GROUND = frozenset({P.PREPARE, P.READY, P.ARM, P.ARMED})
 FLYING = frozenset({P.TAKEOFF, P.HOLD, P.ENGAGE, P.FORMATION, P.RELEASE, P.LAND})
 
+LEAD_CHANGES_IN = ON_GROUND | {P.HOLD, P.FORMATION}
+
+# All commands but LEAD, which changes no phase.
 RULES: dict[CommandName, Rule] = {
     C.PREPARE: Rule(frozenset({P.OBSERVE}), P.PREPARE, P.READY, P.OBSERVE, True, _hold),
     C.ARM: Rule(frozenset({P.READY}), P.ARM, P.ARMED, P.READY, True, _arm),
@@ -169,6 +172,21 @@ class PhaseMachine:
         except ValueError as error:
             return False, f"{name}: {error}"
         return True, f"{self.phase}"
+
+    @property
+    def in_formation(self) -> bool:
+        """Formation is flown, or was until just now: the reference's time runs."""
+        return self.phase is P.FORMATION or (self.phase is P.RELEASE and self._leaving_formation)
+
+    def refusal_of_lead(self, vehicle: VehicleState) -> str:
+        """Why the lead cannot change now; "" where it can.
+
+        In formation it changes in flight, in hold and on the ground before the next formation. A vehicle that climbs, lands or
+        is flown by its pilot is no part of it; it hears of the new epoch from the others.
+        """
+        if self.phase in LEAD_CHANGES_IN or (self.phase is P.OBSERVE and not in_air(vehicle)):
+            return ""
+        return f"lead is not possible in phase {self.phase}, only in formation, in hold or on the ground"
 
     def hand_over(self, now_s: float, vehicle: VehicleState, reason: str) -> None:
         """Leave formation for the autopilot's own hold."""

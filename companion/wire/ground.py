@@ -7,7 +7,7 @@ from typing import TypeVar
 
 import msgspec
 
-from companion.types import Command, CommandReply, Status
+from companion.types import Command, CommandName, CommandReply, Status
 from companion.wire.version import DECODE_ERRORS, WireError, seal, unseal
 
 T = TypeVar("T")
@@ -65,7 +65,10 @@ def decode_report(data: bytes) -> StatusReport:
 
 def decode_command(data: bytes) -> Command:
     """Raises WireError."""
-    return _decode(_command_decoder, data, "command")
+    command = _decode(_command_decoder, data, "command")
+    if (command.name is CommandName.LEAD) is (command.lead is None):
+        raise WireError("command lead without leaders" if command.lead is None else "leaders with another command")
+    return command
 
 
 def decode_reply(data: bytes) -> CommandReply:

@@ -20,7 +20,7 @@ class _PeerWire(msgspec.Struct, array_like=True, frozen=True, forbid_unknown_fie
     acceleration_enu_m_s2: Vector3
     state_age_s: float
     prc: int
-    leader_word: tuple[int, int, int] | None  # leader id, epoch, stamp
+    leader_word: tuple[int, int, int, float] | None  # leader id, epoch, stamp, reference_s
 
 
 _encoder = msgspec.msgpack.Encoder()
@@ -43,7 +43,7 @@ def encode_peer(packet: PeerPacket) -> bytes:
                 packet.acceleration_enu_m_s2,
                 packet.state_age_s,
                 packet.prc,
-                (word.leader_id, word.epoch, word.stamp) if word else None,
+                (word.leader_id, word.epoch, word.stamp, word.reference_s) if word else None,
             )
         )
     )

@@ -26,6 +26,7 @@ from companion.types import (
     CommandReply,
     FlightPhase,
     LandedState,
+    Lead,
     PeerPacket,
     ReceivedPeerPacket,
     Role,
@@ -34,6 +35,7 @@ from companion.types import (
 from companion.wire.ground import Percentiles, StatusReport, Timing, decode_reply, encode
 from companion.wire.keys import command_key, peer_key, status_key
 from companion.wire.peer import encode_peer
+from companion.wire.version import WIRE_VERSION
 
 FLEET = FleetConfig(
     name="testfleet",
@@ -50,7 +52,7 @@ NO_TIME = Percentiles(0.0, 0.0, 0.0)
 REPORT = StatusReport(
     Status(
         1, 7, FLEET.name, 5, "weighted", FlightPhase.HOLD, "AUTO.LOITER", True, LandedState.IN_AIR, ZERO, ZERO, 0.02,
-        Role.LEADER, 1, None, None, (), ZERO, ZERO, (), {}, "",
+        Role.LEADER, 0, 1, None, None, (), ZERO, ZERO, (), {}, "",
     ),
     Timing(50.0, 1, 0, NO_TIME, NO_TIME, 5.0, 49.0),
 )  # fmt: skip
@@ -129,7 +131,7 @@ def test_a_peer_that_starts_late_is_heard_without_anybody_restarting(port: int) 
 def test_what_is_no_peer_packet_is_refused_and_counted(port: int) -> None:
     good = encode_peer(PACKET)
     bad = {
-        "wire version 9, expected 1": (1, b"\x09" + good[1:]),
+        f"wire version 9, expected {WIRE_VERSION}": (1, b"\x09" + good[1:]),
         "malformed peer packet": (1, good[:-3]),
         "empty message": (1, b""),
         "peer packet of another vehicle than its key says": (3, good),
@@ -206,7 +208,8 @@ def test_a_command_that_waited_through_a_pause_is_obeyed_only_if_it_ends_a_forma
     ):
         until(lambda: ground.drain(), lambda: first.link.publish_status(REPORT))  # connected
         first.tick()
-        asked = pool.submit(ground.command, (1,), name, 10.0)
+        lead = Lead((1,), 1) if name is CommandName.LEAD else None
+        asked = pool.submit(ground.command, (1,), name, 10.0, lead)
         time.sleep(1.0)  # the process hangs
         first.tick()
         if name in (CommandName.LAND, CommandName.HOLD):
@@ -246,8 +249,8 @@ def test_commands_of_two_ground_stations_with_the_same_number_are_both_answered(
 @pytest.mark.parametrize(
     ("payload", "reason"),
     [
-        (b"\x01garbage", "malformed command"),
-        (b"\x09", "wire version 9, expected 1"),
+        (bytes((WIRE_VERSION,)) + b"garbage", "malformed command"),
+        (b"\x09", f"wire version 9, expected {WIRE_VERSION}"),
         (None, "empty message"),
         (encode(REPORT), "malformed command"),
     ],
@@ -293,7 +296,7 @@ def test_the_ground_counts_what_is_no_report(port: int) -> None:
         session = first.link._session
 
         def disturb() -> None:
-            session.put(status_key(FLEET.name, 1), b"\x01nonsense")
+            session.put(status_key(FLEET.name, 1), bytes((WIRE_VERSION,)) + b"nonsense")
             session.put(status_key(FLEET.name, 3), encode(REPORT))
             assert ground.drain() == []
 

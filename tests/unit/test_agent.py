@@ -5,14 +5,16 @@ from math import inf, nan
 
 import pytest
 
-from companion.assembly import build_agent
+from companion.assembly import build_agent, trajectory_of
 from companion.config import (
     AgentConfig,
     EdgeNeighbours,
+    Figure8Reference,
     FleetConfig,
     FormationMember,
     Law,
     PointReference,
+    Reference,
     VehicleConfig,
 )
 from companion.types import (
@@ -28,6 +30,7 @@ from companion.types import (
     Inbox,
     LandedSample,
     LandedState,
+    Lead,
     LeaderWord,
     ModeSample,
     OriginSample,
@@ -56,19 +59,21 @@ FLEET = FleetConfig(
 )
 
 
+POINT = PointReference(point_enu_m=(1.0, 0.0, 1.0))
+
+
 class Flight:
     """One agent, fed at 50 Hz by an autopilot that obeys at once and stands still where it is put."""
 
-    def __init__(self, vehicle_id: int = 2, fleet: FleetConfig = FLEET) -> None:
+    def __init__(self, vehicle_id: int = 2, fleet: FleetConfig = FLEET, reference: Reference = POINT) -> None:
         member = fleet.member(vehicle_id)
         assert member is not None
-        leads = member.role is Role.LEADER
         vehicle = VehicleConfig(
             id=vehicle_id,
             fleet="fleet.yaml",
             mavlink="udpin:127.0.0.1:14540",
             hover_thrust_norm=0.5,
-            reference=PointReference(point_enu_m=(1.0, 0.0, 1.0)) if leads else None,
+            reference=reference if member.can_lead else None,
         )
         self.agent = build_agent(AgentConfig(vehicle, fleet, member), session=7)
         self.fleet = fleet
@@ -85,6 +90,9 @@ class Flight:
         self.roll_rad = 0.0
         self.targets: list[AttitudeTarget] = []
         self.events: list[str] = []
+        self.peer_role: Role | None = None
+        self.peer_reference_s = 0.0
+        self.formation_ticks = 0
         self._peer_sequence = 0
 
     def telemetry(self) -> list[Telemetry]:
@@ -116,13 +124,13 @@ class Flight:
             sequence=self._peer_sequence,
             formation_hash=self.fleet.formation_hash(),
             phase=self.peer_phase,
-            role=Role.LEADER if leads == 1 else Role.FOLLOWER,
+            role=self.peer_role or (Role.LEADER if leads == 1 else Role.FOLLOWER),
             position_enu_m=self.peer_position,
             velocity_enu_m_s=(0.0, 0.0, 0.0),
             acceleration_enu_m_s2=(0.0, 0.0, 0.0),
             state_age_s=0.0,
-            prc=leads,
-            leader_word=LeaderWord(1, 0, int(self.now_s * 1000)),
+            prc=leads if self.peer_role is None else 2,
+            leader_word=LeaderWord(1, 0, int(self.now_s * 1000), self.peer_reference_s),
         )
         return [ReceivedPeerPacket(self.now_s, packet)]
 
@@ -130,9 +138,11 @@ class Flight:
     def agent_id(self) -> int:
         return 2 if self.position[0] < 0 else 1
 
-    def tick(self, *names: CommandName, telemetry: list[Telemetry] | None = None) -> Outbox:
+    def tick(self, *names: CommandName, telemetry: list[Telemetry] | None = None, lead: Lead | None = None) -> Outbox:
         self.now_s += 0.02
-        commands = tuple(Command(name, number) for number, name in enumerate(names))
+        self.peer_reference_s += 0.02 if self.peer_reference_s else 0.0
+        self.formation_ticks += self.agent.phase is FlightPhase.FORMATION
+        commands = tuple(Command(name, number, lead) for number, name in enumerate(names))
         samples = self.telemetry() if telemetry is None else telemetry
         inbox = Inbox(tuple(samples), tuple(self.peer()), commands, self.stopping)
         self.outbox = self.agent.step(self.now_s, inbox)
@@ -213,7 +223,10 @@ def test_the_leader_tracks_its_reference() -> None:
         flight.tick()
     assert flight.outbox.peer_packet is not None
     assert flight.outbox.peer_packet.acceleration_enu_m_s2 == pytest.approx((1.39 * 1.0, 0.0, 0.0))
-    assert flight.outbox.peer_packet.leader_word == LeaderWord(1, 0, int(flight.now_s * 1000))
+    word = flight.outbox.peer_packet.leader_word
+    assert word is not None
+    assert (word.leader_id, word.epoch, word.stamp) == (1, 0, int(flight.now_s * 1000))
+    assert word.reference_s == pytest.approx(0.02 * flight.formation_ticks, abs=0.03)
 
 
 def test_the_hand_over_begins_level_and_steps_little() -> None:
@@ -455,3 +468,87 @@ def test_while_it_hands_over_it_brakes_and_keeps_its_altitude() -> None:
     ux, _, uz = flight.outbox.peer_packet.acceleration_enu_m_s2
     assert ux < -2.0
     assert uz == pytest.approx(2.0 * 0.1 + 2.4 * 1.0, abs=0.01)
+
+
+# ---------------------------------------------------------------- the lead
+
+
+MAY_LEAD = FleetConfig(
+    name="pair",
+    origin="local",
+    vehicles=(FLEET.vehicles[0], FormationMember(id=2, role=Role.FOLLOWER, slot_enu_m=(-1.5, 0.0, 0.0), may_lead=True)),
+    neighbours=FLEET.neighbours,
+    law=Law(name="weighted"),
+    takeoff_height_m=1.0,
+)
+EIGHT = Figure8Reference(centre_enu_m=(0.0, 0.0, 1.0), width_m=6.0, height_m=3.0, period_s=40.0)
+
+
+def test_who_may_lead_does_not_fly_by_the_rft_before_it_is_told_to() -> None:
+    one, other = (Flight(fleet=MAY_LEAD, reference=r).fly_to(FlightPhase.FORMATION) for r in (POINT, EIGHT))
+    assert one.targets == other.targets
+    status = next(status for _ in range(10) if (status := one.tick().status))
+    assert status.reference_enu_m is None
+
+
+def test_it_takes_the_lead_in_the_tick_that_tells_it_and_goes_on_where_the_leader_was() -> None:
+    flight = Flight(fleet=MAY_LEAD, reference=EIGHT)
+    flight.peer_reference_s = 33.0
+    flight.fly_to(FlightPhase.FORMATION)
+    flight.peer_role = Role.FOLLOWER
+    outbox = flight.tick(CommandName.LEAD, lead=Lead((2,), 1))
+    assert outbox.replies[0].accepted
+    packet = outbox.peer_packet
+    assert packet is not None
+    assert packet.leader_word is not None
+    assert (packet.role, packet.prc, packet.leader_word.leader_id, packet.leader_word.epoch) == (Role.LEADER, 1, 2, 1)
+    assert packet.leader_word.reference_s == pytest.approx(flight.peer_reference_s, abs=0.02)
+    assert outbox.attitude_target is not None  # not a tick goes by without a setpoint
+    assert outbox.events == ("follower -> leader in epoch 1 (told so)",)
+    assert outbox.status is not None
+    expected = trajectory_of(EIGHT)(packet.leader_word.reference_s).position_enu_m
+    assert outbox.status.reference_enu_m == pytest.approx(expected)
+    assert (outbox.status.role, outbox.status.epoch) == (Role.LEADER, 1)
+    flight.tick()
+    assert flight.outbox.peer_packet is not None
+    assert flight.outbox.peer_packet.leader_word is not None
+    step_s = flight.outbox.peer_packet.leader_word.reference_s - packet.leader_word.reference_s
+    assert step_s == pytest.approx(0.02)  # from now on it counts by itself
+
+
+@pytest.mark.parametrize(
+    ("fleet", "phase", "lead", "reason"),
+    [
+        (FLEET, FlightPhase.FORMATION, Lead((2,), 1), "lead: vehicle 2 is not one that may lead"),
+        (MAY_LEAD, FlightPhase.FORMATION, Lead((2,), 0), "lead: epoch 0 is not newer than 0"),
+        (MAY_LEAD, FlightPhase.ENGAGE, Lead((2,), 1), "lead is not possible in phase engage"),
+    ],
+)
+def test_a_lead_that_cannot_be_is_refused_in_words(
+    fleet: FleetConfig, phase: FlightPhase, lead: Lead, reason: str
+) -> None:
+    flight = Flight(fleet=fleet)
+    flight.fly_to(FlightPhase.HOLD if phase is FlightPhase.ENGAGE else phase)
+    if phase is FlightPhase.ENGAGE:
+        flight.tick(CommandName.FORM)
+    assert flight.agent.phase is phase
+    reply = flight.tick(CommandName.LEAD, lead=lead).replies[0]
+    assert not reply.accepted
+    assert reason in reply.reason
+    assert flight.outbox.peer_packet is not None
+    assert flight.outbox.peer_packet.role is Role.FOLLOWER
+
+
+def test_a_leader_that_hears_a_newer_word_steps_down_in_that_tick() -> None:
+    flight = Flight(vehicle_id=1, fleet=MAY_LEAD)
+    flight.position, flight.peer_position = (0.0, 0.0, 0.0), (-1.5, 0.0, 1.0)
+    flight.fly_to(FlightPhase.FORMATION)
+    packet = replace(flight.peer()[0].packet, role=Role.LEADER, prc=1, leader_word=LeaderWord(2, 1, 5, 7.0))
+    outbox = flight.agent.step(
+        flight.now_s + 0.02, Inbox(tuple(flight.telemetry()), (ReceivedPeerPacket(flight.now_s + 0.02, packet),))
+    )
+    assert outbox.peer_packet is not None
+    assert outbox.peer_packet.role is Role.FOLLOWER
+    assert outbox.peer_packet.leader_word is not None
+    assert outbox.peer_packet.leader_word.leader_id == 2
+    assert outbox.events == ("leader -> follower in epoch 1 (heard of it)",)

@@ -119,6 +119,17 @@ def test_a_bad_vehicle_file(tmp_path: Path, change: dict[str, Any], parts: list[
         assert part in line, line
 
 
+def test_who_may_lead_holds_the_reference_and_who_may_not_does_not(tmp_path: Path) -> None:
+    fleet = deep_copy(FLEET)
+    fleet["vehicles"][1]["may_lead"] = True
+    line = refusal(write(tmp_path, fleet, VEHICLE))
+    assert "reference: missing; vehicle 2 may lead and needs the reference trajectory (RFT)" in line
+    config = load_agent(write(tmp_path, fleet, VEHICLE | {"reference": LEADER["reference"]}))
+    assert config.member.can_lead
+    fleet["vehicles"][1]["may_lead"] = False
+    assert "may_lead: true" in refusal(write(tmp_path, fleet, VEHICLE | {"reference": LEADER["reference"]}))
+
+
 @pytest.mark.parametrize(
     ("point", "words"),
     [([0.0, 0.0, 500.0], "vehicle 1 at z = 500 m"), ([-99.0, 0.0, 1.0], "vehicle 2 at x = -100.5 m")],

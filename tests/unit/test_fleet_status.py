@@ -27,6 +27,7 @@ STATUS = Status(
     velocity_enu_m_s=(0.0, 0.0, 0.0),
     state_age_s=0.02,
     role=Role.FOLLOWER,
+    epoch=0,
     prc=2,
     leader_word=None,
     leader_word_age_s=None,

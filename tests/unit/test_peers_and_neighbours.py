@@ -12,7 +12,7 @@ from companion.core.neighbours import EdgeRule, RangeRule
 from companion.core.peers import PeerTable
 from companion.types import FlightPhase, LeaderWord, PeerPacket, ReceivedPeerPacket, Role
 
-ROLES = {1: Role.LEADER, 2: Role.FOLLOWER, 3: Role.FOLLOWER}
+MAY_LEAD = {1: True, 2: False, 3: False}
 GOOD = PeerPacket(
     vehicle_id=2,
     session=77,
@@ -30,7 +30,7 @@ GOOD = PeerPacket(
 
 
 def table() -> PeerTable:
-    return PeerTable(own_id=3, roles=ROLES, formation_hash=42, max_age_s=0.3, max_speed_m_s=25.0)
+    return PeerTable(own_id=3, may_lead=MAY_LEAD, formation_hash=42, max_age_s=0.3, max_speed_m_s=25.0)
 
 
 def heard(peers: PeerTable, received_s: float = 1.0, **changes: Any) -> list[str]:
@@ -65,6 +65,14 @@ def test_a_good_packet_is_believed() -> None:
         ({"prc": 1}, "PrC"),
         ({"leader_word": LeaderWord(2, 0, 100)}, "leader's word"),
         ({"leader_word": LeaderWord(9, 0, 100)}, "leader's word"),
+        ({"leader_word": LeaderWord(1, -1, 100)}, "leader's word"),
+        ({"leader_word": LeaderWord(1, 2**31, 100)}, "leader's word"),
+        ({"leader_word": LeaderWord(1, 0, 100, nan)}, "leader's word"),
+        ({"leader_word": LeaderWord(1, 0, 100, -0.1)}, "leader's word"),
+        ({"leader_word": LeaderWord(1, 0, 100, 1e9)}, "leader's word"),
+        ({"vehicle_id": 1, "prc": 2, "role": Role.LEADER}, "PrC"),
+        ({"vehicle_id": 1, "prc": 1, "role": Role.FOLLOWER}, "PrC"),
+        ({"vehicle_id": 1, "prc": 1, "role": Role.LEADER, "leader_word": None}, "without a word of its own"),
     ],
 )
 def test_what_cannot_be_true_is_counted_and_never_used(changes: dict[str, Any], reason: str) -> None:
@@ -81,6 +89,13 @@ def test_whatever_comes_the_table_holds_only_finite_numbers(position: Any, veloc
     heard(peers, position_enu_m=position, velocity_enu_m_s=velocity, state_age_s=age, prc=prc)
     for peer in peers.fresh(1.0).values():
         assert all(abs(x) < 1e6 for x in peer.position_at(1.0))
+
+
+def test_who_may_lead_is_believed_in_either_role() -> None:
+    peers = table()
+    assert heard(peers, vehicle_id=1, role=Role.LEADER, prc=1) == []
+    assert heard(peers, vehicle_id=1, role=Role.FOLLOWER, prc=2, sequence=11) == []
+    assert peers.fresh(1.0)[1].packet.role is Role.FOLLOWER
 
 
 def test_a_stale_peer_drops_out() -> None:

@@ -131,7 +131,7 @@ def test_the_pilot_wins_over_a_landing_that_has_begun() -> None:
 @pytest.mark.parametrize(
     "phase", [FlightPhase.OBSERVE, FlightPhase.READY, FlightPhase.ARMED, FlightPhase.HOLD, FlightPhase.FORMATION]
 )
-@pytest.mark.parametrize("name", list(CommandName))
+@pytest.mark.parametrize("name", list(RULES))
 def test_every_command_in_every_phase_is_accepted_by_the_table_or_refused_in_words(
     phase: FlightPhase, name: CommandName
 ) -> None:
@@ -144,6 +144,26 @@ def test_every_command_in_every_phase_is_accepted_by_the_table_or_refused_in_wor
     else:
         assert machine.phase is before
         assert name in reason
+
+
+def test_every_command_but_lead_is_in_the_table() -> None:
+    assert set(CommandName) - set(RULES) == {CommandName.LEAD}
+
+
+@pytest.mark.parametrize("phase", [FlightPhase.OBSERVE, FlightPhase.READY, FlightPhase.HOLD, FlightPhase.FORMATION])
+def test_the_lead_changes_in_formation_in_hold_and_on_the_ground(phase: FlightPhase) -> None:
+    machine, autopilot, _ = flown_to(phase)
+    assert machine.refusal_of_lead(autopilot.state) == ""
+
+
+def test_the_lead_is_not_given_to_who_lands_or_is_flown_by_a_pilot() -> None:
+    machine, autopilot, now_s = flown_to(FlightPhase.FORMATION)
+    machine.command(CommandName.LAND, now_s, autopilot.state)
+    assert machine.refusal_of_lead(autopilot.state) == (
+        "lead is not possible in phase land, only in formation, in hold or on the ground"
+    )
+    machine.give_up("the pilot flies")
+    assert "phase observe" in machine.refusal_of_lead(autopilot.state)
 
 
 def test_on_the_ground_a_landing_waits_for_the_disarming_whatever_the_mode() -> None:

@@ -15,6 +15,7 @@ from companion.types import (
     FlightPhase,
     HealthFlag,
     LandedState,
+    Lead,
     LeaderWord,
     PeerPacket,
     Role,
@@ -36,7 +37,7 @@ numbers = st.floats(allow_nan=False)
 vectors = st.tuples(numbers, numbers, numbers)
 counts = st.integers(0, 2**63 - 1)
 texts = st.text(max_size=40)
-leader_words = st.none() | st.builds(LeaderWord, st.integers(1, 250), counts, counts)
+leader_words = st.none() | st.builds(LeaderWord, st.integers(1, 250), counts, counts, numbers)
 
 packets = st.builds(
     PeerPacket,
@@ -71,6 +72,7 @@ reports = st.builds(
         velocity_enu_m_s=vectors,
         state_age_s=numbers,
         role=st.sampled_from(Role),
+        epoch=counts,
         prc=st.integers(1, 250),
         leader_word=leader_words,
         leader_word_age_s=st.none() | numbers,
@@ -83,7 +85,9 @@ reports = st.builds(
     ),
     st.builds(Timing, numbers, counts, counts, percentiles, percentiles, numbers, numbers),
 )
-commands = st.builds(Command, st.sampled_from(CommandName), counts)
+leads = st.builds(Lead, st.lists(st.integers(1, 250), max_size=5).map(tuple), counts)
+others = st.sampled_from([name for name in CommandName if name is not CommandName.LEAD])
+commands = st.builds(Command, others, counts) | st.builds(Command, st.just(CommandName.LEAD), counts, leads)
 replies = st.builds(CommandReply, st.integers(1, 250), counts, st.booleans(), texts)
 
 
@@ -105,12 +109,12 @@ def test_commands_and_replies_come_out_as_they_went_in(command: Command, reply: 
 
 PACKET = PeerPacket(
     3, 2**32 - 1, 10**6, 2**64 - 1, FlightPhase.FORMATION, Role.FOLLOWER, (1.0, 2.0, 3.0), (0.1, 0.2, 0.3),
-    (0.01, 0.02, 0.03), 0.021, 4, LeaderWord(1, 7, 60),
+    (0.01, 0.02, 0.03), 0.021, 4, LeaderWord(1, 7, 60, 12.5),
 )  # fmt: skip
 REPORT = StatusReport(
     Status(
         3, 1, "platoon", 5, "weighted", FlightPhase.HOLD, "AUTO.LOITER", True, LandedState.IN_AIR, (1.0, 2.0, 3.0),
-        (0.0, 0.0, 0.0), 0.02, Role.FOLLOWER, 2, None, None, (2, 4), (-3.0, 0.0, 0.0), None, (HealthFlag.FENCE,),
+        (0.0, 0.0, 0.0), 0.02, Role.FOLLOWER, 7, 2, None, None, (2, 4), (-3.0, 0.0, 0.0), None, (HealthFlag.FENCE,),
         {"malformed": 3}, "takeoff -> hold",
     ),
     Timing(50.0, 3000, 0, Percentiles(1.0, 2.0, 3.0), Percentiles(4.0, 5.0, 6.0), 5.1, 49.0),
@@ -118,7 +122,7 @@ REPORT = StatusReport(
 DECODERS = {
     "peer packet": (decode_peer, encode_peer(PACKET)),
     "status report": (decode_report, encode(REPORT)),
-    "command": (decode_command, encode(Command(CommandName.FORM, 9))),
+    "command": (decode_command, encode(Command(CommandName.LEAD, 9, Lead((2,), 8)))),
     "command reply": (decode_reply, encode(CommandReply(3, 9, True, "engage"))),
 }
 
@@ -172,12 +176,24 @@ def test_deep_nesting_and_huge_counts_are_malformed(name: str, payload: bytes) -
 @pytest.mark.parametrize("name", DECODERS)
 def test_another_version_is_told_from_damage(name: str) -> None:
     decode, good = DECODERS[name]
-    with pytest.raises(WireError, match="wire version 9, expected 1"):
+    with pytest.raises(WireError, match=f"wire version 9, expected {WIRE_VERSION}"):
         decode(b"\x09" + good[1:])
     with pytest.raises(WireError, match=f"malformed {name}"):
         decode(good[:-1])
     with pytest.raises(WireError, match="empty message"):
         decode(b"")
+
+
+@pytest.mark.parametrize(
+    ("command", "reason"),
+    [
+        (Command(CommandName.LEAD, 9), "command lead without leaders"),
+        (Command(CommandName.FORM, 9, Lead((2,), 8)), "leaders with another command"),
+    ],
+)
+def test_only_the_command_lead_carries_leaders(command: Command, reason: str) -> None:
+    with pytest.raises(WireError, match=reason):
+        decode_command(encode(command))
 
 
 @pytest.mark.parametrize("name", DECODERS)
