@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from typing import Protocol
 
 from companion.core.phase import ON_GROUND, RULES
-from companion.types import CommandName, CommandReply, FlightPhase, LandedState, Status
+from companion.types import CommandName, CommandReply, FlightPhase, LandedState, Lead, Role, Status
 from companion.wire.ground import StatusReport
 from sitl.progress import Progress
 from sitl.scenario import TimelineStep
@@ -39,7 +39,7 @@ class Session(Protocol):
         """All reports that came since the last call, oldest first."""
 
     def command(
-        self, vehicle_ids: Iterable[int], name: CommandName, timeout_s: float
+        self, vehicle_ids: Iterable[int], name: CommandName, timeout_s: float, lead: Lead | None = None
     ) -> dict[int, CommandReply | None]:
         """Give one command to these vehicles and wait for their answers; None where none came in time."""
 
@@ -98,11 +98,18 @@ class Director:
 
     def fly(self, timeline: Sequence[TimelineStep]) -> None:
         """All steps in turn. Raises FlightFailure; the vehicles are then where they were."""
+        phase = FlightPhase.OBSERVE
         with self._formation_ends():
             for number, step in enumerate(timeline, start=1):
                 self._progress.begin_step(f"step {number} of {len(timeline)}, {step.command}", self._clock.now_s())
-                _Order(self._session, self._watch, step, self._clock).carry_out(self._pass)
-                self._stay(number, len(timeline), step)
+                if step.command is CommandName.LEAD:  # a formation goes on under it
+                    _LeadOrder(self._session, self._watch, step, self._clock).carry_out(self._pass)
+                else:
+                    # The command that follows a formation ends it, so the time is taken before it is given.
+                    self._watch.end_formation(self._clock.now_s())
+                    _Order(self._session, self._watch, step, self._clock).carry_out(self._pass)
+                    phase = RULES[step.command].to
+                self._stay(number, len(timeline), step, phase)
 
     @contextmanager
     def _formation_ends(self) -> Iterator[None]:
@@ -112,7 +119,7 @@ class Director:
         finally:
             self._watch.end_formation(self._clock.now_s())
 
-    def _stay(self, number: int, steps: int, step: TimelineStep) -> None:
+    def _stay(self, number: int, steps: int, step: TimelineStep, phase: FlightPhase) -> None:
         """Keep what the step brought about for its `for_s`; a vehicle that leaves it ends the flight."""
         forms = step.command is CommandName.FORM
         since_s = self._watch.begin_formation() if forms else self._clock.now_s()
@@ -121,11 +128,13 @@ class Director:
         while self._clock.now_s() < since_s + step.for_s:
             self._pass()
             for status in self._statuses():
-                if status.phase is not RULES[step.command].to:
-                    raise FlightFailure(
-                        f"vehicle {status.vehicle_id} left phase {RULES[step.command].to}: {_last(status)}"
-                    )
-            if step.command not in MAY_OBSERVE and (silent := self._watch.silent(self._clock.now_s())):
+                if status.phase is not phase:
+                    raise FlightFailure(f"vehicle {status.vehicle_id} left phase {phase}: {_last(status)}")
+            if (
+                phase is not FlightPhase.OBSERVE
+                and step.command not in MAY_OBSERVE
+                and (silent := self._watch.silent(self._clock.now_s()))
+            ):
                 raise FlightFailure(f"nothing heard of {_vehicles(silent)} for seconds")
 
     def _pass(self) -> None:
@@ -188,8 +197,6 @@ class _Order:
         """Until every vehicle has done it. Raises FlightFailure."""
         deadline_s = self._clock.now_s() + self._step.timeout_s
         next_ask_s = float("-inf")
-        # The command that follows a formation ends it, so the time is taken before it is given.
-        self._watch.end_formation(self._clock.now_s())
         while missing := [i for i in self._watch.vehicle_ids if not self._done(i)]:
             now_s = self._clock.now_s()
             if now_s > deadline_s:
@@ -203,11 +210,13 @@ class _Order:
                 self._look_for_falling_back(vehicle_id, self._clock.now_s())
 
     def _ask(self, vehicle_ids: Collection[int]) -> None:
-        answers = self._session.command(vehicle_ids, self._step.command, REPLY_WITHIN_S)
-        for vehicle_id, reply in answers.items():
+        for vehicle_id, reply in self._give(vehicle_ids).items():
             if reply is not None and reply.accepted:
                 self._accepted_s[vehicle_id] = self._clock.now_s()
             self._reasons[vehicle_id] = reply.reason if reply else "its agent does not answer"
+
+    def _give(self, vehicle_ids: Collection[int]) -> dict[int, CommandReply | None]:
+        return self._session.command(vehicle_ids, self._step.command, REPLY_WITHIN_S)
 
     def _done(self, vehicle_id: int) -> bool:
         status = self._watch.status(vehicle_id)
@@ -238,11 +247,37 @@ class _Order:
         for vehicle_id in missing:
             status, reason = self._watch.status(vehicle_id), self._reasons.get(vehicle_id, "")
             if vehicle_id in self._accepted_s and status:
-                under_way = status.phase is RULES[self._step.command].via
-                reason = f"still in phase {status.phase}" if under_way else _last(status)
+                reason = self._why_not_done(status)
             by_reason.setdefault(reason, []).append(vehicle_id)
         said = "; ".join(f"{_vehicles(ids)}: {reason}" for reason, ids in by_reason.items())
         return f"{self._step.command} not done within {self._step.timeout_s:g} s: {said}"
+
+    def _why_not_done(self, status: Status) -> str:
+        under_way = status.phase is RULES[self._step.command].via
+        return f"still in phase {status.phase}" if under_way else _last(status)
+
+
+class _LeadOrder(_Order):
+    """The lead, on its way to every vehicle in an epoch of its own; it changes no phase."""
+
+    def __init__(self, session: Session, watch: FlightWatch, step: TimelineStep, clock: Clock) -> None:
+        super().__init__(session, watch, step, clock)
+        known = (status.epoch for i in watch.vehicle_ids if (status := watch.status(i)))
+        self._lead = Lead(step.leaders, max(known, default=0) + 1)
+
+    def _give(self, vehicle_ids: Collection[int]) -> dict[int, CommandReply | None]:
+        return self._session.command(vehicle_ids, CommandName.LEAD, REPLY_WITHIN_S, self._lead)
+
+    def _done(self, vehicle_id: int) -> bool:
+        status = self._watch.status(vehicle_id)
+        role = Role.LEADER if vehicle_id in self._lead.leaders else Role.FOLLOWER
+        return status is not None and status.epoch == self._lead.epoch and status.role is role
+
+    def _look_for_falling_back(self, vehicle_id: int, now_s: float) -> None:
+        """What else a vehicle does is seen while the step's time goes by."""
+
+    def _why_not_done(self, status: Status) -> str:
+        return f"{status.role} in epoch {status.epoch}, expected epoch {self._lead.epoch}"
 
 
 def _way_down(status: Status) -> CommandName | None:

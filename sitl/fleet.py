@@ -18,7 +18,6 @@ import msgspec
 import yaml
 
 from companion.config import GeodeticOrigin, VehicleConfig, VehicleId, ZenohEndpoints
-from companion.types import Role
 from sitl.config import AutopilotFile
 from sitl.ports import GROUND_STATION_PORT, LOOPBACK, ports_of
 from sitl.scenario import Scenario
@@ -185,7 +184,7 @@ def write_scenario(scenario: Scenario, folder: Path) -> None:
 
 
 def vehicle_file(scenario: Scenario, vehicle_id: int, port_offset: int) -> VehicleConfig:
-    """An agent's file. Of two vehicles the one with the larger id connects; only a leader is given the reference."""
+    """An agent's file. Of two vehicles the one with the larger id connects; the reference is for those that may lead."""
     member = next(member for member in scenario.fleet.vehicles if member.id == vehicle_id)
     return VehicleConfig(
         id=vehicle_id,
@@ -196,7 +195,7 @@ def vehicle_file(scenario: Scenario, vehicle_id: int, port_offset: int) -> Vehic
             listen=(endpoint_of(vehicle_id, port_offset),),
             connect=tuple(endpoint_of(i, port_offset) for i in ids_of(scenario) if i < vehicle_id),
         ),
-        reference=scenario.reference if member.role is Role.LEADER else None,
+        reference=scenario.reference if member.can_lead else None,
     )
 
 

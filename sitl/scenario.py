@@ -24,15 +24,19 @@ LONGEST_KEY = 200  # of --set
 
 
 class TimelineStep(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Give a command to every vehicle, wait until all have done it, then stay so for `for_s`."""
+    """Give a command to every vehicle, wait until all have done it, then stay so for `for_s`.
+
+    `leaders` goes with `command: lead`: who leads from then on.
+    """
 
     command: CommandName
+    leaders: tuple[VehicleId, ...] = ()
     for_s: Annotated[float, Meta(ge=0, le=3600)] = 0.0
     timeout_s: Annotated[float, Meta(gt=0, le=600)] = 30.0
 
 
 class Scenario(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """`fleet` is what a fleet file holds; `reference` (RFT) goes into the leaders' vehicle files alone.
+    """`fleet` is what a fleet file holds; `reference` (RFT) goes into the files of those that may lead, and into no other.
 
     `links` is of flights in virtual time; real processes have links of their own.
     """
@@ -81,7 +85,29 @@ def scenario_from(path: Path, data: object) -> Scenario:
     check_reference(path, scenario.fleet, scenario.reference)
     if not scenario.timeline:
         raise ConfigError(path, "timeline", "is empty; list at least one step with a command")
+    for index, step in enumerate(scenario.timeline):
+        _check_leaders(path, f"timeline[{index}].leaders", step, scenario.fleet)
     return scenario
+
+
+def _check_leaders(path: Path, where: str, step: TimelineStep, fleet: FleetConfig) -> None:
+    """Only `lead` names leaders, and only such as may lead. Raises ConfigError."""
+    may_lead = sorted(member.id for member in fleet.vehicles if member.can_lead)
+    expected = ", ".join(str(i) for i in may_lead)
+    if step.command is not CommandName.LEAD:
+        if step.leaders:
+            raise ConfigError(path, where, f"{list(step.leaders)}: {step.command} takes no leaders; take it out")
+        return
+    if not step.leaders:
+        raise ConfigError(path, where, f"missing; lead needs the ids of the new leaders, some of {expected}")
+    for vehicle_id in step.leaders:
+        if vehicle_id not in may_lead:
+            hint = "" if fleet.member(vehicle_id) is None else f", or may_lead: true for vehicle {vehicle_id}"
+            raise ConfigError(
+                path,
+                where,
+                f"{list(step.leaders)}: vehicle {vehicle_id} may not lead; expected some of {expected}{hint}",
+            )
 
 
 def _put(data: Any, override: str) -> None:

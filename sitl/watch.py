@@ -7,7 +7,7 @@ from collections.abc import Collection, Mapping
 from msgspec import Struct
 
 from companion.ground.fleet_status import FleetState, VehicleRow, fold, rows
-from companion.types import FlightPhase, Status
+from companion.types import FlightPhase, Role, Status
 from companion.wire.ground import StatusReport, Timing
 from sitl.metrics import Formation
 
@@ -22,18 +22,40 @@ class Event(Struct, frozen=True, kw_only=True):
     event: str
 
 
+class TopologyChange(Struct, frozen=True, kw_only=True):
+    """A vehicle's part of the topology from `time_s` after the flight's beginning on, until its next one."""
+
+    time_s: float
+    vehicle: int
+    role: Role
+    epoch: int
+    prc: int
+    neighbours: tuple[int, ...]
+
+    def same_as(self, status: Status) -> bool:
+        own = (self.role, self.epoch, self.prc, self.neighbours)
+        return own == (status.role, status.epoch, status.prc, status.neighbours)
+
+
 class FlightWatch:
-    """A record that grows with every report. Times are of one monotonic clock, given as arguments."""
+    """A record that grows with every report. Times are of one monotonic clock, given as arguments.
+
+    `events` tell when the lead changed, in the vehicles' words; `topology` has it with PrCs and neighbours, to be drawn.
+    """
 
     def __init__(self, vehicle_ids: Collection[int], leader_ids: Collection[int], began_s: float) -> None:
+        """`leader_ids` lead at the beginning."""
         self.vehicle_ids = sorted(vehicle_ids)
         self.began_s = began_s
         self.events: list[Event] = []
+        self.topology: list[TopologyChange] = []
         self.timing: dict[int, Timing] = {}  # of each vehicle's last formation
         self.formation: Formation | None = None  # the last one flown
-        self._leader_ids = frozenset(leader_ids)
+        self._leader_ids = set(leader_ids)
+        self._drawn: dict[int, TopologyChange] = {}  # the last of every vehicle
         self._entered_s: dict[int, float] = {}
         self._formed_from_s: float | None = None
+        self._reference_start_s = began_s
         self._state = FleetState()
         self._statuses: dict[int, Status] = {}  # the newest of every vehicle heard
 
@@ -46,6 +68,7 @@ class FlightWatch:
         before = self.status(vehicle_id)
         self._state = fold(self._state, report, now_s)
         self._statuses[vehicle_id] = status
+        self._follow_topology(status, now_s)
         if status.phase is FlightPhase.FORMATION and (before is None or before.phase is not FlightPhase.FORMATION):
             self._entered_s[vehicle_id] = now_s
         if vehicle_id in self._entered_s and report.timing.ticks:  # in virtual time no ticks are timed
@@ -54,6 +77,23 @@ class FlightWatch:
             self.events.append(
                 Event(time_s=round(now_s - self.began_s, 3), vehicle=vehicle_id, event=status.last_event)
             )
+
+    def _follow_topology(self, status: Status, now_s: float) -> None:
+        vehicle_id, last = status.vehicle_id, self._drawn.get(status.vehicle_id)
+        if status.role is Role.LEADER:
+            self._leader_ids.add(vehicle_id)
+        else:
+            self._leader_ids.discard(vehicle_id)
+        if last is None or not last.same_as(status):
+            self._drawn[vehicle_id] = TopologyChange(
+                time_s=round(now_s - self.began_s, 3),
+                vehicle=vehicle_id,
+                role=status.role,
+                epoch=status.epoch,
+                prc=status.prc,
+                neighbours=status.neighbours,
+            )
+            self.topology.append(self._drawn[vehicle_id])
 
     def status(self, vehicle_id: int) -> Status | None:
         return self._statuses.get(vehicle_id)
@@ -68,13 +108,13 @@ class FlightWatch:
     def begin_formation(self) -> float:
         """All vehicles are in formation. Returns when the last one entered it."""
         self._formed_from_s = max(self._entered_s[i] for i in self.vehicle_ids)
+        self._reference_start_s = min(self._entered_s[i] for i in self._leader_ids)
         return self._formed_from_s
 
     def end_formation(self, now_s: float) -> None:
         """The formation, if there is one, ends now."""
         if self._formed_from_s is not None:
-            leader_entered_s = min(self._entered_s[i] for i in self._leader_ids)
-            self.formation = Formation(self._formed_from_s, now_s, leader_entered_s)
+            self.formation = Formation(self._formed_from_s, now_s, self._reference_start_s)
             self._formed_from_s = None
 
     def rejected(self) -> Mapping[int, dict[str, int]]:

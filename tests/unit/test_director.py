@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from companion.core.phase import RULES
-from companion.types import CommandName, CommandReply, FlightPhase, LandedState, Role, Status
+from companion.types import CommandName, CommandReply, FlightPhase, LandedState, Lead, Role, Status
 from companion.wire.ground import Percentiles, StatusReport, Timing
 from sitl.director import Director, FlightFailure, MachineClock
 from sitl.progress import Progress
@@ -36,6 +36,7 @@ def status(vehicle_id: int) -> Status:
         velocity_enu_m_s=(0.0, 0.0, 0.0),
         state_age_s=0.01,
         role=Role.LEADER if leads else Role.FOLLOWER,
+        epoch=0,
         prc=vehicle_id,
         leader_word=None,
         leader_word_age_s=None,
@@ -57,13 +58,27 @@ class Vehicles:
         self.falls: dict[tuple[int, CommandName], str] = {}  # the procedure fails with this event
         self.mute: set[int] = set()
         self.heard: list[tuple[CommandName, tuple[int, ...]]] = []
+        self.leads: list[Lead] = []
         self._due: dict[int, tuple[float, CommandName]] = {}
 
-    def command(self, ids: Iterable[int], name: CommandName, timeout_s: float) -> dict[int, CommandReply | None]:
+    def command(
+        self, ids: Iterable[int], name: CommandName, timeout_s: float, lead: Lead | None = None
+    ) -> dict[int, CommandReply | None]:
         assert timeout_s > 0
+        assert (name is C.LEAD) is (lead is not None)
         asked = tuple(ids)
         self.heard.append((name, asked))
+        if lead:
+            self.leads.append(lead)
+            return {i: None if i in self.mute else self._change_lead(i, lead) for i in asked}
         return {i: None if i in self.mute else self._obey(i, name) for i in asked}
+
+    def _change_lead(self, vehicle_id: int, lead: Lead) -> CommandReply:
+        if reasons := self.refuses.get((vehicle_id, C.LEAD)):
+            return CommandReply(vehicle_id, 1, False, reasons.pop(0))
+        role = Role.LEADER if vehicle_id in lead.leaders else Role.FOLLOWER
+        self.change(vehicle_id, role=role, epoch=lead.epoch)
+        return CommandReply(vehicle_id, 1, True, "yes")
 
     def _obey(self, vehicle_id: int, name: CommandName) -> CommandReply:
         reasons = self.refuses.get((vehicle_id, name))
@@ -228,6 +243,61 @@ def test_a_vehicle_without_its_autopilot_is_not_waited_for(flight: Flight) -> No
     flight.vehicles.refuses[2, C.LAND] = ["no autopilot"] * 1000
     assert flight.director.land_all() is None
     assert flight.vehicles.heard[-1] == (C.LAND, (1,))
+
+
+def lead_step(*leaders: int, for_s: float = 0.2, timeout_s: float = 2.0) -> TimelineStep:
+    return TimelineStep(command=C.LEAD, leaders=leaders, for_s=for_s, timeout_s=timeout_s)
+
+
+def test_the_formation_goes_on_over_changes_of_the_lead(flight: Flight) -> None:
+    flight.fly(C.PREPARE, C.ARM, C.TAKEOFF)
+    form = TimelineStep(command=C.FORM, for_s=0.2)
+    flight.director.fly([form, lead_step(2), lead_step(1), TimelineStep(command=C.LAND)])
+    formation = flight.watch.formation
+    assert formation is not None
+    assert formation.end_s - formation.start_s == pytest.approx(0.6, abs=0.15)
+    assert formation.start_s - formation.reference_start_s == pytest.approx(DOING_S, abs=0.03)
+    assert flight.vehicles.leads == [Lead((2,), 1), Lead((1,), 2)]
+
+
+def test_the_topology_is_kept_with_every_change(flight: Flight) -> None:
+    flight.fly(C.PREPARE)
+    flight.director.fly([lead_step(2, for_s=0.0)])
+    told = [(c.vehicle, c.role, c.epoch) for c in flight.watch.topology]
+    assert told == [(1, "leader", 0), (2, "follower", 0), (1, "follower", 1), (2, "leader", 1)]
+
+
+def test_the_next_epoch_is_newer_than_any_that_a_vehicle_knows(flight: Flight) -> None:
+    flight.vehicles.change(2, epoch=7)
+    for report in flight.vehicles.drain():
+        flight.watch.hear(report, flight.watch.began_s)
+    flight.director.fly([lead_step(2)])
+    assert flight.vehicles.leads == [Lead((2,), 8)]
+
+
+def test_a_refused_lead_is_repeated_in_its_epoch_and_who_never_takes_it_is_named(flight: Flight) -> None:
+    flight.vehicles.refuses[2, C.LEAD] = ["lead: not now"]
+    flight.director.fly([lead_step(2)])
+    assert flight.vehicles.heard == [(C.LEAD, (1, 2)), (C.LEAD, (2,))]
+    assert flight.vehicles.leads == [Lead((2,), 1)] * 2
+    flight.vehicles.refuses[1, C.LEAD] = ["lead: not now"] * 20
+    with pytest.raises(FlightFailure) as caught:
+        flight.director.fly([lead_step(1, timeout_s=0.7)])
+    assert str(caught.value) == "lead not done within 0.7 s: vehicle 1: lead: not now"
+
+
+def test_a_vehicle_that_leaves_formation_after_a_change_of_the_lead_ends_the_flight(flight: Flight) -> None:
+    flight.fly(C.PREPARE, C.ARM, C.TAKEOFF)
+    form = TimelineStep(command=C.FORM, for_s=0.1)
+    vehicles = flight.vehicles
+
+    def falls_out() -> None:
+        if vehicles.leads:
+            vehicles.change(1, phase=P.HOLD, last_event="formation -> release (no leader's word)")
+
+    flight.director._check = falls_out  # type: ignore[method-assign]
+    with pytest.raises(FlightFailure, match="vehicle 1 left phase formation: formation -> release"):
+        flight.director.fly([form, lead_step(2, for_s=1.0)])
 
 
 def test_events_are_recorded_once_and_by_vehicle(flight: Flight) -> None:

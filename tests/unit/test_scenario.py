@@ -75,6 +75,34 @@ def test_a_gain_out_of_bounds() -> None:
     assert message == "s.yaml: fleet.law.gains.position_1_s2: -1.0: expected float > 0.0"
 
 
+RING = SCENARIOS / "ring_figure_8.yaml"
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        (
+            "timeline[4].leaders=[3]",
+            "timeline[4].leaders: [3]: vehicle 3 may not lead; expected some of 1, 2, or may_lead: true",
+        ),
+        ("timeline[4].leaders=[9]", "timeline[4].leaders: [9]: vehicle 9 may not lead; expected some of 1, 2"),
+        ("timeline[4].leaders=[]", "timeline[4].leaders: missing; lead needs the ids of the new leaders, some of 1, 2"),
+        ("timeline[3].leaders=[1]", "timeline[3].leaders: [1]: form takes no leaders; take it out"),
+        ("reference.period_s=5", "reference.period_s: 5 s with ramp_s 8 asks for"),
+        ("reference.width_m=0", "reference.width_m: 0: expected float > 0.0"),
+        ("reference.hight_m=3", 'reference.hight_m: unknown key; did you mean "height_m"?'),
+        ("reference.kind=circle", "reference.kind"),
+    ],
+)
+def test_a_figure_8_or_a_change_of_the_lead_that_cannot_be_flown(override: str, words: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        load_scenario(RING, [override])
+    line = str(caught.value)
+    assert line.startswith("--set: ")
+    assert words in line
+    assert "\n" not in line
+
+
 def test_two_vehicles_with_one_id() -> None:
     message = error_of_file(lambda d: d["fleet"]["vehicles"][2].update(id=2))
     assert message.startswith("s.yaml: fleet.vehicles[2].id: 2 is used twice")
