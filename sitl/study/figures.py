@@ -31,7 +31,7 @@ def save_trade_off(path: Path, flights: Sequence[Figures], shapes: Sequence[str]
 
 
 def _draw_trade_off(axes: Axes, flights: Sequence[Figures]) -> None:
-    flown = {f.setting: f for f in flights}
+    flown = {f.setting: f for f in reversed(flights)}  # of two of the same, the first: all are as long
     duration_s = flights[0].duration_s
     never_s = duration_s * 1.35
     for setting in SETTINGS:

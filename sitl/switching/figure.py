@@ -9,31 +9,34 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from sitl.plots import COLOURS, STYLES
+from sitl.plots import COLOURS, MARKERS, STYLES
 from sitl.switching.topology import Topology
+
+MARKED = 0.12  # of the diagonal, from one marker to the next: grey, too, tells the laws apart
 
 
 def save_switching(path: Path, topologies: Sequence[Topology], duration_s: float, title: str) -> None:
     """Left: the share in which nobody was cut off yet. Right: how the flights' smallest lambda_min are spread."""
-    figure = Figure(figsize=(11.0, 4.6), layout="constrained")
+    figure = Figure(figsize=(11.0, 5.2), layout="constrained")
     figure.suptitle(title, fontsize=12)
     left, right = figure.subplots(1, 2)
     laws = list(dict.fromkeys(t.law for t in topologies))
     hystereses_m = sorted({t.hysteresis_m for t in topologies})
-    for colour, law in zip(COLOURS, laws, strict=False):
+    for colour, marker, law in zip(COLOURS, MARKERS, laws, strict=False):
         for style, hysteresis_m in zip(STYLES, hystereses_m, strict=False):
             group = [t for t in topologies if t.law == law and t.hysteresis_m == hysteresis_m]
             label = f"{law}, {hysteresis_m:g} m"
-            look = {"color": colour, "linestyle": style, "label": label}
+            look = {"color": colour, "linestyle": style, "marker": marker, "markevery": MARKED, "label": label}
             _draw_connected(left, group, duration_s, look)
             _draw_spread(right, group, look)
     left.set(
         xlabel="time since the start of the formation [s]", ylabel="nobody cut off yet [% of the starts]", ylim=(0, 102)
     )
-    left.legend(title="law, hysteresis", fontsize=8, title_fontsize=8, frameon=False)
     right.set(xlabel="smallest lambda_min over the flight [-]", ylabel="starts below that [%]", ylim=(0, 102))
     for axes in (left, right):
         axes.grid(True, color="#dddddd", linewidth=0.6)
+    handles, labels = left.get_legend_handles_labels()
+    figure.legend(handles, labels, title="law, hysteresis", loc="outside lower center", ncols=len(laws), frameon=False)
     figure.savefig(path, dpi=150)
 
 
