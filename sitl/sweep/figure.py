@@ -1,0 +1,199 @@
+"""A sweep to look at: its figures over one numeric key, or side by side where no number was varied.
+
+Readable in grey: every curve has a line style and a marker of its own besides its colour.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from math import nan
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from sitl.plots import COLOURS, GUIDE, MARKERS, STYLES
+from sitl.sweep.points import Axis, Value
+from sitl.sweep.report import short_name, value_text
+from sitl.sweep.statistics import Combination, Spread, Sweep
+
+MOST_CURVES, MOST_POINTS = 12, 40  # more cannot be told apart, or read
+WIDE_RATIO = 50.0  # a key whose values span more is drawn on a logarithmic scale
+MOST_LETTERS = 150  # of a line of the legend
+BAND_ALPHA = 0.13
+PERCENT = (-4.0, 104.0)
+A_LITTLE_MORE = 1.06
+NEVER_LOOK: dict[str, Any] = {"ha": "right", "va": "bottom", "fontsize": 9, "color": "#606060"}
+SHARE, SETTLE = "settled_share", "settle_s"
+
+PANELS = {
+    SHARE: "flights that settled to 10 cm [%]",
+    SETTLE: "time to settle to 10 cm [s]",
+    "final_error_m": "final error [m]",
+    "largest_neighbouring_distance_m": "largest distance of neighbours [m]",
+    "smallest_neighbouring_distance_m": "smallest distance of neighbours [m]",
+    "smallest_distance_m": "smallest distance of any two [m]",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """What is drawn as one: combinations that differ in nothing but the key along the axis."""
+
+    label: str
+    combinations: list[Combination]
+
+
+def save_sweep(path: Path, sweep: Sweep, axes: Sequence[Axis]) -> None:
+    along = _along(axes)
+    figure = _curves(sweep, along.key) if along else _points(sweep)
+    figure.savefig(path, dpi=130)
+
+
+def _along(axes: Sequence[Axis]) -> Axis | None:
+    """The numeric key with the most values, the first of several."""
+    return max((axis for axis in axes if axis.is_numeric), key=lambda axis: len(axis.choices), default=None)
+
+
+# ---------------------------------------------------------------- over a number
+
+
+def _curves(sweep: Sweep, key: str) -> Figure:
+    curves = curves_of(sweep, key)
+    drawn = curves[:MOST_CURVES]
+    figure = _figure(sweep, (12.6, 7.4), _and_no_more(len(drawn), len(curves), "curves"))
+    panels: dict[str, Axes] = dict(zip(PANELS, figure.subplots(2, 3, sharex=True).ravel(), strict=True))
+    for name, axes in panels.items():
+        for index, curve in enumerate(drawn):
+            _draw_curve(axes, key, curve, name, index, sweep.seconds)
+        _dress(axes, PANELS[name])
+        _scale(axes, sweep.vary[key])
+    for axes in list(panels.values())[3:]:
+        axes.set_xlabel(key)
+    panels[SHARE].set_ylim(*PERCENT)
+    panels[SETTLE].set_ylim(0.0, sweep.seconds * A_LITTLE_MORE)
+    if _some_never_settled(one for curve in drawn for one in curve.combinations):
+        panels[SETTLE].axhline(sweep.seconds, **GUIDE)
+        panels[SETTLE].annotate("never", (1.0, sweep.seconds), xycoords=("axes fraction", "data"), **NEVER_LOOK)
+    _legend_below(figure, panels[SHARE], len(drawn))
+    return figure
+
+
+def _legend_below(figure: Figure, axes: Axes, curves: int) -> None:
+    if curves < 2:
+        return
+    handles, labels = axes.get_legend_handles_labels()
+    columns = max(1, min(curves, MOST_LETTERS // (max(map(len, labels)) + 10)))
+    figure.legend(handles, labels, loc="outside lower center", ncols=columns, fontsize=9, frameon=False, handlelength=4)
+
+
+def curves_of(sweep: Sweep, key: str) -> list[Curve]:
+    """In the order of the combinations, each by rising values of the key."""
+    curves: dict[str, list[Combination]] = {}
+    for one in sweep.combinations:
+        others = {other: value for other, value in one.values.items() if other != key}
+        curves.setdefault(_label(others) or "all flights", []).append(one)
+    return [Curve(label, sorted(own, key=lambda one: one.values[key])) for label, own in curves.items()]
+
+
+def _draw_curve(axes: Axes, key: str, curve: Curve, name: str, index: int, seconds: float) -> None:
+    values = np.array([one.values[key] for one in curve.combinations], dtype=float)
+    low, middle, high = np.array([_spread(one, name, seconds) for one in curve.combinations], dtype=float).T
+    look = {"color": COLOURS[index % len(COLOURS)], "linestyle": STYLES[index % len(STYLES)]}
+    axes.fill_between(values, low, high, color=look["color"], alpha=BAND_ALPHA, linewidth=0)
+    for edge in (low, high):
+        axes.plot(values, edge, linewidth=0.7, alpha=0.7, **look)
+    axes.plot(values, middle, label=curve.label, linewidth=1.6, **{**_mark(index), **look})
+
+
+def _scale(axes: Axes, values: Sequence[Value]) -> None:
+    numbers = [float(value) for value in values]
+    if min(numbers) > 0.0 and max(numbers) / min(numbers) > WIDE_RATIO:
+        axes.set_xscale("log")
+    elif all(isinstance(value, int) for value in values):
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+
+
+# ---------------------------------------------------------------- side by side
+
+
+def _points(sweep: Sweep) -> Figure:
+    """A row for each combination, the first on top."""
+    drawn = sweep.combinations[:MOST_POINTS]
+    labels = [_label(one.values) or "all flights" for one in drawn]
+    figure = _figure(
+        sweep, (13.0, 3.4 + 0.5 * len(drawn)), _and_no_more(len(drawn), len(sweep.combinations), "combinations")
+    )
+    panels: dict[str, Axes] = dict(zip(PANELS, figure.subplots(2, 3, sharey=True).ravel(), strict=True))
+    for name, axes in panels.items():
+        for row, one in enumerate(drawn):
+            low, middle, high = _spread(one, name, sweep.seconds)
+            axes.plot([low, high], [row, row], color=COLOURS[row % len(COLOURS)], linewidth=2.2, alpha=0.6)
+            axes.plot([middle], [row], **_mark(row))
+        _dress(axes, PANELS[name])
+        axes.set_yticks(range(len(drawn)), labels)
+        axes.set_ylim(len(drawn) - 0.5, -0.5)
+    panels[SHARE].set_xlim(*PERCENT)
+    panels[SETTLE].set_xlim(0.0, sweep.seconds * A_LITTLE_MORE)
+    if _some_never_settled(drawn):
+        panels[SETTLE].axvline(sweep.seconds, **GUIDE)
+        panels[SETTLE].annotate("never", (sweep.seconds, 1.0), xycoords=("data", "axes fraction"), **NEVER_LOOK)
+    return figure
+
+
+# ---------------------------------------------------------------- for both
+
+
+def _figure(sweep: Sweep, size_in: tuple[float, float], left_out: str) -> Figure:
+    figure = Figure(figsize=size_in, layout="constrained")
+    count = f"{sweep.flights} flights of {sweep.vehicles} vehicles, {sweep.seconds:g} s each"
+    figure.suptitle(
+        f"{sweep.scenario}: {count}\nmedian, and from 5 to 95 percent of flights{left_out}",
+        fontsize=12,
+        fontweight="bold",
+    )
+    return figure
+
+
+def _and_no_more(drawn: int, of: int, what: str) -> str:
+    return f"; {drawn} of {of} {what}, all are in sweep.json" if drawn < of else ""
+
+
+def _label(values: dict[str, Value]) -> str:
+    return ", ".join(f"{short_name(key)} {value_text(value)}" for key, value in values.items())
+
+
+def _spread(one: Combination, name: str, seconds: float) -> tuple[float, float, float]:
+    """Low, middle and high. A share has no spread; who never settled is drawn where the flights end; NaN is not drawn."""
+    if name == SHARE:
+        return (100.0 * one.settled_share,) * 3
+    spread: Spread = getattr(one, name)
+    missing = seconds if name == SETTLE else nan
+    low, middle, high = (missing if value is None else value for value in (spread.p5, spread.median, spread.p95))
+    return low, middle, high
+
+
+def _some_never_settled(drawn: Iterable[Combination]) -> bool:
+    return any(one.settle_s.p95 is None for one in drawn)
+
+
+def _mark(index: int) -> dict[str, Any]:
+    return {
+        "color": COLOURS[index % len(COLOURS)],
+        "marker": MARKERS[index % len(MARKERS)],
+        "markersize": 6,
+        "markerfacecolor": "white",
+        "markeredgewidth": 1.3,
+    }
+
+
+def _dress(axes: Axes, title: str) -> None:
+    axes.set_title(title, fontsize=10)
+    axes.grid(visible=True, color="#e6e6e6", linewidth=0.7)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.tick_params(labelsize=9)

@@ -1,0 +1,170 @@
+"""One command from a scenario file to a folder of statistics: `sitl sweep`."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Sequence
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from datetime import datetime
+from importlib.util import find_spec
+from pathlib import Path
+
+from companion.config_file import ConfigError
+from sitl.flights import EXIT_FAILED, EXIT_FLOWN, EXIT_UNUSABLE
+from sitl.stopping import StopNow, StopRequest
+from sitl.summary import write_json
+from sitl.sweep.flights import Chunk, FlightFigures, chunks_of
+from sitl.sweep.options import SweepOptions
+from sitl.sweep.points import Axis, Point, axes_of, base_scenario, formation_time_s, points_of
+from sitl.sweep.pool import Flying, flying
+from sitl.sweep.progress import SweepProgress
+from sitl.sweep.report import Row, in_a_table, write_csv
+from sitl.sweep.statistics import Sweep, combination
+
+LOOK_EVERY_S = 0.1
+PROCESS_ENDED = "a process ended before its flights did; free some memory, or fly fewer seconds"
+
+
+class StoppedError(Exception):
+    """A signal came while nothing was flying yet."""
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """What is to be flown."""
+
+    axes: list[Axis]
+    points: list[Point]
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class FlownGrid:
+    """`rows` are in the order of the points and, within, of the seeds. `flying_s` is what the machine took."""
+
+    rows: list[Row]
+    flying_s: float
+
+
+def run(options: SweepOptions) -> int:
+    """Fly as the options say; the exit code. Everything that a user can cause ends in one line."""
+    with StopRequest() as stop:
+        try:
+            code = _run(options, stop)
+            sys.stdout.flush()
+            return code
+        except ConfigError as error:
+            print(error, file=sys.stderr)
+            return EXIT_UNUSABLE
+        except StoppedError:
+            print("stopped; nothing was flown", file=sys.stderr)
+            return stop.exit_code
+        except BrokenProcessPool:
+            print(PROCESS_ENDED, file=sys.stderr)
+            return EXIT_FAILED
+        except BrokenPipeError:  # the reader of a pipe has gone; all is flown and the folder is written
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return EXIT_FAILED
+        except OSError as error:
+            print(f"{error.filename}: {error.strerror}; choose another folder with --out", file=sys.stderr)
+            return EXIT_UNUSABLE
+        except StopNow:
+            print("stopped at once; nothing was kept", file=sys.stderr)
+            return stop.exit_code
+
+
+def _run(options: SweepOptions, stop: StopRequest) -> int:
+    if find_spec("matplotlib") is None:
+        raise ConfigError("sitl sweep", "matplotlib", "is not installed; pip install 'formation-companion[ground]'")
+    progress = SweepProgress(options.quiet)
+    grid = _grid(options, progress, stop)
+    name = options.scenario.stem
+    folder = options.out or Path("runs") / f"{name}-sweep-{datetime.now():%Y%m%d-%H%M%S}"
+    folder.mkdir(parents=True, exist_ok=True)
+    flown = _fly(chunks_of(grid.points, options.seeds, grid.seconds), options.workers, progress, stop)
+    progress.end()
+    if not flown.rows:
+        print(f"stopped before any flight was complete; nothing in {folder}", file=sys.stderr)
+        return stop.exit_code
+    sweep = _statistics(options, name, grid, flown.rows)
+    _write(folder, grid, sweep, flown.rows)
+    print(f"{in_a_table(sweep)}\n{_speed(sweep, flown)}\nresults in {folder}")
+    return stop.exit_code if stop.number else EXIT_FLOWN
+
+
+def _grid(options: SweepOptions, progress: SweepProgress, stop: StopRequest) -> Grid:
+    """Raises ConfigError, and StoppedError: many scenarios take a while to check."""
+
+    def told(number: int, of: int) -> None:
+        progress.checked(number, of)
+        if stop.number:
+            progress.end()
+            raise StoppedError
+
+    base = base_scenario(options.scenario, options.overrides)
+    axes = axes_of(options.varied, options.seeds)
+    seconds = options.seconds or formation_time_s(options.scenario, base)
+    return Grid(axes, points_of(options.scenario, options.overrides, axes, told), seconds)
+
+
+def _fly(chunks: Sequence[Chunk], workers: int | None, progress: SweepProgress, stop: StopRequest) -> FlownGrid:
+    flights = sum(len(chunk.flights) for chunk in chunks)
+    began_s = time.perf_counter()
+
+    def show(under_way: Flying) -> None:
+        elapsed_s = time.perf_counter() - began_s
+        progress.flown(under_way.share_done, under_way.flights_done, flights, elapsed_s)
+
+    with flying(chunks, workers) as under_way:
+        while not under_way.wait(LOOK_EVERY_S) and not stop.number:
+            show(under_way)
+        results = under_way.results_so_far() if stop.number else under_way.results()
+    return FlownGrid(_rows(chunks, results), time.perf_counter() - began_s)
+
+
+def _rows(chunks: Sequence[Chunk], results: Sequence[list[FlightFigures]]) -> list[Row]:
+    rows = [
+        Row(flight, figures)
+        for chunk, of_chunk in zip(chunks, results, strict=True)
+        for flight, figures in zip(chunk.flights, of_chunk, strict=False)
+    ]
+    return sorted(rows, key=lambda row: (row.flight.point, row.flight.seed))
+
+
+def _statistics(options: SweepOptions, name: str, grid: Grid, rows: Sequence[Row]) -> Sweep:
+    flown: dict[int, list[FlightFigures]] = {}
+    for row in rows:
+        flown.setdefault(row.flight.point, []).append(row.figures)
+    keys = [axis.key for axis in grid.axes]
+    return Sweep(
+        scenario=name,
+        overrides=list(options.overrides),
+        vehicles=len(grid.points[0].scenario.fleet.vehicles),
+        seconds=grid.seconds,
+        seeds=options.seeds,
+        vary={axis.key: [choice.value for choice in axis.choices] for axis in grid.axes},
+        flights=len(rows),
+        complete=len(rows) == len(grid.points) * options.seeds,
+        combinations=[
+            combination({k: c.value for k, c in zip(keys, grid.points[point].choices, strict=True)}, figures)
+            for point, figures in flown.items()
+        ],
+    )
+
+
+def _write(folder: Path, grid: Grid, sweep: Sweep, rows: Sequence[Row]) -> None:
+    from sitl.sweep.figure import save_sweep  # matplotlib takes its time and memory
+
+    write_csv(folder / "sweep.csv", grid.axes, grid.points, rows)
+    write_json(folder / "sweep.json", sweep)
+    save_sweep(folder / "sweep.png", sweep, grid.axes)
+
+
+def _speed(sweep: Sweep, flown: FlownGrid) -> str:
+    vehicle_s = sweep.flights * sweep.vehicles * sweep.seconds
+    return (
+        f"{vehicle_s:.0f} vehicle-seconds in {flown.flying_s:.1f} s: {vehicle_s / flown.flying_s:.0f} times real time"
+    )
