@@ -4,13 +4,14 @@ PYTHON ?= python3
 SCENARIO ?= config/scenarios/platoon.yaml
 BIN := .venv/bin
 
-.PHONY: help fly bench test test-fast check format setup clean
+.PHONY: help fly bench bench-batch test test-fast check format setup clean
 
 help:
 	@echo "make fly        fly the paper's platoon with four agents and four stand-in autopilots, weighted against average"
 	@echo "make test       all tests, real fleets included (about twelve minutes); make test-fast leaves the fleets out"
 	@echo "make check      ruff, mypy --strict and the import directions"
 	@echo "make bench      how many times faster than real time four vehicles fly in virtual time, without and with sensor noise"
+	@echo "make bench-batch  vehicle-steps a second of whole batches on one core, and RotorPy's; installs PyTorch in .venv-bench"
 	@echo "make setup      only make .venv ready"
 	@echo "make fly SCENARIO=FILE flies another scenario; $(BIN)/sitl fly --help tells more"
 
@@ -20,6 +21,9 @@ fly: .venv/fly.ready
 bench: .venv/fly.ready
 	$(BIN)/sitl run $(SCENARIO) --quiet --out runs/bench/ideal --set stand_in.sensors=ideal
 	$(BIN)/sitl run $(SCENARIO) --quiet --out runs/bench/default --set stand_in.sensors=default
+
+bench-batch: .venv-bench/bench.ready
+	.venv-bench/bin/python -m sitl.batch.benchmark
 
 test: .venv/test.ready
 	$(BIN)/pytest
@@ -50,6 +54,17 @@ setup: .venv/test.ready
 	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[ground]'
 	@touch $@
 
+# A venv of its own: PyTorch is as large as all the rest together, and nothing else needs it. It comes first, and in one
+# version, because RotorPy would take any.
+.venv-bench/bench.ready: pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+		{ echo "This needs Python 3.11 or newer; try make PYTHON=python3.12 ..."; exit 1; }
+	@echo "Installing RotorPy and PyTorch into .venv-bench (some minutes) ..."
+	@$(PYTHON) -m venv .venv-bench
+	.venv-bench/bin/pip install --quiet --disable-pip-version-check torch==2.13.0
+	.venv-bench/bin/pip install --quiet --disable-pip-version-check --editable '.[bench]'
+	@touch $@
+
 # MAVProxy is an independent client in the tests; its windows (OpenCV, VTK) are not needed.
 .venv/test.ready: .venv/fly.ready
 	@echo "Installing what tests and checks need into .venv (half a minute) ..."
@@ -58,4 +73,4 @@ setup: .venv/test.ready
 	@touch $@
 
 clean:
-	rm -rf .venv build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf .venv .venv-bench build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
