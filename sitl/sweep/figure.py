@@ -5,7 +5,7 @@ Readable in grey: every curve has a line style and a marker of its own besides i
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import nan
 from pathlib import Path
@@ -18,7 +18,7 @@ from matplotlib.ticker import MaxNLocator
 
 from sitl.plots import COLOURS, GUIDE, MARKERS, STYLES
 from sitl.sweep.points import Axis, Value
-from sitl.sweep.report import short_name, value_text
+from sitl.sweep.report import heading, short_name, value_text
 from sitl.sweep.statistics import Combination, Spread, Sweep
 
 MOST_CURVES, MOST_POINTS = 12, 40  # more cannot be told apart, or read
@@ -27,13 +27,14 @@ MOST_LETTERS = 150  # of a line of the legend
 BAND_ALPHA = 0.13
 PERCENT = (-4.0, 104.0)
 A_LITTLE_MORE = 1.06
+LEAST_SPAN_M = 0.1
 NEVER_LOOK: dict[str, Any] = {"ha": "right", "va": "bottom", "fontsize": 9, "color": "#606060"}
-SHARE, SETTLE = "settled_share", "settle_s"
+SHARE, SETTLE, ERROR = "settled_share", "settle_s", "final_error_m"
 
 PANELS = {
     SHARE: "flights that settled to 10 cm [%]",
     SETTLE: "time to settle to 10 cm [s]",
-    "final_error_m": "final error [m]",
+    ERROR: "final error [m]",
     "largest_neighbouring_distance_m": "largest distance of neighbours [m]",
     "smallest_neighbouring_distance_m": "smallest distance of neighbours [m]",
     "smallest_distance_m": "smallest distance of any two [m]",
@@ -65,6 +66,7 @@ def _along(axes: Sequence[Axis]) -> Axis | None:
 def _curves(sweep: Sweep, key: str) -> Figure:
     curves = curves_of(sweep, key)
     drawn = curves[:MOST_CURVES]
+    shown = [one for curve in drawn for one in curve.combinations]
     figure = _figure(sweep, (12.6, 7.4), _and_no_more(len(drawn), len(curves), "curves"))
     panels: dict[str, Axes] = dict(zip(PANELS, figure.subplots(2, 3, sharex=True).ravel(), strict=True))
     for name, axes in panels.items():
@@ -72,11 +74,10 @@ def _curves(sweep: Sweep, key: str) -> Figure:
             _draw_curve(axes, key, curve, name, index, sweep.seconds)
         _dress(axes, PANELS[name])
         _scale(axes, sweep.vary[key])
+        axes.set_ylim(_limits(shown, name, sweep.seconds))
     for axes in list(panels.values())[3:]:
         axes.set_xlabel(key)
-    panels[SHARE].set_ylim(*PERCENT)
-    panels[SETTLE].set_ylim(0.0, sweep.seconds * A_LITTLE_MORE)
-    if _some_never_settled(one for curve in drawn for one in curve.combinations):
+    if _some_never_settled(shown):
         panels[SETTLE].axhline(sweep.seconds, **GUIDE)
         panels[SETTLE].annotate("never", (1.0, sweep.seconds), xycoords=("axes fraction", "data"), **NEVER_LOOK)
     _legend_below(figure, panels[SHARE], len(drawn))
@@ -137,8 +138,7 @@ def _points(sweep: Sweep) -> Figure:
         _dress(axes, PANELS[name])
         axes.set_yticks(range(len(drawn)), labels)
         axes.set_ylim(len(drawn) - 0.5, -0.5)
-    panels[SHARE].set_xlim(*PERCENT)
-    panels[SETTLE].set_xlim(0.0, sweep.seconds * A_LITTLE_MORE)
+        axes.set_xlim(_limits(drawn, name, sweep.seconds))
     if _some_never_settled(drawn):
         panels[SETTLE].axvline(sweep.seconds, **GUIDE)
         panels[SETTLE].annotate("never", (sweep.seconds, 1.0), xycoords=("data", "axes fraction"), **NEVER_LOOK)
@@ -150,9 +150,8 @@ def _points(sweep: Sweep) -> Figure:
 
 def _figure(sweep: Sweep, size_in: tuple[float, float], left_out: str) -> Figure:
     figure = Figure(figsize=size_in, layout="constrained")
-    count = f"{sweep.flights} flights of {sweep.vehicles} vehicles, {sweep.seconds:g} s each"
     figure.suptitle(
-        f"{sweep.scenario}: {count}\nmedian, and from 5 to 95 percent of flights{left_out}",
+        f"{heading(sweep)}\nmedian, and from 5 to 95 percent of flights{left_out}",
         fontsize=12,
         fontweight="bold",
     )
@@ -177,7 +176,23 @@ def _spread(one: Combination, name: str, seconds: float) -> tuple[float, float, 
     return low, middle, high
 
 
-def _some_never_settled(drawn: Iterable[Combination]) -> bool:
+def _limits(drawn: Sequence[Combination], name: str, seconds: float) -> tuple[float, float]:
+    """What the panel shows. Millimetres are not blown up until they look like much."""
+    if name == SHARE:
+        return PERCENT
+    if name == SETTLE:
+        return (0.0, seconds * A_LITTLE_MORE)
+    figures = np.array([_spread(one, name, seconds) for one in drawn])
+    if np.isnan(figures).all():  # one vehicle has no distances
+        return (0.0, 1.0)
+    low, high = float(np.nanmin(figures)), float(np.nanmax(figures))
+    if name == ERROR:
+        return (0.0, max(high * A_LITTLE_MORE, LEAST_SPAN_M))
+    margin_m = max(0.06 * (high - low), (LEAST_SPAN_M - (high - low)) / 2.0)
+    return (low - margin_m, high + margin_m)
+
+
+def _some_never_settled(drawn: Sequence[Combination]) -> bool:
     return any(one.settle_s.p95 is None for one in drawn)
 
 

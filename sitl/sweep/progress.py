@@ -55,7 +55,7 @@ class SweepProgress:
 
 
 def _minutes(seconds: float) -> str:
-    if seconds < 60.0:
+    if seconds < 120.0:
         return f"{seconds:.0f} s"
     minutes = round(seconds / 60.0)
     return f"{minutes} min" if minutes < 120 else f"{minutes / 60.0:.1f} h"

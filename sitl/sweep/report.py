@@ -14,6 +14,7 @@ from sitl.sweep.points import Axis, Point, Value
 from sitl.sweep.statistics import Combination, Spread, Sweep
 
 MOST_ROWS = 60  # of the table; all are in sweep.json
+MEANING = "median (5-95 percent); largest and smallest distance are of neighbours; settled to 10 cm"
 NEVER = "never"
 NOTHING = "-"
 
@@ -46,10 +47,10 @@ def in_a_table(sweep: Sweep) -> str:
     columns = list(zip(head, *(_cells(one) for one in shown), strict=True))
     widths = [max(map(len, column)) for column in columns]
     lines = [
-        "   ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()
+        "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()
         for line in zip(*columns, strict=True)
     ]
-    return "\n".join([*_heading(sweep), *lines, *_rest(sweep)])
+    return "\n".join([heading(sweep), MEANING, *lines, *_rest(sweep)])
 
 
 def short_name(key: str) -> str:
@@ -57,11 +58,10 @@ def short_name(key: str) -> str:
     return ".".join(key.split(".")[-2:])
 
 
-def _heading(sweep: Sweep) -> Iterator[str]:
-    flights = f"{sweep.flights} flights of {sweep.vehicles} vehicles, {sweep.seconds:g} s each"
+def heading(sweep: Sweep) -> str:
+    vehicles = "1 vehicle" if sweep.vehicles == 1 else f"{sweep.vehicles} vehicles"
     stopped = "" if sweep.complete else "; stopped before the end"
-    yield f"{sweep.scenario}: {flights}{stopped}"
-    yield "median (5 to 95 percent); largest and smallest distance are of neighbours; settled to 10 cm"
+    return f"{sweep.scenario}: {sweep.flights} flights of {vehicles}, {sweep.seconds:g} s each{stopped}"
 
 
 def _rest(sweep: Sweep) -> Iterator[str]:
@@ -75,9 +75,9 @@ def _cells(one: Combination) -> list[str]:
         str(one.flights),
         f"{100.0 * one.settled_share:.0f} %",
         _spread(one.settle_s, 1, NEVER),
-        _spread(one.largest_neighbouring_distance_m, 3, NOTHING),
-        _spread(one.smallest_neighbouring_distance_m, 3, NOTHING),
-        _spread(one.smallest_distance_m, 3, NOTHING),
+        _spread(one.largest_neighbouring_distance_m, 2, NOTHING),
+        _spread(one.smallest_neighbouring_distance_m, 2, NOTHING),
+        _spread(one.smallest_distance_m, 2, NOTHING),
         _spread(one.final_error_m, 3, NOTHING),
     ]
 
@@ -91,4 +91,4 @@ def _spread(figure: Spread, digits: int, nothing: str) -> str:
     p5, median, p95 = (
         nothing if value is None else f"{value:.{digits}f}" for value in (figure.p5, figure.median, figure.p95)
     )
-    return median if p5 == median == p95 else f"{median} ({p5} to {p95})"
+    return median if p5 == median == p95 else f"{median} ({p5}-{p95})"

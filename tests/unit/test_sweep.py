@@ -294,6 +294,14 @@ def test_never_is_drawn_where_the_flights_end(drawn: list[Figure]) -> None:
     assert all(set(line.get_ydata()) == {40.0} for line in drawn[0].axes[1].lines)
 
 
+def test_millimetres_do_not_look_like_much(drawn: list[Figure]) -> None:
+    axes = axes_of(["b=1,2"], 1)
+    save_sweep(Path("s.png"), sweep_of(axes), axes)
+    for panel in drawn[0].axes[2:]:
+        low_m, high_m = panel.get_ylim()
+        assert high_m - low_m >= 0.0999
+
+
 class Terminal(io.StringIO):
     def isatty(self) -> bool:
         return True
@@ -302,7 +310,7 @@ class Terminal(io.StringIO):
 def test_progress_says_how_long_it_will_take() -> None:
     screen = Terminal()
     SweepProgress(False, screen).flown(0.25, 50, 240, 30.0)
-    assert " 25 %   50 of 240 flights done, 2 min left" in screen.getvalue()
+    assert " 25 %   50 of 240 flights done, 90 s left" in screen.getvalue()
 
 
 def test_progress_is_quiet_where_it_is_asked_to_be() -> None:
