@@ -9,12 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from companion.assembly import build_agent
+from companion.config import AgentConfig
 from companion.core.formation import weighted
 from companion.core.interaction import interaction_matrix, settled_prcs
-from companion.types import AttitudeTarget, Status
+from companion.types import AttitudeTarget, CommandName, FlightPhase, Role, Status
 from companion.wire.ground import StatusReport
 from sitl.director import Director
-from sitl.fleet import ids_of
+from sitl.fleet import ids_of, vehicle_file
 from sitl.lockstep import Lockstep
 from sitl.metrics import Formation, errors_m, formation_figures, reference_positions_m, smallest_distance_m
 from sitl.progress import Progress
@@ -167,3 +169,31 @@ def test_the_lead_changes_on_the_ground_and_in_hold_as_well() -> None:
     assert flight.failures == []
     assert next(c.epoch for c in flight.watch.topology if c.vehicle == 2 and c.role == "leader") == 1
     assert flight.formation.end_s - flight.formation.start_s == pytest.approx(5.0, abs=0.2)
+
+
+def test_an_agent_restarted_in_flight_takes_no_lead_back() -> None:
+    """UAV 1 leads by its file; when its agent is started anew, UAV 2 leads, and goes on to."""
+    scenario = load_scenario(RING)
+    lockstep, watch = Lockstep(scenario), Recorder(scenario)
+    director = Director(lockstep, watch, Progress("test", True, 0.0), lambda: None, tuple, lockstep)
+    director.fly(scenario.timeline[:5])
+    member = scenario.fleet.vehicles[0]
+    config = AgentConfig(vehicle_file(scenario, member.id, port_offset=0), scenario.fleet, member)
+    lockstep._vehicles[1]._agent = build_agent(config, session=2)
+    lockstep.sleep(2.0)
+    assert getattr(lockstep.command([1], CommandName.HOLD, 1.0)[1], "accepted", False)
+    lockstep.sleep(2.0)
+    told = [report.status for report in lockstep.drain()]
+    newest = {status.vehicle_id: status for status in told}
+    assert newest[1].phase is FlightPhase.HOLD  # it is a neighbour again
+    assert newest[1].neighbours == (2, 4)
+    assert {i: (s.role, s.epoch, s.prc) for i, s in newest.items()} == {
+        1: (Role.FOLLOWER, 1, 2),
+        2: (Role.LEADER, 1, 1),
+        3: (Role.FOLLOWER, 1, 2),
+        4: (Role.FOLLOWER, 1, 3),
+    }
+    as_leader = [s for s in told if s.vehicle_id == 1 and s.session == 2 and s.role is Role.LEADER]
+    assert all(s.phase is FlightPhase.OBSERVE for s in as_leader)
+    assert len(as_leader) <= 2  # until it has heard the others
+    assert all(s.phase is FlightPhase.FORMATION for s in told if s.vehicle_id != 1)

@@ -21,6 +21,7 @@ from companion.mavlink.codec import mavlink
 from companion.types import CommandName, CommandReply, FlightPhase
 from companion.wire.ground import StatusReport
 from companion.wire.keys import command_key, peer_key
+from companion.wire.version import WIRE_VERSION
 
 
 @pytest.fixture
@@ -151,7 +152,7 @@ def test_what_is_refused_is_counted_reported_and_logged_once_a_second(files: Age
         closing(open_session((), (files.zenoh,))) as stranger,
     ):
         newest(session)
-        reason = "wire version 9, expected 1"
+        reason = f"wire version 9, expected {WIRE_VERSION}"
         start_s = time.monotonic()
 
         def disturbed() -> bool:

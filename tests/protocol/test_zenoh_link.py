@@ -197,6 +197,20 @@ def test_a_command_gets_its_answer_from_the_tick_that_decided(port: int) -> None
         assert len(first.commands) == 1  # it was never repeated
 
 
+def test_the_command_lead_brings_its_leaders_and_epoch(port: int) -> None:
+    lead = Lead((1, 2), 7)
+    with (
+        vehicle(1, listen=(endpoint(port),)) as first,
+        FleetSession.open(FLEET.name, (endpoint(port),)) as ground,
+        ThreadPoolExecutor() as pool,
+    ):
+        asked = pool.submit(ground.command, (1,), CommandName.LEAD, 10.0, lead)
+        until(lambda: first.commands, first.tick)
+        assert first.commands[0].lead == lead
+        first.link.reply([CommandReply(1, first.commands[0].number, True, "follower in epoch 7")])
+        assert getattr(asked.result(15.0)[1], "accepted", False)
+
+
 @pytest.mark.parametrize("name", CommandName)
 def test_a_command_that_waited_through_a_pause_is_obeyed_only_if_it_ends_a_formation(
     port: int, name: CommandName
