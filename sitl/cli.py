@@ -33,6 +33,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_autopilot(subcommands)
     _add_fly(subcommands)
     _add_run(subcommands)
+    _add_paper(subcommands)
     _add_sweep(subcommands)
     _add_study(subcommands)
     _add_switching(subcommands)
@@ -191,3 +192,23 @@ def _run_sweep(arguments: argparse.Namespace) -> int:
     from sitl.sweep.run import run
 
     return run(sweep_options(arguments))
+
+
+def _add_paper(subcommands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    from sitl.paper.command import DESCRIPTION, MORE, add_paper_arguments
+
+    parser = subcommands.add_parser(
+        "paper",
+        help="every claim of the paper computed or flown again, on one page",
+        description=DESCRIPTION,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog=MORE,
+    )
+    add_paper_arguments(parser)
+    parser.set_defaults(run=_run_paper)
+
+
+def _run_paper(arguments: argparse.Namespace) -> int:
+    from sitl.paper.command import paper_options, run_paper
+
+    return run_paper(paper_options(arguments))

@@ -37,27 +37,27 @@ LAW_TITLES = {
 
 def save_figure_5(path: Path, flight: Flight, name: str) -> None:
     """x and y of all vehicles over time, with their places."""
-    figure = _figure(8.4, 6.0, f"{name}: x and y of every vehicle")
+    figure = new_figure(8.4, 6.0, f"{name}: x and y of every vehicle")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=_heights([flight]))
-    upper.set_title(f"true positions, {_law_title(flight)}", fontsize=10, color="#444444")
-    _draw_positions(upper, flight, 0)
-    _draw_positions(lower, flight, 1)
-    _keep_a_span([upper])
-    _keep_a_span([lower])
+    upper.set_title(f"true positions, {law_title(flight)}", fontsize=10, color="#444444")
+    draw_positions(upper, flight, 0)
+    draw_positions(lower, flight, 1)
+    keep_a_span([upper])
+    keep_a_span([lower])
     upper.set_ylabel("x, east [m]")
     lower.set_ylabel("y, north [m]")
     lower.set_xlabel(TIME_LABEL)
-    _legend_beside(upper)
+    legend_beside(upper)
     figure.savefig(path, dpi=150)
 
 
 def save_figure_6(path: Path, flight: Flight, name: str) -> None:
     """Inter-distances over time, with the wanted ones."""
-    figure = _figure(8.4, 4.6, f"{name}: inter-distances")
+    figure = new_figure(8.4, 4.6, f"{name}: inter-distances")
     axes = figure.subplots()
-    axes.set_title(f"from true positions, {_law_title(flight)}", fontsize=10, color="#444444")
-    _draw_distances(axes, flight)
-    _keep_a_span([axes], 0.5)
+    axes.set_title(f"from true positions, {law_title(flight)}", fontsize=10, color="#444444")
+    draw_distances(axes, flight)
+    keep_a_span([axes], 0.5)
     axes.set_ylabel("distance [m]")
     axes.set_xlabel(TIME_LABEL)
     figure.savefig(path, dpi=150)
@@ -65,23 +65,24 @@ def save_figure_6(path: Path, flight: Flight, name: str) -> None:
 
 def save_comparison(path: Path, flights: Sequence[Flight], name: str) -> None:
     """Figures 5 and 6 side by side, a column for each law."""
-    figure = _figure(1.4 + 4.4 * len(flights), 8.6, f"{name}: the laws side by side, from true positions")
+    figure = new_figure(1.4 + 4.4 * len(flights), 8.6, f"{name}: the laws side by side, from true positions")
     heights = [*_heights(flights), 1.0]
     grid = figure.subplots(3, len(flights), sharex="col", sharey="row", squeeze=False, height_ratios=heights)
     for (x, y, distance), flight in zip(grid.T, flights, strict=True):
-        x.set_title(_law_title(flight), fontsize=11)
-        _draw_positions(x, flight, 0)
-        _draw_positions(y, flight, 1)
-        _draw_distances(distance, flight)
+        x.set_title(law_title(flight), fontsize=11)
+        draw_positions(x, flight, 0)
+        draw_positions(y, flight, 1)
+        draw_distances(distance, flight)
         distance.set_xlabel(TIME_LABEL)
     for row, label, span_m in zip(grid, ("x, east [m]", "y, north [m]", "distance [m]"), (1.0, 1.0, 0.5), strict=True):
         row[0].set_ylabel(label)
-        _keep_a_span(row, span_m)
-    _legend_beside(grid[0, -1])
+        keep_a_span(row, span_m)
+    legend_beside(grid[0, -1])
     figure.savefig(path, dpi=130)
 
 
-def _law_title(flight: Flight) -> str:
+def law_title(flight: Flight) -> str:
+    """What its column is called."""
     return LAW_TITLES.get(flight.law, flight.law)
 
 
@@ -90,7 +91,8 @@ def _times_s(flight: Flight) -> FloatArray:
     return Formation(flight.formation.start_s - BEFORE_S, flight.formation.end_s, 0.0).times_s()
 
 
-def _figure(width_in: float, height_in: float, title: str) -> Figure:
+def new_figure(width_in: float, height_in: float, title: str) -> Figure:
+    """An empty figure with its title."""
     figure = Figure(figsize=(width_in, height_in), layout="constrained")
     figure.suptitle(title, fontsize=13, fontweight="bold")
     return figure
@@ -104,7 +106,7 @@ def _heights(flights: Sequence[Flight]) -> list[float]:
     return [max(0.5, float(extent_m / widest_m)) for extent_m in (x_m, y_m)]
 
 
-def _look(index: int, samples: int) -> dict[str, Any]:
+def look(index: int, samples: int) -> dict[str, Any]:
     """A curve's look; markers of different curves stand at different times."""
     every = max(1, samples // MARKERS_PER_CURVE)
     return {
@@ -119,19 +121,19 @@ def _look(index: int, samples: int) -> dict[str, Any]:
     }
 
 
-def _draw_positions(axes: Axes, flight: Flight, axis: int) -> None:
+def draw_positions(axes: Axes, flight: Flight, axis: int) -> None:
     """One coordinate of every vehicle; thin dotted lines are the places r + d_i0."""
     times_s = _times_s(flight)
     since_s = times_s - flight.formation.start_s
     reference_m = reference_positions_m(flight.reference, flight.formation.reference_start_s, times_s)[:, axis]
     for index, (vehicle_id, track) in enumerate(sorted(flight.tracks.items())):
         axes.plot(since_s, reference_m + flight.slots_enu_m[vehicle_id][axis], **GUIDE, label="_")
-        axes.plot(since_s, track.at(times_s)[:, axis], label=f"UAV {vehicle_id}", **_look(index, times_s.size))
+        axes.plot(since_s, track.at(times_s)[:, axis], label=f"UAV {vehicle_id}", **look(index, times_s.size))
     axes.plot([], [], **GUIDE, label="its place")
-    _dress(axes, since_s)
+    dress(axes, since_s)
 
 
-def _draw_distances(axes: Axes, flight: Flight) -> None:
+def draw_distances(axes: Axes, flight: Flight) -> None:
     """The distance of every drawn pair, largest values in the legend; thin dotted lines are the wanted distances."""
     times_s = _times_s(flight)
     since_s = times_s - flight.formation.start_s
@@ -140,7 +142,7 @@ def _draw_distances(axes: Axes, flight: Flight) -> None:
     for index, pair in enumerate(flight.pairs):
         distance_m = distances_m(flight.tracks, pair, times_s)
         label = f"UAV {pair_name(pair)}, largest {distance_m[inside].max():.2f} m"
-        axes.plot(since_s, distance_m, label=label, **_look(index, times_s.size))
+        axes.plot(since_s, distance_m, label=label, **look(index, times_s.size))
     if not flight.pairs:
         axes.text(0.5, 0.5, "one vehicle has no inter-distance", transform=axes.transAxes, ha="center")
     for value_m in wanted_m:
@@ -148,10 +150,11 @@ def _draw_distances(axes: Axes, flight: Flight) -> None:
     if wanted_m:
         axes.plot([], [], **GUIDE, label="wanted, " + " and ".join(f"{value_m:.2f} m" for value_m in wanted_m))
         axes.legend(loc="upper right", fontsize=8, framealpha=0.9, handlelength=3.5)
-    _dress(axes, since_s)
+    dress(axes, since_s)
 
 
-def _dress(axes: Axes, since_s: FloatArray) -> None:
+def dress(axes: Axes, since_s: FloatArray) -> None:
+    """Grid, frame and the range of an axis of time; a line stands at zero."""
     axes.axvline(0.0, color="#bbbbbb", linewidth=0.8, zorder=1)
     axes.set_xlim(float(since_s[0]), float(since_s[-1]))
     axes.grid(visible=True, color="#e6e6e6", linewidth=0.7)
@@ -160,7 +163,7 @@ def _dress(axes: Axes, since_s: FloatArray) -> None:
     axes.tick_params(labelsize=9)
 
 
-def _keep_a_span(row: Sequence[Axes], span_m: float = MIN_SPAN_M) -> None:
+def keep_a_span(row: Sequence[Axes], span_m: float = MIN_SPAN_M) -> None:
     """Axes that share their scale show at least `span_m`."""
     lows, highs = np.array([axes.dataLim.intervaly for axes in row]).T
     low_m, high_m = float(lows.min()), float(highs.max())
@@ -171,5 +174,6 @@ def _keep_a_span(row: Sequence[Axes], span_m: float = MIN_SPAN_M) -> None:
         axes.set_ylim(low_m - margin_m, high_m + margin_m)
 
 
-def _legend_beside(axes: Axes) -> None:
+def legend_beside(axes: Axes) -> None:
+    """To the right of the axes."""
     axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=9, frameon=False, handlelength=3.5)

@@ -1,0 +1,76 @@
+"""All flights of a report, found by what they are of, with their figures; and what is often said of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import cached_property
+
+from companion.config import LawName
+from sitl.metrics import Flight, FormationFigures, formation_figures
+from sitl.paper.claims import Verdict
+from sitl.paper.flights import FlownPlan, Model, Subject
+
+PERFECT = (Model.IDEAL, Model.FULL)
+
+
+class Entry:
+    """One flight and its figures, which are worked out once."""
+
+    def __init__(self, flown: FlownPlan) -> None:
+        self.flown = flown
+
+    @cached_property
+    def flight(self) -> Flight:
+        """Raises NoFormationError."""
+        return self.flown.flight()
+
+    @cached_property
+    def figures(self) -> FormationFigures:
+        """Raises NoFormationError."""
+        flight = self.flight
+        return formation_figures(flight.tracks, flight.slots_enu_m, flight.reference, flight.formation)
+
+    @property
+    def settle_s(self) -> float:
+        """inf where it never settled."""
+        settle_s = self.figures.settle_s
+        return float("inf") if settle_s is None else settle_s
+
+
+class Book:
+    def __init__(self, flown: Iterable[FlownPlan]) -> None:
+        self._entries = [Entry(one) for one in flown]
+
+    def all(self, subject: Subject, law: LawName, model: Model) -> list[Entry]:
+        """One for each seed."""
+        wanted = (subject, law, model)
+        return [e for e in self._entries if (e.flown.plan.subject, e.flown.plan.law, e.flown.plan.model) == wanted]
+
+    def one(self, subject: Subject, law: LawName, model: Model) -> Entry:
+        """The flight with the first seed. Raises LookupError."""
+        found = self.all(subject, law, model)
+        if not found:
+            raise LookupError(f"nothing was flown of {subject}, {law}, {model}")
+        return found[0]
+
+
+def verdict_of(to_the_letter: bool, with_a_condition: bool = False) -> Verdict:
+    """`with_a_condition` tells what is left of a claim that does not hold to the letter."""
+    if to_the_letter:
+        return Verdict.HOLDS
+    return Verdict.CONDITION if with_a_condition else Verdict.FAILS
+
+
+def seconds(value_s: float) -> str:
+    return "never" if value_s == float("inf") else f"{value_s:.1f} s"
+
+
+def metres(values_m: Iterable[float]) -> str:
+    """ "1.75, 1.78 and 1.66 m"."""
+    return listed(f"{value_m:.2f}" for value_m in values_m) + " m"
+
+
+def listed(parts: Iterable[str]) -> str:
+    """ "a, b and c"."""
+    *most, last = list(parts)
+    return f"{', '.join(most)} and {last}" if most else last

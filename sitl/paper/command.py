@@ -1,0 +1,184 @@
+"""`sitl paper`: try every claim of the paper again, and write down what came out."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from dataclasses import dataclass
+from datetime import datetime
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from companion.config_file import ConfigError
+from sitl.paper.no_formation import NoFormationError
+from sitl.paper.progress import PaperProgress
+from sitl.stopping import StopNow, StopRequest
+
+if TYPE_CHECKING:
+    from sitl.paper.claims import Claim
+    from sitl.paper.flights import FlownPlan
+    from sitl.study.command import PastThePaper
+
+NEEDED = {"matplotlib": "matplotlib", "jinja2": "Jinja2", "scipy": "scipy"}
+POLL_S = 0.5
+EXIT_WRITTEN, EXIT_FAILED, EXIT_UNUSABLE = 0, 1, 2
+
+DESCRIPTION = """\
+Reproduce Hou and Zhang (Robotica 2021): compute every claim of the theory, fly what figures 4 to 10 show with the same agents
+that fly for real, and write a page that says which claims hold.
+"""
+
+MORE = """\
+examples:
+  sitl paper --out runs/paper
+  sitl paper --out runs/paper --full         more graphs and more flights with sensor noise
+
+the folder (default: runs/paper-DATE-TIME):
+  index.html       claims with verdicts, errata, figures beside what the paper states
+  claims.json      the same claims with every number behind them, versions, and how long it took
+  *.png            the figures
+
+exit codes:
+  0    written; a claim that does not hold is a result, not a failure
+  1    a flight that a figure needs never came to its formation; the one line says which
+  2    an argument cannot be used; the one line says which and what to do
+  130  ended by Ctrl-C (129 by SIGHUP, 143 by SIGTERM)
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class PaperOptions:
+    out: Path
+    full: bool = False
+    quiet: bool = False
+
+
+class _Stopped(Exception):  # noqa: N818 -- what a user wants, not an error
+    """A signal came."""
+
+
+def add_paper_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--out", type=Path, metavar="DIR", help="the folder for the report")
+    parser.add_argument("--full", action="store_true", help="more graphs and more flights with sensor noise")
+    parser.add_argument("--quiet", action="store_true", help="print the result only")
+
+
+def paper_options(parsed: argparse.Namespace) -> PaperOptions:
+    out = parsed.out or Path("runs") / f"paper-{datetime.now():%Y%m%d-%H%M%S}"
+    return PaperOptions(out, parsed.full, parsed.quiet)
+
+
+def run_paper(options: PaperOptions) -> int:
+    """The exit code. Everything that a user can cause ends in one line."""
+    with StopRequest() as stop:
+        try:
+            _check(options)
+            return _reproduce(options, stop)
+        except NoFormationError as error:
+            print(error, file=sys.stderr)
+            return EXIT_FAILED
+        except ConfigError as error:
+            print(error, file=sys.stderr)
+            return EXIT_UNUSABLE
+        except BrokenPipeError:  # the reader of a pipe has gone
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return EXIT_FAILED
+        except OSError as error:
+            print(f"{error.filename}: {error.strerror}; choose another folder with --out", file=sys.stderr)
+            return EXIT_UNUSABLE
+        except (_Stopped, StopNow):
+            print("stopped; no report was written", file=sys.stderr)
+            return stop.exit_code
+
+
+def _check(options: PaperOptions) -> None:
+    """All that can be known before minutes are spent. Raises ConfigError, OSError."""
+    for module, package in NEEDED.items():
+        if find_spec(module) is None:
+            raise ConfigError(
+                Path("sitl paper"), package, "is not installed; pip install 'formation-companion[ground]'"
+            )
+    options.out.mkdir(parents=True, exist_ok=True)
+    trial = options.out / ".writable"
+    trial.touch()
+    trial.unlink()
+
+
+def _reproduce(options: PaperOptions, stop: StopRequest) -> int:
+    """Compute, fly, draw, write. What takes long to import is imported here."""
+    from sitl.paper.book import Book
+    from sitl.paper.errata import errata
+    from sitl.paper.figures import PICTURES
+    from sitl.paper.flight_claims import flight_claims
+    from sitl.paper.law_table import law_table
+    from sitl.paper.past import past_rows
+    from sitl.paper.report import Report, in_short, versions, write_report
+    from sitl.study.command import draw
+
+    began_s = time.perf_counter()
+    progress = PaperProgress(options.quiet)
+    theory, flown = _compute_and_fly(options, progress, stop)
+    past = _past_the_paper(options, progress, stop)
+    book = Book(flown)
+    for number, picture in enumerate(PICTURES, start=1):
+        _raise_if(stop)
+        progress.say(f"drawing {number} of {len(PICTURES)}")
+        picture.save(options.out / picture.file, book)
+    draw(options.out, past)
+    report = Report(
+        claims=[*theory, *flight_claims(book)],
+        past_claims=past.claims,
+        past_settings=past_rows(past),
+        errata=errata(),
+        laws=law_table(book),
+        versions=versions(),
+        full=options.full,
+        flights=len(flown),
+        took_s=round(time.perf_counter() - began_s, 1),
+    )
+    write_report(options.out, report)
+    progress.clear()
+    print(f"{in_short(report.claims)}\nreport in {options.out / 'index.html'} ({report.took_s:.0f} s)", flush=True)
+    return EXIT_WRITTEN
+
+
+def _compute_and_fly(
+    options: PaperOptions, progress: PaperProgress, stop: StopRequest
+) -> tuple[list[Claim], list[FlownPlan]]:
+    """The theory is computed here while the flights are flown in processes of their own."""
+    from sitl.paper.flights import paper_plans
+    from sitl.paper.pool import flying
+    from sitl.paper.theorems import theory_claims
+
+    plans = paper_plans(options.full)
+    for plan in plans:
+        plan.scenario()  # a scenario that cannot be used is said at once
+    with flying(plans) as flights:
+
+        def tell(theory_share: float) -> None:
+            _raise_if(stop)
+            progress.show(theory_share, flights.share_done)
+
+        theory = theory_claims(options.full, tell)
+        while not flights.wait(POLL_S):
+            tell(1.0)
+        return theory, flights.results()
+
+
+def _past_the_paper(options: PaperOptions, progress: PaperProgress, stop: StopRequest) -> PastThePaper:
+    """The study, on all cores by itself."""
+    from sitl.study.command import past_the_paper
+
+    def tell(share: float) -> None:
+        _raise_if(stop)
+        progress.say(f"past the paper {share:4.0%}")
+
+    return past_the_paper(options.full, tell)
+
+
+def _raise_if(stop: StopRequest) -> None:
+    if stop.number is not None:
+        raise _Stopped

@@ -1,0 +1,62 @@
+"""What the paper's sentences are about, measured on true tracks. Pure: flights in, figures out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from sitl.metrics import Flight, Pair, Tracks, distances_m, pairs_of
+from sitl.tracks import FloatArray
+
+Interval = tuple[float, float]  # from, to [s] after the start of the formation
+RESPONDED_SHARE = 0.5  # a vehicle has responded when this share of its way is done
+
+
+def response_s(flight: Flight, vehicle_id: int) -> float:
+    """From the formation's start until the vehicle has done half of its way in x; inf where it never does."""
+    times_s = flight.formation.times_s()
+    x_m = flight.tracks[vehicle_id].at(times_s)[:, 0]
+    to_x_m = flight.reference(0.0).position_enu_m[0] + flight.slots_enu_m[vehicle_id][0]
+    done = np.flatnonzero((x_m - x_m[0]) / (to_x_m - x_m[0]) >= RESPONDED_SHARE)
+    return float(times_s[done[0]] - times_s[0]) if done.size else float("inf")
+
+
+def broken_s(flight: Flight, pair: Pair, range_m: float) -> list[Interval]:
+    """When two vehicles were out of each other's sight."""
+    times_s = flight.formation.times_s()
+    return _intervals(distances_m(flight.tracks, pair, times_s) > range_m, times_s)
+
+
+def alone_s(flight: Flight, vehicle_id: int, range_m: float) -> list[Interval]:
+    """When a vehicle saw no other."""
+    times_s = flight.formation.times_s()
+    pairs = [pair for pair in pairs_of(flight.tracks) if vehicle_id in pair]
+    nearest_m = np.min([distances_m(flight.tracks, pair, times_s) for pair in pairs], axis=0)
+    return _intervals(nearest_m > range_m, times_s)
+
+
+def edges_m(tracks: Tracks, time_s: float, range_m: float) -> list[Pair]:
+    """Who sees whom at one time."""
+    return [pair for pair in pairs_of(tracks) if float(distances_m(tracks, pair, np.array([time_s]))[0]) <= range_m]
+
+
+def _intervals(is_so: np.ndarray[tuple[int, ...], np.dtype[np.bool_]], times_s: FloatArray) -> list[Interval]:
+    """Where `is_so` (n,) holds, from its first to its last sample, in seconds after the first time."""
+    steps = np.flatnonzero(np.diff(np.concatenate([[False], is_so, [False]]).astype(int)))
+    since_s = times_s - times_s[0]
+    return [
+        (float(since_s[a]), float(since_s[min(b, since_s.size - 1)]))
+        for a, b in zip(steps[::2], steps[1::2], strict=True)
+    ]
+
+
+def total_s(intervals: Sequence[Interval]) -> float:
+    return float(sum(to_s - from_s for from_s, to_s in intervals))
+
+
+def behind_leader_m(flight: Flight, leader_id: int, vehicle_id: int, times_s: FloatArray) -> FloatArray:
+    """|(x_i - d_i0) - (x_l - d_l0)| (n,): how far a follower is from where the leader's place puts it."""
+    own = flight.tracks[vehicle_id].at(times_s) - np.array(flight.slots_enu_m[vehicle_id])
+    leader = flight.tracks[leader_id].at(times_s) - np.array(flight.slots_enu_m[leader_id])
+    return np.asarray(np.linalg.norm(own - leader, axis=1))

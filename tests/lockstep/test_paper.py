@@ -1,0 +1,127 @@
+"""`sitl paper`: its flights, shortened, and its manners on the command line."""
+
+import signal
+import subprocess
+import sys
+import time
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from companion.config import LawName
+from sitl.metrics import formation_figures
+from sitl.paper.aggregation_claims import broken_edges, has_gathered, left_for_good_s
+from sitl.paper.book import Book, Entry
+from sitl.paper.flights import PATIENT, FlownPlan, Model, Plan, Subject, fly
+from sitl.paper.ideal_model import ideal_figures
+from sitl.paper.matrices import RING_LED_BY_1, RING_LED_BY_2
+from sitl.paper.no_formation import NoFormationError
+from sitl.paper.pool import NotWantedError, flying
+from sitl.paper.topology import leads, printed_matrix, reported_matrix, topology_at
+
+SHORT = "timeline[3].for_s=6"
+
+
+def nothing() -> None:
+    pass
+
+
+@cache
+def flown(subject: Subject, law: LawName, *more: str) -> FlownPlan:
+    return fly(Plan(subject, law, Model.IDEAL, more=more), nothing)
+
+
+@pytest.mark.parametrize("law", ["weighted", "average_22", "average_26"])
+def test_the_agents_do_what_the_equations_say(law: LawName) -> None:
+    flight = flown(Subject.PLATOON, law, SHORT)
+    of_agents = formation_figures(
+        flight.tracks, flight.flight().slots_enu_m, flight.flight().reference, flight.flight().formation
+    )
+    of_equations = ideal_figures(flight, heard_late_s=0.01)
+    assert set(of_equations.max_distance_m) == {"1-2", "2-3", "3-4"}
+    for pair, largest_m in of_equations.max_distance_m.items():
+        assert of_agents.max_distance_m[pair] == pytest.approx(largest_m, abs=0.005)
+
+
+def test_under_eq_26_the_leader_is_soon_alone_and_under_the_weighted_law_never() -> None:
+    average = Entry(flown(Subject.AGGREGATION, "average_26", PATIENT, SHORT))
+    weighted = Entry(flown(Subject.AGGREGATION, "weighted", SHORT))
+    assert 0.05 < left_for_good_s(average) < 0.5
+    assert not has_gathered(average)
+    assert left_for_good_s(weighted) == float("inf")
+    assert broken_edges(weighted).startswith("1-2 from")
+
+
+def test_reported_matrices_are_the_paper_s_through_a_change_of_lead() -> None:
+    steps = [f"timeline[{number}].for_s=1" for number in (3, 4, 5, 6, 7, 8)]
+    flight = flown(Subject.FIGURE_8, "weighted", *steps)
+    spans = leads(flight)
+    assert [lead.leader_id for lead in spans] == [1, 2, 1, 2, 1, 2]
+    for lead in spans:
+        printed = printed_matrix(RING_LED_BY_1 if lead.leader_id == 1 else RING_LED_BY_2)
+        assert reported_matrix(flight, topology_at(flight.topology, lead.settled_s)) == pytest.approx(printed)
+        assert lead.settled_s - lead.from_s < 0.2
+
+
+def test_a_flight_without_a_formation_says_why_where_it_is_measured() -> None:
+    flight = flown(Subject.PLATOON, "weighted", "timeline[1].timeout_s=1")
+    assert flight.formation is None
+    with pytest.raises(NoFormationError, match="arm not done within 1 s"):
+        flight.flight()
+
+
+def test_flights_in_other_processes_are_the_same() -> None:
+    plans = [Plan(Subject.PLATOON, law, Model.IDEAL, more=(SHORT,)) for law in ("weighted", "average_22")]
+    with flying(plans, workers=2) as flights:
+        assert flights.wait(60.0)
+        assert flights.share_done == 1.0
+        results = flights.results()
+    book = Book(results)
+    for plan in plans:
+        tracks = book.one(plan.subject, plan.law, plan.model).flight.tracks
+        here = flown(plan.subject, plan.law, SHORT).tracks
+        assert all(np.array_equal(tracks[i].position_enu_m, here[i].position_enu_m) for i in here)
+    with pytest.raises(LookupError):
+        book.one(Subject.PLATOON, "average_26", Model.IDEAL)
+
+
+def test_flights_that_nobody_waits_for_end_at_once() -> None:
+    plans = [Plan(Subject.PLATOON, "weighted", Model.IDEAL, more=("timeline[3].for_s=3600",))]
+    began_s = time.monotonic()
+    with flying(plans) as flights:
+        assert not flights.wait(2.0)
+    assert time.monotonic() - began_s < 15.0
+    with pytest.raises(NotWantedError):
+        flights.results()
+
+
+# ---------------------------------------------------------------- the command line
+
+
+def command(*arguments: object) -> list[str]:
+    return [sys.executable, "-m", "sitl", "paper", *map(str, arguments)]
+
+
+@pytest.mark.parametrize("folder", ["/dev/null/x", "/proc/x"])
+def test_a_folder_that_cannot_be_written_is_one_line(folder: str) -> None:
+    done = subprocess.run(command("--out", folder), capture_output=True, text=True, timeout=30, check=False)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert "choose another folder with --out" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_ctrl_c_ends_it_soon_and_without_a_report(tmp_path: Path) -> None:
+    with subprocess.Popen(
+        command("--out", tmp_path), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    ) as process:
+        assert process.stdout is not None
+        assert "theory" in process.stdout.readline()
+        time.sleep(1.0)
+        process.send_signal(signal.SIGINT)
+        _, complained = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert complained == "stopped; no report was written\n"
+    assert list(tmp_path.iterdir()) == []
