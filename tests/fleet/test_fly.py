@@ -43,7 +43,7 @@ def flown(folder: Path, port_offset: int, *more: str) -> Summary:
 class Compared:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.done = fly(folder, 2000, "--compare", "--quiet", "--set", f"{FORM}=60")
+        self.done = fly(folder, 2000, "--compare", "average_22", "average_26", "--quiet", "--set", f"{FORM}=60")
         assert self.done.returncode == 0, self.done.stdout + self.done.stderr
         self.weighted, self.average_22, self.average_26 = (
             read_summary(folder / law / "summary.json") for law in ("weighted", "average_22", "average_26")
@@ -154,3 +154,13 @@ def test_with_sensor_noise_the_platoon_holds_together(tmp_path: Path) -> None:
     assert summary.smallest_distance_m is not None
     assert summary.smallest_distance_m >= 0.8
     assert summary.sensors == "default"
+
+
+def test_the_law_to_fly_settles_soon_and_keeps_its_distances(tmp_path: Path) -> None:
+    cooperative = flown(tmp_path, 2000, "--law", "cooperative", "--quiet", "--set", f"{FORM}=15")
+    assert cooperative.settle_s is not None
+    assert cooperative.settle_s < 6.0
+    assert cooperative.max_distance_m is not None
+    assert max(cooperative.max_distance_m[pair] for pair in cooperative.pairs) < 1.6
+    assert cooperative.smallest_distance_m is not None
+    assert cooperative.smallest_distance_m > 1.4
