@@ -1,22 +1,27 @@
 """The longest loop delay that a formation bears, with attitude lag and feed-forward.
 
 The loop is Lambda(s) e^{-sd} with Lambda = N (k1 + k2 s) / (s^2 (1 + sT)) and N = (I - g W e^{-s tau})^-1 G. Without
-feed-forward N = G and every eigenvalue has a loop of its own; with it the eigenvalues of N move with the frequency.
+feed-forward N = G, and every eigenvalue has a loop of its own whose margin is a formula; with it the eigenvalues of N move
+with the frequency, and the margin is searched.
 """
 
 from __future__ import annotations
 
-from math import log, pi
+from heapq import heapify, heappop, heappush
+from itertools import pairwise
+from math import atan2, inf, log, pi, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.core.formation import Gains
 from companion.core.interaction import Coupling, FloatArray, eigenvalues, lag_margin_s, mode_eigenvalues, mode_figures
 from companion.core.prediction import LinearModel
 from companion.core.state_space import is_stable
 
 ComplexArray = NDArray[np.complex128]
-COARSE, PER_E_FOLD, FINE, CLOSER = 24, 6, 16, 2  # points of the grid, of a part of it, and how often a part is taken
+COARSE, PER_E_FOLD = 24, 6  # points of the grid, and at least so many for each e-fold
+CLOSE = 1e-6  # how far apart, relatively, two frequencies may be that a crossing is taken to lie between
 
 
 def delay_margin_with_lag_s(coupling: Coupling, model: LinearModel) -> float:
@@ -28,13 +33,10 @@ def delay_margin_with_lag_s(coupling: Coupling, model: LinearModel) -> float:
     """
     if not _stable_without_delay(coupling, model):
         return 0.0
-    spectrum = _Spectrum(coupling, model)
-    grid = spectrum.range_rad_s()
-    margin_s, k = spectrum.first_crossing(grid)
-    for _ in range(CLOSER):
-        grid = np.geomspace(grid[max(k - 1, 0)], grid[min(k + 2, len(grid) - 1)], FINE)
-        margin_s, k = spectrum.first_crossing(grid)
-    return margin_s
+    if coupling.law.feedforward == 0.0:
+        gains, lag_s = coupling.law.gains, model.attitude_lag_s
+        return min(_mode_margin_s(gains, lag_s, float(value)) for value in eigenvalues(coupling.G))
+    return _Spectrum(coupling, model).first_crossing_s()
 
 
 def _stable_without_delay(coupling: Coupling, model: LinearModel) -> bool:
@@ -45,43 +47,65 @@ def _stable_without_delay(coupling: Coupling, model: LinearModel) -> bool:
     return is_stable(coupling, LinearModel(model.attitude_lag_s, 0.0, model.feedforward_delay_s))
 
 
+def _mode_margin_s(gains: Gains, lag_s: float, eigenvalue: float) -> float:
+    """Of one eigenvalue lambda > 0 of G, without feed-forward and with T < k2/k1.
+
+    The loop has gain one where x = omega^2 solves T^2 x^3 + x^2 = lambda^2 (k2^2 x + k1^2), which one positive x does. There
+    d = (atan(a omega) - atan(T omega)) / omega with a = k2/k1.
+    """
+    k1, k2 = gains.position_1_s2, gains.velocity_1_s
+    roots = np.roots([lag_s**2, 1.0, -((eigenvalue * k2) ** 2), -((eigenvalue * k1) ** 2)])
+    omega_rad_s = sqrt(float(roots.real.max()))
+    a = k2 / k1
+    return atan2((a - lag_s) * omega_rad_s, 1.0 + a * lag_s * omega_rad_s**2) / omega_rad_s
+
+
 class _Spectrum:
-    """Eigenvalues of Lambda(j omega)."""
+    """Eigenvalues of Lambda(j omega), each frequency worked out once."""
 
     def __init__(self, coupling: Coupling, model: LinearModel) -> None:
         self._coupling = coupling
         self._model = model
-        self._constant = eigenvalues(coupling.G).astype(complex) if coupling.law.feedforward == 0.0 else None
+        self._known: dict[float, ComplexArray] = {}
 
-    def at(self, omega_rad_s: float) -> ComplexArray:
+    def first_crossing_s(self) -> float:
+        """The smallest d of all moduli that pass 1. The interval with the smallest is halved until nothing is left of it."""
+        waiting = [(self._soonest_s(low, high), low, high) for low, high in pairwise(self._grid_rad_s().tolist())]
+        heapify(waiting)
+        while True:
+            margin_s, low, high = heappop(waiting)
+            if high < low * (1.0 + CLOSE):
+                return margin_s
+            middle = sqrt(low * high)
+            for part in ((low, middle), (middle, high)):
+                heappush(waiting, (self._soonest_s(*part), *part))
+
+    def _soonest_s(self, low: float, high: float) -> float:
+        """The smallest d of what passes 1 between two frequencies, taken at both of them: the truth is not below it."""
+        left, right = self._at(low), self._at(high)
+        passes = (np.abs(left) >= 1.0) != (np.abs(right) >= 1.0)
+        ends = [(pi + np.angle(values[passes])) / omega for values, omega in ((left, low), (right, high))]
+        return float(np.min(ends, initial=inf))
+
+    def _at(self, omega_rad_s: float) -> ComplexArray:
         """(n,), the largest modulus first. Sorted so, each one's modulus is continuous in the frequency."""
-        s = 1j * omega_rad_s
-        coupling, gains = self._coupling, self._coupling.law.gains
-        values: ComplexArray | None = self._constant
-        if values is None:
+        if omega_rad_s not in self._known:
+            s = 1j * omega_rad_s
+            coupling, gains = self._coupling, self._coupling.law.gains
             heard = coupling.law.feedforward * np.exp(-s * self._model.feedforward_delay_s)
             loop = np.linalg.solve(np.eye(len(coupling.G)) - heard * coupling.W, coupling.G)
-            values = np.asarray(np.linalg.eigvals(loop), dtype=np.complex128)
-        feedback = gains.position_1_s2 + gains.velocity_1_s * s
-        vehicle = s * s * (1.0 + s * self._model.attitude_lag_s)
-        values = np.asarray(values * (feedback / vehicle), dtype=np.complex128)
-        return values[np.argsort(-np.abs(values))]
+            feedback = gains.position_1_s2 + gains.velocity_1_s * s
+            vehicle = s * s * (1.0 + s * self._model.attitude_lag_s)
+            values = np.asarray(np.linalg.eigvals(loop) * (feedback / vehicle), dtype=np.complex128)
+            self._known[omega_rad_s] = values[np.argsort(-np.abs(values))]
+        return self._known[omega_rad_s]
 
-    def range_rad_s(self) -> FloatArray:
+    def _grid_rad_s(self) -> FloatArray:
         """From where every modulus is above 1 to where every one is below."""
         modes, gains = mode_eigenvalues(self._coupling), self._coupling.law.gains
         low = high = pi / (2.0 * mode_figures(gains, float(modes[-1])).delay_margin_s)
-        while np.abs(self.at(low)).min() <= 1.0:
+        while np.abs(self._at(low)).min() <= 1.0:
             low /= 1.5
-        while np.abs(self.at(high)).max() >= 1.0:
+        while np.abs(self._at(high)).max() >= 1.0:
             high *= 1.5
         return np.geomspace(low, high, max(COARSE, round(PER_E_FOLD * log(high / low))))
-
-    def first_crossing(self, grid: FloatArray) -> tuple[float, int]:
-        """The smallest d of all moduli that fall below 1 between two points of the grid, and between which."""
-        values = np.array([self.at(float(omega)) for omega in grid])
-        above = np.abs(values) >= 1.0
-        crosses = above[:-1] & ~above[1:]
-        delays = np.where(crosses, (pi + np.angle(values[:-1])) / grid[:-1, np.newaxis], np.inf)
-        k = int(np.argmin(delays.min(axis=1)))
-        return float(delays[k].min()), k
