@@ -6,12 +6,12 @@ formation answers to anything faster.
 
 from __future__ import annotations
 
-from math import inf
+from dataclasses import replace
 
 import numpy as np
 
-from companion.core.interaction import Coupling, FloatArray
-from companion.core.prediction import LOST_M, LinearModel
+from companion.core.interaction import Coupling, FloatArray, eigenvalues
+from companion.core.prediction import LinearModel
 
 SHORTEST_S = 1e-3  # a shorter lag or delay is taken as this, so that every filter has a state
 STEP_S = 0.1
@@ -54,15 +54,21 @@ def state_matrix(coupling: Coupling, model: LinearModel) -> FloatArray:
 
 
 def is_stable(coupling: Coupling, model: LinearModel) -> bool:
-    """Whether every error of the coupled system dies out."""
-    return bool(np.linalg.eigvals(state_matrix(coupling, model)).real.max() < 0.0)
+    """Whether every error of the coupled system dies out. Without feed-forward every eigenvalue of G is a system of its own."""
+    systems = [coupling]
+    if coupling.law.feedforward == 0.0:
+        alone = np.zeros((1, 1))
+        systems = [replace(coupling, G=np.array([[value]]), W=alone) for value in eigenvalues(coupling.G)]
+    return all(np.linalg.eigvals(state_matrix(system, model)).real.max() < 0.0 for system in systems)
 
 
-def worst_transient_peak(coupling: Coupling, model: LinearModel) -> float:
-    """sup over t of |exp(A t)|, from positions to positions, in the maximum norm.
+def worst_transient_peak(coupling: Coupling, model: LinearModel) -> float | None:
+    """sup over t of |exp(A t)|, from positions to positions, in the maximum norm; None where A is not stable and has none.
 
-    No start from rest with errors up to 1 m leads to a larger error than this [m], and one start does. inf where it never ends.
+    No start from rest with errors up to 1 m leads to a larger error than this [m], and one start does.
     """
+    if not is_stable(coupling, model):
+        return None
     n = len(coupling.G)
     matrix = state_matrix(coupling, model)
     states = np.vstack([np.eye(n), np.zeros((4 * n, n))])
@@ -72,10 +78,7 @@ def worst_transient_peak(coupling: Coupling, model: LinearModel) -> float:
         transition = np.linalg.matrix_power(transition, longer)
         for _ in range(steps):
             states = transition @ states
-            reach = float(np.abs(states[:n]).sum(axis=1).max())
-            if reach > LOST_M:
-                return inf
-            peak = max(peak, reach)
+            peak = max(peak, float(np.abs(states[:n]).sum(axis=1).max()))
     return peak
 
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from companion.core.interaction import Coupling, FloatArray, mode_eigenvalues
 from companion.core.prediction import LinearModel
+from companion.core.state_space import is_stable
 
 ComplexArray = NDArray[np.complex128]
 POINTS_PER_DECADE = 80
@@ -55,9 +56,12 @@ def response(coupling: Coupling, model: LinearModel, omega_rad_s: float) -> Comp
 
 
 def string_gains(coupling: Coupling, model: LinearModel) -> StringGains | None:
-    """None where all vehicles lead, and there is no hop. Every vehicle must have a path to a leader."""
+    """None where all vehicles lead, and there is no hop, and where the formation is unstable: its swings have no largest.
+
+    Every vehicle must have a path to a leader.
+    """
     levels = [np.flatnonzero(coupling.prcs == p) for p in range(1, int(coupling.prcs.max()) + 1)]
-    if len(levels) < 2:
+    if len(levels) < 2 or not is_stable(coupling, model):
         return None
 
     def ratios(log_omega: float) -> tuple[float, float]:

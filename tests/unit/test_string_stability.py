@@ -11,10 +11,10 @@ from companion.analysis import analyse, load_subject
 from companion.analysis_report import report, verdict
 from companion.cli import main
 from companion.core.delay_margin import delay_margin_with_lag_s
-from companion.core.formation import FormationLaw, Gains, average_22, average_26, cooperative, weighted
+from companion.core.formation import PAPER_GAINS, FormationLaw, Gains, average_22, average_26, cooperative, weighted
 from companion.core.interaction import Coupling, couple, mode_figures
 from companion.core.prediction import LinearModel, errors_over_time
-from companion.core.state_space import is_stable, worst_transient_peak
+from companion.core.state_space import is_stable, state_matrix, worst_transient_peak
 from companion.core.string_stability import response, string_gains
 
 SCENARIOS = Path(__file__).parents[2] / "config" / "scenarios"
@@ -155,8 +155,35 @@ def test_the_worst_start_is_the_worst_of_all_unit_starts(law: FormationLaw) -> N
     )
 
 
-def test_the_worst_start_of_what_never_ends() -> None:
-    assert worst_transient_peak(chained(3, weighted(Gains(10.0, 1.0))), LinearModel()) == np.inf
+@pytest.mark.parametrize(
+    ("n", "law"),
+    [
+        (3, weighted(Gains(10.0, 1.0))),
+        (2, weighted(Gains(1.39, 0.36))),  # unstable by a hair, and by the delay alone: its figures looked like figures
+        (2, weighted(Gains(3.0, 0.5))),  # even without delay
+        (3, FormationLaw(Gains(10.0, 1.0), 8.0, True, 0.9)),
+    ],
+)
+def test_what_is_unstable_has_neither_string_gain_nor_worst_start(n: int, law: FormationLaw) -> None:
+    coupling = chained(n, law)
+    assert not is_stable(coupling, LinearModel())
+    assert string_gains(coupling, LinearModel()) is None
+    assert worst_transient_peak(coupling, LinearModel()) is None
+
+
+@pytest.mark.parametrize("n", [1, 2, 5])
+@pytest.mark.parametrize("law", LAWS)
+def test_stability_mode_by_mode_is_that_of_the_whole(n: int, law: FormationLaw) -> None:
+    for delay_s in (0.05, 0.2, 0.25, 0.3, 0.4):
+        model = LinearModel(delay_s=delay_s)
+        whole = np.linalg.eigvals(state_matrix(chained(n, law), model)).real.max()
+        assert is_stable(chained(n, law), model) is bool(whole < 0.0)
+
+
+def test_a_worst_start_may_swing_far_and_still_come_back() -> None:
+    peak = worst_transient_peak(chained(24, weighted(PAPER_GAINS, 16.0)), LinearModel())
+    assert peak is not None
+    assert 1e3 < peak < np.inf
 
 
 def test_a_critically_damped_vehicle_never_overshoots() -> None:
