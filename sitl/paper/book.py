@@ -61,16 +61,16 @@ def verdict_of(to_the_letter: bool, with_a_condition: bool = False) -> Verdict:
     return Verdict.CONDITION if with_a_condition else Verdict.FAILS
 
 
-def seconds(value_s: float) -> str:
-    return "never" if value_s == float("inf") else f"{value_s:.1f} s"
+def seconds(value_s: float, digits: int = 1) -> str:
+    return "never" if value_s == float("inf") else f"{value_s:.{digits}f} s"
 
 
-def metres(values_m: Iterable[float]) -> str:
+def metres(values_m: Iterable[float], digits: int = 2) -> str:
     """ "1.75, 1.78 and 1.66 m"."""
-    return listed(f"{value_m:.2f}" for value_m in values_m) + " m"
+    return listed(f"{value_m:.{digits}f}" for value_m in values_m) + " m"
 
 
 def listed(parts: Iterable[str]) -> str:
-    """ "a, b and c"."""
-    *most, last = list(parts)
+    """ "a, b and c"; empty for nothing."""
+    *most, last = list(parts) or [""]
     return f"{', '.join(most)} and {last}" if most else last

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from sitl.metrics import Flight, Pair, Tracks, distances_m, pairs_of
+from sitl.paper.graphs import graph_of
+from sitl.shapes import is_connected
 from sitl.tracks import FloatArray
 
 Interval = tuple[float, float]  # from, to [s] after the start of the formation
@@ -17,8 +20,8 @@ def response_s(flight: Flight, vehicle_id: int) -> float:
     """From the formation's start until the vehicle has done half of its way in x; inf where it never does."""
     times_s = flight.formation.times_s()
     x_m = flight.tracks[vehicle_id].at(times_s)[:, 0]
-    to_x_m = flight.reference(0.0).position_enu_m[0] + flight.slots_enu_m[vehicle_id][0]
-    done = np.flatnonzero((x_m - x_m[0]) / (to_x_m - x_m[0]) >= RESPONDED_SHARE)
+    way_m = flight.reference(0.0).position_enu_m[0] + flight.slots_enu_m[vehicle_id][0] - x_m[0]
+    done = np.flatnonzero((x_m - x_m[0]) * np.sign(way_m) >= RESPONDED_SHARE * abs(way_m))
     return float(times_s[done[0]] - times_s[0]) if done.size else float("inf")
 
 
@@ -36,6 +39,28 @@ def alone_s(flight: Flight, vehicle_id: int, range_m: float) -> list[Interval]:
     return _intervals(nearest_m > range_m, times_s)
 
 
+def apart_s(flight: Flight, range_m: float) -> list[Interval]:
+    """When the graph of who sees whom was in more than one part."""
+    times_s = flight.formation.times_s()
+    pairs = pairs_of(flight.tracks)
+    seen = np.array([distances_m(flight.tracks, pair, times_s) <= range_m for pair in pairs])
+    graphs, at = np.unique(seen, axis=1, return_inverse=True)
+    in_parts = [
+        not is_connected(graph_of(flight.tracks, [pair for pair, sees in zip(pairs, graph, strict=True) if sees]))
+        for graph in graphs.T
+    ]
+    return _intervals(np.array(in_parts)[at.ravel()], times_s)
+
+
+def fewest_in_sight(flight: Flight, vehicle_id: int, range_m: float) -> list[int]:
+    """Whom a vehicle saw when it saw the fewest."""
+    times_s = flight.formation.times_s()
+    others = sorted(flight.tracks.keys() - {vehicle_id})
+    seen = np.array([distances_m(flight.tracks, (vehicle_id, other), times_s) <= range_m for other in others])
+    at = int(seen.sum(axis=0).argmin())
+    return [other for other, sees in zip(others, seen[:, at], strict=True) if sees]
+
+
 def edges_m(tracks: Tracks, time_s: float, range_m: float) -> list[Pair]:
     """Who sees whom at one time."""
     return [pair for pair in pairs_of(tracks) if float(distances_m(tracks, pair, np.array([time_s]))[0]) <= range_m]
@@ -49,6 +74,12 @@ def _intervals(is_so: np.ndarray[tuple[int, ...], np.dtype[np.bool_]], times_s: 
         (float(since_s[a]), float(since_s[min(b, since_s.size - 1)]))
         for a, b in zip(steps[::2], steps[1::2], strict=True)
     ]
+
+
+def beginning(flight: Flight, seconds_s: float) -> Flight:
+    """The same flight, its formation cut off after so long."""
+    formation = flight.formation
+    return replace(flight, formation=replace(formation, end_s=min(formation.end_s, formation.start_s + seconds_s)))
 
 
 def total_s(intervals: Sequence[Interval]) -> float:

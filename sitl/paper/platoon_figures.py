@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +11,7 @@ from matplotlib.axes import Axes
 from sitl.metrics import Flight, Formation, distances_m, pair_name
 from sitl.paper.book import PERFECT, Book, Entry
 from sitl.paper.flights import COMPARED, Model, Subject
+from sitl.paper.measures import beginning
 from sitl.plots import (
     GUIDE,
     LAW_TITLES,
@@ -67,9 +67,7 @@ def save_figure_6(path: Path, book: Book) -> None:
 
 
 def _beginning(entry: Entry) -> Flight:
-    formation = entry.flight.formation
-    shorter = replace(formation, end_s=min(formation.end_s, formation.start_s + SHOWN_S))
-    return replace(entry.flight, formation=shorter)
+    return beginning(entry.flight, SHOWN_S)
 
 
 def _span_of_all(axes: Sequence[Axes]) -> None:
