@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from companion import __version__
+from companion.closed_pipe import ending_quietly
 
 EXIT_CANNOT_CONVERGE, EXIT_FILE, EXIT_NO_AUTOPILOT = 1, 2, 3
 
@@ -94,9 +95,10 @@ exit codes:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The exit code; `companion --help` explains it."""
-    options = _parser().parse_args(arguments)
-    run: Callable[[argparse.Namespace], int] = options.run
-    return run(options)
+    with ending_quietly():
+        options = _parser().parse_args(arguments)
+        run: Callable[[argparse.Namespace], int] = options.run
+        return run(options)
 
 
 def _parser() -> argparse.ArgumentParser:

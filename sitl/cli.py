@@ -10,20 +10,32 @@ from pathlib import Path
 from typing import NoReturn
 
 from companion import __version__
-from companion.config_file import ConfigError
+from companion.closed_pipe import ending_quietly
 
-EXIT_BAD_INPUT = 2
+EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
 MAX_PORT_OFFSET = 40_000  # vehicle 250's ports are then still ports
 
 
 def main() -> NoReturn:
+    with ending_quietly():
+        try:
+            sys.exit(_main())
+        except KeyboardInterrupt:  # commands know what it means to them; this one came before or after
+            print("interrupted", file=sys.stderr)
+            sys.exit(EXIT_INTERRUPTED)
+
+
+def _main() -> int:
+    """The exit code. Imports what takes a while itself, for Ctrl-C may come meanwhile."""
+    from companion.config_file import ConfigError
+
     arguments = _parser().parse_args()
     run: Callable[[argparse.Namespace], int] = arguments.run
     try:
-        sys.exit(run(arguments))
+        return run(arguments)
     except ConfigError as error:
         print(error, file=sys.stderr)
-        sys.exit(EXIT_BAD_INPUT)
+        return EXIT_BAD_INPUT
 
 
 def _parser() -> argparse.ArgumentParser:

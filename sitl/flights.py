@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -44,15 +43,12 @@ def run_flights(
     """
     with StopRequest() as stop:
         try:
-            code = _run(command, options, fly_once, check, stop)
-            sys.stdout.flush()
-            return code
+            return _run(command, options, fly_once, check, stop)
         except (ConfigError, PortInUseError) as error:
             print(error, file=sys.stderr)
             return EXIT_UNUSABLE
-        except BrokenPipeError:  # the reader of a pipe has gone; the flight is over and its folder is written
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            return EXIT_FAILED
+        except BrokenPipeError:  # no folder's fault
+            raise
         except OSError as error:
             print(f"{error.filename}: {error.strerror}; choose another folder with --out", file=sys.stderr)
             return EXIT_UNUSABLE

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import sys
 import time
@@ -47,9 +46,6 @@ def run_monitor(fleet: str, connect: Sequence[str] | None, once: bool, as_json: 
             else:
                 _repeat(session, show)
         except KeyboardInterrupt:
-            return 0
-        except BrokenPipeError:  # `| head` has seen enough
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what Python still flushes at its exit
             return 0
     return 0
 

