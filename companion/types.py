@@ -222,7 +222,7 @@ class LeaderWord:
 
     Only the leader moves `stamp` on (milliseconds of its own clock), so no word gets younger on its way through the others.
     `epoch` counts the changes of the lead; `reference_s` is how far into the RFT the leader is at the time of the packet that
-    carries the word, 0 until it flies it.
+    carries the word, 0 while it does not fly it.
     """
 
     leader_id: int

@@ -107,6 +107,8 @@ class Agent:
         commands = [command for command in inbox.commands if command.lead is None]
         # A new role comes before all that it decides: one tick, its packet included, is of one role.
         replies = tuple([self._change_lead(c, c.lead, vehicle) for c in inbox.commands if c.lead is not None])
+        if not vehicle.armed:
+            self._cooperation.landed()
         around = self._cooperation.update(now_s, vehicle.position_enu_m, inbox.peers, self._machine.in_formation)
         flags = health_flags(now_s, vehicle, around.leader_word, self._setup.ages, self._setup.envelope)
 

@@ -84,6 +84,10 @@ class Cooperation:
             neighbour_ids=ids,
         )
 
+    def landed(self) -> None:
+        """The next flight begins the RFT anew."""
+        self._clock.begin_anew()
+
     def _prc_of(self, packet: PeerPacket, epoch: int) -> int:
         """Who leads in an older epoch has not heard of the change yet: until it has, it counts as far from any leader."""
         if packet.role is Role.LEADER and packet.leader_word is not None and packet.leader_word.epoch < epoch:
@@ -96,18 +100,19 @@ class Cooperation:
         return [word for word in words if word is not None and word.leader_id != self._own_id]
 
     def _word(self, now_s: float, role: Role, epoch: int, in_formation: bool) -> tuple[LeaderWord | None, float, float]:
-        """The word to pass on, how old it is, and how far into the RFT it says that the fleet is."""
+        """The word to pass on, how old it is, and how far into the RFT the fleet is."""
         word, age_s = self._leader.youngest(now_s)
         of_other = word if word is not None and word.leader_id != self._own_id else None
         if role is Role.LEADER:
             reference_s = self._clock.lead(now_s, in_formation, of_other, age_s)
-            own = LeaderWord(self._own_id, epoch, int(now_s * 1000.0), reference_s)
+            own = LeaderWord(self._own_id, epoch, int(now_s * 1000.0), reference_s if in_formation else 0.0)
             self._leader.hear(now_s, [own], epoch)  # should it have to follow, this is the last word it heard
             return own, 0.0, reference_s
         reference_s = self._clock.update(now_s, in_formation, of_other, age_s)
         if word is None:
             return None, age_s, reference_s
-        return LeaderWord(word.leader_id, word.epoch, word.stamp, reference_s), age_s, reference_s
+        told_s = reference_s if self._clock.runs else 0.0
+        return LeaderWord(word.leader_id, word.epoch, word.stamp, told_s), age_s, reference_s
 
 
 def _place(packet: PeerPacket, position_enu_m: Vector3, slot_enu_m: Vector3) -> Place:

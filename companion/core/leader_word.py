@@ -38,14 +38,18 @@ class LeaderWatch:
     def youngest(self, now_s: float) -> tuple[LeaderWord | None, float]:
         """The word to pass on and its age in seconds; None and infinity where no leader was heard within `max_age_s`.
 
-        The newest epoch comes first. At a change the last word of the old one counts until it is too old: the new leader's is
-        on its way.
+        The newest epoch comes first, and in it a leader that flies the RFT before one that does not. At a change the last word
+        of the old one counts until it is too old: the new leader's is on its way.
         """
         ages = [(now_s - heard_s, word) for word, heard_s in self._newest.values()]
-        living = [(-word.epoch, age_s, word.leader_id) for age_s, word in ages if age_s <= self._max_age_s]
+        living = [
+            (-word.epoch, word.reference_s <= 0.0, age_s, word.leader_id)
+            for age_s, word in ages
+            if age_s <= self._max_age_s
+        ]
         if not living:
             return None, float("inf")
-        _, age_s, leader_id = min(living)
+        _, _, age_s, leader_id = min(living)
         return self._newest[leader_id][0], age_s
 
 

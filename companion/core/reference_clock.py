@@ -12,22 +12,40 @@ WAITED_S = 0.01
 
 
 class ReferenceClock:
-    """Seconds into the RFT by this vehicle's own clock. They stand at 0 until a leader is in formation."""
+    """Seconds into the RFT by this vehicle's own clock. They run while a leader is in formation, and else they stand.
+
+    A word of 0 says that its leader's time stands. Where the time stopped is about where the fleet stands since then: had it
+    run on, the RFT would by now be away from there, and begun anew it would be where the flight began. Either is a leap of the
+    reference for the next leader, so it goes on from there. Only who has landed begins anew.
+    """
 
     def __init__(self) -> None:
         self._zero_s = 0.0  # when the RFT began
+        self._counted_s = 0.0
+        self.runs = False
 
     def update(self, now_s: float, in_formation: bool, word: LeaderWord | None, word_age_s: float) -> float:
-        """A follower's, from the word of its leader; where it hears none it goes on counting."""
-        if word is None and in_formation:
-            return now_s - self._zero_s
-        runs = word is not None and word.reference_s > 0.0
-        self._zero_s = now_s - (word.reference_s + word_age_s + WAITED_S if word is not None and runs else 0.0)
-        return now_s - self._zero_s
+        """A follower's, from the word of its leader; where it hears none, a time that runs goes on in formation."""
+        if word is not None and word.reference_s > 0.0:
+            self._zero_s = now_s - (word.reference_s + word_age_s + WAITED_S)
+            return self._run(now_s)
+        if word is None and in_formation and self.runs:
+            return self._run(now_s)
+        return self._stand(now_s)
 
     def lead(self, now_s: float, in_formation: bool, other: LeaderWord | None, other_age_s: float) -> float:
-        """A leader's. It enters formation where another leader is by now, else at the beginning."""
+        """A leader's. It enters formation where another leader is by now, else where the time stands."""
         if in_formation:
-            return now_s - self._zero_s
-        self.update(now_s, in_formation, other, other_age_s)
-        return 0.0
+            return self._run(now_s)
+        return self.update(now_s, in_formation, other, other_age_s)
+
+    def begin_anew(self) -> None:
+        self._counted_s, self.runs = 0.0, False
+
+    def _run(self, now_s: float) -> float:
+        self._counted_s, self.runs = now_s - self._zero_s, True
+        return self._counted_s
+
+    def _stand(self, now_s: float) -> float:
+        self._zero_s, self.runs = now_s - self._counted_s, False
+        return self._counted_s

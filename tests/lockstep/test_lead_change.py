@@ -13,7 +13,7 @@ from companion.assembly import build_agent
 from companion.config import AgentConfig
 from companion.core.formation import weighted
 from companion.core.interaction import interaction_matrix, settled_prcs
-from companion.types import AttitudeTarget, CommandName, FlightPhase, Role, Status
+from companion.types import AttitudeTarget, CommandName, FlightPhase, Lead, Role, Status
 from companion.wire.ground import StatusReport
 from sitl.director import Director
 from sitl.fleet import ids_of, vehicle_file
@@ -200,3 +200,65 @@ def test_an_agent_restarted_in_flight_takes_no_lead_back() -> None:
     assert all(s.phase is FlightPhase.OBSERVE for s in as_leader)
     assert len(as_leader) <= 2  # until it has heard the others
     assert all(s.phase is FlightPhase.FORMATION for s in told if s.vehicle_id != 1)
+
+
+class FirstLap:
+    """The ring in formation for 15 s: on its way along the eight, far from where it began."""
+
+    def __init__(self) -> None:
+        scenario = load_scenario(RING)
+        self.ids = ids_of(scenario)
+        self.lockstep, watch = Lockstep(scenario), Recorder(scenario)
+        director = Director(self.lockstep, watch, Progress("test", True, 0.0), lambda: None, tuple, self.lockstep)
+        director.fly(scenario.timeline[:3])
+        self.tell(CommandName.FORM, *self.ids)
+        self.lockstep.sleep(15.0)
+        self.newest()
+
+    def tell(self, name: CommandName, *ids: int, lead: Lead | None = None) -> None:
+        replies = self.lockstep.command(ids, name, 1.0, lead)
+        assert all(reply is not None and reply.accepted for reply in replies.values()), replies
+
+    def newest(self) -> dict[int, Status]:
+        return {report.status.vehicle_id: report.status for report in self.lockstep.drain()}
+
+    def distances_m(self, seconds: float) -> float:
+        """How far any vehicle gets from where it is now."""
+        before = self.newest_after(0.2)
+        farthest_m = 0.0
+        for _ in range(round(seconds / 0.2)):
+            now = self.newest_after(0.2)
+            farthest_m = max(farthest_m, *(dist(now[i].position_enu_m, before[i].position_enu_m) for i in self.ids))
+        return farthest_m
+
+    def newest_after(self, seconds: float) -> dict[int, Status]:
+        self.lockstep.sleep(seconds)
+        return self.newest()
+
+
+def leader_at_m(status: Status) -> float:
+    """From the leader to where its RFT wants it."""
+    assert status.reference_enu_m is not None
+    wanted = np.add(status.reference_enu_m, status.slot_enu_m)
+    return dist(status.position_enu_m, wanted.tolist())
+
+
+@pytest.mark.parametrize("next_leader", [1, 2])
+def test_the_eight_goes_on_where_the_leader_left_it_for_hold(next_leader: int) -> None:
+    """Whoever leads next, the leader itself after a while in hold among them, flies on from where the fleet stands."""
+    flight = FirstLap()
+    flight.tell(CommandName.HOLD, 1)
+    held = flight.newest_after(8.0)
+    assert {i: status.phase for i, status in held.items()} == dict.fromkeys(flight.ids, FlightPhase.FORMATION) | {
+        1: FlightPhase.HOLD
+    }
+    if next_leader == 2:
+        flight.tell(CommandName.LEAD, *flight.ids, lead=Lead((2,), 1))
+    else:
+        flight.tell(CommandName.FORM, 1)
+    went_on = flight.newest_after(0.6)[next_leader]
+    assert went_on.role is Role.LEADER
+    assert went_on.leader_word is not None
+    assert went_on.leader_word.reference_s == pytest.approx(15.0, abs=1.5)
+    assert leader_at_m(went_on) < 1.5
+    assert flight.distances_m(1.0) < 2.0

@@ -552,3 +552,35 @@ def test_a_leader_that_hears_a_newer_word_steps_down_in_that_tick() -> None:
     assert outbox.peer_packet.leader_word is not None
     assert outbox.peer_packet.leader_word.leader_id == 2
     assert outbox.events == ("leader -> follower in epoch 1 (heard of it)",)
+
+
+def reference_s_of(outbox: Outbox) -> float:
+    assert outbox.peer_packet is not None
+    assert outbox.peer_packet.leader_word is not None
+    return outbox.peer_packet.leader_word.reference_s
+
+
+@pytest.mark.parametrize("lands", [False, True])
+def test_a_leader_s_second_formation_goes_on_in_the_rft_unless_it_has_landed(lands: bool) -> None:
+    flight = Flight(vehicle_id=1, reference=EIGHT)
+    flight.position, flight.peer_position = (0.0, 0.0, 0.0), (-1.5, 0.0, 1.0)
+    flight.fly_to(FlightPhase.FORMATION)
+    for _ in range(500):
+        flight.tick()
+    flown_s = reference_s_of(flight.outbox)
+    assert flown_s > 10.0
+    flight.tick(CommandName.LAND if lands else CommandName.HOLD)
+    for _ in range(50):
+        flight.tick()
+    if lands:
+        flight.armed, flight.landed, flight.position = False, LandedState.ON_GROUND, (0.0, 0.0, 0.0)
+        flight.tick()
+        flight.mode = AutopilotMode.HOLD
+        flight.fly_to(FlightPhase.FORMATION)
+    else:
+        assert reference_s_of(flight.outbox) == 0.0
+        flight.tick(CommandName.FORM)
+        for _ in range(50):
+            flight.tick()
+    assert flight.agent.phase is FlightPhase.FORMATION
+    assert reference_s_of(flight.outbox) == pytest.approx(0.0 if lands else flown_s, abs=1.1)

@@ -106,3 +106,11 @@ def test_the_newest_epoch_comes_before_a_younger_word() -> None:
     watch.hear(0.0, [LeaderWord(2, 1, 7)], 0)
     watch.hear(0.1, [LeaderWord(1, 0, 100)], 0)
     assert watch.youngest(0.1)[0] == LeaderWord(2, 1, 7)
+
+
+def test_a_leader_whose_time_runs_comes_before_one_in_hold() -> None:
+    watch = LeaderWatch(0.5)
+    watch.hear(0.0, [LeaderWord(1, 1, 100, 12.0)], 0)
+    watch.hear(0.1, [LeaderWord(2, 1, 7, 0.0)], 0)
+    assert watch.youngest(0.5)[0] == LeaderWord(1, 1, 100, 12.0)
+    assert watch.youngest(0.6)[0] == LeaderWord(2, 1, 7, 0.0)

@@ -113,8 +113,28 @@ def test_time_stands_until_a_leader_is_in_formation() -> None:
 
 def test_a_second_leader_enters_formation_where_the_first_one_is() -> None:
     clock = ReferenceClock()
-    assert clock.lead(100.0, False, LeaderWord(2, 0, 1, 12.0), 0.0) == 0.0
+    assert clock.lead(100.0, False, LeaderWord(2, 0, 1, 12.0), 0.0) == pytest.approx(12.0 + WAITED_S)
     assert clock.lead(100.1, True, LeaderWord(2, 0, 2, 99.0), 0.0) == pytest.approx(12.1 + WAITED_S)
+
+
+@pytest.mark.parametrize("in_formation", [True, False])
+def test_a_follower_that_has_counted_stands_where_its_leader_s_time_stops(in_formation: bool) -> None:
+    clock = ReferenceClock()
+    stopped_s = clock.update(100.0, in_formation, LeaderWord(1, 0, 1, 60.0), 0.0)
+    for now_s in (100.02, 101.0, 107.0):
+        assert clock.update(now_s, in_formation, LeaderWord(1, 0, int(now_s * 1000), 0.0), 0.0) == stopped_s
+    assert clock.update(108.0, in_formation, None, 9.0) == stopped_s  # nor does a silence make it run
+    assert clock.lead(108.02, True, None, 9.0) == pytest.approx(stopped_s + 0.02)
+
+
+def test_a_leader_that_leaves_formation_and_comes_back_goes_on_where_it_stopped() -> None:
+    clock = ReferenceClock()
+    clock.lead(100.0, False, None, 9.0)
+    stopped_s = clock.lead(160.0, True, None, 9.0)
+    assert clock.lead(170.0, False, None, 9.0) == clock.lead(180.0, False, None, 9.0) == stopped_s
+    assert clock.lead(180.02, True, None, 9.0) == pytest.approx(stopped_s + 0.02)
+    clock.begin_anew()  # it has landed
+    assert clock.lead(300.0, False, None, 9.0) == 0.0
 
 
 # ---------------------------------------------------------------- a fleet, tick by tick
@@ -145,7 +165,10 @@ class Fleet:
 
     def tick(self) -> dict[int, Neighbourhood]:
         self.now_s += TICK_S
-        around = {i: vehicle.update(self.now_s, ZERO3, self._heard_by(i), True) for i, vehicle in self.vehicles.items()}
+        around = {
+            i: vehicle.update(self.now_s, ZERO3, self._heard_by(i), self.phases[i] is not FlightPhase.HOLD)
+            for i, vehicle in self.vehicles.items()
+        }
         self.packets = {i: self._packet(i, what) for i, what in around.items()}
         assert all(not vehicle.peers.rejected for vehicle in self.vehicles.values())
         return around
@@ -281,3 +304,37 @@ def test_the_time_into_the_rft_is_passed_on_and_goes_on_at_a_change() -> None:
         around = fleet.tick()
         assert around[1 + epoch % 2].reference_s - before_s == pytest.approx(TICK_S)
         around = fleet.fly(9)
+
+
+@pytest.mark.parametrize("edges", [RING, CHAIN])
+def test_the_rft_goes_on_after_its_leader_stood_in_hold(edges: tuple[tuple[int, int], ...]) -> None:
+    fleet = Fleet(edges, may_lead=(1, 2))
+    stopped_s = fleet.fly(500)[1].reference_s
+    fleet.phases[1] = FlightPhase.HOLD
+    around = fleet.fly(500)
+    assert all(what.reference_s == pytest.approx(stopped_s, abs=0.1) for what in around.values())
+    assert all(what.leader_word is not None and what.leader_word.reference_s == 0.0 for what in around.values())
+    stood_s = around[2].reference_s
+    fleet.give(Lead((2,), 1))
+    assert fleet.tick()[2].reference_s == pytest.approx(stood_s + TICK_S)
+    goes_on_s = fleet.fly(100)[2].reference_s
+    assert goes_on_s == pytest.approx(stood_s + 101 * TICK_S)
+    fleet.give(Lead((1,), 2))  # back to the one in hold: there it is, and there it stands
+    assert fleet.fly(100)[1].reference_s == pytest.approx(goes_on_s, abs=0.1)
+    fleet.phases[1] = FlightPhase.FORMATION
+    around = fleet.fly(10)
+    assert all(what.reference_s == pytest.approx(goes_on_s + 10 * TICK_S, abs=0.1) for what in around.values())
+
+
+@pytest.mark.parametrize("holds", [1, 3])
+def test_of_two_leaders_one_in_hold_does_not_stop_the_other_s_time(holds: int) -> None:
+    fleet = Fleet(RING, may_lead=(1, 3))
+    fleet.give(Lead((1, 3), 1))
+    leads = 4 - holds
+    fleet.phases[holds] = FlightPhase.HOLD
+    began_s = fleet.fly(20)[leads].reference_s
+    for tick in range(1, 200):
+        around = fleet.tick()
+        assert around[leads].reference_s == pytest.approx(began_s + tick * TICK_S)
+        # also of the one that holds: it enters formation where the other is
+        assert all(abs(what.reference_s - around[leads].reference_s) < 0.03 for what in around.values())
