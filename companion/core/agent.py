@@ -82,6 +82,7 @@ class Agent:
         self._position_used_s = float("-inf")
         self._origin_asked_s = float("-inf")
         self._spoke_s = 0.0
+        self._commanded_enu_m_s2 = ZERO3  # by the last setpoint
         self._status_s = float("-inf")
         self._yaw_rad = 0.0
         self._hold_altitude_m = 0.0
@@ -121,19 +122,19 @@ class Agent:
         self._act_on(flags, now_s, vehicle)
         requests = self._ask_origin(now_s, vehicle) + self._machine.advance(now_s, vehicle, inbox.telemetry)
 
-        acceleration, target = ZERO3, None
+        target = None
         if self._machine.streams(vehicle) and self._may_decide(flags, vehicle):
             self._position_used_s = vehicle.position_time_s
             acceleration = self._acceleration(vehicle, around)
             target = self._target(now_s, vehicle, acceleration)
-        if target is not None:
-            self._spoke_s = now_s
+            if target is not None:
+                self._spoke_s, self._commanded_enu_m_s2 = now_s, acceleration
 
         events = self._drain_events()
         return Outbox(
             attitude_target=target,
             requests=requests,
-            peer_packet=self._peer_packet(now_s, vehicle, around, acceleration),
+            peer_packet=self._peer_packet(now_s, vehicle, around),
             status=self._status(now_s, vehicle, around, flags) if self._status_due(now_s, events) else None,
             replies=replies,
             events=events,
@@ -180,7 +181,7 @@ class Agent:
 
     def _open_stream(self, now_s: float, vehicle: VehicleState) -> None:
         self._yaw_rad = vehicle.yaw_rad
-        self._spoke_s = now_s
+        self._spoke_s, self._commanded_enu_m_s2 = now_s, ZERO3
         self._gate.open_at(now_s, self._level(vehicle))
 
     def _may_decide(self, flags: frozenset[HealthFlag], vehicle: VehicleState) -> bool:
@@ -256,9 +257,13 @@ class Agent:
             self._last_event = events[-1]
         return events
 
-    def _peer_packet(
-        self, now_s: float, vehicle: VehicleState, around: Neighbourhood, acceleration: Vector3
-    ) -> PeerPacket | None:
+    def _flown_acceleration(self, now_s: float, vehicle: VehicleState) -> Vector3:
+        """What the autopilot is believed to fly: the last setpoint goes on also over a tick that decides nothing."""
+        if not self._machine.streams(vehicle) or now_s - self._spoke_s > self._setup.ages.state_s:
+            return ZERO3
+        return self._commanded_enu_m_s2
+
+    def _peer_packet(self, now_s: float, vehicle: VehicleState, around: Neighbourhood) -> PeerPacket | None:
         """Nothing is told before there is a position."""
         if vehicle.position_time_s == float("-inf"):
             return None
@@ -272,7 +277,7 @@ class Agent:
             role=around.role,
             position_enu_m=vehicle.position_enu_m,
             velocity_enu_m_s=vehicle.velocity_enu_m_s,
-            acceleration_enu_m_s2=acceleration,
+            acceleration_enu_m_s2=self._flown_acceleration(now_s, vehicle),
             state_age_s=max(0.0, now_s - vehicle.position_time_s),
             prc=around.prc,
             leader_word=around.leader_word,

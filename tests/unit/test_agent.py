@@ -470,6 +470,43 @@ def test_while_it_hands_over_it_brakes_and_keeps_its_altitude() -> None:
     assert uz == pytest.approx(2.0 * 0.1 + 2.4 * 1.0, abs=0.01)
 
 
+def told_acceleration(outbox: Outbox) -> Vector3:
+    assert outbox.peer_packet is not None
+    return outbox.peer_packet.acceleration_enu_m_s2
+
+
+def test_the_neighbours_are_told_what_the_autopilot_still_flies() -> None:
+    """A tick without a new position decides nothing, but the last setpoint goes on: they feed its acceleration forward."""
+    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight.peer_position = (0.5, 0.0, 1.0)
+    commanded = told_acceleration(flight.tick())
+    assert commanded[0] > 0.5
+    assert told_acceleration(flight.tick(telemetry=[])) == commanded
+    flight.tick(telemetry=[])
+    assert told_acceleration(flight.tick(telemetry=[])) == (0.0, 0.0, 0.0)  # older than a state may be
+
+
+def test_the_neighbours_are_not_told_an_acceleration_that_never_became_a_setpoint() -> None:
+    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight.peer_position = (0.5, 0.0, 1.0)
+    commanded = told_acceleration(flight.tick())
+    flight.peer_position, flight.roll_rad = (2.5, 0.0, 1.0), 2.0  # Remark 1: no attitude gives what the law wants now
+    outbox = flight.tick()
+    assert outbox.attitude_target is None
+    assert told_acceleration(outbox) == commanded
+    for _ in range(3):
+        outbox = flight.tick()
+    assert told_acceleration(outbox) == (0.0, 0.0, 0.0)
+
+
+def test_nothing_is_told_of_a_stream_that_has_ended() -> None:
+    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight.peer_position = (0.5, 0.0, 1.0)
+    flight.tick()
+    flight.mode = AutopilotMode.OTHER
+    assert told_acceleration(flight.tick()) == (0.0, 0.0, 0.0)
+
+
 # ---------------------------------------------------------------- the lead
 
 
