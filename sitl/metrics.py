@@ -10,11 +10,11 @@ from math import dist
 import numpy as np
 
 from companion.core.reference import ReferenceTrajectory
+from companion.core.settling import settle_time_s as settle_time_s
 from companion.types import Vector3
 from sitl.tracks import FloatArray, Track
 
 SAMPLE_S = 0.02
-SETTLED_WITHIN_M = 0.10
 FINAL_S = 2.0  # what "final" is taken over
 
 Pair = tuple[int, int]
@@ -99,18 +99,6 @@ def reference_positions_m(reference: ReferenceTrajectory, start_s: float, times_
 def errors_m(track: Track, slot_enu_m: Vector3, reference_enu_m: FloatArray, times_s: FloatArray) -> FloatArray:
     """Distance (n,) of a vehicle to its place r + d_i0. `reference_enu_m` (n, 3) is r at these times."""
     return np.asarray(np.linalg.norm(track.at(times_s) - reference_enu_m - np.array(slot_enu_m), axis=1))
-
-
-def settle_time_s(times_s: FloatArray, error_m: FloatArray, within_m: float = SETTLED_WITHIN_M) -> float | None:
-    """Seconds from the first time until the error (n,) stays within `within_m`.
-
-    None where it does not for at least the last FINAL_S: a swing that happens to be inside at the end has not settled.
-    """
-    outside = np.flatnonzero(error_m > within_m)
-    first_inside = int(outside[-1]) + 1 if outside.size else 0
-    if first_inside == times_s.size or times_s[-1] - times_s[first_inside] < FINAL_S - SAMPLE_S / 2:
-        return None
-    return float(times_s[first_inside] - times_s[0])
 
 
 def formation_figures(

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.core.interaction import Coupling
+from companion.core.settling import settle_time_s
 
 FloatArray = NDArray[np.float64]
 TICK_S = 0.02
@@ -73,12 +74,8 @@ def errors_over_time(
 
 def settled_after_s(errors_m: FloatArray, within_m: float) -> float | None:
     """From when on every vehicle stays within `within_m` of its place; None where that does not come."""
-    outside = np.flatnonzero(np.linalg.norm(errors_m, axis=2).max(axis=1) > within_m)
-    if outside.size == 0:
-        return 0.0
-    if outside[-1] == len(errors_m) - 1:
-        return None
-    return float(outside[-1] + 1) * TICK_S
+    times_s = np.arange(len(errors_m), dtype=np.float64) * TICK_S
+    return settle_time_s(times_s, np.linalg.norm(errors_m, axis=2).max(axis=1), within_m)
 
 
 def transient_peak(errors_m: FloatArray) -> float:

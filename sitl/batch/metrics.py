@@ -7,9 +7,10 @@ from itertools import combinations
 
 import numpy as np
 
+from companion.core.settling import settle_time_s
 from sitl.batch.columns import BoolArray
 from sitl.batch.flight import BatchFlight
-from sitl.metrics import FINAL_S, SETTLED_WITHIN_M, neighbouring_pairs
+from sitl.metrics import FINAL_S, neighbouring_pairs
 from sitl.tracks import FloatArray
 
 
@@ -45,19 +46,10 @@ def batch_figures(flight: BatchFlight) -> BatchFigures:
     )
 
 
-def settle_times_s(times_s: FloatArray, error_m: FloatArray, within_m: float = SETTLED_WITHIN_M) -> FloatArray:
-    """Seconds (B,) from the first time until the error (ticks, B) stays within `within_m`, or NaN.
-
-    NaN, too, where it does not for at least the last FINAL_S.
-    """
-    outside = error_m > within_m
-    ticks = len(times_s)
-    last_outside = ticks - 1 - outside[::-1].argmax(axis=0)
-    first_inside = np.where(outside.any(axis=0), last_outside + 1, 0)
-    sample_s = float(times_s[1] - times_s[0]) if ticks > 1 else 0.0
-    began_s = times_s[np.minimum(first_inside, ticks - 1)]
-    settled = (first_inside < ticks) & (times_s[-1] - began_s >= FINAL_S - sample_s / 2)
-    return np.where(settled, began_s - times_s[0], np.nan)
+def settle_times_s(times_s: FloatArray, error_m: FloatArray) -> FloatArray:
+    """`settle_time_s` (B,) of errors (ticks, B); NaN where there is none."""
+    times = (settle_time_s(times_s, error_m[:, b]) for b in range(error_m.shape[1]))
+    return np.array([np.nan if settled_s is None else settled_s for settled_s in times])
 
 
 def final_errors_m(times_s: FloatArray, errors_m: FloatArray) -> FloatArray:

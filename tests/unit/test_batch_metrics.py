@@ -66,12 +66,16 @@ def test_some_of_these_settled_and_some_did_not(flight: BatchFlight) -> None:
     assert not settled.all()
 
 
-@pytest.mark.parametrize("last_outside_s", [None, 0.0, 3.0, 7.98, 8.0, 8.02, 10.0])
-def test_settling_at_the_edges(last_outside_s: float | None) -> None:
+@pytest.mark.parametrize(
+    ("last_outside_s", "settled_s"),
+    [(None, 0.0), (0.0, 0.02), (3.0, 3.02), (7.98, 8.0), (8.0, None), (8.02, None), (10.0, None)],
+)
+def test_settling_at_the_edges(last_outside_s: float | None, settled_s: float | None) -> None:
     times_s = np.arange(501) * 0.02
     error_m = np.zeros(501)
     if last_outside_s is not None:
         error_m[: round(last_outside_s / 0.02) + 1] = 0.2
+    expected = float("nan") if settled_s is None else settled_s
     single = settle_time_s(times_s, error_m)
-    expected = float("nan") if single is None else single
+    assert (float("nan") if single is None else single) == pytest.approx(expected, nan_ok=True)
     assert settle_times_s(times_s, error_m[:, None])[0] == pytest.approx(expected, nan_ok=True)

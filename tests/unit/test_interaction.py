@@ -25,7 +25,7 @@ from companion.core.interaction import (
     settled_prcs,
     time_to_shrink_s,
 )
-from companion.core.prediction import LOST_M, LinearModel, errors_over_time, settled_after_s, transient_peak
+from companion.core.prediction import LOST_M, TICK_S, LinearModel, errors_over_time, settled_after_s, transient_peak
 from companion.core.priority import next_prc
 
 SCENARIOS = Path(__file__).parents[2] / "config" / "scenarios"
@@ -196,6 +196,14 @@ def test_sharp_weights_alone_let_a_long_chain_collide() -> None:
     errors_m = stepped(16, weighted(K, 4.0), 120.0)
     assert 1.5 + (errors_m[:, :-1, 0] - errors_m[:, 1:, 0]).min() < 0.0
     assert transient_peak(errors_m) > 10.0
+
+
+def test_a_prediction_that_is_inside_only_at_the_end_has_not_settled() -> None:
+    errors_m = np.full((500, 2, 3), 0.01)  # 10 s
+    errors_m[: round(9.0 / TICK_S)] = 0.3
+    assert settled_after_s(errors_m, 0.1) is None
+    errors_m[round(7.9 / TICK_S) :] = 0.01
+    assert settled_after_s(errors_m, 0.1) == pytest.approx(7.9)
 
 
 def test_the_transient_peak_of_nothing_is_one() -> None:

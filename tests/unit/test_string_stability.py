@@ -181,9 +181,9 @@ def test_stability_mode_by_mode_is_that_of_the_whole(n: int, law: FormationLaw) 
 
 
 def test_a_worst_start_may_swing_far_and_still_come_back() -> None:
-    peak = worst_transient_peak(chained(24, weighted(PAPER_GAINS, 16.0)), LinearModel())
+    peak = worst_transient_peak(chained(60, weighted(PAPER_GAINS, 16.0)), LinearModel())
     assert peak is not None
-    assert 1e3 < peak < np.inf
+    assert 1e6 < peak < np.inf
 
 
 def test_a_critically_damped_vehicle_never_overshoots() -> None:
