@@ -5,7 +5,6 @@ Vehicle 1 leads, its slot is the origin, and the others are behind it (-x). Up t
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
@@ -13,6 +12,7 @@ from math import cos, dist, floor, pi, sin, sqrt
 
 import numpy as np
 
+from companion.core.interaction import reached_from
 from companion.types import Vector3
 
 LEADER = 1
@@ -92,15 +92,7 @@ def random_geometric(n: int, generator: np.random.Generator) -> Shape:
 
 def is_connected(graph: Mapping[int, Collection[int]]) -> bool:
     """Whether every vehicle has a path to every other."""
-    first = next(iter(graph), None)
-    if first is None:
-        return True
-    reached, waiting = {first}, deque([first])
-    while waiting:
-        new = set(graph[waiting.popleft()]) - reached
-        reached |= new
-        waiting.extend(new)
-    return len(reached) == len(graph)
+    return len(reached_from(graph, list(graph)[:1])) == len(graph)
 
 
 def _throw(n: int, generator: np.random.Generator) -> list[tuple[float, float]]:

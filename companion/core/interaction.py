@@ -5,6 +5,7 @@ The rest of the core decides for one vehicle; this file looks at all of them at 
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from math import atan2, inf, log, sqrt
@@ -21,26 +22,25 @@ Graph = Mapping[int, Collection[int]]  # vehicle id -> ids of its neighbours
 
 def settled_prcs(graph: Graph, leaders: Collection[int]) -> dict[int, int]:
     """p_i that Algorithm 1 comes to when every vehicle runs it: hops to the nearest leader + 1, and n without a path."""
-    prcs = dict.fromkeys(graph, len(graph))
-    reached, frontier, level = set(leaders), set(leaders), 1
-    while frontier:
-        for i in frontier:
-            prcs[i] = level
-        frontier = {j for i in frontier for j in graph[i]} - reached
-        reached |= frontier
-        level += 1
-    return prcs
+    return dict.fromkeys(graph, len(graph)) | {i: hops + 1 for i, hops in _hops(graph, leaders).items()}
 
 
 def reached_from(graph: Graph, leaders: Collection[int]) -> set[int]:
     """The vehicles that have a path to a leader; Lemma 1 wants them to be all."""
-    reached = set(leaders)
-    frontier = list(leaders)
-    while frontier:
-        new = set(graph[frontier.pop()]) - reached
-        reached |= new
-        frontier += new
-    return reached
+    return set(_hops(graph, leaders))
+
+
+def _hops(graph: Graph, leaders: Collection[int]) -> dict[int, int]:
+    """To the nearest leader, of those that have a path to one."""
+    hops = dict.fromkeys(leaders, 0)
+    waiting = deque(leaders)
+    while waiting:
+        i = waiting.popleft()
+        for j in graph[i]:
+            if j not in hops:
+                hops[j] = hops[i] + 1
+                waiting.append(j)
+    return hops
 
 
 @dataclass(frozen=True, slots=True, eq=False)
