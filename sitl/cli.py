@@ -12,7 +12,7 @@ from typing import NoReturn
 from companion import __version__
 from companion.closed_pipe import ending_quietly
 
-EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
+EXIT_FAILED, EXIT_BAD_INPUT, EXIT_INTERRUPTED = 1, 2, 130
 MAX_PORT_OFFSET = 40_000  # vehicle 250's ports are then still ports
 
 
@@ -28,6 +28,7 @@ def main() -> NoReturn:
 def _main() -> int:
     """The exit code. Imports what takes a while itself, for Ctrl-C may come meanwhile."""
     from companion.config_file import ConfigError
+    from sitl.workers import WorkerDiedError
 
     arguments = _parser().parse_args()
     run: Callable[[argparse.Namespace], int] = arguments.run
@@ -36,6 +37,9 @@ def _main() -> int:
     except ConfigError as error:
         print(error, file=sys.stderr)
         return EXIT_BAD_INPUT
+    except WorkerDiedError as error:
+        print(error, file=sys.stderr)
+        return EXIT_FAILED
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import shutil
 import sys
-import time
 from collections.abc import Sequence
 from typing import TextIO
 
 from companion.ground.fleet_status import VehicleRow
 from companion.types import FlightPhase, HealthFlag
+from sitl.screen import Screen
 
-IN_PLACE_EVERY_S = 0.2
 PLAIN_EVERY_S = 5.0
 NEEDS_A_LEADER = (FlightPhase.HOLD, FlightPhase.ENGAGE, FlightPhase.FORMATION, FlightPhase.RELEASE)
-UP, ERASE_DOWN = "\x1b[{}F", "\x1b[J"
 
 
 class Progress:
@@ -22,50 +19,28 @@ class Progress:
 
     def __init__(self, name: str, quiet: bool, began_s: float, out: TextIO | None = None) -> None:
         self._name = name
-        self._quiet = quiet
-        self._out = out or sys.stdout
-        self._in_place = self._out.isatty()
+        self._screen = Screen(quiet, out or sys.stdout, PLAIN_EVERY_S)
+        self._screen.make_due()
         self._began_s = began_s
         self._step, self._step_began_s, self._step_lasts_s = "starting", self._began_s, 0.0
-        self._next_s = 0.0  # of the machine's clock, which people read by
-        self._lines_up = 0
 
     def begin_step(self, step: str, since_s: float, lasts_s: float = 0.0) -> None:
         """`lasts_s` is 0 where nobody knows."""
-        self._next_s = 0.0  # shown at once, however soon after the last
+        self._screen.make_due()  # shown at once, however soon after the last
         self._step, self._step_began_s, self._step_lasts_s = step, since_s, lasts_s
 
     def is_due(self) -> bool:
         """Is it time to show something?"""
-        return not self._quiet and time.monotonic() >= self._next_s
+        return self._screen.is_due()
 
     def show(self, rows: Sequence[VehicleRow], now_s: float) -> None:
         """Refresh."""
-        self._next_s = time.monotonic() + (IN_PLACE_EVERY_S if self._in_place else PLAIN_EVERY_S)
-        lines = [self._headline(now_s), *(vehicle_line(row) for row in rows)]
-        if not self._in_place:
-            self._write("\n".join(lines) + "\n")
-            return
-        width = shutil.get_terminal_size().columns - 1  # a line that wraps would spoil the way back up
-        self._clear()
-        self._write("".join(line[:width] + "\n" for line in lines))
-        self._lines_up = len(lines)
+        self._screen.show([self._headline(now_s), *(vehicle_line(row) for row in rows)])
 
     def _headline(self, now_s: float) -> str:
         total = f" of {self._step_lasts_s:g}" if self._step_lasts_s else ""
         step_s = max(0.0, now_s - self._step_began_s)
         return f"{self._name}   {self._step}   {step_s:.1f}{total} s   (flight {now_s - self._began_s:.0f} s)"
-
-    def _clear(self) -> None:
-        if self._lines_up:
-            self._write(UP.format(self._lines_up) + ERASE_DOWN)
-
-    def _write(self, text: str) -> None:
-        try:
-            self._out.write(text)
-            self._out.flush()
-        except BrokenPipeError:  # nobody reads any more; the flight goes on
-            self._quiet = True
 
 
 def vehicle_line(row: VehicleRow) -> str:

@@ -1,43 +1,51 @@
-"""How much of a long computation is done, and how long it will still take."""
+"""How much of a long computation is done, how long it has taken and will still take."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+import time
+from types import TracebackType
+from typing import Self, TextIO
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from sitl.screen import Screen
 
-PLAIN_STEP = 0.1  # where nobody can redraw a line, one is printed for each tenth
-
-
-@contextmanager
-def share_shown(title: str, quiet: bool) -> Iterator[Callable[[float], None]]:
-    """Call what it gives with the share done, 0 to 1. On standard error, so that results can be piped."""
-    if quiet:
-        yield lambda _share: None
-    elif not sys.stderr.isatty():
-        yield _Lines(title)
-    else:
-        columns = (
-            TextColumn("{task.description}"),
-            BarColumn(),
-            TaskProgressColumn(),
-            TimeElapsedColumn(),
-            TimeRemainingColumn(),
-        )
-        with Progress(*columns, console=Console(stderr=True)) as progress:
-            task = progress.add_task(title, total=1.0)
-            yield lambda share: progress.update(task, completed=share)
+PLAIN_EVERY_S = 10.0
+TELLING = 0.01  # below this share nobody knows how long it takes
 
 
-class _Lines:
-    def __init__(self, title: str) -> None:
-        self._title = title
-        self._next = 0.0
+class ShareProgress:
+    """One line on standard error, so that results can be piped; gone from a terminal when the block ends."""
 
-    def __call__(self, share: float) -> None:
-        if share >= self._next:
-            self._next = share + PLAIN_STEP
-            print(f"{self._title}: {100 * share:.0f} %", file=sys.stderr, flush=True)
+    def __init__(self, quiet: bool, out: TextIO | None = None) -> None:
+        self._screen = Screen(quiet, out or sys.stderr, PLAIN_EVERY_S)
+        self._began_s = time.monotonic()
+        self._stage, self._stage_began_s = "", self._began_s
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._screen.clear()
+
+    def begin(self, stage: str) -> None:
+        """Shares count from 0 again, and what is left is that of this stage."""
+        self._stage, self._stage_began_s = stage, time.monotonic()
+
+    def show(self, share: float, more: str = "") -> None:
+        """`share` of the stage, 0 to 1; `more` in words."""
+        if not self._screen.is_due():
+            return
+        now_s = time.monotonic()
+        times = _duration(now_s - self._began_s)
+        if share >= TELLING:
+            times += f", {_duration((now_s - self._stage_began_s) * (1.0 / share - 1.0))} left"
+        self._screen.show(["   ".join(filter(None, (f"{self._stage} {share:4.0%}", more, times)))])
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 120.0:
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60.0)
+    return f"{minutes} min" if minutes < 120 else f"{minutes / 60.0:.1f} h"

@@ -1,4 +1,4 @@
-"""Ctrl-C and its kin: the first asks to land and stop, the second stops at once."""
+"""Ctrl-C and its kin: the first asks to land and stop, the second stops at once; or the first does, where nothing can land."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class StopNow(BaseException):
-    """The second signal. Raised wherever the main thread happens to be; no error, like KeyboardInterrupt."""
+    """The signal that stops at once. Raised wherever the main thread happens to be; no error, like KeyboardInterrupt."""
 
 
 class StopRequest:
     """Watches the signals while it is used in a `with`. `number` is the first that came."""
 
-    def __init__(self) -> None:
+    def __init__(self, at_once: bool = False) -> None:
+        self._at_once = at_once
         self.number: signal.Signals | None = None
 
     @property
@@ -35,6 +36,8 @@ class StopRequest:
             signal.signal(number, handler)
 
     def _asked(self, number: int, _frame: FrameType | None) -> None:
-        if self.number is not None:
+        first = self.number is None
+        if first:
+            self.number = signal.Signals(number)
+        if first == self._at_once:  # asked to stop at once, it has better things to do than to hear that again
             raise StopNow
-        self.number = signal.Signals(number)

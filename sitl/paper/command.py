@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 import time
 from dataclasses import dataclass
@@ -14,16 +13,14 @@ from typing import TYPE_CHECKING
 
 from companion.config_file import ConfigError
 from sitl.paper.no_formation import NoFormationError
-from sitl.paper.progress import PaperProgress
+from sitl.share import ShareProgress
 from sitl.stopping import StopNow, StopRequest
 
 if TYPE_CHECKING:
     from sitl.paper.claims import Claim
     from sitl.paper.flights import FlownPlan
-    from sitl.study.command import PastThePaper
 
 NEEDED = {"matplotlib": "matplotlib", "jinja2": "Jinja2", "scipy": "scipy"}
-POLL_S = 0.5
 EXIT_WRITTEN, EXIT_FAILED, EXIT_UNUSABLE = 0, 1, 2
 
 DESCRIPTION = """\
@@ -43,7 +40,7 @@ the folder (default: runs/paper-DATE-TIME):
 
 exit codes:
   0    written; a claim that does not hold is a result, not a failure
-  1    a flight that a figure needs never came to its formation; the one line says which
+  1    a flight that a figure needs never came to its formation, or a process ended before its flights did; the one line says it
   2    an argument cannot be used; the one line says which and what to do
   130  ended by Ctrl-C (129 by SIGHUP, 143 by SIGTERM)
 """
@@ -54,10 +51,6 @@ class PaperOptions:
     out: Path
     full: bool = False
     quiet: bool = False
-
-
-class _Stopped(Exception):  # noqa: N818 -- what a user wants, not an error
-    """A signal came."""
 
 
 def add_paper_arguments(parser: argparse.ArgumentParser) -> None:
@@ -73,23 +66,22 @@ def paper_options(parsed: argparse.Namespace) -> PaperOptions:
 
 def run_paper(options: PaperOptions) -> int:
     """The exit code. Everything that a user can cause ends in one line."""
-    with StopRequest() as stop:
+    with StopRequest(at_once=True) as stop:
         try:
             _check(options)
-            return _reproduce(options, stop)
+            return _reproduce(options)
         except NoFormationError as error:
             print(error, file=sys.stderr)
             return EXIT_FAILED
         except ConfigError as error:
             print(error, file=sys.stderr)
             return EXIT_UNUSABLE
-        except BrokenPipeError:  # the reader of a pipe has gone
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            return EXIT_FAILED
+        except BrokenPipeError:  # no folder's fault
+            raise
         except OSError as error:
             print(f"{error.filename}: {error.strerror}; choose another folder with --out", file=sys.stderr)
             return EXIT_UNUSABLE
-        except (_Stopped, StopNow):
+        except StopNow:
             print("stopped; no report was written", file=sys.stderr)
             return stop.exit_code
 
@@ -107,7 +99,7 @@ def _check(options: PaperOptions) -> None:
     trial.unlink()
 
 
-def _reproduce(options: PaperOptions, stop: StopRequest) -> int:
+def _reproduce(options: PaperOptions) -> int:
     """Compute, fly, draw, write. What takes long to import is imported here."""
     from sitl.paper.book import Book
     from sitl.paper.errata import errata
@@ -116,18 +108,19 @@ def _reproduce(options: PaperOptions, stop: StopRequest) -> int:
     from sitl.paper.law_table import law_table
     from sitl.paper.past import past_rows
     from sitl.paper.report import Report, in_short, versions, write_report
-    from sitl.study.command import draw
+    from sitl.study.command import draw, past_the_paper
 
     began_s = time.perf_counter()
-    progress = PaperProgress(options.quiet)
-    theory, flown = _compute_and_fly(options, progress, stop)
-    past = _past_the_paper(options, progress, stop)
-    book = Book(flown)
-    for number, picture in enumerate(PICTURES, start=1):
-        _raise_if(stop)
-        progress.say(f"drawing {number} of {len(PICTURES)}")
-        picture.save(options.out / picture.file, book)
-    draw(options.out, past)
+    with ShareProgress(options.quiet) as progress:
+        theory, flown = _compute_and_fly(options, progress)
+        progress.begin("past the paper")
+        past = past_the_paper(options.full, progress.show)
+        progress.begin("drawing")
+        book = Book(flown)
+        for number, picture in enumerate(PICTURES):
+            progress.show(number / len(PICTURES))
+            picture.save(options.out / picture.file, book)
+        draw(options.out, past)
     report = Report(
         claims=[*theory, *flight_claims(book)],
         past_claims=past.claims,
@@ -140,45 +133,27 @@ def _reproduce(options: PaperOptions, stop: StopRequest) -> int:
         took_s=round(time.perf_counter() - began_s, 1),
     )
     write_report(options.out, report)
-    progress.clear()
     print(f"{in_short(report.claims)}\nreport in {options.out / 'index.html'} ({report.took_s:.0f} s)", flush=True)
     return EXIT_WRITTEN
 
 
-def _compute_and_fly(
-    options: PaperOptions, progress: PaperProgress, stop: StopRequest
-) -> tuple[list[Claim], list[FlownPlan]]:
+def _compute_and_fly(options: PaperOptions, progress: ShareProgress) -> tuple[list[Claim], list[FlownPlan]]:
     """The theory is computed here while the flights are flown in processes of their own."""
-    from sitl.paper.flights import paper_plans
-    from sitl.paper.pool import flying
+    from sitl.paper.flights import fly, paper_plans
     from sitl.paper.theorems import theory_claims
+    from sitl.workers import LOOK_EVERY_S, running
 
     plans = paper_plans(options.full)
     for plan in plans:
         plan.scenario()  # a scenario that cannot be used is said at once
-    with flying(plans) as flights:
+    progress.begin("theory and flights")
+    with running(fly, plans) as flights:
 
-        def tell(theory_share: float) -> None:
-            _raise_if(stop)
-            progress.show(theory_share, flights.share_done)
+        def show(theory: float) -> None:
+            flown = flights.share_done
+            progress.show(min(theory, flown), f"theory {theory:.0%}, flights {flown:.0%}")
 
-        theory = theory_claims(options.full, tell)
-        while not flights.wait(POLL_S):
-            tell(1.0)
+        theory = theory_claims(options.full, show)
+        while not flights.wait(LOOK_EVERY_S):
+            show(1.0)
         return theory, flights.results()
-
-
-def _past_the_paper(options: PaperOptions, progress: PaperProgress, stop: StopRequest) -> PastThePaper:
-    """The study, on all cores by itself."""
-    from sitl.study.command import past_the_paper
-
-    def tell(share: float) -> None:
-        _raise_if(stop)
-        progress.say(f"past the paper {share:4.0%}")
-
-    return past_the_paper(options.full, tell)
-
-
-def _raise_if(stop: StopRequest) -> None:
-    if stop.number is not None:
-        raise _Stopped

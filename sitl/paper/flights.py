@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -121,17 +121,14 @@ def _plans(seeds: range) -> Iterator[Plan]:
     yield from (Plan(Subject.AGGREGATION, "weighted", Model.NOISY, seed, (PATIENT,)) for seed in seeds)
 
 
-def fly(plan: Plan, check: Callable[[], None]) -> FlownPlan:
-    """The plan's whole timeline in virtual time, and down in any case. Raises ConfigError.
-
-    `check` is called again and again and may raise whatever is to end the flight at once.
-    """
+def fly(plan: Plan) -> FlownPlan:
+    """The plan's whole timeline in virtual time, and down in any case. Raises ConfigError."""
     scenario = plan.scenario()
     lockstep = Lockstep(scenario)
     leader_ids = [member.id for member in scenario.fleet.vehicles if member.role is Role.LEADER]
     watch = FlightWatch(ids_of(scenario), leader_ids, lockstep.now_s())
     quiet = Progress(plan.subject, quiet=True, began_s=0.0)
-    failures = Director(lockstep, watch, quiet, check, tuple, lockstep).fly_and_land(scenario.timeline)
+    failures = Director(lockstep, watch, quiet, lambda: None, tuple, lockstep).fly_and_land(scenario.timeline)
     return FlownPlan(
         plan=plan,
         scenario=scenario,

@@ -13,14 +13,14 @@ from msgspec import Struct
 
 from companion.config_file import ConfigError
 from sitl.paper.claims import Claim
-from sitl.share import share_shown
+from sitl.share import ShareProgress
+from sitl.stopping import StopNow, StopRequest
 from sitl.study.goals import goal_claims
 from sitl.study.large import Spectra, large_spectra
 from sitl.study.study import Study, run_study
 from sitl.study.table import in_a_table
 from sitl.summary import write_json
 
-EXIT_INTERRUPTED = 130
 SCHEMA = 1
 SHOWN = ("chain-4", "chain-16", "ring-16", "grid-10x10")
 DRAWN = ("chain-16", "ring-16", "grid-10x10")
@@ -47,12 +47,14 @@ def run_study_command(arguments: argparse.Namespace) -> int:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ConfigError("sitl study", "--out", f"{folder}: {error.strerror}; choose another folder") from error
-    try:
-        with share_shown("past the paper", arguments.quiet) as show:
-            found = past_the_paper(arguments.full, show)
-    except KeyboardInterrupt:
-        print("interrupted; nothing was written", file=sys.stderr)
-        return EXIT_INTERRUPTED
+    with StopRequest(at_once=True) as stop:
+        try:
+            with ShareProgress(arguments.quiet) as progress:
+                progress.begin("past the paper")
+                found = past_the_paper(arguments.full, progress.show)
+        except StopNow:
+            print("stopped; nothing was written", file=sys.stderr)
+            return stop.exit_code
     write_json(folder / "study.json", found)
     draw(folder, found)
     print(f"{in_a_table(found.study.quiet, SHOWN)}\n\n{_in_words(found.claims)}\n\nresults in {folder}")

@@ -18,7 +18,8 @@ examples:
 the folder (default: runs/study-DATE-TIME): study.json (every flight, the verdicts and the spectra), trade_off.png (settling
 against the worst inter-distance for every setting), spectra.png
 
-exit codes: 0 flown, whatever the verdicts; 2 an argument cannot be used; 130 interrupted by Ctrl-C
+exit codes: 0 flown, whatever the verdicts; 1 a process ended before its flights did, most likely for want of memory; 2 an
+argument cannot be used; 130 ended by Ctrl-C (129 by SIGHUP, 143 by SIGTERM), which leaves no results
 """
 
 

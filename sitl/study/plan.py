@@ -27,7 +27,7 @@ class Batch:
 
     @property
     def work(self) -> float:
-        """Roughly how long it takes, for the progress line."""
+        """Roughly how long it takes, to fly the longest first and for the progress line."""
         n = len(self.cases[0].shape.slots_enu_m)
         return self.duration_s * (20.0 + len(self.cases) * n * (1.0 + n / 20.0))
 

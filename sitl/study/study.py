@@ -68,16 +68,7 @@ def _joined(batches: Sequence[list[Figures]]) -> list[Figures]:
 
 
 def _fly_all(batches: Sequence[Batch], progress: Progress) -> list[list[Figures]]:
-    """The longest first, so that no core waits at the end; the results are in the order of `batches`."""
-    order = sorted(range(len(batches)), key=lambda k: -batches[k].work)
-    results: list[list[Figures]] = [[] for _ in batches]
-    done, total = 0.0, sum(batch.work for batch in batches)
-    for place, figures in in_processes(_fly_batch, [batches[k] for k in order]):
-        k = order[place]
-        results[k] = figures
-        done += batches[k].work
-        progress(done / total)
-    return results
+    return in_processes(_fly_batch, batches, progress, [batch.work for batch in batches])
 
 
 def _fly_batch(batch: Batch) -> list[Figures]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import ceil, isfinite
@@ -16,6 +16,7 @@ from sitl.batch.metrics import batch_figures
 from sitl.metrics import SAMPLE_S
 from sitl.scenario import Scenario
 from sitl.sweep.points import Point
+from sitl.workers import tell
 
 # A chunk's samples take some 50 bytes each while its figures are made, a pair of vehicles some 500 while it flies with
 # bad links: 300 MB for each core.
@@ -101,9 +102,13 @@ def _cut(flights: Sequence[SeededFlight], size: int) -> Iterator[tuple[SeededFli
         yield tuple(flights[begin:end])
 
 
-def fly_chunk(chunk: Chunk, progress: Callable[[float], None]) -> list[FlightFigures]:
-    """In the order of the chunk's flights. `progress` is told the seconds flown, and may raise to end it all."""
-    figures = batch_figures(fly_batch(chunk.scenarios, chunk.duration_s, progress, sample_s=SAMPLE_S))
+def fly_chunk(chunk: Chunk) -> list[FlightFigures]:
+    """In the order of the chunk's flights."""
+
+    def flown(time_s: float) -> None:
+        tell(time_s / chunk.duration_s)
+
+    figures = batch_figures(fly_batch(chunk.scenarios, chunk.duration_s, flown, sample_s=SAMPLE_S))
     alone = len(chunk.scenarios[0].fleet.vehicles) == 1
     return [
         FlightFigures(

@@ -2,30 +2,25 @@
 
 from __future__ import annotations
 
-import os
 import sys
 import time
 from collections.abc import Sequence
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from datetime import datetime
 from importlib.util import find_spec
 from pathlib import Path
 
 from companion.config_file import ConfigError
-from sitl.flights import EXIT_FAILED, EXIT_FLOWN, EXIT_UNUSABLE
+from sitl.flights import EXIT_FLOWN, EXIT_UNUSABLE
+from sitl.share import ShareProgress
 from sitl.stopping import StopNow, StopRequest
 from sitl.summary import write_json
-from sitl.sweep.flights import Chunk, FlightFigures, chunks_of
+from sitl.sweep.flights import Chunk, FlightFigures, chunks_of, fly_chunk
 from sitl.sweep.options import SweepOptions
 from sitl.sweep.points import Axis, Point, axes_of, base_scenario, formation_time_s, points_of
-from sitl.sweep.pool import Flying, flying
-from sitl.sweep.progress import SweepProgress
 from sitl.sweep.report import Row, in_a_table, write_csv
 from sitl.sweep.statistics import Sweep, combination
-
-LOOK_EVERY_S = 0.1
-PROCESS_ENDED = "a process ended before its flights did; free some memory, or fly fewer seconds"
+from sitl.workers import LOOK_EVERY_S, running
 
 
 class StoppedError(Exception):
@@ -53,21 +48,15 @@ def run(options: SweepOptions) -> int:
     """Fly as the options say; the exit code. Everything that a user can cause ends in one line."""
     with StopRequest() as stop:
         try:
-            code = _run(options, stop)
-            sys.stdout.flush()
-            return code
+            return _run(options, stop)
         except ConfigError as error:
             print(error, file=sys.stderr)
             return EXIT_UNUSABLE
         except StoppedError:
             print("stopped; nothing was flown", file=sys.stderr)
             return stop.exit_code
-        except BrokenProcessPool:
-            print(PROCESS_ENDED, file=sys.stderr)
-            return EXIT_FAILED
-        except BrokenPipeError:  # the reader of a pipe has gone; all is flown and the folder is written
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            return EXIT_FAILED
+        except BrokenPipeError:  # no folder's fault
+            raise
         except OSError as error:
             print(f"{error.filename}: {error.strerror}; choose another folder with --out", file=sys.stderr)
             return EXIT_UNUSABLE
@@ -79,13 +68,12 @@ def run(options: SweepOptions) -> int:
 def _run(options: SweepOptions, stop: StopRequest) -> int:
     if find_spec("matplotlib") is None:
         raise ConfigError("sitl sweep", "matplotlib", "is not installed; pip install 'formation-companion[ground]'")
-    progress = SweepProgress(options.quiet)
-    grid = _grid(options, progress, stop)
     name = options.scenario.stem
     folder = options.out or Path("runs") / f"{name}-sweep-{datetime.now():%Y%m%d-%H%M%S}"
-    folder.mkdir(parents=True, exist_ok=True)
-    flown = _fly(chunks_of(grid.points, options.seeds, grid.seconds), options.workers, progress, stop)
-    progress.end()
+    with ShareProgress(options.quiet) as progress:
+        grid = _grid(options, progress, stop)
+        folder.mkdir(parents=True, exist_ok=True)
+        flown = _fly(chunks_of(grid.points, options.seeds, grid.seconds), options.workers, progress, stop)
     if not flown.rows:
         print(f"stopped before any flight was complete; nothing in {folder}", file=sys.stderr)
         return stop.exit_code
@@ -95,41 +83,38 @@ def _run(options: SweepOptions, stop: StopRequest) -> int:
     return stop.exit_code if stop.number else EXIT_FLOWN
 
 
-def _grid(options: SweepOptions, progress: SweepProgress, stop: StopRequest) -> Grid:
+def _grid(options: SweepOptions, progress: ShareProgress, stop: StopRequest) -> Grid:
     """Raises ConfigError, and StoppedError: many scenarios take a while to check."""
 
     def told(number: int, of: int) -> None:
-        progress.checked(number, of)
+        progress.show(number / of)
         if stop.number:
-            progress.end()
             raise StoppedError
 
+    progress.begin("checking")
     base = base_scenario(options.scenario, options.overrides)
     axes = axes_of(options.varied, options.seeds)
     seconds = options.seconds or formation_time_s(options.scenario, base)
     return Grid(axes, points_of(options.scenario, options.overrides, axes, told), seconds)
 
 
-def _fly(chunks: Sequence[Chunk], workers: int | None, progress: SweepProgress, stop: StopRequest) -> FlownGrid:
+def _fly(chunks: Sequence[Chunk], workers: int | None, progress: ShareProgress, stop: StopRequest) -> FlownGrid:
     flights = sum(len(chunk.flights) for chunk in chunks)
     began_s = time.perf_counter()
-
-    def show(under_way: Flying) -> None:
-        elapsed_s = time.perf_counter() - began_s
-        progress.flown(under_way.share_done, under_way.flights_done, flights, elapsed_s)
-
-    with flying(chunks, workers) as under_way:
+    progress.begin("flying")
+    with running(fly_chunk, chunks, [chunk.work_s for chunk in chunks], workers) as under_way:
         while not under_way.wait(LOOK_EVERY_S) and not stop.number:
-            show(under_way)
+            done = sum(map(len, filter(None, under_way.results_so_far())))
+            progress.show(under_way.share_done, f"{done} of {flights} flights")
         results = under_way.results_so_far() if stop.number else under_way.results()
     return FlownGrid(_rows(chunks, results), time.perf_counter() - began_s)
 
 
-def _rows(chunks: Sequence[Chunk], results: Sequence[list[FlightFigures]]) -> list[Row]:
+def _rows(chunks: Sequence[Chunk], results: Sequence[list[FlightFigures] | None]) -> list[Row]:
     rows = [
         Row(flight, figures)
         for chunk, of_chunk in zip(chunks, results, strict=True)
-        for flight, figures in zip(chunk.flights, of_chunk, strict=False)
+        for flight, figures in zip(chunk.flights, of_chunk or (), strict=False)
     ]
     return sorted(rows, key=lambda row: (row.flight.point, row.flight.seed))
 

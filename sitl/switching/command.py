@@ -11,14 +11,14 @@ from pathlib import Path
 from msgspec import Struct
 
 from companion.config_file import ConfigError
-from sitl.share import share_shown
+from sitl.share import ShareProgress
+from sitl.stopping import StopNow, StopRequest
 from sitl.summary import write_json
 from sitl.switching.starts import random_start
 from sitl.switching.study import fly_all, plans
 from sitl.switching.summary import LawSummary, in_a_table, summarize
 from sitl.switching.topology import Topology
 
-EXIT_INTERRUPTED = 130
 SCHEMA = 1
 
 
@@ -48,12 +48,14 @@ def run_switching(arguments: argparse.Namespace) -> int:
     planned = plans(
         arguments.starts, arguments.vehicles, arguments.range, (0.0, arguments.hysteresis), arguments.seconds
     )
-    try:
-        with share_shown(f"{len(planned)} batches", arguments.quiet) as show:
-            flown = fly_all(planned, show)
-    except KeyboardInterrupt:
-        print("interrupted; nothing was written", file=sys.stderr)
-        return EXIT_INTERRUPTED
+    with StopRequest(at_once=True) as stop:
+        try:
+            with ShareProgress(arguments.quiet) as progress:
+                progress.begin(f"{len(planned)} batches")
+                flown = fly_all(planned, progress.show)
+        except StopNow:
+            print("stopped; nothing was written", file=sys.stderr)
+            return stop.exit_code
     _write(folder, arguments, flown)
     return 0
 

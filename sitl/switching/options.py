@@ -20,7 +20,8 @@ examples:
 
 the folder (default: runs/switching-DATE-TIME): switching.json (every flight and the summaries), switching.png
 
-exit codes: 0 flown, 2 an argument cannot be used, 130 interrupted by Ctrl-C
+exit codes: 0 flown; 1 a process ended before its flights did, most likely for want of memory; 2 an argument cannot be used;
+130 ended by Ctrl-C (129 by SIGHUP, 143 by SIGTERM), which leaves no results
 """
 
 

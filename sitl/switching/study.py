@@ -46,11 +46,7 @@ def plans(starts: int, vehicles: int, range_m: float, hystereses_m: tuple[float,
 
 def fly_all(planned: list[Plan], progress: Callable[[float], None]) -> list[Topology]:
     """In the order of the plans and their starts. `progress` is told the share that is done."""
-    found: list[list[Topology]] = [[] for _ in planned]
-    for done, (place, topologies) in enumerate(in_processes(fly, planned), start=1):
-        found[place] = topologies
-        progress(done / len(planned))
-    return [topology for batch in found for topology in batch]
+    return [topology for batch in in_processes(fly, planned, progress) for topology in batch]
 
 
 def fly(plan: Plan) -> list[Topology]:

@@ -15,9 +15,9 @@ from sitl.metrics import formation_figures, neighbouring_pairs, pair_name
 from sitl.progress import Progress
 from sitl.run import fly_in_virtual_time
 from sitl.scenario import load_scenario, reference_of
+from sitl.share import ShareProgress
 from sitl.sweep import flights
 from sitl.sweep.options import SweepOptions
-from sitl.sweep.progress import SweepProgress
 from sitl.sweep.run import run as run_sweep
 
 PLATOON = Path(__file__).parents[2] / "config" / "scenarios" / "platoon.yaml"
@@ -125,8 +125,8 @@ def test_ctrl_c_ends_everything_in_one_line(tmp_path: Path) -> None:
     with subprocess.Popen(
         command(*arguments), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     ) as process:
-        assert process.stdout is not None
-        assert "0 of 3000 flights done" in process.stdout.readline()
+        assert process.stderr is not None
+        assert "0 of 3000 flights" in process.stderr.readline()
         os.killpg(process.pid, signal.SIGINT)
         said, complained = process.communicate(timeout=60)
     assert process.returncode == 130, complained
@@ -137,11 +137,11 @@ def test_ctrl_c_ends_everything_in_one_line(tmp_path: Path) -> None:
 def test_ctrl_c_keeps_what_is_complete(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def interrupt(_progress: SweepProgress, _share: float, flights: int, _of: int, _elapsed_s: float) -> None:
-        if flights:
+    def interrupt(_progress: ShareProgress, _share: float, more: str = "") -> None:
+        if more and not more.startswith("0 of"):
             os.kill(os.getpid(), signal.SIGINT)
 
-    monkeypatch.setattr(SweepProgress, "flown", interrupt)
+    monkeypatch.setattr(ShareProgress, "show", interrupt)
     monkeypatch.setattr(flights, "chunk_size", lambda *_: 5)
     varied = ("fleet.law.name=weighted,cooperative",)
     assert run_sweep(SweepOptions(PLATOON, varied, 1000, 3.0, out=tmp_path, workers=1)) == 130

@@ -16,13 +16,13 @@ PLATOON = Path(__file__).parents[2] / "config" / "scenarios" / "platoon.yaml"
     "arguments",
     [
         ("companion", "analyze", PLATOON),
-        ("sitl", "run", PLATOON, "--quiet", "--set", "timeline[3].for_s=2"),
+        ("sitl", "sweep", PLATOON, "--seeds", "1", "--seconds", "2"),
     ],
 )
 def test_a_closed_pipe_is_no_traceback(arguments: tuple[object, ...], tmp_path: Path) -> None:
     read, write = os.pipe()
     os.close(read)
-    more = ("--out", tmp_path) if "sitl" in arguments else ()
+    more = ("--out", tmp_path) if "sweep" in arguments else ()
     done = subprocess.run(
         [sys.executable, "-m", *map(str, (*arguments, *more))],
         stdout=write,
@@ -34,7 +34,7 @@ def test_a_closed_pipe_is_no_traceback(arguments: tuple[object, ...], tmp_path: 
     os.close(write)
     assert done.stderr == ""
     assert done.returncode == 141
-    assert not more or (tmp_path / "summary.json").exists()
+    assert not more or (tmp_path / "sweep.csv").exists()
 
 
 def test_a_pipe_that_broke_elsewhere_is_an_error() -> None:

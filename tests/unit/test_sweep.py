@@ -1,7 +1,6 @@
 """A sweep's parts: what --vary means, how flights are cut into chunks, how figures spread, and what is shown of it."""
 
 import csv
-import io
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -24,7 +23,6 @@ from sitl.sweep.flights import (
 )
 from sitl.sweep.options import MAX_FLIGHTS
 from sitl.sweep.points import Axis, Point, axes_of, axis_of, base_scenario, formation_time_s, points_of
-from sitl.sweep.progress import SweepProgress
 from sitl.sweep.report import MOST_ROWS, Row, in_a_table, short_name, write_csv
 from sitl.sweep.statistics import Sweep, combination, spread
 
@@ -163,7 +161,7 @@ def test_few_flights_stay_together_and_many_go_round_the_cores() -> None:
 def test_a_chunk_s_figures_are_in_the_order_of_its_flights() -> None:
     quick, slow = platoon("fleet.law={name: cooperative}"), platoon("fleet.law.name=average_26")
     chunk = Chunk((SeededFlight(0, 1), SeededFlight(1, 1)), (quick, slow), 8.0)
-    one, other = fly_chunk(chunk, lambda _time_s: None)
+    one, other = fly_chunk(chunk)
     assert one.settle_s == pytest.approx(2.2, abs=0.3)
     assert other.settle_s is None
     assert one.final_error_m is not None and other.final_error_m is not None
@@ -300,22 +298,3 @@ def test_millimetres_do_not_look_like_much(drawn: list[Figure]) -> None:
     for panel in drawn[0].axes[2:]:
         low_m, high_m = panel.get_ylim()
         assert high_m - low_m >= 0.0999
-
-
-class Terminal(io.StringIO):
-    def isatty(self) -> bool:
-        return True
-
-
-def test_progress_says_how_long_it_will_take() -> None:
-    screen = Terminal()
-    SweepProgress(False, screen).flown(0.25, 50, 240, 30.0)
-    assert " 25 %   50 of 240 flights done, 90 s left" in screen.getvalue()
-
-
-def test_progress_is_quiet_where_it_is_asked_to_be() -> None:
-    screen = Terminal()
-    progress = SweepProgress(True, screen)
-    progress.flown(0.25, 50, 240, 30.0)
-    progress.end()
-    assert screen.getvalue() == ""

@@ -1,13 +1,27 @@
-"""Computations in processes of their own, and what a long one says of itself."""
+"""Computations in processes of their own: their results, their errors, and that none of them is left."""
 
-import io
 import os
-from collections.abc import Iterator
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
-from sitl.share import share_shown
-from sitl.workers import in_processes
+from sitl.workers import WorkerDiedError, in_processes, running, tell
+
+PARENT = """
+import sys
+from pathlib import Path
+sys.path.insert(0, sys.argv[1])
+from test_workers import hang
+from sitl.workers import running
+if __name__ == "__main__":
+    with running(hang, [Path(sys.argv[2]) / "a", Path(sys.argv[2]) / "b"], workers=2) as under_way:
+        under_way.wait()
+"""
 
 
 def square(x: int) -> int:
@@ -18,44 +32,114 @@ def own_process(_job: int) -> int:
     return os.getpid()
 
 
+def settings(_job: int) -> tuple[str, set[signal.Signals]]:
+    return os.environ["OMP_NUM_THREADS"], set(signal.pthread_sigmask(signal.SIG_BLOCK, ()))
+
+
 def fail(job: int) -> int:
-    raise ValueError(f"job {job}")
+    if job:
+        raise ValueError(f"job {job}")
+    return hang(Path(os.devnull))
 
 
-def test_results_come_with_their_places() -> None:
-    assert dict(in_processes(square, [3, 4, 5])) == {0: 9, 1: 16, 2: 25}
+def half(_job: int) -> None:
+    tell(0.5)
+    hang(Path(os.devnull))
+
+
+def give_what_cannot_travel(_job: int) -> Callable[[], int]:
+    return lambda: 1
+
+
+def hang(pid_file: Path) -> int:
+    """Says in a file who hangs. In Python, where nothing that ends it may wait for the work."""
+    if pid_file != Path(os.devnull):
+        pid_file.with_suffix(".new").write_text(str(os.getpid()))
+        pid_file.with_suffix(".new").rename(pid_file)
+    while True:
+        time.sleep(60.0)
+
+
+def until(what: Callable[[], bool], seconds: float) -> None:
+    end_s = time.monotonic() + seconds
+    while not what():
+        assert time.monotonic() < end_s
+        time.sleep(0.02)
+
+
+def is_alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+def pids_in(*files: Path) -> list[int]:
+    until(lambda: all(file.exists() for file in files), 20.0)
+    return [int(file.read_text()) for file in files]
+
+
+def test_results_are_in_the_order_of_the_jobs_whatever_is_begun_first() -> None:
+    assert in_processes(square, [3, 4, 5], lambda _share: None) == [9, 16, 25]
+    assert in_processes(square, [3, 4, 5], lambda _share: None, weights=[1.0, 3.0, 2.0]) == [9, 16, 25]
 
 
 def test_nothing_to_do() -> None:
-    assert list(in_processes(square, [])) == []
+    assert in_processes(square, [], lambda _share: None) == []
 
 
-def test_they_are_other_processes_and_end_with_the_listening() -> None:
-    results: Iterator[tuple[int, int]] = in_processes(own_process, list(range(20)))
-    _, pid = next(results)
-    assert pid != os.getpid()
-    results.close()  # type: ignore[attr-defined]
-    with pytest.raises(ProcessLookupError):
-        os.kill(pid, 0)
+def test_they_are_other_processes_with_one_thread_each_that_never_hear_ctrl_c() -> None:
+    with running(own_process, [1, 2], workers=1) as under_way:
+        first, second = under_way.results()
+    assert first == second != os.getpid()
+    ((threads, blocked),) = in_processes(settings, [1], lambda _share: None)
+    assert threads == "1"
+    assert blocked >= {signal.SIGINT, signal.SIGHUP}
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
 
 
-def test_an_error_comes_out() -> None:
-    with pytest.raises(ValueError, match="job 7"):
-        list(in_processes(fail, [7]))
+def test_an_error_comes_out_at_once_whatever_else_goes_on() -> None:
+    with pytest.raises(ValueError, match="job 7") as raised:
+        in_processes(fail, [0, 7], lambda _share: None)
+    assert "in fail" in "".join(raised.value.__notes__)  # where it happened
 
 
-def test_a_line_for_each_tenth_where_there_is_no_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
-    out = io.StringIO()
-    monkeypatch.setattr("sys.stderr", out)
-    with share_shown("flying", quiet=False) as show:
-        for k in range(101):
-            show(k / 100)
-    lines = out.getvalue().splitlines()
-    assert lines[0] == "flying: 0 %"
-    assert 10 <= len(lines) <= 12
+def test_a_result_that_cannot_travel_is_an_error_too() -> None:
+    with pytest.raises(Exception, match="pickle"):
+        in_processes(give_what_cannot_travel, [1], lambda _share: None)
 
 
-def test_quiet_says_nothing(capsys: pytest.CaptureFixture[str]) -> None:
-    with share_shown("flying", quiet=True) as show:
-        show(0.5)
-    assert capsys.readouterr() == ("", "")
+def test_a_long_job_tells_how_far_it_is() -> None:
+    with running(half, [1, 2], weights=[30.0, 10.0], workers=1) as under_way:
+        assert under_way.share_done == 0.0
+        until(lambda: under_way.share_done > 0.0, 20.0)
+        assert under_way.share_done == 0.5 * 30.0 / 40.0
+        assert under_way.results_so_far() == [None, None]
+        assert not under_way.wait(0.0)
+    tell(0.5)  # in this process nobody minds
+
+
+def test_a_process_that_is_killed_is_an_error(tmp_path: Path) -> None:
+    with running(hang, [tmp_path / "a", tmp_path / "b"], workers=2) as under_way:
+        os.kill(pids_in(tmp_path / "a")[0], signal.SIGKILL)
+        with pytest.raises(WorkerDiedError):
+            under_way.results()
+
+
+def test_leaving_early_ends_them_all_at_once(tmp_path: Path) -> None:
+    files = (tmp_path / "a", tmp_path / "b")
+    with pytest.raises(KeyError), running(hang, [*files, tmp_path / "c"], workers=2):
+        pids = pids_in(*files)
+        began_s = time.monotonic()
+        raise KeyError
+    assert time.monotonic() - began_s < 1.0
+    assert not any(map(is_alive, pids))
+    assert not (tmp_path / "c").exists()
+
+
+def test_killing_the_parent_ends_them(tmp_path: Path) -> None:
+    parent = subprocess.Popen([sys.executable, "-c", PARENT, Path(__file__).parent, tmp_path])
+    pids = pids_in(tmp_path / "a", tmp_path / "b")
+    parent.kill()
+    parent.wait()
+    until(lambda: not any(map(is_alive, pids)), 2.0)
