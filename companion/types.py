@@ -233,7 +233,10 @@ class LeaderWord:
 
 @dataclass(frozen=True, slots=True)
 class PeerPacket:
-    """What a vehicle tells its peers at every tick. `state_age_s` is the position's age when the packet was made."""
+    """What a vehicle tells its peers at every tick.
+
+    `state_age_s` is the position's age when the packet was made, at `sent_s` of the sender's own monotonic clock.
+    """
 
     vehicle_id: int
     session: int  # drawn at start-up: tells a restart (sequence back to 0) from a replay
@@ -245,6 +248,7 @@ class PeerPacket:
     velocity_enu_m_s: Vector3
     acceleration_enu_m_s2: Vector3
     state_age_s: float
+    sent_s: float
     prc: int
     leader_word: LeaderWord | None
 

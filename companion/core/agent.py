@@ -279,6 +279,7 @@ class Agent:
             velocity_enu_m_s=vehicle.velocity_enu_m_s,
             acceleration_enu_m_s2=self._flown_acceleration(now_s, vehicle),
             state_age_s=max(0.0, now_s - vehicle.position_time_s),
+            sent_s=now_s,
             prc=around.prc,
             leader_word=around.leader_word,
         )

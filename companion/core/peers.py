@@ -12,23 +12,31 @@ from companion.types import MAX_EPOCH, LeaderWord, PeerPacket, ReceivedPeerPacke
 MAX_COORDINATE_M = 20_000.0
 MAX_ACCELERATION_M_S2 = 100.0
 MAX_REFERENCE_S = 1e6
+MAX_SENT_S = 1e9  # thirty years since that computer was started
+CREEP = 2e-4  # seconds a second: two computers' clocks drift apart by less
 JUMP_MARGIN_M = 1.0  # what an estimator's correction may add to the way flown between two packets
 
 
 @dataclass(frozen=True, slots=True)
 class PeerState:
-    """A peer's newest packet and when it came."""
+    """A peer's newest packet, when it came, and how much later than packets of its session can come.
+
+    No clock is common to both, so `least_apart_s` is of their clocks as well as of the way: received less sent, of the packet
+    with the shortest way.
+    """
 
     packet: PeerPacket
     received_s: float
+    least_apart_s: float
+    late_s: float
 
     def age_s(self, now_s: float) -> float:
-        """Age of the position itself: what it had when it was sent and what has passed since."""
-        return self.packet.state_age_s + (now_s - self.received_s)
+        """Age of the position itself: what it had when it was sent, what held it up, and what has passed since."""
+        return self.packet.state_age_s + self.late_s + (now_s - self.received_s)
 
     def position_at(self, now_s: float) -> Vector3:
         """The position carried on with its velocity over its age, so that both sides of x_i - x_j mean the same time."""
-        age_s = self.packet.state_age_s + (now_s - self.received_s)
+        age_s = self.age_s(now_s)
         (x, y, z), (vx, vy, vz) = self.packet.position_enu_m, self.packet.velocity_enu_m_s
         return (x + vx * age_s, y + vy * age_s, z + vz * age_s)
 
@@ -54,12 +62,15 @@ class PeerTable:
 
     def fold(self, packets: Iterable[ReceivedPeerPacket]) -> None:
         for received in packets:
-            packet = received.packet
+            vehicle_id = received.packet.vehicle_id
             reason = self._refusal(received)
             if reason is None:
-                self._newest[packet.vehicle_id] = PeerState(packet, received.received_s)
-            else:
-                self.rejected[f"peer {packet.vehicle_id}: {reason}"[:80]] += 1
+                peer = _timed(received, self._newest.get(vehicle_id))
+                if peer.late_s <= self._max_age_s:
+                    self._newest[vehicle_id] = peer
+                    continue
+                reason = "comes too late"
+            self.rejected[f"peer {vehicle_id}: {reason}"[:80]] += 1
 
     def fresh(self, now_s: float) -> dict[int, PeerState]:
         """Peers whose state is not older than the configured age."""
@@ -85,7 +96,8 @@ class PeerTable:
             packet.velocity_enu_m_s,
             packet.acceleration_enu_m_s2,
         )
-        if not isfinite(x + y + z + vx + vy + vz + ax + ay + az + packet.state_age_s):  # one that is not spoils the sum
+        numbers = x + y + z + vx + vy + vz + ax + ay + az + packet.state_age_s + packet.sent_s
+        if not isfinite(numbers):  # one that is not spoils the sum
             return "numbers not finite"
         if abs(x) > MAX_COORDINATE_M or abs(y) > MAX_COORDINATE_M or abs(z) > MAX_COORDINATE_M:
             return "position not plausible"
@@ -95,6 +107,8 @@ class PeerTable:
             return "acceleration not plausible"
         if packet.state_age_s < 0.0:
             return "state from the future"
+        if not 0.0 <= packet.sent_s <= MAX_SENT_S:
+            return "time of sending not plausible"
         leads = packet.role is Role.LEADER
         if not 1 <= packet.prc <= len(self._may_lead) or (packet.prc == 1) is not leads:
             return "PrC not plausible"
@@ -124,3 +138,13 @@ class PeerTable:
         elapsed_s = max(0.0, received.received_s - newest.received_s) + self._max_age_s
         way_m = dist(packet.position_enu_m, before.position_enu_m)
         return "position jumped" if way_m > self._max_speed_m_s * elapsed_s + JUMP_MARGIN_M else None
+
+
+def _timed(received: ReceivedPeerPacket, newest: PeerState | None) -> PeerState:
+    """What a packet was held up by counts from the shortest way of its session, slowly forgotten: clocks drift apart."""
+    packet, apart_s = received.packet, received.received_s - received.packet.sent_s
+    least_apart_s = apart_s
+    if newest is not None and newest.packet.session == packet.session:
+        forgotten_s = CREEP * max(0.0, received.received_s - newest.received_s)
+        least_apart_s = min(apart_s, newest.least_apart_s + forgotten_s)
+    return PeerState(packet, received.received_s, least_apart_s, apart_s - least_apart_s)

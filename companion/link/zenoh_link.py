@@ -74,16 +74,15 @@ class ZenohLink:
     def receive(self, now_s: float) -> tuple[tuple[ReceivedPeerPacket, ...], tuple[Command, ...]]:
         """All peer packets and commands since the last call. Never blocks.
 
-        After a pause of this process nobody knows how long a packet has waited: it counts as arrived when the pause began.
-        Nor how long a command has, which its giver may have thought lost: it is refused, but for those in OBEYED_LATE.
+        How long a packet has waited here shows in its time of sending. After a pause of this process nobody knows how long a
+        command has, which its giver may have thought lost: it is refused, but for those in OBEYED_LATE.
         """
         before_s, self._drained_s = self._drained_s, now_s
         paused = before_s is not None and now_s - before_s > LONG_PAUSE_S
-        received_s = before_s if before_s is not None and paused else now_s
         packets = (self._packet(sample) for sample in drain(self._peers, self._packets_kept))
         commands = (self._command(query, paused) for query in drain(self._commands, COMMANDS_KEPT))
         return (
-            tuple(ReceivedPeerPacket(received_s, packet) for packet in packets if packet),
+            tuple(ReceivedPeerPacket(now_s, packet) for packet in packets if packet),
             tuple(command for command in commands if command),
         )
 

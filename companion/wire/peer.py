@@ -19,6 +19,7 @@ class _PeerWire(msgspec.Struct, array_like=True, frozen=True, forbid_unknown_fie
     velocity_enu_m_s: Vector3
     acceleration_enu_m_s2: Vector3
     state_age_s: float
+    sent_s: float
     prc: int
     leader_word: tuple[int, int, int, float] | None  # leader id, epoch, stamp, reference_s
 
@@ -42,6 +43,7 @@ def encode_peer(packet: PeerPacket) -> bytes:
                 packet.velocity_enu_m_s,
                 packet.acceleration_enu_m_s2,
                 packet.state_age_s,
+                packet.sent_s,
                 packet.prc,
                 (word.leader_id, word.epoch, word.stamp, word.reference_s) if word else None,
             )
@@ -66,6 +68,7 @@ def decode_peer(data: bytes) -> PeerPacket:
         wire.velocity_enu_m_s,
         wire.acceleration_enu_m_s2,
         wire.state_age_s,
+        wire.sent_s,
         wire.prc,
         LeaderWord(*wire.leader_word) if wire.leader_word else None,
     )

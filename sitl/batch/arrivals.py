@@ -35,7 +35,6 @@ class Arrivals:
         self._most_age = columns.spread([s.fleet.peers.max_age_s / PERIOD_S for s in scenarios])[:, None]
         self._late = np.broadcast_to(ticks_late, (self._longest + 1, *ticks_late.shape)).copy()
         self._newest = -lag - 1
-        self._came = np.full(valid.shape, -1, dtype=np.int64)
         self._drawn = -1
         widths = valid.sum(axis=1)[columns.column_of].reshape(columns.formations, columns.vehicles).max(axis=1)
         self._widths: list[int] = widths.tolist()  # a formation draws as many whatever else is in the batch
@@ -45,17 +44,16 @@ class Arrivals:
             for s, by_chance in zip(scenarios, chancy, strict=True)
         ]
 
-    def hear(self, tick: int, group: slice) -> tuple[IntArray, IntArray]:
-        """For each way (G, K): the tick in which its newest packet was sent, and the one in which it came."""
+    def hear(self, tick: int, group: slice) -> IntArray:
+        """For each way (G, K): the tick in which its newest packet was sent."""
         if tick > self._drawn:
             self._draw(tick)
-        newest, came = self._newest[group], self._came[group]
+        newest = self._newest[group]
         for sent in range(tick - self._longest, tick - self._shortest + 1):
             there = self._late[sent % len(self._late), group] < tick - sent - ROUND_TICKS
             there &= newest < sent
             np.copyto(newest, sent, where=there)
-            np.copyto(came, tick, where=there)
-        return newest, came
+        return newest
 
     def fresh(self, ages_ticks: IntArray, group: slice) -> BoolArray:
         """Is what has this age still believed?"""

@@ -1,7 +1,8 @@
 """What the vehicles tell each other, and what each has heard of it: companion.core.peers in arrays.
 
-Times are exact, as in lockstep: a packet counts at its receiver's first tick after its arrival, and is carried on from
-there. The peers' checks of plausibility are left out: one that flies faster than `max_speed_m_s` is heeded all the same.
+Times are exact, as in lockstep: a packet counts at its receiver's first tick after its arrival, and is carried on from the
+tick in which it would have counted without jitter; in lockstep a while of hovering has shown how early that is. The peers'
+checks of plausibility are left out: one that flies faster than `max_speed_m_s` is heeded all the same.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ PLACE, VELOCITY, ACCELERATION, PRC, SHARE, WIDTH = slice(0, 3), slice(3, 6), sli
 class Heard:
     """The newest packets that a group of vehicles has of its candidates, as places (G, K) in the ring; which still count.
 
-    `age_s` (G, K) is since receipt; None where all came in this tick.
+    `age_s` (G, K) is what a packet is older than one that comes with no jitter, in this tick; None where none is.
     """
 
     places: IntArray
@@ -62,7 +63,7 @@ class Packets:
         delay = columns.spread([scenario.links.peer_delay_s / PERIOD_S for scenario in scenarios])[:, None]
         phase = columns.phase_steps / TELEMETRY_STEPS
         ticks_late = phase[candidates.sender] - phase[:, None] + delay
-        lag = first_heard(ticks_late)
+        self._lag = lag = first_heard(ticks_late)
         jitter_s = max(scenario.links.peer_jitter_s for scenario in scenarios)
         by_chance = jitter_s > 0.0 or any(scenario.links.peer_loss > 0.0 for scenario in scenarios)
         self._arrivals = Arrivals(scenarios, columns, candidates.valid, ticks_late) if by_chance else None
@@ -82,8 +83,8 @@ class Packets:
         if self._arrivals is None:
             places = self._place[group] + tick % self._kept * self._count
             return Heard(places, self._valid[group], None)
-        newest, came = self._arrivals.hear(tick, group)
-        ages_ticks = tick - came
+        newest = self._arrivals.hear(tick, group)
+        ages_ticks = tick - newest - self._lag[group]
         places = newest % self._kept * self._count + self._sender[group]
         fresh = self._arrivals.fresh(ages_ticks, group) & self._valid[group]
         return Heard(places, fresh, np.multiply(ages_ticks, PERIOD_S, dtype=np.float64))

@@ -52,6 +52,7 @@ def lies(formation_hash: int) -> Iterator[bytes]:
         velocity_enu_m_s=(0.0, 0.0, 0.0),
         acceleration_enu_m_s2=(0.0, 0.0, 0.0),
         state_age_s=0.0,
+        sent_s=0.0,
         prc=2,
         leader_word=LeaderWord(1, 0, 10**9),
     )

@@ -11,12 +11,14 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
+from itertools import count
 
 import msgspec
 import pytest
 import zenoh
 
 from companion.config import EdgeNeighbours, FleetConfig, FormationMember, ZenohEndpoints
+from companion.core.peers import PeerTable
 from companion.ground.session import FleetSession
 from companion.link.zenoh_link import LONG_PAUSE_S, ZenohLink
 from companion.link.zenoh_session import EndpointError, open_session
@@ -27,6 +29,7 @@ from companion.types import (
     FlightPhase,
     LandedState,
     Lead,
+    LeaderWord,
     PeerPacket,
     ReceivedPeerPacket,
     Role,
@@ -47,7 +50,7 @@ FLEET = FleetConfig(
     neighbours=EdgeNeighbours(edges=((1, 2), (2, 3))),
 )
 ZERO = (0.0, 0.0, 0.0)
-PACKET = PeerPacket(1, 7, 1, 5, FlightPhase.HOLD, Role.LEADER, ZERO, ZERO, ZERO, 0.01, 1, None)
+PACKET = PeerPacket(1, 7, 1, 5, FlightPhase.HOLD, Role.LEADER, ZERO, ZERO, ZERO, 0.01, 0.0, 1, None)
 NO_TIME = Percentiles(0.0, 0.0, 0.0)
 REPORT = StatusReport(
     Status(
@@ -157,15 +160,26 @@ def test_a_key_that_ends_in_no_vehicle_id_is_refused_and_counted(port: int, end:
         assert second.packets == []
 
 
-def test_after_a_pause_packets_count_as_old_as_the_pause(port: int) -> None:
+def test_after_a_pause_packets_are_as_old_as_they_waited_and_later_ones_are_not(port: int) -> None:
+    peers = PeerTable(2, {1: True, 2: False}, PACKET.formation_hash, max_age_s=1.0, max_speed_m_s=25.0)
+    sequence = count(1)
+
+    def publish() -> None:
+        word = LeaderWord(1, 0, 1)
+        packet = replace(PACKET, sequence=next(sequence), sent_s=time.monotonic() + 1000.0, leader_word=word)
+        first.link.publish_peer(packet)
+
+    def age_s() -> float:
+        now_s = time.monotonic()
+        peers.fold(second.link.receive(now_s)[0])
+        return peers.fresh(now_s)[1].age_s(now_s) - PACKET.state_age_s if peers.fresh(now_s) else 99.0
+
     with vehicle(1, listen=(endpoint(port),)) as first, vehicle(2, connect=(endpoint(port),)) as second:
-        until(lambda: second.packets, lambda: (first.link.publish_peer(PACKET), second.tick()))
-        paused_s = time.monotonic()
-        second.link.receive(paused_s)
-        first.link.publish_peer(PACKET)
-        time.sleep(2 * LONG_PAUSE_S)
-        packets, _ = second.link.receive(time.monotonic())
-        assert [received.received_s for received in packets] == [paused_s]
+        until(lambda: age_s() < 0.05, publish)
+        publish()
+        time.sleep(4 * LONG_PAUSE_S)
+        assert age_s() == pytest.approx(4 * LONG_PAUSE_S, abs=LONG_PAUSE_S)
+        until(lambda: age_s() < 0.05, publish)
 
 
 def test_a_flood_is_kept_short_and_blocks_neither_side(port: int) -> None:

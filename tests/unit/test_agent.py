@@ -92,6 +92,7 @@ class Flight:
         self.events: list[str] = []
         self.peer_role: Role | None = None
         self.peer_reference_s = 0.0
+        self.peer_late_s = 0.0
         self.formation_ticks = 0
         self._peer_sequence = 0
 
@@ -129,6 +130,7 @@ class Flight:
             velocity_enu_m_s=(0.0, 0.0, 0.0),
             acceleration_enu_m_s2=(0.0, 0.0, 0.0),
             state_age_s=0.0,
+            sent_s=self.now_s - self.peer_late_s,
             prc=leads if self.peer_role is None else 2,
             leader_word=LeaderWord(1, 0, int(self.now_s * 1000), self.peer_reference_s),
         )
@@ -302,6 +304,15 @@ def test_a_lost_leader_ends_in_the_autopilots_hold() -> None:
     reply = flight.tick(CommandName.FORM).replies[0]
     assert not reply.accepted
     assert HealthFlag.LEADER_LOST in reply.reason
+
+
+def test_a_leader_heard_five_seconds_late_is_a_lost_one() -> None:
+    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight.peer_late_s = 5.0
+    statuses = [status for _ in range(60) if (status := flight.tick().status)]
+    assert flight.agent.phase is FlightPhase.HOLD
+    assert any(HealthFlag.LEADER_LOST in event for event in flight.events)
+    assert set(statuses[-1].rejected) == {"peer 1: comes too late"}
 
 
 def test_leaving_the_fence_ends_in_the_autopilots_hold() -> None:

@@ -196,6 +196,7 @@ class Fleet:
             velocity_enu_m_s=ZERO3,
             acceleration_enu_m_s2=ZERO3,
             state_age_s=0.0,
+            sent_s=self.now_s,
             prc=what.prc,
             leader_word=what.leader_word,
         )

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.core.neighbours import EdgeRule, RangeRule
-from companion.core.peers import PeerTable
+from companion.core.peers import PeerState, PeerTable
 from companion.types import FlightPhase, LeaderWord, PeerPacket, ReceivedPeerPacket, Role
 
 MAY_LEAD = {1: True, 2: False, 3: False}
@@ -24,6 +24,7 @@ GOOD = PeerPacket(
     velocity_enu_m_s=(0.5, 0.0, 0.0),
     acceleration_enu_m_s2=(0.0, 0.0, 0.0),
     state_age_s=0.01,
+    sent_s=501.0,
     prc=2,
     leader_word=LeaderWord(1, 0, 20),
 )
@@ -34,8 +35,9 @@ def table() -> PeerTable:
 
 
 def heard(peers: PeerTable, received_s: float = 1.0, **changes: Any) -> list[str]:
-    """Fold one packet; the reasons of refusal counted so far."""
-    peers.fold([ReceivedPeerPacket(received_s, replace(GOOD, **changes))])
+    """Fold one packet that was not held up; the reasons of refusal counted so far."""
+    packet = replace(GOOD, **{"sent_s": 500.0 + received_s} | changes)
+    peers.fold([ReceivedPeerPacket(received_s, packet)])
     return list(peers.rejected)
 
 
@@ -60,6 +62,9 @@ def test_a_good_packet_is_believed() -> None:
         ({"velocity_enu_m_s": (20.0, 20.0, 0.0)}, "speed not plausible"),
         ({"acceleration_enu_m_s2": (0.0, 0.0, 500.0)}, "acceleration not plausible"),
         ({"state_age_s": -0.5}, "future"),
+        ({"sent_s": inf}, "not finite"),
+        ({"sent_s": -0.1}, "time of sending"),
+        ({"sent_s": 1e10}, "time of sending"),
         ({"prc": 0}, "PrC"),
         ({"prc": 4}, "PrC"),
         ({"prc": 1}, "PrC"),
@@ -127,6 +132,68 @@ def test_a_jump_is_refused_until_the_old_state_is_stale() -> None:
     assert "jumped" in heard(peers, 1.02, sequence=11, position_enu_m=(60.0, 2.0, 3.0))[0]
     heard(peers, 1.5, sequence=30, position_enu_m=(60.0, 2.0, 3.0))
     assert peers.fresh(1.5)[2].packet.position_enu_m[0] == 60.0
+
+
+class Way:
+    """How a peer's packets come to this vehicle, 50 a second; the sender's clock began somewhere else."""
+
+    def __init__(self, drift: float = 0.0) -> None:
+        self.peers, self.drift, self.sent = table(), drift, 0
+
+    def send(self, delay_s: float, ticks: int = 1, **changes: Any) -> list[str]:
+        for _ in range(ticks):
+            self.sent += 1
+            self.sent_s = 0.02 * self.sent
+            told_s = 8000.0 + self.sent_s * (1.0 + self.drift)
+            reasons = heard(self.peers, self.sent_s + delay_s, sequence=self.sent, **{"sent_s": told_s} | changes)
+        return reasons
+
+    def fresh(self, after_s: float) -> dict[int, PeerState]:
+        """So long after the last packet was sent."""
+        return self.peers.fresh(self.sent_s + after_s)
+
+
+def test_a_constant_delay_cannot_be_seen_and_one_more_s_is_a_second_of_age() -> None:
+    way = Way()
+    assert way.send(0.1, ticks=50) == []
+    assert way.fresh(0.1)[2].age_s(way.sent_s + 0.1) == 0.01  # to the bit what it is without any delay
+    assert way.send(0.25) == []
+    state = way.fresh(0.25)[2]
+    assert state.age_s(way.sent_s + 0.25) == pytest.approx(0.01 + 0.15, abs=1e-4)
+    assert state.position_at(way.sent_s + 0.25)[0] == pytest.approx(1.0 + 0.5 * 0.16, abs=1e-4)
+    assert way.fresh(0.41) == {}
+
+
+def test_what_comes_in_order_but_five_seconds_late_is_refused() -> None:
+    way = Way()
+    way.send(0.01, ticks=50)
+    assert way.send(5.0, ticks=500) == ["peer 2: comes too late"]  # for ten seconds, word of its leader and all
+    assert way.peers.rejected.total() == 500
+    assert way.fresh(5.0) == {}
+    way.send(0.01)
+    assert 2 in way.fresh(0.02)
+
+
+def test_packets_that_waited_before_the_first_look_are_found_out_by_the_next() -> None:
+    way = Way()
+    way.send(3.0, ticks=3)
+    way.send(0.01)
+    assert way.send(3.0) == ["peer 2: comes too late"]
+
+
+def test_a_restarted_peer_has_another_clock() -> None:
+    way = Way()
+    way.send(0.01, ticks=50)
+    way.sent += 100  # silent while it starts
+    assert way.send(0.01, session=78, sent_s=3.0) == []
+    assert 2 in way.fresh(0.02)
+
+
+@pytest.mark.parametrize("drift", [-1e-4, 1e-4])
+def test_clocks_that_drift_apart_do_not_make_a_peer_old(drift: float) -> None:
+    way = Way(drift)
+    assert way.send(0.01, ticks=180_000) == []  # an hour, in which they come 0.36 s apart
+    assert way.fresh(0.01)[2].age_s(way.sent_s + 0.01) == pytest.approx(0.01, abs=1e-3)
 
 
 def test_edges() -> None:

@@ -51,6 +51,7 @@ packets = st.builds(
     velocity_enu_m_s=vectors,
     acceleration_enu_m_s2=vectors,
     state_age_s=numbers,
+    sent_s=numbers,
     prc=st.integers(1, 250),
     leader_word=leader_words,
 )
@@ -109,7 +110,7 @@ def test_commands_and_replies_come_out_as_they_went_in(command: Command, reply: 
 
 PACKET = PeerPacket(
     3, 2**32 - 1, 10**6, 2**64 - 1, FlightPhase.FORMATION, Role.FOLLOWER, (1.0, 2.0, 3.0), (0.1, 0.2, 0.3),
-    (0.01, 0.02, 0.03), 0.021, 4, LeaderWord(1, 7, 60, 12.5),
+    (0.01, 0.02, 0.03), 0.021, 1234.5, 4, LeaderWord(1, 7, 60, 12.5),
 )  # fmt: skip
 REPORT = StatusReport(
     Status(
@@ -207,7 +208,7 @@ def test_a_message_of_another_kind_is_refused(name: str) -> None:
 
 def test_numbers_that_are_not_finite_pass_the_wire_and_are_left_to_the_core() -> None:
     packet = PeerPacket(
-        1, 1, 1, 1, FlightPhase.HOLD, Role.LEADER, (nan, inf, -inf), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 1, None
+        1, 1, 1, 1, FlightPhase.HOLD, Role.LEADER, (nan, inf, -inf), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0, 1, None
     )
     x, y, z = decode_peer(encode_peer(packet)).position_enu_m
     assert isnan(x)
