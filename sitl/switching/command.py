@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Callable
 from datetime import datetime
 from importlib.util import find_spec
 from pathlib import Path
@@ -14,9 +15,9 @@ from companion.config_file import ConfigError
 from sitl.share import ShareProgress
 from sitl.stopping import StopNow, StopRequest
 from sitl.summary import write_json
-from sitl.switching.starts import random_start
+from sitl.switching.starts import Start, random_start
 from sitl.switching.study import fly_all, plans
-from sitl.switching.summary import LawSummary, in_a_table, summarize
+from sitl.switching.summary import ARRIVED_M, LawSummary, flown_on, in_a_table, summarize
 from sitl.switching.topology import Topology
 
 SCHEMA = 1
@@ -35,22 +36,17 @@ class Report(Struct, frozen=True, kw_only=True):
 
 def run_switching(arguments: argparse.Namespace) -> int:
     """The exit code. Raises ConfigError."""
-    if find_spec("matplotlib") is None:
-        raise ConfigError("sitl switching", "matplotlib", "is not installed; pip install 'formation-companion[ground]'")
+    for module in ("matplotlib", "scipy"):
+        if find_spec(module) is None:
+            raise ConfigError("sitl switching", module, "is not installed; pip install 'formation-companion[ground]'")
     folder: Path = arguments.out or Path("runs") / f"switching-{datetime.now():%Y%m%d-%H%M%S}"
-    try:
-        random_start(arguments.vehicles, arguments.range, seed=0)
-        folder.mkdir(parents=True, exist_ok=True)
-    except ValueError as error:
-        raise ConfigError("sitl switching", "--vehicles", str(error)) from error
-    except OSError as error:
-        raise ConfigError("sitl switching", "--out", f"{folder}: {error.strerror}; choose another folder") from error
-    planned = plans(
-        arguments.starts, arguments.vehicles, arguments.range, (0.0, arguments.hysteresis), arguments.seconds
-    )
     with StopRequest(at_once=True) as stop:
         try:
             with ShareProgress(arguments.quiet) as progress:
+                progress.begin("random starts")
+                starts = _starts(arguments, progress.show)
+                _make(folder)
+                planned = plans(starts, arguments.range, (0.0, arguments.hysteresis), arguments.seconds)
                 progress.begin(f"{len(planned)} batches")
                 flown = fly_all(planned, progress.show)
         except StopNow:
@@ -58,6 +54,28 @@ def run_switching(arguments: argparse.Namespace) -> int:
             return stop.exit_code
     _write(folder, arguments, flown)
     return 0
+
+
+def _starts(arguments: argparse.Namespace, progress: Callable[[float], None]) -> list[Start]:
+    """All of them, before any of them flies. Raises ConfigError."""
+    starts = []
+    for seed in range(arguments.starts):
+        progress(seed / arguments.starts)
+        try:
+            starts.append(random_start(arguments.vehicles, arguments.range, seed))
+        except ValueError as error:
+            raise ConfigError(
+                "sitl switching", "--vehicles, --range", f"{error}; choose fewer vehicles or another range"
+            ) from error
+    return starts
+
+
+def _make(folder: Path) -> None:
+    """Raises ConfigError."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError("sitl switching", "--out", f"{folder}: {error.strerror}; choose another folder") from error
 
 
 def _write(folder: Path, arguments: argparse.Namespace, flown: list[Topology]) -> None:
@@ -76,9 +94,12 @@ def _write(folder: Path, arguments: argparse.Namespace, flown: list[Topology]) -
     )
     title = f"{arguments.starts} random starts of {arguments.vehicles} vehicles that see {arguments.range:g} m far"
     save_switching(folder / "switching.png", flown, arguments.seconds, title)
-    print(f"{title}, {arguments.seconds:g} s\n\n{in_a_table(laws)}\n\n{MEANING}\nresults in {folder}")
+    print(f"{title}, {arguments.seconds:g} s\n\n{in_a_table(laws)}\n\n{MEANING}\n")
+    print(f"{flown_on(laws, arguments.vehicles)}\nresults in {folder}")
 
 
-MEANING = """\
-connected: nobody ever without a path to the leader; at the end: so when the time was over; arrived: all within 20 cm of their
-places then; edges lost: mean of a flight; lambda_min: median of each flight's smallest while it was connected"""
+MEANING = f"""\
+connected: nobody ever without a path to the leader; at the end: so when the time was over; arrived: all within
+{ARRIVED_M:g} m of their places then, also where they flew on without a leader's word or too close to each other; within,
+closest: any two vehicles at any time, median of the flights; edges lost: mean of a flight; lambda_min: median of each
+flight's smallest while it was connected; first cut: median of those that were cut off"""

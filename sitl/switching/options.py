@@ -10,8 +10,9 @@ MOST_STARTS, MOST_VEHICLES, MOST = 100_000, 50, 600.0
 
 DESCRIPTION = """\
 Neighbour sets that change with range: random starts from which the graph is connected and a goal leads the formation away,
-flown under every law with the full quadrotor model, without hysteresis and with it. How often are edges lost, how small
-does lambda_min become, and from which starts does everybody keep a path to the leader?
+flown under every law with the full quadrotor model, without hysteresis and with it. Slots are given out so that the squares of
+the ways to them sum up to the least, and few cross. How often are edges lost, how small does lambda_min become, and from which
+starts does everybody keep a path to the leader? How many come too close to each other, or fly on where real agents hand over?
 """
 MORE = """\
 examples:

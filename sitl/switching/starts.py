@@ -7,6 +7,7 @@ from itertools import combinations
 from math import cos, dist, pi, sin, sqrt
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 from companion.config import Envelope, FleetConfig, FormationMember, GeodeticOrigin, Law, LawName, PointReference
 from companion.config import RangeNeighbours as Range
@@ -33,9 +34,9 @@ class Start:
     goal_enu_m: Vector3
 
     def scenario(self, law: LawName, neighbours: Range) -> Scenario:
-        """The formation is a grid of two columns behind the leader; who flies which slot is as chance has it."""
+        """The formation is a grid of two columns behind the leader."""
         ids = sorted(self.places_enu_m)
-        slots = grid((len(ids) + 1) // 2, 2).slots_enu_m
+        slots = self._slots_enu_m()
         members = tuple(
             FormationMember(id=i, role=Role.LEADER if i == LEADER else Role.FOLLOWER, slot_enu_m=slots[i]) for i in ids
         )
@@ -57,6 +58,23 @@ class Start:
             timeline=(TimelineStep(command=CommandName.FORM, for_s=30.0),),
         )
 
+    def _slots_enu_m(self) -> dict[int, Vector3]:
+        """Every follower's slot, so that the squares of all ways sum up to the least: straight ones then keep apart.
+
+        How far the leader leads them away does not change who is to fly where.
+        """
+        followers = sorted(set(self.places_enu_m) - {LEADER})
+        slots = grid((len(followers) + 2) // 2, 2).slots_enu_m
+        free = [slots[i] for i in followers]
+        squares_m2 = [[dist(self.places_enu_m[i], self._place_of(slot)) ** 2 for slot in free] for i in followers]
+        _, chosen = linear_sum_assignment(squares_m2)
+        return {LEADER: slots[LEADER]} | {i: free[k] for i, k in zip(followers, chosen, strict=True)}
+
+    def _place_of(self, slot_enu_m: Vector3) -> Vector3:
+        """On the ground, if the leader did not move."""
+        x, y, z = self.places_enu_m[LEADER]
+        return (x + slot_enu_m[0], y + slot_enu_m[1], z + slot_enu_m[2])
+
 
 def random_start(vehicles: int, range_m: float, seed: int) -> Start:
     """Drawn until it is connected and nobody is nearer than APART_M to another. Raises ValueError where that does not come."""
@@ -68,7 +86,8 @@ def random_start(vehicles: int, range_m: float, seed: int) -> Start:
         if _fits(places, range_m):
             return Start(seed, places, _goal(places[LEADER], generator))
     raise ValueError(
-        f"no start of {vehicles} vehicles with a range of {range_m:g} m is connected and {APART_M:g} m apart"
+        f"no start of {vehicles} vehicles with a range of {range_m:g} m is connected with everybody {APART_M:g} m apart, in "
+        f"{DRAWS} draws with seed {seed}"
     )
 
 

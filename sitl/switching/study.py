@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,8 +12,8 @@ from companion.config import Law, LawName
 from companion.config import RangeNeighbours as Range
 from sitl.batch.flight import BatchFlight, fly_batch
 from sitl.study.cases import closest_m
-from sitl.switching.starts import random_start
-from sitl.switching.topology import Spectra, Topology, losses, mutual, over_time
+from sitl.switching.starts import Start
+from sitl.switching.topology import Spectra, Topology, losses, mutual, over_time, without_word
 from sitl.workers import in_processes
 
 LAWS: tuple[LawName, ...] = ("average_26", "average_22", "weighted", "cooperative")
@@ -23,22 +23,20 @@ IN_A_BATCH = 200
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Starts first..last-1 under one law with one hysteresis; what flies together."""
+    """Starts under one law with one hysteresis; what flies together."""
 
     law: LawName
-    first: int
-    last: int
-    vehicles: int
+    starts: tuple[Start, ...]
     range_m: float
     hysteresis_m: float
     duration_s: float
 
 
-def plans(starts: int, vehicles: int, range_m: float, hystereses_m: tuple[float, ...], duration_s: float) -> list[Plan]:
+def plans(starts: Sequence[Start], range_m: float, hystereses_m: Sequence[float], duration_s: float) -> list[Plan]:
     """Every start under every law with every hysteresis."""
     return [
-        Plan(law, first, min(first + IN_A_BATCH, starts), vehicles, range_m, hysteresis_m, duration_s)
-        for first in range(0, starts, IN_A_BATCH)
+        Plan(law, tuple(starts[first : first + IN_A_BATCH]), range_m, hysteresis_m, duration_s)
+        for first in range(0, len(starts), IN_A_BATCH)
         for hysteresis_m in hystereses_m
         for law in LAWS
     ]
@@ -52,34 +50,36 @@ def fly_all(planned: list[Plan], progress: Callable[[float], None]) -> list[Topo
 def fly(plan: Plan) -> list[Topology]:
     """One batch."""
     neighbours = Range(range_m=plan.range_m, hysteresis_m=plan.hysteresis_m)
-    starts = [random_start(plan.vehicles, plan.range_m, seed) for seed in range(plan.first, plan.last)]
-    scenarios = [start.scenario(plan.law, neighbours) for start in starts]
+    scenarios = [start.scenario(plan.law, neighbours) for start in plan.starts]
     flight = fly_batch(scenarios, plan.duration_s, sample_s=SAMPLE_S, keep_neighbours=True)
-    spectra = Spectra(law_of(Law(name=plan.law)), plan.vehicles)
+    spectra = Spectra(law_of(Law(name=plan.law)), len(plan.starts[0].places_enu_m))
     final_errors_m = flight.errors_m()[-1].max(axis=1)
+    word_max_age_s = scenarios[0].fleet.peers.leader_word_max_age_s
     return [
-        _topology(plan, flight, index, start.seed, spectra, float(final_errors_m[index]))
-        for index, start in enumerate(starts)
+        _topology(plan, flight, index, spectra, float(final_errors_m[index]), word_max_age_s)
+        for index in range(len(plan.starts))
     ]
 
 
 def _topology(
-    plan: Plan, flight: BatchFlight, index: int, seed: int, spectra: Spectra, final_error_m: float
+    plan: Plan, flight: BatchFlight, index: int, spectra: Spectra, final_error_m: float, word_max_age_s: float
 ) -> Topology:
     assert flight.neighbours is not None
-    edges = mutual(flight.neighbours[:, index])
+    heeds = flight.neighbours[:, index]
+    edges = mutual(heeds)
     values = over_time(edges, spectra)
     connected = [value for value in values if value is not None]
     cut = next((k for k, value in enumerate(values) if value is None), None)
     positions = flight.positions_enu_m[:, index].astype(np.float64)
     return Topology(
         law=plan.law,
-        seed=seed,
+        seed=plan.starts[index].seed,
         hysteresis_m=plan.hysteresis_m,
         edges_lost=losses(edges),
         lambda_min=round(min(connected), 6) if connected else None,
         cut_off_s=None if cut is None else round(float(flight.times_s[cut]), 2),
         connected_at_the_end=values[-1] is not None,
         final_error_m=round(final_error_m, 3),
+        would_hand_over=without_word(heeds, SAMPLE_S, word_max_age_s),
         closest_m=round(closest_m(positions), 3),
     )

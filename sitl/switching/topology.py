@@ -19,7 +19,8 @@ class Topology(Struct, frozen=True, kw_only=True):
     """One flight. `lambda_min` is the smallest over time while all had a path to the leader; None where one never had.
 
     `edges_lost`: how often two vehicles that heeded each other ceased to; `cut_off_s`: when somebody first had no path to the
-    leader, None where that never was.
+    leader, None where that never was. `would_hand_over`: how many vehicles heard no leader's word for so long that their agents
+    would have handed over to the autopilot's hold; here they fly on.
     """
 
     law: str
@@ -29,6 +30,7 @@ class Topology(Struct, frozen=True, kw_only=True):
     lambda_min: float | None
     cut_off_s: float | None
     connected_at_the_end: bool
+    would_hand_over: int
     final_error_m: float
     closest_m: float
 
@@ -69,3 +71,26 @@ def losses(edges: BoolArray) -> int:
 def over_time(edges: BoolArray, spectra: Spectra) -> list[float | None]:
     """lambda_min at every sample of (ticks, n, n)."""
     return [spectra.lambda_min(now) for now in edges]
+
+
+def without_word(heeds: BoolArray, sample_s: float, longest_s: float) -> int:
+    """How many vehicles are without a way to the leader for longer than that at a stretch; (ticks, n, n) says who heeds whom.
+
+    The word goes from the heeded to the heeding, through all of them within a fraction of a sample.
+    """
+    hears = _hear_the_leader(heeds)
+    silent = np.zeros(hears.shape[1], dtype=np.int64)
+    longest = silent.copy()
+    for now in hears:
+        silent = np.where(now, 0, silent + 1)
+        np.maximum(longest, silent, out=longest)
+    return int(((longest - 1) * sample_s > longest_s - 1e-9).sum())
+
+
+def _hear_the_leader(heeds: BoolArray) -> BoolArray:
+    """(ticks, n)."""
+    hears = np.zeros(heeds.shape[:2], dtype=np.bool_)
+    hears[:, LEADER - 1] = True
+    for _ in range(heeds.shape[1] - 1):
+        hears |= (heeds & hears[:, None, :]).any(axis=2)
+    return hears

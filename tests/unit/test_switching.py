@@ -1,5 +1,6 @@
 """Switching topologies: random starts, what is counted of a flight, and the command's figures."""
 
+from itertools import permutations
 from math import dist
 from pathlib import Path
 
@@ -8,10 +9,12 @@ import pytest
 
 from companion.config import RangeNeighbours
 from companion.core.formation import weighted
+from companion.types import Vector3
+from sitl.cli import main
 from sitl.switching.figure import save_switching
-from sitl.switching.starts import APART_M, random_start
-from sitl.switching.summary import in_a_table, summarize
-from sitl.switching.topology import BoolArray, Spectra, Topology, losses, mutual
+from sitl.switching.starts import APART_M, Start, random_start
+from sitl.switching.summary import flown_on, in_a_table, summarize
+from sitl.switching.topology import BoolArray, Spectra, Topology, losses, mutual, without_word
 
 
 def graph(n: int, *edges: tuple[int, int]) -> BoolArray:
@@ -50,6 +53,50 @@ def test_a_start_becomes_a_scenario_with_live_neighbours() -> None:
     assert dist(scenario.reference.point_enu_m[:2], start.places_enu_m[1][:2]) >= 2.0
 
 
+def test_slots_are_given_out_by_the_least_squares_of_all_ways() -> None:
+    for seed in range(5):
+        start = random_start(5, 3.0, seed)
+        members = start.scenario("weighted", RangeNeighbours(range_m=3.0)).fleet.vehicles
+        slots = {member.id: member.slot_enu_m for member in members}
+        assert slots[1] == (0.0, 0.0, 0.0)
+
+        def squares(of: tuple[int, ...], start: Start = start, slots: dict[int, Vector3] = slots) -> float:
+            goals = [[a + b for a, b in zip(start.goal_enu_m[:2], slots[i][:2], strict=True)] for i in of]
+            return sum(dist(start.places_enu_m[i][:2], goal) ** 2 for i, goal in zip(range(2, 6), goals, strict=True))
+
+        assert squares((2, 3, 4, 5)) == pytest.approx(min(squares(of) for of in permutations((2, 3, 4, 5))))
+
+
+@pytest.mark.parametrize("range_m", ["2", "1.5"])
+def test_one_line_before_anything_flies_where_one_of_the_starts_cannot_be(
+    range_m: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sitl.switching.command.fly_all", lambda *_: pytest.fail("something flew"))
+    out = tmp_path / "not" / "made"
+    arguments = ["switching", "--starts", "9", "--range", range_m, "--quiet", "--out", str(out)]
+    monkeypatch.setattr("sys.argv", ["sitl", *arguments])
+    with pytest.raises(SystemExit, match="2"):
+        main()
+    printed = capsys.readouterr()
+    assert printed.err.count("\n") == 1
+    assert f"no start of 6 vehicles with a range of {range_m} m is connected" in printed.err
+    assert not printed.out
+    assert not out.exists()
+
+
+def test_who_hears_no_leader_for_too_long_would_hand_over() -> None:
+    heeds = np.zeros((20, 3, 3), dtype=np.bool_)
+    heeds[:, 1, 0] = heeds[:, 2, 1] = True  # the word goes 1 -> 2 -> 3
+    assert without_word(heeds, 0.1, 0.5) == 0
+    heeds[5:10, 2, 1] = False
+    assert without_word(heeds, 0.1, 0.5) == 0
+    heeds[5:11, 2, 1] = False
+    assert without_word(heeds, 0.1, 0.5) == 1
+    heeds[5:11, 1, 0] = False
+    heeds[:, 0, 1] = heeds[:, 1, 2] = heeds[:, 2, 1] = True  # 2 and 3 hear each other, which brings no word
+    assert without_word(heeds, 0.1, 0.5) == 2
+
+
 def test_lambda_min_of_the_papers_own_graph_and_of_a_vehicle_cut_off() -> None:
     spectra = Spectra(weighted(), 4)
     assert spectra.lambda_min(graph(4, (1, 2), (1, 3), (2, 3), (2, 4), (3, 4))) == pytest.approx(0.1979, abs=5e-5)
@@ -64,7 +111,7 @@ def test_an_edge_counts_where_both_heed_each_other_and_is_lost_once() -> None:
     assert losses(there) == 3
 
 
-def topology(law: str, cut_off_s: float | None, edges_lost: int = 0) -> Topology:
+def topology(law: str, cut_off_s: float | None, edges_lost: int = 0, closest_m: float = 1.0) -> Topology:
     return Topology(
         law=law,
         seed=1,
@@ -73,16 +120,33 @@ def topology(law: str, cut_off_s: float | None, edges_lost: int = 0) -> Topology
         lambda_min=0.2,
         cut_off_s=cut_off_s,
         connected_at_the_end=cut_off_s is None,
+        would_hand_over=0 if cut_off_s is None else 2,
         final_error_m=0.1,
-        closest_m=1.0,
+        closest_m=closest_m,
     )
 
 
 def test_the_summary_counts_each_law_by_itself(tmp_path: Path) -> None:
-    flown = [topology("weighted", None, 4), topology("weighted", 2.0), topology("average_22", 1.0)]
+    flown = [
+        topology("weighted", None, 4),
+        topology("weighted", 2.0, closest_m=0.2),
+        topology("average_22", 1.0, closest_m=0.1),
+    ]
     laws = {summary.law: summary for summary in summarize(flown)}
     assert (laws["weighted"].starts, laws["weighted"].connected, laws["weighted"].edges_lost_mean) == (2, 1, 2.0)
     assert (laws["average_22"].connected, laws["average_22"].cut_off_median_s) == (0, 1.0)
-    assert "50.0 %" in in_a_table(summarize(flown))
+    assert (laws["weighted"].would_hand_over, laws["weighted"].vehicles_that_would, laws["weighted"].came_close) == (
+        1,
+        2,
+        1,
+    )
+    assert laws["weighted"].closest_median_m == 0.6
+    table = in_a_table(summarize(flown))
+    assert "50.0 %" in table
+    assert max(len(line) for line in table.splitlines()) <= 120
+    said = flown_on(summarize(flown), 6)
+    assert "In 2 of 3 some agent" in said
+    assert "(4 of 18 vehicles)" in said
+    assert "in 2 two vehicles came within 0.3 m" in said
     save_switching(tmp_path / "s.png", flown, 30.0, "three starts")
     assert (tmp_path / "s.png").read_bytes().startswith(b"\x89PNG")
