@@ -11,6 +11,7 @@ import numpy as np
 from msgspec import Struct
 
 from companion.config import EdgeNeighbours, Envelope, FleetConfig, FormationMember, GeodeticOrigin, PointReference
+from companion.core.settling import SETTLED_WITHIN_M, settle_time_s
 from companion.types import CommandName, Role
 from sitl.batch.flight import BatchFlight, fly_batch
 from sitl.config import Airframe, Links
@@ -20,8 +21,6 @@ from sitl.shapes import LEADER, Shape
 from sitl.study.settings import Setting
 from sitl.tracks import FloatArray
 
-SETTLED_WITHIN_M = 0.10
-STAYS_S = 2.0  # who is inside for less than this at the end has not settled
 STEP_M = 1.0
 HEIGHT_M = 1.0
 FENCE_M = 1000.0
@@ -114,11 +113,12 @@ class Figures(Struct, frozen=True, kw_only=True):
 def fly(cases: Sequence[Case], duration_s: float, within_m: float = SETTLED_WITHIN_M) -> list[Figures]:
     """Cases of one shape, together."""
     flight = fly_batch([case.scenario() for case in cases], duration_s)
-    errors_m = flight.errors_m()
-    return [_figures(case, flight, errors_m[:, index], index, within_m) for index, case in enumerate(cases)]
+    worst_m = flight.errors_m().max(axis=2)
+    return [figures_of(case, flight, worst_m[:, index], index, within_m) for index, case in enumerate(cases)]
 
 
-def _figures(case: Case, flight: BatchFlight, errors_m: FloatArray, index: int, within_m: float) -> Figures:
+def figures_of(case: Case, flight: BatchFlight, worst_m: FloatArray, index: int, within_m: float) -> Figures:
+    """Of the formation of this index; `worst_m` (ticks,) is its largest error."""
     slots = case.shape.slots_enu_m
     ids = sorted(slots)
     column = {vehicle_id: k for k, vehicle_id in enumerate(ids)}
@@ -127,7 +127,6 @@ def _figures(case: Case, flight: BatchFlight, errors_m: FloatArray, index: int, 
     positions = flight.positions_enu_m[:, index].astype(float)
     distances_m = np.linalg.norm(positions[:, first] - positions[:, second], axis=2)
     nearest = wanted_m < wanted_m.min() + 0.01
-    worst_m = errors_m.max(axis=1)
     duration_s = float(flight.times_s[-1])
     return Figures(
         shape=case.shape.name,
@@ -152,12 +151,9 @@ def _figures(case: Case, flight: BatchFlight, errors_m: FloatArray, index: int, 
 
 
 def settled_s(times_s: FloatArray, error_m: FloatArray, within_m: float) -> float | None:
-    """From when on `error_m` (ticks,) stays within; None where it does not for at least the last STAYS_S."""
-    outside = np.flatnonzero(error_m > within_m)
-    first_inside = int(outside[-1]) + 1 if outside.size else 0
-    if first_inside >= times_s.size or times_s[-1] - times_s[first_inside] < STAYS_S:
-        return None
-    return round(float(times_s[first_inside]), 2)
+    """From when on `error_m` (ticks,) stays within, to the hundredth; None where it never does."""
+    time_s = settle_time_s(times_s, error_m, within_m)
+    return None if time_s is None else round(time_s, 2)
 
 
 def closest_m(positions_enu_m: FloatArray) -> float:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from sitl.config import Airframe, Links
 from sitl.shapes import Shape, chain, grid, random_geometric, ring
-from sitl.study.cases import BAD_LINKS, SETTLED_WITHIN_M, Case, Sensing
+from sitl.study.cases import BAD_LINKS, GOOD_LINKS, Case, Sensing
 from sitl.study.settings import COOPERATIVE, MAIN, SETTINGS, Setting
 
 SHAPES_SEED = 1
@@ -19,11 +18,10 @@ LARGE = 50  # vehicles; from here on a batch holds fewer formations
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """Cases of one shape that fly together. `within_m` is the band that they are to settle into."""
+    """Cases of one shape that fly together."""
 
     cases: tuple[Case, ...]
     duration_s: float
-    within_m: float = SETTLED_WITHIN_M
 
     @property
     def work(self) -> float:
@@ -68,42 +66,46 @@ def drag_batches(duration_s: float) -> list[Batch]:
     ]
 
 
-def still_batches(seeds: int, sensors: Sensing, duration_s: float) -> list[Batch]:
-    """The goals' shapes under `cooperative`, that stay where they are: what the noise alone does."""
-    return [
-        Batch(
-            tuple(Case(shape, COOPERATIVE, sensors, seed=seed, step_m=0.0) for seed in _seeds(shape, seeds)), duration_s
-        )
-        for shape in GOAL_SHAPES
-    ]
-
-
-def noisy_batches(bands_m: dict[str, float], seeds: int, sensors: Sensing, duration_s: float) -> list[Batch]:
-    """The goals' shapes with noise under the main laws, into the band that the noise allows."""
+def noisy_batches(seeds: int, sensors: Sensing, duration_s: float) -> list[Batch]:
+    """The goals' shapes with noise under the main laws, to be flown in pairs."""
     return [
         batch
         for shape in GOAL_SHAPES
-        for batch in _split(_cases(shape, MAIN, sensors, Links(), seeds), duration_s, bands_m[shape.name])
+        for setting in MAIN
+        for batch in _pairs(_cases(shape, setting, sensors, GOOD_LINKS, seeds), duration_s)
     ]
 
 
-def disturbed_batches(bands_m: dict[str, float], seeds: int, sensors: Sensing, duration_s: float) -> list[Batch]:
+def disturbed_batches(seeds: int, sensors: Sensing, duration_s: float) -> list[Batch]:
     """The same with packets lost and late, under `cooperative`."""
     return [
-        Batch(tuple(_cases(shape, (COOPERATIVE,), sensors, BAD_LINKS, seeds)), duration_s, bands_m[shape.name])
+        batch
         for shape in GOAL_SHAPES
+        for batch in _pairs(_cases(shape, COOPERATIVE, sensors, BAD_LINKS, seeds), duration_s)
     ]
 
 
-def _cases(shape: Shape, settings: Sequence[Setting], sensors: Sensing, links: Links, seeds: int) -> list[Case]:
-    return [Case(shape, setting, sensors, links, seed) for setting in settings for seed in _seeds(shape, seeds)]
+def _cases(shape: Shape, setting: Setting, sensors: Sensing, links: Links, seeds: int) -> list[Case]:
+    return [Case(shape, setting, sensors, links, seed) for seed in _seeds(shape, seeds)]
 
 
 def _seeds(shape: Shape, seeds: int) -> range:
     """Fewer for large shapes, which have many vehicles to draw noise for anyhow."""
-    return range(1, (seeds if len(shape.slots_enu_m) < LARGE else max(1, seeds // 2)) + 1)
+    return range(1, (max(1, seeds // 2) if _is_large(shape) else seeds) + 1)
 
 
-def _split(cases: list[Case], duration_s: float, within_m: float = SETTLED_WITHIN_M) -> list[Batch]:
-    most = 10 if len(cases[0].shape.slots_enu_m) >= LARGE else 30
-    return [Batch(tuple(cases[k : k + most]), duration_s, within_m) for k in range(0, len(cases), most)]
+def _split(cases: list[Case], duration_s: float) -> list[Batch]:
+    return _in_batches_of(10 if _is_large(cases[0].shape) else 30, cases, duration_s)
+
+
+def _pairs(cases: list[Case], duration_s: float) -> list[Batch]:
+    """Each case flies twice, and long."""
+    return _in_batches_of(4 if _is_large(cases[0].shape) else 8, cases, duration_s)
+
+
+def _in_batches_of(most: int, cases: list[Case], duration_s: float) -> list[Batch]:
+    return [Batch(tuple(cases[k : k + most]), duration_s) for k in range(0, len(cases), most)]
+
+
+def _is_large(shape: Shape) -> bool:
+    return len(shape.slots_enu_m) >= LARGE
