@@ -68,9 +68,7 @@ def algorithm_1(survey: Survey, progress: Progress = no_progress) -> Claim:
         full="-",
         verdict=Verdict.CONDITION if good and climbs else Verdict.HOLDS if good else Verdict.FAILS,
         remark="line 3 must read p_j(k): as printed every follower stays at n, which is right on "
-        f"{printed_right} pairs alone. And there must be a leader: without one PrC climbs by one a tick to n and stays, and "
-        f"{_end_of_chain(survey.most_vertices)} is also the PrC at the end of a chain of {survey.most_vertices}, so PrC alone "
-        "cannot say that the leader is gone",
+        f"{printed_right} pairs alone.{_no_word_of_it(survey.most_vertices) if climbs else ''}",
         measured=survey.counts()
         | {
             "pairs_wrong": float(wrong),
@@ -93,6 +91,13 @@ def _without_leader(survey: Survey) -> dict[str, float]:
         "graphs_without_leader_at_n": float(at_n),
         "most_ticks_of_the_climb": float(max(ticks for _, ticks in settled)),
     }
+
+
+def _no_word_of_it(n: int) -> str:
+    return (
+        " And there must be a leader: without one PrC climbs by one a tick to n and stays, and "
+        f"{_end_of_chain(n)} is also the PrC at the end of a chain of {n}, so PrC alone cannot say that the leader is gone"
+    )
 
 
 def _end_of_chain(n: int) -> int:

@@ -38,7 +38,11 @@ def proposition_2_against_22(survey: Survey) -> Claim:
         f"large, on {survey.extent()}",
         full="-",
         verdict=verdict,
-        remark=_condition_of_proposition_2(survey) if verdict is Verdict.CONDITION else "",
+        remark=_where_it_is_below(worse[0])
+        if worse
+        else _condition_of_proposition_2(survey)
+        if verdict is Verdict.CONDITION
+        else "",
         measured=survey.counts()
         | {
             "pairs_below": float(len(worse)),
@@ -49,6 +53,10 @@ def proposition_2_against_22(survey: Survey) -> Claim:
             "contrary_lambda_min_eq_22": against.lambda_min_22,
         },
     )
+
+
+def _where_it_is_below(spectra: Spectra) -> str:
+    return f"{spectra.lambda_min:.4f} against {spectra.lambda_min_22:.4f} on {described(spectra.pair)}"
 
 
 def _condition_of_proposition_2(survey: Survey) -> str:
@@ -84,8 +92,8 @@ def proposition_2_against_26(survey: Survey) -> Claim:
         f"{own.lambda_min_26:.4f} on the graph of eq. 27",
         full="-",
         verdict=Verdict.FAILS if fails else Verdict.HOLDS,
-        remark=f"at worst {worst.lambda_min:.4f} against {worst.lambda_min_26:.4f}, on {described(worst.pair)}. A leader that "
-        "heeds nobody settles sooner, but does not wait for followers who fall behind (figure 4)",
+        remark=f"at worst {worst.lambda_min:.4f} against {worst.lambda_min_26:.4f}, on {described(worst.pair)}. The leader of "
+        "eq. 26 heeds nobody: it need not settle with its followers, and it does not wait for them (figure 4)",
         measured={
             "pairs": float(len(pairs)),
             "pairs_below": float(len(worse)),

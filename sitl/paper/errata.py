@@ -150,7 +150,8 @@ def _equation_26() -> Erratum:
     return Erratum(
         place="eq. 26",
         printed="the average law of the simulations: the leader follows the reference alone",
-        right="eq. 22 and eq. 26 are two laws: G1 of eq. 27 is eq. 26, figures 5 and 6 and the proofs fit eq. 22",
+        right="eq. 22 and eq. 26 are two laws: G1 of eq. 27 is eq. 26, the proofs are about eq. 22; which of them "
+        "figures 4 and 6 show is a claim above",
         shown=f"lambda_min of the platoon {least[0]:.4f} with eq. 22, {least[1]:.4f} with eq. 26",
     )
 
