@@ -106,7 +106,7 @@ def _reproduce(options: PaperOptions) -> int:
     from sitl.paper.figures import PICTURES
     from sitl.paper.flight_claims import flight_claims
     from sitl.paper.law_table import law_table
-    from sitl.paper.past import past_rows
+    from sitl.paper.past import past_rows, past_words
     from sitl.paper.report import Report, in_short, versions, write_report
     from sitl.study.command import draw, past_the_paper
 
@@ -124,6 +124,7 @@ def _reproduce(options: PaperOptions) -> int:
     report = Report(
         claims=[*theory, *flight_claims(book)],
         past_claims=past.claims,
+        past_words=past_words(past),
         past_settings=past_rows(past),
         errata=errata(),
         laws=law_table(book),

@@ -73,8 +73,8 @@ PICTURES = (
     Picture(
         "figure_10.png",
         "Figure 10: topology and weights",
-        "Before and after the first change of lead. The number near a vehicle on an edge is the weight that this vehicle gives "
-        "the other one; it follows from the PrCs that they reported.",
+        "Before the first change of lead, and after the last report that it changed. The number near a vehicle on an "
+        "edge is the weight that this vehicle gives the other one; it follows from the PrCs that they reported.",
         ("fig-10-matrices", "fig-10-at-once", "section-5.2"),
         save_figure_10,
     ),

@@ -64,9 +64,10 @@ def _draw_aggregation(axes: Axes, entry: Entry) -> None:
             path_m[:, 0],
             path_m[:, 1],
             color=colour,
-            linewidth=1.2,
+            linewidth=1.3,
+            linestyle="-" if role is Role.FOLLOWER else (0, (5, 1.5)),
             zorder=2.5,
-            label=_once(axes, f"path of the {role}"),
+            label=_once(axes, "path of the leader" if role is Role.LEADER else "path of a follower"),
         )
         start: dict[str, Any] = {"marker": "x", "color": "#000000", "markersize": 8, "linestyle": "", "zorder": 4}
         axes.plot(path_m[0, 0], path_m[0, 1], **start, label=_once(axes, "start"))
@@ -174,7 +175,7 @@ def save_figure_10(path: Path, book: Book) -> None:
         (after.from_s - 0.2, f"{after.from_s - 0.2 - start_s:.1f} s: UAV {before.leader_id} leads"),
         (
             after.settled_s,
-            f"{after.settled_s - start_s:.1f} s: UAV {after.leader_id} leads, and every PrC has followed",
+            f"{after.settled_s - start_s:.1f} s: UAV {after.leader_id} leads, after the last change",
         ),
     ]
     for axes, (time_s, title) in zip(figure.subplots(1, 2, sharex=True, sharey=True), panels, strict=True):

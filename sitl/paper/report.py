@@ -38,6 +38,7 @@ class Report(Struct, frozen=True, kw_only=True):
     flights: int
     took_s: float
     past_claims: list[Claim] = []
+    past_words: str = ""
     past_settings: list[PastRow] = []
 
 

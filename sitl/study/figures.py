@@ -7,6 +7,7 @@ from pathlib import Path
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from sitl.plots import COLOURS, MARKERS, STYLES
 from sitl.shapes import SPACING_M
@@ -18,7 +19,7 @@ NEVER_LABEL = "not settled"
 
 def save_trade_off(path: Path, flights: Sequence[Figures], shapes: Sequence[str]) -> None:
     """One panel a shape: x is the time to settle, y how far the worst pair of neighbours was off its wanted distance."""
-    figure = Figure(figsize=(5.6 * len(shapes), 5.6), layout="constrained")
+    figure = Figure(figsize=(13.0, 6.4), layout="constrained")
     figure.suptitle("Settling against the worst inter-distance, full quadrotor model, a step of 1 m", fontsize=13)
     panels = figure.subplots(1, len(shapes), squeeze=False)[0]
     for axes, shape in zip(panels, shapes, strict=True):
@@ -26,14 +27,14 @@ def save_trade_off(path: Path, flights: Sequence[Figures], shapes: Sequence[str]
         axes.set_title(shape)
     panels[0].set_ylabel("worst deviation of a neighbour's distance\nfrom the wanted one [m]")
     handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=8.5, frameon=False)
-    figure.savefig(path, dpi=150)
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=10, frameon=False)
+    figure.savefig(path, dpi=130)
 
 
 def _draw_trade_off(axes: Axes, flights: Sequence[Figures]) -> None:
     flown = {f.setting: f for f in reversed(flights)}  # of two of the same, the first: all are as long
     duration_s = flights[0].duration_s
-    never_s = duration_s * 1.35
+    never_s, right_s = duration_s * 1.6, duration_s * 2.56  # in the middle of a strip, as wide as its words
     for setting in SETTINGS:
         if setting.label in flown:
             _draw_setting(axes, setting, flown[setting.label], never_s)
@@ -46,9 +47,9 @@ def _draw_trade_off(axes: Axes, flights: Sequence[Figures]) -> None:
         " one spacing: neighbours may touch",
         transform=axes.get_yaxis_transform(),
         va="bottom",
-        fontsize=8,
+        fontsize=9,
     )
-    axes.axvspan(duration_s, never_s * 1.35, color="#eeeeee", zorder=0)
+    axes.axvspan(duration_s, right_s, color="#eeeeee", zorder=0)
     axes.text(
         never_s,
         0.985,
@@ -56,9 +57,14 @@ def _draw_trade_off(axes: Axes, flights: Sequence[Figures]) -> None:
         transform=axes.get_xaxis_transform(),
         ha="center",
         va="top",
-        fontsize=8,
+        fontsize=9,
     )
-    axes.set_xlim(right=never_s * 1.35)
+    axes.set_xlim(right=right_s)
+    bottom, top = axes.get_ylim()
+    axes.set_ylim(top=top * (top / bottom) ** 0.12)  # room above every marker for what the grey strip is
+    axes.xaxis.set_major_locator(LogLocator(10.0, subs=(1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set_xlabel("settled to 10 cm after [s]")
     axes.grid(True, which="major", color="#dddddd", linewidth=0.6)
 
@@ -76,7 +82,7 @@ def _draw_setting(axes: Axes, setting: Setting, flown: Figures, never_s: float) 
         markeredgecolor="black",
         markeredgewidth=0.7,
         label=setting.label,
-        zorder=4 if chosen else 3,
+        zorder=2.5 if chosen else 3,  # the largest below the others, that it hides none
     )
 
 
@@ -92,7 +98,7 @@ def _look(setting: Setting) -> tuple[str, str]:
 
 def save_spectra(path: Path, spectra: Mapping[str, Mapping[str, Sequence[tuple[int, float]]]]) -> None:
     """lambda_min against the number of vehicles; `spectra`: kind of shape -> law -> (vehicles, lambda_min)."""
-    figure = Figure(figsize=(4.6 * len(spectra), 4.4), layout="constrained")
+    figure = Figure(figsize=(13.0, 5.0), layout="constrained")
     figure.suptitle("Smallest eigenvalue of the interaction matrix, up to 10,000 vehicles", fontsize=13)
     panels = figure.subplots(1, len(spectra), squeeze=False, sharey=True)[0]
     for axes, (kind, laws) in zip(panels, spectra.items(), strict=True):
@@ -109,5 +115,6 @@ def save_spectra(path: Path, spectra: Mapping[str, Mapping[str, Sequence[tuple[i
         axes.set_xlabel("vehicles")
         axes.grid(True, which="major", color="#dddddd", linewidth=0.6)
     panels[0].set_ylabel("lambda_min of G [-]")
-    panels[0].legend(frameon=False, fontsize=9)
-    figure.savefig(path, dpi=150)
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), fontsize=10, frameon=False)
+    figure.savefig(path, dpi=130)
