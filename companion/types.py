@@ -273,6 +273,7 @@ class CommandName(StrEnum):
 
 
 MAX_EPOCH = 2**31 - 1
+MAX_EPOCHS_AHEAD = 1000  # of a vehicle's own; so many changes may it have missed
 
 
 @dataclass(frozen=True, slots=True)

@@ -60,7 +60,7 @@ class Cooperation:
         in_formation: bool,
     ) -> Neighbourhood:
         """Algorithm 1 and the neighbour set, from the packets that came since the last tick."""
-        self.peers.fold(packets)
+        self.peers.fold(packets, self.leadership.epoch)
         fresh = self.peers.fresh(now_s)
         self.leadership.hear([peer.packet.leader_word for peer in fresh.values()])
         role, epoch = self.leadership.role, self.leadership.epoch

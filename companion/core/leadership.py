@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable
 
-from companion.types import MAX_EPOCH, Lead, LeaderWord, Role
+from companion.types import MAX_EPOCH, MAX_EPOCHS_AHEAD, Lead, LeaderWord, Role
 
 
 class Leadership:
     """Epoch 0 has the fleet file's roles. `events` tells every change of the own role, until somebody takes it.
 
     The lead is only ever taken by a command. What is heard of a newer epoch makes a follower, also of a leader that missed the
-    command or was restarted: who leads in that epoch was told so.
+    command or was restarted: who leads in that epoch was told so. Of either no more than MAX_EPOCHS_AHEAD at once is believed:
+    one wrong number cannot use up all epochs that are left. What is heard is held to that in `core/peers.py`.
     """
 
     def __init__(self, own_id: int, leaders: Iterable[int], may_lead: Collection[int]) -> None:
@@ -49,7 +50,7 @@ class Leadership:
         # An epoch that was only heard of may still be commanded: this vehicle missed that when the others were told.
         if lead.epoch < self.epoch or lead.epoch == self._obeyed.epoch:
             return f"epoch {lead.epoch} is not newer than {self.epoch}"
-        if lead.epoch > MAX_EPOCH:
+        if lead.epoch > min(self.epoch + MAX_EPOCHS_AHEAD, MAX_EPOCH):
             return f"epoch {lead.epoch} is too large; expected {self.epoch + 1}"
         return None
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from math import dist, hypot, isfinite
 
-from companion.types import MAX_EPOCH, LeaderWord, PeerPacket, ReceivedPeerPacket, Role, Vector3
+from companion.types import MAX_EPOCH, MAX_EPOCHS_AHEAD, LeaderWord, PeerPacket, ReceivedPeerPacket, Role, Vector3
 
 MAX_COORDINATE_M = 20_000.0
 MAX_ACCELERATION_M_S2 = 100.0
@@ -60,10 +60,11 @@ class PeerTable:
         self._newest: dict[int, PeerState] = {}
         self.rejected: Counter[str] = Counter()
 
-    def fold(self, packets: Iterable[ReceivedPeerPacket]) -> None:
+    def fold(self, packets: Iterable[ReceivedPeerPacket], epoch: int) -> None:
+        """`epoch` is the one of the lead that this vehicle is in."""
         for received in packets:
             vehicle_id = received.packet.vehicle_id
-            reason = self._refusal(received)
+            reason = self._refusal(received, epoch)
             if reason is None:
                 peer = _timed(received, self._newest.get(vehicle_id))
                 if peer.late_s <= self._max_age_s:
@@ -76,7 +77,7 @@ class PeerTable:
         """Peers whose state is not older than the configured age."""
         return {i: peer for i, peer in self._newest.items() if peer.age_s(now_s) <= self._max_age_s}
 
-    def _refusal(self, received: ReceivedPeerPacket) -> str | None:
+    def _refusal(self, received: ReceivedPeerPacket, epoch: int) -> str | None:
         packet = received.packet
         if packet.vehicle_id == self._own_id:
             return "uses this vehicle's own id"
@@ -87,6 +88,8 @@ class PeerTable:
             return "has another fleet file (formation hash differs)"
         if packet.role is Role.LEADER and not may_lead:
             return "claims to be leader, by the fleet file it may not"
+        if packet.leader_word is not None and packet.leader_word.epoch > epoch + MAX_EPOCHS_AHEAD:
+            return "its leader's epoch is too far ahead"
         newest = self._newest.get(packet.vehicle_id)
         return self._implausible(packet) or (self._unlikely_after(newest, received) if newest else None)
 

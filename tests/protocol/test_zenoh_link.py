@@ -171,7 +171,7 @@ def test_after_a_pause_packets_are_as_old_as_they_waited_and_later_ones_are_not(
 
     def age_s() -> float:
         now_s = time.monotonic()
-        peers.fold(second.link.receive(now_s)[0])
+        peers.fold(second.link.receive(now_s)[0], epoch=0)
         return peers.fresh(now_s)[1].age_s(now_s) - PACKET.state_age_s if peers.fresh(now_s) else 99.0
 
     with vehicle(1, listen=(endpoint(port),)) as first, vehicle(2, connect=(endpoint(port),)) as second:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations
 
 import pytest
@@ -16,7 +17,17 @@ from companion.core.leadership import Leadership
 from companion.core.neighbours import EdgeRule
 from companion.core.peers import PeerTable
 from companion.core.reference_clock import WAITED_S, ReferenceClock
-from companion.types import ZERO3, FlightPhase, Lead, LeaderWord, PeerPacket, ReceivedPeerPacket, Role
+from companion.types import (
+    MAX_EPOCH,
+    MAX_EPOCHS_AHEAD,
+    ZERO3,
+    FlightPhase,
+    Lead,
+    LeaderWord,
+    PeerPacket,
+    ReceivedPeerPacket,
+    Role,
+)
 
 TICK_S = 0.02
 RING = ((1, 2), (2, 3), (3, 4), (4, 1))
@@ -50,6 +61,7 @@ def test_a_newer_epoch_gives_the_role_that_it_names() -> None:
         (Lead((1,), 5), "lead: epoch 5 is not newer than 5"),
         (Lead((1,), 4), "lead: epoch 4 is not newer than 5"),
         (Lead((1,), 2**31), f"lead: epoch {2**31} is too large; expected 6"),
+        (Lead((1,), 6 + MAX_EPOCHS_AHEAD), "lead: epoch 1006 is too large; expected 6"),
     ],
 )
 def test_what_is_refused_changes_nothing(lead: Lead, reason: str) -> None:
@@ -88,6 +100,15 @@ def test_nothing_that_is_heard_makes_a_leader(epochs: list[int]) -> None:
     vehicle.hear([LeaderWord(2, epoch, 1) for epoch in epochs])
     assert vehicle.role is Role.FOLLOWER
     assert vehicle.epoch == max(epochs, default=0)
+
+
+def test_who_missed_many_changes_can_be_told_at_once_and_who_missed_more_in_steps() -> None:
+    vehicle = leadership(2)
+    assert vehicle.obey(Lead((1,), MAX_EPOCHS_AHEAD))[0]
+    assert not vehicle.obey(Lead((2,), 2 * MAX_EPOCHS_AHEAD + 1))[0]
+    assert vehicle.obey(Lead((1,), 2 * MAX_EPOCHS_AHEAD))[0]
+    assert vehicle.obey(Lead((2,), 2 * MAX_EPOCHS_AHEAD + 1))[0]
+    assert (vehicle.role, vehicle.epoch) == (Role.LEADER, 2 * MAX_EPOCHS_AHEAD + 1)
 
 
 # ---------------------------------------------------------------- the RFT's time
@@ -339,3 +360,27 @@ def test_of_two_leaders_one_in_hold_does_not_stop_the_other_s_time(holds: int) -
         assert around[leads].reference_s == pytest.approx(began_s + tick * TICK_S)
         # also of the one that holds: it enters formation where the other is
         assert all(abs(what.reference_s - around[leads].reference_s) < 0.03 for what in around.values())
+
+
+def test_one_word_of_a_huge_epoch_ends_nothing() -> None:
+    fleet = Fleet(RING, may_lead=(1, 2))
+    fleet.fly(20)
+    honest = fleet.packets[4]
+    lie = replace(
+        honest, sequence=honest.sequence + 1, sent_s=fleet.now_s, leader_word=LeaderWord(1, MAX_EPOCH, 1, 1.0)
+    )
+    around = fleet.vehicles[1].update(fleet.now_s, ZERO3, [ReceivedPeerPacket(fleet.now_s, lie)], True)
+    assert (around.role, around.epoch) == (Role.LEADER, 0)
+    assert dict(fleet.vehicles[1].peers.rejected) == {"peer 4: its leader's epoch is too far ahead": 1}
+    fleet.vehicles[1].peers.rejected.clear()
+    fleet.give(Lead((2,), 1))
+    assert leaders_in(fleet.fly(5)) == [2]
+
+
+def test_a_restarted_agent_catches_up_with_as_many_changes_as_are_believed() -> None:
+    fleet = Fleet(RING, may_lead=(1, 2))
+    fleet.give(Lead((2,), MAX_EPOCHS_AHEAD))
+    fleet.vehicles[1] = fleet.started(1)
+    around = fleet.fly(5)
+    assert leaders_in(around) == [2]
+    assert {what.epoch for what in around.values()} == {MAX_EPOCHS_AHEAD}

@@ -37,7 +37,7 @@ def table() -> PeerTable:
 def heard(peers: PeerTable, received_s: float = 1.0, **changes: Any) -> list[str]:
     """Fold one packet that was not held up; the reasons of refusal counted so far."""
     packet = replace(GOOD, **{"sent_s": 500.0 + received_s} | changes)
-    peers.fold([ReceivedPeerPacket(received_s, packet)])
+    peers.fold([ReceivedPeerPacket(received_s, packet)], epoch=7)
     return list(peers.rejected)
 
 
@@ -71,7 +71,8 @@ def test_a_good_packet_is_believed() -> None:
         ({"leader_word": LeaderWord(2, 0, 100)}, "leader's word"),
         ({"leader_word": LeaderWord(9, 0, 100)}, "leader's word"),
         ({"leader_word": LeaderWord(1, -1, 100)}, "leader's word"),
-        ({"leader_word": LeaderWord(1, 2**31, 100)}, "leader's word"),
+        ({"leader_word": LeaderWord(1, 1008, 100)}, "its leader's epoch is too far ahead"),
+        ({"leader_word": LeaderWord(1, 2**63, 100)}, "its leader's epoch is too far ahead"),
         ({"leader_word": LeaderWord(1, 0, 100, nan)}, "leader's word"),
         ({"leader_word": LeaderWord(1, 0, 100, -0.1)}, "leader's word"),
         ({"leader_word": LeaderWord(1, 0, 100, 1e9)}, "leader's word"),
