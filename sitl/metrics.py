@@ -9,10 +9,11 @@ from math import dist
 
 import numpy as np
 
+from companion.core.arrays import FloatArray
 from companion.core.reference import ReferenceTrajectory
 from companion.core.settling import settle_time_s as settle_time_s
 from companion.types import Vector3
-from sitl.tracks import FloatArray, Track
+from sitl.tracks import Track
 
 SAMPLE_S = 0.02
 FINAL_S = 2.0  # what "final" is taken over
@@ -25,7 +26,7 @@ Tracks = Mapping[int, Track]  # by vehicle id
 class Formation:
     """When a formation flew, in seconds of the tracks' clock: the last vehicle's entry until the command that ended it.
 
-    The reference's own time begins at `reference_start_s`, the leader's entry.
+    The reference's own time begins at `reference_start_s`, the leader's entry, or before by what was flown of it in this flight.
     """
 
     start_s: float

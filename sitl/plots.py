@@ -14,8 +14,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from companion.core.arrays import FloatArray
 from sitl.metrics import Flight, Formation, distances_m, pair_name, reference_positions_m
-from sitl.tracks import FloatArray
 
 BEFORE_S = 2.0  # how much of the flight before the formation is shown
 MIN_SPAN_M = 1.0  # curves that hardly move are not blown up

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from companion.core.arrays import FloatArray
 
 USED = ("monotonic_s", "x_m", "y_m", "z_m")
 

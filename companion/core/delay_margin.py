@@ -14,8 +14,9 @@ from math import atan2, inf, log, pi, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.core.arrays import FloatArray
 from companion.core.formation import Gains
-from companion.core.interaction import Coupling, FloatArray, eigenvalues, lag_margin_s, mode_eigenvalues, mode_figures
+from companion.core.interaction import Coupling, eigenvalues, lag_margin_s, mode_eigenvalues, mode_figures
 from companion.core.prediction import LinearModel
 from companion.core.state_space import is_stable
 

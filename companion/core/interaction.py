@@ -13,10 +13,10 @@ from math import atan2, inf, log, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.core.arrays import FloatArray
 from companion.core.formation import FormationLaw, Gains
 from companion.core.weights import neighbour_weights
 
-FloatArray = NDArray[np.float64]
 Graph = Mapping[int, Collection[int]]  # vehicle id -> ids of its neighbours
 
 

@@ -10,12 +10,11 @@ from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.core.arrays import FloatArray
 from companion.core.interaction import Coupling
 from companion.core.settling import settle_time_s
 
-FloatArray = NDArray[np.float64]
 TICK_S = 0.02
 SUBSTEPS = 4
 LOST_M = 1e6  # errors beyond this have long been a failure; they are not followed until numbers end

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from companion.core.arrays import FloatArray
+
 SETTLED_WITHIN_M = 0.10
 STAY_S = 2.0
 

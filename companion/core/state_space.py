@@ -10,7 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from companion.core.interaction import Coupling, FloatArray, eigenvalues
+from companion.core.arrays import FloatArray
+from companion.core.interaction import Coupling, eigenvalues
 from companion.core.prediction import LinearModel
 
 SHORTEST_S = 1e-3  # a shorter lag or delay is taken as this, so that every filter has a state

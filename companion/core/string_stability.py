@@ -14,7 +14,8 @@ from math import exp, log, pi, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.core.interaction import Coupling, FloatArray, mode_eigenvalues
+from companion.core.arrays import FloatArray
+from companion.core.interaction import Coupling, mode_eigenvalues
 from companion.core.prediction import LinearModel
 from companion.core.state_space import is_stable
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from companion.core.arrays import FloatArray
 from sitl.batch.candidates import Candidates
 from sitl.batch.columns import BoolArray, Columns
 from sitl.batch.commands import Commands
@@ -14,7 +15,6 @@ from sitl.batch.packets import ACCELERATION, PLACE, PRC, SHARE, VELOCITY, WIDTH,
 from sitl.batch.references import References
 from sitl.px4 import DT_S
 from sitl.scenario import Scenario
-from sitl.tracks import FloatArray
 from sitl.world import TELEMETRY_STEPS
 
 

@@ -7,11 +7,11 @@ from math import ceil
 
 import numpy as np
 
+from companion.core.arrays import FloatArray
 from sitl.batch.columns import BoolArray, Columns, IntArray
 from sitl.batch.noise import LINKS
 from sitl.px4 import DT_S
 from sitl.scenario import Scenario
-from sitl.tracks import FloatArray
 from sitl.world import TELEMETRY_STEPS
 
 PERIOD_S = DT_S * TELEMETRY_STEPS

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from companion.core.arrays import FloatArray
 from sitl.attitude_control import (
     DELAY_S,
     MAX_RATE_RAD_S,
@@ -13,7 +14,6 @@ from sitl.attitude_control import (
     YAW_GAIN_1_S,
     YAW_RATE_GAIN_1_S,
 )
-from sitl.tracks import FloatArray
 
 HALF_TURN = 1e-6  # of turn: upside down, where any way round is as short
 MOST_RAD_S = np.array([[MAX_RATE_RAD_S], [MAX_RATE_RAD_S], [MAX_YAW_RATE_RAD_S]])

@@ -7,6 +7,7 @@ from math import ceil, floor
 
 import numpy as np
 
+from companion.core.arrays import FloatArray
 from sitl.batch.attitude_loops import AttitudeLoops, delay_steps
 from sitl.batch.bodies import ATTITUDE, POSITION, RATES, Bodies
 from sitl.batch.columns import Columns, IntArray
@@ -16,7 +17,6 @@ from sitl.config import Links
 from sitl.px4 import DT_S
 from sitl.quadrotor import ESTIMATE_PERIOD_STEPS
 from sitl.scenario import Scenario
-from sitl.tracks import FloatArray
 from sitl.world import TELEMETRY_STEPS
 
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.config import EdgeNeighbours, FleetConfig
+from companion.core.arrays import FloatArray
 from sitl.batch.columns import BoolArray, Columns, IntArray
 from sitl.fleet import ids_of
 from sitl.scenario import Scenario
-from sitl.tracks import FloatArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,9 +13,9 @@ from random import Random
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.core.arrays import FloatArray
 from sitl.fleet import ids_of
 from sitl.scenario import Scenario
-from sitl.tracks import FloatArray
 from sitl.world import TELEMETRY_STEPS
 
 IntArray = NDArray[np.int64]

@@ -7,11 +7,11 @@ from math import radians, tan
 
 import numpy as np
 
+from companion.core.arrays import FloatArray
 from sitl.batch.columns import Columns
 from sitl.batch.rotations import quaternion_of_euler
 from sitl.dynamics import GRAVITY_M_S2
 from sitl.scenario import Scenario
-from sitl.tracks import FloatArray
 
 
 class Commands:

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from companion.assembly import law_of
+from companion.core.arrays import FloatArray
 from companion.types import Role
 from sitl.batch.columns import BoolArray, Columns, IntArray
 from sitl.scenario import Scenario
-from sitl.tracks import FloatArray
 
 
 class Laws:

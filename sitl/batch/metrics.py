@@ -7,11 +7,11 @@ from itertools import combinations
 
 import numpy as np
 
+from companion.core.arrays import FloatArray
 from companion.core.settling import settle_time_s
 from sitl.batch.columns import BoolArray
 from sitl.batch.flight import BatchFlight
 from sitl.metrics import FINAL_S, neighbouring_pairs
-from sitl.tracks import FloatArray
 
 
 @dataclass(frozen=True, slots=True)

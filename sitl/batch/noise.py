@@ -9,8 +9,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from companion.core.arrays import FloatArray
 from sitl.batch.columns import Columns
-from sitl.tracks import FloatArray
 
 SENSORS, GUSTS, LINKS = 1, 2, 3  # subjects: gusts that are switched on leave the sensors as they were
 

@@ -13,11 +13,11 @@ from math import ceil
 
 import numpy as np
 
+from companion.core.arrays import FloatArray
 from sitl.batch.arrivals import PERIOD_S, Arrivals, first_heard
 from sitl.batch.candidates import Candidates
 from sitl.batch.columns import BoolArray, Columns, IntArray
 from sitl.scenario import Scenario
-from sitl.tracks import FloatArray
 from sitl.world import TELEMETRY_STEPS
 
 # Of a packet: the position less its slot [m], velocity [m/s], acceleration command [m/s^2], PrC and what it is worth.

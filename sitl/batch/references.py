@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from companion.config import Reference
+from companion.core.arrays import FloatArray
 from companion.core.formation import Place
 from companion.core.reference import ReferenceTrajectory
 from sitl.batch.columns import BoolArray, Columns, IntArray
 from sitl.scenario import Scenario, reference_of
-from sitl.tracks import FloatArray
 
 
 class References:

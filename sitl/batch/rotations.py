@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sitl.tracks import FloatArray
+from companion.core.arrays import FloatArray
 
 
 def product(first: FloatArray, then: FloatArray) -> FloatArray:

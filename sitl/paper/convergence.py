@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from companion.core.arrays import FloatArray
 from companion.core.formation import PAPER_GAINS, Gains
-from companion.core.interaction import FloatArray, mode_figures
+from companion.core.interaction import mode_figures
 from sitl.paper.claims import Claim, Progress, Verdict, no_progress
 from sitl.paper.graphs import described
 from sitl.paper.survey import Survey

@@ -9,12 +9,12 @@ import numpy as np
 
 from companion.assembly import law_of
 from companion.config import EdgeNeighbours
+from companion.core.arrays import FloatArray
 from companion.core.interaction import interaction_matrix
 from companion.types import Role
 from sitl.metrics import settle_time_s
 from sitl.paper.flights import FlownPlan
 from sitl.paper.graphs import graph_of
-from sitl.tracks import FloatArray
 
 STEP_S = 0.005
 TICK_STEPS = 4  # 50 Hz

@@ -7,8 +7,9 @@ from fractions import Fraction
 
 import numpy as np
 
+from companion.core.arrays import FloatArray
 from companion.core.formation import FormationLaw, average_22, average_26, weighted
-from companion.core.interaction import FloatArray, Graph, interaction_matrix, settled_prcs
+from companion.core.interaction import Graph, interaction_matrix, settled_prcs
 from companion.core.weights import neighbour_weights
 from companion.types import Vector3
 from sitl.paper.claims import Claim, Verdict

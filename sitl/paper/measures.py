@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from companion.core.arrays import FloatArray
 from sitl.metrics import Flight, Pair, Tracks, distances_m, pairs_of
 from sitl.paper.graphs import graph_of
 from sitl.shapes import is_connected
-from sitl.tracks import FloatArray
 
 Interval = tuple[float, float]  # from, to [s] after the start of the formation
 RESPONDED_SHARE = 0.5  # a vehicle has responded when this share of its way is done

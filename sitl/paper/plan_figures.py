@@ -12,6 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from companion.config import LawName
+from companion.core.arrays import FloatArray
 from companion.types import Role
 from sitl.metrics import Pair, Tracks, reference_positions_m
 from sitl.paper.aggregation_claims import has_gathered, left_for_good_s, range_m
@@ -21,7 +22,6 @@ from sitl.paper.measures import edges_m
 from sitl.paper.platoon_figures import DPI, MODEL_TITLES
 from sitl.paper.topology import Topology, leads, reported_matrix, topology_at
 from sitl.plots import GUIDE, LAW_TITLES, new_figure
-from sitl.tracks import FloatArray
 
 RED, BLUE = "#C1272D", "#0072B2"
 ROLE_LOOKS: Mapping[Role, dict[str, Any]] = {

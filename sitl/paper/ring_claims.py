@@ -9,7 +9,7 @@ from math import inf, nan
 import numpy as np
 
 from companion.config import Figure8Reference, LawName
-from companion.core.interaction import FloatArray
+from companion.core.arrays import FloatArray
 from sitl.metrics import distances_m, errors_m, pair_name, reference_positions_m
 from sitl.paper.book import PERFECT, Book, Entry, listed, seconds, verdict_of
 from sitl.paper.claims import Claim

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.core.arrays import FloatArray
 from companion.core.formation import average_22, average_26, weighted
-from companion.core.interaction import FloatArray, interaction_matrix, settled_prcs
+from companion.core.interaction import interaction_matrix, settled_prcs
 from sitl.paper.claims import Progress, no_progress
 from sitl.paper.graphs import Led, every_small_pair, random_pairs
 

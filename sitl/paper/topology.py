@@ -9,10 +9,10 @@ from fractions import Fraction
 import numpy as np
 
 from companion.assembly import law_of
+from companion.core.arrays import FloatArray
 from companion.core.weights import neighbour_weights
 from companion.types import Role
 from sitl.paper.flights import FlownPlan
-from sitl.tracks import FloatArray
 from sitl.watch import TopologyChange
 
 

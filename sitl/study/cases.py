@@ -11,6 +11,7 @@ import numpy as np
 from msgspec import Struct
 
 from companion.config import EdgeNeighbours, Envelope, FleetConfig, FormationMember, GeodeticOrigin, PointReference
+from companion.core.arrays import FloatArray
 from companion.core.settling import SETTLED_WITHIN_M, settle_time_s
 from companion.types import CommandName, Role
 from sitl.batch.flight import BatchFlight, fly_batch
@@ -19,7 +20,6 @@ from sitl.config import StandIn as StandInConfig
 from sitl.scenario import Scenario, TimelineStep
 from sitl.shapes import LEADER, Shape
 from sitl.study.settings import Setting
-from sitl.tracks import FloatArray
 
 STEP_M = 1.0
 HEIGHT_M = 1.0

@@ -12,10 +12,10 @@ import msgspec
 import numpy as np
 from msgspec import Struct
 
+from companion.core.arrays import FloatArray
 from companion.core.settling import SETTLED_WITHIN_M
 from sitl.batch.flight import BatchFlight, fly_batch
 from sitl.study.cases import Case, Figures, figures_of, settled_s
-from sitl.tracks import FloatArray
 
 BAND_MARGIN_M = 0.05  # above the largest error that was seen without any step
 

@@ -11,7 +11,6 @@ from companion.core.interaction import eigenvalues, interaction_matrix, reached_
 from sitl.shapes import LEADER
 
 BoolArray = NDArray[np.bool_]
-FloatArray = NDArray[np.float64]
 Graph = dict[int, list[int]]
 
 

@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from companion.core.arrays import FloatArray
 from sitl.summary import read_summary
-from sitl.tracks import FloatArray, read_track
+from sitl.tracks import read_track
 
 pytestmark = [pytest.mark.fleet, pytest.mark.timeout(300)]
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from companion.core.arrays import FloatArray
 from companion.types import Role
 from sitl.batch.columns import phase_steps
 from sitl.batch.flight import fly_batch
@@ -21,7 +22,6 @@ from sitl.progress import Progress
 from sitl.px4 import DT_S
 from sitl.run import Flown, fly_in_virtual_time
 from sitl.scenario import Scenario, load_scenario, reference_of
-from sitl.tracks import FloatArray
 from sitl.world import TELEMETRY_STEPS
 
 PLATOON = Path(__file__).parents[2] / "config" / "scenarios" / "platoon.yaml"

@@ -7,6 +7,7 @@ import pytest
 from batch_scenarios import platoon
 
 from companion.config import Envelope
+from companion.core.arrays import FloatArray
 from companion.core.attitude import attitude_target, limit_acceleration
 from companion.core.envelope import EnvelopeLimits, LastGate
 from companion.frames import euler_from_quaternion, quaternion_from_euler
@@ -20,7 +21,6 @@ from sitl.batch.rotations import euler_rad, product, quaternion_of_euler, quater
 from sitl.config import Airframe, AutopilotFile, StandIn
 from sitl.dynamics import Body, advance, derivative, normalised, rate_of_change, rk4
 from sitl.quadrotor import _turned
-from sitl.tracks import FloatArray
 from sitl.world import _phase_s
 
 AIRFRAMES = [

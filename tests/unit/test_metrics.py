@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from companion.core.arrays import FloatArray
 from companion.core.formation import Place
 from companion.core.reference import point
 from companion.types import Vector3
@@ -20,7 +21,7 @@ from sitl.metrics import (
     settle_time_s,
     smallest_distance_m,
 )
-from sitl.tracks import FloatArray, Track, TrackError, read_track
+from sitl.tracks import Track, TrackError, read_track
 
 TIMES_S = np.linspace(0.0, 100.0, 5001)
 SLOTS: dict[int, Vector3] = {1: (0.0, 0.0, 0.0), 2: (-1.5, 0.0, 0.0), 3: (-3.0, 0.0, 0.0)}

@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from companion.core.arrays import FloatArray
 from companion.core.reference import point
 from companion.types import Role
 from sitl.metrics import Flight, Formation
@@ -19,7 +20,7 @@ from sitl.paper.law_table import LawRow
 from sitl.paper.measures import alone_s, behind_leader_m, broken_s, edges_m, response_s, total_s
 from sitl.paper.report import SIGNS, Report, as_html, in_short, versions, write_report
 from sitl.paper.topology import Said, printed_matrix, topology_at
-from sitl.tracks import FloatArray, Track
+from sitl.tracks import Track
 from sitl.watch import TopologyChange
 
 

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from companion.core.interaction import FloatArray
+from companion.core.arrays import FloatArray
 from sitl.paper import algorithm1, comparison, spectrum
 from sitl.paper.claims import Claim, Verdict
 from sitl.paper.comparison import platoon, proposition_2_against_22, proposition_2_against_26

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from companion.config import LawName
+from companion.core.arrays import FloatArray
 from companion.types import Role
 from sitl.metrics import Formation
 from sitl.paper.aggregation_claims import Connectivity, aggregation_claims
@@ -19,7 +20,7 @@ from sitl.paper.flights import COMPARED, NOISY_LAWS, FlownPlan, Model, Plan, Sub
 from sitl.paper.platoon_claims import platoon_claims
 from sitl.paper.ring_claims import ring_claims
 from sitl.scenario import Scenario, reference_of
-from sitl.tracks import FloatArray, Track
+from sitl.tracks import Track
 from sitl.watch import TopologyChange
 
 HOLDS, CONDITION, FAILS = Verdict.HOLDS, Verdict.CONDITION, Verdict.FAILS
