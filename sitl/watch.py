@@ -54,6 +54,8 @@ class FlightWatch:
         self._leader_ids = set(leader_ids)
         self._drawn: dict[int, TopologyChange] = {}  # the last of every vehicle
         self._entered_s: dict[int, float] = {}
+        self._zero_s: dict[int, float] = {}  # had the RFT never stood, it would have begun here
+        self._flown_s = 0.0  # how far into the RFT the last leader was
         self._formed_from_s: float | None = None
         self._reference_start_s = began_s
         self._state = FleetState()
@@ -71,12 +73,21 @@ class FlightWatch:
         self._follow_topology(status, now_s)
         if status.phase is FlightPhase.FORMATION and (before is None or before.phase is not FlightPhase.FORMATION):
             self._entered_s[vehicle_id] = now_s
+            self._zero_s[vehicle_id] = now_s - self._flown_s
+        self._follow_reference(status)
         if vehicle_id in self._entered_s and report.timing.ticks:  # in virtual time no ticks are timed
             self.timing[vehicle_id] = report.timing
         if status.last_event and (before is None or status.last_event != before.last_event):
             self.events.append(
                 Event(time_s=round(now_s - self.began_s, 3), vehicle=vehicle_id, event=status.last_event)
             )
+
+    def _follow_reference(self, status: Status) -> None:
+        """From one formation to the next it goes on, from one flight to the next it does not."""
+        if not status.armed:
+            self._flown_s = 0.0
+        elif status.role is Role.LEADER and status.leader_word and status.leader_word.reference_s > 0.0:
+            self._flown_s = status.leader_word.reference_s
 
     def _follow_topology(self, status: Status, now_s: float) -> None:
         vehicle_id, last = status.vehicle_id, self._drawn.get(status.vehicle_id)
@@ -108,7 +119,7 @@ class FlightWatch:
     def begin_formation(self) -> float:
         """All vehicles are in formation. Returns when the last one entered it."""
         self._formed_from_s = max(self._entered_s[i] for i in self.vehicle_ids)
-        self._reference_start_s = min(self._entered_s[i] for i in self._leader_ids)
+        self._reference_start_s = min(self._zero_s[i] for i in self._leader_ids)
         return self._formed_from_s
 
     def end_formation(self, now_s: float) -> None:

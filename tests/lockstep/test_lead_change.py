@@ -202,6 +202,19 @@ def test_an_agent_restarted_in_flight_takes_no_lead_back() -> None:
     assert all(s.phase is FlightPhase.FORMATION for s in told if s.vehicle_id != 1)
 
 
+def test_a_second_formation_of_one_flight_is_measured_by_the_reference_that_goes_on() -> None:
+    steps = "{command: prepare}, {command: arm}, {command: takeoff, for_s: 2}, {command: form, for_s: 15}"
+    flight = flown(f"timeline=[{steps}, {{command: hold, for_s: 4}}, {{command: form, for_s: 5}}, {{command: land}}]")
+    assert flight.failures == []
+    reference = reference_of(flight.scenario)
+    led = [(at_s, s) for at_s, s in flight.watch.heard if flight.formation.start_s < at_s < flight.formation.end_s]
+    assert led
+    for at_s, status in led:
+        if status.reference_enu_m is not None:
+            true_enu_m = reference(at_s - flight.formation.reference_start_s).position_enu_m
+            assert dist(status.reference_enu_m, true_enu_m) < 0.03
+
+
 class FirstLap:
     """The ring in formation for 15 s: on its way along the eight, far from where it began."""
 
