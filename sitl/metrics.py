@@ -26,7 +26,7 @@ Tracks = Mapping[int, Track]  # by vehicle id
 class Formation:
     """When a formation flew, in seconds of the tracks' clock: the last vehicle's entry until the command that ended it.
 
-    The reference's own time begins at `reference_start_s`, the leader's entry, or before by what was flown of it in this flight.
+    The reference's own time begins at `reference_start_s`, the leader's entry, or before by what this flight had flown of it.
     """
 
     start_s: float
