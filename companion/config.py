@@ -18,7 +18,7 @@ from msgspec.structs import replace
 
 from companion.config_file import ConfigError, load
 from companion.figure_8 import figure_8
-from companion.types import Role, Vector3
+from companion.types import GRAVITY_M_S2, Role, Vector3
 
 FLEET_NAME = "^[a-z0-9][a-z0-9_-]{0,40}$"  # it is a part of Zenoh's key expressions
 VehicleId = Annotated[int, Meta(ge=1, le=250, description="MAVLink system id of the vehicle")]
@@ -26,7 +26,6 @@ Seconds = Annotated[float, Meta(gt=0, le=60)]
 Coordinate = Annotated[float, Meta(ge=-10_000, le=10_000)]
 PositionM = tuple[Coordinate, Coordinate, Coordinate]
 LAP_SAMPLES = 2000
-GRAVITY_M_S2 = 9.80665
 
 
 class _Base(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -13,6 +13,8 @@ from enum import IntEnum, StrEnum
 Vector3 = tuple[float, float, float]
 ZERO3: Vector3 = (0.0, 0.0, 0.0)
 
+GRAVITY_M_S2 = 9.80665
+
 
 class Role(StrEnum):
     """A leader flies by the reference formation trajectory (RFT); a follower never does."""

@@ -10,9 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from math import sqrt
 
-from companion.types import Vector3
-
-GRAVITY_M_S2 = 9.80665
+from companion.types import GRAVITY_M_S2, Vector3
 
 State = tuple[float, ...]  # 17 numbers
 Derivative = Callable[[State], State]

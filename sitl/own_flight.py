@@ -8,9 +8,8 @@ from __future__ import annotations
 from math import hypot, isfinite, radians, tan
 
 from companion.frames import enu_from_geodetic, quaternion_from_euler, wrap_pi
-from companion.types import Vector3
+from companion.types import GRAVITY_M_S2, Vector3
 from sitl.attitude_control import Setpoint
-from sitl.dynamics import GRAVITY_M_S2
 from sitl.position_control import PositionControl
 from sitl.px4_modes import NEED_A_PILOT, Mode
 from sitl.px4_parameters import Parameters

@@ -12,13 +12,12 @@ from companion.frames import (
     geodetic_from_enu,
     quaternion_from_euler,
 )
-from companion.types import ZERO3, Vector3
+from companion.types import GRAVITY_M_S2, ZERO3, Vector3
 from sitl.attitude_control import DelayLine, Setpoint, moments, wanted_rates
 from sitl.config import AutopilotFile
 from sitl.disturbances import EstimatorError, Gusts
 from sitl.dynamics import (
     ATTITUDE,
-    GRAVITY_M_S2,
     POSITION,
     RATES,
     THRUST,

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from math import atan, cos, hypot, sin, tan
 
-from companion.types import AttitudeTarget, Vector3
-
-GRAVITY_M_S2 = 9.80665
+from companion.types import GRAVITY_M_S2, AttitudeTarget, Vector3
 
 
 def limit_acceleration(

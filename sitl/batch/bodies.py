@@ -11,9 +11,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from companion.core.arrays import FloatArray
+from companion.types import GRAVITY_M_S2
 from sitl.batch.columns import IntArray
 from sitl.config import Airframe
-from sitl.dynamics import GRAVITY_M_S2
 
 ROWS = 17
 POSITION, VELOCITY, ATTITUDE, RATES, MOTORS = slice(0, 3), slice(3, 6), slice(6, 10), slice(10, 13), slice(13, 17)

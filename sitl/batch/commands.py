@@ -8,9 +8,9 @@ from math import radians, tan
 import numpy as np
 
 from companion.core.arrays import FloatArray
+from companion.types import GRAVITY_M_S2
 from sitl.batch.columns import Columns
 from sitl.batch.rotations import quaternion_of_euler
-from sitl.dynamics import GRAVITY_M_S2
 from sitl.scenario import Scenario
 
 

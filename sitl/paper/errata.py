@@ -7,10 +7,11 @@ from math import cos, degrees, dist, hypot, pi, radians, sin, tan
 
 import numpy as np
 
-from companion.core.attitude import GRAVITY_M_S2, attitude_target
+from companion.core.attitude import attitude_target
 from companion.core.formation import average_22, average_26, weighted
 from companion.core.interaction import interaction_matrix, settled_prcs
 from companion.core.weights import neighbour_weights
+from companion.types import GRAVITY_M_S2
 from sitl.paper.algorithm1 import printed_prcs
 from sitl.paper.claims import Erratum
 from sitl.paper.graphs import chain

@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 from companion.assembly import law_of
 from companion.config import Envelope
-from companion.core.attitude import GRAVITY_M_S2
 from companion.core.settling import SETTLED_WITHIN_M
+from companion.types import GRAVITY_M_S2
 from sitl.paper.claims import Claim, Verdict
 from sitl.study.cases import Figures
 from sitl.study.pairs import Pair

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.core.attitude import GRAVITY_M_S2, attitude_target, limit_acceleration
+from companion.core.attitude import attitude_target, limit_acceleration
 from companion.core.envelope import EnvelopeLimits, LastGate
-from companion.types import AttitudeTarget
+from companion.types import GRAVITY_M_S2, AttitudeTarget
 
 LIMITS = EnvelopeLimits(
     max_tilt_rad=radians(25.0),

@@ -10,9 +10,9 @@ from sitl_vehicle import DT_S, HOVER, LEVEL, Vehicle
 
 from companion.frames import euler_from_quaternion, quaternion_from_euler
 from companion.mavlink.codec import mavlink
+from companion.types import GRAVITY_M_S2
 from sitl.attitude_control import Setpoint, rotation_error
 from sitl.config import Airframe
-from sitl.dynamics import GRAVITY_M_S2
 
 WITHIN = 0.15
 

@@ -8,9 +8,8 @@ from math import cos, exp, pi, sin, sqrt
 import pytest
 
 from companion.frames import euler_from_quaternion, quaternion_from_euler
-from companion.types import ZERO3
+from companion.types import GRAVITY_M_S2, ZERO3
 from sitl.dynamics import (
-    GRAVITY_M_S2,
     POSITION,
     RATES,
     THRUST,
