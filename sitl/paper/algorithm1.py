@@ -9,8 +9,9 @@ import numpy as np
 from companion.core.interaction import Graph
 from companion.core.priority import next_prc
 from sitl.paper.claims import Claim, Progress, Verdict, no_progress
-from sitl.paper.graphs import Led, chain, connected_graphs, diameter, hops
+from sitl.paper.graphs import Led, connected_graphs, diameter, hops
 from sitl.paper.survey import SEED, Survey
+from sitl.shapes import chain
 
 Prcs = dict[int, int]
 
@@ -102,5 +103,5 @@ def _no_word_of_it(n: int) -> str:
 
 def _end_of_chain(n: int) -> int:
     """PrC of the last vehicle of a chain that the first one leads."""
-    pair = Led(chain(n), frozenset({1}))
+    pair = Led(chain(n).adjacency(), frozenset({1}))
     return ticks_to_settle(pair.graph, pair.leaders, dict.fromkeys(pair.graph, n))[0][n]

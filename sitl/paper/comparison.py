@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from functools import cache
 
 from sitl.paper.claims import Claim, Verdict
-from sitl.paper.graphs import Led, chain, described, layered_ring
+from sitl.paper.graphs import Led, described, layered_ring
 from sitl.paper.matrices import aggregation_graph
 from sitl.paper.survey import ROUNDING, Spectra, Survey, spectra_of
+from sitl.shapes import chain
 
 # The leader, two vertices one after the other, a layer of many, and a wide way round to the leader through layers far from
 # it. Weights of 1/p favour the thin way over the two and hinder the wide one, which carries more under equal weights.
@@ -116,7 +117,7 @@ def _below_26(pairs: Sequence[Spectra]) -> list[Spectra]:
 
 def platoon() -> Claim:
     """lambda_min of the chain 1-2-3-4 led by 1, under the three laws."""
-    least = spectra_of(Led(chain(4), frozenset({1})))
+    least = spectra_of(Led(chain(4).adjacency(), frozenset({1})))
     faster = least.lambda_min > max(least.lambda_min_22, least.lambda_min_26)
     return Claim(
         id="platoon-lambda-min",

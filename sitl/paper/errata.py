@@ -14,9 +14,10 @@ from companion.core.weights import neighbour_weights
 from companion.types import GRAVITY_M_S2
 from sitl.paper.algorithm1 import printed_prcs
 from sitl.paper.claims import Erratum
-from sitl.paper.graphs import chain
 from sitl.paper.survey import lambda_min
+from sitl.shapes import chain
 
+PLATOON = chain(4).adjacency()
 ASKED_M_S2 = (1.0, 0.5, 0.0)  # what eq. 8 is tried with
 ASKED_YAW_RAD = radians(30.0)
 
@@ -99,7 +100,7 @@ def _solve(function: Callable[[float], float], value: float) -> float:
 
 def _equation_11() -> Erratum:
     """As printed the sum runs over i and takes w_ii, which is zero: no neighbour is left."""
-    platoon = interaction_matrix(chain(4), {1}, weighted())
+    platoon = interaction_matrix(PLATOON, {1}, weighted())
     left = platoon.sum(axis=1)  # rows of G add up to w_i^l
     listed = ", ".join(f"{abs(round(value, 9)):g}" for value in left)
     return Erratum(
@@ -111,7 +112,7 @@ def _equation_11() -> Erratum:
 
 
 def _algorithm_1() -> Erratum:
-    graph, leaders = chain(4), {1}
+    graph, leaders = PLATOON, {1}
     printed, right = printed_prcs(graph, leaders), settled_prcs(graph, leaders)
     return Erratum(
         place="Algorithm 1, line 3",
@@ -136,7 +137,7 @@ def _algorithm_2() -> Erratum:
 
 def _equation_16() -> Erratum:
     """Without the bracket the neighbours' errors keep their minus sign where -K should have turned it."""
-    platoon = interaction_matrix(chain(4), {1}, weighted())
+    platoon = interaction_matrix(PLATOON, {1}, weighted())
     return Erratum(
         place="eq. 16, the line before it",
         printed="u_i = -K (sum w_ij + w_i^l) e_i - sum w_ij e_j), a bracket short",
@@ -147,7 +148,7 @@ def _equation_16() -> Erratum:
 
 
 def _equation_26() -> Erratum:
-    least = [lambda_min(interaction_matrix(chain(4), {1}, law)) for law in (average_22(), average_26())]
+    least = [lambda_min(interaction_matrix(PLATOON, {1}, law)) for law in (average_22(), average_26())]
     return Erratum(
         place="eq. 26",
         printed="the average law of the simulations: the leader follows the reference alone",

@@ -39,14 +39,6 @@ def within_range(positions_m: Mapping[int, Vector3], range_m: float) -> Graph:
     return graph_of(positions_m, close)
 
 
-def chain(n: int) -> Graph:
-    return graph_of(range(1, n + 1), pairwise(range(1, n + 1)))
-
-
-def ring(n: int) -> Graph:
-    return graph_of(range(1, n + 1), [*pairwise(range(1, n + 1)), (n, 1)])
-
-
 @cache
 def connected_graphs(n: int) -> tuple[Graph, ...]:
     """Every connected graph of n vertices up to isomorphism: 1, 1, 2, 6, 21, 112, 853 of them for n = 1 to 7.

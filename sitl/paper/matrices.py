@@ -13,7 +13,8 @@ from companion.core.interaction import Graph, interaction_matrix, settled_prcs
 from companion.core.weights import neighbour_weights
 from companion.types import Vector3
 from sitl.paper.claims import Claim, Verdict
-from sitl.paper.graphs import graph_of, hops, ring, within_range
+from sitl.paper.graphs import graph_of, hops, within_range
+from sitl.shapes import ring
 
 EXACT = 1e-12  # how far a float may be from the paper's fraction
 
@@ -68,7 +69,7 @@ def section_5_2() -> Claim:
         "section-5.2",
         "section 5.2",
         "the interaction matrices of the ring of four while UAV 1 leads and while UAV 2 leads",
-        ring(4),
+        ring(4).adjacency(),
         parts,
     )
 

@@ -3,10 +3,12 @@
 import msgspec
 import pytest
 
+from companion.types import ZERO3
 from sitl.paper import comparison, matrices
 from sitl.paper.claims import Claim, Verdict
 from sitl.paper.errata import acceleration_of, errata, printed_attitude, right_attitude
 from sitl.paper.theorems import theory_claims
+from sitl.shapes import Shape
 
 CONDITION, FAILS = Verdict.CONDITION, Verdict.FAILS
 
@@ -95,7 +97,7 @@ def test_wrong_weights_fail_figure_2(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_platoon_would_fail_under_another_graph(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(comparison, "chain", lambda _n: {1: {2, 3}, 2: {1}, 3: {1}})
+    monkeypatch.setattr(comparison, "chain", lambda _n: Shape("star", {1: ZERO3, 2: ZERO3, 3: ZERO3}, ((1, 2), (1, 3))))
     assert comparison.platoon().verdict is FAILS
 
 
