@@ -78,7 +78,7 @@ def as_html(report: Report) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"sign": SIGNS.__getitem__, "css_class": CSS_CLASSES.__getitem__}
+    environment.filters |= {"sign": SIGNS.__getitem__, "css_class": CSS_CLASSES.__getitem__, "sentence": sentence}
     template = environment.get_template("report.html.j2")
     by_id = {claim.id: claim for claim in report.claims}
     return template.render(
@@ -89,6 +89,13 @@ def as_html(report: Report) -> str:
         law_titles=LAW_TITLES,
         past_shapes=SHOWN,
     )
+
+
+def sentence(text: str) -> str:
+    """With a capital, unless it begins with a symbol, and a full stop; empty stays empty."""
+    first = text.partition(" ")[0]
+    capital = text[:1].upper() + text[1:] if first.isalpha() else text
+    return capital if not text or text.endswith(".") else f"{capital}."
 
 
 def _claims_of(picture: Picture, by_id: dict[str, Claim]) -> list[Claim]:

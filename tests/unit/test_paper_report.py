@@ -18,7 +18,7 @@ from sitl.paper.figures import PICTURES
 from sitl.paper.flights import Model, Subject, paper_plans
 from sitl.paper.law_table import LawRow
 from sitl.paper.measures import alone_s, behind_leader_m, broken_s, edges_m, response_s, total_s
-from sitl.paper.report import SIGNS, Report, as_html, in_short, versions, write_report
+from sitl.paper.report import SIGNS, Report, as_html, in_short, sentence, versions, write_report
 from sitl.paper.topology import Said, printed_matrix, topology_at
 from sitl.tracks import Track
 from sitl.watch import TopologyChange
@@ -131,8 +131,10 @@ def test_the_folder_holds_the_page_and_the_claims_with_every_number(tmp_path: Pa
 def test_words_for_figures() -> None:
     assert seconds(21.54) == "21.5 s"
     assert seconds(inf) == "never"
+    assert listed([]) == ""
     assert listed(["a"]) == "a"
     assert listed(["a", "b", "c"]) == "a, b and c"
+    assert [sentence(text) for text in ("", "so it is", "It is.", "d23 is")] == ["", "So it is.", "It is.", "d23 is."]
     assert verdict_of(True) is Verdict.HOLDS
     assert verdict_of(False, True) is Verdict.CONDITION
     assert verdict_of(False) is Verdict.FAILS
