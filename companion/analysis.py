@@ -5,7 +5,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import replace
 from itertools import combinations
 from math import dist
 from pathlib import Path
@@ -16,9 +17,19 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from companion.assembly import law_of
-from companion.config import EdgeNeighbours, FleetConfig, LawName, PositionM, Reference, VehicleId, check_fleet
+from companion.config import (
+    EdgeNeighbours,
+    Figure8Reference,
+    FleetConfig,
+    LawName,
+    PositionM,
+    Reference,
+    VehicleId,
+    check_fleet,
+)
 from companion.config_file import ConfigError, convert, read_yaml
 from companion.core.delay_margin import delay_margin_with_lag_s
+from companion.core.formation import Gains
 from companion.core.interaction import (
     Coupling,
     Graph,
@@ -31,15 +42,17 @@ from companion.core.interaction import (
     time_to_shrink_s,
 )
 from companion.core.prediction import LinearModel, errors_over_time, settled_after_s, transient_peak
+from companion.core.settling import SETTLED_WITHIN_M
 from companion.core.state_space import worst_transient_peak
 from companion.core.string_stability import string_gains
 from companion.types import Role, Vector3
 
 LAW_NAMES: tuple[LawName, ...] = get_args(LawName)
 AVERAGE_LAWS: tuple[LawName, ...] = ("average_22", "average_26")
-SETTLED_M = 0.10
+MODEL = LinearModel()
 PREDICT_S = 120.0
 WORST_START_UP_TO = 100  # vehicles; above, the worst start takes too long to work out
+MORE = 0.1  # what a change of a gain is tried with
 STEP_M = 1.0  # the disturbance that is predicted where no scenario says where the vehicles start
 
 
@@ -48,22 +61,31 @@ class LawAnalysis(Struct, frozen=True, kw_only=True):
 
     lambda_min, eigenvalues and G are of the interaction matrix. Rate, damping and delay_margin_s are of the modes without
     attitude lag, feed-forward included; all else is with lag and delay. String gains are None where there is no hop.
+    What an unstable formation does not have is None, too: string gains, peaks, times, distances.
     """
 
+    gain_position_1_s2: float
+    gain_velocity_1_s: float
+    exponent: float
+    feedforward: float
+    stable: bool  # with attitude lag and the usual delay
     lambda_min: float
     eigenvalues: list[float]
     rate_1_s: float
     damping_min: float
     delay_margin_s: float
     delay_margin_with_lag_s: float
+    delay_margin_more_velocity_gain_s: float  # the same with MORE of the gain on velocity: does it help or harm?
     string_gain_per_hop: float | None
+    string_gain_per_hop_rad_s: float | None  # the frequency at which it is so large
     string_gain_to_last: float | None
-    transient_peak: float  # largest error over the largest at the start
+    string_gain_to_last_rad_s: float | None
+    transient_peak: float | None  # largest error over the largest at the start
     worst_transient_peak: float | None  # of all starts; None for more than WORST_START_UP_TO vehicles
     time_to_10_cm_s: float | None  # by the rate alone
     predicted_settle_s: float | None  # by the linear model with attitude lag and delay
-    predicted_max_distance_m: dict[str, float]
-    predicted_min_distance_m: dict[str, float]
+    predicted_max_distance_m: dict[str, float] | None
+    predicted_min_distance_m: dict[str, float] | None
     stays_in_range: bool | None  # None: neighbours are given as edges
     margin_to_range_m: (
         float | None
@@ -72,12 +94,18 @@ class LawAnalysis(Struct, frozen=True, kw_only=True):
 
 
 class Analysis(Struct, frozen=True, kw_only=True):
-    """Of one file. `graph` is that at the start; `leaders` tells lambda_min for every vehicle that might lead alone."""
+    """Of one file. `graph` is that at the start; `lambda_min_by_leader` is of every vehicle that might lead alone.
+
+    `converges`: every vehicle has a path to a leader, and the file's own law is stable.
+    """
 
     file: str
+    converges: bool
     vehicles: list[int]
     leaders: list[int]
     law: LawName
+    start_error_m: float  # the largest of any vehicle where the predictions begin
+    reference_moves: bool  # in flight; in the predictions it stands where it begins
     graph: dict[int, list[int]]
     laws: dict[LawName, LawAnalysis]
     lambda_min_by_leader: dict[int, float]
@@ -100,6 +128,7 @@ class Subject(Struct, frozen=True, kw_only=True):
     fleet: FleetConfig
     starts_enu_m: Mapping[int, Vector3]
     reference_enu_m: Vector3
+    reference_moves: bool = False
 
 
 def load_subject(path: Path) -> Subject:
@@ -112,15 +141,26 @@ def load_subject(path: Path) -> Subject:
         fleet = convert(path, data, FleetConfig)
         check_fleet(path, fleet)
         starts = {member.id: member.slot_enu_m for member in fleet.vehicles}
-        return Subject(file=path, fleet=fleet, starts_enu_m=starts, reference_enu_m=(STEP_M, 0.0, 0.0))
+        return Subject(file=path, fleet=fleet, starts_enu_m=starts, reference_enu_m=_a_step(fleet))
     part = convert(path, data, _ScenarioPart)
     check_fleet(path, part.fleet, "fleet.")
     starts = part.starts_enu_m or {member.id: member.slot_enu_m for member in part.fleet.vehicles}
     for member in part.fleet.vehicles:
         if member.id not in starts:
             raise ConfigError(path, f"starts_enu_m.{member.id}", "missing; every vehicle needs a place to start from")
-    reference = part.reference.start_enu_m if part.reference else (STEP_M, 0.0, 0.0)
-    return Subject(file=path, fleet=part.fleet, starts_enu_m=starts, reference_enu_m=reference)
+    reference = part.reference.start_enu_m if part.reference else _a_step(part.fleet)
+    return Subject(
+        file=path,
+        fleet=part.fleet,
+        starts_enu_m=starts,
+        reference_enu_m=reference,
+        reference_moves=isinstance(part.reference, Figure8Reference),
+    )
+
+
+def _a_step(fleet: FleetConfig) -> Vector3:
+    """Ahead of vehicles that have taken off where their slots are."""
+    return (STEP_M, 0.0, fleet.takeoff_height_m)
 
 
 def neighbour_graph(fleet: FleetConfig, places_enu_m: Mapping[int, Vector3]) -> dict[int, list[int]]:
@@ -154,9 +194,12 @@ def analyse(subject: Subject) -> Analysis:
     gain = {name: laws[fleet.law.name].lambda_min / laws[name].lambda_min for name in AVERAGE_LAWS if laws}
     return Analysis(
         file=str(subject.file),
+        converges=bool(laws) and laws[fleet.law.name].stable,
         vehicles=ids,
         leaders=leaders,
         law=fleet.law.name,
+        start_error_m=float(np.linalg.norm(_start_errors_m(subject), axis=1).max()),
+        reference_moves=subject.reference_moves,
         graph=graph,
         laws=laws,
         lambda_min_by_leader=by_leader,
@@ -171,39 +214,56 @@ def _flying_places(subject: Subject) -> dict[int, Vector3]:
 
 
 def _law_analysis(subject: Subject, graph: Graph, leaders: Collection[int], name: LawName) -> LawAnalysis:
-    coupling = couple(graph, leaders, law_of(subject.fleet.law.renamed(name)))
-    model = LinearModel()
+    law = law_of(subject.fleet.law.renamed(name))
+    coupling = couple(graph, leaders, law)
     spectrum = eigenvalues(coupling.G)
-    modes = [mode_figures(coupling.law.gains, float(value)) for value in mode_eigenvalues(coupling)]
+    modes = [mode_figures(law.gains, float(value)) for value in mode_eigenvalues(coupling)]
     rate_1_s = min(mode.rate_1_s for mode in modes)
+    margin_s = delay_margin_with_lag_s(coupling, MODEL)
+    stable = margin_s > MODEL.delay_s
     start_errors_m = _start_errors_m(subject)
-    errors_m = errors_over_time(coupling, start_errors_m, model, PREDICT_S)
-    distances_m = _distances_m(subject.fleet, graph, errors_m)
-    gains = string_gains(coupling, model)
-    margin_m = _margin_to_range_m(subject.fleet, distances_m)
+    errors_m = errors_over_time(coupling, start_errors_m, MODEL, PREDICT_S) if stable else None
+    distances_m = None if errors_m is None else _distances_m(subject.fleet, graph, errors_m)
+    gains = string_gains(coupling, MODEL) if stable else None
+    range_m = _margin_to_range_m(subject.fleet, distances_m) if distances_m else None
+    start_error_m = float(np.linalg.norm(start_errors_m, axis=1).max())
     return LawAnalysis(
+        gain_position_1_s2=law.gains.position_1_s2,
+        gain_velocity_1_s=law.gains.velocity_1_s,
+        exponent=law.exponent,
+        feedforward=law.feedforward,
+        stable=stable,
         lambda_min=float(spectrum[0]),
         eigenvalues=spectrum.tolist(),
         rate_1_s=rate_1_s,
         damping_min=min(mode.damping for mode in modes),
         delay_margin_s=min(mode.delay_margin_s for mode in modes),
-        delay_margin_with_lag_s=delay_margin_with_lag_s(coupling, model),
+        delay_margin_with_lag_s=margin_s,
+        delay_margin_more_velocity_gain_s=delay_margin_with_lag_s(_more_velocity_gain(coupling), MODEL),
         string_gain_per_hop=gains.per_hop if gains else None,
+        string_gain_per_hop_rad_s=gains.per_hop_rad_s if gains else None,
         string_gain_to_last=gains.to_last if gains else None,
-        transient_peak=transient_peak(errors_m),
-        worst_transient_peak=_worst_transient_peak(coupling, model),
-        time_to_10_cm_s=time_to_shrink_s(rate_1_s, float(np.linalg.norm(start_errors_m, axis=1).max()), SETTLED_M),
-        predicted_settle_s=settled_after_s(errors_m, SETTLED_M),
-        predicted_max_distance_m={pair: round(float(d.max()), 4) for pair, d in distances_m.items()},
-        predicted_min_distance_m={pair: round(float(d.min()), 4) for pair, d in distances_m.items()},
-        stays_in_range=None if margin_m is None else margin_m >= 0.0,
-        margin_to_range_m=margin_m,
+        string_gain_to_last_rad_s=gains.to_last_rad_s if gains else None,
+        transient_peak=None if errors_m is None else transient_peak(errors_m),
+        worst_transient_peak=_worst_transient_peak(coupling) if stable else None,
+        time_to_10_cm_s=time_to_shrink_s(rate_1_s, start_error_m, SETTLED_WITHIN_M) if stable else None,
+        predicted_settle_s=None if errors_m is None else settled_after_s(errors_m, SETTLED_WITHIN_M),
+        predicted_max_distance_m=_extremes_m(distances_m, np.max),
+        predicted_min_distance_m=_extremes_m(distances_m, np.min),
+        stays_in_range=None if range_m is None else range_m >= 0.0,
+        margin_to_range_m=range_m,
         G=coupling.G.tolist(),
     )
 
 
-def _worst_transient_peak(coupling: Coupling, model: LinearModel) -> float | None:
-    return worst_transient_peak(coupling, model) if len(coupling.G) <= WORST_START_UP_TO else None
+def _more_velocity_gain(coupling: Coupling) -> Coupling:
+    gains = coupling.law.gains
+    more = Gains(gains.position_1_s2, gains.velocity_1_s * (1.0 + MORE))
+    return replace(coupling, law=replace(coupling.law, gains=more))
+
+
+def _worst_transient_peak(coupling: Coupling) -> float | None:
+    return worst_transient_peak(coupling, MODEL) if len(coupling.G) <= WORST_START_UP_TO else None
 
 
 def _start_errors_m(subject: Subject) -> NDArray[np.float64]:
@@ -227,9 +287,15 @@ def _distances_m(fleet: FleetConfig, graph: Graph, errors_m: NDArray[np.float64]
     }
 
 
+def _extremes_m(
+    distances_m: Mapping[str, NDArray[np.float64]] | None, extreme: Callable[[NDArray[np.float64]], float]
+) -> dict[str, float] | None:
+    return None if distances_m is None else {pair: round(float(extreme(d)), 4) for pair, d in distances_m.items()}
+
+
 def _margin_to_range_m(fleet: FleetConfig, distances_m: Mapping[str, NDArray[np.float64]]) -> float | None:
-    """The smallest distance any pair keeps from losing each other; None with edges, or where nobody has a neighbour."""
-    if isinstance(fleet.neighbours, EdgeNeighbours) or not distances_m:
+    """The smallest distance any pair keeps from losing each other; None with edges."""
+    if isinstance(fleet.neighbours, EdgeNeighbours):
         return None
     leave_m = fleet.neighbours.range_m + fleet.neighbours.hysteresis_m
     return leave_m - max(float(d.max()) for d in distances_m.values())

@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from companion.analysis import PREDICT_S, Analysis, LawAnalysis
+from companion.analysis import MODEL, PREDICT_S, Analysis, LawAnalysis
 
 BADLY_DAMPED = 0.3
 CLOSE_M = 0.8
 GROWS = 1.2  # string gain to the last vehicle; 1 is perfect, and up to here nobody sees the difference
 SMALL_DELAY_MARGIN_S = 0.15  # three times the usual delay of the loop
+WHOLE_UP_TO = 20  # vehicles; a larger matrix fits no screen
+A_LINE = 8  # vehicles of a long list
+
+LEGEND = f"""\
+  lambda_min: the smallest eigenvalue of G; the larger, the sooner errors die out
+  damping: 1 is critical, 0 swings for ever
+  no lag: without the attitude lag; all else is with a lag of {MODEL.attitude_lag_s:g} s and a loop delay of {MODEL.delay_s:g} s
+  delay margin: the loop delay from which on the formation is unstable
+  string gain: how many times larger a swing gets on its way from the leader, at the frequency where it grows most
+  transient peak: the largest error of any vehicle over the largest at the start"""
 
 
 def report(analysis: Analysis) -> str:
@@ -47,27 +57,61 @@ def _warnings(analysis: Analysis) -> Iterator[str]:
         )
         return
     law = analysis.laws[analysis.law]
-    yield from _slow_or_unstable(law)
+    if not law.stable:
+        yield _unstable(analysis, law)
+        return
+    yield from _slow_or_touchy(law)
     yield from _grows(analysis, law)
     yield from _too_far_or_too_close(law)
     yield from _better_leader(analysis)
 
 
-def _slow_or_unstable(law: LawAnalysis) -> Iterator[str]:
+def _unstable(analysis: Analysis, law: LawAnalysis) -> str:
+    others = [name for name, other in analysis.laws.items() if other.delay_margin_with_lag_s >= SMALL_DELAY_MARGIN_S]
+    other = f"; {' and '.join(others)} would be stable, with the gains above" if others else ""
+    if law.delay_margin_with_lag_s > 0.0:
+        return (
+            f"unstable with the usual delay, and so it cannot converge: errors swing up for ever from a loop delay of "
+            f"{law.delay_margin_with_lag_s:.3f} s on, and {MODEL.delay_s:g} s is usual; {_for_the_margin(law)}{other}"
+        )
+    ratio_s = law.gain_velocity_1_s / law.gain_position_1_s2
+    return (
+        f"unstable with the attitude lag alone, and so it cannot converge: errors swing up for ever even without delay; "
+        f"{_for_the_margin(law)}: velocity's over position's is {ratio_s:.2g} s and has to be well above the lag of "
+        f"{MODEL.attitude_lag_s:g} s{other}"
+    )
+
+
+def _for_the_margin(law: LawAnalysis) -> str:
+    """Which gains to change for a larger delay margin: on one side it wants damping, on the other a slower loop."""
+    if _velocity_gain_helps(law):
+        return "more gain on velocity or less on position helps"
+    return "less gain on both velocity and position helps"
+
+
+def _velocity_gain_helps(law: LawAnalysis) -> bool:
+    margin_s = law.delay_margin_with_lag_s
+    return margin_s == 0.0 or law.delay_margin_more_velocity_gain_s > margin_s
+
+
+def _for_damping(law: LawAnalysis) -> list[str]:
+    """Less gain on position always damps; more on velocity not where it costs a margin that is small or feedforward needs."""
+    spare = law.feedforward == 0.0 and law.delay_margin_with_lag_s >= SMALL_DELAY_MARGIN_S
+    if spare or _velocity_gain_helps(law):
+        return ["more gain on velocity", "less on position"]
+    return ["less gain on position"]
+
+
+def _slow_or_touchy(law: LawAnalysis) -> Iterator[str]:
     if law.damping_min < BADLY_DAMPED:
         yield (
             f"badly damped (smallest damping {law.damping_min:.2f}, 1 is critical): errors swing before they settle; "
-            "more gain on velocity helps, and so does a larger lambda_min"
+            f"{' or '.join(_for_damping(law))} helps, and so does a larger lambda_min"
         )
-    if law.delay_margin_with_lag_s == 0.0:
+    if law.delay_margin_with_lag_s < SMALL_DELAY_MARGIN_S:
         yield (
-            "unstable with the attitude lag alone: errors swing up for ever; more gain on velocity against that on position, "
-            "or less feedforward"
-        )
-    elif law.delay_margin_with_lag_s < SMALL_DELAY_MARGIN_S:
-        yield (
-            f"small delay margin: a loop delay of {law.delay_margin_with_lag_s:.2f} s makes it unstable, and about 0.05 s is "
-            "usual; less gain on velocity and on position helps"
+            f"small delay margin: a loop delay of {law.delay_margin_with_lag_s:.3f} s makes it unstable, and "
+            f"{MODEL.delay_s:g} s is usual; {_for_the_margin(law)}"
         )
     if law.predicted_settle_s is None:
         yield f"not within 10 cm after {PREDICT_S:g} s, by the linear model with attitude lag and delay"
@@ -76,26 +120,29 @@ def _slow_or_unstable(law: LawAnalysis) -> Iterator[str]:
 def _grows(analysis: Analysis, law: LawAnalysis) -> Iterator[str]:
     if law.string_gain_per_hop is None or law.string_gain_to_last is None or law.string_gain_to_last <= GROWS:
         return
-    least = min(analysis.laws, key=lambda name: analysis.laws[name].string_gain_to_last or 0.0)
-    other = "" if least == analysis.law else f"; {least} has {analysis.laws[least].string_gain_to_last:.2f} to the last"
+    to_last = {name: other.string_gain_to_last for name, other in analysis.laws.items()}
+    least, gain = min(((name, gain) for name, gain in to_last.items() if gain is not None), key=lambda item: item[1])
+    other = "" if least == analysis.law else f"; {least} has {gain:.2f} to the last"
+    cures = [*_for_damping(law), *([] if law.feedforward > 0.0 else ["feedforward"])]
     yield (
-        f"errors grow along the chain: the leader's swing gets up to {law.string_gain_per_hop:.2f} times larger in a hop and "
-        f"{law.string_gain_to_last:.2f} times until the last vehicle; more gain on velocity against that on position, "
-        f"feedforward, or fewer hops from the leader help{other}"
+        f"errors grow from hop to hop: the leader's swing gets up to {law.string_gain_per_hop:.2f} times larger in one (at "
+        f"{law.string_gain_per_hop_rad_s:.2f} rad/s) and {law.string_gain_to_last:.2f} times until the last vehicle (at "
+        f"{law.string_gain_to_last_rad_s:.2f} rad/s); {', '.join(cures)}, or fewer hops from the leader help{other}"
     )
 
 
 def _too_far_or_too_close(law: LawAnalysis) -> Iterator[str]:
-    if law.stays_in_range is False:
+    if law.margin_to_range_m is not None and law.margin_to_range_m < 0.0 and law.predicted_max_distance_m:
         pair, distance_m = max(law.predicted_max_distance_m.items(), key=lambda item: item[1])
         yield (
-            f"neighbours lose each other on the way: {pair} gets {distance_m:.2f} m apart, beyond the range; start closer, "
-            "move the reference slower, or give the edges explicitly"
+            f"neighbours lose each other on the way: {pair} gets {distance_m:.2f} m apart, {-law.margin_to_range_m:.2f} m "
+            "beyond the range, and what is predicted after that does not hold; start closer, move the reference slower, or "
+            "give the edges explicitly"
         )
     if law.predicted_min_distance_m:
         pair, distance_m = min(law.predicted_min_distance_m.items(), key=lambda item: item[1])
         if distance_m < CLOSE_M:
-            yield f"vehicles come close: {pair} gets within {distance_m:.2f} m; more spacing, or better damping"
+            yield f"neighbours come close: {pair} gets within {distance_m:.2f} m; more spacing, or better damping"
 
 
 def _better_leader(analysis: Analysis) -> Iterator[str]:
@@ -107,51 +154,69 @@ def _better_leader(analysis: Analysis) -> Iterator[str]:
 
 
 def _law_table(analysis: Analysis) -> list[str]:
-    rows: list[tuple[str, list[str]]] = []
     laws = list(analysis.laws.values())
-    rows.append(("lambda_min", [f"{law.lambda_min:.4f}" for law in laws]))
-    rows.append(("convergence rate [1/s]", [f"{law.rate_1_s:.4f}" for law in laws]))
-    rows.append(("time to 10 cm by the rate [s]", [_number(law.time_to_10_cm_s, 1) for law in laws]))
-    rows.append(("smallest damping", [f"{law.damping_min:.3f}" for law in laws]))
-    rows.append(("delay margin, no lag [s]", [f"{law.delay_margin_s:.2f}" for law in laws]))
-    rows.append(("delay margin with attitude lag [s]", [f"{law.delay_margin_with_lag_s:.2f}" for law in laws]))
-    rows.append(("string gain per hop", [_gain(law.string_gain_per_hop) for law in laws]))
-    rows.append(("string gain, leader to last", [_gain(law.string_gain_to_last) for law in laws]))
-    rows.append(("transient peak, this start", [f"{law.transient_peak:.2f}" for law in laws]))
-    rows.append(("transient peak, worst start", [_gain(law.worst_transient_peak) for law in laws]))
-    rows.append(("predicted: settled to 10 cm [s]", [_number(law.predicted_settle_s, 1) for law in laws]))
-    rows.append(
-        ("predicted: largest distance [m]", [_extreme(law.predicted_max_distance_m, largest=True) for law in laws])
-    )
-    rows.append(
-        ("predicted: smallest distance [m]", [_extreme(law.predicted_min_distance_m, largest=False) for law in laws])
-    )
-    head = f"{'':36}" + "".join(f"{name:>18}" for name in analysis.laws)
+    rows: list[tuple[str, list[str]]] = []
+
+    def add(title: str, cell: Callable[[LawAnalysis], str], *, of_stable: bool = False) -> None:
+        rows.append((title, [cell(law) if law.stable or not of_stable else "unstable" for law in laws]))
+
+    add("gains on position, velocity", lambda law: f"{law.gain_position_1_s2:g}, {law.gain_velocity_1_s:g}")
+    add("exponent of the weights, feedforward", lambda law: f"{law.exponent:g}, {law.feedforward:g}")
+    add("lambda_min", lambda law: f"{law.lambda_min:.4f}")
+    add("convergence rate, no lag [1/s]", lambda law: f"{law.rate_1_s:.4f}")
+    add("time to 10 cm by this rate [s]", lambda law: _number(law.time_to_10_cm_s, 1), of_stable=True)
+    add("smallest damping, no lag", lambda law: f"{law.damping_min:.3f}")
+    add("delay margin, no lag [s]", lambda law: f"{law.delay_margin_s:.3f}")
+    add("delay margin [s]", lambda law: f"{law.delay_margin_with_lag_s:.3f}")
+    add("string gain per hop", lambda law: _gain(law.string_gain_per_hop), of_stable=True)
+    add("  at [rad/s]", lambda law: _gain(law.string_gain_per_hop_rad_s), of_stable=True)
+    add("string gain, leader to last", lambda law: _gain(law.string_gain_to_last), of_stable=True)
+    add("  at [rad/s]", lambda law: _gain(law.string_gain_to_last_rad_s), of_stable=True)
+    add("transient peak, worst start", lambda law: _gain(law.worst_transient_peak), of_stable=True)
+    add("transient peak, this start", lambda law: _gain(law.transient_peak), of_stable=True)
+    add("settled to 10 cm [s]", lambda law: _number(law.predicted_settle_s, 1), of_stable=True)
+    add("largest distance of neighbours [m]", lambda law: _extreme(law.predicted_max_distance_m, max), of_stable=True)
+    add("smallest distance of neighbours [m]", lambda law: _extreme(law.predicted_min_distance_m, min), of_stable=True)
     if any(law.margin_to_range_m is not None for law in laws):
-        rows.append(("predicted: margin to range [m]", [_gain(law.margin_to_range_m) for law in laws]))
+        add("margin to the range [m]", lambda law: _gain(law.margin_to_range_m), of_stable=True)
+    head = f"{'':38}" + "".join(f"{name:>16}" for name in analysis.laws)
+    table = [head, *(f"{title:38}" + "".join(f"{cell:>16}" for cell in cells) for title, cells in rows)]
     gains = ", ".join(
-        f"{gain:.2f} times {name}" for name, gain in analysis.gain_on_average.items() if name != analysis.law
+        f"{gain:.2f} times that of {name}" for name, gain in analysis.gain_on_average.items() if name != analysis.law
     )
-    table = [head, *(f"{title:36}" + "".join(f"{cell:>18}" for cell in cells) for title, cells in rows)]
-    return [*table, f"lambda_min of {analysis.law} is {gains}"]
+    return [*table, *LEGEND.splitlines(), _start(analysis), "", f"lambda_min of {analysis.law} is {gains}"]
+
+
+def _start(analysis: Analysis) -> str:
+    moves = "; the reference stands where it begins, though in flight it moves" if analysis.reference_moves else ""
+    return (
+        f"  this start, and the rows below it: predicted over {PREDICT_S:g} s from rest, the farthest vehicle "
+        f"{analysis.start_error_m:.2f} m from its place{moves}"
+    )
 
 
 def _leader_table(analysis: Analysis) -> list[str]:
-    cells = [f"{i}: {value:.4f}" for i, value in analysis.lambda_min_by_leader.items()]
-    return [f"lambda_min under {analysis.law} if one vehicle led alone:", "  " + "   ".join(cells)]
+    cells = [f"{i:>3}: {value:.4f}" for i, value in analysis.lambda_min_by_leader.items()]
+    return [f"lambda_min under {analysis.law} if one vehicle led alone:", *_in_lines(cells)]
 
 
 def _matrix(analysis: Analysis) -> list[str]:
     law: LawAnalysis = analysis.laws[analysis.law]
-    rows = np.array2string(np.array(law.G), precision=3, suppress_small=True, max_line_width=160).splitlines()
-    values = "  ".join(f"{value:.4f}" for value in law.eigenvalues)
-    return [f"interaction matrix G under {analysis.law}:", *(f"  {row}" for row in rows), f"eigenvalues: {values}"]
+    if len(analysis.vehicles) > WHOLE_UP_TO:
+        return [f"the interaction matrix G and its {len(law.eigenvalues)} eigenvalues: see --json"]
+    rounded = np.round(np.array(law.G), 3) + 0.0  # no -0.
+    rows = np.array2string(rounded, precision=3, suppress_small=True, max_line_width=200).splitlines()
+    values = _in_lines([f"{value:.4f}" for value in law.eigenvalues])
+    return [f"interaction matrix G under {analysis.law}:", *(f"  {row}" for row in rows), "its eigenvalues:", *values]
 
 
-def _extreme(distances_m: dict[str, float], *, largest: bool) -> str:
+def _in_lines(cells: list[str]) -> list[str]:
+    return ["  " + "   ".join(cells[first : first + A_LINE]) for first in range(0, len(cells), A_LINE)]
+
+
+def _extreme(distances_m: dict[str, float] | None, choose: Callable[..., tuple[str, float]]) -> str:
     if not distances_m:
         return "-"
-    choose = max if largest else min
     pair, value = choose(distances_m.items(), key=lambda item: item[1])
     return f"{value:.2f} ({pair})"
 

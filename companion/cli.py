@@ -88,7 +88,7 @@ predictions come from a linear model with an attitude lag of 0.2 s and a delay o
 
 exit codes:
   0  the formation converges, whatever else the verdict says
-  1  it cannot converge: a vehicle has no path to a leader
+  1  it cannot converge: a vehicle has no path to a leader, or the law is unstable with that lag and delay
   2  the file cannot be used
 """
 
@@ -165,6 +165,10 @@ def _monitor(options: argparse.Namespace) -> int:
 
 
 def _analyze(options: argparse.Namespace) -> int:
+    import os
+
+    os.environ.setdefault("OMP_NUM_THREADS", "1")  # numpy's matrices are small: threads only wait for each other
+
     import msgspec
 
     from companion.analysis import analyse, load_subject
@@ -180,7 +184,7 @@ def _analyze(options: argparse.Namespace) -> int:
         print(msgspec.json.format(msgspec.json.encode(figures), indent=2).decode())
     else:
         print(report(analysis))
-    return EXIT_CANNOT_CONVERGE if analysis.unreached else 0
+    return 0 if analysis.converges else EXIT_CANNOT_CONVERGE
 
 
 def _fail(line: str, code: int) -> int:

@@ -1,0 +1,224 @@
+"""What `companion analyze` says of formations that are unstable or nearly so, and that its advice helps whoever follows it."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from companion.analysis import MODEL, Analysis, analyse, load_subject
+from companion.analysis_report import report, verdict
+from companion.cli import main
+from companion.core.delay_margin import delay_margin_with_lag_s
+from companion.core.formation import FormationLaw, Gains
+from companion.core.interaction import couple
+from companion.core.string_stability import string_gains
+
+CONFIG = Path(__file__).parents[2] / "config"
+NO_FIGURES = (
+    "string_gain_per_hop",
+    "string_gain_per_hop_rad_s",
+    "string_gain_to_last",
+    "string_gain_to_last_rad_s",
+    "transient_peak",
+    "worst_transient_peak",
+    "time_to_10_cm_s",
+    "predicted_settle_s",
+    "predicted_max_distance_m",
+    "predicted_min_distance_m",
+    "stays_in_range",
+    "margin_to_range_m",
+)
+
+
+def in_a_line(tmp_path: Path, n: int, law: dict[str, Any], **changes: Any) -> Path:
+    data = yaml.safe_load((CONFIG / "fleets" / "pair.yaml").read_text())
+    data["vehicles"] = [
+        {"id": i, "role": "leader" if i == 1 else "follower", "slot_enu_m": [1.5 - 1.5 * i, 0.0, 0.0]}
+        for i in range(1, n + 1)
+    ]
+    data["neighbours"] = {"kind": "edges", "edges": [[i, i + 1] for i in range(1, n)]}
+    data["law"] = law
+    data.update(changes)
+    path = tmp_path / "fleet.yaml"
+    path.write_text(yaml.safe_dump(data))
+    return path
+
+
+def law(k1: float, k2: float, **more: Any) -> dict[str, Any]:
+    return {"name": "weighted", "gains": {"position_1_s2": k1, "velocity_1_s": k2}, **more}
+
+
+# ---------------------------------------------------------------- unstable
+
+
+@pytest.mark.parametrize(
+    ("k1", "k2", "said"),
+    [
+        (1.39, 0.36, "unstable with the usual delay, and so it cannot converge"),
+        (3.0, 0.5, "unstable with the attitude lag alone, and so it cannot converge"),
+        (10.0, 10.0, "unstable with the usual delay, and so it cannot converge"),
+    ],
+)
+@pytest.mark.parametrize("neighbours", ["edges", "range"])
+def test_unstable_is_said_and_has_no_figures(
+    tmp_path: Path, k1: float, k2: float, said: str, neighbours: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    changes = {} if neighbours == "edges" else {"neighbours": {"kind": "range", "range_m": 1.6}}
+    path = in_a_line(tmp_path, 2, law(k1, k2), **changes)
+    assert main(["analyze", str(path), "--json"]) == 1
+    figures = json.loads(capsys.readouterr().out)
+    weighted = figures["laws"]["weighted"]
+    assert figures["converges"] is False
+    assert weighted["stable"] is False
+    assert [key for key in NO_FIGURES if weighted[key] is not None] == []
+    (line,) = figures["verdict"]
+    assert line.startswith(said)
+    assert "; cooperative would be stable" in line
+    assert main(["analyze", str(path)]) == 1
+    text = capsys.readouterr().out
+    assert said in text
+    assert "unstable" in next(row for row in text.splitlines() if row.startswith("string gain, leader to last"))
+
+
+def test_a_law_beside_the_fleets_own_may_be_unstable(tmp_path: Path) -> None:
+    """Eq. 26 bears 0.055 s with these gains and eq. 22 does not bear 0.05 s; what has no gain is not the one with the least."""
+    analysis = analyse(load_subject(in_a_line(tmp_path, 2, law(1.39, 0.36) | {"name": "average_26"})))
+    assert [name for name, figures in analysis.laws.items() if not figures.stable] == ["weighted", "average_22"]
+    assert analysis.converges
+    assert any("cooperative has 1.0" in line for line in verdict(analysis))
+
+
+def test_a_lone_vehicle_may_be_unstable_too(tmp_path: Path) -> None:
+    path = in_a_line(tmp_path, 1, law(10.0, 1.0))
+    assert main(["analyze", str(path)]) == 1
+    assert any("unstable with the attitude lag alone" in line for line in verdict(analyse(load_subject(path))))
+
+
+# ---------------------------------------------------------------- advice
+
+
+@pytest.fixture
+def short(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Predictions of 3 s: the advice does not come from them."""
+    monkeypatch.setattr("companion.analysis.PREDICT_S", 3.0)
+
+
+def advised(tmp_path: Path, n: int, k1: float, k2: float, feedforward: float) -> Analysis:
+    return analyse(load_subject(in_a_line(tmp_path, n, law(k1, k2, feedforward=feedforward))))
+
+
+def margin_s(n: int, k1: float, k2: float, feedforward: float) -> float:
+    return delay_margin_with_lag_s(couple(chain(n), {1}, FormationLaw(Gains(k1, k2), 1.0, True, feedforward)), MODEL)
+
+
+def chain(n: int) -> dict[int, list[int]]:
+    return {i: [j for j in (i - 1, i + 1) if 1 <= j <= n] for i in range(1, n + 1)}
+
+
+@pytest.mark.usefixtures("short")
+@pytest.mark.parametrize("feedforward", [0.0, 0.9])
+@pytest.mark.parametrize("k1", [0.5, 1.39, 3.0, 6.0])
+@pytest.mark.parametrize("ratio_s", [0.1, 0.19, 0.22, 0.26, 0.36, 0.6, 1.0, 1.6])
+def test_followed_by_a_tenth_the_advice_makes_the_margin_larger(
+    tmp_path: Path, k1: float, ratio_s: float, feedforward: float
+) -> None:
+    k2 = round(k1 * ratio_s, 6)
+    before_s = margin_s(3, k1, k2, feedforward)
+    lines = [
+        line for line in verdict(advised(tmp_path, 3, k1, k2, feedforward)) if "makes it" in line or "unstable" in line
+    ]
+    assert len(lines) == (1 if before_s < 0.15 else 0)
+    if not lines:
+        return
+    assert lines[0].startswith("unstable") is (before_s <= MODEL.delay_s)
+    if "less gain on both velocity and position helps" in lines[0]:
+        assert margin_s(3, 0.9 * k1, 0.9 * k2, feedforward) > before_s > 0.0
+        return
+    assert "more gain on velocity or less on position helps" in lines[0]
+    followed = [margin_s(3, k1, 1.1**steps * k2, feedforward) for steps in range(1, 12)]
+    otherwise = [margin_s(3, 0.9**steps * k1, k2, feedforward) for steps in range(1, 12)]
+    assert max(followed) > before_s
+    assert max(otherwise) > before_s
+    if before_s > 0.0:  # else the way to the first margin may be longer
+        assert followed[0] > before_s
+        assert otherwise[0] > before_s
+
+
+@pytest.mark.usefixtures("short")
+@pytest.mark.parametrize("feedforward", [0.0, 0.9])
+@pytest.mark.parametrize(("k1", "ratio_s"), [(0.3, 0.4), (0.3, 1.2), (1.39, 0.7), (1.39, 2.5), (3.0, 0.4), (3.0, 1.2)])
+def test_followed_by_a_tenth_the_advice_makes_the_string_gain_smaller(
+    tmp_path: Path, k1: float, ratio_s: float, feedforward: float
+) -> None:
+    def to_last(k1: float, k2: float) -> float:
+        gains = string_gains(couple(chain(4), {1}, FormationLaw(Gains(k1, k2), 1.0, True, feedforward)), MODEL)
+        assert gains is not None
+        return gains.to_last
+
+    k2 = round(k1 * ratio_s, 6)
+    lines = [line for line in verdict(advised(tmp_path, 4, k1, k2, feedforward)) if "errors grow" in line]
+    assert len(lines) == (to_last(k1, k2) > 1.2)
+    for line in lines:
+        assert to_last(0.9 * k1, k2) < to_last(k1, k2)
+        assert ("more gain on velocity" not in line) or to_last(k1, 1.1 * k2) < to_last(k1, k2)
+        assert ("feedforward" in line) is (feedforward == 0.0)
+
+
+@pytest.mark.usefixtures("short")
+@pytest.mark.parametrize("ratio_s", [0.22, 0.3, 0.45, 0.7, 1.2])
+@pytest.mark.parametrize("k1", [1.39, 3.0, 8.0])
+def test_no_line_asks_for_what_another_line_warns_of(tmp_path: Path, k1: float, ratio_s: float) -> None:
+    said = " ".join(verdict(advised(tmp_path, 4, k1, round(k1 * ratio_s, 6), 0.0)))
+    assert not ("more gain on velocity" in said and "less gain on both velocity" in said)
+
+
+# ---------------------------------------------------------------- for a person
+
+
+def test_the_frequency_of_the_largest_gain_is_told() -> None:
+    analysis = analyse(load_subject(CONFIG / "scenarios" / "platoon.yaml"))
+    figures = analysis.laws["weighted"]
+    assert f"(at {figures.string_gain_per_hop_rad_s:.2f} rad/s)" in " ".join(verdict(analysis))
+    assert figures.string_gain_to_last_rad_s is not None
+    assert 0.2 < figures.string_gain_to_last_rad_s < 2.0
+
+
+def test_a_fleet_alone_is_worked_out_for_a_step_of_a_metre(tmp_path: Path) -> None:
+    """A reference on the ground made a step of 2.7 m out of it: the vehicles have taken off."""
+    analysis = analyse(load_subject(in_a_line(tmp_path, 3, {"name": "cooperative"})))
+    assert analysis.start_error_m == pytest.approx(1.0)
+    assert "the farthest vehicle 1.00 m from its place" in report(analysis)
+
+
+def test_a_reference_that_moves_is_said() -> None:
+    said = "though in flight it moves"
+    assert said in report(analyse(load_subject(CONFIG / "scenarios" / "ring_figure_8.yaml")))
+    assert said not in report(analyse(load_subject(CONFIG / "scenarios" / "platoon.yaml")))
+
+
+@pytest.mark.usefixtures("short")
+def test_a_large_formation_fits_a_screen(tmp_path: Path) -> None:
+    text = report(analyse(load_subject(in_a_line(tmp_path, 24, {"name": "cooperative"}))))
+    assert "G and its 24 eigenvalues: see --json" in text
+    before_the_verdict = text[: text.index("verdict:")]
+    assert max(map(len, before_the_verdict.splitlines())) <= 130
+    assert "-0. " not in report(analyse(load_subject(CONFIG / "scenarios" / "chain_16.yaml")))
+
+
+@pytest.mark.parametrize(("given", "threads"), [(None, "1"), ("2", "2")])
+def test_threads_do_not_wait_for_each_other_in_small_matrices(given: str | None, threads: str) -> None:
+    program = (
+        "import os, sys; from companion.cli import main; assert 'numpy' not in sys.modules;"
+        f"main(['analyze', {str(CONFIG / 'fleets' / 'pair.yaml')!r}, '--json']);"
+        "print(os.environ['OMP_NUM_THREADS'], file=sys.stderr)"
+    )
+    environment = {key: value for key, value in os.environ.items() if not key.endswith("NUM_THREADS")}
+    if given:
+        environment["OMP_NUM_THREADS"] = given
+    done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True)
+    assert done.stderr.strip() == threads
