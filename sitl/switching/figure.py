@@ -32,11 +32,21 @@ def save_switching(path: Path, topologies: Sequence[Topology], duration_s: float
     left.set(
         xlabel="time since the start of the formation [s]", ylabel="nobody cut off yet [% of the starts]", ylim=(0, 102)
     )
-    right.set(xlabel="smallest lambda_min over the flight [-]", ylabel="starts below that [%]", ylim=(0, 102))
+    right.set(
+        xlabel="smallest lambda_min of the flight while connected [-]", ylabel="starts below that [%]", ylim=(0, 102)
+    )
     for axes in (left, right):
         axes.grid(True, color="#dddddd", linewidth=0.6)
     handles, labels = left.get_legend_handles_labels()
-    figure.legend(handles, labels, title="law, hysteresis", loc="outside lower center", ncols=len(laws), frameon=False)
+    figure.legend(
+        handles,
+        labels,
+        title="law, hysteresis",
+        loc="outside lower center",
+        ncols=len(laws),
+        handlelength=4.5,  # long enough to show dashes beside the marker
+        frameon=False,
+    )
     figure.savefig(path, dpi=150)
 
 
