@@ -118,7 +118,8 @@ def _plans(seeds: range) -> Iterator[Plan]:
         yield Plan(Subject.AGGREGATION, "weighted", model)
         yield Plan(Subject.AGGREGATION, "average_22", model)
         yield Plan(Subject.AGGREGATION, "average_26", model, more=(PATIENT, f"timeline[3].for_s={ALONE_S:g}"))
-    yield from (Plan(Subject.AGGREGATION, "weighted", Model.NOISY, seed, (PATIENT,)) for seed in seeds)
+    for law in NOISY_LAWS:
+        yield from (Plan(Subject.AGGREGATION, law, Model.NOISY, seed, (PATIENT,)) for seed in seeds)
 
 
 def fly(plan: Plan) -> FlownPlan:
