@@ -200,7 +200,7 @@ def _weighted_keeps_together(book: Book) -> Claim:
     with_noise = whole["weighted"] > max(whole["average_22"], len(noisy["weighted"]) / 2)
 
     def said(model: Model) -> str:
-        return "edges out of sight: " + "; ".join(f"{NAMES[law]} {kept[law, model].words()}" for law in LAWS)
+        return "edges out of sight: " + "; ".join(f"{kept[law, model].words()} ({NAMES[law]})" for law in LAWS)
 
     return Claim(
         id="fig-4-robust",

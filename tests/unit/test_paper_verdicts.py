@@ -335,7 +335,7 @@ def test_connectivity_is_compared(weighted: Paths, eq_22: Paths, eq_26: Paths, v
     claim = found(aggregation_claims, flights, "fig-4-robust")
     assert claim.verdict is verdict
     assert claim.remark.startswith(f"With perfect sensors and both models better than {remark}")
-    assert claim.ideal.startswith(f"edges out of sight: weighted {'none' if weighted is GATHERS else '1-2 from'}")
+    assert claim.ideal.startswith(f"edges out of sight: {'none (weighted)' if weighted is GATHERS else '1-2 from'}")
     assert ("nobody (weighted)" in claim.remark) == (weighted is LEFT)
 
 
