@@ -20,6 +20,7 @@ from sitl.config import StandIn as StandInConfig
 from sitl.scenario import Scenario, TimelineStep
 from sitl.shapes import LEADER, Shape
 from sitl.study.settings import Setting
+from sitl.workers import tell
 
 STEP_M = 1.0
 HEIGHT_M = 1.0
@@ -111,8 +112,8 @@ class Figures(Struct, frozen=True, kw_only=True):
 
 
 def fly(cases: Sequence[Case], duration_s: float, within_m: float = SETTLED_WITHIN_M) -> list[Figures]:
-    """Cases of one shape, together."""
-    flight = fly_batch([case.scenario() for case in cases], duration_s)
+    """Cases of one shape, together; in a process of sitl.workers it tells how much is done."""
+    flight = fly_batch([case.scenario() for case in cases], duration_s, lambda flown_s: tell(flown_s / duration_s))
     worst_m = flight.errors_m().max(axis=2)
     return [figures_of(case, flight, worst_m[:, index], index, within_m) for index, case in enumerate(cases)]
 

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from datetime import datetime
 from importlib.util import find_spec
 from pathlib import Path
+from textwrap import fill
 
 from msgspec import Struct
 
@@ -22,6 +23,7 @@ from sitl.study.table import in_a_table
 from sitl.summary import write_json
 
 SCHEMA = 1
+WIDTH = 120
 SHOWN = ("chain-4", "chain-16", "ring-16", "grid-10x10")
 DRAWN = ("chain-16", "ring-16", "grid-10x10")
 SPECTRA_SHARE = 0.1  # of the time
@@ -77,9 +79,14 @@ def draw(folder: Path, found: PastThePaper) -> None:
 
 
 def _in_words(claims: Sequence[Claim]) -> str:
-    return "\n".join(
-        f"{claim.verdict:<14} {claim.claim}\n{'':14} {_found(claim)}\n{'':14} {claim.remark}" for claim in claims
+    return "\n\n".join(
+        "\n".join([f"{claim.verdict}: {claim.claim}", *(_indented(part) for part in (_found(claim), claim.remark))])
+        for claim in claims
     )
+
+
+def _indented(words: str) -> str:
+    return fill(words, WIDTH, initial_indent="  ", subsequent_indent="  ")
 
 
 def _found(claim: Claim) -> str:

@@ -24,6 +24,8 @@ argument cannot be used; 130 ended by Ctrl-C (129 by SIGHUP, 143 by SIGTERM), wh
 
 
 def add_study_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--full", action="store_true", help="more shapes, more seeds, longer flights (about an hour)")
+    parser.add_argument(
+        "--full", action="store_true", help="more shapes, more seeds, longer flights (an hour and more)"
+    )
     parser.add_argument("--out", type=Path, metavar="DIR", help="the folder for the results")
     parser.add_argument("--quiet", action="store_true", help="print the result only")
