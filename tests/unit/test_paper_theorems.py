@@ -15,7 +15,6 @@ from sitl.paper.comparison import contrary, proposition_2_against_22
 from sitl.paper.convergence import abscissa_1_s, limit_of_proportion
 from sitl.paper.graphs import (
     Led,
-    chain,
     connected_graphs,
     diameter,
     every_small_pair,
@@ -25,13 +24,13 @@ from sitl.paper.graphs import (
     random_connected,
     random_leaders,
     random_parts,
-    ring,
     united,
     within_range,
 )
 from sitl.paper.matrices import aggregation_graph
 from sitl.paper.spectrum import corollary_2, lemma_1, lemma_1_converse, lemma_2, rows_of_g
 from sitl.paper.survey import Survey, spectra_of, take_survey
+from sitl.shapes import chain, ring
 
 # ---------------------------------------------------------------- graphs
 
@@ -81,10 +80,10 @@ def test_random_graphs_are_connected_and_led(seed: int) -> None:
 
 def test_the_papers_graphs() -> None:
     assert edges_of(aggregation_graph()) == {(1, 2), (1, 3), (2, 3), (2, 4), (3, 4)}
-    assert edges_of(ring(4)) == {(1, 2), (2, 3), (3, 4), (1, 4)}
+    assert edges_of(ring(4).adjacency()) == {(1, 2), (2, 3), (3, 4), (1, 4)}
     assert edges_of(within_range({1: (0, 0, 0), 2: (3, 0, 0), 3: (6.1, 0, 0)}, 3.0)) == {(1, 2)}
     assert edges_of(layered_ring([1, 2, 1, 1])) == {(1, 2), (1, 3), (2, 4), (3, 4), (4, 5), (1, 5)}
-    assert (diameter(chain(5)), diameter(ring(5))) == (4, 2)
+    assert (diameter(chain(5).adjacency()), diameter(ring(5).adjacency())) == (4, 2)
 
 
 # ---------------------------------------------------------------- theorems on graphs that no list holds
@@ -131,13 +130,16 @@ def test_prcs_settle_within_the_diameter(pair: Led, data: st.DataObject) -> None
 
 
 def test_prcs_without_a_leader_and_as_printed() -> None:
-    assert ticks_to_settle(chain(5), (), dict.fromkeys(range(1, 6), 1)) == (dict.fromkeys(range(1, 6), 5), 4)
-    assert printed_prcs(chain(4), {1}) == {1: 1, 2: 4, 3: 4, 4: 4}
+    assert ticks_to_settle(chain(5).adjacency(), (), dict.fromkeys(range(1, 6), 1)) == (
+        dict.fromkeys(range(1, 6), 5),
+        4,
+    )
+    assert printed_prcs(chain(4).adjacency(), {1}) == {1: 1, 2: 4, 3: 4, 4: 4}
 
 
 def test_where_proportion_ends() -> None:
     assert limit_of_proportion(PAPER_GAINS) == pytest.approx(3.861, abs=5e-4)
-    both_lead = interaction_matrix(chain(2), {1, 2}, weighted())  # eigenvalues 1 and 3
+    both_lead = interaction_matrix(chain(2).adjacency(), {1, 2}, weighted())  # eigenvalues 1 and 3
     assert abscissa_1_s(both_lead, PAPER_GAINS) == pytest.approx(-0.6, abs=1e-9)
     assert abscissa_1_s(both_lead, Gains(1.0, 2.0)) == pytest.approx(-3.0 + np.sqrt(6.0), abs=1e-9)
 
@@ -178,13 +180,13 @@ def survey_of(*pairs: Led) -> Survey:
 
 
 def test_a_graph_without_a_leader_breaks_lemma_1_and_corollary_2() -> None:
-    survey = survey_of(Led(chain(3), frozenset({1})), Led(chain(3), frozenset()))
+    survey = survey_of(Led(chain(3).adjacency(), frozenset({1})), Led(chain(3).adjacency(), frozenset()))
     assert lemma_1(survey).verdict is Verdict.FAILS
     assert corollary_2(survey).verdict is Verdict.FAILS
 
 
 def test_the_contrary_graph_breaks_proposition_2_when_met() -> None:
-    survey = Survey(2, [spectra_of(Led(chain(3), frozenset({1})))], [contrary()])
+    survey = Survey(2, [spectra_of(Led(chain(3).adjacency(), frozenset({1})))], [contrary()])
     claim = proposition_2_against_22(survey)
     assert claim.verdict is Verdict.FAILS
     assert claim.measured["pairs_below"] == 1
@@ -198,7 +200,7 @@ def test_a_directed_graph_breaks_lemma_2() -> None:
 
 
 def test_a_line_3_as_printed_breaks_algorithm_1(monkeypatch: pytest.MonkeyPatch) -> None:
-    survey = survey_of(Led(chain(4), frozenset({1})))
+    survey = survey_of(Led(chain(4).adjacency(), frozenset({1})))
     assert algorithm_1(survey).verdict is Verdict.CONDITION
     monkeypatch.setattr("sitl.paper.algorithm1.next_prc", lambda is_leader, _prcs, n: 1 if is_leader else n)
     assert algorithm_1(survey).verdict is Verdict.FAILS
