@@ -68,7 +68,7 @@ async def _run(settings: Settings, config: AgentConfig) -> None:
             autopilot = AutopilotLink(
                 vehicle.id,
                 vehicle.mavlink,
-                Translator(vehicle.id),
+                Translator(vehicle.id, vehicle.autopilot),
                 position_arrived=trigger.position_arrived,
                 reject=agent.reject,
             )

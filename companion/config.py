@@ -18,7 +18,7 @@ from msgspec.structs import replace
 
 from companion.config_file import ConfigError, load
 from companion.figure_8 import figure_8
-from companion.types import GRAVITY_M_S2, Role, Vector3
+from companion.types import GRAVITY_M_S2, AutopilotKind, Role, Vector3
 
 FLEET_NAME = "^[a-z0-9][a-z0-9_-]{0,40}$"  # it is a part of Zenoh's key expressions
 VehicleId = Annotated[int, Meta(ge=1, le=250, description="MAVLink system id of the vehicle")]
@@ -233,6 +233,7 @@ class VehicleConfig(_Base, frozen=True):
 
     `mavlink`: "udpin:HOST:PORT" (listen), "tcp:HOST:PORT" (connect) or "serial:DEVICE:BAUD".
     `fleet`: path of the fleet file, relative to this file.
+    `autopilot`: whose manners it must have; where it is left out its HEARTBEAT says so.
     """
 
     id: VehicleId
@@ -245,6 +246,7 @@ class VehicleConfig(_Base, frozen=True):
         ),
     ]
     hover_thrust_norm: Annotated[float, Meta(ge=0.1, le=0.9)]
+    autopilot: AutopilotKind | None = None
     zenoh: ZenohEndpoints = ZenohEndpoints()
     reference: Reference | None = None
 

@@ -39,6 +39,12 @@ class FlightPhase(StrEnum):
     LAND = "land"
 
 
+class AutopilotKind(StrEnum):
+    """Whose manners the autopilot has. `companion/mavlink/manners.py` and `core/flight_manners.py` hold them."""
+
+    PX4 = "px4"
+
+
 class AutopilotMode(StrEnum):
     """Flight modes by meaning, the same for every autopilot. OTHER covers every mode the agent never commands."""
 
@@ -94,10 +100,11 @@ class ModeSample:
 
 @dataclass(frozen=True, slots=True)
 class HeartbeatSample:
-    """HEARTBEAT of the autopilot: its armed flag."""
+    """HEARTBEAT of the autopilot: its armed flag, and what make it is."""
 
     received_s: float
     armed: bool
+    autopilot: AutopilotKind
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,6 +170,7 @@ class VehicleState:
     mode: AutopilotMode = AutopilotMode.UNKNOWN
     mode_name: str = "unknown"
     mode_time_s: float = float("-inf")
+    autopilot: AutopilotKind | None = None  # None until its first HEARTBEAT
     armed: bool = False
     heartbeat_time_s: float = float("-inf")
     landed: LandedState = LandedState.UNDEFINED

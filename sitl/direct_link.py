@@ -11,13 +11,14 @@ from collections import deque
 from collections.abc import Callable
 
 from companion.frames import quaternion_from_euler
-from companion.mavlink import px4 as manners
 from companion.mavlink import telemetry
 from companion.mavlink.codec import MavlinkCodec, mavlink
+from companion.mavlink.manners import MANNERS
 from companion.mavlink.translator import Translator
 from companion.types import (
     AttitudeSample,
     AttitudeTarget,
+    AutopilotKind,
     AutopilotRequest,
     LandedSample,
     LandedState,
@@ -34,16 +35,17 @@ from sitl.px4_messages import heartbeat
 from sitl.px4_modes import Mode
 
 M = mavlink
+KIND = AutopilotKind.PX4
 # What the agent hears of, at the rates that it asks for.
 RATES_HZ = {M.MAVLINK_MSG_ID_HEARTBEAT: 1.0} | {
-    message_id: 1e6 / period_us for message_id, period_us in manners.STREAMS_US.items() if period_us > 0
+    message_id: 1e6 / period_us for message_id, period_us in MANNERS[KIND].STREAMS_US.items() if period_us > 0
 }
-_MODES = {mode: manners.mode_of(mode.custom_mode) for mode in Mode}
+_MODES = {mode: MANNERS[KIND].mode_of(mode.custom_mode) for mode in Mode}
 _FLOATS = struct.Struct("<6f")  # MAVLink's floats have 32 bits: micrometres, where a vehicle is 10 m away
 
 
 def _heartbeat(px4: Px4, received_s: float) -> tuple[Telemetry, ...]:
-    return (telemetry.heartbeat(heartbeat(px4), received_s), *_mode(px4, received_s))
+    return (telemetry.heartbeat(heartbeat(px4), KIND, received_s), *_mode(px4, received_s))
 
 
 def _mode(px4: Px4, received_s: float) -> tuple[Telemetry, ...]:
@@ -90,7 +92,7 @@ class DirectLink:
         self._schedule = Schedule(RATES_HZ)
         self._schedule.reset(RATES_HZ, phase_s)
         self._receiver = Receiver(px4, self._schedule)
-        self._translator = Translator(px4.system_id)
+        self._translator = Translator(px4.system_id, KIND)
         self._autopilot_codec = MavlinkCodec(px4.system_id, mavlink.MAV_COMP_ID_AUTOPILOT1)
         self._to_agent: deque[Telemetry] = deque()  # in the order of `received_s`
         self._positions_s: deque[float] = deque()  # when those among them arrive

@@ -173,6 +173,8 @@ class Agent:
             self._machine.hand_over(now_s, vehicle, _reason(flags))
 
     def _ask_origin(self, now_s: float, vehicle: VehicleState) -> tuple[AutopilotRequest, ...]:
+        if vehicle.autopilot is None:
+            return ()
         period_s = ORIGIN_REPEAT_S if vehicle.altitude_amsl_m is None else ORIGIN_REFRESH_S
         if now_s - self._origin_asked_s < period_s:
             return ()

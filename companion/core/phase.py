@@ -6,95 +6,22 @@ and sends nothing until it is told to again.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 
-from companion.core.procedure import Procedure, Progress, RunningProcedure
+from companion.core.flight_manners import in_air, manners_of
+from companion.core.procedure import Progress, RunningProcedure
 from companion.types import (
-    Arm,
     AutopilotMode,
     AutopilotRequest,
     CommandName,
-    Disarm,
     FlightPhase,
     LandedState,
-    SetMode,
-    TakeOff,
     Telemetry,
     VehicleState,
 )
 
 P, M, C = FlightPhase, AutopilotMode, CommandName
-
-STREAM_BEFORE_OFFBOARD_S = 0.3  # PX4 takes OFFBOARD only from a running stream
-CLIMBED_WITHIN_M = 0.3
-
-
-def _mode_is(mode: AutopilotMode) -> Callable[[VehicleState], bool]:
-    return lambda vehicle: vehicle.mode is mode
-
-
-def _armed(vehicle: VehicleState) -> bool:
-    return vehicle.armed
-
-
-def _disarmed(vehicle: VehicleState) -> bool:
-    return not vehicle.armed
-
-
-def in_air(vehicle: VehicleState) -> bool:
-    """Armed and not known to stand on the ground: doubt counts as flying."""
-    return vehicle.armed and vehicle.landed is not LandedState.ON_GROUND
-
-
-def _mode_time_s(vehicle: VehicleState) -> float:
-    return vehicle.mode_time_s
-
-
-def _heartbeat_time_s(vehicle: VehicleState) -> float:
-    return vehicle.heartbeat_time_s
-
-
-def _hold(_vehicle: VehicleState, _height_m: float) -> Procedure:
-    # The settling time: an OFFBOARD request sent just before a hold may still arrive after it looked done.
-    held = _mode_is(M.HOLD)
-    return Procedure(SetMode(M.HOLD), held, held, _mode_time_s, timeout_s=5.0, settle_s=0.2)
-
-
-def _offboard(_vehicle: VehicleState, _height_m: float) -> Procedure:
-    taken = _mode_is(M.OFFBOARD)
-    return Procedure(SetMode(M.OFFBOARD), taken, taken, _mode_time_s, timeout_s=5.0, delay_s=STREAM_BEFORE_OFFBOARD_S)
-
-
-def _arm(_vehicle: VehicleState, _height_m: float) -> Procedure:
-    # Once accepted it is never asked again: who disarms meanwhile means it. HEARTBEAT shows it only once a second.
-    return Procedure(Arm(), _armed, _armed, _heartbeat_time_s, timeout_s=10.0, repeat_s=1.5, acceptance_counts=True)
-
-
-def _disarm(_vehicle: VehicleState, _height_m: float) -> Procedure:
-    return Procedure(Disarm(), _disarmed, _disarmed, _heartbeat_time_s, timeout_s=5.0)
-
-
-def _land(_vehicle: VehicleState, _height_m: float) -> Procedure:
-    # On the ground there is only the disarming to wait for, whatever mode is shown or set there.
-    return Procedure(SetMode(M.LAND), _lands_or_has_landed, _disarmed, _heartbeat_time_s, timeout_s=120.0)
-
-
-def _lands_or_has_landed(vehicle: VehicleState) -> bool:
-    return vehicle.mode is M.LAND or vehicle.landed is LandedState.ON_GROUND
-
-
-def _take_off(vehicle: VehicleState, height_m: float) -> Procedure:
-    if vehicle.altitude_amsl_m is None:
-        raise ValueError("the autopilot's altitude above sea level is unknown")
-    target_z_m = vehicle.position_enu_m[2] + height_m
-    return Procedure(
-        TakeOff(vehicle.altitude_amsl_m + height_m, height_m),
-        taken=lambda v: v.mode is M.TAKEOFF or in_air(v),
-        done=lambda v: v.mode is M.HOLD and abs(v.position_enu_m[2] - target_z_m) < CLIMBED_WITHIN_M,
-        truth_time=_mode_time_s,
-        timeout_s=15.0 + 2.0 * height_m,
-    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +33,6 @@ class Rule:
     to: FlightPhase
     on_failure: FlightPhase
     on_ground: bool  # where the vehicle must be: on the ground or in the air
-    procedure: Callable[[VehicleState, float], Procedure]  # ValueError where the state does not allow it
 
 
 ON_GROUND = frozenset({P.PREPARE, P.READY, P.ARM, P.ARMED})
@@ -116,27 +42,13 @@ LEAD_CHANGES_IN = ON_GROUND | {P.HOLD, P.FORMATION}
 
 # All commands but LEAD, which changes no phase.
 RULES: dict[CommandName, Rule] = {
-    C.PREPARE: Rule(frozenset({P.OBSERVE}), P.PREPARE, P.READY, P.OBSERVE, True, _hold),
-    C.ARM: Rule(frozenset({P.READY}), P.ARM, P.ARMED, P.READY, True, _arm),
-    C.TAKEOFF: Rule(frozenset({P.ARMED}), P.TAKEOFF, P.HOLD, P.OBSERVE, True, _take_off),
-    C.FORM: Rule(frozenset({P.HOLD}), P.ENGAGE, P.FORMATION, P.HOLD, False, _offboard),
-    C.HOLD: Rule(FLYING | {P.OBSERVE}, P.RELEASE, P.HOLD, P.OBSERVE, False, _hold),
-    C.LAND: Rule(FLYING | {P.OBSERVE}, P.LAND, P.OBSERVE, P.OBSERVE, False, _land),
-    C.DISARM: Rule(ON_GROUND | {P.OBSERVE}, P.LAND, P.OBSERVE, P.OBSERVE, True, _disarm),
-}
-
-# The modes that a phase brings about. While its procedure runs it tolerates the mode that it began in, too.
-MODES: dict[FlightPhase, frozenset[AutopilotMode]] = {
-    P.PREPARE: frozenset({M.HOLD}),
-    P.READY: frozenset({M.HOLD}),
-    P.ARM: frozenset({M.HOLD}),
-    P.ARMED: frozenset({M.HOLD}),
-    P.TAKEOFF: frozenset({M.TAKEOFF, M.HOLD}),
-    P.HOLD: frozenset({M.HOLD}),
-    P.ENGAGE: frozenset({M.HOLD, M.OFFBOARD}),
-    P.FORMATION: frozenset({M.OFFBOARD}),
-    P.RELEASE: frozenset({M.HOLD}),
-    P.LAND: frozenset({M.LAND}),
+    C.PREPARE: Rule(frozenset({P.OBSERVE}), P.PREPARE, P.READY, P.OBSERVE, True),
+    C.ARM: Rule(frozenset({P.READY}), P.ARM, P.ARMED, P.READY, True),
+    C.TAKEOFF: Rule(frozenset({P.ARMED}), P.TAKEOFF, P.HOLD, P.OBSERVE, True),
+    C.FORM: Rule(frozenset({P.HOLD}), P.ENGAGE, P.FORMATION, P.HOLD, False),
+    C.HOLD: Rule(FLYING | {P.OBSERVE}, P.RELEASE, P.HOLD, P.OBSERVE, False),
+    C.LAND: Rule(FLYING | {P.OBSERVE}, P.LAND, P.OBSERVE, P.OBSERVE, False),
+    C.DISARM: Rule(ON_GROUND | {P.OBSERVE}, P.LAND, P.OBSERVE, P.OBSERVE, True),
 }
 
 
@@ -160,6 +72,8 @@ class PhaseMachine:
 
     def command(self, name: CommandName, now_s: float, vehicle: VehicleState) -> tuple[bool, str]:
         """(accepted, why not or what happens now). A command that is under way or done already is accepted again."""
+        if vehicle.autopilot is None:
+            return False, f"{name}: no HEARTBEAT has come from the autopilot yet"
         rule = RULES[name]
         if self._rule is rule or (self._rule is None and self.phase is rule.to is not P.OBSERVE):
             return True, f"already {self.phase}"
@@ -168,7 +82,7 @@ class PhaseMachine:
         if rule.on_ground is in_air(vehicle):
             return False, f"{name} needs the vehicle {'on the ground' if rule.on_ground else 'in the air'}"
         try:
-            self._begin(rule, now_s, vehicle, f"command {name}")
+            self._begin(name, now_s, vehicle, f"command {name}")
         except ValueError as error:
             return False, f"{name}: {error}"
         return True, f"{self.phase}"
@@ -191,7 +105,7 @@ class PhaseMachine:
     def hand_over(self, now_s: float, vehicle: VehicleState, reason: str) -> None:
         """Leave formation for the autopilot's own hold."""
         if self.phase in (P.ENGAGE, P.FORMATION):
-            self._begin(RULES[C.HOLD], now_s, vehicle, reason)
+            self._begin(C.HOLD, now_s, vehicle, reason)
 
     def give_up(self, reason: str) -> None:
         """Back to OBSERVE: nothing more is sent until a command comes."""
@@ -217,8 +131,9 @@ class PhaseMachine:
                 return ()
         return self._running.due(now_s, vehicle)
 
-    def _begin(self, rule: Rule, now_s: float, vehicle: VehicleState, reason: str) -> None:
-        running = RunningProcedure(rule.procedure(vehicle, self._takeoff_height_m), now_s)
+    def _begin(self, name: CommandName, now_s: float, vehicle: VehicleState, reason: str) -> None:
+        rule = RULES[name]
+        running = RunningProcedure(manners_of(vehicle).procedures[name](vehicle, self._takeoff_height_m), now_s)
         leaving = self.streams(vehicle) and rule.via is not P.ENGAGE
         self._enter(rule.via, reason)
         self._rule = rule
@@ -246,7 +161,7 @@ class PhaseMachine:
             self._enter(P.OBSERVE, f"mode {vehicle.mode_name} was set by someone else")
 
     def _mode_is_ours(self, vehicle: VehicleState) -> bool:
-        own = MODES.get(self.phase)
+        own = manners_of(vehicle).modes.get(self.phase)
         if self.phase is P.LAND and vehicle.landed is LandedState.ON_GROUND:
             return True  # at disarming PX4 changes its mode, and shows that before it shows that it is disarmed
         if own is None or vehicle.mode in own:

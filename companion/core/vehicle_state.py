@@ -54,7 +54,9 @@ class VehicleTracker:
                 case ModeSample():
                     self._fields.update(mode=sample.mode, mode_name=sample.name, mode_time_s=sample.received_s)
                 case HeartbeatSample():
-                    self._fields.update(armed=sample.armed, heartbeat_time_s=sample.received_s)
+                    self._fields.update(
+                        autopilot=sample.autopilot, armed=sample.armed, heartbeat_time_s=sample.received_s
+                    )
                 case LandedSample():
                     self._fields.update(landed=sample.landed, landed_time_s=sample.received_s)
                 case OriginSample():

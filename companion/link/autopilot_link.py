@@ -9,14 +9,11 @@ from collections.abc import Callable, Iterable
 from typing import NoReturn
 
 from companion.link.mavlink_link import open_link
-from companion.mavlink import px4
 from companion.mavlink.translator import Translator
 from companion.types import (
-    AttitudeSample,
     AttitudeTarget,
     AutopilotRequest,
     HeartbeatSample,
-    LandedSample,
     ModeSample,
     PositionSample,
     Telemetry,
@@ -24,12 +21,6 @@ from companion.types import (
 
 HEARTBEAT_PERIOD_S = 1.0
 STREAM_CHECK_PERIOD_S = 2.0
-ENOUGH_HZ: dict[type[Telemetry], tuple[str, float]] = {
-    PositionSample: ("positions", 40.0),
-    AttitudeSample: ("attitudes", 40.0),
-    ModeSample: ("modes", 5.0),  # PX4 may send CURRENT_MODE less often than it was asked to
-    LandedSample: ("landed states", 2.0),
-}
 
 _log = logging.getLogger(__name__)
 
@@ -84,7 +75,7 @@ class AutopilotLink:
     async def keep_in_touch(self) -> NoReturn:
         """The companion's own heartbeat, from the autopilot's first on."""
         await self._heard.wait()
-        _log.info("heartbeat of autopilot %d", self._vehicle_id)
+        _log.info("heartbeat of autopilot %d, %s", self._vehicle_id, self._translator.manners.NAME)
         while True:
             self._link.send(self._translator.heartbeat())
             await asyncio.sleep(HEARTBEAT_PERIOD_S)
@@ -112,16 +103,14 @@ class AutopilotLink:
     def _slow_streams(self) -> list[str]:
         """What came too seldom since the last check."""
         self._came[ModeSample] -= self._came[HeartbeatSample]  # every HEARTBEAT brings a mode, too, asked or not
-        return [
-            name for kind, (name, rate_hz) in ENOUGH_HZ.items() if self._came[kind] < rate_hz * STREAM_CHECK_PERIOD_S
-        ]
+        least_hz = self._translator.manners.LEAST_HZ
+        return [name for kind, (name, rate) in least_hz.items() if self._came[kind] < rate * STREAM_CHECK_PERIOD_S]
 
     def why_silent(self) -> str:
         """Why no HEARTBEAT was heard, and what to do about it."""
         others = sorted(self._translator.other_systems)
-        if self._translator.unsupported_autopilot is not None:
-            other = self._translator.unsupported_autopilot
-            return f"its HEARTBEAT says MAV_AUTOPILOT {other}, expected {px4.MAV_AUTOPILOT} ({px4.NAME})"
+        if self._translator.refused_heartbeat:
+            return self._translator.refused_heartbeat
         if others:
             heard = ", ".join(str(system_id) for system_id in others)
             return f"heard system {heard} instead; correct the id here or the autopilot's (MAV_SYS_ID)"

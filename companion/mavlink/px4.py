@@ -1,11 +1,22 @@
-"""PX4's manners: all that differs from one autopilot to the next. Facts are of v1.16."""
+"""PX4's manners on MAVLink: all that is not the same for every autopilot. Facts are of v1.16."""
 
 from __future__ import annotations
 
 from math import nan
 
 from companion.mavlink.codec import MavlinkMessage, mavlink
-from companion.types import Arm, AutopilotMode, AutopilotRequest, Disarm, RequestOrigin, SetMode, TakeOff
+from companion.mavlink.commands import command_long, common_command
+from companion.types import (
+    AttitudeSample,
+    AutopilotMode,
+    AutopilotRequest,
+    LandedSample,
+    ModeSample,
+    PositionSample,
+    SetMode,
+    TakeOff,
+    Telemetry,
+)
 
 NAME = "PX4"
 MAV_AUTOPILOT = mavlink.MAV_AUTOPILOT_PX4
@@ -30,14 +41,6 @@ MODES = {
 }
 MEANING = {numbers: mode for mode, numbers in MODES.items()}
 
-# What a COMMAND_ACK answers.
-ANSWERS: dict[int, tuple[type, ...]] = {
-    mavlink.MAV_CMD_DO_SET_MODE: (SetMode,),
-    mavlink.MAV_CMD_COMPONENT_ARM_DISARM: (Arm, Disarm),
-    mavlink.MAV_CMD_NAV_TAKEOFF: (TakeOff,),
-    mavlink.MAV_CMD_REQUEST_MESSAGE: (RequestOrigin,),
-}
-
 # Message id -> microseconds between messages (MAV_CMD_SET_MESSAGE_INTERVAL); -1 is off. CURRENT_MODE shows a change of
 # mode within 20 ms, where HEARTBEAT stays at 1 Hz whatever is asked. What is off would only cost the companion time.
 STREAMS_US = {
@@ -50,7 +53,14 @@ STREAMS_US = {
     mavlink.MAVLINK_MSG_ID_HIGHRES_IMU: -1,
 }
 
-TYPE_MASK_ATTITUDE_AND_THRUST = 7  # ignore body rates; bit 6 (throttle ignore) would mean zero thrust
+LEAST_HZ: dict[type[Telemetry], tuple[str, float]] = {
+    PositionSample: ("positions", 40.0),
+    AttitudeSample: ("attitudes", 40.0),
+    ModeSample: ("modes", 5.0),  # CURRENT_MODE may come less often than it was asked to
+    LandedSample: ("landed states", 2.0),
+}
+
+ATTITUDE_TYPE_MASK = 7  # ignore body rates; bit 6 (throttle ignore) would mean zero thrust
 
 
 def mode_of(custom_mode: int) -> tuple[AutopilotMode, str]:
@@ -63,25 +73,15 @@ def mode_of(custom_mode: int) -> tuple[AutopilotMode, str]:
 
 
 def command_for(request: AutopilotRequest, system_id: int) -> MavlinkMessage:
-    """The COMMAND_LONG that asks for it, addressed to the autopilot (commands to 0/0 are silently ignored)."""
+    """The COMMAND_LONG that asks for it."""
     match request:
         case SetMode(mode):
             main, sub = MODES[mode]
             return command_long(
                 system_id, mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, main, sub
             )
-        case Arm():
-            return command_long(system_id, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)
-        case Disarm():
-            return command_long(system_id, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0)
         case TakeOff(altitude_amsl_m):
             # NaN: where it stands, with the heading it has. Param 7 is above mean sea level.
             return command_long(system_id, mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, nan, nan, nan, altitude_amsl_m)
-        case RequestOrigin():
-            return command_long(system_id, mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
-
-
-def command_long(system_id: int, command: int, *parameters: float) -> MavlinkMessage:
-    """COMMAND_LONG to the autopilot component, the parameters that are left out being zero."""
-    padded = [float(p) for p in parameters] + [0.0] * (7 - len(parameters))
-    return mavlink.MAVLink_command_long_message(system_id, mavlink.MAV_COMP_ID_AUTOPILOT1, command, 0, *padded)
+        case _:
+            return common_command(request, system_id)

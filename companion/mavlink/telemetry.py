@@ -5,11 +5,12 @@ from __future__ import annotations
 from math import isfinite
 
 from companion.frames import enu_from_ned, euler_enu_from_ned, euler_from_quaternion
-from companion.mavlink import px4
 from companion.mavlink.codec import MavlinkMessage, mavlink
+from companion.mavlink.commands import ANSWERS
 from companion.types import (
     AckSample,
     AttitudeSample,
+    AutopilotKind,
     HeartbeatSample,
     LandedSample,
     LandedState,
@@ -50,9 +51,9 @@ def attitude(message: MavlinkMessage, received_s: float) -> AttitudeSample | Non
     return AttitudeSample(received_s, *euler_enu_from_ned(*euler_ned))
 
 
-def heartbeat(message: MavlinkMessage, received_s: float) -> HeartbeatSample:
-    """HEARTBEAT's armed flag."""
-    return HeartbeatSample(received_s, armed=bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED))
+def heartbeat(message: MavlinkMessage, autopilot: AutopilotKind, received_s: float) -> HeartbeatSample:
+    """HEARTBEAT's armed flag, from an autopilot of this make."""
+    return HeartbeatSample(received_s, bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED), autopilot)
 
 
 def landed(message: MavlinkMessage, received_s: float) -> LandedSample:
@@ -72,7 +73,7 @@ def acknowledgement(message: MavlinkMessage, received_s: float) -> AckSample:
     entry = mavlink.enums["MAV_CMD"].get(message.command)
     name = entry.name.removeprefix("MAV_CMD_") if entry else f"command {message.command}"
     word = RESULT_WORDS.get(message.result, f"result {message.result}")
-    return AckSample(received_s, px4.ANSWERS.get(message.command, ()), accepted, f"{name} {word}")
+    return AckSample(received_s, ANSWERS.get(message.command, ()), accepted, f"{name} {word}")
 
 
 class TextAssembler:

@@ -5,23 +5,37 @@ from __future__ import annotations
 from collections import Counter
 
 from companion.frames import euler_ned_from_enu, quaternion_from_euler
-from companion.mavlink import px4, telemetry
+from companion.mavlink import telemetry
 from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
-from companion.types import AttitudeTarget, AutopilotRequest, ModeSample, Telemetry
+from companion.mavlink.commands import stream_request
+from companion.mavlink.manners import MANNERS, Manners, kind_of, words_for
+from companion.types import AttitudeTarget, AutopilotKind, AutopilotRequest, ModeSample, Telemetry
 
 AUTOPILOT = mavlink.MAV_COMP_ID_AUTOPILOT1
 
 
 class Translator:
-    """Listens to the autopilot of system id `vehicle_id` alone; speaks as the onboard computer of the same system."""
+    """Listens to the autopilot of system id `vehicle_id` alone; speaks as the onboard computer of the same system.
 
-    def __init__(self, vehicle_id: int) -> None:
+    `autopilot` says whose manners it has; where it is None the first HEARTBEAT does. Until then nothing can be said to it. A
+    HEARTBEAT that says otherwise is refused.
+    """
+
+    def __init__(self, vehicle_id: int, autopilot: AutopilotKind | None = None) -> None:
         self._system_id = vehicle_id
         self._codec = MavlinkCodec(vehicle_id, mavlink.MAV_COMP_ID_ONBOARD_COMPUTER)
         self._texts = telemetry.TextAssembler()
         self.rejected: Counter[str] = Counter()  # what came damaged or without sense, by reason
         self.other_systems: set[int] = set()  # system ids heard that are not ours
-        self.unsupported_autopilot: int | None = None  # MAV_AUTOPILOT of a heartbeat that is not PX4's
+        self._autopilot = autopilot
+        self.refused_heartbeat = ""  # why the last one that was refused was
+
+    @property
+    def manners(self) -> Manners:
+        """Raises LookupError before they are known."""
+        if self._autopilot is None:
+            raise LookupError("no HEARTBEAT has said yet which autopilot it is")
+        return MANNERS[self._autopilot]
 
     def telemetry(self, data: bytes, received_s: float) -> list[Telemetry]:
         """All samples in these bytes, in their order."""
@@ -47,13 +61,9 @@ class Translator:
                     return []
                 return [attitude]
             case "CURRENT_MODE":
-                return [ModeSample(received_s, *px4.mode_of(message.custom_mode))]
+                return [self._mode(message, received_s)] if self._autopilot else []
             case "HEARTBEAT":
-                if message.autopilot != px4.MAV_AUTOPILOT:
-                    self.unsupported_autopilot = message.autopilot
-                    return []
-                mode = ModeSample(received_s, *px4.mode_of(message.custom_mode))
-                return [telemetry.heartbeat(message, received_s), mode]
+                return self._heartbeat(message, received_s)
             case "EXTENDED_SYS_STATE":
                 return [telemetry.landed(message, received_s)]
             case "GPS_GLOBAL_ORIGIN":
@@ -65,6 +75,22 @@ class Translator:
                 return [text] if text else []
         return []
 
+    def _heartbeat(self, message: MavlinkMessage, received_s: float) -> list[Telemetry]:
+        kind = kind_of(message)
+        if kind is None or self._autopilot not in (None, kind):
+            self.refused_heartbeat = f"its HEARTBEAT says {words_for(message)}, expected {self._expected()}"
+            self.rejected["HEARTBEAT of another make of autopilot"] += 1
+            return []
+        self._autopilot = kind
+        return [telemetry.heartbeat(message, kind, received_s), self._mode(message, received_s)]
+
+    def _expected(self) -> str:
+        expected = [MANNERS[self._autopilot]] if self._autopilot else list(MANNERS.values())
+        return " or ".join(f"{manners.MAV_AUTOPILOT} ({manners.NAME})" for manners in expected)
+
+    def _mode(self, message: MavlinkMessage, received_s: float) -> ModeSample:
+        return ModeSample(received_s, *self.manners.mode_of(message.custom_mode))
+
     def attitude_target(self, target: AttitudeTarget, now_s: float) -> bytes:
         """SET_ATTITUDE_TARGET with attitude and thrust; `now_s` becomes its time_boot_ms."""
         euler_ned = euler_ned_from_enu(target.roll_rad, target.pitch_rad, target.yaw_rad)
@@ -73,7 +99,7 @@ class Translator:
                 int(now_s * 1000.0) & 0xFFFFFFFF,
                 self._system_id,
                 AUTOPILOT,
-                px4.TYPE_MASK_ATTITUDE_AND_THRUST,
+                self.manners.ATTITUDE_TYPE_MASK,
                 quaternion_from_euler(*euler_ned),
                 0.0,
                 0.0,
@@ -84,7 +110,7 @@ class Translator:
 
     def request(self, request: AutopilotRequest) -> bytes:
         """A COMMAND_LONG."""
-        return self._codec.encode(px4.command_for(request, self._system_id))
+        return self._codec.encode(self.manners.command_for(request, self._system_id))
 
     def heartbeat(self) -> bytes:
         """The companion's own HEARTBEAT. Never that of a ground station: it would hide a lost one from the autopilot."""
@@ -102,8 +128,6 @@ class Translator:
     def stream_requests(self) -> list[bytes]:
         """The telemetry rates that the agent lives on (MAV_CMD_SET_MESSAGE_INTERVAL)."""
         return [
-            self._codec.encode(
-                px4.command_long(self._system_id, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, message_id, interval_us)
-            )
-            for message_id, interval_us in px4.STREAMS_US.items()
+            self._codec.encode(stream_request(self._system_id, message_id, interval_us))
+            for message_id, interval_us in self.manners.STREAMS_US.items()
         ]

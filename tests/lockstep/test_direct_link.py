@@ -10,6 +10,7 @@ from companion.types import (
     AckSample,
     AttitudeSample,
     AttitudeTarget,
+    AutopilotKind,
     OriginSample,
     PositionSample,
     RequestOrigin,
@@ -43,7 +44,7 @@ def flying() -> Iterator[Px4]:
 
 def by_bytes(px4: Px4, message_id: int) -> list[Telemetry]:
     data = MavlinkCodec(px4.system_id, mavlink.MAV_COMP_ID_AUTOPILOT1).encode(BUILDERS[message_id](px4))
-    return Translator(px4.system_id).telemetry(data, RECEIVED_S)
+    return Translator(px4.system_id, AutopilotKind.PX4).telemetry(data, RECEIVED_S)
 
 
 @pytest.mark.parametrize("message_id", [i for i in RATES_HZ if i != mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION])
@@ -71,7 +72,7 @@ def test_everything_that_the_agent_asks_for_is_told() -> None:
 
 @pytest.mark.parametrize("target", [AttitudeTarget(0.1, -0.2, 3.0, 0.51), AttitudeTarget(-0.3, 0.05, -3.1, 0.2)])
 def test_setpoints_are_those_of_the_bytes_to_a_microradian(target: AttitudeTarget) -> None:
-    (message,) = MavlinkCodec(1, 1).decode(Translator(1).attitude_target(target, 3.0))
+    (message,) = MavlinkCodec(1, 1).decode(Translator(1, AutopilotKind.PX4).attitude_target(target, 3.0))
     told = px4_setpoints.setpoint_of(message, (1.0, 0.0, 0.0, 0.0))
     direct = setpoint_of(target)
     assert told is not None

@@ -21,6 +21,7 @@ from companion.types import (
     Arm,
     AttitudeSample,
     AttitudeTarget,
+    AutopilotKind,
     AutopilotMode,
     Command,
     CommandName,
@@ -104,7 +105,7 @@ class Flight:
         return [
             AttitudeSample(t, self.roll_rad, 0.0, 0.3),
             ModeSample(t, self.mode, self.mode),
-            HeartbeatSample(t, self.armed),
+            HeartbeatSample(t, self.armed, AutopilotKind.PX4),
             LandedSample(t, self.landed),
             *(
                 [OriginSample(t, 47.0, 8.0, 400.0)]

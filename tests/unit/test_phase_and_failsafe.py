@@ -11,6 +11,7 @@ from companion.core.phase import FLYING, RULES, PhaseMachine
 from companion.types import (
     AckSample,
     Arm,
+    AutopilotKind,
     AutopilotMode,
     AutopilotRequest,
     CommandName,
@@ -30,6 +31,7 @@ NEW = float("inf")  # truth that is always newer than what was asked
 GROUND = VehicleState(
     mode_time_s=NEW,
     heartbeat_time_s=NEW,
+    autopilot=AutopilotKind.PX4,
     mode=AutopilotMode.OTHER,
     mode_name="POSCTL",
     landed=LandedState.ON_GROUND,
@@ -144,6 +146,14 @@ def test_every_command_in_every_phase_is_accepted_by_the_table_or_refused_in_wor
     else:
         assert machine.phase is before
         assert name in reason
+
+
+@pytest.mark.parametrize("name", list(RULES))
+def test_before_its_heartbeat_the_autopilot_is_asked_nothing(name: CommandName) -> None:
+    machine = PhaseMachine(2.5)
+    silent = replace(GROUND, autopilot=None)
+    assert machine.command(name, 0.0, silent) == (False, f"{name}: no HEARTBEAT has come from the autopilot yet")
+    assert tick(machine, 0.0, silent, ()) == ()
 
 
 def test_every_command_but_lead_is_in_the_table() -> None:

@@ -15,6 +15,7 @@ from companion.types import (
     Arm,
     AttitudeSample,
     AttitudeTarget,
+    AutopilotKind,
     AutopilotMode,
     Disarm,
     HeartbeatSample,
@@ -43,13 +44,15 @@ def to_autopilot(data: bytes) -> object:
 
 def test_position_is_flipped_to_enu() -> None:
     data = from_autopilot(mavlink.MAVLink_local_position_ned_message(1500, 1.0, 2.0, -3.0, 0.5, 0.25, -0.125))
-    assert Translator(3).telemetry(data, 9.0) == [PositionSample(9.0, 1.5, (2.0, 1.0, 3.0), (0.25, 0.5, 0.125))]
+    assert Translator(3, AutopilotKind.PX4).telemetry(data, 9.0) == [
+        PositionSample(9.0, 1.5, (2.0, 1.0, 3.0), (0.25, 0.5, 0.125))
+    ]
 
 
 def test_attitude_is_flipped_to_flu_in_enu() -> None:
     quaternion = quaternion_from_euler(0.1, 0.2, 0.3)  # FRD in NED
     data = from_autopilot(mavlink.MAVLink_attitude_quaternion_message(1500, *quaternion, 0, 0, 0))
-    (sample,) = Translator(3).telemetry(data, 9.0)
+    (sample,) = Translator(3, AutopilotKind.PX4).telemetry(data, 9.0)
     assert isinstance(sample, AttitudeSample)
     assert (sample.roll_rad, sample.pitch_rad, sample.yaw_rad) == pytest.approx((0.1, -0.2, pi / 2 - 0.3), abs=1e-6)
 
@@ -57,7 +60,7 @@ def test_attitude_is_flipped_to_flu_in_enu() -> None:
 @pytest.mark.parametrize("quaternion", [(float("nan"), 0, 0, 0), (0, 0, 0, 0), (2, 0, 0, 0)])
 def test_an_attitude_that_is_no_rotation_is_dropped_and_counted(quaternion: tuple[float, ...]) -> None:
     data = from_autopilot(mavlink.MAVLink_attitude_quaternion_message(1500, *quaternion, 0, 0, 0))
-    translator = Translator(3)
+    translator = Translator(3, AutopilotKind.PX4)
     assert translator.telemetry(data, 9.0) == []
     assert translator.rejected == {"attitude of the autopilot that is no rotation": 1}
 
@@ -65,19 +68,19 @@ def test_an_attitude_that_is_no_rotation_is_dropped_and_counted(quaternion: tupl
 def test_mode_and_arming() -> None:
     armed = mavlink.MAV_MODE_FLAG_SAFETY_ARMED | mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
     message = mavlink.MAVLink_heartbeat_message(2, mavlink.MAV_AUTOPILOT_PX4, armed, AUTO_LOITER, 5, 3)
-    assert Translator(3).telemetry(from_autopilot(message), 9.0) == [
-        HeartbeatSample(9.0, armed=True),
+    assert Translator(3, AutopilotKind.PX4).telemetry(from_autopilot(message), 9.0) == [
+        HeartbeatSample(9.0, armed=True, autopilot=AutopilotKind.PX4),
         ModeSample(9.0, AutopilotMode.HOLD, "AUTO.LOITER"),
     ]
     current = mavlink.MAVLink_current_mode_message(0, 6 << 16, 6 << 16)
-    assert Translator(3).telemetry(from_autopilot(current), 9.0) == [
+    assert Translator(3, AutopilotKind.PX4).telemetry(from_autopilot(current), 9.0) == [
         ModeSample(9.0, AutopilotMode.OFFBOARD, "OFFBOARD")
     ]
 
 
 @pytest.mark.parametrize("mode", sorted(px4.MODES))
 def test_every_mode_that_is_commanded_is_recognised(mode: AutopilotMode) -> None:
-    message = to_autopilot(Translator(3).request(SetMode(mode)))
+    message = to_autopilot(Translator(3, AutopilotKind.PX4).request(SetMode(mode)))
     custom_mode = int(message.param2) << 16 | int(message.param3) << 24  # type: ignore[attr-defined]
     assert px4.mode_of(custom_mode)[0] is mode
 
@@ -97,7 +100,7 @@ def test_origin_landed_state_and_answers() -> None:
         + from_autopilot(mavlink.MAVLink_command_ack_message(400, 0))
         + from_autopilot(mavlink.MAVLink_command_ack_message(65000, 99))
     )
-    assert Translator(3).telemetry(data, 9.0) == [
+    assert Translator(3, AutopilotKind.PX4).telemetry(data, 9.0) == [
         OriginSample(9.0, 47.397742, 8.545594, 488.123),
         LandedSample(9.0, LandedState.IN_AIR),
         LandedSample(9.0, LandedState.UNDEFINED),
@@ -108,7 +111,7 @@ def test_origin_landed_state_and_answers() -> None:
 
 
 def test_a_text_in_chunks_is_put_together() -> None:
-    translator = Translator(3)
+    translator = Translator(3, AutopilotKind.PX4)
     chunks = ["Arming denied: Resolve system health failures firs", "t\t"]
     samples = [
         sample
@@ -123,14 +126,14 @@ def test_a_text_in_chunks_is_put_together() -> None:
 @pytest.mark.parametrize("number", [0, 5])
 def test_a_text_is_one_line_that_steers_nothing(number: int) -> None:
     message = mavlink.MAVLink_statustext_message(2, b"bad\nWATCHDOG=1\r\x1b[2J\xff ", number, 0)
-    (sample,) = Translator(3).telemetry(from_autopilot(message), 9.0)
+    (sample,) = Translator(3, AutopilotKind.PX4).telemetry(from_autopilot(message), 9.0)
     assert isinstance(sample, TextSample)
     assert sample.text.startswith("bad?WATCHDOG=1??[2J")
     assert sample.text.isprintable()
 
 
 def test_only_the_own_autopilot_is_heard() -> None:
-    translator = Translator(3)
+    translator = Translator(3, AutopilotKind.PX4)
     message = mavlink.MAVLink_local_position_ned_message(1500, 1, 2, 3, 0, 0, 0)
     assert translator.telemetry(from_autopilot(message, system_id=4), 9.0) == []
     assert translator.telemetry(from_autopilot(message, component_id=100), 9.0) == []
@@ -139,13 +142,24 @@ def test_only_the_own_autopilot_is_heard() -> None:
 
 def test_another_make_of_autopilot_is_noticed_and_not_flown() -> None:
     translator = Translator(3)
-    message = mavlink.MAVLink_heartbeat_message(2, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, 0, 4, 4, 3)
+    message = mavlink.MAVLink_heartbeat_message(2, mavlink.MAV_AUTOPILOT_GENERIC, 0, 4, 4, 3)
     assert translator.telemetry(from_autopilot(message), 9.0) == []
-    assert translator.unsupported_autopilot == mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
+    assert translator.refused_heartbeat.startswith("its HEARTBEAT says MAV_AUTOPILOT 0, expected 12 (PX4)")
+    assert translator.rejected == {"HEARTBEAT of another make of autopilot": 1}
+
+
+def test_before_its_heartbeat_no_manners_are_guessed() -> None:
+    translator = Translator(3)
+    current = mavlink.MAVLink_current_mode_message(0, 6 << 16, 6 << 16)
+    assert translator.telemetry(from_autopilot(current), 9.0) == []
+    with pytest.raises(LookupError):
+        translator.request(Arm())
 
 
 def test_the_attitude_target_in_ned() -> None:
-    message = to_autopilot(Translator(3).attitude_target(AttitudeTarget(0.1, 0.2, pi / 2, 0.6), 12.5))
+    message = to_autopilot(
+        Translator(3, AutopilotKind.PX4).attitude_target(AttitudeTarget(0.1, 0.2, pi / 2, 0.6), 12.5)
+    )
     assert message.get_type() == "SET_ATTITUDE_TARGET"  # type: ignore[attr-defined]
     assert (message.target_system, message.target_component, message.type_mask) == (3, 1, 7)  # type: ignore[attr-defined]
     assert message.thrust == pytest.approx(0.6)  # type: ignore[attr-defined]
@@ -155,7 +169,7 @@ def test_the_attitude_target_in_ned() -> None:
 
 
 def test_commands_are_addressed_to_the_autopilot() -> None:
-    translator = Translator(3)
+    translator = Translator(3, AutopilotKind.PX4)
     for request in (Arm(), TakeOff(490.5, 2.5), RequestOrigin()):
         message = to_autopilot(translator.request(request))
         assert (message.target_system, message.target_component) == (3, 1)  # type: ignore[attr-defined]
@@ -165,13 +179,13 @@ def test_commands_are_addressed_to_the_autopilot() -> None:
 
 
 def test_the_companion_never_poses_as_a_ground_station() -> None:
-    heartbeat = to_autopilot(Translator(3).heartbeat())
+    heartbeat = to_autopilot(Translator(3, AutopilotKind.PX4).heartbeat())
     assert heartbeat.type == mavlink.MAV_TYPE_ONBOARD_CONTROLLER  # type: ignore[attr-defined]
 
 
 @given(st.binary(max_size=600))
 def test_no_bytes_whatever_raise(data: bytes) -> None:
-    translator = Translator(3)
+    translator = Translator(3, AutopilotKind.PX4)
     translator.telemetry(data, 1.0)
     translator.telemetry(b"\xfd" + data, 2.0)
 
@@ -181,4 +195,4 @@ def test_no_damaged_message_raises(data: st.DataObject) -> None:
     good = bytearray(from_autopilot(mavlink.MAVLink_statustext_message(2, b"hello", 5, 0)))
     for _ in range(data.draw(st.integers(1, 5))):
         good[data.draw(st.integers(0, len(good) - 1))] = data.draw(st.integers(0, 255))
-    Translator(3).telemetry(bytes(good), 1.0)
+    Translator(3, AutopilotKind.PX4).telemetry(bytes(good), 1.0)

@@ -1,0 +1,144 @@
+"""How each autopilot is flown through the phases: which modes belong to which phase, and how what a command wants is asked.
+
+What differs from one autopilot to the next is data here; the machine that walks it is in `core/phase.py`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from companion.core.procedure import Procedure
+from companion.types import (
+    Arm,
+    AutopilotKind,
+    AutopilotMode,
+    CommandName,
+    Disarm,
+    FlightPhase,
+    LandedState,
+    SetMode,
+    TakeOff,
+    VehicleState,
+)
+
+P, M, C = FlightPhase, AutopilotMode, CommandName
+
+STREAM_BEFORE_OFFBOARD_S = 0.3  # PX4 takes OFFBOARD only from a running stream
+CLIMBED_WITHIN_M = 0.3
+
+
+# From the vehicle as it is and the take-off height in metres. ValueError where the state does not allow it.
+ProcedureBuilder = Callable[[VehicleState, float], Procedure]
+
+
+@dataclass(frozen=True, slots=True)
+class FlightManners:
+    """`modes` are those that a phase brings about; while its procedure runs it tolerates the mode that it began in, too.
+
+    `procedures` has all commands but LEAD, of which the autopilot knows nothing.
+    """
+
+    modes: Mapping[FlightPhase, frozenset[AutopilotMode]]
+    procedures: Mapping[CommandName, ProcedureBuilder]
+
+
+def manners_of(vehicle: VehicleState) -> FlightManners:
+    """Raises LookupError before the autopilot's first HEARTBEAT."""
+    if vehicle.autopilot is None:
+        raise LookupError("no HEARTBEAT has said yet which autopilot it is")
+    return FLIGHT_MANNERS[vehicle.autopilot]
+
+
+def _mode_is(mode: AutopilotMode) -> Callable[[VehicleState], bool]:
+    return lambda vehicle: vehicle.mode is mode
+
+
+def _armed(vehicle: VehicleState) -> bool:
+    return vehicle.armed
+
+
+def _disarmed(vehicle: VehicleState) -> bool:
+    return not vehicle.armed
+
+
+def in_air(vehicle: VehicleState) -> bool:
+    """Armed and not known to stand on the ground: doubt counts as flying."""
+    return vehicle.armed and vehicle.landed is not LandedState.ON_GROUND
+
+
+def _mode_time_s(vehicle: VehicleState) -> float:
+    return vehicle.mode_time_s
+
+
+def _heartbeat_time_s(vehicle: VehicleState) -> float:
+    return vehicle.heartbeat_time_s
+
+
+def _hold(_vehicle: VehicleState, _height_m: float) -> Procedure:
+    # The settling time: an OFFBOARD request sent just before a hold may still arrive after it looked done.
+    held = _mode_is(M.HOLD)
+    return Procedure(SetMode(M.HOLD), held, held, _mode_time_s, timeout_s=5.0, settle_s=0.2)
+
+
+def _offboard(_vehicle: VehicleState, _height_m: float) -> Procedure:
+    taken = _mode_is(M.OFFBOARD)
+    return Procedure(SetMode(M.OFFBOARD), taken, taken, _mode_time_s, timeout_s=5.0, delay_s=STREAM_BEFORE_OFFBOARD_S)
+
+
+def _arm(_vehicle: VehicleState, _height_m: float) -> Procedure:
+    # Once accepted it is never asked again: who disarms meanwhile means it. HEARTBEAT shows it only once a second.
+    return Procedure(Arm(), _armed, _armed, _heartbeat_time_s, timeout_s=10.0, repeat_s=1.5, acceptance_counts=True)
+
+
+def _disarm(_vehicle: VehicleState, _height_m: float) -> Procedure:
+    return Procedure(Disarm(), _disarmed, _disarmed, _heartbeat_time_s, timeout_s=5.0)
+
+
+def _land(_vehicle: VehicleState, _height_m: float) -> Procedure:
+    # On the ground there is only the disarming to wait for, whatever mode is shown or set there.
+    return Procedure(SetMode(M.LAND), _lands_or_has_landed, _disarmed, _heartbeat_time_s, timeout_s=120.0)
+
+
+def _lands_or_has_landed(vehicle: VehicleState) -> bool:
+    return vehicle.mode is M.LAND or vehicle.landed is LandedState.ON_GROUND
+
+
+def _take_off(vehicle: VehicleState, height_m: float) -> Procedure:
+    if vehicle.altitude_amsl_m is None:
+        raise ValueError("the autopilot's altitude above sea level is unknown")
+    target_z_m = vehicle.position_enu_m[2] + height_m
+    return Procedure(
+        TakeOff(vehicle.altitude_amsl_m + height_m, height_m),
+        taken=lambda v: v.mode is M.TAKEOFF or in_air(v),
+        done=lambda v: v.mode is M.HOLD and abs(v.position_enu_m[2] - target_z_m) < CLIMBED_WITHIN_M,
+        truth_time=_mode_time_s,
+        timeout_s=15.0 + 2.0 * height_m,
+    )
+
+
+PX4 = FlightManners(
+    modes={
+        P.PREPARE: frozenset({M.HOLD}),
+        P.READY: frozenset({M.HOLD}),
+        P.ARM: frozenset({M.HOLD}),
+        P.ARMED: frozenset({M.HOLD}),
+        P.TAKEOFF: frozenset({M.TAKEOFF, M.HOLD}),
+        P.HOLD: frozenset({M.HOLD}),
+        P.ENGAGE: frozenset({M.HOLD, M.OFFBOARD}),
+        P.FORMATION: frozenset({M.OFFBOARD}),
+        P.RELEASE: frozenset({M.HOLD}),
+        P.LAND: frozenset({M.LAND}),
+    },
+    procedures={
+        C.PREPARE: _hold,
+        C.ARM: _arm,
+        C.TAKEOFF: _take_off,
+        C.FORM: _offboard,
+        C.HOLD: _hold,
+        C.LAND: _land,
+        C.DISARM: _disarm,
+    },
+)
+
+FLIGHT_MANNERS: dict[AutopilotKind, FlightManners] = {AutopilotKind.PX4: PX4}

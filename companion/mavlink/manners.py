@@ -1,0 +1,55 @@
+"""What differs from one autopilot to the next, in one description that `px4.py` fills.
+
+It is chosen by the HEARTBEAT; nothing else asks which autopilot it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Protocol
+
+from companion.mavlink import px4
+from companion.mavlink.codec import MavlinkMessage
+from companion.types import AutopilotKind, AutopilotMode, AutopilotRequest, Telemetry
+
+
+class Manners(Protocol):
+    """One autopilot's manners: a module with these names."""
+
+    @property
+    def NAME(self) -> str: ...  # noqa: N802  for people
+
+    @property
+    def MAV_AUTOPILOT(self) -> int: ...  # noqa: N802
+
+    @property
+    def STREAMS_US(self) -> Mapping[int, int]:  # noqa: N802
+        """Message id -> microseconds between messages, to be asked for; -1 is off."""
+
+    @property
+    def LEAST_HZ(self) -> Mapping[type[Telemetry], tuple[str, float]]:  # noqa: N802
+        """What the agent lives on: its name and how often it must come, or the streams are asked for again."""
+
+    @property
+    def ATTITUDE_TYPE_MASK(self) -> int:  # noqa: N802
+        """Of SET_ATTITUDE_TARGET with attitude and thrust."""
+
+    def mode_of(self, custom_mode: int) -> tuple[AutopilotMode, str]:
+        """Meaning and the autopilot's own name of a custom_mode."""
+
+    def command_for(self, request: AutopilotRequest, system_id: int) -> MavlinkMessage:
+        """The COMMAND_LONG that asks for it."""
+
+
+MANNERS: dict[AutopilotKind, Manners] = {AutopilotKind.PX4: px4}
+
+
+def kind_of(heartbeat: MavlinkMessage) -> AutopilotKind | None:
+    """Whose HEARTBEAT this is; None where no manners are known for it."""
+    return next((kind for kind, manners in MANNERS.items() if heartbeat.autopilot == manners.MAV_AUTOPILOT), None)
+
+
+def words_for(heartbeat: MavlinkMessage) -> str:
+    """What make of autopilot a HEARTBEAT says it is."""
+    kind = kind_of(heartbeat)
+    return f"MAV_AUTOPILOT {heartbeat.autopilot}" + (f" ({MANNERS[kind].NAME})" if kind else "")
