@@ -22,6 +22,7 @@ from companion.core.agent import Agent
 from companion.link.autopilot_link import AutopilotLink
 from companion.link.endpoint import LinkError
 from companion.link.log import RejectionLog, log_to_stderr
+from companion.link.signing_key import read_signing_key
 from companion.link.systemd import Notifier
 from companion.link.tick import TickMeter, TickTrigger
 from companion.link.zenoh_link import ZenohLink
@@ -63,12 +64,13 @@ def _loop() -> asyncio.AbstractEventLoop:
 
 async def _run(settings: Settings, config: AgentConfig) -> None:
     vehicle, agent, trigger = config.vehicle, build_agent(config, secrets.randbits(32)), TickTrigger()
+    key = read_signing_key(settings.file, vehicle.signing) if vehicle.signing else None
     with ExitStack() as stack:
         try:
             autopilot = AutopilotLink(
                 vehicle.id,
                 vehicle.mavlink,
-                Translator(vehicle.id, vehicle.autopilot),
+                Translator(vehicle.id, vehicle.autopilot, key),
                 position_arrived=trigger.position_arrived,
                 reject=agent.reject,
             )
@@ -80,7 +82,8 @@ async def _run(settings: Settings, config: AgentConfig) -> None:
         except EndpointError as error:
             raise ConfigError(settings.file, f"zenoh.{error.kind}", f'"{error.endpoint}": {error}') from error
         notifier = stack.enter_context(closing(Notifier()))
-        _log.info("%s of fleet %s, %s", config.member.role, config.fleet.name, vehicle.mavlink)
+        signed = ", signed" if key else ""
+        _log.info("%s of fleet %s, %s%s", config.member.role, config.fleet.name, vehicle.mavlink, signed)
         loop = ControlLoop(agent, autopilot, peers, trigger, notifier)
         if not await loop.run(settings.wait_s):
             raise AutopilotSilentError(

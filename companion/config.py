@@ -228,6 +228,17 @@ class ZenohEndpoints(_Base, frozen=True):
     connect: tuple[str, ...] = ()
 
 
+class Signing(_Base, frozen=True):
+    """MAVLink 2 signing between agent and autopilot, which needs the same key.
+
+    One of `key_file` (a path, relative to the vehicle file) and `credential` (of the systemd service, by LoadCredential).
+    """
+
+    key_file: str | None = None
+    credential: Annotated[str, Meta(pattern="^[A-Za-z0-9_.-]+$")] | None = None
+    link_id: Annotated[int, Meta(ge=0, le=255)] = 0
+
+
 class VehicleConfig(_Base, frozen=True):
     """What is one vehicle's own.
 
@@ -249,6 +260,7 @@ class VehicleConfig(_Base, frozen=True):
     autopilot: AutopilotKind | None = None
     zenoh: ZenohEndpoints = ZenohEndpoints()
     reference: Reference | None = None
+    signing: Signing | None = None
 
 
 # ---------------------------------------------------------------- what no single field can say
@@ -338,6 +350,7 @@ class AgentConfig:
 def load_agent(path: Path) -> AgentConfig:
     """Read a vehicle file and the fleet file that it names. Raises ConfigError."""
     vehicle = load(path, VehicleConfig)
+    _check_signing(path, vehicle.signing)
     fleet_path = path.parent / vehicle.fleet
     if not fleet_path.is_file():
         where = f"looked for {fleet_path}; the path is relative to the vehicle file"
@@ -363,6 +376,11 @@ def load_agent(path: Path) -> AgentConfig:
     if vehicle.reference is not None:
         check_reference(path, fleet, vehicle.reference)
     return AgentConfig(vehicle, fleet, member)
+
+
+def _check_signing(file: Path, signing: Signing | None) -> None:
+    if signing is not None and (signing.key_file is None) == (signing.credential is None):
+        raise ConfigError(file, "signing", "expected one of key_file and credential, where the key is")
 
 
 def check_reference(file: Path, fleet: FleetConfig, reference: Reference) -> None:

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable
 from typing import NoReturn
 
 from companion.link.mavlink_link import open_link
+from companion.mavlink.signing import NOT_SIGNED, OLD_STAMP, WRONG_KEY
 from companion.mavlink.translator import Translator
 from companion.types import (
     AttitudeTarget,
@@ -21,6 +22,13 @@ from companion.types import (
 
 HEARTBEAT_PERIOD_S = 1.0
 STREAM_CHECK_PERIOD_S = 2.0
+
+SIGNATURE_ADVICE = {
+    NOT_SIGNED: "its packets are not signed; give it the key (in MAVProxy: signing setup), or take signing out of the"
+    " vehicle file: PX4 1.16 cannot sign",
+    WRONG_KEY: "its packets are signed with another key; give both the same one",
+    OLD_STAMP: "its signatures are older than this computer's clock; set the right time here, or wait for its GPS",
+}
 
 _log = logging.getLogger(__name__)
 
@@ -47,6 +55,9 @@ class AutopilotLink:
         self._telemetry: list[Telemetry] = []
         self._came: Counter[type[Telemetry]] = Counter()  # since the last check of the streams
         self._heard = asyncio.Event()
+        self._there = (
+            asyncio.Event()
+        )  # heard, or signed rightly with an old stamp: it has yet to learn the time from us
         self._link = open_link(endpoint, self._bytes_arrived)
 
     @property
@@ -74,8 +85,7 @@ class AutopilotLink:
 
     async def keep_in_touch(self) -> NoReturn:
         """The companion's own heartbeat, from the autopilot's first on."""
-        await self._heard.wait()
-        _log.info("heartbeat of autopilot %d, %s", self._vehicle_id, self._translator.manners.NAME)
+        await self._there.wait()
         while True:
             self._link.send(self._translator.heartbeat())
             await asyncio.sleep(HEARTBEAT_PERIOD_S)
@@ -86,6 +96,9 @@ class AutopilotLink:
         A request may be lost like any packet, each by itself: so every stream is watched.
         """
         await self._heard.wait()
+        _log.info("heartbeat of autopilot %d, %s", self._vehicle_id, self._translator.manners.NAME)
+        if self._translator.signs_alone:
+            _log.warning("the autopilot signs its packets and may ignore this agent's: set signing in the vehicle file")
         slow_before: list[str] = []
         while True:
             for request in self._translator.stream_requests():
@@ -108,6 +121,8 @@ class AutopilotLink:
 
     def why_silent(self) -> str:
         """Why no HEARTBEAT was heard, and what to do about it."""
+        if self._translator.refused_signature is not None:
+            return SIGNATURE_ADVICE[self._translator.refused_signature]
         others = sorted(self._translator.other_systems)
         if self._translator.refused_heartbeat:
             return self._translator.refused_heartbeat
@@ -122,6 +137,9 @@ class AutopilotLink:
     def _bytes_arrived(self, data: bytes, received_s: float) -> bool:
         samples = self._translator.telemetry(data, received_s)
         self._telemetry += samples
+        is_autopilots = bool(samples) or OLD_STAMP in self._translator.rejected
+        if is_autopilots:
+            self._there.set()
         if self._translator.rejected:
             for reason in self._translator.rejected.elements():
                 self._reject(reason)
@@ -132,4 +150,4 @@ class AutopilotLink:
                 self._position_arrived()
             elif isinstance(sample, HeartbeatSample):
                 self._heard.set()
-        return bool(samples)
+        return is_autopilots

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import Any
 
 # The development dialect is common.xml and the few messages that PX4 already sends, CURRENT_MODE (436) among them.
 from pymavlink.dialects.v20 import development as mavlink
 
+from companion.mavlink.signing import REASONS, SignedMavlink, SigningKey
+
 __all__ = ["MavlinkCodec", "MavlinkMessage", "mavlink"]
+
+UNREADABLE = "MAVLink packet that cannot be read"
 
 MavlinkMessage = Any  # pymavlink generates its classes without types
 
@@ -15,23 +20,32 @@ MavlinkMessage = Any  # pymavlink generates its classes without types
 class MavlinkCodec:
     """One side of one MAVLink link: remembers half a packet between calls and counts its own sequence.
 
-    `decode` never raises: 120,000 mutated datagrams raised nothing with robust_parsing. What it could not read it counts.
+    `decode` never raises: 120,000 mutated datagrams raised nothing with robust_parsing. What it refused it counts by reason.
+    With a key every packet that goes out is signed, and none comes in that is not.
     """
 
-    def __init__(self, system_id: int, component_id: int) -> None:
-        self._mav = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
+    def __init__(self, system_id: int, component_id: int, key: SigningKey | None = None) -> None:
+        self._signed = SignedMavlink(system_id, component_id, key) if key else None
+        self._mav = self._signed or mavlink.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
         self._mav.robust_parsing = True
-        self.unreadable = 0
+        self.refused: Counter[str] = Counter()
 
     def decode(self, data: bytes) -> list[MavlinkMessage]:
-        """All whole messages in `data` (and in what was left from before), in their order."""
-        messages = self._mav.parse_buffer(data) or []
-        good = [message for message in messages if message.get_type() != "BAD_DATA"]
-        self.unreadable += len(messages) - len(good)
+        """All whole messages in `data` (and in what was left from before), in their order; unknown ones are left out."""
+        good = []
+        for message in self._mav.parse_buffer(data) or []:
+            if message.get_type() == "BAD_DATA":
+                self.refused[message.reason if message.reason in REASONS else UNREADABLE] += 1
+            elif (
+                message.get_msgId() != mavlink.MAVLINK_MSG_ID_UNKNOWN
+            ):  # whose checksum and signature nobody has checked
+                good.append(message)
         return good
 
     def encode(self, message: MavlinkMessage) -> bytes:
         """One message as MAVLink 2 bytes."""
+        if self._signed:
+            self._signed.keep_time()
         packed: bytes = message.pack(self._mav)
         self._mav.seq = (self._mav.seq + 1) % 256
         return packed

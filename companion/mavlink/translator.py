@@ -9,6 +9,7 @@ from companion.mavlink import telemetry
 from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
 from companion.mavlink.commands import stream_request
 from companion.mavlink.manners import MANNERS, Manners, kind_of, words_for
+from companion.mavlink.signing import REASONS, SigningKey
 from companion.types import AttitudeTarget, AutopilotKind, AutopilotRequest, ModeSample, Telemetry
 
 AUTOPILOT = mavlink.MAV_COMP_ID_AUTOPILOT1
@@ -21,12 +22,15 @@ class Translator:
     HEARTBEAT that says otherwise is refused.
     """
 
-    def __init__(self, vehicle_id: int, autopilot: AutopilotKind | None = None) -> None:
+    def __init__(self, vehicle_id: int, autopilot: AutopilotKind | None = None, key: SigningKey | None = None) -> None:
         self._system_id = vehicle_id
-        self._codec = MavlinkCodec(vehicle_id, mavlink.MAV_COMP_ID_ONBOARD_COMPUTER)
+        self._codec = MavlinkCodec(vehicle_id, mavlink.MAV_COMP_ID_ONBOARD_COMPUTER, key)
+        self._has_key = key is not None
         self._texts = telemetry.TextAssembler()
         self.rejected: Counter[str] = Counter()  # what came damaged or without sense, by reason
         self.other_systems: set[int] = set()  # system ids heard that are not ours
+        self.refused_signature: str | None = None  # why a packet was last refused for its signature
+        self.signs_alone = False  # the autopilot signs and this agent cannot
         self._autopilot = autopilot
         self.refused_heartbeat = ""  # why the last one that was refused was
 
@@ -40,14 +44,18 @@ class Translator:
     def telemetry(self, data: bytes, received_s: float) -> list[Telemetry]:
         """All samples in these bytes, in their order."""
         samples: list[Telemetry] = []
-        unreadable_before = self._codec.unreadable
         for message in self._codec.decode(data):
             if message.get_srcSystem() != self._system_id:
                 self.other_systems.add(message.get_srcSystem())
             elif message.get_srcComponent() == AUTOPILOT:
+                self.signs_alone = not self._has_key and bool(message.get_header().incompat_flags)
                 samples += self._samples(message, received_s)
-        if self._codec.unreadable > unreadable_before:
-            self.rejected["MAVLink packet that cannot be read"] += self._codec.unreadable - unreadable_before
+        if self._codec.refused:
+            self.rejected += self._codec.refused
+            self.refused_signature = next(
+                (why for why in REASONS if why in self._codec.refused), self.refused_signature
+            )
+            self._codec.refused.clear()
         return samples
 
     def _samples(self, message: MavlinkMessage, received_s: float) -> list[Telemetry]:

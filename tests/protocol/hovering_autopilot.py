@@ -13,6 +13,7 @@ from types import TracebackType
 from typing import Self
 
 from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
+from companion.mavlink.signing import SigningKey
 
 PERIOD_S = 0.02
 LOITER, OFFBOARD = (4, 3), (6, 0)
@@ -28,13 +29,14 @@ class HoveringAutopilot:
     positions: bool = True  # LOCAL_POSITION_NED at 50 Hz
     obeys: bool = True  # takes modes that are commanded
     mode: tuple[int, int] = LOITER
+    key: SigningKey | None = None
     target_times_s: list[float] = field(default_factory=list)
     received: list[MavlinkMessage] = field(default_factory=list)  # all but SET_ATTITUDE_TARGET
 
     def __post_init__(self) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
-        self._codec = MavlinkCodec(self.vehicle_id, mavlink.MAV_COMP_ID_AUTOPILOT1)
+        self._codec = MavlinkCodec(self.vehicle_id, mavlink.MAV_COMP_ID_AUTOPILOT1, self.key)
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run)
 
@@ -48,6 +50,10 @@ class HoveringAutopilot:
         self._ended.set()
         self._thread.join()
         self._socket.close()
+
+    def inject(self, data: bytes) -> None:
+        """Bytes of somebody who sends from this autopilot's address."""
+        self._socket.sendto(data, ("127.0.0.1", self.port))
 
     def commands(self, number: int) -> list[MavlinkMessage]:
         """The COMMAND_LONGs of this number that came."""

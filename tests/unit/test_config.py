@@ -111,6 +111,10 @@ def test_a_bad_fleet_file(tmp_path: Path, change: Callable[[Any], Any], parts: l
         ({"hover_thrust_norm": 49}, ["hover_thrust_norm", "49", "<= 0.9"]),
         ({"fleet": "nowhere.yaml"}, ["vehicle.yaml: fleet:", '"nowhere.yaml": no such file', "relative to"]),
         ({"hover_trust_norm": 0.4}, ["hover_trust_norm", "unknown key", "hover_thrust_norm"]),
+        ({"signing": {}}, ["signing", "expected one of key_file and credential"]),
+        ({"signing": {"key_file": "a", "credential": "b"}}, ["signing", "expected one of key_file and credential"]),
+        ({"signing": {"credential": "../a"}}, ["signing.credential", "'../a'"]),
+        ({"signing": {"key_file": "a", "link_id": 256}}, ["signing.link_id", "256"]),
     ],
 )
 def test_a_bad_vehicle_file(tmp_path: Path, change: dict[str, Any], parts: list[str]) -> None:
