@@ -1,0 +1,138 @@
+"""A serial line that is unplugged in flight and plugged in again, under a real agent process."""
+
+from __future__ import annotations
+
+import os
+import select
+import socket
+import threading
+import time
+import tty
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from agent_process import agent, agent_files, until
+from hovering_autopilot import LOITER, OFFBOARD, HoveringAutopilot
+
+from companion.ground.session import FleetSession
+from companion.mavlink.codec import mavlink
+from companion.types import CommandName
+
+
+class Cable:
+    """Between the UDP port that the autopilot sends to and a pseudo-terminal, which goes away and comes back."""
+
+    def __init__(self, device: Path, udp: socket.socket) -> None:
+        self._device = device
+        self._udp = udp
+        self._lock = threading.Lock()
+        self._end: int | None = None
+        self._ended = threading.Event()
+
+    def plug(self) -> None:
+        end, slave = os.openpty()
+        tty.setraw(slave)
+        self._device.symlink_to(os.ttyname(slave))
+        os.close(slave)
+        os.set_blocking(end, False)
+        with self._lock:
+            self._end = end
+
+    def unplug(self) -> None:
+        """The device goes with its name, as udev takes it away."""
+        with self._lock:
+            end, self._end = self._end, None
+        if end is not None:
+            self._device.unlink()
+            os.close(end)
+
+    def copy(self) -> None:
+        """Until `end`."""
+        autopilot = None
+        while not self._ended.is_set():
+            if select.select([self._udp], [], [], 0.005)[0]:
+                data, autopilot = self._udp.recvfrom(4096)
+                self._write(data)
+            data = self._read()
+            if data and autopilot:
+                self._udp.sendto(data, autopilot)
+
+    def end(self) -> None:
+        self._ended.set()
+
+    def _write(self, data: bytes) -> None:
+        with self._lock:
+            if self._end is not None:
+                try:
+                    os.write(self._end, data)
+                except BlockingIOError:
+                    return  # nobody reads it yet
+
+    def _read(self) -> bytes:
+        with self._lock:
+            try:
+                return os.read(self._end, 4096) if self._end is not None else b""
+            except OSError:
+                return b""  # nothing there, or nobody has it open
+
+
+@contextmanager
+def cable(device: Path, udp_port: int) -> Iterator[Cable]:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
+        udp.bind(("127.0.0.1", udp_port))
+        plugged = Cable(device, udp)
+        plugged.plug()
+        thread = threading.Thread(target=plugged.copy)
+        thread.start()
+        try:
+            yield plugged
+        finally:
+            plugged.end()
+            thread.join()
+            plugged.unplug()
+
+
+def test_unplugged_in_formation_it_opens_the_line_again_and_observes_until_commanded(tmp_path: Path) -> None:
+    device = tmp_path / "ttyAutopilot"
+    files = agent_files(tmp_path, mavlink=f"serial:{device}:921600")
+    with (
+        HoveringAutopilot(1, files.udp_port) as autopilot,
+        cable(device, files.udp_port) as line,
+        agent(files) as process,
+        FleetSession.open("processtest", (files.zenoh,)) as session,
+    ):
+
+        def command(name: CommandName) -> None:
+            until(lambda: getattr(session.command([1], name, 5.0)[1], "accepted", False))
+
+        process.wait_for_log("heartbeat of autopilot 1")
+        command(CommandName.HOLD)
+        process.wait_for_log("-> hold")
+        command(CommandName.FORM)
+        process.wait_for_log("engage -> formation")
+        until(lambda: len(autopilot.target_times_s) > 50)
+
+        line.unplug()
+        process.wait_for_log("formation -> observe (silent for 0.5 s")
+        process.wait_for_log("connecting again")
+        autopilot.received.clear()
+        sent = len(autopilot.target_times_s)
+        time.sleep(2.0)  # longer than telemetry is watched at a time
+        line.plug()
+
+        asked = mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED
+        requests = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
+        until(lambda: asked in [m.param1 for m in autopilot.commands(requests)])
+        until(lambda: process.log.rfind("all telemetry comes") > process.log.rfind("is open"))
+        assert autopilot.mode == OFFBOARD  # it would take a stream at once, if one came
+        assert len(autopilot.target_times_s) == sent
+        assert autopilot.commands(mavlink.MAV_CMD_DO_SET_MODE) == []
+
+        command(CommandName.HOLD)
+        until(lambda: autopilot.mode == LOITER)
+        until(lambda: process.log.count("-> hold") == 2)
+        command(CommandName.FORM)
+        until(lambda: len(autopilot.target_times_s) > sent + 50)
+        assert process.stop() == 0
+        assert "Traceback" not in process.log
