@@ -9,7 +9,7 @@ import secrets
 import selectors
 import signal
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Coroutine, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,15 +21,20 @@ from companion.config_file import ConfigError
 from companion.core.agent import Agent
 from companion.link.autopilot_link import AutopilotLink
 from companion.link.endpoint import LinkError
+from companion.link.ground_link import GroundStationLink
 from companion.link.log import RejectionLog, log_to_stderr
 from companion.link.signing_key import read_signing_key
 from companion.link.systemd import Notifier
 from companion.link.tick import TickMeter, TickTrigger
 from companion.link.zenoh_link import ZenohLink
 from companion.link.zenoh_session import EndpointError
+from companion.mavlink.ground_station import GroundStationFilter
+from companion.mavlink.manners import AGENTS_STREAMS
 from companion.mavlink.translator import Translator
 from companion.types import Inbox, Outbox, PositionSample, Telemetry
 from companion.wire.ground import StatusReport
+
+Job = Callable[[], Coroutine[Any, Any, None]]
 
 WAIT_FOR_AUTOPILOT_S = 15.0
 HAND_OVER_S = 2.0  # at the end: how long the autopilot may take to go into its own hold
@@ -84,12 +89,30 @@ async def _run(settings: Settings, config: AgentConfig) -> None:
         notifier = stack.enter_context(closing(Notifier()))
         signed = ", signed" if key else ""
         _log.info("%s of fleet %s, %s%s", config.member.role, config.fleet.name, vehicle.mavlink, signed)
+        beside = []
+        if vehicle.ground_station:
+            ground = stack.enter_context(closing(_ground_station(settings, config, autopilot, agent)))
+            beside.append(ground.run)
         loop = ControlLoop(agent, autopilot, peers, trigger, notifier)
-        if not await loop.run(settings.wait_s):
+        if not await loop.run(settings.wait_s, beside):
             raise AutopilotSilentError(
                 f'{settings.file}: mavlink: "{vehicle.mavlink}": no HEARTBEAT of system {vehicle.id} in'
                 f" {settings.wait_s:g} s; {autopilot.why_silent()}"
             )
+
+
+def _ground_station(
+    settings: Settings, config: AgentConfig, autopilot: AutopilotLink, agent: Agent
+) -> GroundStationLink:
+    """Joined to the autopilot's link. Raises ConfigError."""
+    vehicle = config.vehicle
+    try:
+        admission = GroundStationFilter(vehicle.id, AGENTS_STREAMS)
+        ground = GroundStationLink(vehicle.ground_station, admission, autopilot.offer, agent.reject)
+    except LinkError as error:
+        raise ConfigError(settings.file, "ground_station", f'"{vehicle.ground_station}": {error}') from error
+    autopilot.pass_on_to(ground.pass_on)
+    return ground
 
 
 class ControlLoop:
@@ -108,8 +131,8 @@ class ControlLoop:
         self._stop_asked_s: float | None = None
         self._failure: BaseException | None = None
 
-    async def run(self, wait_s: float) -> bool:
-        """Until SIGTERM or SIGINT; False after `wait_s` in which no autopilot was heard."""
+    async def run(self, wait_s: float, beside: Sequence[Job] = ()) -> bool:
+        """Until SIGTERM or SIGINT, with the jobs beside it; False after `wait_s` in which no autopilot was heard."""
         loop = asyncio.get_running_loop()
         loop.set_exception_handler(self._callback_failed)
         for number in (signal.SIGTERM, signal.SIGINT):
@@ -117,8 +140,8 @@ class ControlLoop:
         gc.collect()
         gc.freeze()  # what was made until now stays; the collector need not look at it in a tick
         async with asyncio.TaskGroup() as group:
-            links = (self._autopilot.receive(), self._autopilot.keep_in_touch(), self._autopilot.keep_streams())
-            tasks = [group.create_task(link) for link in links]
+            links = (self._autopilot.receive, self._autopilot.keep_in_touch, self._autopilot.keep_streams)
+            tasks = [group.create_task(job()) for job in (*links, *beside)]
             await self._tick_until_done(give_up_s=time.monotonic() + wait_s)
             for task in tasks:
                 task.cancel()

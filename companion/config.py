@@ -245,6 +245,7 @@ class VehicleConfig(_Base, frozen=True):
     `mavlink`: "udpin:HOST:PORT" (listen), "tcp:HOST:PORT" (connect) or "serial:DEVICE:BAUD".
     `fleet`: path of the fleet file, relative to this file.
     `autopilot`: whose manners it must have; where it is left out its HEARTBEAT says so.
+    `ground_station`: "udpout:HOST:PORT", where the autopilot's MAVLink is passed on to.
     """
 
     id: VehicleId
@@ -261,6 +262,9 @@ class VehicleConfig(_Base, frozen=True):
     zenoh: ZenohEndpoints = ZenohEndpoints()
     reference: Reference | None = None
     signing: Signing | None = None
+    ground_station: Annotated[
+        str, Meta(pattern="^udpout:.+:[0-9]{1,9}$", description="udpout:HOST:PORT, like udpout:192.168.1.50:14550")
+    ] = ""
 
 
 # ---------------------------------------------------------------- what no single field can say

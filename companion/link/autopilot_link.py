@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import NoReturn
 
 from companion.link.mavlink_link import open_link
@@ -57,7 +57,8 @@ class AutopilotLink:
         self._heard = asyncio.Event()
         self._there = (
             asyncio.Event()
-        )  # heard, or signed rightly with an old stamp: it has yet to learn the time from us
+        )  # heard, or rightly signed with an old stamp: it has yet to learn the time from us
+        self._pass_on: Callable[[Sequence[bytes]], None] | None = None
         self._link = open_link(endpoint, self._bytes_arrived)
 
     @property
@@ -78,6 +79,14 @@ class AutopilotLink:
     def request(self, requests: Iterable[AutopilotRequest]) -> None:
         for request in requests:
             self._link.send(self._translator.request(request))
+
+    def pass_on_to(self, listener: Callable[[Sequence[bytes]], None]) -> None:
+        """Give the packets that come, as they came, to one more listener."""
+        self._pass_on = listener
+
+    def offer(self, packet: bytes) -> bool:
+        """A packet of somebody else; it goes out only where it delays nothing. False: not now."""
+        return self._link.offer(packet)
 
     async def receive(self) -> None:
         """Until cancelled."""
@@ -150,4 +159,6 @@ class AutopilotLink:
                 self._position_arrived()
             elif isinstance(sample, HeartbeatSample):
                 self._heard.set()
+        if self._pass_on and self.heard:
+            self._pass_on(self._translator.packets)
         return is_autopilots

@@ -20,6 +20,9 @@ class MavlinkLink(Protocol):
     def send(self, data: bytes) -> None:
         """Hand one message to the operating system, now or never. Never raises, never blocks."""
 
+    def offer(self, data: bytes) -> bool:
+        """Like `send`, but for what may wait: only while hardly anything is under way. False: not now."""
+
     async def run(self) -> None:
         """Receive until cancelled; a lost connection is made again."""
 

@@ -23,6 +23,7 @@ from companion.link.endpoint import LinkError, Received, check_host, explain
 READ_BYTES = 65536
 RECONNECT_FIRST_S, RECONNECT_MAX_S = 0.2, 2.0
 BACKLOG_BYTES = 1024  # what the kernel may hold back: a third of a second of setpoints
+IDLE_BYTES = 128  # two setpoints that TCP has not seen confirmed yet; a serial line is rid of them in 1.4 ms at 921600
 SILENT_PEER_MS = 5000  # a TCP peer that confirms nothing for so long is gone
 
 _log = logging.getLogger(__name__)
@@ -64,6 +65,18 @@ class StreamLink:
                 self._write(data)
         except OSError as error:
             self._lose(error.strerror or str(error))
+
+    def offer(self, data: bytes) -> bool:
+        if not self._stream or self._rest:
+            return False
+        try:
+            if _waiting_bytes(self._stream.fd) > IDLE_BYTES:
+                return False
+            self._write(data)
+        except OSError as error:
+            self._lose(error.strerror or str(error))
+            return False
+        return True
 
     async def run(self) -> None:
         delay_s = RECONNECT_FIRST_S

@@ -41,6 +41,10 @@ class UdpLink:
             with contextlib.suppress(OSError):
                 self._socket.sendto(data, self._autopilot)
 
+    def offer(self, data: bytes) -> bool:
+        self.send(data)
+        return self._autopilot is not None
+
     async def run(self) -> None:
         loop = asyncio.get_running_loop()
         loop.add_reader(self._socket, self._readable)

@@ -29,16 +29,18 @@ class MavlinkCodec:
         self._mav = self._signed or mavlink.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
         self._mav.robust_parsing = True
         self.refused: Counter[str] = Counter()
+        self.packets: list[bytes] = []  # of the last `decode`, as they came: all that was not refused
 
     def decode(self, data: bytes) -> list[MavlinkMessage]:
         """All whole messages in `data` (and in what was left from before), in their order; unknown ones are left out."""
         good = []
+        self.packets = []
         for message in self._mav.parse_buffer(data) or []:
             if message.get_type() == "BAD_DATA":
                 self.refused[message.reason if message.reason in REASONS else UNREADABLE] += 1
-            elif (
-                message.get_msgId() != mavlink.MAVLINK_MSG_ID_UNKNOWN
-            ):  # whose checksum and signature nobody has checked
+                continue
+            self.packets.append(bytes(message.get_msgbuf()))
+            if message.get_msgId() != mavlink.MAVLINK_MSG_ID_UNKNOWN:  # nobody has checked its checksum or signature
                 good.append(message)
         return good
 

@@ -43,6 +43,11 @@ class Manners(Protocol):
 
 MANNERS: dict[AutopilotKind, Manners] = {AutopilotKind.PX4: px4}
 
+# The messages whose rate is the agent's to choose, whatever autopilot it is.
+AGENTS_STREAMS = frozenset(
+    message_id for manners in MANNERS.values() for message_id, period_us in manners.STREAMS_US.items() if period_us > 0
+)
+
 
 def kind_of(heartbeat: MavlinkMessage) -> AutopilotKind | None:
     """Whose HEARTBEAT this is; None where no manners are known for it."""

@@ -58,6 +58,11 @@ class Translator:
             self._codec.refused.clear()
         return samples
 
+    @property
+    def packets(self) -> list[bytes]:
+        """What the last bytes brought that was not refused, as it came: of other systems and components, too."""
+        return self._codec.packets
+
     def _samples(self, message: MavlinkMessage, received_s: float) -> list[Telemetry]:
         match message.get_type():
             case "LOCAL_POSITION_NED":
@@ -77,6 +82,8 @@ class Translator:
             case "GPS_GLOBAL_ORIGIN":
                 return [telemetry.origin(message, received_s)]
             case "COMMAND_ACK":
+                if message.target_system not in (0, self._system_id):
+                    return []  # to a ground station on the same link
                 return [telemetry.acknowledgement(message, received_s)]
             case "STATUSTEXT":
                 text = self._texts.add(message, received_s)

@@ -31,6 +31,7 @@ class HoveringAutopilot:
     mode: tuple[int, int] = LOITER
     key: SigningKey | None = None
     target_times_s: list[float] = field(default_factory=list)
+    thrusts: list[float] = field(default_factory=list)  # of the setpoints at those times
     received: list[MavlinkMessage] = field(default_factory=list)  # all but SET_ATTITUDE_TARGET
 
     def __post_init__(self) -> None:
@@ -99,6 +100,7 @@ class HoveringAutopilot:
     def _take(self, message: MavlinkMessage) -> None:
         if message.get_type() == "SET_ATTITUDE_TARGET":
             self.target_times_s.append(time.monotonic())
+            self.thrusts.append(message.thrust)
             return
         self.received.append(message)
         is_mode = message.get_type() == "COMMAND_LONG" and message.command == mavlink.MAV_CMD_DO_SET_MODE

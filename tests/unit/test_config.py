@@ -111,6 +111,7 @@ def test_a_bad_fleet_file(tmp_path: Path, change: Callable[[Any], Any], parts: l
         ({"hover_thrust_norm": 49}, ["hover_thrust_norm", "49", "<= 0.9"]),
         ({"fleet": "nowhere.yaml"}, ["vehicle.yaml: fleet:", '"nowhere.yaml": no such file', "relative to"]),
         ({"hover_trust_norm": 0.4}, ["hover_trust_norm", "unknown key", "hover_thrust_norm"]),
+        ({"ground_station": "udpin:0.0.0.0:1"}, ["ground_station: 'udpin:0.0.0.0:1': expected udpout:HOST:PORT"]),
         ({"signing": {}}, ["signing", "expected one of key_file and credential"]),
         ({"signing": {"key_file": "a", "credential": "b"}}, ["signing", "expected one of key_file and credential"]),
         ({"signing": {"credential": "../a"}}, ["signing.credential", "'../a'"]),

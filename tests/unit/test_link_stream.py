@@ -168,6 +168,33 @@ def test_a_serial_line_that_takes_nothing_blocks_nobody(tmp_path: Path) -> None:
     asyncio.run(scenario())
 
 
+def test_what_may_wait_is_taken_only_while_the_line_is_free(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        other_end = terminal(tmp_path / "ttyAutopilot")
+        link = StreamLink(SerialLine(str(tmp_path / "ttyAutopilot"), 57600), Received())
+        assert not link.offer(b"not open yet")
+        task = asyncio.create_task(link.run())
+        await asyncio.sleep(0.05)
+        assert link.offer(b"packet")
+        for _ in range(5000):
+            link.send(b"x" * 51)
+        assert not link.offer(b"not now")
+        took = b""
+        async with asyncio.timeout(10.0):
+            while some := read_some(other_end):
+                took += some
+                await asyncio.sleep(0.01)
+            while not link.offer(b"again"):
+                await asyncio.sleep(0.01)
+        assert took.startswith(b"packet")
+        assert b"not" not in took
+        task.cancel()
+        await asyncio.wait([task])
+        os.close(other_end)
+
+    asyncio.run(scenario())
+
+
 def test_a_serial_device_belongs_to_one_program(tmp_path: Path) -> None:
     other_end = terminal(tmp_path / "ttyAutopilot")
     first = SerialLine(str(tmp_path / "ttyAutopilot"), 57600)

@@ -78,6 +78,14 @@ def test_what_is_not_signed_rightly_is_refused_with_its_reason(packet: bytes, re
     assert len(ours.decode(codec(7, Clock()).encode(BEAT))) == 1  # and the next good one is heard
 
 
+def test_what_is_passed_on_is_what_was_not_refused_as_it_came() -> None:
+    ours, good = codec(1, Clock()), codec(7, Clock()).encode(BEAT)
+    ours.decode(MavlinkCodec(7, 1).encode(BEAT) + good)
+    assert ours.packets == [good]
+    ours.decode(b"")
+    assert ours.packets == []
+
+
 def test_a_changed_bit_anywhere_is_refused() -> None:
     packet = codec(7, Clock()).encode(BEAT)
     for at in range(len(packet)):

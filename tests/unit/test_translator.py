@@ -196,3 +196,12 @@ def test_no_damaged_message_raises(data: st.DataObject) -> None:
     for _ in range(data.draw(st.integers(1, 5))):
         good[data.draw(st.integers(0, len(good) - 1))] = data.draw(st.integers(0, 255))
     Translator(3, AutopilotKind.PX4).telemetry(bytes(good), 1.0)
+
+
+def test_an_answer_to_a_ground_station_on_the_same_link_is_not_ours() -> None:
+    def ack(to_system: int) -> bytes:
+        return from_autopilot(mavlink.MAVLink_command_ack_message(mavlink.MAV_CMD_DO_SET_MODE, 4, 0, 0, to_system, 0))
+
+    translator = Translator(3, AutopilotKind.PX4)
+    assert translator.telemetry(ack(255), 1.0) == []
+    assert len(translator.telemetry(ack(3) + ack(0), 1.0)) == 2
