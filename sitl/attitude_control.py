@@ -1,8 +1,4 @@
-"""Attitude setpoint -> moments: the cascade of PX4's attitude and rate loops, tuned to its measured step response.
-
-A roll step of 10 degrees passes 10, 50 and 90 % at 117, 198 and 278 ms and overshoots by 1.5 degrees; a yaw step of 60 degrees
-passes 90 % at 0.81 s and turns at 109 deg/s at most.
-"""
+"""Attitude setpoint -> moments: a cascade of attitude and rate loops, tuned to the measured step responses of an autopilot."""
 
 from __future__ import annotations
 
@@ -13,14 +9,31 @@ from math import radians, sqrt
 from companion.frames import Quaternion
 from companion.types import Vector3
 
-# Fitted together with motors that lag by 50 ms.
-TILT_GAIN_1_S = 6.5  # MC_ROLL_P and MC_PITCH_P
-YAW_GAIN_1_S = 2.5
-RATE_GAIN_1_S = 12.5
-YAW_RATE_GAIN_1_S = 7.5
-DELAY_S = 0.028  # of the attitude on its way through PX4's loops and filters
-MAX_RATE_RAD_S = radians(220.0)  # MC_ROLLRATE_MAX, MC_PITCHRATE_MAX
-MAX_YAW_RATE_RAD_S = radians(109.0)
+
+@dataclass(frozen=True, slots=True)
+class Loops:
+    """Gains and limits of both loops, and how late an attitude comes through them. Fitted with motors that lag by 50 ms."""
+
+    tilt_gain_1_s: float
+    yaw_gain_1_s: float
+    rate_gain_1_s: float
+    yaw_rate_gain_1_s: float
+    delay_s: float
+    max_rate_rad_s: float
+    max_yaw_rate_rad_s: float
+
+
+# A roll step of 10 degrees passes 10, 50 and 90 % at 117, 198 and 278 ms and overshoots by 1.5 degrees; a yaw step of 60
+# degrees passes 90 % at 0.81 s and turns at 109 deg/s at most. The gains are MC_ROLL_P and its like.
+PX4_LOOPS = Loops(
+    tilt_gain_1_s=6.5,
+    yaw_gain_1_s=2.5,
+    rate_gain_1_s=12.5,
+    yaw_rate_gain_1_s=7.5,
+    delay_s=0.028,
+    max_rate_rad_s=radians(220.0),
+    max_yaw_rate_rad_s=radians(109.0),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,41 +50,41 @@ class Setpoint:
 
 
 class DelayLine:
-    """Hands a setpoint on after DELAY_S of steps of `dt_s`."""
+    """Hands a setpoint on after `delay_s` of steps of `dt_s`."""
 
-    def __init__(self, first: Setpoint, dt_s: float) -> None:
-        self._line = deque([first] * max(1, round(DELAY_S / dt_s)))
+    def __init__(self, first: Setpoint, delay_s: float, dt_s: float) -> None:
+        self._line = deque([first] * max(1, round(delay_s / dt_s)))
 
     def pass_on(self, setpoint: Setpoint) -> Setpoint:
         self._line.append(setpoint)
         return self._line.popleft()
 
 
-def wanted_rates(setpoint: Setpoint, measured: Quaternion) -> Vector3:
+def wanted_rates(loops: Loops, setpoint: Setpoint, measured: Quaternion) -> Vector3:
     """Body rates p, q, r [rad/s] that turn the measured attitude towards the setpoint's the short way."""
     if setpoint.rates_rad_s is not None:
         p, q, r = setpoint.rates_rad_s
     else:
         ex, ey, ez = rotation_error(measured, setpoint.quaternion)
-        p, q, r = TILT_GAIN_1_S * ex, TILT_GAIN_1_S * ey, YAW_GAIN_1_S * ez
+        p, q, r = loops.tilt_gain_1_s * ex, loops.tilt_gain_1_s * ey, loops.yaw_gain_1_s * ez
         if setpoint.yaw_rate_rad_s:
             w, x, y, z = measured
             p += setpoint.yaw_rate_rad_s * 2.0 * (x * z - w * y)
             q += setpoint.yaw_rate_rad_s * 2.0 * (y * z + w * x)
             r += setpoint.yaw_rate_rad_s * (1.0 - 2.0 * (x * x + y * y))
     return (
-        _clamped(p, MAX_RATE_RAD_S),
-        _clamped(q, MAX_RATE_RAD_S),
-        _clamped(r, MAX_YAW_RATE_RAD_S),
+        _clamped(p, loops.max_rate_rad_s),
+        _clamped(q, loops.max_rate_rad_s),
+        _clamped(r, loops.max_yaw_rate_rad_s),
     )
 
 
-def moments(rates_wanted: Vector3, rates: Vector3, inertia_kg_m2: Vector3) -> Vector3:
+def moments(loops: Loops, rates_wanted: Vector3, rates: Vector3, inertia_kg_m2: Vector3) -> Vector3:
     """Moments [N m] about the body axes."""
     return (
-        inertia_kg_m2[0] * RATE_GAIN_1_S * (rates_wanted[0] - rates[0]),
-        inertia_kg_m2[1] * RATE_GAIN_1_S * (rates_wanted[1] - rates[1]),
-        inertia_kg_m2[2] * YAW_RATE_GAIN_1_S * (rates_wanted[2] - rates[2]),
+        inertia_kg_m2[0] * loops.rate_gain_1_s * (rates_wanted[0] - rates[0]),
+        inertia_kg_m2[1] * loops.rate_gain_1_s * (rates_wanted[1] - rates[1]),
+        inertia_kg_m2[2] * loops.yaw_rate_gain_1_s * (rates_wanted[2] - rates[2]),
     )
 
 

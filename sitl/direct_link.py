@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import struct
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 from companion.frames import quaternion_from_euler
-from companion.mavlink import telemetry
-from companion.mavlink.codec import MavlinkCodec, mavlink
+from companion.mavlink.codec import mavlink
 from companion.mavlink.manners import MANNERS
 from companion.mavlink.translator import Translator
 from companion.types import (
@@ -20,6 +19,7 @@ from companion.types import (
     AttitudeTarget,
     AutopilotKind,
     AutopilotRequest,
+    HeartbeatSample,
     LandedSample,
     LandedState,
     ModeSample,
@@ -27,48 +27,45 @@ from companion.types import (
     Telemetry,
 )
 from sitl.attitude_control import Setpoint
+from sitl.autopilot import Autopilot
 from sitl.config import Links
-from sitl.px4 import Px4
-from sitl.px4_commands import Receiver
-from sitl.px4_link import Schedule
-from sitl.px4_messages import heartbeat
-from sitl.px4_modes import Mode
+from sitl.link_end import LinkEnd
 
 M = mavlink
-KIND = AutopilotKind.PX4
-# What the agent hears of, at the rates that it asks for.
-RATES_HZ = {M.MAVLINK_MSG_ID_HEARTBEAT: 1.0} | {
-    message_id: 1e6 / period_us for message_id, period_us in MANNERS[KIND].STREAMS_US.items() if period_us > 0
-}
-_MODES = {mode: MANNERS[KIND].mode_of(mode.custom_mode) for mode in Mode}
 _FLOATS = struct.Struct("<6f")  # MAVLink's floats have 32 bits: micrometres, where a vehicle is 10 m away
 
 
-def _heartbeat(px4: Px4, received_s: float) -> tuple[Telemetry, ...]:
-    return (telemetry.heartbeat(heartbeat(px4), KIND, received_s), *_mode(px4, received_s))
+def rates_hz(kind: AutopilotKind) -> dict[int, float]:
+    """What the agent hears of, at the rates that it asks for."""
+    asked = {message_id: 1e6 / us for message_id, us in MANNERS[kind].STREAMS_US.items() if us > 0}
+    return {M.MAVLINK_MSG_ID_HEARTBEAT: 1.0} | asked
 
 
-def _mode(px4: Px4, received_s: float) -> tuple[Telemetry, ...]:
-    return (ModeSample(received_s, *_MODES[px4.mode]),)
+def _heartbeat(autopilot: Autopilot, received_s: float) -> tuple[Telemetry, ...]:
+    return (HeartbeatSample(received_s, autopilot.armed, autopilot.kind), *_mode(autopilot, received_s))
 
 
-def _position(px4: Px4, received_s: float) -> tuple[Telemetry, ...]:
+def _mode(autopilot: Autopilot, received_s: float) -> tuple[Telemetry, ...]:
+    return (ModeSample(received_s, *MANNERS[autopilot.kind].mode_of(autopilot.flight_mode.custom_mode)),)
+
+
+def _position(autopilot: Autopilot, received_s: float) -> tuple[Telemetry, ...]:
     x, y, z, vx, vy, vz = _FLOATS.unpack(
-        _FLOATS.pack(*px4.quad.estimated_position_local_enu_m(), *px4.quad.estimated_velocity_enu_m_s())
+        _FLOATS.pack(*autopilot.quad.estimated_position_local_enu_m(), *autopilot.quad.estimated_velocity_enu_m_s())
     )
-    return (PositionSample(received_s, px4.boot_ms / 1000.0, (x, y, z), (vx, vy, vz)),)
+    return (PositionSample(received_s, autopilot.boot_ms / 1000.0, (x, y, z), (vx, vy, vz)),)
 
 
-def _attitude(px4: Px4, received_s: float) -> tuple[Telemetry, ...]:
+def _attitude(autopilot: Autopilot, received_s: float) -> tuple[Telemetry, ...]:
     """Not by way of a 32 bit quaternion, which would change it by less than a microradian."""
-    return (AttitudeSample(received_s, *px4.quad.estimated_euler_rad()),)
+    return (AttitudeSample(received_s, *autopilot.quad.estimated_euler_rad()),)
 
 
-def _landed(px4: Px4, received_s: float) -> tuple[Telemetry, ...]:
-    return (LandedSample(received_s, LandedState(px4.landed_state)),)
+def _landed(autopilot: Autopilot, received_s: float) -> tuple[Telemetry, ...]:
+    return (LandedSample(received_s, LandedState(autopilot.landed_state)),)
 
 
-SAMPLES: dict[int, Callable[[Px4, float], tuple[Telemetry, ...]]] = {
+SAMPLES: dict[int, Callable[[Autopilot, float], tuple[Telemetry, ...]]] = {
     M.MAVLINK_MSG_ID_HEARTBEAT: _heartbeat,
     M.MAVLINK_MSG_ID_CURRENT_MODE: _mode,
     M.MAVLINK_MSG_ID_LOCAL_POSITION_NED: _position,
@@ -85,15 +82,13 @@ def setpoint_of(target: AttitudeTarget) -> Setpoint:
 class DirectLink:
     """Times are of the world's clock. Telemetry begins at `phase_s`."""
 
-    def __init__(self, px4: Px4, links: Links, phase_s: float) -> None:
-        self.px4 = px4
+    def __init__(self, autopilot: Autopilot, end: LinkEnd, links: Links, phase_s: float) -> None:
+        self.autopilot = autopilot
         self._telemetry_delay_s = links.telemetry_delay_s
         self._setpoint_delay_s = links.setpoint_delay_s
-        self._schedule = Schedule(RATES_HZ)
-        self._schedule.reset(RATES_HZ, phase_s)
-        self._receiver = Receiver(px4, self._schedule)
-        self._translator = Translator(px4.system_id, KIND)
-        self._autopilot_codec = MavlinkCodec(px4.system_id, mavlink.MAV_COMP_ID_AUTOPILOT1)
+        self._end = end
+        end.schedule.reset(rates_hz(autopilot.kind), phase_s)
+        self._translator = Translator(autopilot.system_id, autopilot.kind)
         self._to_agent: deque[Telemetry] = deque()  # in the order of `received_s`
         self._positions_s: deque[float] = deque()  # when those among them arrive
         self._to_autopilot: deque[tuple[float, Setpoint | bytes]] = deque()
@@ -105,26 +100,26 @@ class DirectLink:
         while self._to_autopilot and self._to_autopilot[0][0] <= now_s:
             _, what = self._to_autopilot.popleft()
             if isinstance(what, Setpoint):
-                self.px4.offboard_setpoint(what)
+                self.autopilot.take_setpoint(what)
             else:
-                self._answer(what, now_s)
+                self._say(self._end.receive(what), now_s)
 
     def tell(self, now_s: float) -> None:
-        """Send the telemetry that is due."""
-        due = self._schedule.due(now_s)
+        """Send the texts and the telemetry that are due."""
+        if self.autopilot.texts:
+            self._say(self._end.texts(), now_s)
+        due = self._end.schedule.due(now_s)
         if not due:
             return
         received_s = now_s + self._telemetry_delay_s
         for message_id in due:
-            self._to_agent.extend(SAMPLES[message_id](self.px4, received_s))
+            self._to_agent.extend(SAMPLES[message_id](self.autopilot, received_s))
             if message_id == M.MAVLINK_MSG_ID_LOCAL_POSITION_NED:
                 self._positions_s.append(received_s)
 
-    def _answer(self, data: bytes, now_s: float) -> None:
-        for message in self._autopilot_codec.decode(data):
-            for answer in self._receiver.receive(message):
-                told = self._autopilot_codec.encode(answer)
-                self._to_agent.extend(self._translator.telemetry(told, now_s + self._telemetry_delay_s))
+    def _say(self, packets: Iterator[bytes], now_s: float) -> None:
+        for packet in packets:
+            self._to_agent.extend(self._translator.telemetry(packet, now_s + self._telemetry_delay_s))
 
     # ------------------------------------------------------------ the agent's end
 

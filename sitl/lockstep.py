@@ -9,9 +9,9 @@ from companion.config import AgentConfig
 from companion.core.agent import Agent
 from companion.types import Command, CommandName, CommandReply, Inbox, Lead
 from companion.wire.ground import Percentiles, StatusReport, Timing
+from sitl.autopilot import DT_S
 from sitl.fleet import autopilot_file, ids_of, vehicle_file
 from sitl.network import Network
-from sitl.px4 import DT_S
 from sitl.scenario import Scenario
 from sitl.world import StandIn, World
 

@@ -1,43 +1,80 @@
-"""How the stand-in flies its own modes: hold, take-off, landing, return, and a manual mode that nobody flies.
+"""How a stand-in flies by itself: hold, take-off, landing, return, and a manual mode that nobody flies.
 
-Everything here goes by the estimate.
+Everything here goes by the estimate. What is asked and how fast it goes is the business of each autopilot's manners.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum, auto
 from math import hypot, isfinite, radians, tan
 
 from companion.frames import enu_from_geodetic, quaternion_from_euler, wrap_pi
 from companion.types import GRAVITY_M_S2, Vector3
 from sitl.attitude_control import Setpoint
 from sitl.position_control import PositionControl
-from sitl.px4_modes import NEED_A_PILOT, Mode
-from sitl.px4_parameters import Parameters
-from sitl.px4_setpoints import Course
 from sitl.quadrotor import Quadrotor
+from sitl.setpoints import Course
 
-SINK_M_S = 0.85  # of a manual mode without a pilot; 0.7 to 1.0 was measured
 SINK_GAIN_1_S = 6.0
 DRIFT_TILT_RAD = radians(0.6)  # level is never quite level, so it drifts
 TAKEN_OFF_WITHIN_M, HOME_WITHIN_M, RETURN_HEIGHT_WITHIN_M = 0.1, 0.5, 0.5
-LANDING_SLOWS_M = (10.0, 5.0)  # MPC_LAND_ALT1 and MPC_LAND_ALT2 above home
 FAR_DOWN_M = 100.0
 
 
-class OwnFlight:
-    """One vehicle's own modes. `enter` begins one, `setpoint` is due every `dt_s` while it flies it."""
+class Task(Enum):
+    """What a flight mode asks of the vehicle."""
 
-    def __init__(self, quad: Quadrotor, parameters: Parameters, hover_thrust_norm: float) -> None:
+    HOLD = auto()
+    TAKE_OFF = auto()
+    LAND = auto()
+    RETURN = auto()
+    SINK = auto()  # a manual mode without a pilot
+
+
+@dataclass(frozen=True, slots=True)
+class Speeds:
+    """How fast and how high, out of an autopilot's parameters. Heights are above home.
+
+    Landing goes at `land_m_s` below the lower of `landing_slows_m` and at `descend_m_s` above the higher. A return within
+    `return_near_m` of home climbs only as high as a cone of `return_cone_deg` above it.
+    """
+
+    level_m_s: float
+    climb_m_s: float
+    take_off_m_s: float
+    land_m_s: float
+    descend_m_s: float
+    landing_slows_m: tuple[float, float]
+    sink_m_s: float
+    take_off_height_m: float
+    return_height_m: float
+    return_near_m: float
+    return_cone_deg: float
+
+
+class OwnFlight:
+    """One vehicle's own tasks. `enter` begins one, `setpoint` is due every `dt_s` while it flies it.
+
+    `speeds` is asked whenever they matter, for parameters may change in flight.
+    """
+
+    def __init__(
+        self, quad: Quadrotor, speeds: Callable[[], Speeds], hover_thrust_norm: float, braking_m_s2: float
+    ) -> None:
         self._quad = quad
-        self._parameters = parameters
+        self._speeds = speeds
         self._hover_thrust_norm = hover_thrust_norm
-        self._control = PositionControl(hover_thrust_norm)
+        self._control = PositionControl(hover_thrust_norm, braking_m_s2)
+        self._task = Task.HOLD
         self._home: Vector3 = quad.origin
         self._return_height_m = 0.0
         self._going_home = self._landing = False
 
-    def enter(self, mode: Mode, home_deg_deg_m: Vector3, takeoff_altitude_amsl_m: float | None) -> None:
-        """Begin to fly this mode from here; where there is no take-off altitude, MIS_TAKEOFF_ALT says how high."""
+    def enter(self, task: Task, home_deg_deg_m: Vector3, takeoff_altitude_amsl_m: float | None) -> None:
+        """Begin this task from here; where there is no take-off altitude, the speeds say how high."""
+        self._task = task
         self._home = home_deg_deg_m
         self._going_home = self._landing = False
         self._control.stop(
@@ -45,13 +82,14 @@ class OwnFlight:
             self._quad.estimated_velocity_enu_m_s(),
             self._quad.estimated_euler_rad()[2],
         )
-        self._set_speeds(self._parameters["MPC_XY_CRUISE"], self._parameters["MPC_Z_V_AUTO_UP"])
-        if mode is Mode.TAKEOFF:
-            self._climb_to(takeoff_altitude_amsl_m)
-        elif mode is Mode.LAND:
+        speeds = self._speeds()
+        self._set_speeds(speeds.level_m_s, speeds.climb_m_s)
+        if task is Task.TAKE_OFF:
+            self._climb_to(takeoff_altitude_amsl_m, speeds)
+        elif task is Task.LAND:
             self._landing = True
-        elif mode is Mode.RTL:
-            self._return()
+        elif task is Task.RETURN:
+            self._return(speeds)
 
     def forget_wind(self) -> None:
         """A new flight: what the last one leant against is over."""
@@ -70,7 +108,7 @@ class OwnFlight:
             self._control.yaw_rad = yaw_rad
 
     def follow(self, course: Course, dt_s: float) -> Setpoint:
-        """OFFBOARD with places or velocities. An axis for which neither is given stays where it is."""
+        """Places or velocities from outside. An axis for which neither is given stays where it is."""
         for axis, position, velocity in zip(self._control.axes, course.position_m, course.velocity_m_s, strict=True):
             if isfinite(position):
                 axis.goal_m, axis.goal_m_s = position, None
@@ -85,12 +123,12 @@ class OwnFlight:
         """The local frame was re-based; goals stay where they are in the world."""
         self._control.shift(offset_m)
 
-    def setpoint(self, mode: Mode, dt_s: float) -> Setpoint:
-        """Attitude and thrust for this step."""
+    def setpoint(self, dt_s: float) -> Setpoint:
+        """Attitude and thrust for this step of the task."""
         position = self._quad.estimated_position_local_enu_m()
-        if mode in NEED_A_PILOT:
+        if self._task is Task.SINK:
             return self._sink(self._quad.estimated_velocity_enu_m_s()[2], self._quad.estimated_euler_rad()[2])
-        if mode is Mode.RTL and not self._landing:
+        if self._task is Task.RETURN and not self._landing:
             self._follow_return(position)
         if self._landing:
             self._descend(position[2])
@@ -105,7 +143,7 @@ class OwnFlight:
         )
 
     def _sink(self, climb_m_s: float, yaw_rad: float) -> Setpoint:
-        lift = 1.0 + SINK_GAIN_1_S * (-SINK_M_S - climb_m_s) / GRAVITY_M_S2
+        lift = 1.0 + SINK_GAIN_1_S * (-self._speeds().sink_m_s - climb_m_s) / GRAVITY_M_S2
         level = quaternion_from_euler(0.0, DRIFT_TILT_RAD, yaw_rad)
         return Setpoint(level, self._hover_thrust_norm * min(max(lift, 0.3), 1.7))
 
@@ -114,24 +152,24 @@ class OwnFlight:
         for axis, speed in zip(self._control.axes, (level_m_s, level_m_s, climb_m_s), strict=True):
             axis.max_speed_m_s = min(max(speed, 0.1), 20.0)
 
-    def _climb_to(self, altitude_amsl_m: float | None) -> None:
+    def _climb_to(self, altitude_amsl_m: float | None, speeds: Speeds) -> None:
         up = self._control.axes[2]
-        height = self._parameters["MIS_TAKEOFF_ALT"]
+        height = speeds.take_off_height_m
         top = up.goal_m + height if altitude_amsl_m is None else altitude_amsl_m - self._quad.origin[2]
-        self._set_speeds(self._parameters["MPC_XY_CRUISE"], self._parameters["MPC_TKO_SPEED"])
+        self._set_speeds(speeds.level_m_s, speeds.take_off_m_s)
         up.goal_m = max(top, up.goal_m)
 
     def _home_local(self) -> Vector3:
         return enu_from_geodetic(*self._home, self._quad.origin)
 
-    def _return(self) -> None:
-        """Climb first, to RTL_RETURN_ALT above home; near home only as high as a cone of RTL_CONE_ANG above it."""
+    def _return(self, speeds: Speeds) -> None:
+        """Climb first, near home only as high as the cone."""
         x, y, z = self._quad.estimated_position_local_enu_m()
         home_x, home_y, home_z = self._home_local()
         distance = hypot(x - home_x, y - home_y)
-        height = self._parameters["RTL_RETURN_ALT"]
-        if distance < self._parameters["RTL_MIN_DIST"]:
-            half_angle = radians(min(max(self._parameters["RTL_CONE_ANG"], 1.0), 89.0))
+        height = speeds.return_height_m
+        if distance < speeds.return_near_m:
+            half_angle = radians(min(max(speeds.return_cone_deg, 1.0), 89.0))
             height = min(height, distance / tan(half_angle))
         self._return_height_m = self._control.axes[2].goal_m = max(z, home_z + height)
 
@@ -144,9 +182,10 @@ class OwnFlight:
         self._landing = self._going_home and hypot(x - home_x, y - home_y) < HOME_WITHIN_M
 
     def _descend(self, z_m: float) -> None:
-        """MPC_LAND_SPEED near the ground, MPC_Z_V_AUTO_DN high above it."""
-        slow, fast = self._parameters["MPC_LAND_SPEED"], self._parameters["MPC_Z_V_AUTO_DN"]
-        high, low = LANDING_SLOWS_M
+        """Slowly near the ground."""
+        speeds = self._speeds()
+        slow, fast = speeds.land_m_s, speeds.descend_m_s
+        low, high = speeds.landing_slows_m
         share = min(max((z_m - self._home_local()[2] - low) / (high - low), 0.0), 1.0)
         up = self._control.axes[2]
         up.max_speed_m_s = min(max(slow + share * (fast - slow), 0.1), 10.0)

@@ -19,7 +19,7 @@ CLIMB_GAINS = (4.0, 3.6, 0.4)
 MAX_INTEGRAL_M_S2 = 5.5  # what MAX_TILT_RAD can hold against
 MAX_ERROR_M = 2.0  # a vehicle that is held back does not build up more than this
 MAX_TILT_RAD = radians(30.0)
-ACCELERATION_M_S2, BRAKING_M_S2 = 2.0, 1.5
+ACCELERATION_M_S2 = 2.0
 MIN_LIFT_RATIO, MAX_LIFT_RATIO = 0.3, 1.7  # vertical thrust over weight
 
 
@@ -28,6 +28,7 @@ class Axis:
     """One axis: the target on its way to the goal, and the loop that follows it."""
 
     gains: tuple[float, float, float]
+    braking_m_s2: float
     goal_m: float = 0.0
     goal_m_s: float | None = None  # instead of a place: this speed
     max_speed_m_s: float = inf
@@ -37,7 +38,7 @@ class Axis:
 
     def stop_from(self, position_m: float, velocity_m_s: float) -> None:
         """Brake, and stay where that ends. The integral stays as well: the wind is still the same."""
-        self.goal_m = position_m + velocity_m_s * abs(velocity_m_s) / (2.0 * BRAKING_M_S2)
+        self.goal_m = position_m + velocity_m_s * abs(velocity_m_s) / (2.0 * self.braking_m_s2)
         self.goal_m_s = None
         self.target_m, self.target_m_s = position_m, velocity_m_s
 
@@ -61,7 +62,7 @@ class Axis:
             self.target_m, self.target_m_s = self.goal_m, 0.0
             return 0.0
         else:
-            wanted = copysign(min(self.max_speed_m_s, sqrt(2.0 * BRAKING_M_S2 * abs(left))), left)
+            wanted = copysign(min(self.max_speed_m_s, sqrt(2.0 * self.braking_m_s2 * abs(left))), left)
         most = ACCELERATION_M_S2 * dt_s
         self.target_m_s = before + min(max(wanted - before, -most), most)
         self.target_m += self.target_m_s * dt_s
@@ -71,9 +72,9 @@ class Axis:
 class PositionControl:
     """Three axes in the local ENU frame and a heading. `axes` may be told other goals and speeds at any time."""
 
-    def __init__(self, hover_thrust_norm: float) -> None:
+    def __init__(self, hover_thrust_norm: float, braking_m_s2: float) -> None:
         self._hover_thrust_norm = hover_thrust_norm
-        self.axes = (Axis(LEVEL_GAINS), Axis(LEVEL_GAINS), Axis(CLIMB_GAINS))
+        self.axes = (Axis(LEVEL_GAINS, braking_m_s2), Axis(LEVEL_GAINS, braking_m_s2), Axis(CLIMB_GAINS, braking_m_s2))
         self.yaw_rad = 0.0
 
     def stop(self, position_m: Vector3, velocity_m_s: Vector3, yaw_rad: float) -> None:

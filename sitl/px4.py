@@ -5,76 +5,56 @@
 
 from __future__ import annotations
 
-from companion.frames import enu_from_geodetic, euler_from_quaternion, geodetic_from_enu
-from companion.types import Vector3
-from sitl.attitude_control import Setpoint
+from companion.types import AutopilotKind, Vector3
+from sitl.attitude_control import PX4_LOOPS, Setpoint
+from sitl.autopilot import CRITICAL, IDLE_THRUST_NORM, INFO, Autopilot
 from sitl.config import AutopilotFile
-from sitl.own_flight import OwnFlight
-from sitl.px4_messages import LANDED_IN_AIR, LANDED_LANDING, LANDED_ON_GROUND, LANDED_TAKEOFF
+from sitl.ground_contact import Contact
+from sitl.messages import LANDED_IN_AIR, LANDED_LANDING, LANDED_ON_GROUND, LANDED_TAKEOFF
+from sitl.own_flight import Speeds
 from sitl.px4_modes import GROUND_STATION_LOSS, NEED_A_PILOT, OFFBOARD_LOSS, PREVENT_ARMING, Mode
-from sitl.px4_parameters import Parameters
-from sitl.px4_setpoints import Course
-from sitl.quadrotor import MOTORS_OFF, Quadrotor
+from sitl.px4_parameters import Px4Parameters
+from sitl.setpoints import Course
 
-DT_S = 0.004  # physics and attitude control at 250 Hz
 ARMABLE_AFTER_S = 4.0
-CONTROL_PERIOD_S = 0.02  # of its own position control, and of looking after returned streams
-FAILSAFE_PERIOD_S = 0.1  # of looking for lost ones: a failsafe comes up to this late
+FAILSAFE_PERIOD_S = 0.1  # of looking for lost streams: a failsafe comes up to this late
 STREAM_LOST_GRACE_S = 0.01  # with the period, a lost stream shows after 1.01 to 1.12 s
 STREAM_BACK_AFTER_S = 0.03  # a stream that returns is believed after this
-IDLE_THRUST_NORM = 0.08
-LANDED_AFTER_S = 0.5  # on the ground with little thrust
-LITTLE_THRUST = 0.6  # of hover thrust
 STATE_UNINIT, STATE_STANDBY, STATE_ACTIVE, STATE_CRITICAL = 0, 3, 4, 5  # MAV_STATE
-CRITICAL, INFO = 2, 6  # MAV_SEVERITY
 NOT_HEALTHY = "Resolve system health failures first"
+BRAKING_M_S2 = 1.5
+SINK_M_S = 0.85  # of a manual mode without a pilot; 0.7 to 1.0 was measured
+LANDING_SLOWS_M = (5.0, 10.0)  # MPC_LAND_ALT2 and MPC_LAND_ALT1 above home
 
 
-class Px4:
+class Px4(Autopilot):
     """One vehicle. `dt_s` is the step of physics and attitude control."""
 
+    kind = AutopilotKind.PX4
+    parameters: Px4Parameters
+
     def __init__(self, file: AutopilotFile, dt_s: float) -> None:
-        self.system_id = file.id
-        self.dt_s = dt_s
-        self.quad = Quadrotor(file, dt_s)
-        self.parameters = Parameters(file.id, file.stand_in.parameters)
-        self.time_s = 0.0
+        super().__init__(file, dt_s, PX4_LOOPS, Px4Parameters(file.id, file.stand_in.parameters), BRAKING_M_S2)
         self.mode = Mode.LOITER
         self.intended_mode = Mode.LOITER
-        self.armed = False
         self.failsafe = False
-        self.home: Vector3 = self._here_geodetic()
-        self.setpoint = MOTORS_OFF
         self.takeoff_altitude_amsl_m: float | None = None
-        self.texts: list[tuple[int, str]] = []  # (severity, text), taken by whoever sends them
-        self.ground_station_s: float | None = None  # when its last heartbeat came
-        self.origin_changes = 0
-        self._steps = 0
-        self._control_steps = max(1, round(CONTROL_PERIOD_S / dt_s))
         self._failsafe_steps = max(1, round(FAILSAFE_PERIOD_S / dt_s))
-        self._little_thrust_norm = LITTLE_THRUST * file.stand_in.airframe.hover_thrust_norm
-        self._own = OwnFlight(self.quad, self.parameters, file.stand_in.airframe.hover_thrust_norm)
         self._mode_after_disarming = Mode.LOITER
         self._offboard: Setpoint | Course | None = None
         self._offboard_s = float("-inf")
         self._stream_since_s = float("-inf")
         self._ground_station_failsafe_s: float | None = None
         self._ground_station_loss_known = False
-        self._armed_s = 0.0
-        self._flown = False
-        self._landed = True
-        self._still_since_s: float | None = None
-        self._landed_s = 0.0
 
     # ------------------------------------------------------------ what it is like now
 
     @property
-    def boot_ms(self) -> int:
-        return round(self.time_s * 1000.0)
+    def flight_mode(self) -> Mode:
+        return self.mode
 
     @property
     def armable(self) -> bool:
-        """May it be armed in the mode that it is in?"""
         if self.time_s < ARMABLE_AFTER_S or self.mode in PREVENT_ARMING | NEED_A_PILOT | {Mode.MISSION}:
             return False
         if self.mode is Mode.OFFBOARD and not self.streaming:
@@ -91,7 +71,7 @@ class Px4:
 
     @property
     def landed_state(self) -> int:
-        if self._landed:
+        if self._ground.landed:
             return LANDED_ON_GROUND
         return {Mode.TAKEOFF: LANDED_TAKEOFF, Mode.LAND: LANDED_LANDING}.get(self.mode, LANDED_IN_AIR)
 
@@ -105,22 +85,32 @@ class Px4:
         heard_s = self.ground_station_s
         return heard_s is None or self.time_s - heard_s > self.parameters["COM_DL_LOSS_T"]
 
-    def wanted_euler_rad(self) -> Vector3:
-        """Of the attitude setpoint just now, FLU in ENU."""
-        return euler_from_quaternion(self.setpoint.quaternion)
+    def speeds(self) -> Speeds:
+        p = self.parameters
+        return Speeds(
+            level_m_s=p["MPC_XY_CRUISE"],
+            climb_m_s=p["MPC_Z_V_AUTO_UP"],
+            take_off_m_s=p["MPC_TKO_SPEED"],
+            land_m_s=p["MPC_LAND_SPEED"],
+            descend_m_s=p["MPC_Z_V_AUTO_DN"],
+            landing_slows_m=LANDING_SLOWS_M,
+            sink_m_s=SINK_M_S,
+            take_off_height_m=p["MIS_TAKEOFF_ALT"],
+            return_height_m=p["RTL_RETURN_ALT"],
+            return_near_m=p["RTL_MIN_DIST"],
+            return_cone_deg=p["RTL_CONE_ANG"],
+        )
 
     # ------------------------------------------------------------ what can be asked of it
 
-    def offboard_setpoint(self, setpoint: Setpoint | Course) -> None:
+    def take_setpoint(self, setpoint: Setpoint | Course) -> None:
+        """Of the stream that OFFBOARD lives on."""
         if not self.streaming:
             self._stream_since_s = self.time_s
         if isinstance(setpoint, Course) and not isinstance(self._offboard, Course) and self.mode is Mode.OFFBOARD:
             self._enter(Mode.OFFBOARD)
         self._offboard = setpoint
         self._offboard_s = self.time_s
-
-    def say(self, severity: int, text: str) -> None:
-        self.texts.append((severity, text))
 
     def set_mode(self, mode: Mode, takeoff_altitude_amsl_m: float | None = None) -> bool:
         """A mode change on request. Disarmed it always works; armed the mode must be able to fly the vehicle just now."""
@@ -143,24 +133,17 @@ class Px4:
         self.set_mode(Mode.TAKEOFF, altitude_amsl_m)
         if again:
             self._enter(Mode.TAKEOFF)
-        if altitude_amsl_m is not None and altitude_amsl_m < self._here_geodetic()[2]:
+        if altitude_amsl_m is not None and altitude_amsl_m < self.here_geodetic()[2]:
             self.say(CRITICAL, "Already higher than takeoff altitude")  # it stays at the height it has
         return True
 
     def go_to(self, position_local_enu_m: Vector3, yaw_rad: float | None) -> bool:
         """DO_REPOSITION: hold there."""
-        if not self.armed or self._landed:
+        if not self.armed or self._ground.landed:
             return False
         self.set_mode(Mode.LOITER)
         self._own.go_to(position_local_enu_m, yaw_rad)
         return True
-
-    def set_origin(self, origin_deg_deg_m: Vector3) -> None:
-        """SET_GPS_GLOBAL_ORIGIN: the local frame begins there at once; nothing moves in the world."""
-        before = self.quad.origin
-        self.quad.set_origin(origin_deg_deg_m)
-        self._own.origin_moved(enu_from_geodetic(*before, self.quad.origin))
-        self.origin_changes += 1
 
     def arm(self, forced: bool = False) -> str | None:
         """Why not, or None."""
@@ -169,9 +152,8 @@ class Px4:
         if not forced and not self.armable:
             return NOT_HEALTHY
         self.armed = True
-        self._armed_s = self.time_s
-        self._flown = False
-        self.home = self._here_geodetic()
+        self._ground.arm(self.time_s)
+        self.home = self.here_geodetic()
         self._own.forget_wind()
         self._enter(self.mode)
         self.say(INFO, "Armed by external command")
@@ -181,7 +163,7 @@ class Px4:
         """Why not, or None."""
         if not self.armed:
             return None
-        if not forced and not self._landed:
+        if not forced and not self._ground.landed:
             return "not landed"
         self.armed = False
         self.failsafe = False
@@ -193,30 +175,15 @@ class Px4:
 
     # ------------------------------------------------------------ time
 
-    def step(self) -> None:
-        """Advance by dt_s: failsafes, the mode's control, physics, and what follows from touching the ground."""
-        self._steps += 1
-        self.time_s = self._steps * self.dt_s
-        control_is_due = self._steps % self._control_steps == 0
-        if self.armed:
-            if control_is_due:
-                self._look_after_stream_and_ground_station(self._steps % self._failsafe_steps == 0)
-            self._control(control_is_due)
-        else:
-            self.setpoint = MOTORS_OFF
-        self.quad.step(self.setpoint)
-        if self.armed:
-            self._watch_ground()
-
     def _control(self, control_is_due: bool) -> None:
         if self.mode is Mode.OFFBOARD and isinstance(self._offboard, Setpoint):
             self.setpoint = self._offboard
         elif not control_is_due:
             return
         elif self.mode is Mode.OFFBOARD and isinstance(self._offboard, Course):
-            self.setpoint = self._own.follow(self._offboard, self._control_steps * self.dt_s)
+            self.setpoint = self._own.follow(self._offboard, self._control_dt_s)
         else:
-            if self._landed and self.mode is not Mode.TAKEOFF:
+            if self._ground.landed and self.mode is not Mode.TAKEOFF:
                 self.setpoint = Setpoint(self.quad.estimated_quaternion(), IDLE_THRUST_NORM)
                 return
             if self.mode is Mode.TAKEOFF and self._own.taken_off():
@@ -224,11 +191,14 @@ class Px4:
                 self.mode = Mode.LOITER
                 if self.intended_mode is Mode.TAKEOFF:
                     self.intended_mode = self._mode_after_disarming = Mode.LOITER
-            self.setpoint = self._own.setpoint(self.mode, self._control_steps * self.dt_s)
+            self.setpoint = self._own.setpoint(self._control_dt_s)
 
     # ------------------------------------------------------------ failsafes
 
-    def _look_after_stream_and_ground_station(self, look_for_losses: bool) -> None:
+    def _look_after(self) -> None:
+        if not self.armed:
+            return
+        look_for_losses = self._steps % self._failsafe_steps == 0
         if self._ground_station_failsafe_s is not None:
             self._go_on_without_ground_station(self._ground_station_failsafe_s)
         elif look_for_losses and self._ground_station_is_newly_lost():
@@ -272,26 +242,16 @@ class Px4:
     # ------------------------------------------------------------ ground and modes
 
     def _watch_ground(self) -> None:
-        if not self.quad.stands:
-            if self._landed:
-                self.say(INFO, "Takeoff detected")
-            self._flown, self._landed, self._still_since_s = True, False, None
-        elif not self._landed:
-            self._look_for_landing()
-        elif self._flown:
-            if self.time_s - self._landed_s > self.parameters["COM_DISARM_LAND"] > 0:
-                self.disarm(forced=True, reason="landing")
-        elif self.time_s - self._armed_s > self.parameters["COM_DISARM_PRFLT"] > 0:
-            self.disarm(forced=True, reason="auto preflight disarming")
-
-    def _look_for_landing(self) -> None:
-        if self.setpoint.thrust_norm > self._little_thrust_norm:
-            self._still_since_s = None
-        elif self._still_since_s is None:
-            self._still_since_s = self.time_s
-        elif self.time_s - self._still_since_s >= LANDED_AFTER_S:
-            self._landed, self._landed_s = True, self.time_s
+        contact = self._ground.watch(self.quad.stands, self._thrust_is_little(), self.time_s)
+        if contact is Contact.TOOK_OFF:
+            self.say(INFO, "Takeoff detected")
+        elif contact is Contact.LANDED:
             self.say(INFO, "Landing detected")
+        idle_s = self._ground.idle_s(self.time_s)
+        if self._ground.flown and idle_s > self.parameters["COM_DISARM_LAND"] > 0:
+            self.disarm(forced=True, reason="landing")
+        elif not self._ground.flown and idle_s > self.parameters["COM_DISARM_PRFLT"] > 0:
+            self.disarm(forced=True, reason="auto preflight disarming")
 
     def _switch(self, mode: Mode) -> None:
         if mode is not self.mode:
@@ -299,7 +259,4 @@ class Px4:
             self._enter(mode)
 
     def _enter(self, mode: Mode) -> None:
-        self._own.enter(mode, self.home, self.takeoff_altitude_amsl_m)
-
-    def _here_geodetic(self) -> Vector3:
-        return geodetic_from_enu(self.quad.estimated_position_local_enu_m(), self.quad.origin)
+        self._own.enter(mode.task, self.home, self.takeoff_altitude_amsl_m)

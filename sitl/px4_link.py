@@ -1,13 +1,12 @@
-"""One MAVLink link of the stand-in: which messages go out on it how often, and whether a ground station listens there."""
+"""PX4's links: which messages go out on each how often, and what can be asked for."""
 
 from __future__ import annotations
 
-from math import inf
-
 from companion.mavlink.codec import mavlink
+from sitl.px4 import Px4
+from sitl.schedule import Schedule
 
 M = mavlink
-EPSILON_S = 1e-6
 MAX_RATE_HZ = 125.0  # 500 Hz is accepted and gives 125
 
 # Default rates in Hz of PX4's onboard link; what is not listed is off until asked for.
@@ -75,55 +74,31 @@ SILENT = frozenset(
 SETTABLE = (frozenset(ONBOARD_RATES_HZ) | SILENT) - {M.MAVLINK_MSG_ID_HEARTBEAT}
 
 
-class Schedule:
-    """Rates of one link, on the autopilot's own clock. They outlive a reconnection of the peer."""
+class Px4Schedule(Schedule):
+    """PX4's rates: what can be set, what cannot, and an echo that waits for what it shall tell."""
 
-    def __init__(self, rates_hz: dict[int, float]) -> None:
+    def __init__(self, px4: Px4, rates_hz: dict[int, float]) -> None:
+        super().__init__(rates_hz)
+        self._px4 = px4
         self._setpoint_told: object = None
-        self.reset(rates_hz, 0.0)
-
-    def reset(self, rates_hz: dict[int, float], now_s: float) -> None:
-        """Other defaults: a ground link says more once somebody was heard there."""
-        self._defaults = rates_hz
-        self._period_s = {message_id: 1.0 / rate_hz for message_id, rate_hz in rates_hz.items() if rate_hz > 0.0}
-        self._due_s = dict.fromkeys(self._period_s, now_s)
-        self._next_s = now_s
 
     def set_interval(self, message_id: int, interval_us: float, now_s: float) -> bool:
         """MAV_CMD_SET_MESSAGE_INTERVAL: 0 is the default, -1 off. False where it cannot be changed."""
         if message_id not in SETTABLE:
             return False
-        if message_id in SILENT:
-            return True
-        rate_hz = self._defaults.get(message_id, 0.0) if interval_us == 0.0 else 1e6 / interval_us
-        self._due_s.pop(message_id, None)
-        self._period_s.pop(message_id, None)
-        if rate_hz > 0.0:
-            self._period_s[message_id] = 1.0 / min(rate_hz, MAX_RATE_HZ)
-            self._due_s[message_id] = now_s + self._period_s[message_id]
-        self._next_s = min(self._due_s.values(), default=inf)
+        if message_id not in SILENT:
+            rate_hz = self.default_hz(message_id) if interval_us == 0.0 else 1e6 / interval_us
+            self.set_rate(message_id, min(rate_hz, MAX_RATE_HZ), now_s)
         return True
 
-    def interval_us(self, message_id: int) -> int:
-        """As MESSAGE_INTERVAL tells it: -1 off."""
-        return round(self._period_s[message_id] * 1e6) if message_id in self._period_s else -1
+    def _told(self, ready: list[int]) -> list[int]:
+        """ATTITUDE_TARGET is an echo: it waits for another setpoint than it told last, and then goes out at once.
 
-    def due(self, now_s: float, setpoint: object = None) -> list[int]:
-        """What is to be sent now. Evenly spaced: a late step does not shift what follows.
-
-        ATTITUDE_TARGET is an echo: it waits for another setpoint than it told last, and then goes out at once. None is
-        always another.
+        Disarmed it tells what there is.
         """
-        if now_s < self._next_s - EPSILON_S:
-            return []
-        ready = [message_id for message_id, due_s in self._due_s.items() if now_s >= due_s - EPSILON_S]
         if M.MAVLINK_MSG_ID_ATTITUDE_TARGET in ready:
+            setpoint = self._px4.setpoint if self._px4.armed else None
             if setpoint is not None and setpoint is self._setpoint_told:
                 ready.remove(M.MAVLINK_MSG_ID_ATTITUDE_TARGET)
             self._setpoint_told = setpoint
-        for message_id in ready:
-            period_s = self._period_s[message_id]
-            next_s = self._due_s[message_id] + period_s
-            self._due_s[message_id] = next_s if next_s > now_s else now_s + period_s
-        self._next_s = min(self._due_s.values(), default=inf)
         return ready

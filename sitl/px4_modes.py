@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from enum import Enum
 
+from sitl.own_flight import Task
+
 
 class Mode(Enum):
     """By (main, sub) of custom_mode."""
@@ -31,9 +33,14 @@ class Mode(Enum):
         main: int = self.value[0]
         return main == 4
 
+    @property
+    def task(self) -> Task:
+        return Task.SINK if self in NEED_A_PILOT else _TASKS.get(self, Task.HOLD)
+
 
 # There is no remote control, so nobody can fly these.
 NEED_A_PILOT = frozenset({Mode.MANUAL, Mode.ALTCTL, Mode.POSCTL, Mode.ACRO, Mode.STABILIZED})
+_TASKS = {Mode.TAKEOFF: Task.TAKE_OFF, Mode.LAND: Task.LAND, Mode.RTL: Task.RETURN}
 PREVENT_ARMING = frozenset({Mode.LAND, Mode.RTL})
 
 # COM_OBL_RC_ACT: where the vehicle goes when the setpoint stream is lost; None stops the motors. What is not listed is as 0.

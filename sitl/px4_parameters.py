@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
-from math import isfinite
+from collections.abc import Mapping
 from zlib import crc32
 
-from companion.mavlink.codec import mavlink
+from companion.mavlink.codec import MavlinkMessage, mavlink
+from sitl.parameters import REAL32, Parameters
 
-INT32: int
-REAL32: int
-INT32, REAL32 = mavlink.MAV_PARAM_TYPE_INT32, mavlink.MAV_PARAM_TYPE_REAL32
+INT32: int = mavlink.MAV_PARAM_TYPE_INT32
 HASH_CHECK = "_HASH_CHECK"  # the name under which PX4 tells a checksum of all parameters
 NO_INDEX = 65535
 
@@ -77,52 +75,37 @@ DEFAULTS: dict[str, float | int] = {
 }
 
 
-@dataclass(slots=True)
-class Parameters:
-    """Values by name; the type of a parameter is that of its default."""
+class Px4Parameters(Parameters):
+    """Integers travel bytewise; a checksum tells whoever has them all already."""
 
-    values: dict[str, float | int]
-
-    def __init__(self, system_id: int, overrides: dict[str, float]) -> None:
+    def __init__(self, system_id: int, overrides: Mapping[str, float]) -> None:
         """Raises KeyError for a parameter that does not exist."""
-        self.values = DEFAULTS | {"MAV_SYS_ID": system_id}
-        for name, value in overrides.items():
-            self.set(name, value)
+        super().__init__(DEFAULTS | {"MAV_SYS_ID": system_id}, overrides)
 
-    def __getitem__(self, name: str) -> float:
-        return self.values[name]
+    def messages(self) -> list[MavlinkMessage]:
+        """After their checksum: who has them already may stop listening."""
+        return [self.hash_message(), *super().messages()]
 
-    def set(self, name: str, value: float) -> None:
-        self.values[name] = int(value) if isinstance(self.values[name], int) else float(value)
+    def read(self, name: str) -> MavlinkMessage | None:
+        return self.hash_message() if name == HASH_CHECK else super().read(name)
 
-    def set_from_wire(self, name: str, value: float, kind: int) -> bool:
-        """PARAM_SET; False where the parameter does not exist or the type is not its own."""
-        if name not in self.values or kind != self._kind(name):
-            return False
-        if kind == REAL32 and not isfinite(value):
-            return False
-        self.set(name, struct.unpack("<i", struct.pack("<f", value))[0] if kind == INT32 else value)
-        return True
-
-    def messages(self) -> list[mavlink.MAVLink_param_value_message]:
-        """PARAM_VALUE of all, in order, after their checksum: who has them already may stop listening."""
-        return [self.hash_message(), *(self.message(name) for name in sorted(self.values))]
-
-    def hash_message(self) -> mavlink.MAVLink_param_value_message:
+    def hash_message(self) -> MavlinkMessage:
         """PARAM_VALUE of _HASH_CHECK: a checksum over names and values, without an index."""
         content = b"".join(name.encode() + self._bytes(name) for name in sorted(self.values))
         wire = struct.unpack("<f", struct.pack("<I", crc32(content)))[0]
         kind = mavlink.MAV_PARAM_TYPE_UINT32
         return mavlink.MAVLink_param_value_message(HASH_CHECK.encode(), wire, kind, len(self.values), NO_INDEX)
 
-    def message(self, name: str) -> mavlink.MAVLink_param_value_message:
-        names = sorted(self.values)
-        wire = struct.unpack("<f", self._bytes(name))[0]
-        return mavlink.MAVLink_param_value_message(name.encode(), wire, self._kind(name), len(names), names.index(name))
+    def _from_wire(self, name: str, value: float, kind: int) -> float | None:
+        """The type must be the parameter's own."""
+        if kind != self._kind(name):
+            return None
+        number: float = struct.unpack("<i", struct.pack("<f", value))[0] if kind == INT32 else value
+        return number
 
-    def name_at(self, index: int) -> str | None:
-        names = sorted(self.values)
-        return names[index] if 0 <= index < len(names) else None
+    def _to_wire(self, name: str) -> float:
+        wire: float = struct.unpack("<f", self._bytes(name))[0]
+        return wire
 
     def _bytes(self, name: str) -> bytes:
         value = self.values[name]

@@ -13,7 +13,7 @@ from companion.frames import (
     quaternion_from_euler,
 )
 from companion.types import GRAVITY_M_S2, ZERO3, Vector3
-from sitl.attitude_control import DelayLine, Setpoint, moments, wanted_rates
+from sitl.attitude_control import DelayLine, Loops, Setpoint, moments, wanted_rates
 from sitl.config import AutopilotFile
 from sitl.disturbances import EstimatorError, Gusts
 from sitl.dynamics import (
@@ -36,20 +36,21 @@ ESTIMATE_PERIOD_STEPS = 5  # the estimator's error moves at 50 Hz, as often as a
 class Quadrotor:
     """Advances in steps of `dt_s`. Everything random comes out of (seed, vehicle id)."""
 
-    def __init__(self, file: AutopilotFile, dt_s: float) -> None:
+    def __init__(self, file: AutopilotFile, loops: Loops, dt_s: float) -> None:
         airframe = file.stand_in.airframe
         # Each subject draws from a stream of its own: gusts that are switched on leave the sensors as they were.
         sensor_noise, gust_noise, origin_noise = (
             Random(f"{file.stand_in.seed} {file.id} {subject}") for subject in ("sensors", "gusts", "origin")
         )
         self._dt_s = dt_s
+        self._loops = loops
         self._takes_attitude_at_once = airframe.attitude == "instant"
         self._body = Body(airframe.mass_kg, airframe.inertia_kg_m2, airframe.drag_n_per_m_s, airframe.motor_lag_s)
         self._newton_per_thrust = airframe.mass_kg * GRAVITY_M_S2 / airframe.hover_thrust_norm
         yaw = quaternion_from_euler(0.0, 0.0, radians(file.start_yaw_deg))
         self.state = at_rest(file.start_enu_m, yaw)
         self._ground_z_m = file.start_enu_m[2]
-        self._delay = DelayLine(MOTORS_OFF, dt_s)
+        self._delay = DelayLine(MOTORS_OFF, loops.delay_s, dt_s)
         self._gusts = Gusts(file.stand_in.wind, gust_noise, dt_s)
         sensors = file.stand_in.sensor_model()
         self._error = EstimatorError(sensors, sensor_noise, dt_s * ESTIMATE_PERIOD_STEPS)
@@ -129,8 +130,8 @@ class Quadrotor:
             self._take_attitude(setpoint)
             torque = ZERO3
         else:
-            rates = wanted_rates(self._delay.pass_on(setpoint), self.estimated_quaternion())
-            torque = moments(rates, self.rates_rad_s, self._body.inertia_kg_m2)
+            rates = wanted_rates(self._loops, self._delay.pass_on(setpoint), self.estimated_quaternion())
+            torque = moments(self._loops, rates, self.rates_rad_s, self._body.inertia_kg_m2)
         stood_at = self.state[:2] if self.stands else None
         thrust_n = setpoint.thrust_norm * self._newton_per_thrust
         if self._body.motor_lag_s == 0.0:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TextIO
 
 from companion.frames import euler_from_quaternion
+from sitl.autopilot import Autopilot
 from sitl.dynamics import ATTITUDE, State
-from sitl.px4 import Px4
 
 TRUTH_HEADER = "monotonic_s,x_m,y_m,z_m,vx_m_s,vy_m_s,vz_m_s,roll_rad,pitch_rad,yaw_rad,thrust_norm,armed,mode\n"
 _ROW = "%.6f" + ",%.5f" * 10 + ",%d,%s\n"
@@ -26,8 +26,9 @@ class TruthLog:
         self._file = file
         file.write(TRUTH_HEADER)
 
-    def write(self, px4: Px4, monotonic_s: float) -> None:
-        self._file.write(truth_row(monotonic_s, px4.quad.state, px4.quad.thrust_norm, px4.armed, px4.mode.name))
+    def write(self, autopilot: Autopilot, monotonic_s: float) -> None:
+        quad, mode = autopilot.quad, autopilot.flight_mode
+        self._file.write(truth_row(monotonic_s, quad.state, quad.thrust_norm, autopilot.armed, mode.name))
 
     def flush(self) -> None:
         self._file.flush()

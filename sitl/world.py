@@ -9,10 +9,11 @@ from random import Random
 
 import numpy as np
 
+from sitl.autopilot import DT_S
 from sitl.config import AutopilotFile, Links
 from sitl.direct_link import DirectLink
 from sitl.dynamics import State
-from sitl.px4 import DT_S, Px4
+from sitl.manners import PX4
 from sitl.tracks import Track
 from sitl.truth import TRUTH_HEADER, truth_row
 
@@ -25,23 +26,23 @@ class StandIn:
 
     def __init__(self, file: AutopilotFile, links: Links, phase_s: float) -> None:
         self.vehicle_id = file.id
-        self.px4 = Px4(file, DT_S)
-        self.link = DirectLink(self.px4, links, phase_s)
+        self.autopilot = PX4.vehicle(file, DT_S)
+        self.link = DirectLink(self.autopilot, PX4.onboard_link(self.autopilot), links, phase_s)
         self._track = array("d")  # time, the state, thrust: flat, because a study keeps many of them
         self._modes: list[tuple[bool, str]] = []
 
     def step(self, now_s: float) -> None:
         """To this time, one step on."""
         self.link.deliver(now_s)
-        self.px4.step()
-        self.px4.texts.clear()  # no ground station listens
+        self.autopilot.step()
         self.link.tell(now_s)
+        self.autopilot.texts.clear()
 
     def record(self, now_s: float) -> None:
         self._track.append(now_s)
-        self._track.extend(self.px4.quad.state[:STATE_KEPT])
-        self._track.append(self.px4.quad.thrust_norm)
-        self._modes.append((self.px4.armed, self.px4.mode.name))
+        self._track.extend(self.autopilot.quad.state[:STATE_KEPT])
+        self._track.append(self.autopilot.quad.thrust_norm)
+        self._modes.append((self.autopilot.armed, self.autopilot.flight_mode.name))
 
     def track(self) -> Track:
         table = np.array(self._track).reshape(-1, STATE_KEPT + 2)

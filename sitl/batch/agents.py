@@ -7,13 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from companion.core.arrays import FloatArray
+from sitl.autopilot import DT_S
 from sitl.batch.candidates import Candidates
 from sitl.batch.columns import BoolArray, Columns
 from sitl.batch.commands import Commands
 from sitl.batch.laws import Laws
 from sitl.batch.packets import ACCELERATION, PLACE, PRC, SHARE, VELOCITY, WIDTH, Heard, Packets
 from sitl.batch.references import References
-from sitl.px4 import DT_S
 from sitl.scenario import Scenario
 from sitl.world import TELEMETRY_STEPS
 

@@ -8,9 +8,9 @@ from math import ceil
 import numpy as np
 
 from companion.core.arrays import FloatArray
+from sitl.autopilot import DT_S
 from sitl.batch.columns import BoolArray, Columns, IntArray
 from sitl.batch.noise import LINKS
-from sitl.px4 import DT_S
 from sitl.scenario import Scenario
 from sitl.world import TELEMETRY_STEPS
 

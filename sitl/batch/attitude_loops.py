@@ -5,23 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from companion.core.arrays import FloatArray
-from sitl.attitude_control import (
-    DELAY_S,
-    MAX_RATE_RAD_S,
-    MAX_YAW_RATE_RAD_S,
-    RATE_GAIN_1_S,
-    TILT_GAIN_1_S,
-    YAW_GAIN_1_S,
-    YAW_RATE_GAIN_1_S,
-)
+from sitl.attitude_control import PX4_LOOPS as LOOPS
 
 HALF_TURN = 1e-6  # of turn: upside down, where any way round is as short
-MOST_RAD_S = np.array([[MAX_RATE_RAD_S], [MAX_RATE_RAD_S], [MAX_YAW_RATE_RAD_S]])
+MOST_RAD_S = np.array([[LOOPS.max_rate_rad_s], [LOOPS.max_rate_rad_s], [LOOPS.max_yaw_rate_rad_s]])
 
 
 def delay_steps(dt_s: float) -> int:
     """Of an attitude on its way through the loops."""
-    return max(1, round(DELAY_S / dt_s))
+    return max(1, round(LOOPS.delay_s / dt_s))
 
 
 class AttitudeLoops:
@@ -29,7 +21,7 @@ class AttitudeLoops:
 
     def __init__(self, inertia_kg_m2: FloatArray) -> None:
         count = inertia_kg_m2.shape[1]
-        self._gain = inertia_kg_m2 * np.array([[RATE_GAIN_1_S], [RATE_GAIN_1_S], [YAW_RATE_GAIN_1_S]])
+        self._gain = inertia_kg_m2 * np.array([[LOOPS.rate_gain_1_s], [LOOPS.rate_gain_1_s], [LOOPS.yaw_rate_gain_1_s]])
         self._products = np.empty((4, 4, count))
         self._error = np.empty((4, count))
         self._turn, self._one = np.empty(count), np.empty(count)
@@ -66,7 +58,7 @@ class AttitudeLoops:
         np.sqrt(turn, out=turn)
         upside_down = np.flatnonzero(turn < HALF_TURN) if turn.min() < HALF_TURN else None
         np.maximum(turn, HALF_TURN, out=turn)
-        np.divide(2.0 * TILT_GAIN_1_S, turn, out=turn)
+        np.divide(2.0 * LOOPS.tilt_gain_1_s, turn, out=turn)
 
         p, q, r = out
         np.multiply(ew, ex, out=p)
@@ -78,9 +70,9 @@ class AttitudeLoops:
         q += one
         q *= turn
         np.multiply(ez, turn, out=r)
-        r *= YAW_GAIN_1_S / TILT_GAIN_1_S
+        r *= LOOPS.yaw_gain_1_s / LOOPS.tilt_gain_1_s
         np.copysign(1.0, ew, out=one)
         r *= one
         if upside_down is not None:
-            out[:, upside_down] = 2.0 * TILT_GAIN_1_S * self._error[1:4, upside_down]
+            out[:, upside_down] = 2.0 * LOOPS.tilt_gain_1_s * self._error[1:4, upside_down]
             out[2, upside_down] = 0.0

@@ -8,13 +8,13 @@ from math import ceil, floor
 import numpy as np
 
 from companion.core.arrays import FloatArray
+from sitl.autopilot import DT_S
 from sitl.batch.attitude_loops import AttitudeLoops, delay_steps
 from sitl.batch.bodies import ATTITUDE, POSITION, RATES, Bodies
 from sitl.batch.columns import Columns, IntArray
 from sitl.batch.disturbances import EstimatorErrors, Gusts
 from sitl.batch.rotations import euler_rad, product, quaternion_of_turns
 from sitl.config import Links
-from sitl.px4 import DT_S
 from sitl.quadrotor import ESTIMATE_PERIOD_STEPS
 from sitl.scenario import Scenario
 from sitl.world import TELEMETRY_STEPS

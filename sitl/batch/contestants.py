@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
+from sitl.autopilot import DT_S
 from sitl.batch.attitude_loops import AttitudeLoops
 from sitl.batch.bodies import ATTITUDE, RATES, Bodies, RungeKutta
 from sitl.batch.columns import columns_of
 from sitl.batch.simulation import Simulation, starts_at_rest
 from sitl.config import Airframe
-from sitl.px4 import DT_S
 from sitl.scenario import Scenario
 
 Step = Callable[[], None]

@@ -8,10 +8,10 @@ from math import radians
 import numpy as np
 
 from companion.core.arrays import FloatArray
+from sitl.autopilot import DT_S
 from sitl.batch.columns import Columns
 from sitl.batch.noise import GUSTS, SENSORS, Gaussians, GaussMarkov
 from sitl.config import Sensors
-from sitl.px4 import DT_S
 from sitl.quadrotor import ESTIMATE_PERIOD_STEPS
 from sitl.scenario import Scenario
 

@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.core.arrays import FloatArray
+from sitl.autopilot import DT_S
 from sitl.batch.columns import BoolArray, columns_of
 from sitl.batch.simulation import BatchStart, Simulation, starts_at_rest
-from sitl.px4 import DT_S
 from sitl.scenario import Scenario
 
 PROGRESS_EVERY_S = 1.0  # of virtual time

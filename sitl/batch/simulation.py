@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.core.arrays import FloatArray
+from sitl.autopilot import DT_S
 from sitl.batch.agents import Agents
 from sitl.batch.autopilots import Autopilots
 from sitl.batch.candidates import candidates_of
@@ -15,7 +16,6 @@ from sitl.batch.columns import BoolArray, Columns
 from sitl.batch.laws import Laws
 from sitl.batch.references import References
 from sitl.fleet import ids_of
-from sitl.px4 import DT_S
 from sitl.scenario import Scenario
 from sitl.world import TELEMETRY_STEPS
 

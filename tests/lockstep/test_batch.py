@@ -13,13 +13,13 @@ import pytest
 
 from companion.core.arrays import FloatArray
 from companion.types import Role
+from sitl.autopilot import DT_S
 from sitl.batch.columns import phase_steps
 from sitl.batch.flight import fly_batch
 from sitl.batch.metrics import batch_figures
 from sitl.batch.simulation import BatchStart
 from sitl.metrics import Formation, formation_figures
 from sitl.progress import Progress
-from sitl.px4 import DT_S
 from sitl.run import Flown, fly_in_virtual_time
 from sitl.scenario import Scenario, load_scenario, reference_of
 from sitl.world import TELEMETRY_STEPS

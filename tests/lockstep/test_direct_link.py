@@ -17,13 +17,16 @@ from companion.types import (
     Telemetry,
 )
 from sitl import px4_setpoints
+from sitl.autopilot import DT_S
 from sitl.config import AutopilotFile, Links, StandIn
-from sitl.direct_link import RATES_HZ, SAMPLES, DirectLink, setpoint_of
-from sitl.px4 import DT_S, Px4
+from sitl.direct_link import SAMPLES, DirectLink, rates_hz, setpoint_of
+from sitl.manners import PX4
+from sitl.px4 import Px4
 from sitl.px4_messages import BUILDERS
 from sitl.px4_modes import Mode
 
 RECEIVED_S = 12.5
+RATES_HZ = rates_hz(AutopilotKind.PX4)
 MICRORADIAN = 1e-6
 
 
@@ -82,16 +85,21 @@ def test_setpoints_are_those_of_the_bytes_to_a_microradian(target: AttitudeTarge
     assert direct.yaw_rate_rad_s == told.yaw_rate_rad_s == 0.0
 
 
+def direct_link(links: Links, phase_s: float) -> DirectLink:
+    px4 = PX4.vehicle(AutopilotFile(), DT_S)
+    return DirectLink(px4, PX4.onboard_link(px4), links, phase_s)
+
+
 def stepped(link: DirectLink, first: int, last: int) -> None:
     for step in range(first, last + 1):
         link.deliver(step * DT_S)
-        link.px4.step()
+        link.autopilot.step()
         link.tell(step * DT_S)
 
 
 def test_a_request_is_answered_after_both_delays() -> None:
     links = Links(telemetry_delay_s=0.03, setpoint_delay_s=0.05)
-    link = DirectLink(Px4(AutopilotFile(), DT_S), links, phase_s=10.0)
+    link = direct_link(links, phase_s=10.0)
     link.request(RequestOrigin(), 0.0)
     stepped(link, 1, 30)
     assert link.drain(0.0815) == ()
@@ -103,16 +111,17 @@ def test_a_request_is_answered_after_both_delays() -> None:
 
 
 def test_a_setpoint_acts_from_the_step_after_its_arrival() -> None:
-    link = DirectLink(Px4(AutopilotFile(), DT_S), Links(setpoint_delay_s=0.006), phase_s=10.0)
+    link = direct_link(Links(setpoint_delay_s=0.006), phase_s=10.0)
     link.command(AttitudeTarget(0.0, 0.0, 0.0, 0.5), 0.0003)
     stepped(link, 1, 1)
-    assert not link.px4.streaming
+    assert isinstance(link.autopilot, Px4)
+    assert not link.autopilot.streaming
     stepped(link, 2, 2)
-    assert link.px4.streaming
+    assert link.autopilot.streaming
 
 
 def test_positions_set_off_ticks_and_come_at_50_hz_from_their_phase() -> None:
-    link = DirectLink(Px4(AutopilotFile(), DT_S), Links(telemetry_delay_s=0.001), phase_s=0.008)
+    link = direct_link(Links(telemetry_delay_s=0.001), phase_s=0.008)
     ticks, samples = [], []
     for step in range(1, 51):
         stepped(link, step, step)

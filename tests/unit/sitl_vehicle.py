@@ -9,8 +9,8 @@ from companion.mavlink.codec import MavlinkMessage, mavlink
 from sitl.attitude_control import Setpoint
 from sitl.config import Airframe, AutopilotFile, StandIn, Wind
 from sitl.px4 import Px4
-from sitl.px4_commands import Receiver
-from sitl.px4_link import ONBOARD_RATES_HZ, Schedule
+from sitl.px4_commands import Px4Receiver
+from sitl.px4_link import ONBOARD_RATES_HZ, Px4Schedule
 from sitl.px4_messages import BUILDERS
 from sitl.px4_modes import Mode
 
@@ -33,8 +33,8 @@ class Vehicle:
     ) -> None:
         stand_in = StandIn(sensors=sensors, airframe=airframe, wind=wind, seed=seed, parameters=parameters)
         self.px4 = Px4(AutopilotFile(id=vehicle_id, stand_in=stand_in), DT_S)
-        self.schedule = Schedule(ONBOARD_RATES_HZ)
-        self.receiver = Receiver(self.px4, self.schedule)
+        self.schedule = Px4Schedule(self.px4, ONBOARD_RATES_HZ)
+        self.receiver = Px4Receiver(self.px4, self.schedule)
         self.sent: list[MavlinkMessage] = []
 
     def fly(self, seconds: float, stream: Setpoint | None = None, stream_hz: float = 50.0) -> None:
@@ -42,10 +42,9 @@ class Vehicle:
         every = round(1.0 / stream_hz / DT_S)
         for step in range(round(seconds / DT_S)):
             if stream is not None and step % every == 0:
-                self.px4.offboard_setpoint(stream)
+                self.px4.take_setpoint(stream)
             self.px4.step()
-            due = self.schedule.due(self.px4.time_s, self.px4.setpoint if self.px4.armed else None)
-            self.sent += [BUILDERS[number](self.px4) for number in due]
+            self.sent += [BUILDERS[number](self.px4) for number in self.schedule.due(self.px4.time_s)]
 
     def say(self, message: MavlinkMessage, sender: tuple[int, int] = (255, 190)) -> list[MavlinkMessage]:
         """Its answers to one message."""

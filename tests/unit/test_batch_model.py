@@ -12,7 +12,7 @@ from companion.core.attitude import attitude_target, limit_acceleration
 from companion.core.envelope import EnvelopeLimits, LastGate
 from companion.frames import euler_from_quaternion, quaternion_from_euler
 from companion.types import AttitudeTarget
-from sitl.attitude_control import Setpoint, moments, wanted_rates
+from sitl.attitude_control import PX4_LOOPS, Setpoint, moments, wanted_rates
 from sitl.batch.attitude_loops import AttitudeLoops
 from sitl.batch.bodies import Bodies, RungeKutta
 from sitl.batch.columns import columns_of, phase_steps
@@ -74,8 +74,10 @@ def test_attitude_loops_answer_as_the_stand_in_s() -> None:
     out = np.empty((3, COUNT))
     AttitudeLoops(inertia).moments(goal, measured, rates, out)
     for column in range(COUNT):
-        wanted = wanted_rates(Setpoint(tuple(goal[:, column].tolist()), 0.5), tuple(measured[:, column].tolist()))
-        single = moments(wanted, tuple(rates[:, column].tolist()), (0.02, 0.03, 0.05))
+        wanted = wanted_rates(
+            PX4_LOOPS, Setpoint(tuple(goal[:, column].tolist()), 0.5), tuple(measured[:, column].tolist())
+        )
+        single = moments(PX4_LOOPS, wanted, tuple(rates[:, column].tolist()), (0.02, 0.03, 0.05))
         np.testing.assert_allclose(out[:, column], single, rtol=1e-9, atol=1e-12)
 
 

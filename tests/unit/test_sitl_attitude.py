@@ -34,7 +34,7 @@ def step_response(axis: int, step_deg: float) -> Response:
     seen, peak = [], 0.0
     for step in range(round(1.2 / DT_S)):
         if step % 5 == 0:
-            vehicle.px4.offboard_setpoint(setpoint)
+            vehicle.px4.take_setpoint(setpoint)
         vehicle.px4.step()
         seen.append(degrees(euler_from_quaternion(vehicle.px4.quad.quaternion)[axis]))
         peak = max(peak, abs(degrees(vehicle.px4.quad.rates_rad_s[axis])))

@@ -28,7 +28,7 @@ def test_a_setpoint_is_echoed_within_10_ms(phase_s: float) -> None:
     vehicle = flying(8_000.0)
     vehicle.fly(phase_s)
     vehicle.sent.clear()
-    vehicle.px4.offboard_setpoint(Setpoint(quaternion_from_euler(0.1, 0.0, 0.0), HOVER))
+    vehicle.px4.take_setpoint(Setpoint(quaternion_from_euler(0.1, 0.0, 0.0), HOVER))
     vehicle.fly(0.008)
     (echo,) = vehicle.messages("ATTITUDE_TARGET")
     assert 2.0 * echo.q[1] == pytest.approx(0.0707, abs=0.001)  # half of the roll, seen from a yaw of 90 degrees NED

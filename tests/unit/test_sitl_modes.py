@@ -221,7 +221,7 @@ def test_a_stream_below_1_hz_flaps() -> None:
     modes = set()
     for step in range(round(8.0 / DT_S)):
         if step % round(1.0 / 0.9 / DT_S) == 0:
-            vehicle.px4.offboard_setpoint(LEVEL)
+            vehicle.px4.take_setpoint(LEVEL)
         vehicle.fly(DT_S)
         modes.add(vehicle.px4.mode)
     assert modes == {Mode.OFFBOARD, Mode.POSCTL}
