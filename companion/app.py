@@ -37,7 +37,6 @@ from companion.wire.ground import StatusReport
 Job = Callable[[], Coroutine[Any, Any, None]]
 
 WAIT_FOR_AUTOPILOT_S = 15.0
-HAND_OVER_S = 2.0  # at the end: how long the autopilot may take to go into its own hold
 
 _log = logging.getLogger(__name__)
 
@@ -195,7 +194,7 @@ class ControlLoop:
             return True
         if self._stop_asked_s is None:
             return not self._autopilot.heard and now_s > give_up_s
-        return self._agent.has_handed_over or now_s - self._stop_asked_s > HAND_OVER_S
+        return self._agent.has_handed_over
 
     def _stop(self, reason: str) -> None:
         if self._stop_asked_s is None:

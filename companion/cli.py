@@ -34,6 +34,7 @@ The vehicle file says which autopilot and which peers; see config/vehicles/ for 
   mavlink: udpin:0.0.0.0:14540             listen where the autopilot sends (PX4's onboard link)
   mavlink: tcp:192.168.1.20:5760           connect
   mavlink: serial:/dev/ttyAMA0:921600      a telemetry port of the flight controller
+Its HEARTBEAT says whether it is a PX4 or an ArduCopter; `autopilot: px4` or `autopilot: ardupilot` insists on one.
 
 SIGTERM and SIGINT (Ctrl-C) end it. A vehicle in formation is first handed over to the autopilot's own hold, for at
 most 2 s. It logs one line per event to standard error.

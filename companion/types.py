@@ -43,6 +43,7 @@ class AutopilotKind(StrEnum):
     """Whose manners the autopilot has. `companion/mavlink/manners.py` and `core/flight_manners.py` hold them."""
 
     PX4 = "px4"
+    ARDUPILOT = "ardupilot"
 
 
 class AutopilotMode(StrEnum):

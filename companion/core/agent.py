@@ -10,6 +10,7 @@ from companion.core.attitude import attitude_target, limit_acceleration
 from companion.core.cooperation import Cooperation, Neighbourhood
 from companion.core.envelope import EnvelopeLimits, LastGate
 from companion.core.failsafe import failsafe_action
+from companion.core.flight_manners import manners_of
 from companion.core.formation import (
     FormationLaw,
     Gains,
@@ -25,6 +26,7 @@ from companion.core.vehicle_state import VehicleTracker
 from companion.types import (
     ZERO3,
     AttitudeTarget,
+    AutopilotMode,
     AutopilotRequest,
     Command,
     CommandName,
@@ -43,6 +45,7 @@ from companion.types import (
     VehicleState,
 )
 
+HAND_OVER_S = 2.0  # at the end: how long the autopilot may take to go into its own hold
 SILENT_TOO_LONG_S = 0.5  # less than COM_OF_LOSS_T: PX4 re-enters OFFBOARD by itself when a stream returns
 ORIGIN_REPEAT_S = 1.0
 ORIGIN_REFRESH_S = 5.0  # PX4 tells a changed origin once, and that one datagram may be lost
@@ -82,6 +85,8 @@ class Agent:
         self._position_used_s = float("-inf")
         self._origin_asked_s = float("-inf")
         self._spoke_s = 0.0
+        self._last_word_spoken = False  # in this silence
+        self._stopping_s: float | None = None  # since when this agent is to stop
         self._commanded_enu_m_s2 = ZERO3  # by the last setpoint
         self._status_s = float("-inf")
         self._yaw_rad = 0.0
@@ -118,7 +123,7 @@ class Agent:
         if self._machine.streams(vehicle) and not streamed:
             self._open_stream(now_s, vehicle)
         if inbox.stopping:
-            self._machine.hand_over(now_s, vehicle, "this agent is to stop")
+            self._stop(now_s, vehicle)
         self._act_on(flags, now_s, vehicle)
         requests = self._ask_origin(now_s, vehicle) + self._machine.advance(now_s, vehicle, inbox.telemetry)
 
@@ -129,6 +134,9 @@ class Agent:
             target = self._target(now_s, vehicle, acceleration)
             if target is not None:
                 self._spoke_s, self._commanded_enu_m_s2 = now_s, acceleration
+                self._last_word_spoken = False
+        elif streamed and self._falls_silent(flags, vehicle):
+            target = self._last_word(now_s, vehicle)
 
         events = self._drain_events()
         return Outbox(
@@ -171,6 +179,29 @@ class Agent:
                 self._machine.end_stream()
         elif failsafe_action(flags) is FailsafeAction.HOLD:
             self._machine.hand_over(now_s, vehicle, _reason(flags))
+
+    def _stop(self, now_s: float, vehicle: VehicleState) -> None:
+        if self._stopping_s is None:
+            self._stopping_s = now_s
+        self._machine.hand_over(now_s, vehicle, "this agent is to stop")
+        if now_s - self._stopping_s > HAND_OVER_S and not self.has_handed_over:
+            self._machine.give_up("this agent is to stop, and the autopilot does not take over")
+
+    def _falls_silent(self, flags: frozenset[HealthFlag], vehicle: VehicleState) -> bool:
+        """By its own decision, while the autopilot still listens."""
+        if vehicle.mode is not AutopilotMode.OFFBOARD:
+            return False
+        return not self._machine.streams(vehicle) or failsafe_action(flags) is FailsafeAction.SILENT
+
+    def _last_word(self, now_s: float, vehicle: VehicleState) -> AttitudeTarget | None:
+        """Level, once in each silence, to an autopilot that goes on with the last setpoint."""
+        if self._last_word_spoken or not manners_of(vehicle).flies_on_in_silence:
+            return None
+        self._last_word_spoken = True
+        self._commanded_enu_m_s2 = ZERO3
+        level = AttitudeTarget(0.0, 0.0, self._yaw_rad, self._setup.envelope.hover_thrust_norm)
+        self._gate.open_at(now_s, level)  # no slew: there will be no next setpoint to come closer by
+        return self._gate.admit(now_s, level)
 
     def _ask_origin(self, now_s: float, vehicle: VehicleState) -> tuple[AutopilotRequest, ...]:
         if vehicle.autopilot is None:

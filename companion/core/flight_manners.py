@@ -6,9 +6,9 @@ What differs from one autopilot to the next is data here; the machine that walks
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from companion.core.procedure import Procedure
+from companion.core.procedure import Procedure, Truth
 from companion.types import (
     Arm,
     AutopilotKind,
@@ -36,11 +36,13 @@ ProcedureBuilder = Callable[[VehicleState, float], Procedure]
 class FlightManners:
     """`modes` are those that a phase brings about; while its procedure runs it tolerates the mode that it began in, too.
 
-    `procedures` has all commands but LEAD, of which the autopilot knows nothing.
+    `procedures` has all commands but LEAD, of which the autopilot knows nothing. `flies_on_in_silence`: where a stream ends the
+    autopilot goes on with the last attitude and thrust for seconds, so the last must be one that it may go on with.
     """
 
     modes: Mapping[FlightPhase, frozenset[AutopilotMode]]
     procedures: Mapping[CommandName, ProcedureBuilder]
+    flies_on_in_silence: bool
 
 
 def manners_of(vehicle: VehicleState) -> FlightManners:
@@ -50,7 +52,7 @@ def manners_of(vehicle: VehicleState) -> FlightManners:
     return FLIGHT_MANNERS[vehicle.autopilot]
 
 
-def _mode_is(mode: AutopilotMode) -> Callable[[VehicleState], bool]:
+def _mode_is(mode: AutopilotMode) -> Truth:
     return lambda vehicle: vehicle.mode is mode
 
 
@@ -81,6 +83,12 @@ def _hold(_vehicle: VehicleState, _height_m: float) -> Procedure:
     return Procedure(SetMode(M.HOLD), held, held, _mode_time_s, timeout_s=5.0, settle_s=0.2)
 
 
+def _guided(_vehicle: VehicleState, _height_m: float) -> Procedure:
+    # ArduCopter enters GUIDED without a stream, and stands still there until the first setpoint.
+    taken = _mode_is(M.OFFBOARD)
+    return Procedure(SetMode(M.OFFBOARD), taken, taken, _mode_time_s, timeout_s=5.0)
+
+
 def _offboard(_vehicle: VehicleState, _height_m: float) -> Procedure:
     taken = _mode_is(M.OFFBOARD)
     return Procedure(SetMode(M.OFFBOARD), taken, taken, _mode_time_s, timeout_s=5.0, delay_s=STREAM_BEFORE_OFFBOARD_S)
@@ -105,13 +113,24 @@ def _lands_or_has_landed(vehicle: VehicleState) -> bool:
 
 
 def _take_off(vehicle: VehicleState, height_m: float) -> Procedure:
+    return _climb(vehicle, height_m, _mode_is(M.HOLD))
+
+
+def _take_off_in_guided(vehicle: VehicleState, height_m: float) -> Procedure:
+    # Its motors run up for 3 s before it leaves the ground, and begin anew when it is asked again. GUIDED before and after: the
+    # landed state alone tells that it does not climb any more.
+    climb = _climb(vehicle, height_m, lambda v: v.mode is M.OFFBOARD and v.landed is LandedState.IN_AIR)
+    return replace(climb, acceptance_counts=True)
+
+
+def _climb(vehicle: VehicleState, height_m: float, at_the_top: Truth) -> Procedure:
     if vehicle.altitude_amsl_m is None:
         raise ValueError("the autopilot's altitude above sea level is unknown")
     target_z_m = vehicle.position_enu_m[2] + height_m
     return Procedure(
         TakeOff(vehicle.altitude_amsl_m + height_m, height_m),
         taken=lambda v: v.mode is M.TAKEOFF or in_air(v),
-        done=lambda v: v.mode is M.HOLD and abs(v.position_enu_m[2] - target_z_m) < CLIMBED_WITHIN_M,
+        done=lambda v: at_the_top(v) and abs(v.position_enu_m[2] - target_z_m) < CLIMBED_WITHIN_M,
         truth_time=_mode_time_s,
         timeout_s=15.0 + 2.0 * height_m,
     )
@@ -139,6 +158,34 @@ PX4 = FlightManners(
         C.LAND: _land,
         C.DISARM: _disarm,
     },
+    flies_on_in_silence=False,  # COM_OF_LOSS_T after the last setpoint its own failsafe acts
 )
 
-FLIGHT_MANNERS: dict[AutopilotKind, FlightManners] = {AutopilotKind.PX4: PX4}
+# GUIDED is what ArduCopter is armed in, climbs in and then stands still in; and what formation is flown in. It leaves
+# formation for BRAKE.
+ARDUPILOT = FlightManners(
+    modes={
+        P.PREPARE: frozenset({M.OFFBOARD}),
+        P.READY: frozenset({M.OFFBOARD}),
+        P.ARM: frozenset({M.OFFBOARD}),
+        P.ARMED: frozenset({M.OFFBOARD}),
+        P.TAKEOFF: frozenset({M.OFFBOARD}),
+        P.HOLD: frozenset({M.OFFBOARD, M.HOLD}),
+        P.ENGAGE: frozenset({M.OFFBOARD, M.HOLD}),
+        P.FORMATION: frozenset({M.OFFBOARD}),
+        P.RELEASE: frozenset({M.HOLD}),
+        P.LAND: frozenset({M.LAND}),
+    },
+    procedures={
+        C.PREPARE: _guided,
+        C.ARM: _arm,
+        C.TAKEOFF: _take_off_in_guided,
+        C.FORM: _guided,
+        C.HOLD: _hold,
+        C.LAND: _land,
+        C.DISARM: _disarm,
+    },
+    flies_on_in_silence=True,  # for GUID_TIMEOUT, 3 s; then it levels and keeps its altitude, but not its place
+)
+
+FLIGHT_MANNERS: dict[AutopilotKind, FlightManners] = {AutopilotKind.PX4: PX4, AutopilotKind.ARDUPILOT: ARDUPILOT}

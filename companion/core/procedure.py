@@ -11,6 +11,8 @@ from enum import Enum
 
 from companion.types import AckSample, AutopilotRequest, Telemetry, TextSample, VehicleState
 
+TEXTS_KEPT = 3
+
 Truth = Callable[[VehicleState], bool]
 
 
@@ -42,26 +44,33 @@ class Procedure:
 
 @dataclass(slots=True)
 class RunningProcedure:
-    """A procedure on its way. `reason` is the autopilot's last word of refusal."""
+    """A procedure on its way."""
 
     procedure: Procedure
     started_s: float
-    reason: str = "no answer from the autopilot"
     _next_s: float = field(init=False)
     _sent_s: float | None = None
     _accepted: bool = False
+    _refusal: str = ""  # of the last answer that was one
+    _texts: tuple[str, ...] = ()  # what the autopilot said meanwhile, newest last
 
     def __post_init__(self) -> None:
         self._next_s = self.started_s + self.procedure.delay_s
+
+    @property
+    def reason(self) -> str:
+        """Why it was refused, in the autopilot's words: its answer, and what it said beside."""
+        return ": ".join(filter(None, (self._refusal, "; ".join(self._texts)))) or "no answer from the autopilot"
 
     def hear(self, telemetry: Iterable[Telemetry]) -> None:
         for sample in telemetry:
             if isinstance(sample, AckSample) and isinstance(self.procedure.request, sample.answers):
                 self._accepted = sample.accepted
                 if not sample.accepted:
-                    self.reason = sample.reason
+                    self._refusal = sample.reason
             elif isinstance(sample, TextSample) and sample.severity <= 4:  # MAV_SEVERITY_WARNING and worse
-                self.reason = sample.text
+                others = [text for text in self._texts if text != sample.text]
+                self._texts = (*others, sample.text)[-TEXTS_KEPT:]
 
     def progress(self, now_s: float, vehicle: VehicleState) -> Progress:
         elapsed_s = now_s - self.started_s

@@ -1,4 +1,4 @@
-"""What differs from one autopilot to the next, in one description that `px4.py` fills.
+"""What differs from one autopilot to the next, in one description that `px4.py` and `ardupilot.py` fill.
 
 It is chosen by the HEARTBEAT; nothing else asks which autopilot it is.
 """
@@ -8,9 +8,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Protocol
 
-from companion.mavlink import px4
+from companion.mavlink import ardupilot, px4
 from companion.mavlink.codec import MavlinkMessage
-from companion.types import AutopilotKind, AutopilotMode, AutopilotRequest, Telemetry
+from companion.types import AttitudeTarget, AutopilotKind, AutopilotMode, AutopilotRequest, Telemetry
 
 
 class Manners(Protocol):
@@ -34,14 +34,20 @@ class Manners(Protocol):
     def ATTITUDE_TYPE_MASK(self) -> int:  # noqa: N802
         """Of SET_ATTITUDE_TARGET with attitude and thrust."""
 
+    def is_its(self, heartbeat: MavlinkMessage) -> bool:
+        """Is this HEARTBEAT that of such an autopilot?"""
+
     def mode_of(self, custom_mode: int) -> tuple[AutopilotMode, str]:
         """Meaning and the autopilot's own name of a custom_mode."""
+
+    def thrust_of(self, target: AttitudeTarget) -> float:
+        """The thrust of SET_ATTITUDE_TARGET that means this target's."""
 
     def command_for(self, request: AutopilotRequest, system_id: int) -> MavlinkMessage:
         """The COMMAND_LONG that asks for it."""
 
 
-MANNERS: dict[AutopilotKind, Manners] = {AutopilotKind.PX4: px4}
+MANNERS: dict[AutopilotKind, Manners] = {AutopilotKind.PX4: px4, AutopilotKind.ARDUPILOT: ardupilot}
 
 # The messages whose rate is the agent's to choose, whatever autopilot it is.
 AGENTS_STREAMS = frozenset(
@@ -51,10 +57,13 @@ AGENTS_STREAMS = frozenset(
 
 def kind_of(heartbeat: MavlinkMessage) -> AutopilotKind | None:
     """Whose HEARTBEAT this is; None where no manners are known for it."""
-    return next((kind for kind, manners in MANNERS.items() if heartbeat.autopilot == manners.MAV_AUTOPILOT), None)
+    return next((kind for kind, manners in MANNERS.items() if manners.is_its(heartbeat)), None)
 
 
 def words_for(heartbeat: MavlinkMessage) -> str:
     """What make of autopilot a HEARTBEAT says it is."""
-    kind = kind_of(heartbeat)
-    return f"MAV_AUTOPILOT {heartbeat.autopilot}" + (f" ({MANNERS[kind].NAME})" if kind else "")
+    words, kind = f"MAV_AUTOPILOT {heartbeat.autopilot}", kind_of(heartbeat)
+    if kind:
+        return f"{words} ({MANNERS[kind].NAME})"
+    known = any(heartbeat.autopilot == manners.MAV_AUTOPILOT for manners in MANNERS.values())
+    return f"{words} of MAV_TYPE {heartbeat.type}" if known else words

@@ -8,6 +8,7 @@ from companion.mavlink.codec import MavlinkMessage, mavlink
 from companion.mavlink.commands import command_long, common_command
 from companion.types import (
     AttitudeSample,
+    AttitudeTarget,
     AutopilotMode,
     AutopilotRequest,
     LandedSample,
@@ -63,6 +64,11 @@ LEAST_HZ: dict[type[Telemetry], tuple[str, float]] = {
 ATTITUDE_TYPE_MASK = 7  # ignore body rates; bit 6 (throttle ignore) would mean zero thrust
 
 
+def is_its(heartbeat: MavlinkMessage) -> bool:
+    """Is it a PX4's HEARTBEAT?"""
+    return bool(heartbeat.autopilot == MAV_AUTOPILOT)
+
+
 def mode_of(custom_mode: int) -> tuple[AutopilotMode, str]:
     """Meaning and PX4's own name of a custom_mode."""
     main, sub = custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF
@@ -70,6 +76,11 @@ def mode_of(custom_mode: int) -> tuple[AutopilotMode, str]:
     if main == 4:
         name += "." + AUTO_MODES.get(sub, str(sub))
     return MEANING.get((main, sub if main == 4 else 0), AutopilotMode.OTHER), name
+
+
+def thrust_of(target: AttitudeTarget) -> float:
+    """Thrust of SET_ATTITUDE_TARGET: along the body's axis, 0 to 1."""
+    return target.thrust_norm
 
 
 def command_for(request: AutopilotRequest, system_id: int) -> MavlinkMessage:

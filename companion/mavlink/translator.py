@@ -119,7 +119,7 @@ class Translator:
                 0.0,
                 0.0,
                 0.0,
-                target.thrust_norm,
+                self.manners.thrust_of(target),
             )
         )
 

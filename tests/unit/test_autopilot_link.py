@@ -13,24 +13,31 @@ import pytest
 
 from companion.link import autopilot_link
 from companion.link.autopilot_link import AutopilotLink
-from companion.mavlink import px4
 from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
+from companion.mavlink.manners import MANNERS
 from companion.mavlink.translator import Translator
+from companion.types import AutopilotKind
 
 HOST = "127.0.0.1"
+PX4, ARDUPILOT = AutopilotKind.PX4, AutopilotKind.ARDUPILOT
 SAID = {
+    mavlink.MAVLINK_MSG_ID_HEARTBEAT: mavlink.MAVLink_heartbeat_message(
+        2, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, 0, 4, 4, 3
+    ),
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: mavlink.MAVLink_local_position_ned_message(0, 0, 0, 0, 0, 0, 0),
     mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: mavlink.MAVLink_attitude_quaternion_message(0, 1, 0, 0, 0, 0, 0, 0),
     mavlink.MAVLINK_MSG_ID_CURRENT_MODE: mavlink.MAVLink_current_mode_message(0, 6 << 16, 6 << 16),
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: mavlink.MAVLink_extended_sys_state_message(0, 2),
 }
 HEARTBEAT = mavlink.MAVLink_heartbeat_message(2, mavlink.MAV_AUTOPILOT_PX4, 0, 6 << 16, 4, 3)
+WANTED = {k: {i for i, interval_us in m.STREAMS_US.items() if interval_us > 0} for k, m in MANNERS.items()}
 
 
 class ScriptedAutopilot:
     """Sends a stream only after it was asked for it, and never hears the first request for `deaf_to`."""
 
-    def __init__(self, port: int, deaf_to: int) -> None:
+    def __init__(self, kind: AutopilotKind, port: int, deaf_to: int) -> None:
+        self._kind = kind
         self.asked: list[int] = []
         self.interval_s: dict[int, float] = {}
         self._deaf_to = deaf_to
@@ -41,8 +48,11 @@ class ScriptedAutopilot:
 
     async def run(self) -> None:
         start_s, sent = time.monotonic(), dict.fromkeys(SAID, 0)
+        if self._kind is ARDUPILOT:
+            self._say(SAID[mavlink.MAVLINK_MSG_ID_HEARTBEAT])  # it comes once a second unasked; here, once
         while True:
-            self._say(HEARTBEAT)  # every 5 ms: its mode must not pass for the stream
+            if self._kind is PX4:
+                self._say(HEARTBEAT)  # every 5 ms: its mode must not pass for the stream
             for message_id, interval_s in self.interval_s.items():
                 while sent[message_id] * interval_s < time.monotonic() - start_s:
                     self._say(SAID[message_id])
@@ -106,9 +116,9 @@ def test_what_came_damaged_is_handed_on_by_reason_and_once() -> None:
     assert rejected == {"attitude of the autopilot that is no rotation": 2}
 
 
-@pytest.mark.parametrize("lost", SAID)
+@pytest.mark.parametrize(("kind", "lost"), [(kind, lost) for kind, wanted in WANTED.items() for lost in sorted(wanted)])
 def test_a_lost_request_for_any_stream_is_repeated_and_a_heard_one_is_not(
-    lost: int, monkeypatch: pytest.MonkeyPatch
+    kind: AutopilotKind, lost: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(autopilot_link, "STREAM_CHECK_PERIOD_S", 0.5)
 
@@ -118,7 +128,7 @@ def test_a_lost_request_for_any_stream_is_repeated_and_a_heard_one_is_not(
             port = probe.getsockname()[1]
         with (
             closing(AutopilotLink(3, f"udpin:{HOST}:{port}", Translator(3), lambda: None, ignore)) as link,
-            closing(ScriptedAutopilot(port, lost)) as autopilot,
+            closing(ScriptedAutopilot(kind, port, lost)) as autopilot,
         ):
             tasks = [asyncio.create_task(job) for job in (autopilot.run(), link.receive(), link.keep_streams())]
             async with asyncio.timeout(5.0):
@@ -128,7 +138,7 @@ def test_a_lost_request_for_any_stream_is_repeated_and_a_heard_one_is_not(
             asked = len(autopilot.asked)
             await asyncio.sleep(1.1)
             assert len(autopilot.asked) == asked
-            assert autopilot.interval_s.keys() == {m for m, interval_us in px4.STREAMS_US.items() if interval_us > 0}
+            assert autopilot.interval_s.keys() == WANTED[kind]
             for task in tasks:
                 task.cancel()
 

@@ -107,6 +107,7 @@ def test_a_bad_fleet_file(tmp_path: Path, change: Callable[[Any], Any], parts: l
         ({"id": 9}, ["id: 9", "no slot", "1, 2"]),
         ({"id": 1}, ["reference", "leads"]),
         ({"reference": LEADER["reference"]}, ["reference", "only a leader"]),
+        ({"autopilot": "apm"}, ["autopilot: 'apm'", "ardupilot, px4"]),
         ({"mavlink": "/dev/ttyACM0"}, ["mavlink: '/dev/ttyACM0': expected udpin:HOST:PORT", "serial:DEVICE:BAUD"]),
         ({"hover_thrust_norm": 49}, ["hover_thrust_norm", "49", "<= 0.9"]),
         ({"fleet": "nowhere.yaml"}, ["vehicle.yaml: fleet:", '"nowhere.yaml": no such file', "relative to"]),

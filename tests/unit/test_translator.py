@@ -144,7 +144,7 @@ def test_another_make_of_autopilot_is_noticed_and_not_flown() -> None:
     translator = Translator(3)
     message = mavlink.MAVLink_heartbeat_message(2, mavlink.MAV_AUTOPILOT_GENERIC, 0, 4, 4, 3)
     assert translator.telemetry(from_autopilot(message), 9.0) == []
-    assert translator.refused_heartbeat.startswith("its HEARTBEAT says MAV_AUTOPILOT 0, expected 12 (PX4)")
+    assert translator.refused_heartbeat == "its HEARTBEAT says MAV_AUTOPILOT 0, expected 12 (PX4) or 3 (ArduCopter)"
     assert translator.rejected == {"HEARTBEAT of another make of autopilot": 1}
 
 
