@@ -19,7 +19,7 @@ from companion.assembly import build_agent
 from companion.config import AgentConfig, load_agent
 from companion.config_file import ConfigError
 from companion.core.agent import Agent
-from companion.link.autopilot_link import AutopilotLink
+from companion.link.autopilot_link import AutopilotLink, AutopilotSilentError
 from companion.link.endpoint import LinkError
 from companion.link.ground_link import GroundStationLink
 from companion.link.log import RejectionLog, log_to_stderr
@@ -39,10 +39,6 @@ Job = Callable[[], Coroutine[Any, Any, None]]
 WAIT_FOR_AUTOPILOT_S = 15.0
 
 _log = logging.getLogger(__name__)
-
-
-class AutopilotSilentError(Exception):
-    """The autopilot never answered. str() is one line: file, field, endpoint, what was expected, what to do."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,10 +90,7 @@ async def _run(settings: Settings, config: AgentConfig) -> None:
             beside.append(ground.run)
         loop = ControlLoop(agent, autopilot, peers, trigger, notifier)
         if not await loop.run(settings.wait_s, beside):
-            raise AutopilotSilentError(
-                f'{settings.file}: mavlink: "{vehicle.mavlink}": no HEARTBEAT of system {vehicle.id} in'
-                f" {settings.wait_s:g} s; {autopilot.why_silent()}"
-            )
+            raise AutopilotSilentError(settings.file, vehicle, settings.wait_s, autopilot.why_silent())
 
 
 def _ground_station(

@@ -62,10 +62,10 @@ def build_agent(config: AgentConfig, session: int) -> Agent:
         altitude_hold_gains=Gains(law.altitude_hold_gains.position_1_s2, law.altitude_hold_gains.velocity_1_s),
         reference=trajectory_of(config.vehicle.reference) if config.vehicle.reference else None,
         takeoff_height_m=fleet.takeoff_height_m,
-        envelope=_limits(fleet.envelope, config.vehicle.hover_thrust_norm),
+        envelope=envelope_limits(fleet.envelope, config.vehicle.hover_thrust_norm),
         ages=AgeLimits(),
     )
-    tracker = VehicleTracker(None if fleet.origin == "local" else fleet.origin.as_tuple())
+    tracker = tracker_of(fleet)
     slots = {m.id: m.slot_enu_m for m in fleet.vehicles}
     leader = LeaderWatch(fleet.peers.leader_word_max_age_s)
     rule = _neighbour_rule(fleet, member.id)
@@ -108,7 +108,13 @@ def _neighbour_rule(fleet: FleetConfig, own_id: int) -> NeighbourRule:
     return RangeRule(fleet.neighbours.range_m, fleet.neighbours.hysteresis_m)
 
 
-def _limits(envelope: Envelope, hover_thrust_norm: float) -> EnvelopeLimits:
+def tracker_of(fleet: FleetConfig) -> VehicleTracker:
+    """What maps a vehicle's own frame into this fleet's."""
+    return VehicleTracker(None if fleet.origin == "local" else fleet.origin.as_tuple())
+
+
+def envelope_limits(envelope: Envelope, hover_thrust_norm: float) -> EnvelopeLimits:
+    """The last gate's limits, as a fleet file has them."""
     return EnvelopeLimits(
         max_tilt_rad=radians(envelope.max_tilt_deg),
         max_tilt_rate_rad_s=radians(envelope.max_tilt_rate_deg_s),

@@ -10,12 +10,13 @@ from pathlib import Path
 from companion import __version__
 from companion.closed_pipe import ending_quietly
 
-EXIT_CANNOT_CONVERGE, EXIT_FILE, EXIT_NO_AUTOPILOT = 1, 2, 3
+EXIT_CANNOT_CONVERGE, EXIT_FILE, EXIT_NO_AUTOPILOT, EXIT_INTERRUPTED = 1, 2, 3, 130
 
 DESCRIPTION = """\
 Formation flight for quadrotors that carry a computer of their own.
 
   companion agent     runs on each vehicle, beside its autopilot
+  companion doctor    says whether a vehicle is fit for it, and what to set, before it flies
   companion monitor   shows a whole fleet on the ground
   companion analyze   works out what a formation will do, before anyone flies it
 """
@@ -42,6 +43,30 @@ most 2 s. It logs one line per event to standard error.
 exit codes:
   0  ended by a signal
   2  a file, an endpoint in it or an argument cannot be used; the one line on standard error says which and why
+  3  the autopilot never answered
+"""
+
+
+DOCTOR = """\
+Is this vehicle fit to fly in formation? Connects to its autopilot as the agent would, looks at the link, the rates that
+it achieves, the estimator, the origin, the battery, the mode and the parameters that matter, and prints one line for each:
+ok, warning or refusal, what it found, what it wants, how to set it. The agent refuses formation by the same table.
+"""
+
+DOCTOR_MORE = """\
+examples:
+  companion doctor --config /etc/companion/vehicle-1.yaml
+  companion doctor --config /etc/companion/vehicle-1.yaml --fix
+  companion doctor --config vehicle-1.yaml --json | jq '.findings[] | select(.verdict != "ok")'
+
+The autopilot's link is one program's alone: stop the agent first (systemctl stop companion@1). --fix shows all, then sets
+what is safe to set, reads it again and shows what is left. It sets nothing while the vehicle is armed, loosens no failsafe,
+and takes no means from the pilot: what the pilot must decide stays a line that says how to set it.
+
+exit codes:
+  0  fit to fly in formation; there may be warnings
+  1  a refusal stands, or --fix could not set what it meant to
+  2  a file, an endpoint in it or an argument cannot be used, or the link is in use
   3  the autopilot never answered
 """
 
@@ -111,7 +136,7 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=raw,
     )
     parser.add_argument("--version", action="version", version=f"companion {__version__}")
-    commands = parser.add_subparsers(dest="command", required=True, metavar="agent|monitor|analyze")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="agent|doctor|monitor|analyze")
 
     agent = commands.add_parser("agent", description=AGENT, epilog=AGENT_MORE, formatter_class=raw)
     agent.add_argument("--config", type=Path, required=True, metavar="FILE", help="the vehicle file (YAML)")
@@ -120,6 +145,15 @@ def _parser() -> argparse.ArgumentParser:
     )
 
     agent.set_defaults(run=_agent)
+
+    doctor = commands.add_parser("doctor", description=DOCTOR, epilog=DOCTOR_MORE, formatter_class=raw)
+    doctor.add_argument("--config", type=Path, required=True, metavar="FILE", help="the vehicle file (YAML)")
+    doctor.add_argument("--fix", action="store_true", help="set what is safe to set, after showing it")
+    doctor.add_argument("--json", action="store_true", help="one JSON object instead of the lines")
+    doctor.add_argument(
+        "--wait-s", type=_seconds, default=15.0, metavar="S", help="how long to wait for the autopilot (default 15)"
+    )
+    doctor.set_defaults(run=_doctor)
 
     monitor = commands.add_parser("monitor", description=MONITOR, epilog=MONITOR_MORE, formatter_class=raw)
     monitor.add_argument("--fleet", default="*", metavar="NAME", help="only this fleet (default: every fleet heard)")
@@ -141,8 +175,9 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _agent(options: argparse.Namespace) -> int:
-    from companion.app import AutopilotSilentError, Settings, run_agent
+    from companion.app import Settings, run_agent
     from companion.config_file import ConfigError
+    from companion.link.autopilot_link import AutopilotSilentError
 
     try:
         run_agent(Settings(options.config, options.wait_s))
@@ -151,6 +186,21 @@ def _agent(options: argparse.Namespace) -> int:
     except AutopilotSilentError as error:
         return _fail(str(error), EXIT_NO_AUTOPILOT)
     return 0
+
+
+def _doctor(options: argparse.Namespace) -> int:
+    from companion.config_file import ConfigError
+    from companion.doctor import Options, run_doctor
+    from companion.link.autopilot_link import AutopilotSilentError
+
+    try:
+        return run_doctor(Options(options.config, options.wait_s, options.fix, options.json))
+    except ConfigError as error:
+        return _fail(str(error), EXIT_FILE)
+    except AutopilotSilentError as error:
+        return _fail(str(error), EXIT_NO_AUTOPILOT)
+    except KeyboardInterrupt:
+        return _fail("interrupted", EXIT_INTERRUPTED)
 
 
 def _monitor(options: argparse.Namespace) -> int:

@@ -127,6 +127,15 @@ class OriginSample:
 
 
 @dataclass(frozen=True, slots=True)
+class SystemSample:
+    """SYS_STATUS: the battery's charge, -1 where the autopilot does not know it, and whether its own checks let it arm."""
+
+    received_s: float
+    battery_percent: float
+    may_arm: bool
+
+
+@dataclass(frozen=True, slots=True)
 class AckSample:
     """COMMAND_ACK. `answers` are the kinds of request that the command stands for; `reason` says the result in words."""
 
@@ -152,6 +161,7 @@ Telemetry = (
     | HeartbeatSample
     | LandedSample
     | OriginSample
+    | SystemSample
     | AckSample
     | TextSample
 )

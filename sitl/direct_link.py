@@ -24,12 +24,14 @@ from companion.types import (
     LandedState,
     ModeSample,
     PositionSample,
+    SystemSample,
     Telemetry,
 )
 from sitl.attitude_control import Setpoint
 from sitl.autopilot import Autopilot
 from sitl.config import Links
 from sitl.link_end import LinkEnd
+from sitl.messages import BATTERY_PERCENT
 
 M = mavlink
 _FLOATS = struct.Struct("<6f")  # MAVLink's floats have 32 bits: micrometres, where a vehicle is 10 m away
@@ -65,12 +67,17 @@ def _landed(autopilot: Autopilot, received_s: float) -> tuple[Telemetry, ...]:
     return (LandedSample(received_s, LandedState(autopilot.landed_state)),)
 
 
+def _system(autopilot: Autopilot, received_s: float) -> tuple[Telemetry, ...]:
+    return (SystemSample(received_s, float(BATTERY_PERCENT), autopilot.armable),)
+
+
 SAMPLES: dict[int, Callable[[Autopilot, float], tuple[Telemetry, ...]]] = {
     M.MAVLINK_MSG_ID_HEARTBEAT: _heartbeat,
     M.MAVLINK_MSG_ID_CURRENT_MODE: _mode,
     M.MAVLINK_MSG_ID_LOCAL_POSITION_NED: _position,
     M.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: _attitude,
     M.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: _landed,
+    M.MAVLINK_MSG_ID_SYS_STATUS: _system,
 }
 
 

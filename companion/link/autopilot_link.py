@@ -6,8 +6,10 @@ import asyncio
 import logging
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
 from typing import NoReturn
 
+from companion.config import VehicleConfig
 from companion.link.mavlink_link import open_link
 from companion.mavlink.signing import NOT_SIGNED, OLD_STAMP, WRONG_KEY
 from companion.mavlink.translator import Translator
@@ -31,6 +33,15 @@ SIGNATURE_ADVICE = {
 }
 
 _log = logging.getLogger(__name__)
+
+
+class AutopilotSilentError(Exception):
+    """The autopilot never answered. str() is one line: file, field, endpoint, what was expected, what to do."""
+
+    def __init__(self, file: Path, vehicle: VehicleConfig, waited_s: float, why: str) -> None:
+        super().__init__(
+            f'{file}: mavlink: "{vehicle.mavlink}": no HEARTBEAT of system {vehicle.id} in {waited_s:g} s; {why}'
+        )
 
 
 class AutopilotLink:
@@ -87,6 +98,11 @@ class AutopilotLink:
     def offer(self, packet: bytes) -> bool:
         """A packet of somebody else; it goes out only where it delays nothing. False: not now."""
         return self._link.offer(packet)
+
+    def relay(self, data: bytes) -> None:
+        """What another program of this vehicle's computer says, as this agent's own."""
+        for packet in self._translator.relayed(data):
+            self._link.send(packet)
 
     async def receive(self) -> None:
         """Until cancelled."""

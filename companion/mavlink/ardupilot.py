@@ -22,6 +22,7 @@ from companion.types import (
     LandedSample,
     PositionSample,
     SetMode,
+    SystemSample,
     TakeOff,
     Telemetry,
 )
@@ -80,6 +81,7 @@ STREAMS_US = {
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 20_000,
     mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 20_000,
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 100_000,
+    mavlink.MAVLINK_MSG_ID_SYS_STATUS: 200_000,
 }
 
 LEAST_HZ: dict[type[Telemetry], tuple[str, float]] = {
@@ -87,6 +89,7 @@ LEAST_HZ: dict[type[Telemetry], tuple[str, float]] = {
     PositionSample: ("positions", 40.0),
     AttitudeSample: ("attitudes", 40.0),
     LandedSample: ("landed states", 2.0),
+    SystemSample: ("battery states", 1.0),
 }
 
 ATTITUDE_TYPE_MASK = 7  # ignore body rates

@@ -15,6 +15,7 @@ from companion.types import (
     ModeSample,
     PositionSample,
     SetMode,
+    SystemSample,
     TakeOff,
     Telemetry,
 )
@@ -49,6 +50,7 @@ STREAMS_US = {
     mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 20_000,
     mavlink.MAVLINK_MSG_ID_CURRENT_MODE: 20_000,
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 100_000,
+    mavlink.MAVLINK_MSG_ID_SYS_STATUS: 200_000,
     mavlink.MAVLINK_MSG_ID_ATTITUDE: -1,
     mavlink.MAVLINK_MSG_ID_ODOMETRY: -1,
     mavlink.MAVLINK_MSG_ID_HIGHRES_IMU: -1,
@@ -59,6 +61,7 @@ LEAST_HZ: dict[type[Telemetry], tuple[str, float]] = {
     AttitudeSample: ("attitudes", 40.0),
     ModeSample: ("modes", 5.0),  # CURRENT_MODE may come less often than it was asked to
     LandedSample: ("landed states", 2.0),
+    SystemSample: ("battery states", 1.0),
 }
 
 ATTITUDE_TYPE_MASK = 7  # ignore body rates; bit 6 (throttle ignore) would mean zero thrust

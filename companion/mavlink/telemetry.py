@@ -16,6 +16,7 @@ from companion.types import (
     LandedState,
     OriginSample,
     PositionSample,
+    SystemSample,
     TextSample,
 )
 
@@ -65,6 +66,13 @@ def landed(message: MavlinkMessage, received_s: float) -> LandedSample:
 def origin(message: MavlinkMessage, received_s: float) -> OriginSample:
     """GPS_GLOBAL_ORIGIN, degrees in 1e-7 (about 1 cm) and altitude in mm."""
     return OriginSample(received_s, message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1e3)
+
+
+def system(message: MavlinkMessage, received_s: float) -> SystemSample:
+    """SYS_STATUS."""
+    healthy = message.onboard_control_sensors_health
+    may_arm = bool(healthy & mavlink.MAV_SYS_STATUS_PREARM_CHECK)
+    return SystemSample(received_s, float(message.battery_remaining), may_arm)
 
 
 def acknowledgement(message: MavlinkMessage, received_s: float) -> AckSample:

@@ -25,6 +25,7 @@ class Translator:
     def __init__(self, vehicle_id: int, autopilot: AutopilotKind | None = None, key: SigningKey | None = None) -> None:
         self._system_id = vehicle_id
         self._codec = MavlinkCodec(vehicle_id, mavlink.MAV_COMP_ID_ONBOARD_COMPUTER, key)
+        self._beside = MavlinkCodec(vehicle_id, mavlink.MAV_COMP_ID_ONBOARD_COMPUTER)
         self._has_key = key is not None
         self._texts = telemetry.TextAssembler()
         self.rejected: Counter[str] = Counter()  # what came damaged or without sense, by reason
@@ -81,6 +82,8 @@ class Translator:
                 return [telemetry.landed(message, received_s)]
             case "GPS_GLOBAL_ORIGIN":
                 return [telemetry.origin(message, received_s)]
+            case "SYS_STATUS":
+                return [telemetry.system(message, received_s)]
             case "COMMAND_ACK":
                 if message.target_system not in (0, self._system_id):
                     return []  # to a ground station on the same link
@@ -126,6 +129,10 @@ class Translator:
     def request(self, request: AutopilotRequest) -> bytes:
         """A COMMAND_LONG."""
         return self._codec.encode(self.manners.command_for(request, self._system_id))
+
+    def relayed(self, data: bytes) -> list[bytes]:
+        """Another program's messages as this link's own: signed, where it is signed."""
+        return [self._codec.encode(message) for message in self._beside.decode(data)]
 
     def heartbeat(self) -> bytes:
         """The companion's own HEARTBEAT. Never that of a ground station: it would hide a lost one from the autopilot."""

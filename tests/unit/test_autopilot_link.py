@@ -28,6 +28,7 @@ SAID = {
     mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: mavlink.MAVLink_attitude_quaternion_message(0, 1, 0, 0, 0, 0, 0, 0),
     mavlink.MAVLINK_MSG_ID_CURRENT_MODE: mavlink.MAVLink_current_mode_message(0, 6 << 16, 6 << 16),
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: mavlink.MAVLink_extended_sys_state_message(0, 2),
+    mavlink.MAVLINK_MSG_ID_SYS_STATUS: mavlink.MAVLink_sys_status_message(0, 0, 0, 0, 0, 0, 90, 0, 0, 0, 0, 0, 0),
 }
 HEARTBEAT = mavlink.MAVLink_heartbeat_message(2, mavlink.MAV_AUTOPILOT_PX4, 0, 6 << 16, 4, 3)
 WANTED = {k: {i for i, interval_us in m.STREAMS_US.items() if interval_us > 0} for k, m in MANNERS.items()}

@@ -1,0 +1,188 @@
+"""`companion doctor`: is this vehicle fit to fly in formation, and what is to be set? One link, one audit, one line each."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable, Coroutine, Iterable
+from contextlib import closing
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import msgspec
+
+from companion.assembly import envelope_limits, tracker_of
+from companion.config import AgentConfig, load_agent
+from companion.config_file import ConfigError
+from companion.core.audit import Facts, Finding, Place, audit, parameter_names, worst
+from companion.core.survey import WINDOW_S, Survey
+from companion.doctor_report import Change, Diagnosis, closing_words, heading, lines
+from companion.link.autopilot_link import AutopilotLink, AutopilotSilentError
+from companion.link.endpoint import LinkError
+from companion.link.mavsdk_bridge import MavsdkBridge
+from companion.link.parameters import ParameterError, Parameters
+from companion.link.signing_key import read_signing_key
+from companion.mavlink.translator import Translator
+from companion.types import RequestOrigin, VehicleState
+
+FIT, UNFIT = 0, 1  # exit codes
+SETTLE_S = 1.0  # until the streams have the rates that were asked for
+LISTEN_PERIOD_S = 0.05
+ASK_ORIGIN_PERIOD_S = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What the command line says."""
+
+    file: Path
+    wait_s: float
+    fix: bool
+    as_json: bool
+
+
+def run_doctor(options: Options) -> int:
+    """The exit code. Raises ConfigError and AutopilotSilentError."""
+    return asyncio.run(_run(options, load_agent(options.file)))
+
+
+async def _run(options: Options, config: AgentConfig) -> int:
+    with closing(Patient(options.file, config)) as patient:
+        async with asyncio.TaskGroup() as group:
+            tasks = [group.create_task(job) for job in patient.jobs()]
+            diagnosis = await _examine(patient, options) if await patient.answers(options.wait_s) else None
+            for task in tasks:
+                task.cancel()
+        if diagnosis is None:
+            raise patient.silence(options.wait_s)
+    if options.as_json:
+        print(msgspec.json.format(msgspec.json.encode(diagnosis), indent=2).decode())
+    return FIT if diagnosis.fit else UNFIT
+
+
+async def _examine(patient: Patient, options: Options) -> Diagnosis:
+    """Audit, show, and where it is asked for fix, and audit and show again."""
+    say: Callable[[str], None] = _nothing if options.as_json else print
+    diagnosis = await patient.diagnose()
+    say(heading(diagnosis))
+    _each(say, lines(diagnosis.findings))
+    fixable = [finding for finding in diagnosis.findings if finding.fix is not None]
+    if options.fix and fixable:
+        changes = tuple([await patient.fix(finding) for finding in fixable])
+        _each(say, ["", *map(str, changes), ""])
+        diagnosis = replace(await patient.diagnose(), changes=changes)
+        _each(say, lines(diagnosis.findings))
+    _each(say, ["", closing_words(diagnosis)])
+    return diagnosis
+
+
+def _each(say: Callable[[str], None], words: Iterable[str]) -> None:
+    for line in words:
+        say(line)
+
+
+def _nothing(_line: str) -> None:
+    """For JSON, which is one object and nothing beside it."""
+
+
+class Patient:
+    """One vehicle on the bench: the agent's own link and translator, and mavsdk on the same bytes."""
+
+    def __init__(self, file: Path, config: AgentConfig) -> None:
+        """Opens the link. Raises ConfigError."""
+        vehicle = config.vehicle
+        self._file, self._config = file, config
+        self._survey = Survey()
+        self._tracker = tracker_of(config.fleet)
+        self._limits = envelope_limits(config.fleet.envelope, vehicle.hover_thrust_norm)
+        key = read_signing_key(file, vehicle.signing) if vehicle.signing else None
+        try:
+            self._link = AutopilotLink(
+                vehicle.id,
+                vehicle.mavlink,
+                Translator(vehicle.id, vehicle.autopilot, key),
+                position_arrived=lambda: None,
+                reject=lambda _reason: None,
+            )
+        except LinkError as error:
+            raise ConfigError(file, "mavlink", f'"{vehicle.mavlink}": {error}') from error
+        self._bridge = MavsdkBridge(vehicle.id, self._link.relay)
+        self._link.pass_on_to(self._bridge.receive)
+        self._parameters: Parameters | None = None  # once it answers
+        self._ask_origin_s = float("-inf")
+
+    def jobs(self) -> tuple[Coroutine[None, None, None], ...]:
+        """What goes on meanwhile, until cancelled: the link, the agent's own streams, and what comes of them."""
+        return (self._link.receive(), self._link.keep_streams(), self._listen())
+
+    async def _listen(self) -> None:
+        while True:
+            await asyncio.sleep(LISTEN_PERIOD_S)
+            telemetry = self._link.drain()
+            self._tracker.fold(telemetry)
+            self._survey.hear(time.monotonic(), telemetry)
+            if self._link.heard and time.monotonic() > self._ask_origin_s:
+                self._link.request([RequestOrigin()])
+                self._ask_origin_s = time.monotonic() + ASK_ORIGIN_PERIOD_S
+
+    async def answers(self, wait_s: float) -> bool:
+        """Its HEARTBEAT comes within this time. Then its streams get the rates that were asked for."""
+        give_up_s = time.monotonic() + wait_s
+        while not self._link.heard:
+            if time.monotonic() > give_up_s:
+                return False
+            await asyncio.sleep(LISTEN_PERIOD_S)
+        system = await self._bridge.system(wait_s)
+        if system is None:
+            return False
+        self._parameters = Parameters(system)
+        await asyncio.sleep(SETTLE_S)
+        return True
+
+    def silence(self, wait_s: float) -> AutopilotSilentError:
+        return AutopilotSilentError(self._file, self._config.vehicle, wait_s, self._link.why_silent())
+
+    async def diagnose(self) -> Diagnosis:
+        """Listen for a whole window, read the parameters, audit."""
+        self._survey = Survey()
+        await asyncio.sleep(WINDOW_S + 2 * LISTEN_PERIOD_S)
+        vehicle, survey, config = self._tracker.state, self._survey, self._config
+        assert vehicle.autopilot is not None  # it answers
+        assert self._parameters is not None
+        facts = Facts(
+            autopilot=vehicle.autopilot,
+            parameters=await self._parameters.read_all(parameter_names(vehicle.autopilot)),
+            hover_thrust_norm=config.vehicle.hover_thrust_norm,
+            rates_hz=survey.rates_hz,
+            checks_lack=None if vehicle.armed else survey.checks_lack,
+            place=self._place(vehicle),
+            position_enu_m=vehicle.position_enu_m,
+            battery_percent=-1.0 if survey.battery_percent is None else survey.battery_percent,
+            mode_name=vehicle.mode_name,
+            armed=vehicle.armed,
+        )
+        findings = audit(facts)
+        return Diagnosis(config.vehicle.id, facts.autopilot, config.vehicle.mavlink, worst(findings), findings)
+
+    async def fix(self, finding: Finding) -> Change:
+        """Set what the finding says is safe; nothing while the vehicle is armed."""
+        assert finding.fix is not None
+        assert self._parameters is not None
+        failure = "armed; land and disarm first" if self._tracker.state.armed else ""
+        if not failure:
+            try:
+                await self._parameters.set(finding.subject, finding.fix)
+            except ParameterError as error:
+                failure = str(error)
+        return Change(finding.subject, finding.found, finding.fix, failure)
+
+    def _place(self, vehicle: VehicleState) -> Place:
+        if vehicle.position_time_s > float("-inf"):
+            return Place.INSIDE if self._limits.inside_fence(vehicle.position_enu_m) else Place.OUTSIDE
+        return Place.UNKNOWN if vehicle.frame_known else Place.NO_ORIGIN
+
+    def close(self) -> None:
+        if self._parameters:
+            self._parameters.close()
+        self._bridge.close()
+        self._link.close()
