@@ -30,10 +30,13 @@ zenoh: {{listen: ["{zenoh}"]}}
 reference: {{kind: point, point_enu_m: [0.0, 0.0, 2.0]}}
 """
 
+PORTS_OF_A_RUN, RUNS_AT_ONCE = 100, 50
+
 
 def free_port(first: int, kind: int) -> int:
-    """The first free port from `first` on."""
-    for port in range(first, first + 100):
+    """The first free port from `first` on, from a range of this process: two test runs at once take different ones."""
+    first += PORTS_OF_A_RUN * (os.getpid() % RUNS_AT_ONCE)
+    for port in range(first, first + PORTS_OF_A_RUN):
         with socket.socket(socket.AF_INET, kind) as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             try:
