@@ -47,6 +47,7 @@ from companion.types import (
 
 HAND_OVER_S = 2.0  # at the end: how long the autopilot may take to go into its own hold
 SILENT_TOO_LONG_S = 0.5  # less than COM_OF_LOSS_T: PX4 re-enters OFFBOARD by itself when a stream returns
+MODE_SURE_S = 0.2  # so old may the mode be where the agent, seeing nothing else, still asks for another
 ORIGIN_REPEAT_S = 1.0
 ORIGIN_REFRESH_S = 5.0  # PX4 tells a changed origin once, and that one datagram may be lost
 STATUS_PERIOD_S = 0.099  # every fifth tick of 50 Hz, also where a tick comes a little early
@@ -173,12 +174,19 @@ class Agent:
         if not self._machine.streams(vehicle):
             return
         if now_s - self._spoke_s > SILENT_TOO_LONG_S:
-            if self._machine.phase in (FlightPhase.ENGAGE, FlightPhase.FORMATION):
-                self._machine.give_up(f"silent for {SILENT_TOO_LONG_S} s: {_reason(flags)}")
-            else:
-                self._machine.end_stream()
+            self._end_formation_in_silence(flags, now_s, vehicle)
         elif failsafe_action(flags) is FailsafeAction.HOLD:
             self._machine.hand_over(now_s, vehicle, _reason(flags))
+
+    def _end_formation_in_silence(self, flags: frozenset[HealthFlag], now_s: float, vehicle: VehicleState) -> None:
+        """Who would drift on by itself is asked to hold, unless a pilot may have taken over unseen."""
+        if self._machine.phase in (FlightPhase.ENGAGE, FlightPhase.FORMATION):
+            reason = f"silent for {SILENT_TOO_LONG_S} s: {_reason(flags)}"
+            if manners_of(vehicle).flies_on_in_silence and now_s - vehicle.mode_time_s < MODE_SURE_S:
+                self._machine.hand_over(now_s, vehicle, reason)
+            else:
+                self._machine.give_up(reason)
+        self._machine.end_stream()
 
     def _stop(self, now_s: float, vehicle: VehicleState) -> None:
         if self._stopping_s is None:

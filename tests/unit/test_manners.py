@@ -330,6 +330,37 @@ def test_silence_has_one_last_word_and_what_follows_is_flown() -> None:
         assert not any(level_targets(flight)[-10:])
 
 
+def test_a_long_silence_ends_in_ardupilots_brake_but_takes_nothing_from_an_unseen_pilot() -> None:
+    flight = Flight(ARDUPILOT).fly_to(P.FORMATION)
+    flight.autopilot.withheld = ("LOCAL_POSITION_NED",)
+    flight.ticks(1.0)
+    assert flight.agent.phase is P.HOLD
+    assert flight.autopilot.custom_mode == HOLD[ARDUPILOT]
+    blind = Flight(ARDUPILOT).fly_to(P.FORMATION)
+    blind.autopilot.withheld = ("LOCAL_POSITION_NED", "HEARTBEAT")
+    blind.autopilot.commands.clear()
+    blind.ticks(5.0)
+    assert blind.agent.phase is P.OBSERVE
+    assert blind.autopilot.commands == []
+
+
+@BOTH
+def test_an_agent_started_in_flight_sends_nothing_until_it_is_told_to_hold(kind: AutopilotKind) -> None:
+    flying = Flight(kind).fly_to(P.FORMATION).autopilot
+    restarted = Flight(kind)
+    restarted.autopilot = flying
+    flying.targets.clear()
+    flying.commands.clear()
+    restarted.ticks(3.0)
+    for name in (C.PREPARE, C.ARM, C.TAKEOFF, C.FORM, C.DISARM):
+        restarted.tick(name)
+        assert not restarted.replies[-1][0]
+    assert (flying.targets, flying.commands) == ([], [])
+    assert restarted.do(C.HOLD) is P.HOLD
+    assert flying.custom_mode == HOLD[kind]
+    assert flying.targets == []
+
+
 @BOTH
 def test_before_its_heartbeat_nothing_is_asked_and_every_command_refused(kind: AutopilotKind) -> None:
     flight = Flight(kind)
