@@ -263,7 +263,7 @@ class VehicleConfig(_Base, frozen=True):
     reference: Reference | None = None
     signing: Signing | None = None
     ground_station: Annotated[
-        str, Meta(pattern="^udpout:.+:[0-9]{1,9}$", description="udpout:HOST:PORT, like udpout:192.168.1.50:14550")
+        str, Meta(pattern="^(udpout:.+:[0-9]{1,9})?$", description="udpout:HOST:PORT, like udpout:192.168.1.50:14550")
     ] = ""
 
 
