@@ -257,6 +257,16 @@ def test_no_fresh_state_no_setpoint(ticks: int) -> None:
     assert len(flight.targets) == before + 1
 
 
+@pytest.mark.parametrize(("age_s", "setpoints"), [(0.0, 1), (0.039, 1), (0.041, 0)])
+def test_40_ms_after_a_position_came_nothing_is_decided_on_it(age_s: float, setpoints: int) -> None:
+    flight = Flight().fly_to(FlightPhase.FORMATION)
+    for _ in range(3):
+        flight.tick(telemetry=[])
+    before, came_s = len(flight.targets), flight.now_s + 0.02 - age_s
+    flight.tick(telemetry=[PositionSample(came_s, came_s - 50.0, flight.position, flight.velocity)])
+    assert len(flight.targets) - before == setpoints
+
+
 def test_silent_for_too_long_it_does_not_speak_again_by_itself() -> None:
     """PX4 re-enters OFFBOARD when a stream returns: an agent that was silent must wait for a command."""
     flight = Flight().fly_to(FlightPhase.FORMATION)

@@ -1,0 +1,96 @@
+"""Between a stand-in autopilot and its agent, on the wire: hands on what passes, notes when, and may be cut."""
+
+from __future__ import annotations
+
+import select
+import socket
+import threading
+import time
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Self
+
+from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
+
+OFFBOARD = 6 << 16
+
+
+@dataclass
+class WireTap:
+    """Listens at `stand_in_port`, where the autopilot sends to, and hands on to the agent at `agent_port`.
+
+    Times are of the monotonic clock, when a packet came here: before it went on, or at the autopilot's end.
+    """
+
+    stand_in_port: int
+    agent_port: int
+    is_cut: bool = False  # telemetry; what the agent says still passes
+    positions_s: list[float] = field(default_factory=list)  # towards the agent, only those that were handed on
+    other_modes_s: list[float] = field(default_factory=list)  # CURRENT_MODE says anything but OFFBOARD
+    setpoints_s: list[float] = field(default_factory=list)
+    commands: list[MavlinkMessage] = field(default_factory=list)  # the agent's, but for rates and messages
+
+    def __post_init__(self) -> None:
+        self._front = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._front.bind(("127.0.0.1", self.stand_in_port))
+        self._back = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._back.bind(("127.0.0.1", 0))
+        self._autopilot: tuple[str, int] | None = None
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+        self._down, self._up = MavlinkCodec(1, 1), MavlinkCodec(1, 1)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._ended.set()
+        self._thread.join()
+        self._front.close()
+        self._back.close()
+
+    def setpoints_since(self, time_s: float) -> list[float]:
+        return [at_s for at_s in self.setpoints_s if at_s > time_s]
+
+    def positions_since(self, time_s: float) -> list[float]:
+        return [at_s for at_s in self.positions_s if at_s > time_s]
+
+    def _run(self) -> None:
+        while not self._ended.is_set():
+            readable, _, _ = select.select([self._front, self._back], [], [], 0.05)
+            if self._front in readable:
+                data, self._autopilot = self._front.recvfrom(4096)
+                if not self.is_cut:
+                    self._telemetry(data)
+            if self._back in readable:
+                try:
+                    data = self._back.recv(4096)
+                except ConnectionError:
+                    continue  # the agent is not there
+                self._from_agent(data)
+
+    def _telemetry(self, data: bytes) -> None:
+        now_s = time.monotonic()
+        for message in self._down.decode(data):
+            kind = message.get_type()
+            if kind == "LOCAL_POSITION_NED":
+                self.positions_s.append(now_s)
+            elif kind == "CURRENT_MODE" and message.custom_mode != OFFBOARD:
+                self.other_modes_s.append(now_s)
+        self._back.sendto(data, ("127.0.0.1", self.agent_port))
+
+    def _from_agent(self, data: bytes) -> None:
+        now_s = time.monotonic()
+        for message in self._up.decode(data):
+            if message.get_type() == "SET_ATTITUDE_TARGET":
+                self.setpoints_s.append(now_s)
+            elif message.get_type() == "COMMAND_LONG" and message.command not in (
+                mavlink.MAV_CMD_SET_MESSAGE_INTERVAL,
+                mavlink.MAV_CMD_REQUEST_MESSAGE,
+            ):
+                self.commands.append(message)
+        if self._autopilot:
+            self._front.sendto(data, self._autopilot)
