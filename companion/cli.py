@@ -113,9 +113,10 @@ A scenario says where the vehicles start and where they go; a fleet file alone i
 predictions come from a linear model with an attitude lag of 0.2 s and a delay of 50 ms, without noise and limits.
 
 exit codes:
-  0  the formation converges, whatever else the verdict says
-  1  it cannot converge: a vehicle has no path to a leader, or the law is unstable with that lag and delay
-  2  the file cannot be used
+  0    the formation converges, whatever else the verdict says
+  1    it cannot converge: a vehicle has no path to a leader, or the law is unstable with that lag and delay
+  2    the file cannot be used
+  130  ended by Ctrl-C
 """
 
 
@@ -124,7 +125,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with ending_quietly():
         options = _parser().parse_args(arguments)
         run: Callable[[argparse.Namespace], int] = options.run
-        return run(options)
+        try:
+            return run(options)
+        except KeyboardInterrupt:
+            if options.run not in (_agent, _monitor):
+                raise
+            return 0  # their usual end, also before they are ready
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -1,4 +1,7 @@
-"""`| head` has seen enough: a command whose reader has gone ends without a word, as `yes | head` does."""
+"""How a command ends that is not wanted any more: with a word on Ctrl-C, without one when its reader has seen enough.
+
+`companion ... | head` then does as `yes | head` does.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+EXIT_INTERRUPTED = 130
 EXIT_READER_GONE = 141  # as shells count: 128 and SIGPIPE's number
 STDOUT, STDERR = 1, 2
 
@@ -18,6 +22,9 @@ def ending_quietly() -> Iterator[None]:
     try:
         try:
             yield
+        except KeyboardInterrupt:  # commands know what it means to them; this one came before or after
+            print("interrupted", file=sys.stderr)
+            sys.exit(EXIT_INTERRUPTED)
         finally:
             sys.stdout.flush()  # here, and not when Python exits: nobody could catch it there
     except BrokenPipeError:

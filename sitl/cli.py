@@ -12,27 +12,25 @@ from typing import NoReturn
 from companion import __version__
 from companion.closed_pipe import ending_quietly
 
-EXIT_FAILED, EXIT_BAD_INPUT, EXIT_INTERRUPTED = 1, 2, 130
+EXIT_FAILED, EXIT_BAD_INPUT = 1, 2
 MAX_PORT_OFFSET = 40_000  # vehicle 250's ports are then still ports
 
 
 def main() -> NoReturn:
     with ending_quietly():
-        try:
-            sys.exit(_main())
-        except KeyboardInterrupt:  # commands know what it means to them; this one came before or after
-            print("interrupted", file=sys.stderr)
-            sys.exit(EXIT_INTERRUPTED)
+        sys.exit(_main())
 
 
 def _main() -> int:
     """The exit code. Imports what takes a while itself, for Ctrl-C may come meanwhile."""
     from companion.config_file import ConfigError
+    from sitl.needed import check_installed
     from sitl.workers import WorkerDiedError
 
     arguments = _parser().parse_args()
     run: Callable[[argparse.Namespace], int] = arguments.run
     try:
+        check_installed(arguments.command)
         return run(arguments)
     except ConfigError as error:
         print(error, file=sys.stderr)
@@ -44,8 +42,8 @@ def _main() -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="sitl", description="Stand-in vehicles, and whole fleets of real processes.")
-    parser.add_argument("--version", action="version", version=__version__)
-    subcommands = parser.add_subparsers(required=True, metavar="COMMAND")
+    parser.add_argument("--version", action="version", version=f"sitl {__version__}")
+    subcommands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     _add_autopilot(subcommands)
     _add_fly(subcommands)
     _add_run(subcommands)

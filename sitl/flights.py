@@ -6,7 +6,6 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime
-from importlib.util import find_spec
 from pathlib import Path
 
 from companion.config_file import ConfigError
@@ -34,16 +33,14 @@ class Result:
 FlyOnce = Callable[[Scenario, str, Path, StopRequest], Result]  # scenario, its name, the folder for the results
 
 
-def run_flights(
-    command: str, options: RunOptions, fly_once: FlyOnce, check: Callable[[Scenario], None] | None = None
-) -> int:
+def run_flights(options: RunOptions, fly_once: FlyOnce, check: Callable[[Scenario], None] | None = None) -> int:
     """Fly as the options say; the exit code. Everything that a user can cause ends in one line.
 
     `check` is called before anything is written or flown; it may raise ConfigError or PortInUseError.
     """
     with StopRequest() as stop:
         try:
-            return _run(command, options, fly_once, check, stop)
+            return _run(options, fly_once, check, stop)
         except (ConfigError, PortInUseError) as error:
             print(error, file=sys.stderr)
             return EXIT_UNUSABLE
@@ -57,15 +54,7 @@ def run_flights(
             return stop.exit_code
 
 
-def _run(
-    command: str,
-    options: RunOptions,
-    fly_once: FlyOnce,
-    check: Callable[[Scenario], None] | None,
-    stop: StopRequest,
-) -> int:
-    if find_spec("matplotlib") is None:
-        raise ConfigError(command, "matplotlib", "is not installed; pip install 'formation-companion[ground]'")
+def _run(options: RunOptions, fly_once: FlyOnce, check: Callable[[Scenario], None] | None, stop: StopRequest) -> int:
     scenario = load_scenario(options.scenario, options.overrides)
     if options.others is not None and all(step.command is not CommandName.FORM for step in scenario.timeline):
         raise ConfigError(

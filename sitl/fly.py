@@ -24,9 +24,7 @@ def run_fly(options: FlyOptions) -> int:
     def fly_once(scenario: Scenario, name: str, folder: Path, stop: StopRequest) -> Result:
         return _fly_once(scenario, name, folder, options, stop)
 
-    return run_flights(
-        "sitl fly", options.run, fly_once, lambda scenario: check_ports(ids_of(scenario), options.port_offset)
-    )
+    return run_flights(options.run, fly_once, lambda scenario: check_ports(ids_of(scenario), options.port_offset))
 
 
 def _fly_once(scenario: Scenario, name: str, folder: Path, options: FlyOptions, stop: StopRequest) -> Result:

@@ -37,7 +37,7 @@ class Flown:
 
 def run(options: RunOptions) -> int:
     """Fly as the options say; the exit code."""
-    return run_flights("sitl run", options, partial(_run_once, options))
+    return run_flights(options, partial(_run_once, options))
 
 
 def fly_in_virtual_time(scenario: Scenario, progress: Progress, stop: StopRequest | None = None) -> Flown:

@@ -11,6 +11,7 @@ from typing import Any, TextIO
 
 import msgspec
 
+from companion import GROUND_INSTALL
 from companion.config import FLEET_NAME
 from companion.ground.fleet_status import FleetState, VehicleRow, fold, rows
 from companion.ground.session import FleetSession
@@ -139,8 +140,7 @@ def _rich_live() -> Callable[[FleetSession, Sequence[str]], None]:
         from rich.text import Text
     except ImportError as error:
         raise MonitorError(
-            "the live table needs the package rich: pip install 'formation-companion[ground]',"
-            " or use --once, --json or a pipe"
+            f"the live table needs the package rich: {GROUND_INSTALL}, or use --once, --json or a pipe"
         ) from error
 
     def table_of(table: list[VehicleRow], endpoints: Sequence[str]) -> Any:

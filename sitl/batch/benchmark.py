@@ -15,7 +15,7 @@ from pathlib import Path
 
 PLATOON = Path("config/scenarios/platoon.yaml")
 ROUNDS, ROUND_S = 5, 0.5
-INSTALL = "RotorPy is not installed; pip install 'formation-companion[bench]', or pip install 'rotorpy[batched]==3.0.0'"
+INSTALL = "RotorPy is not installed; pip install '.[bench]' in the project's folder, or 'rotorpy[batched]==3.0.0'"
 
 
 def main() -> int:

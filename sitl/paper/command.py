@@ -7,7 +7,6 @@ import sys
 import time
 from dataclasses import dataclass
 from datetime import datetime
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,7 +19,6 @@ if TYPE_CHECKING:
     from sitl.paper.claims import Claim
     from sitl.paper.flights import FlownPlan
 
-NEEDED = {"matplotlib": "matplotlib", "jinja2": "Jinja2", "scipy": "scipy"}
 EXIT_WRITTEN, EXIT_FAILED, EXIT_UNUSABLE = 0, 1, 2
 
 DESCRIPTION = """\
@@ -87,12 +85,7 @@ def run_paper(options: PaperOptions) -> int:
 
 
 def _check(options: PaperOptions) -> None:
-    """All that can be known before minutes are spent. Raises ConfigError, OSError."""
-    for module, package in NEEDED.items():
-        if find_spec(module) is None:
-            raise ConfigError(
-                Path("sitl paper"), package, "is not installed; pip install 'formation-companion[ground]'"
-            )
+    """All that can be known before minutes are spent. Raises OSError."""
     options.out.mkdir(parents=True, exist_ok=True)
     trial = options.out / ".writable"
     trial.touch()

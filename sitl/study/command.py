@@ -6,7 +6,6 @@ import argparse
 import sys
 from collections.abc import Callable, Sequence
 from datetime import datetime
-from importlib.util import find_spec
 from pathlib import Path
 from textwrap import fill
 
@@ -40,10 +39,6 @@ class PastThePaper(Struct, frozen=True, kw_only=True):
 
 def run_study_command(arguments: argparse.Namespace) -> int:
     """The exit code. Raises ConfigError."""
-    if find_spec("matplotlib") is None or find_spec("scipy") is None:
-        raise ConfigError(
-            "sitl study", "matplotlib, scipy", "are not installed; pip install 'formation-companion[ground]'"
-        )
     folder: Path = arguments.out or Path("runs") / f"study-{datetime.now():%Y%m%d-%H%M%S}"
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -7,7 +7,6 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from importlib.util import find_spec
 from pathlib import Path
 
 from companion.config_file import ConfigError
@@ -66,8 +65,6 @@ def run(options: SweepOptions) -> int:
 
 
 def _run(options: SweepOptions, stop: StopRequest) -> int:
-    if find_spec("matplotlib") is None:
-        raise ConfigError("sitl sweep", "matplotlib", "is not installed; pip install 'formation-companion[ground]'")
     name = options.scenario.stem
     folder = options.out or Path("runs") / f"{name}-sweep-{datetime.now():%Y%m%d-%H%M%S}"
     with ShareProgress(options.quiet) as progress:

@@ -6,7 +6,6 @@ import argparse
 import sys
 from collections.abc import Callable
 from datetime import datetime
-from importlib.util import find_spec
 from pathlib import Path
 
 from msgspec import Struct
@@ -36,9 +35,6 @@ class Report(Struct, frozen=True, kw_only=True):
 
 def run_switching(arguments: argparse.Namespace) -> int:
     """The exit code. Raises ConfigError."""
-    for module in ("matplotlib", "scipy"):
-        if find_spec(module) is None:
-            raise ConfigError("sitl switching", module, "is not installed; pip install 'formation-companion[ground]'")
     folder: Path = arguments.out or Path("runs") / f"switching-{datetime.now():%Y%m%d-%H%M%S}"
     with StopRequest(at_once=True) as stop:
         try:

@@ -1,0 +1,59 @@
+"""`companion` and `sitl` at their edges: a package that is not there, Ctrl-C while they start."""
+
+import subprocess
+import sys
+from typing import NoReturn
+
+import pytest
+
+from companion import cli
+from sitl.cli import main as sitl
+
+WITHOUT = (
+    "import sys; sys.modules[{package!r}] = None; from sitl.cli import main; sys.argv = ['sitl', {command!r}]; main()"
+)
+
+
+def interrupted(*_: object, **__: object) -> NoReturn:
+    raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize(
+    ("command", "package"),
+    [("study", "scipy"), ("switching", "scipy"), ("paper", "jinja2"), ("switching", "matplotlib")],
+)
+def test_a_package_that_the_base_install_leaves_out_is_one_line(command: str, package: str) -> None:
+    code = WITHOUT.format(package=package, command=command)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    wanted = f"sitl {command}: {package}: is not installed; pip install '.[ground]' in the project's folder\n"
+    assert (done.returncode, done.stderr) == (2, wanted)
+
+
+@pytest.mark.parametrize(
+    ("run", "arguments"),
+    [
+        ("companion.app.run_agent", ["agent", "--config", "vehicle.yaml"]),
+        ("companion.ground.monitor.run_monitor", ["monitor"]),
+    ],
+)
+def test_ctrl_c_while_it_starts_ends_an_agent_and_a_monitor_well(
+    run: str, arguments: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(run, interrupted)
+    assert cli.main(arguments) == 0
+
+
+def test_ctrl_c_ends_an_analysis_with_a_word(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("companion.analysis.load_subject", interrupted)
+    with pytest.raises(SystemExit, match="130"):
+        cli.main(["analyze", "fleet.yaml"])
+    assert capsys.readouterr().err == "interrupted\n"
+
+
+def test_sitl_says_whose_version_it_is(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(sys, "argv", ["sitl", "--version"])
+    with pytest.raises(SystemExit):
+        sitl()
+    assert capsys.readouterr().out == "sitl 0.1.0\n"
