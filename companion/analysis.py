@@ -5,12 +5,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
 from math import dist
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 from msgspec import Struct
@@ -26,8 +26,12 @@ from companion.config import (
     Reference,
     VehicleId,
     check_fleet,
+    check_reference,
+    check_starts,
+    kind_of_file,
+    read_as,
 )
-from companion.config_file import ConfigError, convert, read_yaml
+from companion.config_file import convert
 from companion.core.delay_margin import delay_margin_with_lag_s
 from companion.core.formation import Gains
 from companion.core.interaction import (
@@ -53,6 +57,7 @@ MODEL = LinearModel()
 PREDICT_S = 120.0
 WORST_START_UP_TO = 100  # vehicles; above, the worst start takes too long to work out
 MORE = 0.1  # what a change of a gain is tried with
+NOT_READ = ("stand_in", "links", "timeline")
 STEP_M = 1.0  # the disturbance that is predicted where no scenario says where the vehicles start
 
 
@@ -111,14 +116,19 @@ class Analysis(Struct, frozen=True, kw_only=True):
     lambda_min_by_leader: dict[int, float]
     gain_on_average: dict[LawName, float]
     unreached: list[int]  # vehicles without a path to a leader
+    not_read: list[str]  # sections of the file, which are neither used nor checked
 
 
-class _ScenarioPart(Struct, frozen=True, kw_only=True):
-    """What the analysis reads of a scenario; its other keys are the flight's."""
+class _ScenarioPart(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A scenario. What is Any here is the flight's, and nothing here reads it."""
 
+    description: str = ""
     fleet: FleetConfig
     starts_enu_m: dict[VehicleId, PositionM] | None = None
     reference: Reference | None = None
+    stand_in: Any = None
+    links: Any = None
+    timeline: Any = None
 
 
 class Subject(Struct, frozen=True, kw_only=True):
@@ -129,6 +139,7 @@ class Subject(Struct, frozen=True, kw_only=True):
     starts_enu_m: Mapping[int, Vector3]
     reference_enu_m: Vector3
     reference_moves: bool = False
+    not_read: Sequence[str] = ()
 
 
 def load_subject(path: Path) -> Subject:
@@ -136,8 +147,8 @@ def load_subject(path: Path) -> Subject:
 
     Raises ConfigError.
     """
-    data = read_yaml(path)
-    if not isinstance(data, dict) or "fleet" not in data:
+    data = read_as(path, "scenario", "fleet")
+    if kind_of_file(data) != "scenario" and not (isinstance(data, dict) and "fleet" in data):
         fleet = convert(path, data, FleetConfig)
         check_fleet(path, fleet)
         starts = {member.id: member.slot_enu_m for member in fleet.vehicles}
@@ -145,9 +156,10 @@ def load_subject(path: Path) -> Subject:
     part = convert(path, data, _ScenarioPart)
     check_fleet(path, part.fleet, "fleet.")
     starts = part.starts_enu_m or {member.id: member.slot_enu_m for member in part.fleet.vehicles}
-    for member in part.fleet.vehicles:
-        if member.id not in starts:
-            raise ConfigError(path, f"starts_enu_m.{member.id}", "missing; every vehicle needs a place to start from")
+    if part.starts_enu_m:
+        check_starts(path, part.fleet, part.starts_enu_m)
+    if part.reference:
+        check_reference(path, part.fleet, part.reference)
     reference = part.reference.start_enu_m if part.reference else _a_step(part.fleet)
     return Subject(
         file=path,
@@ -155,6 +167,7 @@ def load_subject(path: Path) -> Subject:
         starts_enu_m=starts,
         reference_enu_m=reference,
         reference_moves=isinstance(part.reference, Figure8Reference),
+        not_read=[section for section in NOT_READ if section in data],
     )
 
 
@@ -205,6 +218,7 @@ def analyse(subject: Subject) -> Analysis:
         lambda_min_by_leader=by_leader,
         gain_on_average=gain,
         unreached=unreached,
+        not_read=list(subject.not_read),
     )
 
 

@@ -7,25 +7,29 @@ one vehicle's own and names its fleet file. Only the file of a vehicle that may 
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Mapping
 from dataclasses import dataclass
-from math import hypot, pi, radians, sqrt, tan
+from itertools import combinations
+from math import dist, hypot, pi, radians, sqrt, tan
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta, Struct
 from msgspec.structs import replace
 
-from companion.config_file import ConfigError, load
+from companion.config_file import ConfigError, convert, read_yaml
 from companion.figure_8 import figure_8
 from companion.types import GRAVITY_M_S2, AutopilotKind, Role, Vector3
 
 FLEET_NAME = "^[a-z0-9][a-z0-9_-]{0,40}$"  # it is a part of Zenoh's key expressions
+FLEET_NAME_WORDS = "at most 41 lower-case letters, digits, - and _, a letter or digit first"
 VehicleId = Annotated[int, Meta(ge=1, le=250, description="MAVLink system id of the vehicle")]
 Seconds = Annotated[float, Meta(gt=0, le=60)]
 Coordinate = Annotated[float, Meta(ge=-10_000, le=10_000)]
 PositionM = tuple[Coordinate, Coordinate, Coordinate]
 LAP_SAMPLES = 2000
+CLOSEST_STARTS_M = 0.3  # nearer, two vehicles stand in one another
 
 
 class _Base(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -151,7 +155,7 @@ class Envelope(_Base, frozen=True):
 class FleetConfig(_Base, frozen=True):
     """What all vehicles of a fleet must agree on."""
 
-    name: Annotated[str, Meta(pattern=FLEET_NAME)]
+    name: Annotated[str, Meta(pattern=FLEET_NAME, description=FLEET_NAME_WORDS)]
     origin: GeodeticOrigin | Literal["local"]
     vehicles: tuple[FormationMember, ...]
     neighbours: EdgeNeighbours | RangeNeighbours
@@ -235,7 +239,9 @@ class Signing(_Base, frozen=True):
     """
 
     key_file: str | None = None
-    credential: Annotated[str, Meta(pattern="^[A-Za-z0-9_.-]+$")] | None = None
+    credential: (
+        Annotated[str, Meta(pattern="^[A-Za-z0-9_.-]+$", description="a name of letters, digits, _, . and -")] | None
+    ) = None
     link_id: Annotated[int, Meta(ge=0, le=255)] = 0
 
 
@@ -265,6 +271,33 @@ class VehicleConfig(_Base, frozen=True):
     ground_station: Annotated[
         str, Meta(pattern="^(udpout:.+:[0-9]{1,9})?$", description="udpout:HOST:PORT, like udpout:192.168.1.50:14550")
     ] = ""
+
+
+# ---------------------------------------------------------------- which of the files is it?
+
+FileKind = Literal["scenario", "vehicle", "fleet"]
+KEYS_OF_KIND: dict[FileKind, set[str]] = {  # no other kind of file has these
+    "scenario": {"starts_enu_m", "timeline"},
+    "vehicle": {"mavlink", "hover_thrust_norm"},
+    "fleet": {"vehicles", "neighbours", "takeoff_height_m"},
+}
+A_FILE: dict[FileKind, str] = {"scenario": "a scenario", "vehicle": "a vehicle file", "fleet": "a fleet file"}
+
+
+def kind_of_file(data: Any) -> FileKind | None:
+    """By the keys that it has; None where they do not tell."""
+    kinds = [kind for kind, keys in KEYS_OF_KIND.items() if isinstance(data, dict) and keys & data.keys()]
+    return kinds[0] if len(kinds) == 1 else None
+
+
+def read_as(path: Path, *expected: FileKind) -> Any:
+    """The plain content of a YAML file. Raises ConfigError, also for a file of another kind."""
+    data = read_yaml(path)
+    kind = kind_of_file(data)
+    if kind is not None and kind not in expected:
+        wanted = " or ".join(A_FILE[kind] for kind in expected)
+        raise ConfigError(path, "", f"this is {A_FILE[kind]}; {wanted} is expected")
+    return data
 
 
 # ---------------------------------------------------------------- what no single field can say
@@ -353,13 +386,13 @@ class AgentConfig:
 
 def load_agent(path: Path) -> AgentConfig:
     """Read a vehicle file and the fleet file that it names. Raises ConfigError."""
-    vehicle = load(path, VehicleConfig)
+    vehicle = convert(path, read_as(path, "vehicle"), VehicleConfig)
     _check_signing(path, vehicle.signing)
     fleet_path = path.parent / vehicle.fleet
     if not fleet_path.is_file():
         where = f"looked for {fleet_path}; the path is relative to the vehicle file"
         raise ConfigError(path, "fleet", f'"{vehicle.fleet}": no such file; {where}')
-    fleet = load(fleet_path, FleetConfig)
+    fleet = convert(fleet_path, read_as(fleet_path, "fleet"), FleetConfig)
     check_fleet(fleet_path, fleet)
     member = fleet.member(vehicle.id)
     if member is None:
@@ -385,6 +418,24 @@ def load_agent(path: Path) -> AgentConfig:
 def _check_signing(file: Path, signing: Signing | None) -> None:
     if signing is not None and (signing.key_file is None) == (signing.credential is None):
         raise ConfigError(file, "signing", "expected one of key_file and credential, where the key is")
+
+
+def check_starts(file: Path, fleet: FleetConfig, starts_enu_m: Mapping[int, Vector3]) -> None:
+    """A place for every vehicle and for nobody else, and no two in one another. Raises ConfigError."""
+    ids = {member.id for member in fleet.vehicles}
+    for vehicle_id in sorted(ids - starts_enu_m.keys()):
+        raise ConfigError(file, f"starts_enu_m.{vehicle_id}", "missing; every vehicle needs a place to start from")
+    for vehicle_id in sorted(starts_enu_m.keys() - ids):
+        known = ", ".join(str(i) for i in sorted(ids))
+        raise ConfigError(file, f"starts_enu_m.{vehicle_id}", f"no such vehicle in the fleet; expected {known}")
+    for i, j in combinations(sorted(ids), 2):
+        if (apart_m := dist(starts_enu_m[i], starts_enu_m[j])) < CLOSEST_STARTS_M:
+            raise ConfigError(
+                file,
+                f"starts_enu_m.{j}",
+                f"{list(starts_enu_m[j])} is {apart_m:.2f} m from the start of vehicle {i};"
+                f" expected at least {CLOSEST_STARTS_M:g} m",
+            )
 
 
 def check_reference(file: Path, fleet: FleetConfig, reference: Reference) -> None:

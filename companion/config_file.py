@@ -94,7 +94,7 @@ def _explain(path: Path, data: Any, type_: type, message: str) -> ConfigError:
     if missing:
         return ConfigError(path, f"{field}.{missing[1]}".lstrip("."), "missing; this key is required")
     value = _value_at(data, field)
-    if problem.startswith("Invalid enum value"):
+    if problem.startswith(("Invalid enum value", "Invalid value")):
         choices = sorted(_choices_at(msgspec.inspect.type_info(type_), field))
         near = get_close_matches(str(value), choices, n=1)
         hint = f'; did you mean "{near[0]}"?' if near else ""
@@ -102,7 +102,14 @@ def _explain(path: Path, data: Any, type_: type, message: str) -> ConfigError:
     if "matching regex" in problem and (wanted := _description_at(msgspec.inspect.type_info(type_), field)):
         return ConfigError(path, field, f"{value!r}: expected {wanted}")
     shown = "" if isinstance(value, dict | list) else f"{value!r}: "
-    return ConfigError(path, field, shown + problem.replace("`", "")[:1].lower() + problem.replace("`", "")[1:])
+    said = problem.replace("`object`", "a section with keys").replace("`array`", "a list").replace("`", "")
+    return ConfigError(path, field, shown + said[:1].lower() + said[1:] + _as_yaml_number(value))
+
+
+def _as_yaml_number(value: Any) -> str:
+    """YAML takes 1e9 for a word: a hint for such values."""
+    found = re.fullmatch(r"([-+]?\d+)(\.\d*)?[eE]([-+]?)(\d+)", value) if isinstance(value, str) else None
+    return f"; for YAML this number is {found[1]}{found[2] or '.0'}e{found[3] or '+'}{found[4]}" if found else ""
 
 
 def _steps(field: str) -> list[str | int]:
@@ -140,7 +147,8 @@ def _description_at(node: Type, field: str) -> str | None:
     nodes = [node]
     for step in _steps(field):
         nodes = [inner for node in nodes for part in _alternatives(node) for inner in _inside(part, step)]
-    described = (node for node in nodes if isinstance(node, Metadata) and node.extra_json_schema)
+    parts = (part for node in nodes for part in (node.types if isinstance(node, UnionType) else (node,)))
+    described = (part for part in parts if isinstance(part, Metadata) and part.extra_json_schema)
     return next((str(node.extra_json_schema["description"]) for node in described if node.extra_json_schema), None)
 
 
@@ -156,6 +164,8 @@ def _alternatives(node: Type) -> list[Type]:
 def _inside(node: Type, step: str | int | None) -> list[Type]:
     """The types one step further inside; all of them for None."""
     if isinstance(node, StructType):
+        if step is not None and step == node.tag_field:
+            return [LiteralType((node.tag,))]
         return [field.type for field in node.fields if step is None or field.encode_name == step]
     if isinstance(node, DictType):
         return [node.value_type]

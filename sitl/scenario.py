@@ -12,8 +12,17 @@ import yaml
 from msgspec import Meta, Struct
 
 from companion.assembly import trajectory_of
-from companion.config import FleetConfig, PositionM, Reference, VehicleId, check_fleet, check_reference
-from companion.config_file import ConfigError, StrictLoader, convert, read_yaml
+from companion.config import (
+    FleetConfig,
+    PositionM,
+    Reference,
+    VehicleId,
+    check_fleet,
+    check_reference,
+    check_starts,
+    read_as,
+)
+from companion.config_file import ConfigError, StrictLoader, convert
 from companion.core.reference import ReferenceTrajectory
 from companion.types import CommandName
 from sitl.autopilot_file import check_parameters
@@ -52,7 +61,7 @@ class Scenario(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 def load_scenario(path: Path, overrides: Sequence[str] = ()) -> Scenario:
     """Read a scenario file and put overrides "KEY.PATH=VALUE" (a YAML value) into it. Raises ConfigError."""
-    data = read_yaml(path)
+    data = read_as(path, "scenario")
     scenario = scenario_from(path, data)  # the file must be right by itself, so that an error below is an override's
     if not overrides:
         return scenario
@@ -75,12 +84,7 @@ def scenario_from(path: Path, data: object) -> Scenario:
         raise ConfigError(
             path, "fleet.origin", '"local" is for one shared indoor frame; stand-ins need latitude, longitude, altitude'
         )
-    ids = {member.id for member in scenario.fleet.vehicles}
-    for vehicle_id in sorted(ids - scenario.starts_enu_m.keys()):
-        raise ConfigError(path, f"starts_enu_m.{vehicle_id}", "missing; every vehicle needs a place to start from")
-    for vehicle_id in sorted(scenario.starts_enu_m.keys() - ids):
-        known = ", ".join(str(i) for i in sorted(ids))
-        raise ConfigError(path, f"starts_enu_m.{vehicle_id}", f"no such vehicle in the fleet; expected {known}")
+    check_starts(path, scenario.fleet, scenario.starts_enu_m)
     check_parameters(path, scenario.stand_in)
     check_reference(path, scenario.fleet, scenario.reference)
     if not scenario.timeline:

@@ -13,6 +13,7 @@ import yaml
 from companion.analysis import MODEL, Analysis, analyse, load_subject
 from companion.analysis_report import report, verdict
 from companion.cli import main
+from companion.config_file import ConfigError
 from companion.core.delay_margin import delay_margin_with_lag_s
 from companion.core.formation import FormationLaw, Gains
 from companion.core.interaction import couple
@@ -199,6 +200,41 @@ def test_a_reference_that_moves_is_said() -> None:
     said = "though in flight it moves"
     assert said in report(analyse(load_subject(CONFIG / "scenarios" / "ring_figure_8.yaml")))
     assert said not in report(analyse(load_subject(CONFIG / "scenarios" / "platoon.yaml")))
+
+
+# ---------------------------------------------------------------- what it reads of a scenario
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("starts_enu_m:", "starts_enum:", 'starts_enum: unknown key; did you mean "starts_enu_m"?'),
+        ("reference:", "refrence:", 'refrence: unknown key; did you mean "reference"?'),
+        ("timeline:", "timelin:", 'timelin: unknown key; did you mean "timeline"?'),
+        ("stand_in:", "standin:", 'standin: unknown key; did you mean "stand_in"?'),
+        ("point_enu_m: [1.0,", "point_enu_m: [500.0,", "vehicle 1 at x = 500 m, outside the fence"),
+        ("  4: [", "  5: [", "starts_enu_m.4: missing"),
+    ],
+)
+def test_a_scenario_is_refused_as_a_flight_refuses_it(tmp_path: Path, old: str, new: str, said: str) -> None:
+    text = (CONFIG / "scenarios" / "platoon.yaml").read_text(encoding="utf-8")
+    assert text.count(old) == 1
+    path = tmp_path / "platoon.yaml"
+    path.write_text(text.replace(old, new), encoding="utf-8")
+    with pytest.raises(ConfigError) as caught:
+        load_subject(path)
+    assert said in str(caught.value)
+
+
+def test_what_is_not_read_of_a_scenario_is_said() -> None:
+    analysis = analyse(load_subject(CONFIG / "scenarios" / "platoon.yaml"))
+    assert analysis.not_read == ["stand_in", "timeline"]
+    assert "not read, and not checked: stand_in, timeline" in report(analysis)
+
+
+def test_a_vehicle_file_is_not_analysed() -> None:
+    with pytest.raises(ConfigError, match="this is a vehicle file; a scenario or a fleet file is expected"):
+        load_subject(next((CONFIG / "vehicles").glob("*.yaml")))
 
 
 @pytest.mark.usefixtures("short")

@@ -84,6 +84,11 @@ def test_each_part_of_a_law_is_changed_alone(tmp_path: Path) -> None:
         (lambda f: f["neighbours"].update(edges=[[1, 7]]), ["neighbours.edges[0]", "vehicle 7", "1, 2"]),
         (lambda f: f["neighbours"].update(edges=[[2, 2]]), ["neighbours.edges[0]", "itself"]),
         (lambda f: f["neighbours"].update(edges=[[1]]), ["neighbours.edges[0]", "length 2"]),
+        (lambda f: f["neighbours"].update(kind="edge"), ["neighbours.kind: 'edge'", "one of edges, range", '"edges"']),
+        (lambda f: f["origin"].update(altitude_amsl_m="1e2"), ["'1e2': expected float", "for YAML", "1.0e+2"]),
+        (lambda f: f.update(law="weighted"), ["law: 'weighted': expected a section with keys, got str"]),
+        (lambda f: f.update(vehicles={}), ["vehicles: expected a list, got a section with keys"]),
+        (lambda f: f.update(name="Pair"), ["name: 'Pair'", "lower-case letters"]),
         (lambda f: f.update(neighbours={"kind": "range", "range_m": 0}), ["neighbours.range_m", "> 0"]),
         (lambda f: f["origin"].update(latitude_deg=float("nan")), ["origin.latitude_deg", "nan", "finite"]),
         (lambda f: f["origin"].update(latitude_deg=95), ["origin.latitude_deg", "95", "<= 85"]),
@@ -115,7 +120,8 @@ def test_a_bad_fleet_file(tmp_path: Path, change: Callable[[Any], Any], parts: l
         ({"ground_station": "udpin:0.0.0.0:1"}, ["ground_station: 'udpin:0.0.0.0:1': expected udpout:HOST:PORT"]),
         ({"signing": {}}, ["signing", "expected one of key_file and credential"]),
         ({"signing": {"key_file": "a", "credential": "b"}}, ["signing", "expected one of key_file and credential"]),
-        ({"signing": {"credential": "../a"}}, ["signing.credential", "'../a'"]),
+        ({"signing": {"credential": "../a"}}, ["signing.credential", "'../a'", "a name of letters"]),
+        ({"reference": {"kind": "circle"}}, ["reference.kind: 'circle'", "one of figure_8, point"]),
         ({"signing": {"key_file": "a", "link_id": 256}}, ["signing.link_id", "256"]),
     ],
 )
@@ -123,6 +129,13 @@ def test_a_bad_vehicle_file(tmp_path: Path, change: dict[str, Any], parts: list[
     line = refusal(write(tmp_path, FLEET, VEHICLE | change))
     for part in parts:
         assert part in line, line
+
+
+def test_a_file_of_another_kind_is_said_to_be_one(tmp_path: Path) -> None:
+    vehicle = write(tmp_path, FLEET, VEHICLE | {"fleet": "vehicle.yaml"})
+    fleet = tmp_path / "fleet.yaml"
+    assert refusal(fleet) == f"{fleet}: this is a fleet file; a vehicle file is expected"
+    assert refusal(vehicle) == f"{vehicle}: this is a vehicle file; a fleet file is expected"
 
 
 def test_who_may_lead_holds_the_reference_and_who_may_not_does_not(tmp_path: Path) -> None:
@@ -153,7 +166,7 @@ def test_a_reference_that_leads_out_of_the_fence(tmp_path: Path, point: list[flo
         ("", "empty"),
         ("id: 1\nid: 2\n", "stands twice"),
         ("id: [1\n", "not valid YAML"),
-        ("- 1\n- 2\n", "expected object"),
+        ("- 1\n- 2\n", "expected a section with keys"),
         ("\x00", "not valid YAML"),
         ("edges: {[1, 2], [2, 3]}", "line 1: not valid YAML: a list or a mapping cannot be a key"),
         ("id: 1\nname: 2024-13-45", "line 2: not valid YAML: not a timestamp that can be used"),

@@ -128,6 +128,19 @@ def test_a_vehicle_without_a_start() -> None:
     assert message == "s.yaml: starts_enu_m.3: missing; every vehicle needs a place to start from"
 
 
+def test_two_vehicles_that_would_stand_in_one_another() -> None:
+    message = error_of("starts_enu_m.3=[-1.5, 0.2, 0.0]", "starts_enu_m.2=[-1.5, 0.0, 0.0]")
+    assert message == (
+        "--set: starts_enu_m.3: [-1.5, 0.2, 0.0] is 0.20 m from the start of vehicle 2; expected at least 0.3 m"
+    )
+
+
+def test_a_fleet_file_is_no_scenario() -> None:
+    fleet = SCENARIOS.parent / "fleets" / "pair.yaml"
+    with pytest.raises(ConfigError, match=r"pair\.yaml: this is a fleet file; a scenario is expected"):
+        load_scenario(fleet)
+
+
 def test_a_start_of_nobody() -> None:
     message = error_of_file(lambda d: d["starts_enu_m"].update({7: [0, 0, 0]}))
     assert message == "s.yaml: starts_enu_m.7: no such vehicle in the fleet; expected 1, 2, 3, 4"
