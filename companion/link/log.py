@@ -6,6 +6,8 @@ import logging
 import sys
 from collections.abc import Mapping
 
+from companion.mavlink.codec import mavlink
+
 REPEAT_AFTER_S = 1.0
 
 _log = logging.getLogger(__name__)
@@ -16,6 +18,9 @@ def log_to_stderr(vehicle_id: int) -> None:
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(logging.Formatter(f"%(asctime)s.%(msecs)03d vehicle {vehicle_id}: %(message)s", "%H:%M:%S"))
     logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
+    logging.getLogger(mavlink.logger.name).setLevel(
+        logging.WARNING
+    )  # it has a line for each packet with an old signature
 
 
 class RejectionLog:

@@ -11,7 +11,7 @@ from hovering_autopilot import LOITER, HoveringAutopilot
 
 from companion.ground.session import FleetSession
 from companion.mavlink.codec import MavlinkCodec, mavlink
-from companion.mavlink.signing import NOT_SIGNED, WRONG_KEY, SigningKey
+from companion.mavlink.signing import NOT_SIGNED, OLD_STAMP, WRONG_KEY, SigningKey
 from companion.types import CommandName, Status
 
 SECRET = bytes(range(1, 33))
@@ -59,6 +59,13 @@ def test_what_a_stranger_sends_on_a_signed_link_is_counted_and_not_heard(files: 
         process.wait_for_log("heartbeat of autopilot 1")
         autopilot.inject(stranger.encode(lie))
         process.wait_for_log(NOT_SIGNED)
+        heard = MavlinkCodec(1, mavlink.MAV_COMP_ID_AUTOPILOT1, key(behind_s=30.0)).encode(
+            lie
+        )  # recorded half a minute ago
+        for _ in range(5):
+            autopilot.inject(heard)
+        process.wait_for_log(OLD_STAMP)
+        assert "timestamp" not in process.log  # one line of ours, none for each packet of pymavlink's
         assert hold(files, autopilot).mode_name == "AUTO.LOITER"
 
 
