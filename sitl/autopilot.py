@@ -24,6 +24,10 @@ LITTLE_THRUST = 0.6  # of hover thrust
 CRITICAL, WARNING, INFO = 2, 4, 6  # MAV_SEVERITY
 
 
+class AutopilotAbortedError(Exception):
+    """The real program would have ended itself here; str() says over what."""
+
+
 class FlightMode(Protocol):
     """A mode of any autopilot."""
 
@@ -57,7 +61,7 @@ class Autopilot(ABC):
         self._steps = 0
         self._control_steps = max(1, round(CONTROL_PERIOD_S / dt_s))
         self._control_dt_s = self._control_steps * dt_s
-        self._hover_thrust_norm = file.stand_in.airframe.hover_thrust_norm
+        self._hover_thrust_norm = file.stand_in.hover_thrust_norm
         self._own = OwnFlight(self.quad, self.speeds, self._hover_thrust_norm, braking_m_s2)
         self._ground = GroundContact()
 
@@ -80,6 +84,11 @@ class Autopilot(ABC):
     @abstractmethod
     def speeds(self) -> Speeds:
         """Of its own flight, out of its parameters."""
+
+    @property
+    def has_position(self) -> bool:
+        """Does its estimator know yet where it is?"""
+        return True
 
     @property
     def boot_ms(self) -> int:

@@ -11,6 +11,7 @@ from typing import NoReturn
 
 from companion import __version__
 from companion.closed_pipe import ending_quietly
+from companion.types import AutopilotKind
 
 EXIT_FAILED, EXIT_BAD_INPUT = 1, 2
 MAX_PORT_OFFSET = 40_000  # vehicle 250's ports are then still ports
@@ -57,15 +58,18 @@ def _parser() -> argparse.ArgumentParser:
 def _add_autopilot(subcommands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = subcommands.add_parser(
         "autopilot",
-        help="one stand-in quadrotor with PX4's manners behind UDP",
-        description="One stand-in quadrotor with PX4's manners behind UDP on this machine.",
+        help="one stand-in quadrotor with PX4's or ArduCopter's manners behind UDP and TCP",
+        description="One stand-in quadrotor with PX4's or ArduCopter's manners behind sockets of this machine.",
         formatter_class=argparse.RawDescriptionHelpFormatter,
         epilog="""\
 With id N (instance i = N - 1, K the port offset) it listens for a companion on UDP 14580+i+K and sends to 14540+i+K; for a
-ground station it listens on 18570+i+K and sends to 14550. It lets itself be armed about 4 s after its start.
+ground station it listens on 18570+i+K and sends to 14550. With ArduCopter's manners it also listens on TCP 5760+10i+K, for one
+client at a time. It lets itself be armed about 4 s after its start, with ArduCopter's manners after 42 s, as they do;
+stand_in.armable_after_s in the file changes that.
 
 examples:
   sitl autopilot                                        vehicle 1 with the default airframe and sensor noise
+  sitl autopilot --autopilot ardupilot                  the same with ArduCopter's manners
   sitl autopilot --id 3 --truth truth.csv               vehicle 3; where it truly was, at 50 Hz
   sitl autopilot --config autopilot.yaml --seconds 60   as the file says, for a minute
 
@@ -73,6 +77,12 @@ exit codes: 0 ended as asked, 2 bad file or port in use""",
     )
     parser.add_argument("--config", type=Path, metavar="FILE", help="YAML file: id, start_enu_m, stand_in, ...")
     parser.add_argument("--id", type=int, help="vehicle id (MAVLink system id), instead of the file's")
+    parser.add_argument(
+        "--autopilot",
+        type=AutopilotKind,
+        choices=list(AutopilotKind),
+        help="whose manners it has, instead of the file's (default px4)",
+    )
     parser.add_argument("--port-offset", type=_offset, default=0, metavar="K", help="added to all ports (default 0)")
     parser.add_argument("--truth", type=Path, metavar="CSV", help="write true states at 50 Hz")
     parser.add_argument("--seconds", type=_seconds, metavar="S", help="end after S seconds")
@@ -100,7 +110,7 @@ def _run_autopilot(arguments: argparse.Namespace) -> int:
     from sitl.ports import ports_of
     from sitl.realtime import run
 
-    file = load_autopilot_file(arguments.config, arguments.id)
+    file = load_autopilot_file(arguments.config, arguments.id, arguments.autopilot)
     run(file, ports_of(file.id, arguments.port_offset), arguments.truth, arguments.seconds)
     return 0
 

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from msgspec import Meta, Struct
 
 from companion.config import GeodeticOrigin, PositionM, VehicleId
+from companion.types import AutopilotKind
 
 NonNegative = Annotated[float, Meta(ge=0, le=1000)]
 Positive = Annotated[float, Meta(gt=0, le=1000)]
@@ -17,11 +18,14 @@ class _Base(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 
 class Airframe(_Base, frozen=True):
-    """Rigid body of eq. 1-5. `attitude: instant` is the paper's ideal (section 3.1: no tracking error of the angles)."""
+    """Rigid body of eq. 1-5. Without `hover_thrust_norm` it is as measured with the autopilot.
+
+    `attitude: instant` is the paper's ideal (section 3.1: no tracking error of the angles).
+    """
 
     mass_kg: Positive = 1.0
     inertia_kg_m2: tuple[Positive, Positive, Positive] = (0.021, 0.021, 0.042)
-    hover_thrust_norm: Annotated[float, Meta(ge=0.1, le=0.9)] = 0.49
+    hover_thrust_norm: Annotated[float, Meta(ge=0.1, le=0.9)] | None = None
     drag_n_per_m_s: NonNegative = 0.25
     motor_lag_s: Annotated[float, Meta(ge=0, le=1)] = 0.05
     attitude: Literal["rigid_body", "instant"] = "rigid_body"
@@ -69,9 +73,20 @@ class Wind(_Base, frozen=True):
     gust_time_s: Positive = 2.0
 
 
-class StandIn(_Base, frozen=True):
-    """The stand-in vehicles of a scenario and the air round them. `parameters` overrides autopilot parameters by name."""
+# As measured: thrust in a hover, and when it can be armed after its start.
+HOVER_THRUST_NORM: dict[AutopilotKind, float] = {AutopilotKind.PX4: 0.49, AutopilotKind.ARDUPILOT: 0.365}
+ARMABLE_AFTER_S: dict[AutopilotKind, float] = {AutopilotKind.PX4: 4.0, AutopilotKind.ARDUPILOT: 42.0}
 
+
+class StandIn(_Base, frozen=True):
+    """The stand-in vehicles of a scenario and the air round them.
+
+    `autopilot` says whose manners they have; `parameters` overrides its parameters by name. Without `armable_after_s` they
+    let themselves be armed as late as the real one.
+    """
+
+    autopilot: AutopilotKind = AutopilotKind.PX4
+    armable_after_s: Annotated[float, Meta(ge=0, le=600)] | None = None
     airframe: Airframe = Airframe()
     sensors: Literal["ideal", "default", "px4_sih"] | Sensors = "default"
     wind: Wind = Wind()
@@ -80,6 +95,15 @@ class StandIn(_Base, frozen=True):
 
     def sensor_model(self) -> Sensors:
         return SENSORS[self.sensors] if isinstance(self.sensors, str) else self.sensors
+
+    @property
+    def hover_thrust_norm(self) -> float:
+        given = self.airframe.hover_thrust_norm
+        return HOVER_THRUST_NORM[self.autopilot] if given is None else given
+
+    @property
+    def ready_after_s(self) -> float:
+        return ARMABLE_AFTER_S[self.autopilot] if self.armable_after_s is None else self.armable_after_s
 
 
 DelaySeconds = Annotated[float, Meta(ge=0, le=1)]

@@ -52,6 +52,8 @@ def _mode(autopilot: Autopilot, received_s: float) -> tuple[Telemetry, ...]:
 
 
 def _position(autopilot: Autopilot, received_s: float) -> tuple[Telemetry, ...]:
+    if not autopilot.has_position:
+        return ()
     x, y, z, vx, vy, vz = _FLOATS.unpack(
         _FLOATS.pack(*autopilot.quad.estimated_position_local_enu_m(), *autopilot.quad.estimated_velocity_enu_m_s())
     )
@@ -81,9 +83,10 @@ SAMPLES: dict[int, Callable[[Autopilot, float], tuple[Telemetry, ...]]] = {
 }
 
 
-def setpoint_of(target: AttitudeTarget) -> Setpoint:
+def setpoint_of(kind: AutopilotKind, target: AttitudeTarget) -> Setpoint:
     """What the stand-in follows when this SET_ATTITUDE_TARGET has reached it; the 32 bits are left out here, too."""
-    return Setpoint(quaternion_from_euler(target.roll_rad, target.pitch_rad, target.yaw_rad), target.thrust_norm)
+    thrust = MANNERS[kind].thrust_of(target)
+    return Setpoint(quaternion_from_euler(target.roll_rad, target.pitch_rad, target.yaw_rad), thrust)
 
 
 class DirectLink:
@@ -120,8 +123,9 @@ class DirectLink:
             return
         received_s = now_s + self._telemetry_delay_s
         for message_id in due:
-            self._to_agent.extend(SAMPLES[message_id](self.autopilot, received_s))
-            if message_id == M.MAVLINK_MSG_ID_LOCAL_POSITION_NED:
+            samples = SAMPLES[message_id](self.autopilot, received_s)
+            self._to_agent.extend(samples)
+            if samples and message_id == M.MAVLINK_MSG_ID_LOCAL_POSITION_NED:
                 self._positions_s.append(received_s)
 
     def _say(self, packets: Iterator[bytes], now_s: float) -> None:
@@ -144,7 +148,7 @@ class DirectLink:
         return tuple(arrived)
 
     def command(self, target: AttitudeTarget, now_s: float) -> None:
-        self._to_autopilot.append((now_s + self._setpoint_delay_s, setpoint_of(target)))
+        self._to_autopilot.append((now_s + self._setpoint_delay_s, setpoint_of(self.autopilot.kind, target)))
 
     def request(self, request: AutopilotRequest, now_s: float) -> None:
         self._to_autopilot.append((now_s + self._setpoint_delay_s, self._translator.request(request)))

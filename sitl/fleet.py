@@ -18,13 +18,20 @@ import msgspec
 import yaml
 
 from companion.config import GeodeticOrigin, VehicleConfig, VehicleId, ZenohEndpoints
+from companion.types import AutopilotKind
 from sitl.config import AutopilotFile
-from sitl.ports import GROUND_STATION_PORT, LOOPBACK, ports_of
+from sitl.manners import MANNERS
+from sitl.ports import GROUND_STATION_PORT, LOOPBACK, Ports, ports_of
 from sitl.scenario import Scenario
 
 AGENT_ENDS_WITHIN_S = 5.0  # it may first hand over to the autopilot
 STAND_IN_ENDS_WITHIN_S = 3.0
 POLL_S = 0.02
+ARMABLE_IN_SCENARIOS_S = 4.0
+SET_UP: dict[AutopilotKind, dict[str, float]] = {
+    AutopilotKind.PX4: {},
+    AutopilotKind.ARDUPILOT: {"GUID_OPTIONS": 8.0},  # thrust is thrust
+}
 
 
 class PortInUseError(Exception):
@@ -189,8 +196,8 @@ def vehicle_file(scenario: Scenario, vehicle_id: int, port_offset: int) -> Vehic
     return VehicleConfig(
         id=vehicle_id,
         fleet="fleet.yaml",
-        mavlink=f"udpin:{LOOPBACK}:{ports_of(vehicle_id, port_offset).companion}",
-        hover_thrust_norm=scenario.stand_in.airframe.hover_thrust_norm,
+        mavlink=_way_to_autopilot(scenario.stand_in.autopilot, ports_of(vehicle_id, port_offset)),
+        hover_thrust_norm=scenario.stand_in.hover_thrust_norm,
         zenoh=ZenohEndpoints(
             listen=(endpoint_of(vehicle_id, port_offset),),
             connect=tuple(endpoint_of(i, port_offset) for i in ids_of(scenario) if i < vehicle_id),
@@ -199,15 +206,31 @@ def vehicle_file(scenario: Scenario, vehicle_id: int, port_offset: int) -> Vehic
     )
 
 
+def _way_to_autopilot(kind: AutopilotKind, ports: Ports) -> str:
+    """As the simulation of each has it by itself."""
+    match kind:
+        case AutopilotKind.PX4:
+            return f"udpin:{LOOPBACK}:{ports.companion}"
+        case AutopilotKind.ARDUPILOT:
+            return f"tcp:{LOOPBACK}:{ports.tcp}"
+
+
 def autopilot_file(scenario: Scenario, vehicle_id: int) -> AutopilotFile:
-    """A stand-in's file. The world's frame is the fleet's."""
+    """A stand-in's file. The world's frame is the fleet's.
+
+    It is set up as an agent wants it where the scenario says nothing else, and nobody waits 42 s for it.
+    """
     origin = scenario.fleet.origin
     assert isinstance(origin, GeodeticOrigin)  # scenario_from refuses any other
+    stand_in = scenario.stand_in
+    ready_s = ARMABLE_IN_SCENARIOS_S if stand_in.armable_after_s is None else stand_in.armable_after_s
     return AutopilotFile(
         id=vehicle_id,
         world_origin=origin,
         start_enu_m=scenario.starts_enu_m[vehicle_id],
-        stand_in=scenario.stand_in,
+        stand_in=msgspec.structs.replace(
+            stand_in, armable_after_s=ready_s, parameters=SET_UP[stand_in.autopilot] | stand_in.parameters
+        ),
     )
 
 
@@ -215,24 +238,26 @@ def _write_yaml(path: Path, content: msgspec.Struct) -> None:
     path.write_text(yaml.safe_dump(msgspec.to_builtins(content), sort_keys=False), encoding="utf-8")
 
 
-def check_ports(vehicle_ids: Iterable[int], port_offset: int) -> None:
+def check_ports(vehicle_ids: Iterable[int], kind: AutopilotKind, port_offset: int) -> None:
     """Try every port of these vehicles before anything is started. Raises PortInUseError."""
     wanted = {(socket.SOCK_DGRAM, GROUND_STATION_PORT): "a ground station"}
     for vehicle_id in vehicle_ids:
         ports = ports_of(vehicle_id, port_offset)
-        for kind, port, purpose in (
+        own = [(socket.SOCK_STREAM, ports.tcp, f"autopilot {vehicle_id}")] if MANNERS[kind].tcp_link else []
+        for socket_kind, port, purpose in (
+            *own,
             (socket.SOCK_DGRAM, ports.onboard, f"autopilot {vehicle_id} towards its agent"),
             (socket.SOCK_DGRAM, ports.companion, f"agent {vehicle_id} towards its autopilot"),
             (socket.SOCK_DGRAM, ports.ground_link, f"autopilot {vehicle_id} towards a ground station"),
             (socket.SOCK_STREAM, ports.zenoh, f"Zenoh of agent {vehicle_id}"),
         ):
-            if other := wanted.get((kind, port)):
+            if other := wanted.get((socket_kind, port)):
                 raise PortInUseError(
                     f"port {port} is wanted by {purpose} and by {other}; take other ports with --port-offset"
                     f" {port_offset + 100}, or ids that lie less far apart"
                 )
-            wanted[kind, port] = purpose
-            _check_port(kind, port, purpose, port_offset)
+            wanted[socket_kind, port] = purpose
+            _check_port(socket_kind, port, purpose, port_offset)
 
 
 def _check_port(kind: socket.SocketKind, port: int, purpose: str, port_offset: int) -> None:

@@ -24,7 +24,10 @@ def run_fly(options: FlyOptions) -> int:
     def fly_once(scenario: Scenario, name: str, folder: Path, stop: StopRequest) -> Result:
         return _fly_once(scenario, name, folder, options, stop)
 
-    return run_flights(options.run, fly_once, lambda scenario: check_ports(ids_of(scenario), options.port_offset))
+    def ports_are_free(scenario: Scenario) -> None:
+        check_ports(ids_of(scenario), scenario.stand_in.autopilot, options.port_offset)
+
+    return run_flights(options.run, fly_once, ports_are_free)
 
 
 def _fly_once(scenario: Scenario, name: str, folder: Path, options: FlyOptions, stop: StopRequest) -> Result:

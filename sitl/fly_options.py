@@ -20,6 +20,7 @@ examples:
   sitl fly config/scenarios/platoon.yaml --law average_22       with another law
   sitl fly config/scenarios/platoon.yaml --compare              all laws in turn, one table, one figure
   sitl fly config/scenarios/platoon.yaml --compare average_26   only these two
+  sitl fly config/scenarios/platoon.yaml --autopilot ardupilot  with ArduCopter's manners instead of PX4's
   sitl fly config/scenarios/platoon.yaml --set stand_in.sensors=default --set timeline[3].for_s=20
   sitl fly config/scenarios/platoon.yaml --set stand_in.airframe.attitude=instant \\
                                          --set stand_in.airframe.motor_lag_s=0

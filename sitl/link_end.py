@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator
 
-from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
+from companion.mavlink.codec import MavlinkCodec, MavlinkMessage
 from sitl.autopilot import Autopilot
 from sitl.receiver import Receiver
 from sitl.schedule import Schedule
@@ -14,15 +14,15 @@ from sitl.schedule import Schedule
 class LinkEnd(ABC):
     """One link. What is due goes by the autopilot's own clock."""
 
-    def __init__(self, autopilot: Autopilot, schedule: Schedule, receiver: Receiver) -> None:
+    def __init__(self, autopilot: Autopilot, schedule: Schedule, receiver: Receiver, codec: MavlinkCodec) -> None:
         self._autopilot = autopilot
-        self._codec = MavlinkCodec(autopilot.system_id, mavlink.MAV_COMP_ID_AUTOPILOT1)
+        self._codec = codec
         self.schedule = schedule
         self.receiver = receiver
 
     def receive(self, data: bytes) -> Iterator[bytes]:
         """The answers to what came."""
-        for message in self._codec.decode(data):
+        for message in self._codec_now().decode(data):
             yield from self._encoded(self.receiver.receive(message))
 
     def due(self) -> Iterator[bytes]:
@@ -51,6 +51,10 @@ class LinkEnd(ABC):
     def _telemetry(self) -> Iterator[MavlinkMessage]:
         """What the schedule says is due."""
 
+    def _codec_now(self) -> MavlinkCodec:
+        """A link whose signing changes has others."""
+        return self._codec
+
     def _encoded(self, messages: Iterable[MavlinkMessage]) -> Iterator[bytes]:
         for message in messages:
-            yield self._codec.encode(message)
+            yield self._codec_now().encode(message)

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from enum import Enum, auto
 from math import hypot, isfinite, radians, tan
 
-from companion.frames import enu_from_geodetic, quaternion_from_euler, wrap_pi
+from companion.frames import Quaternion, enu_from_geodetic, quaternion_from_euler, wrap_pi
 from companion.types import GRAVITY_M_S2, Vector3
 from sitl.attitude_control import Setpoint
-from sitl.position_control import PositionControl
+from sitl.position_control import MAX_LIFT_RATIO, MIN_LIFT_RATIO, PositionControl
 from sitl.quadrotor import Quadrotor
 from sitl.setpoints import Course
 
@@ -21,6 +21,7 @@ SINK_GAIN_1_S = 6.0
 DRIFT_TILT_RAD = radians(0.6)  # level is never quite level, so it drifts
 TAKEN_OFF_WITHIN_M, HOME_WITHIN_M, RETURN_HEIGHT_WITHIN_M = 0.1, 0.5, 0.5
 FAR_DOWN_M = 100.0
+LEAST_COS_TILT = 0.1
 
 
 class Task(Enum):
@@ -119,6 +120,17 @@ class OwnFlight:
         self._control.yaw_rad = wrap_pi(self._control.yaw_rad + course.yaw_rate_rad_s * dt_s)
         return self._control_setpoint(dt_s)
 
+    def climb(self, attitude: Quaternion, climb_m_s: float, dt_s: float) -> Setpoint:
+        """This attitude, and the vertical loop at a climb rate."""
+        up = self._control.axes[2]
+        up.goal_m_s = climb_m_s
+        acceleration = up.acceleration_m_s2(
+            self._quad.estimated_position_local_enu_m()[2], self._quad.estimated_velocity_enu_m_s()[2], dt_s
+        )
+        lift = min(max(1.0 + acceleration / GRAVITY_M_S2, MIN_LIFT_RATIO), MAX_LIFT_RATIO)
+        thrust = self._hover_thrust_norm * lift / max(cos_tilt(attitude), LEAST_COS_TILT)
+        return Setpoint(attitude, min(thrust, 1.0))
+
     def origin_moved(self, offset_m: Vector3) -> None:
         """The local frame was re-based; goals stay where they are in the world."""
         self._control.shift(offset_m)
@@ -190,3 +202,9 @@ class OwnFlight:
         up = self._control.axes[2]
         up.max_speed_m_s = min(max(slow + share * (fast - slow), 0.1), 10.0)
         up.goal_m = up.target_m - FAR_DOWN_M
+
+
+def cos_tilt(attitude: Quaternion) -> float:
+    """Of the angle between the body's up and the vertical."""
+    _, x, y, _ = attitude
+    return 1.0 - 2.0 * (x * x + y * y)

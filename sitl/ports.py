@@ -1,4 +1,4 @@
-"""Ports derived from vehicle ids, as PX4's simulation derives them: instance i is id - 1.
+"""Ports derived from vehicle ids, as the simulations of PX4 and ArduPilot derive them: instance i is id - 1.
 
 `offset` moves all of them, so that two fleets can fly on one machine.
 """
@@ -18,6 +18,7 @@ class Ports:
     onboard: int  # the autopilot's, towards the companion
     companion: int  # the companion's: the autopilot sends there from the start
     ground_link: int  # the autopilot's, towards a ground station
+    tcp: int  # the autopilot's, where it listens with ArduPilot's manners
     zenoh: int  # the agent's listener
 
 
@@ -27,5 +28,6 @@ def ports_of(vehicle_id: int, offset: int = 0) -> Ports:
         onboard=14580 + instance,
         companion=14540 + instance,
         ground_link=18570 + instance,
+        tcp=5760 + 10 * (vehicle_id - 1) + offset,
         zenoh=7447 + vehicle_id + offset,
     )

@@ -19,7 +19,7 @@ CLIMB_GAINS = (4.0, 3.6, 0.4)
 MAX_INTEGRAL_M_S2 = 5.5  # what MAX_TILT_RAD can hold against
 MAX_ERROR_M = 2.0  # a vehicle that is held back does not build up more than this
 MAX_TILT_RAD = radians(30.0)
-ACCELERATION_M_S2 = 2.0
+ACCELERATION_M_S2, CLIMB_BRAKING_M_S2 = 2.0, 1.5
 MIN_LIFT_RATIO, MAX_LIFT_RATIO = 0.3, 1.7  # vertical thrust over weight
 
 
@@ -70,11 +70,18 @@ class Axis:
 
 
 class PositionControl:
-    """Three axes in the local ENU frame and a heading. `axes` may be told other goals and speeds at any time."""
+    """Three axes in the local ENU frame and a heading; `braking_m_s2` is of the level ones.
+
+    `axes` may be told other goals and speeds at any time.
+    """
 
     def __init__(self, hover_thrust_norm: float, braking_m_s2: float) -> None:
         self._hover_thrust_norm = hover_thrust_norm
-        self.axes = (Axis(LEVEL_GAINS, braking_m_s2), Axis(LEVEL_GAINS, braking_m_s2), Axis(CLIMB_GAINS, braking_m_s2))
+        self.axes = (
+            Axis(LEVEL_GAINS, braking_m_s2),
+            Axis(LEVEL_GAINS, braking_m_s2),
+            Axis(CLIMB_GAINS, CLIMB_BRAKING_M_S2),
+        )
         self.yaw_rad = 0.0
 
     def stop(self, position_m: Vector3, velocity_m_s: Vector3, yaw_rad: float) -> None:

@@ -16,7 +16,6 @@ from sitl.px4_modes import GROUND_STATION_LOSS, NEED_A_PILOT, OFFBOARD_LOSS, PRE
 from sitl.px4_parameters import Px4Parameters
 from sitl.setpoints import Course
 
-ARMABLE_AFTER_S = 4.0
 FAILSAFE_PERIOD_S = 0.1  # of looking for lost streams: a failsafe comes up to this late
 STREAM_LOST_GRACE_S = 0.01  # with the period, a lost stream shows after 1.01 to 1.12 s
 STREAM_BACK_AFTER_S = 0.03  # a stream that returns is believed after this
@@ -39,6 +38,7 @@ class Px4(Autopilot):
         self.intended_mode = Mode.LOITER
         self.failsafe = False
         self.takeoff_altitude_amsl_m: float | None = None
+        self._ready_after_s = file.stand_in.ready_after_s
         self._failsafe_steps = max(1, round(FAILSAFE_PERIOD_S / dt_s))
         self._mode_after_disarming = Mode.LOITER
         self._offboard: Setpoint | Course | None = None
@@ -55,7 +55,7 @@ class Px4(Autopilot):
 
     @property
     def armable(self) -> bool:
-        if self.time_s < ARMABLE_AFTER_S or self.mode in PREVENT_ARMING | NEED_A_PILOT | {Mode.MISSION}:
+        if self.time_s < self._ready_after_s or self.mode in PREVENT_ARMING | NEED_A_PILOT | {Mode.MISSION}:
             return False
         if self.mode is Mode.OFFBOARD and not self.streaming:
             return False

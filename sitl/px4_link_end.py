@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from companion.mavlink.codec import MavlinkMessage, mavlink
+from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
 from sitl.autopilot import Autopilot
 from sitl.link_end import LinkEnd
 from sitl.px4 import Px4
@@ -20,7 +20,8 @@ class Px4LinkEnd(LinkEnd):
 
     def __init__(self, px4: Px4, rates_hz: dict[int, float], heard_rates_hz: dict[int, float]) -> None:
         schedule = Px4Schedule(px4, rates_hz)
-        super().__init__(px4, schedule, Px4Receiver(px4, schedule))
+        codec = MavlinkCodec(px4.system_id, mavlink.MAV_COMP_ID_AUTOPILOT1)
+        super().__init__(px4, schedule, Px4Receiver(px4, schedule), codec)
         self._px4 = px4
         self._heard_rates_hz = heard_rates_hz
         self._speaks_fully = not heard_rates_hz

@@ -46,7 +46,7 @@ class Quadrotor:
         self._loops = loops
         self._takes_attitude_at_once = airframe.attitude == "instant"
         self._body = Body(airframe.mass_kg, airframe.inertia_kg_m2, airframe.drag_n_per_m_s, airframe.motor_lag_s)
-        self._newton_per_thrust = airframe.mass_kg * GRAVITY_M_S2 / airframe.hover_thrust_norm
+        self._newton_per_thrust = airframe.mass_kg * GRAVITY_M_S2 / file.stand_in.hover_thrust_norm
         yaw = quaternion_from_euler(0.0, 0.0, radians(file.start_yaw_deg))
         self.state = at_rest(file.start_enu_m, yaw)
         self._ground_z_m = file.start_enu_m[2]

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import get_args
 
 from companion.config import LawName
+from companion.types import AutopilotKind
 
 LAWS: tuple[LawName, ...] = get_args(LawName)
 
@@ -23,6 +24,7 @@ examples:
   sitl run config/scenarios/platoon.yaml                        the paper's platoon with the paper's law
   sitl run config/scenarios/platoon.yaml --compare              all laws in turn, one table, one figure
   sitl run config/scenarios/platoon.yaml --set stand_in.sensors=default --set stand_in.seed=2
+  sitl run config/scenarios/platoon.yaml --autopilot ardupilot  with ArduCopter's manners instead of PX4's
   sitl run config/scenarios/platoon.yaml --set links.peer_loss=0.1 --set links.peer_delay_s=0.1
 
 --set takes any key of the scenario file, [N] for the N-th item of a list from 0, and a YAML value. The section links says
@@ -59,6 +61,11 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scenario", type=Path, metavar="SCENARIO", help="a scenario file, see config/scenarios/")
     parser.add_argument("--law", choices=LAWS, help="fly with this law (short for --set fleet.law.name=LAW)")
     parser.add_argument(
+        "--autopilot",
+        choices=[str(kind) for kind in AutopilotKind],
+        help="fly with stand-ins of these manners (short for --set stand_in.autopilot=AUTOPILOT)",
+    )
+    parser.add_argument(
         "--compare",
         nargs="*",
         choices=LAWS,
@@ -78,9 +85,10 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run_options(parsed: argparse.Namespace) -> RunOptions:
-    """--law comes first: a --set of the same key wins."""
+    """--law and --autopilot come first: a --set of the same key wins."""
     law = [f"fleet.law.name={parsed.law}"] if parsed.law else []
+    autopilot = [f"stand_in.autopilot={parsed.autopilot}"] if parsed.autopilot else []
     others: Sequence[LawName] | None = parsed.compare
     if others is not None and not others:
         others = LAWS
-    return RunOptions(parsed.scenario, [*law, *parsed.overrides], others, parsed.out, parsed.quiet)
+    return RunOptions(parsed.scenario, [*law, *autopilot, *parsed.overrides], others, parsed.out, parsed.quiet)

@@ -13,7 +13,7 @@ from sitl.autopilot import DT_S
 from sitl.config import AutopilotFile, Links
 from sitl.direct_link import DirectLink
 from sitl.dynamics import State
-from sitl.manners import PX4
+from sitl.manners import MANNERS
 from sitl.tracks import Track
 from sitl.truth import TRUTH_HEADER, truth_row
 
@@ -26,8 +26,9 @@ class StandIn:
 
     def __init__(self, file: AutopilotFile, links: Links, phase_s: float) -> None:
         self.vehicle_id = file.id
-        self.autopilot = PX4.vehicle(file, DT_S)
-        self.link = DirectLink(self.autopilot, PX4.onboard_link(self.autopilot), links, phase_s)
+        manners = MANNERS[file.stand_in.autopilot]
+        self.autopilot = manners.vehicle(file, DT_S)
+        self.link = DirectLink(self.autopilot, manners.onboard_link(self.autopilot), links, phase_s)
         self._track = array("d")  # time, the state, thrust: flat, because a study keeps many of them
         self._modes: list[tuple[bool, str]] = []
 

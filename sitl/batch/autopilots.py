@@ -30,7 +30,7 @@ class Autopilots:
         self._bodies = Bodies(airframes, columns.formation)
         self._loops = AttitudeLoops(self._bodies.inertia_kg_m2)
         self._state = self._bodies.at_rest(position_enu_m, velocity_enu_m_s)
-        hover_norm = columns.spread([airframe.hover_thrust_norm for airframe in airframes])
+        hover_norm = columns.spread([scenario.stand_in.hover_thrust_norm for scenario in scenarios])
         self._newton_per_thrust = self._bodies.hover_n / hover_norm
         self._instant = airframes[0].attitude == "instant"
         self._command = np.zeros((4, columns.count))

@@ -22,7 +22,7 @@ class Commands:
 
     def __init__(self, scenarios: Sequence[Scenario], columns: Columns, period_s: float) -> None:
         envelopes = [scenario.fleet.envelope for scenario in scenarios]
-        hover = columns.spread([scenario.stand_in.airframe.hover_thrust_norm for scenario in scenarios])
+        hover = columns.spread([scenario.stand_in.hover_thrust_norm for scenario in scenarios])
         tilt_rad = columns.spread([radians(e.max_tilt_deg) for e in envelopes])
         least = columns.spread([e.min_thrust_ratio for e in envelopes])
         most = columns.spread([e.max_thrust_ratio for e in envelopes])

@@ -11,7 +11,7 @@ from pathlib import Path
 import yaml
 
 from companion.config_file import ConfigError, StrictLoader
-from companion.types import CommandName
+from companion.types import AutopilotKind, CommandName
 from sitl.scenario import Scenario, load_scenario
 from sitl.sweep.options import MAX_FLIGHTS, SHORTEST_S
 
@@ -103,7 +103,16 @@ def base_scenario(path: Path, overrides: Sequence[str]) -> Scenario:
     for override in overrides:
         if override.partition("=")[0] == SEED:
             raise ConfigError("--set", SEED, "every combination flies with seeds 1 to N; use --seeds N")
-    return load_scenario(path, overrides)
+    return _as_batches_fly(path, load_scenario(path, overrides))
+
+
+def _as_batches_fly(path: Path, scenario: Scenario) -> Scenario:
+    """Batches have PX4's loops alone. Raises ConfigError."""
+    if scenario.stand_in.autopilot is not AutopilotKind.PX4:
+        raise ConfigError(
+            path, "stand_in.autopilot", f'"{scenario.stand_in.autopilot}": sweeps fly px4 alone; try sitl run'
+        )
+    return scenario
 
 
 def formation_time_s(path: Path, scenario: Scenario) -> float:
@@ -132,7 +141,7 @@ def points_of(
 def _scenario(path: Path, overrides: Sequence[str], axes: Sequence[Axis], choices: tuple[Choice, ...]) -> Scenario:
     own = [f"{axis.key}={choice.text}" for axis, choice in zip(axes, choices, strict=True)]
     try:
-        return load_scenario(path, [*overrides, *own])
+        return _as_batches_fly(path, load_scenario(path, [*overrides, *own]))
     except ConfigError as error:
         for one in own:
             _try_alone(path, overrides, one)
@@ -142,7 +151,7 @@ def _scenario(path: Path, overrides: Sequence[str], axes: Sequence[Axis], choice
 def _try_alone(path: Path, overrides: Sequence[str], own: str) -> None:
     """Which of several values is to blame: whichever cannot be used without the others, either."""
     try:
-        load_scenario(path, [*overrides, own])
+        _as_batches_fly(path, load_scenario(path, [*overrides, own]))
     except ConfigError as error:
         raise _of_vary([own], error) from error
 

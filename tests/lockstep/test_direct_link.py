@@ -20,7 +20,7 @@ from sitl import px4_setpoints
 from sitl.autopilot import DT_S
 from sitl.config import AutopilotFile, Links, StandIn
 from sitl.direct_link import SAMPLES, DirectLink, rates_hz, setpoint_of
-from sitl.manners import PX4
+from sitl.manners import MANNERS
 from sitl.px4 import Px4
 from sitl.px4_messages import BUILDERS
 from sitl.px4_modes import Mode
@@ -77,7 +77,7 @@ def test_everything_that_the_agent_asks_for_is_told() -> None:
 def test_setpoints_are_those_of_the_bytes_to_a_microradian(target: AttitudeTarget) -> None:
     (message,) = MavlinkCodec(1, 1).decode(Translator(1, AutopilotKind.PX4).attitude_target(target, 3.0))
     told = px4_setpoints.setpoint_of(message, (1.0, 0.0, 0.0, 0.0))
-    direct = setpoint_of(target)
+    direct = setpoint_of(AutopilotKind.PX4, target)
     assert told is not None
     assert direct.quaternion == pytest.approx(told.quaternion, abs=MICRORADIAN)
     assert direct.thrust_norm == pytest.approx(told.thrust_norm, abs=1e-7)
@@ -86,8 +86,8 @@ def test_setpoints_are_those_of_the_bytes_to_a_microradian(target: AttitudeTarge
 
 
 def direct_link(links: Links, phase_s: float) -> DirectLink:
-    px4 = PX4.vehicle(AutopilotFile(), DT_S)
-    return DirectLink(px4, PX4.onboard_link(px4), links, phase_s)
+    px4 = MANNERS[AutopilotKind.PX4].vehicle(AutopilotFile(), DT_S)
+    return DirectLink(px4, MANNERS[AutopilotKind.PX4].onboard_link(px4), links, phase_s)
 
 
 def stepped(link: DirectLink, first: int, last: int) -> None:

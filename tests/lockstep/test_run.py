@@ -10,6 +10,7 @@ from typing import Any
 import msgspec
 import pytest
 
+from companion.types import AutopilotKind
 from sitl.scenario import load_scenario
 from sitl.summary import read_summary
 from sitl.tracks import read_track
@@ -125,3 +126,12 @@ def test_ctrl_c_lands_and_writes_the_folder(tmp_path: Path) -> None:
     summary = read_summary(tmp_path / "summary.json")
     assert summary.failure == "interrupted by SIGINT"
     assert [event.vehicle for event in summary.events if event.event == "land -> observe"] != []
+
+
+def test_arducopters_fly_the_same_scenario(tmp_path: Path) -> None:
+    done = run(PLATOON, "--out", tmp_path, "--autopilot", "ardupilot", "--set", "timeline[3].for_s=40", "--quiet")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert load_scenario(tmp_path / "scenario.yaml").stand_in.autopilot is AutopilotKind.ARDUPILOT
+    summary = read_summary(tmp_path / "summary.json")
+    assert summary.final_error_m is not None and summary.final_error_m < 0.05
+    assert "GUIDED" in (tmp_path / "truth_1.csv").read_text(encoding="ascii")

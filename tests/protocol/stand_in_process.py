@@ -53,13 +53,16 @@ class StandInProcess:
 
 
 def free_offset() -> int:
-    """A port offset at which all of vehicle 1's UDP ports are free, away from simulated fleets."""
+    """A port offset at which all of vehicle 1's ports are free, away from simulated fleets."""
     for offset in range(640, 900, 4):
         ports = ports_of(1, offset)
         try:
             for port in (ports.onboard, ports.companion, ports.ground_link):
                 with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
                     probe.bind(("127.0.0.1", port))
+            with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
+                probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                probe.bind(("127.0.0.1", ports.tcp))
         except OSError:
             continue
         return offset

@@ -8,13 +8,14 @@ import sys
 import time
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from companion.config import load_agent
-from companion.config_file import load
-from companion.types import Role
+from companion.config_file import ConfigError, load
+from companion.types import AutopilotKind, Role
 from sitl.config import AutopilotFile
-from sitl.fleet import Child, Fleet, PortInUseError, check_ports, write_files
+from sitl.fleet import Child, Fleet, PortInUseError, autopilot_file, check_ports, vehicle_file, write_files
 from sitl.ports import ports_of
 from sitl.scenario import Scenario, load_scenario
 
@@ -54,20 +55,21 @@ def test_any_two_agents_are_connected_by_one_of_them(scenario: Scenario, tmp_pat
 def test_a_stand_in_stands_where_the_scenario_says(scenario: Scenario, tmp_path: Path) -> None:
     for vehicle_id, start_enu_m in scenario.starts_enu_m.items():
         file = load(tmp_path / f"autopilot_{vehicle_id}.yaml", AutopilotFile)
-        assert (file.id, file.start_enu_m, file.stand_in) == (vehicle_id, start_enu_m, scenario.stand_in)
+        assert (file.id, file.start_enu_m) == (vehicle_id, start_enu_m)
+        assert file.stand_in == msgspec.structs.replace(scenario.stand_in, armable_after_s=4.0)
         assert file.world_origin == scenario.fleet.origin
 
 
 def test_free_ports_are_free_and_stay_so() -> None:
-    check_ports([1, 2], 2300)
-    check_ports([1, 2], 2300)
+    check_ports([1, 2], AutopilotKind.PX4, 2300)
+    check_ports([1, 2], AutopilotKind.PX4, 2300)
 
 
 def test_a_port_of_another_is_named() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("127.0.0.1", ports_of(2, 2300).companion))
         with pytest.raises(PortInUseError, match=r"^UDP port 16841, wanted by agent 2 .* --port-offset 2400$"):
-            check_ports([1, 2], 2300)
+            check_ports([1, 2], AutopilotKind.PX4, 2300)
 
 
 @pytest.mark.parametrize(
@@ -84,7 +86,7 @@ def test_a_port_of_another_is_named() -> None:
 )
 def test_a_port_that_two_want_is_refused_in_one_line(ids: list[int], offset: int, message: str) -> None:
     with pytest.raises(PortInUseError, match=message) as caught:
-        check_ports(ids, offset)
+        check_ports(ids, AutopilotKind.PX4, offset)
     assert "\n" not in str(caught.value)
 
 
@@ -178,3 +180,33 @@ def test_a_bound_command_that_does_not_exist_says_so() -> None:
     )
     assert done.returncode == 1
     assert done.stderr == "no-such-command: No such file or directory\n"
+
+
+def test_arducopters_listen_on_tcp_take_thrust_as_thrust_and_let_nobody_wait() -> None:
+    scenario = load_scenario(PLATOON, ["stand_in.autopilot=ardupilot"])
+    assert vehicle_file(scenario, 2, 100).mavlink == "tcp:127.0.0.1:5870"
+    assert vehicle_file(scenario, 2, 100).hover_thrust_norm == 0.365
+    stand_in = autopilot_file(scenario, 2).stand_in
+    assert (stand_in.ready_after_s, stand_in.parameters) == (4.0, {"GUID_OPTIONS": 8.0})
+    said = load_scenario(
+        PLATOON,
+        ["stand_in.autopilot=ardupilot", "stand_in.armable_after_s=42", "stand_in.parameters={GUID_OPTIONS: 0}"],
+    )
+    assert (said.stand_in.ready_after_s, autopilot_file(said, 1).stand_in.parameters) == (42.0, {"GUID_OPTIONS": 0.0})
+
+
+def test_the_tcp_port_of_an_arducopter_is_tried_as_well() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as other:
+        other.bind(("127.0.0.1", ports_of(2, 2300).tcp))
+        other.listen()
+        with pytest.raises(PortInUseError, match=r"^TCP port 8070, wanted by autopilot 2"):
+            check_ports([1, 2], AutopilotKind.ARDUPILOT, 2300)
+        check_ports([1, 2], AutopilotKind.PX4, 2300)
+
+
+def test_parameters_are_those_of_the_autopilot() -> None:
+    load_scenario(PLATOON, ["stand_in.autopilot=ardupilot", "stand_in.parameters={FS_GCS_ENABLE: 1}"])
+    with pytest.raises(ConfigError, match="GUID_TIMEOUT"):
+        load_scenario(PLATOON, ["stand_in.autopilot=ardupilot", "stand_in.parameters={GUID_TIMEOUTS: 1}"])
+    with pytest.raises(ConfigError, match="px4"):
+        load_scenario(PLATOON, ["stand_in.parameters={FS_GCS_ENABLE: 1}"])

@@ -1,0 +1,65 @@
+"""SET_ATTITUDE_TARGET and SET_POSITION_TARGET_LOCAL_NED -> what is followed in GUIDED, read as ArduCopter reads them."""
+
+from __future__ import annotations
+
+from math import isnan, nan, sqrt
+
+from companion.frames import (
+    enu_from_ned,
+    euler_enu_from_ned,
+    euler_from_quaternion,
+    flu_from_frd,
+    quaternion_from_euler,
+)
+from companion.mavlink.codec import MavlinkMessage, mavlink
+from companion.types import Vector3
+from sitl.attitude_control import Setpoint
+from sitl.autopilot import AutopilotAbortedError
+from sitl.setpoints import (
+    IGNORE_ATTITUDE,
+    IGNORE_POSITION,
+    IGNORE_RATES,
+    IGNORE_THROTTLE,
+    IGNORE_VELOCITY,
+    IGNORE_YAW,
+    IGNORE_YAW_RATE,
+    Course,
+)
+
+UNIT_WITHIN = 1e-3
+NOWHERE: Vector3 = (nan, nan, nan)
+
+
+def setpoint_of(message: MavlinkMessage) -> Setpoint | None:
+    """None means: stop. Its thrust is as sent; what that stands for depends on GUID_OPTIONS.
+
+    Raises AutopilotAbortedError for a quaternion that is no number, as the real program's floating point exception does.
+    """
+    mask = message.type_mask
+    if mask & IGNORE_THROTTLE:
+        return None
+    no_rates = mask & sum(IGNORE_RATES)
+    p, q, r = flu_from_frd((message.body_roll_rate, message.body_pitch_rate, message.body_yaw_rate))
+    if mask & IGNORE_ATTITUDE:
+        return Setpoint((1.0, 0.0, 0.0, 0.0), message.thrust, rates_rad_s=(p, q, r)) if not no_rates else None
+    if any(map(isnan, message.q)):
+        raise AutopilotAbortedError("SET_ATTITUDE_TARGET with a quaternion that is not a number")
+    if abs(sqrt(sum(part * part for part in message.q)) - 1.0) > UNIT_WITHIN or no_rates not in (0, sum(IGNORE_RATES)):
+        return None
+    euler = euler_enu_from_ned(*euler_from_quaternion(tuple(message.q)))
+    return Setpoint(quaternion_from_euler(*euler), message.thrust, yaw_rate_rad_s=0.0 if no_rates else r)
+
+
+def course_of(message: MavlinkMessage) -> Course | None:
+    """None means: stop. A place or a velocity is given as a whole or not at all; accelerations are not followed."""
+    mask = message.type_mask
+    position = NOWHERE if mask & sum(IGNORE_POSITION) else enu_from_ned((message.x, message.y, message.z))
+    velocity = NOWHERE if mask & sum(IGNORE_VELOCITY) else enu_from_ned((message.vx, message.vy, message.vz))
+    if message.coordinate_frame != mavlink.MAV_FRAME_LOCAL_NED or (position is NOWHERE and velocity is NOWHERE):
+        return None
+    return Course(
+        position,
+        velocity,
+        nan if mask & IGNORE_YAW else euler_enu_from_ned(0.0, 0.0, message.yaw)[2],
+        0.0 if mask & IGNORE_YAW_RATE else flu_from_frd((0.0, 0.0, message.yaw_rate))[2],
+    )

@@ -1,0 +1,262 @@
+"""What an ArduCopter does, as it was measured: streams, answers, arming, take-off and landing, links."""
+
+from __future__ import annotations
+
+import pytest
+from sitl_copter import DT_S, HOVER, Copter, M, attitude
+
+from companion.mavlink.codec import MavlinkCodec, mavlink
+from companion.types import AutopilotKind
+from sitl.ardupilot_modes import Mode
+from sitl.config import ARMABLE_AFTER_S, HOVER_THRUST_NORM
+
+ACCEPTED, DENIED, FAILED, UNSUPPORTED = 0, 2, 4, 3
+ARM, TAKEOFF, REQUEST = M.MAV_CMD_COMPONENT_ARM_DISARM, M.MAV_CMD_NAV_TAKEOFF, M.MAV_CMD_REQUEST_MESSAGE
+
+
+def test_it_says_nothing_but_heartbeats_and_texts_until_asked() -> None:
+    copter = Copter()
+    copter.fly(1.0)
+    copter.heard.clear()
+    copter.fly(5.0)
+    assert len(copter.messages("HEARTBEAT")) == 5
+    assert {message.get_type() for message in copter.heard} <= {"HEARTBEAT", "STATUSTEXT"}
+
+
+@pytest.mark.parametrize(
+    ("message_id", "kind"),
+    [
+        (M.MAVLINK_MSG_ID_HEARTBEAT, "HEARTBEAT"),
+        (M.MAVLINK_MSG_ID_LOCAL_POSITION_NED, "LOCAL_POSITION_NED"),
+        (M.MAVLINK_MSG_ID_ATTITUDE_TARGET, "ATTITUDE_TARGET"),
+        (193, "EKF_STATUS_REPORT"),
+    ],
+)
+def test_asked_for_50_hz_it_gives_exactly_50_hz(message_id: int, kind: str) -> None:
+    copter = Copter()
+    copter.fly(1.0)
+    assert copter.interval(message_id, 50.0) == ACCEPTED
+    copter.heard.clear()
+    copter.fly(4.0)
+    assert len(copter.messages(kind)) == 200
+
+
+def test_rates_that_it_refuses() -> None:
+    copter = Copter()
+    assert copter.interval(M.MAVLINK_MSG_ID_ATTITUDE, 500.0) == DENIED
+    for unknown in (M.MAVLINK_MSG_ID_CURRENT_MODE, M.MAVLINK_MSG_ID_ODOMETRY, M.MAVLINK_MSG_ID_ESTIMATOR_STATUS):
+        assert copter.interval(unknown, 50.0) == DENIED
+        assert copter.command(REQUEST, unknown) == FAILED
+    copter.fly(0.1)
+    assert "No ap_message for mavlink id (436)" in copter.texts()
+    assert any("too fast" in text for text in copter.texts())
+
+
+def test_every_command_has_one_true_answer_whoever_sends_it_and_to_nobody() -> None:
+    copter = Copter()
+    copter.fly(0.1)
+    assert copter.command(M.MAV_CMD_DO_SET_MODE, 1.0, 4, target=(0, 0)) == ACCEPTED
+    assert copter.command(M.MAV_CMD_DO_SET_MODE, 1.0, 4, target=(1, 77)) == ACCEPTED
+    assert copter.copter.mode is Mode.GUIDED
+    assert copter.set_mode(99) == FAILED
+    assert copter.command(31_999) == UNSUPPORTED
+    padded = [1.0, 9.0, *[0.0] * 5]
+    assert copter.say(M.MAVLink_command_long_message(2, 1, M.MAV_CMD_DO_SET_MODE, 0, *padded)) == []
+    assert copter.copter.mode is Mode.GUIDED
+    copter.fly(0.1)
+    assert "No such mode 99" in copter.texts()
+
+
+def test_defaults_are_as_measured() -> None:
+    assert ARMABLE_AFTER_S[AutopilotKind.ARDUPILOT] == 42.0
+    assert HOVER_THRUST_NORM[AutopilotKind.ARDUPILOT] == HOVER
+
+
+def test_it_takes_guided_before_it_can_be_armed_and_says_why_it_cannot() -> None:
+    copter = Copter(armable_after_s=42.0)
+    said = []
+    copter.fly(3.0)
+    assert copter.set_mode(Mode.GUIDED) == ACCEPTED
+    while (result := copter.arm()) == FAILED:
+        copter.fly(1.0)
+        said += copter.texts()
+    assert result == ACCEPTED
+    assert 41.0 < copter.copter.time_s < 44.0
+    for reason in ("Accels inconsistent", "AHRS: waiting for home", "Need Position Estimate"):
+        assert f"Arm: {reason}" in said
+    assert any(text.startswith("PreArm: ") for text in said)
+
+
+def test_a_mode_set_before_it_is_initialised_is_forgotten() -> None:
+    copter = Copter(armable_after_s=42.0)
+    copter.fly(0.5)
+    assert copter.set_mode(Mode.GUIDED) == ACCEPTED
+    assert copter.arm() == FAILED
+    copter.fly(3.0)
+    assert copter.copter.mode is Mode.STABILIZE
+    assert "Arm: System not initialised" in copter.texts()
+
+
+@pytest.mark.parametrize("mode", [Mode.LAND, Mode.RTL, Mode.BRAKE, Mode.AUTO])
+def test_modes_that_it_takes_but_cannot_be_armed_in(mode: Mode) -> None:
+    copter = Copter()
+    copter.fly(0.1)
+    assert copter.set_mode(mode) == ACCEPTED
+    assert copter.arm() == FAILED
+    copter.fly(0.1)
+    assert f"Arm: {mode.name} mode not armable" in copter.texts()
+
+
+def test_position_origin_and_home_come_when_it_has_them() -> None:
+    copter = Copter(armable_after_s=10.0)
+    copter.interval(M.MAVLINK_MSG_ID_LOCAL_POSITION_NED, 50.0)
+    assert copter.command(REQUEST, M.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN) == ACCEPTED
+    copter.fly(4.0)
+    assert not copter.messages("GPS_GLOBAL_ORIGIN")
+    copter.fly(1.0)
+    assert len(copter.messages("GPS_GLOBAL_ORIGIN")) == len(copter.messages("HOME_POSITION")) == 1
+    assert not copter.messages("LOCAL_POSITION_NED")
+    copter.fly(5.0)
+    assert copter.messages("LOCAL_POSITION_NED")
+    origin = copter.copter.quad.origin
+    copter.say(M.MAVLink_set_gps_global_origin_message(1, 473977000, 85455000, 490_000))
+    assert copter.copter.quad.origin == origin
+
+
+def test_take_off_is_by_a_height_above_home_armed_and_in_guided_only() -> None:
+    copter = Copter()
+    copter.fly(0.1)
+    copter.set_mode(Mode.GUIDED)
+    take_off = (TAKEOFF, 0, 0, 0, 0, 0, 0, 3.0)
+    assert copter.command(*take_off) == FAILED
+    copter.set_mode(Mode.ALT_HOLD)
+    copter.arm()
+    assert copter.command(*take_off) == FAILED
+    copter.set_mode(Mode.GUIDED)
+    assert copter.command(*take_off) == ACCEPTED
+    copter.fly(2.6)
+    assert copter.height_m == 0.0
+    copter.fly(6.0)
+    assert copter.height_m == pytest.approx(3.0, abs=0.1)
+    assert copter.copter.landed_state == M.MAV_LANDED_STATE_IN_AIR
+    assert copter.command(*take_off) == FAILED  # it flies already
+    assert copter.command(ARM, 0.0) == FAILED
+
+
+def test_armed_without_take_off_it_disarms_after_10_s() -> None:
+    copter = Copter()
+    copter.fly(0.1)
+    copter.set_mode(Mode.GUIDED)
+    copter.arm()
+    copter.fly(9.8)
+    assert copter.copter.armed
+    copter.fly(0.4)
+    assert not copter.copter.armed
+    assert copter.copter.mode is Mode.GUIDED
+    assert copter.texts()[-2:] == ["Arming motors", "Disarming motors"]
+
+
+def test_landing_at_half_a_metre_a_second_and_disarmed_2_s_after_the_touch() -> None:
+    copter = Copter()
+    copter.take_off(3.0)
+    assert copter.set_mode(Mode.LAND) == ACCEPTED
+    copter.fly(2.0)
+    assert copter.climb_m_s == pytest.approx(-0.5, abs=0.05)
+    while not copter.copter.quad.stands:
+        copter.fly(DT_S)
+    touched_s = copter.copter.time_s
+    while copter.copter.armed:
+        copter.fly(DT_S)
+    assert copter.copter.time_s - touched_s == pytest.approx(2.1, abs=0.2)
+    assert copter.copter.mode is Mode.LAND
+
+
+def test_brake_stops_and_holds_without_a_pilot_and_loiter_sinks() -> None:
+    copter = Copter(GUID_OPTIONS=8)
+    copter.take_off()
+    copter.fly(1.5, attitude(10.0))
+    assert abs(copter.copter.quad.velocity_enu_m_s[0]) > 1.5
+    assert copter.set_mode(Mode.BRAKE) == ACCEPTED
+    copter.fly(6.0, attitude(10.0))  # which BRAKE does not heed
+    place = copter.copter.quad.position_enu_m
+    copter.fly(20.0)
+    assert copter.copter.quad.position_enu_m == pytest.approx(place, abs=0.05)
+    assert copter.set_mode(Mode.LOITER) == ACCEPTED
+    copter.fly(1.5)
+    assert copter.climb_m_s < -1.5
+
+
+def test_parameters_are_floats_by_value() -> None:
+    copter = Copter()
+    (told,) = copter.say(M.MAVLink_param_request_read_message(1, 1, b"GUID_OPTIONS", -1))
+    assert (told.param_value, told.param_type) == (0.0, M.MAV_PARAM_TYPE_INT32)
+    (told,) = copter.say(M.MAVLink_param_set_message(1, 1, b"GUID_OPTIONS", 8.0, M.MAV_PARAM_TYPE_REAL32))
+    assert told.param_value == 8.0
+    assert copter.copter.parameters["GUID_OPTIONS"] == 8
+    (told,) = copter.say(M.MAVLink_param_request_read_message(1, 1, b"MOT_THST_HOVER", -1))
+    assert told.param_value == pytest.approx(0.39)
+    assert copter.say(M.MAVLink_param_request_read_message(1, 1, b"NO_SUCH", -1)) == []
+    everything = copter.say(M.MAVLink_param_request_list_message(1, 1))
+    assert {told.param_index for told in everything} == set(range(everything[0].param_count))
+
+
+def test_a_lost_ground_station_makes_it_return_and_its_own_return_changes_nothing() -> None:
+    copter = Copter(FS_GCS_ENABLE=1)
+    copter.take_off(3.0)
+    copter.fly(8.0)
+    assert copter.copter.mode is Mode.GUIDED  # one that was never heard cannot be lost
+    station = M.MAVLink_heartbeat_message(M.MAV_TYPE_GCS, M.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3)
+    copter.say(station)
+    copter.fly(4.9)
+    assert copter.copter.mode is Mode.GUIDED
+    companion = MavlinkCodec(1, M.MAV_COMP_ID_ONBOARD_COMPUTER)
+    copter.say(
+        M.MAVLink_heartbeat_message(M.MAV_TYPE_ONBOARD_CONTROLLER, M.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3), companion
+    )
+    copter.fly(0.3)
+    assert copter.copter.mode is Mode.RTL
+    copter.say(station)
+    copter.fly(0.5)
+    assert copter.copter.mode is Mode.RTL
+    assert copter.texts()[-2:] == ["GCS Failsafe", "GCS Failsafe Cleared"]
+
+
+def test_companion_heartbeats_are_not_needed() -> None:
+    copter = Copter()
+    copter.take_off(3.0)
+    copter.fly(20.0)
+    assert copter.copter.mode is Mode.GUIDED
+    assert copter.height_m == pytest.approx(3.0, abs=0.1)
+
+
+def test_timesync_is_answered() -> None:
+    copter = Copter()
+    copter.fly(2.0)
+    (answer,) = copter.say(M.MAVLink_timesync_message(0, 12345))
+    assert (answer.ts1, answer.tc1) == (12345, 2_000_000_000)
+
+
+def test_signing_drops_what_is_unsigned_without_a_word_and_signs_what_goes_out() -> None:
+    key = bytes(range(32))
+    copter = Copter()
+    copter.fly(0.1)
+    assert copter.say(M.MAVLink_setup_signing_message(1, 1, list(key), 10**12)) == []
+    ask = M.MAVLink_param_request_read_message(1, 1, b"GUID_OPTIONS", -1)
+    assert copter.say(ask) == []
+    assert copter.say(ask, signed(bytes(32 * [7]), 10**12 + 10)) == []
+    right = signed(key, 10**12 + 10)
+    (told,) = copter.say(ask, right)
+    assert told.get_msgbuf()[2] & mavlink.MAVLINK_IFLAG_SIGNED
+    assert copter.say(ask, signed(key, 10**12 - 7_000_000)) == []  # more than a minute old
+    copter.say(M.MAVLink_setup_signing_message(1, 1, [0] * 32, 0), right)
+    (told,) = copter.say(ask)
+    assert not told.get_msgbuf()[2] & mavlink.MAVLINK_IFLAG_SIGNED
+
+
+class signed(MavlinkCodec):  # noqa: N801 -- reads as a word
+    """A client that signs, by pymavlink alone; its stamps begin at `stamp`."""
+
+    def __init__(self, key: bytes, stamp: int) -> None:
+        super().__init__(255, 190)
+        self._mav.signing.secret_key, self._mav.signing.timestamp = key, stamp
+        self._mav.signing.sign_outgoing, self._mav.signing.link_id = True, stamp % 251
