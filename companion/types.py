@@ -136,6 +136,15 @@ class SystemSample:
 
 
 @dataclass(frozen=True, slots=True)
+class ParameterSample:
+    """One parameter of the autopilot, by the autopilot's own name."""
+
+    received_s: float
+    name: str
+    value: float
+
+
+@dataclass(frozen=True, slots=True)
 class AckSample:
     """COMMAND_ACK. `answers` are the kinds of request that the command stands for; `reason` says the result in words."""
 
@@ -162,6 +171,7 @@ Telemetry = (
     | LandedSample
     | OriginSample
     | SystemSample
+    | ParameterSample
     | AckSample
     | TextSample
 )
@@ -231,7 +241,14 @@ class RequestOrigin:
     """Ask for GPS_GLOBAL_ORIGIN, which PX4 sends once and on change."""
 
 
-AutopilotRequest = SetMode | Arm | Disarm | TakeOff | RequestOrigin
+@dataclass(frozen=True, slots=True)
+class RequestParameter:
+    """Ask for one parameter. There is none that sets one: the agent only reads."""
+
+    name: str
+
+
+AutopilotRequest = SetMode | Arm | Disarm | TakeOff | RequestOrigin | RequestParameter
 
 
 # ---------------------------------------------------------------- peers, commands, status

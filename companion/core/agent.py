@@ -21,6 +21,7 @@ from companion.core.formation import (
 )
 from companion.core.health import AgeLimits, health_flags
 from companion.core.phase import PhaseMachine
+from companion.core.preflight import Preflight
 from companion.core.reference import ReferenceTrajectory
 from companion.core.vehicle_state import VehicleTracker
 from companion.types import (
@@ -81,6 +82,7 @@ class Agent:
         self._cooperation = cooperation
         self._gate = LastGate(setup.envelope)
         self._machine = PhaseMachine(setup.takeoff_height_m)
+        self._preflight = Preflight(setup.envelope.hover_thrust_norm)
         self._refused: Counter[str] = Counter()
         self._sequence = 0
         self._position_used_s = float("-inf")
@@ -111,6 +113,7 @@ class Agent:
         """One tick: telemetry -> state -> peers -> PrC and weights -> acceleration -> attitude -> the last gate."""
         vehicle = self._tracker.fold(inbox.telemetry)
         self._machine.follow_truth(vehicle)
+        self._preflight.hear(now_s, inbox.telemetry, vehicle.autopilot)
         commands = [command for command in inbox.commands if command.lead is None]
         # A new role comes before all that it decides: one tick, its packet included, is of one role.
         replies = tuple([self._change_lead(c, c.lead, vehicle) for c in inbox.commands if c.lead is not None])
@@ -127,6 +130,8 @@ class Agent:
             self._stop(now_s, vehicle)
         self._act_on(flags, now_s, vehicle)
         requests = self._ask_origin(now_s, vehicle) + self._machine.advance(now_s, vehicle, inbox.telemetry)
+        if not self._machine.streams(vehicle):  # what was found before goes for the whole formation
+            requests += self._preflight.ask(now_s)
 
         target = None
         if self._machine.streams(vehicle) and self._may_decide(flags, vehicle):
@@ -160,6 +165,12 @@ class Agent:
         missing = self._missing_for(command.name, flags)
         if missing:
             return CommandReply(self._setup.vehicle_id, command.number, False, f"{command.name}: {', '.join(missing)}")
+        if (
+            command.name is CommandName.FORM
+            and self.phase is FlightPhase.HOLD
+            and (refusal := self._preflight.refusal())
+        ):
+            return CommandReply(self._setup.vehicle_id, command.number, False, f"form: {refusal}")
         accepted, reason = self._machine.command(command.name, now_s, vehicle)
         return CommandReply(self._setup.vehicle_id, command.number, accepted, reason)
 
@@ -291,7 +302,8 @@ class Agent:
 
     def _drain_events(self) -> tuple[str, ...]:
         leadership = self._cooperation.leadership
-        events = (*leadership.events, *self._machine.events)
+        events = (*self._preflight.events, *leadership.events, *self._machine.events)
+        self._preflight.events.clear()
         leadership.events.clear()
         self._machine.events.clear()
         if events:

@@ -124,3 +124,8 @@ def command_for(request: AutopilotRequest, system_id: int) -> MavlinkMessage:
             return command_long(system_id, mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, height_m)
         case _:
             return common_command(request, system_id)
+
+
+def parameter_value(message: MavlinkMessage) -> float:
+    """Of PARAM_VALUE: integers travel as numbers."""
+    return float(message.param_value)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from companion.mavlink.codec import MavlinkMessage, mavlink
-from companion.types import Arm, Disarm, RequestOrigin, SetMode, TakeOff
+from companion.types import Arm, Disarm, RequestOrigin, RequestParameter, SetMode, TakeOff
 
 # What a COMMAND_ACK answers.
 ANSWERS: dict[int, tuple[type, ...]] = {
@@ -23,7 +23,7 @@ def command_long(system_id: int, command: int, *parameters: float) -> MavlinkMes
     return mavlink.MAVLink_command_long_message(system_id, mavlink.MAV_COMP_ID_AUTOPILOT1, command, 0, *padded)
 
 
-def common_command(request: Arm | Disarm | RequestOrigin, system_id: int) -> MavlinkMessage:
+def common_command(request: Arm | Disarm | RequestOrigin | RequestParameter, system_id: int) -> MavlinkMessage:
     """What PX4 and ArduCopter are asked in the same words."""
     match request:
         case Arm():
@@ -32,6 +32,11 @@ def common_command(request: Arm | Disarm | RequestOrigin, system_id: int) -> Mav
             return command_long(system_id, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0)
         case RequestOrigin():
             return command_long(system_id, mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
+        case RequestParameter(name):
+            by_name = -1
+            return mavlink.MAVLink_param_request_read_message(
+                system_id, mavlink.MAV_COMP_ID_AUTOPILOT1, name.encode(), by_name
+            )
 
 
 def stream_request(system_id: int, message_id: int, interval_us: int) -> MavlinkMessage:

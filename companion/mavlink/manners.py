@@ -44,7 +44,10 @@ class Manners(Protocol):
         """The thrust of SET_ATTITUDE_TARGET that means this target's."""
 
     def command_for(self, request: AutopilotRequest, system_id: int) -> MavlinkMessage:
-        """The COMMAND_LONG that asks for it."""
+        """The message that asks for it."""
+
+    def parameter_value(self, message: MavlinkMessage) -> float:
+        """Of PARAM_VALUE, whichever way integers travel in it."""
 
 
 MANNERS: dict[AutopilotKind, Manners] = {AutopilotKind.PX4: px4, AutopilotKind.ARDUPILOT: ardupilot}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from math import nan
 
 from companion.mavlink.codec import MavlinkMessage, mavlink
@@ -99,3 +100,11 @@ def command_for(request: AutopilotRequest, system_id: int) -> MavlinkMessage:
             return command_long(system_id, mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, nan, nan, nan, altitude_amsl_m)
         case _:
             return common_command(request, system_id)
+
+
+def parameter_value(message: MavlinkMessage) -> float:
+    """Of PARAM_VALUE: integers travel bytewise in the float field."""
+    if message.param_type == mavlink.MAV_PARAM_TYPE_REAL32:
+        return float(message.param_value)
+    integer: int = struct.unpack("<i", struct.pack("<f", message.param_value))[0]
+    return float(integer)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from math import isfinite
 
 from companion.frames import euler_ned_from_enu, quaternion_from_euler
 from companion.mavlink import telemetry
@@ -10,7 +11,7 @@ from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
 from companion.mavlink.commands import stream_request
 from companion.mavlink.manners import MANNERS, Manners, kind_of, words_for
 from companion.mavlink.signing import REASONS, SigningKey
-from companion.types import AttitudeTarget, AutopilotKind, AutopilotRequest, ModeSample, Telemetry
+from companion.types import AttitudeTarget, AutopilotKind, AutopilotRequest, ModeSample, ParameterSample, Telemetry
 
 AUTOPILOT = mavlink.MAV_COMP_ID_AUTOPILOT1
 
@@ -84,6 +85,8 @@ class Translator:
                 return [telemetry.origin(message, received_s)]
             case "SYS_STATUS":
                 return [telemetry.system(message, received_s)]
+            case "PARAM_VALUE":
+                return self._parameter(message, received_s)
             case "COMMAND_ACK":
                 if message.target_system not in (0, self._system_id):
                     return []  # to a ground station on the same link
@@ -105,6 +108,15 @@ class Translator:
     def _expected(self) -> str:
         expected = [MANNERS[self._autopilot]] if self._autopilot else list(MANNERS.values())
         return " or ".join(f"{manners.MAV_AUTOPILOT} ({manners.NAME})" for manners in expected)
+
+    def _parameter(self, message: MavlinkMessage, received_s: float) -> list[Telemetry]:
+        if self._autopilot is None:
+            return []
+        value = self.manners.parameter_value(message)
+        if not isfinite(value):
+            self.rejected["parameter of the autopilot that is not finite"] += 1
+            return []
+        return [ParameterSample(received_s, message.param_id, value)]
 
     def _mode(self, message: MavlinkMessage, received_s: float) -> ModeSample:
         return ModeSample(received_s, *self.manners.mode_of(message.custom_mode))

@@ -17,6 +17,16 @@ from companion.mavlink.signing import SigningKey
 
 PERIOD_S = 0.02
 LOITER, OFFBOARD = (4, 3), (6, 0)
+IN_ORDER = {
+    "COM_OF_LOSS_T": 1.0,
+    "COM_OBL_RC_ACT": 5.0,
+    "NAV_DLL_ACT": 0.0,
+    "COM_RC_OVERRIDE": 3.0,
+    "GF_ACTION": 2.0,
+    "GF_MAX_HOR_DIST": 100.0,
+    "GF_MAX_VER_DIST": 50.0,
+    "MPC_THR_HOVER": 0.49,
+}
 
 
 @dataclass
@@ -30,6 +40,7 @@ class HoveringAutopilot:
     obeys: bool = True  # takes modes that are commanded
     mode: tuple[int, int] = LOITER
     key: SigningKey | None = None
+    parameters: dict[str, float] = field(default_factory=IN_ORDER.copy)  # told as floats; of others it says nothing
     target_times_s: list[float] = field(default_factory=list)
     thrusts: list[float] = field(default_factory=list)  # of the setpoints at those times
     received: list[MavlinkMessage] = field(default_factory=list)  # all but SET_ATTITUDE_TARGET
@@ -80,6 +91,7 @@ class HoveringAutopilot:
             said += [
                 mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_QUADROTOR, self.autopilot, armed, custom_mode, 4, 3),
                 mavlink.MAVLink_extended_sys_state_message(0, mavlink.MAV_LANDED_STATE_IN_AIR),
+                mavlink.MAVLink_sys_status_message(0, 0, 0, 0, 0, 0, 90, 0, 0, 0, 0, 0, 0),
                 mavlink.MAVLink_gps_global_origin_message(473977420, 85455940, 488000),
             ]
         if self.positions:
@@ -103,6 +115,14 @@ class HoveringAutopilot:
             self.thrusts.append(message.thrust)
             return
         self.received.append(message)
+        if message.get_type() == "PARAM_REQUEST_READ" and message.param_id in self.parameters:
+            self._tell_parameter(message.param_id)
         is_mode = message.get_type() == "COMMAND_LONG" and message.command == mavlink.MAV_CMD_DO_SET_MODE
         if is_mode and self.obeys:
             self.mode = (int(message.param2), int(message.param3))
+
+    def _tell_parameter(self, name: str) -> None:
+        told = mavlink.MAVLink_param_value_message(
+            name.encode(), self.parameters[name], mavlink.MAV_PARAM_TYPE_REAL32, len(self.parameters), 0
+        )
+        self._socket.sendto(self._codec.encode(told), ("127.0.0.1", self.port))

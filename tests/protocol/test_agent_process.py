@@ -300,3 +300,18 @@ def test_the_agent_imports_nothing_of_the_ground() -> None:
         "assert not heavy, heavy"
     )
     subprocess.run([sys.executable, "-c", program], check=True, timeout=30)
+
+
+def test_a_vehicle_that_would_fall_is_not_let_into_formation(files: AgentFiles) -> None:
+    with HoveringAutopilot(1, files.udp_port) as autopilot, agent(files) as process, ground(files) as session:
+        autopilot.parameters["COM_OBL_RC_ACT"] = 7.0
+        process.wait_for_log("refusal: COM_OBL_RC_ACT: 7 (disarm: it falls)")
+        until(lambda: command(session, CommandName.HOLD).accepted)
+        wait_for_phase(session, FlightPhase.HOLD)
+        reply = command(session, CommandName.FORM)
+        assert not reply.accepted
+        assert "set COM_OBL_RC_ACT to 5" in reply.reason
+        assert autopilot.target_times_s == []
+        autopilot.parameters["COM_OBL_RC_ACT"] = 5.0
+        until(lambda: command(session, CommandName.FORM).accepted)
+        wait_for_phase(session, FlightPhase.FORMATION)

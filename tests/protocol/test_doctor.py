@@ -87,7 +87,7 @@ def test_bad_parameters_are_refused_in_words_and_fixed(tmp_path: Path) -> None:
 
 def test_nothing_is_set_while_armed_and_what_is_not_there_is_not_found(tmp_path: Path) -> None:
     files = agent_files(tmp_path)
-    with HoveringAutopilot(1, files.udp_port) as autopilot:  # armed, and deaf to parameters
+    with HoveringAutopilot(1, files.udp_port, parameters={}) as autopilot:  # armed, and deaf to parameters
         result = doctor(files, "--fix", "--json")
     told = diagnosis(result)
     subjects = {finding["subject"]: finding for finding in told["findings"]}

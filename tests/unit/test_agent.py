@@ -36,12 +36,15 @@ from companion.types import (
     ModeSample,
     OriginSample,
     Outbox,
+    ParameterSample,
     PeerPacket,
     PositionSample,
     ReceivedPeerPacket,
     RequestOrigin,
+    RequestParameter,
     Role,
     SetMode,
+    SystemSample,
     TakeOff,
     Telemetry,
     Vector3,
@@ -61,6 +64,16 @@ FLEET = FleetConfig(
 
 
 POINT = PointReference(point_enu_m=(1.0, 0.0, 1.0))
+IN_ORDER = {
+    "COM_OF_LOSS_T": 1.0,
+    "COM_OBL_RC_ACT": 5.0,
+    "NAV_DLL_ACT": 0.0,
+    "COM_RC_OVERRIDE": 3.0,
+    "GF_ACTION": 2.0,
+    "GF_MAX_HOR_DIST": 100.0,
+    "GF_MAX_VER_DIST": 50.0,
+    "MPC_THR_HOVER": 0.5,
+}
 
 
 class Flight:
@@ -84,6 +97,8 @@ class Flight:
         self.peer_position: Vector3 | None = (0.0, 0.0, 1.0)
         self.outbox = Outbox()
         self.tells_origin = True
+        self.parameters = dict(IN_ORDER)
+        self.battery_percent = 90.0
         self.withheld: tuple[type, ...] = ()
         self.velocity: Vector3 = (0.0, 0.0, 0.0)
         self.peer_phase = FlightPhase.FORMATION
@@ -112,8 +127,14 @@ class Flight:
                 if RequestOrigin() in self.outbox.requests and self.tells_origin
                 else []
             ),
+            SystemSample(t, self.battery_percent, may_arm=True),
+            *(ParameterSample(t, name, self.parameters[name]) for name in self.asked() if name in self.parameters),
             PositionSample(t, t - 50.0, self.position, self.velocity),
         ]
+
+    def asked(self) -> list[str]:
+        """The parameters that the last tick asked for."""
+        return [request.name for request in self.outbox.requests if isinstance(request, RequestParameter)]
 
     def peer(self) -> list[ReceivedPeerPacket]:
         if self.peer_position is None:
@@ -181,6 +202,7 @@ class Flight:
 def test_on_the_ground_and_after_start_it_sends_no_setpoint() -> None:
     flight = Flight()
     asked = [request for _ in range(1000) for request in flight.tick().requests]
+    asked = [request for request in asked if not isinstance(request, RequestParameter)]
     assert asked == [RequestOrigin()] * 4  # in 20 s: it may have changed without our hearing of it
     assert flight.targets == []
 
@@ -192,6 +214,7 @@ def test_a_geodetic_fleet_asks_for_the_origin_once_a_second() -> None:
     flight = Flight(fleet=FleetConfig(name="pair", origin=origin, vehicles=FLEET.vehicles, neighbours=FLEET.neighbours))
     flight.tells_origin = False
     asked = [request for _ in range(150) for request in flight.tick().requests]
+    asked = [request for request in asked if not isinstance(request, RequestParameter)]
     assert asked == [RequestOrigin()] * 3
     reply = flight.tick(CommandName.PREPARE).replies[0]
     assert not reply.accepted

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable
 from math import inf, nan, pi
 
@@ -35,6 +36,27 @@ ORIGIN_AMSL_M = 488.0
 TAKEOFF_M = 2.0
 MANUAL = {PX4: 1 << 16, ARDUPILOT: 0}  # MANUAL, STABILIZE
 HOLD = {PX4: 4 << 16 | 3 << 24, ARDUPILOT: 17}
+IN_ORDER: dict[AutopilotKind, dict[str, int | float]] = {
+    PX4: {
+        "COM_OF_LOSS_T": 1.0,
+        "COM_OBL_RC_ACT": 5,
+        "NAV_DLL_ACT": 0,
+        "COM_RC_OVERRIDE": 3,
+        "GF_ACTION": 2,
+        "GF_MAX_HOR_DIST": 100.0,
+        "GF_MAX_VER_DIST": 50.0,
+        "MPC_THR_HOVER": 0.5,
+    },
+    ARDUPILOT: {
+        "GUID_OPTIONS": 8,
+        "ATC_ANGLE_BOOST": 1,
+        "GUID_TIMEOUT": 1.0,
+        "FS_GCS_ENABLE": 0,
+        "FENCE_ENABLE": 1,
+        "FENCE_ACTION": 1,
+        "MOT_THST_HOVER": 0.5,
+    },
+}
 Answer = tuple[int, ...]
 ACCEPTED, FAILED = M.MAV_RESULT_ACCEPTED, M.MAV_RESULT_FAILED
 TEMPORARILY_REJECTED = M.MAV_RESULT_TEMPORARILY_REJECTED
@@ -50,6 +72,9 @@ class Autopilot:
         self.refuses: dict[int, Answer] = {}
         self.says: list[MavlinkMessage] = []  # next time
         self.withheld: tuple[str, ...] = ()
+        self.parameters = dict(IN_ORDER[kind])
+        self.battery_percent = 90
+        self.read: list[str] = []  # names of parameters that were asked for
         self.commands: list[MavlinkMessage] = []
         self.targets: list[MavlinkMessage] = []
         self._codec = MavlinkCodec(3, 1)
@@ -61,6 +86,7 @@ class Autopilot:
         said, self.says = self.says, []
         said.append(M.MAVLink_attitude_quaternion_message(boot_ms, 1, 0, 0, 0, 0, 0, 0))
         said.append(M.MAVLink_extended_sys_state_message(0, self.landed))
+        said.append(M.MAVLink_sys_status_message(0, 0, 0, 0, 0, 0, self.battery_percent, 0, 0, 0, 0, 0, 0))
         if self.kind is PX4:
             said.append(M.MAVLink_current_mode_message(0, self.custom_mode, self.custom_mode))
         if self.kind is ARDUPILOT or self._ticks % 50 == 0:
@@ -79,8 +105,21 @@ class Autopilot:
         for message in self._codec.decode(data):
             if message.get_type() == "SET_ATTITUDE_TARGET":
                 self.targets.append(message)
+            elif message.get_type() == "PARAM_REQUEST_READ":
+                self._tell_parameter(message.param_id)
             else:
                 self._command(message)
+
+    def _tell_parameter(self, name: str) -> None:
+        """Integers bytewise in PX4's, as numbers in ArduPilot's. It says nothing of what it does not have."""
+        self.read.append(name)
+        if name not in self.parameters:
+            return
+        value = self.parameters[name]
+        kind = M.MAV_PARAM_TYPE_INT32 if isinstance(value, int) else M.MAV_PARAM_TYPE_REAL32
+        if isinstance(value, int) and self.kind is PX4:
+            value = struct.unpack("<f", struct.pack("<i", value))[0]
+        self.says.append(M.MAVLink_param_value_message(name.encode(), value, kind, len(self.parameters), 0))
 
     def _command(self, message: MavlinkMessage) -> None:
         number = message.command
