@@ -21,7 +21,7 @@ from companion.mavlink.ground_station import GroundStationFilter
 READ_BYTES = 65536
 DATAGRAMS_PER_WAKE_UP = 8
 PACE_S = 0.005  # one packet to the autopilot at a time, at most 200 a second
-MOST_WAITING = 64  # packets: a mission or a page of parameters at once
+MOST_WAITING = 32  # packets; the last of them goes within 0.16 s while the line is free
 LONGEST_WAIT_S = 0.25  # a command that comes later than this is better given again
 
 ELSEWHERE = "ground station: a packet from another address"
@@ -112,11 +112,11 @@ class GroundStationLink:
         self._filter.refused.clear()
 
     def _pass_one(self, now_s: float) -> None:
-        came_s, packet = self._waiting[0]
-        if now_s - came_s > LONGEST_WAIT_S:
+        """The first that is not too late, if the line takes it."""
+        while self._waiting and now_s - self._waiting[0][0] > LONGEST_WAIT_S:
             self._waiting.popleft()
             self._reject(TOO_MUCH)
-        elif self._offer(packet):
+        if self._waiting and self._offer(self._waiting[0][1]):
             self._waiting.popleft()
 
 
