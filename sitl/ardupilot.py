@@ -32,8 +32,9 @@ ARDUPILOT_LOOPS = Loops(
     max_yaw_rate_rad_s=1.9,
 )
 THRUST_IS_THRUST = 8  # of GUID_OPTIONS
-BRAKING_M_S2 = 0.6
+BRAKING_M_S2 = 0.55
 SPOOLED_UP_AFTER_S = 2.7  # from arming: before that nothing lifts it off
+RUN_UP_S = 1.3  # of a take-off, from its command
 DISARMED_AFTER_LANDING_S = 0.6  # in LAND and RTL, from the landing's being known; 2.1 s from the touch
 CONE_REACHES_M = 1000.0
 STATE_BOOT, STATE_STANDBY, STATE_ACTIVE, STATE_CRITICAL = 1, 3, 4, 5  # MAV_STATE
@@ -62,8 +63,8 @@ class ArduCopter(Autopilot):
         self.throttle_norm = 0.0  # commanded, before the tilt is made up for
         self.failsafe = False
         self.signing: Signing | None = None
-        self._armed_s = 0.0
         self._taking_off = False
+        self._lifts_off_s = 0.0
         self._followed: Setpoint | Course | None = None  # in GUIDED; None holds
         self._followed_s = 0.0
         self._level: Quaternion | None = None  # since a stream of attitudes ended
@@ -147,7 +148,7 @@ class ArduCopter(Autopilot):
 
     def stop(self) -> None:
         """What a setpoint without sense does to a vehicle in GUIDED: it brakes and holds."""
-        if self.mode is Mode.GUIDED:
+        if self.mode is Mode.GUIDED and (self._followed is not None or self._taking_off):
             self._stop()
 
     def take_off(self, height_m: float) -> bool:
@@ -162,6 +163,7 @@ class ArduCopter(Autopilot):
             return False
         self._stop()
         self._taking_off = True
+        self._lifts_off_s = max(self._lifts_off_s, self.time_s + RUN_UP_S)
         self._own.enter(Task.TAKE_OFF, self.home, top_m)
         return True
 
@@ -175,7 +177,7 @@ class ArduCopter(Autopilot):
             if self.mode not in ARMABLE:
                 return [f"{self.mode.name} mode not armable"]
         self.armed = True
-        self._armed_s = self.time_s
+        self._lifts_off_s = self.time_s + SPOOLED_UP_AFTER_S
         self._ground.arm(self.time_s)
         self.home = self.here_geodetic()
         self._own.forget_wind()
@@ -238,7 +240,7 @@ class ArduCopter(Autopilot):
         """It stands there until something makes it take off and the motors have run up."""
         if not self._ground.landed:
             return False
-        return not self._wants_up() or self.time_s - self._armed_s < SPOOLED_UP_AFTER_S
+        return not self._wants_up() or self.time_s < self._lifts_off_s
 
     def _wants_up(self) -> bool:
         if self._taking_off or self.mode is not Mode.GUIDED:

@@ -32,7 +32,7 @@ class Mode(IntEnum):
 _TASKS = {Mode.ALT_HOLD: Task.SINK, Mode.LOITER: Task.SINK, Mode.LAND: Task.LAND, Mode.RTL: Task.RETURN}
 ARMABLE = frozenset({Mode.STABILIZE, Mode.ALT_HOLD, Mode.GUIDED, Mode.LOITER})
 NEED_A_POSITION = frozenset({Mode.AUTO, Mode.GUIDED, Mode.LOITER, Mode.RTL, Mode.BRAKE})
-SAID_TO_BE_GUIDED = frozenset({Mode.AUTO, Mode.GUIDED, Mode.LOITER, Mode.RTL})  # in HEARTBEAT's base_mode
+SAID_TO_BE_GUIDED = NEED_A_POSITION | {Mode.LAND}  # in HEARTBEAT: where it controls its position
 
 # FS_GCS_ENABLE: where it goes when the ground station is lost; 0 is nowhere. Where SMART_RTL is meant it has no path to go.
 GROUND_STATION_LOSS = {

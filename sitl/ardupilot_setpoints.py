@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import isnan, nan, sqrt
+from math import isnan, nan
 
 from companion.frames import (
     enu_from_ned,
@@ -12,7 +12,7 @@ from companion.frames import (
     quaternion_from_euler,
 )
 from companion.mavlink.codec import MavlinkMessage, mavlink
-from companion.types import Vector3
+from companion.types import ZERO3, Vector3
 from sitl.attitude_control import Setpoint
 from sitl.autopilot import AutopilotAbortedError
 from sitl.setpoints import (
@@ -26,7 +26,7 @@ from sitl.setpoints import (
     Course,
 )
 
-UNIT_WITHIN = 1e-3
+SQUARE_OF_UNIT_WITHIN = 1e-3
 NOWHERE: Vector3 = (nan, nan, nan)
 
 
@@ -39,15 +39,19 @@ def setpoint_of(message: MavlinkMessage) -> Setpoint | None:
     if mask & IGNORE_THROTTLE:
         return None
     no_rates = mask & sum(IGNORE_RATES)
-    p, q, r = flu_from_frd((message.body_roll_rate, message.body_pitch_rate, message.body_yaw_rate))
-    if mask & IGNORE_ATTITUDE:
-        return Setpoint((1.0, 0.0, 0.0, 0.0), message.thrust, rates_rad_s=(p, q, r)) if not no_rates else None
-    if any(map(isnan, message.q)):
-        raise AutopilotAbortedError("SET_ATTITUDE_TARGET with a quaternion that is not a number")
-    if abs(sqrt(sum(part * part for part in message.q)) - 1.0) > UNIT_WITHIN or no_rates not in (0, sum(IGNORE_RATES)):
+    if not mask & IGNORE_ATTITUDE:
+        if any(map(isnan, message.q)):
+            raise AutopilotAbortedError("SET_ATTITUDE_TARGET with a quaternion that is not a number")
+        if abs(sum(part * part for part in message.q) - 1.0) > SQUARE_OF_UNIT_WITHIN:
+            return None
+    if no_rates not in (0, sum(IGNORE_RATES)):
         return None
+    p, q, r = flu_from_frd((message.body_roll_rate, message.body_pitch_rate, message.body_yaw_rate))
+    rates = ZERO3 if no_rates else (p, q, r)
+    if mask & IGNORE_ATTITUDE:
+        return Setpoint((1.0, 0.0, 0.0, 0.0), message.thrust, rates_rad_s=rates)
     euler = euler_enu_from_ned(*euler_from_quaternion(tuple(message.q)))
-    return Setpoint(quaternion_from_euler(*euler), message.thrust, yaw_rate_rad_s=0.0 if no_rates else r)
+    return Setpoint(quaternion_from_euler(*euler), message.thrust, yaw_rate_rad_s=rates[2])
 
 
 def course_of(message: MavlinkMessage) -> Course | None:

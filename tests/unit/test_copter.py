@@ -143,6 +143,19 @@ def test_take_off_is_by_a_height_above_home_armed_and_in_guided_only() -> None:
     assert copter.command(ARM, 0.0) == FAILED
 
 
+def test_a_take_off_with_the_motors_running_takes_its_run_up() -> None:
+    copter = Copter()
+    copter.fly(0.1)
+    copter.set_mode(Mode.GUIDED)
+    copter.arm()
+    copter.fly(4.0)
+    copter.command(TAKEOFF, 0, 0, 0, 0, 0, 0, 3.0)
+    copter.fly(1.2)
+    assert copter.height_m == 0.0
+    copter.fly(0.6)
+    assert copter.height_m > 0.05
+
+
 def test_armed_without_take_off_it_disarms_after_10_s() -> None:
     copter = Copter()
     copter.fly(0.1)

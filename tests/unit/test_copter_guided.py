@@ -153,8 +153,15 @@ def test_mask_0x80_flies_rates() -> None:
     assert 4.0 < tilt_deg(copter) < 7.0
 
 
+def test_without_attitude_and_rates_it_keeps_the_attitude_that_it_has() -> None:
+    copter = real_thrust()
+    copter.fly(1.0, attitude(10.0))
+    copter.fly(0.5, attitude(0.0, mask=0x87))
+    assert tilt_deg(copter) == pytest.approx(10.0, abs=0.5)
+
+
 @pytest.mark.parametrize(
-    "message", [attitude(10.0, mask=3), attitude(10.0, mask=7 | 0x40), attitude(10.0, scale=1.01)], ids=str
+    "message", [attitude(10.0, mask=3), attitude(10.0, mask=7 | 0x40), attitude(10.0, scale=1.0008)], ids=str
 )
 def test_what_makes_it_brake(message: MavlinkMessage) -> None:
     copter = real_thrust()
