@@ -20,6 +20,7 @@ from companion.core import formation
 from companion.core.agent import Agent, AgentSetup
 from companion.core.cooperation import Cooperation
 from companion.core.envelope import EnvelopeLimits
+from companion.core.fleet_checks import FleetChecks
 from companion.core.formation import FormationLaw, Gains
 from companion.core.health import AgeLimits
 from companion.core.leader_word import LeaderWatch
@@ -64,6 +65,12 @@ def build_agent(config: AgentConfig, session: int) -> Agent:
         takeoff_height_m=fleet.takeoff_height_m,
         envelope=envelope_limits(fleet.envelope, config.vehicle.hover_thrust_norm),
         ages=AgeLimits(),
+        checks=FleetChecks(
+            own_id=member.id,
+            slots_enu_m={m.id: m.slot_enu_m for m in fleet.vehicles},
+            slots_have_height=law.altitude == "formation",
+            ground_spread_m=fleet.ground_spread_m,
+        ),
     )
     tracker = tracker_of(fleet)
     slots = {m.id: m.slot_enu_m for m in fleet.vehicles}
@@ -110,7 +117,10 @@ def _neighbour_rule(fleet: FleetConfig, own_id: int) -> NeighbourRule:
 
 def tracker_of(fleet: FleetConfig) -> VehicleTracker:
     """What maps a vehicle's own frame into this fleet's."""
-    return VehicleTracker(None if fleet.origin == "local" else fleet.origin.as_tuple())
+    return VehicleTracker(
+        None if fleet.origin == "indoor" else fleet.origin.as_tuple(),
+        height_from_takeoff=fleet.altitude_source == "takeoff",
+    )
 
 
 def envelope_limits(envelope: Envelope, hover_thrust_norm: float) -> EnvelopeLimits:

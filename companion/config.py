@@ -153,12 +153,20 @@ class Envelope(_Base, frozen=True):
 
 
 class FleetConfig(_Base, frozen=True):
-    """What all vehicles of a fleet must agree on."""
+    """What all vehicles of a fleet must agree on.
+
+    `origin` is `indoor` where one motion-capture system gives all vehicles one frame. `altitude_source` says where z is
+    zero: at the origin's altitude (indoors the shared frame's zero), or, with `takeoff`, where each vehicle stood when it
+    was armed, for fleets that start from level ground. Only vehicles that stand within `ground_spread_m` of each other in
+    altitude take off.
+    """
 
     name: Annotated[str, Meta(pattern=FLEET_NAME, description=FLEET_NAME_WORDS)]
-    origin: GeodeticOrigin | Literal["local"]
+    origin: GeodeticOrigin | Literal["indoor"]
     vehicles: tuple[FormationMember, ...]
     neighbours: EdgeNeighbours | RangeNeighbours
+    altitude_source: Literal["origin", "takeoff"] = "origin"
+    ground_spread_m: Annotated[float, Meta(gt=0, le=1000)] = 1.0
     law: Law = Law()
     takeoff_height_m: Annotated[float, Meta(ge=0.5, le=120)] = 2.5
     peers: PeerLimits = PeerLimits()

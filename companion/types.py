@@ -145,6 +145,26 @@ class ParameterSample:
 
 
 @dataclass(frozen=True, slots=True)
+class GlobalPositionSample:
+    """GLOBAL_POSITION_INT: the same estimate as PositionSample's, in degrees and metres above mean sea level."""
+
+    received_s: float
+    boot_time_s: float
+    latitude_deg: float
+    longitude_deg: float
+    altitude_amsl_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class EstimatorSample:
+    """What the autopilot's estimator reports of its own position error, one sigma; not finite where it does not know."""
+
+    received_s: float
+    horizontal_error_m: float
+    vertical_error_m: float
+
+
+@dataclass(frozen=True, slots=True)
 class AckSample:
     """COMMAND_ACK. `answers` are the kinds of request that the command stands for; `reason` says the result in words."""
 
@@ -172,14 +192,27 @@ Telemetry = (
     | OriginSample
     | SystemSample
     | ParameterSample
+    | GlobalPositionSample
+    | EstimatorSample
     | AckSample
     | TextSample
 )
 
 
 @dataclass(frozen=True, slots=True)
+class PositionError:
+    """One sigma of an estimator's position by its own account, in the plane and in height."""
+
+    horizontal_m: float
+    vertical_m: float
+
+
+@dataclass(frozen=True, slots=True)
 class VehicleState:
-    """All that is known of the own vehicle, in the fleet frame. Samples that never came have time -inf."""
+    """All that is known of the own vehicle, in the fleet frame. Samples that never came have time -inf.
+
+    `position_enu_m` is the position used: where the autopilot's jumps in flight, this one stays and follows slowly.
+    """
 
     position_enu_m: Vector3 = ZERO3
     velocity_enu_m_s: Vector3 = ZERO3
@@ -198,6 +231,10 @@ class VehicleState:
     landed_time_s: float = float("-inf")
     frame_known: bool = False  # can positions be mapped into the fleet frame?
     altitude_amsl_m: float | None = None  # by the autopilot's own origin, None until that is known
+    frame_contradicted: bool = False  # do the autopilot's origin and its global position exclude each other?
+    held_back_m: float = 0.0  # distance of the position used from the autopilot's
+    jump_time_s: float = float("-inf")  # when the autopilot's position last jumped
+    position_error: PositionError | None = None  # None where the estimator says nothing of it, or said it long ago
 
 
 # ---------------------------------------------------------------- agent -> autopilot
@@ -289,6 +326,7 @@ class PeerPacket:
     sent_s: float
     prc: int
     leader_word: LeaderWord | None
+    position_error: PositionError | None = None  # None where the estimator does not tell
 
 
 @dataclass(frozen=True, slots=True)
@@ -348,6 +386,8 @@ class HealthFlag(StrEnum):
     LANDED_STALE = "landed state older than allowed"
     LEADER_LOST = "no leader's word"
     FENCE = "outside the fence"
+    FRAME_CONTRADICTED = "the autopilot's origin and its global position contradict each other"
+    POSITION_JUMPED = "the autopilot's position jumped too far to be believed"
 
 
 class FailsafeAction(IntEnum):

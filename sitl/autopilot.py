@@ -64,6 +64,10 @@ class Autopilot(ABC):
         self._hover_thrust_norm = file.stand_in.hover_thrust_norm
         self._own = OwnFlight(self.quad, self.speeds, self._hover_thrust_norm, braking_m_s2)
         self._ground = GroundContact()
+        self._resets = sorted(
+            (reset for reset in file.stand_in.estimator_resets if reset.vehicle == file.id),
+            key=lambda reset: reset.at_s,
+        )
 
     # ------------------------------------------------------------ what it is like now
 
@@ -118,12 +122,19 @@ class Autopilot(ABC):
         self._own.origin_moved(enu_from_geodetic(*before, self.quad.origin))
         self.origin_changes += 1
 
+    def reset_estimator(self, shift_enu_m: Vector3) -> None:
+        """The estimate jumps, and its own flight with it: nothing moves in the world."""
+        self.quad.shift_estimate(shift_enu_m)
+        self._own.origin_moved(shift_enu_m)
+
     # ------------------------------------------------------------ time
 
     def step(self) -> None:
         """Advance by dt_s: failsafes, the mode's control, physics, and what follows from touching the ground."""
         self._steps += 1
         self.time_s = self._steps * self.dt_s
+        while self._resets and self._resets[0].at_s <= self.time_s:
+            self.reset_estimator(self._resets.pop(0).shift_enu_m)
         control_is_due = self._steps % self._control_steps == 0
         if control_is_due:
             self._look_after()

@@ -78,6 +78,14 @@ HOVER_THRUST_NORM: dict[AutopilotKind, float] = {AutopilotKind.PX4: 0.49, Autopi
 ARMABLE_AFTER_S: dict[AutopilotKind, float] = {AutopilotKind.PX4: 4.0, AutopilotKind.ARDUPILOT: 42.0}
 
 
+class EstimatorReset(_Base, frozen=True):
+    """From `at_s` after its start on, a vehicle's estimate of its position is off by this much more."""
+
+    vehicle: VehicleId
+    at_s: Annotated[float, Meta(ge=0, le=36_000)]
+    shift_enu_m: PositionM
+
+
 class StandIn(_Base, frozen=True):
     """The stand-in vehicles of a scenario and the air round them.
 
@@ -91,6 +99,7 @@ class StandIn(_Base, frozen=True):
     sensors: Literal["ideal", "default", "px4_sih"] | Sensors = "default"
     wind: Wind = Wind()
     seed: Annotated[int, Meta(ge=0)] = 1
+    estimator_resets: tuple[EstimatorReset, ...] = ()
     parameters: dict[str, float] = {}
 
     def sensor_model(self) -> Sensors:
@@ -125,10 +134,14 @@ class Links(_Base, frozen=True):
 
 
 class AutopilotFile(_Base, frozen=True):
-    """The file of `sitl autopilot --config`: one stand-in vehicle. The world's ENU frame has its zero at `world_origin`."""
+    """The file of `sitl autopilot --config`: one stand-in vehicle. The world's ENU frame has its zero at `world_origin`.
+
+    The autopilot's own origin lies about `origin_enu_m`, or about where it starts.
+    """
 
     id: VehicleId = 1
     world_origin: GeodeticOrigin = GeodeticOrigin(latitude_deg=47.397742, longitude_deg=8.545594, altitude_amsl_m=488.0)
     start_enu_m: PositionM = (0.0, 0.0, 0.0)
+    origin_enu_m: PositionM | None = None
     start_yaw_deg: Annotated[float, Meta(ge=-360, le=360)] = 0.0
     stand_in: StandIn = StandIn()

@@ -11,6 +11,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 
 from companion.frames import quaternion_from_euler
+from companion.mavlink import telemetry
 from companion.mavlink.codec import mavlink
 from companion.mavlink.manners import MANNERS
 from companion.mavlink.translator import Translator
@@ -19,6 +20,7 @@ from companion.types import (
     AttitudeTarget,
     AutopilotKind,
     AutopilotRequest,
+    EstimatorSample,
     HeartbeatSample,
     LandedSample,
     LandedState,
@@ -31,9 +33,10 @@ from sitl.attitude_control import Setpoint
 from sitl.autopilot import Autopilot
 from sitl.config import Links
 from sitl.link_end import LinkEnd
-from sitl.messages import BATTERY_PERCENT
+from sitl.messages import BATTERY_PERCENT, global_position, gps_raw
 
 M = mavlink
+_TWO_FLOATS = struct.Struct("<2f")
 _FLOATS = struct.Struct("<6f")  # MAVLink's floats have 32 bits: micrometres, where a vehicle is 10 m away
 
 
@@ -73,6 +76,19 @@ def _system(autopilot: Autopilot, received_s: float) -> tuple[Telemetry, ...]:
     return (SystemSample(received_s, float(BATTERY_PERCENT), autopilot.armable),)
 
 
+def _global_position(autopilot: Autopilot, received_s: float) -> tuple[Telemetry, ...]:
+    return (telemetry.global_position(global_position(autopilot), received_s),)
+
+
+def _gps_error(autopilot: Autopilot, received_s: float) -> tuple[Telemetry, ...]:
+    return (telemetry.gps_error(gps_raw(autopilot), received_s),)
+
+
+def _error(autopilot: Autopilot, received_s: float) -> tuple[Telemetry, ...]:
+    horizontal_m, vertical_m = _TWO_FLOATS.unpack(_TWO_FLOATS.pack(*autopilot.quad.reported_error_m))
+    return (EstimatorSample(received_s, horizontal_m, vertical_m),)
+
+
 SAMPLES: dict[int, Callable[[Autopilot, float], tuple[Telemetry, ...]]] = {
     M.MAVLINK_MSG_ID_HEARTBEAT: _heartbeat,
     M.MAVLINK_MSG_ID_CURRENT_MODE: _mode,
@@ -80,6 +96,9 @@ SAMPLES: dict[int, Callable[[Autopilot, float], tuple[Telemetry, ...]]] = {
     M.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: _attitude,
     M.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: _landed,
     M.MAVLINK_MSG_ID_SYS_STATUS: _system,
+    M.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: _global_position,
+    M.MAVLINK_MSG_ID_ESTIMATOR_STATUS: _error,
+    M.MAVLINK_MSG_ID_GPS_RAW_INT: _gps_error,
 }
 
 
@@ -118,10 +137,12 @@ class DirectLink:
         """Send the texts and the telemetry that are due."""
         if self.autopilot.texts:
             self._say(self._end.texts(), now_s)
+        if self.autopilot.origin_changes:  # what it is like at the start the agent asks for
+            self._say(self._end.news(), now_s)
         due = self._end.schedule.due(now_s)
+        received_s = now_s + self._telemetry_delay_s
         if not due:
             return
-        received_s = now_s + self._telemetry_delay_s
         for message_id in due:
             samples = SAMPLES[message_id](self.autopilot, received_s)
             self._to_agent.extend(samples)

@@ -228,6 +228,7 @@ def autopilot_file(scenario: Scenario, vehicle_id: int) -> AutopilotFile:
         id=vehicle_id,
         world_origin=origin,
         start_enu_m=scenario.starts_enu_m[vehicle_id],
+        origin_enu_m=scenario.origins_enu_m.get(vehicle_id),
         stand_in=msgspec.structs.replace(
             stand_in, armable_after_s=ready_s, parameters=SET_UP[stand_in.autopilot] | stand_in.parameters
         ),

@@ -28,13 +28,17 @@ class LinkEnd(ABC):
     def due(self) -> Iterator[bytes]:
         """All that is to be said now."""
         yield from self.texts()
-        yield from self._encoded(self._news())
+        yield from self.news()
         yield from self._encoded(self._telemetry())
 
     def texts(self) -> Iterator[bytes]:
         """The autopilot's texts, where this link listens to them."""
         if self._autopilot.texts and self._listens_to_texts():
             yield from self._encoded(self.receiver.texts(self._autopilot.texts))
+
+    def news(self) -> Iterator[bytes]:
+        """What is said when it happens, whatever the rates."""
+        yield from self._encoded(self._news())
 
     @abstractmethod
     def heard(self) -> None:
@@ -44,8 +48,7 @@ class LinkEnd(ABC):
     def _listens_to_texts(self) -> bool: ...
 
     @abstractmethod
-    def _news(self) -> Iterator[MavlinkMessage]:
-        """What is said when it happens, whatever the rates."""
+    def _news(self) -> Iterator[MavlinkMessage]: ...
 
     @abstractmethod
     def _telemetry(self) -> Iterator[MavlinkMessage]:

@@ -51,9 +51,10 @@ def gps_raw(autopilot: Autopilot) -> MavlinkMessage:
     latitude, longitude, altitude = autopilot.here_geodetic()
     x, y, _ = autopilot.quad.estimated_velocity_enu_m_s()
     course = round(degrees(atan2(x, y)) % 360.0 * 100) % 36000
+    horizontal_mm, vertical_mm = (max(1, round(error_m * 1e3)) for error_m in autopilot.quad.reported_error_m)
     return M.MAVLink_gps_raw_int_message(
         autopilot.boot_ms * 1000, M.GPS_FIX_TYPE_3D_FIX, round(latitude * 1e7), round(longitude * 1e7), round(altitude * 1e3),
-        90, 120, round(hypot(x, y) * 100), course, 14,
+        90, 120, round(hypot(x, y) * 100), course, 14, round(altitude * 1e3), horizontal_mm, vertical_mm,
     )  # fmt: skip
 
 

@@ -51,7 +51,9 @@ def altitude(px4: Px4) -> MavlinkMessage:
 
 
 def estimator_status(px4: Px4) -> MavlinkMessage:
-    return M.MAVLink_estimator_status_message(px4.boot_ms * 1000, 0x3F, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.2)
+    return M.MAVLink_estimator_status_message(
+        px4.boot_ms * 1000, 0x3F, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1, *px4.quad.reported_error_m
+    )
 
 
 def ping(px4: Px4) -> MavlinkMessage:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import cos, radians, sin, sqrt
+from math import cos, hypot, radians, sin, sqrt
 from random import Random
 
 from companion.frames import (
@@ -55,15 +55,27 @@ class Quadrotor:
         sensors = file.stand_in.sensor_model()
         self._error = EstimatorError(sensors, sensor_noise, dt_s * ESTIMATE_PERIOD_STEPS)
         self._steps = 0
+        sd_x, sd_y, sd_z = sensors.position_sd_m
+        self.reported_error_m = (hypot(sd_x, sd_y), sd_z)  # one sigma, in the plane and in height
         self.world_origin = file.world_origin.as_tuple()
-        x, y, z = (a + origin_noise.gauss(0.0, sd) for a, sd in zip(file.start_enu_m, sensors.origin_sd_m, strict=True))
+        self._shift_m = ZERO3
+        about = file.start_enu_m if file.origin_enu_m is None else file.origin_enu_m
+        x, y, z = (a + origin_noise.gauss(0.0, sd) for a, sd in zip(about, sensors.origin_sd_m, strict=True))
         self.set_origin(geodetic_from_enu((x, y, z), self.world_origin))
 
     def set_origin(self, origin_deg_deg_m: Vector3) -> None:
         """Begin the local frame somewhere else (SET_GPS_GLOBAL_ORIGIN). As coarse as GPS_GLOBAL_ORIGIN tells it."""
         latitude, longitude, altitude = origin_deg_deg_m
         self.origin = (round(latitude, 7), round(longitude, 7), round(altitude, 3))
-        self._origin_enu_m = enu_from_geodetic(*self.origin, self.world_origin)
+        x, y, z = enu_from_geodetic(*self.origin, self.world_origin)
+        sx, sy, sz = self._shift_m
+        self._local_zero_enu_m = (x - sx, y - sy, z - sz)  # where the estimate puts it
+
+    def shift_estimate(self, shift_enu_m: Vector3) -> None:
+        """The estimator resets: from now on its position is off by this much more."""
+        (x, y, z), (a, b, c) = self._shift_m, shift_enu_m
+        self._shift_m = (x + a, y + b, z + c)
+        self.set_origin(self.origin)
 
     @property
     def thrust_norm(self) -> float:
@@ -99,7 +111,7 @@ class Quadrotor:
     def estimated_position_local_enu_m(self) -> Vector3:
         x, y, z = self.state[POSITION]
         ex, ey, ez = self._error.position_m
-        ox, oy, oz = self._origin_enu_m
+        ox, oy, oz = self._local_zero_enu_m
         return (x + ex - ox, y + ey - oy, z + ez - oz)
 
     def estimated_velocity_enu_m_s(self) -> Vector3:

@@ -47,12 +47,14 @@ class TimelineStep(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 class Scenario(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """`fleet` is what a fleet file holds; `reference` (RFT) goes into the files of those that may lead, and into no other.
 
-    `links` is of flights in virtual time; real processes have links of their own.
+    `origins_enu_m` puts own origins of stand-ins elsewhere than where they start. `links` is of flights in virtual time; real
+    processes have links of their own.
     """
 
     description: str = ""
     fleet: FleetConfig
     starts_enu_m: dict[VehicleId, PositionM]
+    origins_enu_m: dict[VehicleId, PositionM] = {}
     reference: Reference
     stand_in: StandIn = StandIn()
     links: Links = Links()
@@ -80,11 +82,14 @@ def scenario_from(path: Path, data: object) -> Scenario:
     """Plain content of a scenario file -> checked scenario; `path` names the file in errors. Raises ConfigError."""
     scenario = convert(path, data, Scenario)
     check_fleet(path, scenario.fleet, "fleet.")
-    if scenario.fleet.origin == "local":
+    if scenario.fleet.origin == "indoor":
         raise ConfigError(
-            path, "fleet.origin", '"local" is for one shared indoor frame; stand-ins need latitude, longitude, altitude'
+            path,
+            "fleet.origin",
+            '"indoor" is for one motion-capture frame; stand-ins need latitude, longitude, altitude',
         )
     check_starts(path, scenario.fleet, scenario.starts_enu_m)
+    _check_vehicles_named(path, scenario)
     check_parameters(path, scenario.stand_in)
     check_reference(path, scenario.fleet, scenario.reference)
     if not scenario.timeline:
@@ -92,6 +97,17 @@ def scenario_from(path: Path, data: object) -> Scenario:
     for index, step in enumerate(scenario.timeline):
         _check_leaders(path, f"timeline[{index}].leaders", step, scenario.fleet)
     return scenario
+
+
+def _check_vehicles_named(path: Path, scenario: Scenario) -> None:
+    """Own origins and resets are of vehicles of the fleet. Raises ConfigError."""
+    named = [(vehicle_id, f"origins_enu_m.{vehicle_id}") for vehicle_id in sorted(scenario.origins_enu_m)]
+    for index, reset in enumerate(scenario.stand_in.estimator_resets):
+        named.append((reset.vehicle, f"stand_in.estimator_resets[{index}].vehicle"))
+    for vehicle_id, where in named:
+        if scenario.fleet.member(vehicle_id) is None:
+            known = ", ".join(str(member.id) for member in scenario.fleet.vehicles)
+            raise ConfigError(path, where, f"no vehicle {vehicle_id} in the fleet; expected one of {known}")
 
 
 def _check_leaders(path: Path, where: str, step: TimelineStep, fleet: FleetConfig) -> None:

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from math import cos
 
 from companion.core.attitude import attitude_target, limit_acceleration
-from companion.core.cooperation import Cooperation, Neighbourhood
+from companion.core.cooperation import COOPERATING, Cooperation, Neighbourhood
 from companion.core.envelope import EnvelopeLimits, LastGate
 from companion.core.failsafe import failsafe_action
+from companion.core.fleet_checks import FleetChecks
 from companion.core.flight_manners import manners_of
 from companion.core.formation import (
     FormationLaw,
@@ -20,7 +21,7 @@ from companion.core.formation import (
     place,
 )
 from companion.core.health import AgeLimits, health_flags
-from companion.core.phase import PhaseMachine
+from companion.core.phase import RULES, PhaseMachine
 from companion.core.preflight import Preflight
 from companion.core.reference import ReferenceTrajectory
 from companion.core.vehicle_state import VehicleTracker
@@ -51,6 +52,8 @@ SILENT_TOO_LONG_S = 0.5  # less than COM_OF_LOSS_T: PX4 re-enters OFFBOARD by it
 MODE_SURE_S = 0.2  # so old may the mode be where the agent, seeing nothing else, still asks for another
 ORIGIN_REPEAT_S = 1.0
 ORIGIN_REFRESH_S = 5.0  # PX4 tells a changed origin once, and that one datagram may be lost
+ORIGIN_SOON_S = 0.1  # when the position jumped: a new origin may be why
+NOT_TO_BE_HEEDED = frozenset({HealthFlag.FRAME_CONTRADICTED, HealthFlag.POSITION_JUMPED})
 STATUS_PERIOD_S = 0.099  # every fifth tick of 50 Hz, also where a tick comes a little early
 
 
@@ -71,6 +74,7 @@ class AgentSetup:
     takeoff_height_m: float
     envelope: EnvelopeLimits
     ages: AgeLimits
+    checks: FleetChecks
 
 
 class Agent:
@@ -95,6 +99,7 @@ class Agent:
         self._yaw_rad = 0.0
         self._hold_altitude_m = 0.0
         self._last_event = ""
+        self._warnings: list[str] = []
 
     @property
     def phase(self) -> FlightPhase:
@@ -111,6 +116,8 @@ class Agent:
 
     def step(self, now_s: float, inbox: Inbox) -> Outbox:
         """One tick: telemetry -> state -> peers -> PrC and weights -> acceleration -> attitude -> the last gate."""
+        if self.phase not in COOPERATING:
+            self._tracker.take_as_told()
         vehicle = self._tracker.fold(inbox.telemetry)
         self._machine.follow_truth(vehicle)
         self._preflight.hear(now_s, inbox.telemetry, vehicle.autopilot)
@@ -148,7 +155,7 @@ class Agent:
         return Outbox(
             attitude_target=target,
             requests=requests,
-            peer_packet=self._peer_packet(now_s, vehicle, around),
+            peer_packet=None if flags & NOT_TO_BE_HEEDED else self._peer_packet(now_s, vehicle, around),
             status=self._status(now_s, vehicle, around, flags) if self._status_due(now_s, events) else None,
             replies=replies,
             events=events,
@@ -165,13 +172,13 @@ class Agent:
         missing = self._missing_for(command.name, flags)
         if missing:
             return CommandReply(self._setup.vehicle_id, command.number, False, f"{command.name}: {', '.join(missing)}")
-        if (
-            command.name is CommandName.FORM
-            and self.phase is FlightPhase.HOLD
-            and (refusal := self._preflight.refusal())
-        ):
-            return CommandReply(self._setup.vehicle_id, command.number, False, f"form: {refusal}")
+        refusal, warning = self._judge(command.name, now_s, vehicle)
+        if refusal:
+            return CommandReply(self._setup.vehicle_id, command.number, False, f"{command.name}: {refusal}")
         accepted, reason = self._machine.command(command.name, now_s, vehicle)
+        if accepted and warning:
+            self._warnings.append(warning)
+            reason += f"; {warning}"
         return CommandReply(self._setup.vehicle_id, command.number, accepted, reason)
 
     def _missing_for(self, name: CommandName, flags: frozenset[HealthFlag]) -> list[str]:
@@ -180,6 +187,15 @@ class Agent:
             return []
         unneeded = set() if name is CommandName.FORM else {HealthFlag.LEADER_LOST}
         return sorted(flags - unneeded)
+
+    def _judge(self, name: CommandName, now_s: float, vehicle: VehicleState) -> tuple[str, str]:
+        """Why a command is refused that is otherwise possible, and what is to be said of it where it is not."""
+        if self.phase not in RULES[name].allowed:
+            return "", ""
+        if name is CommandName.FORM and (refusal := self._preflight.refusal()):
+            return refusal, ""
+        peers = [peer.packet for peer in self._cooperation.peers.fresh(now_s).values()]
+        return self._setup.checks.judge(name, vehicle, peers)
 
     def _act_on(self, flags: frozenset[HealthFlag], now_s: float, vehicle: VehicleState) -> None:
         if not self._machine.streams(vehicle):
@@ -226,6 +242,8 @@ class Agent:
         if vehicle.autopilot is None:
             return ()
         period_s = ORIGIN_REPEAT_S if vehicle.altitude_amsl_m is None else ORIGIN_REFRESH_S
+        if now_s - vehicle.jump_time_s < ORIGIN_REPEAT_S:
+            period_s = ORIGIN_SOON_S
         if now_s - self._origin_asked_s < period_s:
             return ()
         self._origin_asked_s = now_s
@@ -302,10 +320,16 @@ class Agent:
 
     def _drain_events(self) -> tuple[str, ...]:
         leadership = self._cooperation.leadership
-        events = (*self._preflight.events, *leadership.events, *self._machine.events)
-        self._preflight.events.clear()
-        leadership.events.clear()
-        self._machine.events.clear()
+        sources = (
+            self._preflight.events,
+            self._tracker.events,
+            leadership.events,
+            self._machine.events,
+            self._warnings,
+        )
+        events = tuple(event for source in sources for event in source)
+        for source in sources:
+            source.clear()
         if events:
             self._last_event = events[-1]
         return events
@@ -335,6 +359,7 @@ class Agent:
             sent_s=now_s,
             prc=around.prc,
             leader_word=around.leader_word,
+            position_error=vehicle.position_error,
         )
 
     def _status_due(self, now_s: float, events: tuple[str, ...]) -> bool:

@@ -18,6 +18,8 @@ ACTIONS: dict[HealthFlag, FailsafeAction] = {
     HealthFlag.LANDED_STALE: FailsafeAction.HOLD,
     HealthFlag.LEADER_LOST: FailsafeAction.HOLD,
     HealthFlag.FENCE: FailsafeAction.HOLD,
+    HealthFlag.FRAME_CONTRADICTED: FailsafeAction.HOLD,
+    HealthFlag.POSITION_JUMPED: FailsafeAction.HOLD,
 }
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from companion.core.bumpless import LARGEST_JUMP_M, ORIGIN_WITHIN_S
 from companion.core.envelope import EnvelopeLimits
 from companion.types import HealthFlag, LeaderWord, VehicleState
 
@@ -42,6 +43,10 @@ def _raised(
         yield HealthFlag.LANDED_STALE
     if not vehicle.frame_known:
         yield HealthFlag.FRAME_UNKNOWN
+    if vehicle.frame_contradicted:
+        yield HealthFlag.FRAME_CONTRADICTED
+    if vehicle.held_back_m > LARGEST_JUMP_M and now_s - vehicle.jump_time_s > ORIGIN_WITHIN_S:
+        yield HealthFlag.POSITION_JUMPED
     if leader_word is None:
         yield HealthFlag.LEADER_LOST
     if vehicle.position_time_s > float("-inf") and not envelope.inside_fence(vehicle.position_enu_m):

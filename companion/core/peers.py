@@ -11,6 +11,7 @@ from companion.types import MAX_EPOCH, MAX_EPOCHS_AHEAD, LeaderWord, PeerPacket,
 
 MAX_COORDINATE_M = 20_000.0
 MAX_ACCELERATION_M_S2 = 100.0
+MAX_ERROR_M = 10_000.0
 MAX_REFERENCE_S = 1e6
 MAX_SENT_S = 1e9  # thirty years since that computer was started
 CREEP = 2e-4  # seconds a second: two computers' clocks drift apart by less
@@ -112,6 +113,9 @@ class PeerTable:
             return "state from the future"
         if not 0.0 <= packet.sent_s <= MAX_SENT_S:
             return "time of sending not plausible"
+        error = packet.position_error
+        if error and not (0.0 <= error.horizontal_m <= MAX_ERROR_M and 0.0 <= error.vertical_m <= MAX_ERROR_M):
+            return "position error not plausible"
         leads = packet.role is Role.LEADER
         if not 1 <= packet.prc <= len(self._may_lead) or (packet.prc == 1) is not leads:
             return "PrC not plausible"

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable
-from math import isfinite
+from math import hypot, isfinite
 from typing import Any
 
-from companion.frames import enu_from_geodetic
+from companion.core.bumpless import LET_IN_M_S, BumplessPosition
+from companion.core.fleet_frame import FleetFrame
 from companion.types import (
-    ZERO3,
     AttitudeSample,
+    EstimatorSample,
+    GlobalPositionSample,
     HeartbeatSample,
     LandedSample,
+    LandedState,
     ModeSample,
     OriginSample,
+    PositionError,
     PositionSample,
     Telemetry,
     Vector3,
@@ -23,25 +27,34 @@ from companion.types import (
 
 MAX_LOCAL_M = 100_000.0  # LOCAL_POSITION_NED loses centimetres to its 32 bit floats far before this
 MAX_SPEED_M_S = 100.0
+MAX_ERROR_M = 10_000.0
+ERROR_AGE_S = 5.0  # for so long an estimator's word on its own error counts
 REBOOT_S = 1.0  # time_boot_ms that runs back by more than this is a reboot, by less a datagram overtaken by another
+EVENT_PERIOD_S = 1.0  # an estimator that jumps on and on is not told of on and on
 
 
 class VehicleTracker:
     """The own vehicle's newest state.
 
-    `fleet_origin` is (latitude deg, longitude deg, altitude AMSL m) of the fleet frame, or None where the autopilot's local
-    frame is the fleet frame already (one motion-capture system for all). Until the autopilot's own origin is known, a
-    geodetic fleet has no position.
+    Until the autopilot's own origin is known, a geodetic fleet has no position. Where `height_from_takeoff`, z is the height
+    above where the vehicle stood when it was last seen disarmed on the ground; one first seen in flight has no position.
     """
 
-    def __init__(self, fleet_origin: Vector3 | None) -> None:
-        self._fleet_origin = fleet_origin
-        self._offset_enu_m: Vector3 | None = ZERO3 if fleet_origin is None else None
-        self._own_origin_altitude_m: float | None = None
-        self._boot_time_s = float("-inf")
+    def __init__(self, fleet_origin: Vector3 | None, height_from_takeoff: bool = False) -> None:
+        self._frame = FleetFrame(fleet_origin)
+        self._bumpless = BumplessPosition()
+        self._ground_up_m: float | None = None if height_from_takeoff else 0.0
+        self._follows_ground = height_from_takeoff
+        self._position: PositionSample | None = None
+        self._jump_told_s = self._error_s = float("-inf")
         self.rejected: Counter[str] = Counter()
-        self.state = VehicleState(frame_known=fleet_origin is None)
-        self._fields: dict[str, Any] = {"frame_known": self.state.frame_known}  # all that was ever heard
+        self.events: list[str] = []
+        self._fields: dict[str, Any] = {"frame_known": self._frame_known()}  # all that was ever heard
+        self.state = VehicleState(**self._fields)
+
+    def take_as_told(self) -> None:
+        """The next position is used as it comes: nobody heeds this vehicle just now, itself included."""
+        self._bumpless.begin_anew()
 
     def fold(self, telemetry: Iterable[Telemetry]) -> VehicleState:
         """The state after these samples. What is out of range is counted in `rejected` and changes nothing."""
@@ -61,13 +74,17 @@ class VehicleTracker:
                     self._fields.update(landed=sample.landed, landed_time_s=sample.received_s)
                 case OriginSample():
                     self._fold_origin(sample)
+                case GlobalPositionSample():
+                    self._fold_global_position(sample)
+                case EstimatorSample():
+                    self._fold_error(sample)
         # Once a tick: a new state for every sample would cost more than the law.
         self.state = VehicleState(**self._fields)
         return self.state
 
     def _fold_position(self, sample: PositionSample) -> None:
-        step_s = sample.boot_time_s - self._boot_time_s
-        if -REBOOT_S < step_s <= 0.0:
+        step_s = sample.boot_time_s - self._position.boot_time_s if self._position else 0.0
+        if self._position and -REBOOT_S < step_s <= 0.0:
             self.rejected["position out of order"] += 1
             return
         if not _within(sample.position_local_enu_m, MAX_LOCAL_M) or not _within(sample.velocity_enu_m_s, MAX_SPEED_M_S):
@@ -75,25 +92,54 @@ class VehicleTracker:
             return
         if step_s <= -REBOOT_S:
             self._forget_origin()
-        self._boot_time_s = sample.boot_time_s
-        if self._offset_enu_m is None:
+        self._position = sample
+        if sample.received_s - self._error_s > ERROR_AGE_S:
+            self._fields["position_error"] = None
+        offset_m = self._frame.offset_enu_m
+        if offset_m is None:
             return
         east, north, up = sample.position_local_enu_m
-        offset = self._offset_enu_m
+        if self._follows_ground and self._stands():
+            self._ground_up_m = up + offset_m[2]
+        own_altitude_m = self._frame.own_altitude_amsl_m
         self._fields.update(
-            position_enu_m=(east + offset[0], north + offset[1], up + offset[2]),
+            frame_known=self._frame_known(),
+            altitude_amsl_m=None if own_altitude_m is None else own_altitude_m + up,
+        )
+        if self._ground_up_m is not None:
+            self._use(sample, (east + offset_m[0], north + offset_m[1], up + offset_m[2] - self._ground_up_m))
+
+    def _use(self, sample: PositionSample, position_enu_m: Vector3) -> None:
+        used_enu_m, jump_m = self._bumpless.follow(sample.boot_time_s, position_enu_m, sample.velocity_enu_m_s)
+        if jump_m:
+            self._fields.update(jump_time_s=sample.received_s)
+            if sample.received_s - self._jump_told_s > EVENT_PERIOD_S:
+                self.events.append(f"the autopilot's position jumped by {jump_m:.1f} m: followed at {LET_IN_M_S} m/s")
+            self._jump_told_s = sample.received_s
+        self._fields.update(
+            position_enu_m=used_enu_m,
             velocity_enu_m_s=sample.velocity_enu_m_s,
             position_time_s=sample.received_s,
-            altitude_amsl_m=None if self._own_origin_altitude_m is None else self._own_origin_altitude_m + up,
+            held_back_m=hypot(*self._bumpless.held_back_m),
         )
 
+    def _stands(self) -> bool:
+        """Heard of as disarmed and not as flying."""
+        fields = self._fields
+        heard = "heartbeat_time_s" in fields and not fields["armed"]
+        return heard and fields.get("landed", LandedState.UNDEFINED) in (LandedState.UNDEFINED, LandedState.ON_GROUND)
+
+    def _frame_known(self) -> bool:
+        return self._frame.offset_enu_m is not None and self._ground_up_m is not None
+
     def _forget_origin(self) -> None:
-        """The autopilot began anew, and its origin with it; in a local frame only its altitude is lost."""
-        self._own_origin_altitude_m = None
-        self._fields.update(altitude_amsl_m=None)
-        if self._fleet_origin is not None:
-            self._offset_enu_m = None
-            self._fields.update(frame_known=False)
+        """The autopilot began anew."""
+        self._frame.forget()
+        self._bumpless.begin_anew()
+        if self._follows_ground:
+            self._ground_up_m = None
+        self._fields.update(altitude_amsl_m=None, frame_known=self._frame_known(), frame_contradicted=False)
+        if not self._frame_known():
             self._fields.pop("position_time_s", None)
 
     def _fold_attitude(self, sample: AttitudeSample) -> None:
@@ -105,19 +151,30 @@ class VehicleTracker:
         fields["attitude_time_s"] = sample.received_s
 
     def _fold_origin(self, sample: OriginSample) -> None:
-        plausible = abs(sample.latitude_deg) <= 90.0 and abs(sample.longitude_deg) <= 180.0
-        if not plausible or not -1000.0 < sample.altitude_amsl_m < 10_000.0:
+        before = self._frame.offset_enu_m
+        if not self._frame.hear_origin(sample):
             self.rejected["origin not plausible"] += 1
             return
-        self._own_origin_altitude_m = sample.altitude_amsl_m
-        if self._fleet_origin is not None:
-            offset_enu_m = enu_from_geodetic(
-                sample.latitude_deg, sample.longitude_deg, sample.altitude_amsl_m, self._fleet_origin
-            )
-            if offset_enu_m != self._offset_enu_m:
-                self._fields.pop("position_time_s", None)  # the last position was of the old origin
-            self._offset_enu_m = offset_enu_m
-        self._fields.update(frame_known=True)
+        self._origin_heard(before)
+
+    def _fold_global_position(self, sample: GlobalPositionSample) -> None:
+        before = self._frame.offset_enu_m
+        if self._position and not self._frame.hear_global_position(sample, self._position):
+            self.rejected["global position not plausible"] += 1
+            return
+        self._origin_heard(before)
+
+    def _origin_heard(self, before: Vector3 | None) -> None:
+        """On the ground the last position is of the old origin; in flight the one used goes on."""
+        if self._frame.offset_enu_m != before and not self._fields.get("armed", False):
+            self._fields.pop("position_time_s", None)
+        self._fields.update(frame_known=self._frame_known(), frame_contradicted=self._frame.contradicted)
+
+    def _fold_error(self, sample: EstimatorSample) -> None:
+        horizontal_m, vertical_m = sample.horizontal_error_m, sample.vertical_error_m
+        self._error_s = sample.received_s
+        known = 0.0 <= horizontal_m <= MAX_ERROR_M and 0.0 <= vertical_m <= MAX_ERROR_M
+        self._fields["position_error"] = PositionError(horizontal_m, vertical_m) if known else None
 
 
 def _within(vector: Vector3, limit: float) -> bool:

@@ -75,13 +75,16 @@ MODE_NAMES = {
 MODES = {AutopilotMode.OFFBOARD: 4, AutopilotMode.LAND: 9, AutopilotMode.HOLD: 17}
 MEANING = {number: mode for mode, number in MODES.items()}
 
-# Message id -> microseconds between messages (MAV_CMD_SET_MESSAGE_INTERVAL).
+# Message id -> microseconds between messages (MAV_CMD_SET_MESSAGE_INTERVAL). Of its estimator it tells no error in metres, so
+# the GPS receiver's stands for it.
 STREAMS_US = {
     mavlink.MAVLINK_MSG_ID_HEARTBEAT: 20_000,
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 20_000,
     mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 20_000,
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 100_000,
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: 200_000,
+    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 200_000,
+    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 1_000_000,
 }
 
 LEAST_HZ: dict[type[Telemetry], tuple[str, float]] = {

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import isfinite
+from math import isfinite, nan
 
 from companion.frames import enu_from_ned, euler_enu_from_ned, euler_from_quaternion
 from companion.mavlink.codec import MavlinkMessage, mavlink
@@ -11,6 +11,8 @@ from companion.types import (
     AckSample,
     AttitudeSample,
     AutopilotKind,
+    EstimatorSample,
+    GlobalPositionSample,
     HeartbeatSample,
     LandedSample,
     LandedState,
@@ -73,6 +75,24 @@ def system(message: MavlinkMessage, received_s: float) -> SystemSample:
     healthy = message.onboard_control_sensors_health
     may_arm = bool(healthy & mavlink.MAV_SYS_STATUS_PREARM_CHECK)
     return SystemSample(received_s, float(message.battery_remaining), may_arm)
+
+
+def global_position(message: MavlinkMessage, received_s: float) -> GlobalPositionSample:
+    """GLOBAL_POSITION_INT, degrees in 1e-7 and altitude in mm; its clock is LOCAL_POSITION_NED's."""
+    return GlobalPositionSample(
+        received_s, message.time_boot_ms / 1000.0, message.lat / 1e7, message.lon / 1e7, message.alt / 1e3
+    )
+
+
+def estimator_status(message: MavlinkMessage, received_s: float) -> EstimatorSample:
+    """ESTIMATOR_STATUS, whose accuracies are one sigma; in the plane of both axes together."""
+    return EstimatorSample(received_s, message.pos_horiz_accuracy, message.pos_vert_accuracy)
+
+
+def gps_error(message: MavlinkMessage, received_s: float) -> EstimatorSample:
+    """GPS_RAW_INT, in mm, 0 where the receiver does not know: for autopilots whose estimator does not tell its own error."""
+    known = message.h_acc > 0 and message.v_acc > 0
+    return EstimatorSample(received_s, message.h_acc / 1e3 if known else nan, message.v_acc / 1e3 if known else nan)
 
 
 def acknowledgement(message: MavlinkMessage, received_s: float) -> AckSample:

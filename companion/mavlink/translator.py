@@ -87,6 +87,12 @@ class Translator:
                 return [telemetry.system(message, received_s)]
             case "PARAM_VALUE":
                 return self._parameter(message, received_s)
+            case "GLOBAL_POSITION_INT":
+                return [telemetry.global_position(message, received_s)]
+            case "ESTIMATOR_STATUS":
+                return [telemetry.estimator_status(message, received_s)]
+            case "GPS_RAW_INT" if self._autopilot and mavlink.MAVLINK_MSG_ID_GPS_RAW_INT in self.manners.STREAMS_US:
+                return [telemetry.gps_error(message, received_s)]
             case "COMMAND_ACK":
                 if message.target_system not in (0, self._system_id):
                     return []  # to a ground station on the same link

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
-from companion.types import FlightPhase, LeaderWord, PeerPacket, Role, Vector3
+from companion.types import FlightPhase, LeaderWord, PeerPacket, PositionError, Role, Vector3
 from companion.wire.version import DECODE_ERRORS, WireError, seal, unseal
 
 
@@ -22,6 +22,7 @@ class _PeerWire(msgspec.Struct, array_like=True, frozen=True, forbid_unknown_fie
     sent_s: float
     prc: int
     leader_word: tuple[int, int, int, float] | None  # leader id, epoch, stamp, reference_s
+    position_error: tuple[float, float] | None  # horizontal_m, vertical_m
 
 
 _encoder = msgspec.msgpack.Encoder()
@@ -29,7 +30,7 @@ _decoder = msgspec.msgpack.Decoder(_PeerWire)
 
 
 def encode_peer(packet: PeerPacket) -> bytes:
-    word = packet.leader_word
+    word, error = packet.leader_word, packet.position_error
     return seal(
         _encoder.encode(
             _PeerWire(
@@ -46,6 +47,7 @@ def encode_peer(packet: PeerPacket) -> bytes:
                 packet.sent_s,
                 packet.prc,
                 (word.leader_id, word.epoch, word.stamp, word.reference_s) if word else None,
+                (error.horizontal_m, error.vertical_m) if error else None,
             )
         )
     )
@@ -71,4 +73,5 @@ def decode_peer(data: bytes) -> PeerPacket:
         wire.sent_s,
         wire.prc,
         LeaderWord(*wire.leader_word) if wire.leader_word else None,
+        PositionError(*wire.position_error) if wire.position_error else None,
     )

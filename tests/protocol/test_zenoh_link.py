@@ -42,7 +42,7 @@ from companion.wire.version import WIRE_VERSION
 
 FLEET = FleetConfig(
     name="testfleet",
-    origin="local",
+    origin="indoor",
     vehicles=tuple(
         FormationMember(id=i, role=Role.LEADER if i == 1 else Role.FOLLOWER, slot_enu_m=(-1.5 * i, 0.0, 0.0))
         for i in (1, 2, 3)

@@ -1,7 +1,7 @@
 """Agent.step from telemetry to setpoint: when it speaks, when it must be silent, and what it tells the others."""
 
 from dataclasses import replace
-from math import inf, nan
+from math import inf, isfinite, nan
 
 import pytest
 
@@ -52,7 +52,7 @@ from companion.types import (
 
 FLEET = FleetConfig(
     name="pair",
-    origin="local",
+    origin="indoor",
     vehicles=(
         FormationMember(id=1, role=Role.LEADER, slot_enu_m=(0.0, 0.0, 0.0)),
         FormationMember(id=2, role=Role.FOLLOWER, slot_enu_m=(-1.5, 0.0, 0.0)),
@@ -77,7 +77,10 @@ IN_ORDER = {
 
 
 class Flight:
-    """One agent, fed at 50 Hz by an autopilot that obeys at once and stands still where it is put."""
+    """One agent, fed at 50 Hz by an autopilot that obeys at once and stands still where it is put.
+
+    To be put elsewhere takes a while by the autopilot's clock, so that it is no jump.
+    """
 
     def __init__(self, vehicle_id: int = 2, fleet: FleetConfig = FLEET, reference: Reference = POINT) -> None:
         member = fleet.member(vehicle_id)
@@ -111,12 +114,15 @@ class Flight:
         self.peer_late_s = 0.0
         self.formation_ticks = 0
         self._peer_sequence = 0
+        self._put_at, self.boot_s = self.position, 50.0
 
     def telemetry(self) -> list[Telemetry]:
         t = self.now_s
         return [sample for sample in self._all_telemetry(t) if not isinstance(sample, self.withheld)]
 
     def _all_telemetry(self, t: float) -> list[Telemetry]:
+        if self.position != self._put_at and all(map(isfinite, self.position)):
+            self._put_at, self.boot_s = self.position, self.boot_s + 1.0
         return [
             AttitudeSample(t, self.roll_rad, 0.0, 0.3),
             ModeSample(t, self.mode, self.mode),
@@ -129,7 +135,7 @@ class Flight:
             ),
             SystemSample(t, self.battery_percent, may_arm=True),
             *(ParameterSample(t, name, self.parameters[name]) for name in self.asked() if name in self.parameters),
-            PositionSample(t, t - 50.0, self.position, self.velocity),
+            PositionSample(t, t - 100.0 + self.boot_s, self.position, self.velocity),
         ]
 
     def asked(self) -> list[str]:
@@ -286,7 +292,7 @@ def test_40_ms_after_a_position_came_nothing_is_decided_on_it(age_s: float, setp
     for _ in range(3):
         flight.tick(telemetry=[])
     before, came_s = len(flight.targets), flight.now_s + 0.02 - age_s
-    flight.tick(telemetry=[PositionSample(came_s, came_s - 50.0, flight.position, flight.velocity)])
+    flight.tick(telemetry=[PositionSample(came_s, came_s - 100.0 + flight.boot_s, flight.position, flight.velocity)])
     assert len(flight.targets) - before == setpoints
 
 
@@ -368,7 +374,7 @@ def test_the_pilots_mode_stops_the_stream_at_once() -> None:
 def test_own_altitude_hold_leaves_the_horizontal_law_alone() -> None:
     fleet = FleetConfig(
         name="pair",
-        origin="local",
+        origin="indoor",
         vehicles=FLEET.vehicles,
         neighbours=FLEET.neighbours,
         law=Law(name="weighted", altitude="hold"),
@@ -385,7 +391,7 @@ def test_own_altitude_hold_leaves_the_horizontal_law_alone() -> None:
 
 def test_a_peer_with_another_fleet_file_never_reaches_the_law() -> None:
     flight = Flight().fly_to(FlightPhase.FORMATION)
-    flight.fleet = FleetConfig(name="other", origin="local", vehicles=FLEET.vehicles, neighbours=FLEET.neighbours)
+    flight.fleet = FleetConfig(name="other", origin="indoor", vehicles=FLEET.vehicles, neighbours=FLEET.neighbours)
     for _ in range(40):
         flight.tick()
     assert flight.agent.phase in (FlightPhase.HOLD, FlightPhase.RELEASE)
@@ -557,7 +563,7 @@ def test_nothing_is_told_of_a_stream_that_has_ended() -> None:
 
 MAY_LEAD = FleetConfig(
     name="pair",
-    origin="local",
+    origin="indoor",
     vehicles=(FLEET.vehicles[0], FormationMember(id=2, role=Role.FOLLOWER, slot_enu_m=(-1.5, 0.0, 0.0), may_lead=True)),
     neighbours=FLEET.neighbours,
     law=Law(name="weighted"),

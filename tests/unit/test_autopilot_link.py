@@ -31,7 +31,9 @@ SAID = {
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: mavlink.MAVLink_sys_status_message(0, 0, 0, 0, 0, 0, 90, 0, 0, 0, 0, 0, 0),
 }
 HEARTBEAT = mavlink.MAVLink_heartbeat_message(2, mavlink.MAV_AUTOPILOT_PX4, 0, 6 << 16, 4, 3)
-WANTED = {k: {i for i, interval_us in m.STREAMS_US.items() if interval_us > 0} for k, m in MANNERS.items()}
+WANTED = {
+    k: {i for i, interval_us in m.STREAMS_US.items() if interval_us > 0 and i in SAID} for k, m in MANNERS.items()
+}
 
 
 class ScriptedAutopilot:

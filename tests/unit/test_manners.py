@@ -152,7 +152,7 @@ class Flight:
         member = FormationMember(id=3, role=Role.LEADER, slot_enu_m=(0.0, 0.0, 0.0))
         fleet = FleetConfig(
             name="one",
-            origin="local",
+            origin="indoor",
             vehicles=(member,),
             neighbours=EdgeNeighbours(edges=()),
             takeoff_height_m=TAKEOFF_M,

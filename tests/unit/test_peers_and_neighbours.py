@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from companion.core.neighbours import EdgeRule, RangeRule
 from companion.core.peers import PeerState, PeerTable
-from companion.types import FlightPhase, LeaderWord, PeerPacket, ReceivedPeerPacket, Role
+from companion.types import FlightPhase, LeaderWord, PeerPacket, PositionError, ReceivedPeerPacket, Role
 
 MAY_LEAD = {1: True, 2: False, 3: False}
 GOOD = PeerPacket(
@@ -65,6 +65,8 @@ def test_a_good_packet_is_believed() -> None:
         ({"sent_s": inf}, "not finite"),
         ({"sent_s": -0.1}, "time of sending"),
         ({"sent_s": 1e10}, "time of sending"),
+        ({"position_error": PositionError(nan, 0.1)}, "position error"),
+        ({"position_error": PositionError(0.1, -0.1)}, "position error"),
         ({"prc": 0}, "PrC"),
         ({"prc": 4}, "PrC"),
         ({"prc": 1}, "PrC"),

@@ -24,7 +24,7 @@ EIGHT = Figure8Reference(centre_enu_m=(1.0, -2.0, 3.0), width_m=6.0, height_m=3.
 TIMES_S = np.arange(0.0, 60.0, 0.01)
 FLEET = FleetConfig(
     name="pair",
-    origin="local",
+    origin="indoor",
     vehicles=(
         FormationMember(id=1, role=Role.LEADER, slot_enu_m=(0.0, 0.0, 0.0)),
         FormationMember(id=2, role=Role.FOLLOWER, slot_enu_m=(-2.0, 0.0, 0.0)),
@@ -116,7 +116,7 @@ def test_an_eight_that_no_allowed_tilt_can_follow_and_the_advice_helps(too_fast:
 def test_an_eight_so_fast_that_its_flyers_are_not_believed() -> None:
     fleet = FleetConfig(
         name="pair",
-        origin="local",
+        origin="indoor",
         vehicles=FLEET.vehicles,
         neighbours=FLEET.neighbours,
         peers=PeerLimits(max_speed_m_s=1.0),

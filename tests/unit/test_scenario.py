@@ -157,7 +157,7 @@ def test_an_empty_timeline_and_a_frame_without_latitude() -> None:
     assert "stand_in.parameters.COM_OF_LOS_T" in parameters
     assert "COM_OF_LOSS_T" in parameters
     assert "timeline: is empty" in error_of_file(lambda d: d.update(timeline=[]))
-    assert "fleet.origin" in error_of_file(lambda d: d["fleet"].update(origin="local"))
+    assert "fleet.origin" in error_of_file(lambda d: d["fleet"].update(origin="indoor"))
 
 
 # ---------------------------------------------------------------- --set
@@ -201,6 +201,14 @@ def test_a_later_override_wins_and_whole_sections_can_be_set() -> None:
         ("timeline[9].for_s=1", "--set: timeline[9]: no such item; expected timeline[0] to [4]"),
         ("timeline.form=1", "--set: timeline.form: timeline is a list; expected a number, timeline[0] to [4]"),
         ("timeline[3].for_s=long", "--set: timeline[3].for_s: 'long': expected float, got str"),
+        (
+            "origins_enu_m={9: [0, 0, 0]}",
+            "--set: origins_enu_m.9: no vehicle 9 in the fleet; expected one of 1, 2, 3, 4",
+        ),
+        (
+            "stand_in.estimator_resets=[{vehicle: 9, at_s: 1, shift_enu_m: [0, 0, 0]}]",
+            "--set: stand_in.estimator_resets[0].vehicle: no vehicle 9 in the fleet; expected one of 1, 2, 3, 4",
+        ),
         ("fleet.takeoff_height_m=[", "--set: fleet.takeoff_height_m: '[' is not a YAML value"),
         ("fleet.law.gains.velocity_1_s=11", "--set: fleet.law.gains.velocity_1_s: 11: expected float <= 10.0"),
         (

@@ -18,6 +18,8 @@ from companion.types import (
     AutopilotKind,
     AutopilotMode,
     Disarm,
+    EstimatorSample,
+    GlobalPositionSample,
     HeartbeatSample,
     LandedSample,
     LandedState,
@@ -205,3 +207,25 @@ def test_an_answer_to_a_ground_station_on_the_same_link_is_not_ours() -> None:
     translator = Translator(3, AutopilotKind.PX4)
     assert translator.telemetry(ack(255), 1.0) == []
     assert len(translator.telemetry(ack(3) + ack(0), 1.0)) == 2
+
+
+def test_the_error_of_a_position_comes_from_the_estimator_or_from_the_receiver() -> None:
+    """PX4 tells its estimator's, ArduCopter only what its GPS receiver says; a receiver that does not know says 0."""
+    estimator = from_autopilot(mavlink.MAVLink_estimator_status_message(0, 63, 0, 0, 0, 0, 0, 0, 0.25, 0.5))
+    receiver, ignorant = (
+        from_autopilot(mavlink.MAVLink_gps_raw_int_message(0, 3, 0, 0, 0, 90, 120, 0, 0, 14, 0, h_mm, v_mm))
+        for h_mm, v_mm in ((300, 450), (0, 450))
+    )
+    px4_s, arducopter_s = Translator(3, AutopilotKind.PX4), Translator(3, AutopilotKind.ARDUPILOT)
+    assert px4_s.telemetry(estimator + receiver, 9.0) == [EstimatorSample(9.0, 0.25, 0.5)]
+    assert arducopter_s.telemetry(receiver, 9.0) == [EstimatorSample(9.0, 0.3, 0.45)]
+    (unknown,) = arducopter_s.telemetry(ignorant, 9.0)
+    assert isinstance(unknown, EstimatorSample)
+    assert isnan(unknown.horizontal_error_m)
+
+
+def test_the_global_position_is_in_degrees_and_metres() -> None:
+    message = mavlink.MAVLink_global_position_int_message(1500, 473977425, 85455941, 489250, 0, 0, 0, 0, 0)
+    assert Translator(3).telemetry(from_autopilot(message), 9.0) == [
+        GlobalPositionSample(9.0, 1.5, 47.3977425, 8.5455941, 489.25)
+    ]

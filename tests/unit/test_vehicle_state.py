@@ -71,6 +71,7 @@ def test_a_moved_origin_makes_the_last_position_old() -> None:
     assert tracker.fold([OriginSample(0.0, *FLEET)]).position_time_s == 101.0  # told again, not moved
     moved = OriginSample(0.0, *geodetic_from_enu((5.0, 0.0, 0.0), FLEET))
     assert tracker.fold([moved]).position_time_s == float("-inf")
+    tracker.take_as_told()
     assert tracker.fold([sample(1.02)]).position_enu_m == pytest.approx((6.0, 2.0, 3.0), abs=1e-6)
 
 

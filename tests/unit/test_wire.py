@@ -18,6 +18,7 @@ from companion.types import (
     Lead,
     LeaderWord,
     PeerPacket,
+    PositionError,
     Role,
     Status,
 )
@@ -110,7 +111,7 @@ def test_commands_and_replies_come_out_as_they_went_in(command: Command, reply: 
 
 PACKET = PeerPacket(
     3, 2**32 - 1, 10**6, 2**64 - 1, FlightPhase.FORMATION, Role.FOLLOWER, (1.0, 2.0, 3.0), (0.1, 0.2, 0.3),
-    (0.01, 0.02, 0.03), 0.021, 1234.5, 4, LeaderWord(1, 7, 60, 12.5),
+    (0.01, 0.02, 0.03), 0.021, 1234.5, 4, LeaderWord(1, 7, 60, 12.5), PositionError(0.29, 0.28),
 )  # fmt: skip
 REPORT = StatusReport(
     Status(

@@ -1,0 +1,44 @@
+"""Real processes whose autopilots' own frames begin 50 m apart; an estimator resets in flight, and is put right again."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from sitl.summary import read_summary
+
+pytestmark = [pytest.mark.fleet, pytest.mark.timeout(300)]
+
+PLATOON = Path(__file__).parents[2] / "config" / "scenarios" / "platoon.yaml"
+OVERRIDES = (
+    "fleet.law={name: cooperative}",
+    "timeline[3].for_s=30",
+    "origins_enu_m={1: [50, 0, 2], 2: [0, 50, -2], 3: [-50, 0, 1], 4: [0, -50, 0]}",
+    "stand_in.estimator_resets=["
+    "{vehicle: 3, at_s: 28, shift_enu_m: [0, 1, 0]}, {vehicle: 3, at_s: 31, shift_enu_m: [0, -1, 0]}]",
+)
+
+
+def test_they_reach_the_same_formation(tmp_path: Path) -> None:
+    sets = [word for override in OVERRIDES for word in ("--set", override)]
+    command = [
+        sys.executable,
+        "-m",
+        "sitl",
+        "fly",
+        str(PLATOON),
+        "--out",
+        str(tmp_path),
+        "--port-offset",
+        "2060",
+        "--quiet",
+    ]
+    done = subprocess.run([*command, *sets], capture_output=True, text=True, timeout=280, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    summary = read_summary(tmp_path / "summary.json")
+    assert summary.final_error_m is not None
+    assert summary.final_error_m < 0.03
+    jumps = [event.vehicle for event in summary.events if "the autopilot's position jumped by 1.0 m" in event.event]
+    assert set(jumps) == {3}
+    assert all(vehicle.rejected == {} for vehicle in summary.vehicles)

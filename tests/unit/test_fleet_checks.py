@@ -1,0 +1,92 @@
+"""The fleet as a whole: altitudes on the ground, and slots against what the estimators say of themselves."""
+
+import pytest
+
+from companion.core.fleet_checks import FleetChecks
+from companion.types import (
+    CommandName,
+    FlightPhase,
+    PeerPacket,
+    PositionError,
+    Role,
+    Vector3,
+    VehicleState,
+)
+
+SLOTS: dict[int, Vector3] = {1: (0.0, 0.0, 0.0), 2: (-1.5, 0.0, 0.0), 3: (-3.0, 0.0, 0.0), 4: (-3.0, 0.0, 1.0)}
+CHECKS = FleetChecks(2, SLOTS, slots_have_height=True, ground_spread_m=1.0)
+
+
+def peer(vehicle_id: int, z_m: float = 0.0, error: PositionError | None = None, air: bool = False) -> PeerPacket:
+    phase = FlightPhase.HOLD if air else FlightPhase.READY
+    at, zero = (0.0, 0.0, z_m), (0.0, 0.0, 0.0)
+    return PeerPacket(vehicle_id, 1, 1, 0, phase, Role.FOLLOWER, at, zero, zero, 0.0, 0.0, 2, None, error)
+
+
+def vehicle(z_m: float = 0.0, error: PositionError | None = None) -> VehicleState:
+    return VehicleState(position_enu_m=(0.0, 0.0, z_m), position_error=error)
+
+
+# ---------------------------------------------------------------- on the ground
+
+
+@pytest.mark.parametrize("name", [CommandName.ARM, CommandName.TAKEOFF])
+def test_altitudes_that_differ_keep_the_fleet_on_the_ground(name: CommandName) -> None:
+    refusal, _ = CHECKS.judge(name, vehicle(0.3), [peer(1, 0.0), peer(3, 1.4)])
+    assert refusal == "on the ground vehicle 3 is 1.4 m above vehicle 1, more than ground_spread_m 1"
+
+
+@pytest.mark.parametrize(
+    ("own_m", "peers"),
+    [
+        (0.0, []),
+        (0.3, [peer(1, -0.3), peer(3, 0.6)]),
+        (0.0, [peer(1, 30.0, air=True)]),  # it flies already
+    ],
+)
+def test_altitudes_that_agree_let_it_take_off(own_m: float, peers: list[PeerPacket]) -> None:
+    assert CHECKS.judge(CommandName.TAKEOFF, vehicle(own_m), peers) == ("", "")
+
+
+# ---------------------------------------------------------------- before it forms
+
+
+def judged(own_m: float | None, *others: tuple[int, float | None]) -> tuple[str, str]:
+    """`own_m` and the second of `others` are errors, the same in the plane and in height."""
+    own = None if own_m is None else PositionError(own_m, own_m)
+    heard = [peer(i, error=None if m is None else PositionError(m, m), air=True) for i, m in others]
+    return CHECKS.judge(CommandName.FORM, vehicle(error=own), heard)
+
+
+def test_slots_within_three_sigma_are_refused() -> None:
+    refusal, _ = judged(0.6, (1, 0.01), (3, 0.6))
+    assert (
+        refusal == "the slots of vehicles 2 and 3 are 2.5 sigma of their estimators' errors apart, expected at least 3"
+    )
+
+
+def test_slots_within_six_sigma_are_warned_of() -> None:
+    refusal, warning = judged(0.29, (1, 0.29), (3, 0.1))  # as a PX4 with GPS reports it
+    assert refusal == ""
+    assert warning == "the slots of vehicles 2 and 1 are 5.2 sigma of their estimators' errors apart, better 6"
+
+
+def test_slots_far_apart_and_errors_of_nothing_are_left_alone() -> None:
+    assert judged(0.05, (1, 0.05)) == ("", "")
+    assert judged(0.0, (1, 0.0)) == ("", "")
+
+
+def test_an_estimator_that_says_nothing_is_told_of() -> None:
+    assert judged(None, (1, 0.1)) == ("", "no error reported by the estimator of vehicle 2")
+    assert judged(0.01, (1, None), (3, None)) == ("", "no error reported by the estimator of vehicle 1, 3")
+    refusal, _ = judged(0.6, (1, None), (3, 0.6))
+    assert "2 and 3" in refusal
+
+
+def test_height_counts_where_the_law_flies_it_and_only_there() -> None:
+    own = vehicle(error=PositionError(0.05, 0.6))
+    above = [peer(4, error=PositionError(0.05, 0.6), air=True)]
+    with_height = FleetChecks(3, SLOTS, slots_have_height=True, ground_spread_m=1.0)
+    assert "1.2 sigma" in with_height.judge(CommandName.FORM, own, above)[0]
+    without = FleetChecks(3, SLOTS, slots_have_height=False, ground_spread_m=1.0)
+    assert "0.0 sigma" in without.judge(CommandName.FORM, own, above)[0]
