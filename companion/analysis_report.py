@@ -27,7 +27,7 @@ LEGEND = f"""\
 def report(analysis: Analysis) -> str:
     """The whole text that `companion analyze` prints."""
     lines = [
-        f"{analysis.file}: {len(analysis.vehicles)} vehicles, led by {_ids(analysis.leaders)}, law {analysis.law}",
+        f"{analysis.file}: {_vehicles(analysis)}, led by {_ids(analysis.leaders)}, law {analysis.law}",
         "",
     ]
     lines += ["who hears whom at the start:"]
@@ -38,6 +38,10 @@ def report(analysis: Analysis) -> str:
         lines += ["", f"not read, and not checked: {', '.join(analysis.not_read)}; sitl run flies by them"]
     lines += ["", "verdict:", *(f"  - {line}" for line in verdict(analysis))]
     return "\n".join(lines)
+
+
+def _vehicles(analysis: Analysis) -> str:
+    return "1 vehicle" if len(analysis.vehicles) == 1 else f"{len(analysis.vehicles)} vehicles"
 
 
 def verdict(analysis: Analysis) -> list[str]:

@@ -255,5 +255,5 @@ def _seconds(text: str) -> float:
     except ValueError:
         value = 0.0
     if not 0 < value <= 3600:
-        raise argparse.ArgumentTypeError(f"{text!r}, expected seconds from 0 to 3600")
+        raise argparse.ArgumentTypeError(f"{text!r}, expected seconds above 0, up to 3600")
     return value

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from companion.config import LawName
 from sitl.metrics import Flight
 from sitl.scenario import Scenario
-from sitl.summary import SCHEMA, Summary, write_json
+from sitl.summary import IF_TOO_BUSY, SCHEMA, Summary, too_busy, write_json
 
 BEST = "*"
 
@@ -31,6 +31,7 @@ class Comparison(Struct, frozen=True, kw_only=True):
     schema: int = SCHEMA
     scenario: str
     laws: list[str]
+    too_busy: list[str]  # laws that the machine was too busy to fly in real time
     rows: list[Row]
 
 
@@ -49,7 +50,12 @@ def compare(summaries: Sequence[Summary]) -> Comparison:
         _row("settled to 10 cm", "s", {s.law: s.settle_s for s in summaries}),
         _row("final error", "m", {s.law: s.final_error_m for s in summaries}),
     ]
-    return Comparison(scenario=summaries[0].scenario, laws=[s.law for s in summaries], rows=rows)
+    return Comparison(
+        scenario=summaries[0].scenario,
+        laws=[s.law for s in summaries],
+        too_busy=[s.law for s in summaries if too_busy(s)],
+        rows=rows,
+    )
 
 
 def _row(figure: str, unit: str, values: dict[str, float | None], largest_is_best: bool = False) -> Row:
@@ -67,7 +73,10 @@ def in_a_table(comparison: Comparison) -> str:
     for name, row in zip(names, comparison.rows, strict=True):
         cells = (_cell(row, law) for law in comparison.laws)
         lines.append((f"{name:<{first}}" + "".join(f"{cell:>14}" for cell in cells)).rstrip())
-    return "\n".join([*lines, f"{BEST} best"])
+    lines.append(f"{BEST} best")
+    if comparison.too_busy:
+        lines.append(f"the machine was too busy for real time under {', '.join(comparison.too_busy)}: {IF_TOO_BUSY}")
+    return "\n".join(lines)
 
 
 def _cell(row: Row, law: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ from companion.types import CommandName
 from sitl.compare import compare, in_a_table, with_law, write_comparison
 from sitl.fleet import PortInUseError
 from sitl.metrics import Flight, Tracks, formation_figures, neighbouring_pairs, smallest_distance_m
-from sitl.run_options import RunOptions
+from sitl.run_options import LAWS, RunOptions
 from sitl.scenario import Scenario, load_scenario, reference_of
 from sitl.stopping import StopNow, StopRequest
 from sitl.summary import Summary, in_words, summarize, write_json
@@ -29,6 +30,11 @@ class Result:
     summary: Summary
     flight: Flight | None
 
+
+OWN_FILES = re.compile(
+    r"summary\.json|comparison\.(json|png)|figure_[56]\.png|(scenario|fleet|vehicle_\d+|autopilot_\d+)\.yaml"
+    r"|truth_\d+\.csv|(agent|autopilot)_\d+\.log"
+)
 
 FlyOnce = Callable[[Scenario, str, Path, StopRequest], Result]  # scenario, its name, the folder for the results
 
@@ -64,11 +70,29 @@ def _run(options: RunOptions, fly_once: FlyOnce, check: Callable[[Scenario], Non
         check(scenario)
     name = options.scenario.stem
     folder = options.out or Path("runs") / f"{name}-{scenario.fleet.law.name}-{datetime.now():%Y%m%d-%H%M%S}"
+    remove_old_run(folder)
     if options.others is None:
         result = fly_once(scenario, name, folder, stop)
         print(f"{in_words(result.summary)}\nresults in {folder}")
         return stop.exit_code if stop.number else _exit_code(result.summary)
     return _fly_laws(scenario, name, folder, options, fly_once, stop)
+
+
+def remove_old_run(folder: Path) -> None:
+    """An older run's files, also of its laws, so that none of them stays beside the new ones. Raises OSError.
+
+    It was a run if there are true tracks with the scenario as flown; nothing else is touched.
+    """
+    for place in (folder, *(folder / law for law in LAWS)):
+        files = [file for file in place.iterdir() if OWN_FILES.fullmatch(file.name)] if place.is_dir() else []
+        names = {file.name for file in files}
+        if "comparison.json" in names or (
+            "scenario.yaml" in names and any(name.startswith("truth_") for name in names)
+        ):
+            for file in files:
+                file.unlink()
+            if place != folder and not any(place.iterdir()):
+                place.rmdir()
 
 
 def _fly_laws(

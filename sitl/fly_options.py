@@ -28,13 +28,17 @@ examples:
 
 --set takes any key of the scenario file, [N] for the N-th item of a list from 0, and a YAML value.
 
-the folder (default: runs/SCENARIO-LAW-DATE-TIME; with --compare one folder per law inside it):
+the folder (default: runs/SCENARIO-LAW-DATE-TIME; with --compare one folder per law inside it; the files of an older run
+in it go):
   summary.json                   largest, smallest and final distances, settling time, final error, timing of each agent
   figure_5.png, figure_6.png     x and y curves, inter-distances; all from true positions
   comparison.json, .png          with --compare
   scenario.yaml                  as flown; fleet.yaml, vehicle_N.yaml, autopilot_N.yaml are made from it
   truth_N.csv                    where vehicle N truly was, 50 times a second
   agent_N.log, autopilot_N.log   what the processes said
+
+On a busy machine it says so after the figures: where more than 0.5 % of the ticks were missed, or an agent took more than
+5 ms (p99) from telemetry to command, they are the machine's rather than the law's.
 
 Ctrl-C lands all vehicles and stops everything; a second Ctrl-C stops at once.
 

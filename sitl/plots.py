@@ -18,6 +18,7 @@ from companion.core.arrays import FloatArray
 from sitl.metrics import Flight, Formation, distances_m, pair_name, reference_positions_m
 
 BEFORE_S = 2.0  # how much of the flight before the formation is shown
+PAIRS_INSIDE = 7  # up to here the legend of the distances stands inside
 MIN_SPAN_M = 1.0  # curves that hardly move are not blown up
 
 # Okabe and Ito's colours, which all eyes tell apart.
@@ -53,7 +54,7 @@ def save_figure_5(path: Path, flight: Flight, name: str) -> None:
 
 def save_figure_6(path: Path, flight: Flight, name: str) -> None:
     """Inter-distances over time, with the wanted ones."""
-    figure = new_figure(8.4, 4.6, f"{name}: inter-distances")
+    figure = new_figure(8.4, 4.6 + _height_of_legends_in(len(flight.pairs)), f"{name}: inter-distances")
     axes = figure.subplots()
     axes.set_title(f"from true positions, {law_title(flight)}", fontsize=10, color="#444444")
     draw_distances(axes, flight)
@@ -65,7 +66,8 @@ def save_figure_6(path: Path, flight: Flight, name: str) -> None:
 
 def save_comparison(path: Path, flights: Sequence[Flight], name: str) -> None:
     """Figures 5 and 6 side by side, a column for each law."""
-    figure = new_figure(1.4 + 4.4 * len(flights), 8.6, f"{name}: the laws side by side, from true positions")
+    height_in = 8.6 + _height_of_legends_in(max(len(flight.pairs) for flight in flights))
+    figure = new_figure(1.4 + 4.4 * len(flights), height_in, f"{name}: the laws side by side, from true positions")
     heights = [*_heights(flights), 1.0]
     grid = figure.subplots(3, len(flights), sharex="col", sharey="row", squeeze=False, height_ratios=heights)
     for (x, y, distance), flight in zip(grid.T, flights, strict=True):
@@ -149,8 +151,22 @@ def draw_distances(axes: Axes, flight: Flight) -> None:
         axes.axhline(value_m, **GUIDE)
     if wanted_m:
         axes.plot([], [], **GUIDE, label="wanted, " + " and ".join(f"{value_m:.2f} m" for value_m in wanted_m))
-        axes.legend(loc="upper right", fontsize=8, framealpha=0.9, handlelength=3.5)
+    _legend_of_distances(axes, len(flight.pairs))
     dress(axes, since_s)
+
+
+def _legend_of_distances(axes: Axes, pairs: int) -> None:
+    """Inside where it leaves the curves to be seen, else below them."""
+    if pairs > PAIRS_INSIDE:
+        place: dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.2), "ncols": 2, "frameon": False}
+        axes.legend(**place, fontsize=7, handlelength=3.5, columnspacing=1.0)
+    elif pairs:
+        axes.legend(loc="upper right", fontsize=8, framealpha=0.9, handlelength=3.5)
+
+
+def _height_of_legends_in(pairs: int) -> float:
+    """What the figure needs besides, where the legend of the distances stands below."""
+    return 0.075 * (pairs + 1) + 0.2 if pairs > PAIRS_INSIDE else 0.0
 
 
 def dress(axes: Axes, since_s: FloatArray) -> None:

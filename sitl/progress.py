@@ -11,6 +11,7 @@ from companion.types import FlightPhase, HealthFlag
 from sitl.screen import Screen
 
 PLAIN_EVERY_S = 5.0
+LONGEST_AGE_S = 1e5  # older data is none yet
 NEEDS_A_LEADER = (FlightPhase.HOLD, FlightPhase.ENGAGE, FlightPhase.FORMATION, FlightPhase.RELEASE)
 
 
@@ -46,7 +47,8 @@ class Progress:
 def vehicle_line(row: VehicleRow) -> str:
     """One vehicle: id, role, phase, altitude, error to its slot, PrC, age of its data."""
     error = "   -  " if row.error_to_slot_m is None else f"{row.error_to_slot_m:4.2f} m"
-    data = f"SILENT for {row.age_s:.1f} s" if row.silent else f"data {row.data_age_s * 1000:3.0f} ms old"
+    age = f"{row.data_age_s * 1000:3.0f} ms old" if row.data_age_s < LONGEST_AGE_S else "  -"
+    data = f"SILENT for {row.age_s:.1f} s" if row.silent else f"data {age}"
     flags = [flag for flag in row.flags if flag is not HealthFlag.LEADER_LOST or row.phase in NEEDS_A_LEADER]
     alarm = f"   ! {', '.join(flags)}" if flags else ""
     return (

@@ -30,7 +30,8 @@ examples:
 --set takes any key of the scenario file, [N] for the N-th item of a list from 0, and a YAML value. The section links says
 how late and how surely telemetry, setpoints and peer packets come.
 
-the folder (default: runs/SCENARIO-LAW-DATE-TIME; with --compare one folder per law inside it):
+the folder (default: runs/SCENARIO-LAW-DATE-TIME; with --compare one folder per law inside it; the files of an older run
+in it go):
   summary.json              as of `sitl fly`, and real_time_factor: seconds flown per second that it took to fly them. What
                             `sitl fly` times (tick, telemetry_to_command_us, cpu_percent, rss_mb) is null in virtual time
   figure_5.png, figure_6.png, comparison.json, comparison.png, scenario.yaml      as of `sitl fly`

@@ -15,6 +15,8 @@ from sitl.scenario import Scenario
 from sitl.watch import Event, FlightWatch
 
 SCHEMA = 1
+MAX_MISSED_SHARE, MAX_LATENCY_MS = 0.005, 5.0  # of the ticks; p99 from telemetry to command. Idle: none, below 1 ms
+IF_TOO_BUSY = "distrust the figures, or fly in virtual time: sitl run"
 
 
 class Tick(Struct, frozen=True, kw_only=True):
@@ -154,9 +156,25 @@ def in_words(summary: Summary) -> str:
     settled = "never to 10 cm" if summary.settle_s is None else f"{summary.settle_s:.1f} s to 10 cm"
     lines.append(f"  settled           {settled}; final error {summary.final_error_m:.3f} m")
     lines.extend(_ticks_in_words(summary))
+    if busy := too_busy(summary):
+        lines.append(f"  the machine was too busy for real time: {busy}; {IF_TOO_BUSY}")
     if summary.real_time_factor is not None:
         lines.append(f"  virtual time      {summary.real_time_factor:.0f} times as fast as real time")
     return "\n".join(lines)
+
+
+def too_busy(summary: Summary) -> str | None:
+    """What kept the agents from flying as on a machine of their own; None where nothing did, and in virtual time."""
+    ticks = [vehicle.tick for vehicle in summary.vehicles if vehicle.tick]
+    missed, due = sum(tick.missed for tick in ticks), sum(tick.missed + tick.ticks for tick in ticks)
+    latencies = [vehicle.telemetry_to_command_us for vehicle in summary.vehicles]
+    slowest_ms = max((latency.p99 / 1000.0 for latency in latencies if latency), default=0.0)
+    said = []
+    if missed > MAX_MISSED_SHARE * due:
+        said.append(f"{100.0 * missed / due:.1f} % of the ticks missed")
+    if slowest_ms > MAX_LATENCY_MS:
+        said.append(f"{slowest_ms:.0f} ms from telemetry to command (p99)")
+    return ", ".join(said) or None
 
 
 def _ticks_in_words(summary: Summary) -> list[str]:

@@ -22,7 +22,7 @@ examples:
   sitl sweep config/scenarios/platoon.yaml --vary fleet.law.name=weighted,average_22,average_26
   sitl sweep config/scenarios/platoon.yaml --vary fleet.law.exponent=0,1,2,8 --vary links.peer_loss=0,0.1,0.3
   sitl sweep config/scenarios/platoon.yaml --vary fleet.law.name=weighted,cooperative \\
-             --vary links.peer_delay_s=0,0.05,0.1,0.2 --set stand_in.sensors=default --seeds 100 --seconds 40
+             --vary links.peer_delay_s=0,0.05,0.1,0.2 --set stand_in.sensors=ideal --seeds 100 --seconds 40
 
 --vary and --set take any key of the scenario file, [N] for the N-th item of a list from 0. The values of --vary are YAML
 words and numbers with commas between them; a list or a mapping cannot be varied, but its items can
@@ -43,7 +43,8 @@ the folder (default: runs/SCENARIO-sweep-DATE-TIME):
                 A flight that never settled counts as later than all that did; null says that the percentile is such a flight
   sweep.png     the same to look at: over the numeric key with the most values, one curve for each other combination
 
-Ctrl-C stops and keeps the flights that are complete; a second Ctrl-C stops at once and keeps nothing.
+Ctrl-C stops and keeps the flights that are complete. Flights are flown in batches, so of a short sweep nothing may be
+complete yet; the one line then says so. A second Ctrl-C stops at once and keeps nothing.
 
 exit codes:
   0    all flown
@@ -110,7 +111,7 @@ def sweep_options(parsed: argparse.Namespace) -> SweepOptions:
 
 def _seeds(text: str) -> int:
     if not text.isdecimal() or len(text) > len(str(MAX_FLIGHTS)) or not 1 <= int(text) <= MAX_FLIGHTS:
-        raise argparse.ArgumentTypeError(f"{text!r}, expected a number from 1 to {MAX_FLIGHTS}")
+        raise argparse.ArgumentTypeError(f"{text!r}, expected a whole number from 1 to {MAX_FLIGHTS}")
     return int(text)
 
 

@@ -88,10 +88,14 @@ def _write(folder: Path, arguments: argparse.Namespace, flown: list[Topology]) -
             flights=flown,
         ),
     )
-    title = f"{arguments.starts} random starts of {arguments.vehicles} vehicles that see {arguments.range:g} m far"
+    title = f"{_starts_in_words(arguments.starts)} of {arguments.vehicles} vehicles that see {arguments.range:g} m far"
     save_switching(folder / "switching.png", flown, arguments.seconds, title)
     print(f"{title}, {arguments.seconds:g} s\n\n{in_a_table(laws)}\n\n{MEANING}\n")
     print(f"{flown_on(laws, arguments.vehicles)}\nresults in {folder}")
+
+
+def _starts_in_words(starts: int) -> str:
+    return "1 random start" if starts == 1 else f"{starts} random starts"
 
 
 MEANING = f"""\

@@ -11,6 +11,7 @@ import msgspec
 import pytest
 
 from companion.types import AutopilotKind
+from sitl.flights import remove_old_run
 from sitl.scenario import load_scenario
 from sitl.summary import read_summary
 from sitl.tracks import read_track
@@ -73,6 +74,27 @@ def test_laws_are_compared(tmp_path: Path) -> None:
     assert (tmp_path / "comparison.png").read_bytes().startswith(PNG)
     comparison: Any = msgspec.json.decode((tmp_path / "comparison.json").read_bytes())
     assert comparison["laws"] == ["weighted", "average_26"]
+
+
+def test_nothing_of_an_older_run_stays_and_nothing_else_goes(tmp_path: Path) -> None:
+    """The older one had five vehicles and compared two laws; notes.txt is its owner's."""
+    for folder in (tmp_path, tmp_path / "average_26"):
+        folder.mkdir(exist_ok=True)
+        for name in ("scenario.yaml", "truth_5.csv", "vehicle_5.yaml", "agent_5.log", "comparison.json", "notes.txt"):
+            (folder / name).touch()
+    (tmp_path / "average_26" / "notes.txt").unlink()
+    done = run(PLATOON, "--out", tmp_path, "--quiet", *SHORT)
+    assert done.returncode == 0, done.stderr
+    left = {file.name for file in tmp_path.iterdir()}
+    assert {"notes.txt", "summary.json", "scenario.yaml", "truth_4.csv"} <= left
+    assert not {"truth_5.csv", "vehicle_5.yaml", "agent_5.log", "comparison.json", "average_26"} & left
+
+
+def test_what_looks_like_a_run_but_was_none_stays(tmp_path: Path) -> None:
+    (tmp_path / "vehicle_9.yaml").touch()
+    (tmp_path / "fleet.yaml").touch()
+    remove_old_run(tmp_path)
+    assert len(list(tmp_path.iterdir())) == 2
 
 
 def test_quiet_prints_the_result_alone(tmp_path: Path) -> None:

@@ -52,6 +52,28 @@ def test_ctrl_c_ends_an_analysis_with_a_word(
     assert capsys.readouterr().err == "interrupted\n"
 
 
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["sweep", "x.yaml", "--seeds", "1.5"], "'1.5', expected a whole number from 1 to"),
+        (["fly", "x.yaml", "--port-offset", "1.5"], "'1.5', expected a whole number from 0 to"),
+    ],
+)
+def test_a_number_that_is_not_whole(
+    arguments: list[str], words: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["sitl", *arguments])
+    with pytest.raises(SystemExit, match="2"):
+        sitl()
+    assert words in capsys.readouterr().err
+
+
+def test_a_wait_of_nothing_is_refused_in_true_words(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        cli.main(["agent", "--config", "x.yaml", "--wait-s", "0"])
+    assert "expected seconds above 0, up to 3600" in capsys.readouterr().err
+
+
 def test_sitl_says_whose_version_it_is(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(sys, "argv", ["sitl", "--version"])
     with pytest.raises(SystemExit):

@@ -50,6 +50,25 @@ def test_a_summary_survives_its_file(tmp_path: Path) -> None:
     }
 
 
+def test_a_machine_too_busy_for_real_time_is_said() -> None:
+    vehicle = summary("weighted", 1.78, None).vehicles[0]
+    tick = msgspec.structs.replace(vehicle.tick, missed=297)
+    busy = {
+        "9.0 % of the ticks missed": msgspec.structs.replace(vehicle, tick=tick),
+        "28 ms from telemetry to command (p99)": msgspec.structs.replace(
+            vehicle, telemetry_to_command_us=Percentiles(300, 28_000, 30_000)
+        ),
+    }
+    for why, slow in busy.items():
+        flown = msgspec.structs.replace(summary("average_22", 1.78, None), vehicles=[slow])
+        assert in_words(flown).splitlines()[-1] == (
+            f"  the machine was too busy for real time: {why}; distrust the figures, or fly in virtual time: sitl run"
+        )
+        both = in_a_table(compare([summary("weighted", 1.78, 26.1), flown])).splitlines()
+        assert both[-1].startswith("the machine was too busy for real time under average_22: distrust")
+    assert "busy" not in in_words(summary("weighted", 1.78, 26.1))
+
+
 def test_a_flight_in_words() -> None:
     assert in_words(summary("weighted", 1.784, 26.1)).splitlines() == [
         "platoon, weighted: flown and landed in 93 s",

@@ -11,7 +11,7 @@ from companion.core.phase import RULES
 from companion.types import CommandName, CommandReply, FlightPhase, LandedState, Lead, Role, Status
 from companion.wire.ground import Percentiles, StatusReport, Timing
 from sitl.director import Director, FlightFailure, MachineClock
-from sitl.progress import Progress
+from sitl.progress import Progress, vehicle_line
 from sitl.scenario import TimelineStep
 from sitl.watch import FlightWatch
 
@@ -315,3 +315,10 @@ def test_progress_off_a_terminal_is_plain_lines(flight: Flight) -> None:
     assert "pair   step 1 of 2, prepare" in text
     assert "UAV 1   leader    arm" in text
     assert "PrC 2" in text
+
+
+def test_data_that_never_came_has_no_age(flight: Flight) -> None:
+    flight.fly(C.PREPARE)
+    row = flight.watch.rows(time.monotonic())[0]
+    assert "data   - " in vehicle_line(replace(row, data_age_s=1e6, silent=False)) + " "
+    assert "data  20 ms old" in vehicle_line(replace(row, data_age_s=0.02, silent=False))

@@ -81,6 +81,16 @@ def test_a_comparison_has_a_column_for_each_law(tmp_path: Path, drawn: list[Figu
     assert len(limits) == 1  # one scale, else the eye cannot compare
 
 
+@pytest.mark.parametrize("vehicles", [4, 16])
+def test_a_legend_of_distances_hides_no_curve(tmp_path: Path, drawn: list[Figure], vehicles: int) -> None:
+    save_comparison(tmp_path / "c.png", [flight("weighted", vehicles), flight("cooperative", vehicles)], "chain")
+    for axes in drawn[0].axes[4:]:
+        assert axes.legend_
+        legend, panel = axes.legend_.get_window_extent(), axes.get_window_extent()
+        assert legend.y1 < panel.y0 or legend.height < panel.height / 2
+        assert panel.height > drawn[0].bbox.height / 6
+
+
 @pytest.mark.parametrize("vehicles", [1, 16])
 def test_one_vehicle_and_many_are_drawn(tmp_path: Path, vehicles: int) -> None:
     save_figure_5(tmp_path / "5.png", flight("weighted", vehicles), "swarm")
