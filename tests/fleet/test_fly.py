@@ -164,3 +164,9 @@ def test_the_law_to_fly_settles_soon_and_keeps_its_distances(tmp_path: Path) -> 
     assert max(cooperative.max_distance_m[pair] for pair in cooperative.pairs) < 1.6
     assert cooperative.smallest_distance_m is not None
     assert cooperative.smallest_distance_m > 1.4
+
+
+def test_arducopters_over_tcp_fly_the_same_scenario(tmp_path: Path) -> None:
+    summary = flown(tmp_path, 2600, "--autopilot", "ardupilot", "--quiet", "--set", f"{FORM}=40")
+    assert summary.final_error_m is not None and summary.final_error_m < 0.1
+    assert "GUIDED" in (tmp_path / "truth_1.csv").read_text(encoding="ascii")

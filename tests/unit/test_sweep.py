@@ -116,6 +116,11 @@ def test_a_seed_cannot_be_set() -> None:
         base_scenario(PLATOON, ["stand_in.seed=3"])
 
 
+def test_batches_have_no_arducopters() -> None:
+    with pytest.raises(ConfigError, match=r"stand_in.autopilot: .*px4 alone"):
+        base_scenario(PLATOON, ["stand_in.autopilot=ardupilot"])
+
+
 def test_the_time_is_that_of_the_form_step() -> None:
     assert formation_time_s(PLATOON, platoon()) == 75.0
     with pytest.raises(ConfigError, match="no step with command: form; say with --seconds S"):
