@@ -16,7 +16,7 @@ class AgeLimits:
 
     state_s: float = 0.04  # two periods of 50 Hz: no fresh decision, no setpoint
     attitude_s: float = 0.1
-    mode_s: float = 0.5  # without it a pilot's take-over would go unseen
+    mode_s: float = 0.8  # PX4 tells a change at once, and what stays twice a second: up to 0.53 s apart
     armed_s: float = 3.0  # PX4 sends HEARTBEAT once a second, whatever is asked
     landed_s: float = 3.0
 

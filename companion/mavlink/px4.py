@@ -62,7 +62,7 @@ STREAMS_US = {
 LEAST_HZ: dict[type[Telemetry], tuple[str, float]] = {
     PositionSample: ("positions", 40.0),
     AttitudeSample: ("attitudes", 40.0),
-    ModeSample: ("modes", 5.0),  # CURRENT_MODE may come less often than it was asked to
+    ModeSample: ("modes", 1.2),  # CURRENT_MODE comes at every change and else twice a second, whatever was asked
     LandedSample: ("landed states", 2.0),
     SystemSample: ("battery states", 1.0),
 }

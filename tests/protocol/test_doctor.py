@@ -144,3 +144,13 @@ def test_the_autopilots_own_checks(tmp_path: Path) -> None:
     assert result.returncode == 1
     assert "REFUSAL  estimator and checks  its checks before arming do not pass" in result.stdout
     assert found(result)["NAV_DLL_ACT"] == "warning"
+
+
+def test_a_stock_arducopter_is_refused_and_fixed(tmp_path: Path) -> None:
+    with stand_in(tmp_path, "id: 1\n", "--autopilot", "ardupilot") as process:
+        files = agent_files(tmp_path, f"udpin:127.0.0.1:{process.ports.companion}")
+        fixed = doctor(files, "--fix")
+    assert fixed.stdout.startswith("vehicle 1, ArduCopter at ")
+    assert "REFUSAL  GUID_OPTIONS" in fixed.stdout
+    assert "GUID_OPTIONS: 0 (thrust would be taken as a climb rate) -> 8: set, and read again" in fixed.stdout
+    assert {found(fixed)[name] for name in ("GUID_OPTIONS", "GUID_TIMEOUT", "ATC_ANGLE_BOOST")} == {"ok"}

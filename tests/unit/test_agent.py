@@ -465,7 +465,7 @@ def test_an_agent_that_stops_hands_over_but_never_takes_from_a_pilot() -> None:
 def test_without_mode_or_attitude_it_falls_silent(kind: type) -> None:
     flight = Flight().fly_to(FlightPhase.FORMATION)
     flight.withheld = (kind,)
-    for _ in range(30):
+    for _ in range(45):
         flight.tick()
     assert flight.outbox.attitude_target is None
 
