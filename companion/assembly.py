@@ -19,6 +19,7 @@ from companion.config import (
 from companion.core import formation
 from companion.core.agent import Agent, AgentSetup
 from companion.core.cooperation import Cooperation
+from companion.core.disturbance import DisturbanceObserver
 from companion.core.envelope import EnvelopeLimits
 from companion.core.fleet_checks import FleetChecks
 from companion.core.formation import FormationLaw, Gains
@@ -63,7 +64,7 @@ def build_agent(config: AgentConfig, session: int) -> Agent:
         altitude_hold_gains=Gains(law.altitude_hold_gains.position_1_s2, law.altitude_hold_gains.velocity_1_s),
         reference=trajectory_of(config.vehicle.reference) if config.vehicle.reference else None,
         takeoff_height_m=fleet.takeoff_height_m,
-        envelope=envelope_limits(fleet.envelope, config.vehicle.hover_thrust_norm),
+        envelope=envelope_limits(fleet.envelope),
         ages=AgeLimits(),
         checks=FleetChecks(
             own_id=member.id,
@@ -81,7 +82,10 @@ def build_agent(config: AgentConfig, session: int) -> Agent:
         [m.id for m in fleet.vehicles if m.role is Role.LEADER],
         [m.id for m in fleet.vehicles if m.can_lead],
     )
-    return Agent(setup, tracker, Cooperation(member.id, leadership, slots, peers, rule, leader))
+    cooperation = Cooperation(member.id, leadership, slots, peers, rule, leader)
+    vehicle = config.vehicle
+    observer = DisturbanceObserver(vehicle.hover_thrust_norm, vehicle.drag_1_s, law.disturbance_bandwidth_1_s)
+    return Agent(setup, tracker, cooperation, observer)
 
 
 def trajectory_of(reference: Reference) -> ReferenceTrajectory:
@@ -123,12 +127,11 @@ def tracker_of(fleet: FleetConfig) -> VehicleTracker:
     )
 
 
-def envelope_limits(envelope: Envelope, hover_thrust_norm: float) -> EnvelopeLimits:
+def envelope_limits(envelope: Envelope) -> EnvelopeLimits:
     """The last gate's limits, as a fleet file has them."""
     return EnvelopeLimits(
         max_tilt_rad=radians(envelope.max_tilt_deg),
         max_tilt_rate_rad_s=radians(envelope.max_tilt_rate_deg_s),
-        hover_thrust_norm=hover_thrust_norm,
         min_thrust_ratio=envelope.min_thrust_ratio,
         max_thrust_ratio=envelope.max_thrust_ratio,
         max_thrust_rate_1_s=envelope.max_thrust_rate_1_s,

@@ -30,6 +30,9 @@ Coordinate = Annotated[float, Meta(ge=-10_000, le=10_000)]
 PositionM = tuple[Coordinate, Coordinate, Coordinate]
 LAP_SAMPLES = 2000
 CLOSEST_STARTS_M = 0.3  # nearer, two vehicles stand in one another
+MAX_DRAG_1_S = 10.0
+HoverThrust = Annotated[float, Meta(ge=0.1, le=0.9)]
+Drag = Annotated[float, Meta(ge=0, le=MAX_DRAG_1_S, description="deceleration by drag for each m/s through the air")]
 
 
 class _Base(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -94,6 +97,7 @@ class Law(_Base, frozen=True):
     `weighted` is the paper's, `average_22` and `average_26` are what it is compared with, `cooperative` is the one to fly.
     `exponent` is alpha of the weights 1/p^alpha (1 is the paper's Algorithm 2), `feedforward` how much of the neighbours'
     acceleration is fed forward, and without `leader_heeds_neighbours` a leader tracks its reference alone.
+    `disturbance_bandwidth_1_s` is how fast wind and a wrong hover thrust are found and made up for; 0 leaves them to the law.
     """
 
     name: LawName = "cooperative"
@@ -103,6 +107,7 @@ class Law(_Base, frozen=True):
     leader_heeds_neighbours: bool | None = None
     altitude: Literal["formation", "hold"] = "formation"
     altitude_hold_gains: AltitudeHoldGains = AltitudeHoldGains()
+    disturbance_bandwidth_1_s: Annotated[float, Meta(ge=0, le=5)] = 4.0
 
     def renamed(self, name: LawName) -> Law:
         """For comparisons: another law in this one's place. The paper's three are compared with the same gains."""
@@ -260,6 +265,9 @@ class VehicleConfig(_Base, frozen=True):
     `fleet`: path of the fleet file, relative to this file.
     `autopilot`: whose manners it must have; where it is left out its HEARTBEAT says so.
     `ground_station`: "udpout:HOST:PORT", where the autopilot's MAVLink is passed on to.
+    `hover_thrust_norm` is where the agent begins; it finds the right one in flight, as far as the fleet's law lets it.
+    `drag_1_s`: drag per mass and speed, which damps the vehicle and is left to do that. Too low a number takes some of this
+    damping away, and the formation swings a little; too high a number adds some. 0.25 is of a small open quadrotor.
     """
 
     id: VehicleId
@@ -271,7 +279,8 @@ class VehicleConfig(_Base, frozen=True):
             description="udpin:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD, like serial:/dev/ttyAMA0:921600",
         ),
     ]
-    hover_thrust_norm: Annotated[float, Meta(ge=0.1, le=0.9)]
+    hover_thrust_norm: HoverThrust
+    drag_1_s: Drag = 0.25
     autopilot: AutopilotKind | None = None
     zenoh: ZenohEndpoints = ZenohEndpoints()
     reference: Reference | None = None

@@ -94,7 +94,7 @@ class Patient:
         self._file, self._config = file, config
         self._survey = Survey()
         self._tracker = tracker_of(config.fleet)
-        self._limits = envelope_limits(config.fleet.envelope, vehicle.hover_thrust_norm)
+        self._limits = envelope_limits(config.fleet.envelope)
         key = read_signing_key(file, vehicle.signing) if vehicle.signing else None
         try:
             self._link = AutopilotLink(

@@ -117,6 +117,14 @@ class LandedSample:
 
 
 @dataclass(frozen=True, slots=True)
+class ThrustSample:
+    """ATTITUDE_TARGET: the collective thrust in 0..1 that the autopilot itself commands just now."""
+
+    received_s: float
+    thrust_norm: float
+
+
+@dataclass(frozen=True, slots=True)
 class OriginSample:
     """GPS_GLOBAL_ORIGIN: where the autopilot's own local frame begins."""
 
@@ -189,6 +197,7 @@ Telemetry = (
     | ModeSample
     | HeartbeatSample
     | LandedSample
+    | ThrustSample
     | OriginSample
     | SystemSample
     | ParameterSample
@@ -229,6 +238,8 @@ class VehicleState:
     heartbeat_time_s: float = float("-inf")
     landed: LandedState = LandedState.UNDEFINED
     landed_time_s: float = float("-inf")
+    thrust_norm: float = 0.0  # as the autopilot commands it
+    thrust_time_s: float = float("-inf")
     frame_known: bool = False  # can positions be mapped into the fleet frame?
     altitude_amsl_m: float | None = None  # by the autopilot's own origin, None until that is known
     frame_contradicted: bool = False  # do the autopilot's origin and its global position exclude each other?
@@ -414,6 +425,8 @@ class Status:
     position_enu_m: Vector3
     velocity_enu_m_s: Vector3
     state_age_s: float
+    hover_thrust_norm: float  # as it was found, or was begun with
+    disturbance_enu_m_s2: Vector3  # what was found to push it, its own drag apart; z is always 0
     role: Role
     epoch: int  # of the lead, as this vehicle knows it
     prc: int

@@ -28,6 +28,7 @@ from companion.types import (
     PositionSample,
     SystemSample,
     Telemetry,
+    ThrustSample,
 )
 from sitl.attitude_control import Setpoint
 from sitl.autopilot import Autopilot
@@ -37,6 +38,7 @@ from sitl.messages import BATTERY_PERCENT, global_position, gps_raw
 
 M = mavlink
 _TWO_FLOATS = struct.Struct("<2f")
+_FLOAT = struct.Struct("<f")
 _FLOATS = struct.Struct("<6f")  # MAVLink's floats have 32 bits: micrometres, where a vehicle is 10 m away
 
 
@@ -68,6 +70,11 @@ def _attitude(autopilot: Autopilot, received_s: float) -> tuple[Telemetry, ...]:
     return (AttitudeSample(received_s, *autopilot.quad.estimated_euler_rad()),)
 
 
+def _thrust(autopilot: Autopilot, received_s: float) -> tuple[Telemetry, ...]:
+    (thrust_norm,) = _FLOAT.unpack(_FLOAT.pack(autopilot.setpoint.thrust_norm))
+    return (ThrustSample(received_s, thrust_norm),)
+
+
 def _landed(autopilot: Autopilot, received_s: float) -> tuple[Telemetry, ...]:
     return (LandedSample(received_s, LandedState(autopilot.landed_state)),)
 
@@ -94,6 +101,7 @@ SAMPLES: dict[int, Callable[[Autopilot, float], tuple[Telemetry, ...]]] = {
     M.MAVLINK_MSG_ID_CURRENT_MODE: _mode,
     M.MAVLINK_MSG_ID_LOCAL_POSITION_NED: _position,
     M.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: _attitude,
+    M.MAVLINK_MSG_ID_ATTITUDE_TARGET: _thrust,
     M.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: _landed,
     M.MAVLINK_MSG_ID_SYS_STATUS: _system,
     M.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: _global_position,

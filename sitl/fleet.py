@@ -17,7 +17,7 @@ from typing import Self
 import msgspec
 import yaml
 
-from companion.config import GeodeticOrigin, VehicleConfig, VehicleId, ZenohEndpoints
+from companion.config import MAX_DRAG_1_S, GeodeticOrigin, VehicleConfig, VehicleId, ZenohEndpoints
 from companion.types import AutopilotKind
 from sitl.config import AutopilotFile
 from sitl.manners import MANNERS
@@ -28,6 +28,7 @@ AGENT_ENDS_WITHIN_S = 5.0  # it may first hand over to the autopilot
 STAND_IN_ENDS_WITHIN_S = 3.0
 POLL_S = 0.02
 ARMABLE_IN_SCENARIOS_S = 4.0
+HOVER_PARAMETER = {AutopilotKind.PX4: "MPC_THR_HOVER", AutopilotKind.ARDUPILOT: "MOT_THST_HOVER"}
 SET_UP: dict[AutopilotKind, dict[str, float]] = {
     AutopilotKind.PX4: {},
     AutopilotKind.ARDUPILOT: {"GUID_OPTIONS": 8.0},  # thrust is thrust
@@ -193,11 +194,14 @@ def write_scenario(scenario: Scenario, folder: Path) -> None:
 def vehicle_file(scenario: Scenario, vehicle_id: int, port_offset: int) -> VehicleConfig:
     """An agent's file. Of two vehicles the one with the larger id connects; the reference is for those that may lead."""
     member = next(member for member in scenario.fleet.vehicles if member.id == vehicle_id)
+    airframe, believed = scenario.stand_in.airframe, scenario.believed
+    drag_1_s = airframe.drag_n_per_m_s / airframe.mass_kg
     return VehicleConfig(
         id=vehicle_id,
         fleet="fleet.yaml",
         mavlink=_way_to_autopilot(scenario.stand_in.autopilot, ports_of(vehicle_id, port_offset)),
-        hover_thrust_norm=scenario.stand_in.hover_thrust_norm,
+        hover_thrust_norm=_first(believed.hover_thrust_norm, scenario.stand_in.hover_thrust_norm),
+        drag_1_s=_first(believed.drag_1_s, min(drag_1_s, MAX_DRAG_1_S)),
         zenoh=ZenohEndpoints(
             listen=(endpoint_of(vehicle_id, port_offset),),
             connect=tuple(endpoint_of(i, port_offset) for i in ids_of(scenario) if i < vehicle_id),
@@ -215,6 +219,10 @@ def _way_to_autopilot(kind: AutopilotKind, ports: Ports) -> str:
             return f"tcp:{LOOPBACK}:{ports.tcp}"
 
 
+def _first(believed: float | None, true: float) -> float:
+    return true if believed is None else believed
+
+
 def autopilot_file(scenario: Scenario, vehicle_id: int) -> AutopilotFile:
     """A stand-in's file. The world's frame is the fleet's.
 
@@ -223,6 +231,8 @@ def autopilot_file(scenario: Scenario, vehicle_id: int) -> AutopilotFile:
     origin = scenario.fleet.origin
     assert isinstance(origin, GeodeticOrigin)  # scenario_from refuses any other
     stand_in = scenario.stand_in
+    hover_thrust_norm = scenario.believed.hover_thrust_norm
+    believed = {} if hover_thrust_norm is None else {HOVER_PARAMETER[stand_in.autopilot]: hover_thrust_norm}
     ready_s = ARMABLE_IN_SCENARIOS_S if stand_in.armable_after_s is None else stand_in.armable_after_s
     return AutopilotFile(
         id=vehicle_id,
@@ -230,7 +240,7 @@ def autopilot_file(scenario: Scenario, vehicle_id: int) -> AutopilotFile:
         start_enu_m=scenario.starts_enu_m[vehicle_id],
         origin_enu_m=scenario.origins_enu_m.get(vehicle_id),
         stand_in=msgspec.structs.replace(
-            stand_in, armable_after_s=ready_s, parameters=SET_UP[stand_in.autopilot] | stand_in.parameters
+            stand_in, armable_after_s=ready_s, parameters=SET_UP[stand_in.autopilot] | believed | stand_in.parameters
         ),
     )
 

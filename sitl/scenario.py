@@ -13,7 +13,9 @@ from msgspec import Meta, Struct
 
 from companion.assembly import trajectory_of
 from companion.config import (
+    Drag,
     FleetConfig,
+    HoverThrust,
     PositionM,
     Reference,
     VehicleId,
@@ -44,6 +46,13 @@ class TimelineStep(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     timeout_s: Annotated[float, Meta(gt=0, le=600)] = 30.0
 
 
+class Believed(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What vehicle files say of the airframe, and the autopilot of its hover thrust; None leaves that as it is."""
+
+    hover_thrust_norm: HoverThrust | None = None
+    drag_1_s: Drag | None = None
+
+
 class Scenario(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """`fleet` is what a fleet file holds; `reference` (RFT) goes into the files of those that may lead, and into no other.
 
@@ -57,6 +66,7 @@ class Scenario(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     origins_enu_m: dict[VehicleId, PositionM] = {}
     reference: Reference
     stand_in: StandIn = StandIn()
+    believed: Believed = Believed()
     links: Links = Links()
     timeline: tuple[TimelineStep, ...]
 

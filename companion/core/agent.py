@@ -8,6 +8,7 @@ from math import cos
 
 from companion.core.attitude import attitude_target, limit_acceleration
 from companion.core.cooperation import COOPERATING, Cooperation, Neighbourhood
+from companion.core.disturbance import HOVER_PARAMETERS, DisturbanceObserver, Motion
 from companion.core.envelope import EnvelopeLimits, LastGate
 from companion.core.failsafe import failsafe_action
 from companion.core.fleet_checks import FleetChecks
@@ -37,12 +38,15 @@ from companion.types import (
     FlightPhase,
     HealthFlag,
     Inbox,
+    LandedState,
     Lead,
     Outbox,
+    ParameterSample,
     PeerPacket,
     RequestOrigin,
     Role,
     Status,
+    Telemetry,
     Vector3,
     VehicleState,
 )
@@ -54,6 +58,8 @@ ORIGIN_REPEAT_S = 1.0
 ORIGIN_REFRESH_S = 5.0  # PX4 tells a changed origin once, and that one datagram may be lost
 ORIGIN_SOON_S = 0.1  # when the position jumped: a new origin may be why
 NOT_TO_BE_HEEDED = frozenset({HealthFlag.FRAME_CONTRADICTED, HealthFlag.POSITION_JUMPED})
+THRUST_FRESH_S = 0.3  # PX4 tells its thrust 10 times a second where nothing else was asked
+CLIMBS_M_S = 0.3  # faster than that it does not stand on the ground any more
 STATUS_PERIOD_S = 0.099  # every fifth tick of 50 Hz, also where a tick comes a little early
 
 
@@ -80,13 +86,16 @@ class AgentSetup:
 class Agent:
     """One vehicle's decisions. Pure: what comes out depends on the calls made so far and on nothing else."""
 
-    def __init__(self, setup: AgentSetup, tracker: VehicleTracker, cooperation: Cooperation) -> None:
+    def __init__(
+        self, setup: AgentSetup, tracker: VehicleTracker, cooperation: Cooperation, observer: DisturbanceObserver
+    ) -> None:
         self._setup = setup
         self._tracker = tracker
         self._cooperation = cooperation
+        self._observer = observer
         self._gate = LastGate(setup.envelope)
         self._machine = PhaseMachine(setup.takeoff_height_m)
-        self._preflight = Preflight(setup.envelope.hover_thrust_norm)
+        self._preflight = Preflight(observer.hover_thrust_norm)
         self._refused: Counter[str] = Counter()
         self._sequence = 0
         self._position_used_s = float("-inf")
@@ -94,7 +103,8 @@ class Agent:
         self._spoke_s = 0.0
         self._last_word_spoken = False  # in this silence
         self._stopping_s: float | None = None  # since when this agent is to stop
-        self._commanded_enu_m_s2 = ZERO3  # by the last setpoint
+        self._commanded_enu_m_s2 = ZERO3  # by the last setpoint, less what it did against the disturbance
+        self._sent_thrust_norm = 0.0
         self._status_s = float("-inf")
         self._yaw_rad = 0.0
         self._hold_altitude_m = 0.0
@@ -128,6 +138,7 @@ class Agent:
             self._cooperation.landed()
         around = self._cooperation.update(now_s, vehicle.position_enu_m, inbox.peers, self._machine.in_formation)
         flags = health_flags(now_s, vehicle, around.leader_word, self._setup.ages, self._setup.envelope)
+        self._observe_disturbance(now_s, vehicle, flags, inbox.telemetry)
 
         streamed = self._machine.streams(vehicle)
         replies += tuple([self._obey(command, now_s, vehicle, flags) for command in commands])
@@ -148,6 +159,7 @@ class Agent:
             if target is not None:
                 self._spoke_s, self._commanded_enu_m_s2 = now_s, acceleration
                 self._last_word_spoken = False
+                self._sent_thrust_norm = target.thrust_norm
         elif streamed and self._falls_silent(flags, vehicle):
             target = self._last_word(now_s, vehicle)
 
@@ -160,6 +172,38 @@ class Agent:
             replies=replies,
             events=events,
         )
+
+    def _observe_disturbance(
+        self, now_s: float, vehicle: VehicleState, flags: frozenset[HealthFlag], telemetry: tuple[Telemetry, ...]
+    ) -> None:
+        """Only flight under a thrust that is known tells of hover thrust and wind."""
+        for sample in telemetry:
+            if isinstance(sample, ParameterSample) and sample.name in HOVER_PARAMETERS:
+                self._observer.start_from(sample.value)
+        if not vehicle.armed:
+            self._observer.landed()
+        thrust_norm = self._flown_thrust_norm(now_s, vehicle)
+        if thrust_norm is None or not self._flies_freely(vehicle) or failsafe_action(flags) is FailsafeAction.SILENT:
+            self._observer.pause()
+            return
+        attitude_rad = (vehicle.roll_rad, vehicle.pitch_rad, vehicle.yaw_rad)
+        self._observer.update(Motion(vehicle.position_time_s, vehicle.velocity_enu_m_s, attitude_rad, thrust_norm))
+
+    def _flies_freely(self, vehicle: VehicleState) -> bool:
+        """Off the ground, and flown by the agent or as the agent asked for."""
+        if vehicle.landed not in (LandedState.IN_AIR, LandedState.TAKEOFF):
+            return False
+        if self.phase is FlightPhase.TAKEOFF:  # it may not have left the ground yet, whatever is said of it
+            return vehicle.velocity_enu_m_s[2] > CLIMBS_M_S
+        return self.phase in (FlightPhase.HOLD, FlightPhase.ENGAGE, FlightPhase.FORMATION, FlightPhase.RELEASE)
+
+    def _flown_thrust_norm(self, now_s: float, vehicle: VehicleState) -> float | None:
+        """The thrust that is in force: the own, while the autopilot takes it; None where it is not known."""
+        own = self._machine.streams(vehicle) and vehicle.mode is AutopilotMode.OFFBOARD
+        time_s = self._spoke_s if own else vehicle.thrust_time_s
+        if now_s - time_s > THRUST_FRESH_S:
+            return None
+        return self._sent_thrust_norm if own else vehicle.thrust_norm
 
     def _change_lead(self, command: Command, lead: Lead, vehicle: VehicleState) -> CommandReply:
         refusal = self._machine.refusal_of_lead(vehicle)
@@ -234,9 +278,10 @@ class Agent:
             return None
         self._last_word_spoken = True
         self._commanded_enu_m_s2 = ZERO3
-        level = AttitudeTarget(0.0, 0.0, self._yaw_rad, self._setup.envelope.hover_thrust_norm)
-        self._gate.open_at(now_s, level)  # no slew: there will be no next setpoint to come closer by
-        return self._gate.admit(now_s, level)
+        hover_thrust_norm = self._observer.hover_thrust_norm
+        level = AttitudeTarget(0.0, 0.0, self._yaw_rad, hover_thrust_norm)
+        self._gate.open_at(now_s, level, hover_thrust_norm)  # no slew: no next setpoint will come closer
+        return self._gate.admit(now_s, level, hover_thrust_norm)
 
     def _ask_origin(self, now_s: float, vehicle: VehicleState) -> tuple[AutopilotRequest, ...]:
         if vehicle.autopilot is None:
@@ -252,7 +297,9 @@ class Agent:
     def _open_stream(self, now_s: float, vehicle: VehicleState) -> None:
         self._yaw_rad = vehicle.yaw_rad
         self._spoke_s, self._commanded_enu_m_s2 = now_s, ZERO3
-        self._gate.open_at(now_s, self._level(vehicle))
+        current = self._as_it_flies(now_s, vehicle)
+        self._sent_thrust_norm = current.thrust_norm
+        self._gate.open_at(now_s, current, self._observer.hover_thrust_norm)
 
     def _may_decide(self, flags: frozenset[HealthFlag], vehicle: VehicleState) -> bool:
         """A decision needs a position that no decision was made from before."""
@@ -269,8 +316,16 @@ class Agent:
                 wanted = self._formation_acceleration(vehicle, around)
             case _:  # handing over: brake, and keep the altitude
                 wanted = self._braking(vehicle)
-        envelope = self._setup.envelope
-        return limit_acceleration(wanted, envelope.max_tilt_rad, envelope.min_thrust_ratio, envelope.max_thrust_ratio)
+        return self._within_reach(wanted)
+
+    def _within_reach(self, wanted_enu_m_s2: Vector3) -> Vector3:
+        """What tilt and thrust can give besides what they do against the disturbance."""
+        (x, y, z), (dx, dy, dz) = wanted_enu_m_s2, self._observer.disturbance_enu_m_s2
+        limits = self._setup.envelope
+        x, y, z = limit_acceleration(
+            (x - dx, y - dy, z - dz), limits.max_tilt_rad, limits.min_thrust_ratio, limits.max_thrust_ratio
+        )
+        return (x + dx, y + dy, z + dz)
 
     def _formation_acceleration(self, vehicle: VehicleState, around: Neighbourhood) -> Vector3:
         """Eq. 14, or on z the vehicle's own altitude hold."""
@@ -289,27 +344,33 @@ class Agent:
     def _target(self, now_s: float, vehicle: VehicleState, acceleration: Vector3) -> AttitudeTarget | None:
         """What passes the last gate; None where nothing does, and the count of it is in the status."""
         try:
-            wanted = self._attitude(vehicle, acceleration)
+            wanted = self._attitude(now_s, vehicle, acceleration)
         except ValueError as error:
             self.reject(f"own command: {error}")
             return None
-        admitted = self._gate.admit(now_s, wanted)
+        admitted = self._gate.admit(now_s, wanted, self._observer.hover_thrust_norm)
         if admitted is None:
             self.reject("own command: not finite")
         return admitted
 
-    def _attitude(self, vehicle: VehicleState, acceleration: Vector3) -> AttitudeTarget:
-        """Raises ValueError where no attitude gives this acceleration (Remark 1)."""
+    def _attitude(self, now_s: float, vehicle: VehicleState, acceleration: Vector3) -> AttitudeTarget:
+        """Against the disturbance, too. Raises ValueError where no attitude gives this acceleration (Remark 1)."""
         if self._machine.phase is FlightPhase.ENGAGE:
-            return self._level(vehicle)
+            return self._as_it_flies(now_s, vehicle)
+        (x, y, z), (dx, dy, dz) = acceleration, self._observer.disturbance_enu_m_s2
+        thrust_acceleration = (x - dx, y - dy, z - dz)
+        hover_thrust_norm = self._observer.hover_thrust_norm
         return attitude_target(
-            acceleration, self._yaw_rad, vehicle.roll_rad, vehicle.pitch_rad, self._setup.envelope.hover_thrust_norm
+            thrust_acceleration, self._yaw_rad, vehicle.roll_rad, vehicle.pitch_rad, hover_thrust_norm
         )
 
-    def _level(self, vehicle: VehicleState) -> AttitudeTarget:
+    def _as_it_flies(self, now_s: float, vehicle: VehicleState) -> AttitudeTarget:
         """The attitude that the vehicle has, with the thrust that carries it: no step where the autopilot takes over."""
-        share = max(0.5, cos(vehicle.roll_rad) * cos(vehicle.pitch_rad))
-        thrust = self._setup.envelope.hover_thrust_norm / share
+        if now_s - vehicle.thrust_time_s <= THRUST_FRESH_S:
+            thrust = vehicle.thrust_norm
+        else:
+            share = max(0.5, cos(vehicle.roll_rad) * cos(vehicle.pitch_rad))
+            thrust = self._observer.hover_thrust_norm / share
         return AttitudeTarget(vehicle.roll_rad, vehicle.pitch_rad, self._yaw_rad, thrust)
 
     def _reference(self, around: Neighbourhood) -> Place | None:
@@ -386,6 +447,8 @@ class Agent:
             position_enu_m=vehicle.position_enu_m,
             velocity_enu_m_s=vehicle.velocity_enu_m_s,
             state_age_s=min(1e6, now_s - vehicle.position_time_s),
+            hover_thrust_norm=self._observer.hover_thrust_norm,
+            disturbance_enu_m_s2=self._observer.disturbance_enu_m_s2,
             role=around.role,
             epoch=around.epoch,
             prc=around.prc,

@@ -15,7 +15,6 @@ class EnvelopeLimits:
 
     max_tilt_rad: float
     max_tilt_rate_rad_s: float
-    hover_thrust_norm: float
     min_thrust_ratio: float
     max_thrust_ratio: float
     max_thrust_rate_1_s: float
@@ -31,45 +30,51 @@ class EnvelopeLimits:
 
 
 class LastGate:
-    """Limits tilt, thrust and their slew, and refuses what is not finite."""
+    """Limits tilt, thrust and their slew, and refuses what is not finite.
+
+    Thrust is limited by the hover thrust that is believed just now, so a wrong one narrows what can be flown.
+    """
 
     def __init__(self, limits: EnvelopeLimits) -> None:
         self._limits = limits
         self._last: AttitudeTarget | None = None
         self._last_s = float("-inf")
 
-    def open_at(self, now_s: float, current: AttitudeTarget) -> None:
+    def open_at(self, now_s: float, current: AttitudeTarget, hover_thrust_norm: float) -> None:
         """Begin a stream from the attitude and thrust that the vehicle has now, so that the first step is small."""
         if _finite(current):
-            self._last = self._within_limits(current)
+            self._last = self._within_limits(current, hover_thrust_norm)
             self._last_s = now_s
 
-    def admit(self, now_s: float, wanted: AttitudeTarget) -> AttitudeTarget | None:
+    def admit(self, now_s: float, wanted: AttitudeTarget, hover_thrust_norm: float) -> AttitudeTarget | None:
         """The allowed target nearest to the wanted one, or None where it is not finite or the gate was never opened."""
         if self._last is None or not _finite(wanted):
             return None
         # After a gap the slew still starts from the last command: a silent vehicle has not turned far meanwhile.
         elapsed_s = min(max(now_s - self._last_s, 0.0), 0.1)
         # Slewing each angle by itself can leave the tilt circle by a little, so the limit has the last word.
-        self._last = self._within_limits(self._slewed(self._last, self._within_limits(wanted), elapsed_s))
+        allowed = self._within_limits(wanted, hover_thrust_norm)
+        slewed = self._slewed(self._last, allowed, elapsed_s, hover_thrust_norm)
+        self._last = self._within_limits(slewed, hover_thrust_norm)
         self._last_s = now_s
         return self._last
 
-    def _within_limits(self, target: AttitudeTarget) -> AttitudeTarget:
+    def _within_limits(self, target: AttitudeTarget, hover_thrust_norm: float) -> AttitudeTarget:
         roll, pitch = wrap_pi(target.roll_rad), wrap_pi(target.pitch_rad)
         # The tilt acos(cos(roll) cos(pitch)) is never more than hypot(roll, pitch), so this limit is safe and smooth.
         tilt = hypot(roll, pitch)
         if tilt > self._limits.max_tilt_rad:
             scale = self._limits.max_tilt_rad / tilt
             roll, pitch = roll * scale, pitch * scale
-        hover = self._limits.hover_thrust_norm
-        least = hover * self._limits.min_thrust_ratio
-        most = min(1.0, hover * self._limits.max_thrust_ratio)
+        least = hover_thrust_norm * self._limits.min_thrust_ratio
+        most = min(1.0, hover_thrust_norm * self._limits.max_thrust_ratio)
         return AttitudeTarget(roll, pitch, wrap_pi(target.yaw_rad), min(max(target.thrust_norm, least), most))
 
-    def _slewed(self, last: AttitudeTarget, wanted: AttitudeTarget, elapsed_s: float) -> AttitudeTarget:
+    def _slewed(
+        self, last: AttitudeTarget, wanted: AttitudeTarget, elapsed_s: float, hover_thrust_norm: float
+    ) -> AttitudeTarget:
         angle = self._limits.max_tilt_rate_rad_s * elapsed_s
-        thrust = self._limits.max_thrust_rate_1_s * self._limits.hover_thrust_norm * elapsed_s
+        thrust = self._limits.max_thrust_rate_1_s * hover_thrust_norm * elapsed_s
         return AttitudeTarget(
             last.roll_rad + _clamped(wanted.roll_rad - last.roll_rad, angle),
             last.pitch_rad + _clamped(wanted.pitch_rad - last.pitch_rad, angle),

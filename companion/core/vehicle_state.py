@@ -21,6 +21,7 @@ from companion.types import (
     PositionError,
     PositionSample,
     Telemetry,
+    ThrustSample,
     Vector3,
     VehicleState,
 )
@@ -72,6 +73,8 @@ class VehicleTracker:
                     )
                 case LandedSample():
                     self._fields.update(landed=sample.landed, landed_time_s=sample.received_s)
+                case ThrustSample():
+                    self._fold_thrust(sample)
                 case OriginSample():
                     self._fold_origin(sample)
                 case GlobalPositionSample():
@@ -149,6 +152,12 @@ class VehicleTracker:
         fields = self._fields
         fields["roll_rad"], fields["pitch_rad"], fields["yaw_rad"] = sample.roll_rad, sample.pitch_rad, sample.yaw_rad
         fields["attitude_time_s"] = sample.received_s
+
+    def _fold_thrust(self, sample: ThrustSample) -> None:
+        if not 0.0 <= sample.thrust_norm <= 1.0:
+            self.rejected["thrust not plausible"] += 1
+            return
+        self._fields.update(thrust_norm=sample.thrust_norm, thrust_time_s=sample.received_s)
 
     def _fold_origin(self, sample: OriginSample) -> None:
         before = self._frame.offset_enu_m

@@ -47,6 +47,8 @@ class VehicleRow:
     position_enu_m: Vector3
     prc: int
     error_to_slot_m: float | None
+    hover_thrust_norm: float
+    disturbance_enu_m_s2: Vector3
     age_s: float
     data_age_s: float
     silent: bool
@@ -86,6 +88,8 @@ def _row(state: FleetState, heard: Heard, now_s: float) -> VehicleRow:
         position_enu_m=status.position_enu_m,
         prc=status.prc,
         error_to_slot_m=_error_to_slot_m(state, status, now_s),
+        hover_thrust_norm=status.hover_thrust_norm,
+        disturbance_enu_m_s2=status.disturbance_enu_m_s2,
         age_s=age_s,
         data_age_s=age_s + status.state_age_s,
         silent=_is_silent(heard, now_s),

@@ -6,7 +6,7 @@ import re
 import sys
 import time
 from collections.abc import Callable, Sequence
-from math import isfinite
+from math import hypot, isfinite
 from typing import Any, TextIO
 
 import msgspec
@@ -22,8 +22,8 @@ ONCE_SETTLE_S = 0.5  # five status periods: whoever is connected has spoken by t
 LIVE_PERIOD_S = 0.2
 PLAIN_PERIOD_S = 1.0
 
-COLUMNS = ("vehicle", "phase", "mode", "armed", "altitude", "PrC", "error", "data", "rej", "what")
-_WIDTHS = (9, 9, 14, 5, 9, 3, 8, 9, 5, 0)
+COLUMNS = ("vehicle", "phase", "mode", "armed", "altitude", "PrC", "error", "hover, push", "data", "rej", "what")
+_WIDTHS = (9, 9, 14, 5, 9, 3, 8, 15, 9, 5, 0)
 
 
 class MonitorError(Exception):
@@ -103,6 +103,7 @@ def cells(row: VehicleRow, several_fleets: bool) -> tuple[str, ...]:
         f"{row.altitude_m:.2f} m",
         str(row.prc),
         "-" if row.error_to_slot_m is None else f"{row.error_to_slot_m:.2f} m",
+        f"{row.hover_thrust_norm:.2f}, {hypot(*row.disturbance_enu_m_s2):.1f} m/s2",
         _seconds(row.data_age_s),
         str(row.rejected),
         what,

@@ -25,6 +25,7 @@ from companion.types import (
     SystemSample,
     TakeOff,
     Telemetry,
+    ThrustSample,
 )
 
 NAME = "ArduCopter"
@@ -81,6 +82,7 @@ STREAMS_US = {
     mavlink.MAVLINK_MSG_ID_HEARTBEAT: 20_000,
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 20_000,
     mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 20_000,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET: 20_000,
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 100_000,
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: 200_000,
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 200_000,
@@ -93,9 +95,11 @@ LEAST_HZ: dict[type[Telemetry], tuple[str, float]] = {
     AttitudeSample: ("attitudes", 40.0),
     LandedSample: ("landed states", 2.0),
     SystemSample: ("battery states", 1.0),
+    ThrustSample: ("thrusts", 5.0),
 }
 
 ATTITUDE_TYPE_MASK = 7  # ignore body rates
+LEAST_COS_TILT = 0.1  # farther over, thrust is not divided by more
 
 
 def is_its(heartbeat: MavlinkMessage) -> bool:
@@ -114,6 +118,14 @@ def thrust_of(target: AttitudeTarget) -> float:
     ArduCopter divides it by the cosine of the tilt (ATC_ANGLE_BOOST), which the attitude law has done already.
     """
     return target.thrust_norm * cos(target.roll_rad) * cos(target.pitch_rad)
+
+
+def commanded_thrust(message: MavlinkMessage) -> float:
+    """ATTITUDE_TARGET's along the body's axis: what it tells is not yet divided by the cosine of the tilt it wants."""
+    _, x, y, _ = message.q
+    cos_tilt = 1.0 - 2.0 * (x * x + y * y)
+    thrust: float = message.thrust / max(LEAST_COS_TILT, cos_tilt)
+    return thrust
 
 
 def command_for(request: AutopilotRequest, system_id: int) -> MavlinkMessage:

@@ -43,6 +43,9 @@ class Manners(Protocol):
     def thrust_of(self, target: AttitudeTarget) -> float:
         """The thrust of SET_ATTITUDE_TARGET that means this target's."""
 
+    def commanded_thrust(self, message: MavlinkMessage) -> float:
+        """The thrust along the body's axis, 0 to 1, that ATTITUDE_TARGET tells of. Its numbers may still be NaN."""
+
     def command_for(self, request: AutopilotRequest, system_id: int) -> MavlinkMessage:
         """The message that asks for it."""
 

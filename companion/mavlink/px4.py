@@ -19,6 +19,7 @@ from companion.types import (
     SystemSample,
     TakeOff,
     Telemetry,
+    ThrustSample,
 )
 
 NAME = "PX4"
@@ -50,6 +51,7 @@ STREAMS_US = {
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 20_000,
     mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 20_000,
     mavlink.MAVLINK_MSG_ID_CURRENT_MODE: 20_000,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET: 20_000,
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 100_000,
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: 200_000,
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 200_000,
@@ -65,6 +67,7 @@ LEAST_HZ: dict[type[Telemetry], tuple[str, float]] = {
     ModeSample: ("modes", 1.2),  # CURRENT_MODE comes at every change and else twice a second, whatever was asked
     LandedSample: ("landed states", 2.0),
     SystemSample: ("battery states", 1.0),
+    ThrustSample: ("thrusts", 5.0),  # 10 unasked are enough
 }
 
 ATTITUDE_TYPE_MASK = 7  # ignore body rates; bit 6 (throttle ignore) would mean zero thrust
@@ -87,6 +90,12 @@ def mode_of(custom_mode: int) -> tuple[AutopilotMode, str]:
 def thrust_of(target: AttitudeTarget) -> float:
     """Thrust of SET_ATTITUDE_TARGET: along the body's axis, 0 to 1."""
     return target.thrust_norm
+
+
+def commanded_thrust(message: MavlinkMessage) -> float:
+    """ATTITUDE_TARGET's, in the same sense."""
+    thrust: float = message.thrust
+    return thrust
 
 
 def command_for(request: AutopilotRequest, system_id: int) -> MavlinkMessage:

@@ -11,7 +11,15 @@ from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
 from companion.mavlink.commands import stream_request
 from companion.mavlink.manners import MANNERS, Manners, kind_of, words_for
 from companion.mavlink.signing import REASONS, SigningKey
-from companion.types import AttitudeTarget, AutopilotKind, AutopilotRequest, ModeSample, ParameterSample, Telemetry
+from companion.types import (
+    AttitudeTarget,
+    AutopilotKind,
+    AutopilotRequest,
+    ModeSample,
+    ParameterSample,
+    Telemetry,
+    ThrustSample,
+)
 
 AUTOPILOT = mavlink.MAV_COMP_ID_AUTOPILOT1
 
@@ -81,6 +89,8 @@ class Translator:
                 return self._heartbeat(message, received_s)
             case "EXTENDED_SYS_STATE":
                 return [telemetry.landed(message, received_s)]
+            case "ATTITUDE_TARGET":
+                return [self._thrust(message, received_s)] if self._autopilot else []
             case "GPS_GLOBAL_ORIGIN":
                 return [telemetry.origin(message, received_s)]
             case "SYS_STATUS":
@@ -126,6 +136,9 @@ class Translator:
 
     def _mode(self, message: MavlinkMessage, received_s: float) -> ModeSample:
         return ModeSample(received_s, *self.manners.mode_of(message.custom_mode))
+
+    def _thrust(self, message: MavlinkMessage, received_s: float) -> ThrustSample:
+        return ThrustSample(received_s, self.manners.commanded_thrust(message))
 
     def attitude_target(self, target: AttitudeTarget, now_s: float) -> bytes:
         """SET_ATTITUDE_TARGET with attitude and thrust; `now_s` becomes its time_boot_ms."""

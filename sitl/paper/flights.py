@@ -63,7 +63,10 @@ class Subject(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """One flight to be flown: what tells it from the others, and what it changes in its scenario."""
+    """One flight to be flown: what tells it from the others, and what it changes in its scenario.
+
+    The paper's laws are flown as they are: nobody looks for hover thrust and wind.
+    """
 
     subject: Subject
     law: LawName
@@ -73,8 +76,9 @@ class Plan:
 
     def scenario(self) -> Scenario:
         """Raises ConfigError."""
-        overrides = [f"fleet.law.name={self.law}", f"stand_in.seed={self.seed}", *MODEL_OVERRIDES[self.model]]
-        return load_scenario(SCENARIOS / f"{self.subject}.yaml", [*overrides, *self.more])
+        law = [f"fleet.law.name={self.law}", "fleet.law.disturbance_bandwidth_1_s=0"]
+        model = [f"stand_in.seed={self.seed}", *MODEL_OVERRIDES[self.model]]
+        return load_scenario(SCENARIOS / f"{self.subject}.yaml", [*law, *model, *self.more])
 
 
 @dataclass(frozen=True, slots=True)

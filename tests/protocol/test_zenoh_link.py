@@ -55,7 +55,7 @@ NO_TIME = Percentiles(0.0, 0.0, 0.0)
 REPORT = StatusReport(
     Status(
         1, 7, FLEET.name, 5, "weighted", FlightPhase.HOLD, "AUTO.LOITER", True, LandedState.IN_AIR, ZERO, ZERO, 0.02,
-        Role.LEADER, 0, 1, None, None, (), ZERO, ZERO, (), {}, "",
+        0.5, ZERO, Role.LEADER, 0, 1, None, None, (), ZERO, ZERO, (), {}, "",
     ),
     Timing(50.0, 1, 0, NO_TIME, NO_TIME, 5.0, 49.0),
 )  # fmt: skip

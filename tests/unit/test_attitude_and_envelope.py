@@ -13,7 +13,6 @@ from companion.types import GRAVITY_M_S2, AttitudeTarget
 LIMITS = EnvelopeLimits(
     max_tilt_rad=radians(25.0),
     max_tilt_rate_rad_s=radians(200.0),
-    hover_thrust_norm=0.5,
     min_thrust_ratio=0.3,
     max_thrust_ratio=1.6,
     max_thrust_rate_1_s=10.0,
@@ -78,12 +77,12 @@ def test_a_limited_acceleration_needs_no_more_than_the_limits(ux: float, uy: flo
 @given(st.lists(st.tuples(anything, anything, anything, anything, st.floats(0.0, 0.1)), min_size=1, max_size=30))
 def test_nothing_outside_the_limits_passes_the_gate(wishes: list[tuple[float, float, float, float, float]]) -> None:
     gate = LastGate(LIMITS)
-    gate.open_at(0.0, LEVEL)
+    gate.open_at(0.0, LEVEL, 0.5)
     now_s, last = 0.0, LEVEL
     for roll, pitch, yaw, thrust, elapsed_s in wishes:
         now_s += elapsed_s
         wanted = AttitudeTarget(roll, pitch, yaw, thrust)
-        admitted = gate.admit(now_s, wanted)
+        admitted = gate.admit(now_s, wanted, 0.5)
         if any(x != x or x in (inf, -inf) for x in (roll, pitch, yaw, thrust)):
             assert admitted is None
             continue
@@ -96,18 +95,18 @@ def test_nothing_outside_the_limits_passes_the_gate(wishes: list[tuple[float, fl
 
 def test_the_gate_slews_towards_what_is_wanted() -> None:
     gate = LastGate(LIMITS)
-    gate.open_at(0.0, LEVEL)
-    first = gate.admit(0.02, AttitudeTarget(0.3, 0.0, 0.0, 0.5))
+    gate.open_at(0.0, LEVEL, 0.5)
+    first = gate.admit(0.02, AttitudeTarget(0.3, 0.0, 0.0, 0.5), 0.5)
     assert first is not None
     assert first.roll_rad == pytest.approx(radians(4.0))
     for tick in range(2, 10):
-        first = gate.admit(0.02 * tick, AttitudeTarget(0.3, 0.0, 0.0, 0.5))
+        first = gate.admit(0.02 * tick, AttitudeTarget(0.3, 0.0, 0.0, 0.5), 0.5)
     assert first is not None
     assert first.roll_rad == pytest.approx(0.3)
 
 
 def test_a_gate_that_was_not_opened_admits_nothing() -> None:
-    assert LastGate(LIMITS).admit(1.0, LEVEL) is None
+    assert LastGate(LIMITS).admit(1.0, LEVEL, 0.5) is None
 
 
 @pytest.mark.parametrize(

@@ -27,6 +27,7 @@ SAID = {
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: mavlink.MAVLink_local_position_ned_message(0, 0, 0, 0, 0, 0, 0),
     mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: mavlink.MAVLink_attitude_quaternion_message(0, 1, 0, 0, 0, 0, 0, 0),
     mavlink.MAVLINK_MSG_ID_CURRENT_MODE: mavlink.MAVLink_current_mode_message(0, 6 << 16, 6 << 16),
+    mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET: mavlink.MAVLink_attitude_target_message(0, 0, [1, 0, 0, 0], 0, 0, 0, 0.5),
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: mavlink.MAVLink_extended_sys_state_message(0, 2),
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: mavlink.MAVLink_sys_status_message(0, 0, 0, 0, 0, 0, 90, 0, 0, 0, 0, 0, 0),
 }

@@ -106,7 +106,7 @@ def test_commands_pass_the_same_gate() -> None:
     limits = gate_limits(Envelope())
     gates = [LastGate(limits) for _ in range(n)]
     for gate, (roll, pitch, yaw) in zip(gates, euler.T.tolist(), strict=True):
-        gate.open_at(0.0, AttitudeTarget(roll, pitch, yaw, 0.49 / (np.cos(roll) * np.cos(pitch))))
+        gate.open_at(0.0, AttitudeTarget(roll, pitch, yaw, 0.49 / (np.cos(roll) * np.cos(pitch))), 0.49)
     everybody = slice(0, n)
     for tick in range(1, 40):
         wanted = random.standard_normal((3, n)) * 6.0
@@ -119,7 +119,7 @@ def test_commands_pass_the_same_gate() -> None:
         admitted = commands.admitted(wanted, rolls, pitches, everybody)
         for column in range(1, n):
             target = attitude_target(single[column], euler[2, column], rolls[column], pitches[column], 0.49)
-            passed = gates[column].admit(tick * 0.02, target)
+            passed = gates[column].admit(tick * 0.02, target, 0.49)
             assert passed is not None
             quaternion = quaternion_from_euler(passed.roll_rad, passed.pitch_rad, passed.yaw_rad)
             np.testing.assert_allclose(admitted[:, column], (*quaternion, passed.thrust_norm), atol=1e-9)
@@ -130,7 +130,6 @@ def gate_limits(envelope: Envelope) -> EnvelopeLimits:
     return EnvelopeLimits(
         radians(envelope.max_tilt_deg),
         radians(envelope.max_tilt_rate_deg_s),
-        0.49,
         envelope.min_thrust_ratio,
         envelope.max_thrust_ratio,
         envelope.max_thrust_rate_1_s,

@@ -35,6 +35,8 @@ def status(vehicle_id: int) -> Status:
         position_enu_m=(0.0, 0.0, 0.0),
         velocity_enu_m_s=(0.0, 0.0, 0.0),
         state_age_s=0.01,
+        hover_thrust_norm=0.5,
+        disturbance_enu_m_s2=(0.0, 0.0, 0.0),
         role=Role.LEADER if leads else Role.FOLLOWER,
         epoch=0,
         prc=vehicle_id,

@@ -472,10 +472,10 @@ def test_whatever_is_wanted_what_is_sent_is_a_rotation_and_a_thrust(
     kind: AutopilotKind, angles: tuple[float, float, float], thrust: float
 ) -> None:
     """PX4 falls at a NaN thrust; ArduCopter's process ends at a NaN quaternion, and it stops at one that is not of length 1."""
-    limits = EnvelopeLimits(0.5, 7.0, 0.5, 0.3, 1.6, 10.0, (-9.0, -9.0, -9.0), (9.0, 9.0, 9.0))
+    limits = EnvelopeLimits(0.5, 7.0, 0.3, 1.6, 10.0, (-9.0, -9.0, -9.0), (9.0, 9.0, 9.0))
     gate = LastGate(limits)
-    gate.open_at(0.0, AttitudeTarget(0.0, 0.0, 0.0, 0.5))
-    admitted = gate.admit(0.02, AttitudeTarget(*angles, thrust))
+    gate.open_at(0.0, AttitudeTarget(0.0, 0.0, 0.0, 0.5), 0.5)
+    admitted = gate.admit(0.02, AttitudeTarget(*angles, thrust), 0.5)
     if admitted is None:
         return
     message = sent(kind, admitted)

@@ -24,6 +24,8 @@ ROW = VehicleRow(
     position_enu_m=(1.0, 2.0, 2.504),
     prc=2,
     error_to_slot_m=0.126,
+    hover_thrust_norm=0.4871,
+    disturbance_enu_m_s2=(1.2, -1.6, 0.0),
     age_s=0.04,
     data_age_s=0.061,
     silent=False,
@@ -41,7 +43,7 @@ def cell(row: VehicleRow, column: str) -> str:
 
 def test_a_flying_vehicle() -> None:
     assert cells(ROW, several_fleets=False) == (
-        "3", "formation", "OFFBOARD", "armed", "2.50 m", "2", "0.13 m", "61 ms", "7", "engage -> formation",
+        "3", "formation", "OFFBOARD", "armed", "2.50 m", "2", "0.13 m", "0.49, 2.0 m/s2", "61 ms", "7", "engage -> formation",
     )  # fmt: skip
 
 

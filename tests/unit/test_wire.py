@@ -73,6 +73,8 @@ reports = st.builds(
         position_enu_m=vectors,
         velocity_enu_m_s=vectors,
         state_age_s=numbers,
+        hover_thrust_norm=numbers,
+        disturbance_enu_m_s2=vectors,
         role=st.sampled_from(Role),
         epoch=counts,
         prc=st.integers(1, 250),
@@ -116,7 +118,8 @@ PACKET = PeerPacket(
 REPORT = StatusReport(
     Status(
         3, 1, "platoon", 5, "weighted", FlightPhase.HOLD, "AUTO.LOITER", True, LandedState.IN_AIR, (1.0, 2.0, 3.0),
-        (0.0, 0.0, 0.0), 0.02, Role.FOLLOWER, 7, 2, None, None, (2, 4), (-3.0, 0.0, 0.0), None, (HealthFlag.FENCE,),
+        (0.0, 0.0, 0.0), 0.02, 0.49, (1.0, -2.0, 0.0), Role.FOLLOWER, 7, 2, None, None, (2, 4), (-3.0, 0.0, 0.0), None,
+        (HealthFlag.FENCE,),
         {"malformed": 3}, "takeoff -> hold",
     ),
     Timing(50.0, 3000, 0, Percentiles(1.0, 2.0, 3.0), Percentiles(4.0, 5.0, 6.0), 5.1, 49.0),
