@@ -25,11 +25,17 @@ bench: .venv/fly.ready
 bench-batch: .venv-bench/bench.ready
 	.venv-bench/bin/python -m sitl.batch.benchmark
 
+# Unit tests share the cores; what flies in real time has them for itself.
+UNIT_TESTS = $(BIN)/pytest -n 2 --dist worksteal tests/unit
+OTHER_TESTS = $(BIN)/pytest --ignore tests/unit
+
 test: .venv/test.ready
-	$(BIN)/pytest
+	$(UNIT_TESTS)
+	$(OTHER_TESTS)
 
 test-fast: .venv/test.ready
-	$(BIN)/pytest -m "not fleet"
+	$(UNIT_TESTS)
+	$(OTHER_TESTS) -m "not fleet"
 
 check: .venv/test.ready
 	$(BIN)/ruff check .

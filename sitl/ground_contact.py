@@ -24,6 +24,11 @@ class GroundContact:
         self._landed_s = 0.0
         self._still_since_s: float | None = None
 
+    @property
+    def flies(self) -> bool:
+        """At the last look, without a touch of the ground."""
+        return not self.landed and self._still_since_s is None
+
     def arm(self, now_s: float) -> None:
         self._armed_s = now_s
         self.flown = False

@@ -242,7 +242,10 @@ class Px4(Autopilot):
     # ------------------------------------------------------------ ground and modes
 
     def _watch_ground(self) -> None:
-        contact = self._ground.watch(self.quad.stands, self._thrust_is_little(), self.time_s)
+        stands = self.quad.stands
+        if self._ground.flies and not stands:
+            return  # nothing follows from going on
+        contact = self._ground.watch(stands, self._thrust_is_little(), self.time_s)
         if contact is Contact.TOOK_OFF:
             self.say(INFO, "Takeoff detected")
         elif contact is Contact.LANDED:

@@ -73,6 +73,8 @@ class DisturbanceObserver:
 
     def update(self, motion: Motion) -> None:
         """Take in one measurement; one that is no newer than the last changes nothing."""
+        if self._bandwidth_1_s == 0.0:
+            return
         last = self._last
         if last is None or motion.time_s - last.time_s > LONGEST_GAP_S:
             self._last, self._velocity_enu_m_s, self._thrust_norm = motion, motion.velocity_enu_m_s, motion.thrust_norm
@@ -81,55 +83,63 @@ class DisturbanceObserver:
         if dt_s <= 0.0:
             return
         self._last, self._has_flown = motion, True
-        jumps = [b - a for a, b in zip(last.velocity_enu_m_s, motion.velocity_enu_m_s, strict=True)]
-        if max(map(abs, jumps)) > RESET_M_S + RESET_M_S2 * dt_s:
+        (vx, vy, vz), (last_x, last_y, last_z) = motion.velocity_enu_m_s, last.velocity_enu_m_s
+        jump_x, jump_y, jump_z = vx - last_x, vy - last_y, vz - last_z
+        if max(abs(jump_x), abs(jump_y), abs(jump_z)) > RESET_M_S + RESET_M_S2 * dt_s:
             x, y, z = self._velocity_enu_m_s
-            self._velocity_enu_m_s = (x + jumps[0], y + jumps[1], z + jumps[2])
+            self._velocity_enu_m_s = (x + jump_x, y + jump_y, z + jump_z)
             return
         self._correct(motion, self._predicted(last, motion, dt_s), dt_s)
 
     def _predicted(self, last: Motion, motion: Motion, dt_s: float) -> Vector3:
         """The model's velocity one step on, m/s."""
-        before = self._acceleration(last)
+        before_x, before_y, before_z = self._acceleration(last)
         self._thrust_norm += (last.thrust_norm - self._thrust_norm) * (1.0 - exp(-dt_s / THRUST_LAG_S))
-        after = self._acceleration(motion)
-        x, y, z = (v + 0.5 * dt_s * (a + b) for v, a, b in zip(self._velocity_enu_m_s, before, after, strict=True))
-        return (x, y, z)
+        after_x, after_y, after_z = self._acceleration(motion)
+        (x, y, z), half_s = self._velocity_enu_m_s, 0.5 * dt_s
+        return (
+            x + half_s * (before_x + after_x),
+            y + half_s * (before_y + after_y),
+            z + half_s * (before_z + after_z),
+        )
 
     def _acceleration(self, motion: Motion) -> Vector3:
         """What the model says of it, m/s^2."""
         per_mass = self._thrust_norm / self.hover_thrust_norm * GRAVITY_M_S2
         roll_rad, pitch_rad, yaw_rad = motion.attitude_rad
-        ahead, left = cos(roll_rad) * sin(pitch_rad) * per_mass, -sin(roll_rad) * per_mass
+        share = cos(roll_rad) * per_mass
+        ahead, left = sin(pitch_rad) * share, -sin(roll_rad) * per_mass
         cos_yaw, sin_yaw = cos(yaw_rad), sin(yaw_rad)
         (vx, vy, vz), (dx, dy, _) = motion.velocity_enu_m_s, self.disturbance_enu_m_s2
         return (
             ahead * cos_yaw - left * sin_yaw - self._drag_1_s * vx + dx,
             ahead * sin_yaw + left * cos_yaw - self._drag_1_s * vy + dy,
-            cos(roll_rad) * cos(pitch_rad) * per_mass - GRAVITY_M_S2 - self._drag_1_s * vz,
+            cos(pitch_rad) * share - GRAVITY_M_S2 - self._drag_1_s * vz,
         )
 
     def _correct(self, motion: Motion, predicted: Vector3, dt_s: float) -> None:
         """Both poles of the error at the bandwidth, however long the step."""
         pole = exp(-self._bandwidth_1_s * dt_s)
         to_velocity, to_disturbance = 1.0 - pole**2, (1.0 - pole) ** 2 / dt_s
-        missed = [
-            _clamped(v - p, LARGEST_INNOVATION_M_S) for v, p in zip(motion.velocity_enu_m_s, predicted, strict=True)
-        ]
-        x, y, z = (p + to_velocity * e for p, e in zip(predicted, missed, strict=True))
-        self._velocity_enu_m_s = (x, y, z)
+        (vx, vy, vz), (x, y, z) = motion.velocity_enu_m_s, predicted
+        missed_x = _clamped(vx - x, LARGEST_INNOVATION_M_S)
+        missed_y = _clamped(vy - y, LARGEST_INNOVATION_M_S)
+        missed_z = _clamped(vz - z, LARGEST_INNOVATION_M_S)
+        self._velocity_enu_m_s = (x + to_velocity * missed_x, y + to_velocity * missed_y, z + to_velocity * missed_z)
         most = MAX_DISTURBANCE_RATE_M_S3 * dt_s
-        dx, dy = (_clamped(to_disturbance * e, most) for e in missed[:2])
-        self._disturb(dx, dy)
-        share = _clamped(to_disturbance * missed[2] / GRAVITY_M_S2, MAX_HOVER_RATE_1_S * dt_s)
+        self._disturb(_clamped(to_disturbance * missed_x, most), _clamped(to_disturbance * missed_y, most))
+        share = _clamped(to_disturbance * missed_z / GRAVITY_M_S2, MAX_HOVER_RATE_1_S * dt_s)
         low, high = HOVER_RANGE_NORM
         self.hover_thrust_norm = min(max(self.hover_thrust_norm * (1.0 - share), low), high)
 
     def _disturb(self, dx_m_s2: float, dy_m_s2: float) -> None:
         x, y = self.disturbance_enu_m_s2[0] + dx_m_s2, self.disturbance_enu_m_s2[1] + dy_m_s2
-        scale = min(1.0, MAX_DISTURBANCE_M_S2 / max(hypot(x, y), 1e-9))
+        size = hypot(x, y)
+        scale = MAX_DISTURBANCE_M_S2 / size if size > MAX_DISTURBANCE_M_S2 else 1.0
         self.disturbance_enu_m_s2 = (x * scale, y * scale, 0.0)
 
 
 def _clamped(value: float, limit: float) -> float:
-    return min(max(value, -limit), limit)
+    if value > limit:
+        return limit
+    return -limit if value < -limit else value

@@ -9,6 +9,7 @@ ignored make it stop in the air. After a stream's end it flies the last attitude
 
 from __future__ import annotations
 
+from functools import lru_cache
 from math import cos
 
 from companion.mavlink.codec import MavlinkMessage, mavlink
@@ -107,6 +108,7 @@ def is_its(heartbeat: MavlinkMessage) -> bool:
     return heartbeat.autopilot == MAV_AUTOPILOT and heartbeat.type in MAV_TYPES
 
 
+@lru_cache(maxsize=64)  # it is told 50 times a second and hardly ever another one
 def mode_of(custom_mode: int) -> tuple[AutopilotMode, str]:
     """Meaning and ArduCopter's own name of a custom_mode."""
     return MEANING.get(custom_mode, AutopilotMode.OTHER), MODE_NAMES.get(custom_mode, f"mode {custom_mode}")

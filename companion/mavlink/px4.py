@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from functools import lru_cache
 from math import nan
 
 from companion.mavlink.codec import MavlinkMessage, mavlink
@@ -78,6 +79,7 @@ def is_its(heartbeat: MavlinkMessage) -> bool:
     return bool(heartbeat.autopilot == MAV_AUTOPILOT)
 
 
+@lru_cache(maxsize=64)  # it is told 50 times a second and hardly ever another one
 def mode_of(custom_mode: int) -> tuple[AutopilotMode, str]:
     """Meaning and PX4's own name of a custom_mode."""
     main, sub = custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF

@@ -146,7 +146,6 @@ def test_without_lag_the_paper_s_figure_comes_out(tmp_path: Path) -> None:
         f"{FORM}=8",
         "stand_in.airframe.attitude=instant",
         "stand_in.airframe.motor_lag_s=0",
-        "fleet.law.disturbance_bandwidth_1_s=0",  # the paper has no observer
     )
     summary = flown(tmp_path, 2010, "--quiet", *(word for override in overrides for word in ("--set", override)))
     assert largest(summary) <= 1.76

@@ -240,6 +240,8 @@ def test_the_platoon_is_analysed(capsys: pytest.CaptureFixture[str]) -> None:
 def changed(tmp_path: Path, **changes: object) -> Path:
     data = yaml.safe_load((SCENARIOS / "platoon.yaml").read_text())
     data["fleet"].update(changes)
+    ids = {vehicle["id"] for vehicle in data["fleet"]["vehicles"]}
+    data["starts_enu_m"] = {i: start for i, start in data["starts_enu_m"].items() if i in ids}
     (tmp_path / "scenario.yaml").write_text(yaml.safe_dump(data))
     return tmp_path / "scenario.yaml"
 

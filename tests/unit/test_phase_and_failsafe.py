@@ -344,7 +344,7 @@ def test_a_climb_is_done_at_its_height() -> None:
 
 def test_a_mode_that_px4_tells_twice_a_second_is_never_too_old() -> None:
     """Measured: 0.51 to 0.53 s from one CURRENT_MODE to the next, whatever rate was asked for."""
-    limits = EnvelopeLimits(0.5, 7.0, 0.5, 0.3, 1.6, 10.0, (-9.0, -9.0, -9.0), (9.0, 9.0, 9.0))
+    limits = EnvelopeLimits(0.5, 7.0, 0.3, 1.6, 10.0, (-9.0, -9.0, -9.0), (9.0, 9.0, 9.0))
     vehicle = VehicleState(position_time_s=9.99, attitude_time_s=9.99, mode_time_s=10.0 - 0.53, heartbeat_time_s=9.5)
     flags = health_flags(10.0, vehicle, None, AgeLimits(), limits)
     assert HealthFlag.MODE_STALE not in flags

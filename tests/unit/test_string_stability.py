@@ -196,6 +196,8 @@ def test_a_critically_damped_vehicle_never_overshoots() -> None:
 def changed(tmp_path: Path, **changes: object) -> Path:
     data = yaml.safe_load((SCENARIOS / "platoon.yaml").read_text())
     data["fleet"].update(changes)
+    ids = {vehicle["id"] for vehicle in data["fleet"]["vehicles"]}
+    data["starts_enu_m"] = {i: start for i, start in data["starts_enu_m"].items() if i in ids}
     (tmp_path / "scenario.yaml").write_text(yaml.safe_dump(data))
     return tmp_path / "scenario.yaml"
 
