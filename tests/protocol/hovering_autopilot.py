@@ -17,6 +17,7 @@ from companion.mavlink.signing import SigningKey
 
 PERIOD_S = 0.02
 LOITER, OFFBOARD = (4, 3), (6, 0)
+HOVER_THRUST_NORM = 0.49
 IN_ORDER = {
     "COM_OF_LOSS_T": 1.0,
     "COM_OBL_RC_ACT": 5.0,
@@ -25,7 +26,7 @@ IN_ORDER = {
     "GF_ACTION": 2.0,
     "GF_MAX_HOR_DIST": 100.0,
     "GF_MAX_VER_DIST": 50.0,
-    "MPC_THR_HOVER": 0.49,
+    "MPC_THR_HOVER": HOVER_THRUST_NORM,
 }
 
 
@@ -85,6 +86,7 @@ class HoveringAutopilot:
         said = [
             mavlink.MAVLink_attitude_quaternion_message(boot_ms, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
             mavlink.MAVLink_current_mode_message(0, custom_mode, custom_mode),
+            mavlink.MAVLink_attitude_target_message(boot_ms, 7, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0, HOVER_THRUST_NORM),
         ]
         if count % 10 == 0:
             armed = mavlink.MAV_MODE_FLAG_SAFETY_ARMED | mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
