@@ -8,9 +8,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from companion import __version__
-from companion.closed_pipe import ending_quietly
+from companion.ending import ending_quietly
 
-EXIT_CANNOT_CONVERGE, EXIT_FILE, EXIT_NO_AUTOPILOT, EXIT_INTERRUPTED = 1, 2, 3, 130
+EXIT_CANNOT_CONVERGE, EXIT_FILE, EXIT_NO_AUTOPILOT = 1, 2, 3
 
 DESCRIPTION = """\
 Formation flight for quadrotors that carry a computer of their own.
@@ -64,10 +64,11 @@ what is safe to set, reads it again and shows what is left. It sets nothing whil
 and takes no means from the pilot: what the pilot must decide stays a line that says how to set it.
 
 exit codes:
-  0  fit to fly in formation; there may be warnings
-  1  a refusal stands, or --fix could not set what it meant to
-  2  a file, an endpoint in it or an argument cannot be used, or the link is in use
-  3  the autopilot never answered
+  0    fit to fly in formation; there may be warnings
+  1    a refusal stands, or --fix could not set what it meant to
+  2    a file, an endpoint in it or an argument cannot be used, or the link is in use
+  3    the autopilot never answered
+  130  ended by Ctrl-C
 """
 
 
@@ -205,8 +206,6 @@ def _doctor(options: argparse.Namespace) -> int:
         return _fail(str(error), EXIT_FILE)
     except AutopilotSilentError as error:
         return _fail(str(error), EXIT_NO_AUTOPILOT)
-    except KeyboardInterrupt:
-        return _fail("interrupted", EXIT_INTERRUPTED)
 
 
 def _monitor(options: argparse.Namespace) -> int:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from companion import __version__
-from companion.closed_pipe import ending_quietly
+from companion.ending import ending_quietly
 from companion.types import AutopilotKind
 
 EXIT_FAILED, EXIT_BAD_INPUT = 1, 2

@@ -43,12 +43,19 @@ def test_ctrl_c_while_it_starts_ends_an_agent_and_a_monitor_well(
     assert cli.main(arguments) == 0
 
 
-def test_ctrl_c_ends_an_analysis_with_a_word(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("run", "arguments"),
+    [
+        ("companion.analysis.load_subject", ["analyze", "fleet.yaml"]),
+        ("companion.doctor.run_doctor", ["doctor", "--config", "vehicle.yaml"]),
+    ],
+)
+def test_ctrl_c_ends_what_has_a_result_with_a_word(
+    run: str, arguments: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("companion.analysis.load_subject", interrupted)
+    monkeypatch.setattr(run, interrupted)
     with pytest.raises(SystemExit, match="130"):
-        cli.main(["analyze", "fleet.yaml"])
+        cli.main(arguments)
     assert capsys.readouterr().err == "interrupted\n"
 
 

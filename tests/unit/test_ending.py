@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from companion.closed_pipe import ending_quietly
+from companion.ending import ending_quietly
 
 PLATOON = Path(__file__).parents[2] / "config" / "scenarios" / "platoon.yaml"
 
