@@ -13,7 +13,6 @@ from companion import __version__
 from companion.ending import ending_quietly
 from companion.types import AutopilotKind
 
-EXIT_FAILED, EXIT_BAD_INPUT = 1, 2
 MAX_PORT_OFFSET = 40_000  # vehicle 250's ports are then still ports
 
 
@@ -24,21 +23,17 @@ def main() -> NoReturn:
 
 def _main() -> int:
     """The exit code. Imports what takes a while itself, for Ctrl-C may come meanwhile."""
-    from companion.config_file import ConfigError
+    from sitl.ending import exit_code_of
     from sitl.needed import check_installed
-    from sitl.workers import WorkerDiedError
 
     arguments = _parser().parse_args()
     run: Callable[[argparse.Namespace], int] = arguments.run
-    try:
+
+    def installed_and_run() -> int:
         check_installed(arguments.command)
         return run(arguments)
-    except ConfigError as error:
-        print(error, file=sys.stderr)
-        return EXIT_BAD_INPUT
-    except WorkerDiedError as error:
-        print(error, file=sys.stderr)
-        return EXIT_FAILED
+
+    return exit_code_of(installed_and_run)
 
 
 def _parser() -> argparse.ArgumentParser:

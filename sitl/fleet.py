@@ -20,6 +20,7 @@ import yaml
 from companion.config import MAX_DRAG_1_S, GeodeticOrigin, VehicleConfig, VehicleId, ZenohEndpoints
 from companion.types import AutopilotKind
 from sitl.config import AutopilotFile
+from sitl.ending import UnusableError
 from sitl.manners import MANNERS
 from sitl.ports import GROUND_STATION_PORT, LOOPBACK, Ports, ports_of
 from sitl.scenario import Scenario
@@ -35,7 +36,7 @@ SET_UP: dict[AutopilotKind, dict[str, float]] = {
 }
 
 
-class PortInUseError(Exception):
+class PortInUseError(UnusableError):
     """str() is one line: which port, what wants it, what to do."""
 
 

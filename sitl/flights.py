@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime
@@ -12,15 +11,13 @@ from pathlib import Path
 from companion.config_file import ConfigError
 from companion.types import CommandName
 from sitl.compare import compare, in_a_table, with_law, write_comparison
-from sitl.fleet import PortInUseError
+from sitl.ending import EXIT_DONE, EXIT_FAILED
 from sitl.metrics import Flight, Tracks, formation_figures, neighbouring_pairs, smallest_distance_m
 from sitl.run_options import LAWS, RunOptions
 from sitl.scenario import Scenario, load_scenario, reference_of
-from sitl.stopping import StopNow, StopRequest
+from sitl.stopping import StopRequest
 from sitl.summary import Summary, in_words, summarize, write_json
 from sitl.watch import FlightWatch
-
-EXIT_FLOWN, EXIT_FAILED, EXIT_UNUSABLE = 0, 1, 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,24 +37,12 @@ FlyOnce = Callable[[Scenario, str, Path, StopRequest], Result]  # scenario, its 
 
 
 def run_flights(options: RunOptions, fly_once: FlyOnce, check: Callable[[Scenario], None] | None = None) -> int:
-    """Fly as the options say; the exit code. Everything that a user can cause ends in one line.
+    """Fly as the options say; the exit code. Raises what sitl/ending.py puts into words.
 
     `check` is called before anything is written or flown; it may raise ConfigError or PortInUseError.
     """
-    with StopRequest() as stop:
-        try:
-            return _run(options, fly_once, check, stop)
-        except (ConfigError, PortInUseError) as error:
-            print(error, file=sys.stderr)
-            return EXIT_UNUSABLE
-        except BrokenPipeError:  # no folder's fault
-            raise
-        except OSError as error:
-            print(f"{error.filename}: {error.strerror}; choose another folder with --out", file=sys.stderr)
-            return EXIT_UNUSABLE
-        except StopNow:
-            print("stopped at once; nothing was landed", file=sys.stderr)
-            return stop.exit_code
+    with StopRequest("stopped at once; nothing was landed") as stop:
+        return _run(options, fly_once, check, stop)
 
 
 def _run(options: RunOptions, fly_once: FlyOnce, check: Callable[[Scenario], None] | None, stop: StopRequest) -> int:
@@ -119,7 +104,7 @@ def _fly_laws(
 
 
 def _exit_code(summary: Summary) -> int:
-    return EXIT_FAILED if summary.failure else EXIT_FLOWN
+    return EXIT_FAILED if summary.failure else EXIT_DONE
 
 
 def write_results(

@@ -10,14 +10,21 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class StopNow(BaseException):
-    """The signal that stops at once. Raised wherever the main thread happens to be; no error, like KeyboardInterrupt."""
+    """The signal that stops at once. Raised wherever the main thread happens to be; no error, like KeyboardInterrupt.
+
+    str() says in one line what is left of the work.
+    """
+
+    def __init__(self, words: str, exit_code: int) -> None:
+        super().__init__(words)
+        self.exit_code = exit_code
 
 
 class StopRequest:
-    """Watches the signals while it is used in a `with`. `number` is the first that came."""
+    """Watches the signals while it is used in a `with`. `number` is the first that came; `words` are StopNow's."""
 
-    def __init__(self, at_once: bool = False) -> None:
-        self._at_once = at_once
+    def __init__(self, words: str, at_once: bool = False) -> None:
+        self._words, self._at_once = words, at_once
         self.number: signal.Signals | None = None
 
     @property
@@ -40,4 +47,4 @@ class StopRequest:
         if first:
             self.number = signal.Signals(number)
         if first == self._at_once:  # asked to stop at once, it has better things to do than to hear that again
-            raise StopNow
+            raise StopNow(self._words, self.exit_code)

@@ -20,6 +20,8 @@ from multiprocessing.process import BaseProcess
 from queue import SimpleQueue
 from typing import Any, Generic, TypeVar
 
+from sitl.ending import FailedError
+
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 
@@ -28,7 +30,7 @@ OF_A_TERMINAL = {signal.SIGINT, signal.SIGHUP}  # these reach every process of i
 TOLD, DONE, RAISED = "told", "done", "raised"  # what comes through a pipe, each with a value
 
 
-class WorkerDiedError(Exception):
+class WorkerDiedError(FailedError):
     """A process was killed from outside."""
 
     def __str__(self) -> str:

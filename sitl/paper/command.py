@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from companion.config_file import ConfigError
-from sitl.paper.no_formation import NoFormationError
+from sitl.ending import EXIT_DONE
 from sitl.share import ShareProgress
-from sitl.stopping import StopNow, StopRequest
+from sitl.stopping import StopRequest
 
 if TYPE_CHECKING:
     from sitl.paper.claims import Claim
     from sitl.paper.flights import FlownPlan
-
-EXIT_WRITTEN, EXIT_FAILED, EXIT_UNUSABLE = 0, 1, 2
 
 DESCRIPTION = """\
 Reproduce Hou and Zhang (Robotica 2021): compute every claim of the theory, fly what figures 4 to 10 show with the same agents
@@ -63,25 +59,10 @@ def paper_options(parsed: argparse.Namespace) -> PaperOptions:
 
 
 def run_paper(options: PaperOptions) -> int:
-    """The exit code. Everything that a user can cause ends in one line."""
-    with StopRequest(at_once=True) as stop:
-        try:
-            _check(options)
-            return _reproduce(options)
-        except NoFormationError as error:
-            print(error, file=sys.stderr)
-            return EXIT_FAILED
-        except ConfigError as error:
-            print(error, file=sys.stderr)
-            return EXIT_UNUSABLE
-        except BrokenPipeError:  # no folder's fault
-            raise
-        except OSError as error:
-            print(f"{error.filename}: {error.strerror}; choose another folder with --out", file=sys.stderr)
-            return EXIT_UNUSABLE
-        except StopNow:
-            print("stopped; no report was written", file=sys.stderr)
-            return stop.exit_code
+    """The exit code. Raises what sitl/ending.py puts into words."""
+    with StopRequest("stopped; no report was written", at_once=True):
+        _check(options)
+        return _reproduce(options)
 
 
 def _check(options: PaperOptions) -> None:
@@ -128,7 +109,7 @@ def _reproduce(options: PaperOptions) -> int:
     )
     write_report(options.out, report)
     print(f"{in_short(report.claims)}\nreport in {options.out / 'index.html'} ({report.took_s:.0f} s)", flush=True)
-    return EXIT_WRITTEN
+    return EXIT_DONE
 
 
 def _compute_and_fly(options: PaperOptions, progress: ShareProgress) -> tuple[list[Claim], list[FlownPlan]]:

@@ -10,10 +10,10 @@ from pathlib import Path
 from companion.config import LawName
 from companion.types import Role
 from sitl.director import Director
+from sitl.ending import FailedError
 from sitl.fleet import ids_of
 from sitl.lockstep import Lockstep
 from sitl.metrics import Flight, Formation, neighbouring_pairs
-from sitl.paper.no_formation import NoFormationError
 from sitl.progress import Progress
 from sitl.scenario import Scenario, load_scenario, reference_of
 from sitl.tracks import Track
@@ -31,6 +31,10 @@ COOPERATION_S = 40.0  # of the flights of figures 7 and 8, which lasted about as
 PATIENT = "fleet.peers.leader_word_max_age_s=10"
 ALONE_S = 10.0
 NOISY_LAWS: tuple[LawName, ...] = ("average_22", "weighted")
+
+
+class NoFormationError(FailedError):
+    """A flight never came to the formation that is to be measured. str() is one line."""
 
 
 class Model(StrEnum):

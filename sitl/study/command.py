@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Callable, Sequence
 from datetime import datetime
 from pathlib import Path
@@ -11,10 +10,10 @@ from textwrap import fill
 
 from msgspec import Struct
 
-from companion.config_file import ConfigError
+from sitl.ending import EXIT_DONE
 from sitl.paper.claims import Claim
 from sitl.share import ShareProgress
-from sitl.stopping import StopNow, StopRequest
+from sitl.stopping import StopRequest
 from sitl.study.goals import goal_claims
 from sitl.study.large import Spectra, large_spectra
 from sitl.study.study import Study, run_study
@@ -38,24 +37,16 @@ class PastThePaper(Struct, frozen=True, kw_only=True):
 
 
 def run_study_command(arguments: argparse.Namespace) -> int:
-    """The exit code. Raises ConfigError."""
+    """The exit code. Raises what sitl/ending.py puts into words."""
     folder: Path = arguments.out or Path("runs") / f"study-{datetime.now():%Y%m%d-%H%M%S}"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError("sitl study", "--out", f"{folder}: {error.strerror}; choose another folder") from error
-    with StopRequest(at_once=True) as stop:
-        try:
-            with ShareProgress(arguments.quiet) as progress:
-                progress.begin("past the paper")
-                found = past_the_paper(arguments.full, progress.show)
-        except StopNow:
-            print("stopped; nothing was written", file=sys.stderr)
-            return stop.exit_code
+    folder.mkdir(parents=True, exist_ok=True)
+    with StopRequest("stopped; nothing was written", at_once=True), ShareProgress(arguments.quiet) as progress:
+        progress.begin("past the paper")
+        found = past_the_paper(arguments.full, progress.show)
     write_json(folder / "study.json", found)
     draw(folder, found)
     print(f"{in_a_table(found.study.quiet, SHOWN)}\n\n{_in_words(found.claims)}\n\nresults in {folder}")
-    return 0
+    return EXIT_DONE
 
 
 def past_the_paper(full: bool, progress: Callable[[float], None]) -> PastThePaper:

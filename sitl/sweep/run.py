@@ -9,8 +9,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
-from companion.config_file import ConfigError
-from sitl.flights import EXIT_FLOWN, EXIT_UNUSABLE
+from sitl.ending import EXIT_DONE
 from sitl.share import ShareProgress
 from sitl.stopping import StopNow, StopRequest
 from sitl.summary import write_json
@@ -20,10 +19,6 @@ from sitl.sweep.points import Axis, Point, axes_of, base_scenario, formation_tim
 from sitl.sweep.report import Row, in_a_table, write_csv
 from sitl.sweep.statistics import Sweep, combination
 from sitl.workers import LOOK_EVERY_S, running
-
-
-class StoppedError(Exception):
-    """A signal came while nothing was flying yet."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,24 +39,9 @@ class FlownGrid:
 
 
 def run(options: SweepOptions) -> int:
-    """Fly as the options say; the exit code. Everything that a user can cause ends in one line."""
-    with StopRequest() as stop:
-        try:
-            return _run(options, stop)
-        except ConfigError as error:
-            print(error, file=sys.stderr)
-            return EXIT_UNUSABLE
-        except StoppedError:
-            print("stopped; nothing was flown", file=sys.stderr)
-            return stop.exit_code
-        except BrokenPipeError:  # no folder's fault
-            raise
-        except OSError as error:
-            print(f"{error.filename}: {error.strerror}; choose another folder with --out", file=sys.stderr)
-            return EXIT_UNUSABLE
-        except StopNow:
-            print("stopped at once; nothing was kept", file=sys.stderr)
-            return stop.exit_code
+    """Fly as the options say; the exit code. Raises what sitl/ending.py puts into words."""
+    with StopRequest("stopped at once; nothing was kept") as stop:
+        return _run(options, stop)
 
 
 def _run(options: SweepOptions, stop: StopRequest) -> int:
@@ -77,16 +57,16 @@ def _run(options: SweepOptions, stop: StopRequest) -> int:
     sweep = _statistics(options, name, grid, flown.rows)
     _write(folder, grid, sweep, flown.rows)
     print(f"{in_a_table(sweep)}\n{_speed(sweep, flown)}\nresults in {folder}")
-    return stop.exit_code if stop.number else EXIT_FLOWN
+    return stop.exit_code if stop.number else EXIT_DONE
 
 
 def _grid(options: SweepOptions, progress: ShareProgress, stop: StopRequest) -> Grid:
-    """Raises ConfigError, and StoppedError: many scenarios take a while to check."""
+    """Raises ConfigError, and StopNow: many scenarios take a while to check."""
 
     def told(number: int, of: int) -> None:
         progress.show(number / of)
         if stop.number:
-            raise StoppedError
+            raise StopNow("stopped; nothing was flown", stop.exit_code)
 
     progress.begin("checking")
     base = base_scenario(options.scenario, options.overrides)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
@@ -11,8 +10,9 @@ from pathlib import Path
 from msgspec import Struct
 
 from companion.config_file import ConfigError
+from sitl.ending import EXIT_DONE
 from sitl.share import ShareProgress
-from sitl.stopping import StopNow, StopRequest
+from sitl.stopping import StopRequest
 from sitl.summary import write_json
 from sitl.switching.starts import Start, random_start
 from sitl.switching.study import fly_all, plans
@@ -34,22 +34,17 @@ class Report(Struct, frozen=True, kw_only=True):
 
 
 def run_switching(arguments: argparse.Namespace) -> int:
-    """The exit code. Raises ConfigError."""
+    """The exit code. Raises what sitl/ending.py puts into words."""
     folder: Path = arguments.out or Path("runs") / f"switching-{datetime.now():%Y%m%d-%H%M%S}"
-    with StopRequest(at_once=True) as stop:
-        try:
-            with ShareProgress(arguments.quiet) as progress:
-                progress.begin("random starts")
-                starts = _starts(arguments, progress.show)
-                _make(folder)
-                planned = plans(starts, arguments.range, (0.0, arguments.hysteresis), arguments.seconds)
-                progress.begin(f"{len(planned)} batches")
-                flown = fly_all(planned, progress.show)
-        except StopNow:
-            print("stopped; nothing was written", file=sys.stderr)
-            return stop.exit_code
+    with StopRequest("stopped; nothing was written", at_once=True), ShareProgress(arguments.quiet) as progress:
+        progress.begin("random starts")
+        starts = _starts(arguments, progress.show)
+        folder.mkdir(parents=True, exist_ok=True)
+        planned = plans(starts, arguments.range, (0.0, arguments.hysteresis), arguments.seconds)
+        progress.begin(f"{len(planned)} batches")
+        flown = fly_all(planned, progress.show)
     _write(folder, arguments, flown)
-    return 0
+    return EXIT_DONE
 
 
 def _starts(arguments: argparse.Namespace, progress: Callable[[float], None]) -> list[Start]:
@@ -64,14 +59,6 @@ def _starts(arguments: argparse.Namespace, progress: Callable[[float], None]) ->
                 "sitl switching", "--vehicles, --range", f"{error}; choose fewer vehicles or another range"
             ) from error
     return starts
-
-
-def _make(folder: Path) -> None:
-    """Raises ConfigError."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError("sitl switching", "--out", f"{folder}: {error.strerror}; choose another folder") from error
 
 
 def _write(folder: Path, arguments: argparse.Namespace, flown: list[Topology]) -> None:

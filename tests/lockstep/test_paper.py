@@ -14,10 +14,9 @@ from companion.config import LawName
 from sitl.metrics import formation_figures
 from sitl.paper.aggregation_claims import broken_edges, has_gathered, left_for_good_s
 from sitl.paper.book import Book, Entry
-from sitl.paper.flights import PATIENT, FlownPlan, Model, Plan, Subject, fly
+from sitl.paper.flights import PATIENT, FlownPlan, Model, NoFormationError, Plan, Subject, fly
 from sitl.paper.ideal_model import ideal_figures
 from sitl.paper.matrices import RING_LED_BY_1, RING_LED_BY_2
-from sitl.paper.no_formation import NoFormationError
 from sitl.paper.topology import leads, printed_matrix, reported_matrix, topology_at
 from sitl.workers import running
 
