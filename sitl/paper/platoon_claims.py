@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -46,8 +46,54 @@ def exceptions(holds: Mapping[LawName, bool]) -> str:
 
 
 def _converges_faster(book: Book) -> Claim:
+    return _settles_faster(
+        book,
+        "settle_s",
+        lambda entry: entry.settle_s,
+        claim_id="fig-5-faster",
+        where="figure 5",
+        claim="the platoon converges faster under the weighted law than under the average one",
+        remark="Time from the start of the formation until every vehicle stays within 10 cm of its place. It moves in steps of "
+        "half a swing, so a swing of 9.9 cm or 10.1 cm makes seconds of difference.",
+    )
+
+
+def _distances_settle_faster(book: Book) -> Claim:
+    return _settles_faster(
+        book,
+        "distances_settle_s",
+        distance_settle_s,
+        claim_id="fig-6-faster",
+        where="figure 6",
+        claim="the inter-distances come to the wanted 1.5 m faster under the weighted law",
+        remark="Until every neighbouring pair stays within 10 cm of 1.5 m.",
+    )
+
+
+def distance_settle_s(entry: Entry) -> float:
+    """Until every neighbouring pair stays within 10 cm of its wanted distance; inf where that never comes."""
+    flight, wanted_m = entry.flight, entry.figures.wanted_distance_m
+    times_s = flight.formation.times_s()
+    off_m = [np.abs(distances_m(flight.tracks, p, times_s) - wanted_m[f"{p[0]}-{p[1]}"]) for p in flight.pairs]
+    settled_s = settle_time_s(times_s, np.asarray(np.max(off_m, axis=0)))
+    return float("inf") if settled_s is None else settled_s
+
+
+def _settles_faster(
+    book: Book,
+    name: str,
+    settle_time_of: Callable[[Entry], float],
+    *,
+    claim_id: str,
+    where: str,
+    claim: str,
+    remark: str,
+) -> Claim:
+    """The weighted law against each average one, by a time that is `name` in the report's numbers."""
     settle_s = {
-        (law, model): flown_platoon(book, law, model).settle_s for law in (*AVERAGES, "weighted") for model in PERFECT
+        (law, model): settle_time_of(flown_platoon(book, law, model))
+        for law in (*AVERAGES, "weighted")
+        for model in PERFECT
     }
     faster = {law: all(settle_s["weighted", m] < settle_s[law, m] for m in PERFECT) for law in AVERAGES}
 
@@ -56,16 +102,15 @@ def _converges_faster(book: Book) -> Claim:
         return f"{seconds(settle_s['weighted', model])} against {others}"
 
     return Claim(
-        id="fig-5-faster",
-        where="figure 5",
-        claim="the platoon converges faster under the weighted law than under the average one",
+        id=claim_id,
+        where=where,
+        claim=claim,
         paper="faster",
         ideal=said(Model.IDEAL),
         full=said(Model.FULL),
         verdict=verdict_of(all(faster.values()), any(faster.values())),
-        remark="Time from the start of the formation until every vehicle stays within 10 cm of its place. It moves in steps of "
-        "half a swing, so a swing of 9.9 cm or 10.1 cm makes seconds of difference." + exceptions(faster),
-        measured={f"settle_s_{law}_{model}": s for (law, model), s in settle_s.items()},
+        remark=remark + exceptions(faster),
+        measured={f"{name}_{law}_{model}": s for (law, model), s in settle_s.items()},
     )
 
 
@@ -164,37 +209,3 @@ def _one_peak_is_smaller(book: Book) -> Claim:
 
 def _of_both(models: Iterable[bool]) -> str:
     return ("neither model", "one model alone", "both models")[sum(models)]
-
-
-def distance_settle_s(entry: Entry) -> float:
-    """Until every neighbouring pair stays within 10 cm of its wanted distance; inf where that never comes."""
-    flight, wanted_m = entry.flight, entry.figures.wanted_distance_m
-    times_s = flight.formation.times_s()
-    off_m = [np.abs(distances_m(flight.tracks, p, times_s) - wanted_m[f"{p[0]}-{p[1]}"]) for p in flight.pairs]
-    settled_s = settle_time_s(times_s, np.asarray(np.max(off_m, axis=0)))
-    return float("inf") if settled_s is None else settled_s
-
-
-def _distances_settle_faster(book: Book) -> Claim:
-    settle_s = {
-        (law, model): distance_settle_s(flown_platoon(book, law, model))
-        for law in (*AVERAGES, "weighted")
-        for model in PERFECT
-    }
-    faster = {law: all(settle_s["weighted", m] < settle_s[law, m] for m in PERFECT) for law in AVERAGES}
-
-    def said(model: Model) -> str:
-        others = " and ".join(f"{seconds(settle_s[law, model])} ({NAMES[law]})" for law in AVERAGES)
-        return f"{seconds(settle_s['weighted', model])} against {others}"
-
-    return Claim(
-        id="fig-6-faster",
-        where="figure 6",
-        claim="the inter-distances come to the wanted 1.5 m faster under the weighted law",
-        paper="faster",
-        ideal=said(Model.IDEAL),
-        full=said(Model.FULL),
-        verdict=verdict_of(all(faster.values()), any(faster.values())),
-        remark="Until every neighbouring pair stays within 10 cm of 1.5 m." + exceptions(faster),
-        measured={f"distances_settle_s_{law}_{model}": s for (law, model), s in settle_s.items()},
-    )
