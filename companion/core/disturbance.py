@@ -105,16 +105,16 @@ class DisturbanceObserver:
 
     def _acceleration(self, motion: Motion) -> Vector3:
         """What the model says of it, m/s^2."""
-        per_mass = self._thrust_norm / self.hover_thrust_norm * GRAVITY_M_S2
+        per_mass_m_s2 = self._thrust_norm / self.hover_thrust_norm * GRAVITY_M_S2
         roll_rad, pitch_rad, yaw_rad = motion.attitude_rad
-        share = cos(roll_rad) * per_mass
-        ahead, left = sin(pitch_rad) * share, -sin(roll_rad) * per_mass
+        unrolled_m_s2 = cos(roll_rad) * per_mass_m_s2  # of it in the upright plane of the heading
+        ahead_m_s2, left_m_s2 = sin(pitch_rad) * unrolled_m_s2, -sin(roll_rad) * per_mass_m_s2
         cos_yaw, sin_yaw = cos(yaw_rad), sin(yaw_rad)
         (vx, vy, vz), (dx, dy, _) = motion.velocity_enu_m_s, self.disturbance_enu_m_s2
         return (
-            ahead * cos_yaw - left * sin_yaw - self._drag_1_s * vx + dx,
-            ahead * sin_yaw + left * cos_yaw - self._drag_1_s * vy + dy,
-            cos(pitch_rad) * share - GRAVITY_M_S2 - self._drag_1_s * vz,
+            ahead_m_s2 * cos_yaw - left_m_s2 * sin_yaw - self._drag_1_s * vx + dx,
+            ahead_m_s2 * sin_yaw + left_m_s2 * cos_yaw - self._drag_1_s * vy + dy,
+            cos(pitch_rad) * unrolled_m_s2 - GRAVITY_M_S2 - self._drag_1_s * vz,
         )
 
     def _correct(self, motion: Motion, predicted: Vector3, dt_s: float) -> None:
