@@ -127,7 +127,7 @@ def _place(place: Place, position_enu_m: Vector3 | None) -> Finding:
         case Place.OUTSIDE:
             remedy = "origin or envelope.fence_* of the fleet file is of another field, or the vehicle stands wrong"
         case Place.NO_ORIGIN:
-            remedy = "wait for its position fix; without GPS set the origin (SET_GPS_GLOBAL_ORIGIN) or origin: local"
+            remedy = "wait for its position fix; without GPS set the origin (SET_GPS_GLOBAL_ORIGIN) or origin: indoor"
         case _:
             remedy = "wait for its estimator; it sends LOCAL_POSITION_NED when it has a position"
     return Finding("origin", Verdict.REFUSAL, found, wanted, remedy)
@@ -156,21 +156,21 @@ def _mode(mode_name: str, armed: bool) -> Finding:
 
 
 def _parameter(rule: ParameterRule, value: float | None, hover_thrust_norm: float) -> Finding:
+    wanted = rule.wanted if rule.judge else f"{rule.wanted}, {hover_thrust_norm:g}"
     if value is None:
-        return Finding(rule.name, rule.not_found, "not found", rule.wanted, "older firmware, or a link that loses much")
+        return Finding(rule.name, rule.not_found, "not found", wanted, "older firmware, or a link that loses much")
     if rule.judge is None:
-        return _hover_thrust(rule, value, hover_thrust_norm)
+        return _hover_thrust(rule, value, hover_thrust_norm, wanted)
     judgement: Judgement = rule.judge(value)
     found = f"{value:g} {rule.unit}".rstrip() + (f" ({judgement.meaning})" if judgement.meaning else "")
     if judgement.verdict is Verdict.OK:
-        return Finding(rule.name, Verdict.OK, found, rule.wanted)
+        return Finding(rule.name, Verdict.OK, found, wanted)
     fix = rule.safe(value) if rule.safe else None
     remedy = f"set {rule.name} to {fix:g}" if fix is not None else rule.remedy
-    return Finding(rule.name, judgement.verdict, found, rule.wanted, remedy, fix)
+    return Finding(rule.name, judgement.verdict, found, wanted, remedy, fix)
 
 
-def _hover_thrust(rule: ParameterRule, value: float, hover_thrust_norm: float) -> Finding:
-    wanted = f"near hover_thrust_norm of the vehicle file, {hover_thrust_norm:g}"
+def _hover_thrust(rule: ParameterRule, value: float, hover_thrust_norm: float, wanted: str) -> Finding:
     if abs(value - hover_thrust_norm) <= HOVER_THRUST_APART * max(value, hover_thrust_norm):
         return Finding(rule.name, Verdict.OK, f"{value:.3g}", wanted)
     return Finding(rule.name, Verdict.WARNING, f"{value:.3g}", wanted, rule.remedy)

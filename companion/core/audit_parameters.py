@@ -137,6 +137,7 @@ def _always(value: float) -> Callable[[float], float]:
     return lambda _found: value
 
 
+NEAR_OURS = "near hover_thrust_norm of the vehicle file"
 HOVER = "fly a hover, then correct the one that is wrong"
 PILOTS_CHOICE = "set {} to 0, or know that each one leaves by itself"
 WIDER_FENCE = "set {} a little wider than the fleet's own fence (envelope.fence_*)"
@@ -177,7 +178,7 @@ RULES: dict[AutopilotKind, tuple[ParameterRule, ...]] = {
             remedy=WIDER_FENCE.format("GF_MAX_VER_DIST"),
             unit="m",
         ),
-        ParameterRule("MPC_THR_HOVER", "", None, remedy=HOVER),
+        ParameterRule("MPC_THR_HOVER", NEAR_OURS, None, remedy=HOVER),
     ),
     AutopilotKind.ARDUPILOT: (
         ParameterRule("GUID_OPTIONS", "bit 3 (8) set", _guided_options, _with_bit(THRUST_IS_THRUST), not_found=REFUSAL),
@@ -201,6 +202,6 @@ RULES: dict[AutopilotKind, tuple[ParameterRule, ...]] = {
             _one_of(ARDUPILOT_FENCE_ACTIONS, Judgement(OK)),
             _always(1.0),
         ),
-        ParameterRule("MOT_THST_HOVER", "", None, remedy=HOVER),
+        ParameterRule("MOT_THST_HOVER", NEAR_OURS, None, remedy=HOVER),
     ),
 }

@@ -111,7 +111,15 @@ def test_what_fix_sets_is_in_order(autopilot: AutopilotKind) -> None:
 def test_a_parameter_of_no_known_firmware_is_words_and_no_crash(autopilot: AutopilotKind) -> None:
     nothing = audit(Facts(autopilot, dict.fromkeys(parameter_names(autopilot)), HOVER))
     assert {found.found for found in nothing} == {"not found"}
+    assert all(found.wanted for found in nothing)
     assert len(nothing) == len(RULES[autopilot])
+
+
+def test_a_hover_thrust_that_was_not_found_says_what_it_would_be_compared_with() -> None:
+    assert str(finding(Facts(PX4, {"MPC_THR_HOVER": None}, HOVER))) == (
+        "MPC_THR_HOVER: not found; wanted: near hover_thrust_norm of the vehicle file, 0.49;"
+        " older firmware, or a link that loses much"
+    )
 
 
 BENCH = Facts(
