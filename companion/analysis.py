@@ -17,20 +17,11 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from companion.assembly import law_of
-from companion.config import (
-    EdgeNeighbours,
-    Figure8Reference,
-    FleetConfig,
-    LawName,
-    PositionM,
-    Reference,
-    VehicleId,
-    check_fleet,
-    check_reference,
-    check_starts,
-    kind_of_file,
-    read_as,
-)
+from companion.config.fleet import EdgeNeighbours, FleetConfig, check_fleet, check_starts
+from companion.config.kind import kind_of_file, read_as
+from companion.config.law import LawName
+from companion.config.reference import Figure8Reference, Reference, check_reference
+from companion.config.values import PositionM, Section, VehicleId
 from companion.config_file import convert
 from companion.core.delay_margin import delay_margin_with_lag_s
 from companion.core.formation import Gains
@@ -119,7 +110,7 @@ class Analysis(Struct, frozen=True, kw_only=True):
     not_read: list[str]  # sections of the file, which are neither used nor checked
 
 
-class _ScenarioPart(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class _ScenarioPart(Section, frozen=True, kw_only=True):
     """A scenario. What is Any here is the flight's, and nothing here reads it."""
 
     description: str = ""

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from companion.assembly import build_agent
-from companion.config import AgentConfig, load_agent
+from companion.config.vehicle import AgentConfig, load_agent
 from companion.config_file import ConfigError
 from companion.core.agent import Agent
 from companion.link.autopilot_link import AutopilotLink, AutopilotSilentError

@@ -6,16 +6,10 @@ from collections.abc import Callable
 from math import radians
 from typing import TypeVar
 
-from companion.config import (
-    AgentConfig,
-    EdgeNeighbours,
-    Envelope,
-    FleetConfig,
-    Law,
-    LawName,
-    PointReference,
-    Reference,
-)
+from companion.config.fleet import EdgeNeighbours, Envelope, FleetConfig
+from companion.config.law import Law, LawName
+from companion.config.reference import PointReference, Reference
+from companion.config.vehicle import AgentConfig
 from companion.core import formation
 from companion.core.agent import Agent, AgentSetup
 from companion.core.cooperation import Cooperation

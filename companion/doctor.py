@@ -12,7 +12,7 @@ from pathlib import Path
 import msgspec
 
 from companion.assembly import envelope_limits, tracker_of
-from companion.config import AgentConfig, load_agent
+from companion.config.vehicle import AgentConfig, load_agent
 from companion.config_file import ConfigError
 from companion.core.audit import Facts, Finding, Place, audit, parameter_names, worst
 from companion.core.survey import WINDOW_S, Survey

@@ -8,7 +8,7 @@ from pathlib import Path
 from msgspec import Struct
 from msgspec.structs import replace
 
-from companion.config import LawName
+from companion.config.law import LawName
 from sitl.metrics import Flight
 from sitl.scenario import Scenario
 from sitl.summary import IF_TOO_BUSY, SCHEMA, Summary, too_busy, write_json

@@ -1,23 +1,20 @@
-"""What a stand-in vehicle is made of: the types of its YAML file, in the manner of companion.config."""
+"""What a stand-in vehicle is made of: the types of its YAML file."""
 
 from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from msgspec import Meta, Struct
+from msgspec import Meta, field
 
-from companion.config import GeodeticOrigin, PositionM, VehicleId
+from companion.config.fleet import GeodeticOrigin
+from companion.config.values import PositionM, Section, VehicleId
 from companion.types import AutopilotKind
 
 NonNegative = Annotated[float, Meta(ge=0, le=1000)]
 Positive = Annotated[float, Meta(gt=0, le=1000)]
 
 
-class _Base(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    pass
-
-
-class Airframe(_Base, frozen=True):
+class Airframe(Section, frozen=True):
     """Rigid body of eq. 1-5. Without `hover_thrust_norm` it is as measured with the autopilot.
 
     `attitude: instant` is the paper's ideal (section 3.1: no tracking error of the angles).
@@ -31,7 +28,7 @@ class Airframe(_Base, frozen=True):
     attitude: Literal["rigid_body", "instant"] = "rigid_body"
 
 
-class Sensors(_Base, frozen=True):
+class Sensors(Section, frozen=True):
     """The error of the autopilot's estimate against truth: slow drifts (sd, correlation time) and white noise."""
 
     position_sd_m: tuple[NonNegative, NonNegative, NonNegative] = (0.0, 0.0, 0.0)
@@ -65,7 +62,7 @@ SENSORS: dict[str, Sensors] = {
 }
 
 
-class Wind(_Base, frozen=True):
+class Wind(Section, frozen=True):
     """Steady wind and gusts (first-order, seeded)."""
 
     mean_enu_m_s: PositionM = (0.0, 0.0, 0.0)
@@ -78,7 +75,7 @@ HOVER_THRUST_NORM: dict[AutopilotKind, float] = {AutopilotKind.PX4: 0.49, Autopi
 ARMABLE_AFTER_S: dict[AutopilotKind, float] = {AutopilotKind.PX4: 4.0, AutopilotKind.ARDUPILOT: 42.0}
 
 
-class EstimatorReset(_Base, frozen=True):
+class EstimatorReset(Section, frozen=True):
     """From `at_s` after its start on, a vehicle's estimate of its position is off by this much more."""
 
     vehicle: VehicleId
@@ -86,7 +83,7 @@ class EstimatorReset(_Base, frozen=True):
     shift_enu_m: PositionM
 
 
-class StandIn(_Base, frozen=True):
+class StandIn(Section, frozen=True):
     """The stand-in vehicles of a scenario and the air round them.
 
     `autopilot` says whose manners they have; `parameters` overrides its parameters by name. Without `armable_after_s` they
@@ -100,7 +97,7 @@ class StandIn(_Base, frozen=True):
     wind: Wind = Wind()
     seed: Annotated[int, Meta(ge=0)] = 1
     estimator_resets: tuple[EstimatorReset, ...] = ()
-    parameters: dict[str, float] = {}
+    parameters: dict[str, float] = field(default_factory=dict)
 
     def sensor_model(self) -> Sensors:
         return SENSORS[self.sensors] if isinstance(self.sensors, str) else self.sensors
@@ -118,7 +115,7 @@ class StandIn(_Base, frozen=True):
 DelaySeconds = Annotated[float, Meta(ge=0, le=1)]
 
 
-class Links(_Base, frozen=True):
+class Links(Section, frozen=True):
     """What the links are like in virtual time; the defaults are as measured between real processes on one machine.
 
     Telemetry from its sampling to the agent's tick, setpoints from there to the autopilot, and packets between agents:
@@ -133,7 +130,7 @@ class Links(_Base, frozen=True):
     peer_loss: Annotated[float, Meta(ge=0, le=1)] = 0.0
 
 
-class AutopilotFile(_Base, frozen=True):
+class AutopilotFile(Section, frozen=True):
     """The file of `sitl autopilot --config`: one stand-in vehicle. The world's ENU frame has its zero at `world_origin`.
 
     The autopilot's own origin lies about `origin_enu_m`, or about where it starts.

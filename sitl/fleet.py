@@ -17,7 +17,9 @@ from typing import Self
 import msgspec
 import yaml
 
-from companion.config import MAX_DRAG_1_S, GeodeticOrigin, VehicleConfig, VehicleId, ZenohEndpoints
+from companion.config.fleet import GeodeticOrigin
+from companion.config.values import MAX_DRAG_1_S, VehicleId
+from companion.config.vehicle import VehicleConfig, ZenohEndpoints
 from companion.types import AutopilotKind
 from sitl.config import AutopilotFile
 from sitl.ending import UnusableError

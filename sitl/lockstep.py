@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from companion.assembly import build_agent
-from companion.config import AgentConfig
+from companion.config.vehicle import AgentConfig
 from companion.core.agent import Agent
 from companion.types import Command, CommandName, CommandReply, Inbox, Lead
 from companion.wire.ground import Percentiles, StatusReport, Timing

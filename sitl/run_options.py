@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import get_args
 
-from companion.config import LawName
+from companion.config.law import LawName
 from companion.types import AutopilotKind
 
 LAWS: tuple[LawName, ...] = get_args(LawName)

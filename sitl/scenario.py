@@ -9,21 +9,13 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import yaml
-from msgspec import Meta, Struct
+from msgspec import Meta, field
 
 from companion.assembly import trajectory_of
-from companion.config import (
-    Drag,
-    FleetConfig,
-    HoverThrust,
-    PositionM,
-    Reference,
-    VehicleId,
-    check_fleet,
-    check_reference,
-    check_starts,
-    read_as,
-)
+from companion.config.fleet import FleetConfig, check_fleet, check_starts
+from companion.config.kind import read_as
+from companion.config.reference import Reference, check_reference
+from companion.config.values import Drag, HoverThrust, PositionM, Section, VehicleId
 from companion.config_file import ConfigError, StrictLoader, convert
 from companion.core.reference import ReferenceTrajectory
 from companion.types import CommandName
@@ -34,7 +26,7 @@ SET = Path("--set")  # stands where errors name a file
 LONGEST_KEY = 200  # of --set
 
 
-class TimelineStep(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class TimelineStep(Section, frozen=True, kw_only=True):
     """Give a command to every vehicle, wait until all have done it, then stay so for `for_s`.
 
     `leaders` goes with `command: lead`: who leads from then on.
@@ -46,14 +38,14 @@ class TimelineStep(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     timeout_s: Annotated[float, Meta(gt=0, le=600)] = 30.0
 
 
-class Believed(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class Believed(Section, frozen=True, kw_only=True):
     """What vehicle files say of the airframe, and the autopilot of its hover thrust; None leaves that as it is."""
 
     hover_thrust_norm: HoverThrust | None = None
     drag_1_s: Drag | None = None
 
 
-class Scenario(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class Scenario(Section, frozen=True, kw_only=True):
     """`fleet` is what a fleet file holds; `reference` (RFT) goes into the files of those that may lead, and into no other.
 
     `origins_enu_m` puts own origins of stand-ins elsewhere than where they start. `links` is of flights in virtual time; real
@@ -63,7 +55,7 @@ class Scenario(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     description: str = ""
     fleet: FleetConfig
     starts_enu_m: dict[VehicleId, PositionM]
-    origins_enu_m: dict[VehicleId, PositionM] = {}
+    origins_enu_m: dict[VehicleId, PositionM] = field(default_factory=dict)
     reference: Reference
     stand_in: StandIn = StandIn()
     believed: Believed = Believed()

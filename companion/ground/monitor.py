@@ -12,7 +12,7 @@ from typing import Any, TextIO
 import msgspec
 
 from companion import GROUND_INSTALL
-from companion.config import FLEET_NAME
+from companion.config.fleet import FLEET_NAME
 from companion.ground.fleet_status import FleetState, VehicleRow, fold, rows
 from companion.ground.session import FleetSession
 

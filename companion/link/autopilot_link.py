@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import NoReturn
 
-from companion.config import VehicleConfig
+from companion.config.vehicle import VehicleConfig
 from companion.link.mavlink_link import open_link
 from companion.mavlink.signing import NOT_SIGNED, OLD_STAMP, WRONG_KEY
 from companion.mavlink.translator import Translator

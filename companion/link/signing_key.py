@@ -9,7 +9,7 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 
-from companion.config import Signing
+from companion.config.vehicle import Signing
 from companion.config_file import ConfigError
 from companion.mavlink.signing import KEY_BYTES, SigningKey
 

@@ -12,7 +12,8 @@ from collections.abc import Callable, Iterable
 
 import zenoh
 
-from companion.config import FleetConfig, ZenohEndpoints
+from companion.config.fleet import FleetConfig
+from companion.config.vehicle import ZenohEndpoints
 from companion.link.zenoh_session import drain, open_session
 from companion.types import Command, CommandName, CommandReply, PeerPacket, ReceivedPeerPacket
 from companion.wire.ground import StatusReport, decode_command, encode

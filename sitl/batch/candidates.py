@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.config import EdgeNeighbours, FleetConfig
+from companion.config.fleet import EdgeNeighbours, FleetConfig
 from companion.core.arrays import FloatArray
 from sitl.batch.columns import BoolArray, Columns, IntArray
 from sitl.fleet import ids_of

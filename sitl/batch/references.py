@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from companion.config import Reference
+from companion.config.reference import Reference
 from companion.core.arrays import FloatArray
 from companion.core.formation import Place
 from companion.core.reference import ReferenceTrajectory

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import dist, inf
 
-from companion.config import LawName, RangeNeighbours
+from companion.config.fleet import RangeNeighbours
+from companion.config.law import LawName
 from sitl.metrics import pair_name
 from sitl.paper.book import PERFECT, Book, Entry, listed, seconds, verdict_of
 from sitl.paper.claims import Claim, Verdict

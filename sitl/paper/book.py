@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from functools import cached_property
 
-from companion.config import LawName
+from companion.config.law import LawName
 from sitl.metrics import Flight, FormationFigures, formation_figures
 from sitl.paper.claims import Verdict
 from sitl.paper.flights import FlownPlan, Model, Subject

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
-from companion.config import LawName
+from companion.config.law import LawName
 from companion.types import Role
 from sitl.director import Director
 from sitl.ending import FailedError

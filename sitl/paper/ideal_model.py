@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.assembly import law_of
-from companion.config import EdgeNeighbours
+from companion.config.fleet import EdgeNeighbours
 from companion.core.arrays import FloatArray
 from companion.core.interaction import interaction_matrix
 from companion.types import Role

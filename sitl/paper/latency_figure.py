@@ -6,7 +6,7 @@ from pathlib import Path
 
 from matplotlib.axes import Axes
 
-from companion.config import LawName
+from companion.config.law import LawName
 from sitl.paper.book import Book, Entry
 from sitl.paper.flights import Model, Subject
 from sitl.paper.measures import behind_leader_m

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from companion.config import LawName
+from companion.config.law import LawName
 from companion.core.arrays import FloatArray
 from companion.types import Role
 from sitl.metrics import Pair, Tracks, reference_positions_m

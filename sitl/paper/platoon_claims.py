@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 
-from companion.config import LawName
+from companion.config.law import LawName
 from sitl.metrics import distances_m, settle_time_s
 from sitl.paper.book import PERFECT, Book, Entry, listed, metres, seconds, verdict_of
 from sitl.paper.claims import Claim

@@ -8,7 +8,8 @@ from math import inf, nan
 
 import numpy as np
 
-from companion.config import Figure8Reference, LawName
+from companion.config.law import LawName
+from companion.config.reference import Figure8Reference
 from companion.core.arrays import FloatArray
 from sitl.metrics import distances_m, errors_m, pair_name, reference_positions_m
 from sitl.paper.book import PERFECT, Book, Entry, listed, seconds, verdict_of

@@ -10,7 +10,8 @@ from typing import Literal
 import numpy as np
 from msgspec import Struct
 
-from companion.config import EdgeNeighbours, Envelope, FleetConfig, FormationMember, GeodeticOrigin, PointReference
+from companion.config.fleet import EdgeNeighbours, Envelope, FleetConfig, FormationMember, GeodeticOrigin
+from companion.config.reference import PointReference
 from companion.core.arrays import FloatArray
 from companion.core.settling import SETTLED_WITHIN_M, settle_time_s
 from companion.types import CommandName, Role

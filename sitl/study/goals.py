@@ -8,7 +8,7 @@ from statistics import median
 from typing import NamedTuple
 
 from companion.assembly import law_of
-from companion.config import Envelope
+from companion.config.fleet import Envelope
 from companion.core.settling import SETTLED_WITHIN_M
 from companion.types import GRAVITY_M_S2
 from sitl.paper.claims import Claim, Verdict

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from companion.assembly import law_of
-from companion.config import Gains, Law
+from companion.config.law import Gains, Law
 
 SHARPER = 8.0
 DESIGNED = Gains(position_1_s2=2.0, velocity_1_s=2.4)

@@ -10,7 +10,7 @@ from math import ceil, isfinite
 from msgspec import Struct
 from msgspec.structs import replace
 
-from companion.config import EdgeNeighbours
+from companion.config.fleet import EdgeNeighbours
 from sitl.batch.flight import fly_batch
 from sitl.batch.metrics import batch_figures
 from sitl.metrics import SAMPLE_S

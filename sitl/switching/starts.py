@@ -9,8 +9,10 @@ from math import cos, dist, pi, sin, sqrt
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from companion.config import Envelope, FleetConfig, FormationMember, GeodeticOrigin, Law, LawName, PointReference
-from companion.config import RangeNeighbours as Range
+from companion.config.fleet import Envelope, FleetConfig, FormationMember, GeodeticOrigin
+from companion.config.fleet import RangeNeighbours as Range
+from companion.config.law import Law, LawName
+from companion.config.reference import PointReference
 from companion.types import CommandName, Role, Vector3
 from sitl.config import Airframe
 from sitl.config import StandIn as StandInConfig

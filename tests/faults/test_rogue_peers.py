@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from companion.config import FleetConfig
+from companion.config.fleet import FleetConfig
 from companion.config_file import load
 from companion.link.zenoh_session import open_session
 from companion.types import FlightPhase, LeaderWord, PeerPacket, Role

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from companion.assembly import build_agent
-from companion.config import AgentConfig
+from companion.config.vehicle import AgentConfig
 from companion.core.formation import weighted
 from companion.core.interaction import interaction_matrix, settled_prcs
 from companion.types import AttitudeTarget, CommandName, FlightPhase, Lead, Role, Status

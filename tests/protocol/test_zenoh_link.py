@@ -17,7 +17,8 @@ import msgspec
 import pytest
 import zenoh
 
-from companion.config import EdgeNeighbours, FleetConfig, FormationMember, ZenohEndpoints
+from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember
+from companion.config.vehicle import ZenohEndpoints
 from companion.core.peers import PeerTable
 from companion.ground.session import FleetSession
 from companion.link.zenoh_link import LONG_PAUSE_S, ZenohLink

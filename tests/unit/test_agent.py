@@ -6,17 +6,10 @@ from math import inf, isfinite, nan
 import pytest
 
 from companion.assembly import build_agent, trajectory_of
-from companion.config import (
-    AgentConfig,
-    EdgeNeighbours,
-    Figure8Reference,
-    FleetConfig,
-    FormationMember,
-    Law,
-    PointReference,
-    Reference,
-    VehicleConfig,
-)
+from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember
+from companion.config.law import Law
+from companion.config.reference import Figure8Reference, PointReference, Reference
+from companion.config.vehicle import AgentConfig, VehicleConfig
 from companion.types import (
     Arm,
     AttitudeSample,
@@ -214,7 +207,7 @@ def test_on_the_ground_and_after_start_it_sends_no_setpoint() -> None:
 
 
 def test_a_geodetic_fleet_asks_for_the_origin_once_a_second() -> None:
-    from companion.config import GeodeticOrigin
+    from companion.config.fleet import GeodeticOrigin
 
     origin = GeodeticOrigin(latitude_deg=47.0, longitude_deg=8.0, altitude_amsl_m=400.0)
     flight = Flight(fleet=FleetConfig(name="pair", origin=origin, vehicles=FLEET.vehicles, neighbours=FLEET.neighbours))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from batch_scenarios import platoon
 
-from companion.config import Envelope
+from companion.config.fleet import Envelope
 from companion.core.arrays import FloatArray
 from companion.core.attitude import attitude_target, limit_acceleration
 from companion.core.envelope import EnvelopeLimits, LastGate

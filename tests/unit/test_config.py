@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from companion.assembly import law_of
-from companion.config import load_agent
+from companion.config.vehicle import load_agent
 from companion.config_file import ConfigError
 from companion.core.formation import Gains, cooperative, weighted
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from companion.config import load_agent
+from companion.config.vehicle import load_agent
 
 CONFIG = Path(__file__).parents[2] / "config"
 VEHICLES = sorted((CONFIG / "vehicles").glob("*.yaml"))

@@ -11,7 +11,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from companion.config import load_agent
+from companion.config.vehicle import load_agent
 from companion.config_file import ConfigError, load
 from companion.types import AutopilotKind, Role
 from sitl.config import AutopilotFile

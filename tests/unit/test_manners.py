@@ -11,7 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.assembly import build_agent
-from companion.config import AgentConfig, EdgeNeighbours, FleetConfig, FormationMember, PointReference, VehicleConfig
+from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember
+from companion.config.reference import PointReference
+from companion.config.vehicle import AgentConfig, VehicleConfig
 from companion.core.agent import HAND_OVER_S
 from companion.core.envelope import EnvelopeLimits, LastGate
 from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink

@@ -7,7 +7,7 @@ from math import dist, inf
 import numpy as np
 import pytest
 
-from companion.config import LawName
+from companion.config.law import LawName
 from companion.core.arrays import FloatArray
 from companion.types import Role
 from sitl.metrics import Formation

@@ -7,16 +7,8 @@ import numpy as np
 import pytest
 
 from companion.assembly import trajectory_of
-from companion.config import (
-    EdgeNeighbours,
-    Envelope,
-    Figure8Reference,
-    FleetConfig,
-    FormationMember,
-    PeerLimits,
-    PointReference,
-    check_reference,
-)
+from companion.config.fleet import EdgeNeighbours, Envelope, FleetConfig, FormationMember, PeerLimits
+from companion.config.reference import Figure8Reference, PointReference, check_reference
 from companion.config_file import ConfigError
 from companion.types import Role
 

@@ -9,7 +9,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.config import EdgeNeighbours, RangeNeighbours
+from companion.config.fleet import EdgeNeighbours, RangeNeighbours
 from companion.config_file import ConfigError, read_yaml
 from sitl.scenario import load_scenario, scenario_from
 

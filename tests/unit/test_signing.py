@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from pymavlink.dialects.v20 import common
 
-from companion.config import Signing
+from companion.config.vehicle import Signing
 from companion.config_file import ConfigError
 from companion.link import signing_key
 from companion.link.signing_key import read_signing_key

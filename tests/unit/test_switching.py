@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from companion.config import RangeNeighbours
+from companion.config.fleet import RangeNeighbours
 from companion.core.formation import weighted
 from companion.types import Vector3
 from sitl.cli import main

@@ -1,0 +1,32 @@
+"""Which of our files is it? So that one kind given for another is said in words."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal
+
+from companion.config_file import ConfigError, read_yaml
+
+FileKind = Literal["scenario", "vehicle", "fleet"]
+KEYS_OF_KIND: dict[FileKind, set[str]] = {  # no other kind of file has these
+    "scenario": {"starts_enu_m", "timeline"},
+    "vehicle": {"mavlink", "hover_thrust_norm"},
+    "fleet": {"vehicles", "neighbours", "takeoff_height_m"},
+}
+A_FILE: dict[FileKind, str] = {"scenario": "a scenario", "vehicle": "a vehicle file", "fleet": "a fleet file"}
+
+
+def kind_of_file(data: Any) -> FileKind | None:
+    """By the keys that it has; None where they do not tell."""
+    kinds = [kind for kind, keys in KEYS_OF_KIND.items() if isinstance(data, dict) and keys & data.keys()]
+    return kinds[0] if len(kinds) == 1 else None
+
+
+def read_as(path: Path, *expected: FileKind) -> Any:
+    """The plain content of a YAML file. Raises ConfigError, also for a file of another kind."""
+    data = read_yaml(path)
+    kind = kind_of_file(data)
+    if kind is not None and kind not in expected:
+        wanted = " or ".join(A_FILE[kind] for kind in expected)
+        raise ConfigError(path, "", f"this is {A_FILE[kind]}; {wanted} is expected")
+    return data
