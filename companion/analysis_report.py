@@ -35,7 +35,10 @@ def report(analysis: Analysis) -> str:
     if analysis.laws:
         lines += ["", *_law_table(analysis), "", *_leader_table(analysis), "", *_matrix(analysis)]
     if analysis.not_read:
-        lines += ["", f"not read, and not checked: {', '.join(analysis.not_read)}; sitl run flies by them"]
+        lines += [
+            "",
+            f"not read, and not checked: {', '.join(analysis.not_read)}; sitl run checks them, then flies by them",
+        ]
     lines += ["", "verdict:", *(f"  - {line}" for line in verdict(analysis))]
     return "\n".join(lines)
 
