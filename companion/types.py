@@ -438,6 +438,7 @@ class Status:
     flags: tuple[HealthFlag, ...]
     rejected: dict[str, int]  # counted rejections by reason
     last_event: str
+    lacks: tuple[str, ...] = ()  # while it is disarmed: what, besides its flags, forbids a flight in formation
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,6 +14,7 @@ from companion.core.phase import ON_GROUND, RULES
 from companion.types import CommandName, CommandReply, FlightPhase, LandedState, Lead, Role, Status
 from companion.wire.ground import StatusReport
 from sitl.progress import Progress
+from sitl.readiness import READY_WITHIN_S, Readiness, somebody_flies
 from sitl.scenario import TimelineStep
 from sitl.watch import FlightWatch
 
@@ -84,6 +85,24 @@ class Director:
         self._progress = progress
         self._check = check
         self._lost = lost
+
+    def wait_for(self, readiness: Readiness) -> list[str]:
+        """Until all vehicles are ready to be flown; nothing is asked of them. Why they are not, in one line each."""
+        began_s = self._clock.now_s()
+        self._progress.begin_step("waiting for the vehicles to be ready", began_s)
+        try:
+            while not readiness.is_reached(self._watch.status, self._clock.now_s()):
+                self._progress.remark(readiness.lacking)
+                self._pass()
+                if flown := somebody_flies(self._statuses()):
+                    raise FlightFailure(flown)
+                if self._clock.now_s() > began_s + READY_WITHIN_S:
+                    raise FlightFailure(f"not ready within {READY_WITHIN_S:g} s: {readiness.lacking}")
+        except FlightFailure as failure:
+            return [str(failure)]
+        finally:
+            self._progress.remark("")
+        return []
 
     def fly_and_land(self, timeline: Sequence[TimelineStep]) -> list[str]:
         """All steps in turn, and down in any case. What went wrong, in one line each."""

@@ -1,14 +1,13 @@
-"""N stand-in autopilots and N agents as processes: their files, their ports, their start and their end."""
+"""N agents, and N stand-in autopilots where nobody else flies them, as processes: their files, their start and their end."""
 
 from __future__ import annotations
 
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -22,9 +21,8 @@ from companion.config.values import MAX_DRAG_1_S, VehicleId
 from companion.config.vehicle import VehicleConfig, ZenohEndpoints
 from companion.types import AutopilotKind
 from sitl.config import AutopilotFile
-from sitl.ending import UnusableError
-from sitl.manners import MANNERS
-from sitl.ports import GROUND_STATION_PORT, LOOPBACK, Ports, ports_of
+from sitl.external import ReachedVehicle
+from sitl.ports import LOOPBACK, ports_of
 from sitl.scenario import Scenario
 
 AGENT_ENDS_WITHIN_S = 5.0  # it may first hand over to the autopilot
@@ -36,10 +34,6 @@ SET_UP: dict[AutopilotKind, dict[str, float]] = {
     AutopilotKind.PX4: {},
     AutopilotKind.ARDUPILOT: {"GUID_OPTIONS": 8.0},  # thrust is thrust
 }
-
-
-class PortInUseError(UnusableError):
-    """str() is one line: which port, what wants it, what to do."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,12 +67,18 @@ class Fleet:
         self._gone: set[str] = set()
 
     @classmethod
-    def start(cls, scenario: Scenario, folder: Path, port_offset: int) -> Fleet:
-        """Write every process's file into `folder` and start it. The stand-ins come first."""
-        write_files(scenario, folder, port_offset)
+    def start(
+        cls,
+        scenario: Scenario,
+        folder: Path,
+        port_offset: int,
+        external: Mapping[int, ReachedVehicle] | None = None,
+    ) -> Fleet:
+        """Write every process's file into `folder` and start it. The stand-ins come first; `external` vehicles need none."""
+        write_files(scenario, folder, port_offset, external)
         fleet = cls([])
         try:
-            for vehicle_id in ids_of(scenario):
+            for vehicle_id in ids_of(scenario) if external is None else []:
                 arguments = ["--port-offset", str(port_offset), "--truth", str(truth_path(folder, vehicle_id))]
                 fleet._start(folder, "sitl", "autopilot", vehicle_id, arguments)
             for vehicle_id in ids_of(scenario):
@@ -180,13 +180,21 @@ def truth_path(folder: Path, vehicle_id: int) -> Path:
     return folder / f"truth_{vehicle_id}.csv"
 
 
-def write_files(scenario: Scenario, folder: Path, port_offset: int) -> None:
-    """scenario.yaml as flown, fleet.yaml, vehicle_N.yaml and autopilot_N.yaml."""
+def estimated_path(folder: Path, vehicle_id: int) -> Path:
+    return folder / f"estimated_{vehicle_id}.csv"
+
+
+def write_files(
+    scenario: Scenario, folder: Path, port_offset: int, external: Mapping[int, ReachedVehicle] | None = None
+) -> None:
+    """scenario.yaml as flown, fleet.yaml, vehicle_N.yaml and, for stand-ins, autopilot_N.yaml."""
     write_scenario(scenario, folder)
     _write_yaml(folder / "fleet.yaml", scenario.fleet)
     for vehicle_id in ids_of(scenario):
-        _write_yaml(folder / f"vehicle_{vehicle_id}.yaml", vehicle_file(scenario, vehicle_id, port_offset))
-        _write_yaml(folder / f"autopilot_{vehicle_id}.yaml", autopilot_file(scenario, vehicle_id))
+        reached = reached_stand_in(scenario, vehicle_id, port_offset) if external is None else external[vehicle_id]
+        _write_yaml(folder / f"vehicle_{vehicle_id}.yaml", vehicle_file(scenario, reached, port_offset))
+        if external is None:
+            _write_yaml(folder / f"autopilot_{vehicle_id}.yaml", autopilot_file(scenario, vehicle_id))
 
 
 def write_scenario(scenario: Scenario, folder: Path) -> None:
@@ -194,32 +202,38 @@ def write_scenario(scenario: Scenario, folder: Path) -> None:
     _write_yaml(folder / "scenario.yaml", scenario)
 
 
-def vehicle_file(scenario: Scenario, vehicle_id: int, port_offset: int) -> VehicleConfig:
+def reached_stand_in(scenario: Scenario, vehicle_id: int, port_offset: int) -> ReachedVehicle:
+    """How the scenario's stand-in is reached, and what it is like."""
+    kind, ports, airframe = scenario.stand_in.autopilot, ports_of(vehicle_id, port_offset), scenario.stand_in.airframe
+    endpoints = {  # as the simulation of each has it by itself
+        AutopilotKind.PX4: f"udpin:{LOOPBACK}:{ports.companion}",
+        AutopilotKind.ARDUPILOT: f"tcp:{LOOPBACK}:{ports.tcp}",
+    }
+    return ReachedVehicle(
+        id=vehicle_id,
+        mavlink=endpoints[kind],
+        hover_thrust_norm=scenario.stand_in.hover_thrust_norm,
+        drag_1_s=min(airframe.drag_n_per_m_s / airframe.mass_kg, MAX_DRAG_1_S),
+    )
+
+
+def vehicle_file(scenario: Scenario, reached: ReachedVehicle, port_offset: int) -> VehicleConfig:
     """An agent's file. Of two vehicles the one with the larger id connects; the reference is for those that may lead."""
-    member = next(member for member in scenario.fleet.vehicles if member.id == vehicle_id)
-    airframe, believed = scenario.stand_in.airframe, scenario.believed
-    drag_1_s = airframe.drag_n_per_m_s / airframe.mass_kg
+    member, believed, vehicle_id = scenario.fleet.member(reached.id), scenario.believed, reached.id
+    assert member is not None  # it is of this fleet
     return VehicleConfig(
         id=vehicle_id,
         fleet="fleet.yaml",
-        mavlink=_way_to_autopilot(scenario.stand_in.autopilot, ports_of(vehicle_id, port_offset)),
-        hover_thrust_norm=_first(believed.hover_thrust_norm, scenario.stand_in.hover_thrust_norm),
-        drag_1_s=_first(believed.drag_1_s, min(drag_1_s, MAX_DRAG_1_S)),
+        mavlink=reached.mavlink,
+        autopilot=reached.autopilot,
+        hover_thrust_norm=_first(believed.hover_thrust_norm, reached.hover_thrust_norm),
+        drag_1_s=_first(believed.drag_1_s, reached.drag_1_s),
         zenoh=ZenohEndpoints(
             listen=(endpoint_of(vehicle_id, port_offset),),
             connect=tuple(endpoint_of(i, port_offset) for i in ids_of(scenario) if i < vehicle_id),
         ),
         reference=scenario.reference if member.can_lead else None,
     )
-
-
-def _way_to_autopilot(kind: AutopilotKind, ports: Ports) -> str:
-    """As the simulation of each has it by itself."""
-    match kind:
-        case AutopilotKind.PX4:
-            return f"udpin:{LOOPBACK}:{ports.companion}"
-        case AutopilotKind.ARDUPILOT:
-            return f"tcp:{LOOPBACK}:{ports.tcp}"
 
 
 def _first(believed: float | None, true: float) -> float:
@@ -250,39 +264,3 @@ def autopilot_file(scenario: Scenario, vehicle_id: int) -> AutopilotFile:
 
 def _write_yaml(path: Path, content: msgspec.Struct) -> None:
     path.write_text(yaml.safe_dump(msgspec.to_builtins(content), sort_keys=False), encoding="utf-8")
-
-
-def check_ports(vehicle_ids: Iterable[int], kind: AutopilotKind, port_offset: int) -> None:
-    """Try every port of these vehicles before anything is started. Raises PortInUseError."""
-    wanted = {(socket.SOCK_DGRAM, GROUND_STATION_PORT): "a ground station"}
-    for vehicle_id in vehicle_ids:
-        ports = ports_of(vehicle_id, port_offset)
-        own = [(socket.SOCK_STREAM, ports.tcp, f"autopilot {vehicle_id}")] if MANNERS[kind].tcp_link else []
-        for socket_kind, port, purpose in (
-            *own,
-            (socket.SOCK_DGRAM, ports.onboard, f"autopilot {vehicle_id} towards its agent"),
-            (socket.SOCK_DGRAM, ports.companion, f"agent {vehicle_id} towards its autopilot"),
-            (socket.SOCK_DGRAM, ports.ground_link, f"autopilot {vehicle_id} towards a ground station"),
-            (socket.SOCK_STREAM, ports.zenoh, f"Zenoh of agent {vehicle_id}"),
-        ):
-            if other := wanted.get((socket_kind, port)):
-                raise PortInUseError(
-                    f"port {port} is wanted by {purpose} and by {other}; take other ports with --port-offset"
-                    f" {port_offset + 100}, or ids that lie less far apart"
-                )
-            wanted[socket_kind, port] = purpose
-            _check_port(socket_kind, port, purpose, port_offset)
-
-
-def _check_port(kind: socket.SocketKind, port: int, purpose: str, port_offset: int) -> None:
-    protocol = "UDP" if kind is socket.SOCK_DGRAM else "TCP"
-    with socket.socket(socket.AF_INET, kind) as probe:
-        if kind is socket.SOCK_STREAM:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # the last flight's closed connections linger
-        try:
-            probe.bind((LOOPBACK, port))
-        except OSError as error:
-            raise PortInUseError(
-                f"{protocol} port {port}, wanted by {purpose}, cannot be used ({error.strerror}); another fleet may be"
-                f" flying: wait for it, or take other ports with --port-offset {port_offset + 100}"
-            ) from error

@@ -12,7 +12,7 @@ from companion.config_file import ConfigError
 from companion.types import CommandName
 from sitl.compare import compare, in_a_table, with_law, write_comparison
 from sitl.ending import EXIT_DONE, EXIT_FAILED
-from sitl.metrics import Flight, Tracks, formation_figures, neighbouring_pairs, smallest_distance_m
+from sitl.metrics import Flight, Tracks, TrackSource, formation_figures, neighbouring_pairs, smallest_distance_m
 from sitl.run_options import LAWS, RunOptions
 from sitl.scenario import Scenario, load_scenario, reference_of
 from sitl.stopping import StopRequest
@@ -30,7 +30,7 @@ class Result:
 
 OWN_FILES = re.compile(
     r"summary\.json|comparison\.(json|png)|figure_[56]\.png|(scenario|fleet|vehicle_\d+|autopilot_\d+)\.yaml"
-    r"|truth_\d+\.csv|(agent|autopilot)_\d+\.log"
+    r"|(truth|estimated)_\d+\.csv|(agent|autopilot)_\d+\.log"
 )
 
 FlyOnce = Callable[[Scenario, str, Path, StopRequest], Result]  # scenario, its name, the folder for the results
@@ -66,13 +66,13 @@ def _run(options: RunOptions, fly_once: FlyOnce, check: Callable[[Scenario], Non
 def remove_old_run(folder: Path) -> None:
     """An older run's files, also of its laws, so that none of them stays beside the new ones. Raises OSError.
 
-    It was a run if there are true tracks with the scenario as flown; nothing else is touched.
+    It was a run if there are tracks with the scenario as flown; nothing else is touched.
     """
     for place in (folder, *(folder / law for law in LAWS)):
         files = [file for file in place.iterdir() if OWN_FILES.fullmatch(file.name)] if place.is_dir() else []
         names = {file.name for file in files}
         if "comparison.json" in names or (
-            "scenario.yaml" in names and any(name.startswith("truth_") for name in names)
+            "scenario.yaml" in names and any(name.startswith(("truth_", "estimated_")) for name in names)
         ):
             for file in files:
                 file.unlink()
@@ -116,14 +116,15 @@ def write_results(
     failure: str | None,
     flight_s: float,
     real_time_factor: float | None = None,
+    source: TrackSource = "true",
 ) -> Result:
     """summary.json and, where a formation was flown, its figures. `tracks` is None where nothing is known of them."""
-    flight = _flight(scenario, watch, tracks) if tracks else None
+    flight = _flight(scenario, watch, tracks, source) if tracks else None
     figures = (
         formation_figures(flight.tracks, flight.slots_enu_m, flight.reference, flight.formation) if flight else None
     )
     smallest_m = smallest_distance_m(tracks) if tracks else None
-    summary = summarize(scenario, name, watch, figures, smallest_m, failure, flight_s, real_time_factor)
+    summary = summarize(scenario, name, watch, figures, smallest_m, failure, flight_s, real_time_factor, source)
     write_json(folder / "summary.json", summary)
     if flight:
         from sitl.plots import save_figure_5, save_figure_6  # matplotlib takes its time and memory
@@ -133,9 +134,9 @@ def write_results(
     return Result(summary, flight)
 
 
-def _flight(scenario: Scenario, watch: FlightWatch, tracks: Tracks) -> Flight | None:
+def _flight(scenario: Scenario, watch: FlightWatch, tracks: Tracks, source: TrackSource) -> Flight | None:
     if watch.formation is None:
         return None
     slots_enu_m = {member.id: member.slot_enu_m for member in scenario.fleet.vehicles}
     pairs = neighbouring_pairs(slots_enu_m)
-    return Flight(scenario.fleet.law.name, tracks, slots_enu_m, pairs, reference_of(scenario), watch.formation)
+    return Flight(scenario.fleet.law.name, tracks, slots_enu_m, pairs, reference_of(scenario), watch.formation, source)

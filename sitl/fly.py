@@ -3,26 +3,35 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from pathlib import Path
 
 from companion.ground.session import FleetSession
 from companion.types import Role
 from sitl.director import Director, FlightFailure, MachineClock
-from sitl.fleet import Fleet, check_ports, endpoint_of, ids_of, truth_path
+from sitl.external import ReachedVehicle, load_external, vehicles_of
+from sitl.fleet import Fleet, endpoint_of, estimated_path, ids_of, truth_path
 from sitl.flights import Result, run_flights, write_results
 from sitl.fly_options import FlyOptions
+from sitl.free_ports import check_agents_ports, check_ports
+from sitl.metrics import Tracks
 from sitl.progress import Progress
+from sitl.readiness import Readiness
 from sitl.scenario import Scenario
 from sitl.stopping import StopRequest
-from sitl.tracks import TrackError, read_track
+from sitl.tracks import TrackError, read_track, told_track, write_track
 from sitl.watch import FlightWatch
+
+External = Mapping[int, ReachedVehicle]  # by id
 
 
 def run_fly(options: FlyOptions) -> int:
-    """Fly as the options say; the exit code."""
+    """Fly as the options say; the exit code. Raises ConfigError."""
+    if options.external:
+        return _run_external(options, options.external)
 
     def fly_once(scenario: Scenario, name: str, folder: Path, stop: StopRequest) -> Result:
-        return _fly_once(scenario, name, folder, options, stop)
+        return _fly_stand_ins(scenario, name, folder, options, stop)
 
     def ports_are_free(scenario: Scenario) -> None:
         check_ports(ids_of(scenario), scenario.stand_in.autopilot, options.port_offset)
@@ -30,15 +39,24 @@ def run_fly(options: FlyOptions) -> int:
     return run_flights(options.run, fly_once, ports_are_free)
 
 
-def _fly_once(scenario: Scenario, name: str, folder: Path, options: FlyOptions, stop: StopRequest) -> Result:
-    """Fly one scenario with real processes and write its folder."""
-    folder.mkdir(parents=True, exist_ok=True)
-    leader_ids = [member.id for member in scenario.fleet.vehicles if member.role is Role.LEADER]
-    watch = FlightWatch(ids_of(scenario), leader_ids, time.monotonic())
-    progress = Progress(f"{name}, {scenario.fleet.law.name}", options.run.quiet, watch.began_s)
-    failure = _fly(scenario, folder, options.port_offset, watch, progress, stop)
+def _run_external(options: FlyOptions, file: Path) -> int:
+    reached = load_external(file)
+
+    def fly_once(scenario: Scenario, name: str, folder: Path, stop: StopRequest) -> Result:
+        return _fly_external(scenario, name, folder, options, vehicles_of(file, reached, scenario.fleet), stop)
+
+    def all_are_named(scenario: Scenario) -> None:
+        vehicles_of(file, reached, scenario.fleet)
+        check_agents_ports(ids_of(scenario), options.port_offset)
+
+    return run_flights(options.run, fly_once, all_are_named)
+
+
+def _fly_stand_ins(scenario: Scenario, name: str, folder: Path, options: FlyOptions, stop: StopRequest) -> Result:
+    """Fly one scenario with stand-ins and write its folder."""
+    watch, failure = _fly(scenario, name, folder, options, None, stop)
     flight_s = time.monotonic() - watch.began_s
-    tracks = None
+    tracks: Tracks | None = None
     try:
         tracks = {vehicle_id: read_track(truth_path(folder, vehicle_id)) for vehicle_id in ids_of(scenario)}
     except TrackError as error:
@@ -46,12 +64,32 @@ def _fly_once(scenario: Scenario, name: str, folder: Path, options: FlyOptions, 
     return write_results(scenario, name, folder, watch, tracks, failure, flight_s)
 
 
+def _fly_external(
+    scenario: Scenario, name: str, folder: Path, options: FlyOptions, external: External, stop: StopRequest
+) -> Result:
+    """Fly one scenario with vehicles that something else has started, and write its folder."""
+    watch, failure = _fly(scenario, name, folder, options, external, stop)
+    flight_s = time.monotonic() - watch.began_s
+    tracks: Tracks | None = None
+    try:
+        tracks = {vehicle_id: told_track(vehicle_id, watch.told[vehicle_id]) for vehicle_id in ids_of(scenario)}
+        for vehicle_id, track in tracks.items():
+            write_track(estimated_path(folder, vehicle_id), track)
+    except TrackError as error:
+        failure = failure or str(error)
+    return write_results(scenario, name, folder, watch, tracks, failure, flight_s, source="estimated")
+
+
 def _fly(
-    scenario: Scenario, folder: Path, port_offset: int, watch: FlightWatch, progress: Progress, stop: StopRequest
-) -> str | None:
-    """Start, fly the timeline, land and stop. What went wrong, in one line."""
-    endpoints = [endpoint_of(vehicle_id, port_offset) for vehicle_id in ids_of(scenario)]
-    with Fleet.start(scenario, folder, port_offset) as fleet:
+    scenario: Scenario, name: str, folder: Path, options: FlyOptions, external: External | None, stop: StopRequest
+) -> tuple[FlightWatch, str | None]:
+    """Start, fly the timeline, land and stop. What was seen, and what went wrong, in one line."""
+    folder.mkdir(parents=True, exist_ok=True)
+    leader_ids = [member.id for member in scenario.fleet.vehicles if member.role is Role.LEADER]
+    watch = FlightWatch(ids_of(scenario), leader_ids, time.monotonic())
+    progress = Progress(f"{name}, {scenario.fleet.law.name}", options.run.quiet, watch.began_s)
+    endpoints = [endpoint_of(vehicle_id, options.port_offset) for vehicle_id in ids_of(scenario)]
+    with Fleet.start(scenario, folder, options.port_offset, external) as fleet:
         with FleetSession.open(scenario.fleet.name, endpoints) as session:
 
             def check() -> None:
@@ -61,7 +99,8 @@ def _fly(
                     raise FlightFailure(ending)
 
             director = Director(session, watch, progress, check, fleet.lost_vehicles, MachineClock())
-            failures = director.fly_and_land(scenario.timeline)
+            failures = director.wait_for(Readiness(scenario)) if external else []
+            failures = failures or director.fly_and_land(scenario.timeline)
         if killed := fleet.stop():
             failures.append(f"{', '.join(killed)} did not end when told to and had to be killed")
-    return "; ".join(failures) or None
+    return watch, "; ".join(failures) or None

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import dataclass
+from pathlib import Path
 
+from companion.config_file import ConfigError
 from sitl.run_options import RunOptions, add_run_arguments, run_options
 
 MAX_PORT_OFFSET = 40_000
 
 DESCRIPTION = """\
 Fly a scenario with real processes: one stand-in autopilot and one agent per vehicle, MAVLink between them, Zenoh between
-the agents. Shows every vehicle live, lands, and leaves a folder with figures, plots, files and logs.
+the agents. Shows every vehicle live, lands, and leaves a folder with figures, plots, files and logs. With --external the
+agents fly vehicles that something else has started, like PX4's and ArduPilot's own simulations.
 """
 
 MORE = """\
@@ -21,6 +24,7 @@ examples:
   sitl fly config/scenarios/platoon.yaml --compare              all laws in turn, one table, one figure
   sitl fly config/scenarios/platoon.yaml --compare average_26   only these two
   sitl fly config/scenarios/platoon.yaml --autopilot ardupilot  with ArduCopter's manners instead of PX4's
+  sitl fly config/scenarios/four_in_line.yaml --external config/external/px4_sih.yaml   four PX4 in their own simulation
   sitl fly config/scenarios/platoon.yaml --set stand_in.sensors=default --set timeline[3].for_s=20
   sitl fly config/scenarios/platoon.yaml --set stand_in.airframe.attitude=instant \\
                                          --set stand_in.airframe.motor_lag_s=0
@@ -36,6 +40,14 @@ in it go):
   scenario.yaml                  as flown; fleet.yaml, vehicle_N.yaml, autopilot_N.yaml are made from it
   truth_N.csv                    where vehicle N truly was, 50 times a second
   agent_N.log, autopilot_N.log   what the processes said
+
+--external FILE flies the same scenario with agents alone: FILE says for each vehicle where its autopilot is reached and what
+its hover thrust and drag are (see config/external/ and docs/external.md). Nothing is asked of a vehicle before all are ready:
+the autopilots' own checks pass, origin and position are known, parameters are in order, and each stands within 1 m of its
+starts_enu_m, by fleet.origin; one that somebody flies already is left alone. Neither Ctrl-C nor anything else ends the
+autopilots: the vehicles are landed and left. Nobody knows where they truly are: estimated_N.csv instead of truth_N.csv holds
+what each told of itself in the air, ten times a second, and summary.json says `tracks: estimated`. Of the scenario's stand_in
+section nothing is used.
 
 On a busy machine it says so after the figures: where more than 0.5 % of the ticks were missed, or an agent took more than
 5 ms (p99) from telemetry to command, they are the machine's rather than the law's.
@@ -54,10 +66,17 @@ exit codes:
 class FlyOptions:
     run: RunOptions
     port_offset: int = 0
+    external: Path | None = None  # the file of the vehicles that something else has started
 
 
 def add_fly_arguments(parser: argparse.ArgumentParser) -> None:
     add_run_arguments(parser)
+    parser.add_argument(
+        "--external",
+        type=Path,
+        metavar="FILE",
+        help="start no stand-ins: fly the vehicles of this file, which something else has started",
+    )
     parser.add_argument(
         "--port-offset",
         type=_offset,
@@ -68,7 +87,12 @@ def add_fly_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def fly_options(parsed: argparse.Namespace) -> FlyOptions:
-    return FlyOptions(run_options(parsed), parsed.port_offset)
+    """Raises ConfigError."""
+    if parsed.external and parsed.autopilot:
+        raise ConfigError(
+            "--autopilot", "", "takes stand-ins of these manners, --external takes none; give one of them"
+        )
+    return FlyOptions(run_options(parsed), parsed.port_offset, parsed.external)
 
 
 def _offset(text: str) -> int:

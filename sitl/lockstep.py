@@ -10,7 +10,7 @@ from companion.core.agent import Agent
 from companion.types import Command, CommandName, CommandReply, Inbox, Lead
 from companion.wire.ground import Percentiles, StatusReport, Timing
 from sitl.autopilot import DT_S
-from sitl.fleet import autopilot_file, ids_of, vehicle_file
+from sitl.fleet import autopilot_file, ids_of, reached_stand_in, vehicle_file
 from sitl.network import Network
 from sitl.scenario import Scenario
 from sitl.world import StandIn, World
@@ -112,5 +112,6 @@ class Vehicle:
 
 def _agent(scenario: Scenario, vehicle_id: int) -> Agent:
     member = next(member for member in scenario.fleet.vehicles if member.id == vehicle_id)
-    config = AgentConfig(vehicle_file(scenario, vehicle_id, port_offset=0), scenario.fleet, member)
+    file = vehicle_file(scenario, reached_stand_in(scenario, vehicle_id, port_offset=0), port_offset=0)
+    config = AgentConfig(file, scenario.fleet, member)
     return build_agent(config, session=1)

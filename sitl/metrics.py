@@ -1,4 +1,4 @@
-"""True tracks -> the figures of a flight. Pure: arrays in, figures out."""
+"""Tracks -> the figures of a flight. Pure: arrays in, figures out."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from math import dist
+from typing import Literal
 
 import numpy as np
 
@@ -20,6 +21,7 @@ FINAL_S = 2.0  # what "final" is taken over
 
 Pair = tuple[int, int]
 Tracks = Mapping[int, Track]  # by vehicle id
+TrackSource = Literal["true", "estimated"]  # as the stand-ins were, or as the vehicles' own estimators have it
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,11 +51,12 @@ class Flight:
     pairs: Sequence[Pair]
     reference: ReferenceTrajectory
     formation: Formation
+    source: TrackSource = "true"
 
 
 @dataclass(frozen=True, slots=True)
 class FormationFigures:
-    """Over the formation's interval, from true positions; by pair "1-2" or by vehicle id.
+    """Over the formation's interval; by pair "1-2" or by vehicle id.
 
     `settle_s`: from the formation's start to the time from which on no vehicle is farther than 10 cm from its place;
     None where that was not for at least the last 2 s. `final_error_m` (RMS distance to the place) and

@@ -1,4 +1,4 @@
-"""Figures 5 and 6 of Hou and Zhang (2021) from true tracks: curves of x and y, and inter-distances.
+"""Figures 5 and 6 of Hou and Zhang (2021) from tracks: curves of x and y, and inter-distances.
 
 Readable in grey: every vehicle and pair has a line style and a marker of its own besides its colour.
 """
@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from companion.core.arrays import FloatArray
-from sitl.metrics import Flight, Formation, distances_m, pair_name, reference_positions_m
+from sitl.metrics import Flight, Formation, TrackSource, distances_m, pair_name, reference_positions_m
 
 BEFORE_S = 2.0  # how much of the flight before the formation is shown
 PAIRS_INSIDE = 7  # up to here the legend of the distances stands inside
@@ -28,6 +28,7 @@ MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 MARKERS_PER_CURVE = 12
 GUIDE: dict[str, Any] = {"color": "#808080", "linewidth": 1.1, "linestyle": (0, (1, 1.8)), "zorder": 1.5}
 TIME_LABEL = "time since the start of the formation [s]"
+POSITIONS: dict[TrackSource, str] = {"true": "true positions", "estimated": "positions as estimated by the vehicles"}
 LAW_TITLES = {
     "cooperative": "cooperative, past the paper",
     "weighted": "weighted neighbours, eq. 14",
@@ -40,7 +41,7 @@ def save_figure_5(path: Path, flight: Flight, name: str) -> None:
     """x and y of all vehicles over time, with their places."""
     figure = new_figure(8.4, 6.0, f"{name}: x and y of every vehicle")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=_heights([flight]))
-    upper.set_title(f"true positions, {law_title(flight)}", fontsize=10, color="#444444")
+    upper.set_title(f"{POSITIONS[flight.source]}, {law_title(flight)}", fontsize=10, color="#444444")
     draw_positions(upper, flight, 0)
     draw_positions(lower, flight, 1)
     keep_a_span([upper])
@@ -56,7 +57,7 @@ def save_figure_6(path: Path, flight: Flight, name: str) -> None:
     """Inter-distances over time, with the wanted ones."""
     figure = new_figure(8.4, 4.6 + _height_of_legends_in(len(flight.pairs)), f"{name}: inter-distances")
     axes = figure.subplots()
-    axes.set_title(f"from true positions, {law_title(flight)}", fontsize=10, color="#444444")
+    axes.set_title(f"from {POSITIONS[flight.source]}, {law_title(flight)}", fontsize=10, color="#444444")
     draw_distances(axes, flight)
     keep_a_span([axes], 0.5)
     axes.set_ylabel("distance [m]")
@@ -67,7 +68,8 @@ def save_figure_6(path: Path, flight: Flight, name: str) -> None:
 def save_comparison(path: Path, flights: Sequence[Flight], name: str) -> None:
     """Figures 5 and 6 side by side, a column for each law."""
     height_in = 8.6 + _height_of_legends_in(max(len(flight.pairs) for flight in flights))
-    figure = new_figure(1.4 + 4.4 * len(flights), height_in, f"{name}: the laws side by side, from true positions")
+    title = f"{name}: the laws side by side, from {POSITIONS[flights[0].source]}"
+    figure = new_figure(1.4 + 4.4 * len(flights), height_in, title)
     heights = [*_heights(flights), 1.0]
     grid = figure.subplots(3, len(flights), sharex="col", sharey="row", squeeze=False, height_ratios=heights)
     for (x, y, distance), flight in zip(grid.T, flights, strict=True):

@@ -24,11 +24,16 @@ class Progress:
         self._screen.make_due()
         self._began_s = began_s
         self._step, self._step_began_s, self._step_lasts_s = "starting", self._began_s, 0.0
+        self._remark = ""
 
     def begin_step(self, step: str, since_s: float, lasts_s: float = 0.0) -> None:
         """`lasts_s` is 0 where nobody knows."""
         self._screen.make_due()  # shown at once, however soon after the last
         self._step, self._step_began_s, self._step_lasts_s = step, since_s, lasts_s
+
+    def remark(self, words: str) -> None:
+        """Shown below the headline until there is another; "" shows none."""
+        self._remark = words
 
     def is_due(self) -> bool:
         """Is it time to show something?"""
@@ -36,7 +41,8 @@ class Progress:
 
     def show(self, rows: Sequence[VehicleRow], now_s: float) -> None:
         """Refresh."""
-        self._screen.show([self._headline(now_s), *(vehicle_line(row) for row in rows)])
+        remark = [f"  {self._remark}"] if self._remark else []
+        self._screen.show([self._headline(now_s), *remark, *(vehicle_line(row) for row in rows)])
 
     def _headline(self, now_s: float) -> str:
         total = f" of {self._step_lasts_s:g}" if self._step_lasts_s else ""

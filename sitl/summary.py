@@ -10,7 +10,7 @@ from msgspec import Struct
 
 from companion.assembly import law_of
 from companion.wire.ground import Percentiles, Timing
-from sitl.metrics import FormationFigures, neighbouring_pairs, pair_name
+from sitl.metrics import FormationFigures, TrackSource, neighbouring_pairs, pair_name
 from sitl.scenario import Scenario
 from sitl.watch import Event, FlightWatch
 
@@ -48,6 +48,8 @@ class Summary(Struct, frozen=True, kw_only=True):
     """One flight. What belongs to the formation is None where none was flown; `failure` is None where all went well.
 
     `real_time_factor`: seconds flown per second that the machine took; None for real processes, which take as long.
+    `tracks`: what distances and errors are taken from, the stand-ins' true positions or, with vehicles that something else has
+    started, what those estimate of themselves: then nothing is known of `sensors` and `seed`.
     """
 
     schema: int = SCHEMA
@@ -55,8 +57,9 @@ class Summary(Struct, frozen=True, kw_only=True):
     law: str
     exponent: float
     vehicles: list[VehicleSummary]
-    sensors: str
-    seed: int
+    tracks: TrackSource = "true"
+    sensors: str | None
+    seed: int | None
     failure: str | None
     flight_s: float
     real_time_factor: float | None = None
@@ -81,16 +84,19 @@ def summarize(
     failure: str | None,
     flight_s: float,
     real_time_factor: float | None = None,
+    source: TrackSource = "true",
 ) -> Summary:
-    """`figures` and `smallest_distance_m` are of the true tracks, the rest is what the vehicles reported."""
+    """`figures` and `smallest_distance_m` are of the tracks from `source`, the rest is what the vehicles reported."""
     fleet, stand_in = scenario.fleet, scenario.stand_in
+    sensors = stand_in.sensors if isinstance(stand_in.sensors, str) else "as given"
     slots_enu_m = {member.id: member.slot_enu_m for member in fleet.vehicles}
     return Summary(
         scenario=name,
         law=fleet.law.name,
         exponent=law_of(fleet.law).exponent,
-        sensors=stand_in.sensors if isinstance(stand_in.sensors, str) else "as given",
-        seed=stand_in.seed,
+        tracks=source,
+        sensors=sensors if source == "true" else None,
+        seed=stand_in.seed if source == "true" else None,
         failure=failure,
         flight_s=round(flight_s, 1),
         real_time_factor=None if real_time_factor is None else round(real_time_factor, 1),
@@ -146,6 +152,10 @@ def in_words(summary: Summary) -> str:
     if summary.max_distance_m is None or summary.wanted_distance_m is None:
         return head
     lines = [head, f"  formation         {summary.duration_s:.1f} s"]
+    if summary.tracks == "estimated":
+        lines.append(
+            "  positions         as the vehicles estimate their own; how far that is from truth nobody knows here"
+        )
     pairs = summary.pairs
     if pairs:
         largest = "   ".join(f"{pair} {summary.max_distance_m[pair]:.2f} m" for pair in pairs)

@@ -1,28 +1,29 @@
-"""Where the stand-ins truly were: the CSV files that they write, as arrays."""
+"""Where vehicles were, as arrays and CSV files: stand-ins truly, all others by what they told of themselves."""
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from companion.core.arrays import FloatArray
+from companion.types import Vector3
 
 USED = ("monotonic_s", "x_m", "y_m", "z_m")
 
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """One vehicle's true flight: `time_s` (k,) of the machine's monotonic clock, rising; `position_enu_m` (k, 3)."""
+    """One vehicle's flight: `time_s` (k,) of the machine's monotonic clock, rising; `position_enu_m` (k, 3)."""
 
     time_s: FloatArray
     position_enu_m: FloatArray
 
     def at(self, times_s: FloatArray) -> FloatArray:
-        """True positions (n, 3) in metres, interpolated; beyond its ends a track stands still."""
+        """Positions (n, 3) in metres, interpolated; beyond its ends a track stands still."""
         axes = [np.interp(times_s, self.time_s, self.position_enu_m[:, axis]) for axis in range(3)]
         return np.stack(axes, axis=1)
 
@@ -51,3 +52,16 @@ def _track(path: Path, lines: Iterable[list[str]]) -> Track:
         raise TrackError(f"{path}: holds no positions")
     table = np.array(whole)
     return Track(table[:, 0], table[:, 1:])
+
+
+def told_track(vehicle_id: int, told: Sequence[tuple[float, Vector3]]) -> Track:
+    """Of what a vehicle told of itself, (monotonic seconds, position ENU in metres), times rising. Raises TrackError."""
+    if not told:
+        raise TrackError(f"vehicle {vehicle_id} told no positions in flight")
+    return Track(np.array([time_s for time_s, _ in told]), np.array([position_m for _, position_m in told]))
+
+
+def write_track(path: Path, track: Track) -> None:
+    """A CSV file that `read_track` reads."""
+    table = np.column_stack([track.time_s, track.position_enu_m])
+    np.savetxt(path, table, fmt=["%.6f", "%.4f", "%.4f", "%.4f"], delimiter=",", header=",".join(USED), comments="")

@@ -7,10 +7,11 @@ from collections.abc import Collection, Mapping
 from msgspec import Struct
 
 from companion.ground.fleet_status import FleetState, VehicleRow, fold, rows
-from companion.types import FlightPhase, Role, Status
+from companion.types import FlightPhase, Role, Status, Vector3
 from companion.wire.ground import StatusReport, Timing
 from sitl.metrics import Formation
 
+SAME_POSITION_S = 0.005  # of the same position told twice, whose ages are not quite those of the way
 SILENT_S = 3.0  # a flying vehicle's agent that says nothing for so long has failed
 
 
@@ -51,6 +52,8 @@ class FlightWatch:
         self.topology: list[TopologyChange] = []
         self.timing: dict[int, Timing] = {}  # of each vehicle's last formation
         self.formation: Formation | None = None  # the last one flown
+        # Of each vehicle: when it was where, by its own estimate. From its being armed on, later ones last.
+        self.told: dict[int, list[tuple[float, Vector3]]] = {vehicle_id: [] for vehicle_id in self.vehicle_ids}
         self._leader_ids = set(leader_ids)
         self._drawn: dict[int, TopologyChange] = {}  # the last of every vehicle
         self._entered_s: dict[int, float] = {}
@@ -71,6 +74,7 @@ class FlightWatch:
         self._state = fold(self._state, report, now_s)
         self._statuses[vehicle_id] = status
         self._follow_topology(status, now_s)
+        self._follow_position(status, now_s)
         if status.phase is FlightPhase.FORMATION and (before is None or before.phase is not FlightPhase.FORMATION):
             self._entered_s[vehicle_id] = now_s
             self._zero_s[vehicle_id] = now_s - self._flown_s
@@ -81,6 +85,11 @@ class FlightWatch:
             self.events.append(
                 Event(time_s=round(now_s - self.began_s, 3), vehicle=vehicle_id, event=status.last_event)
             )
+
+    def _follow_position(self, status: Status, now_s: float) -> None:
+        told, time_s = self.told[status.vehicle_id], now_s - status.state_age_s
+        if status.armed and (not told or time_s > told[-1][0] + SAME_POSITION_S):
+            told.append((time_s, status.position_enu_m))
 
     def _follow_reference(self, status: Status) -> None:
         """From one formation to the next it goes on, from one flight to the next it does not."""

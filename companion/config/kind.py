@@ -7,13 +7,19 @@ from typing import Any, Literal
 
 from companion.config_file import ConfigError, read_yaml
 
-FileKind = Literal["scenario", "vehicle", "fleet"]
+FileKind = Literal["scenario", "vehicle", "fleet", "external"]
 KEYS_OF_KIND: dict[FileKind, set[str]] = {  # no other kind of file has these
     "scenario": {"starts_enu_m", "timeline"},
     "vehicle": {"mavlink", "hover_thrust_norm"},
     "fleet": {"vehicles", "neighbours", "takeoff_height_m"},
+    "external": {"external_vehicles"},
 }
-A_FILE: dict[FileKind, str] = {"scenario": "a scenario", "vehicle": "a vehicle file", "fleet": "a fleet file"}
+A_FILE: dict[FileKind, str] = {
+    "scenario": "a scenario",
+    "vehicle": "a vehicle file",
+    "fleet": "a fleet file",
+    "external": "a file of external vehicles",
+}
 
 
 def kind_of_file(data: Any) -> FileKind | None:

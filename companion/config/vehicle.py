@@ -36,6 +36,15 @@ class Signing(Section, frozen=True):
     link_id: Annotated[int, Meta(ge=0, le=255)] = 0
 
 
+MavlinkEndpoint = Annotated[
+    str,
+    Meta(
+        pattern="^(udpin|tcp|serial):.+:[0-9]+$",
+        description="udpin:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD, like serial:/dev/ttyAMA0:921600",
+    ),
+]
+
+
 class VehicleConfig(Section, frozen=True):
     """What is one vehicle's own.
 
@@ -50,13 +59,7 @@ class VehicleConfig(Section, frozen=True):
 
     id: VehicleId
     fleet: str
-    mavlink: Annotated[
-        str,
-        Meta(
-            pattern="^(udpin|tcp|serial):.+:[0-9]+$",
-            description="udpin:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD, like serial:/dev/ttyAMA0:921600",
-        ),
-    ]
+    mavlink: MavlinkEndpoint
     hover_thrust_norm: HoverThrust
     drag_1_s: Drag = 0.25
     autopilot: AutopilotKind | None = None

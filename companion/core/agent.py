@@ -460,6 +460,7 @@ class Agent:
             flags=tuple(sorted(flags)),
             rejected=dict(self._refused + self._tracker.rejected + self._cooperation.peers.rejected),
             last_event=self._last_event,
+            lacks=() if vehicle.armed else self._preflight.lacks(),
         )
 
 

@@ -15,6 +15,7 @@ from companion.types import AutopilotKind, ParameterSample, RequestParameter, Te
 
 ASK_PERIOD_S = 0.05  # while some have yet to be answered
 REFRESH_PERIOD_S = 0.5  # afterwards, in turn: a pilot may correct one at any time
+CHECKS_UNTOLD = "the autopilot has not told yet whether its own checks pass"
 TRIES = 8  # an autopilot says nothing of a parameter that it does not have
 
 
@@ -64,6 +65,22 @@ class Preflight:
         if self._autopilot is None:
             return "the autopilot has not said yet what it is"
         return "; ".join(str(finding) for finding in self._findings() if finding.verdict is Verdict.REFUSAL)
+
+    def lacks(self) -> tuple[str, ...]:
+        """What the vehicle, on the ground, lacks to be flown in formation: the reasons of a refusal, and its own checks."""
+        if self._autopilot is None:
+            return ("the autopilot has not said yet what it is",)
+        if unread := self._unread():
+            return (f"not read yet: {', '.join(unread)}",)
+        checks = self._survey.checks_lack
+        own = (
+            (CHECKS_UNTOLD,)
+            if checks is None
+            else (f"the autopilot's own checks do not pass: {checks}",)
+            if checks
+            else ()
+        )
+        return (*own, *(str(finding) for finding in self._findings() if finding.verdict is Verdict.REFUSAL))
 
     def _unread(self) -> list[str]:
         """Those that were neither answered nor asked for often enough."""

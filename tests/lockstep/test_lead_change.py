@@ -16,7 +16,7 @@ from companion.core.interaction import interaction_matrix, settled_prcs
 from companion.types import AttitudeTarget, CommandName, FlightPhase, Lead, Role, Status
 from companion.wire.ground import StatusReport
 from sitl.director import Director
-from sitl.fleet import ids_of, vehicle_file
+from sitl.fleet import ids_of, reached_stand_in, vehicle_file
 from sitl.lockstep import Lockstep
 from sitl.metrics import Formation, errors_m, formation_figures, reference_positions_m, smallest_distance_m
 from sitl.progress import Progress
@@ -181,7 +181,8 @@ def test_an_agent_restarted_in_flight_takes_no_lead_back() -> None:
     director = Director(lockstep, watch, Progress("test", True, 0.0), lambda: None, tuple, lockstep)
     director.fly(scenario.timeline[:5])
     member = scenario.fleet.vehicles[0]
-    config = AgentConfig(vehicle_file(scenario, member.id, port_offset=0), scenario.fleet, member)
+    file = vehicle_file(scenario, reached_stand_in(scenario, member.id, port_offset=0), port_offset=0)
+    config = AgentConfig(file, scenario.fleet, member)
     lockstep._vehicles[1]._agent = build_agent(config, session=2)
     lockstep.sleep(2.0)
     assert getattr(lockstep.command([1], CommandName.HOLD, 1.0)[1], "accepted", False)

@@ -15,7 +15,8 @@ from companion.config.vehicle import load_agent
 from companion.config_file import ConfigError, load
 from companion.types import AutopilotKind, Role
 from sitl.config import AutopilotFile
-from sitl.fleet import Child, Fleet, PortInUseError, autopilot_file, check_ports, vehicle_file, write_files
+from sitl.fleet import Child, Fleet, autopilot_file, reached_stand_in, vehicle_file, write_files
+from sitl.free_ports import PortInUseError, check_ports
 from sitl.ports import ports_of
 from sitl.scenario import Scenario, load_scenario
 
@@ -184,8 +185,8 @@ def test_a_bound_command_that_does_not_exist_says_so() -> None:
 
 def test_arducopters_listen_on_tcp_take_thrust_as_thrust_and_let_nobody_wait() -> None:
     scenario = load_scenario(PLATOON, ["stand_in.autopilot=ardupilot"])
-    assert vehicle_file(scenario, 2, 100).mavlink == "tcp:127.0.0.1:5870"
-    assert vehicle_file(scenario, 2, 100).hover_thrust_norm == 0.365
+    file = vehicle_file(scenario, reached_stand_in(scenario, 2, 100), 100)
+    assert (file.mavlink, file.hover_thrust_norm) == ("tcp:127.0.0.1:5870", 0.365)
     stand_in = autopilot_file(scenario, 2).stand_in
     assert (stand_in.ready_after_s, stand_in.parameters) == (4.0, {"GUID_OPTIONS": 8.0})
     said = load_scenario(

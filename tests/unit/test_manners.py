@@ -28,6 +28,7 @@ from companion.types import (
     FlightPhase,
     Inbox,
     Role,
+    Status,
 )
 
 M, P, C = mavlink, FlightPhase, CommandName
@@ -76,6 +77,7 @@ class Autopilot:
         self.withheld: tuple[str, ...] = ()
         self.parameters = dict(IN_ORDER[kind])
         self.battery_percent = 90
+        self.may_arm = True
         self.read: list[str] = []  # names of parameters that were asked for
         self.commands: list[MavlinkMessage] = []
         self.targets: list[MavlinkMessage] = []
@@ -88,7 +90,8 @@ class Autopilot:
         said, self.says = self.says, []
         said.append(M.MAVLink_attitude_quaternion_message(boot_ms, 1, 0, 0, 0, 0, 0, 0))
         said.append(M.MAVLink_extended_sys_state_message(0, self.landed))
-        said.append(M.MAVLink_sys_status_message(0, 0, 0, 0, 0, 0, self.battery_percent, 0, 0, 0, 0, 0, 0))
+        healthy = M.MAV_SYS_STATUS_PREARM_CHECK if self.may_arm else 0
+        said.append(M.MAVLink_sys_status_message(0, 0, healthy, 0, 0, 0, self.battery_percent, 0, 0, 0, 0, 0, 0))
         if self.kind is PX4:
             said.append(M.MAVLink_current_mode_message(0, self.custom_mode, self.custom_mode))
         if self.kind is ARDUPILOT or self._ticks % 50 == 0:
@@ -172,6 +175,7 @@ class Flight:
         self.now_s = 100.0
         self.stopping = False
         self.events: list[str] = []
+        self.status: Status | None = None  # the newest
         self.replies: list[tuple[bool, str]] = []
 
     def tick(self, *names: CommandName) -> None:
@@ -184,6 +188,7 @@ class Flight:
         for request in outbox.requests:
             self.autopilot.hear(self.translator.request(request))
         self.events += outbox.events
+        self.status = outbox.status or self.status
         self.replies += [(reply.accepted, reply.reason) for reply in outbox.replies]
 
     def ticks(self, seconds: float) -> None:

@@ -106,3 +106,29 @@ def test_it_reads_by_turns_not_in_formation_and_never_sets(kind: AutopilotKind) 
     flight.ticks(2.0)
     assert len(flight.autopilot.read) == read
     assert "PARAM_SET" not in {message.get_type() for message in flight.autopilot.commands}
+
+
+def lacks(flight: Flight) -> tuple[str, ...]:
+    flight.ticks(0.2)  # until the next status
+    assert flight.status is not None
+    return flight.status.lacks
+
+
+@BOTH
+def test_what_a_vehicle_on_the_ground_lacks_is_in_its_status_until_it_lacks_nothing(kind: AutopilotKind) -> None:
+    flight = Flight(kind)
+    flight.autopilot.may_arm = False
+    assert lacks(flight)[0].startswith("not read yet: ")
+    flight.ticks(1.0)
+    assert lacks(flight) == ("the autopilot's own checks do not pass: its checks before arming do not pass",)
+    flight.autopilot.may_arm, flight.autopilot.battery_percent = True, 15
+    assert lacks(flight) == ("battery: 15 %; wanted: at least 40 %; charge or change it",)
+    flight.autopilot.battery_percent = 90
+    assert lacks(flight) == ()
+
+
+@BOTH
+def test_of_an_armed_vehicle_nothing_is_said_to_be_lacking(kind: AutopilotKind) -> None:
+    flight = Flight(kind).fly_to(P.ARMED)
+    flight.autopilot.may_arm = False
+    assert lacks(flight) == ()

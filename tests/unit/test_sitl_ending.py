@@ -10,7 +10,7 @@ import pytest
 
 from companion.config_file import ConfigError
 from sitl.ending import exit_code_of
-from sitl.fleet import PortInUseError
+from sitl.free_ports import PortInUseError
 from sitl.paper.flights import NoFormationError
 from sitl.stopping import StopNow, StopRequest
 from sitl.workers import WorkerDiedError

@@ -1,0 +1,153 @@
+"""`sitl fly --external`: agents alone, to autopilots that this test has started, one of each make."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sitl.ports import ports_of
+from sitl.summary import Summary, read_summary
+from sitl.tracks import read_track
+
+pytestmark = [pytest.mark.fleet, pytest.mark.timeout(300)]
+
+OFFSET = 2700
+SCENARIO = """\
+fleet:
+  name: pair
+  origin: {latitude_deg: 47.397742, longitude_deg: 8.545594, altitude_amsl_m: 488.0}
+  altitude_source: takeoff
+  vehicles:
+    - {id: 1, role: leader, slot_enu_m: [0.0, 0.0, 0.0]}
+    - {id: 2, role: follower, slot_enu_m: [-3.0, 0.0, 0.0]}
+  neighbours: {kind: edges, edges: [[1, 2]]}
+starts_enu_m: {1: [0.0, 0.0, 0.0], 2: [-3.0, 0.0, 0.0]}
+reference: {kind: point, point_enu_m: [1.0, 0.0, 3.0]}
+timeline:
+  - {command: prepare}
+  - {command: arm}
+  - {command: takeoff}
+  - {command: form, for_s: 12.0}
+  - {command: land}
+"""
+AUTOPILOT = """\
+id: {id}
+start_enu_m: [{x}, 0.0, 0.0]
+stand_in: {{autopilot: {kind}, armable_after_s: 4, parameters: {{{parameters}}}}}
+"""
+
+
+@pytest.fixture
+def autopilots(tmp_path: Path) -> Iterator[list[subprocess.Popen[bytes]]]:
+    """Vehicle 1 has PX4's manners, vehicle 2 ArduCopter's. They run until the test ends them."""
+    of_one, of_two = ports_of(1, OFFSET), ports_of(2, OFFSET)
+    (tmp_path / "pair.yaml").write_text(SCENARIO, encoding="utf-8")
+    (tmp_path / "external.yaml").write_text(
+        "external_vehicles:\n"
+        f"  - {{id: 1, mavlink: udpin:127.0.0.1:{of_one.companion}, autopilot: px4, hover_thrust_norm: 0.49}}\n"
+        f"  - {{id: 2, mavlink: tcp:127.0.0.1:{of_two.tcp}, autopilot: ardupilot, hover_thrust_norm: 0.365}}\n",
+        encoding="utf-8",
+    )
+    started = []
+    for vehicle_id, x, kind, parameters in ((1, 0.0, "px4", ""), (2, -3.0, "ardupilot", "GUID_OPTIONS: 8")):
+        file = tmp_path / f"own_{vehicle_id}.yaml"
+        file.write_text(AUTOPILOT.format(id=vehicle_id, x=x, kind=kind, parameters=parameters), encoding="utf-8")
+        command = [sys.executable, "-m", "sitl", "autopilot", "--config", str(file), "--port-offset", str(OFFSET)]
+        truth = ["--truth", str(tmp_path / f"true_{vehicle_id}.csv")]
+        started.append(subprocess.Popen([*command, *truth], stdout=subprocess.DEVNULL))
+    yield started
+    for process in started:
+        process.kill()
+        process.wait()
+
+
+def fly(folder: Path, *more: str) -> subprocess.Popen[str]:
+    files = [str(folder / "pair.yaml"), "--external", str(folder / "external.yaml"), "--out", str(folder / "out")]
+    return subprocess.Popen(
+        [sys.executable, "-m", "sitl", "fly", *files, "--port-offset", str(OFFSET), *more],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+
+
+def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
+    printed, _ = process.communicate(timeout=240)
+    return process.returncode, printed
+
+
+def summary_of(folder: Path) -> Summary:
+    return read_summary(folder / "out" / "summary.json")
+
+
+def all_run(autopilots: list[subprocess.Popen[bytes]]) -> bool:
+    return all(process.poll() is None for process in autopilots)
+
+
+def is_armed(folder: Path, vehicle_id: int) -> bool:
+    """By the autopilot's own record."""
+    rows = (folder / f"true_{vehicle_id}.csv").read_text(encoding="ascii").splitlines()
+    return rows[-2].split(",")[-2] == "1"
+
+
+def test_a_mixed_pair_flies_and_its_autopilots_stay(tmp_path: Path, autopilots: list[subprocess.Popen[bytes]]) -> None:
+    code, printed = ended(fly(tmp_path))
+    assert code == 0, printed
+    assert "waiting for the vehicles to be ready" in printed
+    summary = summary_of(tmp_path)
+    assert (summary.tracks, summary.failure) == ("estimated", None)
+    assert summary.final_error_m is not None and summary.final_error_m < 0.3
+    assert all_run(autopilots)
+    assert not is_armed(tmp_path, 1) and not is_armed(tmp_path, 2)
+    for vehicle_id in (1, 2):  # as told it was truly there, but for the estimator's error and the altitude's zero
+        told, true = (
+            read_track(tmp_path / "out" / f"estimated_{vehicle_id}.csv"),
+            read_track(tmp_path / f"true_{vehicle_id}.csv"),
+        )
+        times_s = np.linspace(told.time_s[0], told.time_s[-1], 100)
+        assert np.abs((told.at(times_s) - true.at(times_s))[:, :2]).max() < 0.5
+    assert not list((tmp_path / "out").glob("truth_*")) and not list((tmp_path / "out").glob("autopilot_*"))
+
+
+def test_ctrl_c_in_formation_lands_both_and_leaves_their_autopilots(
+    tmp_path: Path, autopilots: list[subprocess.Popen[bytes]]
+) -> None:
+    flight = fly(tmp_path, "--set", "timeline[3].for_s=120", "--quiet")
+    log, deadline_s = tmp_path / "out" / "agent_2.log", time.monotonic() + 120.0
+    while not (log.exists() and "engage -> formation" in log.read_text(encoding="utf-8")):
+        assert time.monotonic() < deadline_s and flight.poll() is None
+        time.sleep(0.1)
+    flight.send_signal(signal.SIGINT)
+    code, printed = ended(flight)
+    assert code == 130, printed
+    assert "interrupted by SIGINT" in printed
+    assert not is_armed(tmp_path, 1) and not is_armed(tmp_path, 2)
+    assert all_run(autopilots)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (("autopilot: px4", "autopilot: ardupilot"), "ArduCopter"),
+        (("{id: 2, ", "{id: 2, hover_thrust_norm: 0.365, mavlink: tcp:127.0.0.1:9, autopilot: ardupilot} #"), "127.0.0.1:9"),
+    ],
+    ids=["another make", "nobody there"],
+)  # fmt: skip
+def test_an_autopilot_that_is_another_or_is_not_there_is_named_and_nothing_is_flown(
+    tmp_path: Path, autopilots: list[subprocess.Popen[bytes]], change: tuple[str, str], said: str
+) -> None:
+    file = tmp_path / "external.yaml"
+    file.write_text(file.read_text(encoding="utf-8").replace(*change), encoding="utf-8")
+    code, printed = ended(fly(tmp_path, "--quiet"))
+    assert code == 1
+    assert said in summary_of(tmp_path).failure  # type: ignore[operator]
+    assert "ended with exit code" in printed
+    assert all_run(autopilots)
+    assert not is_armed(tmp_path, 1) and not is_armed(tmp_path, 2)
