@@ -12,6 +12,7 @@ from companion.config.reference import PointReference, Reference
 from companion.config.vehicle import AgentConfig
 from companion.core import formation
 from companion.core.agent import Agent, AgentSetup
+from companion.core.control import FormationControl
 from companion.core.cooperation import Cooperation
 from companion.core.disturbance import DisturbanceObserver
 from companion.core.envelope import EnvelopeLimits
@@ -23,6 +24,7 @@ from companion.core.leadership import Leadership
 from companion.core.neighbours import EdgeRule, NeighbourRule, RangeRule
 from companion.core.peers import PeerTable
 from companion.core.reference import ReferenceTrajectory, figure_8, point
+from companion.core.setpoint_stream import SetpointStream
 from companion.core.vehicle_state import VehicleTracker
 from companion.types import Role
 
@@ -46,6 +48,7 @@ def build_agent(config: AgentConfig, session: int) -> Agent:
         fleet.peers.max_age_s,
         fleet.peers.max_speed_m_s,
     )
+    envelope = envelope_limits(fleet.envelope)
     setup = AgentSetup(
         vehicle_id=member.id,
         session=session,
@@ -53,12 +56,8 @@ def build_agent(config: AgentConfig, session: int) -> Agent:
         formation_hash=formation_hash,
         law_name=law.name,
         slot_enu_m=member.slot_enu_m,
-        law=law_of(law),
-        law_flies_altitude=law.altitude == "formation",
-        altitude_hold_gains=Gains(law.altitude_hold_gains.position_1_s2, law.altitude_hold_gains.velocity_1_s),
-        reference=trajectory_of(config.vehicle.reference) if config.vehicle.reference else None,
         takeoff_height_m=fleet.takeoff_height_m,
-        envelope=envelope_limits(fleet.envelope),
+        envelope=envelope,
         ages=AgeLimits(),
         checks=FleetChecks(
             own_id=member.id,
@@ -79,7 +78,18 @@ def build_agent(config: AgentConfig, session: int) -> Agent:
     cooperation = Cooperation(member.id, leadership, slots, peers, rule, leader)
     vehicle = config.vehicle
     observer = DisturbanceObserver(vehicle.hover_thrust_norm, vehicle.drag_1_s, law.disturbance_bandwidth_1_s)
-    return Agent(setup, tracker, cooperation, observer)
+    return Agent(setup, tracker, cooperation, _control(config), SetpointStream(envelope, observer))
+
+
+def _control(config: AgentConfig) -> FormationControl:
+    law, reference = config.fleet.law, config.vehicle.reference
+    return FormationControl(
+        law=law_of(law),
+        slot_enu_m=config.member.slot_enu_m,
+        law_flies_altitude=law.altitude == "formation",
+        altitude_hold_gains=Gains(law.altitude_hold_gains.position_1_s2, law.altitude_hold_gains.velocity_1_s),
+        reference=trajectory_of(reference) if reference else None,
+    )
 
 
 def trajectory_of(reference: Reference) -> ReferenceTrajectory:

@@ -6,7 +6,7 @@ sides the Euler angles map as roll -> roll, pitch -> -pitch, yaw_ned = pi/2 - ya
 
 from __future__ import annotations
 
-from math import asin, atan2, cos, degrees, pi, radians, sin, sqrt
+from math import asin, atan2, copysign, cos, degrees, pi, radians, sin, sqrt
 
 from companion.types import Vector3
 
@@ -72,10 +72,10 @@ def euler_from_quaternion(quaternion: Quaternion) -> Vector3:
     if not 0.99 < norm < 1.01:
         raise ValueError(f"quaternion norm {norm:.3f} is not 1")
     w, x, y, z = w / norm, x / norm, y / norm, z / norm
-    sin_pitch = max(-1.0, min(1.0, 2.0 * (w * y - z * x)))
+    sin_pitch = 2.0 * (w * y - z * x)
     return (
         atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
-        asin(sin_pitch),
+        asin(sin_pitch) if -1.0 <= sin_pitch <= 1.0 else copysign(pi / 2.0, sin_pitch),
         atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
     )
 

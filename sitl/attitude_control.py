@@ -6,6 +6,8 @@ from collections import deque
 from dataclasses import dataclass
 from math import radians, sqrt
 
+from msgspec import Struct
+
 from companion.frames import Quaternion
 from companion.types import Vector3
 
@@ -36,8 +38,7 @@ PX4_LOOPS = Loops(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Setpoint:
+class Setpoint(Struct, frozen=True, gc=False):
     """What the loops follow: an attitude (FLU to ENU) and the collective thrust in 0..1.
 
     `yaw_rate_rad_s` about the vertical is fed forward. Where `rates_rad_s` (p, q, r) is given it replaces the attitude.

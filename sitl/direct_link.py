@@ -147,11 +147,8 @@ class DirectLink:
             self._say(self._end.texts(), now_s)
         if self.autopilot.origin_changes:  # what it is like at the start the agent asks for
             self._say(self._end.news(), now_s)
-        due = self._end.schedule.due(now_s)
         received_s = now_s + self._telemetry_delay_s
-        if not due:
-            return
-        for message_id in due:
+        for message_id in self._end.schedule.due(now_s):
             samples = SAMPLES[message_id](self.autopilot, received_s)
             self._to_agent.extend(samples)
             if samples and message_id == M.MAVLINK_MSG_ID_LOCAL_POSITION_NED:

@@ -17,11 +17,7 @@ from sitl.attitude_control import DelayLine, Loops, Setpoint, moments, wanted_ra
 from sitl.config import AutopilotFile
 from sitl.disturbances import EstimatorError, Gusts
 from sitl.dynamics import (
-    ATTITUDE,
-    POSITION,
-    RATES,
     THRUST,
-    VELOCITY,
     Body,
     State,
     advance,
@@ -84,24 +80,24 @@ class Quadrotor:
     @property
     def position_enu_m(self) -> Vector3:
         """Truth, in the world's frame."""
-        x, y, z = self.state[POSITION]
-        return (x, y, z)
+        state = self.state
+        return (state[0], state[1], state[2])
 
     @property
     def velocity_enu_m_s(self) -> Vector3:
-        x, y, z = self.state[VELOCITY]
-        return (x, y, z)
+        state = self.state
+        return (state[3], state[4], state[5])
 
     @property
     def quaternion(self) -> Quaternion:
         """Truth, FLU to ENU."""
-        w, x, y, z = self.state[ATTITUDE]
-        return (w, x, y, z)
+        state = self.state
+        return (state[6], state[7], state[8], state[9])
 
     @property
     def rates_rad_s(self) -> Vector3:
-        p, q, r = self.state[RATES]
-        return (p, q, r)
+        state = self.state
+        return (state[10], state[11], state[12])
 
     @property
     def specific_force_m_s2(self) -> Vector3:
@@ -109,22 +105,20 @@ class Quadrotor:
         return (0.0, 0.0, GRAVITY_M_S2 if self.stands else self.state[THRUST] / self._body.mass_kg)
 
     def estimated_position_local_enu_m(self) -> Vector3:
-        x, y, z = self.state[POSITION]
+        x, y, z = self.position_enu_m
         ex, ey, ez = self._error.position_m
         ox, oy, oz = self._local_zero_enu_m
         return (x + ex - ox, y + ey - oy, z + ez - oz)
 
     def estimated_velocity_enu_m_s(self) -> Vector3:
-        x, y, z = self.state[VELOCITY]
+        x, y, z = self.velocity_enu_m_s
         ex, ey, ez = self._error.velocity_m_s
         return (x + ex, y + ey, z + ez)
 
     def estimated_quaternion(self) -> Quaternion:
         """FLU to ENU, as the autopilot believes; every loop of the autopilot works on it."""
-        w, x, y, z = self.state[ATTITUDE]
-        if self._error.quiet:
-            return (w, x, y, z)
-        return _turned((w, x, y, z), self._error.attitude_rad)
+        true = self.quaternion
+        return true if self._error.quiet else _turned(true, self._error.attitude_rad)
 
     def estimated_euler_rad(self) -> Vector3:
         """Roll, pitch, yaw of FLU in ENU."""
@@ -150,7 +144,8 @@ class Quadrotor:
             self.state = (*self.state[:THRUST], thrust_n, *torque)
         rate = rate_of_change(self._body, self.state, thrust_n, torque, wind)
         self.state = advance(self.state, rate, self._dt_s)
-        self._touch_ground(stood_at)
+        if self.stands:
+            self._touch_ground(stood_at)
         self._steps += 1
         if self._steps % ESTIMATE_PERIOD_STEPS == 0:
             self._error.step()
@@ -170,8 +165,6 @@ class Quadrotor:
 
     def _touch_ground(self, stood_at: State | None) -> None:
         """Flat, hard and sticky: it stops the fall, levels the vehicle, and no wind moves one that stood there before."""
-        if self.state[2] > self._ground_z_m or self.state[5] > 0.0:
-            return
         x, y = stood_at or self.state[:2]
         _, _, yaw = euler_from_quaternion(self.quaternion)
         half = yaw / 2.0

@@ -29,6 +29,10 @@ class Schedule:
             self._due_s[message_id] = now_s + self._period_s[message_id]
         self._next_s = min(self._due_s.values(), default=inf)
 
+    def postpone(self, message_id: int) -> None:
+        """What is due has nothing to say: it is asked again a period later."""
+        self._due_s[message_id] += self._period_s[message_id]
+
     def default_hz(self, message_id: int) -> float:
         return self._defaults.get(message_id, 0.0)
 

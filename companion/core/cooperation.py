@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from companion.core.formation import Place, place
 from companion.core.leader_word import LeaderWatch
@@ -18,8 +19,7 @@ from companion.types import FlightPhase, LeaderWord, PeerPacket, ReceivedPeerPac
 COOPERATING = frozenset({FlightPhase.HOLD, FlightPhase.ENGAGE, FlightPhase.FORMATION, FlightPhase.RELEASE})
 
 
-@dataclass(frozen=True, slots=True)
-class Neighbourhood:
+class Neighbourhood(Struct, frozen=True, gc=False):
     """One tick's outcome: own role, PrC and leader's word, and every neighbour with its PrC and place."""
 
     role: Role
@@ -64,12 +64,11 @@ class Cooperation:
         fresh = self.peers.fresh(now_s)
         self.leadership.hear([peer.packet.leader_word for peer in fresh.values()])
         role, epoch = self.leadership.role, self.leadership.epoch
-        flying = {i: peer for i, peer in fresh.items() if peer.packet.phase in COOPERATING}
-        positions = {i: peer.position_at(now_s) for i, peer in flying.items()}
+        positions = {i: peer.position_at(now_s) for i, peer in fresh.items() if peer.packet.phase in COOPERATING}
         ids = self._rule.select(own_position_enu_m, positions)
-        heard = [(flying[i].packet, positions[i], self._slots_enu_m[i]) for i in ids]
-        prcs = [self._prc_of(packet, epoch) for packet, _, _ in heard]
-        self._leader.hear(now_s, self._words_of_others(packet for packet, _, _ in heard), epoch)
+        heard = [fresh[i].packet for i in ids]
+        prcs = [self._prc_of(packet, epoch) for packet in heard]
+        self._leader.hear(now_s, self._words_of_others(heard), epoch)
         word, word_age_s, reference_s = self._word(now_s, role, epoch, in_formation)
         return Neighbourhood(
             role=role,
@@ -79,7 +78,15 @@ class Cooperation:
             leader_word=word,
             leader_word_age_s=word_age_s,
             neighbours=tuple(
-                [(prc, _place(packet, at, slot)) for prc, (packet, at, slot) in zip(prcs, heard, strict=True)]
+                [
+                    (
+                        prc,
+                        place(
+                            positions[i], packet.velocity_enu_m_s, self._slots_enu_m[i], packet.acceleration_enu_m_s2
+                        ),
+                    )
+                    for i, prc, packet in zip(ids, prcs, heard, strict=True)
+                ]
             ),
             neighbour_ids=ids,
         )
@@ -96,8 +103,8 @@ class Cooperation:
 
     def _words_of_others(self, packets: Iterable[PeerPacket]) -> list[LeaderWord]:
         """What this vehicle once said itself, as a leader or before a restart, is nobody's word now."""
-        words = [packet.leader_word for packet in packets]
-        return [word for word in words if word is not None and word.leader_id != self._own_id]
+        own_id = self._own_id
+        return [word for p in packets if (word := p.leader_word) is not None and word.leader_id != own_id]
 
     def _word(self, now_s: float, role: Role, epoch: int, in_formation: bool) -> tuple[LeaderWord | None, float, float]:
         """The word to pass on, how old it is, and how far into the RFT the fleet is."""
@@ -113,7 +120,3 @@ class Cooperation:
             return None, age_s, reference_s
         told_s = reference_s if self._clock.runs else 0.0
         return LeaderWord(word.leader_id, word.epoch, word.stamp, told_s), age_s, reference_s
-
-
-def _place(packet: PeerPacket, position_enu_m: Vector3, slot_enu_m: Vector3) -> Place:
-    return place(position_enu_m, packet.velocity_enu_m_s, slot_enu_m, packet.acceleration_enu_m_s2)

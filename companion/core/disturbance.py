@@ -11,8 +11,9 @@ model, its lag is not taken for a disturbance, and what is found comes back into
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import cos, exp, hypot, sin
+
+from msgspec import Struct
 
 from companion.types import GRAVITY_M_S2, ZERO3, Vector3
 
@@ -27,8 +28,7 @@ LARGEST_INNOVATION_M_S = 1.0
 RESET_M_S, RESET_M_S2 = 0.5, 30.0  # a velocity that jumps by more than this is of an estimator that was reset
 
 
-@dataclass(frozen=True, slots=True)
-class Motion:
+class Motion(Struct, frozen=True, gc=False):
     """One measurement: velocity, attitude (roll, pitch, yaw of FLU in ENU) and the thrust commanded last, at `time_s`."""
 
     time_s: float

@@ -5,7 +5,7 @@ SILENT is not an emergency brake: it lets the autopilot's own failsafe act (PX4 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection
 
 from companion.types import FailsafeAction, HealthFlag
 
@@ -23,6 +23,8 @@ ACTIONS: dict[HealthFlag, FailsafeAction] = {
 }
 
 
-def failsafe_action(flags: Iterable[HealthFlag]) -> FailsafeAction:
+def failsafe_action(flags: Collection[HealthFlag]) -> FailsafeAction:
     """The highest-ranked action of all raised flags. It clears by itself when its flags do; a hold, once begun, is finished."""
-    return max([ACTIONS[flag] for flag in flags], default=FailsafeAction.NONE)
+    if not flags:
+        return FailsafeAction.NONE
+    return max([ACTIONS[flag] for flag in flags])

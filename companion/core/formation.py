@@ -11,6 +11,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from msgspec import Struct
+
 from companion.core.weights import neighbour_weights
 from companion.types import ZERO3, Vector3
 
@@ -66,8 +68,7 @@ def cooperative() -> FormationLaw:
     return FormationLaw(Gains(2.0, 2.4), 8.0, leader_heeds_neighbours=True, feedforward=0.9)
 
 
-@dataclass(frozen=True, slots=True)
-class Place:
+class Place(Struct, frozen=True, gc=False):
     """Where a vehicle is, seen from its slot: x - d_i0, its velocity and its last commanded acceleration.
 
     In perfect formation all places equal the RFT.
@@ -98,7 +99,7 @@ def formation_error(
     """
     heeded = neighbours if reference is None or law.leader_heeds_neighbours else ()
     weights = neighbour_weights([prc for prc, _ in heeded], law.exponent)
-    terms = [(weight, target) for weight, (_, target) in zip(weights, heeded, strict=True)]
+    terms = list(zip(weights, [target for _, target in heeded], strict=True))
     if reference is not None:
         terms.append((1.0, reference))
     (x, y, z), (vx, vy, vz) = own.position_enu_m, own.velocity_enu_m_s

@@ -32,7 +32,7 @@ class LeaderWatch:
             if word is None or word.epoch < epoch:
                 continue
             newest = self._newest.get(word.leader_id)
-            if newest is None or now_s - newest[1] > self._forget_s or _later(word, newest[0]):
+            if newest is None or _later(word, newest[0]) or now_s - newest[1] > self._forget_s:
                 self._newest[word.leader_id] = (word, now_s)
 
     def youngest(self, now_s: float) -> tuple[LeaderWord | None, float]:
@@ -54,4 +54,4 @@ class LeaderWatch:
 
 
 def _later(word: LeaderWord, than: LeaderWord) -> bool:
-    return (word.epoch, word.stamp) > (than.epoch, than.stamp)
+    return word.stamp > than.stamp if word.epoch == than.epoch else word.epoch > than.epoch

@@ -36,7 +36,7 @@ class Leadership:
 
     def hear(self, words: Iterable[LeaderWord | None]) -> None:
         """What peers pass on of their leaders."""
-        newest = max((word.epoch for word in words if word is not None), default=0)
+        newest = max([word.epoch for word in words if word is not None], default=0)
         if newest > self.epoch:
             self._enter(newest, Role.FOLLOWER, "heard of it")
 

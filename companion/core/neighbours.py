@@ -18,10 +18,10 @@ class EdgeRule:
     """Neighbours are the other ends of this vehicle's edges, as long as they are heard."""
 
     def __init__(self, own_id: int, edges: Iterable[tuple[int, int]]) -> None:
-        self._others = {b if a == own_id else a for a, b in edges if own_id in (a, b)}
+        self._others = sorted({b if a == own_id else a for a, b in edges if own_id in (a, b)})
 
     def select(self, own_position_enu_m: Vector3, positions_enu_m: Mapping[int, Vector3]) -> tuple[int, ...]:  # noqa: ARG002
-        return tuple(sorted(self._others & positions_enu_m.keys()))
+        return tuple([i for i in self._others if i in positions_enu_m])
 
 
 class RangeRule:

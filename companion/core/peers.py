@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from math import dist, hypot, isfinite
+
+from msgspec import Struct
 
 from companion.types import MAX_EPOCH, MAX_EPOCHS_AHEAD, LeaderWord, PeerPacket, ReceivedPeerPacket, Role, Vector3
 
@@ -18,26 +19,23 @@ CREEP = 2e-4  # seconds a second: two computers' clocks drift apart by less
 JUMP_MARGIN_M = 1.0  # what an estimator's correction may add to the way flown between two packets
 
 
-@dataclass(frozen=True, slots=True)
-class PeerState:
+class PeerState(Struct, frozen=True, gc=False):
     """A peer's newest packet, when it came, and how much later than packets of its session can come.
 
     No clock is common to both, so `least_apart_s` is of their clocks as well as of the way: received less sent, of the packet
-    with the shortest way.
+    with the shortest way. `measured_s` is when the position was, on this vehicle's clock: what it had of age when it was sent
+    and what held it up before it was received.
     """
 
     packet: PeerPacket
     received_s: float
     least_apart_s: float
     late_s: float
-
-    def age_s(self, now_s: float) -> float:
-        """Age of the position itself: what it had when it was sent, what held it up, and what has passed since."""
-        return self.packet.state_age_s + self.late_s + (now_s - self.received_s)
+    measured_s: float
 
     def position_at(self, now_s: float) -> Vector3:
         """The position carried on with its velocity over its age, so that both sides of x_i - x_j mean the same time."""
-        age_s = self.age_s(now_s)
+        age_s = now_s - self.measured_s
         (x, y, z), (vx, vy, vz) = self.packet.position_enu_m, self.packet.velocity_enu_m_s
         return (x + vx * age_s, y + vy * age_s, z + vz * age_s)
 
@@ -76,7 +74,7 @@ class PeerTable:
 
     def fresh(self, now_s: float) -> dict[int, PeerState]:
         """Peers whose state is not older than the configured age."""
-        return {i: peer for i, peer in self._newest.items() if peer.age_s(now_s) <= self._max_age_s}
+        return {i: peer for i, peer in self._newest.items() if now_s - peer.measured_s <= self._max_age_s}
 
     def _refusal(self, received: ReceivedPeerPacket, epoch: int) -> str | None:
         packet = received.packet
@@ -133,7 +131,7 @@ class PeerTable:
     def _unlikely_after(self, newest: PeerState, received: ReceivedPeerPacket) -> str | None:
         """In the light of the newest packet from the same vehicle."""
         packet, before = received.packet, newest.packet
-        newest_is_old = newest.age_s(received.received_s) > self._max_age_s
+        newest_is_old = received.received_s - newest.measured_s > self._max_age_s
         if before.session != packet.session:
             # A vehicle that restarted has been silent for a while; another session at once is a second one with the same id.
             if not newest_is_old:
@@ -149,9 +147,10 @@ class PeerTable:
 
 def _timed(received: ReceivedPeerPacket, newest: PeerState | None) -> PeerState:
     """What a packet was held up by counts from the shortest way of its session, slowly forgotten: clocks drift apart."""
-    packet, apart_s = received.packet, received.received_s - received.packet.sent_s
-    least_apart_s = apart_s
+    packet, received_s = received.packet, received.received_s
+    apart_s = least_apart_s = received_s - packet.sent_s
     if newest is not None and newest.packet.session == packet.session:
-        forgotten_s = CREEP * max(0.0, received.received_s - newest.received_s)
+        forgotten_s = CREEP * max(0.0, received_s - newest.received_s)
         least_apart_s = min(apart_s, newest.least_apart_s + forgotten_s)
-    return PeerState(packet, received.received_s, least_apart_s, apart_s - least_apart_s)
+    late_s = apart_s - least_apart_s
+    return PeerState(packet, received_s, least_apart_s, late_s, received_s - late_s - packet.state_age_s)

@@ -6,10 +6,11 @@ It only ever reads. Setting is the doctor's, on the ground and after showing it.
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Iterable
+from collections.abc import Sequence
 from math import inf
 
 from companion.core.audit import Facts, Finding, Verdict, audit, parameter_names
+from companion.core.disturbance import HOVER_PARAMETERS, DisturbanceObserver
 from companion.core.survey import Survey
 from companion.types import AutopilotKind, ParameterSample, RequestParameter, Telemetry
 
@@ -22,8 +23,9 @@ TRIES = 8  # an autopilot says nothing of a parameter that it does not have
 class Preflight:
     """What is known of the vehicle's fitness. `events` gets each finding that is not in order, once, when all is read."""
 
-    def __init__(self, hover_thrust_norm: float) -> None:
-        self._hover_thrust_norm = hover_thrust_norm
+    def __init__(self, observer: DisturbanceObserver) -> None:
+        self._observer = observer  # begins with the autopilot's hover thrust once that is read
+        self._hover_thrust_norm = observer.hover_thrust_norm  # of the vehicle file
         self._autopilot: AutopilotKind | None = None
         self._names: deque[str] = deque()  # in the order in which they are asked for next
         self._survey = Survey()
@@ -33,15 +35,16 @@ class Preflight:
         self._told = False
         self.events: list[str] = []
 
-    def hear(self, now_s: float, telemetry: Iterable[Telemetry], autopilot: AutopilotKind | None) -> None:
+    def hear(self, now_s: float, telemetry: Sequence[Telemetry], autopilot: AutopilotKind | None) -> None:
         """Everything that came in this tick, from an autopilot of this make."""
-        samples = tuple(telemetry)
-        self._survey.hear(now_s, samples)
+        self._survey.hear(now_s, telemetry)
         if autopilot is not self._autopilot and autopilot is not None:
             self._autopilot, self._names = autopilot, deque(parameter_names(autopilot))
-        for sample in samples:
+        for sample in telemetry:
             if isinstance(sample, ParameterSample) and sample.name in self._names:
                 self._values[sample.name] = sample.value
+                if sample.name in HOVER_PARAMETERS:
+                    self._observer.start_from(sample.value)
         if not self._told and self._names and not self._unread():
             self._told = True
             findings = [finding for finding in self._findings() if finding.verdict is not Verdict.OK]
@@ -49,8 +52,10 @@ class Preflight:
 
     def ask(self, now_s: float) -> tuple[RequestParameter, ...]:
         """The next parameter to be read, whenever it is time: first those that have not answered."""
+        if not self._names or now_s - self._asked_s < ASK_PERIOD_S:
+            return ()
         unread = self._unread()
-        if not self._names or now_s - self._asked_s < (ASK_PERIOD_S if unread else REFRESH_PERIOD_S):
+        if not unread and now_s - self._asked_s < REFRESH_PERIOD_S:
             return ()
         self._asked_s = now_s
         while unread and self._names[0] not in unread:

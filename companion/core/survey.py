@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 
 from companion.types import (
     AttitudeSample,
@@ -33,24 +32,26 @@ class Survey:
         self.battery_percent: float | None = None
         self.may_arm: bool | None = None
         self.last_warning = ""  # of the autopilot's own texts
-        self._counts: Counter[type[Telemetry]] = Counter()
+        self._counts: dict[type[Telemetry], int] = {}
         self._window_since_s: float | None = None
 
-    def hear(self, now_s: float, telemetry: Iterable[Telemetry]) -> None:
+    def hear(self, now_s: float, telemetry: Sequence[Telemetry]) -> None:
         """Everything that came since the last call; what comes with the first is older than the window, and not counted."""
         if self._window_since_s is None:
             self._window_since_s = now_s
             telemetry = ()
+        counts = self._counts
         for sample in telemetry:
-            self._counts[type(sample)] += 1
+            kind = type(sample)
+            counts[kind] = counts.get(kind, 0) + 1
             if isinstance(sample, SystemSample):
                 self.battery_percent, self.may_arm = sample.battery_percent, sample.may_arm
             elif isinstance(sample, TextSample) and sample.severity <= WARNING:
                 self.last_warning = sample.text
         elapsed_s = now_s - self._window_since_s
         if elapsed_s >= WINDOW_S:
-            self.rates_hz = {name: self._counts[kind] / elapsed_s for kind, name in NAMES.items()}
-            self._counts.clear()
+            self.rates_hz = {name: counts.get(kind, 0) / elapsed_s for kind, name in NAMES.items()}
+            counts.clear()
             self._window_since_s = now_s
 
     @property

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from math import hypot, isfinite
 from typing import Any
 
@@ -52,6 +52,17 @@ class VehicleTracker:
         self.events: list[str] = []
         self._fields: dict[str, Any] = {"frame_known": self._frame_known()}  # all that was ever heard
         self.state = VehicleState(**self._fields)
+        self._folds: dict[type[Telemetry], Callable[[Any], None]] = {
+            PositionSample: self._fold_position,
+            AttitudeSample: self._fold_attitude,
+            ModeSample: self._fold_mode,
+            HeartbeatSample: self._fold_heartbeat,
+            LandedSample: self._fold_landed,
+            ThrustSample: self._fold_thrust,
+            OriginSample: self._fold_origin,
+            GlobalPositionSample: self._fold_global_position,
+            EstimatorSample: self._fold_error,
+        }
 
     def take_as_told(self) -> None:
         """The next position is used as it comes: nobody heeds this vehicle just now, itself included."""
@@ -60,27 +71,9 @@ class VehicleTracker:
     def fold(self, telemetry: Iterable[Telemetry]) -> VehicleState:
         """The state after these samples. What is out of range is counted in `rejected` and changes nothing."""
         for sample in telemetry:
-            match sample:
-                case PositionSample():
-                    self._fold_position(sample)
-                case AttitudeSample():
-                    self._fold_attitude(sample)
-                case ModeSample():
-                    self._fields.update(mode=sample.mode, mode_name=sample.name, mode_time_s=sample.received_s)
-                case HeartbeatSample():
-                    self._fields.update(
-                        autopilot=sample.autopilot, armed=sample.armed, heartbeat_time_s=sample.received_s
-                    )
-                case LandedSample():
-                    self._fields.update(landed=sample.landed, landed_time_s=sample.received_s)
-                case ThrustSample():
-                    self._fold_thrust(sample)
-                case OriginSample():
-                    self._fold_origin(sample)
-                case GlobalPositionSample():
-                    self._fold_global_position(sample)
-                case EstimatorSample():
-                    self._fold_error(sample)
+            fold = self._folds.get(type(sample))
+            if fold is not None:
+                fold(sample)
         # Once a tick: a new state for every sample would cost more than the law.
         self.state = VehicleState(**self._fields)
         return self.state
@@ -144,6 +137,15 @@ class VehicleTracker:
         self._fields.update(altitude_amsl_m=None, frame_known=self._frame_known(), frame_contradicted=False)
         if not self._frame_known():
             self._fields.pop("position_time_s", None)
+
+    def _fold_mode(self, sample: ModeSample) -> None:
+        self._fields.update(mode=sample.mode, mode_name=sample.name, mode_time_s=sample.received_s)
+
+    def _fold_heartbeat(self, sample: HeartbeatSample) -> None:
+        self._fields.update(autopilot=sample.autopilot, armed=sample.armed, heartbeat_time_s=sample.received_s)
+
+    def _fold_landed(self, sample: LandedSample) -> None:
+        self._fields.update(landed=sample.landed, landed_time_s=sample.received_s)
 
     def _fold_attitude(self, sample: AttitudeSample) -> None:
         if not (isfinite(sample.roll_rad) and isfinite(sample.pitch_rad) and isfinite(sample.yaw_rad)):

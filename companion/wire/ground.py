@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TypeVar
 
 import msgspec
@@ -13,8 +12,7 @@ from companion.wire.version import DECODE_ERRORS, WireError, seal, unseal
 T = TypeVar("T")
 
 
-@dataclass(frozen=True, slots=True)
-class Percentiles:
+class Percentiles(msgspec.Struct, frozen=True, gc=False):
     """Of one measured time in microseconds."""
 
     p50: float
@@ -22,8 +20,7 @@ class Percentiles:
     max: float
 
 
-@dataclass(frozen=True, slots=True)
-class Timing:
+class Timing(msgspec.Struct, frozen=True, gc=False):
     """How well an agent keeps its 50 Hz, counted since it entered formation (or since its start).
 
     `late_us`: start of a tick after its due time, one period after the tick before. `missed`: periods without a tick,
@@ -40,8 +37,7 @@ class Timing:
     rss_mb: float
 
 
-@dataclass(frozen=True, slots=True)
-class StatusReport:
+class StatusReport(msgspec.Struct, frozen=True, gc=False):
     """One vehicle's status with its timing."""
 
     status: Status

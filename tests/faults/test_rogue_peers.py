@@ -5,11 +5,11 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import closing
-from dataclasses import replace
 from math import nan
 from pathlib import Path
 
 import pytest
+from msgspec.structs import replace
 
 from companion.config.fleet import FleetConfig
 from companion.config_file import load

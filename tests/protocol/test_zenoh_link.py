@@ -10,12 +10,13 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import count
 
 import msgspec
 import pytest
 import zenoh
+from msgspec.structs import replace
 
 from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember
 from companion.config.vehicle import ZenohEndpoints
@@ -173,7 +174,7 @@ def test_after_a_pause_packets_are_as_old_as_they_waited_and_later_ones_are_not(
     def age_s() -> float:
         now_s = time.monotonic()
         peers.fold(second.link.receive(now_s)[0], epoch=0)
-        return peers.fresh(now_s)[1].age_s(now_s) - PACKET.state_age_s if peers.fresh(now_s) else 99.0
+        return now_s - peers.fresh(now_s)[1].measured_s - PACKET.state_age_s if peers.fresh(now_s) else 99.0
 
     with vehicle(1, listen=(endpoint(port),)) as first, vehicle(2, connect=(endpoint(port),)) as second:
         until(lambda: age_s() < 0.05, publish)

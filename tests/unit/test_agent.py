@@ -1,9 +1,9 @@
 """Agent.step from telemetry to setpoint: when it speaks, when it must be silent, and what it tells the others."""
 
-from dataclasses import replace
 from math import inf, isfinite, nan
 
 import pytest
+from msgspec.structs import replace
 
 from companion.assembly import build_agent, trajectory_of
 from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember

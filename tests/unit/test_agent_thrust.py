@@ -71,7 +71,7 @@ def test_a_thrust_that_cannot_be_is_refused_and_counted() -> None:
     ("name", "value", "hover"),
     [
         ("MPC_THR_HOVER", 0.42, 0.42),
-        ("MOT_THST_HOVER", 0.35, 0.35),
+        ("MOT_THST_HOVER", 0.35, 0.5),  # not one of PX4
         ("MPC_THR_MAX", 0.42, 0.5),
         ("MPC_THR_HOVER", 0.0, 0.5),
         ("MPC_THR_HOVER", nan, 0.5),

@@ -1,11 +1,12 @@
 """The director against vehicles that obey, refuse, fall back and fall silent, without any process."""
 
+import dataclasses
 import io
 import time
 from collections.abc import Iterable
-from dataclasses import replace
 
 import pytest
+from msgspec.structs import replace
 
 from companion.core.phase import RULES
 from companion.types import CommandName, CommandReply, FlightPhase, LandedState, Lead, Role, Status
@@ -322,5 +323,5 @@ def test_progress_off_a_terminal_is_plain_lines(flight: Flight) -> None:
 def test_data_that_never_came_has_no_age(flight: Flight) -> None:
     flight.fly(C.PREPARE)
     row = flight.watch.rows(time.monotonic())[0]
-    assert "data   - " in vehicle_line(replace(row, data_age_s=1e6, silent=False)) + " "
-    assert "data  20 ms old" in vehicle_line(replace(row, data_age_s=0.02, silent=False))
+    assert "data   - " in vehicle_line(dataclasses.replace(row, data_age_s=1e6, silent=False)) + " "
+    assert "data  20 ms old" in vehicle_line(dataclasses.replace(row, data_age_s=0.02, silent=False))

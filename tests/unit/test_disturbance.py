@@ -1,10 +1,10 @@
 """The observer of hover thrust and wind on a point mass whose truth is known."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from math import atan2, cos, hypot, inf, nan, sin
 
 import pytest
+from msgspec.structs import replace
 
 from companion.core.disturbance import (
     HOVER_RANGE_NORM,

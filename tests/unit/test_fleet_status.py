@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from math import inf, sqrt
 
 import pytest
+from msgspec.structs import replace
 
 from companion.ground.fleet_status import SILENT_AFTER_S, FleetState, fold, rows
 from companion.types import FlightPhase, LandedState, LeaderWord, Role, Status, Vector3

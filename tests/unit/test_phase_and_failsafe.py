@@ -1,10 +1,10 @@
 """Every command in every phase, the pilot's take-over, and the failsafe table."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 from itertools import chain, combinations
 
 import pytest
+from msgspec.structs import replace
 
 from companion.core.envelope import EnvelopeLimits
 from companion.core.failsafe import ACTIONS, failsafe_action

@@ -5,8 +5,9 @@ from __future__ import annotations
 import pytest
 from test_manners import ARDUPILOT, BOTH, IN_ORDER, PX4, Flight
 
+from companion.core.disturbance import DisturbanceObserver
 from companion.core.preflight import ASK_PERIOD_S, REFRESH_PERIOD_S, Preflight
-from companion.types import AutopilotKind, CommandName, FlightPhase
+from companion.types import AutopilotKind, CommandName, FlightPhase, ParameterSample
 
 C, P = CommandName, FlightPhase
 
@@ -65,7 +66,7 @@ def test_px4_of_another_version_is_warned_of_and_flies() -> None:
 
 
 def test_nothing_is_asked_of_an_autopilot_that_has_not_said_what_it_is() -> None:
-    preflight = Preflight(0.5)
+    preflight = Preflight(DisturbanceObserver(0.5, 0.0, 4.0))
     preflight.hear(0.0, (), None)
     assert preflight.ask(0.0) == ()
     assert preflight.refusal() == "the autopilot has not said yet what it is"
@@ -132,3 +133,11 @@ def test_of_an_armed_vehicle_nothing_is_said_to_be_lacking(kind: AutopilotKind) 
     flight = Flight(kind).fly_to(P.ARMED)
     flight.autopilot.may_arm = False
     assert lacks(flight) == ()
+
+
+@pytest.mark.parametrize(("kind", "name"), [(PX4, "MPC_THR_HOVER"), (ARDUPILOT, "MOT_THST_HOVER")])
+def test_the_observer_begins_with_the_hover_thrust_that_the_autopilot_has(kind: AutopilotKind, name: str) -> None:
+    observer = DisturbanceObserver(0.5, 0.0, 4.0)
+    preflight = Preflight(observer)
+    preflight.hear(0.0, (ParameterSample(0.0, name, 0.35),), kind)
+    assert observer.hover_thrust_norm == 0.35

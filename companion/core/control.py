@@ -1,0 +1,54 @@
+"""Which acceleration a phase wants: eq. 14 in formation, braking and keeping the altitude on the way out of it."""
+
+from __future__ import annotations
+
+from companion.core.cooperation import Neighbourhood
+from companion.core.formation import FormationLaw, Gains, Place, feedback, formation_acceleration, place
+from companion.core.reference import ReferenceTrajectory
+from companion.types import Role, Vector3, VehicleState
+
+
+class FormationControl:
+    """One vehicle's. Where `law_flies_altitude` is False it holds its own altitude, the one it came into formation with.
+
+    `reference` is given to those that may lead, and to no other.
+    """
+
+    def __init__(
+        self,
+        law: FormationLaw,
+        slot_enu_m: Vector3,
+        law_flies_altitude: bool,
+        altitude_hold_gains: Gains,
+        reference: ReferenceTrajectory | None,
+    ) -> None:
+        self._law = law
+        self._slot_enu_m = slot_enu_m
+        self._law_flies_altitude = law_flies_altitude
+        self._altitude_hold_gains = altitude_hold_gains
+        self._reference = reference
+        self._hold_altitude_m = 0.0
+
+    def reference(self, around: Neighbourhood) -> Place | None:
+        """R for a leader alone, whoever else holds the RFT."""
+        if self._reference is None or around.role is not Role.LEADER:
+            return None
+        return self._reference(around.reference_s)
+
+    def stand_by(self, vehicle: VehicleState) -> None:
+        """Formation is about to begin: the altitude held is where the vehicle is now."""
+        self._hold_altitude_m = vehicle.position_enu_m[2]
+
+    def in_formation(self, vehicle: VehicleState, around: Neighbourhood) -> Vector3:
+        """Eq. 14, or on z the vehicle's own altitude hold; m/s^2 in ENU."""
+        own = place(vehicle.position_enu_m, vehicle.velocity_enu_m_s, self._slot_enu_m)
+        wanted = formation_acceleration(self._law, own, around.neighbours, self.reference(around))
+        if self._law_flies_altitude:
+            self._hold_altitude_m = vehicle.position_enu_m[2]  # where a hand-over begins
+            return wanted
+        return (wanted[0], wanted[1], self.braking(vehicle)[2])
+
+    def braking(self, vehicle: VehicleState) -> Vector3:
+        """Against the velocity, and back to the altitude held; m/s^2 in ENU."""
+        climb_m = vehicle.position_enu_m[2] - self._hold_altitude_m
+        return feedback(self._altitude_hold_gains, (0.0, 0.0, climb_m), vehicle.velocity_enu_m_s)
