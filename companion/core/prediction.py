@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from math import exp
 
 import numpy as np
 
@@ -24,8 +25,8 @@ LOST_M = 1e6  # errors beyond this have long been a failure; they are not follow
 class LinearModel:
     """`attitude_lag_s` and `delay_s` default to what PX4 and a local network were measured to have.
 
-    `feedforward_delay_s` is the age of a neighbour's acceleration command when it is added to the own one: a tick of the
-    neighbour, and the network.
+    `delay_s` is the whole of the loop's, that of holding a command from tick to tick included. `feedforward_delay_s` is the
+    age of a neighbour's acceleration command when it is added to the own one: a tick of the neighbour, and the network.
     """
 
     attitude_lag_s: float = 0.2
@@ -38,14 +39,19 @@ def errors_over_time(
 ) -> FloatArray:
     """Errors e (ticks, n, axes) [m] from rest at `start_errors_m` (n, axes), every 0.02 s.
 
-    u(k) = -K (G e(k)) + g W u(k - m), where m >= 1 ticks make the feed-forward's delay.
+    u(k) = -K (G e(k)) + g W u(k - m), where m >= 1 ticks make the feed-forward's delay. Commands are held for a tick, which
+    is half a tick of delay: the rest of `delay_s` they are under way. Between commands the motion is exact.
     """
     gains, feedforward = coupling.law.gains, coupling.law.feedforward * coupling.W
     ticks = round(duration_s / TICK_S)
     dt_s = TICK_S / SUBSTEPS
     position, velocity = start_errors_m.astype(float), np.zeros_like(start_errors_m, dtype=float)
     acceleration = np.zeros_like(position)
-    waiting = deque([np.zeros_like(position)] * round(model.delay_s / dt_s))  # commands on their way to the motors
+    under_way_s = max(0.0, model.delay_s - 0.5 * TICK_S)
+    waiting = deque([np.zeros_like(position)] * round(under_way_s / dt_s))  # commands on their way to the motors
+    lag_s = model.attitude_lag_s
+    left = exp(-dt_s / lag_s) if lag_s > 0.0 else 0.0  # after a step, of what was there beyond the command
+    left_for_s = lag_s * (1.0 - left)  # as long it would act if it stayed whole
     heard = deque(
         [np.zeros_like(position)] * max(1, round(model.feedforward_delay_s / TICK_S))
     )  # and to the neighbours
@@ -62,12 +68,10 @@ def errors_over_time(
         for _ in range(SUBSTEPS):
             waiting.append(command)
             arrived = waiting.popleft()
-            if model.attitude_lag_s > 0.0:
-                acceleration = acceleration + (arrived - acceleration) * (dt_s / model.attitude_lag_s)
-            else:
-                acceleration = arrived
-            position = position + velocity * dt_s + 0.5 * acceleration * dt_s**2
-            velocity = velocity + acceleration * dt_s
+            beyond = acceleration - arrived
+            position = position + velocity * dt_s + 0.5 * arrived * dt_s**2 + beyond * (lag_s * (dt_s - left_for_s))
+            velocity = velocity + arrived * dt_s + beyond * left_for_s
+            acceleration = arrived + beyond * left
     return history
 
 

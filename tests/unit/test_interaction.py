@@ -157,17 +157,18 @@ def test_who_is_reached() -> None:
 @pytest.mark.parametrize(
     ("law", "largest", "smallest", "settles_s"),
     [
-        (average_22(K), 1.90, 1.20, 68.0),
-        (average_26(K), 2.20, 1.02, 45.0),
-        (weighted(K, 1.0), 1.88, 1.10, 33.0),
+        (average_22(K), 1.8903, 1.2058, 68.46),
+        (average_26(K), 2.1845, 1.0259, 44.82),
+        (weighted(K, 1.0), 1.8703, 1.1081, 32.80),
     ],
 )
 def test_predictions_for_the_platoon(law: FormationLaw, largest: float, smallest: float, settles_s: float) -> None:
+    """The figures are of the continuous model, in steps of 0.5 ms: holding a command for a tick adds nothing to its delay."""
     errors_m = stepped(4, law, 120.0)
     distances_m = 1.5 + errors_m[:, :-1, 0] - errors_m[:, 1:, 0]
-    assert distances_m.max() == pytest.approx(largest, abs=0.015)
-    assert distances_m.min() == pytest.approx(smallest, abs=0.015)
-    assert settled_after_s(errors_m, 0.1) == pytest.approx(settles_s, abs=0.7)
+    assert distances_m.max() == pytest.approx(largest, abs=0.001)
+    assert distances_m.min() == pytest.approx(smallest, abs=0.001)
+    assert settled_after_s(errors_m, 0.1) == pytest.approx(settles_s, abs=0.05)
 
 
 def stepped(n: int, law: FormationLaw, duration_s: float) -> np.ndarray:

@@ -112,9 +112,8 @@ def test_where_all_lead_there_is_no_hop() -> None:
 def test_errors_grow_beyond_the_delay_margin_and_not_below(n: int, law: FormationLaw) -> None:
     coupling = chained(n, law)
     margin_s = delay_margin_with_lag_s(coupling, LinearModel())
-    half_a_tick_s = 0.01  # the prediction holds a command for a tick, which delays it by half of one
-    assert not grows(coupling, 0.97 * margin_s - half_a_tick_s)
-    assert grows(coupling, 1.04 * margin_s - half_a_tick_s)
+    assert not grows(coupling, 0.98 * margin_s)
+    assert grows(coupling, 1.04 * margin_s)
     assert is_stable(coupling, LinearModel(delay_s=0.97 * margin_s))
     assert not is_stable(coupling, LinearModel(delay_s=1.1 * margin_s))
 
