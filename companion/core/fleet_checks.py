@@ -1,7 +1,8 @@
 """What is asked of the fleet as a whole: of its altitudes before it leaves the ground, of its spacing before it forms.
 
 Each vehicle judges for itself by what it hears. An estimator's error counts as one sigma, in the plane as that of both axes
-together, and as independent of the others'.
+together, and as independent of the others'. Receivers side by side share what the atmosphere does to them, but not
+reflections and not always the satellites, and none of them tells how much of its error it shares.
 """
 
 from __future__ import annotations
@@ -15,6 +16,20 @@ from companion.types import CommandName, PeerPacket, PositionError, Vector3, Veh
 
 REFUSED_BELOW_SIGMAS = 3.0
 WARNED_BELOW_SIGMAS = 6.0  # at 5.2 four vehicles once came within 0.12 m of each other
+
+
+@dataclass(frozen=True, slots=True)
+class Spacing:
+    """Of two slots, and one sigma of what both errors make of it along the line between them."""
+
+    distance_m: float
+    sigma_m: float
+
+    @property
+    def sigmas(self) -> float:
+        if self.distance_m == 0.0:
+            return 0.0
+        return self.distance_m / self.sigma_m if self.sigma_m > 0.0 else inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,24 +69,27 @@ class FleetChecks:
         told = f"no error reported by the estimator of vehicle {', '.join(map(str, silent))}" if silent else ""
         if own is None:
             return "", told
-        apart = {i: self._sigmas_apart(own, i, error) for i, error in errors.items() if error and i != self.own_id}
-        nearest = min(apart, key=apart.__getitem__, default=self.own_id)
-        sigmas = apart.get(nearest, inf)
-        if sigmas >= WARNED_BELOW_SIGMAS:
+        spacings = {i: self._spacing(own, i, error) for i, error in errors.items() if error and i != self.own_id}
+        nearest = min(spacings, key=lambda i: spacings[i].sigmas, default=None)
+        if nearest is None or (spacing := spacings[nearest]).sigmas >= WARNED_BELOW_SIGMAS:
             return "", told
-        words = f"the slots of vehicles {self.own_id} and {nearest} are {sigmas:.1f} sigma of their estimators' errors apart"
-        if sigmas < REFUSED_BELOW_SIGMAS:
-            return f"{words}, expected at least {REFUSED_BELOW_SIGMAS:g}", ""
-        return "", "; ".join([f"{words}, better {WARNED_BELOW_SIGMAS:g}", *([told] if told else [])])
+        words = (
+            f"the slots of vehicles {self.own_id} and {nearest} are {spacing.distance_m:.1f} m apart,"
+            f" {spacing.sigmas:.1f} sigma of their estimators' errors"
+        )
+        if spacing.sigmas < REFUSED_BELOW_SIGMAS:
+            return f"{words}; expected at least {_sigmas_in_words(REFUSED_BELOW_SIGMAS, spacing)}", ""
+        warning = f"{words}; better {_sigmas_in_words(WARNED_BELOW_SIGMAS, spacing)}"
+        return "", "; ".join([warning, *([told] if told else [])])
 
-    def _sigmas_apart(self, own: PositionError, other_id: int, other: PositionError) -> float:
-        """Distance of two slots in sigmas of what both errors make of it along the line between them."""
+    def _spacing(self, own: PositionError, other_id: int, other: PositionError) -> Spacing:
         (x, y, z), (x0, y0, z0) = self.slots_enu_m[other_id], self.slots_enu_m[self.own_id]
         level_m, up_m = hypot(x - x0, y - y0), z - z0 if self.slots_have_height else 0.0
-        apart_m = hypot(level_m, up_m)
-        if apart_m == 0.0:
-            return 0.0
-        along = level_m * hypot(own.horizontal_m, other.horizontal_m) / (apart_m * sqrt(2.0))  # one axis of two
-        upwards = up_m * hypot(own.vertical_m, other.vertical_m) / apart_m
-        sigma_m = sqrt(along * along + upwards * upwards)
-        return apart_m / sigma_m if sigma_m > 0.0 else inf
+        distance_m = hypot(level_m, up_m)
+        level, up = (level_m / distance_m, up_m / distance_m) if distance_m > 0.0 else (1.0, 0.0)
+        level_sigma_m = hypot(own.horizontal_m, other.horizontal_m) / sqrt(2.0)  # one axis of two
+        return Spacing(distance_m, hypot(level * level_sigma_m, up * hypot(own.vertical_m, other.vertical_m)))
+
+
+def _sigmas_in_words(sigmas: float, spacing: Spacing) -> str:
+    return f"{sigmas:g} sigma, {sigmas * spacing.sigma_m:.1f} m"

@@ -177,10 +177,13 @@ def test_altitudes_that_differ_on_the_ground_are_refused() -> None:
 
 def test_a_spacing_within_the_estimators_error_is_refused() -> None:
     failure = failure_of("stand_in.sensors={position_sd_m: [0.4, 0.4, 0.5]}", "timeline[3].timeout_s=3")
-    assert "form: the slots of vehicles 1 and 2 are 2.7 sigma of their estimators' errors apart" in failure
+    assert "form: the slots of vehicles 1 and 2 are 1.5 m apart, 2.7 sigma of their estimators' errors" in failure
 
 
 def test_a_spacing_near_it_is_warned_of_and_flown() -> None:
     flight = flown("stand_in.sensors={position_sd_m: [0.2, 0.2, 0.2]}", "timeline[3].for_s=2")
     assert flight.failures == []
-    assert "the slots of vehicles 1 and 2 are 5.3 sigma of their estimators' errors apart, better 6" in flight.words()
+    assert (
+        "the slots of vehicles 1 and 2 are 1.5 m apart, 5.3 sigma of their estimators' errors; better 6"
+        in flight.words()
+    )

@@ -60,15 +60,37 @@ def judged(own_m: float | None, *others: tuple[int, float | None]) -> tuple[str,
 
 def test_slots_within_three_sigma_are_refused() -> None:
     refusal, _ = judged(0.6, (1, 0.01), (3, 0.6))
-    assert (
-        refusal == "the slots of vehicles 2 and 3 are 2.5 sigma of their estimators' errors apart, expected at least 3"
+    assert refusal == (
+        "the slots of vehicles 2 and 3 are 1.5 m apart, 2.5 sigma of their estimators' errors; expected at least 3 sigma, 1.8 m"
     )
 
 
 def test_slots_within_six_sigma_are_warned_of() -> None:
     refusal, warning = judged(0.29, (1, 0.29), (3, 0.1))  # as a PX4 with GPS reports it
     assert refusal == ""
-    assert warning == "the slots of vehicles 2 and 1 are 5.2 sigma of their estimators' errors apart, better 6"
+    assert warning == (
+        "the slots of vehicles 2 and 1 are 1.5 m apart, 5.2 sigma of their estimators' errors; better 6 sigma, 1.7 m"
+    )
+
+
+@pytest.mark.parametrize(
+    ("spacing_m", "fits_m", "warned_m", "refused_m"),
+    [
+        (1.5, (0.02, 0.1, 0.24), (0.3, 0.49), (0.51, 0.8, 2.0)),
+        (3.0, (0.3, 0.49), (0.51, 0.8, 0.99), (1.01, 1.2, 2.0)),
+        (5.0, (0.3, 0.5, 0.8), (0.84, 1.2, 1.6), (1.7, 2.0)),
+    ],
+)
+def test_what_a_receiver_reports_says_how_close_it_may_fly(
+    spacing_m: float, fits_m: tuple[float, ...], warned_m: tuple[float, ...], refused_m: tuple[float, ...]
+) -> None:
+    """The table of the README: 3 times the reported error at the least, better 6 times."""
+    checks = FleetChecks(1, {1: (0.0, 0.0, 0.0), 2: (0.0, spacing_m, 0.0)}, slots_have_height=True, ground_spread_m=1.0)
+    for errors_m, wanted in ((fits_m, (False, False)), (warned_m, (False, True)), (refused_m, (True, False))):
+        for error_m in errors_m:
+            error = PositionError(error_m, 3.0)  # on level slots, height does not count
+            refusal, warning = checks.judge(CommandName.FORM, vehicle(error=error), [peer(2, error=error, air=True)])
+            assert (bool(refusal), bool(warning)) == wanted, error_m
 
 
 def test_slots_far_apart_and_errors_of_nothing_are_left_alone() -> None:
