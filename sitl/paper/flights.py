@@ -8,16 +8,13 @@ from enum import StrEnum
 from pathlib import Path
 
 from companion.config.law import LawName
-from companion.types import Role
-from sitl.director import Director
 from sitl.ending import FailedError
-from sitl.fleet import ids_of
-from sitl.lockstep import Lockstep
 from sitl.metrics import Flight, Formation, neighbouring_pairs
 from sitl.progress import Progress
 from sitl.scenario import Scenario, load_scenario, reference_of
 from sitl.tracks import Track
-from sitl.watch import FlightWatch, TopologyChange
+from sitl.virtual_flight import fly_in_virtual_time
+from sitl.watch import TopologyChange
 
 SCENARIOS = Path(__file__).parents[2] / "config" / "scenarios"
 COMPARED: tuple[LawName, ...] = (
@@ -133,16 +130,12 @@ def _plans(seeds: range) -> Iterator[Plan]:
 def fly(plan: Plan) -> FlownPlan:
     """The plan's whole timeline in virtual time, and down in any case. Raises ConfigError."""
     scenario = plan.scenario()
-    lockstep = Lockstep(scenario)
-    leader_ids = [member.id for member in scenario.fleet.vehicles if member.role is Role.LEADER]
-    watch = FlightWatch(ids_of(scenario), leader_ids, lockstep.now_s())
-    quiet = Progress(plan.subject, quiet=True, began_s=0.0)
-    failures = Director(lockstep, watch, quiet, lambda: None, tuple, lockstep).fly_and_land(scenario.timeline)
+    flown = fly_in_virtual_time(scenario, Progress(plan.subject, quiet=True, began_s=0.0))
     return FlownPlan(
         plan=plan,
         scenario=scenario,
-        tracks={stand_in.vehicle_id: stand_in.track() for stand_in in lockstep.stand_ins},
-        formation=watch.formation,
-        topology=tuple(watch.topology),
-        failure="; ".join(failures) or None,
+        tracks=flown.tracks(),
+        formation=flown.watch.formation,
+        topology=tuple(flown.watch.topology),
+        failure=flown.failure,
     )

@@ -20,8 +20,8 @@ from sitl.batch.metrics import batch_figures
 from sitl.batch.simulation import BatchStart
 from sitl.metrics import Formation, formation_figures
 from sitl.progress import Progress
-from sitl.run import Flown, fly_in_virtual_time
 from sitl.scenario import Scenario, load_scenario, reference_of
+from sitl.virtual_flight import Flown, fly_in_virtual_time
 from sitl.world import TELEMETRY_STEPS
 
 PLATOON = Path(__file__).parents[2] / "config" / "scenarios" / "platoon.yaml"

@@ -10,8 +10,8 @@ import pytest
 from companion.types import FlightPhase
 from sitl.metrics import FormationFigures, formation_figures
 from sitl.progress import Progress
-from sitl.run import Flown, fly_in_virtual_time
 from sitl.scenario import load_scenario, reference_of
+from sitl.virtual_flight import Flown, fly_in_virtual_time
 
 PLATOON = Path(__file__).parents[2] / "config" / "scenarios" / "platoon.yaml"
 NOISY = "stand_in.sensors=default"

@@ -16,8 +16,8 @@ from sitl.fleet import ids_of
 from sitl.lockstep import Lockstep
 from sitl.metrics import formation_figures
 from sitl.progress import Progress
-from sitl.run import fly_in_virtual_time
 from sitl.scenario import Scenario, load_scenario, reference_of
+from sitl.virtual_flight import fly_in_virtual_time
 from sitl.watch import FlightWatch
 
 PLATOON = Path(__file__).parents[2] / "config" / "scenarios" / "platoon.yaml"

@@ -13,12 +13,12 @@ import pytest
 
 from sitl.metrics import formation_figures, neighbouring_pairs, pair_name
 from sitl.progress import Progress
-from sitl.run import fly_in_virtual_time
 from sitl.scenario import load_scenario, reference_of
 from sitl.share import ShareProgress
 from sitl.sweep import flights
 from sitl.sweep.options import SweepOptions
 from sitl.sweep.run import run as run_sweep
+from sitl.virtual_flight import fly_in_virtual_time
 
 PLATOON = Path(__file__).parents[2] / "config" / "scenarios" / "platoon.yaml"
 PNG = b"\x89PNG\r\n\x1a\n"
