@@ -15,6 +15,7 @@ from companion.core.priority import next_prc
 from companion.core.reference_clock import ReferenceClock
 from companion.types import FlightPhase, LeaderWord, PeerPacket, ReceivedPeerPacket, Role, Vector3
 
+LEADER = Role.LEADER
 # A vehicle on the ground, climbing, landing or flown by its pilot is nobody's neighbour.
 COOPERATING = frozenset({FlightPhase.HOLD, FlightPhase.ENGAGE, FlightPhase.FORMATION, FlightPhase.RELEASE})
 
@@ -74,7 +75,7 @@ class Cooperation:
             role=role,
             epoch=epoch,
             reference_s=reference_s,
-            prc=next_prc(role is Role.LEADER, prcs, len(self._slots_enu_m)),
+            prc=next_prc(role is LEADER, prcs, len(self._slots_enu_m)),
             leader_word=word,
             leader_word_age_s=word_age_s,
             neighbours=tuple(
@@ -97,7 +98,7 @@ class Cooperation:
 
     def _prc_of(self, packet: PeerPacket, epoch: int) -> int:
         """Who leads in an older epoch has not heard of the change yet: until it has, it counts as far from any leader."""
-        if packet.role is Role.LEADER and packet.leader_word is not None and packet.leader_word.epoch < epoch:
+        if packet.prc == 1 and packet.leader_word is not None and packet.leader_word.epoch < epoch:
             return len(self._slots_enu_m)
         return packet.prc
 
@@ -110,7 +111,7 @@ class Cooperation:
         """The word to pass on, how old it is, and how far into the RFT the fleet is."""
         word, age_s = self._leader.youngest(now_s)
         of_other = word if word is not None and word.leader_id != self._own_id else None
-        if role is Role.LEADER:
+        if role is LEADER:
             reference_s = self._clock.lead(now_s, in_formation, of_other, age_s)
             own = LeaderWord(self._own_id, epoch, int(now_s * 1000.0), reference_s if in_formation else 0.0)
             self._leader.hear(now_s, [own], epoch)  # should it have to follow, this is the last word it heard

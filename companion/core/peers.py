@@ -10,6 +10,7 @@ from msgspec import Struct
 
 from companion.types import MAX_EPOCH, MAX_EPOCHS_AHEAD, LeaderWord, PeerPacket, ReceivedPeerPacket, Role, Vector3
 
+LEADER = Role.LEADER  # a member of an Enum is slow to find, and this is asked of every packet
 MAX_COORDINATE_M = 20_000.0
 MAX_ACCELERATION_M_S2 = 100.0
 MAX_ERROR_M = 10_000.0
@@ -85,7 +86,7 @@ class PeerTable:
             return "not in the fleet file"
         if packet.formation_hash != self._formation_hash:
             return "has another fleet file (formation hash differs)"
-        if packet.role is Role.LEADER and not may_lead:
+        if packet.role is LEADER and not may_lead:
             return "claims to be leader, by the fleet file it may not"
         if packet.leader_word is not None and packet.leader_word.epoch > epoch + MAX_EPOCHS_AHEAD:
             return "its leader's epoch is too far ahead"
@@ -93,15 +94,13 @@ class PeerTable:
         return self._implausible(packet) or (self._unlikely_after(newest, received) if newest else None)
 
     def _implausible(self, packet: PeerPacket) -> str | None:
-        (x, y, z), (vx, vy, vz), (ax, ay, az) = (
-            packet.position_enu_m,
-            packet.velocity_enu_m_s,
-            packet.acceleration_enu_m_s2,
-        )
+        x, y, z = packet.position_enu_m
+        vx, vy, vz = packet.velocity_enu_m_s
+        ax, ay, az = packet.acceleration_enu_m_s2
         numbers = x + y + z + vx + vy + vz + ax + ay + az + packet.state_age_s + packet.sent_s
         if not isfinite(numbers):  # one that is not spoils the sum
             return "numbers not finite"
-        if abs(x) > MAX_COORDINATE_M or abs(y) > MAX_COORDINATE_M or abs(z) > MAX_COORDINATE_M:
+        if max(x, y, z) > MAX_COORDINATE_M or min(x, y, z) < -MAX_COORDINATE_M:
             return "position not plausible"
         if hypot(vx, vy, vz) > self._max_speed_m_s:
             return "speed not plausible"
@@ -114,7 +113,7 @@ class PeerTable:
         error = packet.position_error
         if error and not (0.0 <= error.horizontal_m <= MAX_ERROR_M and 0.0 <= error.vertical_m <= MAX_ERROR_M):
             return "position error not plausible"
-        leads = packet.role is Role.LEADER
+        leads = packet.role is LEADER
         if not 1 <= packet.prc <= len(self._may_lead) or (packet.prc == 1) is not leads:
             return "PrC not plausible"
         word = packet.leader_word
@@ -140,7 +139,7 @@ class PeerTable:
             return "out of order or replayed"
         if newest_is_old:
             return None
-        elapsed_s = max(0.0, received.received_s - newest.received_s) + self._max_age_s
+        elapsed_s = received.received_s - newest.received_s + self._max_age_s
         way_m = dist(packet.position_enu_m, before.position_enu_m)
         return "position jumped" if way_m > self._max_speed_m_s * elapsed_s + JUMP_MARGIN_M else None
 
@@ -150,7 +149,8 @@ def _timed(received: ReceivedPeerPacket, newest: PeerState | None) -> PeerState:
     packet, received_s = received.packet, received.received_s
     apart_s = least_apart_s = received_s - packet.sent_s
     if newest is not None and newest.packet.session == packet.session:
-        forgotten_s = CREEP * max(0.0, received_s - newest.received_s)
-        least_apart_s = min(apart_s, newest.least_apart_s + forgotten_s)
+        least_known_s = newest.least_apart_s + CREEP * (received_s - newest.received_s)
+        if least_known_s < apart_s:
+            least_apart_s = least_known_s
     late_s = apart_s - least_apart_s
     return PeerState(packet, received_s, least_apart_s, late_s, received_s - late_s - packet.state_age_s)

@@ -37,6 +37,8 @@ class Rule:
 
 ON_GROUND = frozenset({P.PREPARE, P.READY, P.ARM, P.ARMED})
 FLYING = frozenset({P.TAKEOFF, P.HOLD, P.ENGAGE, P.FORMATION, P.RELEASE, P.LAND})
+STREAMING = frozenset({P.ENGAGE, P.FORMATION})
+MUST_BE_ARMED = {P.ARMED} | FLYING - {P.LAND}
 
 LEAD_CHANGES_IN = ON_GROUND | {P.HOLD, P.FORMATION}
 
@@ -66,7 +68,7 @@ class PhaseMachine:
 
     def streams(self, vehicle: VehicleState) -> bool:
         """True while attitude targets go out: just before formation, in it, and until the autopilot has taken over."""
-        if self.phase in (P.ENGAGE, P.FORMATION):
+        if self.phase in STREAMING:
             return True
         return self._leaving_formation and vehicle.mode is M.OFFBOARD
 
@@ -104,7 +106,7 @@ class PhaseMachine:
 
     def hand_over(self, now_s: float, vehicle: VehicleState, reason: str) -> None:
         """Leave formation for the autopilot's own hold."""
-        if self.phase in (P.ENGAGE, P.FORMATION):
+        if self.phase in STREAMING:
             self._begin(C.HOLD, now_s, vehicle, reason)
 
     def give_up(self, reason: str) -> None:
@@ -152,8 +154,7 @@ class PhaseMachine:
 
     def follow_truth(self, vehicle: VehicleState) -> None:
         """Someone else changed the mode, armed, disarmed or took off: observe. Comes before anything else in a tick."""
-        must_be_armed = self.phase is P.ARMED or (self.phase in FLYING and self.phase is not P.LAND)
-        if must_be_armed and not vehicle.armed:
+        if self.phase in MUST_BE_ARMED and not vehicle.armed:
             self._enter(P.OBSERVE, "the autopilot disarmed")
         elif self.phase in ON_GROUND and in_air(vehicle):
             self._enter(P.OBSERVE, "someone else flies")

@@ -10,6 +10,7 @@ from typing import Any
 from companion.core.bumpless import LET_IN_M_S, BumplessPosition
 from companion.core.fleet_frame import FleetFrame
 from companion.types import (
+    ZERO3,
     AttitudeSample,
     EstimatorSample,
     GlobalPositionSample,
@@ -98,10 +99,8 @@ class VehicleTracker:
         if self._follows_ground and self._stands():
             self._ground_up_m = up + offset_m[2]
         own_altitude_m = self._frame.own_altitude_amsl_m
-        self._fields.update(
-            frame_known=self._frame_known(),
-            altitude_amsl_m=None if own_altitude_m is None else own_altitude_m + up,
-        )
+        self._fields["frame_known"] = self._ground_up_m is not None
+        self._fields["altitude_amsl_m"] = None if own_altitude_m is None else own_altitude_m + up
         if self._ground_up_m is not None:
             self._use(sample, (east + offset_m[0], north + offset_m[1], up + offset_m[2] - self._ground_up_m))
 
@@ -112,12 +111,11 @@ class VehicleTracker:
             if sample.received_s - self._jump_told_s > EVENT_PERIOD_S:
                 self.events.append(f"the autopilot's position jumped by {jump_m:.1f} m: followed at {LET_IN_M_S} m/s")
             self._jump_told_s = sample.received_s
-        self._fields.update(
-            position_enu_m=used_enu_m,
-            velocity_enu_m_s=sample.velocity_enu_m_s,
-            position_time_s=sample.received_s,
-            held_back_m=hypot(*self._bumpless.held_back_m),
-        )
+        fields, held_back_m = self._fields, self._bumpless.held_back_m
+        fields["position_enu_m"] = used_enu_m
+        fields["velocity_enu_m_s"] = sample.velocity_enu_m_s
+        fields["position_time_s"] = sample.received_s
+        fields["held_back_m"] = 0.0 if held_back_m is ZERO3 else hypot(*held_back_m)
 
     def _stands(self) -> bool:
         """Heard of as disarmed and not as flying."""
@@ -159,7 +157,7 @@ class VehicleTracker:
         if not 0.0 <= sample.thrust_norm <= 1.0:
             self.rejected["thrust not plausible"] += 1
             return
-        self._fields.update(thrust_norm=sample.thrust_norm, thrust_time_s=sample.received_s)
+        self._fields["thrust_norm"], self._fields["thrust_time_s"] = sample.thrust_norm, sample.received_s
 
     def _fold_origin(self, sample: OriginSample) -> None:
         before = self._frame.offset_enu_m
