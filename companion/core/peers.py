@@ -139,7 +139,7 @@ class PeerTable:
             return "out of order or replayed"
         if newest_is_old:
             return None
-        elapsed_s = received.received_s - newest.received_s + self._max_age_s
+        elapsed_s = max(0.0, received.received_s - newest.received_s) + self._max_age_s
         way_m = dist(packet.position_enu_m, before.position_enu_m)
         return "position jumped" if way_m > self._max_speed_m_s * elapsed_s + JUMP_MARGIN_M else None
 
