@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import os
 import socket
 import subprocess
 import sys
@@ -14,6 +15,8 @@ from pathlib import Path
 from agent_process import until
 
 from sitl.ports import Ports, ports_of
+
+OFFSETS = range(640, 900, 4)
 
 
 @dataclass(frozen=True)
@@ -53,8 +56,12 @@ class StandInProcess:
 
 
 def free_offset() -> int:
-    """A port offset at which all of vehicle 1's ports are free, away from simulated fleets."""
-    for offset in range(640, 900, 4):
+    """A port offset at which all of vehicle 1's ports are free, away from simulated fleets.
+
+    Two test runs at once begin to look in different places.
+    """
+    first = os.getpid() % len(OFFSETS)
+    for offset in (*OFFSETS[first:], *OFFSETS[:first]):
         ports = ports_of(1, offset)
         try:
             for port in (ports.onboard, ports.companion, ports.ground_link):

@@ -12,22 +12,35 @@ from typing import Self
 
 from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
 
-OFFBOARD = 6 << 16
+LEVEL_WITHIN = 1e-6  # of a quaternion's parts
+
+
+@dataclass(frozen=True)
+class Setpoint:
+    """One SET_ATTITUDE_TARGET."""
+
+    at_s: float
+    is_level: bool
+    thrust_norm: float
 
 
 @dataclass
 class WireTap:
     """Listens at `stand_in_port`, where the autopilot sends to, and hands on to the agent at `agent_port`.
 
-    Times are of the monotonic clock, when a packet came here: before it went on, or at the autopilot's end.
+    Times are of the monotonic clock, when a packet came here: before it went on, or at the autopilot's end. The autopilot's
+    mode in formation is `formation_mode`, as `mode_message` has it.
     """
 
     stand_in_port: int
     agent_port: int
+    formation_mode: int
+    mode_message: str
     is_cut: bool = False  # telemetry; what the agent says still passes
+    withheld: str = ""  # the one message of telemetry that does not pass
     positions_s: list[float] = field(default_factory=list)  # towards the agent, only those that were handed on
-    other_modes_s: list[float] = field(default_factory=list)  # CURRENT_MODE says anything but OFFBOARD
-    setpoints_s: list[float] = field(default_factory=list)
+    other_modes_s: list[float] = field(default_factory=list)  # when it was in any mode but that of formation
+    setpoints: list[Setpoint] = field(default_factory=list)
     commands: list[MavlinkMessage] = field(default_factory=list)  # the agent's, but for rates and messages
 
     def __post_init__(self) -> None:
@@ -52,8 +65,8 @@ class WireTap:
         self._front.close()
         self._back.close()
 
-    def setpoints_since(self, time_s: float) -> list[float]:
-        return [at_s for at_s in self.setpoints_s if at_s > time_s]
+    def setpoints_since(self, time_s: float) -> list[Setpoint]:
+        return [setpoint for setpoint in self.setpoints if setpoint.at_s > time_s]
 
     def positions_since(self, time_s: float) -> list[float]:
         return [at_s for at_s in self.positions_s if at_s > time_s]
@@ -74,11 +87,14 @@ class WireTap:
 
     def _telemetry(self, data: bytes) -> None:
         now_s = time.monotonic()
-        for message in self._down.decode(data):
+        messages = self._down.decode(data)  # the stand-in sends each in a packet of its own
+        if self.withheld in [message.get_type() for message in messages]:
+            return
+        for message in messages:
             kind = message.get_type()
             if kind == "LOCAL_POSITION_NED":
                 self.positions_s.append(now_s)
-            elif kind == "CURRENT_MODE" and message.custom_mode != OFFBOARD:
+            elif kind == self.mode_message and message.custom_mode != self.formation_mode:
                 self.other_modes_s.append(now_s)
         self._back.sendto(data, ("127.0.0.1", self.agent_port))
 
@@ -86,7 +102,8 @@ class WireTap:
         now_s = time.monotonic()
         for message in self._up.decode(data):
             if message.get_type() == "SET_ATTITUDE_TARGET":
-                self.setpoints_s.append(now_s)
+                is_level = max(abs(message.q[1]), abs(message.q[2])) < LEVEL_WITHIN
+                self.setpoints.append(Setpoint(now_s, is_level, message.thrust))
             elif message.get_type() == "COMMAND_LONG" and message.command not in (
                 mavlink.MAV_CMD_SET_MESSAGE_INTERVAL,
                 mavlink.MAV_CMD_REQUEST_MESSAGE,
