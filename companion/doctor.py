@@ -13,21 +13,16 @@ import msgspec
 
 from companion.assembly import envelope_limits, tracker_of
 from companion.config.vehicle import AgentConfig, load_agent
-from companion.config_file import ConfigError
 from companion.core.audit import Facts, Finding, Place, audit, parameter_names, worst
 from companion.core.survey import WINDOW_S, Survey
 from companion.doctor_report import Change, Diagnosis, closing_words, heading, lines
-from companion.link.autopilot_link import AutopilotLink, AutopilotSilentError
-from companion.link.endpoint import LinkError
-from companion.link.mavsdk_bridge import MavsdkBridge
+from companion.link.autopilot_link import AutopilotSilentError
+from companion.link.bench import LISTEN_PERIOD_S, Bench
 from companion.link.parameters import ParameterError, Parameters
-from companion.link.signing_key import read_signing_key
-from companion.mavlink.translator import Translator
 from companion.types import RequestOrigin, VehicleState
 
 FIT, UNFIT = 0, 1  # exit codes
 SETTLE_S = 1.0  # until the streams have the rates that were asked for
-LISTEN_PERIOD_S = 0.05
 ASK_ORIGIN_PERIOD_S = 1.0
 
 
@@ -86,28 +81,16 @@ def _nothing(_line: str) -> None:
 
 
 class Patient:
-    """One vehicle on the bench: the agent's own link and translator, and mavsdk on the same bytes."""
+    """One vehicle on the bench, and what is known of it."""
 
     def __init__(self, file: Path, config: AgentConfig) -> None:
         """Opens the link. Raises ConfigError."""
-        vehicle = config.vehicle
-        self._file, self._config = file, config
+        self._config = config
         self._survey = Survey()
         self._tracker = tracker_of(config.fleet)
         self._limits = envelope_limits(config.fleet.envelope)
-        key = read_signing_key(file, vehicle.signing) if vehicle.signing else None
-        try:
-            self._link = AutopilotLink(
-                vehicle.id,
-                vehicle.mavlink,
-                Translator(vehicle.id, vehicle.autopilot, key),
-                position_arrived=lambda: None,
-                reject=lambda _reason: None,
-            )
-        except LinkError as error:
-            raise ConfigError(file, "mavlink", f'"{vehicle.mavlink}": {error}') from error
-        self._bridge = MavsdkBridge(vehicle.id, self._link.relay)
-        self._link.pass_on_to(self._bridge.receive)
+        self._bench = Bench(file, config)
+        self._link = self._bench.link
         self._parameters: Parameters | None = None  # once it answers
         self._ask_origin_s = float("-inf")
 
@@ -127,12 +110,7 @@ class Patient:
 
     async def answers(self, wait_s: float) -> bool:
         """Its HEARTBEAT comes within this time. Then its streams get the rates that were asked for."""
-        give_up_s = time.monotonic() + wait_s
-        while not self._link.heard:
-            if time.monotonic() > give_up_s:
-                return False
-            await asyncio.sleep(LISTEN_PERIOD_S)
-        system = await self._bridge.system(wait_s)
+        system = await self._bench.system(wait_s)
         if system is None:
             return False
         self._parameters = Parameters(system)
@@ -140,7 +118,7 @@ class Patient:
         return True
 
     def silence(self, wait_s: float) -> AutopilotSilentError:
-        return AutopilotSilentError(self._file, self._config.vehicle, wait_s, self._link.why_silent())
+        return self._bench.silence(wait_s)
 
     async def diagnose(self) -> Diagnosis:
         """Listen for a whole window, read the parameters, audit."""
@@ -184,5 +162,4 @@ class Patient:
     def close(self) -> None:
         if self._parameters:
             self._parameters.close()
-        self._bridge.close()
-        self._link.close()
+        self._bench.close()
