@@ -16,6 +16,8 @@ from sitl.ardupilot_start import Start
 from sitl.attitude_control import Loops, Setpoint
 from sitl.autopilot import CRITICAL, IDLE_THRUST_NORM, INFO, WARNING, Autopilot
 from sitl.config import AutopilotFile
+from sitl.dataflash import DataFlash
+from sitl.flight_logs import FlightLogs
 from sitl.messages import LANDED_IN_AIR, LANDED_LANDING, LANDED_ON_GROUND, LANDED_TAKEOFF
 from sitl.own_flight import LEAST_COS_TILT, Speeds, Task, cos_tilt
 from sitl.setpoints import Course
@@ -37,6 +39,7 @@ SPOOLED_UP_AFTER_S = 2.7  # from arming: before that nothing lifts it off
 RUN_UP_S = 1.3  # of a take-off, from its command
 DISARMED_AFTER_LANDING_S = 0.6  # in LAND and RTL, from the landing's being known; 2.1 s from the touch
 CONE_REACHES_M = 1000.0
+LOGS_AFTER_DISARMING_S = 15.0
 STATE_BOOT, STATE_STANDBY, STATE_ACTIVE, STATE_CRITICAL = 1, 3, 4, 5  # MAV_STATE
 
 
@@ -49,6 +52,14 @@ class Signing:
     set_s: float
 
 
+@dataclass(slots=True)
+class LogService:
+    """Which link's request for logs is being served; and whether it was said that none is while it is armed."""
+
+    link: object | None = None
+    refusal_told: bool = False
+
+
 class ArduCopter(Autopilot):
     """One vehicle. `dt_s` is the step of physics and attitude control."""
 
@@ -58,6 +69,8 @@ class ArduCopter(Autopilot):
     def __init__(self, file: AutopilotFile, dt_s: float) -> None:
         parameters = ArduPilotParameters(file.id, file.stand_in.parameters)
         super().__init__(file, dt_s, ARDUPILOT_LOOPS, parameters, BRAKING_M_S2)
+        self.flight_logs = FlightLogs(DataFlash(self), LOGS_AFTER_DISARMING_S)
+        self.log_service = LogService()
         self.mode = Mode.STABILIZE
         self.start = Start(file.stand_in.ready_after_s)
         self.throttle_norm = 0.0  # commanded, before the tilt is made up for

@@ -7,6 +7,7 @@ from math import isfinite
 
 from companion.mavlink.codec import MavlinkMessage, mavlink
 from sitl.ardupilot import ArduCopter, Signing
+from sitl.ardupilot_logs import ArduPilotLogTransfer
 from sitl.ardupilot_messages import BUILDERS
 from sitl.ardupilot_modes import Mode
 from sitl.ardupilot_setpoints import course_of, setpoint_of
@@ -24,12 +25,14 @@ class ArduPilotReceiver(Receiver):
     def __init__(self, copter: ArduCopter, schedule: Schedule) -> None:
         super().__init__(copter, schedule)
         self._copter = copter
+        self.logs = ArduPilotLogTransfer(copter, lambda severity, text: self.texts([(severity, text)]))
         del self._messages["PING"], self._messages["FILE_TRANSFER_PROTOCOL"]
         self._messages |= {
             "SET_MODE": self._set_mode_message,
             "SET_ATTITUDE_TARGET": self._set_attitude_target,
             "SET_POSITION_TARGET_LOCAL_NED": self._set_position_target,
             "SETUP_SIGNING": self._setup_signing,
+            **self.logs.requests,
         }
         self._commands |= {
             M.MAV_CMD_DO_SET_MODE: self._do_set_mode,

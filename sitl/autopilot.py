@@ -12,6 +12,7 @@ from companion.frames import enu_from_geodetic, euler_from_quaternion, geodetic_
 from companion.types import AutopilotKind, Vector3
 from sitl.attitude_control import Loops, Setpoint
 from sitl.config import AutopilotFile
+from sitl.flight_logs import FlightLogs
 from sitl.ground_contact import GroundContact
 from sitl.own_flight import OwnFlight, Speeds
 from sitl.parameters import Parameters
@@ -21,7 +22,7 @@ DT_S = 0.004  # physics and attitude control at 250 Hz
 CONTROL_PERIOD_S = 0.02  # of its own position control, and of looking after setpoint streams
 IDLE_THRUST_NORM = 0.08
 LITTLE_THRUST = 0.6  # of hover thrust
-CRITICAL, WARNING, INFO = 2, 4, 6  # MAV_SEVERITY
+CRITICAL, ERROR, WARNING, INFO = 2, 3, 4, 6  # MAV_SEVERITY
 
 
 class AutopilotAbortedError(Exception):
@@ -43,6 +44,7 @@ class Autopilot(ABC):
     """One vehicle. `dt_s` is the step of physics and attitude control."""
 
     kind: ClassVar[AutopilotKind]
+    flight_logs: FlightLogs
 
     def __init__(
         self, file: AutopilotFile, dt_s: float, loops: Loops, parameters: Parameters, braking_m_s2: float
@@ -145,6 +147,8 @@ class Autopilot(ABC):
         self.quad.step(self.setpoint)
         if self.armed:
             self._watch_ground()
+        if control_is_due:
+            self.flight_logs.write(self)
 
     @abstractmethod
     def _look_after(self) -> None:

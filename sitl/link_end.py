@@ -30,6 +30,7 @@ class LinkEnd(ABC):
         yield from self.texts()
         yield from self.news()
         yield from self._encoded(self._telemetry())
+        yield from self._encoded(self.receiver.logs.due())
 
     def texts(self) -> Iterator[bytes]:
         """The autopilot's texts, where this link listens to them."""

@@ -9,12 +9,14 @@ from companion.types import AutopilotKind, Vector3
 from sitl.attitude_control import PX4_LOOPS, Setpoint
 from sitl.autopilot import CRITICAL, IDLE_THRUST_NORM, INFO, Autopilot
 from sitl.config import AutopilotFile
+from sitl.flight_logs import FlightLogs
 from sitl.ground_contact import Contact
 from sitl.messages import LANDED_IN_AIR, LANDED_LANDING, LANDED_ON_GROUND, LANDED_TAKEOFF
 from sitl.own_flight import Speeds
 from sitl.px4_modes import GROUND_STATION_LOSS, NEED_A_PILOT, OFFBOARD_LOSS, PREVENT_ARMING, Mode
 from sitl.px4_parameters import Px4Parameters
 from sitl.setpoints import Course
+from sitl.ulog import ULog
 
 FAILSAFE_PERIOD_S = 0.1  # of looking for lost streams: a failsafe comes up to this late
 STREAM_LOST_GRACE_S = 0.01  # with the period, a lost stream shows after 1.01 to 1.12 s
@@ -34,6 +36,7 @@ class Px4(Autopilot):
 
     def __init__(self, file: AutopilotFile, dt_s: float) -> None:
         super().__init__(file, dt_s, PX4_LOOPS, Px4Parameters(file.id, file.stand_in.parameters), BRAKING_M_S2)
+        self.flight_logs = FlightLogs(ULog(self), after_disarming_s=0.0)
         self.mode = Mode.LOITER
         self.intended_mode = Mode.LOITER
         self.failsafe = False

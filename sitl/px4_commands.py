@@ -10,6 +10,7 @@ from companion.mavlink.codec import MavlinkMessage, mavlink
 from sitl.autopilot import CRITICAL
 from sitl.px4 import Px4
 from sitl.px4_link import Px4Schedule
+from sitl.px4_logs import Px4LogTransfer
 from sitl.px4_messages import BUILDERS
 from sitl.px4_modes import Mode
 from sitl.px4_setpoints import course_of, setpoint_of
@@ -38,12 +39,14 @@ class Px4Receiver(Receiver):
     def __init__(self, px4: Px4, schedule: Px4Schedule) -> None:
         super().__init__(px4, schedule)
         self._px4 = px4
+        self.logs = Px4LogTransfer(px4)
         self._messages |= {
             "COMMAND_INT": self._command_int,
             "SET_MODE": self._set_mode_message,
             "SET_ATTITUDE_TARGET": self._set_attitude_target,
             "SET_POSITION_TARGET_LOCAL_NED": self._set_position_target,
             "SET_GPS_GLOBAL_ORIGIN": self._set_origin,
+            **self.logs.requests,
         }
         self._commands |= {
             M.MAV_CMD_DO_SET_MODE: self._do_set_mode,
@@ -58,7 +61,9 @@ class Px4Receiver(Receiver):
         }
 
     def _is_for_it(self, message: MavlinkMessage) -> bool:
-        """Commands to nobody (0) are silently ignored."""
+        """Commands to nobody (0) are silently ignored. Requests for logs are taken whoever is meant."""
+        if message.get_type() in self.logs.requests:
+            return True
         target = getattr(message, "target_system", self._px4.system_id)
         component = getattr(message, "target_component", M.MAV_COMP_ID_AUTOPILOT1)
         if message.get_type() in ("SET_ATTITUDE_TARGET", "SET_POSITION_TARGET_LOCAL_NED"):

@@ -49,6 +49,7 @@ async def _run(file: AutopilotFile, ports: Ports, log: TruthLog | None, seconds:
         loop.add_signal_handler(number, done.set)
     manners = MANNERS[file.stand_in.autopilot]
     autopilot = manners.vehicle(file, DT_S)
+    autopilot.flight_logs.utc_at_start_s = time.time()
     onboard = UdpLink(manners.onboard_link(autopilot), (LOOPBACK, ports.companion))
     ground = UdpLink(manners.ground_link(autopilot), (LOOPBACK, GROUND_STATION_PORT))
     links: list[UdpLink | TcpLink] = [onboard, ground]

@@ -11,6 +11,7 @@ from math import isfinite
 
 from companion.mavlink.codec import MavlinkMessage, mavlink
 from sitl.autopilot import Autopilot
+from sitl.log_transfer import LogTransfer
 from sitl.schedule import Schedule
 
 M = mavlink
@@ -31,6 +32,8 @@ Answers = Iterator[MavlinkMessage]
 
 class Receiver(ABC):
     """One link's incoming side. `receive` yields what is to be sent back on the same link."""
+
+    logs: LogTransfer
 
     def __init__(self, autopilot: Autopilot, schedule: Schedule) -> None:
         self._autopilot = autopilot

@@ -1,0 +1,287 @@
+"""The stand-ins' side of MAVLink's log protocol, as it was measured on PX4 1.16 and ArduCopter 4.7; and what they write."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+from pymavlink.DFReader import DFReader_binary
+
+from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
+from companion.types import AutopilotKind
+from sitl.ardupilot import ArduCopter
+from sitl.ardupilot_modes import Mode
+from sitl.autopilot import DT_S, Autopilot
+from sitl.config import AutopilotFile, StandIn
+from sitl.flight_logs import FlightLog
+from sitl.link_end import LinkEnd
+from sitl.manners import MANNERS
+from sitl.px4 import Px4
+from sitl.ulog import MAGIC
+
+M = mavlink
+ALL = 0xFFFF
+LOGS = (bytes(range(200)), b"", bytes(100))
+
+
+class Client:
+    """Whoever asks on one of an autopilot's links, by bytes."""
+
+    def __init__(self, end: LinkEnd) -> None:
+        self._end = end
+        self._codec = MavlinkCodec(255, 190)
+
+    def ask(self, request: MavlinkMessage) -> list[MavlinkMessage]:
+        """What is said to it, and what comes of it within a step."""
+        said = b"".join(self._end.receive(self._codec.encode(request)))
+        return self._logs_in(said) + self.listen()
+
+    def listen(self) -> list[MavlinkMessage]:
+        """Of one step."""
+        return self._logs_in(b"".join(self._end.due()))
+
+    def _logs_in(self, said: bytes) -> list[MavlinkMessage]:
+        kinds = ("LOG_ENTRY", "LOG_DATA", "STATUSTEXT")
+        return [message for message in self._codec.decode(said) if message.get_type() in kinds]
+
+    def list(self, start: int = 0, end: int = ALL, target: int = 1) -> list[MavlinkMessage]:
+        return self.ask(M.MAVLink_log_request_list_message(target, 1, start, end))
+
+    def data(self, number: int, offset: int, count: int) -> list[MavlinkMessage]:
+        return self.ask(M.MAVLink_log_request_data_message(1, 1, number, offset, count))
+
+    def end(self) -> list[MavlinkMessage]:
+        return self.ask(M.MAVLink_log_request_end_message(1, 1))
+
+    def erase(self) -> list[MavlinkMessage]:
+        return self.ask(M.MAVLink_log_erase_message(1, 1))
+
+
+def px4(logs: Sequence[bytes] = LOGS) -> tuple[Px4, Client, Client]:
+    autopilot, *clients = autopilot_with(AutopilotKind.PX4, logs)
+    assert isinstance(autopilot, Px4)
+    return autopilot, *clients
+
+
+def copter(logs: Sequence[bytes] = LOGS) -> tuple[ArduCopter, Client, Client]:
+    autopilot, *clients = autopilot_with(AutopilotKind.ARDUPILOT, logs)
+    assert isinstance(autopilot, ArduCopter)
+    return autopilot, *clients
+
+
+def autopilot_with(kind: AutopilotKind, logs: Sequence[bytes]) -> tuple[Autopilot, Client, Client]:
+    """And clients on two of its links."""
+    file = AutopilotFile(stand_in=StandIn(autopilot=kind, sensors="ideal", armable_after_s=0.0))
+    autopilot = MANNERS[kind].vehicle(file, DT_S)
+    autopilot.flight_logs.utc_at_start_s = 1000.0
+    autopilot.flight_logs.files = [FlightLog(bytearray(log), 10.0 * (i + 1)) for i, log in enumerate(logs)]
+    fly(autopilot, 1.0)
+    clients = [Client(MANNERS[kind].onboard_link(autopilot)), Client(MANNERS[kind].ground_link(autopilot))]
+    for client in clients:
+        client.listen()
+    return autopilot, clients[0], clients[1]
+
+
+def fly(autopilot: Autopilot, seconds: float) -> None:
+    for _ in range(round(seconds / DT_S)):
+        autopilot.step()
+    autopilot.texts.clear()
+
+
+def entries(messages: Sequence[MavlinkMessage]) -> list[tuple[int, int, int, int, int]]:
+    assert {message.get_type() for message in messages} <= {"LOG_ENTRY"}
+    return [(m.id, m.num_logs, m.last_log_num, m.time_utc, m.size) for m in messages]
+
+
+def data(messages: Sequence[MavlinkMessage]) -> list[tuple[int, int, int]]:
+    assert {message.get_type() for message in messages} <= {"LOG_DATA"}
+    return [(m.id, m.ofs, m.count) for m in messages]
+
+
+def texts(messages: Sequence[MavlinkMessage]) -> list[str]:
+    return [message.text for message in messages if message.get_type() == "STATUSTEXT"]
+
+
+# ---------------------------------------------------------------- PX4
+
+
+def test_px4_lists_from_0_and_names_the_end_that_was_asked_for() -> None:
+    _, client, _ = px4()
+    assert entries(client.list()) == [(0, 3, 3, 1010, 200), (1, 3, 3, 1020, 0), (2, 3, 3, 1030, 100)]
+    assert [entry[:3] for entry in entries(client.list(1, 1))] == [(1, 3, 1), (2, 3, 1)]  # it does not heed the end
+    assert client.list(3, 5) == []
+    assert len(client.list(target=9)) == 3  # nor who is meant
+
+
+def test_px4_says_nothing_where_it_has_no_logs() -> None:
+    _, client, _ = px4(())
+    assert client.list() == []
+
+
+def test_px4_sends_whole_packets_up_to_the_logs_end_and_all_at_once() -> None:
+    _, client, _ = px4()
+    client.list()
+    whole = client.data(0, 0, 46_080)
+    assert data(whole) == [(0, 0, 90), (0, 90, 90), (0, 180, 20)]
+    assert b"".join(bytes(m.data[: m.count]) for m in whole) == LOGS[0]
+    assert data(client.data(0, 45, 10)) == [(0, 45, 90)]  # more than was asked for
+    assert client.listen() == []
+
+
+def test_px4_is_silent_about_what_is_not_there_and_before_it_has_listed() -> None:
+    _, client, other = px4()
+    assert client.data(0, 0, 90) == []
+    client.list()
+    assert client.data(9, 0, 90) == []
+    assert client.data(0, 200, 90) == []
+    assert other.data(0, 0, 90) == []  # each link has its own list
+    assert len(client.data(0, 0, 90)) == 1
+
+
+def test_px4_gives_its_logs_in_the_air_too_and_to_two_at_once() -> None:
+    autopilot, client, other = px4()
+    assert autopilot.arm(forced=True) is None
+    fly(autopilot, 0.1)
+    assert len(client.list()) == len(other.list()) == 4  # with the one that has just begun
+    assert len(client.data(0, 0, 90)) == len(other.data(2, 0, 90)) == 1
+
+
+# ---------------------------------------------------------------- ArduPilot
+
+
+def test_ardupilot_lists_from_1_and_its_newest_log_is_of_now() -> None:
+    autopilot, client, _ = copter()
+    now_s = 1000 + int(autopilot.time_s)
+    assert entries(client.list()) == [(1, 3, 3, 1010, 200), (2, 3, 3, 1020, 0), (3, 3, 3, now_s, 100)]
+    assert [entry[:3] for entry in entries(client.list(2, 2))] == [(2, 3, 2)]
+    assert client.list(target=9) == []
+
+
+def test_ardupilot_says_that_it_has_no_logs() -> None:
+    _, client, _ = copter(())
+    assert entries(client.list()) == [(0, 0, 0, 0, 0)]
+
+
+def test_ardupilot_asked_past_its_end_lists_without_end_until_it_is_told_to() -> None:
+    _, client, _ = copter()
+    first = entries(client.list(4, 4))
+    assert first[0] == (4, 3, 3, 0, 0)
+    assert all(client.listen() for _ in range(20))
+    assert texts(client.list()) == ["Log download in progress"]
+    assert client.end() == []
+    assert len(client.list()) == 3
+
+
+def test_ardupilot_sends_what_was_asked_for_and_ends_with_a_packet_that_is_not_full() -> None:
+    _, client, _ = copter()
+    assert data(client.data(1, 0, 100)) == [(1, 0, 90), (1, 90, 10)]  # without having listed
+    assert data(client.data(1, 45, 46_080)) == [(1, 45, 90), (1, 135, 65)]
+    assert data(client.data(1, 10**9, 90)) == [(1, 10**9, 0)]
+    assert client.data(0, 0, 90) == client.data(4, 0, 90) == []
+
+
+def test_ardupilot_sends_a_few_at_a_time_on_one_link_at_a_time() -> None:
+    _, client, other = copter([bytes(46_080)])
+    first = client.data(1, 0, 46_080)
+    assert 0 < len(first) < 512
+    assert client.data(1, 0, 90)[0].ofs == len(first) * 90  # the request was dropped without a word
+    assert texts(other.data(1, 0, 90)) == ["Log download in progress"]
+    rest = [message for _ in range(20) for message in client.listen()]
+    assert rest[-1].ofs + rest[-1].count == 46_080
+    assert data(other.data(1, 0, 90)) == [(1, 0, 90)]
+
+
+def test_ardupilot_gives_its_logs_on_the_ground_alone() -> None:
+    autopilot, client, _ = copter([bytes(46_080)])
+    client.data(1, 0, 46_080)
+    autopilot.set_mode(Mode.GUIDED)
+    assert autopilot.arm() == []
+    autopilot.texts.clear()
+    assert client.listen() == []  # what was under way waits
+    assert texts(client.list()) == ["Disarm for log download"]
+    assert client.list() == client.data(1, 0, 90) == []  # said once
+    autopilot.disarm(forced=True)
+    autopilot.texts.clear()
+    assert client.listen()
+    client.end()
+    assert autopilot.arm() == []
+    autopilot.texts.clear()
+    assert texts(client.list()) == ["Disarm for log download"]
+
+
+@pytest.mark.parametrize("kind", list(AutopilotKind))
+def test_what_is_erased_is_gone(kind: AutopilotKind) -> None:
+    autopilot, client, _ = autopilot_with(kind, LOGS)
+    client.list()
+    client.erase()
+    assert autopilot.flight_logs.files == []
+    assert client.data(2, 0, 90) == []
+
+
+# ---------------------------------------------------------------- what they write
+
+
+def test_px4_writes_a_ulog_from_arming_to_disarming() -> None:
+    autopilot, _, _ = px4(())
+    fly(autopilot, 4.0)
+    assert autopilot.flight_logs.files == []
+    armed_s = autopilot.time_s
+    assert autopilot.arm() is None
+    fly(autopilot, 3.0)
+    autopilot.disarm(forced=True)
+    fly(autopilot, 3.0)
+    assert autopilot.arm() is None
+    fly(autopilot, 1.0)
+    first, second = autopilot.flight_logs.files
+    places, attitudes = rows_of(bytes(first.content))
+    assert len(places) == len(attitudes) == pytest.approx(30, abs=1)
+    assert len(rows_of(bytes(second.content))[0]) == pytest.approx(10, abs=1)
+    assert first.written_s == pytest.approx(armed_s + 3.0, abs=0.2)
+    times_us = [struct.unpack("<Q", row[:8])[0] for row in places]
+    assert times_us == sorted(times_us)
+    assert times_us[0] / 1e6 == pytest.approx(armed_s, abs=0.05)
+    quaternion = struct.unpack("<4f", attitudes[0][8:])
+    assert sum(part * part for part in quaternion) == pytest.approx(1.0, abs=1e-5)
+
+
+def rows_of(ulog: bytes) -> tuple[list[bytes], list[bytes]]:
+    """Data of vehicle_local_position and vehicle_attitude, found by the file's own words."""
+    assert ulog.startswith(MAGIC)
+    topics: dict[int, str] = {}
+    rows: dict[str, list[bytes]] = {"vehicle_local_position": [], "vehicle_attitude": []}
+    at = 16
+    while at < len(ulog):
+        length, kind = struct.unpack_from("<HB", ulog, at)
+        payload = ulog[at + 3 : at + 3 + length]
+        at += 3 + length
+        if kind == ord("A"):
+            topics[struct.unpack_from("<H", payload, 1)[0]] = payload[3:].decode()
+        elif kind == ord("D"):
+            rows[topics[struct.unpack_from("<H", payload)[0]]].append(payload[2:])
+    assert at == len(ulog)
+    return rows["vehicle_local_position"], rows["vehicle_attitude"]
+
+
+def test_ardupilot_writes_a_bin_until_15_s_after_disarming(tmp_path: Path) -> None:
+    autopilot, _, _ = copter(())
+    autopilot.set_mode(Mode.GUIDED)
+    assert autopilot.arm() == []
+    assert autopilot.take_off(2.0)
+    fly(autopilot, 8.0)
+    height_m = autopilot.quad.position_enu_m[2]
+    assert height_m > 1.0
+    autopilot.disarm(forced=True)
+    fly(autopilot, 20.0)
+    (log,) = autopilot.flight_logs.files
+    file = tmp_path / "log.bin"
+    file.write_bytes(log.content)
+    reader = DFReader_binary(str(file))
+    rows = []
+    while row := reader.recv_match(type=["POS", "ATT"]):
+        rows.append(row)
+    places = [row for row in rows if row.get_type() == "POS"]
+    assert len(places) == len(rows) / 2 == pytest.approx(230, abs=3)
+    assert max(row.RelHomeAlt for row in places) == pytest.approx(height_m, abs=0.2)
+    assert places[0].Lat == pytest.approx(47.397742, abs=1e-5)
