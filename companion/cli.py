@@ -9,6 +9,9 @@ from pathlib import Path
 
 from companion import __version__
 from companion.ending import ending_quietly
+from companion.logs_options import DESCRIPTION as LOGS
+from companion.logs_options import MORE as LOGS_MORE
+from companion.logs_options import add_logs_arguments, logs_options
 
 EXIT_CANNOT_CONVERGE, EXIT_FILE, EXIT_NO_AUTOPILOT = 1, 2, 3
 
@@ -17,6 +20,7 @@ Formation flight for quadrotors that carry a computer of their own.
 
   companion agent     runs on each vehicle, beside its autopilot
   companion doctor    says whether a vehicle is fit for it, and what to set, before it flies
+  companion logs      lists and downloads the flight logs of a vehicle's autopilot
   companion monitor   shows a whole fleet on the ground
   companion analyze   works out what a formation will do, before anyone flies it
 """
@@ -143,7 +147,7 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=raw,
     )
     parser.add_argument("--version", action="version", version=f"companion {__version__}")
-    commands = parser.add_subparsers(dest="command", required=True, metavar="agent|doctor|monitor|analyze")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="agent|doctor|logs|monitor|analyze")
 
     agent = commands.add_parser("agent", description=AGENT, epilog=AGENT_MORE, formatter_class=raw)
     agent.add_argument("--config", type=Path, required=True, metavar="FILE", help="the vehicle file (YAML)")
@@ -161,6 +165,14 @@ def _parser() -> argparse.ArgumentParser:
         "--wait-s", type=_seconds, default=15.0, metavar="S", help="how long to wait for the autopilot (default 15)"
     )
     doctor.set_defaults(run=_doctor)
+
+    logs = commands.add_parser("logs", description=LOGS, epilog=LOGS_MORE, formatter_class=raw)
+    logs.add_argument("--config", type=Path, required=True, metavar="FILE", help="the vehicle file (YAML)")
+    add_logs_arguments(logs)
+    logs.add_argument(
+        "--wait-s", type=_seconds, default=15.0, metavar="S", help="how long to wait for the autopilot (default 15)"
+    )
+    logs.set_defaults(run=_logs)
 
     monitor = commands.add_parser("monitor", description=MONITOR, epilog=MONITOR_MORE, formatter_class=raw)
     monitor.add_argument("--fleet", default="*", metavar="NAME", help="only this fleet (default: every fleet heard)")
@@ -202,6 +214,19 @@ def _doctor(options: argparse.Namespace) -> int:
 
     try:
         return run_doctor(Options(options.config, options.wait_s, options.fix, options.json))
+    except ConfigError as error:
+        return _fail(str(error), EXIT_FILE)
+    except AutopilotSilentError as error:
+        return _fail(str(error), EXIT_NO_AUTOPILOT)
+
+
+def _logs(options: argparse.Namespace) -> int:
+    from companion.config_file import ConfigError
+    from companion.link.autopilot_link import AutopilotSilentError
+    from companion.logs import run_logs
+
+    try:
+        return run_logs(logs_options(options))
     except ConfigError as error:
         return _fail(str(error), EXIT_FILE)
     except AutopilotSilentError as error:

@@ -1,0 +1,140 @@
+"""The autopilot's flight logs by mavsdk: listed, and downloaded one at a time."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import AsyncGenerator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from mavsdk.plugins.log_files import Entry, LogFiles, LogFilesError, LogFilesResult, ProgressData
+
+LIST_TRIES = 3
+POLL_PERIOD_S = 0.25
+STALLED_AFTER_S = 20.0  # without a byte: mavsdk itself asks for ever, and writes 8 KiB at a time
+STOPPED_WITHIN_S = 2.0
+FIRST_SET_YEAR = 2000  # the clock of an autopilot that never knew the time stands in 1970 or 1980
+
+
+class FlightLogsError(Exception):
+    """A list or a log that did not come. str() says why."""
+
+
+class NothingCameError(FlightLogsError):
+    """The autopilot did not answer, or no longer."""
+
+
+@dataclass(frozen=True, slots=True)
+class LogEntry:
+    """LOG_ENTRY: a log as the autopilot lists it. PX4 counts from 0, ArduPilot from 1.
+
+    `date_utc` is when it was last written to; None where the autopilot's clock was not set.
+    """
+
+    id: int
+    date_utc: datetime | None
+    size_bytes: int
+
+
+class FlightLogs:
+    """One autopilot's logs. It is never told to erase any."""
+
+    def __init__(self, system: Any) -> None:
+        """`system` is a Bench's."""
+        self._system = system
+        self._plugin = LogFiles(system)
+        self._told: dict[int, Entry] = {}
+
+    async def entries(self) -> tuple[LogEntry, ...]:
+        """In the order of their ids; none where it says that it has none. Raises NothingCameError where no whole list comes.
+
+        Asked again from the start where that fails. Where the first entry is lost mavsdk asks for one past the last, and
+        ArduPilot then lists logs that do not exist without end, by which mavsdk knows that there are none: so that is
+        believed when it is said every time. A new plugin's LOG_REQUEST_END ends such a list.
+        """
+        result = LogFilesResult.UNKNOWN
+        for attempt in range(LIST_TRIES):
+            if attempt:
+                self._plugin.destroy()
+                self._plugin = LogFiles(self._system)
+            result, entries = await self._ask()
+            if result is LogFilesResult.SUCCESS:
+                self._told = {entry.id: entry for entry in entries}
+                return tuple(_entry(entry) for _, entry in sorted(self._told.items()))
+        if result is LogFilesResult.NO_LOGFILES:
+            return ()
+        raise NothingCameError("no answer to the request for its list")
+
+    async def _ask(self) -> tuple[LogFilesResult, list[Entry]]:
+        loop = asyncio.get_running_loop()
+        told: asyncio.Future[tuple[LogFilesResult, list[Entry]]] = loop.create_future()
+
+        def hear(result: LogFilesResult, entries: list[Entry], _: object) -> None:
+            loop.call_soon_threadsafe(_settle, told, (result, entries))
+
+        self._plugin.get_entries_async(hear)
+        return await told
+
+    async def download(self, log: LogEntry, path: Path) -> AsyncGenerator[int, None]:
+        """Write a listed log to `path`, where nothing must be yet. Yields how many bytes there are, until all are.
+
+        Left early it tells the autopilot to stop, and takes the file away. Raises FlightLogsError.
+        """
+        if not log.size_bytes:  # mavsdk would refuse it
+            path.touch()
+            return
+        loop = asyncio.get_running_loop()
+        ended: asyncio.Future[LogFilesResult] = loop.create_future()
+
+        def hear(result: LogFilesResult, _progress: ProgressData, _: object) -> None:
+            if result is not LogFilesResult.NEXT:
+                loop.call_soon_threadsafe(_settle, ended, result)
+
+        self._plugin.download_log_file_async(self._told[log.id], str(path), hear)
+        try:
+            written, written_s = _written(path), time.monotonic()
+            while not ended.done():
+                yield written[0]
+                await asyncio.wait([ended], timeout=POLL_PERIOD_S)
+                if (now := _written(path)) != written:
+                    written, written_s = now, time.monotonic()
+                elif time.monotonic() - written_s > STALLED_AFTER_S:
+                    raise NothingCameError(f"nothing came for {STALLED_AFTER_S:.0f} s")
+            if ended.result() is not LogFilesResult.SUCCESS:
+                raise FlightLogsError(ended.result().name.lower().replace("_", " "))
+            yield _written(path)[0]
+        finally:
+            if not ended.done():
+                await self._stop(ended)
+
+    async def _stop(self, ended: asyncio.Future[LogFilesResult]) -> None:
+        try:
+            await asyncio.to_thread(self._plugin.cancel_download_log_file)
+        except LogFilesError:
+            return
+        await asyncio.wait([ended], timeout=STOPPED_WITHIN_S)
+
+    def close(self) -> None:
+        self._plugin.destroy()
+
+
+def _entry(entry: Entry) -> LogEntry:
+    date = datetime.strptime(entry.date, "%Y-%m-%dT%H:%M:%SZ").replace(tzinfo=UTC)
+    return LogEntry(entry.id, date if date.year >= FIRST_SET_YEAR else None, entry.size_bytes)
+
+
+def _settle(future: asyncio.Future[Any], value: object) -> None:
+    if not future.done():
+        future.set_result(value)
+
+
+def _written(path: Path) -> tuple[int, int]:
+    """Size, and when something was last written, also into a gap."""
+    try:
+        stat = path.stat()
+    except FileNotFoundError:
+        return 0, 0
+    return stat.st_size, stat.st_mtime_ns

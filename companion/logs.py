@@ -1,0 +1,228 @@
+"""`companion logs`: the autopilot's own flight logs, listed and downloaded by mavsdk over the agent's own link."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import sys
+import time
+from collections.abc import Callable, Coroutine
+from contextlib import aclosing, closing
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+
+from companion.config.vehicle import AgentConfig, load_agent
+from companion.config_file import ConfigError
+from companion.link.autopilot_link import AutopilotSilentError
+from companion.link.bench import LISTEN_PERIOD_S, Bench
+from companion.link.flight_logs import FlightLogs, FlightLogsError, LogEntry, NothingCameError
+from companion.logs_options import LogsOptions
+from companion.logs_report import Log, NoSuchLogError, Report, choose, file_name, heading, listing, progress_words
+from companion.types import AutopilotKind, HeartbeatSample, TextSample
+
+COMPLETE, INCOMPLETE = 0, 1  # exit codes
+SILENT_AFTER_S = 5.0  # without a HEARTBEAT
+PLAIN_STEP_PERCENT = 10  # of progress, where it is not shown on a terminal
+ARMED = "it is armed: land and disarm it first"
+
+
+def run_logs(options: LogsOptions) -> int:
+    """The exit code. Raises ConfigError and AutopilotSilentError."""
+    config = load_agent(options.file)
+    if options.wanted:
+        _make(options.folder)
+    return asyncio.run(_run(options, config))
+
+
+def _make(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        writable = os.access(folder, os.W_OK | os.X_OK)
+    except OSError as error:
+        raise ConfigError(f"--out {folder}", "", f"{error.strerror}; name a folder that can be written to") from error
+    if not writable:
+        raise ConfigError(f"--out {folder}", "", "no permission to write there; name a folder that can be written to")
+
+
+async def _run(options: LogsOptions, config: AgentConfig) -> int:
+    with closing(Archive(options.file, config)) as archive:
+        async with asyncio.TaskGroup() as group:
+            tasks = [group.create_task(job) for job in archive.jobs()]
+            report = await _serve(archive, options) if await archive.answers(options.wait_s) else None
+            for task in tasks:
+                task.cancel()
+        if report is None:
+            raise archive.silence(options.wait_s)
+    if options.as_json:
+        print(msgspec.json.format(msgspec.json.encode(report), indent=2).decode())
+    if report.failure:
+        print(f"vehicle {report.vehicle}: {report.failure}", file=sys.stderr)
+    return INCOMPLETE if report.failure else COMPLETE
+
+
+async def _serve(archive: Archive, options: LogsOptions) -> Report:
+    """List, or download what is wanted, and say so meanwhile."""
+    report = Report(archive.vehicle_id, archive.autopilot, archive.endpoint)
+    say: Callable[[str], None] = _nothing if options.as_json else print
+    try:
+        listed = await archive.entries()
+        chosen = choose(listed, options.wanted, archive.autopilot)
+        say(heading(report))
+        if not options.wanted:
+            report = replace(report, logs=tuple(Log(log.id, log.date_utc, log.size_bytes) for log in listed))
+            for line in listing(report.logs):
+                say(line)
+        for entry in chosen:
+            log, words = await archive.get(entry, options.folder)
+            report = replace(report, logs=(*report.logs, log))
+            say(words)
+    except (FlightLogsError, NoSuchLogError) as error:
+        return replace(report, failure=str(error))
+    return report
+
+
+def _nothing(_line: str) -> None:
+    """For JSON, which is one object and nothing beside it."""
+
+
+class Archive:
+    """One vehicle's logs, and whether they can be had just now."""
+
+    def __init__(self, file: Path, config: AgentConfig) -> None:
+        """Opens the link. Raises ConfigError."""
+        self.vehicle_id, self.endpoint = config.vehicle.id, config.vehicle.mavlink
+        self.autopilot = AutopilotKind.PX4  # this and what follows as its HEARTBEAT says, once it is known
+        self._armed = False
+        self._heard_s = 0.0
+        self._known = asyncio.Event()
+        self._text = ""
+        self._bench = Bench(file, config)
+        self._logs: FlightLogs | None = None  # once it answers
+
+    def jobs(self) -> tuple[Coroutine[None, None, None], ...]:
+        """What goes on meanwhile, until cancelled. The agent's streams are not asked for: they would take the link's time."""
+        return (self._bench.link.receive(), self._listen())
+
+    async def _listen(self) -> None:
+        while True:
+            for sample in self._bench.link.drain():
+                if isinstance(sample, HeartbeatSample):
+                    self.autopilot, self._armed, self._heard_s = sample.autopilot, sample.armed, sample.received_s
+                    self._known.set()
+                elif isinstance(sample, TextSample):
+                    self._text = sample.text
+            await asyncio.sleep(LISTEN_PERIOD_S)
+
+    async def answers(self, wait_s: float) -> bool:
+        """Its HEARTBEAT comes within this time."""
+        system = await self._bench.system(wait_s)
+        if system is None:
+            return False
+        self._logs = FlightLogs(system)
+        await self._known.wait()
+        return True
+
+    def silence(self, wait_s: float) -> AutopilotSilentError:
+        return self._bench.silence(wait_s)
+
+    async def entries(self) -> tuple[LogEntry, ...]:
+        """At least one. Raises FlightLogsError."""
+        assert self._logs is not None
+        if self._armed:
+            raise FlightLogsError(ARMED)
+        try:
+            listed = await self._logs.entries()
+        except NothingCameError as error:
+            px4 = "; PX4 says nothing where it has no logs" if self.autopilot is AutopilotKind.PX4 else ""
+            raise FlightLogsError(f"{error}{px4}{self._why()}") from error
+        if not listed:
+            raise FlightLogsError("it has no logs")
+        return listed
+
+    async def get(self, entry: LogEntry, folder: Path) -> tuple[Log, str]:
+        """The log with its file, and what there is to say of it. Raises FlightLogsError."""
+        file = folder / file_name(self.vehicle_id, entry, self.autopilot)
+        log = Log(entry.id, entry.date_utc, entry.size_bytes, str(file))
+        try:
+            if file.exists():
+                _check_same(file, entry)
+                return log, f"log {entry.id}: {file} is there already"
+            await self._download(entry, file)
+        except (FlightLogsError, OSError) as error:
+            raise FlightLogsError(f"log {entry.id}: {error}") from error
+        return log, f"log {entry.id}: {file}"
+
+    async def _download(self, entry: LogEntry, file: Path) -> None:
+        """Under another name until it is whole. Raises FlightLogsError and OSError."""
+        assert self._logs is not None
+        meter = Meter(entry)
+        part = file.with_name(f"{file.name}.part")
+        part.unlink(missing_ok=True)
+        try:
+            async with aclosing(self._logs.download(entry, part)) as sizes:
+                async for written_bytes in sizes:
+                    if self._armed:
+                        raise FlightLogsError(ARMED)
+                    meter.show(written_bytes)
+            give_name(part, file, entry.size_bytes)
+        except NothingCameError as error:
+            raise FlightLogsError(f"{error}{self._why()}") from error
+        finally:
+            part.unlink(missing_ok=True)
+            meter.clear()
+
+    def _why(self) -> str:
+        """What is known of why nothing comes."""
+        if time.monotonic() - self._heard_s > SILENT_AFTER_S:
+            return "; the autopilot has fallen silent"
+        return f'; the autopilot says "{self._text}"' if self._text else ""
+
+    def close(self) -> None:
+        if self._logs:
+            self._logs.close()
+        self._bench.close()
+
+
+def _check_same(file: Path, entry: LogEntry) -> None:
+    """Raises FlightLogsError."""
+    size_bytes = file.stat().st_size
+    if size_bytes != entry.size_bytes:
+        raise FlightLogsError(
+            f"{file} is there already, with {size_bytes} bytes instead of {entry.size_bytes}: move it away, or choose"
+            " another --out"
+        )
+
+
+def give_name(part: Path, file: Path, size_bytes: int) -> None:
+    """Its own name for a file that is whole, once it is safe on the disk. Raises FlightLogsError and OSError."""
+    with part.open("rb") as written:
+        written_bytes = os.fstat(written.fileno()).st_size
+        if written_bytes != size_bytes:
+            raise FlightLogsError(f"{written_bytes} of {size_bytes} bytes were written; is the disk full?")
+        os.fsync(written.fileno())
+    part.rename(file)
+
+
+class Meter:
+    """How far a download is, on standard error: in place on a terminal, elsewhere a line now and then."""
+
+    def __init__(self, entry: LogEntry) -> None:
+        self._entry = entry
+        self._began_s = time.monotonic()
+        self._in_place = sys.stderr.isatty()
+        self._next_percent = float(PLAIN_STEP_PERCENT)
+
+    def show(self, written_bytes: int) -> None:
+        words = progress_words(self._entry, written_bytes, time.monotonic() - self._began_s)
+        percent = 100.0 * written_bytes / max(self._entry.size_bytes, 1)
+        if self._in_place:
+            print(f"\r\x1b[K{words}", end="", file=sys.stderr, flush=True)
+        elif percent >= self._next_percent:
+            self._next_percent = percent - percent % PLAIN_STEP_PERCENT + PLAIN_STEP_PERCENT
+            print(words, file=sys.stderr)
+
+    def clear(self) -> None:
+        if self._in_place:
+            print("\r\x1b[K", end="", file=sys.stderr, flush=True)

@@ -1,0 +1,95 @@
+"""An autopilot's flight logs in words and names: which are there, which are wanted, what became of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+from companion.doctor_report import MAKES
+from companion.link.flight_logs import LogEntry
+from companion.logs_options import ALL, LAST
+from companion.types import AutopilotKind
+
+SUFFIXES = {AutopilotKind.PX4: ".ulg", AutopilotKind.ARDUPILOT: ".bin"}
+
+
+@dataclass(frozen=True, slots=True)
+class Log:
+    """One log, and after --get where it is now."""
+
+    id: int
+    date_utc: datetime | None
+    size_bytes: int
+    file: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """All that is to be said of one vehicle's logs; `--json` prints just this.
+
+    `logs` are those listed, or those that are in the folder now. `failure` says why there are no more.
+    """
+
+    vehicle: int
+    autopilot: AutopilotKind
+    mavlink: str
+    logs: tuple[Log, ...] = ()
+    failure: str = ""
+
+
+class NoSuchLogError(Exception):
+    """An id that is not in the list. str() says which, and which there are."""
+
+
+def choose(logs: Sequence[LogEntry], wanted: Sequence[int | str], autopilot: AutopilotKind) -> tuple[LogEntry, ...]:
+    """The logs that are wanted, each once, as listed. Raises NoSuchLogError."""
+    if ALL in wanted:
+        return tuple(logs)
+    ids = {newest(logs, autopilot).id if one == LAST else one for one in wanted}
+    if missing := sorted(ids - {log.id for log in logs}):
+        raise NoSuchLogError(f"no log {', '.join(map(str, missing))}; {_there(logs)}")
+    return tuple(log for log in logs if log.id in ids)
+
+
+def _there(logs: Sequence[LogEntry]) -> str:
+    return f"there are {logs[0].id} to {logs[-1].id}" if len(logs) > 1 else f"there is only {logs[0].id}"
+
+
+def newest(logs: Sequence[LogEntry], autopilot: AutopilotKind) -> LogEntry:
+    """ArduPilot numbers its logs in their order, whatever its clock said; PX4 as its card's folders happen to list them."""
+    if autopilot is AutopilotKind.ARDUPILOT:
+        return logs[-1]
+    return max(logs, key=lambda log: (log.date_utc.timestamp() if log.date_utc else 0.0, log.id))
+
+
+def file_name(vehicle_id: int, log: LogEntry, autopilot: AutopilotKind) -> Path:
+    """Its id belongs to it: where the clock was not set, there is no date, and elsewhere two logs may have one."""
+    date = f"_{log.date_utc:%Y-%m-%d_%H-%M-%S}" if log.date_utc else ""
+    return Path(f"vehicle-{vehicle_id}{date}_log-{log.id}{SUFFIXES[autopilot]}")
+
+
+def heading(report: Report) -> str:
+    return f"vehicle {report.vehicle}, {MAKES[report.autopilot]} at {report.mavlink}"
+
+
+def listing(logs: Sequence[Log]) -> Iterator[str]:
+    """The list, in columns."""
+    yield f"{'log':>5}  {'last written (UTC)':<19}  {'size':>10}"
+    for log in logs:
+        date = f"{log.date_utc:%Y-%m-%d %H:%M:%S}" if log.date_utc else "unknown"
+        yield f"{log.id:>5}  {date:<19}  {size_words(log.size_bytes):>10}"
+
+
+def progress_words(log: LogEntry, written_bytes: int, taken_s: float) -> str:
+    percent = 100.0 * written_bytes / max(log.size_bytes, 1)
+    rate = f", {size_words(round(written_bytes / taken_s))}/s" if taken_s > 0.0 else ""
+    return f"log {log.id}: {percent:3.0f} % of {size_words(log.size_bytes)}{rate}"
+
+
+def size_words(number_bytes: int) -> str:
+    """In the unit that suits it."""
+    if number_bytes < 1000:
+        return f"{number_bytes} B"
+    return f"{number_bytes / 1e3:.1f} kB" if number_bytes < 1e6 else f"{number_bytes / 1e6:.1f} MB"

@@ -1,0 +1,276 @@
+"""`companion logs` as a real process: real sockets, mavsdk's plugin, and logs compared byte by byte."""
+
+from __future__ import annotations
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+from random import Random
+from subprocess import CompletedProcess
+
+import pytest
+from agent_process import AgentFiles, agent_files, companion, until
+from logging_autopilot import LoggingAutopilot
+from pymavlink.DFReader import DFReader_binary
+from stand_in_process import StandInProcess, stand_in
+
+from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
+from companion.types import AutopilotKind
+from sitl.ardupilot_modes import Mode
+from sitl.receiver import FORCE
+from sitl.ulog import MAGIC
+
+PX4, ARDUPILOT = AutopilotKind.PX4, AutopilotKind.ARDUPILOT
+FIRST_ID = {PX4: 0, ARDUPILOT: 1}
+SUFFIX = {PX4: "ulg", ARDUPILOT: "bin"}
+LOGS = tuple(Random(7).randbytes(size) for size in (46_080, 1, 50_003, 0))  # a whole chunk of mavsdk's, and others
+
+both = pytest.mark.parametrize("kind", [PX4, ARDUPILOT])
+
+
+def logs(files: AgentFiles, *options: str, timeout_s: float = 100.0) -> CompletedProcess[str]:
+    return companion("logs", "--config", str(files.file), *options, timeout_s=timeout_s)
+
+
+def folder_of(files: AgentFiles) -> Path:
+    return files.file.parent / "logs"
+
+
+@both
+def test_logs_are_listed_and_downloaded_byte_by_byte(kind: AutopilotKind, tmp_path: Path) -> None:
+    files, first = agent_files(tmp_path), FIRST_ID[kind]
+    with LoggingAutopilot(kind, files.udp_port, LOGS) as autopilot:
+        listed = json.loads(logs(files, "--json").stdout)
+        assert listed["autopilot"] == kind
+        assert [log["id"] for log in listed["logs"]] == [first, first + 1, first + 2, first + 3]
+        assert [log["size_bytes"] for log in listed["logs"]] == [len(log) for log in LOGS]
+        assert [log["date_utc"] for log in listed["logs"]][:2] == ["2026-09-21T14:13:20Z", "2026-09-21T14:14:20Z"]
+
+        got = logs(files, "--get", "all", "--out", str(folder_of(files)), "--json")
+    assert got.returncode == 0, got.stderr
+    told = json.loads(got.stdout)
+    assert [Path(log["file"]).read_bytes() for log in told["logs"]] == list(LOGS)
+    assert Path(told["logs"][0]["file"]).name == f"vehicle-1_2026-09-21_14-13-20_log-{first}.{SUFFIX[kind]}"
+    assert len(list(folder_of(files).iterdir())) == len(LOGS)
+    assert "log" in got.stderr  # progress, beside the JSON
+    assert autopilot.requests("LOG_ERASE") == []
+    beats = autopilot.requests("HEARTBEAT")
+    assert mavlink.MAV_TYPE_GCS not in {beat.type for beat in beats}  # no ground station was invented
+
+
+@both
+def test_what_a_link_loses_is_asked_for_again(kind: AutopilotKind, tmp_path: Path) -> None:
+    files = agent_files(tmp_path)
+    with LoggingAutopilot(kind, files.udp_port, LOGS, loss=0.1) as autopilot:
+        result = logs(files, "--get", str(FIRST_ID[kind] + 2), "--out", str(folder_of(files)))
+    assert result.returncode == 0, result.stderr
+    (file,) = folder_of(files).iterdir()
+    assert file.read_bytes() == LOGS[2]
+    assert len(autopilot.requests("LOG_REQUEST_DATA")) > 3  # one for each chunk would do
+
+
+@both
+def test_a_list_whose_beginning_was_lost_is_asked_for_again(kind: AutopilotKind, tmp_path: Path) -> None:
+    files = agent_files(tmp_path)
+    with LoggingAutopilot(kind, files.udp_port, LOGS, lost_entries=1) as autopilot:
+        result = logs(files, "--json")
+    assert result.returncode == 0, result.stderr
+    assert [log["size_bytes"] for log in json.loads(result.stdout)["logs"]] == [len(log) for log in LOGS]
+    assert len(autopilot.requests("LOG_REQUEST_LIST")) > 1
+
+
+def test_the_list_of_one_that_has_lost_its_clock(tmp_path: Path) -> None:
+    files = agent_files(tmp_path)
+    with LoggingAutopilot(PX4, files.udp_port, LOGS[:2], utc_at_start_s=0.0):
+        result = logs(files)
+        logs(files, "--get", "last", "--out", str(folder_of(files)))
+    assert result.returncode == 0
+    assert result.stdout.splitlines()[2:] == [
+        "    0  unknown                 46.1 kB",
+        "    1  unknown                     1 B",
+    ]
+    assert [file.name for file in folder_of(files).iterdir()] == ["vehicle-1_log-1.ulg"]
+
+
+def test_an_armed_vehicle_is_left_alone(tmp_path: Path) -> None:
+    files = agent_files(tmp_path)
+    with LoggingAutopilot(PX4, files.udp_port, LOGS, armed=True) as autopilot:
+        result = logs(files, "--get", "all", "--out", str(folder_of(files)))
+    assert result.returncode == 1
+    assert result.stderr == "vehicle 1: it is armed: land and disarm it first\n"
+    assert autopilot.requests("LOG_REQUEST_LIST") + autopilot.requests("LOG_REQUEST_DATA") == []
+    assert list(folder_of(files).iterdir()) == []
+
+
+@both
+def test_arming_ends_a_download(kind: AutopilotKind, tmp_path: Path) -> None:
+    files, log = agent_files(tmp_path), bytes(1_000_000)
+    with LoggingAutopilot(kind, files.udp_port, [log], arms_after_packets=1000):
+        result = logs(files, "--get", "last", "--out", str(folder_of(files)))
+    assert result.returncode == 1
+    assert result.stderr.endswith(f"vehicle 1: log {FIRST_ID[kind]}: it is armed: land and disarm it first\n")
+    assert list(folder_of(files).iterdir()) == []
+
+
+def test_a_link_that_falls_silent_leaves_no_half_log(tmp_path: Path) -> None:
+    files, log = agent_files(tmp_path), bytes(1_000_000)
+    with LoggingAutopilot(PX4, files.udp_port, [log], falls_silent_after_packets=1000):
+        result = logs(files, "--get", "last", "--out", str(folder_of(files)))
+    assert result.returncode == 1
+    assert "vehicle 1: log 0: nothing came for 20 s; the autopilot has fallen silent\n" in result.stderr
+    assert list(folder_of(files).iterdir()) == []
+
+
+def test_ctrl_c_tells_the_autopilot_to_stop_and_leaves_nothing(tmp_path: Path) -> None:
+    files, log_file = agent_files(tmp_path), tmp_path / "logs.log"
+    with LoggingAutopilot(PX4, files.udp_port, [bytes(50_000_000)]) as autopilot, log_file.open("wb") as log:
+        command = ["logs", "--config", str(files.file), "--get", "last", "--out", str(folder_of(files))]
+        process = subprocess.Popen([sys.executable, "-m", "companion", *command], stdout=log, stderr=log)
+        try:
+            until(lambda: len(autopilot.requests("LOG_REQUEST_DATA")) > 3)
+            (half,) = folder_of(files).iterdir()
+            assert half.name.endswith(".ulg.part")
+            asked_to_end = len(autopilot.requests("LOG_REQUEST_END"))  # mavsdk begins with one
+            process.send_signal(signal.SIGINT)
+            assert process.wait(10.0) == 130
+        finally:
+            process.kill()
+            process.wait()
+        until(lambda: len(autopilot.requests("LOG_REQUEST_END")) > asked_to_end)
+    assert "interrupted" in log_file.read_text(encoding="utf-8")
+    assert list(folder_of(files).iterdir()) == []
+
+
+def test_files_that_are_there_are_never_overwritten(tmp_path: Path) -> None:
+    files = agent_files(tmp_path)
+    folder = folder_of(files)
+    with LoggingAutopilot(PX4, files.udp_port, LOGS[:2]) as autopilot:
+        assert logs(files, "--get", "0", "--out", str(folder)).returncode == 0
+        (file,) = folder.iterdir()
+        asked = len(autopilot.requests("LOG_REQUEST_DATA"))
+        (folder / f"{file.name}.part").write_bytes(b"of a process that was killed")
+
+        again = logs(files, "--get", "0", "--out", str(folder))
+        assert again.returncode == 0
+        assert f"log 0: {file} is there already" in again.stdout
+        assert len(autopilot.requests("LOG_REQUEST_DATA")) == asked
+
+        file.write_bytes(b"another one")
+        refused = logs(files, "--get", "all", "--out", str(folder))
+    assert refused.returncode == 1
+    assert f"log 0: {file} is there already, with 11 bytes instead of 46080" in refused.stderr
+    assert file.read_bytes() == b"another one"
+
+
+def test_logs_that_are_not_there(tmp_path: Path) -> None:
+    files = agent_files(tmp_path)
+    with LoggingAutopilot(ARDUPILOT, files.udp_port, LOGS):
+        unknown = logs(files, "--get", "2", "9", "--out", str(folder_of(files)))
+    assert unknown.returncode == 1
+    assert unknown.stderr == "vehicle 1: no log 9; there are 1 to 4\n"
+    assert list(folder_of(files).iterdir()) == []
+    with LoggingAutopilot(ARDUPILOT, files.udp_port, []):
+        none = logs(files)
+    assert none.returncode == 1
+    assert none.stderr == "vehicle 1: it has no logs\n"
+
+
+def test_a_px4_without_logs_says_nothing(tmp_path: Path) -> None:
+    files = agent_files(tmp_path)
+    with LoggingAutopilot(PX4, files.udp_port, []):
+        none = logs(files)
+    assert none.returncode == 1
+    assert none.stderr == "vehicle 1: no answer to the request for its list; PX4 says nothing where it has no logs\n"
+
+
+def test_a_folder_that_cannot_be_used_and_an_autopilot_that_is_not_there(tmp_path: Path) -> None:
+    files = agent_files(tmp_path)
+    in_the_way = tmp_path / "file"
+    in_the_way.touch()
+    result = logs(files, "--get", "last", "--out", str(in_the_way))
+    assert result.returncode == 2
+    assert result.stderr == f"--out {in_the_way}: File exists; name a folder that can be written to\n"
+    silent = logs(files, "--wait-s", "1")
+    assert silent.returncode == 3
+    assert "no HEARTBEAT of system 1 in 1 s; nothing came at all" in silent.stderr
+    assert logs(files, "--get", "newest").returncode == 2
+
+
+class Pilot:
+    """Arms and flies a stand-in process, and reads its log in a way of its own."""
+
+    def __init__(self, process: StandInProcess, udp: socket.socket) -> None:
+        self._udp, self._codec = udp, MavlinkCodec(1, 191)
+        udp.bind(("127.0.0.1", process.ports.companion))
+        self._autopilot = ("127.0.0.1", process.ports.onboard)
+
+    def ask(self, message: MavlinkMessage, kind: str) -> MavlinkMessage:
+        """The first message of this type that comes after it."""
+        self._udp.setblocking(False)
+        with suppress(BlockingIOError):
+            while self._codec.decode(self._udp.recv(4096)):
+                pass  # what has waited leaves no room for an answer
+        self._udp.settimeout(2.0)
+        self._udp.sendto(self._codec.encode(message), self._autopilot)
+        end_s = time.monotonic() + 10.0
+        while time.monotonic() < end_s:
+            for answer in self._codec.decode(self._udp.recv(4096)):
+                if answer.get_type() == kind:
+                    return answer
+        raise AssertionError(f"no {kind}")
+
+    def command(self, number: int, *parameters: float) -> None:
+        padded = [*parameters, *[0.0] * (7 - len(parameters))]
+        ack = self.ask(mavlink.MAVLink_command_long_message(1, 1, number, 0, *padded), "COMMAND_ACK")
+        assert ack.result == mavlink.MAV_RESULT_ACCEPTED
+
+    def log(self, number: int) -> bytes:
+        entry = self.ask(mavlink.MAVLink_log_request_list_message(1, 1, number, number), "LOG_ENTRY")
+        content = b""
+        while len(content) < entry.size:
+            data = self.ask(mavlink.MAVLink_log_request_data_message(1, 1, number, len(content), 90), "LOG_DATA")
+            assert data.ofs == len(content)
+            content += bytes(data.data[: data.count])
+        return content
+
+
+@both
+def test_the_log_of_a_flight(kind: AutopilotKind, tmp_path: Path) -> None:
+    configuration = f"id: 1\nstand_in: {{sensors: ideal, armable_after_s: 0, autopilot: {kind}}}\n"
+    with stand_in(tmp_path, configuration) as process:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
+            pilot = Pilot(process, udp)
+            until(lambda: len(process.truth()) > 50)  # it is up, and would forget a mode no more
+            if kind is ARDUPILOT:
+                pilot.command(mavlink.MAV_CMD_DO_SET_MODE, 1.0, Mode.GUIDED)
+            pilot.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
+            until(lambda: any(row.armed for row in process.truth()))
+            pilot.command(mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, 2.0 if kind is ARDUPILOT else 490.0)
+            until(lambda: process.truth()[-1].z_m > 1.0, 30.0)
+            pilot.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0, FORCE)
+            process.wait_until_disarmed()
+            if kind is ARDUPILOT:  # which writes on for a while
+                armed_rows = len(process.truth())
+                until(lambda: len(process.truth()) > armed_rows + 16 * 50, 40.0)
+            expected = pilot.log(FIRST_ID[kind])
+        files = agent_files(tmp_path, f"udpin:127.0.0.1:{process.ports.companion}")
+        result = logs(files, "--get", "last", "--out", str(folder_of(files)))
+    assert result.returncode == 0, result.stderr
+    (file,) = folder_of(files).iterdir()
+    assert file.read_bytes() == expected
+    assert file.name.startswith("vehicle-1_20")
+    if kind is PX4:
+        assert expected.startswith(MAGIC)
+        assert expected.count(b"vehicle_local_position:uint64_t timestamp;float x;") == 1
+    else:
+        heights_m = []
+        reader = DFReader_binary(str(file))
+        while row := reader.recv_match(type="POS"):
+            heights_m.append(row.RelHomeAlt)
+        assert max(heights_m) == pytest.approx(max(row.z_m for row in process.truth()), abs=0.2)
+        assert heights_m[0] == pytest.approx(0.0, abs=0.1)
