@@ -19,6 +19,7 @@ from companion.mavlink.translator import Translator
 from companion.types import AutopilotKind
 
 HOST = "127.0.0.1"
+MORE_THAN_ASKED = 5.0  # so that a busy machine does not make a stream that is there pass for one that is not
 PX4, ARDUPILOT = AutopilotKind.PX4, AutopilotKind.ARDUPILOT
 SAID = {
     mavlink.MAVLINK_MSG_ID_HEARTBEAT: mavlink.MAVLink_heartbeat_message(
@@ -58,7 +59,7 @@ class ScriptedAutopilot:
             if self._kind is PX4:
                 self._say(HEARTBEAT)  # every 5 ms: its mode must not pass for the stream
             for message_id, interval_s in self.interval_s.items():
-                while sent[message_id] * interval_s < time.monotonic() - start_s:
+                while sent[message_id] * interval_s < MORE_THAN_ASKED * (time.monotonic() - start_s):
                     self._say(SAID[message_id])
                     sent[message_id] += 1
             await asyncio.sleep(0.005)
