@@ -24,6 +24,7 @@ from companion.types import AutopilotKind, HeartbeatSample, TextSample
 
 COMPLETE, INCOMPLETE = 0, 1  # exit codes
 SILENT_AFTER_S = 5.0  # without a HEARTBEAT
+LOOK_AGAIN_S, SETTLED_WITHIN_S = 1.0, 20.0  # at the size of a log that may be written to
 PLAIN_STEP_PERCENT = 10  # of progress, where it is not shown on a terminal
 ARMED = "it is armed: land and disarm it first"
 
@@ -68,6 +69,8 @@ async def _serve(archive: Archive, options: LogsOptions) -> Report:
     say: Callable[[str], None] = _nothing if options.as_json else print
     try:
         listed = await archive.entries()
+        if options.wanted:
+            listed = await archive.settled(listed)
         chosen = choose(listed, options.wanted, archive.autopilot)
         say(heading(report))
         if not options.wanted:
@@ -139,6 +142,19 @@ class Archive:
             raise FlightLogsError(f"{error}{px4}{self._why()}") from error
         if not listed:
             raise FlightLogsError("it has no logs")
+        return listed
+
+    async def settled(self, listed: tuple[LogEntry, ...]) -> tuple[LogEntry, ...]:
+        """The list once its newest log grows no more: an ArduPilot that is read from ends that log, and begins another.
+
+        One that logs all the time (LOG_DISARMED) is not waited for without end. Raises FlightLogsError.
+        """
+        give_up_s = time.monotonic() + SETTLED_WITHIN_S
+        while self.autopilot is AutopilotKind.ARDUPILOT and time.monotonic() < give_up_s:
+            await asyncio.sleep(LOOK_AGAIN_S)
+            before, listed = listed, await self.entries()
+            if (before[-1].id, before[-1].size_bytes) == (listed[-1].id, listed[-1].size_bytes):
+                break
         return listed
 
     async def get(self, entry: LogEntry, folder: Path) -> tuple[Log, str]:

@@ -22,8 +22,9 @@ examples:
 
 The autopilot's link is one program's alone: stop the agent first (systemctl stop companion@1). Ids are the autopilot's own:
 PX4 counts from 0, ArduPilot from 1, and both count anew when a log is deleted. Dates are UTC, of when a log was last
-written to; ArduPilot tells the present one for its newest log. `last` is the newest log. A log that is still written to
-comes as long as it was when it was listed: ArduPilot writes on for 15 s after disarming.
+written to; ArduPilot tells the present one for its newest log. `last` is the newest log. ArduPilot writes on for 15 s after
+disarming: a download waits for that, because to read would end the log and begin another. A log of PX4's that is still
+written to comes as long as it was when it was listed.
 
 A log becomes DIR/vehicle-ID_DATE_TIME_log-ID.ulg (.bin of an ArduPilot) once it is whole; until then it has .part behind its
 name. A file that is there already, with the size of the log, is not asked for again, and none is ever overwritten. Logs are

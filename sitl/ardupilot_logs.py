@@ -38,7 +38,7 @@ class ArduPilotLogTransfer(LogTransfer):
         number, told = self._next_id, self._told(self._next_id)
         self._next_id = (self._next_id + 1) & HIGHEST_ID
         if number == self._last_id:
-            self._copter.log_service.link = None
+            self._serve_nobody()
         return mavlink.MAVLink_log_entry_message(number, self._number, self._last_id, *told)
 
     def _told(self, number: int) -> tuple[int, int]:
@@ -57,7 +57,7 @@ class ArduPilotLogTransfer(LogTransfer):
         self._sent_bytes += len(content)
         self._left_bytes -= len(content)
         if len(content) < CHUNK_BYTES or not self._left_bytes:
-            self._copter.log_service.link = None
+            self._serve_nobody()
         return told
 
     # ------------------------------------------------------------ what is asked
@@ -95,11 +95,16 @@ class ArduPilotLogTransfer(LogTransfer):
             self._left_bytes = min(max(size_bytes - request.ofs, 0), request.count)
             self._is_listing = False
             self._copter.log_service.link = self
+            self._copter.flight_logs.pause()  # it does not write while it reads
 
     def _end(self, _request: MavlinkMessage) -> Iterator[MavlinkMessage]:
-        self._copter.log_service.link = None
+        self._serve_nobody()
         yield from ()
 
     def _erase(self, request: MavlinkMessage) -> Iterator[MavlinkMessage]:
         self._copter.flight_logs.erase()
         yield from self._end(request)
+
+    def _serve_nobody(self) -> None:
+        self._copter.log_service.link = None
+        self._copter.flight_logs.resume()

@@ -7,6 +7,7 @@ it will meet. What they hold is the estimate, as it is with the real ones.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from math import inf
 from typing import Protocol
 
 PERIOD_S = 0.1
@@ -46,25 +47,33 @@ class FlightLogs:
     after_disarming_s: float
     utc_at_start_s: float = 0.0
     files: list[FlightLog] = field(default_factory=list)
+    _paused: bool = False
     _open: FlightLog | None = None
-    _armed_s: float = 0.0
+    _armed_s: float = -inf
     _next_s: float = 0.0
 
     def write(self, vehicle: Logged) -> None:
         """A row, where one is due."""
         if vehicle.armed:
             self._armed_s = vehicle.time_s
-            if self._open is None:
-                self._open = FlightLog(bytearray(self.log_format.head()), vehicle.time_s)
-                self.files.append(self._open)
-        if self._open is None or vehicle.time_s < self._next_s - EPSILON_S:
-            return
-        self._next_s = vehicle.time_s + PERIOD_S
-        if vehicle.time_s - self._armed_s > self.after_disarming_s:
+        if (self._paused and not vehicle.armed) or vehicle.time_s - self._armed_s > self.after_disarming_s:
             self._open = None
             return
-        self._open.content += self.log_format.row()
-        self._open.written_s = vehicle.time_s
+        if self._open is None:
+            self._open = FlightLog(bytearray(self.log_format.head()), vehicle.time_s)
+            self.files.append(self._open)
+        if vehicle.time_s >= self._next_s - EPSILON_S:
+            self._next_s = vehicle.time_s + PERIOD_S
+            self._open.content += self.log_format.row()
+            self._open.written_s = vehicle.time_s
+
+    def pause(self) -> None:
+        """Ends the open log, and writes nothing while disarmed."""
+        self._paused, self._open = True, None
+
+    def resume(self) -> None:
+        """In a new log, where there is still something to write."""
+        self._paused = False
 
     def utc_s(self, time_s: float) -> int:
         """A time of the autopilot's clock as LOG_ENTRY tells it."""

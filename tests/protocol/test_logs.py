@@ -254,15 +254,15 @@ def test_the_log_of_a_flight(kind: AutopilotKind, tmp_path: Path) -> None:
             until(lambda: process.truth()[-1].z_m > 1.0, 30.0)
             pilot.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0, FORCE)
             process.wait_until_disarmed()
-            if kind is ARDUPILOT:  # which writes on for a while
-                armed_rows = len(process.truth())
-                until(lambda: len(process.truth()) > armed_rows + 16 * 50, 40.0)
-            expected = pilot.log(FIRST_ID[kind])
         files = agent_files(tmp_path, f"udpin:127.0.0.1:{process.ports.companion}")
         result = logs(files, "--get", "last", "--out", str(folder_of(files)))
+        listed = json.loads(logs(files, "--json").stdout)["logs"]
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
+            expected = Pilot(process, udp).log(FIRST_ID[kind])
     assert result.returncode == 0, result.stderr
     (file,) = folder_of(files).iterdir()
     assert file.read_bytes() == expected
+    assert len(listed) == 1  # an ArduPilot that was read from too early would have begun another
     assert file.name.startswith("vehicle-1_20")
     if kind is PX4:
         assert expected.startswith(MAGIC)

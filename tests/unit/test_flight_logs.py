@@ -246,6 +246,30 @@ def test_px4_writes_a_ulog_from_arming_to_disarming() -> None:
     assert sum(part * part for part in quaternion) == pytest.approx(1.0, abs=1e-5)
 
 
+def test_an_ardupilot_that_is_read_from_ends_the_log_that_it_writes_and_begins_another() -> None:
+    autopilot, client, other = copter(())
+    autopilot.set_mode(Mode.GUIDED)
+    assert autopilot.arm() == []
+    fly(autopilot, 2.0)
+    autopilot.disarm(forced=True)
+    fly(autopilot, 5.0)
+    autopilot.texts.clear()
+    (log,) = autopilot.flight_logs.files
+    size_bytes = len(log.content)
+    client.list()
+    fly(autopilot, 1.0)
+    assert len(log.content) > size_bytes  # to list does no harm
+    size_bytes = len(log.content)
+    client.data(1, 0, 46_080)
+    fly(autopilot, 20.0)
+    assert len(log.content) == size_bytes
+    assert len(autopilot.flight_logs.files) == 2
+    client.data(1, 0, 90)
+    other.data(2, 0, 90)
+    fly(autopilot, 2.0)
+    assert len(autopilot.flight_logs.files) == 2  # 15 s after disarming there is nothing to write
+
+
 def rows_of(ulog: bytes) -> tuple[list[bytes], list[bytes]]:
     """Data of vehicle_local_position and vehicle_attitude, found by the file's own words."""
     assert ulog.startswith(MAGIC)
