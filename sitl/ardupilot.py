@@ -37,6 +37,7 @@ THRUST_IS_THRUST = 8  # of GUID_OPTIONS
 BRAKING_M_S2 = 0.55
 SPOOLED_UP_AFTER_S = 2.7  # from arming: before that nothing lifts it off
 RUN_UP_S = 1.3  # of a take-off, from its command
+TOUCHED_DOWN_THROTTLE_NORM = -0.16  # its vertical loop still wants down while the motors stop
 DISARMED_AFTER_LANDING_S = 0.6  # in LAND and RTL, from the landing's being known; 2.1 s from the touch
 CONE_REACHES_M = 1000.0
 LOGS_AFTER_DISARMING_S = 15.0
@@ -242,6 +243,8 @@ class ArduCopter(Autopilot):
     def _control(self, control_is_due: bool) -> None:
         if self._waits_on_ground():
             self._thrust(Setpoint(self.quad.estimated_quaternion(), IDLE_THRUST_NORM))
+            if self.mode is Mode.LAND:
+                self.throttle_norm = TOUCHED_DOWN_THROTTLE_NORM
         elif self.mode is Mode.STABILIZE:  # the throttle stick is at the bottom
             self._thrust(Setpoint(quaternion_from_euler(0.0, 0.0, self.quad.estimated_euler_rad()[2]), 0.0))
         elif self.mode is Mode.GUIDED and isinstance(self._followed, Setpoint):

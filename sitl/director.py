@@ -16,7 +16,7 @@ from companion.wire.ground import StatusReport
 from sitl.progress import Progress
 from sitl.readiness import READY_WITHIN_S, Readiness, somebody_flies
 from sitl.scenario import TimelineStep
-from sitl.watch import FlightWatch
+from sitl.watch import FlightWatch, vehicles_in_words
 
 POLL_S = 0.02  # as often as an agent ticks: the entry into formation is known to this
 REPEAT_S = 0.5
@@ -154,7 +154,7 @@ class Director:
                 and step.command not in MAY_OBSERVE
                 and (silent := self._watch.silent(self._clock.now_s()))
             ):
-                raise FlightFailure(f"nothing heard of {_vehicles(silent)} for seconds")
+                raise FlightFailure(f"nothing heard of {vehicles_in_words(silent)} for seconds")
 
     def _pass(self) -> None:
         """Listen and show, once, within POLL_S. Raises FlightFailure."""
@@ -193,7 +193,7 @@ class Director:
                     self._session.command(ids, name, REPLY_WITHIN_S)
             next_ask_s = now_s + REPEAT_S
         up = self._still_up(self._clock.now_s())
-        return f"{_vehicles([s.vehicle_id for s in up])} could not be landed: {_last(up[0])}" if up else None
+        return f"{vehicles_in_words([s.vehicle_id for s in up])} could not be landed: {_last(up[0])}" if up else None
 
     def _still_up(self, now_s: float) -> list[Status]:
         heard = {row.vehicle_id for row in self._watch.rows(now_s) if not row.silent} - set(self._lost())
@@ -268,7 +268,7 @@ class _Order:
             if vehicle_id in self._accepted_s and status:
                 reason = self._why_not_done(status)
             by_reason.setdefault(reason, []).append(vehicle_id)
-        said = "; ".join(f"{_vehicles(ids)}: {reason}" for reason, ids in by_reason.items())
+        said = "; ".join(f"{vehicles_in_words(ids)}: {reason}" for reason, ids in by_reason.items())
         return f"{self._step.command} not done within {self._step.timeout_s:g} s: {said}"
 
     def _why_not_done(self, status: Status) -> str:
@@ -308,7 +308,3 @@ def _way_down(status: Status) -> CommandName | None:
 
 def _last(status: Status) -> str:
     return status.last_event or f"phase {status.phase}, mode {status.mode_name}"
-
-
-def _vehicles(ids: Sequence[int]) -> str:
-    return f"vehicle{'s' if len(ids) > 1 else ''} {', '.join(str(i) for i in ids)}"

@@ -20,7 +20,7 @@ from sitl.readiness import Readiness
 from sitl.scenario import Scenario
 from sitl.stopping import StopRequest
 from sitl.tracks import TrackError, read_track, told_track, write_track
-from sitl.watch import FlightWatch
+from sitl.watch import FlightWatch, vehicles_in_words
 
 External = Mapping[int, ReachedVehicle]  # by id
 
@@ -101,6 +101,10 @@ def _fly(
             director = Director(session, watch, progress, check, fleet.lost_vehicles, MachineClock())
             failures = director.wait_for(Readiness(scenario)) if external else []
             failures = failures or director.fly_and_land(scenario.timeline)
+            if external and (left := [i for i in sorted(fleet.lost_vehicles()) if watch.is_armed(i)]):
+                failures.append(
+                    f"{vehicles_in_words(left)} left armed, without an agent that could land it: use a ground station"
+                )
         if killed := fleet.stop():
             failures.append(f"{', '.join(killed)} did not end when told to and had to be killed")
     return watch, "; ".join(failures) or None

@@ -118,6 +118,11 @@ class FlightWatch:
     def status(self, vehicle_id: int) -> Status | None:
         return self._statuses.get(vehicle_id)
 
+    def is_armed(self, vehicle_id: int) -> bool:
+        """As it was last heard."""
+        status = self.status(vehicle_id)
+        return status is not None and status.armed
+
     def rows(self, now_s: float) -> list[VehicleRow]:
         return rows(self._state, now_s)
 
@@ -141,3 +146,8 @@ class FlightWatch:
         """What each vehicle refused to believe, counted by reason."""
         statuses = {vehicle_id: self.status(vehicle_id) for vehicle_id in self.vehicle_ids}
         return {vehicle_id: status.rejected if status else {} for vehicle_id, status in statuses.items()}
+
+
+def vehicles_in_words(ids: Collection[int]) -> str:
+    """ "vehicle 3", "vehicles 1, 2"."""
+    return f"vehicle{'s' if len(ids) > 1 else ''} {', '.join(map(str, ids))}"

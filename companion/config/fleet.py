@@ -75,7 +75,7 @@ class Envelope(Section, frozen=True):
     """The last gate's limits. The fence is a box in the fleet frame."""
 
     max_tilt_deg: Annotated[float, Meta(gt=0, le=45)] = 25.0
-    max_tilt_rate_deg_s: Annotated[float, Meta(gt=0, le=1000)] = 400.0
+    max_tilt_rate_deg_s: Annotated[float, Meta(gt=0, le=1000)] = 120.0  # 2.4 degrees from one setpoint to the next
     min_thrust_ratio: Annotated[float, Meta(gt=0, lt=1)] = 0.3  # of hover thrust
     max_thrust_ratio: Annotated[float, Meta(gt=1, le=4)] = 1.6
     max_thrust_rate_1_s: Annotated[float, Meta(gt=0, le=100)] = 10.0  # hover thrusts per second

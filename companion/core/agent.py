@@ -168,7 +168,9 @@ class Agent:
                 return self._setpoints.carry_on(now_s, vehicle)
             case FlightPhase.FORMATION:
                 wanted_enu_m_s2 = self._control.in_formation(vehicle, around)
-            case _:  # handing over: brake, and keep the altitude
+            case _ if self._machine.hands_over_level(now_s):
+                wanted_enu_m_s2 = self._control.level(vehicle)
+            case _:  # nobody takes over
                 wanted_enu_m_s2 = self._control.braking(vehicle)
         return self._setpoints.follow(now_s, vehicle, wanted_enu_m_s2)
 
@@ -242,7 +244,7 @@ class Agent:
         if self._machine.phase in (FlightPhase.ENGAGE, FlightPhase.FORMATION):
             reason = f"silent for {SILENT_TOO_LONG_S} s: {_reason(flags)}"
             if manners_of(vehicle).flies_on_in_silence and now_s - vehicle.mode_time_s < MODE_SURE_S:
-                self._machine.hand_over(now_s, vehicle, reason)
+                self._machine.hand_over_silently(now_s, vehicle, reason)
             else:
                 self._machine.give_up(reason)
         self._machine.end_stream()

@@ -48,6 +48,10 @@ class FormationControl:
             return wanted
         return (wanted[0], wanted[1], self.braking(vehicle)[2])
 
+    def level(self, vehicle: VehicleState) -> Vector3:
+        """No acceleration over ground, and back to the altitude held; m/s^2 in ENU."""
+        return (0.0, 0.0, self.braking(vehicle)[2])
+
     def braking(self, vehicle: VehicleState) -> Vector3:
         """Against the velocity, and back to the altitude held; m/s^2 in ENU."""
         climb_m = vehicle.position_enu_m[2] - self._hold_altitude_m

@@ -7,7 +7,7 @@ and sends nothing until it is told to again.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from companion.core.flight_manners import in_air, manners_of
 from companion.core.procedure import Progress, RunningProcedure
@@ -22,6 +22,9 @@ from companion.types import (
 )
 
 P, M, C = FlightPhase, AutopilotMode, CommandName
+
+LEVEL_BEFORE_HAND_OVER_S = 0.25  # autopilots begin their own hold level, whatever was flown before
+TAKES_OVER_WITHIN_S = 0.25  # both do it within 50 ms of being asked
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +66,7 @@ class PhaseMachine:
         self._rule: Rule | None = None
         self._running: RunningProcedure | None = None
         self._leaving_formation = False
+        self._level_until_s = float("-inf")  # of a hand-over
         self._tolerated: frozenset[AutopilotMode] = frozenset()
         self.events: list[str] = []
 
@@ -71,6 +75,10 @@ class PhaseMachine:
         if self.phase in STREAMING:
             return True
         return self._leaving_formation and vehicle.mode is M.OFFBOARD
+
+    def hands_over_level(self, now_s: float) -> bool:
+        """In a hand-over from formation, until the autopilot should have taken over long since."""
+        return self._leaving_formation and now_s < self._level_until_s
 
     def command(self, name: CommandName, now_s: float, vehicle: VehicleState) -> tuple[bool, str]:
         """(accepted, why not or what happens now). A command that is under way or done already is accepted again."""
@@ -105,9 +113,14 @@ class PhaseMachine:
         return f"lead is not possible in phase {self.phase}, only in formation, in hold or on the ground"
 
     def hand_over(self, now_s: float, vehicle: VehicleState, reason: str) -> None:
-        """Leave formation for the autopilot's own hold."""
+        """Leave formation for the autopilot's own hold, level first."""
         if self.phase in STREAMING:
             self._begin(C.HOLD, now_s, vehicle, reason)
+
+    def hand_over_silently(self, now_s: float, vehicle: VehicleState, reason: str) -> None:
+        """The same, at once, where nothing more can be said of the attitude."""
+        if self.phase in STREAMING:
+            self._begin(C.HOLD, now_s, vehicle, reason, level_first_s=0.0)
 
     def give_up(self, reason: str) -> None:
         """Back to OBSERVE: nothing more is sent until a command comes."""
@@ -133,10 +146,21 @@ class PhaseMachine:
                 return ()
         return self._running.due(now_s, vehicle)
 
-    def _begin(self, name: CommandName, now_s: float, vehicle: VehicleState, reason: str) -> None:
+    def _begin(
+        self,
+        name: CommandName,
+        now_s: float,
+        vehicle: VehicleState,
+        reason: str,
+        level_first_s: float = LEVEL_BEFORE_HAND_OVER_S,
+    ) -> None:
         rule = RULES[name]
-        running = RunningProcedure(manners_of(vehicle).procedures[name](vehicle, self._takeoff_height_m), now_s)
+        procedure = manners_of(vehicle).procedures[name](vehicle, self._takeoff_height_m)
         leaving = self.streams(vehicle) and rule.via is not P.ENGAGE
+        if self.phase is P.FORMATION:  # before it, the attitude that was had anyway has been streamed
+            procedure = replace(procedure, delay_s=level_first_s)
+            self._level_until_s = now_s + level_first_s + TAKES_OVER_WITHIN_S
+        running = RunningProcedure(procedure, now_s)
         self._enter(rule.via, reason)
         self._rule = rule
         self._leaving_formation = leaving

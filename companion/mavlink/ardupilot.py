@@ -123,11 +123,14 @@ def thrust_of(target: AttitudeTarget) -> float:
 
 
 def commanded_thrust(message: MavlinkMessage) -> float:
-    """ATTITUDE_TARGET's along the body's axis: what it tells is not yet divided by the cosine of the tilt it wants."""
+    """ATTITUDE_TARGET's along the body's axis: what it tells is not yet divided by the cosine of the tilt it wants.
+
+    While it lands its vertical loop may want less than none, and its motors then give none.
+    """
     _, x, y, _ = message.q
     cos_tilt = 1.0 - 2.0 * (x * x + y * y)
     thrust: float = message.thrust / max(LEAST_COS_TILT, cos_tilt)
-    return thrust
+    return 0.0 if -1.0 <= thrust < 0.0 else thrust
 
 
 def command_for(request: AutopilotRequest, system_id: int) -> MavlinkMessage:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -91,6 +92,26 @@ def all_run(autopilots: list[subprocess.Popen[bytes]]) -> bool:
     return all(process.poll() is None for process in autopilots)
 
 
+def await_formation(folder: Path, flight: subprocess.Popen[str]) -> None:
+    log, deadline_s = folder / "out" / "agent_2.log", time.monotonic() + 120.0
+    while not (log.exists() and "engage -> formation" in log.read_text(encoding="utf-8")):
+        assert time.monotonic() < deadline_s and flight.poll() is None
+        time.sleep(0.1)
+
+
+def agents(folder: Path, vehicle_id: int) -> list[int]:
+    """Process ids of this vehicle's agent."""
+    file, found = str(folder / "out" / f"vehicle_{vehicle_id}.yaml").encode(), []
+    for process in Path("/proc").iterdir():
+        try:
+            command = (process / "cmdline").read_bytes().split(b"\0") if process.name.isdecimal() else []
+        except OSError:  # ended meanwhile
+            continue
+        if file in command:
+            found.append(int(process.name))
+    return found
+
+
 def is_armed(folder: Path, vehicle_id: int) -> bool:
     """By the autopilot's own record."""
     rows = (folder / f"true_{vehicle_id}.csv").read_text(encoding="ascii").splitlines()
@@ -120,15 +141,26 @@ def test_ctrl_c_in_formation_lands_both_and_leaves_their_autopilots(
     tmp_path: Path, autopilots: list[subprocess.Popen[bytes]]
 ) -> None:
     flight = fly(tmp_path, "--set", "timeline[3].for_s=120", "--quiet")
-    log, deadline_s = tmp_path / "out" / "agent_2.log", time.monotonic() + 120.0
-    while not (log.exists() and "engage -> formation" in log.read_text(encoding="utf-8")):
-        assert time.monotonic() < deadline_s and flight.poll() is None
-        time.sleep(0.1)
+    await_formation(tmp_path, flight)
     flight.send_signal(signal.SIGINT)
     code, printed = ended(flight)
     assert code == 130, printed
     assert "interrupted by SIGINT" in printed
     assert not is_armed(tmp_path, 1) and not is_armed(tmp_path, 2)
+    assert all_run(autopilots)
+
+
+def test_who_lost_its_agent_in_formation_is_said_to_be_left_armed(
+    tmp_path: Path, autopilots: list[subprocess.Popen[bytes]]
+) -> None:
+    flight = fly(tmp_path, "--set", "timeline[3].for_s=120", "--quiet")
+    await_formation(tmp_path, flight)
+    (agent,) = agents(tmp_path, 2)
+    os.kill(agent, signal.SIGKILL)
+    code, printed = ended(flight)
+    assert code == 1
+    assert "vehicle 2 left armed, without an agent that could land it" in printed
+    assert not is_armed(tmp_path, 1) and is_armed(tmp_path, 2)
     assert all_run(autopilots)
 
 

@@ -10,6 +10,7 @@ from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember
 from companion.config.law import Law
 from companion.config.reference import Figure8Reference, PointReference, Reference
 from companion.config.vehicle import AgentConfig, VehicleConfig
+from companion.core.phase import LEVEL_BEFORE_HAND_OVER_S, TAKES_OVER_WITHIN_S
 from companion.types import (
     Arm,
     AttitudeSample,
@@ -96,6 +97,7 @@ class Flight:
         self.parameters = dict(IN_ORDER)
         self.battery_percent = 90.0
         self.withheld: tuple[type, ...] = ()
+        self.obeys = True
         self.velocity: Vector3 = (0.0, 0.0, 0.0)
         self.peer_phase = FlightPhase.FORMATION
         self.stopping = False
@@ -169,7 +171,8 @@ class Flight:
         samples = self.telemetry() if telemetry is None else telemetry
         inbox = Inbox(tuple(samples), tuple(self.peer()), commands, self.stopping)
         self.outbox = self.agent.step(self.now_s, inbox)
-        self._obey()
+        if self.obeys:
+            self._obey()
         if self.outbox.attitude_target:
             self.targets.append(self.outbox.attitude_target)
         self.events += self.outbox.events
@@ -501,17 +504,20 @@ def test_a_landing_is_asked_for_even_when_the_state_goes_stale() -> None:
     assert flight.mode is AutopilotMode.LAND
 
 
-def test_while_it_hands_over_it_brakes_and_keeps_its_altitude() -> None:
+def test_it_hands_over_level_and_at_its_altitude_and_brakes_where_nobody_takes_over() -> None:
     flight = Flight().fly_to(FlightPhase.FORMATION)
     flight.tick()
     flight.peer_position = (-120.0, 0.0, 1.0)  # a neighbour that would pull it farther out
     flight.position, flight.velocity = (-101.0, 0.0, 0.9), (3.0, 0.0, -1.0)
-    flight.tick()
+    flight.obeys = False
+    up_m_s2 = pytest.approx(2.0 * 0.1 + 2.4 * 1.0, abs=0.01)
+    for _ in range(round((LEVEL_BEFORE_HAND_OVER_S + TAKES_OVER_WITHIN_S) / 0.02)):
+        assert told_acceleration(flight.tick()) == (0.0, 0.0, up_m_s2)
     assert flight.agent.phase is FlightPhase.RELEASE
-    assert flight.outbox.peer_packet is not None
-    ux, _, uz = flight.outbox.peer_packet.acceleration_enu_m_s2
+    flight.tick()
+    ux, _, uz = told_acceleration(flight.tick())
     assert ux < -2.0
-    assert uz == pytest.approx(2.0 * 0.1 + 2.4 * 1.0, abs=0.01)
+    assert uz == up_m_s2
 
 
 def told_acceleration(outbox: Outbox) -> Vector3:

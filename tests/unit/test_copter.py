@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from sitl_copter import DT_S, HOVER, Copter, M, attitude
 
+from companion.mavlink import ardupilot
 from companion.mavlink.codec import MavlinkCodec, mavlink
 from companion.types import AutopilotKind
 from sitl.ardupilot_modes import Mode
@@ -184,7 +185,19 @@ def test_landing_at_half_a_metre_a_second_and_disarmed_2_s_after_the_touch() -> 
     assert copter.copter.mode is Mode.LAND
 
 
-def test_brake_stops_and_holds_without_a_pilot_and_loiter_sinks() -> None:
+def test_landed_it_tells_a_thrust_below_none_that_an_agent_reads_as_none() -> None:
+    copter = Copter()
+    copter.take_off(3.0)
+    copter.set_mode(Mode.LAND)
+    copter.interval(M.MAVLINK_MSG_ID_ATTITUDE_TARGET, 50.0)
+    while copter.copter.armed:
+        copter.fly(DT_S)
+    told = [message for message in copter.messages("ATTITUDE_TARGET") if message.thrust < 0.0]
+    assert 20 < len(told) < 120
+    assert {ardupilot.commanded_thrust(message) for message in told} == {0.0}
+
+
+def test_est_brake_stops_and_holds_without_a_pilot_and_loiter_sinks() -> None:
     copter = Copter(GUID_OPTIONS=8)
     copter.take_off()
     copter.fly(1.5, attitude(10.0))

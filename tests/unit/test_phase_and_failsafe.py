@@ -9,7 +9,7 @@ from msgspec.structs import replace
 from companion.core.envelope import EnvelopeLimits
 from companion.core.failsafe import ACTIONS, failsafe_action
 from companion.core.health import AgeLimits, health_flags
-from companion.core.phase import FLYING, RULES, PhaseMachine
+from companion.core.phase import FLYING, LEVEL_BEFORE_HAND_OVER_S, RULES, TAKES_OVER_WITHIN_S, PhaseMachine
 from companion.types import (
     AckSample,
     Arm,
@@ -86,12 +86,23 @@ def flown_to(phase: FlightPhase) -> tuple[PhaseMachine, Obedient, float]:
     return machine, autopilot, now_s
 
 
+def levelled(machine: PhaseMachine, autopilot: Obedient, now_s: float) -> float:
+    """The time by which the autopilot has done what a hand-over from formation asks, after it streamed until then."""
+    until_s = now_s + LEVEL_BEFORE_HAND_OVER_S
+    while now_s < until_s:
+        assert tick(machine, now_s, autopilot.state, ()) == ()
+        assert machine.streams(autopilot.state) and machine.hands_over_level(now_s)
+        now_s += 0.02
+    autopilot.obey(tick(machine, now_s, autopilot.state, ()))
+    return now_s
+
+
 def test_the_ordinary_flight() -> None:
     machine, autopilot, now_s = flown_to(FlightPhase.FORMATION)
     assert machine.phase is FlightPhase.FORMATION
     assert [type(r) for r in autopilot.asked] == [SetMode, Arm, TakeOff, SetMode]
     assert machine.command(CommandName.LAND, now_s, autopilot.state)[0]
-    autopilot.obey(tick(machine, now_s, autopilot.state, ()))
+    now_s = levelled(machine, autopilot, now_s)
     assert autopilot.state.mode is AutopilotMode.LAND
     tick(machine, now_s + 0.02, autopilot.state, ())
     assert machine.phase is FlightPhase.LAND
@@ -103,9 +114,22 @@ def test_setpoints_stream_until_the_autopilot_has_taken_over() -> None:
     machine, autopilot, now_s = flown_to(FlightPhase.FORMATION)
     machine.command(CommandName.HOLD, now_s, autopilot.state)
     assert machine.phase is FlightPhase.RELEASE
-    assert machine.streams(autopilot.state)
-    autopilot.obey(tick(machine, now_s, autopilot.state, ()))
+    levelled(machine, autopilot, now_s)
     assert not machine.streams(autopilot.state)
+
+
+def test_a_hand_over_is_level_until_the_autopilot_should_have_taken_over() -> None:
+    machine, autopilot, now_s = flown_to(FlightPhase.FORMATION)
+    machine.hand_over(now_s, autopilot.state, "no leader's word")
+    assert machine.hands_over_level(now_s + LEVEL_BEFORE_HAND_OVER_S)
+    assert not machine.hands_over_level(now_s + LEVEL_BEFORE_HAND_OVER_S + TAKES_OVER_WITHIN_S)
+    assert machine.streams(autopilot.state)
+
+
+def test_where_nothing_can_be_said_of_the_attitude_the_hold_is_asked_for_at_once() -> None:
+    machine, autopilot, now_s = flown_to(FlightPhase.FORMATION)
+    machine.hand_over_silently(now_s, autopilot.state, "silent")
+    assert tick(machine, now_s, autopilot.state, ()) == (SetMode(AutopilotMode.HOLD),)
 
 
 @pytest.mark.parametrize("phase", sorted(FLYING - {FlightPhase.LAND}))
@@ -194,7 +218,7 @@ def test_offboard_shown_again_at_disarming_starts_no_stream() -> None:
     machine, autopilot, now_s = flown_to(FlightPhase.FORMATION)
     offboard = autopilot.state
     machine.command(CommandName.LAND, now_s, offboard)
-    autopilot.obey(tick(machine, now_s, offboard, ()))
+    now_s = levelled(machine, autopilot, now_s)
     tick(machine, now_s + 0.02, autopilot.state, ())
     down = replace(offboard, landed=LandedState.ON_GROUND)  # PX4 shows the intended mode again before it is disarmed
     tick(machine, now_s + 5.0, down, ())
