@@ -62,7 +62,6 @@ class Autopilot(ABC):
         self.origin_changes = 0
         self._steps = 0
         self._control_steps = max(1, round(CONTROL_PERIOD_S / dt_s))
-        self._control_dt_s = self._control_steps * dt_s
         self._hover_thrust_norm = file.stand_in.hover_thrust_norm
         self._own = OwnFlight(self.quad, self.speeds, self._hover_thrust_norm, braking_m_s2)
         self._ground = GroundContact()
@@ -95,6 +94,10 @@ class Autopilot(ABC):
     def has_position(self) -> bool:
         """Does its estimator know yet where it is?"""
         return True
+
+    @property
+    def _control_dt_s(self) -> float:
+        return self._control_steps * self.dt_s
 
     @property
     def boot_ms(self) -> int:
@@ -147,8 +150,6 @@ class Autopilot(ABC):
         self.quad.step(self.setpoint)
         if self.armed:
             self._watch_ground()
-        if control_is_due:
-            self.flight_logs.write(self)
 
     @abstractmethod
     def _look_after(self) -> None:

@@ -5,6 +5,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from math import inf
+
 from companion.types import AutopilotKind, Vector3
 from sitl.attitude_control import PX4_LOOPS, Setpoint
 from sitl.autopilot import CRITICAL, IDLE_THRUST_NORM, INFO, Autopilot
@@ -28,6 +31,15 @@ SINK_M_S = 0.85  # of a manual mode without a pilot; 0.7 to 1.0 was measured
 LANDING_SLOWS_M = (5.0, 10.0)  # MPC_LAND_ALT2 and MPC_LAND_ALT1 above home
 
 
+@dataclass(slots=True)
+class OffboardStream:
+    """The setpoints that OFFBOARD lives on: the newest, when it came, and when those began that came without a gap."""
+
+    newest: Setpoint | Course | None = None
+    newest_s: float = -inf
+    since_s: float = -inf
+
+
 class Px4(Autopilot):
     """One vehicle. `dt_s` is the step of physics and attitude control."""
 
@@ -44,9 +56,7 @@ class Px4(Autopilot):
         self._ready_after_s = file.stand_in.ready_after_s
         self._failsafe_steps = max(1, round(FAILSAFE_PERIOD_S / dt_s))
         self._mode_after_disarming = Mode.LOITER
-        self._offboard: Setpoint | Course | None = None
-        self._offboard_s = float("-inf")
-        self._stream_since_s = float("-inf")
+        self._stream = OffboardStream()
         self._ground_station_failsafe_s: float | None = None
         self._ground_station_loss_known = False
 
@@ -81,7 +91,7 @@ class Px4(Autopilot):
     @property
     def streaming(self) -> bool:
         """Do setpoints come often enough? COM_OF_LOSS_T is the longest gap."""
-        return self.time_s - self._offboard_s <= self.parameters["COM_OF_LOSS_T"]
+        return self.time_s - self._stream.newest_s <= self.parameters["COM_OF_LOSS_T"]
 
     @property
     def ground_station_lost(self) -> bool:
@@ -108,12 +118,12 @@ class Px4(Autopilot):
 
     def take_setpoint(self, setpoint: Setpoint | Course) -> None:
         """Of the stream that OFFBOARD lives on."""
+        stream = self._stream
         if not self.streaming:
-            self._stream_since_s = self.time_s
-        if isinstance(setpoint, Course) and not isinstance(self._offboard, Course) and self.mode is Mode.OFFBOARD:
+            stream.since_s = self.time_s
+        if isinstance(setpoint, Course) and not isinstance(stream.newest, Course) and self.mode is Mode.OFFBOARD:
             self._enter(Mode.OFFBOARD)
-        self._offboard = setpoint
-        self._offboard_s = self.time_s
+        stream.newest, stream.newest_s = setpoint, self.time_s
 
     def set_mode(self, mode: Mode, takeoff_altitude_amsl_m: float | None = None) -> bool:
         """A mode change on request. Disarmed it always works; armed the mode must be able to fly the vehicle just now."""
@@ -179,12 +189,13 @@ class Px4(Autopilot):
     # ------------------------------------------------------------ time
 
     def _control(self, control_is_due: bool) -> None:
-        if self.mode is Mode.OFFBOARD and isinstance(self._offboard, Setpoint):
-            self.setpoint = self._offboard
+        newest = self._stream.newest
+        if self.mode is Mode.OFFBOARD and isinstance(newest, Setpoint):
+            self.setpoint = newest
         elif not control_is_due:
             return
-        elif self.mode is Mode.OFFBOARD and isinstance(self._offboard, Course):
-            self.setpoint = self._own.follow(self._offboard, self._control_dt_s)
+        elif self.mode is Mode.OFFBOARD and isinstance(newest, Course):
+            self.setpoint = self._own.follow(newest, self._control_dt_s)
         else:
             if self._ground.landed and self.mode is not Mode.TAKEOFF:
                 self.setpoint = Setpoint(self.quad.estimated_quaternion(), IDLE_THRUST_NORM)
@@ -209,7 +220,7 @@ class Px4(Autopilot):
             hold_s = self.parameters["COM_FAIL_ACT_T"]  # a while in which somebody may still take over
             self._activate_failsafe(Mode.LOITER, f": entering Hold for {hold_s:.0f} seconds")
         elif self.mode is Mode.OFFBOARD:
-            gap_s = self.time_s - self._offboard_s
+            gap_s = self.time_s - self._stream.newest_s
             if look_for_losses and gap_s > self.parameters["COM_OF_LOSS_T"] + STREAM_LOST_GRACE_S:
                 self._activate_failsafe(OFFBOARD_LOSS.get(int(self.parameters["COM_OBL_RC_ACT"]), Mode.POSCTL))
         elif self.intended_mode is Mode.OFFBOARD and self._stream_is_back():
@@ -218,7 +229,7 @@ class Px4(Autopilot):
             self._switch(Mode.OFFBOARD)
 
     def _stream_is_back(self) -> bool:
-        return self.streaming and self.time_s - self._stream_since_s >= STREAM_BACK_AFTER_S
+        return self.streaming and self.time_s - self._stream.since_s >= STREAM_BACK_AFTER_S
 
     def _ground_station_is_newly_lost(self) -> bool:
         lost = self.ground_station_lost and int(self.parameters["NAV_DLL_ACT"]) in GROUND_STATION_LOSS

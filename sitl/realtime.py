@@ -81,6 +81,7 @@ async def _fly(
         next_s = max(next_s, now_s - MAX_LAG_S)
         while next_s <= now_s:
             autopilot.step()
+            autopilot.flight_logs.write(autopilot)
             steps += 1
             for link in links:
                 link.send_due()

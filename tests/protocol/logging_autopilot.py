@@ -71,6 +71,7 @@ class LoggingAutopilot:
             next_s = max(next_s + DT_S, time.monotonic() - 10 * DT_S)
             self._listen()
             self._autopilot.step()
+            self._autopilot.flight_logs.write(self._autopilot)
             self._autopilot.armed = self.armed or self._data_packets > self.arms_after_packets
             for packet in self._end.due():
                 self._send(packet)

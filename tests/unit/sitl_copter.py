@@ -50,6 +50,7 @@ class Copter:
             if stream is not None and step % 5 == 0:
                 self.say(stream)
             self.copter.step()
+            self.copter.flight_logs.write(self.copter)
             self._hear(b"".join(self.end.due()))
             self.copter.texts.clear()
 

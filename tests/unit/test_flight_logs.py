@@ -87,6 +87,7 @@ def autopilot_with(kind: AutopilotKind, logs: Sequence[bytes]) -> tuple[Autopilo
 def fly(autopilot: Autopilot, seconds: float) -> None:
     for _ in range(round(seconds / DT_S)):
         autopilot.step()
+        autopilot.flight_logs.write(autopilot)
     autopilot.texts.clear()
 
 
