@@ -11,7 +11,7 @@ from msgspec import Meta
 from companion.config.fleet import FleetConfig
 from companion.config.values import PositionM, Seconds, Section
 from companion.config_file import ConfigError
-from companion.figure_8 import figure_8
+from companion.curves import figure_8
 from companion.types import GRAVITY_M_S2, Vector3
 
 LAP_SAMPLES = 2000

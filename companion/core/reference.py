@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from companion import figure_8 as shape
+from companion import curves
 from companion.core.formation import Place
 from companion.types import ZERO3, Vector3
 
@@ -25,7 +25,7 @@ def figure_8(
     cx, cy, cz = centre_enu_m
 
     def trajectory(reference_s: float) -> Place:
-        (x, y, z), velocity, acceleration = shape.figure_8(reference_s, width_m, height_m, period_s, ramp_s)
+        (x, y, z), velocity, acceleration = curves.figure_8(reference_s, width_m, height_m, period_s, ramp_s)
         return Place((cx + x, cy + y, cz + z), velocity, acceleration)
 
     return trajectory

@@ -1,0 +1,50 @@
+"""From one formation to another: all slots move in step along straight lines, by one law of time.
+
+Slots that are assigned by the least sum of squared distances never cross on such paths, and keep at least 1/sqrt(2) of the
+smaller of the two formations' separations (Turpin, Michael and Kumar, 2014). What a pair really keeps is a quadratic's minimum.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import combinations
+from math import dist, hypot
+
+from msgspec import Struct
+
+from companion.curves import between
+from companion.types import ZERO3, Vector3
+
+
+class Slot(Struct, frozen=True, gc=False):
+    """A vehicle's place d_i0(t) about the RFT and its rate of change, m and m/s in ENU."""
+
+    position_enu_m: Vector3
+    velocity_enu_m_s: Vector3 = ZERO3
+
+
+def slot_at(before_enu_m: Vector3, after_enu_m: Vector3, elapsed_s: float, lasts_s: float) -> Slot:
+    """Smoothly from one to the other; before and afterwards it stands."""
+    position_enu_m, velocity_enu_m_s, _ = between(before_enu_m, after_enu_m, elapsed_s, lasts_s)
+    return Slot(position_enu_m, velocity_enu_m_s)
+
+
+def closest(before_enu_m: Mapping[int, Vector3], after_enu_m: Mapping[int, Vector3]) -> tuple[float, int, int]:
+    """(least distance of any two slots on the way, whose they are). Needs the same two or more vehicles on both sides."""
+    return min(
+        (_closest_pair(before_enu_m[i], after_enu_m[i], before_enu_m[j], after_enu_m[j]), i, j)
+        for i, j in combinations(sorted(before_enu_m), 2)
+    )
+
+
+def longest_way_m(before_enu_m: Mapping[int, Vector3], after_enu_m: Mapping[int, Vector3]) -> float:
+    return max(dist(before_enu_m[i], after_enu_m[i]) for i in before_enu_m)
+
+
+def _closest_pair(a0: Vector3, a1: Vector3, b0: Vector3, b1: Vector3) -> float:
+    """Their difference moves along a straight line, whatever the law of time."""
+    x, y, z = a0[0] - b0[0], a0[1] - b0[1], a0[2] - b0[2]
+    dx, dy, dz = a1[0] - b1[0] - x, a1[1] - b1[1] - y, a1[2] - b1[2] - z
+    way2 = dx * dx + dy * dy + dz * dz
+    share = min(max(-(x * dx + y * dy + z * dz) / way2, 0.0), 1.0) if way2 > 0.0 else 0.0
+    return hypot(x + share * dx, y + share * dy, z + share * dz)

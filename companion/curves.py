@@ -1,0 +1,100 @@
+"""Curves of the RFT as numbers: where, how fast and with which acceleration at a time. They begin at rest. Pure geometry."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Callable, Sequence
+from itertools import accumulate, pairwise
+from math import cos, dist, pi, sin, sqrt
+
+from companion.types import ZERO3, Vector3
+
+Motion = tuple[Vector3, Vector3, Vector3]
+"""Position [m], velocity [m/s], acceleration [m/s^2]."""
+
+PEAK_SPEED = 1.875  # of `share`, in ways a duration
+PEAK_ACCELERATION = 10.0 / sqrt(3.0)  # in ways a duration squared
+
+
+def figure_8(time_s: float, width_m: float, height_m: float, period_s: float, ramp_s: float) -> Motion:
+    """A Lissajous curve about its centre: x = w/2 sin p, y = h/2 sin 2p.
+
+    The rate p' rises from 0 to 2 pi / period over `ramp_s` as 3 u^2 - 2 u^3, so that the acceleration, too, begins at zero and
+    has no step. The centre is left with zero speed at time 0; a steady lap takes `period_s`.
+    """
+    p, rate, rate_change = _phase(time_s, 2.0 * pi / period_s, ramp_s)
+    a, b = width_m / 2.0, height_m / 2.0
+    x, y = a * sin(p), b * sin(2.0 * p)
+    dx, dy = a * cos(p), 2.0 * b * cos(2.0 * p)  # along p
+    return (
+        (x, y, 0.0),
+        (dx * rate, dy * rate, 0.0),
+        (dx * rate_change - x * rate**2, dy * rate_change - 4.0 * y * rate**2, 0.0),
+    )
+
+
+def circle(time_s: float, radius_m: float, period_s: float, ramp_s: float) -> Motion:
+    """Counterclockwise about its centre from the east, with the pace of `figure_8`; a negative period turns clockwise."""
+    p, rate, rate_change = _phase(time_s, 2.0 * pi / period_s, ramp_s)
+    x, y = radius_m * cos(p), radius_m * sin(p)
+    return (
+        (x, y, 0.0),
+        (-y * rate, x * rate, 0.0),
+        (-y * rate_change - x * rate**2, x * rate_change - y * rate**2, 0.0),
+    )
+
+
+def way(
+    points_m: Sequence[Vector3], wait_s: float, max_speed_m_s: float, max_acceleration_m_s2: float
+) -> Callable[[float], Motion]:
+    """Straight from point to point within both limits; at each it stops and waits, and at the last it stays."""
+    legs = list(pairwise(points_m))
+    lasts_s = [duration_s(dist(a, b), max_speed_m_s, max_acceleration_m_s2) for a, b in legs]
+    ends_s = list(accumulate(leg_s + wait_s for leg_s in lasts_s))
+
+    def at(time_s: float) -> Motion:
+        index = bisect_right(ends_s, time_s)
+        if index >= len(legs):
+            return points_m[-1], ZERO3, ZERO3
+        since_s = time_s - (ends_s[index] - lasts_s[index] - wait_s)
+        return between(*legs[index], since_s, lasts_s[index])
+
+    return at
+
+
+def duration_s(way_m: float, max_speed_m_s: float, max_acceleration_m_s2: float) -> float:
+    """The shortest time in which `between` goes this way within both limits."""
+    return max(PEAK_SPEED * way_m / max_speed_m_s, sqrt(PEAK_ACCELERATION * way_m / max_acceleration_m_s2))
+
+
+def between(before: Vector3, after: Vector3, elapsed_s: float, lasts_s: float) -> Motion:
+    """Straight, from rest to rest as 10 u^3 - 15 u^4 + 6 u^5 (least jerk). Before and afterwards it stands."""
+    if elapsed_s <= 0.0:
+        return before, ZERO3, ZERO3
+    if elapsed_s >= lasts_s:
+        return after, ZERO3, ZERO3
+    u = elapsed_s / lasts_s
+    share = u * u * u * (10.0 + u * (6.0 * u - 15.0))
+    rate = 30.0 * u * u * (1.0 - u) ** 2 / lasts_s
+    rate_change = 60.0 * u * (1.0 - u) * (1.0 - 2.0 * u) / lasts_s**2
+    (x, y, z), (ax, ay, az) = before, after
+    dx, dy, dz = ax - x, ay - y, az - z
+    return (
+        (x + share * dx, y + share * dy, z + share * dz),
+        (rate * dx, rate * dy, rate * dz),
+        (rate_change * dx, rate_change * dy, rate_change * dz),
+    )
+
+
+def _phase(time_s: float, full_rate_rad_s: float, ramp_s: float) -> tuple[float, float, float]:
+    """p, p' and p''."""
+    u = time_s / ramp_s
+    if u <= 0.0:
+        return 0.0, 0.0, 0.0
+    if u >= 1.0:
+        return full_rate_rad_s * (time_s - ramp_s / 2.0), full_rate_rad_s, 0.0
+    return (
+        full_rate_rad_s * ramp_s * (u**3 - u**4 / 2.0),
+        full_rate_rad_s * (3.0 * u**2 - 2.0 * u**3),
+        full_rate_rad_s * 6.0 * (u - u**2) / ramp_s,
+    )
