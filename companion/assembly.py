@@ -25,6 +25,7 @@ from companion.core.neighbours import EdgeRule, NeighbourRule, RangeRule
 from companion.core.peers import PeerTable
 from companion.core.reference import ReferenceTrajectory, figure_8, point
 from companion.core.setpoint_stream import SetpointStream
+from companion.core.slot_plan import SlotPlan
 from companion.core.vehicle_state import VehicleTracker
 from companion.types import Role
 
@@ -55,19 +56,17 @@ def build_agent(config: AgentConfig, session: int) -> Agent:
         fleet=fleet.name,
         formation_hash=formation_hash,
         law_name=law.name,
-        slot_enu_m=member.slot_enu_m,
         takeoff_height_m=fleet.takeoff_height_m,
         envelope=envelope,
         ages=AgeLimits(),
         checks=FleetChecks(
             own_id=member.id,
-            slots_enu_m={m.id: m.slot_enu_m for m in fleet.vehicles},
             slots_have_height=law.altitude == "formation",
             ground_spread_m=fleet.ground_spread_m,
         ),
     )
     tracker = tracker_of(fleet)
-    slots = {m.id: m.slot_enu_m for m in fleet.vehicles}
+    slots = SlotPlan(member.id, {m.id: m.slot_enu_m for m in fleet.vehicles}, fleet.separation_m, fleet.slot_speed_m_s)
     leader = LeaderWatch(fleet.peers.leader_word_max_age_s)
     rule = _neighbour_rule(fleet, member.id)
     leadership = Leadership(
@@ -75,17 +74,16 @@ def build_agent(config: AgentConfig, session: int) -> Agent:
         [m.id for m in fleet.vehicles if m.role is Role.LEADER],
         [m.id for m in fleet.vehicles if m.can_lead],
     )
-    cooperation = Cooperation(member.id, leadership, slots, peers, rule, leader)
+    cooperation = Cooperation(member.id, leadership, len(fleet.vehicles), peers, rule, leader)
     vehicle = config.vehicle
     observer = DisturbanceObserver(vehicle.hover_thrust_norm, vehicle.drag_1_s, law.disturbance_bandwidth_1_s)
-    return Agent(setup, tracker, cooperation, _control(config), SetpointStream(envelope, observer))
+    return Agent(setup, tracker, cooperation, _control(config), SetpointStream(envelope, observer), slots)
 
 
 def _control(config: AgentConfig) -> FormationControl:
     law, reference = config.fleet.law, config.vehicle.reference
     return FormationControl(
         law=law_of(law),
-        slot_enu_m=config.member.slot_enu_m,
         law_flies_altitude=law.altitude == "formation",
         altitude_hold_gains=Gains(law.altitude_hold_gains.position_1_s2, law.altitude_hold_gains.velocity_1_s),
         reference=trajectory_of(reference) if reference else None,

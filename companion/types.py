@@ -298,6 +298,19 @@ class LeaderWord(Struct, frozen=True, gc=False):
     reference_s: float = 0.0
 
 
+class FlownSlot(Struct, frozen=True, gc=False):
+    """A vehicle's place d_i0 about the RFT as it flies it just now, and its rate of change while the formation changes.
+
+    `formation` counts the formations that were commanded, the fleet file's is 0; `waiting` is the one that is to come, the
+    same where none is.
+    """
+
+    position_enu_m: Vector3
+    velocity_enu_m_s: Vector3 = ZERO3
+    formation: int = 0
+    waiting: int = 0
+
+
 class PeerPacket(Struct, frozen=True, gc=False):
     """What a vehicle tells its peers at every tick.
 
@@ -317,6 +330,7 @@ class PeerPacket(Struct, frozen=True, gc=False):
     sent_s: float
     prc: int
     leader_word: LeaderWord | None
+    slot: FlownSlot
     position_error: PositionError | None = None  # None where the estimator does not tell
 
 
@@ -336,23 +350,36 @@ class CommandName(StrEnum):
     LAND = "land"
     DISARM = "disarm"
     LEAD = "lead"
+    FORMATION = "formation"
 
 
 MAX_EPOCH = 2**31 - 1
 MAX_EPOCHS_AHEAD = 1000  # of a vehicle's own; so many changes may it have missed
 
 
-class Lead(Struct, frozen=True, gc=False):
+class Lead(Struct, frozen=True, gc=False, tag=True):
     """Who leads from now on; all others follow. Every vehicle is told, and none goes back to an older epoch."""
 
     leaders: tuple[int, ...]
     epoch: int
 
 
+class FormationChange(Struct, frozen=True, gc=False, tag=True):
+    """Other slots d_i0 for every vehicle of the fleet, gone to in step: from `begins_s` of the fleet's time (the RFT's) on."""
+
+    number: int
+    slots_enu_m: tuple[tuple[int, Vector3], ...]
+    begins_s: float
+    lasts_s: float
+
+
 class Command(Struct, frozen=True, gc=False):
     name: CommandName
     number: int  # the sender's own count, echoed in the reply
-    lead: Lead | None = None  # of CommandName.LEAD, and of no other
+    content: Lead | FormationChange | None = None  # what CONTENT says, of this name
+
+
+CONTENT: dict[CommandName, type] = {CommandName.LEAD: Lead, CommandName.FORMATION: FormationChange}
 
 
 class CommandReply(Struct, frozen=True, gc=False):
@@ -408,7 +435,7 @@ class Status(Struct, frozen=True, gc=False):
     leader_word: LeaderWord | None
     leader_word_age_s: float | None
     neighbours: tuple[int, ...]
-    slot_enu_m: Vector3
+    slot: FlownSlot
     reference_enu_m: Vector3 | None  # leaders only
     flags: tuple[HealthFlag, ...]
     rejected: dict[str, int]  # counted rejections by reason

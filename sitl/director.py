@@ -11,7 +11,8 @@ from contextlib import contextmanager
 from typing import Protocol
 
 from companion.core.phase import ON_GROUND, RULES
-from companion.types import CommandName, CommandReply, FlightPhase, LandedState, Lead, Role, Status
+from companion.ground.formations import assigned, change_to, named_slots
+from companion.types import CommandName, CommandReply, FlightPhase, FormationChange, LandedState, Lead, Role, Status
 from companion.wire.ground import StatusReport
 from sitl.progress import Progress
 from sitl.readiness import READY_WITHIN_S, Readiness, somebody_flies
@@ -40,7 +41,11 @@ class Session(Protocol):
         """All reports that came since the last call, oldest first."""
 
     def command(
-        self, vehicle_ids: Iterable[int], name: CommandName, timeout_s: float, lead: Lead | None = None
+        self,
+        vehicle_ids: Iterable[int],
+        name: CommandName,
+        timeout_s: float,
+        content: Lead | FormationChange | None = None,
     ) -> dict[int, CommandReply | None]:
         """Give one command to these vehicles and wait for their answers; None where none came in time."""
 
@@ -123,6 +128,8 @@ class Director:
                 self._progress.begin_step(f"step {number} of {len(timeline)}, {step.command}", self._clock.now_s())
                 if step.command is CommandName.LEAD:  # a formation goes on under it
                     _LeadOrder(self._session, self._watch, step, self._clock).carry_out(self._pass)
+                elif step.command is CommandName.FORMATION:
+                    _FormationOrder(self._session, self._watch, step, self._clock, 1.0).carry_out(self._pass)
                 else:
                     # The command that follows a formation ends it, so the time is taken before it is given.
                     self._watch.end_formation(self._clock.now_s())
@@ -297,6 +304,37 @@ class _LeadOrder(_Order):
 
     def _why_not_done(self, status: Status) -> str:
         return f"{status.role} in epoch {status.epoch}, expected epoch {self._lead.epoch}"
+
+
+class _FormationOrder(_Order):
+    """Other slots, for every vehicle at the same time of the fleet's; they change no phase."""
+
+    def __init__(
+        self, session: Session, watch: FlightWatch, step: TimelineStep, clock: Clock, slot_speed_m_s: float
+    ) -> None:
+        super().__init__(session, watch, step, clock)
+        statuses = [status for i in watch.vehicle_ids if (status := watch.status(i))]
+        assert step.formation is not None  # checked when the scenario was read
+        wanted = step.formation
+        slots = named_slots(wanted.shape, len(statuses), wanted.spacing_m, wanted.heading_deg)
+        flown = {status.vehicle_id: status.slot.position_enu_m for status in statuses}
+        self._change = change_to(assigned(flown, slots), statuses, slot_speed_m_s)
+
+    def _give(self, vehicle_ids: Collection[int]) -> dict[int, CommandReply | None]:
+        return self._session.command(vehicle_ids, CommandName.FORMATION, REPLY_WITHIN_S, self._change)
+
+    def _done(self, vehicle_id: int) -> bool:
+        """Taken up, and at its end."""
+        status = self._watch.status(vehicle_id)
+        slot = dict(self._change.slots_enu_m)[vehicle_id]
+        taken = status is not None and status.slot.formation == self._change.number
+        return taken and status is not None and status.slot.position_enu_m == slot
+
+    def _look_for_falling_back(self, vehicle_id: int, now_s: float) -> None:
+        """What else a vehicle does is seen while the step's time goes by."""
+
+    def _why_not_done(self, status: Status) -> str:
+        return f"formation {status.slot.formation}, expected {self._change.number}"
 
 
 def _way_down(status: Status) -> CommandName | None:

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from companion.assembly import build_agent
 from companion.config.vehicle import AgentConfig
 from companion.core.agent import Agent
-from companion.types import Command, CommandName, CommandReply, Inbox, Lead
+from companion.types import Command, CommandName, CommandReply, FormationChange, Inbox, Lead
 from companion.wire.ground import Percentiles, StatusReport, Timing
 from sitl.autopilot import DT_S
 from sitl.fleet import autopilot_file, ids_of, reached_stand_in, vehicle_file
@@ -54,11 +54,15 @@ class Lockstep:
         return reports
 
     def command(
-        self, vehicle_ids: Iterable[int], name: CommandName, timeout_s: float, lead: Lead | None = None
+        self,
+        vehicle_ids: Iterable[int],
+        name: CommandName,
+        timeout_s: float,
+        content: Lead | FormationChange | None = None,
     ) -> dict[int, CommandReply | None]:
         """Give one command to these vehicles and let the world go on until all have answered."""
         self._commands_given += 1
-        command = Command(name, self._commands_given, lead)
+        command = Command(name, self._commands_given, content)
         asked = [self._vehicles[vehicle_id] for vehicle_id in vehicle_ids]
         for vehicle in asked:
             vehicle.give(command)

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from copy import deepcopy
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import yaml
 from msgspec import Meta, field
@@ -26,14 +26,23 @@ SET = Path("--set")  # stands where errors name a file
 LONGEST_KEY = 200  # of --set
 
 
+class NamedFormation(Section, frozen=True, kw_only=True):
+    """Slots by the name of a shape; whose is which is chosen when it is commanded. `heading_deg` is 0 to the east, 90 north."""
+
+    shape: Literal["line", "column", "v", "diamond", "rectangle", "circle", "grid", "layers"]
+    spacing_m: Annotated[float, Meta(gt=0, le=1000)]
+    heading_deg: Annotated[float, Meta(ge=-360, le=360)] = 0.0
+
+
 class TimelineStep(Section, frozen=True, kw_only=True):
     """Give a command to every vehicle, wait until all have done it, then stay so for `for_s`.
 
-    `leaders` goes with `command: lead`: who leads from then on.
+    `leaders` goes with `command: lead`: who leads from then on. `formation` goes with `command: formation`.
     """
 
     command: CommandName
     leaders: tuple[VehicleId, ...] = ()
+    formation: NamedFormation | None = None
     for_s: Annotated[float, Meta(ge=0, le=3600)] = 0.0
     timeout_s: Annotated[float, Meta(gt=0, le=600)] = 30.0
 
@@ -98,6 +107,8 @@ def scenario_from(path: Path, data: object) -> Scenario:
         raise ConfigError(path, "timeline", "is empty; list at least one step with a command")
     for index, step in enumerate(scenario.timeline):
         _check_leaders(path, f"timeline[{index}].leaders", step, scenario.fleet)
+        if (step.command is CommandName.FORMATION) is (step.formation is None):
+            raise ConfigError(path, f"timeline[{index}].formation", "goes with command: formation, and with no other")
     return scenario
 
 

@@ -89,7 +89,8 @@ class FleetConfig(Section, frozen=True):
     `origin` is `indoor` where one motion-capture system gives all vehicles one frame. `altitude_source` says where z is
     zero: at the origin's altitude (indoors the shared frame's zero), or, with `takeoff`, where each vehicle stood when it
     was armed, for fleets that start from level ground. Only vehicles that stand within `ground_spread_m` of each other in
-    altitude take off.
+    altitude take off. No formation that is commanded in flight brings slots nearer than `separation_m`, also on the way to it,
+    and on that way they move at `slot_speed_m_s` at most.
     """
 
     name: Annotated[str, Meta(pattern=FLEET_NAME, description=FLEET_NAME_WORDS)]
@@ -99,6 +100,8 @@ class FleetConfig(Section, frozen=True):
     altitude_source: Literal["origin", "takeoff"] = "origin"
     ground_spread_m: Annotated[float, Meta(gt=0, le=1000)] = 1.0
     law: Law = Law()
+    separation_m: Annotated[float, Meta(gt=0, le=1000)] = 1.0
+    slot_speed_m_s: Annotated[float, Meta(gt=0, le=50)] = 1.0
     takeoff_height_m: Annotated[float, Meta(ge=0.5, le=120)] = 2.5
     peers: PeerLimits = PeerLimits()
     envelope: Envelope = Envelope()

@@ -16,6 +16,7 @@ from companion.core.health import AgeLimits, health_flags
 from companion.core.phase import RULES, PhaseMachine
 from companion.core.preflight import Preflight
 from companion.core.setpoint_stream import SetpointStream
+from companion.core.slot_plan import SlotPlan
 from companion.core.vehicle_state import VehicleTracker
 from companion.types import (
     ZERO3,
@@ -27,6 +28,8 @@ from companion.types import (
     CommandReply,
     FailsafeAction,
     FlightPhase,
+    FlownSlot,
+    FormationChange,
     HealthFlag,
     Inbox,
     LandedState,
@@ -35,10 +38,10 @@ from companion.types import (
     PeerPacket,
     RequestOrigin,
     Status,
-    Vector3,
     VehicleState,
 )
 
+WITHOUT_PHASE = frozenset({CommandName.LEAD, CommandName.FORMATION})  # they change no phase
 HAND_OVER_S = 2.0  # at the end: how long the autopilot may take to go into its own hold
 SILENT_TOO_LONG_S = 0.5  # less than COM_OF_LOSS_T: PX4 re-enters OFFBOARD by itself when a stream returns
 MODE_SURE_S = 0.2  # so old may the mode be where the agent, seeing nothing else, still asks for another
@@ -60,7 +63,6 @@ class AgentSetup:
     fleet: str
     formation_hash: int
     law_name: str
-    slot_enu_m: Vector3
     takeoff_height_m: float
     envelope: EnvelopeLimits
     ages: AgeLimits
@@ -77,12 +79,14 @@ class Agent:
         cooperation: Cooperation,
         control: FormationControl,
         setpoints: SetpointStream,
+        slots: SlotPlan,
     ) -> None:
         self._setup = setup
         self._tracker = tracker
         self._cooperation = cooperation
         self._control = control
         self._setpoints = setpoints
+        self._slots = slots
         self._observer = setpoints.observer
         self._machine = PhaseMachine(setup.takeoff_height_m)
         self._preflight = Preflight(self._observer)
@@ -98,6 +102,7 @@ class Agent:
             self._tracker.events,
             self._cooperation.leadership.events,
             self._machine.events,
+            self._slots.events,
             self._warnings,
         )
 
@@ -121,12 +126,19 @@ class Agent:
         vehicle = self._tracker.fold(inbox.telemetry)
         self._machine.follow_truth(vehicle)
         self._preflight.hear(now_s, inbox.telemetry, vehicle.autopilot)
-        commands = [command for command in inbox.commands if command.lead is None]
+        commands = [command for command in inbox.commands if command.name not in WITHOUT_PHASE]
         # A new role comes before all that it decides: one tick, its packet included, is of one role.
-        replies = tuple([self._change_lead(c, c.lead, vehicle) for c in inbox.commands if c.lead is not None])
+        replies = tuple(
+            [self._change_lead(c, c.content, vehicle) for c in inbox.commands if isinstance(c.content, Lead)]
+        )
         if not vehicle.armed:
             self._cooperation.landed()
+            self._slots.landed()
         around = self._cooperation.update(now_s, vehicle.position_enu_m, inbox.peers, self._machine.in_formation)
+        for command in inbox.commands:
+            if isinstance(command.content, FormationChange):
+                replies += (self._change_formation(command, command.content, around),)
+        slot = self._slots.update(around.reference_s, around.flying)
         flags = health_flags(now_s, vehicle, around.leader_word, self._setup.ages, self._setup.envelope)
         action = failsafe_action(flags)
         self._observe_disturbance(now_s, vehicle, action)
@@ -146,7 +158,7 @@ class Agent:
         target = None
         if streams and action is not FailsafeAction.SILENT:
             if self._setpoints.may_follow(vehicle):
-                target = self._decide(now_s, vehicle, around)
+                target = self._decide(now_s, vehicle, around, slot)
         elif streamed and self._is_listened_to_in_silence(vehicle):
             target = self._setpoints.last_word(now_s)
 
@@ -160,14 +172,16 @@ class Agent:
             events=events,
         )
 
-    def _decide(self, now_s: float, vehicle: VehicleState, around: Neighbourhood) -> AttitudeTarget | None:
+    def _decide(
+        self, now_s: float, vehicle: VehicleState, around: Neighbourhood, slot: FlownSlot
+    ) -> AttitudeTarget | None:
         """What this phase wants, as a setpoint; None where nothing passes the last gate."""
         match self._machine.phase:
             case FlightPhase.ENGAGE:  # the autopilot has not taken the stream yet
                 self._control.stand_by(vehicle)
                 return self._setpoints.carry_on(now_s, vehicle)
             case FlightPhase.FORMATION:
-                wanted_enu_m_s2 = self._control.in_formation(vehicle, around)
+                wanted_enu_m_s2 = self._control.in_formation(vehicle, around, slot)
             case _ if self._machine.hands_over_level(now_s):
                 wanted_enu_m_s2 = self._control.level(vehicle)
             case _:  # nobody takes over
@@ -196,6 +210,12 @@ class Agent:
     def _change_lead(self, command: Command, lead: Lead, vehicle: VehicleState) -> CommandReply:
         refusal = self._machine.refusal_of_lead(vehicle)
         accepted, reason = (False, refusal) if refusal else self._cooperation.leadership.obey(lead)
+        return CommandReply(self._setup.vehicle_id, command.number, accepted, reason)
+
+    def _change_formation(self, command: Command, change: FormationChange, around: Neighbourhood) -> CommandReply:
+        in_formation = [other for other in around.flying if other.phase is FlightPhase.FORMATION]
+        alone = self._machine.phase is not FlightPhase.FORMATION
+        accepted, reason = self._slots.obey(change, around.reference_s, in_formation if alone else ())
         return CommandReply(self._setup.vehicle_id, command.number, accepted, reason)
 
     def _obey(
@@ -227,7 +247,7 @@ class Agent:
         if name is CommandName.FORM and (refusal := self._preflight.refusal()):
             return refusal, ""
         peers = [peer.packet for peer in self._cooperation.peers.fresh(now_s).values()]
-        return self._setup.checks.judge(name, vehicle, peers)
+        return self._setup.checks.judge(name, vehicle, self._slots.flown, peers)
 
     def _act_on(
         self, flags: frozenset[HealthFlag], action: FailsafeAction, now_s: float, vehicle: VehicleState
@@ -303,6 +323,7 @@ class Agent:
             sent_s=now_s,
             prc=around.prc,
             leader_word=around.leader_word,
+            slot=self._slots.flown,
             position_error=vehicle.position_error,
         )
 
@@ -338,7 +359,7 @@ class Agent:
             leader_word=around.leader_word,
             leader_word_age_s=around.leader_word_age_s if around.leader_word else None,
             neighbours=around.neighbour_ids,
-            slot_enu_m=self._setup.slot_enu_m,
+            slot=self._slots.flown,
             reference_enu_m=reference.position_enu_m if reference else None,
             flags=tuple(sorted(flags)),
             rejected=dict(

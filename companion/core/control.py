@@ -5,7 +5,7 @@ from __future__ import annotations
 from companion.core.cooperation import Neighbourhood
 from companion.core.formation import FormationLaw, Gains, Place, feedback, formation_acceleration, place
 from companion.core.reference import ReferenceTrajectory
-from companion.types import Role, Vector3, VehicleState
+from companion.types import FlownSlot, Role, Vector3, VehicleState
 
 
 class FormationControl:
@@ -17,13 +17,11 @@ class FormationControl:
     def __init__(
         self,
         law: FormationLaw,
-        slot_enu_m: Vector3,
         law_flies_altitude: bool,
         altitude_hold_gains: Gains,
         reference: ReferenceTrajectory | None,
     ) -> None:
         self._law = law
-        self._slot_enu_m = slot_enu_m
         self._law_flies_altitude = law_flies_altitude
         self._altitude_hold_gains = altitude_hold_gains
         self._reference = reference
@@ -39,9 +37,9 @@ class FormationControl:
         """Formation is about to begin: the altitude held is where the vehicle is now."""
         self._hold_altitude_m = vehicle.position_enu_m[2]
 
-    def in_formation(self, vehicle: VehicleState, around: Neighbourhood) -> Vector3:
+    def in_formation(self, vehicle: VehicleState, around: Neighbourhood, slot: FlownSlot) -> Vector3:
         """Eq. 14, or on z the vehicle's own altitude hold; m/s^2 in ENU."""
-        own = place(vehicle.position_enu_m, vehicle.velocity_enu_m_s, self._slot_enu_m)
+        own = place(vehicle.position_enu_m, vehicle.velocity_enu_m_s, slot)
         wanted = formation_acceleration(self._law, own, around.neighbours, self.reference(around))
         if self._law_flies_altitude:
             self._hold_altitude_m = vehicle.position_enu_m[2]  # where a hand-over begins

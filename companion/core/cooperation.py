@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 
 from msgspec import Struct
 
@@ -31,22 +31,23 @@ class Neighbourhood(Struct, frozen=True, gc=False):
     leader_word_age_s: float
     neighbours: tuple[tuple[int, Place], ...]  # (PrC, place)
     neighbour_ids: tuple[int, ...]
+    flying: tuple[PeerPacket, ...]  # all others that are heard of and cooperate
 
 
 class Cooperation:
-    """`slots` holds d_i0 of every vehicle of the fleet; its length is n of Algorithm 1."""
+    """`n` is that of Algorithm 1, the number of vehicles."""
 
     def __init__(
         self,
         own_id: int,
         leadership: Leadership,
-        slots_enu_m: Mapping[int, Vector3],
+        n: int,
         peers: PeerTable,
         rule: NeighbourRule,
         leader: LeaderWatch,
     ) -> None:
         self._own_id = own_id
-        self._slots_enu_m = slots_enu_m
+        self._n = n
         self._rule = rule
         self._leader = leader
         self._clock = ReferenceClock()
@@ -75,21 +76,17 @@ class Cooperation:
             role=role,
             epoch=epoch,
             reference_s=reference_s,
-            prc=next_prc(role is LEADER, prcs, len(self._slots_enu_m)),
+            prc=next_prc(role is LEADER, prcs, self._n),
             leader_word=word,
             leader_word_age_s=word_age_s,
             neighbours=tuple(
                 [
-                    (
-                        prc,
-                        place(
-                            positions[i], packet.velocity_enu_m_s, self._slots_enu_m[i], packet.acceleration_enu_m_s2
-                        ),
-                    )
-                    for i, prc, packet in zip(ids, prcs, heard, strict=True)
+                    (prc, place(positions[i], p.velocity_enu_m_s, fresh[i].slot_at(now_s), p.acceleration_enu_m_s2))
+                    for i, prc, p in zip(ids, prcs, heard, strict=True)
                 ]
             ),
             neighbour_ids=ids,
+            flying=tuple([fresh[i].packet for i in positions]),
         )
 
     def landed(self) -> None:
@@ -99,7 +96,7 @@ class Cooperation:
     def _prc_of(self, packet: PeerPacket, epoch: int) -> int:
         """Who leads in an older epoch has not heard of the change yet: until it has, it counts as far from any leader."""
         if packet.prc == 1 and packet.leader_word is not None and packet.leader_word.epoch < epoch:
-            return len(self._slots_enu_m)
+            return self._n
         return packet.prc
 
     def _words_of_others(self, packets: Iterable[PeerPacket]) -> list[LeaderWord]:

@@ -7,13 +7,14 @@ reflections and not always the satellites, and none of them tells how much of it
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import dataclass
 from math import hypot, inf, sqrt
 
 from companion.core.phase import ON_GROUND
-from companion.types import CommandName, PeerPacket, PositionError, Vector3, VehicleState
+from companion.types import CommandName, FlightPhase, FlownSlot, PeerPacket, PositionError, VehicleState
 
+FORMED = frozenset({FlightPhase.ENGAGE, FlightPhase.FORMATION})
 REFUSED_BELOW_SIGMAS = 3.0
 WARNED_BELOW_SIGMAS = 6.0  # at 5.2 four vehicles once came within 0.12 m of each other
 
@@ -37,17 +38,24 @@ class FleetChecks:
     """Where not `slots_have_height`, every vehicle flies at an altitude of its own and slots are apart in the plane alone."""
 
     own_id: int
-    slots_enu_m: Mapping[int, Vector3]
     slots_have_height: bool
     ground_spread_m: float
 
-    def judge(self, name: CommandName, vehicle: VehicleState, peers: Collection[PeerPacket]) -> tuple[str, str]:
+    def judge(
+        self, name: CommandName, vehicle: VehicleState, slot: FlownSlot, peers: Collection[PeerPacket]
+    ) -> tuple[str, str]:
         """(why this command is refused, what is to be said if it is not); "" where nothing is. `peers` are the fresh ones."""
         match name:
             case CommandName.ARM | CommandName.TAKEOFF:
                 return self._altitudes_differ(vehicle.position_enu_m[2], peers), ""
             case CommandName.FORM:
-                return self._too_close(vehicle.position_error, peers)
+                if other := next((p for p in peers if p.slot.formation != slot.formation and p.phase in FORMED), None):
+                    return (
+                        f"this vehicle flies formation {slot.formation}, vehicle {other.vehicle_id} flies"
+                        f" {other.slot.formation}; give this one that formation first",
+                        "",
+                    )
+                return self._too_close(vehicle.position_error, slot, peers)
         return "", ""
 
     def _altitudes_differ(self, own_z_m: float, peers: Collection[PeerPacket]) -> str:
@@ -62,14 +70,13 @@ class FleetChecks:
             f" {self.ground_spread_m:g}"
         )
 
-    def _too_close(self, own: PositionError | None, peers: Collection[PeerPacket]) -> tuple[str, str]:
-        errors = {peer.vehicle_id: peer.position_error for peer in peers}
-        errors[self.own_id] = own
-        silent = sorted(vehicle_id for vehicle_id, error in errors.items() if error is None)
+    def _too_close(self, own: PositionError | None, slot: FlownSlot, peers: Collection[PeerPacket]) -> tuple[str, str]:
+        told_by = {self.own_id: own} | {peer.vehicle_id: peer.position_error for peer in peers}
+        silent = sorted(vehicle_id for vehicle_id, error in told_by.items() if error is None)
         told = f"no error reported by the estimator of vehicle {', '.join(map(str, silent))}" if silent else ""
         if own is None:
             return "", told
-        spacings = {i: self._spacing(own, i, error) for i, error in errors.items() if error and i != self.own_id}
+        spacings = {p.vehicle_id: self._spacing(own, slot, p.position_error, p.slot) for p in peers if p.position_error}
         nearest = min(spacings, key=lambda i: spacings[i].sigmas, default=None)
         if nearest is None or (spacing := spacings[nearest]).sigmas >= WARNED_BELOW_SIGMAS:
             return "", told
@@ -82,8 +89,8 @@ class FleetChecks:
         warning = f"{words}; better {_sigmas_in_words(WARNED_BELOW_SIGMAS, spacing)}"
         return "", "; ".join([warning, *([told] if told else [])])
 
-    def _spacing(self, own: PositionError, other_id: int, other: PositionError) -> Spacing:
-        (x, y, z), (x0, y0, z0) = self.slots_enu_m[other_id], self.slots_enu_m[self.own_id]
+    def _spacing(self, own: PositionError, own_slot: FlownSlot, other: PositionError, other_slot: FlownSlot) -> Spacing:
+        (x, y, z), (x0, y0, z0) = other_slot.position_enu_m, own_slot.position_enu_m
         level_m, up_m = hypot(x - x0, y - y0), z - z0 if self.slots_have_height else 0.0
         distance_m = hypot(level_m, up_m)
         level, up = (level_m / distance_m, up_m / distance_m) if distance_m > 0.0 else (1.0, 0.0)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from msgspec import Struct
 
 from companion.core.weights import neighbour_weights
-from companion.types import ZERO3, Vector3
+from companion.types import ZERO3, FlownSlot, Vector3
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +69,7 @@ def cooperative() -> FormationLaw:
 
 
 class Place(Struct, frozen=True, gc=False):
-    """Where a vehicle is, seen from its slot: x - d_i0, its velocity and its last commanded acceleration.
+    """Where a vehicle is, seen from its slot: x - d_i0, its velocity less the slot's, and its last commanded acceleration.
 
     In perfect formation all places equal the RFT.
     """
@@ -82,12 +82,12 @@ class Place(Struct, frozen=True, gc=False):
 def place(
     position_enu_m: Vector3,
     velocity_enu_m_s: Vector3,
-    slot_enu_m: Vector3,
+    slot: FlownSlot,
     acceleration_enu_m_s2: Vector3 = ZERO3,
 ) -> Place:
-    x, y, z = position_enu_m
-    dx, dy, dz = slot_enu_m
-    return Place((x - dx, y - dy, z - dz), velocity_enu_m_s, acceleration_enu_m_s2)
+    (x, y, z), (vx, vy, vz) = position_enu_m, velocity_enu_m_s
+    (dx, dy, dz), (dvx, dvy, dvz) = slot.position_enu_m, slot.velocity_enu_m_s
+    return Place((x - dx, y - dy, z - dz), (vx - dvx, vy - dvy, vz - dvz), acceleration_enu_m_s2)
 
 
 def formation_error(

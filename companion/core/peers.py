@@ -8,7 +8,17 @@ from math import dist, hypot, isfinite
 
 from msgspec import Struct
 
-from companion.types import MAX_EPOCH, MAX_EPOCHS_AHEAD, LeaderWord, PeerPacket, ReceivedPeerPacket, Role, Vector3
+from companion.types import (
+    MAX_EPOCH,
+    MAX_EPOCHS_AHEAD,
+    ZERO3,
+    FlownSlot,
+    LeaderWord,
+    PeerPacket,
+    ReceivedPeerPacket,
+    Role,
+    Vector3,
+)
 
 LEADER = Role.LEADER  # a member of an Enum is slow to find, and this is asked of every packet
 MAX_COORDINATE_M = 20_000.0
@@ -39,6 +49,14 @@ class PeerState(Struct, frozen=True, gc=False):
         age_s = now_s - self.measured_s
         (x, y, z), (vx, vy, vz) = self.packet.position_enu_m, self.packet.velocity_enu_m_s
         return (x + vx * age_s, y + vy * age_s, z + vz * age_s)
+
+    def slot_at(self, now_s: float) -> FlownSlot:
+        """The slot that it flies, carried on likewise."""
+        slot, age_s = self.packet.slot, now_s - self.measured_s
+        if slot.velocity_enu_m_s == ZERO3:
+            return slot
+        (x, y, z), (vx, vy, vz) = slot.position_enu_m, slot.velocity_enu_m_s
+        return FlownSlot((x + vx * age_s, y + vy * age_s, z + vz * age_s), slot.velocity_enu_m_s)
 
 
 class PeerTable:
@@ -110,6 +128,8 @@ class PeerTable:
             return "state from the future"
         if not 0.0 <= packet.sent_s <= MAX_SENT_S:
             return "time of sending not plausible"
+        if not self._is_plausible_slot(packet.slot):
+            return "slot not plausible"
         error = packet.position_error
         if error and not (0.0 <= error.horizontal_m <= MAX_ERROR_M and 0.0 <= error.vertical_m <= MAX_ERROR_M):
             return "position error not plausible"
@@ -122,6 +142,11 @@ class PeerTable:
         if word is not None and not self._is_plausible(word):
             return "leader's word not plausible"
         return None
+
+    def _is_plausible_slot(self, slot: FlownSlot) -> bool:
+        x, y, z = slot.position_enu_m
+        inside = abs(x) <= MAX_COORDINATE_M and abs(y) <= MAX_COORDINATE_M and abs(z) <= MAX_COORDINATE_M
+        return inside and hypot(*slot.velocity_enu_m_s) <= self._max_speed_m_s and 0 <= slot.formation <= slot.waiting
 
     def _is_plausible(self, word: LeaderWord) -> bool:
         may_lead = self._may_lead.get(word.leader_id, False)

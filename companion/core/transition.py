@@ -10,23 +10,14 @@ from collections.abc import Mapping
 from itertools import combinations
 from math import dist, hypot
 
-from msgspec import Struct
-
-from companion.curves import between
-from companion.types import ZERO3, Vector3
+from companion.curves import PEAK_SPEED, between
+from companion.types import Vector3
 
 
-class Slot(Struct, frozen=True, gc=False):
-    """A vehicle's place d_i0(t) about the RFT and its rate of change, m and m/s in ENU."""
-
-    position_enu_m: Vector3
-    velocity_enu_m_s: Vector3 = ZERO3
-
-
-def slot_at(before_enu_m: Vector3, after_enu_m: Vector3, elapsed_s: float, lasts_s: float) -> Slot:
-    """Smoothly from one to the other; before and afterwards it stands."""
+def slot_at(before_enu_m: Vector3, after_enu_m: Vector3, elapsed_s: float, lasts_s: float) -> tuple[Vector3, Vector3]:
+    """(slot [m], its velocity [m/s]), smoothly from one to the other; before and afterwards it stands."""
     position_enu_m, velocity_enu_m_s, _ = between(before_enu_m, after_enu_m, elapsed_s, lasts_s)
-    return Slot(position_enu_m, velocity_enu_m_s)
+    return position_enu_m, velocity_enu_m_s
 
 
 def closest(before_enu_m: Mapping[int, Vector3], after_enu_m: Mapping[int, Vector3]) -> tuple[float, int, int]:
@@ -38,7 +29,13 @@ def closest(before_enu_m: Mapping[int, Vector3], after_enu_m: Mapping[int, Vecto
 
 
 def longest_way_m(before_enu_m: Mapping[int, Vector3], after_enu_m: Mapping[int, Vector3]) -> float:
+    """Of any vehicle."""
     return max(dist(before_enu_m[i], after_enu_m[i]) for i in before_enu_m)
+
+
+def fastest_m_s(before_enu_m: Mapping[int, Vector3], after_enu_m: Mapping[int, Vector3], lasts_s: float) -> float:
+    """The speed of the slot with the longest way, half way."""
+    return PEAK_SPEED * longest_way_m(before_enu_m, after_enu_m) / lasts_s
 
 
 def _closest_pair(a0: Vector3, a1: Vector3, b0: Vector3, b1: Vector3) -> float:

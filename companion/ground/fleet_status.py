@@ -110,7 +110,7 @@ def _error_to_slot_m(state: FleetState, status: Status, now_s: float) -> float |
     own = state.vehicles[status.fleet, status.vehicle_id]
     if reference_enu_m is None or status.landed not in _FLYING or _is_silent(own, now_s):
         return None
-    place = tuple(x - d for x, d in zip(status.position_enu_m, status.slot_enu_m, strict=True))
+    place = tuple(x - d for x, d in zip(status.position_enu_m, status.slot.position_enu_m, strict=True))
     return dist(place, reference_enu_m)
 
 

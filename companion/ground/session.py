@@ -12,7 +12,7 @@ from typing import Any, Self
 import zenoh
 
 from companion.link.zenoh_session import drain, open_session
-from companion.types import Command, CommandName, CommandReply, Lead
+from companion.types import Command, CommandName, CommandReply, FormationChange, Lead
 from companion.wire.ground import StatusReport, decode_reply, decode_report, encode
 from companion.wire.keys import command_key, every_status, status_key
 from companion.wire.version import WireError
@@ -63,15 +63,19 @@ class FleetSession:
         return reports
 
     def command(
-        self, vehicle_ids: Iterable[int], name: CommandName, timeout_s: float = 2.0, lead: Lead | None = None
+        self,
+        vehicle_ids: Iterable[int],
+        name: CommandName,
+        timeout_s: float = 2.0,
+        content: Lead | FormationChange | None = None,
     ) -> dict[int, CommandReply | None]:
-        """Give one command to these vehicles at the same time and wait for their answers. `lead` goes with LEAD alone.
+        """Give one command to these vehicles at the same time and wait for their answers. `content` goes with some.
 
         Returns one entry per id; None where no answer came within `timeout_s`. A vehicle that cannot be reached yet is
         asked again until then; a command that a vehicle has got is never repeated.
         """
         self._commands_given += 1
-        payload = encode(Command(name, self._commands_given, lead))
+        payload = encode(Command(name, self._commands_given, content))
         deadline_s = time.monotonic() + timeout_s
         answers: dict[int, CommandReply | None] = dict.fromkeys(vehicle_ids)
         asked = {vehicle_id: self._ask(vehicle_id, payload, timeout_s) for vehicle_id in answers}

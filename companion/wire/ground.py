@@ -6,7 +6,7 @@ from typing import TypeVar
 
 import msgspec
 
-from companion.types import Command, CommandName, CommandReply, Status
+from companion.types import CONTENT, Command, CommandReply, Status
 from companion.wire.version import DECODE_ERRORS, WireError, seal, unseal
 
 T = TypeVar("T")
@@ -62,8 +62,9 @@ def decode_report(data: bytes) -> StatusReport:
 def decode_command(data: bytes) -> Command:
     """Raises WireError."""
     command = _decode(_command_decoder, data, "command")
-    if (command.name is CommandName.LEAD) is (command.lead is None):
-        raise WireError("command lead without leaders" if command.lead is None else "leaders with another command")
+    wanted = CONTENT.get(command.name, type(None))
+    if not isinstance(command.content, wanted):
+        raise WireError(f"command {command.name} with {type(command.content).__name__}, expected {wanted.__name__}")
     return command
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
-from companion.types import FlightPhase, LeaderWord, PeerPacket, PositionError, Role, Vector3
+from companion.types import FlightPhase, FlownSlot, LeaderWord, PeerPacket, PositionError, Role, Vector3
 from companion.wire.version import DECODE_ERRORS, WireError, seal, unseal
 
 
@@ -22,6 +22,7 @@ class _PeerWire(msgspec.Struct, array_like=True, frozen=True, forbid_unknown_fie
     sent_s: float
     prc: int
     leader_word: tuple[int, int, int, float] | None  # leader id, epoch, stamp, reference_s
+    slot: tuple[Vector3, Vector3, int, int]  # position_enu_m, velocity_enu_m_s, formation, waiting
     position_error: tuple[float, float] | None  # horizontal_m, vertical_m
 
 
@@ -30,7 +31,7 @@ _decoder = msgspec.msgpack.Decoder(_PeerWire)
 
 
 def encode_peer(packet: PeerPacket) -> bytes:
-    word, error = packet.leader_word, packet.position_error
+    word, slot, error = packet.leader_word, packet.slot, packet.position_error
     return seal(
         _encoder.encode(
             _PeerWire(
@@ -47,6 +48,7 @@ def encode_peer(packet: PeerPacket) -> bytes:
                 packet.sent_s,
                 packet.prc,
                 (word.leader_id, word.epoch, word.stamp, word.reference_s) if word else None,
+                (slot.position_enu_m, slot.velocity_enu_m_s, slot.formation, slot.waiting),
                 (error.horizontal_m, error.vertical_m) if error else None,
             )
         )
@@ -73,5 +75,6 @@ def decode_peer(data: bytes) -> PeerPacket:
         wire.sent_s,
         wire.prc,
         LeaderWord(*wire.leader_word) if wire.leader_word else None,
+        FlownSlot(*wire.slot),
         PositionError(*wire.position_error) if wire.position_error else None,
     )

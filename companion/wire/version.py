@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import msgspec
 
-WIRE_VERSION = 4
+WIRE_VERSION = 5
 
 # All that msgspec raises for bytes it cannot take: text that is not UTF-8 and deep nesting have errors of their own.
 DECODE_ERRORS = (msgspec.MsgspecError, UnicodeDecodeError, RecursionError)

@@ -9,7 +9,7 @@ import pytest
 from msgspec.structs import replace
 
 from companion.core.phase import RULES
-from companion.types import CommandName, CommandReply, FlightPhase, LandedState, Lead, Role, Status
+from companion.types import CommandName, CommandReply, FlightPhase, LandedState, FormationChange, Lead, Role, Status
 from companion.wire.ground import Percentiles, StatusReport, Timing
 from sitl.director import Director, FlightFailure, MachineClock
 from sitl.progress import Progress, vehicle_line
@@ -65,7 +65,7 @@ class Vehicles:
         self._due: dict[int, tuple[float, CommandName]] = {}
 
     def command(
-        self, ids: Iterable[int], name: CommandName, timeout_s: float, lead: Lead | None = None
+        self, ids: Iterable[int], name: CommandName, timeout_s: float, content: Lead | FormationChange | None = None
     ) -> dict[int, CommandReply | None]:
         assert timeout_s > 0
         assert (name is C.LEAD) is (lead is not None)
