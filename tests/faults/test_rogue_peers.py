@@ -14,7 +14,7 @@ from msgspec.structs import replace
 from companion.config.fleet import FleetConfig
 from companion.config_file import load
 from companion.link.zenoh_session import open_session
-from companion.types import FlightPhase, LeaderWord, PeerPacket, Role
+from companion.types import FlightPhase, FlownSlot, LeaderWord, PeerPacket, Role
 from companion.wire.keys import peer_key
 from companion.wire.peer import encode_peer
 from sitl.ports import LOOPBACK, ports_of
@@ -55,6 +55,7 @@ def lies(formation_hash: int) -> Iterator[bytes]:
         sent_s=0.0,
         prc=2,
         leader_word=LeaderWord(1, 0, 10**9),
+        slot=FlownSlot((0.0, 0.0, 0.0)),
     )
     yield encode_peer(replace(packet, formation_hash=formation_hash ^ 1))
     yield encode_peer(replace(packet, position_enu_m=(nan, 0.0, 0.0)))

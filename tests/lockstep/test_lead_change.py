@@ -253,7 +253,7 @@ class FirstLap:
 def leader_at_m(status: Status) -> float:
     """From the leader to where its RFT wants it."""
     assert status.reference_enu_m is not None
-    wanted = np.add(status.reference_enu_m, status.slot_enu_m)
+    wanted = np.add(status.reference_enu_m, status.slot.position_enu_m)
     return dist(status.position_enu_m, wanted.tolist())
 
 

@@ -2,14 +2,27 @@
 
 import pytest
 
-from companion.types import ZERO3, FlightPhase, PeerPacket, Role
+from companion.types import ZERO3, FlightPhase, FlownSlot, PeerPacket, Role
 from sitl.config import Links
 from sitl.network import Network
 
 
 def packet(vehicle_id: int, sequence: int) -> PeerPacket:
     return PeerPacket(
-        vehicle_id, 1, sequence, 7, FlightPhase.FORMATION, Role.FOLLOWER, ZERO3, ZERO3, ZERO3, 0.0, 0.0, 2, None
+        vehicle_id,
+        1,
+        sequence,
+        7,
+        FlightPhase.FORMATION,
+        Role.FOLLOWER,
+        ZERO3,
+        ZERO3,
+        ZERO3,
+        0.0,
+        0.0,
+        2,
+        None,
+        FlownSlot(ZERO3),
     )
 
 

@@ -29,6 +29,7 @@ from companion.types import (
     CommandName,
     CommandReply,
     FlightPhase,
+    FlownSlot,
     LandedState,
     Lead,
     LeaderWord,
@@ -52,12 +53,12 @@ FLEET = FleetConfig(
     neighbours=EdgeNeighbours(edges=((1, 2), (2, 3))),
 )
 ZERO = (0.0, 0.0, 0.0)
-PACKET = PeerPacket(1, 7, 1, 5, FlightPhase.HOLD, Role.LEADER, ZERO, ZERO, ZERO, 0.01, 0.0, 1, None)
+PACKET = PeerPacket(1, 7, 1, 5, FlightPhase.HOLD, Role.LEADER, ZERO, ZERO, ZERO, 0.01, 0.0, 1, None, FlownSlot(ZERO))
 NO_TIME = Percentiles(0.0, 0.0, 0.0)
 REPORT = StatusReport(
     Status(
         1, 7, FLEET.name, 5, "weighted", FlightPhase.HOLD, "AUTO.LOITER", True, LandedState.IN_AIR, ZERO, ZERO, 0.02,
-        0.5, ZERO, Role.LEADER, 0, 1, None, None, (), ZERO, ZERO, (), {}, "",
+        0.5, ZERO, Role.LEADER, 0, 1, None, None, (), FlownSlot(ZERO), ZERO, (), {}, "",
     ),
     Timing(50.0, 1, 0, NO_TIME, NO_TIME, 5.0, 49.0),
 )  # fmt: skip
@@ -222,7 +223,7 @@ def test_the_command_lead_brings_its_leaders_and_epoch(port: int) -> None:
     ):
         asked = pool.submit(ground.command, (1,), CommandName.LEAD, 10.0, lead)
         until(lambda: first.commands, first.tick)
-        assert first.commands[0].lead == lead
+        assert first.commands[0].content == lead
         first.link.reply([CommandReply(1, first.commands[0].number, True, "follower in epoch 7")])
         assert getattr(asked.result(15.0)[1], "accepted", False)
 

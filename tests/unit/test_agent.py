@@ -20,6 +20,7 @@ from companion.types import (
     Command,
     CommandName,
     FlightPhase,
+    FlownSlot,
     HealthFlag,
     HeartbeatSample,
     Inbox,
@@ -156,6 +157,7 @@ class Flight:
             sent_s=self.now_s - self.peer_late_s,
             prc=leads if self.peer_role is None else 2,
             leader_word=LeaderWord(1, 0, int(self.now_s * 1000), self.peer_reference_s),
+            slot=FlownSlot(self.fleet.vehicles[leads - 1].slot_enu_m),
         )
         return [ReceivedPeerPacket(self.now_s, packet)]
 

@@ -9,7 +9,17 @@ import pytest
 from msgspec.structs import replace
 
 from companion.core.phase import RULES
-from companion.types import CommandName, CommandReply, FlightPhase, LandedState, FormationChange, Lead, Role, Status
+from companion.types import (
+    CommandName,
+    CommandReply,
+    FlightPhase,
+    FlownSlot,
+    FormationChange,
+    LandedState,
+    Lead,
+    Role,
+    Status,
+)
 from companion.wire.ground import Percentiles, StatusReport, Timing
 from sitl.director import Director, FlightFailure, MachineClock
 from sitl.progress import Progress, vehicle_line
@@ -44,7 +54,7 @@ def status(vehicle_id: int) -> Status:
         leader_word=None,
         leader_word_age_s=None,
         neighbours=(),
-        slot_enu_m=(0.0, 0.0, 0.0),
+        slot=FlownSlot((0.0, 0.0, 0.0)),
         reference_enu_m=(0.0, 0.0, 0.0) if leads else None,
         flags=(),
         rejected={},
@@ -68,12 +78,12 @@ class Vehicles:
         self, ids: Iterable[int], name: CommandName, timeout_s: float, content: Lead | FormationChange | None = None
     ) -> dict[int, CommandReply | None]:
         assert timeout_s > 0
-        assert (name is C.LEAD) is (lead is not None)
+        assert (name is C.LEAD) is isinstance(content, Lead)
         asked = tuple(ids)
         self.heard.append((name, asked))
-        if lead:
-            self.leads.append(lead)
-            return {i: None if i in self.mute else self._change_lead(i, lead) for i in asked}
+        if isinstance(content, Lead):
+            self.leads.append(content)
+            return {i: None if i in self.mute else self._change_lead(i, content) for i in asked}
         return {i: None if i in self.mute else self._obey(i, name) for i in asked}
 
     def _change_lead(self, vehicle_id: int, lead: Lead) -> CommandReply:

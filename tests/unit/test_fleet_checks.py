@@ -1,11 +1,13 @@
 """The fleet as a whole: altitudes on the ground, and slots against what the estimators say of themselves."""
 
 import pytest
+from msgspec.structs import replace
 
 from companion.core.fleet_checks import FleetChecks
 from companion.types import (
     CommandName,
     FlightPhase,
+    FlownSlot,
     PeerPacket,
     PositionError,
     Role,
@@ -14,13 +16,30 @@ from companion.types import (
 )
 
 SLOTS: dict[int, Vector3] = {1: (0.0, 0.0, 0.0), 2: (-1.5, 0.0, 0.0), 3: (-3.0, 0.0, 0.0), 4: (-3.0, 0.0, 1.0)}
-CHECKS = FleetChecks(2, SLOTS, slots_have_height=True, ground_spread_m=1.0)
+OWN = FlownSlot(SLOTS[2])
+CHECKS = FleetChecks(2, slots_have_height=True, ground_spread_m=1.0)
 
 
 def peer(vehicle_id: int, z_m: float = 0.0, error: PositionError | None = None, air: bool = False) -> PeerPacket:
     phase = FlightPhase.HOLD if air else FlightPhase.READY
     at, zero = (0.0, 0.0, z_m), (0.0, 0.0, 0.0)
-    return PeerPacket(vehicle_id, 1, 1, 0, phase, Role.FOLLOWER, at, zero, zero, 0.0, 0.0, 2, None, error)
+    return PeerPacket(
+        vehicle_id,
+        1,
+        1,
+        0,
+        phase,
+        Role.FOLLOWER,
+        at,
+        zero,
+        zero,
+        0.0,
+        0.0,
+        2,
+        None,
+        FlownSlot(SLOTS[vehicle_id]),
+        error,
+    )
 
 
 def vehicle(z_m: float = 0.0, error: PositionError | None = None) -> VehicleState:
@@ -32,7 +51,7 @@ def vehicle(z_m: float = 0.0, error: PositionError | None = None) -> VehicleStat
 
 @pytest.mark.parametrize("name", [CommandName.ARM, CommandName.TAKEOFF])
 def test_altitudes_that_differ_keep_the_fleet_on_the_ground(name: CommandName) -> None:
-    refusal, _ = CHECKS.judge(name, vehicle(0.3), [peer(1, 0.0), peer(3, 1.4)])
+    refusal, _ = CHECKS.judge(name, vehicle(0.3), OWN, [peer(1, 0.0), peer(3, 1.4)])
     assert refusal == "on the ground vehicle 3 is 1.4 m above vehicle 1, more than ground_spread_m 1"
 
 
@@ -45,7 +64,7 @@ def test_altitudes_that_differ_keep_the_fleet_on_the_ground(name: CommandName) -
     ],
 )
 def test_altitudes_that_agree_let_it_take_off(own_m: float, peers: list[PeerPacket]) -> None:
-    assert CHECKS.judge(CommandName.TAKEOFF, vehicle(own_m), peers) == ("", "")
+    assert CHECKS.judge(CommandName.TAKEOFF, vehicle(own_m), OWN, peers) == ("", "")
 
 
 # ---------------------------------------------------------------- before it forms
@@ -55,7 +74,7 @@ def judged(own_m: float | None, *others: tuple[int, float | None]) -> tuple[str,
     """`own_m` and the second of `others` are errors, the same in the plane and in height."""
     own = None if own_m is None else PositionError(own_m, own_m)
     heard = [peer(i, error=None if m is None else PositionError(m, m), air=True) for i, m in others]
-    return CHECKS.judge(CommandName.FORM, vehicle(error=own), heard)
+    return CHECKS.judge(CommandName.FORM, vehicle(error=own), OWN, heard)
 
 
 def test_slots_within_three_sigma_are_refused() -> None:
@@ -85,11 +104,12 @@ def test_what_a_receiver_reports_says_how_close_it_may_fly(
     spacing_m: float, fits_m: tuple[float, ...], warned_m: tuple[float, ...], refused_m: tuple[float, ...]
 ) -> None:
     """The table of the README: 3 times the reported error at the least, better 6 times."""
-    checks = FleetChecks(1, {1: (0.0, 0.0, 0.0), 2: (0.0, spacing_m, 0.0)}, slots_have_height=True, ground_spread_m=1.0)
+    checks = FleetChecks(1, slots_have_height=True, ground_spread_m=1.0)
     for errors_m, wanted in ((fits_m, (False, False)), (warned_m, (False, True)), (refused_m, (True, False))):
         for error_m in errors_m:
             error = PositionError(error_m, 3.0)  # on level slots, height does not count
-            refusal, warning = checks.judge(CommandName.FORM, vehicle(error=error), [peer(2, error=error, air=True)])
+            other = replace(peer(2, error=error, air=True), slot=FlownSlot((0.0, spacing_m, 0.0)))
+            refusal, warning = checks.judge(CommandName.FORM, vehicle(error=error), FlownSlot(SLOTS[1]), [other])
             assert (bool(refusal), bool(warning)) == wanted, error_m
 
 
@@ -108,7 +128,13 @@ def test_an_estimator_that_says_nothing_is_told_of() -> None:
 def test_height_counts_where_the_law_flies_it_and_only_there() -> None:
     own = vehicle(error=PositionError(0.05, 0.6))
     above = [peer(4, error=PositionError(0.05, 0.6), air=True)]
-    with_height = FleetChecks(3, SLOTS, slots_have_height=True, ground_spread_m=1.0)
-    assert "1.2 sigma" in with_height.judge(CommandName.FORM, own, above)[0]
-    without = FleetChecks(3, SLOTS, slots_have_height=False, ground_spread_m=1.0)
-    assert "0.0 sigma" in without.judge(CommandName.FORM, own, above)[0]
+    with_height = FleetChecks(3, slots_have_height=True, ground_spread_m=1.0)
+    assert "1.2 sigma" in with_height.judge(CommandName.FORM, own, FlownSlot(SLOTS[3]), above)[0]
+    without = FleetChecks(3, slots_have_height=False, ground_spread_m=1.0)
+    assert "0.0 sigma" in without.judge(CommandName.FORM, own, FlownSlot(SLOTS[3]), above)[0]
+
+
+def test_a_vehicle_does_not_join_those_that_fly_another_formation() -> None:
+    other = replace(peer(1, air=True), phase=FlightPhase.FORMATION, slot=FlownSlot(SLOTS[1], formation=3))
+    refusal, _ = CHECKS.judge(CommandName.FORM, vehicle(), OWN, [other])
+    assert refusal == "this vehicle flies formation 0, vehicle 1 flies 3; give this one that formation first"

@@ -8,7 +8,7 @@ import pytest
 from msgspec.structs import replace
 
 from companion.ground.fleet_status import SILENT_AFTER_S, FleetState, fold, rows
-from companion.types import FlightPhase, LandedState, LeaderWord, Role, Status, Vector3
+from companion.types import FlightPhase, FlownSlot, LandedState, LeaderWord, Role, Status, Vector3
 from companion.wire.ground import Percentiles, StatusReport, Timing
 
 NOTHING = Percentiles(0.0, 0.0, 0.0)
@@ -34,7 +34,7 @@ STATUS = Status(
     leader_word=None,
     leader_word_age_s=None,
     neighbours=(),
-    slot_enu_m=(0.0, 0.0, 0.0),
+    slot=FlownSlot((0.0, 0.0, 0.0)),
     reference_enu_m=None,
     flags=(),
     rejected={},
@@ -68,7 +68,7 @@ def test_nobody_heard_is_an_empty_table() -> None:
 
 def test_the_error_is_the_distance_from_slot_and_reference_together() -> None:
     """|(x - d) - r| worked by hand: ((-1, 0.5, 1) - (-1.5, 0, 0)) - (1, 0, 1) = (-0.5, 0.5, 0)."""
-    state = heard(leader(), follower(2, position_enu_m=(-1.0, 0.5, 1.0), slot_enu_m=(-1.5, 0.0, 0.0)))
+    state = heard(leader(), follower(2, position_enu_m=(-1.0, 0.5, 1.0), slot=FlownSlot((-1.5, 0.0, 0.0))))
     assert error_of(state, 1) == pytest.approx(1.0)
     assert error_of(state, 2) == pytest.approx(sqrt(0.5))
 

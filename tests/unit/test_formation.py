@@ -15,6 +15,7 @@ from companion.core.formation import (
 )
 from companion.core.priority import next_prc
 from companion.core.reference import point
+from companion.types import FlownSlot
 
 K = Gains(1.39, 1.2)
 REST = (0.0, 0.0, 0.0)
@@ -54,7 +55,7 @@ def test_a_follower_without_neighbours_asks_for_nothing() -> None:
 
 
 def test_places_are_equal_in_perfect_formation() -> None:
-    assert place((2.0, 3.0, 1.0), REST, (1.0, 3.0, 0.0)) == Place((1.0, 0.0, 1.0), REST)
+    assert place((2.0, 3.0, 1.0), REST, FlownSlot((1.0, 3.0, 0.0))) == Place((1.0, 0.0, 1.0), REST)
 
 
 def test_neighbours_acceleration_comes_through_the_same_weights() -> None:
@@ -84,7 +85,7 @@ def fly_platoon(law: FormationLaw, seconds: float = 100.0) -> tuple[list[float],
     reference = point((1.0, 0.0, 0.0))
     largest, settled_s = [0.0] * (n - 1), 0.0
     for k in range(int(seconds / dt)):
-        places = [place((x[i], 0.0, 0.0), (v[i], 0.0, 0.0), slots[i]) for i in range(n)]
+        places = [place((x[i], 0.0, 0.0), (v[i], 0.0, 0.0), FlownSlot(slots[i])) for i in range(n)]
         near = [[j for j in (i - 1, i + 1) if 0 <= j < n] for i in range(n)]
         prcs = [next_prc(i == 0, (prcs[j] for j in near[i]), n) for i in range(n)]
         for i in range(n):

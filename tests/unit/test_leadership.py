@@ -22,6 +22,7 @@ from companion.types import (
     MAX_EPOCHS_AHEAD,
     ZERO3,
     FlightPhase,
+    FlownSlot,
     Lead,
     LeaderWord,
     PeerPacket,
@@ -178,7 +179,7 @@ class Fleet:
         return Cooperation(
             vehicle_id,
             Leadership(vehicle_id, [1], self.may_lead),
-            dict.fromkeys(self.ids, ZERO3),
+            len(self.ids),
             PeerTable(vehicle_id, {i: i in self.may_lead for i in self.ids}, 42, 0.3, 25.0),
             EdgeRule(vehicle_id, self.edges),
             LeaderWatch(0.5),
@@ -220,6 +221,7 @@ class Fleet:
             sent_s=self.now_s,
             prc=what.prc,
             leader_word=what.leader_word,
+            slot=FlownSlot(ZERO3),
         )
 
 

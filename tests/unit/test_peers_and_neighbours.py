@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from companion.core.neighbours import EdgeRule, RangeRule
 from companion.core.peers import PeerState, PeerTable
-from companion.types import FlightPhase, LeaderWord, PeerPacket, PositionError, ReceivedPeerPacket, Role
+from companion.types import FlightPhase, FlownSlot, LeaderWord, PeerPacket, PositionError, ReceivedPeerPacket, Role
 
 MAY_LEAD = {1: True, 2: False, 3: False}
 GOOD = PeerPacket(
@@ -27,6 +27,7 @@ GOOD = PeerPacket(
     sent_s=501.0,
     prc=2,
     leader_word=LeaderWord(1, 0, 20),
+    slot=FlownSlot((-1.5, 0.0, 0.0)),
 )
 
 

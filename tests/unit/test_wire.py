@@ -9,10 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.types import (
+    CONTENT,
     Command,
     CommandName,
     CommandReply,
     FlightPhase,
+    FlownSlot,
+    FormationChange,
     HealthFlag,
     LandedState,
     Lead,
@@ -40,6 +43,7 @@ counts = st.integers(0, 2**63 - 1)
 texts = st.text(max_size=40)
 leader_words = st.none() | st.builds(LeaderWord, st.integers(1, 250), counts, counts, numbers)
 
+flown_slots = st.builds(FlownSlot, vectors, vectors, counts, counts)
 packets = st.builds(
     PeerPacket,
     vehicle_id=st.integers(1, 250),
@@ -55,6 +59,7 @@ packets = st.builds(
     sent_s=numbers,
     prc=st.integers(1, 250),
     leader_word=leader_words,
+    slot=flown_slots,
 )
 percentiles = st.builds(Percentiles, numbers, numbers, numbers)
 reports = st.builds(
@@ -81,7 +86,7 @@ reports = st.builds(
         leader_word=leader_words,
         leader_word_age_s=st.none() | numbers,
         neighbours=st.lists(st.integers(1, 250), max_size=5).map(tuple),
-        slot_enu_m=vectors,
+        slot=flown_slots,
         reference_enu_m=st.none() | vectors,
         flags=st.lists(st.sampled_from(HealthFlag), max_size=3).map(tuple),
         rejected=st.dictionaries(texts, counts, max_size=3),
@@ -90,8 +95,15 @@ reports = st.builds(
     st.builds(Timing, numbers, counts, counts, percentiles, percentiles, numbers, numbers),
 )
 leads = st.builds(Lead, st.lists(st.integers(1, 250), max_size=5).map(tuple), counts)
-others = st.sampled_from([name for name in CommandName if name is not CommandName.LEAD])
-commands = st.builds(Command, others, counts) | st.builds(Command, st.just(CommandName.LEAD), counts, leads)
+changes = st.builds(
+    FormationChange, counts, st.lists(st.tuples(st.integers(1, 250), vectors), max_size=5).map(tuple), numbers, numbers
+)
+others = st.sampled_from([name for name in CommandName if name not in CONTENT])
+commands = (
+    st.builds(Command, others, counts)
+    | st.builds(Command, st.just(CommandName.LEAD), counts, leads)
+    | st.builds(Command, st.just(CommandName.FORMATION), counts, changes)
+)
 replies = st.builds(CommandReply, st.integers(1, 250), counts, st.booleans(), texts)
 
 
@@ -113,12 +125,14 @@ def test_commands_and_replies_come_out_as_they_went_in(command: Command, reply: 
 
 PACKET = PeerPacket(
     3, 2**32 - 1, 10**6, 2**64 - 1, FlightPhase.FORMATION, Role.FOLLOWER, (1.0, 2.0, 3.0), (0.1, 0.2, 0.3),
-    (0.01, 0.02, 0.03), 0.021, 1234.5, 4, LeaderWord(1, 7, 60, 12.5), PositionError(0.29, 0.28),
+    (0.01, 0.02, 0.03), 0.021, 1234.5, 4, LeaderWord(1, 7, 60, 12.5), FlownSlot((-3.0, 0.0, 0.5), (0.1, 0.0, 0.0), 2, 3),
+    PositionError(0.29, 0.28),
 )  # fmt: skip
 REPORT = StatusReport(
     Status(
         3, 1, "platoon", 5, "weighted", FlightPhase.HOLD, "AUTO.LOITER", True, LandedState.IN_AIR, (1.0, 2.0, 3.0),
-        (0.0, 0.0, 0.0), 0.02, 0.49, (1.0, -2.0, 0.0), Role.FOLLOWER, 7, 2, None, None, (2, 4), (-3.0, 0.0, 0.0), None,
+        (0.0, 0.0, 0.0), 0.02, 0.49, (1.0, -2.0, 0.0), Role.FOLLOWER, 7, 2, None, None, (2, 4),
+        FlownSlot((-3.0, 0.0, 0.0)), None,
         (HealthFlag.FENCE,),
         {"malformed": 3}, "takeoff -> hold",
     ),
@@ -133,7 +147,7 @@ DECODERS = {
 
 
 def test_a_peer_packet_stays_small() -> None:
-    assert len(encode_peer(PACKET)) < 180
+    assert len(encode_peer(PACKET)) < 240
 
 
 @pytest.mark.parametrize("name", DECODERS)
@@ -192,8 +206,8 @@ def test_another_version_is_told_from_damage(name: str) -> None:
 @pytest.mark.parametrize(
     ("command", "reason"),
     [
-        (Command(CommandName.LEAD, 9), "command lead without leaders"),
-        (Command(CommandName.FORM, 9, Lead((2,), 8)), "leaders with another command"),
+        (Command(CommandName.LEAD, 9), "command lead with NoneType, expected Lead"),
+        (Command(CommandName.FORM, 9, Lead((2,), 8)), "command form with Lead, expected NoneType"),
     ],
 )
 def test_only_the_command_lead_carries_leaders(command: Command, reason: str) -> None:
@@ -212,7 +226,20 @@ def test_a_message_of_another_kind_is_refused(name: str) -> None:
 
 def test_numbers_that_are_not_finite_pass_the_wire_and_are_left_to_the_core() -> None:
     packet = PeerPacket(
-        1, 1, 1, 1, FlightPhase.HOLD, Role.LEADER, (nan, inf, -inf), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0, 1, None
+        1,
+        1,
+        1,
+        1,
+        FlightPhase.HOLD,
+        Role.LEADER,
+        (nan, inf, -inf),
+        (0.0, 0.0, 0.0),
+        (0.0, 0.0, 0.0),
+        0.0,
+        0.0,
+        1,
+        None,
+        FlownSlot((0.0, 0.0, 0.0)),
     )
     x, y, z = decode_peer(encode_peer(packet)).position_enu_m
     assert isnan(x)

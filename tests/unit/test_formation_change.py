@@ -1,0 +1,227 @@
+"""Named shapes, the ways between them, and a vehicle's plan of which slot it flies."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import dist, hypot, pi, sqrt
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from msgspec.structs import replace
+
+from companion.core.shapes import SHAPES, slots_of
+from companion.core.slot_plan import SlotPlan
+from companion.core.transition import closest, fastest_m_s, slot_at
+from companion.curves import Motion, between, circle, duration_s, way
+from companion.ground.formations import assigned
+from companion.types import (
+    ZERO3,
+    FlightPhase,
+    FlownSlot,
+    FormationChange,
+    PeerPacket,
+    Role,
+    Vector3,
+)
+
+SIZES = (1, 2, 3, 4, 5, 6, 7, 8, 12, 25)
+LINE: dict[int, Vector3] = {1: (0.0, 0.0, 0.0), 2: (-2.0, 0.0, 0.0), 3: (-4.0, 0.0, 0.0)}
+TURNED: dict[int, Vector3] = {1: (0.0, 0.0, 0.0), 2: (0.0, -2.0, 0.0), 3: (0.0, -4.0, 0.0)}
+CHANGE = FormationChange(1, tuple(TURNED.items()), begins_s=10.0, lasts_s=20.0)
+
+
+# ---------------------------------------------------------------- shapes
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_every_shape_has_its_spacing_and_turns_as_a_whole(name: str) -> None:
+    for n in SIZES:
+        slots, turned = (slots_of(SHAPES[name], n, 3.0, heading) for heading in (0.0, pi / 2.0))
+        assert len(slots) == n
+        if n > 1:
+            assert min(dist(a, b) for i, a in enumerate(slots) for b in slots[:i]) == pytest.approx(3.0)
+        for (x, y, z), there in zip(slots, turned, strict=True):
+            assert there == pytest.approx((-y, x, z))
+
+
+def test_shapes_look_like_their_names() -> None:
+    assert slots_of(SHAPES["line"], 3, 2.0, 0.0) == pytest.approx(np.array([(0, 2, 0), (0, 0, 0), (0, -2, 0)]))
+    assert slots_of(SHAPES["column"], 3, 2.0, 0.0) == pytest.approx(np.array([(0, 0, 0), (-2, 0, 0), (-4, 0, 0)]))
+    root = sqrt(2.0)
+    corners = np.array([(root, 0, 0), (0, root, 0), (-root, 0, 0), (0, -root, 0)])
+    assert slots_of(SHAPES["diamond"], 4, 2.0, 0.0) == pytest.approx(corners)
+    assert [hypot(x, y) for x, y, _ in slots_of(SHAPES["circle"], 6, 2.0, 0.0)] == pytest.approx([2.0] * 6)
+    six = slots_of(SHAPES["rectangle"], 6, 2.0, 0.0)
+    assert {(round(x), round(y)) for x, y, _ in six} == {(x, y) for x in (-2, 0, 2) for y in (-1, 1)}
+    assert {round(z, 6) for _, _, z in slots_of(SHAPES["layers"], 8, 2.0, 0.0)} == {0.0, 2.0}
+
+
+def test_nobody_flies_right_under_another() -> None:
+    for n in SIZES:
+        ground = [(round(x, 6), round(y, 6)) for x, y, _ in slots_of(SHAPES["layers"], n, 2.0, 0.0)]
+        assert len(set(ground)) == n
+
+
+# ---------------------------------------------------------------- ways
+
+
+@pytest.mark.parametrize("n", [2, 4, 8, 13])
+def test_assigned_ways_keep_what_is_promised_between_any_two_shapes(n: int) -> None:
+    """1/sqrt(2) of the spacing."""
+    for before in SHAPES:
+        start = dict(enumerate(slots_of(SHAPES[before], n, 3.0, 0.0)))
+        for after in SHAPES:
+            goal = assigned(start, slots_of(SHAPES[after], n, 3.0, 0.4))
+            assert sorted(goal.values()) == sorted(slots_of(SHAPES[after], n, 3.0, 0.4))
+            assert closest(start, goal)[0] >= 3.0 / sqrt(2.0) - 1e-9, (before, after)
+
+
+coordinates = st.floats(-20, 20)
+points = st.tuples(coordinates, coordinates, coordinates)
+
+
+@given(points, points, points, points)
+def test_the_closest_approach_is_what_is_flown(a0: Vector3, a1: Vector3, b0: Vector3, b1: Vector3) -> None:
+    least_m, i, j = closest({1: a0, 2: b0}, {1: a1, 2: b1})
+    flown_m = [dist(slot_at(a0, a1, t, 10.0)[0], slot_at(b0, b1, t, 10.0)[0]) for t in np.linspace(0, 10, 400).tolist()]
+    assert (i, j) == (1, 2)
+    assert least_m <= min(flown_m) + 1e-9
+    assert min(flown_m) <= least_m + 0.5  # between two samples
+
+
+def test_a_way_lasts_as_long_as_its_limits_ask_for() -> None:
+    for way_m in (0.5, 10.0):
+        lasts_s = duration_s(way_m, 2.0, 1.0)
+        motions = [between(ZERO3, (way_m, 0.0, 0.0), t, lasts_s) for t in np.linspace(0, lasts_s, 2001).tolist()]
+        speed, acceleration = (max(abs(m[k][0]) for m in motions) for k in (1, 2))
+        assert speed <= 2.0 + 1e-6
+        assert acceleration <= 1.0 + 1e-6
+        assert max(speed / 2.0, acceleration) == pytest.approx(1.0, abs=1e-3)
+        assert fastest_m_s({1: ZERO3}, {1: (way_m, 0.0, 0.0)}, lasts_s) == pytest.approx(speed, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    "curve",
+    [
+        lambda t: circle(t, 5.0, 20.0, 4.0),
+        lambda t: circle(t, 5.0, -20.0, 4.0),
+        way([(0.0, 0.0, 0.0), (10.0, 0.0, 0.0), (10.0, 5.0, 2.0)], 1.0, 2.0, 1.0),
+    ],
+)
+def test_velocity_and_acceleration_are_the_derivatives(curve: Callable[[float], Motion]) -> None:
+    step_s = 1e-5
+    for t in np.arange(0.01, 40.0, 0.05).tolist():
+        (_, _, _), velocity, acceleration = curve(t)
+        before, after = curve(t - step_s), curve(t + step_s)
+        assert (np.subtract(after[0], before[0]) / (2 * step_s)) == pytest.approx(np.array(velocity), abs=1e-5)
+        assert (np.subtract(after[1], before[1]) / (2 * step_s)) == pytest.approx(np.array(acceleration), abs=1e-3)
+
+
+def test_a_way_waits_at_its_points_and_stays_at_the_last() -> None:
+    curve = way([(0.0, 0.0, 0.0), (10.0, 0.0, 0.0), (10.0, 5.0, 0.0)], 3.0, 2.0, 1.0)
+    leg_s = duration_s(10.0, 2.0, 1.0)
+    for t in (leg_s, leg_s + 2.9):
+        assert curve(t) == ((10.0, 0.0, 0.0), ZERO3, ZERO3)
+    assert curve(1e6) == ((10.0, 5.0, 0.0), ZERO3, ZERO3)
+    assert curve(-1.0) == (ZERO3, ZERO3, ZERO3)
+
+
+# ---------------------------------------------------------------- a vehicle's plan
+
+
+def plan(own_id: int = 2) -> SlotPlan:
+    return SlotPlan(own_id, LINE, separation_m=1.0, max_speed_m_s=1.0)
+
+
+def other(vehicle_id: int, formation: int, waiting: int) -> PeerPacket:
+    slot = FlownSlot(LINE[vehicle_id], formation=formation, waiting=waiting)
+    phase = FlightPhase.FORMATION
+    return PeerPacket(vehicle_id, 1, 1, 0, phase, Role.FOLLOWER, ZERO3, ZERO3, ZERO3, 0.0, 0.0, 2, None, slot)
+
+
+KNOW = [other(1, 0, 1), other(3, 0, 1)]
+
+
+def test_a_change_begins_at_its_time_where_all_have_it() -> None:
+    slots = plan()
+    assert slots.obey(CHANGE, 9.0, ()) == (True, "formation 1 begins in 1.0 s")
+    assert slots.update(9.9, KNOW) == FlownSlot(LINE[2], formation=0, waiting=1)
+    assert slots.update(10.0, KNOW) == FlownSlot(LINE[2], formation=1, waiting=1)
+    assert slots.events == ["formation 0 -> 1"]
+    half_way = slots.update(20.0, KNOW)
+    assert half_way.position_enu_m == pytest.approx((-1.0, -1.0, 0.0))
+    assert half_way.velocity_enu_m_s == pytest.approx((1.875 * 2.0 / 20.0, -1.875 * 2.0 / 20.0, 0.0))
+    assert slots.update(30.0, KNOW) == FlownSlot(TURNED[2], formation=1, waiting=1)
+
+
+def test_it_does_not_begin_where_one_that_is_heard_missed_it() -> None:
+    slots = plan()
+    slots.obey(CHANGE, 9.0, ())
+    assert slots.update(10.0, [KNOW[0], other(3, 0, 0)]) == FlownSlot(LINE[2])
+    assert slots.events == ["formation 1 does not begin: vehicle 3 does not have it"]
+    assert slots.update(20.0, KNOW) == FlownSlot(LINE[2])
+
+
+def test_who_began_a_tick_sooner_has_it() -> None:
+    slots = plan()
+    slots.obey(CHANGE, 9.0, ())
+    assert slots.update(10.0, [other(1, 1, 1), other(3, 0, 1)]).formation == 1
+
+
+def test_the_same_change_may_come_again() -> None:
+    slots = plan()
+    slots.obey(CHANGE, 9.0, ())
+    assert slots.obey(CHANGE, 9.5, ())[0]
+    slots.update(10.0, KNOW)
+    assert slots.obey(CHANGE, 12.0, ())[0]
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"number": 0}, "number 0 is not newer than 0"),
+        ({"number": 5000}, "number 5000 is not newer than 0"),
+        ({"slots_enu_m": CHANGE.slots_enu_m[:2]}, "slots for vehicles [1, 2]; expected [1, 2, 3]"),
+        ({"slots_enu_m": (*CHANGE.slots_enu_m, (3, ZERO3))}, "slots for vehicles [1, 2, 3]; expected [1, 2, 3]"),
+        ({"slots_enu_m": ((1, ZERO3), (2, (-0.5, 0.0, 0.0)), (3, LINE[3]))}, "come within 0.50 m of each other"),
+        ({"slots_enu_m": ((1, LINE[2]), (2, LINE[1]), (3, LINE[3]))}, "come within 0.00 m of each other"),
+        ({"slots_enu_m": ((1, ZERO3), (2, (float("nan"), 0.0, 0.0)), (3, LINE[3]))}, "come within nan m"),
+        ({"lasts_s": 5.0}, "slots move at up to 2.1 m/s; expected at most 1 m/s"),
+        ({"lasts_s": float("nan")}, "lasts nan s"),
+        ({"lasts_s": 0.0}, "lasts 0.0 s"),
+        ({"begins_s": 8.9}, "begins at 8.9 s of the fleet's time, which is 9.0 s now"),
+        ({"begins_s": 100.0}, "begins at 100.0 s"),
+    ],
+)
+def test_a_change_that_cannot_be_flown_is_refused_and_changes_nothing(changes: dict[str, object], words: str) -> None:
+    slots = plan()
+    accepted, reason = slots.obey(replace(CHANGE, **changes), 9.0, ())
+    assert not accepted
+    assert words in reason
+    assert slots.update(50.0, KNOW) == FlownSlot(LINE[2])
+
+
+def test_while_a_formation_is_being_taken_up_no_other_is_taken() -> None:
+    slots = plan()
+    slots.obey(CHANGE, 9.0, ())
+    slots.update(10.0, KNOW)
+    back = FormationChange(2, tuple(LINE.items()), 21.0, 20.0)
+    assert slots.obey(back, 20.0, ()) == (False, "formation: formation 1 is still being taken up")
+    slots.update(30.0, KNOW)
+    assert slots.obey(replace(back, begins_s=31.0), 30.0, ())[0]
+
+
+def test_who_is_alone_takes_up_at_once_what_the_others_fly() -> None:
+    slots = plan()
+    assert slots.obey(CHANGE, 40.0, [other(1, 1, 1)]) == (True, "formation 1, which the others fly")
+    assert slots.update(40.0, ()) == FlownSlot(TURNED[2], formation=1, waiting=1)
+
+
+def test_after_landing_the_formation_stays_while_the_time_begins_anew() -> None:
+    slots = plan()
+    slots.obey(CHANGE, 9.0, ())
+    slots.update(10.0, KNOW)
+    slots.landed()
+    assert slots.update(0.0, ()) == FlownSlot(TURNED[2], formation=1, waiting=1)
