@@ -121,7 +121,7 @@ def write_results(
     """summary.json and, where a formation was flown, its figures. `tracks` is None where nothing is known of them."""
     flight = _flight(scenario, watch, tracks, source) if tracks else None
     figures = (
-        formation_figures(flight.tracks, flight.slots_enu_m, flight.reference, flight.formation) if flight else None
+        formation_figures(flight.tracks, flight.slots, flight.reference, flight.formation) if flight else None
     )
     smallest_m = smallest_distance_m(tracks) if tracks else None
     summary = summarize(scenario, name, watch, figures, smallest_m, failure, flight_s, real_time_factor, source)
@@ -137,6 +137,5 @@ def write_results(
 def _flight(scenario: Scenario, watch: FlightWatch, tracks: Tracks, source: TrackSource) -> Flight | None:
     if watch.formation is None:
         return None
-    slots_enu_m = {member.id: member.slot_enu_m for member in scenario.fleet.vehicles}
-    pairs = neighbouring_pairs(slots_enu_m)
-    return Flight(scenario.fleet.law.name, tracks, slots_enu_m, pairs, reference_of(scenario), watch.formation, source)
+    pairs = neighbouring_pairs({member.id: member.slot_enu_m for member in scenario.fleet.vehicles})
+    return Flight(scenario.fleet.law.name, tracks, watch.slots(), pairs, reference_of(scenario), watch.formation, source)

@@ -47,11 +47,17 @@ class Flight:
 
     law: str
     tracks: Tracks
-    slots_enu_m: Mapping[int, Vector3]
+    slots: Tracks  # d_i0 over time: it changes with the formation
     pairs: Sequence[Pair]
     reference: ReferenceTrajectory
     formation: Formation
     source: TrackSource = "true"
+
+    @property
+    def slots_enu_m(self) -> dict[int, Vector3]:
+        """The slots d_i0 at the formation's end."""
+        at_end = {i: slot.at(np.array([self.formation.end_s]))[0].tolist() for i, slot in self.slots.items()}
+        return {i: (x, y, z) for i, (x, y, z) in at_end.items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,24 +106,29 @@ def reference_positions_m(reference: ReferenceTrajectory, start_s: float, times_
     return np.array([reference(max(0.0, time_s - start_s)).position_enu_m for time_s in times_s.tolist()])
 
 
-def errors_m(track: Track, slot_enu_m: Vector3, reference_enu_m: FloatArray, times_s: FloatArray) -> FloatArray:
+def errors_m(track: Track, slot: Track, reference_enu_m: FloatArray, times_s: FloatArray) -> FloatArray:
     """Distance (n,) of a vehicle to its place r + d_i0. `reference_enu_m` (n, 3) is r at these times."""
-    return np.asarray(np.linalg.norm(track.at(times_s) - reference_enu_m - np.array(slot_enu_m), axis=1))
+    return np.asarray(np.linalg.norm(track.at(times_s) - reference_enu_m - slot.at(times_s), axis=1))
+
+
+def standing(slots_enu_m: Mapping[int, Vector3]) -> Tracks:
+    """Slots that never change."""
+    return {i: Track(np.zeros(1), np.array([slot])) for i, slot in slots_enu_m.items()}
 
 
 def formation_figures(
-    tracks: Tracks, slots_enu_m: Mapping[int, Vector3], reference: ReferenceTrajectory, formation: Formation
+    tracks: Tracks, slots: Tracks, reference: ReferenceTrajectory, formation: Formation
 ) -> FormationFigures:
-    """All figures of one formation. `tracks` and `slots_enu_m` name the same vehicles."""
+    """All figures of one formation. `tracks` and `slots` name the same vehicles; wanted is what is wanted at the end."""
     times_s = formation.times_s()
     last = times_s >= formation.end_s - FINAL_S
     reference_enu_m = reference_positions_m(reference, formation.reference_start_s, times_s)
-    errors = {i: errors_m(tracks[i], slots_enu_m[i], reference_enu_m, times_s) for i in sorted(tracks)}
+    errors = {i: errors_m(tracks[i], slots[i], reference_enu_m, times_s) for i in sorted(tracks)}
     final = {i: float(np.sqrt(np.mean(error_m[last] ** 2))) for i, error_m in errors.items()}
     distances = {pair: distances_m(tracks, pair, times_s) for pair in pairs_of(tracks)}
     return FormationFigures(
         duration_s=formation.end_s - formation.start_s,
-        wanted_distance_m={pair_name(p): dist(slots_enu_m[p[0]], slots_enu_m[p[1]]) for p in distances},
+        wanted_distance_m={pair_name(p): float(distances_m(slots, p, times_s[-1:])[0]) for p in distances},
         max_distance_m={pair_name(p): float(d.max()) for p, d in distances.items()},
         min_distance_m={pair_name(p): float(d.min()) for p, d in distances.items()},
         final_distance_m={pair_name(p): float(d[last].mean()) for p, d in distances.items()},

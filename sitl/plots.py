@@ -131,7 +131,7 @@ def draw_positions(axes: Axes, flight: Flight, axis: int) -> None:
     since_s = times_s - flight.formation.start_s
     reference_m = reference_positions_m(flight.reference, flight.formation.reference_start_s, times_s)[:, axis]
     for index, (vehicle_id, track) in enumerate(sorted(flight.tracks.items())):
-        axes.plot(since_s, reference_m + flight.slots_enu_m[vehicle_id][axis], **GUIDE, label="_")
+        axes.plot(since_s, reference_m + flight.slots[vehicle_id].at(times_s)[:, axis], **GUIDE, label="_")
         axes.plot(since_s, track.at(times_s)[:, axis], label=f"UAV {vehicle_id}", **look(index, times_s.size))
     axes.plot([], [], **GUIDE, label="its place")
     dress(axes, since_s)
@@ -142,7 +142,7 @@ def draw_distances(axes: Axes, flight: Flight) -> None:
     times_s = _times_s(flight)
     since_s = times_s - flight.formation.start_s
     inside = times_s >= flight.formation.start_s
-    wanted_m = sorted({round(dist(flight.slots_enu_m[i], flight.slots_enu_m[j]), 3) for i, j in flight.pairs})
+    wanted_m = sorted({round(float(distances_m(flight.slots, pair, times_s[-1:])[0]), 3) for pair in flight.pairs})
     for index, pair in enumerate(flight.pairs):
         distance_m = distances_m(flight.tracks, pair, times_s)
         label = f"UAV {pair_name(pair)}, largest {distance_m[inside].max():.2f} m"

@@ -10,6 +10,7 @@ from companion.ground.fleet_status import FleetState, VehicleRow, fold, rows
 from companion.types import FlightPhase, Role, Status, Vector3
 from companion.wire.ground import StatusReport, Timing
 from sitl.metrics import Formation
+from sitl.tracks import Track, told_track
 
 SAME_POSITION_S = 0.005  # of the same position told twice, whose ages are not quite those of the way
 SILENT_S = 3.0  # a flying vehicle's agent that says nothing for so long has failed
@@ -54,6 +55,7 @@ class FlightWatch:
         self.formation: Formation | None = None  # the last one flown
         # Of each vehicle: when it was where, by its own estimate. From its being armed on, later ones last.
         self.told: dict[int, list[tuple[float, Vector3]]] = {vehicle_id: [] for vehicle_id in self.vehicle_ids}
+        self._slots: dict[int, list[tuple[float, Vector3]]] = {vehicle_id: [] for vehicle_id in self.vehicle_ids}
         self._leader_ids = set(leader_ids)
         self._drawn: dict[int, TopologyChange] = {}  # the last of every vehicle
         self._entered_s: dict[int, float] = {}
@@ -75,6 +77,7 @@ class FlightWatch:
         self._statuses[vehicle_id] = status
         self._follow_topology(status, now_s)
         self._follow_position(status, now_s)
+        self._follow_slot(status, now_s)
         if status.phase is FlightPhase.FORMATION and (before is None or before.phase is not FlightPhase.FORMATION):
             self._entered_s[vehicle_id] = now_s
             self._zero_s[vehicle_id] = now_s - self._flown_s
@@ -90,6 +93,17 @@ class FlightWatch:
         told, time_s = self.told[status.vehicle_id], now_s - status.state_age_s
         if status.armed and (not told or time_s > told[-1][0] + SAME_POSITION_S):
             told.append((time_s, status.position_enu_m))
+
+    def _follow_slot(self, status: Status, now_s: float) -> None:
+        """Where it stands, its first and its last time are enough."""
+        slots, slot_enu_m = self._slots[status.vehicle_id], status.slot.position_enu_m
+        if len(slots) > 1 and slots[-1][1] == slots[-2][1] == slot_enu_m:
+            slots.pop()
+        slots.append((now_s, slot_enu_m))
+
+    def slots(self) -> dict[int, Track]:
+        """Each vehicle's slot d_i0 over time, as it said itself."""
+        return {i: told_track(i, told) for i, told in self._slots.items()}
 
     def _follow_reference(self, status: Status) -> None:
         """From one formation to the next it goes on, from one flight to the next it does not."""

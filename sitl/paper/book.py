@@ -28,7 +28,7 @@ class Entry:
     def figures(self) -> FormationFigures:
         """Raises NoFormationError."""
         flight = self.flight
-        return formation_figures(flight.tracks, flight.slots_enu_m, flight.reference, flight.formation)
+        return formation_figures(flight.tracks, flight.slots, flight.reference, flight.formation)
 
     @property
     def settle_s(self) -> float:

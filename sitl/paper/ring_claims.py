@@ -130,7 +130,7 @@ def _on_the_8(entry: Entry) -> _On8:
     wanted_m = entry.figures.wanted_distance_m
     off_m = [distances_m(flight.tracks, pair, times_s) - wanted_m[pair_name(pair)] for pair in flight.pairs]
     r_m = reference_positions_m(flight.reference, flight.formation.reference_start_s, times_s)
-    error_m = {i: errors_m(track, flight.slots_enu_m[i], r_m, times_s) for i, track in flight.tracks.items()}
+    error_m = {i: errors_m(track, flight.slots[i], r_m, times_s) for i, track in flight.tracks.items()}
     led_m = [error_m[lead.leader_id][(times_s >= lead.from_s) & (times_s <= lead.to_s)] for lead in spans]
     return _On8(
         changes=len(spans) - 1,

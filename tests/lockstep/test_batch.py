@@ -18,7 +18,7 @@ from sitl.batch.columns import phase_steps
 from sitl.batch.flight import fly_batch
 from sitl.batch.metrics import batch_figures
 from sitl.batch.simulation import BatchStart
-from sitl.metrics import Formation, formation_figures
+from sitl.metrics import Formation, formation_figures, standing
 from sitl.progress import Progress
 from sitl.scenario import Scenario, load_scenario, reference_of
 from sitl.virtual_flight import Flown, fly_in_virtual_time
@@ -166,7 +166,7 @@ def test_with_sensor_noise_the_figures_are_of_one_distribution() -> None:
         begin_s = began_s(scenario, flown)
         slots = {member.id: member.slot_enu_m for member in scenario.fleet.vehicles}
         formation = Formation(begin_s, begin_s + FLOWN_S, begin_s)
-        lockstep = formation_figures(flown.tracks(), slots, reference_of(scenario), formation)
+        lockstep = formation_figures(flown.tracks(), standing(slots), reference_of(scenario), formation)
         largest.append(lockstep.max_distance_m["1-2"])
         final.append(lockstep.final_error_m)
     assert are_of_one_distribution(largest, figures.largest_neighbouring_distance_m)

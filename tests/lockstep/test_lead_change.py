@@ -18,7 +18,7 @@ from companion.wire.ground import StatusReport
 from sitl.director import Director
 from sitl.fleet import ids_of, reached_stand_in, vehicle_file
 from sitl.lockstep import Lockstep
-from sitl.metrics import Formation, errors_m, formation_figures, reference_positions_m, smallest_distance_m
+from sitl.metrics import Formation, errors_m, formation_figures, reference_positions_m, smallest_distance_m, standing
 from sitl.progress import Progress
 from sitl.scenario import Scenario, load_scenario, reference_of
 from sitl.tracks import Track
@@ -81,7 +81,7 @@ def flown(*overrides: str) -> Flown:
 def tracking_errors_m(flight: Flown, times_s: np.ndarray) -> dict[int, np.ndarray]:
     reference_enu_m = reference_positions_m(reference_of(flight.scenario), flight.formation.reference_start_s, times_s)
     slots = {member.id: member.slot_enu_m for member in flight.scenario.fleet.vehicles}
-    return {i: errors_m(track, slots[i], reference_enu_m, times_s) for i, track in flight.tracks.items()}
+    return {i: errors_m(track, standing(slots)[i], reference_enu_m, times_s) for i, track in flight.tracks.items()}
 
 
 def test_it_is_flown_from_prepare_to_landed_with_five_changes_in_one_formation() -> None:
@@ -146,7 +146,7 @@ def test_the_ring_follows_the_eight(law: str, most_m: float) -> None:
     errors = tracking_errors_m(flight, np.arange(flight.formation.start_s + 20.0, flight.formation.end_s, 0.02))
     assert max(float(error_m.max()) for error_m in errors.values()) < most_m
     slots = {member.id: member.slot_enu_m for member in flight.scenario.fleet.vehicles}
-    figures = formation_figures(flight.tracks, slots, reference_of(flight.scenario), flight.formation)
+    figures = formation_figures(flight.tracks, standing(slots), reference_of(flight.scenario), flight.formation)
     assert figures.final_error_m < most_m
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from companion.types import FlightPhase
-from sitl.metrics import FormationFigures, formation_figures
+from sitl.metrics import FormationFigures, formation_figures, standing
 from sitl.progress import Progress
 from sitl.scenario import load_scenario, reference_of
 from sitl.virtual_flight import Flown, fly_in_virtual_time
@@ -36,7 +36,7 @@ def figures(*overrides: str) -> FormationFigures:
     assert flight.watch.formation is not None
     scenario = load_scenario(PLATOON, overrides)
     slots_enu_m = {member.id: member.slot_enu_m for member in scenario.fleet.vehicles}
-    return formation_figures(flight.tracks(), slots_enu_m, reference_of(scenario), flight.watch.formation)
+    return formation_figures(flight.tracks(), standing(slots_enu_m), reference_of(scenario), flight.watch.formation)
 
 
 def are_equal(one: Flown, other: Flown) -> bool:

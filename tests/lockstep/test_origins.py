@@ -14,7 +14,7 @@ from sitl.autopilot import Autopilot
 from sitl.director import Director
 from sitl.fleet import ids_of
 from sitl.lockstep import Lockstep
-from sitl.metrics import formation_figures
+from sitl.metrics import formation_figures, standing
 from sitl.progress import Progress
 from sitl.scenario import Scenario, load_scenario, reference_of
 from sitl.virtual_flight import fly_in_virtual_time
@@ -54,7 +54,9 @@ class Observed:
         assert self.watch.formation is not None
         slots_enu_m = {member.id: member.slot_enu_m for member in self.scenario.fleet.vehicles}
         tracks = {stand_in.vehicle_id: stand_in.track() for stand_in in self.lockstep.stand_ins}
-        return formation_figures(tracks, slots_enu_m, reference_of(self.scenario), self.watch.formation).final_error_m
+        return formation_figures(
+            tracks, standing(slots_enu_m), reference_of(self.scenario), self.watch.formation
+        ).final_error_m
 
     def words(self) -> str:
         return "; ".join(event.event for event in self.watch.events)

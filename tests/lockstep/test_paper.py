@@ -32,7 +32,7 @@ def flown(subject: Subject, law: LawName, *more: str) -> FlownPlan:
 def test_the_agents_do_what_the_equations_say(law: LawName) -> None:
     flight = flown(Subject.PLATOON, law, SHORT)
     of_agents = formation_figures(
-        flight.tracks, flight.flight().slots_enu_m, flight.flight().reference, flight.flight().formation
+        flight.tracks, flight.flight().slots, flight.flight().reference, flight.flight().formation
     )
     of_equations = ideal_figures(flight, heard_late_s=0.01)
     assert set(of_equations.max_distance_m) == {"1-2", "2-3", "3-4"}

@@ -11,7 +11,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from sitl.metrics import formation_figures, neighbouring_pairs, pair_name
+from sitl.metrics import formation_figures, neighbouring_pairs, pair_name, standing
 from sitl.progress import Progress
 from sitl.scenario import load_scenario, reference_of
 from sitl.share import ShareProgress
@@ -49,7 +49,7 @@ def test_a_row_is_what_sitl_run_flies(tmp_path: Path) -> None:
         flown = fly_in_virtual_time(scenario, Progress("test", True, 0.0))
         assert flown.watch.formation is not None
         slots = {member.id: member.slot_enu_m for member in scenario.fleet.vehicles}
-        wanted = formation_figures(flown.tracks(), slots, reference_of(scenario), flown.watch.formation)
+        wanted = formation_figures(flown.tracks(), standing(slots), reference_of(scenario), flown.watch.formation)
         near = [pair_name(pair) for pair in neighbouring_pairs(slots)]
         row = rows[law]
         assert float(row["largest_neighbouring_distance_m"]) == pytest.approx(

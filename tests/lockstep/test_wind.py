@@ -19,7 +19,7 @@ from companion.wire.ground import StatusReport
 from sitl.director import Director
 from sitl.fleet import ids_of
 from sitl.lockstep import Lockstep
-from sitl.metrics import Formation, errors_m, reference_positions_m
+from sitl.metrics import Formation, errors_m, reference_positions_m, standing
 from sitl.progress import Progress
 from sitl.px4_modes import Mode
 from sitl.scenario import Scenario, load_scenario, reference_of
@@ -96,7 +96,7 @@ class Flown:
         times_s = np.arange(self.formation.start_s + from_s, self.formation.end_s, 0.02)
         reference_m = reference_positions_m(reference_of(self.scenario), self.formation.reference_start_s, times_s)
         slots = {member.id: member.slot_enu_m for member in self.scenario.fleet.vehicles}
-        return np.array([errors_m(track, slots[i], reference_m, times_s) for i, track in self.tracks.items()])
+        return np.array([errors_m(track, standing(slots)[i], reference_m, times_s) for i, track in self.tracks.items()])
 
     def changes(self, before: Mode, after: Mode) -> list[tuple[list[Row], int]]:
         """Every vehicle's rows, and the first under the new mode."""

@@ -13,6 +13,7 @@ from sitl.metrics import (
     neighbouring_pairs,
     pair_name,
     settle_time_s,
+    standing,
 )
 from sitl.scenario import Scenario, reference_of
 from sitl.tracks import Track
@@ -39,7 +40,7 @@ def one_by_one(flight: BatchFlight, b: int, scenario: Scenario) -> FormationFigu
     tracks = {i + 1: Track(flight.times_s, positions[:, i]) for i in range(4)}
     end_s = float(flight.times_s[-1])
     slots = {member.id: member.slot_enu_m for member in scenario.fleet.vehicles}
-    return formation_figures(tracks, slots, reference_of(scenario), Formation(0.0, end_s, 0.0))
+    return formation_figures(tracks, standing(slots), reference_of(scenario), Formation(0.0, end_s, 0.0))
 
 
 @pytest.mark.parametrize("b", range(len(SCENARIOS)))

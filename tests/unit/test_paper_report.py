@@ -11,7 +11,7 @@ import pytest
 from companion.core.arrays import FloatArray
 from companion.core.reference import point
 from companion.types import Role
-from sitl.metrics import Flight, Formation
+from sitl.metrics import Flight, Formation, standing
 from sitl.paper.book import listed, seconds, verdict_of
 from sitl.paper.claims import Claim, Erratum, Verdict
 from sitl.paper.figures import PICTURES
@@ -152,7 +152,7 @@ def moving(*x_m: FloatArray) -> Flight:
         i: Track(TIMES_S, np.stack([x, np.zeros_like(x), np.ones_like(x)], axis=1)) for i, x in enumerate(x_m, start=1)
     }
     slots = {i: (1.0 - i, 0.0, 0.0) for i in tracks}
-    return Flight("weighted", tracks, slots, [], point((2.0, 0.0, 1.0)), Formation(5.0, 15.0, 5.0))
+    return Flight("weighted", tracks, standing(slots), [], point((2.0, 0.0, 1.0)), Formation(5.0, 15.0, 5.0))
 
 
 def test_edges_out_of_sight_and_a_leader_alone() -> None:

@@ -8,7 +8,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from companion.core.reference import point
-from sitl.metrics import Flight, Formation
+from sitl.metrics import Flight, Formation, standing
 from sitl.plots import COLOURS, MARKERS, STYLES, save_comparison, save_figure_5, save_figure_6
 from sitl.tracks import Track
 
@@ -25,7 +25,7 @@ def flight(law: str, vehicles: int = 4) -> Flight:
         for i, slot in slots.items()
     }
     pairs = [pair for pair in combinations(slots, 2) if pair[1] - pair[0] == 1]
-    return Flight(law, tracks, slots, pairs, point((1.0, 0.0, 1.0)), Formation(110.0, 135.0, 109.9))
+    return Flight(law, tracks, standing(slots), pairs, point((1.0, 0.0, 1.0)), Formation(110.0, 135.0, 109.9))
 
 
 @pytest.fixture
