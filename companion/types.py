@@ -299,7 +299,7 @@ class LeaderWord(Struct, frozen=True, gc=False):
 
 
 class FlownSlot(Struct, frozen=True, gc=False):
-    """A vehicle's place d_i0 about the RFT as it flies it just now, and its rate of change while the formation changes.
+    """A vehicle's place d_i0 about the RFT as it flies it just now, and how it moves while the formation changes.
 
     `formation` counts the formations that were commanded, the fleet file's is 0; `waiting` is the one that is to come, the
     same where none is.
@@ -307,6 +307,7 @@ class FlownSlot(Struct, frozen=True, gc=False):
 
     position_enu_m: Vector3
     velocity_enu_m_s: Vector3 = ZERO3
+    acceleration_enu_m_s2: Vector3 = ZERO3
     formation: int = 0
     waiting: int = 0
 

@@ -129,7 +129,7 @@ class Director:
                 if step.command is CommandName.LEAD:  # a formation goes on under it
                     _LeadOrder(self._session, self._watch, step, self._clock).carry_out(self._pass)
                 elif step.command is CommandName.FORMATION:
-                    _FormationOrder(self._session, self._watch, step, self._clock, 1.0).carry_out(self._pass)
+                    _FormationOrder(self._session, self._watch, step, self._clock).carry_out(self._pass)
                 else:
                     # The command that follows a formation ends it, so the time is taken before it is given.
                     self._watch.end_formation(self._clock.now_s())
@@ -309,16 +309,14 @@ class _LeadOrder(_Order):
 class _FormationOrder(_Order):
     """Other slots, for every vehicle at the same time of the fleet's; they change no phase."""
 
-    def __init__(
-        self, session: Session, watch: FlightWatch, step: TimelineStep, clock: Clock, slot_speed_m_s: float
-    ) -> None:
+    def __init__(self, session: Session, watch: FlightWatch, step: TimelineStep, clock: Clock) -> None:
         super().__init__(session, watch, step, clock)
         statuses = [status for i in watch.vehicle_ids if (status := watch.status(i))]
         assert step.formation is not None  # checked when the scenario was read
         wanted = step.formation
         slots = named_slots(wanted.shape, len(statuses), wanted.spacing_m, wanted.heading_deg)
         flown = {status.vehicle_id: status.slot.position_enu_m for status in statuses}
-        self._change = change_to(assigned(flown, slots), statuses, slot_speed_m_s)
+        self._change = change_to(assigned(flown, slots), statuses, wanted.speed_m_s)
 
     def _give(self, vehicle_ids: Collection[int]) -> dict[int, CommandReply | None]:
         return self._session.command(vehicle_ids, CommandName.FORMATION, REPLY_WITHIN_S, self._change)

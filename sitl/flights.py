@@ -120,9 +120,7 @@ def write_results(
 ) -> Result:
     """summary.json and, where a formation was flown, its figures. `tracks` is None where nothing is known of them."""
     flight = _flight(scenario, watch, tracks, source) if tracks else None
-    figures = (
-        formation_figures(flight.tracks, flight.slots, flight.reference, flight.formation) if flight else None
-    )
+    figures = formation_figures(flight.tracks, flight.slots, flight.reference, flight.formation) if flight else None
     smallest_m = smallest_distance_m(tracks) if tracks else None
     summary = summarize(scenario, name, watch, figures, smallest_m, failure, flight_s, real_time_factor, source)
     write_json(folder / "summary.json", summary)
@@ -138,4 +136,6 @@ def _flight(scenario: Scenario, watch: FlightWatch, tracks: Tracks, source: Trac
     if watch.formation is None:
         return None
     pairs = neighbouring_pairs({member.id: member.slot_enu_m for member in scenario.fleet.vehicles})
-    return Flight(scenario.fleet.law.name, tracks, watch.slots(), pairs, reference_of(scenario), watch.formation, source)
+    return Flight(
+        scenario.fleet.law.name, tracks, watch.slots(), pairs, reference_of(scenario), watch.formation, source
+    )

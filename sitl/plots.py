@@ -6,7 +6,6 @@ Readable in grey: every vehicle and pair has a line style and a marker of its ow
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import dist
 from pathlib import Path
 from typing import Any
 

@@ -27,11 +27,15 @@ LONGEST_KEY = 200  # of --set
 
 
 class NamedFormation(Section, frozen=True, kw_only=True):
-    """Slots by the name of a shape; whose is which is chosen when it is commanded. `heading_deg` is 0 to the east, 90 north."""
+    """Slots by the name of a shape; whose is which is chosen when it is commanded. `heading_deg` is 0 to the east, 90 north.
+
+    `speed_m_s` is the fastest slot's, half way.
+    """
 
     shape: Literal["line", "column", "v", "diamond", "rectangle", "circle", "grid", "layers"]
     spacing_m: Annotated[float, Meta(gt=0, le=1000)]
     heading_deg: Annotated[float, Meta(ge=-360, le=360)] = 0.0
+    speed_m_s: Annotated[float, Meta(gt=0, le=50)] = 1.0
 
 
 class TimelineStep(Section, frozen=True, kw_only=True):

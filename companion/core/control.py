@@ -38,9 +38,11 @@ class FormationControl:
         self._hold_altitude_m = vehicle.position_enu_m[2]
 
     def in_formation(self, vehicle: VehicleState, around: Neighbourhood, slot: FlownSlot) -> Vector3:
-        """Eq. 14, or on z the vehicle's own altitude hold; m/s^2 in ENU."""
+        """Eq. 14 about a slot that may move, or on z the vehicle's own altitude hold; m/s^2 in ENU."""
         own = place(vehicle.position_enu_m, vehicle.velocity_enu_m_s, slot)
-        wanted = formation_acceleration(self._law, own, around.neighbours, self.reference(around))
+        x, y, z = formation_acceleration(self._law, own, around.neighbours, self.reference(around))
+        dx, dy, dz = slot.acceleration_enu_m_s2
+        wanted = (x + dx, y + dy, z + dz)
         if self._law_flies_altitude:
             self._hold_altitude_m = vehicle.position_enu_m[2]  # where a hand-over begins
             return wanted

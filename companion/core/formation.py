@@ -69,7 +69,7 @@ def cooperative() -> FormationLaw:
 
 
 class Place(Struct, frozen=True, gc=False):
-    """Where a vehicle is, seen from its slot: x - d_i0, its velocity less the slot's, and its last commanded acceleration.
+    """Where a vehicle is, seen from its slot: x - d_i0, its velocity and its last commanded acceleration, each less the slot's.
 
     In perfect formation all places equal the RFT.
     """
@@ -86,8 +86,9 @@ def place(
     acceleration_enu_m_s2: Vector3 = ZERO3,
 ) -> Place:
     (x, y, z), (vx, vy, vz) = position_enu_m, velocity_enu_m_s
+    (ax, ay, az), (dax, day, daz) = acceleration_enu_m_s2, slot.acceleration_enu_m_s2
     (dx, dy, dz), (dvx, dvy, dvz) = slot.position_enu_m, slot.velocity_enu_m_s
-    return Place((x - dx, y - dy, z - dz), (vx - dvx, vy - dvy, vz - dvz), acceleration_enu_m_s2)
+    return Place((x - dx, y - dy, z - dz), (vx - dvx, vy - dvy, vz - dvz), (ax - dax, ay - day, az - daz))
 
 
 def formation_error(

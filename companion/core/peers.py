@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from math import dist, hypot, isfinite
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from companion.types import (
     MAX_EPOCH,
@@ -56,7 +57,7 @@ class PeerState(Struct, frozen=True, gc=False):
         if slot.velocity_enu_m_s == ZERO3:
             return slot
         (x, y, z), (vx, vy, vz) = slot.position_enu_m, slot.velocity_enu_m_s
-        return FlownSlot((x + vx * age_s, y + vy * age_s, z + vz * age_s), slot.velocity_enu_m_s)
+        return replace(slot, position_enu_m=(x + vx * age_s, y + vy * age_s, z + vz * age_s))
 
 
 class PeerTable:
@@ -146,7 +147,9 @@ class PeerTable:
     def _is_plausible_slot(self, slot: FlownSlot) -> bool:
         x, y, z = slot.position_enu_m
         inside = abs(x) <= MAX_COORDINATE_M and abs(y) <= MAX_COORDINATE_M and abs(z) <= MAX_COORDINATE_M
-        return inside and hypot(*slot.velocity_enu_m_s) <= self._max_speed_m_s and 0 <= slot.formation <= slot.waiting
+        slow = hypot(*slot.velocity_enu_m_s) <= self._max_speed_m_s
+        gentle = hypot(*slot.acceleration_enu_m_s2) <= MAX_ACCELERATION_M_S2
+        return inside and slow and gentle and 0 <= slot.formation <= slot.waiting
 
     def _is_plausible(self, word: LeaderWord) -> bool:
         may_lead = self._may_lead.get(word.leader_id, False)

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from companion.core.transition import closest, fastest_m_s, slot_at
+from companion.core.transition import closest, fastest_m_s
+from companion.curves import between
 from companion.types import MAX_EPOCHS_AHEAD, FlownSlot, FormationChange, PeerPacket, Vector3
 
 LATEST_S = 60.0  # ahead of the fleet's time
@@ -57,11 +58,11 @@ class SlotPlan:
                 self.events.append(f"formation {self._flown.number} -> {waiting.number}")
                 self._take(waiting)
         flown, own_id = self._flown, self._own_id
-        position_enu_m, velocity_enu_m_s = slot_at(
+        motion = between(
             self._before_enu_m[own_id], self.slots_enu_m[own_id], reference_s - flown.begins_s, flown.lasts_s
         )
         number = self._waiting.number if self._waiting else flown.number
-        self.flown = FlownSlot(position_enu_m, velocity_enu_m_s, flown.number, number)
+        self.flown = FlownSlot(*motion, flown.number, number)
         return self.flown
 
     def landed(self) -> None:

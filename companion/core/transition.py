@@ -10,14 +10,8 @@ from collections.abc import Mapping
 from itertools import combinations
 from math import dist, hypot
 
-from companion.curves import PEAK_SPEED, between
+from companion.curves import PEAK_SPEED
 from companion.types import Vector3
-
-
-def slot_at(before_enu_m: Vector3, after_enu_m: Vector3, elapsed_s: float, lasts_s: float) -> tuple[Vector3, Vector3]:
-    """(slot [m], its velocity [m/s]), smoothly from one to the other; before and afterwards it stands."""
-    position_enu_m, velocity_enu_m_s, _ = between(before_enu_m, after_enu_m, elapsed_s, lasts_s)
-    return position_enu_m, velocity_enu_m_s
 
 
 def closest(before_enu_m: Mapping[int, Vector3], after_enu_m: Mapping[int, Vector3]) -> tuple[float, int, int]:

@@ -102,7 +102,9 @@ class FlownPlan:
             raise NoFormationError(f"{self.plan.subject}, {self.plan.law}, {self.plan.model}: {self.failure}")
         slots_enu_m = {member.id: member.slot_enu_m for member in self.scenario.fleet.vehicles}
         pairs = neighbouring_pairs(slots_enu_m)
-        return Flight(self.plan.law, self.tracks, standing(slots_enu_m), pairs, reference_of(self.scenario), self.formation)
+        return Flight(
+            self.plan.law, self.tracks, standing(slots_enu_m), pairs, reference_of(self.scenario), self.formation
+        )
 
 
 def paper_plans(full: bool) -> list[Plan]:

@@ -13,7 +13,7 @@ from msgspec.structs import replace
 
 from companion.core.shapes import SHAPES, slots_of
 from companion.core.slot_plan import SlotPlan
-from companion.core.transition import closest, fastest_m_s, slot_at
+from companion.core.transition import closest, fastest_m_s
 from companion.curves import Motion, between, circle, duration_s, way
 from companion.ground.formations import assigned
 from companion.types import (
@@ -85,7 +85,7 @@ points = st.tuples(coordinates, coordinates, coordinates)
 @given(points, points, points, points)
 def test_the_closest_approach_is_what_is_flown(a0: Vector3, a1: Vector3, b0: Vector3, b1: Vector3) -> None:
     least_m, i, j = closest({1: a0, 2: b0}, {1: a1, 2: b1})
-    flown_m = [dist(slot_at(a0, a1, t, 10.0)[0], slot_at(b0, b1, t, 10.0)[0]) for t in np.linspace(0, 10, 400).tolist()]
+    flown_m = [dist(between(a0, a1, t, 10.0)[0], between(b0, b1, t, 10.0)[0]) for t in np.linspace(0, 10, 400).tolist()]
     assert (i, j) == (1, 2)
     assert least_m <= min(flown_m) + 1e-9
     assert min(flown_m) <= least_m + 0.5  # between two samples
