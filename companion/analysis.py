@@ -20,7 +20,7 @@ from companion.assembly import law_of
 from companion.config.fleet import EdgeNeighbours, FleetConfig, check_fleet, check_starts
 from companion.config.kind import kind_of_file, read_as
 from companion.config.law import LawName
-from companion.config.reference import Figure8Reference, Reference, check_reference
+from companion.config.reference import Reference, check_reference, moves
 from companion.config.values import PositionM, Section, VehicleId
 from companion.config_file import convert
 from companion.core.delay_margin import delay_margin_with_lag_s
@@ -157,7 +157,7 @@ def load_subject(path: Path) -> Subject:
         fleet=part.fleet,
         starts_enu_m=starts,
         reference_enu_m=reference,
-        reference_moves=isinstance(part.reference, Figure8Reference),
+        reference_moves=part.reference is not None and moves(part.reference),
         not_read=[section for section in NOT_READ if section in data],
     )
 

@@ -8,7 +8,7 @@ from typing import TypeVar
 
 from companion.config.fleet import EdgeNeighbours, Envelope, FleetConfig
 from companion.config.law import Law, LawName
-from companion.config.reference import PointReference, Reference
+from companion.config.reference import Reference
 from companion.config.vehicle import AgentConfig
 from companion.core import formation
 from companion.core.agent import Agent, AgentSetup
@@ -23,7 +23,7 @@ from companion.core.leader_word import LeaderWatch
 from companion.core.leadership import Leadership
 from companion.core.neighbours import EdgeRule, NeighbourRule, RangeRule
 from companion.core.peers import PeerTable
-from companion.core.reference import ReferenceTrajectory, figure_8, point
+from companion.core.reference import ReferenceTrajectory, along
 from companion.core.setpoint_stream import SetpointStream
 from companion.core.slot_plan import SlotPlan
 from companion.core.vehicle_state import VehicleTracker
@@ -91,10 +91,8 @@ def _control(config: AgentConfig) -> FormationControl:
 
 
 def trajectory_of(reference: Reference) -> ReferenceTrajectory:
-    """The RFT that a file describes."""
-    if isinstance(reference, PointReference):
-        return point(reference.point_enu_m)
-    return figure_8(reference.centre_enu_m, reference.width_m, reference.height_m, reference.period_s, reference.ramp_s)
+    """The RFT that a file describes; of one that follows a target, as long as none is heard."""
+    return along(reference.curve())
 
 
 def law_of(law: Law) -> FormationLaw:

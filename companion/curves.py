@@ -11,6 +11,8 @@ from companion.types import ZERO3, Vector3
 
 Motion = tuple[Vector3, Vector3, Vector3]
 """Position [m], velocity [m/s], acceleration [m/s^2]."""
+Curve = Callable[[float], Motion]
+"""Takes seconds since its beginning; before that it stands where it begins."""
 
 PEAK_SPEED = 1.875  # of `share`, in ways a duration
 PEAK_ACCELERATION = 10.0 / sqrt(3.0)  # in ways a duration squared
@@ -44,9 +46,33 @@ def circle(time_s: float, radius_m: float, period_s: float, ramp_s: float) -> Mo
     )
 
 
-def way(
-    points_m: Sequence[Vector3], wait_s: float, max_speed_m_s: float, max_acceleration_m_s2: float
-) -> Callable[[float], Motion]:
+def about(centre: Vector3, curve: Curve) -> Curve:
+    """The same curve elsewhere."""
+    cx, cy, cz = centre
+
+    def at(time_s: float) -> Motion:
+        (x, y, z), velocity, acceleration = curve(time_s)
+        return (cx + x, cy + y, cz + z), velocity, acceleration
+
+    return at
+
+
+def dying_out(begin: Motion, lasts_s: float) -> Curve:
+    """From this motion to rest in the origin within `lasts_s`, by the quintic that has both ends in all three."""
+    axes = [_quintic(p, v * lasts_s, a * lasts_s**2) for p, v, a in zip(*begin, strict=True)]
+
+    def at(time_s: float) -> Motion:
+        if time_s >= lasts_s:
+            return ZERO3, ZERO3, ZERO3
+        u = max(time_s, 0.0) / lasts_s
+        (x, dx, ddx), (y, dy, ddy), (z, dz, ddz) = [_polynomial(axis, u) for axis in axes]
+        rate, rate2 = 1.0 / lasts_s, 1.0 / lasts_s**2
+        return (x, y, z), (dx * rate, dy * rate, dz * rate), (ddx * rate2, ddy * rate2, ddz * rate2)
+
+    return at
+
+
+def way(points_m: Sequence[Vector3], wait_s: float, max_speed_m_s: float, max_acceleration_m_s2: float) -> Curve:
     """Straight from point to point within both limits; at each it stops and waits, and at the last it stays."""
     legs = list(pairwise(points_m))
     lasts_s = [duration_s(dist(a, b), max_speed_m_s, max_acceleration_m_s2) for a, b in legs]
@@ -83,6 +109,31 @@ def between(before: Vector3, after: Vector3, elapsed_s: float, lasts_s: float) -
         (x + share * dx, y + share * dy, z + share * dz),
         (rate * dx, rate * dy, rate * dz),
         (rate_change * dx, rate_change * dy, rate_change * dz),
+    )
+
+
+Coefficients = tuple[float, float, float, float, float, float]
+
+
+def _quintic(p: float, v: float, a: float) -> Coefficients:
+    """Of 1, u, ..., u^5: position p, velocity v and acceleration a at u = 0, all zero at u = 1."""
+    return (
+        p,
+        v,
+        a / 2.0,
+        -10.0 * p - 6.0 * v - 1.5 * a,
+        15.0 * p + 8.0 * v + 1.5 * a,
+        -6.0 * p - 3.0 * v - 0.5 * a,
+    )
+
+
+def _polynomial(coefficients: Coefficients, u: float) -> Vector3:
+    """It and its first and second derivative."""
+    c0, c1, c2, c3, c4, c5 = coefficients
+    return (
+        c0 + u * (c1 + u * (c2 + u * (c3 + u * (c4 + u * c5)))),
+        c1 + u * (2.0 * c2 + u * (3.0 * c3 + u * (4.0 * c4 + u * 5.0 * c5))),
+        2.0 * c2 + u * (6.0 * c3 + u * (12.0 * c4 + u * 20.0 * c5)),
     )
 
 

@@ -91,7 +91,7 @@ RING = SCENARIOS / "ring_figure_8.yaml"
         ("reference.period_s=5", "reference.period_s: 5 s with ramp_s 8 asks for"),
         ("reference.width_m=0", "reference.width_m: 0: expected float > 0.0"),
         ("reference.hight_m=3", 'reference.hight_m: unknown key; did you mean "height_m"?'),
-        ("reference.kind=circle", "reference.kind"),
+        ("reference.kind=ring", "reference.kind"),
     ],
 )
 def test_a_figure_8_or_a_change_of_the_lead_that_cannot_be_flown(override: str, words: str) -> None:
