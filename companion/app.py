@@ -156,7 +156,8 @@ class ControlLoop:
 
     def _inbox(self, now_s: float) -> Inbox:
         peers, commands = self._peers.receive(now_s)
-        return Inbox(self._autopilot.drain(), peers, commands, stopping=self._stop_asked_s is not None)
+        targets = self._peers.targets(now_s)
+        return Inbox(self._autopilot.drain(), peers, commands, self._stop_asked_s is not None, targets)
 
     def _send(self, now_s: float, telemetry: Sequence[Telemetry], outbox: Outbox) -> None:
         """The setpoint first: a publication costs the caller up to a tenth of a millisecond."""

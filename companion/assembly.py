@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from math import radians
-from typing import TypeVar
+from pathlib import Path
+from typing import Any, TypeVar
 
 from companion.config.fleet import EdgeNeighbours, Envelope, FleetConfig
 from companion.config.law import Law, LawName
-from companion.config.reference import Reference
+from companion.config.reference import Reference, TargetReference, check_reference, most_acceleration_m_s2
+from companion.config.values import Section
 from companion.config.vehicle import AgentConfig
+from companion.config_file import ConfigError, convert
 from companion.core import formation
 from companion.core.agent import Agent, AgentSetup
 from companion.core.control import FormationControl
@@ -18,16 +21,19 @@ from companion.core.disturbance import DisturbanceObserver
 from companion.core.envelope import EnvelopeLimits
 from companion.core.fleet_checks import FleetChecks
 from companion.core.formation import FormationLaw, Gains
+from companion.core.hand_over import HandOverLimits
 from companion.core.health import AgeLimits
 from companion.core.leader_word import LeaderWatch
 from companion.core.leadership import Leadership
 from companion.core.neighbours import EdgeRule, NeighbourRule, RangeRule
 from companion.core.peers import PeerTable
+from companion.core.pursuit import PursuitLimits
 from companion.core.reference import ReferenceTrajectory, along
+from companion.core.reference_plan import LiveReference, ReferencePlan, Rft
 from companion.core.setpoint_stream import SetpointStream
 from companion.core.slot_plan import SlotPlan
 from companion.core.vehicle_state import VehicleTracker
-from companion.types import Role
+from companion.types import Role, Vector3
 
 Value = TypeVar("Value")
 LAWS: dict[LawName, Callable[[], FormationLaw]] = {
@@ -36,6 +42,13 @@ LAWS: dict[LawName, Callable[[], FormationLaw]] = {
     "average_22": formation.average_22,
     "average_26": formation.average_26,
 }
+
+
+COMMANDED = Path("command")  # stands where errors name a file
+
+
+class _Commanded(Section, frozen=True):
+    reference: Reference
 
 
 def build_agent(config: AgentConfig, session: int) -> Agent:
@@ -86,7 +99,42 @@ def _control(config: AgentConfig) -> FormationControl:
         law=law_of(law),
         law_flies_altitude=law.altitude == "formation",
         altitude_hold_gains=Gains(law.altitude_hold_gains.position_1_s2, law.altitude_hold_gains.velocity_1_s),
-        reference=trajectory_of(reference) if reference else None,
+        references=_references(config.fleet, reference) if reference else None,
+    )
+
+
+def _references(fleet: FleetConfig, first: Reference) -> ReferencePlan:
+    limits = HandOverLimits(
+        added_speed_m_s=fleet.hand_over_speed_m_s,
+        added_acceleration_m_s2=fleet.hand_over_acceleration_m_s2,
+        speed_m_s=fleet.peers.max_speed_m_s,
+        acceleration_m_s2=most_acceleration_m_s2(fleet.envelope),
+        fence=(fleet.envelope.fence_min_enu_m, fleet.envelope.fence_max_enu_m),
+    )
+
+    def read(described: dict[str, Any], slots_enu_m: Mapping[int, Vector3]) -> Rft:
+        """A command's reference goes through what a file's goes through."""
+        try:
+            reference = convert(COMMANDED, {"reference": described}, _Commanded).reference
+            check_reference(COMMANDED, fleet, reference, slots_enu_m=slots_enu_m)
+        except ConfigError as error:
+            raise ValueError(str(error)) from error
+        return rft_of(reference)
+
+    return ReferencePlan(rft_of(first), read, limits)
+
+
+def rft_of(reference: Reference) -> Rft:
+    """As it is flown."""
+    if not isinstance(reference, TargetReference):
+        return trajectory_of(reference)
+    return LiveReference(
+        start_enu_m=reference.start_enu_m,
+        name=reference.name,
+        offset_enu_m=reference.offset_enu_m,
+        follows_altitude=reference.follows_altitude,
+        max_age_s=reference.max_age_s,
+        limits=PursuitLimits(reference.max_speed_m_s, reference.max_acceleration_m_s2),
     )
 
 

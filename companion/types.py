@@ -11,6 +11,7 @@ anything that could hold it, so the collector need not look for cycles (gc=False
 from __future__ import annotations
 
 from enum import IntEnum, StrEnum
+from typing import Any
 
 from msgspec import Struct
 
@@ -312,6 +313,13 @@ class FlownSlot(Struct, frozen=True, gc=False):
     waiting: int = 0
 
 
+class HeldReference(Struct, frozen=True, gc=False):
+    """Which RFT a vehicle that may lead holds: `flown` counts those commanded, the file's is 0; `waiting` is to come."""
+
+    flown: int = 0
+    waiting: int = 0  # the same where none is to come
+
+
 class PeerPacket(Struct, frozen=True, gc=False):
     """What a vehicle tells its peers at every tick.
 
@@ -333,11 +341,31 @@ class PeerPacket(Struct, frozen=True, gc=False):
     leader_word: LeaderWord | None
     slot: FlownSlot
     position_error: PositionError | None = None  # None where the estimator does not tell
+    reference: HeldReference | None = None  # None where it may not lead
 
 
 class ReceivedPeerPacket(Struct, frozen=True, gc=False):
     received_s: float
     packet: PeerPacket
+
+
+class TargetSample(Struct, frozen=True, gc=False):
+    """What something to be followed tells of itself, in the fleet frame; without a position (a joystick) its velocity alone.
+
+    `sent_s` is of the sender's own monotonic clock; `session` tells a restart (sequence back to 0) from a replay.
+    """
+
+    session: int
+    sequence: int
+    sent_s: float
+    position_enu_m: Vector3 | None
+    velocity_enu_m_s: Vector3
+
+
+class ReceivedTarget(Struct, frozen=True, gc=False):
+    received_s: float
+    name: str
+    sample: TargetSample
 
 
 class CommandName(StrEnum):
@@ -352,6 +380,7 @@ class CommandName(StrEnum):
     DISARM = "disarm"
     LEAD = "lead"
     FORMATION = "formation"
+    REFERENCE = "reference"
 
 
 MAX_EPOCH = 2**31 - 1
@@ -374,13 +403,31 @@ class FormationChange(Struct, frozen=True, gc=False, tag=True):
     lasts_s: float
 
 
+class ReferenceChange(Struct, frozen=True, gc=False, tag=True):
+    """Another RFT for those that may lead, from `begins_s` of the fleet's time on, when its own time begins.
+
+    `reference` is what the section `reference` of a file holds.
+    """
+
+    number: int
+    reference: dict[str, Any]
+    begins_s: float
+
+
+Content = Lead | FormationChange | ReferenceChange
+
+
 class Command(Struct, frozen=True, gc=False):
     name: CommandName
     number: int  # the sender's own count, echoed in the reply
-    content: Lead | FormationChange | None = None  # what CONTENT says, of this name
+    content: Content | None = None  # what CONTENT says, of this name
 
 
-CONTENT: dict[CommandName, type] = {CommandName.LEAD: Lead, CommandName.FORMATION: FormationChange}
+CONTENT: dict[CommandName, type] = {
+    CommandName.LEAD: Lead,
+    CommandName.FORMATION: FormationChange,
+    CommandName.REFERENCE: ReferenceChange,
+}
 
 
 class CommandReply(Struct, frozen=True, gc=False):
@@ -441,6 +488,8 @@ class Status(Struct, frozen=True, gc=False):
     flags: tuple[HealthFlag, ...]
     rejected: dict[str, int]  # counted rejections by reason
     last_event: str
+    reference: HeldReference | None = None  # None where it may not lead
+    target_age_s: float | None = None  # of the target that the RFT follows; None where there is none, or none is heard
     lacks: tuple[str, ...] = ()  # while it is disarmed: what, besides its flags, forbids a flight in formation
 
 
@@ -451,6 +500,7 @@ class Inbox(Struct, frozen=True, gc=False):
     peers: tuple[ReceivedPeerPacket, ...] = ()
     commands: tuple[Command, ...] = ()
     stopping: bool = False
+    targets: tuple[ReceivedTarget, ...] = ()
 
 
 class Outbox(Struct, frozen=True, gc=False):

@@ -10,9 +10,12 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Protocol
 
+import msgspec
+
 from companion.core.phase import ON_GROUND, RULES
 from companion.ground.formations import assigned, change_to, named_slots
-from companion.types import CommandName, CommandReply, FlightPhase, FormationChange, LandedState, Lead, Role, Status
+from companion.ground.references import reference_change
+from companion.types import CommandName, CommandReply, Content, FlightPhase, LandedState, Lead, Role, Status
 from companion.wire.ground import StatusReport
 from sitl.progress import Progress
 from sitl.readiness import READY_WITHIN_S, Readiness, somebody_flies
@@ -45,7 +48,7 @@ class Session(Protocol):
         vehicle_ids: Iterable[int],
         name: CommandName,
         timeout_s: float,
-        content: Lead | FormationChange | None = None,
+        content: Content | None = None,
     ) -> dict[int, CommandReply | None]:
         """Give one command to these vehicles and wait for their answers; None where none came in time."""
 
@@ -130,6 +133,8 @@ class Director:
                     _LeadOrder(self._session, self._watch, step, self._clock).carry_out(self._pass)
                 elif step.command is CommandName.FORMATION:
                     _FormationOrder(self._session, self._watch, step, self._clock).carry_out(self._pass)
+                elif step.command is CommandName.REFERENCE:
+                    _ReferenceOrder(self._session, self._watch, step, self._clock).carry_out(self._pass)
                 else:
                     # The command that follows a formation ends it, so the time is taken before it is given.
                     self._watch.end_formation(self._clock.now_s())
@@ -333,6 +338,29 @@ class _FormationOrder(_Order):
 
     def _why_not_done(self, status: Status) -> str:
         return f"formation {status.slot.formation}, expected {self._change.number}"
+
+
+class _ReferenceOrder(_Order):
+    """Another RFT, for those that may lead, from the same time of the fleet's on; it changes no phase."""
+
+    def __init__(self, session: Session, watch: FlightWatch, step: TimelineStep, clock: Clock) -> None:
+        super().__init__(session, watch, step, clock)
+        statuses = [status for i in watch.vehicle_ids if (status := watch.status(i))]
+        self._change = reference_change(msgspec.to_builtins(step.reference), statuses)
+
+    def _give(self, vehicle_ids: Collection[int]) -> dict[int, CommandReply | None]:
+        return self._session.command(vehicle_ids, CommandName.REFERENCE, REPLY_WITHIN_S, self._change)
+
+    def _done(self, vehicle_id: int) -> bool:
+        """It has begun, where anything is known of it."""
+        status = self._watch.status(vehicle_id)
+        return status is not None and (status.reference is None or status.reference.flown == self._change.number)
+
+    def _look_for_falling_back(self, vehicle_id: int, now_s: float) -> None:
+        """What else a vehicle does is seen while the step's time goes by."""
+
+    def _why_not_done(self, status: Status) -> str:
+        return _last(status)
 
 
 def _way_down(status: Status) -> CommandName | None:

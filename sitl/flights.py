@@ -8,7 +8,9 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
+from companion.config.reference import TargetReference
 from companion.config_file import ConfigError
+from companion.core.reference import ReferenceTrajectory
 from companion.types import CommandName
 from sitl.compare import compare, in_a_table, with_law, write_comparison
 from sitl.ending import EXIT_DONE, EXIT_FAILED
@@ -132,10 +134,16 @@ def write_results(
     return Result(summary, flight)
 
 
+def reference_flown(scenario: Scenario, watch: FlightWatch) -> ReferenceTrajectory:
+    """The scenario's own, where nothing else could come of it."""
+    changes = any(step.command is CommandName.REFERENCE for step in scenario.timeline)
+    told = changes or isinstance(scenario.reference, TargetReference)
+    return watch.told_reference() if told and len(watch.reference) > 1 else reference_of(scenario)
+
+
 def _flight(scenario: Scenario, watch: FlightWatch, tracks: Tracks, source: TrackSource) -> Flight | None:
     if watch.formation is None:
         return None
     pairs = neighbouring_pairs({member.id: member.slot_enu_m for member in scenario.fleet.vehicles})
-    return Flight(
-        scenario.fleet.law.name, tracks, watch.slots(), pairs, reference_of(scenario), watch.formation, source
-    )
+    reference = reference_flown(scenario, watch)
+    return Flight(scenario.fleet.law.name, tracks, watch.slots(), pairs, reference, watch.formation, source)

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from companion.assembly import build_agent
 from companion.config.vehicle import AgentConfig
 from companion.core.agent import Agent
-from companion.types import Command, CommandName, CommandReply, FormationChange, Inbox, Lead
+from companion.types import Command, CommandName, CommandReply, Content, Inbox, ReceivedTarget, TargetSample
 from companion.wire.ground import Percentiles, StatusReport, Timing
 from sitl.autopilot import DT_S
 from sitl.fleet import autopilot_file, ids_of, reached_stand_in, vehicle_file
@@ -58,7 +58,7 @@ class Lockstep:
         vehicle_ids: Iterable[int],
         name: CommandName,
         timeout_s: float,
-        content: Lead | FormationChange | None = None,
+        content: Content | None = None,
     ) -> dict[int, CommandReply | None]:
         """Give one command to these vehicles and let the world go on until all have answered."""
         self._commands_given += 1
@@ -70,6 +70,11 @@ class Lockstep:
         while self.now_s() < deadline_s and any(vehicle.reply_to(command) is None for vehicle in asked):
             self._step()
         return {vehicle.vehicle_id: vehicle.reply_to(command) for vehicle in asked}
+
+    def tell_of_target(self, name: str, target: TargetSample) -> None:
+        """To all vehicles, at once."""
+        for vehicle in self._in_order:
+            vehicle.hear(name, target)
 
     def _step(self) -> None:
         self._world.step()
@@ -90,17 +95,27 @@ class Vehicle:
         self._reports = reports
         self._agent = _agent(scenario, self.vehicle_id)
         self._commands: tuple[Command, ...] = ()
+        self._targets: tuple[tuple[str, TargetSample], ...] = ()
         self._reply: CommandReply | None = None  # the last
 
     def give(self, command: Command) -> None:
         self._commands += (command,)
 
+    def hear(self, name: str, target: TargetSample) -> None:
+        """What something to be followed tells of itself, for the next tick."""
+        self._targets += ((name, target),)
+
     def reply_to(self, command: Command) -> CommandReply | None:
         return self._reply if self._reply and self._reply.number == command.number else None
 
     def tick(self, now_s: float) -> None:
-        inbox = Inbox(self.link.drain(now_s), self._network.receive(self.vehicle_id, now_s), self._commands)
-        self._commands = ()
+        inbox = Inbox(
+            self.link.drain(now_s),
+            self._network.receive(self.vehicle_id, now_s),
+            self._commands,
+            targets=tuple(ReceivedTarget(now_s, name, target) for name, target in self._targets),
+        )
+        self._commands, self._targets = (), ()
         outbox = self._agent.step(now_s, inbox)
         if outbox.attitude_target:
             self.link.command(outbox.attitude_target, now_s)

@@ -41,12 +41,14 @@ class NamedFormation(Section, frozen=True, kw_only=True):
 class TimelineStep(Section, frozen=True, kw_only=True):
     """Give a command to every vehicle, wait until all have done it, then stay so for `for_s`.
 
-    `leaders` goes with `command: lead`: who leads from then on. `formation` goes with `command: formation`.
+    `leaders` goes with `command: lead`: who leads from then on. `formation` goes with `command: formation`, `reference` with
+    `command: reference`.
     """
 
     command: CommandName
     leaders: tuple[VehicleId, ...] = ()
     formation: NamedFormation | None = None
+    reference: Reference | None = None
     for_s: Annotated[float, Meta(ge=0, le=3600)] = 0.0
     timeout_s: Annotated[float, Meta(gt=0, le=600)] = 30.0
 
@@ -113,6 +115,10 @@ def scenario_from(path: Path, data: object) -> Scenario:
         _check_leaders(path, f"timeline[{index}].leaders", step, scenario.fleet)
         if (step.command is CommandName.FORMATION) is (step.formation is None):
             raise ConfigError(path, f"timeline[{index}].formation", "goes with command: formation, and with no other")
+        if (step.command is CommandName.REFERENCE) is (step.reference is None):
+            raise ConfigError(path, f"timeline[{index}].reference", "goes with command: reference, and with no other")
+        if step.reference is not None:
+            check_reference(path, scenario.fleet, step.reference, where=f"timeline[{index}].")
     return scenario
 
 

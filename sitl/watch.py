@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Collection, Mapping
 
 from msgspec import Struct
 
+from companion.core.formation import Place
+from companion.core.reference import ReferenceTrajectory
 from companion.ground.fleet_status import FleetState, VehicleRow, fold, rows
-from companion.types import FlightPhase, Role, Status, Vector3
+from companion.types import ZERO3, FlightPhase, Role, Status, Vector3
 from companion.wire.ground import StatusReport, Timing
 from sitl.metrics import Formation
 from sitl.tracks import Track, told_track
@@ -56,6 +59,7 @@ class FlightWatch:
         # Of each vehicle: when it was where, by its own estimate. From its being armed on, later ones last.
         self.told: dict[int, list[tuple[float, Vector3]]] = {vehicle_id: [] for vehicle_id in self.vehicle_ids}
         self._slots: dict[int, list[tuple[float, Vector3]]] = {vehicle_id: [] for vehicle_id in self.vehicle_ids}
+        self.reference: list[tuple[float, Vector3]] = []  # r as leaders flew it, by the fleet's time
         self._leader_ids = set(leader_ids)
         self._drawn: dict[int, TopologyChange] = {}  # the last of every vehicle
         self._entered_s: dict[int, float] = {}
@@ -105,12 +109,29 @@ class FlightWatch:
         """Each vehicle's slot d_i0 over time, as it said itself."""
         return {i: told_track(i, told) for i, told in self._slots.items()}
 
+    def told_reference(self) -> ReferenceTrajectory:
+        """The RFT as it was flown, where commands changed it or a target led it: straight between what leaders said."""
+        times_s = [time_s for time_s, _ in self.reference]
+
+        def trajectory(reference_s: float) -> Place:
+            index = min(max(bisect_right(times_s, reference_s), 1), len(times_s) - 1)
+            (a_s, a), (b_s, b) = self.reference[index - 1], self.reference[index]
+            share = min(max((reference_s - a_s) / (b_s - a_s), 0.0), 1.0)
+            x, y, z = (p + share * (q - p) for p, q in zip(a, b, strict=True))
+            return Place((x, y, z), ZERO3)
+
+        return trajectory
+
     def _follow_reference(self, status: Status) -> None:
         """From one formation to the next it goes on, from one flight to the next it does not."""
         if not status.armed:
             self._flown_s = 0.0
         elif status.role is Role.LEADER and status.leader_word and status.leader_word.reference_s > 0.0:
             self._flown_s = status.leader_word.reference_s
+            if status.reference_enu_m is not None:
+                while self.reference and self.reference[-1][0] >= self._flown_s:
+                    self.reference.pop()  # of a flight before, or the last leader's last word
+                self.reference.append((self._flown_s, status.reference_enu_m))
 
     def _follow_topology(self, status: Status, now_s: float) -> None:
         vehicle_id, last = status.vehicle_id, self._drawn.get(status.vehicle_id)

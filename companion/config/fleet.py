@@ -90,7 +90,8 @@ class FleetConfig(Section, frozen=True):
     zero: at the origin's altitude (indoors the shared frame's zero), or, with `takeoff`, where each vehicle stood when it
     was armed, for fleets that start from level ground. Only vehicles that stand within `ground_spread_m` of each other in
     altitude take off. No formation that is commanded in flight brings slots nearer than `separation_m`, also on the way to it,
-    and on that way they move at `slot_speed_m_s` at most.
+    and on that way they move at `slot_speed_m_s` at most. A hand-over from one reference to another in flight adds no more than
+    `hand_over_speed_m_s` and `hand_over_acceleration_m_s2` to what both ask for.
     """
 
     name: Annotated[str, Meta(pattern=FLEET_NAME, description=FLEET_NAME_WORDS)]
@@ -102,6 +103,8 @@ class FleetConfig(Section, frozen=True):
     law: Law = Law()
     separation_m: Annotated[float, Meta(gt=0, le=1000)] = 1.0
     slot_speed_m_s: Annotated[float, Meta(gt=0, le=50)] = 1.0
+    hand_over_speed_m_s: Annotated[float, Meta(gt=0, le=50)] = 2.0
+    hand_over_acceleration_m_s2: Annotated[float, Meta(gt=0, le=20)] = 1.0
     takeoff_height_m: Annotated[float, Meta(ge=0.5, le=120)] = 2.5
     peers: PeerLimits = PeerLimits()
     envelope: Envelope = Envelope()

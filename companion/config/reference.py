@@ -1,4 +1,4 @@
-"""A `reference` of a vehicle file, a scenario or a command: where the RFT leads. What it asks for is checked before it is flown."""
+"""A `reference` of a vehicle file, a scenario or a command: where the RFT leads, and whether that can be flown."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class Figure8Reference(Section, frozen=True, tag_field="kind", tag="figure_8"):
 
 
 class CircleReference(Section, frozen=True, tag_field="kind", tag="circle"):
-    """RFT on a level circle, counterclockwise, that begins in the east with zero speed; `period_s` and `ramp_s` as in figure_8."""
+    """RFT on a level circle, counterclockwise, that begins in the east with zero speed; its pace is given as that of an 8."""
 
     centre_enu_m: PositionM
     radius_m: Annotated[float, Meta(gt=0, le=1000)]
@@ -178,7 +178,7 @@ def check_reference(
 ) -> None:
     """Every vehicle's place r + d_i0 lies inside the fence all along, and the fleet can fly it. Raises ConfigError.
 
-    `slots_enu_m` are those of the formation flown, where it is not the fleet file's; `where` the section that holds the reference.
+    `slots_enu_m` are those of the formation flown, where it is not the fleet file's; `where` its section's section.
     """
     slots = slots_enu_m or {member.id: member.slot_enu_m for member in fleet.vehicles}
     _check_places(file, f"{where}reference", fleet.envelope, reference, slots)

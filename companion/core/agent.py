@@ -12,6 +12,7 @@ from companion.core.envelope import EnvelopeLimits
 from companion.core.failsafe import failsafe_action
 from companion.core.fleet_checks import FleetChecks
 from companion.core.flight_manners import manners_of
+from companion.core.formation import place
 from companion.core.health import AgeLimits, health_flags
 from companion.core.phase import RULES, PhaseMachine
 from companion.core.preflight import Preflight
@@ -19,6 +20,7 @@ from companion.core.setpoint_stream import SetpointStream
 from companion.core.slot_plan import SlotPlan
 from companion.core.vehicle_state import VehicleTracker
 from companion.types import (
+    CONTENT,
     ZERO3,
     AttitudeTarget,
     AutopilotMode,
@@ -36,12 +38,13 @@ from companion.types import (
     Lead,
     Outbox,
     PeerPacket,
+    ReferenceChange,
     RequestOrigin,
     Status,
     VehicleState,
 )
 
-WITHOUT_PHASE = frozenset({CommandName.LEAD, CommandName.FORMATION})  # they change no phase
+WITHOUT_PHASE = frozenset(CONTENT)  # they change no phase
 HAND_OVER_S = 2.0  # at the end: how long the autopilot may take to go into its own hold
 SILENT_TOO_LONG_S = 0.5  # less than COM_OF_LOSS_T: PX4 re-enters OFFBOARD by itself when a stream returns
 MODE_SURE_S = 0.2  # so old may the mode be where the agent, seeing nothing else, still asks for another
@@ -87,6 +90,7 @@ class Agent:
         self._control = control
         self._setpoints = setpoints
         self._slots = slots
+        self._references = control.references
         self._observer = setpoints.observer
         self._machine = PhaseMachine(setup.takeoff_height_m)
         self._preflight = Preflight(self._observer)
@@ -103,6 +107,7 @@ class Agent:
             self._cooperation.leadership.events,
             self._machine.events,
             self._slots.events,
+            self._references.events if self._references else [],
             self._warnings,
         )
 
@@ -129,7 +134,7 @@ class Agent:
         commands = [command for command in inbox.commands if command.name not in WITHOUT_PHASE]
         # A new role comes before all that it decides: one tick, its packet included, is of one role.
         replies = tuple(
-            [self._change_lead(c, c.content, vehicle) for c in inbox.commands if isinstance(c.content, Lead)]
+            [self._change_lead(now_s, c, c.content, vehicle) for c in inbox.commands if isinstance(c.content, Lead)]
         )
         if not vehicle.armed:
             self._cooperation.landed()
@@ -138,7 +143,12 @@ class Agent:
         for command in inbox.commands:
             if isinstance(command.content, FormationChange):
                 replies += (self._change_formation(command, command.content, around),)
+            elif isinstance(command.content, ReferenceChange):
+                replies += (self._change_reference(command, command.content, vehicle, around),)
         slot = self._slots.update(around.reference_s, around.flying)
+        if self._references:
+            self._references.follow_arming(vehicle.armed)
+            self._references.update(now_s, around.reference_s, self._slots.slots_enu_m, around.flying, inbox.targets)
         flags = health_flags(now_s, vehicle, around.leader_word, self._setup.ages, self._setup.envelope)
         action = failsafe_action(flags)
         self._observe_disturbance(now_s, vehicle, action)
@@ -207,8 +217,10 @@ class Agent:
             return vehicle.velocity_enu_m_s[2] > CLIMBS_M_S
         return self.phase in FLYING_FREELY
 
-    def _change_lead(self, command: Command, lead: Lead, vehicle: VehicleState) -> CommandReply:
+    def _change_lead(self, now_s: float, command: Command, lead: Lead, vehicle: VehicleState) -> CommandReply:
         refusal = self._machine.refusal_of_lead(vehicle)
+        if not refusal and self._references and self._setup.vehicle_id in lead.leaders:
+            refusal = self._references.missing([p.packet for p in self._cooperation.peers.fresh(now_s).values()])
         accepted, reason = (False, refusal) if refusal else self._cooperation.leadership.obey(lead)
         return CommandReply(self._setup.vehicle_id, command.number, accepted, reason)
 
@@ -216,6 +228,17 @@ class Agent:
         in_formation = [other for other in around.flying if other.phase is FlightPhase.FORMATION]
         alone = self._machine.phase is not FlightPhase.FORMATION
         accepted, reason = self._slots.obey(change, around.reference_s, in_formation if alone else ())
+        return CommandReply(self._setup.vehicle_id, command.number, accepted, reason)
+
+    def _change_reference(
+        self, command: Command, change: ReferenceChange, vehicle: VehicleState, around: Neighbourhood
+    ) -> CommandReply:
+        accepted, reason = False, "reference: this vehicle may not lead, and knows of none"
+        if self._references:
+            here = place(vehicle.position_enu_m, vehicle.velocity_enu_m_s, self._slots.flown).position_enu_m
+            accepted, reason = self._references.obey(
+                change, around.reference_s, self._slots.slots_enu_m, around.flying, here
+            )
         return CommandReply(self._setup.vehicle_id, command.number, accepted, reason)
 
     def _obey(
@@ -325,6 +348,7 @@ class Agent:
             leader_word=around.leader_word,
             slot=self._slots.flown,
             position_error=vehicle.position_error,
+            reference=self._references.held if self._references else None,
         )
 
     def _status_due(self, now_s: float, events: tuple[str, ...]) -> bool:
@@ -363,9 +387,15 @@ class Agent:
             reference_enu_m=reference.position_enu_m if reference else None,
             flags=tuple(sorted(flags)),
             rejected=dict(
-                self._refused + self._setpoints.rejected + self._tracker.rejected + self._cooperation.peers.rejected
+                self._refused
+                + self._setpoints.rejected
+                + self._tracker.rejected
+                + self._cooperation.peers.rejected
+                + Counter(self._references.rejected if self._references else ())
             ),
             last_event=self._last_event,
+            reference=self._references.held if self._references else None,
+            target_age_s=self._references.target_age_s if self._references else None,
             lacks=() if vehicle.armed else self._preflight.lacks(),
         )
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from companion.core.cooperation import Neighbourhood
 from companion.core.formation import FormationLaw, Gains, Place, feedback, formation_acceleration, place
-from companion.core.reference import ReferenceTrajectory
+from companion.core.reference_plan import ReferencePlan
 from companion.types import FlownSlot, Role, Vector3, VehicleState
 
 
 class FormationControl:
     """One vehicle's. Where `law_flies_altitude` is False it holds its own altitude, the one it came into formation with.
 
-    `reference` is given to those that may lead, and to no other.
+    `references` is given to those that may lead, and to no other.
     """
 
     def __init__(
@@ -19,19 +19,19 @@ class FormationControl:
         law: FormationLaw,
         law_flies_altitude: bool,
         altitude_hold_gains: Gains,
-        reference: ReferenceTrajectory | None,
+        references: ReferencePlan | None,
     ) -> None:
         self._law = law
         self._law_flies_altitude = law_flies_altitude
         self._altitude_hold_gains = altitude_hold_gains
-        self._reference = reference
+        self.references = references
         self._hold_altitude_m = 0.0
 
     def reference(self, around: Neighbourhood) -> Place | None:
         """R for a leader alone, whoever else holds the RFT."""
-        if self._reference is None or around.role is not Role.LEADER:
+        if self.references is None or around.role is not Role.LEADER:
             return None
-        return self._reference(around.reference_s)
+        return self.references.at(around.reference_s)
 
     def stand_by(self, vehicle: VehicleState) -> None:
         """Formation is about to begin: the altitude held is where the vehicle is now."""

@@ -137,6 +137,8 @@ class PeerTable:
         leads = packet.role is LEADER
         if not 1 <= packet.prc <= len(self._may_lead) or (packet.prc == 1) is not leads:
             return "PrC not plausible"
+        if packet.reference and not 0 <= packet.reference.flown <= packet.reference.waiting:
+            return "reference not plausible"
         word = packet.leader_word
         if leads and (word is None or word.leader_id != packet.vehicle_id):
             return "a leader without a word of its own"

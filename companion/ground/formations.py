@@ -39,12 +39,16 @@ def change_to(slots_enu_m: Mapping[int, Vector3], statuses: Sequence[Status], sl
     return FormationChange(
         number=max(status.slot.waiting for status in statuses) + 1,
         slots_enu_m=tuple(sorted(slots_enu_m.items())),
-        begins_s=max(_reference_s(status) for status in statuses) + AHEAD_S,
+        begins_s=fleet_time_s(statuses) + AHEAD_S,
         lasts_s=max(lasts_s, 0.1),
     )
 
 
+def fleet_time_s(statuses: Sequence[Status]) -> float:
+    """How far into the RFT the fleet is, by what these vehicles last said."""
+    return max(_reference_s(status) for status in statuses)
+
+
 def _reference_s(status: Status) -> float:
-    """How far into the RFT the fleet is, by what this vehicle last said."""
     word = status.leader_word
     return word.reference_s + (status.leader_word_age_s or 0.0) if word else 0.0

@@ -12,7 +12,7 @@ from typing import Any, Self
 import zenoh
 
 from companion.link.zenoh_session import drain, open_session
-from companion.types import Command, CommandName, CommandReply, FormationChange, Lead
+from companion.types import Command, CommandName, CommandReply, Content
 from companion.wire.ground import StatusReport, decode_reply, decode_report, encode
 from companion.wire.keys import command_key, every_status, status_key
 from companion.wire.version import WireError
@@ -67,7 +67,7 @@ class FleetSession:
         vehicle_ids: Iterable[int],
         name: CommandName,
         timeout_s: float = 2.0,
-        content: Lead | FormationChange | None = None,
+        content: Content | None = None,
     ) -> dict[int, CommandReply | None]:
         """Give one command to these vehicles at the same time and wait for their answers. `content` goes with some.
 

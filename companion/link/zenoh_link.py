@@ -1,4 +1,4 @@
-"""An agent's side of Zenoh: peers and commands in, peer packets, replies and status out.
+"""An agent's side of Zenoh: peers, commands and targets in, peer packets, replies and status out.
 
 Rings that the control loop drains at each tick: no thread of Zenoh's ever crosses into the loop, and nothing waits for a
 loop that hangs.
@@ -15,14 +15,16 @@ import zenoh
 from companion.config.fleet import FleetConfig
 from companion.config.vehicle import ZenohEndpoints
 from companion.link.zenoh_session import drain, open_session
-from companion.types import Command, CommandName, CommandReply, PeerPacket, ReceivedPeerPacket
+from companion.types import Command, CommandName, CommandReply, PeerPacket, ReceivedPeerPacket, ReceivedTarget
 from companion.wire.ground import StatusReport, decode_command, encode
-from companion.wire.keys import command_key, every_peer, peer_key, status_key
+from companion.wire.keys import command_key, every_peer, every_target, peer_key, status_key
 from companion.wire.peer import decode_peer, encode_peer
+from companion.wire.target import decode_target
 from companion.wire.version import WireError
 
 PACKETS_KEPT_PER_VEHICLE = 8
 COMMANDS_KEPT = 32
+TARGETS_KEPT = 32
 LONG_PAUSE_S = 0.1  # five ticks
 OBEYED_LATE = (CommandName.HOLD, CommandName.LAND)  # they end a formation; nobody is endangered when they come late
 
@@ -56,6 +58,12 @@ class ZenohLink:
             zenoh.handlers.RingChannel(self._packets_kept),
             allowed_origin=zenoh.Locality.REMOTE,
         )
+        may_lead = any(member.id == vehicle_id and member.can_lead for member in fleet.vehicles)
+        self._targets = (
+            self._session.declare_subscriber(every_target(fleet.name), zenoh.handlers.RingChannel(TARGETS_KEPT))
+            if may_lead
+            else None
+        )
         self._command_key = command_key(fleet.name, vehicle_id)
         self._commands = self._session.declare_queryable(
             self._command_key, zenoh.handlers.RingChannel(COMMANDS_KEPT), complete=True
@@ -86,6 +94,13 @@ class ZenohLink:
             tuple(ReceivedPeerPacket(now_s, packet) for packet in packets if packet),
             tuple(command for command in commands if command),
         )
+
+    def targets(self, now_s: float) -> tuple[ReceivedTarget, ...]:
+        """What was told of targets since the last call, for one that may lead. Never blocks."""
+        if self._targets is None:
+            return ()
+        targets = (self._target(sample, now_s) for sample in drain(self._targets, TARGETS_KEPT))
+        return tuple(target for target in targets if target)
 
     def publish_peer(self, packet: PeerPacket) -> None:
         self._peer_publisher.put(encode_peer(packet))
@@ -119,6 +134,15 @@ class ZenohLink:
             self._reject("peer packet of a vehicle that is not in the fleet file")
             return None
         return packet
+
+    def _target(self, sample: zenoh.Sample, now_s: float) -> ReceivedTarget | None:
+        try:
+            return ReceivedTarget(
+                now_s, str(sample.key_expr).rpartition("/")[2], decode_target(sample.payload.to_bytes())
+            )
+        except WireError as error:
+            self._reject(str(error))
+            return None
 
     def _command(self, query: zenoh.Query, paused: bool) -> Command | None:
         try:

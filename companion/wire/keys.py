@@ -20,6 +20,15 @@ def command_key(fleet: str, vehicle_id: int) -> str:
     return f"{ROOT}/{fleet}/command/{vehicle_id}"
 
 
+def target_key(fleet: str, name: str) -> str:
+    """Where whatever is to be followed publishes a TargetSample, ten times a second or so."""
+    return f"{ROOT}/{fleet}/target/{name}"
+
+
+def every_target(fleet: str) -> str:
+    return target_key(fleet, "*")
+
+
 def every_peer(fleet: str) -> str:
     return f"{ROOT}/{fleet}/peer/*"
 

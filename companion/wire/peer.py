@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
-from companion.types import FlightPhase, FlownSlot, LeaderWord, PeerPacket, PositionError, Role, Vector3
+from companion.types import FlightPhase, FlownSlot, HeldReference, LeaderWord, PeerPacket, PositionError, Role, Vector3
 from companion.wire.version import DECODE_ERRORS, WireError, seal, unseal
 
 
@@ -24,6 +24,7 @@ class _PeerWire(msgspec.Struct, array_like=True, frozen=True, forbid_unknown_fie
     leader_word: tuple[int, int, int, float] | None  # leader id, epoch, stamp, reference_s
     slot: tuple[Vector3, Vector3, Vector3, int, int]  # position, velocity, acceleration, formation, waiting
     position_error: tuple[float, float] | None  # horizontal_m, vertical_m
+    reference: tuple[int, int] | None  # flown, waiting
 
 
 _encoder = msgspec.msgpack.Encoder()
@@ -31,7 +32,7 @@ _decoder = msgspec.msgpack.Decoder(_PeerWire)
 
 
 def encode_peer(packet: PeerPacket) -> bytes:
-    word, slot, error = packet.leader_word, packet.slot, packet.position_error
+    word, slot, error, held = packet.leader_word, packet.slot, packet.position_error, packet.reference
     return seal(
         _encoder.encode(
             _PeerWire(
@@ -50,6 +51,7 @@ def encode_peer(packet: PeerPacket) -> bytes:
                 (word.leader_id, word.epoch, word.stamp, word.reference_s) if word else None,
                 (slot.position_enu_m, slot.velocity_enu_m_s, slot.acceleration_enu_m_s2, slot.formation, slot.waiting),
                 (error.horizontal_m, error.vertical_m) if error else None,
+                (held.flown, held.waiting) if held else None,
             )
         )
     )
@@ -77,4 +79,5 @@ def decode_peer(data: bytes) -> PeerPacket:
         LeaderWord(*wire.leader_word) if wire.leader_word else None,
         FlownSlot(*wire.slot),
         PositionError(*wire.position_error) if wire.position_error else None,
+        HeldReference(*wire.reference) if wire.reference else None,
     )

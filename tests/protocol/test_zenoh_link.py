@@ -28,13 +28,16 @@ from companion.types import (
     Command,
     CommandName,
     CommandReply,
+    Content,
     FlightPhase,
     FlownSlot,
+    FormationChange,
     LandedState,
     Lead,
     LeaderWord,
     PeerPacket,
     ReceivedPeerPacket,
+    ReferenceChange,
     Role,
     Status,
 )
@@ -62,6 +65,13 @@ REPORT = StatusReport(
     ),
     Timing(50.0, 1, 0, NO_TIME, NO_TIME, 5.0, 49.0),
 )  # fmt: skip
+
+
+CONTENT_OF: dict[CommandName, Content] = {
+    CommandName.LEAD: Lead((1,), 1),
+    CommandName.FORMATION: FormationChange(1, (), 1.0, 1.0),
+    CommandName.REFERENCE: ReferenceChange(1, {}, 1.0),
+}
 
 
 def endpoint(port: int) -> str:
@@ -239,8 +249,7 @@ def test_a_command_that_waited_through_a_pause_is_obeyed_only_if_it_ends_a_forma
     ):
         until(lambda: ground.drain(), lambda: first.link.publish_status(REPORT))  # connected
         first.tick()
-        lead = Lead((1,), 1) if name is CommandName.LEAD else None
-        asked = pool.submit(ground.command, (1,), name, 10.0, lead)
+        asked = pool.submit(ground.command, (1,), name, 10.0, CONTENT_OF.get(name))
         time.sleep(1.0)  # the process hangs
         first.tick()
         if name in (CommandName.LAND, CommandName.HOLD):

@@ -121,7 +121,10 @@ def test_a_bad_fleet_file(tmp_path: Path, change: Callable[[Any], Any], parts: l
         ({"signing": {}}, ["signing", "expected one of key_file and credential"]),
         ({"signing": {"key_file": "a", "credential": "b"}}, ["signing", "expected one of key_file and credential"]),
         ({"signing": {"credential": "../a"}}, ["signing.credential", "'../a'", "a name of letters"]),
-        ({"reference": {"kind": "ring"}}, ["reference.kind: 'ring'", "one of circle, figure_8, point, target, waypoints"]),
+        (
+            {"reference": {"kind": "ring"}},
+            ["reference.kind: 'ring'", "one of circle, figure_8, point, target, waypoints"],
+        ),
         ({"signing": {"key_file": "a", "link_id": 256}}, ["signing.link_id", "256"]),
     ],
 )

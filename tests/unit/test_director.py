@@ -12,9 +12,9 @@ from companion.core.phase import RULES
 from companion.types import (
     CommandName,
     CommandReply,
+    Content,
     FlightPhase,
     FlownSlot,
-    FormationChange,
     LandedState,
     Lead,
     Role,
@@ -75,7 +75,7 @@ class Vehicles:
         self._due: dict[int, tuple[float, CommandName]] = {}
 
     def command(
-        self, ids: Iterable[int], name: CommandName, timeout_s: float, content: Lead | FormationChange | None = None
+        self, ids: Iterable[int], name: CommandName, timeout_s: float, content: Content | None = None
     ) -> dict[int, CommandReply | None]:
         assert timeout_s > 0
         assert (name is C.LEAD) is isinstance(content, Lead)

@@ -1,0 +1,209 @@
+"""References that change in flight: hand-overs without a step, whoever leads meanwhile, and a target that is followed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import cache
+from itertools import pairwise
+from math import cos, degrees, dist, hypot, sin
+from pathlib import Path
+
+import pytest
+
+from companion.ground.references import reference_change
+from companion.types import AttitudeTarget, CommandName, Lead, ReferenceChange, Status, TargetSample
+from companion.wire.ground import StatusReport
+from sitl.director import Director
+from sitl.fleet import ids_of
+from sitl.flights import reference_flown
+from sitl.lockstep import Lockstep
+from sitl.metrics import formation_figures, smallest_distance_m
+from sitl.progress import Progress
+from sitl.scenario import Scenario, load_scenario
+from sitl.watch import FlightWatch
+
+RING = Path(__file__).parents[2] / "config" / "scenarios" / "ring_figure_8.yaml"
+CIRCLE = "{kind: circle, centre_enu_m: [0, 0, 2], radius_m: 4, period_s: 20}"
+WAY = "{kind: waypoints, points_enu_m: [[0, 5, 2], [6, 5, 3], [0, -5, 2]], wait_s: 2}"
+UP = "{command: prepare}, {command: arm}, {command: takeoff, for_s: 3}, {command: form, for_s: 8}"
+TIMELINE = (
+    f"timeline=[{UP}, {{command: reference, reference: {CIRCLE}, for_s: 15}},"
+    f" {{command: reference, reference: {WAY}}}, {{command: lead, leaders: [2], for_s: 20}}, {{command: land}}]"
+)
+
+
+class Recorder(FlightWatch):
+    def __init__(self, scenario: Scenario) -> None:
+        super().__init__(ids_of(scenario), [1], 0.0)
+        self.heard: list[tuple[float, Status]] = []
+
+    def hear(self, report: StatusReport, now_s: float) -> None:
+        super().hear(report, now_s)
+        self.heard.append((now_s, report.status))
+
+
+class Flight:
+    """The ring in virtual time, with all attitudes that were asked for."""
+
+    def __init__(self, *overrides: str) -> None:
+        self.scenario = load_scenario(RING, overrides)
+        self.lockstep, self.watch = Lockstep(self.scenario), Recorder(self.scenario)
+        self.targets: dict[int, list[tuple[float, AttitudeTarget]]] = {}
+        for vehicle_id, vehicle in self.lockstep._vehicles.items():
+            told, follow = self.targets.setdefault(vehicle_id, []), vehicle.link.command
+
+            def command(target, now_s, told=told, follow=follow):  # type: ignore[no-untyped-def]
+                told.append((now_s, target))
+                follow(target, now_s)
+
+            vehicle.link.command = command  # type: ignore[method-assign]
+        self.director = Director(
+            self.lockstep, self.watch, Progress("test", True, 0.0), lambda: None, tuple, self.lockstep
+        )
+
+    def led(self, from_s: float = 0.0) -> Iterator[tuple[float, Status]]:
+        """What leaders said in formation."""
+        for at_s, status in self.watch.heard:
+            word = status.leader_word
+            if status.reference_enu_m and word and word.reference_s > 0.0 and at_s >= from_s:
+                yield at_s, status
+
+    def largest_step_deg(self, after_s: float) -> float:
+        return max(
+            degrees(max(abs(b.roll_rad - a.roll_rad), abs(b.pitch_rad - a.pitch_rad)))
+            for told in self.targets.values()
+            for (at_s, a), (_, b) in pairwise(told)
+            if at_s > after_s
+        )
+
+    def tell(self, name: CommandName, *ids: int, content: ReferenceChange | None = None) -> None:
+        replies = self.lockstep.command(ids, name, 1.0, content)
+        assert all(reply is not None and reply.accepted for reply in replies.values()), replies
+
+    def listen(self) -> dict[int, Status]:
+        for report in self.lockstep.drain():
+            self.watch.hear(report, self.lockstep.now_s())
+        statuses = {i: self.watch.status(i) for i in self.watch.vehicle_ids}
+        return {i: status for i, status in statuses.items() if status}
+
+
+@cache
+def circle_then_way() -> tuple[Flight, list[str]]:
+    flight = Flight(TIMELINE, "fleet.law.name=cooperative")
+    return flight, flight.director.fly_and_land(flight.scenario.timeline)
+
+
+def begun(flight: Flight, number: int) -> float:
+    return next(at_s for at_s, s in flight.watch.heard if s.reference and s.reference.flown == number)
+
+
+def test_a_circle_and_then_waypoints_are_flown_with_a_change_of_the_lead_in_the_hand_over() -> None:
+    flight, failures = circle_then_way()
+    assert failures == []
+    events = [(event.vehicle, event.event) for event in flight.watch.events if "hand-over of" in event.event]
+    assert {(i, event[:16]) for i, event in events} == {
+        (i, f"reference {n} -> {n + 1}") for i in (1, 2) for n in (0, 1)
+    }
+    assert len({event for _, event in events}) == 2  # both have the same, to the tenth of a second
+    lasts_s = float(events[-1][1].rpartition(" s)")[0].rpartition(" ")[2])
+    led_s = next(at_s for at_s, s in flight.led() if s.vehicle_id == 2)
+    assert begun(flight, 2) < led_s < begun(flight, 2) + lasts_s
+    assert not any(any(status.rejected) for _, status in flight.watch.heard)
+
+
+def test_no_attitude_steps_and_nobody_comes_near_another() -> None:
+    flight, _ = circle_then_way()
+    formation = flight.watch.formation
+    assert formation is not None
+    assert flight.largest_step_deg(formation.start_s + 1.0) < 5.0
+    tracks = {s.vehicle_id: s.track() for s in flight.lockstep.stand_ins}
+    smallest_m = smallest_distance_m(tracks)
+    assert smallest_m is not None
+    assert smallest_m > 1.4
+
+
+def test_the_reference_goes_on_without_a_jump_and_within_its_limits() -> None:
+    flight, _ = circle_then_way()
+    for (a_s, a), (b_s, b) in pairwise(flight.led()):
+        assert a.reference_enu_m is not None
+        assert b.reference_enu_m is not None
+        assert dist(a.reference_enu_m, b.reference_enu_m) < 4.0 * (b_s - a_s) + 0.05
+    last = list(flight.led())[-1][1]
+    assert last.vehicle_id == 2
+    assert last.reference_enu_m == pytest.approx((0.0, -5.0, 2.0))
+
+
+def test_figures_are_of_what_was_flown() -> None:
+    flight, _ = circle_then_way()
+    formation = flight.watch.formation
+    assert formation is not None
+    tracks = {s.vehicle_id: s.track() for s in flight.lockstep.stand_ins}
+    reference = reference_flown(flight.scenario, flight.watch)
+    figures = formation_figures(tracks, flight.watch.slots(), reference, formation)
+    assert figures.final_error_m < 0.1
+
+
+def test_who_may_not_lead_refuses_and_who_lacks_a_reference_takes_no_lead() -> None:
+    flight = Flight("fleet.law.name=cooperative")
+    flight.director.fly(flight.scenario.timeline[:3])
+    flight.tell(CommandName.FORM, 1, 2, 3, 4)
+    flight.lockstep.sleep(3.0)
+    point = {"kind": "point", "point_enu_m": [1.0, 1.0, 2.0]}
+    change = reference_change(point, list(flight.listen().values()))
+    reply = flight.lockstep.command([3], CommandName.REFERENCE, 1.0, change)[3]
+    assert reply is not None
+    assert (reply.accepted, reply.reason) == (False, "reference: this vehicle may not lead, and knows of none")
+    flight.tell(CommandName.REFERENCE, 1, content=change)
+    flight.lockstep.sleep(2.0)
+    statuses = flight.listen()
+    assert statuses[1].last_event == "reference 1 does not begin: vehicle 2 does not have it"
+    assert statuses[1].reference == statuses[2].reference
+
+
+def follow(
+    flight: Flight, seconds: float, path: Callable[[float], tuple[tuple[float, ...], tuple[float, ...]]]
+) -> None:
+    """Somebody walks, and tells of it ten times a second."""
+    began_s = flight.lockstep.now_s()
+    for number in range(1, round(seconds * 10.0) + 1):
+        t = flight.lockstep.now_s()
+        position, velocity = path(t - began_s)
+        sample = TargetSample(1, number + int(began_s * 10.0), t, position, velocity)  # type: ignore[arg-type]
+        flight.lockstep.tell_of_target("main", sample)
+        flight.lockstep.sleep(0.1)
+        flight.listen()
+
+
+def test_a_target_is_followed_over_a_change_of_the_lead_and_its_silence_ends_in_rest() -> None:
+    flight = Flight("fleet.law.name=cooperative")
+    flight.director.fly(flight.scenario.timeline[:3])
+    flight.tell(CommandName.FORM, 1, 2, 3, 4)
+    flight.lockstep.sleep(8.0)
+    described = {"kind": "target", "start_enu_m": [0.0, 0.0, 2.0], "max_speed_m_s": 2.0}
+    change = reference_change(described, list(flight.listen().values()))
+    flight.tell(CommandName.REFERENCE, 1, 2, content=change)
+
+    def walk(t: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        return (6.0 + t, 4.0 * sin(0.2 * t), 0.0), (1.0, 0.8 * cos(0.2 * t), 0.0)
+
+    began_s = flight.lockstep.now_s()
+    follow(flight, 15.0, walk)
+    flight.lockstep.command([1, 2, 3, 4], CommandName.LEAD, 1.0, Lead((2,), 1))
+    follow(flight, 10.0, lambda t: walk(t + 15.0))
+    for at_s, status in flight.led(began_s + 14.0):
+        assert status.reference_enu_m is not None
+        assert dist(status.reference_enu_m[:2], walk(at_s - began_s)[0][:2]) < 0.3
+        assert status.reference_enu_m[2] == 2.0
+        assert status.target_age_s is not None
+        assert status.target_age_s < 0.2
+    assert flight.largest_step_deg(began_s) < 5.0
+    silent_s = flight.lockstep.now_s()
+    for _ in range(60):
+        flight.lockstep.sleep(0.1)
+        statuses = flight.listen()
+    assert any("target main is silent for 1 s" in event.event for event in flight.watch.events)
+    assert statuses[2].target_age_s is not None
+    assert statuses[2].target_age_s > 5.0
+    at_rest = [s.reference_enu_m for at_s, s in flight.led(silent_s + 4.0)]
+    assert max(dist(a, b) for a, b in pairwise(at_rest) if a and b) < 1e-3
+    assert max(hypot(*s.velocity_enu_m_s) for s in statuses.values()) < 0.3
