@@ -349,7 +349,7 @@ class ReceivedPeerPacket(Struct, frozen=True, gc=False):
     packet: PeerPacket
 
 
-class TargetSample(Struct, frozen=True, gc=False):
+class TargetSample(Struct, frozen=True, gc=False, forbid_unknown_fields=True):
     """What something to be followed tells of itself, in the fleet frame; without a position (a joystick) its velocity alone.
 
     `sent_s` is of the sender's own monotonic clock; `session` tells a restart (sequence back to 0) from a replay.
@@ -358,8 +358,8 @@ class TargetSample(Struct, frozen=True, gc=False):
     session: int
     sequence: int
     sent_s: float
-    position_enu_m: Vector3 | None
     velocity_enu_m_s: Vector3
+    position_enu_m: Vector3 | None = None
 
 
 class ReceivedTarget(Struct, frozen=True, gc=False):

@@ -16,7 +16,7 @@ from companion.config_file import ConfigError
 from companion.curves import PEAK_ACCELERATION, PEAK_SPEED, Curve, about, circle, duration_s, figure_8, way
 from companion.types import GRAVITY_M_S2, ZERO3, Vector3
 
-RAMP_SAMPLES, LAP_SAMPLES = 200, 800
+RAMP_SAMPLES, LAP_SAMPLES = 100, 500
 ROUNDED = 1.0 + 1e-9  # a limit that is met exactly is met
 
 Period = Annotated[float, Meta(ge=1, le=3600)]

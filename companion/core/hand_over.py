@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from math import hypot
+from math import ceil, hypot
 
 from companion.core.formation import Place
 from companion.core.pursuit import Box
@@ -17,9 +17,9 @@ from companion.curves import Curve, duration_s, dying_out
 from companion.types import Vector3
 
 SHORTEST_S = 1.0
-LONGEST_S = 120.0
+LONGEST_S = 600.0
 LONGER = 1.1  # from one duration that is tried to the next
-SAMPLES = 60
+SAMPLES = 60  # at least, and one a second
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +58,8 @@ def handed_over(
     lasts_s = max(SHORTEST_S, duration_s(hypot(*begin[0]), speed_m_s, acceleration_m_s2))
     while lasts_s <= LONGEST_S:
         delta = dying_out(begin, lasts_s)
-        times_s = [lasts_s * index / SAMPLES for index in range(SAMPLES + 1)]
+        samples = max(SAMPLES, ceil(lasts_s))
+        times_s = [lasts_s * index / samples for index in range(samples + 1)]
         if _within(delta, times_s, speed_m_s, acceleration_m_s2):
             whole = _sum(new, delta, begins_s)
             if all(_is_flyable(whole(begins_s + time_s), limits, box) for time_s in times_s):

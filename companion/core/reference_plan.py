@@ -55,6 +55,9 @@ Read = Callable[[dict[str, Any], Mapping[int, Vector3]], Rft]
 """From a description and the slots to be flown about it to a checked RFT. Raises ValueError with the reason."""
 
 
+Flown = ReferenceTrajectory | Pursuit
+
+
 class ReferencePlan:
     """One vehicle's. `events` tells of changes and of targets that fall silent, until somebody takes it."""
 
@@ -164,30 +167,29 @@ class ReferencePlan:
             self.events.append(f"reference {change.number} does not begin: vehicle {min(lacking)} does not have it")
             return
         try:
-            flown, lasts_s = self._begun(change, rft, slots_enu_m)
+            flown, how = self._begun(change, rft, slots_enu_m)
         except ValueError as error:
             self.events.append(f"reference {change.number} does not begin: {error}")
             return
-        self.events.append(f"reference {self.held.flown} -> {change.number} (hand-over of {lasts_s:.1f} s)")
+        self.events.append(f"reference {self.held.flown} -> {change.number} ({how})")
         self._take(change, rft, flown)
 
-    def _begun(
-        self, change: ReferenceChange, rft: Rft, slots_enu_m: Mapping[int, Vector3]
-    ) -> tuple[ReferenceTrajectory | Pursuit, float]:
-        """What is flown from then on, and how long the hand-over lasts. Raises ValueError where it cannot be."""
+    def _begun(self, change: ReferenceChange, rft: Rft, slots_enu_m: Mapping[int, Vector3]) -> tuple[Flown, str]:
+        """What is flown from then on, and how it is gone over to. Raises ValueError where it cannot be."""
         old, box = self.at(change.begins_s), box_of(self._limits.fence, slots_enu_m.values())
         if isinstance(rft, LiveReference):
             if not can_keep(old, rft.limits, box):
                 raise ValueError("the fleet is too fast or too near the fence to follow a target within these limits")
-            return Pursuit(rft.limits, old), 0.0
+            return Pursuit(rft.limits, old), f"follows target {rft.name}"
         found = handed_over(old, rft, change.begins_s, self._limits, box)
         if found is None:
             raise ValueError(
                 "no hand-over to it keeps all vehicles inside the fence and within the limits of speed and tilt"
             )
-        return found
+        flown, lasts_s = found
+        return flown, f"hand-over of {lasts_s:.1f} s"
 
-    def _take(self, change: ReferenceChange, rft: Rft, flown: ReferenceTrajectory | Pursuit) -> None:
+    def _take(self, change: ReferenceChange, rft: Rft, flown: Flown) -> None:
         self._change, self._rft, self._flown = change, rft, flown
         self._followed_s, self.target_age_s = change.begins_s, None
 
@@ -219,11 +221,11 @@ class ReferencePlan:
             self.events.append(f"target {live.name} is silent for {live.max_age_s:g} s: the reference comes to rest")
 
 
-def _begun_anew(rft: Rft) -> ReferenceTrajectory | Pursuit:
+def _begun_anew(rft: Rft) -> Flown:
     return Pursuit(rft.limits, Place(rft.start_enu_m, ZERO3)) if isinstance(rft, LiveReference) else rft
 
 
-def _joined(rft: Rft, begins_s: float, here_enu_m: Vector3) -> ReferenceTrajectory | Pursuit:
+def _joined(rft: Rft, begins_s: float, here_enu_m: Vector3) -> Flown:
     """What others fly already, without the way they came to it; a target's place is about where the fleet is."""
     if isinstance(rft, LiveReference):
         return Pursuit(rft.limits, Place(here_enu_m, ZERO3))

@@ -39,7 +39,7 @@ class TargetPublisher:
     def tell(self, velocity_enu_m_s: Vector3, position_enu_m: Vector3 | None = None) -> None:
         """Where it is just now in the fleet's frame, and how it moves; without a position, as from a joystick, how it moves."""
         self._told += 1
-        sample = TargetSample(self._number, self._told, time.monotonic(), position_enu_m, velocity_enu_m_s)
+        sample = TargetSample(self._number, self._told, time.monotonic(), velocity_enu_m_s, position_enu_m)
         self._session.put(
             self._key, encode_target(sample), congestion_control=zenoh.CongestionControl.DROP, express=True
         )

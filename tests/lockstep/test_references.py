@@ -168,7 +168,7 @@ def follow(
     for number in range(1, round(seconds * 10.0) + 1):
         t = flight.lockstep.now_s()
         position, velocity = path(t - began_s)
-        sample = TargetSample(1, number + int(began_s * 10.0), t, position, velocity)  # type: ignore[arg-type]
+        sample = TargetSample(1, number + int(began_s * 10.0), t, velocity, position)  # type: ignore[arg-type]
         flight.lockstep.tell_of_target("main", sample)
         flight.lockstep.sleep(0.1)
         flight.listen()

@@ -22,6 +22,7 @@ from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember
 from companion.config.vehicle import ZenohEndpoints
 from companion.core.peers import PeerTable
 from companion.ground.session import FleetSession
+from companion.ground.target import TargetPublisher
 from companion.link.zenoh_link import LONG_PAUSE_S, ZenohLink
 from companion.link.zenoh_session import EndpointError, open_session
 from companion.types import (
@@ -37,12 +38,13 @@ from companion.types import (
     LeaderWord,
     PeerPacket,
     ReceivedPeerPacket,
+    ReceivedTarget,
     ReferenceChange,
     Role,
     Status,
 )
 from companion.wire.ground import Percentiles, StatusReport, Timing, decode_reply, encode
-from companion.wire.keys import command_key, peer_key, status_key
+from companion.wire.keys import command_key, peer_key, status_key, target_key
 from companion.wire.peer import encode_peer
 from companion.wire.version import WIRE_VERSION
 
@@ -222,6 +224,30 @@ def test_a_command_gets_its_answer_from_the_tick_that_decided(port: int) -> None
             assert asked.result(10.0) == {1: CommandReply(1, command.number, False, "no"), 2: None}
         first.tick()
         assert len(first.commands) == 1  # it was never repeated
+
+
+def test_a_target_reaches_who_may_lead_and_nobody_else_and_what_is_none_is_counted(port: int) -> None:
+    heard: list[ReceivedTarget] = []
+    with (
+        vehicle(1, listen=(endpoint(port),)) as leader,
+        vehicle(2, connect=(endpoint(port),)) as follower,
+        TargetPublisher.open(FLEET.name, (endpoint(port),), "walker") as walker,
+        closing(open_session((), (endpoint(port),))) as stranger,
+    ):
+
+        def tell() -> None:
+            walker.tell((1.0, 0.0, 0.0), (5.0, 6.0, 7.0))
+            stranger.put(target_key(FLEET.name, "main"), bytes((WIRE_VERSION,)) + b"nonsense")
+            heard.extend(leader.link.targets(time.monotonic()))
+            assert follower.link.targets(time.monotonic()) == ()
+
+        until(lambda: len(heard) > 1 and leader.rejected, tell)
+    first, second = heard[0].sample, heard[1].sample
+    assert {target.name for target in heard} == {"walker"}
+    assert (first.position_enu_m, first.velocity_enu_m_s) == ((5.0, 6.0, 7.0), (1.0, 0.0, 0.0))
+    assert (second.session, second.sequence) == (first.session, first.sequence + 1)
+    assert second.sent_s > first.sent_s
+    assert set(leader.rejected) == {"malformed target"}
 
 
 def test_the_command_lead_brings_its_leaders_and_epoch(port: int) -> None:

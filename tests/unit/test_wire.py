@@ -17,13 +17,16 @@ from companion.types import (
     FlownSlot,
     FormationChange,
     HealthFlag,
+    HeldReference,
     LandedState,
     Lead,
     LeaderWord,
     PeerPacket,
     PositionError,
+    ReferenceChange,
     Role,
     Status,
+    TargetSample,
 )
 from companion.wire.ground import (
     Percentiles,
@@ -35,6 +38,7 @@ from companion.wire.ground import (
     encode,
 )
 from companion.wire.peer import decode_peer, encode_peer
+from companion.wire.target import decode_target, encode_target
 from companion.wire.version import WIRE_VERSION, WireError
 
 numbers = st.floats(allow_nan=False)
@@ -60,6 +64,7 @@ packets = st.builds(
     prc=st.integers(1, 250),
     leader_word=leader_words,
     slot=flown_slots,
+    reference=st.none() | st.builds(HeldReference, counts, counts),
 )
 percentiles = st.builds(Percentiles, numbers, numbers, numbers)
 reports = st.builds(
@@ -98,11 +103,13 @@ leads = st.builds(Lead, st.lists(st.integers(1, 250), max_size=5).map(tuple), co
 changes = st.builds(
     FormationChange, counts, st.lists(st.tuples(st.integers(1, 250), vectors), max_size=5).map(tuple), numbers, numbers
 )
+references = st.builds(ReferenceChange, counts, st.dictionaries(texts, texts | numbers, max_size=3), numbers)
 others = st.sampled_from([name for name in CommandName if name not in CONTENT])
 commands = (
     st.builds(Command, others, counts)
     | st.builds(Command, st.just(CommandName.LEAD), counts, leads)
     | st.builds(Command, st.just(CommandName.FORMATION), counts, changes)
+    | st.builds(Command, st.just(CommandName.REFERENCE), counts, references)
 )
 replies = st.builds(CommandReply, st.integers(1, 250), counts, st.booleans(), texts)
 
@@ -127,7 +134,7 @@ PACKET = PeerPacket(
     3, 2**32 - 1, 10**6, 2**64 - 1, FlightPhase.FORMATION, Role.FOLLOWER, (1.0, 2.0, 3.0), (0.1, 0.2, 0.3),
     (0.01, 0.02, 0.03), 0.021, 1234.5, 4, LeaderWord(1, 7, 60, 12.5),
     FlownSlot((-3.0, 0.0, 0.5), (0.1, 0.0, 0.0), (0.2, 0.0, 0.0), 2, 3),
-    PositionError(0.29, 0.28),
+    PositionError(0.29, 0.28), HeldReference(1, 2),
 )  # fmt: skip
 REPORT = StatusReport(
     Status(
@@ -142,13 +149,14 @@ REPORT = StatusReport(
 DECODERS = {
     "peer packet": (decode_peer, encode_peer(PACKET)),
     "status report": (decode_report, encode(REPORT)),
+    "target": (decode_target, encode_target(TargetSample(1, 2, 3.5, (1.0, 0.0, 0.0), (4.0, 5.0, 6.0)))),
     "command": (decode_command, encode(Command(CommandName.LEAD, 9, Lead((2,), 8)))),
     "command reply": (decode_reply, encode(CommandReply(3, 9, True, "engage"))),
 }
 
 
 def test_a_peer_packet_stays_small() -> None:
-    assert len(encode_peer(PACKET)) < 270
+    assert len(encode_peer(PACKET)) < 290
 
 
 @pytest.mark.parametrize("name", DECODERS)
@@ -214,6 +222,20 @@ def test_another_version_is_told_from_damage(name: str) -> None:
 def test_only_the_command_lead_carries_leaders(command: Command, reason: str) -> None:
     with pytest.raises(WireError, match=reason):
         decode_command(encode(command))
+
+
+def test_the_command_reference_brings_a_description_as_a_file_has_it() -> None:
+    circle = {"kind": "circle", "centre_enu_m": [0.0, 1.0, 2.0], "radius_m": 4, "period_s": 20.0}
+    command = Command(CommandName.REFERENCE, 9, ReferenceChange(3, circle, 21.5))
+    assert decode_command(encode(command)) == command
+    with pytest.raises(WireError, match="command reference with NoneType, expected ReferenceChange"):
+        decode_command(encode(Command(CommandName.REFERENCE, 9)))
+
+
+def test_a_target_with_and_without_a_position_comes_out_as_it_went_in() -> None:
+    for position in (None, (4.0, 5.0, 6.0)):
+        sample = TargetSample(2**32 - 1, 7, 12.5, (1.0, -2.0, 0.5), position)
+        assert decode_target(encode_target(sample)) == sample
 
 
 @pytest.mark.parametrize("name", DECODERS)
