@@ -48,7 +48,7 @@ MODEL = LinearModel()
 PREDICT_S = 120.0
 WORST_START_UP_TO = 100  # vehicles; above, the worst start takes too long to work out
 MORE = 0.1  # what a change of a gain is tried with
-NOT_READ = ("stand_in", "links", "timeline")
+NOT_READ = ("stand_in", "targets", "links", "timeline")
 STEP_M = 1.0  # the disturbance that is predicted where no scenario says where the vehicles start
 
 
@@ -118,6 +118,7 @@ class _ScenarioPart(Section, frozen=True, kw_only=True):
     starts_enu_m: dict[VehicleId, PositionM] | None = None
     reference: Reference | None = None
     stand_in: Any = None
+    targets: Any = None
     links: Any = None
     timeline: Any = None
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from contextlib import ExitStack
 from pathlib import Path
 
 from companion.ground.session import FleetSession
+from companion.ground.target import TargetPublisher
 from companion.types import Role
 from sitl.director import Director, FlightFailure, MachineClock
 from sitl.external import ReachedVehicle, load_external, vehicles_of
@@ -15,6 +17,7 @@ from sitl.flights import Result, run_flights, write_results
 from sitl.fly_options import FlyOptions
 from sitl.free_ports import check_agents_ports, check_ports
 from sitl.metrics import Tracks
+from sitl.moving_targets import MovingTargets
 from sitl.progress import Progress
 from sitl.readiness import Readiness
 from sitl.scenario import Scenario
@@ -90,13 +93,19 @@ def _fly(
     progress = Progress(f"{name}, {scenario.fleet.law.name}", options.run.quiet, watch.began_s)
     endpoints = [endpoint_of(vehicle_id, options.port_offset) for vehicle_id in ids_of(scenario)]
     with Fleet.start(scenario, folder, options.port_offset, external) as fleet:
-        with FleetSession.open(scenario.fleet.name, endpoints) as session:
+        with FleetSession.open(scenario.fleet.name, endpoints) as session, ExitStack() as voices:
+            told = {
+                name: voices.enter_context(TargetPublisher.open(scenario.fleet.name, endpoints, name))
+                for name in scenario.targets
+            }
+            targets = MovingTargets(scenario.targets, lambda name, v, x: told[name].tell(v, x), watch.began_s)
 
             def check() -> None:
                 if stop.number:
                     raise FlightFailure(f"interrupted by {stop.number.name}")
                 if ending := fleet.unexpected_end():
                     raise FlightFailure(ending)
+                targets.go_on(time.monotonic())
 
             director = Director(session, watch, progress, check, fleet.lost_vehicles, MachineClock())
             failures = director.wait_for(Readiness(scenario)) if external else []

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from companion.assembly import build_agent
 from companion.config.vehicle import AgentConfig
 from companion.core.agent import Agent
-from companion.types import Command, CommandName, CommandReply, Content, Inbox, ReceivedTarget, TargetSample
+from companion.types import Command, CommandName, CommandReply, Content, Inbox, ReceivedTarget, TargetSample, Vector3
 from companion.wire.ground import Percentiles, StatusReport, Timing
 from sitl.autopilot import DT_S
 from sitl.fleet import autopilot_file, ids_of, reached_stand_in, vehicle_file
@@ -33,6 +33,7 @@ class Lockstep:
         }
         self._in_order = list(self._vehicles.values())
         self._commands_given = 0
+        self._targets_told = 0
 
     @property
     def stand_ins(self) -> list[StandIn]:
@@ -71,10 +72,12 @@ class Lockstep:
             self._step()
         return {vehicle.vehicle_id: vehicle.reply_to(command) for vehicle in asked}
 
-    def tell_of_target(self, name: str, target: TargetSample) -> None:
-        """To all vehicles, at once."""
+    def tell_of_target(self, name: str, velocity_enu_m_s: Vector3, position_enu_m: Vector3 | None = None) -> None:
+        """What something to be followed tells of itself, to all vehicles and at once."""
+        self._targets_told += 1
+        sample = TargetSample(1, self._targets_told, self.now_s(), velocity_enu_m_s, position_enu_m)
         for vehicle in self._in_order:
-            vehicle.hear(name, target)
+            vehicle.hear(name, sample)
 
     def _step(self) -> None:
         self._world.step()

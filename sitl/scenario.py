@@ -21,6 +21,7 @@ from companion.core.reference import ReferenceTrajectory
 from companion.types import CommandName
 from sitl.autopilot_file import check_parameters
 from sitl.config import Links, StandIn
+from sitl.moving_targets import MovingTarget, TargetName
 
 SET = Path("--set")  # stands where errors name a file
 LONGEST_KEY = 200  # of --set
@@ -64,7 +65,7 @@ class Scenario(Section, frozen=True, kw_only=True):
     """`fleet` is what a fleet file holds; `reference` (RFT) goes into the files of those that may lead, and into no other.
 
     `origins_enu_m` puts own origins of stand-ins elsewhere than where they start. `links` is of flights in virtual time; real
-    processes have links of their own.
+    processes have links of their own. `targets` move about and tell of themselves, for a reference that follows one.
     """
 
     description: str = ""
@@ -74,6 +75,7 @@ class Scenario(Section, frozen=True, kw_only=True):
     reference: Reference
     stand_in: StandIn = StandIn()
     believed: Believed = Believed()
+    targets: dict[TargetName, MovingTarget] = field(default_factory=dict)
     links: Links = Links()
     timeline: tuple[TimelineStep, ...]
 

@@ -10,6 +10,7 @@ from sitl.collector import looking_seldom
 from sitl.director import Director, FlightFailure
 from sitl.fleet import ids_of
 from sitl.lockstep import Lockstep
+from sitl.moving_targets import MovingTargets
 from sitl.progress import Progress
 from sitl.scenario import Scenario
 from sitl.stopping import StopRequest
@@ -38,10 +39,12 @@ def fly_in_virtual_time(scenario: Scenario, progress: Progress, stop: StopReques
     def check() -> None:
         if stop and stop.number:
             raise FlightFailure(f"interrupted by {stop.number.name}")
+        targets.go_on(lockstep.now_s())
 
     leader_ids = [member.id for member in scenario.fleet.vehicles if member.role is Role.LEADER]
     began_s = time.perf_counter()
     lockstep = Lockstep(scenario)
+    targets = MovingTargets(scenario.targets, lockstep.tell_of_target, lockstep.now_s())
     watch = FlightWatch(ids_of(scenario), leader_ids, lockstep.now_s())
     director = Director(lockstep, watch, progress, check, tuple, lockstep)
     with looking_seldom():

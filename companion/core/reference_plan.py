@@ -139,11 +139,15 @@ class ReferencePlan:
         self._armed = armed
 
     def missing(self, others: Iterable[PeerPacket]) -> str:
-        """Why this vehicle must not take the lead just now: it has another RFT than those who lead; "" where it has theirs."""
+        """Why this vehicle must not take the lead just now: it has another RFT than those who lead; "" where it has theirs.
+
+        What they said last may be of just before a change that both have.
+        """
         held = self.held
+        own = {held.flown, held.waiting}
         for other in others:
             theirs = other.reference
-            if other.role is Role.LEADER and theirs and theirs.flown not in (held.flown, held.waiting):
+            if other.role is Role.LEADER and theirs and not own & {theirs.flown, theirs.waiting}:
                 return f"vehicle {other.vehicle_id} flies reference {theirs.flown}, this one has {held.flown}"
         return ""
 

@@ -13,6 +13,7 @@ from random import Random
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.config.reference import TargetReference
 from companion.core.arrays import FloatArray
 from sitl.fleet import ids_of
 from sitl.scenario import Scenario
@@ -84,6 +85,8 @@ def _check(scenarios: Sequence[Scenario]) -> None:
         raise ValueError(f"formations of one batch need the same number of vehicles; these have {counts}")
     if any(scenario.stand_in.estimator_resets for scenario in scenarios):
         raise ValueError("a batch knows no stand_in.estimator_resets; fly them with sitl run or sitl fly")
+    if any(isinstance(scenario.reference, TargetReference) for scenario in scenarios):
+        raise ValueError("a batch knows no targets to be followed; fly them with sitl run or sitl fly")
     kinds = sorted({scenario.stand_in.airframe.attitude for scenario in scenarios})
     if len(kinds) > 1:
         raise ValueError(f"formations of one batch need the same kind of attitude control; these have {kinds}")

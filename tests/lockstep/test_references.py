@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from companion.ground.references import reference_change
-from companion.types import AttitudeTarget, CommandName, Lead, ReferenceChange, Status, TargetSample
+from companion.types import AttitudeTarget, CommandName, Lead, ReferenceChange, Status, Vector3
 from companion.wire.ground import StatusReport
 from sitl.director import Director
 from sitl.fleet import ids_of
@@ -160,16 +160,12 @@ def test_who_may_not_lead_refuses_and_who_lacks_a_reference_takes_no_lead() -> N
     assert statuses[1].reference == statuses[2].reference
 
 
-def follow(
-    flight: Flight, seconds: float, path: Callable[[float], tuple[tuple[float, ...], tuple[float, ...]]]
-) -> None:
+def follow(flight: Flight, seconds: float, path: Callable[[float], tuple[Vector3, Vector3]]) -> None:
     """Somebody walks, and tells of it ten times a second."""
     began_s = flight.lockstep.now_s()
-    for number in range(1, round(seconds * 10.0) + 1):
-        t = flight.lockstep.now_s()
-        position, velocity = path(t - began_s)
-        sample = TargetSample(1, number + int(began_s * 10.0), t, velocity, position)  # type: ignore[arg-type]
-        flight.lockstep.tell_of_target("main", sample)
+    for _ in range(round(seconds * 10.0)):
+        position, velocity = path(flight.lockstep.now_s() - began_s)
+        flight.lockstep.tell_of_target("main", velocity, position)
         flight.lockstep.sleep(0.1)
         flight.listen()
 
@@ -183,7 +179,7 @@ def test_a_target_is_followed_over_a_change_of_the_lead_and_its_silence_ends_in_
     change = reference_change(described, list(flight.listen().values()))
     flight.tell(CommandName.REFERENCE, 1, 2, content=change)
 
-    def walk(t: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    def walk(t: float) -> tuple[Vector3, Vector3]:
         return (6.0 + t, 4.0 * sin(0.2 * t), 0.0), (1.0, 0.8 * cos(0.2 * t), 0.0)
 
     began_s = flight.lockstep.now_s()

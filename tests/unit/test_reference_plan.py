@@ -219,6 +219,7 @@ def test_who_missed_it_takes_up_what_the_leader_flies_and_takes_no_lead_before()
     assert references.missing([leader]) == "vehicle 2 flies reference 1, this one has 0"
     assert told(references, replace(CHANGE, begins_s=3.0), [leader]) == (True, "reference 1, which the leader flies")
     assert references.missing([leader]) == ""
+    assert references.missing([other(0, 1, Role.LEADER)]) == ""  # its packet is of before it began
     assert references.at(20.0) == along(about((0.0, 0.0, 2.0), lambda t: circle(t, 4.0, 20.0, 5.0)))(17.0)
 
 
