@@ -95,8 +95,8 @@ def _fly(
     with Fleet.start(scenario, folder, options.port_offset, external) as fleet:
         with FleetSession.open(scenario.fleet.name, endpoints) as session, ExitStack() as voices:
             told = {
-                name: voices.enter_context(TargetPublisher.open(scenario.fleet.name, endpoints, name))
-                for name in scenario.targets
+                target.name: voices.enter_context(TargetPublisher.open(scenario.fleet.name, endpoints, target.name))
+                for target in scenario.targets
             }
             targets = MovingTargets(scenario.targets, lambda name, v, x: told[name].tell(v, x), watch.began_s)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from typing import Annotated
 
 from msgspec import Meta
@@ -14,7 +14,6 @@ from companion.types import Vector3
 
 PERIOD_S = 0.1
 
-TargetName = Annotated[str, Meta(pattern=FLEET_NAME, description=FLEET_NAME_WORDS)]
 Tell = Callable[[str, Vector3, Vector3], None]
 """Takes a target's name, its velocity and its position."""
 
@@ -22,6 +21,7 @@ Tell = Callable[[str, Vector3, Vector3], None]
 class MovingTarget(Section, frozen=True, kw_only=True):
     """It moves along `path` from `begins_s` of the flight on, and tells of itself from then until `ends_s`."""
 
+    name: Annotated[str, Meta(pattern=FLEET_NAME, description=FLEET_NAME_WORDS)] = "main"
     path: PointReference | Figure8Reference | CircleReference | WaypointsReference
     begins_s: Annotated[float, Meta(ge=0, le=3600)] = 0.0
     ends_s: Annotated[float, Meta(gt=0, le=3600)] = 3600.0
@@ -30,8 +30,8 @@ class MovingTarget(Section, frozen=True, kw_only=True):
 class MovingTargets:
     """Lets each of them tell of itself when it is due."""
 
-    def __init__(self, targets: Mapping[str, MovingTarget], tell: Tell, began_s: float) -> None:
-        self._targets = [(name, target, target.path.curve()) for name, target in targets.items()]
+    def __init__(self, targets: Sequence[MovingTarget], tell: Tell, began_s: float) -> None:
+        self._targets = [(target, target.path.curve()) for target in targets]
         self._tell = tell
         self._began_s = began_s
         self._next_s = began_s
@@ -42,7 +42,7 @@ class MovingTargets:
             return
         self._next_s = now_s + PERIOD_S
         flight_s = now_s - self._began_s
-        for name, target, curve in self._targets:
+        for target, curve in self._targets:
             if target.begins_s <= flight_s <= target.ends_s:
                 position, velocity, _ = curve(flight_s - target.begins_s)
-                self._tell(name, velocity, position)
+                self._tell(target.name, velocity, position)

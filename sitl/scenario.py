@@ -21,7 +21,7 @@ from companion.core.reference import ReferenceTrajectory
 from companion.types import CommandName
 from sitl.autopilot_file import check_parameters
 from sitl.config import Links, StandIn
-from sitl.moving_targets import MovingTarget, TargetName
+from sitl.moving_targets import MovingTarget
 
 SET = Path("--set")  # stands where errors name a file
 LONGEST_KEY = 200  # of --set
@@ -75,7 +75,7 @@ class Scenario(Section, frozen=True, kw_only=True):
     reference: Reference
     stand_in: StandIn = StandIn()
     believed: Believed = Believed()
-    targets: dict[TargetName, MovingTarget] = field(default_factory=dict)
+    targets: tuple[MovingTarget, ...] = ()
     links: Links = Links()
     timeline: tuple[TimelineStep, ...]
 
@@ -111,6 +111,10 @@ def scenario_from(path: Path, data: object) -> Scenario:
     _check_vehicles_named(path, scenario)
     check_parameters(path, scenario.stand_in)
     check_reference(path, scenario.fleet, scenario.reference)
+    names = [target.name for target in scenario.targets]
+    for index, name in enumerate(names):
+        if name in names[:index]:
+            raise ConfigError(path, f"targets[{index}].name", f'"{name}" is used twice; give each its own')
     if not scenario.timeline:
         raise ConfigError(path, "timeline", "is empty; list at least one step with a command")
     for index, step in enumerate(scenario.timeline):

@@ -1,14 +1,24 @@
-"""The figure 8: r' and r'' are what r says, nothing jumps, and what cannot be flown is refused."""
+"""What a file may say of an RFT: r' and r'' are what r says, nothing jumps, and what cannot be flown is refused."""
 
 from math import hypot, tau
 from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from companion.assembly import trajectory_of
 from companion.config.fleet import EdgeNeighbours, Envelope, FleetConfig, FormationMember, PeerLimits
-from companion.config.reference import Figure8Reference, PointReference, check_reference, largest_pace
+from companion.config.reference import (
+    CircleReference,
+    Figure8Reference,
+    PointReference,
+    Reference,
+    TargetReference,
+    WaypointsReference,
+    check_reference,
+    largest_pace,
+)
 from companion.config_file import ConfigError
 from companion.types import Role
 
@@ -25,7 +35,7 @@ FLEET = FleetConfig(
 )
 
 
-def sampled(reference: Figure8Reference, times_s: np.ndarray = TIMES_S) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def sampled(reference: Reference, times_s: np.ndarray = TIMES_S) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """r, r' and r'' (n, 3)."""
     places = [trajectory_of(reference)(time_s) for time_s in times_s.tolist()]
     return (
@@ -78,9 +88,9 @@ def test_a_point_stands_still() -> None:
     assert place.velocity_enu_m_s == place.acceleration_enu_m_s2 == (0.0, 0.0, 0.0)
 
 
-def refusal(reference: Figure8Reference, fleet: FleetConfig = FLEET) -> str:
+def refusal(reference: Reference, fleet: FleetConfig = FLEET, where: str = "") -> str:
     with pytest.raises(ConfigError) as caught:
-        check_reference(Path("v.yaml"), fleet, reference)
+        check_reference(Path("v.yaml"), fleet, reference, where)
     assert "\n" not in str(caught.value)
     return str(caught.value)
 
@@ -116,3 +126,73 @@ def test_an_eight_so_fast_that_its_flyers_are_not_believed() -> None:
     )
     line = refusal(changed(period_s=20.0), fleet)
     assert "asks for 1.3 m/s, peers.max_speed_m_s believes 1; expected at least 26.7 s" in line
+
+
+CIRCLE = CircleReference(centre_enu_m=(1.0, -2.0, 3.0), radius_m=5.0, period_s=20.0)
+WAY = WaypointsReference(points_enu_m=((0.0, 0.0, 2.0), (8.0, 0.0, 3.0), (8.0, -6.0, 2.0)), wait_s=1.0)
+TARGET = TargetReference(start_enu_m=(1.0, 2.0, 3.0))
+
+
+@pytest.mark.parametrize("reference", [CIRCLE, CircleReference((1.0, -2.0, 3.0), 5.0, 20.0, 3.0, clockwise=True), WAY])
+def test_every_kind_begins_at_rest_and_keeps_to_its_box_and_to_the_pace_that_is_checked(reference: Reference) -> None:
+    position, velocity, acceleration = sampled(reference)
+    low, high = reference.corners_enu_m()
+    assert position.min(axis=0) == pytest.approx(low, abs=1e-2)
+    assert position.max(axis=0) == pytest.approx(high, abs=1e-2)
+    speed_m_s, acceleration_m_s2 = largest_pace(reference)
+    assert np.linalg.norm(velocity, axis=1).max() == pytest.approx(speed_m_s, rel=1e-3)
+    assert np.linalg.norm(acceleration, axis=1).max() == pytest.approx(acceleration_m_s2, rel=1e-3)
+    start = trajectory_of(reference)(0.0)
+    assert start.position_enu_m == pytest.approx(reference.start_enu_m)
+    assert start.velocity_enu_m_s == start.acceleration_enu_m_s2 == (0.0, 0.0, 0.0)
+
+
+def test_a_circle_turns_counterclockwise_from_the_east_unless_it_is_told_otherwise() -> None:
+    for clockwise, side in ((False, 1.0), (True, -1.0)):
+        circle = trajectory_of(CircleReference((0.0, 0.0, 3.0), 5.0, 20.0, 2.0, clockwise))
+        assert circle(0.0).position_enu_m == (5.0, 0.0, 3.0)
+        assert circle(1.0 + 5.0).position_enu_m == pytest.approx((0.0, side * 5.0, 3.0))
+
+
+def test_waypoints_keep_their_limits_on_long_legs_and_on_short_ones() -> None:
+    for leg_m in (0.3, 200.0):
+        way = WaypointsReference(((0.0, 0.0, 2.0), (leg_m, 0.0, 2.0)), max_speed_m_s=3.0, max_acceleration_m_s2=0.5)
+        speed_m_s, acceleration_m_s2 = largest_pace(way)
+        assert max(speed_m_s / 3.0, acceleration_m_s2 / 0.5) == pytest.approx(1.0)
+    twice = WaypointsReference(((1.0, 0.0, 2.0), (1.0, 0.0, 2.0)))
+    assert largest_pace(twice) == (0.0, 0.0)
+    assert trajectory_of(twice)(3.0).position_enu_m == (1.0, 0.0, 2.0)
+
+
+def test_as_long_as_no_target_is_heard_its_reference_stands() -> None:
+    assert trajectory_of(TARGET)(100.0).position_enu_m == (1.0, 2.0, 3.0)
+
+
+@pytest.mark.parametrize(
+    ("reference", "words"),
+    [
+        (replace(CIRCLE, radius_m=100.0), "reference.centre_enu_m: puts vehicle 1 at x = 101 m, outside"),
+        (replace(CIRCLE, period_s=5.0), "reference.period_s: 5 s with ramp_s 5 asks for"),
+        (replace(WAY, points_enu_m=((0.0, 0.0, 2.0), (0.0, 0.0, 51.0))), "points_enu_m: puts vehicle 1 at z = 51 m"),
+        (
+            replace(WAY, max_acceleration_m_s2=20.0, max_speed_m_s=30.0),
+            "max_acceleration_m_s2: 20 asks for 20.0 m/s^2, envelope.max_tilt_deg 25 gives 4.6; expected at most 4.57",
+        ),
+        (replace(TARGET, start_enu_m=(0.0, -101.0, 3.0)), "start_enu_m: puts vehicle 1 at y = -101 m, outside the fence"),
+        (
+            replace(TARGET, max_speed_m_s=26.0),
+            "reference.max_speed_m_s: 26 asks for 26.0 m/s, peers.max_speed_m_s believes 25; expected at most 25",
+        ),
+        (replace(TARGET, max_acceleration_m_s2=5.0), "reference.max_acceleration_m_s2: 5 asks for 5.0 m/s^2"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_flown_is_refused_and_says_what_would_do(reference: Reference, words: str) -> None:
+    assert words in refusal(reference)
+    assert words in refusal(reference, where="timeline[4].").replace("timeline[4].", "")
+
+
+@pytest.mark.parametrize("period_s", [3.0, 6.0])
+def test_the_advice_for_a_circle_helps(period_s: float) -> None:
+    words = refusal(replace(CIRCLE, period_s=period_s, ramp_s=1.0)).split()
+    slower_s, ramp_s = float(words[words.index("least") + 1]), float(words[-5].rstrip(","))
+    check_reference(Path("v.yaml"), FLEET, replace(CIRCLE, period_s=slower_s, ramp_s=ramp_s))

@@ -92,6 +92,31 @@ RING = SCENARIOS / "ring_figure_8.yaml"
         ("reference.width_m=0", "reference.width_m: 0: expected float > 0.0"),
         ("reference.hight_m=3", 'reference.hight_m: unknown key; did you mean "height_m"?'),
         ("reference.kind=ring", "reference.kind"),
+        (
+            "timeline[3].reference={kind: point, point_enu_m: [0, 0, 2]}",
+            "timeline[3].reference: goes with command: reference",
+        ),
+        ("timeline[4]={command: reference}", "timeline[4].reference: goes with command: reference, and with no other"),
+        (
+            "timeline[4]={command: reference, reference: {kind: waypoints, points_enu_m: [[0, 0, 2], [0, 101, 2]]}}",
+            "timeline[4].reference.points_enu_m: puts vehicle 1 at y = 102 m, outside the fence",
+        ),
+        (
+            "timeline[4]={command: reference, reference: {kind: waypoints, points_enu_m: []}}",
+            "timeline[4].reference.points_enu_m",
+        ),
+        (
+            "targets=[{name: a/b, path: {kind: point, point_enu_m: [0, 0, 0]}}]",
+            "targets[0].name: 'a/b': expected at most 41",
+        ),
+        (
+            "targets=[{path: {kind: target, start_enu_m: [0, 0, 0]}}]",
+            "targets[0].path.kind: 'target': expected one of circle",
+        ),
+        (
+            "targets=[{path: {kind: point, point_enu_m: [0, 0, 0]}}, {path: {kind: point, point_enu_m: [0, 0, 0]}}]",
+            'targets[1].name: "main" is used twice',
+        ),
     ],
 )
 def test_a_figure_8_or_a_change_of_the_lead_that_cannot_be_flown(override: str, words: str) -> None:
