@@ -314,10 +314,14 @@ class FlownSlot(Struct, frozen=True, gc=False):
 
 
 class HeldReference(Struct, frozen=True, gc=False):
-    """Which RFT a vehicle that may lead holds: `flown` counts those commanded, the file's is 0; `waiting` is to come."""
+    """Which RFT a vehicle that may lead holds: `flown` counts those commanded, the file's is 0; `waiting` is to come.
+
+    `begun_s` is when by the fleet's time the one flown began.
+    """
 
     flown: int = 0
     waiting: int = 0  # the same where none is to come
+    begun_s: float = 0.0
 
 
 class PeerPacket(Struct, frozen=True, gc=False):

@@ -147,7 +147,6 @@ class Agent:
                 replies += (self._change_reference(command, command.content, vehicle, around),)
         slot = self._slots.update(around.reference_s, around.flying)
         if self._references:
-            self._references.follow_arming(vehicle.armed)
             self._references.update(now_s, around.reference_s, self._slots.slots_enu_m, around.flying, inbox.targets)
         flags = health_flags(now_s, vehicle, around.leader_word, self._setup.ages, self._setup.envelope)
         action = failsafe_action(flags)

@@ -137,7 +137,8 @@ class PeerTable:
         leads = packet.role is LEADER
         if not 1 <= packet.prc <= len(self._may_lead) or (packet.prc == 1) is not leads:
             return "PrC not plausible"
-        if packet.reference and not 0 <= packet.reference.flown <= packet.reference.waiting:
+        held = packet.reference
+        if held and not (0 <= held.flown <= held.waiting and 0.0 <= held.begun_s <= MAX_REFERENCE_S):
             return "reference not plausible"
         word = packet.leader_word
         if leads and (word is None or word.leader_id != packet.vehicle_id):

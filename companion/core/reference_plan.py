@@ -27,6 +27,7 @@ from companion.types import (
 )
 
 LATEST_S = 60.0  # ahead of the fleet's time
+FALLS_BACK_S = 1.0  # farther than it is ever put right by in flight
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,15 +71,15 @@ class ReferencePlan:
         self._waiting: tuple[ReferenceChange, Rft] | None = None
         self._rft = first
         self._flown = _begun_anew(first)
-        self._followed_s = 0.0  # up to where of the fleet's time the target was followed
-        self._armed = False
+        self._begun_s = 0.0  # when what is flown began
+        self._reference_s = 0.0
         self.target_age_s: float | None = None  # None where none is followed, or none was heard
         self.events: list[str] = []
 
     @property
     def held(self) -> HeldReference:
         flown = self._change.number if self._change else 0
-        return HeldReference(flown, self._waiting[0].number if self._waiting else flown)
+        return HeldReference(flown, self._waiting[0].number if self._waiting else flown, self._begun_s)
 
     @property
     def rejected(self) -> Mapping[str, int]:
@@ -97,9 +98,10 @@ class ReferencePlan:
         here_enu_m: Vector3,
     ) -> tuple[bool, str]:
         """(accepted, why not or what happens now). `here_enu_m` is where this vehicle has the fleet, by its own place."""
-        if change == self._change or (self._waiting and change == self._waiting[0]):
+        if self._has(change):
             return True, f"reference {change.number} is known"
-        late = any(other.reference and other.reference.flown == change.number for other in others)
+        theirs = HeldReference(change.number, begun_s=change.begins_s)
+        late = any(other.reference and _are_one(other.reference, theirs) for other in others)
         if refusal := self._refusal(change, reference_s, late):
             return False, f"reference: {refusal}"
         try:
@@ -124,19 +126,14 @@ class ReferencePlan:
         """Once a tick. `others` are all that are heard of and fly, `slots_enu_m` the formation's, `heard` is of targets."""
         live = [rft for rft in (self._rft, self._waiting and self._waiting[1]) if isinstance(rft, LiveReference)]
         self._targets.fold(heard, [rft.name for rft in live])
+        if reference_s < self._reference_s - FALLS_BACK_S:
+            self._begin_anew()
+            self._reference_s = reference_s
         if self._waiting is not None and reference_s >= self._waiting[0].begins_s:
             self._begin(*self._waiting, slots_enu_m, others)
         if isinstance(self._flown, Pursuit) and isinstance(self._rft, LiveReference):
             self._follow(self._flown, self._rft, now_s, reference_s, slots_enu_m)
-
-    def follow_arming(self, armed: bool) -> None:
-        """After a landing the fleet's time begins anew, and with it the RFT that was flown last."""
-        if self._armed and not armed:
-            if self._waiting:
-                self.events.append(f"reference {self._waiting[0].number} does not begin: landed")
-            self._waiting = None
-            self._flown, self._followed_s = _begun_anew(self._rft), 0.0
-        self._armed = armed
+        self._reference_s = max(self._reference_s, reference_s)  # it is put right, to and fro, by milliseconds
 
     def missing(self, others: Iterable[PeerPacket]) -> str:
         """Why this vehicle must not take the lead just now: it has another RFT than those who lead; "" where it has theirs.
@@ -144,18 +141,35 @@ class ReferencePlan:
         What they said last may be of just before a change that both have.
         """
         held = self.held
-        own = {held.flown, held.waiting}
         for other in others:
             theirs = other.reference
-            if other.role is Role.LEADER and theirs and not own & {theirs.flown, theirs.waiting}:
-                return f"vehicle {other.vehicle_id} flies reference {theirs.flown}, this one has {held.flown}"
+            if other.role is not Role.LEADER or theirs is None or _are_one(theirs, held):
+                continue
+            if held.flown == _to_come(theirs) or theirs.flown == _to_come(held):
+                continue
+            return (
+                f"vehicle {other.vehicle_id} flies reference {theirs.flown} since {theirs.begun_s:.1f} s of the fleet's"
+                f" time, this one {held.flown} since {held.begun_s:.1f} s"
+            )
         return ""
+
+    def _has(self, change: ReferenceChange) -> bool:
+        if self._waiting and change == self._waiting[0]:
+            return True
+        return change == self._change and change.begins_s == self._begun_s
+
+    def _begin_anew(self) -> None:
+        """After a landing the fleet's time does, and with it the RFT that was flown last."""
+        if self._waiting:
+            self.events.append(f"reference {self._waiting[0].number} does not begin: the fleet's time begins anew")
+        self._waiting, self._begun_s = None, 0.0
+        self._flown, self.target_age_s = _begun_anew(self._rft), None
 
     def _refusal(self, change: ReferenceChange, reference_s: float, late: bool) -> str | None:
         flown = self.held.flown
         if self._waiting:
             return f"{self._waiting[0].number} is still to begin"
-        if not flown < change.number <= flown + MAX_EPOCHS_AHEAD:
+        if not late and not flown < change.number <= flown + MAX_EPOCHS_AHEAD:
             return f"number {change.number} is not newer than {flown}"
         if not late and not reference_s < change.begins_s <= reference_s + LATEST_S:
             return f"begins at {change.begins_s:.1f} s of the fleet's time, which is {reference_s:.1f} s now"
@@ -195,7 +209,8 @@ class ReferencePlan:
 
     def _take(self, change: ReferenceChange, rft: Rft, flown: Flown) -> None:
         self._change, self._rft, self._flown = change, rft, flown
-        self._followed_s, self.target_age_s = change.begins_s, None
+        self._begun_s, self.target_age_s = change.begins_s, None
+        self._reference_s = max(self._reference_s, change.begins_s)  # a target is followed from then on
 
     def _follow(
         self,
@@ -213,8 +228,7 @@ class ReferencePlan:
         if target and age_s is not None and age_s <= live.max_age_s:
             goal, velocity = live.goal(target.position_at(now_s), target.sample.velocity_enu_m_s)
         box = box_of(self._limits.fence, slots_enu_m.values())
-        pursuit.advance(reference_s - self._followed_s, goal, velocity, box)
-        self._followed_s = reference_s
+        pursuit.advance(reference_s - self._reference_s, goal, velocity, box)
 
     def _tell_silence(self, live: LiveReference, before_s: float | None, age_s: float | None) -> None:
         heard = age_s is not None and age_s <= live.max_age_s
@@ -223,6 +237,14 @@ class ReferencePlan:
             self.events.append(f"target {live.name} is heard")
         elif was_heard and not heard:
             self.events.append(f"target {live.name} is silent for {live.max_age_s:g} s: the reference comes to rest")
+
+
+def _to_come(held: HeldReference) -> int | None:
+    return held.waiting if held.waiting != held.flown else None
+
+
+def _are_one(a: HeldReference, b: HeldReference) -> bool:
+    return a.flown == b.flown and a.begun_s == b.begun_s
 
 
 def _begun_anew(rft: Rft) -> Flown:

@@ -24,7 +24,7 @@ class _PeerWire(msgspec.Struct, array_like=True, frozen=True, forbid_unknown_fie
     leader_word: tuple[int, int, int, float] | None  # leader id, epoch, stamp, reference_s
     slot: tuple[Vector3, Vector3, Vector3, int, int]  # position, velocity, acceleration, formation, waiting
     position_error: tuple[float, float] | None  # horizontal_m, vertical_m
-    reference: tuple[int, int] | None  # flown, waiting
+    reference: tuple[int, int, float] | None  # flown, waiting, begun_s
 
 
 _encoder = msgspec.msgpack.Encoder()
@@ -51,7 +51,7 @@ def encode_peer(packet: PeerPacket) -> bytes:
                 (word.leader_id, word.epoch, word.stamp, word.reference_s) if word else None,
                 (slot.position_enu_m, slot.velocity_enu_m_s, slot.acceleration_enu_m_s2, slot.formation, slot.waiting),
                 (error.horizontal_m, error.vertical_m) if error else None,
-                (held.flown, held.waiting) if held else None,
+                (held.flown, held.waiting, held.begun_s) if held else None,
             )
         )
     )

@@ -131,10 +131,10 @@ def plan() -> ReferencePlan:
     return references
 
 
-def other(flown: int, waiting: int, role: Role = Role.FOLLOWER) -> PeerPacket:
+def other(flown: int, waiting: int, role: Role = Role.FOLLOWER, begun_s: float = 0.0) -> PeerPacket:
     return PeerPacket(
         2, 1, 1, 0, FlightPhase.FORMATION, role, ZERO3, ZERO3, ZERO3, 0.0, 0.0, 2, None, FlownSlot(ZERO3),
-        reference=HeldReference(flown, waiting),
+        reference=HeldReference(flown, waiting, begun_s),
     )  # fmt: skip
 
 
@@ -150,7 +150,7 @@ def test_a_change_begins_at_its_time_where_all_that_may_lead_have_it() -> None:
     references.update(1.0, 20.9, SLOTS, [other(0, 1)], ())
     assert references.held == HeldReference(0, 1)
     references.update(1.1, 21.0, SLOTS, [other(0, 1)], ())
-    assert references.held == HeldReference(1, 1)
+    assert references.held == HeldReference(1, 1, 21.0)
     assert references.at(21.0).position_enu_m == pytest.approx(before.position_enu_m)
     assert references.events[0].startswith("reference 0 -> 1 (hand-over of ")
     x, y, z = references.at(21.0 + 600.0).position_enu_m
@@ -215,22 +215,36 @@ def test_while_one_is_still_to_begin_no_other_is_taken() -> None:
 
 def test_who_missed_it_takes_up_what_the_leader_flies_and_takes_no_lead_before() -> None:
     references = plan()
-    leader = other(1, 1, Role.LEADER)
-    assert references.missing([leader]) == "vehicle 2 flies reference 1, this one has 0"
+    leader = other(1, 1, Role.LEADER, begun_s=3.0)
+    words = "vehicle 2 flies reference 1 since 3.0 s of the fleet's time, this one 0 since 0.0 s"
+    assert references.missing([leader]) == words
     assert told(references, replace(CHANGE, begins_s=3.0), [leader]) == (True, "reference 1, which the leader flies")
     assert references.missing([leader]) == ""
     assert references.missing([other(0, 1, Role.LEADER)]) == ""  # its packet is of before it began
     assert references.at(20.0) == along(about((0.0, 0.0, 2.0), lambda t: circle(t, 4.0, 20.0, 5.0)))(17.0)
 
 
-def test_after_landing_the_last_one_begins_anew() -> None:
+def test_when_the_fleet_s_time_begins_anew_the_last_one_does() -> None:
     references = plan()
-    references.follow_arming(True)
     told(references, CHANGE)
     references.update(1.1, 21.0, SLOTS, (), ())
-    references.follow_arming(False)
-    assert references.held == HeldReference(1, 1)
+    references.update(1.2, 20.99, SLOTS, (), ())  # put right
+    assert references.held == HeldReference(1, 1, 21.0)
+    references.update(60.0, 0.0, SLOTS, (), ())  # landed
+    assert references.held == HeldReference(1, 1, 0.0)
     assert references.at(0.0).position_enu_m == pytest.approx((4.0, 0.0, 2.0))
+
+
+def test_who_landed_alone_must_be_told_again_before_it_leads() -> None:
+    references = plan()
+    told(references, CHANGE)
+    references.update(1.1, 21.0, SLOTS, (), ())
+    references.update(60.0, 0.0, SLOTS, (), ())
+    leader = other(1, 1, Role.LEADER, begun_s=21.0)
+    references.update(90.0, 70.0, SLOTS, [leader], ())  # it hears the others again
+    assert references.missing([leader]).startswith("vehicle 2 flies reference 1 since 21.0 s")
+    assert references.obey(CHANGE, 70.0, SLOTS, [leader], ZERO3) == (True, "reference 1, which the leader flies")
+    assert references.missing([leader]) == ""
 
 
 def word(now_s: float, sequence: int) -> ReceivedTarget:
