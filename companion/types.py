@@ -492,6 +492,7 @@ class Status(Struct, frozen=True, gc=False):
     flags: tuple[HealthFlag, ...]
     rejected: dict[str, int]  # counted rejections by reason
     last_event: str
+    reference_s: float = 0.0  # how far into the RFT the fleet is, as this vehicle counts
     reference: HeldReference | None = None  # None where it may not lead
     target_age_s: float | None = None  # of the target that the RFT follows; None where there is none, or none is heard
     lacks: tuple[str, ...] = ()  # while it is disarmed: what, besides its flags, forbids a flight in formation

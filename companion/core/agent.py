@@ -219,7 +219,8 @@ class Agent:
     def _change_lead(self, now_s: float, command: Command, lead: Lead, vehicle: VehicleState) -> CommandReply:
         refusal = self._machine.refusal_of_lead(vehicle)
         if not refusal and self._references and self._setup.vehicle_id in lead.leaders:
-            refusal = self._references.missing([p.packet for p in self._cooperation.peers.fresh(now_s).values()])
+            missing = self._references.missing([p.packet for p in self._cooperation.peers.fresh(now_s).values()])
+            refusal = f"lead: {missing}" if missing else ""
         accepted, reason = (False, refusal) if refusal else self._cooperation.leadership.obey(lead)
         return CommandReply(self._setup.vehicle_id, command.number, accepted, reason)
 
@@ -393,6 +394,7 @@ class Agent:
                 + Counter(self._references.rejected if self._references else ())
             ),
             last_event=self._last_event,
+            reference_s=around.reference_s,
             reference=self._references.held if self._references else None,
             target_age_s=self._references.target_age_s if self._references else None,
             lacks=() if vehicle.armed else self._preflight.lacks(),

@@ -45,10 +45,5 @@ def change_to(slots_enu_m: Mapping[int, Vector3], statuses: Sequence[Status], sl
 
 
 def fleet_time_s(statuses: Sequence[Status]) -> float:
-    """How far into the RFT the fleet is, by what these vehicles last said."""
-    return max(_reference_s(status) for status in statuses)
-
-
-def _reference_s(status: Status) -> float:
-    word = status.leader_word
-    return word.reference_s + (status.leader_word_age_s or 0.0) if word else 0.0
+    """How far into the RFT the fleet is, by what these vehicles last said; it stands while no leader is in formation."""
+    return max(status.reference_s for status in statuses)

@@ -10,11 +10,13 @@ from pathlib import Path
 
 import pytest
 
+from companion.assembly import build_agent
+from companion.config.vehicle import AgentConfig
 from companion.ground.references import reference_change
-from companion.types import AttitudeTarget, CommandName, Lead, ReferenceChange, Status, Vector3
+from companion.types import AttitudeTarget, CommandName, Content, FlightPhase, Lead, Status, Vector3
 from companion.wire.ground import StatusReport
 from sitl.director import Director
-from sitl.fleet import ids_of
+from sitl.fleet import ids_of, reached_stand_in, vehicle_file
 from sitl.flights import reference_flown
 from sitl.lockstep import Lockstep
 from sitl.metrics import formation_figures, smallest_distance_m
@@ -76,7 +78,7 @@ class Flight:
             if at_s > after_s
         )
 
-    def tell(self, name: CommandName, *ids: int, content: ReferenceChange | None = None) -> None:
+    def tell(self, name: CommandName, *ids: int, content: Content | None = None) -> None:
         replies = self.lockstep.command(ids, name, 1.0, content)
         assert all(reply is not None and reply.accepted for reply in replies.values()), replies
 
@@ -143,7 +145,7 @@ def test_figures_are_of_what_was_flown() -> None:
     assert figures.final_error_m < 0.1
 
 
-def test_who_may_not_lead_refuses_and_who_lacks_a_reference_takes_no_lead() -> None:
+def test_who_may_not_lead_refuses_and_where_one_that_may_lacks_it_nothing_changes() -> None:
     flight = Flight("fleet.law.name=cooperative")
     flight.director.fly(flight.scenario.timeline[:3])
     flight.tell(CommandName.FORM, 1, 2, 3, 4)
@@ -158,6 +160,55 @@ def test_who_may_not_lead_refuses_and_who_lacks_a_reference_takes_no_lead() -> N
     statuses = flight.listen()
     assert statuses[1].last_event == "reference 1 does not begin: vehicle 2 does not have it"
     assert statuses[1].reference == statuses[2].reference
+
+
+def test_in_hold_the_fleet_s_time_stands_and_a_change_begins_when_it_goes_on() -> None:
+    flight = Flight("fleet.law.name=cooperative")
+    flight.director.fly(flight.scenario.timeline[:3])
+    flight.tell(CommandName.FORM, 1, 2, 3, 4)
+    flight.lockstep.sleep(8.0)
+    flight.tell(CommandName.HOLD, 1, 2, 3, 4)
+    flight.lockstep.sleep(3.0)
+    point = {"kind": "point", "point_enu_m": [1.0, 1.0, 2.0]}
+    change = reference_change(point, list(flight.listen().values()))
+    flight.tell(CommandName.REFERENCE, 1, 2, content=change)
+    flight.lockstep.sleep(3.0)
+    assert {i: s.reference.flown for i, s in flight.listen().items() if s.reference} == {1: 0, 2: 0}
+    flight.tell(CommandName.FORM, 1, 2, 3, 4)
+    flight.lockstep.sleep(8.0)
+    statuses = flight.listen()
+    assert {i: s.reference.flown for i, s in statuses.items() if s.reference} == {1: 1, 2: 1}
+    assert statuses[1].reference_enu_m == pytest.approx((1.0, 1.0, 2.0))
+
+
+def test_an_agent_restarted_in_flight_takes_no_lead_before_it_is_told_of_the_reference() -> None:
+    flight = Flight("fleet.law.name=cooperative")
+    flight.director.fly(flight.scenario.timeline[:3])
+    flight.tell(CommandName.FORM, 1, 2, 3, 4)
+    flight.lockstep.sleep(3.0)
+    point = {"kind": "point", "point_enu_m": [1.0, 1.0, 2.0]}
+    change = reference_change(point, list(flight.listen().values()))
+    flight.tell(CommandName.REFERENCE, 1, 2, content=change)
+    flight.lockstep.sleep(2.0)
+    member = flight.scenario.fleet.vehicles[1]
+    file = vehicle_file(flight.scenario, reached_stand_in(flight.scenario, 2, port_offset=0), port_offset=0)
+    flight.lockstep._vehicles[2]._agent = build_agent(AgentConfig(file, flight.scenario.fleet, member), session=2)
+    flight.lockstep.sleep(2.0)
+    for name, phase in ((CommandName.HOLD, FlightPhase.HOLD), (CommandName.FORM, FlightPhase.FORMATION)):
+        flight.tell(name, 2)
+        flight.lockstep.sleep(2.0)
+        assert flight.listen()[2].phase is phase
+    reply = flight.lockstep.command([2], CommandName.LEAD, 1.0, Lead((2,), 1))[2]
+    assert reply is not None
+    assert not reply.accepted
+    assert reply.reason.startswith("lead: vehicle 1 flies reference 1 since")
+    reply = flight.lockstep.command([2], CommandName.REFERENCE, 1.0, change)[2]
+    assert reply is not None
+    assert (reply.accepted, reply.reason) == (True, "reference 1, which the leader flies")
+    flight.tell(CommandName.LEAD, 1, 2, 3, 4, content=Lead((2,), 1))
+    flight.lockstep.sleep(8.0)
+    status = flight.listen()[2]
+    assert status.reference_enu_m == pytest.approx((1.0, 1.0, 2.0))
 
 
 def follow(flight: Flight, seconds: float, path: Callable[[float], tuple[Vector3, Vector3]]) -> None:

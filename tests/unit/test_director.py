@@ -8,6 +8,7 @@ from collections.abc import Iterable
 import pytest
 from msgspec.structs import replace
 
+from companion.config.reference import PointReference
 from companion.core.phase import RULES
 from companion.types import (
     CommandName,
@@ -15,8 +16,10 @@ from companion.types import (
     Content,
     FlightPhase,
     FlownSlot,
+    HeldReference,
     LandedState,
     Lead,
+    ReferenceChange,
     Role,
     Status,
 )
@@ -72,6 +75,7 @@ class Vehicles:
         self.mute: set[int] = set()
         self.heard: list[tuple[CommandName, tuple[int, ...]]] = []
         self.leads: list[Lead] = []
+        self.references: list[ReferenceChange] = []
         self._due: dict[int, tuple[float, CommandName]] = {}
 
     def command(
@@ -81,6 +85,9 @@ class Vehicles:
         assert (name is C.LEAD) is isinstance(content, Lead)
         asked = tuple(ids)
         self.heard.append((name, asked))
+        if isinstance(content, ReferenceChange):
+            self.references.append(content)
+            return {i: self._change_reference(i, content) for i in asked}
         if isinstance(content, Lead):
             self.leads.append(content)
             return {i: None if i in self.mute else self._change_lead(i, content) for i in asked}
@@ -91,6 +98,12 @@ class Vehicles:
             return CommandReply(vehicle_id, 1, False, reasons.pop(0))
         role = Role.LEADER if vehicle_id in lead.leaders else Role.FOLLOWER
         self.change(vehicle_id, role=role, epoch=lead.epoch)
+        return CommandReply(vehicle_id, 1, True, "yes")
+
+    def _change_reference(self, vehicle_id: int, change: ReferenceChange) -> CommandReply:
+        if reasons := self.refuses.get((vehicle_id, C.REFERENCE)):
+            return CommandReply(vehicle_id, 1, False, reasons.pop(0))
+        self.change(vehicle_id, reference=HeldReference(change.number, change.number, change.begins_s))
         return CommandReply(vehicle_id, 1, True, "yes")
 
     def _obey(self, vehicle_id: int, name: CommandName) -> CommandReply:
@@ -335,3 +348,26 @@ def test_data_that_never_came_has_no_age(flight: Flight) -> None:
     row = flight.watch.rows(time.monotonic())[0]
     assert "data   - " in vehicle_line(dataclasses.replace(row, data_age_s=1e6, silent=False)) + " "
     assert "data  20 ms old" in vehicle_line(dataclasses.replace(row, data_age_s=0.02, silent=False))
+
+
+POINT = TimelineStep(command=C.REFERENCE, reference=PointReference((1.0, 2.0, 3.0)), timeout_s=1.2)
+
+
+def test_another_reference_goes_to_those_that_may_lead_in_the_next_number_and_soon(flight: Flight) -> None:
+    flight.fly(C.PREPARE)
+    flight.vehicles.change(1, reference=HeldReference(3, 4), reference_s=40.2)
+    flight.fly(C.ARM)
+    flight.director.fly([POINT])
+    assert flight.vehicles.heard[-1] == (C.REFERENCE, (1,))
+    assert flight.vehicles.references[-1] == ReferenceChange(
+        5, {"kind": "point", "point_enu_m": (1.0, 2.0, 3.0)}, pytest.approx(41.2)
+    )
+
+
+def test_a_reference_that_is_refused_ends_the_flight_with_the_reason(flight: Flight) -> None:
+    flight.fly(C.PREPARE)
+    flight.vehicles.change(1, reference=HeldReference())
+    flight.fly(C.ARM)
+    flight.vehicles.refuses[1, C.REFERENCE] = ["reference: too far away"] * 9
+    with pytest.raises(FlightFailure, match=r"reference not done within 1\.2 s: vehicle 1: reference: too far away"):
+        flight.director.fly([POINT])
