@@ -18,6 +18,7 @@ from companion.core.targets import Targets
 from companion.types import (
     MAX_EPOCHS_AHEAD,
     ZERO3,
+    FlightPhase,
     HeldReference,
     PeerPacket,
     ReceivedTarget,
@@ -54,9 +55,8 @@ class LiveReference:
 Rft = ReferenceTrajectory | LiveReference
 Read = Callable[[dict[str, Any], Mapping[int, Vector3]], Rft]
 """From a description and the slots to be flown about it to a checked RFT. Raises ValueError with the reason."""
-
-
 Flown = ReferenceTrajectory | Pursuit
+"""In the fleet's own time."""
 
 
 class ReferencePlan:
@@ -136,14 +136,15 @@ class ReferencePlan:
         self._reference_s = max(self._reference_s, reference_s)  # it is put right, to and fro, by milliseconds
 
     def missing(self, others: Iterable[PeerPacket]) -> str:
-        """Why this vehicle must not take the lead just now: it has another RFT than those who lead; "" where it has theirs.
+        """Why this vehicle must not take the lead just now: it has another RFT than those who lead in formation; "" where not.
 
         What they said last may be of just before a change that both have.
         """
         held = self.held
         for other in others:
             theirs = other.reference
-            if other.role is not Role.LEADER or theirs is None or _are_one(theirs, held):
+            leads = other.role is Role.LEADER and other.phase is FlightPhase.FORMATION
+            if not leads or theirs is None or _are_one(theirs, held):
                 continue
             if held.flown == _to_come(theirs) or theirs.flown == _to_come(held):
                 continue

@@ -218,6 +218,8 @@ def test_who_missed_it_takes_up_what_the_leader_flies_and_takes_no_lead_before()
     leader = other(1, 1, Role.LEADER, begun_s=3.0)
     words = "vehicle 2 flies reference 1 since 3.0 s of the fleet's time, this one 0 since 0.0 s"
     assert references.missing([leader]) == words
+    restarted = replace(leader, phase=FlightPhase.OBSERVE)  # it says that it leads, by its file, and nobody follows
+    assert references.missing([restarted]) == ""
     assert told(references, replace(CHANGE, begins_s=3.0), [leader]) == (True, "reference 1, which the leader flies")
     assert references.missing([leader]) == ""
     assert references.missing([other(0, 1, Role.LEADER)]) == ""  # its packet is of before it began

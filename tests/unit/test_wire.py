@@ -134,7 +134,7 @@ PACKET = PeerPacket(
     3, 2**32 - 1, 10**6, 2**64 - 1, FlightPhase.FORMATION, Role.FOLLOWER, (1.0, 2.0, 3.0), (0.1, 0.2, 0.3),
     (0.01, 0.02, 0.03), 0.021, 1234.5, 4, LeaderWord(1, 7, 60, 12.5),
     FlownSlot((-3.0, 0.0, 0.5), (0.1, 0.0, 0.0), (0.2, 0.0, 0.0), 2, 3),
-    PositionError(0.29, 0.28), HeldReference(1, 2), HeldReference(1, 2),
+    PositionError(0.29, 0.28), HeldReference(1, 2, 3.5),
 )  # fmt: skip
 REPORT = StatusReport(
     Status(
