@@ -10,6 +10,7 @@ from pathlib import Path
 
 import yaml
 
+from companion.config.reference import TargetReference
 from companion.config_file import ConfigError, StrictLoader
 from companion.types import AutopilotKind, CommandName
 from sitl.scenario import Scenario, load_scenario
@@ -107,11 +108,13 @@ def base_scenario(path: Path, overrides: Sequence[str]) -> Scenario:
 
 
 def _as_batches_fly(path: Path, scenario: Scenario) -> Scenario:
-    """Batches have PX4's loops alone. Raises ConfigError."""
+    """Batches have PX4's loops alone, and nothing to follow. Raises ConfigError."""
     if scenario.stand_in.autopilot is not AutopilotKind.PX4:
         raise ConfigError(
             path, "stand_in.autopilot", f'"{scenario.stand_in.autopilot}": sweeps fly px4 alone; try sitl run'
         )
+    if isinstance(scenario.reference, TargetReference):
+        raise ConfigError(path, "reference.kind", '"target": sweeps have nothing that could be followed; try sitl run')
     return scenario
 
 

@@ -121,6 +121,11 @@ def test_batches_have_no_arducopters() -> None:
         base_scenario(PLATOON, ["stand_in.autopilot=ardupilot"])
 
 
+def test_batches_have_nothing_to_follow() -> None:
+    with pytest.raises(ConfigError, match=r'reference.kind: "target": sweeps have nothing that could be followed'):
+        base_scenario(PLATOON, ["reference={kind: target, start_enu_m: [0, 0, 1]}"])
+
+
 def test_the_time_is_that_of_the_form_step() -> None:
     assert formation_time_s(PLATOON, platoon()) == 75.0
     with pytest.raises(ConfigError, match="no step with command: form; say with --seconds S"):
