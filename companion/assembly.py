@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from math import radians
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from companion.config.fleet import EdgeNeighbours, Envelope, FleetConfig
 from companion.config.law import Law, LawName
@@ -33,7 +33,7 @@ from companion.core.reference_plan import LiveReference, ReferencePlan, Rft
 from companion.core.setpoint_stream import SetpointStream
 from companion.core.slot_plan import SlotPlan
 from companion.core.vehicle_state import VehicleTracker
-from companion.types import Role, Vector3
+from companion.types import Described, Role, Vector3
 
 Value = TypeVar("Value")
 LAWS: dict[LawName, Callable[[], FormationLaw]] = {
@@ -45,6 +45,7 @@ LAWS: dict[LawName, Callable[[], FormationLaw]] = {
 
 
 COMMANDED = Path("command")  # stands where errors name a file
+LONGEST_REASON = 300  # characters: a command's keys and values may be of any length
 
 
 class _Commanded(Section, frozen=True):
@@ -112,13 +113,13 @@ def _references(fleet: FleetConfig, first: Reference) -> ReferencePlan:
         fence=(fleet.envelope.fence_min_enu_m, fleet.envelope.fence_max_enu_m),
     )
 
-    def read(described: dict[str, Any], slots_enu_m: Mapping[int, Vector3]) -> Rft:
+    def read(described: Described, slots_enu_m: Mapping[int, Vector3]) -> Rft:
         """A command's reference goes through what a file's goes through."""
         try:
             reference = convert(COMMANDED, {"reference": described}, _Commanded).reference
             check_reference(COMMANDED, fleet, reference, slots_enu_m=slots_enu_m)
         except ConfigError as error:
-            raise ValueError(str(error)) from error
+            raise ValueError(" ".join(str(error).split())[:LONGEST_REASON]) from error
         return rft_of(reference)
 
     return ReferencePlan(rft_of(first), read, limits)

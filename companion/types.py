@@ -11,7 +11,6 @@ anything that could hold it, so the collector need not look for cycles (gc=False
 from __future__ import annotations
 
 from enum import IntEnum, StrEnum
-from typing import Any
 
 from msgspec import Struct
 
@@ -407,6 +406,10 @@ class FormationChange(Struct, frozen=True, gc=False, tag=True):
     lasts_s: float
 
 
+Described = dict[str, bool | int | float | str | list[float | list[float]]]
+"""A section of a file as plain values."""
+
+
 class ReferenceChange(Struct, frozen=True, gc=False, tag=True):
     """Another RFT for those that may lead, from `begins_s` of the fleet's time on, when its own time begins.
 
@@ -414,7 +417,7 @@ class ReferenceChange(Struct, frozen=True, gc=False, tag=True):
     """
 
     number: int
-    reference: dict[str, Any]
+    reference: Described
     begins_s: float
 
 

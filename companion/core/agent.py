@@ -219,7 +219,7 @@ class Agent:
     def _change_lead(self, now_s: float, command: Command, lead: Lead, vehicle: VehicleState) -> CommandReply:
         refusal = self._machine.refusal_of_lead(vehicle)
         if not refusal and self._references and self._setup.vehicle_id in lead.leaders:
-            missing = self._references.missing([p.packet for p in self._cooperation.peers.fresh(now_s).values()])
+            missing = self._references.missing(now_s)
             refusal = f"lead: {missing}" if missing else ""
         accepted, reason = (False, refusal) if refusal else self._cooperation.leadership.obey(lead)
         return CommandReply(self._setup.vehicle_id, command.number, accepted, reason)

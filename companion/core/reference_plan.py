@@ -6,9 +6,8 @@ that missed the command would lead elsewhere. So it is the same RFT, whoever lea
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from companion.core.formation import Place
 from companion.core.hand_over import HandOverLimits, box_of, handed_over
@@ -18,6 +17,7 @@ from companion.core.targets import Targets
 from companion.types import (
     MAX_EPOCHS_AHEAD,
     ZERO3,
+    Described,
     FlightPhase,
     HeldReference,
     PeerPacket,
@@ -28,6 +28,7 @@ from companion.types import (
 )
 
 LATEST_S = 60.0  # ahead of the fleet's time
+LED_LATELY_S = 2.0  # so long counts what a leader said that is heard no more: another is to take over from it
 FALLS_BACK_S = 1.0  # farther than it is ever put right by in flight
 
 
@@ -53,7 +54,7 @@ class LiveReference:
 
 
 Rft = ReferenceTrajectory | LiveReference
-Read = Callable[[dict[str, Any], Mapping[int, Vector3]], Rft]
+Read = Callable[[Described, Mapping[int, Vector3]], Rft]
 """From a description and the slots to be flown about it to a checked RFT. Raises ValueError with the reason."""
 Flown = ReferenceTrajectory | Pursuit
 """In the fleet's own time."""
@@ -73,6 +74,8 @@ class ReferencePlan:
         self._flown = _begun_anew(first)
         self._begun_s = 0.0  # when what is flown began
         self._reference_s = 0.0
+        self._led_by: tuple[int, HeldReference] | None = None  # who leads in formation, and by which RFT
+        self._led_s = 0.0
         self.target_age_s: float | None = None  # None where none is followed, or none was heard
         self.events: list[str] = []
 
@@ -120,10 +123,11 @@ class ReferencePlan:
         now_s: float,
         reference_s: float,
         slots_enu_m: Mapping[int, Vector3],
-        others: Iterable[PeerPacket],
+        others: Collection[PeerPacket],
         heard: Iterable[ReceivedTarget],
     ) -> None:
         """Once a tick. `others` are all that are heard of and fly, `slots_enu_m` the formation's, `heard` is of targets."""
+        self._hear_leader(now_s, others)
         live = [rft for rft in (self._rft, self._waiting and self._waiting[1]) if isinstance(rft, LiveReference)]
         self._targets.fold(heard, [rft.name for rft in live])
         if reference_s < self._reference_s - FALLS_BACK_S:
@@ -135,24 +139,26 @@ class ReferencePlan:
             self._follow(self._flown, self._rft, now_s, reference_s, slots_enu_m)
         self._reference_s = max(self._reference_s, reference_s)  # it is put right, to and fro, by milliseconds
 
-    def missing(self, others: Iterable[PeerPacket]) -> str:
-        """Why this vehicle must not take the lead just now: it has another RFT than those who lead in formation; "" where not.
+    def missing(self, now_s: float) -> str:
+        """Why this vehicle must not take the lead just now: it has another RFT than who led last; "" where it has that one.
 
-        What they said last may be of just before a change that both have.
+        What that one said last may be of just before a change that both have.
         """
+        if self._led_by is None or now_s - self._led_s > LED_LATELY_S:
+            return ""
+        leader_id, theirs = self._led_by
         held = self.held
+        if _are_one(theirs, held) or held.flown == _to_come(theirs) or theirs.flown == _to_come(held):
+            return ""
+        return (
+            f"vehicle {leader_id} flies reference {theirs.flown} since {theirs.begun_s:.1f} s of the fleet's time,"
+            f" this one {held.flown} since {held.begun_s:.1f} s"
+        )
+
+    def _hear_leader(self, now_s: float, others: Iterable[PeerPacket]) -> None:
         for other in others:
-            theirs = other.reference
-            leads = other.role is Role.LEADER and other.phase is FlightPhase.FORMATION
-            if not leads or theirs is None or _are_one(theirs, held):
-                continue
-            if held.flown == _to_come(theirs) or theirs.flown == _to_come(held):
-                continue
-            return (
-                f"vehicle {other.vehicle_id} flies reference {theirs.flown} since {theirs.begun_s:.1f} s of the fleet's"
-                f" time, this one {held.flown} since {held.begun_s:.1f} s"
-            )
-        return ""
+            if other.reference and other.role is Role.LEADER and other.phase is FlightPhase.FORMATION:
+                self._led_by, self._led_s = (other.vehicle_id, other.reference), now_s
 
     def _has(self, change: ReferenceChange) -> bool:
         if self._waiting and change == self._waiting[0]:

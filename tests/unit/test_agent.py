@@ -19,10 +19,12 @@ from companion.types import (
     AutopilotMode,
     Command,
     CommandName,
+    Content,
     FlightPhase,
     FlownSlot,
     HealthFlag,
     HeartbeatSample,
+    HeldReference,
     Inbox,
     LandedSample,
     LandedState,
@@ -35,6 +37,7 @@ from companion.types import (
     PeerPacket,
     PositionSample,
     ReceivedPeerPacket,
+    ReferenceChange,
     RequestOrigin,
     RequestParameter,
     Role,
@@ -107,6 +110,7 @@ class Flight:
         self.events: list[str] = []
         self.peer_role: Role | None = None
         self.peer_reference_s = 0.0
+        self.peer_reference: HeldReference | None = None
         self.peer_late_s = 0.0
         self.formation_ticks = 0
         self._peer_sequence = 0
@@ -158,6 +162,7 @@ class Flight:
             prc=leads if self.peer_role is None else 2,
             leader_word=LeaderWord(1, 0, int(self.now_s * 1000), self.peer_reference_s),
             slot=FlownSlot(self.fleet.vehicles[leads - 1].slot_enu_m),
+            reference=self.peer_reference,
         )
         return [ReceivedPeerPacket(self.now_s, packet)]
 
@@ -165,7 +170,9 @@ class Flight:
     def agent_id(self) -> int:
         return 2 if self.position[0] < 0 else 1
 
-    def tick(self, *names: CommandName, telemetry: list[Telemetry] | None = None, lead: Lead | None = None) -> Outbox:
+    def tick(
+        self, *names: CommandName, telemetry: list[Telemetry] | None = None, lead: Content | None = None
+    ) -> Outbox:
         self.now_s += 0.02
         self.peer_reference_s += 0.02 if self.peer_reference_s else 0.0
         self.formation_ticks += self.agent.phase is FlightPhase.FORMATION
@@ -578,6 +585,41 @@ def test_who_may_lead_does_not_fly_by_the_rft_before_it_is_told_to() -> None:
     assert one.targets == other.targets
     status = next(status for _ in range(10) if (status := one.tick().status))
     assert status.reference_enu_m is None
+
+
+def test_a_reference_goes_to_who_may_lead_and_shows_in_its_packets_and_status() -> None:
+    change = ReferenceChange(1, {"kind": "point", "point_enu_m": [4.0, 0.0, 1.0]}, 34.5)
+    follower = Flight().fly_to(FlightPhase.FORMATION)
+    reply = follower.tick(CommandName.REFERENCE, lead=change).replies[0]
+    assert (reply.accepted, reply.reason) == (False, "reference: this vehicle may not lead, and knows of none")
+    flight = Flight(fleet=MAY_LEAD, reference=EIGHT)
+    flight.peer_reference, flight.peer_reference_s = HeldReference(0, 1), 30.0
+    flight.fly_to(FlightPhase.FORMATION)
+    flight.peer_reference_s = 33.0
+    flight.tick()
+    assert flight.tick(CommandName.REFERENCE, lead=change).replies[0].accepted
+    packet = flight.tick().peer_packet
+    assert packet is not None
+    assert packet.reference == HeldReference(0, 1)
+    for _ in range(80):
+        flight.tick()
+    assert flight.outbox.peer_packet is not None
+    assert flight.outbox.peer_packet.reference == HeldReference(1, 1, 34.5)
+    assert any(event.startswith("reference 0 -> 1 (hand-over of ") for event in flight.events)
+    status = next(status for _ in range(10) if (status := flight.tick().status))
+    assert status.reference == HeldReference(1, 1, 34.5)
+    assert status.reference_s == pytest.approx(flight.peer_reference_s, abs=0.03)
+    assert status.reference_enu_m is None  # it follows
+
+
+def test_who_has_another_reference_than_the_leader_takes_no_lead() -> None:
+    flight = Flight(fleet=MAY_LEAD, reference=EIGHT)
+    flight.peer_reference, flight.peer_reference_s = HeldReference(1, 1, 5.0), 33.0
+    flight.fly_to(FlightPhase.FORMATION)
+    reply = flight.tick(CommandName.LEAD, lead=Lead((2,), 1)).replies[0]
+    words = "lead: vehicle 1 flies reference 1 since 5.0 s of the fleet's time, this one 0 since 0.0 s"
+    assert (reply.accepted, reply.reason) == (False, words)
+    assert flight.tick(CommandName.LEAD, lead=Lead((1,), 1)).replies[0].accepted  # it may well follow
 
 
 def test_it_takes_the_lead_in_the_tick_that_tells_it_and_goes_on_where_the_leader_was() -> None:

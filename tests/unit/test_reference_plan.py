@@ -177,6 +177,7 @@ def test_where_one_that_may_lead_lacks_it_it_does_not_begin() -> None:
         ({"begins_s": 90.0}, "begins at 90.0 s of the fleet's time, which is 20.0 s now"),
         ({"begins_s": float("nan")}, "begins at nan s"),
         ({"reference": {}}, "command: reference"),
+        ({"reference": {"kind": "point", "a\n" * 9999: 1.0}}, "unknown field a a a a a"),
         ({"reference": {"kind": "spiral"}}, "command: reference.kind: 'spiral': expected one of circle, figure_8"),
         ({"reference": CHANGE.reference | {"radius": 4.0}}, 'command: reference.radius: unknown key; did you mean "radius_m"?'),
         ({"reference": CHANGE.reference | {"radius_m": float("inf")}}, "command: reference.radius_m: inf is not a finite"),
@@ -195,6 +196,7 @@ def test_what_cannot_be_flown_is_refused_in_words_and_changes_nothing(changes: d
     assert reason.startswith("reference: ")
     assert words in reason
     assert "\n" not in reason
+    assert len(reason) < 320
     references.update(100.0, 30.0, SLOTS, (), ())
     assert references.held == HeldReference(0, 0)
     assert references.at(30.0) == before
@@ -216,13 +218,18 @@ def test_while_one_is_still_to_begin_no_other_is_taken() -> None:
 def test_who_missed_it_takes_up_what_the_leader_flies_and_takes_no_lead_before() -> None:
     references = plan()
     leader = other(1, 1, Role.LEADER, begun_s=3.0)
-    words = "vehicle 2 flies reference 1 since 3.0 s of the fleet's time, this one 0 since 0.0 s"
-    assert references.missing([leader]) == words
     restarted = replace(leader, phase=FlightPhase.OBSERVE)  # it says that it leads, by its file, and nobody follows
-    assert references.missing([restarted]) == ""
+    references.update(1.0, 20.0, SLOTS, [restarted], ())
+    assert references.missing(1.0) == ""
+    references.update(1.0, 20.0, SLOTS, [leader], ())
+    words = "vehicle 2 flies reference 1 since 3.0 s of the fleet's time, this one 0 since 0.0 s"
+    assert references.missing(1.0) == words
+    assert references.missing(2.5) == words  # it was heard just now: whoever takes over from it needs the same
+    assert references.missing(4.0) == ""
     assert told(references, replace(CHANGE, begins_s=3.0), [leader]) == (True, "reference 1, which the leader flies")
-    assert references.missing([leader]) == ""
-    assert references.missing([other(0, 1, Role.LEADER)]) == ""  # its packet is of before it began
+    assert references.missing(1.0) == ""
+    references.update(1.1, 20.1, SLOTS, [other(0, 1, Role.LEADER)], ())  # its packet is of before it began
+    assert references.missing(1.1) == ""
     assert references.at(20.0) == along(about((0.0, 0.0, 2.0), lambda t: circle(t, 4.0, 20.0, 5.0)))(17.0)
 
 
@@ -244,9 +251,9 @@ def test_who_landed_alone_must_be_told_again_before_it_leads() -> None:
     references.update(60.0, 0.0, SLOTS, (), ())
     leader = other(1, 1, Role.LEADER, begun_s=21.0)
     references.update(90.0, 70.0, SLOTS, [leader], ())  # it hears the others again
-    assert references.missing([leader]).startswith("vehicle 2 flies reference 1 since 21.0 s")
+    assert references.missing(90.0).startswith("vehicle 2 flies reference 1 since 21.0 s")
     assert references.obey(CHANGE, 70.0, SLOTS, [leader], ZERO3) == (True, "reference 1, which the leader flies")
-    assert references.missing([leader]) == ""
+    assert references.missing(90.0) == ""
 
 
 def word(now_s: float, sequence: int) -> ReceivedTarget:

@@ -103,7 +103,8 @@ leads = st.builds(Lead, st.lists(st.integers(1, 250), max_size=5).map(tuple), co
 changes = st.builds(
     FormationChange, counts, st.lists(st.tuples(st.integers(1, 250), vectors), max_size=5).map(tuple), numbers, numbers
 )
-references = st.builds(ReferenceChange, counts, st.dictionaries(texts, texts | numbers, max_size=3), numbers)
+described = st.booleans() | texts | numbers | st.lists(numbers | st.lists(numbers, max_size=3), max_size=3)
+references = st.builds(ReferenceChange, counts, st.dictionaries(texts, described, max_size=3), numbers)
 others = st.sampled_from([name for name in CommandName if name not in CONTENT])
 commands = (
     st.builds(Command, others, counts)
@@ -230,6 +231,13 @@ def test_the_command_reference_brings_a_description_as_a_file_has_it() -> None:
     assert decode_command(encode(command)) == command
     with pytest.raises(WireError, match="command reference with NoneType, expected ReferenceChange"):
         decode_command(encode(Command(CommandName.REFERENCE, 9)))
+
+
+@pytest.mark.parametrize("value", [None, {"a": 1.0}, [[[1.0]]], [["a"]]])
+def test_a_description_of_other_things_than_a_file_s_section_holds_is_refused(value: object) -> None:
+    change = ReferenceChange(3, {"kind": value}, 21.5)  # type: ignore[dict-item]
+    with pytest.raises(WireError, match="malformed command"):
+        decode_command(encode(Command(CommandName.REFERENCE, 9, change)))
 
 
 def test_a_target_with_and_without_a_position_comes_out_as_it_went_in() -> None:
