@@ -32,6 +32,7 @@ from companion.core.reference import ReferenceTrajectory, along
 from companion.core.reference_plan import LiveReference, ReferencePlan, Rft
 from companion.core.setpoint_stream import SetpointStream
 from companion.core.slot_plan import SlotPlan
+from companion.core.succession import HeldForWantOfALeader, Succession
 from companion.core.vehicle_state import VehicleTracker
 from companion.types import Described, Role, Vector3
 
@@ -62,6 +63,7 @@ def build_agent(config: AgentConfig, session: int) -> Agent:
         formation_hash,
         fleet.peers.max_age_s,
         fleet.peers.max_speed_m_s,
+        fleet.successors,
     )
     envelope = envelope_limits(fleet.envelope)
     setup = AgentSetup(
@@ -88,10 +90,12 @@ def build_agent(config: AgentConfig, session: int) -> Agent:
         [m.id for m in fleet.vehicles if m.role is Role.LEADER],
         [m.id for m in fleet.vehicles if m.can_lead],
     )
-    cooperation = Cooperation(member.id, leadership, len(fleet.vehicles), peers, rule, leader)
+    succession = Succession(member.id, fleet.successors)
+    cooperation = Cooperation(member.id, leadership, len(fleet.vehicles), peers, rule, leader, succession)
     vehicle = config.vehicle
     observer = DisturbanceObserver(vehicle.hover_thrust_norm, vehicle.drag_1_s, law.disturbance_bandwidth_1_s)
-    return Agent(setup, tracker, cooperation, _control(config), SetpointStream(envelope, observer), slots)
+    setpoints, held = SetpointStream(envelope, observer), HeldForWantOfALeader(fleet.land_after_s)
+    return Agent(setup, tracker, cooperation, _control(config), setpoints, slots, held)
 
 
 def _control(config: AgentConfig) -> FormationControl:

@@ -284,18 +284,29 @@ AutopilotRequest = SetMode | Arm | Disarm | TakeOff | RequestOrigin | RequestPar
 # ---------------------------------------------------------------- peers, commands, status
 
 
+Term = tuple[
+    int, int
+]  # (epoch, minus the claim's rank): which lead is the newer, and a commanded one beats a claimed one
+
+
 class LeaderWord(Struct, frozen=True, gc=False):
     """What a vehicle has heard of its leader, passed on hop by hop with the PrC.
 
     Only the leader moves `stamp` on (milliseconds of its own clock), so no word gets younger on its way through the others.
     `epoch` counts the changes of the lead; `reference_s` is how far into the RFT the leader is at the time of the packet that
-    carries the word, 0 while it does not fly it.
+    carries the word, 0 while it does not fly it. `claim` is 0 where the lead was commanded, or is the fleet file's; a successor
+    that took it from a lost leader tells its rank, from 1.
     """
 
     leader_id: int
     epoch: int
     stamp: int
     reference_s: float = 0.0
+    claim: int = 0
+
+    @property
+    def term(self) -> Term:
+        return (self.epoch, -self.claim)
 
 
 class FlownSlot(Struct, frozen=True, gc=False):
@@ -453,10 +464,14 @@ class HealthFlag(StrEnum):
     FRAME_UNKNOWN = "the autopilot's origin is unknown"
     ARMED_STALE = "armed state older than allowed"
     LANDED_STALE = "landed state older than allowed"
+    LEADER_AWAITED = "no leader's word for a moment"
     LEADER_LOST = "no leader's word"
     FENCE = "outside the fence"
     FRAME_CONTRADICTED = "the autopilot's origin and its global position contradict each other"
     POSITION_JUMPED = "the autopilot's position jumped too far to be believed"
+
+
+WITHOUT_LEADER = frozenset({HealthFlag.LEADER_AWAITED, HealthFlag.LEADER_LOST})
 
 
 class FailsafeAction(IntEnum):

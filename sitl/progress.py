@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import TextIO
 
 from companion.ground.fleet_status import VehicleRow
-from companion.types import FlightPhase, HealthFlag
+from companion.types import WITHOUT_LEADER, FlightPhase
 from sitl.screen import Screen
 
 PLAIN_EVERY_S = 5.0
@@ -55,7 +55,7 @@ def vehicle_line(row: VehicleRow) -> str:
     error = "   -  " if row.error_to_slot_m is None else f"{row.error_to_slot_m:4.2f} m"
     age = f"{row.data_age_s * 1000:3.0f} ms old" if row.data_age_s < LONGEST_AGE_S else "  -"
     data = f"SILENT for {row.age_s:.1f} s" if row.silent else f"data {age}"
-    flags = [flag for flag in row.flags if flag is not HealthFlag.LEADER_LOST or row.phase in NEEDS_A_LEADER]
+    flags = [flag for flag in row.flags if flag not in WITHOUT_LEADER or row.phase in NEEDS_A_LEADER]
     alarm = f"   ! {', '.join(flags)}" if flags else ""
     return (
         f"  UAV {row.vehicle_id:<3d} {row.role:<8}  {row.phase:<9}  altitude {row.altitude_m:5.2f} m"

@@ -8,7 +8,7 @@ from math import hypot
 
 from companion.config.fleet import GeodeticOrigin
 from companion.frames import geodetic_from_enu
-from companion.types import HealthFlag, Status, Vector3
+from companion.types import WITHOUT_LEADER, Status, Vector3
 from sitl.scenario import Scenario
 from sitl.watch import vehicles_in_words
 
@@ -60,7 +60,7 @@ class Readiness:
         """In words; "" where a vehicle on the ground lacks nothing to be flown in formation from its start."""
         if status is None:
             return "nothing heard from the agent yet"
-        missing = [*(flag for flag in status.flags if flag is not HealthFlag.LEADER_LOST), *status.lacks]
+        missing = [*(flag for flag in status.flags if flag not in WITHOUT_LEADER), *status.lacks]
         if missing:
             return "; ".join(missing)
         return _away(status.position_enu_m, self._starts_enu_m[vehicle_id], self._origin)

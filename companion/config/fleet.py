@@ -67,7 +67,7 @@ class PeerLimits(Section, frozen=True):
     """What is believed of a peer, and for how long."""
 
     max_age_s: Annotated[float, Meta(gt=0.02, le=5)] = 0.3
-    leader_word_max_age_s: Annotated[float, Meta(gt=0.02, le=10)] = 0.5
+    leader_word_max_age_s: Annotated[float, Meta(gt=0.02, le=10)] = 0.25  # two hops on it is missed within 0.3 s
     max_speed_m_s: Annotated[float, Meta(gt=0, le=100)] = 25.0
 
 
@@ -90,8 +90,10 @@ class FleetConfig(Section, frozen=True):
     zero: at the origin's altitude (indoors the shared frame's zero), or, with `takeoff`, where each vehicle stood when it
     was armed, for fleets that start from level ground. Only vehicles that stand within `ground_spread_m` of each other in
     altitude take off. No formation that is commanded in flight brings slots nearer than `separation_m`, also on the way to it,
-    and on that way they move at `slot_speed_m_s` at most. A hand-over from one reference to another in flight adds no more than
-    `hand_over_speed_m_s` and `hand_over_acceleration_m_s2` to what both ask for.
+    and on that way they move at `slot_speed_m_s` at most. A hand-over from one reference to another in flight adds no more
+    than `hand_over_speed_m_s` and `hand_over_acceleration_m_s2` to what both ask for. When no leader is heard any more, the
+    first of the `successors` that flies in formation leads; where none does, all go into their autopilots' hold, and after
+    `land_after_s` in it each lands where it is, or stays up where that is not given.
     """
 
     name: Annotated[str, Meta(pattern=FLEET_NAME, description=FLEET_NAME_WORDS)]
@@ -106,6 +108,8 @@ class FleetConfig(Section, frozen=True):
     hand_over_speed_m_s: Annotated[float, Meta(gt=0, le=50)] = 2.0
     hand_over_acceleration_m_s2: Annotated[float, Meta(gt=0, le=20)] = 1.0
     takeoff_height_m: Annotated[float, Meta(ge=0.5, le=120)] = 2.5
+    successors: tuple[VehicleId, ...] = ()
+    land_after_s: Annotated[float, Meta(gt=0, le=3600)] | None = None
     peers: PeerLimits = PeerLimits()
     envelope: Envelope = Envelope()
 
@@ -133,6 +137,7 @@ def check_fleet(file: Path, fleet: FleetConfig, where: str = "") -> None:
             )
     if not any(member.role is Role.LEADER for member in fleet.vehicles):
         raise ConfigError(file, f"{where}vehicles", "no vehicle leads; set role: leader for at least one of " + known)
+    _check_successors(file, f"{where}successors", fleet)
     check_law(file, f"{where}law", fleet.law)
     if isinstance(fleet.neighbours, EdgeNeighbours):
         _check_edges(file, f"{where}neighbours.edges", fleet.neighbours, ids)
@@ -159,6 +164,19 @@ def check_fleet(file: Path, fleet: FleetConfig, where: str = "") -> None:
                 f"{where}envelope.fence_min_enu_m",
                 f"{axis} is {low}, expected less than fence_max_enu_m's {high}",
             )
+
+
+def _check_successors(file: Path, where: str, fleet: FleetConfig) -> None:
+    may_lead = ", ".join(str(member.id) for member in fleet.vehicles if member.can_lead)
+    for index, vehicle_id in enumerate(fleet.successors):
+        member = fleet.member(vehicle_id)
+        if member is None or not member.can_lead:
+            hint = "" if member is None else f", or may_lead: true for vehicle {vehicle_id}"
+            raise ConfigError(
+                file, f"{where}[{index}]", f"vehicle {vehicle_id} may not lead; expected some of {may_lead}{hint}"
+            )
+        if vehicle_id in fleet.successors[:index]:
+            raise ConfigError(file, f"{where}[{index}]", f"{vehicle_id} is named twice; expected each once, in order")
 
 
 def _check_edges(file: Path, where: str, neighbours: EdgeNeighbours, ids: list[int]) -> None:

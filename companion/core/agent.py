@@ -14,13 +14,15 @@ from companion.core.fleet_checks import FleetChecks
 from companion.core.flight_manners import manners_of
 from companion.core.formation import place
 from companion.core.health import AgeLimits, health_flags
-from companion.core.phase import RULES, PhaseMachine
+from companion.core.phase import RULES, STREAMING, PhaseMachine
 from companion.core.preflight import Preflight
 from companion.core.setpoint_stream import SetpointStream
 from companion.core.slot_plan import SlotPlan
+from companion.core.succession import HeldForWantOfALeader
 from companion.core.vehicle_state import VehicleTracker
 from companion.types import (
     CONTENT,
+    WITHOUT_LEADER,
     ZERO3,
     AttitudeTarget,
     AutopilotMode,
@@ -83,6 +85,7 @@ class Agent:
         control: FormationControl,
         setpoints: SetpointStream,
         slots: SlotPlan,
+        held: HeldForWantOfALeader,
     ) -> None:
         self._setup = setup
         self._tracker = tracker
@@ -91,6 +94,7 @@ class Agent:
         self._setpoints = setpoints
         self._slots = slots
         self._references = control.references
+        self._held = held
         self._observer = setpoints.observer
         self._machine = PhaseMachine(setup.takeoff_height_m)
         self._preflight = Preflight(self._observer)
@@ -98,6 +102,8 @@ class Agent:
         self._sequence = 0
         self._origin_asked_s = -inf
         self._stopping_s: float | None = None  # since when this agent is to stop
+        self._fit_to_lead = False  # as of the last tick
+        self._missed_leader = False  # likewise
         self._status_s = -inf
         self._last_event = ""
         self._warnings: list[str] = []
@@ -139,7 +145,9 @@ class Agent:
         if not vehicle.armed:
             self._cooperation.landed()
             self._slots.landed()
-        around = self._cooperation.update(now_s, vehicle.position_enu_m, inbox.peers, self._machine.in_formation)
+        around = self._cooperation.update(
+            now_s, vehicle.position_enu_m, inbox.peers, self._machine.in_formation, self._fit_to_lead
+        )
         for command in inbox.commands:
             if isinstance(command.content, FormationChange):
                 replies += (self._change_formation(command, command.content, around),)
@@ -148,8 +156,9 @@ class Agent:
         slot = self._slots.update(around.reference_s, around.flying)
         if self._references:
             self._references.update(now_s, around.reference_s, self._slots.slots_enu_m, around.flying, inbox.targets)
-        flags = health_flags(now_s, vehicle, around.leader_word, self._setup.ages, self._setup.envelope)
+        flags = health_flags(now_s, vehicle, around.leaderless, self._setup.ages, self._setup.envelope)
         action = failsafe_action(flags)
+        self._tell_of_missing_leader(flags)
         self._observe_disturbance(now_s, vehicle, action)
 
         streamed = self._machine.streams(vehicle)
@@ -159,6 +168,13 @@ class Agent:
         if inbox.stopping:
             self._stop(now_s, vehicle)
         self._act_on(flags, action, now_s, vehicle)
+        if self._held.must_land(now_s, self.phase, led=around.leader_word is not None):
+            self._machine.land(now_s, vehicle, "in hold for want of a leader, and none came")
+        self._fit_to_lead = (
+            self.phase is FlightPhase.FORMATION
+            and action is FailsafeAction.NONE
+            and not (self._references and self._references.missing(now_s))
+        )
         requests = self._ask_origin(now_s, vehicle) + self._machine.advance(now_s, vehicle, inbox.telemetry)
         streams = self._machine.streams(vehicle)
         if not streams:  # what was found before goes for the whole formation
@@ -251,6 +267,8 @@ class Agent:
         if refusal:
             return CommandReply(self._setup.vehicle_id, command.number, False, f"{command.name}: {refusal}")
         accepted, reason = self._machine.command(command.name, now_s, vehicle)
+        if accepted:
+            self._held.end()
         if accepted and warning:
             self._warnings.append(warning)
             reason += f"; {warning}"
@@ -260,8 +278,15 @@ class Agent:
         """Landing, holding and disarming need nothing; the rest needs a vehicle that knows where and how it is."""
         if name in (CommandName.LAND, CommandName.HOLD, CommandName.DISARM):
             return []
-        unneeded = set() if name is CommandName.FORM else {HealthFlag.LEADER_LOST}
+        unneeded = set() if name is CommandName.FORM else WITHOUT_LEADER
         return sorted(flags - unneeded)
+
+    def _tell_of_missing_leader(self, flags: frozenset[HealthFlag]) -> None:
+        """At once, for the log and the ground: what follows is due in fractions of a second."""
+        misses = HealthFlag.LEADER_AWAITED in flags and self.phase is FlightPhase.FORMATION
+        if misses and not self._missed_leader:
+            self._warnings.append("no leader's word: formation is held without")
+        self._missed_leader = misses
 
     def _judge(self, name: CommandName, now_s: float, vehicle: VehicleState) -> tuple[str, str]:
         """Why a command is refused that is otherwise possible, and what is to be said of it where it is not."""
@@ -280,6 +305,8 @@ class Agent:
         if self._setpoints.silent_s(now_s) > SILENT_TOO_LONG_S:
             self._end_formation_in_silence(flags, now_s, vehicle)
         elif action is FailsafeAction.HOLD:
+            if HealthFlag.LEADER_LOST in flags and self.phase in STREAMING:
+                self._held.begin(now_s)
             self._machine.hand_over(now_s, vehicle, _reason(flags))
 
     def _end_formation_in_silence(self, flags: frozenset[HealthFlag], now_s: float, vehicle: VehicleState) -> None:

@@ -13,9 +13,10 @@ from companion.core.neighbours import NeighbourRule
 from companion.core.peers import PeerTable
 from companion.core.priority import next_prc
 from companion.core.reference_clock import ReferenceClock
-from companion.types import FlightPhase, LeaderWord, PeerPacket, ReceivedPeerPacket, Role, Vector3
+from companion.core.succession import Succession
+from companion.types import FlightPhase, HealthFlag, LeaderWord, PeerPacket, ReceivedPeerPacket, Role, Term, Vector3
 
-LEADER = Role.LEADER
+LEADER, FORMATION = Role.LEADER, FlightPhase.FORMATION
 # A vehicle on the ground, climbing, landing or flown by its pilot is nobody's neighbour.
 COOPERATING = frozenset({FlightPhase.HOLD, FlightPhase.ENGAGE, FlightPhase.FORMATION, FlightPhase.RELEASE})
 
@@ -29,6 +30,9 @@ class Neighbourhood(Struct, frozen=True, gc=False):
     prc: int
     leader_word: LeaderWord | None  # None where no living leader is heard
     leader_word_age_s: float
+    leaderless: (
+        HealthFlag | None
+    )  # LEADER_AWAITED: followers hold formation among themselves; LEADER_LOST: for too long
     neighbours: tuple[tuple[int, Place], ...]  # (PrC, place)
     neighbour_ids: tuple[int, ...]
     flying: tuple[PeerPacket, ...]  # all others that are heard of and cooperate
@@ -45,11 +49,13 @@ class Cooperation:
         peers: PeerTable,
         rule: NeighbourRule,
         leader: LeaderWatch,
+        succession: Succession,
     ) -> None:
         self._own_id = own_id
         self._n = n
         self._rule = rule
         self._leader = leader
+        self._succession = succession
         self._clock = ReferenceClock()
         self.leadership = leadership
         self.peers = peers
@@ -60,25 +66,33 @@ class Cooperation:
         own_position_enu_m: Vector3,
         packets: Iterable[ReceivedPeerPacket],
         in_formation: bool,
+        fit_to_lead: bool,
     ) -> Neighbourhood:
-        """Algorithm 1 and the neighbour set, from the packets that came since the last tick."""
+        """Algorithm 1 and the neighbour set, from the packets that came since the last tick.
+
+        `in_formation`: the RFT's time runs for this vehicle. `fit_to_lead`: it flies in formation, nothing is wrong with it.
+        """
         self.peers.fold(packets, self.leadership.epoch)
         fresh = self.peers.fresh(now_s)
         self.leadership.hear([peer.packet.leader_word for peer in fresh.values()])
-        role, epoch = self.leadership.role, self.leadership.epoch
         positions = {i: peer.position_at(now_s) for i, peer in fresh.items() if peer.packet.phase in COOPERATING}
         ids = self._rule.select(own_position_enu_m, positions)
         heard = [fresh[i].packet for i in ids]
-        prcs = [self._prc_of(packet, epoch) for packet in heard]
-        self._leader.hear(now_s, self._words_of_others(heard), epoch)
-        word, word_age_s, reference_s = self._word(now_s, role, epoch, in_formation)
+        flying = [fresh[i].packet for i in positions]
+        self._leader.hear(now_s, self._words_of_others(heard), self.leadership.term)
+        newest = self._leader.youngest(now_s)
+        leaderless = self._succeed(now_s, newest[0] is not None, heard, flying, fit_to_lead)
+        role, term = self.leadership.role, self.leadership.term
+        prcs = [self._prc_of(packet, term) for packet in heard]
+        word, word_age_s, reference_s = self._word(now_s, role, in_formation, *newest)
         return Neighbourhood(
             role=role,
-            epoch=epoch,
+            epoch=self.leadership.epoch,
             reference_s=reference_s,
             prc=next_prc(role is LEADER, prcs, self._n),
             leader_word=word,
             leader_word_age_s=word_age_s,
+            leaderless=leaderless if word is None else None,
             neighbours=tuple(
                 [
                     (prc, place(positions[i], p.velocity_enu_m_s, fresh[i].slot_at(now_s), p.acceleration_enu_m_s2))
@@ -86,16 +100,38 @@ class Cooperation:
                 ]
             ),
             neighbour_ids=ids,
-            flying=tuple([fresh[i].packet for i in positions]),
+            flying=tuple(flying),
         )
 
     def landed(self) -> None:
         """The next flight begins the RFT anew."""
         self._clock.begin_anew()
 
-    def _prc_of(self, packet: PeerPacket, epoch: int) -> int:
-        """Who leads in an older epoch has not heard of the change yet: until it has, it counts as far from any leader."""
-        if packet.prc == 1 and packet.leader_word is not None and packet.leader_word.epoch < epoch:
+    def _succeed(
+        self, now_s: float, led: bool, heard: list[PeerPacket], flying: list[PeerPacket], fit_to_lead: bool
+    ) -> HealthFlag:
+        """Take the lead where nobody has it and it is this vehicle's turn. What it is to have none now, should that be so.
+
+        Nobody's leader it never becomes: who has lost all its neighbours may be the one that is lost, and does not wait for its
+        turn. Not while a leader is heard that only no neighbour passes on: it lives. And not without knowing how far into the
+        RFT the fleet is.
+        """
+        led = led or self.leadership.role is LEADER
+        in_company = any(packet.phase is FORMATION for packet in heard)
+        awaits = self._succession.awaits(now_s, self.leadership.term, led, in_company)
+        rank = self._succession.rank_in_turn(now_s)
+        if rank and awaits and fit_to_lead and self._clock.has_run and not self._leads_in(flying):
+            self.leadership.take(rank)
+        return HealthFlag.LEADER_AWAITED if awaits else HealthFlag.LEADER_LOST
+
+    def _leads_in(self, flying: list[PeerPacket]) -> bool:
+        """Are those who lead among them? Not such as have not heard yet that they lead no more."""
+        term = self.leadership.term
+        return any(p.role is LEADER and p.leader_word is not None and p.leader_word.term >= term for p in flying)
+
+    def _prc_of(self, packet: PeerPacket, term: Term) -> int:
+        """Who leads by an older term has not heard of the change yet: until it has, it counts as far from any leader."""
+        if packet.prc == 1 and packet.leader_word is not None and packet.leader_word.term < term:
             return self._n
         return packet.prc
 
@@ -104,17 +140,19 @@ class Cooperation:
         own_id = self._own_id
         return [word for p in packets if (word := p.leader_word) is not None and word.leader_id != own_id]
 
-    def _word(self, now_s: float, role: Role, epoch: int, in_formation: bool) -> tuple[LeaderWord | None, float, float]:
-        """The word to pass on, how old it is, and how far into the RFT the fleet is."""
-        word, age_s = self._leader.youngest(now_s)
+    def _word(
+        self, now_s: float, role: Role, in_formation: bool, word: LeaderWord | None, age_s: float
+    ) -> tuple[LeaderWord | None, float, float]:
+        """The word to pass on, how old it is, and how far into the RFT the fleet is; `word` is the youngest that was heard."""
         of_other = word if word is not None and word.leader_id != self._own_id else None
         if role is LEADER:
             reference_s = self._clock.lead(now_s, in_formation, of_other, age_s)
-            own = LeaderWord(self._own_id, epoch, int(now_s * 1000.0), reference_s if in_formation else 0.0)
-            self._leader.hear(now_s, [own], epoch)  # should it have to follow, this is the last word it heard
+            lead, stamp = self.leadership, int(now_s * 1000.0)
+            own = LeaderWord(self._own_id, lead.epoch, stamp, reference_s if in_formation else 0.0, lead.claim)
+            self._leader.hear(now_s, [own], lead.term)  # should it have to follow, this is the last word it heard
             return own, 0.0, reference_s
         reference_s = self._clock.update(now_s, in_formation, of_other, age_s)
         if word is None:
             return None, age_s, reference_s
         told_s = reference_s if self._clock.runs else 0.0
-        return LeaderWord(word.leader_id, word.epoch, word.stamp, told_s), age_s, reference_s
+        return LeaderWord(word.leader_id, word.epoch, word.stamp, told_s, word.claim), age_s, reference_s

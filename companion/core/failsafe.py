@@ -16,6 +16,7 @@ ACTIONS: dict[HealthFlag, FailsafeAction] = {
     HealthFlag.FRAME_UNKNOWN: FailsafeAction.SILENT,
     HealthFlag.ARMED_STALE: FailsafeAction.HOLD,
     HealthFlag.LANDED_STALE: FailsafeAction.HOLD,
+    HealthFlag.LEADER_AWAITED: FailsafeAction.NONE,
     HealthFlag.LEADER_LOST: FailsafeAction.HOLD,
     HealthFlag.FENCE: FailsafeAction.HOLD,
     HealthFlag.FRAME_CONTRADICTED: FailsafeAction.HOLD,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from companion.core.bumpless import LARGEST_JUMP_M, ORIGIN_WITHIN_S
 from companion.core.envelope import EnvelopeLimits
-from companion.types import HealthFlag, LeaderWord, VehicleState
+from companion.types import HealthFlag, VehicleState
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,14 +22,14 @@ class AgeLimits:
 
 
 def health_flags(
-    now_s: float, vehicle: VehicleState, leader_word: LeaderWord | None, ages: AgeLimits, envelope: EnvelopeLimits
+    now_s: float, vehicle: VehicleState, leaderless: HealthFlag | None, ages: AgeLimits, envelope: EnvelopeLimits
 ) -> frozenset[HealthFlag]:
-    """All that is wrong at `now_s`."""
-    return frozenset(_raised(now_s, vehicle, leader_word, ages, envelope))
+    """All that is wrong at `now_s`; `leaderless` is the neighbourhood's."""
+    return frozenset(_raised(now_s, vehicle, leaderless, ages, envelope))
 
 
 def _raised(
-    now_s: float, vehicle: VehicleState, leader_word: LeaderWord | None, ages: AgeLimits, envelope: EnvelopeLimits
+    now_s: float, vehicle: VehicleState, leaderless: HealthFlag | None, ages: AgeLimits, envelope: EnvelopeLimits
 ) -> Iterator[HealthFlag]:
     if now_s - vehicle.position_time_s > ages.state_s:
         yield HealthFlag.STATE_STALE
@@ -47,7 +47,7 @@ def _raised(
         yield HealthFlag.FRAME_CONTRADICTED
     if vehicle.held_back_m > LARGEST_JUMP_M and now_s - vehicle.jump_time_s > ORIGIN_WITHIN_S:
         yield HealthFlag.POSITION_JUMPED
-    if leader_word is None:
-        yield HealthFlag.LEADER_LOST
+    if leaderless is not None:
+        yield leaderless
     if vehicle.position_time_s > float("-inf") and not envelope.inside_fence(vehicle.position_enu_m):
         yield HealthFlag.FENCE

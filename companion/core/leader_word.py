@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from companion.types import LeaderWord
+from companion.types import LeaderWord, Term
 
 HOPS_S = 10.0  # more than a tick for each hop through the largest fleet
 
@@ -26,10 +26,10 @@ class LeaderWatch:
         self._forget_s = 2.0 * max_age_s + HOPS_S
         self._newest: dict[int, tuple[LeaderWord, float]] = {}  # leader id -> newest word, when it came
 
-    def hear(self, now_s: float, words: Iterable[LeaderWord | None], epoch: int) -> None:
-        """Words that neighbours passed on; those of epochs before this vehicle's own are not heeded."""
+    def hear(self, now_s: float, words: Iterable[LeaderWord | None], term: Term) -> None:
+        """Words that neighbours passed on; those of leads before `term`, this vehicle's own, are not heeded."""
         for word in words:
-            if word is None or word.epoch < epoch:
+            if word is None or word.term < term:
                 continue
             newest = self._newest.get(word.leader_id)
             if newest is None or _later(word, newest[0]) or now_s - newest[1] > self._forget_s:
@@ -38,20 +38,20 @@ class LeaderWatch:
     def youngest(self, now_s: float) -> tuple[LeaderWord | None, float]:
         """The word to pass on and its age in seconds; None and infinity where no leader was heard within `max_age_s`.
 
-        The newest epoch comes first, and in it a leader that flies the RFT before one that does not. At a change the last word
+        The newest lead comes first, and in it a leader that flies the RFT before one that does not. At a change the last word
         of the old one counts until it is too old: the new leader's is on its way.
         """
         ages = [(now_s - heard_s, word) for word, heard_s in self._newest.values()]
         living = [
-            (-word.epoch, word.reference_s <= 0.0, age_s, word.leader_id)
+            (word.term, word.reference_s > 0.0, -age_s, word.leader_id)
             for age_s, word in ages
             if age_s <= self._max_age_s
         ]
         if not living:
             return None, float("inf")
-        _, _, age_s, leader_id = min(living)
-        return self._newest[leader_id][0], age_s
+        _, _, minus_age_s, leader_id = max(living)
+        return self._newest[leader_id][0], -minus_age_s
 
 
 def _later(word: LeaderWord, than: LeaderWord) -> bool:
-    return word.stamp > than.stamp if word.epoch == than.epoch else word.epoch > than.epoch
+    return (word.term, word.stamp) > (than.term, than.stamp)

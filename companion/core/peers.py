@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from math import dist, hypot, isfinite
 
 from msgspec import Struct
@@ -70,8 +70,10 @@ class PeerTable:
         formation_hash: int,
         max_age_s: float,
         max_speed_m_s: float,
+        successors: Sequence[int],
     ) -> None:
         self._own_id = own_id
+        self._claims = {(vehicle_id, rank) for rank, vehicle_id in enumerate(successors, start=1)}
         self._may_lead = may_lead  # by the id of every vehicle of the fleet
         self._formation_hash = formation_hash
         self._max_age_s = max_age_s
@@ -156,7 +158,8 @@ class PeerTable:
 
     def _is_plausible(self, word: LeaderWord) -> bool:
         may_lead = self._may_lead.get(word.leader_id, False)
-        return may_lead and 0 <= word.epoch <= MAX_EPOCH and 0.0 <= word.reference_s <= MAX_REFERENCE_S
+        told_so = word.claim == 0 or (word.leader_id, word.claim) in self._claims
+        return may_lead and told_so and 0 <= word.epoch <= MAX_EPOCH and 0.0 <= word.reference_s <= MAX_REFERENCE_S
 
     def _unlikely_after(self, newest: PeerState, received: ReceivedPeerPacket) -> str | None:
         """In the light of the newest packet from the same vehicle."""

@@ -122,6 +122,11 @@ class PhaseMachine:
         if self.phase in STREAMING:
             self._begin(C.HOLD, now_s, vehicle, reason, level_first_s=0.0)
 
+    def land(self, now_s: float, vehicle: VehicleState, reason: str) -> None:
+        """Out of the autopilot's own hold, by its own landing."""
+        if self.phase is P.HOLD:
+            self._begin(C.LAND, now_s, vehicle, reason)
+
     def give_up(self, reason: str) -> None:
         """Back to OBSERVE: nothing more is sent until a command comes."""
         self._enter(P.OBSERVE, reason)

@@ -24,6 +24,11 @@ class ReferenceClock:
         self._counted_s = 0.0
         self.runs = False
 
+    @property
+    def has_run(self) -> bool:
+        """Is it known how far into the RFT the fleet is? Not before formation, nor to an agent restarted in flight."""
+        return self._counted_s > 0.0
+
     def update(self, now_s: float, in_formation: bool, word: LeaderWord | None, word_age_s: float) -> float:
         """A follower's, from the word of its leader; where it hears none, a time that runs goes on in formation."""
         if word is not None and word.reference_s > 0.0:

@@ -21,7 +21,7 @@ class _PeerWire(msgspec.Struct, array_like=True, frozen=True, forbid_unknown_fie
     state_age_s: float
     sent_s: float
     prc: int
-    leader_word: tuple[int, int, int, float] | None  # leader id, epoch, stamp, reference_s
+    leader_word: tuple[int, int, int, float, int] | None  # leader id, epoch, stamp, reference_s, claim
     slot: tuple[Vector3, Vector3, Vector3, int, int]  # position, velocity, acceleration, formation, waiting
     position_error: tuple[float, float] | None  # horizontal_m, vertical_m
     reference: tuple[int, int, float] | None  # flown, waiting, begun_s
@@ -48,7 +48,7 @@ def encode_peer(packet: PeerPacket) -> bytes:
                 packet.state_age_s,
                 packet.sent_s,
                 packet.prc,
-                (word.leader_id, word.epoch, word.stamp, word.reference_s) if word else None,
+                (word.leader_id, word.epoch, word.stamp, word.reference_s, word.claim) if word else None,
                 (slot.position_enu_m, slot.velocity_enu_m_s, slot.acceleration_enu_m_s2, slot.formation, slot.waiting),
                 (error.horizontal_m, error.vertical_m) if error else None,
                 (held.flown, held.waiting, held.begun_s) if held else None,

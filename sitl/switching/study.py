@@ -10,6 +10,7 @@ import numpy as np
 from companion.assembly import law_of
 from companion.config.fleet import RangeNeighbours as Range
 from companion.config.law import Law, LawName
+from companion.core.succession import TURN_S
 from sitl.batch.flight import BatchFlight, fly_batch
 from sitl.study.cases import closest_m
 from sitl.switching.starts import Start
@@ -54,15 +55,15 @@ def fly(plan: Plan) -> list[Topology]:
     flight = fly_batch(scenarios, plan.duration_s, sample_s=SAMPLE_S, keep_neighbours=True)
     spectra = Spectra(law_of(Law(name=plan.law)), len(plan.starts[0].places_enu_m))
     final_errors_m = flight.errors_m()[-1].max(axis=1)
-    word_max_age_s = scenarios[0].fleet.peers.leader_word_max_age_s
+    without_word_s = scenarios[0].fleet.peers.leader_word_max_age_s + TURN_S  # so long before an agent hands over
     return [
-        _topology(plan, flight, index, spectra, float(final_errors_m[index]), word_max_age_s)
+        _topology(plan, flight, index, spectra, float(final_errors_m[index]), without_word_s)
         for index in range(len(plan.starts))
     ]
 
 
 def _topology(
-    plan: Plan, flight: BatchFlight, index: int, spectra: Spectra, final_error_m: float, word_max_age_s: float
+    plan: Plan, flight: BatchFlight, index: int, spectra: Spectra, final_error_m: float, without_word_s: float
 ) -> Topology:
     assert flight.neighbours is not None
     heeds = flight.neighbours[:, index]
@@ -80,6 +81,6 @@ def _topology(
         cut_off_s=None if cut is None else round(float(flight.times_s[cut]), 2),
         connected_at_the_end=values[-1] is not None,
         final_error_m=round(final_error_m, 3),
-        would_hand_over=without_word(heeds, SAMPLE_S, word_max_age_s),
+        would_hand_over=without_word(heeds, SAMPLE_S, without_word_s),
         closest_m=round(closest_m(positions), 3),
     )

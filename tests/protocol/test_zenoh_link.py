@@ -176,7 +176,7 @@ def test_a_key_that_ends_in_no_vehicle_id_is_refused_and_counted(port: int, end:
 
 
 def test_after_a_pause_packets_are_as_old_as_they_waited_and_later_ones_are_not(port: int) -> None:
-    peers = PeerTable(2, {1: True, 2: False}, PACKET.formation_hash, max_age_s=1.0, max_speed_m_s=25.0)
+    peers = PeerTable(2, {1: True, 2: False}, PACKET.formation_hash, max_age_s=1.0, max_speed_m_s=25.0, successors=())
     sequence = count(1)
 
     def publish() -> None:

@@ -85,6 +85,13 @@ def test_each_part_of_a_law_is_changed_alone(tmp_path: Path) -> None:
         (lambda f: f["neighbours"].update(edges=[[2, 2]]), ["neighbours.edges[0]", "itself"]),
         (lambda f: f["neighbours"].update(edges=[[1]]), ["neighbours.edges[0]", "length 2"]),
         (lambda f: f["neighbours"].update(kind="edge"), ["neighbours.kind: 'edge'", "one of edges, range", '"edges"']),
+        (
+            lambda f: f.update(successors=[2]),
+            ["successors[0]", "vehicle 2 may not lead", "may_lead: true for vehicle 2"],
+        ),
+        (lambda f: f.update(successors=[7]), ["successors[0]", "vehicle 7 may not lead; expected some of 1"]),
+        (lambda f: f.update(successors=[1, 1]), ["successors[1]", "1 is named twice"]),
+        (lambda f: f.update(land_after_s=0), ["land_after_s", "0", "> 0"]),
         (lambda f: f["origin"].update(altitude_amsl_m="1e2"), ["'1e2': expected float", "for YAML", "1.0e+2"]),
         (lambda f: f.update(law="weighted"), ["law: 'weighted': expected a section with keys, got str"]),
         (lambda f: f.update(vehicles={}), ["vehicles: expected a list, got a section with keys"]),

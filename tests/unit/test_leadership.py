@@ -5,34 +5,25 @@ from __future__ import annotations
 from itertools import combinations
 
 import pytest
+from cooperating_fleet import CHAIN, RING, TICK_S, Fleet, leaders_in
 from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from companion.core.cooperation import Cooperation, Neighbourhood
 from companion.core.formation import weighted
 from companion.core.interaction import interaction_matrix, settled_prcs
-from companion.core.leader_word import LeaderWatch
 from companion.core.leadership import Leadership
-from companion.core.neighbours import EdgeRule
-from companion.core.peers import PeerTable
 from companion.core.reference_clock import WAITED_S, ReferenceClock
 from companion.types import (
     MAX_EPOCH,
     MAX_EPOCHS_AHEAD,
     ZERO3,
     FlightPhase,
-    FlownSlot,
     Lead,
     LeaderWord,
-    PeerPacket,
     ReceivedPeerPacket,
     Role,
 )
-
-TICK_S = 0.02
-RING = ((1, 2), (2, 3), (3, 4), (4, 1))
-CHAIN = ((1, 2), (2, 3), (3, 4), (4, 5), (5, 6))
 
 
 def leadership(own_id: int = 1) -> Leadership:
@@ -162,69 +153,6 @@ def test_a_leader_that_leaves_formation_and_comes_back_goes_on_where_it_stopped(
 # ---------------------------------------------------------------- a fleet, tick by tick
 
 
-class Fleet:
-    """Vehicles in formation that hear all packets of the tick before, but for those that `deaf` names."""
-
-    def __init__(self, edges: tuple[tuple[int, int], ...], may_lead: tuple[int, ...]) -> None:
-        self.edges, self.may_lead = edges, may_lead
-        self.ids = sorted({i for edge in edges for i in edge})
-        self.vehicles = {i: self.started(i) for i in self.ids}
-        self.packets: dict[int, PeerPacket] = {}
-        self.deaf: set[int] = set()
-        self.phases = dict.fromkeys(self.ids, FlightPhase.FORMATION)
-        self.sessions = dict.fromkeys(self.ids, 1)
-        self.now_s = 50.0
-
-    def started(self, vehicle_id: int) -> Cooperation:
-        return Cooperation(
-            vehicle_id,
-            Leadership(vehicle_id, [1], self.may_lead),
-            len(self.ids),
-            PeerTable(vehicle_id, {i: i in self.may_lead for i in self.ids}, 42, 0.3, 25.0),
-            EdgeRule(vehicle_id, self.edges),
-            LeaderWatch(0.5),
-        )
-
-    def tick(self) -> dict[int, Neighbourhood]:
-        self.now_s += TICK_S
-        around = {
-            i: vehicle.update(self.now_s, ZERO3, self._heard_by(i), self.phases[i] is not FlightPhase.HOLD)
-            for i, vehicle in self.vehicles.items()
-        }
-        self.packets = {i: self._packet(i, what) for i, what in around.items()}
-        assert all(not vehicle.peers.rejected for vehicle in self.vehicles.values())
-        return around
-
-    def fly(self, ticks: int) -> dict[int, Neighbourhood]:
-        return [self.tick() for _ in range(ticks)][-1]
-
-    def give(self, lead: Lead, *ids: int) -> None:
-        for i in ids or self.ids:
-            assert self.vehicles[i].leadership.obey(lead)[0]
-
-    def _heard_by(self, vehicle_id: int) -> list[ReceivedPeerPacket]:
-        others = [] if vehicle_id in self.deaf else [p for i, p in self.packets.items() if i != vehicle_id]
-        return [ReceivedPeerPacket(self.now_s, packet) for packet in others]
-
-    def _packet(self, vehicle_id: int, what: Neighbourhood) -> PeerPacket:
-        return PeerPacket(
-            vehicle_id=vehicle_id,
-            session=self.sessions[vehicle_id],
-            sequence=round(self.now_s / TICK_S),
-            formation_hash=42,
-            phase=self.phases[vehicle_id],
-            role=what.role,
-            position_enu_m=ZERO3,
-            velocity_enu_m_s=ZERO3,
-            acceleration_enu_m_s2=ZERO3,
-            state_age_s=0.0,
-            sent_s=self.now_s,
-            prc=what.prc,
-            leader_word=what.leader_word,
-            slot=FlownSlot(ZERO3),
-        )
-
-
 def graph_of(edges: tuple[tuple[int, int], ...]) -> dict[int, set[int]]:
     ids = {i for edge in edges for i in edge}
     return {i: {a + b - i for a, b in edges if i in (a, b)} for i in ids}
@@ -262,10 +190,6 @@ PAPER_MATRICES = {
     1: [[2.0, -0.5, 0.0, -0.5], [-0.75, 1.0, -0.25, 0.0], [0.0, -0.5, 1.0, -0.5], [-0.75, 0.0, -0.25, 1.0]],
     2: [[1.0, -0.75, 0.0, -0.25], [-0.5, 2.0, -0.5, 0.0], [0.0, -0.75, 1.0, -0.25], [-0.5, 0.0, -0.5, 1.0]],
 }
-
-
-def leaders_in(around: dict[int, Neighbourhood]) -> list[int]:
-    return [i for i, what in around.items() if what.role is Role.LEADER]
 
 
 @pytest.mark.parametrize("missed", [missed for n in (0, 1, 2) for missed in combinations((1, 3, 4), n)])
@@ -371,7 +295,7 @@ def test_one_word_of_a_huge_epoch_ends_nothing() -> None:
     lie = replace(
         honest, sequence=honest.sequence + 1, sent_s=fleet.now_s, leader_word=LeaderWord(1, MAX_EPOCH, 1, 1.0)
     )
-    around = fleet.vehicles[1].update(fleet.now_s, ZERO3, [ReceivedPeerPacket(fleet.now_s, lie)], True)
+    around = fleet.vehicles[1].update(fleet.now_s, ZERO3, [ReceivedPeerPacket(fleet.now_s, lie)], True, True)
     assert (around.role, around.epoch) == (Role.LEADER, 0)
     assert dict(fleet.vehicles[1].peers.rejected) == {"peer 4: its leader's epoch is too far ahead": 1}
     fleet.vehicles[1].peers.rejected.clear()

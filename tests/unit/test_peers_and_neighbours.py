@@ -32,7 +32,7 @@ GOOD = PeerPacket(
 
 
 def table() -> PeerTable:
-    return PeerTable(own_id=3, may_lead=MAY_LEAD, formation_hash=42, max_age_s=0.3, max_speed_m_s=25.0)
+    return PeerTable(own_id=3, may_lead=MAY_LEAD, formation_hash=42, max_age_s=0.3, max_speed_m_s=25.0, successors=(1,))
 
 
 def heard(peers: PeerTable, received_s: float = 1.0, **changes: Any) -> list[str]:
@@ -76,6 +76,8 @@ def test_a_good_packet_is_believed() -> None:
         ({"leader_word": LeaderWord(1, -1, 100)}, "leader's word"),
         ({"leader_word": LeaderWord(1, 1008, 100)}, "its leader's epoch is too far ahead"),
         ({"leader_word": LeaderWord(1, 2**63, 100)}, "its leader's epoch is too far ahead"),
+        ({"leader_word": LeaderWord(1, 1, 100, claim=2)}, "leader's word"),
+        ({"leader_word": LeaderWord(1, 1, 100, claim=-1)}, "leader's word"),
         ({"leader_word": LeaderWord(1, 0, 100, nan)}, "leader's word"),
         ({"leader_word": LeaderWord(1, 0, 100, -0.1)}, "leader's word"),
         ({"leader_word": LeaderWord(1, 0, 100, 1e9)}, "leader's word"),

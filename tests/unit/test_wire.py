@@ -45,7 +45,7 @@ numbers = st.floats(allow_nan=False)
 vectors = st.tuples(numbers, numbers, numbers)
 counts = st.integers(0, 2**63 - 1)
 texts = st.text(max_size=40)
-leader_words = st.none() | st.builds(LeaderWord, st.integers(1, 250), counts, counts, numbers)
+leader_words = st.none() | st.builds(LeaderWord, st.integers(1, 250), counts, counts, numbers, st.integers(0, 250))
 
 flown_slots = st.builds(FlownSlot, vectors, vectors, vectors, counts, counts)
 packets = st.builds(
