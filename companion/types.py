@@ -352,6 +352,8 @@ class CommandName(StrEnum):
     DISARM = "disarm"
     LEAD = "lead"
     FORMATION = "formation"
+    TAKE = "take"  # command itself, from whoever holds it
+    ABORT = "abort"  # to the safest that is near: disarmed on the ground, the autopilot's own hold in the air
 
 
 MAX_EPOCH = 2**31 - 1
@@ -375,8 +377,12 @@ class FormationChange(Struct, frozen=True, gc=False, tag=True):
 
 
 class Command(Struct, frozen=True, gc=False):
+    """Obeyed once: `core/command_desk.py` says by whom, and which are old."""
+
     name: CommandName
-    number: int  # the sender's own count, echoed in the reply
+    number: int  # newer than the last one's that the vehicle had, echoed in the reply
+    operator: str  # whose command it is, the same over all that one operator starts
+    session: int  # of the vehicle it is meant for, as its status tells
     content: Lead | FormationChange | None = None  # what CONTENT says, of this name
 
 
@@ -442,6 +448,11 @@ class Status(Struct, frozen=True, gc=False):
     rejected: dict[str, int]  # counted rejections by reason
     last_event: str
     lacks: tuple[str, ...] = ()  # while it is disarmed: what, besides its flags, forbids a flight in formation
+    holder: str = ""  # the operator who holds command, "" nobody
+    command_number: int = 0  # of the last command that it had
+    peers: tuple[int, ...] = ()  # all others that are heard of just now, whatever they do
+    battery_percent: float | None = None  # None where the autopilot does not know
+    position_error: PositionError | None = None
 
 
 class Inbox(Struct, frozen=True, gc=False):

@@ -26,6 +26,7 @@ from companion.types import (
     Status,
 )
 from companion.wire.ground import (
+    OPERATOR,
     Percentiles,
     StatusReport,
     Timing,
@@ -99,10 +100,12 @@ changes = st.builds(
     FormationChange, counts, st.lists(st.tuples(st.integers(1, 250), vectors), max_size=5).map(tuple), numbers, numbers
 )
 others = st.sampled_from([name for name in CommandName if name not in CONTENT])
+operators = st.from_regex(OPERATOR, fullmatch=True)
+command_numbers = st.integers(1, 2**63 - 1)
 commands = (
-    st.builds(Command, others, counts)
-    | st.builds(Command, st.just(CommandName.LEAD), counts, leads)
-    | st.builds(Command, st.just(CommandName.FORMATION), counts, changes)
+    st.builds(Command, others, command_numbers, operators, counts)
+    | st.builds(Command, st.just(CommandName.LEAD), command_numbers, operators, counts, leads)
+    | st.builds(Command, st.just(CommandName.FORMATION), command_numbers, operators, counts, changes)
 )
 replies = st.builds(CommandReply, st.integers(1, 250), counts, st.booleans(), texts)
 
@@ -142,7 +145,7 @@ REPORT = StatusReport(
 DECODERS = {
     "peer packet": (decode_peer, encode_peer(PACKET)),
     "status report": (decode_report, encode(REPORT)),
-    "command": (decode_command, encode(Command(CommandName.LEAD, 9, Lead((2,), 8)))),
+    "command": (decode_command, encode(Command(CommandName.LEAD, 9, "anna@ground", 7, Lead((2,), 8)))),
     "command reply": (decode_reply, encode(CommandReply(3, 9, True, "engage"))),
 }
 
@@ -207,11 +210,17 @@ def test_another_version_is_told_from_damage(name: str) -> None:
 @pytest.mark.parametrize(
     ("command", "reason"),
     [
-        (Command(CommandName.LEAD, 9), "command lead with NoneType, expected Lead"),
-        (Command(CommandName.FORM, 9, Lead((2,), 8)), "command form with Lead, expected NoneType"),
+        (Command(CommandName.LEAD, 9, "anna@ground", 7), "command lead with NoneType, expected Lead"),
+        (Command(CommandName.FORM, 9, "anna@ground", 7, Lead((2,), 8)), "command form with Lead, expected NoneType"),
+        (Command(CommandName.FORM, 9, "", 7), "command form of an operator without a proper name"),
+        (Command(CommandName.FORM, 9, "an\x1bna", 7), "command form of an operator without a proper name"),
+        (Command(CommandName.FORM, 9, "anna\n", 7), "command form of an operator without a proper name"),
+        (Command(CommandName.FORM, 9, "a" * 64, 7), "command form of an operator without a proper name"),
+        (Command(CommandName.FORM, 0, "anna", 7), "command form with a number out of range"),
+        (Command(CommandName.FORM, 2**63, "anna", 7), "command form with a number out of range"),
     ],
 )
-def test_only_the_command_lead_carries_leaders(command: Command, reason: str) -> None:
+def test_a_command_that_is_none_is_refused(command: Command, reason: str) -> None:
     with pytest.raises(WireError, match=reason):
         decode_command(encode(command))
 
