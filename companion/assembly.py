@@ -79,6 +79,7 @@ def build_agent(config: AgentConfig, session: int) -> Agent:
             own_id=member.id,
             slots_have_height=law.altitude == "formation",
             ground_spread_m=fleet.ground_spread_m,
+            separation_m=fleet.separation_m,
         ),
     )
     tracker = tracker_of(fleet)

@@ -9,6 +9,9 @@ from pathlib import Path
 
 from companion import __version__
 from companion.ending import ending_quietly
+from companion.fleet_options import DESCRIPTION as FLEET
+from companion.fleet_options import MORE as FLEET_MORE
+from companion.fleet_options import add_fleet_arguments, fleet_options
 from companion.logs_options import DESCRIPTION as LOGS
 from companion.logs_options import MORE as LOGS_MORE
 from companion.logs_options import add_logs_arguments, logs_options
@@ -21,7 +24,8 @@ Formation flight for quadrotors that carry a computer of their own.
   companion agent     runs on each vehicle, beside its autopilot
   companion doctor    says whether a vehicle is fit for it, and what to set, before it flies
   companion logs      lists and downloads the flight logs of a vehicle's autopilot
-  companion monitor   shows a whole fleet on the ground
+  companion fleet     commands a whole fleet from the ground
+  companion monitor   shows it
   companion analyze   works out what a formation will do, before anyone flies it
 """
 
@@ -147,7 +151,7 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=raw,
     )
     parser.add_argument("--version", action="version", version=f"companion {__version__}")
-    commands = parser.add_subparsers(dest="command", required=True, metavar="agent|doctor|logs|monitor|analyze")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="agent|doctor|logs|fleet|monitor|analyze")
 
     agent = commands.add_parser("agent", description=AGENT, epilog=AGENT_MORE, formatter_class=raw)
     agent.add_argument("--config", type=Path, required=True, metavar="FILE", help="the vehicle file (YAML)")
@@ -173,6 +177,10 @@ def _parser() -> argparse.ArgumentParser:
         "--wait-s", type=_seconds, default=15.0, metavar="S", help="how long to wait for the autopilot (default 15)"
     )
     logs.set_defaults(run=_logs)
+
+    fleet = commands.add_parser("fleet", description=FLEET, epilog=FLEET_MORE, formatter_class=raw)
+    add_fleet_arguments(fleet)
+    fleet.set_defaults(run=_fleet)
 
     monitor = commands.add_parser("monitor", description=MONITOR, epilog=MONITOR_MORE, formatter_class=raw)
     monitor.add_argument("--fleet", default="*", metavar="NAME", help="only this fleet (default: every fleet heard)")
@@ -231,6 +239,21 @@ def _logs(options: argparse.Namespace) -> int:
         return _fail(str(error), EXIT_FILE)
     except AutopilotSilentError as error:
         return _fail(str(error), EXIT_NO_AUTOPILOT)
+
+
+def _fleet(options: argparse.Namespace) -> int:
+    from companion.config_file import ConfigError
+    from companion.ground.operate import OperateError, run_fleet
+    from companion.link.zenoh_session import EndpointError
+
+    try:
+        return run_fleet(fleet_options(options))
+    except ConfigError as error:
+        return _fail(str(error), EXIT_FILE)
+    except EndpointError as error:
+        return _fail(f'companion fleet: --connect "{error.endpoint}": {error}', EXIT_FILE)
+    except OperateError as error:
+        return _fail(f"companion fleet {options.action}: {error}", EXIT_FILE)
 
 
 def _monitor(options: argparse.Namespace) -> int:

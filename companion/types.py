@@ -395,6 +395,8 @@ class CommandName(StrEnum):
     LEAD = "lead"
     FORMATION = "formation"
     REFERENCE = "reference"
+    TAKE = "take"  # command itself, from whoever holds it
+    ABORT = "abort"  # to the safest that is near: disarmed on the ground, the autopilot's own hold in the air
 
 
 MAX_EPOCH = 2**31 - 1
@@ -436,8 +438,12 @@ Content = Lead | FormationChange | ReferenceChange
 
 
 class Command(Struct, frozen=True, gc=False):
+    """Obeyed once: `core/command_desk.py` says by whom, and which are old."""
+
     name: CommandName
-    number: int  # the sender's own count, echoed in the reply
+    number: int  # newer than the last one's that the vehicle had, echoed in the reply
+    operator: str  # whose command it is, the same over all that one operator starts
+    session: int  # of the vehicle it is meant for, as its status tells
     content: Content | None = None  # what CONTENT says, of this name
 
 
@@ -514,6 +520,11 @@ class Status(Struct, frozen=True, gc=False):
     reference: HeldReference | None = None  # None where it may not lead
     target_age_s: float | None = None  # of the target that the RFT follows; None where there is none, or none is heard
     lacks: tuple[str, ...] = ()  # while it is disarmed: what, besides its flags, forbids a flight in formation
+    holder: str = ""  # the operator who holds command, "" nobody
+    command_number: int = 0  # of the last command that it had
+    peers: tuple[int, ...] = ()  # all others that are heard of just now, whatever they do
+    battery_percent: float | None = None  # None where the autopilot does not know
+    position_error: PositionError | None = None
 
 
 class Inbox(Struct, frozen=True, gc=False):

@@ -25,6 +25,7 @@ from sitl.stopping import StopRequest
 from sitl.tracks import TrackError, read_track, told_track, write_track
 from sitl.watch import FlightWatch, vehicles_in_words
 
+OPERATOR = "sitl-fly"  # whoever else would command these vehicles has to take it over
 External = Mapping[int, ReachedVehicle]  # by id
 
 
@@ -93,7 +94,7 @@ def _fly(
     progress = Progress(f"{name}, {scenario.fleet.law.name}", options.run.quiet, watch.began_s)
     endpoints = [endpoint_of(vehicle_id, options.port_offset) for vehicle_id in ids_of(scenario)]
     with Fleet.start(scenario, folder, options.port_offset, external) as fleet:
-        with FleetSession.open(scenario.fleet.name, endpoints) as session, ExitStack() as voices:
+        with FleetSession.open(scenario.fleet.name, endpoints, OPERATOR) as session, ExitStack() as voices:
             told = {
                 target.name: voices.enter_context(TargetPublisher.open(scenario.fleet.name, endpoints, target.name))
                 for target in scenario.targets

@@ -15,6 +15,7 @@ from sitl.network import Network
 from sitl.scenario import Scenario
 from sitl.world import StandIn, World
 
+OPERATOR = "sitl-run"
 _NONE = Percentiles(0.0, 0.0, 0.0)
 NOT_TIMED = Timing(0.0, 0, 0, _NONE, _NONE, 0.0, 0.0)  # in virtual time no tick is late
 
@@ -63,14 +64,13 @@ class Lockstep:
     ) -> dict[int, CommandReply | None]:
         """Give one command to these vehicles and let the world go on until all have answered."""
         self._commands_given += 1
-        command = Command(name, self._commands_given, content)
-        asked = [self._vehicles[vehicle_id] for vehicle_id in vehicle_ids]
+        number, asked = self._commands_given, [self._vehicles[vehicle_id] for vehicle_id in vehicle_ids]
         for vehicle in asked:
-            vehicle.give(command)
+            vehicle.give(Command(name, number, OPERATOR, vehicle.session, content))
         deadline_s = self.now_s() + timeout_s
-        while self.now_s() < deadline_s and any(vehicle.reply_to(command) is None for vehicle in asked):
+        while self.now_s() < deadline_s and any(vehicle.reply_to(number) is None for vehicle in asked):
             self._step()
-        return {vehicle.vehicle_id: vehicle.reply_to(command) for vehicle in asked}
+        return {vehicle.vehicle_id: vehicle.reply_to(number) for vehicle in asked}
 
     def tell_of_target(self, name: str, velocity_enu_m_s: Vector3, position_enu_m: Vector3 | None = None) -> None:
         """What something to be followed tells of itself, to all vehicles and at once."""
@@ -100,6 +100,7 @@ class Vehicle:
         self._commands: tuple[Command, ...] = ()
         self._targets: tuple[tuple[str, TargetSample], ...] = ()
         self._reply: CommandReply | None = None  # the last
+        self.session = 0  # of the agent, as its status tells; before the first one no command is for it
 
     def give(self, command: Command) -> None:
         self._commands += (command,)
@@ -108,8 +109,9 @@ class Vehicle:
         """What something to be followed tells of itself, for the next tick."""
         self._targets += ((name, target),)
 
-    def reply_to(self, command: Command) -> CommandReply | None:
-        return self._reply if self._reply and self._reply.number == command.number else None
+    def reply_to(self, number: int) -> CommandReply | None:
+        """Of the command with this number."""
+        return self._reply if self._reply and self._reply.number == number else None
 
     def tick(self, now_s: float) -> None:
         inbox = Inbox(
@@ -129,6 +131,7 @@ class Vehicle:
         if outbox.peer_packet:
             self._network.send(outbox.peer_packet, now_s)
         if outbox.status:
+            self.session = outbox.status.session
             self._reports.append(StatusReport(outbox.status, NOT_TIMED))
 
 

@@ -24,6 +24,7 @@ from sitl.config import Links, StandIn
 from sitl.moving_targets import MovingTarget
 
 SET = Path("--set")  # stands where errors name a file
+OPERATORS_ONLY = (CommandName.TAKE, CommandName.ABORT)  # they lead to no phase that could be waited for
 LONGEST_KEY = 200  # of --set
 
 
@@ -118,6 +119,11 @@ def scenario_from(path: Path, data: object) -> Scenario:
     if not scenario.timeline:
         raise ConfigError(path, "timeline", "is empty; list at least one step with a command")
     for index, step in enumerate(scenario.timeline):
+        if step.command in OPERATORS_ONLY:
+            expected = ", ".join(name for name in CommandName if name not in OPERATORS_ONLY)
+            raise ConfigError(
+                path, f"timeline[{index}].command", f"{step.command} is an operator's; expected {expected}"
+            )
         _check_leaders(path, f"timeline[{index}].leaders", step, scenario.fleet)
         if (step.command is CommandName.FORMATION) is (step.formation is None):
             raise ConfigError(path, f"timeline[{index}].formation", "goes with command: formation, and with no other")

@@ -12,9 +12,10 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
+from companion.config.kind import read_as
 from companion.config.law import Law, check_law
 from companion.config.values import PositionM, Section, VehicleId
-from companion.config_file import ConfigError
+from companion.config_file import ConfigError, convert
 from companion.types import Role, Vector3
 
 FLEET_NAME = "^[a-z0-9][a-z0-9_-]{0,40}$"  # it is a part of Zenoh's key expressions
@@ -89,11 +90,12 @@ class FleetConfig(Section, frozen=True):
     `origin` is `indoor` where one motion-capture system gives all vehicles one frame. `altitude_source` says where z is
     zero: at the origin's altitude (indoors the shared frame's zero), or, with `takeoff`, where each vehicle stood when it
     was armed, for fleets that start from level ground. Only vehicles that stand within `ground_spread_m` of each other in
-    altitude take off. No formation that is commanded in flight brings slots nearer than `separation_m`, also on the way to it,
-    and on that way they move at `slot_speed_m_s` at most. A hand-over from one reference to another in flight adds no more
-    than `hand_over_speed_m_s` and `hand_over_acceleration_m_s2` to what both ask for. When no leader is heard any more, the
-    first of the `successors` that flies in formation leads; where none does, all go into their autopilots' hold, and after
-    `land_after_s` in it each lands where it is, or stays up where that is not given.
+    altitude, and in the plane no nearer than `separation_m`, take off. No formation that is commanded in flight brings
+    slots nearer than that, also on the way to it, and on that way they move at `slot_speed_m_s` at most. A hand-over from
+    one reference to another in flight adds no more than `hand_over_speed_m_s` and `hand_over_acceleration_m_s2` to what
+    both ask for. When no leader is heard any more, the first of the `successors` that flies in formation leads; where none
+    does, all go into their autopilots' hold, and after `land_after_s` in it each lands where it is, or stays up where that
+    is not given.
     """
 
     name: Annotated[str, Meta(pattern=FLEET_NAME, description=FLEET_NAME_WORDS)]
@@ -120,6 +122,13 @@ class FleetConfig(Section, frozen=True):
 
     def member(self, vehicle_id: int) -> FormationMember | None:
         return next((m for m in self.vehicles if m.id == vehicle_id), None)
+
+
+def load_fleet(path: Path) -> FleetConfig:
+    """Read a fleet file. Raises ConfigError."""
+    fleet = convert(path, read_as(path, "fleet"), FleetConfig)
+    check_fleet(path, fleet)
+    return fleet
 
 
 def check_fleet(file: Path, fleet: FleetConfig, where: str = "") -> None:

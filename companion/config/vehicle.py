@@ -8,7 +8,7 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from companion.config.fleet import FleetConfig, FormationMember, check_fleet
+from companion.config.fleet import FleetConfig, FormationMember, load_fleet
 from companion.config.kind import read_as
 from companion.config.reference import Reference, check_reference
 from companion.config.values import Drag, HoverThrust, Section, VehicleId
@@ -88,8 +88,7 @@ def load_agent(path: Path) -> AgentConfig:
     if not fleet_path.is_file():
         where = f"looked for {fleet_path}; the path is relative to the vehicle file"
         raise ConfigError(path, "fleet", f'"{vehicle.fleet}": no such file; {where}')
-    fleet = convert(fleet_path, read_as(fleet_path, "fleet"), FleetConfig)
-    check_fleet(fleet_path, fleet)
+    fleet = load_fleet(fleet_path)
     member = fleet.member(vehicle.id)
     if member is None:
         ids = ", ".join(str(m.id) for m in fleet.vehicles)

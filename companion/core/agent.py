@@ -6,6 +6,7 @@ from collections import Counter
 from dataclasses import dataclass
 from math import inf
 
+from companion.core.command_desk import CommandDesk, Order
 from companion.core.control import FormationControl
 from companion.core.cooperation import COOPERATING, Cooperation, Neighbourhood
 from companion.core.envelope import EnvelopeLimits
@@ -21,13 +22,11 @@ from companion.core.slot_plan import SlotPlan
 from companion.core.succession import HeldForWantOfALeader
 from companion.core.vehicle_state import VehicleTracker
 from companion.types import (
-    CONTENT,
     WITHOUT_LEADER,
     ZERO3,
     AttitudeTarget,
     AutopilotMode,
     AutopilotRequest,
-    Command,
     CommandName,
     CommandReply,
     FailsafeAction,
@@ -46,7 +45,6 @@ from companion.types import (
     VehicleState,
 )
 
-WITHOUT_PHASE = frozenset(CONTENT)  # they change no phase
 HAND_OVER_S = 2.0  # at the end: how long the autopilot may take to go into its own hold
 SILENT_TOO_LONG_S = 0.5  # less than COM_OF_LOSS_T: PX4 re-enters OFFBOARD by itself when a stream returns
 MODE_SURE_S = 0.2  # so old may the mode be where the agent, seeing nothing else, still asks for another
@@ -98,6 +96,7 @@ class Agent:
         self._observer = setpoints.observer
         self._machine = PhaseMachine(setup.takeoff_height_m)
         self._preflight = Preflight(self._observer)
+        self._desk = CommandDesk(setup.session)
         self._refused: Counter[str] = Counter()
         self._sequence = 0
         self._origin_asked_s = -inf
@@ -108,6 +107,7 @@ class Agent:
         self._last_event = ""
         self._warnings: list[str] = []
         self._events_of = (
+            self._desk.events,
             self._preflight.events,
             self._tracker.events,
             self._cooperation.leadership.events,
@@ -137,22 +137,22 @@ class Agent:
         vehicle = self._tracker.fold(inbox.telemetry)
         self._machine.follow_truth(vehicle)
         self._preflight.hear(now_s, inbox.telemetry, vehicle.autopilot)
-        commands = [command for command in inbox.commands if command.name not in WITHOUT_PHASE]
+        orders = [self._desk.take_in(command) for command in inbox.commands]
         # A new role comes before all that it decides: one tick, its packet included, is of one role.
-        replies = tuple(
-            [self._change_lead(now_s, c, c.content, vehicle) for c in inbox.commands if isinstance(c.content, Lead)]
-        )
+        for order in orders:
+            if order.answer is None and isinstance(order.command.content, Lead):
+                order.answer = self._change_lead(now_s, order.command.content, vehicle)
         if not vehicle.armed:
             self._cooperation.landed()
             self._slots.landed()
         around = self._cooperation.update(
             now_s, vehicle.position_enu_m, inbox.peers, self._machine.in_formation, self._fit_to_lead
         )
-        for command in inbox.commands:
-            if isinstance(command.content, FormationChange):
-                replies += (self._change_formation(command, command.content, around),)
-            elif isinstance(command.content, ReferenceChange):
-                replies += (self._change_reference(command, command.content, vehicle, around),)
+        for order in orders:
+            if order.answer is None and isinstance(order.command.content, FormationChange):
+                order.answer = self._change_formation(order.command.content, around)
+            elif order.answer is None and isinstance(order.command.content, ReferenceChange):
+                order.answer = self._change_reference(order.command.content, vehicle, around)
         slot = self._slots.update(around.reference_s, around.flying)
         if self._references:
             self._references.update(now_s, around.reference_s, self._slots.slots_enu_m, around.flying, inbox.targets)
@@ -162,7 +162,9 @@ class Agent:
         self._observe_disturbance(now_s, vehicle, action)
 
         streamed = self._machine.streams(vehicle)
-        replies += tuple([self._obey(command, now_s, vehicle, flags) for command in commands])
+        for order in orders:
+            if order.answer is None:
+                order.answer = self._obey(order.command.name, now_s, vehicle, flags)
         if self._machine.streams(vehicle) and not streamed:
             self._setpoints.open(now_s, vehicle)
         if inbox.stopping:
@@ -193,7 +195,7 @@ class Agent:
             requests=requests,
             peer_packet=None if flags & NOT_TO_BE_HEEDED else self._peer_packet(now_s, vehicle, around, streams),
             status=self._status(now_s, vehicle, around, flags) if self._status_due(now_s, events) else None,
-            replies=replies,
+            replies=tuple([self._reply(order) for order in orders]),
             events=events,
         )
 
@@ -232,47 +234,48 @@ class Agent:
             return vehicle.velocity_enu_m_s[2] > CLIMBS_M_S
         return self.phase in FLYING_FREELY
 
-    def _change_lead(self, now_s: float, command: Command, lead: Lead, vehicle: VehicleState) -> CommandReply:
+    def _reply(self, order: Order) -> CommandReply:
+        assert order.answer is not None  # whatever the desk lets through was obeyed or refused in this tick
+        return CommandReply(self._setup.vehicle_id, order.command.number, *order.answer)
+
+    def _change_lead(self, now_s: float, lead: Lead, vehicle: VehicleState) -> tuple[bool, str]:
         refusal = self._machine.refusal_of_lead(vehicle)
         if not refusal and self._references and self._setup.vehicle_id in lead.leaders:
             missing = self._references.missing(now_s)
             refusal = f"lead: {missing}" if missing else ""
-        accepted, reason = (False, refusal) if refusal else self._cooperation.leadership.obey(lead)
-        return CommandReply(self._setup.vehicle_id, command.number, accepted, reason)
+        return (False, refusal) if refusal else self._cooperation.leadership.obey(lead)
 
-    def _change_formation(self, command: Command, change: FormationChange, around: Neighbourhood) -> CommandReply:
+    def _change_formation(self, change: FormationChange, around: Neighbourhood) -> tuple[bool, str]:
         in_formation = [other for other in around.flying if other.phase is FlightPhase.FORMATION]
         alone = self._machine.phase is not FlightPhase.FORMATION
-        accepted, reason = self._slots.obey(change, around.reference_s, in_formation if alone else ())
-        return CommandReply(self._setup.vehicle_id, command.number, accepted, reason)
+        return self._slots.obey(change, around.reference_s, in_formation if alone else ())
 
     def _change_reference(
-        self, command: Command, change: ReferenceChange, vehicle: VehicleState, around: Neighbourhood
-    ) -> CommandReply:
-        accepted, reason = False, "reference: this vehicle may not lead, and knows of none"
-        if self._references:
-            here = place(vehicle.position_enu_m, vehicle.velocity_enu_m_s, self._slots.flown).position_enu_m
-            accepted, reason = self._references.obey(
-                change, around.reference_s, self._slots.slots_enu_m, around.flying, here
-            )
-        return CommandReply(self._setup.vehicle_id, command.number, accepted, reason)
+        self, change: ReferenceChange, vehicle: VehicleState, around: Neighbourhood
+    ) -> tuple[bool, str]:
+        if self._references is None:
+            return False, "reference: this vehicle may not lead, and knows of none"
+        here = place(vehicle.position_enu_m, vehicle.velocity_enu_m_s, self._slots.flown).position_enu_m
+        return self._references.obey(change, around.reference_s, self._slots.slots_enu_m, around.flying, here)
 
     def _obey(
-        self, command: Command, now_s: float, vehicle: VehicleState, flags: frozenset[HealthFlag]
-    ) -> CommandReply:
-        missing = self._missing_for(command.name, flags)
-        if missing:
-            return CommandReply(self._setup.vehicle_id, command.number, False, f"{command.name}: {', '.join(missing)}")
-        refusal, warning = self._judge(command.name, now_s, vehicle)
+        self, name: CommandName, now_s: float, vehicle: VehicleState, flags: frozenset[HealthFlag]
+    ) -> tuple[bool, str]:
+        if name is CommandName.ABORT:
+            self._held.end()
+            return self._machine.abort(now_s, vehicle)
+        if missing := self._missing_for(name, flags):
+            return False, f"{name}: {', '.join(missing)}"
+        refusal, warning = self._judge(name, now_s, vehicle)
         if refusal:
-            return CommandReply(self._setup.vehicle_id, command.number, False, f"{command.name}: {refusal}")
-        accepted, reason = self._machine.command(command.name, now_s, vehicle)
+            return False, f"{name}: {refusal}"
+        accepted, reason = self._machine.command(name, now_s, vehicle)
         if accepted:
             self._held.end()
         if accepted and warning:
             self._warnings.append(warning)
             reason += f"; {warning}"
-        return CommandReply(self._setup.vehicle_id, command.number, accepted, reason)
+        return accepted, reason
 
     def _missing_for(self, name: CommandName, flags: frozenset[HealthFlag]) -> list[str]:
         """Landing, holding and disarming need nothing; the rest needs a vehicle that knows where and how it is."""
@@ -294,8 +297,11 @@ class Agent:
             return "", ""
         if name is CommandName.FORM and (refusal := self._preflight.refusal()):
             return refusal, ""
-        peers = [peer.packet for peer in self._cooperation.peers.fresh(now_s).values()]
-        return self._setup.checks.judge(name, vehicle, self._slots.flown, peers)
+        return self._setup.checks.judge(name, vehicle, self._slots.flown, self._heard(now_s))
+
+    def _heard(self, now_s: float) -> list[PeerPacket]:
+        """All others that are heard of just now."""
+        return [peer.packet for peer in self._cooperation.peers.fresh(now_s).values()]
 
     def _act_on(
         self, flags: frozenset[HealthFlag], action: FailsafeAction, now_s: float, vehicle: VehicleState
@@ -388,7 +394,8 @@ class Agent:
     def _status(
         self, now_s: float, vehicle: VehicleState, around: Neighbourhood, flags: frozenset[HealthFlag]
     ) -> Status:
-        reference = self._control.reference(around)
+        reference, peers = self._control.reference(around), self._heard(now_s)
+        lacks = () if vehicle.armed else self._preflight.lacks() + self._setup.checks.lacks(vehicle, peers)
         return Status(
             vehicle_id=self._setup.vehicle_id,
             session=self._setup.session,
@@ -424,7 +431,12 @@ class Agent:
             reference_s=around.reference_s,
             reference=self._references.held if self._references else None,
             target_age_s=self._references.target_age_s if self._references else None,
-            lacks=() if vehicle.armed else self._preflight.lacks(),
+            lacks=lacks,
+            holder=self._desk.holder,
+            command_number=self._desk.number,
+            peers=tuple(sorted(peer.vehicle_id for peer in peers)),
+            battery_percent=self._preflight.battery_percent,
+            position_error=vehicle.position_error,
         )
 
 

@@ -1,4 +1,4 @@
-"""What is asked of the fleet as a whole: of its altitudes before it leaves the ground, of its spacing before it forms.
+"""What is asked of the fleet as a whole: of its places before it leaves the ground, of its spacing before it forms.
 
 Each vehicle judges for itself by what it hears. An estimator's error counts as one sigma, in the plane as that of both axes
 together, and as independent of the others'. Receivers side by side share what the atmosphere does to them, but not
@@ -40,6 +40,7 @@ class FleetChecks:
     own_id: int
     slots_have_height: bool
     ground_spread_m: float
+    separation_m: float  # in the plane, of any two on the ground
 
     def judge(
         self, name: CommandName, vehicle: VehicleState, slot: FlownSlot, peers: Collection[PeerPacket]
@@ -47,7 +48,9 @@ class FleetChecks:
         """(why this command is refused, what is to be said if it is not); "" where nothing is. `peers` are the fresh ones."""
         match name:
             case CommandName.ARM | CommandName.TAKEOFF:
-                return self._altitudes_differ(vehicle.position_enu_m[2], peers), ""
+                return "; ".join(self.lacks(vehicle, peers)), ""
+            case CommandName.LAND:
+                return "", self._too_near(vehicle, peers)
             case CommandName.FORM:
                 if other := next((p for p in peers if p.slot.formation != slot.formation and p.phase in FORMED), None):
                     return (
@@ -58,6 +61,23 @@ class FleetChecks:
                 return self._too_close(vehicle.position_error, slot, peers)
         return "", ""
 
+    def lacks(self, vehicle: VehicleState, peers: Collection[PeerPacket]) -> tuple[str, ...]:
+        """Why the vehicle must not leave the ground, each with its subject first."""
+        words = (self._altitudes_differ(vehicle.position_enu_m[2], peers), self._too_near(vehicle, peers))
+        return tuple(filter(None, words))
+
+    def _too_near(self, vehicle: VehicleState, peers: Collection[PeerPacket]) -> str:
+        """To one that stands, climbs or flies there: all come up and down vertically."""
+        x, y, _ = vehicle.position_enu_m
+        apart_m = {p.vehicle_id: hypot(p.position_enu_m[0] - x, p.position_enu_m[1] - y) for p in peers}
+        nearest = min(apart_m, key=apart_m.__getitem__, default=None)
+        if nearest is None or apart_m[nearest] >= self.separation_m:
+            return ""
+        return (
+            f"separation: in the plane vehicle {nearest} is {apart_m[nearest]:.2f} m from vehicle {self.own_id};"
+            f" expected at least separation_m, {self.separation_m:g} m"
+        )
+
     def _altitudes_differ(self, own_z_m: float, peers: Collection[PeerPacket]) -> str:
         z_m = {peer.vehicle_id: peer.position_enu_m[2] for peer in peers if peer.phase in ON_GROUND}
         z_m[self.own_id] = own_z_m
@@ -66,7 +86,7 @@ class FleetChecks:
         if spread_m <= self.ground_spread_m:
             return ""
         return (
-            f"on the ground vehicle {high} is {spread_m:.1f} m above vehicle {low}, more than ground_spread_m"
+            f"altitude: on the ground vehicle {high} is {spread_m:.1f} m above vehicle {low}, more than ground_spread_m"
             f" {self.ground_spread_m:g}"
         )
 

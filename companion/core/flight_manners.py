@@ -36,7 +36,7 @@ ProcedureBuilder = Callable[[VehicleState, float], Procedure]
 class FlightManners:
     """`modes` are those that a phase brings about; while its procedure runs it tolerates the mode that it began in, too.
 
-    `procedures` has all commands but LEAD, of which the autopilot knows nothing. `flies_on_in_silence`: where a stream ends the
+    `procedures` has all commands of which the autopilot knows. `flies_on_in_silence`: where a stream ends the
     autopilot goes on with the last attitude and thrust for seconds, so the last must be one that it may go on with.
     """
 

@@ -41,11 +41,12 @@ class Rule:
 ON_GROUND = frozenset({P.PREPARE, P.READY, P.ARM, P.ARMED})
 FLYING = frozenset({P.TAKEOFF, P.HOLD, P.ENGAGE, P.FORMATION, P.RELEASE, P.LAND})
 STREAMING = frozenset({P.ENGAGE, P.FORMATION})
+FLOWN_BY_OTHERS = frozenset({M.LAND, M.OTHER})  # while the agent observes: modes that a pilot or the autopilot has set
 MUST_BE_ARMED = {P.ARMED} | FLYING - {P.LAND}
 
 LEAD_CHANGES_IN = ON_GROUND | {P.HOLD, P.FORMATION}
 
-# All commands but LEAD, which changes no phase.
+# All commands that bring about a phase; LEAD, FORMATION and TAKE change none, and ABORT is one of these.
 RULES: dict[CommandName, Rule] = {
     C.PREPARE: Rule(frozenset({P.OBSERVE}), P.PREPARE, P.READY, P.OBSERVE, True),
     C.ARM: Rule(frozenset({P.READY}), P.ARM, P.ARMED, P.READY, True),
@@ -96,6 +97,24 @@ class PhaseMachine:
         except ValueError as error:
             return False, f"{name}: {error}"
         return True, f"{self.phase}"
+
+    def abort(self, now_s: float, vehicle: VehicleState) -> tuple[bool, str]:
+        """(accepted, why not or what happens now), from every phase: disarmed on the ground, in the air into the own hold.
+
+        Who lands goes on landing, and who is flown by a pilot is left to him.
+        """
+        if vehicle.autopilot is None:
+            return False, "abort: no HEARTBEAT has come from the autopilot yet"
+        if self.phase is P.LAND:
+            return True, "goes on landing"
+        if not in_air(vehicle):
+            # Who was flying a moment ago lands, which disarms as well: a landed state may be wrong, and then motors would stop.
+            lands = self.phase in FLYING - {P.TAKEOFF}
+            self._begin(C.LAND if lands else C.DISARM, now_s, vehicle, "command abort")
+            return True, "lands" if lands else "disarms"
+        if self.phase is P.OBSERVE and vehicle.mode in FLOWN_BY_OTHERS:
+            return True, f"left to who flies it, in mode {vehicle.mode_name}"
+        return self.command(C.HOLD, now_s, vehicle)
 
     @property
     def in_formation(self) -> bool:

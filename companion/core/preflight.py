@@ -65,6 +65,12 @@ class Preflight:
         self._asked[name] += 1
         return (RequestParameter(name),)
 
+    @property
+    def battery_percent(self) -> float | None:
+        """None where the autopilot does not know."""
+        percent = self._survey.battery_percent
+        return percent if percent is not None and percent >= 0.0 else None
+
     def refusal(self) -> str:
         """Why the vehicle must not fly in formation; "" where it may. What was not answered counts as not found."""
         if self._autopilot is None:

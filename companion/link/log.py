@@ -7,8 +7,10 @@ import sys
 from collections.abc import Mapping
 
 from companion.mavlink.codec import mavlink
+from companion.types import Command, CommandReply
 
 REPEAT_AFTER_S = 1.0
+COMMANDS_A_SECOND = 20
 
 _log = logging.getLogger(__name__)
 
@@ -36,3 +38,26 @@ class RejectionLog:
             if count > before and now_s - logged_s >= REPEAT_AFTER_S:
                 self._logged[reason] = (count, now_s)
                 _log.warning("rejected %d (%d in all): %s", count - before, count, reason)
+
+
+class CommandLog:
+    """A line for every command with its answer; of more than COMMANDS_A_SECOND only how many there were."""
+
+    def __init__(self) -> None:
+        self._second = 0
+        self._lines = 0
+        self._left_out = 0
+
+    def answered(self, command: Command, reply: CommandReply, now_s: float) -> None:
+        if int(now_s) != self._second:
+            if self._left_out:
+                _log.warning("%d more commands", self._left_out)
+            self._second, self._lines, self._left_out = int(now_s), 0, 0
+        if self._lines >= COMMANDS_A_SECOND:
+            self._left_out += 1
+            return
+        self._lines += 1
+        outcome = "accepted" if reply.accepted else "refused"
+        _log.info(
+            "command %s, number %d of %s: %s, %s", command.name, command.number, command.operator, outcome, reply.reason
+        )

@@ -7,6 +7,7 @@ loop that hangs.
 from __future__ import annotations
 
 import contextlib
+import time
 from collections import deque
 from collections.abc import Callable, Iterable
 
@@ -14,6 +15,7 @@ import zenoh
 
 from companion.config.fleet import FleetConfig
 from companion.config.vehicle import ZenohEndpoints
+from companion.link.log import CommandLog
 from companion.link.zenoh_session import drain, open_session
 from companion.types import Command, CommandName, CommandReply, PeerPacket, ReceivedPeerPacket, ReceivedTarget
 from companion.wire.ground import StatusReport, decode_command, encode
@@ -26,7 +28,8 @@ PACKETS_KEPT_PER_VEHICLE = 8
 COMMANDS_KEPT = 32
 TARGETS_KEPT = 32
 LONG_PAUSE_S = 0.1  # five ticks
-OBEYED_LATE = (CommandName.HOLD, CommandName.LAND)  # they end a formation; nobody is endangered when they come late
+# They end a formation; nobody is endangered when they come late.
+OBEYED_LATE = (CommandName.HOLD, CommandName.LAND, CommandName.ABORT)
 
 
 class ZenohLink:
@@ -44,7 +47,8 @@ class ZenohLink:
         self._fleet_ids = frozenset(member.id for member in fleet.vehicles)
         self._reject = reject
         self._drained_s: float | None = None
-        self._open_queries: deque[tuple[int, zenoh.Query]] = deque(maxlen=COMMANDS_KEPT)
+        self._open_queries: deque[tuple[Command, zenoh.Query]] = deque(maxlen=COMMANDS_KEPT)
+        self._log = CommandLog()
         self._session = open_session(endpoints.listen, endpoints.connect)
         self._packets_kept = PACKETS_KEPT_PER_VEHICLE * len(fleet.vehicles)
         with contextlib.ExitStack() as undo:
@@ -109,12 +113,12 @@ class ZenohLink:
         self._status_publisher.put(encode(report))
 
     def reply(self, replies: Iterable[CommandReply]) -> None:
-        """Answer the queries that brought the commands. A reply without a query is nobody's and goes nowhere."""
+        """Answer the queries that brought the commands, in their order. One without a query is nobody's and goes nowhere."""
         for reply in replies:
-            for number, query in self._open_queries:
-                if number == reply.number:
-                    self._answer(query, reply)
-                    self._open_queries.remove((number, query))
+            for command, query in self._open_queries:
+                if command.number == reply.number:
+                    self._answer(query, reply, command)
+                    self._open_queries.remove((command, query))
                     break
 
     def close(self) -> None:
@@ -153,13 +157,15 @@ class ZenohLink:
             return None
         if paused and command.name not in OBEYED_LATE:
             reason = "came while this agent was paused; give it again"
-            self._answer(query, CommandReply(self._vehicle_id, command.number, False, reason))
+            self._answer(query, CommandReply(self._vehicle_id, command.number, False, reason), command)
             return None
-        self._open_queries.append((command.number, query))
+        self._open_queries.append((command, query))
         return command
 
-    def _answer(self, query: zenoh.Query, reply: CommandReply) -> None:
-        """Dropping the query tells the asker that no more will come."""
+    def _answer(self, query: zenoh.Query, reply: CommandReply, command: Command | None = None) -> None:
+        """Dropping the query tells the asker that no more will come. `command` is None where it was none."""
+        if command:
+            self._log.answered(command, reply, time.monotonic())
         with contextlib.suppress(zenoh.ZError):  # the asker has gone
             query.reply(self._command_key, encode(reply), express=True)
         query.drop()  # type: ignore[no-untyped-call]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TypeVar
 
 import msgspec
@@ -10,6 +11,9 @@ from companion.types import CONTENT, Command, CommandReply, Status
 from companion.wire.version import DECODE_ERRORS, WireError, seal, unseal
 
 T = TypeVar("T")
+
+OPERATOR = r"[A-Za-z0-9][A-Za-z0-9_.@+-]{0,62}"  # it is shown on terminals and in logs
+OPERATOR_WORDS = "1 to 63 letters, digits, _ . @ + -, a letter or digit first, like anna@ground"
 
 
 class Percentiles(msgspec.Struct, frozen=True, gc=False):
@@ -65,6 +69,10 @@ def decode_command(data: bytes) -> Command:
     wanted = CONTENT.get(command.name, type(None))
     if not isinstance(command.content, wanted):
         raise WireError(f"command {command.name} with {type(command.content).__name__}, expected {wanted.__name__}")
+    if not re.fullmatch(OPERATOR, command.operator):
+        raise WireError(f"command {command.name} of an operator without a proper name")
+    if not 0 < command.number < 2**63:
+        raise WireError(f"command {command.name} with a number out of range")
     return command
 
 

@@ -173,7 +173,7 @@ def failure_of(*overrides: str) -> str:
 
 def test_altitudes_that_differ_on_the_ground_are_refused() -> None:
     failure = failure_of("starts_enu_m.3=[-3.0, 0.0, 1.6]", "timeline[1].timeout_s=8")
-    assert "arm: on the ground vehicle 3 is 1.6 m above vehicle" in failure
+    assert "arm: altitude: on the ground vehicle 3 is 1.6 m above vehicle" in failure
     assert "ground_spread_m 1" in failure
 
 

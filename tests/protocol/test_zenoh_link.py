@@ -98,6 +98,7 @@ class Vehicle:
     commands: list[Command] = field(default_factory=list)
 
     def tick(self) -> None:
+        self.link.publish_status(REPORT)  # whoever is commanded is heard first
         packets, commands = self.link.receive(time.monotonic())
         self.packets += packets
         self.commands += commands
@@ -221,7 +222,8 @@ def test_a_command_gets_its_answer_from_the_tick_that_decided(port: int) -> None
             command = first.commands[0]
             assert command.name is CommandName.FORM
             first.link.reply([CommandReply(1, 999, True, "not asked"), CommandReply(1, command.number, False, "no")])
-            assert asked.result(10.0) == {1: CommandReply(1, command.number, False, "no"), 2: None}
+            until(asked.done, first.tick)
+            assert asked.result() == {1: CommandReply(1, command.number, False, "no"), 2: None}
         first.tick()
         assert len(first.commands) == 1  # it was never repeated
 
@@ -278,12 +280,13 @@ def test_a_command_that_waited_through_a_pause_is_obeyed_only_if_it_ends_a_forma
         asked = pool.submit(ground.command, (1,), name, 10.0, CONTENT_OF.get(name))
         time.sleep(1.0)  # the process hangs
         first.tick()
-        if name in (CommandName.LAND, CommandName.HOLD):
+        if name in (CommandName.LAND, CommandName.HOLD, CommandName.ABORT):
             assert [command.name for command in first.commands] == [name]
             first.link.reply([CommandReply(1, first.commands[0].number, True, "")])
         else:
-            reply = CommandReply(1, 1, False, "came while this agent was paused; give it again")
-            assert asked.result(15.0) == {1: reply}
+            reply = asked.result(15.0)[1]
+            assert reply is not None
+            assert (reply.accepted, reply.reason) == (False, "came while this agent was paused; give it again")
             assert first.commands == []
 
 
@@ -299,17 +302,21 @@ def test_a_vehicle_that_appears_within_the_timeout_still_gets_the_command(port: 
             assert reply.reason == "land"
 
 
-def test_commands_of_two_ground_stations_with_the_same_number_are_both_answered(port: int) -> None:
+def test_commands_of_two_ground_stations_with_the_same_number_are_both_answered(
+    port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("companion.ground.session.time.time_ns", lambda: 5_000_000)
     with (
         vehicle(1, listen=(endpoint(port),)) as first,
-        FleetSession.open(FLEET.name, (endpoint(port),)) as one,
-        FleetSession.open(FLEET.name, (endpoint(port),)) as other,
+        FleetSession.open(FLEET.name, (endpoint(port),), "one") as one,
+        FleetSession.open(FLEET.name, (endpoint(port),), "other") as other,
         ThreadPoolExecutor() as pool,
     ):
         asked = [pool.submit(ground.command, (1,), CommandName.HOLD, 10.0) for ground in (one, other)]
         until(lambda: len(first.commands) == 2, first.tick)
-        first.link.reply([CommandReply(1, command.number, True, "hold") for command in first.commands])
-        assert [future.result(15.0)[1] for future in asked] == [CommandReply(1, 1, True, "hold")] * 2
+        first.link.reply([CommandReply(1, command.number, True, command.operator) for command in first.commands])
+        replies = [future.result(15.0)[1] for future in asked]
+        assert replies == [CommandReply(1, 5, True, "one"), CommandReply(1, 5, True, "other")]
 
 
 @pytest.mark.parametrize(

@@ -59,8 +59,7 @@ FLEET = FleetConfig(
     law=Law(name="weighted"),
     takeoff_height_m=1.0,
 )
-
-
+SESSION = 7
 POINT = PointReference(point_enu_m=(1.0, 0.0, 1.0))
 IN_ORDER = {
     "COM_OF_LOSS_T": 1.0,
@@ -90,7 +89,7 @@ class Flight:
             hover_thrust_norm=0.5,
             reference=reference if member.can_lead else None,
         )
-        self.agent = build_agent(AgentConfig(vehicle, fleet, member), session=7)
+        self.agent = build_agent(AgentConfig(vehicle, fleet, member), session=SESSION)
         self.fleet = fleet
         self.now_s = 100.0
         self.position: Vector3 = (-1.5, 0.0, 0.0)
@@ -114,6 +113,7 @@ class Flight:
         self.peer_late_s = 0.0
         self.formation_ticks = 0
         self._peer_sequence = 0
+        self._number = 0  # of the last command
         self._put_at, self.boot_s = self.position, 50.0
 
     def telemetry(self) -> list[Telemetry]:
@@ -170,15 +170,24 @@ class Flight:
     def agent_id(self) -> int:
         return 2 if self.position[0] < 0 else 1
 
+    def command(self, name: CommandName, operator: str = "anna@ground", content: Content | None = None) -> Command:
+        """The next one."""
+        self._number += 1
+        return Command(name, self._number, operator, SESSION, content)
+
     def tick(
-        self, *names: CommandName, telemetry: list[Telemetry] | None = None, lead: Content | None = None
+        self,
+        *names: CommandName,
+        telemetry: list[Telemetry] | None = None,
+        lead: Content | None = None,
+        given: tuple[Command, ...] = (),
     ) -> Outbox:
         self.now_s += 0.02
         self.peer_reference_s += 0.02 if self.peer_reference_s else 0.0
         self.formation_ticks += self.agent.phase is FlightPhase.FORMATION
-        commands = tuple(Command(name, number, lead) for number, name in enumerate(names))
+        commands = tuple(self.command(name, content=lead) for name in names)
         samples = self.telemetry() if telemetry is None else telemetry
-        inbox = Inbox(tuple(samples), tuple(self.peer()), commands, self.stopping)
+        inbox = Inbox(tuple(samples), tuple(self.peer()), commands + given, self.stopping)
         self.outbox = self.agent.step(self.now_s, inbox)
         if self.obeys:
             self._obey()
@@ -420,7 +429,7 @@ def test_commands_are_answered_with_their_number() -> None:
     flight = Flight()
     flight.tick()
     outbox = flight.tick(CommandName.PREPARE, CommandName.LAND)
-    assert [(reply.number, reply.accepted) for reply in outbox.replies] == [(0, True), (1, False)]
+    assert [(reply.number, reply.accepted) for reply in outbox.replies] == [(1, True), (2, False)]
     assert all(reply.vehicle_id == 2 for reply in outbox.replies)
 
 

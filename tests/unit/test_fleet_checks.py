@@ -17,12 +17,12 @@ from companion.types import (
 
 SLOTS: dict[int, Vector3] = {1: (0.0, 0.0, 0.0), 2: (-1.5, 0.0, 0.0), 3: (-3.0, 0.0, 0.0), 4: (-3.0, 0.0, 1.0)}
 OWN = FlownSlot(SLOTS[2])
-CHECKS = FleetChecks(2, slots_have_height=True, ground_spread_m=1.0)
+CHECKS = FleetChecks(2, slots_have_height=True, ground_spread_m=1.0, separation_m=1.0)
 
 
 def peer(vehicle_id: int, z_m: float = 0.0, error: PositionError | None = None, air: bool = False) -> PeerPacket:
     phase = FlightPhase.HOLD if air else FlightPhase.READY
-    at, zero = (0.0, 0.0, z_m), (0.0, 0.0, 0.0)
+    at, zero = (3.0 * vehicle_id - 6.0, 0.0, z_m), (0.0, 0.0, 0.0)
     return PeerPacket(
         vehicle_id,
         1,
@@ -52,7 +52,7 @@ def vehicle(z_m: float = 0.0, error: PositionError | None = None) -> VehicleStat
 @pytest.mark.parametrize("name", [CommandName.ARM, CommandName.TAKEOFF])
 def test_altitudes_that_differ_keep_the_fleet_on_the_ground(name: CommandName) -> None:
     refusal, _ = CHECKS.judge(name, vehicle(0.3), OWN, [peer(1, 0.0), peer(3, 1.4)])
-    assert refusal == "on the ground vehicle 3 is 1.4 m above vehicle 1, more than ground_spread_m 1"
+    assert refusal == "altitude: on the ground vehicle 3 is 1.4 m above vehicle 1, more than ground_spread_m 1"
 
 
 @pytest.mark.parametrize(
@@ -65,6 +65,25 @@ def test_altitudes_that_differ_keep_the_fleet_on_the_ground(name: CommandName) -
 )
 def test_altitudes_that_agree_let_it_take_off(own_m: float, peers: list[PeerPacket]) -> None:
     assert CHECKS.judge(CommandName.TAKEOFF, vehicle(own_m), OWN, peers) == ("", "")
+
+
+@pytest.mark.parametrize("name", [CommandName.ARM, CommandName.TAKEOFF])
+@pytest.mark.parametrize("height_m", [0.0, 20.0])  # one that flies there is in the way, too
+def test_nobody_takes_off_nearer_to_another_than_the_fleets_separation(name: CommandName, height_m: float) -> None:
+    beside = replace(peer(3, air=height_m > 0.0), position_enu_m=(0.6, -0.5, height_m))
+    refusal, _ = CHECKS.judge(name, vehicle(), OWN, [peer(1), beside])
+    assert refusal == (
+        "separation: in the plane vehicle 3 is 0.78 m from vehicle 2; expected at least separation_m, 1 m"
+    )
+    assert CHECKS.lacks(vehicle(), [peer(1), beside]) == (refusal,)
+
+
+def test_landing_near_another_is_warned_of_and_never_refused() -> None:
+    refusal, warning = CHECKS.judge(
+        CommandName.LAND, vehicle(3.0), OWN, [replace(peer(1), position_enu_m=(0.1, 0.0, 0.0))]
+    )
+    assert refusal == ""
+    assert "in the plane vehicle 1 is 0.10 m from vehicle 2" in warning
 
 
 # ---------------------------------------------------------------- before it forms
@@ -104,7 +123,7 @@ def test_what_a_receiver_reports_says_how_close_it_may_fly(
     spacing_m: float, fits_m: tuple[float, ...], warned_m: tuple[float, ...], refused_m: tuple[float, ...]
 ) -> None:
     """The table of the README: 3 times the reported error at the least, better 6 times."""
-    checks = FleetChecks(1, slots_have_height=True, ground_spread_m=1.0)
+    checks = FleetChecks(1, slots_have_height=True, ground_spread_m=1.0, separation_m=1.0)
     for errors_m, wanted in ((fits_m, (False, False)), (warned_m, (False, True)), (refused_m, (True, False))):
         for error_m in errors_m:
             error = PositionError(error_m, 3.0)  # on level slots, height does not count
@@ -128,9 +147,9 @@ def test_an_estimator_that_says_nothing_is_told_of() -> None:
 def test_height_counts_where_the_law_flies_it_and_only_there() -> None:
     own = vehicle(error=PositionError(0.05, 0.6))
     above = [peer(4, error=PositionError(0.05, 0.6), air=True)]
-    with_height = FleetChecks(3, slots_have_height=True, ground_spread_m=1.0)
+    with_height = FleetChecks(3, slots_have_height=True, ground_spread_m=1.0, separation_m=1.0)
     assert "1.2 sigma" in with_height.judge(CommandName.FORM, own, FlownSlot(SLOTS[3]), above)[0]
-    without = FleetChecks(3, slots_have_height=False, ground_spread_m=1.0)
+    without = FleetChecks(3, slots_have_height=False, ground_spread_m=1.0, separation_m=1.0)
     assert "0.0 sigma" in without.judge(CommandName.FORM, own, FlownSlot(SLOTS[3]), above)[0]
 
 

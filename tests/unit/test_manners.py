@@ -177,11 +177,16 @@ class Flight:
         self.events: list[str] = []
         self.status: Status | None = None  # the newest
         self.replies: list[tuple[bool, str]] = []
+        self._number = 0  # of the last command
+
+    def next_number(self) -> int:
+        self._number += 1
+        return self._number
 
     def tick(self, *names: CommandName) -> None:
         self.now_s += 0.02
         telemetry = tuple(self.translator.telemetry(self.autopilot.tell(), self.now_s))
-        commands = tuple(Command(name, number) for number, name in enumerate(names))
+        commands = tuple(Command(name, self.next_number(), "anna@ground", 1) for name in names)
         outbox = self.agent.step(self.now_s, Inbox(telemetry, (), commands, self.stopping))
         if outbox.attitude_target:
             self.autopilot.hear(self.translator.attitude_target(outbox.attitude_target, self.now_s))

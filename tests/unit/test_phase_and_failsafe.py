@@ -182,8 +182,9 @@ def test_before_its_heartbeat_the_autopilot_is_asked_nothing(name: CommandName) 
     assert tick(machine, 0.0, silent, ()) == ()
 
 
-def test_every_command_that_changes_a_phase_is_in_the_table() -> None:
-    assert set(CommandName) - set(RULES) == {CommandName.LEAD, CommandName.FORMATION}
+def test_every_command_that_brings_about_a_phase_is_in_the_table() -> None:
+    others = {CommandName.LEAD, CommandName.FORMATION, CommandName.REFERENCE, CommandName.TAKE, CommandName.ABORT}
+    assert set(CommandName) - set(RULES) == others
 
 
 @pytest.mark.parametrize("phase", [FlightPhase.OBSERVE, FlightPhase.READY, FlightPhase.HOLD, FlightPhase.FORMATION])
@@ -200,6 +201,88 @@ def test_the_lead_is_not_given_to_who_lands_or_is_flown_by_a_pilot() -> None:
     )
     machine.give_up("the pilot flies")
     assert "phase observe" in machine.refusal_of_lead(autopilot.state)
+
+
+def aborted(machine: PhaseMachine, autopilot: Obedient, now_s: float) -> FlightPhase:
+    """Where an accepted abort leads."""
+    assert machine.abort(now_s, autopilot.state)[0]
+    for step in range(50):
+        autopilot.obey(tick(machine, now_s + 0.02 * step, autopilot.state, ()))
+    return machine.phase
+
+
+@pytest.mark.parametrize(
+    "phase", [FlightPhase.OBSERVE, FlightPhase.PREPARE, FlightPhase.READY, FlightPhase.ARM, FlightPhase.ARMED]
+)
+def test_abort_on_the_ground_disarms_from_every_phase(phase: FlightPhase) -> None:
+    machine, autopilot, now_s = (PhaseMachine(2.5), Obedient(), 0.0) if phase is FlightPhase.OBSERVE else began(phase)
+    assert aborted(machine, autopilot, now_s) is FlightPhase.OBSERVE
+    assert autopilot.asked[-1] == Disarm()
+    assert not autopilot.state.armed
+
+
+def began(phase: FlightPhase) -> tuple[PhaseMachine, Obedient, float]:
+    """A machine in this phase, also in one that is only passed through."""
+    leads_there = next((name for name, rule in RULES.items() if rule.via is phase), None)
+    before = {FlightPhase.PREPARE: FlightPhase.OBSERVE, FlightPhase.ARM: FlightPhase.READY}.get(phase)
+    if before is None or leads_there is None:
+        return flown_to(phase)
+    machine, autopilot, now_s = flown_to(before)
+    machine.command(leads_there, now_s, autopilot.state)
+    assert machine.phase is phase
+    return machine, autopilot, now_s
+
+
+@pytest.mark.parametrize("phase", [FlightPhase.HOLD, FlightPhase.FORMATION])
+def test_abort_in_the_air_goes_to_the_autopilots_own_hold(phase: FlightPhase) -> None:
+    machine, autopilot, now_s = flown_to(phase)
+    assert aborted(machine, autopilot, now_s) is FlightPhase.HOLD
+    assert autopilot.state.mode is AutopilotMode.HOLD
+    assert autopilot.state.armed
+
+
+def test_abort_in_a_climb_holds_and_before_it_leaves_the_ground_disarms() -> None:
+    machine, autopilot, now_s = flown_to(FlightPhase.ARMED)
+    machine.command(CommandName.TAKEOFF, now_s, autopilot.state)
+    autopilot.state = replace(AIR, mode=AutopilotMode.TAKEOFF, position_enu_m=(0.0, 0.0, 1.0))
+    assert aborted(machine, autopilot, now_s) is FlightPhase.HOLD
+    machine, autopilot, now_s = flown_to(FlightPhase.ARMED)
+    machine.command(CommandName.TAKEOFF, now_s, autopilot.state)
+    assert aborted(machine, autopilot, now_s) is FlightPhase.OBSERVE
+    assert not autopilot.state.armed
+
+
+def test_a_vehicle_that_lands_goes_on_landing_when_all_is_aborted() -> None:
+    machine, autopilot, now_s = flown_to(FlightPhase.HOLD)
+    machine.command(CommandName.LAND, now_s, autopilot.state)
+    autopilot.obey(tick(machine, now_s, autopilot.state, ()))
+    asked = len(autopilot.asked)
+    assert machine.abort(now_s, autopilot.state) == (True, "goes on landing")
+    tick(machine, now_s + 0.02, autopilot.state, ())
+    assert machine.phase is FlightPhase.LAND
+    assert len(autopilot.asked) == asked
+
+
+def test_abort_stops_no_motors_of_a_vehicle_that_was_flying_a_moment_ago() -> None:
+    machine, autopilot, now_s = flown_to(FlightPhase.FORMATION)
+    autopilot.state = replace(autopilot.state, landed=LandedState.ON_GROUND)
+    assert machine.abort(now_s, autopilot.state) == (True, "lands")
+    for step in range(10):
+        autopilot.obey(tick(machine, now_s + 0.02 * step, autopilot.state, ()))
+    assert Disarm() not in autopilot.asked
+
+
+@pytest.mark.parametrize("mode", [AutopilotMode.OTHER, AutopilotMode.LAND])
+def test_abort_leaves_a_vehicle_to_its_pilot(mode: AutopilotMode) -> None:
+    machine = PhaseMachine(2.5)
+    piloted = replace(AIR, mode=mode, mode_name="POSCTL")
+    assert machine.abort(0.0, piloted) == (True, "left to who flies it, in mode POSCTL")
+    assert tick(machine, 0.0, piloted, ()) == ()
+
+
+def test_abort_before_the_autopilots_heartbeat_asks_nothing() -> None:
+    machine = PhaseMachine(2.5)
+    assert not machine.abort(0.0, replace(GROUND, autopilot=None))[0]
 
 
 def test_on_the_ground_a_landing_waits_for_the_disarming_whatever_the_mode() -> None:

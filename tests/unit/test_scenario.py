@@ -173,7 +173,7 @@ def test_a_start_of_nobody() -> None:
 
 def test_an_unknown_command_names_the_known_ones() -> None:
     message = error_of_file(lambda d: d["timeline"][2].update(command="take_off"))
-    assert message.startswith("s.yaml: timeline[2].command: 'take_off': expected one of arm, disarm, form")
+    assert message.startswith("s.yaml: timeline[2].command: 'take_off': expected one of abort, arm, disarm, form")
     assert 'did you mean "takeoff"?' in message
 
 

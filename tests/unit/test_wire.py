@@ -29,6 +29,7 @@ from companion.types import (
     TargetSample,
 )
 from companion.wire.ground import (
+    OPERATOR,
     Percentiles,
     StatusReport,
     Timing,
@@ -106,11 +107,13 @@ changes = st.builds(
 described = st.booleans() | texts | numbers | st.lists(numbers | st.lists(numbers, max_size=3), max_size=3)
 references = st.builds(ReferenceChange, counts, st.dictionaries(texts, described, max_size=3), numbers)
 others = st.sampled_from([name for name in CommandName if name not in CONTENT])
+operators = st.from_regex(OPERATOR, fullmatch=True)
+command_numbers = st.integers(1, 2**63 - 1)
 commands = (
-    st.builds(Command, others, counts)
-    | st.builds(Command, st.just(CommandName.LEAD), counts, leads)
-    | st.builds(Command, st.just(CommandName.FORMATION), counts, changes)
-    | st.builds(Command, st.just(CommandName.REFERENCE), counts, references)
+    st.builds(Command, others, command_numbers, operators, counts)
+    | st.builds(Command, st.just(CommandName.LEAD), command_numbers, operators, counts, leads)
+    | st.builds(Command, st.just(CommandName.FORMATION), command_numbers, operators, counts, changes)
+    | st.builds(Command, st.just(CommandName.REFERENCE), command_numbers, operators, counts, references)
 )
 replies = st.builds(CommandReply, st.integers(1, 250), counts, st.booleans(), texts)
 
@@ -151,7 +154,7 @@ DECODERS = {
     "peer packet": (decode_peer, encode_peer(PACKET)),
     "status report": (decode_report, encode(REPORT)),
     "target": (decode_target, encode_target(TargetSample(1, 2, 3.5, (1.0, 0.0, 0.0), (4.0, 5.0, 6.0)))),
-    "command": (decode_command, encode(Command(CommandName.LEAD, 9, Lead((2,), 8)))),
+    "command": (decode_command, encode(Command(CommandName.LEAD, 9, "anna@ground", 7, Lead((2,), 8)))),
     "command reply": (decode_reply, encode(CommandReply(3, 9, True, "engage"))),
 }
 
@@ -216,28 +219,34 @@ def test_another_version_is_told_from_damage(name: str) -> None:
 @pytest.mark.parametrize(
     ("command", "reason"),
     [
-        (Command(CommandName.LEAD, 9), "command lead with NoneType, expected Lead"),
-        (Command(CommandName.FORM, 9, Lead((2,), 8)), "command form with Lead, expected NoneType"),
+        (Command(CommandName.LEAD, 9, "anna@ground", 7), "command lead with NoneType, expected Lead"),
+        (Command(CommandName.FORM, 9, "anna@ground", 7, Lead((2,), 8)), "command form with Lead, expected NoneType"),
+        (Command(CommandName.FORM, 9, "", 7), "command form of an operator without a proper name"),
+        (Command(CommandName.FORM, 9, "an\x1bna", 7), "command form of an operator without a proper name"),
+        (Command(CommandName.FORM, 9, "anna\n", 7), "command form of an operator without a proper name"),
+        (Command(CommandName.FORM, 9, "a" * 64, 7), "command form of an operator without a proper name"),
+        (Command(CommandName.FORM, 0, "anna", 7), "command form with a number out of range"),
+        (Command(CommandName.FORM, 2**63, "anna", 7), "command form with a number out of range"),
     ],
 )
-def test_only_the_command_lead_carries_leaders(command: Command, reason: str) -> None:
+def test_a_command_that_is_none_is_refused(command: Command, reason: str) -> None:
     with pytest.raises(WireError, match=reason):
         decode_command(encode(command))
 
 
 def test_the_command_reference_brings_a_description_as_a_file_has_it() -> None:
     circle = {"kind": "circle", "centre_enu_m": [0.0, 1.0, 2.0], "radius_m": 4, "period_s": 20.0}
-    command = Command(CommandName.REFERENCE, 9, ReferenceChange(3, circle, 21.5))
+    command = Command(CommandName.REFERENCE, 9, "anna@ground", 7, ReferenceChange(3, circle, 21.5))
     assert decode_command(encode(command)) == command
     with pytest.raises(WireError, match="command reference with NoneType, expected ReferenceChange"):
-        decode_command(encode(Command(CommandName.REFERENCE, 9)))
+        decode_command(encode(Command(CommandName.REFERENCE, 9, "anna@ground", 7)))
 
 
 @pytest.mark.parametrize("value", [None, {"a": 1.0}, [[[1.0]]], [["a"]]])
 def test_a_description_of_other_things_than_a_file_s_section_holds_is_refused(value: object) -> None:
     change = ReferenceChange(3, {"kind": value}, 21.5)  # type: ignore[dict-item]
     with pytest.raises(WireError, match="malformed command"):
-        decode_command(encode(Command(CommandName.REFERENCE, 9, change)))
+        decode_command(encode(Command(CommandName.REFERENCE, 9, "anna@ground", 7, change)))
 
 
 def test_a_target_with_and_without_a_position_comes_out_as_it_went_in() -> None:
