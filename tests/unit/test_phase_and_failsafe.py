@@ -11,6 +11,7 @@ from companion.core.failsafe import ACTIONS, failsafe_action
 from companion.core.health import AgeLimits, health_flags
 from companion.core.phase import FLYING, LEVEL_BEFORE_HAND_OVER_S, RULES, TAKES_OVER_WITHIN_S, PhaseMachine
 from companion.types import (
+    CONTENT,
     AckSample,
     Arm,
     AutopilotKind,
@@ -182,8 +183,8 @@ def test_before_its_heartbeat_the_autopilot_is_asked_nothing(name: CommandName) 
     assert tick(machine, 0.0, silent, ()) == ()
 
 
-def test_every_command_but_lead_is_in_the_table() -> None:
-    assert set(CommandName) - set(RULES) == {CommandName.LEAD}
+def test_every_command_that_changes_a_phase_is_in_the_table() -> None:
+    assert set(CommandName) - set(RULES) == set(CONTENT)
 
 
 @pytest.mark.parametrize("phase", [FlightPhase.OBSERVE, FlightPhase.READY, FlightPhase.HOLD, FlightPhase.FORMATION])
