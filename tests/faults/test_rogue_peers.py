@@ -68,7 +68,8 @@ def lies(formation_hash: int) -> Iterator[bytes]:
 
 def test_a_stranger_on_the_fleets_keys_is_counted_and_never_felt(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    overrides = ["--set", "timeline[2].for_s=3", "--set", "timeline[3].for_s=12"]
+    # What it says of the leader before the real vehicle 3 says anything is forgotten after 11 s: formation begins later.
+    overrides = ["--set", "timeline[2].for_s=13", "--set", "timeline[3].for_s=12"]
     command = [sys.executable, "-m", "sitl", "fly", str(PLATOON), "--out", str(out), *overrides]
     flight = subprocess.Popen(
         [*command, "--port-offset", str(PORT_OFFSET)], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
