@@ -25,17 +25,17 @@ bench: .venv/fly.ready
 bench-batch: .venv-bench/bench.ready
 	.venv-bench/bin/python -m sitl.batch.benchmark
 
-# Unit tests share the cores; what flies in real time has them for itself.
-UNIT_TESTS = $(BIN)/pytest -n 2 --dist worksteal tests/unit
-OTHER_TESTS = $(BIN)/pytest --ignore tests/unit
+# What knows no clock shares the cores; what flies in real time has them for itself.
+VIRTUAL_TESTS = $(BIN)/pytest -n 2 --dist worksteal tests/unit tests/lockstep
+REAL_TESTS = $(BIN)/pytest --durations 15 --ignore tests/unit --ignore tests/lockstep
 
 test: .venv/test.ready
-	$(UNIT_TESTS)
-	$(OTHER_TESTS)
+	$(VIRTUAL_TESTS)
+	$(REAL_TESTS)
 
 test-fast: .venv/test.ready
-	$(UNIT_TESTS)
-	$(OTHER_TESTS) -m "not fleet"
+	$(VIRTUAL_TESTS)
+	$(REAL_TESTS) -m "not fleet"
 
 check: .venv/test.ready
 	$(BIN)/ruff check .

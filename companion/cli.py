@@ -203,38 +203,33 @@ def _parser() -> argparse.ArgumentParser:
 
 def _agent(options: argparse.Namespace) -> int:
     from companion.app import Settings, run_agent
-    from companion.config_file import ConfigError
-    from companion.link.autopilot_link import AutopilotSilentError
 
-    try:
+    def run() -> int:
         run_agent(Settings(options.config, options.wait_s))
-    except ConfigError as error:
-        return _fail(str(error), EXIT_FILE)
-    except AutopilotSilentError as error:
-        return _fail(str(error), EXIT_NO_AUTOPILOT)
-    return 0
+        return 0
+
+    return _on_a_vehicle(run)
 
 
 def _doctor(options: argparse.Namespace) -> int:
-    from companion.config_file import ConfigError
     from companion.doctor import Options, run_doctor
-    from companion.link.autopilot_link import AutopilotSilentError
 
-    try:
-        return run_doctor(Options(options.config, options.wait_s, options.fix, options.json))
-    except ConfigError as error:
-        return _fail(str(error), EXIT_FILE)
-    except AutopilotSilentError as error:
-        return _fail(str(error), EXIT_NO_AUTOPILOT)
+    return _on_a_vehicle(lambda: run_doctor(Options(options.config, options.wait_s, options.fix, options.json)))
 
 
 def _logs(options: argparse.Namespace) -> int:
-    from companion.config_file import ConfigError
-    from companion.link.autopilot_link import AutopilotSilentError
     from companion.logs import run_logs
 
+    return _on_a_vehicle(lambda: run_logs(logs_options(options)))
+
+
+def _on_a_vehicle(run: Callable[[], int]) -> int:
+    """What stands in the way of a command that needs an autopilot is one line and an exit code."""
+    from companion.config_file import ConfigError
+    from companion.link.autopilot_link import AutopilotSilentError
+
     try:
-        return run_logs(logs_options(options))
+        return run()
     except ConfigError as error:
         return _fail(str(error), EXIT_FILE)
     except AutopilotSilentError as error:

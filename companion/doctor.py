@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Coroutine, Iterable
 from contextlib import closing
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -16,8 +17,7 @@ from companion.config.vehicle import AgentConfig, load_agent
 from companion.core.audit import Facts, Finding, Place, audit, parameter_names, worst
 from companion.core.survey import WINDOW_S, Survey
 from companion.doctor_report import Change, Diagnosis, closing_words, heading, lines
-from companion.link.autopilot_link import AutopilotSilentError
-from companion.link.bench import LISTEN_PERIOD_S, Bench
+from companion.link.bench import LISTEN_PERIOD_S, Bench, attended
 from companion.link.parameters import ParameterError, Parameters
 from companion.types import RequestOrigin, VehicleState
 
@@ -43,13 +43,7 @@ def run_doctor(options: Options) -> int:
 
 async def _run(options: Options, config: AgentConfig) -> int:
     with closing(Patient(options.file, config)) as patient:
-        async with asyncio.TaskGroup() as group:
-            tasks = [group.create_task(job) for job in patient.jobs()]
-            diagnosis = await _examine(patient, options) if await patient.answers(options.wait_s) else None
-            for task in tasks:
-                task.cancel()
-        if diagnosis is None:
-            raise patient.silence(options.wait_s)
+        diagnosis = await attended(patient, options.wait_s, partial(_examine, patient, options))
     if options.as_json:
         print(msgspec.json.format(msgspec.json.encode(diagnosis), indent=2).decode())
     return FIT if diagnosis.fit else UNFIT
@@ -89,8 +83,8 @@ class Patient:
         self._survey = Survey()
         self._tracker = tracker_of(config.fleet)
         self._limits = envelope_limits(config.fleet.envelope)
-        self._bench = Bench(file, config)
-        self._link = self._bench.link
+        self.bench = Bench(file, config)
+        self._link = self.bench.link
         self._parameters: Parameters | None = None  # once it answers
         self._ask_origin_s = float("-inf")
 
@@ -110,15 +104,12 @@ class Patient:
 
     async def answers(self, wait_s: float) -> bool:
         """Its HEARTBEAT comes within this time. Then its streams get the rates that were asked for."""
-        system = await self._bench.system(wait_s)
+        system = await self.bench.system(wait_s)
         if system is None:
             return False
         self._parameters = Parameters(system)
         await asyncio.sleep(SETTLE_S)
         return True
-
-    def silence(self, wait_s: float) -> AutopilotSilentError:
-        return self._bench.silence(wait_s)
 
     async def diagnose(self) -> Diagnosis:
         """Listen for a whole window, read the parameters, audit."""
@@ -162,4 +153,4 @@ class Patient:
     def close(self) -> None:
         if self._parameters:
             self._parameters.close()
-        self._bench.close()
+        self.bench.close()

@@ -9,14 +9,14 @@ import time
 from collections.abc import Callable, Coroutine
 from contextlib import aclosing, closing
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import msgspec
 
 from companion.config.vehicle import AgentConfig, load_agent
 from companion.config_file import ConfigError
-from companion.link.autopilot_link import AutopilotSilentError
-from companion.link.bench import LISTEN_PERIOD_S, Bench
+from companion.link.bench import LISTEN_PERIOD_S, Bench, attended
 from companion.link.flight_logs import FlightLogs, FlightLogsError, LogEntry, NothingCameError
 from companion.logs_options import LogsOptions
 from companion.logs_report import Log, NoSuchLogError, Report, choose, file_name, heading, listing, progress_words
@@ -49,13 +49,7 @@ def _make(folder: Path) -> None:
 
 async def _run(options: LogsOptions, config: AgentConfig) -> int:
     with closing(Archive(options.file, config)) as archive:
-        async with asyncio.TaskGroup() as group:
-            tasks = [group.create_task(job) for job in archive.jobs()]
-            report = await _serve(archive, options) if await archive.answers(options.wait_s) else None
-            for task in tasks:
-                task.cancel()
-        if report is None:
-            raise archive.silence(options.wait_s)
+        report = await attended(archive, options.wait_s, partial(_serve, archive, options))
     if options.as_json:
         print(msgspec.json.format(msgspec.json.encode(report), indent=2).decode())
     if report.failure:
@@ -101,16 +95,16 @@ class Archive:
         self._heard_s = 0.0
         self._known = asyncio.Event()
         self._text = ""
-        self._bench = Bench(file, config)
+        self.bench = Bench(file, config)
         self._logs: FlightLogs | None = None  # once it answers
 
     def jobs(self) -> tuple[Coroutine[None, None, None], ...]:
         """What goes on meanwhile, until cancelled. The agent's streams are not asked for: they would take the link's time."""
-        return (self._bench.link.receive(), self._listen())
+        return (self.bench.link.receive(), self._listen())
 
     async def _listen(self) -> None:
         while True:
-            for sample in self._bench.link.drain():
+            for sample in self.bench.link.drain():
                 if isinstance(sample, HeartbeatSample):
                     self.autopilot, self._armed, self._heard_s = sample.autopilot, sample.armed, sample.received_s
                     self._known.set()
@@ -120,15 +114,12 @@ class Archive:
 
     async def answers(self, wait_s: float) -> bool:
         """Its HEARTBEAT comes within this time."""
-        system = await self._bench.system(wait_s)
+        system = await self.bench.system(wait_s)
         if system is None:
             return False
         self._logs = FlightLogs(system)
         await self._known.wait()
         return True
-
-    def silence(self, wait_s: float) -> AutopilotSilentError:
-        return self._bench.silence(wait_s)
 
     async def entries(self) -> tuple[LogEntry, ...]:
         """At least one. Raises FlightLogsError."""
@@ -198,7 +189,7 @@ class Archive:
     def close(self) -> None:
         if self._logs:
             self._logs.close()
-        self._bench.close()
+        self.bench.close()
 
 
 def _check_same(file: Path, entry: LogEntry) -> None:

@@ -75,7 +75,7 @@ class Director:
     """Gives the commands of one flight and follows what the vehicles report.
 
     `check` is called in every pass and raises FlightFailure when something outside the vehicles ends the flight.
-    `lost` names the vehicles that nobody can land any more.
+    `lost` names the vehicles that nobody here can land any more, or may.
     """
 
     def __init__(

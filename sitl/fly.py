@@ -108,13 +108,26 @@ def _fly(
                     raise FlightFailure(ending)
                 targets.go_on(time.monotonic())
 
-            director = Director(session, watch, progress, check, fleet.lost_vehicles, MachineClock())
+            def not_to_be_landed() -> set[int]:
+                return fleet.lost_vehicles() | (watch.flown_by_others() if external else set())
+
+            director = Director(session, watch, progress, check, not_to_be_landed, MachineClock())
             failures = director.wait_for(Readiness(scenario)) if external else []
             failures = failures or director.fly_and_land(scenario.timeline)
-            if external and (left := [i for i in sorted(fleet.lost_vehicles()) if watch.is_armed(i)]):
-                failures.append(
-                    f"{vehicles_in_words(left)} left armed, without an agent that could land it: use a ground station"
-                )
+            if external:
+                failures.extend(_left_in_the_air(watch, fleet.lost_vehicles()))
         if killed := fleet.stop():
             failures.append(f"{', '.join(killed)} did not end when told to and had to be killed")
     return watch, "; ".join(failures) or None
+
+
+def _left_in_the_air(watch: FlightWatch, lost: set[int]) -> list[str]:
+    """Which vehicles of somebody else are not down, and why."""
+    words = []
+    if alone := [i for i in sorted(lost) if watch.is_armed(i)]:
+        words.append(
+            f"{vehicles_in_words(alone)} left armed, without an agent that could land it: use a ground station"
+        )
+    if others := sorted(watch.flown_by_others() - lost):
+        words.append(f"{vehicles_in_words(others)} left in the air, to whoever set its mode")
+    return words

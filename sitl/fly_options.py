@@ -44,10 +44,10 @@ in it go):
 --external FILE flies the same scenario with agents alone: FILE says for each vehicle where its autopilot is reached and what
 its hover thrust and drag are (see config/external/ and docs/external.md). Nothing is asked of a vehicle before all are ready:
 the autopilots' own checks pass, origin and position are known, parameters are in order, and each stands within 10 m of its
-starts_enu_m, by fleet.origin, and not where another one does. One that somebody flies already is left alone. Neither Ctrl-C
-nor anything else ends the autopilots: the vehicles are landed and left. Nobody knows where they truly are: estimated_N.csv
-instead of truth_N.csv holds what each told of itself in the air, ten times a second, and summary.json says `tracks:
-estimated`. Of the scenario's stand_in section nothing is used.
+starts_enu_m, by fleet.origin, and not where another one does. One that somebody flies already, or takes over in flight, is
+left alone. Neither Ctrl-C nor anything else ends the autopilots: the vehicles are landed and left. Nobody knows where they
+truly are: estimated_N.csv instead of truth_N.csv holds what each told of itself in the air, ten times a second, and
+summary.json says `tracks: estimated`. Of the scenario's stand_in section nothing is used.
 
 On a busy machine it says so after the figures: where more than 0.5 % of the ticks were missed, or an agent took more than
 5 ms (p99) from telemetry to command, they are the machine's rather than the law's.

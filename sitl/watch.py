@@ -10,7 +10,7 @@ from msgspec import Struct
 from companion.core.formation import Place
 from companion.core.reference import ReferenceTrajectory
 from companion.ground.fleet_status import FleetState, VehicleRow, fold, rows
-from companion.types import ZERO3, FlightPhase, Role, Status, Vector3
+from companion.types import ZERO3, FlightPhase, LandedState, Role, Status, Vector3
 from companion.wire.ground import StatusReport, Timing
 from sitl.metrics import Formation
 from sitl.tracks import Track, told_track
@@ -157,6 +157,15 @@ class FlightWatch:
         """As it was last heard."""
         status = self.status(vehicle_id)
         return status is not None and status.armed
+
+    def flown_by_others(self) -> set[int]:
+        """Vehicles in the air whose agent only watches: their pilot has them, or their autopilot's failsafe."""
+        statuses = {i: status for i in self.vehicle_ids if (status := self.status(i)) and status.armed}
+        return {
+            i
+            for i, status in statuses.items()
+            if status.phase is FlightPhase.OBSERVE and status.landed is not LandedState.ON_GROUND
+        }
 
     def rows(self, now_s: float) -> list[VehicleRow]:
         return rows(self._state, now_s)

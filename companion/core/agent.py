@@ -52,7 +52,6 @@ ORIGIN_REPEAT_S = 1.0
 ORIGIN_REFRESH_S = 5.0  # PX4 tells a changed origin once, and that one datagram may be lost
 ORIGIN_SOON_S = 0.1  # when the position jumped: a new origin may be why
 NOT_TO_BE_HEEDED = frozenset({HealthFlag.FRAME_CONTRADICTED, HealthFlag.POSITION_JUMPED})
-FLYING_FREELY = frozenset({FlightPhase.HOLD, FlightPhase.ENGAGE, FlightPhase.FORMATION, FlightPhase.RELEASE})
 CLIMBS_M_S = 0.3  # faster than that it does not stand on the ground any more
 STATUS_PERIOD_S = 0.099  # every fifth tick of 50 Hz, also where a tick comes a little early
 
@@ -232,7 +231,7 @@ class Agent:
             return False
         if self.phase is FlightPhase.TAKEOFF:  # it may not have left the ground yet, whatever is said of it
             return vehicle.velocity_enu_m_s[2] > CLIMBS_M_S
-        return self.phase in FLYING_FREELY
+        return self.phase in COOPERATING
 
     def _reply(self, order: Order) -> CommandReply:
         assert order.answer is not None  # whatever the desk lets through was obeyed or refused in this tick

@@ -42,8 +42,12 @@ class PeerState(Struct, frozen=True, gc=False):
     packet: PeerPacket
     received_s: float
     least_apart_s: float
-    late_s: float
     measured_s: float
+
+    @property
+    def late_s(self) -> float:
+        """How much later it came than it could."""
+        return self.received_s - self.packet.sent_s - self.least_apart_s
 
     def position_at(self, now_s: float) -> Vector3:
         """The position carried on with its velocity over its age, so that both sides of x_i - x_j mean the same time."""
@@ -187,4 +191,4 @@ def _timed(received: ReceivedPeerPacket, newest: PeerState | None) -> PeerState:
         if least_known_s < apart_s:
             least_apart_s = least_known_s
     late_s = apart_s - least_apart_s
-    return PeerState(packet, received_s, least_apart_s, late_s, received_s - late_s - packet.state_age_s)
+    return PeerState(packet, received_s, least_apart_s, received_s - late_s - packet.state_age_s)

@@ -83,15 +83,14 @@ class Preflight:
             return ("the autopilot has not said yet what it is",)
         if unread := self._unread():
             return (f"not read yet: {', '.join(unread)}",)
-        checks = self._survey.checks_lack
-        own = (
-            (CHECKS_UNTOLD,)
-            if checks is None
-            else (f"the autopilot's own checks do not pass: {checks}",)
-            if checks
-            else ()
-        )
-        return (*own, *(str(finding) for finding in self._findings() if finding.verdict is Verdict.REFUSAL))
+        refusals = [str(finding) for finding in self._findings() if finding.verdict is Verdict.REFUSAL]
+        match self._survey.checks_lack:
+            case None:
+                return (CHECKS_UNTOLD, *refusals)
+            case "":
+                return tuple(refusals)
+            case words:
+                return (f"cannot be armed: {words}", *refusals)
 
     def _unread(self) -> list[str]:
         """Those that were neither answered nor asked for often enough."""

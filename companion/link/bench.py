@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import time
+from collections.abc import Awaitable, Callable, Coroutine
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
 from companion.config.vehicle import AgentConfig
 from companion.config_file import ConfigError
@@ -16,6 +17,8 @@ from companion.link.signing_key import read_signing_key
 from companion.mavlink.translator import Translator
 
 LISTEN_PERIOD_S = 0.05
+
+Outcome = TypeVar("Outcome")
 
 
 class Bench:
@@ -56,3 +59,27 @@ class Bench:
         """After the plugins."""
         self._bridge.close()
         self.link.close()
+
+
+class Visit(Protocol):
+    """What one command does with a bench."""
+
+    bench: Bench
+
+    def jobs(self) -> tuple[Coroutine[None, None, None], ...]:
+        """What goes on meanwhile, until cancelled; `link.receive()` among it."""
+
+    async def answers(self, wait_s: float) -> bool:
+        """Does the autopilot, within this time?"""
+
+
+async def attended(visit: Visit, wait_s: float, work: Callable[[], Awaitable[Outcome]]) -> Outcome:
+    """Do the work beside the jobs, once the autopilot answers. Raises AutopilotSilentError where it does not."""
+    async with asyncio.TaskGroup() as group:
+        tasks = [group.create_task(job) for job in visit.jobs()]
+        outcomes = [await work()] if await visit.answers(wait_s) else []
+        for task in tasks:
+            task.cancel()
+    if not outcomes:
+        raise visit.bench.silence(wait_s)
+    return outcomes[0]

@@ -4,7 +4,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import closing, suppress
 from math import nan
 from pathlib import Path
 
@@ -12,7 +12,7 @@ import pytest
 from msgspec.structs import replace
 
 from companion.config.fleet import FleetConfig
-from companion.config_file import load
+from companion.config_file import ConfigError, load
 from companion.link.zenoh_session import open_session
 from companion.types import FlightPhase, FlownSlot, LeaderWord, PeerPacket, Role
 from companion.wire.keys import peer_key
@@ -67,20 +67,26 @@ def lies(formation_hash: int) -> Iterator[bytes]:
     yield good
 
 
+def written(file: Path, flight: subprocess.Popen[str]) -> FleetConfig:
+    """The fleet file, once it is whole."""
+    while flight.poll() is None:
+        with suppress(ConfigError):  # it is not there yet, or half of it
+            return load(file, FleetConfig)
+        time.sleep(0.05)
+    raise AssertionError(flight.communicate()[0])
+
+
 def test_a_stranger_on_the_fleets_keys_is_counted_and_never_felt(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    overrides = ["--set", "timeline[2].for_s=3", "--set", "timeline[3].for_s=12"]
+    # What it says of the leader before the real vehicle 3 says anything is forgotten after 11 s: formation begins later.
+    overrides = ["--set", "timeline[2].for_s=13", "--set", "timeline[3].for_s=12"]
     command = [sys.executable, "-m", "sitl", "fly", str(PLATOON), "--out", str(out), *overrides]
     flight = subprocess.Popen(
         [*command, "--port-offset", str(PORT_OFFSET)], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     )
     endpoints = [f"tcp/{LOOPBACK}:{ports_of(i, PORT_OFFSET).zenoh}" for i in (1, 2, 3, 4)]
-    fleet_file = out / "fleet.yaml"
-    while not fleet_file.exists() and flight.poll() is None:
-        time.sleep(0.05)
+    formation_hash = written(out / "fleet.yaml", flight).formation_hash()
     with closing(open_session([], endpoints)) as stranger:
-        time.sleep(0.2)  # the file is written at once, but not in no time
-        formation_hash = load(fleet_file, FleetConfig).formation_hash()
         while flight.poll() is None:
             for lie in lies(formation_hash):
                 stranger.put(peer_key("platoon", 3), lie)

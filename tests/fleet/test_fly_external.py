@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -13,13 +14,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from companion.mavlink.codec import MavlinkCodec, mavlink
 from sitl.ports import ports_of
 from sitl.summary import Summary, read_summary
 from sitl.tracks import read_track
 
 pytestmark = [pytest.mark.fleet, pytest.mark.timeout(300)]
 
-OFFSET = 2700
+OFFSET = 2800
 SCENARIO = """\
 fleet:
   name: pair
@@ -93,8 +95,9 @@ def all_run(autopilots: list[subprocess.Popen[bytes]]) -> bool:
 
 
 def await_formation(folder: Path, flight: subprocess.Popen[str]) -> None:
-    log, deadline_s = folder / "out" / "agent_2.log", time.monotonic() + 120.0
-    while not (log.exists() and "engage -> formation" in log.read_text(encoding="utf-8")):
+    """Of both vehicles."""
+    logs, deadline_s = [folder / "out" / f"agent_{i}.log" for i in (1, 2)], time.monotonic() + 120.0
+    while not all(log.exists() and "engage -> formation" in log.read_text(encoding="utf-8") for log in logs):
         assert time.monotonic() < deadline_s and flight.poll() is None
         time.sleep(0.1)
 
@@ -112,10 +115,11 @@ def agents(folder: Path, vehicle_id: int) -> list[int]:
     return found
 
 
-def is_armed(folder: Path, vehicle_id: int) -> bool:
-    """By the autopilot's own record."""
-    rows = (folder / f"true_{vehicle_id}.csv").read_text(encoding="ascii").splitlines()
-    return rows[-2].split(",")[-2] == "1"
+def armed(folder: Path) -> list[int]:
+    """Vehicles that are, by their autopilots' own records, which are a second behind."""
+    time.sleep(2.0)
+    rows = {i: (folder / f"true_{i}.csv").read_text(encoding="ascii").splitlines()[-2] for i in (1, 2)}
+    return [vehicle_id for vehicle_id, row in rows.items() if row.split(",")[-2] == "1"]
 
 
 def test_a_mixed_pair_flies_and_its_autopilots_stay(tmp_path: Path, autopilots: list[subprocess.Popen[bytes]]) -> None:
@@ -126,7 +130,7 @@ def test_a_mixed_pair_flies_and_its_autopilots_stay(tmp_path: Path, autopilots: 
     assert (summary.tracks, summary.failure) == ("estimated", None)
     assert summary.final_error_m is not None and summary.final_error_m < 0.3
     assert all_run(autopilots)
-    assert not is_armed(tmp_path, 1) and not is_armed(tmp_path, 2)
+    assert armed(tmp_path) == []
     for vehicle_id in (1, 2):  # as told it was truly there, but for the estimator's error and the altitude's zero
         told, true = (
             read_track(tmp_path / "out" / f"estimated_{vehicle_id}.csv"),
@@ -146,7 +150,7 @@ def test_ctrl_c_in_formation_lands_both_and_leaves_their_autopilots(
     code, printed = ended(flight)
     assert code == 130, printed
     assert "interrupted by SIGINT" in printed
-    assert not is_armed(tmp_path, 1) and not is_armed(tmp_path, 2)
+    assert armed(tmp_path) == []
     assert all_run(autopilots)
 
 
@@ -160,7 +164,23 @@ def test_who_lost_its_agent_in_formation_is_said_to_be_left_armed(
     code, printed = ended(flight)
     assert code == 1
     assert "vehicle 2 left armed, without an agent that could land it" in printed
-    assert not is_armed(tmp_path, 1) and is_armed(tmp_path, 2)
+    assert armed(tmp_path) == [2]
+    assert all_run(autopilots)
+
+
+def test_what_a_pilot_takes_over_in_formation_stays_the_pilots(
+    tmp_path: Path, autopilots: list[subprocess.Popen[bytes]]
+) -> None:
+    flight = fly(tmp_path, "--set", "timeline[3].for_s=120", "--quiet")
+    await_formation(tmp_path, flight)
+    hold = mavlink.MAVLink_command_long_message(1, 1, mavlink.MAV_CMD_DO_SET_MODE, 0, 1, 4, 3, 0, 0, 0, 0)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ground_station:
+        ground_station.sendto(MavlinkCodec(255, 190).encode(hold), ("127.0.0.1", ports_of(1, OFFSET).ground_link))
+        code, printed = ended(flight)
+    assert code == 1
+    assert "mode AUTO.LOITER was set by someone else" in printed
+    assert "vehicle 1 left in the air, to whoever set its mode" in printed
+    assert armed(tmp_path) == [1]
     assert all_run(autopilots)
 
 
@@ -182,4 +202,4 @@ def test_an_autopilot_that_is_another_or_is_not_there_is_named_and_nothing_is_fl
     assert said in summary_of(tmp_path).failure  # type: ignore[operator]
     assert "ended with exit code" in printed
     assert all_run(autopilots)
-    assert not is_armed(tmp_path, 1) and not is_armed(tmp_path, 2)
+    assert armed(tmp_path) == []

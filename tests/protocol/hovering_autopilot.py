@@ -5,12 +5,10 @@ It is not the stand-in: it says exactly what a test tells it to say, and remembe
 
 from __future__ import annotations
 
-import socket
-import threading
 import time
 from dataclasses import dataclass, field
-from types import TracebackType
-from typing import Self
+
+from background import Background
 
 from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
 from companion.mavlink.signing import SigningKey
@@ -31,7 +29,7 @@ IN_ORDER = {
 
 
 @dataclass
-class HoveringAutopilot:
+class HoveringAutopilot(Background):
     """Sends to `port` of this machine from its construction's `with` on. Attributes may be changed while it runs."""
 
     vehicle_id: int
@@ -47,22 +45,10 @@ class HoveringAutopilot:
     received: list[MavlinkMessage] = field(default_factory=list)  # all but SET_ATTITUDE_TARGET
 
     def __post_init__(self) -> None:
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        super().__init__()
+        self._socket = self.udp_socket()
         self._socket.setblocking(False)
         self._codec = MavlinkCodec(self.vehicle_id, mavlink.MAV_COMP_ID_AUTOPILOT1, self.key)
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._run)
-
-    def __enter__(self) -> Self:
-        self._thread.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._ended.set()
-        self._thread.join()
-        self._socket.close()
 
     def inject(self, data: bytes) -> None:
         """Bytes of somebody who sends from this autopilot's address."""
@@ -72,9 +58,9 @@ class HoveringAutopilot:
         """The COMMAND_LONGs of this number that came."""
         return [m for m in self.received if m.get_type() == "COMMAND_LONG" and m.command == number]
 
-    def _run(self) -> None:
+    def run(self) -> None:
         start_s, count = time.monotonic(), 0
-        while not self._ended.wait(max(0.0, start_s + count * PERIOD_S - time.monotonic())):
+        while not self.ended.wait(max(0.0, start_s + count * PERIOD_S - time.monotonic())):
             for message in self._said(int((time.monotonic() - start_s) * 1000), count):
                 self._socket.sendto(self._codec.encode(message), ("127.0.0.1", self.port))
             self._listen()

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import socket
-import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from random import Random
-from types import TracebackType
-from typing import Self
+
+from background import Background
 
 from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
 from companion.types import AutopilotKind
@@ -22,7 +20,7 @@ WRITTEN_UTC_S = 1_790_000_000  # 2026-09-21 14:13:20 UTC
 
 
 @dataclass
-class LoggingAutopilot:
+class LoggingAutopilot(Background):
     """Vehicle 1, sending to `port` of this machine. `loss` is the share of packets that never arrive, both ways."""
 
     kind: AutopilotKind
@@ -37,6 +35,7 @@ class LoggingAutopilot:
     received: list[MavlinkMessage] = field(default_factory=list)
 
     def __post_init__(self) -> None:
+        super().__init__()
         file = AutopilotFile(id=1, stand_in=StandIn(autopilot=self.kind, sensors="ideal", armable_after_s=0.0))
         self._autopilot = MANNERS[self.kind].vehicle(file, DT_S)
         self._autopilot.flight_logs.utc_at_start_s = self.utc_at_start_s
@@ -45,29 +44,16 @@ class LoggingAutopilot:
         self._client = MavlinkCodec(255, 190)  # reads what comes
         self._lottery = Random(4)
         self._data_packets = 0
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket = self.udp_socket()
         self._socket.setblocking(False)
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._run)
-
-    def __enter__(self) -> Self:
-        self._thread.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._ended.set()
-        self._thread.join()
-        self._socket.close()
 
     def requests(self, kind: str) -> list[MavlinkMessage]:
         """The messages of this type that came."""
         return [message for message in self.received if message.get_type() == kind]
 
-    def _run(self) -> None:
+    def run(self) -> None:
         next_s = time.monotonic()
-        while not self._ended.wait(max(0.0, next_s - time.monotonic())):
+        while not self.ended.wait(max(0.0, next_s - time.monotonic())):
             next_s = max(next_s + DT_S, time.monotonic() - 10 * DT_S)
             self._listen()
             self._autopilot.step()

@@ -109,7 +109,7 @@ def test_an_armed_vehicle_is_left_alone(tmp_path: Path) -> None:
 
 @both
 def test_arming_ends_a_download(kind: AutopilotKind, tmp_path: Path) -> None:
-    files, log = agent_files(tmp_path), bytes(1_000_000)
+    files, log = agent_files(tmp_path), bytes(5_000_000)  # seconds, in which a HEARTBEAT is sure to tell of it
     with LoggingAutopilot(kind, files.udp_port, [log], arms_after_packets=1000):
         result = logs(files, "--get", "last", "--out", str(folder_of(files)))
     assert result.returncode == 1

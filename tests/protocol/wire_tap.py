@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import select
-import socket
-import threading
 import time
 from dataclasses import dataclass, field
-from types import TracebackType
-from typing import Self
+
+from background import Background
 
 from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
 
@@ -25,7 +23,7 @@ class Setpoint:
 
 
 @dataclass
-class WireTap:
+class WireTap(Background):
     """Listens at `stand_in_port`, where the autopilot sends to, and hands on to the agent at `agent_port`.
 
     Times are of the monotonic clock, when a packet came here: before it went on, or at the autopilot's end. The autopilot's
@@ -44,26 +42,13 @@ class WireTap:
     commands: list[MavlinkMessage] = field(default_factory=list)  # the agent's, but for rates and messages
 
     def __post_init__(self) -> None:
-        self._front = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        super().__init__()
+        self._front = self.udp_socket()
         self._front.bind(("127.0.0.1", self.stand_in_port))
-        self._back = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._back = self.udp_socket()
         self._back.bind(("127.0.0.1", 0))
         self._autopilot: tuple[str, int] | None = None
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._run)
         self._down, self._up = MavlinkCodec(1, 1), MavlinkCodec(1, 1)
-
-    def __enter__(self) -> Self:
-        self._thread.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._ended.set()
-        self._thread.join()
-        self._front.close()
-        self._back.close()
 
     def setpoints_since(self, time_s: float) -> list[Setpoint]:
         return [setpoint for setpoint in self.setpoints if setpoint.at_s > time_s]
@@ -71,8 +56,8 @@ class WireTap:
     def positions_since(self, time_s: float) -> list[float]:
         return [at_s for at_s in self.positions_s if at_s > time_s]
 
-    def _run(self) -> None:
-        while not self._ended.is_set():
+    def run(self) -> None:
+        while not self.ended.is_set():
             readable, _, _ = select.select([self._front, self._back], [], [], 0.05)
             if self._front in readable:
                 data, self._autopilot = self._front.recvfrom(4096)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import time
 from collections.abc import Callable
 from math import inf
 from pathlib import Path
@@ -15,7 +16,7 @@ from msgspec.structs import replace
 from test_director import WHOLE, Flight, status
 
 from companion.config_file import ConfigError
-from companion.types import AutopilotKind, HealthFlag, Status
+from companion.types import AutopilotKind, FlightPhase, HealthFlag, LandedState, Status
 from sitl.external import ReachedVehicle, load_external, vehicles_of
 from sitl.fleet import estimated_path, write_files
 from sitl.flights import remove_old_run, write_results
@@ -208,6 +209,18 @@ def test_who_never_gets_ready_is_named_with_what_it_lacks(scenario: Scenario, mo
     flight.vehicles.change(2, position_enu_m=(-3.0, 0.0, 0.0), lacks=("GUID_OPTIONS: 0",))
     assert flight.director.wait_for(Readiness(scenario)) == ["not ready within 0.3 s: vehicle 2: GUID_OPTIONS: 0"]
     assert "  vehicles 1, 2: nothing heard from the agent yet\n" in flight.shown.getvalue()
+
+
+def test_who_flies_without_being_told_is_its_pilots() -> None:
+    flight = Flight()
+    flight.vehicles.change(1, armed=True, landed=LandedState.IN_AIR, phase=FlightPhase.FORMATION)
+    flight.vehicles.change(2, armed=True, landed=LandedState.IN_AIR)
+    for report in flight.vehicles.drain():
+        flight.watch.hear(report, time.monotonic())
+    assert flight.watch.flown_by_others() == {2}
+    flight.lost |= flight.watch.flown_by_others()
+    flight.director.land_all()
+    assert {ids for _, ids in flight.vehicles.heard} == {(1,)}
 
 
 # ---------------------------------------------------------------- what is left of the flight

@@ -121,7 +121,7 @@ def test_what_a_vehicle_on_the_ground_lacks_is_in_its_status_until_it_lacks_noth
     flight.autopilot.may_arm = False
     assert lacks(flight)[0].startswith("not read yet: ")
     flight.ticks(1.0)
-    assert lacks(flight) == ("the autopilot's own checks do not pass: its checks before arming do not pass",)
+    assert lacks(flight) == ("cannot be armed: its checks before arming do not pass",)
     flight.autopilot.may_arm, flight.autopilot.battery_percent = True, 15
     assert lacks(flight) == ("battery: 15 %; wanted: at least 40 %; charge or change it",)
     flight.autopilot.battery_percent = 90
