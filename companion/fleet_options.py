@@ -7,7 +7,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from companion.core.shapes import SHAPES
+from companion.geometry.shapes import SHAPES
 
 HIGHEST_ID = 250
 

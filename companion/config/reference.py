@@ -13,7 +13,7 @@ from msgspec import Meta
 from companion.config.fleet import FLEET_NAME, FLEET_NAME_WORDS, Envelope, FleetConfig
 from companion.config.values import PositionM, Seconds, Section
 from companion.config_file import ConfigError
-from companion.curves import PEAK_ACCELERATION, PEAK_SPEED, Curve, about, circle, duration_s, figure_8, way
+from companion.geometry.curves import PEAK_ACCELERATION, PEAK_SPEED, Curve, about, circle, duration_s, figure_8, way
 from companion.types import GRAVITY_M_S2, ZERO3, Vector3
 
 RAMP_SAMPLES, LAP_SAMPLES = 100, 500

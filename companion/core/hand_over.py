@@ -13,7 +13,7 @@ from math import ceil, hypot
 from companion.core.formation import Place
 from companion.core.pursuit import Box
 from companion.core.reference import ReferenceTrajectory
-from companion.curves import Curve, duration_s, dying_out
+from companion.geometry.curves import Curve, duration_s, dying_out
 from companion.types import Vector3
 
 SHORTEST_S = 1.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from companion.core.formation import Place
-from companion.curves import Curve
+from companion.geometry.curves import Curve
 from companion.types import ZERO3, Vector3
 
 ReferenceTrajectory = Callable[[float], Place]

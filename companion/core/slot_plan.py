@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from companion.core.transition import closest, fastest_m_s
-from companion.curves import between
+from companion.geometry.curves import between
+from companion.geometry.transition import closest, fastest_m_s
 from companion.types import MAX_EPOCHS_AHEAD, FlownSlot, FormationChange, PeerPacket, Vector3
 
 LATEST_S = 60.0  # ahead of the fleet's time

@@ -8,9 +8,9 @@ from math import radians
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from companion.core.shapes import SHAPES, slots_of
-from companion.core.transition import longest_way_m
-from companion.curves import duration_s
+from companion.geometry.curves import duration_s
+from companion.geometry.shapes import SHAPES, slots_of
+from companion.geometry.transition import longest_way_m
 from companion.types import FormationChange, Status, Vector3
 
 AHEAD_S = 1.0  # from the command to the first movement: time for every vehicle to get it

@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from companion.core.shapes import SHAPES, slots_of
 from companion.core.slot_plan import SlotPlan
-from companion.core.transition import closest, fastest_m_s
-from companion.curves import Motion, between, circle, duration_s, way
+from companion.geometry.curves import Motion, between, circle, duration_s, way
+from companion.geometry.shapes import SHAPES, slots_of
+from companion.geometry.transition import closest, fastest_m_s
 from companion.ground.formations import assigned
 from companion.types import (
     ZERO3,

@@ -19,7 +19,7 @@ from companion.core.hand_over import HandOverLimits, box_of, handed_over
 from companion.core.pursuit import Box
 from companion.core.reference import along, point
 from companion.core.reference_plan import ReferencePlan
-from companion.curves import Curve, about, circle, dying_out, figure_8
+from companion.geometry.curves import Curve, about, circle, dying_out, figure_8
 from companion.types import (
     ZERO3,
     FlightPhase,

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from itertools import combinations
 from math import dist, hypot
 
-from companion.curves import PEAK_SPEED
+from companion.geometry.curves import PEAK_SPEED
 from companion.types import Vector3
 
 

@@ -1,0 +1,1 @@
+"""Curves, shapes of formations and ways between them, as numbers. Pure."""
