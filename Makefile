@@ -8,7 +8,7 @@ BIN := .venv/bin
 
 help:
 	@echo "make fly        fly the paper's platoon with four agents and four stand-in autopilots, weighted against average"
-	@echo "make test       all tests, real fleets included (about a quarter of an hour); make test-fast leaves the fleets out"
+	@echo "make test       all tests, real fleets included (about half an hour; unit and lockstep are 5 minutes of it); make test-fast leaves the fleets out"
 	@echo "make check      ruff, mypy --strict and the import directions"
 	@echo "make bench      how many times faster than real time four vehicles fly in virtual time, without and with sensor noise"
 	@echo "make bench-batch  vehicle-steps a second of whole batches on one core, and RotorPy's; installs PyTorch in .venv-bench"
