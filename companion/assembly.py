@@ -9,8 +9,13 @@ from typing import TypeVar
 
 from companion.config.fleet import EdgeNeighbours, Envelope, FleetConfig
 from companion.config.law import Law, LawName
-from companion.config.reference import Reference, TargetReference, check_reference, most_acceleration_m_s2
-from companion.config.values import Section
+from companion.config.reference import (
+    Reference,
+    ReferenceSection,
+    TargetReference,
+    check_reference,
+    most_acceleration_m_s2,
+)
 from companion.config.vehicle import AgentConfig
 from companion.config_file import ConfigError, convert
 from companion.core import formation
@@ -47,10 +52,6 @@ LAWS: dict[LawName, Callable[[], FormationLaw]] = {
 
 COMMANDED = Path("command")  # stands where errors name a file
 LONGEST_REASON = 300  # characters: a command's keys and values may be of any length
-
-
-class _Commanded(Section, frozen=True):
-    reference: Reference
 
 
 def build_agent(config: AgentConfig, session: int) -> Agent:
@@ -121,7 +122,7 @@ def _references(fleet: FleetConfig, first: Reference) -> ReferencePlan:
     def read(described: Described, slots_enu_m: Mapping[int, Vector3]) -> Rft:
         """A command's reference goes through what a file's goes through."""
         try:
-            reference = convert(COMMANDED, {"reference": described}, _Commanded).reference
+            reference = convert(COMMANDED, {"reference": described}, ReferenceSection).reference
             check_reference(COMMANDED, fleet, reference, slots_enu_m=slots_enu_m)
         except ConfigError as error:
             raise ValueError(" ".join(str(error).split())[:LONGEST_REASON]) from error

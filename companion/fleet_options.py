@@ -7,7 +7,19 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from companion.geometry.shapes import SHAPES
+from companion.arguments import number
+from companion.fleet_where_options import (
+    FORMATION,
+    FORMATION_MORE,
+    REFERENCE,
+    REFERENCE_MORE,
+    FormationWish,
+    ReferenceWish,
+    add_formation_arguments,
+    add_reference_arguments,
+    formation_wish,
+    reference_wish,
+)
 
 HIGHEST_ID = 250
 
@@ -25,7 +37,8 @@ for each: accepted, refused and why, or missing, and how long its answer took.
   disarm      on the ground
   abort       whatever it does: disarmed on the ground, into the autopilot's own hold in the air
   leader      who leads from now on, in flight as well
-  formation   other slots by the name of a shape, gone to in flight
+  formation   other slots, gone to in flight: a shape, a file, or what is flown, scaled; formation --help has more
+  reference   another reference, gone over to in flight: a point, waypoints, a circle, ...; reference --help has more
   take        take command over from another operator
 """
 
@@ -36,6 +49,7 @@ examples:
   companion fleet form --fleet fleet.yaml --only 2 3
   companion fleet leader 2 --fleet fleet.yaml
   companion fleet formation diamond --spacing 4 --heading 90 --fleet fleet.yaml
+  companion fleet reference point --at 10 -5 4 --fleet fleet.yaml
   companion fleet land --fleet fleet.yaml --json | jq '.vehicles[] | select(.answer != "accepted")'
 
 An answer says what the vehicle begins, not that it is done: `companion fleet status` and `companion monitor` show that. The
@@ -57,13 +71,12 @@ exit codes:
   130  ended by Ctrl-C
 """
 
-TO_ALL = ("leader", "formation")  # they mean the whole fleet
 PLAIN = ("arm", "takeoff", "form", "hold", "land", "disarm", "abort", "take")
 
 
 @dataclass(frozen=True, slots=True)
 class FleetOptions:
-    """What the command line says. `only` is empty for all; `leaders` and the shape go with one action each."""
+    """What the command line says. `only` is empty for all; `leaders` and both wishes go with one action each."""
 
     action: str
     fleet: Path
@@ -73,9 +86,8 @@ class FleetOptions:
     wait_s: float
     as_json: bool
     leaders: tuple[int, ...] = ()
-    shape: str = ""
-    spacing_m: float = 0.0
-    heading_deg: float = 0.0
+    formation: FormationWish | None = None
+    reference: ReferenceWish | None = None
 
 
 def add_fleet_arguments(parser: argparse.ArgumentParser) -> None:
@@ -85,14 +97,12 @@ def add_fleet_arguments(parser: argparse.ArgumentParser) -> None:
         actions.add_parser(name, parents=[common, _some()], epilog=SEE)
     leader = actions.add_parser("leader", parents=[common], epilog=SEE)
     leader.add_argument("leaders", nargs="+", type=_vehicle_id, metavar="ID", help="who leads; all others follow")
-    formation = actions.add_parser("formation", parents=[common], epilog=SEE)
-    formation.add_argument("shape", choices=sorted(SHAPES), metavar="SHAPE", help=", ".join(sorted(SHAPES)))
-    formation.add_argument(
-        "--spacing", type=_spacing, required=True, metavar="M", help="the smallest distance of two slots, metres"
-    )
-    formation.add_argument(
-        "--heading", type=_heading, default=0.0, metavar="DEG", help="where its front is: 0 east (default), 90 north"
-    )
+    raw = argparse.RawDescriptionHelpFormatter
+    for name, says, more, add in (
+        ("formation", FORMATION, FORMATION_MORE, add_formation_arguments),
+        ("reference", REFERENCE, REFERENCE_MORE, add_reference_arguments),
+    ):
+        add(actions.add_parser(name, parents=[common], description=says, epilog=more, formatter_class=raw))
 
 
 SEE = "`companion fleet --help` explains all actions, who holds command, and the exit codes."
@@ -108,9 +118,8 @@ def fleet_options(parsed: argparse.Namespace) -> FleetOptions:
         parsed.wait_s,
         parsed.json,
         tuple(getattr(parsed, "leaders", ())),
-        getattr(parsed, "shape", ""),
-        getattr(parsed, "spacing", 0.0),
-        getattr(parsed, "heading", 0.0),
+        formation_wish(parsed) if parsed.action == "formation" else None,
+        reference_wish(parsed) if parsed.action == "reference" else None,
     )
 
 
@@ -157,23 +166,5 @@ def _operator(text: str) -> str:
     return text
 
 
-def _spacing(text: str) -> float:
-    return _number(text, "metres above 0, up to 1000", 0.001, 1000.0)
-
-
-def _heading(text: str) -> float:
-    return _number(text, "degrees from -360 to 360", -360.0, 360.0)
-
-
 def _wait_s(text: str) -> float:
-    return _number(text, "seconds from 0.1 to 60", 0.1, 60.0)
-
-
-def _number(text: str, expected: str, least: float, most: float) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-    if not least <= value <= most:
-        raise argparse.ArgumentTypeError(f"{text!r}, expected {expected}")
-    return value
+    return number(text, "seconds from 0.1 to 60", 0.1, 60.0)

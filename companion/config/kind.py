@@ -7,18 +7,22 @@ from typing import Any, Literal
 
 from companion.config_file import ConfigError, read_yaml
 
-FileKind = Literal["scenario", "vehicle", "fleet", "external"]
+FileKind = Literal["scenario", "vehicle", "fleet", "external", "slots", "reference"]
 KEYS_OF_KIND: dict[FileKind, set[str]] = {  # no other kind of file has these
     "scenario": {"starts_enu_m", "timeline"},
     "vehicle": {"mavlink", "hover_thrust_norm"},
     "fleet": {"vehicles", "neighbours", "takeoff_height_m"},
     "external": {"external_vehicles"},
+    "slots": {"slots_enu_m"},
+    "reference": set(),  # scenarios and vehicle files have such a section, too
 }
 A_FILE: dict[FileKind, str] = {
     "scenario": "a scenario",
     "vehicle": "a vehicle file",
     "fleet": "a fleet file",
     "external": "a file of external vehicles",
+    "slots": "a file with slots_enu_m",
+    "reference": "a file with nothing but a reference",
 }
 
 

@@ -11,8 +11,9 @@ from typing import Annotated
 from msgspec import Meta
 
 from companion.config.fleet import FLEET_NAME, FLEET_NAME_WORDS, Envelope, FleetConfig
+from companion.config.kind import read_as
 from companion.config.values import PositionM, Seconds, Section
-from companion.config_file import ConfigError
+from companion.config_file import ConfigError, convert
 from companion.geometry.curves import PEAK_ACCELERATION, PEAK_SPEED, Curve, about, circle, duration_s, figure_8, way
 from companion.types import GRAVITY_M_S2, ZERO3, Vector3
 
@@ -143,6 +144,17 @@ FIELD_OF_PLACE: dict[type, str] = {
     WaypointsReference: "points_enu_m",
     TargetReference: "start_enu_m",
 }
+
+
+class ReferenceSection(Section, frozen=True):
+    """A reference by itself: what a file of one holds, what a command line says, and what a command brings."""
+
+    reference: Reference
+
+
+def load_reference(path: Path) -> Reference:
+    """Read a file with a section `reference` and nothing else. Raises ConfigError."""
+    return convert(path, read_as(path, "reference"), ReferenceSection).reference
 
 
 def moves(reference: Reference) -> bool:

@@ -93,8 +93,13 @@ def slots_of(shape: Shape, n: int, spacing_m: float, heading_rad: float) -> list
     """n >= 1 slots d_i0 in ENU about the RFT, at least `spacing_m` apart; `heading_rad` turns them, 0 is east, pi/2 north."""
     unit = shape(n)
     scale = spacing_m / smallest_distance(unit) if n > 1 else 1.0
-    c, s = cos(heading_rad) * scale, sin(heading_rad) * scale
-    return [(c * x - s * y, s * x + c * y, scale * z) for x, y, z in unit]
+    return [turned(slot, heading_rad, scale) for slot in unit]
+
+
+def turned(slot: Vector3, heading_rad: float, scale: float) -> Vector3:
+    """Counterclockwise about the RFT, and so many times as far out."""
+    (x, y, z), c, s = slot, cos(heading_rad) * scale, sin(heading_rad) * scale
+    return (c * x - s * y, s * x + c * y, scale * z)
 
 
 def smallest_distance(slots: list[Vector3]) -> float:

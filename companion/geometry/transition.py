@@ -8,18 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from itertools import combinations
-from math import dist, hypot
+from math import dist, hypot, inf
 
 from companion.geometry.curves import PEAK_SPEED
 from companion.types import Vector3
 
 
 def closest(before_enu_m: Mapping[int, Vector3], after_enu_m: Mapping[int, Vector3]) -> tuple[float, int, int]:
-    """(least distance of any two slots on the way, whose they are). Needs the same two or more vehicles on both sides."""
-    return min(
+    """(least distance of any two slots on the way, whose they are), infinite for one alone. Both have the same vehicles."""
+    pairs = (
         (_closest_pair(before_enu_m[i], after_enu_m[i], before_enu_m[j], after_enu_m[j]), i, j)
         for i, j in combinations(sorted(before_enu_m), 2)
     )
+    return min(pairs, default=(inf, 0, 0))
 
 
 def longest_way_m(before_enu_m: Mapping[int, Vector3], after_enu_m: Mapping[int, Vector3]) -> float:

@@ -9,6 +9,7 @@ import msgspec
 
 from companion.ground.readiness import Check
 from companion.ground.session import Answer
+from companion.ground.words import formation_in_words, reference_in_words
 from companion.types import Status
 
 MISSING = "missing"
@@ -84,7 +85,9 @@ def status_lines(statuses: Mapping[int, Status], silent: Sequence[int], wait_s: 
         x, y, z = status.position_enu_m
         words = (
             f"vehicle {vehicle_id:<3} {status.phase:<9} {status.role:<8} {'armed' if status.armed else 'disarmed':<8}"
-            f" {status.mode_name:<12} at {x:z.1f}, {y:z.1f}, {z:z.1f} m, formation {status.slot.formation},"
+            f" {status.mode_name:<12} at {x:z.1f}, {y:z.1f}, {z:z.1f} m,"
+            f" formation {formation_in_words(status.slot)},"
+            f" reference {reference_in_words(status.reference, status.target_age_s)},"
             f" commanded by {status.holder or 'nobody'}; {status.last_event or 'nothing has happened'}"
         )
         lines.append(_plain(words))

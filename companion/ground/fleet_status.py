@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import dist
 
+from companion.ground.words import formation_in_words, reference_in_words
 from companion.types import FlightPhase, HealthFlag, LandedState, Role, Status, Vector3
 from companion.wire.ground import StatusReport, Timing
 
@@ -36,6 +37,7 @@ class VehicleRow:
 
     `age_s` is the time since the last report; `data_age_s` adds the age that the position had on board (inf where there
     never was one). `error_to_slot_m` is |(x_i - d_i0) - r|, None where no leader reports or the vehicle does not fly.
+    `holder` is the operator who holds command; `formation` and `reference` are in the words of ground/words.py.
     """
 
     fleet: str
@@ -53,6 +55,9 @@ class VehicleRow:
     data_age_s: float
     silent: bool
     neighbours: tuple[int, ...]
+    formation: str
+    reference: str
+    holder: str
     flags: tuple[HealthFlag, ...]
     rejected: int
     last_event: str
@@ -94,6 +99,9 @@ def _row(state: FleetState, heard: Heard, now_s: float) -> VehicleRow:
         data_age_s=age_s + status.state_age_s,
         silent=_is_silent(heard, now_s),
         neighbours=status.neighbours,
+        formation=formation_in_words(status.slot),
+        reference=reference_in_words(status.reference, status.target_age_s),
+        holder=status.holder,
         flags=status.flags,
         rejected=sum(status.rejected.values()),
         last_event=status.last_event,

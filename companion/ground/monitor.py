@@ -22,8 +22,11 @@ ONCE_SETTLE_S = 0.5  # five status periods: whoever is connected has spoken by t
 LIVE_PERIOD_S = 0.2
 PLAIN_PERIOD_S = 1.0
 
-COLUMNS = ("vehicle", "phase", "mode", "armed", "altitude", "PrC", "error", "hover, push", "data", "rej", "what")
-_WIDTHS = (9, 9, 14, 5, 9, 3, 8, 15, 9, 5, 0)
+COLUMNS = (
+    *("vehicle", "phase", "mode", "armed", "altitude", "PrC", "error", "hover, push", "data", "rej"),
+    *("formation", "reference", "commanded by", "what"),
+)
+_WIDTHS = (9, 9, 14, 5, 9, 3, 8, 15, 9, 5, 15, 23, 16, 0)
 
 
 class MonitorError(Exception):
@@ -106,6 +109,9 @@ def cells(row: VehicleRow, several_fleets: bool) -> tuple[str, ...]:
         f"{row.hover_thrust_norm:.2f}, {hypot(*row.disturbance_enu_m_s2):.1f} m/s2",
         _seconds(row.data_age_s),
         str(row.rejected),
+        row.formation,
+        row.reference,
+        row.holder or "nobody",
         what,
     )
     # Events quote the autopilot's own words: nothing of them may steer the terminal.

@@ -9,8 +9,11 @@ from typing import Any
 import msgspec
 
 from companion import GROUND_INSTALL
+from companion.arguments import COMMAND_LINE
 from companion.config.fleet import FleetConfig, load_fleet
+from companion.config.reference import check_reference
 from companion.fleet_options import FleetOptions
+from companion.fleet_where_options import FormationWish, ReferenceWish
 from companion.ground.answers import (
     answer_lines,
     answers_as_data,
@@ -21,8 +24,9 @@ from companion.ground.answers import (
 )
 from companion.ground.monitor import DEFAULT_ENDPOINTS
 from companion.ground.readiness import checks_of
+from companion.ground.references import reference_change, wished
 from companion.ground.session import POLL_S, Answer, FleetSession
-from companion.types import CommandName, FlightPhase, FormationChange, Lead
+from companion.types import ZERO3, CommandName, FlightPhase, FormationChange, Lead, ReferenceChange, Status
 
 EXIT_ALL, EXIT_SOME = 0, 1
 PREPARED_WITHIN_S = 8.0  # what an autopilot may take for a change of its mode, with some to spare
@@ -37,8 +41,7 @@ def run_fleet(options: FleetOptions) -> int:
     """The exit code. Raises ConfigError, OperateError and link.zenoh_session.EndpointError."""
     fleet = load_fleet(options.fleet)
     ids = _vehicles(options, fleet)
-    if options.action == "formation":
-        _need_scipy()
+    _check_wishes(options, fleet)
     with FleetSession.open(fleet.name, options.connect or DEFAULT_ENDPOINTS, options.operator) as session:
         if options.action in ("status", "ready"):
             return _show(session, options, fleet, ids)
@@ -83,16 +86,19 @@ def _show(session: FleetSession, options: FleetOptions, fleet: FleetConfig, ids:
 def _give(
     session: FleetSession, options: FleetOptions, fleet: FleetConfig, ids: Sequence[int]
 ) -> dict[int, Answer | None]:
-    match options.action:
-        case "arm":
-            return _prepare_and_arm(session, ids, options.wait_s)
-        case "leader":
-            heard = session.hear(ids, options.wait_s)
-            lead = Lead(options.leaders, max((status.epoch for status in heard.values()), default=0) + 1)
-            return session.ask(ids, CommandName.LEAD, options.wait_s, lead)
-        case "formation":
-            change = _change(session, options, fleet, ids)
-            return session.ask(ids, CommandName.FORMATION, options.wait_s, change)
+    if options.action == "arm":
+        return _prepare_and_arm(session, ids, options.wait_s)
+    if options.action == "leader":
+        heard = session.hear(ids, options.wait_s)
+        lead = Lead(options.leaders, max((status.epoch for status in heard.values()), default=0) + 1)
+        return session.ask(ids, CommandName.LEAD, options.wait_s, lead)
+    if options.formation:
+        formation = _new_formation(session, options.formation, options.wait_s, fleet)
+        return session.ask(ids, CommandName.FORMATION, options.wait_s, formation)
+    if options.reference:
+        may_lead = [member.id for member in fleet.vehicles if member.can_lead]
+        reference = _new_reference(session, options.reference, options.wait_s, fleet)
+        return session.ask(may_lead, CommandName.REFERENCE, options.wait_s, reference)
     return session.ask(ids, CommandName(options.action), options.wait_s)
 
 
@@ -115,16 +121,45 @@ def _wait_for_end_of(session: FleetSession, preparing: Collection[int]) -> None:
         time.sleep(POLL_S)
 
 
-def _change(session: FleetSession, options: FleetOptions, fleet: FleetConfig, ids: Sequence[int]) -> FormationChange:
-    """From the slots that the vehicles fly. Raises OperateError where some are not heard: it would be for them, too."""
-    from companion.ground.formations import assigned, change_to, named_slots
+def _check_wishes(options: FleetOptions, fleet: FleetConfig) -> None:
+    """A mistake is told before any vehicle is waited for. Raises ConfigError and OperateError."""
+    if options.formation:
+        _need_scipy()
+        from companion.ground.formations import check_wish
 
-    heard = session.hear(ids, options.wait_s)
-    if silent := [str(i) for i in ids if i not in heard]:
-        raise OperateError(f"nothing heard of vehicle {', '.join(silent)} for {options.wait_s:g} s; all get new slots")
-    slots_enu_m = named_slots(options.shape, len(ids), options.spacing_m, options.heading_deg)
+        check_wish(options.formation, fleet)
+    if options.reference:
+        wished(options.reference, here_enu_m=ZERO3)
+
+
+def _new_formation(session: FleetSession, wish: FormationWish, wait_s: float, fleet: FleetConfig) -> FormationChange:
+    """From the slots that the vehicles fly. Raises OperateError where some are not heard: it would be for them, too."""
+    from companion.ground.formations import change_to, refusal_of, wished_slots
+
+    heard = _hear_all(session, wait_s, fleet)
+    if silent := [str(member.id) for member in fleet.vehicles if member.id not in heard]:
+        raise OperateError(f"nothing heard of vehicle {', '.join(silent)} for {wait_s:g} s; all get new slots")
     flown_enu_m = {i: status.slot.position_enu_m for i, status in heard.items()}
-    return change_to(assigned(flown_enu_m, slots_enu_m), list(heard.values()), fleet.slot_speed_m_s)
+    slots_enu_m = wished_slots(wish, flown_enu_m, fleet)
+    if refusal := refusal_of(slots_enu_m, flown_enu_m, fleet.separation_m):
+        raise OperateError(refusal)
+    return change_to(slots_enu_m, list(heard.values()), fleet.slot_speed_m_s)
+
+
+def _new_reference(session: FleetSession, wish: ReferenceWish, wait_s: float, fleet: FleetConfig) -> ReferenceChange:
+    """Checked with the slots that the vehicles fly, as each that may lead does. Raises ConfigError and OperateError."""
+    heard = _hear_all(session, wait_s, fleet)
+    if not heard:
+        raise OperateError(f"nothing heard of any vehicle for {wait_s:g} s")
+    led = [status.reference_enu_m for status in heard.values() if status.reference_enu_m]
+    reference = wished(wish, here_enu_m=led[0] if led else None)
+    slots_enu_m = {i: status.slot.position_enu_m for i, status in heard.items()}
+    check_reference(wish.file or COMMAND_LINE, fleet, reference, slots_enu_m=slots_enu_m)
+    return reference_change(msgspec.to_builtins(reference), list(heard.values()))
+
+
+def _hear_all(session: FleetSession, wait_s: float, fleet: FleetConfig) -> dict[int, Status]:
+    return session.hear([member.id for member in fleet.vehicles], wait_s)
 
 
 def _need_scipy() -> None:

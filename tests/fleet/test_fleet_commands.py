@@ -129,15 +129,26 @@ def test_a_mission_from_one_terminal(ground: Ground) -> None:
     ground.until(FlightPhase.FORMATION, lambda status: status.epoch == 1)
     assert "may lead" in ground.fleet("leader", "3", code=1)
 
-    too_close = ground.answers("formation", "line", "--spacing", "0.4", code=1)
-    assert all("expected at least separation_m, 1 m" in vehicle["reason"] for vehicle in too_close.values())
+    assert "expected at least separation_m, 1 m" in ground.fleet("formation", "line", "--spacing", "0.4", code=2)
     ground.fleet("formation", "line", "--spacing", "3", "--heading", "0")
     ground.until(FlightPhase.FORMATION, lambda s: s.slot.formation == 1 and s.slot.velocity_enu_m_s == (0.0, 0.0, 0.0))
+    assert "come within 0.60 m" in ground.fleet("formation", "--scale", "0.2", code=2)
+    ground.fleet("formation", "--scale", "1.2")
+    ground.until(FlightPhase.FORMATION, lambda s: s.slot.formation == 2 and s.slot.velocity_enu_m_s == (0.0, 0.0, 0.0))
+
+    outside = ground.fleet("reference", "point", "--at", "101", "0", "3", code=2)
+    assert outside.startswith("command line: reference.point_enu_m: puts vehicle ")
+    answers = ground.answers("reference", "point", "--at", "1", "-1", "3")
+    assert answers.keys() == {1, 2}  # those that may lead
+    assert {vehicle["answer"] for vehicle in answers.values()} == {"accepted"}
+    ground.until(FlightPhase.FORMATION, lambda s: s.reference is None or s.reference.flown == 1)
 
     taken = ground.answers("take", operator="boris")
     assert {vehicle["reason"] for vehicle in taken.values()} == {"boris takes command from anna"}
     assert "boris holds command" in ground.fleet("form", code=1)
-    assert "commanded by boris" in ground.fleet("status")
+    told = ground.fleet("status")
+    assert "formation 2, reference 1, commanded by boris" in told
+    assert "formation 2, reference -, commanded by boris" in told  # vehicle 3 may not lead
 
     ground.fleet("abort")  # anna's: for everybody
     ground.until(FlightPhase.HOLD, lambda status: status.holder == "boris" and status.mode_name == "AUTO.LOITER")

@@ -1,5 +1,6 @@
 """`companion fleet`: its command line, and the words for what vehicles answer and check. The rest is flown in tests/fleet."""
 
+import argparse
 import json
 import logging
 from pathlib import Path
@@ -9,13 +10,37 @@ from msgspec.structs import replace
 from test_director import status
 
 from companion.cli import main
+from companion.config.fleet import load_fleet
+from companion.config.reference import (
+    CircleReference,
+    Figure8Reference,
+    PointReference,
+    Reference,
+    TargetReference,
+    WaypointsReference,
+)
+from companion.config_file import ConfigError
+from companion.fleet_options import FleetOptions, add_fleet_arguments, fleet_options
 from companion.ground.answers import answer_lines, answers_as_data, readiness_as_data, readiness_lines, status_lines
+from companion.ground.formations import check_wish, refusal_of, wished_slots
 from companion.ground.readiness import checks_of
+from companion.ground.references import wished
 from companion.ground.session import Answer, operator_here
 from companion.link.log import COMMANDS_A_SECOND, CommandLog
-from companion.types import Command, CommandName, CommandReply, HealthFlag, PositionError
+from companion.types import (
+    ZERO3,
+    Command,
+    CommandName,
+    CommandReply,
+    FlownSlot,
+    HealthFlag,
+    HeldReference,
+    PositionError,
+    Vector3,
+)
 
 PAIR = str(Path(__file__).parents[2] / "config" / "fleets" / "pair.yaml")
+AT = ["--at", "0", "-5", "4"]
 ANSWERS = {
     2: Answer(CommandReply(2, 9, False, "arm: attitude \x1b[31mstale"), 0.0314),
     1: Answer(CommandReply(1, 9, True, "arm"), 0.012),
@@ -89,6 +114,33 @@ def test_the_status_says_who_holds_command_and_who_is_silent() -> None:
 
 
 @pytest.mark.parametrize(
+    ("slot", "words"),
+    [
+        (FlownSlot(ZERO3, formation=3, waiting=3), "3"),
+        (FlownSlot(ZERO3, formation=3, waiting=4), "3, 4 to come"),
+        (FlownSlot(ZERO3, (0.1, 0.0, 0.0), formation=4, waiting=4), "on the way to 4"),
+    ],
+)
+def test_the_status_says_which_formation_is_flown_or_on_its_way(slot: FlownSlot, words: str) -> None:
+    assert f" formation {words}, reference -, " in status_lines({1: replace(FIT, slot=slot)}, [], 3.0)[0]
+
+
+@pytest.mark.parametrize(
+    ("held", "target_age_s", "words"),
+    [
+        (HeldReference(2, 2), None, "2"),
+        (HeldReference(2, 3), None, "2, 3 to come"),
+        (HeldReference(2, 2), 0.31, "2, target 0.3 s old"),
+    ],
+)
+def test_the_status_says_which_reference_is_flown_and_how_old_its_target_is(
+    held: HeldReference, target_age_s: float | None, words: str
+) -> None:
+    told = status_lines({1: replace(FIT, reference=held, target_age_s=target_age_s)}, [], 3.0)[0]
+    assert f" reference {words}, commanded by nobody" in told
+
+
+@pytest.mark.parametrize(
     ("arguments", "words"),
     [
         (["hold", "--fleet", "nowhere.yaml"], "nowhere.yaml: cannot be read"),
@@ -103,6 +155,43 @@ def test_the_status_says_who_holds_command_and_who_is_silent() -> None:
         (["formation", "line", "--spacing", "0", "--fleet", PAIR], "expected metres above 0, up to 1000"),
         (["formation", "line", "--spacing", "3", "--heading", "999", "--fleet", PAIR], "expected degrees"),
         (["formation", "line", "--spacing", "3", "--only", "1", "--fleet", PAIR], "--only"),
+        (
+            ["formation", "line", "--spacing", "3", "--scale", "0", "--fleet", PAIR],
+            "expected a factor from 0.01 to 100",
+        ),
+        (
+            ["formation", "line", "--slots", "s.yaml", "--fleet", PAIR],
+            "command line: --slots: is a formation of its own",
+        ),
+        (["formation", "--spacing", "3", "--fleet", PAIR], "command line: --spacing: goes with a SHAPE"),
+        (["formation", "--fleet", PAIR], "command line: SHAPE: missing; expected one, --slots FILE"),
+        (["formation", "--slots", "nowhere.yaml", "--fleet", PAIR], "nowhere.yaml: cannot be read"),
+        (["formation", "--slots", PAIR, "--fleet", PAIR], "this is a fleet file; a file with slots_enu_m is expected"),
+        (["reference", "--fleet", PAIR], "command line: KIND: missing; expected one of point, waypoints, circle"),
+        (["reference", "spiral", "--fleet", PAIR], "invalid choice: 'spiral'"),
+        (["reference", "point", "--fleet", PAIR], "command line: --at: given 0 times; a reference point has one"),
+        (
+            ["reference", "circle", *AT, *AT, "--fleet", PAIR],
+            "command line: --at: given 2 times; a reference circle has one",
+        ),
+        (["reference", "circle", *AT, "--period", "20", "--fleet", PAIR], "command line: reference.radius_m: missing"),
+        (
+            ["reference", "point", *AT, "--radius", "2", "--fleet", PAIR],
+            "command line: reference.radius_m: unknown key",
+        ),
+        (
+            ["reference", "point", "--at", "0", "0", "nan", "--fleet", PAIR],
+            "reference.point_enu_m[2]: nan is not a finite",
+        ),
+        (["reference", "point", "--at", "0", "0", "--fleet", PAIR], "expected 3 arguments"),
+        (
+            ["reference", "target", "--name", "A/b", "--fleet", PAIR],
+            "command line: reference.name: 'A/b': expected at most 41",
+        ),
+        (["reference", "point", "--file", "r.yaml", "--fleet", PAIR], "command line: --file: says all by itself"),
+        (["reference", "--file", "nowhere.yaml", "--fleet", PAIR], "nowhere.yaml: cannot be read"),
+        (["reference", "--file", PAIR, "--fleet", PAIR], "a file with nothing but a reference is expected"),
+        (["reference", "point", *AT, "--only", "1", "--fleet", PAIR], "--only"),
         (["hold"], "--fleet"),
         (["dance", "--fleet", PAIR], "invalid choice: 'dance'"),
     ],
@@ -116,6 +205,102 @@ def test_what_cannot_be_asked_ends_with_2_and_words(
         code = int(usage.code or 0)
     assert code == 2
     assert words in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reference"),
+    [
+        (["point", *AT], PointReference((0.0, -5.0, 4.0))),
+        (
+            ["waypoints", *AT, "--at", "3", "0", "4", "--pause", "2", "--speed", "3", "--acceleration", "0.5"],
+            WaypointsReference(((0.0, -5.0, 4.0), (3.0, 0.0, 4.0)), 2.0, 3.0, 0.5),
+        ),
+        (
+            ["circle", *AT, "--radius", "8", "--period", "30", "--ramp", "4", "--clockwise"],
+            CircleReference((0.0, -5.0, 4.0), 8.0, 30.0, 4.0, clockwise=True),
+        ),
+        (
+            ["figure_8", *AT, "--width", "20", "--height", "8", "--period", "40"],
+            Figure8Reference((0.0, -5.0, 4.0), 20.0, 8.0, 40.0),
+        ),
+        (
+            ["target", "--name", "walker", "--offset", "0", "-2", "6", "--follows-altitude"],
+            TargetReference((7.0, 8.0, 9.0), "walker", (0.0, -2.0, 6.0), follows_altitude=True),
+        ),
+        (["target", *AT], TargetReference((0.0, -5.0, 4.0))),
+    ],
+)
+def test_a_reference_by_the_command_line_is_what_a_file_would_hold(arguments: list[str], reference: Reference) -> None:
+    wish = options_of("reference", *arguments, "--fleet", PAIR).reference
+    assert wish
+    assert wished(wish, here_enu_m=(7.0, 8.0, 9.0)) == reference
+
+
+def test_a_target_is_waited_for_where_the_fleet_is_or_where_it_is_told() -> None:
+    wish = options_of("reference", "target", "--fleet", PAIR).reference
+    assert wish
+    with pytest.raises(ConfigError, match="--at: missing; nobody is heard to lead"):
+        wished(wish, here_enu_m=None)
+
+
+def test_a_reference_file_holds_a_reference_and_nothing_else(tmp_path: Path) -> None:
+    file = tmp_path / "reference.yaml"
+    wish = options_of("reference", "--file", str(file), "--fleet", PAIR).reference
+    assert wish
+    file.write_text("reference: {kind: point, point_enu_m: [1, 2, 3]}\n")
+    assert wished(wish, here_enu_m=None) == PointReference((1.0, 2.0, 3.0))
+    file.write_text("reference: {kind: point, point_enu_m: [1, 2]}\n")
+    with pytest.raises(ConfigError, match=r"reference\.yaml: reference\.point_enu_m: "):
+        wished(wish, here_enu_m=None)
+    file.write_text("reference: {kind: point, point_enu_m: [1, 2, 3]}\nname: x\n")
+    with pytest.raises(ConfigError, match=r"reference\.yaml: name: unknown key"):
+        wished(wish, here_enu_m=None)
+
+
+FLOWN = {1: (1.0, 0.0, 0.5), 2: (-1.0, 0.0, 0.0)}
+
+
+def slots_by(*arguments: str) -> dict[int, Vector3]:
+    wish = options_of("formation", *arguments, "--fleet", PAIR).formation
+    assert wish
+    check_wish(wish, load_fleet(Path(PAIR)))
+    return wished_slots(wish, FLOWN, load_fleet(Path(PAIR)))
+
+
+def test_slots_flown_are_scaled_and_turned_and_stay_whose_they_are() -> None:
+    slots_enu_m = slots_by("--scale", "2", "--heading", "90")
+    assert slots_enu_m[1] == pytest.approx((0.0, 2.0, 1.0))
+    assert slots_enu_m[2] == pytest.approx((0.0, -2.0, 0.0))
+
+
+def test_a_shape_is_scaled_by_its_spacing() -> None:
+    assert sorted(slots_by("line", "--spacing", "2", "--scale", "1.5").values()) == [(0.0, -1.5, 0.0), (0.0, 1.5, 0.0)]
+
+
+def test_free_slots_are_as_their_file_says(tmp_path: Path) -> None:
+    file = tmp_path / "slots.yaml"
+    file.write_text("slots_enu_m: {2: [0, 0, 0], 1: [-3, 1.5, 0]}\n")
+    assert slots_by("--slots", str(file)) == {1: (-3.0, 1.5, 0.0), 2: (0.0, 0.0, 0.0)}
+    assert slots_by("--slots", str(file), "--scale", "2")[1] == (-6.0, 3.0, 0.0)
+    for ids, words in (("1", "slots_enu_m.2: missing"), ("1, 2, 3", "slots_enu_m.3: no such vehicle")):
+        file.write_text("slots_enu_m: {" + ", ".join(f"{i}: [{i}, 0, 0]" for i in ids.split(", ")) + "}\n")
+        with pytest.raises(ConfigError, match=words):
+            slots_by("--slots", str(file))
+
+
+def test_slots_too_near_are_refused_also_on_the_way() -> None:
+    there = {1: (-1.0, 0.0, 0.0), 2: (1.0, 0.0, 0.0)}  # past one another
+    refusal = refusal_of(there, FLOWN, separation_m=1.0)
+    assert refusal
+    assert "the slots of vehicles 1 and 2 come within 0.2" in refusal
+    assert refusal_of({i: (2.0 * x, y, z) for i, (x, y, z) in FLOWN.items()}, FLOWN, 1.0) is None
+    assert refusal_of({1: ZERO3}, {1: ZERO3}, 1.0) is None
+
+
+def options_of(*arguments: str) -> FleetOptions:
+    parser = argparse.ArgumentParser()
+    add_fleet_arguments(parser)
+    return fleet_options(parser.parse_args(arguments))
 
 
 def test_the_operator_has_a_name_that_vehicles_take(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -30,6 +30,9 @@ ROW = VehicleRow(
     data_age_s=0.061,
     silent=False,
     neighbours=(2, 4),
+    formation="1, 2 to come",
+    reference="3",
+    holder="anna@ground",
     flags=(),
     rejected=7,
     last_event="engage -> formation",
@@ -43,7 +46,8 @@ def cell(row: VehicleRow, column: str) -> str:
 
 def test_a_flying_vehicle() -> None:
     assert cells(ROW, several_fleets=False) == (
-        "3", "formation", "OFFBOARD", "armed", "2.50 m", "2", "0.13 m", "0.49, 2.0 m/s2", "61 ms", "7", "engage -> formation",
+        "3", "formation", "OFFBOARD", "armed", "2.50 m", "2", "0.13 m", "0.49, 2.0 m/s2", "61 ms", "7",
+        "1, 2 to come", "3", "anna@ground", "engage -> formation",
     )  # fmt: skip
 
 
