@@ -525,6 +525,7 @@ class Status(Struct, frozen=True, gc=False):
     peers: tuple[int, ...] = ()  # all others that are heard of just now, whatever they do
     battery_percent: float | None = None  # None where the autopilot does not know
     position_error: PositionError | None = None
+    largest_step_deg: float = 0.0  # of the commanded attitude, setpoint to setpoint, in the last stream of them
 
 
 class Inbox(Struct, frozen=True, gc=False):

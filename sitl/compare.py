@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from msgspec import Struct
@@ -50,12 +50,23 @@ def compare(summaries: Sequence[Summary]) -> Comparison:
         _row("settled to 10 cm", "s", {s.law: s.settle_s for s in summaries}),
         _row("final error", "m", {s.law: s.final_error_m for s in summaries}),
     ]
+    for figure, largest in (
+        ("largest tracking error", {s.law: _largest(v.tracking_error_m for v in s.vehicles) for s in summaries}),
+        ("largest while following", {s.law: _largest(v.behind_leader_m for v in s.vehicles) for s in summaries}),
+    ):
+        if any(value is not None for value in largest.values()):
+            rows.append(_row(figure, "m", largest))
     return Comparison(
         scenario=summaries[0].scenario,
         laws=[s.law for s in summaries],
         too_busy=[s.law for s in summaries if too_busy(s)],
         rows=rows,
     )
+
+
+def _largest(values: Iterable[float | None]) -> float | None:
+    """Of those that are known; a vehicle that only led was behind nobody."""
+    return max((value for value in values if value is not None), default=None)
 
 
 def _row(figure: str, unit: str, values: dict[str, float | None], largest_is_best: bool = False) -> Row:

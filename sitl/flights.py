@@ -19,6 +19,7 @@ from sitl.run_options import LAWS, RunOptions
 from sitl.scenario import Scenario, load_scenario, reference_of
 from sitl.stopping import StopRequest
 from sitl.summary import Summary, in_words, summarize, write_json
+from sitl.tracking import tracking
 from sitl.watch import FlightWatch
 
 
@@ -123,8 +124,13 @@ def write_results(
     """summary.json and, where a formation was flown, its figures. `tracks` is None where nothing is known of them."""
     flight = _flight(scenario, watch, tracks, source) if tracks else None
     figures = formation_figures(flight.tracks, flight.slots, flight.reference, flight.formation) if flight else None
+    tracked = (
+        tracking(flight.tracks, flight.slots, flight.reference, flight.formation, watch.leads()) if flight else None
+    )
     smallest_m = smallest_distance_m(tracks) if tracks else None
-    summary = summarize(scenario, name, watch, figures, smallest_m, failure, flight_s, real_time_factor, source)
+    summary = summarize(
+        scenario, name, watch, figures, tracked, smallest_m, failure, flight_s, real_time_factor, source
+    )
     write_json(folder / "summary.json", summary)
     if flight:
         from sitl.plots import save_figure_5, save_figure_6  # matplotlib takes its time and memory

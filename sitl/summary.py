@@ -9,14 +9,16 @@ import msgspec
 from msgspec import Struct
 
 from companion.assembly import law_of
-from companion.wire.ground import Percentiles, Timing
+from companion.wire.ground import Percentiles
 from sitl.metrics import FormationFigures, TrackSource, neighbouring_pairs, pair_name
 from sitl.scenario import Scenario
+from sitl.tracking import Tracking
 from sitl.watch import Event, FlightWatch
 
 SCHEMA = 1
 MAX_MISSED_SHARE, MAX_LATENCY_MS = 0.005, 5.0  # of the ticks; p99 from telemetry to command. Idle: none, below 1 ms
 IF_TOO_BUSY = "distrust the figures, or fly in virtual time: sitl run"
+MAX_EACH = 8  # vehicles whose figures stand in one line
 TOO_SLOW = {
     "true": "the machine was too busy for real time: {}; " + IF_TOO_BUSY,
     "estimated": "the machine or the autopilots were too slow for real time: {}",  # PX4's clock may run 2 % slow
@@ -45,6 +47,9 @@ class VehicleSummary(Struct, frozen=True, kw_only=True):
     cpu_percent: float | None
     rss_mb: float | None
     final_error_m: float | None
+    tracking_error_m: float | None  # sitl/tracking.py: about the RFT, second half of the formation
+    behind_leader_m: float | None  # likewise about who leads, while it follows
+    largest_step_deg: float | None  # of the commanded attitude, setpoint to setpoint
     rejected: dict[str, int]  # counted rejections by reason
 
 
@@ -84,13 +89,14 @@ def summarize(
     name: str,
     watch: FlightWatch,
     figures: FormationFigures | None,
+    tracked: Tracking | None,
     smallest_distance_m: float | None,
     failure: str | None,
     flight_s: float,
     real_time_factor: float | None = None,
     source: TrackSource = "true",
 ) -> Summary:
-    """`figures` and `smallest_distance_m` are of the tracks from `source`, the rest is what the vehicles reported."""
+    """`figures`, `tracked` and `smallest_distance_m` are of the tracks from `source`, the rest the vehicles reported."""
     fleet, stand_in = scenario.fleet, scenario.stand_in
     sensors = stand_in.sensors if isinstance(stand_in.sensors, str) else "as given"
     slots_enu_m = {member.id: member.slot_enu_m for member in fleet.vehicles}
@@ -114,7 +120,7 @@ def summarize(
         final_error_m=round(figures.final_error_m, 4) if figures else None,
         smallest_distance_m=None if smallest_distance_m is None else round(smallest_distance_m, 4),
         vehicles=[
-            _vehicle(member.id, member.role, watch.timing.get(member.id), figures, watch.rejected()[member.id])
+            _vehicle(member.id, member.role, watch, figures, tracked)
             for member in sorted(fleet.vehicles, key=lambda member: member.id)
         ],
         events=watch.events,
@@ -122,8 +128,9 @@ def summarize(
 
 
 def _vehicle(
-    vehicle_id: int, role: str, timing: Timing | None, figures: FormationFigures | None, rejected: dict[str, int]
+    vehicle_id: int, role: str, watch: FlightWatch, figures: FormationFigures | None, tracked: Tracking | None
 ) -> VehicleSummary:
+    timing, step_deg = watch.timing.get(vehicle_id), watch.largest_step_deg.get(vehicle_id)
     tick = timing and Tick(rate_hz=timing.rate_hz, ticks=timing.ticks, missed=timing.missed, late_us=timing.late_us)
     return VehicleSummary(
         id=vehicle_id,
@@ -133,8 +140,15 @@ def _vehicle(
         cpu_percent=timing.cpu_percent if timing else None,
         rss_mb=timing.rss_mb if timing else None,
         final_error_m=round(figures.final_error_of_vehicle_m[vehicle_id], 4) if figures else None,
-        rejected=rejected,
+        tracking_error_m=_metres(tracked.to_reference_m[vehicle_id] if tracked else None),
+        behind_leader_m=_metres(tracked.to_leader_m[vehicle_id] if tracked else None),
+        largest_step_deg=None if step_deg is None else round(step_deg, 2),
+        rejected=watch.rejected()[vehicle_id],
     )
+
+
+def _metres(value_m: float | None) -> float | None:
+    return None if value_m is None else round(value_m, 4)
 
 
 def _rounded(values_m: Mapping[str, float]) -> dict[str, float]:
@@ -169,6 +183,7 @@ def in_words(summary: Summary) -> str:
         lines.append(f"  smallest distance {summary.smallest_distance_m:.2f} m, of any two in the whole flight")
     settled = "never to 10 cm" if summary.settle_s is None else f"{summary.settle_s:.1f} s to 10 cm"
     lines.append(f"  settled           {settled}; final error {summary.final_error_m:.3f} m")
+    lines.extend(_tracking_in_words(summary))
     lines.extend(_ticks_in_words(summary))
     if busy := too_busy(summary):
         lines.append(f"  {TOO_SLOW[summary.tracks].format(busy)}")
@@ -189,6 +204,25 @@ def too_busy(summary: Summary) -> str | None:
     if slowest_ms > MAX_LATENCY_MS:
         said.append(f"{slowest_ms:.0f} ms from telemetry to command (p99)")
     return ", ".join(said) or None
+
+
+def _tracking_in_words(summary: Summary) -> list[str]:
+    lines = []
+    if about_rft := {v.id: v.tracking_error_m for v in summary.vehicles if v.tracking_error_m is not None}:
+        lines.append(f"  tracking error    {_each(about_rft)}   (RMS about the RFT, second half)")
+    if about_leader := {v.id: v.behind_leader_m for v in summary.vehicles if v.behind_leader_m is not None}:
+        lines.append(f"  while following   {_each(about_leader)}   (likewise, about the leader)")
+    if steps_deg := [v.largest_step_deg for v in summary.vehicles if v.largest_step_deg is not None]:
+        lines.append(f"  attitude steps    at most {max(steps_deg):.1f} degrees from one setpoint to the next")
+    return lines
+
+
+def _each(values_m: Mapping[int, float]) -> str:
+    """Every vehicle's where they fit into a line, else the largest."""
+    if len(values_m) <= MAX_EACH:
+        return "   ".join(f"{i} {value_m:.3f} m" for i, value_m in values_m.items())
+    worst = max(values_m, key=lambda i: values_m[i])
+    return f"at most {values_m[worst]:.3f} m, vehicle {worst}"
 
 
 def _ticks_in_words(summary: Summary) -> list[str]:

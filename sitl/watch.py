@@ -13,6 +13,7 @@ from companion.ground.fleet_status import FleetState, VehicleRow, fold, rows
 from companion.types import ZERO3, FlightPhase, LandedState, Role, Status, Vector3
 from companion.wire.ground import StatusReport, Timing
 from sitl.metrics import Formation
+from sitl.tracking import Leads
 from sitl.tracks import Track, told_track
 
 SAME_POSITION_S = 0.005  # of the same position told twice, whose ages are not quite those of the way
@@ -63,6 +64,7 @@ class FlightWatch:
         self._leader_ids = set(leader_ids)
         self._drawn: dict[int, TopologyChange] = {}  # the last of every vehicle
         self._entered_s: dict[int, float] = {}
+        self.largest_step_deg: dict[int, float] = {}  # of each vehicle's last formation
         self._zero_s: dict[int, float] = {}  # had the RFT never stood, it would have begun here
         self._flown_s = 0.0  # how far into the RFT the last leader was
         self._formed_from_s: float | None = None
@@ -86,6 +88,8 @@ class FlightWatch:
             self._entered_s[vehicle_id] = now_s
             self._zero_s[vehicle_id] = now_s - self._flown_s
         self._follow_reference(status)
+        if vehicle_id in self._entered_s:
+            self.largest_step_deg[vehicle_id] = status.largest_step_deg
         if vehicle_id in self._entered_s and report.timing.ticks:  # in virtual time no ticks are timed
             self.timing[vehicle_id] = report.timing
         if status.last_event and (before is None or status.last_event != before.last_event):
@@ -108,6 +112,17 @@ class FlightWatch:
     def slots(self) -> dict[int, Track]:
         """Each vehicle's slot d_i0 over time, as it said itself."""
         return {i: told_track(i, told) for i, told in self._slots.items()}
+
+    def leads(self) -> Leads:
+        """When each vehicle led, as it said itself."""
+        return {
+            i: [
+                (self.began_s + change.time_s, change.role is Role.LEADER)
+                for change in self.topology
+                if change.vehicle == i
+            ]
+            for i in self.vehicle_ids
+        }
 
     def told_reference(self) -> ReferenceTrajectory:
         """The RFT as it was flown, where commands changed it or a target led it: straight between what leaders said."""

@@ -436,6 +436,7 @@ class Agent:
             peers=tuple(sorted(peer.vehicle_id for peer in peers)),
             battery_percent=self._preflight.battery_percent,
             position_error=vehicle.position_error,
+            largest_step_deg=self._setpoints.largest_step_deg,
         )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from math import cos, inf
+from math import cos, degrees, hypot, inf
 
 from companion.core.attitude import attitude_target, limit_acceleration
 from companion.core.disturbance import DisturbanceObserver, Motion
@@ -14,18 +14,23 @@ THRUST_FRESH_S = 0.3  # PX4 tells its thrust 10 times a second where nothing els
 
 
 class SetpointStream:
-    """One vehicle's setpoints. `rejected` counts what was decided and must not be sent."""
+    """One vehicle's setpoints. `rejected` counts what was decided and must not be sent.
+
+    `largest_step_deg` is of roll and pitch together, from one setpoint to the next since the stream began; the first one is
+    compared with the attitude that the vehicle had.
+    """
 
     def __init__(self, limits: EnvelopeLimits, observer: DisturbanceObserver) -> None:
         self._limits = limits
         self._gate = LastGate(limits)
         self.observer = observer
         self.rejected: Counter[str] = Counter()
+        self.largest_step_deg = 0.0
         self._position_used_s = -inf
         self._spoke_s = 0.0
         self._last_word_spoken = False  # in this silence
         self._commanded_enu_m_s2 = ZERO3  # by the last setpoint, less what it did against the disturbance
-        self._sent_thrust_norm = 0.0
+        self._sent = AttitudeTarget(0.0, 0.0, 0.0, 0.0)
         self._yaw_rad = 0.0
 
     def open(self, now_s: float, vehicle: VehicleState) -> None:
@@ -33,7 +38,7 @@ class SetpointStream:
         self._yaw_rad = vehicle.yaw_rad
         self._spoke_s, self._commanded_enu_m_s2 = now_s, ZERO3
         current = self._as_it_flies(now_s, vehicle)
-        self._sent_thrust_norm = current.thrust_norm
+        self._sent, self.largest_step_deg = current, 0.0
         self._gate.open_at(now_s, current, self.observer.hover_thrust_norm)
 
     def silent_s(self, now_s: float) -> float:
@@ -46,7 +51,7 @@ class SetpointStream:
 
     def carry_on(self, now_s: float, vehicle: VehicleState) -> AttitudeTarget | None:
         """What the vehicle does already, until the autopilot has taken the stream."""
-        return self._sent(now_s, vehicle, ZERO3, self._as_it_flies(now_s, vehicle))
+        return self._send(now_s, vehicle, ZERO3, self._as_it_flies(now_s, vehicle))
 
     def follow(self, now_s: float, vehicle: VehicleState, wanted_enu_m_s2: Vector3) -> AttitudeTarget | None:
         """The acceleration as near as tilt and thrust allow, against the disturbance, through the last gate."""
@@ -59,7 +64,7 @@ class SetpointStream:
             self._position_used_s = vehicle.position_time_s
             self.rejected[f"own command: {error}"] += 1
             return None
-        return self._sent(now_s, vehicle, acceleration_enu_m_s2, target)
+        return self._send(now_s, vehicle, acceleration_enu_m_s2, target)
 
     def last_word(self, now_s: float) -> AttitudeTarget | None:
         """Level, once in each silence, for an autopilot that goes on with the last setpoint."""
@@ -78,7 +83,7 @@ class SetpointStream:
 
     def observe_own(self, now_s: float, vehicle: VehicleState) -> None:
         """Learn of wind and hover thrust while the autopilot takes the setpoints."""
-        self._observe(now_s, vehicle, self._spoke_s, self._sent_thrust_norm)
+        self._observe(now_s, vehicle, self._spoke_s, self._sent.thrust_norm)
 
     def observe_told(self, now_s: float, vehicle: VehicleState) -> None:
         """Learn of them while the autopilot flies by itself and tells its thrust."""
@@ -100,7 +105,7 @@ class SetpointStream:
         )
         return (x + dx, y + dy, z + dz), (x, y, z)
 
-    def _sent(
+    def _send(
         self, now_s: float, vehicle: VehicleState, acceleration_enu_m_s2: Vector3, wanted: AttitudeTarget
     ) -> AttitudeTarget | None:
         self._position_used_s = vehicle.position_time_s
@@ -110,8 +115,12 @@ class SetpointStream:
             return None
         self._spoke_s, self._commanded_enu_m_s2 = now_s, acceleration_enu_m_s2
         self._last_word_spoken = False
-        self._sent_thrust_norm = target.thrust_norm
+        self._note_step(target)
         return target
+
+    def _note_step(self, target: AttitudeTarget) -> None:
+        step_rad = hypot(target.roll_rad - self._sent.roll_rad, target.pitch_rad - self._sent.pitch_rad)
+        self.largest_step_deg, self._sent = max(self.largest_step_deg, degrees(step_rad)), target
 
     def _as_it_flies(self, now_s: float, vehicle: VehicleState) -> AttitudeTarget:
         """The attitude that the vehicle has, with the thrust that carries it: no step where the autopilot takes over."""

@@ -1,6 +1,7 @@
 """What an agent makes of the thrust that its autopilot commands, and of the hover thrust that a parameter names."""
 
-from math import nan
+from itertools import pairwise
+from math import degrees, hypot, nan
 
 import pytest
 from test_agent import Flight
@@ -81,3 +82,29 @@ def test_a_parameter_of_the_autopilot_says_where_to_begin(name: str, value: floa
     flight = Flight()
     flight.tick(telemetry=[*flight.telemetry(), ParameterSample(flight.now_s, name, value)])
     assert hover_told(flight) == hover
+
+
+def step_told_deg(flight: Flight) -> float:
+    """By the next status."""
+    for _ in range(10):
+        if status := flight.tick().status:
+            return status.largest_step_deg
+    raise AssertionError("no status")
+
+
+def test_the_largest_step_of_the_attitude_is_told_and_begins_anew_with_each_stream() -> None:
+    flight = Flight().fly_to(FlightPhase.FORMATION)
+    before_deg = step_told_deg(flight)
+    del flight.targets[:-1]
+    flight.velocity = (0.3, 0.6, 0.0)
+    for _ in range(20):
+        flight.tick()
+    steps = [hypot(b.roll_rad - a.roll_rad, b.pitch_rad - a.pitch_rad) for a, b in pairwise(flight.targets)]
+    assert degrees(max(steps)) > before_deg
+    assert step_told_deg(flight) == pytest.approx(degrees(max(steps)))
+    flight.velocity = (0.0, 0.0, 0.0)
+    flight.tick(CommandName.HOLD)
+    for _ in range(100):
+        flight.tick()
+    flight.tick(CommandName.FORM)
+    assert step_told_deg(flight) < degrees(max(steps))

@@ -23,7 +23,7 @@ TIMING = Timing(49.996, 2997, 3, Percentiles(1, 2, 3), Percentiles(4, 5, 6), 5.0
 def summary(law: str, largest_m: float, settle_s: float | None, failure: str | None = None) -> Summary:
     watch = FlightWatch([1, 2, 3, 4], [1], 0.0)
     watch.timing = dict.fromkeys((1, 2, 3, 4), TIMING)
-    empty = summarize(load_scenario(PLATOON), "platoon", watch, None, 1.2, failure, 93.04)
+    empty = summarize(load_scenario(PLATOON), "platoon", watch, None, None, 1.2, failure, 93.04)
     wanted = {"1-2": 1.5, "2-3": 1.5, "3-4": 1.5, "1-4": 4.5}
     return msgspec.structs.replace(
         empty,
@@ -82,7 +82,7 @@ def test_a_flight_in_words() -> None:
 
 def test_a_flight_that_failed_before_any_formation() -> None:
     watch = FlightWatch([1, 2, 3, 4], [1], 0.0)
-    failed = summarize(load_scenario(PLATOON), "platoon", watch, None, None, "vehicle 2: no", 12.0)
+    failed = summarize(load_scenario(PLATOON), "platoon", watch, None, None, None, "vehicle 2: no", 12.0)
     assert in_words(failed) == "platoon, weighted: vehicle 2: no"
     assert failed.duration_s is None
     assert [vehicle.tick for vehicle in failed.vehicles] == [None] * 4

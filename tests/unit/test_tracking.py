@@ -1,0 +1,54 @@
+"""Tracking errors about the RFT and about who leads, from tracks that are known."""
+
+import numpy as np
+import pytest
+
+from companion.core.reference import point
+from sitl.metrics import Formation, standing
+from sitl.tracking import tracking
+from sitl.tracks import Track
+
+SLOTS = standing({1: (0.0, 0.0, 0.0), 2: (-2.0, 0.0, 0.0), 3: (-4.0, 0.0, 0.0)})
+ORIGIN = point((0.0, 0.0, 0.0))
+FORMATION = Formation(0.0, 100.0, 0.0)
+
+
+def at(x_m: float) -> Track:
+    return Track(np.array([0.0, 100.0]), np.array([[x_m, 0.0, 0.0]] * 2))
+
+
+def test_who_follows_is_measured_by_who_leads() -> None:
+    tracks = {1: at(0.1), 2: at(-2.0), 3: at(-4.0)}
+    leads = {1: [(0.0, True)], 2: [(0.0, False)], 3: [(0.0, False)]}
+    found = tracking(tracks, SLOTS, ORIGIN, FORMATION, leads)
+    assert found.to_reference_m == pytest.approx({1: 0.1, 2: 0.0, 3: 0.0})
+    assert found.to_leader_m == {1: None, 2: pytest.approx(0.1), 3: pytest.approx(0.1)}
+
+
+def test_a_change_of_the_lead_changes_who_is_followed() -> None:
+    """From 75 s on vehicle 2 leads: the second half of the second half."""
+    tracks = {1: at(0.0), 2: at(-2.2), 3: at(-4.0)}
+    leads = {1: [(0.0, True), (75.0, False)], 2: [(0.0, False), (75.0, True)], 3: [(0.0, False)]}
+    found = tracking(tracks, SLOTS, ORIGIN, FORMATION, leads).to_leader_m
+    assert found[1] == pytest.approx(0.2)
+    assert found[2] == pytest.approx(0.2)
+    assert found[3] == pytest.approx(0.2 / np.sqrt(2.0), rel=1e-2)
+
+
+def test_of_several_leaders_the_mean_counts() -> None:
+    tracks = {1: at(0.1), 2: at(-1.7), 3: at(-4.0)}
+    leads = {1: [(0.0, True)], 2: [(0.0, True)], 3: [(0.0, False)]}
+    assert tracking(tracks, SLOTS, ORIGIN, FORMATION, leads).to_leader_m[3] == pytest.approx(0.2)
+
+
+def test_only_the_second_half_counts() -> None:
+    moved = Track(np.array([0.0, 49.0, 49.5, 100.0]), np.array([[9.0, 0.0, 0.0]] * 2 + [[0.0, 0.0, 0.0]] * 2))
+    leads = {i: [(0.0, i == 1)] for i in (1, 2, 3)}
+    found = tracking({1: moved, 2: at(-2.0), 3: at(-4.0)}, SLOTS, ORIGIN, FORMATION, leads)
+    assert found.to_reference_m[1] == 0.0
+
+
+def test_while_nobody_leads_nobody_is_followed() -> None:
+    leads = {i: [(0.0, False)] for i in (1, 2, 3)}
+    found = tracking({1: at(0.0), 2: at(-2.0), 3: at(-4.0)}, SLOTS, ORIGIN, FORMATION, leads)
+    assert found.to_leader_m == {1: None, 2: None, 3: None}
