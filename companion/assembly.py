@@ -26,13 +26,14 @@ from companion.core.disturbance import DisturbanceObserver
 from companion.core.envelope import EnvelopeLimits
 from companion.core.fleet_checks import FleetChecks
 from companion.core.formation import FormationLaw, Gains
+from companion.core.formation_limits import FormationLimits
 from companion.core.hand_over import HandOverLimits
 from companion.core.health import AgeLimits
 from companion.core.leader_word import LeaderWatch
 from companion.core.leadership import Leadership
 from companion.core.neighbours import EdgeRule, NeighbourRule, RangeRule
 from companion.core.peers import PeerTable
-from companion.core.pursuit import PursuitLimits
+from companion.core.pursuit import Box, PursuitLimits
 from companion.core.reference import ReferenceTrajectory, along
 from companion.core.reference_plan import LiveReference, ReferencePlan, Rft
 from companion.core.setpoint_stream import SetpointStream
@@ -84,7 +85,8 @@ def build_agent(config: AgentConfig, session: int) -> Agent:
         ),
     )
     tracker = tracker_of(fleet)
-    slots = SlotPlan(member.id, {m.id: m.slot_enu_m for m in fleet.vehicles}, fleet.separation_m, fleet.slot_speed_m_s)
+    limits = FormationLimits(fleet.separation_m, fleet.slot_speed_m_s, _fence(fleet))
+    slots = SlotPlan(member.id, {m.id: m.slot_enu_m for m in fleet.vehicles}, limits)
     leader = LeaderWatch(fleet.peers.leader_word_max_age_s)
     rule = _neighbour_rule(fleet, member.id)
     leadership = Leadership(
@@ -116,7 +118,7 @@ def _references(fleet: FleetConfig, first: Reference) -> ReferencePlan:
         added_acceleration_m_s2=fleet.hand_over_acceleration_m_s2,
         speed_m_s=fleet.peers.max_speed_m_s,
         acceleration_m_s2=most_acceleration_m_s2(fleet.envelope),
-        fence=(fleet.envelope.fence_min_enu_m, fleet.envelope.fence_max_enu_m),
+        fence=_fence(fleet),
     )
 
     def read(described: Described, slots_enu_m: Mapping[int, Vector3]) -> Rft:
@@ -129,6 +131,10 @@ def _references(fleet: FleetConfig, first: Reference) -> ReferencePlan:
         return rft_of(reference)
 
     return ReferencePlan(rft_of(first), read, limits)
+
+
+def _fence(fleet: FleetConfig) -> Box:
+    return fleet.envelope.fence_min_enu_m, fleet.envelope.fence_max_enu_m
 
 
 def rft_of(reference: Reference) -> Rft:

@@ -295,9 +295,17 @@ class _LeadOrder(_Order):
         super().__init__(session, watch, step, clock)
         known = (status.epoch for i in watch.vehicle_ids if (status := watch.status(i)))
         self._lead = Lead(step.leaders, max(known, default=0) + 1)
+        others = [i for i in watch.vehicle_ids if i not in step.leaders]
+        self._reasons = dict.fromkeys(others, "not asked before who is to lead takes the lead")
 
     def _give(self, vehicle_ids: Collection[int]) -> dict[int, CommandReply | None]:
-        return self._session.command(vehicle_ids, CommandName.LEAD, REPLY_WITHIN_S, self._lead)
+        """The others are not asked before all that are to lead have taken it: nobody gives up what nobody takes."""
+        leaders = [i for i in vehicle_ids if i in self._lead.leaders]
+        replies = self._session.command(leaders, CommandName.LEAD, REPLY_WITHIN_S, self._lead) if leaders else {}
+        if not all(reply and reply.accepted for reply in replies.values()):
+            return replies
+        others = [i for i in vehicle_ids if i not in self._lead.leaders]
+        return replies | self._session.command(others, CommandName.LEAD, REPLY_WITHIN_S, self._lead)
 
     def _done(self, vehicle_id: int) -> bool:
         status = self._watch.status(vehicle_id)

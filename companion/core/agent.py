@@ -42,6 +42,7 @@ from companion.types import (
     ReferenceChange,
     RequestOrigin,
     Status,
+    Vector3,
     VehicleState,
 )
 
@@ -149,7 +150,7 @@ class Agent:
         )
         for order in orders:
             if order.answer is None and isinstance(order.command.content, FormationChange):
-                order.answer = self._change_formation(order.command.content, around)
+                order.answer = self._change_formation(order.command.content, vehicle, around)
             elif order.answer is None and isinstance(order.command.content, ReferenceChange):
                 order.answer = self._change_reference(order.command.content, vehicle, around)
         slot = self._slots.update(around.reference_s, around.flying)
@@ -244,18 +245,33 @@ class Agent:
             refusal = f"lead: {missing}" if missing else ""
         return (False, refusal) if refusal else self._cooperation.leadership.obey(lead)
 
-    def _change_formation(self, change: FormationChange, around: Neighbourhood) -> tuple[bool, str]:
+    def _change_formation(
+        self, change: FormationChange, vehicle: VehicleState, around: Neighbourhood
+    ) -> tuple[bool, str]:
+        rft_enu_m = self._rft_enu_m(vehicle, around)
+        if self._machine.stands(vehicle):
+            return self._slots.obey_on_ground(change, around.flying, rft_enu_m)
         in_formation = [other for other in around.flying if other.phase is FlightPhase.FORMATION]
         alone = self._machine.phase is not FlightPhase.FORMATION
-        return self._slots.obey(change, around.reference_s, in_formation if alone else ())
+        return self._slots.obey(change, around.reference_s, in_formation if alone else (), rft_enu_m)
+
+    def _rft_enu_m(self, vehicle: VehicleState, around: Neighbourhood) -> list[Vector3]:
+        """Places of the RFT, as far as they are known here: who may lead knows it, who flies in formation where it is now."""
+        if self._references:
+            return self._references.places_enu_m(around.reference_s)
+        return [self._here_enu_m(vehicle)] if self._machine.phase is FlightPhase.FORMATION else []
+
+    def _here_enu_m(self, vehicle: VehicleState) -> Vector3:
+        """Where this vehicle has the fleet, by its own place."""
+        return place(vehicle.position_enu_m, vehicle.velocity_enu_m_s, self._slots.flown).position_enu_m
 
     def _change_reference(
         self, change: ReferenceChange, vehicle: VehicleState, around: Neighbourhood
     ) -> tuple[bool, str]:
         if self._references is None:
             return False, "reference: this vehicle may not lead, and knows of none"
-        here = place(vehicle.position_enu_m, vehicle.velocity_enu_m_s, self._slots.flown).position_enu_m
-        return self._references.obey(change, around.reference_s, self._slots.slots_enu_m, around.flying, here)
+        here_enu_m = self._here_enu_m(vehicle)
+        return self._references.obey(change, around.reference_s, self._slots.slots_enu_m, around.flying, here_enu_m)
 
     def _obey(
         self, name: CommandName, now_s: float, vehicle: VehicleState, flags: frozenset[HealthFlag]

@@ -121,6 +121,10 @@ class PhaseMachine:
         """Formation is flown, or was until just now: the reference's time runs."""
         return self.phase is P.FORMATION or (self.phase is P.RELEASE and self._leaving_formation)
 
+    def stands(self, vehicle: VehicleState) -> bool:
+        """On the ground, before a take-off or after a landing."""
+        return not vehicle.armed or self.phase in ON_GROUND
+
     def refusal_of_lead(self, vehicle: VehicleState) -> str:
         """Why the lead cannot change now; "" where it can.
 

@@ -28,6 +28,7 @@ from companion.types import (
 )
 
 LATEST_S = 60.0  # ahead of the fleet's time
+LOOKS_AHEAD_S = 120  # for what a formation must keep about the RFT, wherever that leads
 LED_LATELY_S = 2.0  # so long counts what a leader said that is heard no more: another is to take over from it
 FALLS_BACK_S = 1.0  # farther than it is ever put right by in flight
 
@@ -91,6 +92,12 @@ class ReferencePlan:
     def at(self, reference_s: float) -> Place:
         """R and r'' at this time of the fleet's; where a target is followed, now."""
         return self._flown.place if isinstance(self._flown, Pursuit) else self._flown(reference_s)
+
+    def places_enu_m(self, reference_s: float) -> list[Vector3]:
+        """r from this time of the fleet's on, one a second for two minutes; where a target is followed, now alone."""
+        if isinstance(self._flown, Pursuit):
+            return [self._flown.place.position_enu_m]
+        return [self._flown(reference_s + ahead_s).position_enu_m for ahead_s in range(LOOKS_AHEAD_S)]
 
     def obey(
         self,

@@ -91,7 +91,7 @@ def _give(
     if options.action == "leader":
         heard = session.hear(ids, options.wait_s)
         lead = Lead(options.leaders, max((status.epoch for status in heard.values()), default=0) + 1)
-        return session.ask(ids, CommandName.LEAD, options.wait_s, lead)
+        return _hand_lead_over(session, ids, lead, options.wait_s)
     if options.formation:
         formation = _new_formation(session, options.formation, options.wait_s, fleet)
         return session.ask(ids, CommandName.FORMATION, options.wait_s, formation)
@@ -100,6 +100,17 @@ def _give(
         reference = _new_reference(session, options.reference, options.wait_s, fleet)
         return session.ask(may_lead, CommandName.REFERENCE, options.wait_s, reference)
     return session.ask(ids, CommandName(options.action), options.wait_s)
+
+
+def _hand_lead_over(session: FleetSession, ids: Sequence[int], lead: Lead, wait_s: float) -> dict[int, Answer | None]:
+    """Who is to lead is asked first; the others, who leads now among them, only where all of those took the lead.
+
+    So nobody gives the lead up that nobody takes. Whoever is not asked hears of it from those that took it.
+    """
+    answers = session.ask(lead.leaders, CommandName.LEAD, wait_s, lead)
+    if not all(answer and answer.reply.accepted for answer in answers.values()):
+        return answers
+    return answers | session.ask([i for i in ids if i not in lead.leaders], CommandName.LEAD, wait_s, lead)
 
 
 def _prepare_and_arm(session: FleetSession, ids: Sequence[int], wait_s: float) -> dict[int, Answer | None]:

@@ -128,6 +128,9 @@ def test_a_mission_from_one_terminal(ground: Ground) -> None:
     ground.fleet("leader", "2")
     ground.until(FlightPhase.FORMATION, lambda status: status.epoch == 1)
     assert "may lead" in ground.fleet("leader", "3", code=1)
+    together = ground.answers("leader", "1", "3", code=1)  # 3 may not: nobody is told to follow it
+    assert {i: vehicle["answer"] for i, vehicle in together.items()} == {1: "refused", 3: "refused"}
+    ground.until(FlightPhase.FORMATION, lambda status: status.epoch == 1)
 
     assert "expected at least separation_m, 1 m" in ground.fleet("formation", "line", "--spacing", "0.4", code=2)
     ground.fleet("formation", "line", "--spacing", "3", "--heading", "0")

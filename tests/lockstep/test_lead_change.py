@@ -131,7 +131,7 @@ def test_the_reference_goes_on_over_all_changes() -> None:
             assert dist(status.reference_enu_m, true_enu_m) < 0.03
             assert status.leader_word is not None
             lost_s = at_s - flight.formation.reference_start_s - status.leader_word.reference_s
-            assert abs(lost_s) < 0.03  # what a packet waits for its tick does not add up over the changes
+            assert abs(lost_s) < 0.05  # what a packet waits for its tick does not add up over the changes
 
 
 def test_who_does_not_lead_knows_of_no_reference() -> None:

@@ -22,6 +22,7 @@ from companion.types import (
     Content,
     FlightPhase,
     FlownSlot,
+    FormationChange,
     HealthFlag,
     HeartbeatSample,
     HeldReference,
@@ -724,3 +725,39 @@ def test_a_leader_s_second_formation_goes_on_in_the_rft_unless_it_has_landed(lan
             flight.tick()
     assert flight.agent.phase is FlightPhase.FORMATION
     assert reference_s_of(flight.outbox) == pytest.approx(0.0 if lands else flown_s, abs=1.1)
+
+
+SLOTS = ((1, (0.0, 0.0, 0.0)), (2, (-98.0, 0.0, 0.0)))
+
+
+def test_a_follower_refuses_a_formation_that_leaves_the_fence_about_where_the_fleet_is() -> None:
+    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight.peer_reference_s = 9.0
+    flight.tick()
+    change = FormationChange(1, SLOTS, 10.0, 300.0)
+    assert flight.tick(CommandName.FORMATION, lead=change).replies[0].accepted  # the fleet is about x = 0
+    flight.position = (-4.5, 0.0, 1.0)  # 3 m west of its slot: for all it knows, so is the fleet
+    flight.tick()
+    reply = flight.tick(CommandName.FORMATION, lead=replace(change, number=2)).replies[0]
+    words = "formation: puts vehicle 2 at x = -101.0 m, outside the fence (-100 to 100)"
+    assert (reply.accepted, reply.reason) == (False, words)
+
+
+def test_who_may_lead_refuses_a_formation_that_leaves_the_fence_wherever_the_reference_leads() -> None:
+    eight = Flight(fleet=MAY_LEAD, reference=EIGHT)
+    eight.tick()
+    reply = eight.tick(CommandName.FORMATION, lead=FormationChange(1, SLOTS, 1.0, 10.0)).replies[0]
+    assert "puts vehicle 2 at x = -10" in reply.reason  # 3 m west of the eight's centre, half a minute from now
+
+
+def test_a_formation_commanded_on_the_ground_is_the_next_flight_s() -> None:
+    flight = Flight()
+    flight.tick()
+    change = FormationChange(1, ((1, (0.0, 0.0, 0.0)), (2, (-3.0, 0.0, 0.0))), 1.0, 10.0)
+    flight.peer_phase = FlightPhase.READY
+    flight.tick()
+    reply = flight.tick(CommandName.FORMATION, lead=change).replies[0]
+    assert (reply.accepted, reply.reason) == (True, "formation 1, on the ground at once")
+    packet = flight.tick().peer_packet
+    assert packet is not None
+    assert packet.slot == FlownSlot((-3.0, 0.0, 0.0), formation=1, waiting=1)

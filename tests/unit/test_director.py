@@ -283,7 +283,7 @@ def test_the_formation_goes_on_over_changes_of_the_lead(flight: Flight) -> None:
     assert formation is not None
     assert formation.end_s - formation.start_s == pytest.approx(0.6, abs=0.15)
     assert formation.start_s - formation.reference_start_s == pytest.approx(DOING_S, abs=0.03)
-    assert flight.vehicles.leads == [Lead((2,), 1), Lead((1,), 2)]
+    assert list(dict.fromkeys(flight.vehicles.leads)) == [Lead((2,), 1), Lead((1,), 2)]
 
 
 def test_the_topology_is_kept_with_every_change(flight: Flight) -> None:
@@ -298,18 +298,22 @@ def test_the_next_epoch_is_newer_than_any_that_a_vehicle_knows(flight: Flight) -
     for report in flight.vehicles.drain():
         flight.watch.hear(report, flight.watch.began_s)
     flight.director.fly([lead_step(2)])
-    assert flight.vehicles.leads == [Lead((2,), 8)]
+    assert set(flight.vehicles.leads) == {Lead((2,), 8)}
 
 
 def test_a_refused_lead_is_repeated_in_its_epoch_and_who_never_takes_it_is_named(flight: Flight) -> None:
     flight.vehicles.refuses[2, C.LEAD] = ["lead: not now"]
     flight.director.fly([lead_step(2)])
-    assert flight.vehicles.heard == [(C.LEAD, (1, 2)), (C.LEAD, (2,))]
-    assert flight.vehicles.leads == [Lead((2,), 1)] * 2
+    assert flight.vehicles.heard == [(C.LEAD, (2,)), (C.LEAD, (2,)), (C.LEAD, (1,))]
+    assert flight.vehicles.leads == [Lead((2,), 1)] * 3
     flight.vehicles.refuses[1, C.LEAD] = ["lead: not now"] * 20
     with pytest.raises(FlightFailure) as caught:
         flight.director.fly([lead_step(1, timeout_s=0.7)])
-    assert str(caught.value) == "lead not done within 0.7 s: vehicle 1: lead: not now"
+    assert str(caught.value) == (
+        "lead not done within 0.7 s: vehicle 1: lead: not now;"
+        " vehicle 2: not asked before who is to lead takes the lead"
+    )
+    assert [flight.vehicles.statuses[i].role for i in (1, 2)] == [Role.FOLLOWER, Role.LEADER]
 
 
 def test_a_vehicle_that_leaves_formation_after_a_change_of_the_lead_ends_the_flight(flight: Flight) -> None:

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
+from companion.core.formation_limits import FormationLimits
 from companion.core.slot_plan import SlotPlan
 from companion.geometry.curves import Motion, between, circle, duration_s, way
 from companion.geometry.shapes import SHAPES, slots_of
@@ -29,6 +30,7 @@ from companion.types import (
 SIZES = (1, 2, 3, 4, 5, 6, 7, 8, 12, 25)
 LINE: dict[int, Vector3] = {1: (0.0, 0.0, 0.0), 2: (-2.0, 0.0, 0.0), 3: (-4.0, 0.0, 0.0)}
 TURNED: dict[int, Vector3] = {1: (0.0, 0.0, 0.0), 2: (0.0, -2.0, 0.0), 3: (0.0, -4.0, 0.0)}
+FENCE = ((-20.0, -20.0, 0.0), (20.0, 20.0, 20.0))
 CHANGE = FormationChange(1, tuple(TURNED.items()), begins_s=10.0, lasts_s=20.0)
 
 
@@ -132,7 +134,7 @@ def test_a_way_waits_at_its_points_and_stays_at_the_last() -> None:
 
 
 def plan(own_id: int = 2) -> SlotPlan:
-    return SlotPlan(own_id, LINE, separation_m=1.0, max_speed_m_s=1.0)
+    return SlotPlan(own_id, LINE, FormationLimits(1.0, 1.0, FENCE))
 
 
 def other(vehicle_id: int, formation: int, waiting: int) -> PeerPacket:
@@ -146,7 +148,7 @@ KNOW = [other(1, 0, 1), other(3, 0, 1)]
 
 def test_a_change_begins_at_its_time_where_all_have_it() -> None:
     slots = plan()
-    assert slots.obey(CHANGE, 9.0, ()) == (True, "formation 1 begins in 1.0 s")
+    assert slots.obey(CHANGE, 9.0, (), ()) == (True, "formation 1 begins in 1.0 s")
     assert slots.update(9.9, KNOW) == FlownSlot(LINE[2], formation=0, waiting=1)
     assert slots.update(10.0, KNOW) == FlownSlot(LINE[2], formation=1, waiting=1)
     assert slots.events == ["formation 0 -> 1"]
@@ -158,7 +160,7 @@ def test_a_change_begins_at_its_time_where_all_have_it() -> None:
 
 def test_it_does_not_begin_where_one_that_is_heard_missed_it() -> None:
     slots = plan()
-    slots.obey(CHANGE, 9.0, ())
+    slots.obey(CHANGE, 9.0, (), ())
     assert slots.update(10.0, [KNOW[0], other(3, 0, 0)]) == FlownSlot(LINE[2])
     assert slots.events == ["formation 1 does not begin: vehicle 3 does not have it"]
     assert slots.update(20.0, KNOW) == FlownSlot(LINE[2])
@@ -166,25 +168,25 @@ def test_it_does_not_begin_where_one_that_is_heard_missed_it() -> None:
 
 def test_who_began_a_tick_sooner_has_it() -> None:
     slots = plan()
-    slots.obey(CHANGE, 9.0, ())
+    slots.obey(CHANGE, 9.0, (), ())
     assert slots.update(10.0, [other(1, 1, 1), other(3, 0, 1)]).formation == 1
 
 
 def test_the_same_change_may_come_again() -> None:
     slots = plan()
-    slots.obey(CHANGE, 9.0, ())
-    assert slots.obey(CHANGE, 9.5, ())[0]
+    slots.obey(CHANGE, 9.0, (), ())
+    assert slots.obey(CHANGE, 9.5, (), ())[0]
     slots.update(10.0, KNOW)
-    assert slots.obey(CHANGE, 12.0, ())[0]
+    assert slots.obey(CHANGE, 12.0, (), ())[0]
 
 
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
         ({"number": 0}, "number 0 is not newer than 0"),
-        ({"number": 5000}, "number 5000 is not newer than 0"),
+        ({"number": 5000}, "number 5000 is too far ahead of 0"),
         ({"slots_enu_m": CHANGE.slots_enu_m[:2]}, "slots for vehicles [1, 2]; expected [1, 2, 3]"),
-        ({"slots_enu_m": (*CHANGE.slots_enu_m, (3, ZERO3))}, "slots for vehicles [1, 2, 3]; expected [1, 2, 3]"),
+        ({"slots_enu_m": (*CHANGE.slots_enu_m, (3, ZERO3))}, "slots for vehicles [1, 2, 3, 3]; expected [1, 2, 3]"),
         ({"slots_enu_m": ((1, ZERO3), (2, (-0.5, 0.0, 0.0)), (3, LINE[3]))}, "come within 0.50 m of each other"),
         ({"slots_enu_m": ((1, LINE[2]), (2, LINE[1]), (3, LINE[3]))}, "come within 0.00 m of each other"),
         ({"slots_enu_m": ((1, ZERO3), (2, (float("nan"), 0.0, 0.0)), (3, LINE[3]))}, "come within nan m"),
@@ -197,7 +199,7 @@ def test_the_same_change_may_come_again() -> None:
 )
 def test_a_change_that_cannot_be_flown_is_refused_and_changes_nothing(changes: dict[str, object], words: str) -> None:
     slots = plan()
-    accepted, reason = slots.obey(replace(CHANGE, **changes), 9.0, ())
+    accepted, reason = slots.obey(replace(CHANGE, **changes), 9.0, (), ())
     assert not accepted
     assert words in reason
     assert slots.update(50.0, KNOW) == FlownSlot(LINE[2])
@@ -205,23 +207,80 @@ def test_a_change_that_cannot_be_flown_is_refused_and_changes_nothing(changes: d
 
 def test_while_a_formation_is_being_taken_up_no_other_is_taken() -> None:
     slots = plan()
-    slots.obey(CHANGE, 9.0, ())
+    slots.obey(CHANGE, 9.0, (), ())
     slots.update(10.0, KNOW)
     back = FormationChange(2, tuple(LINE.items()), 21.0, 20.0)
-    assert slots.obey(back, 20.0, ()) == (False, "formation: formation 1 is still being taken up")
+    assert slots.obey(back, 20.0, (), ()) == (False, "formation: formation 1 is still being taken up")
     slots.update(30.0, KNOW)
-    assert slots.obey(replace(back, begins_s=31.0), 30.0, ())[0]
+    assert slots.obey(replace(back, begins_s=31.0), 30.0, (), ())[0]
 
 
 def test_who_is_alone_takes_up_at_once_what_the_others_fly() -> None:
     slots = plan()
-    assert slots.obey(CHANGE, 40.0, [other(1, 1, 1)]) == (True, "formation 1, which the others fly")
+    assert slots.obey(CHANGE, 40.0, [other(1, 1, 1)], ()) == (True, "formation 1, which the others fly")
     assert slots.update(40.0, ()) == FlownSlot(TURNED[2], formation=1, waiting=1)
 
 
 def test_after_landing_the_formation_stays_while_the_time_begins_anew() -> None:
     slots = plan()
-    slots.obey(CHANGE, 9.0, ())
+    slots.obey(CHANGE, 9.0, (), ())
     slots.update(10.0, KNOW)
     slots.landed()
     assert slots.update(0.0, ()) == FlownSlot(TURNED[2], formation=1, waiting=1)
+
+
+def test_a_change_that_waits_when_the_vehicle_lands_is_told_of_and_forgotten() -> None:
+    slots = plan()
+    slots.obey(CHANGE, 9.0, (), ())
+    slots.landed()
+    assert slots.events == ["formation 1 does not begin: the fleet's time begins anew"]
+    assert slots.update(30.0, KNOW) == FlownSlot(LINE[2])
+    slots.landed()
+    assert len(slots.events) == 1
+
+
+def test_on_the_ground_a_formation_is_taken_up_at_once_and_by_all() -> None:
+    for own_id in (1, 2, 3):
+        slots = plan(own_id)
+        assert slots.obey_on_ground(CHANGE, (), ()) == (True, "formation 1, on the ground at once")
+        assert slots.update(0.0, ()) == FlownSlot(TURNED[own_id], formation=1, waiting=1)
+        assert slots.update(11.0, ()) == FlownSlot(TURNED[own_id], formation=1, waiting=1)  # nor in the next flight
+        assert not slots.events
+
+
+def test_on_the_ground_slots_must_be_apart_as_well_and_no_way_to_them_counts() -> None:
+    swapped = replace(CHANGE, slots_enu_m=((1, LINE[2]), (2, LINE[1]), (3, LINE[3])))
+    assert plan().obey_on_ground(swapped, (), ())[0]
+    near = replace(CHANGE, slots_enu_m=((1, ZERO3), (2, (-0.5, 0.0, 0.0)), (3, LINE[3])))
+    assert "come within 0.50 m" in plan().obey_on_ground(near, (), ())[1]
+
+
+def test_who_stands_while_others_fly_takes_up_what_they_fly_and_not_before() -> None:
+    slots = plan()
+    accepted, reason = slots.obey_on_ground(CHANGE, KNOW, ())
+    assert (accepted, reason) == (True, "formation 1 is taken over here when the others fly it")
+    assert slots.update(0.0, KNOW) == FlownSlot(LINE[2])
+    assert slots.obey_on_ground(CHANGE, [other(1, 1, 1)], ()) == (True, "formation 1, which the others fly")
+    assert slots.update(0.0, KNOW).position_enu_m == TURNED[2]
+
+
+def test_who_has_a_newer_formation_than_the_others_fly_may_be_given_theirs() -> None:
+    slots = plan()
+    assert slots.obey_on_ground(replace(CHANGE, number=7), (), ())[0]
+    assert slots.obey(CHANGE, 40.0, [other(1, 1, 1)], ())[0]
+    assert slots.update(40.0, ()).formation == 1
+
+
+@pytest.mark.parametrize(
+    ("rft_enu_m", "words"),
+    [
+        ((0.0, -17.0, 5.0), "puts vehicle 3 at y = -21.0 m, outside the fence (-20 to 20)"),
+        ((0.0, 0.0, -0.1), "puts vehicle 1 at z = -0.1 m, outside the fence (0 to 20)"),
+    ],
+)
+def test_no_formation_leaves_the_fence(rft_enu_m: Vector3, words: str) -> None:
+    inside = (0.0, 0.0, 5.0)
+    assert plan().obey(CHANGE, 9.0, (), [inside])[0]
+    for refused in (plan().obey(CHANGE, 9.0, (), [inside, rft_enu_m]), plan().obey_on_ground(CHANGE, (), [rft_enu_m])):
+        assert not refused[0]
+        assert words in refused[1]
