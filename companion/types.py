@@ -334,6 +334,15 @@ class HeldReference(Struct, frozen=True, gc=False):
     begun_s: float = 0.0
 
 
+class FormationChange(Struct, frozen=True, gc=False, tag=True):
+    """Other slots d_i0 for every vehicle of the fleet, gone to in step: from `begins_s` of the fleet's time (the RFT's) on."""
+
+    number: int
+    slots_enu_m: tuple[tuple[int, Vector3], ...]
+    begins_s: float
+    lasts_s: float
+
+
 class PeerPacket(Struct, frozen=True, gc=False):
     """What a vehicle tells its peers at every tick.
 
@@ -356,6 +365,7 @@ class PeerPacket(Struct, frozen=True, gc=False):
     slot: FlownSlot
     position_error: PositionError | None = None  # None where the estimator does not tell
     reference: HeldReference | None = None  # None where it may not lead
+    change: FormationChange | None = None  # passed on by who leads in formation to those that do not have it
 
 
 class ReceivedPeerPacket(Struct, frozen=True, gc=False):
@@ -408,15 +418,6 @@ class Lead(Struct, frozen=True, gc=False, tag=True):
 
     leaders: tuple[int, ...]
     epoch: int
-
-
-class FormationChange(Struct, frozen=True, gc=False, tag=True):
-    """Other slots d_i0 for every vehicle of the fleet, gone to in step: from `begins_s` of the fleet's time (the RFT's) on."""
-
-    number: int
-    slots_enu_m: tuple[tuple[int, Vector3], ...]
-    begins_s: float
-    lasts_s: float
 
 
 Described = dict[str, bool | int | float | str | list[float | list[float]]]

@@ -41,6 +41,7 @@ from companion.types import (
     PeerPacket,
     ReferenceChange,
     RequestOrigin,
+    Role,
     Status,
     Vector3,
     VehicleState,
@@ -103,6 +104,7 @@ class Agent:
         self._stopping_s: float | None = None  # since when this agent is to stop
         self._fit_to_lead = False  # as of the last tick
         self._missed_leader = False  # likewise
+        self._not_taken: int | None = None  # the formation passed on that was refused last, and told of
         self._status_s = -inf
         self._last_event = ""
         self._warnings: list[str] = []
@@ -153,6 +155,7 @@ class Agent:
                 order.answer = self._change_formation(order.command.content, vehicle, around)
             elif order.answer is None and isinstance(order.command.content, ReferenceChange):
                 order.answer = self._change_reference(order.command.content, vehicle, around)
+        self._hear_of_formations(vehicle, around)
         slot = self._slots.update(around.reference_s, around.flying)
         if self._references:
             self._references.update(now_s, around.reference_s, self._slots.slots_enu_m, around.flying, inbox.targets)
@@ -254,6 +257,32 @@ class Agent:
         in_formation = [other for other in around.flying if other.phase is FlightPhase.FORMATION]
         alone = self._machine.phase is not FlightPhase.FORMATION
         return self._slots.obey(change, around.reference_s, in_formation if alone else (), rft_enu_m)
+
+    def _hear_of_formations(self, vehicle: VehicleState, around: Neighbourhood) -> None:
+        """What leaders pass on is taken like a command; of two that have different ones, the smallest id's."""
+        leading = [p for p in around.flying if p.role is Role.LEADER and p.phase is FlightPhase.FORMATION]
+        own = [self._setup.vehicle_id] if self._leads_formation(around) else []
+        first_id = min([*own, *(p.vehicle_id for p in leading)], default=0)
+        for vehicle_id, change in self._passed_on(leading, vehicle):
+            if not self._slots.lacks(change, over_own=vehicle_id == first_id):
+                continue
+            accepted, reason = self._change_formation(change, vehicle, around)
+            if accepted or change.number != self._not_taken:
+                self._warnings.append(f"passed on by vehicle {vehicle_id}: {reason}")
+            self._not_taken = None if accepted else change.number
+
+    def _passed_on(self, leading: list[PeerPacket], vehicle: VehicleState) -> list[tuple[int, FormationChange]]:
+        """By those that lead in this vehicle's term; to one that stands only what is flown: it has nothing to begin."""
+        term, stands = self._cooperation.leadership.term, self._machine.stands(vehicle)
+        return [
+            (p.vehicle_id, p.change)
+            for p in sorted(leading, key=lambda p: p.vehicle_id)
+            if p.change and p.leader_word and p.leader_word.term == term
+            if not stands or p.change.number == p.slot.formation
+        ]
+
+    def _leads_formation(self, around: Neighbourhood) -> bool:
+        return around.role is Role.LEADER and self._machine.phase is FlightPhase.FORMATION
 
     def _rft_enu_m(self, vehicle: VehicleState, around: Neighbourhood) -> list[Vector3]:
         """Places of the RFT, as far as they are known here: who may lead knows it, who flies in formation where it is now."""
@@ -397,6 +426,7 @@ class Agent:
             slot=self._slots.flown,
             position_error=vehicle.position_error,
             reference=self._references.held if self._references else None,
+            change=self._slots.to_pass_on(self._heard(now_s)) if self._leads_formation(around) else None,
         )
 
     def _status_due(self, now_s: float, events: tuple[str, ...]) -> bool:

@@ -14,6 +14,7 @@ from companion.types import (
     MAX_EPOCHS_AHEAD,
     ZERO3,
     FlownSlot,
+    FormationChange,
     LeaderWord,
     PeerPacket,
     ReceivedPeerPacket,
@@ -146,6 +147,8 @@ class PeerTable:
         held = packet.reference
         if held and not (0 <= held.flown <= held.waiting and 0.0 <= held.begun_s <= MAX_REFERENCE_S):
             return "reference not plausible"
+        if packet.change is not None and not (leads and self._is_plausible_change(packet.change)):
+            return "formation passed on not plausible"
         word = packet.leader_word
         if leads and (word is None or word.leader_id != packet.vehicle_id):
             return "a leader without a word of its own"
@@ -159,6 +162,13 @@ class PeerTable:
         slow = hypot(*slot.velocity_enu_m_s) <= self._max_speed_m_s
         gentle = hypot(*slot.acceleration_enu_m_s2) <= MAX_ACCELERATION_M_S2
         return inside and slow and gentle and 0 <= slot.formation <= slot.waiting
+
+    def _is_plausible_change(self, change: FormationChange) -> bool:
+        """One slot for each vehicle of the fleet, nothing out of this world; the rest is `core/slot_plan.py`'s to judge."""
+        of_each = sorted(vehicle_id for vehicle_id, _ in change.slots_enu_m) == sorted(self._may_lead)
+        near = all(abs(d) <= MAX_COORDINATE_M for _, slot_enu_m in change.slots_enu_m for d in slot_enu_m)
+        in_time = 0.0 <= change.begins_s <= MAX_REFERENCE_S and 0.0 <= change.lasts_s <= MAX_REFERENCE_S
+        return of_each and near and in_time and change.number >= 0
 
     def _is_plausible(self, word: LeaderWord) -> bool:
         may_lead = self._may_lead.get(word.leader_id, False)

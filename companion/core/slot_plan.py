@@ -69,6 +69,24 @@ class SlotPlan:
         self._before_enu_m = self.slots_enu_m
         return True, f"formation {change.number}, on the ground at once"
 
+    def lacks(self, change: FormationChange, over_own: bool) -> bool:
+        """Is this one new here that a leader passes on? With `over_own` also where another of its number waits."""
+        waiting, flown = self._waiting, self._flown
+        if waiting is not None and change.number <= waiting.number:
+            return over_own and change.number == waiting.number and change != waiting
+        return change.number != flown.number
+
+    def to_pass_on(self, others: Iterable[PeerPacket]) -> FormationChange | None:
+        """What a leader tells all. `others` are all that are heard of, whatever they do.
+
+        What waits is told as long as it does, so that all have the same in the end; what is flown, while somebody has it not.
+        """
+        if self._waiting:
+            return self._waiting
+        number = self._flown.number
+        lacked = any(number not in (other.slot.formation, other.slot.waiting) for other in others)
+        return self._flown if lacked else None
+
     def update(self, reference_s: float, others: Iterable[PeerPacket]) -> FlownSlot:
         """The slot to be flown now. `others` are all that are heard of and fly."""
         waiting = self._waiting

@@ -4,7 +4,17 @@ from __future__ import annotations
 
 import msgspec
 
-from companion.types import FlightPhase, FlownSlot, HeldReference, LeaderWord, PeerPacket, PositionError, Role, Vector3
+from companion.types import (
+    FlightPhase,
+    FlownSlot,
+    FormationChange,
+    HeldReference,
+    LeaderWord,
+    PeerPacket,
+    PositionError,
+    Role,
+    Vector3,
+)
 from companion.wire.version import DECODE_ERRORS, WireError, seal, unseal
 
 
@@ -25,6 +35,7 @@ class _PeerWire(msgspec.Struct, array_like=True, frozen=True, forbid_unknown_fie
     slot: tuple[Vector3, Vector3, Vector3, int, int]  # position, velocity, acceleration, formation, waiting
     position_error: tuple[float, float] | None  # horizontal_m, vertical_m
     reference: tuple[int, int, float] | None  # flown, waiting, begun_s
+    change: tuple[int, tuple[tuple[int, Vector3], ...], float, float] | None  # number, slots, begins_s, lasts_s
 
 
 _encoder = msgspec.msgpack.Encoder()
@@ -33,6 +44,7 @@ _decoder = msgspec.msgpack.Decoder(_PeerWire)
 
 def encode_peer(packet: PeerPacket) -> bytes:
     word, slot, error, held = packet.leader_word, packet.slot, packet.position_error, packet.reference
+    change = packet.change
     return seal(
         _encoder.encode(
             _PeerWire(
@@ -52,6 +64,7 @@ def encode_peer(packet: PeerPacket) -> bytes:
                 (slot.position_enu_m, slot.velocity_enu_m_s, slot.acceleration_enu_m_s2, slot.formation, slot.waiting),
                 (error.horizontal_m, error.vertical_m) if error else None,
                 (held.flown, held.waiting, held.begun_s) if held else None,
+                (change.number, change.slots_enu_m, change.begins_s, change.lasts_s) if change else None,
             )
         )
     )
@@ -80,4 +93,5 @@ def decode_peer(data: bytes) -> PeerPacket:
         FlownSlot(*wire.slot),
         PositionError(*wire.position_error) if wire.position_error else None,
         HeldReference(*wire.reference) if wire.reference else None,
+        FormationChange(*wire.change) if wire.change else None,
     )

@@ -284,3 +284,28 @@ def test_no_formation_leaves_the_fence(rft_enu_m: Vector3, words: str) -> None:
     for refused in (plan().obey(CHANGE, 9.0, (), [inside, rft_enu_m]), plan().obey_on_ground(CHANGE, (), [rft_enu_m])):
         assert not refused[0]
         assert words in refused[1]
+
+
+def test_a_leader_passes_on_what_waits_and_what_is_flown_while_somebody_lacks_it() -> None:
+    slots = plan(1)
+    assert slots.to_pass_on([other(2, 0, 0)]) is None
+    slots.obey(CHANGE, 9.0, (), ())
+    assert slots.to_pass_on(KNOW) == CHANGE
+    slots.update(10.0, KNOW)
+    assert slots.to_pass_on([other(2, 1, 1), other(3, 0, 1)]) is None
+    assert slots.to_pass_on([other(2, 1, 1), other(3, 0, 0)]) == CHANGE
+    assert slots.to_pass_on([other(2, 2, 2)]) == CHANGE  # of one that came to nothing
+
+
+def test_of_two_with_one_number_the_first_leader_s_counts() -> None:
+    slots, same_number = plan(), replace(CHANGE, begins_s=11.0)
+    assert slots.lacks(CHANGE, over_own=False)
+    slots.obey(CHANGE, 9.0, (), ())
+    assert not slots.lacks(CHANGE, over_own=True)
+    assert slots.lacks(same_number, over_own=True)
+    assert not slots.lacks(same_number, over_own=False)
+    assert slots.lacks(replace(CHANGE, number=2), over_own=False)
+    assert slots.obey(same_number, 9.0, (), ())[0]
+    assert slots.update(10.5, KNOW).formation == 0
+    assert slots.update(11.0, KNOW).formation == 1
+    assert not slots.lacks(same_number, over_own=True)

@@ -10,7 +10,16 @@ from msgspec.structs import replace
 
 from companion.core.neighbours import EdgeRule, RangeRule
 from companion.core.peers import PeerState, PeerTable
-from companion.types import FlightPhase, FlownSlot, LeaderWord, PeerPacket, PositionError, ReceivedPeerPacket, Role
+from companion.types import (
+    FlightPhase,
+    FlownSlot,
+    FormationChange,
+    LeaderWord,
+    PeerPacket,
+    PositionError,
+    ReceivedPeerPacket,
+    Role,
+)
 
 MAY_LEAD = {1: True, 2: False, 3: False}
 GOOD = PeerPacket(
@@ -100,6 +109,30 @@ def test_whatever_comes_the_table_holds_only_finite_numbers(position: Any, veloc
     heard(peers, position_enu_m=position, velocity_enu_m_s=velocity, state_age_s=age, prc=prc)
     for peer in peers.fresh(1.0).values():
         assert all(abs(x) < 1e6 for x in peer.position_at(1.0))
+
+
+SLOTS = ((1, (0.0, 0.0, 0.0)), (2, (-2.0, 0.0, 0.0)), (3, (-4.0, 0.0, 0.0)))
+LEADS = {"vehicle_id": 1, "prc": 1, "role": Role.LEADER}
+
+
+@pytest.mark.parametrize(
+    ("change", "by"),
+    [
+        (FormationChange(1, SLOTS, 10.0, 5.0), {}),  # a follower passes on none
+        (FormationChange(1, SLOTS[:2], 10.0, 5.0), LEADS),
+        (FormationChange(1, (*SLOTS, SLOTS[0]), 10.0, 5.0), LEADS),
+        (FormationChange(1, ((1, (nan, 0.0, 0.0)), *SLOTS[1:]), 10.0, 5.0), LEADS),
+        (FormationChange(1, ((1, (0.0, 3e4, 0.0)), *SLOTS[1:]), 10.0, 5.0), LEADS),
+        (FormationChange(-1, SLOTS, 10.0, 5.0), LEADS),
+        (FormationChange(1, SLOTS, nan, 5.0), LEADS),
+        (FormationChange(1, SLOTS, 10.0, inf), LEADS),
+    ],
+)
+def test_a_formation_passed_on_that_cannot_be_is_never_used(change: FormationChange, by: dict[str, Any]) -> None:
+    assert heard(table(), change=FormationChange(1, SLOTS, 10.0, 5.0), **LEADS) == []
+    peers = table()
+    assert "formation passed on not plausible" in heard(peers, change=change, **by)[0]
+    assert peers.fresh(1.0) == {}
 
 
 def test_who_may_lead_is_believed_in_either_role() -> None:

@@ -66,6 +66,7 @@ packets = st.builds(
     leader_word=leader_words,
     slot=flown_slots,
     reference=st.none() | st.builds(HeldReference, counts, counts, numbers),
+    change=st.none() | st.builds(FormationChange, counts, st.tuples(st.tuples(counts, vectors)), numbers, numbers),
 )
 percentiles = st.builds(Percentiles, numbers, numbers, numbers)
 reports = st.builds(
