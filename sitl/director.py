@@ -241,7 +241,10 @@ class _Order:
                 self._look_for_falling_back(vehicle_id, self._clock.now_s())
 
     def _ask(self, vehicle_ids: Collection[int]) -> None:
-        for vehicle_id, reply in self._give(vehicle_ids).items():
+        asked_s = self._clock.now_s()
+        replies = self._give(vehicle_ids)
+        self._watch.note_answers(asked_s, self._clock.now_s(), self._step.command, replies)
+        for vehicle_id, reply in replies.items():
             if reply is not None and reply.accepted:
                 self._accepted_s[vehicle_id] = self._clock.now_s()
             self._reasons[vehicle_id] = reply.reason if reply else "its agent does not answer"

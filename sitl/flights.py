@@ -32,7 +32,7 @@ class Result:
 
 
 OWN_FILES = re.compile(
-    r"summary\.json|comparison\.(json|png)|figure_[56]\.png|(scenario|fleet|vehicle_\d+|autopilot_\d+)\.yaml"
+    r"summary\.json|comparison\.(json|png)|figure_[56]\.png|from_above\.png|(scenario|fleet|vehicle_\d+|autopilot_\d+)\.yaml"
     r"|(truth|estimated)_\d+\.csv|(agent|autopilot)_\d+\.log"
 )
 
@@ -133,10 +133,12 @@ def write_results(
     )
     write_json(folder / "summary.json", summary)
     if flight:
-        from sitl.plots import save_figure_5, save_figure_6  # matplotlib takes its time and memory
+        from sitl.plan_view import save_plan_view  # matplotlib takes its time and memory
+        from sitl.plots import save_figure_5, save_figure_6
 
         save_figure_5(folder / "figure_5.png", flight, name)
         save_figure_6(folder / "figure_6.png", flight, name)
+        save_plan_view(folder / "from_above.png", flight, watch, name)
     return Result(summary, flight)
 
 

@@ -36,6 +36,7 @@ the folder (default: runs/SCENARIO-LAW-DATE-TIME; with --compare one folder per 
 in it go):
   summary.json                   largest, smallest and final distances, settling time, final error, timing of each agent
   figure_5.png, figure_6.png     x and y curves, inter-distances; all from true positions
+  from_above.png                 the paths from above, with who led and who heeded whom after each command
   comparison.json, .png          with --compare
   scenario.yaml                  as flown; fleet.yaml, vehicle_N.yaml, autopilot_N.yaml are made from it
   truth_N.csv                    where vehicle N truly was, 50 times a second

@@ -34,7 +34,7 @@ the folder (default: runs/SCENARIO-LAW-DATE-TIME; with --compare one folder per 
 in it go):
   summary.json              as of `sitl fly`, and real_time_factor: seconds flown per second that it took to fly them. What
                             `sitl fly` times (tick, telemetry_to_command_us, cpu_percent, rss_mb) is null in virtual time
-  figure_5.png, figure_6.png, comparison.json, comparison.png, scenario.yaml      as of `sitl fly`
+  figure_5.png, figure_6.png, from_above.png, comparison.json, comparison.png, scenario.yaml      as of `sitl fly`
   truth_N.csv               where vehicle N truly was, 50 times a second; its clock is virtual and begins at 0
 
 Ctrl-C lands all vehicles, which takes no time here, and writes the folder; a second Ctrl-C stops at once.

@@ -13,7 +13,7 @@ from companion.wire.ground import Percentiles
 from sitl.metrics import FormationFigures, TrackSource, neighbouring_pairs, pair_name
 from sitl.scenario import Scenario
 from sitl.tracking import Tracking
-from sitl.watch import Event, FlightWatch
+from sitl.watch import AskedFor, Event, FlightWatch
 
 SCHEMA = 1
 MAX_MISSED_SHARE, MAX_LATENCY_MS = 0.005, 5.0  # of the ticks; p99 from telemetry to command. Idle: none, below 1 ms
@@ -81,6 +81,7 @@ class Summary(Struct, frozen=True, kw_only=True):
     settle_s: float | None
     final_error_m: float | None
     smallest_distance_m: float | None
+    commands: list[AskedFor]
     events: list[Event]
 
 
@@ -123,6 +124,7 @@ def summarize(
             _vehicle(member.id, member.role, watch, figures, tracked)
             for member in sorted(fleet.vehicles, key=lambda member: member.id)
         ],
+        commands=watch.commands,
         events=watch.events,
     )
 
@@ -184,6 +186,7 @@ def in_words(summary: Summary) -> str:
     settled = "never to 10 cm" if summary.settle_s is None else f"{summary.settle_s:.1f} s to 10 cm"
     lines.append(f"  settled           {settled}; final error {summary.final_error_m:.3f} m")
     lines.extend(_tracking_in_words(summary))
+    lines.extend(_answers_in_words(summary))
     lines.extend(_ticks_in_words(summary))
     if busy := too_busy(summary):
         lines.append(f"  {TOO_SLOW[summary.tracks].format(busy)}")
@@ -215,6 +218,15 @@ def _tracking_in_words(summary: Summary) -> list[str]:
     if steps_deg := [v.largest_step_deg for v in summary.vehicles if v.largest_step_deg is not None]:
         lines.append(f"  attitude steps    at most {max(steps_deg):.1f} degrees from one setpoint to the next")
     return lines
+
+
+def _answers_in_words(summary: Summary) -> list[str]:
+    answered_s = [asked.answered_in_s for asked in summary.commands]
+    in_time_s = [seconds for seconds in answered_s if seconds is not None]
+    if not in_time_s:
+        return []
+    missing = f", {len(answered_s) - len(in_time_s)} not by all" if len(in_time_s) < len(answered_s) else ""
+    return [f"  commands          {len(answered_s)} given, answered by all within {max(in_time_s):.2f} s{missing}"]
 
 
 def _each(values_m: Mapping[int, float]) -> str:

@@ -10,7 +10,7 @@ from msgspec import Struct
 from companion.core.formation import Place
 from companion.core.reference import ReferenceTrajectory
 from companion.ground.fleet_status import FleetState, VehicleRow, fold, rows
-from companion.types import ZERO3, FlightPhase, LandedState, Role, Status, Vector3
+from companion.types import ZERO3, CommandName, CommandReply, FlightPhase, LandedState, Role, Status, Vector3
 from companion.wire.ground import StatusReport, Timing
 from sitl.metrics import Formation
 from sitl.tracking import Leads
@@ -26,6 +26,18 @@ class Event(Struct, frozen=True, kw_only=True):
     time_s: float
     vehicle: int
     event: str
+
+
+class AskedFor(Struct, frozen=True, kw_only=True):
+    """A command to some vehicles at once, `time_s` after the flight's beginning.
+
+    `answered_in_s` is how long it took until the last of them had answered; None where one did not.
+    """
+
+    time_s: float
+    command: CommandName
+    vehicles: list[int]
+    answered_in_s: float | None
 
 
 class TopologyChange(Struct, frozen=True, kw_only=True):
@@ -55,6 +67,7 @@ class FlightWatch:
         self.began_s = began_s
         self.events: list[Event] = []
         self.topology: list[TopologyChange] = []
+        self.commands: list[AskedFor] = []
         self.timing: dict[int, Timing] = {}  # of each vehicle's last formation
         self.formation: Formation | None = None  # the last one flown
         # Of each vehicle: when it was where, by its own estimate. From its being armed on, later ones last.
@@ -112,6 +125,19 @@ class FlightWatch:
     def slots(self) -> dict[int, Track]:
         """Each vehicle's slot d_i0 over time, as it said itself."""
         return {i: told_track(i, told) for i, told in self._slots.items()}
+
+    def note_answers(
+        self, asked_s: float, now_s: float, command: CommandName, replies: Mapping[int, CommandReply | None]
+    ) -> None:
+        """Take in what was answered to one command that was given at `asked_s`."""
+        self.commands.append(
+            AskedFor(
+                time_s=round(asked_s - self.began_s, 3),
+                command=command,
+                vehicles=sorted(replies),
+                answered_in_s=round(now_s - asked_s, 3) if all(replies.values()) else None,
+            )
+        )
 
     def leads(self) -> Leads:
         """When each vehicle led, as it said itself."""

@@ -1,0 +1,141 @@
+"""Figures 9 and 10 of Hou and Zhang (2021) from tracks: the formation from above, a panel for each command that changed it.
+
+Readable in grey: who leads is a filled square, who follows an open circle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from math import ceil
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from companion.core.arrays import FloatArray
+from companion.types import CommandName, Role
+from sitl.metrics import Flight, reference_positions_m
+from sitl.plots import GUIDE, POSITIONS, law_title, new_figure
+from sitl.watch import FlightWatch, TopologyChange
+
+CHANGES = frozenset({CommandName.LEAD, CommandName.FORMATION, CommandName.REFERENCE})
+COLUMNS = 3
+MAX_PANELS = 9
+PANEL_IN = 4.0
+SAMPLE_S = 0.1
+SHAPES = (0.35, 1.2)  # height to width of a panel, at the least and at the most
+MARGIN = 0.06  # of the larger extent
+LEADER, FOLLOWER, EDGE = "#D55E00", "#0072B2", "#999999"
+
+
+@dataclass(frozen=True, slots=True)
+class Panel:
+    """A part of a formation, in seconds of the tracks' clock, and what it began with."""
+
+    start_s: float
+    end_s: float
+    began_with: str
+
+
+def save_plan_view(path: Path, flight: Flight, watch: FlightWatch, name: str) -> None:
+    """Paths from above, and at each panel's end where everybody is, who leads and who heeds whom."""
+    panels = panels_of(flight, watch)
+    columns = min(COLUMNS, len(panels))
+    rows = ceil(len(panels) / columns)
+    low_m, high_m = _extent_m(flight)
+    width_m, height_m = high_m - low_m
+    panel_in = PANEL_IN * float(np.clip(height_m / width_m, *SHAPES))
+    figure = new_figure(0.8 + PANEL_IN * max(columns, 1.5), 1.4 + (panel_in + 0.35) * rows, f"{name}: from above")
+    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    for axes, panel in zip(grid.flat, panels, strict=False):
+        _draw(axes, flight, watch, panel)
+        axes.set_aspect("equal")
+        axes.set_xlim(low_m[0], high_m[0])
+        axes.set_ylim(low_m[1], high_m[1])
+    for axes in grid.flat[len(panels) :]:
+        axes.set_visible(False)
+    for axes in grid[:, 0]:
+        axes.set_ylabel("y, north [m]")
+    for axes in grid[-1]:
+        axes.set_xlabel("x, east [m]")
+    _legend(grid[0, 0])
+    handles, labels = grid[0, 0].get_legend_handles_labels()
+    source = f"{POSITIONS[flight.source]}, {law_title(flight)}"
+    figure.legend(handles, labels, loc="outside lower center", ncols=5, frameon=False, fontsize=9, title=source)
+    figure.savefig(path, dpi=130)
+
+
+def panels_of(flight: Flight, watch: FlightWatch) -> list[Panel]:
+    """From the formation's start to its end, parted by the commands that changed it; of too many, the last ones."""
+    start_s, end_s = flight.formation.start_s, flight.formation.end_s
+    given = [(watch.began_s + asked.time_s, asked.command) for asked in watch.commands if asked.command in CHANGES]
+    marks = [(start_s, "form"), *((at_s, str(name)) for at_s, name in given if start_s < at_s < end_s), (end_s, "")]
+    panels = [Panel(a_s, b_s, began_with) for (a_s, began_with), (b_s, _) in pairwise(marks) if b_s - a_s > SAMPLE_S]
+    return panels[-MAX_PANELS:]
+
+
+def _extent_m(flight: Flight) -> tuple[FloatArray, FloatArray]:
+    """The lower left and the upper right corner, (2,) each, of all that is flown in formation, with a margin."""
+    times_s = flight.formation.times_s()
+    flown_m = np.concatenate([track.at(times_s)[:, :2] for track in flight.tracks.values()])
+    low_m, high_m = flown_m.min(axis=0), flown_m.max(axis=0)
+    largest_m = float(max(*(high_m - low_m), 1.0))
+    middle_m, half_m = (low_m + high_m) / 2.0, np.maximum((high_m - low_m) / 2.0, SHAPES[0] * largest_m / 2.0)
+    return middle_m - half_m - MARGIN * largest_m, middle_m + half_m + MARGIN * largest_m
+
+
+def _draw(axes: Axes, flight: Flight, watch: FlightWatch, panel: Panel) -> None:
+    times_s = np.linspace(panel.start_s, panel.end_s, max(2, round((panel.end_s - panel.start_s) / SAMPLE_S)))
+    reference_m = reference_positions_m(flight.reference, flight.formation.reference_start_s, times_s)
+    axes.plot(reference_m[:, 0], reference_m[:, 1], **GUIDE)
+    now = {change.vehicle: change for change in watch.topology if watch.began_s + change.time_s <= panel.end_s}
+    at_end = {i: track.at(times_s[-1:])[0] for i, track in flight.tracks.items()}
+    _draw_edges(axes, at_end, list(now.values()))
+    for vehicle_id, track in sorted(flight.tracks.items()):
+        leads = vehicle_id in now and now[vehicle_id].role is Role.LEADER
+        colour = LEADER if leads else FOLLOWER
+        path_m = track.at(times_s)
+        axes.plot(path_m[:, 0], path_m[:, 1], color=colour, linewidth=0.9, alpha=0.7)
+        _draw_vehicle(axes, at_end[vehicle_id], colour, leads)
+        axes.annotate(
+            str(vehicle_id), at_end[vehicle_id][:2], xytext=(6, 6), textcoords="offset points", fontsize=8, color=colour
+        )
+    since_s = flight.formation.start_s
+    axes.set_title(
+        f"{panel.start_s - since_s:.0f} to {panel.end_s - since_s:.0f} s, after {panel.began_with}", fontsize=10
+    )
+    axes.grid(visible=True, color="#e6e6e6", linewidth=0.7)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.tick_params(labelsize=9)
+
+
+def _draw_edges(axes: Axes, at_end: dict[int, FloatArray], topology: Sequence[TopologyChange]) -> None:
+    pairs = {(min(c.vehicle, j), max(c.vehicle, j)) for c in topology for j in c.neighbours if j in at_end}
+    for i, j in sorted(pairs):
+        (xi, yi, _), (xj, yj, _) = at_end[i], at_end[j]
+        axes.plot([xi, xj], [yi, yj], color=EDGE, linewidth=1.0, zorder=1.8)
+
+
+def _draw_vehicle(axes: Axes, position_m: FloatArray, colour: str, leads: bool) -> None:
+    face = colour if leads else "white"
+    axes.plot(
+        position_m[:1],
+        position_m[1:2],
+        "s" if leads else "o",
+        color=colour,
+        markerfacecolor=face,
+        markersize=8,
+        markeredgewidth=1.5,
+    )
+
+
+def _legend(axes: Axes) -> None:
+    """Names what `_draw` draws, without drawing anything."""
+    axes.plot([], [], "s", color=LEADER, label="leads")
+    axes.plot([], [], "o", color=FOLLOWER, markerfacecolor="white", markeredgewidth=1.5, label="follows")
+    axes.plot([], [], color=FOLLOWER, linewidth=0.9, label="path")
+    axes.plot([], [], color=EDGE, linewidth=1.0, label="heed each other")
+    axes.plot([], [], **GUIDE, label="reference")
