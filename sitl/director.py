@@ -243,7 +243,7 @@ class _Order:
     def _ask(self, vehicle_ids: Collection[int]) -> None:
         asked_s = self._clock.now_s()
         replies = self._give(vehicle_ids)
-        self._watch.note_answers(asked_s, self._clock.now_s(), self._step.command, replies)
+        self._watch.note_answers(asked_s, self._clock.now_s(), self._step, replies)
         for vehicle_id, reply in replies.items():
             if reply is not None and reply.accepted:
                 self._accepted_s[vehicle_id] = self._clock.now_s()

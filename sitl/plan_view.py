@@ -56,10 +56,11 @@ def save_plan_view(path: Path, flight: Flight, watch: FlightWatch, name: str) ->
         axes.set_ylim(low_m[1], high_m[1])
     for axes in grid.flat[len(panels) :]:
         axes.set_visible(False)
+    for axes in grid.flat[max(0, len(panels) - columns) : len(panels)]:
+        axes.tick_params(labelbottom=True)
+        axes.set_xlabel("x, east [m]")
     for axes in grid[:, 0]:
         axes.set_ylabel("y, north [m]")
-    for axes in grid[-1]:
-        axes.set_xlabel("x, east [m]")
     _legend(grid[0, 0])
     handles, labels = grid[0, 0].get_legend_handles_labels()
     source = f"{POSITIONS[flight.source]}, {law_title(flight)}"
@@ -70,8 +71,8 @@ def save_plan_view(path: Path, flight: Flight, watch: FlightWatch, name: str) ->
 def panels_of(flight: Flight, watch: FlightWatch) -> list[Panel]:
     """From the formation's start to its end, parted by the commands that changed it; of too many, the last ones."""
     start_s, end_s = flight.formation.start_s, flight.formation.end_s
-    given = [(watch.began_s + asked.time_s, asked.command) for asked in watch.commands if asked.command in CHANGES]
-    marks = [(start_s, "form"), *((at_s, str(name)) for at_s, name in given if start_s < at_s < end_s), (end_s, "")]
+    given = [(watch.began_s + asked.time_s, asked.in_words) for asked in watch.commands if asked.command in CHANGES]
+    marks = [(start_s, "form"), *((at_s, words) for at_s, words in given if start_s < at_s < end_s), (end_s, "")]
     panels = [Panel(a_s, b_s, began_with) for (a_s, began_with), (b_s, _) in pairwise(marks) if b_s - a_s > SAMPLE_S]
     return panels[-MAX_PANELS:]
 

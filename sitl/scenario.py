@@ -54,6 +54,12 @@ class TimelineStep(Section, frozen=True, kw_only=True):
     for_s: Annotated[float, Meta(ge=0, le=3600)] = 0.0
     timeout_s: Annotated[float, Meta(gt=0, le=600)] = 30.0
 
+    def in_words(self) -> str:
+        """The command with what goes with it: "lead 2", "formation circle", "reference target"."""
+        kind = self.reference.__struct_config__.tag if self.reference else ""
+        shape = self.formation.shape if self.formation else ""
+        return " ".join([self.command, *map(str, self.leaders), *filter(None, (shape, str(kind)))])
+
 
 class Believed(Section, frozen=True, kw_only=True):
     """What vehicle files say of the airframe, and the autopilot of its hover thrust; None leaves that as it is."""

@@ -13,6 +13,7 @@ from companion.ground.fleet_status import FleetState, VehicleRow, fold, rows
 from companion.types import ZERO3, CommandName, CommandReply, FlightPhase, LandedState, Role, Status, Vector3
 from companion.wire.ground import StatusReport, Timing
 from sitl.metrics import Formation
+from sitl.scenario import TimelineStep
 from sitl.tracking import Leads
 from sitl.tracks import Track, told_track
 
@@ -36,6 +37,7 @@ class AskedFor(Struct, frozen=True, kw_only=True):
 
     time_s: float
     command: CommandName
+    in_words: str  # with what went with it
     vehicles: list[int]
     answered_in_s: float | None
 
@@ -127,13 +129,14 @@ class FlightWatch:
         return {i: told_track(i, told) for i, told in self._slots.items()}
 
     def note_answers(
-        self, asked_s: float, now_s: float, command: CommandName, replies: Mapping[int, CommandReply | None]
+        self, asked_s: float, now_s: float, step: TimelineStep, replies: Mapping[int, CommandReply | None]
     ) -> None:
-        """Take in what was answered to one command that was given at `asked_s`."""
+        """Take in what was answered to a step's command that was given at `asked_s`."""
         self.commands.append(
             AskedFor(
                 time_s=round(asked_s - self.began_s, 3),
-                command=command,
+                command=step.command,
+                in_words=step.in_words(),
                 vehicles=sorted(replies),
                 answered_in_s=round(now_s - asked_s, 3) if all(replies.values()) else None,
             )

@@ -43,7 +43,7 @@ def test_all_shapes_are_flown_in_turn() -> None:
     changes = {e.event for e in flight.watch.events if e.vehicle == 5 and e.event.startswith("formation ")}
     assert {f"formation {n} -> {n + 1}" for n in range(4)} <= changes
     end = {i: slot.at(np.array([flight.watch.formation.end_s]))[0] for i, slot in slots.items()}
-    assert sorted(round(float(x), 6) for x, _, _ in end.values()) == [-14.0, -12.0, -10.0, -8.0, -6.0, -4.0, -2.0, 0.0]
+    assert sorted(round(float(y), 6) for _, y, _ in end.values()) == [-7.0, -5.0, -3.0, -1.0, 1.0, 3.0, 5.0, 7.0]
 
 
 def test_vehicles_keep_the_distances_that_their_slots_keep() -> None:

@@ -21,6 +21,7 @@ from sitl.lockstep import Lockstep
 from sitl.metrics import Formation, errors_m, formation_figures, reference_positions_m, smallest_distance_m, standing
 from sitl.progress import Progress
 from sitl.scenario import Scenario, load_scenario, reference_of
+from sitl.tracking import Tracking, tracking
 from sitl.tracks import Track
 from sitl.watch import FlightWatch
 
@@ -148,6 +149,23 @@ def test_the_ring_follows_the_eight(law: str, most_m: float) -> None:
     slots = {member.id: member.slot_enu_m for member in flight.scenario.fleet.vehicles}
     figures = formation_figures(flight.tracks, standing(slots), reference_of(flight.scenario), flight.formation)
     assert figures.final_error_m < most_m
+
+
+def test_followers_keep_their_places_about_the_leader_better_than_with_either_average_law() -> None:
+    """About the RFT that holds against eq. 22 alone: by eq. 26 a leader heeds nobody, so followers do not hold it back."""
+    by_law = {law: tracked(law) for law in ("weighted", "average_22", "average_26")}
+    for i in (1, 2, 3, 4):
+        about_leader = {law: found.to_leader_m[i] for law, found in by_law.items()}
+        assert about_leader["weighted"] is not None
+        assert all(about_leader["weighted"] < (about_leader[law] or 0.0) for law in ("average_22", "average_26"))
+        assert by_law["weighted"].to_reference_m[i] < by_law["average_22"].to_reference_m[i]
+        assert by_law["average_26"].to_reference_m[i] < by_law["weighted"].to_reference_m[i]
+
+
+def tracked(law: str) -> Tracking:
+    flight = flown(f"fleet.law.name={law}")
+    reference = reference_of(flight.scenario)
+    return tracking(flight.tracks, flight.watch.slots(), reference, flight.formation, flight.watch.leads())
 
 
 def test_with_noise_and_a_lossy_network_the_lead_changes_as_well() -> None:
