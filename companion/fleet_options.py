@@ -34,6 +34,7 @@ for each: accepted, refused and why, or missing, and how long its answer took.
   form        from there into the formation
   hold        out of the formation into the autopilot's own hold
   land        vertically, where each one is
+  return      home to where each one took off, and down there, by the autopilot's own return mode
   disarm      on the ground
   abort       whatever it does: disarmed on the ground, into the autopilot's own hold in the air
   leader      who leads from now on, in flight as well
@@ -61,6 +62,13 @@ abort is for everybody, also for those who do not hold command, and works in eve
 vehicle that lands goes on landing, and one that its pilot flies is left to him. In the air all stop where they are, so
 two that are on their way past each other stop, too. `hold` takes a vehicle from its pilot, `abort` does not.
 
+return is for vehicles in formation or in hold. Their autopilots climb first, as high as RTL_RETURN_ALT (PX4) or RTL_ALT
+(ArduCopter) says, fly straight home and land; from then on they need neither agent nor network. They know nothing of each
+other, so a vehicle refuses where its straight way home comes nearer than separation_m to another vehicle or to that one's
+way home, whoever of them is asked, and where it does not know its home, as after a restart of its agent in the air. Land
+those that refuse, or first bring the formation back to where it took off. `hold` and `land` end a return, and so
+does `abort`, but for vehicles that come down at home already.
+
 One vehicle's endpoint (zenoh.listen in its vehicle file) leads to all that it is connected with; more endpoints help
 where one vehicle may be away. Without --connect: tcp/127.0.0.1:7448 to 7455, vehicles 1 to 8 of a simulation.
 
@@ -71,7 +79,7 @@ exit codes:
   130  ended by Ctrl-C
 """
 
-PLAIN = ("arm", "takeoff", "form", "hold", "land", "disarm", "abort", "take")
+PLAIN = ("arm", "takeoff", "form", "hold", "land", "return", "disarm", "abort", "take")
 
 
 @dataclass(frozen=True, slots=True)

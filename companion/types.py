@@ -41,6 +41,7 @@ class FlightPhase(StrEnum):
     FORMATION = "formation"
     RELEASE = "release"  # leaving formation: setpoints stream until the autopilot has taken over
     LAND = "land"
+    RETURN = "return"  # home and down, by the autopilot alone
 
 
 class AutopilotKind(StrEnum):
@@ -58,6 +59,7 @@ class AutopilotMode(StrEnum):
     TAKEOFF = "takeoff"
     OFFBOARD = "offboard"
     LAND = "land"
+    RETURN = "return"  # home, and down there
     OTHER = "other"
 
 
@@ -229,6 +231,7 @@ class VehicleState(Struct, frozen=True, gc=False):
     landed_time_s: float = float("-inf")
     thrust_norm: float = 0.0  # as the autopilot commands it
     thrust_time_s: float = float("-inf")
+    stood_enu_m: Vector3 | None = None  # when it was last seen disarmed on the ground: its autopilot's home
     frame_known: bool = False  # can positions be mapped into the fleet frame?
     altitude_amsl_m: float | None = None  # by the autopilot's own origin, None until that is known
     frame_contradicted: bool = False  # do the autopilot's origin and its global position exclude each other?
@@ -401,6 +404,7 @@ class CommandName(StrEnum):
     FORM = "form"
     HOLD = "hold"
     LAND = "land"
+    RETURN = "return"
     DISARM = "disarm"
     LEAD = "lead"
     FORMATION = "formation"

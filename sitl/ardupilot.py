@@ -6,7 +6,7 @@ No sockets, no clocks. Messages come in through `sitl.ardupilot_commands`.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import atan, degrees, inf, isfinite
+from math import inf, isfinite
 
 from companion.frames import Quaternion, euler_from_quaternion, quaternion_from_euler
 from companion.types import AutopilotKind, Vector3
@@ -39,7 +39,8 @@ SPOOLED_UP_AFTER_S = 2.7  # from arming: before that nothing lifts it off
 RUN_UP_S = 1.3  # of a take-off, from its command
 TOUCHED_DOWN_THROTTLE_NORM = -0.16  # its vertical loop still wants down while the motors stop
 DISARMED_AFTER_LANDING_S = 0.6  # in LAND and RTL, from the landing's being known; 2.1 s from the touch
-CONE_REACHES_M = 1000.0
+AT_HOME_M = 0.5  # where a return counts as come home
+LEAST_CONE_SLOPE = 0.5  # a flatter one is no cone
 LOGS_AFTER_DISARMING_S = 15.0
 STATE_BOOT, STATE_STANDBY, STATE_ACTIVE, STATE_CRITICAL = 1, 3, 4, 5  # MAV_STATE
 
@@ -111,13 +112,13 @@ class ArduCopter(Autopilot):
             return LANDED_ON_GROUND
         if self._taking_off:
             return LANDED_TAKEOFF
-        return LANDED_LANDING if self.mode is Mode.LAND else LANDED_IN_AIR
+        return LANDED_LANDING if self._own.landing else LANDED_IN_AIR
 
     def speeds(self) -> Speeds:
         p = self.parameters
         down = p["WPNAV_SPEED_DN"] / 100.0
         low_m = p["LAND_ALT_LOW"] / 100.0
-        slope = max(p["RTL_CONE_SLOPE"], 0.1)
+        final_m = p["RTL_ALT_FINAL"] / 100.0  # where it stays; 0 lands
         return Speeds(
             level_m_s=p["WPNAV_SPEED"] / 100.0,
             climb_m_s=p["WPNAV_SPEED_UP"] / 100.0,
@@ -127,10 +128,16 @@ class ArduCopter(Autopilot):
             landing_slows_m=(low_m, low_m + 1.0),
             sink_m_s=(p["PILOT_SPEED_DN"] or p["PILOT_SPEED_UP"]) / 100.0,
             take_off_height_m=0.0,
-            return_height_m=p["RTL_ALT"] / 100.0,
-            return_near_m=CONE_REACHES_M,
-            return_cone_deg=degrees(atan(1.0 / slope)),
+            return_height_m=self._return_height_m,
+            return_accepts_m=AT_HOME_M,
+            return_wait_height_m=final_m or inf,
+            return_wait_s=inf if final_m else p["RTL_LOIT_TIME"] / 1000.0,
         )
+
+    def _return_height_m(self, distance_m: float) -> float:
+        """Above home: RTL_ALT, or nearer to home the cone's."""
+        highest_m, slope = self.parameters["RTL_ALT"] / 100.0, self.parameters["RTL_CONE_SLOPE"]
+        return min(highest_m, distance_m * slope) if slope >= LEAST_CONE_SLOPE else highest_m
 
     def wanted_euler_rad(self) -> Vector3:
         return euler_from_quaternion(self.setpoint.quaternion if self.armed else self.quad.estimated_quaternion())

@@ -30,7 +30,8 @@ DISARM_SEEN_WITHIN_S = 1.5  # heartbeats, which say so, come once a second
 LISTEN_S = 0.3  # three reports of every vehicle
 GROUND_PHASES = frozenset({FlightPhase.OBSERVE, FlightPhase.PREPARE, FlightPhase.READY})
 # A vehicle that was told one of these may be in phase observe without anything being wrong.
-MAY_OBSERVE = (CommandName.PREPARE, CommandName.LAND, CommandName.DISARM)
+TO_THE_GROUND = (CommandName.LAND, CommandName.RETURN)
+MAY_OBSERVE = (CommandName.PREPARE, CommandName.DISARM, *TO_THE_GROUND)
 
 
 class FlightFailure(Exception):  # noqa: N818 -- what happened to a flight, not an error of this program
@@ -226,7 +227,7 @@ class _Order:
 
     def carry_out(self, wait_a_little: Callable[[], None]) -> None:
         """Until every vehicle has done it. Raises FlightFailure."""
-        deadline_s = self._clock.now_s() + self._step.timeout_s
+        deadline_s = self._clock.now_s() + self._step.patience_s
         next_ask_s = float("-inf")
         while missing := [i for i in self._watch.vehicle_ids if not self._done(i)]:
             now_s = self._clock.now_s()
@@ -256,7 +257,7 @@ class _Order:
         status = self._watch.status(vehicle_id)
         if status is None or vehicle_id not in self._accepted_s:
             return False
-        lands = self._step.command in (CommandName.LAND, CommandName.DISARM)
+        lands = self._step.command in (CommandName.DISARM, *TO_THE_GROUND)
         return status.phase is RULES[self._step.command].to and not (lands and status.armed)
 
     def _look_for_falling_back(self, vehicle_id: int, now_s: float) -> None:
@@ -270,7 +271,7 @@ class _Order:
             self._reasons[vehicle_id] = _last(status)
             if status.phase is FlightPhase.OBSERVE and self._step.command not in MAY_OBSERVE:
                 raise FlightFailure(f"vehicle {vehicle_id} gave up at {self._step.command}: {_last(status)}")
-        elif self._step.command is CommandName.LAND and status.phase is rule.to and status.armed:
+        elif self._step.command in TO_THE_GROUND and status.phase is rule.to and status.armed:
             # Mode and armed state reach the agent in different messages: at touch-down they may disagree for a while.
             observing_since_s = self._observing_since_s.setdefault(vehicle_id, now_s)
             if now_s > observing_since_s + DISARM_SEEN_WITHIN_S:
@@ -284,7 +285,7 @@ class _Order:
                 reason = self._why_not_done(status)
             by_reason.setdefault(reason, []).append(vehicle_id)
         said = "; ".join(f"{vehicles_in_words(ids)}: {reason}" for reason, ids in by_reason.items())
-        return f"{self._step.command} not done within {self._step.timeout_s:g} s: {said}"
+        return f"{self._step.command} not done within {self._step.patience_s:g} s: {said}"
 
     def _why_not_done(self, status: Status) -> str:
         under_way = status.phase is RULES[self._step.command].via

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum, auto
-from math import hypot, isfinite, radians, tan
+from math import hypot, isfinite, radians
 
 from companion.frames import Quaternion, enu_from_geodetic, quaternion_from_euler, wrap_pi
 from companion.types import GRAVITY_M_S2, Vector3
@@ -19,7 +19,7 @@ from sitl.setpoints import Course
 
 SINK_GAIN_1_S = 6.0
 DRIFT_TILT_RAD = radians(0.6)  # level is never quite level, so it drifts
-TAKEN_OFF_WITHIN_M, HOME_WITHIN_M, RETURN_HEIGHT_WITHIN_M = 0.1, 0.5, 0.5
+TAKEN_OFF_WITHIN_M, RETURN_HEIGHT_WITHIN_M = 0.1, 0.5
 FAR_DOWN_M = 100.0
 LEAST_COS_TILT = 0.1
 
@@ -34,12 +34,21 @@ class Task(Enum):
     SINK = auto()  # a manual mode without a pilot
 
 
+class Stage(Enum):
+    """Of a return, before it lands."""
+
+    CLIMB = auto()
+    WAY_HOME = auto()
+    WAIT = auto()  # above home
+
+
 @dataclass(frozen=True, slots=True)
 class Speeds:
     """How fast and how high, out of an autopilot's parameters. Heights are above home.
 
-    Landing goes at `land_m_s` below the lower of `landing_slows_m` and at `descend_m_s` above the higher. A return within
-    `return_near_m` of home climbs only as high as a cone of `return_cone_deg` above it.
+    Landing goes at `land_m_s` below the lower of `landing_slows_m` and at `descend_m_s` above the higher. A return first climbs
+    to `return_height_m` of its distance from home in the plane, unless it is higher. Home is reached at `return_accepts_m`
+    from it; there it goes down to `return_wait_height_m`, waits for `return_wait_s`, and lands. Both may be infinite.
     """
 
     level_m_s: float
@@ -50,9 +59,10 @@ class Speeds:
     landing_slows_m: tuple[float, float]
     sink_m_s: float
     take_off_height_m: float
-    return_height_m: float
-    return_near_m: float
-    return_cone_deg: float
+    return_height_m: Callable[[float], float]
+    return_accepts_m: float
+    return_wait_height_m: float
+    return_wait_s: float
 
 
 class OwnFlight:
@@ -70,14 +80,20 @@ class OwnFlight:
         self._control = PositionControl(hover_thrust_norm, braking_m_s2)
         self._task = Task.HOLD
         self._home: Vector3 = quad.origin
-        self._return_height_m = 0.0
-        self._going_home = self._landing = False
+        self._stage = Stage.CLIMB
+        self._waited_s = 0.0
+        self._landing = False
+
+    @property
+    def landing(self) -> bool:
+        """It goes down to the ground, in a landing or at the end of a return."""
+        return self._landing
 
     def enter(self, task: Task, home_deg_deg_m: Vector3, takeoff_altitude_amsl_m: float | None) -> None:
         """Begin this task from here; where there is no take-off altitude, the speeds say how high."""
         self._task = task
         self._home = home_deg_deg_m
-        self._going_home = self._landing = False
+        self._stage, self._waited_s, self._landing = Stage.CLIMB, 0.0, False
         self._control.stop(
             self._quad.estimated_position_local_enu_m(),
             self._quad.estimated_velocity_enu_m_s(),
@@ -141,7 +157,7 @@ class OwnFlight:
         if self._task is Task.SINK:
             return self._sink(self._quad.estimated_velocity_enu_m_s()[2], self._quad.estimated_euler_rad()[2])
         if self._task is Task.RETURN and not self._landing:
-            self._follow_return(position)
+            self._follow_return(position, dt_s)
         if self._landing:
             self._descend(position[2])
         return self._control_setpoint(dt_s)
@@ -175,23 +191,25 @@ class OwnFlight:
         return enu_from_geodetic(*self._home, self._quad.origin)
 
     def _return(self, speeds: Speeds) -> None:
-        """Climb first, near home only as high as the cone."""
+        """Climb first; near home not as high as far from it."""
         x, y, z = self._quad.estimated_position_local_enu_m()
         home_x, home_y, home_z = self._home_local()
-        distance = hypot(x - home_x, y - home_y)
-        height = speeds.return_height_m
-        if distance < speeds.return_near_m:
-            half_angle = radians(min(max(speeds.return_cone_deg, 1.0), 89.0))
-            height = min(height, distance / tan(half_angle))
-        self._return_height_m = self._control.axes[2].goal_m = max(z, home_z + height)
+        self._control.axes[2].goal_m = max(z, home_z + speeds.return_height_m(hypot(x - home_x, y - home_y)))
 
-    def _follow_return(self, position_m: Vector3) -> None:
+    def _follow_return(self, position_m: Vector3, dt_s: float) -> None:
         x, y, z = position_m
-        home_x, home_y, _ = self._home_local()
-        if not self._going_home and abs(z - self._return_height_m) < RETURN_HEIGHT_WITHIN_M:
-            self._going_home = True
-            self._control.axes[0].goal_m, self._control.axes[1].goal_m = home_x, home_y
-        self._landing = self._going_home and hypot(x - home_x, y - home_y) < HOME_WITHIN_M
+        home_x, home_y, home_z = self._home_local()
+        east, north, up = self._control.axes
+        speeds, at_height = self._speeds(), abs(z - up.goal_m) < RETURN_HEIGHT_WITHIN_M
+        if self._stage is Stage.CLIMB and at_height:
+            self._stage = Stage.WAY_HOME
+            east.goal_m, north.goal_m = home_x, home_y
+        elif self._stage is Stage.WAY_HOME and hypot(x - home_x, y - home_y) < speeds.return_accepts_m:
+            self._stage = Stage.WAIT
+            up.goal_m = min(up.goal_m, home_z + speeds.return_wait_height_m)
+        elif self._stage is Stage.WAIT and at_height:
+            self._waited_s += dt_s
+            self._landing = self._waited_s > speeds.return_wait_s
 
     def _descend(self, z_m: float) -> None:
         """Slowly near the ground."""

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import inf
+from math import inf, radians, tan
 
 from companion.types import AutopilotKind, Vector3
 from sitl.attitude_control import PX4_LOOPS, Setpoint
@@ -86,7 +86,9 @@ class Px4(Autopilot):
     def landed_state(self) -> int:
         if self._ground.landed:
             return LANDED_ON_GROUND
-        return {Mode.TAKEOFF: LANDED_TAKEOFF, Mode.LAND: LANDED_LANDING}.get(self.mode, LANDED_IN_AIR)
+        if self.mode is Mode.TAKEOFF:
+            return LANDED_TAKEOFF
+        return LANDED_LANDING if self._own.landing else LANDED_IN_AIR
 
     @property
     def streaming(self) -> bool:
@@ -100,6 +102,7 @@ class Px4(Autopilot):
 
     def speeds(self) -> Speeds:
         p = self.parameters
+        delay_s = p["RTL_LAND_DELAY"]
         return Speeds(
             level_m_s=p["MPC_XY_CRUISE"],
             climb_m_s=p["MPC_Z_V_AUTO_UP"],
@@ -109,10 +112,23 @@ class Px4(Autopilot):
             landing_slows_m=LANDING_SLOWS_M,
             sink_m_s=SINK_M_S,
             take_off_height_m=p["MIS_TAKEOFF_ALT"],
-            return_height_m=p["RTL_RETURN_ALT"],
-            return_near_m=p["RTL_MIN_DIST"],
-            return_cone_deg=p["RTL_CONE_ANG"],
+            return_height_m=self._return_height_m,
+            return_accepts_m=p["NAV_ACC_RAD"],
+            return_wait_height_m=p["RTL_DESCEND_ALT"] if delay_s else inf,
+            return_wait_s=delay_s if delay_s >= 0.0 else inf,
         )
+
+    def _return_height_m(self, distance_m: float) -> float:
+        """Above home: RTL_RETURN_ALT, near home a cone's, and at home only so high that it does not land while it moves."""
+        p = self.parameters
+        highest_m, accepts_m, cone_deg = p["RTL_RETURN_ALT"], p["NAV_ACC_RAD"], p["RTL_CONE_ANG"]
+        if cone_deg <= 0:
+            return highest_m
+        if distance_m <= accepts_m:
+            return min(2.0 * distance_m, highest_m)
+        if distance_m > p["RTL_MIN_DIST"]:
+            return highest_m
+        return min(max(distance_m / tan(radians(min(max(cone_deg, 1.0), 89.0))), 2.0 * accepts_m), highest_m)
 
     # ------------------------------------------------------------ what can be asked of it
 

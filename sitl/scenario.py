@@ -25,6 +25,7 @@ from sitl.moving_targets import MovingTarget
 
 SET = Path("--set")  # stands where errors name a file
 OPERATORS_ONLY = (CommandName.TAKE, CommandName.ABORT)  # they lead to no phase that could be waited for
+DONE_WITHIN_S, RETURNED_WITHIN_S = 30.0, 300.0
 LONGEST_KEY = 200  # of --set
 
 
@@ -43,6 +44,7 @@ class NamedFormation(Section, frozen=True, kw_only=True):
 class TimelineStep(Section, frozen=True, kw_only=True):
     """Give a command to every vehicle, wait until all have done it, then stay so for `for_s`.
 
+    All must have done it within `timeout_s`, by default 30 s, of `return` 300 s.
     `leaders` goes with `command: lead`: who leads from then on. `formation` goes with `command: formation`, `reference` with
     `command: reference`.
     """
@@ -52,7 +54,14 @@ class TimelineStep(Section, frozen=True, kw_only=True):
     formation: NamedFormation | None = None
     reference: Reference | None = None
     for_s: Annotated[float, Meta(ge=0, le=3600)] = 0.0
-    timeout_s: Annotated[float, Meta(gt=0, le=600)] = 30.0
+    timeout_s: Annotated[float, Meta(gt=0, le=600)] | None = None
+
+    @property
+    def patience_s(self) -> float:
+        """How long all vehicles may take for it. To return takes climbing, the way home and landing from there."""
+        if self.timeout_s is not None:
+            return self.timeout_s
+        return RETURNED_WITHIN_S if self.command is CommandName.RETURN else DONE_WITHIN_S
 
     def in_words(self) -> str:
         """The command with what goes with it: "lead 2", "formation circle", "reference target"."""

@@ -15,6 +15,7 @@ from companion.core.fleet_checks import FleetChecks
 from companion.core.flight_manners import manners_of
 from companion.core.formation import place
 from companion.core.health import AgeLimits, health_flags
+from companion.core.homeward import refusal_of_return
 from companion.core.phase import RULES, STREAMING, PhaseMachine
 from companion.core.preflight import Preflight
 from companion.core.setpoint_stream import SetpointStream
@@ -54,6 +55,7 @@ ORIGIN_REPEAT_S = 1.0
 ORIGIN_REFRESH_S = 5.0  # PX4 tells a changed origin once, and that one datagram may be lost
 ORIGIN_SOON_S = 0.1  # when the position jumped: a new origin may be why
 NOT_TO_BE_HEEDED = frozenset({HealthFlag.FRAME_CONTRADICTED, HealthFlag.POSITION_JUMPED})
+PLACE_IN_DOUBT = NOT_TO_BE_HEEDED | {HealthFlag.STATE_STALE, HealthFlag.FRAME_UNKNOWN}
 CLIMBS_M_S = 0.3  # faster than that it does not stand on the ground any more
 STATUS_PERIOD_S = 0.099  # every fifth tick of 50 Hz, also where a tick comes a little early
 
@@ -322,9 +324,14 @@ class Agent:
         return accepted, reason
 
     def _missing_for(self, name: CommandName, flags: frozenset[HealthFlag]) -> list[str]:
-        """Landing, holding and disarming need nothing; the rest needs a vehicle that knows where and how it is."""
+        """Landing, holding and disarming need nothing; the rest needs a vehicle that knows where and how it is.
+
+        Of a return the agent need only know where it begins.
+        """
         if name in (CommandName.LAND, CommandName.HOLD, CommandName.DISARM):
             return []
+        if name is CommandName.RETURN:
+            return sorted(flags & PLACE_IN_DOUBT)
         unneeded = set() if name is CommandName.FORM else WITHOUT_LEADER
         return sorted(flags - unneeded)
 
@@ -341,6 +348,10 @@ class Agent:
             return "", ""
         if name is CommandName.FORM and (refusal := self._preflight.refusal()):
             return refusal, ""
+        if name is CommandName.RETURN:
+            stood_enu_m = self._cooperation.peers.stood_enu_m
+            own_id, separation_m = self._setup.vehicle_id, self._setup.checks.separation_m
+            return refusal_of_return(own_id, separation_m, vehicle, self._heard(now_s), stood_enu_m), ""
         return self._setup.checks.judge(name, vehicle, self._slots.flown, self._heard(now_s))
 
     def _heard(self, now_s: float) -> list[PeerPacket]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from math import inf
 
 from companion.core.procedure import Procedure, Truth
 from companion.types import (
@@ -112,6 +113,17 @@ def _lands_or_has_landed(vehicle: VehicleState) -> bool:
     return vehicle.mode is M.LAND or vehicle.landed is LandedState.ON_GROUND
 
 
+def _return(_vehicle: VehicleState, _height_m: float) -> Procedure:
+    # How long it takes is the autopilot's business, and may be for ever where it is told to wait above home.
+    return Procedure(
+        SetMode(M.RETURN), _returns_or_has_landed, _disarmed, _heartbeat_time_s, timeout_s=inf, taken_within_s=5.0
+    )
+
+
+def _returns_or_has_landed(vehicle: VehicleState) -> bool:
+    return vehicle.mode is M.RETURN or vehicle.landed is LandedState.ON_GROUND
+
+
 def _take_off(vehicle: VehicleState, height_m: float) -> Procedure:
     return _climb(vehicle, height_m, _mode_is(M.HOLD))
 
@@ -148,6 +160,7 @@ PX4 = FlightManners(
         P.FORMATION: frozenset({M.OFFBOARD}),
         P.RELEASE: frozenset({M.HOLD}),
         P.LAND: frozenset({M.LAND}),
+        P.RETURN: frozenset({M.RETURN}),
     },
     procedures={
         C.PREPARE: _hold,
@@ -156,6 +169,7 @@ PX4 = FlightManners(
         C.FORM: _offboard,
         C.HOLD: _hold,
         C.LAND: _land,
+        C.RETURN: _return,
         C.DISARM: _disarm,
     },
     flies_on_in_silence=False,  # COM_OF_LOSS_T after the last setpoint its own failsafe acts
@@ -175,6 +189,7 @@ ARDUPILOT = FlightManners(
         P.FORMATION: frozenset({M.OFFBOARD}),
         P.RELEASE: frozenset({M.HOLD}),
         P.LAND: frozenset({M.LAND}),
+        P.RETURN: frozenset({M.RETURN}),
     },
     procedures={
         C.PREPARE: _guided,
@@ -183,6 +198,7 @@ ARDUPILOT = FlightManners(
         C.FORM: _guided,
         C.HOLD: _hold,
         C.LAND: _land,
+        C.RETURN: _return,
         C.DISARM: _disarm,
     },
     flies_on_in_silence=True,  # for GUID_TIMEOUT, 3 s; then it levels and keeps its altitude, but not its place

@@ -9,6 +9,7 @@ from math import dist, hypot, isfinite
 from msgspec import Struct
 from msgspec.structs import replace
 
+from companion.core.phase import ON_GROUND
 from companion.types import (
     MAX_EPOCH,
     MAX_EPOCHS_AHEAD,
@@ -84,6 +85,7 @@ class PeerTable:
         self._max_age_s = max_age_s
         self._max_speed_m_s = max_speed_m_s
         self._newest: dict[int, PeerState] = {}
+        self.stood_enu_m: dict[int, Vector3] = {}  # each where it was last heard of on the ground
         self.rejected: Counter[str] = Counter()
 
     def fold(self, packets: Iterable[ReceivedPeerPacket], epoch: int) -> None:
@@ -95,6 +97,8 @@ class PeerTable:
                 peer = _timed(received, self._newest.get(vehicle_id))
                 if peer.late_s <= self._max_age_s:
                     self._newest[vehicle_id] = peer
+                    if received.packet.phase in ON_GROUND:
+                        self.stood_enu_m[vehicle_id] = received.packet.position_enu_m
                     continue
                 reason = "comes too late"
             self.rejected[f"peer {vehicle_id}: {reason}"[:80]] += 1

@@ -39,10 +39,11 @@ class Rule:
 
 
 ON_GROUND = frozenset({P.PREPARE, P.READY, P.ARM, P.ARMED})
-FLYING = frozenset({P.TAKEOFF, P.HOLD, P.ENGAGE, P.FORMATION, P.RELEASE, P.LAND})
+FLYING = frozenset({P.TAKEOFF, P.HOLD, P.ENGAGE, P.FORMATION, P.RELEASE, P.LAND, P.RETURN})
 STREAMING = frozenset({P.ENGAGE, P.FORMATION})
-FLOWN_BY_OTHERS = frozenset({M.LAND, M.OTHER})  # while the agent observes: modes that a pilot or the autopilot has set
-MUST_BE_ARMED = {P.ARMED} | FLYING - {P.LAND}
+TO_THE_GROUND = frozenset({P.LAND, P.RETURN})  # by the autopilot alone
+FLOWN_BY_OTHERS = frozenset({M.LAND, M.RETURN, M.OTHER})  # while the agent observes: by a pilot or a failsafe
+MUST_BE_ARMED = {P.ARMED} | FLYING - TO_THE_GROUND
 
 LEAD_CHANGES_IN = ON_GROUND | {P.HOLD, P.FORMATION}
 
@@ -54,6 +55,8 @@ RULES: dict[CommandName, Rule] = {
     C.FORM: Rule(frozenset({P.HOLD}), P.ENGAGE, P.FORMATION, P.HOLD, False),
     C.HOLD: Rule(FLYING | {P.OBSERVE}, P.RELEASE, P.HOLD, P.OBSERVE, False),
     C.LAND: Rule(FLYING | {P.OBSERVE}, P.LAND, P.OBSERVE, P.OBSERVE, False),
+    # An autopilot that does not return is asked to hold.
+    C.RETURN: Rule(STREAMING | {P.HOLD, P.RELEASE}, P.RETURN, P.OBSERVE, P.RELEASE, False),
     C.DISARM: Rule(ON_GROUND | {P.OBSERVE}, P.LAND, P.OBSERVE, P.OBSERVE, True),
 }
 
@@ -101,11 +104,12 @@ class PhaseMachine:
     def abort(self, now_s: float, vehicle: VehicleState) -> tuple[bool, str]:
         """(accepted, why not or what happens now), from every phase: disarmed on the ground, in the air into the own hold.
 
-        Who lands goes on landing, and who is flown by a pilot is left to him.
+        Who lands goes on landing, also at the end of a return, and who is flown by a pilot is left to him. Who is still on its
+        way home stops there.
         """
         if vehicle.autopilot is None:
             return False, "abort: no HEARTBEAT has come from the autopilot yet"
-        if self.phase is P.LAND:
+        if self.phase is P.LAND or (self.phase is P.RETURN and vehicle.landed is LandedState.LANDING):
             return True, "goes on landing"
         if not in_air(vehicle):
             # Who was flying a moment ago lands, which disarms as well: a landed state may be wrong, and then motors would stop.
@@ -170,7 +174,11 @@ class PhaseMachine:
                 self._enter(self._rule.to)
                 return ()
             case Progress.FAILED:
-                self._enter(self._rule.on_failure, f"{self.phase} failed: {self._running.reason}")
+                failure = f"{self.phase} failed: {self._running.reason}"
+                if self._rule.on_failure is P.RELEASE:
+                    self._begin(C.HOLD, now_s, vehicle, failure)
+                else:
+                    self._enter(self._rule.on_failure, failure)
                 return ()
         return self._running.due(now_s, vehicle)
 
@@ -215,11 +223,11 @@ class PhaseMachine:
 
     def _mode_is_ours(self, vehicle: VehicleState) -> bool:
         own = manners_of(vehicle).modes.get(self.phase)
-        if self.phase is P.LAND and vehicle.landed is LandedState.ON_GROUND:
+        if self.phase in TO_THE_GROUND and vehicle.landed is LandedState.ON_GROUND:
             return True  # at disarming PX4 changes its mode, and shows that before it shows that it is disarmed
         if own is None or vehicle.mode in own:
-            if self.phase is P.LAND and self._rule is RULES[C.LAND]:
-                # Landing has begun: any other mode from now on is the pilot's, and nothing is left to hand over.
+            if self._rule is RULES[C.LAND] or self._rule is RULES[C.RETURN]:
+                # It has begun: any other mode from now on is the pilot's, and nothing is left to hand over.
                 self._tolerated = frozenset()
                 self._leaving_formation = False
             return True

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from enum import Enum
+from math import inf
 
 from companion.types import AckSample, AutopilotRequest, Telemetry, TextSample, VehicleState
 
@@ -28,7 +29,7 @@ class Procedure:
 
     `done` is not believed before `settle_s` (a request on its way may still change what already looks right), nor from a
     truth that is older than the first request: `truth_time` says of when it is. Where `acceptance_counts`, an accepted
-    answer ends the repeating, too.
+    answer ends the repeating, too. What is not `taken` within `taken_within_s` has failed, however long it may last.
     """
 
     request: AutopilotRequest
@@ -40,6 +41,7 @@ class Procedure:
     settle_s: float = 0.0
     repeat_s: float = 0.5
     acceptance_counts: bool = False
+    taken_within_s: float = inf
 
 
 @dataclass(slots=True)
@@ -77,7 +79,8 @@ class RunningProcedure:
         new = self._sent_s is not None and self.procedure.truth_time(vehicle) > self._sent_s
         if new and elapsed_s >= self.procedure.settle_s and self.procedure.done(vehicle):
             return Progress.DONE
-        return Progress.FAILED if elapsed_s > self.procedure.timeout_s else Progress.PENDING
+        refused = elapsed_s > self.procedure.taken_within_s and not self.procedure.taken(vehicle)
+        return Progress.FAILED if refused or elapsed_s > self.procedure.timeout_s else Progress.PENDING
 
     def due(self, now_s: float, vehicle: VehicleState) -> tuple[AutopilotRequest, ...]:
         """The request, whenever it is time to send it (again)."""

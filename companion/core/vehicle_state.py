@@ -115,6 +115,8 @@ class VehicleTracker:
         fields["position_enu_m"] = used_enu_m
         fields["velocity_enu_m_s"] = sample.velocity_enu_m_s
         fields["position_time_s"] = sample.received_s
+        if not fields.get("armed", True) and self._stands():
+            fields["stood_enu_m"] = used_enu_m
         fields["held_back_m"] = 0.0 if held_back_m is ZERO3 else hypot(*held_back_m)
 
     def _stands(self) -> bool:

@@ -74,7 +74,7 @@ MODE_NAMES = {
     28: "TURTLE",
 }
 # BRAKE stops and stays whatever the sticks say. LOITER would not do: without a transmitter it may sink as with a low stick.
-MODES = {AutopilotMode.OFFBOARD: 4, AutopilotMode.LAND: 9, AutopilotMode.HOLD: 17}
+MODES = {AutopilotMode.OFFBOARD: 4, AutopilotMode.RETURN: 6, AutopilotMode.LAND: 9, AutopilotMode.HOLD: 17}
 MEANING = {number: mode for mode, number in MODES.items()}
 
 # Message id -> microseconds between messages (MAV_CMD_SET_MESSAGE_INTERVAL). Of its estimator it tells no error in metres, so

@@ -43,6 +43,7 @@ MODES = {
     AutopilotMode.TAKEOFF: (4, 2),
     AutopilotMode.HOLD: (4, 3),
     AutopilotMode.LAND: (4, 6),
+    AutopilotMode.RETURN: (4, 5),
 }
 MEANING = {numbers: mode for mode, numbers in MODES.items()}
 

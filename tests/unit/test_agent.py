@@ -503,7 +503,7 @@ def test_no_formation_from_outside_the_fence() -> None:
     assert HealthFlag.FENCE in reply.reason
 
 
-@pytest.mark.parametrize("phase", [FlightPhase.OBSERVE, FlightPhase.TAKEOFF, FlightPhase.LAND])
+@pytest.mark.parametrize("phase", [FlightPhase.OBSERVE, FlightPhase.TAKEOFF, FlightPhase.LAND, FlightPhase.RETURN])
 def test_a_peer_that_lands_or_is_flown_by_its_pilot_is_nobodys_neighbour(phase: FlightPhase) -> None:
     flight = Flight().fly_to(FlightPhase.HOLD)
     flight.peer_phase = phase

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import hypot, nan
+
 import pytest
 from sitl_copter import DT_S, HOVER, Copter, M, attitude
 
@@ -10,6 +12,7 @@ from companion.mavlink.codec import MavlinkCodec, mavlink
 from companion.types import AutopilotKind
 from sitl.ardupilot_modes import Mode
 from sitl.config import ARMABLE_AFTER_S, HOVER_THRUST_NORM
+from sitl.setpoints import Course
 
 ACCEPTED, DENIED, FAILED, UNSUPPORTED = 0, 2, 4, 3
 ARM, TAKEOFF, REQUEST = M.MAV_CMD_COMPONENT_ARM_DISARM, M.MAV_CMD_NAV_TAKEOFF, M.MAV_CMD_REQUEST_MESSAGE
@@ -245,6 +248,40 @@ def test_a_lost_ground_station_makes_it_return_and_its_own_return_changes_nothin
     copter.fly(0.5)
     assert copter.copter.mode is Mode.RTL
     assert copter.texts()[-2:] == ["GCS Failsafe", "GCS Failsafe Cleared"]
+
+
+@pytest.mark.parametrize(
+    ("distance_m", "highest_m"),
+    [(0.0, 3.0), (4.0, 12.0), (8.0, 15.0)],  # from 3 m above home; measured 2.97, 12.05 and 14.99
+)
+def test_a_return_climbs_waits_above_home_and_lands_in_its_own_mode(distance_m: float, highest_m: float) -> None:
+    copter = Copter()
+    copter.take_off(3.0)
+    copter.copter.take_setpoint(Course((distance_m, 0.0, 3.0), (nan, nan, nan), nan, 0.0))
+    copter.fly(8.0)
+    assert copter.set_mode(Mode.RTL) == M.MAV_RESULT_ACCEPTED
+    heights, waited_s = [], 0.0
+    while copter.copter.landed_state != M.MAV_LANDED_STATE_LANDING:
+        copter.fly(0.1)
+        heights.append(copter.height_m)
+        waited_s = waited_s + 0.1 if hypot(*copter.copter.quad.position_enu_m[:2]) < 0.5 else 0.0
+        assert copter.copter.time_s < 60.0
+    assert max(heights) == pytest.approx(highest_m, abs=0.3)
+    assert waited_s == pytest.approx(5.0, abs=0.7)  # RTL_LOIT_TIME
+    while copter.copter.armed:
+        copter.fly(1.0)
+        assert copter.copter.mode is Mode.RTL
+        assert copter.copter.time_s < 90.0
+    assert hypot(*copter.copter.quad.position_enu_m[:2]) < 0.1
+
+
+def test_a_return_that_is_to_end_in_the_air_does_not_land() -> None:
+    copter = Copter(RTL_ALT_FINAL=400)
+    copter.take_off(6.0)
+    assert copter.set_mode(Mode.RTL) == M.MAV_RESULT_ACCEPTED
+    copter.fly(30.0)
+    assert copter.copter.armed
+    assert copter.height_m == pytest.approx(4.0, abs=0.3)
 
 
 def test_companion_heartbeats_are_not_needed() -> None:

@@ -460,7 +460,8 @@ def test_ardupilots_modes_by_meaning() -> None:
     assert mode_of(4) == (AutopilotMode.OFFBOARD, "GUIDED")
     assert mode_of(17) == (AutopilotMode.HOLD, "BRAKE")
     assert mode_of(9) == (AutopilotMode.LAND, "LAND")
-    for number in (0, 2, 3, 5, 6, 16, 20, 21, 99):
+    assert mode_of(6) == (AutopilotMode.RETURN, "RTL")
+    for number in (0, 2, 3, 5, 16, 20, 21, 27, 99):
         assert mode_of(number)[0] is AutopilotMode.OTHER
     assert mode_of(99)[1] == "mode 99"
 

@@ -9,7 +9,14 @@ from msgspec.structs import replace
 from companion.core.envelope import EnvelopeLimits
 from companion.core.failsafe import ACTIONS, failsafe_action
 from companion.core.health import AgeLimits, health_flags
-from companion.core.phase import FLYING, LEVEL_BEFORE_HAND_OVER_S, RULES, TAKES_OVER_WITHIN_S, PhaseMachine
+from companion.core.phase import (
+    FLYING,
+    LEVEL_BEFORE_HAND_OVER_S,
+    RULES,
+    TAKES_OVER_WITHIN_S,
+    TO_THE_GROUND,
+    PhaseMachine,
+)
 from companion.types import (
     CONTENT,
     AckSample,
@@ -133,7 +140,7 @@ def test_where_nothing_can_be_said_of_the_attitude_the_hold_is_asked_for_at_once
     assert tick(machine, now_s, autopilot.state, ()) == (SetMode(AutopilotMode.HOLD),)
 
 
-@pytest.mark.parametrize("phase", sorted(FLYING - {FlightPhase.LAND}))
+@pytest.mark.parametrize("phase", sorted(FLYING - TO_THE_GROUND))
 def test_the_pilot_always_wins(phase: FlightPhase) -> None:
     machine, autopilot, now_s = flown_to(phase)
     if phase is FlightPhase.RELEASE:
@@ -272,7 +279,7 @@ def test_abort_stops_no_motors_of_a_vehicle_that_was_flying_a_moment_ago() -> No
     assert Disarm() not in autopilot.asked
 
 
-@pytest.mark.parametrize("mode", [AutopilotMode.OTHER, AutopilotMode.LAND])
+@pytest.mark.parametrize("mode", [AutopilotMode.OTHER, AutopilotMode.LAND, AutopilotMode.RETURN])
 def test_abort_leaves_a_vehicle_to_its_pilot(mode: AutopilotMode) -> None:
     machine = PhaseMachine(2.5)
     piloted = replace(AIR, mode=mode, mode_name="POSCTL")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from math import hypot
 
 import pytest
 from sitl_vehicle import DT_S, LEVEL, Vehicle
@@ -171,6 +172,41 @@ def test_return_climbs_comes_home_and_lands_in_its_own_mode() -> None:
         assert vehicle.px4.mode is Mode.RTL
     assert max(heights) == pytest.approx(8.0, abs=0.6)
     assert vehicle.px4.quad.position_enu_m == pytest.approx((0.0, 0.0, 0.0), abs=0.7)
+    assert vehicle.px4.mode is Mode.OFFBOARD  # the last that it may be armed in
+
+
+@pytest.mark.parametrize(
+    ("distance_m", "highest_m"),
+    [(0.0, 3.0), (4.0, 4.0), (8.0, 8.0), (12.0, 30.0)],  # from 3 m above home; measured 2.9, 4.0, 8.1 and 29.9
+)
+def test_near_home_a_return_climbs_less_high(distance_m: float, highest_m: float) -> None:
+    vehicle = Vehicle()
+    vehicle.take_off(3.0)
+    assert vehicle.px4.go_to((distance_m, 0.0, 3.0), None)
+    vehicle.fly(8.0)
+    assert vehicle.set_mode(Mode.RTL) == [ACCEPTED, ACCEPTED]
+    heights = []
+    while vehicle.px4.landed_state != M.MAV_LANDED_STATE_LANDING:
+        vehicle.fly(0.1)
+        heights.append(vehicle.height_m)
+        assert vehicle.px4.time_s < 60.0
+    assert max(heights) == pytest.approx(highest_m, abs=0.6)
+    x, y, _ = vehicle.px4.quad.position_enu_m
+    assert hypot(x, y) <= 2.0  # NAV_ACC_RAD: it begins to land before it is quite home
+    vehicle.fly(0.1)
+    assert vehicle.px4.mode is Mode.RTL
+
+
+@pytest.mark.parametrize(("delay_s", "lands"), [(3.0, True), (-1.0, False)])
+def test_a_return_waits_at_the_height_that_it_is_told_and_for_ever_if_so(delay_s: float, lands: bool) -> None:
+    vehicle = Vehicle(RTL_RETURN_ALT=8.0, RTL_DESCEND_ALT=5.0, RTL_LAND_DELAY=delay_s, RTL_CONE_ANG=0)
+    vehicle.take_off(3.0)
+    assert vehicle.set_mode(Mode.RTL) == [ACCEPTED, ACCEPTED]
+    vehicle.fly(8.0)
+    assert vehicle.height_m == pytest.approx(5.0, abs=0.5)
+    assert vehicle.px4.landed_state == M.MAV_LANDED_STATE_IN_AIR
+    vehicle.fly(30.0)
+    assert vehicle.px4.armed is not lands
 
 
 def test_reposition() -> None:

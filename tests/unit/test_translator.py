@@ -89,7 +89,7 @@ def test_every_mode_that_is_commanded_is_recognised(mode: AutopilotMode) -> None
 
 def test_a_mode_of_the_pilots_is_other() -> None:
     assert px4.mode_of(3 << 16) == (AutopilotMode.OTHER, "POSCTL")
-    assert px4.mode_of((4 << 16) | (5 << 24)) == (AutopilotMode.OTHER, "AUTO.RTL")
+    assert px4.mode_of((4 << 16) | (4 << 24)) == (AutopilotMode.OTHER, "AUTO.MISSION")
     assert px4.mode_of(0)[0] is AutopilotMode.OTHER
 
 

@@ -1,0 +1,82 @@
+"""Four agents that fly away in formation and return, with autopilots of both makes: down where they stood, and apart."""
+
+from itertools import combinations
+from math import dist
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from companion.types import AutopilotKind
+from sitl.progress import Progress
+from sitl.scenario import scenario_from
+from sitl.virtual_flight import Flown, fly_in_virtual_time
+
+STARTS: dict[int, tuple[float, float, float]] = {
+    1: (0.0, 0.0, 0.0),
+    2: (-3.0, 0.0, 0.0),
+    3: (-6.0, 0.0, 0.0),
+    4: (-9.0, 0.0, 0.0),
+}
+EAST, NORTH = (12.0, 0.0), (0.0, 12.0)
+DOWN_WITHIN_M = 0.7  # the estimators wander
+HIGHEST_M = {"px4": 30.0, "ardupilot": 15.0}  # RTL_RETURN_ALT, RTL_ALT
+
+
+def flown(tmp_path: Path, make: str, way: tuple[float, float], **last_step: float) -> Flown:
+    """In a line from west to east, to 12 m from there, and home."""
+    vehicles = [
+        {"id": i, "role": "leader" if i == 1 else "follower", "slot_enu_m": list(start)} for i, start in STARTS.items()
+    ]
+    data: dict[str, Any] = {
+        "fleet": {
+            "name": "home",
+            "origin": {"latitude_deg": 47.397742, "longitude_deg": 8.545594, "altitude_amsl_m": 488.0},
+            "vehicles": vehicles,
+            "neighbours": {"kind": "edges", "edges": [[1, 2], [2, 3], [3, 4]]},
+            "law": {"name": "cooperative"},
+        },
+        "starts_enu_m": {i: list(start) for i, start in STARTS.items()},
+        "reference": {"kind": "waypoints", "points_enu_m": [[0.0, 0.0, 2.5], [*way, 2.5]]},
+        "stand_in": {"sensors": "default", "autopilot": make},
+        "timeline": [
+            {"command": "prepare"},
+            {"command": "arm"},
+            {"command": "takeoff"},
+            {"command": "form", "for_s": 20.0},
+            {"command": "return", **last_step},
+        ],
+    }
+    scenario = scenario_from(tmp_path / "scenario.yaml", data)
+    return fly_in_virtual_time(scenario, Progress("test", True, 0.0))
+
+
+@pytest.mark.parametrize("make", sorted(AutopilotKind))
+def test_all_come_home_at_once_and_land_where_they_stood(tmp_path: Path, make: str) -> None:
+    flight = flown(tmp_path, make, NORTH)
+    assert flight.failure is None
+    tracks = flight.tracks()
+    times_s = np.arange(0.0, min(track.time_s[-1] for track in tracks.values()), 0.1)
+    at = {i: track.at(times_s) for i, track in tracks.items()}
+    assert max(float(places[:, 1].max()) for places in at.values()) > 11.0
+    for vehicle_id, places in at.items():
+        assert float(places[:, 2].max()) == pytest.approx(HIGHEST_M[make], abs=1.0)
+        assert dist(places[-1][:2], STARTS[vehicle_id][:2]) < DOWN_WITHIN_M
+        status = flight.watch.status(vehicle_id)
+        assert status is not None
+        assert not status.armed
+    apart_m = min(float(np.linalg.norm(at[i] - at[j], axis=1).min()) for i, j in combinations(at, 2))
+    assert apart_m > 2.0
+
+
+def test_a_line_that_flew_along_itself_is_told_why_it_may_not_and_lands(tmp_path: Path) -> None:
+    """Each way home leads over the places of others."""
+    flight = flown(tmp_path, "px4", EAST, timeout_s=2.0)
+    assert flight.failure is not None
+    assert "return not done within 2 s" in flight.failure
+    assert "on its straight way home vehicle 1 comes within" in flight.failure
+    assert "expected at least separation_m, 1 m; land instead" in flight.failure
+    assert all(not status.armed for i in STARTS if (status := flight.watch.status(i)))
+    ends_m = {i: track.at(track.time_s[-1:])[0] for i, track in flight.tracks().items()}
+    assert all(ends_m[i][0] - start[0] > 11.0 for i, start in STARTS.items())
