@@ -131,7 +131,9 @@ class FlightWatch:
     def note_answers(
         self, asked_s: float, now_s: float, step: TimelineStep, replies: Mapping[int, CommandReply | None]
     ) -> None:
-        """Take in what was answered to a step's command that was given at `asked_s`."""
+        """Take in what was answered to a step's command that was given at `asked_s`. Agents that only start answer nothing."""
+        if any(self.status(vehicle_id) is None for vehicle_id in replies):
+            return
         self.commands.append(
             AskedFor(
                 time_s=round(asked_s - self.began_s, 3),

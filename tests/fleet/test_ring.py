@@ -50,6 +50,8 @@ def test_the_lead_changes_five_times_in_one_formation(tmp_path: Path) -> None:
     assert summary.duration_s == pytest.approx(42.0, abs=2.0)
     assert summary.smallest_distance_m is not None
     assert summary.smallest_distance_m > 1.4
+    assert [asked.in_words for asked in summary.commands if "lead" in asked.in_words] == [f"lead {i}" for i in LEADERS]
+    assert all(asked.answered_in_s is not None for asked in summary.commands)
     for vehicle in summary.vehicles:
         assert vehicle.tracking_error_m is not None and vehicle.tracking_error_m < 0.6
         assert vehicle.behind_leader_m is not None and vehicle.behind_leader_m < 0.3
