@@ -86,6 +86,24 @@ def test_a_flight_by_pymavlink(tmp_path: Path) -> None:
         process.wait_until_disarmed()
 
 
+def test_a_return_to_launch_by_pymavlink(tmp_path: Path) -> None:
+    with client_of(tmp_path, READY.replace("GUID_OPTIONS: 8", "RTL_LOIT_TIME: 1000")) as (process, client):
+        client.wait("HEARTBEAT")
+        message_id = M.MAVLINK_MSG_ID_EXTENDED_SYS_STATE
+        assert client.command(M.MAV_CMD_SET_MESSAGE_INTERVAL, message_id, 100_000) == M.MAV_RESULT_ACCEPTED
+        while client.command(M.MAV_CMD_DO_SET_MODE, 1, GUIDED) or client.command(M.MAV_CMD_COMPONENT_ARM_DISARM, 1):
+            time.sleep(0.2)
+        assert client.command(M.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, 2.0) == M.MAV_RESULT_ACCEPTED
+        while client.wait("EXTENDED_SYS_STATE").landed_state != M.MAV_LANDED_STATE_IN_AIR:
+            pass
+        assert client.command(M.MAV_CMD_NAV_RETURN_TO_LAUNCH) == M.MAV_RESULT_ACCEPTED
+        client.wait_for_mode(client.link.mode_mapping()["RTL"])
+        while client.wait("EXTENDED_SYS_STATE").landed_state != M.MAV_LANDED_STATE_LANDING:
+            pass
+        process.wait_until_disarmed()
+        assert process.truth()[-1].mode == "RTL"
+
+
 def test_rates_outlive_a_client_and_there_is_room_for_one(tmp_path: Path) -> None:
     with client_of(tmp_path) as (process, client):
         client.command(M.MAV_CMD_SET_MESSAGE_INTERVAL, M.MAVLINK_MSG_ID_ATTITUDE, 20_000)

@@ -100,6 +100,22 @@ def test_health_and_parameters(tmp_path: Path) -> None:
         fly(process, flight)
 
 
+def test_a_return_to_launch(tmp_path: Path) -> None:
+    async def flight(c: Client) -> None:
+        await c.take_off()
+        await c.action.set_return_to_launch_altitude(4.0)
+        await c.action.return_to_launch()
+        await c.wait_for_mode(FlightMode.RETURN_TO_LAUNCH)
+        async for state in c.telemetry.subscribe_landed_state():
+            if state == LandedState.LANDING:
+                break
+        assert await c.telemetry.flight_mode() == FlightMode.RETURN_TO_LAUNCH
+        await c.wait_until_disarmed()
+
+    with stand_in(tmp_path, IDEAL) as process:
+        fly(process, flight)
+
+
 def test_a_flight_with_offboard_attitude(tmp_path: Path) -> None:
     async def flight(c: Client) -> None:
         await c.take_off()
