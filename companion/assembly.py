@@ -29,6 +29,7 @@ from companion.core.formation import FormationLaw, Gains
 from companion.core.formation_limits import FormationLimits
 from companion.core.hand_over import HandOverLimits
 from companion.core.health import AgeLimits
+from companion.core.joining import Joining
 from companion.core.leader_word import LeaderWatch
 from companion.core.leadership import Leadership
 from companion.core.neighbours import EdgeRule, NeighbourRule, RangeRule
@@ -99,7 +100,8 @@ def build_agent(config: AgentConfig, session: int) -> Agent:
     vehicle = config.vehicle
     observer = DisturbanceObserver(vehicle.hover_thrust_norm, vehicle.drag_1_s, law.disturbance_bandwidth_1_s)
     setpoints, held = SetpointStream(envelope, observer), HeldForWantOfALeader(fleet.land_after_s)
-    return Agent(setup, tracker, cooperation, _control(config), setpoints, slots, held)
+    joining = Joining(member.id, fleet.separation_m, fleet.slot_speed_m_s)
+    return Agent(setup, tracker, cooperation, _control(config), setpoints, slots, held, joining)
 
 
 def _control(config: AgentConfig) -> FormationControl:

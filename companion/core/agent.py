@@ -16,6 +16,7 @@ from companion.core.flight_manners import manners_of
 from companion.core.formation import place
 from companion.core.health import AgeLimits, health_flags
 from companion.core.homeward import refusal_of_return
+from companion.core.joining import Joining, Way
 from companion.core.phase import RULES, STREAMING, PhaseMachine
 from companion.core.preflight import Preflight
 from companion.core.setpoint_stream import SetpointStream
@@ -87,6 +88,7 @@ class Agent:
         setpoints: SetpointStream,
         slots: SlotPlan,
         held: HeldForWantOfALeader,
+        joining: Joining,
     ) -> None:
         self._setup = setup
         self._tracker = tracker
@@ -96,6 +98,8 @@ class Agent:
         self._slots = slots
         self._references = control.references
         self._held = held
+        self._joining = joining
+        self._joins = False  # others were in formation already when this vehicle was told to form
         self._observer = setpoints.observer
         self._machine = PhaseMachine(setup.takeoff_height_m)
         self._preflight = Preflight(self._observer)
@@ -158,6 +162,7 @@ class Agent:
             elif order.answer is None and isinstance(order.command.content, ReferenceChange):
                 order.answer = self._change_reference(order.command.content, vehicle, around)
         self._hear_of_formations(vehicle, around)
+        self._join(now_s, vehicle, around)
         slot = self._slots.update(around.reference_s, around.flying)
         if self._references:
             self._references.update(now_s, around.reference_s, self._slots.slots_enu_m, around.flying, inbox.targets)
@@ -286,6 +291,32 @@ class Agent:
     def _leads_formation(self, around: Neighbourhood) -> bool:
         return around.role is Role.LEADER and self._machine.phase is FlightPhase.FORMATION
 
+    def _join(self, now_s: float, vehicle: VehicleState, around: Neighbourhood) -> None:
+        """Until the autopilot takes the stream, from wherever this vehicle is."""
+        self._joining.hear(now_s, around.flying)
+        if self.phase not in STREAMING:
+            self._joins = False
+            self._slots.end_coming()
+        elif self._joins and self.phase is FlightPhase.ENGAGE:
+            try:
+                self._slots.come(self._way_in(now_s, vehicle), around.reference_s)
+            except ValueError as error:
+                self._machine.hand_over(now_s, vehicle, f"does not join: {error}")
+
+    def _way_in(self, now_s: float, vehicle: VehicleState) -> Way:
+        """Raises ValueError where there is none."""
+        fresh = self._cooperation.peers.fresh(now_s).values()
+        flying = [peer for peer in fresh if peer.packet.phase in COOPERATING]
+        slot_enu_m = self._slots.slots_enu_m[self._setup.vehicle_id]
+        return self._joining.way(now_s, vehicle.position_enu_m, vehicle.velocity_enu_m_s, slot_enu_m, flying)
+
+    def _refusal_to_join(self, now_s: float, vehicle: VehicleState) -> str:
+        try:
+            self._way_in(now_s, vehicle)
+        except ValueError as error:
+            return str(error)
+        return ""
+
     def _rft_enu_m(self, vehicle: VehicleState, around: Neighbourhood) -> list[Vector3]:
         """Places of the RFT, as far as they are known here: who may lead knows it, who flies in formation where it is now."""
         if self._references:
@@ -352,7 +383,11 @@ class Agent:
             stood_enu_m = self._cooperation.peers.stood_enu_m
             own_id, separation_m = self._setup.vehicle_id, self._setup.checks.separation_m
             return refusal_of_return(own_id, separation_m, vehicle, self._heard(now_s), stood_enu_m), ""
-        return self._setup.checks.judge(name, vehicle, self._slots.flown, self._heard(now_s))
+        refusal, warning = self._setup.checks.judge(name, vehicle, self._slots.flown, self._heard(now_s))
+        if name is CommandName.FORM and not refusal:
+            self._joins = self._joining.is_due(now_s)
+            refusal = self._refusal_to_join(now_s, vehicle) if self._joins else ""
+        return refusal, warning
 
     def _heard(self, now_s: float) -> list[PeerPacket]:
         """All others that are heard of just now."""

@@ -18,6 +18,7 @@ from companion.types import FlightPhase, HealthFlag, LeaderWord, PeerPacket, Rec
 
 LEADER, FORMATION = Role.LEADER, FlightPhase.FORMATION
 # A vehicle on the ground, climbing, landing or flown by its pilot is nobody's neighbour.
+FORMING_S = 2.0  # so long a formation may take to come together
 COOPERATING = frozenset({FlightPhase.HOLD, FlightPhase.ENGAGE, FlightPhase.FORMATION, FlightPhase.RELEASE})
 
 
@@ -57,6 +58,7 @@ class Cooperation:
         self._leader = leader
         self._succession = succession
         self._clock = ReferenceClock()
+        self._formed_s: float | None = None  # since when this vehicle is in formation
         self.leadership = leadership
         self.peers = peers
 
@@ -75,10 +77,11 @@ class Cooperation:
         self.peers.fold(packets, self.leadership.epoch)
         fresh = self.peers.fresh(now_s)
         self.leadership.hear([peer.packet.leader_word for peer in fresh.values()])
-        positions = {i: peer.position_at(now_s) for i, peer in fresh.items() if peer.packet.phase in COOPERATING}
+        flying = [peer.packet for peer in fresh.values() if peer.packet.phase in COOPERATING]
+        company = self._company(now_s, flying, in_formation)
+        positions = {p.vehicle_id: fresh[p.vehicle_id].position_at(now_s) for p in company}
         ids = self._rule.select(own_position_enu_m, positions)
         heard = [fresh[i].packet for i in ids]
-        flying = [fresh[i].packet for i in positions]
         self._leader.hear(now_s, self._words_of_others(heard), self.leadership.term)
         newest = self._leader.youngest(now_s)
         leaderless = self._succeed(now_s, newest[0] is not None, heard, flying, fit_to_lead)
@@ -102,6 +105,21 @@ class Cooperation:
             neighbour_ids=ids,
             flying=tuple(flying),
         )
+
+    def _company(self, now_s: float, flying: list[PeerPacket], in_formation: bool) -> list[PeerPacket]:
+        """Who can be a neighbour. Once a formation has come together, who is not in it is not heeded any more, or not yet.
+
+        But for a leader, where none leads in formation: it may have left because it was told to, and the fleet stands with it.
+        """
+        if not in_formation:
+            self._formed_s = None
+            return flying
+        if self._formed_s is None:
+            self._formed_s = now_s
+        if now_s - self._formed_s <= FORMING_S:
+            return flying
+        led = self.leadership.role is LEADER or any(p.role is LEADER and p.phase is FORMATION for p in flying)
+        return [p for p in flying if p.phase is FORMATION or (p.role is LEADER and not led)]
 
     def landed(self) -> None:
         """The next flight begins the RFT anew."""

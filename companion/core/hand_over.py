@@ -60,7 +60,7 @@ def handed_over(
         delta = dying_out(begin, lasts_s)
         samples = max(SAMPLES, ceil(lasts_s))
         times_s = [lasts_s * index / samples for index in range(samples + 1)]
-        if _within(delta, times_s, speed_m_s, acceleration_m_s2):
+        if within(delta, times_s, speed_m_s, acceleration_m_s2):
             whole = _sum(new, delta, begins_s)
             if all(_is_flyable(whole(begins_s + time_s), limits, box) for time_s in times_s):
                 return whole, lasts_s
@@ -68,7 +68,8 @@ def handed_over(
     return None
 
 
-def _within(delta: Curve, times_s: Iterable[float], speed_m_s: float, acceleration_m_s2: float) -> bool:
+def within(delta: Curve, times_s: Iterable[float], speed_m_s: float, acceleration_m_s2: float) -> bool:
+    """Is it so slow and so gentle at all these times?"""
     motions = [delta(time_s) for time_s in times_s]
     return all(hypot(*v) <= speed_m_s * 1.001 and hypot(*a) <= acceleration_m_s2 * 1.001 for _, v, a in motions)
 

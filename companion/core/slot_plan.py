@@ -10,7 +10,8 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping
 
 from companion.core.formation_limits import FormationLimits
-from companion.geometry.curves import between
+from companion.core.joining import Way
+from companion.geometry.curves import Motion, between
 from companion.types import MAX_EPOCHS_AHEAD, FlightPhase, FlownSlot, FormationChange, PeerPacket, Vector3
 
 LATEST_S = 60.0  # ahead of the fleet's time
@@ -27,6 +28,7 @@ class SlotPlan:
         self._before_enu_m = self.slots_enu_m = dict(slots_enu_m)  # of the formation flown, or gone to
         self._flown = FormationChange(0, tuple(sorted(slots_enu_m.items())), 0.0, 0.0)
         self._waiting: FormationChange | None = None
+        self._way: tuple[Way, float] | None = None  # while it joins, with its beginning
         self.flown = FlownSlot(slots_enu_m[own_id])
         self.events: list[str] = []
 
@@ -102,6 +104,8 @@ class SlotPlan:
         motion = between(
             self._before_enu_m[own_id], self.slots_enu_m[own_id], reference_s - flown.begins_s, flown.lasts_s
         )
+        if self._way:
+            motion = self._on_the_way(*self._way, motion, reference_s)
         number = self._waiting.number if self._waiting else flown.number
         self.flown = FlownSlot(*motion, flown.number, number)
         return self.flown
@@ -111,6 +115,23 @@ class SlotPlan:
         if self._waiting:
             self.events.append(f"formation {self._waiting.number} does not begin: the fleet's time begins anew")
         self._flown, self._before_enu_m, self._waiting = _begun(self._flown), self.slots_enu_m, None
+
+    def come(self, way: Way, reference_s: float) -> None:
+        """Join by this way from this time of the fleet's on."""
+        self._way = (way, reference_s)
+
+    def end_coming(self) -> None:
+        """Whatever way was begun: this vehicle is in formation no more."""
+        self._way = None
+
+    def _on_the_way(self, way: Way, begun_s: float, motion: Motion, reference_s: float) -> Motion:
+        delta, lasts_s = way
+        if reference_s >= begun_s + lasts_s:
+            self._way = None
+            self.events.append("has joined: it is in its slot")
+            return motion
+        x, y, z = (_plus(a, b) for a, b in zip(motion, delta(reference_s - begun_s), strict=True))
+        return x, y, z
 
     def _take(self, change: FormationChange) -> None:
         self._before_enu_m, self.slots_enu_m = self.slots_enu_m, dict(change.slots_enu_m)
@@ -149,6 +170,8 @@ class SlotPlan:
             return f"begins at {change.begins_s:.1f} s of the fleet's time, which is {reference_s:.1f} s now"
         if not 0.0 < change.lasts_s <= LONGEST_S:
             return f"lasts {change.lasts_s:.1f} s; expected up to {LONGEST_S:g} s"
+        if self._way:
+            return "this vehicle is still joining"
         if reference_s < self._flown.begins_s + self._flown.lasts_s:
             return f"formation {self._flown.number} is still being taken up"
         return self._limits.refusal_of_way(self.slots_enu_m, dict(change.slots_enu_m), change.lasts_s)
@@ -161,3 +184,7 @@ def _is_flown(change: FormationChange, others: Iterable[PeerPacket]) -> bool:
 def _begun(change: FormationChange) -> FormationChange:
     """It is flown from the beginning of the fleet's time on."""
     return FormationChange(change.number, change.slots_enu_m, 0.0, 0.0)
+
+
+def _plus(a: Vector3, b: Vector3) -> Vector3:
+    return (a[0] + b[0], a[1] + b[1], a[2] + b[2])

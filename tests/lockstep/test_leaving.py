@@ -1,0 +1,95 @@
+"""Vehicles that leave a column of five and join it again, in virtual time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commanded_flight import Flight
+
+from companion.ground.formations import change_to
+from companion.types import CommandName, FlightPhase
+
+SCENARIO = Path(__file__).parents[2] / "config" / "scenarios" / "leaving.yaml"
+OTHERS = (1, 2, 4, 5)
+STANDS = "reference.points_enu_m=[[0.0, 0.0, 2.0]]"
+
+
+def flight(*overrides: str) -> Flight:
+    return Flight(SCENARIO, *overrides)
+
+
+def test_who_left_is_heeded_no_more_and_the_others_fly_on() -> None:
+    fleet = flight()
+    fleet.give(CommandName.HOLD, 3)
+    fleet.go_on(16.0)  # 14 m further
+    assert {fleet.newest[i].phase for i in OTHERS} == {FlightPhase.FORMATION}
+    assert fleet.newest[3].phase is FlightPhase.HOLD
+    assert max(fleet.errors_m().values()) < 0.1
+    assert fleet.newest[3].position_enu_m[0] < -2.0
+
+
+def test_who_joins_again_comes_into_its_gap_without_pulling_anybody() -> None:
+    fleet = flight(STANDS)
+    fleet.land(3)
+    fleet.take_off_again(3)
+    since_s = fleet.lockstep.now_s()
+    fleet.targets = {i: [] for i in fleet.targets}
+    fleet.give(CommandName.FORM, 3)
+    fleet.until(3, FlightPhase.FORMATION)
+    fleet.go_on(12.0)
+    assert max(fleet.errors_m().values()) < 0.1
+    assert len(fleet.errors_m()) == 5
+    assert "has joined: it is in its slot" in fleet.said(3)
+    assert fleet.smallest_m(since_s) > 1.9
+
+
+@pytest.mark.parametrize("moving", [False, True])
+def test_who_joins_from_afar_flies_to_its_slot_and_the_others_keep_theirs(moving: bool) -> None:
+    """Behind the column, which has gone on or is going on."""
+    fleet = flight(f"reference.max_speed_m_s={0.6 if moving else 3.0}")
+    fleet.land(5)
+    fleet.take_off_again(5)
+    since_s = fleet.lockstep.now_s()
+    slots = {i: status.slot.position_enu_m for i, status in fleet.newest.items()}
+    far_m = fleet.newest[4].position_enu_m[0] - 2.0 - fleet.newest[5].position_enu_m[0]
+    assert far_m > 2.0
+    fleet.give(CommandName.FORM, 5)
+    fleet.until(5, FlightPhase.FORMATION)
+    worst_m = 0.0
+    for _ in range(60):
+        fleet.go_on(0.5)
+        worst_m = max(worst_m, *fleet.errors_m().values())
+    assert worst_m < 0.35
+    assert {i: status.slot.position_enu_m for i, status in fleet.newest.items()} == slots
+    assert fleet.smallest_m(since_s) > 1.8
+    assert fleet.largest_step_deg() < 5.0
+
+
+def test_a_way_that_comes_too_near_to_another_is_refused_by_name() -> None:
+    fleet = flight("reference.max_speed_m_s=3")
+    fleet.land(3)
+    fleet.take_off_again(3)
+    fleet.go_on(5.0)
+    reply = fleet.answers(CommandName.FORM, 3)[3]
+    assert reply is not None
+    assert not reply.accepted
+    assert reply.reason.startswith("form: its way to its slot comes within 0.")
+    assert reply.reason.endswith("m of vehicle 4; expected at least separation_m, 1 m")
+    assert fleet.newest[3].phase is FlightPhase.HOLD
+
+
+def test_nobody_joins_while_a_formation_is_taken_up() -> None:
+    fleet = flight(STANDS)
+    fleet.land(5)
+    fleet.take_off_again(5)
+    nearer = change_to({i: (-1.8 * (i - 1), 0.0, 0.0) for i in range(1, 6)}, list(fleet.newest.values()), 1.0)
+    fleet.give(CommandName.FORMATION, content=nearer)
+    reply = fleet.answers(CommandName.FORM, 5)[5]
+    assert reply is not None
+    assert "is still to take up its slot; give form again then" in reply.reason
+    fleet.go_on(10.0)
+    fleet.give(CommandName.FORM, 5)
+    fleet.go_on(5.0)
+    assert np.isclose(fleet.newest[5].slot.position_enu_m[0], -7.2)
