@@ -20,6 +20,7 @@ from companion.config.vehicle import AgentConfig
 from companion.config_file import ConfigError, convert
 from companion.core import formation
 from companion.core.agent import Agent, AgentSetup
+from companion.core.battery import BatteryWatch
 from companion.core.control import FormationControl
 from companion.core.cooperation import Cooperation
 from companion.core.disturbance import DisturbanceObserver
@@ -101,7 +102,8 @@ def build_agent(config: AgentConfig, session: int) -> Agent:
     observer = DisturbanceObserver(vehicle.hover_thrust_norm, vehicle.drag_1_s, law.disturbance_bandwidth_1_s)
     setpoints, held = SetpointStream(envelope, observer), HeldForWantOfALeader(fleet.land_after_s)
     joining = Joining(member.id, fleet.separation_m, fleet.slot_speed_m_s)
-    return Agent(setup, tracker, cooperation, _control(config), setpoints, slots, held, joining)
+    battery = BatteryWatch(fleet.leave_below_percent)
+    return Agent(setup, tracker, cooperation, _control(config), setpoints, slots, held, joining, battery)
 
 
 def _control(config: AgentConfig) -> FormationControl:

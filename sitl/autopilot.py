@@ -22,6 +22,7 @@ DT_S = 0.004  # physics and attitude control at 250 Hz
 CONTROL_PERIOD_S = 0.02  # of its own position control, and of looking after setpoint streams
 IDLE_THRUST_NORM = 0.08
 LITTLE_THRUST = 0.6  # of hover thrust
+FULL_BATTERY_PERCENT = 98
 CRITICAL, ERROR, WARNING, INFO = 2, 3, 4, 6  # MAV_SEVERITY
 
 
@@ -69,6 +70,9 @@ class Autopilot(ABC):
             (reset for reset in file.stand_in.estimator_resets if reset.vehicle == file.id),
             key=lambda reset: reset.at_s,
         )
+        self._batteries = sorted(
+            (level for level in file.stand_in.batteries if level.vehicle == file.id), key=lambda level: level.at_s
+        )
 
     # ------------------------------------------------------------ what it is like now
 
@@ -94,6 +98,12 @@ class Autopilot(ABC):
     def has_position(self) -> bool:
         """Does its estimator know yet where it is?"""
         return True
+
+    @property
+    def battery_percent(self) -> int:
+        """As it tells it, -1 where it does not know."""
+        told = [level.percent for level in self._batteries if level.at_s <= self.time_s]
+        return told[-1] if told else FULL_BATTERY_PERCENT
 
     @property
     def _control_dt_s(self) -> float:

@@ -83,6 +83,14 @@ class EstimatorReset(Section, frozen=True):
     shift_enu_m: PositionM
 
 
+class BatteryLevel(Section, frozen=True):
+    """From `at_s` after its start on, a vehicle's autopilot tells this charge; -1 is that it does not know."""
+
+    vehicle: VehicleId
+    at_s: Annotated[float, Meta(ge=0, le=36_000)]
+    percent: Annotated[int, Meta(ge=-1, le=100)]
+
+
 class StandIn(Section, frozen=True):
     """The stand-in vehicles of a scenario and the air round them.
 
@@ -97,6 +105,7 @@ class StandIn(Section, frozen=True):
     wind: Wind = Wind()
     seed: Annotated[int, Meta(ge=0)] = 1
     estimator_resets: tuple[EstimatorReset, ...] = ()
+    batteries: tuple[BatteryLevel, ...] = ()
     parameters: dict[str, float] = field(default_factory=dict)
 
     def sensor_model(self) -> Sensors:

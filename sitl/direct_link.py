@@ -34,7 +34,7 @@ from sitl.attitude_control import Setpoint
 from sitl.autopilot import Autopilot
 from sitl.config import Links
 from sitl.link_end import LinkEnd
-from sitl.messages import BATTERY_PERCENT, global_position, gps_raw
+from sitl.messages import global_position, gps_raw
 
 M = mavlink
 _TWO_FLOATS = struct.Struct("<2f")
@@ -80,7 +80,7 @@ def _landed(autopilot: Autopilot, received_s: float) -> tuple[Telemetry, ...]:
 
 
 def _system(autopilot: Autopilot, received_s: float) -> tuple[Telemetry, ...]:
-    return (SystemSample(received_s, float(BATTERY_PERCENT), autopilot.armable),)
+    return (SystemSample(received_s, float(autopilot.battery_percent), autopilot.armable),)
 
 
 def _global_position(autopilot: Autopilot, received_s: float) -> tuple[Telemetry, ...]:

@@ -17,7 +17,7 @@ from sitl.autopilot import Autopilot
 
 M = mavlink
 LANDED_ON_GROUND, LANDED_IN_AIR, LANDED_TAKEOFF, LANDED_LANDING = 1, 2, 3, 4
-BATTERY_V, BATTERY_PERCENT = 16.2, 98
+BATTERY_V = 16.2
 
 
 def local_position(autopilot: Autopilot) -> MavlinkMessage:
@@ -94,13 +94,13 @@ def sys_status(autopilot: Autopilot) -> MavlinkMessage:
     healthy = SENSORS | (M.MAV_SYS_STATUS_PREARM_CHECK if autopilot.armable else 0)
     present = SENSORS | M.MAV_SYS_STATUS_PREARM_CHECK
     return M.MAVLink_sys_status_message(
-        present, present, healthy, 250, round(BATTERY_V * 1000), 800, BATTERY_PERCENT, 0, 0, 0, 0, 0, 0
+        present, present, healthy, 250, round(BATTERY_V * 1000), 800, autopilot.battery_percent, 0, 0, 0, 0, 0, 0
     )
 
 
-def battery_status(_autopilot: Autopilot) -> MavlinkMessage:
+def battery_status(autopilot: Autopilot) -> MavlinkMessage:
     cells = [round(BATTERY_V / 4 * 1000)] * 4 + [65535] * 6
-    return M.MAVLink_battery_status_message(0, 0, 1, 2500, cells, 800, 100, -1, BATTERY_PERCENT)
+    return M.MAVLink_battery_status_message(0, 0, 1, 2500, cells, 800, 100, -1, autopilot.battery_percent)
 
 
 def vfr_hud(autopilot: Autopilot) -> MavlinkMessage:

@@ -150,10 +150,12 @@ def scenario_from(path: Path, data: object) -> Scenario:
 
 
 def _check_vehicles_named(path: Path, scenario: Scenario) -> None:
-    """Own origins and resets are of vehicles of the fleet. Raises ConfigError."""
+    """Own origins, resets and batteries are of vehicles of the fleet. Raises ConfigError."""
     named = [(vehicle_id, f"origins_enu_m.{vehicle_id}") for vehicle_id in sorted(scenario.origins_enu_m)]
     for index, reset in enumerate(scenario.stand_in.estimator_resets):
         named.append((reset.vehicle, f"stand_in.estimator_resets[{index}].vehicle"))
+    for index, level in enumerate(scenario.stand_in.batteries):
+        named.append((level.vehicle, f"stand_in.batteries[{index}].vehicle"))
     for vehicle_id, where in named:
         if scenario.fleet.member(vehicle_id) is None:
             known = ", ".join(str(member.id) for member in scenario.fleet.vehicles)

@@ -95,7 +95,8 @@ class FleetConfig(Section, frozen=True):
     one reference to another in flight adds no more than `hand_over_speed_m_s` and `hand_over_acceleration_m_s2` to what
     both ask for. When no leader is heard any more, the first of the `successors` that flies in formation leads; where none
     does, all go into their autopilots' hold, and after `land_after_s` in it each lands where it is, or stays up where that
-    is not given.
+    is not given. A vehicle whose battery stays below `leave_below_percent` leaves formation by itself and lands; where that
+    is not given, none does.
     """
 
     name: Annotated[str, Meta(pattern=FLEET_NAME, description=FLEET_NAME_WORDS)]
@@ -112,6 +113,7 @@ class FleetConfig(Section, frozen=True):
     takeoff_height_m: Annotated[float, Meta(ge=0.5, le=120)] = 2.5
     successors: tuple[VehicleId, ...] = ()
     land_after_s: Annotated[float, Meta(gt=0, le=3600)] | None = None
+    leave_below_percent: Annotated[float, Meta(gt=0, le=90)] | None = None
     peers: PeerLimits = PeerLimits()
     envelope: Envelope = Envelope()
 

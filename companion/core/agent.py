@@ -6,6 +6,7 @@ from collections import Counter
 from dataclasses import dataclass
 from math import inf
 
+from companion.core.battery import BatteryWatch
 from companion.core.command_desk import CommandDesk, Order
 from companion.core.control import FormationControl
 from companion.core.cooperation import COOPERATING, Cooperation, Neighbourhood
@@ -89,6 +90,7 @@ class Agent:
         slots: SlotPlan,
         held: HeldForWantOfALeader,
         joining: Joining,
+        battery: BatteryWatch,
     ) -> None:
         self._setup = setup
         self._tracker = tracker
@@ -99,6 +101,7 @@ class Agent:
         self._references = control.references
         self._held = held
         self._joining = joining
+        self._battery = battery
         self._joins = False  # others were in formation already when this vehicle was told to form
         self._observer = setpoints.observer
         self._machine = PhaseMachine(setup.takeoff_height_m)
@@ -145,6 +148,7 @@ class Agent:
         vehicle = self._tracker.fold(inbox.telemetry)
         self._machine.follow_truth(vehicle)
         self._preflight.hear(now_s, inbox.telemetry, vehicle.autopilot)
+        self._battery.hear(inbox.telemetry)
         orders = [self._desk.take_in(command) for command in inbox.commands]
         # A new role comes before all that it decides: one tick, its packet included, is of one role.
         for order in orders:
@@ -182,6 +186,8 @@ class Agent:
         self._act_on(flags, action, now_s, vehicle)
         if self._held.must_land(now_s, self.phase, led=around.leader_word is not None):
             self._machine.land(now_s, vehicle, "in hold for want of a leader, and none came")
+        if self._battery.must_land(self.phase):
+            self._machine.land(now_s, vehicle, "in hold for want of battery")
         self._fit_to_lead = (
             self.phase is FlightPhase.FORMATION
             and action is FailsafeAction.NONE
@@ -339,7 +345,7 @@ class Agent:
         self, name: CommandName, now_s: float, vehicle: VehicleState, flags: frozenset[HealthFlag]
     ) -> tuple[bool, str]:
         if name is CommandName.ABORT:
-            self._held.end()
+            self._end_own_ways()
             return self._machine.abort(now_s, vehicle)
         if missing := self._missing_for(name, flags):
             return False, f"{name}: {', '.join(missing)}"
@@ -348,11 +354,16 @@ class Agent:
             return False, f"{name}: {refusal}"
         accepted, reason = self._machine.command(name, now_s, vehicle)
         if accepted:
-            self._held.end()
+            self._end_own_ways()
         if accepted and warning:
             self._warnings.append(warning)
             reason += f"; {warning}"
         return accepted, reason
+
+    def _end_own_ways(self) -> None:
+        """Whatever the vehicle was about to do by itself, it was told something."""
+        self._held.end()
+        self._battery.end()
 
     def _missing_for(self, name: CommandName, flags: frozenset[HealthFlag]) -> list[str]:
         """Landing, holding and disarming need nothing; the rest needs a vehicle that knows where and how it is.
@@ -377,7 +388,7 @@ class Agent:
         """Why a command is refused that is otherwise possible, and what is to be said of it where it is not."""
         if self.phase not in RULES[name].allowed:
             return "", ""
-        if name is CommandName.FORM and (refusal := self._preflight.refusal()):
+        if name is CommandName.FORM and (refusal := self._preflight.refusal() or self._battery.too_low):
             return refusal, ""
         if name is CommandName.RETURN:
             stood_enu_m = self._cooperation.peers.stood_enu_m
@@ -404,6 +415,9 @@ class Agent:
             if HealthFlag.LEADER_LOST in flags and self.phase in STREAMING:
                 self._held.begin(now_s)
             self._machine.hand_over(now_s, vehicle, _reason(flags))
+        elif self.phase in STREAMING and (too_low := self._battery.too_low):
+            self._machine.hand_over(now_s, vehicle, too_low)
+            self._battery.begin()
 
     def _end_formation_in_silence(self, flags: frozenset[HealthFlag], now_s: float, vehicle: VehicleState) -> None:
         """Who would drift on by itself is asked to hold, unless a pilot may have taken over unseen."""

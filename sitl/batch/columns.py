@@ -83,6 +83,8 @@ def _check(scenarios: Sequence[Scenario]) -> None:
     counts = sorted({len(scenario.fleet.vehicles) for scenario in scenarios})
     if len(counts) > 1:
         raise ValueError(f"formations of one batch need the same number of vehicles; these have {counts}")
+    if any(scenario.stand_in.batteries for scenario in scenarios):
+        raise ValueError("a batch knows no stand_in.batteries; fly them with sitl run or sitl fly")
     if any(scenario.stand_in.estimator_resets for scenario in scenarios):
         raise ValueError("a batch knows no stand_in.estimator_resets; fly them with sitl run or sitl fly")
     if any(isinstance(scenario.reference, TargetReference) for scenario in scenarios):

@@ -22,14 +22,15 @@ FORMATION = FlightPhase.FORMATION
 
 
 class Flight:
-    """A scenario's fleet, in formation by its first four steps, and all that its vehicles say and do from then on."""
+    """A scenario's fleet, in formation by its timeline up to there, and all that its vehicles say and do from then on."""
 
     def __init__(self, scenario: Path, *overrides: str) -> None:
         self.scenario = load_scenario(scenario, ["stand_in.sensors=ideal", *overrides])
         self.lockstep = Lockstep(self.scenario)
         watch = FlightWatch(ids_of(self.scenario), [1], 0.0)
         director = Director(self.lockstep, watch, Progress("test", True, 0.0), lambda: None, tuple, self.lockstep)
-        director.fly(self.scenario.timeline[:4])
+        steps = self.scenario.timeline
+        director.fly(steps[: 1 + [step.command for step in steps].index(CommandName.FORM)])
         self.newest: dict[int, Status] = {}
         self.events: list[tuple[int, str]] = []
         self.packets: list[PeerPacket] = []

@@ -9,7 +9,7 @@ import pytest
 from commanded_flight import Flight
 
 from companion.ground.formations import change_to
-from companion.types import CommandName, FlightPhase
+from companion.types import CommandName, FlightPhase, Role
 
 SCENARIO = Path(__file__).parents[2] / "config" / "scenarios" / "leaving.yaml"
 OTHERS = (1, 2, 4, 5)
@@ -93,3 +93,28 @@ def test_nobody_joins_while_a_formation_is_taken_up() -> None:
     fleet.give(CommandName.FORM, 5)
     fleet.go_on(5.0)
     assert np.isclose(fleet.newest[5].slot.position_enu_m[0], -7.2)
+
+
+def test_who_has_too_little_battery_lands_by_itself_and_the_others_fly_on() -> None:
+    drains = "stand_in.batteries=[{vehicle: 4, at_s: 30, percent: 14}, {vehicle: 5, at_s: 30, percent: -1}]"
+    fleet = flight("fleet.leave_below_percent=15", drains)
+    assert fleet.lockstep.now_s() < 29.0
+    fleet.go_on(30.0 - fleet.lockstep.now_s() + 2.5)
+    assert fleet.newest[4].phase is FlightPhase.FORMATION  # it may be a wrong sample yet
+    fleet.until(4, FlightPhase.OBSERVE)
+    assert not fleet.newest[4].armed
+    assert "formation -> release (battery at 14 %, below leave_below_percent 15)" in fleet.said(4)
+    assert "hold -> land (in hold for want of battery)" in fleet.said(4)
+    assert {fleet.newest[i].phase for i in (1, 2, 3, 5)} == {FlightPhase.FORMATION}
+    assert max(fleet.errors_m().values()) < 0.1
+
+
+def test_a_leader_that_leaves_is_led_on_for_by_its_successor() -> None:
+    fleet = flight("fleet.leave_below_percent=15", "stand_in.batteries=[{vehicle: 1, at_s: 26, percent: 9}]")
+    fleet.until(1, FlightPhase.OBSERVE)
+    assert fleet.newest[2].role is Role.LEADER
+    fleet.go_on(20.0)
+    assert {fleet.newest[i].phase for i in (2, 3, 4, 5)} == {FlightPhase.FORMATION}
+    assert {status.slot.formation for status in fleet.newest.values()} == {0}
+    assert max(fleet.errors_m().values()) < 0.1
+    assert fleet.largest_step_deg() < 5.0

@@ -11,7 +11,7 @@ from companion.ground.formations import change_to
 from companion.types import CommandName, FormationChange, Vector3
 
 SCENARIO = Path(__file__).parents[2] / "config" / "scenarios" / "formations.yaml"
-WIDER: dict[int, Vector3] = {i: (-2.5 * (i - 1), 0.0, 0.0) for i in range(1, 9)}
+WIDER: dict[int, Vector3] = {i: (0.0, 8.75 - 2.5 * (i - 1), 0.0) for i in range(1, 9)}
 
 
 def wider(flight: Flight) -> FormationChange:

@@ -234,6 +234,10 @@ def test_a_later_override_wins_and_whole_sections_can_be_set() -> None:
             "stand_in.estimator_resets=[{vehicle: 9, at_s: 1, shift_enu_m: [0, 0, 0]}]",
             "--set: stand_in.estimator_resets[0].vehicle: no vehicle 9 in the fleet; expected one of 1, 2, 3, 4",
         ),
+        (
+            "stand_in.batteries=[{vehicle: 9, at_s: 1, percent: 9}]",
+            "--set: stand_in.batteries[0].vehicle: no vehicle 9 in the fleet; expected one of 1, 2, 3, 4",
+        ),
         ("fleet.takeoff_height_m=[", "--set: fleet.takeoff_height_m: '[' is not a YAML value"),
         ("fleet.law.gains.velocity_1_s=11", "--set: fleet.law.gains.velocity_1_s: 11: expected float <= 10.0"),
         (
