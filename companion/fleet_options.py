@@ -66,8 +66,8 @@ return is for vehicles in formation or in hold. Their autopilots climb first, as
 (ArduCopter) says, fly straight home and land; from then on they need neither agent nor network. They know nothing of each
 other, so a vehicle refuses where its straight way home comes nearer than separation_m to another vehicle or to that one's
 way home, whoever of them is asked, and where it does not know its home, as after a restart of its agent in the air. Land
-those that refuse, or first bring the formation back to where it took off. `hold` and `land` end a return, and so
-does `abort`, but for vehicles that come down at home already.
+those that refuse, ask them again when others are home, or first bring the formation back to where it took off. `hold` and
+`land` end a return, and so does `abort`, but for vehicles that come down at home already.
 
 One vehicle's endpoint (zenoh.listen in its vehicle file) leads to all that it is connected with; more endpoints help
 where one vehicle may be away. Without --connect: tcp/127.0.0.1:7448 to 7455, vehicles 1 to 8 of a simulation.

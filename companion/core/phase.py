@@ -29,7 +29,10 @@ TAKES_OVER_WITHIN_S = 0.25  # both do it within 50 ms of being asked
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """A command: allowed from where, the phase while it is under way, the phase it leads to, and where a failure leads."""
+    """A command: allowed from where, the phase while it is under way, the phase it leads to, and where a failure leads.
+
+    A failure that leads to RELEASE is answered with a hold.
+    """
 
     allowed: frozenset[FlightPhase]
     via: FlightPhase
@@ -55,7 +58,6 @@ RULES: dict[CommandName, Rule] = {
     C.FORM: Rule(frozenset({P.HOLD}), P.ENGAGE, P.FORMATION, P.HOLD, False),
     C.HOLD: Rule(FLYING | {P.OBSERVE}, P.RELEASE, P.HOLD, P.OBSERVE, False),
     C.LAND: Rule(FLYING | {P.OBSERVE}, P.LAND, P.OBSERVE, P.OBSERVE, False),
-    # An autopilot that does not return is asked to hold.
     C.RETURN: Rule(STREAMING | {P.HOLD, P.RELEASE}, P.RETURN, P.OBSERVE, P.RELEASE, False),
     C.DISARM: Rule(ON_GROUND | {P.OBSERVE}, P.LAND, P.OBSERVE, P.OBSERVE, True),
 }
