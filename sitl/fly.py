@@ -10,7 +10,7 @@ from pathlib import Path
 from companion.ground.session import FleetSession
 from companion.ground.target import TargetPublisher
 from companion.types import Role
-from sitl.director import Director, FlightFailure, MachineClock
+from sitl.director import Director, MachineClock
 from sitl.external import ReachedVehicle, load_external, vehicles_of
 from sitl.fleet import Fleet, endpoint_of, estimated_path, ids_of, truth_path
 from sitl.flights import Result, run_flights, write_results
@@ -18,6 +18,7 @@ from sitl.fly_options import FlyOptions
 from sitl.free_ports import check_agents_ports, check_ports
 from sitl.metrics import Tracks
 from sitl.moving_targets import MovingTargets
+from sitl.orders import FlightFailure
 from sitl.progress import Progress
 from sitl.readiness import Readiness
 from sitl.scenario import Scenario

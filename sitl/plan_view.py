@@ -1,6 +1,6 @@
 """Figures 9 and 10 of Hou and Zhang (2021) from tracks: the formation from above, a panel for each command that changed it.
 
-Readable in grey: who leads is a filled square, who follows an open circle.
+Readable in grey: who leads is a filled square, who follows an open circle, who is not in formation a cross.
 """
 
 from __future__ import annotations
@@ -10,24 +10,34 @@ from dataclasses import dataclass
 from itertools import pairwise
 from math import ceil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 
 from companion.core.arrays import FloatArray
-from companion.types import CommandName, Role
+from companion.types import Role
 from sitl.metrics import Flight, reference_positions_m
 from sitl.plots import GUIDE, POSITIONS, law_title, new_figure
 from sitl.watch import FlightWatch, TopologyChange
 
-CHANGES = frozenset({CommandName.LEAD, CommandName.FORMATION, CommandName.REFERENCE})
 COLUMNS = 3
 MAX_PANELS = 9
 PANEL_IN = 4.0
 SAMPLE_S = 0.1
 SHAPES = (0.35, 1.2)  # height to width of a panel, at the least and at the most
 MARGIN = 0.06  # of the larger extent
-LEADER, FOLLOWER, EDGE = "#D55E00", "#0072B2", "#999999"
+EDGE = "#999999"
+LEADS: dict[str, Any] = {"color": "#D55E00", "marker": "s", "markersize": 8}
+FOLLOWS: dict[str, Any] = {
+    "color": "#0072B2",
+    "marker": "o",
+    "markersize": 8,
+    "markerfacecolor": "white",
+    "markeredgewidth": 1.5,
+}
+ELSEWHERE: dict[str, Any] = {"color": "#666666", "marker": "x", "markersize": 8, "markeredgewidth": 1.5}
+BESIDE: dict[str, Any] = {"xytext": (6, 6), "textcoords": "offset points", "fontsize": 8}
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,13 +51,13 @@ class Panel:
 
 def save_plan_view(path: Path, flight: Flight, watch: FlightWatch, name: str) -> None:
     """Paths from above, and at each panel's end where everybody is, who leads and who heeds whom."""
-    panels = panels_of(flight, watch)
+    panels = panels_of(watch)
     columns = min(COLUMNS, len(panels))
     rows = ceil(len(panels) / columns)
-    low_m, high_m = _extent_m(flight)
+    low_m, high_m = _extent_m(flight, panels)
     width_m, height_m = high_m - low_m
     panel_in = PANEL_IN * float(np.clip(height_m / width_m, *SHAPES))
-    figure = new_figure(0.8 + PANEL_IN * max(columns, 1.5), 1.4 + (panel_in + 0.35) * rows, f"{name}: from above")
+    figure = new_figure(0.8 + PANEL_IN * max(columns, 1.8), 1.4 + (panel_in + 0.35) * rows, f"{name}: from above")
     grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     for axes, panel in zip(grid.flat, panels, strict=False):
         _draw(axes, flight, watch, panel)
@@ -64,22 +74,26 @@ def save_plan_view(path: Path, flight: Flight, watch: FlightWatch, name: str) ->
     _legend(grid[0, 0])
     handles, labels = grid[0, 0].get_legend_handles_labels()
     source = f"{POSITIONS[flight.source]}, {law_title(flight)}"
-    figure.legend(handles, labels, loc="outside lower center", ncols=5, frameon=False, fontsize=9, title=source)
+    figure.legend(handles, labels, loc="outside lower center", ncols=6, frameon=False, fontsize=9, title=source)
     figure.savefig(path, dpi=130)
 
 
-def panels_of(flight: Flight, watch: FlightWatch) -> list[Panel]:
-    """From the formation's start to its end, parted by the commands that changed it; of too many, the last ones."""
-    start_s, end_s = flight.formation.start_s, flight.formation.end_s
-    given = [(watch.began_s + asked.time_s, asked.in_words) for asked in watch.commands if asked.command in CHANGES]
-    marks = [(start_s, "form"), *((at_s, words) for at_s, words in given if start_s < at_s < end_s), (end_s, "")]
+def panels_of(watch: FlightWatch) -> list[Panel]:
+    """From the first formation's start to the last one's end, parted by all commands; of too many, the last ones."""
+    start_s, end_s = watch.formations[0].start_s, watch.formations[-1].end_s
+    marks = [(start_s, "form")]
+    for asked in watch.commands:
+        at_s = watch.began_s + asked.time_s
+        if start_s < at_s < end_s and asked.in_words != marks[-1][1]:  # once for one that was repeated
+            marks.append((at_s, asked.in_words))
+    marks.append((end_s, ""))
     panels = [Panel(a_s, b_s, began_with) for (a_s, began_with), (b_s, _) in pairwise(marks) if b_s - a_s > SAMPLE_S]
     return panels[-MAX_PANELS:]
 
 
-def _extent_m(flight: Flight) -> tuple[FloatArray, FloatArray]:
-    """The lower left and the upper right corner, (2,) each, of all that is flown in formation, with a margin."""
-    times_s = flight.formation.times_s()
+def _extent_m(flight: Flight, panels: Sequence[Panel]) -> tuple[FloatArray, FloatArray]:
+    """The lower left and the upper right corner, (2,) each, of all that is drawn, with a margin."""
+    times_s = np.arange(panels[0].start_s, panels[-1].end_s, SAMPLE_S)
     flown_m = np.concatenate([track.at(times_s)[:, :2] for track in flight.tracks.values()])
     low_m, high_m = flown_m.min(axis=0), flown_m.max(axis=0)
     largest_m = float(max(*(high_m - low_m), 1.0))
@@ -95,15 +109,12 @@ def _draw(axes: Axes, flight: Flight, watch: FlightWatch, panel: Panel) -> None:
     at_end = {i: track.at(times_s[-1:])[0] for i, track in flight.tracks.items()}
     _draw_edges(axes, at_end, list(now.values()))
     for vehicle_id, track in sorted(flight.tracks.items()):
-        leads = vehicle_id in now and now[vehicle_id].role is Role.LEADER
-        colour = LEADER if leads else FOLLOWER
-        path_m = track.at(times_s)
-        axes.plot(path_m[:, 0], path_m[:, 1], color=colour, linewidth=0.9, alpha=0.7)
-        _draw_vehicle(axes, at_end[vehicle_id], colour, leads)
-        axes.annotate(
-            str(vehicle_id), at_end[vehicle_id][:2], xytext=(6, 6), textcoords="offset points", fontsize=8, color=colour
-        )
-    since_s = flight.formation.start_s
+        look, path_m = _look(now.get(vehicle_id)), track.at(times_s)
+        axes.plot(path_m[:, 0], path_m[:, 1], color=look["color"], linewidth=0.9, alpha=0.7)
+        x_m, y_m, _ = at_end[vehicle_id]
+        axes.plot([x_m], [y_m], linestyle="", **look)
+        axes.annotate(str(vehicle_id), (x_m, y_m), **BESIDE, color=look["color"])
+    since_s = watch.formations[0].start_s
     axes.set_title(
         f"{panel.start_s - since_s:.0f} to {panel.end_s - since_s:.0f} s, after {panel.began_with}", fontsize=10
     )
@@ -120,23 +131,16 @@ def _draw_edges(axes: Axes, at_end: dict[int, FloatArray], topology: Sequence[To
         axes.plot([xi, xj], [yi, yj], color=EDGE, linewidth=1.0, zorder=1.8)
 
 
-def _draw_vehicle(axes: Axes, position_m: FloatArray, colour: str, leads: bool) -> None:
-    face = colour if leads else "white"
-    axes.plot(
-        position_m[:1],
-        position_m[1:2],
-        "s" if leads else "o",
-        color=colour,
-        markerfacecolor=face,
-        markersize=8,
-        markeredgewidth=1.5,
-    )
+def _look(part: TopologyChange | None) -> dict[str, Any]:
+    if part is None or not part.in_formation:
+        return ELSEWHERE
+    return LEADS if part.role is Role.LEADER else FOLLOWS
 
 
 def _legend(axes: Axes) -> None:
     """Names what `_draw` draws, without drawing anything."""
-    axes.plot([], [], "s", color=LEADER, label="leads")
-    axes.plot([], [], "o", color=FOLLOWER, markerfacecolor="white", markeredgewidth=1.5, label="follows")
-    axes.plot([], [], color=FOLLOWER, linewidth=0.9, label="path")
+    for look, name in ((LEADS, "leads"), (FOLLOWS, "follows"), (ELSEWHERE, "not in formation")):
+        axes.plot([], [], linestyle="", **look, label=name)
+    axes.plot([], [], color=FOLLOWS["color"], linewidth=0.9, label="path")
     axes.plot([], [], color=EDGE, linewidth=1.0, label="heed each other")
     axes.plot([], [], **GUIDE, label="reference")

@@ -6,10 +6,10 @@ import re
 from collections.abc import Sequence
 from copy import deepcopy
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import yaml
-from msgspec import Meta, field
+from msgspec import field
 
 from companion.assembly import trajectory_of
 from companion.config.fleet import FleetConfig, check_fleet, check_starts
@@ -18,56 +18,13 @@ from companion.config.reference import Reference, check_reference
 from companion.config.values import Drag, HoverThrust, PositionM, Section, VehicleId
 from companion.config_file import ConfigError, StrictLoader, convert
 from companion.core.reference import ReferenceTrajectory
-from companion.types import CommandName
 from sitl.autopilot_file import check_parameters
 from sitl.config import Links, StandIn
 from sitl.moving_targets import MovingTarget
+from sitl.timeline import TimelineStep, check_timeline
 
 SET = Path("--set")  # stands where errors name a file
-OPERATORS_ONLY = (CommandName.TAKE, CommandName.ABORT)  # they lead to no phase that could be waited for
-DONE_WITHIN_S, RETURNED_WITHIN_S = 30.0, 300.0
 LONGEST_KEY = 200  # of --set
-
-
-class NamedFormation(Section, frozen=True, kw_only=True):
-    """Slots by the name of a shape; whose is which is chosen when it is commanded. `heading_deg` is 0 to the east, 90 north.
-
-    `speed_m_s` is the fastest slot's, half way.
-    """
-
-    shape: Literal["line", "column", "v", "diamond", "rectangle", "circle", "grid", "layers"]
-    spacing_m: Annotated[float, Meta(gt=0, le=1000)]
-    heading_deg: Annotated[float, Meta(ge=-360, le=360)] = 0.0
-    speed_m_s: Annotated[float, Meta(gt=0, le=50)] = 1.0
-
-
-class TimelineStep(Section, frozen=True, kw_only=True):
-    """Give a command to every vehicle, wait until all have done it, then stay so for `for_s`.
-
-    All must have done it within `timeout_s`, by default 30 s, of `return` 300 s.
-    `leaders` goes with `command: lead`: who leads from then on. `formation` goes with `command: formation`, `reference` with
-    `command: reference`.
-    """
-
-    command: CommandName
-    leaders: tuple[VehicleId, ...] = ()
-    formation: NamedFormation | None = None
-    reference: Reference | None = None
-    for_s: Annotated[float, Meta(ge=0, le=3600)] = 0.0
-    timeout_s: Annotated[float, Meta(gt=0, le=600)] | None = None
-
-    @property
-    def patience_s(self) -> float:
-        """How long all vehicles may take for it. To return takes climbing, the way home and landing from there."""
-        if self.timeout_s is not None:
-            return self.timeout_s
-        return RETURNED_WITHIN_S if self.command is CommandName.RETURN else DONE_WITHIN_S
-
-    def in_words(self) -> str:
-        """The command with what goes with it: "lead 2", "formation circle", "reference target"."""
-        kind = self.reference.__struct_config__.tag if self.reference else ""
-        shape = self.formation.shape if self.formation else ""
-        return " ".join([self.command, *map(str, self.leaders), *filter(None, (shape, str(kind)))])
 
 
 class Believed(Section, frozen=True, kw_only=True):
@@ -131,21 +88,7 @@ def scenario_from(path: Path, data: object) -> Scenario:
     for index, name in enumerate(names):
         if name in names[:index]:
             raise ConfigError(path, f"targets[{index}].name", f'"{name}" is used twice; give each its own')
-    if not scenario.timeline:
-        raise ConfigError(path, "timeline", "is empty; list at least one step with a command")
-    for index, step in enumerate(scenario.timeline):
-        if step.command in OPERATORS_ONLY:
-            expected = ", ".join(name for name in CommandName if name not in OPERATORS_ONLY)
-            raise ConfigError(
-                path, f"timeline[{index}].command", f"{step.command} is an operator's; expected {expected}"
-            )
-        _check_leaders(path, f"timeline[{index}].leaders", step, scenario.fleet)
-        if (step.command is CommandName.FORMATION) is (step.formation is None):
-            raise ConfigError(path, f"timeline[{index}].formation", "goes with command: formation, and with no other")
-        if (step.command is CommandName.REFERENCE) is (step.reference is None):
-            raise ConfigError(path, f"timeline[{index}].reference", "goes with command: reference, and with no other")
-        if step.reference is not None:
-            check_reference(path, scenario.fleet, step.reference, where=f"timeline[{index}].")
+    check_timeline(path, scenario.fleet, scenario.timeline)
     return scenario
 
 
@@ -160,26 +103,6 @@ def _check_vehicles_named(path: Path, scenario: Scenario) -> None:
         if scenario.fleet.member(vehicle_id) is None:
             known = ", ".join(str(member.id) for member in scenario.fleet.vehicles)
             raise ConfigError(path, where, f"no vehicle {vehicle_id} in the fleet; expected one of {known}")
-
-
-def _check_leaders(path: Path, where: str, step: TimelineStep, fleet: FleetConfig) -> None:
-    """Only `lead` names leaders, and only such as may lead. Raises ConfigError."""
-    may_lead = sorted(member.id for member in fleet.vehicles if member.can_lead)
-    expected = ", ".join(str(i) for i in may_lead)
-    if step.command is not CommandName.LEAD:
-        if step.leaders:
-            raise ConfigError(path, where, f"{list(step.leaders)}: {step.command} takes no leaders; take it out")
-        return
-    if not step.leaders:
-        raise ConfigError(path, where, f"missing; lead needs the ids of the new leaders, some of {expected}")
-    for vehicle_id in step.leaders:
-        if vehicle_id not in may_lead:
-            hint = "" if fleet.member(vehicle_id) is None else f", or may_lead: true for vehicle {vehicle_id}"
-            raise ConfigError(
-                path,
-                where,
-                f"{list(step.leaders)}: vehicle {vehicle_id} may not lead; expected some of {expected}{hint}",
-            )
 
 
 def _put(data: Any, override: str) -> None:

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 from companion.types import Role
 from sitl.collector import looking_seldom
-from sitl.director import Director, FlightFailure
+from sitl.director import Director
 from sitl.fleet import ids_of
 from sitl.lockstep import Lockstep
 from sitl.moving_targets import MovingTargets
+from sitl.orders import FlightFailure
 from sitl.progress import Progress
 from sitl.scenario import Scenario
 from sitl.stopping import StopRequest

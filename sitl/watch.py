@@ -13,7 +13,7 @@ from companion.ground.fleet_status import FleetState, VehicleRow, fold, rows
 from companion.types import ZERO3, CommandName, CommandReply, FlightPhase, LandedState, Role, Status, Vector3
 from companion.wire.ground import StatusReport, Timing
 from sitl.metrics import Formation
-from sitl.scenario import TimelineStep
+from sitl.timeline import TimelineStep
 from sitl.tracking import Leads
 from sitl.tracks import Track, told_track
 
@@ -51,10 +51,12 @@ class TopologyChange(Struct, frozen=True, kw_only=True):
     epoch: int
     prc: int
     neighbours: tuple[int, ...]
+    in_formation: bool
 
     def same_as(self, status: Status) -> bool:
-        own = (self.role, self.epoch, self.prc, self.neighbours)
-        return own == (status.role, status.epoch, status.prc, status.neighbours)
+        own = (self.role, self.epoch, self.prc, self.neighbours, self.in_formation)
+        told = (status.role, status.epoch, status.prc, status.neighbours, status.phase is FlightPhase.FORMATION)
+        return own == told
 
 
 class FlightWatch:
@@ -71,7 +73,7 @@ class FlightWatch:
         self.topology: list[TopologyChange] = []
         self.commands: list[AskedFor] = []
         self.timing: dict[int, Timing] = {}  # of each vehicle's last formation
-        self.formation: Formation | None = None  # the last one flown
+        self.formations: list[Formation] = []  # all in formation at once, in the order in which they were flown
         # Of each vehicle: when it was where, by its own estimate. From its being armed on, later ones last.
         self.told: dict[int, list[tuple[float, Vector3]]] = {vehicle_id: [] for vehicle_id in self.vehicle_ids}
         self._slots: dict[int, list[tuple[float, Vector3]]] = {vehicle_id: [] for vehicle_id in self.vehicle_ids}
@@ -193,6 +195,7 @@ class FlightWatch:
                 epoch=status.epoch,
                 prc=status.prc,
                 neighbours=status.neighbours,
+                in_formation=status.phase is FlightPhase.FORMATION,
             )
             self.topology.append(self._drawn[vehicle_id])
 
@@ -226,10 +229,15 @@ class FlightWatch:
         self._reference_start_s = min(self._zero_s[i] for i in self._leader_ids)
         return self._formed_from_s
 
+    @property
+    def formation(self) -> Formation | None:
+        """The last one flown."""
+        return self.formations[-1] if self.formations else None
+
     def end_formation(self, now_s: float) -> None:
         """The formation, if there is one, ends now."""
         if self._formed_from_s is not None:
-            self.formation = Formation(self._formed_from_s, now_s, self._reference_start_s)
+            self.formations.append(Formation(self._formed_from_s, now_s, self._reference_start_s))
             self._formed_from_s = None
 
     def rejected(self) -> Mapping[int, dict[str, int]]:

@@ -18,9 +18,10 @@ from companion.types import CommandName, Role
 from sitl.batch.flight import BatchFlight, fly_batch
 from sitl.config import Airframe, Links
 from sitl.config import StandIn as StandInConfig
-from sitl.scenario import Scenario, TimelineStep
+from sitl.scenario import Scenario
 from sitl.shapes import LEADER, Shape
 from sitl.study.settings import Setting
+from sitl.timeline import TimelineStep
 from sitl.workers import tell
 
 STEP_M = 1.0

@@ -16,8 +16,9 @@ from companion.config.reference import PointReference
 from companion.types import CommandName, Role, Vector3
 from sitl.config import Airframe
 from sitl.config import StandIn as StandInConfig
-from sitl.scenario import Scenario, TimelineStep
+from sitl.scenario import Scenario
 from sitl.shapes import LEADER, grid, is_connected
+from sitl.timeline import TimelineStep
 
 APART_M = 1.2  # at the start
 FIELD_PER_VEHICLE_M2 = 3.0  # with a range of 3 m: mostly connected, seldom all with all

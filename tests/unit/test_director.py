@@ -24,9 +24,10 @@ from companion.types import (
     Status,
 )
 from companion.wire.ground import Percentiles, StatusReport, Timing
-from sitl.director import Director, FlightFailure, MachineClock
+from sitl.director import Director, MachineClock
+from sitl.orders import FlightFailure
 from sitl.progress import Progress, vehicle_line
-from sitl.scenario import TimelineStep
+from sitl.timeline import TimelineStep
 from sitl.watch import FlightWatch
 
 C, P = CommandName, FlightPhase
@@ -269,6 +270,38 @@ def test_a_vehicle_without_its_autopilot_is_not_waited_for(flight: Flight) -> No
     flight.vehicles.refuses[2, C.LAND] = ["no autopilot"] * 1000
     assert flight.director.land_all() is None
     assert flight.vehicles.heard[-1] == (C.LAND, (1,))
+
+
+def test_a_step_for_one_vehicle_leaves_the_others_as_they_are(flight: Flight) -> None:
+    flight.fly(C.PREPARE, C.ARM, C.TAKEOFF)
+    form, leave = TimelineStep(command=C.FORM), TimelineStep(command=C.HOLD, vehicles=(2,), for_s=0.2)
+    join = TimelineStep(command=C.FORM, vehicles=(2,), for_s=0.3)
+    flight.director.fly([form, leave, join])
+    assert flight.vehicles.heard[-2:] == [(C.HOLD, (2,)), (C.FORM, (2,))]
+    first, second = flight.watch.formations  # it is one only where all fly in it
+    assert first.end_s < second.start_s
+    assert second.end_s - second.start_s == pytest.approx(0.3, abs=0.1)
+
+
+def test_while_one_is_away_the_others_are_held_to_their_phase(flight: Flight) -> None:
+    flight.fly(C.PREPARE, C.ARM, C.TAKEOFF)
+    form, leave = TimelineStep(command=C.FORM), TimelineStep(command=C.HOLD, vehicles=(2,), for_s=5.0)
+
+    def falls_out() -> None:
+        if flight.vehicles.heard[-1] == (C.HOLD, (2,)):
+            flight.vehicles.change(1, phase=P.HOLD, last_event="formation -> release (no leader's word)")
+
+    flight.director._check = falls_out  # type: ignore[method-assign]
+    with pytest.raises(FlightFailure, match="vehicle 1 left phase formation"):
+        flight.director.fly([form, leave])
+
+
+def test_a_step_waits_for_its_time_and_comes_at_once_where_that_is_over(flight: Flight) -> None:
+    steps = [TimelineStep(command=C.PREPARE, at_s=0.5), TimelineStep(command=C.ARM, at_s=0.5)]
+    flight.director.fly(steps)
+    prepared, armed = flight.watch.commands
+    assert prepared.time_s == pytest.approx(0.5, abs=0.2)
+    assert armed.time_s > prepared.time_s
 
 
 def lead_step(*leaders: int, for_s: float = 0.2, timeout_s: float = 2.0) -> TimelineStep:

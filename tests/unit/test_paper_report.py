@@ -184,7 +184,10 @@ def test_a_follower_is_measured_from_where_its_leader_puts_it() -> None:
 
 
 def change(time_s: float, vehicle: int, role: Role, prc: int) -> TopologyChange:
-    return TopologyChange(time_s=time_s, vehicle=vehicle, role=role, epoch=0, prc=prc, neighbours=(3 - vehicle,))
+    neighbours = (3 - vehicle,)
+    return TopologyChange(
+        time_s=time_s, vehicle=vehicle, role=role, epoch=0, prc=prc, neighbours=neighbours, in_formation=True
+    )
 
 
 def test_a_topology_is_what_each_vehicle_said_last() -> None:

@@ -425,6 +425,7 @@ def reports(led: Sequence[tuple[int, float]] = LED, prcs_late_s: float = 0.08) -
                     epoch=0,
                     prc=1 if i == leader else prcs[i],
                     neighbours=RING[i],
+                    in_formation=True,
                 )
                 for i in RING
             ]

@@ -267,3 +267,25 @@ def test_no_override_ends_in_anything_but_a_line(text: str) -> None:
         load_scenario(PLATOON, [text])
     except ConfigError as error:
         assert str(error).startswith("--set: ")
+
+
+def with_steps(*steps: dict[str, object]) -> Any:
+    return lambda data: data.update(timeline=list(steps))
+
+
+def test_a_step_for_some_vehicles_at_a_time() -> None:
+    scenario = load_scenario(PLATOON, ["timeline[1].vehicles=[2,3]", "timeline[1].at_s=4"])
+    assert scenario.timeline[1].vehicles == (2, 3)
+    assert scenario.timeline[1].in_words() == "arm 2 3"
+
+
+@pytest.mark.parametrize(
+    ("step", "error"),
+    [
+        ({"command": "land", "vehicles": [9]}, "vehicles: no vehicle 9 in the fleet; expected some of 1, 2, 3, 4"),
+        ({"command": "lead", "leaders": [1], "vehicles": [2]}, "vehicles: lead is for the whole fleet; take it out"),
+        ({"command": "land", "at_s": 1.0}, "at_s: 1: expected at least 2, when a step before begins"),
+    ],
+)
+def test_a_step_that_cannot_be_is_refused(step: dict[str, object], error: str) -> None:
+    assert error_of_file(with_steps({"command": "prepare", "at_s": 2.0}, step)) == f"s.yaml: timeline[1].{error}"
