@@ -125,7 +125,9 @@ def _draw(axes: Axes, flight: Flight, watch: FlightWatch, panel: Panel) -> None:
 
 
 def _draw_edges(axes: Axes, at_end: dict[int, FloatArray], topology: Sequence[TopologyChange]) -> None:
-    pairs = {(min(c.vehicle, j), max(c.vehicle, j)) for c in topology for j in c.neighbours if j in at_end}
+    in_formation = {c.vehicle for c in topology if c.in_formation}
+    heard = ((c.vehicle, j) for c in topology for j in c.neighbours if {c.vehicle, j} <= in_formation)
+    pairs = {(min(pair), max(pair)) for pair in heard}
     for i, j in sorted(pairs):
         (xi, yi, _), (xj, yj, _) = at_end[i], at_end[j]
         axes.plot([xi, xj], [yi, yj], color=EDGE, linewidth=1.0, zorder=1.8)
