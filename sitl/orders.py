@@ -114,7 +114,7 @@ class Order:
             # Mode and armed state reach the agent in different messages: at touch-down they may disagree for a while.
             observing_since_s = self._observing_since_s.setdefault(vehicle_id, now_s)
             if now_s > observing_since_s + DISARM_SEEN_WITHIN_S:
-                raise FlightFailure(f"vehicle {vehicle_id} stopped landing: {last_word(status)}")
+                raise FlightFailure(f"vehicle {vehicle_id} gave up at {self._step.command}: {last_word(status)}")
 
     def _too_late(self, missing: Sequence[int]) -> str:
         by_reason: dict[str, list[int]] = {}

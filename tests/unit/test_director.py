@@ -125,13 +125,14 @@ class Vehicles:
     def _finish(self, vehicle_id: int, name: CommandName) -> None:
         before = self.statuses[vehicle_id]
         if event := self.falls.get((vehicle_id, name)):
-            self.statuses[vehicle_id] = replace(before, phase=RULES[name].on_failure, last_event=event)
+            fallen_to = P.OBSERVE if "-> observe" in event else RULES[name].on_failure
+            self.statuses[vehicle_id] = replace(before, phase=fallen_to, last_event=event)
             return
         up = name in (C.TAKEOFF, C.FORM, C.HOLD)
         self.statuses[vehicle_id] = replace(
             before,
             phase=RULES[name].to,
-            armed=name not in (C.PREPARE, C.LAND, C.DISARM),
+            armed=name not in (C.PREPARE, C.LAND, C.RETURN, C.DISARM),
             landed=LandedState.IN_AIR if up else LandedState.ON_GROUND,
         )
 
@@ -241,11 +242,21 @@ def test_a_pilot_who_takes_over_in_formation_ends_the_flight_and_all_are_landed(
     assert not any(s.armed for s in flight.vehicles.statuses.values())
 
 
-def test_a_landing_that_a_pilot_stops_ends_the_flight(flight: Flight) -> None:
+@pytest.mark.parametrize("name", [C.LAND, C.RETURN])
+def test_a_landing_that_a_pilot_stops_ends_the_flight(flight: Flight, name: CommandName) -> None:
     flight.fly(C.PREPARE, C.ARM, C.TAKEOFF)
-    flight.vehicles.falls[2, C.LAND] = "land -> observe (mode POSCTL was set by someone else)"
-    message = flight.fails(C.LAND, timeout_s=5.0)
-    assert message == "vehicle 2 stopped landing: land -> observe (mode POSCTL was set by someone else)"
+    flight.vehicles.falls[2, name] = f"{name} -> observe (mode POSCTL was set by someone else)"
+    message = flight.fails(name, timeout_s=5.0)
+    assert message == f"vehicle 2 gave up at {name}: {name} -> observe (mode POSCTL was set by someone else)"
+
+
+def test_a_return_is_done_when_all_are_down_and_takes_as_long_as_it_may(flight: Flight) -> None:
+    flight.fly(C.PREPARE, C.ARM, C.TAKEOFF)
+    home = TimelineStep(command=C.RETURN)
+    assert (home.patience_s, TimelineStep(command=C.LAND).patience_s) == (300.0, 30.0)
+    assert TimelineStep(command=C.RETURN, timeout_s=7.0).patience_s == 7.0
+    flight.director.fly([home])
+    assert not any(s.armed for s in flight.vehicles.statuses.values())
 
 
 def test_what_ends_the_flight_from_outside_closes_the_formation(flight: Flight) -> None:
