@@ -42,6 +42,7 @@ def _parser() -> argparse.ArgumentParser:
     subcommands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     _add_autopilot(subcommands)
     _add_fly(subcommands)
+    _add_fleet(subcommands)
     _add_run(subcommands)
     _add_paper(subcommands)
     _add_sweep(subcommands)
@@ -129,6 +130,27 @@ def _run_fly(arguments: argparse.Namespace) -> int:
     from sitl.fly_options import fly_options
 
     return run_fly(fly_options(arguments))
+
+
+def _add_fleet(subcommands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    from sitl.waiting_options import DESCRIPTION, MORE, add_waiting_arguments
+
+    parser = subcommands.add_parser(
+        "fleet",
+        help="a fleet of real processes that waits on the ground for `companion fleet`",
+        description=DESCRIPTION,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog=MORE,
+    )
+    add_waiting_arguments(parser)
+    parser.set_defaults(run=_run_fleet)
+
+
+def _run_fleet(arguments: argparse.Namespace) -> int:
+    from sitl.waiting_fleet import run_fleet
+    from sitl.waiting_options import waiting_options
+
+    return run_fleet(waiting_options(arguments))
 
 
 def _add_run(subcommands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

@@ -74,6 +74,12 @@ class Director:
             self._progress.remark("")
         return []
 
+    def attend(self, is_over: Callable[[], bool]) -> None:
+        """Listen and show; nothing is asked of the vehicles."""
+        self._progress.begin_step("commanded from elsewhere", self._clock.now_s())
+        while not is_over():
+            self._pass()
+
     def fly_and_land(self, timeline: Sequence[TimelineStep]) -> list[str]:
         """All steps in turn, and down in any case. What went wrong, in one line each."""
         failures = []

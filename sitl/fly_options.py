@@ -80,7 +80,7 @@ def add_fly_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--port-offset",
-        type=_offset,
+        type=port_offset,
         default=0,
         metavar="N",
         help="move all ports by N, so that two fleets can fly on one machine",
@@ -96,7 +96,7 @@ def fly_options(parsed: argparse.Namespace) -> FlyOptions:
     return FlyOptions(run_options(parsed), parsed.port_offset, parsed.external)
 
 
-def _offset(text: str) -> int:
+def port_offset(text: str) -> int:
     if not text.isdecimal() or int(text) > MAX_PORT_OFFSET:
         raise argparse.ArgumentTypeError(f"{text!r}, expected a whole number from 0 to {MAX_PORT_OFFSET}")
     return int(text)

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from companion.core.pursuit import Box
-from companion.geometry.transition import closest, fastest_m_s
+from companion.geometry.transition import ROUNDING_M, closest, fastest_m_s
 from companion.types import Vector3
 
 Slots = Mapping[int, Vector3]
@@ -45,7 +45,7 @@ class FormationLimits:
         if len(after_enu_m) < 2:
             return None
         distance_m, i, j = closest(before_enu_m, after_enu_m)
-        if distance_m >= self.separation_m:
+        if distance_m >= self.separation_m - ROUNDING_M:
             return None
         return (
             f"the slots of vehicles {i} and {j} come within {distance_m:.2f} m of each other;"

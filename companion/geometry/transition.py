@@ -13,6 +13,8 @@ from math import dist, hypot, inf
 from companion.geometry.curves import PEAK_SPEED
 from companion.types import Vector3
 
+ROUNDING_M = 1e-6  # what turning and scaling slots may take from a distance
+
 
 def closest(before_enu_m: Mapping[int, Vector3], after_enu_m: Mapping[int, Vector3]) -> tuple[float, int, int]:
     """(least distance of any two slots on the way, whose they are), infinite for one alone. Both have the same vehicles."""

@@ -15,7 +15,7 @@ from companion.config_file import ConfigError
 from companion.fleet_where_options import FormationWish
 from companion.geometry.curves import duration_s
 from companion.geometry.shapes import SHAPES, slots_of, turned
-from companion.geometry.transition import closest, longest_way_m
+from companion.geometry.transition import ROUNDING_M, closest, longest_way_m
 from companion.ground.fleet_time import AHEAD_S, fleet_time_s
 from companion.types import FormationChange, Status, Vector3
 
@@ -65,7 +65,7 @@ def refusal_of(
 ) -> str | None:
     """Why the vehicles would not go there from what they fly: none is asked then."""
     distance_m, i, j = closest(flown_enu_m, slots_enu_m)
-    if distance_m >= separation_m:
+    if distance_m >= separation_m - ROUNDING_M:
         return None
     return (
         f"the slots of vehicles {i} and {j} come within {distance_m:.2f} m of each other, on the way or there;"
