@@ -21,6 +21,7 @@ from companion.config_file import ConfigError, convert
 from companion.core import formation
 from companion.core.agent import Agent, AgentSetup
 from companion.core.battery import BatteryWatch
+from companion.core.closing_up import ClosingUp
 from companion.core.control import FormationControl
 from companion.core.cooperation import Cooperation
 from companion.core.disturbance import DisturbanceObserver
@@ -103,7 +104,8 @@ def build_agent(config: AgentConfig, session: int) -> Agent:
     setpoints, held = SetpointStream(envelope, observer), HeldForWantOfALeader(fleet.land_after_s)
     joining = Joining(member.id, fleet.separation_m, fleet.slot_speed_m_s)
     battery = BatteryWatch(fleet.leave_below_percent)
-    return Agent(setup, tracker, cooperation, _control(config), setpoints, slots, held, joining, battery)
+    closing_up = ClosingUp(member.id, limits) if fleet.when_one_leaves == "close_up" else None
+    return Agent(setup, tracker, cooperation, _control(config), setpoints, slots, held, joining, battery, closing_up)
 
 
 def _control(config: AgentConfig) -> FormationControl:

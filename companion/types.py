@@ -338,12 +338,16 @@ class HeldReference(Struct, frozen=True, gc=False):
 
 
 class FormationChange(Struct, frozen=True, gc=False, tag=True):
-    """Other slots d_i0 for every vehicle of the fleet, gone to in step: from `begins_s` of the fleet's time (the RFT's) on."""
+    """Other slots d_i0 for every vehicle of the fleet, gone to in step: from `begins_s` of the fleet's time (the RFT's) on.
+
+    Nobody flies in the slots of those that are `absent`: their ways may cross the others', and it begins only while they are.
+    """
 
     number: int
     slots_enu_m: tuple[tuple[int, Vector3], ...]
     begins_s: float
     lasts_s: float
+    absent: tuple[int, ...] = ()
 
 
 class PeerPacket(Struct, frozen=True, gc=False):
@@ -369,6 +373,7 @@ class PeerPacket(Struct, frozen=True, gc=False):
     position_error: PositionError | None = None  # None where the estimator does not tell
     reference: HeldReference | None = None  # None where it may not lead
     change: FormationChange | None = None  # passed on by who leads in formation to those that do not have it
+    armed: bool = True
 
 
 class ReceivedPeerPacket(Struct, frozen=True, gc=False):

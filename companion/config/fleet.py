@@ -96,7 +96,8 @@ class FleetConfig(Section, frozen=True):
     both ask for. When no leader is heard any more, the first of the `successors` that flies in formation leads; where none
     does, all go into their autopilots' hold, and after `land_after_s` in it each lands where it is, or stays up where that
     is not given. A vehicle whose battery stays below `leave_below_percent` leaves formation by itself and lands; where that
-    is not given, none does.
+    is not given, none does. When one has left, its gap is kept for it, or the others `close_up` as soon as its place is
+    free, and it may come back outside: for that, edges must hold together without any one vehicle.
     """
 
     name: Annotated[str, Meta(pattern=FLEET_NAME, description=FLEET_NAME_WORDS)]
@@ -113,6 +114,7 @@ class FleetConfig(Section, frozen=True):
     takeoff_height_m: Annotated[float, Meta(ge=0.5, le=120)] = 2.5
     successors: tuple[VehicleId, ...] = ()
     land_after_s: Annotated[float, Meta(gt=0, le=3600)] | None = None
+    when_one_leaves: Literal["keep_gap", "close_up"] = "keep_gap"
     leave_below_percent: Annotated[float, Meta(gt=0, le=90)] | None = None
     peers: PeerLimits = PeerLimits()
     envelope: Envelope = Envelope()
@@ -152,6 +154,8 @@ def check_fleet(file: Path, fleet: FleetConfig, where: str = "") -> None:
     check_law(file, f"{where}law", fleet.law)
     if isinstance(fleet.neighbours, EdgeNeighbours):
         _check_edges(file, f"{where}neighbours.edges", fleet.neighbours, ids)
+        if fleet.when_one_leaves == "close_up":
+            _check_nobody_cuts(file, f"{where}neighbours.edges", fleet.neighbours, ids)
     slots = [member.slot_enu_m for member in fleet.vehicles]
     for index, slot in enumerate(slots):
         if slot in slots[:index]:
@@ -203,6 +207,24 @@ def _check_edges(file: Path, where: str, neighbours: EdgeNeighbours, ids: list[i
         if edge[0] == edge[1]:
             raise ConfigError(
                 file, f"{where}[{index}]", f"{list(edge)} joins a vehicle to itself; expected two different ids"
+            )
+
+
+def _check_nobody_cuts(file: Path, where: str, neighbours: EdgeNeighbours, ids: list[int]) -> None:
+    """Edges are between vehicles, not between slots: whoever leaves takes its own along, wherever the others move."""
+    for gone_id in ids:
+        edges = [edge for edge in neighbours.edges if gone_id not in edge]
+        rest = [vehicle_id for vehicle_id in ids if vehicle_id != gone_id]
+        reached, fresh = set(rest[:1]), set(rest[:1])
+        while fresh:
+            fresh = {b for edge in edges for a, b in (edge, edge[::-1]) if a in fresh} - reached
+            reached |= fresh
+        if cut_off := [vehicle_id for vehicle_id in rest if vehicle_id not in reached]:
+            raise ConfigError(
+                file,
+                where,
+                f"without vehicle {gone_id}, vehicle {cut_off[0]} is cut off from vehicle {rest[0]}; expected edges that hold"
+                " together without any one, or when_one_leaves: keep_gap",
             )
 
 

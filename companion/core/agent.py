@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from math import inf
 
 from companion.core.battery import BatteryWatch
+from companion.core.closing_up import ClosingUp
 from companion.core.command_desk import CommandDesk, Order
 from companion.core.control import FormationControl
 from companion.core.cooperation import COOPERATING, Cooperation, Neighbourhood
@@ -91,6 +92,7 @@ class Agent:
         held: HeldForWantOfALeader,
         joining: Joining,
         battery: BatteryWatch,
+        closing_up: ClosingUp | None,
     ) -> None:
         self._setup = setup
         self._tracker = tracker
@@ -102,6 +104,7 @@ class Agent:
         self._held = held
         self._joining = joining
         self._battery = battery
+        self._closing_up = closing_up  # None: whoever leaves, its gap is kept
         self._joins = False  # others were in formation already when this vehicle was told to form
         self._observer = setpoints.observer
         self._machine = PhaseMachine(setup.takeoff_height_m)
@@ -125,6 +128,7 @@ class Agent:
             self._machine.events,
             self._slots.events,
             self._references.events if self._references else [],
+            self._closing_up.events if self._closing_up else [],
             self._warnings,
         )
 
@@ -166,8 +170,9 @@ class Agent:
             elif order.answer is None and isinstance(order.command.content, ReferenceChange):
                 order.answer = self._change_reference(order.command.content, vehicle, around)
         self._hear_of_formations(vehicle, around)
+        self._close_up(now_s, vehicle, around)
         self._join(now_s, vehicle, around)
-        slot = self._slots.update(around.reference_s, around.flying)
+        slot = self._slots.update(around.reference_s, around.flying, self.phase in STREAMING)
         if self._references:
             self._references.update(now_s, around.reference_s, self._slots.slots_enu_m, around.flying, inbox.targets)
         flags = health_flags(now_s, vehicle, around.leaderless, self._setup.ages, self._setup.envelope)
@@ -273,9 +278,8 @@ class Agent:
 
     def _hear_of_formations(self, vehicle: VehicleState, around: Neighbourhood) -> None:
         """What leaders pass on is taken like a command; of two that have different ones, the smallest id's."""
-        leading = [p for p in around.flying if p.role is Role.LEADER and p.phase is FlightPhase.FORMATION]
-        own = [self._setup.vehicle_id] if self._leads_formation(around) else []
-        first_id = min([*own, *(p.vehicle_id for p in leading)], default=0)
+        leading = self._leading(around)
+        first_id = self._first_leader(around)
         for vehicle_id, change in self._passed_on(leading, vehicle):
             if not self._slots.lacks(change, over_own=vehicle_id == first_id):
                 continue
@@ -283,6 +287,41 @@ class Agent:
             if accepted or change.number != self._not_taken:
                 self._warnings.append(f"passed on by vehicle {vehicle_id}: {reason}")
             self._not_taken = None if accepted else change.number
+
+    def _leading(self, around: Neighbourhood) -> list[PeerPacket]:
+        return [p for p in around.flying if p.role is Role.LEADER and p.phase is FlightPhase.FORMATION]
+
+    def _first_leader(self, around: Neighbourhood) -> int:
+        """The smallest id of those that lead in formation; 0 where nobody does."""
+        own = [self._setup.vehicle_id] if self._leads_formation(around) else []
+        return min([*own, *(p.vehicle_id for p in self._leading(around))], default=0)
+
+    def _close_up(self, now_s: float, vehicle: VehicleState, around: Neighbourhood) -> None:
+        """Where one left, and the fleet file wants it: the first of those that lead proposes it, and all judge it."""
+        if self._closing_up is None:
+            return
+        if not vehicle.armed:
+            self._closing_up.landed()
+        self._closing_up.hear(now_s, around.flying)
+        references, leads = self._references, self._first_leader(around) == self._setup.vehicle_id
+        if references is None or not leads or not self._slots.is_settled(around.reference_s):
+            return
+        proposed = self._closing_up.proposal(
+            now_s,
+            self._slots.slots_enu_m,
+            self._slots.flown.waiting,
+            self._cooperation.peers.newest,
+            around.reference_s,
+            lambda reference_s: references.at(reference_s).position_enu_m,
+        )
+        if proposed is None:
+            return
+        gone_id, change = proposed
+        accepted, reason = self._change_formation(change, vehicle, around)
+        if accepted:
+            self._warnings.append(f"closes up where vehicle {gone_id} left: {reason}")
+        else:
+            self._closing_up.keep_gap(gone_id, reason)
 
     def _passed_on(self, leading: list[PeerPacket], vehicle: VehicleState) -> list[tuple[int, FormationChange]]:
         """By those that lead in this vehicle's term; to one that stands only what is flown: it has nothing to begin."""
@@ -487,6 +526,7 @@ class Agent:
             position_error=vehicle.position_error,
             reference=self._references.held if self._references else None,
             change=self._slots.to_pass_on(self._heard(now_s)) if self._leads_formation(around) else None,
+            armed=vehicle.armed,
         )
 
     def _status_due(self, now_s: float, events: tuple[str, ...]) -> bool:

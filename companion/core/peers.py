@@ -103,6 +103,11 @@ class PeerTable:
                 reason = "comes too late"
             self.rejected[f"peer {vehicle_id}: {reason}"[:80]] += 1
 
+    @property
+    def newest(self) -> Mapping[int, PeerState]:
+        """What each peer said last, however long ago."""
+        return self._newest
+
     def fresh(self, now_s: float) -> dict[int, PeerState]:
         """Peers whose state is not older than the configured age."""
         return {i: peer for i, peer in self._newest.items() if now_s - peer.measured_s <= self._max_age_s}
@@ -172,7 +177,7 @@ class PeerTable:
         of_each = sorted(vehicle_id for vehicle_id, _ in change.slots_enu_m) == sorted(self._may_lead)
         near = all(abs(d) <= MAX_COORDINATE_M for _, slot_enu_m in change.slots_enu_m for d in slot_enu_m)
         in_time = 0.0 <= change.begins_s <= MAX_REFERENCE_S and 0.0 <= change.lasts_s <= MAX_REFERENCE_S
-        return of_each and near and in_time and change.number >= 0
+        return of_each and near and in_time and change.number >= 0 and set(change.absent) <= self._may_lead.keys()
 
     def _is_plausible(self, word: LeaderWord) -> bool:
         may_lead = self._may_lead.get(word.leader_id, False)

@@ -11,6 +11,7 @@ from collections.abc import Collection, Iterable, Mapping
 
 from companion.core.formation_limits import FormationLimits
 from companion.core.joining import Way
+from companion.core.phase import STREAMING
 from companion.geometry.curves import Motion, between
 from companion.types import MAX_EPOCHS_AHEAD, FlightPhase, FlownSlot, FormationChange, PeerPacket, Vector3
 
@@ -78,6 +79,10 @@ class SlotPlan:
             return over_own and change.number == waiting.number and change != waiting
         return change.number != flown.number
 
+    def is_settled(self, reference_s: float) -> bool:
+        """Nothing waits, and what is flown is taken up."""
+        return self._waiting is None and reference_s >= self._flown.begins_s + self._flown.lasts_s
+
     def to_pass_on(self, others: Iterable[PeerPacket]) -> FormationChange | None:
         """What a leader tells all. `others` are all that are heard of, whatever they do.
 
@@ -89,13 +94,19 @@ class SlotPlan:
         lacked = any(number not in (other.slot.formation, other.slot.waiting) for other in others)
         return self._flown if lacked else None
 
-    def update(self, reference_s: float, others: Iterable[PeerPacket]) -> FlownSlot:
-        """The slot to be flown now. `others` are all that are heard of and fly."""
+    def update(self, reference_s: float, others: Collection[PeerPacket], in_formation: bool) -> FlownSlot:
+        """The slot to be flown now. `others` are all that are heard of and fly; `in_formation` is this vehicle."""
         waiting = self._waiting
         if waiting is not None and reference_s >= waiting.begins_s:
             self._waiting = None
+            present = {o.vehicle_id for o in others if o.phase in STREAMING} | (
+                {self._own_id} if in_formation else set()
+            )
+            back = sorted(present & set(waiting.absent))
             lacking = sorted(o.vehicle_id for o in others if waiting.number not in (o.slot.formation, o.slot.waiting))
-            if lacking:
+            if back:
+                self.events.append(f"formation {waiting.number} does not begin: vehicle {back[0]} is back in formation")
+            elif lacking:
                 self.events.append(f"formation {waiting.number} does not begin: vehicle {lacking[0]} does not have it")
             else:
                 self.events.append(f"formation {self._flown.number} -> {waiting.number}")
@@ -174,7 +185,12 @@ class SlotPlan:
             return "this vehicle is still joining"
         if reference_s < self._flown.begins_s + self._flown.lasts_s:
             return f"formation {self._flown.number} is still being taken up"
-        return self._limits.refusal_of_way(self.slots_enu_m, dict(change.slots_enu_m), change.lasts_s)
+        slots_enu_m = dict(change.slots_enu_m)
+        present = slots_enu_m.keys() - set(change.absent)
+        before, after = ({i: slots[i] for i in present} for slots in (self.slots_enu_m, slots_enu_m))
+        return self._limits.refusal_of_way(before, after, change.lasts_s) or (
+            self._limits.refusal_of_distance(slots_enu_m, slots_enu_m) if change.absent else None
+        )
 
 
 def _is_flown(change: FormationChange, others: Iterable[PeerPacket]) -> bool:

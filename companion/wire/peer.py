@@ -35,7 +35,8 @@ class _PeerWire(msgspec.Struct, array_like=True, frozen=True, forbid_unknown_fie
     slot: tuple[Vector3, Vector3, Vector3, int, int]  # position, velocity, acceleration, formation, waiting
     position_error: tuple[float, float] | None  # horizontal_m, vertical_m
     reference: tuple[int, int, float] | None  # flown, waiting, begun_s
-    change: tuple[int, tuple[tuple[int, Vector3], ...], float, float] | None  # number, slots, begins_s, lasts_s
+    change: tuple[int, tuple[tuple[int, Vector3], ...], float, float, tuple[int, ...]] | None  # as FormationChange
+    armed: bool
 
 
 _encoder = msgspec.msgpack.Encoder()
@@ -64,7 +65,8 @@ def encode_peer(packet: PeerPacket) -> bytes:
                 (slot.position_enu_m, slot.velocity_enu_m_s, slot.acceleration_enu_m_s2, slot.formation, slot.waiting),
                 (error.horizontal_m, error.vertical_m) if error else None,
                 (held.flown, held.waiting, held.begun_s) if held else None,
-                (change.number, change.slots_enu_m, change.begins_s, change.lasts_s) if change else None,
+                (change.number, change.slots_enu_m, change.begins_s, change.lasts_s, change.absent) if change else None,
+                packet.armed,
             )
         )
     )
@@ -94,4 +96,5 @@ def decode_peer(data: bytes) -> PeerPacket:
         PositionError(*wire.position_error) if wire.position_error else None,
         HeldReference(*wire.reference) if wire.reference else None,
         FormationChange(*wire.change) if wire.change else None,
+        wire.armed,
     )

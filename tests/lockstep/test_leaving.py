@@ -118,3 +118,92 @@ def test_a_leader_that_leaves_is_led_on_for_by_its_successor() -> None:
     assert {status.slot.formation for status in fleet.newest.values()} == {0}
     assert max(fleet.errors_m().values()) < 0.1
     assert fleet.largest_step_deg() < 5.0
+
+
+CLOSE_UP = "fleet.when_one_leaves=close_up"
+TO_THE_SECOND = "reference.points_enu_m=[[0.0, 0.0, 2.0], [0.0, 0.001, 2.0], [14.0, 0.0, 2.0]]"  # and waits there first
+
+
+def test_the_column_closes_up_goes_on_and_the_one_that_left_joins_at_its_end() -> None:
+    fleet = flight(CLOSE_UP, TO_THE_SECOND, "reference.wait_s=45")
+    since_s = fleet.lockstep.now_s()
+    fleet.land(3)
+    assert {fleet.newest[i].slot.formation for i in OTHERS} == {0}  # it was in the air, just beside their ways
+    kept = "vehicle 3 left, and its gap is kept for now: it may still be in the air"
+    assert any(event.startswith(kept) for event in fleet.said(1))
+    fleet.go_on(15.0)
+    assert any(event.startswith("closes up where vehicle 3 left: formation 1 begins in") for event in fleet.said(1))
+    xs = {i: status.slot.position_enu_m[0] for i, status in fleet.newest.items()}
+    assert xs == {1: 0.0, 2: -2.0, 4: -4.0, 5: -6.0, 3: -8.0}  # the one on the ground knows, too
+    assert max(fleet.errors_m().values()) < 0.1
+    reply = fleet.answers(CommandName.PREPARE, 3)[3]
+    assert reply is not None
+    assert reply.accepted
+    fleet.until(3, FlightPhase.READY)
+    reply = fleet.answers(CommandName.ARM, 3)[3]  # another hovers above it now
+    assert reply is not None
+    assert "in the plane vehicle 4 is 0.0" in reply.reason
+    fleet.go_on(40.0)  # the column is 14 m away
+    fleet.give(CommandName.DISARM, 3)
+    fleet.go_on(1.0)
+    fleet.take_off_again(3)
+    fleet.give(CommandName.FORM, 3)
+    worst_m = 0.0
+    for _ in range(50):
+        fleet.go_on(0.5)
+        worst_m = max(worst_m, *fleet.errors_m().values())
+    assert "has joined: it is in its slot" in fleet.said(3)
+    assert {i: status.slot.position_enu_m[0] for i, status in fleet.newest.items()} == xs
+    assert {status.slot.formation for status in fleet.newest.values()} == {1}
+    assert worst_m < 0.3  # as told, at up to 1.9 m/s and not all at the same moment
+    assert fleet.largest_step_deg() < 5.0
+    assert fleet.smallest_m(since_s) > 1.7  # true distances, in the air and on the ground
+
+
+@pytest.mark.parametrize("overrides", [(), (CLOSE_UP,)])
+def test_while_it_holds_in_its_place_the_gap_is_kept_and_it_comes_back_into_it(overrides: tuple[str, ...]) -> None:
+    fleet = flight(STANDS, *overrides)
+    fleet.give(CommandName.HOLD, 3)
+    fleet.go_on(10.0)
+    assert {status.slot.formation for status in fleet.newest.values()} == {0}
+    fleet.give(CommandName.FORM, 3)
+    fleet.go_on(8.0)
+    assert {status.phase for status in fleet.newest.values()} == {FlightPhase.FORMATION}
+    assert "has joined: it is in its slot" in fleet.said(3)
+    assert max(fleet.errors_m().values()) < 0.1
+
+
+def test_what_is_commanded_meanwhile_goes_before_closing_up() -> None:
+    fleet = flight(CLOSE_UP, STANDS)
+    fleet.land(3)
+    while not any("closes up" in event for event in fleet.said(1)):
+        fleet.go_on(0.1)
+    wider = {i: (-2.2 * (i - 1), 0.0, 0.0) for i in range(1, 6)}
+    change = change_to(wider, list(fleet.newest.values()), 1.0)
+    fleet.give(CommandName.FORMATION, *OTHERS, content=change)
+    fleet.go_on(change.lasts_s + 1.2)
+    assert {i: fleet.newest[i].slot.position_enu_m for i in OTHERS} == {i: wider[i] for i in OTHERS}
+    fleet.go_on(20.0)  # and then
+    assert [fleet.newest[i].slot.position_enu_m[0] for i in (1, 2, 4, 5, 3)] == [wider[i][0] for i in range(1, 6)]
+
+
+def test_the_successor_of_a_leader_that_left_closes_up() -> None:
+    fleet = flight(CLOSE_UP, STANDS)
+    since_s = fleet.lockstep.now_s()
+    fleet.land(1)
+    fleet.go_on(20.0)
+    assert fleet.newest[2].role is Role.LEADER
+    assert [fleet.newest[i].slot.position_enu_m[0] for i in (2, 3, 4, 5, 1)] == [0.0, -2.0, -4.0, -6.0, -8.0]
+    assert max(fleet.errors_m().values()) < 0.1
+    assert fleet.largest_step_deg() < 5.0
+    assert fleet.smallest_m(since_s) > 1.6
+
+
+def test_over_a_bad_network_with_noise_they_close_up_as_well() -> None:
+    fleet = flight(CLOSE_UP, STANDS, "stand_in.sensors=default", "links.peer_loss=0.2", "links.peer_delay_s=0.05")
+    since_s = fleet.lockstep.now_s()
+    fleet.land(3)
+    fleet.go_on(25.0)
+    assert [fleet.newest[i].slot.position_enu_m[0] for i in (1, 2, 4, 5, 3)] == [0.0, -2.0, -4.0, -6.0, -8.0]
+    assert {fleet.newest[i].phase for i in OTHERS} == {FlightPhase.FORMATION}
+    assert fleet.smallest_m(since_s) > 1.4

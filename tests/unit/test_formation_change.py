@@ -149,34 +149,34 @@ KNOW = [other(1, 0, 1), other(3, 0, 1)]
 def test_a_change_begins_at_its_time_where_all_have_it() -> None:
     slots = plan()
     assert slots.obey(CHANGE, 9.0, (), ()) == (True, "formation 1 begins in 1.0 s")
-    assert slots.update(9.9, KNOW) == FlownSlot(LINE[2], formation=0, waiting=1)
-    assert slots.update(10.0, KNOW) == FlownSlot(LINE[2], formation=1, waiting=1)
+    assert slots.update(9.9, KNOW, in_formation=True) == FlownSlot(LINE[2], formation=0, waiting=1)
+    assert slots.update(10.0, KNOW, in_formation=True) == FlownSlot(LINE[2], formation=1, waiting=1)
     assert slots.events == ["formation 0 -> 1"]
-    half_way = slots.update(20.0, KNOW)
+    half_way = slots.update(20.0, KNOW, in_formation=True)
     assert half_way.position_enu_m == pytest.approx((-1.0, -1.0, 0.0))
     assert half_way.velocity_enu_m_s == pytest.approx((1.875 * 2.0 / 20.0, -1.875 * 2.0 / 20.0, 0.0))
-    assert slots.update(30.0, KNOW) == FlownSlot(TURNED[2], formation=1, waiting=1)
+    assert slots.update(30.0, KNOW, in_formation=True) == FlownSlot(TURNED[2], formation=1, waiting=1)
 
 
 def test_it_does_not_begin_where_one_that_is_heard_missed_it() -> None:
     slots = plan()
     slots.obey(CHANGE, 9.0, (), ())
-    assert slots.update(10.0, [KNOW[0], other(3, 0, 0)]) == FlownSlot(LINE[2])
+    assert slots.update(10.0, [KNOW[0], other(3, 0, 0)], in_formation=True) == FlownSlot(LINE[2])
     assert slots.events == ["formation 1 does not begin: vehicle 3 does not have it"]
-    assert slots.update(20.0, KNOW) == FlownSlot(LINE[2])
+    assert slots.update(20.0, KNOW, in_formation=True) == FlownSlot(LINE[2])
 
 
 def test_who_began_a_tick_sooner_has_it() -> None:
     slots = plan()
     slots.obey(CHANGE, 9.0, (), ())
-    assert slots.update(10.0, [other(1, 1, 1), other(3, 0, 1)]).formation == 1
+    assert slots.update(10.0, [other(1, 1, 1), other(3, 0, 1)], in_formation=True).formation == 1
 
 
 def test_the_same_change_may_come_again() -> None:
     slots = plan()
     slots.obey(CHANGE, 9.0, (), ())
     assert slots.obey(CHANGE, 9.5, (), ())[0]
-    slots.update(10.0, KNOW)
+    slots.update(10.0, KNOW, in_formation=True)
     assert slots.obey(CHANGE, 12.0, (), ())[0]
 
 
@@ -202,31 +202,31 @@ def test_a_change_that_cannot_be_flown_is_refused_and_changes_nothing(changes: d
     accepted, reason = slots.obey(replace(CHANGE, **changes), 9.0, (), ())
     assert not accepted
     assert words in reason
-    assert slots.update(50.0, KNOW) == FlownSlot(LINE[2])
+    assert slots.update(50.0, KNOW, in_formation=True) == FlownSlot(LINE[2])
 
 
 def test_while_a_formation_is_being_taken_up_no_other_is_taken() -> None:
     slots = plan()
     slots.obey(CHANGE, 9.0, (), ())
-    slots.update(10.0, KNOW)
+    slots.update(10.0, KNOW, in_formation=True)
     back = FormationChange(2, tuple(LINE.items()), 21.0, 20.0)
     assert slots.obey(back, 20.0, (), ()) == (False, "formation: formation 1 is still being taken up")
-    slots.update(30.0, KNOW)
+    slots.update(30.0, KNOW, in_formation=True)
     assert slots.obey(replace(back, begins_s=31.0), 30.0, (), ())[0]
 
 
 def test_who_is_alone_takes_up_at_once_what_the_others_fly() -> None:
     slots = plan()
     assert slots.obey(CHANGE, 40.0, [other(1, 1, 1)], ()) == (True, "formation 1, which the others fly")
-    assert slots.update(40.0, ()) == FlownSlot(TURNED[2], formation=1, waiting=1)
+    assert slots.update(40.0, (), in_formation=True) == FlownSlot(TURNED[2], formation=1, waiting=1)
 
 
 def test_after_landing_the_formation_stays_while_the_time_begins_anew() -> None:
     slots = plan()
     slots.obey(CHANGE, 9.0, (), ())
-    slots.update(10.0, KNOW)
+    slots.update(10.0, KNOW, in_formation=True)
     slots.landed()
-    assert slots.update(0.0, ()) == FlownSlot(TURNED[2], formation=1, waiting=1)
+    assert slots.update(0.0, (), in_formation=True) == FlownSlot(TURNED[2], formation=1, waiting=1)
 
 
 def test_a_change_that_waits_when_the_vehicle_lands_is_told_of_and_forgotten() -> None:
@@ -234,7 +234,7 @@ def test_a_change_that_waits_when_the_vehicle_lands_is_told_of_and_forgotten() -
     slots.obey(CHANGE, 9.0, (), ())
     slots.landed()
     assert slots.events == ["formation 1 does not begin: the fleet's time begins anew"]
-    assert slots.update(30.0, KNOW) == FlownSlot(LINE[2])
+    assert slots.update(30.0, KNOW, in_formation=True) == FlownSlot(LINE[2])
     slots.landed()
     assert len(slots.events) == 1
 
@@ -243,8 +243,10 @@ def test_on_the_ground_a_formation_is_taken_up_at_once_and_by_all() -> None:
     for own_id in (1, 2, 3):
         slots = plan(own_id)
         assert slots.obey_on_ground(CHANGE, (), ()) == (True, "formation 1, on the ground at once")
-        assert slots.update(0.0, ()) == FlownSlot(TURNED[own_id], formation=1, waiting=1)
-        assert slots.update(11.0, ()) == FlownSlot(TURNED[own_id], formation=1, waiting=1)  # nor in the next flight
+        assert slots.update(0.0, (), in_formation=True) == FlownSlot(TURNED[own_id], formation=1, waiting=1)
+        assert slots.update(11.0, (), in_formation=True) == FlownSlot(
+            TURNED[own_id], formation=1, waiting=1
+        )  # nor in the next flight
         assert not slots.events
 
 
@@ -259,16 +261,16 @@ def test_who_stands_while_others_fly_takes_up_what_they_fly_and_not_before() -> 
     slots = plan()
     accepted, reason = slots.obey_on_ground(CHANGE, KNOW, ())
     assert (accepted, reason) == (True, "formation 1 is taken over here when the others fly it")
-    assert slots.update(0.0, KNOW) == FlownSlot(LINE[2])
+    assert slots.update(0.0, KNOW, in_formation=True) == FlownSlot(LINE[2])
     assert slots.obey_on_ground(CHANGE, [other(1, 1, 1)], ()) == (True, "formation 1, which the others fly")
-    assert slots.update(0.0, KNOW).position_enu_m == TURNED[2]
+    assert slots.update(0.0, KNOW, in_formation=True).position_enu_m == TURNED[2]
 
 
 def test_who_has_a_newer_formation_than_the_others_fly_may_be_given_theirs() -> None:
     slots = plan()
     assert slots.obey_on_ground(replace(CHANGE, number=7), (), ())[0]
     assert slots.obey(CHANGE, 40.0, [other(1, 1, 1)], ())[0]
-    assert slots.update(40.0, ()).formation == 1
+    assert slots.update(40.0, (), in_formation=True).formation == 1
 
 
 @pytest.mark.parametrize(
@@ -291,7 +293,7 @@ def test_a_leader_passes_on_what_waits_and_what_is_flown_while_somebody_lacks_it
     assert slots.to_pass_on([other(2, 0, 0)]) is None
     slots.obey(CHANGE, 9.0, (), ())
     assert slots.to_pass_on(KNOW) == CHANGE
-    slots.update(10.0, KNOW)
+    slots.update(10.0, KNOW, in_formation=True)
     assert slots.to_pass_on([other(2, 1, 1), other(3, 0, 1)]) is None
     assert slots.to_pass_on([other(2, 1, 1), other(3, 0, 0)]) == CHANGE
     assert slots.to_pass_on([other(2, 2, 2)]) == CHANGE  # of one that came to nothing
@@ -306,6 +308,6 @@ def test_of_two_with_one_number_the_first_leader_s_counts() -> None:
     assert not slots.lacks(same_number, over_own=False)
     assert slots.lacks(replace(CHANGE, number=2), over_own=False)
     assert slots.obey(same_number, 9.0, (), ())[0]
-    assert slots.update(10.5, KNOW).formation == 0
-    assert slots.update(11.0, KNOW).formation == 1
+    assert slots.update(10.5, KNOW, in_formation=True).formation == 0
+    assert slots.update(11.0, KNOW, in_formation=True).formation == 1
     assert not slots.lacks(same_number, over_own=True)
