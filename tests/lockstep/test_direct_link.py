@@ -18,7 +18,7 @@ from companion.types import (
 )
 from sitl import px4_setpoints
 from sitl.autopilot import DT_S
-from sitl.config import AutopilotFile, Links, StandIn
+from sitl.config import AutopilotFile, BatteryLevel, Links, StandIn
 from sitl.direct_link import SAMPLES, DirectLink, rates_hz, setpoint_of
 from sitl.manners import MANNERS
 from sitl.px4 import Px4
@@ -28,11 +28,12 @@ from sitl.px4_modes import Mode
 RECEIVED_S = 12.5
 RATES_HZ = rates_hz(AutopilotKind.PX4)
 MICRORADIAN = 1e-6
+LOW_SOON = StandIn(seed=5, batteries=(BatteryLevel(vehicle=3, at_s=5.0, percent=14),))
 
 
 def flying() -> Iterator[Px4]:
     """One stand-in with noise, at several moments of a flight."""
-    px4 = Px4(AutopilotFile(id=3, start_enu_m=(12.3, -4.5, 0.0), start_yaw_deg=130.0, stand_in=StandIn(seed=5)), DT_S)
+    px4 = Px4(AutopilotFile(id=3, start_enu_m=(12.3, -4.5, 0.0), start_yaw_deg=130.0, stand_in=LOW_SOON), DT_S)
     yield px4
     for step in range(3000):
         px4.step()

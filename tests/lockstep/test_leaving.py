@@ -10,10 +10,23 @@ from commanded_flight import Flight
 
 from companion.ground.formations import change_to
 from companion.types import CommandName, FlightPhase, Role
+from sitl.progress import Progress
+from sitl.scenario import load_scenario
+from sitl.virtual_flight import fly_in_virtual_time
 
 SCENARIO = Path(__file__).parents[2] / "config" / "scenarios" / "leaving.yaml"
 OTHERS = (1, 2, 4, 5)
-STANDS = "reference.points_enu_m=[[0.0, 0.0, 2.0]]"
+KEEP_GAP = "fleet.when_one_leaves=keep_gap"
+IT_STANDS_FIRST = (
+    "reference={kind: waypoints, points_enu_m: [[0, 0, 2], [0, 0.001, 2], [14, 0, 2]], wait_s: 45,"
+    " max_speed_m_s: 1.0, max_acceleration_m_s2: 0.5}"
+)
+
+
+def goes_on(speed_m_s: float) -> str:
+    """The column goes 14 m ahead."""
+    way = "kind: waypoints, points_enu_m: [[0, 0, 2], [14, 0, 2]]"
+    return f"reference={{{way}, max_speed_m_s: {speed_m_s}, max_acceleration_m_s2: 0.5}}"
 
 
 def flight(*overrides: str) -> Flight:
@@ -21,7 +34,7 @@ def flight(*overrides: str) -> Flight:
 
 
 def test_who_left_is_heeded_no_more_and_the_others_fly_on() -> None:
-    fleet = flight()
+    fleet = flight(KEEP_GAP, goes_on(1.0))
     fleet.give(CommandName.HOLD, 3)
     fleet.go_on(16.0)  # 14 m further
     assert {fleet.newest[i].phase for i in OTHERS} == {FlightPhase.FORMATION}
@@ -31,7 +44,7 @@ def test_who_left_is_heeded_no_more_and_the_others_fly_on() -> None:
 
 
 def test_who_joins_again_comes_into_its_gap_without_pulling_anybody() -> None:
-    fleet = flight(STANDS)
+    fleet = flight(KEEP_GAP)
     fleet.land(3)
     fleet.take_off_again(3)
     since_s = fleet.lockstep.now_s()
@@ -48,7 +61,7 @@ def test_who_joins_again_comes_into_its_gap_without_pulling_anybody() -> None:
 @pytest.mark.parametrize("moving", [False, True])
 def test_who_joins_from_afar_flies_to_its_slot_and_the_others_keep_theirs(moving: bool) -> None:
     """Behind the column, which has gone on or is going on."""
-    fleet = flight(f"reference.max_speed_m_s={0.6 if moving else 3.0}")
+    fleet = flight(goes_on(0.6 if moving else 3.0))
     fleet.land(5)
     fleet.take_off_again(5)
     since_s = fleet.lockstep.now_s()
@@ -68,7 +81,7 @@ def test_who_joins_from_afar_flies_to_its_slot_and_the_others_keep_theirs(moving
 
 
 def test_a_way_that_comes_too_near_to_another_is_refused_by_name() -> None:
-    fleet = flight("reference.max_speed_m_s=3")
+    fleet = flight(KEEP_GAP, goes_on(3.0))
     fleet.land(3)
     fleet.take_off_again(3)
     fleet.go_on(5.0)
@@ -81,7 +94,7 @@ def test_a_way_that_comes_too_near_to_another_is_refused_by_name() -> None:
 
 
 def test_nobody_joins_while_a_formation_is_taken_up() -> None:
-    fleet = flight(STANDS)
+    fleet = flight(KEEP_GAP)
     fleet.land(5)
     fleet.take_off_again(5)
     nearer = change_to({i: (-1.8 * (i - 1), 0.0, 0.0) for i in range(1, 6)}, list(fleet.newest.values()), 1.0)
@@ -97,7 +110,7 @@ def test_nobody_joins_while_a_formation_is_taken_up() -> None:
 
 def test_who_has_too_little_battery_lands_by_itself_and_the_others_fly_on() -> None:
     drains = "stand_in.batteries=[{vehicle: 4, at_s: 30, percent: 14}, {vehicle: 5, at_s: 30, percent: -1}]"
-    fleet = flight("fleet.leave_below_percent=15", drains)
+    fleet = flight(KEEP_GAP, "fleet.leave_below_percent=15", drains)
     assert fleet.lockstep.now_s() < 29.0
     fleet.go_on(30.0 - fleet.lockstep.now_s() + 2.5)
     assert fleet.newest[4].phase is FlightPhase.FORMATION  # it may be a wrong sample yet
@@ -110,7 +123,7 @@ def test_who_has_too_little_battery_lands_by_itself_and_the_others_fly_on() -> N
 
 
 def test_a_leader_that_leaves_is_led_on_for_by_its_successor() -> None:
-    fleet = flight("fleet.leave_below_percent=15", "stand_in.batteries=[{vehicle: 1, at_s: 26, percent: 9}]")
+    fleet = flight(KEEP_GAP, "fleet.leave_below_percent=15", "stand_in.batteries=[{vehicle: 1, at_s: 26, percent: 9}]")
     fleet.until(1, FlightPhase.OBSERVE)
     assert fleet.newest[2].role is Role.LEADER
     fleet.go_on(20.0)
@@ -120,12 +133,8 @@ def test_a_leader_that_leaves_is_led_on_for_by_its_successor() -> None:
     assert fleet.largest_step_deg() < 5.0
 
 
-CLOSE_UP = "fleet.when_one_leaves=close_up"
-TO_THE_SECOND = "reference.points_enu_m=[[0.0, 0.0, 2.0], [0.0, 0.001, 2.0], [14.0, 0.0, 2.0]]"  # and waits there first
-
-
 def test_the_column_closes_up_goes_on_and_the_one_that_left_joins_at_its_end() -> None:
-    fleet = flight(CLOSE_UP, TO_THE_SECOND, "reference.wait_s=45")
+    fleet = flight(IT_STANDS_FIRST)
     since_s = fleet.lockstep.now_s()
     fleet.land(3)
     assert {fleet.newest[i].slot.formation for i in OTHERS} == {0}  # it was in the air, just beside their ways
@@ -160,9 +169,9 @@ def test_the_column_closes_up_goes_on_and_the_one_that_left_joins_at_its_end() -
     assert fleet.smallest_m(since_s) > 1.7  # true distances, in the air and on the ground
 
 
-@pytest.mark.parametrize("overrides", [(), (CLOSE_UP,)])
+@pytest.mark.parametrize("overrides", [(), (KEEP_GAP,)])
 def test_while_it_holds_in_its_place_the_gap_is_kept_and_it_comes_back_into_it(overrides: tuple[str, ...]) -> None:
-    fleet = flight(STANDS, *overrides)
+    fleet = flight(*overrides)
     fleet.give(CommandName.HOLD, 3)
     fleet.go_on(10.0)
     assert {status.slot.formation for status in fleet.newest.values()} == {0}
@@ -174,7 +183,7 @@ def test_while_it_holds_in_its_place_the_gap_is_kept_and_it_comes_back_into_it(o
 
 
 def test_what_is_commanded_meanwhile_goes_before_closing_up() -> None:
-    fleet = flight(CLOSE_UP, STANDS)
+    fleet = flight()
     fleet.land(3)
     while not any("closes up" in event for event in fleet.said(1)):
         fleet.go_on(0.1)
@@ -188,7 +197,7 @@ def test_what_is_commanded_meanwhile_goes_before_closing_up() -> None:
 
 
 def test_the_successor_of_a_leader_that_left_closes_up() -> None:
-    fleet = flight(CLOSE_UP, STANDS)
+    fleet = flight()
     since_s = fleet.lockstep.now_s()
     fleet.land(1)
     fleet.go_on(20.0)
@@ -200,10 +209,19 @@ def test_the_successor_of_a_leader_that_left_closes_up() -> None:
 
 
 def test_over_a_bad_network_with_noise_they_close_up_as_well() -> None:
-    fleet = flight(CLOSE_UP, STANDS, "stand_in.sensors=default", "links.peer_loss=0.2", "links.peer_delay_s=0.05")
+    fleet = flight("stand_in.sensors=default", "links.peer_loss=0.2", "links.peer_delay_s=0.05")
     since_s = fleet.lockstep.now_s()
     fleet.land(3)
     fleet.go_on(25.0)
     assert [fleet.newest[i].slot.position_enu_m[0] for i in (1, 2, 4, 5, 3)] == [0.0, -2.0, -4.0, -6.0, -8.0]
     assert {fleet.newest[i].phase for i in OTHERS} == {FlightPhase.FORMATION}
     assert fleet.smallest_m(since_s) > 1.4
+
+
+def test_the_scenario_is_flown_as_it_is_written() -> None:
+    flight = fly_in_virtual_time(load_scenario(SCENARIO), Progress("test", True, 0.0))
+    assert flight.failure is None
+    said = [event.event for event in flight.watch.events]
+    assert any(event.startswith("closes up where vehicle 3 left") for event in said)
+    assert "has joined: it is in its slot" in said
+    assert len(flight.watch.formations) == 2

@@ -123,5 +123,5 @@ def test_edges_that_one_vehicle_holds_together_cannot_be_closed_up() -> None:
     with pytest.raises(ConfigError) as caught:
         check_fleet(Path("fleet.yaml"), fleet)
     assert "neighbours.edges: without vehicle 2, vehicle 3 is cut off from vehicle 1" in str(caught.value)
-    good = load_scenario(SCENARIOS / "leaving.yaml", ["fleet.when_one_leaves=close_up"])
+    good = load_scenario(SCENARIOS / "leaving.yaml")
     assert good.fleet.when_one_leaves == "close_up"
