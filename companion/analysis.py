@@ -107,7 +107,7 @@ class Analysis(Struct, frozen=True, kw_only=True):
     lambda_min_by_leader: dict[int, float]
     gain_on_average: dict[LawName, float]
     unreached: list[int]  # vehicles without a path to a leader
-    not_read: list[str]  # sections of the file, which are neither used nor checked
+    not_read: list[str]  # sections and keys of the file that are not used
 
 
 class _ScenarioPart(Section, frozen=True, kw_only=True):
@@ -144,7 +144,8 @@ def load_subject(path: Path) -> Subject:
         fleet = convert(path, data, FleetConfig)
         check_fleet(path, fleet)
         starts = {member.id: member.slot_enu_m for member in fleet.vehicles}
-        return Subject(file=path, fleet=fleet, starts_enu_m=starts, reference_enu_m=_a_step(fleet))
+        reference_enu_m, not_read = _a_step(fleet), _not_read(data, fleet, "")
+        return Subject(file=path, fleet=fleet, starts_enu_m=starts, reference_enu_m=reference_enu_m, not_read=not_read)
     part = convert(path, data, _ScenarioPart)
     check_fleet(path, part.fleet, "fleet.")
     starts = part.starts_enu_m or {member.id: member.slot_enu_m for member in part.fleet.vehicles}
@@ -159,8 +160,13 @@ def load_subject(path: Path) -> Subject:
         starts_enu_m=starts,
         reference_enu_m=reference,
         reference_moves=part.reference is not None and moves(part.reference),
-        not_read=[section for section in NOT_READ if section in data],
+        not_read=_not_read(data, part.fleet, "fleet."),
     )
+
+
+def _not_read(data: Any, fleet: FleetConfig, where: str) -> list[str]:
+    """What is worked out has no other heading than at the start."""
+    return [section for section in NOT_READ if section in data] + [f"{where}formation_heading"] * fleet.slots_turn
 
 
 def _a_step(fleet: FleetConfig) -> Vector3:

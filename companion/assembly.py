@@ -14,7 +14,7 @@ from companion.config.reference import (
     ReferenceSection,
     TargetReference,
     check_reference,
-    most_acceleration_m_s2,
+    most_pace,
 )
 from companion.config.vehicle import AgentConfig
 from companion.config_file import ConfigError, convert
@@ -30,6 +30,7 @@ from companion.core.fleet_checks import FleetChecks
 from companion.core.formation import FormationLaw, Gains
 from companion.core.formation_limits import FormationLimits
 from companion.core.hand_over import HandOverLimits
+from companion.core.heading import CourseHeading, FixedHeading
 from companion.core.health import AgeLimits
 from companion.core.joining import Joining
 from companion.core.leader_word import LeaderWatch
@@ -88,7 +89,7 @@ def build_agent(config: AgentConfig, session: int) -> Agent:
         ),
     )
     tracker = tracker_of(fleet)
-    limits = FormationLimits(fleet.separation_m, fleet.slot_speed_m_s, _fence(fleet))
+    limits = FormationLimits(fleet.separation_m, fleet.slot_speed_m_s, _fence(fleet), fleet.slots_turn)
     slots = SlotPlan(member.id, {m.id: m.slot_enu_m for m in fleet.vehicles}, limits)
     leader = LeaderWatch(fleet.peers.leader_word_max_age_s)
     rule = _neighbour_rule(fleet, member.id)
@@ -105,7 +106,10 @@ def build_agent(config: AgentConfig, session: int) -> Agent:
     joining = Joining(member.id, fleet.separation_m, fleet.slot_speed_m_s)
     battery = BatteryWatch(fleet.leave_below_percent)
     closing_up = ClosingUp(member.id, limits) if fleet.when_one_leaves == "close_up" else None
-    return Agent(setup, tracker, cooperation, _control(config), setpoints, slots, held, joining, battery, closing_up)
+    heading = CourseHeading(fleet.slot_speed_m_s) if fleet.slots_turn else FixedHeading()
+    return Agent(
+        setup, tracker, cooperation, _control(config), setpoints, slots, heading, held, joining, battery, closing_up
+    )
 
 
 def _control(config: AgentConfig) -> FormationControl:
@@ -119,12 +123,14 @@ def _control(config: AgentConfig) -> FormationControl:
 
 
 def _references(fleet: FleetConfig, first: Reference) -> ReferencePlan:
+    speed_m_s, acceleration_m_s2 = most_pace(fleet)
     limits = HandOverLimits(
         added_speed_m_s=fleet.hand_over_speed_m_s,
         added_acceleration_m_s2=fleet.hand_over_acceleration_m_s2,
-        speed_m_s=fleet.peers.max_speed_m_s,
-        acceleration_m_s2=most_acceleration_m_s2(fleet.envelope),
+        speed_m_s=speed_m_s,
+        acceleration_m_s2=acceleration_m_s2,
         fence=_fence(fleet),
+        slots_turn=fleet.slots_turn,
     )
 
     def read(described: Described, slots_enu_m: Mapping[int, Vector3]) -> Rft:

@@ -292,13 +292,24 @@ Term = tuple[
 ]  # (epoch, minus the claim's rank): which lead is the newer, and a commanded one beats a claimed one
 
 
+class Heading(Struct, frozen=True, gc=False):
+    """Where the x axis of the formation's own frame points: 0 east, pi/2 north, from -pi to pi; and how it turns."""
+
+    angle_rad: float = 0.0
+    rate_rad_s: float = 0.0
+    acceleration_rad_s2: float = 0.0
+
+
+EAST = Heading()
+
+
 class LeaderWord(Struct, frozen=True, gc=False):
     """What a vehicle has heard of its leader, passed on hop by hop with the PrC.
 
     Only the leader moves `stamp` on (milliseconds of its own clock), so no word gets younger on its way through the others.
     `epoch` counts the changes of the lead; `reference_s` is how far into the RFT the leader is at the time of the packet that
-    carries the word, 0 while it does not fly it. `claim` is 0 where the lead was commanded, or is the fleet file's; a successor
-    that took it from a lost leader tells its rank, from 1.
+    carries the word, 0 while it does not fly it; `heading` is its formation's, likewise. `claim` is 0 where the lead was
+    commanded, or is the fleet file's; a successor that took it from a lost leader tells its rank, from 1.
     """
 
     leader_id: int
@@ -306,6 +317,7 @@ class LeaderWord(Struct, frozen=True, gc=False):
     stamp: int
     reference_s: float = 0.0
     claim: int = 0
+    heading: Heading = EAST
 
     @property
     def term(self) -> Term:
@@ -313,10 +325,10 @@ class LeaderWord(Struct, frozen=True, gc=False):
 
 
 class FlownSlot(Struct, frozen=True, gc=False):
-    """A vehicle's place d_i0 about the RFT as it flies it just now, and how it moves while the formation changes.
+    """A vehicle's place d_i0 about the RFT as it flies it just now, and how it moves while the formation changes or turns.
 
     `formation` counts the formations that were commanded, the fleet file's is 0; `waiting` is the one that is to come, the
-    same where none is.
+    same where none is. `moves`: within the formation, as it changes or is joined; that the formation turns does not count.
     """
 
     position_enu_m: Vector3
@@ -324,6 +336,7 @@ class FlownSlot(Struct, frozen=True, gc=False):
     acceleration_enu_m_s2: Vector3 = ZERO3
     formation: int = 0
     waiting: int = 0
+    moves: bool = False
 
 
 class HeldReference(Struct, frozen=True, gc=False):
@@ -521,7 +534,7 @@ class Status(Struct, frozen=True, gc=False):
     leader_word: LeaderWord | None
     leader_word_age_s: float | None
     neighbours: tuple[int, ...]
-    slot: FlownSlot
+    slot: FlownSlot  # in the formation's own frame, which has `heading`
     reference_enu_m: Vector3 | None  # leaders only
     flags: tuple[HealthFlag, ...]
     rejected: dict[str, int]  # counted rejections by reason
@@ -536,6 +549,7 @@ class Status(Struct, frozen=True, gc=False):
     battery_percent: float | None = None  # None where the autopilot does not know
     position_error: PositionError | None = None
     largest_step_deg: float = 0.0  # of the commanded attitude, setpoint to setpoint, in the last stream of them
+    heading: Heading = EAST
 
 
 class Inbox(Struct, frozen=True, gc=False):

@@ -9,6 +9,7 @@ from msgspec import Struct
 
 from companion.core.formation import Place
 from companion.core.reference import ReferenceTrajectory
+from companion.geometry.turning import turned_slot
 from companion.ground.fleet_status import FleetState, VehicleRow, fold, rows
 from companion.types import ZERO3, CommandName, CommandReply, FlightPhase, LandedState, Role, Status, Vector3
 from companion.wire.ground import StatusReport, Timing
@@ -121,13 +122,13 @@ class FlightWatch:
 
     def _follow_slot(self, status: Status, now_s: float) -> None:
         """Where it stands, its first and its last time are enough."""
-        slots, slot_enu_m = self._slots[status.vehicle_id], status.slot.position_enu_m
+        slots, slot_enu_m = self._slots[status.vehicle_id], turned_slot(status.slot, status.heading).position_enu_m
         if len(slots) > 1 and slots[-1][1] == slots[-2][1] == slot_enu_m:
             slots.pop()
         slots.append((now_s, slot_enu_m))
 
     def slots(self) -> dict[int, Track]:
-        """Each vehicle's slot d_i0 over time, as it said itself."""
+        """Each vehicle's slot d_i0 over time, as it said itself: as it is flown, turned to the formation's heading."""
         return {i: told_track(i, told) for i, told in self._slots.items()}
 
     def note_answers(

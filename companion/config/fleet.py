@@ -93,11 +93,13 @@ class FleetConfig(Section, frozen=True):
     altitude, and in the plane no nearer than `separation_m`, take off. No formation that is commanded in flight brings
     slots nearer than that, also on the way to it, and on that way they move at `slot_speed_m_s` at most. A hand-over from
     one reference to another in flight adds no more than `hand_over_speed_m_s` and `hand_over_acceleration_m_s2` to what
-    both ask for. When no leader is heard any more, the first of the `successors` that flies in formation leads; where none
-    does, all go into their autopilots' hold, and after `land_after_s` in it each lands where it is, or stays up where that
-    is not given. A vehicle whose battery stays below `leave_below_percent` leaves formation by itself and lands; where that
-    is not given, none does. When one has left, its gap is kept for it, or the others `close_up` as soon as its place is
-    free, and it may come back outside: for that, edges must hold together without any one vehicle.
+    both ask for. With `formation_heading: course` the slots' x axis points where the RFT goes, and they turn about it at
+    `slot_speed_m_s` at most; `fixed`, x is always east. When no leader is heard any more, the first of the `successors`
+    that flies in formation leads; where none does, all go into their autopilots' hold, and after `land_after_s` in it each
+    lands where it is, or stays up where that is not given. A vehicle whose battery stays below `leave_below_percent` leaves
+    formation by itself and lands; where that is not given, none does. When one has left, its gap is kept for it, or the
+    others `close_up` as soon as its place is free, and it may come back outside: for that, edges must hold together without
+    any one vehicle.
     """
 
     name: Annotated[str, Meta(pattern=FLEET_NAME, description=FLEET_NAME_WORDS)]
@@ -111,6 +113,7 @@ class FleetConfig(Section, frozen=True):
     slot_speed_m_s: Annotated[float, Meta(gt=0, le=50)] = 1.0
     hand_over_speed_m_s: Annotated[float, Meta(gt=0, le=50)] = 2.0
     hand_over_acceleration_m_s2: Annotated[float, Meta(gt=0, le=20)] = 1.0
+    formation_heading: Literal["fixed", "course"] = "fixed"
     takeoff_height_m: Annotated[float, Meta(ge=0.5, le=120)] = 2.5
     successors: tuple[VehicleId, ...] = ()
     land_after_s: Annotated[float, Meta(gt=0, le=3600)] | None = None
@@ -118,6 +121,11 @@ class FleetConfig(Section, frozen=True):
     leave_below_percent: Annotated[float, Meta(gt=0, le=90)] | None = None
     peers: PeerLimits = PeerLimits()
     envelope: Envelope = Envelope()
+
+    @property
+    def slots_turn(self) -> bool:
+        """About the RFT, with its course."""
+        return self.formation_heading == "course"
 
     def formation_hash(self) -> int:
         """64 bits over everything in this file: two vehicles fly together only where it is the same."""

@@ -10,11 +10,12 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from companion.config.fleet import FLEET_NAME, FLEET_NAME_WORDS, Envelope, FleetConfig
+from companion.config.fleet import FLEET_NAME, FLEET_NAME_WORDS, FleetConfig
 from companion.config.kind import read_as
 from companion.config.values import PositionM, Seconds, Section
 from companion.config_file import ConfigError, convert
 from companion.geometry.curves import PEAK_ACCELERATION, PEAK_SPEED, Curve, about, circle, duration_s, figure_8, way
+from companion.geometry.turning import SLOT_ACCELERATION_M_S2, course, reach_m, swept, turn_limits
 from companion.types import GRAVITY_M_S2, ZERO3, Vector3
 
 RAMP_SAMPLES, LAP_SAMPLES = 100, 500
@@ -161,9 +162,15 @@ def moves(reference: Reference) -> bool:
     return not isinstance(reference, PointReference)
 
 
-def most_acceleration_m_s2(envelope: Envelope) -> float:
-    """What the largest tilt gives in level flight."""
-    return GRAVITY_M_S2 * tan(radians(envelope.max_tilt_deg))
+def most_pace(fleet: FleetConfig) -> tuple[float, float]:
+    """The speed [m/s] that is believed, and the acceleration [m/s^2] that the largest tilt gives in level flight.
+
+    Less what slots need that turn about the RFT.
+    """
+    speed_m_s, acceleration_m_s2 = fleet.peers.max_speed_m_s, GRAVITY_M_S2 * tan(radians(fleet.envelope.max_tilt_deg))
+    if fleet.slots_turn:
+        return speed_m_s - fleet.slot_speed_m_s, acceleration_m_s2 - SLOT_ACCELERATION_M_S2
+    return speed_m_s, acceleration_m_s2
 
 
 def largest_pace(reference: Reference) -> tuple[float, float]:
@@ -193,17 +200,20 @@ def check_reference(
     `slots_enu_m` are those of the formation flown, where it is not the fleet file's; `where` its section's section.
     """
     slots = slots_enu_m or {member.id: member.slot_enu_m for member in fleet.vehicles}
-    _check_places(file, f"{where}reference", fleet.envelope, reference, slots)
+    _check_places(file, f"{where}reference", fleet, reference, slots)
     if moves(reference):
         _check_pace(file, f"{where}reference", fleet, reference)
+    if fleet.slots_turn and isinstance(reference, Lapping):
+        _check_turns(file, f"{where}reference", fleet, reference, slots)
 
 
 def _check_places(
-    file: Path, section: str, envelope: Envelope, reference: Reference, slots_enu_m: Mapping[int, Vector3]
+    file: Path, section: str, fleet: FleetConfig, reference: Reference, slots_enu_m: Mapping[int, Vector3]
 ) -> None:
     lowest, highest = reference.corners_enu_m()
-    fence = (envelope.fence_min_enu_m, envelope.fence_max_enu_m)
-    for vehicle_id, slot_enu_m in slots_enu_m.items():
+    fence = (fleet.envelope.fence_min_enu_m, fleet.envelope.fence_max_enu_m)
+    taken = {i: swept([slot_enu_m]) if fleet.slots_turn else [slot_enu_m] for i, slot_enu_m in slots_enu_m.items()}
+    for vehicle_id, slot_enu_m in ((i, corner) for i, corners in taken.items() for corner in corners):
         for axis, least, most, d, low, high in zip("xyz", lowest, highest, slot_enu_m, *fence, strict=True):
             for r in (least, most):
                 if not low <= r + d <= high:
@@ -217,19 +227,40 @@ def _check_places(
 def _check_pace(file: Path, section: str, fleet: FleetConfig, reference: Reference) -> None:
     """What is too fast cannot be flown, or its flyers are not believed."""
     speed_m_s, acceleration_m_s2 = largest_pace(reference)
-    most_m_s2, believed_m_s = most_acceleration_m_s2(fleet.envelope), fleet.peers.max_speed_m_s
+    believed_m_s, most_m_s2 = most_pace(fleet)
+    for_turning = ", less what slots need that turn" if fleet.slots_turn else ""
     if acceleration_m_s2 > most_m_s2 * ROUNDED:
         field, asks, advice = _slower(
             reference, "max_acceleration_m_s2", most_m_s2, (acceleration_m_s2 / most_m_s2) ** 0.5
         )
-        given = f"envelope.max_tilt_deg {fleet.envelope.max_tilt_deg:g} gives {most_m_s2:.1f}"
+        given = f"envelope.max_tilt_deg {fleet.envelope.max_tilt_deg:g} gives {most_m_s2:.1f}{for_turning}"
         raise ConfigError(
             file, f"{section}.{field}", f"{asks} for {acceleration_m_s2:.1f} m/s^2, {given}; expected {advice}"
         )
     if speed_m_s > believed_m_s * ROUNDED:
         field, asks, advice = _slower(reference, "max_speed_m_s", believed_m_s, speed_m_s / believed_m_s)
-        given = f"peers.max_speed_m_s believes {believed_m_s:g}"
+        given = f"peers.max_speed_m_s believes {believed_m_s:g}{for_turning}"
         raise ConfigError(file, f"{section}.{field}", f"{asks} for {speed_m_s:.1f} m/s, {given}; expected {advice}")
+
+
+def _check_turns(
+    file: Path, section: str, fleet: FleetConfig, reference: Lapping, slots_enu_m: Mapping[int, Vector3]
+) -> None:
+    """A formation that cannot follow the course would lag behind ever more."""
+    outermost_m = reach_m(slots_enu_m.values())
+    most_rad_s = turn_limits(outermost_m, fleet.slot_speed_m_s).rate_rad_s
+    curve, period_s = reference.curve(), reference.period_s
+    laps = (curve(reference.ramp_s + period_s * index / LAP_SAMPLES) for index in range(LAP_SAMPLES))
+    turns = (course(velocity, acceleration, 0.0) for _, velocity, acceleration in laps)
+    fastest_rad_s = max(abs(turn.rate_rad_s) for turn in turns if turn)
+    if fastest_rad_s > most_rad_s * ROUNDED:
+        longer_s = period_s * fastest_rad_s / most_rad_s + 0.05
+        raise ConfigError(
+            file,
+            f"{section}.period_s",
+            f"{period_s:g} s turns the course by up to {fastest_rad_s:.2f} rad/s; a formation that turns with it and reaches"
+            f" {outermost_m:.1f} m can {most_rad_s:.2f}; expected at least {longer_s:.1f} s, or a larger slot_speed_m_s",
+        )
 
 
 def _slower(reference: Reference, limit: str, most: float, times: float) -> tuple[str, str, str]:

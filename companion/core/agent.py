@@ -6,6 +6,8 @@ from collections import Counter
 from dataclasses import dataclass
 from math import inf
 
+from msgspec.structs import replace
+
 from companion.core.battery import BatteryWatch
 from companion.core.closing_up import ClosingUp
 from companion.core.command_desk import CommandDesk, Order
@@ -16,6 +18,7 @@ from companion.core.failsafe import failsafe_action
 from companion.core.fleet_checks import FleetChecks
 from companion.core.flight_manners import manners_of
 from companion.core.formation import place
+from companion.core.heading import FormationHeading
 from companion.core.health import AgeLimits, health_flags
 from companion.core.homeward import refusal_of_return
 from companion.core.joining import Joining, Way
@@ -25,6 +28,7 @@ from companion.core.setpoint_stream import SetpointStream
 from companion.core.slot_plan import SlotPlan
 from companion.core.succession import HeldForWantOfALeader
 from companion.core.vehicle_state import VehicleTracker
+from companion.geometry.turning import turned_slot
 from companion.types import (
     WITHOUT_LEADER,
     ZERO3,
@@ -35,7 +39,6 @@ from companion.types import (
     CommandReply,
     FailsafeAction,
     FlightPhase,
-    FlownSlot,
     FormationChange,
     HealthFlag,
     Inbox,
@@ -89,6 +92,7 @@ class Agent:
         control: FormationControl,
         setpoints: SetpointStream,
         slots: SlotPlan,
+        heading: FormationHeading,
         held: HeldForWantOfALeader,
         joining: Joining,
         battery: BatteryWatch,
@@ -100,6 +104,8 @@ class Agent:
         self._control = control
         self._setpoints = setpoints
         self._slots = slots
+        self._heading = heading
+        self._slot = slots.flown  # as it is flown, turned to the heading
         self._references = control.references
         self._held = held
         self._joining = joining
@@ -161,6 +167,7 @@ class Agent:
         if not vehicle.armed:
             self._cooperation.landed()
             self._slots.landed()
+            self._heading.landed()
         around = self._cooperation.update(
             now_s, vehicle.position_enu_m, inbox.peers, self._machine.in_formation, self._fit_to_lead
         )
@@ -172,9 +179,10 @@ class Agent:
         self._hear_of_formations(vehicle, around)
         self._close_up(now_s, vehicle, around)
         self._join(now_s, vehicle, around)
-        slot = self._slots.update(around.reference_s, around.flying, self.phase in STREAMING)
+        self._slots.update(around.reference_s, around.flying, self.phase in STREAMING)
         if self._references:
             self._references.update(now_s, around.reference_s, self._slots.slots_enu_m, around.flying, inbox.targets)
+        self._turn_slot(now_s, around)
         flags = health_flags(now_s, vehicle, around.leaderless, self._setup.ages, self._setup.envelope)
         action = failsafe_action(flags)
         self._tell_of_missing_leader(flags)
@@ -206,7 +214,7 @@ class Agent:
         target = None
         if streams and action is not FailsafeAction.SILENT:
             if self._setpoints.may_follow(vehicle):
-                target = self._decide(now_s, vehicle, around, slot)
+                target = self._decide(now_s, vehicle, around)
         elif streamed and self._is_listened_to_in_silence(vehicle):
             target = self._setpoints.last_word(now_s)
 
@@ -220,16 +228,19 @@ class Agent:
             events=events,
         )
 
-    def _decide(
-        self, now_s: float, vehicle: VehicleState, around: Neighbourhood, slot: FlownSlot
-    ) -> AttitudeTarget | None:
+    def _turn_slot(self, now_s: float, around: Neighbourhood) -> None:
+        led_by = self._control.reference(around) if self._machine.in_formation else None
+        self._heading.update(now_s, around, led_by, self._slots.reach_m)
+        self._slot = turned_slot(self._slots.flown, self._heading.flown)
+
+    def _decide(self, now_s: float, vehicle: VehicleState, around: Neighbourhood) -> AttitudeTarget | None:
         """What this phase wants, as a setpoint; None where nothing passes the last gate."""
         match self._machine.phase:
             case FlightPhase.ENGAGE:  # the autopilot has not taken the stream yet
                 self._control.stand_by(vehicle)
                 return self._setpoints.carry_on(now_s, vehicle)
             case FlightPhase.FORMATION:
-                wanted_enu_m_s2 = self._control.in_formation(vehicle, around, slot)
+                wanted_enu_m_s2 = self._control.in_formation(vehicle, around, self._slot)
             case _ if self._machine.hands_over_level(now_s):
                 wanted_enu_m_s2 = self._control.level(vehicle)
             case _:  # nobody takes over
@@ -353,7 +364,8 @@ class Agent:
         fresh = self._cooperation.peers.fresh(now_s).values()
         flying = [peer for peer in fresh if peer.packet.phase in COOPERATING]
         slot_enu_m = self._slots.slots_enu_m[self._setup.vehicle_id]
-        return self._joining.way(now_s, vehicle.position_enu_m, vehicle.velocity_enu_m_s, slot_enu_m, flying)
+        heading = self._heading.flown
+        return self._joining.way(now_s, vehicle.position_enu_m, vehicle.velocity_enu_m_s, slot_enu_m, heading, flying)
 
     def _refusal_to_join(self, now_s: float, vehicle: VehicleState) -> str:
         try:
@@ -370,7 +382,7 @@ class Agent:
 
     def _here_enu_m(self, vehicle: VehicleState) -> Vector3:
         """Where this vehicle has the fleet, by its own place."""
-        return place(vehicle.position_enu_m, vehicle.velocity_enu_m_s, self._slots.flown).position_enu_m
+        return place(vehicle.position_enu_m, vehicle.velocity_enu_m_s, self._slot).position_enu_m
 
     def _change_reference(
         self, change: ReferenceChange, vehicle: VehicleState, around: Neighbourhood
@@ -433,7 +445,7 @@ class Agent:
             stood_enu_m = self._cooperation.peers.stood_enu_m
             own_id, separation_m = self._setup.vehicle_id, self._setup.checks.separation_m
             return refusal_of_return(own_id, separation_m, vehicle, self._heard(now_s), stood_enu_m), ""
-        refusal, warning = self._setup.checks.judge(name, vehicle, self._slots.flown, self._heard(now_s))
+        refusal, warning = self._setup.checks.judge(name, vehicle, self._slot, self._heard(now_s))
         if name is CommandName.FORM and not refusal:
             self._joins = self._joining.is_due(now_s)
             refusal = self._refusal_to_join(now_s, vehicle) if self._joins else ""
@@ -507,6 +519,7 @@ class Agent:
         if vehicle.position_time_s == -inf:
             return None
         self._sequence += 1
+        word = around.leader_word
         flown = self._setpoints.flown_acceleration_enu_m_s2(now_s, self._setup.ages.state_s) if streams else ZERO3
         return PeerPacket(
             vehicle_id=self._setup.vehicle_id,
@@ -521,8 +534,8 @@ class Agent:
             state_age_s=max(0.0, now_s - vehicle.position_time_s),
             sent_s=now_s,
             prc=around.prc,
-            leader_word=around.leader_word,
-            slot=self._slots.flown,
+            leader_word=word and replace(word, heading=self._heading.told),
+            slot=self._slot,
             position_error=vehicle.position_error,
             reference=self._references.held if self._references else None,
             change=self._slots.to_pass_on(self._heard(now_s)) if self._leads_formation(around) else None,
@@ -582,6 +595,7 @@ class Agent:
             peers=tuple(sorted(peer.vehicle_id for peer in peers)),
             battery_percent=self._preflight.battery_percent,
             position_error=vehicle.position_error,
+            heading=self._heading.flown,
             largest_step_deg=self._setpoints.largest_step_deg,
         )
 

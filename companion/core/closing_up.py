@@ -23,6 +23,7 @@ AS_FAR_M = 0.01
 SAMPLES = 100
 
 Slots = Mapping[int, Vector3]
+Place2 = tuple[float, float]
 Reference = Callable[[float], Vector3]
 """r at a time of the fleet's."""
 
@@ -116,6 +117,12 @@ class ClosingUp:
             absent=tuple(absent),
         )
 
+    def _apart_m(self, slot_m: Place2, gone_m: Place2) -> float:
+        """In the plane, both about the RFT; of slots that turn, whichever way they may point by then."""
+        if self._limits.slots_turn:
+            return abs(hypot(*slot_m) - hypot(*gone_m))
+        return dist(slot_m, gone_m)
+
     def _refusal(
         self, change: FormationChange, before: Slots, gone: PeerState | None, now_s: float, reference: Reference
     ) -> str:
@@ -130,7 +137,7 @@ class ClosingUp:
             rx, ry, _ = reference(change.begins_s + elapsed_s)
             for i in after.keys() - set(change.absent):
                 dx, dy, _ = between(before[i], after[i], elapsed_s, change.lasts_s)[0]
-                apart_m = hypot(rx + dx - x, ry + dy - y)
+                apart_m = self._apart_m((dx, dy), (x - rx, y - ry))
                 if before[i] != after[i] and apart_m < self._limits.separation_m:
                     return f"it may still be in the air, {apart_m:.2f} m beside the way of vehicle {i}"
         return ""

@@ -5,16 +5,28 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from companion.core.formation import Place, place
 from companion.core.leader_word import LeaderWatch
 from companion.core.leadership import Leadership
 from companion.core.neighbours import NeighbourRule
-from companion.core.peers import PeerTable
+from companion.core.peers import MAX_TURN_RAD_S, PeerTable
 from companion.core.priority import next_prc
-from companion.core.reference_clock import ReferenceClock
+from companion.core.reference_clock import WAITED_S, ReferenceClock
 from companion.core.succession import Succession
-from companion.types import FlightPhase, HealthFlag, LeaderWord, PeerPacket, ReceivedPeerPacket, Role, Term, Vector3
+from companion.geometry.turning import heading_after
+from companion.types import (
+    FlightPhase,
+    Heading,
+    HealthFlag,
+    LeaderWord,
+    PeerPacket,
+    ReceivedPeerPacket,
+    Role,
+    Term,
+    Vector3,
+)
 
 LEADER, FORMATION = Role.LEADER, FlightPhase.FORMATION
 # A vehicle on the ground, climbing, landing or flown by its pilot is nobody's neighbour.
@@ -37,6 +49,7 @@ class Neighbourhood(Struct, frozen=True, gc=False):
     neighbours: tuple[tuple[int, Place], ...]  # (PrC, place)
     neighbour_ids: tuple[int, ...]
     flying: tuple[PeerPacket, ...]  # all others that are heard of and cooperate
+    heading: Heading | None  # of the formation, as it is heard; None where it is this vehicle's to say
 
 
 class Cooperation:
@@ -87,6 +100,7 @@ class Cooperation:
         leaderless = self._succeed(now_s, newest[0] is not None, heard, flying, fit_to_lead)
         role, term = self.leadership.role, self.leadership.term
         prcs = [self._prc_of(packet, term) for packet in heard]
+        heading = self._heard_heading(role, in_formation, *newest)
         word, word_age_s, reference_s = self._word(now_s, role, in_formation, *newest)
         return Neighbourhood(
             role=role,
@@ -104,6 +118,7 @@ class Cooperation:
             ),
             neighbour_ids=ids,
             flying=tuple(flying),
+            heading=heading,
         )
 
     def _company(self, now_s: float, flying: list[PeerPacket], in_formation: bool) -> list[PeerPacket]:
@@ -157,6 +172,18 @@ class Cooperation:
         """What this vehicle once said itself, as a leader or before a restart, is nobody's word now."""
         own_id = self._own_id
         return [word for p in packets if (word := p.leader_word) is not None and word.leader_id != own_id]
+
+    def _heard_heading(self, role: Role, in_formation: bool, word: LeaderWord | None, age_s: float) -> Heading | None:
+        """What the word says, by now. Who leads heeds another that flies the RFT already, or of several the first by id."""
+        if word is None or word.leader_id == self._own_id:
+            return None
+        if role is LEADER:
+            of_one_lead = word.term == self.leadership.term and word.reference_s > 0.0
+            if not of_one_lead or (in_formation and word.leader_id > self._own_id):
+                return None
+        heading = heading_after(word.heading, age_s + WAITED_S)
+        most = MAX_TURN_RAD_S  # what peers believe: no word may make its bearer unbelievable
+        return replace(heading, rate_rad_s=min(max(heading.rate_rad_s, -most), most))
 
     def _word(
         self, now_s: float, role: Role, in_formation: bool, word: LeaderWord | None, age_s: float

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from companion.core.pursuit import Box
 from companion.geometry.transition import ROUNDING_M, closest, fastest_m_s
+from companion.geometry.turning import swept
 from companion.types import Vector3
 
 Slots = Mapping[int, Vector3]
@@ -15,21 +16,30 @@ Slots = Mapping[int, Vector3]
 
 @dataclass(frozen=True, slots=True)
 class FormationLimits:
-    """Of a whole fleet. Each method says why not, or None where nothing is against it."""
+    """Of a whole fleet. Each method says why not, or None where nothing is against it.
+
+    `slots_turn`: about the RFT, so that they need room all round it.
+    """
 
     separation_m: float
     speed_m_s: float  # of a slot, about the RFT
     fence: Box
+    slots_turn: bool = False
 
     def refusal_of_places(self, slots_enu_m: Slots, rft_enu_m: Iterable[Vector3]) -> str | None:
         """About any of these places of the RFT."""
         for r_enu_m in rft_enu_m:
-            for vehicle_id, slot_enu_m in slots_enu_m.items():
+            for vehicle_id, slot_enu_m in self._corners(slots_enu_m):
                 for axis, r, d, least, most in zip("xyz", r_enu_m, slot_enu_m, *self.fence, strict=True):
                     if not least <= r + d <= most:
                         where = f"{axis} = {r + d:.1f} m, outside the fence ({least:g} to {most:g})"
                         return f"puts vehicle {vehicle_id} at {where}"
         return None
+
+    def _corners(self, slots_enu_m: Slots) -> list[tuple[int, Vector3]]:
+        if not self.slots_turn:
+            return list(slots_enu_m.items())
+        return [(i, corner) for i, slot_enu_m in slots_enu_m.items() for corner in swept([slot_enu_m])]
 
     def refusal_of_way(self, before_enu_m: Slots, after_enu_m: Slots, lasts_s: float) -> str | None:
         """Straight and in step from the one formation to the other."""

@@ -14,6 +14,7 @@ from companion.core.formation import Place
 from companion.core.pursuit import Box
 from companion.core.reference import ReferenceTrajectory
 from companion.geometry.curves import Curve, duration_s, dying_out
+from companion.geometry.turning import swept
 from companion.types import Vector3
 
 SHORTEST_S = 1.0
@@ -24,13 +25,21 @@ SAMPLES = 60  # at least, and one a second
 
 @dataclass(frozen=True, slots=True)
 class HandOverLimits:
-    """What delta may have of speed and acceleration, beyond what the old RFT has; and what the whole may have."""
+    """What delta may have of speed and acceleration, beyond what the old RFT has; and what the whole may have.
+
+    `slots_turn`: about the RFT, so that they need room all round it.
+    """
 
     added_speed_m_s: float
     added_acceleration_m_s2: float
     speed_m_s: float
     acceleration_m_s2: float
     fence: Box
+    slots_turn: bool = False
+
+    def room(self, slots_enu_m: Iterable[Vector3]) -> Box:
+        """Where r may be."""
+        return box_of(self.fence, swept(slots_enu_m) if self.slots_turn else slots_enu_m)
 
 
 def box_of(fence: Box, slots_enu_m: Iterable[Vector3]) -> Box:

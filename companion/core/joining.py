@@ -14,7 +14,8 @@ from companion.core.formation import Place, place
 from companion.core.hand_over import LONGEST_S, SAMPLES, SHORTEST_S, within
 from companion.core.peers import PeerState
 from companion.geometry.curves import Curve, duration_s, dying_out
-from companion.types import FlightPhase, PeerPacket, Vector3
+from companion.geometry.turning import unturned
+from companion.types import FlightPhase, Heading, PeerPacket, Vector3
 
 JOINS_AFTER_S = 2.0  # from when on others are in formation, and not forming
 ACCELERATION_M_S2 = 1.0
@@ -48,25 +49,37 @@ class Joining:
         position_enu_m: Vector3,
         velocity_enu_m_s: Vector3,
         slot: Vector3,
+        heading: Heading,
         peers: Collection[PeerState],
     ) -> Way:
-        """From there to this slot. `peers` are all that fly; some of them are in formation. Raises ValueError: why not."""
+        """From there to this slot, both in the formation's own frame, which has this heading.
+
+        `peers` are all that fly; some of them are in formation. Raises ValueError: why not.
+        """
         formed = [peer for peer in peers if peer.packet.phase is FlightPhase.FORMATION]
         self._look_for_movement(peers)
         fleet = _fleet(now_s, formed)
         for peer in formed:
-            apart_m = dist(slot, peer.slot_at(now_s).position_enu_m)
+            apart_m = dist(slot, unturned(peer.slot_at(now_s).position_enu_m, heading))
             if apart_m < self._separation_m:
                 raise ValueError(f"its slot is taken: vehicle {peer.packet.vehicle_id} flies {apart_m:.2f} m from it")
         (x, y, z), (vx, vy, vz) = fleet.position_enu_m, fleet.velocity_enu_m_s
         relative = (position_enu_m[0] - x, position_enu_m[1] - y, position_enu_m[2] - z)
-        error = (relative[0] - slot[0], relative[1] - slot[1], relative[2] - slot[2])
-        drift = (velocity_enu_m_s[0] - vx, velocity_enu_m_s[1] - vy, velocity_enu_m_s[2] - vz)
+        here = unturned(relative, heading)
+        error = (here[0] - slot[0], here[1] - slot[1], here[2] - slot[2])
+        rate = heading.rate_rad_s  # what stands goes the other way round about a formation that turns
+        drift_enu = (
+            velocity_enu_m_s[0] - vx + rate * relative[1],
+            velocity_enu_m_s[1] - vy - rate * relative[0],
+            velocity_enu_m_s[2] - vz,
+        )
+        drift = unturned(drift_enu, heading)
         delta, lasts_s = self._gentle(error, drift)
         points = [delta(lasts_s * k / SAMPLES)[0] for k in range(SAMPLES + 1)]
         for peer in peers:
             px, py, pz = peer.position_at(now_s)
-            there = (px - x - slot[0], py - y - slot[1], pz - z - slot[2])
+            dx, dy, dz = unturned((px - x, py - y, pz - z), heading)
+            there = (dx - slot[0], dy - slot[1], dz - slot[2])
             apart_m = min(dist(point, there) for point in points)
             if apart_m < self._separation_m:
                 raise ValueError(
@@ -79,7 +92,7 @@ class Joining:
         """One after the other: nothing else may move while a vehicle comes in."""
         for packet in (peer.packet for peer in peers):
             slot = packet.slot
-            if packet.phase is FlightPhase.FORMATION and (any(slot.velocity_enu_m_s) or slot.waiting != slot.formation):
+            if packet.phase is FlightPhase.FORMATION and (slot.moves or slot.waiting != slot.formation):
                 raise ValueError(f"vehicle {packet.vehicle_id} is still to take up its slot; give form again then")
             if packet.phase is FlightPhase.ENGAGE and packet.vehicle_id < self._own_id:
                 raise ValueError(f"vehicle {packet.vehicle_id} joins just now; give form again then")

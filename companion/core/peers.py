@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from math import dist, hypot, isfinite
+from math import dist, hypot, isfinite, pi
 
 from msgspec import Struct
 from msgspec.structs import replace
@@ -28,6 +28,7 @@ MAX_COORDINATE_M = 20_000.0
 MAX_ACCELERATION_M_S2 = 100.0
 MAX_ERROR_M = 10_000.0
 MAX_REFERENCE_S = 1e6
+MAX_TURN_RAD_S, MAX_TURN_RAD_S2 = 5.0, 20.0  # several times what any formation turns with
 MAX_SENT_S = 1e9  # thirty years since that computer was started
 CREEP = 2e-4  # seconds a second: two computers' clocks drift apart by less
 JUMP_MARGIN_M = 1.0  # what an estimator's correction may add to the way flown between two packets
@@ -182,6 +183,10 @@ class PeerTable:
     def _is_plausible(self, word: LeaderWord) -> bool:
         may_lead = self._may_lead.get(word.leader_id, False)
         told_so = word.claim == 0 or (word.leader_id, word.claim) in self._claims
+        heading = word.heading
+        turns = abs(heading.rate_rad_s) <= MAX_TURN_RAD_S and abs(heading.acceleration_rad_s2) <= MAX_TURN_RAD_S2
+        if not (turns and abs(heading.angle_rad) <= pi):
+            return False
         return may_lead and told_so and 0 <= word.epoch <= MAX_EPOCH and 0.0 <= word.reference_s <= MAX_REFERENCE_S
 
     def _unlikely_after(self, newest: PeerState, received: ReceivedPeerPacket) -> str | None:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 
 from companion.core.formation import Place
-from companion.core.hand_over import HandOverLimits, box_of, handed_over
+from companion.core.hand_over import HandOverLimits, handed_over
 from companion.core.pursuit import Pursuit, PursuitLimits, can_keep
 from companion.core.reference import ReferenceTrajectory
 from companion.core.targets import Targets
@@ -208,7 +208,7 @@ class ReferencePlan:
 
     def _begun(self, change: ReferenceChange, rft: Rft, slots_enu_m: Mapping[int, Vector3]) -> tuple[Flown, str]:
         """What is flown from then on, and how it is gone over to. Raises ValueError where it cannot be."""
-        old, box = self.at(change.begins_s), box_of(self._limits.fence, slots_enu_m.values())
+        old, box = self.at(change.begins_s), self._limits.room(slots_enu_m.values())
         if isinstance(rft, LiveReference):
             if not can_keep(old, rft.limits, box):
                 raise ValueError("the fleet is too fast or too near the fence to follow a target within these limits")
@@ -241,7 +241,7 @@ class ReferencePlan:
         goal, velocity = None, ZERO3
         if target and age_s is not None and age_s <= live.max_age_s:
             goal, velocity = live.goal(target.position_at(now_s), target.sample.velocity_enu_m_s)
-        box = box_of(self._limits.fence, slots_enu_m.values())
+        box = self._limits.room(slots_enu_m.values())
         pursuit.advance(reference_s - self._reference_s, goal, velocity, box)
 
     def _tell_silence(self, live: LiveReference, before_s: float | None, age_s: float | None) -> None:

@@ -13,7 +13,8 @@ from companion.core.formation_limits import FormationLimits
 from companion.core.joining import Way
 from companion.core.phase import STREAMING
 from companion.geometry.curves import Motion, between
-from companion.types import MAX_EPOCHS_AHEAD, FlightPhase, FlownSlot, FormationChange, PeerPacket, Vector3
+from companion.geometry.turning import reach_m
+from companion.types import MAX_EPOCHS_AHEAD, ZERO3, FlightPhase, FlownSlot, FormationChange, PeerPacket, Vector3
 
 LATEST_S = 60.0  # ahead of the fleet's time
 LONGEST_S = 600.0
@@ -27,6 +28,7 @@ class SlotPlan:
         self._own_id = own_id
         self._limits = limits
         self._before_enu_m = self.slots_enu_m = dict(slots_enu_m)  # of the formation flown, or gone to
+        self._reach_before_m = self._reach_m = reach_m(slots_enu_m.values())
         self._flown = FormationChange(0, tuple(sorted(slots_enu_m.items())), 0.0, 0.0)
         self._waiting: FormationChange | None = None
         self._way: tuple[Way, float] | None = None  # while it joins, with its beginning
@@ -118,8 +120,13 @@ class SlotPlan:
         if self._way:
             motion = self._on_the_way(*self._way, motion, reference_s)
         number = self._waiting.number if self._waiting else flown.number
-        self.flown = FlownSlot(*motion, flown.number, number)
+        self.flown = FlownSlot(*motion, flown.number, number, moves=motion[1] != ZERO3)
         return self.flown
+
+    @property
+    def reach_m(self) -> float:
+        """From the RFT to the outermost slot of any vehicle, in the plane; on the way the larger of both formations'."""
+        return max(self._reach_before_m, self._reach_m) if self.flown.moves else self._reach_m
 
     def landed(self) -> None:
         """The fleet's time begins anew with the next flight; the formation stays."""
@@ -146,6 +153,7 @@ class SlotPlan:
 
     def _take(self, change: FormationChange) -> None:
         self._before_enu_m, self.slots_enu_m = self.slots_enu_m, dict(change.slots_enu_m)
+        self._reach_before_m, self._reach_m = self._reach_m, reach_m(self.slots_enu_m.values())
         self._flown, self._waiting = change, None
 
     def _take_over(self, change: FormationChange) -> tuple[bool, str]:

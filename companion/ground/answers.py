@@ -86,7 +86,7 @@ def status_lines(statuses: Mapping[int, Status], silent: Sequence[int], wait_s: 
         words = (
             f"vehicle {vehicle_id:<3} {status.phase:<9} {status.role:<8} {'armed' if status.armed else 'disarmed':<8}"
             f" {status.mode_name:<12} at {x:z.1f}, {y:z.1f}, {z:z.1f} m,"
-            f" formation {formation_in_words(status.slot)},"
+            f" formation {formation_in_words(status.slot, status.heading)},"
             f" reference {reference_in_words(status.reference, status.target_age_s)},"
             f" commanded by {status.holder or 'nobody'}; {status.last_event or 'nothing has happened'}"
         )

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import dist
 
+from companion.geometry.turning import turned_slot
 from companion.ground.words import formation_in_words, reference_in_words
 from companion.types import FlightPhase, HealthFlag, LandedState, Role, Status, Vector3
 from companion.wire.ground import StatusReport, Timing
@@ -99,7 +100,7 @@ def _row(state: FleetState, heard: Heard, now_s: float) -> VehicleRow:
         data_age_s=age_s + status.state_age_s,
         silent=_is_silent(heard, now_s),
         neighbours=status.neighbours,
-        formation=formation_in_words(status.slot),
+        formation=formation_in_words(status.slot, status.heading),
         reference=reference_in_words(status.reference, status.target_age_s),
         holder=status.holder,
         flags=status.flags,
@@ -118,7 +119,8 @@ def _error_to_slot_m(state: FleetState, status: Status, now_s: float) -> float |
     own = state.vehicles[status.fleet, status.vehicle_id]
     if reference_enu_m is None or status.landed not in _FLYING or _is_silent(own, now_s):
         return None
-    place = tuple(x - d for x, d in zip(status.position_enu_m, status.slot.position_enu_m, strict=True))
+    slot = turned_slot(status.slot, status.heading)
+    place = tuple(x - d for x, d in zip(status.position_enu_m, slot.position_enu_m, strict=True))
     return dist(place, reference_enu_m)
 
 

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
-from companion.types import ZERO3, FlownSlot, HeldReference
+from math import degrees
+
+from companion.types import EAST, FlownSlot, Heading, HeldReference
 
 
-def formation_in_words(slot: FlownSlot) -> str:
-    """ "1", "1, 2 to come", or "on the way to 2"."""
+def formation_in_words(slot: FlownSlot, heading: Heading) -> str:
+    """ "1", "1, 2 to come", or "on the way to 2"; and where it points, if that is not to the east."""
+    pointed = "" if heading == EAST else f" at {degrees(heading.angle_rad):.0f} deg"
+    return _formation(slot) + pointed
+
+
+def _formation(slot: FlownSlot) -> str:
     if slot.waiting != slot.formation:
         return _to_come(slot.formation, slot.waiting)
-    return str(slot.formation) if slot.velocity_enu_m_s == ZERO3 else f"on the way to {slot.formation}"
+    return str(slot.formation) if not slot.moves else f"on the way to {slot.formation}"
 
 
 def reference_in_words(held: HeldReference | None, target_age_s: float | None) -> str:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import msgspec
 
 from companion.types import (
+    EAST,
     FlightPhase,
     FlownSlot,
     FormationChange,
+    Heading,
     HeldReference,
     LeaderWord,
     PeerPacket,
@@ -16,6 +18,9 @@ from companion.types import (
     Vector3,
 )
 from companion.wire.version import DECODE_ERRORS, WireError, seal, unseal
+
+_Word = tuple[int, int, int, float, int, tuple[float, float, float] | None]
+"""Leader id, epoch, stamp, reference_s, claim, heading with its rate and acceleration; None to the east and still."""
 
 
 class _PeerWire(msgspec.Struct, array_like=True, frozen=True, forbid_unknown_fields=True):
@@ -31,8 +36,10 @@ class _PeerWire(msgspec.Struct, array_like=True, frozen=True, forbid_unknown_fie
     state_age_s: float
     sent_s: float
     prc: int
-    leader_word: tuple[int, int, int, float, int] | None  # leader id, epoch, stamp, reference_s, claim
-    slot: tuple[Vector3, Vector3, Vector3, int, int]  # position, velocity, acceleration, formation, waiting
+    leader_word: _Word | None
+    slot: tuple[
+        Vector3, Vector3, Vector3, int, int, bool
+    ]  # position, velocity, acceleration, formation, waiting, moves
     position_error: tuple[float, float] | None  # horizontal_m, vertical_m
     reference: tuple[int, int, float] | None  # flown, waiting, begun_s
     change: tuple[int, tuple[tuple[int, Vector3], ...], float, float, tuple[int, ...]] | None  # as FormationChange
@@ -61,8 +68,15 @@ def encode_peer(packet: PeerPacket) -> bytes:
                 packet.state_age_s,
                 packet.sent_s,
                 packet.prc,
-                (word.leader_id, word.epoch, word.stamp, word.reference_s, word.claim) if word else None,
-                (slot.position_enu_m, slot.velocity_enu_m_s, slot.acceleration_enu_m_s2, slot.formation, slot.waiting),
+                _word_on_wire(word) if word else None,
+                (
+                    slot.position_enu_m,
+                    slot.velocity_enu_m_s,
+                    slot.acceleration_enu_m_s2,
+                    slot.formation,
+                    slot.waiting,
+                    slot.moves,
+                ),
                 (error.horizontal_m, error.vertical_m) if error else None,
                 (held.flown, held.waiting, held.begun_s) if held else None,
                 (change.number, change.slots_enu_m, change.begins_s, change.lasts_s, change.absent) if change else None,
@@ -70,6 +84,17 @@ def encode_peer(packet: PeerPacket) -> bytes:
             )
         )
     )
+
+
+def _word_on_wire(word: LeaderWord) -> _Word:
+    heading = word.heading
+    turns = None if heading == EAST else (heading.angle_rad, heading.rate_rad_s, heading.acceleration_rad_s2)
+    return (word.leader_id, word.epoch, word.stamp, word.reference_s, word.claim, turns)
+
+
+def _word_from(wire: _Word) -> LeaderWord:
+    leader_id, epoch, stamp, reference_s, claim, turns = wire
+    return LeaderWord(leader_id, epoch, stamp, reference_s, claim, Heading(*turns) if turns else EAST)
 
 
 def decode_peer(data: bytes) -> PeerPacket:
@@ -91,7 +116,7 @@ def decode_peer(data: bytes) -> PeerPacket:
         wire.state_age_s,
         wire.sent_s,
         wire.prc,
-        LeaderWord(*wire.leader_word) if wire.leader_word else None,
+        _word_from(wire.leader_word) if wire.leader_word else None,
         FlownSlot(*wire.slot),
         PositionError(*wire.position_error) if wire.position_error else None,
         HeldReference(*wire.reference) if wire.reference else None,

@@ -108,13 +108,15 @@ def base_scenario(path: Path, overrides: Sequence[str]) -> Scenario:
 
 
 def _as_batches_fly(path: Path, scenario: Scenario) -> Scenario:
-    """Batches have PX4's loops alone, and nothing to follow. Raises ConfigError."""
+    """Batches have PX4's loops alone, nothing to follow, and slots that stand. Raises ConfigError."""
     if scenario.stand_in.autopilot is not AutopilotKind.PX4:
         raise ConfigError(
             path, "stand_in.autopilot", f'"{scenario.stand_in.autopilot}": sweeps fly px4 alone; try sitl run'
         )
     if isinstance(scenario.reference, TargetReference):
         raise ConfigError(path, "reference.kind", '"target": sweeps have nothing that could be followed; try sitl run')
+    if scenario.fleet.slots_turn:
+        raise ConfigError(path, "fleet.formation_heading", '"course": sweeps turn no formation; try sitl run')
     return scenario
 
 

@@ -134,10 +134,10 @@ def test_a_mission_from_one_terminal(ground: Ground) -> None:
 
     assert "expected at least separation_m, 1 m" in ground.fleet("formation", "line", "--spacing", "0.4", code=2)
     ground.fleet("formation", "line", "--spacing", "3", "--heading", "0")
-    ground.until(FlightPhase.FORMATION, lambda s: s.slot.formation == 1 and s.slot.velocity_enu_m_s == (0.0, 0.0, 0.0))
+    ground.until(FlightPhase.FORMATION, lambda s: s.slot.formation == 1 and not s.slot.moves)
     assert "come within 0.60 m" in ground.fleet("formation", "--scale", "0.2", code=2)
     ground.fleet("formation", "--scale", "1.2")
-    ground.until(FlightPhase.FORMATION, lambda s: s.slot.formation == 2 and s.slot.velocity_enu_m_s == (0.0, 0.0, 0.0))
+    ground.until(FlightPhase.FORMATION, lambda s: s.slot.formation == 2 and not s.slot.moves)
 
     outside = ground.fleet("reference", "point", "--at", "101", "0", "3", code=2)
     assert outside.startswith("command line: reference.point_enu_m: puts vehicle ")

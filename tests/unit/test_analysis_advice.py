@@ -232,6 +232,11 @@ def test_what_is_not_read_of_a_scenario_is_said() -> None:
     assert "not read, and not checked: stand_in, timeline" in report(analysis)
 
 
+def test_that_a_formation_turns_is_left_out_and_said() -> None:
+    analysis = analyse(load_subject(CONFIG / "scenarios" / "turning_column.yaml"))
+    assert analysis.not_read == ["timeline", "fleet.formation_heading"]
+
+
 def test_a_vehicle_file_is_not_analysed() -> None:
     with pytest.raises(ConfigError, match="this is a vehicle file; a scenario or a fleet file is expected"):
         load_subject(next((CONFIG / "vehicles").glob("*.yaml")))

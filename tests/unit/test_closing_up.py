@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from math import dist
 from pathlib import Path
 
@@ -52,9 +53,9 @@ def fleet(**of_3: object) -> dict[int, PeerState]:
     return {2: peer(2), 3: peer(3, **of_3)}
 
 
-def left(phase: FlightPhase = FlightPhase.HOLD) -> ClosingUp:
+def left(phase: FlightPhase = FlightPhase.HOLD, limits: FormationLimits = LIMITS) -> ClosingUp:
     """Vehicle 3 was in formation, and left at NOW_S."""
-    plan = ClosingUp(1, LIMITS)
+    plan = ClosingUp(1, limits)
     plan.hear(NOW_S - 1.0, [peer(2).packet, peer(3).packet])
     plan.hear(NOW_S, [peer(2).packet, replace(peer(3).packet, phase=phase)])
     return plan
@@ -95,6 +96,14 @@ def test_while_its_place_may_not_be_free_the_gap_is_kept_and_that_is_told_once(p
     assert plan.events[0].startswith("vehicle 3 left, and its gap is kept for now: it may still be in the air, ")
     assert plan.events[0].endswith("m beside the way of vehicle 2")
     assert proposed(plan, fleet(position_enu_m=place, armed=False), NOW_S + 30.0) is not None
+
+
+def test_about_a_formation_that_turns_the_place_must_be_free_whichever_way_it_points() -> None:
+    turning = dataclasses.replace(LIMITS, slots_turn=True)
+    beside = fleet(position_enu_m=(10.0, 3.0, 5.0))  # as far from the RFT as the way leads, on another side
+    assert proposed(left(), beside, NOW_S + GONE_FOR_S) is not None
+    assert proposed(left(limits=turning), beside, NOW_S + GONE_FOR_S) is None
+    assert proposed(left(limits=turning), fleet(position_enu_m=(10.0, 5.1, 5.0)), NOW_S + GONE_FOR_S) is not None
 
 
 def test_it_does_not_begin_where_the_one_that_left_is_back() -> None:

@@ -3,6 +3,7 @@
 import argparse
 import json
 import logging
+from math import pi
 from pathlib import Path
 
 import pytest
@@ -33,6 +34,7 @@ from companion.types import (
     CommandName,
     CommandReply,
     FlownSlot,
+    Heading,
     HealthFlag,
     HeldReference,
     PositionError,
@@ -118,11 +120,15 @@ def test_the_status_says_who_holds_command_and_who_is_silent() -> None:
     [
         (FlownSlot(ZERO3, formation=3, waiting=3), "3"),
         (FlownSlot(ZERO3, formation=3, waiting=4), "3, 4 to come"),
-        (FlownSlot(ZERO3, (0.1, 0.0, 0.0), formation=4, waiting=4), "on the way to 4"),
+        (FlownSlot(ZERO3, (0.1, 0.0, 0.0), formation=4, waiting=4, moves=True), "on the way to 4"),
     ],
 )
 def test_the_status_says_which_formation_is_flown_or_on_its_way(slot: FlownSlot, words: str) -> None:
     assert f" formation {words}, reference -, " in status_lines({1: replace(FIT, slot=slot)}, [], 3.0)[0]
+
+
+def test_the_status_says_where_a_formation_points_that_turns() -> None:
+    assert " formation 0 at 90 deg, " in status_lines({1: replace(FIT, heading=Heading(pi / 2.0))}, [], 3.0)[0]
 
 
 @pytest.mark.parametrize(

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from math import inf, sqrt
+from math import inf, pi, sqrt
 
 import pytest
 from msgspec.structs import replace
 
 from companion.ground.fleet_status import SILENT_AFTER_S, FleetState, fold, rows
-from companion.types import FlightPhase, FlownSlot, LandedState, LeaderWord, Role, Status, Vector3
+from companion.types import FlightPhase, FlownSlot, Heading, LandedState, LeaderWord, Role, Status, Vector3
 from companion.wire.ground import Percentiles, StatusReport, Timing
 
 NOTHING = Percentiles(0.0, 0.0, 0.0)
@@ -71,6 +71,12 @@ def test_the_error_is_the_distance_from_slot_and_reference_together() -> None:
     state = heard(leader(), follower(2, position_enu_m=(-1.0, 0.5, 1.0), slot=FlownSlot((-1.5, 0.0, 0.0))))
     assert error_of(state, 1) == pytest.approx(1.0)
     assert error_of(state, 2) == pytest.approx(sqrt(0.5))
+
+
+def test_a_slot_turns_with_its_formation() -> None:
+    """Two metres behind, to the north."""
+    turned = follower(2, position_enu_m=(1.0, -2.0, 1.0), slot=FlownSlot((-2.0, 0.0, 0.0)), heading=Heading(pi / 2.0))
+    assert error_of(heard(leader(), turned), 2) == pytest.approx(0.0, abs=1e-9)
 
 
 @pytest.mark.parametrize(

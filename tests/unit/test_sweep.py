@@ -126,6 +126,11 @@ def test_batches_have_nothing_to_follow() -> None:
         base_scenario(PLATOON, ["reference={kind: target, start_enu_m: [0, 0, 1]}"])
 
 
+def test_batches_turn_no_formation() -> None:
+    with pytest.raises(ConfigError, match=r'fleet.formation_heading: "course": sweeps turn no formation; try sitl run'):
+        base_scenario(PLATOON, ["fleet.formation_heading=course"])
+
+
 def test_the_time_is_that_of_the_form_step() -> None:
     assert formation_time_s(PLATOON, platoon()) == 75.0
     with pytest.raises(ConfigError, match="no step with command: form; say with --seconds S"):

@@ -7,15 +7,18 @@ from math import inf, isnan, nan
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from companion.types import (
     CONTENT,
+    EAST,
     Command,
     CommandName,
     CommandReply,
     FlightPhase,
     FlownSlot,
     FormationChange,
+    Heading,
     HealthFlag,
     HeldReference,
     LandedState,
@@ -46,9 +49,12 @@ numbers = st.floats(allow_nan=False)
 vectors = st.tuples(numbers, numbers, numbers)
 counts = st.integers(0, 2**63 - 1)
 texts = st.text(max_size=40)
-leader_words = st.none() | st.builds(LeaderWord, st.integers(1, 250), counts, counts, numbers, st.integers(0, 250))
+headings = st.builds(Heading, numbers, numbers, numbers)
+leader_words = st.none() | st.builds(
+    LeaderWord, st.integers(1, 250), counts, counts, numbers, st.integers(0, 250), st.just(EAST) | headings
+)
 
-flown_slots = st.builds(FlownSlot, vectors, vectors, vectors, counts, counts)
+flown_slots = st.builds(FlownSlot, vectors, vectors, vectors, counts, counts, st.booleans())
 packets = st.builds(
     PeerPacket,
     vehicle_id=st.integers(1, 250),
@@ -162,6 +168,8 @@ DECODERS = {
 
 def test_a_peer_packet_stays_small() -> None:
     assert len(encode_peer(PACKET)) < 290
+    turns = LeaderWord(1, 7, 60, 12.5, heading=Heading(1.0, 0.2, 0.1))
+    assert len(encode_peer(replace(PACKET, leader_word=turns))) < 320
 
 
 @pytest.mark.parametrize("name", DECODERS)
