@@ -33,7 +33,8 @@ formation stays within 10 cm; there the final error tells more than the time to 
 
 A flight begins in formation, at rest over `starts_enu_m` at the height of take-off, and lasts S seconds. It knows no take-off
 and no landing, no ground and no fence, no failsafe and no change of leaders: of the timeline only the time of its `form` step
-is used. `sitl run` flies all that, one flight at a time; with ideal sensors the figures of both agree to a few millimetres.
+is used, and a formation that turns with its course is refused. `sitl run` flies all that, one flight at a time; with ideal
+sensors the figures of both agree to a few millimetres.
 
 the folder (default: runs/SCENARIO-sweep-DATE-TIME):
   sweep.csv     one row per flight: the varied keys, seed, settle_s (from when on nobody is farther than 10 cm from its place;

@@ -18,7 +18,7 @@ from companion.wire.ground import StatusReport
 from sitl.director import Director
 from sitl.fleet import ids_of
 from sitl.lockstep import Lockstep
-from sitl.metrics import SAMPLE_S, pairs_of, reference_positions_m
+from sitl.metrics import SAMPLE_S, errors_m, pairs_of, reference_positions_m, smallest_distance_m
 from sitl.progress import Progress
 from sitl.scenario import Scenario, load_scenario, reference_of
 from sitl.watch import FlightWatch
@@ -144,3 +144,20 @@ def test_a_column_becomes_a_line_while_it_turns_on_a_circle() -> None:
 def test_with_noise_nobody_in_the_column_comes_within_the_separation() -> None:
     flight = flown(COLUMN)
     assert flight.smallest_m() > flight.scenario.fleet.separation_m
+
+
+def test_who_left_joins_a_formation_that_goes_round() -> None:
+    circle = "{kind: circle, centre_enu_m: [-8, 0, 2], radius_m: 8, period_s: 60}"
+    turning = ("fleet.formation_heading=course", "fleet.slot_speed_m_s=1.5", "stand_in.sensors=ideal")
+    flight = flown("leaving.yaml", *turning, f"timeline[6].reference={circle}", "timeline[10].for_s=20")
+    joined_s = next(e.time_s for e in flight.watch.events if e.vehicle == 3 and e.event.startswith("has joined"))
+    assert max(abs(s.heading.rate_rad_s) for at_s, s in flight.led() if at_s > joined_s) > 0.08  # 2 pi / 60 are 0.1
+    assert max(flight.watch.largest_step_deg.values()) < 5.0
+    smallest_m = smallest_distance_m(flight.tracks)
+    assert smallest_m is not None
+    assert smallest_m > 1.0
+    times_s = np.arange(joined_s, flight.formation.end_s, SAMPLE_S)
+    zero_s = flight.formation.reference_start_s
+    r_m = reference_positions_m(flight.watch.told_reference(), zero_s, times_s)
+    error_m = errors_m(flight.tracks[3], flight.watch.slots()[3], r_m, times_s)
+    assert error_m.max() < 0.5
