@@ -1,7 +1,8 @@
 """When one has left: the others close up, so that the gap comes to lie outside, where it can come back without moving anybody.
 
 Whoever leads proposes it, as a formation with the next number, which all then judge and fly like a commanded one. It waits
-until the place is free: who left may hold in the air exactly there, and a dead agent's autopilot may hold it there.
+until the place is free: who left may hold in the air exactly there. Silence is no leaving: who is heard no more may fly on
+in its slot, with a transmitter that is broken, or lead a part of the fleet that this one does not hear.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from math import dist, hypot
 
 from companion.core.formation_limits import FormationLimits
 from companion.core.peers import PeerState
+from companion.core.phase import STREAMING
 from companion.geometry.curves import between, duration_s
 from companion.types import FlightPhase, FormationChange, PeerPacket, Vector3
 
@@ -92,7 +94,7 @@ class ClosingUp:
             since_s, slots = self._gone_s[gone_id], closed_up(slots_enu_m, gone_id, present)
             if since_s is None or now_s - since_s < GONE_FOR_S or slots == slots_enu_m:
                 continue
-            change = self._change(number, slots_enu_m, slots, reference_s, absent)
+            change = self._change(number, slots_enu_m, slots, reference_s, gone_id)
             if why_not := self._refusal(change, slots_enu_m, newest.get(gone_id), now_s, reference):
                 self.keep_gap(gone_id, why_not)
                 continue
@@ -105,16 +107,14 @@ class ClosingUp:
             self._told.add(gone_id)
             self.events.append(f"vehicle {gone_id} left, and its gap is kept for now: {why}")
 
-    def _change(
-        self, number: int, before: Slots, after: Slots, reference_s: float, absent: Collection[int]
-    ) -> FormationChange:
-        longest_m = max(dist(before[i], after[i]) for i in before if i not in absent)
+    def _change(self, number: int, before: Slots, after: Slots, reference_s: float, gone_id: int) -> FormationChange:
+        longest_m = max(dist(before[i], after[i]) for i in before if i != gone_id)
         return FormationChange(
             number=number,
             slots_enu_m=tuple(sorted(after.items())),
             begins_s=reference_s + AHEAD_S,
             lasts_s=duration_s(longest_m, self._limits.speed_m_s, ACCELERATION_M_S2),
-            absent=tuple(absent),
+            absent=(gone_id,),
         )
 
     def _apart_m(self, slot_m: Place2, gone_m: Place2) -> float:
@@ -130,6 +130,8 @@ class ClosingUp:
             return "nothing was ever heard of it"
         if not gone.packet.armed:
             return ""
+        if gone.packet.phase in STREAMING:
+            return "nothing is heard of it, and it may fly on in its slot"
         x, y, _ = gone.position_at(now_s) if now_s - gone.measured_s < GONE_FOR_S else gone.packet.position_enu_m
         after = dict(change.slots_enu_m)
         for k in range(SAMPLES + 1):

@@ -50,7 +50,7 @@ def test_who_is_away_already_moves_nowhere_and_nobody_into_its_place() -> None:
 
 
 def fleet(**of_3: object) -> dict[int, PeerState]:
-    return {2: peer(2), 3: peer(3, **of_3)}
+    return {2: peer(2), 3: peer(3, **{"phase": FlightPhase.HOLD} | of_3)}
 
 
 def left(phase: FlightPhase = FlightPhase.HOLD, limits: FormationLimits = LIMITS) -> ClosingUp:
@@ -104,6 +104,30 @@ def test_about_a_formation_that_turns_the_place_must_be_free_whichever_way_it_po
     assert proposed(left(), beside, NOW_S + GONE_FOR_S) is not None
     assert proposed(left(limits=turning), beside, NOW_S + GONE_FOR_S) is None
     assert proposed(left(limits=turning), fleet(position_enu_m=(10.0, 5.1, 5.0)), NOW_S + GONE_FOR_S) is not None
+
+
+def test_who_fell_silent_in_formation_may_fly_on_in_its_slot() -> None:
+    plan = left()
+    plan.hear(NOW_S + 1.0, [peer(2).packet])
+    silent = {"phase": FlightPhase.FORMATION, "position_enu_m": (8.0, -50.0, 5.0)}
+    assert proposed(plan, fleet(**silent), NOW_S + 60.0) is None
+    assert plan.events == [
+        "vehicle 3 left, and its gap is kept for now: nothing is heard of it, and it may fly on in its slot"
+    ]
+    heard_again = fleet(**silent | {"phase": FlightPhase.OBSERVE})
+    assert proposed(plan, heard_again, NOW_S + 61.0) is not None
+
+
+def test_slots_of_others_that_are_away_count_as_flown_in() -> None:
+    """Who says that they are empty? Only the one that left for sure takes no part."""
+    plan = ClosingUp(1, LIMITS)
+    plan.hear(NOW_S - 1.0, [peer(2).packet, peer(3).packet, replace(peer(2).packet, vehicle_id=4)])
+    plan.hear(NOW_S, [peer(2).packet])
+    four = SLOTS | {4: (-6.0, 0.0, 0.0)}
+    found = plan.proposal(NOW_S + 4.0, four, 4, fleet(armed=False), 50.0, lambda _s: AT)
+    assert found is not None
+    assert found[1].absent == (3,)
+    assert dict(found[1].slots_enu_m)[4] == four[4]
 
 
 def test_it_does_not_begin_where_the_one_that_left_is_back() -> None:
