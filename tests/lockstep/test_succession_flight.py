@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
-from math import degrees
+from math import degrees, dist, hypot
 from pathlib import Path
 
 import numpy as np
@@ -105,6 +105,18 @@ def test_meanwhile_the_missing_leader_is_told_and_nobody_leaves_formation() -> N
     assert {flag for status in flight.told for flag in status.flags} == {HealthFlag.LEADER_AWAITED}
     assert "no leader's word: formation is held without" in {status.last_event for status in flight.told}
     assert not any(status.flags for status in flight.last().values())
+
+
+def test_a_formation_that_turns_goes_on_turning_without_a_step() -> None:
+    flight = flown(SUCCESSOR, "fleet.law.name=cooperative", "fleet.formation_heading=course")
+    assert max(flight.led_s(by=2).values()) < 0.65
+    assert max(flight.steps_deg()) < 2.0
+    for i in (2, 3, 4):
+        slots = [(at_s, packet.slot) for at_s, packet in flight.packets if packet.vehicle_id == i]
+        assert max(hypot(*slot.velocity_enu_m_s) for _, slot in slots) > 0.1  # it does turn
+        for (a_s, a), (b_s, b) in pairwise(slots):
+            moved = [x + v * (b_s - a_s) for x, v in zip(a.position_enu_m, a.velocity_enu_m_s, strict=True)]
+            assert dist(moved, b.position_enu_m) < 0.002
 
 
 @pytest.mark.parametrize(("law", "most_m"), [("cooperative", 0.1), ("weighted", 0.5)])
