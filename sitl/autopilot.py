@@ -63,8 +63,7 @@ class Autopilot(ABC):
         self.origin_changes = 0
         self._steps = 0
         self._control_steps = max(1, round(CONTROL_PERIOD_S / dt_s))
-        self._hover_thrust_norm = file.stand_in.hover_thrust_norm
-        self._own = OwnFlight(self.quad, self.speeds, self._hover_thrust_norm, braking_m_s2)
+        self._own = OwnFlight(self.quad, self.speeds, file.stand_in.hover_thrust_norm, braking_m_s2)
         self._ground = GroundContact()
         self._resets = sorted(
             (reset for reset in file.stand_in.estimator_resets if reset.vehicle == file.id),
@@ -174,4 +173,4 @@ class Autopilot(ABC):
         """What follows from taking off, landing and standing."""
 
     def _thrust_is_little(self) -> bool:
-        return self.setpoint.thrust_norm <= LITTLE_THRUST * self._hover_thrust_norm
+        return self.setpoint.thrust_norm <= LITTLE_THRUST * self._own.hover_thrust_norm

@@ -76,7 +76,7 @@ class OwnFlight:
     ) -> None:
         self._quad = quad
         self._speeds = speeds
-        self._hover_thrust_norm = hover_thrust_norm
+        self.hover_thrust_norm = hover_thrust_norm
         self._control = PositionControl(hover_thrust_norm, braking_m_s2)
         self._task = Task.HOLD
         self._home: Vector3 = quad.origin
@@ -144,7 +144,7 @@ class OwnFlight:
             self._quad.estimated_position_local_enu_m()[2], self._quad.estimated_velocity_enu_m_s()[2], dt_s
         )
         lift = min(max(1.0 + acceleration / GRAVITY_M_S2, MIN_LIFT_RATIO), MAX_LIFT_RATIO)
-        thrust = self._hover_thrust_norm * lift / max(cos_tilt(attitude), LEAST_COS_TILT)
+        thrust = self.hover_thrust_norm * lift / max(cos_tilt(attitude), LEAST_COS_TILT)
         return Setpoint(attitude, min(thrust, 1.0))
 
     def origin_moved(self, offset_m: Vector3) -> None:
@@ -173,7 +173,7 @@ class OwnFlight:
     def _sink(self, climb_m_s: float, yaw_rad: float) -> Setpoint:
         lift = 1.0 + SINK_GAIN_1_S * (-self._speeds().sink_m_s - climb_m_s) / GRAVITY_M_S2
         level = quaternion_from_euler(0.0, DRIFT_TILT_RAD, yaw_rad)
-        return Setpoint(level, self._hover_thrust_norm * min(max(lift, 0.3), 1.7))
+        return Setpoint(level, self.hover_thrust_norm * min(max(lift, 0.3), 1.7))
 
     def _set_speeds(self, level_m_s: float, climb_m_s: float) -> None:
         """Out of parameters that anybody may set to anything."""
