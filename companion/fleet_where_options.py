@@ -14,7 +14,8 @@ from companion.types import Described
 FORMATION = """\
 Other slots about the reference, gone to in flight: a named shape, whose slots are assigned so that no two ways cross; a file
 that says whose slot is where; or, with neither, the slots that are flown now, scaled and turned. Nothing is asked where two
-slots would come nearer than the fleet file's separation_m, also on the way.
+slots would come nearer than the fleet file's separation_m, also on the way. Where that file has formation_heading: course, x is
+not east but where the reference goes, and so is heading 0.
 """
 
 FORMATION_MORE = """\
