@@ -4,12 +4,13 @@ PYTHON ?= python3
 SCENARIO ?= config/scenarios/platoon.yaml
 BIN := .venv/bin
 
-.PHONY: help fly bench bench-batch test test-fast check format setup clean
+.PHONY: help fly pictures bench bench-batch test test-fast check format setup clean
 
 help:
 	@echo "make fly        fly the paper's platoon with four agents and four stand-in autopilots, weighted against average"
 	@echo "make test       all tests, real fleets included (about half an hour; unit and lockstep are 5 minutes of it); make test-fast leaves the fleets out"
 	@echo "make check      ruff, mypy --strict and the import directions"
+	@echo "make pictures   flies the scenarios of docs/scenarios.md in virtual time and draws them anew"
 	@echo "make bench      how many times faster than real time four vehicles fly in virtual time, without and with sensor noise"
 	@echo "make bench-batch  vehicle-steps a second of whole batches on one core, and RotorPy's; installs PyTorch in .venv-bench"
 	@echo "make setup      only make .venv ready"
@@ -25,9 +26,18 @@ bench: .venv/fly.ready
 bench-batch: .venv-bench/bench.ready
 	.venv-bench/bin/python -m sitl.batch.benchmark
 
-# What knows no clock shares the cores; what flies in real time has them for itself.
+# What README and docs show of scenarios flown in virtual time: the same pictures to the last bit wherever they are made.
+PICTURES = aggregation ring_figure_8 formations moving_target leaving turning_column
+
+pictures: .venv/fly.ready
+	for scenario in $(PICTURES); do \
+	  $(BIN)/sitl run config/scenarios/$$scenario.yaml --quiet --out runs/pictures/$$scenario && \
+	  cp runs/pictures/$$scenario/from_above.png docs/$$scenario.png || exit 1; \
+	done
+
+# What knows no clock goes wherever a core is free; of what flies in real time two things do at a time, see tests/conftest.py.
 VIRTUAL_TESTS = $(BIN)/pytest -n 2 --dist worksteal tests/unit tests/lockstep
-REAL_TESTS = $(BIN)/pytest --durations 15 --ignore tests/unit --ignore tests/lockstep
+REAL_TESTS = $(BIN)/pytest -n 2 --dist loadgroup --durations 15 tests/protocol tests/fleet tests/faults
 
 test: .venv/test.ready
 	$(VIRTUAL_TESTS)

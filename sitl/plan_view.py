@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from math import ceil
 from pathlib import Path
 from typing import Any
@@ -23,6 +22,7 @@ from sitl.watch import FlightWatch, TopologyChange
 
 COLUMNS = 3
 MAX_PANELS = 9
+SOON_S = 2.0
 PANEL_IN = 4.0
 SAMPLE_S = 0.1
 SHAPES = (0.35, 1.2)  # height to width of a panel, at the least and at the most
@@ -79,15 +79,20 @@ def save_plan_view(path: Path, flight: Flight, watch: FlightWatch, name: str) ->
 
 
 def panels_of(watch: FlightWatch) -> list[Panel]:
-    """From the first formation's start to the last one's end, parted by all commands; of too many, the last ones."""
+    """From the first formation's start to the last one's end, parted by commands; of too many, the last ones.
+
+    Commands that follow each other soon share a panel, and one that was repeated counts once.
+    """
     start_s, end_s = watch.formations[0].start_s, watch.formations[-1].end_s
-    marks = [(start_s, "form")]
+    panels = [Panel(start_s, end_s, "form")]
     for asked in watch.commands:
-        at_s = watch.began_s + asked.time_s
-        if start_s < at_s < end_s and asked.in_words != marks[-1][1]:  # once for one that was repeated
-            marks.append((at_s, asked.in_words))
-    marks.append((end_s, ""))
-    panels = [Panel(a_s, b_s, began_with) for (a_s, began_with), (b_s, _) in pairwise(marks) if b_s - a_s > SAMPLE_S]
+        at_s, last = watch.began_s + asked.time_s, panels[-1]
+        if not start_s < at_s < end_s or last.began_with.endswith(asked.in_words):
+            continue
+        if at_s - last.start_s < SOON_S:
+            panels[-1] = Panel(last.start_s, end_s, f"{last.began_with}, {asked.in_words}")
+        else:
+            panels[-1:] = [Panel(last.start_s, at_s, last.began_with), Panel(at_s, end_s, asked.in_words)]
     return panels[-MAX_PANELS:]
 
 
