@@ -22,6 +22,7 @@ from companion.core.heading import FormationHeading
 from companion.core.health import AgeLimits, health_flags
 from companion.core.homeward import refusal_of_return
 from companion.core.joining import Joining, Way
+from companion.core.passed_on import first_leader, passed_on
 from companion.core.phase import RULES, STREAMING, PhaseMachine
 from companion.core.preflight import Preflight
 from companion.core.setpoint_stream import SetpointStream
@@ -289,9 +290,9 @@ class Agent:
 
     def _hear_of_formations(self, vehicle: VehicleState, around: Neighbourhood) -> None:
         """What leaders pass on is taken like a command; of two that have different ones, the smallest id's."""
-        leading = self._leading(around)
         first_id = self._first_leader(around)
-        for vehicle_id, change in self._passed_on(leading, vehicle):
+        term, stands = self._cooperation.leadership.term, self._machine.stands(vehicle)
+        for vehicle_id, change in passed_on(around.flying, term, stands):
             if not self._slots.lacks(change, over_own=vehicle_id == first_id):
                 continue
             accepted, reason = self._change_formation(change, vehicle, around)
@@ -299,13 +300,8 @@ class Agent:
                 self._warnings.append(f"passed on by vehicle {vehicle_id}: {reason}")
             self._not_taken = None if accepted else change.number
 
-    def _leading(self, around: Neighbourhood) -> list[PeerPacket]:
-        return [p for p in around.flying if p.role is Role.LEADER and p.phase is FlightPhase.FORMATION]
-
-    def _first_leader(self, around: Neighbourhood) -> int:
-        """The smallest id of those that lead in formation; 0 where nobody does."""
-        own = [self._setup.vehicle_id] if self._leads_formation(around) else []
-        return min([*own, *(p.vehicle_id for p in self._leading(around))], default=0)
+    def _first_leader(self, around: Neighbourhood) -> int | None:
+        return first_leader(around.flying, self._setup.vehicle_id if self._leads_formation(around) else None)
 
     def _close_up(self, now_s: float, vehicle: VehicleState, around: Neighbourhood) -> None:
         """Where one left, and the fleet file wants it: the first of those that lead proposes it, and all judge it."""
@@ -333,16 +329,6 @@ class Agent:
             self._warnings.append(f"closes up where vehicle {gone_id} left: {reason}")
         else:
             self._closing_up.keep_gap(gone_id, reason)
-
-    def _passed_on(self, leading: list[PeerPacket], vehicle: VehicleState) -> list[tuple[int, FormationChange]]:
-        """By those that lead in this vehicle's term; to one that stands only what is flown: it has nothing to begin."""
-        term, stands = self._cooperation.leadership.term, self._machine.stands(vehicle)
-        return [
-            (p.vehicle_id, p.change)
-            for p in sorted(leading, key=lambda p: p.vehicle_id)
-            if p.change and p.leader_word and p.leader_word.term == term
-            if not stands or p.change.number == p.slot.formation
-        ]
 
     def _leads_formation(self, around: Neighbourhood) -> bool:
         return around.role is Role.LEADER and self._machine.phase is FlightPhase.FORMATION
