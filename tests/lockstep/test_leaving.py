@@ -218,8 +218,10 @@ def test_over_a_bad_network_with_noise_they_close_up_as_well() -> None:
     assert fleet.smallest_m(since_s) > 1.4
 
 
-def test_the_scenario_is_flown_as_it_is_written() -> None:
-    flight = fly_in_virtual_time(load_scenario(SCENARIO), Progress("test", True, 0.0))
+@pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
+def test_the_scenario_is_flown_as_it_is_written(autopilot: str) -> None:
+    scenario = load_scenario(SCENARIO, [f"stand_in.autopilot={autopilot}"])
+    flight = fly_in_virtual_time(scenario, Progress("test", True, 0.0))
     assert flight.failure is None
     said = [event.event for event in flight.watch.events]
     assert any(event.startswith("closes up where vehicle 3 left") for event in said)
