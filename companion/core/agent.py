@@ -167,7 +167,7 @@ class Agent:
                 order.answer = self._change_lead(now_s, order.command.content, vehicle)
         if not vehicle.armed:
             self._cooperation.landed()
-            self._slots.landed()
+            self._slots.begin_anew()
             self._heading.landed()
         around = self._cooperation.update(
             now_s, vehicle.position_enu_m, inbox.peers, self._machine.in_formation, self._fit_to_lead

@@ -9,6 +9,7 @@ from companion.types import LeaderWord
 
 # On average a packet waits half a tick before it is looked at; without this each change of the leader would lose as much.
 WAITED_S = 0.01
+FALLS_BACK_S = 1.0  # farther than the time is ever put right by: it begins anew
 
 
 class ReferenceClock:

@@ -13,6 +13,7 @@ from companion.core.formation import Place
 from companion.core.hand_over import HandOverLimits, handed_over
 from companion.core.pursuit import Pursuit, PursuitLimits, can_keep
 from companion.core.reference import ReferenceTrajectory
+from companion.core.reference_clock import FALLS_BACK_S
 from companion.core.targets import Targets
 from companion.types import (
     MAX_EPOCHS_AHEAD,
@@ -30,7 +31,6 @@ from companion.types import (
 LATEST_S = 60.0  # ahead of the fleet's time
 LOOKS_AHEAD_S = 120  # for what a formation must keep about the RFT, wherever that leads
 LED_LATELY_S = 2.0  # so long counts what a leader said that is heard no more: another is to take over from it
-FALLS_BACK_S = 1.0  # farther than it is ever put right by in flight
 
 
 @dataclass(frozen=True, slots=True)

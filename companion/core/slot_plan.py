@@ -12,6 +12,7 @@ from collections.abc import Collection, Iterable, Mapping
 from companion.core.formation_limits import FormationLimits
 from companion.core.joining import Way
 from companion.core.phase import STREAMING
+from companion.core.reference_clock import FALLS_BACK_S
 from companion.geometry.curves import Motion, between
 from companion.geometry.turning import reach_m
 from companion.types import MAX_EPOCHS_AHEAD, ZERO3, FlightPhase, FlownSlot, FormationChange, PeerPacket, Vector3
@@ -32,6 +33,7 @@ class SlotPlan:
         self._flown = FormationChange(0, tuple(sorted(slots_enu_m.items())), 0.0, 0.0)
         self._waiting: FormationChange | None = None
         self._way: tuple[Way, float] | None = None  # while it joins, with its beginning
+        self._reference_s = 0.0
         self.flown = FlownSlot(slots_enu_m[own_id])
         self.events: list[str] = []
 
@@ -98,6 +100,9 @@ class SlotPlan:
 
     def update(self, reference_s: float, others: Collection[PeerPacket], in_formation: bool) -> FlownSlot:
         """The slot to be flown now. `others` are all that are heard of and fly; `in_formation` is this vehicle."""
+        if reference_s < self._reference_s - FALLS_BACK_S:  # who leads has landed meanwhile, or was started anew
+            self.begin_anew()
+        self._reference_s = reference_s
         waiting = self._waiting
         if waiting is not None and reference_s >= waiting.begins_s:
             self._waiting = None
@@ -128,8 +133,8 @@ class SlotPlan:
         """From the RFT to the outermost slot of any vehicle, in the plane; on the way the larger of both formations'."""
         return max(self._reach_before_m, self._reach_m) if self.flown.moves else self._reach_m
 
-    def landed(self) -> None:
-        """The fleet's time begins anew with the next flight; the formation stays."""
+    def begin_anew(self) -> None:
+        """The fleet's time does, as with the next flight; the formation stays."""
         if self._waiting:
             self.events.append(f"formation {self._waiting.number} does not begin: the fleet's time begins anew")
         self._flown, self._before_enu_m, self._waiting = _begun(self._flown), self.slots_enu_m, None

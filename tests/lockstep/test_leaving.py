@@ -182,6 +182,25 @@ def test_while_it_holds_in_its_place_the_gap_is_kept_and_it_comes_back_into_it(o
     assert max(fleet.errors_m().values()) < 0.1
 
 
+def test_a_leader_that_landed_begins_the_time_anew_and_all_fly_the_formation_that_they_had() -> None:
+    fleet = flight(KEEP_GAP, "fleet.successors=[]")
+    abreast = {i: (0.0, -2.0 * (i - 1), 0.0) for i in range(1, 6)}
+    fleet.give(CommandName.FORMATION, content=change_to(abreast, list(fleet.newest.values()), 1.0))
+    fleet.go_on(24.0)
+    assert all(np.allclose(status.slot.position_enu_m, abreast[i]) for i, status in fleet.newest.items())
+    fleet.land(1)
+    assert {fleet.newest[i].phase for i in (2, 3, 4, 5)} == {FlightPhase.HOLD}
+    fleet.take_off_again(1)
+    fleet.go_on(1.0)
+    since_s = fleet.lockstep.now_s()
+    fleet.give(CommandName.FORM)
+    for _ in range(16):
+        fleet.go_on(0.5)
+        assert all(np.allclose(status.slot.position_enu_m, abreast[i]) for i, status in fleet.newest.items())
+    assert max(fleet.errors_m().values()) < 0.1
+    assert fleet.smallest_m(since_s) > 1.8
+
+
 def test_what_is_commanded_meanwhile_goes_before_closing_up() -> None:
     fleet = flight()
     fleet.land(3)

@@ -225,17 +225,27 @@ def test_after_landing_the_formation_stays_while_the_time_begins_anew() -> None:
     slots = plan()
     slots.obey(CHANGE, 9.0, (), ())
     slots.update(10.0, KNOW, in_formation=True)
-    slots.landed()
+    slots.begin_anew()
     assert slots.update(0.0, (), in_formation=True) == FlownSlot(TURNED[2], formation=1, waiting=1)
+
+
+def test_where_a_leader_begins_the_time_anew_in_flight_nobody_goes_back_to_an_older_formation() -> None:
+    slots = plan()
+    slots.obey(CHANGE, 9.0, (), ())
+    slots.update(10.0, KNOW, in_formation=True)
+    assert slots.update(40.0, KNOW, in_formation=True).position_enu_m == TURNED[2]
+    assert slots.update(39.9, KNOW, in_formation=True).position_enu_m == TURNED[2]
+    for reference_s in (0.5, 9.0, 11.0, 15.0):
+        assert slots.update(reference_s, KNOW, in_formation=True) == FlownSlot(TURNED[2], formation=1, waiting=1)
 
 
 def test_a_change_that_waits_when_the_vehicle_lands_is_told_of_and_forgotten() -> None:
     slots = plan()
     slots.obey(CHANGE, 9.0, (), ())
-    slots.landed()
+    slots.begin_anew()
     assert slots.events == ["formation 1 does not begin: the fleet's time begins anew"]
     assert slots.update(30.0, KNOW, in_formation=True) == FlownSlot(LINE[2])
-    slots.landed()
+    slots.begin_anew()
     assert len(slots.events) == 1
 
 
