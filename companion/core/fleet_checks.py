@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from math import hypot, inf, sqrt
 
 from companion.core.phase import ON_GROUND
-from companion.types import CommandName, FlightPhase, FlownSlot, PeerPacket, PositionError, VehicleState
+from companion.types import CommandName, FlightPhase, FlownSlot, PeerPacket, PositionError, Role, VehicleState
 
 FORMED = frozenset({FlightPhase.ENGAGE, FlightPhase.FORMATION})
 REFUSED_BELOW_SIGMAS = 3.0
@@ -52,12 +52,8 @@ class FleetChecks:
             case CommandName.LAND:
                 return "", self._too_near(vehicle, peers)
             case CommandName.FORM:
-                if other := next((p for p in peers if p.slot.formation != slot.formation and p.phase in FORMED), None):
-                    return (
-                        f"this vehicle flies formation {slot.formation}, vehicle {other.vehicle_id} flies"
-                        f" {other.slot.formation}; give this one that formation first",
-                        "",
-                    )
+                if refusal := _other_formation(slot.formation, peers):
+                    return refusal, ""
                 return self._too_close(vehicle.position_error, slot, peers)
         return "", ""
 
@@ -116,6 +112,24 @@ class FleetChecks:
         level, up = (level_m / distance_m, up_m / distance_m) if distance_m > 0.0 else (1.0, 0.0)
         level_sigma_m = hypot(own.horizontal_m, other.horizontal_m) / sqrt(2.0)  # one axis of two
         return Spacing(distance_m, hypot(level * level_sigma_m, up * hypot(own.vertical_m, other.vertical_m)))
+
+
+def _other_formation(own: int, peers: Collection[PeerPacket]) -> str:
+    """Not the one that others fly; where nobody flies one yet, that of who is to lead: all may be told to form at once."""
+    others = [peer for peer in peers if peer.slot.formation != own]
+    if flies := next((peer for peer in others if peer.phase in FORMED), None):
+        return (
+            f"this vehicle flies formation {own}, vehicle {flies.vehicle_id} flies {flies.slot.formation}; give this one that"
+            " formation first"
+        )
+    if any(peer.phase in FORMED for peer in peers):
+        return ""
+    if leads := next((p for p in others if p.role is Role.LEADER and p.phase is FlightPhase.HOLD), None):
+        return (
+            f"this vehicle flies formation {own}, vehicle {leads.vehicle_id}, which leads, {leads.slot.formation}; form that one"
+            " alone first, and this one takes over its formation"
+        )
+    return ""
 
 
 def _sigmas_in_words(sigmas: float, spacing: Spacing) -> str:

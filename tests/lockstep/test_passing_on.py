@@ -60,3 +60,25 @@ def test_who_landed_meanwhile_and_whose_agent_started_anew_gets_it_on_the_ground
     flight.newest.clear()
     flight.go_on(1.0)
     assert flight.newest[8].slot.position_enu_m == WIDER[8]
+
+
+def test_a_leader_whose_agent_started_anew_in_the_air_forms_with_nobody_that_has_another_formation() -> None:
+    """All are told to form at once, and over a slow network nobody hears in time that the others do."""
+    flight = Flight(SCENARIO, "links.peer_delay_s=0.05")
+    flight.give(CommandName.FORMATION, content=wider(flight))
+    flight.go_on(14.0)
+    flight.give(CommandName.HOLD)
+    flight.go_on(2.0)
+    in_order = flight.lockstep._in_order
+    flight.lockstep._in_order = in_order[1:]
+    flight.go_on(1.0)
+    flight.restart(1)
+    flight.lockstep._in_order, flight.lockstep._vehicles[1].session = in_order, 2
+    flight.go_on(1.0)
+    flight.give(CommandName.HOLD, 1)
+    flight.go_on(1.0)
+    assert {i: status.slot.formation for i, status in flight.newest.items()} == {1: 0} | dict.fromkeys(range(2, 9), 1)
+    replies = flight.answers(CommandName.FORM)
+    assert {i for i, reply in replies.items() if reply and reply.accepted} == {1}
+    flight.go_on(1.0)
+    assert {status.slot.formation for status in flight.newest.values()} == {0}

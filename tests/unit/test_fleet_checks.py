@@ -157,3 +157,17 @@ def test_a_vehicle_does_not_join_those_that_fly_another_formation() -> None:
     other = replace(peer(1, air=True), phase=FlightPhase.FORMATION, slot=FlownSlot(SLOTS[1], formation=3))
     refusal, _ = CHECKS.judge(CommandName.FORM, vehicle(), OWN, [other])
     assert refusal == "this vehicle flies formation 0, vehicle 1 flies 3; give this one that formation first"
+
+
+def test_of_all_that_form_at_once_nobody_flies_another_formation_than_who_leads() -> None:
+    leader = replace(peer(1, air=True), role=Role.LEADER, slot=FlownSlot(SLOTS[1], formation=3))
+    refusal, _ = CHECKS.judge(CommandName.FORM, vehicle(), OWN, [leader, peer(3, air=True)])
+    assert refusal == (
+        "this vehicle flies formation 0, vehicle 1, which leads, 3; form that one alone first, and this one takes over its"
+        " formation"
+    )
+    follower = replace(leader, role=Role.FOLLOWER)
+    stands = replace(leader, phase=FlightPhase.READY)
+    formed = replace(peer(3, air=True), phase=FlightPhase.FORMATION)
+    for others in ([follower], [stands], [leader, formed]):
+        assert CHECKS.judge(CommandName.FORM, vehicle(), OWN, others)[0] == ""
