@@ -425,17 +425,25 @@ class Agent:
         """Why a command is refused that is otherwise possible, and what is to be said of it where it is not."""
         if self.phase not in RULES[name].allowed:
             return "", ""
-        if name is CommandName.FORM and (refusal := self._preflight.refusal() or self._battery.too_low):
+        if name is CommandName.FORM and (refusal := self._refusal_to_form(now_s)):
             return refusal, ""
         if name is CommandName.RETURN:
             stood_enu_m = self._cooperation.peers.stood_enu_m
             own_id, separation_m = self._setup.vehicle_id, self._setup.checks.separation_m
             return refusal_of_return(own_id, separation_m, vehicle, self._heard(now_s), stood_enu_m), ""
-        refusal, warning = self._setup.checks.judge(name, vehicle, self._slot, self._heard(now_s))
+        role = self._cooperation.leadership.role
+        refusal, warning = self._setup.checks.judge(name, vehicle, self._slot, self._heard(now_s), role)
         if name is CommandName.FORM and not refusal:
             self._joins = self._joining.is_due(now_s)
             refusal = self._refusal_to_join(now_s, vehicle) if self._joins else ""
         return refusal, warning
+
+    def _refusal_to_form(self, now_s: float) -> str:
+        """For what this vehicle is or has itself; one that leads beside others must lead where they do."""
+        refusal = self._preflight.refusal() or self._battery.too_low
+        if not refusal and self._references and self._cooperation.leadership.role is Role.LEADER:
+            refusal = self._references.missing(now_s)
+        return refusal
 
     def _heard(self, now_s: float) -> list[PeerPacket]:
         """All others that are heard of just now."""

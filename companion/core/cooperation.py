@@ -191,8 +191,10 @@ class Cooperation:
         """The word to pass on, how old it is, and how far into the RFT the fleet is; `word` is the youngest that was heard."""
         of_other = word if word is not None and word.leader_id != self._own_id else None
         if role is LEADER:
-            reference_s = self._clock.lead(now_s, in_formation, of_other, age_s)
             lead, stamp = self.leadership, int(now_s * 1000.0)
+            if in_formation and of_other and (of_other.term != lead.term or of_other.leader_id > self._own_id):
+                of_other = None
+            reference_s = self._clock.lead(now_s, in_formation, of_other, age_s)
             own = LeaderWord(self._own_id, lead.epoch, stamp, reference_s if in_formation else 0.0, lead.claim)
             self._leader.hear(now_s, [own], lead.term)  # should it have to follow, this is the last word it heard
             return own, 0.0, reference_s

@@ -43,16 +43,19 @@ class FleetChecks:
     separation_m: float  # in the plane, of any two on the ground
 
     def judge(
-        self, name: CommandName, vehicle: VehicleState, slot: FlownSlot, peers: Collection[PeerPacket]
+        self, name: CommandName, vehicle: VehicleState, slot: FlownSlot, peers: Collection[PeerPacket], role: Role
     ) -> tuple[str, str]:
-        """(why this command is refused, what is to be said if it is not); "" where nothing is. `peers` are the fresh ones."""
+        """(why this command is refused, what is to be said if it is not); "" where nothing is.
+
+        `peers` are the fresh ones, `role` is this vehicle's own.
+        """
         match name:
             case CommandName.ARM | CommandName.TAKEOFF:
                 return "; ".join(self.lacks(vehicle, peers)), ""
             case CommandName.LAND:
                 return "", self._too_near(vehicle, peers)
             case CommandName.FORM:
-                if refusal := _other_formation(slot.formation, peers):
+                if refusal := self._other_formation(slot.formation, peers, role):
                     return refusal, ""
                 return self._too_close(vehicle.position_error, slot, peers)
         return "", ""
@@ -86,6 +89,24 @@ class FleetChecks:
             f" {self.ground_spread_m:g}"
         )
 
+    def _other_formation(self, own: int, peers: Collection[PeerPacket], role: Role) -> str:
+        """Not the one that others fly; where nobody flies one yet, that of who is to lead: all may be told to form at once."""
+        formed = [peer for peer in peers if peer.phase in FORMED]
+        if flies := next((peer for peer in formed if peer.slot.formation != own), None):
+            return (
+                f"this vehicle flies formation {own}, vehicle {flies.vehicle_id} flies {flies.slot.formation}; give this"
+                " one that formation first"
+            )
+        holding = [p for p in peers if p.role is Role.LEADER and p.phase is FlightPhase.HOLD]
+        before = [p for p in holding if role is not Role.LEADER or p.vehicle_id < self.own_id]
+        first = min(before, key=lambda p: p.vehicle_id, default=None)
+        if formed or first is None or first.slot.formation == own:
+            return ""
+        return (
+            f"this vehicle flies formation {own}, vehicle {first.vehicle_id}, which leads, {first.slot.formation}; form"
+            " that one alone first, and this one takes over its formation"
+        )
+
     def _too_close(self, own: PositionError | None, slot: FlownSlot, peers: Collection[PeerPacket]) -> tuple[str, str]:
         told_by = {self.own_id: own} | {peer.vehicle_id: peer.position_error for peer in peers}
         silent = sorted(vehicle_id for vehicle_id, error in told_by.items() if error is None)
@@ -112,24 +133,6 @@ class FleetChecks:
         level, up = (level_m / distance_m, up_m / distance_m) if distance_m > 0.0 else (1.0, 0.0)
         level_sigma_m = hypot(own.horizontal_m, other.horizontal_m) / sqrt(2.0)  # one axis of two
         return Spacing(distance_m, hypot(level * level_sigma_m, up * hypot(own.vertical_m, other.vertical_m)))
-
-
-def _other_formation(own: int, peers: Collection[PeerPacket]) -> str:
-    """Not the one that others fly; where nobody flies one yet, that of who is to lead: all may be told to form at once."""
-    others = [peer for peer in peers if peer.slot.formation != own]
-    if flies := next((peer for peer in others if peer.phase in FORMED), None):
-        return (
-            f"this vehicle flies formation {own}, vehicle {flies.vehicle_id} flies {flies.slot.formation}; give this one that"
-            " formation first"
-        )
-    if any(peer.phase in FORMED for peer in peers):
-        return ""
-    if leads := next((p for p in others if p.role is Role.LEADER and p.phase is FlightPhase.HOLD), None):
-        return (
-            f"this vehicle flies formation {own}, vehicle {leads.vehicle_id}, which leads, {leads.slot.formation}; form that one"
-            " alone first, and this one takes over its formation"
-        )
-    return ""
 
 
 def _sigmas_in_words(sigmas: float, spacing: Spacing) -> str:

@@ -40,10 +40,16 @@ class ReferenceClock:
         return self._stand(now_s)
 
     def lead(self, now_s: float, in_formation: bool, other: LeaderWord | None, other_age_s: float) -> float:
-        """A leader's. It enters formation where another leader is by now, else where the time stands."""
-        if in_formation:
+        """A leader's. It enters formation where another leader is by now, else where the time stands.
+
+        In formation `other` is one that goes before: two that entered at once, of which one had landed, count one time as well.
+        """
+        if in_formation and (other is None or self._agrees(now_s, other, other_age_s)):
             return self._run(now_s)
         return self.update(now_s, in_formation, other, other_age_s)
+
+    def _agrees(self, now_s: float, other: LeaderWord, other_age_s: float) -> bool:
+        return other.reference_s == 0.0 or abs(other.reference_s + other_age_s - (now_s - self._zero_s)) < FALLS_BACK_S
 
     def begin_anew(self) -> None:
         self._counted_s, self.runs = 0.0, False

@@ -9,7 +9,8 @@ import pytest
 from commanded_flight import Flight
 
 from companion.ground.formations import change_to
-from companion.types import CommandName, FlightPhase, Role
+from companion.ground.references import reference_change
+from companion.types import CommandName, FlightPhase, Lead, Role
 from sitl.progress import Progress
 from sitl.scenario import load_scenario
 from sitl.virtual_flight import fly_in_virtual_time
@@ -199,6 +200,51 @@ def test_a_leader_that_landed_begins_the_time_anew_and_all_fly_the_formation_tha
         assert all(np.allclose(status.slot.position_enu_m, abreast[i]) for i, status in fleet.newest.items())
     assert max(fleet.errors_m().values()) < 0.1
     assert fleet.smallest_m(since_s) > 1.8
+
+
+@pytest.mark.parametrize("landed", [1, 2])
+def test_two_leaders_of_which_one_landed_form_at_once_and_count_one_time(landed: int) -> None:
+    fleet = flight(KEEP_GAP, goes_on(0.5))
+    fleet.give(CommandName.LEAD, content=Lead((1, 2), 1))
+    fleet.go_on(4.0)
+    fleet.give(CommandName.HOLD)
+    fleet.go_on(1.0)
+    fleet.land(landed)
+    fleet.take_off_again(landed)
+    fleet.go_on(1.0)
+    fleet.give(CommandName.FORM)
+    fleet.go_on(3.0)
+    assert fleet.newest[1].role is fleet.newest[2].role is Role.LEADER
+    times_s = [status.reference_s for status in fleet.newest.values()]
+    assert max(times_s) - min(times_s) < 0.2
+    before_s = 10.0
+    assert (times_s[0] < before_s) is (landed == 1)
+
+
+def test_a_second_leader_whose_agent_started_anew_forms_only_by_the_reference_that_the_first_one_flies() -> None:
+    fleet = flight(KEEP_GAP, "fleet.vehicles[1].role=leader", "fleet.successors=[]")
+    circle = {"kind": "circle", "centre_enu_m": [0.0, 3.0, 2.0], "radius_m": 3.0, "period_s": 40.0}
+    change = reference_change(circle, list(fleet.newest.values()))
+    fleet.give(CommandName.REFERENCE, 1, 2, content=change)
+    fleet.go_on(3.0)
+    fleet.give(CommandName.HOLD, 2)
+    fleet.until(2, FlightPhase.HOLD)
+    in_order = fleet.lockstep._in_order
+    fleet.lockstep._in_order = [vehicle for vehicle in in_order if vehicle.vehicle_id != 2]
+    fleet.go_on(1.0)
+    fleet.restart(2)
+    fleet.lockstep._in_order, fleet.lockstep._vehicles[2].session = in_order, 2
+    fleet.go_on(1.0)
+    fleet.give(CommandName.HOLD, 2)
+    fleet.until(2, FlightPhase.HOLD)
+    reply = fleet.answers(CommandName.FORM, 2)[2]
+    assert reply is not None
+    assert not reply.accepted
+    assert reply.reason.startswith("form: vehicle 1 flies reference 1 since ")
+    fleet.give(CommandName.REFERENCE, 2, content=change)
+    fleet.give(CommandName.FORM, 2)
+    fleet.go_on(3.0)
+    assert fleet.newest[2].reference == fleet.newest[1].reference
 
 
 def test_what_is_commanded_meanwhile_goes_before_closing_up() -> None:

@@ -51,7 +51,7 @@ def vehicle(z_m: float = 0.0, error: PositionError | None = None) -> VehicleStat
 
 @pytest.mark.parametrize("name", [CommandName.ARM, CommandName.TAKEOFF])
 def test_altitudes_that_differ_keep_the_fleet_on_the_ground(name: CommandName) -> None:
-    refusal, _ = CHECKS.judge(name, vehicle(0.3), OWN, [peer(1, 0.0), peer(3, 1.4)])
+    refusal, _ = CHECKS.judge(name, vehicle(0.3), OWN, [peer(1, 0.0), peer(3, 1.4)], Role.FOLLOWER)
     assert refusal == "altitude: on the ground vehicle 3 is 1.4 m above vehicle 1, more than ground_spread_m 1"
 
 
@@ -64,14 +64,14 @@ def test_altitudes_that_differ_keep_the_fleet_on_the_ground(name: CommandName) -
     ],
 )
 def test_altitudes_that_agree_let_it_take_off(own_m: float, peers: list[PeerPacket]) -> None:
-    assert CHECKS.judge(CommandName.TAKEOFF, vehicle(own_m), OWN, peers) == ("", "")
+    assert CHECKS.judge(CommandName.TAKEOFF, vehicle(own_m), OWN, peers, Role.FOLLOWER) == ("", "")
 
 
 @pytest.mark.parametrize("name", [CommandName.ARM, CommandName.TAKEOFF])
 @pytest.mark.parametrize("height_m", [0.0, 20.0])  # one that flies there is in the way, too
 def test_nobody_takes_off_nearer_to_another_than_the_fleets_separation(name: CommandName, height_m: float) -> None:
     beside = replace(peer(3, air=height_m > 0.0), position_enu_m=(0.6, -0.5, height_m))
-    refusal, _ = CHECKS.judge(name, vehicle(), OWN, [peer(1), beside])
+    refusal, _ = CHECKS.judge(name, vehicle(), OWN, [peer(1), beside], Role.FOLLOWER)
     assert refusal == (
         "separation: in the plane vehicle 3 is 0.78 m from vehicle 2; expected at least separation_m, 1 m"
     )
@@ -80,7 +80,7 @@ def test_nobody_takes_off_nearer_to_another_than_the_fleets_separation(name: Com
 
 def test_landing_near_another_is_warned_of_and_never_refused() -> None:
     refusal, warning = CHECKS.judge(
-        CommandName.LAND, vehicle(3.0), OWN, [replace(peer(1), position_enu_m=(0.1, 0.0, 0.0))]
+        CommandName.LAND, vehicle(3.0), OWN, [replace(peer(1), position_enu_m=(0.1, 0.0, 0.0))], Role.FOLLOWER
     )
     assert refusal == ""
     assert "in the plane vehicle 1 is 0.10 m from vehicle 2" in warning
@@ -93,7 +93,7 @@ def judged(own_m: float | None, *others: tuple[int, float | None]) -> tuple[str,
     """`own_m` and the second of `others` are errors, the same in the plane and in height."""
     own = None if own_m is None else PositionError(own_m, own_m)
     heard = [peer(i, error=None if m is None else PositionError(m, m), air=True) for i, m in others]
-    return CHECKS.judge(CommandName.FORM, vehicle(error=own), OWN, heard)
+    return CHECKS.judge(CommandName.FORM, vehicle(error=own), OWN, heard, Role.FOLLOWER)
 
 
 def test_slots_within_three_sigma_are_refused() -> None:
@@ -128,7 +128,9 @@ def test_what_a_receiver_reports_says_how_close_it_may_fly(
         for error_m in errors_m:
             error = PositionError(error_m, 3.0)  # on level slots, height does not count
             other = replace(peer(2, error=error, air=True), slot=FlownSlot((0.0, spacing_m, 0.0)))
-            refusal, warning = checks.judge(CommandName.FORM, vehicle(error=error), FlownSlot(SLOTS[1]), [other])
+            refusal, warning = checks.judge(
+                CommandName.FORM, vehicle(error=error), FlownSlot(SLOTS[1]), [other], Role.FOLLOWER
+            )
             assert (bool(refusal), bool(warning)) == wanted, error_m
 
 
@@ -148,26 +150,29 @@ def test_height_counts_where_the_law_flies_it_and_only_there() -> None:
     own = vehicle(error=PositionError(0.05, 0.6))
     above = [peer(4, error=PositionError(0.05, 0.6), air=True)]
     with_height = FleetChecks(3, slots_have_height=True, ground_spread_m=1.0, separation_m=1.0)
-    assert "1.2 sigma" in with_height.judge(CommandName.FORM, own, FlownSlot(SLOTS[3]), above)[0]
+    assert "1.2 sigma" in with_height.judge(CommandName.FORM, own, FlownSlot(SLOTS[3]), above, Role.FOLLOWER)[0]
     without = FleetChecks(3, slots_have_height=False, ground_spread_m=1.0, separation_m=1.0)
-    assert "0.0 sigma" in without.judge(CommandName.FORM, own, FlownSlot(SLOTS[3]), above)[0]
+    assert "0.0 sigma" in without.judge(CommandName.FORM, own, FlownSlot(SLOTS[3]), above, Role.FOLLOWER)[0]
 
 
 def test_a_vehicle_does_not_join_those_that_fly_another_formation() -> None:
     other = replace(peer(1, air=True), phase=FlightPhase.FORMATION, slot=FlownSlot(SLOTS[1], formation=3))
-    refusal, _ = CHECKS.judge(CommandName.FORM, vehicle(), OWN, [other])
+    refusal, _ = CHECKS.judge(CommandName.FORM, vehicle(), OWN, [other], Role.FOLLOWER)
     assert refusal == "this vehicle flies formation 0, vehicle 1 flies 3; give this one that formation first"
 
 
 def test_of_all_that_form_at_once_nobody_flies_another_formation_than_who_leads() -> None:
     leader = replace(peer(1, air=True), role=Role.LEADER, slot=FlownSlot(SLOTS[1], formation=3))
-    refusal, _ = CHECKS.judge(CommandName.FORM, vehicle(), OWN, [leader, peer(3, air=True)])
+    refusal, _ = CHECKS.judge(CommandName.FORM, vehicle(), OWN, [leader, peer(3, air=True)], Role.FOLLOWER)
     assert refusal == (
         "this vehicle flies formation 0, vehicle 1, which leads, 3; form that one alone first, and this one takes over its"
         " formation"
     )
+    assert "vehicle 1, which leads" in CHECKS.judge(CommandName.FORM, vehicle(), OWN, [leader], Role.LEADER)[0]
+    second = replace(leader, vehicle_id=3)  # of several the smallest id's counts
+    assert CHECKS.judge(CommandName.FORM, vehicle(), OWN, [second], Role.LEADER)[0] == ""
     follower = replace(leader, role=Role.FOLLOWER)
     stands = replace(leader, phase=FlightPhase.READY)
     formed = replace(peer(3, air=True), phase=FlightPhase.FORMATION)
     for others in ([follower], [stands], [leader, formed]):
-        assert CHECKS.judge(CommandName.FORM, vehicle(), OWN, others)[0] == ""
+        assert CHECKS.judge(CommandName.FORM, vehicle(), OWN, others, Role.FOLLOWER)[0] == ""

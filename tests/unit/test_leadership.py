@@ -127,7 +127,16 @@ def test_time_stands_until_a_leader_is_in_formation() -> None:
 def test_a_second_leader_enters_formation_where_the_first_one_is() -> None:
     clock = ReferenceClock()
     assert clock.lead(100.0, False, LeaderWord(2, 0, 1, 12.0), 0.0) == pytest.approx(12.0 + WAITED_S)
-    assert clock.lead(100.1, True, LeaderWord(2, 0, 2, 99.0), 0.0) == pytest.approx(12.1 + WAITED_S)
+    assert clock.lead(100.1, True, None, 9.0) == pytest.approx(12.1 + WAITED_S)
+
+
+def test_of_two_leaders_in_formation_the_one_that_comes_after_counts_as_the_first_where_they_are_far_apart() -> None:
+    clock = ReferenceClock()
+    clock.lead(100.0, False, LeaderWord(1, 0, 1, 60.0), 0.0)
+    for told_s in (0.0, 59.9, 60.4):  # it stands, or differs by what networks do: nothing is put right
+        assert clock.lead(100.1, True, LeaderWord(1, 0, 2, told_s), 0.0) == pytest.approx(60.1 + WAITED_S)
+    assert clock.lead(100.2, True, LeaderWord(1, 0, 3, 0.5), 0.1) == pytest.approx(0.6 + WAITED_S)
+    assert clock.lead(100.3, True, None, 9.0) == pytest.approx(0.7 + WAITED_S)
 
 
 @pytest.mark.parametrize("in_formation", [True, False])
