@@ -168,7 +168,7 @@ class Agent:
         if not vehicle.armed:
             self._cooperation.landed()
             self._slots.begin_anew()
-            self._heading.landed()
+            self._heading.begin_anew()
         around = self._cooperation.update(
             now_s, vehicle.position_enu_m, inbox.peers, self._machine.in_formation, self._fit_to_lead
         )
@@ -231,6 +231,8 @@ class Agent:
 
     def _turn_slot(self, now_s: float, around: Neighbourhood) -> None:
         led_by = self._control.reference(around) if self._machine.in_formation else None
+        if around.heading is not None and not self._machine.streams(self._tracker.state):
+            self._heading.begin_anew()  # nobody flies by it here: it need not turn to what is heard as vehicles must
         self._heading.update(now_s, around, led_by, self._slots.reach_m)
         self._slot = turned_slot(self._slots.flown, self._heading.flown)
 

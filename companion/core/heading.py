@@ -29,8 +29,8 @@ class FormationHeading(Protocol):
     flown: Heading
     told: Heading
 
-    def landed(self) -> None:
-        """The next flight begins anew."""
+    def begin_anew(self) -> None:
+        """At once where others have it, or to the east, as after a landing."""
 
     def update(self, now_s: float, around: Neighbourhood, led_by: Place | None, reach_m: float) -> None:
         """Once a tick. `led_by` is R where this vehicle leads in formation; `reach_m` is the outermost slot's."""
@@ -41,7 +41,7 @@ class FixedHeading:
 
     flown = told = EAST
 
-    def landed(self) -> None:
+    def begin_anew(self) -> None:
         pass
 
     def update(self, now_s: float, around: Neighbourhood, led_by: Place | None, reach_m: float) -> None:
@@ -57,7 +57,7 @@ class CourseHeading:
         self._begins = True
         self._last_s = inf
 
-    def landed(self) -> None:
+    def begin_anew(self) -> None:
         self._begins = True
 
     def update(self, now_s: float, around: Neighbourhood, led_by: Place | None, reach_m: float) -> None:

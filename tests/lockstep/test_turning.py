@@ -9,11 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commanded_flight import Flight
 
 from companion.core.arrays import FloatArray
 from companion.core.heading import JERK_1_S
 from companion.geometry.turning import turn_limits
-from companion.types import FlightPhase, Heading, Role, Status
+from companion.types import CommandName, FlightPhase, Heading, Role, Status
 from companion.wire.ground import StatusReport
 from sitl.director import Director
 from sitl.fleet import ids_of
@@ -161,3 +162,18 @@ def test_who_left_joins_a_formation_that_goes_round() -> None:
     r_m = reference_positions_m(flight.watch.told_reference(), zero_s, times_s)
     error_m = errors_m(flight.tracks[3], flight.watch.slots()[3], r_m, times_s)
     assert error_m.max() < 0.5
+
+
+def test_who_holds_turns_at_once_to_the_heading_that_a_leader_begins_with() -> None:
+    """A leader that landed begins to the east. Turning there as in flight would take those in hold ten seconds."""
+    fleet = Flight(SCENARIOS / COLUMN)
+    fleet.go_on(6.0)
+    assert all(status.heading.angle_rad > 1.5 for status in fleet.newest.values())
+    fleet.land(1)
+    fleet.take_off_again(1)
+    fleet.go_on(0.5)
+    fleet.give(CommandName.FORM)
+    for _ in range(10):
+        fleet.go_on(0.3)
+        angles_rad = [status.heading.angle_rad for status in fleet.newest.values()]
+        assert max(angles_rad) - min(angles_rad) < 0.05

@@ -227,10 +227,10 @@ def test_while_a_leader_is_awaited_it_turns_on_and_without_one_it_comes_to_rest(
 def test_after_a_landing_it_begins_anew_or_as_the_others_fly() -> None:
     heading = CourseHeading(1.0)
     led(heading, 20.0, northwards(), 100.0)
-    heading.landed()
+    heading.begin_anew()
     heading.update(200.0, NOBODY, None, REACH_M)
     assert heading.flown == EAST
-    heading.landed()
+    heading.begin_anew()
     heading.update(300.0, hearing(Heading(1.5, 0.1)), None, REACH_M)
     assert heading.flown == Heading(1.5, 0.1)
 
@@ -238,7 +238,7 @@ def test_after_a_landing_it_begins_anew_or_as_the_others_fly() -> None:
 def test_a_fixed_formation_turns_for_nobody() -> None:
     heading = FixedHeading()
     heading.update(100.0, hearing(Heading(1.0, 1.0, 1.0)), northwards(), REACH_M)
-    heading.landed()
+    heading.begin_anew()
     assert heading.flown == heading.told == EAST
 
 
