@@ -94,10 +94,16 @@ class ReferencePlan:
         return self._flown.place if isinstance(self._flown, Pursuit) else self._flown(reference_s)
 
     def places_enu_m(self, reference_s: float) -> list[Vector3]:
-        """r from this time of the fleet's on, one a second for two minutes; where a target is followed, now alone."""
-        if isinstance(self._flown, Pursuit):
-            return [self._flown.place.position_enu_m]
-        return [self._flown(reference_s + ahead_s).position_enu_m for ahead_s in range(LOOKS_AHEAD_S)]
+        """r from this time of the fleet's on, one a second for two minutes; where a target is followed, now alone.
+
+        Likewise of the RFT that is to come, where one is.
+        """
+        times_s = [reference_s + ahead_s for ahead_s in range(LOOKS_AHEAD_S)]
+        places_enu_m = []
+        if self._waiting:
+            change, rft = self._waiting
+            places_enu_m = _places_enu_m(_begun_anew(rft), [max(0.0, t - change.begins_s) for t in times_s])
+        return _places_enu_m(self._flown, times_s) + places_enu_m
 
     def obey(
         self,
@@ -251,6 +257,12 @@ class ReferencePlan:
             self.events.append(f"target {live.name} is heard")
         elif was_heard and not heard:
             self.events.append(f"target {live.name} is silent for {live.max_age_s:g} s: the reference comes to rest")
+
+
+def _places_enu_m(flown: Flown, times_s: Iterable[float]) -> list[Vector3]:
+    if isinstance(flown, Pursuit):
+        return [flown.place.position_enu_m]
+    return [flown(time_s).position_enu_m for time_s in times_s]
 
 
 def _to_come(held: HeldReference) -> int | None:

@@ -8,7 +8,8 @@ import pytest
 from commanded_flight import Flight
 
 from companion.ground.formations import change_to
-from companion.types import CommandName, FormationChange, Vector3
+from companion.ground.references import reference_change
+from companion.types import CommandName, FlightPhase, FormationChange, Vector3
 
 SCENARIO = Path(__file__).parents[2] / "config" / "scenarios" / "formations.yaml"
 WIDER: dict[int, Vector3] = {i: (0.0, 8.75 - 2.5 * (i - 1), 0.0) for i in range(1, 9)}
@@ -38,6 +39,24 @@ def test_what_the_leader_was_not_told_nobody_flies() -> None:
     flight.go_on(2.0)
     assert {status.slot.formation for status in flight.newest.values()} == {0}
     assert (5, "formation 1 does not begin: vehicle 1 does not have it") in flight.events
+
+
+def test_no_formation_begins_that_leaves_the_fence_about_the_reference_that_is_to_come() -> None:
+    """Each alone keeps to the fence: the reference with the slots of today, the slots about the reference of today."""
+    fence = ("fleet.envelope.fence_min_enu_m=[-20, -12, 0]", "fleet.envelope.fence_max_enu_m=[20, 12, 10]")
+    flight = Flight(SCENARIO.with_name("leaving.yaml"), *fence)
+    point = {"kind": "point", "point_enu_m": [0.0, 8.0, 2.0]}
+    flight.give(CommandName.REFERENCE, 1, 2, content=reference_change(point, list(flight.newest.values())))
+    flight.go_on(0.3)
+    aslant = {i: (-2.0 * (i - 1), 2.0 * (i - 1), 0.0) for i in range(1, 6)}
+    change = change_to(aslant, list(flight.newest.values()), 1.0)
+    replies = flight.answers(CommandName.FORMATION, content=change)
+    for may_lead in (1, 2):
+        reply = replies[may_lead]
+        assert reply is not None
+        assert reply.reason.startswith("formation: puts vehicle 4 at y = 14.0 m, outside the fence")
+    flight.go_on(10.0)
+    assert {(s.phase, s.slot.formation, s.flags) for s in flight.newest.values()} == {(FlightPhase.FORMATION, 0, ())}
 
 
 def test_who_landed_meanwhile_and_whose_agent_started_anew_gets_it_on_the_ground() -> None:
