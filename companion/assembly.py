@@ -19,14 +19,17 @@ from companion.config.reference import (
 from companion.config.vehicle import AgentConfig
 from companion.config_file import ConfigError, convert
 from companion.core import formation
-from companion.core.agent import Agent, AgentSetup
+from companion.core.agent import Agent
 from companion.core.battery import BatteryWatch
+from companion.core.changes import Changes
 from companion.core.closing_up import ClosingUp
+from companion.core.command_desk import CommandDesk
 from companion.core.control import FormationControl
 from companion.core.cooperation import Cooperation
 from companion.core.disturbance import DisturbanceObserver
 from companion.core.envelope import EnvelopeLimits
 from companion.core.fleet_checks import FleetChecks
+from companion.core.flown_formation import FlownFormation
 from companion.core.formation import FormationLaw, Gains
 from companion.core.formation_limits import FormationLimits
 from companion.core.hand_over import HandOverLimits
@@ -36,13 +39,20 @@ from companion.core.joining import Joining
 from companion.core.leader_word import LeaderWatch
 from companion.core.leadership import Leadership
 from companion.core.neighbours import EdgeRule, NeighbourRule, RangeRule
+from companion.core.obedience import Obedience
 from companion.core.peers import PeerTable
+from companion.core.phase import PhaseMachine
+from companion.core.preflight import Preflight
 from companion.core.pursuit import Box, PursuitLimits
 from companion.core.reference import ReferenceTrajectory, along
 from companion.core.reference_plan import LiveReference, ReferencePlan, Rft
+from companion.core.safeguard import Safeguard
+from companion.core.senses import Senses
 from companion.core.setpoint_stream import SetpointStream
 from companion.core.slot_plan import SlotPlan
+from companion.core.steering import Steering
 from companion.core.succession import HeldForWantOfALeader, Succession
+from companion.core.telling import Identity, ToGround, ToPeers
 from companion.core.vehicle_state import VehicleTracker
 from companion.types import Described, Role, Vector3
 
@@ -61,64 +71,76 @@ LONGEST_REASON = 300  # characters: a command's keys and values may be of any le
 
 def build_agent(config: AgentConfig, session: int) -> Agent:
     """`session` is any number that differs from one start of this vehicle's agent to the next."""
-    fleet, member, law = config.fleet, config.member, config.fleet.law
-    formation_hash = fleet.formation_hash()
+    fleet, member, law, vehicle = config.fleet, config.member, config.fleet.law, config.vehicle
+    identity = Identity(member.id, session, fleet.name, fleet.formation_hash(), law.name)
+    machine, desk, ages = PhaseMachine(fleet.takeoff_height_m), CommandDesk(session), AgeLimits()
+    observer = DisturbanceObserver(vehicle.hover_thrust_norm, vehicle.drag_1_s, law.disturbance_bandwidth_1_s)
+    tracker, preflight = tracker_of(fleet), Preflight(observer)
+    senses = Senses(tracker, preflight)
+    envelope = envelope_limits(fleet.envelope)
+    setpoints = SetpointStream(envelope, observer)
+    cooperation = _cooperation(fleet, member.id, identity.formation_hash)
+    peers, leadership = cooperation.peers, cooperation.leadership
+    limits = FormationLimits(fleet.separation_m, fleet.slot_speed_m_s, _fence(fleet), fleet.slots_turn)
+    formation = _formation(config, machine, peers, limits)
+    closing_up = ClosingUp(member.id, limits) if fleet.when_one_leaves == "close_up" else None
+    changes = Changes(member.id, machine, cooperation, formation, closing_up)
+    held, battery = HeldForWantOfALeader(fleet.land_after_s), BatteryWatch(fleet.leave_below_percent)
+    safeguard = Safeguard(machine, formation, setpoints, held, battery, ages, envelope)
+    checks = FleetChecks(
+        own_id=member.id,
+        slots_have_height=law.altitude == "formation",
+        ground_spread_m=fleet.ground_spread_m,
+        separation_m=fleet.separation_m,
+    )
+    obedience = Obedience(desk, machine, cooperation, formation, preflight, safeguard, checks)
+    steering = Steering(machine, formation, _control(law), setpoints)
+    of_formation = (formation.slots, formation.references, closing_up)
+    tellers = (desk, preflight, tracker, leadership, machine, *of_formation, changes, safeguard, obedience)
+    events_of = [teller.events for teller in tellers if teller]
+    to_peers = ToPeers(identity, machine, formation, changes, setpoints, ages.state_s)
+    to_ground = ToGround(identity, machine, senses, peers, formation, setpoints, desk, checks, events_of)
+    return Agent(machine, senses, obedience, cooperation, changes, formation, safeguard, steering, to_peers, to_ground)
+
+
+def _cooperation(fleet: FleetConfig, own_id: int, formation_hash: int) -> Cooperation:
+    leadership = Leadership(
+        own_id,
+        [m.id for m in fleet.vehicles if m.role is Role.LEADER],
+        [m.id for m in fleet.vehicles if m.can_lead],
+    )
     peers = PeerTable(
-        member.id,
+        own_id,
         {m.id: m.can_lead for m in fleet.vehicles},
         formation_hash,
         fleet.peers.max_age_s,
         fleet.peers.max_speed_m_s,
         fleet.successors,
     )
-    envelope = envelope_limits(fleet.envelope)
-    setup = AgentSetup(
-        vehicle_id=member.id,
-        session=session,
-        fleet=fleet.name,
-        formation_hash=formation_hash,
-        law_name=law.name,
-        takeoff_height_m=fleet.takeoff_height_m,
-        envelope=envelope,
-        ages=AgeLimits(),
-        checks=FleetChecks(
-            own_id=member.id,
-            slots_have_height=law.altitude == "formation",
-            ground_spread_m=fleet.ground_spread_m,
-            separation_m=fleet.separation_m,
-        ),
-    )
-    tracker = tracker_of(fleet)
-    limits = FormationLimits(fleet.separation_m, fleet.slot_speed_m_s, _fence(fleet), fleet.slots_turn)
-    slots = SlotPlan(member.id, {m.id: m.slot_enu_m for m in fleet.vehicles}, limits)
-    leader = LeaderWatch(fleet.peers.leader_word_max_age_s)
-    rule = _neighbour_rule(fleet, member.id)
-    leadership = Leadership(
-        member.id,
-        [m.id for m in fleet.vehicles if m.role is Role.LEADER],
-        [m.id for m in fleet.vehicles if m.can_lead],
-    )
-    succession = Succession(member.id, fleet.successors)
-    cooperation = Cooperation(member.id, leadership, len(fleet.vehicles), peers, rule, leader, succession)
-    vehicle = config.vehicle
-    observer = DisturbanceObserver(vehicle.hover_thrust_norm, vehicle.drag_1_s, law.disturbance_bandwidth_1_s)
-    setpoints, held = SetpointStream(envelope, observer), HeldForWantOfALeader(fleet.land_after_s)
-    joining = Joining(member.id, fleet.separation_m, fleet.slot_speed_m_s)
-    battery = BatteryWatch(fleet.leave_below_percent)
-    closing_up = ClosingUp(member.id, limits) if fleet.when_one_leaves == "close_up" else None
-    heading = CourseHeading(fleet.slot_speed_m_s) if fleet.slots_turn else FixedHeading()
-    return Agent(
-        setup, tracker, cooperation, _control(config), setpoints, slots, heading, held, joining, battery, closing_up
+    leader, succession = LeaderWatch(fleet.peers.leader_word_max_age_s), Succession(own_id, fleet.successors)
+    rule = _neighbour_rule(fleet, own_id)
+    return Cooperation(own_id, leadership, len(fleet.vehicles), peers, rule, leader, succession)
+
+
+def _formation(config: AgentConfig, machine: PhaseMachine, peers: PeerTable, limits: FormationLimits) -> FlownFormation:
+    fleet, own_id, reference = config.fleet, config.member.id, config.vehicle.reference
+    return FlownFormation(
+        own_id,
+        machine,
+        peers,
+        slots=SlotPlan(own_id, {m.id: m.slot_enu_m for m in fleet.vehicles}, limits),
+        heading=CourseHeading(fleet.slot_speed_m_s) if fleet.slots_turn else FixedHeading(),
+        references=_references(fleet, reference) if reference else None,
+        joining=Joining(own_id, fleet.separation_m, fleet.slot_speed_m_s),
     )
 
 
-def _control(config: AgentConfig) -> FormationControl:
-    law, reference = config.fleet.law, config.vehicle.reference
+def _control(law: Law) -> FormationControl:
+    gains = law.altitude_hold_gains
     return FormationControl(
         law=law_of(law),
         law_flies_altitude=law.altitude == "formation",
-        altitude_hold_gains=Gains(law.altitude_hold_gains.position_1_s2, law.altitude_hold_gains.velocity_1_s),
-        references=_references(config.fleet, reference) if reference else None,
+        altitude_hold_gains=Gains(gains.position_1_s2, gains.velocity_1_s),
     )
 
 

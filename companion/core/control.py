@@ -2,45 +2,38 @@
 
 from __future__ import annotations
 
-from companion.core.cooperation import Neighbourhood
+from collections.abc import Sequence
+
 from companion.core.formation import FormationLaw, Gains, Place, feedback, formation_acceleration, place
-from companion.core.reference_plan import ReferencePlan
-from companion.types import FlownSlot, Role, Vector3, VehicleState
+from companion.types import FlownSlot, Vector3, VehicleState
 
 
 class FormationControl:
-    """One vehicle's. Where `law_flies_altitude` is False it holds its own altitude, the one it came into formation with.
+    """One vehicle's. Where `law_flies_altitude` is False it holds its own altitude, the one it came into formation with."""
 
-    `references` is given to those that may lead, and to no other.
-    """
-
-    def __init__(
-        self,
-        law: FormationLaw,
-        law_flies_altitude: bool,
-        altitude_hold_gains: Gains,
-        references: ReferencePlan | None,
-    ) -> None:
+    def __init__(self, law: FormationLaw, law_flies_altitude: bool, altitude_hold_gains: Gains) -> None:
         self._law = law
         self._law_flies_altitude = law_flies_altitude
         self._altitude_hold_gains = altitude_hold_gains
-        self.references = references
         self._hold_altitude_m = 0.0
-
-    def reference(self, around: Neighbourhood) -> Place | None:
-        """R for a leader alone, whoever else holds the RFT."""
-        if self.references is None or around.role is not Role.LEADER:
-            return None
-        return self.references.at(around.reference_s)
 
     def stand_by(self, vehicle: VehicleState) -> None:
         """Formation is about to begin: the altitude held is where the vehicle is now."""
         self._hold_altitude_m = vehicle.position_enu_m[2]
 
-    def in_formation(self, vehicle: VehicleState, around: Neighbourhood, slot: FlownSlot) -> Vector3:
-        """Eq. 14 about a slot that may move, or on z the vehicle's own altitude hold; m/s^2 in ENU."""
+    def in_formation(
+        self,
+        vehicle: VehicleState,
+        neighbours: Sequence[tuple[int, Place]],
+        slot: FlownSlot,
+        reference: Place | None,
+    ) -> Vector3:
+        """Eq. 14 about a slot that may move, or on z the vehicle's own altitude hold; m/s^2 in ENU.
+
+        `neighbours` are (PrC, place); `reference` is R where this vehicle leads.
+        """
         own = place(vehicle.position_enu_m, vehicle.velocity_enu_m_s, slot)
-        x, y, z = formation_acceleration(self._law, own, around.neighbours, self.reference(around))
+        x, y, z = formation_acceleration(self._law, own, neighbours, reference)
         dx, dy, dz = slot.acceleration_enu_m_s2
         wanted = (x + dx, y + dy, z + dz)
         if self._law_flies_altitude:

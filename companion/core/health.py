@@ -9,6 +9,10 @@ from companion.core.bumpless import LARGEST_JUMP_M, ORIGIN_WITHIN_S
 from companion.core.envelope import EnvelopeLimits
 from companion.types import HealthFlag, VehicleState
 
+# Of a position: the peers must not heed it; the vehicle itself does not know where it is.
+NOT_TO_BE_HEEDED = frozenset({HealthFlag.FRAME_CONTRADICTED, HealthFlag.POSITION_JUMPED})
+PLACE_IN_DOUBT = NOT_TO_BE_HEEDED | {HealthFlag.STATE_STALE, HealthFlag.FRAME_UNKNOWN}
+
 
 @dataclass(frozen=True, slots=True)
 class AgeLimits:

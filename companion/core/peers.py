@@ -113,6 +113,10 @@ class PeerTable:
         """Peers whose state is not older than the configured age."""
         return {i: peer for i, peer in self._newest.items() if now_s - peer.measured_s <= self._max_age_s}
 
+    def heard(self, now_s: float) -> list[PeerPacket]:
+        """What all those said last that are heard of just now, whatever they do."""
+        return [peer.packet for peer in self.fresh(now_s).values()]
+
     def _refusal(self, received: ReceivedPeerPacket, epoch: int) -> str | None:
         packet = received.packet
         if packet.vehicle_id == self._own_id:

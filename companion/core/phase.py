@@ -82,6 +82,10 @@ class PhaseMachine:
             return True
         return self._leaving_formation and vehicle.mode is M.OFFBOARD
 
+    def has_handed_over(self, vehicle: VehicleState) -> bool:
+        """No setpoint stream is left that the autopilot would miss."""
+        return self.phase is not P.RELEASE and not self.streams(vehicle)
+
     def hands_over_level(self, now_s: float) -> bool:
         """In a hand-over from formation, until the autopilot should have taken over long since."""
         return self._leaving_formation and now_s < self._level_until_s

@@ -50,7 +50,7 @@ class Flown:
             told, follow, agent = self.headings.setdefault(vehicle_id, []), vehicle.link.command, vehicle._agent
 
             def command(target, now_s, told=told, follow=follow, agent=agent):  # type: ignore[no-untyped-def]
-                told.append((now_s, agent._heading.flown))
+                told.append((now_s, agent._formation.heading.flown))
                 follow(target, now_s)
 
             vehicle.link.command = command  # type: ignore[method-assign]

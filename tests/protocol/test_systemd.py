@@ -161,7 +161,7 @@ def test_the_unit_is_one_per_vehicle_and_watched() -> None:
 
 def test_the_unit_leaves_the_agent_time_for_what_it_does() -> None:
     from companion.app import WAIT_FOR_AUTOPILOT_S
-    from companion.core.agent import HAND_OVER_S
+    from companion.core.safeguard import HAND_OVER_S
 
     assert float(setting("TimeoutStartSec")[0]) > WAIT_FOR_AUTOPILOT_S
     assert float(setting("TimeoutStopSec")[0]) > HAND_OVER_S

@@ -14,8 +14,8 @@ from companion.assembly import build_agent
 from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember
 from companion.config.reference import PointReference
 from companion.config.vehicle import AgentConfig, VehicleConfig
-from companion.core.agent import HAND_OVER_S
 from companion.core.envelope import EnvelopeLimits, LastGate
+from companion.core.safeguard import HAND_OVER_S
 from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
 from companion.mavlink.manners import MANNERS
 from companion.mavlink.translator import Translator

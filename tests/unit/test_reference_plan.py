@@ -126,7 +126,9 @@ def plan() -> ReferencePlan:
     """That of vehicle 1 of the ring, as an agent has it."""
     scenario = load_scenario(RING)
     file = vehicle_file(scenario, reached_stand_in(scenario, 1, port_offset=0), port_offset=0)
-    references = build_agent(AgentConfig(file, scenario.fleet, scenario.fleet.vehicles[0]), session=1)._references
+    references = build_agent(
+        AgentConfig(file, scenario.fleet, scenario.fleet.vehicles[0]), session=1
+    )._formation.references
     assert references is not None
     return references
 
