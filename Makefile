@@ -4,7 +4,7 @@ PYTHON ?= python3
 SCENARIO ?= config/scenarios/platoon.yaml
 BIN := .venv/bin
 
-.PHONY: help fly pictures bench bench-batch test test-fast check format setup clean
+.PHONY: help fly pictures bench bench-batch test test-fast test-vehicles test-fleets check format setup clean
 
 help:
 	@echo "make fly        fly the paper's platoon with four agents and four stand-in autopilots, weighted against average"
@@ -35,9 +35,12 @@ pictures: .venv/fly.ready
 	  cp runs/pictures/$$scenario/from_above.png docs/$$scenario.png || exit 1; \
 	done
 
-# What knows no clock goes wherever a core is free; of what flies in real time two things do at a time, see tests/conftest.py.
+# What knows no clock goes wherever a core is free. Processes fly in real time and mostly wait: single vehicles and whole fleets
+# share the cores, each one after the other, so that none takes another's ports.
 VIRTUAL_TESTS = $(BIN)/pytest -n 2 --dist worksteal tests/unit tests/lockstep
-REAL_TESTS = $(BIN)/pytest -n 2 --dist loadgroup --durations 15 tests/protocol tests/fleet tests/faults
+REAL_TESTS = $(MAKE) -j 2 test-vehicles test-fleets
+ONE_BY_ONE = $(BIN)/pytest -n 1 -v --durations 10
+KINDS =
 
 test: .venv/test.ready
 	$(VIRTUAL_TESTS)
@@ -45,7 +48,13 @@ test: .venv/test.ready
 
 test-fast: .venv/test.ready
 	$(VIRTUAL_TESTS)
-	$(REAL_TESTS) -m "not fleet"
+	$(REAL_TESTS) KINDS='-m "not fleet"'
+
+test-vehicles: .venv/test.ready
+	$(ONE_BY_ONE) $(KINDS) tests/protocol
+
+test-fleets: .venv/test.ready
+	$(ONE_BY_ONE) $(KINDS) tests/fleet tests/faults
 
 check: .venv/test.ready
 	$(BIN)/ruff check .

@@ -8,7 +8,7 @@ from typing import Protocol
 import msgspec
 
 from companion.core.phase import RULES
-from companion.ground.formations import assigned, change_to, named_slots
+from companion.ground.formations import assigned, change_to, named_slots, places_enu_m
 from companion.ground.references import reference_change
 from companion.types import CommandName, CommandReply, Content, FlightPhase, Lead, Role, Status
 from companion.wire.ground import StatusReport
@@ -171,8 +171,7 @@ class _FormationOrder(Order):
         assert step.formation is not None  # checked when the scenario was read
         wanted = step.formation
         slots = named_slots(wanted.shape, len(statuses), wanted.spacing_m, wanted.heading_deg)
-        flown = {status.vehicle_id: status.slot.position_enu_m for status in statuses}
-        self._change = change_to(assigned(flown, slots), statuses, wanted.speed_m_s)
+        self._change = change_to(assigned(places_enu_m(statuses), slots), statuses, wanted.speed_m_s)
 
     def _give(self, vehicle_ids: Collection[int]) -> dict[int, CommandReply | None]:
         return self._session.command(vehicle_ids, CommandName.FORMATION, REPLY_WITHIN_S, self._change)

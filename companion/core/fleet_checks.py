@@ -9,12 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass
-from math import hypot, inf, sqrt
+from math import dist, hypot, inf, sqrt
 
 from companion.core.phase import ON_GROUND
-from companion.types import CommandName, FlightPhase, FlownSlot, PeerPacket, PositionError, Role, VehicleState
+from companion.geometry.transition import ROUNDING_M, closest
+from companion.types import CommandName, FlightPhase, FlownSlot, PeerPacket, PositionError, Role, Vector3, VehicleState
 
 FORMED = frozenset({FlightPhase.ENGAGE, FlightPhase.FORMATION})
+MAY_FORM = FORMED | {FlightPhase.HOLD}
+ON_THE_WAY_M = 0.05  # nearer than that than at both ends: slots that are too near are another matter
 REFUSED_BELOW_SIGMAS = 3.0
 WARNED_BELOW_SIGMAS = 6.0  # at 5.2 four vehicles once came within 0.12 m of each other
 
@@ -60,6 +63,26 @@ class FleetChecks:
                 return self._too_close(vehicle.position_error, slot, peers)
         return "", ""
 
+    def refusal_to_form_together(self, vehicle: VehicleState, slot: FlownSlot, peers: Collection[PeerPacket]) -> str:
+        """From hold all go to their slots at once, about straight: why not, where two would come too near on the way.
+
+        Where the RFT is does not matter to that, for all go there alike. Peers that hold count as if told to form as well.
+        """
+        own_place, own_slot = self._flat(vehicle.position_enu_m), self._flat(slot.position_enu_m)
+        for peer in sorted(peers, key=lambda p: p.vehicle_id):
+            if peer.phase not in MAY_FORM:
+                continue
+            place, peer_slot = self._flat(peer.position_enu_m), self._flat(peer.slot.position_enu_m)
+            apart_m, _, _ = closest({0: own_place, 1: place}, {0: own_slot, 1: peer_slot})
+            ends_m = min(dist(own_place, place), dist(own_slot, peer_slot))
+            if apart_m < self.separation_m - ROUNDING_M and apart_m < ends_m - ON_THE_WAY_M:
+                return (
+                    f"on straight ways into their slots vehicles {self.own_id} and {peer.vehicle_id} come within"
+                    f" {apart_m:.2f} m of each other; expected at least separation_m, {self.separation_m:g} m; land, and"
+                    " give a formation command there: it assigns slots to where the vehicles stand"
+                )
+        return ""
+
     def lacks(self, vehicle: VehicleState, peers: Collection[PeerPacket]) -> tuple[str, ...]:
         """Why the vehicle must not leave the ground, each with its subject first."""
         words = (self._altitudes_differ(vehicle.position_enu_m[2], peers), self._too_near(vehicle, peers))
@@ -76,6 +99,11 @@ class FleetChecks:
             f"separation: in the plane vehicle {nearest} is {apart_m[nearest]:.2f} m from vehicle {self.own_id};"
             f" expected at least separation_m, {self.separation_m:g} m"
         )
+
+    def _flat(self, position_enu_m: Vector3) -> Vector3:
+        """As the distance of two counts."""
+        x, y, z = position_enu_m
+        return (x, y, z if self.slots_have_height else 0.0)
 
     def _altitudes_differ(self, own_z_m: float, peers: Collection[PeerPacket]) -> str:
         z_m = {peer.vehicle_id: peer.position_enu_m[2] for peer in peers if peer.phase in ON_GROUND}

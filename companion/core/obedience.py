@@ -115,6 +115,9 @@ class Obedience:
         refusal, warning = self._checks.judge(name, vehicle, self._formation.slot, peers.heard(now_s), role)
         if name is CommandName.FORM and not refusal:
             refusal = self._formation.refusal_to_join(now_s, vehicle)
+            if not self._formation.joins:
+                slot = self._formation.slot
+                refusal = self._checks.refusal_to_form_together(vehicle, slot, peers.heard(now_s))
         return refusal, warning
 
     def _refusal_to_form(self, now_s: float) -> str:

@@ -17,7 +17,7 @@ from companion.geometry.curves import duration_s
 from companion.geometry.shapes import SHAPES, slots_of, turned
 from companion.geometry.transition import ROUNDING_M, closest, longest_way_m
 from companion.ground.fleet_time import AHEAD_S, fleet_time_s
-from companion.types import FormationChange, Status, Vector3
+from companion.types import FlightPhase, FormationChange, Status, Vector3
 
 MAX_ACCELERATION_M_S2 = 1.0  # of a slot
 
@@ -41,13 +41,24 @@ def check_wish(wish: FormationWish, fleet: FleetConfig) -> None:
         )
 
 
-def wished_slots(wish: FormationWish, flown_enu_m: Mapping[int, Vector3], fleet: FleetConfig) -> dict[int, Vector3]:
+def wished_slots(wish: FormationWish, statuses: Sequence[Status], fleet: FleetConfig) -> dict[int, Vector3]:
     """Whose slot is where: a file's and those flown stay whose they are, a shape's are assigned. Raises ConfigError."""
     if wish.shape and wish.spacing_m is not None:
-        slots = named_slots(wish.shape, len(flown_enu_m), wish.spacing_m * wish.scale, wish.heading_deg)
-        return assigned(flown_enu_m, slots)
+        slots = named_slots(wish.shape, len(statuses), wish.spacing_m * wish.scale, wish.heading_deg)
+        return assigned(places_enu_m(statuses), slots)
+    flown_enu_m = {status.vehicle_id: status.slot.position_enu_m for status in statuses}
     slots_enu_m = load_slots(wish.slots_file, fleet) if wish.slots_file else flown_enu_m
     return {i: turned(slot, radians(wish.heading_deg), wish.scale) for i, slot in slots_enu_m.items()}
+
+
+def places_enu_m(statuses: Sequence[Status]) -> dict[int, Vector3]:
+    """Where the vehicles are in the formation's frame: by the slots that they fly, or before a formation by their places.
+
+    Places are about no RFT, which changes neither who is nearest to which slot nor how near two come to each other.
+    """
+    if any(status.phase is FlightPhase.FORMATION for status in statuses):
+        return {status.vehicle_id: status.slot.position_enu_m for status in statuses}
+    return {status.vehicle_id: turned(status.position_enu_m, -status.heading.angle_rad, 1.0) for status in statuses}
 
 
 def assigned(flown_enu_m: Mapping[int, Vector3], slots_enu_m: Sequence[Vector3]) -> dict[int, Vector3]:

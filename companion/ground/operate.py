@@ -144,17 +144,17 @@ def _check_wishes(options: FleetOptions, fleet: FleetConfig) -> None:
 
 
 def _new_formation(session: FleetSession, wish: FormationWish, wait_s: float, fleet: FleetConfig) -> FormationChange:
-    """From the slots that the vehicles fly. Raises OperateError where some are not heard: it would be for them, too."""
-    from companion.ground.formations import change_to, refusal_of, wished_slots
+    """From where the vehicles are. Raises OperateError where some are not heard: it would be for them, too."""
+    from companion.ground.formations import change_to, places_enu_m, refusal_of, wished_slots
 
     heard = _hear_all(session, wait_s, fleet)
     if silent := [str(member.id) for member in fleet.vehicles if member.id not in heard]:
         raise OperateError(f"nothing heard of vehicle {', '.join(silent)} for {wait_s:g} s; all get new slots")
-    flown_enu_m = {i: status.slot.position_enu_m for i, status in heard.items()}
-    slots_enu_m = wished_slots(wish, flown_enu_m, fleet)
-    if refusal := refusal_of(slots_enu_m, flown_enu_m, fleet.separation_m):
+    statuses = list(heard.values())
+    slots_enu_m = wished_slots(wish, statuses, fleet)
+    if refusal := refusal_of(slots_enu_m, places_enu_m(statuses), fleet.separation_m):
         raise OperateError(refusal)
-    return change_to(slots_enu_m, list(heard.values()), fleet.slot_speed_m_s)
+    return change_to(slots_enu_m, statuses, fleet.slot_speed_m_s)
 
 
 def _new_reference(session: FleetSession, wish: ReferenceWish, wait_s: float, fleet: FleetConfig) -> ReferenceChange:

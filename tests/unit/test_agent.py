@@ -634,6 +634,20 @@ def test_who_has_another_reference_than_the_leader_takes_no_lead() -> None:
     assert flight.tick(CommandName.LEAD, lead=Lead((1,), 1)).replies[0].accepted  # it may well follow
 
 
+def test_who_has_the_reference_elsewhere_than_the_fleet_flies_takes_no_lead() -> None:
+    """By number and beginning it is the leader's; it came to it by another way."""
+    flight = Flight(fleet=MAY_LEAD, reference=PointReference(point_enu_m=(3.5, 0.0, 1.0)))
+    flight.peer_reference_s = 33.0
+    flight.fly_to(FlightPhase.FORMATION)
+    reply = flight.tick(CommandName.LEAD, lead=Lead((2,), 1)).replies[0]
+    words = "lead: the reference as this vehicle has it is 3.5 m from where the fleet flies"
+    assert (reply.accepted, reply.reason) == (False, words)
+    near = Flight(fleet=MAY_LEAD, reference=PointReference(point_enu_m=(2.5, 0.0, 1.0)))
+    near.peer_reference_s = 33.0
+    near.fly_to(FlightPhase.FORMATION)
+    assert near.tick(CommandName.LEAD, lead=Lead((2,), 1)).replies[0].accepted
+
+
 def test_it_takes_the_lead_in_the_tick_that_tells_it_and_goes_on_where_the_leader_was() -> None:
     flight = Flight(fleet=MAY_LEAD, reference=EIGHT)
     flight.peer_reference_s = 33.0

@@ -1,5 +1,7 @@
 """The fleet as a whole: altitudes on the ground, and slots against what the estimators say of themselves."""
 
+from dataclasses import replace as replaced
+
 import pytest
 from msgspec.structs import replace
 
@@ -176,3 +178,40 @@ def test_of_all_that_form_at_once_nobody_flies_another_formation_than_who_leads(
     formed = replace(peer(3, air=True), phase=FlightPhase.FORMATION)
     for others in ([follower], [stands], [leader, formed]):
         assert CHECKS.judge(CommandName.FORM, vehicle(), OWN, others, Role.FOLLOWER)[0] == ""
+
+
+# ---------------------------------------------------------------- ways into the slots
+
+
+def holding(vehicle_id: int, at: Vector3, phase: FlightPhase = FlightPhase.HOLD) -> PeerPacket:
+    return replace(peer(vehicle_id, air=True), position_enu_m=at, phase=phase)
+
+
+def refusal_from(own_at: Vector3, *peers: PeerPacket, checks: FleetChecks = CHECKS) -> str:
+    return checks.refusal_to_form_together(VehicleState(position_enu_m=own_at), OWN, peers)
+
+
+def test_ways_that_cross_are_refused_and_say_what_to_do() -> None:
+    refusal = refusal_from((20.0, 0.0, 2.0), holding(1, (18.5, 0.2, 2.0)), holding(3, (17.0, 0.0, 2.0)))
+    assert refusal.startswith("on straight ways into their slots vehicles 2 and 1 come within 0.1")
+    assert "expected at least separation_m, 1 m; land, and give a formation command there" in refusal
+
+
+def test_who_stands_like_the_slots_may_form_wherever_the_fleet_is() -> None:
+    assert refusal_from((98.5, 7.0, 2.0), holding(1, (100.0, 7.0, 2.0)), holding(3, (97.0, 7.3, 2.0))) == ""
+
+
+@pytest.mark.parametrize("phase", [FlightPhase.OBSERVE, FlightPhase.LAND, FlightPhase.RETURN, FlightPhase.READY])
+def test_who_does_not_form_has_no_way_into_a_slot(phase: FlightPhase) -> None:
+    assert refusal_from((20.0, 0.0, 2.0), holding(1, (18.5, 0.2, 2.0), phase)) == ""
+
+
+def test_slots_nearer_than_the_separation_are_another_matter() -> None:
+    far = replaced(CHECKS, separation_m=1.6)
+    assert refusal_from((-1.5, 0.0, 2.0), holding(1, (0.0, 0.0, 2.0)), checks=far) == ""
+
+
+def test_where_slots_have_no_height_ways_cross_in_the_plane() -> None:
+    above = holding(1, (18.5, 0.0, 6.0))
+    assert refusal_from((20.0, 0.0, 2.0), above) == ""
+    assert "vehicles 2 and 1" in refusal_from((20.0, 0.0, 2.0), above, checks=replaced(CHECKS, slots_have_height=False))

@@ -23,7 +23,7 @@ from companion.config.reference import (
 from companion.config_file import ConfigError
 from companion.fleet_options import FleetOptions, add_fleet_arguments, fleet_options
 from companion.ground.answers import answer_lines, answers_as_data, readiness_as_data, readiness_lines, status_lines
-from companion.ground.formations import check_wish, refusal_of, wished_slots
+from companion.ground.formations import assigned, check_wish, places_enu_m, refusal_of, wished_slots
 from companion.ground.readiness import checks_of
 from companion.ground.references import wished
 from companion.ground.session import Answer, operator_here
@@ -33,11 +33,13 @@ from companion.types import (
     Command,
     CommandName,
     CommandReply,
+    FlightPhase,
     FlownSlot,
     Heading,
     HealthFlag,
     HeldReference,
     PositionError,
+    Status,
     Vector3,
 )
 
@@ -270,7 +272,27 @@ def slots_by(*arguments: str) -> dict[int, Vector3]:
     wish = options_of("formation", *arguments, "--fleet", PAIR).formation
     assert wish
     check_wish(wish, load_fleet(Path(PAIR)))
-    return wished_slots(wish, FLOWN, load_fleet(Path(PAIR)))
+    return wished_slots(wish, flying(FlightPhase.FORMATION), load_fleet(Path(PAIR)))
+
+
+def flying(phase: FlightPhase, **where_enu_m: Vector3) -> list[Status]:
+    """Both with FLOWN as their slots, at these places."""
+    return [
+        replace(status(i), phase=phase, slot=FlownSlot(slot), position_enu_m=where_enu_m.get(f"v{i}", slot))
+        for i, slot in FLOWN.items()
+    ]
+
+
+def test_before_a_formation_slots_are_assigned_to_where_the_vehicles_are() -> None:
+    crossed = {"v1": (19.0, 5.0, 0.0), "v2": (21.0, 5.0, 0.0)}
+    slots = [(1.0, 0.0, 0.0), (-1.0, 0.0, 0.0)]
+    assert assigned(places_enu_m(flying(FlightPhase.READY, **crossed)), slots) == {1: slots[1], 2: slots[0]}
+    assert assigned(places_enu_m(flying(FlightPhase.FORMATION, **crossed)), slots) == {1: slots[0], 2: slots[1]}
+
+
+def test_places_count_in_the_formation_s_own_frame() -> None:
+    turned = [replace(said, heading=Heading(pi / 2.0)) for said in flying(FlightPhase.HOLD, v1=(0.0, 3.0, 1.0))]
+    assert places_enu_m(turned)[1] == pytest.approx((3.0, 0.0, 1.0))
 
 
 def test_slots_flown_are_scaled_and_turned_and_stay_whose_they_are() -> None:
