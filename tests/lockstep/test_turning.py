@@ -166,7 +166,9 @@ def test_who_left_joins_a_formation_that_goes_round() -> None:
 
 def test_who_holds_turns_at_once_to_the_heading_that_a_leader_begins_with() -> None:
     """A leader that landed begins to the east. Turning there as in flight would take those in hold ten seconds."""
-    fleet = Flight(SCENARIOS / COLUMN)
+    fleet = Flight(
+        SCENARIOS / COLUMN, "fleet.separation_m=0.5"
+    )  # straight ways from one heading to the other are narrow
     fleet.go_on(6.0)
     assert all(status.heading.angle_rad > 1.5 for status in fleet.newest.values())
     fleet.land(1)
