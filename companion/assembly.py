@@ -1,60 +1,70 @@
-"""Configuration -> Agent. Everything that can be chosen is chosen here, once, and never again in a tick."""
+"""Configuration -> Agent. All alternatives are selected here, once, and never in a tick."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from math import radians
+from collections.abc import Callable, Iterator, Mapping
+from functools import lru_cache
+from math import hypot, radians, tan
 from pathlib import Path
 from typing import TypeVar
 
-from companion.config.fleet import EdgeNeighbours, Envelope, FleetConfig
+import msgspec
+
+from companion.config.file import ConfigError, convert, refuse
+from companion.config.fleet import EdgeNeighbours, FleetConfig
 from companion.config.law import Law, LawName
-from companion.config.reference import (
-    Reference,
-    ReferenceSection,
-    TargetReference,
-    check_reference,
-    most_pace,
-)
+from companion.config.reference import Reference, ReferenceSection, TargetReference
+from companion.config.reference_check import most_pace, reference_problems
+from companion.config.validation import Problem, needs
 from companion.config.vehicle import AgentConfig
-from companion.config_file import ConfigError, convert
-from companion.core import formation
 from companion.core.agent import Agent
-from companion.core.battery import BatteryWatch
-from companion.core.changes import Changes
-from companion.core.closing_up import ClosingUp
-from companion.core.command_desk import CommandDesk
-from companion.core.control import FormationControl
-from companion.core.cooperation import Cooperation
-from companion.core.disturbance import DisturbanceObserver
-from companion.core.envelope import EnvelopeLimits
-from companion.core.fleet_checks import FleetChecks
-from companion.core.flown_formation import FlownFormation
-from companion.core.formation import FormationLaw, Gains
-from companion.core.formation_limits import FormationLimits
-from companion.core.hand_over import HandOverLimits
-from companion.core.heading import CourseHeading, FixedHeading
-from companion.core.health import AgeLimits
-from companion.core.joining import Joining
-from companion.core.leader_word import LeaderWatch
-from companion.core.leadership import Leadership
-from companion.core.neighbours import EdgeRule, NeighbourRule, RangeRule
-from companion.core.obedience import Obedience
-from companion.core.peers import PeerTable
-from companion.core.phase import PhaseMachine
-from companion.core.preflight import Preflight
-from companion.core.pursuit import Box, PursuitLimits
-from companion.core.reference import ReferenceTrajectory, along
-from companion.core.reference_plan import LiveReference, ReferencePlan, Rft
-from companion.core.safeguard import Safeguard
-from companion.core.senses import Senses
-from companion.core.setpoint_stream import SetpointStream
-from companion.core.slot_plan import SlotPlan
-from companion.core.steering import Steering
-from companion.core.succession import HeldForWantOfALeader, Succession
-from companion.core.telling import Identity, ToGround, ToPeers
-from companion.core.vehicle_state import VehicleTracker
-from companion.types import Described, Role, Vector3
+from companion.core.command.arbitration import CommandArbitration
+from companion.core.command.dispatcher import CommandDispatcher
+from companion.core.command.phase import PhaseMachine
+from companion.core.consensus import law as formation
+from companion.core.consensus.law import FormationLaw, Gains
+from companion.core.consensus.neighbourhood import ConsensusStage
+from companion.core.consensus.neighbours import EdgeRule, NeighbourRule, RangeRule
+from companion.core.consensus.peers import PeerTable
+from companion.core.consensus.plausibility import FleetLimits
+from companion.core.control.setpoint import SetpointStage
+from companion.core.control.setpoint_stream import SetpointStream
+from companion.core.election.leader_beacon import BeaconMonitor
+from companion.core.election.leadership import Leadership
+from companion.core.election.succession import Succession
+from companion.core.estimation.disturbance_observer import DisturbanceObserver
+from companion.core.estimation.perception import PerceptionStage
+from companion.core.estimation.vehicle_state import VehicleTracker
+from companion.core.formation.entry import FormationEntry
+from companion.core.formation.gap_filling import GapFilling
+from companion.core.formation.guidance import GuidanceStage
+from companion.core.formation.joining import Joining
+from companion.core.formation.lead_in import LeadIn
+from companion.core.formation.limits import FormationLimits
+from companion.core.formation.paths import law_within_m
+from companion.core.formation.slots import SlotPlan
+from companion.core.formation.together import FormingTogether
+from companion.core.outputs import Identity, ReportStage
+from companion.core.reference.blend import BlendLimits
+from companion.core.reference.heading import CourseHeading, FixedHeading
+from companion.core.reference.plan import LiveReference, ReferencePlan, Rft
+from companion.core.reference.target_follower import Box, TargetLimits
+from companion.core.reference.trajectories import ReferenceTrajectory, along
+from companion.core.safety.boundaries import Boundaries
+from companion.core.safety.failsafe import FailsafeSettings
+from companion.core.safety.fleet_checks import FleetChecks
+from companion.core.safety.health import AgeLimits, HealthLimits
+from companion.core.safety.output_limits import OutputLimits
+from companion.core.safety.preflight import Preflight
+from companion.core.safety.safeguard import SafeguardStage
+from companion.core.safety.safety_filter import SafetyFilter
+from companion.core.safety.separation import PLANNED_SHARE, Separation, SeparationSettings
+from companion.core.safety.speed_limit import SpeedLimit
+from companion.following import USUAL_DRAG_1_S, following_problems
+from companion.geometry.airspace import Airspace
+from companion.types.commands import Described
+from companion.types.flight import FailsafeAction, Role
+from companion.types.vectors import GRAVITY_M_S2, Vector3
 
 Value = TypeVar("Value")
 LAWS: dict[LawName, Callable[[], FormationLaw]] = {
@@ -65,45 +75,43 @@ LAWS: dict[LawName, Callable[[], FormationLaw]] = {
 }
 
 
-COMMANDED = Path("command")  # stands where errors name a file
-LONGEST_REASON = 300  # characters: a command's keys and values may be of any length
+COMMANDED = Path("command")  # in place of a file name in error messages
+LONGEST_REASON = 300  # characters; keys and values of a command have no limit of length
 
 
 def build_agent(config: AgentConfig, session: int) -> Agent:
-    """`session` is any number that differs from one start of this vehicle's agent to the next."""
+    """The agent of a vehicle. `session` differs between two starts of the agent of one vehicle."""
     fleet, member, law, vehicle = config.fleet, config.member, config.fleet.law, config.vehicle
     identity = Identity(member.id, session, fleet.name, fleet.formation_hash(), law.name)
-    machine, desk, ages = PhaseMachine(fleet.takeoff_height_m), CommandDesk(session), AgeLimits()
+    ages, envelope = AgeLimits(), output_limits_of(fleet)
     observer = DisturbanceObserver(vehicle.hover_thrust_norm, vehicle.drag_1_s, law.disturbance_bandwidth_1_s)
-    tracker, preflight = tracker_of(fleet), Preflight(observer)
-    senses = Senses(tracker, preflight)
-    envelope = envelope_limits(fleet.envelope)
-    setpoints = SetpointStream(envelope, observer)
-    cooperation = _cooperation(fleet, member.id, identity.formation_hash)
-    peers, leadership = cooperation.peers, cooperation.leadership
-    limits = FormationLimits(fleet.separation_m, fleet.slot_speed_m_s, _fence(fleet), fleet.slots_turn)
-    formation = _formation(config, machine, peers, limits)
-    closing_up = ClosingUp(member.id, limits) if fleet.when_one_leaves == "close_up" else None
-    changes = Changes(member.id, machine, cooperation, formation, closing_up)
-    held, battery = HeldForWantOfALeader(fleet.land_after_s), BatteryWatch(fleet.leave_below_percent)
-    safeguard = Safeguard(machine, formation, setpoints, held, battery, ages, envelope)
+    health = HealthLimits(ages, envelope, fleet.leave_below_percent, fleet.land_below_percent)
     checks = FleetChecks(
         own_id=member.id,
         slots_have_height=law.altitude == "formation",
         ground_spread_m=fleet.ground_spread_m,
         separation_m=fleet.separation_m,
     )
-    obedience = Obedience(desk, machine, cooperation, formation, preflight, safeguard, checks)
-    steering = Steering(machine, formation, _control(law), setpoints)
-    of_formation = (formation.slots, formation.references, closing_up)
-    tellers = (desk, preflight, tracker, leadership, machine, *of_formation, changes, safeguard, obedience)
-    events_of = [teller.events for teller in tellers if teller]
-    to_peers = ToPeers(identity, machine, formation, changes, setpoints, ages.state_s)
-    to_ground = ToGround(identity, machine, senses, peers, formation, setpoints, desk, checks, events_of)
-    return Agent(machine, senses, obedience, cooperation, changes, formation, safeguard, steering, to_peers, to_ground)
+    return Agent(
+        member.id,
+        perception=PerceptionStage(tracker_of(fleet), Preflight(observer, vehicle.accept_uncontrolled_descent)),
+        phases=PhaseMachine(fleet.takeoff_height_m),
+        arbitration=CommandArbitration(session),
+        consensus=_consensus(fleet, member.id, identity.formation_hash),
+        guidance=_guidance(config),
+        safeguard=SafeguardStage(member.id, fleet.separation_m, health, _failsafes(fleet)),
+        dispatcher=CommandDispatcher(checks),
+        setpoint=_setpoint(fleet, safety_filter_of(fleet, member.id), SetpointStream(envelope, observer), ages.state_s),
+        report=ReportStage(identity, checks),
+    )
 
 
-def _cooperation(fleet: FleetConfig, own_id: int, formation_hash: int) -> Cooperation:
+def _failsafes(fleet: FleetConfig) -> FailsafeSettings:
+    action = FailsafeAction[fleet.low_battery_action.upper()]
+    return FailsafeSettings(action, fleet.land_after_s, fleet.leader_holds_after_s)
+
+
+def _consensus(fleet: FleetConfig, own_id: int, formation_hash: int) -> ConsensusStage:
     leadership = Leadership(
         own_id,
         [m.id for m in fleet.vehicles if m.role is Role.LEADER],
@@ -114,65 +122,150 @@ def _cooperation(fleet: FleetConfig, own_id: int, formation_hash: int) -> Cooper
         {m.id: m.can_lead for m in fleet.vehicles},
         formation_hash,
         fleet.peers.max_age_s,
-        fleet.peers.max_speed_m_s,
+        fleet_limits(fleet),
         fleet.successors,
     )
-    leader, succession = LeaderWatch(fleet.peers.leader_word_max_age_s), Succession(own_id, fleet.successors)
+    leader, succession = BeaconMonitor(fleet.peers.leader_beacon_max_age_s), Succession(own_id, fleet.successors)
     rule = _neighbour_rule(fleet, own_id)
-    return Cooperation(own_id, leadership, len(fleet.vehicles), peers, rule, leader, succession)
+    return ConsensusStage(own_id, leadership, len(fleet.vehicles), peers, rule, leader, succession)
 
 
-def _formation(config: AgentConfig, machine: PhaseMachine, peers: PeerTable, limits: FormationLimits) -> FlownFormation:
+def _guidance(config: AgentConfig) -> GuidanceStage:
     fleet, own_id, reference = config.fleet, config.member.id, config.vehicle.reference
-    return FlownFormation(
+    has_height = fleet.law.altitude == "formation"
+    limits = FormationLimits(
+        fleet.separation_m, fleet.slot_speed_m_s, _fence(fleet), fleet.slots_turn, has_height, _beyond_box(fleet)
+    )
+    return GuidanceStage(
         own_id,
-        machine,
-        peers,
         slots=SlotPlan(own_id, {m.id: m.slot_enu_m for m in fleet.vehicles}, limits),
         heading=CourseHeading(fleet.slot_speed_m_s) if fleet.slots_turn else FixedHeading(),
-        references=_references(fleet, reference) if reference else None,
-        joining=Joining(own_id, fleet.separation_m, fleet.slot_speed_m_s),
+        references=_references(fleet, reference, config.vehicle.drag_1_s) if reference else None,
+        entry=_entry(fleet, own_id),
+        gap_filling=GapFilling(own_id, limits) if fleet.when_one_leaves == "close_up" else None,
     )
 
 
-def _control(law: Law) -> FormationControl:
+def _entry(fleet: FleetConfig, own_id: int) -> FormationEntry:
+    separation_m, speed_m_s = fleet.separation_m, fleet.slot_speed_m_s
+    within_m = law_within_m(law_of(fleet.law).gains, speed_m_s)
+    has_height = fleet.law.altitude == "formation"
+    return FormationEntry(
+        own_id,
+        together=FormingTogether(own_id, separation_m, speed_m_s, within_m, has_height),
+        joining=Joining(own_id, separation_m, speed_m_s),
+        lead_in=LeadIn(speed_m_s, within_m),
+    )
+
+
+def safety_filter_of(fleet: FleetConfig, own_id: int) -> SafetyFilter:
+    """The safety filter of a vehicle of this fleet."""
+    envelope = output_limits_of(fleet)
+    tan_max_tilt = tan(envelope.max_tilt_rad)
+    settings = SeparationSettings(own_id, fleet.separation_m, PLANNED_SHARE * GRAVITY_M_S2 * tan_max_tilt)
+    vertical_m_s2 = PLANNED_SHARE * GRAVITY_M_S2 * min(1.0 - envelope.min_thrust_ratio, envelope.max_thrust_ratio - 1.0)
+    speeds = fleet.envelope
+    return SafetyFilter(
+        Separation(settings),
+        fleet.separation_m,
+        Boundaries(fleet.airspace, settings.braking_m_s2, vertical_m_s2),
+        SpeedLimit(speeds.max_speed_m_s, speeds.max_climb_m_s, speeds.max_descent_m_s),
+        envelope,
+        tan_max_tilt,
+        law_of(fleet.law).gains,
+    )
+
+
+def _setpoint(
+    fleet: FleetConfig, safety_filter: SafetyFilter, stream: SetpointStream, flown_for_s: float
+) -> SetpointStage:
+    law = fleet.law
     gains = law.altitude_hold_gains
-    return FormationControl(
+    return SetpointStage(
         law=law_of(law),
         law_flies_altitude=law.altitude == "formation",
         altitude_hold_gains=Gains(gains.position_1_s2, gains.velocity_1_s),
+        safety_filter=safety_filter,
+        stream=stream,
+        flown_for_s=flown_for_s,
     )
 
 
-def _references(fleet: FleetConfig, first: Reference) -> ReferencePlan:
+def flyable_problems(
+    fleet: FleetConfig,
+    reference: Reference,
+    where: str = "reference",
+    slots_enu_m: Mapping[int, Vector3] | None = None,
+    drag_1_s: float = USUAL_DRAG_1_S,
+) -> Iterator[Problem]:
+    """`reference_problems`, and where there are none, whether the law follows it without compressing the formation."""
+    needs(reference)
+    refused = False
+    for problem in reference_problems(fleet, reference, where, slots_enu_m):
+        refused = True
+        yield problem
+    if not refused:
+        slots = slots_enu_m or {member.id: member.slot_enu_m for member in fleet.vehicles}
+        yield from following_problems(fleet, law_of(fleet.law), reference, slots, drag_1_s, where)
+
+
+def check_agent(file: Path, config: AgentConfig) -> None:
+    """Raises ConfigError where the law of the fleet cannot follow the reference of the vehicle file."""
+    vehicle = config.vehicle
+    if vehicle.reference is not None:
+        refuse(file, flyable_problems(config.fleet, vehicle.reference, drag_1_s=vehicle.drag_1_s))
+
+
+def _references(fleet: FleetConfig, first: Reference, drag_1_s: float) -> ReferencePlan:
     speed_m_s, acceleration_m_s2 = most_pace(fleet)
-    limits = HandOverLimits(
+    limits = BlendLimits(
         added_speed_m_s=fleet.hand_over_speed_m_s,
         added_acceleration_m_s2=fleet.hand_over_acceleration_m_s2,
         speed_m_s=speed_m_s,
         acceleration_m_s2=acceleration_m_s2,
         fence=_fence(fleet),
         slots_turn=fleet.slots_turn,
+        airspace=_beyond_box(fleet),
     )
 
     def read(described: Described, slots_enu_m: Mapping[int, Vector3]) -> Rft:
-        """A command's reference goes through what a file's goes through."""
+        """RFT of a command, after the checks of the vehicle file. Raises ValueError."""
         try:
             reference = convert(COMMANDED, {"reference": described}, ReferenceSection).reference
-            check_reference(COMMANDED, fleet, reference, slots_enu_m=slots_enu_m)
+            refuse(COMMANDED, flyable_problems(fleet, reference, slots_enu_m=slots_enu_m, drag_1_s=drag_1_s))
         except ConfigError as error:
             raise ValueError(" ".join(str(error).split())[:LONGEST_REASON]) from error
         return rft_of(reference)
 
-    return ReferencePlan(rft_of(first), read, limits)
+    @lru_cache(maxsize=4)  # leaders send a change in every tick until all have it
+    def not_followed(described: bytes, slots_enu_m: tuple[tuple[int, Vector3], ...]) -> str | None:
+        reference = msgspec.json.decode(described, type=ReferenceSection).reference if described else first
+        problems = following_problems(fleet, law_of(fleet.law), reference, dict(slots_enu_m), drag_1_s)
+        return next((f"{problem.field}: {problem.text}"[:LONGEST_REASON] for problem in problems), None)
+
+    def refusal_of_slots(described: Described | None, slots_enu_m: Mapping[int, Vector3]) -> str | None:
+        """Why the law cannot fly these slots with the configured reference or with that of a command."""
+        encoded = b"" if described is None else msgspec.json.encode({"reference": described})
+        return not_followed(encoded, tuple(sorted(slots_enu_m.items())))
+
+    return ReferencePlan(rft_of(first), read, refusal_of_slots, limits)
 
 
 def _fence(fleet: FleetConfig) -> Box:
-    return fleet.envelope.fence_min_enu_m, fleet.envelope.fence_max_enu_m
+    """The box of the fence less the clearance."""
+    envelope, c = fleet.envelope, fleet.envelope.clearance_m
+    (x, y, z), (far_x, far_y, far_z) = envelope.fence_min_enu_m, envelope.fence_max_enu_m
+    return (x + c, y + c, z + c), (far_x - c, far_y - c, far_z - c)
+
+
+def _beyond_box(fleet: FleetConfig) -> Airspace | None:
+    """The airspace where it is more than the box of the fence."""
+    airspace = fleet.airspace
+    return None if airspace.is_box else airspace
 
 
 def rft_of(reference: Reference) -> Rft:
-    """As it is flown."""
+    """The RFT that the agent flies: a live one for a target, else a trajectory."""
     if not isinstance(reference, TargetReference):
         return trajectory_of(reference)
     return LiveReference(
@@ -181,17 +274,17 @@ def rft_of(reference: Reference) -> Rft:
         offset_enu_m=reference.offset_enu_m,
         follows_altitude=reference.follows_altitude,
         max_age_s=reference.max_age_s,
-        limits=PursuitLimits(reference.max_speed_m_s, reference.max_acceleration_m_s2),
+        limits=TargetLimits(reference.max_speed_m_s, reference.max_acceleration_m_s2),
     )
 
 
 def trajectory_of(reference: Reference) -> ReferenceTrajectory:
-    """The RFT that a file describes; of one that follows a target, as long as none is heard."""
+    """The configured trajectory; for a target, the one before the first sample of it."""
     return along(reference.curve())
 
 
 def law_of(law: Law) -> FormationLaw:
-    """The law of that name with what a fleet file changes of it."""
+    """The law of this name with the changes of the fleet file."""
     named, changed = LAWS[law.name](), law.gains
     return FormationLaw(
         gains=Gains(
@@ -199,7 +292,7 @@ def law_of(law: Law) -> FormationLaw:
             _first(changed.velocity_1_s, named.gains.velocity_1_s),
         ),
         exponent=_first(law.exponent, named.exponent),
-        leader_heeds_neighbours=_first(law.leader_heeds_neighbours, named.leader_heeds_neighbours),
+        leader_uses_neighbours=_first(law.leader_uses_neighbours, named.leader_uses_neighbours),
         feedforward=_first(law.feedforward, named.feedforward),
     )
 
@@ -215,21 +308,31 @@ def _neighbour_rule(fleet: FleetConfig, own_id: int) -> NeighbourRule:
 
 
 def tracker_of(fleet: FleetConfig) -> VehicleTracker:
-    """What maps a vehicle's own frame into this fleet's."""
+    """The tracker that maps the vehicle's local frame into the fleet frame."""
     return VehicleTracker(
         None if fleet.origin == "indoor" else fleet.origin.as_tuple(),
         height_from_takeoff=fleet.altitude_source == "takeoff",
     )
 
 
-def envelope_limits(envelope: Envelope) -> EnvelopeLimits:
-    """The last gate's limits, as a fleet file has them."""
-    return EnvelopeLimits(
+def fleet_limits(fleet: FleetConfig) -> FleetLimits:
+    """Limits on received states: the speed of `peers`, the acceleration by tilt and thrust, the size of the fence."""
+    envelope = fleet.envelope
+    level_m_s2 = envelope.max_thrust_ratio * GRAVITY_M_S2 * tan(radians(envelope.max_tilt_deg))
+    upright_m_s2 = GRAVITY_M_S2 * max(envelope.max_thrust_ratio - 1.0, 1.0 - envelope.min_thrust_ratio)
+    (x, y, z), (far_x, far_y, far_z) = _fence(fleet)
+    size_m = (far_x - x, far_y - y, far_z - z)
+    return FleetLimits(fleet.peers.max_speed_m_s, hypot(level_m_s2, upright_m_s2), size_m)
+
+
+def output_limits_of(fleet: FleetConfig) -> OutputLimits:
+    """Output limits from the envelope of the fleet file."""
+    envelope = fleet.envelope
+    return OutputLimits(
         max_tilt_rad=radians(envelope.max_tilt_deg),
         max_tilt_rate_rad_s=radians(envelope.max_tilt_rate_deg_s),
         min_thrust_ratio=envelope.min_thrust_ratio,
         max_thrust_ratio=envelope.max_thrust_ratio,
         max_thrust_rate_1_s=envelope.max_thrust_rate_1_s,
-        fence_min_enu_m=envelope.fence_min_enu_m,
-        fence_max_enu_m=envelope.fence_max_enu_m,
+        fence=fleet.airspace.fence,
     )

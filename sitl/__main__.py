@@ -1,5 +1,5 @@
 """`python -m sitl`, the same as `sitl`."""
 
-from sitl.cli import main
+from sitl.cli.main import main
 
 main()

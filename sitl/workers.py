@@ -1,7 +1,7 @@
-"""Independent computations in processes of their own, one for each core; none outlives the block that wanted it, or its parent.
+"""Runs independent jobs in a pool of processes, one for each core, with shared progress and a prompt end.
 
-Each process has a pipe of its own and a thread of the parent that minds it. Nothing else is shared, so a process may be
-killed at any moment: its pipe breaks, and that is an error, not a wait for ever.
+Adds to ProcessPoolExecutor: progress of each job in shared memory, workers that ignore Ctrl-C, and a pipe that ends all workers
+when the block or the parent process ends.
 """
 
 from __future__ import annotations
@@ -10,117 +10,93 @@ import multiprocessing
 import os
 import signal
 import threading
-import traceback
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator, MutableSequence, Sequence
+from concurrent.futures import FIRST_EXCEPTION, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
-from multiprocessing.process import BaseProcess
-from queue import SimpleQueue
-from typing import Any, Generic, TypeVar
+from typing import Generic, TypeVar
 
-from sitl.ending import FailedError
+from sitl.errors import FailedError
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
+Shares = MutableSequence[float]  # of each job, 0 to 1; in memory that all processes share
 
-LOOK_EVERY_S = 0.1
-OF_A_TERMINAL = {signal.SIGINT, signal.SIGHUP}  # these reach every process of it
-TOLD, DONE, RAISED = "told", "done", "raised"  # what comes through a pipe, each with a value
+POLL_S = 0.1  # period in which callers update their progress display
+TERMINAL_SIGNALS = {signal.SIGINT, signal.SIGHUP}  # a terminal sends these to every process of its group
 
 
 class WorkerDiedError(FailedError):
-    """A process was killed from outside."""
+    """A worker process ended before its job did."""
 
     def __str__(self) -> str:
-        return "a process ended before its work did, most likely for want of memory; free some, or ask for less"
+        return (
+            "a worker process ended before its job, most likely for lack of memory; free some memory, or ask for less"
+        )
 
 
-class Running(Generic[Job, Result]):
-    """Jobs under way. Nothing blocks but `wait` and `results`."""
+class Running(Generic[Result]):
+    """Jobs in progress. Only `wait` and `results` block."""
 
-    def __init__(
-        self, jobs: Sequence[Job], weights: Sequence[float], pipes: Sequence[Connection], threads: ThreadPoolExecutor
-    ) -> None:
-        self._weights, self._shares = weights, [0.0] * len(jobs)
-        self._idle: SimpleQueue[Connection] = SimpleQueue()
-        for pipe in pipes:
-            self._idle.put(pipe)
-        heaviest_first = sorted(range(len(jobs)), key=lambda place: -weights[place])  # no core is to wait at the end
-        futures = {place: threads.submit(self._mind, place, jobs[place]) for place in heaviest_first}
-        self._futures = [futures[place] for place in range(len(jobs))]
+    def __init__(self, futures: Sequence[Future[Result]], weights: Sequence[float], shares: Shares) -> None:
+        self._futures, self._weights, self._shares = futures, weights, shares
 
     @property
     def share_done(self) -> float:
-        """0 to 1, of all jobs' weights."""
-        done = sum(weight * share for weight, share in zip(self._weights, self._shares, strict=True))
-        return done / (sum(self._weights) or 1.0)
+        """Share of the work that is done, 0 to 1, weighted by the weights of the jobs."""
+        shares = (1.0 if future.done() else share for future, share in zip(self._futures, self._shares, strict=True))
+        return sum(w * share for w, share in zip(self._weights, shares, strict=True)) / (sum(self._weights) or 1.0)
 
     def wait(self, seconds: float | None = None) -> bool:
-        """Until all are done or one has failed, for so long at most. Is it over?"""
+        """Wait until all jobs are done or one has failed, at most `seconds`. Returns whether that is the case."""
         done, others = wait(self._futures, seconds, FIRST_EXCEPTION)
         return not others or any(future.exception() for future in done)
 
     def results(self) -> list[Result]:
-        """In the order of the jobs. Raises at once what a job raised, and WorkerDiedError."""
+        """Results in the order of the jobs. Raises what a job raised as soon as it did, and WorkerDiedError."""
         self.wait()
         failed = [future for future in self._futures if future.done() and future.exception()]
-        return [future.result() for future in failed or self._futures]
+        try:
+            return [future.result() for future in failed or self._futures]
+        except BrokenProcessPool as error:
+            raise WorkerDiedError from error
 
     def results_so_far(self) -> list[Result | None]:
-        """In the order of the jobs; None for those that are not done or have failed."""
+        """Results in the order of the jobs; None for jobs that are not done or have failed."""
         return [future.result() if future.done() and not future.exception() else None for future in self._futures]
-
-    def _mind(self, place: int, job: Job) -> Result:
-        """In a thread: one job from its beginning to its end."""
-        pipe = self._idle.get()
-        try:
-            pipe.send(job)
-            while (said := pipe.recv())[0] == TOLD:
-                self._shares[place] = said[1]
-        except (EOFError, OSError):
-            raise WorkerDiedError from None
-        finally:
-            self._idle.put(pipe)
-        if said[0] == RAISED:
-            raise said[1]
-        self._shares[place] = 1.0
-        result: Result = said[1]
-        return result
 
 
 @contextmanager
 def running(
     work: Callable[[Job], Result], jobs: Sequence[Job], weights: Sequence[float] = (), workers: int | None = None
-) -> Iterator[Running[Job, Result]]:
-    """Start all jobs, the heaviest first; however the block ends, no process is left. `work` is a function of a module.
+) -> Iterator[Running[Result]]:
+    """Start all jobs, those with the largest weight first. `work` is a function of a module.
 
-    Processes are spawned, not forked: the parent has threads, and a fork of those is a gamble.
+    When the block ends, all workers end with it, whether their jobs are done or not. Workers are spawned, not forked: a fork
+    copies locks that other threads of the parent hold.
     """
-    os.environ.setdefault("OMP_NUM_THREADS", "1")  # one process a core is enough; the children read it when they start
-    count = min(len(jobs), workers or len(os.sched_getaffinity(0)))
+    os.environ.setdefault("OMP_NUM_THREADS", "1")  # workers inherit it: one thread for each process
     context = multiprocessing.get_context("spawn")
-    processes: list[BaseProcess] = []
-    pipes: list[Connection] = []
-    threads = ThreadPoolExecutor(max(1, count))
+    shares: Shares = context.RawArray("d", len(jobs))
+    parent_is_alive, ours = context.Pipe(duplex=False)
+    count = max(1, min(len(jobs), workers or len(os.sched_getaffinity(0))))
+    pool = ProcessPoolExecutor(count, context, _start_worker, (parent_is_alive, shares))
+    weights = weights or [1.0] * len(jobs)
+    heaviest_first = sorted(range(len(jobs)), key=lambda index: -weights[index])  # no core idles at the end
     try:
-        with _no_interrupt():
-            for _ in range(count):
-                ours, theirs = context.Pipe()
-                started = context.Process(target=_serve, args=(work, theirs), daemon=True)
-                started.start()
-                processes.append(started)
-                pipes.append(ours)
-                theirs.close()  # from now on the pipe breaks when the process ends
-        yield Running(jobs, weights or [1.0] * len(jobs), pipes, threads)
+        with _terminal_signals_blocked():
+            futures = {index: pool.submit(_do, work, index, jobs[index]) for index in heaviest_first}
+            # The pool looks for dead workers among those that it knew at the last submission. A worker is started after
+            # that look, so one more job, which does nothing, makes the pool watch the last worker too.
+            pool.submit(_do_nothing)
+        yield Running([futures[index] for index in range(len(jobs))], weights, shares)
     finally:
-        with _no_interrupt():
-            for process in processes:
-                process.kill()
-            threads.shutdown(cancel_futures=True)
-            for process in processes:
-                process.join()
+        with _terminal_signals_blocked():
+            ours.close()
+            pool.shutdown(cancel_futures=True)
+            parent_is_alive.close()
 
 
 def in_processes(
@@ -129,51 +105,53 @@ def in_processes(
     progress: Callable[[float], None],
     weights: Sequence[float] = (),
 ) -> list[Result]:
-    """The results in the order of the jobs. `progress` is told the share done, again and again."""
-    with running(work, jobs, weights) as under_way:
-        while not under_way.wait(LOOK_EVERY_S):
-            progress(under_way.share_done)
-        return under_way.results()
+    """Results in the order of the jobs. Calls `progress` with the share done every POLL_S."""
+    with running(work, jobs, weights) as in_progress:
+        while not in_progress.wait(POLL_S):
+            progress(in_progress.share_done)
+        return in_progress.results()
 
 
-def tell(share: float) -> None:
-    """For a long job: how much of it is done. Does nothing outside these processes."""
-    if _parent:
-        _parent.send((TOLD, share))
+def report_progress(share: float) -> None:
+    """Publish how much of the current job is done, 0 to 1. Does nothing outside a worker."""
+    if _shares is not None:
+        _shares[_index] = share
 
 
 @contextmanager
-def _no_interrupt() -> Iterator[None]:
-    """Processes that start in here never hear Ctrl-C: the parent alone decides what it means."""
-    resource_tracker.ensure_running()  # it would start with the first process, and let signals through again
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, OF_A_TERMINAL)
+def _terminal_signals_blocked() -> Iterator[None]:
+    """Block TERMINAL_SIGNALS here and in all processes started here: only the parent acts on Ctrl-C."""
+    resource_tracker.ensure_running()  # its start would unblock the signals
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, TERMINAL_SIGNALS)
     try:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-_parent: Connection | None = None  # in one of the processes
+# State of a worker process: the shares of all jobs, and the index of the current job.
+_shares: Shares | None = None
+_index = 0
 
 
-def _serve(work: Callable[[Any], Any], parent: Connection) -> None:
-    """In a process: one job after the other."""
-    global _parent
-    _parent = parent
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-    with suppress(EOFError, OSError):  # the parent has gone
-        while True:
-            job = parent.recv()
-            try:
-                parent.send((DONE, work(job)))
-            except Exception as error:  # noqa: BLE001 -- whatever it is, the parent wants to know
-                error.add_note(traceback.format_exc())
-                parent.send((RAISED, error))
+def _start_worker(parent_is_alive: Connection, shares: Shares) -> None:
+    """In each worker, before its first job."""
+    global _shares
+    _shares = shares
+    threading.Thread(target=_end_with_parent, args=(parent_is_alive,), daemon=True).start()
 
 
-def _end_with_parent() -> None:
-    """A parent that is killed cannot end its children."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
+def _end_with_parent(parent_is_alive: Connection) -> None:
+    """Exit when the parent closes its end of the pipe, which also happens when it is killed."""
+    parent_is_alive.poll(None)
+    os._exit(1)
+
+
+def _do_nothing() -> None:
+    pass
+
+
+def _do(work: Callable[[Job], Result], index: int, job: Job) -> Result:
+    global _index
+    _index = index
+    return work(job)

@@ -1,10 +1,43 @@
-"""What every test needs: programs that can be interrupted, and linear algebra that does not fight for the cores."""
+"""For every test: programs that can be interrupted, one thread for linear algebra, and the mark of real-time tests."""
 
 import os
 import signal
+from pathlib import Path
+
+import pytest
+from hypothesis import settings
+from xdist.remote import Producer
+from xdist.scheduler import LoadScopeScheduling
+
+pytest_plugins = ["pytester", "starvation", "fault_table"]
+
+REAL_TIME = {"protocol", "fleet", "faults"}  # folders beside this file
 
 # Read when numpy is first loaded. Tests work on small matrices, for which more threads only get into each other's way.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
+# On a machine with other load the time of one example shows nothing.
+settings.register_profile("no deadline", deadline=None)
+settings.load_profile("no deadline")
+
 # A shell that starts the tests in the background has them ignore SIGINT, and every program they start would ignore it, too.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    here = Path(__file__).parent
+    for item in items:
+        if item.path.relative_to(here).parts[0] in REAL_TIME:
+            item.add_marker("real_time")
+
+
+class OneFolderOneSequence(LoadScopeScheduling):
+    """Scheduler for `--dist loadscope`: a worker takes a whole folder at a time and runs its tests in sequence."""
+
+    def _split_scope(self, nodeid: str) -> str:
+        return nodeid.partition("::")[0].rpartition("/")[0]
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> LoadScopeScheduling | None:
+    return OneFolderOneSequence(config, log) if config.getvalue("dist") == "loadscope" else None

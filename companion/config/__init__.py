@@ -1,1 +1,1 @@
-"""What fleet and vehicle files hold, by subject, and what no single field can say."""
+"""Types and checks of the files: fleet, vehicle, slots, reference, and the part of a scenario that is analysed."""

@@ -1,11 +1,11 @@
-"""Which of our files is it? So that one kind given for another is said in words."""
+"""The kind of a file, by its keys: a file of another kind than expected is refused as such."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any, Literal
 
-from companion.config_file import ConfigError, read_yaml
+from companion.config.file import ConfigError, read_yaml
 
 FileKind = Literal["scenario", "vehicle", "fleet", "external", "slots", "reference"]
 KEYS_OF_KIND: dict[FileKind, set[str]] = {  # no other kind of file has these
@@ -27,13 +27,13 @@ A_FILE: dict[FileKind, str] = {
 
 
 def kind_of_file(data: Any) -> FileKind | None:
-    """By the keys that it has; None where they do not tell."""
+    """The kind by the keys; None if they do not show one kind."""
     kinds = [kind for kind, keys in KEYS_OF_KIND.items() if isinstance(data, dict) and keys & data.keys()]
     return kinds[0] if len(kinds) == 1 else None
 
 
 def read_as(path: Path, *expected: FileKind) -> Any:
-    """The plain content of a YAML file. Raises ConfigError, also for a file of another kind."""
+    """The plain content of a YAML file of one of these kinds. Raises ConfigError."""
     data = read_yaml(path)
     kind = kind_of_file(data)
     if kind is not None and kind not in expected:

@@ -1,57 +1,71 @@
-"""The `law` of a fleet file: which formation law flies, and what of it is changed."""
+"""The `law` of a fleet file: which formation law flies, and which of its parameters are changed."""
 
 from __future__ import annotations
 
-from pathlib import Path
+from collections.abc import Iterator
 from typing import Annotated, Literal
 
 from msgspec import Meta
 from msgspec.structs import replace
 
+from companion.config.validation import Problem
 from companion.config.values import Section
-from companion.config_file import ConfigError
 
 Gain = Annotated[float, Meta(gt=0, le=10)]
-
-
-class Gains(Section, frozen=True):
-    """K = [k1, k2] of eq. 14: k1 on position [1/s^2], k2 on velocity [1/s]. What is None is as the law has it."""
-
-    position_1_s2: Gain | None = None
-    velocity_1_s: Gain | None = None
-
-
-class AltitudeHoldGains(Section, frozen=True):
-    """Of a vehicle that holds its own altitude: on position [1/s^2] and on velocity [1/s]."""
-
-    position_1_s2: Gain = 2.0
-    velocity_1_s: Gain = 2.4
-
-
 LawName = Literal["cooperative", "weighted", "average_22", "average_26"]
 PAPER_LAWS: tuple[LawName, ...] = ("weighted", "average_22", "average_26")
 
 
+class Gains(Section, frozen=True):
+    """Gains K = [k1, k2] of eq. 14. Without a value the law's own gain applies."""
+
+    position_1_s2: Annotated[Gain, Meta(description="k1, on the position error")] | None = None
+    velocity_1_s: Annotated[Gain, Meta(description="k2, on the velocity error")] | None = None
+
+
+class AltitudeHoldGains(Section, frozen=True):
+    """Gains of the altitude controller of a vehicle that holds its own altitude."""
+
+    position_1_s2: Annotated[Gain, Meta(description="on the altitude error")] = 2.0
+    velocity_1_s: Annotated[Gain, Meta(description="on the climb rate")] = 2.4
+
+
 class Law(Section, frozen=True):
-    """Which formation law flies, and what of it is changed; what is left out is as the law of that name has it.
+    """The formation law and its parameters. A parameter that is left out has the value of the named law."""
 
-    `weighted` is the paper's, `average_22` and `average_26` are what it is compared with, `cooperative` is the one to fly.
-    `exponent` is alpha of the weights 1/p^alpha (1 is the paper's Algorithm 2), `feedforward` how much of the neighbours'
-    acceleration is fed forward, and without `leader_heeds_neighbours` a leader tracks its reference alone.
-    `disturbance_bandwidth_1_s` is how fast wind and a wrong hover thrust are found and made up for; 0 leaves them to the law.
-    """
-
-    name: LawName = "cooperative"
+    name: Annotated[
+        LawName,
+        Meta(
+            description="`cooperative` is the law to fly; `weighted` is the paper's; `average_22` and `average_26` are those"
+            " that the paper compares it with"
+        ),
+    ] = "cooperative"
     gains: Gains = Gains()
-    exponent: Annotated[float, Meta(ge=0, le=16)] | None = None
-    feedforward: Annotated[float, Meta(ge=0, le=0.95)] | None = None
-    leader_heeds_neighbours: bool | None = None
-    altitude: Literal["formation", "hold"] = "formation"
+    exponent: (
+        Annotated[float, Meta(ge=0, le=16, description="alpha of the weights 1/p^alpha; 1 in the paper's Algorithm 2")]
+        | None
+    ) = None
+    feedforward: (
+        Annotated[float, Meta(ge=0, le=0.95, description="share of the neighbours' acceleration that is fed forward")]
+        | None
+    ) = None
+    leader_uses_neighbours: (
+        Annotated[bool, Meta(description="`false`: a leader tracks its reference without its neighbours")] | None
+    ) = None
+    altitude: Annotated[
+        Literal["formation", "hold"],
+        Meta(
+            description="`formation`: the law controls z too; `hold`: each vehicle holds the altitude it entered with"
+        ),
+    ] = "formation"
     altitude_hold_gains: AltitudeHoldGains = AltitudeHoldGains()
-    disturbance_bandwidth_1_s: Annotated[float, Meta(ge=0, le=5)] = 4.0
+    disturbance_bandwidth_1_s: Annotated[
+        float,
+        Meta(ge=0, le=5, description="bandwidth of the observer for wind and hover thrust error; 0 switches it off"),
+    ] = 4.0
 
     def renamed(self, name: LawName) -> Law:
-        """For comparisons: another law in this one's place. The paper's three are compared with the same gains."""
+        """Another law with these settings, for comparisons. The paper's three laws share their gains."""
         if name == self.name:
             return self
         same_gains = name in PAPER_LAWS and self.name in PAPER_LAWS
@@ -61,18 +75,15 @@ class Law(Section, frozen=True):
             gains=self.gains if same_gains else Gains(),
             exponent=None,
             feedforward=None,
-            leader_heeds_neighbours=None,
+            leader_uses_neighbours=None,
         )
 
 
-def check_law(file: Path, where: str, law: Law) -> None:
-    """The average laws are what they are; anything else would be the weighted law with another exponent. Raises ConfigError."""
+def law_problems(law: Law, where: str) -> Iterator[Problem]:
+    """Parameters that an average law does not have: with them it would be the weighted law with another exponent."""
     if law.name not in ("average_22", "average_26"):
         return
-    for field in ("exponent", "feedforward", "leader_heeds_neighbours"):
+    for field in ("exponent", "feedforward", "leader_uses_neighbours"):
         if getattr(law, field) is not None:
-            raise ConfigError(
-                file,
-                f"{where}.{field}",
-                f"{law.name} takes no {field}; take it out, or fly weighted (its average is exponent: 0)",
-            )
+            hint = "take it out, or fly weighted (its average is exponent: 0)"
+            yield Problem(f"{where}.{field}", f"{law.name} takes no {field}; {hint}")

@@ -1,4 +1,8 @@
-"""What sections of our files are made of: no unknown key, and numbers with bounds and units."""
+"""Types that sections of our files share: no unknown keys, and numbers with bounds and units.
+
+A description is written once, in the type: validation and the configuration reference (docs/generate) both use it. The unit
+is in the name of the field. `extra["format"]` describes the accepted format for error messages.
+"""
 
 from __future__ import annotations
 
@@ -6,14 +10,21 @@ from typing import Annotated
 
 from msgspec import Meta, Struct
 
-MAX_DRAG_1_S = 10.0
+from companion.types.bounds import FLEET_NAME
 
+MAX_DRAG_1_S = 10.0
+FLEET_NAME_WORDS = "at most 41 lower-case letters, digits, - and _, a letter or digit first"
+
+Name = Annotated[str, Meta(pattern=FLEET_NAME, extra={"format": FLEET_NAME_WORDS})]
 VehicleId = Annotated[int, Meta(ge=1, le=250, description="MAVLink system id of the vehicle")]
 Seconds = Annotated[float, Meta(gt=0, le=60)]
 Coordinate = Annotated[float, Meta(ge=-10_000, le=10_000)]
 PositionM = tuple[Coordinate, Coordinate, Coordinate]
-HoverThrust = Annotated[float, Meta(ge=0.1, le=0.9)]
-Drag = Annotated[float, Meta(ge=0, le=MAX_DRAG_1_S, description="deceleration by drag for each m/s through the air")]
+HoverThrust = Annotated[float, Meta(ge=0.1, le=0.9, description="normalized thrust in a hover, 0 to 1")]
+Drag = Annotated[
+    float,
+    Meta(ge=0, le=MAX_DRAG_1_S, description="deceleration by drag per speed through the air (linear drag over mass)"),
+]
 
 
 class Section(Struct, frozen=True, forbid_unknown_fields=True):

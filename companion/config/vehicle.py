@@ -1,73 +1,125 @@
-"""A vehicle file: what is one vehicle's own. It names its fleet file; only that of one that may lead holds a reference."""
+"""A vehicle file: the settings of one vehicle. It names its fleet file; that of a vehicle that may lead has a reference."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 from msgspec import Meta
 
-from companion.config.fleet import FleetConfig, FormationMember, load_fleet
+from companion.config.file import ConfigError, convert
+from companion.config.fleet import FleetConfig, FormationMember
+from companion.config.fleet_check import load_fleet
 from companion.config.kind import read_as
-from companion.config.reference import Reference, check_reference
+from companion.config.reference import Reference
+from companion.config.reference_check import reference_problems
+from companion.config.validation import Problem, each
 from companion.config.values import Drag, HoverThrust, Section, VehicleId
-from companion.config_file import ConfigError, convert
-from companion.types import AutopilotKind, Role
+from companion.types.autopilot import AutopilotKind
+from companion.types.flight import Role
 
 
 class ZenohEndpoints(Section, frozen=True):
-    """Explicit endpoints, like "tcp/192.168.1.11:7447". Multicast scouting stays off."""
+    """Endpoints of the vehicle's Zenoh session, like `tcp/192.168.1.11:7447`. Multicast scouting is off."""
 
-    listen: tuple[str, ...] = ()
-    connect: tuple[str, ...] = ()
+    listen: Annotated[tuple[str, ...], Meta(description="endpoints where the agent accepts connections")] = ()
+    connect: Annotated[tuple[str, ...], Meta(description="endpoints of other vehicles, tried until they answer")] = ()
+
+
+PeerAddress = Annotated[str, Meta(pattern="^.+:[0-9]{1,5}$", extra={"format": "HOST:PORT, like 192.168.1.11:7447"})]
+
+
+class DatagramEndpoints(Section, frozen=True):
+    """Peer states as UDP datagrams instead of over Zenoh, for radio links that lose packets; the same in all vehicles."""
+
+    listen: Annotated[PeerAddress, Meta(description="address and port where the agent receives, like `0.0.0.0:7447`")]
+    send_to: Annotated[
+        tuple[PeerAddress, ...],
+        Meta(min_length=1, description="where the other vehicles listen; one broadcast address reaches them all"),
+    ]
 
 
 class Signing(Section, frozen=True):
-    """MAVLink 2 signing between agent and autopilot, which needs the same key.
+    """MAVLink 2 signing between agent and autopilot, which needs the same key: one of `key_file` and `credential`."""
 
-    One of `key_file` (a path, relative to the vehicle file) and `credential` (of the systemd service, by LoadCredential).
-    """
-
-    key_file: str | None = None
+    key_file: Annotated[str, Meta(description="file of the key; the path is relative to the vehicle file")] | None = (
+        None
+    )
     credential: (
-        Annotated[str, Meta(pattern="^[A-Za-z0-9_.-]+$", description="a name of letters, digits, _, . and -")] | None
+        Annotated[
+            str,
+            Meta(
+                pattern="^[A-Za-z0-9_.-]+$",
+                description="name of the systemd credential with the key (LoadCredential)",
+                extra={"format": "a name of letters, digits, _, . and -"},
+            ),
+        ]
+        | None
     ) = None
-    link_id: Annotated[int, Meta(ge=0, le=255)] = 0
+    link_id: Annotated[int, Meta(ge=0, le=255, description="link id of the signed packets")] = 0
 
 
+MAVLINK_FORMAT = "udpin:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD, like serial:/dev/ttyAMA0:921600"
 MavlinkEndpoint = Annotated[
     str,
     Meta(
         pattern="^(udpin|tcp|serial):.+:[0-9]+$",
-        description="udpin:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD, like serial:/dev/ttyAMA0:921600",
+        description="MAVLink endpoint of the autopilot: `udpin:HOST:PORT` (listen), `tcp:HOST:PORT` (connect) or"
+        " `serial:DEVICE:BAUD`",
+        extra={"format": MAVLINK_FORMAT},
     ),
 ]
 
 
 class VehicleConfig(Section, frozen=True):
-    """What is one vehicle's own.
-
-    `mavlink`: "udpin:HOST:PORT" (listen), "tcp:HOST:PORT" (connect) or "serial:DEVICE:BAUD".
-    `fleet`: path of the fleet file, relative to this file.
-    `autopilot`: whose manners it must have; where it is left out its HEARTBEAT says so.
-    `ground_station`: "udpout:HOST:PORT", where the autopilot's MAVLink is passed on to.
-    `hover_thrust_norm` is where the agent begins; it finds the right one in flight, as far as the fleet's law lets it.
-    `drag_1_s`: drag per mass and speed, which damps the vehicle and is left to do that. Too low a number takes some of this
-    damping away, and the formation swings a little; too high a number adds some. 0.25 is of a small open quadrotor.
-    """
+    """Settings of one vehicle."""
 
     id: VehicleId
-    fleet: str
+    fleet: Annotated[str, Meta(description="path of the fleet file, relative to the vehicle file")]
     mavlink: MavlinkEndpoint
-    hover_thrust_norm: HoverThrust
-    drag_1_s: Drag = 0.25
-    autopilot: AutopilotKind | None = None
+    hover_thrust_norm: Annotated[
+        HoverThrust,
+        Meta(description="initial hover thrust (PX4: MPC_THR_HOVER, ArduPilot: MOT_THST_HOVER); estimated in flight"),
+    ]
+    drag_1_s: Annotated[
+        Drag,
+        Meta(
+            description="linear drag over mass, which the control law leaves undisturbed because it damps the vehicle; 0.25 is"
+            " that of a small open quadrotor"
+        ),
+    ] = 0.25
+    autopilot: (
+        Annotated[AutopilotKind, Meta(description="required autopilot; without a value the one of its HEARTBEAT")]
+        | None
+    ) = None
+    accept_uncontrolled_descent: Annotated[
+        bool,
+        Meta(
+            description="`true`: formation also where the vehicle sinks when the setpoints end (PX4: `COM_OBL_RC_ACT` 0 to"
+            " 2), as a pilot stands by"
+        ),
+    ] = False
     zenoh: ZenohEndpoints = ZenohEndpoints()
-    reference: Reference | None = None
+    datagrams: DatagramEndpoints | None = None
+    reference: (
+        Annotated[
+            Reference,
+            Meta(
+                description="the trajectory of the formation (RFT): required for a vehicle that may lead, refused for others"
+            ),
+        ]
+        | None
+    ) = None
     signing: Signing | None = None
     ground_station: Annotated[
-        str, Meta(pattern="^(udpout:.+:[0-9]{1,9})?$", description="udpout:HOST:PORT, like udpout:192.168.1.50:14550")
+        str,
+        Meta(
+            pattern="^(udpout:.+:[0-9]{1,9})?$",
+            description="`udpout:HOST:PORT` to which the autopilot's MAVLink is forwarded",
+            extra={"format": "udpout:HOST:PORT, like udpout:192.168.1.50:14550"},
+        ),
     ] = ""
 
 
@@ -81,35 +133,55 @@ class AgentConfig:
 
 
 def load_agent(path: Path) -> AgentConfig:
-    """Read a vehicle file and the fleet file that it names. Raises ConfigError."""
-    vehicle = convert(path, read_as(path, "vehicle"), VehicleConfig)
-    _check_signing(path, vehicle.signing)
-    fleet_path = path.parent / vehicle.fleet
-    if not fleet_path.is_file():
-        where = f"looked for {fleet_path}; the path is relative to the vehicle file"
-        raise ConfigError(path, "fleet", f'"{vehicle.fleet}": no such file; {where}')
-    fleet = load_fleet(fleet_path)
+    """Read a vehicle file and the fleet file that it names. Raises ConfigError with the errors of both."""
+    fleets: list[FleetConfig] = []
+    errors: list[ConfigError] = []
+
+    def problems(vehicle: VehicleConfig) -> Iterator[Problem]:
+        yield from each(_signing_problems(vehicle))
+        fleet_path = path.parent / vehicle.fleet
+        if not fleet_path.is_file():
+            where = f"looked for {fleet_path}; the path is relative to the vehicle file"
+            yield Problem("fleet", f'"{vehicle.fleet}": no such file; {where}')
+            return
+        try:
+            fleets.append(load_fleet(fleet_path))
+        except ConfigError as error:
+            errors.append(error)
+        else:
+            yield from _membership_problems(vehicle, fleets[0], fleet_path)
+
+    try:
+        vehicle = convert(path, read_as(path, "vehicle"), VehicleConfig, problems)
+    except ConfigError as error:
+        errors.insert(0, error)
+    if errors:
+        raise ConfigError.of(errors)
+    member = fleets[0].member(vehicle.id)
+    assert member is not None, "a vehicle without a slot is a problem of its file"
+    return AgentConfig(vehicle, fleets[0], member)
+
+
+def _signing_problems(vehicle: VehicleConfig) -> Iterator[Problem]:
+    signing = vehicle.signing
+    if signing is not None and (signing.key_file is None) == (signing.credential is None):
+        yield Problem("signing", "expected one of key_file and credential, where the key is")
+
+
+def _membership_problems(vehicle: VehicleConfig, fleet: FleetConfig, fleet_path: Path) -> Iterator[Problem]:
+    """The vehicle must have a slot in its fleet, and a reference exactly if it may lead."""
     member = fleet.member(vehicle.id)
     if member is None:
         ids = ", ".join(str(m.id) for m in fleet.vehicles)
-        raise ConfigError(path, "id", f"{vehicle.id} has no slot in {fleet_path}; expected one of {ids}")
-    if member.can_lead and vehicle.reference is None:
+        yield Problem("id", f"{vehicle.id} has no slot in {fleet_path}; expected one of {ids}")
+    elif member.can_lead and vehicle.reference is None:
         leads = "leads" if member.role is Role.LEADER else "may lead"
-        raise ConfigError(
-            path, "reference", f"missing; vehicle {vehicle.id} {leads} and needs the reference trajectory (RFT)"
-        )
-    if not member.can_lead and vehicle.reference is not None:
-        raise ConfigError(
-            path,
+        yield Problem("reference", f"missing; vehicle {vehicle.id} {leads} and needs the reference trajectory (RFT)")
+    elif not member.can_lead and vehicle.reference is not None:
+        yield Problem(
             "reference",
-            f"vehicle {vehicle.id} follows; only a leader may know the RFT, take this section out"
-            f" (or let it lead: may_lead: true in {fleet_path})",
+            f"vehicle {vehicle.id} follows; only a vehicle that may lead holds the RFT, take this section out"
+            f" (or set may_lead: true in {fleet_path})",
         )
     if vehicle.reference is not None:
-        check_reference(path, fleet, vehicle.reference)
-    return AgentConfig(vehicle, fleet, member)
-
-
-def _check_signing(file: Path, signing: Signing | None) -> None:
-    if signing is not None and (signing.key_file is None) == (signing.credential is None):
-        raise ConfigError(file, "signing", "expected one of key_file and credential, where the key is")
+        yield from each(reference_problems(fleet, vehicle.reference))

@@ -1,100 +1,144 @@
-"""Agent.step: one tick from all that came in to all that goes out. The whole flow, top to bottom.
-
-What each line of it does is a file of its own beside this one; `companion/assembly.py` puts them together.
-"""
+"""Agent.step: one tick, as a chain of stages that exchange frozen values. `companion/assembly.py` builds the stages."""
 
 from __future__ import annotations
 
-from companion.core.changes import Changes
-from companion.core.cooperation import COOPERATING, Cooperation
-from companion.core.flown_formation import FlownFormation
-from companion.core.obedience import Obedience
-from companion.core.phase import PhaseMachine
-from companion.core.safeguard import Safeguard
-from companion.core.senses import Senses
-from companion.core.steering import Steering
-from companion.core.telling import ToGround, ToPeers
-from companion.types import FlightPhase, Inbox, Outbox
+from msgspec import Struct
+
+from companion.core.command.arbitration import CommandArbitration, Intake
+from companion.core.command.dispatcher import CommandDispatcher
+from companion.core.command.phase import Flight, PhaseMachine
+from companion.core.consensus.neighbourhood import Consensus, ConsensusStage
+from companion.core.control.setpoint import Setpoint, SetpointStage
+from companion.core.estimation.perception import Perception, PerceptionStage
+from companion.core.formation.guidance import Guidance, GuidanceStage
+from companion.core.outputs import ReportStage
+from companion.core.safety.safeguard import SafeguardStage, Safety
+from companion.types.flight import FailsafeAction, FlightPhase
+from companion.types.requests import AutopilotRequest
+from companion.types.separation import SeparationReport
+from companion.types.tick import Inbox, Outbox
+
+
+class Decision(Struct, frozen=True, gc=False):
+    """Results of the stages of one tick. The setpoint and the requests leave the process before the reports are built."""
+
+    now_s: float
+    intake: Intake
+    perception: Perception
+    consensus: Consensus
+    guidance: Guidance
+    safety: Safety
+    flight: Flight
+    setpoint: Setpoint
+    requests: tuple[AutopilotRequest, ...]
 
 
 class Agent:
-    """One vehicle's decisions. Pure: what comes out depends on the calls made so far and on nothing else."""
+    """One vehicle's decisions. Pure: the outputs depend only on the calls made so far."""
 
     def __init__(
         self,
-        machine: PhaseMachine,
-        senses: Senses,
-        obedience: Obedience,
-        cooperation: Cooperation,
-        changes: Changes,
-        formation: FlownFormation,
-        safeguard: Safeguard,
-        steering: Steering,
-        to_peers: ToPeers,
-        to_ground: ToGround,
+        vehicle_id: int,
+        perception: PerceptionStage,
+        phases: PhaseMachine,
+        arbitration: CommandArbitration,
+        consensus: ConsensusStage,
+        guidance: GuidanceStage,
+        safeguard: SafeguardStage,
+        dispatcher: CommandDispatcher,
+        setpoint: SetpointStage,
+        report: ReportStage,
     ) -> None:
-        self._machine = machine
-        self._senses = senses
-        self._obedience = obedience
-        self._cooperation = cooperation
-        self._changes = changes
-        self._formation = formation
+        self._vehicle_id = vehicle_id
+        self._perception = perception
+        self._phases = phases
+        self._arbitration = arbitration
+        self._consensus = consensus
+        self._guidance = guidance
         self._safeguard = safeguard
-        self._steering = steering
-        self._to_peers = to_peers
-        self._to_ground = to_ground
+        self._dispatcher = dispatcher
+        self._setpoint = setpoint
+        self._report = report
+        # Results of the last tick that stages of this one need
+        self._flight = Flight()
+        self._last_guidance = Guidance()
+        self._last_safety = Safety()
+        self._last_setpoint_s = 0.0
+        self._last_separation = SeparationReport()
 
     @property
     def phase(self) -> FlightPhase:
-        return self._machine.phase
+        return self._flight.phase
 
     @property
     def has_handed_over(self) -> bool:
         """No setpoint stream is left that the autopilot would miss."""
-        return self._machine.has_handed_over(self._senses.tracker.state)
+        return self._flight.has_handed_over
 
     def reject(self, reason: str) -> None:
         """Count a message that was refused before it came here."""
-        self._to_ground.refused[reason] += 1
+        self._report.refuse(reason)
 
     def step(self, now_s: float, inbox: Inbox) -> Outbox:
-        """One tick: telemetry -> state -> peers -> PrC and weights -> acceleration -> attitude -> the last gate."""
-        machine = self._machine
-        vehicle = self._senses.hear(now_s, inbox.telemetry, is_heeded=machine.phase in COOPERATING)
-        machine.follow_truth(vehicle)
-        orders = self._obedience.take_in(inbox.commands)
-        # A new role comes before all that it decides: one tick, its packet included, is of one role.
-        self._obedience.change_lead(now_s, orders, vehicle)
-        if not vehicle.armed:
-            self._cooperation.landed()
-            self._formation.landed()
-        around = self._cooperation.update(
-            now_s, vehicle.position_enu_m, inbox.peers, machine.in_formation, self._safeguard.fit_to_lead
+        """One tick: the decision, then the reports."""
+        return self.report(self.decide(now_s, inbox))
+
+    def decide(self, now_s: float, inbox: Inbox) -> Decision:
+        """Telemetry -> state -> peers, PrC and weights -> acceleration -> attitude -> output limits."""
+        last, last_guidance = self._flight, self._last_guidance
+        perception = self._perception.step(now_s, inbox.telemetry, last)
+        vehicle = perception.vehicle
+        before = self._phases.observe(now_s, vehicle)
+        intake = self._arbitration.step(inbox.commands)
+        refusal_to_lead, fit_to_lead = last_guidance.refusal_to_lead, self._fit_to_lead(last, last_guidance)
+        consensus = self._consensus.step(
+            now_s, vehicle, before, inbox.peers, intake.admitted, refusal_to_lead, fit_to_lead
         )
-        self._changes.update(now_s, orders, vehicle, around)
-        self._formation.update(now_s, vehicle, around, inbox.targets)
-        flags, action = self._safeguard.judge(now_s, inbox.telemetry, vehicle, around)
-        self._steering.observe_disturbance(now_s, vehicle, action)
+        guidance = self._guidance.step(now_s, vehicle, before, consensus, intake.admitted, inbox.targets)
+        safety = self._safeguard.step(
+            now_s,
+            vehicle,
+            before,
+            consensus,
+            self._last_separation,
+            self._last_setpoint_s,
+            last.commanded,
+            inbox.stopping,
+            inbox.late_s,
+        )
+        commands = self._dispatcher.step(intake, perception, consensus, guidance, safety)
+        flight = self._phases.step(now_s, vehicle, inbox.telemetry, guidance.requests, commands, safety.requests)
+        parameter_requests = self._perception.parameter_requests(now_s, flight)
+        setpoint = self._setpoint.step(now_s, vehicle, before, flight, consensus, guidance, safety, inbox.traffic)
+        self._flight, self._last_guidance, self._last_safety = flight, guidance, safety
+        self._last_setpoint_s, self._last_separation = setpoint.sent_s, setpoint.separation
+        requests = perception.requests + flight.requests + parameter_requests
+        return Decision(now_s, intake, perception, consensus, guidance, safety, flight, setpoint, requests)
 
-        streamed = machine.streams(vehicle)
-        self._obedience.obey(now_s, orders, vehicle, flags)
-        if machine.streams(vehicle) and not streamed:
-            self._steering.setpoints.open(now_s, vehicle)
-        if inbox.stopping:
-            self._safeguard.stop(now_s, vehicle)
-        self._safeguard.act(now_s, vehicle, around, flags, action)
-        requests = self._senses.ask_origin(now_s, vehicle) + machine.advance(now_s, vehicle, inbox.telemetry)
-        streams = machine.streams(vehicle)
-        if not streams:  # what was found before goes for the whole formation
-            requests += self._senses.preflight.ask(now_s)
-        target = self._steering.setpoint(now_s, vehicle, around, action, streamed)
-
-        events = self._to_ground.drain_events()
+    def report(self, decided: Decision) -> Outbox:
+        """Peer packet, status, replies and events of the decision, with its setpoint and requests."""
+        intake, consensus, guidance, flight = decided.intake, decided.consensus, decided.guidance, decided.flight
+        report = self._report.step(
+            decided.now_s,
+            intake,
+            decided.perception,
+            consensus,
+            guidance,
+            decided.safety,
+            flight,
+            decided.setpoint,
+        )
+        answers = consensus.answers + guidance.answers + flight.answers
         return Outbox(
-            attitude_target=target,
-            requests=requests,
-            peer_packet=self._to_peers.packet(now_s, vehicle, around, flags, streams),
-            status=self._to_ground.status(now_s, vehicle, around, flags, events),
-            replies=self._obedience.replies(orders),
-            events=events,
+            attitude_target=decided.setpoint.target,
+            requests=decided.requests,
+            peer_packet=report.peer_packet,
+            status=report.status,
+            replies=self._arbitration.replies(self._vehicle_id, intake, answers) if intake.received else (),
+            events=report.events,
         )
+
+    def _fit_to_lead(self, flight: Flight, guidance: Guidance) -> bool:
+        """In formation without more than a warning or a reference that differs, by the results of the last tick."""
+        in_formation = flight.phase is FlightPhase.FORMATION and self._last_safety.action <= FailsafeAction.WARN
+        return in_formation and guidance.refusal_to_lead is None

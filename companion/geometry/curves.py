@@ -1,4 +1,4 @@
-"""Curves of the RFT as numbers: where, how fast and with which acceleration at a time. They begin at rest. Pure geometry."""
+"""Curves of the RFT: position, velocity and acceleration over time. They begin at rest."""
 
 from __future__ import annotations
 
@@ -7,22 +7,23 @@ from collections.abc import Callable, Sequence
 from itertools import accumulate, pairwise
 from math import cos, dist, pi, sin, sqrt
 
-from companion.types import ZERO3, Vector3
+from companion.types.vectors import ZERO3, Vector3
 
 Motion = tuple[Vector3, Vector3, Vector3]
 """Position [m], velocity [m/s], acceleration [m/s^2]."""
 Curve = Callable[[float], Motion]
-"""Takes seconds since its beginning; before that it stands where it begins."""
+"""Motion at a time [s] since the start of the curve; before it, rest at the first point."""
 
-PEAK_SPEED = 1.875  # of `share`, in ways a duration
-PEAK_ACCELERATION = 10.0 / sqrt(3.0)  # in ways a duration squared
+PEAK_SPEED = 1.875  # of `rest_to_rest`, in path lengths per duration
+PEAK_ACCELERATION = 10.0 / sqrt(3.0)  # in path lengths per duration squared
 
 
 def figure_8(time_s: float, width_m: float, height_m: float, period_s: float, ramp_s: float) -> Motion:
     """A Lissajous curve about its centre: x = w/2 sin p, y = h/2 sin 2p.
 
-    The rate p' rises from 0 to 2 pi / period over `ramp_s` as 3 u^2 - 2 u^3, so that the acceleration, too, begins at zero and
-    has no step. The centre is left with zero speed at time 0; a steady lap takes `period_s`.
+    The rate p' rises from 0 to 2 pi / period over `ramp_s` as 3 u^2 - 2 u^3, so that the
+    acceleration also begins at zero and has no step. The curve begins at its centre, at rest. A lap
+    at the full rate takes `period_s`.
     """
     p, rate, rate_change = _phase(time_s, 2.0 * pi / period_s, ramp_s)
     a, b = width_m / 2.0, height_m / 2.0
@@ -36,7 +37,7 @@ def figure_8(time_s: float, width_m: float, height_m: float, period_s: float, ra
 
 
 def circle(time_s: float, radius_m: float, period_s: float, ramp_s: float) -> Motion:
-    """Counterclockwise about its centre from the east, with the pace of `figure_8`; a negative period turns clockwise."""
+    """Counterclockwise from the east, with the ramp of `figure_8`; clockwise for a negative period."""
     p, rate, rate_change = _phase(time_s, 2.0 * pi / period_s, ramp_s)
     x, y = radius_m * cos(p), radius_m * sin(p)
     return (
@@ -46,8 +47,8 @@ def circle(time_s: float, radius_m: float, period_s: float, ramp_s: float) -> Mo
     )
 
 
-def about(centre: Vector3, curve: Curve) -> Curve:
-    """The same curve elsewhere."""
+def centred_at(centre: Vector3, curve: Curve) -> Curve:
+    """The curve translated by `centre`."""
     cx, cy, cz = centre
 
     def at(time_s: float) -> Motion:
@@ -57,8 +58,8 @@ def about(centre: Vector3, curve: Curve) -> Curve:
     return at
 
 
-def dying_out(begin: Motion, lasts_s: float) -> Curve:
-    """From this motion to rest in the origin within `lasts_s`, by the quintic that has both ends in all three."""
+def decay_to_rest(begin: Motion, lasts_s: float) -> Curve:
+    """Quintic from this position, velocity and acceleration to rest at the origin within `lasts_s`."""
     axes = [_quintic(p, v * lasts_s, a * lasts_s**2) for p, v, a in zip(*begin, strict=True)]
 
     def at(time_s: float) -> Motion:
@@ -72,8 +73,10 @@ def dying_out(begin: Motion, lasts_s: float) -> Curve:
     return at
 
 
-def way(points_m: Sequence[Vector3], wait_s: float, max_speed_m_s: float, max_acceleration_m_s2: float) -> Curve:
-    """Straight from point to point within both limits; at each it stops and waits, and at the last it stays."""
+def waypoint_path(
+    points_m: Sequence[Vector3], wait_s: float, max_speed_m_s: float, max_acceleration_m_s2: float
+) -> Curve:
+    """Straight legs within both limits, with a stop of `wait_s` at each point; rest at the last."""
     legs = list(pairwise(points_m))
     lasts_s = [duration_s(dist(a, b), max_speed_m_s, max_acceleration_m_s2) for a, b in legs]
     ends_s = list(accumulate(leg_s + wait_s for leg_s in lasts_s))
@@ -83,18 +86,18 @@ def way(points_m: Sequence[Vector3], wait_s: float, max_speed_m_s: float, max_ac
         if index >= len(legs):
             return points_m[-1], ZERO3, ZERO3
         since_s = time_s - (ends_s[index] - lasts_s[index] - wait_s)
-        return between(*legs[index], since_s, lasts_s[index])
+        return rest_to_rest(*legs[index], since_s, lasts_s[index])
 
     return at
 
 
 def duration_s(way_m: float, max_speed_m_s: float, max_acceleration_m_s2: float) -> float:
-    """The shortest time in which `between` goes this way within both limits."""
+    """Shortest duration of `rest_to_rest` over this distance within both limits, s."""
     return max(PEAK_SPEED * way_m / max_speed_m_s, sqrt(PEAK_ACCELERATION * way_m / max_acceleration_m_s2))
 
 
-def between(before: Vector3, after: Vector3, elapsed_s: float, lasts_s: float) -> Motion:
-    """Straight, from rest to rest as 10 u^3 - 15 u^4 + 6 u^5 (least jerk). Before and afterwards it stands."""
+def rest_to_rest(before: Vector3, after: Vector3, elapsed_s: float, lasts_s: float) -> Motion:
+    """Straight minimum-jerk motion, 10 u^3 - 15 u^4 + 6 u^5; at rest before and afterwards."""
     if elapsed_s <= 0.0:
         return before, ZERO3, ZERO3
     if elapsed_s >= lasts_s:
@@ -116,7 +119,7 @@ Coefficients = tuple[float, float, float, float, float, float]
 
 
 def _quintic(p: float, v: float, a: float) -> Coefficients:
-    """Of 1, u, ..., u^5: position p, velocity v and acceleration a at u = 0, all zero at u = 1."""
+    """Coefficients of 1, u, ..., u^5: p, v and a at u = 0, position, velocity and acceleration 0 at u = 1."""
     return (
         p,
         v,
@@ -128,7 +131,7 @@ def _quintic(p: float, v: float, a: float) -> Coefficients:
 
 
 def _polynomial(coefficients: Coefficients, u: float) -> Vector3:
-    """It and its first and second derivative."""
+    """Value, first and second derivative at u."""
     c0, c1, c2, c3, c4, c5 = coefficients
     return (
         c0 + u * (c1 + u * (c2 + u * (c3 + u * (c4 + u * c5)))),
@@ -138,7 +141,7 @@ def _polynomial(coefficients: Coefficients, u: float) -> Vector3:
 
 
 def _phase(time_s: float, full_rate_rad_s: float, ramp_s: float) -> tuple[float, float, float]:
-    """p, p' and p''."""
+    """Phase p, p' and p'' of a curve with a ramp of its rate."""
     u = time_s / ramp_s
     if u <= 0.0:
         return 0.0, 0.0, 0.0

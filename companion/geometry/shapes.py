@@ -1,6 +1,7 @@
 """Named formations: slots about the RFT, in the formation's own frame (x ahead, y left, z up), metres.
 
-The smallest distance between any two slots is the spacing, whatever the shape, so that one shape can follow another.
+The smallest distance between any two slots is the spacing in every shape, as `separation_m` counts
+distances, so that a formation can change from one shape to another.
 """
 
 from __future__ import annotations
@@ -8,13 +9,15 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from math import ceil, cos, dist, pi, sin, sqrt
 
-from companion.types import Vector3
+from companion.geometry.separation import HEIGHT_WEIGHT, counted
+from companion.types.vectors import Vector3
 
 LAYERS = 2
+LAYER_HEIGHT = 1.0 / (HEIGHT_WEIGHT * sqrt(2.0))  # half a step aside in x and y, slots of two layers are one step apart
 
 
 def line(n: int) -> list[Vector3]:
-    """Side by side, across the way ahead."""
+    """Abreast, along y."""
     return [(0.0, (n - 1) / 2.0 - i, 0.0) for i in range(n)]
 
 
@@ -29,7 +32,7 @@ def v(n: int) -> list[Vector3]:
 
 
 def diamond(n: int) -> list[Vector3]:
-    """A square that stands on a corner; four have the corners, more share the sides."""
+    """A square with a corner ahead: four vehicles on the corners, further ones on the sides."""
     corners = [(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)]
     shares = [0, 0, 0, 0]
     for extra in range(n - 4):
@@ -38,7 +41,7 @@ def diamond(n: int) -> list[Vector3]:
 
 
 def rectangle(n: int) -> list[Vector3]:
-    """The outline of a rectangle on a grid; the sides along the way ahead are the longer ones."""
+    """The outline of a rectangle on a grid; the sides along x are the longer ones."""
     shares = [0, 0, 0, 0]  # front, left, back, right
     for extra in range(n - 4):
         shares[(1, 3, 0, 2)[extra % 4]] += 1
@@ -48,31 +51,34 @@ def rectangle(n: int) -> list[Vector3]:
 
 
 def circle(n: int) -> list[Vector3]:
-    """Evenly round the RFT, the first ahead."""
+    """Evenly spaced about the RFT, the first slot ahead."""
     if n == 1:
         return [(0.0, 0.0, 0.0)]
     return [(cos(2.0 * pi * i / n), sin(2.0 * pi * i / n), 0.0) for i in range(n)]
 
 
 def grid(n: int) -> list[Vector3]:
-    """Rows as long as there are rows, the last one centred."""
+    """A square grid; the last row is centred."""
     columns = ceil(sqrt(n))
     rows = ceil(n / columns)
     slots = []
     for i in range(n):
-        row, place = divmod(i, columns)
+        row, in_this_row = divmod(i, columns)
         in_row = columns if row < rows - 1 else n - columns * (rows - 1)
-        slots.append(((rows - 1) / 2.0 - row, (in_row - 1) / 2.0 - place, 0.0))
+        slots.append(((rows - 1) / 2.0 - row, (in_row - 1) / 2.0 - in_this_row, 0.0))
     return slots
 
 
 def layers(n: int) -> list[Vector3]:
-    """Grids one above another, each half a step aside of the next: nobody flies in the downwash of the one above."""
+    """Grids one above another, each offset by half a step.
+
+    No slot is in the downwash of the slot above it.
+    """
     slots: list[Vector3] = []
     for layer in range(LAYERS):
         count = n // LAYERS + (1 if layer < n % LAYERS else 0)
         aside = 0.5 * (layer % 2)
-        slots += [(x + aside, y + aside, float(layer)) for x, y, _ in grid(count)] if count else []
+        slots += [(x + aside, y + aside, LAYER_HEIGHT * layer) for x, y, _ in grid(count)] if count else []
     return slots
 
 
@@ -90,21 +96,25 @@ SHAPES: Mapping[str, Shape] = {
 
 
 def slots_of(shape: Shape, n: int, spacing_m: float, heading_rad: float) -> list[Vector3]:
-    """n >= 1 slots d_i0 in ENU about the RFT, at least `spacing_m` apart; `heading_rad` turns them, 0 is east, pi/2 north."""
+    """n >= 1 slots d_i0 in ENU about the RFT, at least `spacing_m` apart.
+
+    `heading_rad` is the direction of x: 0 is east, pi/2 north.
+    """
     unit = shape(n)
     scale = spacing_m / smallest_distance(unit) if n > 1 else 1.0
-    return [turned(slot, heading_rad, scale) for slot in unit]
+    return [rotated(slot, heading_rad, scale) for slot in unit]
 
 
-def turned(slot: Vector3, heading_rad: float, scale: float) -> Vector3:
-    """Counterclockwise about the RFT, and so many times as far out."""
+def rotated(slot: Vector3, heading_rad: float, scale: float) -> Vector3:
+    """The slot rotated counterclockwise about the RFT and scaled."""
     (x, y, z), c, s = slot, cos(heading_rad) * scale, sin(heading_rad) * scale
     return (c * x - s * y, s * x + c * y, scale * z)
 
 
 def smallest_distance(slots: list[Vector3]) -> float:
-    """Between any two of at least two."""
-    return min(dist(a, b) for i, a in enumerate(slots) for b in slots[:i])
+    """Smallest distance between any two of at least two slots, as `separation_m` counts it, m."""
+    counts = [counted(slot, has_height=True) for slot in slots]
+    return min(dist(a, b) for i, a in enumerate(counts) for b in counts[:i])
 
 
 def _rank(i: int) -> int:
@@ -113,7 +123,7 @@ def _rank(i: int) -> int:
 
 
 def _outline(corners: list[tuple[float, float]], shares: list[int]) -> list[Vector3]:
-    """The corners first, then what stands on each side, evenly between its ends."""
+    """The corners first, then the slots of each side, evenly spaced between its ends."""
     slots: list[Vector3] = [(x, y, 0.0) for x, y in corners]
     for side, share in enumerate(shares):
         (x0, y0), (x1, y1) = corners[side], corners[(side + 1) % len(corners)]

@@ -1,1 +1,1 @@
-"""Ground side: watches the fleet over Zenoh. It never computes a control command."""
+"""Ground station: monitors and commands the fleet over Zenoh. It computes no setpoint."""

@@ -1,109 +1,101 @@
-"""Words for what the vehicles said: a line each, or one JSON object. Pure."""
+"""The outcome of a command for each vehicle, as lines and as data. Pure."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
 from typing import Any
 
-import msgspec
-
-from companion.ground.readiness import Check
 from companion.ground.session import Answer
-from companion.ground.words import formation_in_words, reference_in_words
-from companion.types import Status
-
-MISSING = "missing"
+from companion.ground.text import count, wrapped
+from companion.types.notices import Code, Notice
 
 
-def outcome_of(answer: Answer | None) -> str:
+class AnswerKind(StrEnum):
+    ACCEPTED = "accepted"
+    REFUSED = "refused"
+    MISSING = "missing"  # no reply came
+    NOT_SENT = "not sent"  # a check before the command failed, of this vehicle or of another
+
+
+@dataclass(frozen=True, slots=True)
+class End:
+    """The end of an accepted action: whether the vehicle has finished it, and the time since the command."""
+
+    finished: bool
+    after_s: float
+    notice: Notice
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """The result of one command for one vehicle: `number` of the command, `after_s` to its reply, `end` None without --wait."""
+
+    kind: AnswerKind
+    notice: Notice
+    after_s: float | None = None
+    number: int = 0
+    end: End | None = None
+
+    @property
+    def good(self) -> bool:
+        """Accepted, and finished where that was waited for."""
+        return self.kind is AnswerKind.ACCEPTED and (self.end is None or self.end.finished)
+
+
+def outcome_of(answer: Answer | None, wait_s: float) -> Outcome:
     if answer is None:
-        return MISSING
-    return "accepted" if answer.reply.accepted else "refused"
+        return Outcome(AnswerKind.MISSING, Notice(Code.NO_REPLY, f"no reply within {wait_s:g} s"))
+    reply = answer.reply
+    kind = AnswerKind.ACCEPTED if reply.accepted else AnswerKind.REFUSED
+    return Outcome(kind, Notice(reply.code, reply.reason), answer.after_s, reply.number)
 
 
-def answer_lines(answers: Mapping[int, Answer | None], wait_s: float) -> list[str]:
-    """ "vehicle 2  refused    21 ms  why"; by vehicle."""
+def answer_lines(outcomes: Mapping[int, Outcome]) -> list[str]:
+    """ "vehicle 2   refused    21 ms  CODE: reason", wrapped; by vehicle."""
     lines = []
-    for vehicle_id, answer in sorted(answers.items()):
-        took = f"{answer.after_s * 1000.0:.0f} ms" if answer else ""
-        reason = answer.reply.reason if answer else no_answer(wait_s)
-        lines.append(_plain(f"vehicle {vehicle_id:<3} {outcome_of(answer):<8} {took:>7}  {reason}"))
+    for vehicle_id, outcome in sorted(outcomes.items()):
+        took = "" if outcome.after_s is None else f"{outcome.after_s * 1000.0:.0f} ms"
+        lines += wrapped(f"vehicle {vehicle_id:<3} {outcome.kind:<8} {took:>7}  ", str(outcome.notice))
     return lines
 
 
-def answers_as_data(answers: Mapping[int, Answer | None], wait_s: float) -> list[dict[str, Any]]:
-    """`after_s` is null where no answer came."""
+def end_lines(outcomes: Mapping[int, Outcome], goal: str) -> list[str]:
+    """Whether all vehicles have finished, and a line for each that has not."""
+    ends = {vehicle_id: outcome.end for vehicle_id, outcome in sorted(outcomes.items()) if outcome.end}
+    missed = {vehicle_id: end for vehicle_id, end in ends.items() if not end.finished}
+    lines = [
+        line
+        for vehicle_id, end in missed.items()
+        for line in wrapped(f"vehicle {vehicle_id:<3} not finished  ", str(end.notice))
+    ]
+    finished = len(ends) - len(missed)
+    after_s = max((end.after_s for end in ends.values()), default=0.0)
+    return [*lines, f"{finished} of {count(len(outcomes))} {goal} ({after_s:.1f} s)"]
+
+
+def answers_as_data(outcomes: Mapping[int, Outcome]) -> list[dict[str, Any]]:
+    """`after_s` is null where no reply came; `finished` is null where it was not waited for."""
     return [
         {
             "vehicle_id": vehicle_id,
-            "answer": outcome_of(answer),
-            "reason": answer.reply.reason if answer else no_answer(wait_s),
-            "after_s": round(answer.after_s, 4) if answer else None,
+            "answer": outcome.kind,
+            "code": outcome.notice.code,
+            "reason": outcome.notice.text,
+            "after_s": None if outcome.after_s is None else round(outcome.after_s, 4),
+            **_end_as_data(outcome.end),
         }
-        for vehicle_id, answer in sorted(answers.items())
+        for vehicle_id, outcome in sorted(outcomes.items())
     ]
 
 
-def no_answer(wait_s: float) -> str:
-    return f"no answer within {wait_s:g} s"
-
-
-def readiness_lines(checks: Mapping[int, Sequence[Check]], silent: Sequence[int], wait_s: float) -> list[str]:
-    """Per vehicle whether it is ready, and below it each check."""
-    lines = []
-    for vehicle_id in sorted({*checks, *silent}):
-        if vehicle_id in silent:
-            lines.append(f"vehicle {vehicle_id}  {MISSING}: {nothing_heard(wait_s)}")
-            continue
-        ready = all(check.fit for check in checks[vehicle_id])
-        lines.append(f"vehicle {vehicle_id}  {'ready' if ready else 'not ready'}")
-        lines += [
-            _plain(f"  {check.name:<11} {'ok' if check.fit else '--'}  {check.found}") for check in checks[vehicle_id]
-        ]
-    return lines
-
-
-def readiness_as_data(checks: Mapping[int, Sequence[Check]], silent: Sequence[int]) -> list[dict[str, Any]]:
-    """`checks` is empty of a vehicle that is not heard."""
-    told = {
-        vehicle_id: [{"check": c.name, "fit": c.fit, "found": c.found} for c in list_]
-        for vehicle_id, list_ in checks.items()
+def _end_as_data(end: End | None) -> dict[str, Any]:
+    if end is None:
+        return {"finished": None}
+    return {
+        "finished": end.finished,
+        "finished_after_s": round(end.after_s, 2) if end.finished else None,
+        "end_code": end.notice.code,
+        "end_reason": end.notice.text,
     }
-    return [
-        {"vehicle_id": i, "ready": i in checks and all(c.fit for c in checks[i]), "checks": told.get(i, [])}
-        for i in sorted({*checks, *silent})
-    ]
-
-
-def status_lines(statuses: Mapping[int, Status], silent: Sequence[int], wait_s: float) -> list[str]:
-    lines = []
-    for vehicle_id in sorted({*statuses, *silent}):
-        if vehicle_id in silent:
-            lines.append(f"vehicle {vehicle_id:<3} {MISSING}: {nothing_heard(wait_s)}")
-            continue
-        status = statuses[vehicle_id]
-        x, y, z = status.position_enu_m
-        words = (
-            f"vehicle {vehicle_id:<3} {status.phase:<9} {status.role:<8} {'armed' if status.armed else 'disarmed':<8}"
-            f" {status.mode_name:<12} at {x:z.1f}, {y:z.1f}, {z:z.1f} m,"
-            f" formation {formation_in_words(status.slot, status.heading)},"
-            f" reference {reference_in_words(status.reference, status.target_age_s)},"
-            f" commanded by {status.holder or 'nobody'}; {status.last_event or 'nothing has happened'}"
-        )
-        lines.append(_plain(words))
-    return lines
-
-
-def status_as_data(statuses: Mapping[int, Status], silent: Sequence[int]) -> list[dict[str, Any]]:
-    """All that a vehicle says, with `heard`."""
-    heard = {i: msgspec.to_builtins(status) | {"heard": True} for i, status in statuses.items()}
-    return [heard.get(i, {"vehicle_id": i, "heard": False}) for i in sorted({*statuses, *silent})]
-
-
-def nothing_heard(wait_s: float) -> str:
-    return f"nothing heard of it for {wait_s:g} s"
-
-
-def _plain(text: str) -> str:
-    """Reasons and events quote the autopilot's own words: nothing of them may steer the terminal."""
-    return "".join(c if c.isprintable() else "?" for c in text)

@@ -1,4 +1,4 @@
-"""From a formation's name to a command for every vehicle: which slots, whose is which, when and for how long."""
+"""The command that changes the formation: slots, their assignment to vehicles, begin and duration."""
 
 from __future__ import annotations
 
@@ -8,86 +8,92 @@ from math import radians
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from companion.arguments import COMMAND_LINE
+from companion.config.file import ConfigError
 from companion.config.fleet import FleetConfig
 from companion.config.slots import load_slots
-from companion.config_file import ConfigError
-from companion.fleet_where_options import FormationWish
 from companion.geometry.curves import duration_s
-from companion.geometry.shapes import SHAPES, slots_of, turned
-from companion.geometry.transition import ROUNDING_M, closest, longest_way_m
+from companion.geometry.separation import counted
+from companion.geometry.shapes import SHAPES, rotated, slots_of
+from companion.geometry.transition import ROUNDING_M, closest_approach, longest_path_m
+from companion.geometry.turning import SLOT_ACCELERATION_M_S2
 from companion.ground.fleet_time import AHEAD_S, fleet_time_s
-from companion.types import FlightPhase, FormationChange, Status, Vector3
-
-MAX_ACCELERATION_M_S2 = 1.0  # of a slot
+from companion.ground.requests import COMMAND_LINE, FormationRequest
+from companion.types.flight import FlightPhase
+from companion.types.formation import FormationChange
+from companion.types.status import Status
+from companion.types.vectors import Vector3
 
 
 def named_slots(shape: str, n: int, spacing_m: float, heading_deg: float) -> list[Vector3]:
-    """Raises KeyError for a name that is none of SHAPES."""
+    """The slots of a shape of SHAPES for n vehicles. Raises KeyError for another name."""
     return slots_of(SHAPES[shape], n, spacing_m, radians(heading_deg))
 
 
-def check_wish(wish: FormationWish, fleet: FleetConfig) -> None:
-    """What can be said of it before any vehicle is heard. Raises ConfigError."""
-    if wish.shape and wish.slots_file:
-        raise ConfigError(COMMAND_LINE, "--slots", f"is a formation of its own; expected it, or {wish.shape}, not both")
-    if bool(wish.shape) is (wish.spacing_m is None):
-        raise ConfigError(COMMAND_LINE, "--spacing", "goes with a SHAPE, and with nothing else")
-    if wish.slots_file:
-        load_slots(wish.slots_file, fleet)
-    elif not wish.shape and wish.scale == 1.0 and wish.heading_deg == 0.0:
+def check_request(request: FormationRequest, fleet: FleetConfig) -> None:
+    """The checks that need no report of a vehicle. Raises ConfigError."""
+    if request.shape and request.slots_file:
+        raise ConfigError(COMMAND_LINE, "--slots", f"is a whole formation; give it or {request.shape}, not both")
+    if request.shape and request.spacing_m is None:
+        raise ConfigError(COMMAND_LINE, "--spacing", f"missing; {request.shape} needs it: --spacing METRES")
+    if request.spacing_m is not None and not request.shape:
+        raise ConfigError(COMMAND_LINE, "--spacing", "belongs to a SHAPE, and none is given")
+    if request.slots_file:
+        load_slots(request.slots_file, fleet)
+    elif not request.shape and request.scale == 1.0 and request.heading_deg == 0.0:
         raise ConfigError(
-            COMMAND_LINE, "SHAPE", "missing; expected one, --slots FILE, or --scale or --heading of what is flown"
+            COMMAND_LINE, "SHAPE", "missing; expected one, --slots FILE, or --scale or --heading for the present slots"
         )
 
 
-def wished_slots(wish: FormationWish, statuses: Sequence[Status], fleet: FleetConfig) -> dict[int, Vector3]:
-    """Whose slot is where: a file's and those flown stay whose they are, a shape's are assigned. Raises ConfigError."""
-    if wish.shape and wish.spacing_m is not None:
-        slots = named_slots(wish.shape, len(statuses), wish.spacing_m * wish.scale, wish.heading_deg)
-        return assigned(places_enu_m(statuses), slots)
+def requested_slots(request: FormationRequest, statuses: Sequence[Status], fleet: FleetConfig) -> dict[int, Vector3]:
+    """The slot of each vehicle: as in the file, the flown one, or assigned for a shape. Raises ConfigError."""
+    if request.shape and request.spacing_m is not None:
+        slots = named_slots(request.shape, len(statuses), request.spacing_m * request.scale, request.heading_deg)
+        return assigned(positions_enu_m(statuses), slots)
     flown_enu_m = {status.vehicle_id: status.slot.position_enu_m for status in statuses}
-    slots_enu_m = load_slots(wish.slots_file, fleet) if wish.slots_file else flown_enu_m
-    return {i: turned(slot, radians(wish.heading_deg), wish.scale) for i, slot in slots_enu_m.items()}
+    slots_enu_m = load_slots(request.slots_file, fleet) if request.slots_file else flown_enu_m
+    return {i: rotated(slot, radians(request.heading_deg), request.scale) for i, slot in slots_enu_m.items()}
 
 
-def places_enu_m(statuses: Sequence[Status]) -> dict[int, Vector3]:
-    """Where the vehicles are in the formation's frame: by the slots that they fly, or before a formation by their places.
+def positions_enu_m(statuses: Sequence[Status]) -> dict[int, Vector3]:
+    """Positions of the vehicles in the formation's frame: their slots in flight, their own positions before a formation.
 
-    Places are about no RFT, which changes neither who is nearest to which slot nor how near two come to each other.
+    Own positions are not relative to the RFT; that changes neither the assignment of slots nor the distances of vehicles.
     """
     if any(status.phase is FlightPhase.FORMATION for status in statuses):
         return {status.vehicle_id: status.slot.position_enu_m for status in statuses}
-    return {status.vehicle_id: turned(status.position_enu_m, -status.heading.angle_rad, 1.0) for status in statuses}
+    return {status.vehicle_id: rotated(status.position_enu_m, -status.heading.angle_rad, 1.0) for status in statuses}
 
 
 def assigned(flown_enu_m: Mapping[int, Vector3], slots_enu_m: Sequence[Vector3]) -> dict[int, Vector3]:
-    """A slot for each vehicle, with the least sum of squared distances: then no two straight ways cross (see transition.py)."""
+    """A slot for each vehicle with the least sum of squared distances: no two straight paths cross (see transition.py)."""
     ids = sorted(flown_enu_m)
     cost_m2 = [
         [sum((a - b) ** 2 for a, b in zip(flown_enu_m[i], slot, strict=True)) for slot in slots_enu_m] for i in ids
     ]
     _, chosen = linear_sum_assignment(np.array(cost_m2))
-    return {vehicle_id: slots_enu_m[place] for vehicle_id, place in zip(ids, chosen.tolist(), strict=True)}
+    return {vehicle_id: slots_enu_m[index] for vehicle_id, index in zip(ids, chosen.tolist(), strict=True)}
 
 
-def refusal_of(
-    slots_enu_m: Mapping[int, Vector3], flown_enu_m: Mapping[int, Vector3], separation_m: float
-) -> str | None:
-    """Why the vehicles would not go there from what they fly: none is asked then."""
-    distance_m, i, j = closest(flown_enu_m, slots_enu_m)
+def refusal_of(slots_enu_m: Mapping[int, Vector3], separation_m: float, has_height: bool) -> str | None:
+    """The reason why no vehicle is sent these slots: two are too close; None where they may be flown.
+
+    Without `has_height` each vehicle keeps its own altitude. Paths may cross: the vehicles warn of it in their answers.
+    """
+    slots = {i: counted(slot, has_height) for i, slot in slots_enu_m.items()}
+    distance_m, i, j = closest_approach(slots, slots)
     if distance_m >= separation_m - ROUNDING_M:
         return None
     return (
-        f"the slots of vehicles {i} and {j} come within {distance_m:.2f} m of each other, on the way or there;"
+        f"the slots of vehicles {i} and {j} come within {distance_m:.2f} m of each other;"
         f" expected at least separation_m, {separation_m:g} m"
     )
 
 
 def change_to(slots_enu_m: Mapping[int, Vector3], statuses: Sequence[Status], slot_speed_m_s: float) -> FormationChange:
-    """A command for all vehicles that the statuses are of, in the next number and soon by the fleet's own time."""
+    """The change for all vehicles with a status, with the next number, AHEAD_S after their fleet time."""
     flown = {status.vehicle_id: status.slot.position_enu_m for status in statuses}
-    lasts_s = duration_s(longest_way_m(flown, slots_enu_m), slot_speed_m_s, MAX_ACCELERATION_M_S2)
+    lasts_s = duration_s(longest_path_m(flown, slots_enu_m), slot_speed_m_s, SLOT_ACCELERATION_M_S2)
     return FormationChange(
         number=max(status.slot.waiting for status in statuses) + 1,
         slots_enu_m=tuple(sorted(slots_enu_m.items())),

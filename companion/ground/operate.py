@@ -1,185 +1,114 @@
-"""`companion fleet`: one command to a fleet, and what each vehicle answers."""
+"""`companion fleet`: one request, from the fleet file to the printed result."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Collection, Sequence
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import msgspec
 
-from companion import GROUND_INSTALL
-from companion.arguments import COMMAND_LINE
-from companion.config.fleet import FleetConfig, load_fleet
-from companion.config.reference import check_reference
-from companion.fleet_options import FleetOptions
-from companion.fleet_where_options import FormationWish, ReferenceWish
-from companion.ground.answers import (
-    answer_lines,
-    answers_as_data,
-    readiness_as_data,
-    readiness_lines,
-    status_as_data,
-    status_lines,
-)
-from companion.ground.monitor import DEFAULT_ENDPOINTS
+from companion.config.fleet import FleetConfig
+from companion.config.fleet_check import load_fleet
+from companion.ground.answers import AnswerKind, answer_lines, answers_as_data, end_lines
+from companion.ground.current_fleet import simulation_endpoints
+from companion.ground.endpoints import unreachable
+from companion.ground.preconditions import divided
 from companion.ground.readiness import checks_of
-from companion.ground.references import reference_change, wished
-from companion.ground.session import POLL_S, Answer, FleetSession
-from companion.types import ZERO3, CommandName, FlightPhase, FormationChange, Lead, ReferenceChange, Status
+from companion.ground.reports import readiness_as_data, readiness_lines, status_as_data, status_lines
+from companion.ground.requests import FleetRequest
+from companion.ground.sending import OperateError, Sender, Sent, check_content
+from companion.ground.session import FleetSession
+from companion.ground.text import wrapped
+from companion.ground.waiting import Goal, goal_of, wait_for
 
 EXIT_ALL, EXIT_SOME = 0, 1
-PREPARED_WITHIN_S = 8.0  # what an autopilot may take for a change of its mode, with some to spare
-UNDER_WAY = (FlightPhase.OBSERVE, FlightPhase.PREPARE)
 
 
-class OperateError(Exception):
-    """Nothing was asked. str() is one line with what to do."""
-
-
-def run_fleet(options: FleetOptions) -> int:
+def run_fleet(request: FleetRequest) -> int:
     """The exit code. Raises ConfigError, OperateError and link.zenoh_session.EndpointError."""
-    fleet = load_fleet(options.fleet)
-    ids = _vehicles(options, fleet)
-    _check_wishes(options, fleet)
-    with FleetSession.open(fleet.name, options.connect or DEFAULT_ENDPOINTS, options.operator) as session:
-        if options.action in ("status", "ready"):
-            return _show(session, options, fleet, ids)
-        answers = _give(session, options, fleet, ids)
-        operator = session.operator
-    if options.as_json:
-        _print_json(options, answers_as_data(answers, options.wait_s), operator=operator)
-    else:
-        print("\n".join(answer_lines(answers, options.wait_s)))
-    return EXIT_ALL if all(answer and answer.reply.accepted for answer in answers.values()) else EXIT_SOME
+    fleet = load_fleet(request.fleet)
+    ids = _vehicles(request, fleet)
+    check_content(request, fleet)
+    endpoints = request.connect or simulation_endpoints([member.id for member in fleet.vehicles])
+    with FleetSession.open(fleet.name, endpoints, request.operator) as session:
+        if request.action in ("status", "ready"):
+            return _report(session, request, fleet, ids, endpoints)
+        return _command(session, request, Sender(session, fleet, request, ids), endpoints)
 
 
-def _vehicles(options: FleetOptions, fleet: FleetConfig) -> list[int]:
-    """Who is asked. Raises OperateError for one that is not in the fleet file."""
+def _vehicles(request: FleetRequest, fleet: FleetConfig) -> list[int]:
+    """The vehicles of the request. Raises OperateError for one that is not in the fleet file."""
     known = [member.id for member in fleet.vehicles]
-    for vehicle_id in (*options.only, *options.leaders):
+    for vehicle_id in (*request.only, *request.leaders):
         if vehicle_id not in known:
             expected = ", ".join(map(str, known))
-            raise OperateError(f"vehicle {vehicle_id} is not in {options.fleet}; expected some of {expected}")
-    return sorted(set(options.only)) or known
+            raise OperateError(f"vehicle {vehicle_id} is not in {request.fleet}; expected some of {expected}")
+    return sorted(set(request.only)) or known
 
 
-def _show(session: FleetSession, options: FleetOptions, fleet: FleetConfig, ids: Sequence[int]) -> int:
-    """Nothing is asked of the vehicles."""
-    statuses = session.hear(ids, options.wait_s)
+def _report(
+    session: FleetSession, request: FleetRequest, fleet: FleetConfig, ids: Sequence[int], endpoints: Sequence[str]
+) -> int:
+    """Status or readiness; no command is sent."""
+    statuses = session.statuses(ids, request.wait_s)
     silent = [vehicle_id for vehicle_id in ids if vehicle_id not in statuses]
-    if options.action == "status":
-        lines, data = status_lines(statuses, silent, options.wait_s), status_as_data(statuses, silent)
-        fit = not silent
+    if request.action == "status":
+        lines, data = status_lines(statuses, silent, request.wait_s), status_as_data(statuses, silent)
+        good = not silent
     else:
         every, own_hash = [member.id for member in fleet.vehicles], fleet.formation_hash()
         checks = {i: checks_of(status, every, own_hash) for i, status in statuses.items()}
-        lines, data = readiness_lines(checks, silent, options.wait_s), readiness_as_data(checks, silent)
-        fit = not silent and all(check.fit for of_one in checks.values() for check in of_one)
-    if options.as_json:
-        _print_json(options, data)
+        lines, data = readiness_lines(checks, silent, request.wait_s), readiness_as_data(checks, silent)
+        good = not silent and all(check.passed for of_one in checks.values() for check in of_one)
+    failed_endpoints = unreachable(endpoints, session.linked()) if silent else {}
+    if request.as_json:
+        _print_json(request, data, unreachable=failed_endpoints)
     else:
-        print("\n".join(lines))
-    return EXIT_ALL if fit else EXIT_SOME
+        _print([*lines, *_endpoint_lines(failed_endpoints)])
+    return EXIT_ALL if good else EXIT_SOME
 
 
-def _give(
-    session: FleetSession, options: FleetOptions, fleet: FleetConfig, ids: Sequence[int]
-) -> dict[int, Answer | None]:
-    if options.action == "arm":
-        return _prepare_and_arm(session, ids, options.wait_s)
-    if options.action == "leader":
-        heard = session.hear(ids, options.wait_s)
-        lead = Lead(options.leaders, max((status.epoch for status in heard.values()), default=0) + 1)
-        return _hand_lead_over(session, ids, lead, options.wait_s)
-    if options.formation:
-        formation = _new_formation(session, options.formation, options.wait_s, fleet)
-        return session.ask(ids, CommandName.FORMATION, options.wait_s, formation)
-    if options.reference:
-        may_lead = [member.id for member in fleet.vehicles if member.can_lead]
-        reference = _new_reference(session, options.reference, options.wait_s, fleet)
-        return session.ask(may_lead, CommandName.REFERENCE, options.wait_s, reference)
-    return session.ask(ids, CommandName(options.action), options.wait_s)
+def _command(session: FleetSession, request: FleetRequest, sender: Sender, endpoints: Sequence[str]) -> int:
+    sent = sender.send(request)
+    missing = any(outcome.kind is AnswerKind.MISSING for outcome in sent.outcomes.values())
+    failed_endpoints = unreachable(endpoints, session.linked()) if missing else {}
+    if not request.as_json:
+        _print([*answer_lines(sent.outcomes), *_endpoint_lines(failed_endpoints)])
+    goal = goal_of(sent.name, sent.content, sent.running) if request.wait else None
+    if goal and any(outcome.kind is AnswerKind.ACCEPTED for outcome in sent.outcomes.values()):
+        sent = _waited(session, request, sent, goal)
+    advice = divided(sent.name, sent.outcomes)
+    if request.as_json:
+        more = {"advice": str(advice)} if advice else {}
+        data = answers_as_data(sent.outcomes)
+        _print_json(request, data, operator=session.operator, unreachable=failed_endpoints, **more)
+    elif advice:
+        _print(wrapped("", str(advice)))
+    return EXIT_ALL if all(outcome.good for outcome in sent.outcomes.values()) else EXIT_SOME
 
 
-def _hand_lead_over(session: FleetSession, ids: Sequence[int], lead: Lead, wait_s: float) -> dict[int, Answer | None]:
-    """Who is to lead is asked first; the others, who leads now among them, only where all of those took the lead.
-
-    So nobody gives the lead up that nobody takes. Whoever is not asked hears of it from those that took it.
-    """
-    answers = session.ask(lead.leaders, CommandName.LEAD, wait_s, lead)
-    if not all(answer and answer.reply.accepted for answer in answers.values()):
-        return answers
-    return answers | session.ask([i for i in ids if i not in lead.leaders], CommandName.LEAD, wait_s, lead)
+def _waited(session: FleetSession, request: FleetRequest, sent: Sent, goal: Goal) -> Sent:
+    """Progress goes to standard error, the result to standard output."""
+    timeout_s = request.timeout_s or goal.timeout_s
+    outcomes = wait_for(goal, sent.outcomes, session, timeout_s, _show_progress)
+    if not request.as_json:
+        _print(end_lines(outcomes, goal.text))
+    return replace(sent, outcomes=outcomes)
 
 
-def _prepare_and_arm(session: FleetSession, ids: Sequence[int], wait_s: float) -> dict[int, Answer | None]:
-    """Those that only observe are prepared first; who refuses that is not asked to arm."""
-    observing = [i for i, s in session.hear(ids, wait_s).items() if s.phase is FlightPhase.OBSERVE]
-    answers = session.ask(observing, CommandName.PREPARE, wait_s)
-    prepared = [i for i, answer in answers.items() if answer and answer.reply.accepted]
-    _wait_for_end_of(session, prepared)
-    return answers | session.ask([i for i in ids if i not in answers or i in prepared], CommandName.ARM, wait_s)
+def _show_progress(line: str) -> None:
+    print("\n".join(wrapped("", line)), file=sys.stderr, flush=True)
 
 
-def _wait_for_end_of(session: FleetSession, preparing: Collection[int]) -> None:
-    """Until all are prepared, one way or the other; what is still under way refuses to arm in its own words."""
-    deadline_s = time.monotonic() + PREPARED_WITHIN_S
-    while time.monotonic() < deadline_s:
-        heard = session.newest()
-        if not any(i in heard and heard[i].phase in UNDER_WAY for i in preparing):
-            return
-        time.sleep(POLL_S)
+def _endpoint_lines(failed: dict[str, str]) -> list[str]:
+    return [line for endpoint, reason in failed.items() for line in wrapped(f"unreachable: {endpoint}: ", reason)]
 
 
-def _check_wishes(options: FleetOptions, fleet: FleetConfig) -> None:
-    """A mistake is told before any vehicle is waited for. Raises ConfigError and OperateError."""
-    if options.formation:
-        _need_scipy()
-        from companion.ground.formations import check_wish
-
-        check_wish(options.formation, fleet)
-    if options.reference:
-        wished(options.reference, here_enu_m=ZERO3)
+def _print(lines: Sequence[str]) -> None:
+    print("\n".join(lines), flush=True)
 
 
-def _new_formation(session: FleetSession, wish: FormationWish, wait_s: float, fleet: FleetConfig) -> FormationChange:
-    """From where the vehicles are. Raises OperateError where some are not heard: it would be for them, too."""
-    from companion.ground.formations import change_to, places_enu_m, refusal_of, wished_slots
-
-    heard = _hear_all(session, wait_s, fleet)
-    if silent := [str(member.id) for member in fleet.vehicles if member.id not in heard]:
-        raise OperateError(f"nothing heard of vehicle {', '.join(silent)} for {wait_s:g} s; all get new slots")
-    statuses = list(heard.values())
-    slots_enu_m = wished_slots(wish, statuses, fleet)
-    if refusal := refusal_of(slots_enu_m, places_enu_m(statuses), fleet.separation_m):
-        raise OperateError(refusal)
-    return change_to(slots_enu_m, statuses, fleet.slot_speed_m_s)
-
-
-def _new_reference(session: FleetSession, wish: ReferenceWish, wait_s: float, fleet: FleetConfig) -> ReferenceChange:
-    """Checked with the slots that the vehicles fly, as each that may lead does. Raises ConfigError and OperateError."""
-    heard = _hear_all(session, wait_s, fleet)
-    if not heard:
-        raise OperateError(f"nothing heard of any vehicle for {wait_s:g} s")
-    led = [status.reference_enu_m for status in heard.values() if status.reference_enu_m]
-    reference = wished(wish, here_enu_m=led[0] if led else None)
-    slots_enu_m = {i: status.slot.position_enu_m for i, status in heard.items()}
-    check_reference(wish.file or COMMAND_LINE, fleet, reference, slots_enu_m=slots_enu_m)
-    return reference_change(msgspec.to_builtins(reference), list(heard.values()))
-
-
-def _hear_all(session: FleetSession, wait_s: float, fleet: FleetConfig) -> dict[int, Status]:
-    return session.hear([member.id for member in fleet.vehicles], wait_s)
-
-
-def _need_scipy() -> None:
-    """Slots are assigned with it. Raises OperateError."""
-    try:
-        import scipy.optimize  # noqa: F401
-    except ImportError as error:
-        raise OperateError(f"formations need the package scipy: {GROUND_INSTALL}") from error
-
-
-def _print_json(options: FleetOptions, vehicles: list[dict[str, Any]], **more: str) -> None:
-    print(msgspec.json.encode({"action": options.action, **more, "vehicles": vehicles}).decode())
+def _print_json(request: FleetRequest, vehicles: list[dict[str, Any]], **more: Any) -> None:
+    print(msgspec.json.encode({"action": request.action, **more, "vehicles": vehicles}).decode())

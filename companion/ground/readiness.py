@@ -1,70 +1,84 @@
-"""What a vehicle checks before it flies, as a list to read on the ground. The vehicle judges; here its words are sorted."""
+"""The checks of a vehicle before flight, sorted by subject. The vehicle decides; here its findings are collected. Pure."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
-from companion.types import HealthFlag, Status
+from companion.types.flight import BATTERY_FLAGS, FLAG_TEXTS, HealthFlag
+from companion.types.notices import Code, Notice
+from companion.types.status import Status
 
 F = HealthFlag
 
-ESTIMATOR = frozenset({F.POSITION_JUMPED})
-ORIGIN = frozenset({F.FRAME_UNKNOWN, F.FRAME_CONTRADICTED, F.FENCE})
-LATER = frozenset({F.LEADER_LOST})  # a leader has no word to give before the fleet is in the air
-BATTERY = ("battery: ",)
-SEPARATION = ("separation: ", "altitude: ")
+ESTIMATOR = frozenset({F.POSITION_JUMPED, F.ESTIMATOR_BAD})
+ORIGIN = frozenset({F.FRAME_UNKNOWN, F.FRAME_CONTRADICTED, F.OUTSIDE_FENCE})
+OTHER_CHECKS = ESTIMATOR | ORIGIN | BATTERY_FLAGS
+LATER = frozenset({F.LEADER_LOST})  # a leader publishes no beacon before the fleet is in the air
+BATTERY = frozenset({Code.BATTERY_LOW})
+SEPARATION = frozenset({Code.VEHICLE_TOO_CLOSE, Code.ALTITUDES_DIFFER})
+NOT_CHECKED = "not checked while armed"
 
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One thing to be in order before a flight; `found` is what was found, in words."""
+    """One check before flight; `codes` is empty where it passed, `found` describes the state or the findings."""
 
     name: str
-    fit: bool
+    codes: tuple[Code, ...]
     found: str
+
+    @property
+    def passed(self) -> bool:
+        return not self.codes
 
 
 def checks_of(status: Status, fleet_ids: Collection[int], formation_hash: int) -> tuple[Check, ...]:
-    """All of one vehicle's, in a fixed order. Ids and hash are those of the ground's own fleet file."""
+    """All checks of one vehicle, in a fixed order. Ids and hash are those of the fleet file on the ground."""
     flags, lacks = set(status.flags) - LATER, status.lacks
-    unheard = sorted(set(fleet_ids) - {status.vehicle_id} - set(status.peers))
+    missing = sorted(set(fleet_ids) - {status.vehicle_id} - set(status.peers))
+    no_peers = [Notice(Code.PEER_STALE, f"no fresh report of {_ids(missing)}")] if missing else []
     same_file = status.formation_hash == formation_hash
+    other_file = [Notice(Code.FLEET_FILE_DIFFERS, "differs from the fleet file here (formation hash)")]
+    others = [notice for notice in lacks if notice.code not in BATTERY | SEPARATION]
     return (
-        _check("autopilot", sorted(flags - ESTIMATOR - ORIGIN), f"position {status.state_age_s * 1000.0:.0f} ms old"),
-        _check("estimator", sorted(flags & ESTIMATOR), _error(status)),
-        _check("battery", _of(lacks, BATTERY), _battery(status.battery_percent)),
-        _check("origin", sorted(flags & ORIGIN), "in the fleet's frame, inside its fence"),
-        _check("peers", [f"does not hear {_ids(unheard)}"] if unheard else [], f"hears {_ids(status.peers)}"),
-        _check("fleet file", [] if same_file else ["another one than this (formation hash differs)"], "the same"),
-        _check("separation", _of(lacks, SEPARATION), "not looked at while armed" if status.armed else "kept"),
+        _check("autopilot", _notices(flags - OTHER_CHECKS), f"position {status.state_age_s * 1000.0:.0f} ms old"),
+        _check("estimator", _notices(flags & ESTIMATOR), _error(status)),
         _check(
-            "parameters",
-            [words for words in lacks if not words.startswith(BATTERY + SEPARATION)],
-            "not looked at while armed" if status.armed else "as the audit wants them; its own checks pass",
+            "battery",
+            _notices(flags & BATTERY_FLAGS) + [notice for notice in lacks if notice.code in BATTERY],
+            _battery(status.battery_percent),
         ),
+        _check("origin", _notices(flags & ORIGIN), "in the fleet frame, inside the fence"),
+        _check("peers", no_peers, f"fresh: {_ids(status.peers)}"),
+        _check("fleet file", [] if same_file else other_file, "the same"),
+        _check(
+            "separation",
+            [notice for notice in lacks if notice.code in SEPARATION],
+            NOT_CHECKED if status.armed else "kept",
+        ),
+        _check("parameters", others, NOT_CHECKED if status.armed else "as the audit requires; arming checks pass"),
     )
 
 
-def _check(name: str, wrong: Collection[str], found: str) -> Check:
-    return Check(name, not wrong, "; ".join(wrong) or found)
+def _notices(flags: Iterable[HealthFlag]) -> list[Notice]:
+    return [Notice(Code(flag), FLAG_TEXTS[flag]) for flag in sorted(flags)]
 
 
-def _of(lacks: Collection[str], subjects: tuple[str, ...]) -> list[str]:
-    """Those that begin so; the name of the check need not stand twice."""
-    return [words.removeprefix(subjects[0]) for words in lacks if words.startswith(subjects)]
+def _check(name: str, notices: Collection[Notice], found: str) -> Check:
+    return Check(name, tuple(notice.code for notice in notices), "; ".join(map(str, notices)) or found)
 
 
 def _error(status: Status) -> str:
     error = status.position_error
     if error is None:
-        return "tells no error of its own"
-    return f"error {error.horizontal_m:.2f} m in the plane, {error.vertical_m:.2f} m in height"
+        return "reports no position error"
+    return f"error {error.horizontal_m:.2f} m horizontal, {error.vertical_m:.2f} m vertical"
 
 
 def _battery(percent: float | None) -> str:
-    return "the autopilot does not know" if percent is None else f"{percent:.0f} %"
+    return "unknown to the autopilot" if percent is None else f"{percent:.0f} %"
 
 
 def _ids(ids: Collection[int]) -> str:
-    return ", ".join(map(str, ids)) or "nobody"
+    return ", ".join(map(str, ids)) or "none"

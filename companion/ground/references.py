@@ -1,17 +1,18 @@
-"""From a described RFT to a command for every vehicle that may lead: in which number, and when it begins."""
+"""The command that changes the reference trajectory (RFT): its content, its number and the time it begins."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from companion.arguments import COMMAND_LINE
+from companion.config.file import ConfigError, convert
 from companion.config.reference import Reference, ReferenceSection, load_reference
-from companion.config_file import ConfigError, convert
-from companion.fleet_where_options import ReferenceWish
 from companion.ground.fleet_time import AHEAD_S, fleet_time_s
-from companion.types import Described, ReferenceChange, Status, Vector3
+from companion.ground.requests import COMMAND_LINE, ReferenceRequest
+from companion.types.commands import Described, ReferenceChange
+from companion.types.status import Status
+from companion.types.vectors import Vector3
 
-KEY_OF_PLACE = {
+POSITION_KEY = {
     "point": "point_enu_m",
     "waypoints": "points_enu_m",
     "circle": "centre_enu_m",
@@ -21,30 +22,32 @@ KEY_OF_PLACE = {
 
 
 def reference_change(reference: Described, statuses: Sequence[Status]) -> ReferenceChange:
-    """`reference` as a file has it; in the next number, and soon by the fleet's own time."""
+    """`reference` as in a file, with the next number, AHEAD_S after the fleet time of these reports."""
     numbers = (status.reference.waiting for status in statuses if status.reference)
     return ReferenceChange(max(numbers, default=0) + 1, reference, fleet_time_s(statuses) + AHEAD_S)
 
 
-def wished(wish: ReferenceWish, here_enu_m: Vector3 | None) -> Reference:
-    """What a file or a command line describes; a target is waited for `here_enu_m` unless it says where. Raises ConfigError."""
-    if wish.file is not None:
-        if wish.described or wish.places_enu_m:
-            raise ConfigError(COMMAND_LINE, "--file", "says all by itself; expected it alone, or KIND with its options")
-        return load_reference(wish.file)
-    described = wish.described
+def requested_reference(request: ReferenceRequest, here_enu_m: Vector3 | None) -> Reference:
+    """The reference of a file or a command line. A target without a position is awaited `here_enu_m`. Raises ConfigError."""
+    if request.file is not None:
+        if request.described or request.positions_enu_m:
+            raise ConfigError(
+                COMMAND_LINE, "--file", "describes the whole reference; give it alone, or KIND with its options"
+            )
+        return load_reference(request.file)
+    described = request.described
     kind = described.get("kind")
     if not isinstance(kind, str):
-        raise ConfigError(COMMAND_LINE, "KIND", f"missing; expected one of {', '.join(KEY_OF_PLACE)}, or --file FILE")
-    places = [list(place) for place in wish.places_enu_m]
-    if kind == "target" and not places and here_enu_m is not None:
-        places = [list(here_enu_m)]
-    if kind == "target" and not places:
+        raise ConfigError(COMMAND_LINE, "KIND", f"missing; expected one of {', '.join(POSITION_KEY)}, or --file FILE")
+    positions = [list(position) for position in request.positions_enu_m]
+    if kind == "target" and not positions and here_enu_m is not None:
+        positions = [list(here_enu_m)]
+    if kind == "target" and not positions:
         raise ConfigError(
-            COMMAND_LINE, "--at", "missing; nobody is heard to lead, so say where the target is waited for"
+            COMMAND_LINE, "--at", "missing; no leader reports a reference: give the position to await the target at"
         )
-    if not places or (len(places) > 1 and kind != "waypoints"):
+    if not positions or (len(positions) > 1 and kind != "waypoints"):
         expected = "one or more" if kind == "waypoints" else "one"
-        raise ConfigError(COMMAND_LINE, "--at", f"given {len(places)} times; a reference {kind} has {expected}")
-    place = {KEY_OF_PLACE[kind]: places if kind == "waypoints" else places[0]}
-    return convert(COMMAND_LINE, {"reference": described | place}, ReferenceSection).reference
+        raise ConfigError(COMMAND_LINE, "--at", f"given {len(positions)} times; a reference {kind} has {expected}")
+    position = {POSITION_KEY[kind]: positions if kind == "waypoints" else positions[0]}
+    return convert(COMMAND_LINE, {"reference": described | position}, ReferenceSection).reference

@@ -1,4 +1,4 @@
-"""The ground's side of Zenoh: hears every vehicle's status and gives commands. Nothing here needs an event loop."""
+"""The Zenoh session of the ground: receives the status of every vehicle and sends commands. Needs no event loop."""
 
 from __future__ import annotations
 
@@ -7,27 +7,32 @@ import re
 import socket
 import time
 from collections import Counter, deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from math import inf
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
 import zenoh
 
 from companion.link.zenoh_session import drain, open_session
-from companion.types import Command, CommandName, CommandReply, Content, Status
+from companion.types.commands import Command, CommandName, CommandReply, Content, next_number
+from companion.types.notices import Code
+from companion.types.status import Status
 from companion.wire.ground import StatusReport, decode_reply, decode_report, encode
-from companion.wire.keys import command_key, every_status, status_key
+from companion.wire.keys import abort_key, command_key, every_reply, every_status, reply_key, status_key
 from companion.wire.version import WireError
 
-REPORTS_KEPT = 4096  # a ring: when nobody drains, the oldest reports go first
+REPORTS_KEPT = 4096  # a ring: without drain() the oldest reports are dropped
 POLL_S = 0.01
-FRESH_S = 1.0  # a vehicle that said nothing for so long may have started anew
+REPLIES_KEPT = 1024
+AGAIN_S = 0.25  # an unanswered command is sent again
+FRESH_S = 1.0  # seconds; without a report for longer, an agent may have restarted
 
 
 def operator_here() -> str:
-    """user@host, as far as this machine tells."""
+    """user@host of this machine; "operator" for an unknown user."""
     try:
         user = getpass.getuser()
     except (KeyError, OSError):  # no such user, as in some containers
@@ -37,23 +42,16 @@ def operator_here() -> str:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What a vehicle said to a command, and how long after it was given."""
+    """A vehicle's reply to a command, and the time from the command to it."""
 
     reply: CommandReply
     after_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class _Asked:
-    channel: Any
-    payload: bytes
-    since_s: float
-
-
 class FleetSession:
     """A Zenoh session of the ground. Use it in a `with`, or call `close()`.
 
-    Commands are `operator`'s. `rejected` counts reports and replies that were no message of ours, by reason.
+    `operator` sends the commands. `rejected` counts refused reports and replies by code.
     """
 
     def __init__(self, fleet: str, session: zenoh.Session, operator: str) -> None:
@@ -62,15 +60,16 @@ class FleetSession:
         self.rejected: Counter[str] = Counter()
         self._session = session
         self._reports = session.declare_subscriber(every_status(fleet), zenoh.handlers.RingChannel(REPORTS_KEPT))
+        self._replies = session.declare_subscriber(every_reply(fleet), zenoh.handlers.RingChannel(REPLIES_KEPT))
         self._undrained: deque[StatusReport] = deque(maxlen=REPORTS_KEPT)
-        self._newest: dict[int, tuple[float, Status]] = {}  # by vehicle, with when it came
-        self._number = 0  # of the last command
+        self._newest: dict[int, tuple[float, Status]] = {}  # by vehicle, with the time of arrival
+        self._numbers: dict[int, int] = {}  # of the last command to each vehicle
 
     @classmethod
     def open(cls, fleet: str, connect: Sequence[str], operator: str = "") -> FleetSession:
-        """Connect to the vehicles' endpoints, in the background and for ever. `fleet` may be * to only listen to all.
+        """Connects to the vehicles' endpoints, in the background, without end. `fleet` may be * to receive from all fleets.
 
-        `operator` is whose the commands are, of the form of wire.ground.OPERATOR; user@host where it is left out.
+        `operator` has the form of types.commands.OPERATOR; user@host where it is empty.
 
         Raises link.zenoh_session.EndpointError.
         """
@@ -82,7 +81,7 @@ class FleetSession:
         return opened
 
     def drain(self) -> list[StatusReport]:
-        """All reports that came since the last call, oldest first. Never blocks."""
+        """All reports since the last call, oldest first. Never blocks."""
         self._listen()
         reports = list(self._undrained)
         self._undrained.clear()
@@ -93,26 +92,26 @@ class FleetSession:
             try:
                 report = decode_report(sample.payload.to_bytes())
             except WireError as error:
-                self.rejected[str(error)] += 1
+                self.rejected[error.key] += 1
                 continue
             if str(sample.key_expr) == status_key(report.status.fleet, report.status.vehicle_id):
                 self._undrained.append(report)
-                self._newest[report.status.vehicle_id] = (time.monotonic(), report.status)
+                self._newest[report.status.vehicle_id] = (time.monotonic(), report.status)  # at most 250 ids
             else:
-                self.rejected["status of another vehicle than its key says"] += 1
+                self.rejected[Code.PEER_KEY_MISMATCH] += 1
 
     def newest(self) -> dict[int, Status]:
-        """What each vehicle said last, of those that said something within FRESH_S. Never blocks."""
+        """The newest status of each vehicle, none older than FRESH_S. Never blocks."""
         self._listen()
         now_s = time.monotonic()
-        return {i: status for i, (heard_s, status) in self._newest.items() if now_s - heard_s < FRESH_S}
+        return {i: status for i, (received_s, status) in self._newest.items() if now_s - received_s < FRESH_S}
 
-    def hear(self, vehicle_ids: Iterable[int], timeout_s: float) -> dict[int, Status]:
-        """What each of these vehicles says, as soon as all have said something; without those silent for `timeout_s`."""
+    def statuses(self, vehicle_ids: Iterable[int], timeout_s: float) -> dict[int, Status]:
+        """Status of these vehicles when all have reported, or of those that have after `timeout_s`."""
         wanted, deadline_s = set(vehicle_ids), time.monotonic() + timeout_s
-        while not wanted <= (heard := self.newest()).keys() and time.monotonic() < deadline_s:
+        while not wanted <= (reports := self.newest()).keys() and time.monotonic() < deadline_s:
             time.sleep(POLL_S)
-        return {i: heard[i] for i in sorted(wanted & heard.keys())}
+        return {i: reports[i] for i in sorted(wanted & reports.keys())}
 
     def command(
         self,
@@ -121,7 +120,7 @@ class FleetSession:
         timeout_s: float = 2.0,
         content: Content | None = None,
     ) -> dict[int, CommandReply | None]:
-        """As `ask`, without the times."""
+        """As `ask`, without the times of the replies."""
         asked = self.ask(vehicle_ids, name, timeout_s, content)
         return {vehicle_id: answer.reply if answer else None for vehicle_id, answer in asked.items()}
 
@@ -132,62 +131,64 @@ class FleetSession:
         timeout_s: float = 2.0,
         content: Content | None = None,
     ) -> dict[int, Answer | None]:
-        """Give one command to these vehicles at the same time and wait for their answers. `content` goes with some.
+        """Sends one command to these vehicles at the same time and waits for their replies. Some commands have a `content`.
 
-        Returns one entry per id; None where no answer came within `timeout_s`. Who is not heard yet is waited for until then,
-        as a command is for one start of an agent; a command that a vehicle has got is never repeated.
+        Returns one entry per id; None where no reply came within `timeout_s`. A command waits for the report of its vehicle,
+        because it is valid for one start of the agent only. ABORT waits for nothing. A command is sent again until it is
+        answered; a vehicle executes it once.
         """
-        deadline_s = time.monotonic() + timeout_s
+        start_s = time.monotonic()
         answers: dict[int, Answer | None] = dict.fromkeys(vehicle_ids)
-        unheard, asked = set(answers), dict[int, _Asked]()
-        while (unheard or asked) and (remaining_s := deadline_s - time.monotonic()) > 0:
-            heard = self.newest()
-            for vehicle_id in sorted(unheard & heard.keys()):
-                payload = encode(self._command(heard[vehicle_id], name, content))
-                asked[vehicle_id] = self._send(vehicle_id, payload, time.monotonic(), remaining_s)
-            unheard -= heard.keys()
-            for vehicle_id, query in list(asked.items()):
-                try:
-                    reply = query.channel.try_recv()
-                except zenoh.ZError:  # ended without an answer: nobody was there to take it
-                    asked[vehicle_id] = self._send(vehicle_id, query.payload, query.since_s, remaining_s)
-                    continue
-                if reply is not None:
-                    if answer := self._answer(reply, vehicle_id):
-                        answers[vehicle_id] = Answer(answer, time.monotonic() - query.since_s)
-                    del asked[vehicle_id]
-            time.sleep(min(POLL_S, remaining_s) if asked or unheard else 0.0)
+        sent: dict[int, tuple[Command, float, float]] = {}  # command, time of the first and of the last sending
+        while None in answers.values() and time.monotonic() - start_s < timeout_s:
+            now_s, reports = time.monotonic(), self.newest()
+            for vehicle_id in sorted(i for i, answer in answers.items() if answer is None):
+                command, first_s, last_s = sent.get(vehicle_id, (None, now_s, -inf))
+                if command is None and name is CommandName.ABORT:
+                    command = Command(name, time.time_ns() // 1_000_000, self.operator, session=0)
+                elif command is None and vehicle_id in reports:
+                    command = self._command(reports[vehicle_id], name, content)
+                if command and now_s - last_s >= AGAIN_S:
+                    self._send(vehicle_id, command)
+                    sent[vehicle_id] = (command, first_s, now_s)
+            time.sleep(min(POLL_S, timeout_s))
+            for reply in self._received_replies():
+                command, first_s, _ = sent.get(reply.vehicle_id, (None, 0.0, 0.0))
+                if command and (reply.operator, reply.number) == (command.operator, command.number):
+                    answers[reply.vehicle_id] = Answer(reply, time.monotonic() - first_s)
         return answers
 
     def _command(self, status: Status, name: CommandName, content: Content | None) -> Command:
-        """For the vehicle that says this. Its last number counts where another operator's clock is ahead of this one's."""
-        milliseconds = time.time_ns() // 1_000_000
-        self._number = max(milliseconds, self._number + 1, status.command_number + 1)
-        return Command(name, self._number, self.operator, status.session, content)
+        """For the vehicle with this status, with a number of its own: a wrong one of a vehicle does not concern the others."""
+        number = next_number(self._numbers.get(status.vehicle_id, 0), status.command_number)
+        self._numbers[status.vehicle_id] = number
+        return Command(name, number, self.operator, status.session, content)
 
-    def _send(self, vehicle_id: int, payload: bytes, since_s: float, timeout_s: float) -> _Asked:
-        channel = self._session.get(
-            command_key(self.fleet, vehicle_id),
-            zenoh.handlers.FifoChannel(4),
-            payload=payload,
+    def _send(self, vehicle_id: int, command: Command) -> None:
+        key = abort_key if command.name is CommandName.ABORT else command_key
+        self._session.put(
+            key(self.fleet, vehicle_id),
+            encode(command),
+            congestion_control=zenoh.CongestionControl.DROP,
             priority=zenoh.Priority.INTERACTIVE_HIGH,
             express=True,
-            timeout=timeout_s,
         )
-        return _Asked(channel, payload, since_s)
 
-    def _answer(self, reply: Any, vehicle_id: int) -> CommandReply | None:
-        if reply.ok is None:  # the query's time is over
-            return None
-        try:
-            answer = decode_reply(reply.ok.payload.to_bytes())
-        except WireError as error:
-            self.rejected[str(error)] += 1
-            return None
-        if answer.vehicle_id != vehicle_id:
-            self.rejected["reply of another vehicle than was asked"] += 1
-            return None
-        return answer
+    def _received_replies(self) -> Iterator[CommandReply]:
+        for sample in drain(self._replies, REPLIES_KEPT):
+            try:
+                reply = decode_reply(sample.payload.to_bytes())
+            except WireError as error:
+                self.rejected[error.key] += 1
+                continue
+            if str(sample.key_expr) == reply_key(self.fleet, reply.vehicle_id):
+                yield reply
+            else:
+                self.rejected[Code.PEER_KEY_MISMATCH] += 1
+
+    def linked(self) -> list[str]:
+        """Remote endpoints that this session has a link to, like tcp/192.168.1.11:7447."""
+        return [str(link.dst) for link in self._session.info.links()]
 
     def close(self) -> None:
         """End the session; without this a process may hang at its exit."""

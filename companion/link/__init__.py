@@ -1,1 +1,1 @@
-"""The only room on board with asyncio, sockets, Zenoh and clocks."""
+"""Links of the agent: asyncio, sockets, serial lines, Zenoh, clocks. The only package on board that uses them."""

@@ -1,42 +1,37 @@
-"""The autopilot as the agent meets it: telemetry in, setpoints and requests out, and the manners that keep both going."""
+"""Link to the autopilot: telemetry in, setpoints and requests out, heartbeat and message rates kept up."""
 
 from __future__ import annotations
 
 import asyncio
 import logging
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import NoReturn
 
 from companion.config.vehicle import VehicleConfig
 from companion.link.mavlink_link import open_link
-from companion.mavlink.signing import NOT_SIGNED, OLD_STAMP, WRONG_KEY
 from companion.mavlink.translator import Translator
-from companion.types import (
-    AttitudeTarget,
-    AutopilotRequest,
-    HeartbeatSample,
-    ModeSample,
-    PositionSample,
-    Telemetry,
-)
+from companion.types.notices import Code
+from companion.types.requests import AttitudeTarget, AutopilotRequest
+from companion.types.telemetry import HeartbeatSample, ModeSample, PositionSample, Telemetry
 
 HEARTBEAT_PERIOD_S = 1.0
 STREAM_CHECK_PERIOD_S = 2.0
+SAMPLES_KEPT = 512  # for the next tick: a second of all telemetry at the requested rates
 
 SIGNATURE_ADVICE = {
-    NOT_SIGNED: "its packets are not signed; give it the key (in MAVProxy: signing setup), or take signing out of the"
-    " vehicle file: PX4 1.16 cannot sign",
-    WRONG_KEY: "its packets are signed with another key; give both the same one",
-    OLD_STAMP: "its signatures are older than this computer's clock; set the right time here, or wait for its GPS",
+    Code.MAVLINK_UNSIGNED: "its packets are not signed; give it the key (in MAVProxy: signing setup), or remove signing from"
+    " the vehicle file: PX4 1.16 cannot sign",
+    Code.MAVLINK_WRONG_KEY: "its packets are signed with another key; give both the same key",
+    Code.MAVLINK_OLD_SIGNATURE: "its signatures are older than this computer's clock; correct the clock, or wait for its GPS",
 }
 
 _log = logging.getLogger(__name__)
 
 
 class AutopilotSilentError(Exception):
-    """The autopilot never answered. str() is one line: file, field, endpoint, what was expected, what to do."""
+    """No answer of the autopilot. `str()` is one line: file, field, endpoint, what was expected, what to do."""
 
     def __init__(self, file: Path, vehicle: VehicleConfig, waited_s: float, why: str) -> None:
         super().__init__(
@@ -45,9 +40,9 @@ class AutopilotSilentError(Exception):
 
 
 class AutopilotLink:
-    """Decodes telemetry as it arrives and keeps it for the next tick. `position_arrived` is called for every position.
+    """Decodes telemetry as it arrives and keeps it for the next tick. Calls `position_arrived` for every position.
 
-    `reject` is called with the reason for everything that came damaged or without sense.
+    Calls `reject` with the code of every damaged or implausible packet.
     """
 
     def __init__(
@@ -63,118 +58,123 @@ class AutopilotLink:
         self._translator = translator
         self._position_arrived = position_arrived
         self._reject = reject
-        self._telemetry: list[Telemetry] = []
-        self._came: Counter[type[Telemetry]] = Counter()  # since the last check of the streams
-        self._heard = asyncio.Event()
-        self._there = (
-            asyncio.Event()
-        )  # heard, or rightly signed with an old stamp: it has yet to learn the time from us
+        self._telemetry: deque[Telemetry] = deque(maxlen=SAMPLES_KEPT)  # of a flood the newest remain
+        self._received: Counter[type[Telemetry]] = Counter()  # samples since the last check of the streams
+        self._heartbeat_received = asyncio.Event()
+        # Any valid packet, or one signed with an old timestamp: that autopilot first needs the time of this computer.
+        self._present = asyncio.Event()
         self._pass_on: Callable[[Sequence[bytes]], None] | None = None
         self._link = open_link(endpoint, self._bytes_arrived)
 
     @property
-    def heard(self) -> bool:
-        """Has its HEARTBEAT ever come?"""
-        return self._heard.is_set()
+    def is_connected(self) -> bool:
+        """Whether a HEARTBEAT of the autopilot was ever received."""
+        return self._heartbeat_received.is_set()
 
     def drain(self) -> tuple[Telemetry, ...]:
-        """All that came since the last call."""
+        """All telemetry since the last call."""
         telemetry = tuple(self._telemetry)
         self._telemetry.clear()
         return telemetry
 
     def command(self, target: AttitudeTarget, now_s: float) -> None:
-        """Send a setpoint, once."""
+        """Send one setpoint."""
         self._link.send(self._translator.attitude_target(target, now_s))
 
     def request(self, requests: Iterable[AutopilotRequest]) -> None:
+        """Send requests."""
         for request in requests:
             self._link.send(self._translator.request(request))
 
     def pass_on_to(self, listener: Callable[[Sequence[bytes]], None]) -> None:
-        """Give the packets that come, as they came, to one more listener."""
+        """Pass received packets, unchanged, to one more listener."""
         self._pass_on = listener
 
     def offer(self, packet: bytes) -> bool:
-        """A packet of somebody else; it goes out only where it delays nothing. False: not now."""
+        """Send another program's packet if the link is free. Returns whether it was sent."""
         return self._link.offer(packet)
 
     def relay(self, data: bytes) -> None:
-        """What another program of this vehicle's computer says, as this agent's own."""
+        """Send the messages of another program on this computer as packets of this agent."""
         for packet in self._translator.relayed(data):
             self._link.send(packet)
 
     async def receive(self) -> None:
-        """Until cancelled."""
+        """Receive until cancelled."""
         await self._link.run()
 
     async def keep_in_touch(self) -> NoReturn:
-        """The companion's own heartbeat, from the autopilot's first on."""
-        await self._there.wait()
+        """Send the companion's heartbeat, from the autopilot's first packet until cancelled."""
+        await self._present.wait()
         while True:
             self._link.send(self._translator.heartbeat())
             await asyncio.sleep(HEARTBEAT_PERIOD_S)
 
     async def keep_streams(self) -> NoReturn:
-        """Ask for the telemetry rates when the autopilot is there, and again while too little of one comes.
+        """Request the telemetry rates at the first HEARTBEAT, and again while one of them is too low.
 
-        A request may be lost like any packet, each by itself: so every stream is watched.
+        Each request is a packet of its own that may be lost, so every stream is checked.
         """
-        await self._heard.wait()
-        _log.info("heartbeat of autopilot %d, %s", self._vehicle_id, self._translator.manners.NAME)
-        if self._translator.signs_alone:
-            _log.warning("the autopilot signs its packets and may ignore this agent's: set signing in the vehicle file")
+        await self._heartbeat_received.wait()
+        _log.info("heartbeat of autopilot %d, %s", self._vehicle_id, self._translator.dialect.NAME)
+        if self._translator.lacks_key:
+            _log.warning(
+                "the autopilot signs its packets and may ignore unsigned ones: set signing in the vehicle file"
+            )
         slow_before: list[str] = []
         while True:
             for request in self._translator.stream_requests():
                 self._link.send(request)
             while True:
-                self._came.clear()
+                self._received.clear()
                 await asyncio.sleep(STREAM_CHECK_PERIOD_S)
                 slow = self._slow_streams()
                 if slow != slow_before:
-                    _log.info("%s", f"too few {', '.join(slow)}: asking again" if slow else "all telemetry comes")
+                    _log.info("%s", f"too few {', '.join(slow)}: requesting again" if slow else "all telemetry arrives")
                 slow_before = slow
                 if slow:
                     break
 
     def _slow_streams(self) -> list[str]:
-        """What came too seldom since the last check."""
-        self._came[ModeSample] -= self._came[HeartbeatSample]  # every HEARTBEAT brings a mode, too, asked or not
-        least_hz = self._translator.manners.LEAST_HZ
-        return [name for kind, (name, rate) in least_hz.items() if self._came[kind] < rate * STREAM_CHECK_PERIOD_S]
+        """Names of the telemetry whose rate was too low since the last check."""
+        self._received[ModeSample] -= self._received[HeartbeatSample]  # every HEARTBEAT gives a mode sample too
+        least_hz = self._translator.dialect.MIN_RATE_HZ
+        return [name for kind, (name, rate) in least_hz.items() if self._received[kind] < rate * STREAM_CHECK_PERIOD_S]
 
     def why_silent(self) -> str:
-        """Why no HEARTBEAT was heard, and what to do about it."""
+        """Why no HEARTBEAT was received, and what to do."""
         if self._translator.refused_signature is not None:
             return SIGNATURE_ADVICE[self._translator.refused_signature]
         others = sorted(self._translator.other_systems)
         if self._translator.refused_heartbeat:
             return self._translator.refused_heartbeat
         if others:
-            heard = ", ".join(str(system_id) for system_id in others)
-            return f"heard system {heard} instead; correct the id here or the autopilot's (MAV_SYS_ID)"
+            received = ", ".join(str(system_id) for system_id in others)
+            return f"received system {received} instead; correct the id here or in the autopilot (MAV_SYS_ID)"
         return self._link.problem()
 
     def close(self) -> None:
+        """Close the link."""
         self._link.close()
 
     def _bytes_arrived(self, data: bytes, received_s: float) -> bool:
         samples = self._translator.telemetry(data, received_s)
-        self._telemetry += samples
-        is_autopilots = bool(samples) or OLD_STAMP in self._translator.rejected
-        if is_autopilots:
-            self._there.set()
+        for _ in range(len(self._telemetry) + len(samples) - SAMPLES_KEPT):
+            self._reject(Code.TELEMETRY_OVERLOAD)
+        self._telemetry.extend(samples)
+        from_autopilot = bool(samples) or Code.MAVLINK_OLD_SIGNATURE in self._translator.rejected
+        if from_autopilot:
+            self._present.set()
         if self._translator.rejected:
-            for reason in self._translator.rejected.elements():
-                self._reject(reason)
+            for code in self._translator.rejected.elements():
+                self._reject(code)
             self._translator.rejected.clear()
         for sample in samples:
-            self._came[type(sample)] += 1
+            self._received[type(sample)] += 1
             if isinstance(sample, PositionSample):
                 self._position_arrived()
             elif isinstance(sample, HeartbeatSample):
-                self._heard.set()
-        if self._pass_on and self.heard:
+                self._heartbeat_received.set()
+        if self._pass_on and self.is_connected:
             self._pass_on(self._translator.packets)
-        return is_autopilots
+        return from_autopilot

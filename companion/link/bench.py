@@ -1,4 +1,4 @@
-"""One vehicle on the bench: the agent's own link with nobody else on it, and mavsdk on the same bytes."""
+"""Link to one vehicle for bench commands (doctor, logs): the agent's MAVLink link, with mavsdk on the same bytes."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from collections.abc import Awaitable, Callable, Coroutine
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
+from companion.config.file import ConfigError
 from companion.config.vehicle import AgentConfig
-from companion.config_file import ConfigError
 from companion.link.autopilot_link import AutopilotLink, AutopilotSilentError
 from companion.link.endpoint import LinkError
 from companion.link.mavsdk_bridge import MavsdkBridge
@@ -22,7 +22,7 @@ Outcome = TypeVar("Outcome")
 
 
 class Bench:
-    """`link.receive()` must run meanwhile; what came since the last `link.drain()` is its caller's."""
+    """The link with mavsdk beside it. `link.receive()` must run meanwhile; the caller drains the telemetry."""
 
     def __init__(self, file: Path, config: AgentConfig) -> None:
         """Opens the link. Raises ConfigError."""
@@ -43,43 +43,43 @@ class Bench:
         self.link.pass_on_to(self._bridge.receive)
 
     async def system(self, wait_s: float) -> Any | None:
-        """mavsdk's handle of the autopilot, for its plugins; None where no HEARTBEAT comes within this time."""
+        """mavsdk's handle of the autopilot, for its plugins. None without a HEARTBEAT within this time."""
         give_up_s = time.monotonic() + wait_s
-        while not self.link.heard:
+        while not self.link.is_connected:
             if time.monotonic() > give_up_s:
                 return None
             await asyncio.sleep(LISTEN_PERIOD_S)
         return await self._bridge.system(wait_s)
 
     def silence(self, wait_s: float) -> AutopilotSilentError:
-        """What to raise where `system` came to nothing."""
+        """The error for an autopilot that did not answer."""
         return AutopilotSilentError(self._file, self._vehicle, wait_s, self.link.why_silent())
 
     def close(self) -> None:
-        """After the plugins."""
+        """Close the link, after mavsdk's plugins."""
         self._bridge.close()
         self.link.close()
 
 
-class Visit(Protocol):
-    """What one command does with a bench."""
+class BenchSession(Protocol):
+    """One command's use of a bench."""
 
     bench: Bench
 
     def jobs(self) -> tuple[Coroutine[None, None, None], ...]:
-        """What goes on meanwhile, until cancelled; `link.receive()` among it."""
+        """Background jobs that run until cancelled, among them `link.receive()`."""
 
-    async def answers(self, wait_s: float) -> bool:
-        """Does the autopilot, within this time?"""
+    async def connect(self, wait_s: float) -> bool:
+        """Whether the autopilot answers within this time."""
 
 
-async def attended(visit: Visit, wait_s: float, work: Callable[[], Awaitable[Outcome]]) -> Outcome:
-    """Do the work beside the jobs, once the autopilot answers. Raises AutopilotSilentError where it does not."""
+async def run_on_bench(session: BenchSession, wait_s: float, work: Callable[[], Awaitable[Outcome]]) -> Outcome:
+    """Run `work` beside the session's jobs when the autopilot answers. Raises AutopilotSilentError if it does not."""
     async with asyncio.TaskGroup() as group:
-        tasks = [group.create_task(job) for job in visit.jobs()]
-        outcomes = [await work()] if await visit.answers(wait_s) else []
+        tasks = [group.create_task(job) for job in session.jobs()]
+        outcomes = [await work()] if await session.connect(wait_s) else []
         for task in tasks:
             task.cancel()
     if not outcomes:
-        raise visit.bench.silence(wait_s)
+        raise session.bench.silence(wait_s)
     return outcomes[0]

@@ -1,13 +1,13 @@
-"""What every way to the autopilot has in common: where bytes go, and what to say when an endpoint cannot be opened."""
+"""Common parts of all links to the autopilot: the callback for bytes, and errors of endpoints that cannot be opened."""
 
 from __future__ import annotations
 
 import errno
 from collections.abc import Callable
 
-Received = Callable[[bytes, float], bool]  # (bytes, when they arrived) -> were they the autopilot's?
+Received = Callable[[bytes, float], bool]  # (bytes, time of arrival) -> whether they are from the autopilot
 
-_IN_USE = "{what} is in use; stop what has it (another agent or ground station?) or choose another one"
+_IN_USE = "{what} is in use; stop the other program (an agent or ground station?) or choose another one"
 _ADVICE = {
     errno.EADDRINUSE: _IN_USE,
     errno.EBUSY: _IN_USE,
@@ -16,17 +16,17 @@ _ADVICE = {
     errno.EACCES: "no permission for {what}; use a port above 1023, or join the device's group (usually dialout)",
     errno.EPERM: "no permission for {what}; join the device's group (usually dialout)",
     errno.ENOENT: "there is no {what}; is it plugged in? expected a device like /dev/ttyACM0, see /dev/serial/by-id",
-    errno.ECONNREFUSED: "nobody listens at {what}; is the autopilot running?",
-    errno.ENOTTY: "{what} is no serial device; expected one like /dev/ttyACM0, see /dev/serial/by-id",
+    errno.ECONNREFUSED: "no program listens at {what}; is the autopilot running?",
+    errno.ENOTTY: "{what} is not a serial device; expected one like /dev/ttyACM0, see /dev/serial/by-id",
 }
 
 
 class LinkError(Exception):
-    """An endpoint that cannot be opened. str() says what is wrong with it and what to do."""
+    """An endpoint that cannot be opened. `str()` is the reason and the remedy."""
 
 
 def check_host(host: str) -> None:
-    """Raises LinkError for what can be nobody's name: looking it up would raise more than an OSError."""
+    """Raises LinkError for an invalid host name, whose lookup would raise more than an OSError."""
     try:
         host.encode("idna")
     except UnicodeError as error:
@@ -36,6 +36,6 @@ def check_host(host: str) -> None:
 
 
 def explain(error: OSError, what: str) -> str:
-    """An operating system's error about `what` in words, with what to do."""
+    """Message for an operating system's error about `what`, with the remedy."""
     advice = _ADVICE.get(error.errno or 0)
     return advice.format(what=what) if advice else f"{what} cannot be opened: {error.strerror or error}"

@@ -1,4 +1,4 @@
-"""The autopilot's flight logs by mavsdk: listed, and downloaded one at a time."""
+"""Flight logs of the autopilot by mavsdk: the list, and downloads one at a time."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from mavsdk.plugins.log_files import Entry, LogFiles, LogFilesError, LogFilesRes
 
 LIST_TRIES = 3
 POLL_PERIOD_S = 0.25
-STALLED_AFTER_S = 20.0  # without a byte: mavsdk itself asks for ever, and writes 8 KiB at a time
+STALLED_AFTER_S = 20.0  # without a byte: mavsdk itself requests without end, and writes 8 KiB at a time
 STOPPED_WITHIN_S = 2.0
-FIRST_SET_YEAR = 2000  # the clock of an autopilot that never knew the time stands in 1970 or 1980
+FIRST_SET_YEAR = 2000  # an autopilot clock that was never set is in 1970 or 1980
 
 
 class FlightLogsError(Exception):
-    """A list or a log that did not come. str() says why."""
+    """A list or a log that could not be read. `str()` is the reason."""
 
 
 class NothingCameError(FlightLogsError):
-    """The autopilot did not answer, or no longer."""
+    """The autopilot did not answer, or stopped answering."""
 
 
 @dataclass(frozen=True, slots=True)
 class LogEntry:
-    """LOG_ENTRY: a log as the autopilot lists it. PX4 counts from 0, ArduPilot from 1.
+    """One log of the autopilot's list (LOG_ENTRY). PX4 counts from 0, ArduPilot from 1.
 
-    `date_utc` is when it was last written to; None where the autopilot's clock was not set.
+    `date_utc` is the time of the last write; None where the autopilot's clock was not set.
     """
 
     id: int
@@ -40,20 +40,20 @@ class LogEntry:
 
 
 class FlightLogs:
-    """One autopilot's logs. It is never told to erase any."""
+    """Logs of one autopilot. They are never erased."""
 
     def __init__(self, system: Any) -> None:
-        """`system` is a Bench's."""
+        """`system` is that of a Bench."""
         self._system = system
         self._plugin = LogFiles(system)
-        self._told: dict[int, Entry] = {}
+        self._listed: dict[int, Entry] = {}
 
     async def entries(self) -> tuple[LogEntry, ...]:
-        """In the order of their ids; none where it says that it has none. Raises NothingCameError where no whole list comes.
+        """All logs in order of id; empty where the autopilot reports none. Raises NothingCameError without a whole list.
 
-        Asked again from the start where that fails. Where the first entry is lost mavsdk asks for one past the last, and
-        ArduPilot then lists logs that do not exist without end, by which mavsdk knows that there are none: so that is
-        believed when it is said every time. A new plugin's LOG_REQUEST_END ends such a list.
+        A failed request is repeated from the start. If the first entry is lost, mavsdk requests one past the last, ArduPilot
+        answers with logs that do not exist, and mavsdk concludes that there are none. So an empty list counts only when every
+        attempt gives it. LOG_REQUEST_END of a new plugin ends such a list.
         """
         result = LogFilesResult.UNKNOWN
         for attempt in range(LIST_TRIES):
@@ -62,26 +62,26 @@ class FlightLogs:
                 self._plugin = LogFiles(self._system)
             result, entries = await self._ask()
             if result is LogFilesResult.SUCCESS:
-                self._told = {entry.id: entry for entry in entries}
-                return tuple(_entry(entry) for _, entry in sorted(self._told.items()))
+                self._listed = {entry.id: entry for entry in entries}
+                return tuple(_entry(entry) for _, entry in sorted(self._listed.items()))
         if result is LogFilesResult.NO_LOGFILES:
             return ()
         raise NothingCameError("no answer to the request for its list")
 
     async def _ask(self) -> tuple[LogFilesResult, list[Entry]]:
         loop = asyncio.get_running_loop()
-        told: asyncio.Future[tuple[LogFilesResult, list[Entry]]] = loop.create_future()
+        answer: asyncio.Future[tuple[LogFilesResult, list[Entry]]] = loop.create_future()
 
-        def hear(result: LogFilesResult, entries: list[Entry], _: object) -> None:
-            loop.call_soon_threadsafe(_settle, told, (result, entries))
+        def on_entries(result: LogFilesResult, entries: list[Entry], _: object) -> None:
+            loop.call_soon_threadsafe(_settle, answer, (result, entries))
 
-        self._plugin.get_entries_async(hear)
-        return await told
+        self._plugin.get_entries_async(on_entries)
+        return await answer
 
     async def download(self, log: LogEntry, path: Path) -> AsyncGenerator[int, None]:
-        """Write a listed log to `path`, where nothing must be yet. Yields how many bytes there are, until all are.
+        """Write a listed log to `path`, which must not exist. Yields the number of bytes written until the log is complete.
 
-        Left early it tells the autopilot to stop, and takes the file away. Raises FlightLogsError.
+        If closed early it cancels the transfer and mavsdk removes the file. Raises FlightLogsError.
         """
         if not log.size_bytes:  # mavsdk would refuse it
             path.touch()
@@ -89,11 +89,11 @@ class FlightLogs:
         loop = asyncio.get_running_loop()
         ended: asyncio.Future[LogFilesResult] = loop.create_future()
 
-        def hear(result: LogFilesResult, _progress: ProgressData, _: object) -> None:
+        def on_progress(result: LogFilesResult, _progress: ProgressData, _: object) -> None:
             if result is not LogFilesResult.NEXT:
                 loop.call_soon_threadsafe(_settle, ended, result)
 
-        self._plugin.download_log_file_async(self._told[log.id], str(path), hear)
+        self._plugin.download_log_file_async(self._listed[log.id], str(path), on_progress)
         try:
             written, written_s = _written(path), time.monotonic()
             while not ended.done():
@@ -102,7 +102,7 @@ class FlightLogs:
                 if (now := _written(path)) != written:
                     written, written_s = now, time.monotonic()
                 elif time.monotonic() - written_s > STALLED_AFTER_S:
-                    raise NothingCameError(f"nothing came for {STALLED_AFTER_S:.0f} s")
+                    raise NothingCameError(f"no data for {STALLED_AFTER_S:.0f} s")
             if ended.result() is not LogFilesResult.SUCCESS:
                 raise FlightLogsError(ended.result().name.lower().replace("_", " "))
             yield _written(path)[0]
@@ -132,7 +132,7 @@ def _settle(future: asyncio.Future[Any], value: object) -> None:
 
 
 def _written(path: Path) -> tuple[int, int]:
-    """Size, and when something was last written, also into a gap."""
+    """Size in bytes and time of the last write in ns; a write into a gap changes only the time."""
     try:
         stat = path.stat()
     except FileNotFoundError:

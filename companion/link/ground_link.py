@@ -1,7 +1,7 @@
-"""The vehicle's MAVLink passed on to a ground station over UDP, and the ground station's to the autopilot.
+"""MAVLink relay between the autopilot and a ground station over UDP.
 
-The control loop never waits for it: a packet to the ground station goes out after the tick that it set off, and one to the
-autopilot when the line is free, or not at all. No heartbeat is made here: the autopilot hears the ground station's own.
+The control loop never waits for it. A packet to the ground station is sent after the tick that it triggered, and one to the
+autopilot only while the link is free. The relay sends no heartbeat: the autopilot receives the ground station's own.
 """
 
 from __future__ import annotations
@@ -17,53 +17,57 @@ from typing import NoReturn
 
 from companion.link.endpoint import LinkError, check_host
 from companion.mavlink.ground_station import GroundStationFilter
+from companion.types.flight import FlightPhase
+from companion.types.notices import Code
 
-READ_BYTES = 65536
-DATAGRAMS_PER_WAKE_UP = 8
+READ_BYTES = 2048  # of a datagram: ground stations send at most an Ethernet frame
+DATAGRAMS_PER_WAKE_UP = 4  # the rest wakes the loop again, after a tick that may be due
 PACE_S = 0.005  # one packet to the autopilot at a time, at most 200 a second
-MOST_WAITING = 32  # packets; the last of them goes within 0.16 s while the line is free
-LONGEST_WAIT_S = 0.25  # a command that comes later than this is better given again
-
-ELSEWHERE = "ground station: a packet from another address"
-TOO_MUCH = "ground station: more packets than the autopilot's link has room for"
-NOT_HEARD = (errno.ECONNREFUSED, errno.EAGAIN)  # nobody listens there yet; the buffer is full: lost packets, no news
+MOST_WAITING = 32  # packets; the last of them is sent within 0.16 s while the link is free
+LONGEST_WAIT_S = 0.25  # a command that is later than this is better repeated by the ground station
+NOT_REACHED = (errno.ECONNREFUSED, errno.EAGAIN)  # no ground station yet, or a full buffer: packets lost, not logged
 
 _log = logging.getLogger(__name__)
 
 
 class GroundStationLink:
-    """`offer` hands one packet to the autopilot's link, if that is free. `reject` counts what is refused, by reason."""
+    """Relay to one ground station. `phase` is the agent's, for the filter.
+
+    `offer` hands a packet to the autopilot's link if it is free; `reject` counts by code.
+    """
 
     def __init__(
         self,
         endpoint: str,
         admission: GroundStationFilter,
+        phase: Callable[[], FlightPhase],
         offer: Callable[[bytes], bool],
         reject: Callable[[str], None],
     ) -> None:
-        """For "udpout:HOST:PORT". Raises LinkError."""
+        """Open a socket towards "udpout:HOST:PORT". Raises LinkError."""
         self._name = endpoint
         self._filter = admission
+        self._phase = phase
         self._offer = offer
         self._reject = reject
         self._waiting: deque[tuple[float, bytes]] = deque()
-        self._came = asyncio.Event()
-        self._is_heard = False
+        self._arrived = asyncio.Event()
+        self._is_connected = False
         self._problem = ""
         self._socket, self._address = _socket_towards(endpoint)
 
     def pass_on(self, packets: Sequence[bytes]) -> None:
-        """To the ground station, as they came; once what is due now in the event loop has been done."""
+        """Send packets to the ground station, unchanged, after what is due now in the event loop."""
         asyncio.get_running_loop().call_soon(self._send, packets)
 
     async def run(self) -> NoReturn:
-        """Until cancelled."""
+        """Relay packets to the autopilot until cancelled."""
         loop = asyncio.get_running_loop()
         loop.add_reader(self._socket, self._readable)
         try:
             while True:
-                await self._came.wait()
-                self._came.clear()
+                await self._arrived.wait()
+                self._arrived.clear()
                 while self._waiting:
                     self._pass_one(time.monotonic())
                     await asyncio.sleep(PACE_S)
@@ -71,6 +75,7 @@ class GroundStationLink:
             loop.remove_reader(self._socket)
 
     def close(self) -> None:
+        """Close the socket."""
         self._socket.close()
 
     def _send(self, packets: Sequence[bytes]) -> None:
@@ -79,7 +84,7 @@ class GroundStationLink:
                 self._socket.sendto(packet, self._address)
             except OSError as error:
                 problem = error.strerror or str(error)
-                if error.errno not in NOT_HEARD and problem != self._problem:
+                if error.errno not in NOT_REACHED and problem != self._problem:
                     self._problem = problem
                     _log.warning("ground station %s: %s", self._name, problem)
                 return
@@ -91,37 +96,37 @@ class GroundStationLink:
             except BlockingIOError:
                 return
             except OSError:
-                continue  # an ICMP error about a datagram sent earlier
+                continue  # ICMP error for a datagram sent earlier
             if sender[:2] != self._address[:2]:
-                self._reject(ELSEWHERE)
+                self._reject(Code.GROUND_STATION_ADDRESS)
                 continue
             self._take(data, time.monotonic())
 
     def _take(self, data: bytes, now_s: float) -> None:
-        for packet in self._filter.admit(data):
-            if not self._is_heard:
-                self._is_heard = True
-                _log.info("ground station heard from %s:%d", *self._address[:2])
+        for packet in self._filter.admit(data, self._phase()):
+            if not self._is_connected:
+                self._is_connected = True
+                _log.info("ground station at %s:%d", *self._address[:2])
             if len(self._waiting) < MOST_WAITING:
                 self._waiting.append((now_s, packet))
-                self._came.set()
+                self._arrived.set()
             else:
-                self._reject(TOO_MUCH)
-        for reason in self._filter.refused.elements():
-            self._reject(reason)
+                self._reject(Code.GROUND_STATION_OVERLOAD)
+        for code in self._filter.refused.elements():
+            self._reject(code)
         self._filter.refused.clear()
 
     def _pass_one(self, now_s: float) -> None:
-        """The first that is not too late, if the line takes it."""
+        """Send the first packet that has not waited too long, if the link is free."""
         while self._waiting and now_s - self._waiting[0][0] > LONGEST_WAIT_S:
             self._waiting.popleft()
-            self._reject(TOO_MUCH)
+            self._reject(Code.GROUND_STATION_OVERLOAD)
         if self._waiting and self._offer(self._waiting[0][1]):
             self._waiting.popleft()
 
 
 def _socket_towards(endpoint: str) -> tuple[socket.socket, tuple[str, int]]:
-    """A UDP socket on a port of its own, and the address: datagrams from anywhere else are not the ground station's."""
+    """A UDP socket on its own port, and the address of the ground station."""
     host, _, port = endpoint.removeprefix("udpout:").rpartition(":")
     check_host(host)
     if not 0 < int(port) <= 65535:
@@ -130,7 +135,7 @@ def _socket_towards(endpoint: str) -> tuple[socket.socket, tuple[str, int]]:
         family, kind, protocol, _, address = socket.getaddrinfo(host, int(port), type=socket.SOCK_DGRAM)[0]
     except socket.gaierror as error:
         raise LinkError(
-            f'no address is known for "{host}"; give the ground station\'s number, like 192.168.1.50'
+            f'no address found for "{host}"; give the ground station\'s IP address, like 192.168.1.50'
         ) from error
     udp = socket.socket(family, kind, protocol)
     udp.setblocking(False)

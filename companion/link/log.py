@@ -1,4 +1,4 @@
-"""One line per event on standard error, never one per tick."""
+"""Log on standard error: one line per event, never one per tick, and few of each code."""
 
 from __future__ import annotations
 
@@ -7,57 +7,97 @@ import sys
 from collections.abc import Mapping
 
 from companion.mavlink.codec import mavlink
-from companion.types import Command, CommandReply
+from companion.types.commands import Command, CommandReply
+from companion.types.notices import Notice
+from companion.types.printable import printable_lines
+from companion.types.rejections import rejection_text
 
-REPEAT_AFTER_S = 1.0
-COMMANDS_A_SECOND = 20
+REPEAT_AFTER_S = 1.0  # of a key
+BURST = 20  # lines of one code at once
+LINES_PER_S = 1.0  # of one code, after that
 
 _log = logging.getLogger(__name__)
 
 
+class PrintableFormatter(logging.Formatter):
+    """Log lines without the control characters of foreign text."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        return printable_lines(super().format(record))
+
+
 def log_to_stderr(vehicle_id: int) -> None:
-    """Lines like "12:00:01.234 vehicle 3: takeoff -> hold", in local time."""
+    """Log lines like "12:00:01.234 vehicle 3: takeoff -> hold", in local time."""
     handler = logging.StreamHandler(sys.stderr)
-    handler.setFormatter(logging.Formatter(f"%(asctime)s.%(msecs)03d vehicle {vehicle_id}: %(message)s", "%H:%M:%S"))
+    handler.setFormatter(PrintableFormatter(f"%(asctime)s.%(msecs)03d vehicle {vehicle_id}: %(message)s", "%H:%M:%S"))
     logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
     logging.getLogger(mavlink.logger.name).setLevel(
         logging.WARNING
     )  # it has a line for each packet with an old signature
 
 
-class RejectionLog:
-    """Logs counted rejections: at most one line per reason and second, with how many there were since the last one."""
+class LogLimiter:
+    """Limits the lines of each code: a stranger on the network can cause any of them, as often as it sends.
+
+    The first line after a pause is followed by up to BURST - 1 others, then by LINES_PER_S. A line that follows others that
+    were left out has their number.
+    """
 
     def __init__(self) -> None:
-        self._logged: dict[str, tuple[int, float]] = {}  # reason -> (count, when)
+        self._kept: dict[str, tuple[float, float, int]] = {}  # by code: lines left, at this time, and lines left out
+
+    def log(self, level: int, code: str, text: str, now_s: float) -> None:
+        """Log a line of this code, or count it."""
+        lines, before_s, left_out = self._kept.get(code, (float(BURST), now_s, 0))
+        lines = min(BURST, lines + LINES_PER_S * (now_s - before_s))
+        if lines < 1.0:
+            self._kept[code] = (lines, now_s, left_out + 1)
+            return
+        self._kept[code] = (lines - 1.0, now_s, 0)
+        _log.log(level, "%s%s", text, f" ({left_out} more of {code} left out before)" if left_out else "")
+
+
+class EventLog:
+    """Logs the events of the agent."""
+
+    def __init__(self) -> None:
+        self._limiter = LogLimiter()
+
+    def happened(self, event: Notice, now_s: float) -> None:
+        """Log one event."""
+        self._limiter.log(logging.INFO, event.code, str(event), now_s)
+
+
+class RejectionLog:
+    """Logs counted rejections: once a second those that were added, by code."""
+
+    def __init__(self) -> None:
+        self._limiter = LogLimiter()
+        self._logged: dict[str, tuple[int, float]] = {}  # key -> (count, time)
 
     def update(self, counts: Mapping[str, int], now_s: float) -> None:
-        """`counts` are totals since the start, by reason."""
-        for reason, count in counts.items():
-            before, logged_s = self._logged.get(reason, (0, float("-inf")))
+        """Log what was added. `counts` are totals since the start by key (see `rejection_key`)."""
+        for key, count in counts.items():
+            before, logged_s = self._logged.get(key, (0, float("-inf")))
             if count > before and now_s - logged_s >= REPEAT_AFTER_S:
-                self._logged[reason] = (count, now_s)
-                _log.warning("rejected %d (%d in all): %s", count - before, count, reason)
+                self._logged[key] = (count, now_s)
+                text = f"rejected {count - before} ({count} in all): {key}: {rejection_text(key)}"
+                self._limiter.log(logging.WARNING, key.partition(" ")[0], text, now_s)
 
 
 class CommandLog:
-    """A line for every command with its answer; of more than COMMANDS_A_SECOND only how many there were."""
+    """Logs every command with its reply."""
 
     def __init__(self) -> None:
-        self._second = 0
-        self._lines = 0
-        self._left_out = 0
+        self._limiter = LogLimiter()
 
     def answered(self, command: Command, reply: CommandReply, now_s: float) -> None:
-        if int(now_s) != self._second:
-            if self._left_out:
-                _log.warning("%d more commands", self._left_out)
-            self._second, self._lines, self._left_out = int(now_s), 0, 0
-        if self._lines >= COMMANDS_A_SECOND:
-            self._left_out += 1
-            return
-        self._lines += 1
+        """Log one command with its reply."""
         outcome = "accepted" if reply.accepted else "refused"
-        _log.info(
-            "command %s, number %d of %s: %s, %s", command.name, command.number, command.operator, outcome, reply.reason
+        self._limiter.log(
+            logging.INFO,
+            reply.code,
+            f"command {command.name}, number {command.number} of {command.operator}: {outcome}, {reply.code}:"
+            f" {reply.reason}",
+            now_s,
         )

@@ -1,6 +1,6 @@
-"""The wire to the autopilot: UDP, TCP or a serial line. Bytes in, bytes out; what they mean is `mavlink/`'s.
+"""Byte links to the autopilot: UDP, TCP or serial. `companion.mavlink` encodes and decodes the bytes.
 
-Nothing waits in a queue here: what cannot be sent now is dropped, for a setpoint that comes late is worse than none.
+Nothing is queued: data that cannot be sent now is dropped, because a late setpoint is worse than none.
 """
 
 from __future__ import annotations
@@ -11,25 +11,26 @@ from companion.link.endpoint import LinkError, Received
 from companion.link.stream_link import SerialLine, StreamLink, TcpConnection
 from companion.link.udp_link import UdpLink
 
-LONGEST_NUMBER = 9  # digits; Python refuses to read thousands of them
+LONGEST_NUMBER = 9  # digits; Python refuses to parse thousands of them
 
 
 class MavlinkLink(Protocol):
-    """One way to the autopilot."""
+    """A byte link to the autopilot."""
 
     def send(self, data: bytes) -> None:
-        """Hand one message to the operating system, now or never. Never raises, never blocks."""
+        """Hand one message to the operating system, or drop it. Never raises, never blocks."""
 
     def offer(self, data: bytes) -> bool:
-        """Like `send`, but for what may wait: only while hardly anything is under way. False: not now."""
+        """Like `send`, for data that may wait: only while the link is nearly free. Returns whether it was sent."""
 
     async def run(self) -> None:
-        """Receive until cancelled; a lost connection is made again."""
+        """Receive until cancelled; a lost connection is opened again."""
 
     def problem(self) -> str:
-        """Why nothing is heard, as far as this end knows."""
+        """Why nothing is received, as far as this end knows."""
 
-    def close(self) -> None: ...
+    def close(self) -> None:
+        """Close the link."""
 
 
 def open_link(endpoint: str, received: Received) -> MavlinkLink:
@@ -37,7 +38,7 @@ def open_link(endpoint: str, received: Received) -> MavlinkLink:
     kind, _, rest = endpoint.partition(":")
     address, _, number = rest.rpartition(":")
     if len(number) > LONGEST_NUMBER:
-        raise LinkError(f"the number at its end has {len(number)} digits")
+        raise LinkError(f"the number at the end has {len(number)} digits, expected at most {LONGEST_NUMBER}")
     if kind == "serial":
         return StreamLink(SerialLine(address, int(number)), received)
     if not 0 < int(number) <= 65535:

@@ -1,4 +1,4 @@
-"""The key of a signed MAVLink link, from a file or from a credential of the service. What it is never gets into words."""
+"""Key of a signed MAVLink link, from a file or a systemd credential. The key never appears in a message."""
 
 from __future__ import annotations
 
@@ -9,17 +9,20 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 
+from companion.config.bounded_read import read_regular
+from companion.config.file import ConfigError
 from companion.config.vehicle import Signing
-from companion.config_file import ConfigError
 from companion.mavlink.signing import KEY_BYTES, SigningKey
 
-READ_BYTES = 1024
 EARLIEST_UNIX_S = 1_767_225_600  # 2026-01-01 UTC: before this program was written
 WANTED = "expected 32 bytes or 64 hexadecimal digits (head -c 32 /dev/urandom > FILE makes a key)"
 
 
 def read_signing_key(vehicle_file: Path, signing: Signing, environment: Mapping[str, str] = os.environ) -> SigningKey:
-    """Raises ConfigError for what is no key, for one that all may read, and where the clock was never set."""
+    """The key that the vehicle file names.
+
+    Raises ConfigError for an invalid key, a key file that all users may read, and a clock that was never set.
+    """
     if signing.key_file is not None:
         field, path = "signing.key_file", vehicle_file.parent / signing.key_file
     else:
@@ -29,8 +32,8 @@ def read_signing_key(vehicle_file: Path, signing: Signing, environment: Mapping[
         raise ConfigError(
             vehicle_file,
             "signing",
-            f"this computer's clock says {time.strftime('%Y-%m-%d', time.gmtime())}; set it first (NTP, or a clock with a"
-            " battery), for signatures carry the time and old packets must not pass for new ones",
+            f"this computer's clock shows {time.strftime('%Y-%m-%d', time.gmtime())}; set it first (NTP, or a clock with a"
+            " battery): signatures carry the time, so that old packets are not accepted as new",
         )
     return SigningKey(secret, signing.link_id, time.time)
 
@@ -41,30 +44,28 @@ def _credential(vehicle_file: Path, name: str, environment: Mapping[str, str]) -
         raise ConfigError(
             vehicle_file,
             "signing.credential",
-            f'"{name}": this is no service with credentials; put LoadCredential={name}:FILE into its unit, or use key_file',
+            f'"{name}": no credentials given; put LoadCredential={name}:FILE into the systemd unit, or use key_file',
         )
     return Path(folder) / name
 
 
 def _secret(vehicle_file: Path, where: str, path: Path) -> bytes:
     try:
-        with path.open("rb") as file:
-            mode = os.fstat(file.fileno()).st_mode
-            content = file.read(READ_BYTES)
+        content, state = read_regular(path)
     except OSError as error:
-        raise ConfigError(vehicle_file, where, f"{error.strerror}; check the path and who may read it") from error
-    if mode & stat.S_IRWXO:
+        raise ConfigError(vehicle_file, where, f"{error.strerror}; check the path and its permissions") from error
+    if state.st_mode & stat.S_IRWXO:
         raise ConfigError(vehicle_file, where, f"every user of this computer has access to the key; chmod 600 {path}")
     secret = _decoded(content)
     if secret is None:
-        raise ConfigError(vehicle_file, where, f"{len(content)} bytes that are no key; {WANTED}")
+        raise ConfigError(vehicle_file, where, f"{len(content)} bytes that are not a key; {WANTED}")
     if not any(secret):
         raise ConfigError(vehicle_file, where, f"a key of zeros means no signing; {WANTED}")
     return secret
 
 
 def _decoded(content: bytes) -> bytes | None:
-    """None where it is no key; 32 digits are half a one, not 32 bytes."""
+    """The key in a file's content, or None. 32 hexadecimal digits are half a key, not 32 bytes."""
     if re.fullmatch(rb"\s*[0-9a-fA-F]{64}\s*", content):
         return bytes.fromhex(content.decode("ascii"))
     is_digits = re.fullmatch(rb"\s*[0-9a-fA-F]*\s*", content) is not None

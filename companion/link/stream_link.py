@@ -1,4 +1,4 @@
-"""MAVLink over a stream of bytes: a TCP connection or a serial line, made again after it is lost."""
+"""MAVLink over a byte stream: a TCP connection or a serial line, opened again after it is lost."""
 
 from __future__ import annotations
 
@@ -20,43 +20,43 @@ import serial
 
 from companion.link.endpoint import LinkError, Received, check_host, explain
 
-READ_BYTES = 65536
+READ_BYTES = 4096  # at once, some 100 messages; the rest wakes the loop again, after a tick that may be due
 RECONNECT_FIRST_S, RECONNECT_MAX_S = 0.2, 2.0
-BACKLOG_BYTES = 1024  # what the kernel may hold back: a third of a second of setpoints
-# What may wait is taken while no more than this is under way.
+BACKLOG_BYTES = 1024  # most unsent bytes in the kernel before data is dropped: a third of a second of setpoints
+# The link counts as free up to this number of unsent bytes.
 SERIAL_IDLE_BYTES = 64
-TCP_IDLE_BYTES = 512  # sent, but not confirmed yet
-SILENT_PEER_MS = 5000  # a TCP peer that confirms nothing for so long is gone
+TCP_IDLE_BYTES = 512  # sent but not acknowledged
+SILENT_PEER_MS = 5000  # a TCP connection without acknowledgements for this time is lost
 
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
 class Stream:
-    """An open, non-blocking file descriptor and what closes it."""
+    """An open, non-blocking file descriptor and the function that closes it."""
 
     fd: int
     close: Callable[[], None]
-    idle_bytes: int  # up to so many under way it counts as free
+    idle_bytes: int  # it counts as free up to this number of unsent bytes
 
 
 class Line(Protocol):
-    """Something that opens a stream. `name` is for people."""
+    """Opens a stream. `name` is for messages."""
 
     name: str
 
     async def open(self) -> Stream:
-        """Raises OSError."""
+        """An open stream. Raises OSError."""
 
 
 class StreamLink:
-    """One byte stream to the autopilot, opened again and again until it is there."""
+    """One byte stream to the autopilot, opened again until it succeeds."""
 
     def __init__(self, line: Line, received: Received) -> None:
         self._line = line
         self._received = received
         self._stream: Stream | None = None
-        self._rest = b""  # of a message that the kernel took in part
+        self._rest = b""  # unsent part of a message
         self._lost: asyncio.Future[str] | None = None
         self._problem = ""
 
@@ -100,7 +100,9 @@ class StreamLink:
             self.close()
 
     def problem(self) -> str:
-        return self._problem or f"{self._line.name} is open, but no packet of this autopilot came; check the other end"
+        return (
+            self._problem or f"{self._line.name} is open, but no packet of this autopilot arrived; check the other end"
+        )
 
     def close(self) -> None:
         if self._stream:
@@ -108,7 +110,7 @@ class StreamLink:
             self._stream = None
 
     async def _receive(self, stream: Stream) -> str:
-        """Until the stream is lost; returns why."""
+        """Receive until the stream is lost; returns the reason."""
         _log.info("%s is open", self._line.name)
         self._problem, self._rest = "", b""
         loop = asyncio.get_running_loop()
@@ -135,7 +137,7 @@ class StreamLink:
         self._received(data, time.monotonic())
 
     def _write(self, data: bytes) -> None:
-        """As much as the kernel takes; the rest of a message follows as soon as it can, else the stream were broken."""
+        """Write as much as the kernel takes. The rest of the message follows when possible, to keep the stream intact."""
         assert self._stream is not None
         fd = self._stream.fd
         with contextlib.suppress(BlockingIOError):
@@ -160,7 +162,7 @@ class StreamLink:
 
 
 def _waiting_bytes(fd: int) -> int:
-    """What the kernel has taken and not yet got rid of, of a serial line and of a TCP socket alike."""
+    """Unsent bytes in the kernel (TIOCOUTQ), of a serial line or a TCP socket."""
     buffer = fcntl.ioctl(fd, termios.TIOCOUTQ, b"\0" * 4)
     return int(struct.unpack("@i", buffer)[0])
 
@@ -169,7 +171,7 @@ def _waiting_bytes(fd: int) -> int:
 
 
 class TcpConnection:
-    """Connects to an autopilot that listens, as ArduPilot's simulation does."""
+    """TCP connection to a listening autopilot, such as ArduPilot's simulation."""
 
     def __init__(self, host: str, port: int) -> None:
         """Raises LinkError."""
@@ -195,7 +197,7 @@ class TcpConnection:
 
 
 class SerialLine:
-    """A serial device. The constructor opens it once, so that a wrong name is found at the start. Raises LinkError."""
+    """A serial device. The constructor opens it, so that a wrong name is found at the start. Raises LinkError."""
 
     def __init__(self, device: str, baud: int) -> None:
         self.name = f"serial device {device}"
@@ -213,7 +215,7 @@ class SerialLine:
         try:
             line = serial.Serial(self._device, self._baud, timeout=0, write_timeout=0, exclusive=True)
         except serial.SerialException as error:
-            if error.errno is None:  # pyserial words a refused terminal setting without its number
+            if error.errno is None:  # pyserial reports a refused terminal setting without its errno
                 raise OSError(errno.ENOTTY, str(error)) from error
             raise
         except (ValueError, OverflowError) as error:

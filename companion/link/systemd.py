@@ -1,4 +1,4 @@
-"""sd_notify(3): tells systemd that the agent is ready, alive and stopping."""
+"""sd_notify(3): reports to systemd that the agent is ready, alive and stopping."""
 
 from __future__ import annotations
 
@@ -6,39 +6,40 @@ import os
 import socket
 from collections.abc import Mapping
 
-MIN_WATCHDOG_PERIOD_S = 0.2  # a few times a second are plenty for any WatchdogSec
+MIN_WATCHDOG_PERIOD_S = 0.2  # a few times per second are enough for any WatchdogSec
 
 
 class Notifier:
-    """Speaks to $NOTIFY_SOCKET; says nothing where systemd did not start this process.
+    """Sends notifications to $NOTIFY_SOCKET; does nothing where systemd did not start this process.
 
-    The watchdog is fed by completed control cycles alone: a process that hangs, or a loop that no longer ticks, starves it.
+    Only completed control cycles feed the watchdog. A process that hangs or a loop that stops ticking triggers it.
     """
 
     def __init__(self, environment: Mapping[str, str] = os.environ) -> None:
         self._address = environment.get("NOTIFY_SOCKET", "")
         if self._address.startswith("@"):
-            self._address = "\0" + self._address[1:]  # Linux's abstract names
+            self._address = "\0" + self._address[1:]  # abstract socket name of Linux
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) if self._address else None
         if self._socket:
-            self._socket.setblocking(False)  # a flight does not wait for its service manager
+            self._socket.setblocking(False)  # the control loop never waits for the service manager
         self._watchdog_period_s = _watchdog_period_s(environment)
         self._fed_s = float("-inf")
         self._is_ready = False
 
-    def cycle_completed(self, now_s: float, autopilot_heard: bool) -> None:
-        """One control cycle is done. The first with an autopilot makes the service ready."""
-        if autopilot_heard and not self._is_ready:
+    def cycle_completed(self, now_s: float, autopilot_connected: bool) -> None:
+        """Report a completed control cycle. The first one with an autopilot makes the service ready."""
+        if autopilot_connected and not self._is_ready:
             self._is_ready = self._send("READY=1")
         is_due = self._watchdog_period_s is not None and now_s - self._fed_s >= self._watchdog_period_s
         if is_due and self._send("WATCHDOG=1"):
             self._fed_s = now_s
 
     def status(self, text: str) -> None:
-        """One line for `systemctl status`."""
+        """Set the status line of `systemctl status`."""
         self._send(f"STATUS={text}")
 
     def stopping(self) -> None:
+        """Report that the agent is stopping."""
         self._send("STOPPING=1")
 
     def close(self) -> None:
@@ -47,7 +48,7 @@ class Notifier:
             self._socket = None
 
     def _send(self, message: str) -> bool:
-        """Was it sent? Without its service manager the agent flies on."""
+        """Whether the message was sent. A failure is ignored: the agent flies without its service manager."""
         if not self._socket:
             return False
         try:
@@ -58,7 +59,7 @@ class Notifier:
 
 
 def _watchdog_period_s(environment: Mapping[str, str]) -> float | None:
-    """A quarter of WATCHDOG_USEC, None where no watchdog waits for this process."""
+    """A quarter of WATCHDOG_USEC, or None where no watchdog supervises this process."""
     limit_us = environment.get("WATCHDOG_USEC", "")
     process = environment.get("WATCHDOG_PID", "")
     if not limit_us.isdigit() or int(limit_us) == 0 or (process and process != str(os.getpid())):

@@ -1,44 +1,89 @@
-"""When the control loop ticks, and how well it keeps its rate. No sockets."""
+"""Trigger of the control loop's ticks, and measurement of their rate and delay. No sockets."""
 
 from __future__ import annotations
 
 import asyncio
+import logging
 import os
 import resource
-from math import log
+from collections.abc import Callable
+from math import inf, log
 from pathlib import Path
 
-from companion.types import FlightPhase
+from companion.types.flight import FlightPhase
+from companion.types.notices import Code, Notice
 from companion.wire.ground import Percentiles, Timing
 
 PERIOD_S = 0.02  # 50 Hz
-BACK_UP_S = 0.03  # a tick comes at the latest this long after the one before
+BACK_UP_S = 0.03  # longest time between two ticks
+LEAST_PERIOD_S = 1 / 60  # mean time between ticks while positions come faster than requested
+TICKS_AT_ONCE = 3  # after a late position the next ones follow at once
+LATE_S = 0.02  # logged from this lateness on; on an idle machine a tick is less than 2 ms late
+LOG_PERIOD_S = 1.0
+
+_log = logging.getLogger(__name__)
 
 
 class TickTrigger:
-    """A position sets off the tick at once: a free-running timer would add up to a whole period to its age.
+    """A position triggers the tick at once: a free-running timer would add up to one period to its age.
 
-    When positions stay away a back-up timer keeps the ticks going, so that peers, commands and failsafes are served.
+    Without positions a back-up timer triggers the ticks, so that peers, commands and failsafes are served. A flood of
+    positions triggers one tick per LEAST_PERIOD_S, after a burst of TICKS_AT_ONCE.
     """
 
     def __init__(self) -> None:
         self._arrived = asyncio.Event()
+        self._nominal_s = -inf  # time of the next tick at the highest mean rate
 
     def position_arrived(self) -> None:
+        """Trigger the next tick."""
+        self._arrived.set()
+
+    def fire(self) -> None:
+        """End the present wait at once, whatever the rate."""
+        self._nominal_s = -inf
         self._arrived.set()
 
     async def wait(self, last_tick_s: float) -> None:
-        """Until a position has come or BACK_UP_S after the last tick. Times are of the event loop's clock."""
+        """Wait for a position, at most until BACK_UP_S after the last tick. Times are of the event loop's clock."""
         try:
             async with asyncio.timeout_at(last_tick_s + BACK_UP_S):
                 await self._arrived.wait()
         except TimeoutError:
             pass
+        loop = asyncio.get_running_loop()
+        early_s = self._nominal_s - (TICKS_AT_ONCE - 1) * LEAST_PERIOD_S - loop.time()
+        if early_s > 0.0:
+            await asyncio.sleep(early_s)
         self._arrived.clear()
+        self._nominal_s = max(self._nominal_s, loop.time()) + LEAST_PERIOD_S
+
+
+class LateLoopLog:
+    """Reports cycles of a loop that started more than LATE_S after their due time, in one line a second at most.
+
+    Cause: another process had the processor, or the cycle before took too long.
+    """
+
+    def __init__(self, report: Callable[[Notice], object] = _log.warning) -> None:
+        self._report = report
+        self._count = 0
+        self._worst_s = 0.0
+        self._reported_s = float("-inf")
+
+    def cycle(self, due_s: float, now_s: float) -> None:
+        """A cycle that was due at `due_s` starts."""
+        if now_s - due_s > LATE_S:
+            self._count += 1
+            self._worst_s = max(self._worst_s, now_s - due_s)
+        if self._count and now_s - self._reported_s >= LOG_PERIOD_S:
+            text = f"{self._count} cycles of the loop started late, at most {self._worst_s * 1000:.0f} ms"
+            self._report(Notice(Code.LOOP_LATE, text))
+            self._count, self._worst_s, self._reported_s = 0, 0.0, now_s
 
 
 class Histogram:
-    """Percentiles of a time in microseconds, in constant memory: buckets 5 % apart from 1 us to 100 s."""
+    """Percentiles of times in microseconds, in constant memory: buckets 5 % apart from 1 us to 100 s."""
 
     _RATIO = 1.05
     _BUCKETS = int(log(1e8) / log(_RATIO)) + 2
@@ -49,13 +94,14 @@ class Histogram:
         self._max_us = 0.0
 
     def add(self, value_us: float) -> None:
+        """Add one time."""
         index = int(log(value_us) / log(self._RATIO)) + 1 if value_us > 1.0 else 0
         self._counts[min(index, self._BUCKETS - 1)] += 1
         self._total += 1
         self._max_us = max(self._max_us, value_us)
 
     def percentiles(self) -> Percentiles:
-        """Zeros while nothing was added. Within 5 % above the true value; the maximum is exact."""
+        """50 %, 99 % and maximum; zeros without data. At most 5 % above the true value; the maximum is exact."""
         return Percentiles(self._at(0.50), self._at(0.99), round(self._max_us, 1))
 
     def _at(self, fraction: float) -> float:
@@ -68,13 +114,13 @@ class Histogram:
 
 
 class TickMeter:
-    """Measures the ticks: since the start, from FORMATION on anew, and no further once a formation has ended.
+    """Timing of the ticks since the start, or of the last formation once there was one.
 
-    So the timing reported after landing is that of the flight in formation.
+    So the timing reported after landing is that of the formation flight.
     """
 
     def __init__(self, now_s: float) -> None:
-        self._formed = False  # is this the timing of a formation?
+        self._formed = False  # whether this is the timing of a formation
         self._frozen: Timing | None = None
         self._start(now_s)
 
@@ -88,35 +134,36 @@ class TickMeter:
         self._cpu_at_start_s = _cpu_time_s()
 
     def tick(self, now_s: float) -> None:
-        """A tick starts."""
+        """Record the start of a tick."""
         if self._frozen:
             return
         if self._ticks == 0:
-            self._first_s = now_s  # the first has no due time; it begins the count
+            self._first_s = now_s  # the first tick has no due time
         else:
             interval_s = now_s - self._last_s
             self._late.add(max(0.0, interval_s - PERIOD_S) * 1e6)
-            # Over all the time: back-up ticks 30 ms apart miss every third period, though none of them seems to miss one.
-            # What was missed stays missed, however fast the ticks that follow.
+            # Counted over the whole time: back-up ticks 30 ms apart miss every third period, though no single one does.
+            # A missed period stays missed, even if faster ticks follow.
             self._missed = max(self._missed, round((now_s - self._first_s) / PERIOD_S) - self._ticks)
         self._ticks += 1
         self._last_s = now_s
 
     def command_sent(self, position_received_s: float, sent_s: float) -> None:
-        """The setpoint made from this position has been handed to the socket."""
+        """Record that the setpoint for this position was handed to the socket."""
         if not self._frozen:
             self._telemetry_to_command.add((sent_s - position_received_s) * 1e6)
 
     def phase_after_tick(self, phase: FlightPhase, now_s: float) -> None:
-        """Begin anew where a formation begins; stop where it ends."""
-        forms = phase is FlightPhase.FORMATION
-        if forms and (not self._formed or self._frozen):
+        """Restart the measurement when a formation begins; stop it when the formation ends."""
+        in_formation = phase is FlightPhase.FORMATION
+        if in_formation and (not self._formed or self._frozen):
             self._formed, self._frozen = True, None
             self._start(now_s)
-        elif not forms and self._formed and not self._frozen:
+        elif not in_formation and self._formed and not self._frozen:
             self._frozen = self._measured(now_s)
 
     def timing(self, now_s: float) -> Timing:
+        """Timing since the start, or of the last formation."""
         return self._frozen or self._measured(now_s)
 
     def _measured(self, now_s: float) -> Timing:
@@ -134,13 +181,13 @@ class TickMeter:
 
 
 def _cpu_time_s() -> float:
-    """Of this process with all its threads."""
+    """CPU time of this process with all its threads."""
     times = os.times()
     return times.user + times.system
 
 
 def _rss_mb() -> float:
-    """Resident memory now; where /proc is missing, the most there ever was."""
+    """Resident memory, MB; the peak where /proc is missing."""
     try:
         pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
     except OSError:

@@ -1,4 +1,4 @@
-"""MAVLink over UDP: listens on a port and answers the autopilot that was first heard there."""
+"""MAVLink over UDP: listens on a port and answers the first autopilot that sends there."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ import time
 
 from companion.link.endpoint import LinkError, Received, check_host, explain
 
-READ_BYTES = 65536
-DATAGRAMS_PER_WAKE_UP = 64  # what is left wakes the loop again, after the tick that may be due
-RELOCK_AFTER_S = 5.0  # the autopilot's process may come back at another port
+READ_BYTES = 4096  # of a datagram: autopilots send at most an Ethernet frame
+DATAGRAMS_PER_WAKE_UP = 64  # the rest wakes the loop again, after a tick that may be due
+BYTES_PER_WAKE_UP = 8192  # some 200 messages: 2 ms
+RELOCK_AFTER_S = 5.0  # a restarted autopilot may send from another port
 
-_SO_TIMESTAMPNS = 35  # Linux; the socket module does not name it
+_SO_TIMESTAMPNS = 35  # Linux; missing in the socket module
 _TIMESPEC = struct.Struct("@ll")
 
 _log = logging.getLogger(__name__)
 
 
 class UdpLink:
-    """Listens, and answers the address from which the autopilot's packets came first, and only that one.
+    """Listens and answers only the address that first sent packets of the autopilot.
 
-    The kernel says when a datagram arrived: after a pause of this process the ones that have waited are as old as they
-    are, not new.
+    Times of arrival are the kernel's: datagrams that waited during a pause of this process keep their true age.
     """
 
     def __init__(self, host: str, port: int, received: Received) -> None:
@@ -33,11 +33,11 @@ class UdpLink:
         self._socket = _bound_udp_socket(host, port)
         self._autopilot: tuple[str, int] | None = None
         self._heard_s = float("-inf")
-        self._anything_came = False
+        self._anything_arrived = False
 
     def send(self, data: bytes) -> None:
         if self._autopilot:
-            # ConnectionRefused tells of an earlier datagram, BlockingIOError of a full buffer: both are lost packets.
+            # ConnectionRefused refers to an earlier datagram, BlockingIOError to a full buffer: both are lost packets.
             with contextlib.suppress(OSError):
                 self._socket.sendto(data, self._autopilot)
 
@@ -54,32 +54,36 @@ class UdpLink:
             loop.remove_reader(self._socket)
 
     def problem(self) -> str:
-        if self._anything_came:
-            return "packets came, none of them was this autopilot's"
-        return "nothing came at all; is the autopilot running, and does it send to this port?"
+        if self._anything_arrived:
+            return "packets arrived, none of them from this autopilot; check its id (MAV_SYS_ID)"
+        return "nothing arrived; is the autopilot running, and does it send to this port?"
 
     def close(self) -> None:
         self._socket.close()
 
     def _readable(self) -> None:
+        read_bytes = 0
         for _ in range(DATAGRAMS_PER_WAKE_UP):
+            if read_bytes > BYTES_PER_WAKE_UP:
+                return
             try:
                 data, ancillary, _, sender = self._socket.recvmsg(READ_BYTES, socket.CMSG_SPACE(_TIMESPEC.size))
             except BlockingIOError:
                 return
             except OSError:
-                continue  # an ICMP error about a datagram sent earlier
+                continue  # ICMP error for a datagram sent earlier
+            read_bytes += len(data)
             self._datagram(data, _arrival_s(ancillary), sender)
 
     def _datagram(self, data: bytes, received_s: float, sender: tuple[str, int]) -> None:
-        self._anything_came = True
+        self._anything_arrived = True
         is_locked = self._autopilot is not None and received_s - self._heard_s < RELOCK_AFTER_S
         if is_locked and sender != self._autopilot:
             return
         if self._received(data, received_s):
             if sender != self._autopilot:
                 self._autopilot = sender
-                _log.info("autopilot heard from %s:%d", *sender[:2])
+                _log.info("autopilot at %s:%d", *sender[:2])
             self._heard_s = received_s
 
 
@@ -88,7 +92,7 @@ def _bound_udp_socket(host: str, port: int) -> socket.socket:
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
     except socket.gaierror as error:
-        raise LinkError(f'"{host}" is no address of this machine; use 0.0.0.0 for all of them') from error
+        raise LinkError(f'"{host}" is not an address of this machine; use 0.0.0.0 for all of them') from error
     udp = socket.socket(family, kind, protocol)
     try:
         udp.bind(address)
@@ -96,13 +100,13 @@ def _bound_udp_socket(host: str, port: int) -> socket.socket:
         udp.close()
         raise LinkError(explain(error, f"UDP port {port}")) from error
     udp.setblocking(False)
-    with contextlib.suppress(OSError):  # not Linux: the time of reading serves instead
+    with contextlib.suppress(OSError):  # not Linux: the time of reading is used instead
         udp.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
     return udp
 
 
 def _arrival_s(ancillary: list[tuple[int, int, bytes]]) -> float:
-    """When the kernel got the datagram, on the monotonic clock; never later than now."""
+    """Time at which the kernel received the datagram, on the monotonic clock; never later than now."""
     now_s = time.monotonic()
     for level, kind, value in ancillary:
         if (level, kind) == (socket.SOL_SOCKET, _SO_TIMESTAMPNS) and len(value) == _TIMESPEC.size:

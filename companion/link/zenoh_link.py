@@ -1,14 +1,17 @@
-"""An agent's side of Zenoh: peers, commands and targets in, peer packets, replies and status out.
+"""Zenoh link of an agent: peer packets, commands and targets in; peer packets, replies and status out.
 
-Rings that the control loop drains at each tick: no thread of Zenoh's ever crosses into the loop, and nothing waits for a
-loop that hangs.
+The control loop drains ring channels at each tick. So no Zenoh thread enters the loop, and nothing waits for a loop that
+hangs. Whatever is sent is a publication that is dropped where the network is congested (CongestionControl.DROP: a call takes
+1.4 ms at most). Commands are no queries, because a reply to a query blocks the whole process for seconds where the client
+reads nothing: Zenoh's `query.reply` waits with the interpreter locked.
 """
 
 from __future__ import annotations
 
 import contextlib
+import re
+import threading
 import time
-from collections import deque
 from collections.abc import Callable, Iterable
 
 import zenoh
@@ -16,43 +19,70 @@ import zenoh
 from companion.config.fleet import FleetConfig
 from companion.config.vehicle import ZenohEndpoints
 from companion.link.log import CommandLog
-from companion.link.zenoh_session import drain, open_session
-from companion.types import Command, CommandName, CommandReply, PeerPacket, ReceivedPeerPacket, ReceivedTarget
+from companion.link.peer_datagrams import PeerDatagrams, packet_of_fleet
+from companion.link.zenoh_session import CONFIGURED_PEERS_ONLY, drain, open_session
+from companion.types.commands import Command, CommandName, CommandReply
+from companion.types.notices import Code
+from companion.types.peers import PeerPacket, ReceivedPeerPacket, ReceivedTarget
+from companion.types.traffic import ReceivedTraffic
 from companion.wire.ground import StatusReport, decode_command, encode
-from companion.wire.keys import command_key, every_peer, every_target, peer_key, status_key
-from companion.wire.peer import decode_peer, encode_peer
+from companion.wire.keys import (
+    abort_key,
+    command_key,
+    every_peer,
+    every_target,
+    every_traffic,
+    peer_key,
+    reply_key,
+    status_key,
+)
+from companion.wire.peer import encode_peer
 from companion.wire.target import decode_target
+from companion.wire.traffic import decode_traffic
 from companion.wire.version import WireError
 
 PACKETS_KEPT_PER_VEHICLE = 8
 COMMANDS_KEPT = 32
+ABORTS_KEPT = 4  # ABORT is idempotent: more of them say nothing more
 TARGETS_KEPT = 32
+TRAFFIC_KEPT = 32  # samples between two ticks: a flood costs no more
+TRAFFIC_NAME = re.compile("[A-Za-z0-9_-]{1,32}")
+CLOSE_WITHIN_S = 2.0
 LONG_PAUSE_S = 0.1  # five ticks
-# They end a formation; nobody is endangered when they come late.
-OBEYED_LATE = (CommandName.HOLD, CommandName.LAND, CommandName.ABORT)
+# Commands that end a formation. They are safe even when they are late.
+ACCEPTED_LATE = (CommandName.HOLD, CommandName.LAND, CommandName.ABORT)
 
 
 class ZenohLink:
-    """What one vehicle says and hears over Zenoh. Close it on every path, else the process may hang at its exit.
+    """Zenoh link of one vehicle. Close it on every path, else the process may hang at its exit.
 
-    `reject` is called with the reason for every message that is refused here.
+    Calls `reject` with the counter's key for every refused message.
     """
 
     def __init__(
-        self, vehicle_id: int, fleet: FleetConfig, endpoints: ZenohEndpoints, reject: Callable[[str], None]
+        self,
+        vehicle_id: int,
+        fleet: FleetConfig,
+        endpoints: ZenohEndpoints,
+        reject: Callable[[str], None],
+        datagrams: PeerDatagrams | None = None,
     ) -> None:
-        """Raises EndpointError. Vehicles that are not there yet are waited for in the background."""
+        """Open the session; peers that are not running yet connect later. Raises EndpointError.
+
+        With `datagrams` peer packets are published there and received from both.
+        """
+        self._datagrams = datagrams
         self._vehicle_id = vehicle_id
         self._fleet_name = fleet.name
         self._fleet_ids = frozenset(member.id for member in fleet.vehicles)
         self._reject = reject
         self._drained_s: float | None = None
-        self._open_queries: deque[tuple[Command, zenoh.Query]] = deque(maxlen=COMMANDS_KEPT)
+        self._unanswered: dict[tuple[str, int], Command] = {}
         self._log = CommandLog()
-        self._session = open_session(endpoints.listen, endpoints.connect)
+        self._session = open_session(endpoints.listen, endpoints.connect, CONFIGURED_PEERS_ONLY)
         self._packets_kept = PACKETS_KEPT_PER_VEHICLE * len(fleet.vehicles)
         with contextlib.ExitStack() as undo:
-            undo.callback(self._session.close)
+            undo.callback(self.close)
             self._declare(vehicle_id, fleet)
             undo.pop_all()
 
@@ -68,9 +98,20 @@ class ZenohLink:
             if may_lead
             else None
         )
-        self._command_key = command_key(fleet.name, vehicle_id)
-        self._commands = self._session.declare_queryable(
-            self._command_key, zenoh.handlers.RingChannel(COMMANDS_KEPT), complete=True
+        self._traffic = self._session.declare_subscriber(
+            every_traffic(fleet.name), zenoh.handlers.RingChannel(TRAFFIC_KEPT)
+        )
+        self._commands = self._session.declare_subscriber(
+            command_key(fleet.name, vehicle_id), zenoh.handlers.RingChannel(COMMANDS_KEPT)
+        )
+        self._aborts = self._session.declare_subscriber(
+            abort_key(fleet.name, vehicle_id), zenoh.handlers.RingChannel(ABORTS_KEPT)
+        )
+        self._reply_publisher = self._session.declare_publisher(
+            reply_key(fleet.name, vehicle_id),
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=zenoh.Priority.INTERACTIVE_HIGH,
+            express=True,
         )
         self._peer_publisher = self._session.declare_publisher(
             peer_key(fleet.name, vehicle_id),
@@ -87,55 +128,62 @@ class ZenohLink:
     def receive(self, now_s: float) -> tuple[tuple[ReceivedPeerPacket, ...], tuple[Command, ...]]:
         """All peer packets and commands since the last call. Never blocks.
 
-        How long a packet has waited here shows in its time of sending. After a pause of this process nobody knows how long a
-        command has, which its giver may have thought lost: it is refused, but for those in OBEYED_LATE.
+        The age of a peer packet follows from its time of sending. A command has none: after a pause of this process its
+        operator may consider it lost. So it is refused, except those in ACCEPTED_LATE.
         """
         before_s, self._drained_s = self._drained_s, now_s
-        paused = before_s is not None and now_s - before_s > LONG_PAUSE_S
+        late = before_s is not None and now_s - before_s > LONG_PAUSE_S
+        self._unanswered.clear()
         packets = (self._packet(sample) for sample in drain(self._peers, self._packets_kept))
-        commands = (self._command(query, paused) for query in drain(self._commands, COMMANDS_KEPT))
+        received = (*drain(self._aborts, ABORTS_KEPT), *drain(self._commands, COMMANDS_KEPT))
+        commands = (self._command(sample, late) for sample in received)
         return (
-            tuple(ReceivedPeerPacket(now_s, packet) for packet in packets if packet),
+            tuple(ReceivedPeerPacket(now_s, packet) for packet in packets if packet)
+            + (self._datagrams.receive(now_s) if self._datagrams else ()),
             tuple(command for command in commands if command),
         )
 
     def targets(self, now_s: float) -> tuple[ReceivedTarget, ...]:
-        """What was told of targets since the last call, for one that may lead. Never blocks."""
+        """All target samples since the last call; empty for a vehicle that may not become leader. Never blocks."""
         if self._targets is None:
             return ()
         targets = (self._target(sample, now_s) for sample in drain(self._targets, TARGETS_KEPT))
         return tuple(target for target in targets if target)
 
+    def traffic(self, now_s: float) -> tuple[ReceivedTraffic, ...]:
+        """All traffic samples since the last call. Never blocks."""
+        samples = (self._traffic_sample(sample, now_s) for sample in drain(self._traffic, TRAFFIC_KEPT))
+        return tuple(sample for sample in samples if sample)
+
     def publish_peer(self, packet: PeerPacket) -> None:
-        self._peer_publisher.put(encode_peer(packet))
+        """Publish the own peer packet."""
+        if self._datagrams:
+            self._datagrams.publish_peer(packet)
+        else:
+            self._peer_publisher.put(encode_peer(packet))
 
     def publish_status(self, report: StatusReport) -> None:
+        """Publish the own status."""
         self._status_publisher.put(encode(report))
 
     def reply(self, replies: Iterable[CommandReply]) -> None:
-        """Answer the queries that brought the commands, in their order. One without a query is nobody's and goes nowhere."""
+        """Publish and log the replies to the commands of the last `receive`."""
         for reply in replies:
-            for command, query in self._open_queries:
-                if command.number == reply.number:
-                    self._answer(query, reply, command)
-                    self._open_queries.remove((command, query))
-                    break
+            if command := self._unanswered.pop((reply.operator, reply.number), None):
+                self._log.answered(command, reply, time.monotonic())
+            self._reply_publisher.put(encode(reply))
 
     def close(self) -> None:
-        self._session.close()  # type: ignore[no-untyped-call]
+        """Close the session. Zenoh may wait for a client that reads nothing; the process does not."""
+        closing = threading.Thread(target=self._session.close, name="closing", daemon=True)
+        closing.start()
+        closing.join(CLOSE_WITHIN_S)
 
     def _packet(self, sample: zenoh.Sample) -> PeerPacket | None:
-        try:
-            packet = decode_peer(sample.payload.to_bytes())
-        except WireError as error:
-            self._reject(str(error))
-            return None
-        # Compared as text: a stranger's key may end in anything, thousands of digits among it.
-        if str(sample.key_expr) != peer_key(self._fleet_name, packet.vehicle_id):
-            self._reject("peer packet of another vehicle than its key says")
-            return None
-        if packet.vehicle_id not in self._fleet_ids:  # one reason for all of them: strangers cannot fill the counters
-            self._reject("peer packet of a vehicle that is not in the fleet file")
+        packet = packet_of_fleet(sample.payload.to_bytes(), self._fleet_ids, self._reject)
+        # Compared as text: an unknown sender's key may end in anything, such as thousands of digits.
+        if packet and str(sample.key_expr) != peer_key(self._fleet_name, packet.vehicle_id):
+            self._reject(Code.PEER_KEY_MISMATCH)
             return None
         return packet
 
@@ -145,27 +193,32 @@ class ZenohLink:
                 now_s, str(sample.key_expr).rpartition("/")[2], decode_target(sample.payload.to_bytes())
             )
         except WireError as error:
-            self._reject(str(error))
+            self._reject(error.key)
             return None
 
-    def _command(self, query: zenoh.Query, paused: bool) -> Command | None:
+    def _traffic_sample(self, sample: zenoh.Sample, now_s: float) -> ReceivedTraffic | None:
+        name = str(sample.key_expr).rpartition("/")[2]
+        if not TRAFFIC_NAME.fullmatch(name):  # it appears in events and on terminals
+            self._reject(Code.TRAFFIC_MALFORMED)
+            return None
         try:
-            command = decode_command(query.payload.to_bytes() if query.payload else b"")
+            return ReceivedTraffic(now_s, name, decode_traffic(sample.payload.to_bytes()))
         except WireError as error:
-            self._reject(str(error))
-            self._answer(query, CommandReply(self._vehicle_id, 0, False, f"refused: {error}"))
+            self._reject(error.key)
             return None
-        if paused and command.name not in OBEYED_LATE:
-            reason = "came while this agent was paused; give it again"
-            self._answer(query, CommandReply(self._vehicle_id, command.number, False, reason), command)
-            return None
-        self._open_queries.append((command, query))
-        return command
 
-    def _answer(self, query: zenoh.Query, reply: CommandReply, command: Command | None = None) -> None:
-        """Dropping the query tells the asker that no more will come. `command` is None where it was none."""
-        if command:
-            self._log.answered(command, reply, time.monotonic())
-        with contextlib.suppress(zenoh.ZError):  # the asker has gone
-            query.reply(self._command_key, encode(reply), express=True)
-        query.drop()  # type: ignore[no-untyped-call]
+    def _command(self, sample: zenoh.Sample, late: bool) -> Command | None:
+        """The command in a message; None where it is malformed, and where it comes late, which is answered here."""
+        try:
+            command = decode_command(sample.payload.to_bytes())
+        except WireError as error:
+            self._reject(error.key)
+            return None
+        self._unanswered[command.operator, command.number] = command
+        if late and command.name not in ACCEPTED_LATE:
+            reason = "arrived while this agent was paused; give it again"
+            self.reply(
+                [CommandReply(self._vehicle_id, command.number, False, Code.COMMAND_LATE, reason, command.operator)]
+            )
+            return None
+        return command

@@ -1,10 +1,11 @@
-"""ArduCopter's manners on MAVLink: all that is not the same for every autopilot. Facts are of 4.5 to 4.7.
+"""MAVLink dialect of ArduCopter, versions 4.5 to 4.7.
 
-It says nothing but HEARTBEAT and STATUSTEXT until it is asked to. CURRENT_MODE it does not know; its HEARTBEAT comes as often
-as asked and is the truth on mode and arming. Each command has one acknowledgement, and that one is true.
+ArduCopter sends only HEARTBEAT and STATUSTEXT until other messages are requested. It does not support CURRENT_MODE; HEARTBEAT
+comes at the requested rate and reports mode and arming. Each command has one COMMAND_ACK, which is final.
 
-A quaternion that is not finite ends the process; one that is not of length 1, a mask of some rates only and a thrust to be
-ignored make it stop in the air. After a stream's end it flies the last attitude and thrust for GUID_TIMEOUT, 3 s.
+A quaternion that is not finite aborts the autopilot's process. A quaternion that is not of unit length, a type_mask with only
+some rates ignored, or an ignored throttle make it brake. When the setpoint stream ends it keeps the last attitude and thrust
+for GUID_TIMEOUT (3 s).
 """
 
 from __future__ import annotations
@@ -14,24 +15,21 @@ from math import cos
 
 from companion.mavlink.codec import MavlinkMessage, mavlink
 from companion.mavlink.commands import command_long, common_command
-from companion.types import (
+from companion.types.autopilot import AutopilotMode
+from companion.types.requests import AttitudeTarget, AutopilotRequest, SetMode, TakeOff
+from companion.types.telemetry import (
     AttitudeSample,
-    AttitudeTarget,
-    AutopilotMode,
-    AutopilotRequest,
     HeartbeatSample,
     LandedSample,
     PositionSample,
-    SetMode,
     SystemSample,
-    TakeOff,
     Telemetry,
     ThrustSample,
 )
 
 NAME = "ArduCopter"
 MAV_AUTOPILOT = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
-# Planes and rovers say the same MAV_AUTOPILOT and mean other modes by the same numbers.
+# Planes and rovers report the same MAV_AUTOPILOT with other meanings of the mode numbers.
 MAV_TYPES = frozenset(
     {
         mavlink.MAV_TYPE_QUADROTOR,
@@ -44,7 +42,7 @@ MAV_TYPES = frozenset(
     }
 )
 
-# custom_mode is the mode's number.
+# custom_mode is the mode number.
 MODE_NAMES = {
     0: "STABILIZE",
     1: "ACRO",
@@ -73,12 +71,12 @@ MODE_NAMES = {
     27: "AUTO_RTL",
     28: "TURTLE",
 }
-# BRAKE stops and stays whatever the sticks say. LOITER would not do: without a transmitter it may sink as with a low stick.
+# BRAKE stops and holds position regardless of the sticks. LOITER may sink without a transmitter, as with a low stick.
 MODES = {AutopilotMode.OFFBOARD: 4, AutopilotMode.RETURN: 6, AutopilotMode.LAND: 9, AutopilotMode.HOLD: 17}
 MEANING = {number: mode for mode, number in MODES.items()}
 
-# Message id -> microseconds between messages (MAV_CMD_SET_MESSAGE_INTERVAL). Of its estimator it tells no error in metres, so
-# the GPS receiver's stands for it.
+# Message id -> microseconds between messages (MAV_CMD_SET_MESSAGE_INTERVAL). ArduCopter does not report the error of its
+# estimator in metres; that of the GPS receiver (GPS_RAW_INT) is used instead.
 STREAMS_US = {
     mavlink.MAVLINK_MSG_ID_HEARTBEAT: 20_000,
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 20_000,
@@ -90,7 +88,7 @@ STREAMS_US = {
     mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 1_000_000,
 }
 
-LEAST_HZ: dict[type[Telemetry], tuple[str, float]] = {
+MIN_RATE_HZ: dict[type[Telemetry], tuple[str, float]] = {
     HeartbeatSample: ("heartbeats", 40.0),
     PositionSample: ("positions", 40.0),
     AttitudeSample: ("attitudes", 40.0),
@@ -100,32 +98,32 @@ LEAST_HZ: dict[type[Telemetry], tuple[str, float]] = {
 }
 
 ATTITUDE_TYPE_MASK = 7  # ignore body rates
-LEAST_COS_TILT = 0.1  # farther over, thrust is not divided by more
+LEAST_COS_TILT = 0.1  # smallest divisor of the thrust
 
 
-def is_its(heartbeat: MavlinkMessage) -> bool:
-    """Is it an ArduCopter's HEARTBEAT?"""
+def matches(heartbeat: MavlinkMessage) -> bool:
+    """Whether this HEARTBEAT is of an ArduCopter."""
     return heartbeat.autopilot == MAV_AUTOPILOT and heartbeat.type in MAV_TYPES
 
 
-@lru_cache(maxsize=64)  # it is told 50 times a second and hardly ever another one
+@lru_cache(maxsize=64)  # called 50 times per second, mostly with the same mode
 def mode_of(custom_mode: int) -> tuple[AutopilotMode, str]:
-    """Meaning and ArduCopter's own name of a custom_mode."""
+    """Meaning of a custom_mode, and its ArduCopter name."""
     return MEANING.get(custom_mode, AutopilotMode.OTHER), MODE_NAMES.get(custom_mode, f"mode {custom_mode}")
 
 
 def thrust_of(target: AttitudeTarget) -> float:
-    """Thrust of SET_ATTITUDE_TARGET, as GUID_OPTIONS bit 3 has it; without that bit it would be a climb rate.
+    """The thrust field of SET_ATTITUDE_TARGET with GUID_OPTIONS bit 3 set; without that bit it would be a climb rate.
 
-    ArduCopter divides it by the cosine of the tilt (ATC_ANGLE_BOOST), which the attitude law has done already.
+    ArduCopter divides it by the cosine of the tilt (ATC_ANGLE_BOOST), which the attitude law has already done.
     """
     return target.thrust_norm * cos(target.roll_rad) * cos(target.pitch_rad)
 
 
 def commanded_thrust(message: MavlinkMessage) -> float:
-    """ATTITUDE_TARGET's along the body's axis: what it tells is not yet divided by the cosine of the tilt it wants.
+    """Thrust along the body z axis. ATTITUDE_TARGET reports it before the division by the cosine of the wanted tilt.
 
-    While it lands its vertical loop may want less than none, and its motors then give none.
+    During landing the vertical loop may report a negative thrust; the motors then give none.
     """
     _, x, y, _ = message.q
     cos_tilt = 1.0 - 2.0 * (x * x + y * y)
@@ -134,18 +132,18 @@ def commanded_thrust(message: MavlinkMessage) -> float:
 
 
 def command_for(request: AutopilotRequest, system_id: int) -> MavlinkMessage:
-    """The COMMAND_LONG that asks for it."""
+    """The MAVLink message of this request."""
     match request:
         case SetMode(mode):
             flag = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
             return command_long(system_id, mavlink.MAV_CMD_DO_SET_MODE, flag, MODES[mode])
         case TakeOff(_, height_m):
-            # Param 7 is above home, which is where it was armed.
+            # Param 7 is the height above home, the position of arming.
             return command_long(system_id, mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, height_m)
         case _:
             return common_command(request, system_id)
 
 
 def parameter_value(message: MavlinkMessage) -> float:
-    """Of PARAM_VALUE: integers travel as numbers."""
+    """The value in PARAM_VALUE. ArduPilot sends integers as numbers."""
     return float(message.param_value)

@@ -1,4 +1,4 @@
-"""PX4's manners on MAVLink: all that is not the same for every autopilot. Facts are of v1.16."""
+"""MAVLink dialect of PX4, version 1.16."""
 
 from __future__ import annotations
 
@@ -8,17 +8,14 @@ from math import nan
 
 from companion.mavlink.codec import MavlinkMessage, mavlink
 from companion.mavlink.commands import command_long, common_command
-from companion.types import (
+from companion.types.autopilot import AutopilotMode
+from companion.types.requests import AttitudeTarget, AutopilotRequest, SetMode, TakeOff
+from companion.types.telemetry import (
     AttitudeSample,
-    AttitudeTarget,
-    AutopilotMode,
-    AutopilotRequest,
     LandedSample,
     ModeSample,
     PositionSample,
-    SetMode,
     SystemSample,
-    TakeOff,
     Telemetry,
     ThrustSample,
 )
@@ -26,7 +23,7 @@ from companion.types import (
 NAME = "PX4"
 MAV_AUTOPILOT = mavlink.MAV_AUTOPILOT_PX4
 
-# custom_mode carries the main mode in its third byte and the sub mode in its fourth.
+# custom_mode holds the main mode in its third byte and the sub mode in its fourth.
 MAIN_MODES = {
     1: "MANUAL",
     2: "ALTCTL",
@@ -47,8 +44,8 @@ MODES = {
 }
 MEANING = {numbers: mode for mode, numbers in MODES.items()}
 
-# Message id -> microseconds between messages (MAV_CMD_SET_MESSAGE_INTERVAL); -1 is off. CURRENT_MODE shows a change of
-# mode within 20 ms, where HEARTBEAT stays at 1 Hz whatever is asked. What is off would only cost the companion time.
+# Message id -> microseconds between messages (MAV_CMD_SET_MESSAGE_INTERVAL); -1 is off. CURRENT_MODE reports a mode change
+# within 20 ms; HEARTBEAT stays at 1 Hz regardless of requests. Unused messages are off to save the companion's CPU time.
 STREAMS_US = {
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 20_000,
     mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 20_000,
@@ -63,26 +60,26 @@ STREAMS_US = {
     mavlink.MAVLINK_MSG_ID_HIGHRES_IMU: -1,
 }
 
-LEAST_HZ: dict[type[Telemetry], tuple[str, float]] = {
+MIN_RATE_HZ: dict[type[Telemetry], tuple[str, float]] = {
     PositionSample: ("positions", 40.0),
     AttitudeSample: ("attitudes", 40.0),
-    ModeSample: ("modes", 1.2),  # CURRENT_MODE comes at every change and else twice a second, whatever was asked
+    ModeSample: ("modes", 1.2),  # CURRENT_MODE comes at every change and otherwise twice a second
     LandedSample: ("landed states", 2.0),
     SystemSample: ("battery states", 1.0),
-    ThrustSample: ("thrusts", 5.0),  # 10 unasked are enough
+    ThrustSample: ("thrusts", 5.0),  # the default of 10 Hz is enough
 }
 
 ATTITUDE_TYPE_MASK = 7  # ignore body rates; bit 6 (throttle ignore) would mean zero thrust
 
 
-def is_its(heartbeat: MavlinkMessage) -> bool:
-    """Is it a PX4's HEARTBEAT?"""
+def matches(heartbeat: MavlinkMessage) -> bool:
+    """Whether this HEARTBEAT is of a PX4."""
     return bool(heartbeat.autopilot == MAV_AUTOPILOT)
 
 
-@lru_cache(maxsize=64)  # it is told 50 times a second and hardly ever another one
+@lru_cache(maxsize=64)  # called 50 times per second, mostly with the same mode
 def mode_of(custom_mode: int) -> tuple[AutopilotMode, str]:
-    """Meaning and PX4's own name of a custom_mode."""
+    """Meaning of a custom_mode, and its PX4 name."""
     main, sub = custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF
     name = MAIN_MODES.get(main, f"mode {main}")
     if main == 4:
@@ -91,18 +88,18 @@ def mode_of(custom_mode: int) -> tuple[AutopilotMode, str]:
 
 
 def thrust_of(target: AttitudeTarget) -> float:
-    """Thrust of SET_ATTITUDE_TARGET: along the body's axis, 0 to 1."""
+    """The thrust field of SET_ATTITUDE_TARGET: along the body z axis, 0 to 1."""
     return target.thrust_norm
 
 
 def commanded_thrust(message: MavlinkMessage) -> float:
-    """ATTITUDE_TARGET's, in the same sense."""
+    """Thrust along the body z axis, from ATTITUDE_TARGET."""
     thrust: float = message.thrust
     return thrust
 
 
 def command_for(request: AutopilotRequest, system_id: int) -> MavlinkMessage:
-    """The COMMAND_LONG that asks for it."""
+    """The MAVLink message of this request."""
     match request:
         case SetMode(mode):
             main, sub = MODES[mode]
@@ -110,14 +107,14 @@ def command_for(request: AutopilotRequest, system_id: int) -> MavlinkMessage:
                 system_id, mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, main, sub
             )
         case TakeOff(altitude_amsl_m):
-            # NaN: where it stands, with the heading it has. Param 7 is above mean sea level.
+            # NaN: at the present position and heading. Param 7 is above mean sea level.
             return command_long(system_id, mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, nan, nan, nan, altitude_amsl_m)
         case _:
             return common_command(request, system_id)
 
 
 def parameter_value(message: MavlinkMessage) -> float:
-    """Of PARAM_VALUE: integers travel bytewise in the float field."""
+    """The value in PARAM_VALUE. PX4 sends integers bytewise in the float field."""
     if message.param_type == mavlink.MAV_PARAM_TYPE_REAL32:
         return float(message.param_value)
     integer: int = struct.unpack("<i", struct.pack("<f", message.param_value))[0]

@@ -1,28 +1,28 @@
-"""MAVLink messages -> Telemetry in the house's frames and units, the same for every autopilot."""
+"""MAVLink messages -> Telemetry in ENU, FLU and SI units. The same for every autopilot."""
 
 from __future__ import annotations
 
 from math import isfinite, nan
 
-from companion.frames import enu_from_ned, euler_enu_from_ned, euler_from_quaternion
+from companion.geometry.frames import enu_from_ned, euler_enu_from_ned, euler_from_quaternion
 from companion.mavlink.codec import MavlinkMessage, mavlink
 from companion.mavlink.commands import ANSWERS
-from companion.types import (
+from companion.types.autopilot import AutopilotKind, LandedState
+from companion.types.printable import printable
+from companion.types.telemetry import (
     AckSample,
     AttitudeSample,
-    AutopilotKind,
     EstimatorSample,
     GlobalPositionSample,
     HeartbeatSample,
     LandedSample,
-    LandedState,
     OriginSample,
     PositionSample,
     SystemSample,
     TextSample,
 )
 
-RESULT_WORDS = {
+RESULT_TEXTS = {
     mavlink.MAV_RESULT_ACCEPTED: "accepted",
     mavlink.MAV_RESULT_TEMPORARILY_REJECTED: "temporarily rejected",
     mavlink.MAV_RESULT_DENIED: "denied",
@@ -31,9 +31,19 @@ RESULT_WORDS = {
     mavlink.MAV_RESULT_IN_PROGRESS: "in progress",
 }
 
+# Flags of ESTIMATOR_STATUS: what must be good, of which one must be, and that the position is only assumed constant.
+ESTIMATES = (
+    mavlink.ESTIMATOR_ATTITUDE
+    | mavlink.ESTIMATOR_VELOCITY_HORIZ
+    | mavlink.ESTIMATOR_VELOCITY_VERT
+    | mavlink.ESTIMATOR_POS_VERT_ABS
+)
+POSITIONS = mavlink.ESTIMATOR_POS_HORIZ_REL | mavlink.ESTIMATOR_POS_HORIZ_ABS
+WITHOUT_POSITION = mavlink.ESTIMATOR_CONST_POS_MODE
+
 
 def position(message: MavlinkMessage, received_s: float) -> PositionSample:
-    """LOCAL_POSITION_NED. Its numbers may still be NaN; the vehicle tracker refuses those."""
+    """LOCAL_POSITION_NED. Its numbers may be NaN; `VehicleTracker` refuses those."""
     return PositionSample(
         received_s,
         message.time_boot_ms / 1000.0,
@@ -43,7 +53,7 @@ def position(message: MavlinkMessage, received_s: float) -> PositionSample:
 
 
 def attitude(message: MavlinkMessage, received_s: float) -> AttitudeSample | None:
-    """ATTITUDE_QUATERNION; None where it is no rotation."""
+    """ATTITUDE_QUATERNION; None where the quaternion is not a rotation."""
     quaternion = (message.q1, message.q2, message.q3, message.q4)
     if not all(map(isfinite, quaternion)):
         return None
@@ -55,12 +65,12 @@ def attitude(message: MavlinkMessage, received_s: float) -> AttitudeSample | Non
 
 
 def heartbeat(message: MavlinkMessage, autopilot: AutopilotKind, received_s: float) -> HeartbeatSample:
-    """HEARTBEAT's armed flag, from an autopilot of this make."""
+    """Armed flag of HEARTBEAT, from an autopilot of this make."""
     return HeartbeatSample(received_s, bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED), autopilot)
 
 
 def landed(message: MavlinkMessage, received_s: float) -> LandedSample:
-    """EXTENDED_SYS_STATE; a number that MAVLink does not know is undefined."""
+    """EXTENDED_SYS_STATE; an unknown landed_state is UNDEFINED."""
     known = message.landed_state in list(LandedState)
     return LandedSample(received_s, LandedState(message.landed_state) if known else LandedState.UNDEFINED)
 
@@ -74,48 +84,52 @@ def system(message: MavlinkMessage, received_s: float) -> SystemSample:
     """SYS_STATUS."""
     healthy = message.onboard_control_sensors_health
     may_arm = bool(healthy & mavlink.MAV_SYS_STATUS_PREARM_CHECK)
-    return SystemSample(received_s, float(message.battery_remaining), may_arm)
+    has_estimator = message.onboard_control_sensors_present & mavlink.MAV_SYS_STATUS_AHRS
+    estimator_healthy = not has_estimator or bool(healthy & mavlink.MAV_SYS_STATUS_AHRS)
+    return SystemSample(received_s, float(message.battery_remaining), may_arm, estimator_healthy)
 
 
 def global_position(message: MavlinkMessage, received_s: float) -> GlobalPositionSample:
-    """GLOBAL_POSITION_INT, degrees in 1e-7 and altitude in mm; its clock is LOCAL_POSITION_NED's."""
+    """GLOBAL_POSITION_INT, degrees in 1e-7 and altitude in mm; same clock as LOCAL_POSITION_NED."""
     return GlobalPositionSample(
         received_s, message.time_boot_ms / 1000.0, message.lat / 1e7, message.lon / 1e7, message.alt / 1e3
     )
 
 
 def estimator_status(message: MavlinkMessage, received_s: float) -> EstimatorSample:
-    """ESTIMATOR_STATUS, whose accuracies are one sigma; in the plane of both axes together."""
-    return EstimatorSample(received_s, message.pos_horiz_accuracy, message.pos_vert_accuracy)
+    """ESTIMATOR_STATUS, with accuracies of one sigma; the horizontal one covers both axes. Flags of 0 are not reported."""
+    flags = message.flags
+    usable = flags & ESTIMATES == ESTIMATES and flags & POSITIONS and not flags & WITHOUT_POSITION
+    return EstimatorSample(received_s, message.pos_horiz_accuracy, message.pos_vert_accuracy, not flags or bool(usable))
 
 
 def gps_error(message: MavlinkMessage, received_s: float) -> EstimatorSample:
-    """GPS_RAW_INT, in mm, 0 where the receiver does not know: for autopilots whose estimator does not tell its own error."""
+    """GPS_RAW_INT accuracies, in mm, 0 where unknown. For autopilots that do not report the error of their estimator."""
     known = message.h_acc > 0 and message.v_acc > 0
     return EstimatorSample(received_s, message.h_acc / 1e3 if known else nan, message.v_acc / 1e3 if known else nan)
 
 
 def acknowledgement(message: MavlinkMessage, received_s: float) -> AckSample:
-    """COMMAND_ACK with the command and the result in words."""
+    """COMMAND_ACK, with the command and the result as text."""
     accepted = message.result in (mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_IN_PROGRESS)
     entry = mavlink.enums["MAV_CMD"].get(message.command)
     name = entry.name.removeprefix("MAV_CMD_") if entry else f"command {message.command}"
-    word = RESULT_WORDS.get(message.result, f"result {message.result}")
-    return AckSample(received_s, ANSWERS.get(message.command, ()), accepted, f"{name} {word}")
+    result = RESULT_TEXTS.get(message.result, f"result {message.result}")
+    return AckSample(received_s, ANSWERS.get(message.command, ()), accepted, f"{name} {result}")
 
 
 class TextAssembler:
-    """STATUSTEXT comes in chunks of 50 characters that share an id; a chunk shorter than that is the last."""
+    """Joins chunks of STATUSTEXT: 50 characters each, with a common id; a shorter chunk is the last."""
 
     def __init__(self) -> None:
         self._id = 0
         self._chunks: list[str] = []
 
     def add(self, message: MavlinkMessage, received_s: float) -> TextSample | None:
-        """The whole text once its last chunk is there. A text that lost its beginning is dropped."""
+        """The whole text when its last chunk arrives, else None. A text with a lost chunk is dropped."""
         chunk: str = message.text
         if message.id == 0:
-            return TextSample(received_s, message.severity, _printable(chunk))
+            return TextSample(received_s, message.severity, printable(chunk.strip()))
         if message.chunk_seq == 0:
             self._id, self._chunks = message.id, []
         if message.id != self._id or message.chunk_seq != len(self._chunks):
@@ -123,9 +137,4 @@ class TextAssembler:
         self._chunks.append(chunk)
         if len(chunk) >= 50:
             return None
-        return TextSample(received_s, message.severity, _printable("".join(self._chunks)))
-
-
-def _printable(text: str) -> str:
-    """One line that steers nothing: it goes into logs, to terminals and to the service manager, who reads line by line."""
-    return "".join(c if c.isprintable() else "?" for c in text.strip())
+        return TextSample(received_s, message.severity, printable("".join(self._chunks).strip()))

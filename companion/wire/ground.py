@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
-import re
-from typing import TypeVar
-
 import msgspec
 
-from companion.types import CONTENT, Command, CommandReply, Status
-from companion.wire.version import DECODE_ERRORS, WireError, seal, unseal
-
-T = TypeVar("T")
-
-OPERATOR = r"[A-Za-z0-9][A-Za-z0-9_.@+-]{0,62}"  # it is shown on terminals and in logs
-OPERATOR_WORDS = "1 to 63 letters, digits, _ . @ + -, a letter or digit first, like anna@ground"
+from companion.types.bounds import Finite, Number
+from companion.types.commands import CONTENT, Command, CommandReply, ReferenceChange
+from companion.types.notices import Code
+from companion.types.status import Status
+from companion.wire.version import WireError, seal, unsealed
 
 
 class Percentiles(msgspec.Struct, frozen=True, gc=False):
     """Of one measured time in microseconds."""
 
-    p50: float
-    p99: float
-    max: float
+    p50: Finite
+    p99: Finite
+    max: Finite
 
 
 class Timing(msgspec.Struct, frozen=True, gc=False):
@@ -32,13 +27,13 @@ class Timing(msgspec.Struct, frozen=True, gc=False):
     `telemetry_to_command_us`: from a position's arrival at the socket to its setpoint handed to the socket.
     """
 
-    rate_hz: float
-    ticks: int
-    missed: int
+    rate_hz: Finite
+    ticks: Number
+    missed: Number
     late_us: Percentiles
     telemetry_to_command_us: Percentiles
-    cpu_percent: float
-    rss_mb: float
+    cpu_percent: Finite
+    rss_mb: Finite
 
 
 class StatusReport(msgspec.Struct, frozen=True, gc=False):
@@ -60,29 +55,25 @@ def encode(message: StatusReport | Command | CommandReply) -> bytes:
 
 def decode_report(data: bytes) -> StatusReport:
     """Raises WireError."""
-    return _decode(_report_decoder, data, "status report")
+    return unsealed(_report_decoder, data, Code.REPORT_MALFORMED, "status report")
 
 
 def decode_command(data: bytes) -> Command:
     """Raises WireError."""
-    command = _decode(_command_decoder, data, "command")
+    command = unsealed(_command_decoder, data, Code.COMMAND_MALFORMED, "command")
     wanted = CONTENT.get(command.name, type(None))
     if not isinstance(command.content, wanted):
-        raise WireError(f"command {command.name} with {type(command.content).__name__}, expected {wanted.__name__}")
-    if not re.fullmatch(OPERATOR, command.operator):
-        raise WireError(f"command {command.name} of an operator without a proper name")
-    if not 0 < command.number < 2**63:
-        raise WireError(f"command {command.name} with a number out of range")
+        raise WireError(
+            Code.COMMAND_MALFORMED,
+            f"command {command.name} with {type(command.content).__name__}, expected {wanted.__name__}",
+        )
+    if isinstance(command.content, ReferenceChange):
+        for value in command.content.reference.values():
+            if isinstance(value, str) and not value.isprintable():  # it is part of replies and logs
+                raise WireError(Code.COMMAND_MALFORMED, "command reference with control characters")
     return command
 
 
 def decode_reply(data: bytes) -> CommandReply:
     """Raises WireError."""
-    return _decode(_reply_decoder, data, "command reply")
-
-
-def _decode(decoder: msgspec.msgpack.Decoder[T], data: bytes, what: str) -> T:
-    try:
-        return decoder.decode(unseal(data))
-    except DECODE_ERRORS as error:
-        raise WireError(f"malformed {what}") from error
+    return unsealed(_reply_decoder, data, Code.REPORT_MALFORMED, "command reply")

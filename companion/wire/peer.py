@@ -1,32 +1,26 @@
-"""PeerPacket <-> bytes: a MessagePack array, so that 50 packets a second stay small on the air."""
+"""PeerPacket <-> bytes: a MessagePack array, to keep 50 packets per second small."""
 
 from __future__ import annotations
 
 import msgspec
 
-from companion.types import (
-    EAST,
-    FlightPhase,
-    FlownSlot,
-    FormationChange,
-    Heading,
-    HeldReference,
-    LeaderWord,
-    PeerPacket,
-    PositionError,
-    Role,
-    Vector3,
-)
-from companion.wire.version import DECODE_ERRORS, WireError, seal, unseal
+from companion.types.autopilot import PositionError
+from companion.types.bounds import ChangeDuration, MissionTime, Number, SlotsOfAll, VehicleId, VehicleIds
+from companion.types.flight import FlightPhase, Role
+from companion.types.formation import EAST, FlownSlot, FormationChange, Heading, HeldReference, LeaderBeacon
+from companion.types.notices import Code
+from companion.types.peers import PeerPacket
+from companion.types.vectors import Vector3
+from companion.wire.version import seal, unsealed
 
-_Word = tuple[int, int, int, float, int, tuple[float, float, float] | None]
-"""Leader id, epoch, stamp, reference_s, claim, heading with its rate and acceleration; None to the east and still."""
+_BeaconWire = tuple[VehicleId, Number, Number, float, Number, tuple[float, float, float] | None]
+"""Leader id, epoch, stamp, reference_s, claim, heading with rate and acceleration (None: east and constant)."""
 
 
 class _PeerWire(msgspec.Struct, array_like=True, frozen=True, forbid_unknown_fields=True):
-    vehicle_id: int
-    session: int
-    sequence: int
+    vehicle_id: VehicleId
+    session: Number
+    sequence: Number
     formation_hash: int
     phase: FlightPhase
     role: Role
@@ -36,13 +30,13 @@ class _PeerWire(msgspec.Struct, array_like=True, frozen=True, forbid_unknown_fie
     state_age_s: float
     sent_s: float
     prc: int
-    leader_word: _Word | None
+    leader_beacon: _BeaconWire | None
     slot: tuple[
-        Vector3, Vector3, Vector3, int, int, bool
-    ]  # position, velocity, acceleration, formation, waiting, moves
+        Vector3, Vector3, Vector3, Number, Number, ChangeDuration
+    ]  # position, velocity, acceleration, formation, waiting, moves_for_s
     position_error: tuple[float, float] | None  # horizontal_m, vertical_m
-    reference: tuple[int, int, float] | None  # flown, waiting, begun_s
-    change: tuple[int, tuple[tuple[int, Vector3], ...], float, float, tuple[int, ...]] | None  # as FormationChange
+    reference: tuple[Number, Number, float] | None  # flown, waiting, begun_s
+    change: tuple[Number, SlotsOfAll, MissionTime, ChangeDuration, VehicleIds] | None  # as FormationChange
     armed: bool
 
 
@@ -51,7 +45,8 @@ _decoder = msgspec.msgpack.Decoder(_PeerWire)
 
 
 def encode_peer(packet: PeerPacket) -> bytes:
-    word, slot, error, held = packet.leader_word, packet.slot, packet.position_error, packet.reference
+    """The message for a peer packet."""
+    beacon, slot, error, held = packet.leader_beacon, packet.slot, packet.position_error, packet.reference
     change = packet.change
     return seal(
         _encoder.encode(
@@ -68,14 +63,14 @@ def encode_peer(packet: PeerPacket) -> bytes:
                 packet.state_age_s,
                 packet.sent_s,
                 packet.prc,
-                _word_on_wire(word) if word else None,
+                _beacon_wire(beacon) if beacon else None,
                 (
                     slot.position_enu_m,
                     slot.velocity_enu_m_s,
                     slot.acceleration_enu_m_s2,
                     slot.formation,
                     slot.waiting,
-                    slot.moves,
+                    slot.moves_for_s,
                 ),
                 (error.horizontal_m, error.vertical_m) if error else None,
                 (held.flown, held.waiting, held.begun_s) if held else None,
@@ -86,23 +81,20 @@ def encode_peer(packet: PeerPacket) -> bytes:
     )
 
 
-def _word_on_wire(word: LeaderWord) -> _Word:
-    heading = word.heading
+def _beacon_wire(beacon: LeaderBeacon) -> _BeaconWire:
+    heading = beacon.heading
     turns = None if heading == EAST else (heading.angle_rad, heading.rate_rad_s, heading.acceleration_rad_s2)
-    return (word.leader_id, word.epoch, word.stamp, word.reference_s, word.claim, turns)
+    return (beacon.leader_id, beacon.epoch, beacon.stamp, beacon.reference_s, beacon.claim, turns)
 
 
-def _word_from(wire: _Word) -> LeaderWord:
+def _beacon_from(wire: _BeaconWire) -> LeaderBeacon:
     leader_id, epoch, stamp, reference_s, claim, turns = wire
-    return LeaderWord(leader_id, epoch, stamp, reference_s, claim, Heading(*turns) if turns else EAST)
+    return LeaderBeacon(leader_id, epoch, stamp, reference_s, claim, Heading(*turns) if turns else EAST)
 
 
 def decode_peer(data: bytes) -> PeerPacket:
-    """Checks form and version only; what the numbers may be is `core/peers.py`'s. Raises WireError."""
-    try:
-        wire = _decoder.decode(unseal(data))
-    except DECODE_ERRORS as error:
-        raise WireError("malformed peer packet") from error
+    """The peer packet of a message. Checks form, version and sizes; `PeerTable` checks the values. Raises WireError."""
+    wire = unsealed(_decoder, data, Code.PEER_MALFORMED, "peer packet")
     return PeerPacket(
         wire.vehicle_id,
         wire.session,
@@ -116,7 +108,7 @@ def decode_peer(data: bytes) -> PeerPacket:
         wire.state_age_s,
         wire.sent_s,
         wire.prc,
-        _word_from(wire.leader_word) if wire.leader_word else None,
+        _beacon_from(wire.leader_beacon) if wire.leader_beacon else None,
         FlownSlot(*wire.slot),
         PositionError(*wire.position_error) if wire.position_error else None,
         HeldReference(*wire.reference) if wire.reference else None,

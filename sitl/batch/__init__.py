@@ -1,1 +1,1 @@
-"""Many whole formations at once, in arrays: for statistics. What it must agree with is sitl/lockstep.py."""
+"""Simulation of many formations at once, in arrays, for statistics. The reference for its model is sitl/flight/lockstep.py."""

@@ -1,4 +1,4 @@
-"""companion.core.agent in formation, for many vehicles: what a group of them knows -> its attitude targets."""
+"""companion.core.agent in formation, for many vehicles: telemetry and packets of a group -> its attitude targets."""
 
 from __future__ import annotations
 
@@ -6,20 +6,20 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from companion.core.arrays import FloatArray
-from sitl.autopilot import DT_S
+from companion.stability.arrays import FloatArray
+from sitl.autopilots.autopilot import DT_S
 from sitl.batch.candidates import Candidates
 from sitl.batch.columns import BoolArray, Columns
 from sitl.batch.commands import Commands
 from sitl.batch.laws import Laws
-from sitl.batch.packets import ACCELERATION, PLACE, PRC, SHARE, VELOCITY, WIDTH, Heard, Packets
+from sitl.batch.packets import ACCELERATION, PRC, REDUCED_POSITION, SHARE, VELOCITY, WIDTH, Packets, Received
 from sitl.batch.references import References
-from sitl.scenario import Scenario
-from sitl.world import TELEMETRY_STEPS
+from sitl.flight.scenario import Scenario
+from sitl.flight.world import TELEMETRY_STEPS
 
 
 class Agents:
-    """All agents of a batch. `told` (9, k) is what autopilots tell: position, velocity, roll, pitch, yaw of FLU in ENU."""
+    """All agents of a batch. `telemetry` (9, k) holds position, velocity, roll, pitch, yaw of FLU in ENU."""
 
     def __init__(
         self,
@@ -28,76 +28,75 @@ class Agents:
         laws: Laws,
         references: References,
         candidates: Candidates,
-        told: FloatArray,
+        telemetry: FloatArray,
     ) -> None:
         self._columns = columns
         self._laws = laws
         self._references = references
         self._candidates = candidates
         self._commands = Commands(scenarios, columns, DT_S * TELEMETRY_STEPS)
-        self._commands.open_at(told[6:9])
-        self._hold_altitude_m = told[2].copy()
+        self._commands.open_at(telemetry[6:9])
+        self._hold_altitude_m = telemetry[2].copy()
         slots = laws.slot_enu_m.T
         self._slots_apart_m = slots[candidates.sender] - slots[:, None, :] if candidates.by_range else np.zeros(0)
         packets = np.zeros((WIDTH, columns.count))
-        packets[PLACE], packets[VELOCITY] = told[:3] - laws.slot_enu_m, told[3:6]
+        packets[REDUCED_POSITION], packets[VELOCITY] = telemetry[:3] - laws.slot_enu_m, telemetry[3:6]
         self._members = self._first_members(packets)
         packets[PRC] = self._first_prcs()
         packets[SHARE] = laws.shares(packets[PRC], slice(0, columns.count))
         self._packets = Packets(scenarios, columns, candidates, packets)
 
     def targets(self, group: slice) -> FloatArray:
-        """What was commanded last: (5, G) quaternion and thrust."""
+        """The last commanded targets: (5, G) quaternion and thrust."""
         return self._commands.targets(group)
 
-    def decide(self, tick: int, phase: int, reference_s: float, told: FloatArray) -> FloatArray:
-        """One tick of the agents of this phase, so far into the RFT: (5, G) quaternion and thrust."""
+    def decide(self, tick: int, phase: int, reference_s: float, telemetry: FloatArray) -> FloatArray:
+        """One tick of the agents of this phase, at `reference_s` of the RFT: (5, G) quaternion and thrust."""
         group, laws = self._columns.groups[phase], self._laws
-        own = told[:6].copy()
+        own = telemetry[:6].copy()
         own[:3] -= laws.slot_enu_m[:, group]
-        heard = self._packets.hear(tick, group)
-        heeded = self._heeded(group, own[:3], heard)
-        packets = self._packets.packets(heeded)
-        prcs = laws.next_prcs(packets[:, :, PRC], heeded.fresh, group)
-        together, has_neighbours = _together(heeded, packets)
+        used = self._from_neighbours(group, own[:3], self._packets.receive(tick, group))
+        packets = self._packets.packets(used)
+        prcs = laws.next_prcs(packets[:, :, PRC], used.fresh, group)
+        weighted_sum, has_neighbours = _weighted_sum(used, packets)
         acceleration = laws.acceleration(
             group,
             own,
             self._hold_altitude_m,
-            together,
+            weighted_sum,
             has_neighbours,
             self._references.leaders[phase],
             self._references.at(phase, reference_s),
         )
         self._commands.limit(acceleration, group)
-        told_to_peers = np.empty((WIDTH, prcs.size))
-        told_to_peers[:6], told_to_peers[ACCELERATION], told_to_peers[PRC] = own, acceleration, prcs
-        told_to_peers[SHARE] = laws.shares(prcs, group)
-        self._packets.send(tick, group, told_to_peers)
-        return self._commands.admitted(acceleration, told[6], told[7], group)
+        sent = np.empty((WIDTH, prcs.size))
+        sent[:6], sent[ACCELERATION], sent[PRC] = own, acceleration, prcs
+        sent[SHARE] = laws.shares(prcs, group)
+        self._packets.send(tick, group, sent)
+        return self._commands.admitted(acceleration, telemetry[6], telemetry[7], group)
 
     def relation(self) -> BoolArray:
-        """Who heeds whom (B, n, n), by rising ids."""
+        """[b, i, j]: vehicle i uses vehicle j as a neighbour; (B, n, n), by rising ids."""
         columns, n = self._columns, self._columns.vehicles
-        receiver, place = np.nonzero(self._members)
-        sender = self._candidates.sender[receiver, place]
+        receiver, candidate = np.nonzero(self._members)
+        sender = self._candidates.sender[receiver, candidate]
         relation = np.zeros((columns.count, n), dtype=np.bool_)
         relation[columns.order[receiver], columns.order[sender] % n] = True
         return relation.reshape(columns.formations, n, n)
 
-    def _heeded(self, group: slice, own_place_enu_m: FloatArray, heard: Heard) -> Heard:
-        """N_i of these vehicles, remembered for the hysteresis."""
+    def _from_neighbours(self, group: slice, own_enu_m: FloatArray, received: Received) -> Received:
+        """The packets from N_i of these vehicles. Stores N_i for the hysteresis."""
         if not self._candidates.by_range:
-            self._members[group] = heard.fresh
-            return heard
-        members = self._in_range(group, own_place_enu_m, self._packets.places_now_enu_m(heard))
-        members &= heard.fresh
+            self._members[group] = received.fresh
+            return received
+        members = self._in_range(group, own_enu_m, self._packets.reduced_positions_enu_m(received))
+        members &= received.fresh
         self._members[group] = members
-        return heard.only(members)
+        return received.only(members)
 
-    def _in_range(self, group: slice, own_place_enu_m: FloatArray, places_enu_m: FloatArray) -> BoolArray:
-        """`own_place_enu_m` (3, G), `places_enu_m` (G, K, 3), both less their slots."""
-        apart_m = places_enu_m - own_place_enu_m.T[:, None, :]
+    def _in_range(self, group: slice, own_enu_m: FloatArray, others_enu_m: FloatArray) -> BoolArray:
+        """`own_enu_m` (3, G), `others_enu_m` (G, K, 3): positions minus slots."""
+        apart_m = others_enu_m - own_enu_m.T[:, None, :]
         apart_m += self._slots_apart_m[group]
         square_m2 = np.einsum("gkx,gkx->gk", apart_m, apart_m)
         candidates = self._candidates
@@ -105,31 +104,33 @@ class Agents:
         return np.asarray(square_m2 <= np.square(limit_m, out=limit_m))
 
     def _first_members(self, packets: FloatArray) -> BoolArray:
-        """As after a while of hovering within earshot."""
-        everybody = slice(0, self._columns.count)
+        """N_i (B n, K) after some time of hovering with fresh packets."""
+        all_columns = slice(0, self._columns.count)
         self._members = np.zeros(self._candidates.valid.shape, dtype=np.bool_)
         if not self._candidates.by_range:
             return self._candidates.valid.copy()
-        places = packets[PLACE].T[self._candidates.sender]
-        return np.asarray(self._in_range(everybody, packets[PLACE], places) & self._candidates.valid)
+        own = packets[REDUCED_POSITION]
+        return np.asarray(self._in_range(all_columns, own, own.T[self._candidates.sender]) & self._candidates.valid)
 
     def _first_prcs(self) -> FloatArray:
-        """Where Algorithm 1 comes to rest among the first neighbours."""
-        everybody, n = slice(0, self._columns.count), self._columns.vehicles
+        """PrCs (B n,) to which Algorithm 1 converges with the first neighbours."""
+        all_columns, n = slice(0, self._columns.count), self._columns.vehicles
         prcs = np.full(self._columns.count, float(n))
         for _ in range(n):
-            prcs = self._laws.next_prcs(prcs[self._candidates.sender], self._members, everybody)
+            prcs = self._laws.next_prcs(prcs[self._candidates.sender], self._members, all_columns)
         return prcs
 
 
-def _together(heeded: Heard, packets: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Algorithm 2: weighted sums (9, G) of the neighbours' places carried on, velocities and accelerations; are there any?"""
-    weights = packets[:, :, SHARE] * heeded.fresh
+def _weighted_sum(used: Received, packets: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Algorithm 2: weighted sums (9, G) over the neighbours, and whether a vehicle has any (G,).
+
+    The rows are extrapolated positions minus slots, velocities and accelerations.
+    """
+    weights = packets[:, :, SHARE] * used.fresh
     total = weights.sum(axis=1)
     has_neighbours = total > 0.0
     weights /= np.where(has_neighbours, total, 1.0)[:, None]
     sums = np.matmul(weights[:, None, :], packets[:, :, :9])[:, 0].T
-    if heeded.age_s is not None:
-        way = np.matmul((weights * heeded.age_s)[:, None, :], packets[:, :, VELOCITY])[:, 0].T
-        sums[PLACE] += way
+    if used.age_s is not None:
+        sums[REDUCED_POSITION] += np.matmul((weights * used.age_s)[:, None, :], packets[:, :, VELOCITY])[:, 0].T
     return sums, has_neighbours

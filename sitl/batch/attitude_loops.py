@@ -1,23 +1,23 @@
-"""sitl.attitude_control for many vehicles: attitude goals -> moments about the body axes."""
+"""sitl.vehicle.attitude_control for many vehicles: attitude goals -> moments about the body axes."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from companion.core.arrays import FloatArray
-from sitl.attitude_control import PX4_LOOPS as LOOPS
+from companion.stability.arrays import FloatArray
+from sitl.vehicle.attitude_control import PX4_LOOPS as LOOPS
 
-HALF_TURN = 1e-6  # of turn: upside down, where any way round is as short
+HALF_TURN = 1e-6  # bound of `turn` for an error of half a turn, where either direction is as short
 MOST_RAD_S = np.array([[LOOPS.max_rate_rad_s], [LOOPS.max_rate_rad_s], [LOOPS.max_yaw_rate_rad_s]])
 
 
 def delay_steps(dt_s: float) -> int:
-    """Of an attitude on its way through the loops."""
+    """Delay of an attitude target in the loops."""
     return max(1, round(LOOPS.delay_s / dt_s))
 
 
 class AttitudeLoops:
-    """Both loops of N vehicles of this inertia (3, N). Keeps its working memory between steps."""
+    """Both loops of N vehicles with inertia (3, N). Reuses its working memory between steps."""
 
     def __init__(self, inertia_kg_m2: FloatArray) -> None:
         count = inertia_kg_m2.shape[1]
@@ -35,7 +35,7 @@ class AttitudeLoops:
         out *= self._gain
 
     def _wanted_rates(self, goal: FloatArray, measured: FloatArray, out: FloatArray) -> None:
-        """Gains times sitl.attitude_control.rotation_error."""
+        """Gains times sitl.vehicle.attitude_control.rotation_error."""
         product, (ew, ex, ey, ez) = self._products, self._error
         np.multiply(measured[:, None, :], goal[None, :, :], out=product)
         np.add(product[0, 0], product[1, 1], out=ew)

@@ -1,4 +1,4 @@
-"""The stand-ins' loops and bodies for many vehicles: targets on their way, delays, motors, and what each autopilot tells."""
+"""The stand-ins for many vehicles: delayed targets, attitude loops, bodies and telemetry."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from math import ceil, floor
 
 import numpy as np
 
-from companion.core.arrays import FloatArray
-from sitl.autopilot import DT_S
+from companion.stability.arrays import FloatArray
+from sitl.autopilots.autopilot import DT_S
 from sitl.batch.attitude_loops import AttitudeLoops, delay_steps
 from sitl.batch.bodies import ATTITUDE, POSITION, RATES, Bodies
 from sitl.batch.columns import Columns, IntArray
 from sitl.batch.disturbances import EstimatorErrors, Gusts
 from sitl.batch.rotations import euler_rad, product, quaternion_of_turns
-from sitl.config import Links
-from sitl.quadrotor import ESTIMATE_PERIOD_STEPS
-from sitl.scenario import Scenario
-from sitl.world import TELEMETRY_STEPS
+from sitl.flight.scenario import Scenario
+from sitl.flight.world import TELEMETRY_STEPS
+from sitl.vehicle.config import Links
+from sitl.vehicle.quadrotor import ESTIMATE_PERIOD_STEPS
 
 
 class Autopilots:
@@ -40,8 +40,8 @@ class Autopilots:
         self._turns = quaternion_of_turns(self._errors.attitude_rad)
         late = np.array([command_steps(scenario.links) for scenario in scenarios])[columns.formation]
         loops = 0 if self._instant else delay_steps(DT_S)
-        self._thrusts = _OnTheWay(columns, late)
-        self._attitudes = _OnTheWay(columns, late + loops)
+        self._thrusts = _TargetDelay(columns, late)
+        self._attitudes = _TargetDelay(columns, late + loops)
         kept = int((late.max() + loops) // TELEMETRY_STEPS) + 2
         self._targets = np.empty((kept, 5, columns.count))
 
@@ -51,70 +51,70 @@ class Autopilots:
         return self._state[POSITION]
 
     def begin(self, targets: FloatArray) -> None:
-        """What all vehicles (5, B n) follow until the agents' first targets come."""
+        """Set the targets (5, B n) that all vehicles follow until the first targets of the agents arrive."""
         self._targets[:] = targets
         self._goal[:] = targets[:4]
         np.multiply(targets[4], self._newton_per_thrust, out=self._command[0])
 
-    def told(self, group: slice) -> FloatArray:
+    def telemetry(self, group: slice) -> FloatArray:
         """Telemetry (9, G): position, velocity, roll, pitch, yaw."""
-        told = np.empty((9, group.stop - group.start))
-        told[:6] = self._state[:6, group]
+        telemetry = np.empty((9, group.stop - group.start))
+        telemetry[:6] = self._state[:6, group]
         if self._errors.quiet:
-            told[6:9] = euler_rad(self._state[ATTITUDE, group])
-            return told
-        told[:3] += self._errors.position_m[:, group]
-        told[3:6] += self._errors.velocity_m_s[:, group]
-        told[6:9] = euler_rad(product(self._state[ATTITUDE, group], self._turns[:, group]))
-        return told
+            telemetry[6:9] = euler_rad(self._state[ATTITUDE, group])
+            return telemetry
+        telemetry[:3] += self._errors.position_m[:, group]
+        telemetry[3:6] += self._errors.velocity_m_s[:, group]
+        telemetry[6:9] = euler_rad(product(self._state[ATTITUDE, group], self._turns[:, group]))
+        return telemetry
 
     def command(self, tick: int, group: slice, targets: FloatArray) -> None:
-        """Targets that these vehicles' agents decided on in this tick set out."""
+        """Send the targets of these vehicles' agents, decided in this tick."""
         self._targets[tick % len(self._targets), :, group] = targets
 
     def step(self, step: int) -> None:
-        """The step of this number, from 1."""
-        places, rows = self._thrusts.arriving(step, len(self._targets))
-        self._command[0, places] = self._targets[rows, 4, places] * self._newton_per_thrust[places]
-        places, rows = self._attitudes.arriving(step, len(self._targets))
-        self._goal[:, places] = self._targets[rows, :4, places].T
+        """Make the step of this number, counted from 1."""
+        arrived, rows = self._thrusts.arriving(step, len(self._targets))
+        self._command[0, arrived] = self._targets[rows, 4, arrived] * self._newton_per_thrust[arrived]
+        arrived, rows = self._attitudes.arriving(step, len(self._targets))
+        self._goal[:, arrived] = self._targets[rows, :4, arrived].T
         if self._instant:
             self._take_attitude()
         else:
-            self._loops.moments(self._goal, self._believed(), self._state[RATES], self._command[1:])
+            self._loops.moments(self._goal, self._estimated(), self._state[RATES], self._command[1:])
         self._bodies.step(self._state, self._command, self._gusts.step(), DT_S)
         if step % ESTIMATE_PERIOD_STEPS == 0 and not self._errors.quiet:
             self._errors.step()
             self._turns = quaternion_of_turns(self._errors.attitude_rad)
 
-    def _believed(self) -> FloatArray:
-        """Attitudes as the autopilots believe them; every loop works on these."""
+    def _estimated(self) -> FloatArray:
+        """The autopilots' attitude estimates (4, B n), the input of every loop."""
         attitude = self._state[ATTITUDE]
         return attitude if self._errors.quiet else product(attitude, self._turns)
 
     def _take_attitude(self) -> None:
-        """The ideal of section 3.1: the believed attitude is the commanded one at once."""
+        """The ideal of section 3.1: the estimated attitude equals the commanded one at once."""
         self._state[ATTITUDE] = self._goal
         self._state[RATES] = 0.0
         if not self._errors.quiet:
             self._state[ATTITUDE] = product(self._goal, quaternion_of_turns(-self._errors.attitude_rad))
 
 
-class _OnTheWay:
-    """When targets reach their vehicles; `late_steps` (B n,) are from the sampling of what they were decided on."""
+class _TargetDelay:
+    """Steps in which targets reach their vehicles. `late_steps` (B n,) count from the sampling of the telemetry."""
 
     def __init__(self, columns: Columns, late_steps: IntArray) -> None:
         due = columns.phase_steps + late_steps
-        self._places = [np.flatnonzero(due % TELEMETRY_STEPS == phase) for phase in range(TELEMETRY_STEPS)]
-        self._ticks_late = [due[places] // TELEMETRY_STEPS for places in self._places]
+        self._columns = [np.flatnonzero(due % TELEMETRY_STEPS == phase) for phase in range(TELEMETRY_STEPS)]
+        self._ticks_late = [due[own] // TELEMETRY_STEPS for own in self._columns]
 
     def arriving(self, step: int, kept: int) -> tuple[IntArray, IntArray]:
-        """The columns that get a target for this step, and the ticks, modulo `kept`, of these targets."""
+        """The columns that receive a target for this step, and the ticks, modulo `kept`, of these targets."""
         tick, phase = divmod(step, TELEMETRY_STEPS)
-        return self._places[phase], (tick - self._ticks_late[phase]) % kept
+        return self._columns[phase], (tick - self._ticks_late[phase]) % kept
 
 
 def command_steps(links: Links) -> int:
-    """From the sampling of telemetry to the first step under the target made of it. Exact: steps end at whole times."""
+    """Steps from the sampling of telemetry to the first step under the target computed from it; exact."""
     arrives = (links.telemetry_delay_s + links.setpoint_delay_s) / DT_S
     return max(floor(links.telemetry_delay_s / DT_S + 1e-9) + 1, ceil(arrives - 1e-9))

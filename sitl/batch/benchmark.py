@@ -1,7 +1,7 @@
-"""How many vehicle-steps a second the batch makes, and how many RotorPy's does: python -m sitl.batch.benchmark.
+"""Vehicle-steps per second of the batch and of RotorPy: python -m sitl.batch.benchmark.
 
-One core, one thread, the same step, states in double precision; the best of a few rounds taken in turn, so that what else
-the machine does hits both.
+One core, one thread, the same step, states in double precision. Each figure is the best of a few rounds. The models take turns,
+so that other load on the machine affects all of them.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ INSTALL = "RotorPy is not installed; pip install '.[bench]' in the project's fol
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m sitl.batch.benchmark", description=__doc__)
     parser.add_argument("--vehicles", type=int, default=1000, metavar="N")
-    parser.add_argument("--scenario", type=Path, default=PLATOON, help="the formations that are flown whole")
+    parser.add_argument("--scenario", type=Path, default=PLATOON, help="scenario of the whole formations")
     options = parser.parse_args()
     _take_one_core()
     from sitl.batch.contestants import formations, ours, rotorpy  # numpy reads the number of threads when it is loaded
-    from sitl.scenario import load_scenario
+    from sitl.flight.scenario import load_scenario
 
     count: int = options.vehicles
     scenario = load_scenario(options.scenario)
@@ -47,7 +47,7 @@ def main() -> int:
 
 
 def best_rates_1_s(contestants: dict[str, Callable[[], None]]) -> dict[str, float]:
-    """Steps a second, the best of ROUNDS rounds in which all take turns."""
+    """Steps per second, the best of ROUNDS rounds in which all take turns."""
     rates = dict.fromkeys(contestants, 0.0)
     for _ in range(ROUNDS):
         for name, step in contestants.items():
@@ -66,8 +66,8 @@ def _rate_1_s(step: Callable[[], None]) -> float:
 
 
 def _table(count: int, rates_1_s: dict[str, float]) -> str:
-    """Each of ours beside RotorPy's with the same integrator; without drag is what it can do at best."""
-    lines = [f"{count} vehicles, one core, steps of 4 ms; million vehicle-steps a second"]
+    """Our models beside RotorPy's with the same integrator; RotorPy is fastest without drag."""
+    lines = [f"{count} vehicles, one core, steps of 4 ms; million vehicle-steps per second"]
     lines += [f"  {name:26} {rate * count / 1e6:8.3f}" for name, rate in rates_1_s.items()]
     lines.append("ratio")
     for order in ("Euler", "RK4"):

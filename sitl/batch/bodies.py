@@ -1,7 +1,7 @@
-"""sitl.dynamics for many vehicles: rigid bodies of eq. 1-5 with lagging motors and linear drag, in free air.
+"""sitl.vehicle.dynamics for many vehicles: rigid bodies of eq. 1-5 with motor lag and linear drag, in free air.
 
 A state is (17, N): position [m] and velocity [m/s] in ENU, attitude quaternion w x y z (FLU to ENU), body rates [rad/s],
-thrust [N] and moments [N m] as the motors give them. A command is (4, N): thrust [N] and moments [N m].
+thrust [N] and moments [N m] of the motors. A command is (4, N): thrust [N] and moments [N m].
 """
 
 from __future__ import annotations
@@ -10,17 +10,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from companion.core.arrays import FloatArray
-from companion.types import GRAVITY_M_S2
+from companion.stability.arrays import FloatArray
+from companion.types.vectors import GRAVITY_M_S2
 from sitl.batch.columns import IntArray
-from sitl.config import Airframe
+from sitl.vehicle.config import Airframe
 
 ROWS = 17
 POSITION, VELOCITY, ATTITUDE, RATES, MOTORS = slice(0, 3), slice(3, 6), slice(6, 10), slice(10, 13), slice(13, 17)
 
 
 class Bodies:
-    """N vehicles, whose airframes are `airframes[of_column]`. Keeps its working memory between steps."""
+    """N vehicles with airframes `airframes[of_column]`. Reuses its working memory between steps."""
 
     def __init__(self, airframes: Sequence[Airframe], of_column: IntArray) -> None:
         mass = np.array([a.mass_kg for a in airframes])[of_column]
@@ -35,7 +35,7 @@ class Bodies:
         self._twice_per_mass = 2.0 / mass
         self._drag_per_mass = drag / mass if drag.any() else None
         self._follow = np.where(lag > 0.0, 1.0 / np.where(lag > 0.0, lag, 1.0), 0.0)
-        self._at_once = lag == 0.0
+        self._no_lag = lag == 0.0
         self.hover_n: FloatArray = mass * GRAVITY_M_S2
         count = mass.size
         self._rate, self._step = np.empty((ROWS, count)), np.empty((ROWS, count))
@@ -44,7 +44,7 @@ class Bodies:
         self._one = np.empty(count)
 
     def at_rest(self, position_enu_m: FloatArray, velocity_enu_m_s: FloatArray) -> FloatArray:
-        """States (17, N), level and with motors that carry the weight."""
+        """States (17, N): level, no body rates, hover thrust."""
         state = np.zeros((ROWS, position_enu_m.shape[1]))
         state[POSITION], state[VELOCITY] = position_enu_m, velocity_enu_m_s
         state[6] = 1.0
@@ -52,7 +52,7 @@ class Bodies:
         return state
 
     def step(self, state: FloatArray, command: FloatArray, wind_enu_m_s: FloatArray, dt_s: float) -> None:
-        """Semi-implicit Euler, as sitl.dynamics.advance. `state` is changed in place."""
+        """Semi-implicit Euler, as sitl.vehicle.dynamics.advance. Changes `state` in place."""
         self.set_motors(state, command)
         step = self._step
         np.multiply(self.rate_of_change(state, command, wind_enu_m_s, self._rate), dt_s, out=step)
@@ -62,9 +62,9 @@ class Bodies:
         self.normalise(state)
 
     def set_motors(self, state: FloatArray, command: FloatArray) -> None:
-        """Motors without lag are there at once."""
-        if self._at_once.any():
-            np.copyto(state[MOTORS], command, where=self._at_once)
+        """Set motors without lag to their command."""
+        if self._no_lag.any():
+            np.copyto(state[MOTORS], command, where=self._no_lag)
 
     def rate_of_change(
         self, state: FloatArray, command: FloatArray, wind_enu_m_s: FloatArray, out: FloatArray
@@ -123,7 +123,7 @@ class Bodies:
             out -= self._three
 
     def normalise(self, state: FloatArray) -> None:
-        """Unit quaternions again."""
+        """Scale the quaternions to unit length."""
         attitude = state[ATTITUDE]
         squares = self._turning[:, 0]
         np.square(attitude, out=squares)
@@ -133,7 +133,7 @@ class Bodies:
 
 
 class RungeKutta:
-    """The same bodies stepped by the classical method of fourth order, as sitl.dynamics.rk4."""
+    """The same bodies, integrated by the classical fourth-order method, as sitl.vehicle.dynamics.rk4."""
 
     def __init__(self, bodies: Bodies) -> None:
         self._bodies = bodies

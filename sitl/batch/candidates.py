@@ -1,4 +1,4 @@
-"""Who can ever be whose neighbour: for each receiver a row of senders, by edges or, where the range decides, all others."""
+"""Possible neighbours: for each receiver a row of senders, those of its edges or, with a range rule, all others."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.config.fleet import EdgeNeighbours, FleetConfig
-from companion.core.arrays import FloatArray
+from companion.stability.arrays import FloatArray
 from sitl.batch.columns import BoolArray, Columns, IntArray
-from sitl.fleet import ids_of
-from sitl.scenario import Scenario
+from sitl.flight.files import ids_of
+from sitl.flight.scenario import Scenario
 
 
 @dataclass(frozen=True, slots=True)
 class Candidates:
-    """`sender` (B n, K) is a column and `valid` (B n, K) says whether that place of a receiver's row is taken.
+    """`sender` (B n, K) holds columns, `valid` (B n, K) whether that entry of a receiver's row is used.
 
-    `join_m` and `leave_m` (B n,) are the range rule's distances, infinite where edges decide.
+    `join_m` and `leave_m` (B n,) are the distances of the range rule, infinite for neighbours by edges.
     """
 
     sender: IntArray
@@ -28,7 +28,7 @@ class Candidates:
 
     @property
     def by_range(self) -> bool:
-        """Does the distance of any pair matter?"""
+        """Whether any formation has neighbours by range."""
         return bool(np.isfinite(self.join_m).any())
 
 
@@ -52,14 +52,14 @@ def candidates_of(scenarios: Sequence[Scenario], columns: Columns) -> Candidates
 
 
 def _others(fleet: FleetConfig, ids: list[int]) -> list[list[int]]:
-    """For each vehicle the places in `ids` of those that it may heed, rising."""
-    places = {vehicle_id: i for i, vehicle_id in enumerate(ids)}
+    """For each vehicle the indices in `ids` of its possible neighbours, rising."""
+    index = {vehicle_id: i for i, vehicle_id in enumerate(ids)}
     if not isinstance(fleet.neighbours, EdgeNeighbours):
         return [[j for j in range(len(ids)) if j != i] for i in range(len(ids))]
     rows: list[set[int]] = [set() for _ in ids]
     for a, b in fleet.neighbours.edges:
-        rows[places[a]].add(places[b])
-        rows[places[b]].add(places[a])
+        rows[index[a]].add(index[b])
+        rows[index[b]].add(index[a])
     return [sorted(row) for row in rows]
 
 

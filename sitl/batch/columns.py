@@ -1,6 +1,6 @@
-"""Formations side by side: one column of every array per vehicle.
+"""The array layout of a batch: one column per vehicle.
 
-Columns are in the order of the vehicles' phases, so that those which tick in the same step are one slice.
+Columns are in the order of the vehicles' phases, so that all vehicles that tick in the same step form one slice.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.config.reference import TargetReference
-from companion.core.arrays import FloatArray
-from sitl.fleet import ids_of
-from sitl.scenario import Scenario
-from sitl.world import TELEMETRY_STEPS
+from companion.stability.arrays import FloatArray
+from sitl.flight.files import ids_of
+from sitl.flight.scenario import Scenario
+from sitl.flight.world import TELEMETRY_STEPS
 
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
@@ -27,8 +27,9 @@ BoolArray = NDArray[np.bool_]
 class Columns:
     """B formations of n vehicles in B n columns.
 
-    `order` (B n,) says which vehicle a column holds, as b n + i with i by rising ids, and `column_of` is its inverse;
-    `formation` (B n,) is b, `phase_steps` (B n,) when within a period a column ticks, `groups` the slice of each phase.
+    `order` (B n,) is the vehicle of each column, as b n + i with i by rising ids; `column_of` is its inverse.
+    `formation` (B n,) is b, `phase_steps` (B n,) the step within a period in which a column ticks, `groups` the slices of the
+    phases.
     """
 
     formations: int
@@ -58,7 +59,7 @@ class Columns:
 
 
 def columns_of(scenarios: Sequence[Scenario]) -> Columns:
-    """Raises ValueError where these scenarios cannot be flown side by side."""
+    """The columns of these scenarios. Raises ValueError where they cannot be flown in one batch."""
     _check(scenarios)
     ids = [ids_of(scenario) for scenario in scenarios]
     count, vehicles = len(scenarios), len(ids[0])
@@ -73,7 +74,7 @@ def columns_of(scenarios: Sequence[Scenario]) -> Columns:
 
 
 def phase_steps(seed: int, vehicle_id: int) -> int:
-    """As sitl.world has it: when within its period a vehicle's telemetry comes."""
+    """Step within its period in which a vehicle's telemetry is sampled, as in sitl.flight.world."""
     return Random(f"{seed} {vehicle_id} phase").randrange(TELEMETRY_STEPS)
 
 
@@ -82,13 +83,19 @@ def _check(scenarios: Sequence[Scenario]) -> None:
         raise ValueError("a batch needs at least one scenario")
     counts = sorted({len(scenario.fleet.vehicles) for scenario in scenarios})
     if len(counts) > 1:
-        raise ValueError(f"formations of one batch need the same number of vehicles; these have {counts}")
+        raise ValueError(f"all formations of a batch need the same number of vehicles; these have {counts}")
     if any(scenario.stand_in.batteries for scenario in scenarios):
-        raise ValueError("a batch knows no stand_in.batteries; fly them with sitl run or sitl fly")
+        raise ValueError("a batch does not model stand_in.batteries; use sitl run or sitl fly")
     if any(scenario.stand_in.estimator_resets for scenario in scenarios):
-        raise ValueError("a batch knows no stand_in.estimator_resets; fly them with sitl run or sitl fly")
+        raise ValueError("a batch does not model stand_in.estimator_resets; use sitl run or sitl fly")
+    if any(scenario.stand_in.pilots for scenario in scenarios):
+        raise ValueError("a batch does not model stand_in.pilots; use sitl run or sitl fly")
+    if any(scenario.agent_ends for scenario in scenarios):
+        raise ValueError("a batch does not model agent_ends; use sitl run")
+    if any(scenario.links.partitions for scenario in scenarios):
+        raise ValueError("a batch does not model links.partitions; use sitl run")
     if any(isinstance(scenario.reference, TargetReference) for scenario in scenarios):
-        raise ValueError("a batch knows no targets to be followed; fly them with sitl run or sitl fly")
+        raise ValueError("a batch does not model targets to be followed; use sitl run or sitl fly")
     kinds = sorted({scenario.stand_in.airframe.attitude for scenario in scenarios})
     if len(kinds) > 1:
-        raise ValueError(f"formations of one batch need the same kind of attitude control; these have {kinds}")
+        raise ValueError(f"all formations of a batch need the same kind of attitude control; these have {kinds}")

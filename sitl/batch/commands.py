@@ -1,4 +1,4 @@
-"""companion.core.attitude and .envelope for many vehicles: acceleration -> what passes the last gate."""
+"""companion.core.control.attitude and core.safety.output_limits for many vehicles: acceleration -> limited targets."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from math import radians, tan
 
 import numpy as np
 
-from companion.core.arrays import FloatArray
-from companion.types import GRAVITY_M_S2
+from companion.stability.arrays import FloatArray
+from companion.types.vectors import GRAVITY_M_S2
 from sitl.batch.columns import Columns
 from sitl.batch.rotations import quaternion_of_euler
-from sitl.scenario import Scenario
+from sitl.flight.scenario import Scenario
 
 
 class Commands:
-    """Attitude targets of all columns, roll, pitch and thrust as it was admitted last; yaw stays what it was at first.
+    """The last admitted roll, pitch and thrust of all columns. Yaw stays at its initial value.
 
-    The gate has no gaps to bridge here: every vehicle ticks once in a period.
+    The output limits see no gaps here: every vehicle ticks once in a period.
     """
 
     def __init__(self, scenarios: Sequence[Scenario], columns: Columns, period_s: float) -> None:
@@ -38,11 +38,11 @@ class Commands:
         self._last = np.zeros((3, columns.count))
 
     def open_at(self, euler_rad: FloatArray) -> None:
-        """Begin from the attitude (3, B n) that the vehicles believe to have."""
+        """Start from the estimated attitudes (3, B n)."""
         self._yaw_rad = euler_rad[2].copy()
         share = np.maximum(0.5, np.cos(euler_rad[0]) * np.cos(euler_rad[1]))
-        everybody = slice(0, self._yaw_rad.size)
-        self._last = self._within_limits(np.stack([euler_rad[0], euler_rad[1], self.hover_norm / share]), everybody)
+        all_columns = slice(0, self._yaw_rad.size)
+        self._last = self._within_limits(np.stack([euler_rad[0], euler_rad[1], self.hover_norm / share]), all_columns)
 
     def limit(self, acceleration: FloatArray, group: slice) -> None:
         """limit_acceleration on (3, G), in place."""
@@ -55,7 +55,10 @@ class Commands:
     def admitted(
         self, acceleration: FloatArray, roll_rad: FloatArray, pitch_rad: FloatArray, group: slice
     ) -> FloatArray:
-        """attitude_target and LastGate.admit: (5, G) quaternion and thrust. Where no attitude gives it, the last again."""
+        """attitude_target and OutputLimiter.admit: (5, G) quaternion and thrust.
+
+        Repeats the last targets of a vehicle that is tilted by more than 90 degrees.
+        """
         lift = acceleration[2] + GRAVITY_M_S2
         vertical_share = np.cos(pitch_rad) * np.cos(roll_rad)
         flies = vertical_share > 0.0
@@ -75,7 +78,7 @@ class Commands:
         return self.targets(group)
 
     def targets(self, group: slice) -> FloatArray:
-        """What was admitted last: (5, G) quaternion (FLU to ENU) and thrust in 0..1."""
+        """The last admitted targets: (5, G) quaternion (FLU to ENU) and thrust in 0..1."""
         roll, pitch, thrust = self._last[:, group]
         return np.vstack([quaternion_of_euler(roll, pitch, self._yaw_rad[group]), thrust])
 

@@ -1,7 +1,7 @@
-"""What sitl.batch.benchmark compares: functions that advance N vehicles by one step of DT_S.
+"""The models that sitl.batch.benchmark compares, as functions that advance N vehicles by one step of DT_S.
 
-Every model flies an attitude and a thrust that are given: controller, motors with lag, rigid body. RotorPy's motors are four
-rotors each, ours a thrust and three moments; its rotor drag is a row of its own, because it costs and ours is linear.
+Every model tracks a given attitude and thrust with controller, motor lag and rigid body. RotorPy models four rotors, ours one
+thrust and three moments. RotorPy's rotor drag has rows of its own, because it takes time and our drag is linear.
 """
 
 from __future__ import annotations
@@ -12,20 +12,20 @@ from typing import Any
 
 import numpy as np
 
-from sitl.autopilot import DT_S
+from sitl.autopilots.autopilot import DT_S
 from sitl.batch.attitude_loops import AttitudeLoops
 from sitl.batch.bodies import ATTITUDE, RATES, Bodies, RungeKutta
 from sitl.batch.columns import columns_of
 from sitl.batch.simulation import Simulation, starts_at_rest
-from sitl.config import Airframe
-from sitl.scenario import Scenario
+from sitl.flight.scenario import Scenario
+from sitl.vehicle.config import Airframe
 
 Step = Callable[[], None]
 LEAN = np.array([0.9990482, 0.0, 0.0436194, 0.0])  # quaternion of a pitch of 5 degrees, w x y z
 
 
 def ours(count: int, runge_kutta: bool) -> Step:
-    """AttitudeLoops and Bodies, as every step of a batch has them."""
+    """AttitudeLoops and Bodies, as in every step of a batch."""
     bodies = Bodies([Airframe()], np.zeros(count, dtype=np.int64))
     loops = AttitudeLoops(bodies.inertia_kg_m2)
     integrator = RungeKutta(bodies) if runge_kutta else bodies
@@ -42,7 +42,7 @@ def ours(count: int, runge_kutta: bool) -> Step:
 
 
 def formations(scenario: Scenario, count: int) -> Step:
-    """Whole formations of this scenario, agents and packets and all."""
+    """Whole formations of this scenario, with agents and packets."""
     scenarios = [scenario] * (count // len(scenario.fleet.vehicles))
     return Simulation(scenarios, columns_of(scenarios), starts_at_rest(scenarios)).step
 
@@ -50,7 +50,7 @@ def formations(scenario: Scenario, count: int) -> Step:
 def rotorpy(count: int, integrator: str, aero: bool) -> Step:
     """RotorPy's BatchedMultirotor under `cmd_ctatt`. Raises ImportError where it or torch is missing.
 
-    Its constructor knows rk4 and dopri5; torchdiffeq, to which it hands the name on, has euler, too.
+    Its constructor accepts rk4 and dopri5 only; torchdiffeq, which gets the name, also has euler.
     """
     torch: Any = import_module("torch")
     import_module("torchdiffeq")
@@ -68,11 +68,11 @@ def rotorpy(count: int, integrator: str, aero: bool) -> Step:
     lean = torch.tensor([*LEAN[1:], LEAN[0]]).double()  # x y z w
     weight_n = quad_params["mass"] * parameters.g
     control = {"cmd_q": lean.repeat(count, 1), "cmd_thrust": torch.full((count, 1), weight_n).double()}
-    everybody = np.arange(count)  # a list, its default, is slower
+    indices = np.arange(count)  # a list, the default, is slower
 
     def step() -> None:
         nonlocal state
-        state = vehicles.step(state, control, DT_S, everybody)
+        state = vehicles.step(state, control, DT_S, indices)
 
     return step
 

@@ -1,4 +1,4 @@
-"""sitl.disturbances for many vehicles: the estimators' errors against truth, and gusts."""
+"""sitl.vehicle.disturbances for many vehicles: estimator errors relative to truth, and gusts."""
 
 from __future__ import annotations
 
@@ -7,21 +7,21 @@ from math import radians
 
 import numpy as np
 
-from companion.core.arrays import FloatArray
-from sitl.autopilot import DT_S
+from companion.stability.arrays import FloatArray
+from sitl.autopilots.autopilot import DT_S
 from sitl.batch.columns import Columns
 from sitl.batch.noise import GUSTS, SENSORS, Gaussians, GaussMarkov
-from sitl.config import Sensors
-from sitl.quadrotor import ESTIMATE_PERIOD_STEPS
-from sitl.scenario import Scenario
+from sitl.flight.scenario import Scenario
+from sitl.vehicle.config import Sensors
+from sitl.vehicle.quadrotor import ESTIMATE_PERIOD_STEPS
 
-BLOCK_S = 1.0  # of random numbers at a time
+BLOCK_S = 1.0  # duration for which random numbers are drawn at once
 
 
 class EstimatorErrors:
     """`position_m`, `velocity_m_s` and `attitude_rad` (small angles about the body axes) are (3, B n).
 
-    `step` is due every ESTIMATE_PERIOD_STEPS. The origins' errors are left out: agents map them away.
+    Call `step` every ESTIMATE_PERIOD_STEPS. Errors of the origins are left out, because agents correct for them.
     """
 
     def __init__(self, scenarios: Sequence[Scenario], columns: Columns) -> None:
@@ -54,7 +54,7 @@ class EstimatorErrors:
 
 
 class Gusts:
-    """Steady wind with first-order gusts: m/s in ENU, (3, B n)."""
+    """Steady wind with first-order gusts [m/s] in ENU, (3, B n)."""
 
     def __init__(self, scenarios: Sequence[Scenario], columns: Columns) -> None:
         winds = [scenario.stand_in.wind for scenario in scenarios]
@@ -71,7 +71,7 @@ class Gusts:
         self._gusts = GaussMarkov(sd, time_s, DT_S, self._gaussians.next())
 
     def step(self) -> FloatArray:
-        """Due in every step of physics."""
+        """The wind (3, B n) of the next physics step."""
         if not self._quiet:
             self._gusts.step(self._gaussians.next())
             np.add(self._mean, self._gusts.value, out=self._wind)

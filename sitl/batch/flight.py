@@ -1,12 +1,12 @@
-"""Fly B formations of n vehicles at once, and what comes out of it.
+"""Flight of B formations of n vehicles at once.
 
-The model is that of lockstep: the same bodies, loops, delays, law and last gate, 250 steps of physics a second and a tick
-of every agent in each period of telemetry, at that vehicle's own phase. It begins in formation: the vehicles hover over their
-starts, have heard each other, know their PrC, and fly the law from t = 0.
+The model is that of lockstep: the same bodies, loops, delays, law and output limits, 250 physics steps per second, and one tick
+of every agent in each telemetry period, at the phase of that vehicle. It starts in formation: the vehicles hover over their
+starts, have fresh packets and settled PrCs, and fly the law from t = 0.
 
-Left out are take-off and landing, the ground, the fence, a change of the leader, what an agent does when its leader's word
-stays away, and its doubts about peers (of one faster than `peers.max_speed_m_s`). Delays are exact to the step; random
-numbers are others than in lockstep, of the same distributions.
+It leaves out take-off and landing, the ground, the fence, leader changes, the failsafe for a stale leader beacon, and the
+plausibility checks of peers (such as `peers.max_speed_m_s`). Delays are exact to the step. Random numbers differ from those
+of lockstep but have the same distributions.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.core.arrays import FloatArray
-from sitl.autopilot import DT_S
+from companion.stability.arrays import FloatArray
+from sitl.autopilots.autopilot import DT_S
 from sitl.batch.columns import BoolArray, columns_of
 from sitl.batch.simulation import BatchStart, Simulation, starts_at_rest
-from sitl.scenario import Scenario
+from sitl.flight.scenario import Scenario
 
 PROGRESS_EVERY_S = 1.0  # of virtual time
 
 
 @dataclass(frozen=True, slots=True)
 class BatchFlight:
-    """True tracks of B formations of n vehicles, which stand in rising order of their ids.
+    """True tracks of B formations of n vehicles, in rising order of their ids.
 
-    `times_s` (ticks,) begins at 0 with the law; `positions_enu_m` (ticks, B, n, 3) float32; `slots_enu_m` (B, n, 3);
+    `times_s` (ticks,) starts at 0 with the law; `positions_enu_m` (ticks, B, n, 3) is float32; `slots_enu_m` is (B, n, 3).
     `reference_enu_m` is r, (ticks, 3) where all formations have the same and (ticks, B, 3) otherwise. `neighbours`
-    (ticks, B, n, n) says whether i heeds j, where that was asked for.
+    (ticks, B, n, n) is whether i uses j as a neighbour, None unless requested.
     """
 
     times_s: FloatArray
@@ -46,7 +46,7 @@ class BatchFlight:
         return self.reference_enu_m if self.reference_enu_m.ndim == 3 else self.reference_enu_m[:, None, :]
 
     def errors_m(self) -> FloatArray:
-        """Distance (ticks, B, n) of each vehicle to its place r + d_i0."""
+        """Distance (ticks, B, n) of each vehicle to its slot r + d_i0."""
         reference = self.reference_of_formations_enu_m()
         squares = np.zeros(self.positions_enu_m.shape[:3])
         for axis in range(3):
@@ -65,10 +65,10 @@ def fly_batch(
     keep_neighbours: bool = False,
     start: BatchStart | None = None,
 ) -> BatchFlight:
-    """Fly these scenarios side by side for this long. `progress` is told the seconds flown, about once a second.
+    """Fly these scenarios at once for `duration_s`. Calls `progress` with the seconds flown, about once per virtual second.
 
-    Without `start` the vehicles hang at rest over `starts_enu_m` at the height of take-off. Timelines are not looked at.
-    Raises ValueError where the scenarios cannot be flown in one batch.
+    Without `start` the vehicles hover at rest over `starts_enu_m` at take-off height. Timelines are ignored. Raises ValueError
+    where the scenarios cannot be flown in one batch.
     """
     stride = round(sample_s / DT_S)
     if stride < 1 or abs(stride * DT_S - sample_s) > 1e-9:
@@ -80,7 +80,7 @@ def fly_batch(
     n = columns.vehicles
     positions = np.empty((samples, columns.formations, n, 3), dtype=np.float32)
     neighbours = np.zeros((samples, columns.formations, n, n), dtype=np.bool_) if keep_neighbours else None
-    said_s = 0.0
+    reported_s = 0.0
     for sample in range(samples):
         if sample:
             for _ in range(stride):
@@ -88,9 +88,9 @@ def fly_batch(
         positions[sample] = simulation.positions_enu_m()
         if neighbours is not None:
             neighbours[sample] = simulation.neighbours()
-        if progress and simulation.time_s >= said_s + PROGRESS_EVERY_S:
-            said_s = simulation.time_s
-            progress(said_s)
+        if progress and simulation.time_s >= reported_s + PROGRESS_EVERY_S:
+            reported_s = simulation.time_s
+            progress(reported_s)
     times_s = np.arange(samples, dtype=np.float64) * (stride * DT_S)
     return BatchFlight(
         times_s=times_s,

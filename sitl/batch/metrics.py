@@ -1,4 +1,4 @@
-"""The figures of sitl.metrics for every formation of a batch, by the same definitions."""
+"""The figures of sitl.report.metrics for every formation of a batch, with the same definitions."""
 
 from __future__ import annotations
 
@@ -7,22 +7,22 @@ from itertools import combinations
 
 import numpy as np
 
-from companion.core.arrays import FloatArray
-from companion.core.settling import settle_time_s
+from companion.stability.arrays import FloatArray
+from companion.stability.settling import settle_time_s
 from sitl.batch.columns import BoolArray
 from sitl.batch.flight import BatchFlight
-from sitl.metrics import FINAL_S, neighbouring_pairs
+from sitl.report.metrics import FINAL_S, neighbouring_pairs
 
 
 @dataclass(frozen=True, slots=True)
 class BatchFigures:
     """By formation (B,), in the order of the scenarios; distances are the extremes over time.
 
-    `settle_s` is NaN where a formation never settled. Neighbouring pairs are those nearest to each other by design.
+    `settle_s` is NaN where a formation never settled. Neighbouring pairs are those whose slots are nearest to each other.
     """
 
     settle_s: FloatArray
-    final_error_m: FloatArray  # of the vehicle that is farthest off
+    final_error_m: FloatArray  # of the vehicle with the largest error
     final_error_of_vehicle_m: FloatArray  # (B, n)
     largest_distance_m: FloatArray
     smallest_distance_m: FloatArray
@@ -34,13 +34,13 @@ def batch_figures(flight: BatchFlight) -> BatchFigures:
     errors_m = flight.errors_m()
     final = final_errors_m(flight.times_s, errors_m)
     largest, smallest = distance_extremes_m(flight)
-    near, everybody = neighbouring(flight.slots_enu_m), pairs(flight.slots_enu_m)
+    near, every = neighbouring(flight.slots_enu_m), pairs(flight.slots_enu_m)
     return BatchFigures(
         settle_s=settle_times_s(flight.times_s, errors_m.max(axis=2)),
         final_error_m=np.asarray(final.max(axis=1)),
         final_error_of_vehicle_m=final,
-        largest_distance_m=_largest(largest, everybody),
-        smallest_distance_m=_smallest(smallest, everybody),
+        largest_distance_m=_largest(largest, every),
+        smallest_distance_m=_smallest(smallest, every),
         largest_neighbouring_distance_m=_largest(largest, near),
         smallest_neighbouring_distance_m=_smallest(smallest, near),
     )
@@ -59,7 +59,7 @@ def final_errors_m(times_s: FloatArray, errors_m: FloatArray) -> FloatArray:
 
 
 def distance_extremes_m(flight: BatchFlight) -> tuple[FloatArray, FloatArray]:
-    """The largest and the smallest distance that each two vehicles ever had, (B, n, n), symmetric; a vehicle to itself is 0."""
+    """The largest and the smallest distance of each pair over time, (B, n, n), symmetric with zeros on the diagonal."""
     _, formations, n, _ = flight.positions_enu_m.shape
     largest, smallest = np.zeros((formations, n, n)), np.zeros((formations, n, n))
     for i, j in combinations(range(n), 2):
@@ -77,7 +77,7 @@ def pairs(slots_enu_m: FloatArray) -> BoolArray:
 
 
 def neighbouring(slots_enu_m: FloatArray) -> BoolArray:
-    """Pairs (B, n, n), each once, that are nearest to each other by design."""
+    """Pairs (B, n, n), each once, whose slots are nearest to each other."""
     near = np.zeros((*slots_enu_m.shape[:2], slots_enu_m.shape[1]), dtype=np.bool_)
     known: dict[bytes, BoolArray] = {}
     for b, slots in enumerate(slots_enu_m):
@@ -91,10 +91,10 @@ def neighbouring(slots_enu_m: FloatArray) -> BoolArray:
 
 
 def _largest(distances_m: FloatArray, which: BoolArray) -> FloatArray:
-    """(B,); 0 where there is no such pair."""
+    """Largest distance of these pairs (B,); 0 without pairs."""
     return np.asarray(np.where(which, distances_m, 0.0).max(axis=(1, 2)))
 
 
 def _smallest(distances_m: FloatArray, which: BoolArray) -> FloatArray:
-    """(B,); infinite where there is no such pair."""
+    """Smallest distance of these pairs (B,); infinite without pairs."""
     return np.asarray(np.where(which, distances_m, np.inf).min(axis=(1, 2)))

@@ -1,6 +1,6 @@
-"""Random numbers for many formations: each draws from generators of its own, so that its neighbours in a batch do not matter.
+"""Random numbers for many formations. Each formation has its own generators, so that the rest of the batch has no effect on it.
 
-Formations of one seed get the same numbers, as in lockstep; studies give each its own.
+Formations with the same seed get the same numbers, as in lockstep; studies give each formation its own seed.
 """
 
 from __future__ import annotations
@@ -9,22 +9,22 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from companion.core.arrays import FloatArray
+from companion.stability.arrays import FloatArray
 from sitl.batch.columns import Columns
 
-SENSORS, GUSTS, LINKS = 1, 2, 3  # subjects: gusts that are switched on leave the sensors as they were
+SENSORS, GUSTS, LINKS = 1, 2, 3  # subjects: switching gusts on does not change the sensor noise
 
 
 class Gaussians:
-    """Standard normal numbers (rows, B n), drawn in blocks because a call for each formation and tick would cost too much.
+    """Standard normal numbers (rows, B n), drawn in blocks because one call per formation and tick takes too long.
 
-    Where a formation is quiet its numbers are zero.
+    The numbers of a quiet formation are zero.
     """
 
     def __init__(
         self, seeds: Sequence[int], quiet: Sequence[bool], subject: int, columns: Columns, rows: int, length: int
     ) -> None:
-        """`length` is how many a block holds; it must not depend on the batch."""
+        """`length` is the number of draws in a block; it must not depend on the batch."""
         self._generators = [
             None if still else np.random.default_rng([seed, subject]) for seed, still in zip(seeds, quiet, strict=True)
         ]
@@ -34,7 +34,7 @@ class Gaussians:
         self._used = length
 
     def next(self) -> FloatArray:
-        """Valid until the next call."""
+        """The next numbers (rows, B n), valid until the next call."""
         if self._used == len(self._block):
             self._refill()
         self._used += 1
@@ -51,10 +51,10 @@ class Gaussians:
 
 
 class GaussMarkov:
-    """sitl.disturbances.GaussMarkov for (rows, B n) numbers; all begin from their stationary distributions."""
+    """sitl.vehicle.disturbances.GaussMarkov for (rows, B n) numbers, started from their stationary distributions."""
 
     def __init__(self, sd: FloatArray, time_s: FloatArray, dt_s: float, first: FloatArray) -> None:
-        """`first` are standard normal numbers, all of this shape."""
+        """`first` holds standard normal numbers; all arrays have its shape."""
         self._keep = np.exp(-dt_s / time_s)
         self._kick = sd * np.sqrt(1.0 - self._keep**2)
         self.value: FloatArray = sd * first

@@ -1,8 +1,8 @@
-"""What the vehicles tell each other, and what each has heard of it: companion.core.peers in arrays.
+"""Peer packets sent and received by all vehicles: companion.core.consensus.peers in arrays.
 
-Times are exact, as in lockstep: a packet counts at its receiver's first tick after its arrival, and is carried on from the
-tick in which it would have counted without jitter; in lockstep a while of hovering has shown how early that is. The peers'
-checks of plausibility are left out: one that flies faster than `max_speed_m_s` is heeded all the same.
+Times are exact, as in lockstep: a packet is used from its receiver's first tick after its arrival. It is extrapolated from the
+tick of its first use without jitter; in lockstep the agents measure that delay while they hover. Plausibility checks of peers
+are left out: a peer faster than `max_speed_m_s` is used too.
 """
 
 from __future__ import annotations
@@ -13,89 +13,90 @@ from math import ceil
 
 import numpy as np
 
-from companion.core.arrays import FloatArray
-from sitl.batch.arrivals import PERIOD_S, Arrivals, first_heard
+from companion.stability.arrays import FloatArray
+from sitl.batch.arrivals import PERIOD_S, Arrivals, ticks_until_use
 from sitl.batch.candidates import Candidates
 from sitl.batch.columns import BoolArray, Columns, IntArray
-from sitl.scenario import Scenario
-from sitl.world import TELEMETRY_STEPS
+from sitl.flight.scenario import Scenario
+from sitl.flight.world import TELEMETRY_STEPS
 
-# Of a packet: the position less its slot [m], velocity [m/s], acceleration command [m/s^2], PrC and what it is worth.
-PLACE, VELOCITY, ACCELERATION, PRC, SHARE, WIDTH = slice(0, 3), slice(3, 6), slice(6, 9), 9, 10, 11
+# Fields of a packet: position minus slot [m], velocity [m/s], acceleration command [m/s^2], PrC, and p^-alpha.
+REDUCED_POSITION, VELOCITY, ACCELERATION, PRC, SHARE, WIDTH = slice(0, 3), slice(3, 6), slice(6, 9), 9, 10, 11
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
-    """The newest packets that a group of vehicles has of its candidates, as places (G, K) in the ring; which still count.
+class Received:
+    """The newest packets of a group from its candidates, as indices (G, K) into the ring; `fresh` (G, K) marks those in use.
 
-    `age_s` (G, K) is what a packet is older than one that comes with no jitter, in this tick; None where none is.
+    `age_s` (G, K) is the age of a packet beyond that of one without jitter; None where no link is random.
     """
 
-    places: IntArray
+    indices: IntArray
     fresh: BoolArray
     age_s: FloatArray | None
 
-    def only(self, members: BoolArray) -> Heard:
-        """Of these alone, as few to a row as there are. Who is in range is a tenth of those who could be."""
+    def only(self, members: BoolArray) -> Received:
+        """The packets of `members` (G, K) alone, in as short rows as possible: a tenth of the candidates are in range."""
         receiver, candidate = np.nonzero(members)
         counts = members.sum(axis=1)
         first = np.cumsum(counts) - counts
         shape = (len(counts), max(1, int(counts.max())))
         at = (receiver, np.arange(receiver.size) - first[receiver])
-        places, fresh = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.bool_)
-        places[at], fresh[at] = self.places[receiver, candidate], True
+        indices, fresh = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.bool_)
+        indices[at], fresh[at] = self.indices[receiver, candidate], True
         if self.age_s is None:
-            return Heard(places, fresh, None)
+            return Received(indices, fresh, None)
         age_s = np.zeros(shape)
         age_s[at] = self.age_s[receiver, candidate]
-        return Heard(places, fresh, age_s)
+        return Received(indices, fresh, age_s)
 
 
 class Packets:
-    """A ring of all packets that may still matter. Ticks are counted from 0; before that everybody told its start."""
+    """A ring of all packets that may still be used. Ticks count from 0; before that every vehicle sent its start."""
 
     def __init__(
         self, scenarios: Sequence[Scenario], columns: Columns, candidates: Candidates, start: FloatArray
     ) -> None:
-        """`start` (WIDTH, B n) is what everybody tells before the first tick."""
+        """`start` (WIDTH, B n) holds the packets of all vehicles before the first tick."""
         self._count = columns.count
         self._valid, self._sender = candidates.valid, candidates.sender
         delay = columns.spread([scenario.links.peer_delay_s / PERIOD_S for scenario in scenarios])[:, None]
         phase = columns.phase_steps / TELEMETRY_STEPS
         ticks_late = phase[candidates.sender] - phase[:, None] + delay
-        self._lag = lag = first_heard(ticks_late)
+        self._lag = lag = ticks_until_use(ticks_late)
         jitter_s = max(scenario.links.peer_jitter_s for scenario in scenarios)
-        by_chance = jitter_s > 0.0 or any(scenario.links.peer_loss > 0.0 for scenario in scenarios)
-        self._arrivals = Arrivals(scenarios, columns, candidates.valid, ticks_late) if by_chance else None
-        oldest_s = max(scenario.fleet.peers.max_age_s for scenario in scenarios) + jitter_s if by_chance else 0.0
+        is_random = jitter_s > 0.0 or any(scenario.links.peer_loss > 0.0 for scenario in scenarios)
+        self._arrivals = Arrivals(scenarios, columns, candidates.valid, ticks_late) if is_random else None
+        oldest_s = max(scenario.fleet.peers.max_age_s for scenario in scenarios) + jitter_s if is_random else 0.0
         self._kept = int(lag.max()) + ceil(oldest_s / PERIOD_S) + 3
         self._ring = np.broadcast_to(start.T, (self._kept, columns.count, WIDTH)).reshape(-1, WIDTH).copy()
-        self._motions = self._ring[:, :6].copy()  # the same, of which range decides
-        self._place = (-lag % self._kept) * columns.count + candidates.sender
+        self._motions = self._ring[:, :6].copy()  # positions and velocities alone, for the range rule
+        self._first_index = (-lag % self._kept) * columns.count + candidates.sender
 
     def send(self, tick: int, group: slice, packets: FloatArray) -> None:
-        """`packets` (WIDTH, G) of these columns."""
+        """Store the packets (WIDTH, G) of these columns."""
         begin = tick % self._kept * self._count
         self._ring[begin + group.start : begin + group.stop] = packets.T
         self._motions[begin + group.start : begin + group.stop] = packets[:6].T
 
-    def hear(self, tick: int, group: slice) -> Heard:
+    def receive(self, tick: int, group: slice) -> Received:
+        """The newest packets of this group in this tick."""
         if self._arrivals is None:
-            places = self._place[group] + tick % self._kept * self._count
-            return Heard(places, self._valid[group], None)
-        newest = self._arrivals.hear(tick, group)
+            indices = self._first_index[group] + tick % self._kept * self._count
+            return Received(indices, self._valid[group], None)
+        newest = self._arrivals.newest(tick, group)
         ages_ticks = tick - newest - self._lag[group]
-        places = newest % self._kept * self._count + self._sender[group]
+        indices = newest % self._kept * self._count + self._sender[group]
         fresh = self._arrivals.fresh(ages_ticks, group) & self._valid[group]
-        return Heard(places, fresh, np.multiply(ages_ticks, PERIOD_S, dtype=np.float64))
+        return Received(indices, fresh, np.multiply(ages_ticks, PERIOD_S, dtype=np.float64))
 
-    def packets(self, heard: Heard) -> FloatArray:
-        """(G, K, WIDTH)."""
-        return self._ring.take(heard.places, axis=0, mode="wrap")
+    def packets(self, received: Received) -> FloatArray:
+        """Packets (G, K, WIDTH)."""
+        return self._ring.take(received.indices, axis=0, mode="wrap")
 
-    def places_now_enu_m(self, heard: Heard) -> FloatArray:
-        """Positions less their slots (G, K, 3), carried on to now."""
-        motions = self._motions.take(heard.places, axis=0, mode="wrap")
-        if heard.age_s is not None:
-            motions[:, :, :3] += motions[:, :, 3:] * heard.age_s[:, :, None]
+    def reduced_positions_enu_m(self, received: Received) -> FloatArray:
+        """Positions minus slots (G, K, 3), extrapolated to this tick."""
+        motions = self._motions.take(received.indices, axis=0, mode="wrap")
+        if received.age_s is not None:
+            motions[:, :, :3] += motions[:, :, 3:] * received.age_s[:, :, None]
         return motions[:, :, :3]

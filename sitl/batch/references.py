@@ -1,4 +1,4 @@
-"""The reference trajectories of many formations: each distinct one is asked once for a time."""
+"""The reference trajectories of many formations. Each distinct trajectory is evaluated once per time."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from collections.abc import Sequence
 import numpy as np
 
 from companion.config.reference import Reference
-from companion.core.arrays import FloatArray
-from companion.core.formation import Place
-from companion.core.reference import ReferenceTrajectory
+from companion.core.consensus.law import FormationState
+from companion.core.reference.trajectories import ReferenceTrajectory
+from companion.stability.arrays import FloatArray
 from sitl.batch.columns import BoolArray, Columns, IntArray
-from sitl.scenario import Scenario, reference_of
+from sitl.flight.scenario import Scenario, reference_of
 
 
 class References:
-    """Before its beginning an RFT stands still. `leaders[g]` (L,) are those columns of group g that know a reference."""
+    """References of all columns, constant before t = 0. `leaders[g]` (L,) are the columns of group g with a reference."""
 
-    def __init__(self, scenarios: Sequence[Scenario], columns: Columns, leads: BoolArray) -> None:
+    def __init__(self, scenarios: Sequence[Scenario], columns: Columns, is_leader: BoolArray) -> None:
         kinds: dict[Reference, int] = {}
         self._trajectories: list[ReferenceTrajectory] = []
         of_formation = np.zeros(len(scenarios), dtype=np.int64)
@@ -28,18 +28,18 @@ class References:
             of_formation[b] = kinds[scenario.reference]
         self._of_formation = of_formation
         self.leaders: list[IntArray] = []
-        self._kinds: list[IntArray] = []  # the distinct references of a group, and which of them each leader has
-        self._which: list[IntArray] = []
+        self._kinds: list[IntArray] = []  # the distinct references of each group
+        self._which: list[IntArray] = []  # for each leader, the index of its reference in `_kinds`
         of_column = of_formation[columns.formation]
         for group in columns.groups:
-            places = np.flatnonzero(leads[group])
-            distinct, which = np.unique(of_column[group][places], return_inverse=True)
-            self.leaders.append(places)
+            leaders = np.flatnonzero(is_leader[group])
+            distinct, which = np.unique(of_column[group][leaders], return_inverse=True)
+            self.leaders.append(leaders)
             self._kinds.append(distinct)
             self._which.append(which)
 
     def at(self, group: int, reference_s: float) -> FloatArray:
-        """R and r'' (9, L) for the leaders of this group: position, velocity, acceleration."""
+        """R and r'' (9, L) for the leaders of this group."""
         rows = np.array([_row(self._trajectories[kind](max(0.0, reference_s))) for kind in self._kinds[group].tolist()])
         return rows.reshape(-1, 9)[self._which[group]].T
 
@@ -54,5 +54,5 @@ class References:
         return of_kind[:, 0] if len(self._trajectories) == 1 else of_kind[:, self._of_formation]
 
 
-def _row(place: Place) -> tuple[float, ...]:
+def _row(place: FormationState) -> tuple[float, ...]:
     return (*place.position_enu_m, *place.velocity_enu_m_s, *place.acceleration_enu_m_s2)

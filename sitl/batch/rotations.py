@@ -1,14 +1,14 @@
-"""Rotations of many vehicles at once, as quaternions (4, k): w, x, y, z of FLU in ENU."""
+"""Rotations of many vehicles as quaternions (4, k): w, x, y, z, FLU to ENU."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from companion.core.arrays import FloatArray
+from companion.stability.arrays import FloatArray
 
 
 def product(first: FloatArray, then: FloatArray) -> FloatArray:
-    """`first`, and then `then` about its own body axes."""
+    """The rotation `first`, followed by `then` about the rotated body axes."""
     w, x, y, z = first
     a, b, c, d = then
     turned = np.empty_like(first)
@@ -20,7 +20,7 @@ def product(first: FloatArray, then: FloatArray) -> FloatArray:
 
 
 def quaternion_of_turns(angles_rad: FloatArray) -> FloatArray:
-    """Of small angles (3, k) about the body axes."""
+    """Quaternions of small angles (3, k) about the body axes."""
     quaternion = np.empty((4, angles_rad.shape[1]))
     quaternion[0] = 1.0
     np.multiply(angles_rad, 0.5, out=quaternion[1:])
@@ -39,7 +39,7 @@ def euler_rad(attitude: FloatArray) -> FloatArray:
 
 
 def quaternion_of_euler(roll_rad: FloatArray, pitch_rad: FloatArray, yaw_rad: FloatArray) -> FloatArray:
-    """Of Rz(yaw) Ry(pitch) Rx(roll)."""
+    """Quaternions (4, k) of Rz(yaw) Ry(pitch) Rx(roll)."""
     halves = 0.5 * np.stack([roll_rad, pitch_rad, yaw_rad])
     (cr, cp, cy), (sr, sp, sy) = np.cos(halves), np.sin(halves)
     return np.stack(

@@ -1,4 +1,4 @@
-"""The state of a whole batch and how it goes on: in each step some of the agents decide, then all bodies move."""
+"""The state of a whole batch and its steps: the agents of one phase decide, then all bodies move."""
 
 from __future__ import annotations
 
@@ -7,25 +7,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.core.arrays import FloatArray
-from sitl.autopilot import DT_S
+from companion.stability.arrays import FloatArray
+from sitl.autopilots.autopilot import DT_S
 from sitl.batch.agents import Agents
 from sitl.batch.autopilots import Autopilots
 from sitl.batch.candidates import candidates_of
 from sitl.batch.columns import BoolArray, Columns
 from sitl.batch.laws import Laws
 from sitl.batch.references import References
-from sitl.fleet import ids_of
-from sitl.scenario import Scenario
-from sitl.world import TELEMETRY_STEPS
+from sitl.flight.files import ids_of
+from sitl.flight.scenario import Scenario
+from sitl.flight.world import TELEMETRY_STEPS
 
 
 @dataclass(frozen=True, slots=True)
 class BatchStart:
-    """Where the vehicles are at t = 0 and how fast: true positions and velocities, (B, n, 3) in ENU. They are level.
-
-    `reference_s` is how far into the RFT the fleet is by then.
-    """
+    """True positions and velocities (B, n, 3) in ENU at t = 0; attitudes are level. `reference_s` is the RFT time then."""
 
     positions_enu_m: FloatArray
     velocities_enu_m_s: FloatArray
@@ -33,7 +30,7 @@ class BatchStart:
 
 
 def starts_at_rest(scenarios: Sequence[Scenario]) -> BatchStart:
-    """Hovering over `starts_enu_m` at the height of take-off."""
+    """Hover over `starts_enu_m` at take-off height."""
     starts = [[scenario.starts_enu_m[i] for i in ids_of(scenario)] for scenario in scenarios]
     positions = np.array(starts, dtype=np.float64)
     positions[:, :, 2] += np.array([[scenario.fleet.takeoff_height_m] for scenario in scenarios])
@@ -41,7 +38,7 @@ def starts_at_rest(scenarios: Sequence[Scenario]) -> BatchStart:
 
 
 class Simulation:
-    """Steps of DT_S. A vehicle's agent decides on the state after the steps that are its own by phase."""
+    """A batch in steps of DT_S. The agent of a vehicle decides in the steps of the vehicle's phase."""
 
     def __init__(self, scenarios: Sequence[Scenario], columns: Columns, start: BatchStart) -> None:
         self._columns = columns
@@ -49,34 +46,36 @@ class Simulation:
         self._reference_s = start.reference_s
         laws = Laws(scenarios, columns)
         self.slots_enu_m = laws.slots_by_vehicle_enu_m
-        self.references = References(scenarios, columns, laws.leads)
+        self.references = References(scenarios, columns, laws.is_leader)
         self._autopilots = Autopilots(
             scenarios,
             columns,
             columns.in_columns(start.positions_enu_m),
             columns.in_columns(start.velocities_enu_m_s),
         )
-        everybody = slice(0, columns.count)
+        all_columns = slice(0, columns.count)
         self._agents = Agents(
             scenarios,
             columns,
             laws,
             self.references,
             candidates_of(scenarios, columns),
-            self._autopilots.told(everybody),
+            self._autopilots.telemetry(all_columns),
         )
-        self._autopilots.begin(self._agents.targets(everybody))
+        self._autopilots.begin(self._agents.targets(all_columns))
 
     @property
     def time_s(self) -> float:
         return self._steps * DT_S
 
     def step(self) -> None:
-        """The agents whose telemetry is of now, then all bodies."""
+        """Run the agents whose telemetry is due in this step, then move all bodies."""
         tick, phase = divmod(self._steps, TELEMETRY_STEPS)
         group = self._columns.groups[phase]
         if group.stop > group.start:
-            targets = self._agents.decide(tick, phase, self._reference_s + self.time_s, self._autopilots.told(group))
+            targets = self._agents.decide(
+                tick, phase, self._reference_s + self.time_s, self._autopilots.telemetry(group)
+            )
             self._autopilots.command(tick, group, targets)
         self._steps += 1
         self._autopilots.step(self._steps)
@@ -86,5 +85,5 @@ class Simulation:
         return self._columns.by_vehicle(self._autopilots.positions_enu_m)
 
     def neighbours(self) -> BoolArray:
-        """Who heeds whom (B, n, n)."""
+        """Whether i uses j as a neighbour, [b, i, j] of (B, n, n)."""
         return self._agents.relation()

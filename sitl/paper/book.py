@@ -1,4 +1,4 @@
-"""All flights of a report, found by what they are of, with their figures; and what is often said of them."""
+"""All flights of a report with their figures, by subject, law and model; and text helpers for claims."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ from collections.abc import Iterable
 from functools import cached_property
 
 from companion.config.law import LawName
-from sitl.metrics import Flight, FormationFigures, formation_figures
-from sitl.paper.claims import Verdict
+from sitl.paper.claim import Verdict
 from sitl.paper.flights import FlownPlan, Model, Subject
+from sitl.report.metrics import Flight, FormationFigures, formation_figures
 
 PERFECT = (Model.IDEAL, Model.FULL)
 
 
 class Entry:
-    """One flight and its figures, which are worked out once."""
+    """One flight and its figures, computed once."""
 
     def __init__(self, flown: FlownPlan) -> None:
         self.flown = flown
@@ -32,17 +32,19 @@ class Entry:
 
     @property
     def settle_s(self) -> float:
-        """inf where it never settled."""
+        """Settle time; inf where the flight never settled."""
         settle_s = self.figures.settle_s
         return float("inf") if settle_s is None else settle_s
 
 
 class Book:
+    """All flights of a report."""
+
     def __init__(self, flown: Iterable[FlownPlan]) -> None:
         self._entries = [Entry(one) for one in flown]
 
     def all(self, subject: Subject, law: LawName, model: Model) -> list[Entry]:
-        """One for each seed."""
+        """The flights with all seeds."""
         wanted = (subject, law, model)
         return [e for e in self._entries if (e.flown.plan.subject, e.flown.plan.law, e.flown.plan.model) == wanted]
 
@@ -55,7 +57,7 @@ class Book:
 
 
 def verdict_of(to_the_letter: bool, with_a_condition: bool = False) -> Verdict:
-    """`with_a_condition` tells what is left of a claim that does not hold to the letter."""
+    """HOLDS where the claim holds to the letter, else CONDITION or FAILS by `with_a_condition`."""
     if to_the_letter:
         return Verdict.HOLDS
     return Verdict.CONDITION if with_a_condition else Verdict.FAILS

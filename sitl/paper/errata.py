@@ -1,4 +1,4 @@
-"""Where the printed paper is wrong or silent, what is right, and what the printed form comes to where that can be computed."""
+"""Errors and omissions of the printed paper, with the correct form and the computed result of the printed form."""
 
 from __future__ import annotations
 
@@ -7,30 +7,30 @@ from math import cos, degrees, dist, hypot, pi, radians, sin, tan
 
 import numpy as np
 
-from companion.core.attitude import attitude_target
-from companion.core.formation import average_22, average_26, weighted
-from companion.core.interaction import interaction_matrix, settled_prcs
-from companion.core.weights import neighbour_weights
-from companion.types import GRAVITY_M_S2
-from sitl.paper.algorithm1 import printed_prcs
-from sitl.paper.claims import Erratum
-from sitl.paper.survey import lambda_min
-from sitl.shapes import chain
+from companion.core.consensus.law import average_22, average_26, weighted
+from companion.core.consensus.weights import neighbour_weights
+from companion.core.control.attitude import attitude_target
+from companion.stability.interaction import interaction_matrix, settled_prcs
+from companion.types.vectors import GRAVITY_M_S2
+from sitl.paper.claim import Erratum
+from sitl.paper.theory.algorithm1 import printed_prcs
+from sitl.paper.theory.survey import lambda_min
+from sitl.study.shapes import chain
 
 PLATOON = chain(4).adjacency()
-ASKED_M_S2 = (1.0, 0.5, 0.0)  # what eq. 8 is tried with
+ASKED_M_S2 = (1.0, 0.5, 0.0)  # acceleration with which eq. 8 is tried
 ASKED_YAW_RAD = radians(30.0)
 
 
 def errata() -> list[Erratum]:
-    """In the order of the paper."""
+    """All errata in the order of the paper."""
     return [
         _equation_8(),
         _equation_11(),
         Erratum(
             place="eq. 12",
             printed="e_i = x_i - r - d_i0",
-            right="e_i = x_i - R - d_i0 with R = [r, r'], since x_i holds a velocity too",
+            right="e_i = x_i - R - d_i0 with R = [r, r'], since x_i also contains a velocity",
         ),
         _algorithm_1(),
         _algorithm_2(),
@@ -44,13 +44,13 @@ def errata() -> list[Erratum]:
         Erratum(
             place="text to figure 10",
             printed="followers 1, 2 and 3",
-            right="a count of the followers, not the numbers of the UAVs: UAV 1 or 2 is the leader",
+            right="the followers are counted here; these are not the UAV numbers, since UAV 1 or 2 is the leader",
         ),
     ]
 
 
 def _equation_8() -> Erratum:
-    """Both forms of eq. 8 are solved for the attitude, and eq. 2 with the thrust of eq. 7 says what that attitude does."""
+    """Solve both forms of eq. 8 for the attitude, and compute its acceleration by eq. 2 with the thrust of eq. 7."""
     tilt_rad = max(abs(angle) for angle in printed_attitude())
     right_error, printed_error = (
         dist(acceleration_of(*form()), ASKED_M_S2) for form in (right_attitude, printed_attitude)
@@ -60,19 +60,19 @@ def _equation_8() -> Erratum:
         printed="[tan(phi)/cos(theta) - phi, tan(theta) - theta]",
         right="[tan(phi)/cos(theta), tan(theta)]; inverse, with a = u/(uZ + g): theta = atan(aX cos psi + aY sin psi), "
         "phi = atan(cos(theta) (aX sin psi - aY cos psi))",
-        shown=f"asked for {hypot(*ASKED_M_S2):.2f} m/s^2, the printed form tilts to {degrees(tilt_rad):.0f} deg and is "
-        f"{printed_error:.1f} m/s^2 off; the right one {right_error:.1g}",
+        shown=f"for {hypot(*ASKED_M_S2):.2f} m/s^2 the printed form tilts to {degrees(tilt_rad):.0f} deg, with an error of "
+        f"{printed_error:.1f} m/s^2; the error of the correct form is {right_error:.1g}",
     )
 
 
 def right_attitude() -> tuple[float, float]:
-    """(roll, pitch) rad that the agent would command for ASKED_M_S2."""
+    """(roll, pitch) [rad] that the agent commands for ASKED_M_S2."""
     target = attitude_target(ASKED_M_S2, ASKED_YAW_RAD, 0.0, 0.0, 0.5)
     return target.roll_rad, target.pitch_rad
 
 
 def printed_attitude() -> tuple[float, float]:
-    """(roll, pitch) rad that satisfy eq. 8 as printed for ASKED_M_S2."""
+    """(roll, pitch) [rad] that satisfy eq. 8 as printed for ASKED_M_S2."""
     ux, uy, uz = ASKED_M_S2
     ax, ay = ux / (uz + GRAVITY_M_S2), uy / (uz + GRAVITY_M_S2)
     along, across = ax * cos(ASKED_YAW_RAD) + ay * sin(ASKED_YAW_RAD), ax * sin(ASKED_YAW_RAD) - ay * cos(ASKED_YAW_RAD)
@@ -81,7 +81,7 @@ def printed_attitude() -> tuple[float, float]:
 
 
 def acceleration_of(roll_rad: float, pitch_rad: float) -> tuple[float, float, float]:
-    """Eq. 2 at ASKED_YAW_RAD with the thrust of eq. 7 for ASKED_M_S2, m/s^2."""
+    """Acceleration [m/s^2] by eq. 2 at ASKED_YAW_RAD, with the thrust of eq. 7 for ASKED_M_S2."""
     thrust = (ASKED_M_S2[2] + GRAVITY_M_S2) / (cos(pitch_rad) * cos(roll_rad))  # per mass
     sin_yaw, cos_yaw = sin(ASKED_YAW_RAD), cos(ASKED_YAW_RAD)
     x = (sin_yaw * sin(roll_rad) + cos_yaw * cos(roll_rad) * sin(pitch_rad)) * thrust
@@ -90,7 +90,7 @@ def acceleration_of(roll_rad: float, pitch_rad: float) -> tuple[float, float, fl
 
 
 def _solve(function: Callable[[float], float], value: float) -> float:
-    """Where a rising function of an angle within +-pi/2 takes `value`, by halving."""
+    """The angle within +-pi/2 at which a rising function takes `value`, by bisection."""
     low, high = -pi / 2.0, pi / 2.0
     for _ in range(60):
         middle = (low + high) / 2.0
@@ -99,7 +99,7 @@ def _solve(function: Callable[[float], float], value: float) -> float:
 
 
 def _equation_11() -> Erratum:
-    """As printed the sum runs over i and takes w_ii, which is zero: no neighbour is left."""
+    """As printed, the sum runs over i and uses w_ii, which is zero: no neighbour remains."""
     platoon = interaction_matrix(PLATOON, {1}, weighted())
     left = platoon.sum(axis=1)  # rows of G add up to w_i^l
     listed = ", ".join(f"{abs(round(value, 9)):g}" for value in left)
@@ -107,7 +107,7 @@ def _equation_11() -> Erratum:
         place="eq. 11",
         printed="z_i = w_i^l (x_i - r) + sum over i of w_ii (x_i - x_j)",
         right="z_i = w_i^l (x_i - R) + sum over j of w_ij (x_i - x_j), with R = [r, r']",
-        shown=f"with w_ii = 0 the platoon's G would be diag({listed}): followers would stand still",
+        shown=f"with w_ii = 0 the platoon's G would be diag({listed}): followers would not move",
     )
 
 
@@ -118,7 +118,8 @@ def _algorithm_1() -> Erratum:
         place="Algorithm 1, line 3",
         printed="per[j] = p_i(k)",
         right="per[j] = p_j(k), started from p = n (a leader from 1); sigma_n(x) = sgn(x) min(n, |x|)",
-        shown=f"PrCs of the platoon {_listed(printed)} as printed: nobody hears of the leader; {_listed(right)} if right",
+        shown=f"PrCs of the platoon are {_listed(printed)} as printed, without effect of the leader, and {_listed(right)} if "
+        "corrected",
     )
 
 
@@ -128,22 +129,22 @@ def _algorithm_2() -> Erratum:
     count = len(neighbour_weights([], weighted().exponent))
     return Erratum(
         place="Algorithm 2",
-        printed="nothing about a vehicle without neighbours: the sum it divides by is 0",
-        right="all its weights are 0: a leader follows the reference alone, a follower is not commanded",
-        shown=f"{count} weights; G of a leader and a follower that do not see each other is "
+        printed="vehicles without neighbours are not treated: the sum in the denominator is 0",
+        right="all its weights are 0: a leader follows the reference alone, a follower gets no command",
+        shown=f"{count} weights; G of a leader and a follower out of range of each other is "
         f"diag({matrix[0, 0]:g}, {matrix[1, 1]:g})",
     )
 
 
 def _equation_16() -> Erratum:
-    """Without the bracket the neighbours' errors keep their minus sign where -K should have turned it."""
+    """Without the bracket, -K does not change the minus sign of the neighbours' errors."""
     platoon = interaction_matrix(PLATOON, {1}, weighted())
     return Erratum(
         place="eq. 16, the line before it",
-        printed="u_i = -K (sum w_ij + w_i^l) e_i - sum w_ij e_j), a bracket short",
+        printed="u_i = -K (sum w_ij + w_i^l) e_i - sum w_ij e_j), with a bracket missing",
         right="u_i = -K ((sum over j of w_ij + w_i^l) e_i - sum over j of w_ij e_j)",
-        shown=f"read without the bracket a follower's row of G would add up to {np.abs(platoon[1]).sum():g} in place of "
-        f"{platoon[1].sum():g}: followers would need to know the reference",
+        shown=f"without the bracket a follower's row of G would add up to {np.abs(platoon[1]).sum():g} instead of "
+        f"{platoon[1].sum():g}: followers would need the reference",
     )
 
 
@@ -152,9 +153,9 @@ def _equation_26() -> Erratum:
     return Erratum(
         place="eq. 26",
         printed="the average law of the simulations: the leader follows the reference alone",
-        right="eq. 22 and eq. 26 are two laws: G1 of eq. 27 is eq. 26, the proofs are about eq. 22; which of them "
-        "figures 4 and 6 show is a claim above",
-        shown=f"lambda_min of the platoon {least[0]:.4f} with eq. 22, {least[1]:.4f} with eq. 26",
+        right="eq. 22 and eq. 26 are two different laws: G1 of eq. 27 belongs to eq. 26, the proofs use eq. 22; a claim above "
+        "treats which of them figures 4 and 6 show",
+        shown=f"lambda_min of the platoon is {least[0]:.4f} with eq. 22 and {least[1]:.4f} with eq. 26",
     )
 
 

@@ -1,4 +1,4 @@
-"""The flights that the paper's figures need: each an Agent's real flight in virtual time, planned here and flown one by one."""
+"""The flights for the paper's figures, flown by the agents in virtual time."""
 
 from __future__ import annotations
 
@@ -8,38 +8,35 @@ from enum import StrEnum
 from pathlib import Path
 
 from companion.config.law import LawName
-from sitl.ending import FailedError
-from sitl.metrics import Flight, Formation, neighbouring_pairs, standing
-from sitl.progress import Progress
-from sitl.scenario import Scenario, load_scenario, reference_of
-from sitl.tracks import Track
-from sitl.virtual_flight import fly_in_virtual_time
-from sitl.watch import TopologyChange
+from sitl.errors import FailedError
+from sitl.flight.scenario import Scenario, load_scenario, reference_of
+from sitl.flight.virtual_flight import fly_in_virtual_time
+from sitl.flight.watch import TopologyChange
+from sitl.report.metrics import Flight, Formation, neighbouring_pairs, standing
+from sitl.report.progress import Progress
+from sitl.report.tracks import Track
 
-SCENARIOS = Path(__file__).parents[2] / "config" / "scenarios"
-COMPARED: tuple[LawName, ...] = (
-    "average_22",
-    "average_26",
-    "weighted",
-)  # the paper's law and what it may have flown against
-SEEDS, MORE_SEEDS = 5, 20  # flights with noise, each with errors of its own
-COOPERATION_S = 40.0  # of the flights of figures 7 and 8, which lasted about as long
-# Alone, a follower of ours hands over after half a second. The paper's fly on, so for its figure 4 ours must, too.
-PATIENT = "fleet.peers.leader_word_max_age_s=10"
+SCENARIOS = Path(__file__).parents[1] / "scenarios"  # package data: a link to config/scenarios in the source tree
+# The paper's law and both candidates for the law that it was compared with.
+COMPARED: tuple[LawName, ...] = ("average_22", "average_26", "weighted")
+SEEDS, MORE_SEEDS = 5, 20  # flights with noise, each with its own errors
+COOPERATION_S = 40.0  # as in the paper's figures 7 and 8, approximately
+# By default a follower without leader beacon hands over after half a second. Those of the paper's figure 4 fly on.
+PATIENT = "fleet.peers.leader_beacon_max_age_s=10"
 ALONE_S = 10.0
 NOISY_LAWS: tuple[LawName, ...] = ("average_22", "weighted")
 
 
 class NoFormationError(FailedError):
-    """A flight never came to the formation that is to be measured. str() is one line."""
+    """A flight never reached its formation, so that it has no figures. str() is one line."""
 
 
 class Model(StrEnum):
-    """What flies under the agents."""
+    """The vehicle model under the agents."""
 
     IDEAL = "ideal"  # eq. 2 with perfect attitude and sensors: a double integrator
-    FULL = "full"  # rigid body, motors and an attitude loop as PX4's; perfect sensors
-    NOISY = "noisy"  # the same with the estimator's default errors
+    FULL = "full"  # rigid body, motors and an attitude loop like that of PX4; perfect sensors
+    NOISY = "noisy"  # the same with the default errors of the estimator
 
 
 MODEL_OVERRIDES: dict[Model, tuple[str, ...]] = {
@@ -55,7 +52,7 @@ MODEL_OVERRIDES: dict[Model, tuple[str, ...]] = {
 
 
 class Subject(StrEnum):
-    """Which of the paper's experiments; the value is its scenario's name."""
+    """An experiment of the paper; the value is the name of its scenario."""
 
     PLATOON = "platoon"
     AGGREGATION = "aggregation"
@@ -64,10 +61,7 @@ class Subject(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """One flight to be flown: what tells it from the others, and what it changes in its scenario.
-
-    The paper's laws are flown as they are: nobody looks for hover thrust and wind.
-    """
+    """One flight to be flown, with its overrides of the scenario. The disturbance observer is off, as in the paper."""
 
     subject: Subject
     law: LawName
@@ -76,7 +70,7 @@ class Plan:
     more: tuple[str, ...] = ()
 
     def scenario(self) -> Scenario:
-        """Raises ConfigError."""
+        """The scenario of the flight. Raises ConfigError."""
         law = [f"fleet.law.name={self.law}", "fleet.law.disturbance_bandwidth_1_s=0"]
         model = [f"stand_in.seed={self.seed}", *MODEL_OVERRIDES[self.model]]
         return load_scenario(SCENARIOS / f"{self.subject}.yaml", [*law, *model, *self.more])
@@ -84,9 +78,9 @@ class Plan:
 
 @dataclass(frozen=True, slots=True)
 class FlownPlan:
-    """One flight as it was flown; it travels between processes. Tracks are true; `topology` is what the vehicles said.
+    """One completed flight, sent between processes. Tracks are true; `topology` is as reported by the vehicles.
 
-    `formation` is None where the vehicles never came to one, and then `failure` says why.
+    `formation` is None where the vehicles never formed up; `failure` then gives the reason.
     """
 
     plan: Plan
@@ -97,7 +91,7 @@ class FlownPlan:
     failure: str | None
 
     def flight(self) -> Flight:
-        """Raises NoFormationError."""
+        """The flight for the metrics. Raises NoFormationError."""
         if self.formation is None:
             raise NoFormationError(f"{self.plan.subject}, {self.plan.law}, {self.plan.model}: {self.failure}")
         slots_enu_m = {member.id: member.slot_enu_m for member in self.scenario.fleet.vehicles}
@@ -108,7 +102,7 @@ class FlownPlan:
 
 
 def paper_plans(full: bool) -> list[Plan]:
-    """Every flight of the report, the longest first; `full` flies more of the noisy ones."""
+    """All flights of the report, the longest first; `full` adds flights with noise."""
     return list(_plans(range(1, 1 + (MORE_SEEDS if full else SEEDS))))
 
 
@@ -130,7 +124,7 @@ def _plans(seeds: range) -> Iterator[Plan]:
 
 
 def fly(plan: Plan) -> FlownPlan:
-    """The plan's whole timeline in virtual time, and down in any case. Raises ConfigError."""
+    """Fly the whole timeline of the plan in virtual time, including the landing. Raises ConfigError."""
     scenario = plan.scenario()
     flown = fly_in_virtual_time(scenario, Progress(plan.subject, quiet=True, began_s=0.0))
     return FlownPlan(

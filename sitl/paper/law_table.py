@@ -1,20 +1,20 @@
-"""The platoon in figures, law by law: the equations alone beside the agents that flew."""
+"""Table of the platoon, law by law: results of the equations alone and of the flown agents."""
 
 from __future__ import annotations
 
 from msgspec import Struct
 
 from sitl.paper.book import PERFECT, Book
+from sitl.paper.claims.platoon import PAIRS
 from sitl.paper.flights import COMPARED, Model, Subject
 from sitl.paper.ideal_model import ideal_figures
-from sitl.paper.platoon_claims import PAIRS
 
-HEARD_LATE_S = 0.01  # agents tick every 0.02 s, not together: what a neighbour says is half of that old in the mean
+DELAY_S = 0.01  # agents tick every 0.02 s at different phases: the mean age of a neighbour's state is half of that
 FLOWN = {Model.IDEAL: "agents, ideal model", Model.FULL: "agents, full quadrotor"}
 
 
 class LawRow(Struct, frozen=True, kw_only=True):
-    """Largest distances [m] in the order of PAIRS and the time to settle to 10 cm [s], None where it never did."""
+    """Largest distances [m] in the order of PAIRS, and settle time to 10 cm [s], None for a flight that never settled."""
 
     law: str
     source: str
@@ -26,8 +26,8 @@ def law_table(book: Book) -> list[LawRow]:
     rows = []
     for law in COMPARED:
         flown = book.one(Subject.PLATOON, law, Model.IDEAL).flown
-        for source, late_s in (("equations", 0.0), (f"equations, neighbours {HEARD_LATE_S:g} s late", HEARD_LATE_S)):
-            ideal = ideal_figures(flown, late_s)
+        for source, delay_s in (("equations", 0.0), (f"equations, neighbours delayed by {DELAY_S:g} s", DELAY_S)):
+            ideal = ideal_figures(flown, delay_s)
             largest_m = tuple(ideal.max_distance_m[pair] for pair in PAIRS)
             rows.append(LawRow(law=law, source=source, largest_m=largest_m, settle_s=ideal.settle_s))
         for model in PERFECT:

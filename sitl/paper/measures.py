@@ -1,4 +1,4 @@
-"""What the paper's sentences are about, measured on true tracks. Pure: flights in, figures out."""
+"""Quantities of the paper's statements, measured on true tracks."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from companion.core.arrays import FloatArray
-from sitl.metrics import Flight, Pair, Tracks, distances_m, pairs_of
-from sitl.paper.graphs import graph_of
-from sitl.shapes import is_connected
+from companion.stability.arrays import FloatArray
+from sitl.paper.theory.graphs import graph_of
+from sitl.report.metrics import Flight, Pair, Tracks, distances_m, pairs_of
+from sitl.study.shapes import is_connected
 
 Interval = tuple[float, float]  # from, to [s] after the start of the formation
-RESPONDED_SHARE = 0.5  # a vehicle has responded when this share of its way is done
+RESPONDED_SHARE = 0.5  # a vehicle has responded after this share of its distance
 
 
 def response_s(flight: Flight, vehicle_id: int) -> float:
-    """From the formation's start until the vehicle has done half of its way in x; inf where it never does."""
+    """Time from the start of the formation until the vehicle has covered half of its distance in x; inf where it never does."""
     times_s = flight.formation.times_s()
     x_m = flight.tracks[vehicle_id].at(times_s)[:, 0]
     way_m = flight.reference(0.0).position_enu_m[0] + flight.slots_enu_m[vehicle_id][0] - x_m[0]
@@ -26,13 +26,13 @@ def response_s(flight: Flight, vehicle_id: int) -> float:
 
 
 def broken_s(flight: Flight, pair: Pair, range_m: float) -> list[Interval]:
-    """When two vehicles were out of each other's sight."""
+    """Intervals in which two vehicles were out of range of each other."""
     times_s = flight.formation.times_s()
     return _intervals(distances_m(flight.tracks, pair, times_s) > range_m, times_s)
 
 
 def alone_s(flight: Flight, vehicle_id: int, range_m: float) -> list[Interval]:
-    """When a vehicle saw no other."""
+    """Intervals in which a vehicle had no other in range."""
     times_s = flight.formation.times_s()
     pairs = [pair for pair in pairs_of(flight.tracks) if vehicle_id in pair]
     nearest_m = np.min([distances_m(flight.tracks, pair, times_s) for pair in pairs], axis=0)
@@ -40,35 +40,35 @@ def alone_s(flight: Flight, vehicle_id: int, range_m: float) -> list[Interval]:
 
 
 def apart_s(flight: Flight, range_m: float) -> list[Interval]:
-    """When the graph of who sees whom was in more than one part."""
+    """Intervals in which the graph of vehicles in range was not connected."""
     times_s = flight.formation.times_s()
     pairs = pairs_of(flight.tracks)
-    seen = np.array([distances_m(flight.tracks, pair, times_s) <= range_m for pair in pairs])
-    graphs, at = np.unique(seen, axis=1, return_inverse=True)
+    in_range = np.array([distances_m(flight.tracks, pair, times_s) <= range_m for pair in pairs])
+    graphs, at = np.unique(in_range, axis=1, return_inverse=True)
     in_parts = [
-        not is_connected(graph_of(flight.tracks, [pair for pair, sees in zip(pairs, graph, strict=True) if sees]))
+        not is_connected(graph_of(flight.tracks, [pair for pair, is_edge in zip(pairs, graph, strict=True) if is_edge]))
         for graph in graphs.T
     ]
     return _intervals(np.array(in_parts)[at.ravel()], times_s)
 
 
-def fewest_in_sight(flight: Flight, vehicle_id: int, range_m: float) -> list[int]:
-    """Whom a vehicle saw when it saw the fewest."""
+def fewest_in_range(flight: Flight, vehicle_id: int, range_m: float) -> list[int]:
+    """Ids of the vehicles in range of a vehicle at the time when these were fewest."""
     times_s = flight.formation.times_s()
     others = sorted(flight.tracks.keys() - {vehicle_id})
-    seen = np.array([distances_m(flight.tracks, (vehicle_id, other), times_s) <= range_m for other in others])
-    at = int(seen.sum(axis=0).argmin())
-    return [other for other, sees in zip(others, seen[:, at], strict=True) if sees]
+    in_range = np.array([distances_m(flight.tracks, (vehicle_id, other), times_s) <= range_m for other in others])
+    at = int(in_range.sum(axis=0).argmin())
+    return [other for other, is_near in zip(others, in_range[:, at], strict=True) if is_near]
 
 
 def edges_m(tracks: Tracks, time_s: float, range_m: float) -> list[Pair]:
-    """Who sees whom at one time."""
+    """Pairs in range of each other at one time."""
     return [pair for pair in pairs_of(tracks) if float(distances_m(tracks, pair, np.array([time_s]))[0]) <= range_m]
 
 
-def _intervals(is_so: np.ndarray[tuple[int, ...], np.dtype[np.bool_]], times_s: FloatArray) -> list[Interval]:
-    """Where `is_so` (n,) holds, from its first to its last sample, in seconds after the first time."""
-    steps = np.flatnonzero(np.diff(np.concatenate([[False], is_so, [False]]).astype(int)))
+def _intervals(condition: np.ndarray[tuple[int, ...], np.dtype[np.bool_]], times_s: FloatArray) -> list[Interval]:
+    """Intervals in which `condition` (n,) is true, in seconds after the first time."""
+    steps = np.flatnonzero(np.diff(np.concatenate([[False], condition, [False]]).astype(int)))
     since_s = times_s - times_s[0]
     return [
         (float(since_s[a]), float(since_s[min(b, since_s.size - 1)]))
@@ -77,7 +77,7 @@ def _intervals(is_so: np.ndarray[tuple[int, ...], np.dtype[np.bool_]], times_s: 
 
 
 def beginning(flight: Flight, seconds_s: float) -> Flight:
-    """The same flight, its formation cut off after so long."""
+    """The same flight with its formation cut after `seconds_s`."""
     formation = flight.formation
     return replace(flight, formation=replace(formation, end_s=min(formation.end_s, formation.start_s + seconds_s)))
 
@@ -87,7 +87,7 @@ def total_s(intervals: Sequence[Interval]) -> float:
 
 
 def behind_leader_m(flight: Flight, leader_id: int, vehicle_id: int, times_s: FloatArray) -> FloatArray:
-    """|(x_i - d_i0) - (x_l - d_l0)| (n,): how far a follower is from where the leader's place puts it."""
+    """Distance |(x_i - d_i0) - (x_l - d_l0)| (n,) of a follower to its slot relative to the leader."""
     own = flight.tracks[vehicle_id].at(times_s) - np.array(flight.slots_enu_m[vehicle_id])
     leader = flight.tracks[leader_id].at(times_s) - np.array(flight.slots_enu_m[leader_id])
     return np.asarray(np.linalg.norm(own - leader, axis=1))

@@ -1,4 +1,4 @@
-"""From claims, errata and figures to index.html and claims.json."""
+"""The report: index.html and claims.json from claims, errata and figures."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ import numpy as np
 from msgspec import Struct
 
 from companion import __version__
+from sitl.paper.beyond import SettingRow
 from sitl.paper.book import listed
-from sitl.paper.claims import Claim, Erratum, Verdict
-from sitl.paper.figures import PICTURES, Picture
+from sitl.paper.claim import Claim, Erratum, Verdict
+from sitl.paper.figures.pictures import PICTURES, Picture
 from sitl.paper.law_table import LawRow
-from sitl.paper.past import PastRow
-from sitl.plots import LAW_TITLES
+from sitl.report.plots import LAW_TITLES
+from sitl.report.summary import write_json
 from sitl.study.command import SHOWN
-from sitl.summary import write_json
 
 SCHEMA = 1
-SIGNS = {Verdict.HOLDS: "✓", Verdict.CONDITION: "◐", Verdict.FAILS: "✗"}  # told apart without colour
+SIGNS = {Verdict.HOLDS: "✓", Verdict.CONDITION: "◐", Verdict.FAILS: "✗"}  # distinct without colour
 CSS_CLASSES = {Verdict.HOLDS: "holds", Verdict.CONDITION: "condition", Verdict.FAILS: "fails"}
 
 
 class Report(Struct, frozen=True, kw_only=True):
-    """claims.json. `took_s` is how long the whole command took, `flights` how many it flew."""
+    """Content of claims.json. `took_s`: run time of the command; `flights`: number of its flights."""
 
     schema: int = SCHEMA
     claims: list[Claim]
@@ -39,7 +39,7 @@ class Report(Struct, frozen=True, kw_only=True):
     took_s: float
     past_claims: list[Claim] = []
     past_words: str = ""
-    past_settings: list[PastRow] = []
+    past_settings: list[SettingRow] = []
 
 
 def versions() -> dict[str, str]:
@@ -51,7 +51,7 @@ def versions() -> dict[str, str]:
     }
 
 
-def in_short(claims: Sequence[Claim]) -> str:
+def verdict_counts(claims: Sequence[Claim]) -> str:
     """ "31 claims: 22 hold, 8 hold with a condition and 1 does not hold"."""
     counts = {verdict: sum(claim.verdict is verdict for claim in claims) for verdict in Verdict}
     holds, condition, fails = counts.values()
@@ -64,13 +64,13 @@ def in_short(claims: Sequence[Claim]) -> str:
 
 
 def write_report(folder: Path, report: Report) -> None:
-    """index.html and claims.json; the figures lie beside them."""
+    """Write index.html and claims.json to the folder of the figures."""
     write_json(folder / "claims.json", report)
     (folder / "index.html").write_text(as_html(report), encoding="utf-8")
 
 
 def as_html(report: Report) -> str:
-    """One page that needs nothing from the network; its figures are files beside it."""
+    """The page. It needs no network; its figures are files in the same folder."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("sitl.paper"),
         autoescape=True,
@@ -83,7 +83,7 @@ def as_html(report: Report) -> str:
     by_id = {claim.id: claim for claim in report.claims}
     return template.render(
         report=report,
-        summary=in_short(report.claims),
+        summary=verdict_counts(report.claims),
         verdicts=[(verdict, [c for c in report.claims if c.verdict is verdict]) for verdict in Verdict],
         pictures=[(picture, _claims_of(picture, by_id)) for picture in PICTURES],
         law_titles=LAW_TITLES,
@@ -92,7 +92,7 @@ def as_html(report: Report) -> str:
 
 
 def sentence(text: str) -> str:
-    """With a capital, unless it begins with a symbol, and a full stop; empty stays empty."""
+    """The text with a full stop, and a capital unless it begins with a symbol; empty stays empty."""
     first = text.partition(" ")[0]
     capital = text[:1].upper() + text[1:] if first.isalpha() else text
     return capital if not text or text.endswith(".") else f"{capital}."

@@ -1,1 +1,1 @@
-"""What lies past the paper: formations of 4 to 100 vehicles under every setting of the law, and what each brings about."""
+"""Study beyond the paper: formations of 4 to 100 vehicles under every setting of the law, with figures and verdicts."""

@@ -1,4 +1,4 @@
-"""One case of the study: a shape, a setting of the law, and what the vehicles have to put up with; and its figures."""
+"""One case of the study: a shape, a setting of the law, sensor noise and links; and the figures of its flight."""
 
 from __future__ import annotations
 
@@ -10,19 +10,20 @@ from typing import Literal
 import numpy as np
 from msgspec import Struct
 
-from companion.config.fleet import EdgeNeighbours, Envelope, FleetConfig, FormationMember, GeodeticOrigin
+from companion.config.fleet import EdgeNeighbours, FleetConfig
 from companion.config.reference import PointReference
-from companion.core.arrays import FloatArray
-from companion.core.settling import SETTLED_WITHIN_M, settle_time_s
-from companion.types import CommandName, Role
+from companion.stability.arrays import FloatArray
+from companion.stability.settling import SETTLED_WITHIN_M, settle_time_s
+from companion.types.commands import CommandName
 from sitl.batch.flight import BatchFlight, fly_batch
-from sitl.config import Airframe, Links
-from sitl.config import StandIn as StandInConfig
-from sitl.scenario import Scenario
-from sitl.shapes import LEADER, Shape
+from sitl.flight.scenario import Scenario
+from sitl.flight.timeline import TimelineStep
+from sitl.study.scenarios import ORIGIN, members_of, wide_fence
 from sitl.study.settings import Setting
-from sitl.timeline import TimelineStep
-from sitl.workers import tell
+from sitl.study.shapes import Shape
+from sitl.vehicle.config import Airframe, Links
+from sitl.vehicle.config import StandIn as StandInConfig
+from sitl.workers import report_progress
 
 STEP_M = 1.0
 HEIGHT_M = 1.0
@@ -35,7 +36,7 @@ Sensing = Literal["ideal", "default", "px4_sih"]
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """`step_m`: how far along x the reference is from where the leader starts in formation. Eq. 2 knows no drag."""
+    """One flight of a shape. `step_m` is the distance along x from the leader's start to the reference; eq. 2 has no drag."""
 
     shape: Shape
     setting: Setting
@@ -46,27 +47,17 @@ class Case:
     drag_n_per_m_s: float = 0.0
 
     def scenario(self) -> Scenario:
-        """As a file would say it: with the timeline of a whole flight, so that it can be flown in any way."""
-        ids = sorted(self.shape.slots_enu_m)
-        members = tuple(
-            FormationMember(
-                id=i,
-                role=Role.LEADER if i == LEADER else Role.FOLLOWER,
-                slot_enu_m=self.shape.slots_enu_m[i],
-            )
-            for i in ids
-        )
-        fence = Envelope(fence_min_enu_m=(-FENCE_M, -FENCE_M, -5.0), fence_max_enu_m=(FENCE_M, FENCE_M, 50.0))
+        """The case as a scenario, with the timeline of a whole flight, so that `sitl run` and `sitl fly` can fly it too."""
         return Scenario(
-            description=f"{self.shape.name} closes up behind its leader by {self.step_m:g} m.",
+            description=f"{self.shape.name} follows a step of {self.step_m:g} m of its reference.",
             fleet=FleetConfig(
                 name=self.shape.name,
-                origin=GeodeticOrigin(latitude_deg=47.397742, longitude_deg=8.545594, altitude_amsl_m=488.0),
-                vehicles=members,
+                origin=ORIGIN,
+                vehicles=members_of(self.shape.slots_enu_m),
                 neighbours=EdgeNeighbours(edges=self.shape.edges),
                 law=self.setting.law,
                 takeoff_height_m=HEIGHT_M,
-                envelope=fence,
+                envelope=wide_fence(FENCE_M),
             ),
             starts_enu_m=self.shape.slots_enu_m,
             reference=PointReference(point_enu_m=(self.step_m, 0.0, HEIGHT_M)),
@@ -85,12 +76,12 @@ class Case:
 
 
 class Figures(Struct, frozen=True, kw_only=True):
-    """What one flight of a case came to, from true positions.
+    """Figures of one flight of a case, from true positions.
 
-    `settle_s`: from when on nobody is farther than `within_m` from its place; None where that did not come within
-    `duration_s`. `largest_m` and `smallest_m` are of neighbours that are wanted one spacing apart, `closest_m` of any two,
-    `stretch_m` and `squeeze_m` how far any two neighbours were beyond or below what is wanted. `late_error_m`: the largest
-    error of any vehicle in the last third.
+    `settle_s`: time after which all vehicles stay within `within_m` of their slots; None where that is not within `duration_s`.
+    `largest_m` and `smallest_m`: distances of neighbours with a desired distance of one spacing; `closest_m`: of any two
+    vehicles. `stretch_m` and `squeeze_m`: largest deviation of a neighbour distance above and below the desired one.
+    `late_error_m`: largest error of any vehicle in the last third.
     """
 
     shape: str
@@ -114,22 +105,24 @@ class Figures(Struct, frozen=True, kw_only=True):
 
 
 def fly(cases: Sequence[Case], duration_s: float, within_m: float = SETTLED_WITHIN_M) -> list[Figures]:
-    """Cases of one shape, together; in a process of sitl.workers it tells how much is done."""
-    flight = fly_batch([case.scenario() for case in cases], duration_s, lambda flown_s: tell(flown_s / duration_s))
+    """Fly cases of one shape in one batch. Reports its progress in a process of sitl.workers."""
+    flight = fly_batch(
+        [case.scenario() for case in cases], duration_s, lambda flown_s: report_progress(flown_s / duration_s)
+    )
     worst_m = flight.errors_m().max(axis=2)
     return [figures_of(case, flight, worst_m[:, index], index, within_m) for index, case in enumerate(cases)]
 
 
 def figures_of(case: Case, flight: BatchFlight, worst_m: FloatArray, index: int, within_m: float) -> Figures:
-    """Of the formation of this index; `worst_m` (ticks,) is its largest error."""
+    """Figures of the formation with this index; `worst_m` (ticks,) is its largest error over time."""
     slots = case.shape.slots_enu_m
     ids = sorted(slots)
     column = {vehicle_id: k for k, vehicle_id in enumerate(ids)}
     first, second = (np.array([column[edge[end]] for edge in case.shape.edges], dtype=int) for end in (0, 1))
-    wanted_m = np.array([dist(slots[a], slots[b]) for a, b in case.shape.edges])
+    desired_m = np.array([dist(slots[a], slots[b]) for a, b in case.shape.edges])
     positions = flight.positions_enu_m[:, index].astype(float)
     distances_m = np.linalg.norm(positions[:, first] - positions[:, second], axis=2)
-    nearest = wanted_m < wanted_m.min() + 0.01
+    nearest = desired_m < desired_m.min() + 0.01
     duration_s = float(flight.times_s[-1])
     return Figures(
         shape=case.shape.name,
@@ -147,23 +140,23 @@ def figures_of(case: Case, flight: BatchFlight, worst_m: FloatArray, index: int,
         largest_m=round(float(distances_m[:, nearest].max()), 4),
         smallest_m=round(float(distances_m[:, nearest].min()), 4),
         closest_m=round(closest_m(positions), 4),
-        stretch_m=round(float((distances_m - wanted_m).max()), 4),
-        squeeze_m=round(float((wanted_m - distances_m).max()), 4),
+        stretch_m=round(float((distances_m - desired_m).max()), 4),
+        squeeze_m=round(float((desired_m - distances_m).max()), 4),
         late_error_m=round(float(worst_m[flight.times_s > duration_s * 2.0 / 3.0].max()), 4),
     )
 
 
 def settled_s(times_s: FloatArray, error_m: FloatArray, within_m: float) -> float | None:
-    """From when on `error_m` (ticks,) stays within, to the hundredth; None where it never does."""
+    """Time after which `error_m` (ticks,) stays within `within_m`, rounded to 10 ms; None where it never does."""
     time_s = settle_time_s(times_s, error_m, within_m)
     return None if time_s is None else round(time_s, 2)
 
 
 def closest_m(positions_enu_m: FloatArray) -> float:
-    """Smallest distance of any two vehicles at any time (ticks, n, 3)."""
+    """Smallest distance of any two vehicles over all times; positions are (ticks, n, 3)."""
     n = positions_enu_m.shape[1]
     smallest = np.inf
-    for k in range(1, n):  # each against all after it: no (ticks, n, n) at once
+    for k in range(1, n):  # one offset at a time: (ticks, n, n) would not fit in memory
         apart = positions_enu_m[:, k:] - positions_enu_m[:, :-k]
         smallest = min(smallest, float(np.einsum("tij,tij->ti", apart, apart).min()))
     return float(np.sqrt(smallest))

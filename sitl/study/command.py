@@ -1,34 +1,34 @@
-"""`sitl study`: fly it, write its folder, and say what came out."""
+"""`sitl study`: fly the study, write its folder, and print the results."""
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Sequence
-from datetime import datetime
 from pathlib import Path
 from textwrap import fill
 
 from msgspec import Struct
 
-from sitl.ending import EXIT_DONE
-from sitl.paper.claims import Claim
-from sitl.share import ShareProgress
+from sitl.errors import EXIT_DONE
+from sitl.paper.claim import Claim
+from sitl.report.folder import results_folder
+from sitl.report.share import ShareProgress
+from sitl.report.summary import write_json
 from sitl.stopping import StopRequest
 from sitl.study.goals import goal_claims
 from sitl.study.large import Spectra, large_spectra
 from sitl.study.study import Study, run_study
-from sitl.study.table import in_a_table
-from sitl.summary import write_json
+from sitl.study.table import table_text
 
 SCHEMA = 1
 WIDTH = 120
 SHOWN = ("chain-4", "chain-16", "ring-16", "grid-10x10")
 DRAWN = ("chain-16", "ring-16", "grid-10x10")
-SPECTRA_SHARE = 0.1  # of the time
+SPECTRA_SHARE = 0.1  # of the run time
 
 
-class PastThePaper(Struct, frozen=True, kw_only=True):
-    """study.json."""
+class StudyReport(Struct, frozen=True, kw_only=True):
+    """Content of study.json."""
 
     schema: int = SCHEMA
     claims: list[Claim]
@@ -37,43 +37,44 @@ class PastThePaper(Struct, frozen=True, kw_only=True):
 
 
 def run_study_command(arguments: argparse.Namespace) -> int:
-    """The exit code. Raises what sitl/ending.py puts into words."""
-    folder: Path = arguments.out or Path("runs") / f"study-{datetime.now():%Y%m%d-%H%M%S}"
-    folder.mkdir(parents=True, exist_ok=True)
+    """Run the command and return the exit code. Raises the errors that sitl/cli/ending.py reports."""
+    folder = results_folder(arguments.out, "study")
     with StopRequest("stopped; nothing was written", at_once=True), ShareProgress(arguments.quiet) as progress:
-        progress.begin("past the paper")
-        found = past_the_paper(arguments.full, progress.show)
-    write_json(folder / "study.json", found)
-    draw(folder, found)
-    print(f"{in_a_table(found.study.quiet, SHOWN)}\n\n{_in_words(found.claims)}\n\nresults in {folder}")
+        progress.begin("study")
+        report = study_report(arguments.full, progress.show)
+    write_json(folder / "study.json", report)
+    draw(folder, report)
+    print(f"{table_text(report.study.quiet, SHOWN)}\n\n{_claims_text(report.claims)}\n\nresults in {folder}")
     return EXIT_DONE
 
 
-def past_the_paper(full: bool, progress: Callable[[float], None]) -> PastThePaper:
-    """All of it; `progress` is told the share done."""
+def study_report(full: bool, progress: Callable[[float], None]) -> StudyReport:
+    """Compute all spectra and fly all flights. Calls `progress` with the share done, 0 to 1."""
     spectra = large_spectra(lambda share: progress(SPECTRA_SHARE * share))
     study = run_study(full, lambda share: progress(SPECTRA_SHARE + (1.0 - SPECTRA_SHARE) * share))
-    return PastThePaper(claims=goal_claims(study), study=study, smallest_eigenvalues=spectra)
+    return StudyReport(claims=goal_claims(study), study=study, smallest_eigenvalues=spectra)
 
 
-def draw(folder: Path, found: PastThePaper) -> None:
-    """trade_off.png and spectra.png."""
-    from sitl.study.figures import save_spectra, save_trade_off  # matplotlib takes its time
+def draw(folder: Path, report: StudyReport) -> None:
+    """Write trade_off.png and spectra.png."""
+    from sitl.study.figures import save_spectra, save_trade_off  # importing matplotlib is slow
 
-    save_trade_off(folder / "trade_off.png", found.study.quiet, DRAWN)
-    save_spectra(folder / "spectra.png", found.smallest_eigenvalues)
+    save_trade_off(folder / "trade_off.png", report.study.quiet, DRAWN)
+    save_spectra(folder / "spectra.png", report.smallest_eigenvalues)
 
 
-def _in_words(claims: Sequence[Claim]) -> str:
+def _claims_text(claims: Sequence[Claim]) -> str:
     return "\n\n".join(
-        "\n".join([f"{claim.verdict}: {claim.claim}", *(_indented(part) for part in (_found(claim), claim.remark))])
+        "\n".join(
+            [f"{claim.verdict}: {claim.claim}", *(_indented(part) for part in (_results_text(claim), claim.remark))]
+        )
         for claim in claims
     )
 
 
-def _indented(words: str) -> str:
-    return fill(words, WIDTH, initial_indent="  ", subsequent_indent="  ")
+def _indented(text: str) -> str:
+    return fill(text, WIDTH, initial_indent="  ", subsequent_indent="  ")
 
 
-def _found(claim: Claim) -> str:
+def _results_text(claim: Claim) -> str:
     return claim.full if claim.ideal == "-" else f"without noise: {claim.ideal}; with noise: {claim.full}"

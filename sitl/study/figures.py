@@ -9,32 +9,32 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from sitl.plots import COLOURS, MARKERS, STYLES
-from sitl.shapes import SPACING_M
+from sitl.report.plots import COLOURS, MARKERS, STYLES
 from sitl.study.cases import Figures
 from sitl.study.settings import COOPERATIVE, SETTINGS, Setting
+from sitl.study.shapes import SPACING_M
 
 NEVER_LABEL = "not settled"
 
 
 def save_trade_off(path: Path, flights: Sequence[Figures], shapes: Sequence[str]) -> None:
-    """One panel a shape: x is the time to settle, y how far the worst pair of neighbours was off its wanted distance."""
+    """One panel per shape: x is the settle time, y the largest deviation of a neighbour distance from the desired one."""
     figure = Figure(figsize=(13.0, 6.4), layout="constrained")
-    figure.suptitle("Settling against the worst inter-distance, full quadrotor model, a step of 1 m", fontsize=13)
+    figure.suptitle("Settle time and worst inter-distance, full quadrotor model, step of 1 m", fontsize=13)
     panels = figure.subplots(1, len(shapes), squeeze=False)[0]
     for axes, shape in zip(panels, shapes, strict=True):
         _draw_trade_off(axes, [f for f in flights if f.shape == shape])
         axes.set_title(shape)
-    panels[0].set_ylabel("worst deviation of a neighbour's distance\nfrom the wanted one [m]")
+    panels[0].set_ylabel("largest deviation of a neighbour distance\nfrom the desired one [m]")
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=10, frameon=False)
     figure.savefig(path, dpi=130)
 
 
 def _draw_trade_off(axes: Axes, flights: Sequence[Figures]) -> None:
-    flown = {f.setting: f for f in reversed(flights)}  # of two of the same, the first: all are as long
+    flown = {f.setting: f for f in reversed(flights)}  # the first flight of each setting: these have the same duration
     duration_s = flights[0].duration_s
-    never_s, right_s = duration_s * 1.6, duration_s * 2.56  # in the middle of a strip, as wide as its words
+    never_s, right_s = duration_s * 1.6, duration_s * 2.56  # middle and right end of the strip, as wide as its label
     for setting in SETTINGS:
         if setting.label in flown:
             _draw_setting(axes, setting, flown[setting.label], never_s)
@@ -44,7 +44,7 @@ def _draw_trade_off(axes: Axes, flights: Sequence[Figures]) -> None:
     axes.text(
         0.02,
         SPACING_M,
-        " one spacing: neighbours may touch",
+        " one spacing: neighbours may collide",
         transform=axes.get_yaxis_transform(),
         va="bottom",
         fontsize=9,
@@ -61,7 +61,7 @@ def _draw_trade_off(axes: Axes, flights: Sequence[Figures]) -> None:
     )
     axes.set_xlim(right=right_s)
     bottom, top = axes.get_ylim()
-    axes.set_ylim(top=top * (top / bottom) ** 0.12)  # room above every marker for what the grey strip is
+    axes.set_ylim(top=top * (top / bottom) ** 0.12)  # room above every marker for the label of the grey strip
     axes.xaxis.set_major_locator(LogLocator(10.0, subs=(1.0, 2.0, 5.0)))
     axes.xaxis.set_major_formatter("{x:g}")
     axes.xaxis.set_minor_formatter(NullFormatter())
@@ -82,33 +82,33 @@ def _draw_setting(axes: Axes, setting: Setting, flown: Figures, never_s: float) 
         markeredgecolor="black",
         markeredgewidth=0.7,
         label=setting.label,
-        zorder=2.5 if chosen else 3,  # the largest below the others, that it hides none
+        zorder=2.5 if chosen else 3,  # the largest marker below the others, so that it hides none
     )
 
 
 def _look(setting: Setting) -> tuple[str, str]:
-    """Filled by family, so that grey tells them apart: the paper's laws white, parts of cooperative grey, the rest dark."""
-    place = SETTINGS.index(setting)
+    """Fill colour and marker. The fill shows the family: paper's laws, single parts of cooperative, combinations, variants."""
+    index = SETTINGS.index(setting)
     if setting.law.name != "cooperative" and not setting.is_part and "+" not in setting.label:
-        return "#ffffff", MARKERS[place % len(MARKERS)]
+        return "#ffffff", MARKERS[index % len(MARKERS)]
     if setting.law.name == "weighted":
-        return "#E69F00" if setting.is_part else "#56B4E9", MARKERS[place % len(MARKERS)]
-    return "#0072B2", MARKERS[place % len(MARKERS)]
+        return "#E69F00" if setting.is_part else "#56B4E9", MARKERS[index % len(MARKERS)]
+    return "#0072B2", MARKERS[index % len(MARKERS)]
 
 
 def save_spectra(path: Path, spectra: Mapping[str, Mapping[str, Sequence[tuple[int, float]]]]) -> None:
-    """lambda_min against the number of vehicles; `spectra`: kind of shape -> law -> (vehicles, lambda_min)."""
+    """lambda_min over the number of vehicles. `spectra`: kind of shape -> law -> (vehicles, lambda_min)."""
     figure = Figure(figsize=(13.0, 5.0), layout="constrained")
-    figure.suptitle("Smallest eigenvalue of the interaction matrix, up to 10,000 vehicles", fontsize=13)
+    figure.suptitle("Smallest eigenvalue of the interaction matrix for up to 10,000 vehicles", fontsize=13)
     panels = figure.subplots(1, len(spectra), squeeze=False, sharey=True)[0]
     for axes, (kind, laws) in zip(panels, spectra.items(), strict=True):
-        for place, (law, points) in enumerate(laws.items()):
+        for index, (law, points) in enumerate(laws.items()):
             axes.loglog(
                 [n for n, _ in points],
                 [value for _, value in points],
-                color=COLOURS[place],
-                linestyle=STYLES[place % len(STYLES)],
-                marker=MARKERS[place],
+                color=COLOURS[index],
+                linestyle=STYLES[index % len(STYLES)],
+                marker=MARKERS[index],
                 label=law,
             )
         axes.set_title(kind)

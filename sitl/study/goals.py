@@ -1,4 +1,4 @@
-"""What `cooperative` is to reach, as claims with a verdict, from the flights of the study."""
+"""Goals of the law `cooperative` as claims with verdicts, from the flights of the study."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 from companion.assembly import law_of
 from companion.config.fleet import Envelope
-from companion.core.settling import SETTLED_WITHIN_M
-from companion.types import GRAVITY_M_S2
-from sitl.paper.claims import Claim, Verdict
+from companion.stability.settling import SETTLED_WITHIN_M
+from companion.types.vectors import GRAVITY_M_S2
+from sitl.paper.claim import Claim, Verdict
 from sitl.study.cases import Figures
 from sitl.study.pairs import Pair
 from sitl.study.plan import GOAL_SHAPES
@@ -19,11 +19,11 @@ from sitl.study.settings import AVERAGE_22, COOPERATIVE, MAIN, WEIGHTED, Setting
 from sitl.study.study import Study
 
 SOONER_THAN_AVERAGE, SOONER_THAN_WEIGHTED = 20.0, 10.0
-KEYS = ("average_22", "weighted", "cooperative")  # of MAIN, in `measured`
+KEYS = ("average_22", "weighted", "cooperative")  # names of MAIN in `measured`
 
 
 class Settling(NamedTuple):
-    """`value_s` is a lower bound where it has not settled."""
+    """A settle time. `value_s` is a lower bound where the flight has not settled."""
 
     value_s: float
     settled: bool
@@ -33,7 +33,7 @@ class Settling(NamedTuple):
 
 
 class Laws(NamedTuple):
-    """How long the three of MAIN took to settle."""
+    """Settle times of the three laws of MAIN."""
 
     average: Settling
     weighted: Settling
@@ -58,15 +58,15 @@ class Laws(NamedTuple):
         )
 
     @property
-    def in_words(self) -> str:
-        return f"{self}, {'enough for the goal' if self.reach_the_goal else 'which misses the goal'}"
+    def with_result(self) -> str:
+        return f"{self}, {'which meets the goal' if self.reach_the_goal else 'which misses the goal'}"
 
     def measured(self, air: str) -> dict[str, float]:
         return {k: v for law, t in zip(KEYS, self, strict=True) for k, v in _measured(f"{air}_{law}", t).items()}
 
 
 def goal_claims(study: Study) -> list[Claim]:
-    """Three for each of the goals' shapes: settling, distances, and bad links."""
+    """Three claims for each shape of the goals: settle time, distances, and bad links."""
     claims = []
     for shape in GOAL_SHAPES:
         quiet = [f for f in study.quiet if f.shape == shape.name]
@@ -85,23 +85,23 @@ def _sooner(shape: str, quiet: Sequence[Figures], noisy: Sequence[Pair], with_dr
     transient = Laws(*(_transient(noisy, setting) for setting in MAIN))
     banded = _laws([pair.step for pair in noisy])
     rest_m = [_rest_m(noisy, setting) for setting in MAIN]
-    beside = [dragged, banded] if _tells_something(noisy) else [dragged]
+    secondary = [dragged, banded] if _step_exceeds_band(noisy) else [dragged]
     return Claim(
         id=f"{shape}-sooner",
-        where="past the paper",
-        claim=f"{shape} settles at least {SOONER_THAN_AVERAGE:.0f} times sooner under cooperative than under eq. 22, and "
-        f"{SOONER_THAN_WEIGHTED:.0f} times sooner than under the paper's law",
+        where="beyond the paper",
+        claim=f"{shape} settles at least {SOONER_THAN_AVERAGE:.0f} times faster under cooperative than under eq. 22, and "
+        f"{SOONER_THAN_WEIGHTED:.0f} times faster than under the paper's law",
         paper=f"{SOONER_THAN_AVERAGE:.0f} times, {SOONER_THAN_WEIGHTED:.0f} times",
         ideal=str(calm),
         full=str(transient),
         verdict=_verdict(
-            calm.reach_the_goal and transient.reach_the_goal, all(times.reach_the_goal for times in beside)
+            calm.reach_the_goal and transient.reach_the_goal, all(times.reach_the_goal for times in secondary)
         ),
-        remark=f"Times of eq. 22, weighted, cooperative. Without noise: to {quiet[0].within_m:g} m. With noise, median of "
-        f"{_count(noisy)} seeds: until a flight with the step stays within {SETTLED_WITHIN_M:g} m of the same flight at rest. "
-        f"The same noise acts on both, so this is the step's alone. {_why_not_the_band(noisy, rest_m)} "
-        f"{_into_the_band(noisy, banded)} All this without drag, as eq. 2; with the default airframe's drag and without noise: "
-        f"{dragged.in_words}.",
+        remark=f"Times of eq. 22, weighted, cooperative. Without noise: settled to {quiet[0].within_m:g} m. With noise, median "
+        f"of {_count(noisy)} seeds: time after which the flight with the step stays within {SETTLED_WITHIN_M:g} m of the same "
+        f"flight at rest. Both have the same noise, so the difference is the effect of the step alone. "
+        f"{_why_not_the_band(noisy, rest_m)} {_into_the_band(noisy, banded)} All flights are without drag, as eq. 2. With the "
+        f"drag of the default airframe and without noise: {dragged.with_result}.",
         measured=calm.measured("quiet")
         | transient.measured("noisy_transient")
         | banded.measured("noisy_band")
@@ -112,26 +112,26 @@ def _sooner(shape: str, quiet: Sequence[Figures], noisy: Sequence[Pair], with_dr
 
 
 def _why_not_the_band(noisy: Sequence[Pair], rest_m: Sequence[float]) -> str:
-    """Why the verdict is of the transient, with the figures that say how much or little the band does."""
+    """Text: why the verdict is on the transient, with the figures of the band and of the step."""
     band_m, step_m = noisy[0].step.within_m, noisy[0].step.step_m
     most_m = GRAVITY_M_S2 * tan(radians(Envelope().max_tilt_deg)) / law_of(COOPERATIVE.law).gains.position_1_s2
     errors = ", ".join(f"{value:.2f}" for value in rest_m)
     return (
-        f"The verdict is of that, not of a band, for noise alone keeps the three up to {errors} m off their places at rest: "
-        f"the band that all settle into is {band_m:.2f} m, {_percent(band_m / step_m)} of the step, and a step of more than "
-        f"{most_m:.1f} m would meet the limit of the leader's tilt."
+        f"The verdict is on this time, not on a band: noise alone causes errors of up to {errors} m at rest, so the band that "
+        f"all laws settle into is {band_m:.2f} m, {_percent(band_m / step_m)} of the step. A step of more than {most_m:.1f} m "
+        "would reach the tilt limit of the leader."
     )
 
 
-def _tells_something(pairs: Sequence[Pair]) -> bool:
-    """Of the band: it does where the step leads out of it."""
+def _step_exceeds_band(pairs: Sequence[Pair]) -> bool:
+    """Whether the step leads out of the band, so that the time into the band is meaningful."""
     return all(pair.step.within_m < abs(pair.step.step_m) for pair in pairs)
 
 
 def _into_the_band(noisy: Sequence[Pair], banded: Laws) -> str:
-    if _tells_something(noisy):
-        return f"Into that band: {banded.in_words}."
-    return f"All begin inside that band; from when on they stay in it: {banded.times}."
+    if _step_exceeds_band(noisy):
+        return f"Times into that band: {banded.with_result}."
+    return f"All flights start inside that band; times after which they stay in it: {banded.times}."
 
 
 def _distances(shape: str, quiet: Sequence[Figures], noisy: Sequence[Pair]) -> Claim:
@@ -139,15 +139,15 @@ def _distances(shape: str, quiet: Sequence[Figures], noisy: Sequence[Pair]) -> C
     misses = [*_misses("without noise", quiet), *_misses("with noise", steps)]
     return Claim(
         id=f"{shape}-distances",
-        where="past the paper",
-        claim=f"{shape}: under cooperative the largest distance of neighbours is smaller, and the smallest larger, than under "
-        "both",
+        where="beyond the paper",
+        claim=f"{shape}: under cooperative the largest neighbour distance is smaller, and the smallest larger, than under "
+        "both other laws",
         paper="smaller, larger",
         ideal=_extremes(quiet),
         full=_extremes(steps),
         verdict=_verdict(not misses),
-        remark="Largest / smallest of neighbours that are wanted 1.5 m apart: eq. 22, weighted, cooperative; with noise the "
-        f"median of the seeds. What the noise alone does, without any step: {_extremes(rests)}."
+        remark="Largest / smallest distance of neighbours with a desired distance of 1.5 m: eq. 22, weighted, cooperative; "
+        f"with noise the median of the seeds. With noise alone, without a step: {_extremes(rests)}."
         + (f" Missed {'; '.join(misses)}." if misses else ""),
         measured={
             f"{air}_{law}_{end}_m": value
@@ -167,20 +167,20 @@ def _bad_links(shape: str, noisy: Sequence[Pair], disturbed: Sequence[Pair]) -> 
     links = disturbed[0].step
     return Claim(
         id=f"{shape}-bad-links",
-        where="past the paper",
-        claim=f"{shape} with {_percent(links.peer_loss)} of the packets lost and the rest {1000 * links.peer_delay_s:.0f} ms "
-        "late: cooperative beats the paper's law undisturbed",
-        paper="sooner, and better distances",
+        where="beyond the paper",
+        claim=f"{shape}: cooperative with {_percent(links.peer_loss)} packet loss and {1000 * links.peer_delay_s:.0f} ms delay "
+        "is better than the paper's law with undisturbed links",
+        paper="faster, and better distances",
         ideal="-",
         full=f"{ours}, {ours_m[0]:.2f}/{ours_m[1]:.2f} m against {papers}, {papers_m[0]:.2f}/{papers_m[1]:.2f} m",
         verdict=_verdict(
             better and _is_sooner(ours, papers),
-            not _tells_something(disturbed) or _is_sooner(ours_in_band, papers_in_band),
+            not _step_exceeds_band(disturbed) or _is_sooner(ours_in_band, papers_in_band),
         ),
-        remark=f"Default noise for both. Times until a flight with the step stays within {SETTLED_WITHIN_M:g} m of the same "
-        f"flight at rest; into the band of {links.within_m:.2f} m that all settle into: {ours_in_band} against "
-        f"{papers_in_band}. At rest noise keeps them up to {_rest_m(disturbed, COOPERATIVE):.2f} m and "
-        f"{_rest_m(noisy, WEIGHTED):.2f} m off their places.",
+        remark=f"Default noise for both. Times after which a flight with the step stays within {SETTLED_WITHIN_M:g} m of the "
+        f"same flight at rest. Times into the band of {links.within_m:.2f} m that all laws settle into: {ours_in_band} and "
+        f"{papers_in_band}. Noise alone causes errors of up to {_rest_m(disturbed, COOPERATIVE):.2f} m and "
+        f"{_rest_m(noisy, WEIGHTED):.2f} m at rest.",
         measured=_measured("cooperative_disturbed_transient", ours)
         | _measured("weighted_undisturbed_transient", papers)
         | _measured("cooperative_disturbed_band", ours_in_band)
@@ -195,15 +195,15 @@ def _bad_links(shape: str, noisy: Sequence[Pair], disturbed: Sequence[Pair]) -> 
     )
 
 
-def _verdict(holds: bool, everywhere: bool = True) -> Verdict:
-    """`everywhere`: in the measures beside, too, which the remark names."""
+def _verdict(holds: bool, secondary_hold: bool = True) -> Verdict:
+    """HOLDS where also the secondary figures that the remark names reach the goal, else CONDITION or FAILS."""
     if not holds:
         return Verdict.FAILS
-    return Verdict.HOLDS if everywhere else Verdict.CONDITION
+    return Verdict.HOLDS if secondary_hold else Verdict.CONDITION
 
 
 def _of(flights: Sequence[Figures], setting: Setting) -> list[Figures]:
-    """Those of one setting; where a flight was flown again for longer, the longest alone."""
+    """The flights of one setting; where some are longer, only the longest."""
     own = [f for f in flights if f.setting == setting.label]
     return [f for f in own if f.duration_s == max(g.duration_s for g in own)]
 
@@ -223,7 +223,7 @@ def _transient(pairs: Sequence[Pair], setting: Setting) -> Settling:
 
 
 def _median(times_s: Sequence[float | None], duration_s: float) -> Settling:
-    """Over the seeds; most must have settled, and for the others stands how long was flown."""
+    """Median over the seeds, with `duration_s` for flights that have not settled. More than half must have settled."""
     value_s = median(duration_s if time_s is None else time_s for time_s in times_s)
     return Settling(round(max(value_s, 0.02), 2), sum(time_s is not None for time_s in times_s) * 2 > len(times_s))
 
@@ -233,12 +233,12 @@ def _is_sooner(ours: Settling, others: Settling) -> bool:
 
 
 def _measured(name: str, settling: Settling) -> dict[str, float]:
-    """In JSON null where it did not settle: how long was flown is no time to settle."""
+    """Entries of `measured`; an infinite time (null in JSON) where it has not settled."""
     return {f"{name}_s": settling.value_s if settling.settled else inf, f"{name}_settled": settling.settled}
 
 
 def _rest_m(pairs: Sequence[Pair], setting: Setting) -> float:
-    """The largest error of any vehicle and seed at rest."""
+    """Largest error of any vehicle over all seeds at rest."""
     return max(pair.rest_error_m for pair in pairs if pair.rest.setting == setting.label)
 
 
@@ -253,7 +253,7 @@ def _extremes(flights: Sequence[Figures]) -> str:
 
 
 def _misses(air: str, flights: Sequence[Figures]) -> list[str]:
-    """In millimetres, since it may be by few."""
+    """Texts on the distances in which `cooperative` is not better, to the millimetre."""
     largest_m, smallest_m = _extreme_m(flights, COOPERATIVE)
     found = []
     for name, setting in (("eq. 22", AVERAGE_22), ("weighted", WEIGHTED)):

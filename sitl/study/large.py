@@ -1,4 +1,4 @@
-"""Smallest eigenvalues of formations of up to 10,000 vehicles, which no batch could fly."""
+"""Smallest eigenvalues of formations of up to 10,000 vehicles, which are too large for a flight."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from math import isqrt
 
 import numpy as np
 
-from companion.core.formation import FormationLaw, average_22, average_26, cooperative, weighted
-from sitl.shapes import LEADER, Shape, chain, grid, random_geometric, ring
-from sitl.spectra import lambda_min, mu_min
+from companion.core.consensus.law import FormationLaw, average_22, average_26, cooperative, weighted
+from sitl.study.shapes import LEADER, Shape, chain, grid, random_geometric, ring
+from sitl.study.spectra import lambda_min, mu_min
 
 SIZES = (4, 16, 64, 256, 1024, 4096, 10_000)
 SEED = 1
@@ -19,7 +19,7 @@ LAWS: dict[str, FormationLaw] = {
     "weighted (the paper)": weighted(),
     "cooperative": cooperative(),
 }
-WITH_FEEDFORWARD = "cooperative, as fed forward"  # the smallest eigenvalue of (I - g W)^-1 G, which then sets the rate
+WITH_FEEDFORWARD = "cooperative, with feed-forward"  # the smallest eigenvalue of (I - g W)^-1 G, which sets the rate
 
 Spectra = dict[str, dict[str, list[tuple[int, float]]]]  # kind of shape -> law -> (vehicles, smallest eigenvalue)
 
@@ -36,7 +36,7 @@ KINDS: dict[str, Callable[[int], Shape]] = {"chain": chain, "ring": ring, "squar
 
 
 def large_spectra(progress: Callable[[float], None]) -> Spectra:
-    """Of every kind, size and law."""
+    """Smallest eigenvalues for every kind of shape, size and law."""
     found: Spectra = {kind: {label: [] for label in (*LAWS, WITH_FEEDFORWARD)} for kind in KINDS}
     done = 0
     for kind, shape_of in KINDS.items():

@@ -1,6 +1,6 @@
-"""Flights with noise, each flown twice under the same noise: with the step and at rest. What differs is the step's alone.
+"""Flights with noise, each flown twice with the same noise: with the step and at rest. They differ by the effect of the step.
 
-The estimators' errors, and which packets are lost, come out of the seed and of nothing that the vehicles do.
+Estimator errors and packet losses depend on the seed alone, not on the motion of the vehicles.
 """
 
 from __future__ import annotations
@@ -12,20 +12,20 @@ import msgspec
 import numpy as np
 from msgspec import Struct
 
-from companion.core.arrays import FloatArray
-from companion.core.settling import SETTLED_WITHIN_M
+from companion.stability.arrays import FloatArray
+from companion.stability.settling import SETTLED_WITHIN_M
 from sitl.batch.flight import BatchFlight, fly_batch
 from sitl.study.cases import Case, Figures, figures_of, settled_s
-from sitl.workers import tell
+from sitl.workers import report_progress
 
-BAND_MARGIN_M = 0.05  # above the largest error that was seen without any step
+BAND_MARGIN_M = 0.05  # above the largest error at rest
 
 
 class Pair(Struct, frozen=True, kw_only=True):
-    """One case under one seed, with the step and without.
+    """One case with one seed, with the step and at rest.
 
-    `transient_s`: from when on nobody is farther than SETTLED_WITHIN_M from where the flight at rest has it, moved by the step.
-    `rest_error_m`: the largest error of any vehicle at rest.
+    `transient_s`: time after which all vehicles stay within SETTLED_WITHIN_M of the flight at rest, shifted by the step.
+    `rest_error_m`: largest error of any vehicle at rest.
     """
 
     step: Figures
@@ -36,7 +36,7 @@ class Pair(Struct, frozen=True, kw_only=True):
 
 @dataclass(frozen=True, slots=True)
 class FlownPair:
-    """A pair before the band is known that its flights settle into; `*_worst_m` (ticks,) are the largest errors."""
+    """A pair before the band for its settle times is known. `*_worst_m` (ticks,) are the largest errors over time."""
 
     pair: Pair
     times_s: FloatArray
@@ -53,9 +53,11 @@ class FlownPair:
 
 
 def fly_pairs(cases: Sequence[Case], duration_s: float) -> list[FlownPair]:
-    """Cases of one shape, and each of them at rest, together."""
+    """Fly cases of one shape, and each of them at rest, in one batch."""
     flown = [*cases, *(replace(case, step_m=0.0) for case in cases)]
-    flight = fly_batch([case.scenario() for case in flown], duration_s, lambda flown_s: tell(flown_s / duration_s))
+    flight = fly_batch(
+        [case.scenario() for case in flown], duration_s, lambda flown_s: report_progress(flown_s / duration_s)
+    )
     worst_m = flight.errors_m().max(axis=2)
     figures = [figures_of(case, flight, worst_m[:, k], k, SETTLED_WITHIN_M) for k, case in enumerate(flown)]
     return [
@@ -75,7 +77,7 @@ def fly_pairs(cases: Sequence[Case], duration_s: float) -> list[FlownPair]:
 
 
 def band_m(flown: Sequence[FlownPair]) -> float:
-    """That all of these can settle into: the largest error of any at rest, and a margin."""
+    """The band that all flights can settle into: the largest error at rest plus a margin."""
     return round(max(one.pair.rest_error_m for one in flown) + BAND_MARGIN_M, 3)
 
 

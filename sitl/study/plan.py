@@ -1,4 +1,4 @@
-"""What the study flies: which shapes under which settings, for how long, and in what air."""
+"""The flights of the study: shapes, settings, durations, noise, drag and links."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sitl.config import Airframe, Links
-from sitl.shapes import Shape, chain, grid, random_geometric, ring
 from sitl.study.cases import BAD_LINKS, GOOD_LINKS, Case, Sensing
 from sitl.study.settings import COOPERATIVE, MAIN, SETTINGS, Setting
+from sitl.study.shapes import Shape, chain, grid, random_geometric, ring
+from sitl.vehicle.config import Airframe, Links
 
 SHAPES_SEED = 1
 GOAL_SHAPES = (chain(16), grid(10, 10))
@@ -18,20 +18,20 @@ LARGE = 50  # vehicles; from here on a batch holds fewer formations
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """Cases of one shape that fly together."""
+    """Cases of one shape that fly in one batch."""
 
     cases: tuple[Case, ...]
     duration_s: float
 
     @property
     def work(self) -> float:
-        """Roughly how long it takes, to fly the longest first and for the progress line."""
+        """Estimate of the run time, to start the longest batch first and for the progress line."""
         n = len(self.cases[0].shape.slots_enu_m)
         return self.duration_s * (20.0 + len(self.cases) * n * (1.0 + n / 20.0))
 
 
 def shapes(full: bool) -> list[Shape]:
-    """Random ones come out of SHAPES_SEED."""
+    """All shapes. SHAPES_SEED determines the random ones."""
     generator = np.random.default_rng(SHAPES_SEED)
     found = [chain(4), chain(16), ring(16), grid(4, 4), random_geometric(16, generator), grid(10, 10)]
     if full:
@@ -47,19 +47,19 @@ def shapes(full: bool) -> list[Shape]:
 
 
 def quiet_batches(full: bool, duration_s: float) -> list[Batch]:
-    """Every shape under every setting, without noise: attitude lag and the links of one machine."""
+    """Every shape with every setting, without noise: attitude lag and ideal links."""
     return [
         batch for shape in shapes(full) for batch in _split([Case(shape, setting) for setting in SETTINGS], duration_s)
     ]
 
 
 def long_batches(duration_s: float) -> list[Batch]:
-    """The goals' shapes under the main laws, long enough to see the slow ones settle."""
+    """The shapes of the goals with the main laws, long enough for the slow ones to settle."""
     return [Batch(tuple(Case(shape, setting) for setting in MAIN), duration_s) for shape in GOAL_SHAPES]
 
 
 def drag_batches(duration_s: float) -> list[Batch]:
-    """The goals' shapes under the main laws, with the drag that a real airframe has: it damps what the law does not."""
+    """The shapes of the goals with the main laws and the drag of the default airframe, which adds damping."""
     drag = Airframe().drag_n_per_m_s
     return [
         Batch(tuple(Case(shape, setting, drag_n_per_m_s=drag) for setting in MAIN), duration_s) for shape in GOAL_SHAPES
@@ -67,7 +67,7 @@ def drag_batches(duration_s: float) -> list[Batch]:
 
 
 def noisy_batches(seeds: int, sensors: Sensing, duration_s: float) -> list[Batch]:
-    """The goals' shapes with noise under the main laws, to be flown in pairs."""
+    """The shapes of the goals with the main laws and noise, to be flown in pairs."""
     return [
         batch
         for shape in GOAL_SHAPES
@@ -77,7 +77,7 @@ def noisy_batches(seeds: int, sensors: Sensing, duration_s: float) -> list[Batch
 
 
 def disturbed_batches(seeds: int, sensors: Sensing, duration_s: float) -> list[Batch]:
-    """The same with packets lost and late, under `cooperative`."""
+    """The same under `cooperative`, with packet loss and delay."""
     return [
         batch
         for shape in GOAL_SHAPES
@@ -90,7 +90,7 @@ def _cases(shape: Shape, setting: Setting, sensors: Sensing, links: Links, seeds
 
 
 def _seeds(shape: Shape, seeds: int) -> range:
-    """Fewer for large shapes, which have many vehicles to draw noise for anyhow."""
+    """Seeds from 1; half as many for large shapes, which have many vehicles with noise of their own."""
     return range(1, (max(1, seeds // 2) if _is_large(shape) else seeds) + 1)
 
 
@@ -99,7 +99,7 @@ def _split(cases: list[Case], duration_s: float) -> list[Batch]:
 
 
 def _pairs(cases: list[Case], duration_s: float) -> list[Batch]:
-    """Each case flies twice, and long."""
+    """Smaller batches: each case flies twice, and for longer."""
     return _in_batches_of(4 if _is_large(cases[0].shape) else 8, cases, duration_s)
 
 

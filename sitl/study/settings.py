@@ -1,4 +1,4 @@
-"""The settings of the law that are compared: the paper's laws, each part of `cooperative` alone, and all together."""
+"""The compared settings of the law: the paper's laws, each part of `cooperative` alone, and combinations."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ FED_FORWARD = 0.9
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """`label` says in a few words what it is; `is_part` marks what differs from the paper's law in one part alone."""
+    """A law with its label. `is_part` marks a setting that differs from the paper's law in one part."""
 
     label: str
     law: Law
@@ -36,13 +36,13 @@ SETTINGS: tuple[Setting, ...] = (
     WEIGHTED,
     Setting("a: exponent 8", _weighted(exponent=SHARPER), is_part=True),
     Setting("b: K = (2, 2.4)", _weighted(gains=DESIGNED), is_part=True),
-    Setting("c: fed forward 0.9", _weighted(feedforward=FED_FORWARD), is_part=True),
-    Setting("d: leader alone", _weighted(leader_heeds_neighbours=False), is_part=True),
+    Setting("c: feed-forward 0.9", _weighted(feedforward=FED_FORWARD), is_part=True),
+    Setting("d: leader uncoupled", _weighted(leader_uses_neighbours=False), is_part=True),
     Setting("a + b", _weighted(exponent=SHARPER, gains=DESIGNED)),
     Setting("a + c", _weighted(exponent=SHARPER, feedforward=FED_FORWARD)),
     Setting("b + c", _weighted(gains=DESIGNED, feedforward=FED_FORWARD)),
     COOPERATIVE,
-    Setting("cooperative, leader alone", Law(name="cooperative", leader_heeds_neighbours=False)),
+    Setting("cooperative, leader uncoupled", Law(name="cooperative", leader_uses_neighbours=False)),
     Setting("cooperative, g = 0.6", Law(name="cooperative", feedforward=0.6)),
     Setting("cooperative, g = 0.8", Law(name="cooperative", feedforward=0.8)),
     Setting("cooperative, exponent 4", Law(name="cooperative", exponent=4.0)),
@@ -52,9 +52,9 @@ SETTINGS: tuple[Setting, ...] = (
 )
 
 
-def in_short(setting: Setting) -> str:
-    """Every number of the law, for tables."""
+def parameters_text(setting: Setting) -> str:
+    """All parameters of the law, for tables."""
     law = law_of(setting.law)
-    leader = "" if law.leader_heeds_neighbours else ", leader alone"
+    leader = "" if law.leader_uses_neighbours else ", leader uncoupled"
     gains = f"K = ({law.gains.position_1_s2:g}, {law.gains.velocity_1_s:g})"
     return f"alpha {law.exponent:g}, {gains}, g {law.feedforward:g}{leader}"

@@ -1,4 +1,4 @@
-"""Flies the plan of the study on all cores and gathers its figures."""
+"""Flies the plan of the study on all cores and collects the figures."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from sitl.workers import in_processes
 
 One = TypeVar("One")
 Progress = Callable[[float], None]  # share done, 0 to 1
-QUIET_SHARE = 0.5  # of the time
+QUIET_SHARE = 0.5  # of the run time
 
 QUIET_S = 120.0
-NOISY_S = 300.0  # the same for all: what noise does at worst grows with the time
+NOISY_S = 300.0  # the same for all flights: the largest error from noise grows with the duration
 LONG_S, LONG_FULL_S = 300.0, 1500.0
 SEEDS, SEEDS_FULL = 4, 16
 
 
 class Study(Struct, frozen=True, kw_only=True):
-    """All flights. `bands_m`: for each of the goals' shapes, the band that default noise lets every law settle into."""
+    """All flights. `bands_m`: for each shape of the goals, the band that every law can settle into with default noise."""
 
     quiet: list[Figures]
     with_drag: list[Figures]
@@ -41,7 +41,7 @@ class Study(Struct, frozen=True, kw_only=True):
 
 
 def run_study(full: bool, progress: Progress) -> Study:
-    """In two rounds: without noise; then with it, in pairs."""
+    """Fly the batches without noise, then the pairs with noise."""
     seeds = SEEDS_FULL if full else SEEDS
     quiet = [*quiet_batches(full, QUIET_S), *long_batches(LONG_FULL_S if full else LONG_S)]
     single = [*quiet, *drag_batches(QUIET_S)]

@@ -1,4 +1,4 @@
-"""The flights without noise in a table: one row a setting, one column a shape."""
+"""The flights without noise as a table: one row per setting, one column per shape."""
 
 from __future__ import annotations
 
@@ -7,21 +7,21 @@ from collections.abc import Sequence
 from sitl.study.cases import Figures
 from sitl.study.settings import SETTINGS, Setting
 
-WIDTH = 26
+LABEL_WIDTH, WIDTH = 30, 26
 
 
-def in_a_table(flights: Sequence[Figures], shapes: Sequence[str]) -> str:
-    """In each cell: settled after, and the largest and smallest distance of neighbours wanted one spacing apart."""
-    rows = [f"{'':<28}" + "".join(f"{shape:>{WIDTH}}" for shape in shapes)]
+def table_text(flights: Sequence[Figures], shapes: Sequence[str]) -> str:
+    """The table. Each cell holds the settle time, and the largest and smallest distance of neighbours one spacing apart."""
+    rows = [f"{'':<{LABEL_WIDTH}}" + "".join(f"{shape:>{WIDTH}}" for shape in shapes)]
     rows += [
-        f"{setting.label:<28}" + "".join(f"{cell:>{WIDTH}}" for cell in cells_of(flights, setting, shapes))
+        f"{setting.label:<{LABEL_WIDTH}}" + "".join(f"{cell:>{WIDTH}}" for cell in cells_of(flights, setting, shapes))
         for setting in SETTINGS
     ]
     return "\n".join(row.rstrip() for row in rows)
 
 
 def cells_of(flights: Sequence[Figures], setting: Setting, shapes: Sequence[str]) -> tuple[str, ...]:
-    """One for each shape; where a shape was flown twice the first flight counts."""
+    """One cell per shape; where a shape was flown twice, that of the first flight."""
     flown = {f.shape: f for f in reversed(flights) if f.setting == setting.label}
     return tuple(_cell(flown[shape]) for shape in shapes)
 

@@ -1,1 +1,1 @@
-"""Statistics over whole formations: every combination of some keys of a scenario, each with many seeds, in batches."""
+"""Statistics over whole formations: all combinations of varied keys of a scenario, each with many seeds, in batches."""

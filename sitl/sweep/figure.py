@@ -1,6 +1,6 @@
-"""A sweep to look at: its figures over one numeric key, or side by side where no number was varied.
+"""Plot of a sweep: its figures over one numeric key, or one row per combination where no number was varied.
 
-Readable in grey: every curve has a line style and a marker of its own besides its colour.
+Every curve has its own line style, marker and colour, so that the plot is readable in greyscale.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from sitl.plots import COLOURS, GUIDE, MARKERS, STYLES
+from sitl.report.plots import COLOURS, GUIDE, MARKERS, STYLES
 from sitl.sweep.points import Axis, Value
 from sitl.sweep.report import heading, short_name, value_text
 from sitl.sweep.statistics import Combination, Spread, Sweep
 
-MOST_CURVES, MOST_POINTS = 12, 40  # more cannot be told apart, or read
-WIDE_RATIO = 50.0  # a key whose values span more is drawn on a logarithmic scale
-MOST_LETTERS = 150  # of a line of the legend
+MOST_CURVES, MOST_POINTS = 12, 40  # more are not legible
+WIDE_RATIO = 50.0  # keys with a larger ratio of values get a logarithmic scale
+MOST_LETTERS = 150  # characters in a line of the legend
 BAND_ALPHA = 0.13
 PERCENT = (-4.0, 104.0)
 A_LITTLE_MORE = 1.06
@@ -43,7 +43,7 @@ PANELS = {
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """What is drawn as one: combinations that differ in nothing but the key along the axis."""
+    """Combinations that differ only in the key along the axis."""
 
     label: str
     combinations: list[Combination]
@@ -56,7 +56,7 @@ def save_sweep(path: Path, sweep: Sweep, axes: Sequence[Axis]) -> None:
 
 
 def _along(axes: Sequence[Axis]) -> Axis | None:
-    """The numeric key with the most values, the first of several."""
+    """The numeric key with the most values; the first where several have as many."""
     return max((axis for axis in axes if axis.is_numeric), key=lambda axis: len(axis.choices), default=None)
 
 
@@ -67,7 +67,7 @@ def _curves(sweep: Sweep, key: str) -> Figure:
     curves = curves_of(sweep, key)
     drawn = curves[:MOST_CURVES]
     shown = [one for curve in drawn for one in curve.combinations]
-    figure = _figure(sweep, (12.6, 7.4), _and_no_more(len(drawn), len(curves), "curves"))
+    figure = _figure(sweep, (12.6, 7.4), _omitted(len(drawn), len(curves), "curves"))
     panels: dict[str, Axes] = dict(zip(PANELS, figure.subplots(2, 3, sharex=True).ravel(), strict=True))
     for name, axes in panels.items():
         for index, curve in enumerate(drawn):
@@ -93,7 +93,7 @@ def _legend_below(figure: Figure, axes: Axes, curves: int) -> None:
 
 
 def curves_of(sweep: Sweep, key: str) -> list[Curve]:
-    """In the order of the combinations, each by rising values of the key."""
+    """Curves in the order of the combinations, each sorted by the key."""
     curves: dict[str, list[Combination]] = {}
     for one in sweep.combinations:
         others = {other: value for other, value in one.values.items() if other != key}
@@ -119,15 +119,15 @@ def _scale(axes: Axes, values: Sequence[Value]) -> None:
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
 
 
-# ---------------------------------------------------------------- side by side
+# ---------------------------------------------------------------- one row per combination
 
 
 def _points(sweep: Sweep) -> Figure:
-    """A row for each combination, the first on top."""
+    """One row per combination, the first at the top."""
     drawn = sweep.combinations[:MOST_POINTS]
     labels = [_label(one.values) or "all flights" for one in drawn]
     figure = _figure(
-        sweep, (13.0, 3.4 + 0.5 * len(drawn)), _and_no_more(len(drawn), len(sweep.combinations), "combinations")
+        sweep, (13.0, 3.4 + 0.5 * len(drawn)), _omitted(len(drawn), len(sweep.combinations), "combinations")
     )
     panels: dict[str, Axes] = dict(zip(PANELS, figure.subplots(2, 3, sharey=True).ravel(), strict=True))
     for name, axes in panels.items():
@@ -158,7 +158,7 @@ def _figure(sweep: Sweep, size_in: tuple[float, float], left_out: str) -> Figure
     return figure
 
 
-def _and_no_more(drawn: int, of: int, what: str) -> str:
+def _omitted(drawn: int, of: int, what: str) -> str:
     return f"; {drawn} of {of} {what}, all are in sweep.json" if drawn < of else ""
 
 
@@ -167,7 +167,7 @@ def _label(values: dict[str, Value]) -> str:
 
 
 def _spread(one: Combination, name: str, seconds: float) -> tuple[float, float, float]:
-    """Low, middle and high. A share has no spread; who never settled is drawn where the flights end; NaN is not drawn."""
+    """Low, middle and high. A share has no spread. Unsettled flights are drawn at the end of the flight; NaN is not drawn."""
     if name == SHARE:
         return (100.0 * one.settled_share,) * 3
     spread: Spread = getattr(one, name)
@@ -177,13 +177,13 @@ def _spread(one: Combination, name: str, seconds: float) -> tuple[float, float, 
 
 
 def _limits(drawn: Sequence[Combination], name: str, seconds: float) -> tuple[float, float]:
-    """What the panel shows. Millimetres are not blown up until they look like much."""
+    """Limits of the panel, with a smallest span so that differences of millimetres do not appear large."""
     if name == SHARE:
         return PERCENT
     if name == SETTLE:
         return (0.0, seconds * A_LITTLE_MORE)
     figures = np.array([_spread(one, name, seconds) for one in drawn])
-    if np.isnan(figures).all():  # one vehicle has no distances
+    if np.isnan(figures).all():  # a single vehicle has no distances
         return (0.0, 1.0)
     low, high = float(np.nanmin(figures)), float(np.nanmax(figures))
     if name == ERROR:

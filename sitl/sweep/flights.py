@@ -1,4 +1,4 @@
-"""All flights of a sweep cut into chunks that fit memory, and one chunk flown."""
+"""The flights of a sweep, divided into chunks that fit in memory, and the flight of one chunk."""
 
 from __future__ import annotations
 
@@ -13,24 +13,26 @@ from msgspec.structs import replace
 from companion.config.fleet import EdgeNeighbours
 from sitl.batch.flight import fly_batch
 from sitl.batch.metrics import batch_figures
-from sitl.metrics import SAMPLE_S
-from sitl.scenario import Scenario
+from sitl.flight.scenario import Scenario
+from sitl.report.metrics import SAMPLE_S
 from sitl.sweep.points import Point
-from sitl.workers import tell
+from sitl.workers import report_progress
 
-# A chunk's samples take some 50 bytes each while its figures are made, a pair of vehicles some 500 while it flies with
-# bad links: 300 MB for each core.
+# A sample takes some 50 bytes while its figures are computed, a pair of vehicles some 500 bytes in flight with bad links:
+# 300 MB per core.
 MAX_SAMPLES = 6_000_000  # ticks x flights x vehicles
 MAX_PAIRS = 400_000  # flights x vehicles x vehicles
-# Fewer columns than this take as long as this many. Chunks must not depend on the number of cores, for that would show in
-# the last bits; so there are enough of them for most machines.
+# A batch with fewer columns takes as long as one with this many. The chunks must not depend on the number of cores, because
+# that would change the last bits of the results; so there are enough of them for most machines.
 MIN_COLUMNS = 500
 CHUNKS = 16
 
 
 class FlightFigures(Struct, frozen=True, kw_only=True):
-    """One row of the table, by the definitions of sitl.batch.metrics. `settle_s` is None where it never settled, distances
-    are where there are no two vehicles."""
+    """Figures of one flight, as defined in sitl.batch.metrics.
+
+    `settle_s` is None for a flight that never settled; distances are None for a single vehicle.
+    """
 
     settle_s: float | None
     largest_neighbouring_distance_m: float | None
@@ -41,7 +43,7 @@ class FlightFigures(Struct, frozen=True, kw_only=True):
 
 @dataclass(frozen=True, slots=True)
 class SeededFlight:
-    """`point` is its place among the points."""
+    """One flight: the index of its point, and its seed."""
 
     point: int
     seed: int
@@ -49,7 +51,7 @@ class SeededFlight:
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """What is flown in one batch; it travels to another process. `scenarios` are those of the flights, in their order."""
+    """The flights of one batch, with the scenario of each, in the same order. Sent to a worker process."""
 
     flights: tuple[SeededFlight, ...]
     scenarios: tuple[Scenario, ...]
@@ -57,16 +59,16 @@ class Chunk:
 
     @property
     def work_s(self) -> float:
-        """Seconds of formation to be flown."""
+        """Virtual seconds of all flights together."""
         return len(self.flights) * self.duration_s
 
 
 def chunks_of(points: Sequence[Point], seeds: int, duration_s: float) -> list[Chunk]:
-    """Every point with seeds 1 to `seeds`."""
+    """Chunks for every point with seeds 1 to `seeds`."""
     kinds: dict[tuple[object, ...], list[SeededFlight]] = {}
-    for place, point in enumerate(points):
+    for index, point in enumerate(points):
         alike = kinds.setdefault(_kind(point.scenario), [])
-        alike.extend(SeededFlight(place, seed) for seed in range(1, seeds + 1))
+        alike.extend(SeededFlight(index, seed) for seed in range(1, seeds + 1))
     vehicles = len(points[0].scenario.fleet.vehicles)
     return [
         Chunk(own, tuple(_seeded(points[one.point].scenario, one.seed) for one in own), duration_s)
@@ -76,7 +78,7 @@ def chunks_of(points: Sequence[Point], seeds: int, duration_s: float) -> list[Ch
 
 
 def chunk_size(flights: int, vehicles: int, duration_s: float) -> int:
-    """How many of so many flights go into one chunk."""
+    """Number of flights per chunk for this number of flights in all."""
     ticks = ceil(duration_s / SAMPLE_S) + 1
     most = min(MAX_SAMPLES // (ticks * vehicles), MAX_PAIRS // vehicles**2)
     wanted = max(ceil(flights / CHUNKS), ceil(MIN_COLUMNS / vehicles))
@@ -84,10 +86,10 @@ def chunk_size(flights: int, vehicles: int, duration_s: float) -> int:
 
 
 def _kind(scenario: Scenario) -> tuple[object, ...]:
-    """Only one kind of attitude control can be in a batch; what costs time only some flights is better kept apart, too."""
+    """Key of the flights that may share a batch: same attitude control, and same features that cost time."""
     links, fleet = scenario.links, scenario.fleet
-    by_chance = links.peer_loss > 0.0 or links.peer_jitter_s > 0.0
-    return (scenario.stand_in.airframe.attitude, by_chance, isinstance(fleet.neighbours, EdgeNeighbours))
+    is_random = links.peer_loss > 0.0 or links.peer_jitter_s > 0.0
+    return (scenario.stand_in.airframe.attitude, is_random, isinstance(fleet.neighbours, EdgeNeighbours))
 
 
 def _seeded(scenario: Scenario, seed: int) -> Scenario:
@@ -95,7 +97,7 @@ def _seeded(scenario: Scenario, seed: int) -> Scenario:
 
 
 def _cut(flights: Sequence[SeededFlight], size: int) -> Iterator[tuple[SeededFlight, ...]]:
-    """As even as can be, `size` at most: the last core is not to be left with a small rest."""
+    """Chunks of nearly equal size, at most `size`, so that no core works on a small remainder at the end."""
     chunks = ceil(len(flights) / size)
     ends = [len(flights) * number // chunks for number in range(chunks + 1)]
     for begin, end in pairwise(ends):
@@ -103,12 +105,12 @@ def _cut(flights: Sequence[SeededFlight], size: int) -> Iterator[tuple[SeededFli
 
 
 def fly_chunk(chunk: Chunk) -> list[FlightFigures]:
-    """In the order of the chunk's flights."""
+    """Figures in the order of the chunk's flights."""
 
-    def flown(time_s: float) -> None:
-        tell(time_s / chunk.duration_s)
+    def progress(flown_s: float) -> None:
+        report_progress(flown_s / chunk.duration_s)
 
-    figures = batch_figures(fly_batch(chunk.scenarios, chunk.duration_s, flown, sample_s=SAMPLE_S))
+    figures = batch_figures(fly_batch(chunk.scenarios, chunk.duration_s, progress, sample_s=SAMPLE_S))
     alone = len(chunk.scenarios[0].fleet.vehicles) == 1
     return [
         FlightFigures(

@@ -1,4 +1,4 @@
-"""What is to be flown: --vary's values, every combination of them, and the scenario of each."""
+"""The points of a sweep: values of --vary, all their combinations, and the scenario of each."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from pathlib import Path
 
 import yaml
 
+from companion.config.file import ConfigError, StrictLoader
 from companion.config.reference import TargetReference
-from companion.config_file import ConfigError, StrictLoader
-from companion.types import AutopilotKind, CommandName
-from sitl.scenario import Scenario, load_scenario
+from companion.types.autopilot import AutopilotKind
+from companion.types.commands import CommandName
+from sitl.flight.scenario import Scenario, load_scenario
 from sitl.sweep.options import MAX_FLIGHTS, SHORTEST_S
 
 Value = bool | int | float | str
@@ -25,7 +26,7 @@ SEED, TIMELINE = "stand_in.seed", "timeline"
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """One value of a varied key, and as it was written."""
+    """One value of a varied key, and its text on the command line."""
 
     text: str
     value: Value
@@ -40,105 +41,107 @@ class Axis:
 
     @property
     def is_numeric(self) -> bool:
-        """Does it make sense as the axis of a figure?"""
+        """Whether the key can be the axis of a plot."""
         return len(self.choices) > 1 and all(type(choice.value) in (int, float) for choice in self.choices)
 
 
 @dataclass(frozen=True, slots=True)
 class Point:
-    """One combination: a choice of each axis, in the order of the axes, and the scenario that it makes."""
+    """One combination: a choice of each axis, in the order of the axes, and its scenario."""
 
     choices: tuple[Choice, ...]
     scenario: Scenario
 
 
 def axis_of(argument: str) -> Axis:
-    """ "links.peer_loss=0,0.1" -> Axis. Raises ConfigError; what the values mean shows when scenarios are made."""
+    """ "links.peer_loss=0,0.1" -> Axis. Raises ConfigError for bad syntax; loading the scenarios checks the values."""
     key, equals, text = argument.partition("=")
     if not equals or not key:
         raise ConfigError(VARY, argument, f"expected KEY=V1,V2,..., like {EXAMPLE}")
     if key == SEED:
-        raise ConfigError(VARY, key, "every combination flies with seeds 1 to N; use --seeds N")
+        raise ConfigError(VARY, key, "a sweep sets the seeds itself, 1 to N; use --seeds N")
     if key.startswith(TIMELINE):
-        raise ConfigError(VARY, key, "a sweep flies the formation alone, not the timeline; use --seconds S")
+        raise ConfigError(VARY, key, "a sweep does not fly the timeline; use --seconds S")
     if any(bracket in text for bracket in "[]{}"):
         raise ConfigError(
             VARY, argument, "lists and mappings cannot be varied; vary an item (KEY[0]=V1,V2), or --set the whole"
         )
     choices = tuple(_choice(key, part.strip()) for part in text.split(","))
     values = [choice.value for choice in choices]
-    for place, choice in enumerate(choices):
-        if choice.value in values[:place]:
-            raise ConfigError(VARY, key, f"{choice.text} stands twice; expected different values")
+    for index, choice in enumerate(choices):
+        if choice.value in values[:index]:
+            raise ConfigError(VARY, key, f"{choice.text} is listed twice; expected different values")
     return Axis(key, choices)
 
 
 def _choice(key: str, text: str) -> Choice:
     if not text:
-        raise ConfigError(VARY, key, f"has an empty value; expected values with commas between them, like {EXAMPLE}")
+        raise ConfigError(VARY, key, f"has an empty value; expected values separated by commas, like {EXAMPLE}")
     try:
         value = yaml.load(text, Loader=StrictLoader)
     except yaml.YAMLError as error:
         raise ConfigError(VARY, key, f"{text!r} is not a YAML value") from error
     if not isinstance(value, bool | int | float | str):
-        raise ConfigError(VARY, key, f"{text!r}: expected a number or a word")
+        raise ConfigError(VARY, key, f"{text!r}: expected a number, true, false or a string")
     return Choice(text, value)
 
 
 def axes_of(arguments: Sequence[str], seeds: int) -> list[Axis]:
-    """All --vary. Raises ConfigError, also where they would make too many flights."""
+    """The axes of all --vary. Raises ConfigError, also for more than MAX_FLIGHTS flights."""
     axes = [axis_of(argument) for argument in arguments]
     keys = [axis.key for axis in axes]
-    for place, key in enumerate(keys):
-        if key in keys[:place]:
+    for index, key in enumerate(keys):
+        if key in keys[:index]:
             raise ConfigError(VARY, key, "is given twice; list all its values in one --vary")
     flights = prod(len(axis.choices) for axis in axes) * seeds
     if flights > MAX_FLIGHTS:
         sizes = " x ".join([*(str(len(axis.choices)) for axis in axes), f"{seeds} seeds"])
-        raise ConfigError(VARY, " ".join(keys), f"{sizes} are {flights} flights; expected {MAX_FLIGHTS} at most")
+        raise ConfigError(VARY, " ".join(keys), f"{sizes} are {flights} flights; expected at most {MAX_FLIGHTS}")
     return axes
 
 
 def base_scenario(path: Path, overrides: Sequence[str]) -> Scenario:
-    """What all combinations have in common. Raises ConfigError."""
+    """The scenario without the varied keys. Raises ConfigError."""
     for override in overrides:
         if override.partition("=")[0] == SEED:
-            raise ConfigError("--set", SEED, "every combination flies with seeds 1 to N; use --seeds N")
-    return _as_batches_fly(path, load_scenario(path, overrides))
+            raise ConfigError("--set", SEED, "a sweep sets the seeds itself, 1 to N; use --seeds N")
+    return _supported(path, load_scenario(path, overrides))
 
 
-def _as_batches_fly(path: Path, scenario: Scenario) -> Scenario:
-    """Batches have PX4's loops alone, nothing to follow, and slots that stand. Raises ConfigError."""
+def _supported(path: Path, scenario: Scenario) -> Scenario:
+    """The scenario, if a batch can fly it: PX4's attitude loops, no targets, fixed slots. Raises ConfigError."""
     if scenario.stand_in.autopilot is not AutopilotKind.PX4:
         raise ConfigError(
-            path, "stand_in.autopilot", f'"{scenario.stand_in.autopilot}": sweeps fly px4 alone; try sitl run'
+            path, "stand_in.autopilot", f'"{scenario.stand_in.autopilot}": a sweep supports px4 only; use sitl run'
         )
     if isinstance(scenario.reference, TargetReference):
-        raise ConfigError(path, "reference.kind", '"target": sweeps have nothing that could be followed; try sitl run')
+        raise ConfigError(path, "reference.kind", '"target": a sweep does not support targets; use sitl run')
     if scenario.fleet.slots_turn:
-        raise ConfigError(path, "fleet.formation_heading", '"course": sweeps turn no formation; try sitl run')
+        raise ConfigError(
+            path, "fleet.formation_heading", '"course": a sweep does not support turning formations; use sitl run'
+        )
     return scenario
 
 
 def formation_time_s(path: Path, scenario: Scenario) -> float:
-    """How long the scenario's own timeline stays in formation. Raises ConfigError."""
+    """Duration of the form step in the scenario's timeline. Raises ConfigError."""
     for step in scenario.timeline:
         if step.command is CommandName.FORM:
             if step.for_s < SHORTEST_S:
                 problem = f"its form step has for_s: {step.for_s:g}; expected {SHORTEST_S:g} or more, or --seconds S"
                 raise ConfigError(path, TIMELINE, problem)
             return step.for_s
-    raise ConfigError(path, TIMELINE, "has no step with command: form; say with --seconds S how long to fly")
+    raise ConfigError(path, TIMELINE, "has no step with command: form; set the duration with --seconds S")
 
 
 def points_of(
-    path: Path, overrides: Sequence[str], axes: Sequence[Axis], told: Callable[[int, int], None]
+    path: Path, overrides: Sequence[str], axes: Sequence[Axis], progress: Callable[[int, int], None]
 ) -> list[Point]:
-    """Every combination, the last axis the fastest. `told` hears how many of how many are made. Raises ConfigError."""
+    """All combinations; the last axis varies fastest. Calls `progress` with number done and total. Raises ConfigError."""
     combinations = list(product(*(axis.choices for axis in axes)))
     points = []
     for number, choices in enumerate(combinations):
-        told(number, len(combinations))
+        progress(number, len(combinations))
         points.append(Point(choices, _scenario(path, overrides, axes, choices)))
     return points
 
@@ -146,7 +149,7 @@ def points_of(
 def _scenario(path: Path, overrides: Sequence[str], axes: Sequence[Axis], choices: tuple[Choice, ...]) -> Scenario:
     own = [f"{axis.key}={choice.text}" for axis, choice in zip(axes, choices, strict=True)]
     try:
-        return _as_batches_fly(path, load_scenario(path, [*overrides, *own]))
+        return _supported(path, load_scenario(path, [*overrides, *own]))
     except ConfigError as error:
         for one in own:
             _try_alone(path, overrides, one)
@@ -154,13 +157,13 @@ def _scenario(path: Path, overrides: Sequence[str], axes: Sequence[Axis], choice
 
 
 def _try_alone(path: Path, overrides: Sequence[str], own: str) -> None:
-    """Which of several values is to blame: whichever cannot be used without the others, either."""
+    """Raise ConfigError where this value alone is the problem."""
     try:
-        _as_batches_fly(path, load_scenario(path, [*overrides, own]))
+        _supported(path, load_scenario(path, [*overrides, own]))
     except ConfigError as error:
         raise _of_vary([own], error) from error
 
 
 def _of_vary(own: Sequence[str], error: ConfigError) -> ConfigError:
-    together = " with ".join(f"{VARY} {one}" for one in own)
-    return ConfigError(together, "", str(error).removeprefix("--set: "))
+    combination = " with ".join(f"{VARY} {one}" for one in own)
+    return ConfigError.of([ConfigError(combination, "", line.removeprefix("--set: ")) for line in error.lines])

@@ -1,4 +1,4 @@
-"""What a sweep leaves behind besides its figure: sweep.csv, and the table in the terminal."""
+"""The results of a sweep as text: sweep.csv, and the table in the terminal."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from sitl.sweep.flights import FlightFigures, SeededFlight
 from sitl.sweep.points import Axis, Point, Value
 from sitl.sweep.statistics import Combination, Spread, Sweep
 
-MOST_ROWS = 60  # of the table; all are in sweep.json
+MOST_ROWS = 60  # rows of the table; sweep.json holds all combinations
 MEANING = "median (5-95 percent); largest and smallest distance are of neighbours; settled to 10 cm"
 NEVER = "never"
 NOTHING = "-"
@@ -21,14 +21,14 @@ NOTHING = "-"
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One flight and what it came to."""
+    """One flight and its figures."""
 
     flight: SeededFlight
     figures: FlightFigures
 
 
 def write_csv(path: Path, axes: Sequence[Axis], points: Sequence[Point], rows: Sequence[Row]) -> None:
-    """One row per flight, values as they were written on the command line."""
+    """Write one row per flight, with the values as written on the command line."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow([*(axis.key for axis in axes), "seed", *(field.name for field in fields(FlightFigures))])
@@ -38,8 +38,8 @@ def write_csv(path: Path, axes: Sequence[Axis], points: Sequence[Point], rows: S
             writer.writerow([*values, row.flight.seed, *figures])
 
 
-def in_a_table(sweep: Sweep) -> str:
-    """Medians and, in brackets, from 5 to 95 percent; units stand in the head."""
+def table_text(sweep: Sweep) -> str:
+    """The table of medians with, in brackets, the 5 and 95 percentiles."""
     keys = list(sweep.vary)
     head = [*map(short_name, keys), "flights", "settled", "settled [s]", "largest [m]", "smallest [m]"]
     head += ["any two [m]", "final error [m]"]
@@ -54,7 +54,7 @@ def in_a_table(sweep: Sweep) -> str:
 
 
 def short_name(key: str) -> str:
-    """ "stand_in.airframe.mass_kg" -> "airframe.mass_kg": what tells it from most others."""
+    """ "stand_in.airframe.mass_kg" -> "airframe.mass_kg"."""
     return ".".join(key.split(".")[-2:])
 
 
@@ -83,7 +83,7 @@ def _cells(one: Combination) -> list[str]:
 
 
 def value_text(value: Value) -> str:
-    """As YAML has it."""
+    """The value as YAML."""
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 

@@ -1,4 +1,4 @@
-"""One command from a scenario file to a folder of statistics: `sitl sweep`."""
+"""`sitl sweep`: from a scenario file to a folder of statistics."""
 
 from __future__ import annotations
 
@@ -6,24 +6,24 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import datetime
 from pathlib import Path
 
-from sitl.ending import EXIT_DONE
-from sitl.share import ShareProgress
+from sitl.errors import EXIT_DONE
+from sitl.report.folder import results_folder
+from sitl.report.share import ShareProgress
+from sitl.report.summary import write_json
 from sitl.stopping import StopNow, StopRequest
-from sitl.summary import write_json
 from sitl.sweep.flights import Chunk, FlightFigures, chunks_of, fly_chunk
 from sitl.sweep.options import SweepOptions
 from sitl.sweep.points import Axis, Point, axes_of, base_scenario, formation_time_s, points_of
-from sitl.sweep.report import Row, in_a_table, write_csv
+from sitl.sweep.report import Row, table_text, write_csv
 from sitl.sweep.statistics import Sweep, combination
-from sitl.workers import LOOK_EVERY_S, running
+from sitl.workers import POLL_S, running
 
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """What is to be flown."""
+    """The points of a sweep, and the duration of each flight."""
 
     axes: list[Axis]
     points: list[Point]
@@ -32,38 +32,37 @@ class Grid:
 
 @dataclass(frozen=True, slots=True)
 class FlownGrid:
-    """`rows` are in the order of the points and, within, of the seeds. `flying_s` is what the machine took."""
+    """Rows in the order of the points and, within a point, of the seeds. `flying_s` is wall-clock time."""
 
     rows: list[Row]
     flying_s: float
 
 
 def run(options: SweepOptions) -> int:
-    """Fly as the options say; the exit code. Raises what sitl/ending.py puts into words."""
+    """Run `sitl sweep` and return the exit code. Raises the errors that sitl/cli/ending.py reports."""
     with StopRequest("stopped at once; nothing was kept") as stop:
         return _run(options, stop)
 
 
 def _run(options: SweepOptions, stop: StopRequest) -> int:
     name = options.scenario.stem
-    folder = options.out or Path("runs") / f"{name}-sweep-{datetime.now():%Y%m%d-%H%M%S}"
     with ShareProgress(options.quiet) as progress:
         grid = _grid(options, progress, stop)
-        folder.mkdir(parents=True, exist_ok=True)
+        folder = results_folder(options.out, f"{name}-sweep")
         flown = _fly(chunks_of(grid.points, options.seeds, grid.seconds), options.workers, progress, stop)
     if not flown.rows:
         print(f"stopped before any flight was complete; nothing in {folder}", file=sys.stderr)
         return stop.exit_code
     sweep = _statistics(options, name, grid, flown.rows)
     _write(folder, grid, sweep, flown.rows)
-    print(f"{in_a_table(sweep)}\n{_speed(sweep, flown)}\nresults in {folder}")
+    print(f"{table_text(sweep)}\n{_speed(sweep, flown)}\nresults in {folder}")
     return stop.exit_code if stop.number else EXIT_DONE
 
 
 def _grid(options: SweepOptions, progress: ShareProgress, stop: StopRequest) -> Grid:
-    """Raises ConfigError, and StopNow: many scenarios take a while to check."""
+    """Load and check all scenarios. Raises ConfigError, and StopNow, since many scenarios take a while."""
 
-    def told(number: int, of: int) -> None:
+    def checked(number: int, of: int) -> None:
         progress.show(number / of)
         if stop.number:
             raise StopNow("stopped; nothing was flown", stop.exit_code)
@@ -72,18 +71,18 @@ def _grid(options: SweepOptions, progress: ShareProgress, stop: StopRequest) -> 
     base = base_scenario(options.scenario, options.overrides)
     axes = axes_of(options.varied, options.seeds)
     seconds = options.seconds or formation_time_s(options.scenario, base)
-    return Grid(axes, points_of(options.scenario, options.overrides, axes, told), seconds)
+    return Grid(axes, points_of(options.scenario, options.overrides, axes, checked), seconds)
 
 
 def _fly(chunks: Sequence[Chunk], workers: int | None, progress: ShareProgress, stop: StopRequest) -> FlownGrid:
     flights = sum(len(chunk.flights) for chunk in chunks)
     began_s = time.perf_counter()
     progress.begin("flying")
-    with running(fly_chunk, chunks, [chunk.work_s for chunk in chunks], workers) as under_way:
-        while not under_way.wait(LOOK_EVERY_S) and not stop.number:
-            done = sum(map(len, filter(None, under_way.results_so_far())))
-            progress.show(under_way.share_done, f"{done} of {flights} flights")
-        results = under_way.results_so_far() if stop.number else under_way.results()
+    with running(fly_chunk, chunks, [chunk.work_s for chunk in chunks], workers) as in_progress:
+        while not in_progress.wait(POLL_S) and not stop.number:
+            done = sum(map(len, filter(None, in_progress.results_so_far())))
+            progress.show(in_progress.share_done, f"{done} of {flights} flights")
+        results = in_progress.results_so_far() if stop.number else in_progress.results()
     return FlownGrid(_rows(chunks, results), time.perf_counter() - began_s)
 
 
@@ -118,7 +117,7 @@ def _statistics(options: SweepOptions, name: str, grid: Grid, rows: Sequence[Row
 
 
 def _write(folder: Path, grid: Grid, sweep: Sweep, rows: Sequence[Row]) -> None:
-    from sitl.sweep.figure import save_sweep  # matplotlib takes its time and memory
+    from sitl.sweep.figure import save_sweep  # importing matplotlib is slow
 
     write_csv(folder / "sweep.csv", grid.axes, grid.points, rows)
     write_json(folder / "sweep.json", sweep)

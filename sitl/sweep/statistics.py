@@ -1,4 +1,4 @@
-"""The figures of many flights -> how they spread, per combination. Pure."""
+"""Percentiles of the figures of many flights, per combination."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SCHEMA = 1
 
 
 class Spread(Struct, frozen=True, kw_only=True):
-    """Percentiles. None stands for a flight that has no such figure, because it never settled."""
+    """Percentiles. None marks a flight without this figure, because it never settled."""
 
     p5: float | None
     median: float | None
@@ -22,7 +22,7 @@ class Spread(Struct, frozen=True, kw_only=True):
 
 
 class Combination(Struct, frozen=True, kw_only=True):
-    """All flights of one combination of the varied keys."""
+    """Statistics of all flights of one combination of the varied keys."""
 
     values: dict[str, Value]
     flights: int
@@ -35,7 +35,7 @@ class Combination(Struct, frozen=True, kw_only=True):
 
 
 class Sweep(Struct, frozen=True, kw_only=True):
-    """What sweep.json holds. `complete` is false where it was stopped; then some flights or combinations are missing."""
+    """Content of sweep.json. `complete` is false after a stop; then some flights or combinations are missing."""
 
     schema: int = SCHEMA
     scenario: str
@@ -50,7 +50,7 @@ class Sweep(Struct, frozen=True, kw_only=True):
 
 
 def combination(values: dict[str, Value], flown: Sequence[FlightFigures]) -> Combination:
-    """`flown` are one flight at least."""
+    """Statistics of at least one flight."""
     settled = sum(figures.settle_s is not None for figures in flown)
     return Combination(
         values=values,
@@ -65,16 +65,16 @@ def combination(values: dict[str, Value], flown: Sequence[FlightFigures]) -> Com
 
 
 def spread(figures: Sequence[float | None]) -> Spread:
-    """None is larger than any figure: leaving out what never settled would make the worst laws look quick."""
+    """Percentiles with None as larger than any figure: without the unsettled flights the worst laws would look fast."""
     ordered = sorted(inf if figure is None else figure for figure in figures)
     return Spread(p5=_percentile(ordered, 0.05), median=_percentile(ordered, 0.5), p95=_percentile(ordered, 0.95))
 
 
 def _percentile(ordered: Sequence[float], share: float) -> float | None:
-    """Between the two nearest, as numpy does it, but one that is exact does not ask whether its neighbour is infinite."""
-    place = share * (len(ordered) - 1)
-    below = int(place)
+    """Linear interpolation as in numpy, but an exact rank does not use its next value, which may be infinite."""
+    rank = share * (len(ordered) - 1)
+    below = int(rank)
     value = ordered[below]
-    if place > below:
-        value += (ordered[below + 1] - value) * (place - below) if isfinite(value) else 0.0
+    if rank > below:
+        value += (ordered[below + 1] - value) * (rank - below) if isfinite(value) else 0.0
     return round(value, 4) if isfinite(value) else None

@@ -1,1 +1,1 @@
-"""Topologies that switch with range, the paper's future work: from random starts, when does the graph stay connected?"""
+"""Topologies that switch with range, the paper's future work: how often the graph stays connected from random starts."""

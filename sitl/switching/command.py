@@ -1,29 +1,29 @@
-"""`sitl switching`: the report of switching topologies."""
+"""`sitl switching`: fly random starts with switching topologies, write the results, and print the table."""
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
-from datetime import datetime
 from pathlib import Path
 
 from msgspec import Struct
 
-from companion.config_file import ConfigError
-from sitl.ending import EXIT_DONE
-from sitl.share import ShareProgress
+from companion.config.file import ConfigError
+from sitl.errors import EXIT_DONE
+from sitl.report.folder import results_folder
+from sitl.report.share import ShareProgress
+from sitl.report.summary import write_json
 from sitl.stopping import StopRequest
-from sitl.summary import write_json
 from sitl.switching.starts import Start, random_start
 from sitl.switching.study import fly_all, plans
-from sitl.switching.summary import ARRIVED_M, LawSummary, flown_on, in_a_table, summarize
+from sitl.switching.summary import ARRIVED_M, LawSummary, limits_text, summarize, table_text
 from sitl.switching.topology import Topology
 
 SCHEMA = 1
 
 
 class Report(Struct, frozen=True, kw_only=True):
-    """switching.json."""
+    """Content of switching.json."""
 
     schema: int = SCHEMA
     vehicles: int
@@ -34,12 +34,11 @@ class Report(Struct, frozen=True, kw_only=True):
 
 
 def run_switching(arguments: argparse.Namespace) -> int:
-    """The exit code. Raises what sitl/ending.py puts into words."""
-    folder: Path = arguments.out or Path("runs") / f"switching-{datetime.now():%Y%m%d-%H%M%S}"
+    """Run the command and return the exit code. Raises the errors that sitl/cli/ending.py reports."""
     with StopRequest("stopped; nothing was written", at_once=True), ShareProgress(arguments.quiet) as progress:
         progress.begin("random starts")
         starts = _starts(arguments, progress.show)
-        folder.mkdir(parents=True, exist_ok=True)
+        folder = results_folder(arguments.out, "switching")
         planned = plans(starts, arguments.range, (0.0, arguments.hysteresis), arguments.seconds)
         progress.begin(f"{len(planned)} batches")
         flown = fly_all(planned, progress.show)
@@ -48,7 +47,7 @@ def run_switching(arguments: argparse.Namespace) -> int:
 
 
 def _starts(arguments: argparse.Namespace, progress: Callable[[float], None]) -> list[Start]:
-    """All of them, before any of them flies. Raises ConfigError."""
+    """Draw all starts before the first flight. Raises ConfigError."""
     starts = []
     for seed in range(arguments.starts):
         progress(seed / arguments.starts)
@@ -62,7 +61,7 @@ def _starts(arguments: argparse.Namespace, progress: Callable[[float], None]) ->
 
 
 def _write(folder: Path, arguments: argparse.Namespace, flown: list[Topology]) -> None:
-    from sitl.switching.figure import save_switching  # matplotlib takes its time
+    from sitl.switching.figure import save_switching  # importing matplotlib is slow
 
     laws = summarize(flown)
     write_json(
@@ -75,18 +74,18 @@ def _write(folder: Path, arguments: argparse.Namespace, flown: list[Topology]) -
             flights=flown,
         ),
     )
-    title = f"{_starts_in_words(arguments.starts)} of {arguments.vehicles} vehicles that see {arguments.range:g} m far"
+    title = f"{_starts_text(arguments.starts)} of {arguments.vehicles} vehicles with a range of {arguments.range:g} m"
     save_switching(folder / "switching.png", flown, arguments.seconds, title)
-    print(f"{title}, {arguments.seconds:g} s\n\n{in_a_table(laws)}\n\n{MEANING}\n")
-    print(f"{flown_on(laws, arguments.vehicles)}\nresults in {folder}")
+    print(f"{title}, {arguments.seconds:g} s\n\n{table_text(laws)}\n\n{MEANING}\n")
+    print(f"{limits_text(laws, arguments.vehicles)}\nresults in {folder}")
 
 
-def _starts_in_words(starts: int) -> str:
+def _starts_text(starts: int) -> str:
     return "1 random start" if starts == 1 else f"{starts} random starts"
 
 
 MEANING = f"""\
-connected: nobody ever without a path to the leader; at the end: so when the time was over; arrived: all within
-{ARRIVED_M:g} m of their places then, also where they flew on without a leader's word or too close to each other; within,
-closest: any two vehicles at any time, median of the flights; edges lost: mean of a flight; lambda_min: median of each
-flight's smallest while it was connected; first cut: median of those that were cut off"""
+connected: all vehicles always had a path to the leader; at the end: they had one at the end of the flight; would hand over:
+at least one agent lost the leader beacon for so long that it would hand over; arrived: all vehicles within {ARRIVED_M:g} m of
+their slots at the end; within, closest: smallest distance of any two vehicles, median of the flights; edges lost: mean per
+flight; lambda_min: smallest of each flight while connected, median; first cut: time of the first disconnection, median"""

@@ -1,4 +1,4 @@
-"""How many formations are still connected as time goes on, and the smallest lambda_min that they came to."""
+"""Plot of a switching study: share of connected formations over time, and distribution of the smallest lambda_min."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from sitl.plots import COLOURS, MARKERS, STYLES
+from sitl.report.plots import COLOURS, MARKERS, STYLES
 from sitl.switching.topology import Topology
 
-MARKED = 0.12  # of the diagonal, from one marker to the next: grey, too, tells the laws apart
+MARKED = 0.12  # distance of markers, as a share of the diagonal; the laws stay distinct in greyscale
 
 
 def save_switching(path: Path, topologies: Sequence[Topology], duration_s: float, title: str) -> None:
-    """Left: the share in which nobody was cut off yet. Right: how the flights' smallest lambda_min are spread."""
+    """Left: share of starts in which all vehicles were connected so far. Right: distribution of the smallest lambda_min."""
     figure = Figure(figsize=(11.0, 5.2), layout="constrained")
     figure.suptitle(title, fontsize=12)
     left, right = figure.subplots(1, 2)
@@ -30,10 +30,12 @@ def save_switching(path: Path, topologies: Sequence[Topology], duration_s: float
             _draw_connected(left, group, duration_s, look)
             _draw_spread(right, group, look)
     left.set(
-        xlabel="time since the start of the formation [s]", ylabel="nobody cut off yet [% of the starts]", ylim=(0, 102)
+        xlabel="time since the start of the formation [s]", ylabel="connected so far [% of the starts]", ylim=(0, 102)
     )
     right.set(
-        xlabel="smallest lambda_min of the flight while connected [-]", ylabel="starts below that [%]", ylim=(0, 102)
+        xlabel="smallest lambda_min of the flight while connected [-]",
+        ylabel="starts below this value [%]",
+        ylim=(0, 102),
     )
     for axes in (left, right):
         axes.grid(True, color="#dddddd", linewidth=0.6)

@@ -1,4 +1,4 @@
-"""Flies the random starts under every law, in batches on all cores."""
+"""Flies the random starts under every law in batches on all cores, and analyses their topologies."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import numpy as np
 from companion.assembly import law_of
 from companion.config.fleet import RangeNeighbours as Range
 from companion.config.law import Law, LawName
-from companion.core.succession import TURN_S
+from companion.core.election.succession import TURN_S
 from sitl.batch.flight import BatchFlight, fly_batch
 from sitl.study.cases import closest_m
 from sitl.switching.starts import Start
-from sitl.switching.topology import Spectra, Topology, losses, mutual, over_time, without_word
+from sitl.switching.topology import Spectra, Topology, losses, mutual, over_time, without_beacon
 from sitl.workers import in_processes
 
 LAWS: tuple[LawName, ...] = ("average_26", "average_22", "weighted", "cooperative")
@@ -24,7 +24,7 @@ IN_A_BATCH = 200
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Starts under one law with one hysteresis; what flies together."""
+    """One batch: starts under one law with one hysteresis."""
 
     law: LawName
     starts: tuple[Start, ...]
@@ -34,7 +34,7 @@ class Plan:
 
 
 def plans(starts: Sequence[Start], range_m: float, hystereses_m: Sequence[float], duration_s: float) -> list[Plan]:
-    """Every start under every law with every hysteresis."""
+    """The batches for every start under every law with every hysteresis."""
     return [
         Plan(law, tuple(starts[first : first + IN_A_BATCH]), range_m, hysteresis_m, duration_s)
         for first in range(0, len(starts), IN_A_BATCH)
@@ -44,30 +44,30 @@ def plans(starts: Sequence[Start], range_m: float, hystereses_m: Sequence[float]
 
 
 def fly_all(planned: list[Plan], progress: Callable[[float], None]) -> list[Topology]:
-    """In the order of the plans and their starts. `progress` is told the share that is done."""
+    """Topologies in the order of the plans and their starts. Calls `progress` with the share done, 0 to 1."""
     return [topology for batch in in_processes(fly, planned, progress) for topology in batch]
 
 
 def fly(plan: Plan) -> list[Topology]:
-    """One batch."""
+    """Fly and analyse one batch."""
     neighbours = Range(range_m=plan.range_m, hysteresis_m=plan.hysteresis_m)
     scenarios = [start.scenario(plan.law, neighbours) for start in plan.starts]
     flight = fly_batch(scenarios, plan.duration_s, sample_s=SAMPLE_S, keep_neighbours=True)
-    spectra = Spectra(law_of(Law(name=plan.law)), len(plan.starts[0].places_enu_m))
+    spectra = Spectra(law_of(Law(name=plan.law)), len(plan.starts[0].starts_enu_m))
     final_errors_m = flight.errors_m()[-1].max(axis=1)
-    without_word_s = scenarios[0].fleet.peers.leader_word_max_age_s + TURN_S  # so long before an agent hands over
+    beacon_lost_s = scenarios[0].fleet.peers.leader_beacon_max_age_s + TURN_S  # after this time an agent hands over
     return [
-        _topology(plan, flight, index, spectra, float(final_errors_m[index]), without_word_s)
+        _topology(plan, flight, index, spectra, float(final_errors_m[index]), beacon_lost_s)
         for index in range(len(plan.starts))
     ]
 
 
 def _topology(
-    plan: Plan, flight: BatchFlight, index: int, spectra: Spectra, final_error_m: float, without_word_s: float
+    plan: Plan, flight: BatchFlight, index: int, spectra: Spectra, final_error_m: float, beacon_lost_s: float
 ) -> Topology:
     assert flight.neighbours is not None
-    heeds = flight.neighbours[:, index]
-    edges = mutual(heeds)
+    uses = flight.neighbours[:, index]
+    edges = mutual(uses)
     values = over_time(edges, spectra)
     connected = [value for value in values if value is not None]
     cut = next((k for k, value in enumerate(values) if value is None), None)
@@ -81,6 +81,6 @@ def _topology(
         cut_off_s=None if cut is None else round(float(flight.times_s[cut]), 2),
         connected_at_the_end=values[-1] is not None,
         final_error_m=round(final_error_m, 3),
-        would_hand_over=without_word(heeds, SAMPLE_S, without_word_s),
+        would_hand_over=without_beacon(uses, SAMPLE_S, beacon_lost_s),
         closest_m=round(closest_m(positions), 3),
     )

@@ -1,4 +1,4 @@
-"""Statistics of many flights with switching topologies, as data and as a table."""
+"""Statistics of flights with switching topologies, as data and as a table."""
 
 from __future__ import annotations
 
@@ -10,15 +10,16 @@ from msgspec import Struct
 from sitl.switching.topology import Topology
 
 ARRIVED_M = 0.2
-CAME_CLOSE_M = 0.3  # from centre to centre: of any size that flies they would have touched
+CAME_CLOSE_M = 0.3  # between centres; any real vehicles would collide
 
 
 class LawSummary(Struct, frozen=True, kw_only=True):
-    """Of all starts under one law with one hysteresis; `connected` counts those in which nobody was ever cut off.
+    """Statistics of all starts under one law with one hysteresis.
 
-    `would_hand_over` counts those in which some agent would have handed over for want of a leader's word, and
-    `vehicles_that_would` all their vehicles; `came_close` those in which two came within CAME_CLOSE_M.
-    `lambda_min_median` and `lambda_min_5_percent` are of each flight's smallest lambda_min while it was connected.
+    `connected`: flights in which all vehicles always had a path to the leader. `would_hand_over`: flights in which at least
+    one agent would have handed over for a stale leader beacon; `vehicles_that_would`: the number of these vehicles.
+    `came_close`: flights in which two vehicles came within CAME_CLOSE_M. `lambda_min_median` and `lambda_min_5_percent`:
+    percentiles of the smallest lambda_min of each flight while it was connected.
     """
 
     law: str
@@ -34,11 +35,11 @@ class LawSummary(Struct, frozen=True, kw_only=True):
     edges_lost_mean: float
     lambda_min_median: float
     lambda_min_5_percent: float
-    cut_off_median_s: float | None  # of those that were cut off
+    cut_off_median_s: float | None  # of the flights that were cut off
 
 
 def summarize(topologies: Sequence[Topology]) -> list[LawSummary]:
-    """One for each law and hysteresis, in the order in which they come."""
+    """One summary per hysteresis, rising, and law, in the order of the flights."""
     groups: dict[tuple[float, str], list[Topology]] = {}
     for topology in topologies:
         groups.setdefault((topology.hysteresis_m, topology.law), []).append(topology)
@@ -73,7 +74,7 @@ def _summary(law: str, hysteresis_m: float, group: Sequence[Topology]) -> LawSum
     )
 
 
-HEAD = (  # of each column: two lines, and how wide it is
+HEAD = (  # of each column: two lines and the width, negative for left alignment
     ("law", "", -12),
     ("hyste-", "resis", 8),
     ("con-", "nected", 9),
@@ -89,7 +90,7 @@ HEAD = (  # of each column: two lines, and how wide it is
 )
 
 
-def in_a_table(summaries: Sequence[LawSummary]) -> str:
+def table_text(summaries: Sequence[LawSummary]) -> str:
     rows = [tuple(head[0] for head in HEAD), tuple(head[1] for head in HEAD), *(_cells(s) for s in summaries)]
     return "\n".join(_row(row) for row in rows)
 
@@ -122,15 +123,15 @@ def _share(count: int, of: int) -> str:
     return f"{100.0 * count / of:.1f} %"
 
 
-def flown_on(summaries: Sequence[LawSummary], vehicles: int) -> str:
-    """What these flights leave out, with how often it would have mattered."""
+def limits_text(summaries: Sequence[LawSummary], vehicles: int) -> str:
+    """Text: the limits of this simulation, and how many flights they affect."""
     flights = sum(s.starts for s in summaries)
     handed, silent, close = (
         sum(counts)
         for counts in zip(*((s.would_hand_over, s.vehicles_that_would, s.came_close) for s in summaries), strict=True)
     )
     return (
-        f"Nothing ends a flight here. In {handed} of {flights} some agent would have handed over to its autopilot's hold for "
-        f"want of a\nleader's word ({silent} of {flights * vehicles} vehicles), and in {close} two vehicles came within "
-        f"{CAME_CLOSE_M:g} m, which real ones might not survive."
+        f"These flights have no failsafe. In {handed} of {flights} flights at least one agent would have handed over to its "
+        f"autopilot's\nhold for a stale leader beacon ({silent} of {flights * vehicles} vehicles). In {close} flights two "
+        f"vehicles came within {CAME_CLOSE_M:g} m, where real\nvehicles would collide."
     )

@@ -1,4 +1,4 @@
-"""What the neighbour sets of a flight do over time: edges lost, the smallest lambda_min, who has a path to the leader."""
+"""The neighbour sets of a flight over time: lost edges, smallest lambda_min, paths to the leader."""
 
 from __future__ import annotations
 
@@ -6,20 +6,21 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from companion.core.formation import FormationLaw
-from companion.core.interaction import eigenvalues, interaction_matrix, reached_from
-from sitl.shapes import LEADER
+from companion.core.consensus.law import FormationLaw
+from companion.stability.interaction import eigenvalues, interaction_matrix, reached_from
+from sitl.study.shapes import LEADER
 
 BoolArray = NDArray[np.bool_]
 Graph = dict[int, list[int]]
 
 
 class Topology(Struct, frozen=True, kw_only=True):
-    """One flight. `lambda_min` is the smallest over time while all had a path to the leader; None where one never had.
+    """The topology of one flight.
 
-    `edges_lost`: how often two vehicles that heeded each other ceased to; `cut_off_s`: when somebody first had no path to the
-    leader, None where that never was. `would_hand_over`: how many vehicles heard no leader's word for so long that their agents
-    would have handed over to the autopilot's hold; here they fly on.
+    `lambda_min`: the smallest over time while all vehicles had a path to the leader, None where they never had. `edges_lost`:
+    number of losses of mutual neighbours. `cut_off_s`: first time at which a vehicle had no path to the leader, or None.
+    `would_hand_over`: number of vehicles without a leader beacon for so long that their agents would have handed over to the
+    autopilot's hold; in this simulation they fly on.
     """
 
     law: str
@@ -35,7 +36,7 @@ class Topology(Struct, frozen=True, kw_only=True):
 
 
 class Spectra:
-    """lambda_min of every topology that turns up, worked out once: few of them differ."""
+    """lambda_min of topologies, computed once for each distinct topology."""
 
     def __init__(self, law: FormationLaw, vehicles: int) -> None:
         self._law = law
@@ -43,7 +44,7 @@ class Spectra:
         self._known: dict[bytes, float | None] = {}
 
     def lambda_min(self, edges: BoolArray) -> float | None:
-        """Of one topology (n, n); None where a vehicle has no path to the leader."""
+        """lambda_min of one topology (n, n); None where a vehicle has no path to the leader."""
         key = np.packbits(edges).tobytes()
         if key not in self._known:
             self._known[key] = self._computed(edges)
@@ -57,12 +58,12 @@ class Spectra:
 
 
 def mutual(neighbours: BoolArray) -> BoolArray:
-    """Edges over time (..., n, n): both heed each other."""
+    """Edges (..., n, n): pairs that use each other as neighbours."""
     return neighbours & np.swapaxes(neighbours, -1, -2)
 
 
 def losses(edges: BoolArray) -> int:
-    """How often an edge went, over (ticks, n, n)."""
+    """Number of edge losses over (ticks, n, n)."""
     gone = edges[:-1] & ~edges[1:]
     return int(gone.sum()) // 2
 
@@ -72,24 +73,24 @@ def over_time(edges: BoolArray, spectra: Spectra) -> list[float | None]:
     return [spectra.lambda_min(now) for now in edges]
 
 
-def without_word(heeds: BoolArray, sample_s: float, longest_s: float) -> int:
-    """How many vehicles are without a way to the leader for longer than that at a stretch; (ticks, n, n) says who heeds whom.
+def without_beacon(uses: BoolArray, sample_s: float, limit_s: float) -> int:
+    """Number of vehicles that once receive no leader beacon for longer than `limit_s`.
 
-    The word goes from the heeded to the heeding, through all of them within a fraction of a sample.
+    `uses` (ticks, n, n): whether i uses j as a neighbour. The beacon passes from neighbour to neighbour within one sample.
     """
-    hears = _hear_the_leader(heeds)
-    silent = np.zeros(hears.shape[1], dtype=np.int64)
+    receives = _receives_beacon(uses)
+    silent = np.zeros(receives.shape[1], dtype=np.int64)
     longest = silent.copy()
-    for now in hears:
+    for now in receives:
         silent = np.where(now, 0, silent + 1)
         np.maximum(longest, silent, out=longest)
-    return int(((longest - 1) * sample_s > longest_s - 1e-9).sum())
+    return int(((longest - 1) * sample_s > limit_s - 1e-9).sum())
 
 
-def _hear_the_leader(heeds: BoolArray) -> BoolArray:
-    """(ticks, n)."""
-    hears = np.zeros(heeds.shape[:2], dtype=np.bool_)
-    hears[:, LEADER - 1] = True
-    for _ in range(heeds.shape[1] - 1):
-        hears |= (heeds & hears[:, None, :]).any(axis=2)
-    return hears
+def _receives_beacon(uses: BoolArray) -> BoolArray:
+    """Whether each vehicle has a path to the leader (ticks, n)."""
+    receives = np.zeros(uses.shape[:2], dtype=np.bool_)
+    receives[:, LEADER - 1] = True
+    for _ in range(uses.shape[1] - 1):
+        receives |= (uses & receives[:, None, :]).any(axis=2)
+    return receives

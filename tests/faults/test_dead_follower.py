@@ -1,4 +1,4 @@
-"""A follower's agent is killed in the middle of a column that would close up: for all that the others know, it may fly on."""
+"""The agent of a follower is killed in a column with gap filling: the vehicle may still fly in its slot."""
 
 import os
 import signal
@@ -7,33 +7,37 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from test_lost_leader import Ground
 
+from commanding_ground import Ground
 from companion.ground.references import reference_change
 from companion.ground.session import FleetSession
-from companion.types import CommandName, FlightPhase
-from sitl.fleet import Fleet, endpoint_of
-from sitl.scenario import load_scenario
+from companion.types.commands import CommandName
+from companion.types.flight import FlightPhase
+from fleet_ports import free_fleet_offset
+from repository import ROOT
+from sitl.flight.processes.fleet import Fleet
+from sitl.flight.scenario import load_scenario
+from sitl.links.ports import zenoh_endpoint
 
 pytestmark = [pytest.mark.fleet, pytest.mark.timeout(240)]
 
-LEAVING = Path(__file__).parents[2] / "config" / "scenarios" / "leaving.yaml"
-PORT_OFFSET = 3000
+LEAVING = ROOT / "config" / "scenarios" / "leaving.yaml"
 DEAD, OTHERS = 3, (1, 2, 4, 5)
 ALL = (1, 2, 3, 4, 5)
 AWAY = {"kind": "waypoints", "points_enu_m": [[0.0, 0.0, 2.0], [8.0, 0.0, 2.0]], "max_speed_m_s": 3.0}
 
 
-def until(ground: Ground, wanted: Callable[[], bool], within_s: float = 40.0) -> None:
+def until(ground: Ground, condition: Callable[[], bool], within_s: float = 40.0) -> None:
     end_s = time.monotonic() + within_s
-    while not wanted():
+    while not condition():
         assert time.monotonic() < end_s, (ground.newest, sorted(ground.events))
         ground.listen(0.1)
 
 
-def test_the_gap_of_a_dead_follower_is_kept_also_when_the_fleet_is_away(tmp_path: Path) -> None:
-    with Fleet.start(load_scenario(LEAVING, ["stand_in.sensors=ideal"]), tmp_path, PORT_OFFSET) as fleet:
-        endpoints = [endpoint_of(i, PORT_OFFSET) for i in OTHERS]
+def test_the_gap_of_a_dead_follower_stays_open_also_after_the_fleet_moved(tmp_path: Path) -> None:
+    port_offset = free_fleet_offset()
+    with Fleet.start(load_scenario(LEAVING, ["stand_in.sensors=ideal"]), tmp_path, port_offset) as fleet:
+        endpoints = [zenoh_endpoint(i, port_offset) for i in OTHERS]
         with FleetSession.open("leaving", endpoints) as session:
             ground = Ground(session)
             for name, phase in (
@@ -46,10 +50,7 @@ def test_the_gap_of_a_dead_follower_is_kept_also_when_the_fleet_is_away(tmp_path
             ground.listen(2.0)
             os.kill(fleet.pid_of(f"agent {DEAD}"), signal.SIGKILL)
 
-            kept = (
-                "1: vehicle 3 left, and its gap is kept for now: nothing is heard of it, and it may fly on in its slot"
-            )
-            until(ground, lambda: kept in ground.events)
+            until(ground, lambda: any(event.startswith("1: GAP_KEPT: vehicle 3 left") for event in ground.events))
             statuses = [ground.newest[i] for i in OTHERS]
             session.command(OTHERS, CommandName.REFERENCE, 1.0, reference_change(AWAY, statuses))
             until(ground, lambda: ground.newest[1].position_enu_m[0] > 7.5)

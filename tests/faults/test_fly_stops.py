@@ -1,4 +1,4 @@
-"""`sitl fly` interrupted, killed and robbed of its processes: what flies lands, nothing is left, one line says why."""
+"""`sitl fly` is interrupted or killed, or loses a process: the vehicles land, no process is left, one line says why."""
 
 import os
 import signal
@@ -12,10 +12,12 @@ from pathlib import Path
 
 import pytest
 
-from sitl.ports import ports_of
-from sitl.summary import read_summary
+from fleet_ports import free_fleet_offset
+from repository import ROOT
+from sitl.links.ports import ports_of
+from sitl.report.summary import read_summary
 
-PLATOON = Path(__file__).parents[2] / "config" / "scenarios" / "platoon.yaml"
+PLATOON = ROOT / "config" / "scenarios" / "platoon.yaml"
 MARKER = "SITL_TEST_MARKER"
 fleet = pytest.mark.fleet
 
@@ -35,14 +37,14 @@ def processes(marker: str) -> dict[int, str]:
 
 
 class Flight:
-    """A `sitl fly` in the background, and all the processes that come from it."""
+    """A `sitl fly` in the background, and all processes that it started."""
 
-    def __init__(self, folder: Path, port_offset: int) -> None:
+    def __init__(self, folder: Path) -> None:
         self.folder = folder / "out"
         self.marker = uuid.uuid4().hex
         self._log = folder / "fly.log"
         overrides = [word for key in ("timeline[2].for_s=0", "timeline[3].for_s=120") for word in ("--set", key)]
-        arguments = [str(PLATOON), "--out", str(self.folder), "--port-offset", str(port_offset), *overrides]
+        arguments = [str(PLATOON), "--out", str(self.folder), "--port-offset", str(free_fleet_offset()), *overrides]
         with self._log.open("w") as output:
             self.process = subprocess.Popen(
                 [sys.executable, "-m", "sitl", "fly", *arguments],
@@ -56,18 +58,18 @@ class Flight:
     def printed(self) -> str:
         return self._log.read_text(encoding="utf-8")
 
-    def agents_say(self, words: str) -> bool:
+    def agents_logged(self, text: str) -> bool:
         logs = [self.folder / f"agent_{vehicle_id}.log" for vehicle_id in (1, 2, 3, 4)]
-        return all(log.exists() and words in log.read_text(encoding="utf-8") for log in logs)
+        return all(log.exists() and text in log.read_text(encoding="utf-8") for log in logs)
 
     def wait_for_formation(self) -> None:
-        self.wait_until(lambda: self.agents_say("engage -> formation") or self.process.poll() is not None, 60.0)
+        self.wait_until(lambda: self.agents_logged("engage -> formation") or self.process.poll() is not None, 60.0)
         assert self.process.poll() is None, self.printed
         time.sleep(1.0)
 
-    def wait_until(self, true: Callable[[], bool], within_s: float) -> None:
+    def wait_until(self, condition: Callable[[], bool], within_s: float) -> None:
         deadline_s = time.monotonic() + within_s
-        while not true():
+        while not condition():
             assert time.monotonic() < deadline_s, self.printed
             time.sleep(0.1)
 
@@ -93,11 +95,11 @@ class Flight:
 
 
 @pytest.fixture
-def launch(tmp_path: Path) -> Iterator[Callable[[int], Flight]]:
+def launch(tmp_path: Path) -> Iterator[Callable[[], Flight]]:
     flights: list[Flight] = []
 
-    def start(port_offset: int) -> Flight:
-        flights.append(Flight(tmp_path, port_offset))
+    def start() -> Flight:
+        flights.append(Flight(tmp_path))
         return flights[-1]
 
     yield start
@@ -106,15 +108,15 @@ def launch(tmp_path: Path) -> Iterator[Callable[[int], Flight]]:
 
 
 @fleet
-def test_ctrl_c_in_formation_lands_everything_and_leaves_nothing(launch: Callable[[int], Flight]) -> None:
-    flight = launch(2100)
+def test_ctrl_c_in_formation_lands_all_and_leaves_no_process(launch: Callable[[], Flight]) -> None:
+    flight = launch()
     flight.wait_for_formation()
     assert len(processes(flight.marker)) == 9
     flight.process.send_signal(signal.SIGINT)
     assert flight.end(40.0) == 130
     assert processes(flight.marker) == {}
     assert not any(flight.armed_at_the_end(vehicle_id) for vehicle_id in (1, 2, 3, 4))
-    assert flight.agents_say("land -> observe")
+    assert flight.agents_logged("land -> observe")
     summary = read_summary(flight.folder / "summary.json")
     assert summary.failure == "interrupted by SIGINT"
     assert summary.duration_s is not None
@@ -122,21 +124,21 @@ def test_ctrl_c_in_formation_lands_everything_and_leaves_nothing(launch: Callabl
 
 
 @fleet
-def test_a_second_ctrl_c_stops_at_once(launch: Callable[[int], Flight]) -> None:
-    flight = launch(2110)
+def test_a_second_ctrl_c_stops_at_once(launch: Callable[[], Flight]) -> None:
+    flight = launch()
     flight.wait_for_formation()
     flight.process.send_signal(signal.SIGINT)
     time.sleep(0.5)
     flight.process.send_signal(signal.SIGINT)
     assert flight.end(2.0) == 130
     assert processes(flight.marker) == {}
-    assert flight.printed.splitlines()[-1] == "stopped at once; nothing was landed"
+    assert flight.printed.splitlines()[-1] == "stopped at once; the vehicles were not landed"
 
 
 @fleet
-def test_sigterm_on_the_ground_stops_everything(launch: Callable[[int], Flight]) -> None:
-    flight = launch(2120)
-    flight.wait_until(lambda: flight.agents_say("observe -> prepare"), 30.0)
+def test_sigterm_on_the_ground_stops_all_processes(launch: Callable[[], Flight]) -> None:
+    flight = launch()
+    flight.wait_until(lambda: flight.agents_logged("observe -> prepare"), 30.0)
     flight.process.send_signal(signal.SIGTERM)
     assert flight.end(20.0) == 143
     assert processes(flight.marker) == {}
@@ -144,8 +146,8 @@ def test_sigterm_on_the_ground_stops_everything(launch: Callable[[int], Flight])
 
 
 @fleet
-def test_killing_the_parent_leaves_nothing(launch: Callable[[int], Flight]) -> None:
-    flight = launch(2130)
+def test_killing_the_parent_leaves_no_process(launch: Callable[[], Flight]) -> None:
+    flight = launch()
     flight.wait_for_formation()
     flight.process.kill()
     flight.end(5.0)
@@ -153,11 +155,11 @@ def test_killing_the_parent_leaves_nothing(launch: Callable[[int], Flight]) -> N
 
 
 @fleet
-@pytest.mark.parametrize(("role", "vehicle_id", "port_offset"), [("agent", 3, 2140), ("autopilot", 2, 2150)])
-def test_a_process_that_dies_in_formation_ends_the_flight_and_the_others_land(
-    launch: Callable[[int], Flight], role: str, vehicle_id: int, port_offset: int
+@pytest.mark.parametrize(("role", "vehicle_id"), [("agent", 3), ("autopilot", 2)])
+def test_a_process_killed_in_formation_ends_the_flight_and_the_others_land(
+    launch: Callable[[], Flight], role: str, vehicle_id: int
 ) -> None:
-    flight = launch(port_offset)
+    flight = launch()
     flight.wait_for_formation()
     os.kill(flight.process_of(role, vehicle_id), signal.SIGKILL)
     flight.wait_until(lambda: "landing all" in flight.printed, 1.5)
@@ -172,41 +174,46 @@ def test_a_process_that_dies_in_formation_ends_the_flight_and_the_others_land(
     assert "Traceback" not in flight.printed
 
 
-# ---------------------------------------------------------------- what is found before anything is started
+# ---------------------------------------------------------------- refused before any process starts
 
 
 def refused(*arguments: str) -> str:
-    """The one line of a `sitl fly` that does not start anything."""
+    """The one line on stderr of a `sitl fly` that starts no process. On stdout only notes about the scenario and the ports."""
     done = subprocess.run(
         [sys.executable, "-m", "sitl", "fly", *arguments], capture_output=True, text=True, timeout=30, check=False
     )
     assert done.returncode == 2
-    assert done.stdout == ""
+    assert all(line.startswith(("warning, ", "all ports are offset by ")) for line in done.stdout.splitlines())
     assert len(done.stderr.splitlines()) == 1
     return done.stderr.strip()
 
 
 @pytest.mark.parametrize(
-    ("kind", "port", "words"),
+    ("kind", "vehicle_id", "which", "user"),
     [
-        (socket.SOCK_DGRAM, ports_of(2, 2200).onboard, "wanted by autopilot 2 towards its agent"),
-        (socket.SOCK_DGRAM, ports_of(1, 2200).companion, "wanted by agent 1 towards its autopilot"),
-        (socket.SOCK_DGRAM, ports_of(4, 2200).ground_link, "wanted by autopilot 4 towards a ground station"),
-        (socket.SOCK_STREAM, ports_of(3, 2200).zenoh, "wanted by Zenoh of agent 3"),
+        (socket.SOCK_DGRAM, 2, "onboard", "wanted by autopilot 2 towards its agent"),
+        (socket.SOCK_DGRAM, 1, "companion", "wanted by agent 1 towards its autopilot"),
+        (socket.SOCK_DGRAM, 4, "ground_link", "wanted by autopilot 4 towards a ground station"),
+        (socket.SOCK_STREAM, 3, "zenoh", "wanted by Zenoh of agent 3"),
     ],
 )
-def test_a_port_in_use_is_found_first(tmp_path: Path, kind: socket.SocketKind, port: int, words: str) -> None:
+def test_a_port_in_use_is_refused(
+    tmp_path: Path, kind: socket.SocketKind, vehicle_id: int, which: str, user: str
+) -> None:
+    offset = free_fleet_offset()
+    port = getattr(ports_of(vehicle_id, offset), which)
     with socket.socket(socket.AF_INET, kind) as other:
+        other.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # an earlier fleet's connections may linger
         other.bind(("127.0.0.1", port))
         if kind is socket.SOCK_STREAM:
             other.listen()
-        line = refused(str(PLATOON), "--out", str(tmp_path / "out"), "--port-offset", "2200")
-    assert line.startswith(f"{'UDP' if kind is socket.SOCK_DGRAM else 'TCP'} port {port}, {words}")
-    assert "--port-offset 2300" in line
+        line = refused(str(PLATOON), "--out", str(tmp_path / "out"), "--port-offset", str(offset))
+    assert line.startswith(f"{'UDP' if kind is socket.SOCK_DGRAM else 'TCP'} port {port}, {user}")
+    assert f"--port-offset {offset + 100}" in line
     assert not (tmp_path / "out").exists()
 
 
-def test_a_bad_scenario_and_a_bad_override_are_one_line(tmp_path: Path) -> None:
+def test_a_bad_scenario_and_a_bad_override_are_refused_in_one_line(tmp_path: Path) -> None:
     bad = tmp_path / "bad.yaml"
     bad.write_text(PLATOON.read_text(encoding="utf-8").replace("role: leader", "role: follower"), encoding="utf-8")
     assert refused(str(bad)).startswith(f"{bad}: fleet.vehicles: no vehicle leads")
@@ -221,9 +228,9 @@ def test_a_comparison_without_a_formation_is_refused() -> None:
     assert "timeline: has no step with command: form" in line
 
 
-def test_a_folder_that_cannot_be_made_is_one_line(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_made_is_refused_in_one_line(tmp_path: Path) -> None:
     file = tmp_path / "file"
     file.touch()
-    assert refused(str(PLATOON), "--port-offset", "2250", "--out", str(file)) == (
+    assert refused(str(PLATOON), "--port-offset", str(free_fleet_offset()), "--out", str(file)) == (
         f"{file}: File exists; choose another folder with --out"
     )

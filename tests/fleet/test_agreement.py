@@ -7,16 +7,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from companion.core.arrays import FloatArray
-from sitl.summary import read_summary
-from sitl.tracks import read_track
+from companion.stability.arrays import FloatArray
+from fleet_ports import free_fleet_offset
+from repository import ROOT
+from sitl.report.summary import read_summary
+from sitl.report.tracks import read_track
 
 pytestmark = [pytest.mark.fleet, pytest.mark.timeout(300)]
 
-PLATOON = Path(__file__).parents[2] / "config" / "scenarios" / "platoon.yaml"
+PLATOON = ROOT / "config" / "scenarios" / "platoon.yaml"
 FORMATION_S = 12.0
-# Real vehicles begin their formations up to two ticks apart, as their processes happened to be started, and so real flights
-# differ from each other, too. Measured: 1 cm RMS and 3 cm at most where the first began 28 ms before the last.
+# Real vehicles enter formation up to two ticks apart, depending on the start of their processes: two real flights differ, too.
+# Measured: 1 cm RMS and 3 cm at most where the first entered formation 28 ms before the last.
 RMS_M, MAX_M = 0.03, 0.06
 
 
@@ -42,7 +44,7 @@ def positions(folder: Path) -> FloatArray:
 
 
 def test_real_processes_and_virtual_time_agree(tmp_path: Path) -> None:
-    fly("fly", tmp_path / "fly", "--port-offset", "2040")
+    fly("fly", tmp_path / "fly", "--port-offset", str(free_fleet_offset()))
     fly("run", tmp_path / "run")
     apart_m = np.linalg.norm(positions(tmp_path / "fly") - positions(tmp_path / "run"), axis=2)
     assert np.sqrt((apart_m**2).mean(axis=1)).max() <= RMS_M

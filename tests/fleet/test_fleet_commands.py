@@ -1,4 +1,4 @@
-"""`companion fleet` against a fleet of real agents: a whole mission, two operators, and what is recorded and given again."""
+"""`companion fleet` against a fleet of real agents: a whole mission, two operators, and recorded commands."""
 
 import contextlib
 import io
@@ -11,19 +11,24 @@ from typing import Any
 
 import pytest
 import yaml
+import zenoh
 
-from companion.cli import main
+from companion.cli.main import main
 from companion.ground.session import FleetSession
 from companion.link.zenoh_session import open_session
-from companion.types import Command, CommandName, CommandReply, FlightPhase, Status
+from companion.types.commands import Command, CommandName, CommandReply
+from companion.types.flight import FlightPhase
+from companion.types.notices import Code
+from companion.types.status import Status
 from companion.wire.ground import decode_reply, encode
-from companion.wire.keys import command_key
-from sitl.fleet import Fleet, endpoint_of
-from sitl.scenario import scenario_from
+from companion.wire.keys import command_key, reply_key
+from fleet_ports import free_fleet_offset
+from sitl.flight.processes.fleet import Fleet
+from sitl.flight.scenario import scenario_from
+from sitl.links.ports import zenoh_endpoint
 
 pytestmark = [pytest.mark.fleet, pytest.mark.timeout(280)]
 
-PORT_OFFSET = 2450
 SCENARIO = """\
 fleet:
   name: commanded
@@ -44,46 +49,51 @@ ALL = (1, 2, 3)
 
 
 class Ground:
-    """A ground station in the fleet's folder: `companion fleet`, and an ear for what the vehicles say."""
+    """A ground station in the fleet's folder: `companion fleet`, and the reports of the vehicles."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, port_offset: int) -> None:
         self.folder = folder
-        self.endpoints = [endpoint_of(i, PORT_OFFSET) for i in ALL]
+        self.endpoints = [zenoh_endpoint(i, port_offset) for i in ALL]
 
     def fleet(self, *arguments: str, operator: str = "anna", code: int = 0) -> str:
-        """What `companion fleet` prints, on either stream."""
-        said = io.StringIO()
+        """What `companion fleet` prints on stdout, then on stderr."""
+        return "".join(self._run(*arguments, operator=operator, code=code))
+
+    def _run(self, *arguments: str, operator: str, code: int) -> tuple[str, str]:
+        output, errors = io.StringIO(), io.StringIO()
         common = ["--fleet", str(self.folder / "fleet.yaml"), "--connect", *self.endpoints, "--wait-s", "10"]
-        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+        with contextlib.redirect_stdout(output), contextlib.redirect_stderr(errors):
             try:
                 ended = main(["fleet", *arguments, *common, "--as", operator])
             except SystemExit as usage:
                 ended = int(usage.code or 0)
-        assert ended == code, said.getvalue()
-        return said.getvalue()
+        printed = output.getvalue(), errors.getvalue()
+        assert ended == code, printed
+        return printed
 
     def answers(self, *arguments: str, operator: str = "anna", code: int = 0) -> dict[int, dict[str, Any]]:
-        told = json.loads(self.fleet(*arguments, "--json", operator=operator, code=code))
-        assert told["operator"] == operator
-        return {vehicle["vehicle_id"]: vehicle for vehicle in told["vehicles"]}
+        output, _ = self._run(*arguments, "--json", operator=operator, code=code)
+        printed = json.loads(output)
+        assert printed["operator"] == operator
+        return {vehicle["vehicle_id"]: vehicle for vehicle in printed["vehicles"]}
 
     def until(self, phase: FlightPhase, condition: Callable[[Status], bool] = lambda _: True) -> None:
-        """All vehicles are in this phase, and are as wanted."""
+        """Until all vehicles are in this phase and the condition holds for each."""
         with FleetSession.open("commanded", self.endpoints) as session:
             end_s = time.monotonic() + 60.0
             while True:
-                heard = session.hear(ALL, 10.0)
-                if len(heard) == len(ALL) and all(s.phase is phase and condition(s) for s in heard.values()):
+                statuses = session.statuses(ALL, 10.0)
+                if len(statuses) == len(ALL) and all(s.phase is phase and condition(s) for s in statuses.values()):
                     return
-                assert time.monotonic() < end_s, heard
+                assert time.monotonic() < end_s, statuses
                 time.sleep(0.05)
 
 
 @pytest.fixture(scope="module")
 def ground(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ground]:
-    folder = tmp_path_factory.mktemp("commanded")
-    with Fleet.start(scenario_from(folder / "scenario.yaml", yaml.safe_load(SCENARIO)), folder, PORT_OFFSET):
-        yield Ground(folder)
+    folder, port_offset = tmp_path_factory.mktemp("commanded"), free_fleet_offset()
+    with Fleet.start(scenario_from(folder / "scenario.yaml", yaml.safe_load(SCENARIO)), folder, port_offset):
+        yield Ground(folder, port_offset)
 
 
 def ready(ground: Ground) -> None:
@@ -101,34 +111,42 @@ def test_a_mission_from_one_terminal(ground: Ground) -> None:
     ready(ground)
     lines = ground.fleet("ready").splitlines()
     assert [line for line in lines if line.startswith("vehicle")] == [f"vehicle {i}  ready" for i in ALL]
-    assert sum("hears" in line for line in lines) == 3
+    assert sum("fresh: " in line for line in lines) == 3
 
     refused = ground.answers("takeoff", code=1)
-    assert {vehicle["answer"] for vehicle in refused.values()} == {"refused"}
-    assert all("not possible in phase observe" in vehicle["reason"] for vehicle in refused.values())
+    assert {(vehicle["answer"], vehicle["code"]) for vehicle in refused.values()} == {("not sent", "WRONG_PHASE")}
+
+    ground.answers("arm", "--only", "1", "2")
+    held_back = ground.answers("takeoff", code=1)  # one is not armed: none climbs
+    assert {i: vehicle["code"] for i, vehicle in held_back.items()} == {1: "NOT_SENT", 2: "NOT_SENT", 3: "WRONG_PHASE"}
 
     assert "vehicle 9 is not in" in ground.fleet("land", "--only", "2", "9", code=2)
     assert "vehicle 9 is not in" in ground.fleet("leader", "9", code=2)
 
     armed = ground.answers("arm")
-    assert {vehicle["answer"] for vehicle in armed.values()} == {"accepted"}
+    assert {(vehicle["answer"], vehicle["finished"]) for vehicle in armed.values()} == {("accepted", True)}
     assert all(vehicle["after_s"] > 0.0 for vehicle in armed.values())
+    assert {i: vehicle["code"] for i, vehicle in armed.items()} == {
+        1: "ALREADY_DONE",
+        2: "ALREADY_DONE",
+        3: "PHASE_CHANGED",
+    }
     ground.until(FlightPhase.ARMED)
-    ground.fleet("takeoff")
+    assert "3 of 3 vehicles in hold after takeoff (" in ground.fleet("takeoff")
     ground.until(FlightPhase.HOLD)
-    ground.fleet("form")
+    again = ground.answers("takeoff")
+    assert {(vehicle["code"], vehicle["finished"]) for vehicle in again.values()} == {("ALREADY_DONE", True)}
+    assert "3 of 3 vehicles in formation (" in ground.fleet("form")
     ground.until(FlightPhase.FORMATION)
 
     stranger = ground.answers("hold", operator="boris", code=1)
-    assert {vehicle["reason"] for vehicle in stranger.values()} == {
-        "hold: anna holds command; take it over with: companion fleet take"
-    }
+    assert {vehicle["code"] for vehicle in stranger.values()} == {"OTHER_HOLDS_COMMAND"}
     ground.until(FlightPhase.FORMATION, lambda status: status.holder == "anna")
 
     ground.fleet("leader", "2")
     ground.until(FlightPhase.FORMATION, lambda status: status.epoch == 1)
-    assert "may lead" in ground.fleet("leader", "3", code=1)
-    together = ground.answers("leader", "1", "3", code=1)  # 3 may not: nobody is told to follow it
+    assert "NOT_A_LEADER: " in ground.fleet("leader", "3", code=1)
+    together = ground.answers("leader", "1", "3", code=1)  # 3 may not: no vehicle follows it
     assert {i: vehicle["answer"] for i, vehicle in together.items()} == {1: "refused", 3: "refused"}
     ground.until(FlightPhase.FORMATION, lambda status: status.epoch == 1)
 
@@ -147,41 +165,51 @@ def test_a_mission_from_one_terminal(ground: Ground) -> None:
     ground.until(FlightPhase.FORMATION, lambda s: s.reference is None or s.reference.flown == 1)
 
     taken = ground.answers("take", operator="boris")
-    assert {vehicle["reason"] for vehicle in taken.values()} == {"boris takes command from anna"}
-    assert "boris holds command" in ground.fleet("form", code=1)
-    told = ground.fleet("status")
-    assert "formation 2, reference 1, commanded by boris" in told
-    assert "formation 2, reference -, commanded by boris" in told  # vehicle 3 may not lead
+    assert {vehicle["code"] for vehicle in taken.values()} == {"COMMAND_TAKEN"}
+    assert "OTHER_HOLDS_COMMAND: " in ground.fleet("form", code=1)
+    shown = ground.fleet("status")
+    assert "formation 2, reference 1, operator boris" in shown
+    assert "formation 2, reference -, operator boris" in shown  # vehicle 3 may not lead
 
-    ground.fleet("abort")  # anna's: for everybody
+    ground.fleet("abort")  # by anna, who does not hold command
     ground.until(FlightPhase.HOLD, lambda status: status.holder == "boris" and status.mode_name == "AUTO.LOITER")
-    landing = ground.answers("land", operator="boris")
-    assert {vehicle["answer"] for vehicle in landing.values()} == {"accepted"}
-    ground.fleet("abort", operator="carla")  # who lands goes on
+    landing = ground.answers("land", "--no-wait", operator="boris")
+    assert {(vehicle["answer"], vehicle["finished"]) for vehicle in landing.values()} == {("accepted", None)}
+    aborted = ground.answers("abort", operator="carla")  # the landing continues
+    assert {(vehicle["code"], vehicle["finished"]) for vehicle in aborted.values()} == {("LANDING_CONTINUES", True)}
     ground.until(FlightPhase.OBSERVE, lambda status: not status.armed)
 
     log = (ground.folder / "agent_2.log").read_text()
-    assert " of boris: refused, hold: anna holds command" in log
-    assert " of boris: accepted, boris takes command from anna" in log
-    assert ": boris takes command from anna\n" in log  # as an event, too
-    assert "carla aborts; boris holds command" in log
+    assert " of boris: refused, OTHER_HOLDS_COMMAND: " in log
+    assert " of boris: accepted, COMMAND_TAKEN: " in log
+    assert ": COMMAND_TAKEN: boris takes command from anna\n" in log  # as an event, too
+    assert ": ABORT_BY_OTHER: " in log
     assert "Traceback" not in log
 
 
-def test_what_was_recorded_is_not_obeyed_again(ground: Ground) -> None:
+def test_a_recorded_command_has_no_effect(ground: Ground) -> None:
     ready(ground)
     ground.fleet("take")
     with (
         FleetSession.open("commanded", ground.endpoints) as session,
         closing(open_session((), ground.endpoints)) as network,
     ):
-        status = session.hear([2], 10.0)[2]
+        status = session.statuses([2], 10.0)[2]
+        received = network.declare_subscriber(reply_key("commanded", 2), zenoh.handlers.RingChannel(100))
+        time.sleep(0.5)  # until the vehicle knows of the subscriber
 
         def give(command: Command) -> CommandReply:
-            channel = network.get(command_key("commanded", 2), payload=encode(command), timeout=10.0)
-            replies = [decode_reply(reply.ok.payload.to_bytes()) for reply in channel if reply.ok]
-            assert len(replies) == 1
-            return replies[0]
+            while received.try_recv():
+                pass
+            network.put(command_key("commanded", 2), encode(command))
+            end_s = time.monotonic() + 10.0
+            while time.monotonic() < end_s:
+                sample = received.try_recv()
+                reply = decode_reply(sample.payload.to_bytes()) if sample else None
+                if reply and (reply.operator, reply.number) == (command.operator, command.number):
+                    return reply
+                time.sleep(0.02)
+            raise AssertionError(f"no reply to {command}")
 
         first = Command(CommandName.PREPARE, status.command_number + 1, "anna", status.session)
         second = Command(CommandName.DISARM, status.command_number + 2, "anna", status.session)
@@ -190,28 +218,24 @@ def test_what_was_recorded_is_not_obeyed_again(ground: Ground) -> None:
         assert give(first) == answer  # its answer may have been lost
         assert give(second).accepted
         again = give(first)
-        assert (again.accepted, again.reason) == (
-            False,
-            f"prepare: old command: number {first.number} is not newer than {second.number}",
-        )
-        elsewhen = give(Command(CommandName.PREPARE, second.number + 1, "anna", status.session ^ 1))
-        assert not elsewhen.accepted
-        assert "earlier start" in elsewhen.reason
+        assert (again.accepted, again.code) == (False, Code.COMMAND_OLD)
+        earlier = give(Command(CommandName.PREPARE, second.number + 1, "anna", status.session ^ 1))
+        assert (earlier.accepted, earlier.code) == (False, Code.WRONG_SESSION)
     ground.until(FlightPhase.OBSERVE)
 
 
-def test_who_is_not_there_is_missing_and_the_others_are_asked_all_the_same(ground: Ground, tmp_path: Path) -> None:
+def test_a_missing_vehicle_does_not_hold_back_a_disarm_of_the_others(ground: Ground, tmp_path: Path) -> None:
     more = yaml.safe_load((ground.folder / "fleet.yaml").read_text())
     more["vehicles"].append({"id": 4, "role": "follower", "slot_enu_m": [-9.0, 0.0, 0.0]})
     file = tmp_path / "fleet.yaml"
     file.write_text(yaml.safe_dump(more))
-    said = io.StringIO()
-    with contextlib.redirect_stdout(said):
+    output = io.StringIO()
+    with contextlib.redirect_stdout(output):
         common = ["--fleet", str(file), "--connect", *ground.endpoints, "--wait-s", "3"]
         assert main(["fleet", "disarm", *common, "--as", "anna"]) == 1
         assert main(["fleet", "ready", *common]) == 1
-    lines = said.getvalue().splitlines()
+    lines = output.getvalue().splitlines()
     assert [line.split()[2] for line in lines[:4]] == ["accepted"] * 3 + ["missing"]
-    assert "no answer within 3 s" in lines[3]
-    assert sum("another one than this (formation hash differs)" in line for line in lines) == 3
-    assert lines[-1] == "vehicle 4  missing: nothing heard of it for 3 s"
+    assert "NO_REPLY: " in lines[3]
+    assert sum("FLEET_FILE_DIFFERS: " in line for line in lines) == 3
+    assert "vehicle 4  missing  NO_REPORT: no report for 3 s" in lines

@@ -1,4 +1,4 @@
-"""`sitl fly --external`: agents alone, to autopilots that this test has started, one of each make."""
+"""`sitl fly --external`: only agents, for autopilots that the test has started, one of each make."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 
 from companion.mavlink.codec import MavlinkCodec, mavlink
-from sitl.ports import ports_of
-from sitl.summary import Summary, read_summary
-from sitl.tracks import read_track
+from fleet_ports import free_fleet_offset
+from sitl.links.ports import ports_of
+from sitl.report.summary import Summary, read_summary
+from sitl.report.tracks import read_track
 
 pytestmark = [pytest.mark.fleet, pytest.mark.timeout(300)]
 
-OFFSET = 2800
 SCENARIO = """\
 fleet:
   name: pair
@@ -48,9 +48,14 @@ stand_in: {{autopilot: {kind}, armable_after_s: 4, parameters: {{{parameters}}}}
 
 
 @pytest.fixture
-def autopilots(tmp_path: Path) -> Iterator[list[subprocess.Popen[bytes]]]:
-    """Vehicle 1 has PX4's manners, vehicle 2 ArduCopter's. They run until the test ends them."""
-    of_one, of_two = ports_of(1, OFFSET), ports_of(2, OFFSET)
+def offset() -> int:
+    return free_fleet_offset()
+
+
+@pytest.fixture
+def autopilots(tmp_path: Path, offset: int) -> Iterator[list[subprocess.Popen[bytes]]]:
+    """Vehicle 1 behaves like PX4, vehicle 2 like ArduCopter. They run until the test ends them."""
+    of_one, of_two = ports_of(1, offset), ports_of(2, offset)
     (tmp_path / "pair.yaml").write_text(SCENARIO, encoding="utf-8")
     (tmp_path / "external.yaml").write_text(
         "external_vehicles:\n"
@@ -59,22 +64,26 @@ def autopilots(tmp_path: Path) -> Iterator[list[subprocess.Popen[bytes]]]:
         encoding="utf-8",
     )
     started = []
-    for vehicle_id, x, kind, parameters in ((1, 0.0, "px4", ""), (2, -3.0, "ardupilot", "GUID_OPTIONS: 8")):
+    for vehicle_id, x, kind, parameters in (
+        (1, 0.0, "px4", "COM_OBL_RC_ACT: 5"),
+        (2, -3.0, "ardupilot", "GUID_OPTIONS: 8"),
+    ):
         file = tmp_path / f"own_{vehicle_id}.yaml"
         file.write_text(AUTOPILOT.format(id=vehicle_id, x=x, kind=kind, parameters=parameters), encoding="utf-8")
-        command = [sys.executable, "-m", "sitl", "autopilot", "--config", str(file), "--port-offset", str(OFFSET)]
+        command = [sys.executable, "-m", "sitl", "autopilot", "--config", str(file), "--port-offset", str(offset)]
         truth = ["--truth", str(tmp_path / f"true_{vehicle_id}.csv")]
-        started.append(subprocess.Popen([*command, *truth], stdout=subprocess.DEVNULL))
+        with (tmp_path / f"own_{vehicle_id}.log").open("wb") as log:
+            started.append(subprocess.Popen([*command, *truth], stdout=log))
     yield started
     for process in started:
         process.kill()
         process.wait()
 
 
-def fly(folder: Path, *more: str) -> subprocess.Popen[str]:
+def fly(folder: Path, offset: int, *more: str) -> subprocess.Popen[str]:
     files = [str(folder / "pair.yaml"), "--external", str(folder / "external.yaml"), "--out", str(folder / "out")]
     return subprocess.Popen(
-        [sys.executable, "-m", "sitl", "fly", *files, "--port-offset", str(OFFSET), *more],
+        [sys.executable, "-m", "sitl", "fly", *files, "--port-offset", str(offset), *more],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
@@ -90,12 +99,12 @@ def summary_of(folder: Path) -> Summary:
     return read_summary(folder / "out" / "summary.json")
 
 
-def all_run(autopilots: list[subprocess.Popen[bytes]]) -> bool:
+def all_are_running(autopilots: list[subprocess.Popen[bytes]]) -> bool:
     return all(process.poll() is None for process in autopilots)
 
 
-def await_formation(folder: Path, flight: subprocess.Popen[str]) -> None:
-    """Of both vehicles."""
+def wait_for_formation(folder: Path, flight: subprocess.Popen[str]) -> None:
+    """Both vehicles are in formation."""
     logs, deadline_s = [folder / "out" / f"agent_{i}.log" for i in (1, 2)], time.monotonic() + 120.0
     while not all(log.exists() and "engage -> formation" in log.read_text(encoding="utf-8") for log in logs):
         assert time.monotonic() < deadline_s and flight.poll() is None
@@ -103,7 +112,7 @@ def await_formation(folder: Path, flight: subprocess.Popen[str]) -> None:
 
 
 def agents(folder: Path, vehicle_id: int) -> list[int]:
-    """Process ids of this vehicle's agent."""
+    """Process ids of the agent of a vehicle."""
     file, found = str(folder / "out" / f"vehicle_{vehicle_id}.yaml").encode(), []
     for process in Path("/proc").iterdir():
         try:
@@ -116,90 +125,92 @@ def agents(folder: Path, vehicle_id: int) -> list[int]:
 
 
 def armed(folder: Path) -> list[int]:
-    """Vehicles that are, by their autopilots' own records, which are a second behind."""
+    """Ids of the armed vehicles by the truth files of their stand-ins, which lag a second behind."""
     time.sleep(2.0)
     rows = {i: (folder / f"true_{i}.csv").read_text(encoding="ascii").splitlines()[-2] for i in (1, 2)}
     return [vehicle_id for vehicle_id, row in rows.items() if row.split(",")[-2] == "1"]
 
 
-def test_a_mixed_pair_flies_and_its_autopilots_stay(tmp_path: Path, autopilots: list[subprocess.Popen[bytes]]) -> None:
-    code, printed = ended(fly(tmp_path))
+def test_a_mixed_pair_flies_and_its_autopilots_keep_running(
+    tmp_path: Path, offset: int, autopilots: list[subprocess.Popen[bytes]]
+) -> None:
+    code, printed = ended(fly(tmp_path, offset))
     assert code == 0, printed
     assert "waiting for the vehicles to be ready" in printed
     summary = summary_of(tmp_path)
     assert (summary.tracks, summary.failure) == ("estimated", None)
     assert summary.final_error_m is not None and summary.final_error_m < 0.3
-    assert all_run(autopilots)
+    assert all_are_running(autopilots)
     assert armed(tmp_path) == []
-    for vehicle_id in (1, 2):  # as told it was truly there, but for the estimator's error and the altitude's zero
-        told, true = (
+    for vehicle_id in (1, 2):  # the reported track is the true one but for estimation error and the altitude's zero
+        reported, true = (
             read_track(tmp_path / "out" / f"estimated_{vehicle_id}.csv"),
             read_track(tmp_path / f"true_{vehicle_id}.csv"),
         )
-        times_s = np.linspace(told.time_s[0], told.time_s[-1], 100)
-        assert np.abs((told.at(times_s) - true.at(times_s))[:, :2]).max() < 0.5
+        times_s = np.linspace(reported.time_s[0], reported.time_s[-1], 100)
+        assert np.abs((reported.at(times_s) - true.at(times_s))[:, :2]).max() < 0.5
     assert not list((tmp_path / "out").glob("truth_*")) and not list((tmp_path / "out").glob("autopilot_*"))
 
 
-def test_ctrl_c_in_formation_lands_both_and_leaves_their_autopilots(
-    tmp_path: Path, autopilots: list[subprocess.Popen[bytes]]
+def test_ctrl_c_in_formation_lands_both_and_keeps_their_autopilots(
+    tmp_path: Path, offset: int, autopilots: list[subprocess.Popen[bytes]]
 ) -> None:
-    flight = fly(tmp_path, "--set", "timeline[3].for_s=120", "--quiet")
-    await_formation(tmp_path, flight)
+    flight = fly(tmp_path, offset, "--set", "timeline[3].for_s=120", "--quiet")
+    wait_for_formation(tmp_path, flight)
     flight.send_signal(signal.SIGINT)
     code, printed = ended(flight)
     assert code == 130, printed
     assert "interrupted by SIGINT" in printed
     assert armed(tmp_path) == []
-    assert all_run(autopilots)
+    assert all_are_running(autopilots)
 
 
-def test_who_lost_its_agent_in_formation_is_said_to_be_left_armed(
-    tmp_path: Path, autopilots: list[subprocess.Popen[bytes]]
+def test_a_vehicle_that_loses_its_agent_in_formation_is_reported_as_left_armed(
+    tmp_path: Path, offset: int, autopilots: list[subprocess.Popen[bytes]]
 ) -> None:
-    flight = fly(tmp_path, "--set", "timeline[3].for_s=120", "--quiet")
-    await_formation(tmp_path, flight)
+    flight = fly(tmp_path, offset, "--set", "timeline[3].for_s=120", "--quiet")
+    wait_for_formation(tmp_path, flight)
     (agent,) = agents(tmp_path, 2)
     os.kill(agent, signal.SIGKILL)
     code, printed = ended(flight)
     assert code == 1
     assert "vehicle 2 left armed, without an agent that could land it" in printed
     assert armed(tmp_path) == [2]
-    assert all_run(autopilots)
+    assert all_are_running(autopilots)
 
 
-def test_what_a_pilot_takes_over_in_formation_stays_the_pilots(
-    tmp_path: Path, autopilots: list[subprocess.Popen[bytes]]
+def test_a_vehicle_taken_over_by_a_pilot_in_formation_is_left_to_the_pilot(
+    tmp_path: Path, offset: int, autopilots: list[subprocess.Popen[bytes]]
 ) -> None:
-    flight = fly(tmp_path, "--set", "timeline[3].for_s=120", "--quiet")
-    await_formation(tmp_path, flight)
+    flight = fly(tmp_path, offset, "--set", "timeline[3].for_s=120", "--quiet")
+    wait_for_formation(tmp_path, flight)
     hold = mavlink.MAVLink_command_long_message(1, 1, mavlink.MAV_CMD_DO_SET_MODE, 0, 1, 4, 3, 0, 0, 0, 0)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ground_station:
-        ground_station.sendto(MavlinkCodec(255, 190).encode(hold), ("127.0.0.1", ports_of(1, OFFSET).ground_link))
+        ground_station.sendto(MavlinkCodec(255, 190).encode(hold), ("127.0.0.1", ports_of(1, offset).ground_link))
         code, printed = ended(flight)
     assert code == 1
-    assert "mode AUTO.LOITER was set by someone else" in printed
-    assert "vehicle 1 left in the air, to whoever set its mode" in printed
+    assert "mode AUTO.LOITER was not set by this agent" in printed
+    assert "vehicle 1 left in the air: another operator or the autopilot set its mode" in printed
     assert armed(tmp_path) == [1]
-    assert all_run(autopilots)
+    assert all_are_running(autopilots)
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "named"),
     [
         (("autopilot: px4", "autopilot: ardupilot"), "ArduCopter"),
         (("{id: 2, ", "{id: 2, hover_thrust_norm: 0.365, mavlink: tcp:127.0.0.1:9, autopilot: ardupilot} #"), "127.0.0.1:9"),
     ],
-    ids=["another make", "nobody there"],
+    ids=["another make", "no autopilot"],
 )  # fmt: skip
-def test_an_autopilot_that_is_another_or_is_not_there_is_named_and_nothing_is_flown(
-    tmp_path: Path, autopilots: list[subprocess.Popen[bytes]], change: tuple[str, str], said: str
+def test_a_missing_or_wrong_autopilot_is_named_and_nothing_flies(
+    tmp_path: Path, offset: int, autopilots: list[subprocess.Popen[bytes]], change: tuple[str, str], named: str
 ) -> None:
     file = tmp_path / "external.yaml"
     file.write_text(file.read_text(encoding="utf-8").replace(*change), encoding="utf-8")
-    code, printed = ended(fly(tmp_path, "--quiet"))
+    code, printed = ended(fly(tmp_path, offset, "--quiet"))
     assert code == 1
-    assert said in summary_of(tmp_path).failure  # type: ignore[operator]
+    assert named in summary_of(tmp_path).failure  # type: ignore[operator]
     assert "ended with exit code" in printed
-    assert all_run(autopilots)
+    assert all_are_running(autopilots)
     assert armed(tmp_path) == []

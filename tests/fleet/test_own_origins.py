@@ -1,4 +1,4 @@
-"""Real processes whose autopilots' own frames begin 50 m apart; an estimator resets in flight, and is put right again."""
+"""Real processes whose local frames have origins 50 m apart; an estimator resets in flight, twice."""
 
 import subprocess
 import sys
@@ -6,11 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from sitl.summary import read_summary
+from companion.types.notices import Code
+from fleet_ports import free_fleet_offset
+from repository import ROOT
+from sitl.report.summary import read_summary
 
 pytestmark = [pytest.mark.fleet, pytest.mark.timeout(300)]
 
-PLATOON = Path(__file__).parents[2] / "config" / "scenarios" / "platoon.yaml"
+PLATOON = ROOT / "config" / "scenarios" / "platoon.yaml"
 OVERRIDES = (
     "fleet.law={name: cooperative}",
     "timeline[3].for_s=30",
@@ -20,8 +23,8 @@ OVERRIDES = (
 )
 
 
-def test_they_reach_the_same_formation(tmp_path: Path) -> None:
-    sets = [word for override in OVERRIDES for word in ("--set", override)]
+def test_vehicles_with_different_local_frames_reach_one_formation(tmp_path: Path) -> None:
+    sets = [argument for override in OVERRIDES for argument in ("--set", override)]
     command = [
         sys.executable,
         "-m",
@@ -31,7 +34,7 @@ def test_they_reach_the_same_formation(tmp_path: Path) -> None:
         "--out",
         str(tmp_path),
         "--port-offset",
-        "2060",
+        str(free_fleet_offset()),
         "--quiet",
     ]
     done = subprocess.run([*command, *sets], capture_output=True, text=True, timeout=280, check=False)
@@ -39,6 +42,6 @@ def test_they_reach_the_same_formation(tmp_path: Path) -> None:
     summary = read_summary(tmp_path / "summary.json")
     assert summary.final_error_m is not None
     assert summary.final_error_m < 0.03
-    jumps = [event.vehicle for event in summary.events if "the autopilot's position jumped by 1.0 m" in event.event]
+    jumps = [event.vehicle for event in summary.events if event.code is Code.POSITION_RESET and "1.0 m" in event.event]
     assert set(jumps) == {3}
     assert all(vehicle.rejected == {} for vehicle in summary.vehicles)

@@ -1,4 +1,4 @@
-"""`companion fleet return` by real processes: home and down, also of the vehicle whose agent is killed on the way."""
+"""`companion fleet return`: both vehicles fly home and land, also the one whose agent is killed on the way."""
 
 from __future__ import annotations
 
@@ -13,15 +13,18 @@ from pathlib import Path
 import pytest
 import yaml
 
-from companion.cli import main
+from companion.cli.main import main
 from companion.ground.session import FleetSession
-from companion.types import FlightPhase, Status
-from sitl.fleet import Fleet, endpoint_of, truth_path
-from sitl.scenario import scenario_from
+from companion.types.flight import FlightPhase
+from companion.types.status import Status
+from fleet_ports import free_fleet_offset
+from sitl.flight.files import truth_path
+from sitl.flight.processes.fleet import Fleet
+from sitl.flight.scenario import scenario_from
+from sitl.links.ports import zenoh_endpoint
 
 pytestmark = [pytest.mark.fleet, pytest.mark.timeout(200)]
 
-PORT_OFFSET = {"px4": 3150, "ardupilot": 3200}
 LOW = {"px4": "RTL_RETURN_ALT: 4", "ardupilot": "RTL_ALT: 400, RTL_LOIT_TIME: 500"}
 SCENARIO = """\
 fleet:
@@ -40,32 +43,32 @@ STARTS = {1: (0.0, 0.0), 2: (-3.0, 0.0)}
 
 
 def wait(session: FleetSession, condition: Callable[[Status], bool], ids: Collection[int] = tuple(STARTS)) -> None:
-    """Until it is so of these."""
+    """Until the condition holds for all these vehicles."""
     end_s = time.monotonic() + 60.0
     while True:
-        heard = session.hear(ids, 10.0)
-        if len(heard) == len(ids) and all(map(condition, heard.values())):
+        statuses = session.statuses(ids, 10.0)
+        if len(statuses) == len(ids) and all(map(condition, statuses.values())):
             return
-        assert time.monotonic() < end_s, heard
+        assert time.monotonic() < end_s, statuses
         time.sleep(0.05)
 
 
 def true_end(folder: Path, vehicle_id: int) -> tuple[tuple[float, float, float], bool]:
-    """Where it truly is by now, and whether it is armed."""
+    """Its true position and whether it is armed, by the newest row of its truth file."""
     lines = truth_path(folder, vehicle_id).read_text(encoding="ascii").splitlines(keepends=True)
     *_, last = csv.DictReader(line for line in lines if line.endswith("\n"))
     return (float(last["x_m"]), float(last["y_m"]), float(last["z_m"])), last["armed"] == "1"
 
 
 @pytest.mark.parametrize("make", ["px4", "ardupilot"])
-def test_both_come_home_also_without_an_agent(tmp_path: Path, make: str) -> None:
-    offset = PORT_OFFSET[make]
+def test_both_vehicles_return_home_also_without_an_agent(tmp_path: Path, make: str) -> None:
+    offset = free_fleet_offset()
     text = SCENARIO.format(make=make, low=LOW[make])
-    endpoints = [endpoint_of(i, offset) for i in STARTS]
+    endpoints = [zenoh_endpoint(i, offset) for i in STARTS]
 
-    def command(name: str) -> int:
+    def command(*action: str) -> int:
         file = str(tmp_path / "fleet.yaml")
-        return main(["fleet", name, "--fleet", file, "--connect", *endpoints, "--wait-s", "10", "--as", "anna"])
+        return main(["fleet", *action, "--fleet", file, "--connect", *endpoints, "--wait-s", "10", "--as", "anna"])
 
     with (
         Fleet.start(scenario_from(tmp_path / "scenario.yaml", yaml.safe_load(text)), tmp_path, offset) as fleet,
@@ -83,7 +86,7 @@ def test_both_come_home_also_without_an_agent(tmp_path: Path, make: str) -> None
                 time.sleep(0.5)
             wait(session, lambda status, wanted=phase: status.phase is wanted)  # type: ignore[misc]
         wait(session, lambda status: status.position_enu_m[1] > 4.0)
-        assert command("return") == 0
+        assert command("return", "--no-wait") == 0
         wait(session, lambda status: status.phase is FlightPhase.RETURN and status.mode_name.endswith("RTL"))
         os.kill(fleet.pid_of("agent 1"), signal.SIGKILL)
 

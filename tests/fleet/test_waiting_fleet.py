@@ -1,6 +1,7 @@
-"""`sitl fleet`: real processes that stand and wait, an operator who flies them, and Ctrl-C that lands them all the same."""
+"""`sitl fleet`: real processes on the ground, an operator who flies them, and Ctrl-C, which lands them."""
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -9,48 +10,47 @@ from pathlib import Path
 
 import pytest
 
-from sitl.fleet import endpoint_of
+from fleet_ports import free_fleet_offset
+from repository import ROOT
+from sitl.links.ports import zenoh_endpoint
 
 pytestmark = [pytest.mark.fleet, pytest.mark.timeout(180)]
 
-PAIR = Path(__file__).parents[2] / "config" / "scenarios" / "platoon.yaml"
-PORT_OFFSET = 2850
+PLATOON = ROOT / "config" / "scenarios" / "platoon.yaml"
 
 
-def companion(*arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
-    to_fleet = ["--fleet", str(folder / "fleet.yaml"), "--connect", endpoint_of(1, PORT_OFFSET), "--wait-s", "10"]
-    command = [sys.executable, "-m", "companion", "fleet", *arguments, *to_fleet]
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+def companion(*arguments: str, folder: Path, port_offset: int) -> subprocess.CompletedProcess[str]:
+    """`companion fleet` with its fleet file and endpoint from the environment."""
+    fleet = {"COMPANION_FLEET": str(folder / "fleet.yaml"), "COMPANION_CONNECT": zenoh_endpoint(1, port_offset)}
+    command = [sys.executable, "-m", "companion", "fleet", *arguments, "--wait-s", "10"]
+    return subprocess.run(command, capture_output=True, text=True, timeout=90, check=False, env={**os.environ, **fleet})
 
 
-def until(folder: Path, phase: str, within_s: float = 60.0) -> None:
-    end_s = time.monotonic() + within_s
-    while True:
-        told = json.loads(companion("status", "--json", folder=folder).stdout)
-        if all(vehicle["phase"] == phase for vehicle in told["vehicles"]):
-            return
-        assert time.monotonic() < end_s, told
-        time.sleep(0.5)
+def phases(folder: Path, port_offset: int) -> set[str]:
+    report = json.loads(companion("status", "--json", folder=folder, port_offset=port_offset).stdout)
+    return {vehicle["phase"] for vehicle in report["vehicles"]}
 
 
-def test_an_operator_flies_it_and_ctrl_c_lands_it(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "sitl", "fleet", str(PAIR), "--out", str(tmp_path), "--quiet"]
-    fleet = subprocess.Popen([*command, "--port-offset", str(PORT_OFFSET)], stdout=subprocess.PIPE, text=True)
+def test_ctrl_c_lands_a_fleet_that_an_operator_flies(tmp_path: Path) -> None:
+    port_offset = free_fleet_offset()
+    command = [sys.executable, "-m", "sitl", "fleet", str(PLATOON), "--out", str(tmp_path), "--quiet"]
+    fleet = subprocess.Popen([*command, "--port-offset", str(port_offset)], stdout=subprocess.PIPE, text=True)
     try:
         assert fleet.stdout is not None
         assert fleet.stdout.readline().startswith("fleet platoon, vehicles 1, 2, 3, 4. In a second terminal")
         end_s = time.monotonic() + 60.0
-        while companion("ready", folder=tmp_path).returncode != 0:
+        while companion("ready", folder=tmp_path, port_offset=port_offset).returncode != 0:
             assert time.monotonic() < end_s
-        for action, phase in (("arm", "armed"), ("takeoff", "hold")):
-            done = companion(action, folder=tmp_path)
+        for action, phase in (("arm", "armed"), ("takeoff", "hold"), ("form", "formation")):
+            done = companion(action, folder=tmp_path, port_offset=port_offset)
             assert done.returncode == 0, done.stdout + done.stderr
-            until(tmp_path, phase)
+            assert f"fleet file {tmp_path / 'fleet.yaml'} (COMPANION_FLEET)" in done.stderr
+            assert phases(tmp_path, port_offset) == {phase}  # the command has waited for it
         fleet.send_signal(signal.SIGINT)
-        said, _ = fleet.communicate(timeout=60.0)
+        output, _ = fleet.communicate(timeout=60.0)
     finally:
         fleet.kill()
-    assert fleet.returncode == 0, said
-    assert said.splitlines()[-1] == f"all landed; files and logs in {tmp_path}"
+    assert fleet.returncode == 0, output
+    assert output.splitlines()[-1] == f"all landed; files and logs in {tmp_path}"
     heights_m = [float((tmp_path / f"truth_{i}.csv").read_text().splitlines()[-1].split(",")[3]) for i in (1, 2, 3, 4)]
     assert max(map(abs, heights_m)) < 0.1

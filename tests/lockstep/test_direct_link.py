@@ -1,4 +1,4 @@
-"""What is handed over without sockets is what the bytes would have said."""
+"""The direct link without sockets carries the same values as MAVLink messages over bytes."""
 
 from collections.abc import Iterator
 
@@ -6,24 +6,17 @@ import pytest
 
 from companion.mavlink.codec import MavlinkCodec, mavlink
 from companion.mavlink.translator import Translator
-from companion.types import (
-    AckSample,
-    AttitudeSample,
-    AttitudeTarget,
-    AutopilotKind,
-    OriginSample,
-    PositionSample,
-    RequestOrigin,
-    Telemetry,
-)
-from sitl import px4_setpoints
-from sitl.autopilot import DT_S
-from sitl.config import AutopilotFile, BatteryLevel, Links, StandIn
-from sitl.direct_link import SAMPLES, DirectLink, rates_hz, setpoint_of
-from sitl.manners import MANNERS
-from sitl.px4 import Px4
-from sitl.px4_messages import BUILDERS
-from sitl.px4_modes import Mode
+from companion.types.autopilot import AutopilotKind
+from companion.types.requests import AttitudeTarget, RequestOrigin
+from companion.types.telemetry import AckSample, AttitudeSample, OriginSample, PositionSample, Telemetry
+from sitl.autopilots.autopilot import DT_S
+from sitl.autopilots.behaviour import BEHAVIOURS
+from sitl.autopilots.px4 import setpoints as px4_setpoints
+from sitl.autopilots.px4.autopilot import Px4
+from sitl.autopilots.px4.messages import BUILDERS
+from sitl.autopilots.px4.modes import Mode
+from sitl.links.direct_link import SAMPLES, DirectLink, rates_hz, setpoint_of
+from sitl.vehicle.config import AutopilotFile, BatteryLevel, Links, StandIn
 
 RECEIVED_S = 12.5
 RATES_HZ = rates_hz(AutopilotKind.PX4)
@@ -32,7 +25,7 @@ LOW_SOON = StandIn(seed=5, batteries=(BatteryLevel(vehicle=3, at_s=5.0, percent=
 
 
 def flying() -> Iterator[Px4]:
-    """One stand-in with noise, at several moments of a flight."""
+    """One stand-in with noise, at several times of a flight."""
     px4 = Px4(AutopilotFile(id=3, start_enu_m=(12.3, -4.5, 0.0), start_yaw_deg=130.0, stand_in=LOW_SOON), DT_S)
     yield px4
     for step in range(3000):
@@ -52,50 +45,50 @@ def by_bytes(px4: Px4, message_id: int) -> list[Telemetry]:
 
 
 @pytest.mark.parametrize("message_id", [i for i in RATES_HZ if i != mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION])
-def test_samples_are_those_of_the_bytes(message_id: int) -> None:
+def test_samples_equal_those_of_the_messages(message_id: int) -> None:
     for px4 in flying():
         assert list(SAMPLES[message_id](px4, RECEIVED_S)) == by_bytes(px4, message_id)
 
 
-def test_attitudes_are_those_of_the_bytes_to_a_microradian() -> None:
+def test_attitudes_equal_those_of_the_messages_to_a_microradian() -> None:
     for px4 in flying():
         (direct,) = SAMPLES[mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION](px4, RECEIVED_S)
-        (told,) = by_bytes(px4, mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION)
+        (received,) = by_bytes(px4, mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION)
         assert isinstance(direct, AttitudeSample)
-        assert isinstance(told, AttitudeSample)
-        assert direct.received_s == told.received_s
+        assert isinstance(received, AttitudeSample)
+        assert direct.received_s == received.received_s
         assert (direct.roll_rad, direct.pitch_rad, direct.yaw_rad) == pytest.approx(
-            (told.roll_rad, told.pitch_rad, told.yaw_rad), abs=MICRORADIAN
+            (received.roll_rad, received.pitch_rad, received.yaw_rad), abs=MICRORADIAN
         )
 
 
-def test_everything_that_the_agent_asks_for_is_told() -> None:
+def test_all_requested_messages_are_sent() -> None:
     assert SAMPLES.keys() == RATES_HZ.keys() | rates_hz(AutopilotKind.ARDUPILOT).keys()
     assert RATES_HZ[mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED] == 50.0
 
 
 @pytest.mark.parametrize("target", [AttitudeTarget(0.1, -0.2, 3.0, 0.51), AttitudeTarget(-0.3, 0.05, -3.1, 0.2)])
-def test_setpoints_are_those_of_the_bytes_to_a_microradian(target: AttitudeTarget) -> None:
+def test_setpoints_equal_those_of_the_messages_to_a_microradian(target: AttitudeTarget) -> None:
     (message,) = MavlinkCodec(1, 1).decode(Translator(1, AutopilotKind.PX4).attitude_target(target, 3.0))
-    told = px4_setpoints.setpoint_of(message, (1.0, 0.0, 0.0, 0.0))
+    received = px4_setpoints.setpoint_of(message, (1.0, 0.0, 0.0, 0.0))
     direct = setpoint_of(AutopilotKind.PX4, target)
-    assert told is not None
-    assert direct.quaternion == pytest.approx(told.quaternion, abs=MICRORADIAN)
-    assert direct.thrust_norm == pytest.approx(told.thrust_norm, abs=1e-7)
-    assert direct.rates_rad_s is told.rates_rad_s is None
-    assert direct.yaw_rate_rad_s == told.yaw_rate_rad_s == 0.0
+    assert received is not None
+    assert direct.quaternion == pytest.approx(received.quaternion, abs=MICRORADIAN)
+    assert direct.thrust_norm == pytest.approx(received.thrust_norm, abs=1e-7)
+    assert direct.rates_rad_s is received.rates_rad_s is None
+    assert direct.yaw_rate_rad_s == received.yaw_rate_rad_s == 0.0
 
 
 def direct_link(links: Links, phase_s: float) -> DirectLink:
-    px4 = MANNERS[AutopilotKind.PX4].vehicle(AutopilotFile(), DT_S)
-    return DirectLink(px4, MANNERS[AutopilotKind.PX4].onboard_link(px4), links, phase_s)
+    px4 = BEHAVIOURS[AutopilotKind.PX4].vehicle(AutopilotFile(), DT_S)
+    return DirectLink(px4, BEHAVIOURS[AutopilotKind.PX4].onboard_link(px4), links, phase_s)
 
 
 def stepped(link: DirectLink, first: int, last: int) -> None:
     for step in range(first, last + 1):
         link.deliver(step * DT_S)
         link.autopilot.step()
-        link.tell(step * DT_S)
+        link.send_telemetry(step * DT_S)
 
 
 def test_a_request_is_answered_after_both_delays() -> None:
@@ -121,7 +114,7 @@ def test_a_setpoint_acts_from_the_step_after_its_arrival() -> None:
     assert link.autopilot.streaming
 
 
-def test_positions_set_off_ticks_and_come_at_50_hz_from_their_phase() -> None:
+def test_positions_trigger_ticks_at_50_hz_from_their_phase() -> None:
     link = direct_link(Links(telemetry_delay_s=0.001), phase_s=0.008)
     ticks, samples = [], []
     for step in range(1, 51):

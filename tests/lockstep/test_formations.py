@@ -2,18 +2,18 @@
 
 from functools import cache
 from itertools import combinations
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from sitl.metrics import SAMPLE_S, errors_m, pairs_of, reference_positions_m
-from sitl.progress import Progress
-from sitl.scenario import load_scenario, reference_of
-from sitl.tracks import Track
-from sitl.virtual_flight import Flown, fly_in_virtual_time
+from repository import ROOT
+from sitl.flight.scenario import load_scenario, reference_of
+from sitl.flight.virtual_flight import Flown, fly_in_virtual_time
+from sitl.report.metrics import SAMPLE_S, errors_m, pairs_of, reference_positions_m
+from sitl.report.progress import Progress
+from sitl.report.tracks import Track
 
-SCENARIO = Path(__file__).parents[2] / "config" / "scenarios" / "formations.yaml"
+SCENARIO = ROOT / "config" / "scenarios" / "formations.yaml"
 IDEAL = "stand_in.sensors=ideal"
 
 
@@ -25,7 +25,7 @@ def flown(*overrides: str) -> Flown:
 
 
 def steady_times_s(flight: Flown) -> np.ndarray:
-    """Of the formation, without its first seconds."""
+    """Times of the formation without its first seconds."""
     formation = flight.watch.formation
     assert formation is not None
     return np.arange(formation.start_s + 6.0, formation.end_s, SAMPLE_S)
@@ -36,7 +36,7 @@ def smallest_m(tracks: dict[int, Track], times_s: np.ndarray) -> float:
     return min(float(np.linalg.norm(at[i] - at[j], axis=1).min()) for i, j in combinations(at, 2))
 
 
-def test_all_shapes_are_flown_in_turn() -> None:
+def test_all_shapes_are_flown_in_sequence() -> None:
     flight = flown(IDEAL)
     assert flight.watch.formation is not None
     slots = flight.watch.slots()
@@ -46,16 +46,16 @@ def test_all_shapes_are_flown_in_turn() -> None:
     assert sorted(round(float(y), 6) for _, y, _ in end.values()) == [-7.0, -5.0, -3.0, -1.0, 1.0, 3.0, 5.0, 7.0]
 
 
-def test_vehicles_keep_the_distances_that_their_slots_keep() -> None:
-    """Slots of 2 m spacing come no nearer than 1.41 m on the way."""
+def test_vehicles_keep_the_distances_of_their_slots() -> None:
+    """Slots with a spacing of 2 m keep 1.41 m or more during transitions."""
     flight = flown(IDEAL)
     times_s = steady_times_s(flight)
-    wanted_m = smallest_m(flight.watch.slots(), times_s)
-    assert 2.0 / np.sqrt(2.0) - 1e-6 <= wanted_m <= 2.0
-    assert smallest_m(flight.tracks(), times_s) > wanted_m - 0.1
+    desired_m = smallest_m(flight.watch.slots(), times_s)
+    assert 2.0 / np.sqrt(2.0) - 1e-6 <= desired_m <= 2.0
+    assert smallest_m(flight.tracks(), times_s) > desired_m - 0.1
 
 
-def test_with_noise_nobody_comes_within_the_separation() -> None:
+def test_vehicles_keep_the_separation_with_noise() -> None:
     flight = flown()
     assert smallest_m(flight.tracks(), steady_times_s(flight)) > 1.0
 

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-from commanded_flight import Flight
 
+from commanded_flight import Flight
 from companion.ground.formations import change_to
 from companion.ground.references import reference_change
-from companion.types import CommandName, FlightPhase, Lead, Role
-from sitl.progress import Progress
-from sitl.scenario import load_scenario
-from sitl.virtual_flight import fly_in_virtual_time
+from companion.types.commands import CommandName, Lead
+from companion.types.flight import FlightPhase, Role
+from companion.types.notices import Code
+from repository import ROOT
+from sitl.flight.scenario import load_scenario
+from sitl.flight.virtual_flight import fly_in_virtual_time
+from sitl.report.progress import Progress
 
-SCENARIO = Path(__file__).parents[2] / "config" / "scenarios" / "leaving.yaml"
+SCENARIO = ROOT / "config" / "scenarios" / "leaving.yaml"
 OTHERS = (1, 2, 4, 5)
 KEEP_GAP = "fleet.when_one_leaves=keep_gap"
 IT_STANDS_FIRST = (
@@ -25,7 +26,7 @@ IT_STANDS_FIRST = (
 
 
 def goes_on(speed_m_s: float) -> str:
-    """The column goes 14 m ahead."""
+    """The column moves 14 m ahead."""
     way = "kind: waypoints, points_enu_m: [[0, 0, 2], [14, 0, 2]]"
     return f"reference={{{way}, max_speed_m_s: {speed_m_s}, max_acceleration_m_s2: 0.5}}"
 
@@ -34,7 +35,7 @@ def flight(*overrides: str) -> Flight:
     return Flight(SCENARIO, *overrides)
 
 
-def test_who_left_is_heeded_no_more_and_the_others_fly_on() -> None:
+def test_a_vehicle_that_left_is_no_neighbour_and_the_others_continue() -> None:
     fleet = flight(KEEP_GAP, goes_on(1.0))
     fleet.give(CommandName.HOLD, 3)
     fleet.go_on(16.0)  # 14 m further
@@ -44,7 +45,7 @@ def test_who_left_is_heeded_no_more_and_the_others_fly_on() -> None:
     assert fleet.newest[3].position_enu_m[0] < -2.0
 
 
-def test_who_joins_again_comes_into_its_gap_without_pulling_anybody() -> None:
+def test_a_vehicle_rejoins_its_gap_without_disturbing_the_others() -> None:
     fleet = flight(KEEP_GAP)
     fleet.land(3)
     fleet.take_off_again(3)
@@ -55,13 +56,13 @@ def test_who_joins_again_comes_into_its_gap_without_pulling_anybody() -> None:
     fleet.go_on(12.0)
     assert max(fleet.errors_m().values()) < 0.1
     assert len(fleet.errors_m()) == 5
-    assert "has joined: it is in its slot" in fleet.said(3)
+    assert "has joined: it is in its slot" in fleet.events_of(3)
     assert fleet.smallest_m(since_s) > 1.9
 
 
 @pytest.mark.parametrize("moving", [False, True])
-def test_who_joins_from_afar_flies_to_its_slot_and_the_others_keep_theirs(moving: bool) -> None:
-    """Behind the column, which has gone on or is going on."""
+def test_a_vehicle_joins_from_a_distance_and_the_others_keep_their_slots(moving: bool) -> None:
+    """The vehicle is behind the column, which has moved ahead or is moving."""
     fleet = flight(goes_on(0.6 if moving else 3.0))
     fleet.land(5)
     fleet.take_off_again(5)
@@ -81,7 +82,7 @@ def test_who_joins_from_afar_flies_to_its_slot_and_the_others_keep_theirs(moving
     assert fleet.largest_step_deg() < 5.0
 
 
-def test_a_way_that_comes_too_near_to_another_is_refused_by_name() -> None:
+def test_a_path_too_close_to_another_vehicle_is_refused_with_its_id() -> None:
     fleet = flight(KEEP_GAP, goes_on(3.0))
     fleet.land(3)
     fleet.take_off_again(3)
@@ -89,12 +90,12 @@ def test_a_way_that_comes_too_near_to_another_is_refused_by_name() -> None:
     reply = fleet.answers(CommandName.FORM, 3)[3]
     assert reply is not None
     assert not reply.accepted
-    assert reply.reason.startswith("form: its way to its slot comes within 0.")
+    assert reply.code is Code.PATH_TOO_CLOSE
     assert reply.reason.endswith("m of vehicle 4; expected at least separation_m, 1 m")
     assert fleet.newest[3].phase is FlightPhase.HOLD
 
 
-def test_nobody_joins_while_a_formation_is_taken_up() -> None:
+def test_joining_is_refused_during_a_formation_change() -> None:
     fleet = flight(KEEP_GAP)
     fleet.land(5)
     fleet.take_off_again(5)
@@ -102,14 +103,14 @@ def test_nobody_joins_while_a_formation_is_taken_up() -> None:
     fleet.give(CommandName.FORMATION, content=nearer)
     reply = fleet.answers(CommandName.FORM, 5)[5]
     assert reply is not None
-    assert "is still to take up its slot; give form again then" in reply.reason
+    assert reply.code is Code.PEER_STILL_JOINING
     fleet.go_on(10.0)
     fleet.give(CommandName.FORM, 5)
     fleet.go_on(5.0)
     assert np.isclose(fleet.newest[5].slot.position_enu_m[0], -7.2)
 
 
-def test_who_has_too_little_battery_lands_by_itself_and_the_others_fly_on() -> None:
+def test_a_vehicle_with_low_battery_lands_and_the_others_continue() -> None:
     drains = "stand_in.batteries=[{vehicle: 4, at_s: 30, percent: 14}, {vehicle: 5, at_s: 30, percent: -1}]"
     fleet = flight(KEEP_GAP, "fleet.leave_below_percent=15", drains)
     assert fleet.lockstep.now_s() < 29.0
@@ -117,13 +118,13 @@ def test_who_has_too_little_battery_lands_by_itself_and_the_others_fly_on() -> N
     assert fleet.newest[4].phase is FlightPhase.FORMATION  # it may be a wrong sample yet
     fleet.until(4, FlightPhase.OBSERVE)
     assert not fleet.newest[4].armed
-    assert "formation -> release (battery at 14 %, below leave_below_percent 15)" in fleet.said(4)
-    assert "hold -> land (in hold for want of battery)" in fleet.said(4)
+    assert "formation -> release (battery below leave_below_percent)" in fleet.events_of(4)
+    assert "hold -> land (battery below leave_below_percent)" in fleet.events_of(4)
     assert {fleet.newest[i].phase for i in (1, 2, 3, 5)} == {FlightPhase.FORMATION}
     assert max(fleet.errors_m().values()) < 0.1
 
 
-def test_a_leader_that_leaves_is_led_on_for_by_its_successor() -> None:
+def test_the_successor_replaces_a_leader_that_leaves() -> None:
     fleet = flight(KEEP_GAP, "fleet.leave_below_percent=15", "stand_in.batteries=[{vehicle: 1, at_s: 26, percent: 9}]")
     fleet.until(1, FlightPhase.OBSERVE)
     assert fleet.newest[2].role is Role.LEADER
@@ -134,17 +135,17 @@ def test_a_leader_that_leaves_is_led_on_for_by_its_successor() -> None:
     assert fleet.largest_step_deg() < 5.0
 
 
-def test_the_column_closes_up_goes_on_and_the_one_that_left_joins_at_its_end() -> None:
+def test_the_column_fills_the_gap_and_the_vehicle_joins_at_its_end() -> None:
     fleet = flight(IT_STANDS_FIRST)
     since_s = fleet.lockstep.now_s()
     fleet.land(3)
-    assert {fleet.newest[i].slot.formation for i in OTHERS} == {0}  # it was in the air, just beside their ways
-    kept = "vehicle 3 left, and its gap is kept for now: it may still be in the air"
-    assert any(event.startswith(kept) for event in fleet.said(1))
+    assert {fleet.newest[i].slot.formation for i in OTHERS} == {0}  # vehicle 3 was in the air beside their paths
+    kept = "vehicle 3 left, its gap is kept for now: it may still be in the air"
+    assert any(event.startswith(kept) for event in fleet.events_of(1))
     fleet.go_on(15.0)
-    assert any(event.startswith("closes up where vehicle 3 left: formation 1 begins in") for event in fleet.said(1))
+    assert any(event.startswith("closes the gap of vehicle 3: formation 1 begins in") for event in fleet.events_of(1))
     xs = {i: status.slot.position_enu_m[0] for i, status in fleet.newest.items()}
-    assert xs == {1: 0.0, 2: -2.0, 4: -4.0, 5: -6.0, 3: -8.0}  # the one on the ground knows, too
+    assert xs == {1: 0.0, 2: -2.0, 4: -4.0, 5: -6.0, 3: -8.0}  # also on the ground
     assert max(fleet.errors_m().values()) < 0.1
     reply = fleet.answers(CommandName.PREPARE, 3)[3]
     assert reply is not None
@@ -152,7 +153,7 @@ def test_the_column_closes_up_goes_on_and_the_one_that_left_joins_at_its_end() -
     fleet.until(3, FlightPhase.READY)
     reply = fleet.answers(CommandName.ARM, 3)[3]  # another hovers above it now
     assert reply is not None
-    assert "in the plane vehicle 4 is 0.0" in reply.reason
+    assert reply.code is Code.VEHICLE_TOO_CLOSE
     fleet.go_on(40.0)  # the column is 14 m away
     fleet.give(CommandName.DISARM, 3)
     fleet.go_on(1.0)
@@ -162,16 +163,16 @@ def test_the_column_closes_up_goes_on_and_the_one_that_left_joins_at_its_end() -
     for _ in range(50):
         fleet.go_on(0.5)
         worst_m = max(worst_m, *fleet.errors_m().values())
-    assert "has joined: it is in its slot" in fleet.said(3)
+    assert "has joined: it is in its slot" in fleet.events_of(3)
     assert {i: status.slot.position_enu_m[0] for i, status in fleet.newest.items()} == xs
     assert {status.slot.formation for status in fleet.newest.values()} == {1}
-    assert worst_m < 0.3  # as told, at up to 1.9 m/s and not all at the same moment
+    assert worst_m < 0.3  # as reported, at up to 1.9 m/s and at different times
     assert fleet.largest_step_deg() < 5.0
     assert fleet.smallest_m(since_s) > 1.7  # true distances, in the air and on the ground
 
 
 @pytest.mark.parametrize("overrides", [(), (KEEP_GAP,)])
-def test_while_it_holds_in_its_place_the_gap_is_kept_and_it_comes_back_into_it(overrides: tuple[str, ...]) -> None:
+def test_the_gap_is_kept_while_the_vehicle_holds_in_it(overrides: tuple[str, ...]) -> None:
     fleet = flight(*overrides)
     fleet.give(CommandName.HOLD, 3)
     fleet.go_on(10.0)
@@ -179,11 +180,11 @@ def test_while_it_holds_in_its_place_the_gap_is_kept_and_it_comes_back_into_it(o
     fleet.give(CommandName.FORM, 3)
     fleet.go_on(8.0)
     assert {status.phase for status in fleet.newest.values()} == {FlightPhase.FORMATION}
-    assert "has joined: it is in its slot" in fleet.said(3)
+    assert "has joined: it is in its slot" in fleet.events_of(3)
     assert max(fleet.errors_m().values()) < 0.1
 
 
-def test_a_leader_that_landed_begins_the_time_anew_and_all_fly_the_formation_that_they_had() -> None:
+def test_a_leader_that_landed_restarts_the_reference_with_the_same_formation() -> None:
     fleet = flight(KEEP_GAP, "fleet.successors=[]")
     abreast = {i: (0.0, -2.0 * (i - 1), 0.0) for i in range(1, 6)}
     fleet.give(CommandName.FORMATION, content=change_to(abreast, list(fleet.newest.values()), 1.0))
@@ -203,7 +204,7 @@ def test_a_leader_that_landed_begins_the_time_anew_and_all_fly_the_formation_tha
 
 
 @pytest.mark.parametrize("landed", [1, 2])
-def test_two_leaders_of_which_one_landed_form_at_once_and_count_one_time(landed: int) -> None:
+def test_two_leaders_have_one_reference_time_after_one_landed(landed: int) -> None:
     fleet = flight(KEEP_GAP, goes_on(0.5))
     fleet.give(CommandName.LEAD, content=Lead((1, 2), 1))
     fleet.go_on(4.0)
@@ -221,7 +222,7 @@ def test_two_leaders_of_which_one_landed_form_at_once_and_count_one_time(landed:
     assert (times_s[0] < before_s) is (landed == 1)
 
 
-def test_a_second_leader_whose_agent_started_anew_forms_only_by_the_reference_that_the_first_one_flies() -> None:
+def test_a_restarted_second_leader_forms_only_with_the_reference_of_the_first() -> None:
     fleet = flight(KEEP_GAP, "fleet.vehicles[1].role=leader", "fleet.successors=[]")
     circle = {"kind": "circle", "centre_enu_m": [0.0, 3.0, 2.0], "radius_m": 3.0, "period_s": 40.0}
     change = reference_change(circle, list(fleet.newest.values()))
@@ -240,17 +241,17 @@ def test_a_second_leader_whose_agent_started_anew_forms_only_by_the_reference_th
     reply = fleet.answers(CommandName.FORM, 2)[2]
     assert reply is not None
     assert not reply.accepted
-    assert reply.reason.startswith("form: vehicle 1 flies reference 1 since ")
+    assert reply.code is Code.REFERENCE_DIFFERS
     fleet.give(CommandName.REFERENCE, 2, content=change)
     fleet.give(CommandName.FORM, 2)
     fleet.go_on(3.0)
     assert fleet.newest[2].reference == fleet.newest[1].reference
 
 
-def test_what_is_commanded_meanwhile_goes_before_closing_up() -> None:
+def test_a_commanded_formation_has_priority_over_gap_filling() -> None:
     fleet = flight()
     fleet.land(3)
-    while not any("closes up" in event for event in fleet.said(1)):
+    while not any("closes the gap" in event for event in fleet.events_of(1)):
         fleet.go_on(0.1)
     wider = {i: (-2.2 * (i - 1), 0.0, 0.0) for i in range(1, 6)}
     change = change_to(wider, list(fleet.newest.values()), 1.0)
@@ -261,7 +262,7 @@ def test_what_is_commanded_meanwhile_goes_before_closing_up() -> None:
     assert [fleet.newest[i].slot.position_enu_m[0] for i in (1, 2, 4, 5, 3)] == [wider[i][0] for i in range(1, 6)]
 
 
-def test_the_successor_of_a_leader_that_left_closes_up() -> None:
+def test_the_successor_of_a_leader_that_left_fills_its_gap() -> None:
     fleet = flight()
     since_s = fleet.lockstep.now_s()
     fleet.land(1)
@@ -273,7 +274,7 @@ def test_the_successor_of_a_leader_that_left_closes_up() -> None:
     assert fleet.smallest_m(since_s) > 1.6
 
 
-def test_over_a_bad_network_with_noise_they_close_up_as_well() -> None:
+def test_the_gap_is_filled_over_a_bad_network_with_noise() -> None:
     fleet = flight("stand_in.sensors=default", "links.peer_loss=0.2", "links.peer_delay_s=0.05")
     since_s = fleet.lockstep.now_s()
     fleet.land(3)
@@ -284,11 +285,11 @@ def test_over_a_bad_network_with_noise_they_close_up_as_well() -> None:
 
 
 @pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
-def test_the_scenario_is_flown_as_it_is_written(autopilot: str) -> None:
+def test_the_scenario_is_flown_completely(autopilot: str) -> None:
     scenario = load_scenario(SCENARIO, [f"stand_in.autopilot={autopilot}"])
     flight = fly_in_virtual_time(scenario, Progress("test", True, 0.0))
     assert flight.failure is None
-    said = [event.event for event in flight.watch.events]
-    assert any(event.startswith("closes up where vehicle 3 left") for event in said)
-    assert "has joined: it is in its slot" in said
+    events = [event.event for event in flight.watch.events]
+    assert any(event.startswith("closes the gap of vehicle 3") for event in events)
+    assert "has joined: it is in its slot" in events
     assert len(flight.watch.formations) == 2

@@ -1,19 +1,19 @@
-"""Whole flights in virtual time: the paper's platoon, the same to the last bit each time."""
+"""Whole flights in virtual time: the paper's platoon, bit-identical each time."""
 
 import io
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from companion.types import FlightPhase
-from sitl.metrics import FormationFigures, formation_figures, standing
-from sitl.progress import Progress
-from sitl.scenario import load_scenario, reference_of
-from sitl.virtual_flight import Flown, fly_in_virtual_time
+from companion.types.flight import FlightPhase
+from repository import ROOT
+from sitl.flight.scenario import load_scenario, reference_of
+from sitl.flight.virtual_flight import Flown, fly_in_virtual_time
+from sitl.report.metrics import FormationFigures, formation_figures, standing
+from sitl.report.progress import Progress
 
-PLATOON = Path(__file__).parents[2] / "config" / "scenarios" / "platoon.yaml"
+PLATOON = ROOT / "config" / "scenarios" / "platoon.yaml"
 NOISY = "stand_in.sensors=default"
 SHORT = "timeline[3].for_s=8"
 BAD_NETWORK = ("links.peer_loss=0.1", "links.peer_delay_s=0.1")
@@ -40,7 +40,7 @@ def figures(*overrides: str) -> FormationFigures:
 
 
 def are_equal(one: Flown, other: Flown) -> bool:
-    """To the last bit."""
+    """Whether two flights are bit-identical."""
     return all(
         np.array_equal(one.tracks()[i].position_enu_m, other.tracks()[i].position_enu_m)
         and np.array_equal(one.tracks()[i].time_s, other.tracks()[i].time_s)
@@ -62,11 +62,11 @@ def test_two_flights_of_one_scenario_are_identical(overrides: tuple[str, ...]) -
     assert first.flight_s == second.flight_s
 
 
-def test_another_seed_is_another_flight() -> None:
+def test_another_seed_gives_another_flight() -> None:
     assert not are_equal(flown(SHORT, NOISY), flown(SHORT, NOISY, "stand_in.seed=2"))
 
 
-def test_loss_and_delay_make_another_flight_and_the_platoon_bears_them() -> None:
+def test_loss_and_delay_change_the_flight_but_the_platoon_settles() -> None:
     disturbed = flown(SHORT, *BAD_NETWORK)
     assert disturbed.failure is None
     assert not are_equal(flown(SHORT), disturbed)
@@ -75,7 +75,7 @@ def test_loss_and_delay_make_another_flight_and_the_platoon_bears_them() -> None
 # ---------------------------------------------------------------- the paper's figures
 
 
-def test_the_weighted_law_keeps_the_platoon_closer_and_settles_sooner() -> None:
+def test_the_weighted_law_keeps_the_platoon_closer_and_settles_faster() -> None:
     weighted, *averages = (figures(f"fleet.law.name={law}") for law in ("weighted", "average_22", "average_26"))
     assert weighted.max_distance_m["1-2"] <= 1.90
     assert weighted.settle_s is not None
@@ -85,13 +85,13 @@ def test_the_weighted_law_keeps_the_platoon_closer_and_settles_sooner() -> None:
         assert average.settle_s is None or weighted.settle_s < average.settle_s
 
 
-def test_without_lag_the_paper_s_figure_comes_out() -> None:
+def test_distances_without_lag_equal_the_papers() -> None:
     ideal = figures(SHORT, "stand_in.airframe.attitude=instant", "stand_in.airframe.motor_lag_s=0")
     assert ideal.max_distance_m["1-2"] <= 1.76
     assert ideal.max_distance_m["1-2"] == pytest.approx(1.754, abs=0.02)
 
 
-def test_with_sensor_noise_the_platoon_holds_together() -> None:
+def test_the_platoon_keeps_formation_with_sensor_noise() -> None:
     noisy = figures(NOISY, "timeline[3].for_s=45")
     assert noisy.final_error_m <= 0.30
     assert min(noisy.min_distance_m.values()) >= 0.8
@@ -100,7 +100,7 @@ def test_with_sensor_noise_the_platoon_holds_together() -> None:
 # ---------------------------------------------------------------- how it is flown
 
 
-def test_the_timeline_is_flown_by_the_director_s_rules() -> None:
+def test_the_director_flies_the_timeline() -> None:
     flight = flown(SHORT)
     assert flight.failure is None
     assert figures(SHORT).duration_s == pytest.approx(8.0, abs=0.1)
@@ -109,17 +109,17 @@ def test_the_timeline_is_flown_by_the_director_s_rules() -> None:
     assert flight.watch.timing == {}  # no tick is late in virtual time
 
 
-def test_a_flight_that_cannot_begin_says_why() -> None:
+def test_a_flight_that_cannot_start_gives_the_reason() -> None:
     flight = fly_in_virtual_time(load_scenario(PLATOON, ["timeline[1].timeout_s=1"]), Progress("test", True, 0.0))
     assert flight.failure is not None
     assert flight.failure.startswith("arm not done within 1 s: vehicles 1, 2, 3, 4")
     assert flight.watch.formation is None
 
 
-def test_followers_that_hear_nobody_are_handed_to_the_autopilot() -> None:
+def test_followers_without_peers_hand_over_to_the_autopilot() -> None:
     flight = fly_in_virtual_time(load_scenario(PLATOON, [SHORT, "links.peer_loss=1"]), Progress("test", True, 0.0))
     assert flight.failure is not None
-    assert "no leader's word" in flight.failure
+    assert "LEADER_LOST" in flight.failure
     for vehicle_id in (1, 2, 3, 4):
         status = flight.watch.status(vehicle_id)
         assert status is not None
@@ -127,7 +127,7 @@ def test_followers_that_hear_nobody_are_handed_to_the_autopilot() -> None:
         assert status.phase is FlightPhase.OBSERVE
 
 
-def test_progress_is_in_virtual_time() -> None:
+def test_progress_is_shown_in_virtual_time() -> None:
     shown = io.StringIO()
     fly_in_virtual_time(load_scenario(PLATOON, [SHORT]), Progress("platoon", False, 0.0, shown))
     assert "step 4 of 5, form   0." in shown.getvalue()

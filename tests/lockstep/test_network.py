@@ -1,10 +1,15 @@
-"""The network between agents: who hears what, when, and what is lost."""
+"""The simulated network between agents: receivers, delay, loss and jitter of packets."""
+
+from typing import Literal
 
 import pytest
 
-from companion.types import ZERO3, FlightPhase, FlownSlot, PeerPacket, Role
-from sitl.config import Links
-from sitl.network import Network
+from companion.types.flight import FlightPhase, Role
+from companion.types.formation import FlownSlot
+from companion.types.peers import PeerPacket
+from companion.types.vectors import ZERO3
+from sitl.links.network import Network
+from sitl.vehicle.config import Links, Partition
 
 
 def packet(vehicle_id: int, sequence: int) -> PeerPacket:
@@ -30,8 +35,8 @@ def sequences(network: Network, receiver: int, now_s: float) -> list[int]:
     return [received.packet.sequence for received in network.receive(receiver, now_s)]
 
 
-def heard(links: Links, seed: int, packets: int = 2000) -> list[tuple[int, ...]]:
-    """What vehicles 2 and 3 hear of vehicle 1, tick by tick."""
+def received(links: Links, seed: int, packets: int = 2000) -> list[tuple[int, ...]]:
+    """Sequence numbers that vehicles 2 and 3 receive from vehicle 1, tick by tick."""
     network = Network([1, 2, 3], links, seed)
     ticks = []
     for number in range(packets):
@@ -41,7 +46,7 @@ def heard(links: Links, seed: int, packets: int = 2000) -> list[tuple[int, ...]]
     return ticks
 
 
-def test_all_others_hear_a_packet_once_after_its_delay() -> None:
+def test_all_other_agents_receive_a_packet_once_after_its_delay() -> None:
     network = Network([1, 2, 3], Links(peer_delay_s=0.1), 1)
     network.send(packet(1, 5), 1.0)
     assert sequences(network, 2, 1.09) == []
@@ -51,23 +56,23 @@ def test_all_others_hear_a_packet_once_after_its_delay() -> None:
     assert sequences(network, 1, 9.0) == []
 
 
-def test_agents_that_tick_together_never_hear_each_other_in_the_same_tick() -> None:
-    """Not even without a delay: else it would matter who is asked first."""
+def test_agents_with_the_same_phase_receive_packets_in_the_next_tick() -> None:
+    """This also holds without delay; otherwise the order of the agents would matter."""
     network = Network([1, 2], Links(peer_delay_s=0.0), 1)
     network.send(packet(1, 1), 1.0)
     assert sequences(network, 2, 1.0) == []
     assert sequences(network, 2, 1.02) == [1]
 
 
-def test_the_time_of_looking_is_that_of_receipt() -> None:
+def test_the_time_of_polling_is_the_time_of_receipt() -> None:
     network = Network([1, 2], Links(), 1)
     network.send(packet(1, 1), 1.0)
     (received,) = network.receive(2, 1.019)
     assert received.received_s == 1.019
 
 
-def test_loss_is_as_large_as_given_and_of_each_way_by_itself() -> None:
-    ticks = heard(Links(peer_loss=0.1), seed=1)
+def test_loss_has_the_configured_rate_and_is_independent_for_each_link() -> None:
+    ticks = received(Links(peer_loss=0.1), seed=1)
     to_2, to_3 = ticks[::2], ticks[1::2]
     for way in (to_2, to_3):
         assert sum(map(len, way)) == pytest.approx(1800, abs=60)
@@ -76,15 +81,43 @@ def test_loss_is_as_large_as_given_and_of_each_way_by_itself() -> None:
 
 def test_the_same_seed_loses_the_same_packets() -> None:
     links = Links(peer_loss=0.1, peer_delay_s=0.1, peer_jitter_s=0.03)
-    assert heard(links, seed=4) == heard(links, seed=4)
-    assert heard(links, seed=4) != heard(links, seed=5)
+    assert received(links, seed=4) == received(links, seed=4)
+    assert received(links, seed=4) != received(links, seed=5)
 
 
-def test_jitter_may_let_one_packet_overtake_another() -> None:
-    arrived = [number for tick in heard(Links(peer_jitter_s=0.1), seed=1)[::2] for number in tick]
+def test_jitter_can_reorder_packets() -> None:
+    arrived = [number for tick in received(Links(peer_jitter_s=0.1), seed=1)[::2] for number in tick]
     assert arrived != sorted(arrived)
     assert len(arrived) > 1990
 
 
-def test_everything_may_be_lost() -> None:
-    assert not any(heard(Links(peer_loss=1.0), seed=1))
+def test_duplicates_arrive_twice_at_the_configured_rate() -> None:
+    arrived = [number for tick in received(Links(peer_duplicates=0.2), seed=1)[::2] for number in tick]
+    assert len(arrived) == pytest.approx(2400, abs=60)
+    assert set(arrived) >= set(range(1999))
+
+
+def test_a_loss_of_one_loses_all_packets() -> None:
+    assert not any(received(Links(peer_loss=1.0), seed=1))
+
+
+@pytest.mark.parametrize(
+    ("lost", "to_2", "to_3", "to_1"),
+    [("both", False, False, False), ("received", True, True, False), ("sent", False, False, True)],
+)
+def test_a_partition_loses_the_packets_of_its_direction_until_it_ends(
+    lost: Literal["both", "received", "sent"], to_2: bool, to_3: bool, to_1: bool
+) -> None:
+    network = Network([1, 2, 3], Links(partitions=(Partition((1,), from_s=1.0, until_s=2.0, lost=lost),)), 1)
+
+    def arrive(number: int, now_s: float) -> list[bool]:
+        for sender in (1, 2):
+            network.send(packet(sender, number), now_s)
+        to_3_from_2 = [received.packet.vehicle_id for received in network.receive(3, now_s + 0.02)]
+        assert 2 in to_3_from_2  # on one side
+        return [bool(sequences(network, 2, now_s + 0.02)), 1 in to_3_from_2, bool(sequences(network, 1, now_s + 0.02))]
+
+    assert arrive(1, 0.98) == [True, True, True]
+    assert arrive(2, 1.0) == [to_2, to_3, to_1]
+    assert arrive(3, 1.98) == [to_2, to_3, to_1]
+    assert arrive(4, 2.0) == [True, True, True]

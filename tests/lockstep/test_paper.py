@@ -1,4 +1,4 @@
-"""`sitl paper`: its flights, shortened, and its manners on the command line."""
+"""`sitl paper`: shortened flights, and the command line."""
 
 import os
 import signal
@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from companion.config.law import LawName
-from sitl.metrics import formation_figures
-from sitl.paper.aggregation_claims import broken_edges, has_gathered, left_for_good_s
 from sitl.paper.book import Book, Entry
+from sitl.paper.claims.aggregation import broken_edges, has_gathered, left_for_good_s
 from sitl.paper.flights import PATIENT, FlownPlan, Model, NoFormationError, Plan, Subject, fly
 from sitl.paper.ideal_model import ideal_figures
-from sitl.paper.matrices import RING_LED_BY_1, RING_LED_BY_2
-from sitl.paper.topology import leads, printed_matrix, reported_matrix, topology_at
+from sitl.paper.theory.matrices import RING_LED_BY_1, RING_LED_BY_2, printed_matrix
+from sitl.paper.topology import leaderships, reported_matrix, topology_at
+from sitl.report.metrics import formation_figures
 from sitl.workers import running
 
 SHORT = "timeline[3].for_s=6"
@@ -29,18 +29,18 @@ def flown(subject: Subject, law: LawName, *more: str) -> FlownPlan:
 
 
 @pytest.mark.parametrize("law", ["weighted", "average_22", "average_26"])
-def test_the_agents_do_what_the_equations_say(law: LawName) -> None:
+def test_the_agents_agree_with_the_equations(law: LawName) -> None:
     flight = flown(Subject.PLATOON, law, SHORT)
     of_agents = formation_figures(
         flight.tracks, flight.flight().slots, flight.flight().reference, flight.flight().formation
     )
-    of_equations = ideal_figures(flight, heard_late_s=0.01)
+    of_equations = ideal_figures(flight, delay_s=0.01)
     assert set(of_equations.max_distance_m) == {"1-2", "2-3", "3-4"}
     for pair, largest_m in of_equations.max_distance_m.items():
         assert of_agents.max_distance_m[pair] == pytest.approx(largest_m, abs=0.005)
 
 
-def test_under_eq_26_the_leader_is_soon_alone_and_under_the_weighted_law_never() -> None:
+def test_the_leader_is_soon_alone_under_eq_26_but_not_under_the_weighted_law() -> None:
     average = Entry(flown(Subject.AGGREGATION, "average_26", PATIENT, SHORT))
     weighted = Entry(flown(Subject.AGGREGATION, "weighted", SHORT))
     assert 0.05 < left_for_good_s(average) < 0.5
@@ -49,10 +49,10 @@ def test_under_eq_26_the_leader_is_soon_alone_and_under_the_weighted_law_never()
     assert broken_edges(weighted).startswith("1-2 from")
 
 
-def test_reported_matrices_are_the_paper_s_through_a_change_of_lead() -> None:
+def test_reported_matrices_are_those_of_the_paper_during_leader_changes() -> None:
     steps = [f"timeline[{number}].for_s=1" for number in (3, 4, 5, 6, 7, 8)]
     flight = flown(Subject.FIGURE_8, "weighted", *steps)
-    spans = leads(flight)
+    spans = leaderships(flight)
     assert [lead.leader_id for lead in spans] == [1, 2, 1, 2, 1, 2]
     for lead in spans:
         printed = printed_matrix(RING_LED_BY_1 if lead.leader_id == 1 else RING_LED_BY_2)
@@ -60,14 +60,14 @@ def test_reported_matrices_are_the_paper_s_through_a_change_of_lead() -> None:
         assert lead.settled_s - lead.from_s < 0.2
 
 
-def test_a_flight_without_a_formation_says_why_where_it_is_measured() -> None:
+def test_measuring_a_flight_without_formation_gives_the_reason() -> None:
     flight = flown(Subject.PLATOON, "weighted", "timeline[1].timeout_s=1")
     assert flight.formation is None
     with pytest.raises(NoFormationError, match="arm not done within 1 s"):
         flight.flight()
 
 
-def test_flights_in_other_processes_are_the_same() -> None:
+def test_flights_in_worker_processes_are_the_same() -> None:
     plans = [Plan(Subject.PLATOON, law, Model.IDEAL, more=(SHORT,)) for law in ("weighted", "average_22")]
     with running(fly, plans, workers=2) as flights:
         assert flights.wait(60.0)
@@ -98,15 +98,15 @@ def test_a_folder_that_cannot_be_written_is_one_line(folder: str) -> None:
     assert len(done.stderr.splitlines()) == 1
 
 
-def test_ctrl_c_ends_it_soon_and_without_a_report(tmp_path: Path) -> None:
-    """As in a terminal, the processes that fly hear it, too."""
+def test_ctrl_c_ends_promptly_without_a_report(tmp_path: Path) -> None:
+    """The workers get the signal too, as in a terminal."""
     with subprocess.Popen(
         command("--out", tmp_path), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     ) as process:
         assert process.stderr is not None
         assert "theory" in process.stderr.readline()
         os.killpg(process.pid, signal.SIGINT)
-        said, complained = process.communicate(timeout=5)
+        printed, errors = process.communicate(timeout=5)
     assert process.returncode == 130
-    assert (said, complained) == ("", "stopped; no report was written\n")
+    assert (printed, errors) == ("", "stopped; no report was written\n")
     assert list(tmp_path.iterdir()) == []

@@ -1,17 +1,20 @@
-"""A formation that was commanded to some alone: the leader passes it on, to those that fly, that stand and that start anew."""
+"""A formation commanded to some vehicles only: the leader passes it on to flying, landed and restarted vehicles."""
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
-from commanded_flight import Flight
 
+from commanded_flight import Flight
 from companion.ground.formations import change_to
 from companion.ground.references import reference_change
-from companion.types import CommandName, FlightPhase, FormationChange, Vector3
+from companion.types.commands import CommandName
+from companion.types.flight import FlightPhase
+from companion.types.formation import FormationChange
+from companion.types.notices import Code
+from companion.types.vectors import Vector3
+from repository import ROOT
 
-SCENARIO = Path(__file__).parents[2] / "config" / "scenarios" / "formations.yaml"
+SCENARIO = ROOT / "config" / "scenarios" / "formations.yaml"
 WIDER: dict[int, Vector3] = {i: (0.0, 8.75 - 2.5 * (i - 1), 0.0) for i in range(1, 9)}
 
 
@@ -20,7 +23,7 @@ def wider(flight: Flight) -> FormationChange:
 
 
 @pytest.mark.parametrize("overrides", [(), ("links.peer_loss=0.1", "links.peer_delay_s=0.05")])
-def test_what_the_leader_alone_was_told_all_fly(overrides: tuple[str, ...]) -> None:
+def test_all_vehicles_fly_a_formation_commanded_to_the_leader_only(overrides: tuple[str, ...]) -> None:
     flight = Flight(SCENARIO, *overrides)
     flight.give(CommandName.FORMATION, 1, content=wider(flight))
     flight.go_on(0.8)
@@ -30,10 +33,10 @@ def test_what_the_leader_alone_was_told_all_fly(overrides: tuple[str, ...]) -> N
     flight.packets.clear()
     flight.go_on(1.0)
     assert flight.packets
-    assert not any(packet.change for packet in flight.packets)  # nobody lacks it any more
+    assert not any(packet.change for packet in flight.packets)  # no vehicle lacks it any more
 
 
-def test_what_the_leader_was_not_told_nobody_flies() -> None:
+def test_a_formation_that_the_leader_lacks_does_not_begin() -> None:
     flight = Flight(SCENARIO)
     flight.give(CommandName.FORMATION, *range(2, 9), content=wider(flight))
     flight.go_on(2.0)
@@ -41,9 +44,9 @@ def test_what_the_leader_was_not_told_nobody_flies() -> None:
     assert (5, "formation 1 does not begin: vehicle 1 does not have it") in flight.events
 
 
-def test_no_formation_begins_that_leaves_the_fence_about_the_reference_that_is_to_come() -> None:
-    """Each alone keeps to the fence: the reference with the slots of today, the slots about the reference of today."""
-    fence = ("fleet.envelope.fence_min_enu_m=[-20, -12, 0]", "fleet.envelope.fence_max_enu_m=[20, 12, 10]")
+def test_a_formation_outside_the_fence_with_the_next_reference_is_refused() -> None:
+    """Both are inside the fence separately: the reference with the present slots, the slots with the present reference."""
+    fence = ("fleet.envelope.fence_min_enu_m=[-20, -13, 0]", "fleet.envelope.fence_max_enu_m=[20, 13, 10]")
     flight = Flight(SCENARIO.with_name("leaving.yaml"), *fence)
     point = {"kind": "point", "point_enu_m": [0.0, 8.0, 2.0]}
     flight.give(CommandName.REFERENCE, 1, 2, content=reference_change(point, list(flight.newest.values())))
@@ -54,12 +57,13 @@ def test_no_formation_begins_that_leaves_the_fence_about_the_reference_that_is_t
     for may_lead in (1, 2):
         reply = replies[may_lead]
         assert reply is not None
-        assert reply.reason.startswith("formation: puts vehicle 4 at y = 14.0 m, outside the fence")
+        assert reply.code is Code.SLOT_OUTSIDE_FENCE
+        assert "puts vehicle 4 at y = 14.0 m" in reply.reason
     flight.go_on(10.0)
     assert {(s.phase, s.slot.formation, s.flags) for s in flight.newest.values()} == {(FlightPhase.FORMATION, 0, ())}
 
 
-def test_who_landed_meanwhile_and_whose_agent_started_anew_gets_it_on_the_ground() -> None:
+def test_a_landed_and_a_restarted_vehicle_get_the_formation_on_the_ground() -> None:
     flight = Flight(SCENARIO)
     flight.give(CommandName.LAND, 8)
     flight.go_on(15.0)
@@ -81,8 +85,8 @@ def test_who_landed_meanwhile_and_whose_agent_started_anew_gets_it_on_the_ground
     assert flight.newest[8].slot.position_enu_m == WIDER[8]
 
 
-def test_a_leader_whose_agent_started_anew_in_the_air_forms_with_nobody_that_has_another_formation() -> None:
-    """All are told to form at once, and over a slow network nobody hears in time that the others do."""
+def test_a_restarted_leader_does_not_form_with_vehicles_of_another_formation() -> None:
+    """All get the command form at once; over a slow network they do not know in time that the others form too."""
     flight = Flight(SCENARIO, "links.peer_delay_s=0.05")
     flight.give(CommandName.FORMATION, content=wider(flight))
     flight.go_on(14.0)

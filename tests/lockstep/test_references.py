@@ -1,4 +1,4 @@
-"""References that change in flight: hand-overs without a step, whoever leads meanwhile, and a target that is followed."""
+"""Reference changes in flight: blends without a step, also during leader changes, and a followed target."""
 
 from __future__ import annotations
 
@@ -6,25 +6,29 @@ from collections.abc import Callable, Iterator
 from functools import cache
 from itertools import pairwise
 from math import cos, degrees, dist, hypot, sin
-from pathlib import Path
 
 import pytest
 
 from companion.assembly import build_agent
 from companion.config.vehicle import AgentConfig
 from companion.ground.references import reference_change
-from companion.types import AttitudeTarget, CommandName, Content, FlightPhase, Lead, Status, Vector3
-from companion.wire.ground import StatusReport
-from sitl.director import Director
-from sitl.fleet import ids_of, reached_stand_in, vehicle_file
-from sitl.flights import reference_flown
-from sitl.lockstep import Lockstep
-from sitl.metrics import formation_figures, smallest_distance_m
-from sitl.progress import Progress
-from sitl.scenario import Scenario, load_scenario
-from sitl.watch import FlightWatch
+from companion.types.commands import CommandName, Content, Lead
+from companion.types.flight import FlightPhase
+from companion.types.notices import Code
+from companion.types.status import Status
+from companion.types.vectors import Vector3
+from notices import outcome
+from recorded_flight import Recorder, record_targets
+from repository import ROOT
+from sitl.flight.director import Director
+from sitl.flight.files import reached_stand_in, vehicle_file
+from sitl.flight.lockstep import Lockstep
+from sitl.flight.results import reference_flown
+from sitl.flight.scenario import load_scenario
+from sitl.report.metrics import formation_figures, smallest_distance_m
+from sitl.report.progress import Progress
 
-RING = Path(__file__).parents[2] / "config" / "scenarios" / "ring_figure_8.yaml"
+RING = ROOT / "config" / "scenarios" / "ring_figure_8.yaml"
 CIRCLE = "{kind: circle, centre_enu_m: [0, 0, 2], radius_m: 4, period_s: 20}"
 WAY = "{kind: waypoints, points_enu_m: [[0, 5, 2], [6, 5, 3], [0, -5, 2]], wait_s: 2}"
 UP = "{command: prepare}, {command: arm}, {command: takeoff, for_s: 3}, {command: form, for_s: 8}"
@@ -34,57 +38,39 @@ TIMELINE = (
 )
 
 
-class Recorder(FlightWatch):
-    def __init__(self, scenario: Scenario) -> None:
-        super().__init__(ids_of(scenario), [1], 0.0)
-        self.heard: list[tuple[float, Status]] = []
-
-    def hear(self, report: StatusReport, now_s: float) -> None:
-        super().hear(report, now_s)
-        self.heard.append((now_s, report.status))
-
-
 class Flight:
-    """The ring in virtual time, with all attitudes that were asked for."""
+    """The ring in virtual time, with all commanded attitudes."""
 
     def __init__(self, *overrides: str) -> None:
         self.scenario = load_scenario(RING, overrides)
         self.lockstep, self.watch = Lockstep(self.scenario), Recorder(self.scenario)
-        self.targets: dict[int, list[tuple[float, AttitudeTarget]]] = {}
-        for vehicle_id, vehicle in self.lockstep._vehicles.items():
-            told, follow = self.targets.setdefault(vehicle_id, []), vehicle.link.command
-
-            def command(target, now_s, told=told, follow=follow):  # type: ignore[no-untyped-def]
-                told.append((now_s, target))
-                follow(target, now_s)
-
-            vehicle.link.command = command  # type: ignore[method-assign]
+        self.targets = record_targets(self.lockstep)
         self.director = Director(
             self.lockstep, self.watch, Progress("test", True, 0.0), lambda: None, tuple, self.lockstep
         )
 
     def led(self, from_s: float = 0.0) -> Iterator[tuple[float, Status]]:
-        """What leaders said in formation."""
-        for at_s, status in self.watch.heard:
-            word = status.leader_word
-            if status.reference_enu_m and word and word.reference_s > 0.0 and at_s >= from_s:
+        """Reports of leaders in formation."""
+        for at_s, status in self.watch.reports:
+            beacon = status.leader_beacon
+            if status.reference_enu_m and beacon and beacon.reference_s > 0.0 and at_s >= from_s:
                 yield at_s, status
 
     def largest_step_deg(self, after_s: float) -> float:
         return max(
             degrees(max(abs(b.roll_rad - a.roll_rad), abs(b.pitch_rad - a.pitch_rad)))
-            for told in self.targets.values()
-            for (at_s, a), (_, b) in pairwise(told)
+            for sent_targets in self.targets.values()
+            for (at_s, a), (_, b) in pairwise(sent_targets)
             if at_s > after_s
         )
 
-    def tell(self, name: CommandName, *ids: int, content: Content | None = None) -> None:
+    def command(self, name: CommandName, *ids: int, content: Content | None = None) -> None:
         replies = self.lockstep.command(ids, name, 1.0, content)
         assert all(reply is not None and reply.accepted for reply in replies.values()), replies
 
     def listen(self) -> dict[int, Status]:
         for report in self.lockstep.drain():
-            self.watch.hear(report, self.lockstep.now_s())
+            self.watch.receive(report, self.lockstep.now_s())
         statuses = {i: self.watch.status(i) for i in self.watch.vehicle_ids}
         return {i: status for i, status in statuses.items() if status}
 
@@ -96,10 +82,10 @@ def circle_then_way() -> tuple[Flight, list[str]]:
 
 
 def begun(flight: Flight, number: int) -> float:
-    return next(at_s for at_s, s in flight.watch.heard if s.reference and s.reference.flown == number)
+    return next(at_s for at_s, s in flight.watch.reports if s.reference and s.reference.flown == number)
 
 
-def test_a_circle_and_then_waypoints_are_flown_with_a_change_of_the_lead_in_the_hand_over() -> None:
+def test_a_circle_and_waypoints_are_flown_with_a_leader_change_in_the_blend() -> None:
     flight, failures = circle_then_way()
     assert failures == []
     events = [(event.vehicle, event.event) for event in flight.watch.events if "hand-over of" in event.event]
@@ -110,10 +96,10 @@ def test_a_circle_and_then_waypoints_are_flown_with_a_change_of_the_lead_in_the_
     lasts_s = float(events[-1][1].rpartition(" s)")[0].rpartition(" ")[2])
     led_s = next(at_s for at_s, s in flight.led() if s.vehicle_id == 2)
     assert begun(flight, 2) < led_s < begun(flight, 2) + lasts_s
-    assert not any(any(status.rejected) for _, status in flight.watch.heard)
+    assert not any(any(status.rejected) for _, status in flight.watch.reports)
 
 
-def test_no_attitude_steps_and_nobody_comes_near_another() -> None:
+def test_attitudes_have_no_step_and_vehicles_keep_their_distance() -> None:
     flight, _ = circle_then_way()
     formation = flight.watch.formation
     assert formation is not None
@@ -124,7 +110,7 @@ def test_no_attitude_steps_and_nobody_comes_near_another() -> None:
     assert smallest_m > 1.4
 
 
-def test_the_reference_goes_on_without_a_jump_and_within_its_limits() -> None:
+def test_the_reference_continues_without_a_jump_within_its_limits() -> None:
     flight, _ = circle_then_way()
     for (a_s, a), (b_s, b) in pairwise(flight.led()):
         assert a.reference_enu_m is not None
@@ -135,7 +121,7 @@ def test_the_reference_goes_on_without_a_jump_and_within_its_limits() -> None:
     assert last.reference_enu_m == pytest.approx((0.0, -5.0, 2.0))
 
 
-def test_figures_are_of_what_was_flown() -> None:
+def test_figures_use_the_flown_reference() -> None:
     flight, _ = circle_then_way()
     formation = flight.watch.formation
     assert formation is not None
@@ -145,90 +131,90 @@ def test_figures_are_of_what_was_flown() -> None:
     assert figures.final_error_m < 0.1
 
 
-def test_who_may_not_lead_refuses_and_where_one_that_may_lacks_it_nothing_changes() -> None:
+def test_a_reference_change_needs_all_vehicles_that_may_lead() -> None:
     flight = Flight("fleet.law.name=cooperative")
     flight.director.fly(flight.scenario.timeline[:3])
-    flight.tell(CommandName.FORM, 1, 2, 3, 4)
+    flight.command(CommandName.FORM, 1, 2, 3, 4)
     flight.lockstep.sleep(3.0)
     point = {"kind": "point", "point_enu_m": [1.0, 1.0, 2.0]}
     change = reference_change(point, list(flight.listen().values()))
     reply = flight.lockstep.command([3], CommandName.REFERENCE, 1.0, change)[3]
     assert reply is not None
-    assert (reply.accepted, reply.reason) == (False, "reference: this vehicle may not lead, and knows of none")
-    flight.tell(CommandName.REFERENCE, 1, content=change)
+    assert outcome(reply) == (False, Code.REFERENCE_NOT_ALLOWED)
+    flight.command(CommandName.REFERENCE, 1, content=change)
     flight.lockstep.sleep(2.0)
     statuses = flight.listen()
-    assert statuses[1].last_event == "reference 1 does not begin: vehicle 2 does not have it"
+    assert statuses[1].last_event.code is Code.REFERENCE_CANCELLED
     assert statuses[1].reference == statuses[2].reference
 
 
-def test_in_hold_the_fleet_s_time_stands_and_a_change_begins_when_it_goes_on() -> None:
+def test_the_reference_time_stops_in_hold_and_a_change_begins_afterwards() -> None:
     flight = Flight("fleet.law.name=cooperative")
     flight.director.fly(flight.scenario.timeline[:3])
-    flight.tell(CommandName.FORM, 1, 2, 3, 4)
+    flight.command(CommandName.FORM, 1, 2, 3, 4)
     flight.lockstep.sleep(8.0)
-    flight.tell(CommandName.HOLD, 1, 2, 3, 4)
+    flight.command(CommandName.HOLD, 1, 2, 3, 4)
     flight.lockstep.sleep(3.0)
     point = {"kind": "point", "point_enu_m": [1.0, 1.0, 2.0]}
     change = reference_change(point, list(flight.listen().values()))
-    flight.tell(CommandName.REFERENCE, 1, 2, content=change)
+    flight.command(CommandName.REFERENCE, 1, 2, content=change)
     flight.lockstep.sleep(3.0)
     assert {i: s.reference.flown for i, s in flight.listen().items() if s.reference} == {1: 0, 2: 0}
-    flight.tell(CommandName.FORM, 1, 2, 3, 4)
+    flight.command(CommandName.FORM, 1, 2, 3, 4)
     flight.lockstep.sleep(8.0)
     statuses = flight.listen()
     assert {i: s.reference.flown for i, s in statuses.items() if s.reference} == {1: 1, 2: 1}
     assert statuses[1].reference_enu_m == pytest.approx((1.0, 1.0, 2.0))
 
 
-def test_an_agent_restarted_in_flight_takes_no_lead_before_it_is_told_of_the_reference() -> None:
+def test_an_agent_restarted_in_flight_does_not_become_leader_without_the_reference() -> None:
     flight = Flight("fleet.law.name=cooperative")
     flight.director.fly(flight.scenario.timeline[:3])
-    flight.tell(CommandName.FORM, 1, 2, 3, 4)
+    flight.command(CommandName.FORM, 1, 2, 3, 4)
     flight.lockstep.sleep(3.0)
     point = {"kind": "point", "point_enu_m": [1.0, 1.0, 2.0]}
     change = reference_change(point, list(flight.listen().values()))
-    flight.tell(CommandName.REFERENCE, 1, 2, content=change)
+    flight.command(CommandName.REFERENCE, 1, 2, content=change)
     flight.lockstep.sleep(2.0)
     member = flight.scenario.fleet.vehicles[1]
     file = vehicle_file(flight.scenario, reached_stand_in(flight.scenario, 2, port_offset=0), port_offset=0)
     flight.lockstep._vehicles[2]._agent = build_agent(AgentConfig(file, flight.scenario.fleet, member), session=2)
     flight.lockstep.sleep(2.0)
     for name, phase in ((CommandName.HOLD, FlightPhase.HOLD), (CommandName.FORM, FlightPhase.FORMATION)):
-        flight.tell(name, 2)
+        flight.command(name, 2)
         flight.lockstep.sleep(2.0)
         assert flight.listen()[2].phase is phase
     reply = flight.lockstep.command([2], CommandName.LEAD, 1.0, Lead((2,), 1))[2]
     assert reply is not None
     assert not reply.accepted
-    assert reply.reason.startswith("lead: vehicle 1 flies reference 1 since")
+    assert reply.code is Code.REFERENCE_DIFFERS
     reply = flight.lockstep.command([2], CommandName.REFERENCE, 1.0, change)[2]
     assert reply is not None
-    assert (reply.accepted, reply.reason) == (True, "reference 1, which the leader flies")
-    flight.tell(CommandName.LEAD, 1, 2, 3, 4, content=Lead((2,), 1))
+    assert outcome(reply) == (True, Code.REFERENCE_ACCEPTED)
+    flight.command(CommandName.LEAD, 1, 2, 3, 4, content=Lead((2,), 1))
     flight.lockstep.sleep(8.0)
     status = flight.listen()[2]
     assert status.reference_enu_m == pytest.approx((1.0, 1.0, 2.0))
 
 
 def follow(flight: Flight, seconds: float, path: Callable[[float], tuple[Vector3, Vector3]]) -> None:
-    """Somebody walks, and tells of it ten times a second."""
+    """A moving target that reports its position at 10 Hz."""
     began_s = flight.lockstep.now_s()
     for _ in range(round(seconds * 10.0)):
         position, velocity = path(flight.lockstep.now_s() - began_s)
-        flight.lockstep.tell_of_target("main", velocity, position)
+        flight.lockstep.publish_target("main", velocity, position)
         flight.lockstep.sleep(0.1)
         flight.listen()
 
 
-def test_a_target_is_followed_over_a_change_of_the_lead_and_its_silence_ends_in_rest() -> None:
+def test_a_target_is_followed_over_a_leader_change_and_its_loss_ends_at_rest() -> None:
     flight = Flight("fleet.law.name=cooperative")
     flight.director.fly(flight.scenario.timeline[:3])
-    flight.tell(CommandName.FORM, 1, 2, 3, 4)
+    flight.command(CommandName.FORM, 1, 2, 3, 4)
     flight.lockstep.sleep(8.0)
     described = {"kind": "target", "start_enu_m": [0.0, 0.0, 2.0], "max_speed_m_s": 2.0}
     change = reference_change(described, list(flight.listen().values()))
-    flight.tell(CommandName.REFERENCE, 1, 2, content=change)
+    flight.command(CommandName.REFERENCE, 1, 2, content=change)
 
     def walk(t: float) -> tuple[Vector3, Vector3]:
         return (6.0 + t, 4.0 * sin(0.2 * t), 0.0), (1.0, 0.8 * cos(0.2 * t), 0.0)

@@ -1,4 +1,4 @@
-"""Four agents that fly away in formation and return, with autopilots of both makes: down where they stood, and apart."""
+"""Four agents leave in formation and return, with both makes of autopilots, to their starts and with separation."""
 
 from itertools import combinations
 from math import dist
@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from companion.types import AutopilotKind
-from sitl.progress import Progress
-from sitl.scenario import scenario_from
-from sitl.virtual_flight import Flown, fly_in_virtual_time
+from companion.types.autopilot import AutopilotKind
+from sitl.flight.scenario import scenario_from
+from sitl.flight.virtual_flight import Flown, fly_in_virtual_time
+from sitl.report.progress import Progress
 
 STARTS: dict[int, tuple[float, float, float]] = {
     1: (0.0, 0.0, 0.0),
@@ -20,12 +20,12 @@ STARTS: dict[int, tuple[float, float, float]] = {
     4: (-9.0, 0.0, 0.0),
 }
 EAST, NORTH = (12.0, 0.0), (0.0, 12.0)
-DOWN_WITHIN_M = 0.7  # the estimators wander
+DOWN_WITHIN_M = 0.7  # drift of the estimators
 HIGHEST_M = {"px4": 30.0, "ardupilot": 15.0}  # RTL_RETURN_ALT, RTL_ALT
 
 
 def flown(tmp_path: Path, make: str, way: tuple[float, float], **last_step: float) -> Flown:
-    """In a line from west to east, to 12 m from there, and home."""
+    """Fly a line from west to east to a distance of 12 m, and return."""
     vehicles = [
         {"id": i, "role": "leader" if i == 1 else "follower", "slot_enu_m": list(start)} for i, start in STARTS.items()
     ]
@@ -53,16 +53,16 @@ def flown(tmp_path: Path, make: str, way: tuple[float, float], **last_step: floa
 
 
 @pytest.mark.parametrize("make", sorted(AutopilotKind))
-def test_all_come_home_at_once_and_land_where_they_stood(tmp_path: Path, make: str) -> None:
+def test_all_vehicles_return_at_once_and_land_at_their_starts(tmp_path: Path, make: str) -> None:
     flight = flown(tmp_path, make, NORTH)
     assert flight.failure is None
     tracks = flight.tracks()
     times_s = np.arange(0.0, min(track.time_s[-1] for track in tracks.values()), 0.1)
     at = {i: track.at(times_s) for i, track in tracks.items()}
-    assert max(float(places[:, 1].max()) for places in at.values()) > 11.0
-    for vehicle_id, places in at.items():
-        assert float(places[:, 2].max()) == pytest.approx(HIGHEST_M[make], abs=1.0)
-        assert dist(places[-1][:2], STARTS[vehicle_id][:2]) < DOWN_WITHIN_M
+    assert max(float(positions[:, 1].max()) for positions in at.values()) > 11.0
+    for vehicle_id, positions in at.items():
+        assert float(positions[:, 2].max()) == pytest.approx(HIGHEST_M[make], abs=1.0)
+        assert dist(positions[-1][:2], STARTS[vehicle_id][:2]) < DOWN_WITHIN_M
         status = flight.watch.status(vehicle_id)
         assert status is not None
         assert not status.armed
@@ -70,12 +70,12 @@ def test_all_come_home_at_once_and_land_where_they_stood(tmp_path: Path, make: s
     assert apart_m > 2.0
 
 
-def test_a_line_that_flew_along_itself_is_told_why_it_may_not_and_lands(tmp_path: Path) -> None:
-    """Each way home leads over the places of others."""
+def test_a_return_with_crossing_paths_is_refused_with_the_reason(tmp_path: Path) -> None:
+    """Each path home passes over the positions of other vehicles."""
     flight = flown(tmp_path, "px4", EAST, timeout_s=2.0)
     assert flight.failure is not None
     assert "return not done within 2 s" in flight.failure
-    assert "on its straight way home vehicle 1 comes within" in flight.failure
+    assert "RETURN_PATH_TOO_CLOSE" in flight.failure
     assert "expected at least separation_m, 1 m; land instead" in flight.failure
     assert all(not status.armed for i in STARTS if (status := flight.watch.status(i)))
     ends_m = {i: track.at(track.time_s[-1:])[0] for i, track in flight.tracks().items()}

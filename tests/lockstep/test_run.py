@@ -1,22 +1,24 @@
-"""`sitl run` from the command line: its folder, its words, its exit codes."""
+"""`sitl run` from the command line: folder, output and exit codes."""
 
 import signal
 import subprocess
 import sys
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import pytest
 
-from companion.types import AutopilotKind
-from sitl.flights import remove_old_run
-from sitl.scenario import load_scenario
-from sitl.summary import read_summary
-from sitl.tracks import read_track
+from companion.types.autopilot import AutopilotKind
+from repository import ROOT
+from sitl.flight.scenario import load_scenario
+from sitl.report.folder import remove_old_run
+from sitl.report.summary import read_summary
+from sitl.report.tracks import read_track
 
-PLATOON = Path(__file__).parents[2] / "config" / "scenarios" / "platoon.yaml"
+PLATOON = ROOT / "config" / "scenarios" / "platoon.yaml"
 SHORT = ("--set", "timeline[3].for_s=3")
 NOISY = ("--set", "stand_in.sensors=default")
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -31,13 +33,13 @@ def run(*arguments: object) -> subprocess.CompletedProcess[str]:
 
 
 def content(folder: Path) -> dict[str, Any]:
-    """summary.json without what depends on the machine."""
+    """Content of summary.json without the figures that depend on the machine."""
     summary: dict[str, Any] = msgspec.json.decode((folder / "summary.json").read_bytes())
     assert summary.pop("real_time_factor") > 0.0
     return summary
 
 
-def test_the_folder_holds_what_that_of_a_real_flight_holds(tmp_path: Path) -> None:
+def test_the_folder_has_the_files_of_a_real_flight(tmp_path: Path) -> None:
     done = run(PLATOON, "--out", tmp_path, *SHORT, "--law", "average_22")
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
@@ -57,8 +59,8 @@ def test_the_folder_holds_what_that_of_a_real_flight_holds(tmp_path: Path) -> No
         assert len(track.time_s) == pytest.approx(50 * summary.flight_s, abs=5)
 
 
-def test_two_runs_leave_the_same_folder(tmp_path: Path) -> None:
-    """From two processes, so nothing may hang on the order of sets or on addresses."""
+def test_two_runs_write_the_same_results(tmp_path: Path) -> None:
+    """In two processes, so that the order of sets and addresses would show."""
     first, second = tmp_path / "first", tmp_path / "second"
     for folder in (first, second):
         assert run(PLATOON, "--out", folder, "--quiet", *SHORT, *NOISY).returncode == 0
@@ -68,7 +70,7 @@ def test_two_runs_leave_the_same_folder(tmp_path: Path) -> None:
     assert content(first) == content(second)
 
 
-def test_laws_are_compared(tmp_path: Path) -> None:
+def test_two_laws_are_compared(tmp_path: Path) -> None:
     done = run(PLATOON, "--out", tmp_path, "--quiet", "--compare", "average_26", *SHORT)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "comparison.png").read_bytes().startswith(PNG)
@@ -76,35 +78,47 @@ def test_laws_are_compared(tmp_path: Path) -> None:
     assert comparison["laws"] == ["weighted", "average_26"]
 
 
-def test_nothing_of_an_older_run_stays_and_nothing_else_goes(tmp_path: Path) -> None:
-    """The older one had five vehicles and compared two laws; notes.txt is its owner's."""
-    for folder in (tmp_path, tmp_path / "average_26"):
+@dataclass(frozen=True)
+class QuietRun:
+    """A run into a folder with the files of an older run."""
+
+    folder: Path
+    done: subprocess.CompletedProcess[str]
+
+
+@pytest.fixture(scope="module")
+def quiet_run(tmp_path_factory: pytest.TempPathFactory) -> QuietRun:
+    """The older run had five vehicles and compared two laws; notes.txt belongs to the user."""
+    out = tmp_path_factory.mktemp("older")
+    for folder in (out, out / "average_26"):
         folder.mkdir(exist_ok=True)
         for name in ("scenario.yaml", "truth_5.csv", "vehicle_5.yaml", "agent_5.log", "comparison.json", "notes.txt"):
             (folder / name).touch()
-    (tmp_path / "average_26" / "notes.txt").unlink()
-    done = run(PLATOON, "--out", tmp_path, "--quiet", *SHORT)
-    assert done.returncode == 0, done.stderr
-    left = {file.name for file in tmp_path.iterdir()}
+    (out / "average_26" / "notes.txt").unlink()
+    return QuietRun(out, run(PLATOON, "--out", out, "--quiet", *SHORT))
+
+
+def test_files_of_an_older_run_are_removed_and_others_are_kept(quiet_run: QuietRun) -> None:
+    assert quiet_run.done.returncode == 0, quiet_run.done.stderr
+    left = {file.name for file in quiet_run.folder.iterdir()}
     assert {"notes.txt", "summary.json", "scenario.yaml", "truth_4.csv"} <= left
     assert not {"truth_5.csv", "vehicle_5.yaml", "agent_5.log", "comparison.json", "average_26"} & left
 
 
-def test_what_looks_like_a_run_but_was_none_stays(tmp_path: Path) -> None:
+def test_a_folder_without_a_summary_is_left_unchanged(tmp_path: Path) -> None:
     (tmp_path / "vehicle_9.yaml").touch()
     (tmp_path / "fleet.yaml").touch()
     remove_old_run(tmp_path)
     assert len(list(tmp_path.iterdir())) == 2
 
 
-def test_quiet_prints_the_result_alone(tmp_path: Path) -> None:
-    done = run(PLATOON, "--out", tmp_path, "--quiet", *SHORT)
-    assert done.stdout.startswith("platoon, weighted: flown and landed")
-    assert "times as fast as real time" in done.stdout
+def test_quiet_prints_only_the_result(quiet_run: QuietRun) -> None:
+    assert quiet_run.done.stdout.startswith("platoon, weighted: flown and landed")
+    assert "times as fast as real time" in quiet_run.done.stdout
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("arguments", "text"),
     [
         (("nowhere.yaml",), "nowhere.yaml: cannot be read: No such file"),
         ((PLATOON, "--set", "links.peer_loss=1.5"), "--set: links.peer_loss: 1.5"),
@@ -112,11 +126,11 @@ def test_quiet_prints_the_result_alone(tmp_path: Path) -> None:
         ((PLATOON, "--out", "/dev/null/x"), "choose another folder with --out"),
     ],
 )
-def test_bad_input_is_one_line(arguments: tuple[object, ...], words: str) -> None:
+def test_bad_input_is_one_line(arguments: tuple[object, ...], text: str) -> None:
     done = run(*arguments)
     assert done.returncode == 2
     assert done.stdout == ""
-    assert words in done.stderr
+    assert text in done.stderr
     assert len(done.stderr.splitlines()) == 1
 
 
@@ -126,7 +140,7 @@ def test_an_unknown_law_is_refused() -> None:
     assert "average_26" in done.stderr
 
 
-def test_a_flight_that_fails_says_so_and_ends_with_1(tmp_path: Path) -> None:
+def test_a_failed_flight_is_reported_with_exit_code_1(tmp_path: Path) -> None:
     done = run(PLATOON, "--out", tmp_path, "--quiet", "--set", "timeline[1].timeout_s=1")
     assert done.returncode == 1
     assert "arm not done within 1 s" in done.stdout
@@ -141,16 +155,16 @@ def test_ctrl_c_lands_and_writes_the_folder(tmp_path: Path) -> None:
             pass
         time.sleep(0.5)
         process.send_signal(signal.SIGINT)
-        said, complained = process.communicate(timeout=60)
-    assert process.returncode == 130, complained
-    assert "interrupted by SIGINT" in said
-    assert complained == ""
+        printed, errors = process.communicate(timeout=60)
+    assert process.returncode == 130, errors
+    assert "interrupted by SIGINT" in printed
+    assert errors == ""
     summary = read_summary(tmp_path / "summary.json")
     assert summary.failure == "interrupted by SIGINT"
     assert [event.vehicle for event in summary.events if event.event == "land -> observe"] != []
 
 
-def test_arducopters_fly_the_same_scenario(tmp_path: Path) -> None:
+def test_the_scenario_is_flown_with_ardupilot(tmp_path: Path) -> None:
     done = run(PLATOON, "--out", tmp_path, "--autopilot", "ardupilot", "--set", "timeline[3].for_s=40", "--quiet")
     assert done.returncode == 0, done.stdout + done.stderr
     assert load_scenario(tmp_path / "scenario.yaml").stand_in.autopilot is AutopilotKind.ARDUPILOT

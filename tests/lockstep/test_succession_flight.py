@@ -1,4 +1,4 @@
-"""The ring on its figure 8 in virtual time, and in the middle of it the leader's agent dies."""
+"""The ring on its figure 8 in virtual time; the agent of the leader stops in flight."""
 
 from __future__ import annotations
 
@@ -7,50 +7,56 @@ from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
 from math import degrees, dist, hypot
-from pathlib import Path
 
 import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from companion.types import AttitudeTarget, CommandName, FlightPhase, HealthFlag, PeerPacket, Role, Status
-from sitl.director import Director
-from sitl.fleet import ids_of
-from sitl.lockstep import Lockstep
-from sitl.metrics import errors_m, reference_positions_m, standing
-from sitl.progress import Progress
-from sitl.scenario import load_scenario, reference_of
-from sitl.watch import FlightWatch
+from companion.types.commands import CommandName
+from companion.types.flight import FlightPhase, HealthFlag, Role
+from companion.types.notices import Code
+from companion.types.peers import PeerPacket
+from companion.types.requests import AttitudeTarget
+from companion.types.status import Status
+from recorded_flight import record_targets
+from repository import ROOT
+from sitl.flight.director import Director
+from sitl.flight.files import ids_of
+from sitl.flight.lockstep import Lockstep
+from sitl.flight.scenario import load_scenario, reference_of
+from sitl.flight.watch import FlightWatch
+from sitl.report.metrics import errors_m, reference_positions_m, standing
+from sitl.report.progress import Progress
 
-RING = Path(__file__).parents[2] / "config" / "scenarios" / "ring_figure_8.yaml"
+RING = ROOT / "config" / "scenarios" / "ring_figure_8.yaml"
 SUCCESSOR = "fleet.successors=[2]"
 DIES_AFTER_S = 26.0  # in formation: where the eight is flown fastest, 0.5 m/s
 
 
 @dataclass(frozen=True)
 class Flown:
-    """From the leader's death on; times count from it."""
+    """The flight after the stop of the leader's agent; times count from it."""
 
     packets: list[tuple[float, PeerPacket]]
     targets: dict[int, list[AttitudeTarget]]
-    errors_m: dict[int, np.ndarray]  # of each that is left to its slot about the RFT, every 20 ms
-    told: list[Status]
+    errors_m: dict[int, np.ndarray]  # of each remaining vehicle to its slot about the RFT, every 20 ms
+    reports: list[Status]
 
     def noticed_s(self) -> dict[int, float]:
-        return self._first(lambda packet: packet.leader_word is None)
+        return self._first(lambda packet: packet.leader_beacon is None)
 
     def led_s(self, by: int) -> dict[int, float]:
-        return self._first(lambda packet: packet.leader_word is not None and packet.leader_word.leader_id == by)
+        return self._first(lambda packet: packet.leader_beacon is not None and packet.leader_beacon.leader_id == by)
 
     def steps_deg(self) -> list[float]:
         return [
             degrees(max(abs(after.roll_rad - before.roll_rad), abs(after.pitch_rad - before.pitch_rad)))
-            for told in self.targets.values()
-            for before, after in pairwise(told)
+            for sent_targets in self.targets.values()
+            for before, after in pairwise(sent_targets)
         ]
 
     def last(self) -> dict[int, Status]:
-        return {status.vehicle_id: status for status in self.told}
+        return {status.vehicle_id: status for status in self.reports}
 
     def _first(self, is_it) -> dict[int, float]:  # type: ignore[no-untyped-def]
         return {packet.vehicle_id: at_s for at_s, packet in reversed(self.packets) if is_it(packet)}
@@ -62,7 +68,7 @@ def flown(*overrides: str, dead: Iterable[int] = (1,), for_s: float = 5.0) -> Fl
     lockstep, watch = Lockstep(scenario), FlightWatch(ids_of(scenario), [1], 0.0)
     director = Director(lockstep, watch, Progress("test", True, 0.0), lambda: None, tuple, lockstep)
     director.fly([*scenario.timeline[:3], replace(scenario.timeline[3], for_s=DIES_AFTER_S)])
-    died_s, packets, targets = lockstep.now_s(), [], {}
+    died_s, packets = lockstep.now_s(), []
     send = lockstep._network.send
 
     def sent(packet: PeerPacket, now_s: float) -> None:
@@ -71,14 +77,7 @@ def flown(*overrides: str, dead: Iterable[int] = (1,), for_s: float = 5.0) -> Fl
 
     lockstep._network.send = sent  # type: ignore[method-assign]
     lockstep._in_order = [vehicle for vehicle in lockstep._in_order if vehicle.vehicle_id not in dead]
-    for vehicle in lockstep._in_order:
-        told, follow = targets.setdefault(vehicle.vehicle_id, []), vehicle.link.command
-
-        def command(target, now_s, told=told, follow=follow):  # type: ignore[no-untyped-def]
-            told.append(target)
-            follow(target, now_s)
-
-        vehicle.link.command = command  # type: ignore[method-assign]
+    recorded = record_targets(lockstep)
     lockstep.sleep(for_s)
     assert watch.formation is not None
     times_s = np.arange(died_s, lockstep.now_s() - 0.1, 0.02)
@@ -86,10 +85,11 @@ def flown(*overrides: str, dead: Iterable[int] = (1,), for_s: float = 5.0) -> Fl
     slots = standing({member.id: member.slot_enu_m for member in scenario.fleet.vehicles})
     tracks = {s.vehicle_id: s.track() for s in lockstep.stand_ins if s.vehicle_id not in dead}
     errors = {i: errors_m(track, slots[i], reference_enu_m, times_s) for i, track in tracks.items()}
+    targets = {i: [target for _, target in recorded[i]] for i in tracks}
     return Flown(packets, targets, errors, [report.status for report in lockstep.drain()])
 
 
-def test_a_dead_leader_is_missed_within_0_3_s_and_replaced_within_0_6() -> None:
+def test_a_stopped_leader_is_detected_within_0_3_s_and_replaced_within_0_65_s() -> None:
     flight = flown(SUCCESSOR, "fleet.law.name=cooperative")
     assert max(flight.noticed_s().values()) < 0.3
     assert flight.noticed_s().keys() == {2, 3, 4}
@@ -99,46 +99,49 @@ def test_a_dead_leader_is_missed_within_0_3_s_and_replaced_within_0_6() -> None:
     assert [flight.last()[i].prc for i in (2, 3, 4)] == [1, 2, 3]
 
 
-def test_meanwhile_the_missing_leader_is_told_and_nobody_leaves_formation() -> None:
+def test_the_missing_leader_is_reported_and_all_stay_in_formation() -> None:
     flight = flown(SUCCESSOR, "fleet.law.name=cooperative")
-    assert {status.phase for status in flight.told} == {FlightPhase.FORMATION}
-    assert {flag for status in flight.told for flag in status.flags} == {HealthFlag.LEADER_AWAITED}
-    assert "no leader's word: formation is held without" in {status.last_event for status in flight.told}
+    assert {status.phase for status in flight.reports} == {FlightPhase.FORMATION}
+    assert {flag for status in flight.reports for flag in status.flags} == {HealthFlag.LEADER_AWAITED}
+    assert Code.LEADER_AWAITED in {status.last_event.code for status in flight.reports if status.last_event}
     assert not any(status.flags for status in flight.last().values())
 
 
-def test_a_formation_that_turns_goes_on_turning_without_a_step() -> None:
+def test_a_turning_formation_continues_without_a_step() -> None:
     flight = flown(SUCCESSOR, "fleet.law.name=cooperative", "fleet.formation_heading=course")
     assert max(flight.led_s(by=2).values()) < 0.65
-    assert max(flight.steps_deg()) < 2.0
+    assert max(flight.steps_deg()) < 3.0  # the others make way for the vehicle whose agent ended
     for i in (2, 3, 4):
         slots = [(at_s, packet.slot) for at_s, packet in flight.packets if packet.vehicle_id == i]
-        assert max(hypot(*slot.velocity_enu_m_s) for _, slot in slots) > 0.1  # it does turn
+        assert max(hypot(*slot.velocity_enu_m_s) for _, slot in slots) > 0.1  # the formation does turn
         for (a_s, a), (b_s, b) in pairwise(slots):
             moved = [x + v * (b_s - a_s) for x, v in zip(a.position_enu_m, a.velocity_enu_m_s, strict=True)]
             assert dist(moved, b.position_enu_m) < 0.002
 
 
-@pytest.mark.parametrize(("law", "most_m"), [("cooperative", 0.1), ("weighted", 0.5)])
-def test_nobody_leaves_its_slot_nor_steps(law: str, most_m: float) -> None:
-    """The weighted law is as far from it before: it follows what moves at a distance."""
+@pytest.mark.parametrize(("law", "most_m"), [("cooperative", 0.2), ("weighted", 0.5)])
+def test_vehicles_keep_their_slots_without_a_step(law: str, most_m: float) -> None:
+    """The weighted law has the same error before: it follows a moving reference with a lag.
+
+    The separation filter keeps the others up to 0.17 m off their slots while they pass the vehicle whose agent ended.
+    """
     flight = flown(SUCCESSOR, f"fleet.law.name={law}")
     assert max(float(error_m.max()) for error_m in flight.errors_m.values()) < most_m
     assert max(flight.steps_deg()) < 3.0
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_so_it_is_over_a_slow_network_that_loses_a_tenth_with_noise(seed: int) -> None:
+def test_the_leader_is_replaced_over_a_slow_lossy_network_with_noise(seed: int) -> None:
     links = ("links.peer_loss=0.1", "links.peer_delay_s=0.1")
     noise = ("stand_in.sensors=default", f"stand_in.seed={seed}")
     flight = flown(SUCCESSOR, "fleet.law.name=cooperative", *links, *noise)
     assert max(flight.led_s(by=2).values()) < 1.5
-    assert {status.phase for status in flight.told} == {FlightPhase.FORMATION}
+    assert {status.phase for status in flight.reports} == {FlightPhase.FORMATION}
     assert max(float(error_m.max()) for error_m in flight.errors_m.values()) < 0.5
     assert max(flight.steps_deg()) < 5.0
 
 
-def test_where_the_first_successor_dies_too_the_next_one_leads() -> None:
+def test_the_second_successor_becomes_leader_when_the_first_stops_too() -> None:
     third = ("fleet.vehicles[2].may_lead=true", "fleet.successors=[2,3]")
     flight = flown("fleet.law.name=cooperative", *third, dead=(1, 2))
     assert 0.8 < max(flight.led_s(by=3).values()) < 1.0
@@ -146,27 +149,26 @@ def test_where_the_first_successor_dies_too_the_next_one_leads() -> None:
     assert flight.last()[4].prc == 2
 
 
-def test_no_living_leader_is_missed_over_a_slow_network_that_loses_a_tenth() -> None:
+def test_a_running_leader_is_never_replaced_over_a_slow_lossy_network() -> None:
     flight = flown(SUCCESSOR, "links.peer_loss=0.1", "links.peer_delay_s=0.1", dead=(), for_s=60.0)
     assert not flight.noticed_s()
-    assert {status.epoch for status in flight.told} == {0}
+    assert {status.epoch for status in flight.reports} == {0}
 
 
-def test_without_successors_all_hold_and_after_a_while_land() -> None:
+def test_all_vehicles_hold_and_then_land_without_successors() -> None:
     flight = flown("fleet.land_after_s=3", for_s=25.0)
     assert max(flight.noticed_s().values()) < 0.3
-    events = {status.last_event for status in flight.told}
-    assert "formation -> release (no leader's word)" in events
-    assert "hold -> land (in hold for want of a leader, and none came)" in events
+    codes = [s.last_event.code for s in flight.reports if s.last_event and s.phase is FlightPhase.LAND]
+    assert codes and set(codes) == {Code.LEADER_LOST}
     assert {(status.phase, status.armed) for status in flight.last().values()} == {(FlightPhase.OBSERVE, False)}
 
 
-def test_without_a_time_to_land_they_stay_in_hold() -> None:
+def test_all_vehicles_stay_in_hold_without_a_land_time() -> None:
     flight = flown(for_s=25.0)
     assert {(status.phase, status.armed) for status in flight.last().values()} == {(FlightPhase.HOLD, True)}
 
 
-def test_what_a_command_sends_into_hold_does_not_land_by_itself() -> None:
+def test_a_commanded_hold_does_not_end_in_landing() -> None:
     scenario = load_scenario(RING, ["fleet.land_after_s=1"])
     lockstep, watch = Lockstep(scenario), FlightWatch(ids_of(scenario), [1], 0.0)
     director = Director(lockstep, watch, Progress("test", True, 0.0), lambda: None, tuple, lockstep)

@@ -1,4 +1,4 @@
-"""`sitl sweep` from the command line: its folder, its words, its exit codes, and its flights against those of `sitl run`."""
+"""`sitl sweep` from the command line: folder, output, exit codes, and agreement with `sitl run`."""
 
 import csv
 import os
@@ -11,19 +11,20 @@ from typing import Any
 import msgspec
 import pytest
 
-from sitl.metrics import formation_figures, neighbouring_pairs, pair_name, standing
-from sitl.progress import Progress
-from sitl.scenario import load_scenario, reference_of
-from sitl.share import ShareProgress
+from repository import ROOT
+from sitl.flight.scenario import load_scenario, reference_of
+from sitl.flight.virtual_flight import fly_in_virtual_time
+from sitl.report.metrics import formation_figures, neighbouring_pairs, pair_name, standing
+from sitl.report.progress import Progress
+from sitl.report.share import ShareProgress
 from sitl.sweep import flights
 from sitl.sweep.options import SweepOptions
 from sitl.sweep.run import run as run_sweep
-from sitl.virtual_flight import fly_in_virtual_time
 
-PLATOON = Path(__file__).parents[2] / "config" / "scenarios" / "platoon.yaml"
+PLATOON = ROOT / "config" / "scenarios" / "platoon.yaml"
 PNG = b"\x89PNG\r\n\x1a\n"
-PEAK_TOLERANCE_M = 0.005  # lockstep enters formation a little off its starts and not quite at rest; measured: 0.001
-SETTLE_TOLERANCE_S = 0.1  # and counts from its last vehicle's entry; measured: 0.02
+PEAK_TOLERANCE_M = 0.005  # lockstep enters the formation slightly off its starts and not quite at rest; measured: 0.001
+SETTLE_TOLERANCE_S = 0.1  # and its time starts when the last vehicle enters; measured: 0.02
 
 
 def command(*arguments: object) -> list[str]:
@@ -39,7 +40,7 @@ def rows_of(folder: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def test_a_row_is_what_sitl_run_flies(tmp_path: Path) -> None:
+def test_figures_agree_with_sitl_run(tmp_path: Path) -> None:
     laws = ("weighted", "cooperative")
     options = SweepOptions(PLATOON, (f"fleet.law.name={','.join(laws)}",), 2, 30.0, out=tmp_path, quiet=True)
     assert run_sweep(options) == 0
@@ -49,21 +50,21 @@ def test_a_row_is_what_sitl_run_flies(tmp_path: Path) -> None:
         flown = fly_in_virtual_time(scenario, Progress("test", True, 0.0))
         assert flown.watch.formation is not None
         slots = {member.id: member.slot_enu_m for member in scenario.fleet.vehicles}
-        wanted = formation_figures(flown.tracks(), standing(slots), reference_of(scenario), flown.watch.formation)
+        expected = formation_figures(flown.tracks(), standing(slots), reference_of(scenario), flown.watch.formation)
         near = [pair_name(pair) for pair in neighbouring_pairs(slots)]
         row = rows[law]
         assert float(row["largest_neighbouring_distance_m"]) == pytest.approx(
-            max(wanted.max_distance_m[pair] for pair in near), abs=PEAK_TOLERANCE_M
+            max(expected.max_distance_m[pair] for pair in near), abs=PEAK_TOLERANCE_M
         )
-        smallest_m = min(wanted.min_distance_m[pair] for pair in near)
+        smallest_m = min(expected.min_distance_m[pair] for pair in near)
         assert float(row["smallest_neighbouring_distance_m"]) == pytest.approx(smallest_m, abs=PEAK_TOLERANCE_M)
         assert float(row["smallest_distance_m"]) == pytest.approx(smallest_m, abs=PEAK_TOLERANCE_M)
-        assert float(row["final_error_m"]) == pytest.approx(wanted.final_error_m, abs=PEAK_TOLERANCE_M)
-        assert float(row["settle_s"]) == pytest.approx(wanted.settle_s, abs=SETTLE_TOLERANCE_S)
+        assert float(row["final_error_m"]) == pytest.approx(expected.final_error_m, abs=PEAK_TOLERANCE_M)
+        assert float(row["settle_s"]) == pytest.approx(expected.settle_s, abs=SETTLE_TOLERANCE_S)
 
 
-def test_two_sweeps_are_the_same_on_however_many_cores(tmp_path: Path) -> None:
-    """Three kinds of flights, so several chunks; noise and loss, so that chance could show."""
+def test_a_sweep_is_the_same_for_any_number_of_workers(tmp_path: Path) -> None:
+    """Three kinds of flights for several chunks; noise and loss for random numbers."""
     varied = (
         "stand_in.sensors=ideal,default",
         "links.peer_loss=0,0.2",
@@ -78,15 +79,15 @@ def test_two_sweeps_are_the_same_on_however_many_cores(tmp_path: Path) -> None:
     assert len({row["final_error_m"] for row in rows if row["stand_in.sensors"] == "default"}) == 12
 
 
-def test_the_folder_and_the_words(tmp_path: Path) -> None:
+def test_the_folder_and_the_output(tmp_path: Path) -> None:
     varied = ("--vary", "fleet.law.name=weighted,cooperative", "--vary", "fleet.law.exponent=0,2")
     done = sweep(PLATOON, *varied, "--seeds", 3, "--seconds", 4, "--out", tmp_path)
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
-    said = done.stdout.splitlines()
-    assert said[0] == "platoon: 12 flights of 4 vehicles, 4 s each"
-    assert said[-1] == f"results in {tmp_path}"
-    assert said[-2].endswith("times real time")
+    printed = done.stdout.splitlines()
+    assert printed[0] == "platoon: 12 flights of 4 vehicles, 4 s each"
+    assert printed[-1] == f"results in {tmp_path}"
+    assert printed[-2].endswith("times real time")
     assert (tmp_path / "sweep.png").read_bytes().startswith(PNG)
     assert len(rows_of(tmp_path)) == 12
     content: dict[str, Any] = msgspec.json.decode((tmp_path / "sweep.json").read_bytes())
@@ -96,7 +97,7 @@ def test_the_folder_and_the_words(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("arguments", "text"),
     [
         (("nowhere.yaml",), "nowhere.yaml: cannot be read: No such file"),
         ((PLATOON, "--set", "links.peer_loss=1.5"), "--set: links.peer_loss: 1.5"),
@@ -104,11 +105,11 @@ def test_the_folder_and_the_words(tmp_path: Path) -> None:
         ((PLATOON, "--out", "/dev/null/x"), "choose another folder with --out"),
     ],
 )
-def test_bad_input_is_one_line(arguments: tuple[object, ...], words: str) -> None:
+def test_bad_input_is_one_line(arguments: tuple[object, ...], text: str) -> None:
     done = sweep(*arguments)
     assert done.returncode == 2
     assert done.stdout == ""
-    assert words in done.stderr
+    assert text in done.stderr
     assert len(done.stderr.splitlines()) == 1
 
 
@@ -119,8 +120,8 @@ def test_a_bad_number_is_refused(argument: tuple[str, str]) -> None:
     assert f"argument {argument[0]}: '{argument[1]}', expected" in done.stderr
 
 
-def test_ctrl_c_ends_everything_in_one_line(tmp_path: Path) -> None:
-    """As in a terminal, the workers hear it, too."""
+def test_ctrl_c_ends_all_processes_with_one_line(tmp_path: Path) -> None:
+    """The workers get the signal too, as in a terminal."""
     arguments = (PLATOON, "--seeds", 3000, "--seconds", 3600, "--out", tmp_path)
     with subprocess.Popen(
         command(*arguments), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
@@ -128,13 +129,13 @@ def test_ctrl_c_ends_everything_in_one_line(tmp_path: Path) -> None:
         assert process.stderr is not None
         assert "0 of 3000 flights" in process.stderr.readline()
         os.killpg(process.pid, signal.SIGINT)
-        said, complained = process.communicate(timeout=60)
-    assert process.returncode == 130, complained
-    assert complained == f"stopped before any flight was complete; nothing in {tmp_path}\n"
-    assert said == ""
+        printed, errors = process.communicate(timeout=60)
+    assert process.returncode == 130, errors
+    assert errors == f"stopped before any flight was complete; nothing in {tmp_path}\n"
+    assert printed == ""
 
 
-def test_ctrl_c_keeps_what_is_complete(
+def test_ctrl_c_keeps_complete_flights(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def interrupt(_progress: ShareProgress, _share: float, more: str = "") -> None:

@@ -1,59 +1,42 @@
-"""Formations that turn with the RFT's course, judged by where the leader points: a vehicle's place is r + R(heading) d_i0."""
+"""Formations that turn with the course of the RFT: the slot of a vehicle is at r + R(heading) d_i0."""
 
 from __future__ import annotations
 
 from functools import cache
 from itertools import pairwise
 from math import degrees, remainder, sqrt, tau
-from pathlib import Path
 
 import numpy as np
 import pytest
+
 from commanded_flight import Flight
-
-from companion.core.arrays import FloatArray
-from companion.core.heading import JERK_1_S
+from companion.core.reference.heading import JERK_1_S
 from companion.geometry.turning import turn_limits
-from companion.types import CommandName, FlightPhase, Heading, Role, Status
-from companion.wire.ground import StatusReport
-from sitl.director import Director
-from sitl.fleet import ids_of
-from sitl.lockstep import Lockstep
-from sitl.metrics import SAMPLE_S, errors_m, pairs_of, reference_positions_m, smallest_distance_m
-from sitl.progress import Progress
-from sitl.scenario import Scenario, load_scenario, reference_of
-from sitl.watch import FlightWatch
+from companion.stability.arrays import FloatArray
+from companion.types.commands import CommandName
+from companion.types.flight import FlightPhase, Role
+from companion.types.status import Status
+from recorded_flight import Recorder, record_at_setpoints
+from repository import ROOT
+from sitl.flight.director import Director
+from sitl.flight.lockstep import Lockstep
+from sitl.flight.scenario import load_scenario, reference_of
+from sitl.report.metrics import SAMPLE_S, errors_m, pairs_of, reference_positions_m, smallest_distance_m
+from sitl.report.progress import Progress
 
-SCENARIOS = Path(__file__).parents[2] / "config" / "scenarios"
+SCENARIOS = ROOT / "config" / "scenarios"
 RING, COLUMN = "ring_figure_8.yaml", "turning_column.yaml"
 COURSE = ("fleet.formation_heading=course", "fleet.law.name=cooperative")
 LATE = ("links.peer_delay_s=0.1", "stand_in.sensors=default")
-SETTLED_S = 20.0  # after the formation began: it has gone to its places, and has the course
-
-
-class Recorder(FlightWatch):
-    def __init__(self, scenario: Scenario) -> None:
-        super().__init__(ids_of(scenario), [1], 0.0)
-        self.heard: list[tuple[float, Status]] = []
-
-    def hear(self, report: StatusReport, now_s: float) -> None:
-        super().hear(report, now_s)
-        self.heard.append((now_s, report.status))
+SETTLED_S = 20.0  # after the start of the formation: vehicles are at their slots, and the heading is the course
 
 
 class Flown:
     def __init__(self, file: str, *overrides: str) -> None:
         self.scenario = load_scenario(SCENARIOS / file, overrides)
         lockstep, self.watch = Lockstep(self.scenario), Recorder(self.scenario)
-        self.headings: dict[int, list[tuple[float, Heading]]] = {}  # of every vehicle at every setpoint
-        for vehicle_id, vehicle in lockstep._vehicles.items():
-            told, follow, agent = self.headings.setdefault(vehicle_id, []), vehicle.link.command, vehicle._agent
-
-            def command(target, now_s, told=told, follow=follow, agent=agent):  # type: ignore[no-untyped-def]
-                told.append((now_s, agent._formation.heading.flown))
-                follow(target, now_s)
-
-            vehicle.link.command = command  # type: ignore[method-assign]
+        agents = {vehicle_id: vehicle._agent for vehicle_id, vehicle in lockstep._vehicles.items()}
+        self.headings = record_at_setpoints(lockstep, lambda vehicle_id, _: agents[vehicle_id]._last_guidance.heading)
         director = Director(lockstep, self.watch, Progress("test", True, 0.0), lambda: None, tuple, lockstep)
         self.failures = director.fly_and_land(self.scenario.timeline)
         self.tracks = {s.vehicle_id: s.track() for s in lockstep.stand_ins}
@@ -62,22 +45,28 @@ class Flown:
         self.times_s = np.arange(self.formation.start_s + SETTLED_S, self.formation.end_s, SAMPLE_S)
 
     def led(self) -> list[tuple[float, Status]]:
-        """What those said that led in formation, in order."""
-        return [(at_s, s) for at_s, s in self.watch.heard if s.role is Role.LEADER and s.phase is FlightPhase.FORMATION]
+        """Reports of leaders in formation, in order."""
+        return [
+            (at_s, s) for at_s, s in self.watch.reports if s.role is Role.LEADER and s.phase is FlightPhase.FORMATION
+        ]
 
     def headings_rad(self) -> FloatArray:
-        """The leaders', by time."""
+        """Headings of the leaders over time."""
         angles = np.unwrap([s.heading.angle_rad for _, s in self.led()])
         return np.interp(self.times_s, [at_s for at_s, _ in self.led()], angles)
 
     def errors_m(self) -> dict[int, FloatArray]:
-        """Each vehicle's distance to its place; its slot is that of the formation's own frame, as it said."""
+        """Distance of each vehicle to its slot; slots are in the frame of the formation, as reported."""
         r_m = reference_positions_m(reference_of(self.scenario), self.formation.reference_start_s, self.times_s)
         c, s = np.cos(self.headings_rad()), np.sin(self.headings_rad())
         errors = {}
         for i, track in self.tracks.items():
-            told = [(at_s, status.slot.position_enu_m) for at_s, status in self.watch.heard if status.vehicle_id == i]
-            x, y, z = (np.interp(self.times_s, [at for at, _ in told], [d[k] for _, d in told]) for k in range(3))
+            recorded = [
+                (at_s, status.slot.position_enu_m) for at_s, status in self.watch.reports if status.vehicle_id == i
+            ]
+            x, y, z = (
+                np.interp(self.times_s, [at for at, _ in recorded], [d[k] for _, d in recorded]) for k in range(3)
+            )
             place_m = r_m + np.stack([c * x - s * y, s * x + c * y, z], axis=1)
             errors[i] = np.linalg.norm(track.at(self.times_s) - place_m, axis=1)
         return errors
@@ -94,7 +83,7 @@ def flown(file: str, *overrides: str) -> Flown:
     return flight
 
 
-def test_on_a_figure_8_it_points_where_it_goes() -> None:
+def test_the_formation_points_along_the_figure_8() -> None:
     flight = flown(RING, *COURSE)
     reference = reference_of(flight.scenario)
     velocities = [reference(t - flight.formation.reference_start_s).velocity_enu_m_s for t in flight.times_s.tolist()]
@@ -105,26 +94,26 @@ def test_on_a_figure_8_it_points_where_it_goes() -> None:
 
 
 @pytest.mark.parametrize(("late", "most_m", "nearest_m"), [((), 0.12, 1.9), (LATE, 0.7, 1.6)])
-def test_places_are_kept_while_it_turns_and_the_lead_changes_five_times(
+def test_slots_are_kept_while_turning_with_five_leader_changes(
     late: tuple[str, ...], most_m: float, nearest_m: float
 ) -> None:
-    """Fixed, the same flight has the same errors: what turning adds is known beforehand."""
+    """Turning is known in advance, so the errors equal those of the same flight with a fixed heading."""
     flight, fixed = flown(RING, *COURSE, *late), flown(RING, "fleet.law.name=cooperative", *late)
     assert sum("follower -> leader" in event.event for event in flight.watch.events) == 5
     worst_m, worst_fixed_m = (max(e.max() for e in f.errors_m().values()) for f in (flight, fixed))
     assert worst_m < most_m
     assert worst_m < worst_fixed_m + 0.08
     assert flight.smallest_m() > nearest_m
-    assert not any(any(status.rejected) for _, status in flight.watch.heard)
+    assert not any(any(status.rejected) for _, status in flight.watch.reports)
 
 
 @pytest.mark.parametrize("late", [(), LATE])
-def test_neither_attitudes_nor_the_heading_step_when_the_lead_changes(late: tuple[str, ...]) -> None:
+def test_attitudes_and_heading_have_no_step_at_leader_changes(late: tuple[str, ...]) -> None:
     flight = flown(RING, *COURSE, *late)
     assert max(flight.watch.largest_step_deg.values()) < 5.0
     most_rad_s2 = turn_limits(sqrt(2.0), flight.scenario.fleet.slot_speed_m_s).acceleration_rad_s2
-    for told in flight.headings.values():
-        for (a_s, a), (b_s, b) in pairwise(told):
+    for recorded in flight.headings.values():
+        for (a_s, a), (b_s, b) in pairwise(recorded):
             assert remainder(b.angle_rad - a.angle_rad - a.rate_rad_s * (b_s - a_s), tau) == pytest.approx(
                 0.0, abs=1e-3
             )
@@ -132,22 +121,22 @@ def test_neither_attitudes_nor_the_heading_step_when_the_lead_changes(late: tupl
             assert abs(b.acceleration_rad_s2 - a.acceleration_rad_s2) <= 1.01 * JERK_1_S * most_rad_s2 * (b_s - a_s)
 
 
-def test_a_column_becomes_a_line_while_it_turns_on_a_circle() -> None:
+def test_a_column_changes_to_a_line_while_turning_on_a_circle() -> None:
     flight = flown(COLUMN, "stand_in.sensors=ideal")
     assert max(e.max() for e in flight.errors_m().values()) < 0.4
-    assert flight.smallest_m() > 1.3  # slots that are 2 m apart come no nearer than 1.41 m on the way
+    assert flight.smallest_m() > 1.3  # slots that are 2 m apart keep 1.41 m or more during the change
     assert max(flight.watch.largest_step_deg.values()) < 5.0
     end = {i: status.slot for i in flight.tracks if (status := flight.watch.status(i))}
     assert sorted(round(slot.position_enu_m[1], 6) for slot in end.values()) == [-3.0, -1.0, 1.0, 3.0]
     assert all(slot.formation == 1 and slot.position_enu_m[0] == pytest.approx(0.0) for slot in end.values())
 
 
-def test_with_noise_nobody_in_the_column_comes_within_the_separation() -> None:
+def test_the_column_keeps_the_separation_with_noise() -> None:
     flight = flown(COLUMN)
     assert flight.smallest_m() > flight.scenario.fleet.separation_m
 
 
-def test_who_left_joins_a_formation_that_goes_round() -> None:
+def test_a_vehicle_rejoins_a_turning_formation() -> None:
     circle = "{kind: circle, centre_enu_m: [-8, 0, 2], radius_m: 8, period_s: 60}"
     turning = ("fleet.formation_heading=course", "fleet.slot_speed_m_s=1.5", "stand_in.sensors=ideal")
     flight = flown("leaving.yaml", *turning, f"timeline[6].reference={circle}", "timeline[10].for_s=20")
@@ -159,16 +148,14 @@ def test_who_left_joins_a_formation_that_goes_round() -> None:
     assert smallest_m > 1.0
     times_s = np.arange(joined_s, flight.formation.end_s, SAMPLE_S)
     zero_s = flight.formation.reference_start_s
-    r_m = reference_positions_m(flight.watch.told_reference(), zero_s, times_s)
+    r_m = reference_positions_m(flight.watch.reported_reference(), zero_s, times_s)
     error_m = errors_m(flight.tracks[3], flight.watch.slots()[3], r_m, times_s)
     assert error_m.max() < 0.5
 
 
-def test_who_holds_turns_at_once_to_the_heading_that_a_leader_begins_with() -> None:
-    """A leader that landed begins to the east. Turning there as in flight would take those in hold ten seconds."""
-    fleet = Flight(
-        SCENARIOS / COLUMN, "fleet.separation_m=0.5"
-    )  # straight ways from one heading to the other are narrow
+def test_a_vehicle_in_hold_turns_to_the_heading_of_a_new_leader() -> None:
+    """A leader that landed restarts with heading east. Vehicles in hold must not turn at the limited rate, for ten seconds."""
+    fleet = Flight(SCENARIOS / COLUMN, "fleet.separation_m=0.5")  # straight paths between two headings are narrow
     fleet.go_on(6.0)
     assert all(status.heading.angle_rad > 1.5 for status in fleet.newest.values())
     fleet.land(1)

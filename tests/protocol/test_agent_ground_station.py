@@ -1,4 +1,4 @@
-"""A real agent process that passes its autopilot's MAVLink on to a ground station and back."""
+"""A real agent process that forwards MAVLink between its autopilot and a ground station."""
 
 from __future__ import annotations
 
@@ -9,18 +9,17 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from agent_process import AgentFiles, agent, agent_files, companion, until
-from hovering_autopilot import LOITER, OFFBOARD, HoveringAutopilot
-
 from companion.ground.session import FleetSession
 from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
-from companion.mavlink.ground_station import ITS_SETPOINT
-from companion.types import CommandName
+from companion.types.commands import CommandName
+from companion.types.notices import Code
+from hovering_autopilot import LOITER, OFFBOARD, HoveringAutopilot
 
 BEAT = mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3)
 
 
 class GroundStation:
-    """As QGroundControl does: listens on a UDP port and answers whoever sends to it."""
+    """Listens on a UDP port and answers the last sender, as QGroundControl does."""
 
     def __init__(self, listening: socket.socket) -> None:
         self._socket = listening
@@ -28,15 +27,15 @@ class GroundStation:
         self._codec = MavlinkCodec(255, mavlink.MAV_COMP_ID_MISSIONPLANNER)
         self._vehicle: tuple[str, int] | None = None
 
-    def hear(self, seconds: float) -> list[MavlinkMessage]:
-        """All that comes in this time; one at least."""
-        end_s, heard = time.monotonic() + seconds, []
+    def receive(self, seconds: float) -> list[MavlinkMessage]:
+        """All messages received in this time, at least one."""
+        end_s, received = time.monotonic() + seconds, []
         while time.monotonic() < end_s:
             data, self._vehicle = self._socket.recvfrom(4096)
-            heard += self._codec.decode(data)
-        return heard
+            received += self._codec.decode(data)
+        return received
 
-    def say(self, message: MavlinkMessage) -> None:
+    def send(self, message: MavlinkMessage) -> None:
         assert self._vehicle
         self._socket.sendto(self._codec.encode(message), self._vehicle)
 
@@ -56,26 +55,26 @@ def ground_heartbeats(autopilot: HoveringAutopilot) -> list[MavlinkMessage]:
     return [m for m in beats if m.type == mavlink.MAV_TYPE_GCS or m.get_srcSystem() != 1]
 
 
-def test_the_autopilot_hears_the_ground_stations_heartbeat_and_no_invented_one(tmp_path: Path) -> None:
+def test_only_the_heartbeat_of_the_ground_station_reaches_the_autopilot(tmp_path: Path) -> None:
     with (
         ground_station(tmp_path) as (files, station),
         HoveringAutopilot(1, files.udp_port) as autopilot,
         agent(files) as process,
     ):
         process.wait_for_log("heartbeat of autopilot 1")
-        heard = station.hear(2.0)
-        assert {(m.get_srcSystem(), m.get_srcComponent()) for m in heard} == {(1, mavlink.MAV_COMP_ID_AUTOPILOT1)}
-        assert {"HEARTBEAT", "LOCAL_POSITION_NED"} <= {m.get_type() for m in heard}
+        received = station.receive(2.0)
+        assert {(m.get_srcSystem(), m.get_srcComponent()) for m in received} == {(1, mavlink.MAV_COMP_ID_AUTOPILOT1)}
+        assert {"HEARTBEAT", "LOCAL_POSITION_NED"} <= {m.get_type() for m in received}
         assert ground_heartbeats(autopilot) == []
-        station.say(BEAT)
+        station.send(BEAT)
         until(lambda: ground_heartbeats(autopilot))
-        process.wait_for_log("ground station heard from 127.0.0.1")
-        station.hear(1.5)
+        process.wait_for_log("ground station at 127.0.0.1")
+        station.receive(1.5)
         beats = ground_heartbeats(autopilot)
         assert [(m.get_srcSystem(), m.type) for m in beats] == [(255, mavlink.MAV_TYPE_GCS)]
 
 
-def test_a_pilot_at_the_ground_station_takes_over_and_its_setpoints_do_not_pass(tmp_path: Path) -> None:
+def test_a_pilot_at_the_ground_station_takes_over_and_its_setpoints_are_dropped(tmp_path: Path) -> None:
     with (
         ground_station(tmp_path) as (files, station),
         HoveringAutopilot(1, files.udp_port) as autopilot,
@@ -88,22 +87,22 @@ def test_a_pilot_at_the_ground_station_takes_over_and_its_setpoints_do_not_pass(
         until(lambda: getattr(session.command([1], CommandName.FORM, 5.0)[1], "accepted", False))
         process.wait_for_log("engage -> formation")
         assert autopilot.mode == OFFBOARD
-        station.hear(0.1)
-        for _ in range(100):  # beside the agent's own
-            station.say(mavlink.MAVLink_set_attitude_target_message(0, 1, 1, 7, [1, 0, 0, 0], 0, 0, 0, 0.9))
-            station.hear(0.01)
-        process.wait_for_log(ITS_SETPOINT)
+        station.receive(0.1)
+        for _ in range(100):  # beside those of the agent
+            station.send(mavlink.MAVLink_set_attitude_target_message(0, 1, 1, 7, [1, 0, 0, 0], 0, 0, 0, 0.9))
+            station.receive(0.01)
+        process.wait_for_log(Code.GROUND_STATION_SETPOINT)
         set_mode = mavlink.MAV_CMD_DO_SET_MODE
-        station.say(mavlink.MAVLink_command_long_message(1, 1, set_mode, 0, 1, *LOITER, 0, 0, 0, 0))
+        station.send(mavlink.MAVLink_command_long_message(1, 1, set_mode, 0, 1, *LOITER, 0, 0, 0, 0))
         process.wait_for_log("formation -> observe")
         sent = len(autopilot.target_times_s)
-        station.hear(0.3)
+        station.receive(0.3)
         assert len(autopilot.target_times_s) == sent
         assert autopilot.mode == LOITER
         assert 0.9 not in [round(thrust, 3) for thrust in autopilot.thrusts]
 
 
-def test_a_ground_station_that_has_no_address_ends_it_with_2(tmp_path: Path) -> None:
+def test_a_ground_station_without_an_address_ends_the_agent_with_2(tmp_path: Path) -> None:
     files = agent_files(tmp_path)
     with files.file.open("a", encoding="utf-8") as file:
         file.write("ground_station: udpout:no.such.host.invalid:14550\n")

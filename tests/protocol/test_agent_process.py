@@ -12,16 +12,19 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 
 import pytest
-from agent_process import AgentFiles, Running, agent, agent_files, companion, until
-from hovering_autopilot import LOITER, OFFBOARD, HoveringAutopilot
 
+from agent_process import AgentFiles, Running, agent, agent_files, companion, faulty_agent, until
+from companion.cli.vehicle_link import EXIT_DEFECT
 from companion.ground.session import FleetSession
 from companion.link.zenoh_session import open_session
 from companion.mavlink.codec import mavlink
-from companion.types import CommandName, CommandReply, FlightPhase
+from companion.mavlink.translator import Translator
+from companion.types.commands import CommandName, CommandReply
+from companion.types.flight import FlightPhase
+from companion.types.notices import Code
 from companion.wire.ground import StatusReport
 from companion.wire.keys import command_key, peer_key
-from companion.wire.version import WIRE_VERSION
+from hovering_autopilot import LOITER, OFFBOARD, HoveringAutopilot
 
 
 @pytest.fixture
@@ -61,10 +64,10 @@ def into_formation(session: FleetSession, process: Running) -> None:
     wait_for_phase(session, FlightPhase.FORMATION)
 
 
-# ---------------------------------------------------------------- the way it flies
+# ---------------------------------------------------------------- in flight
 
 
-def test_it_observes_until_commanded_and_ends_at_once(files: AgentFiles) -> None:
+def test_the_agent_observes_until_commanded_and_ends_at_once(files: AgentFiles) -> None:
     with HoveringAutopilot(1, files.udp_port) as autopilot, agent(files) as process, ground(files) as session:
         process.wait_for_log("heartbeat of autopilot 1")
         assert newest(session).status.phase is FlightPhase.OBSERVE
@@ -75,7 +78,7 @@ def test_it_observes_until_commanded_and_ends_at_once(files: AgentFiles) -> None
     assert "Traceback" not in process.log
 
 
-def test_it_asks_for_its_telemetry_and_says_that_it_is_there(files: AgentFiles) -> None:
+def test_the_agent_requests_telemetry_and_sends_a_heartbeat(files: AgentFiles) -> None:
     with HoveringAutopilot(1, files.udp_port) as autopilot, agent(files):
         until(lambda: [m for m in autopilot.received if m.get_type() == "HEARTBEAT"])
         asked = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
@@ -86,17 +89,17 @@ def test_it_asks_for_its_telemetry_and_says_that_it_is_there(files: AgentFiles) 
         assert autopilot.commands(asked)[0].target_system == 1
 
 
-def test_it_asks_for_telemetry_again_while_too_little_comes(files: AgentFiles) -> None:
+def test_the_agent_requests_telemetry_again_while_positions_are_missing(files: AgentFiles) -> None:
     with HoveringAutopilot(1, files.udp_port, positions=False) as autopilot, agent(files) as process:
         first = mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED
         requests = lambda: [m for m in autopilot.commands(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL) if m.param1 == first]  # noqa: E731
         until(lambda: len(requests()) >= 2)
-        process.wait_for_log("too few positions: asking again")
+        process.wait_for_log("too few positions: requesting again")
         autopilot.positions = True
-        process.wait_for_log("all telemetry comes", timeout_s=30.0)
+        process.wait_for_log("all telemetry arrives", timeout_s=30.0)
 
 
-def test_in_formation_every_position_is_answered_and_silence_with_silence(files: AgentFiles) -> None:
+def test_in_formation_every_position_is_answered_and_none_without_positions(files: AgentFiles) -> None:
     with HoveringAutopilot(1, files.udp_port) as autopilot, agent(files) as process, ground(files) as session:
         into_formation(session, process)
         before = len(autopilot.target_times_s)
@@ -106,14 +109,14 @@ def test_in_formation_every_position_is_answered_and_silence_with_silence(files:
         assert timing.telemetry_to_command_us.p50 > 0.0
 
         autopilot.positions = False
-        time.sleep(0.2)  # what was under way arrives
-        heard = len(autopilot.target_times_s)
+        time.sleep(0.2)  # what is on its way arrives
+        sent = len(autopilot.target_times_s)
         time.sleep(0.6)
-        assert len(autopilot.target_times_s) == heard  # nothing is ever sent again
-        assert newest(session).status.state_age_s > 0.3  # but it goes on ticking and reporting
+        assert len(autopilot.target_times_s) == sent  # no setpoint is repeated
+        assert newest(session).status.state_age_s > 0.3  # the agent still ticks and reports
 
 
-def test_a_pilots_mode_ends_the_stream(files: AgentFiles) -> None:
+def test_a_mode_set_by_a_pilot_ends_the_stream(files: AgentFiles) -> None:
     with HoveringAutopilot(1, files.udp_port) as autopilot, agent(files) as process, ground(files) as session:
         into_formation(session, process)
         autopilot.mode = (3, 0)  # POSCTL
@@ -125,7 +128,7 @@ def test_a_pilots_mode_ends_the_stream(files: AgentFiles) -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_signal_in_formation_hands_over_to_the_autopilots_hold(files: AgentFiles, number: int) -> None:
+def test_a_signal_in_formation_hands_over_to_hold_of_the_autopilot(files: AgentFiles, number: int) -> None:
     with HoveringAutopilot(1, files.udp_port) as autopilot, agent(files) as process, ground(files) as session:
         into_formation(session, process)
         assert autopilot.mode == OFFBOARD
@@ -135,85 +138,75 @@ def test_a_signal_in_formation_hands_over_to_the_autopilots_hold(files: AgentFil
     assert "ends in phase hold" in process.log
 
 
-def test_an_autopilot_that_does_not_take_over_delays_the_end_but_does_not_prevent_it(files: AgentFiles) -> None:
+def test_the_agent_ends_also_when_the_autopilot_refuses_hold(files: AgentFiles) -> None:
     with HoveringAutopilot(1, files.udp_port) as autopilot, agent(files) as process, ground(files) as session:
         into_formation(session, process)
-        autopilot.obeys = False
+        autopilot.accepts_modes = False
         assert process.stop() == 0
         assert autopilot.mode == OFFBOARD
-        assert autopilot.commands(mavlink.MAV_CMD_DO_SET_MODE)[-1].param2 == LOITER[0]  # it was asked
+        assert autopilot.commands(mavlink.MAV_CMD_DO_SET_MODE)[-1].param2 == LOITER[0]  # requested
 
 
-def test_what_is_refused_is_counted_reported_and_logged_once_a_second(files: AgentFiles) -> None:
+def test_rejected_packets_are_counted_reported_and_logged_once_a_second(files: AgentFiles) -> None:
     with (
         HoveringAutopilot(1, files.udp_port),
         agent(files) as process,
         ground(files) as session,
-        closing(open_session((), (files.zenoh,))) as stranger,
+        closing(open_session((), (files.zenoh,))) as rogue,
     ):
         newest(session)
-        reason = f"wire version 9, expected {WIRE_VERSION}"
+        key = f"{Code.WIRE_VERSION_DIFFERS} 9"
         start_s = time.monotonic()
 
         def disturbed() -> bool:
-            stranger.put(peer_key("processtest", 2), b"\x09whatever")
-            return newest(session).status.rejected.get(reason, 0) >= 30
+            rogue.put(peer_key("processtest", 2), b"\x09whatever")
+            return newest(session).status.rejected.get(key, 0) >= 30
 
         until(disturbed, timeout_s=60.0)
         reply = session.command([1], CommandName.HOLD, 10.0)[1]
-        assert reply is not None  # it goes on working
-        stranger.get(command_key("processtest", 1), payload=b"nonsense")
-        until(lambda: any("wire version 110" in words for words in newest(session).status.rejected))
+        assert reply is not None  # the agent still works
+        rogue.put(command_key("processtest", 1), b"nonsense")
+        until(lambda: f"{Code.WIRE_VERSION_DIFFERS} 110" in newest(session).status.rejected)
         seconds = time.monotonic() - start_s
-    lines = [line for line in process.log.splitlines() if reason in line]
+    lines = [line for line in process.log.splitlines() if key in line]
     assert 1 <= len(lines) <= seconds + 2
     assert "rejected" in lines[0]
 
 
-def test_a_defect_in_decoding_ends_the_process_instead_of_flying_on_without_telemetry(files: AgentFiles) -> None:
-    program = f"""
-import sys
-from companion import cli
-from companion.mavlink.translator import Translator
-
-def telemetry(self, data, received_s):
-    raise ZeroDivisionError("a defect")
-
-Translator.telemetry = telemetry
-sys.exit(cli.main(["agent", "--config", {str(files.file)!r}]))
-"""
-    with HoveringAutopilot(1, files.udp_port):
-        result = subprocess.run(
-            [sys.executable, "-c", program], capture_output=True, text=True, timeout=30, check=False
-        )
-    assert result.returncode == 1
-    assert "ZeroDivisionError: a defect" in result.stderr
-    assert result.stderr.count("Traceback") == 1  # not once per datagram
+def test_a_defect_in_decoding_ends_the_process(files: AgentFiles, tmp_path: Path) -> None:
+    (tmp_path / "switch").touch()
+    with (
+        HoveringAutopilot(1, files.udp_port),
+        faulty_agent(files, Translator.telemetry, tmp_path / "switch") as process,
+    ):
+        assert process.process.wait(20.0) == EXIT_DEFECT
+    assert "ZeroDivisionError: injected" in process.log
+    assert process.log.count("Traceback") == 1  # not one per datagram
 
 
-# ---------------------------------------------------------------- what cannot work
+# ---------------------------------------------------------------- errors
 
 
 def one_line(result: subprocess.CompletedProcess[str]) -> str:
-    """The last line of standard error; none of them may be a traceback."""
+    """The last line of standard error, which has no traceback."""
     assert "Traceback" not in result.stderr
     assert result.stdout == ""
     return result.stderr.strip().splitlines()[-1]
 
 
-def test_an_autopilot_that_never_answers_ends_it_with_3(files: AgentFiles) -> None:
+def test_without_an_autopilot_the_agent_ends_with_3(files: AgentFiles) -> None:
     result = companion("agent", "--config", str(files.file), "--wait-s", "0.5")
     line = one_line(result)
     assert result.returncode == 3
     assert f'{files.file}: mavlink: "udpin:127.0.0.1:{files.udp_port}": no HEARTBEAT of system 1 in 0.5 s' in line
-    assert "nothing came at all" in line
+    assert "nothing arrived" in line
 
 
-def test_another_vehicles_autopilot_is_named(files: AgentFiles) -> None:
+def test_the_autopilot_of_another_vehicle_is_named(files: AgentFiles) -> None:
     with HoveringAutopilot(7, files.udp_port):
         result = companion("agent", "--config", str(files.file), "--wait-s", "1.5")
     assert result.returncode == 3
-    assert "heard system 7 instead; correct the id here or the autopilot's (MAV_SYS_ID)" in one_line(result)
+    assert "received system 7 instead; correct the id here or in the autopilot (MAV_SYS_ID)" in one_line(result)
 
 
 def test_an_autopilot_of_another_kind_is_named(files: AgentFiles) -> None:
@@ -223,14 +216,14 @@ def test_an_autopilot_of_another_kind_is_named(files: AgentFiles) -> None:
     assert "MAV_AUTOPILOT 8, expected 12 (PX4)" in one_line(result)
 
 
-def test_an_autopilot_that_nobody_runs_over_tcp_is_told_so(tmp_path: Path) -> None:
+def test_a_tcp_port_without_an_autopilot_is_named(tmp_path: Path) -> None:
     files = agent_files(tmp_path, mavlink="tcp:127.0.0.1:24999")
     result = companion("agent", "--config", str(files.file), "--wait-s", "0.5")
     assert result.returncode == 3
-    assert "nobody listens at tcp:127.0.0.1:24999; is the autopilot running?" in one_line(result)
+    assert "no program listens at tcp:127.0.0.1:24999; is the autopilot running?" in one_line(result)
 
 
-def test_a_udp_port_in_use_ends_it_with_2(files: AgentFiles) -> None:
+def test_a_udp_port_in_use_ends_the_agent_with_2(files: AgentFiles) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("127.0.0.1", files.udp_port))
         result = companion("agent", "--config", str(files.file))
@@ -241,7 +234,7 @@ def test_a_udp_port_in_use_ends_it_with_2(files: AgentFiles) -> None:
     )
 
 
-def test_a_zenoh_port_in_use_ends_it_with_2(files: AgentFiles) -> None:
+def test_a_zenoh_port_in_use_ends_the_agent_with_2(files: AgentFiles) -> None:
     with closing(open_session((files.zenoh,), ())):
         result = companion("agent", "--config", str(files.file))
     assert result.returncode == 2
@@ -257,7 +250,9 @@ def test_a_zenoh_port_in_use_ends_it_with_2(files: AgentFiles) -> None:
         ("carrier-pigeon:1:2", "mavlink"),
     ],
 )
-def test_an_endpoint_that_cannot_be_opened_ends_it_with_2(tmp_path: Path, mavlink_value: str, words: str) -> None:
+def test_an_endpoint_that_cannot_be_opened_ends_the_agent_with_2(
+    tmp_path: Path, mavlink_value: str, words: str
+) -> None:
     files = agent_files(tmp_path, mavlink=mavlink_value)
     result = companion("agent", "--config", str(files.file))
     assert result.returncode == 2
@@ -273,19 +268,19 @@ def test_an_endpoint_that_cannot_be_opened_ends_it_with_2(tmp_path: Path, mavlin
         (["agent", "--config", "x.yaml", "--wait-s", "soon"], "'soon', expected seconds"),
         (["agent", "--config", "x.yaml", "--wait-s", "nan"], "'nan', expected seconds"),
         (["fly"], "agent"),
-        ([], "agent"),
+        ([], "COMMAND"),
         (["monitor", "--connect", "nonsense", "--once"], '"nonsense": expected PROTOCOL/HOST:PORT'),
         (["monitor", "--fleet", "a/b", "--once"], "expected the name in a fleet file"),
     ],
 )
-def test_bad_arguments_end_it_with_2(arguments: list[str], words: str) -> None:
+def test_bad_arguments_end_the_agent_with_2(arguments: list[str], words: str) -> None:
     result = companion(*arguments)
     assert result.returncode == 2
     assert words in one_line(result)
 
 
 @pytest.mark.parametrize("command_name", [[], ["agent"], ["monitor"]])
-def test_help_teaches(command_name: list[str]) -> None:
+def test_help_has_examples_and_exit_codes(command_name: list[str]) -> None:
     result = companion(*command_name, "--help")
     assert result.returncode == 0
     assert "exit codes" in result.stdout
@@ -293,7 +288,7 @@ def test_help_teaches(command_name: list[str]) -> None:
         assert "examples:" in result.stdout
 
 
-def test_the_agent_imports_nothing_of_the_ground() -> None:
+def test_the_agent_imports_no_ground_tools() -> None:
     program = (
         "import sys, companion.app\n"
         "heavy = {'numpy', 'matplotlib', 'rich', 'mavsdk', 'lxml', 'sitl'} & set(sys.modules)\n"
@@ -302,14 +297,14 @@ def test_the_agent_imports_nothing_of_the_ground() -> None:
     subprocess.run([sys.executable, "-c", program], check=True, timeout=30)
 
 
-def test_a_vehicle_that_would_fall_is_not_let_into_formation(files: AgentFiles) -> None:
+def test_a_vehicle_with_a_wrong_hover_thrust_is_refused_formation(files: AgentFiles) -> None:
     with HoveringAutopilot(1, files.udp_port) as autopilot, agent(files) as process, ground(files) as session:
         autopilot.parameters["COM_OBL_RC_ACT"] = 7.0
         process.wait_for_log("refusal: COM_OBL_RC_ACT: 7 (disarm: it falls)")
         until(lambda: command(session, CommandName.HOLD).accepted)
         wait_for_phase(session, FlightPhase.HOLD)
         reply = command(session, CommandName.FORM)
-        assert not reply.accepted
+        assert (reply.accepted, reply.code) == (False, Code.AUDIT_REFUSAL)
         assert "set COM_OBL_RC_ACT to 5" in reply.reason
         assert autopilot.target_times_s == []
         autopilot.parameters["COM_OBL_RC_ACT"] = 5.0

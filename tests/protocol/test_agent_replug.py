@@ -1,4 +1,4 @@
-"""A serial line that is unplugged in flight and plugged in again, under a real agent process."""
+"""A serial line is unplugged in flight and plugged in again: a real agent process on a pseudo-terminal."""
 
 from __future__ import annotations
 
@@ -13,15 +13,14 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from agent_process import agent, agent_files, until
-from hovering_autopilot import LOITER, OFFBOARD, HoveringAutopilot
-
 from companion.ground.session import FleetSession
 from companion.mavlink.codec import mavlink
-from companion.types import CommandName
+from companion.types.commands import CommandName
+from hovering_autopilot import LOITER, OFFBOARD, HoveringAutopilot
 
 
 class Cable:
-    """Between the UDP port that the autopilot sends to and a pseudo-terminal, which goes away and comes back."""
+    """Copies between the UDP port of the autopilot and a pseudo-terminal, which can be removed and restored."""
 
     def __init__(self, device: Path, udp: socket.socket) -> None:
         self._device = device
@@ -40,7 +39,7 @@ class Cable:
             self._end = end
 
     def unplug(self) -> None:
-        """The device goes with its name, as udev takes it away."""
+        """Remove the device with its name, as udev does."""
         with self._lock:
             end, self._end = self._end, None
         if end is not None:
@@ -67,14 +66,14 @@ class Cable:
                 try:
                     os.write(self._end, data)
                 except BlockingIOError:
-                    return  # nobody reads it yet
+                    return  # no process reads it yet
 
     def _read(self) -> bytes:
         with self._lock:
             try:
                 return os.read(self._end, 4096) if self._end is not None else b""
             except OSError:
-                return b""  # nothing there, or nobody has it open
+                return b""  # no device, or no process has it open
 
 
 @contextmanager
@@ -93,7 +92,7 @@ def cable(device: Path, udp_port: int) -> Iterator[Cable]:
             plugged.unplug()
 
 
-def test_unplugged_in_formation_it_opens_the_line_again_and_observes_until_commanded(tmp_path: Path) -> None:
+def test_a_line_unplugged_in_formation_is_opened_again_and_the_agent_observes(tmp_path: Path) -> None:
     device = tmp_path / "ttyAutopilot"
     files = agent_files(tmp_path, mavlink=f"serial:{device}:921600")
     with (
@@ -114,18 +113,18 @@ def test_unplugged_in_formation_it_opens_the_line_again_and_observes_until_comma
         until(lambda: len(autopilot.target_times_s) > 50)
 
         line.unplug()
-        process.wait_for_log("formation -> observe (silent for 0.5 s")
+        process.wait_for_log("formation -> observe (no setpoint for 0.5 s")
         process.wait_for_log("connecting again")
         autopilot.received.clear()
         sent = len(autopilot.target_times_s)
-        time.sleep(2.0)  # longer than telemetry is watched at a time
+        time.sleep(2.0)  # longer than one check of the telemetry
         line.plug()
 
         asked = mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED
         requests = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
         until(lambda: asked in [m.param1 for m in autopilot.commands(requests)])
-        until(lambda: process.log.rfind("all telemetry comes") > process.log.rfind("is open"))
-        assert autopilot.mode == OFFBOARD  # it would take a stream at once, if one came
+        until(lambda: process.log.rfind("all telemetry arrives") > process.log.rfind("is open"))
+        assert autopilot.mode == OFFBOARD  # it would follow a stream at once
         assert len(autopilot.target_times_s) == sent
         assert autopilot.commands(mavlink.MAV_CMD_DO_SET_MODE) == []
 

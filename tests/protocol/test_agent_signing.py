@@ -1,4 +1,4 @@
-"""A real agent process on a signed link: it flies with the right key, and says why with any other."""
+"""A real agent process on a signed link: it flies with the right key and reports any other."""
 
 from __future__ import annotations
 
@@ -6,13 +6,15 @@ import time
 from pathlib import Path
 
 import pytest
-from agent_process import AgentFiles, agent, agent_files, companion, until
-from hovering_autopilot import LOITER, HoveringAutopilot
 
+from agent_process import AgentFiles, agent, agent_files, companion, until
 from companion.ground.session import FleetSession
 from companion.mavlink.codec import MavlinkCodec, mavlink
-from companion.mavlink.signing import NOT_SIGNED, OLD_STAMP, WRONG_KEY, SigningKey
-from companion.types import CommandName, Status
+from companion.mavlink.signing import SigningKey
+from companion.types.commands import CommandName
+from companion.types.notices import Code
+from companion.types.status import Status
+from hovering_autopilot import LOITER, HoveringAutopilot
 
 SECRET = bytes(range(1, 33))
 
@@ -32,7 +34,7 @@ def files(tmp_path: Path) -> AgentFiles:
 
 
 def hold(files: AgentFiles, autopilot: HoveringAutopilot) -> Status:
-    """Command the agent once the autopilot obeys it; its newest status."""
+    """Command HOLD until the agent reports it; its newest status."""
     with FleetSession.open("processtest", (files.zenoh,)) as session:
         until(lambda: getattr(session.command([1], CommandName.HOLD, 5.0)[1], "accepted", False))
         until(lambda: autopilot.commands(mavlink.MAV_CMD_DO_SET_MODE))
@@ -41,35 +43,35 @@ def hold(files: AgentFiles, autopilot: HoveringAutopilot) -> Status:
         return reports[-1].status
 
 
-def test_with_the_same_key_both_hear_each_other(files: AgentFiles) -> None:
+def test_agent_and_autopilot_with_the_same_key_accept_each_other(files: AgentFiles) -> None:
     with HoveringAutopilot(1, files.udp_port, mode=(3, 0), key=key()) as autopilot, agent(files) as process:
         process.wait_for_log(f"udpin:127.0.0.1:{files.udp_port}, signed")
         status = hold(files, autopilot)
         until(lambda: autopilot.mode == LOITER)
-        assert not {NOT_SIGNED, WRONG_KEY} & set(status.rejected)
+        assert not {Code.MAVLINK_UNSIGNED, Code.MAVLINK_WRONG_KEY} & set(status.rejected)
         assert process.stop() == 0
-    for told in (SECRET.hex(), str(SECRET)):
-        assert told not in process.log
+    for secret in (SECRET.hex(), str(SECRET)):
+        assert secret not in process.log
 
 
-def test_what_a_stranger_sends_on_a_signed_link_is_counted_and_not_heard(files: AgentFiles) -> None:
+def test_foreign_packets_on_a_signed_link_are_counted_and_dropped(files: AgentFiles) -> None:
     stranger = MavlinkCodec(1, mavlink.MAV_COMP_ID_AUTOPILOT1)
     lie = mavlink.MAVLink_current_mode_message(0, 3 << 16, 3 << 16)
     with HoveringAutopilot(1, files.udp_port, key=key()) as autopilot, agent(files) as process:
         process.wait_for_log("heartbeat of autopilot 1")
         autopilot.inject(stranger.encode(lie))
-        process.wait_for_log(NOT_SIGNED)
-        heard = MavlinkCodec(1, mavlink.MAV_COMP_ID_AUTOPILOT1, key(behind_s=30.0)).encode(
+        process.wait_for_log(Code.MAVLINK_UNSIGNED)
+        replayed = MavlinkCodec(1, mavlink.MAV_COMP_ID_AUTOPILOT1, key(behind_s=30.0)).encode(
             lie
         )  # recorded half a minute ago
         for _ in range(5):
-            autopilot.inject(heard)
-        process.wait_for_log(OLD_STAMP)
-        assert "timestamp" not in process.log  # one line of ours, none for each packet of pymavlink's
+            autopilot.inject(replayed)
+        process.wait_for_log(Code.MAVLINK_OLD_SIGNATURE)
+        assert "timestamp" not in process.log  # one line of the agent, none per packet from pymavlink
         assert hold(files, autopilot).mode_name == "AUTO.LOITER"
 
 
-def test_an_autopilot_that_has_lost_the_time_learns_it_from_the_agent(files: AgentFiles) -> None:
+def test_an_autopilot_without_the_time_gets_it_from_the_agent(files: AgentFiles) -> None:
     with HoveringAutopilot(1, files.udp_port, key=key(behind_s=1e6)), agent(files) as process:
         process.wait_for_log("heartbeat of autopilot 1")
 
@@ -82,17 +84,17 @@ def test_an_autopilot_that_has_lost_the_time_learns_it_from_the_agent(files: Age
     ],
     ids=["no key", "another key"],
 )
-def test_an_autopilot_with_another_key_or_none_is_never_taken_for_ours(
+def test_an_autopilot_with_another_key_or_none_is_never_accepted(
     files: AgentFiles, other: SigningKey | None, words: str
 ) -> None:
     with HoveringAutopilot(1, files.udp_port, key=other) as autopilot:
         result = companion("agent", "--config", str(files.file), "--wait-s", "1.5")
     assert result.returncode == 3
     assert words in result.stderr.splitlines()[-1]
-    assert autopilot.received == []  # the agent has said nothing to it
+    assert autopilot.received == []  # the agent has sent nothing to it
 
 
-def test_an_agent_without_a_key_says_that_the_autopilot_signs(tmp_path: Path) -> None:
+def test_an_agent_without_a_key_reports_that_the_autopilot_signs(tmp_path: Path) -> None:
     files = agent_files(tmp_path)
     with HoveringAutopilot(1, files.udp_port, key=key()), agent(files) as process:
-        process.wait_for_log("the autopilot signs its packets and may ignore this agent's: set signing")
+        process.wait_for_log("the autopilot signs its packets and may ignore unsigned ones: set signing")

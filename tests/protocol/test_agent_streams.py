@@ -1,4 +1,4 @@
-"""A real agent process on a serial line and on TCP: the same flight as over UDP, bytes in whatever pieces they come."""
+"""A real agent process on a serial line and on TCP: the same flight as over UDP, with packets in pieces."""
 
 from __future__ import annotations
 
@@ -12,18 +12,19 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from agent_process import agent, agent_files, free_port, until
-from hovering_autopilot import LOITER, HoveringAutopilot
 
+from agent_process import agent, agent_files, free_port, until
 from companion.ground.session import FleetSession
-from companion.types import CommandName, FlightPhase
+from companion.types.commands import CommandName
+from companion.types.flight import FlightPhase
+from hovering_autopilot import LOITER, HoveringAutopilot
 
 PIECE_BYTES = 7  # packets arrive in pieces, as on a slow line
 
 
 @contextmanager
 def bridge(udp_port: int, stream: Callable[[], int]) -> Iterator[None]:
-    """Copies between the UDP port that the autopilot sends to and a stream; `stream` gives the stream's descriptor."""
+    """Copies between the UDP port of the autopilot and a stream; `stream` returns its file descriptor."""
     ended = threading.Event()
     udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     udp.bind(("127.0.0.1", udp_port))
@@ -110,8 +111,8 @@ def test_over_tcp(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("baud", [0, 1, 10**9, 10**12])
-def test_a_baud_rate_that_the_device_refuses_is_told_or_taken(baud: int) -> None:
-    """Devices differ in what they take; none may end it with a traceback."""
+def test_an_unusual_baud_rate_is_accepted_or_refused_in_one_line(baud: int) -> None:
+    """Devices accept different rates; none may cause a traceback."""
     from companion.link.endpoint import LinkError
     from companion.link.stream_link import SerialLine
 

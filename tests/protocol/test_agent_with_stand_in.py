@@ -1,4 +1,4 @@
-"""A whole flight of one agent process with the stand-in autopilot as another process, under a service manager."""
+"""A whole flight of one agent process and one stand-in process, under a service manager."""
 
 from __future__ import annotations
 
@@ -9,20 +9,31 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from agent_process import agent, agent_files, until
-from service_manager import service_manager
-
 from companion.ground.fleet_status import FleetState, VehicleRow, fold, rows
 from companion.ground.session import FleetSession
-from companion.types import CommandName, FlightPhase
+from companion.types.commands import CommandName
+from companion.types.flight import FlightPhase
+from service_manager import service_manager
 
 PX4_COMPANION_PORT = 14540
 
 
 @contextmanager
 def stand_in(port_offset: int, log_file: Path) -> Iterator[None]:
+    file = log_file.with_suffix(".yaml")
+    file.write_text("stand_in: {parameters: {COM_OBL_RC_ACT: 5}}\n", encoding="utf-8")  # by default it would sink
     with log_file.open("wb") as log:
         process = subprocess.Popen(
-            [sys.executable, "-c", "from sitl.cli import main; main()", "autopilot", "--port-offset", str(port_offset)],
+            [
+                sys.executable,
+                "-c",
+                "from sitl.cli.main import main; main()",
+                "autopilot",
+                "--config",
+                str(file),
+                "--port-offset",
+                str(port_offset),
+            ],
             stderr=log,
             stdout=log,
         )

@@ -1,4 +1,4 @@
-"""pymavlink's own client and mavsdk, which nobody here wrote, on a stand-in process with ArduCopter's manners, over TCP."""
+"""Two independent clients, mavutil of pymavlink and mavsdk, fly a stand-in process that behaves like ArduCopter, over TCP."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from mavsdk.asyncio.plugins.param import ParamAsync
 from mavsdk.asyncio.plugins.telemetry import TelemetryAsync
 from mavsdk.plugins.telemetry.telemetry import FlightMode
 from pymavlink import mavutil
+
 from stand_in_process import StandInProcess, stand_in
 
 M = mavutil.mavlink
@@ -28,7 +29,7 @@ GUIDED, BRAKE, LAND = 4, 17, 9
 
 
 class Client:
-    """A ground station by pymavlink's mavutil, which frames, counts and times out in its own way."""
+    """A ground station by mavutil of pymavlink, which has its own framing, sequence numbers and timeouts."""
 
     def __init__(self, process: StandInProcess) -> None:
         self.link: Any = mavutil.mavlink_connection(f"tcp:127.0.0.1:{process.ports.tcp}", source_system=255)
@@ -104,7 +105,7 @@ def test_a_return_to_launch_by_pymavlink(tmp_path: Path) -> None:
         assert process.truth()[-1].mode == "RTL"
 
 
-def test_rates_outlive_a_client_and_there_is_room_for_one(tmp_path: Path) -> None:
+def test_rates_outlive_a_client_and_only_one_can_connect(tmp_path: Path) -> None:
     with client_of(tmp_path) as (process, client):
         client.command(M.MAV_CMD_SET_MESSAGE_INTERVAL, M.MAVLINK_MSG_ID_ATTITUDE, 20_000)
         client.wait("ATTITUDE")
@@ -141,7 +142,7 @@ def test_a_flight_by_mavsdk(tmp_path: Path) -> None:
             assert await parameters.get_param_int("GUID_OPTIONS") == 8
             await parameters.set_param_int("GUID_OPTIONS", 0)
             assert await parameters.get_param_int("GUID_OPTIONS") == 0
-            await telemetry.set_rate_position(20.0)  # ArduCopter tells nothing that it is not asked for
+            await telemetry.set_rate_position(20.0)  # ArduCopter sends only what is requested
             await action.set_takeoff_altitude(2.0)
             async with asyncio.timeout(20.0):
                 while True:

@@ -1,4 +1,4 @@
-"""`companion logs` as a real process: real sockets, mavsdk's plugin, and logs compared byte by byte."""
+"""`companion logs` as a real process: real sockets, the log plugin of mavsdk, logs compared byte by byte."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from random import Random
 from subprocess import CompletedProcess
 
 import pytest
-from agent_process import AgentFiles, agent_files, companion, until
-from logging_autopilot import LoggingAutopilot
 from pymavlink.DFReader import DFReader_binary
-from stand_in_process import StandInProcess, stand_in
 
+from agent_process import AgentFiles, agent_files, companion, until
 from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
-from companion.types import AutopilotKind
-from sitl.ardupilot_modes import Mode
-from sitl.receiver import FORCE
-from sitl.ulog import MAGIC
+from companion.types.autopilot import AutopilotKind
+from logging_autopilot import LoggingAutopilot
+from sitl.autopilots.ardupilot.modes import Mode
+from sitl.autopilots.logs.ulog import MAGIC
+from sitl.links.receiver import FORCE
+from stand_in_process import StandInProcess, stand_in
 
 PX4, ARDUPILOT = AutopilotKind.PX4, AutopilotKind.ARDUPILOT
 FIRST_ID = {PX4: 0, ARDUPILOT: 1}
 SUFFIX = {PX4: "ulg", ARDUPILOT: "bin"}
-LOGS = tuple(Random(7).randbytes(size) for size in (46_080, 1, 50_003, 0))  # a whole chunk of mavsdk's, and others
+LOGS = tuple(Random(7).randbytes(size) for size in (46_080, 1, 50_003, 0))  # one whole chunk of mavsdk, and others
 
 both = pytest.mark.parametrize("kind", [PX4, ARDUPILOT])
 
@@ -53,29 +53,29 @@ def test_logs_are_listed_and_downloaded_byte_by_byte(kind: AutopilotKind, tmp_pa
 
         got = logs(files, "--get", "all", "--out", str(folder_of(files)), "--json")
     assert got.returncode == 0, got.stderr
-    told = json.loads(got.stdout)
-    assert [Path(log["file"]).read_bytes() for log in told["logs"]] == list(LOGS)
-    assert Path(told["logs"][0]["file"]).name == f"vehicle-1_2026-09-21_14-13-20_log-{first}.{SUFFIX[kind]}"
+    printed = json.loads(got.stdout)
+    assert [Path(log["file"]).read_bytes() for log in printed["logs"]] == list(LOGS)
+    assert Path(printed["logs"][0]["file"]).name == f"vehicle-1_2026-09-21_14-13-20_log-{first}.{SUFFIX[kind]}"
     assert len(list(folder_of(files).iterdir())) == len(LOGS)
-    assert "log" in got.stderr  # progress, beside the JSON
+    assert "log" in got.stderr  # progress goes to stderr
     assert autopilot.requests("LOG_ERASE") == []
     beats = autopilot.requests("HEARTBEAT")
-    assert mavlink.MAV_TYPE_GCS not in {beat.type for beat in beats}  # no ground station was invented
+    assert mavlink.MAV_TYPE_GCS not in {beat.type for beat in beats}  # the command is no ground station
 
 
 @both
-def test_what_a_link_loses_is_asked_for_again(kind: AutopilotKind, tmp_path: Path) -> None:
+def test_packets_lost_by_the_link_are_requested_again(kind: AutopilotKind, tmp_path: Path) -> None:
     files = agent_files(tmp_path)
     with LoggingAutopilot(kind, files.udp_port, LOGS, loss=0.1) as autopilot:
         result = logs(files, "--get", str(FIRST_ID[kind] + 2), "--out", str(folder_of(files)))
     assert result.returncode == 0, result.stderr
     (file,) = folder_of(files).iterdir()
     assert file.read_bytes() == LOGS[2]
-    assert len(autopilot.requests("LOG_REQUEST_DATA")) > 3  # one for each chunk would do
+    assert len(autopilot.requests("LOG_REQUEST_DATA")) > 3  # one for each chunk without losses
 
 
 @both
-def test_a_list_whose_beginning_was_lost_is_asked_for_again(kind: AutopilotKind, tmp_path: Path) -> None:
+def test_a_list_without_its_first_entry_is_requested_again(kind: AutopilotKind, tmp_path: Path) -> None:
     files = agent_files(tmp_path)
     with LoggingAutopilot(kind, files.udp_port, LOGS, lost_entries=1) as autopilot:
         result = logs(files, "--json")
@@ -84,7 +84,7 @@ def test_a_list_whose_beginning_was_lost_is_asked_for_again(kind: AutopilotKind,
     assert len(autopilot.requests("LOG_REQUEST_LIST")) > 1
 
 
-def test_the_list_of_one_that_has_lost_its_clock(tmp_path: Path) -> None:
+def test_the_list_of_an_autopilot_without_the_time(tmp_path: Path) -> None:
     files = agent_files(tmp_path)
     with LoggingAutopilot(PX4, files.udp_port, LOGS[:2], utc_at_start_s=0.0):
         result = logs(files)
@@ -97,7 +97,7 @@ def test_the_list_of_one_that_has_lost_its_clock(tmp_path: Path) -> None:
     assert [file.name for file in folder_of(files).iterdir()] == ["vehicle-1_log-1.ulg"]
 
 
-def test_an_armed_vehicle_is_left_alone(tmp_path: Path) -> None:
+def test_an_armed_vehicle_is_refused(tmp_path: Path) -> None:
     files = agent_files(tmp_path)
     with LoggingAutopilot(PX4, files.udp_port, LOGS, armed=True) as autopilot:
         result = logs(files, "--get", "all", "--out", str(folder_of(files)))
@@ -109,7 +109,7 @@ def test_an_armed_vehicle_is_left_alone(tmp_path: Path) -> None:
 
 @both
 def test_arming_ends_a_download(kind: AutopilotKind, tmp_path: Path) -> None:
-    files, log = agent_files(tmp_path), bytes(5_000_000)  # seconds, in which a HEARTBEAT is sure to tell of it
+    files, log = agent_files(tmp_path), bytes(5_000_000)  # takes seconds, so a HEARTBEAT reports the arming in time
     with LoggingAutopilot(kind, files.udp_port, [log], arms_after_packets=1000):
         result = logs(files, "--get", "last", "--out", str(folder_of(files)))
     assert result.returncode == 1
@@ -117,16 +117,16 @@ def test_arming_ends_a_download(kind: AutopilotKind, tmp_path: Path) -> None:
     assert list(folder_of(files).iterdir()) == []
 
 
-def test_a_link_that_falls_silent_leaves_no_half_log(tmp_path: Path) -> None:
+def test_a_link_that_goes_silent_leaves_no_partial_log(tmp_path: Path) -> None:
     files, log = agent_files(tmp_path), bytes(1_000_000)
-    with LoggingAutopilot(PX4, files.udp_port, [log], falls_silent_after_packets=1000):
+    with LoggingAutopilot(PX4, files.udp_port, [log], silent_after_packets=1000):
         result = logs(files, "--get", "last", "--out", str(folder_of(files)))
     assert result.returncode == 1
-    assert "vehicle 1: log 0: nothing came for 20 s; the autopilot has fallen silent\n" in result.stderr
+    assert "vehicle 1: log 0: no data for 20 s; no HEARTBEAT for 5 s\n" in result.stderr
     assert list(folder_of(files).iterdir()) == []
 
 
-def test_ctrl_c_tells_the_autopilot_to_stop_and_leaves_nothing(tmp_path: Path) -> None:
+def test_ctrl_c_ends_the_transfer_and_leaves_no_file(tmp_path: Path) -> None:
     files, log_file = agent_files(tmp_path), tmp_path / "logs.log"
     with LoggingAutopilot(PX4, files.udp_port, [bytes(50_000_000)]) as autopilot, log_file.open("wb") as log:
         command = ["logs", "--config", str(files.file), "--get", "last", "--out", str(folder_of(files))]
@@ -135,7 +135,7 @@ def test_ctrl_c_tells_the_autopilot_to_stop_and_leaves_nothing(tmp_path: Path) -
             until(lambda: len(autopilot.requests("LOG_REQUEST_DATA")) > 3)
             (half,) = folder_of(files).iterdir()
             assert half.name.endswith(".ulg.part")
-            asked_to_end = len(autopilot.requests("LOG_REQUEST_END"))  # mavsdk begins with one
+            asked_to_end = len(autopilot.requests("LOG_REQUEST_END"))  # mavsdk starts with one
             process.send_signal(signal.SIGINT)
             assert process.wait(10.0) == 130
         finally:
@@ -146,7 +146,7 @@ def test_ctrl_c_tells_the_autopilot_to_stop_and_leaves_nothing(tmp_path: Path) -
     assert list(folder_of(files).iterdir()) == []
 
 
-def test_files_that_are_there_are_never_overwritten(tmp_path: Path) -> None:
+def test_existing_files_are_never_overwritten(tmp_path: Path) -> None:
     files = agent_files(tmp_path)
     folder = folder_of(files)
     with LoggingAutopilot(PX4, files.udp_port, LOGS[:2]) as autopilot:
@@ -157,17 +157,17 @@ def test_files_that_are_there_are_never_overwritten(tmp_path: Path) -> None:
 
         again = logs(files, "--get", "0", "--out", str(folder))
         assert again.returncode == 0
-        assert f"log 0: {file} is there already" in again.stdout
+        assert f"log 0: {file} exists already" in again.stdout
         assert len(autopilot.requests("LOG_REQUEST_DATA")) == asked
 
         file.write_bytes(b"another one")
         refused = logs(files, "--get", "all", "--out", str(folder))
     assert refused.returncode == 1
-    assert f"log 0: {file} is there already, with 11 bytes instead of 46080" in refused.stderr
+    assert f"log 0: {file} exists already, with 11 bytes instead of 46080" in refused.stderr
     assert file.read_bytes() == b"another one"
 
 
-def test_logs_that_are_not_there(tmp_path: Path) -> None:
+def test_missing_logs_are_named(tmp_path: Path) -> None:
     files = agent_files(tmp_path)
     with LoggingAutopilot(ARDUPILOT, files.udp_port, LOGS):
         unknown = logs(files, "--get", "2", "9", "--out", str(folder_of(files)))
@@ -180,15 +180,15 @@ def test_logs_that_are_not_there(tmp_path: Path) -> None:
     assert none.stderr == "vehicle 1: it has no logs\n"
 
 
-def test_a_px4_without_logs_says_nothing(tmp_path: Path) -> None:
+def test_a_px4_without_logs_does_not_answer(tmp_path: Path) -> None:
     files = agent_files(tmp_path)
     with LoggingAutopilot(PX4, files.udp_port, []):
         none = logs(files)
     assert none.returncode == 1
-    assert none.stderr == "vehicle 1: no answer to the request for its list; PX4 says nothing where it has no logs\n"
+    assert none.stderr == "vehicle 1: no answer to the request for its list; PX4 does not answer where it has no logs\n"
 
 
-def test_a_folder_that_cannot_be_used_and_an_autopilot_that_is_not_there(tmp_path: Path) -> None:
+def test_a_bad_folder_and_a_missing_autopilot_are_named(tmp_path: Path) -> None:
     files = agent_files(tmp_path)
     in_the_way = tmp_path / "file"
     in_the_way.touch()
@@ -197,12 +197,12 @@ def test_a_folder_that_cannot_be_used_and_an_autopilot_that_is_not_there(tmp_pat
     assert result.stderr == f"--out {in_the_way}: File exists; name a folder that can be written to\n"
     silent = logs(files, "--wait-s", "1")
     assert silent.returncode == 3
-    assert "no HEARTBEAT of system 1 in 1 s; nothing came at all" in silent.stderr
+    assert "no HEARTBEAT of system 1 in 1 s; nothing arrived" in silent.stderr
     assert logs(files, "--get", "newest").returncode == 2
 
 
 class Pilot:
-    """Arms and flies a stand-in process, and reads its log in a way of its own."""
+    """Arms and flies a stand-in process, and reads its log independently of mavsdk."""
 
     def __init__(self, process: StandInProcess, udp: socket.socket) -> None:
         self._udp, self._codec = udp, MavlinkCodec(1, 191)
@@ -210,11 +210,11 @@ class Pilot:
         self._autopilot = ("127.0.0.1", process.ports.onboard)
 
     def ask(self, message: MavlinkMessage, kind: str) -> MavlinkMessage:
-        """The first message of this type that comes after it."""
+        """Send a message; the first answer of this type."""
         self._udp.setblocking(False)
         with suppress(BlockingIOError):
             while self._codec.decode(self._udp.recv(4096)):
-                pass  # what has waited leaves no room for an answer
+                pass  # a full receive buffer would drop the answer
         self._udp.settimeout(2.0)
         self._udp.sendto(self._codec.encode(message), self._autopilot)
         end_s = time.monotonic() + 10.0
@@ -245,7 +245,7 @@ def test_the_log_of_a_flight(kind: AutopilotKind, tmp_path: Path) -> None:
     with stand_in(tmp_path, configuration) as process:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
             pilot = Pilot(process, udp)
-            until(lambda: len(process.truth()) > 50)  # it is up, and would forget a mode no more
+            until(lambda: len(process.truth()) > 50)  # started: it keeps a mode from now on
             if kind is ARDUPILOT:
                 pilot.command(mavlink.MAV_CMD_DO_SET_MODE, 1.0, Mode.GUIDED)
             pilot.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
@@ -262,7 +262,7 @@ def test_the_log_of_a_flight(kind: AutopilotKind, tmp_path: Path) -> None:
     assert result.returncode == 0, result.stderr
     (file,) = folder_of(files).iterdir()
     assert file.read_bytes() == expected
-    assert len(listed) == 1  # an ArduPilot that was read from too early would have begun another
+    assert len(listed) == 1  # an ArduPilot read too early would have started another
     assert file.name.startswith("vehicle-1_20")
     if kind is PX4:
         assert expected.startswith(MAGIC)

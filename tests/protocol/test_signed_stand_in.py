@@ -1,4 +1,4 @@
-"""Signing as the real programs have it, over real sockets: ArduCopter enforces a key that it was given, PX4 1.16 has none.
+"""MAVLink signing over real sockets: ArduCopter enforces the key that it was given, PX4 1.16 has no signing.
 
 A ground station gives the key by SETUP_SIGNING; what the agent makes of the autopilot then depends on its own key alone.
 """
@@ -14,13 +14,15 @@ from typing import Self
 
 import msgspec
 import pytest
-from agent_process import AgentFiles, agent, agent_files, companion, until
-from stand_in_process import StandInProcess, stand_in
 
+from agent_process import AgentFiles, agent, agent_files, companion, until
 from companion.ground.session import FleetSession
 from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
-from companion.mavlink.signing import EPOCH_UNIX_S, REASONS, UNITS_PER_S, SigningKey
-from companion.types import CommandName, FlightPhase, Status
+from companion.mavlink.signing import EPOCH_UNIX_S, SIGNATURE_CODES, UNITS_PER_S, SigningKey
+from companion.types.commands import CommandName
+from companion.types.flight import FlightPhase
+from companion.types.status import Status
+from stand_in_process import StandInProcess, stand_in
 
 SECRET, OTHER_SECRET = bytes(range(1, 33)), bytes(range(33, 65))
 COPTER = "stand_in: {autopilot: ardupilot, armable_after_s: 3, sensors: ideal, parameters: {GUID_OPTIONS: 8}}\n"
@@ -37,10 +39,10 @@ def give_key(secret: bytes) -> MavlinkMessage:
 
 
 class GroundStation:
-    """Hears all, whoever signed it; what it says is signed as each codec that it says it with."""
+    """Receives all packets, signed or not; sends with the codec, and so the key, that a call names."""
 
     def __init__(self, link: socket.socket) -> None:
-        self._link, self._heard = link, MavlinkCodec(255, 190)
+        self._link, self._codec = link, MavlinkCodec(255, 190)
         link.settimeout(20.0)
 
     @classmethod
@@ -56,14 +58,14 @@ class GroundStation:
     def close(self) -> None:
         self._link.close()
 
-    def say(self, message: MavlinkMessage, by: MavlinkCodec) -> None:
+    def send(self, message: MavlinkMessage, by: MavlinkCodec) -> None:
         self._link.sendall(by.encode(message))
 
     def wait(self, kind: str, signed: bool) -> MavlinkMessage:
-        """The next one of this kind that is signed, or that is not."""
+        """The next message of this kind with, or without, a signature."""
         end_s = time.monotonic() + 20.0
         while time.monotonic() < end_s:
-            for message in self._heard.decode(self._link.recv(4096)):
+            for message in self._codec.decode(self._link.recv(4096)):
                 is_signed = bool(message.get_msgbuf()[2] & mavlink.MAVLINK_IFLAG_SIGNED)
                 if message.get_type() == kind and is_signed == signed:
                     return message
@@ -76,7 +78,7 @@ def copter_with_a_key(folder: Path) -> Iterator[tuple[StandInProcess, GroundStat
         station = GroundStation.by_tcp(process)
         try:
             station.wait("HEARTBEAT", signed=False)
-            station.say(give_key(SECRET), MavlinkCodec(255, 190))
+            station.send(give_key(SECRET), MavlinkCodec(255, 190))
             station.wait("HEARTBEAT", signed=True)
             yield process, station
         finally:
@@ -94,45 +96,45 @@ def files_of(folder: Path, process: StandInProcess, secret: bytes | None) -> Age
 
 
 def order(session: FleetSession, name: CommandName, phase: FlightPhase) -> Status:
-    """Give a command until it has led to that phase; the status that says so."""
-    told: list[Status] = []
+    """Repeat a command until the vehicle is in that phase; that status."""
+    reported: list[Status] = []
 
     def is_there() -> bool:
-        told.extend(report.status for report in session.drain())
-        if told and told[-1].phase is phase:
+        reported.extend(report.status for report in session.drain())
+        if reported and reported[-1].phase is phase:
             return True
         session.command([1], name, 1.0)
         time.sleep(0.3)
         return False
 
     until(is_there, 60.0)
-    return told[-1]
+    return reported[-1]
 
 
-# ---------------------------------------------------------------- what the autopilots do
+# ---------------------------------------------------------------- autopilots
 
 
-def test_a_copter_that_was_given_a_key_answers_nobody_without_it(tmp_path: Path) -> None:
+def test_a_copter_with_a_key_answers_only_packets_signed_with_it(tmp_path: Path) -> None:
     with copter_with_a_key(tmp_path) as (_, station):
         for number, by in enumerate((None, key(OTHER_SECRET), key(SECRET))):
             ask = mavlink.MAVLink_param_request_read_message(
                 1, 1, (b"GUID_OPTIONS", b"GUID_TIMEOUT", b"RTL_ALT")[number], -1
             )
-            station.say(ask, MavlinkCodec(255, 190, by))
-        assert station.wait("PARAM_VALUE", signed=True).param_id == "RTL_ALT"  # the first that was answered at all
+            station.send(ask, MavlinkCodec(255, 190, by))
+        assert station.wait("PARAM_VALUE", signed=True).param_id == "RTL_ALT"  # the first answer
 
 
 @pytest.mark.parametrize("secret", [SECRET, OTHER_SECRET], ids=["its key", "another key"])
-def test_a_px4_signs_nothing_and_lets_whatever_is_signed_pass(tmp_path: Path, secret: bytes) -> None:
+def test_a_px4_does_not_sign_and_accepts_any_signature(tmp_path: Path, secret: bytes) -> None:
     with stand_in(tmp_path, PX4) as process:
         station = GroundStation.by_udp(process)
-        station.say(give_key(SECRET), MavlinkCodec(255, 190))
-        station.say(ASK, MavlinkCodec(255, 190, key(secret)))
+        station.send(give_key(SECRET), MavlinkCodec(255, 190))
+        station.send(ASK, MavlinkCodec(255, 190, key(secret)))
         assert station.wait("COMMAND_ACK", signed=False).result == mavlink.MAV_RESULT_ACCEPTED
         station.close()
 
 
-# ---------------------------------------------------------------- what an agent makes of it
+# ---------------------------------------------------------------- agents
 
 
 def test_with_the_right_key_an_agent_arms_a_copter_that_enforces_it(tmp_path: Path) -> None:
@@ -143,7 +145,7 @@ def test_with_the_right_key_an_agent_arms_a_copter_that_enforces_it(tmp_path: Pa
             order(session, CommandName.PREPARE, FlightPhase.READY)
             status = order(session, CommandName.ARM, FlightPhase.ARMED)
             until(lambda: process.truth()[-1].armed)
-            assert not set(REASONS) & set(status.rejected)
+            assert not set(SIGNATURE_CODES) & set(status.rejected)
 
 
 def test_with_the_right_key_the_doctor_reads_a_copter_that_enforces_it(tmp_path: Path) -> None:
@@ -151,22 +153,22 @@ def test_with_the_right_key_the_doctor_reads_a_copter_that_enforces_it(tmp_path:
         done = companion("doctor", "--config", str(files_of(tmp_path, process, SECRET).file), "--json")
     found = {finding["subject"]: finding["found"] for finding in msgspec.json.decode(done.stdout)["findings"]}
     assert found["GUID_OPTIONS"] == "8 (thrust is thrust)"
-    assert not found["positions"].startswith("0.0")  # it was asked for them
+    assert not found["positions"].startswith("0.0")  # they were requested
 
 
-def test_with_another_key_no_copter_is_believed(tmp_path: Path) -> None:
+def test_a_copter_with_another_key_is_rejected(tmp_path: Path) -> None:
     with copter_with_a_key(tmp_path) as (process, _):
         done = companion("agent", "--config", str(files_of(tmp_path, process, OTHER_SECRET).file), "--wait-s", "3")
     assert done.returncode == 3
     assert "its packets are signed with another key" in done.stderr.splitlines()[-1]
 
 
-def test_without_a_key_an_agent_moves_nothing_and_says_what_is_wrong(tmp_path: Path) -> None:
+def test_an_agent_without_a_key_moves_nothing_and_reports_the_cause(tmp_path: Path) -> None:
     with copter_with_a_key(tmp_path) as (process, _):
         before = process.truth()[-1]
         files = files_of(tmp_path, process, None)
         with agent(files) as running, FleetSession.open("processtest", (files.zenoh,)) as session:
-            running.wait_for_log("the autopilot signs its packets and may ignore this agent's: set signing")
+            running.wait_for_log("the autopilot signs its packets and may ignore unsigned ones: set signing")
             for _ in range(3):
                 session.command([1], CommandName.PREPARE, 1.0)
                 session.command([1], CommandName.ARM, 1.0)
@@ -178,7 +180,7 @@ def test_without_a_key_an_agent_moves_nothing_and_says_what_is_wrong(tmp_path: P
 
 
 @pytest.mark.parametrize("configuration", [PX4, COPTER], ids=["a PX4", "a copter without a key"])
-def test_an_agent_with_a_key_hears_nobody_who_does_not_sign(tmp_path: Path, configuration: str) -> None:
+def test_an_agent_with_a_key_rejects_an_autopilot_that_does_not_sign(tmp_path: Path, configuration: str) -> None:
     with stand_in(tmp_path, configuration) as process:
         done = companion("agent", "--config", str(files_of(tmp_path, process, SECRET).file), "--wait-s", "3")
     assert done.returncode == 3

@@ -1,4 +1,4 @@
-"""MAVProxy, headless from its package, flies a real stand-in process by commands that are typed into it."""
+"""MAVProxy, without windows, flies a real stand-in process by typed commands."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from pathlib import Path
 from typing import IO
 
 import pytest
-from agent_process import until
-from stand_in_process import StandInProcess, stand_in
 
-from sitl.px4_parameters import DEFAULTS
+from agent_process import until
+from sitl.autopilots.px4.parameters import DEFAULTS
+from stand_in_process import StandInProcess, stand_in
 
 
 @dataclass
 class MavProxy:
-    """A running MAVProxy; what it prints goes to `log_file`."""
+    """A running MAVProxy; its output goes to `log_file`."""
 
     keyboard: IO[bytes]
     log_file: Path
@@ -39,7 +39,7 @@ class MavProxy:
         until(lambda: words in self.log, timeout_s)
 
     def type_until(self, line: str, words: str) -> None:
-        """Type it again every two seconds, as a pilot does whom the autopilot refuses."""
+        """Type a command again every two seconds, as a pilot does after a refusal."""
         for _ in range(10):
             self.type(line)
             try:
@@ -61,7 +61,7 @@ def mavproxy(folder: Path, process: StandInProcess) -> Iterator[MavProxy]:
             stdin=subprocess.PIPE,
             stdout=log,
             stderr=log,
-            cwd=folder,  # it leaves its logs where it stands
+            cwd=folder,  # it writes its logs into its working folder
             env={**os.environ, "HOME": str(folder), "PYTHONUNBUFFERED": "1"},
             start_new_session=True,
         )
@@ -79,14 +79,14 @@ def test_a_flight_by_typed_commands(tmp_path: Path) -> None:
         proxy.wait_for("Detected vehicle 1:1")
         proxy.wait_for("Mode LOITER")
         proxy.wait_for(f"Received {len(DEFAULTS)} parameters")
-        assert "request timed out" not in proxy.log  # of files, which the stand-in refuses at once
+        assert "request timed out" not in proxy.log  # the stand-in refuses file requests at once
 
         proxy.type("param set MIS_TAKEOFF_ALT 1.5")
         proxy.type("param set COM_OBL_RC_ACT 5")
         proxy.type_until("param fetch MIS_TAKEOFF_ALT", "MIS_TAKEOFF_ALT = 1.5")
         proxy.type_until("param fetch COM_OBL_RC_ACT", "COM_OBL_RC_ACT = 5")
 
-        # Its own `mode NAME` is for ArduPilot and fails on PX4's modes, which are triples.
+        # The command `mode NAME` is for ArduPilot and fails on the modes of PX4, which are triples.
         proxy.type("long DO_SET_MODE 1 4 2")
         proxy.wait_for("Mode TAKEOFF")
         proxy.type_until("arm throttle", "ARMED")

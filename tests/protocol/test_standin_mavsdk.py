@@ -1,4 +1,4 @@
-"""mavsdk, which nobody here wrote, flies a real stand-in process and reads and sets its parameters."""
+"""mavsdk, an independent client, flies a real stand-in process and reads and sets its parameters."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from mavsdk.asyncio.plugins.offboard import Attitude, AttitudeRate, OffboardAsyn
 from mavsdk.asyncio.plugins.param import ParamAsync, ParamError
 from mavsdk.asyncio.plugins.telemetry import TelemetryAsync
 from mavsdk.plugins.telemetry.telemetry import FlightMode, LandedState
+
 from stand_in_process import StandInProcess, stand_in
 
 HOVER_THRUST = 0.49
@@ -151,7 +152,7 @@ def test_a_flight_with_offboard_attitude(tmp_path: Path) -> None:
     assert min(offboard) < -9.0
 
 
-def test_its_thread_flies_on_while_the_program_hangs_and_ends_with_it(tmp_path: Path) -> None:
+def test_mavsdk_repeats_the_last_setpoint_while_the_program_hangs(tmp_path: Path) -> None:
     async def flight(c: Client) -> None:
         await c.parameters.set_param_int("COM_OBL_RC_ACT", 4)
         await c.take_off()

@@ -1,4 +1,4 @@
-"""`sitl autopilot` as a process: its help, its errors in one line, how it ends, what it writes and what it costs."""
+"""`sitl autopilot` as a process: help, errors in one line, end, truth file and memory."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ from pathlib import Path
 from statistics import median
 
 import pytest
-from agent_process import until
-from stand_in_process import free_offset, stand_in
 
-from sitl.ports import ports_of
-from sitl.truth import TRUTH_HEADER
+from agent_process import until
+from fleet_ports import free_vehicle_offset
+from sitl.links.ports import ports_of
+from sitl.vehicle.truth import TRUTH_HEADER
+from stand_in_process import stand_in
 
 
 def sitl(*arguments: str) -> subprocess.CompletedProcess[str]:
@@ -33,7 +34,7 @@ def assert_one_line_of(result: subprocess.CompletedProcess[str], *words: str) ->
         assert word in result.stderr
 
 
-def test_help_says_ports_and_exit_codes() -> None:
+def test_help_has_ports_and_exit_codes() -> None:
     result = sitl("autopilot", "--help")
     assert result.returncode == 0
     for words in ("14580+i+K", "--truth", "--seconds", "exit codes:"):
@@ -41,8 +42,8 @@ def test_help_says_ports_and_exit_codes() -> None:
 
 
 @pytest.mark.parametrize("which", ["onboard", "ground_link"])
-def test_a_port_in_use(which: str) -> None:
-    offset = free_offset()
+def test_a_port_in_use_is_refused(which: str) -> None:
+    offset = free_vehicle_offset()
     port = getattr(ports_of(1, offset), which)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", port))
@@ -62,24 +63,26 @@ def test_a_port_in_use(which: str) -> None:
         ("id: [\n", ("autopilot.yaml",)),
     ],
 )
-def test_a_bad_file(tmp_path: Path, text: str, words: tuple[str, ...]) -> None:
+def test_a_bad_file_is_refused(tmp_path: Path, text: str, words: tuple[str, ...]) -> None:
     file = tmp_path / "autopilot.yaml"
     file.write_text(text, encoding="utf-8")
     assert_one_line_of(sitl("autopilot", "--config", str(file)), "autopilot.yaml", *words)
 
 
-def test_a_file_that_is_not_there_and_an_id_out_of_bounds(tmp_path: Path) -> None:
+def test_a_missing_file_and_an_id_out_of_range_are_refused(tmp_path: Path) -> None:
     assert_one_line_of(sitl("autopilot", "--config", str(tmp_path / "none.yaml")), "none.yaml")
     assert_one_line_of(sitl("autopilot", "--id", "0"), "--id", "250")
 
 
-def test_a_truth_file_that_cannot_be_written(tmp_path: Path) -> None:
-    result = sitl("autopilot", "--truth", str(tmp_path / "no" / "truth.csv"), "--port-offset", str(free_offset()))
+def test_a_truth_file_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
+    result = sitl(
+        "autopilot", "--truth", str(tmp_path / "no" / "truth.csv"), "--port-offset", str(free_vehicle_offset())
+    )
     assert_one_line_of(result, "truth.csv")
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_signal_ends_it_at_once_and_the_truth_is_whole(tmp_path: Path, number: signal.Signals) -> None:
+def test_a_signal_ends_the_process_at_once_with_a_complete_truth_file(tmp_path: Path, number: signal.Signals) -> None:
     with stand_in(tmp_path) as process:
         until(process.truth)
         process.process.send_signal(number)
@@ -90,19 +93,19 @@ def test_a_signal_ends_it_at_once_and_the_truth_is_whole(tmp_path: Path, number:
     assert text.endswith("\n")
 
 
-def test_seconds_ends_it_and_the_truth_has_fifty_rows_a_second(tmp_path: Path) -> None:
+def test_the_option_seconds_ends_the_process_and_the_truth_has_fifty_rows_a_second(tmp_path: Path) -> None:
     with stand_in(tmp_path, "id: 3\nstart_enu_m: [1.0, 2.0, 0.0]\n", "--id", "1", "--seconds", "2") as process:
         assert process.process.wait(20.0) == 0
         lines = process.truth_file.read_text(encoding="ascii").splitlines()[1:]
     stamps_s = [float(line.split(",")[0]) for line in lines]
     assert median(later - earlier for earlier, later in pairwise(stamps_s)) == pytest.approx(0.02, rel=0.01)
-    assert 50 <= len(lines) <= 100  # a machine that slept does not fly the time it missed
+    assert 50 <= len(lines) <= 100  # time in which the machine slept is not flown
     assert stamps_s[-1] == pytest.approx(time.monotonic(), abs=10.0)
     assert lines[0].split(",")[1:4] == ["1.00000", "2.00000", "0.00000"]
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
-def test_its_memory_stays_under_60_mb(tmp_path: Path) -> None:
+def test_memory_stays_under_60_mb(tmp_path: Path) -> None:
     with stand_in(tmp_path) as process:
         until(lambda: len(process.truth()) > 200)
         status = Path(f"/proc/{process.process.pid}/status").read_text(encoding="ascii")

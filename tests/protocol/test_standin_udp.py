@@ -1,4 +1,4 @@
-"""What a ground station does when it connects, over the stand-in's real sockets; who is heard, and in which framing."""
+"""A ground station connects to the real sockets of a stand-in; which senders and framings it accepts."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from typing import Self
 
 import pytest
 from pymavlink.dialects.v10 import common as mavlink_1
-from stand_in_process import StandInProcess, stand_in
 
 from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
-from sitl.px4_parameters import DEFAULTS
+from sitl.autopilots.px4.parameters import DEFAULTS
+from stand_in_process import StandInProcess, stand_in
 
 M = mavlink
 TIMEOUT_S = 10.0
-COMPONENT_METADATA = 397  # neither it nor PROTOCOL_VERSION is in the dialect
+COMPONENT_METADATA = 397  # not in the dialect, like PROTOCOL_VERSION
 PROTOCOL_VERSION = 300
 
 
 class Station:
-    """A ground station on one UDP socket; without a port of its own the system gives it one."""
+    """A ground station on one UDP socket, by default on any free port."""
 
     def __init__(self, autopilot_port: int, own_port: int = 0, system_id: int = 255) -> None:
         self._autopilot = ("127.0.0.1", autopilot_port)
@@ -53,8 +53,8 @@ class Station:
         padded = [*parameters, *[0.0] * (7 - len(parameters))]
         self.send(M.MAVLink_command_long_message(1, 1, command, 0, *padded))
 
-    def hear(self, timeout_s: float) -> Iterator[MavlinkMessage]:
-        """Everything that comes within this time."""
+    def receive(self, timeout_s: float) -> Iterator[MavlinkMessage]:
+        """All messages received within this time."""
         end_s = time.monotonic() + timeout_s
         while (left_s := end_s - time.monotonic()) > 0.0:
             self._socket.settimeout(left_s)
@@ -65,7 +65,7 @@ class Station:
             yield from self.codec.decode(data)
 
     def wait_for(self, kind: str, wanted: Callable[[MavlinkMessage], bool] = lambda _message: True) -> MavlinkMessage:
-        for message in self.hear(TIMEOUT_S):
+        for message in self.receive(TIMEOUT_S):
             if message.get_type() == kind and wanted(message):
                 return message
         pytest.fail(f"no {kind} came")
@@ -83,7 +83,7 @@ def station_of(folder: Path) -> Iterator[tuple[StandInProcess, Station]]:
         yield process, station
 
 
-def test_what_qgroundcontrol_asks_for_when_it_connects(tmp_path: Path) -> None:
+def test_the_requests_of_a_connecting_qgroundcontrol_are_answered(tmp_path: Path) -> None:
     with station_of(tmp_path) as (_, station):
         heartbeat = station.wait_for("HEARTBEAT")
         assert (heartbeat.type, heartbeat.autopilot) == (M.MAV_TYPE_QUADROTOR, M.MAV_AUTOPILOT_PX4)
@@ -99,7 +99,7 @@ def test_what_qgroundcontrol_asks_for_when_it_connects(tmp_path: Path) -> None:
 
         station.send(M.MAVLink_param_request_list_message(1, 1))
         values = {}
-        for message in station.hear(TIMEOUT_S):
+        for message in station.receive(TIMEOUT_S):
             if message.get_type() == "PARAM_VALUE" and message.param_index < message.param_count:
                 values[message.param_index] = message.param_id
                 if len(values) == message.param_count:
@@ -124,7 +124,7 @@ def test_a_file_request_is_refused_in_its_session(tmp_path: Path) -> None:
     assert (reply[0], reply[2], reply[3], reply[5]) == (6, session, nak, open_file)
 
 
-def test_the_onboard_link_speaks_unasked_and_both_tell_of_a_new_origin(tmp_path: Path) -> None:
+def test_the_onboard_link_streams_at_once_and_both_links_report_a_new_origin(tmp_path: Path) -> None:
     with (
         station_of(tmp_path) as (process, station),
         Station(process.ports.onboard, process.ports.companion) as companion,
@@ -141,7 +141,7 @@ def test_the_first_sender_stays_the_peer(tmp_path: Path) -> None:
         first.wait_for("HEARTBEAT")
         second.heartbeat()
         second.command(M.MAV_CMD_REQUEST_MESSAGE, M.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
-        assert not list(second.hear(1.2))
+        assert not list(second.receive(1.2))
         first.wait_for("HEARTBEAT")
 
 
@@ -153,7 +153,7 @@ def test_texts_reach_only_a_link_with_a_ground_station(tmp_path: Path) -> None:
         companion.command(M.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)  # at once: too early
         assert companion.acknowledged(M.MAV_CMD_COMPONENT_ARM_DISARM) == M.MAV_RESULT_TEMPORARILY_REJECTED
         text = station.wait_for("STATUSTEXT").text
-        assert not [m for m in companion.hear(0.5) if m.get_type() == "STATUSTEXT"]
+        assert not [m for m in companion.receive(0.5) if m.get_type() == "STATUSTEXT"]
     assert "Arming denied: Resolve system health failures first".startswith(text)
 
 
@@ -163,15 +163,15 @@ def test_intervals_outlive_a_reconnection(tmp_path: Path) -> None:
             companion.command(M.MAV_CMD_SET_MESSAGE_INTERVAL, M.MAVLINK_MSG_ID_ODOMETRY, -1.0)
             assert companion.acknowledged(M.MAV_CMD_SET_MESSAGE_INTERVAL) == M.MAV_RESULT_ACCEPTED
         with Station(process.ports.onboard, process.ports.companion) as companion:
-            kinds = [message.get_type() for message in companion.hear(1.0)]
+            kinds = [message.get_type() for message in companion.receive(1.0)]
     assert "LOCAL_POSITION_NED" in kinds
     assert "ODOMETRY" not in kinds
 
 
-def test_mavlink_1_and_signed_packets_are_heard_and_garbage_is_not(tmp_path: Path) -> None:
+def test_mavlink_1_and_signed_packets_are_accepted_and_garbage_is_skipped(tmp_path: Path) -> None:
     with station_of(tmp_path) as (_, station):
         station.wait_for("HEARTBEAT")
-        station.send_bytes(b"\xfd\xff\xff" + b"garbage" * 20)  # the beginning of a long packet that never ends
+        station.send_bytes(b"\xfd\xff\xff" + b"garbage" * 20)  # the header of a long packet that never ends
         for _ in range(20):
             station.heartbeat()
         old = mavlink_1.MAVLink(None, srcSystem=255, srcComponent=190)

@@ -1,4 +1,4 @@
-"""sd_notify as a service manager hears it, and the unit file as systemd judges it."""
+"""sd_notify messages as a service manager receives them, and the unit file as systemd-analyze checks it."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ import time
 from pathlib import Path
 
 import pytest
+
 from agent_process import AgentFiles, agent, agent_files, until
+from companion.link.systemd import MIN_WATCHDOG_PERIOD_S, Notifier
 from hovering_autopilot import HoveringAutopilot
+from repository import ROOT
 from service_manager import WATCHDOG_S, ServiceManager, service_manager
 
-from companion.link.systemd import MIN_WATCHDOG_PERIOD_S, Notifier
-
-UNIT = Path(__file__).parents[2] / "deploy" / "companion@.service"
+UNIT = ROOT / "deploy" / "companion@.service"
 
 
 @pytest.fixture
@@ -25,23 +26,23 @@ def files(tmp_path: Path) -> AgentFiles:
 
 
 @pytest.mark.parametrize("name", ["path", "abstract"])
-def test_an_agent_is_ready_alive_and_stopping(files: AgentFiles, tmp_path: Path, name: str) -> None:
+def test_an_agent_reports_ready_watchdog_and_stopping(files: AgentFiles, tmp_path: Path, name: str) -> None:
     address = str(tmp_path / "notify") if name == "path" else f"@companion-test-{os.getpid()}"
     with service_manager(address) as manager, agent(files, environment=manager.environment()) as process:
-        manager.wait_for("WATCHDOG=1")  # it ticks,
-        assert "READY=1" not in manager.listen()  # but nothing was heard of an autopilot
+        manager.wait_for("WATCHDOG=1")  # it ticks
+        assert "READY=1" not in manager.listen()  # but no autopilot is connected
         with HoveringAutopilot(1, files.udp_port):
             manager.wait_for("READY=1")
             manager.forget()
             started_s = time.monotonic()
             until(lambda: manager.listen().count("WATCHDOG=1") >= 5)
             assert manager.messages.count("WATCHDOG=1") <= 1 + (time.monotonic() - started_s) / MIN_WATCHDOG_PERIOD_S
-            assert "READY=1" not in manager.messages  # it is said once
+            assert "READY=1" not in manager.messages  # sent once
             assert process.stop() == 0
         assert manager.listen()[-1] == "STOPPING=1"
 
 
-def test_a_frozen_agent_starves_the_watchdog(files: AgentFiles, tmp_path: Path) -> None:
+def test_a_frozen_agent_does_not_feed_the_watchdog(files: AgentFiles, tmp_path: Path) -> None:
     with (
         service_manager(str(tmp_path / "notify")) as manager,
         HoveringAutopilot(1, files.udp_port),
@@ -52,13 +53,13 @@ def test_a_frozen_agent_starves_the_watchdog(files: AgentFiles, tmp_path: Path) 
         process.process.send_signal(signal.SIGSTOP)
         time.sleep(0.1)
         manager.forget()
-        time.sleep(1.5 * WATCHDOG_S)  # systemd would have acted
+        time.sleep(1.5 * WATCHDOG_S)  # systemd would restart it
         assert manager.listen() == []
         process.process.send_signal(signal.SIGCONT)
         manager.wait_for("WATCHDOG=1")
 
 
-def test_an_agent_without_a_service_manager_says_nothing_to_anybody(files: AgentFiles, tmp_path: Path) -> None:
+def test_an_agent_without_a_service_manager_runs(files: AgentFiles, tmp_path: Path) -> None:
     gone = str(tmp_path / "gone")
     with HoveringAutopilot(1, files.udp_port), agent(files, environment={"NOTIFY_SOCKET": gone}) as process:
         process.wait_for_log("heartbeat of autopilot 1")
@@ -66,7 +67,7 @@ def test_an_agent_without_a_service_manager_says_nothing_to_anybody(files: Agent
     assert "Traceback" not in process.log
 
 
-# ---------------------------------------------------------------- the notifier alone
+# ---------------------------------------------------------------- notifier
 
 
 def notifier(manager: ServiceManager, **environment: str) -> Notifier:
@@ -79,23 +80,23 @@ def notifier(manager: ServiceManager, **environment: str) -> Notifier:
         ({}, 0),
         ({"WATCHDOG_USEC": "0"}, 0),
         ({"WATCHDOG_USEC": "soon"}, 0),
-        ({"WATCHDOG_USEC": "2000000", "WATCHDOG_PID": "1"}, 0),  # meant for another process
+        ({"WATCHDOG_USEC": "2000000", "WATCHDOG_PID": "1"}, 0),  # for another process
         ({"WATCHDOG_USEC": "2000000", "WATCHDOG_PID": str(os.getpid())}, 20),  # every half second
         ({"WATCHDOG_USEC": "2000000"}, 20),
-        ({"WATCHDOG_USEC": "100000"}, 50),  # not more than a few times a second
+        ({"WATCHDOG_USEC": "100000"}, 50),  # limited to a few times a second
     ],
 )
 def test_the_watchdog_is_fed_a_few_times_per_its_period(tmp_path: Path, environment: dict[str, str], fed: int) -> None:
     with service_manager(str(tmp_path / "notify")) as manager:
         speaker = notifier(manager, **environment)
         for cycle in range(500):
-            speaker.cycle_completed(cycle * 0.02, autopilot_heard=False)
+            speaker.cycle_completed(cycle * 0.02, autopilot_connected=False)
             manager.listen()  # the kernel keeps ten messages, not more
         assert abs(manager.listen().count("WATCHDOG=1") - fed) <= 3
         speaker.close()
 
 
-def test_no_cycle_no_food(tmp_path: Path) -> None:
+def test_without_cycles_the_watchdog_is_not_fed(tmp_path: Path) -> None:
     with service_manager(str(tmp_path / "notify")) as manager:
         speaker = notifier(manager, WATCHDOG_USEC="1000000")
         speaker.status("takeoff -> hold")
@@ -104,31 +105,31 @@ def test_no_cycle_no_food(tmp_path: Path) -> None:
         speaker.close()
 
 
-def test_ready_is_said_again_where_nobody_took_it(tmp_path: Path) -> None:
+def test_ready_is_sent_again_until_it_is_received(tmp_path: Path) -> None:
     address = str(tmp_path / "notify")
     speaker = Notifier({"NOTIFY_SOCKET": address})
-    speaker.cycle_completed(0.0, autopilot_heard=True)  # nobody listens yet
+    speaker.cycle_completed(0.0, autopilot_connected=True)  # no receiver yet
     with service_manager(address) as manager:
-        speaker.cycle_completed(0.02, autopilot_heard=True)
-        speaker.cycle_completed(0.04, autopilot_heard=True)
+        speaker.cycle_completed(0.02, autopilot_connected=True)
+        speaker.cycle_completed(0.04, autopilot_connected=True)
         assert manager.listen() == ["READY=1"]
     speaker.close()
 
 
-# ---------------------------------------------------------------- the unit file
+# ---------------------------------------------------------------- unit file
 
 needs_systemd = pytest.mark.skipif(not shutil.which("systemd-analyze"), reason="systemd-analyze is not installed")
 
 
 def verify(unit: Path) -> subprocess.CompletedProcess[str]:
-    """systemd-analyze reports an unknown key on standard error and still ends with 0."""
+    """systemd-analyze reports an unknown key on standard error and still exits with 0."""
     return subprocess.run(
         ["systemd-analyze", "verify", str(unit)], capture_output=True, text=True, timeout=60, check=False
     )
 
 
 @needs_systemd
-def test_the_unit_verifies_as_it_is(tmp_path: Path) -> None:
+def test_the_unit_file_verifies(tmp_path: Path) -> None:
     unit = tmp_path / "companion@3.service"
     unit.write_bytes(UNIT.read_bytes())
     for path in (UNIT, unit):
@@ -140,7 +141,7 @@ def test_the_unit_verifies_as_it_is(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "change", [("WatchdogSec=", "WatchdogSecs="), ("Type=notify", "Type=loud"), ("/usr/bin/env", "/no/such/binary")]
 )
-def test_a_damaged_unit_would_be_noticed(tmp_path: Path, change: tuple[str, str]) -> None:
+def test_a_damaged_unit_file_does_not_verify(tmp_path: Path, change: tuple[str, str]) -> None:
     unit = tmp_path / "companion@3.service"
     unit.write_text(UNIT.read_text(encoding="utf-8").replace(*change), encoding="utf-8")
     result = verify(unit)
@@ -152,24 +153,24 @@ def setting(key: str) -> list[str]:
     return [line.partition("=")[2] for line in lines if line.startswith(key + "=")]
 
 
-def test_the_unit_is_one_per_vehicle_and_watched() -> None:
+def test_the_unit_is_a_template_with_a_watchdog() -> None:
     assert setting("ExecStart") == ["/usr/bin/env companion agent --config /etc/companion/vehicle-%i.yaml"]
     assert setting("Type") == ["notify"]
     assert setting("Restart") == ["on-failure"]
     assert float(setting("WatchdogSec")[0]) > 4 * MIN_WATCHDOG_PERIOD_S
 
 
-def test_the_unit_leaves_the_agent_time_for_what_it_does() -> None:
+def test_the_timeouts_of_the_unit_leave_time_to_wait_and_hand_over() -> None:
     from companion.app import WAIT_FOR_AUTOPILOT_S
-    from companion.core.safeguard import HAND_OVER_S
+    from companion.core.safety.safeguard import HAND_OVER_S
 
     assert float(setting("TimeoutStartSec")[0]) > WAIT_FOR_AUTOPILOT_S
     assert float(setting("TimeoutStopSec")[0]) > HAND_OVER_S
 
 
 @needs_systemd
-def test_the_sandbox_is_a_tight_one() -> None:
-    """What can be judged without a running systemd: systemd's own score of the sandbox (0 is best, 10 is none)."""
+def test_the_sandbox_scores_at_most_3() -> None:
+    """The score by systemd-analyze, without a running systemd: 0 is best, 10 is no sandbox; the threshold is in tenths."""
     result = subprocess.run(
         ["systemd-analyze", "security", "--offline=true", "--threshold=30", str(UNIT)],
         capture_output=True,

@@ -1,0 +1,221 @@
+"""`companion fleet`: the command line of commands to a fleet."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from companion.cli import fleet_formation, fleet_reference, fleet_use
+from companion.cli.options import fail, number, operator, seconds, vehicle_id
+
+if TYPE_CHECKING:
+    from companion.ground.requests import FleetRequest
+
+NAME = "fleet"
+SUMMARY = "commands a whole fleet from the ground"
+EXIT_UNUSABLE = 2
+
+DESCRIPTION = """\
+Command a fleet from the ground. The command goes to all vehicles at the same time; each vehicle
+decides for itself. One line per vehicle: accepted, refused, missing or not sent, with a code, the
+reason and the time to its reply. Then waits until all vehicles have finished the action. takeoff
+and return are for all vehicles or none: where the report of one shows that it cannot begin, none
+gets the command.
+"""
+
+MORE = """\
+examples:
+  companion fleet use fleet.yaml --connect tcp/192.168.1.11:7447     saves the current fleet
+  companion fleet ready
+  companion fleet arm && companion fleet takeoff && companion fleet form
+  companion fleet form --only 2 3 --no-wait
+  companion fleet leader 2
+  companion fleet formation diamond --spacing 4 --heading 90
+  companion fleet reference point --at 10 -5 4
+  companion fleet land --fleet fleet.yaml --json | jq '.vehicles[] | select(.finished | not)'
+
+Finished is: armed; in hold after takeoff; in formation, in its slot; in hold; on the ground and
+disarmed (land, return, disarm); with the new leader, formation or reference. Progress goes to
+standard error. --timeout ends the wait (default 60 s; 300 s for land, return, abort, formation
+and reference), --no-wait skips it. The action itself goes on, also after Ctrl-C.
+
+The fleet file is --fleet, else the environment variable COMPANION_FLEET, else the current fleet
+saved by `use`. The endpoints are --connect, else COMPANION_CONNECT (separated by commas or
+spaces), else those saved with the current fleet, else tcp/127.0.0.1:7447+ID for each vehicle, as
+in a simulation. The endpoint of one vehicle (zenoh.listen in its vehicle file) leads to all
+vehicles that it is connected with; further endpoints help where one vehicle may be away.
+
+The first operator who sends a command holds command of the vehicle; other operators are refused,
+with the name of the holder, until they take command. An operator is user@host, or --as NAME.
+Vehicles refuse commands for an earlier start of the agent and commands that are not newer than
+the last one, so that a recorded command has no effect.
+
+abort works for every operator, also without command, and in every phase. A vehicle that lands
+continues to land; one that its pilot flies is left to the pilot. In the air all vehicles stop at
+their present positions, also two that are passing each other. `hold` takes a vehicle from its
+pilot, `abort` does not.
+
+return works in formation and in hold. The autopilots climb first, to RTL_RETURN_ALT (PX4) or
+RTL_ALT (ArduCopter), fly straight home and land; they need neither agent nor network for it, and
+do not avoid each other. A vehicle refuses where its straight path home is closer than
+separation_m to another vehicle or to the path home of that vehicle, and where its home is
+unknown, as after a restart of its agent in the air. Land the vehicles that refuse, send the
+command again after others are home, or first bring the formation back to its takeoff position.
+`hold`, `land` and `abort` end a return; `abort` not for vehicles that already descend at home.
+
+exit codes:
+  0    every vehicle accepted and finished; with status: reported; with ready: is ready
+  1    some vehicles refused, are missing, did not finish or are not ready
+  2    the fleet file, an endpoint or an argument cannot be used; no command was sent
+  130  ended by Ctrl-C
+"""
+
+SEE = "`companion fleet --help` explains the fleet file, the endpoints, holding command, and the exit codes."
+REPORTS = {
+    "status": "phase, position, formation and reference of each vehicle, and the operator who holds command",
+    "ready": "the checks before flight: autopilot, estimator, battery, origin, peers, fleet file, separation",
+}
+SIMPLE_COMMANDS = {
+    "arm": "prepares vehicles in phase observe, then arms",
+    "takeoff": "climbs vertically to takeoff_height_m, then the autopilot's hold mode",
+    "form": "from hold into the formation",
+    "hold": "from formation into the autopilot's hold mode",
+    "land": "vertically, at the present position",
+    "return": "to the takeoff position of each vehicle and down, by the autopilot's return mode",
+    "disarm": "on the ground",
+    "abort": "in any phase: disarms on the ground, the autopilot's hold mode in the air",
+    "take": "takes command over from another operator",
+}
+CHANGES = {
+    "leader": "changes the leader, in flight as well",
+    "formation": "changes the slots, in flight as well: a shape, a file, or scaling",
+    "reference": "changes the reference, in flight as well: a point, waypoints, a circle, ...",
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    report, command = [_connection()], [_connection(), _waiting()]
+    actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION", title="actions")
+    use = actions.add_parser(fleet_use.NAME, help=fleet_use.SUMMARY, description=fleet_use.DESCRIPTION)
+    fleet_use.add_arguments(use)
+    for name, summary in REPORTS.items():
+        actions.add_parser(name, parents=[*report, _some_vehicles()], help=summary, description=summary, epilog=SEE)
+    for name, summary in SIMPLE_COMMANDS.items():
+        actions.add_parser(name, parents=[*command, _some_vehicles()], help=summary, description=summary, epilog=SEE)
+    leader = actions.add_parser(
+        "leader", parents=command, help=CHANGES["leader"], description=CHANGES["leader"], epilog=SEE
+    )
+    leader.add_argument(
+        "leaders", nargs="+", type=vehicle_id, metavar="ID", help="the new leaders; all other vehicles follow"
+    )
+    raw = argparse.RawDescriptionHelpFormatter
+    for name, module in (("formation", fleet_formation), ("reference", fleet_reference)):
+        module.add_arguments(
+            actions.add_parser(
+                name,
+                parents=command,
+                help=CHANGES[name],
+                description=module.DESCRIPTION,
+                epilog=module.MORE,
+                formatter_class=raw,
+            )
+        )
+
+
+def run(options: argparse.Namespace) -> int:
+    """The exit code."""
+    from companion.config.file import ConfigError
+    from companion.ground.operate import run_fleet
+    from companion.ground.sending import OperateError
+    from companion.link.zenoh_session import EndpointError
+
+    try:
+        if options.action == fleet_use.NAME:
+            return fleet_use.run(options)
+        return run_fleet(fleet_request(options))
+    except ConfigError as error:
+        return fail(str(error), EXIT_UNUSABLE)
+    except EndpointError as error:
+        return fail(f'companion fleet: --connect "{error.endpoint}": {error}', EXIT_UNUSABLE)
+    except OperateError as error:
+        return fail(f"companion fleet {options.action}: {error}", EXIT_UNUSABLE)
+
+
+def fleet_request(parsed: argparse.Namespace) -> FleetRequest:
+    """Options, environment and saved current fleet as a request. Raises ConfigError.
+
+    A fleet file that is not an option is named on standard error.
+    """
+    from companion.config.file import ConfigError
+    from companion.ground.current_fleet import FLEET_VARIABLE, select
+    from companion.ground.requests import COMMAND_LINE, FleetRequest
+
+    selection = select(parsed.fleet, parsed.connect or (), os.environ)
+    if selection.fleet is None:
+        raise ConfigError(
+            COMMAND_LINE, "--fleet", f"missing; give it, set {FLEET_VARIABLE}, or save one: companion fleet use FILE"
+        )
+    if parsed.fleet is None:
+        print(selection, file=sys.stderr)
+    return FleetRequest(
+        action=parsed.action,
+        fleet=selection.fleet,
+        connect=selection.connect,
+        operator=parsed.operator or "",
+        only=tuple(getattr(parsed, "only", ())),
+        wait_s=parsed.wait_s,
+        as_json=parsed.json,
+        wait=getattr(parsed, "wait", False),
+        timeout_s=getattr(parsed, "timeout", None),
+        leaders=tuple(getattr(parsed, "leaders", ())),
+        formation=fleet_formation.formation_request(parsed) if parsed.action == "formation" else None,
+        reference=fleet_reference.reference_request(parsed) if parsed.action == "reference" else None,
+    )
+
+
+def _connection() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(add_help=False)
+    parser.add_argument(
+        "--fleet", type=Path, metavar="FILE", help="the fleet file of the vehicles (default: the current fleet)"
+    )
+    parser.add_argument("--connect", nargs="+", metavar="ENDPOINT", help="Zenoh endpoints of vehicles")
+    parser.add_argument(
+        "--as", dest="operator", type=operator, metavar="NAME", help="the operator (default: user@host)"
+    )
+    parser.add_argument(
+        "--wait-s", type=_wait_s, default=3.0, metavar="S", help="how long to wait for reports and replies (default 3)"
+    )
+    parser.add_argument("--json", action="store_true", help="one JSON object instead of the lines")
+    return parser
+
+
+def _waiting() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(add_help=False)
+    parser.add_argument(
+        "--wait",
+        action=argparse.BooleanOptionalAction,
+        default=True,
+        help="wait until all vehicles have finished the action (default: --wait)",
+    )
+    parser.add_argument("--timeout", type=seconds, metavar="S", help="end that wait after S seconds")
+    return parser
+
+
+def _some_vehicles() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(add_help=False)
+    parser.add_argument(
+        "--only",
+        nargs="+",
+        type=vehicle_id,
+        default=[],
+        metavar="ID",
+        help="these vehicles (default: all of the fleet)",
+    )
+    return parser
+
+
+def _wait_s(text: str) -> float:
+    return number(text, "seconds from 0.1 to 60", 0.1, 60.0)

@@ -1,0 +1,79 @@
+"""The options of `companion fleet reference`."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from companion.ground.requests import ReferenceRequest
+
+DESCRIPTION = """\
+Change the reference trajectory (RFT) of the formation, in flight as well. It is sent to the
+vehicles that may lead. All begin it at the same time, and the present reference blends smoothly
+into it. A reference that leaves the fence or exceeds the limits is refused; the refusal names a
+value that works.
+"""
+
+MORE = """\
+examples:
+  companion fleet reference point --at 10 -5 4 --fleet fleet.yaml
+  companion fleet reference waypoints --at 0 0 4 --at 20 0 4 --at 20 15 6 --speed 3
+  companion fleet reference circle --at 0 0 4 --radius 8 --period 30 --fleet fleet.yaml
+  companion fleet reference figure_8 --at 0 0 4 --width 20 --height 8 --period 40 --fleet fleet.yaml
+  companion fleet reference target --name walker --offset 0 0 6 --fleet fleet.yaml
+  companion fleet reference --file reference.yaml --fleet fleet.yaml
+
+--at is the position of a point, each waypoint, the centre of a circle or figure 8, and where the
+fleet waits for a target; without it, a target is awaited at the present reference. The options
+have the meaning of the keys of a file:
+  reference: {kind: circle, centre_enu_m: [0, 0, 4], radius_m: 8, period_s: 30, clockwise: true}
+"""
+
+OPTION_PREFIX = "reference."  # of the argparse destination of an option that is a key of the file
+KINDS = ("point", "waypoints", "circle", "figure_8", "target")
+NUMBERS = {  # option: (key of the file, meaning)
+    "--radius": ("radius_m", "of a circle, metres"),
+    "--width": ("width_m", "of a whole figure 8, along x, metres"),
+    "--height": ("height_m", "of a whole figure 8, along y, metres"),
+    "--period": ("period_s", "of one lap of a circle or figure 8, seconds"),
+    "--ramp": ("ramp_s", "until a circle or figure 8 reaches its speed, seconds"),
+    "--pause": ("wait_s", "at each waypoint, seconds"),
+    "--speed": ("max_speed_m_s", "limit for waypoints or a target, m/s"),
+    "--acceleration": ("max_acceleration_m_s2", "limit for waypoints or a target, m/s^2"),
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    def add(option: str, key: str, **more: Any) -> None:
+        parser.add_argument(option, dest=f"{OPTION_PREFIX}{key}", **more)
+
+    three = ("EAST", "NORTH", "UP")
+    parser.add_argument("kind", nargs="?", choices=KINDS, metavar="KIND", help=", ".join(KINDS))
+    parser.add_argument(
+        "--file", type=Path, metavar="FILE", help="a file with a section reference (YAML) instead of KIND"
+    )
+    parser.add_argument(
+        "--at", action="append", nargs=3, type=float, default=[], metavar=three, help="metres, fleet frame"
+    )
+    for option, (key, meaning) in NUMBERS.items():
+        add(option, key, type=float, metavar="X", help=meaning)
+    add("--clockwise", "clockwise", action="store_const", const=True, help="a circle, seen from above")
+    add("--name", "name", metavar="NAME", help="of the target (default main)")
+    offset = "from the target to the reference, metres"
+    add("--offset", "offset_enu_m", nargs=3, type=float, metavar=three, help=offset)
+    follows = "follow the altitude of the target as well"
+    add("--follows-altitude", "follows_altitude", action="store_const", const=True, help=follows)
+
+
+def reference_request(parsed: argparse.Namespace) -> ReferenceRequest:
+    from companion.ground.requests import ReferenceRequest
+
+    options = {
+        name.removeprefix(OPTION_PREFIX): value
+        for name, value in vars(parsed).items()
+        if name.startswith(OPTION_PREFIX) and value is not None
+    }
+    kind = {"kind": parsed.kind} if parsed.kind else {}
+    return ReferenceRequest(parsed.file, kind | options, tuple(parsed.at))

@@ -1,0 +1,46 @@
+"""The `companion` command. Each command is a module that imports what it needs when it runs: the agent stays small."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Sequence
+
+from companion import __version__
+from companion.cli import agent, analyze, completion, doctor, explain, fleet, init, logs, monitor
+from companion.cli.ending import ending_quietly
+
+# A command module has NAME, SUMMARY (one line), DESCRIPTION and MORE (its help), add_arguments(parser) and run(options).
+COMMANDS = (agent, doctor, logs, fleet, monitor, analyze, explain, init, completion)
+
+DESCRIPTION = "Formation flight for quadrotors with an onboard computer."
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The exit code; `companion --help` explains it."""
+    with ending_quietly():
+        options = parser().parse_args(arguments)
+        run: Callable[[argparse.Namespace], int] = options.run
+        return run(options)
+
+
+def parser() -> argparse.ArgumentParser:
+    raw = argparse.RawDescriptionHelpFormatter
+    made = argparse.ArgumentParser(
+        prog="companion",
+        description=DESCRIPTION,
+        epilog="`companion COMMAND --help` shows examples and exit codes.",
+        formatter_class=raw,
+    )
+    made.add_argument("--version", action="version", version=f"companion {__version__}")
+    commands = made.add_subparsers(dest="command", required=True, metavar="COMMAND", title="commands")
+    for command in COMMANDS:
+        one = commands.add_parser(
+            command.NAME,
+            help=command.SUMMARY,
+            description=command.DESCRIPTION,
+            epilog=command.MORE,
+            formatter_class=raw,
+        )
+        command.add_arguments(one)
+        one.set_defaults(run=command.run)
+    return made

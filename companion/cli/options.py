@@ -1,0 +1,59 @@
+"""Types and options that several commands share. Light to import."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+from pathlib import Path
+
+MAX_VEHICLE_ID = 250
+MAX_WAIT_FOR_AUTOPILOT_S = 3600.0
+
+
+def number(text: str, expected: str, least: float, most: float) -> float:
+    """A number from `least` to `most`. Raises argparse.ArgumentTypeError, which names what was `expected`."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not least <= value <= most:
+        raise argparse.ArgumentTypeError(f"{text!r}, expected {expected}")
+    return value
+
+
+def seconds(text: str) -> float:
+    """Seconds above 0. Raises argparse.ArgumentTypeError."""
+    return number(text, "seconds above 0, up to 3600", 1e-6, MAX_WAIT_FOR_AUTOPILOT_S)
+
+
+def vehicle_id(text: str) -> int:
+    """A MAVLink system id of a vehicle. Raises argparse.ArgumentTypeError."""
+    if not re.fullmatch("[0-9]{1,3}", text) or not 1 <= int(text) <= MAX_VEHICLE_ID:
+        raise argparse.ArgumentTypeError(f"{text!r}, expected a vehicle id from 1 to {MAX_VEHICLE_ID}")
+    return int(text)
+
+
+def operator(text: str) -> str:
+    """The name of an operator. Raises argparse.ArgumentTypeError."""
+    from companion.types.commands import OPERATOR, OPERATOR_WORDS
+
+    if not re.fullmatch(OPERATOR, text):
+        raise argparse.ArgumentTypeError(f"{text!r}, expected {OPERATOR_WORDS}")
+    return text
+
+
+def add_vehicle_file(parser: argparse.ArgumentParser) -> None:
+    """--config and --wait-s, for commands that connect to an autopilot."""
+    parser.add_argument("--config", type=Path, required=True, metavar="FILE", help="the vehicle file (YAML)")
+    parser.add_argument(
+        "--wait-s", type=seconds, default=15.0, metavar="S", help="how long to wait for the autopilot (default 15)"
+    )
+
+
+def fail(line: str, exit_code: int) -> int:
+    """Prints the line on standard error, without control characters of foreign text; returns the exit code."""
+    from companion.types.printable import printable_lines
+
+    print(printable_lines(line), file=sys.stderr)
+    return exit_code

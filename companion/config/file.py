@@ -1,0 +1,159 @@
+"""One YAML file -> one validated type, or one line for each error: file, field, value, what was expected."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Iterable, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+import yaml
+
+from companion.config.bounded_read import read_regular
+from companion.config.validation import Problem, all_finite, each, examine, in_file_order
+from companion.types.printable import printable
+
+MAX_DEPTH = 50  # levels of a file; ours have five
+MAX_VALUES = 10_000  # of a file, with all aliases expanded; 250 vehicles have 2500
+TOO_MANY_VALUES = f"more than {MAX_VALUES} values, counting each alias as what it stands for"
+
+T = TypeVar("T")
+
+
+class ConfigError(Exception):
+    """A file that cannot be used. str() has one line for each error: file, field, value, what was expected, what to do."""
+
+    def __init__(self, file: Path | str, field: str, problem: str) -> None:
+        line = f"{file}: {field}: {problem}" if field else f"{file}: {problem}"
+        self.lines: tuple[str, ...] = (printable(line.replace("\n", "\\n")),)
+        super().__init__(self.lines[0])
+
+    def __str__(self) -> str:
+        return "\n".join(self.lines)
+
+    @classmethod
+    def of(cls, errors: Sequence[ConfigError]) -> ConfigError:
+        """The error with the lines of all these."""
+        error = cls("", "", "")
+        error.lines = tuple(line for one in errors for line in one.lines)
+        return error
+
+
+def refuse(file: Path | str, problems: Iterable[Problem]) -> None:
+    """Raises ConfigError with all of the problems, if there are any."""
+    if errors := [ConfigError(file, *problem) for problem in problems]:
+        raise ConfigError.of(errors)
+
+
+def load(path: Path, type_: type[T]) -> T:
+    """Read a YAML file into a msgspec type. Raises ConfigError."""
+    return convert(path, read_yaml(path), type_)
+
+
+def read_yaml(path: Path) -> Any:
+    """The plain content of a YAML file. Raises ConfigError; a key that is given twice is an error."""
+    try:
+        text = read_regular(path)[0].decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise ConfigError(path, "", f"is not UTF-8 text (byte {error.start})") from error
+    except (OSError, ValueError) as error:  # ValueError: a zero byte in the path
+        reason = error.strerror if isinstance(error, OSError) else "a zero byte in its name"
+        raise ConfigError(path, "", f"cannot be read: {reason}; check the path") from error
+    try:
+        return yaml.load(text, Loader=StrictLoader)
+    except yaml.MarkedYAMLError as error:
+        line = f"line {error.problem_mark.line + 1}" if error.problem_mark else ""
+        raise ConfigError(path, line, f"not valid YAML: {error.problem}") from error
+    except yaml.YAMLError as error:
+        raise ConfigError(path, "", "not valid YAML: " + " ".join(str(error).split())) from error
+
+
+def convert(path: Path, data: Any, type_: type[T], check: Callable[[T], Iterable[Problem]] | None = None) -> T:
+    """Plain content -> type. `path` only names the file in errors. Raises ConfigError with all errors in file order.
+
+    `check` finds what no single field can show. It also runs where some fields are invalid, as far as it needs none of them.
+    """
+    if data is None:
+        raise ConfigError(path, "", "is empty")
+    value, problems = _converted(data, type_)
+    if check is not None:
+        problems += each(check(value))
+    refuse(path, in_file_order(data, problems))
+    return value
+
+
+def _converted(data: Any, type_: type[T]) -> tuple[T, list[Problem]]:
+    if all_finite(data):
+        try:
+            return msgspec.convert(data, type_, strict=True), []
+        except msgspec.ValidationError:
+            pass
+    return examine(data, type_)
+
+
+class StrictLoader(yaml.SafeLoader):
+    """A SafeLoader that raises yaml.MarkedYAMLError for everything that it does not accept.
+
+    SafeLoader silently keeps the last of two equal keys; here that is an error. So is an anchor that contains itself.
+    """
+
+    def __init__(self, stream: str) -> None:
+        super().__init__(stream)
+        self._count = 0  # of values so far
+        self._open_anchors: list[str | None] = []  # of the nodes around the one that is being read
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        event: Any = self.peek_event()  # type: ignore[no-untyped-call]
+        anchor, mark = getattr(event, "anchor", None), event.start_mark
+        if isinstance(event, yaml.AliasEvent) and anchor in self._open_anchors:
+            raise yaml.constructor.ConstructorError(None, None, f"&{anchor} contains itself", mark)
+        if len(self._open_anchors) >= MAX_DEPTH:
+            problem = f"more than {MAX_DEPTH} levels inside each other"
+            raise yaml.constructor.ConstructorError(None, None, problem, mark)
+        self._count += 1
+        if self._count > MAX_VALUES:
+            raise yaml.constructor.ConstructorError(None, None, TOO_MANY_VALUES, mark)
+        self._open_anchors.append(anchor)
+        node: yaml.Node | None = super().compose_node(parent, index)
+        self._open_anchors.pop()
+        return node
+
+    def compose_document(self) -> yaml.Node | None:
+        node: yaml.Node | None = super().compose_document()
+        if node is not None and _values(node, {}) > MAX_VALUES:
+            raise yaml.constructor.ConstructorError(None, None, TOO_MANY_VALUES, node.start_mark)
+        return node
+
+    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
+        problem = f"not a {node.tag.rpartition(':')[2]} that can be used"
+        try:
+            value = super().construct_object(node, deep=deep)
+        except (ValueError, LookupError, AttributeError) as error:  # "!!float foo", "!!bool maybe", 2024-13-45
+            raise yaml.constructor.ConstructorError(None, None, problem, node.start_mark) from error
+        if isinstance(value, int) and value.bit_length() > 64:  # Python would refuse to print thousands of digits
+            raise yaml.constructor.ConstructorError(None, None, problem, node.start_mark)
+        return value
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        seen: set[Any] = set()
+        for key_node, _ in node.value:
+            key = self.construct_object(key_node, deep=True)
+            if not isinstance(key, Hashable):
+                problem = "a list or a mapping cannot be a key; is a pair of braces meant to be brackets?"
+                raise yaml.constructor.ConstructorError(None, None, problem, key_node.start_mark)
+            if key in seen:
+                raise yaml.constructor.ConstructorError(None, None, f'key "{key}" is given twice', key_node.start_mark)
+            seen.add(key)
+        return super().construct_mapping(node, deep)
+
+
+def _values(node: yaml.Node, known: dict[yaml.Node, int]) -> int:
+    """Number of values in a node, where a node that several aliases name counts once for each of them."""
+    if node not in known:
+        children: Iterable[yaml.Node] = ()
+        if isinstance(node, yaml.SequenceNode):
+            children = node.value
+        elif isinstance(node, yaml.MappingNode):
+            children = (child for pair in node.value for child in pair)
+        known[node] = 1 + sum(_values(child, known) for child in children)
+    return known[node]

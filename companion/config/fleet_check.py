@@ -1,0 +1,175 @@
+"""Checks of a fleet file that need more than one field: ids, leaders, edges, slots, speeds, positions at the start."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from itertools import combinations
+from math import dist, hypot, inf
+from pathlib import Path
+
+from msgspec.structs import replace
+
+from companion.config.airspace_check import airspace_problems
+from companion.config.file import convert
+from companion.config.fleet import EdgeNeighbours, FleetConfig
+from companion.config.kind import read_as
+from companion.config.law import law_problems
+from companion.config.validation import INVALID, Problem, each, unless_invalid
+from companion.geometry.separation import counted
+from companion.geometry.transition import ROUNDING_M
+from companion.types.flight import Role
+from companion.types.vectors import Vector3
+
+CLOSEST_STARTS_M = 0.3  # nearer to each other, two vehicles on the ground touch
+
+
+def load_fleet(path: Path) -> FleetConfig:
+    """Read a fleet file. Raises ConfigError."""
+    return convert(path, read_as(path, "fleet"), FleetConfig, fleet_problems)
+
+
+def fleet_problems(fleet: FleetConfig, where: str = "") -> Iterator[Problem]:
+    """All that is wrong between the fields of a fleet. `where` is the path of its section, like "fleet."."""
+    with_ids = checkable(fleet)
+    yield from each(
+        _members(fleet, f"{where}vehicles"),
+        _leader(fleet, f"{where}vehicles"),
+        _slots(fleet, f"{where}vehicles"),
+        _takeoff_height(fleet, f"{where}takeoff_height_m"),
+        airspace_problems(fleet, where),
+        _speeds(fleet, f"{where}peers.max_speed_m_s"),
+        law_problems(fleet.law, f"{where}law"),
+        _successors(with_ids, f"{where}successors"),
+        _edges(with_ids, f"{where}neighbours.edges"),
+        _cut_vertices(with_ids, f"{where}neighbours.edges"),
+    )
+
+
+def checkable(fleet: FleetConfig) -> FleetConfig:
+    """The fleet for checks by id: without usable ids its vehicles are invalid, so that one error is not reported many times."""
+    ids = unless_invalid(lambda: [member.id for member in fleet.vehicles])
+    unusable = unless_invalid(lambda: len(set(ids)) < max(len(ids), 1))
+    return replace(fleet, vehicles=INVALID) if unusable is True else fleet
+
+
+def start_problems(fleet: FleetConfig, starts_enu_m: Mapping[int, Vector3]) -> Iterator[Problem]:
+    """Every vehicle needs a position to start from, not too near to another."""
+    ids = {member.id for member in fleet.vehicles}
+    for vehicle_id in sorted(ids - starts_enu_m.keys()):
+        yield Problem(f"starts_enu_m.{vehicle_id}", "missing; every vehicle needs a position to start from")
+    for vehicle_id in sorted(starts_enu_m.keys() - ids):
+        yield Problem(f"starts_enu_m.{vehicle_id}", f"no such vehicle in the fleet; expected {_listed(sorted(ids))}")
+    for i, j in combinations(sorted(ids & starts_enu_m.keys()), 2):
+        if (apart_m := dist(starts_enu_m[i], starts_enu_m[j])) < CLOSEST_STARTS_M:
+            yield Problem(
+                f"starts_enu_m.{j}",
+                f"{list(starts_enu_m[j])} is {apart_m:.2f} m from the start of vehicle {i};"
+                f" expected at least {CLOSEST_STARTS_M:g} m",
+            )
+
+
+def _members(fleet: FleetConfig, where: str) -> Iterator[Problem]:
+    if not len(fleet.vehicles):
+        yield Problem(where, "is empty; list at least one vehicle with id, role and slot_enu_m")
+    ids: list[int] = []
+    for index, member in enumerate(fleet.vehicles):
+        if member.id in ids:
+            first = f"{where}[{ids.index(member.id)}]"
+            yield Problem(
+                f"{where}[{index}].id",
+                f"{member.id} is used twice; every vehicle needs an id of its own ({first} has it)",
+            )
+        ids.append(member.id)
+
+
+def _leader(fleet: FleetConfig, where: str) -> Iterator[Problem]:
+    roles = [member.role == Role.LEADER for member in fleet.vehicles]
+    if roles and not any(roles):
+        ids = _listed([member.id for member in fleet.vehicles])
+        yield Problem(where, f"no vehicle leads; set role: leader for at least one of {ids}")
+
+
+def _successors(fleet: FleetConfig, where: str) -> Iterator[Problem]:
+    named: list[int] = []
+    for index, vehicle_id in enumerate(fleet.successors):
+        member = fleet.member(vehicle_id)
+        if member is None or not member.can_lead:
+            may_lead = _listed([member.id for member in fleet.vehicles if member.can_lead])
+            hint = "" if member is None else f", or may_lead: true for vehicle {vehicle_id}"
+            yield Problem(f"{where}[{index}]", f"vehicle {vehicle_id} may not lead; expected some of {may_lead}{hint}")
+        if vehicle_id in named:
+            yield Problem(f"{where}[{index}]", f"{vehicle_id} is named twice; expected each once, in order")
+        named.append(vehicle_id)
+
+
+def _edges(fleet: FleetConfig, where: str) -> Iterator[Problem]:
+    if not isinstance(fleet.neighbours, EdgeNeighbours):
+        return
+    ids = [member.id for member in fleet.vehicles]
+    for index, edge in enumerate(fleet.neighbours.edges):
+        for vehicle_id in edge:
+            if vehicle_id not in ids:
+                yield Problem(
+                    f"{where}[{index}]",
+                    f"{list(edge)} names vehicle {vehicle_id}, which is not in the fleet; expected two of {_listed(ids)}",
+                )
+        if edge[0] == edge[1]:
+            yield Problem(f"{where}[{index}]", f"{list(edge)} joins a vehicle to itself; expected two different ids")
+
+
+def _cut_vertices(fleet: FleetConfig, where: str) -> Iterator[Problem]:
+    """With `close_up` the graph must stay connected without any one vehicle: edges join vehicles, not slots."""
+    if fleet.when_one_leaves != "close_up" or not isinstance(fleet.neighbours, EdgeNeighbours):
+        return
+    ids = [member.id for member in fleet.vehicles]
+    for gone_id in ids:
+        edges = [edge for edge in fleet.neighbours.edges if gone_id not in edge]
+        rest = [vehicle_id for vehicle_id in ids if vehicle_id != gone_id]
+        reached, fresh = set(rest[:1]), set(rest[:1])
+        while fresh:
+            fresh = {b for edge in edges for a, b in (edge, edge[::-1]) if a in fresh} - reached
+            reached |= fresh
+        if cut_off := [vehicle_id for vehicle_id in rest if vehicle_id not in reached]:
+            yield Problem(
+                where,
+                f"without vehicle {gone_id}, vehicle {cut_off[0]} is cut off from vehicle {rest[0]}; expected edges that stay"
+                " connected without any one vehicle, or when_one_leaves: keep_gap",
+            )
+
+
+def _slots(fleet: FleetConfig, where: str) -> Iterator[Problem]:
+    """One problem for each vehicle whose slot is nearer than `separation_m` to that of a vehicle listed before it."""
+    separation_m, has_height = fleet.separation_m, fleet.law.altitude == "formation"
+    before: list[tuple[int, Vector3]] = []
+    for index, member in enumerate(fleet.vehicles):
+        slot = counted(member.slot_enu_m, has_height)
+        apart_m, other_id = min(((dist(slot, other), i) for i, other in before), default=(inf, 0))
+        if apart_m < separation_m - ROUNDING_M:
+            yield Problem(
+                f"{where}[{index}].slot_enu_m",
+                f"{list(member.slot_enu_m)} of vehicle {member.id} is {apart_m:.2f} m from the slot of vehicle {other_id};"
+                f" expected at least separation_m, {separation_m:g} m",
+            )
+        before.append((member.id, slot))
+
+
+def _takeoff_height(fleet: FleetConfig, where: str) -> Iterator[Problem]:
+    top_m = fleet.envelope.fence_max_enu_m[2]
+    if fleet.takeoff_height_m > top_m:
+        yield Problem(where, f"{fleet.takeoff_height_m:g} is above the fence, which ends at {top_m:g} m")
+
+
+def _speeds(fleet: FleetConfig, where: str) -> Iterator[Problem]:
+    """Peers must accept the states of a vehicle at the fastest it flies."""
+    envelope, accepted_m_s = fleet.envelope, fleet.peers.max_speed_m_s
+    fastest_m_s = hypot(envelope.max_speed_m_s, max(envelope.max_climb_m_s, envelope.max_descent_m_s))
+    if accepted_m_s < fastest_m_s:
+        yield Problem(
+            where,
+            f"{accepted_m_s:g} is less than the {fastest_m_s:.1f} m/s that envelope.max_speed_m_s, max_climb_m_s and"
+            " max_descent_m_s allow; lower those, or raise it",
+        )
+
+
+def _listed(ids: list[int]) -> str:
+    return ", ".join(str(i) for i in ids)

@@ -1,0 +1,175 @@
+"""The part of a scenario that `companion analyze` reads: fleet and starts, with the defaults of a simulated flight."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from itertools import combinations
+from math import dist, radians
+from typing import Annotated, Any, Literal
+
+from msgspec import Meta
+
+from companion.config.fleet import (
+    EdgeNeighbours,
+    FleetConfig,
+    FleetSettings,
+    FormationMember,
+    GeodeticOrigin,
+    RangeNeighbours,
+)
+from companion.config.fleet_check import checkable, fleet_problems, start_problems
+from companion.config.validation import INVALID, Problem, each, unless_invalid
+from companion.config.values import Name, PositionM, Section, VehicleId
+from companion.geometry.shapes import SHAPES, slots_of
+from companion.types.flight import Role
+from companion.types.vectors import Vector3
+
+DEFAULT_ORIGIN = GeodeticOrigin(latitude_deg=47.397742, longitude_deg=8.545594, altitude_amsl_m=488.0)
+"""Zurich, the usual home of PX4's simulations."""
+RANGE_FACTOR, HYSTERESIS_FACTOR = 1.5, 0.25
+"""The default range and hysteresis, in units of the shortest range that connects all slots."""
+START_CLEARANCE = 1.2
+"""Smallest distance of default starts in the plane, in units of `separation_m`."""
+
+ShapeName = Literal["line", "column", "v", "diamond", "rectangle", "circle", "grid", "layers"]
+HeadingDeg = Annotated[float, Meta(ge=-360, le=360, description="heading of the formation: 0 is east, 90 is north")]
+SpacingM = Annotated[float, Meta(gt=0, le=1000, description="smallest distance between slots")]
+VehicleCount = Annotated[int, Meta(ge=1, le=250)]
+
+
+class NamedFormation(Section, frozen=True, kw_only=True):
+    """Slots by the name of a shape."""
+
+    shape: Annotated[ShapeName, Meta(description="name of the shape")]
+    spacing_m: SpacingM
+    heading_deg: HeadingDeg = 0.0
+
+
+class ScenarioFleet(FleetSettings, frozen=True, kw_only=True):
+    """The fleet of a scenario: a fleet file's settings, where name, origin, slots and neighbours have defaults."""
+
+    name: Annotated[Name, Meta(description="name of the fleet on the network")] = "simulation"
+    origin: Annotated[
+        GeodeticOrigin | Literal["indoor"],
+        Meta(description="zero of the fleet frame; the default is 47.397742 N, 8.545594 E, 488 m"),
+    ] = DEFAULT_ORIGIN
+    vehicles: Annotated[
+        tuple[FormationMember, ...] | VehicleCount,
+        Meta(description="the vehicles with their roles and slots, or only their number, with `formation`"),
+    ]
+    formation: (
+        Annotated[
+            NamedFormation,
+            Meta(description="the slots, if `vehicles` is a number; the ids begin at 1, and vehicle 1 is the leader"),
+        ]
+        | None
+    ) = None
+    neighbours: (
+        Annotated[
+            EdgeNeighbours | RangeNeighbours,
+            Meta(
+                description="the neighbours of each vehicle; the default is by range: 1.5 times the shortest range that"
+                " connects all slots, with 0.25 times that range as hysteresis"
+            ),
+        ]
+        | None
+    ) = None
+
+
+class PlannedFlight(Section, frozen=True, kw_only=True):
+    """The fleet of a scenario before the flight."""
+
+    description: Annotated[str, Meta(description="one sentence about the flight")] = ""
+    fleet: ScenarioFleet
+    starts_enu_m: (
+        Annotated[
+            dict[VehicleId, PositionM],
+            Meta(
+                description="start of each vehicle by id; the default is the ground below its slot at the reference's start"
+            ),
+        ]
+        | None
+    ) = None
+
+
+def fleet_of(planned: ScenarioFleet) -> FleetConfig:
+    """The fleet with its defaults."""
+    settings: dict[str, Any] = {name: getattr(planned, name) for name in FleetSettings.__struct_fields__}
+    vehicles = unless_invalid(lambda: _vehicles(planned))
+    neighbours = planned.neighbours
+    if neighbours is None:
+        neighbours = unless_invalid(lambda: default_neighbours([member.slot_enu_m for member in vehicles]))
+    return FleetConfig(name=planned.name, origin=planned.origin, vehicles=vehicles, neighbours=neighbours, **settings)
+
+
+def starts_of(planned: PlannedFlight, fleet: FleetConfig, reference_enu_m: Vector3) -> Mapping[int, Vector3]:
+    """The starts with their default: below the slots about this position of the reference, on the ground."""
+    if planned.starts_enu_m is not None:
+        return planned.starts_enu_m
+    return unless_invalid(lambda: _default_starts(fleet, reference_enu_m))
+
+
+def planned_problems(
+    planned: PlannedFlight, fleet: FleetConfig, starts_enu_m: Mapping[int, Vector3]
+) -> Iterator[Problem]:
+    """All that is wrong between the fields of fleet and starts."""
+    yield from each(
+        _formation(planned.fleet), fleet_problems(fleet, "fleet."), start_problems(checkable(fleet), starts_enu_m)
+    )
+
+
+def default_neighbours(slots_enu_m: list[Vector3]) -> RangeNeighbours:
+    """Neighbours by range, from the shortest range that connects all slots."""
+    connecting_m = _connecting_range_m(slots_enu_m)
+    return RangeNeighbours(
+        range_m=round(max(RANGE_FACTOR * connecting_m, 1.0), 3), hysteresis_m=round(HYSTERESIS_FACTOR * connecting_m, 3)
+    )
+
+
+def members_of(shape: ShapeName, count: int, spacing_m: float, heading_deg: float = 0.0) -> tuple[FormationMember, ...]:
+    """Vehicles 1 to `count` in the slots of a shape, to the millimetre. Vehicle 1 is the leader."""
+    slots = slots_of(SHAPES[shape], count, spacing_m, radians(heading_deg))
+    return tuple(
+        FormationMember(id=index + 1, role=Role.FOLLOWER if index else Role.LEADER, slot_enu_m=_rounded(slot))
+        for index, slot in enumerate(slots)
+    )
+
+
+def _vehicles(planned: ScenarioFleet) -> tuple[FormationMember, ...]:
+    if not isinstance(planned.vehicles, int):
+        return planned.vehicles
+    shape = INVALID if planned.formation is None else planned.formation
+    return members_of(shape.shape, planned.vehicles, shape.spacing_m, shape.heading_deg)
+
+
+def _formation(planned: ScenarioFleet) -> Iterator[Problem]:
+    if isinstance(planned.vehicles, int) and planned.formation is None:
+        yield Problem("fleet.formation", f"missing; vehicles: {planned.vehicles} needs a shape and its spacing_m")
+    if isinstance(planned.vehicles, tuple) and planned.formation is not None:
+        yield Problem("fleet.formation", "goes with a number of vehicles; take it out, or give vehicles as a number")
+
+
+def _default_starts(fleet: FleetConfig, reference_enu_m: Vector3) -> dict[int, Vector3]:
+    """Slots above each other are moved apart, so that the vehicles can take off together."""
+    x0, y0, _ = reference_enu_m
+    slots = {member.id: member.slot_enu_m for member in fleet.vehicles}
+    nearest_m = min((dist(a[:2], b[:2]) for a, b in combinations(slots.values(), 2)), default=fleet.separation_m)
+    needed_m = START_CLEARANCE * fleet.separation_m
+    scale = max(1.0, needed_m / nearest_m) if nearest_m > 0.0 and nearest_m < fleet.separation_m else 1.0
+    return {i: _rounded((x0 + scale * x, y0 + scale * y, 0.0)) for i, (x, y, _) in slots.items()}
+
+
+def _connecting_range_m(slots_enu_m: list[Vector3]) -> float:
+    """The longest edge of the minimum spanning tree of the slots (Prim)."""
+    distances_m = {index: dist(slots_enu_m[0], slot) for index, slot in enumerate(slots_enu_m)}
+    longest_m = 0.0
+    while distances_m:
+        index = min(distances_m, key=lambda i: distances_m[i])
+        longest_m = max(longest_m, distances_m.pop(index))
+        distances_m = {i: min(d, dist(slots_enu_m[index], slots_enu_m[i])) for i, d in distances_m.items()}
+    return longest_m
+
+
+def _rounded(position_m: Vector3) -> Vector3:
+    x, y, z = (round(coordinate, 3) + 0.0 for coordinate in position_m)
+    return (x, y, z)

@@ -1,0 +1,202 @@
+"""Whether a fleet can fly a reference: inside the fence, clear of obstacles, within tilt and speed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from itertools import pairwise
+from math import dist, floor, hypot, radians, tan
+from pathlib import Path
+
+from companion.config.airspace_check import path_problems
+from companion.config.file import refuse
+from companion.config.fleet import FleetConfig
+from companion.config.reference import (
+    FIELD_OF_POSITION,
+    CircleReference,
+    Figure8Reference,
+    Lapping,
+    PointReference,
+    Reference,
+    TargetReference,
+    WaypointsReference,
+    moves,
+)
+from companion.config.validation import Problem, each, needs
+from companion.geometry.curves import PEAK_ACCELERATION, PEAK_SPEED, duration_s
+from companion.geometry.turning import SLOT_ACCELERATION_M_S2, course, reach_m, swept, turn_limits
+from companion.types.vectors import GRAVITY_M_S2, Vector3
+
+RAMP_SAMPLES, LAP_SAMPLES = 100, 500
+SHORTEST_M = 1e-6  # of a leg; a shorter one takes no time
+ROUNDED = 1.0 + 1e-9  # a limit that is met exactly is met
+
+
+def check_reference(
+    file: Path, fleet: FleetConfig, reference: Reference, slots_enu_m: Mapping[int, Vector3] | None = None
+) -> None:
+    """Raises ConfigError with all `reference_problems`."""
+    refuse(file, reference_problems(fleet, reference, slots_enu_m=slots_enu_m))
+
+
+def reference_problems(
+    fleet: FleetConfig, reference: Reference, where: str = "reference", slots_enu_m: Mapping[int, Vector3] | None = None
+) -> Iterator[Problem]:
+    """Each slot r + d_i0 must stay inside the fence, and the fleet must be able to follow r.
+
+    `slots_enu_m`: the slots of the formation that is flown; None for those of the fleet file.
+    `where`: the path of the section of the reference.
+    """
+    needs(reference)
+    slots = slots_enu_m or {member.id: member.slot_enu_m for member in fleet.vehicles}
+    yield from each(
+        _positions(where, fleet, reference, slots),
+        path_problems(where, fleet, reference, slots, largest_pace(reference)[0]),
+    )
+    if moves(reference):
+        yield from each(_pace(where, fleet, reference))
+    if fleet.slots_turn and isinstance(reference, Lapping):
+        yield from each(_turns(where, fleet, reference, slots))
+
+
+def most_pace(fleet: FleetConfig) -> tuple[float, float]:
+    """Largest speed [m/s] and acceleration [m/s^2] that a reference may have.
+
+    The speed is that of the envelope, the acceleration that of the largest tilt in level flight. Both are reduced by what
+    slots need that turn about the RFT.
+    """
+    speed_m_s, acceleration_m_s2 = (
+        fleet.envelope.max_speed_m_s,
+        GRAVITY_M_S2 * tan(radians(fleet.envelope.max_tilt_deg)),
+    )
+    if fleet.slots_turn:
+        return speed_m_s - fleet.slot_speed_m_s, acceleration_m_s2 - SLOT_ACCELERATION_M_S2
+    return speed_m_s, acceleration_m_s2
+
+
+def largest_pace(reference: Reference) -> tuple[float, float]:
+    """Largest speed [m/s] and acceleration [m/s^2] of a reference at any time; of a target, its limits."""
+    match reference:
+        case PointReference():
+            return 0.0, 0.0
+        case TargetReference():
+            return reference.max_speed_m_s, reference.max_acceleration_m_s2
+        case WaypointsReference():
+            return _largest_pace_of_legs(reference)
+        case Figure8Reference() | CircleReference():
+            curve = reference.curve()
+            motions = [curve(time_s) for time_s in _ramp_and_lap_s(reference)]
+            return max(hypot(*m[1]) for m in motions), max(hypot(*m[2]) for m in motions)
+
+
+def _positions(
+    where: str, fleet: FleetConfig, reference: Reference, slots_enu_m: Mapping[int, Vector3]
+) -> Iterator[Problem]:
+    """One problem for each axis: the first vehicle that would leave the fence along it."""
+    corners = reference.corners_enu_m()
+    fence, clearance_m = (fleet.envelope.fence_min_enu_m, fleet.envelope.fence_max_enu_m), fleet.envelope.clearance_m
+    offsets = [
+        (vehicle_id, offset_m)
+        for vehicle_id, slot_enu_m in slots_enu_m.items()
+        for offset_m in (swept([slot_enu_m]) if fleet.slots_turn else [slot_enu_m])
+    ]
+    for axis, name in enumerate("xyz"):
+        low_m, high_m = fence[0][axis] + clearance_m, fence[1][axis] - clearance_m
+        positions = ((i, corner[axis] + offset[axis]) for i, offset in offsets for corner in corners)
+        outside = next(((i, at_m) for i, at_m in positions if not low_m <= at_m <= high_m), None)
+        if outside is not None:
+            yield Problem(
+                f"{where}.{FIELD_OF_POSITION[type(reference)]}",
+                f"puts vehicle {outside[0]} at {name} = {outside[1]:g} m,"
+                f" outside the fence less clearance_m ({low_m:g} to {high_m:g})",
+            )
+
+
+def _pace(where: str, fleet: FleetConfig, reference: Reference) -> Iterator[Problem]:
+    """Above these limits vehicles cannot follow."""
+    speed_m_s, acceleration_m_s2 = largest_pace(reference)
+    accepted_m_s, most_m_s2 = most_pace(fleet)
+    for_turning = ", less what slots need that turn" if fleet.slots_turn else ""
+    found: list[tuple[float, Problem]] = []  # how many times slower it must be, and the problem
+    if acceleration_m_s2 > most_m_s2 * ROUNDED:
+        times = (acceleration_m_s2 / most_m_s2) ** 0.5
+        field, asks, advice = _slower(reference, "max_acceleration_m_s2", most_m_s2, times)
+        given = f"envelope.max_tilt_deg {fleet.envelope.max_tilt_deg:g} gives {most_m_s2:.1f}{for_turning}"
+        text = f"{asks} for {acceleration_m_s2:.1f} m/s^2, {given}; expected {advice}"
+        found.append((times, Problem(f"{where}.{field}", text)))
+    if speed_m_s > accepted_m_s * ROUNDED:
+        times = speed_m_s / accepted_m_s
+        field, asks, advice = _slower(reference, "max_speed_m_s", accepted_m_s, times)
+        given = f"envelope.max_speed_m_s allows {accepted_m_s:g}{for_turning}"
+        text = f"{asks} for {speed_m_s:.1f} m/s, {given}; expected {advice}"
+        found.append((times, Problem(f"{where}.{field}", text)))
+    if isinstance(reference, WaypointsReference):
+        found += [(1.0, problem) for problem in _climbs(where, fleet, reference)]
+    if isinstance(reference, Lapping) and found:  # the same field: the slower period meets both limits
+        found = [max(found)]
+    yield from (problem for _, problem in found)
+
+
+def _climbs(where: str, fleet: FleetConfig, reference: WaypointsReference) -> Iterator[Problem]:
+    """The first leg that is faster upwards or downwards than the vehicles may be."""
+    limits = (reference.max_speed_m_s, reference.max_acceleration_m_s2)
+    for a, b in pairwise(reference.points_enu_m):
+        rise_m, leg_m = b[2] - a[2], dist(a, b)
+        name = "max_climb_m_s" if rise_m > 0.0 else "max_descent_m_s"
+        most_m_s = getattr(fleet.envelope, name)
+        lasts_s = duration_s(leg_m, *limits)
+        rate_m_s = PEAK_SPEED * abs(rise_m) / lasts_s if lasts_s > 0.0 else 0.0
+        if rate_m_s > most_m_s * ROUNDED:
+            expected_m_s = floor(most_m_s * leg_m / abs(rise_m) * 100.0) / 100.0
+            yield Problem(
+                f"{where}.max_speed_m_s",
+                f"{reference.max_speed_m_s:g} gives {rate_m_s:.1f} m/s vertically, envelope.{name} allows {most_m_s:g};"
+                f" expected at most {expected_m_s:g}",
+            )
+            return
+
+
+def _turns(where: str, fleet: FleetConfig, reference: Lapping, slots_enu_m: Mapping[int, Vector3]) -> Iterator[Problem]:
+    """A formation that cannot turn as fast as the course falls behind more and more."""
+    outermost_m = reach_m(slots_enu_m.values())
+    most_rad_s = turn_limits(outermost_m, fleet.slot_speed_m_s).rate_rad_s
+    curve, period_s = reference.curve(), reference.period_s
+    laps = (curve(reference.ramp_s + period_s * index / LAP_SAMPLES) for index in range(LAP_SAMPLES))
+    turns = (course(velocity, acceleration, 0.0) for _, velocity, acceleration in laps)
+    fastest_rad_s = max(abs(turn.rate_rad_s) for turn in turns if turn)
+    if fastest_rad_s > most_rad_s * ROUNDED:
+        longer_s = period_s * fastest_rad_s / most_rad_s + 0.05
+        yield Problem(
+            f"{where}.period_s",
+            f"{period_s:g} s turns the course by up to {fastest_rad_s:.2f} rad/s; a formation that turns with it and reaches"
+            f" {outermost_m:.1f} m can {most_rad_s:.2f}; expected at least {longer_s:.1f} s, or a larger slot_speed_m_s",
+        )
+
+
+def _slower(reference: Reference, limit: str, most: float, times: float) -> tuple[str, str, str]:
+    """(field, what asks for too much, advice) for a reference that is this many times too fast."""
+    if isinstance(reference, Lapping):
+        period_s, ramp_s = reference.period_s, reference.ramp_s
+        return (
+            "period_s",
+            f"{period_s:g} s with ramp_s {ramp_s:g} asks",
+            f"at least {period_s * times + 0.05:.1f} s with ramp_s {ramp_s * times + 0.05:.1f}, or a smaller figure",
+        )
+    return limit, f"{getattr(reference, limit):g} asks", f"at most {floor(most * 100.0) / 100.0:g}"
+
+
+def _largest_pace_of_legs(reference: WaypointsReference) -> tuple[float, float]:
+    legs_m = [leg_m for a, b in pairwise(reference.points_enu_m) if (leg_m := dist(a, b)) > SHORTEST_M]
+    limits = (reference.max_speed_m_s, reference.max_acceleration_m_s2)
+    legs = [(leg_m, duration_s(leg_m, *limits)) for leg_m in legs_m]
+    return (
+        max((PEAK_SPEED * leg_m / lasts_s for leg_m, lasts_s in legs), default=0.0),
+        max((PEAK_ACCELERATION * leg_m / lasts_s**2 for leg_m, lasts_s in legs), default=0.0),
+    )
+
+
+def _ramp_and_lap_s(reference: Lapping) -> Iterator[float]:
+    """Times of the ramp and of the first full lap: later laps are the same."""
+    for index in range(RAMP_SAMPLES):
+        yield reference.ramp_s * index / RAMP_SAMPLES
+    for index in range(LAP_SAMPLES):
+        yield reference.ramp_s + reference.period_s * index / LAP_SAMPLES

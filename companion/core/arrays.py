@@ -1,8 +1,0 @@
-"""What an array of numbers is called."""
-
-from __future__ import annotations
-
-import numpy as np
-from numpy.typing import NDArray
-
-FloatArray = NDArray[np.float64]

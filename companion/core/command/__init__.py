@@ -1,0 +1,1 @@
+"""Commands: arbitration, dispatch, flight phases and autopilot procedures."""

@@ -1,0 +1,128 @@
+"""Command arbitration: one operator holds command, and no command is executed twice.
+
+The first operator to give a command holds command until another operator takes it. Command numbers rise over all operators;
+the status has the last one, so that they depend on no clock.
+
+ABORT is idempotent. It is admitted from any operator, with any number and session, and changes neither the holder nor the last
+number.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from msgspec import Struct
+from msgspec.structs import replace
+
+from companion.types.commands import NUMBERS_AHEAD, Command, CommandName, CommandReply
+from companion.types.notices import Answer, Code, Notice
+
+ABORT_NUMBER = 0  # in place of its own, which may be that of another command
+
+
+class Intake(Struct, frozen=True, gc=False):
+    """The commands of one tick. `admitted` are to be executed; `answers` are in the order of `received`, None where due."""
+
+    received: tuple[Command, ...] = ()
+    admitted: tuple[Command, ...] = ()
+    answers: tuple[Answer | None, ...] = ()
+    events: tuple[Notice, ...] = ()
+    holder: str = ""
+    number: int = 0
+
+
+class CommandArbitration:
+    """The operator who holds command ("" for none), and `number` of the last admitted command."""
+
+    def __init__(self, session: int) -> None:
+        """`session` is drawn at the agent's start; commands for an earlier one are refused."""
+        self._session = session
+        self._last: Command | None = None
+        self._last_answer: Answer | None = None
+        self.holder = ""
+        self.number = 0
+        self._aborted_by = ""  # since the last other command
+
+    def step(self, commands: tuple[Command, ...]) -> Intake:
+        """Admit or answer the commands of one tick."""
+        if not commands:
+            return Intake(holder=self.holder, number=self.number)
+        admitted: list[Command] = []
+        answers: list[Answer | None] = []
+        events: tuple[Notice, ...] = ()
+        for command in commands:
+            if command.name is CommandName.ABORT:
+                answers.append(None)
+                events += self._abort(command)
+                if not any(other.name is CommandName.ABORT for other in admitted):
+                    admitted.append(replace(command, number=ABORT_NUMBER))
+                continue
+            repeated = command == self._last
+            answer, changes = self.admit(command)
+            answers.append(answer)
+            events += changes
+            if answer is None and not repeated:
+                admitted.append(command)
+        return Intake(commands, tuple(admitted), tuple(answers), events, self.holder, self.number)
+
+    def replies(
+        self, vehicle_id: int, intake: Intake, answers: Iterable[tuple[int, Answer]]
+    ) -> tuple[CommandReply, ...]:
+        """The replies to all commands of a tick, given the answers of the stages by command number."""
+        by_number = dict(answers)
+        if self._last is not None:
+            self._last_answer = by_number.get(self._last.number, self._last_answer)
+        replies = []
+        for command, known in zip(intake.received, intake.answers, strict=True):
+            number = ABORT_NUMBER if command.name is CommandName.ABORT else command.number
+            ok, notice = known or by_number[number]
+            replies.append(CommandReply(vehicle_id, command.number, ok, notice.code, notice.text, command.operator))
+        return tuple(replies)
+
+    def admit(self, command: Command) -> tuple[Answer | None, tuple[Notice, ...]]:
+        """(answer, events) of a command other than ABORT. The answer is None for a command to execute.
+
+        Else it is a refusal, a change of holder, or the answer given before to the same command.
+        """
+        if command == self._last:
+            return self._last_answer, ()
+        if refusal := self._refusal(command):
+            return Answer(False, refusal.about(command.name)), ()
+        self.number, self._last, self._last_answer, self._aborted_by = command.number, command, None, ""
+        if command.name is CommandName.TAKE:
+            held = self.holder == command.operator
+            change = self._hand_to(command.operator)
+            self._last_answer = Answer(True, change)
+            return self._last_answer, () if held else (change,)
+        if not self.holder:
+            return None, (self._hand_to(command.operator),)
+        return None, ()
+
+    def _abort(self, command: Command) -> tuple[Notice, ...]:
+        """The event of an ABORT by another operator than the holder: once, as it is repeated until all vehicles answer."""
+        if command.operator in (self.holder, self._aborted_by):
+            return ()
+        self._aborted_by = command.operator
+        text = f"{command.operator} aborts; {self.holder or 'no operator'} holds command"
+        return (Notice(Code.ABORT_BY_OTHER, text),)
+
+    def _refusal(self, command: Command) -> Notice | None:
+        if command.session != self._session:
+            return Notice(Code.WRONG_SESSION, "it is for an earlier start of this vehicle's agent; give it again")
+        if command.name is not CommandName.TAKE and self.holder not in ("", command.operator):
+            text = f"{self.holder} holds command; take it over with: companion fleet take"
+            return Notice(Code.OTHER_HOLDS_COMMAND, text)
+        if command.number <= self.number:
+            text = f"old command: number {command.number} is not newer than {self.number}"
+            return Notice(Code.COMMAND_OLD, text)
+        if command.number > self.number + NUMBERS_AHEAD:
+            text = f"number {command.number} is too large; expected at most {self.number + NUMBERS_AHEAD}"
+            return Notice(Code.COMMAND_NUMBER_TOO_LARGE, text)
+        return None
+
+    def _hand_to(self, operator: str) -> Notice:
+        before, self.holder = self.holder, operator
+        if before == operator:
+            return Notice(Code.COMMAND_TAKEN, f"{operator} holds command already")
+        text = f"{operator} takes command from {before}" if before else f"{operator} holds command"
+        return Notice(Code.COMMAND_TAKEN, text)

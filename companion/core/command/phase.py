@@ -1,0 +1,382 @@
+"""Flight phases: the table of commands and phases (RULES), and the state machine.
+
+The pilot has precedence: in a mode that the present phase did not command, the agent returns to OBSERVE and sends nothing
+until the next command.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from enum import Enum, auto
+
+from msgspec import Struct
+
+from companion.core.command.autopilot_profile import in_air, profile_of
+from companion.core.command.procedure import Progress, RunningProcedure
+from companion.types.autopilot import AutopilotMode, LandedState, VehicleState
+from companion.types.commands import CommandName
+from companion.types.flight import FLYING, ON_GROUND, STREAMING, TO_THE_GROUND, FlightPhase
+from companion.types.notices import Answer, Code, Notice, accepted, refused
+from companion.types.requests import AutopilotRequest
+from companion.types.telemetry import Telemetry
+
+P, M, C = FlightPhase, AutopilotMode, CommandName
+
+LEVEL_BEFORE_HAND_OVER_S = 0.25  # autopilots begin their own hold level, from any attitude
+TAKES_OVER_WITHIN_S = 0.25  # both autopilots take over within 50 ms of the request
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """A command: the phases that allow it, the phase while it runs, the phase after it, and the phase after a failure.
+
+    After a failure that leads to RELEASE the agent requests a hold.
+    """
+
+    allowed: frozenset[FlightPhase]
+    via: FlightPhase
+    to: FlightPhase
+    on_failure: FlightPhase
+    on_ground: bool  # True: only on the ground; False: only in the air
+
+
+FLOWN_BY_OTHERS = frozenset({M.LAND, M.RETURN, M.OTHER})  # while the agent observes: by a pilot or a failsafe
+MUST_BE_ARMED = {P.ARMED} | FLYING - TO_THE_GROUND
+
+LEAD_CHANGES_IN = ON_GROUND | {P.HOLD, P.FORMATION}
+
+# All commands that change the phase. LEAD, FORMATION and TAKE do not; ABORT becomes one of these.
+RULES: dict[CommandName, Rule] = {
+    C.PREPARE: Rule(frozenset({P.OBSERVE}), P.PREPARE, P.READY, P.OBSERVE, True),
+    C.ARM: Rule(frozenset({P.READY}), P.ARM, P.ARMED, P.READY, True),
+    C.TAKEOFF: Rule(frozenset({P.ARMED}), P.TAKEOFF, P.HOLD, P.OBSERVE, True),
+    C.FORM: Rule(frozenset({P.HOLD}), P.ENGAGE, P.FORMATION, P.HOLD, False),
+    C.HOLD: Rule(FLYING | {P.OBSERVE}, P.RELEASE, P.HOLD, P.OBSERVE, False),
+    C.LAND: Rule(FLYING | {P.OBSERVE}, P.LAND, P.OBSERVE, P.OBSERVE, False),
+    C.RETURN: Rule(STREAMING | {P.HOLD, P.RELEASE}, P.RETURN, P.OBSERVE, P.RELEASE, False),
+    C.DISARM: Rule(ON_GROUND | {P.OBSERVE}, P.LAND, P.OBSERVE, P.OBSERVE, True),
+}
+
+
+ALREADY = {
+    P.READY: "already prepared",
+    P.ARMED: "already armed",
+    P.HOLD: "already in hold",
+    P.FORMATION: "already in formation",
+}
+
+
+class PhaseChange(Enum):
+    """What a stage may request of the phase machine. Each is ignored in a phase that it does not apply to."""
+
+    HAND_OVER = auto()  # from ENGAGE and FORMATION to the autopilot's own hold, level first
+    HAND_OVER_NOW = auto()  # the same without levelling, where the attitude is unknown
+    GIVE_UP = auto()  # from ENGAGE and FORMATION to OBSERVE
+    ABANDON = auto()  # from every phase to OBSERVE
+    LAND = auto()  # from HOLD by the autopilot's own landing, unless a command came in the same tick
+    RETURN = auto()  # from HOLD by the autopilot's own return, likewise
+    END_STREAM = auto()  # no more setpoints; requests to the autopilot continue
+
+
+class PhaseRequest(Struct, frozen=True, gc=False):
+    """A change of phase that a stage asks for, with the reason for the event."""
+
+    kind: PhaseChange
+    reason: Notice
+
+
+class PhaseCommand(Struct, frozen=True, gc=False):
+    """An admitted command for the phase machine, with what the checks found.
+
+    `unfit` refuses it in every phase, `refusal` in the phases where RULES allows it; `warning` goes with the answer.
+    """
+
+    number: int
+    name: CommandName
+    unfit: Notice | None = None
+    refusal: Notice | None = None
+    warning: Notice | None = None
+
+
+class Flight(Struct, frozen=True, gc=False):
+    """The flight phase and what follows from it in this tick.
+
+    `streams`: attitude targets go out. `in_formation`: formation is flown or being left, so mission time runs. `on_ground`:
+    before a take-off or after a landing. `levels`: level attitude of a hand-over. `commanded`: a command was executed.
+    """
+
+    phase: FlightPhase = P.OBSERVE
+    streams: bool = False
+    in_formation: bool = False
+    on_ground: bool = True
+    levels: bool = False
+    commanded: bool = False
+    requests: tuple[AutopilotRequest, ...] = ()
+    answers: tuple[tuple[int, Answer], ...] = ()
+    events: tuple[Notice, ...] = ()
+
+    @property
+    def has_handed_over(self) -> bool:
+        """No setpoint stream is left that the autopilot would miss."""
+        return self.phase is not P.RELEASE and not self.streams
+
+
+def refusal_of_lead(flight: Flight, vehicle: VehicleState) -> Notice | None:
+    """The reason why leadership cannot change now; None where it can.
+
+    In formation it changes in flight, in hold and on the ground before the next formation. A vehicle that climbs, lands or
+    is flown by its pilot takes no part; it receives the new epoch from its peers.
+    """
+    if flight.phase in LEAD_CHANGES_IN or (flight.phase is P.OBSERVE and not in_air(vehicle)):
+        return None
+    text = f"lead is not possible in phase {flight.phase}, only in formation, in hold or on the ground"
+    return Notice(Code.WRONG_PHASE, text)
+
+
+class PhaseMachine:
+    """The flight phase. This stage alone changes it, by RULES; other stages return PhaseRequests."""
+
+    def __init__(self, takeoff_height_m: float) -> None:
+        self._takeoff_height_m = takeoff_height_m
+        self.phase = P.OBSERVE
+        self._rule: Rule | None = None
+        self._running: RunningProcedure | None = None
+        self._leaving_formation = False
+        self._level_until_s = float("-inf")  # of a hand-over
+        self._tolerated: frozenset[AutopilotMode] = frozenset()
+        self.events: list[Notice] = []
+
+    def streams(self, vehicle: VehicleState) -> bool:
+        """True while attitude targets go out: just before formation, in it, and until the autopilot has taken over."""
+        if self.phase in STREAMING:
+            return True
+        return self._leaving_formation and vehicle.mode is M.OFFBOARD
+
+    def hands_over_level(self, now_s: float) -> bool:
+        """In a hand-over from formation, until the autopilot should have taken over."""
+        return self._leaving_formation and now_s < self._level_until_s
+
+    def command(self, name: CommandName, now_s: float, vehicle: VehicleState) -> Answer:
+        """(accepted, reason). A command that is under way or done already is accepted again."""
+        if vehicle.autopilot is None:
+            return refused(Code.NO_HEARTBEAT, f"{name}: no HEARTBEAT has come from the autopilot yet")
+        rule = RULES[name]
+        if self._rule is rule or (self._rule is None and self.phase is rule.to is not P.OBSERVE):
+            return accepted(Code.ALREADY_DONE, ALREADY.get(self.phase, f"{name} already in progress"))
+        if self.phase not in rule.allowed:
+            text = f"{name} is not possible in phase {self.phase}, only in {', '.join(sorted(rule.allowed))}"
+            return refused(Code.WRONG_PHASE, text)
+        if rule.on_ground is in_air(vehicle):
+            if rule.on_ground:
+                return refused(Code.NOT_ON_GROUND, f"{name} needs the vehicle on the ground")
+            return refused(Code.NOT_IN_AIR, f"{name} needs the vehicle in the air")
+        try:
+            self._begin(name, now_s, vehicle, _command(name))
+        except ValueError as error:
+            return refused(Code.ALTITUDE_UNKNOWN, f"{name}: {error}")
+        return accepted(Code.PHASE_CHANGED, f"{name} begins")
+
+    def abort(self, now_s: float, vehicle: VehicleState) -> Answer:
+        """(accepted, reason), from every phase: disarm on the ground, the autopilot's own hold in the air.
+
+        A landing continues, also at the end of a return, and a vehicle flown by its pilot is left to the pilot. A vehicle still
+        returning holds where it is.
+        """
+        if vehicle.autopilot is None:
+            return refused(Code.NO_HEARTBEAT, "abort: no HEARTBEAT has come from the autopilot yet")
+        if self.phase is P.LAND or (self.phase is P.RETURN and vehicle.landed is LandedState.LANDING):
+            return accepted(Code.LANDING_CONTINUES, "the landing continues")
+        if self.phase is P.OBSERVE and not vehicle.armed:
+            return accepted(Code.ALREADY_DONE, "already disarmed")
+        if not in_air(vehicle):
+            # After a flight phase it lands, which disarms as well: with a wrong landed state, a disarm would stop the motors.
+            lands = self.phase in FLYING - {P.TAKEOFF}
+            self._begin(C.LAND if lands else C.DISARM, now_s, vehicle, _command(C.ABORT))
+            return accepted(Code.PHASE_CHANGED, "lands" if lands else "disarms")
+        if self.phase is P.OBSERVE and vehicle.mode in FLOWN_BY_OTHERS:
+            return accepted(Code.FLOWN_BY_OTHERS, f"left to its pilot or failsafe, in mode {vehicle.mode_name}")
+        return self.command(C.HOLD, now_s, vehicle)
+
+    def observe(self, now_s: float, vehicle: VehicleState) -> Flight:
+        """The phase at the beginning of a tick, after a change of mode, arming or flight by others."""
+        self.follow_truth(vehicle)
+        return self._flight(now_s, vehicle)
+
+    def step(
+        self,
+        now_s: float,
+        vehicle: VehicleState,
+        telemetry: Iterable[Telemetry],
+        guidance_requests: Iterable[PhaseRequest],
+        commands: Iterable[PhaseCommand],
+        safety_requests: Iterable[PhaseRequest],
+    ) -> Flight:
+        """The phase after the requests of guidance, the commands and the requests of safety, in this order."""
+        answers, commanded = [], False
+        for request in guidance_requests:
+            self._apply(request, now_s, vehicle, commanded)
+        for command in commands:
+            answer = self._execute(command, now_s, vehicle)
+            answers.append((command.number, answer))
+            commanded = commanded or answer.accepted
+        for request in safety_requests:
+            self._apply(request, now_s, vehicle, commanded)
+        to_autopilot = self.advance(now_s, vehicle, telemetry) if self._running else ()
+        events, self.events = tuple(self.events), []
+        return self._flight(now_s, vehicle, commanded, to_autopilot, tuple(answers), events)
+
+    def _flight(
+        self,
+        now_s: float,
+        vehicle: VehicleState,
+        commanded: bool = False,
+        requests: tuple[AutopilotRequest, ...] = (),
+        answers: tuple[tuple[int, Answer], ...] = (),
+        events: tuple[Notice, ...] = (),
+    ) -> Flight:
+        phase, leaving = self.phase, self._leaving_formation
+        return Flight(
+            phase=phase,
+            streams=self.streams(vehicle),
+            in_formation=phase is P.FORMATION or (phase is P.RELEASE and leaving),
+            on_ground=not vehicle.armed or phase in ON_GROUND,
+            levels=self.hands_over_level(now_s),
+            commanded=commanded,
+            requests=requests,
+            answers=answers,
+            events=events,
+        )
+
+    def _execute(self, command: PhaseCommand, now_s: float, vehicle: VehicleState) -> Answer:
+        name, warning = command.name, command.warning
+        if name is C.ABORT:
+            return self.abort(now_s, vehicle)
+        if command.unfit:
+            return Answer(False, command.unfit)
+        if command.refusal and self.phase in RULES[name].allowed:
+            return Answer(False, command.refusal)
+        warned = warning if self.phase in RULES[name].allowed else None
+        answer = self.command(name, now_s, vehicle)
+        if not answer.accepted or warned is None:
+            return answer
+        self.events.append(warned)
+        return Answer(True, Notice(warned.code, f"{answer.notice.text}; {warned.text}"))
+
+    def _apply(self, request: PhaseRequest, now_s: float, vehicle: VehicleState, commanded: bool) -> None:
+        match request.kind:
+            case PhaseChange.HAND_OVER:
+                self.hand_over(now_s, vehicle, request.reason)
+            case PhaseChange.HAND_OVER_NOW:
+                self.hand_over_silently(now_s, vehicle, request.reason)
+            case PhaseChange.GIVE_UP if self.phase in STREAMING:
+                self.give_up(request.reason)
+            case PhaseChange.ABANDON:
+                self.give_up(request.reason)
+            case PhaseChange.LAND if not commanded:
+                self.leave_hold(C.LAND, now_s, vehicle, request.reason)
+            case PhaseChange.RETURN if not commanded:
+                self.leave_hold(C.RETURN, now_s, vehicle, request.reason)
+            case PhaseChange.END_STREAM:
+                self.end_stream()
+
+    def hand_over(self, now_s: float, vehicle: VehicleState, reason: Notice) -> None:
+        """Leave formation for the autopilot's own hold, level first."""
+        if self.phase in STREAMING:
+            self._begin(C.HOLD, now_s, vehicle, reason)
+
+    def hand_over_silently(self, now_s: float, vehicle: VehicleState, reason: Notice) -> None:
+        """The same without levelling, where the attitude is unknown."""
+        if self.phase in STREAMING:
+            self._begin(C.HOLD, now_s, vehicle, reason, level_first_s=0.0)
+
+    def leave_hold(self, name: CommandName, now_s: float, vehicle: VehicleState, reason: Notice) -> None:
+        """Leave the autopilot's own hold by its own landing or return."""
+        if self.phase is P.HOLD:
+            self._begin(name, now_s, vehicle, reason)
+
+    def give_up(self, reason: Notice) -> None:
+        """Back to OBSERVE: nothing more is sent until a command comes."""
+        self._enter(P.OBSERVE, reason)
+
+    def end_stream(self) -> None:
+        """No more setpoints; requests under way continue."""
+        self._leaving_formation = False
+
+    def advance(
+        self, now_s: float, vehicle: VehicleState, telemetry: Iterable[Telemetry]
+    ) -> tuple[AutopilotRequest, ...]:
+        """One tick of the procedure under way. Returns the requests to the autopilot."""
+        if self._running is None or self._rule is None:
+            return ()
+        self._running.receive(telemetry)
+        match self._running.progress(now_s, vehicle):
+            case Progress.DONE:
+                self._enter(self._rule.to)
+                return ()
+            case Progress.FAILED:
+                failure = Notice(Code.PROCEDURE_FAILED, f"{self.phase} failed: {self._running.reason}")
+                if self._rule.on_failure is P.RELEASE:
+                    self._begin(C.HOLD, now_s, vehicle, failure)
+                else:
+                    self._enter(self._rule.on_failure, failure)
+                return ()
+        return self._running.due(now_s, vehicle)
+
+    def _begin(
+        self,
+        name: CommandName,
+        now_s: float,
+        vehicle: VehicleState,
+        reason: Notice,
+        level_first_s: float = LEVEL_BEFORE_HAND_OVER_S,
+    ) -> None:
+        rule = RULES[name]
+        procedure = profile_of(vehicle).procedures[name](vehicle, self._takeoff_height_m)
+        leaving = self.streams(vehicle) and rule.via is not P.ENGAGE
+        if self.phase is P.FORMATION:  # before it, the present attitude is streamed anyway
+            procedure = replace(procedure, delay_s=level_first_s)
+            self._level_until_s = now_s + level_first_s + TAKES_OVER_WITHIN_S
+        running = RunningProcedure(procedure, now_s)
+        self._enter(rule.via, reason)
+        self._rule = rule
+        self._leaving_formation = leaving
+        self._tolerated = frozenset({vehicle.mode}) | ({M.OFFBOARD} if leaving else frozenset())
+        self._running = running
+
+    def _enter(self, phase: FlightPhase, reason: Notice | None = None) -> None:
+        if reason:
+            self.events.append(Notice(reason.code, f"{self.phase} -> {phase} ({reason.text})"))
+        elif phase is not self.phase:
+            self.events.append(Notice(Code.PHASE_CHANGED, f"{self.phase} -> {phase}"))
+        self.phase = phase
+        self._rule = None
+        self._running = None
+        self._leaving_formation = False
+        self._tolerated = frozenset()
+
+    def follow_truth(self, vehicle: VehicleState) -> None:
+        """Observe after a change of mode, arming or take-off by others. Called first in a tick."""
+        if self.phase in MUST_BE_ARMED and not vehicle.armed:
+            self._enter(P.OBSERVE, Notice(Code.AUTOPILOT_DISARMED, "the autopilot disarmed"))
+        elif self.phase in ON_GROUND and in_air(vehicle):
+            self._enter(P.OBSERVE, Notice(Code.FLOWN_BY_OTHERS, "the vehicle is flown by others"))
+        elif (vehicle.armed or self.phase in ON_GROUND) and not self._mode_is_ours(vehicle):
+            text = f"mode {vehicle.mode_name} was not set by this agent"
+            self._enter(P.OBSERVE, Notice(Code.MODE_CHANGED_BY_OTHERS, text))
+
+    def _mode_is_ours(self, vehicle: VehicleState) -> bool:
+        own = profile_of(vehicle).modes.get(self.phase)
+        if self.phase in TO_THE_GROUND and vehicle.landed is LandedState.ON_GROUND:
+            return True  # at disarming PX4 reports its new mode before it reports disarmed
+        if own is None or vehicle.mode in own:
+            if self._rule is RULES[C.LAND] or self._rule is RULES[C.RETURN]:
+                # It has begun: any other mode from now on is the pilot's, and nothing is left to hand over.
+                self._tolerated = frozenset()
+                self._leaving_formation = False
+            return True
+        return vehicle.mode in self._tolerated
+
+
+def _command(name: CommandName) -> Notice:
+    return Notice(Code.PHASE_CHANGED, f"command {name}")

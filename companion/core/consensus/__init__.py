@@ -1,0 +1,1 @@
+"""Peers -> neighbours, PrC, weights and the formation law."""

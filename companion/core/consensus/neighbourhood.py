@@ -1,0 +1,283 @@
+"""Consensus: accepted peer packets -> neighbours, PrC and leader beacon, once a tick."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from math import inf
+
+from msgspec import Struct
+from msgspec.structs import replace
+
+from companion.core.command.phase import Flight, refusal_of_lead
+from companion.core.consensus.law import FormationState
+from companion.core.consensus.neighbours import NeighbourRule
+from companion.core.consensus.peers import PeerState, PeerTable
+from companion.core.consensus.plausibility import MAX_TURN_RAD_S
+from companion.core.consensus.priority import next_prc
+from companion.core.election.leader_beacon import BeaconMonitor
+from companion.core.election.leadership import Leadership
+from companion.core.election.mission_clock import WAITED_S, MissionClock
+from companion.core.election.succession import Succession
+from companion.geometry.turning import heading_after
+from companion.types.autopilot import VehicleState
+from companion.types.commands import MAX_EPOCHS_AHEAD, Command, Lead
+from companion.types.flight import COOPERATING, STREAMING, FlightPhase, HealthFlag, Role
+from companion.types.formation import Heading, LeaderBeacon, Term
+from companion.types.notices import Answer, Notice
+from companion.types.peers import PeerPacket, ReceivedPeerPacket
+from companion.types.vectors import Vector3
+
+LEADER, FORMATION = Role.LEADER, FlightPhase.FORMATION
+EPOCHS_AHEAD, EPOCHS_PER_S = 8, 1.0  # changes of leader that may be missed at once, and in time
+FORMING_S = 2.0  # so long a formation may take to come together
+
+
+class Consensus(Struct, frozen=True, gc=False):
+    """Own role, PrC and leader beacon of this tick, the neighbours with their PrCs and states, and all fresh peers."""
+
+    role: Role
+    epoch: int
+    reference_s: float  # mission time: how far into the RFT the fleet is, as far as this vehicle knows
+    prc: int
+    leader_beacon: LeaderBeacon | None  # None without a fresh leader
+    leader_beacon_age_s: float
+    leaderless: (
+        HealthFlag | None
+    )  # LEADER_AWAITED: followers hold formation among themselves; LEADER_LOST: for too long
+    neighbours: tuple[tuple[int, FormationState], ...]  # (PrC, state)
+    neighbour_ids: tuple[int, ...]
+    flying: tuple[PeerPacket, ...]  # fresh peers in a cooperating phase
+    heading: Heading | None  # of the formation, as peers report it; None where this vehicle decides it
+    term: Term = (0, 0)
+    fresh: Mapping[int, PeerState] = {}
+    newest: Mapping[int, PeerState] = {}  # the last packet of every peer, however old
+    ground_position_enu_m: Mapping[int, Vector3] = {}  # where each peer was last on the ground
+    duplicate_id_s: float = -inf  # when a packet of a second agent with a known id last came
+    rejected: Mapping[str, int] = {}
+    answers: tuple[tuple[int, Answer], ...] = ()
+    events: tuple[Notice, ...] = ()
+
+    @property
+    def peers(self) -> tuple[PeerPacket, ...]:
+        """The packets of all fresh peers, in every phase."""
+        return tuple([peer.packet for peer in self.fresh.values()])
+
+
+def _attracting(packets: Sequence[PeerPacket], leads: bool) -> tuple[int, ...]:
+    """Ids of the neighbours that the law uses: those that form or fly in formation.
+
+    A vehicle in hold may not have been commanded to form: where it is says nothing about the formation. Only a leader in hold
+    counts, where no other leads: the fleet waits with it. `leads`: this vehicle is leader.
+    """
+    streaming = [p for p in packets if p.phase in STREAMING]
+    led = leads or any(p.role is LEADER for p in streaming)
+    return tuple([p.vehicle_id for p in packets if p.phase in STREAMING or (p.role is LEADER and not led)])
+
+
+class ConsensusStage:
+    """Fresh peers -> leadership, mission time, neighbours and PrC. `n` of Algorithm 1 is the number of vehicles."""
+
+    def __init__(
+        self,
+        own_id: int,
+        leadership: Leadership,
+        n: int,
+        peers: PeerTable,
+        rule: NeighbourRule,
+        leader: BeaconMonitor,
+        succession: Succession,
+    ) -> None:
+        self._own_id = own_id
+        self._n = n
+        self._rule = rule
+        self._leader = leader
+        self._succession = succession
+        self._clock = MissionClock()
+        self._led_s = -inf  # when a leader of the own term was last known
+        self._formed_s: float | None = None  # since when this vehicle is in formation
+        self.leadership = leadership
+        self.peers = peers
+
+    def step(
+        self,
+        now_s: float,
+        vehicle: VehicleState,
+        flight: Flight,
+        packets: Iterable[ReceivedPeerPacket],
+        commands: Iterable[Command] = (),
+        refusal_to_lead: Notice | None = None,
+        fit_to_lead: bool = False,
+    ) -> Consensus:
+        """Algorithm 1 and the neighbour set, from the packets since the last tick.
+
+        A commanded role comes first: one tick, its packet included, is of one role. `refusal_to_lead` is why this vehicle
+        must not become leader, `fit_to_lead` that it flies in formation without a failsafe; both of the last tick.
+        """
+        answers, events = self._command_leads(commands, vehicle, flight, refusal_to_lead)
+        if not vehicle.armed:
+            self._clock.restart()  # the next flight begins the RFT again
+        leadership, in_formation = self.leadership, flight.in_formation
+        self.peers.fold(packets, self._epochs_up_to(now_s))
+        fresh = self.peers.fresh(now_s)
+        flying = []
+        for peer in fresh.values():
+            if peer.term > leadership.term:
+                events += leadership.receive(now_s, [peer.packet.leader_beacon])
+            if peer.packet.phase in COOPERATING:
+                flying.append(peer.packet)
+        candidates = self._candidates(now_s, flying, in_formation)
+        ids = self._rule.select(vehicle.position_enu_m, {p.vehicle_id: fresh[p.vehicle_id] for p in candidates}, now_s)
+        packets_of_neighbours = [fresh[i].packet for i in ids]
+        with_neighbours = any(packet.phase is FORMATION for packet in packets_of_neighbours)
+        beacons = self._beacons_of_others(packets_of_neighbours)
+        self._leader.receive(now_s, beacons, leadership.term)
+        newest = self._leader.youngest(now_s)
+        events += self._settle_term(now_s, in_formation, newest[0])
+        leaderless, claimed = self._succeed(now_s, newest[0] is not None, with_neighbours, flying, fit_to_lead)
+        role, term = leadership.role, leadership.term
+        ids = _attracting(packets_of_neighbours, role is LEADER) if in_formation else ids
+        neighbours = self._neighbours(now_s, [fresh[i] for i in ids], term)
+        heading = self._received_heading(role, in_formation, *newest)
+        beacon, beacon_age_s, reference_s = self._beacon(now_s, role, in_formation, *newest)
+        return Consensus(
+            role=role,
+            epoch=term[0],
+            reference_s=reference_s,
+            prc=next_prc(role is LEADER, [prc for prc, _ in neighbours], self._n),
+            leader_beacon=beacon,
+            leader_beacon_age_s=beacon_age_s,
+            leaderless=leaderless if beacon is None else None,
+            neighbours=neighbours,
+            neighbour_ids=ids,
+            flying=tuple(flying),
+            heading=heading,
+            term=term,
+            fresh=fresh,
+            newest=dict(self.peers.newest),
+            ground_position_enu_m=dict(self.peers.ground_position_enu_m),
+            duplicate_id_s=self.peers.duplicate_id_s,
+            rejected=self.peers.rejected,
+            answers=answers,
+            events=events + claimed,
+        )
+
+    def _epochs_up_to(self, now_s: float) -> int:
+        """The largest epoch to accept: the changes that this vehicle may have missed since it last knew its leader."""
+        missed = min(EPOCHS_AHEAD + EPOCHS_PER_S * (now_s - self._led_s), MAX_EPOCHS_AHEAD)
+        return self.leadership.epoch + int(missed)
+
+    def _settle_term(self, now_s: float, in_formation: bool, newest: LeaderBeacon | None) -> tuple[Notice, ...]:
+        """Return to the term before where no leader of the new one is alive. The event of a change of role."""
+        is_leader, led = self.leadership.role is LEADER, newest is not None and newest.term == self.leadership.term
+        if led if not is_leader else in_formation:  # a leader on the ground may have restarted, and missed changes
+            self._led_s = now_s
+        return self.leadership.settle(now_s, led or is_leader)
+
+    def _beacons_of_others(self, packets: Iterable[PeerPacket]) -> list[LeaderBeacon]:
+        """The leader beacons in these packets. The own beacon is from before a handover or a restart: left out."""
+        beacons = []
+        for packet in packets:
+            beacon = packet.leader_beacon
+            if beacon is not None and beacon.leader_id != self._own_id:
+                beacons.append(beacon)
+        return beacons
+
+    def _neighbours(
+        self, now_s: float, peers: Iterable[PeerState], term: Term
+    ) -> tuple[tuple[int, FormationState], ...]:
+        """(PrC, state) of each neighbour. A leader of an older term has not received the change yet: its PrC is n."""
+        neighbours = []
+        for peer in peers:
+            is_deposed = peer.packet.prc == 1 and peer.term < term
+            neighbours.append((self._n if is_deposed else peer.packet.prc, peer.formation_state_at(now_s)))
+        return tuple(neighbours)
+
+    def _command_leads(
+        self, commands: Iterable[Command], vehicle: VehicleState, flight: Flight, refusal_to_lead: Notice | None
+    ) -> tuple[tuple[tuple[int, Answer], ...], tuple[Notice, ...]]:
+        """The answers by command number, and the events of a change of role."""
+        answers: list[tuple[int, Answer]] = []
+        events: list[Notice] = []
+        for command in commands:
+            if isinstance(command.content, Lead):
+                answer, changes = self._command_lead(command.content, vehicle, flight, refusal_to_lead)
+                answers.append((command.number, answer))
+                events += changes
+        return tuple(answers), tuple(events)
+
+    def _command_lead(
+        self, lead: Lead, vehicle: VehicleState, flight: Flight, refusal_to_lead: Notice | None
+    ) -> tuple[Answer, tuple[Notice, ...]]:
+        refusal = refusal_of_lead(flight, vehicle)
+        if not refusal and refusal_to_lead and self._own_id in lead.leaders:
+            refusal = refusal_to_lead.about("lead")
+        return (Answer(False, refusal), ()) if refusal else self.leadership.command(lead)
+
+    def _candidates(self, now_s: float, flying: list[PeerPacket], in_formation: bool) -> list[PeerPacket]:
+        """Peers whose beacons are passed on. Once a formation has come together, only vehicles in it are used.
+
+        A leader out of formation is used where none leads in it: it left by command, and the fleet waits with it.
+        """
+        if not in_formation:
+            self._formed_s = None
+            return flying
+        if self._formed_s is None:
+            self._formed_s = now_s
+        if now_s - self._formed_s <= FORMING_S:
+            return flying
+        led = self.leadership.role is LEADER or LEADER in [p.role for p in flying if p.phase is FORMATION]
+        return [p for p in flying if p.phase is FORMATION or (p.role is LEADER and not led)]
+
+    def _succeed(
+        self, now_s: float, led: bool, with_neighbours: bool, flying: list[PeerPacket], fit_to_lead: bool
+    ) -> tuple[HealthFlag, tuple[Notice, ...]]:
+        """Become leader where there is none and it is this vehicle's turn. Returns the flag without a leader, and events.
+
+        A vehicle that has lost all its neighbours may be the one that is lost: it does not wait for its turn. No successor
+        takes over while it receives a leader that no neighbour passes on, nor without a known mission time.
+        """
+        led = led or self.leadership.role is LEADER
+        if not self._succession.awaits(now_s, self.leadership.term, led, with_neighbours):
+            return HealthFlag.LEADER_LOST, ()
+        may_take = not led and fit_to_lead and self._clock.has_run
+        if may_take and (rank := self._succession.rank_in_turn(now_s)) and not self._leads_in(flying):
+            return HealthFlag.LEADER_AWAITED, self.leadership.claim(rank)
+        return HealthFlag.LEADER_AWAITED, ()
+
+    def _leads_in(self, flying: list[PeerPacket]) -> bool:
+        """Whether a leader of this term or a newer one flies; a leader of an older term does not know the change yet."""
+        term = self.leadership.term
+        return any(p.role is LEADER and p.leader_beacon is not None and p.leader_beacon.term >= term for p in flying)
+
+    def _received_heading(
+        self, role: Role, in_formation: bool, newest: LeaderBeacon | None, age_s: float
+    ) -> Heading | None:
+        """Heading in the beacon, extrapolated to now. A leader uses that of one already in the RFT, or of the smallest id."""
+        if newest is None or newest.leader_id == self._own_id:
+            return None
+        if role is LEADER:
+            of_own_term = newest.term == self.leadership.term and newest.reference_s > 0.0
+            if not of_own_term or (in_formation and newest.leader_id > self._own_id):
+                return None
+        heading = heading_after(newest.heading, age_s + WAITED_S)
+        most = MAX_TURN_RAD_S  # the limit of what peers accept: a beacon passed on must not get this vehicle rejected
+        return replace(heading, rate_rad_s=min(max(heading.rate_rad_s, -most), most))
+
+    def _beacon(
+        self, now_s: float, role: Role, in_formation: bool, newest: LeaderBeacon | None, age_s: float
+    ) -> tuple[LeaderBeacon | None, float, float]:
+        """The beacon to pass on, its age, and mission time; `newest` is the youngest received beacon."""
+        of_other = newest if newest is not None and newest.leader_id != self._own_id else None
+        if role is LEADER:
+            lead, stamp = self.leadership, int(now_s * 1000.0)
+            if in_formation and of_other and (of_other.term != lead.term or of_other.leader_id > self._own_id):
+                of_other = None
+            reference_s = self._clock.lead(now_s, in_formation, of_other, age_s)
+            own = LeaderBeacon(self._own_id, lead.epoch, stamp, reference_s if in_formation else 0.0, lead.claim_rank)
+            self._leader.receive(now_s, [own], lead.term)  # its last beacon, should it become a follower
+            return own, 0.0, reference_s
+        reference_s = self._clock.update(now_s, in_formation, of_other, age_s)
+        if newest is None:
+            return None, age_s, reference_s
+        reported_s = reference_s if self._clock.runs else 0.0
+        return LeaderBeacon(newest.leader_id, newest.epoch, newest.stamp, reported_s, newest.claim), age_s, reference_s

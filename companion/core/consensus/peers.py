@@ -1,0 +1,159 @@
+"""Newest plausible state of every peer. Every peer packet passes these checks before the law uses it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from math import dist, inf
+
+from msgspec import Struct
+from msgspec.structs import replace
+
+from companion.core.consensus.law import FormationState
+from companion.core.consensus.message_order import Disorder, Stream, following
+from companion.core.consensus.plausibility import FleetLimits, KnownFleet, refusal_of_claims, refusal_of_motion
+from companion.geometry.vectors import extrapolated, shortened
+from companion.types.flight import ON_GROUND
+from companion.types.formation import FlownSlot, Term
+from companion.types.notices import Code
+from companion.types.peers import PeerPacket, ReceivedPeerPacket
+from companion.types.rejections import counted, rejection_key
+from companion.types.vectors import ZERO3, Vector3
+
+DUPLICATES = (Code.PEER_OWN_ID, Code.PEER_ID_TWICE)
+CODES = {
+    Disorder.TWO_SENDERS: Code.PEER_ID_TWICE,
+    Disorder.OUT_OF_ORDER: Code.PEER_OUT_OF_ORDER,
+    Disorder.LATE: Code.PEER_LATE,
+    Disorder.TIME: Code.PEER_TIME_IMPLAUSIBLE,
+}
+JUMP_MARGIN_M = 1.0  # an estimator correction may add this to the distance flown between two packets
+
+
+class PeerState(Struct, frozen=True, gc=False):
+    """A peer's newest packet with its times on this vehicle's clock.
+
+    The vehicles share no clock. `least_apart_s` is received minus sent time of the least delayed packet of the session: the
+    offset of the clocks plus the smallest transport delay. `measured_s` is the time of the position: the time of receipt
+    minus the additional transport delay and minus the age of the position when it was sent.
+    """
+
+    packet: PeerPacket
+    received_s: float
+    least_apart_s: float
+    measured_s: float
+    term: Term = (0, 0)  # of the leader beacon, (0, 0) without one
+
+    def position_at(self, now_s: float) -> Vector3:
+        """Position extrapolated over its age, so that both sides of x_i - x_j refer to the same time."""
+        return extrapolated(self.packet.position_enu_m, self.packet.velocity_enu_m_s, now_s - self.measured_s)
+
+    def slot_at(self, now_s: float) -> FlownSlot:
+        """Slot of the peer, extrapolated likewise."""
+        slot = self.packet.slot
+        if slot.velocity_enu_m_s == ZERO3:
+            return slot
+        position_enu_m = extrapolated(slot.position_enu_m, slot.velocity_enu_m_s, now_s - self.measured_s)
+        return replace(slot, position_enu_m=position_enu_m)
+
+    def formation_state_at(self, now_s: float) -> FormationState:
+        """State of the peer minus that of its slot, both extrapolated."""
+        packet, slot, age_s = self.packet, self.packet.slot, now_s - self.measured_s
+        (x, y, z), (dx, dy, dz) = packet.position_enu_m, slot.position_enu_m
+        (vx, vy, vz), (dvx, dvy, dvz) = packet.velocity_enu_m_s, slot.velocity_enu_m_s
+        (ax, ay, az), (dax, day, daz) = packet.acceleration_enu_m_s2, slot.acceleration_enu_m_s2
+        return FormationState(
+            (
+                (x + vx * age_s) - (dx + dvx * age_s),
+                (y + vy * age_s) - (dy + dvy * age_s),
+                (z + vz * age_s) - (dz + dvz * age_s),
+            ),
+            (vx - dvx, vy - dvy, vz - dvz),
+            (ax - dax, ay - day, az - daz),
+        )
+
+
+class PeerTable:
+    """Newest state of each peer. Every packet is checked for identity, formation hash, order and plausible numbers.
+
+    `rejected` counts refused packets by code and peer id.
+    """
+
+    def __init__(
+        self,
+        own_id: int,
+        may_lead: Mapping[int, bool],
+        formation_hash: int,
+        max_age_s: float,
+        limits: FleetLimits,
+        successors: Sequence[int],
+    ) -> None:
+        claims = frozenset((vehicle_id, rank) for rank, vehicle_id in enumerate(successors, start=1))
+        self._fleet = KnownFleet(own_id, formation_hash, may_lead, claims)
+        self._max_age_s = max_age_s
+        self._limits = limits
+        self._streams: dict[int, Stream] = {}
+        self.newest: dict[int, PeerState] = {}  # of each peer, of any age
+        self.ground_position_enu_m: dict[int, Vector3] = {}  # last position of each peer on the ground
+        self.rejected: Counter[str] = Counter()
+        self.duplicate_id_s = -inf  # when a packet of a second agent with a known id last came
+
+    def fold(self, packets: Iterable[ReceivedPeerPacket], epochs_up_to: int) -> None:
+        """Check and take these packets. Beacons of a larger epoch are refused."""
+        for received in packets:
+            packet = received.packet
+            vehicle_id = packet.vehicle_id
+            code = refusal_of_claims(packet, self._fleet, epochs_up_to) or refusal_of_motion(packet, self._limits)
+            code = code or self._refusal_of_order(received)
+            if code is not None:
+                if code in DUPLICATES:
+                    self.duplicate_id_s = received.received_s
+                self._count(code, vehicle_id)
+                continue
+            before = self.newest.get(vehicle_id)
+            self.newest[vehicle_id] = self._timed(self._within_limits(packet))
+            if packet.phase in ON_GROUND and before is not None and before.packet.phase in ON_GROUND:
+                self.ground_position_enu_m[vehicle_id] = packet.position_enu_m
+
+    def fresh(self, now_s: float) -> dict[int, PeerState]:
+        """Peers whose state is not older than the configured age (`peers.max_age_s`)."""
+        return {i: peer for i, peer in self.newest.items() if now_s - peer.measured_s <= self._max_age_s}
+
+    def _refusal_of_order(self, received: ReceivedPeerPacket) -> Code | None:
+        """Checks against the packets before of the same vehicle: session, sequence, delay and distance."""
+        packet, received_s = received.packet, received.received_s
+        vehicle_id, before = packet.vehicle_id, self.newest.get(packet.vehicle_id)
+        stream, disorder = following(
+            self._streams.get(vehicle_id), packet.session, packet.sequence, packet.sent_s, received_s, self._max_age_s
+        )
+        if disorder is None and before is not None and received_s - before.measured_s <= self._max_age_s:
+            elapsed_s = max(0.0, received_s - before.received_s) + self._max_age_s
+            distance_m = dist(packet.position_enu_m, before.packet.position_enu_m)
+            if distance_m > self._limits.speed_m_s * elapsed_s + JUMP_MARGIN_M:
+                return Code.PEER_POSITION_JUMPED
+        self._streams[vehicle_id] = stream
+        return CODES[disorder] if disorder else None
+
+    def _timed(self, packet: PeerPacket) -> PeerState:
+        """The state of an accepted packet with its times."""
+        stream = self._streams[packet.vehicle_id]
+        measured_s = stream.received_s - stream.late_s(packet.sent_s) - packet.state_age_s
+        term = packet.leader_beacon.term if packet.leader_beacon else (0, 0)
+        return PeerState(packet, stream.received_s, stream.clock.least_apart_s, measured_s, term)
+
+    def _within_limits(self, packet: PeerPacket) -> PeerPacket:
+        """The packet with accelerations that this fleet can fly: the law feeds them forward. Its position remains usable."""
+        most_m_s2, slot = self._limits.acceleration_m_s2, packet.slot
+        ax, ay, az = packet.acceleration_enu_m_s2
+        sx, sy, sz = slot.acceleration_enu_m_s2
+        if max(ax * ax + ay * ay + az * az, sx * sx + sy * sy + sz * sz) <= most_m_s2 * most_m_s2:
+            return packet
+        self._count(Code.PEER_ACCELERATION_LIMITED, packet.vehicle_id)
+        return replace(
+            packet,
+            acceleration_enu_m_s2=shortened(packet.acceleration_enu_m_s2, most_m_s2),
+            slot=replace(slot, acceleration_enu_m_s2=shortened(slot.acceleration_enu_m_s2, most_m_s2)),
+        )
+
+    def _count(self, code: Code, vehicle_id: int) -> None:
+        self.rejected = counted(self.rejected, rejection_key(code, vehicle_id))

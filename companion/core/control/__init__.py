@@ -1,0 +1,1 @@
+"""Acceleration -> attitude and thrust setpoints."""

@@ -1,0 +1,1 @@
+"""Leader election: leader beacons, commanded and claimed leadership, succession, mission time."""

@@ -1,0 +1,87 @@
+"""Leader beacons: how a vehicle knows that a leader is alive, which PrC alone does not show.
+
+Without a leader in reach, PrC rises by one each tick and stays at n, and p = n is also valid at the end of a chain of n. So
+every packet carries a leader beacon beside the PrC: the leader's id, and a stamp that only the leader increases.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from math import inf
+
+from msgspec import Struct
+
+from companion.types.formation import LeaderBeacon, Term
+
+STAMPS_PER_S = 1000.0  # of the leader's clock
+STAMPS_AHEAD = 300  # what beacons on ways of different length differ by at most, ms
+CONFIRMED_S = 1.0  # longer than the last beacons of a dead leader are passed on
+GAP_S = 0.5  # longest time between two beacons of a rival
+
+
+class _Kept(Struct, frozen=True, gc=False):
+    """Newest beacon of a leader, and refused ones whose stamps rise by themselves."""
+
+    beacon: LeaderBeacon
+    received_s: float
+    rival_stamp: int = -1
+    rival_since_s: float = inf
+    rival_s: float = -inf
+
+    def with_rival(self, now_s: float, stamp: int) -> _Kept:
+        """After a refused beacon. One with the same stamp, or an older one, changes nothing for a while."""
+        lasts = now_s - self.rival_s <= GAP_S
+        if lasts and stamp <= self.rival_stamp:
+            return self
+        follows = lasts and _is_next(stamp, self.rival_stamp, now_s - self.rival_s)
+        return _Kept(self.beacon, self.received_s, stamp, self.rival_since_s if follows else now_s, now_s)
+
+
+class BeaconMonitor:
+    """Time of the last increase of each leader's stamp, on this vehicle's own clock.
+
+    Two followers that receive only each other pass the same stamp back and forth without making it younger: each vehicle
+    accepts a stamp once. A beacon older than `max_age_s` is not passed on, so it is gone everywhere after `max_age_s` and one
+    tick per hop. A stamp rises with the leader's clock, not faster. After a stamp that was wrong, and after a restart of the
+    leader's computer, the true stamps are refused; they count when they have risen for CONFIRMED_S.
+    """
+
+    def __init__(self, max_age_s: float) -> None:
+        self._max_age_s = max_age_s
+        self._newest: dict[int, _Kept] = {}  # by leader id
+
+    def receive(self, now_s: float, beacons: Iterable[LeaderBeacon | None], term: Term) -> None:
+        """Beacons that neighbours passed on. One of another term than `term`, this vehicle's own, is ignored."""
+        for beacon in beacons:
+            if beacon is None or beacon.term != term:
+                continue
+            kept = self._newest.get(beacon.leader_id)
+            if (
+                kept is None
+                or kept.beacon.term != term
+                or _is_next(beacon.stamp, kept.beacon.stamp, now_s - kept.received_s)
+            ):
+                self._newest[beacon.leader_id] = _Kept(beacon, now_s)
+            elif beacon.stamp != kept.beacon.stamp:
+                kept = kept.with_rival(now_s, beacon.stamp)
+                confirmed = now_s - max(kept.rival_since_s, kept.received_s) >= CONFIRMED_S and kept.rival_s == now_s
+                self._newest[beacon.leader_id] = _Kept(beacon, now_s) if confirmed else kept
+
+    def youngest(self, now_s: float) -> tuple[LeaderBeacon | None, float]:
+        """The beacon to pass on and its age in seconds; None and infinity without one within `max_age_s`.
+
+        The newest term comes first, and in it a leader that flies the RFT before one that does not. After a change of leader
+        the last beacon of the old one counts until it is too old: that of the new leader is on its way.
+        """
+        best, youngest, youngest_age_s = None, None, inf
+        for leader_id, kept in self._newest.items():
+            age_s = now_s - kept.received_s
+            rank = (kept.beacon.term, kept.beacon.reference_s > 0.0, -age_s, leader_id)
+            if age_s <= self._max_age_s and (best is None or rank > best):
+                best, youngest, youngest_age_s = rank, kept.beacon, age_s
+        return youngest, youngest_age_s
+
+
+def _is_next(stamp: int, before: int, elapsed_s: float) -> bool:
+    """Whether a stamp follows another one by the leader's clock."""
+    return before < stamp <= before + STAMPS_PER_S * elapsed_s + STAMPS_AHEAD

@@ -1,0 +1,109 @@
+"""Leadership: this vehicle's role and its term. The newest term wins, so two leaders in different terms never last."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+
+from companion.types.commands import MAX_EPOCH, MAX_EPOCHS_AHEAD, Lead
+from companion.types.flight import Role
+from companion.types.formation import LeaderBeacon, Term
+from companion.types.notices import Answer, Code, Notice, accepted
+
+UNCONFIRMED_S = 0.3  # a beacon is passed on for less: after this time a received term needs a leader that is alive
+
+
+class Leadership:
+    """Epoch 0 has the roles of the fleet file. Changes of the own role are returned as events.
+
+    A vehicle becomes leader by command, or as successor of a lost leader. A newer term received from a peer makes it a
+    follower, even a leader that missed the command or restarted: the leader of that term knows its role. A received term
+    without a leader that is alive ends after UNCONFIRMED_S, with the role before. An epoch may rise by at most
+    MAX_EPOCHS_AHEAD at once, so that one wrong number cannot use up all epochs; `core/consensus/neighbourhood.py` allows
+    peer packets less.
+
+    Terms are ordered: within an epoch a command beats a claim, and a better rank beats a worse one. Ranks are unique, so a
+    claimed term belongs to one vehicle.
+    """
+
+    def __init__(self, own_id: int, leaders: Iterable[int], may_lead: Collection[int]) -> None:
+        """`leaders` and `may_lead` are ids of the fleet file."""
+        self._own_id = own_id
+        self._may_lead = frozenset(may_lead)
+        self._commanded = Lead(tuple(leaders), 0)
+        self.term: Term = (0, 0)
+        self.role = self._role_in(self._commanded)
+        self._unconfirmed: tuple[float, Term, Role] | None = None  # since when, and term and role before
+        self._refuted: tuple[
+            tuple[Term, int], ...
+        ] = ()  # term and stamp that made no difference: still passed on by others
+
+    @property
+    def epoch(self) -> int:
+        return self.term[0]
+
+    @property
+    def claim_rank(self) -> int:
+        """The successor's rank of a claimed term; 0 for a commanded or configured one."""
+        return -self.term[1]
+
+    def command(self, lead: Lead) -> tuple[Answer, tuple[Notice, ...]]:
+        """((accepted, reason), events). A repeated command of the present term is accepted again."""
+        if lead == self._commanded and self.term == (lead.epoch, 0):
+            return accepted(Code.ALREADY_DONE, f"already {self.role} in epoch {self.epoch}"), ()
+        if refusal := self._refusal(lead):
+            return Answer(False, refusal.about("lead")), ()
+        self._commanded = lead
+        events = self._enter((lead.epoch, 0), self._role_in(lead), "commanded")
+        return accepted(Code.ROLE_CHANGED, f"{self.role} in epoch {self.epoch}"), events
+
+    def claim(self, rank: int) -> tuple[Notice, ...]:
+        """Become leader of the next epoch as the successor of this rank; `core/election/succession.py` decides when."""
+        if self.epoch >= MAX_EPOCH:
+            return ()
+        return self._enter((self.epoch + 1, -rank), Role.LEADER, f"successor {rank} of a lost leader")
+
+    def receive(self, now_s: float, beacons: Iterable[LeaderBeacon | None]) -> tuple[Notice, ...]:
+        """Enter the newest term in the leader beacons of peers, until `settle` decides on it."""
+        alive = [(b.term, b.stamp) for b in beacons if b is not None and (b.term, b.stamp) not in self._refuted]
+        newest, stamp = max(alive, default=(self.term, 0))
+        if newest <= self.term:
+            return ()
+        term, role = self._unconfirmed[1:] if self._unconfirmed else (self.term, self.role)
+        events = self._enter(newest, Role.FOLLOWER, "reported by a peer")
+        self._unconfirmed, self._refuted = (now_s, term, role), ((newest, stamp),)
+        return events
+
+    def settle(self, now_s: float, led: bool) -> tuple[Notice, ...]:
+        """Keep a received term where its leader is alive (`led`) after UNCONFIRMED_S; else return to the term before."""
+        if self._unconfirmed is None or now_s - self._unconfirmed[0] <= UNCONFIRMED_S:
+            return ()
+        _, term, role = self._unconfirmed
+        self._unconfirmed = None
+        if led:
+            return ()
+        return self._enter(term, role, f"no leader of epoch {self.epoch}")
+
+    def _refusal(self, lead: Lead) -> Notice | None:
+        not_allowed = sorted(set(lead.leaders) - self._may_lead)
+        allowed = ", ".join(str(i) for i in sorted(self._may_lead))
+        if not lead.leaders:
+            return Notice(Code.NO_LEADER_NAMED, f"names no vehicle; expected some of {allowed}")
+        if not_allowed:
+            text = f"vehicle {not_allowed[0]} may not lead; expected some of {allowed}"
+            return Notice(Code.NOT_A_LEADER, text)
+        # A term known from peers, or claimed, may still be commanded: this vehicle missed the command that the others received.
+        if lead.epoch < self.epoch or lead.epoch == self._commanded.epoch:
+            return Notice(Code.EPOCH_TOO_OLD, f"epoch {lead.epoch} is not newer than {self.epoch}")
+        if lead.epoch > min(self.epoch + MAX_EPOCHS_AHEAD, MAX_EPOCH):
+            text = f"epoch {lead.epoch} is too large; expected {self.epoch + 1}"
+            return Notice(Code.EPOCH_TOO_LARGE, text)
+        return None
+
+    def _role_in(self, lead: Lead) -> Role:
+        return Role.LEADER if self._own_id in lead.leaders else Role.FOLLOWER
+
+    def _enter(self, term: Term, role: Role, reason: str) -> tuple[Notice, ...]:
+        before, self.term, self.role, self._unconfirmed = self.role, term, role, None
+        if role is before:
+            return ()
+        return (Notice(Code.ROLE_CHANGED, f"{before} -> {role} in epoch {term[0]} ({reason})"),)

@@ -1,0 +1,1 @@
+"""Telemetry -> vehicle state in the fleet frame, hover thrust and wind."""

@@ -1,0 +1,63 @@
+"""Position resets of the autopilot's estimator: a jump is held back and added to the used position at a limited rate.
+
+A reset of the estimator or of the local origin moves no vehicle; without this it would move the setpoint. LOCAL_POSITION_NED
+carries no reset counter, so a jump is a position change that the velocity does not explain. A new origin and the local
+position relative to it may arrive in either order: each alone is a jump, both together are none.
+"""
+
+from __future__ import annotations
+
+from math import hypot
+
+from companion.types.vectors import ZERO3, Vector3
+
+RELEASE_M_S = 0.2  # rate at which a held-back difference is released: one metre in 5 s
+JUMP_M = 0.2  # smallest jump, beyond the distance that the velocities explain
+BEND_M_S2 = 10.0  # two velocities may misjudge the distance between them by this times the time squared
+LONGEST_GAP_S = 0.5  # between positions; the motion in a longer gap is unknown
+LARGEST_JUMP_M = 5.0  # a larger difference is no correction: the vehicle is handed over
+ORIGIN_WITHIN_S = 0.5  # unless a new origin of the autopilot explains it within this time
+
+
+class PositionReset:
+    """Removes jumps from the position of a vehicle in flight. `held_back_m` is used position minus reported position."""
+
+    def __init__(self) -> None:
+        self.held_back_m: Vector3 = ZERO3
+        self._before: tuple[float, Vector3, Vector3] | None = None  # time, position, velocity as reported
+
+    def restart(self) -> None:
+        """Use the next reported position unchanged."""
+        self.held_back_m = ZERO3
+        self._before = None
+
+    def follow(self, time_s: float, position_m: Vector3, velocity_m_s: Vector3) -> tuple[Vector3, float]:
+        """(used position, size of a jump of the reported one, else 0). `time_s` is the autopilot's clock and increases."""
+        jump_m = 0.0
+        if self._before is not None:
+            step_s = time_s - self._before[0]
+            if step_s > LONGEST_GAP_S:
+                self.restart()
+            else:
+                jump_m = self._find_jump(step_s, position_m, velocity_m_s, *self._before[1:])
+        self._before = (time_s, position_m, velocity_m_s)
+        (x, y, z), (hx, hy, hz) = position_m, self.held_back_m
+        return (x + hx, y + hy, z + hz), jump_m
+
+    def _find_jump(
+        self, step_s: float, position_m: Vector3, velocity_m_s: Vector3, position0_m: Vector3, velocity0_m_s: Vector3
+    ) -> float:
+        (x, y, z), (x0, y0, z0), (hx, hy, hz) = position_m, position0_m, self.held_back_m
+        (vx, vy, vz), (vx0, vy0, vz0), half_s = velocity_m_s, velocity0_m_s, 0.5 * step_s
+        off_x = x - x0 - (vx + vx0) * half_s
+        off_y = y - y0 - (vy + vy0) * half_s
+        off_z = z - z0 - (vz + vz0) * half_s
+        off_m = hypot(off_x, off_y, off_z)
+        if off_m > JUMP_M + BEND_M_S2 * step_s * step_s:
+            self.held_back_m = (hx - off_x, hy - off_y, hz - off_z)
+            return off_m
+        if self.held_back_m is not ZERO3:
+            distance_m = hypot(hx, hy, hz)
+            left = 1.0 - RELEASE_M_S * step_s / distance_m if distance_m > 0.0 else 0.0
+            self.held_back_m = (hx * left, hy * left, hz * left) if left > 0.0 else ZERO3
+        return 0.0

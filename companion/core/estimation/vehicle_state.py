@@ -1,0 +1,211 @@
+"""Telemetry -> VehicleState in the fleet frame. Implausible samples are counted and ignored."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable
+from math import hypot, isfinite
+from typing import Any
+
+from companion.core.estimation.fleet_frame import FleetFrame
+from companion.core.estimation.position_reset import RELEASE_M_S, PositionReset
+from companion.types.autopilot import LandedState, PositionError, VehicleState
+from companion.types.notices import Code, Notice
+from companion.types.rejections import counted
+from companion.types.telemetry import (
+    AttitudeSample,
+    EstimatorSample,
+    GlobalPositionSample,
+    HeartbeatSample,
+    LandedSample,
+    ModeSample,
+    OriginSample,
+    PositionSample,
+    SystemSample,
+    Telemetry,
+    ThrustSample,
+)
+from companion.types.vectors import ZERO3, Vector3
+
+MAX_LOCAL_M = 100_000.0  # the 32-bit floats of LOCAL_POSITION_NED lose centimetres well below this
+MAX_SPEED_M_S = 100.0
+MAX_ERROR_M = 10_000.0
+ERROR_AGE_S = 5.0  # an error estimate older than this is dropped
+REBOOT_S = 1.0  # time_boot_ms decreasing by more is a reboot, by less a reordered datagram
+EVENT_PERIOD_S = 1.0  # repeated jumps are reported no more often
+
+
+class VehicleTracker:
+    """Newest state of the own vehicle.
+
+    With a geodetic fleet origin there is no position until the autopilot's own origin is known. With `height_from_takeoff`, z
+    is the height above the point where the vehicle was last disarmed on the ground; a vehicle first seen in flight has no
+    position.
+    """
+
+    def __init__(self, fleet_origin: Vector3 | None, height_from_takeoff: bool = False) -> None:
+        self._frame = FleetFrame(fleet_origin)
+        self._position_reset = PositionReset()
+        self._ground_up_m: float | None = None if height_from_takeoff else 0.0
+        self._follows_ground = height_from_takeoff
+        self._position: PositionSample | None = None
+        self._jump_s = self._error_s = float("-inf")
+        self._healthy_by_status = self._healthy_by_system = True  # ESTIMATOR_STATUS, SYS_STATUS
+        self.rejected: Counter[str] = Counter()
+        self._events: list[Notice] = []  # of the fold in progress
+        self._fields: dict[str, Any] = {"frame_known": self._frame_known()}  # newest value of every field
+        self.state = VehicleState(**self._fields)
+        self._folds: dict[type[Telemetry], Callable[[Any], None]] = {
+            PositionSample: self._fold_position,
+            AttitudeSample: self._fold_attitude,
+            ModeSample: self._fold_mode,
+            HeartbeatSample: self._fold_heartbeat,
+            LandedSample: self._fold_landed,
+            ThrustSample: self._fold_thrust,
+            OriginSample: self._fold_origin,
+            GlobalPositionSample: self._fold_global_position,
+            EstimatorSample: self._fold_error,
+            SystemSample: self._fold_system,
+        }
+
+    def accept_next_position(self) -> None:
+        """Use the next position unchanged. For times when neither this vehicle nor a neighbour controls by it."""
+        self._position_reset.restart()
+
+    def fold(self, telemetry: Iterable[Telemetry]) -> tuple[VehicleState, tuple[Notice, ...]]:
+        """State after these samples, and the events. An implausible sample is counted in `rejected` and changes nothing."""
+        for sample in telemetry:
+            fold = self._folds.get(type(sample))
+            if fold is not None:
+                fold(sample)
+        # One new state per tick: one per sample would cost more than the formation law.
+        self.state = VehicleState(**self._fields)
+        if not self._events:
+            return self.state, ()
+        events, self._events = tuple(self._events), []
+        return self.state, events
+
+    def _fold_position(self, sample: PositionSample) -> None:
+        step_s = sample.boot_time_s - self._position.boot_time_s if self._position else 0.0
+        if self._position and -REBOOT_S < step_s <= 0.0:
+            self.rejected = counted(self.rejected, Code.POSITION_OUT_OF_ORDER)
+            return
+        if not _within(sample.position_local_enu_m, MAX_LOCAL_M) or not _within(sample.velocity_enu_m_s, MAX_SPEED_M_S):
+            self.rejected = counted(self.rejected, Code.POSITION_IMPLAUSIBLE)
+            return
+        if step_s <= -REBOOT_S:
+            self._forget_origin()
+        self._position = sample
+        if sample.received_s - self._error_s > ERROR_AGE_S:
+            self._fields["position_error"] = None
+        offset_m = self._frame.offset_enu_m
+        if offset_m is None:
+            return
+        east, north, up = sample.position_local_enu_m
+        if self._follows_ground and self._on_ground():
+            self._ground_up_m = up + offset_m[2]
+        own_altitude_m = self._frame.own_altitude_amsl_m
+        self._fields["frame_known"] = self._ground_up_m is not None
+        self._fields["altitude_amsl_m"] = None if own_altitude_m is None else own_altitude_m + up
+        if self._ground_up_m is not None:
+            self._use(sample, (east + offset_m[0], north + offset_m[1], up + offset_m[2] - self._ground_up_m))
+
+    def _use(self, sample: PositionSample, position_enu_m: Vector3) -> None:
+        used_enu_m, jump_m = self._position_reset.follow(sample.boot_time_s, position_enu_m, sample.velocity_enu_m_s)
+        if jump_m:
+            self._fields.update(jump_time_s=sample.received_s)
+            if sample.received_s - self._jump_s > EVENT_PERIOD_S:
+                text = f"the autopilot's position jumped by {jump_m:.1f} m: followed at {RELEASE_M_S} m/s"
+                self._events.append(Notice(Code.POSITION_RESET, text))
+            self._jump_s = sample.received_s
+        fields, held_back_m = self._fields, self._position_reset.held_back_m
+        fields["position_enu_m"] = used_enu_m
+        fields["velocity_enu_m_s"] = sample.velocity_enu_m_s
+        fields["position_time_s"] = sample.received_s
+        if not fields.get("armed", True) and self._on_ground():
+            fields["ground_position_enu_m"] = used_enu_m
+        fields["held_back_m"] = 0.0 if held_back_m is ZERO3 else hypot(*held_back_m)
+
+    def _on_ground(self) -> bool:
+        """Whether the autopilot reports disarmed, and not in flight."""
+        fields = self._fields
+        disarmed = "heartbeat_time_s" in fields and not fields["armed"]
+        return disarmed and fields.get("landed", LandedState.UNDEFINED) in (
+            LandedState.UNDEFINED,
+            LandedState.ON_GROUND,
+        )
+
+    def _frame_known(self) -> bool:
+        return self._frame.offset_enu_m is not None and self._ground_up_m is not None
+
+    def _forget_origin(self) -> None:
+        """Discard origin and position reset after a reboot of the autopilot."""
+        self._frame.forget()
+        self._position_reset.restart()
+        if self._follows_ground:
+            self._ground_up_m = None
+        self._fields.update(altitude_amsl_m=None, frame_known=self._frame_known(), frame_contradicted=False)
+        if not self._frame_known():
+            self._fields.pop("position_time_s", None)
+
+    def _fold_mode(self, sample: ModeSample) -> None:
+        self._fields.update(mode=sample.mode, mode_name=sample.name, mode_time_s=sample.received_s)
+
+    def _fold_heartbeat(self, sample: HeartbeatSample) -> None:
+        self._fields.update(autopilot=sample.autopilot, armed=sample.armed, heartbeat_time_s=sample.received_s)
+
+    def _fold_landed(self, sample: LandedSample) -> None:
+        self._fields.update(landed=sample.landed, landed_time_s=sample.received_s)
+
+    def _fold_attitude(self, sample: AttitudeSample) -> None:
+        if not (isfinite(sample.roll_rad) and isfinite(sample.pitch_rad) and isfinite(sample.yaw_rad)):
+            self.rejected = counted(self.rejected, Code.ATTITUDE_INVALID)
+            return
+        fields = self._fields
+        fields["roll_rad"], fields["pitch_rad"], fields["yaw_rad"] = sample.roll_rad, sample.pitch_rad, sample.yaw_rad
+        fields["attitude_time_s"] = sample.received_s
+
+    def _fold_thrust(self, sample: ThrustSample) -> None:
+        if not 0.0 <= sample.thrust_norm <= 1.0:
+            self.rejected = counted(self.rejected, Code.THRUST_IMPLAUSIBLE)
+            return
+        self._fields["thrust_norm"], self._fields["thrust_time_s"] = sample.thrust_norm, sample.received_s
+
+    def _fold_origin(self, sample: OriginSample) -> None:
+        before = self._frame.offset_enu_m
+        if not self._frame.use_origin(sample):
+            self.rejected = counted(self.rejected, Code.ORIGIN_IMPLAUSIBLE)
+            return
+        self._origin_updated(before)
+
+    def _fold_global_position(self, sample: GlobalPositionSample) -> None:
+        before = self._frame.offset_enu_m
+        if self._position and not self._frame.use_global_position(sample, self._position):
+            self.rejected = counted(self.rejected, Code.GLOBAL_POSITION_IMPLAUSIBLE)
+            return
+        self._origin_updated(before)
+
+    def _origin_updated(self, before: Vector3 | None) -> None:
+        """Drop the last position on the ground, as it refers to the old origin. In flight the used position continues."""
+        if self._frame.offset_enu_m != before and not self._fields.get("armed", False):
+            self._fields.pop("position_time_s", None)
+        self._fields.update(frame_known=self._frame_known(), frame_contradicted=self._frame.contradicted)
+
+    def _fold_error(self, sample: EstimatorSample) -> None:
+        horizontal_m, vertical_m = sample.horizontal_error_m, sample.vertical_error_m
+        self._error_s = sample.received_s
+        known = 0.0 <= horizontal_m <= MAX_ERROR_M and 0.0 <= vertical_m <= MAX_ERROR_M
+        self._fields["position_error"] = PositionError(horizontal_m, vertical_m) if known else None
+        self._healthy_by_status = sample.healthy
+        self._fields["estimator_healthy"] = sample.healthy and self._healthy_by_system
+
+    def _fold_system(self, sample: SystemSample) -> None:
+        self._healthy_by_system = sample.estimator_healthy
+        self._fields["battery_percent"] = sample.battery_percent
+        self._fields["estimator_healthy"] = sample.estimator_healthy and self._healthy_by_status
+
+
+def _within(vector: Vector3, limit: float) -> bool:
+    """Whether every component is at most `limit` in size. False for NaN."""
+    x, y, z = vector
+    return abs(x) <= limit and abs(y) <= limit and abs(z) <= limit

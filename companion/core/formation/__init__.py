@@ -1,0 +1,1 @@
+"""Formation: slots, changes, joining and gap filling."""

@@ -1,0 +1,152 @@
+"""Entry into formation: where the fleet is, and the path of this vehicle into its slot.
+
+Vehicles that form together use `together.py`. A vehicle that forms later, among others in formation, uses `joining.py`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+
+from companion.core.command.phase import Flight
+from companion.core.consensus.law import FormationState, formation_state
+from companion.core.consensus.neighbourhood import Consensus
+from companion.core.consensus.peers import PeerState
+from companion.core.formation.joining import Joining, mean_state
+from companion.core.formation.lead_in import LeadIn
+from companion.core.formation.paths import Path
+from companion.core.formation.together import FormingTogether, Frame
+from companion.types.autopilot import VehicleState
+from companion.types.flight import COOPERATING, STREAMING, FlightPhase, Role
+from companion.types.formation import FlownSlot, Heading
+from companion.types.notices import Code, Notice, Refused
+from companion.types.vectors import Vector3
+
+COMMANDED_WITHIN_S = 0.25  # from the command to this vehicle to the packet of a peer that was commanded as well
+CHECK_PERIOD_S = 0.2
+
+
+class FormationEntry:
+    """The entry of this vehicle: whether it joins others, the checks of its path, and R of a leader that leads in."""
+
+    def __init__(self, own_id: int, together: FormingTogether, joining: Joining, lead_in: LeadIn) -> None:
+        self._own_id = own_id
+        self._together = together
+        self._joining = joining
+        self._lead_in = lead_in
+        self._joins = False  # peers were in formation for a while when this vehicle was commanded to form
+        self._commanded_s = 0.0
+        self._check_s = 0.0
+        self._led = False  # whether this vehicle was leader in formation in the last tick
+
+    def update(self, now_s: float, consensus: Consensus) -> None:
+        """Once a tick."""
+        self._joining.update(now_s, consensus.flying)
+
+    def judge_command(
+        self,
+        now_s: float,
+        vehicle: VehicleState,
+        consensus: Consensus,
+        reference: FormationState | None,
+        heading: Heading,
+        slots_m: dict[int, Vector3],
+    ) -> tuple[Notice | None, Notice | None]:
+        """(refusal, warning) of the command to form. `reference` is R of a leader; `slots_m` are of all vehicles."""
+        self._joins, self._commanded_s, self._check_s = self._joining.is_due(now_s), now_s, now_s
+        try:
+            path = self.path(now_s, vehicle, consensus, reference, heading, slots_m)
+        except Refused as refusal:
+            return refusal.notice, None
+        if self._joins:
+            return None, None
+        peers = [peer for peer in consensus.fresh.values() if peer.packet.armed]
+        fleet, _ = self._fleet(now_s, reference, peers)
+        return None, self._together.crossing(now_s, vehicle, Frame(fleet, heading, slots_m), path, peers)
+
+    def path(
+        self,
+        now_s: float,
+        vehicle: VehicleState,
+        consensus: Consensus,
+        reference: FormationState | None,
+        heading: Heading,
+        slots_m: dict[int, Vector3],
+    ) -> Path | None:
+        """From here into the own slot; None where the law alone flies. Raises Refused where there is no path."""
+        peers = [peer for peer in consensus.fresh.values() if peer.packet.armed]
+        if self._joins:
+            slot_m = slots_m[self._own_id]
+            return self._joining.path(now_s, vehicle.position_enu_m, vehicle.velocity_enu_m_s, slot_m, heading, peers)
+        recent = now_s - self._commanded_s <= COMMANDED_WITHIN_S
+        fleet, ends_in_s = self._fleet(now_s, reference, peers)
+        frame = Frame(fleet, heading, slots_m)
+        if reference is fleet:
+            forming = STREAMING | {FlightPhase.HOLD} if recent else STREAMING
+            form = [peer for peer in peers if peer.packet.phase in forming]
+            path = self._together.leaders_path(now_s, vehicle, frame, form)
+        else:
+            path = self._together.followers_path(vehicle, frame, ends_in_s)
+        if now_s >= self._check_s:
+            self._check_s = now_s + CHECK_PERIOD_S
+            if refusal := self._together.refusal(now_s, vehicle, frame, path, peers, recent):
+                raise Refused(refusal.code, refusal.text)
+        return path
+
+    def reference(
+        self,
+        now_s: float,
+        vehicle: VehicleState,
+        flight: Flight,
+        consensus: Consensus,
+        held: FormationState,
+        slot: FlownSlot,
+    ) -> FormationState | None:
+        """R that this vehicle flies as leader, None for a follower. `held` is R of its plan, `slot` the one flown last."""
+        if consensus.role is not Role.LEADER:
+            self._led = False
+            return None
+        begins = flight.phase is FlightPhase.ENGAGE or not self._led
+        self._led = flight.phase is FlightPhase.FORMATION
+        if flight.phase not in STREAMING:
+            self._lead_in.end()
+        elif begins:
+            states = [peer.formation_state_at(now_s) for peer in _formed(consensus.fresh.values())]
+            if self._led:
+                states.append(formation_state(vehicle.position_enu_m, vehicle.velocity_enu_m_s, slot))
+            self._lead_in.begin(now_s, mean_state(states) if states else held, held)
+        return self._lead_in.added(now_s, held)
+
+    def _fleet(
+        self, now_s: float, reference: FormationState | None, peers: Collection[PeerState]
+    ) -> tuple[FormationState, float]:
+        """The RFT as the fleet flies it, and the time until the paths of the others end.
+
+        A leader knows it, unless others already fly in formation. A follower takes it from a leader that forms, then from
+        vehicles in formation, then from a leader in hold, which the fleet waits with, then from vehicles that form.
+        Raises Refused.
+        """
+        formed = _formed(peers)
+        leaders = [p for p in peers if p.packet.role is Role.LEADER and p.packet.phase in COOPERATING]
+        forming = [p for p in leaders if p.packet.phase in STREAMING]
+        if reference is not None and not formed:
+            if not (first := _first(forming)) or first.packet.vehicle_id > self._own_id:
+                return reference, 0.0
+            return first.formation_state_at(now_s), first.packet.slot.moves_for_s
+        if reference is None and (first := _first(forming)):
+            return first.formation_state_at(now_s), first.packet.slot.moves_for_s
+        if formed:
+            ends_in_s = max(peer.packet.slot.moves_for_s for peer in formed)
+            return mean_state([peer.formation_state_at(now_s) for peer in formed]), ends_in_s
+        engaged = [peer for peer in peers if peer.packet.phase in STREAMING]
+        if first := _first(leaders) or _first(engaged):
+            return first.formation_state_at(now_s), first.packet.slot.moves_for_s
+        text = "no leader and no vehicle that forms is received; give form again when a neighbour is in formation"
+        raise Refused(Code.NO_FORMATION_TO_JOIN, text)
+
+
+def _formed(peers: Iterable[PeerState]) -> list[PeerState]:
+    return [peer for peer in peers if peer.packet.phase is FlightPhase.FORMATION]
+
+
+def _first(peers: Collection[PeerState]) -> PeerState | None:
+    return min(peers, key=lambda peer: peer.packet.vehicle_id, default=None)

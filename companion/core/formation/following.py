@@ -1,0 +1,217 @@
+"""How near two vehicles come while the formation follows a reference: the frequency response of the law.
+
+Lag, delay and drag make every vehicle follow its neighbours late, so turns and braking compress a formation. Each vehicle is a
+double integrator with drag behind a first-order attitude lag and a delay, as in `stability/prediction.py`. With
+s = j omega, A = s^2 + c s, H = exp(-s D)/(1 + s T) and K = k1 + k2 s, eq. 14 with feed-forward gives for a follower
+
+    (A + H K) x_i = (H K + g exp(-s m) A) sum_j w_ij x_j
+
+and for a leader the same with the reference as one more neighbour. The solution is the response x_i/r of each vehicle.
+"""
+
+from __future__ import annotations
+
+from cmath import exp
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from math import cos, dist, hypot, inf, pi, sin
+
+from companion.core.consensus.law import FormationLaw
+from companion.core.consensus.priority import next_prc
+from companion.core.consensus.weights import neighbour_weights
+from companion.types.vectors import Vector3
+
+LAG_S, DELAY_S, FEEDFORWARD_DELAY_S = 0.2, 0.05, 0.02  # of stability/prediction.py
+PHASES = 48  # of a lap at which two harmonics are added
+SLOWER, FINER, MOST_STEPS = 1.5, 6, 10  # search for the pace that would do
+OVERSHOOT = 1.3  # of the shift of two vehicles when a motion begins, relative to that of the steady motion; flown: 1.2
+ROUNDING = 0.02  # of the separation: less than sensor errors
+
+Graph = Mapping[int, Sequence[int]]
+
+
+@dataclass(frozen=True, slots=True)
+class Harmonic:
+    """A periodic part of the reference: each axis moves by its amplitude [m] at this rate.
+
+    `rotates`: in all horizontal directions in turn, or in one that is not known.
+    """
+
+    rate_rad_s: float
+    amplitude_enu_m: Vector3
+    rotates: bool = False
+
+    def slowed(self, times: float) -> Harmonic:
+        return Harmonic(self.rate_rad_s / times, self.amplitude_enu_m, self.rotates)
+
+    @property
+    def size_m(self) -> float:
+        x, y, z = self.amplitude_enu_m
+        return max(hypot(x, z), hypot(y, z)) if self.rotates else hypot(x, y, z)
+
+
+Motion = Sequence[Harmonic]
+"""Harmonics that are flown at the same time."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """Two vehicles and their least distance as `separation_m` counts it; or one vehicle twice that cannot keep up."""
+
+    one_id: int
+    other_id: int
+    distance_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Chain:
+    """A formation with its law: who uses whom, who leads, and the limits of speed and acceleration of a vehicle."""
+
+    law: FormationLaw
+    graph: Graph
+    leaders: frozenset[int]
+    drag_1_s: float
+    speed_m_s: float
+    acceleration_m_s2: float
+
+    def responses(self, rate_rad_s: float) -> dict[int, complex]:
+        """x_i/r of each vehicle at this rate."""
+        s = 1j * rate_rad_s
+        gains, g = self.law.gains, self.law.feedforward
+        plant, follow = s * s + self.drag_1_s * s, exp(-s * DELAY_S) / (1.0 + s * LAG_S)
+        fed_back = follow * (gains.position_1_s2 + gains.velocity_1_s * s)
+        from_neighbours = fed_back + g * exp(-s * FEEDFORWARD_DELAY_S) * plant
+        prcs = _prcs(self.graph, self.leaders)
+        rows: dict[int, dict[int, complex]] = {}
+        right: dict[int, complex] = {}
+        for i, neighbours in self.graph.items():
+            leads = i in self.leaders
+            used = neighbours if not leads or self.law.leader_uses_neighbours else ()
+            weights = neighbour_weights([prcs[j] for j in used], self.law.exponent)
+            from_each = fed_back if leads else from_neighbours
+            row = dict.fromkeys(neighbours, 0j)
+            row |= {j: -from_each * weight for j, weight in zip(used, weights, strict=True)}
+            row[i] = plant + fed_back * ((1.0 if leads else 0.0) + (1.0 if used else 0.0))
+            rows[i], right[i] = row, (fed_back + g * follow * s * s) if leads else 0j
+        return _solved(rows, right)
+
+    def closest(self, motion: Motion, slots_m: Mapping[int, Vector3]) -> Pair:
+        """The least distance of any two vehicles in this motion; 0 for a vehicle beyond its speed or acceleration.
+
+        `slots_m` are the slots in the coordinates that count for distances.
+        """
+        responses = [self.responses(harmonic.rate_rad_s) for harmonic in motion]
+        for i in self.graph:
+            speed_m_s = acceleration_m_s2 = 0.0
+            for harmonic, response in zip(motion, responses, strict=True):
+                moved_m_s = abs(response[i]) * harmonic.size_m * harmonic.rate_rad_s
+                speed_m_s += moved_m_s
+                acceleration_m_s2 += moved_m_s * abs(1j * harmonic.rate_rad_s + self.drag_1_s)
+            if speed_m_s > self.speed_m_s * (1.0 + ROUNDING) or acceleration_m_s2 > self.acceleration_m_s2:
+                return Pair(i, i, 0.0)
+        worst = Pair(0, 0, inf)
+        ids = sorted(slots_m)
+        for index, i in enumerate(ids):
+            for j in ids[:index]:
+                apart_m = dist(slots_m[i], slots_m[j])
+                shifts = [OVERSHOOT * (response[i] - response[j]) for response in responses]
+                most_m = sum(abs(shift) * harmonic.size_m for shift, harmonic in zip(shifts, motion, strict=True))
+                if apart_m - most_m < worst.distance_m:
+                    nearest_m = _nearest_m(slots_m[i], slots_m[j], motion, shifts)
+                    if nearest_m < worst.distance_m:
+                        worst = Pair(j, i, nearest_m)
+        return worst
+
+
+def too_close(
+    chains: Sequence[Chain], motions: Sequence[Motion], slots_m: Mapping[int, Vector3], separation_m: float
+) -> Pair | None:
+    """The first pair that comes nearer than `separation_m` in any of the motions; None where the law keeps the distance."""
+    for chain in chains:
+        for motion in motions:
+            pair = chain.closest(motion, slots_m)
+            if pair.distance_m < separation_m * (1.0 - ROUNDING):
+                return pair
+    return None
+
+
+def slower_by(
+    chains: Sequence[Chain], motions: Sequence[Motion], slots_m: Mapping[int, Vector3], separation_m: float
+) -> float:
+    """How many times longer the same motions must take, so that the law keeps the distance; inf where no pace does."""
+
+    def is_refused(times: float) -> bool:
+        slowed = [[harmonic.slowed(times) for harmonic in motion] for motion in motions]
+        return too_close(chains, slowed, slots_m, separation_m) is not None
+
+    times = SLOWER
+    for _ in range(MOST_STEPS):
+        if not is_refused(times):
+            break
+        times *= SLOWER
+    else:
+        return inf
+    too_fast = times / SLOWER
+    for _ in range(FINER):
+        between = (too_fast + times) / 2.0
+        too_fast, times = (between, times) if is_refused(between) else (too_fast, between)
+    return times
+
+
+def _nearest_m(one_m: Vector3, other_m: Vector3, motion: Motion, shifts: Sequence[complex]) -> float:
+    """Least distance of two vehicles whose slots are shifted by these responses to the harmonics."""
+    x, y, z = one_m[0] - other_m[0], one_m[1] - other_m[1], one_m[2] - other_m[2]
+    if any(harmonic.rotates for harmonic in motion):
+        level_m = sum(
+            abs(shift) * max(harmonic.amplitude_enu_m[:2]) for shift, harmonic in zip(shifts, motion, strict=True)
+        )
+        rise_m = sum(abs(shift) * harmonic.amplitude_enu_m[2] for shift, harmonic in zip(shifts, motion, strict=True))
+        return hypot(max(0.0, hypot(x, y) - level_m), max(0.0, abs(z) - rise_m))
+    slowest_rad_s = min(harmonic.rate_rad_s for harmonic in motion)
+    nearest_m = inf
+    for step in range(PHASES):
+        phase = 2.0 * pi * step / PHASES
+        px, py, pz = x, y, z
+        for harmonic, shift in zip(motion, shifts, strict=True):
+            angle = phase * harmonic.rate_rad_s / slowest_rad_s
+            moved = shift.real * sin(angle) + shift.imag * cos(angle)
+            ax, ay, az = harmonic.amplitude_enu_m
+            px, py, pz = px + moved * ax, py + moved * ay, pz + moved * az
+        nearest_m = min(nearest_m, hypot(px, py, pz))
+    return nearest_m
+
+
+def _prcs(graph: Graph, leaders: Collection[int]) -> dict[int, int]:
+    """PrC of each vehicle, once it has settled (Algorithm 1)."""
+    n = len(graph)
+    prcs = {i: 1 if i in leaders else n for i in graph}
+    for _ in graph:
+        after = {i: next_prc(i in leaders, [prcs[j] for j in neighbours], n) for i, neighbours in graph.items()}
+        if after == prcs:
+            break
+        prcs = after
+    return prcs
+
+
+def _solved(rows: dict[int, dict[int, complex]], right: dict[int, complex]) -> dict[int, complex]:
+    """Solution of a sparse system with a symmetric pattern, by elimination of the row with the fewest entries first."""
+    left, order = set(rows), []
+    while left:
+        pivot = min(left, key=lambda i: len(rows[i]))
+        left.discard(pivot)
+        order.append(pivot)
+        row = rows[pivot]
+        diagonal = row[pivot]
+        for i in row.keys() & left:
+            other = rows[i]
+            factor = other.pop(pivot) / diagonal
+            for j, value in row.items():
+                if j != pivot:
+                    other[j] = other.get(j, 0j) - factor * value
+            right[i] -= factor * right[pivot]
+    solution: dict[int, complex] = {}
+    for pivot in reversed(order):
+        row = rows[pivot]
+        rest = sum((value * solution[j] for j, value in row.items() if j != pivot), 0j)
+        solution[pivot] = (right[pivot] - rest) / row[pivot]
+    return solution

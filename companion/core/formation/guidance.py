@@ -1,0 +1,164 @@
+"""Guidance: the slot of this tick turned to the heading, R of a leader, and the path into the slot."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping
+from math import dist
+
+from msgspec import Struct
+
+from companion.core.command.phase import RULES, Flight, PhaseChange, PhaseRequest
+from companion.core.consensus.law import FormationState, formation_state
+from companion.core.consensus.neighbourhood import Consensus
+from companion.core.formation.changes import Changes
+from companion.core.formation.entry import FormationEntry
+from companion.core.formation.gap_filling import GapFilling
+from companion.core.formation.slots import SlotPlan
+from companion.core.reference.heading import FormationHeading
+from companion.core.reference.plan import ReferencePlan
+from companion.geometry.turning import turned_slot
+from companion.types.autopilot import VehicleState
+from companion.types.commands import Command, CommandName
+from companion.types.flight import STREAMING, FlightPhase, Role
+from companion.types.formation import EAST, FlownSlot, FormationChange, Heading, HeldReference
+from companion.types.notices import Answer, Code, Notice, Refused
+from companion.types.peers import ReceivedTarget
+from companion.types.vectors import ZERO3
+
+MAX_OFF_FLEET_M = 30.0  # more than a fleet lags behind a fast RFT; farther away it is another RFT
+NONE_REJECTED: Mapping[str, int] = {}
+
+
+class Guidance(Struct, frozen=True, gc=False):
+    """What this vehicle flies in this tick. `slot` is turned to `heading`; `plan_slot` is in the formation's own frame.
+
+    `reference` is R of a leader, None for a follower. `refusal_to_lead` is why this vehicle must not become leader. On the
+    command form, `refusal_to_enter` is why there is no path to the slot, and `warning_to_enter` names a path that it crosses.
+    """
+
+    slot: FlownSlot = FlownSlot(ZERO3)
+    plan_slot: FlownSlot = FlownSlot(ZERO3)
+    heading: Heading = EAST
+    published_heading: Heading = EAST
+    reference: FormationState | None = None
+    held_reference: HeldReference | None = None  # None where this vehicle may not lead
+    target_age_s: float | None = None
+    refusal_to_lead: Notice | None = None
+    refusal_to_enter: Notice | None = None
+    warning_to_enter: Notice | None = None
+    offered: FormationChange | None = None  # what a leader passes on to its peers
+    rejected: Mapping[str, int] = NONE_REJECTED
+    answers: tuple[tuple[int, Answer], ...] = ()
+    requests: tuple[PhaseRequest, ...] = ()
+    events: tuple[Notice, ...] = ()
+
+
+class GuidanceStage:
+    """Owns the slot plan, the reference plan, the heading and the entry. A follower has no reference plan."""
+
+    def __init__(
+        self,
+        own_id: int,
+        slots: SlotPlan,
+        heading: FormationHeading,
+        references: ReferencePlan | None,
+        entry: FormationEntry,
+        gap_filling: GapFilling | None,
+    ) -> None:
+        self._slots = slots
+        self._heading = heading
+        self._references = references
+        self._entry = entry
+        self._changes = Changes(own_id, slots, references, gap_filling)
+        self._slot = slots.flown
+
+    def step(
+        self,
+        now_s: float,
+        vehicle: VehicleState,
+        flight: Flight,
+        consensus: Consensus,
+        commands: Collection[Command],
+        targets: Iterable[ReceivedTarget],
+    ) -> Guidance:
+        """Slot, heading and R of this tick, after the changes that commands and peers bring."""
+        slots, heading, references = self._slots, self._heading, self._references
+        events: tuple[Notice, ...] = ()
+        if not vehicle.armed:  # mission time restarts with the next flight
+            events += slots.restart()
+            heading.restart()
+        changed = self._changes.step(now_s, vehicle, flight, consensus, self._slot, commands)
+        events += changed.events
+        reference_s, leads = consensus.reference_s, consensus.role is Role.LEADER
+        held, reference, refusal_to_lead = None, None, None
+        if references:
+            events += references.update(now_s, reference_s, slots.slots_enu_m, consensus.flying, targets)
+            held = references.at(reference_s)
+            reference = self._entry.reference(now_s, vehicle, flight, consensus, held, self._slot)
+            refusal_to_lead = references.missing(now_s)
+            if not leads and flight.phase is FlightPhase.FORMATION:
+                refusal_to_lead = self._off_fleet(vehicle, held) or refusal_to_lead
+        known = held if leads else None
+        self._entry.update(now_s, consensus)
+        requests = self._enter(now_s, vehicle, flight, consensus, known)
+        events += slots.update(now_s, reference_s, consensus.flying, flight.phase in STREAMING)
+        if consensus.heading is not None and not flight.streams:
+            heading.restart()  # this vehicle does not fly by it, so it may step to the reported one
+        heading.update(now_s, consensus, known if flight.in_formation else None, slots.reach_m)
+        self._slot = turned_slot(slots.flown, heading.flown)
+        refusal_to_enter, warning_to_enter = None, None
+        if flight.phase in RULES[CommandName.FORM].allowed and _forms(commands):
+            refusal_to_enter, warning_to_enter = self._entry.judge_command(
+                now_s, vehicle, consensus, known, heading.flown, slots.slots_enu_m
+            )
+        return Guidance(
+            slot=self._slot,
+            plan_slot=slots.flown,
+            heading=heading.flown,
+            published_heading=heading.published,
+            reference=reference,
+            held_reference=references.held if references else None,
+            target_age_s=references.target_age_s if references else None,
+            refusal_to_lead=refusal_to_lead,
+            refusal_to_enter=refusal_to_enter,
+            warning_to_enter=warning_to_enter,
+            offered=slots.to_pass_on(consensus.peers) if leads else None,
+            rejected=references.rejected if references else NONE_REJECTED,
+            answers=changed.answers,
+            requests=requests,
+            events=events,
+        )
+
+    def _off_fleet(self, vehicle: VehicleState, held: FormationState) -> Notice | None:
+        """The refusal where R of this vehicle is more than MAX_OFF_FLEET_M from the fleet, by its own position.
+
+        A vehicle that received the RFT late, or restarted meanwhile, may have changed to it by another hand-over. Up to that
+        distance it leads in.
+        """
+        own = formation_state(vehicle.position_enu_m, vehicle.velocity_enu_m_s, self._slot)
+        off_m = dist(own.position_enu_m, held.position_enu_m)
+        if off_m <= MAX_OFF_FLEET_M:
+            return None
+        text = f"the reference of this vehicle is {off_m:.1f} m from where the fleet flies"
+        return Notice(Code.REFERENCE_OFF_FLEET, text)
+
+    def _enter(
+        self, now_s: float, vehicle: VehicleState, flight: Flight, consensus: Consensus, known: FormationState | None
+    ) -> tuple[PhaseRequest, ...]:
+        """Until the autopilot takes the stream, the path into the slot begins where this vehicle is."""
+        slots = self._slots
+        if flight.phase not in STREAMING:
+            slots.end_path()
+        elif flight.phase is FlightPhase.ENGAGE:
+            slots.end_path()
+            try:
+                path = self._entry.path(now_s, vehicle, consensus, known, self._heading.flown, slots.slots_enu_m)
+            except Refused as refusal:
+                return (PhaseRequest(PhaseChange.HAND_OVER, refusal.notice.about("does not enter formation")),)
+            if path:
+                slots.start_path(path, now_s)
+        return ()
+
+
+def _forms(commands: Collection[Command]) -> bool:
+    return any(command.name is CommandName.FORM for command in commands)

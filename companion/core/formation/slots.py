@@ -1,0 +1,270 @@
+"""The slot that this vehicle flies: configured in the fleet file, or changed in step with all other vehicles.
+
+A change begins at a mission time, and only if every fresh peer holds the same change: a vehicle that missed it would be in
+the path of the others. On the ground mission time does not run and nothing moves, so there a change applies at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from math import ceil
+
+from companion.core.election.mission_clock import FALLS_BACK_S
+from companion.core.formation.limits import FormationLimits
+from companion.core.formation.paths import Path
+from companion.geometry.curves import rest_to_rest
+from companion.geometry.turning import reach_m
+from companion.geometry.vectors import plus
+from companion.types.commands import MAX_EPOCHS_AHEAD
+from companion.types.flight import STREAMING, FlightPhase
+from companion.types.formation import FlownSlot, FormationChange
+from companion.types.notices import Answer, Code, Notice, accepted
+from companion.types.peers import PeerPacket
+from companion.types.vectors import ZERO3, Vector3
+
+LATEST_S = 60.0  # ahead of mission time
+LONGEST_S = 600.0  # duration of a change
+
+
+class SlotPlan:
+    """The formation flown, the one that waits, and this vehicle's slot in it (`flown`)."""
+
+    def __init__(self, own_id: int, slots_enu_m: Mapping[int, Vector3], limits: FormationLimits) -> None:
+        """`slots_enu_m` are those of the fleet file; `limits` apply to every change."""
+        self._own_id = own_id
+        self.limits = limits
+        self._before_enu_m = self.slots_enu_m = dict(slots_enu_m)  # of the formation flown, or moved to
+        self._reach_before_m = self._reach_m = reach_m(slots_enu_m.values())
+        self._flown = FormationChange(0, tuple(sorted(slots_enu_m.items())), 0.0, 0.0)
+        self._waiting: FormationChange | None = None
+        self._path: tuple[Path, float] | None = None  # into the slot, and when it begins on this vehicle's clock
+        self._reference_s = 0.0
+        self.flown = FlownSlot(slots_enu_m[own_id])
+
+    def change(
+        self,
+        change: FormationChange,
+        reference_s: float,
+        others: Iterable[PeerPacket],
+        rft_enu_m: Sequence[Vector3],
+    ) -> Answer:
+        """(accepted, reason), in flight. `others` are the peers in formation where this vehicle is not in it, else empty.
+
+        `rft_enu_m` are the positions of the RFT that this vehicle knows, one a second: around none may a slot lie outside the
+        fence or in an obstacle.
+        """
+        if change in (self._waiting, self._flown):
+            return accepted(Code.FORMATION_KNOWN, f"formation {change.number} is known")
+        if _is_flown(change, others):
+            return self._adopt_flown(change)
+        refusal = (
+            self._refusal(change, rft_enu_m)
+            or self._refusal_of_change(change, reference_s)
+            or self._refusal_of_airspace(change, reference_s, rft_enu_m)
+        )
+        if refusal:
+            return Answer(False, refusal.about("formation"))
+        self._waiting = change
+        text = f"formation {change.number} begins in {change.begins_s - reference_s:.1f} s"
+        if crossing := self.limits.crossing(*self._flown_by_present(change)):
+            text += f"; {crossing.text}"
+        return accepted(Code.FORMATION_ACCEPTED, text)
+
+    def change_on_ground(
+        self, change: FormationChange, flying: Collection[PeerPacket], rft_enu_m: Sequence[Vector3]
+    ) -> Answer:
+        """(accepted, reason), on the ground, where nothing moves. `flying` are the peers in the air."""
+        if change == self._flown:
+            return accepted(Code.FORMATION_KNOWN, f"formation {change.number} is known")
+        if _is_flown(change, [other for other in flying if other.phase is FlightPhase.FORMATION]):
+            return self._adopt_flown(change)
+        slots_enu_m = dict(change.slots_enu_m)
+        refusal = (
+            self._refusal(change, rft_enu_m)
+            or self.limits.refusal_of_distance(slots_enu_m)
+            or self.limits.refusal_of_airspace(slots_enu_m, slots_enu_m, (), rft_enu_m)
+        )
+        if refusal:
+            return Answer(False, refusal.about("formation"))
+        if flying:
+            text = f"formation {change.number} is adopted here when the others fly it"
+            return accepted(Code.FORMATION_ACCEPTED, text)
+        self._take(_begun(change))
+        self._before_enu_m = self.slots_enu_m
+        return accepted(Code.FORMATION_ACCEPTED, f"formation {change.number}, on the ground at once")
+
+    def withdraw(self) -> None:
+        """Drop the change that waits."""
+        self._waiting = None
+
+    def lacks(self, change: FormationChange, over_own: bool) -> bool:
+        """Whether a change passed on by a leader is new here; with `over_own` also if another of its number waits."""
+        waiting, flown = self._waiting, self._flown
+        if waiting is not None and change.number <= waiting.number:
+            return over_own and change.number == waiting.number and change != waiting
+        return change.number != flown.number
+
+    def is_settled(self, reference_s: float) -> bool:
+        """Whether no change waits, and the formation flown has been reached."""
+        return self._waiting is None and reference_s >= self._flown.begins_s + self._flown.lasts_s
+
+    def to_pass_on(self, others: Iterable[PeerPacket]) -> FormationChange | None:
+        """The change that a leader sends to its peers. `others` are all fresh peers.
+
+        A waiting change is sent until it begins, so that all vehicles hold the same one; the formation flown is sent while a
+        peer lacks it.
+        """
+        if self._waiting:
+            return self._waiting
+        number = self._flown.number
+        lacked = any(number not in (other.slot.formation, other.slot.waiting) for other in others)
+        return self._flown if lacked else None
+
+    def update(
+        self, now_s: float, reference_s: float, others: Collection[PeerPacket], in_formation: bool
+    ) -> tuple[Notice, ...]:
+        """Compute `flown` at this mission time; return the events. A path into the slot goes by the vehicle's own clock.
+
+        `others` are the fresh peers that fly; `in_formation` is whether this vehicle forms or flies in formation.
+        """
+        events: tuple[Notice, ...] = ()
+        if reference_s < self._reference_s - FALLS_BACK_S:  # the leader has landed or restarted meanwhile
+            events = self.restart()
+        self._reference_s = reference_s
+        if self._waiting is not None and reference_s >= self._waiting.begins_s:
+            events += self._begin(self._waiting, others, in_formation)
+        flown, own_id = self._flown, self._own_id
+        elapsed_s = reference_s - flown.begins_s
+        motion = rest_to_rest(self._before_enu_m[own_id], self.slots_enu_m[own_id], elapsed_s, flown.lasts_s)
+        moves_for_s = flown.lasts_s - elapsed_s if motion[1] != ZERO3 else 0.0
+        if self._path:
+            (delta, lasts_s), begun_s = self._path
+            left_s = begun_s + lasts_s - now_s
+            if left_s <= 0.0:
+                self._path = None
+                events += (Notice(Code.SLOT_REACHED, "has joined: it is in its slot"),)
+            else:
+                x, y, z = (plus(a, b) for a, b in zip(motion, delta(now_s - begun_s), strict=True))
+                motion, moves_for_s = (x, y, z), max(moves_for_s, left_s)
+        number = self._waiting.number if self._waiting else flown.number
+        self.flown = FlownSlot(*motion, flown.number, number, moves_for_s)
+        return events
+
+    def _begin(
+        self, waiting: FormationChange, others: Collection[PeerPacket], in_formation: bool
+    ) -> tuple[Notice, ...]:
+        """Begin the waiting change, or cancel it where a peer lacks it or an absent vehicle is back."""
+        self._waiting = None
+        present = {o.vehicle_id for o in others if o.phase in STREAMING} | ({self._own_id} if in_formation else set())
+        back = sorted(present & set(waiting.absent))
+        lacking = sorted(o.vehicle_id for o in others if waiting.number not in (o.slot.formation, o.slot.waiting))
+        if back:
+            return (_cancelled(waiting, f"vehicle {back[0]} is back in formation"),)
+        if lacking:
+            return (_cancelled(waiting, f"vehicle {lacking[0]} does not have it"),)
+        text = f"formation {self._flown.number} -> {waiting.number}"
+        self._take(waiting)
+        return (Notice(Code.FORMATION_CHANGED, text),)
+
+    @property
+    def reach_m(self) -> float:
+        """Horizontal distance from the RFT to the outermost slot; during a change the larger of both formations."""
+        return max(self._reach_before_m, self._reach_m) if self.flown.moves else self._reach_m
+
+    def restart(self) -> tuple[Notice, ...]:
+        """Mission time restarts, as with the next flight; the formation stays. Returns the event of a cancelled change."""
+        waiting = self._waiting
+        self._flown, self._before_enu_m, self._waiting = _begun(self._flown), self.slots_enu_m, None
+        return (_cancelled(waiting, "the mission time restarts"),) if waiting else ()
+
+    def start_path(self, path: Path, now_s: float) -> None:
+        """Fly this path into the slot from now on."""
+        self._path = (path, now_s)
+
+    def end_path(self) -> None:
+        """Drop the path: this vehicle is not in formation, or flies into its slot by the law alone."""
+        self._path = None
+
+    def _take(self, change: FormationChange) -> None:
+        self._before_enu_m, self.slots_enu_m = self.slots_enu_m, dict(change.slots_enu_m)
+        self._reach_before_m, self._reach_m = self._reach_m, reach_m(self.slots_enu_m.values())
+        self._flown, self._waiting = change, None
+
+    def _adopt_flown(self, change: FormationChange) -> Answer:
+        """Adopt the formation that others fly, at its end at once: a vehicle outside formation does not move.
+
+        The number is not compared: this vehicle may have received a newer change that was cancelled.
+        """
+        slots_enu_m = dict(change.slots_enu_m)
+        refusal = self._refusal_of_form(change) or self.limits.refusal_of_distance(slots_enu_m)
+        if refusal:
+            return Answer(False, refusal.about("formation"))
+        self._take(_begun(change))
+        self._before_enu_m = self.slots_enu_m
+        return accepted(Code.FORMATION_ACCEPTED, f"formation {change.number}, which the others fly")
+
+    def _refusal_of_form(self, change: FormationChange) -> Notice | None:
+        ids = [vehicle_id for vehicle_id, _ in change.slots_enu_m]
+        if sorted(ids) != sorted(self.slots_enu_m):
+            text = f"slots for vehicles {sorted(ids)}; expected {sorted(self.slots_enu_m)}"
+            return Notice(Code.SLOTS_INCOMPLETE, text)
+        if not set(change.absent) < set(ids):
+            text = f"absent vehicles {sorted(change.absent)}; expected some of {sorted(ids)}, not all"
+            return Notice(Code.SLOTS_INCOMPLETE, text)
+        if change.number > self._flown.number + MAX_EPOCHS_AHEAD:
+            text = f"number {change.number} is too far ahead of {self._flown.number}"
+            return Notice(Code.CHANGE_TOO_NEW, text)
+        return self.limits.refusal_of_extent(dict(change.slots_enu_m))
+
+    def _refusal(self, change: FormationChange, rft_enu_m: Iterable[Vector3]) -> Notice | None:
+        """The refusal that does not depend on when it begins."""
+        if refusal := self._refusal_of_form(change):
+            return refusal
+        if change.number <= self._flown.number:
+            text = f"number {change.number} is not newer than {self._flown.number}"
+            return Notice(Code.CHANGE_TOO_OLD, text)
+        return self.limits.refusal_of_positions(dict(change.slots_enu_m), rft_enu_m)
+
+    def _refusal_of_change(self, change: FormationChange, reference_s: float) -> Notice | None:
+        """The refusal of its time, of its slots and of the speed from the formation flown now."""
+        if not reference_s < change.begins_s <= reference_s + LATEST_S:
+            text = f"begins at mission time {change.begins_s:.1f} s, which is {reference_s:.1f} s now"
+            return Notice(Code.CHANGE_NOT_IN_TIME, text)
+        if not 0.0 < change.lasts_s <= LONGEST_S:
+            text = f"lasts {change.lasts_s:.1f} s; expected up to {LONGEST_S:g} s"
+            return Notice(Code.CHANGE_TOO_LONG, text)
+        if self._path:
+            return Notice(Code.CHANGE_IN_PROGRESS, "this vehicle is not in its slot yet")
+        if reference_s < self._flown.begins_s + self._flown.lasts_s:
+            text = f"formation {self._flown.number} is still being taken up"
+            return Notice(Code.CHANGE_IN_PROGRESS, text)
+        before, after = self._flown_by_present(change)
+        return self.limits.refusal_of_change(before, after, change.lasts_s) or (
+            self.limits.refusal_of_distance(dict(change.slots_enu_m)) if change.absent else None
+        )
+
+    def _flown_by_present(self, change: FormationChange) -> tuple[dict[int, Vector3], dict[int, Vector3]]:
+        """Slots before and after the change, of the vehicles that fly it."""
+        after = {i: slot for i, slot in change.slots_enu_m if i not in change.absent}
+        return {i: self.slots_enu_m[i] for i in after}, after
+
+    def _refusal_of_airspace(
+        self, change: FormationChange, reference_s: float, rft_enu_m: Sequence[Vector3]
+    ) -> Notice | None:
+        """The refusal where a slot, or a path to it while the change lasts, meets an obstacle or leaves the polygon."""
+        arrives_in_s = change.begins_s + change.lasts_s - reference_s
+        on_the_way = rft_enu_m[: ceil(arrives_in_s) + 1]
+        return self.limits.refusal_of_airspace(self.slots_enu_m, dict(change.slots_enu_m), on_the_way, rft_enu_m)
+
+
+def _is_flown(change: FormationChange, others: Iterable[PeerPacket]) -> bool:
+    return any(other.slot.formation == change.number for other in others)
+
+
+def _cancelled(change: FormationChange, reason: str) -> Notice:
+    return Notice(Code.FORMATION_CANCELLED, f"formation {change.number} does not begin: {reason}")
+
+
+def _begun(change: FormationChange) -> FormationChange:
+    """The change as flown since mission time 0."""
+    return FormationChange(change.number, change.slots_enu_m, 0.0, 0.0)

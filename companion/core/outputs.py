@@ -1,0 +1,192 @@
+"""Reports: a packet to the peers every tick, events and a status to the ground."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from math import inf
+
+from msgspec import Struct
+from msgspec.structs import replace
+
+from companion.core.command.arbitration import Intake
+from companion.core.command.phase import RULES, Flight
+from companion.core.consensus.neighbourhood import Consensus
+from companion.core.control.setpoint import Setpoint
+from companion.core.estimation.perception import Perception
+from companion.core.formation.guidance import Guidance
+from companion.core.safety.fleet_checks import FleetChecks
+from companion.core.safety.health import POSITION_WRONG
+from companion.core.safety.interventions import Interventions
+from companion.core.safety.return_check import refusal_of_return
+from companion.core.safety.safeguard import Safety
+from companion.types.autopilot import VehicleState
+from companion.types.commands import CommandName
+from companion.types.flight import FlightPhase, Role
+from companion.types.notices import Notice
+from companion.types.peers import PeerPacket
+from companion.types.rejections import counted
+from companion.types.status import Status
+
+STATUS_PERIOD_S = 0.099  # every fifth tick of 50 Hz, also where a tick comes a little early
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """The vehicle and its configuration. `session` differs from one start of this vehicle's agent to the next."""
+
+    vehicle_id: int
+    session: int
+    fleet: str
+    formation_hash: int
+    law_name: str
+
+
+class Report(Struct, frozen=True, gc=False):
+    """What leaves the vehicle besides requests and replies: its peer packet, status and events."""
+
+    peer_packet: PeerPacket | None
+    status: Status | None
+    events: tuple[Notice, ...]
+
+
+class ReportStage:
+    """Peer packet, status and events. `refused` counts messages rejected before they came to the agent, by reason."""
+
+    def __init__(self, identity: Identity, checks: FleetChecks) -> None:
+        self._identity = identity
+        self._checks = checks
+        self._interventions = Interventions()
+        self._sequence = 0
+        self._last_event: Notice | None = None
+        self._status_s = -inf
+        self.refused: Counter[str] = Counter()
+
+    def refuse(self, key: str) -> None:
+        """Count a message that was refused before it came to the agent."""
+        self.refused = counted(self.refused, key)
+
+    def step(
+        self,
+        now_s: float,
+        intake: Intake,
+        perception: Perception,
+        consensus: Consensus,
+        guidance: Guidance,
+        safety: Safety,
+        flight: Flight,
+        setpoint: Setpoint,
+    ) -> Report:
+        """A packet every tick, a status ten times a second and at once with an event."""
+        events = intake.events + perception.events + consensus.events + flight.events + guidance.events + safety.events
+        events += self._interventions.step(now_s, setpoint.separation)
+        if events:
+            self._last_event = events[-1]
+        status = None
+        if events or now_s - self._status_s >= STATUS_PERIOD_S:
+            self._status_s = now_s
+            status = self._status(now_s, intake, perception, consensus, guidance, safety, flight, setpoint)
+        return Report(
+            self._packet(now_s, perception.vehicle, consensus, guidance, safety, flight, setpoint), status, events
+        )
+
+    def _packet(
+        self,
+        now_s: float,
+        vehicle: VehicleState,
+        consensus: Consensus,
+        guidance: Guidance,
+        safety: Safety,
+        flight: Flight,
+        setpoint: Setpoint,
+    ) -> PeerPacket | None:
+        """None before there is a position, and while peers must not use it."""
+        if safety.flags & POSITION_WRONG or vehicle.position_time_s == -inf:
+            return None
+        self._sequence += 1
+        identity, beacon = self._identity, consensus.leader_beacon
+        leads = consensus.role is Role.LEADER and flight.phase is FlightPhase.FORMATION
+        return PeerPacket(
+            vehicle_id=identity.vehicle_id,
+            session=identity.session,
+            sequence=self._sequence,
+            formation_hash=identity.formation_hash,
+            phase=flight.phase,
+            role=consensus.role,
+            position_enu_m=vehicle.position_enu_m,
+            velocity_enu_m_s=vehicle.velocity_enu_m_s,
+            acceleration_enu_m_s2=setpoint.acceleration_enu_m_s2,
+            state_age_s=max(0.0, now_s - vehicle.position_time_s),
+            sent_s=now_s,
+            prc=consensus.prc,
+            leader_beacon=beacon and replace(beacon, heading=guidance.published_heading),
+            slot=guidance.slot,
+            position_error=vehicle.position_error,
+            reference=guidance.held_reference,
+            change=guidance.offered if leads else None,
+            armed=vehicle.armed,
+        )
+
+    def _status(
+        self,
+        now_s: float,
+        intake: Intake,
+        perception: Perception,
+        consensus: Consensus,
+        guidance: Guidance,
+        safety: Safety,
+        flight: Flight,
+        setpoint: Setpoint,
+    ) -> Status:
+        identity, vehicle, reference = self._identity, perception.vehicle, guidance.reference
+        peers = consensus.peers
+        rejected = Counter(self.refused)
+        for stage in (setpoint, perception, consensus, guidance):
+            rejected.update(stage.rejected)
+        return Status(
+            vehicle_id=identity.vehicle_id,
+            session=identity.session,
+            fleet=identity.fleet,
+            formation_hash=identity.formation_hash,
+            law=identity.law_name,
+            phase=flight.phase,
+            mode_name=vehicle.mode_name,
+            armed=vehicle.armed,
+            landed=vehicle.landed,
+            position_enu_m=vehicle.position_enu_m,
+            velocity_enu_m_s=vehicle.velocity_enu_m_s,
+            state_age_s=min(1e6, now_s - vehicle.position_time_s),
+            hover_thrust_norm=setpoint.hover_thrust_norm,
+            disturbance_enu_m_s2=setpoint.disturbance_enu_m_s2,
+            role=consensus.role,
+            epoch=consensus.epoch,
+            prc=consensus.prc,
+            leader_beacon=consensus.leader_beacon,
+            leader_beacon_age_s=consensus.leader_beacon_age_s if consensus.leader_beacon else None,
+            neighbours=consensus.neighbour_ids,
+            slot=guidance.plan_slot,
+            reference_enu_m=reference.position_enu_m if reference else None,
+            flags=tuple(sorted(safety.flags)),
+            rejected=dict(rejected),
+            last_event=self._last_event,
+            reference_s=consensus.reference_s,
+            reference=guidance.held_reference,
+            target_age_s=guidance.target_age_s,
+            refuses_return=self._refusal_of_return(vehicle, flight, consensus),
+            lacks=() if vehicle.armed else perception.fitness.lacks + self._checks.lacks(vehicle, peers),
+            holder=intake.holder,
+            command_number=intake.number,
+            peers=tuple(sorted(peer.vehicle_id for peer in peers)),
+            battery_percent=perception.fitness.battery_percent,
+            position_error=vehicle.position_error,
+            heading=guidance.heading,
+            largest_step_deg=setpoint.largest_step_deg,
+            separation=setpoint.separation,
+        )
+
+    def _refusal_of_return(self, vehicle: VehicleState, flight: Flight, consensus: Consensus) -> Notice | None:
+        """So that the ground can ask all vehicles before it commands one."""
+        if flight.phase not in RULES[CommandName.RETURN].allowed:
+            return None
+        checks, homes_enu_m = self._checks, consensus.ground_position_enu_m
+        return refusal_of_return(checks.own_id, checks.separation_m, vehicle, consensus.peers, homes_enu_m)

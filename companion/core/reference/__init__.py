@@ -1,0 +1,1 @@
+"""Reference trajectories (RFT), their changes and the formation heading."""

@@ -1,0 +1,316 @@
+"""The RFT of a vehicle that may lead: configured in its vehicle file, or changed by command.
+
+A change begins at a mission time, and only if every flying vehicle that may lead holds it: one that missed it would lead
+elsewhere. So the RFT is the same whichever vehicle is leader, also during a hand-over to another RFT.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass
+
+from companion.core.consensus.law import FormationState
+from companion.core.election.mission_clock import FALLS_BACK_S
+from companion.core.reference.blend import BlendLimits, blended
+from companion.core.reference.target_follower import TargetLimits, TargetPursuit, can_keep
+from companion.core.reference.targets import Targets
+from companion.core.reference.trajectories import ReferenceTrajectory
+from companion.types.commands import MAX_EPOCHS_AHEAD, Described, ReferenceChange
+from companion.types.flight import FlightPhase, Role
+from companion.types.formation import HeldReference
+from companion.types.notices import Answer, Code, Notice, accepted, refused
+from companion.types.peers import PeerPacket, ReceivedTarget
+from companion.types.vectors import ZERO3, Vector3
+
+LATEST_S = 60.0  # ahead of mission time
+LOOK_AHEAD_S = 120  # for this time ahead a formation must keep its limits along the RFT
+LEADER_VALID_S = 2.0  # the last packet of a lost leader counts for this time: its successor needs the same RFT
+
+
+@dataclass(frozen=True, slots=True)
+class LiveReference:
+    """An RFT that follows a target; see TargetReference in `config/reference.py`."""
+
+    start_enu_m: Vector3
+    name: str
+    offset_enu_m: Vector3
+    follows_altitude: bool
+    max_age_s: float
+    limits: TargetLimits
+
+    def goal(self, position_enu_m: Vector3 | None, velocity_enu_m_s: Vector3) -> tuple[Vector3 | None, Vector3]:
+        """Wanted position and velocity of R for this target state; the position is None without one of the target."""
+        vx, vy, vz = velocity_enu_m_s
+        velocity = (vx, vy, vz if self.follows_altitude else 0.0)
+        if position_enu_m is None:
+            return None, velocity
+        (x, y, z), (dx, dy, dz) = position_enu_m, self.offset_enu_m
+        return (x + dx, y + dy, z + dz if self.follows_altitude else self.start_enu_m[2]), velocity
+
+
+Rft = ReferenceTrajectory | LiveReference
+Read = Callable[[Described, Mapping[int, Vector3]], Rft]
+"""(description, slots) -> checked RFT. Raises ValueError with the reason."""
+RefusalOfSlots = Callable[[Described | None, Mapping[int, Vector3]], str | None]
+"""(description, None for the configured RFT; slots) -> why the law cannot fly these slots with it."""
+Flown = ReferenceTrajectory | TargetPursuit
+"""A function of mission time, or a pursuit that is advanced tick by tick."""
+
+
+class ReferencePlan:
+    """The RFT flown, the change that waits, and the RFT of the last leader."""
+
+    def __init__(self, first: Rft, read: Read, refusal_of_slots: RefusalOfSlots, limits: BlendLimits) -> None:
+        """`first` is the configured RFT; `read` checks a commanded one, `refusal_of_slots` other slots for one."""
+        self._read = read
+        self._refusal_of_slots = refusal_of_slots
+        self._limits = limits
+        self._targets = Targets()
+        self._change: ReferenceChange | None = None  # that the RFT flown came by; None: configured
+        self._waiting: tuple[ReferenceChange, Rft] | None = None
+        self._rft = first
+        self._flown = _from_start(first)
+        self._begun_s = 0.0  # mission time at which the RFT flown began
+        self._reference_s = 0.0
+        self._led_by: tuple[int, HeldReference] | None = None  # leader in formation, and its RFT
+        self._led_s = 0.0
+        self.target_age_s: float | None = None  # None without a target, or before its first sample
+
+    @property
+    def held(self) -> HeldReference:
+        flown = self._change.number if self._change else 0
+        return HeldReference(flown, self._waiting[0].number if self._waiting else flown, self._begun_s)
+
+    @property
+    def rejected(self) -> Mapping[str, int]:
+        return self._targets.rejected
+
+    def at(self, reference_s: float) -> FormationState:
+        """R and r'' at this mission time; of a followed target, now."""
+        return self._flown.state if isinstance(self._flown, TargetPursuit) else self._flown(reference_s)
+
+    def positions_enu_m(self, reference_s: float) -> list[Vector3]:
+        """r from this mission time on, once a second for LOOK_AHEAD_S; of a followed target, now alone.
+
+        Those of a waiting RFT follow.
+        """
+        times_s = [reference_s + ahead_s for ahead_s in range(LOOK_AHEAD_S)]
+        waiting_enu_m = []
+        if self._waiting:
+            change, rft = self._waiting
+            waiting_enu_m = _positions_enu_m(_from_start(rft), [max(0.0, t - change.begins_s) for t in times_s])
+        return _positions_enu_m(self._flown, times_s) + waiting_enu_m
+
+    def refusal_of_slots(self, slots_enu_m: Mapping[int, Vector3]) -> str | None:
+        """Why the law cannot fly these slots with the RFT flown, or with the one that waits."""
+        refusal = self._refusal_of_slots(self._change.reference if self._change else None, slots_enu_m)
+        if refusal is None and self._waiting:
+            refusal = self._refusal_of_slots(self._waiting[0].reference, slots_enu_m)
+        return refusal
+
+    def change(
+        self,
+        change: ReferenceChange,
+        reference_s: float,
+        slots_enu_m: Mapping[int, Vector3],
+        others: Iterable[PeerPacket],
+        fleet_enu_m: Vector3,
+    ) -> Answer:
+        """(accepted, reason). `fleet_enu_m` is r of the fleet, derived from this vehicle's own position."""
+        if self._has(change):
+            return accepted(Code.REFERENCE_KNOWN, f"reference {change.number} is known")
+        theirs = HeldReference(change.number, begun_s=change.begins_s)
+        late = any(other.reference and _is_same(other.reference, theirs) for other in others)
+        if refusal := self._refusal(change, reference_s, late):
+            return Answer(False, refusal.about("reference"))
+        try:
+            rft = self._read(change.reference, slots_enu_m)
+            if late:
+                self._take(change, rft, _joined(rft, change.begins_s, fleet_enu_m))
+                return accepted(Code.REFERENCE_ACCEPTED, f"reference {change.number}, which the leader flies")
+            self._handed_over(change, rft, slots_enu_m)
+        except ValueError as error:
+            return refused(Code.REFERENCE_INVALID, f"reference: {error}")
+        self._waiting = (change, rft)
+        text = f"reference {change.number} begins in {change.begins_s - reference_s:.1f} s"
+        return accepted(Code.REFERENCE_ACCEPTED, text)
+
+    def waiting_track_enu_m(self, slots_enu_m: Mapping[int, Vector3]) -> list[Vector3]:
+        """r of the change that waits, with its hand-over, once a second for LOOK_AHEAD_S; empty for a followed target."""
+        if self._waiting is None:
+            return []
+        change, rft = self._waiting
+        flown, _ = self._handed_over(change, rft, slots_enu_m)
+        if isinstance(flown, TargetPursuit):
+            return []
+        return _positions_enu_m(flown, [change.begins_s + ahead_s for ahead_s in range(LOOK_AHEAD_S)])
+
+    def withdraw(self) -> None:
+        """Drop the change that waits."""
+        self._waiting = None
+
+    def update(
+        self,
+        now_s: float,
+        reference_s: float,
+        slots_enu_m: Mapping[int, Vector3],
+        others: Collection[PeerPacket],
+        targets: Iterable[ReceivedTarget],
+    ) -> tuple[Notice, ...]:
+        """Once a tick, with the fresh peers that fly, the slots of the formation and new target samples; returns the events."""
+        self._note_leader(now_s, others)
+        live = [rft for rft in (self._rft, self._waiting and self._waiting[1]) if isinstance(rft, LiveReference)]
+        self._targets.fold(targets, [rft.name for rft in live])
+        events: tuple[Notice, ...] = ()
+        if reference_s < self._reference_s - FALLS_BACK_S:
+            events = self._restart()
+            self._reference_s = reference_s
+        if self._waiting is not None and reference_s >= self._waiting[0].begins_s:
+            events += self._begin(*self._waiting, slots_enu_m, others)
+        if isinstance(self._flown, TargetPursuit) and isinstance(self._rft, LiveReference):
+            events += self._follow(self._flown, self._rft, now_s, reference_s, slots_enu_m)
+        self._reference_s = max(self._reference_s, reference_s)  # corrections by milliseconds do not count
+        return events
+
+    def missing(self, now_s: float) -> Notice | None:
+        """Why this vehicle must not become leader now: its RFT differs from the last leader's; None where it is the same.
+
+        The leader's last packet may date from just before a change that both hold.
+        """
+        if self._led_by is None or now_s - self._led_s > LEADER_VALID_S:
+            return None
+        leader_id, theirs = self._led_by
+        held = self.held
+        if _is_same(theirs, held) or held.flown == _next(theirs) or theirs.flown == _next(held):
+            return None
+        return Notice(
+            Code.REFERENCE_DIFFERS,
+            f"vehicle {leader_id} flies reference {theirs.flown} since mission time {theirs.begun_s:.1f} s,"
+            f" this vehicle {held.flown} since {held.begun_s:.1f} s",
+        )
+
+    def _note_leader(self, now_s: float, others: Iterable[PeerPacket]) -> None:
+        for other in others:
+            if other.reference and other.role is Role.LEADER and other.phase is FlightPhase.FORMATION:
+                self._led_by, self._led_s = (other.vehicle_id, other.reference), now_s
+
+    def _has(self, change: ReferenceChange) -> bool:
+        if self._waiting and change == self._waiting[0]:
+            return True
+        return change == self._change and change.begins_s == self._begun_s
+
+    def _restart(self) -> tuple[Notice, ...]:
+        """Mission time restarted after a landing, and with it the RFT flown last. Cancels a waiting change."""
+        waiting = self._waiting
+        self._waiting, self._begun_s = None, 0.0
+        self._flown, self.target_age_s = _from_start(self._rft), None
+        return (_cancelled(waiting[0], "the mission time restarts"),) if waiting else ()
+
+    def _refusal(self, change: ReferenceChange, reference_s: float, late: bool) -> Notice | None:
+        flown = self.held.flown
+        if self._waiting:
+            return Notice(Code.CHANGE_IN_PROGRESS, f"{self._waiting[0].number} is still to begin")
+        if not late and not flown < change.number <= flown + MAX_EPOCHS_AHEAD:
+            return Notice(Code.CHANGE_TOO_OLD, f"number {change.number} is not newer than {flown}")
+        if not late and not reference_s < change.begins_s <= reference_s + LATEST_S:
+            text = f"begins at mission time {change.begins_s:.1f} s, which is {reference_s:.1f} s now"
+            return Notice(Code.CHANGE_NOT_IN_TIME, text)
+        return None
+
+    def _begin(
+        self, change: ReferenceChange, rft: Rft, slots_enu_m: Mapping[int, Vector3], others: Iterable[PeerPacket]
+    ) -> tuple[Notice, ...]:
+        """Begin a waiting change, or cancel it where a peer that may lead lacks it or no hand-over is possible."""
+        self._waiting = None
+        held = [(o.vehicle_id, o.reference) for o in others if o.reference]
+        lacking = [i for i, theirs in held if change.number not in (theirs.flown, theirs.waiting)]
+        if lacking:
+            return (_cancelled(change, f"vehicle {min(lacking)} does not have it"),)
+        try:
+            flown, how = self._handed_over(change, rft, slots_enu_m)
+        except ValueError as error:
+            return (_cancelled(change, str(error)),)
+        text = f"reference {self.held.flown} -> {change.number} ({how})"
+        self._take(change, rft, flown)
+        return (Notice(Code.REFERENCE_CHANGED, text),)
+
+    def _handed_over(self, change: ReferenceChange, rft: Rft, slots_enu_m: Mapping[int, Vector3]) -> tuple[Flown, str]:
+        """The RFT with its hand-over, and a text for the event. Raises ValueError where no hand-over is possible."""
+        old = self.at(change.begins_s)
+        if isinstance(rft, LiveReference):
+            box = self._limits.room(slots_enu_m.values())
+            if not can_keep(old, rft.limits, box):
+                raise ValueError("the fleet is too fast or too near the fence to follow a target within these limits")
+            return TargetPursuit(rft.limits, old), f"follows target {rft.name}"
+        found = blended(old, rft, change.begins_s, self._limits, list(slots_enu_m.values()))
+        if found is None:
+            raise ValueError(
+                "no hand-over to it keeps all vehicles inside the fence and within the limits of speed and tilt"
+            )
+        flown, lasts_s = found
+        return flown, f"hand-over of {lasts_s:.1f} s"
+
+    def _take(self, change: ReferenceChange, rft: Rft, flown: Flown) -> None:
+        self._change, self._rft, self._flown = change, rft, flown
+        self._begun_s, self.target_age_s = change.begins_s, None
+        self._reference_s = max(self._reference_s, change.begins_s)  # a target is followed from then on
+
+    def _follow(
+        self,
+        pursuit: TargetPursuit,
+        live: LiveReference,
+        now_s: float,
+        reference_s: float,
+        slots_enu_m: Mapping[int, Vector3],
+    ) -> tuple[Notice, ...]:
+        """Advance the pursuit by one tick; return the event where the target is received again or lost."""
+        target = self._targets.newest(live.name)
+        age_s, before_s = now_s - target.measured_s if target else None, self.target_age_s
+        self.target_age_s = age_s
+        goal, velocity = None, ZERO3
+        if target and age_s is not None and age_s <= live.max_age_s:
+            goal, velocity = live.goal(target.position_at(now_s), target.sample.velocity_enu_m_s)
+        box = self._limits.room(slots_enu_m.values())
+        pursuit.advance(reference_s - self._reference_s, goal, velocity, box)
+        return _target_events(live, before_s, age_s)
+
+
+def _target_events(live: LiveReference, before_s: float | None, age_s: float | None) -> tuple[Notice, ...]:
+    """The event where a target becomes fresh or stale; `before_s` is its age in the last tick."""
+    is_fresh = age_s is not None and age_s <= live.max_age_s
+    was_fresh = before_s is not None and before_s <= live.max_age_s
+    if is_fresh and not was_fresh:
+        return (Notice(Code.TARGET_RECEIVED, f"target {live.name} is received"),)
+    if was_fresh and not is_fresh:
+        text = f"target {live.name} is silent for {live.max_age_s:g} s: the reference comes to rest"
+        return (Notice(Code.TARGET_LOST, text),)
+    return ()
+
+
+def _cancelled(change: ReferenceChange, reason: str) -> Notice:
+    return Notice(Code.REFERENCE_CANCELLED, f"reference {change.number} does not begin: {reason}")
+
+
+def _positions_enu_m(flown: Flown, times_s: Iterable[float]) -> list[Vector3]:
+    if isinstance(flown, TargetPursuit):
+        return [flown.state.position_enu_m]
+    return [flown(time_s).position_enu_m for time_s in times_s]
+
+
+def _next(held: HeldReference) -> int | None:
+    return held.waiting if held.waiting != held.flown else None
+
+
+def _is_same(a: HeldReference, b: HeldReference) -> bool:
+    return a.flown == b.flown and a.begun_s == b.begun_s
+
+
+def _from_start(rft: Rft) -> Flown:
+    return TargetPursuit(rft.limits, FormationState(rft.start_enu_m, ZERO3)) if isinstance(rft, LiveReference) else rft
+
+
+def _joined(rft: Rft, begins_s: float, fleet_enu_m: Vector3) -> Flown:
+    """The RFT that others fly already, without their hand-over to it. A pursuit begins at the position of the fleet."""
+    if isinstance(rft, LiveReference):
+        return TargetPursuit(rft.limits, FormationState(fleet_enu_m, ZERO3))
+    return lambda reference_s: rft(max(0.0, reference_s - begins_s))

@@ -1,0 +1,1 @@
+"""Health, failsafes, output limits and the checks before flight."""

@@ -1,0 +1,188 @@
+"""Vehicle audit: whether a vehicle is fit to fly in formation. Used by `companion doctor` and by the agent before `form`.
+
+`Facts` -> `Finding`s. A vehicle may fly with warnings but not with refusals. `audit_parameters.py` holds the table of the
+autopilots' parameters; the rest is the same for every autopilot.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+
+from companion.core.safety.audit_parameters import RULES, Judgement, ParameterRule
+from companion.core.safety.audit_parameters import Verdict as Verdict
+from companion.types.autopilot import AutopilotKind
+from companion.types.notices import Code
+from companion.types.vectors import Vector3
+
+# PX4 sends CURRENT_MODE twice a second and at every change, regardless of requests; HEARTBEAT at 1 Hz alone is too slow.
+MIN_RATES_HZ = {"positions": 40.0, "attitudes": 40.0, "modes": 1.5, "landed states": 2.0}
+LOW_BATTERY_PERCENT = 40.0  # a flight may begin, but not a long one
+EMPTY_BATTERY_PERCENT = 20.0
+MAX_HOVER_THRUST_DIFFERENCE = 0.1  # relative; above it vehicle file and autopilot describe different vehicles
+
+
+class PositionCheck(StrEnum):
+    """Position of the vehicle relative to the fence."""
+
+    UNKNOWN = "no position"
+    NO_ORIGIN = "position, but no origin of its local frame"
+    OUTSIDE = "outside the fleet's fence"
+    INSIDE = "inside the fleet's fence"
+
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """Facts of one vehicle. None means that the caller does not check this; it gives no finding.
+
+    `parameters` are all requested ones, with None for no answer. `rates_hz` has the keys of MIN_RATES_HZ. `battery_percent`
+    is -1 where the autopilot does not know it. `failing_checks` is the reason of failing preflight checks, "" where they pass.
+    """
+
+    autopilot: AutopilotKind
+    parameters: Mapping[str, float | None]
+    hover_thrust_norm: float  # configured in the vehicle file
+    rates_hz: Mapping[str, float] | None = None
+    failing_checks: str | None = None
+    position_check: PositionCheck | None = None
+    position_enu_m: Vector3 | None = None
+    battery_percent: float | None = None
+    mode_name: str | None = None
+    armed: bool | None = None
+    accepts_uncontrolled_descent: bool = False  # by the vehicle file
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One line of the audit. `code` is None where the verdict is OK.
+
+    `fix` is the value that may be set without asking a pilot; None where a person decides.
+    """
+
+    subject: str
+    verdict: Verdict
+    code: Code | None
+    found: str
+    wanted: str
+    remedy: str = ""  # "" where nothing is to be done
+    fix: float | None = None
+
+    def __str__(self) -> str:
+        """One sentence, for logs and replies."""
+        return f"{self.subject}: {self.found}; wanted: {self.wanted}" + (f"; {self.remedy}" if self.remedy else "")
+
+
+def parameter_names(autopilot: AutopilotKind) -> tuple[str, ...]:
+    """Names of the parameters that the audit checks, in its order."""
+    return tuple(rule.name for rule in RULES[autopilot])
+
+
+def audit(facts: Facts) -> tuple[Finding, ...]:
+    """All findings of these facts, in a fixed order."""
+    return tuple(_findings(facts))
+
+
+def worst(findings: tuple[Finding, ...]) -> Verdict:
+    """The worst verdict of these findings."""
+    verdicts = {finding.verdict for finding in findings}
+    return next(v for v in (Verdict.REFUSAL, Verdict.WARNING, Verdict.OK) if v in verdicts or v is Verdict.OK)
+
+
+def _findings(facts: Facts) -> Iterator[Finding]:
+    if facts.rates_hz is not None:
+        yield from (_rate(name, facts.rates_hz.get(name, 0.0), least_hz) for name, least_hz in MIN_RATES_HZ.items())
+    if facts.failing_checks is not None:
+        yield _checks(facts.failing_checks)
+    if facts.position_check is not None:
+        yield _position(facts.position_check, facts.position_enu_m)
+    if facts.battery_percent is not None:
+        yield _battery(facts.battery_percent)
+    if facts.armed is not None:
+        yield _mode(facts.mode_name or "unknown", facts.armed)
+    for rule in RULES[facts.autopilot]:
+        if rule.name in facts.parameters:
+            yield _parameter(rule, facts.parameters[rule.name], facts)
+
+
+def _rate(name: str, rate_hz: float, least_hz: float) -> Finding:
+    wanted = f"at least {least_hz:g} Hz"
+    if rate_hz >= least_hz:
+        return Finding(name, Verdict.OK, None, f"{rate_hz:.1f} Hz", wanted)
+    remedy = "a faster line (baud rate), fewer other streams on it (MAV_x_RATE, SRx_*), or another port"
+    return Finding(name, Verdict.REFUSAL, Code.TELEMETRY_SLOW, f"{rate_hz:.1f} Hz", wanted, remedy)
+
+
+def _checks(reason: str) -> Finding:
+    wanted = "the autopilot's preflight checks pass"
+    if not reason:
+        return Finding("estimator and checks", Verdict.OK, None, "passed", wanted)
+    remedy = "wait for GPS and keep the vehicle still; a ground station shows the failing check"
+    return Finding("estimator and checks", Verdict.REFUSAL, Code.ARMING_CHECKS_FAILED, reason, wanted, remedy)
+
+
+def _position(check: PositionCheck, position_enu_m: Vector3 | None) -> Finding:
+    wanted = PositionCheck.INSIDE.value
+    found = check.value
+    if position_enu_m is not None and check in (PositionCheck.INSIDE, PositionCheck.OUTSIDE):
+        found += " at " + ", ".join(f"{coordinate:z.1f}" for coordinate in position_enu_m) + " m"
+    match check:
+        case PositionCheck.INSIDE:
+            return Finding("origin", Verdict.OK, None, found, wanted)
+        case PositionCheck.OUTSIDE:
+            code = Code.POSITION_OUTSIDE_FENCE
+            remedy = "correct origin or envelope.fence_* of the fleet file, or move the vehicle into the fence"
+        case PositionCheck.NO_ORIGIN:
+            code = Code.ORIGIN_MISSING
+            remedy = "wait for the position fix; without GPS set the origin (SET_GPS_GLOBAL_ORIGIN) or origin: indoor"
+        case _:
+            code = Code.POSITION_MISSING
+            remedy = "wait for the estimator; LOCAL_POSITION_NED starts when it has a position"
+    return Finding("origin", Verdict.REFUSAL, code, found, wanted, remedy)
+
+
+def _battery(percent: float) -> Finding:
+    wanted = f"at least {LOW_BATTERY_PERCENT:g} %"
+    if percent < 0.0:
+        remedy = "calibrate the battery monitor of the autopilot"
+        return Finding("battery", Verdict.WARNING, Code.BATTERY_UNKNOWN, "not reported", wanted, remedy)
+    if percent >= LOW_BATTERY_PERCENT:
+        return Finding("battery", Verdict.OK, None, f"{percent:.0f} %", wanted)
+    verdict = Verdict.REFUSAL if percent < EMPTY_BATTERY_PERCENT else Verdict.WARNING
+    return Finding("battery", verdict, Code.BATTERY_LOW, f"{percent:.0f} %", wanted, "charge or change it")
+
+
+def _mode(mode_name: str, armed: bool) -> Finding:
+    wanted = "disarmed"
+    if armed:
+        remedy = "land and disarm first; nothing is set while the vehicle is armed"
+        return Finding("mode", Verdict.WARNING, Code.VEHICLE_ARMED, f"{mode_name}, armed", wanted, remedy)
+    return Finding("mode", Verdict.OK, None, f"{mode_name}, disarmed", wanted)
+
+
+def _parameter(rule: ParameterRule, value: float | None, facts: Facts) -> Finding:
+    wanted = rule.wanted if rule.judge else f"{rule.wanted}, {facts.hover_thrust_norm:g}"
+    if value is None:
+        remedy = "update the firmware, or check the link for packet loss"
+        verdict = _accepted(rule.not_found, facts)
+        return Finding(rule.name, verdict, Code.PARAMETER_MISSING, "not found", wanted, remedy)
+    if rule.judge is None:
+        return _hover_thrust(rule, value, facts.hover_thrust_norm, wanted)
+    judgement = rule.judge(value)
+    found = f"{value:g} {rule.unit}".rstrip() + (f" ({judgement.meaning})" if judgement.meaning else "")
+    if judgement.verdict is Verdict.OK:
+        return Finding(rule.name, Verdict.OK, None, found, wanted)
+    fix = rule.safe(value) if rule.safe else None
+    remedy = f"set {rule.name} to {fix:g}" if fix is not None else rule.remedy
+    return Finding(rule.name, _accepted(judgement, facts), rule.code, found, wanted, remedy, fix)
+
+
+def _accepted(judgement: Judgement, facts: Facts) -> Verdict:
+    """The verdict, after what the vehicle file accepts."""
+    return Verdict.WARNING if judgement.acceptable and facts.accepts_uncontrolled_descent else judgement.verdict
+
+
+def _hover_thrust(rule: ParameterRule, value: float, hover_thrust_norm: float, wanted: str) -> Finding:
+    if abs(value - hover_thrust_norm) <= MAX_HOVER_THRUST_DIFFERENCE * max(value, hover_thrust_norm):
+        return Finding(rule.name, Verdict.OK, None, f"{value:.3g}", wanted)
+    return Finding(rule.name, Verdict.WARNING, rule.code, f"{value:.3g}", wanted, rule.remedy)

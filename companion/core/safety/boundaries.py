@@ -1,0 +1,62 @@
+"""Half-spaces of the own acceleration that stop the vehicle before the fence and before static obstacles.
+
+A control barrier function of a double integrator (Ames et al., "Control Barrier Functions: Theory and Applications", ECC 2019)
+for each wall and obstacle: with the room h and its rate h', b = h' + V(h) >= 0 means that the vehicle can still stop, where V
+is the approach speed of `braking.py`. b' >= -k b is linear in the acceleration. It is evaluated for the state that the
+attitude lag leads to (`lag.py`). Distances to convex bodies are convex in time, so moving past one only adds room.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import hypot
+
+from companion.core.safety.acceleration_filter import HalfSpace, Rank
+from companion.core.safety.braking import approach_speed
+from companion.core.safety.lag import Ahead
+from companion.geometry.airspace import Airspace, Gap
+
+RESPONSE_1_S = 4.0  # k: how fast b may approach 0
+SLOPE_1_S = 2.0  # of the approach speed near the boundary
+FASTEST_RETURN_M_S = 1.0  # demanded beyond the boundary
+NEVER_WANTED_M_S2 = 20.0  # no acceleration is larger, so a half-space that allows all up to this cannot matter
+
+
+@dataclass(frozen=True, slots=True)
+class Boundaries:
+    """`level_m_s2` and `vertical_m_s2` are the decelerations that the vehicle plans to brake with."""
+
+    airspace: Airspace
+    level_m_s2: float
+    vertical_m_s2: float
+
+    def half_spaces(self, ahead: Ahead) -> list[HalfSpace]:
+        """Half-spaces of all obstacles and walls of the fence that may matter in this state."""
+        position_enu_m, reach_m = ahead.position_enu_m, self._reach_m(ahead)
+        obstacles = [obstacle.gap(position_enu_m) for obstacle in self.airspace.obstacles]
+        spaces = [self._half_space(gap, ahead, Rank.OBSTACLE) for gap in obstacles if gap[0] < reach_m]
+        spaces += [
+            self._half_space(gap, ahead, Rank.FENCE) for gap in self.airspace.fence.gaps(position_enu_m, reach_m)
+        ]
+        return spaces
+
+    def _reach_m(self, ahead: Ahead) -> float:
+        """Farther than this nothing limits an acceleration: V(h) is above the speed by NEVER_WANTED_M_S2 / k."""
+        speed_m_s = hypot(*ahead.velocity_enu_m_s) + NEVER_WANTED_M_S2 / RESPONSE_1_S
+        braking = min(self.level_m_s2, self.vertical_m_s2)
+        return self.airspace.clearance_m + speed_m_s**2 / (2.0 * braking) + braking / SLOPE_1_S**2
+
+    def _half_space(self, gap: Gap, ahead: Ahead, rank: Rank) -> HalfSpace:
+        distance_m, (nx, ny, nz) = gap
+        vx, vy, vz = ahead.velocity_enu_m_s
+        rate_m_s = nx * vx + ny * vy + nz * vz
+        speed_m_s, slope_1_s = approach_speed(distance_m - self.airspace.clearance_m, self._braking_m_s2(nz), SLOPE_1_S)
+        if speed_m_s < -FASTEST_RETURN_M_S:
+            speed_m_s, slope_1_s = -FASTEST_RETURN_M_S, 0.0
+        least = -RESPONSE_1_S * (rate_m_s + speed_m_s) - slope_1_s * rate_m_s
+        return HalfSpace((nx, ny, nz), least, rank)
+
+    def _braking_m_s2(self, upward: float) -> float:
+        if upward == 0.0:
+            return self.level_m_s2
+        return self.vertical_m_s2 if abs(upward) == 1.0 else min(self.level_m_s2, self.vertical_m_s2)

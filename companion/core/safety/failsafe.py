@@ -1,0 +1,144 @@
+"""The failsafe matrix: what follows from each health flag, after what time, and what ends it.
+
+One table, after the model of PX4's commander/failsafe. A step counts from the time of the step before it, the first from when
+the flag is raised. STOP_STREAM is not an emergency brake: the autopilot's own failsafe acts (RELIED_ON).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+from companion.core.estimation.position_reset import ORIGIN_WITHIN_S
+from companion.types.autopilot import AutopilotKind
+from companion.types.flight import FLAG_TEXTS, FailsafeAction, HealthFlag
+from companion.types.notices import Code, Notice
+
+
+@dataclass(frozen=True, slots=True)
+class FailsafeSettings:
+    """What the fleet file chooses. None as a time: this step is never taken."""
+
+    low_battery_action: FailsafeAction = FailsafeAction.LAND
+    land_after_s: float | None = None
+    leader_holds_after_s: float = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """An action and the seconds before it. A text names the field of FailsafeSettings that holds the value."""
+
+    action: FailsafeAction | str
+    after_s: float | str = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Failsafe:
+    """One row: the steps while `condition` lasts, when it is raised, and what clears it.
+
+    A hold, a return or a landing that has begun is finished after the flag has cleared. `latched`: so is the next step.
+    `in_hold`: the steps are also taken in a commanded hold. `ardupilot`: steps of ArduCopter, where they differ.
+    """
+
+    condition: Code
+    raised: str
+    steps: tuple[Step, ...]
+    clears: str
+    latched: bool = False
+    in_hold: bool = False
+    ardupilot: tuple[Step, ...] = ()
+
+    def steps_of(self, kind: AutopilotKind) -> tuple[Step, ...]:
+        """The steps with this make of autopilot."""
+        return self.ardupilot if kind is AutopilotKind.ARDUPILOT and self.ardupilot else self.steps
+
+
+SILENT_TOO_LONG_S = 0.5  # less than COM_OF_LOSS_T: PX4 re-enters OFFBOARD by itself when a stream returns
+LATE_TICK_S = 0.1
+
+F, A, C = HealthFlag, FailsafeAction, Code
+WARN, HOLD, LAND, STOP = Step(A.WARN), Step(A.HOLD), Step(A.LAND), Step(A.STOP_STREAM)
+LAND_IN_TIME = Step(A.LAND, "land_after_s")
+
+FAILSAFES: tuple[Failsafe, ...] = (
+    Failsafe(C.POSITION_STALE, "position 0.04 s old", (STOP,), "a fresh LOCAL_POSITION_NED"),
+    Failsafe(C.ATTITUDE_STALE, "attitude 0.1 s old", (STOP,), "a fresh ATTITUDE_QUATERNION"),
+    Failsafe(C.MODE_STALE, "mode 0.8 s old", (STOP,), "a fresh flight mode"),
+    Failsafe(C.FRAME_UNKNOWN, "at once", (STOP,), "GPS_GLOBAL_ORIGIN, or the ground altitude"),
+    Failsafe(C.ARMED_STALE, "HEARTBEAT 3 s old", (HOLD,), "a fresh HEARTBEAT"),
+    Failsafe(C.LANDED_STALE, "landed state 3 s old", (HOLD,), "a fresh EXTENDED_SYS_STATE"),
+    Failsafe(C.LEADER_AWAITED, "`leader_beacon_max_age_s`", (WARN,), "a fresh leader beacon, or LEADER_LOST"),
+    Failsafe(
+        C.LEADER_LOST,
+        "`leader_beacon_max_age_s` and the turns of all successors",
+        (HOLD, LAND_IN_TIME),
+        "a fresh leader beacon",
+    ),
+    Failsafe(
+        C.FLEET_LINK_LOST,
+        "last packet of any vehicle `peers.max_age_s` old",
+        (WARN, Step(A.HOLD, "leader_holds_after_s"), LAND_IN_TIME),
+        "a packet of any vehicle",
+    ),
+    Failsafe(C.DUPLICATE_ID, "at once", (WARN,), "3 s without such a packet"),
+    Failsafe(C.SEPARATION_VIOLATED, "at once", (WARN,), "a distance of `separation_m`"),
+    Failsafe(C.OUTSIDE_FENCE, "at once", (HOLD,), "a position inside the fence"),
+    Failsafe(C.FRAME_CONTRADICTED, "at once", (HOLD,), "an origin and a global position that agree"),
+    Failsafe(
+        C.POSITION_JUMPED, f"{ORIGIN_WITHIN_S:g} s after a jump", (HOLD,), "a new origin, or the jump is followed"
+    ),
+    Failsafe(C.ESTIMATOR_BAD, "next estimator status", (WARN, Step(A.HOLD, 1.0)), "a good estimator status"),
+    Failsafe(C.TILT_EXCEEDED, "`max_tilt_deg` and 10 deg", (WARN, Step(A.HOLD, 0.3)), "less tilt"),
+    Failsafe(C.TICK_LATE, f"a tick {LATE_TICK_S:g} s late", (WARN, Step(A.HOLD, 5.0)), "1 s without a late tick"),
+    Failsafe(
+        C.BATTERY_LOW,
+        "below `leave_below_percent`",
+        (WARN, Step("low_battery_action", 3.0)),
+        "a higher charge",
+        latched=True,
+    ),
+    Failsafe(
+        C.BATTERY_CRITICAL,
+        "below `land_below_percent`",
+        (WARN, Step(A.LAND, 3.0)),
+        "a higher charge",
+        latched=True,
+        in_hold=True,
+    ),
+)
+
+NO_SETPOINT_FAILSAFE = Failsafe(
+    C.NO_SETPOINT, f"{SILENT_TOO_LONG_S:g} s without a setpoint", (Step(A.LEAVE),), "a command", ardupilot=(HOLD,)
+)
+# Conditions that the phase machine and the end of the process judge, not health flags.
+OTHER_FAILSAFES: tuple[Failsafe, ...] = (
+    NO_SETPOINT_FAILSAFE,
+    Failsafe(C.MODE_CHANGED_BY_OTHERS, "next flight mode", (Step(A.LEAVE),), "a command"),
+    Failsafe(C.AUTOPILOT_DISARMED, "next HEARTBEAT", (Step(A.LEAVE),), "a command"),
+    Failsafe(C.AGENT_STOPPING, "at once", (HOLD, Step(A.LEAVE, 2.0)), "a restart, which observes"),
+    Failsafe(C.AGENT_FAILED, "an exception in a tick", (HOLD, Step(A.LEAVE, 0.5)), "a restart, which observes"),
+)
+
+# Parameters of the autopilot that decide what follows when setpoints end; `audit_parameters.py` judges each of them.
+RELIED_ON: dict[AutopilotKind, tuple[str, ...]] = {
+    AutopilotKind.PX4: ("COM_OF_LOSS_T", "COM_OBL_RC_ACT"),
+    AutopilotKind.ARDUPILOT: ("GUID_TIMEOUT", "GUID_OPTIONS"),
+}
+
+
+def schedule(steps: Sequence[Step], settings: FailsafeSettings) -> tuple[tuple[float, FailsafeAction], ...]:
+    """(seconds since the flag was raised, action) of each step, up to the first that is never taken."""
+    due_s, timed = 0.0, []
+    for step in steps:
+        after_s = getattr(settings, step.after_s) if isinstance(step.after_s, str) else step.after_s
+        if after_s is None:
+            break
+        due_s += after_s
+        timed.append((due_s, getattr(settings, step.action) if isinstance(step.action, str) else step.action))
+    return tuple(timed)
+
+
+def flags_notice(flags: Collection[HealthFlag]) -> Notice:
+    """The code of the first flag in the order of HealthFlag, with the texts of all, of at least one."""
+    ordered = [flag for flag in HealthFlag if flag in flags]
+    return Notice(Code(ordered[0]), ", ".join([FLAG_TEXTS[flag] for flag in ordered]))

@@ -1,0 +1,158 @@
+"""Checks of the fleet as a whole: positions on the ground before take-off, and spacing before formation.
+
+Each vehicle checks by itself, from its fresh peers. A reported estimator error counts as one sigma, horizontally of both axes
+together, and as independent of the errors of other vehicles. GNSS receivers side by side share atmospheric errors, but not
+multipath and not always the satellites, and none reports how much of its error is shared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from math import hypot, inf, sqrt
+
+from companion.types.autopilot import PositionError, VehicleState
+from companion.types.commands import CommandName
+from companion.types.flight import ON_GROUND, FlightPhase, Role
+from companion.types.formation import FlownSlot
+from companion.types.notices import Code, Notice
+from companion.types.peers import PeerPacket
+
+FORMED = frozenset({FlightPhase.ENGAGE, FlightPhase.FORMATION})
+REFUSED_BELOW_SIGMAS = 3.0
+WARNED_BELOW_SIGMAS = 6.0  # at 5.2 four vehicles once came within 0.12 m of each other
+
+
+@dataclass(frozen=True, slots=True)
+class Spacing:
+    """Distance of two slots, and one sigma of both position errors along the line between them."""
+
+    distance_m: float
+    sigma_m: float
+
+    @property
+    def sigmas(self) -> float:
+        if self.distance_m == 0.0:
+            return 0.0
+        return self.distance_m / self.sigma_m if self.sigma_m > 0.0 else inf
+
+
+@dataclass(frozen=True, slots=True)
+class FleetChecks:
+    """`slots_have_height` is False where every vehicle keeps its own altitude: then only horizontal distance counts."""
+
+    own_id: int
+    slots_have_height: bool
+    ground_spread_m: float
+    separation_m: float  # horizontal, of any two vehicles on the ground
+
+    def judge(
+        self, name: CommandName, vehicle: VehicleState, slot: FlownSlot, peers: Collection[PeerPacket], role: Role
+    ) -> tuple[Notice | None, Notice | None]:
+        """(refusal, warning) for this command; None where there is none.
+
+        `peers` are the fresh ones, `role` is this vehicle's own.
+        """
+        match name:
+            case CommandName.ARM | CommandName.TAKEOFF:
+                return _joined(self.lacks(vehicle, peers)), None
+            case CommandName.LAND:
+                return None, self._too_near(vehicle, peers)
+            case CommandName.FORM:
+                if refusal := self._other_formation(slot.formation, peers, role):
+                    return refusal, None
+                return self._too_close(vehicle.position_error, slot, peers)
+        return None, None
+
+    def lacks(self, vehicle: VehicleState, peers: Collection[PeerPacket]) -> tuple[Notice, ...]:
+        """The reasons why the vehicle must not leave the ground, each with its subject first."""
+        found = (self._altitudes_differ(vehicle.position_enu_m[2], peers), self._too_near(vehicle, peers))
+        return tuple(filter(None, found))
+
+    def _too_near(self, vehicle: VehicleState, peers: Collection[PeerPacket]) -> Notice | None:
+        """The nearest peer below separation_m in the plane, on the ground or in flight: all climb and land vertically."""
+        x, y, _ = vehicle.position_enu_m
+        apart_m = {p.vehicle_id: hypot(p.position_enu_m[0] - x, p.position_enu_m[1] - y) for p in peers}
+        nearest = min(apart_m, key=apart_m.__getitem__, default=None)
+        if nearest is None or apart_m[nearest] >= self.separation_m:
+            return None
+        return Notice(
+            Code.VEHICLE_TOO_CLOSE,
+            f"separation: in the plane vehicle {nearest} is {apart_m[nearest]:.2f} m from vehicle {self.own_id};"
+            f" expected at least separation_m, {self.separation_m:g} m",
+        )
+
+    def _altitudes_differ(self, own_z_m: float, peers: Collection[PeerPacket]) -> Notice | None:
+        z_m = {peer.vehicle_id: peer.position_enu_m[2] for peer in peers if peer.phase in ON_GROUND}
+        z_m[self.own_id] = own_z_m
+        low, high = min(z_m, key=z_m.__getitem__), max(z_m, key=z_m.__getitem__)
+        spread_m = z_m[high] - z_m[low]
+        if spread_m <= self.ground_spread_m:
+            return None
+        return Notice(
+            Code.ALTITUDES_DIFFER,
+            f"altitude: on the ground vehicle {high} is {spread_m:.1f} m above vehicle {low}, more than ground_spread_m"
+            f" {self.ground_spread_m:g}",
+        )
+
+    def _other_formation(self, own: int, peers: Collection[PeerPacket], role: Role) -> Notice | None:
+        """The refusal of a formation other than the one flown; before any is flown, other than the first leader's."""
+        formed = [peer for peer in peers if peer.phase in FORMED]
+        if flies := next((peer for peer in formed if peer.slot.formation != own), None):
+            return Notice(
+                Code.FORMATION_DIFFERS,
+                f"this vehicle has formation {own}, vehicle {flies.vehicle_id} flies {flies.slot.formation}; give this"
+                " vehicle that formation first",
+            )
+        holding = [p for p in peers if p.role is Role.LEADER and p.phase is FlightPhase.HOLD]
+        before = [p for p in holding if role is not Role.LEADER or p.vehicle_id < self.own_id]
+        first = min(before, key=lambda p: p.vehicle_id, default=None)
+        if formed or first is None or first.slot.formation == own:
+            return None
+        return Notice(
+            Code.FORMATION_DIFFERS,
+            f"this vehicle has formation {own}, leader {first.vehicle_id} has {first.slot.formation}; command form to"
+            " the leader alone first, then this vehicle adopts its formation",
+        )
+
+    def _too_close(
+        self, own: PositionError | None, slot: FlownSlot, peers: Collection[PeerPacket]
+    ) -> tuple[Notice | None, Notice | None]:
+        reported = {self.own_id: own} | {peer.vehicle_id: peer.position_error for peer in peers}
+        silent = sorted(vehicle_id for vehicle_id, error in reported.items() if error is None)
+        missing = f"no error reported by the estimator of vehicle {', '.join(map(str, silent))}"
+        unknown = Notice(Code.POSITION_ERROR_UNKNOWN, missing) if silent else None
+        if own is None:
+            return None, unknown
+        spacings = {p.vehicle_id: self._spacing(own, slot, p.position_error, p.slot) for p in peers if p.position_error}
+        nearest = min(spacings, key=lambda i: spacings[i].sigmas, default=None)
+        if nearest is None or (spacing := spacings[nearest]).sigmas >= WARNED_BELOW_SIGMAS:
+            return None, unknown
+        text = (
+            f"the slots of vehicles {self.own_id} and {nearest} are {spacing.distance_m:.1f} m apart,"
+            f" {spacing.sigmas:.1f} sigma of their estimators' errors"
+        )
+        if spacing.sigmas < REFUSED_BELOW_SIGMAS:
+            refusal = f"{text}; expected at least {_sigmas_and_metres(REFUSED_BELOW_SIGMAS, spacing)}"
+            return Notice(Code.POSITION_ERROR_LARGE, refusal), None
+        warning = f"{text}; better {_sigmas_and_metres(WARNED_BELOW_SIGMAS, spacing)}"
+        return None, Notice(Code.POSITION_ERROR_LARGE, f"{warning}; {missing}" if silent else warning)
+
+    def _spacing(self, own: PositionError, own_slot: FlownSlot, other: PositionError, other_slot: FlownSlot) -> Spacing:
+        (x, y, z), (x0, y0, z0) = other_slot.position_enu_m, own_slot.position_enu_m
+        level_m, up_m = hypot(x - x0, y - y0), z - z0 if self.slots_have_height else 0.0
+        distance_m = hypot(level_m, up_m)
+        level, up = (level_m / distance_m, up_m / distance_m) if distance_m > 0.0 else (1.0, 0.0)
+        level_sigma_m = hypot(own.horizontal_m, other.horizontal_m) / sqrt(2.0)  # one axis of two
+        return Spacing(distance_m, hypot(level * level_sigma_m, up * hypot(own.vertical_m, other.vertical_m)))
+
+
+def _sigmas_and_metres(sigmas: float, spacing: Spacing) -> str:
+    return f"{sigmas:g} sigma, {sigmas * spacing.sigma_m:.1f} m"
+
+
+def _joined(notices: Collection[Notice]) -> Notice | None:
+    """One notice with the code of the first and all texts."""
+    if not notices:
+        return None
+    return Notice(next(iter(notices)).code, "; ".join(notice.text for notice in notices))

@@ -1,0 +1,123 @@
+"""The other vehicles near this one, whatever they are: peers of the fleet and traffic, as motions of one kind."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import inf
+
+from msgspec import Struct
+
+from companion.core.consensus.peers import PeerState
+from companion.core.safety.lag import LAG_S
+from companion.geometry.separation import HEIGHT_WEIGHT
+from companion.types.autopilot import PositionError
+from companion.types.flight import FlightPhase
+from companion.types.formation import FlownSlot
+from companion.types.traffic import ReceivedTraffic
+from companion.types.vectors import ZERO3, Vector3
+
+FORMATION = FlightPhase.FORMATION
+NEAR_M, NEAR_S = 8.0, 3.0  # farther than NEAR_M + NEAR_S * relative speed nothing is computed
+FORGOTTEN_S = 600.0  # a vehicle that is silent for so long is no obstacle any more: its battery lasts no longer
+EXTRAPOLATED_S = 1.0  # a silent vehicle is taken to go on for so long, and then to stop
+TRAFFIC_EXTRAPOLATED_S = 5.0  # an aircraft holds its course
+NO_ERROR = PositionError(0.0, 0.0)
+
+
+class Other(Struct, frozen=True, gc=False):
+    """Position and velocity `age_s` ago, the acceleration it flies by its commands, and what it is.
+
+    `slot` is None for a vehicle that does not cooperate. `side` is the sign of its number compared with the own one.
+    """
+
+    key: int | str
+    position_enu_m: Vector3
+    velocity_enu_m_s: Vector3
+    acceleration_enu_m_s2: Vector3
+    age_s: float
+    extrapolated_s: float
+    error: PositionError
+    height_weight: float
+    slot: FlownSlot | None
+    side: float
+
+
+class Others:
+    """Selects the vehicles nearby. Holds the lagged accelerations that peers fly by their commands."""
+
+    def __init__(self, own_id: int) -> None:
+        self._own_id = own_id
+        self._lagged_enu_m_s2: dict[int, Vector3] = {}
+        self._last_s = -inf
+
+    def step(
+        self,
+        now_s: float,
+        position_enu_m: Vector3,
+        velocity_enu_m_s: Vector3,
+        cooperates: bool,
+        peers: Mapping[int, PeerState],
+        fresh: Mapping[int, PeerState],
+        traffic: Mapping[str, ReceivedTraffic],
+    ) -> list[Other]:
+        """`cooperates`: this vehicle flies in formation, so peers expect its share."""
+        elapsed_s, self._last_s = now_s - self._last_s, now_s
+        lag_share = 1.0 - LAG_S / (LAG_S + elapsed_s)
+        near, before = [], self._lagged_enu_m_s2
+        commanded: dict[int, Vector3] = {}
+        for peer_id, peer in peers.items():
+            packet, age_s = peer.packet, now_s - peer.measured_s
+            there_enu_m, moving_enu_m_s = packet.position_enu_m, packet.velocity_enu_m_s
+            if age_s > FORGOTTEN_S or not _near(position_enu_m, velocity_enu_m_s, there_enu_m, moving_enu_m_s, age_s):
+                continue
+            is_fresh = peer_id in fresh
+            acceleration = packet.acceleration_enu_m_s2 if is_fresh else ZERO3
+            if peer_id in before:
+                acceleration = _lagged(before[peer_id], acceleration, lag_share)
+            commanded[peer_id] = acceleration
+            near.append(
+                Other(
+                    peer_id,
+                    there_enu_m,
+                    moving_enu_m_s,
+                    acceleration,
+                    age_s,
+                    EXTRAPOLATED_S,
+                    packet.position_error or NO_ERROR,
+                    HEIGHT_WEIGHT if packet.armed else 1.0,  # no downwash reaches a vehicle on the ground
+                    packet.slot if cooperates and is_fresh and packet.phase is FORMATION else None,
+                    1.0 if self._own_id < peer_id else -1.0,
+                )
+            )
+        self._lagged_enu_m_s2 = commanded
+        for name, one in traffic.items():
+            sample = one.sample
+            age_s = now_s - one.received_s + sample.age_s
+            there_enu_m, moving_enu_m_s = sample.position_enu_m, sample.velocity_enu_m_s
+            if _near(position_enu_m, velocity_enu_m_s, there_enu_m, moving_enu_m_s, age_s):
+                error = PositionError(sample.error_m, sample.error_m)
+                extrapolated_s = TRAFFIC_EXTRAPOLATED_S
+                near.append(
+                    Other(
+                        name, there_enu_m, moving_enu_m_s, ZERO3, age_s, extrapolated_s, error, HEIGHT_WEIGHT, None, 1.0
+                    )
+                )
+        return near
+
+
+def _lagged(before: Vector3, after: Vector3, share: float) -> Vector3:
+    """A low pass: `share` of the way from its state to its input."""
+    (x, y, z), (ax, ay, az) = before, after
+    return (x + share * (ax - x), y + share * (ay - y), z + share * (az - z))
+
+
+def _near(own_m: Vector3, own_m_s: Vector3, other_m: Vector3, other_m_s: Vector3, age_s: float) -> bool:
+    """Whether the two might meet within NEAR_S, or come within NEAR_M."""
+    vx, vy, vz = other_m_s
+    wx, wy, wz = own_m_s
+    reach_m = NEAR_M + NEAR_S * (abs(wx) + abs(wy) + abs(wz)) + (NEAR_S + age_s) * (abs(vx) + abs(vy) + abs(vz))
+    return (
+        abs(own_m[0] - other_m[0]) < reach_m
+        and abs(own_m[1] - other_m[1]) < reach_m
+        and abs(own_m[2] - other_m[2]) < reach_m
+    )

@@ -1,0 +1,152 @@
+"""Preflight: reads the parameters that the audit checks, and refuses formation with the audit's findings.
+
+The agent never sets a parameter. `companion doctor` does, on the ground and after showing the change.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Sequence
+from math import inf
+
+from msgspec import Struct
+
+from companion.core.estimation.disturbance_observer import HOVER_PARAMETERS, DisturbanceObserver
+from companion.core.estimation.survey import Survey
+from companion.core.safety.audit import Facts, Finding, Verdict, audit, parameter_names
+from companion.types.autopilot import AutopilotKind
+from companion.types.notices import Code, Notice
+from companion.types.requests import RequestParameter
+from companion.types.telemetry import ParameterSample, SystemSample, Telemetry, TextSample
+
+ASK_PERIOD_S = 0.05  # while answers are missing
+REFRESH_PERIOD_S = 0.5  # afterwards, in turn: a pilot may correct a parameter at any time
+AUTOPILOT_UNKNOWN = Notice(Code.AUTOPILOT_UNKNOWN, "the autopilot has not reported its make yet")
+CHECKS_UNKNOWN = Notice(
+    Code.ARMING_CHECKS_UNKNOWN, "the autopilot has not reported yet whether its own arming checks pass"
+)
+CHANGES_FITNESS = (ParameterSample, SystemSample, TextSample)
+TRIES = 8  # an autopilot does not answer for a parameter that it lacks
+
+
+class Fitness(Struct, frozen=True, gc=False):
+    """Result of the audit: `refusal` of a flight in formation, and what a vehicle on the ground lacks for it."""
+
+    refusal: Notice | None
+    lacks: tuple[Notice, ...]
+    battery_percent: float | None
+
+
+class Preflight:
+    """Fitness of the vehicle. Findings that are not OK are reported once, when all parameters have been read."""
+
+    def __init__(self, observer: DisturbanceObserver, accepts_uncontrolled_descent: bool = False) -> None:
+        self._accepts_uncontrolled_descent = accepts_uncontrolled_descent
+        self._observer = observer  # begins with the hover thrust of the autopilot, once read
+        self._hover_thrust_norm = observer.hover_thrust_norm  # configured in the vehicle file
+        self._autopilot: AutopilotKind | None = None
+        self._names: deque[str] = deque()  # in the order of the next requests
+        self._survey = Survey()
+        self._values: dict[str, float] = {}
+        self._asked: Counter[str] = Counter()
+        self._fitness: Fitness | None = None
+        self._asked_s = -inf
+        self._reported = False
+
+    def update(
+        self, now_s: float, telemetry: Sequence[Telemetry], autopilot: AutopilotKind | None
+    ) -> tuple[Notice, ...]:
+        """Use the telemetry of this tick, from an autopilot of this make; return the events."""
+        rates_hz = self._survey.rates_hz
+        self._survey.update(now_s, telemetry)
+        if autopilot is not self._autopilot and autopilot is not None:
+            self._fitness = None
+            self._autopilot, self._names = autopilot, deque(parameter_names(autopilot))
+        for sample in telemetry:
+            if isinstance(sample, CHANGES_FITNESS):
+                self._fitness = None
+            if isinstance(sample, ParameterSample) and sample.name in self._names:
+                self._values[sample.name] = sample.value
+                if sample.name in HOVER_PARAMETERS:
+                    self._observer.start_from(sample.value)
+        if self._survey.rates_hz is not rates_hz:
+            self._fitness = None
+        if self._reported or not self._names or self._unread():
+            return ()
+        self._reported = True
+        findings = [finding for finding in self._findings() if finding.verdict is not Verdict.OK]
+        return tuple(_notice(finding).about(finding.verdict) for finding in findings)
+
+    @property
+    def fitness(self) -> Fitness:
+        """Computed when a sample or a request has changed it."""
+        if self._fitness is None:
+            self._fitness = Fitness(self.refusal(), self.lacks(), self.battery_percent)
+        return self._fitness
+
+    def ask(self, now_s: float) -> tuple[RequestParameter, ...]:
+        """The request for the next parameter, when due: first those without an answer."""
+        if not self._names or now_s - self._asked_s < ASK_PERIOD_S:
+            return ()
+        unread = self._unread()
+        if not unread and now_s - self._asked_s < REFRESH_PERIOD_S:
+            return ()
+        self._asked_s = now_s
+        while unread and self._names[0] not in unread:
+            self._names.rotate(-1)
+        name = self._names[0]
+        self._names.rotate(-1)
+        self._asked[name] += 1
+        self._fitness = None
+        return (RequestParameter(name),)
+
+    @property
+    def battery_percent(self) -> float | None:
+        """Battery charge in percent; None where the autopilot does not report it."""
+        percent = self._survey.battery_percent
+        return percent if percent is not None and percent >= 0.0 else None
+
+    def refusal(self) -> Notice | None:
+        """The reason against a flight in formation, None without one. A parameter without an answer counts as missing."""
+        if self._autopilot is None:
+            return AUTOPILOT_UNKNOWN
+        texts = [str(finding) for finding in self._findings() if finding.verdict is Verdict.REFUSAL]
+        return Notice(Code.AUDIT_REFUSAL, "; ".join(texts)) if texts else None
+
+    def lacks(self) -> tuple[Notice, ...]:
+        """What the vehicle lacks for a flight in formation, on the ground: refusals of the audit, and failing arming checks."""
+        if self._autopilot is None:
+            return (AUTOPILOT_UNKNOWN,)
+        if unread := self._unread():
+            return (Notice(Code.PARAMETERS_UNREAD, f"not read yet: {', '.join(unread)}"),)
+        refusals = [_notice(finding) for finding in self._findings() if finding.verdict is Verdict.REFUSAL]
+        match self._survey.failing_checks:
+            case None:
+                return (CHECKS_UNKNOWN, *refusals)
+            case "":
+                return tuple(refusals)
+            case checks:
+                return (Notice(Code.ARMING_CHECKS_FAILED, f"cannot be armed: {checks}"), *refusals)
+
+    def _unread(self) -> list[str]:
+        """Names of parameters without an answer that were requested fewer than TRIES times."""
+        return sorted(name for name in self._names if name not in self._values and self._asked[name] < TRIES)
+
+    def _findings(self) -> tuple[Finding, ...]:
+        assert self._autopilot is not None
+        values = {name: self._values.get(name) for name in parameter_names(self._autopilot)}
+        survey = self._survey
+        facts = Facts(
+            self._autopilot,
+            values,
+            self._hover_thrust_norm,
+            rates_hz=survey.rates_hz,
+            battery_percent=survey.battery_percent,
+            accepts_uncontrolled_descent=self._accepts_uncontrolled_descent,
+        )
+        return audit(facts)
+
+
+def _notice(finding: Finding) -> Notice:
+    assert finding.code is not None  # never called for findings that are OK
+    return Notice(finding.code, str(finding))

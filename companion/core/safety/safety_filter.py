@@ -1,0 +1,96 @@
+"""The stage between law and output: the speed limit, then the smallest change that keeps off vehicles, obstacles and fence."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from math import dist
+
+from msgspec import Struct
+
+from companion.core.consensus.law import Gains
+from companion.core.consensus.peers import PeerState
+from companion.core.safety.acceleration_filter import AccelerationLimits, filtered
+from companion.core.safety.boundaries import Boundaries
+from companion.core.safety.lag import Lag
+from companion.core.safety.output_limits import OutputLimits
+from companion.core.safety.right_of_way import turn_right
+from companion.core.safety.separation import Separation, nearest_vehicle
+from companion.core.safety.speed_limit import SpeedLimit
+from companion.core.safety.traffic import Traffic
+from companion.types.autopilot import VehicleState
+from companion.types.formation import FlownSlot
+from companion.types.separation import SeparationReport
+from companion.types.traffic import ReceivedTraffic
+from companion.types.vectors import Vector3
+
+TURN_STEPS = 3  # of the active set, for the turn to the right
+
+
+class Filtered(Struct, frozen=True, gc=False):
+    """The acceleration to fly, the same object as the wanted one where nothing changes it."""
+
+    acceleration_enu_m_s2: Vector3
+    separation: SeparationReport
+
+
+class SafetyFilter:
+    """Limits the speed, then filters the acceleration by the half-spaces of vehicles, obstacles and fence."""
+
+    def __init__(
+        self,
+        separation: Separation,
+        separation_m: float,
+        boundaries: Boundaries,
+        speed_limit: SpeedLimit,
+        limits: OutputLimits,
+        tan_max_tilt: float,
+        gains: Gains,
+    ) -> None:
+        self._separation = separation
+        self._separation_m = separation_m
+        self._traffic = Traffic()
+        self._boundaries = boundaries
+        self._speed_limit = speed_limit
+        self._lag = Lag()
+        self._limits = limits
+        self._tan_max_tilt = tan_max_tilt
+        self._gains = gains
+
+    def receive(self, now_s: float, vehicle: VehicleState, traffic: Iterable[ReceivedTraffic]) -> None:
+        """Take the traffic of this tick, in every phase."""
+        self._traffic.step(now_s, vehicle.position_enu_m, traffic)
+
+    def step(
+        self,
+        now_s: float,
+        vehicle: VehicleState,
+        in_formation: bool,
+        peers: Mapping[int, PeerState],
+        fresh: Mapping[int, PeerState],
+        slot: FlownSlot,
+        wanted_enu_m_s2: Vector3,
+        flown_enu_m_s2: Vector3,
+        disturbance_enu_m_s2: Vector3,
+    ) -> Filtered:
+        """`flown_enu_m_s2`: the command of the last tick. `peers`: the newest packets of any age, `fresh`: those in time."""
+        ahead = self._lag.step(now_s, vehicle, flown_enu_m_s2)
+        barriers = self._separation.step(now_s, vehicle, ahead, slot, in_formation, peers, fresh, self._traffic.newest)
+        slowed = self._speed_limit.limited(wanted_enu_m_s2, ahead)
+        # The speed limit is among the half-spaces, too: what the filter adds must not exceed it.
+        spaces = [barrier.space for barrier in barriers]
+        spaces += self._boundaries.half_spaces(ahead)
+        spaces += self._speed_limit.half_spaces(ahead)
+        limits = AccelerationLimits(
+            self._tan_max_tilt, self._limits.min_thrust_ratio, self._limits.max_thrust_ratio, disturbance_enu_m_s2
+        )
+        allowed = filtered(slowed, spaces, limits)
+        nearest = nearest_vehicle(now_s, vehicle, barriers) if barriers else None
+        violated = nearest is not None and nearest.distance_m < self._separation_m
+        if allowed is wanted_enu_m_s2:
+            return Filtered(allowed, SeparationReport(nearest, 0.0, violated))
+        if barriers:
+            turn_x, turn_y = turn_right(slowed, vehicle.velocity_enu_m_s, self._gains, barriers)
+            if turn_x or turn_y:
+                x, y, z = allowed
+                allowed = filtered((x + turn_x, y + turn_y, z), spaces, limits, TURN_STEPS)
+        return Filtered(allowed, SeparationReport(nearest, dist(allowed, wanted_enu_m_s2), violated))

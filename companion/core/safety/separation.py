@@ -1,0 +1,187 @@
+"""Half-spaces of the own acceleration that keep a distance from every other vehicle: safety barrier certificates.
+
+After Wang, Ames and Egerstedt, "Safety Barrier Certificates for Collisions-Free Multirobot Systems", IEEE T-RO 2017. For a pair
+with distance d and radial speed d', h = d' + V(d - D) >= 0 means that both can still brake before the required distance D;
+V is the approach speed of `braking.py`. h' >= -k h is linear in both accelerations. Each of two cooperating vehicles takes
+half of it, and what the other's last command leaves open; for any other vehicle the own one takes all of it.
+
+Both vehicles are taken ahead by their attitude lag (`lag.py`), where they are exact double integrators.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import hypot, sqrt
+
+from msgspec import Struct
+
+from companion.core.consensus.peers import PeerState
+from companion.core.safety.acceleration_filter import HalfSpace, Rank
+from companion.core.safety.braking import approach_speed
+from companion.core.safety.lag import LAG_S, Ahead
+from companion.core.safety.others import NO_ERROR, Other, Others
+from companion.types.autopilot import PositionError, VehicleState
+from companion.types.formation import FlownSlot
+from companion.types.separation import NearestVehicle
+from companion.types.traffic import ReceivedTraffic
+from companion.types.vectors import Vector3
+
+PLANNED_SHARE = 0.5  # of the acceleration at the tilt limit: what each vehicle plans to brake with
+ALONE_SHARE = 0.6  # of that, where the own vehicle alone makes way: others may stand behind it
+UNSEEN_DELAY_S = 0.1  # transport delay that no receiver can measure without a common clock
+PURSUED_S = 0.2  # the same and the delay of the own response, before a vehicle that flies towards this one
+RIPPLE_M = 0.05  # of the distance of a vehicle that slides along one that makes no way
+RESPONSE_1_S = 5.0  # k: how fast h may approach 0
+SLOPE_1_S = 4.0  # of the approach speed near the required distance
+FASTEST_LEAVING_M_S = 1.5  # demanded inside the required distance
+ERROR_FACTOR = 1.0  # of the combined standard deviation of both positions
+SLOT_SHARE = 0.5  # of the room between separation_m and the distance of two slots: the most that margins may take
+PASSING_M = 0.15  # of the distance of two vehicles that pass each other on the way to their slots
+PLACED_WITHIN_M = 0.5  # nearer than that to the offset of their slots, two vehicles do not pass each other
+GROWTH_M_S = 0.25  # of the required distance from a silent vehicle
+LARGEST_GROWTH = 0.5  # of separation_m
+LEAST_DISTANCE_M = 1e-6
+NEAREST_M = 0.1  # keeps the turn of the line between two vehicles finite
+TURNING_S2 = 0.5 * LAG_S * LAG_S
+
+
+@dataclass(frozen=True, slots=True)
+class SeparationSettings:
+    """`separation_m` of the fleet file, and the acceleration with which each vehicle plans to brake."""
+
+    own_id: int
+    separation_m: float
+    braking_m_s2: float
+
+
+class Barrier(Struct, frozen=True, gc=False):
+    """The half-space of one other vehicle, with the offset to it, its velocity, and whether it makes way.
+
+    `room_m` is how much farther away it is than required, as both will be after their lag.
+    """
+
+    space: HalfSpace
+    other: Other
+    to_other_enu_m: Vector3
+    required_m: float
+    room_m: float
+
+
+class Separation:
+    """One barrier for each vehicle nearby."""
+
+    def __init__(self, settings: SeparationSettings) -> None:
+        self._settings = settings
+        self._others = Others(settings.own_id)
+
+    def step(
+        self,
+        now_s: float,
+        vehicle: VehicleState,
+        ahead: Ahead,
+        slot: FlownSlot,
+        in_formation: bool,
+        peers: Mapping[int, PeerState],
+        fresh: Mapping[int, PeerState],
+        traffic: Mapping[str, ReceivedTraffic],
+    ) -> list[Barrier]:
+        """`peers` are the newest packets of any age, `fresh` those in time. `in_formation`: peers expect a share."""
+        position_enu_m, velocity_enu_m_s = vehicle.position_enu_m, vehicle.velocity_enu_m_s
+        others = self._others.step(now_s, position_enu_m, velocity_enu_m_s, in_formation, peers, fresh, traffic)
+        error = vehicle.position_error or NO_ERROR
+        return [self._barrier(ahead, error, slot, other) for other in others]
+
+    def _barrier(self, ahead: Ahead, error: PositionError, slot: FlownSlot, other: Other) -> Barrier:
+        """The half-space n . u >= a that keeps h' >= -k h, in coordinates whose height is weighted."""
+        (x, y, z), (wx, wy, wz) = ahead.position_enu_m, ahead.velocity_enu_m_s
+        (px, py, pz), (vx, vy, vz), (ax, ay, az) = (
+            other.position_enu_m,
+            other.velocity_enu_m_s,
+            other.acceleration_enu_m_s2,
+        )
+        age_s, weight, slot_of_other = other.age_s, other.height_weight, other.slot
+        if age_s <= other.extrapolated_s:
+            ahead_s = age_s + LAG_S
+            wx, wy, wz = wx - vx - ax * ahead_s, wy - vy - ay * ahead_s, (wz - vz - az * ahead_s) * weight
+        else:
+            ahead_s, wz = other.extrapolated_s + LAG_S, wz * weight
+        rx, ry, rz = x - px - vx * ahead_s, y - py - vy * ahead_s, z - pz - vz * ahead_s
+        sz = rz * weight
+        apart_m = sqrt(rx * rx + ry * ry + sz * sz)
+        if apart_m > LEAST_DISTANCE_M:
+            nx, ny, nz = rx / apart_m, ry / apart_m, sz / apart_m
+        else:  # both at the same position: each flies to its own side
+            nx, ny, nz = other.side, 0.0, 0.0
+        closing_m_s = -(nx * wx + ny * wy + nz * wz)
+        across_m_s2 = (wx * wx + wy * wy + wz * wz - closing_m_s * closing_m_s) / (apart_m + NEAREST_M)
+        mz = nz * weight
+        required_m = self._required(error, other, mz)
+        braking_m_s2, cooperates = ALONE_SHARE * self._settings.braking_m_s2, False
+        late_m = UNSEEN_DELAY_S * closing_m_s if closing_m_s > 0.0 else 0.0
+        if slot_of_other is None:  # its late packet hides how far a pursuer has come, also where it closes no more
+            late_m = max(late_m, PURSUED_S * (nx * vx + ny * vy + nz * vz * weight)) + RIPPLE_M
+        else:
+            separation_m, offset_enu_m = self._settings.separation_m, (rx, ry, rz)
+            required_m = _limited_by_slots(required_m, separation_m, slot, slot_of_other, offset_enu_m, weight)
+            braking_m_s2, cooperates = 2.0 * self._settings.braking_m_s2, True
+        # p of a pair that turns about each other lags inside q; a closing vehicle is nearer than its late packet reports.
+        required_m += TURNING_S2 * across_m_s2 + late_m
+        room_m = apart_m - required_m
+        size = sqrt(nx * nx + ny * ny + mz * mz)  # of the gradient: at most 1
+        allowed_m_s, slope_1_s = approach_speed(room_m, braking_m_s2 * size, SLOPE_1_S)
+        if allowed_m_s < -FASTEST_LEAVING_M_S:
+            allowed_m_s, slope_1_s = -FASTEST_LEAVING_M_S, 0.0
+        least_m_s2 = RESPONSE_1_S * (closing_m_s - allowed_m_s) + slope_1_s * closing_m_s - across_m_s2
+        own_m_s2 = least_m_s2 + nx * ax + ny * ay + mz * az
+        if cooperates and own_m_s2 < 0.5 * least_m_s2:
+            own_m_s2 = 0.5 * least_m_s2
+        space = HalfSpace((nx / size, ny / size, mz / size), own_m_s2 / size, Rank.VEHICLE)
+        return Barrier(space, other, (-rx, -ry, -rz), required_m, room_m)
+
+    def _required(self, own: PositionError, other: Other, upward: float) -> float:
+        """separation_m, both position errors along the line between the vehicles, and growth while the other is silent."""
+        separation_m, error = self._settings.separation_m, other.error
+        level_m = hypot(own.horizontal_m, error.horizontal_m)
+        height_m = hypot(own.vertical_m, error.vertical_m) * abs(upward)
+        required_m = separation_m + ERROR_FACTOR * (level_m + height_m)
+        silent_s = other.age_s - other.extrapolated_s
+        return required_m if silent_s <= 0.0 else required_m + min(silent_s * GROWTH_M_S, LARGEST_GROWTH * separation_m)
+
+
+def nearest_vehicle(now_s: float, vehicle: VehicleState, barriers: list[Barrier]) -> NearestVehicle | None:
+    """The vehicle with the least room, with its present distance by its last packet."""
+    if not barriers:
+        return None
+    least = barriers[0]
+    for barrier in barriers:
+        if barrier.room_m < least.room_m:
+            least = barrier
+    other, old_s = least.other, now_s - vehicle.position_time_s
+    (x, y, z), (vx, vy, vz) = vehicle.position_enu_m, vehicle.velocity_enu_m_s
+    (px, py, pz), (wx, wy, wz) = other.position_enu_m, other.velocity_enu_m_s
+    age_s = min(other.age_s, other.extrapolated_s)
+    dx, dy = x + vx * old_s - px - wx * age_s, y + vy * old_s - py - wy * age_s
+    dz = (z + vz * old_s - pz - wz * age_s) * other.height_weight
+    return NearestVehicle(str(other.key), sqrt(dx * dx + dy * dy + dz * dz), least.required_m)
+
+
+def _limited_by_slots(
+    required_m: float, separation_m: float, own: FlownSlot, other: FlownSlot, offset_enu_m: Vector3, weight: float
+) -> float:
+    """The required distance, less where the slots are so near that the margins would push the formation apart.
+
+    Vehicles that are not placed as their slots pass each other on the way there: they get room for it. `offset_enu_m`: from
+    the other vehicle to this one.
+    """
+    (x, y, z), (ox, oy, oz), (rx, ry, rz) = own.position_enu_m, other.position_enu_m, offset_enu_m
+    dx, dy, dz = x - ox, y - oy, z - oz
+    room_m = SLOT_SHARE * (sqrt(dx * dx + dy * dy + (dz * weight) ** 2) - separation_m)
+    if room_m < 0.0:
+        room_m = 0.0
+    passing_m = SLOT_SHARE * (sqrt((rx - dx) ** 2 + (ry - dy) ** 2 + ((rz - dz) * weight) ** 2) - PLACED_WITHIN_M)
+    if passing_m > 0.0:
+        required_m += min(passing_m, PASSING_M)
+        room_m = max(room_m, passing_m)
+    most_m = separation_m + room_m
+    return required_m if required_m < most_m else most_m

@@ -1,0 +1,49 @@
+"""Largest horizontal and vertical speed of a vehicle: limits of the acceleration along the velocity.
+
+As in PX4's `PositionControl`, velocity is limited before acceleration, and acceleration before tilt and thrust. Here the law
+gives an acceleration, so the limit is u . v/|v| <= k (most - |v|): the speed approaches the limit and does not exceed it. It is
+evaluated for the velocity that the attitude lag leads to (`lag.py`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import hypot
+
+from companion.core.safety.acceleration_filter import HalfSpace, Rank
+from companion.core.safety.lag import Ahead
+from companion.types.vectors import Vector3
+
+RESPONSE_1_S = 2.0  # k
+STILL_M_S = 0.1  # below this speed its direction means nothing
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedLimit:
+    """Largest speeds: horizontal, upwards and downwards."""
+
+    level_m_s: float
+    climb_m_s: float
+    descent_m_s: float
+
+    def limited(self, acceleration_enu_m_s2: Vector3, ahead: Ahead) -> Vector3:
+        """The acceleration without what would exceed a limit; the same object where there is nothing of it."""
+        limited = acceleration_enu_m_s2
+        for space in self.half_spaces(ahead):
+            (nx, ny, nz), (ux, uy, uz) = space.normal_enu, limited
+            short = space.least_m_s2 - (nx * ux + ny * uy + nz * uz)
+            if short > 0.0:
+                limited = (ux + short * nx, uy + short * ny, uz + short * nz)
+        return limited
+
+    def half_spaces(self, ahead: Ahead) -> list[HalfSpace]:
+        """The same limits for the acceleration filter: what it adds must not exceed them either."""
+        vx, vy, vz = ahead.velocity_enu_m_s
+        upward = -1.0 if vz > 0.0 else 1.0
+        most_m_s = self.climb_m_s if vz > 0.0 else self.descent_m_s
+        spaces = [HalfSpace((0.0, 0.0, upward), -RESPONSE_1_S * (most_m_s - abs(vz)), Rank.SPEED)]
+        level_m_s = hypot(vx, vy)
+        if level_m_s > STILL_M_S:
+            normal = (-vx / level_m_s, -vy / level_m_s, 0.0)
+            spaces.append(HalfSpace(normal, -RESPONSE_1_S * (self.level_m_s - level_m_s), Rank.SPEED))
+        return spaces

@@ -1,0 +1,208 @@
+"""Airspace of a fleet: the fence, a box with an optional polygon in the plane, and static obstacles.
+
+Distances are signed: positive in the free airspace, negative outside the fence or inside an obstacle. A gap is a distance with
+the unit vector in which it grows. No distance changes faster than the position, so a distance holds for a ball about it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from math import hypot, inf, sqrt
+
+from msgspec import Struct
+
+from companion.types.vectors import Vector3
+
+Corner = tuple[float, float]
+Gap = tuple[float, Vector3]
+"""(distance m, unit vector in which it grows)."""
+UP, DOWN = (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)
+EAST, WEST, NORTH, SOUTH = (1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0)
+TOUCHES_M = 1e-9
+
+
+class Cylinder(Struct, frozen=True, gc=False):
+    """An upright cylinder."""
+
+    centre_enu_m: Corner
+    radius_m: float
+    bottom_m: float
+    top_m: float
+
+    def gap(self, position_enu_m: Vector3) -> Gap:
+        """Distance from its surface."""
+        x, y, z = position_enu_m
+        dx, dy = x - self.centre_enu_m[0], y - self.centre_enu_m[1]
+        away_m = hypot(dx, dy)
+        nx, ny = (dx / away_m, dy / away_m) if away_m > TOUCHES_M else (1.0, 0.0)
+        beside_m = away_m - self.radius_m
+        above_m, upward = z - self.top_m, 1.0
+        if self.bottom_m - z > above_m:
+            above_m, upward = self.bottom_m - z, -1.0
+        if beside_m > 0.0 and above_m > 0.0:
+            distance_m = hypot(beside_m, above_m)
+            share, rise = beside_m / distance_m, above_m / distance_m
+            return distance_m, (nx * share, ny * share, upward * rise)
+        return (beside_m, (nx, ny, 0.0)) if beside_m >= above_m else (above_m, (0.0, 0.0, upward))
+
+
+class Cuboid(Struct, frozen=True, gc=False):
+    """A box along the axes of the fleet frame."""
+
+    min_enu_m: Vector3
+    max_enu_m: Vector3
+
+    def gap(self, position_enu_m: Vector3) -> Gap:
+        """Distance from its surface."""
+        outside: list[float] = []
+        signs: list[float] = []
+        for p, low, high in zip(position_enu_m, self.min_enu_m, self.max_enu_m, strict=True):
+            signs.append(1.0 if p - high >= low - p else -1.0)
+            outside.append(max(p - high, low - p))
+        x, y, z = (max(way_m, 0.0) for way_m in outside)
+        distance_m = sqrt(x * x + y * y + z * z)
+        if distance_m > 0.0:
+            return distance_m, (signs[0] * x / distance_m, signs[1] * y / distance_m, signs[2] * z / distance_m)
+        axis = outside.index(max(outside))
+        normal = [0.0, 0.0, 0.0]
+        normal[axis] = signs[axis]
+        return outside[axis], (normal[0], normal[1], normal[2])
+
+
+Obstacle = Cylinder | Cuboid
+
+
+class Fence(Struct, frozen=True, gc=False):
+    """A box with floor and ceiling, less what lies outside a polygon in the plane. The polygon may be concave."""
+
+    min_enu_m: Vector3
+    max_enu_m: Vector3
+    corners_enu_m: tuple[Corner, ...] = ()  # of the polygon in order; empty for a plain box
+
+    def contains(self, position_enu_m: Vector3) -> bool:
+        """Whether a position lies inside. False for NaN."""
+        x, y, z = position_enu_m
+        low_x, low_y, low_z = self.min_enu_m
+        high_x, high_y, high_z = self.max_enu_m
+        in_box = low_x <= x <= high_x and low_y <= y <= high_y and low_z <= z <= high_z
+        return in_box and (not self.corners_enu_m or in_polygon((x, y), self.corners_enu_m))
+
+    def gaps(self, position_enu_m: Vector3, within_m: float = inf) -> Iterator[Gap]:
+        """Distances to the walls of the fence that are nearer than `within_m`.
+
+        Inside the polygon each of its sides is a wall: a straight line would cut off parts of a concave one. Outside there is
+        one wall, the nearest.
+        """
+        x, y, z = position_enu_m
+        low_x, low_y, low_z = self.min_enu_m
+        high_x, high_y, high_z = self.max_enu_m
+        for distance_m, normal in (
+            (x - low_x, EAST),
+            (high_x - x, WEST),
+            (y - low_y, NORTH),
+            (high_y - y, SOUTH),
+            (z - low_z, UP),
+            (high_z - z, DOWN),
+        ):
+            if distance_m < within_m:
+                yield distance_m, normal
+        if self.corners_enu_m:
+            yield from self._polygon_gaps(x, y, within_m)
+
+    def _polygon_gaps(self, x: float, y: float, within_m: float) -> Iterator[Gap]:
+        inside = in_polygon((x, y), self.corners_enu_m)
+        sides = _side_gaps(x, y, self.corners_enu_m)
+        if inside:
+            yield from (gap for gap in sides if gap[0] < within_m)
+            return
+        distance_m, (nx, ny, _) = min(sides)
+        yield -distance_m, (-nx, -ny, 0.0)
+
+
+class Airspace(Struct, frozen=True, gc=False):
+    """Fence and obstacles, and the distance that vehicles keep from both."""
+
+    fence: Fence
+    obstacles: tuple[Obstacle, ...] = ()
+    clearance_m: float = 0.0
+
+    def room_m(self, position_enu_m: Vector3) -> float:
+        """Distance to the nearest wall or obstacle, less the clearance."""
+        gaps = [distance_m for distance_m, _ in self.fence.gaps(position_enu_m)]
+        gaps += [obstacle.gap(position_enu_m)[0] for obstacle in self.obstacles]
+        return min(gaps) - self.clearance_m
+
+    @property
+    def is_box(self) -> bool:
+        """Without polygon and obstacles."""
+        return not self.corners_enu_m and not self.obstacles
+
+    @property
+    def corners_enu_m(self) -> tuple[Corner, ...]:
+        return self.fence.corners_enu_m
+
+
+def in_polygon(point_m: Corner, corners_m: tuple[Corner, ...]) -> bool:
+    """Whether a point lies inside a simple polygon: a ray to the east crosses its sides an odd number of times."""
+    x, y = point_m
+    inside = False
+    x0, y0 = corners_m[-1]
+    for x1, y1 in corners_m:
+        if (y0 > y) != (y1 > y) and x < x0 + (y - y0) * (x1 - x0) / (y1 - y0):
+            inside = not inside
+        x0, y0 = x1, y1
+    return inside
+
+
+def crossing_sides(corners_m: tuple[Corner, ...]) -> tuple[int, int] | None:
+    """Two sides, by the index of their first corner, that touch or cross without being adjacent; None in a simple polygon."""
+    sides = list(zip(corners_m, corners_m[1:] + corners_m[:1], strict=True))
+    for i, a in enumerate(sides):
+        for j in range(i + 1, len(sides)):
+            adjacent = j == i + 1 or (i == 0 and j == len(sides) - 1)
+            if not adjacent and _crosses(*a, *sides[j]):
+                return i, j
+    return None
+
+
+def area_m2(corners_m: tuple[Corner, ...]) -> float:
+    """Area of a simple polygon."""
+    sides = zip(corners_m, corners_m[1:] + corners_m[:1], strict=True)
+    return abs(sum(x0 * y1 - x1 * y0 for (x0, y0), (x1, y1) in sides)) / 2.0
+
+
+def _side_gaps(x: float, y: float, corners_m: Iterable[Corner]) -> list[Gap]:
+    """Distance to each side of a polygon, with the unit vector from its nearest point."""
+    corners = list(corners_m)
+    gaps: list[Gap] = []
+    x0, y0 = corners[-1]
+    for x1, y1 in corners:
+        sx, sy = x1 - x0, y1 - y0
+        share = ((x - x0) * sx + (y - y0) * sy) / (sx * sx + sy * sy)
+        share = min(max(share, 0.0), 1.0)
+        dx, dy = x - x0 - share * sx, y - y0 - share * sy
+        distance_m = hypot(dx, dy)
+        if distance_m > TOUCHES_M:
+            gaps.append((distance_m, (dx / distance_m, dy / distance_m, 0.0)))
+        else:
+            length_m = hypot(sx, sy)
+            gaps.append((0.0, (-sy / length_m, sx / length_m, 0.0)))
+        x0, y0 = x1, y1
+    return gaps
+
+
+def _crosses(a: Corner, b: Corner, c: Corner, d: Corner) -> bool:
+    turns = (_turn(a, b, c), _turn(a, b, d), _turn(c, d, a), _turn(c, d, b))
+    if turns[0] * turns[1] < 0.0 and turns[2] * turns[3] < 0.0:
+        return True
+    ends = ((a, b, c), (a, b, d), (c, d, a), (c, d, b))
+    return any(turn == 0.0 and _between(*end) for turn, end in zip(turns, ends, strict=True))
+
+
+def _turn(a: Corner, b: Corner, c: Corner) -> float:
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+
+
+def _between(a: Corner, b: Corner, c: Corner) -> bool:
+    """Whether c, on the line through a and b, lies between them."""
+    return min(a[0], b[0]) <= c[0] <= max(a[0], b[0]) and min(a[1], b[1]) <= c[1] <= max(a[1], b[1])

@@ -1,0 +1,108 @@
+"""The fleet file and the endpoints of a command: from its options, the environment or the saved current fleet."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+
+from companion.config.bounded_read import read_regular
+from companion.config.file import ConfigError
+
+FLEET_VARIABLE, CONNECT_VARIABLE = "COMPANION_FLEET", "COMPANION_CONNECT"
+SIMULATION_PORT = 7447  # plus the vehicle id: where the agent of a simulated vehicle listens for Zenoh
+
+
+class CurrentFleet(msgspec.Struct, frozen=True):
+    """A fleet file as an absolute path, and Zenoh endpoints of its vehicles."""
+
+    fleet: str
+    connect: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Selection:
+    """A fleet file (None where none is named) and endpoints (empty for a simulation's), each with the source of its value."""
+
+    fleet: Path | None
+    fleet_source: str
+    connect: tuple[str, ...]
+    connect_source: str
+
+    def __str__(self) -> str:
+        fleet = f"fleet file {self.fleet} ({self.fleet_source})" if self.fleet else "no current fleet"
+        endpoints = f"{', '.join(self.connect)} ({self.connect_source})" if self.connect else "of a simulation"
+        return f"{fleet}; endpoints {endpoints}"
+
+
+def select(fleet: Path | None, connect: Sequence[str], environment: Mapping[str, str]) -> Selection:
+    """An option wins over the environment, the environment over the saved current fleet. Raises ConfigError.
+
+    The saved endpoints belong to the saved fleet file: they are not used with another one.
+    """
+    saved = None if fleet is not None and connect else load_current(environment)
+    named = environment.get(FLEET_VARIABLE, "")
+    chosen: Path | None
+    if fleet is not None:
+        chosen, fleet_source = fleet, "--fleet"
+    elif named:
+        chosen, fleet_source = Path(named), FLEET_VARIABLE
+    else:
+        chosen, fleet_source = (Path(saved.fleet), "current fleet") if saved else (None, "")
+    listed = tuple(re.split(r"[\s,]+", environment.get(CONNECT_VARIABLE, "").strip(" ,")))
+    if connect:
+        return Selection(chosen, fleet_source, tuple(connect), "--connect")
+    if listed != ("",):
+        return Selection(chosen, fleet_source, listed, CONNECT_VARIABLE)
+    if saved and saved.connect and (chosen is None or chosen.absolute() == Path(saved.fleet)):
+        return Selection(chosen, fleet_source, saved.connect, "current fleet")
+    return Selection(chosen, fleet_source, (), "")
+
+
+def simulation_endpoints(vehicle_ids: Sequence[int]) -> tuple[str, ...]:
+    """Where the agents of these vehicles listen in a simulation on this machine with its default ports."""
+    return tuple(f"tcp/127.0.0.1:{SIMULATION_PORT + vehicle_id}" for vehicle_id in vehicle_ids)
+
+
+def current_file(environment: Mapping[str, str]) -> Path:
+    """Of the saved current fleet, by the XDG base directory specification."""
+    base = Path(environment.get("XDG_CONFIG_HOME", ""))
+    return (base if base.is_absolute() else Path.home() / ".config") / "companion" / "current_fleet.json"
+
+
+def load_current(environment: Mapping[str, str]) -> CurrentFleet | None:
+    """None where none is saved. Raises ConfigError."""
+    file = current_file(environment)
+    try:
+        return msgspec.json.decode(read_regular(file)[0], type=CurrentFleet)
+    except FileNotFoundError:
+        return None
+    except (OSError, msgspec.DecodeError) as error:
+        problem = f"cannot be used: {error}; delete it with companion fleet use --clear, or save another"
+        raise ConfigError(file, "", problem) from error
+
+
+def save_current(fleet: Path, connect: Sequence[str], environment: Mapping[str, str]) -> Path:
+    """The file written. Raises ConfigError."""
+    file = current_file(environment)
+    content = msgspec.json.encode(CurrentFleet(str(fleet.absolute()), tuple(connect)))
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        part = file.with_name(f"{file.name}.{os.getpid()}")
+        part.write_bytes(content)
+        part.replace(file)  # at once: another command may read it now
+    except OSError as error:
+        raise ConfigError(file, "", f"cannot be written: {error.strerror}") from error
+    return file
+
+
+def forget_current(environment: Mapping[str, str]) -> None:
+    """Without effect where none is saved. Raises ConfigError."""
+    try:
+        current_file(environment).unlink(missing_ok=True)
+    except OSError as error:
+        raise ConfigError(current_file(environment), "", f"cannot be deleted: {error.strerror}") from error

@@ -1,0 +1,51 @@
+"""What an operator asks of a fleet, as plain values: the input of `companion fleet`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from companion.types.commands import Described
+
+COMMAND_LINE = Path("command line")  # named in an error in place of a file
+
+
+@dataclass(frozen=True, slots=True)
+class FormationRequest:
+    """A shape by its name with `spacing_m`, or `slots_file`, or neither: the present slots. Each is rotated and scaled."""
+
+    shape: str | None
+    slots_file: Path | None
+    spacing_m: float | None
+    heading_deg: float
+    scale: float
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceRequest:
+    """A file, or the keys of its section `reference` without positions; `positions_enu_m` has every --at."""
+
+    file: Path | None
+    described: Described
+    positions_enu_m: tuple[list[float], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class FleetRequest:
+    """One action for the fleet in the file `fleet`. `only` is empty for all vehicles of the file.
+
+    `leaders`, `formation` and `reference` belong to one action each.
+    """
+
+    action: str
+    fleet: Path
+    connect: tuple[str, ...]
+    operator: str  # "" for user@host
+    only: tuple[int, ...]
+    wait_s: float  # for reports and replies
+    as_json: bool
+    wait: bool = True  # until the action is finished, after all vehicles have accepted it
+    timeout_s: float | None = None  # of that wait; None for the default of the action
+    leaders: tuple[int, ...] = ()
+    formation: FormationRequest | None = None
+    reference: ReferenceRequest | None = None

@@ -1,0 +1,148 @@
+"""When an action is finished, by the vehicles' reports: the end state of each action, and the wait for it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+from companion.ground.answers import AnswerKind, End, Outcome
+from companion.ground.text import id_list
+from companion.types.autopilot import LandedState
+from companion.types.commands import CommandName, Content, Lead, ReferenceChange
+from companion.types.flight import FlightPhase, Role
+from companion.types.formation import FormationChange
+from companion.types.notices import Code, Notice
+from companion.types.status import Status
+
+P, C = FlightPhase, CommandName
+
+POLL_S = 0.05
+FIRST_REPORTS_S = 1.0  # of all vehicles, before progress without them is shown
+SHORT_S, LONG_S = 60.0, 300.0  # --timeout by default
+
+
+@dataclass(frozen=True, slots=True)
+class Goal:
+    """The end state of an action. A vehicle in a phase outside `on_the_way` that has not reached it has failed."""
+
+    text: str  # "armed", in the plural as well
+    timeout_s: float
+    reached: Callable[[Status], bool]
+    on_the_way: frozenset[FlightPhase] = frozenset(P)
+
+
+class Reports(Protocol):
+    def newest(self) -> dict[int, Status]: ...
+
+
+def _on_ground(status: Status) -> bool:
+    return not status.armed and status.landed is not LandedState.IN_AIR
+
+
+def _in(phase: FlightPhase) -> Callable[[Status], bool]:
+    return lambda status: status.phase is phase
+
+
+def _in_formation(status: Status) -> bool:
+    return status.phase is P.FORMATION and not status.slot.moves
+
+
+def _aborted(status: Status) -> bool:
+    """Also a vehicle that its pilot flies: abort leaves it to the pilot."""
+    return _on_ground(status) or status.phase in (P.HOLD, P.OBSERVE)
+
+
+GOALS = {
+    C.PREPARE: Goal("prepared", SHORT_S, _in(P.READY), frozenset({P.PREPARE})),
+    C.ARM: Goal("armed", SHORT_S, _in(P.ARMED), frozenset({P.ARM})),
+    C.TAKEOFF: Goal("in hold after takeoff", SHORT_S, _in(P.HOLD), frozenset({P.TAKEOFF})),
+    C.FORM: Goal("in formation", SHORT_S, _in_formation, frozenset({P.ENGAGE, P.FORMATION})),
+    C.HOLD: Goal("in hold", SHORT_S, _in(P.HOLD), frozenset({P.RELEASE})),
+    C.LAND: Goal("on the ground and disarmed", LONG_S, _on_ground, frozenset({P.LAND})),
+    C.RETURN: Goal("home, on the ground and disarmed", LONG_S, _on_ground, frozenset({P.RETURN, P.RELEASE})),
+    C.DISARM: Goal("disarmed", SHORT_S, lambda status: not status.armed, frozenset({P.LAND})),
+    C.ABORT: Goal("in hold, or on the ground and disarmed", LONG_S, _aborted),
+}
+
+
+def goal_of(name: CommandName, content: Content | None, running: bool) -> Goal | None:
+    """None for `take`, which its reply finishes. `running`: the time of the reference runs, as some vehicle is in formation."""
+    match content:
+        case Lead():
+            return Goal("with the new leader", SHORT_S, lambda status: _follows(status, content))
+        case FormationChange():
+            return Goal("in the new formation", LONG_S, lambda status: _flies(status, content))
+        case ReferenceChange():
+            return Goal("with the new reference", LONG_S, lambda status: _holds(status, content, running))
+    return GOALS.get(name)
+
+
+def _follows(status: Status, lead: Lead) -> bool:
+    leads = status.vehicle_id in lead.leaders
+    return status.epoch > lead.epoch or (status.epoch == lead.epoch and (status.role is Role.LEADER) is leads)
+
+
+def _flies(status: Status, change: FormationChange) -> bool:
+    return status.slot.formation >= change.number and not status.slot.moves
+
+
+def _holds(status: Status, change: ReferenceChange, running: bool) -> bool:
+    """On the ground and in hold a vehicle begins with the new reference when it forms."""
+    held = status.reference
+    return held is not None and (held.flown if running else held.waiting) >= change.number
+
+
+def end_of(goal: Goal, status: Status, after_s: float) -> End | None:
+    """None while the vehicle is on the way."""
+    if goal.reached(status):
+        return End(True, after_s, Notice(Code.ACTION_FINISHED, goal.text))
+    if status.phase in goal.on_the_way:
+        return None
+    event = f"; last event {status.last_event}" if status.last_event else ""
+    return End(False, after_s, Notice(Code.ACTION_FAILED, f"not {goal.text}: phase {status.phase}{event}"))
+
+
+def wait_for(
+    goal: Goal, outcomes: Mapping[int, Outcome], reports: Reports, timeout_s: float, show: Callable[[str], None]
+) -> dict[int, Outcome]:
+    """The outcomes with the end of every accepted action. Only reports newer than the command count; ABORT has no number."""
+    pending = {
+        i: 0 if goal is GOALS[C.ABORT] else outcome.number
+        for i, outcome in outcomes.items()
+        if outcome.kind is AnswerKind.ACCEPTED
+    }
+    ends: dict[int, End] = {}
+    began_s, before = time.monotonic(), ""
+    while pending:
+        newest = reports.newest()
+        statuses = {i: newest[i] for i, number in pending.items() if i in newest and newest[i].command_number >= number}
+        after_s = time.monotonic() - began_s
+        ends |= {i: end for i, status in statuses.items() if (end := end_of(goal, status, after_s))}
+        pending = {i: number for i, number in pending.items() if i not in ends}
+        statuses = {i: status for i, status in statuses.items() if i in pending}
+        line = progress_text(goal, ends, {i: statuses.get(i) for i in pending}, len(outcomes))
+        if line != before and (len(statuses) == len(pending) or after_s > FIRST_REPORTS_S):
+            show(f"{after_s:5.1f} s  {line}")
+            before = line
+        if after_s > timeout_s:
+            ends |= {i: _timed_out(goal, statuses.get(i), after_s, timeout_s) for i in pending}
+            break
+        time.sleep(POLL_S)
+    return {i: replace(outcome, end=ends.get(i)) for i, outcome in outcomes.items()}
+
+
+def progress_text(goal: Goal, ends: Mapping[int, End], pending: Mapping[int, Status | None], total: int) -> str:
+    """ "2 of 4 armed; vehicles 3, 4: arm"."""
+    by_phase: dict[str, list[int]] = {}
+    for i, status in pending.items():
+        by_phase.setdefault(f"phase {status.phase}" if status else "no new report", []).append(i)
+    rest = "".join(f"; {id_list(ids)}: {phase}" for phase, ids in sorted(by_phase.items()))
+    return f"{sum(end.finished for end in ends.values())} of {total} {goal.text}{rest}"
+
+
+def _timed_out(goal: Goal, status: Status | None, after_s: float, timeout_s: float) -> End:
+    state = f"phase {status.phase}" if status else "no new report"
+    text = f"not {goal.text} within {timeout_s:g} s: {state}; the action goes on"
+    return End(False, after_s, Notice(Code.ACTION_TIMED_OUT, text))

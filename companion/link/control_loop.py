@@ -1,0 +1,250 @@
+"""The control loop around the agent: one tick per position, and the hand-over to the autopilot after a failure."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import logging
+import signal
+import time
+from collections.abc import Callable, Coroutine, Iterable, Sequence
+from math import inf
+from typing import Any, Protocol
+
+from msgspec.structs import replace
+
+from companion.core.agent import Agent, Decision
+from companion.core.safety.failure_response import FailureResponse
+from companion.link.log import EventLog, RejectionLog
+from companion.link.systemd import Notifier
+from companion.link.tick import BACK_UP_S, PERIOD_S, LateLoopLog, TickMeter, TickTrigger
+from companion.types.commands import Command, CommandReply
+from companion.types.notices import Code, Notice
+from companion.types.peers import PeerPacket, ReceivedPeerPacket, ReceivedTarget
+from companion.types.requests import AttitudeTarget, AutopilotRequest
+from companion.types.telemetry import PositionSample, Telemetry
+from companion.types.tick import Inbox, Outbox
+from companion.types.traffic import ReceivedTraffic
+from companion.wire.ground import StatusReport
+
+Job = Callable[[], Coroutine[Any, Any, None]]
+
+_log = logging.getLogger(__name__)
+
+
+class AgentFailedError(Exception):
+    """A defect ended the agent. `str()` is one line: what failed, and what was done."""
+
+
+class AutopilotEnd(Protocol):
+    """The part of `AutopilotLink` that a tick uses."""
+
+    @property
+    def is_connected(self) -> bool: ...
+
+    def drain(self) -> tuple[Telemetry, ...]: ...
+
+    def command(self, target: AttitudeTarget, now_s: float) -> None: ...
+
+    def request(self, requests: Iterable[AutopilotRequest]) -> None: ...
+
+
+class PeerEnd(Protocol):
+    """The part of `ZenohLink` that a tick uses."""
+
+    def receive(self, now_s: float) -> tuple[tuple[ReceivedPeerPacket, ...], tuple[Command, ...]]: ...
+
+    def targets(self, now_s: float) -> tuple[ReceivedTarget, ...]: ...
+
+    def traffic(self, now_s: float) -> tuple[ReceivedTraffic, ...]: ...
+
+    def publish_peer(self, packet: PeerPacket) -> None: ...
+
+    def publish_status(self, report: StatusReport) -> None: ...
+
+    def reply(self, replies: Iterable[CommandReply]) -> None: ...
+
+
+class ControlLoop:
+    """Once per tick: fills the Inbox, lets the agent decide, sends the setpoint, then publishes the reports.
+
+    An exception in any of this ends the loop by a hand-over: level setpoints and the autopilot's hold.
+    """
+
+    def __init__(
+        self, agent: Agent, autopilot: AutopilotEnd, peers: PeerEnd, trigger: TickTrigger, notifier: Notifier
+    ) -> None:
+        self._agent = agent
+        self._autopilot = autopilot
+        self._peers = peers
+        self._trigger = trigger
+        self._notifier = notifier
+        self._meter = TickMeter(time.monotonic())
+        self._late = LateLoopLog()
+        self._rejections = RejectionLog()
+        self._events = EventLog()
+        self._response = FailureResponse()
+        self._stop_asked_s: float | None = None
+        self._failure: BaseException | None = None
+        self._last_report: StatusReport | None = None
+        self._due_s = inf  # when the next tick begins at the latest
+
+    # ------------------------------------------------------------ one tick
+
+    def tick(self, now_s: float) -> None:
+        """One tick. Raises whatever a stage, an encoder or a link raises; `fail` must follow then."""
+        inbox = self._inbox(now_s)
+        self._response.receive(inbox.telemetry)
+        decision = self._agent.decide(now_s, inbox)
+        self._send(now_s, inbox.telemetry, decision)
+        self._publish(now_s, self._agent.report(decision))
+        self._notifier.cycle_completed(now_s, self._autopilot.is_connected)
+
+    def _inbox(self, now_s: float) -> Inbox:
+        peers, commands = self._peers.receive(now_s)
+        targets, traffic = self._peers.targets(now_s), self._peers.traffic(now_s)
+        late_s, self._due_s = max(0.0, now_s - self._due_s), now_s + BACK_UP_S
+        return Inbox(self._autopilot.drain(), peers, commands, self._stop_asked_s is not None, targets, late_s, traffic)
+
+    def _send(self, now_s: float, telemetry: Sequence[Telemetry], decision: Decision) -> None:
+        """Send the setpoint and the requests, before packets, status and log lines are built."""
+        target = decision.setpoint.target
+        self._response.sent(decision.flight.phase, target, decision.setpoint.hover_thrust_norm)
+        if target:
+            self._autopilot.command(target, now_s)
+            self._measure_command(telemetry)
+        self._autopilot.request(decision.requests)
+
+    def _publish(self, now_s: float, outbox: Outbox) -> None:
+        self._peers.reply(outbox.replies)
+        if outbox.peer_packet:
+            self._peers.publish_peer(outbox.peer_packet)
+        self._meter.phase_after_tick(self._agent.phase, now_s)
+        if outbox.status:
+            self._last_report = StatusReport(outbox.status, self._meter.timing(now_s))
+            self._peers.publish_status(self._last_report)
+            self._rejections.update(outbox.status.rejected, now_s)
+        for event in outbox.events:
+            self._events.happened(event, now_s)
+            self._notifier.status(str(event))
+
+    def _measure_command(self, telemetry: Sequence[Telemetry]) -> None:
+        """Latency from the arrival of the newest position to now, when its setpoint has been sent."""
+        arrivals_s = [sample.received_s for sample in telemetry if isinstance(sample, PositionSample)]
+        if arrivals_s:
+            self._meter.command_sent(arrivals_s[-1], time.monotonic())
+
+    # ------------------------------------------------------------ after a failure
+
+    def fail(self, error: BaseException, now_s: float) -> bool:
+        """Record the failure and send the first level setpoint and hold request. Returns whether the hand-over has ended."""
+        self._failure = error
+        ended = self.hand_over(now_s)
+        notice = Notice(Code.AGENT_FAILED, f"{type(error).__name__}: {error}")
+        _log.critical("%s in phase %s", notice, self._agent.phase, exc_info=error)
+        _attempt(lambda: self._notifier.status(str(notice)))
+        if self._last_report:
+            report = replace(self._last_report, status=replace(self._last_report.status, last_event=notice))
+            _attempt(lambda: self._peers.publish_status(report))
+        return ended
+
+    def hand_over(self, now_s: float) -> bool:
+        """One step of the hand-over after a failure. Returns whether it has ended. Never raises.
+
+        Each action is attempted for itself: a link that cannot send setpoints may still send the request.
+        """
+        _attempt(lambda: self._response.receive(self._autopilot.drain()))
+        response = self._response.step(now_s)
+        if response.target:
+            target = response.target
+            _attempt(lambda: self._autopilot.command(target, now_s))
+        if response.requests:
+            _attempt(lambda: self._autopilot.request(response.requests))
+        return response.ended
+
+    # ------------------------------------------------------------ the loop
+
+    async def run(self, wait_s: float, jobs: Sequence[Job]) -> bool:
+        """Run until SIGTERM or SIGINT, with the jobs of the links beside it. Raises AgentFailedError.
+
+        False if no autopilot was received within `wait_s`.
+        """
+        loop = asyncio.get_running_loop()
+        loop.set_exception_handler(self._callback_failed)
+        for number in (signal.SIGTERM, signal.SIGINT):
+            loop.add_signal_handler(number, self._stop, signal.Signals(number).name)
+        gc.collect()
+        gc.freeze()  # objects made until now stay; the collector skips them in a tick
+        async with asyncio.TaskGroup() as group:
+            tasks = [group.create_task(self._guarded(job)) for job in jobs]
+            await self._tick_until_done(give_up_s=time.monotonic() + wait_s)
+            for task in tasks:
+                task.cancel()
+        if self._failure:
+            raise AgentFailedError(f"ends after a defect: {type(self._failure).__name__}: {self._failure}")
+        self._notifier.stopping()
+        _log.info("ends in phase %s", self._agent.phase)
+        return self._stop_asked_s is not None
+
+    async def _tick_until_done(self, give_up_s: float) -> None:
+        now_s = time.monotonic()
+        while not self._is_done(now_s, give_up_s):
+            await self._trigger.wait(now_s)
+            due_s, now_s = now_s + BACK_UP_S, time.monotonic()
+            if self._failure:
+                break
+            self._late.cycle(due_s, now_s)
+            self._meter.tick(now_s)
+            try:
+                self.tick(now_s)
+            except Exception as error:  # noqa: BLE001 -- whatever failed, the vehicle is handed over
+                self._failure = error
+        if self._failure:
+            await self._end_after_failure(self._failure)
+
+    async def _end_after_failure(self, error: BaseException) -> None:
+        ended = self.fail(error, time.monotonic())
+        while not ended:
+            await asyncio.sleep(PERIOD_S)
+            ended = self.hand_over(time.monotonic())
+
+    async def _guarded(self, job: Job) -> None:
+        """A job whose failure ends the loop by a hand-over, while the links still work."""
+        try:
+            await job()
+        except Exception as error:  # noqa: BLE001 -- whatever failed, the vehicle is handed over
+            self._fail_soon(error)
+
+    def _is_done(self, now_s: float, give_up_s: float) -> bool:
+        """After a request to stop and the hand-over of the stream, after a failure, or without any autopilot."""
+        if self._failure:
+            return True
+        if self._stop_asked_s is None:
+            return not self._autopilot.is_connected and now_s > give_up_s
+        return self._agent.has_handed_over
+
+    def _stop(self, reason: str) -> None:
+        if self._stop_asked_s is None:
+            _log.info("%s in phase %s: stopping", reason, self._agent.phase)
+            self._stop_asked_s = time.monotonic()
+
+    def _callback_failed(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        """End the loop at an exception in a callback; asyncio would only log it and lose telemetry."""
+        exception = context.get("exception")
+        if isinstance(exception, Exception):
+            self._fail_soon(exception)
+        else:
+            loop.default_exception_handler(context)
+
+    def _fail_soon(self, error: Exception) -> None:
+        """End the loop at once. Of several failures the first is reported."""
+        self._failure = self._failure or error
+        self._trigger.fire()
+
+
+def _attempt(action: Callable[[], object]) -> None:
+    """After a failure the next one must not prevent the other actions."""
+    try:
+        action()
+    except Exception as error:  # noqa: BLE001 -- the other actions follow
+        _log.error("also failed: %s: %s", type(error).__name__, error)

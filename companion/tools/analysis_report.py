@@ -1,0 +1,259 @@
+"""Report of `companion analyze`: figures as tables, and findings with their remedies."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from textwrap import wrap
+
+import numpy as np
+
+from companion.tools.analysis import MODEL, PREDICT_S, Analysis, LawAnalysis
+from companion.types.notices import Code, Notice
+
+BADLY_DAMPED = 0.3
+CLOSE_M = 0.8
+GROWS = 1.2  # string gain to the last vehicle; 1 is perfect, and up to this value the difference is not visible
+SMALL_DELAY_MARGIN_S = 0.15  # three times the usual loop delay
+WHOLE_UP_TO = 20  # vehicles; a larger matrix does not fit a screen
+A_LINE = 8  # vehicles per line
+COLUMNS = 100
+
+LEGEND = f"""\
+  lambda_min: the smallest eigenvalue of G; the larger, the faster errors decay
+  damping: 1 is critical, 0 is an undamped oscillation
+  no lag: without the attitude lag; all else is with a lag of {MODEL.attitude_lag_s:g} s and a loop delay of {MODEL.delay_s:g} s
+  delay margin: the loop delay above which the formation is unstable
+  string gain: factor by which an oscillation grows on its way from the leader, at the frequency
+    where it grows most
+  transient peak: the largest error of any vehicle over the largest at the start"""
+
+
+def report(analysis: Analysis) -> str:
+    """The text that `companion analyze` prints."""
+    lines = [
+        f"{analysis.file}: {_vehicles(analysis)}, led by {_ids(analysis.leaders)}, law {analysis.law}",
+        "",
+    ]
+    lines += ["neighbours at the start:"]
+    lines += [f"  {i}: {_ids(neighbours) or 'none'}" for i, neighbours in analysis.graph.items()]
+    if analysis.laws:
+        lines += ["", *_law_table(analysis), "", *_leader_table(analysis), "", *_matrix(analysis)]
+    if analysis.not_read:
+        lines += [
+            "",
+            f"not read and not checked: {', '.join(analysis.not_read)}; `sitl run` checks and uses them",
+        ]
+    lines += ["", "verdict:"]
+    for finding in verdict(analysis):
+        lines += wrap(f"- {finding}", COLUMNS, initial_indent="  ", subsequent_indent="    ", break_long_words=False)
+    return "\n".join(lines)
+
+
+def _vehicles(analysis: Analysis) -> str:
+    return "1 vehicle" if len(analysis.vehicles) == 1 else f"{len(analysis.vehicles)} vehicles"
+
+
+def verdict(analysis: Analysis) -> list[Notice]:
+    """Findings with their remedies; a single FORMATION_CONVERGES where there are none."""
+    warnings = list(_warnings(analysis))
+    if len(analysis.vehicles) == 1 and not analysis.unreached:
+        text = f"vehicle {_ids(analysis.vehicles)} is alone and follows its reference; there is no formation"
+        return [Notice(Code.SINGLE_VEHICLE, text), *warnings]
+    converges = Notice(Code.FORMATION_CONVERGES, f"the formation converges under {analysis.law}, without findings")
+    return warnings or [converges]
+
+
+def _warnings(analysis: Analysis) -> Iterator[Notice]:
+    if analysis.unreached:
+        yield Notice(
+            Code.NO_PATH_TO_LEADER,
+            f"cannot converge: no path leads from a leader to vehicle {_ids(analysis.unreached)}; add an edge, more range, "
+            "or a leader among them (Lemma 1)",
+        )
+        return
+    law = analysis.laws[analysis.law]
+    if not law.stable:
+        yield Notice(Code.FORMATION_UNSTABLE, _unstable(analysis, law))
+        return
+    yield from _slow_or_badly_damped(law)
+    yield from _grows(analysis, law)
+    yield from _too_far_or_too_close(law)
+    yield from _better_leader(analysis)
+
+
+def _unstable(analysis: Analysis, law: LawAnalysis) -> str:
+    others = [name for name, other in analysis.laws.items() if other.delay_margin_with_lag_s >= SMALL_DELAY_MARGIN_S]
+    other = f"; {' and '.join(others)} would be stable, with the gains above" if others else ""
+    if law.delay_margin_with_lag_s > 0.0:
+        return (
+            f"unstable with the usual delay, and so it cannot converge: errors grow without limit from a loop delay of "
+            f"{law.delay_margin_with_lag_s:.3f} s on, and {MODEL.delay_s:g} s is usual; {_for_the_margin(law)}{other}"
+        )
+    ratio_s = law.gain_velocity_1_s / law.gain_position_1_s2
+    return (
+        f"unstable with the attitude lag alone, and so it cannot converge: errors grow without limit even without delay; "
+        f"{_for_the_margin(law)}: the gain on velocity over that on position is {ratio_s:.2g} s and must be well above the "
+        f"lag of {MODEL.attitude_lag_s:g} s{other}"
+    )
+
+
+def _for_the_margin(law: LawAnalysis) -> str:
+    """Which gains to change for a larger delay margin: more damping or a slower loop."""
+    if _velocity_gain_helps(law):
+        return "more gain on velocity or less on position helps"
+    return "less gain on both velocity and position helps"
+
+
+def _velocity_gain_helps(law: LawAnalysis) -> bool:
+    margin_s = law.delay_margin_with_lag_s
+    return margin_s == 0.0 or law.delay_margin_more_velocity_gain_s > margin_s
+
+
+def _for_damping(law: LawAnalysis) -> list[str]:
+    """Changes of the gains that increase the damping.
+
+    Less gain on position always does. More gain on velocity is advised only where the delay margin permits it.
+    """
+    spare = law.feedforward == 0.0 and law.delay_margin_with_lag_s >= SMALL_DELAY_MARGIN_S
+    if spare or _velocity_gain_helps(law):
+        return ["more gain on velocity", "less on position"]
+    return ["less gain on position"]
+
+
+def _slow_or_badly_damped(law: LawAnalysis) -> Iterator[Notice]:
+    if law.damping_min < BADLY_DAMPED:
+        yield Notice(
+            Code.BADLY_DAMPED,
+            f"badly damped (smallest damping {law.damping_min:.2f}, 1 is critical): errors oscillate before they settle; "
+            f"{' or '.join(_for_damping(law))} helps, and so does a larger lambda_min",
+        )
+    if law.delay_margin_with_lag_s < SMALL_DELAY_MARGIN_S:
+        yield Notice(
+            Code.SMALL_DELAY_MARGIN,
+            f"small delay margin: a loop delay of {law.delay_margin_with_lag_s:.3f} s makes it unstable, and "
+            f"{MODEL.delay_s:g} s is usual; {_for_the_margin(law)}",
+        )
+    if law.predicted_settle_s is None:
+        text = f"not within 10 cm after {PREDICT_S:g} s, by the linear model with attitude lag and delay"
+        yield Notice(Code.SETTLES_SLOWLY, text)
+
+
+def _grows(analysis: Analysis, law: LawAnalysis) -> Iterator[Notice]:
+    if law.string_gain_per_hop is None or law.string_gain_to_last is None or law.string_gain_to_last <= GROWS:
+        return
+    to_last = {name: other.string_gain_to_last for name, other in analysis.laws.items()}
+    least, gain = min(((name, gain) for name, gain in to_last.items() if gain is not None), key=lambda item: item[1])
+    other = "" if least == analysis.law else f"; {least} has {gain:.2f} to the last"
+    remedies = [*_for_damping(law), *([] if law.feedforward > 0.0 else ["feedforward"])]
+    yield Notice(
+        Code.ERRORS_GROW,
+        f"errors grow from hop to hop: the leader's motion is amplified up to {law.string_gain_per_hop:.2f} times in one hop "
+        f"(at {law.string_gain_per_hop_rad_s:.2f} rad/s) and {law.string_gain_to_last:.2f} times to the last vehicle (at "
+        f"{law.string_gain_to_last_rad_s:.2f} rad/s); {', '.join(remedies)}, or fewer hops from the leader help{other}",
+    )
+
+
+def _too_far_or_too_close(law: LawAnalysis) -> Iterator[Notice]:
+    if law.margin_to_range_m is not None and law.margin_to_range_m < 0.0 and law.predicted_max_distance_m:
+        pair, distance_m = max(law.predicted_max_distance_m.items(), key=lambda item: item[1])
+        yield Notice(
+            Code.NEIGHBOURS_OUT_OF_RANGE,
+            f"neighbours lose each other: {pair} is {distance_m:.2f} m apart, {-law.margin_to_range_m:.2f} m beyond the "
+            "range, and the prediction after that does not hold; start closer, move the reference slower, or give the edges "
+            "explicitly",
+        )
+    if law.predicted_min_distance_m:
+        pair, distance_m = min(law.predicted_min_distance_m.items(), key=lambda item: item[1])
+        if distance_m < CLOSE_M:
+            text = f"neighbours come close: {pair} within {distance_m:.2f} m; use more spacing or better damping"
+            yield Notice(Code.NEIGHBOURS_TOO_CLOSE, text)
+
+
+def _better_leader(analysis: Analysis) -> Iterator[Notice]:
+    best = max(analysis.lambda_min_by_leader, key=lambda i: analysis.lambda_min_by_leader[i], default=None)
+    if best is not None and best not in analysis.leaders and len(analysis.leaders) == 1:
+        now, then = analysis.lambda_min_by_leader[analysis.leaders[0]], analysis.lambda_min_by_leader[best]
+        if then > 1.1 * now:
+            text = f"vehicle {best} would be the better leader: lambda_min {then:.4f} instead of {now:.4f}"
+            yield Notice(Code.BETTER_LEADER, text)
+
+
+def _law_table(analysis: Analysis) -> list[str]:
+    laws = list(analysis.laws.values())
+    rows: list[tuple[str, list[str]]] = []
+
+    def add(title: str, cell: Callable[[LawAnalysis], str], *, of_stable: bool = False) -> None:
+        rows.append((title, [cell(law) if law.stable or not of_stable else "unstable" for law in laws]))
+
+    add("gains on position, velocity", lambda law: f"{law.gain_position_1_s2:g}, {law.gain_velocity_1_s:g}")
+    add("exponent of the weights, feedforward", lambda law: f"{law.exponent:g}, {law.feedforward:g}")
+    add("lambda_min", lambda law: f"{law.lambda_min:.4f}")
+    add("convergence rate, no lag [1/s]", lambda law: f"{law.rate_1_s:.4f}")
+    add("time to 10 cm by this rate [s]", lambda law: _number(law.time_to_10_cm_s, 1), of_stable=True)
+    add("smallest damping, no lag", lambda law: f"{law.damping_min:.3f}")
+    add("delay margin, no lag [s]", lambda law: f"{law.delay_margin_s:.3f}")
+    add("delay margin [s]", lambda law: f"{law.delay_margin_with_lag_s:.3f}")
+    add("string gain per hop", lambda law: _gain(law.string_gain_per_hop), of_stable=True)
+    add("  at [rad/s]", lambda law: _gain(law.string_gain_per_hop_rad_s), of_stable=True)
+    add("string gain, leader to last", lambda law: _gain(law.string_gain_to_last), of_stable=True)
+    add("  at [rad/s]", lambda law: _gain(law.string_gain_to_last_rad_s), of_stable=True)
+    add("transient peak, worst start", lambda law: _gain(law.worst_transient_peak), of_stable=True)
+    add("transient peak, this start", lambda law: _gain(law.transient_peak), of_stable=True)
+    add("settled to 10 cm [s]", lambda law: _number(law.predicted_settle_s, 1), of_stable=True)
+    add("largest distance of neighbours [m]", lambda law: _extreme(law.predicted_max_distance_m, max), of_stable=True)
+    add("smallest distance of neighbours [m]", lambda law: _extreme(law.predicted_min_distance_m, min), of_stable=True)
+    if any(law.margin_to_range_m is not None for law in laws):
+        add("margin to the range [m]", lambda law: _gain(law.margin_to_range_m), of_stable=True)
+    head = f"{'':38}" + "".join(f"{name:>15}" for name in analysis.laws)
+    table = [head, *(f"{title:38}" + "".join(f"{cell:>15}" for cell in cells) for title, cells in rows)]
+    gains = ", ".join(
+        f"{gain:.2f} times that of {name}" for name, gain in analysis.gain_on_average.items() if name != analysis.law
+    )
+    return [*table, *LEGEND.splitlines(), *_start(analysis), "", f"lambda_min of {analysis.law} is {gains}"]
+
+
+def _start(analysis: Analysis) -> list[str]:
+    moves = "; the reference is at rest at its start, though it moves in flight" if analysis.reference_moves else ""
+    text = (
+        f"this start, and the rows below it: predicted over {PREDICT_S:g} s from rest, the farthest vehicle "
+        f"{analysis.start_error_m:.2f} m from its slot{moves}"
+    )
+    return wrap(text, COLUMNS, initial_indent="  ", subsequent_indent="    ")
+
+
+def _leader_table(analysis: Analysis) -> list[str]:
+    cells = [f"{i:>3}: {value:.4f}" for i, value in analysis.lambda_min_by_leader.items()]
+    return [f"lambda_min under {analysis.law} with one vehicle as the only leader:", *_in_lines(cells)]
+
+
+def _matrix(analysis: Analysis) -> list[str]:
+    law: LawAnalysis = analysis.laws[analysis.law]
+    if len(analysis.vehicles) > WHOLE_UP_TO:
+        return [f"the interaction matrix G and its {len(law.eigenvalues)} eigenvalues: see --json"]
+    rounded = np.round(np.array(law.G), 3) + 0.0  # no -0.
+    rows = np.array2string(rounded, precision=3, suppress_small=True, max_line_width=200).splitlines()
+    values = _in_lines([f"{value:.4f}" for value in law.eigenvalues])
+    return [f"interaction matrix G under {analysis.law}:", *(f"  {row}" for row in rows), "its eigenvalues:", *values]
+
+
+def _in_lines(cells: list[str]) -> list[str]:
+    return ["  " + "   ".join(cells[first : first + A_LINE]) for first in range(0, len(cells), A_LINE)]
+
+
+def _extreme(distances_m: dict[str, float] | None, choose: Callable[..., tuple[str, float]]) -> str:
+    if not distances_m:
+        return "-"
+    pair, value = choose(distances_m.items(), key=lambda item: item[1])
+    return f"{value:.2f} ({pair})"
+
+
+def _gain(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f}"
+
+
+def _number(value: float | None, digits: int) -> str:
+    return f"over {PREDICT_S:g}" if value is None else f"{value:.{digits}f}"
+
+
+def _ids(ids: list[int]) -> str:
+    return ", ".join(str(i) for i in ids)

@@ -1,0 +1,246 @@
+"""`companion logs`: lists and downloads the autopilot's flight logs by mavsdk over the agent's link."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import sys
+import time
+from collections.abc import Callable, Coroutine
+from contextlib import aclosing, closing
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import msgspec
+
+from companion.config.file import ConfigError
+from companion.config.vehicle import AgentConfig, load_agent
+from companion.link.bench import LISTEN_PERIOD_S, Bench, run_on_bench
+from companion.link.flight_logs import FlightLogs, FlightLogsError, LogEntry, NothingCameError
+from companion.tools.logs_report import Log, NoSuchLogError, Report, choose, file_name, heading, listing, progress_text
+from companion.types.autopilot import AutopilotKind
+from companion.types.telemetry import HeartbeatSample, TextSample
+
+COMPLETE, INCOMPLETE = 0, 1  # exit codes
+SILENT_AFTER_S = 5.0  # without a HEARTBEAT
+LOOK_AGAIN_S, SETTLED_WITHIN_S = 1.0, 20.0  # for a log that is still written to
+PLAIN_STEP_PERCENT = 10  # of progress, where it is not shown on a terminal
+ARMED = "it is armed: land and disarm it first"
+
+
+@dataclass(frozen=True, slots=True)
+class LogsOptions:
+    """What to do with the logs of the vehicle in `file`. `wanted` holds ids, `all` and `last`; empty only lists."""
+
+    file: Path
+    wait_s: float
+    wanted: tuple[int | str, ...]
+    folder: Path
+    as_json: bool
+
+
+def run_logs(options: LogsOptions) -> int:
+    """Run the command and return its exit code. Raises ConfigError and AutopilotSilentError."""
+    config = load_agent(options.file)
+    if options.wanted:
+        _make(options.folder)
+    return asyncio.run(_run(options, config))
+
+
+def _make(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        writable = os.access(folder, os.W_OK | os.X_OK)
+    except OSError as error:
+        raise ConfigError(f"--out {folder}", "", f"{error.strerror}; name a folder that can be written to") from error
+    if not writable:
+        raise ConfigError(f"--out {folder}", "", "no permission to write there; name a folder that can be written to")
+
+
+async def _run(options: LogsOptions, config: AgentConfig) -> int:
+    with closing(LogSession(options.file, config)) as session:
+        report = await run_on_bench(session, options.wait_s, partial(_serve, session, options))
+    if options.as_json:
+        print(msgspec.json.format(msgspec.json.encode(report), indent=2).decode())
+    if report.failure:
+        print(f"vehicle {report.vehicle}: {report.failure}", file=sys.stderr)
+    return INCOMPLETE if report.failure else COMPLETE
+
+
+async def _serve(session: LogSession, options: LogsOptions) -> Report:
+    """List the logs, or download the selected ones, and print the progress."""
+    report = Report(session.vehicle_id, session.autopilot, session.endpoint)
+    show: Callable[[str], None] = _nothing if options.as_json else print
+    try:
+        listed = await session.entries()
+        if options.wanted:
+            listed = await session.settled(listed)
+        chosen = choose(listed, options.wanted, session.autopilot)
+        show(heading(report))
+        if not options.wanted:
+            report = replace(report, logs=tuple(Log(log.id, log.date_utc, log.size_bytes) for log in listed))
+            for line in listing(report.logs):
+                show(line)
+        for entry in chosen:
+            log, text = await session.get(entry, options.folder)
+            report = replace(report, logs=(*report.logs, log))
+            show(text)
+    except (FlightLogsError, NoSuchLogError) as error:
+        return replace(report, failure=str(error))
+    return report
+
+
+def _nothing(_line: str) -> None:
+    """Print nothing: with --json the output is one object."""
+
+
+class LogSession:
+    """Link to one vehicle and its logs."""
+
+    def __init__(self, file: Path, config: AgentConfig) -> None:
+        """Opens the link. Raises ConfigError."""
+        self.vehicle_id, self.endpoint = config.vehicle.id, config.vehicle.mavlink
+        self.autopilot = AutopilotKind.PX4  # this and the following from HEARTBEAT, once `_known` is set
+        self._armed = False
+        self._heard_s = 0.0
+        self._known = asyncio.Event()
+        self._text = ""
+        self.bench = Bench(file, config)
+        self._logs: FlightLogs | None = None  # once it answers
+
+    def jobs(self) -> tuple[Coroutine[None, None, None], ...]:
+        """Background jobs until cancelled. Telemetry is not requested: it would slow the downloads."""
+        return (self.bench.link.receive(), self._listen())
+
+    async def _listen(self) -> None:
+        while True:
+            for sample in self.bench.link.drain():
+                if isinstance(sample, HeartbeatSample):
+                    self.autopilot, self._armed, self._heard_s = sample.autopilot, sample.armed, sample.received_s
+                    self._known.set()
+                elif isinstance(sample, TextSample):
+                    self._text = sample.text
+            await asyncio.sleep(LISTEN_PERIOD_S)
+
+    async def connect(self, wait_s: float) -> bool:
+        """Whether a HEARTBEAT arrives within this time."""
+        system = await self.bench.system(wait_s)
+        if system is None:
+            return False
+        self._logs = FlightLogs(system)
+        await self._known.wait()
+        return True
+
+    async def entries(self) -> tuple[LogEntry, ...]:
+        """The list, with at least one log. Raises FlightLogsError."""
+        assert self._logs is not None
+        if self._armed:
+            raise FlightLogsError(ARMED)
+        try:
+            listed = await self._logs.entries()
+        except NothingCameError as error:
+            px4 = "; PX4 does not answer where it has no logs" if self.autopilot is AutopilotKind.PX4 else ""
+            raise FlightLogsError(f"{error}{px4}{self._why()}") from error
+        if not listed:
+            raise FlightLogsError("it has no logs")
+        return listed
+
+    async def settled(self, listed: tuple[LogEntry, ...]) -> tuple[LogEntry, ...]:
+        """The list when its newest log no longer grows: ArduPilot ends that log when it is read, and begins another.
+
+        Gives up after SETTLED_WITHIN_S, for autopilots that log all the time (LOG_DISARMED). Raises FlightLogsError.
+        """
+        give_up_s = time.monotonic() + SETTLED_WITHIN_S
+        while self.autopilot is AutopilotKind.ARDUPILOT and time.monotonic() < give_up_s:
+            await asyncio.sleep(LOOK_AGAIN_S)
+            before, listed = listed, await self.entries()
+            if (before[-1].id, before[-1].size_bytes) == (listed[-1].id, listed[-1].size_bytes):
+                break
+        return listed
+
+    async def get(self, entry: LogEntry, folder: Path) -> tuple[Log, str]:
+        """Download a log: (the log with its file, a line for the report). Raises FlightLogsError."""
+        file = folder / file_name(self.vehicle_id, entry, self.autopilot)
+        log = Log(entry.id, entry.date_utc, entry.size_bytes, str(file))
+        try:
+            if file.exists():
+                _check_same(file, entry)
+                return log, f"log {entry.id}: {file} exists already"
+            await self._download(entry, file)
+        except (FlightLogsError, OSError) as error:
+            raise FlightLogsError(f"log {entry.id}: {error}") from error
+        return log, f"log {entry.id}: {file}"
+
+    async def _download(self, entry: LogEntry, file: Path) -> None:
+        """Download to a temporary name, then rename. Raises FlightLogsError and OSError."""
+        assert self._logs is not None
+        meter = Meter(entry)
+        part = file.with_name(f"{file.name}.part")
+        part.unlink(missing_ok=True)
+        try:
+            async with aclosing(self._logs.download(entry, part)) as sizes:
+                async for written_bytes in sizes:
+                    if self._armed:
+                        raise FlightLogsError(ARMED)
+                    meter.show(written_bytes)
+            give_name(part, file, entry.size_bytes)
+        except NothingCameError as error:
+            raise FlightLogsError(f"{error}{self._why()}") from error
+        finally:
+            part.unlink(missing_ok=True)
+            meter.clear()
+
+    def _why(self) -> str:
+        """The known reason why no data arrives."""
+        if time.monotonic() - self._heard_s > SILENT_AFTER_S:
+            return f"; no HEARTBEAT for {SILENT_AFTER_S:g} s"
+        return f'; the autopilot reports "{self._text}"' if self._text else ""
+
+    def close(self) -> None:
+        if self._logs:
+            self._logs.close()
+        self.bench.close()
+
+
+def _check_same(file: Path, entry: LogEntry) -> None:
+    """Raises FlightLogsError."""
+    size_bytes = file.stat().st_size
+    if size_bytes != entry.size_bytes:
+        raise FlightLogsError(
+            f"{file} exists already, with {size_bytes} bytes instead of {entry.size_bytes}: move it away, or choose"
+            " another --out"
+        )
+
+
+def give_name(part: Path, file: Path, size_bytes: int) -> None:
+    """Give a complete file its final name after syncing it to disk. Raises FlightLogsError and OSError."""
+    with part.open("rb") as written:
+        written_bytes = os.fstat(written.fileno()).st_size
+        if written_bytes != size_bytes:
+            raise FlightLogsError(f"{written_bytes} of {size_bytes} bytes were written; is the disk full?")
+        os.fsync(written.fileno())
+    part.rename(file)
+
+
+class Meter:
+    """Progress of a download on standard error: in place on a terminal, else one line per PLAIN_STEP_PERCENT."""
+
+    def __init__(self, entry: LogEntry) -> None:
+        self._entry = entry
+        self._began_s = time.monotonic()
+        self._in_place = sys.stderr.isatty()
+        self._next_percent = float(PLAIN_STEP_PERCENT)
+
+    def show(self, written_bytes: int) -> None:
+        words = progress_text(self._entry, written_bytes, time.monotonic() - self._began_s)
+        percent = 100.0 * written_bytes / max(self._entry.size_bytes, 1)
+        if self._in_place:
+            print(f"\r\x1b[K{words}", end="", file=sys.stderr, flush=True)
+        elif percent >= self._next_percent:
+            self._next_percent = percent - percent % PLAIN_STEP_PERCENT + PLAIN_STEP_PERCENT
+            print(words, file=sys.stderr)
+
+    def clear(self) -> None:
+        if self._in_place:
+            print("\r\x1b[K", end="", file=sys.stderr, flush=True)

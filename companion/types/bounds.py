@@ -1,0 +1,31 @@
+"""Bounds of received values. msgspec enforces them where a message is decoded; NaN and infinity lie outside every bound."""
+
+from __future__ import annotations
+
+from sys import float_info
+from typing import Annotated
+
+from msgspec import Meta
+
+MAX_COORDINATE_M = 20_000.0
+MAX_MISSION_S = 1e6  # eleven days
+MAX_CHANGE_S = 600.0  # duration of a formation change
+MAX_VEHICLES = 250  # MAVLink system ids
+MAX_NUMBER = 2**62  # of commands, changes and packets
+FLEET_NAME = "^[a-z0-9][a-z0-9_-]{0,40}$"  # it is a part of Zenoh's key expressions
+CONTROL = r"\x00-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069"  # control characters, and those that reverse the text
+
+VehicleId = Annotated[int, Meta(ge=1, le=MAX_VEHICLES)]
+Number = Annotated[int, Meta(ge=0, le=MAX_NUMBER)]
+Finite = Annotated[float, Meta(ge=-float_info.max, le=float_info.max)]
+Coordinate = Annotated[float, Meta(ge=-MAX_COORDINATE_M, le=MAX_COORDINATE_M)]
+Position = tuple[Coordinate, Coordinate, Coordinate]
+FiniteVector = tuple[Finite, Finite, Finite]
+MissionTime = Annotated[float, Meta(ge=0, le=MAX_MISSION_S)]
+ChangeDuration = Annotated[float, Meta(ge=0, le=MAX_CHANGE_S)]
+SlotOfVehicle = tuple[VehicleId, Position]
+SlotsOfAll = Annotated[tuple[SlotOfVehicle, ...], Meta(max_length=MAX_VEHICLES)]
+VehicleIds = Annotated[tuple[VehicleId, ...], Meta(max_length=MAX_VEHICLES)]
+FleetName = Annotated[str, Meta(pattern=rf"{FLEET_NAME[:-1]}\Z")]
+Word = Annotated[str, Meta(max_length=80, pattern=f"^[^{CONTROL}]*$")]  # a name or a key
+Line = Annotated[str, Meta(max_length=2000, pattern=f"^[^{CONTROL}]*$")]  # a sentence, shown on a terminal

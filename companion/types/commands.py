@@ -1,0 +1,113 @@
+"""Commands from the ground and their replies."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Annotated
+
+from msgspec import Meta, Struct
+
+from companion.types.bounds import MAX_NUMBER, Finite, Line, MissionTime, Number, VehicleId, VehicleIds, Word
+from companion.types.formation import FormationChange
+from companion.types.notices import Code
+
+
+class CommandName(StrEnum):
+    """Commands of an operator or a scenario to a vehicle."""
+
+    PREPARE = "prepare"
+    ARM = "arm"
+    TAKEOFF = "takeoff"
+    FORM = "form"
+    HOLD = "hold"
+    LAND = "land"
+    RETURN = "return"
+    DISARM = "disarm"
+    LEAD = "lead"
+    FORMATION = "formation"
+    REFERENCE = "reference"
+    TAKE = "take"  # take over command from the operator who holds it
+    ABORT = "abort"  # disarm on the ground, the autopilot's hold mode in the air
+
+
+MAX_EPOCH = 2**31 - 1
+NUMBERS_AHEAD = 1000  # of the last command: one wrong number cannot use up all numbers
+MAX_EPOCHS_AHEAD = 1000  # above the own epoch: the number of changes that a vehicle may have missed
+
+
+class Lead(Struct, frozen=True, gc=False, tag=True):
+    """The leaders from now on; all other vehicles follow. Every vehicle gets the command.
+
+    A vehicle never returns to an older epoch.
+    """
+
+    leaders: VehicleIds
+    epoch: Annotated[int, Meta(ge=0, le=MAX_EPOCH)]
+
+
+_Numbers = Annotated[list[Finite], Meta(max_length=3)]
+# A text without a pattern: msgspec 0.22 frees memory twice where a union has both a pattern and a list.
+_Text = Annotated[str, Meta(max_length=80)]
+Described = dict[Word, bool | int | Finite | _Text | Annotated[list[Finite | _Numbers], Meta(max_length=200)]]
+"""A section of a file as plain values."""
+
+
+class ReferenceChange(Struct, frozen=True, gc=False, tag=True):
+    """Another reference for the vehicles that may lead, from the mission time `begins_s` on.
+
+    Its own time begins then. `reference` is the content of a section `reference` of a vehicle file.
+    """
+
+    number: Number
+    reference: Annotated[Described, Meta(max_length=20)]
+    begins_s: MissionTime
+
+
+Content = Lead | FormationChange | ReferenceChange
+
+
+OPERATOR = r"[A-Za-z0-9][A-Za-z0-9_.@+-]{0,62}"  # it is shown on terminals and in logs
+OPERATOR_WORDS = "1 to 63 letters, digits, _ . @ + -, a letter or digit first, like anna@ground"
+Operator = Annotated[str, Meta(pattern=rf"^{OPERATOR}\Z")]
+
+
+class Command(Struct, frozen=True, gc=False):
+    """A command; executed once. Its sender repeats it until it is answered.
+
+    `core/command/arbitration.py` refuses old ones and other operators.
+    """
+
+    name: CommandName
+    number: Annotated[int, Meta(ge=1, le=MAX_NUMBER)]  # larger than that of the last command; repeated in the reply
+    operator: Operator  # sender of the command, the same in all programs of one operator
+    session: Number  # of the vehicle's agent, from its status
+    content: Content | None = None  # of the type that CONTENT has for this name
+
+
+def next_number(last: int, reported: int) -> int:
+    """Number of the next command to a vehicle, above the last one given to it and the last one that it reports.
+
+    A last number above all that the vehicle accepts came from a wrong report: it is forgotten.
+    """
+    return last + 1 if reported < last < reported + NUMBERS_AHEAD else reported + 1
+
+
+CONTENT: dict[CommandName, type] = {
+    CommandName.LEAD: Lead,
+    CommandName.FORMATION: FormationChange,
+    CommandName.REFERENCE: ReferenceChange,
+}
+
+
+class CommandReply(Struct, frozen=True, gc=False):
+    """Reply to one command. `code` and `reason`: why it is refused, or what happens now.
+
+    `operator` and `number` are those of the command: all programs on the ground receive all replies.
+    """
+
+    vehicle_id: VehicleId
+    number: Number
+    accepted: bool
+    code: Code
+    reason: Line
+    operator: Operator

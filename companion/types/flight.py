@@ -1,0 +1,102 @@
+"""Roles, flight phases, health flags and failsafe actions."""
+
+from __future__ import annotations
+
+from enum import IntEnum, StrEnum
+
+
+class Role(StrEnum):
+    """A leader flies by the reference formation trajectory (RFT); a follower never does."""
+
+    LEADER = "leader"
+    FOLLOWER = "follower"
+
+
+class FlightPhase(StrEnum):
+    """Flight phase of the agent. `core/command/phase.py` has the table of transitions."""
+
+    OBSERVE = "observe"  # sends nothing; after the start and after a pilot takes over
+    PREPARE = "prepare"
+    READY = "ready"
+    ARM = "arm"
+    ARMED = "armed"
+    TAKEOFF = "takeoff"
+    HOLD = "hold"  # the autopilot's own position hold
+    ENGAGE = "engage"  # setpoints are sent; the autopilot has not changed its mode yet
+    FORMATION = "formation"
+    RELEASE = "release"  # setpoints are sent until the autopilot has changed its mode
+    LAND = "land"
+    RETURN = "return"  # fly home and land, by the autopilot alone
+
+
+# Sets of phases that several packages use. COOPERATING: peers may use the vehicle as a neighbour.
+ON_GROUND = frozenset({FlightPhase.PREPARE, FlightPhase.READY, FlightPhase.ARM, FlightPhase.ARMED})
+STREAMING = frozenset({FlightPhase.ENGAGE, FlightPhase.FORMATION})
+HELD = frozenset({FlightPhase.RELEASE, FlightPhase.HOLD})
+COOPERATING = STREAMING | HELD
+TO_THE_GROUND = frozenset({FlightPhase.LAND, FlightPhase.RETURN})  # by the autopilot alone
+FLYING = COOPERATING | TO_THE_GROUND | {FlightPhase.TAKEOFF}
+
+
+class HealthFlag(StrEnum):
+    """Present faults, causes before what they cause. `core/safety/failsafe.py` has the actions, FLAG_TEXTS the texts."""
+
+    FRAME_UNKNOWN = "FRAME_UNKNOWN"
+    POSITION_STALE = "POSITION_STALE"
+    ATTITUDE_STALE = "ATTITUDE_STALE"
+    MODE_STALE = "MODE_STALE"
+    ARMED_STALE = "ARMED_STALE"
+    LANDED_STALE = "LANDED_STALE"
+    LEADER_AWAITED = "LEADER_AWAITED"
+    LEADER_LOST = "LEADER_LOST"
+    FLEET_LINK_LOST = "FLEET_LINK_LOST"
+    DUPLICATE_ID = "DUPLICATE_ID"
+    SEPARATION_VIOLATED = "SEPARATION_VIOLATED"
+    OUTSIDE_FENCE = "OUTSIDE_FENCE"
+    FRAME_CONTRADICTED = "FRAME_CONTRADICTED"
+    POSITION_JUMPED = "POSITION_JUMPED"
+    ESTIMATOR_BAD = "ESTIMATOR_BAD"
+    TILT_EXCEEDED = "TILT_EXCEEDED"
+    TICK_LATE = "TICK_LATE"
+    BATTERY_LOW = "BATTERY_LOW"
+    BATTERY_CRITICAL = "BATTERY_CRITICAL"
+
+
+FLAG_TEXTS: dict[HealthFlag, str] = {
+    HealthFlag.POSITION_STALE: "position older than allowed",
+    HealthFlag.ATTITUDE_STALE: "attitude older than allowed",
+    HealthFlag.MODE_STALE: "flight mode older than allowed",
+    HealthFlag.FRAME_UNKNOWN: "the autopilot's origin is unknown",
+    HealthFlag.ARMED_STALE: "armed state older than allowed",
+    HealthFlag.LANDED_STALE: "landed state older than allowed",
+    HealthFlag.LEADER_AWAITED: "no fresh leader beacon for a moment; followers hold formation",
+    HealthFlag.LEADER_LOST: "no fresh leader beacon",
+    HealthFlag.OUTSIDE_FENCE: "outside the fence",
+    HealthFlag.FRAME_CONTRADICTED: "the autopilot's origin and its global position contradict each other",
+    HealthFlag.POSITION_JUMPED: "the autopilot's position jumped too far to be used",
+    HealthFlag.FLEET_LINK_LOST: "no other vehicle of the fleet is received any more",
+    HealthFlag.DUPLICATE_ID: "two agents use the same vehicle id",
+    HealthFlag.SEPARATION_VIOLATED: "another vehicle is nearer than separation_m",
+    HealthFlag.ESTIMATOR_BAD: "the autopilot's estimator reports a bad position",
+    HealthFlag.TILT_EXCEEDED: "tilted beyond the limit",
+    HealthFlag.TICK_LATE: "the agent's ticks begin late",
+    HealthFlag.BATTERY_LOW: "battery below leave_below_percent",
+    HealthFlag.BATTERY_CRITICAL: "battery below land_below_percent",
+}
+
+
+WITHOUT_LEADER = frozenset({HealthFlag.LEADER_AWAITED, HealthFlag.LEADER_LOST})
+OF_THE_FLEET = WITHOUT_LEADER | {HealthFlag.FLEET_LINK_LOST, HealthFlag.SEPARATION_VIOLATED}
+BATTERY_FLAGS = frozenset({HealthFlag.BATTERY_LOW, HealthFlag.BATTERY_CRITICAL})
+
+
+class FailsafeAction(IntEnum):
+    """Failsafe actions by rank: the highest of all raised flags is taken. `core/safety/failsafe.py` has the table."""
+
+    NONE = 0
+    WARN = 1  # one event; the flight continues
+    HOLD = 2  # leave formation for the autopilot's own hold
+    RETURN = 3  # hold, and from there the autopilot's own return, or its landing where the way home is not free
+    LAND = 4  # hold, and from there the autopilot's own landing
+    LEAVE = 5  # observe: nothing is sent, the pilot or the autopilot continues
+    STOP_STREAM = 6  # the state is unknown: no setpoint, so that the autopilot's failsafe acts

@@ -1,0 +1,62 @@
+"""Messages between vehicles, and from targets."""
+
+from __future__ import annotations
+
+from msgspec import Struct
+
+from companion.types.autopilot import PositionError
+from companion.types.bounds import Number
+from companion.types.flight import FlightPhase, Role
+from companion.types.formation import FlownSlot, FormationChange, HeldReference, LeaderBeacon
+from companion.types.vectors import Vector3
+
+
+class PeerPacket(Struct, frozen=True, gc=False):
+    """State of a vehicle that it publishes to its peers at every tick.
+
+    `state_age_s` is the age of the position at `sent_s`, which is of the sender's monotonic clock.
+    """
+
+    vehicle_id: int
+    session: int  # random number of a start: distinguishes a restart (sequence 0) from a replay
+    sequence: int
+    formation_hash: int
+    phase: FlightPhase
+    role: Role
+    position_enu_m: Vector3
+    velocity_enu_m_s: Vector3
+    acceleration_enu_m_s2: Vector3
+    state_age_s: float
+    sent_s: float
+    prc: int
+    leader_beacon: LeaderBeacon | None
+    slot: FlownSlot
+    position_error: PositionError | None = None  # None if the estimator does not report it
+    reference: HeldReference | None = None  # None if the vehicle may not lead
+    change: FormationChange | None = None  # from a leader in formation, for vehicles that lack the change
+    armed: bool = True
+
+
+class ReceivedPeerPacket(Struct, frozen=True, gc=False):
+    received_s: float
+    packet: PeerPacket
+
+
+class TargetSample(Struct, frozen=True, gc=False, forbid_unknown_fields=True):
+    """State of a target in the fleet frame; velocity alone for a joystick.
+
+    `sent_s` is of the sender's monotonic clock; `session` distinguishes a restart (sequence 0) from
+    a replay.
+    """
+
+    session: Number
+    sequence: Number
+    sent_s: float
+    velocity_enu_m_s: Vector3
+    position_enu_m: Vector3 | None = None
+
+
+class ReceivedTarget(Struct, frozen=True, gc=False):
+    received_s: float
+    name: str
+    sample: TargetSample

@@ -1,0 +1,58 @@
+"""What a vehicle reports to the ground."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from msgspec import Meta, Struct
+
+from companion.types.autopilot import LandedState, PositionError
+from companion.types.bounds import Finite, FiniteVector, FleetName, Number, VehicleId, VehicleIds, Word
+from companion.types.flight import FlightPhase, HealthFlag, Role
+from companion.types.formation import EAST, FlownSlot, Heading, HeldReference, LeaderBeacon
+from companion.types.notices import Notice
+from companion.types.separation import SeparationReport
+
+
+class Status(Struct, frozen=True, gc=False):
+    """Status of a vehicle, published to the ground a few times per second."""
+
+    vehicle_id: VehicleId
+    session: Number
+    fleet: FleetName
+    formation_hash: int
+    law: Word
+    phase: FlightPhase
+    mode_name: Word
+    armed: bool
+    landed: LandedState
+    position_enu_m: FiniteVector
+    velocity_enu_m_s: FiniteVector
+    state_age_s: Finite
+    hover_thrust_norm: Finite  # estimated, or its initial value
+    disturbance_enu_m_s2: FiniteVector  # estimated acceleration by wind, without drag; z is always 0
+    role: Role
+    epoch: Number  # of the leadership, as this vehicle knows it
+    prc: VehicleId
+    leader_beacon: LeaderBeacon | None
+    leader_beacon_age_s: Finite | None
+    neighbours: VehicleIds
+    slot: FlownSlot  # in the formation frame, which has `heading`
+    reference_enu_m: FiniteVector | None  # leaders only
+    flags: Annotated[tuple[HealthFlag, ...], Meta(max_length=100)]
+    rejected: Annotated[dict[Word, Number], Meta(max_length=500)]  # counted rejections by code
+    last_event: Notice | None
+    reference_s: Finite = 0.0  # mission time by this vehicle
+    reference: HeldReference | None = None  # None if the vehicle may not lead
+    target_age_s: Finite | None = None  # of the followed target; None without a target or samples of it
+    # disarmed only: refusals of formation flight besides the flags
+    refuses_return: Notice | None = None  # why `return` would be refused now, besides phase and flags
+    lacks: Annotated[tuple[Notice, ...], Meta(max_length=100)] = ()
+    holder: Word = ""  # the operator who holds command, "" for none
+    command_number: Number = 0  # of the last received command
+    peers: VehicleIds = ()  # fresh peers, in any phase
+    battery_percent: Finite | None = None  # None if the autopilot does not report it
+    position_error: PositionError | None = None
+    largest_step_deg: Finite = 0.0  # of the commanded attitude between two setpoints, in the last stream
+    heading: Heading = EAST
+    separation: SeparationReport = SeparationReport()  # while setpoints stream

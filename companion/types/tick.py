@@ -1,0 +1,39 @@
+"""Input and output of one tick of the agent."""
+
+from __future__ import annotations
+
+from msgspec import Struct
+
+from companion.types.commands import Command, CommandReply
+from companion.types.notices import Notice
+from companion.types.peers import PeerPacket, ReceivedPeerPacket, ReceivedTarget
+from companion.types.requests import AttitudeTarget, AutopilotRequest
+from companion.types.status import Status
+from companion.types.telemetry import Telemetry
+from companion.types.traffic import ReceivedTraffic
+
+
+class Inbox(Struct, frozen=True, gc=False):
+    """Input since the last tick. `stopping`: the process is to end, after a hand-over from formation.
+
+    `late_s`: how much later than due this tick began, seconds.
+    """
+
+    telemetry: tuple[Telemetry, ...] = ()
+    peers: tuple[ReceivedPeerPacket, ...] = ()
+    commands: tuple[Command, ...] = ()
+    stopping: bool = False
+    targets: tuple[ReceivedTarget, ...] = ()
+    late_s: float = 0.0
+    traffic: tuple[ReceivedTraffic, ...] = ()
+
+
+class Outbox(Struct, frozen=True, gc=False):
+    """Output of one tick. `attitude_target` is None if there is no setpoint in this tick."""
+
+    attitude_target: AttitudeTarget | None = None
+    requests: tuple[AutopilotRequest, ...] = ()
+    peer_packet: PeerPacket | None = None
+    status: Status | None = None
+    replies: tuple[CommandReply, ...] = ()
+    events: tuple[Notice, ...] = ()

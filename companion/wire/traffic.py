@@ -1,0 +1,22 @@
+"""TrafficSample <-> bytes: a MessagePack map, so that a receiver of ADS-B is easily connected in any language."""
+
+from __future__ import annotations
+
+import msgspec
+
+from companion.types.notices import Code
+from companion.types.traffic import TrafficSample
+from companion.wire.version import seal, unsealed
+
+_encoder = msgspec.msgpack.Encoder()
+_decoder = msgspec.msgpack.Decoder(TrafficSample)
+
+
+def encode_traffic(sample: TrafficSample) -> bytes:
+    """The message for a traffic sample."""
+    return seal(_encoder.encode(sample))
+
+
+def decode_traffic(data: bytes) -> TrafficSample:
+    """The traffic sample of a message, every number within its bounds. Raises WireError."""
+    return unsealed(_decoder, data, Code.TRAFFIC_MALFORMED, "traffic sample")

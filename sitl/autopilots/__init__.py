@@ -1,0 +1,1 @@
+"""Stand-in autopilots: the common part; one package per make beside it."""

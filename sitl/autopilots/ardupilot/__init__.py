@@ -1,0 +1,1 @@
+"""The stand-in that behaves like ArduCopter 4.7."""

@@ -1,0 +1,349 @@
+"""The stand-in that behaves like ArduCopter 4.5 to 4.7, as measured: modes, arming, failsafes.
+
+No sockets, no clocks. `sitl.autopilots.ardupilot.commands` handles incoming messages.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf, isfinite
+
+from companion.geometry.frames import Quaternion, euler_from_quaternion, quaternion_from_euler
+from companion.types.autopilot import AutopilotKind
+from companion.types.vectors import Vector3
+from sitl.autopilots.ardupilot.modes import ARMABLE, GROUND_STATION_LOSS, NEED_A_POSITION, Mode
+from sitl.autopilots.ardupilot.parameters import ArduPilotParameters
+from sitl.autopilots.ardupilot.startup import Start
+from sitl.autopilots.autopilot import CRITICAL, IDLE_THRUST_NORM, INFO, WARNING, Autopilot
+from sitl.autopilots.logs.dataflash import DataFlash
+from sitl.autopilots.logs.flight_logs import FlightLogs
+from sitl.autopilots.messages import LANDED_IN_AIR, LANDED_LANDING, LANDED_ON_GROUND, LANDED_TAKEOFF
+from sitl.autopilots.setpoints import Course
+from sitl.vehicle.attitude_control import Loops, Setpoint
+from sitl.vehicle.automatic_flight import LEAST_COS_TILT, Speeds, Task, cos_tilt
+from sitl.vehicle.config import AutopilotFile
+
+# A roll step of 10 degrees reaches 10, 50 and 90 % after 70, 170 and 382 ms without overshoot; a yaw step of 60 degrees
+# reaches 90 % after 0.94 s.
+ARDUPILOT_LOOPS = Loops(
+    tilt_gain_1_s=5.5,
+    yaw_gain_1_s=2.2,
+    rate_gain_1_s=28.0,
+    yaw_rate_gain_1_s=9.0,
+    delay_s=0.004,
+    max_rate_rad_s=3.84,
+    max_yaw_rate_rad_s=1.9,
+)
+THRUST_INSTEAD_OF_CLIMB_RATE = 8  # of GUID_OPTIONS
+BRAKING_M_S2 = 0.55
+SPOOLED_UP_AFTER_S = 2.7  # from arming; before, it does not lift off
+RUN_UP_S = 1.3  # of a take-off, from its command
+TOUCHED_DOWN_THROTTLE_NORM = -0.16  # its vertical loop still descends while the motors stop
+DISARMED_AFTER_LANDING_S = 0.6  # in LAND and RTL, after the landing is detected; 2.1 s after the touchdown
+AT_HOME_M = 0.5  # within this distance a return is at home
+LEAST_CONE_SLOPE = 0.5  # below it there is no cone
+LOGS_AFTER_DISARMING_S = 15.0
+STATE_BOOT, STATE_STANDBY, STATE_ACTIVE, STATE_CRITICAL = 1, 3, 4, 5  # MAV_STATE
+
+
+@dataclass(frozen=True, slots=True)
+class Signing:
+    """Key and timestamp (10 us since 2015) of the last SETUP_SIGNING, and the time of its receipt."""
+
+    key: bytes
+    stamp: int
+    set_s: float
+
+
+@dataclass(slots=True)
+class LogService:
+    """The link whose log request is served, and whether the refusal while armed was sent."""
+
+    link: object | None = None
+    refusal_sent: bool = False
+
+
+class ArduCopter(Autopilot):
+    """A stand-in ArduCopter. `dt_s` is the step of physics and attitude control."""
+
+    kind = AutopilotKind.ARDUPILOT
+    parameters: ArduPilotParameters
+
+    def __init__(self, file: AutopilotFile, dt_s: float) -> None:
+        parameters = ArduPilotParameters(file.id, file.stand_in.parameters)
+        super().__init__(file, dt_s, ARDUPILOT_LOOPS, parameters, BRAKING_M_S2)
+        self.flight_logs = FlightLogs(DataFlash(self), LOGS_AFTER_DISARMING_S)
+        self.log_service = LogService()
+        self.mode = Mode.STABILIZE
+        self.start = Start(file.stand_in.ready_after_s)
+        self.throttle_norm = 0.0  # commanded, before the compensation of the tilt
+        self.failsafe = False
+        self.signing: Signing | None = None
+        self._taking_off = False
+        self._lifts_off_s = 0.0
+        self._followed: Setpoint | Course | None = None  # in GUIDED; None holds
+        self._followed_s = 0.0
+        self._level: Quaternion | None = None  # since a stream of attitudes ended
+
+    # ------------------------------------------------------------ state
+
+    @property
+    def flight_mode(self) -> Mode:
+        return self.mode
+
+    @property
+    def armable(self) -> bool:
+        return self.mode in ARMABLE and not self._obstacles()
+
+    @property
+    def has_position(self) -> bool:
+        return self.start.has_position(self.time_s)
+
+    @property
+    def system_status(self) -> int:
+        if not self.start.initialised(self.time_s):
+            return STATE_BOOT
+        if self.failsafe:
+            return STATE_CRITICAL
+        return STATE_STANDBY if self._ground.landed else STATE_ACTIVE
+
+    @property
+    def landed_state(self) -> int:
+        if self._ground.landed:
+            return LANDED_ON_GROUND
+        if self._taking_off:
+            return LANDED_TAKEOFF
+        return LANDED_LANDING if self._automatic.landing else LANDED_IN_AIR
+
+    def speeds(self) -> Speeds:
+        p = self.parameters
+        down = p["WPNAV_SPEED_DN"] / 100.0
+        low_m = p["LAND_ALT_LOW"] / 100.0
+        final_m = p["RTL_ALT_FINAL"] / 100.0  # height at which it holds; 0 lands
+        return Speeds(
+            level_m_s=p["WPNAV_SPEED"] / 100.0,
+            climb_m_s=p["WPNAV_SPEED_UP"] / 100.0,
+            take_off_m_s=p["WPNAV_SPEED_UP"] / 100.0,
+            land_m_s=p["LAND_SPEED"] / 100.0,
+            descend_m_s=p["LAND_SPEED_HIGH"] / 100.0 or down,
+            landing_slows_m=(low_m, low_m + 1.0),
+            sink_m_s=(p["PILOT_SPEED_DN"] or p["PILOT_SPEED_UP"]) / 100.0,
+            take_off_height_m=0.0,
+            return_height_m=self._return_height_m,
+            return_accepts_m=AT_HOME_M,
+            return_wait_height_m=final_m or inf,
+            return_wait_s=inf if final_m else p["RTL_LOIT_TIME"] / 1000.0,
+        )
+
+    def _return_height_m(self, distance_m: float) -> float:
+        """Height above home: RTL_ALT, near home that of the cone."""
+        highest_m, slope = self.parameters["RTL_ALT"] / 100.0, self.parameters["RTL_CONE_SLOPE"]
+        return min(highest_m, distance_m * slope) if slope >= LEAST_CONE_SLOPE else highest_m
+
+    def wanted_euler_rad(self) -> Vector3:
+        return euler_from_quaternion(self.setpoint.quaternion if self.armed else self.quad.estimated_quaternion())
+
+    def _obstacles(self) -> list[str]:
+        needs_position = self.mode in NEED_A_POSITION
+        return self.start.obstacles(self.time_s, needs_position, self.parameters["ARMING_CHECK"] != 0)
+
+    # ------------------------------------------------------------ requests
+
+    def set_mode(self, mode: Mode) -> str | None:
+        """The reason of a refusal, or None. Disarmed, every mode is accepted."""
+        if self.armed and mode is not self.mode:
+            if mode is Mode.AUTO:
+                return "Mode change to AUTO failed: init failed"  # there is no mission
+            if mode in NEED_A_POSITION and not self.has_position:
+                return f"Mode change to {mode.name} failed: requires position"
+        if mode is not self.mode:
+            self._enter(mode)
+        return None
+
+    def take_setpoint(self, setpoint: Setpoint | Course) -> None:
+        """The next setpoint of GUIDED; in other modes it is ignored silently."""
+        if self.mode is not Mode.GUIDED:
+            return
+        if type(setpoint) is not type(self._followed):
+            self._stop()
+        self._followed, self._followed_s, self._level = setpoint, self.time_s, None
+
+    def stop(self) -> None:
+        """Brake and hold in GUIDED: the reaction to an invalid setpoint."""
+        if self.mode is Mode.GUIDED and (self._followed is not None or self._taking_off):
+            self._stop()
+
+    def take_off(self, height_m: float) -> bool:
+        """NAV_TAKEOFF to a height above home, in GUIDED, armed and on the ground."""
+        top_m = self.home[2] + height_m
+        if (
+            self.mode is not Mode.GUIDED
+            or not self.armed
+            or not self._ground.landed
+            or top_m <= self.here_geodetic()[2]
+        ):
+            return False
+        self._stop()
+        self._taking_off = True
+        self._lifts_off_s = max(self._lifts_off_s, self.time_s + RUN_UP_S)
+        self._automatic.enter(Task.TAKE_OFF, self.home, top_m)
+        return True
+
+    def arm(self, forced: bool = False) -> list[str]:
+        """The reasons of a refusal; empty if it is armed now."""
+        if self.armed:
+            return []
+        if not self.start.initialised(self.time_s) or not forced:
+            if reasons := self._obstacles():
+                return reasons
+            if self.mode not in ARMABLE:
+                return [f"{self.mode.name} mode not armable"]
+        self.armed = True
+        self._lifts_off_s = self.time_s + SPOOLED_UP_AFTER_S
+        self._ground.arm(self.time_s)
+        self.home = self.here_geodetic()
+        self._automatic.reset_integrals()
+        self._enter(self.mode)
+        self.send_text(INFO, "Arming motors")
+        return []
+
+    def disarm(self, forced: bool = False) -> bool:
+        """Whether it is disarmed now. In the air only if forced."""
+        if self.armed and not forced and not self._ground.landed:
+            return False
+        if self.armed:
+            self.armed = False
+            self.throttle_norm = 0.0
+            self._taking_off = False
+            self._followed = None
+            self.send_text(INFO, "Disarming motors")
+        return True
+
+    # ------------------------------------------------------------ time
+
+    def _run_failsafes(self) -> None:
+        for text in self.start.announcements(self.time_s):
+            self.send_text(INFO, text)
+            if text == "ArduPilot Ready":  # earlier mode commands are lost
+                self._enter(Mode.STABILIZE)
+            elif "origin set" in text:
+                self.home = self.here_geodetic()
+                self.origin_changes += 1
+        if self.armed:
+            self._check_ground_station()
+        elif self.start.prearm_is_due(self.time_s):
+            for reason in self._obstacles():
+                self.send_text(CRITICAL, f"PreArm: {reason}")
+
+    def _check_ground_station(self) -> None:
+        heartbeat_s = self.ground_station_s
+        mode = GROUND_STATION_LOSS.get(int(self.parameters["FS_GCS_ENABLE"]))
+        if heartbeat_s is None or mode is None:  # a ground station must have connected before it can be lost
+            return
+        lost = self.time_s - heartbeat_s > self.parameters["FS_GCS_TIMEOUT"]
+        if lost and not self.failsafe:
+            self.send_text(WARNING, "GCS Failsafe")
+            self._enter(mode)
+        elif self.failsafe and not lost:
+            self.send_text(WARNING, "GCS Failsafe Cleared")  # the mode is kept
+        self.failsafe = lost
+
+    def _control(self, control_is_due: bool) -> None:
+        if self._waits_on_ground():
+            self._thrust(Setpoint(self.quad.estimated_quaternion(), IDLE_THRUST_NORM))
+            if self.mode is Mode.LAND:
+                self.throttle_norm = TOUCHED_DOWN_THROTTLE_NORM
+        elif self.mode is Mode.STABILIZE:  # the throttle stick is at the bottom
+            self._thrust(Setpoint(quaternion_from_euler(0.0, 0.0, self.quad.estimated_euler_rad()[2]), 0.0))
+        elif self.mode is Mode.GUIDED and isinstance(self._followed, Setpoint):
+            self._follow_attitude(self._followed, control_is_due)
+        elif control_is_due:
+            self._fly_automatically()
+
+    def _waits_on_ground(self) -> bool:
+        """On the ground until it is to lift off and the motors have spooled up."""
+        if not self._ground.landed:
+            return False
+        return not self._is_to_lift_off() or self.time_s < self._lifts_off_s
+
+    def _is_to_lift_off(self) -> bool:
+        if self._taking_off or self.mode is not Mode.GUIDED:
+            return self._taking_off
+        if isinstance(self._followed, Setpoint) and self._level is None:
+            return self._followed.thrust_norm > (0.0 if self._takes_thrust() else 0.5)
+        return False
+
+    def _fly_automatically(self) -> None:
+        if self._taking_off and self._automatic.taken_off():
+            self._taking_off = False
+        if self._incidents.course is not None and self.mode is Mode.LOITER:
+            self._thrust(self._automatic.follow(self._incidents.course, self._control_dt_s))
+            return
+        followed = self._followed if self.mode is Mode.GUIDED else None
+        if isinstance(followed, Course):
+            if not isfinite(followed.position_m[0]) and self._silent_s() > self.parameters["GUID_TIMEOUT"]:
+                self._stop()
+            else:
+                self._thrust(self._automatic.follow(followed, self._control_dt_s))
+                return
+        self._thrust(self._automatic.setpoint(self._control_dt_s))
+
+    def _follow_attitude(self, followed: Setpoint, control_is_due: bool) -> None:
+        """Follow the last attitude and thrust until they are GUID_TIMEOUT old; then level at this height, drifting."""
+        if self._level is None and self._silent_s() > self.parameters["GUID_TIMEOUT"]:
+            self._level = quaternion_from_euler(0.0, 0.0, euler_from_quaternion(followed.quaternion)[2])
+            self._restart_task()
+        if self._level is not None:
+            if control_is_due:
+                self._thrust(self._automatic.climb(self._level, 0.0, self._control_dt_s))
+        elif not self._takes_thrust():
+            if control_is_due:
+                self._thrust(self._automatic.climb(followed.quaternion, self._climb_m_s(followed), self._control_dt_s))
+        else:
+            self.throttle_norm = min(max(followed.thrust_norm, 0.0), 1.0) if isfinite(followed.thrust_norm) else 0.0
+            boost = 1.0
+            if followed.rates_rad_s is None and self.parameters["ATC_ANGLE_BOOST"]:
+                boost = 1.0 / max(cos_tilt(followed.quaternion), LEAST_COS_TILT)
+            self.setpoint = Setpoint(
+                followed.quaternion, min(self.throttle_norm * boost, 1.0), followed.yaw_rate_rad_s, followed.rates_rad_s
+            )
+
+    def _takes_thrust(self) -> bool:
+        return bool(int(self.parameters["GUID_OPTIONS"]) & THRUST_INSTEAD_OF_CLIMB_RATE)
+
+    def _climb_m_s(self, followed: Setpoint) -> float:
+        """Climb rate of a thrust without GUID_OPTIONS bit 3: 0.5 holds, 1 and 0 are the WPNAV climb and descent speeds."""
+        share = 2.0 * (min(max(followed.thrust_norm, 0.0), 1.0) - 0.5) if isfinite(followed.thrust_norm) else 0.0
+        return share * self.parameters["WPNAV_SPEED_UP" if share > 0.0 else "WPNAV_SPEED_DN"] / 100.0
+
+    def _silent_s(self) -> float:
+        return self.time_s - self._followed_s
+
+    def _thrust(self, setpoint: Setpoint) -> None:
+        """Set a setpoint whose thrust already compensates the tilt."""
+        self.setpoint = setpoint
+        self.throttle_norm = setpoint.thrust_norm * max(cos_tilt(setpoint.quaternion), LEAST_COS_TILT)
+
+    # ------------------------------------------------------------ ground and modes
+
+    def _update_ground_contact(self) -> None:
+        self._ground.update(self.quad.on_ground, self._thrust_is_low(), self.time_s)
+        landing = self._ground.flown and self.mode in (Mode.LAND, Mode.RTL)
+        delay_s = DISARMED_AFTER_LANDING_S if landing else self.parameters["DISARM_DELAY"] or inf
+        if self._ground.idle_s(self.time_s) > delay_s and not self._is_to_lift_off():
+            self.disarm(forced=True)
+
+    def _enter_pilot_mode(self) -> None:
+        self._enter(Mode.LOITER)
+
+    def _enter(self, mode: Mode) -> None:
+        self.mode = mode
+        self._stop()
+
+    def _stop(self) -> None:
+        self._taking_off = False
+        self._followed = self._level = None
+        self._restart_task()
+
+    def _restart_task(self) -> None:
+        self._automatic.enter(self.mode.task, self.home, None)

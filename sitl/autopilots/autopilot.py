@@ -1,0 +1,176 @@
+"""The common part of all stand-in autopilots: body, time, parameters, home, automatic flight. No sockets, no clocks.
+
+`step` advances virtual time. Messages are handled by `sitl.links.link_end`.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import ClassVar, Protocol
+
+from companion.geometry.frames import enu_from_geodetic, euler_from_quaternion, geodetic_from_enu
+from companion.types.autopilot import AutopilotKind
+from companion.types.vectors import Vector3
+from sitl.autopilots.incidents import Incidents
+from sitl.autopilots.logs.flight_logs import FlightLogs
+from sitl.autopilots.parameters import Parameters
+from sitl.vehicle.attitude_control import Loops, Setpoint
+from sitl.vehicle.automatic_flight import AutomaticFlight, Speeds
+from sitl.vehicle.config import AutopilotFile
+from sitl.vehicle.ground_contact import GroundContact
+from sitl.vehicle.quadrotor import MOTORS_OFF, Quadrotor
+
+DT_S = 0.004  # physics and attitude control at 250 Hz
+CONTROL_PERIOD_S = 0.02  # of position control, and of the checks of setpoint streams
+IDLE_THRUST_NORM = 0.08
+LOW_THRUST_RATIO = 0.6  # of hover thrust
+CRITICAL, ERROR, WARNING, INFO = 2, 3, 4, 6  # MAV_SEVERITY
+
+
+class AutopilotAbortedError(Exception):
+    """The real autopilot's process would have aborted here; str() names the cause."""
+
+
+class FlightMode(Protocol):
+    """A flight mode of any make."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def custom_mode(self) -> int:
+        """custom_mode of HEARTBEAT."""
+
+
+class Autopilot(ABC):
+    """A stand-in vehicle. `dt_s` is the step of physics and attitude control."""
+
+    kind: ClassVar[AutopilotKind]
+    flight_logs: FlightLogs
+
+    def __init__(
+        self, file: AutopilotFile, dt_s: float, loops: Loops, parameters: Parameters, braking_m_s2: float
+    ) -> None:
+        self.system_id = file.id
+        self.dt_s = dt_s
+        self.quad = Quadrotor(file, loops, dt_s)
+        self.parameters = parameters
+        self.time_s = 0.0
+        self.armed = False
+        self.home: Vector3 = self.here_geodetic()
+        self.setpoint = MOTORS_OFF
+        self.texts: list[tuple[int, str]] = []  # (severity, text), to be sent on the links
+        self.ground_station_s: float | None = None  # when its last heartbeat came
+        self.origin_changes = 0
+        self._steps = 0
+        self._control_steps = max(1, round(CONTROL_PERIOD_S / dt_s))
+        self._automatic = AutomaticFlight(self.quad, self.speeds, file.stand_in.hover_thrust_norm, braking_m_s2)
+        self._ground = GroundContact()
+        self._incidents = Incidents(file)
+
+    # ------------------------------------------------------------ state
+
+    @property
+    @abstractmethod
+    def flight_mode(self) -> FlightMode: ...
+
+    @property
+    @abstractmethod
+    def armable(self) -> bool:
+        """Whether it can be armed in its present mode."""
+
+    @property
+    @abstractmethod
+    def landed_state(self) -> int:
+        """MAV_LANDED_STATE."""
+
+    @abstractmethod
+    def speeds(self) -> Speeds:
+        """Speeds and heights of automatic flight, from its parameters."""
+
+    @property
+    def has_position(self) -> bool:
+        """Whether its estimator has a position."""
+        return True
+
+    @property
+    def battery_percent(self) -> int:
+        """The reported charge, -1 if it is unknown."""
+        return self._incidents.battery_percent(self.time_s)
+
+    @property
+    def _control_dt_s(self) -> float:
+        return self._control_steps * self.dt_s
+
+    @property
+    def boot_ms(self) -> int:
+        return round(self.time_s * 1000.0)
+
+    def wanted_euler_rad(self) -> Vector3:
+        """Roll, pitch, yaw of the present attitude setpoint, FLU in ENU."""
+        return euler_from_quaternion(self.setpoint.quaternion)
+
+    def here_geodetic(self) -> Vector3:
+        """Estimated latitude and longitude [deg] and altitude above sea level [m]."""
+        return geodetic_from_enu(self.quad.estimated_position_local_enu_m(), self.quad.origin)
+
+    # ------------------------------------------------------------ requests
+
+    @abstractmethod
+    def take_setpoint(self, setpoint: Setpoint) -> None:
+        """An external attitude and thrust."""
+
+    def send_text(self, severity: int, text: str) -> None:
+        self.texts.append((severity, text))
+
+    def set_origin(self, origin_deg_deg_m: Vector3) -> None:
+        """Move the origin of the local frame at once; the vehicle does not move."""
+        before = self.quad.origin
+        self.quad.set_origin(origin_deg_deg_m)
+        self._automatic.origin_moved(enu_from_geodetic(*before, self.quad.origin))
+        self.origin_changes += 1
+
+    def reset_estimator(self, shift_enu_m: Vector3) -> None:
+        """Shift the estimated position and the goals of automatic flight: the vehicle does not move."""
+        self.quad.shift_estimate(shift_enu_m)
+        self._automatic.origin_moved(shift_enu_m)
+
+    # ------------------------------------------------------------ time
+
+    def step(self) -> None:
+        """Advance by dt_s: failsafes, control of the flight mode, physics, ground contact."""
+        self._steps += 1
+        self.time_s = self._steps * self.dt_s
+        while (shift_enu_m := self._incidents.reset(self.time_s)) is not None:
+            self.reset_estimator(shift_enu_m)
+        if self._incidents.pilot_takes_over(self.time_s) and self.armed and self._ground.flies:
+            self._enter_pilot_mode()
+        control_is_due = self._steps % self._control_steps == 0
+        if control_is_due:
+            self._run_failsafes()
+        if self.armed:
+            self._control(control_is_due)
+        else:
+            self.setpoint = MOTORS_OFF
+        self.quad.step(self.setpoint)
+        if self.armed:
+            self._update_ground_contact()
+
+    @abstractmethod
+    def _enter_pilot_mode(self) -> None:
+        """Enter the mode in which a pilot sets velocities; the pilot's course is flown while it lasts."""
+
+    @abstractmethod
+    def _run_failsafes(self) -> None:
+        """Check setpoint streams and failsafes, every CONTROL_PERIOD_S."""
+
+    @abstractmethod
+    def _control(self, control_is_due: bool) -> None:
+        """Set the setpoint of this step; the vehicle is armed."""
+
+    @abstractmethod
+    def _update_ground_contact(self) -> None:
+        """Detect take-off and landing; disarm on the ground after the configured time."""
+
+    def _thrust_is_low(self) -> bool:
+        return self.setpoint.thrust_norm <= LOW_THRUST_RATIO * self._automatic.hover_thrust_norm

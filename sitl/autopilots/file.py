@@ -1,0 +1,37 @@
+"""The file of `sitl autopilot --config`, with the overrides of the command line."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+
+from companion.config.file import ConfigError, load, refuse
+from companion.config.validation import Problem, did_you_mean
+from companion.types.autopilot import AutopilotKind
+from sitl.autopilots.behaviour import BEHAVIOURS
+from sitl.vehicle.config import AutopilotFile, StandIn
+
+
+def load_autopilot_file(path: Path | None, vehicle_id: int | None, autopilot: AutopilotKind | None) -> AutopilotFile:
+    """The file, or defaults without one, with another id and autopilot where they are given. Raises ConfigError."""
+    file = load(path, AutopilotFile) if path else AutopilotFile()
+    if vehicle_id is not None:
+        if not 1 <= vehicle_id <= 250:
+            raise ConfigError("--id", "", f"{vehicle_id}: expected 1 to 250")
+        file = msgspec.structs.replace(file, id=vehicle_id)
+    if autopilot is not None:
+        file = msgspec.structs.replace(file, stand_in=msgspec.structs.replace(file.stand_in, autopilot=autopilot))
+    refuse(path or "", parameter_problems(file.stand_in))
+    return file
+
+
+def parameter_problems(stand_in: StandIn) -> Iterator[Problem]:
+    """Every overridden parameter must exist in this autopilot."""
+    known = BEHAVIOURS[stand_in.autopilot].parameters
+    for name in stand_in.parameters:
+        if name not in known:
+            hint = did_you_mean(name, known) or "; take it out"
+            problem = f"the stand-in ({stand_in.autopilot}) has no such parameter{hint}"
+            yield Problem(f"stand_in.parameters.{name}", problem)

@@ -1,0 +1,1 @@
+"""Flight logs of the stand-ins and their transfer over MAVLink."""

@@ -1,0 +1,302 @@
+"""The stand-in that behaves like PX4 v1.16, as measured: modes, arming, failsafes. No sockets, no clocks.
+
+`step` advances virtual time; `sitl.autopilots.px4.commands` handles incoming messages, the links' schedules outgoing ones.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf, radians, tan
+
+from companion.types.autopilot import AutopilotKind
+from companion.types.vectors import Vector3
+from sitl.autopilots.autopilot import CRITICAL, IDLE_THRUST_NORM, INFO, Autopilot
+from sitl.autopilots.logs.flight_logs import FlightLogs
+from sitl.autopilots.logs.ulog import ULog
+from sitl.autopilots.messages import LANDED_IN_AIR, LANDED_LANDING, LANDED_ON_GROUND, LANDED_TAKEOFF
+from sitl.autopilots.px4.modes import GROUND_STATION_LOSS, NEED_A_PILOT, OFFBOARD_LOSS, PREVENT_ARMING, Mode
+from sitl.autopilots.px4.parameters import Px4Parameters
+from sitl.autopilots.setpoints import Course
+from sitl.vehicle.attitude_control import PX4_LOOPS, Setpoint
+from sitl.vehicle.automatic_flight import Speeds
+from sitl.vehicle.config import AutopilotFile
+from sitl.vehicle.ground_contact import Contact
+
+FAILSAFE_PERIOD_S = 0.1  # of the check for lost streams, and so the largest delay of a failsafe
+STREAM_LOST_GRACE_S = 0.01  # with the period, a lost stream is detected after 1.01 to 1.12 s
+STREAM_BACK_AFTER_S = 0.03  # a stream that returns counts after this time
+STATE_UNINIT, STATE_STANDBY, STATE_ACTIVE, STATE_CRITICAL = 0, 3, 4, 5  # MAV_STATE
+NOT_HEALTHY = "Resolve system health failures first"
+BRAKING_M_S2 = 1.5
+SINK_M_S = 0.85  # of a manual mode without a pilot; 0.7 to 1.0 was measured
+LANDING_SLOWS_M = (5.0, 10.0)  # MPC_LAND_ALT2 and MPC_LAND_ALT1 above home
+
+
+@dataclass(slots=True)
+class OffboardStream:
+    """The setpoint stream of OFFBOARD: the newest setpoint, its time, and the start of the stream without a gap."""
+
+    newest: Setpoint | Course | None = None
+    newest_s: float = -inf
+    since_s: float = -inf
+
+
+class Px4(Autopilot):
+    """A stand-in PX4. `dt_s` is the step of physics and attitude control."""
+
+    kind = AutopilotKind.PX4
+    parameters: Px4Parameters
+
+    def __init__(self, file: AutopilotFile, dt_s: float) -> None:
+        super().__init__(file, dt_s, PX4_LOOPS, Px4Parameters(file.id, file.stand_in.parameters), BRAKING_M_S2)
+        self.flight_logs = FlightLogs(ULog(self), after_disarming_s=0.0)
+        self.mode = Mode.LOITER
+        self.intended_mode = Mode.LOITER
+        self.failsafe = False
+        self.takeoff_altitude_amsl_m: float | None = None
+        self._ready_after_s = file.stand_in.ready_after_s
+        self._failsafe_steps = max(1, round(FAILSAFE_PERIOD_S / dt_s))
+        self._mode_after_disarming = Mode.LOITER
+        self._stream = OffboardStream()
+        self._ground_station_failsafe_s: float | None = None
+        self._ground_station_loss_known = False
+
+    # ------------------------------------------------------------ state
+
+    @property
+    def flight_mode(self) -> Mode:
+        return self.mode
+
+    @property
+    def armable(self) -> bool:
+        if self.time_s < self._ready_after_s or self.mode in PREVENT_ARMING | NEED_A_PILOT | {Mode.MISSION}:
+            return False
+        if self.mode is Mode.OFFBOARD and not self.streaming:
+            return False
+        return not (self.parameters["NAV_DLL_ACT"] > 0 and self.ground_station_lost)
+
+    @property
+    def system_status(self) -> int:
+        if self.failsafe:
+            return STATE_CRITICAL
+        if self.armed:
+            return STATE_ACTIVE
+        return STATE_STANDBY if self.armable else STATE_UNINIT
+
+    @property
+    def landed_state(self) -> int:
+        if self._ground.landed:
+            return LANDED_ON_GROUND
+        if self.mode is Mode.TAKEOFF:
+            return LANDED_TAKEOFF
+        return LANDED_LANDING if self._automatic.landing else LANDED_IN_AIR
+
+    @property
+    def streaming(self) -> bool:
+        """Whether the newest setpoint is at most COM_OF_LOSS_T old."""
+        return self.time_s - self._stream.newest_s <= self.parameters["COM_OF_LOSS_T"]
+
+    @property
+    def ground_station_lost(self) -> bool:
+        newest_s = self.ground_station_s
+        return newest_s is None or self.time_s - newest_s > self.parameters["COM_DL_LOSS_T"]
+
+    def speeds(self) -> Speeds:
+        p = self.parameters
+        delay_s = p["RTL_LAND_DELAY"]
+        return Speeds(
+            level_m_s=p["MPC_XY_CRUISE"],
+            climb_m_s=p["MPC_Z_V_AUTO_UP"],
+            take_off_m_s=p["MPC_TKO_SPEED"],
+            land_m_s=p["MPC_LAND_SPEED"],
+            descend_m_s=p["MPC_Z_V_AUTO_DN"],
+            landing_slows_m=LANDING_SLOWS_M,
+            sink_m_s=SINK_M_S,
+            take_off_height_m=p["MIS_TAKEOFF_ALT"],
+            return_height_m=self._return_height_m,
+            return_accepts_m=p["NAV_ACC_RAD"],
+            return_wait_height_m=p["RTL_DESCEND_ALT"] if delay_s else inf,
+            return_wait_s=delay_s if delay_s >= 0.0 else inf,
+        )
+
+    def _return_height_m(self, distance_m: float) -> float:
+        """Height above home: RTL_RETURN_ALT, near home that of the cone, at home just enough to land at rest."""
+        p = self.parameters
+        highest_m, accepts_m, cone_deg = p["RTL_RETURN_ALT"], p["NAV_ACC_RAD"], p["RTL_CONE_ANG"]
+        if cone_deg <= 0:
+            return highest_m
+        if distance_m <= accepts_m:
+            return min(2.0 * distance_m, highest_m)
+        if distance_m > p["RTL_MIN_DIST"]:
+            return highest_m
+        return min(max(distance_m / tan(radians(min(max(cone_deg, 1.0), 89.0))), 2.0 * accepts_m), highest_m)
+
+    # ------------------------------------------------------------ requests
+
+    def take_setpoint(self, setpoint: Setpoint | Course) -> None:
+        """The next setpoint of the OFFBOARD stream."""
+        stream = self._stream
+        if not self.streaming:
+            stream.since_s = self.time_s
+        if isinstance(setpoint, Course) and not isinstance(stream.newest, Course) and self.mode is Mode.OFFBOARD:
+            self._enter(Mode.OFFBOARD)
+        stream.newest, stream.newest_s = setpoint, self.time_s
+
+    def set_mode(self, mode: Mode, takeoff_altitude_amsl_m: float | None = None) -> bool:
+        """A mode change on request. Disarmed, every mode is accepted; armed, the mode must be able to fly the vehicle."""
+        can_fly = mode not in NEED_A_PILOT | {Mode.MISSION} and (mode is not Mode.OFFBOARD or self.streaming)
+        if self.armed and not can_fly:
+            return False
+        if mode is not self.mode or takeoff_altitude_amsl_m is not None:
+            self.takeoff_altitude_amsl_m = takeoff_altitude_amsl_m
+        self.intended_mode = mode
+        if mode not in PREVENT_ARMING:
+            self._mode_after_disarming = mode
+        self.failsafe = False
+        self._ground_station_failsafe_s = None
+        self._switch(mode)
+        return True
+
+    def take_off(self, altitude_amsl_m: float | None) -> bool:
+        """NAV_TAKEOFF, also during a take-off: the new altitude replaces the old one."""
+        again = self.mode is Mode.TAKEOFF
+        self.set_mode(Mode.TAKEOFF, altitude_amsl_m)
+        if again:
+            self._enter(Mode.TAKEOFF)
+        if altitude_amsl_m is not None and altitude_amsl_m < self.here_geodetic()[2]:
+            self.send_text(CRITICAL, "Already higher than takeoff altitude")  # it holds its present height
+        return True
+
+    def go_to(self, position_local_enu_m: Vector3, yaw_rad: float | None) -> bool:
+        """DO_REPOSITION: hold at this position."""
+        if not self.armed or self._ground.landed:
+            return False
+        self.set_mode(Mode.LOITER)
+        self._automatic.go_to(position_local_enu_m, yaw_rad)
+        return True
+
+    def arm(self, forced: bool = False) -> str | None:
+        """The reason of a refusal, or None."""
+        if self.armed:
+            return None
+        if not forced and not self.armable:
+            return NOT_HEALTHY
+        self.armed = True
+        self._ground.arm(self.time_s)
+        self.home = self.here_geodetic()
+        self._automatic.reset_integrals()
+        self._enter(self.mode)
+        self.send_text(INFO, "Armed by external command")
+        return None
+
+    def disarm(self, forced: bool, reason: str = "external command") -> str | None:
+        """The reason of a refusal, or None."""
+        if not self.armed:
+            return None
+        if not forced and not self._ground.landed:
+            return "not landed"
+        self.armed = False
+        self.failsafe = False
+        self._ground_station_failsafe_s = None
+        self.intended_mode = self._mode_after_disarming
+        self._switch(self._mode_after_disarming)
+        self.send_text(INFO, f"Disarmed by {reason}")
+        return None
+
+    # ------------------------------------------------------------ time
+
+    def _control(self, control_is_due: bool) -> None:
+        newest = self._stream.newest
+        if self.mode is Mode.OFFBOARD and isinstance(newest, Setpoint):
+            self.setpoint = newest
+        elif not control_is_due:
+            return
+        elif self.mode is Mode.OFFBOARD and isinstance(newest, Course):
+            self.setpoint = self._automatic.follow(newest, self._control_dt_s)
+        elif self.mode is Mode.POSCTL and self._incidents.course is not None:
+            self.setpoint = self._automatic.follow(self._incidents.course, self._control_dt_s)
+        else:
+            if self._ground.landed and self.mode is not Mode.TAKEOFF:
+                self.setpoint = Setpoint(self.quad.estimated_quaternion(), IDLE_THRUST_NORM)
+                return
+            if self.mode is Mode.TAKEOFF and self._automatic.taken_off():
+                # It holds the commanded height, not the present one.
+                self.mode = Mode.LOITER
+                if self.intended_mode is Mode.TAKEOFF:
+                    self.intended_mode = self._mode_after_disarming = Mode.LOITER
+            self.setpoint = self._automatic.setpoint(self._control_dt_s)
+
+    # ------------------------------------------------------------ failsafes
+
+    def _run_failsafes(self) -> None:
+        if not self.armed:
+            return
+        check_is_due = self._steps % self._failsafe_steps == 0
+        if self._ground_station_failsafe_s is not None:
+            self._go_on_without_ground_station(self._ground_station_failsafe_s)
+        elif check_is_due and self._ground_station_is_newly_lost():
+            self._ground_station_failsafe_s = self.time_s
+            hold_s = self.parameters["COM_FAIL_ACT_T"]  # the pilot may take over in this time
+            self._activate_failsafe(Mode.LOITER, f": entering Hold for {hold_s:.0f} seconds")
+        elif self.mode is Mode.OFFBOARD:
+            gap_s = self.time_s - self._stream.newest_s
+            if check_is_due and gap_s > self.parameters["COM_OF_LOSS_T"] + STREAM_LOST_GRACE_S:
+                self._activate_failsafe(OFFBOARD_LOSS.get(int(self.parameters["COM_OBL_RC_ACT"]), Mode.POSCTL))
+        elif self.intended_mode is Mode.OFFBOARD and self._stream_is_back():
+            # PX4 re-enters OFFBOARD without a command when setpoints come again.
+            self.failsafe = False
+            self._switch(Mode.OFFBOARD)
+
+    def _stream_is_back(self) -> bool:
+        return self.streaming and self.time_s - self._stream.since_s >= STREAM_BACK_AFTER_S
+
+    def _ground_station_is_newly_lost(self) -> bool:
+        lost = self.ground_station_lost and int(self.parameters["NAV_DLL_ACT"]) in GROUND_STATION_LOSS
+        newly = lost and not self._ground_station_loss_known and self.mode is not Mode.LAND
+        self._ground_station_loss_known = lost
+        return newly
+
+    def _go_on_without_ground_station(self, since_s: float) -> None:
+        """Latched: only a mode change ends it, neither the ground station's return nor a setpoint stream."""
+        if self.mode is Mode.LOITER and self.time_s - since_s >= self.parameters["COM_FAIL_ACT_T"]:
+            self._fly_failsafe(GROUND_STATION_LOSS.get(int(self.parameters["NAV_DLL_ACT"]), Mode.LOITER))
+
+    def _activate_failsafe(self, mode: Mode | None, how: str = "") -> None:
+        self.failsafe = True
+        self.send_text(CRITICAL, f"Failsafe activated{how}")
+        self._fly_failsafe(mode)
+
+    def _fly_failsafe(self, mode: Mode | None) -> None:
+        if mode is None:
+            self.disarm(forced=True, reason="failsafe")
+        else:
+            self._switch(mode)
+
+    # ------------------------------------------------------------ ground and modes
+
+    def _update_ground_contact(self) -> None:
+        on_ground = self.quad.on_ground
+        if self._ground.flies and not on_ground:
+            return  # no change
+        contact = self._ground.update(on_ground, self._thrust_is_low(), self.time_s)
+        if contact is Contact.TOOK_OFF:
+            self.send_text(INFO, "Takeoff detected")
+        elif contact is Contact.LANDED:
+            self.send_text(INFO, "Landing detected")
+        idle_s = self._ground.idle_s(self.time_s)
+        if self._ground.flown and idle_s > self.parameters["COM_DISARM_LAND"] > 0:
+            self.disarm(forced=True, reason="landing")
+        elif not self._ground.flown and idle_s > self.parameters["COM_DISARM_PRFLT"] > 0:
+            self.disarm(forced=True, reason="auto preflight disarming")
+
+    def _enter_pilot_mode(self) -> None:
+        self.intended_mode, self.failsafe, self._ground_station_failsafe_s = Mode.POSCTL, False, None
+        self._switch(Mode.POSCTL)
+
+    def _switch(self, mode: Mode) -> None:
+        if mode is not self.mode:
+            self.mode = mode
+            self._enter(mode)
+
+    def _enter(self, mode: Mode) -> None:
+        self._automatic.enter(mode.task, self.home, self.takeoff_altitude_amsl_m)

@@ -1,0 +1,1 @@
+"""Command lines of `sitl`: one module per command, light to import."""

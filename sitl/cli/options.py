@@ -1,0 +1,88 @@
+"""Command line options that several `sitl` commands share, and the values they accept."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from math import nan
+from pathlib import Path
+
+from companion.types.autopilot import AutopilotKind
+from sitl.links.ports import MAX_PORT_OFFSET
+
+LONGEST_NUMBER = 9  # digits; Python refuses to read thousands of them
+
+
+def add_scenario(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("scenario", type=Path, metavar="SCENARIO", help="a scenario file, see config/scenarios/")
+
+
+def add_overrides(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        dest="overrides",
+        metavar="KEY=VALUE",
+        help="change one key of the scenario; may be given many times",
+    )
+
+
+def add_autopilot(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--autopilot",
+        choices=[str(kind) for kind in AutopilotKind],
+        help="fly stand-ins that behave like this autopilot (short for --set stand_in.autopilot=AUTOPILOT)",
+    )
+
+
+def add_out(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--out", type=Path, metavar="DIR", help="the folder for the results")
+
+
+def add_out_and_quiet(parser: argparse.ArgumentParser) -> None:
+    add_out(parser)
+    parser.add_argument("--quiet", action="store_true", help="print the result only")
+
+
+def add_port_offset(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--port-offset",
+        type=whole_number(0, MAX_PORT_OFFSET),
+        metavar="N",
+        help="add N to all ports (default: 0, or the next multiple of 100 with which all ports are free)",
+    )
+
+
+def overrides_of(parsed: argparse.Namespace) -> list[str]:
+    """--law and --autopilot come first: a --set of the same key wins."""
+    law, autopilot = getattr(parsed, "law", None), parsed.autopilot
+    short = [f"fleet.law.name={law}"] if law else []
+    short += [f"stand_in.autopilot={autopilot}"] if autopilot else []
+    return [*short, *parsed.overrides]
+
+
+def whole_number(least: int, most: int) -> Callable[[str], int]:
+    """An argparse type: a whole number from `least` to `most`."""
+
+    def read(text: str) -> int:
+        if not text.isdecimal() or len(text) > LONGEST_NUMBER or not least <= int(text) <= most:
+            raise argparse.ArgumentTypeError(f"{text!r}, expected a whole number from {least} to {most}")
+        return int(text)
+
+    return read
+
+
+def number(expected: str, accepts: Callable[[float], bool]) -> Callable[[str], float]:
+    """An argparse type: a number that `accepts`; `expected` names it in the error."""
+
+    def read(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = nan
+        if not accepts(value):
+            raise argparse.ArgumentTypeError(f"{text!r}, expected {expected}")
+        return value
+
+    return read

@@ -1,0 +1,1 @@
+"""Scenarios and how they are flown, in real and in virtual time."""

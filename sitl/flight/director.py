@@ -1,0 +1,233 @@
+"""Flies a scenario's timeline: each step's command to every vehicle, until all have done it.
+
+Session and clock are arguments: Zenoh and the machine's clock, or a world in virtual time.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+
+from companion.core.command.phase import RULES
+from companion.types.autopilot import LandedState
+from companion.types.commands import CommandName
+from companion.types.flight import ON_GROUND, FlightPhase, Role
+from companion.types.status import Status
+from sitl.flight.orders import (
+    REPEAT_S,
+    REPLY_WITHIN_S,
+    Clock,
+    FlightFailure,
+    Refusal,
+    Session,
+    newest_report,
+    order_of,
+)
+from sitl.flight.readiness import READY_WITHIN_S, Readiness, armed_already
+from sitl.flight.timeline import TO_ALL, TimelineStep
+from sitl.flight.watch import SILENT_S, FlightWatch, vehicles_in_words
+from sitl.report.progress import Progress
+
+POLL_S = 0.02  # the period of an agent's ticks: the resolution of the entry into formation
+LANDED_WITHIN_S = 60.0
+LISTEN_S = 0.3  # three reports of every vehicle
+GROUND_PHASES = frozenset({FlightPhase.OBSERVE, FlightPhase.PREPARE, FlightPhase.READY})
+
+
+class MachineClock:
+    """The machine's monotonic clock."""
+
+    def now_s(self) -> float:
+        return time.monotonic()
+
+    def sleep(self, seconds: float) -> None:
+        time.sleep(seconds)
+
+
+class Director:
+    """Gives the commands of one flight and follows the vehicles' reports.
+
+    `check` is called in every pass and raises FlightFailure when something other than a vehicle ends the flight.
+    `lost` returns the vehicles that cannot, or must not, be landed from here.
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        watch: FlightWatch,
+        progress: Progress,
+        check: Callable[[], None],
+        lost: Callable[[], Collection[int]],
+        clock: Clock,
+    ) -> None:
+        self._session = session
+        self._clock = clock
+        self._watch = watch
+        self._progress = progress
+        self._check = check
+        self._lost = lost
+        self.refusals: list[Refusal] = []  # of steps that may fail
+
+    def wait_for(self, readiness: Readiness) -> list[str]:
+        """Wait until all vehicles are ready, without commanding them. Returns the failures, one line each."""
+        began_s = self._clock.now_s()
+        self._progress.begin_step("waiting for the vehicles to be ready", began_s)
+        try:
+            while not readiness.is_reached(self._watch.status, self._clock.now_s()):
+                self._progress.remark(readiness.lacking)
+                self._pass()
+                if armed := armed_already(self._statuses()):
+                    raise FlightFailure(armed)
+                if self._clock.now_s() > began_s + READY_WITHIN_S:
+                    raise FlightFailure(f"not ready within {READY_WITHIN_S:g} s: {readiness.lacking}")
+        except FlightFailure as failure:
+            return [str(failure)]
+        finally:
+            self._progress.remark("")
+        return []
+
+    def attend(self, is_over: Callable[[], bool]) -> None:
+        """Show the reports until `is_over`, without commands."""
+        self._progress.begin_step("commanded by an operator", self._clock.now_s())
+        while not is_over():
+            self._pass()
+
+    def fly_and_land(self, timeline: Sequence[TimelineStep]) -> list[str]:
+        """All steps in turn, then a landing in any case. Returns the failures, one line each."""
+        failures = []
+        try:
+            self.fly(timeline)
+        except FlightFailure as failure:
+            failures.append(str(failure))
+        if still_up := self.land_all():
+            failures.append(still_up)
+        return failures
+
+    def fly(self, timeline: Sequence[TimelineStep]) -> None:
+        """All steps in turn. Raises FlightFailure and leaves the vehicles as they are."""
+        phases = dict.fromkeys(self._watch.vehicle_ids, FlightPhase.OBSERVE)
+        with self._formation_ends():
+            for number, step in enumerate(timeline, start=1):
+                name = f"step {number} of {len(timeline)}, {step.command}"
+                self._wait_until(step, name, phases)
+                self._progress.begin_step(name, self._clock.now_s())
+                if step.command not in TO_ALL:
+                    # The next command ends a formation, so its end is recorded before the command is given.
+                    self._watch.end_formation(self._clock.now_s())
+                if step.may_fail:
+                    self._try(step)
+                    phases |= {status.vehicle_id: status.phase for status in self._statuses()}
+                    continue
+                order_of(self._session, self._watch, step, self._clock).carry_out(self._pass)
+                if step.command not in TO_ALL:
+                    phases |= dict.fromkeys(step.vehicles or self._watch.vehicle_ids, RULES[step.command].to)
+                self._stay(name, step, phases)
+
+    def _try(self, step: TimelineStep) -> None:
+        """A step that may fail: refusals are recorded, and its time passes whatever the vehicles do."""
+        self.refusals += order_of(self._session, self._watch, step, self._clock).attempt(self._pass)
+        if step.command is CommandName.FORM and self._leaders_formed():
+            self._watch.begin_formation()
+        self._pass_until(self._clock.now_s() + step.for_s)
+
+    @contextmanager
+    def _formation_ends(self) -> Iterator[None]:
+        """The end of a timeline, also by a failure, ends its formation."""
+        try:
+            yield
+        finally:
+            self._watch.end_formation(self._clock.now_s())
+
+    def _leaders_formed(self) -> bool:
+        leads = [status.phase for status in self._statuses() if status.role is Role.LEADER]
+        return bool(leads) and set(leads) == {FlightPhase.FORMATION}
+
+    def _wait_until(self, step: TimelineStep, name: str, phases: Mapping[int, FlightPhase]) -> None:
+        """Wait until that time of the flight."""
+        left_s = 0.0 if step.at_s is None else self._watch.began_s + step.at_s - self._clock.now_s()
+        if left_s <= 0.0:
+            return
+        self._progress.begin_step(f"waiting for {name}", self._clock.now_s(), left_s)
+        if step.may_fail:
+            self._pass_until(self._clock.now_s() + left_s)
+        else:
+            self._keep(self._clock.now_s() + left_s, phases)
+
+    def _pass_until(self, until_s: float) -> None:
+        while self._clock.now_s() < until_s:
+            self._pass()
+
+    def _stay(self, name: str, step: TimelineStep, phases: Mapping[int, FlightPhase]) -> None:
+        """Keep the phases of the step for its `for_s`."""
+        formed = step.command is CommandName.FORM and set(phases.values()) == {FlightPhase.FORMATION}
+        since_s = self._watch.begin_formation() if formed else self._clock.now_s()
+        if step.for_s:
+            self._progress.begin_step(name, since_s, step.for_s)
+        self._keep(since_s + step.for_s, phases)
+
+    def _keep(self, until_s: float, phases: Mapping[int, FlightPhase]) -> None:
+        """Wait. Raises FlightFailure for a vehicle that leaves its phase, or flies and reports nothing."""
+        while self._clock.now_s() < until_s:
+            self._pass()
+            for status in self._statuses():
+                if status.phase is not phases[status.vehicle_id]:
+                    left = phases[status.vehicle_id]
+                    raise FlightFailure(f"vehicle {status.vehicle_id} left phase {left}: {newest_report(status)}")
+            silent = [i for i in self._watch.silent(self._clock.now_s()) if phases[i] is not FlightPhase.OBSERVE]
+            if silent:
+                raise FlightFailure(f"no report from {vehicles_in_words(silent)} for {SILENT_S:g} s")
+
+    def _pass(self) -> None:
+        """Receive and show reports once, after POLL_S. Raises FlightFailure."""
+        self._clock.sleep(POLL_S)
+        self._receive()
+        self._check()
+
+    def _receive(self) -> None:
+        reports, now_s = self._session.drain(), self._clock.now_s()
+        for report in reports:
+            self._watch.receive(report, now_s)
+        if self._progress.is_due():
+            self._progress.show(self._watch.rows(now_s), now_s)
+
+    def _statuses(self) -> list[Status]:
+        found = (self._watch.status(vehicle_id) for vehicle_id in self._watch.vehicle_ids)
+        return [status for status in found if status]
+
+    def land_all(self) -> str | None:
+        """Land all flying vehicles, from any phase, except silent and lost ones. Returns in one line which still fly."""
+        began_s = self._clock.now_s()
+        next_command_s = began_s + LISTEN_S
+        while (now_s := self._clock.now_s()) < began_s + LANDED_WITHIN_S:
+            self._clock.sleep(POLL_S)
+            self._receive()
+            if now_s < next_command_s:
+                continue
+            up = self._still_up(now_s)
+            if not up:
+                return None
+            if next_command_s == began_s + LISTEN_S:
+                self._progress.begin_step("landing all", now_s)
+            for name in (CommandName.LAND, CommandName.DISARM):
+                ids = [s.vehicle_id for s in up if _landing_command(s) is name]
+                if ids:
+                    self._session.command(ids, name, REPLY_WITHIN_S)
+            next_command_s = now_s + REPEAT_S
+        up = self._still_up(self._clock.now_s())
+        return (
+            f"{vehicles_in_words([s.vehicle_id for s in up])} could not be landed: {newest_report(up[0])}"
+            if up
+            else None
+        )
+
+    def _still_up(self, now_s: float) -> list[Status]:
+        reporting = {row.vehicle_id for row in self._watch.rows(now_s) if not row.silent} - set(self._lost())
+        return [s for s in self._statuses() if s.vehicle_id in reporting and (s.armed or s.phase not in GROUND_PHASES)]
+
+
+def _landing_command(status: Status) -> CommandName | None:
+    if status.phase is FlightPhase.LAND:
+        return None
+    observed = status.landed is LandedState.ON_GROUND and status.phase is FlightPhase.OBSERVE
+    return CommandName.DISARM if status.phase in ON_GROUND or observed else CommandName.LAND

@@ -1,0 +1,156 @@
+"""Files of the processes of one flight: the scenario, the fleet, and one file per agent and stand-in."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import msgspec
+import yaml
+
+from companion.config.fleet import GeodeticOrigin
+from companion.config.values import MAX_DRAG_1_S, VehicleId
+from companion.config.vehicle import DatagramEndpoints, VehicleConfig, ZenohEndpoints
+from companion.types.autopilot import AutopilotKind
+from sitl.flight.external import ReachedVehicle
+from sitl.flight.scenario import Scenario
+from sitl.links.emulated_network import NetworkFile, emulated_host
+from sitl.links.ports import LOOPBACK, ports_of, zenoh_endpoint
+from sitl.vehicle.config import AutopilotFile, Links
+
+ARMABLE_IN_SCENARIOS_S = 4.0
+HOVER_PARAMETER = {AutopilotKind.PX4: "MPC_THR_HOVER", AutopilotKind.ARDUPILOT: "MOT_THST_HOVER"}
+SET_UP: dict[AutopilotKind, dict[str, float]] = {
+    AutopilotKind.PX4: {"COM_OBL_RC_ACT": 5.0},  # hold when the setpoints end
+    AutopilotKind.ARDUPILOT: {"GUID_OPTIONS": 8.0},  # thrust is thrust
+}
+
+
+def ids_of(scenario: Scenario) -> list[VehicleId]:
+    return sorted(member.id for member in scenario.fleet.vehicles)
+
+
+def truth_path(folder: Path, vehicle_id: int) -> Path:
+    return folder / f"truth_{vehicle_id}.csv"
+
+
+def estimated_path(folder: Path, vehicle_id: int) -> Path:
+    return folder / f"estimated_{vehicle_id}.csv"
+
+
+def write_files(
+    scenario: Scenario, folder: Path, port_offset: int, external: Mapping[int, ReachedVehicle] | None = None
+) -> None:
+    """scenario.yaml as flown, fleet.yaml, vehicle_N.yaml, autopilot_N.yaml for stand-ins, network.yaml for disturbed links."""
+    write_scenario(scenario, folder)
+    _write_yaml(folder / "fleet.yaml", scenario.fleet)
+    for vehicle_id in ids_of(scenario):
+        reached = reached_stand_in(scenario, vehicle_id, port_offset) if external is None else external[vehicle_id]
+        _write_yaml(folder / f"vehicle_{vehicle_id}.yaml", vehicle_file(scenario, reached, port_offset))
+        if external is None:
+            _write_yaml(folder / f"autopilot_{vehicle_id}.yaml", autopilot_file(scenario, vehicle_id))
+    if scenario.links.disturb_peers:
+        write_network(scenario, scenario.links, folder, port_offset)
+
+
+def network_path(folder: Path) -> Path:
+    return folder / "network.yaml"
+
+
+def write_network(scenario: Scenario, links: Links, folder: Path, port_offset: int) -> None:
+    """network.yaml with these links."""
+    network = NetworkFile(
+        vehicles=tuple(ids_of(scenario)), links=links, seed=scenario.stand_in.seed, port_offset=port_offset
+    )
+    _write_yaml(network_path(folder), network)
+
+
+def write_scenario(scenario: Scenario, folder: Path) -> None:
+    """scenario.yaml as flown."""
+    _write_yaml(folder / "scenario.yaml", scenario)
+
+
+def reached_stand_in(scenario: Scenario, vehicle_id: int, port_offset: int) -> ReachedVehicle:
+    """Endpoint, hover thrust and drag of a scenario's stand-in."""
+    kind, ports, airframe = scenario.stand_in.autopilot, ports_of(vehicle_id, port_offset), scenario.stand_in.airframe
+    endpoints = {  # the defaults of the autopilots' own simulations
+        AutopilotKind.PX4: f"udpin:{LOOPBACK}:{ports.companion}",
+        AutopilotKind.ARDUPILOT: f"tcp:{LOOPBACK}:{ports.tcp}",
+    }
+    return ReachedVehicle(
+        id=vehicle_id,
+        mavlink=endpoints[kind],
+        hover_thrust_norm=scenario.stand_in.hover_thrust_norm,
+        drag_1_s=min(airframe.drag_n_per_m_s / airframe.mass_kg, MAX_DRAG_1_S),
+    )
+
+
+def vehicle_file(scenario: Scenario, reached: ReachedVehicle, port_offset: int) -> VehicleConfig:
+    """An agent's file. Of two vehicles the one with the larger id connects; only a vehicle that may lead has the reference."""
+    member, assumed, vehicle_id = scenario.fleet.member(reached.id), scenario.assumed, reached.id
+    assert member is not None  # a vehicle of this fleet
+    return VehicleConfig(
+        id=vehicle_id,
+        fleet="fleet.yaml",
+        mavlink=reached.mavlink,
+        autopilot=reached.autopilot,
+        hover_thrust_norm=_first(assumed.hover_thrust_norm, reached.hover_thrust_norm),
+        drag_1_s=_first(assumed.drag_1_s, reached.drag_1_s),
+        zenoh=_zenoh_endpoints(scenario, vehicle_id, port_offset),
+        datagrams=_datagram_endpoints(scenario, vehicle_id, port_offset),
+        reference=scenario.reference if member.can_lead else None,
+    )
+
+
+def _zenoh_endpoints(scenario: Scenario, vehicle_id: int, port_offset: int) -> ZenohEndpoints:
+    reached = {i: _peer_address(scenario, i, vehicle_id, port_offset) for i in ids_of(scenario)}
+    return ZenohEndpoints(
+        listen=(zenoh_endpoint(vehicle_id, port_offset),),
+        connect=tuple(f"tcp/{address}" for i, address in reached.items() if i < vehicle_id),
+    )
+
+
+def _datagram_endpoints(scenario: Scenario, vehicle_id: int, port_offset: int) -> DatagramEndpoints | None:
+    if scenario.links.peer_transport == "tcp":
+        return None
+    reached = {i: _peer_address(scenario, i, vehicle_id, port_offset) for i in ids_of(scenario)}
+    return DatagramEndpoints(
+        listen=f"{LOOPBACK}:{ports_of(vehicle_id, port_offset).zenoh}",
+        send_to=tuple(address for i, address in reached.items() if i != vehicle_id),
+    )
+
+
+def _peer_address(scenario: Scenario, receiving_id: int, sending_id: int, port_offset: int) -> str:
+    """Directly, or over the emulated network where the links are disturbed."""
+    host = emulated_host(receiving_id, sending_id) if scenario.links.disturb_peers else LOOPBACK
+    return f"{host}:{ports_of(receiving_id, port_offset).zenoh}"
+
+
+def _first(assumed: float | None, true: float) -> float:
+    return true if assumed is None else assumed
+
+
+def autopilot_file(scenario: Scenario, vehicle_id: int) -> AutopilotFile:
+    """A stand-in's file. The world frame is that of the fleet.
+
+    Where the scenario sets nothing else, its parameters are those that an agent requires and it can be armed after 4 s.
+    """
+    origin = scenario.fleet.origin
+    assert isinstance(origin, GeodeticOrigin)  # scenario_from accepts no other
+    stand_in = scenario.stand_in
+    hover_thrust_norm = scenario.assumed.hover_thrust_norm
+    assumed = {} if hover_thrust_norm is None else {HOVER_PARAMETER[stand_in.autopilot]: hover_thrust_norm}
+    ready_s = ARMABLE_IN_SCENARIOS_S if stand_in.armable_after_s is None else stand_in.armable_after_s
+    return AutopilotFile(
+        id=vehicle_id,
+        world_origin=origin,
+        start_enu_m=scenario.starts_enu_m[vehicle_id],
+        origin_enu_m=scenario.origins_enu_m.get(vehicle_id),
+        stand_in=msgspec.structs.replace(
+            stand_in, armable_after_s=ready_s, parameters=SET_UP[stand_in.autopilot] | assumed | stand_in.parameters
+        ),
+    )
+
+
+def _write_yaml(path: Path, content: msgspec.Struct) -> None:
+    path.write_text(yaml.safe_dump(msgspec.to_builtins(content), sort_keys=False), encoding="utf-8")

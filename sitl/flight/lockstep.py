@@ -1,0 +1,149 @@
+"""The real agents and the stand-ins in one loop and in virtual time: no sockets, no processes, no waiting."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from math import inf
+
+from companion.assembly import build_agent
+from companion.config.vehicle import AgentConfig
+from companion.core.agent import Agent
+from companion.types.commands import Command, CommandName, CommandReply, Content
+from companion.types.peers import ReceivedTarget, TargetSample
+from companion.types.tick import Inbox
+from companion.types.vectors import Vector3
+from companion.wire.ground import Percentiles, StatusReport, Timing
+from sitl.autopilots.autopilot import DT_S
+from sitl.flight.files import autopilot_file, ids_of, reached_stand_in, vehicle_file
+from sitl.flight.scenario import Scenario
+from sitl.flight.world import StandIn, World
+from sitl.links.network import Network
+
+OPERATOR = "sitl-run"
+_NONE = Percentiles(0.0, 0.0, 0.0)
+NOT_TIMED = Timing(0.0, 0, 0, _NONE, _NONE, 0.0, 0.0)  # in virtual time no tick is late
+
+
+class Lockstep:
+    """A whole fleet; for the director it is both session and clock. The result depends on the scenario alone."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        ids = ids_of(scenario)
+        self._world = World([autopilot_file(scenario, i) for i in ids], scenario.links)
+        self._network = Network(ids, scenario.links, scenario.stand_in.seed)
+        self._reports: list[StatusReport] = []
+        self._vehicles = {
+            stand_in.vehicle_id: Vehicle(scenario, stand_in, self._network, self._reports)
+            for stand_in in self._world.stand_ins
+        }
+        self._in_order = list(self._vehicles.values())
+        self._commands_given = 0
+        self._target_samples = 0
+
+    @property
+    def stand_ins(self) -> list[StandIn]:
+        return self._world.stand_ins
+
+    def now_s(self) -> float:
+        """Virtual time since the start, seconds."""
+        return self._world.now_s
+
+    def sleep(self, seconds: float) -> None:
+        """Advance the world by this time, at least by one step."""
+        for _ in range(max(1, round(seconds / DT_S))):
+            self._step()
+
+    def drain(self) -> list[StatusReport]:
+        """All reports since the last call, oldest first."""
+        reports = self._reports.copy()
+        self._reports.clear()
+        return reports
+
+    def command(
+        self,
+        vehicle_ids: Iterable[int],
+        name: CommandName,
+        timeout_s: float,
+        content: Content | None = None,
+    ) -> dict[int, CommandReply | None]:
+        """Give one command to these vehicles and advance the world until all have answered or `timeout_s` has passed."""
+        self._commands_given += 1
+        number, asked = self._commands_given, [self._vehicles[vehicle_id] for vehicle_id in vehicle_ids]
+        for vehicle in asked:
+            vehicle.give(Command(name, number, OPERATOR, vehicle.session, content))
+        deadline_s = self.now_s() + timeout_s
+        while self.now_s() < deadline_s and any(vehicle.reply_to(number) is None for vehicle in asked):
+            self._step()
+        return {vehicle.vehicle_id: vehicle.reply_to(number) for vehicle in asked}
+
+    def publish_target(self, name: str, velocity_enu_m_s: Vector3, position_enu_m: Vector3 | None = None) -> None:
+        """A sample of a moving target, received by all vehicles at once."""
+        self._target_samples += 1
+        sample = TargetSample(1, self._target_samples, self.now_s(), velocity_enu_m_s, position_enu_m)
+        for vehicle in self._in_order:
+            vehicle.take_target(name, sample)
+
+    def _step(self) -> None:
+        self._world.step()
+        next_step_s = self._world.now_s + DT_S
+        for vehicle in self._in_order:
+            # Every position that arrives before the next step triggers a tick.
+            while (now_s := vehicle.link.tick_s(next_step_s)) is not None:
+                vehicle.tick(now_s)
+
+
+class Vehicle:
+    """An agent with its links: fills the Inbox, runs a tick, sends the Outbox, as the agent's process does."""
+
+    def __init__(self, scenario: Scenario, stand_in: StandIn, network: Network, reports: list[StatusReport]) -> None:
+        self.vehicle_id = stand_in.vehicle_id
+        self.link = stand_in.link
+        self._network = network
+        self._reports = reports
+        self._agent = _agent(scenario, self.vehicle_id)
+        self._ends_s = min((end.at_s for end in scenario.agent_ends if end.vehicle == self.vehicle_id), default=inf)
+        self._commands: tuple[Command, ...] = ()
+        self._targets: tuple[tuple[str, TargetSample], ...] = ()
+        self._reply: CommandReply | None = None  # the last
+        self.session = 0  # of the agent, from its status; commands before its first status are ignored
+
+    def give(self, command: Command) -> None:
+        self._commands += (command,)
+
+    def take_target(self, name: str, target: TargetSample) -> None:
+        """A sample of a moving target, for the next tick."""
+        self._targets += ((name, target),)
+
+    def reply_to(self, number: int) -> CommandReply | None:
+        """The reply to the command with this number, None without one."""
+        return self._reply if self._reply and self._reply.number == number else None
+
+    def tick(self, now_s: float) -> None:
+        if now_s >= self._ends_s:
+            return
+        inbox = Inbox(
+            self.link.drain(now_s),
+            self._network.receive(self.vehicle_id, now_s),
+            self._commands,
+            targets=tuple(ReceivedTarget(now_s, name, target) for name, target in self._targets),
+        )
+        self._commands, self._targets = (), ()
+        outbox = self._agent.step(now_s, inbox)
+        if outbox.attitude_target:
+            self.link.command(outbox.attitude_target, now_s)
+        for request in outbox.requests:
+            self.link.request(request, now_s)
+        for reply in outbox.replies:
+            self._reply = reply
+        if outbox.peer_packet:
+            self._network.send(outbox.peer_packet, now_s)
+        if outbox.status:
+            self.session = outbox.status.session
+            self._reports.append(StatusReport(outbox.status, NOT_TIMED))
+
+
+def _agent(scenario: Scenario, vehicle_id: int) -> Agent:
+    member = next(member for member in scenario.fleet.vehicles if member.id == vehicle_id)
+    file = vehicle_file(scenario, reached_stand_in(scenario, vehicle_id, port_offset=0), port_offset=0)
+    config = AgentConfig(file, scenario.fleet, member)
+    return build_agent(config, session=1)

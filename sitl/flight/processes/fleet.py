@@ -1,0 +1,171 @@
+"""Processes of one flight: an agent and, without external autopilots, a stand-in per vehicle; their start and end."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from sitl.flight.external import ReachedVehicle
+from sitl.flight.files import ids_of, network_path, truth_path, write_files
+from sitl.flight.scenario import Scenario
+
+AGENT_ENDS_WITHIN_S = 5.0  # it first hands over to the autopilot
+STAND_IN_ENDS_WITHIN_S = 3.0
+POLL_S = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Child:
+    """One process of a fleet. `name` is "agent 3", "autopilot 3" or "network", which belongs to no vehicle."""
+
+    name: str
+    vehicle_id: int | None
+    log: Path
+    process: subprocess.Popen[bytes]
+
+    def last_output(self) -> str:
+        """The last line of its log."""
+        lines = self.log.read_text(encoding="utf-8", errors="replace").split("\n")
+        return next((line.strip() for line in reversed(lines) if line.strip()), "no output")
+
+    def ending(self) -> str:
+        """How it ended, with the last line of its log; "" while it runs."""
+        code = self.process.poll()
+        if code is None:
+            return ""
+        how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
+        return f"{self.name} {how}: {self.last_output()}"
+
+
+class Fleet:
+    """The processes of one flight, a context manager: all processes are killed at its end."""
+
+    def __init__(self, children: Sequence[Child]) -> None:
+        self._children = tuple(children)
+        self._reported: set[str] = set()
+
+    @classmethod
+    def start(
+        cls,
+        scenario: Scenario,
+        folder: Path,
+        port_offset: int,
+        external: Mapping[int, ReachedVehicle] | None = None,
+    ) -> Fleet:
+        """Write every process's file into `folder` and start it, stand-ins first; `external` autopilots need no stand-in."""
+        write_files(scenario, folder, port_offset, external)
+        return cls.start_written(scenario, folder, port_offset, external is None)
+
+    @classmethod
+    def start_written(cls, scenario: Scenario, folder: Path, port_offset: int, stand_ins: bool = True) -> Fleet:
+        """Start the processes of the files in `folder`."""
+        fleet = cls([])
+        try:
+            if network_path(folder).exists():
+                fleet._start_network(folder)
+            for vehicle_id in ids_of(scenario) if stand_ins else []:
+                arguments = ["--port-offset", str(port_offset), "--truth", str(truth_path(folder, vehicle_id))]
+                fleet._start(folder, "sitl", "autopilot", vehicle_id, arguments)
+            for vehicle_id in ids_of(scenario):
+                fleet._start(folder, "companion", "agent", vehicle_id, [])
+        except BaseException:  # also an interruption: started processes must not remain
+            fleet.kill()
+            raise
+        return fleet
+
+    def _start_network(self, folder: Path) -> None:
+        self._spawn("network", None, folder / "network.log", "sitl.links.emulated_network", str(network_path(folder)))
+
+    def _start(self, folder: Path, program: str, role: str, vehicle_id: int, more: Sequence[str]) -> None:
+        config = folder / f"{'vehicle' if role == 'agent' else role}_{vehicle_id}.yaml"
+        log = folder / f"{role}_{vehicle_id}.log"
+        self._spawn(f"{role} {vehicle_id}", vehicle_id, log, program, role, "--config", str(config), *more)
+
+    def _spawn(self, name: str, vehicle_id: int | None, log: Path, module: str, *arguments: str) -> None:
+        with log.open("wb") as output:
+            process = subprocess.Popen(
+                [
+                    *(sys.executable, "-m", "sitl.flight.processes.bound", str(os.getpid())),
+                    *(sys.executable, "-m", module, *arguments),
+                ],
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,  # Ctrl-C in the terminal reaches the parent alone, which lands first
+            )
+        self._children = (*self._children, Child(name, vehicle_id, log, process))
+
+    def pid_of(self, name: str) -> int:
+        """Process id of the process with this name, like "agent 3"."""
+        return next(child.process.pid for child in self._children if child.name == name)
+
+    def unexpected_end(self) -> str | None:
+        """How a process ended that was not stopped, in one line; each is reported once."""
+        for child in self._children:
+            if child.name not in self._reported and (ending := child.ending()):
+                self._reported.add(child.name)
+                return ending
+        return None
+
+    def lost_vehicles(self) -> set[int]:
+        """Vehicles whose agent or stand-in has ended: they cannot be landed from here."""
+        ended = (child for child in self._children if child.process.poll() is not None)
+        return {child.vehicle_id for child in ended if child.vehicle_id is not None}
+
+    def stop(self) -> list[str]:
+        """End the agents, then the others; kill a process that does not end. Returns the names of the killed."""
+        agents = [child for child in self._children if child.name.startswith("agent")]
+        others = [child for child in self._children if child not in agents]
+        killed = _end(agents, AGENT_ENDS_WITHIN_S) + _end(others, STAND_IN_ENDS_WITHIN_S)
+        self._reported.update(child.name for child in self._children)
+        return killed
+
+    def stop_all(self) -> list[str]:
+        """As `stop`. Returns a line that names the killed processes, if there are any."""
+        killed = self.stop()
+        return [f"{', '.join(killed)} did not end within its time and was killed"] if killed else []
+
+    def kill(self) -> None:
+        """Kill all processes."""
+        _kill(self._children)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.kill()
+
+
+def _end(children: Sequence[Child], within_s: float) -> list[str]:
+    for child in children:
+        _signal(child, signal.SIGTERM)
+    deadline_s = time.monotonic() + within_s
+    while time.monotonic() < deadline_s and any(child.process.poll() is None for child in children):
+        time.sleep(POLL_S)
+    late = [child for child in children if child.process.poll() is None]
+    _kill(late)
+    return [child.name for child in late]
+
+
+def _kill(children: Iterable[Child]) -> None:
+    running = [child for child in children if child.process.poll() is None]
+    for child in running:
+        _signal(child, signal.SIGKILL)
+    for child in running:
+        child.process.wait()
+
+
+def _signal(child: Child, number: signal.Signals) -> None:
+    """Signal the process's whole session; poll() tells whether its process id is still its own."""
+    if child.process.poll() is None:
+        os.killpg(child.process.pid, number)

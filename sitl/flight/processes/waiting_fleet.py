@@ -1,0 +1,89 @@
+"""`sitl fleet`: a simulated fleet that waits for an operator. No command is given here before its end."""
+
+from __future__ import annotations
+
+import time
+from contextlib import ExitStack
+from pathlib import Path
+
+from companion.ground.session import FleetSession
+from companion.types.commands import CommandName
+from sitl.errors import EXIT_DONE, EXIT_FAILED
+from sitl.flight.director import Director, MachineClock
+from sitl.flight.files import ids_of
+from sitl.flight.options import FleetOptions
+from sitl.flight.orders import REPLY_WITHIN_S
+from sitl.flight.processes.fleet import Fleet
+from sitl.flight.processes.target_publishers import publish_targets
+from sitl.flight.scenario import Scenario, load_scenario
+from sitl.flight.watch import watch_of
+from sitl.links.free_ports import reserved_ports
+from sitl.links.ports import LOOPBACK, ports_of, zenoh_endpoint
+from sitl.report.folder import open_folder
+from sitl.report.load import overload_line
+from sitl.report.progress import Progress
+from sitl.stopping import StopRequest
+
+OPERATOR = "sitl-fleet"
+DEFAULT_VEHICLES = 8  # `companion fleet` connects to so many without --connect
+HOW_TO = """\
+fleet {name}, vehicles {ids}. In a second terminal, one after the other:
+  companion fleet ready --fleet {file}{connect}
+  companion fleet arm --fleet {file}{connect}        and likewise takeoff, form, ..., land: companion fleet --help
+MAVLink for a ground station: {ground_links}
+Ctrl-C here lands all vehicles and ends."""
+
+
+def run_fleet(options: FleetOptions) -> int:
+    """The exit code. Raises the errors that sitl/cli/ending.py reports."""
+    scenario = load_scenario(options.scenario, options.overrides)
+    stem = f"fleet-{options.scenario.stem}"
+    with (
+        reserved_ports(ids_of(scenario), scenario.stand_in.autopilot, options.port_offset) as offset,
+        open_folder(options.out, stem) as folder,
+        StopRequest("stopped at once; the vehicles were not landed") as stop,
+    ):
+        lines, failed = _wait_and_land(scenario, folder, offset, options.quiet, stop)
+    print("\n".join(lines if failed else [*lines, f"all landed; files and logs in {folder}"]))
+    return EXIT_FAILED if failed else EXIT_DONE
+
+
+def _wait_and_land(
+    scenario: Scenario, folder: Path, offset: int, quiet: bool, stop: StopRequest
+) -> tuple[list[str], bool]:
+    """What is to be reported, one line each, and whether landing or stopping failed."""
+    ids = ids_of(scenario)
+    endpoints = [zenoh_endpoint(vehicle_id, offset) for vehicle_id in ids]
+    watch = watch_of(scenario, time.monotonic())
+    progress = Progress(scenario.fleet.name, quiet, watch.began_s)
+    failures: list[str] = []
+    with Fleet.start(scenario, folder, offset) as fleet, progress:
+        with FleetSession.open(scenario.fleet.name, endpoints, OPERATOR) as session, ExitStack() as stack:
+            targets = publish_targets(scenario, endpoints, watch.began_s, stack)
+
+            def update() -> None:
+                if ending := fleet.unexpected_end():  # the operator may have killed it to see how the others react
+                    progress.remark(ending)
+                targets.update(time.monotonic())
+
+            director = Director(session, watch, progress, update, fleet.lost_vehicles, MachineClock())
+            print(_how_to(scenario, folder, offset), flush=True)
+            director.attend(lambda: stop.number is not None)
+            session.command(set(ids) - fleet.lost_vehicles(), CommandName.TAKE, REPLY_WITHIN_S)
+            if still_up := director.land_all():
+                failures.append(still_up)
+        failures.extend(fleet.stop_all())
+    busy = watch.overload()
+    return [*([overload_line(busy)] if busy else []), *failures], bool(failures)
+
+
+def _how_to(scenario: Scenario, folder: Path, offset: int) -> str:
+    ids = ids_of(scenario)
+    first, last = (ports_of(vehicle_id, offset).ground_link for vehicle_id in (ids[0], ids[-1]))
+    return HOW_TO.format(
+        name=scenario.fleet.name,
+        ids=", ".join(map(str, ids)),
+        file=folder / "fleet.yaml",
+        connect=f" --connect {zenoh_endpoint(ids[0], offset)}" if offset or len(ids) > DEFAULT_VEHICLES else "",
+        ground_links=f"udpout:{LOOPBACK}:{first}" + (f" (vehicle {ids[0]}) to {last} (vehicle {ids[-1]})"),
+    )

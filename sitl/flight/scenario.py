@@ -1,0 +1,203 @@
+"""Scenario files: the fleet, its starts, the reference, the simulated world and the timeline of a whole flight."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from copy import deepcopy
+from pathlib import Path
+from typing import Annotated, Any
+
+import yaml
+from msgspec import Meta, field
+from msgspec.structs import replace
+
+from companion.assembly import flyable_problems, trajectory_of
+from companion.config.file import ConfigError, StrictLoader, convert
+from companion.config.fleet import FleetConfig
+from companion.config.fleet_check import checkable
+from companion.config.kind import read_as
+from companion.config.planned_flight import PlannedFlight, fleet_of, planned_problems, starts_of
+from companion.config.reference import Reference
+from companion.config.validation import Problem, each, unless_invalid
+from companion.config.values import Drag, HoverThrust, PositionM, Section, VehicleId
+from companion.core.reference.trajectories import ReferenceTrajectory
+from sitl.autopilots.file import parameter_problems
+from sitl.flight.moving_targets import MovingTarget
+from sitl.flight.timeline import STANDARD_TIMELINE, TimelineStep, timeline_problems
+from sitl.vehicle.config import Links, StandIn
+
+SET = Path("--set")  # named in errors instead of a file
+LONGEST_KEY = 200  # of --set
+
+
+class Assumed(Section, frozen=True, kw_only=True):
+    """Values in the vehicle files, and the hover thrust in the autopilots, where they differ from the true airframe."""
+
+    hover_thrust_norm: HoverThrust | None = None
+    drag_1_s: Drag | None = None
+
+
+class AgentEnd(Section, frozen=True, kw_only=True):
+    """The process of one agent ends: it neither sends nor receives from then on."""
+
+    vehicle: VehicleId
+    at_s: Annotated[float, Meta(ge=0, le=36_000, description="time of the flight")]
+
+
+class ScenarioFile(PlannedFlight, frozen=True, kw_only=True):
+    """A scenario file. Only `fleet.vehicles` (with their slots) and `reference` are required."""
+
+    origins_enu_m: Annotated[
+        dict[VehicleId, PositionM],
+        Meta(description="origin of the estimator of single stand-ins by id; the default is where each starts"),
+    ] = field(default_factory=dict)
+    reference: Annotated[
+        Reference, Meta(description="the trajectory of the formation (RFT); vehicles that may lead get it")
+    ]
+    stand_in: StandIn = StandIn()
+    assumed: Assumed = Assumed()
+    targets: Annotated[
+        tuple[MovingTarget, ...], Meta(description="moving targets, for a reference of `kind: target`")
+    ] = ()
+    links: Links = Links()
+    agent_ends: Annotated[
+        tuple[AgentEnd, ...], Meta(description="agents whose processes end in flight; in virtual time (`sitl run`)")
+    ] = ()
+    timeline: Annotated[
+        tuple[TimelineStep, ...],
+        Meta(description="the commands in order; the default is prepare, arm, takeoff, form for 60 s, hold, land"),
+    ] = STANDARD_TIMELINE
+
+
+class Scenario(Section, frozen=True, kw_only=True):
+    """A scenario with all defaults filled in. Its fields are those of `ScenarioFile`."""
+
+    description: str = ""
+    fleet: FleetConfig
+    starts_enu_m: Mapping[VehicleId, PositionM]
+    origins_enu_m: dict[VehicleId, PositionM] = field(default_factory=dict)
+    reference: Reference
+    stand_in: StandIn = StandIn()
+    assumed: Assumed = Assumed()
+    targets: tuple[MovingTarget, ...] = ()
+    links: Links = Links()
+    agent_ends: tuple[AgentEnd, ...] = ()
+    timeline: tuple[TimelineStep, ...]
+
+
+def load_scenario(path: Path, overrides: Sequence[str] = ()) -> Scenario:
+    """Read a scenario file and apply overrides "KEY.PATH=VALUE" (a YAML value). Raises ConfigError."""
+    data = read_as(path, "scenario")
+    scenario = scenario_from(path, data)  # the file must be valid by itself, so that an error below is an override's
+    if not overrides:
+        return scenario
+    data = deepcopy(data)
+    for override in overrides:
+        _put(data, override)
+    return scenario_from(SET, data)
+
+
+def reference_of(scenario: Scenario) -> ReferenceTrajectory:
+    """The RFT as the leaders fly it: seconds since the leader entered formation -> R and r''."""
+    return trajectory_of(scenario.reference)
+
+
+def scenario_from(path: Path, data: object) -> Scenario:
+    """Plain content of a scenario file -> checked scenario; `path` names the file in errors. Raises ConfigError."""
+    return _with_defaults(convert(path, data, ScenarioFile, _problems))
+
+
+def _with_defaults(file: ScenarioFile) -> Scenario:
+    fleet = fleet_of(file.fleet)
+    starts_enu_m = unless_invalid(lambda: starts_of(file, fleet, file.reference.start_enu_m))
+    given = {name: getattr(file, name) for name in ScenarioFile.__struct_fields__}
+    return Scenario(**given | {"fleet": fleet, "starts_enu_m": starts_enu_m})
+
+
+def _problems(file: ScenarioFile) -> Iterator[Problem]:
+    scenario = _with_defaults(file)
+    yield from planned_problems(file, scenario.fleet, scenario.starts_enu_m)
+    scenario = replace(scenario, fleet=checkable(scenario.fleet))
+    yield from each(
+        _origin(scenario),
+        _vehicles_named(scenario),
+        parameter_problems(scenario.stand_in),
+        flyable_problems(scenario.fleet, scenario.reference),
+        _target_names(scenario),
+        timeline_problems(scenario.fleet, scenario.timeline),
+    )
+
+
+def _origin(scenario: Scenario) -> Iterator[Problem]:
+    if scenario.fleet.origin == "indoor":
+        problem = '"indoor" is for one motion-capture frame; stand-ins need latitude, longitude, altitude'
+        yield Problem("fleet.origin", problem)
+
+
+def _target_names(scenario: Scenario) -> Iterator[Problem]:
+    names = [target.name for target in scenario.targets]
+    for index, name in enumerate(names):
+        if name in names[:index]:
+            yield Problem(f"targets[{index}].name", f'"{name}" is used twice; give each its own')
+
+
+def _vehicles_named(scenario: Scenario) -> Iterator[Problem]:
+    """Own origins, estimator resets, pilots and all else by vehicle must be those of vehicles of the fleet."""
+    named = [(vehicle_id, f"origins_enu_m.{vehicle_id}") for vehicle_id in sorted(scenario.origins_enu_m)]
+    for index, reset in enumerate(scenario.stand_in.estimator_resets):
+        named.append((reset.vehicle, f"stand_in.estimator_resets[{index}].vehicle"))
+    for index, level in enumerate(scenario.stand_in.batteries):
+        named.append((level.vehicle, f"stand_in.batteries[{index}].vehicle"))
+    for index, pilot in enumerate(scenario.stand_in.pilots):
+        named.append((pilot.vehicle, f"stand_in.pilots[{index}].vehicle"))
+    for index, end in enumerate(scenario.agent_ends):
+        named.append((end.vehicle, f"agent_ends[{index}].vehicle"))
+    for index, partition in enumerate(scenario.links.partitions):
+        named += [(vehicle_id, f"links.partitions[{index}].vehicles") for vehicle_id in partition.vehicles]
+    for vehicle_id, where in named:
+        if scenario.fleet.member(vehicle_id) is None:
+            known = ", ".join(str(member.id) for member in scenario.fleet.vehicles)
+            yield Problem(where, f"no vehicle {vehicle_id} in the fleet; expected one of {known}")
+
+
+def _put(data: Any, override: str) -> None:
+    """Set one value in a scenario's plain content; sections that are missing are made. Raises ConfigError."""
+    field, equals, text = override.partition("=")
+    steps = _steps(field) if len(field) <= LONGEST_KEY else []  # Python refuses to read a number of thousands of digits
+    if not equals or not steps:
+        raise ConfigError(SET, override, "expected KEY=VALUE, like fleet.law.name=average_22 or timeline[3].for_s=20")
+    try:
+        value = yaml.load(text, Loader=StrictLoader)
+    except yaml.YAMLError as error:
+        raise ConfigError(SET, field, f"{text!r} is not a YAML value") from error
+    node, place = data, ""
+    for step, following in zip(steps, [*steps[1:], None], strict=True):
+        _check_step(node, place, step)
+        if following is None:
+            node[step] = value
+        elif isinstance(node, dict):
+            node = node.setdefault(step, {})
+        else:
+            node = node[step]
+        place = f"{place}[{step}]" if isinstance(step, int) else f"{place}.{step}".lstrip(".")
+
+
+def _steps(field: str) -> list[str | int]:
+    """ "timeline[3].for_s" -> ["timeline", 3, "for_s"]; a bare number is a number, too (starts_enu_m.1)."""
+    if not re.fullmatch(r"\w+(\.\w+|\[\d+\])*", field):
+        return []
+    return [int(step) if step.isdecimal() else step for step in re.findall(r"\w+", field)]
+
+
+def _check_step(node: Any, place: str, step: str | int) -> None:
+    if isinstance(node, dict):
+        return
+    if not isinstance(node, list):
+        raise ConfigError(SET, place, f"is {node!r}, which has no keys inside; set it as a whole")
+    if not isinstance(step, int):
+        raise ConfigError(
+            SET, f"{place}.{step}", f"{place} is a list; expected a number, {place}[0] to [{len(node) - 1}]"
+        )
+    if step >= len(node):
+        raise ConfigError(SET, f"{place}[{step}]", f"no such item; expected {place}[0] to [{len(node) - 1}]")

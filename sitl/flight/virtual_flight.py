@@ -1,0 +1,78 @@
+"""One scenario flown in virtual time, from the ground to the ground."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from sitl.flight.collector import collecting_seldom
+from sitl.flight.director import Director
+from sitl.flight.lockstep import Lockstep
+from sitl.flight.moving_targets import MovingTargets
+from sitl.flight.orders import FlightFailure, Refusal
+from sitl.flight.scenario import Scenario
+from sitl.flight.timeline import TimelineStep
+from sitl.flight.watch import FlightWatch, watch_of
+from sitl.flight.world import StandIn
+from sitl.report.progress import Progress
+from sitl.report.tracks import Track
+from sitl.stopping import StopRequest
+
+
+@dataclass(frozen=True, slots=True)
+class Flown:
+    """One flight in virtual time. `watch` holds what the vehicles reported; `wall_s` is the computing time."""
+
+    watch: FlightWatch
+    stand_ins: list[StandIn]
+    failure: str | None
+    refusals: list[Refusal]  # of steps that may fail
+    flight_s: float
+    wall_s: float
+
+    def tracks(self) -> dict[int, Track]:
+        return {stand_in.vehicle_id: stand_in.track() for stand_in in self.stand_ins}
+
+
+def fly_in_virtual_time(scenario: Scenario, progress: Progress, stop: StopRequest | None = None) -> Flown:
+    """Fly the scenario's whole timeline and land, also after a failure."""
+    return _flown(scenario, progress, stop, Director.fly_and_land)
+
+
+def fly_without_landing(scenario: Scenario, progress: Progress) -> Flown:
+    """Fly the scenario's timeline to its end or to a failure. The vehicles remain as they are."""
+    return _flown(scenario, progress, None, _failures_of)
+
+
+def _failures_of(director: Director, timeline: Sequence[TimelineStep]) -> list[str]:
+    try:
+        director.fly(timeline)
+    except FlightFailure as failure:
+        return [str(failure)]
+    return []
+
+
+def _flown(
+    scenario: Scenario,
+    progress: Progress,
+    stop: StopRequest | None,
+    fly: Callable[[Director, Sequence[TimelineStep]], list[str]],
+) -> Flown:
+    """`fly` returns the failures, one line each."""
+
+    def check() -> None:
+        if stop and stop.number:
+            raise FlightFailure(f"interrupted by {stop.number.name}")
+        targets.update(lockstep.now_s())
+
+    began_s = time.perf_counter()
+    lockstep = Lockstep(scenario)
+    targets = MovingTargets(scenario.targets, lockstep.publish_target, lockstep.now_s())
+    watch = watch_of(scenario, lockstep.now_s())
+    director = Director(lockstep, watch, progress, check, tuple, lockstep)
+    with collecting_seldom():
+        failures = fly(director, scenario.timeline)
+    wall_s = time.perf_counter() - began_s
+    failure = "; ".join(failures) or None
+    return Flown(watch, lockstep.stand_ins, failure, director.refusals, lockstep.now_s(), wall_s)

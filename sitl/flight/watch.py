@@ -1,0 +1,291 @@
+"""Record of one flight from the vehicles' reports: newest status, formations, events, topology, timing."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Collection, Mapping
+
+from msgspec import Struct
+
+from companion.core.consensus.law import FormationState
+from companion.core.reference.trajectories import ReferenceTrajectory
+from companion.geometry.turning import turned_slot
+from companion.ground.fleet_status import FleetState, VehicleRow, fold, rows
+from companion.types.autopilot import LandedState
+from companion.types.commands import CommandName, CommandReply
+from companion.types.flight import FlightPhase, Role
+from companion.types.notices import Code
+from companion.types.status import Status
+from companion.types.vectors import ZERO3, Vector3
+from companion.wire.ground import StatusReport, Timing
+from sitl.flight.scenario import Scenario
+from sitl.flight.timeline import TimelineStep
+from sitl.report.load import overload
+from sitl.report.metrics import Formation
+from sitl.report.tracking import Leadership
+from sitl.report.tracks import Track, reported_track
+
+SAME_POSITION_S = 0.005  # two reports of one position differ by less, because the transport time varies
+SILENT_S = 3.0  # the agent of a flying vehicle that reports nothing for so long has failed
+
+
+class Event(Struct, frozen=True, kw_only=True):
+    """An event that a vehicle reported, `time_s` after the flight's beginning."""
+
+    time_s: float
+    vehicle: int
+    code: Code
+    event: str
+
+
+class CommandGiven(Struct, frozen=True, kw_only=True):
+    """A command to several vehicles at once, `time_s` after the flight's beginning.
+
+    `answered_in_s` is the time until the last of them had answered; None if one did not.
+    """
+
+    time_s: float
+    command: CommandName
+    in_words: str  # with its arguments
+    vehicles: list[int]
+    answered_in_s: float | None
+
+
+class TopologyChange(Struct, frozen=True, kw_only=True):
+    """A vehicle's role and neighbours from `time_s` after the flight's beginning until its next change."""
+
+    time_s: float
+    vehicle: int
+    role: Role
+    epoch: int
+    prc: int
+    neighbours: tuple[int, ...]
+    in_formation: bool
+
+    def same_as(self, status: Status) -> bool:
+        own = (self.role, self.epoch, self.prc, self.neighbours, self.in_formation)
+        reported = (status.role, status.epoch, status.prc, status.neighbours, status.phase is FlightPhase.FORMATION)
+        return own == reported
+
+
+class FlightWatch:
+    """The record of one flight. Times are of one monotonic clock and are arguments.
+
+    `events` holds every event that a vehicle reported, `topology` every change of role, PrC and neighbours.
+    """
+
+    def __init__(self, vehicle_ids: Collection[int], leader_ids: Collection[int], began_s: float) -> None:
+        """`leader_ids` are the leaders at the beginning."""
+        self.vehicle_ids = sorted(vehicle_ids)
+        self.began_s = began_s
+        self.events: list[Event] = []
+        self.topology: list[TopologyChange] = []
+        self.commands: list[CommandGiven] = []
+        self.timing: dict[int, Timing] = {}  # of each vehicle's last formation
+        self.formations: list[Formation] = []  # all in formation at once, in the order in which they were flown
+        # Of each vehicle: time and estimated position, while armed, times rising.
+        self.reported: dict[int, list[tuple[float, Vector3]]] = {vehicle_id: [] for vehicle_id in self.vehicle_ids}
+        self.led_enu_m: list[
+            tuple[float, Vector3]
+        ] = []  # r as leaders in formation reported it, by the time of the report
+        self._slots: dict[int, list[tuple[float, Vector3]]] = {vehicle_id: [] for vehicle_id in self.vehicle_ids}
+        self.reference: list[tuple[float, Vector3]] = []  # r as leaders reported it, by mission time
+        self._leader_ids = set(leader_ids)
+        self._drawn: dict[int, TopologyChange] = {}  # the last of every vehicle
+        self._entered_s: dict[int, float] = {}
+        self.largest_step_deg: dict[int, float] = {}  # of each vehicle's last formation
+        self._zero_s: dict[int, float] = {}  # when the RFT would have begun had it never paused
+        self._flown_s = 0.0  # time into the RFT, of the last leader
+        self._formed_from_s: float | None = None
+        self._reference_start_s = began_s
+        self.newest_timing: dict[int, Timing] = {}
+        self._state = FleetState()
+        self._statuses: dict[int, Status] = {}  # the newest of every vehicle
+
+    def receive(self, report: StatusReport, now_s: float) -> None:
+        """Process one report received at `now_s`."""
+        status = report.status
+        vehicle_id = status.vehicle_id
+        if vehicle_id not in self.vehicle_ids:
+            return
+        before = self.status(vehicle_id)
+        self._state = fold(self._state, report, now_s)
+        self._statuses[vehicle_id] = status
+        self._follow_topology(status, now_s)
+        self._follow_position(status, now_s)
+        self._follow_slot(status, now_s)
+        if status.phase is FlightPhase.FORMATION and (before is None or before.phase is not FlightPhase.FORMATION):
+            self._entered_s[vehicle_id] = now_s
+            self._zero_s[vehicle_id] = now_s - self._flown_s
+        self._follow_reference(status, now_s)
+        if report.timing.ticks:  # in virtual time no ticks are timed
+            self.newest_timing[vehicle_id] = report.timing
+        if vehicle_id in self._entered_s:
+            self.largest_step_deg[vehicle_id] = status.largest_step_deg
+        if vehicle_id in self._entered_s and report.timing.ticks:
+            self.timing[vehicle_id] = report.timing
+        if status.last_event and (before is None or status.last_event != before.last_event):
+            self.events.append(
+                Event(
+                    time_s=round(now_s - self.began_s, 3),
+                    vehicle=vehicle_id,
+                    code=status.last_event.code,
+                    event=status.last_event.text,
+                )
+            )
+
+    def _follow_position(self, status: Status, now_s: float) -> None:
+        reported, time_s = self.reported[status.vehicle_id], now_s - status.state_age_s
+        if status.armed and (not reported or time_s > reported[-1][0] + SAME_POSITION_S):
+            reported.append((time_s, status.position_enu_m))
+
+    def _follow_slot(self, status: Status, now_s: float) -> None:
+        """Of a constant slot only the first and the last time are kept."""
+        slots, slot_enu_m = self._slots[status.vehicle_id], turned_slot(status.slot, status.heading).position_enu_m
+        if len(slots) > 1 and slots[-1][1] == slots[-2][1] == slot_enu_m:
+            slots.pop()
+        slots.append((now_s, slot_enu_m))
+
+    def slots(self) -> dict[int, Track]:
+        """Each vehicle's slot d_i0 over time, as it reported it, turned to the formation's heading."""
+        return {i: reported_track(i, slots) for i, slots in self._slots.items()}
+
+    def note_answers(
+        self, given_s: float, now_s: float, step: TimelineStep, replies: Mapping[int, CommandReply | None]
+    ) -> None:
+        """Record the answers to a step's command given at `given_s`, unless an agent has not started yet."""
+        if any(self.status(vehicle_id) is None for vehicle_id in replies):
+            return
+        self.commands.append(
+            CommandGiven(
+                time_s=round(given_s - self.began_s, 3),
+                command=step.command,
+                in_words=step.in_words(),
+                vehicles=sorted(replies),
+                answered_in_s=round(now_s - given_s, 3) if all(replies.values()) else None,
+            )
+        )
+
+    def leads(self) -> Leadership:
+        """When each vehicle was leader, as it reported."""
+        return {
+            i: [
+                (self.began_s + change.time_s, change.role is Role.LEADER)
+                for change in self.topology
+                if change.vehicle == i
+            ]
+            for i in self.vehicle_ids
+        }
+
+    def reported_reference(self) -> ReferenceTrajectory:
+        """The RFT as leaders reported it, interpolated linearly."""
+        times_s = [time_s for time_s, _ in self.reference]
+
+        def trajectory(reference_s: float) -> FormationState:
+            index = min(max(bisect_right(times_s, reference_s), 1), len(times_s) - 1)
+            (a_s, a), (b_s, b) = self.reference[index - 1], self.reference[index]
+            share = min(max((reference_s - a_s) / (b_s - a_s), 0.0), 1.0)
+            x, y, z = (p + share * (q - p) for p, q in zip(a, b, strict=True))
+            return FormationState((x, y, z), ZERO3)
+
+        return trajectory
+
+    def _follow_reference(self, status: Status, now_s: float) -> None:
+        """The RFT continues from one formation to the next until the vehicles are disarmed."""
+        if status.phase is FlightPhase.FORMATION and status.reference_enu_m is not None:
+            self.led_enu_m.append((now_s, status.reference_enu_m))
+        if not status.armed:
+            self._flown_s = 0.0
+        elif status.role is Role.LEADER and status.leader_beacon and status.leader_beacon.reference_s > 0.0:
+            self._flown_s = status.leader_beacon.reference_s
+            if status.reference_enu_m is not None:
+                while self.reference and self.reference[-1][0] >= self._flown_s:
+                    self.reference.pop()  # of an earlier flight, or the last report of the leader before
+                self.reference.append((self._flown_s, status.reference_enu_m))
+
+    def _follow_topology(self, status: Status, now_s: float) -> None:
+        vehicle_id, last = status.vehicle_id, self._drawn.get(status.vehicle_id)
+        if status.role is Role.LEADER:
+            self._leader_ids.add(vehicle_id)
+        else:
+            self._leader_ids.discard(vehicle_id)
+        if last is None or not last.same_as(status):
+            self._drawn[vehicle_id] = TopologyChange(
+                time_s=round(now_s - self.began_s, 3),
+                vehicle=vehicle_id,
+                role=status.role,
+                epoch=status.epoch,
+                prc=status.prc,
+                neighbours=status.neighbours,
+                in_formation=status.phase is FlightPhase.FORMATION,
+            )
+            self.topology.append(self._drawn[vehicle_id])
+
+    def status(self, vehicle_id: int) -> Status | None:
+        return self._statuses.get(vehicle_id)
+
+    def is_armed(self, vehicle_id: int) -> bool:
+        """By its newest status."""
+        status = self.status(vehicle_id)
+        return status is not None and status.armed
+
+    def flown_by_others(self) -> set[int]:
+        """Vehicles in the air whose agent only observes: a pilot or an autopilot failsafe flies them."""
+        statuses = {i: status for i in self.vehicle_ids if (status := self.status(i)) and status.armed}
+        return {
+            i
+            for i, status in statuses.items()
+            if status.phase is FlightPhase.OBSERVE and status.landed is not LandedState.ON_GROUND
+        }
+
+    def rows(self, now_s: float) -> list[VehicleRow]:
+        return rows(self._state, now_s)
+
+    def silent(self, now_s: float) -> list[int]:
+        """Vehicles that reported before, but not for SILENT_S."""
+        return sorted(i for (_, i), newest in self._state.vehicles.items() if now_s - newest.received_s > SILENT_S)
+
+    def begin_formation(self) -> float:
+        """The vehicles are in formation, the leaders among them. Returns the time at which the last one entered it."""
+        self._formed_from_s = max(self._entered_s.values())
+        self._reference_start_s = min(self._zero_s[i] for i in self._leader_ids if i in self._zero_s)
+        return self._formed_from_s
+
+    @property
+    def is_in_formation(self) -> bool:
+        """Between `begin_formation` and `end_formation`."""
+        return self._formed_from_s is not None
+
+    @property
+    def formation(self) -> Formation | None:
+        """The last formation flown."""
+        return self.formations[-1] if self.formations else None
+
+    def end_formation(self, now_s: float) -> None:
+        """The formation, if there is one, ends now."""
+        if self._formed_from_s is not None:
+            self.formations.append(Formation(self._formed_from_s, now_s, self._reference_start_s))
+            self._formed_from_s = None
+
+    def overload(self) -> str | None:
+        """What the agents measured beyond the limits of real time, in one line; None within them."""
+        timings = self.newest_timing.values()
+        ticks, missed = sum(t.ticks for t in timings), sum(t.missed for t in timings)
+        return overload(ticks, missed, max((t.telemetry_to_command_us.p99 for t in timings), default=0.0))
+
+    def rejected(self) -> Mapping[int, dict[str, int]]:
+        """Rejected input of each vehicle, counted by reason."""
+        statuses = {vehicle_id: self.status(vehicle_id) for vehicle_id in self.vehicle_ids}
+        return {vehicle_id: status.rejected if status else {} for vehicle_id, status in statuses.items()}
+
+
+def watch_of(scenario: Scenario, began_s: float) -> FlightWatch:
+    """The empty record of a flight of this scenario."""
+    members = scenario.fleet.vehicles
+    leader_ids = [member.id for member in members if member.role is Role.LEADER]
+    return FlightWatch([member.id for member in members], leader_ids, began_s)
+
+
+def vehicles_in_words(ids: Collection[int]) -> str:
+    """ "vehicle 3", "vehicles 1, 2"."""
+    return f"vehicle{'s' if len(ids) > 1 else ''} {', '.join(map(str, ids))}"

@@ -1,0 +1,87 @@
+"""`sitl gauntlet`: fly random flights on all cores, keep the worst, and print the table."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Sequence
+from itertools import count, islice
+from pathlib import Path
+
+from msgspec import Struct
+
+from companion.config.fleet_check import load_fleet
+from sitl.errors import EXIT_DONE, EXIT_FAILED, UnusableError
+from sitl.gauntlet.drawn import family_of
+from sitl.gauntlet.families import FAMILIES
+from sitl.gauntlet.flight import Job, Outcome, fly
+from sitl.gauntlet.page import page
+from sitl.gauntlet.summary import MEANING, FamilySummary, summarize, table_text
+from sitl.gauntlet.worst import write_worst
+from sitl.report.folder import results_folder
+from sitl.report.share import ShareProgress
+from sitl.report.summary import write_json
+from sitl.stopping import StopRequest
+from sitl.workers import POLL_S, running
+
+SCHEMA = 1
+
+
+class Report(Struct, frozen=True, kw_only=True):
+    """Content of gauntlet.json."""
+
+    schema: int = SCHEMA
+    seed: int
+    families: list[FamilySummary]
+    flights: list[Outcome]
+
+
+def run_gauntlet(arguments: argparse.Namespace) -> int:
+    """Run the command and return the exit code. Raises the errors that sitl/cli/ending.py reports."""
+    own = load_fleet(arguments.fleet) if arguments.fleet else None
+    families = chosen_families(arguments.families)
+    with StopRequest("stopped; nothing was written", at_once=True), ShareProgress(arguments.quiet) as progress:
+        folder = results_folder(arguments.out, "gauntlet")
+        numbers = list(islice(numbers_of(families), arguments.flights))
+        jobs = [Job(arguments.seed, number, arguments.sensors, own) for number in numbers]
+        progress.begin(f"{len(jobs)} flights")
+        outcomes = _fly_all(jobs, arguments.jobs, progress)
+        if own is not None and not any(outcome.vehicles for outcome in outcomes):
+            raise UnusableError(f"{arguments.fleet}: no flight is possible: {outcomes[0].failure}")
+        worst = write_worst(folder, outcomes, arguments.sensors, own)
+    return _finish(arguments, folder, outcomes, worst)
+
+
+def chosen_families(text: str | None) -> tuple[str, ...]:
+    """The families named in a comma-separated list; all without one. Raises UnusableError."""
+    names = tuple(text.split(",")) if text else tuple(FAMILIES)
+    for name in names:
+        if name not in FAMILIES:
+            raise UnusableError(f"--families: {name!r}, expected some of {', '.join(FAMILIES)}")
+    return names
+
+
+def numbers_of(families: Sequence[str]) -> Iterator[int]:
+    """Numbers of flights of these families, rising."""
+    return (number for number in count() if family_of(number) in families)
+
+
+def _fly_all(jobs: list[Job], workers: int | None, progress: ShareProgress) -> list[Outcome]:
+    with running(fly, jobs, workers=workers) as in_progress:
+        while not in_progress.wait(POLL_S):
+            so_far = [outcome for outcome in in_progress.results_so_far() if outcome]
+            progress.show(in_progress.share_done, f"{sum(one.violation for one in so_far)} violations")
+        return in_progress.results()
+
+
+def _finish(arguments: argparse.Namespace, folder: Path, outcomes: list[Outcome], worst: list[str]) -> int:
+    """Write the report, print the table and return the exit code."""
+    families = summarize(outcomes)
+    write_json(folder / "gauntlet.json", Report(seed=arguments.seed, families=families, flights=outcomes))
+    if arguments.page:
+        arguments.page.write_text(page(arguments.seed, families, outcomes), encoding="utf-8")
+    print(f"{len(outcomes)} flights with seed {arguments.seed}\n\n{table_text(families)}\n\n{MEANING}\n")
+    for line in worst:
+        print(line)
+    print(f"results in {folder}")
+    bad = any(outcome.violation or outcome.exception for outcome in outcomes)
+    return EXIT_FAILED if bad else EXIT_DONE

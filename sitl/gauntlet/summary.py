@@ -1,0 +1,164 @@
+"""Statistics of the flights of each family, as data and as a table."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from msgspec import Struct
+
+from sitl.gauntlet.flight import Outcome
+
+IN_TIME = 2.0  # times the undisturbed time
+GRACE_S = 1.0  # more than that, for slots that are near
+
+
+class FamilySummary(Struct, frozen=True, kw_only=True):
+    """Statistics of one family. Ratios are true distances in units of `separation_m`; None without a pair that counts.
+
+    `expected` vehicles were to be in their slots at the end: `refused` of them refused a command, `left` were not in formation,
+    `reached` were within reach of their slots. `timed` of those that reached them have an undisturbed time, and `in_time` took
+    at most twice that.
+    """
+
+    family: str
+    flights: int
+    runaways: int
+    violations: int
+    worst: float | None
+    percent_1: float | None
+    percent_10: float | None
+    median: float | None
+    automatic: float | None
+    expected: int
+    refused: int
+    left: int
+    reached: int
+    timed: int
+    in_time: int
+    not_flown: int
+    exceptions: int
+
+
+def summarize(outcomes: Sequence[Outcome]) -> list[FamilySummary]:
+    """One summary per family in the order of the first flight, and one of all flights."""
+    families: dict[str, list[Outcome]] = {}
+    for outcome in outcomes:
+        families.setdefault(outcome.family, []).append(outcome)
+    return [*(_summary(name, own) for name, own in families.items()), _summary("all", outcomes)]
+
+
+def _summary(family: str, outcomes: Sequence[Outcome]) -> FamilySummary:
+    ratios = [o.ratio for o in outcomes if o.ratio is not None]
+    automatic = [
+        o.distances.automatic.distance_m / o.separation_m for o in outcomes if o.distances and o.distances.automatic
+    ]
+    vehicles = [fate for outcome in outcomes for fate in fates(outcome)]
+    return FamilySummary(
+        family=family,
+        flights=len(outcomes),
+        runaways=sum(o.runaway is not None for o in outcomes),
+        violations=sum(o.violation for o in outcomes),
+        worst=round(min(ratios), 3) if ratios else None,
+        percent_1=_percentile(ratios, 1.0),
+        percent_10=_percentile(ratios, 10.0),
+        median=_percentile(ratios, 50.0),
+        automatic=round(min(automatic), 3) if automatic else None,
+        expected=len(vehicles),
+        refused=vehicles.count("refused"),
+        left=vehicles.count("left"),
+        reached=sum(fate in ("reached", "in time", "late") for fate in vehicles),
+        timed=vehicles.count("in time") + vehicles.count("late"),
+        in_time=vehicles.count("in time"),
+        not_flown=sum(o.vehicles == 0 for o in outcomes),
+        exceptions=sum(bool(o.exception) for o in outcomes),
+    )
+
+
+def fates(outcome: Outcome) -> list[str]:
+    """What became of each vehicle that was to reach its slot.
+
+    "refused", "left", "not reached"; "reached" without an undisturbed time, otherwise "in time" or "late".
+    """
+    if outcome.arrivals is None:
+        return []
+    refused = {refusal.vehicle for refusal in outcome.refusals}
+    found = ["refused" if i in refused else "left" for i in outcome.arrivals.not_in_formation]
+    for vehicle_id, reached_s in outcome.arrivals.reached_s.items():
+        undisturbed_s = outcome.undisturbed_s.get(vehicle_id)
+        if vehicle_id in refused:
+            found.append("refused")
+        elif reached_s is None:
+            found.append("not reached")
+        elif undisturbed_s is None:
+            found.append("reached")
+        else:
+            found.append("in time" if reached_s <= IN_TIME * undisturbed_s + GRACE_S else "late")
+    return found
+
+
+def _percentile(values: Sequence[float], percent: float) -> float | None:
+    return round(float(np.percentile(values, percent)), 3) if values else None
+
+
+HEAD = (  # of each column: two lines and the width, negative for left alignment
+    ("family", "", -20),
+    ("", "flights", 8),
+    ("with", "runaway", 9),
+    ("viola-", "tions", 7),
+    ("worst", "ratio", 7),
+    ("", "1 %", 7),
+    ("", "10 %", 7),
+    ("", "median", 8),
+    ("auto-", "matic", 7),
+    ("vehicles", "to slots", 10),
+    ("", "refused", 9),
+    ("", "left", 6),
+    ("", "reached", 9),
+    ("in", "time", 8),
+    ("excep-", "tions", 8),
+)
+
+
+def table_text(summaries: Sequence[FamilySummary]) -> str:
+    rows = [tuple(head[0] for head in HEAD), tuple(head[1] for head in HEAD), *(cells(s) for s in summaries)]
+    return "\n".join(_row(row) for row in rows)
+
+
+def _row(cells: Sequence[str]) -> str:
+    return "".join(
+        f"{cell:<{-width}}" if width < 0 else f"{cell:>{width}}"
+        for cell, (_, _, width) in zip(cells, HEAD, strict=True)
+    ).rstrip()
+
+
+def cells(s: FamilySummary) -> tuple[str, ...]:
+    return (
+        s.family,
+        str(s.flights),
+        str(s.runaways),
+        str(s.violations),
+        _number(s.worst),
+        _number(s.percent_1),
+        _number(s.percent_10),
+        _number(s.median),
+        _number(s.automatic),
+        str(s.expected),
+        str(s.refused),
+        str(s.left),
+        str(s.reached),
+        f"{100.0 * s.in_time / s.timed:.1f} %" if s.timed else "-",
+        str(s.exceptions),
+    )
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f}"
+
+
+MEANING = f"""\
+ratio: smallest true distance of a flight in units of separation_m, of pairs where an agent commands at least one vehicle: the
+worst flight and percentiles; automatic: the worst of the other pairs, which both fly by autopilots or pilots; violations:
+flights with a ratio below 1 (sensors ideal), 0.8 (default) or 0.6 (px4_sih); vehicles to slots: that were to be in their slots
+at the end; refused: a command was refused; left: no longer in formation; in time: share of those with an undisturbed flight
+to compare with that took at most {IN_TIME:g} times as long as there, plus {GRACE_S:g} s"""

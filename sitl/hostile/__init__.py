@@ -1,0 +1,1 @@
+"""Hostile input: decoders and whole agents under seeded streams of damaged, wrong and forged messages."""

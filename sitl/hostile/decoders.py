@@ -1,0 +1,158 @@
+"""Every decoder under damaged bytes and damaged values: it returns a message within bounds, or refuses with its own error."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from random import Random
+from time import thread_time
+from typing import Any, NamedTuple
+
+import msgspec
+from msgspec import Struct
+
+from companion.mavlink.codec import mavlink
+from companion.mavlink.translator import Translator
+from companion.types.autopilot import AutopilotKind, LandedState, PositionError
+from companion.types.commands import Command, CommandName, CommandReply, Lead, ReferenceChange
+from companion.types.flight import FlightPhase, HealthFlag, Role
+from companion.types.formation import FlownSlot, FormationChange, HeldReference, LeaderBeacon
+from companion.types.notices import Code, Notice
+from companion.types.peers import PeerPacket, TargetSample
+from companion.types.status import Status
+from companion.wire.ground import StatusReport, decode_command, decode_reply, decode_report, encode
+from companion.wire.peer import decode_peer, encode_peer
+from companion.wire.target import decode_target, encode_target
+from companion.wire.version import WireError
+from sitl.flight.lockstep import NOT_TIMED
+from sitl.hostile.mutation import damaged, mutated
+from sitl.hostile.stream import DESCRIBED
+from sitl.workers import report_progress
+
+SLOTS = ((1, (0.0, 0.0, 0.0)), (2, (-2.0, 0.0, 0.0)), (3, (-4.0, 0.0, 0.0)))
+CHANGE = FormationChange(1, SLOTS, 12.0, 8.0, (3,))
+PACKET = PeerPacket(
+    1, 7, 100, 42, FlightPhase.FORMATION, Role.LEADER, (1.0, 2.0, 3.0), (0.1, 0.2, 0.3), (0.0, 0.1, 0.0), 0.02, 100.0, 1,
+    LeaderBeacon(1, 2, 100_000, 12.5), FlownSlot((0.0, 0.0, 0.0), formation=1, waiting=2), PositionError(0.3, 0.4),
+    HeldReference(1, 2, 3.0), CHANGE,
+)  # fmt: skip
+STATUS = Status(
+    3, 1, "platoon", 5, "weighted", FlightPhase.HOLD, "AUTO.LOITER", True, LandedState.IN_AIR, (1.0, 2.0, 3.0),
+    (0.0, 0.0, 0.0), 0.02, 0.49, (1.0, -2.0, 0.0), Role.FOLLOWER, 7, 2, LeaderBeacon(1, 2, 3), 0.1, (2, 4),
+    FlownSlot((-3.0, 0.0, 0.0)), (0.0, 1.0, 2.0), (HealthFlag.OUTSIDE_FENCE,), {"PEER_LATE 2": 3},
+    Notice(Code.PHASE_CHANGED, "takeoff -> hold"),
+)  # fmt: skip
+COMMANDS = (
+    Command(CommandName.HOLD, 9, "anna@ground", 7),
+    Command(CommandName.LEAD, 9, "anna@ground", 7, Lead((2,), 8)),
+    Command(CommandName.FORMATION, 9, "anna@ground", 7, CHANGE),
+    *(Command(CommandName.REFERENCE, 9, "anna@ground", 7, ReferenceChange(3, dict(d), 21.5)) for d in DESCRIBED),
+)
+ROUNDS_KEPT = 64  # bytes of damaged values are damaged again so often before new values are made
+
+
+class Decoder(NamedTuple):
+    """A decoder with its own error, and true inputs: values with their encoder, and bytes."""
+
+    decode: Callable[[bytes], Any]
+    refuses: tuple[type[Exception], ...]
+    values: Sequence[Struct] = ()
+    encode: Callable[[Any], bytes] | None = None
+    messages: Sequence[bytes] = ()
+
+
+class Fuzzed(Struct):
+    """Result for one decoder. `failures` are inputs that raised another exception, or passed with a number out of bounds."""
+
+    name: str
+    inputs: int
+    passed: int
+    cpu_s: float
+    failures: list[str]
+
+
+def decoders() -> dict[str, Decoder]:
+    """All decoders of received bytes, by name. Those with a state are created for each call."""
+    px4, copter = Translator(1, AutopilotKind.PX4), Translator(1, AutopilotKind.ARDUPILOT)
+    packets = mavlink_packets()
+    return {
+        "peer packet": Decoder(decode_peer, (WireError,), (PACKET,), encode_peer),
+        "command": Decoder(decode_command, (WireError,), COMMANDS, encode),
+        "target sample": Decoder(
+            decode_target, (WireError,), (TargetSample(1, 2, 3.0, (1.0, 0.0, 0.0), (4.0, 5.0, 6.0)),), encode_target
+        ),
+        "status report": Decoder(decode_report, (WireError,), (StatusReport(STATUS, NOT_TIMED),), encode),
+        "command reply": Decoder(
+            decode_reply, (WireError,), (CommandReply(3, 9, True, Code.PHASE_CHANGED, "engage", "anna@ground"),), encode
+        ),
+        "MAVLink, PX4": Decoder(lambda data: px4.telemetry(data, 100.0), (), messages=packets),
+        "MAVLink, ArduCopter": Decoder(lambda data: copter.telemetry(data, 100.0), (), messages=packets),
+    }
+
+
+def fuzz(name: str, inputs: int, seed: int) -> Fuzzed:
+    """Give a decoder this many seeded inputs: damaged values, damaged bytes, and both."""
+    decoder, rng = decoders()[name], Random(f"{name} {seed}")
+    passed, failures, begin_s = 0, list[str](), thread_time()
+    source = b""
+    for index in range(inputs):
+        if index % ROUNDS_KEPT == 0:
+            data = source = _source(decoder, rng)
+            report_progress(index / inputs)
+        else:
+            data = damaged(rng, source)
+        try:
+            message = decoder.decode(data)
+        except decoder.refuses:
+            continue
+        except Exception as error:  # noqa: BLE001 -- every exception is a finding
+            failures.append(f"{type(error).__name__}: {str(error)[:80]}: {data[:200].hex()}")
+            continue
+        passed += 1
+        if index % 16 == 0 and not _is_bounded(message):
+            failures.append(f"a number that is not finite: {data[:200].hex()}")
+    return Fuzzed(name, inputs, passed, thread_time() - begin_s, failures[:20])
+
+
+def _source(decoder: Decoder, rng: Random) -> bytes:
+    if not decoder.encode:
+        return rng.choice(decoder.messages)
+    for _ in range(20):
+        try:
+            return decoder.encode(mutated(rng, rng.choice(decoder.values), rng.choice((0, 1, 1, 2, 3))))
+        except (OverflowError, UnicodeEncodeError):  # no sender can encode such a value
+            continue
+    return decoder.encode(decoder.values[0])
+
+
+def _is_bounded(message: Any) -> bool:
+    """Whether the receivers of a decoded message need no check of its numbers; peer packets and targets have theirs."""
+    if isinstance(message, PeerPacket | TargetSample | list | tuple):
+        return True
+    return b"NaN" not in msgspec.json.encode(message) if isinstance(message, Struct) else True
+
+
+def mavlink_packets() -> list[bytes]:
+    """One packet of each message that a translator reads, with edges of its numbers."""
+    link, rng = mavlink.MAVLink(None, srcSystem=1, srcComponent=1), Random(2)
+    packets = []
+    for number, kind in sorted(mavlink.mavlink_map.items()):
+        for edge in (0, 1, float("nan"), float("inf"), -1e30, 255):
+            try:
+                packets.append(_packed(link, kind, edge, rng))
+            except Exception:  # noqa: BLE001 -- this message has no such value
+                continue
+        assert number == kind.id
+    return packets
+
+
+def _packed(link: Any, kind: Any, edge: float, rng: Random) -> bytes:
+    values: list[Any] = []
+    for type_name, length in zip(kind.fieldtypes, kind.array_lengths, strict=True):
+        if type_name == "char":
+            values.append(rng.randbytes(max(1, length)))
+            continue
+        value = float(edge) if type_name in ("float", "double") else int(max(0.0, min(edge, 100.0)))
+        values.append([value] * length if length else value)
+    by_name = dict(zip(kind.fieldnames, [None] * len(kind.fieldnames), strict=True))
+    by_name.update(zip(kind.ordered_fieldnames, values, strict=True))
+    return bytes(kind(**by_name).pack(link))

@@ -1,0 +1,187 @@
+"""One episode: a fleet flies under a hostile stream; after it the true operator and the true peers must work again."""
+
+from __future__ import annotations
+
+import traceback
+from collections import Counter
+from collections.abc import Mapping
+from random import Random
+
+from msgspec import Struct
+
+from companion.types.commands import CommandName, Described, Lead, ReferenceChange
+from companion.types.flight import COOPERATING, FlightPhase
+from companion.types.formation import FormationChange
+from companion.types.notices import Code
+from sitl.hostile.fleet import HostileFleet, InvariantError
+from sitl.hostile.plant import TICK_S
+from sitl.hostile.stream import HostileStream
+
+STEPS = (CommandName.PREPARE, CommandName.ARM, CommandName.TAKEOFF, CommandName.FORM)
+HOSTILE_TICKS = 400
+SETTLE_S = 4.0  # from the end of the hostile stream to the checks
+LANDS_WITHIN_S = 40.0
+MAX_OBJECTS = 20_000
+# A displaced fleet may have no room for a change: these refusals are decisions, not locks.
+NO_ROOM = {
+    Code.SLOT_OUTSIDE_FENCE,
+    Code.SLOT_TOO_CLOSE,
+    Code.SLOT_TOO_FAST,
+    Code.CHANGE_IN_PROGRESS,
+    Code.REFERENCE_INVALID,
+    Code.REFERENCE_DIFFERS,
+    Code.REFERENCE_OFF_FLEET,
+}
+CAN_CHANGE = COOPERATING | {FlightPhase.OBSERVE, FlightPhase.READY, FlightPhase.ARMED}
+
+
+class Outcome(Struct):
+    """What one episode did. `failures` has one line for each exception, broken invariant and lock."""
+
+    seed: int
+    ticks: int
+    refused: Counter[str]
+    passed: Counter[str]
+    phases: Counter[str]
+    failures: list[str]
+    longest_tick_s: float
+    tick_seconds: float
+    most_objects: int
+
+
+def fly(seed: int) -> Outcome:
+    """Fly the episode of this seed. Every second one has hostile commands as well as hostile packets."""
+    rng = Random(seed)
+    fleet = HostileFleet(rng)
+    stream = HostileStream(rng, fleet, gives_commands=seed % 2 == 1)
+    failures: list[str] = []
+    phases: Counter[str] = Counter()
+    most_objects = 0
+    try:
+        _set_off(fleet, rng)
+        for _ in range(HOSTILE_TICKS):
+            fleet.tick(stream.next())
+            phases.update(agent.phase.value for agent in fleet.agents.values())
+        most_objects = max(_objects_in(agent) for agent in fleet.agents.values())
+        if most_objects > MAX_OBJECTS:
+            failures.append(f"state grows: {most_objects} objects")
+        failures += _locks(fleet)
+    except Exception as error:  # noqa: BLE001 -- every exception is a finding
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        place = (
+            "" if isinstance(error, InvariantError) else f" at {last.filename.partition('companion/')[2]}:{last.lineno}"
+        )
+        failures.append(f"{type(error).__name__}{place}: {str(error)[:160]}")
+    return Outcome(
+        seed,
+        fleet.ticks,
+        stream.refused,
+        stream.passed,
+        phases,
+        failures,
+        fleet.longest_tick_s,
+        fleet.tick_seconds,
+        most_objects,
+    )
+
+
+def _set_off(fleet: HostileFleet, rng: Random) -> None:
+    """Into formation, or only to one of the phases before it."""
+    for _ in range(10):
+        fleet.tick()
+    for name in STEPS[: rng.choice((0, 2, 3, 4, 4, 4, 4, 4))]:
+        replies = fleet.command(name)
+        refused = [reply for reply in replies.values() if not reply.accepted]
+        if refused:
+            raise InvariantError(f"{name} refused before any hostile message: {refused[0].code} {refused[0].reason}")
+        for _ in range(80 if name is CommandName.TAKEOFF else 30):
+            fleet.tick()
+
+
+def _locks(fleet: HostileFleet) -> list[str]:
+    """What does not work SETTLE_S after the end of the hostile stream."""
+    _wait(fleet, SETTLE_S)
+    found = [
+        f"lock: vehicle {i} does not use the packets of {sorted(fleet.agents.keys() - {i} - set(status.peers))}"
+        for i, status in fleet.statuses.items()
+        if set(status.peers) != fleet.packets.keys() - {i}
+    ]
+    found += _refused(fleet, CommandName.TAKE, fleet.command(CommandName.TAKE))
+    waited_s = 0.0
+    while waited_s < LANDS_WITHIN_S and any(agent.phase not in CAN_CHANGE for agent in fleet.agents.values()):
+        _wait(fleet, 0.5)
+        waited_s += 0.5
+    statuses = list(fleet.statuses.values())
+    lead = Lead((1,), max(status.epoch for status in statuses) + 1)
+    found += _refused(fleet, CommandName.LEAD, fleet.command(CommandName.LEAD, lead))
+    _wait(fleet, 1.0)
+    if all(agent.phase in COOPERATING for agent in fleet.agents.values()):
+        found += [
+            f"lock: vehicle {i} has no leader beacon"
+            for i, status in fleet.statuses.items()
+            if status.leader_beacon is None
+        ]
+    found += _refused(fleet, CommandName.FORMATION, fleet.command(CommandName.FORMATION, _formation(fleet)))
+    found += _refused(fleet, CommandName.REFERENCE, fleet.command(CommandName.REFERENCE, _reference(fleet)), (1, 2))
+    _wait(fleet, 2.0)
+    flying = [i for i, agent in fleet.agents.items() if agent.phase in COOPERATING]
+    hold = fleet.command(CommandName.HOLD)
+    found += _refused(fleet, CommandName.HOLD, {i: hold[i] for i in flying if i in hold})
+    return found
+
+
+def _refused(
+    fleet: HostileFleet, name: CommandName, replies: Mapping[int, object], ids: tuple[int, ...] = (1, 2, 3)
+) -> list[str]:
+    found = []
+    for i, reply in fleet.replies.items():
+        if i in ids and i in replies and not reply.accepted and reply.code not in NO_ROOM:
+            found.append(
+                f"lock: {name} refused by vehicle in {fleet.agents[i].phase}: {reply.code} {reply.reason}"[:200]
+            )
+    return found
+
+
+def _formation(fleet: HostileFleet) -> FormationChange:
+    statuses = fleet.statuses.values()
+    number = max(status.slot.waiting for status in statuses) + 1
+    slots = tuple((m.id, (m.slot_enu_m[0] * 1.1, 0.0, 0.0)) for m in fleet.config.vehicles)
+    return FormationChange(number, slots, max(status.reference_s for status in statuses) + 1.0, 60.0)
+
+
+def _reference(fleet: HostileFleet) -> ReferenceChange:
+    statuses = fleet.statuses.values()
+    number = max((status.reference.waiting for status in statuses if status.reference), default=0) + 1
+    described: Described = {"kind": "point", "point_enu_m": [0.0, 0.0, 5.0]}
+    return ReferenceChange(number, described, max(status.reference_s for status in statuses) + 1.0)
+
+
+def _wait(fleet: HostileFleet, seconds: float) -> None:
+    for _ in range(round(seconds / TICK_S)):
+        fleet.tick()
+
+
+def _objects_in(root: object) -> int:
+    """Number of containers and instances reachable from an agent, elements of containers included."""
+    seen: set[int] = set()
+    count, stack = 0, [root]
+    while stack:
+        item = stack.pop()
+        if id(item) in seen or isinstance(item, str | bytes | int | float | type | None):
+            continue
+        seen.add(id(item))
+        if isinstance(item, Mapping):
+            count += len(item)
+            stack += [*item.keys(), *item.values()]
+        elif isinstance(item, list | tuple | set | frozenset):
+            count += len(item)
+            stack += item
+        else:
+            names = [
+                *getattr(item, "__dict__", {}),
+                *getattr(type(item), "__slots__", ()),
+                *getattr(item, "__struct_fields__", ()),
+            ]
+            count += len(names)
+            stack += [getattr(item, name, None) for name in names]
+    return count

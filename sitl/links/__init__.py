@@ -1,0 +1,1 @@
+"""What carries messages: sockets, MAVLink link ends, schedules, the simulated network."""

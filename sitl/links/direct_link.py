@@ -1,0 +1,181 @@
+"""The MAVLink link between a stand-in and its agent in virtual time, without sockets, with a delay in both directions.
+
+Messages at 50 Hz are passed as the typed values that the translator makes of their bytes; requests and their answers are
+encoded and decoded as real MAVLink.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections import deque
+from collections.abc import Callable, Iterator
+from math import inf
+
+from companion.geometry.frames import quaternion_from_euler
+from companion.mavlink import telemetry
+from companion.mavlink.codec import mavlink
+from companion.mavlink.dialect import DIALECTS
+from companion.mavlink.translator import Translator
+from companion.types.autopilot import AutopilotKind, LandedState
+from companion.types.requests import AttitudeTarget, AutopilotRequest
+from companion.types.telemetry import (
+    AttitudeSample,
+    EstimatorSample,
+    HeartbeatSample,
+    LandedSample,
+    ModeSample,
+    PositionSample,
+    SystemSample,
+    Telemetry,
+    ThrustSample,
+)
+from sitl.autopilots.autopilot import Autopilot
+from sitl.autopilots.messages import global_position, gps_raw
+from sitl.links.link_end import LinkEnd
+from sitl.vehicle.attitude_control import Setpoint
+from sitl.vehicle.config import Links
+
+M = mavlink
+_TWO_FLOATS = struct.Struct("<2f")
+_FLOAT = struct.Struct("<f")
+_FLOATS = struct.Struct("<6f")  # MAVLink's floats have 32 bits: a resolution of micrometres at 10 m
+
+
+def rates_hz(kind: AutopilotKind) -> dict[int, float]:
+    """Rates of the messages that the agent requests."""
+    asked = {message_id: 1e6 / us for message_id, us in DIALECTS[kind].STREAMS_US.items() if us > 0}
+    return {M.MAVLINK_MSG_ID_HEARTBEAT: 1.0} | asked
+
+
+def _heartbeat(autopilot: Autopilot, received_s: float) -> tuple[Telemetry, ...]:
+    return (HeartbeatSample(received_s, autopilot.armed, autopilot.kind), *_mode(autopilot, received_s))
+
+
+def _mode(autopilot: Autopilot, received_s: float) -> tuple[Telemetry, ...]:
+    return (ModeSample(received_s, *DIALECTS[autopilot.kind].mode_of(autopilot.flight_mode.custom_mode)),)
+
+
+def _position(autopilot: Autopilot, received_s: float) -> tuple[Telemetry, ...]:
+    if not autopilot.has_position:
+        return ()
+    x, y, z, vx, vy, vz = _FLOATS.unpack(
+        _FLOATS.pack(*autopilot.quad.estimated_position_local_enu_m(), *autopilot.quad.estimated_velocity_enu_m_s())
+    )
+    return (PositionSample(received_s, autopilot.boot_ms / 1000.0, (x, y, z), (vx, vy, vz)),)
+
+
+def _attitude(autopilot: Autopilot, received_s: float) -> tuple[Telemetry, ...]:
+    """Without the 32-bit quaternion, which changes it by less than a microradian."""
+    return (AttitudeSample(received_s, *autopilot.quad.estimated_euler_rad()),)
+
+
+def _thrust(autopilot: Autopilot, received_s: float) -> tuple[Telemetry, ...]:
+    (thrust_norm,) = _FLOAT.unpack(_FLOAT.pack(autopilot.setpoint.thrust_norm))
+    return (ThrustSample(received_s, thrust_norm),)
+
+
+def _landed(autopilot: Autopilot, received_s: float) -> tuple[Telemetry, ...]:
+    return (LandedSample(received_s, LandedState(autopilot.landed_state)),)
+
+
+def _system(autopilot: Autopilot, received_s: float) -> tuple[Telemetry, ...]:
+    return (SystemSample(received_s, float(autopilot.battery_percent), autopilot.armable),)
+
+
+def _global_position(autopilot: Autopilot, received_s: float) -> tuple[Telemetry, ...]:
+    return (telemetry.global_position(global_position(autopilot), received_s),)
+
+
+def _gps_error(autopilot: Autopilot, received_s: float) -> tuple[Telemetry, ...]:
+    return (telemetry.gps_error(gps_raw(autopilot), received_s),)
+
+
+def _error(autopilot: Autopilot, received_s: float) -> tuple[Telemetry, ...]:
+    horizontal_m, vertical_m = _TWO_FLOATS.unpack(_TWO_FLOATS.pack(*autopilot.quad.reported_error_m))
+    return (EstimatorSample(received_s, horizontal_m, vertical_m),)
+
+
+SAMPLES: dict[int, Callable[[Autopilot, float], tuple[Telemetry, ...]]] = {
+    M.MAVLINK_MSG_ID_HEARTBEAT: _heartbeat,
+    M.MAVLINK_MSG_ID_CURRENT_MODE: _mode,
+    M.MAVLINK_MSG_ID_LOCAL_POSITION_NED: _position,
+    M.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: _attitude,
+    M.MAVLINK_MSG_ID_ATTITUDE_TARGET: _thrust,
+    M.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: _landed,
+    M.MAVLINK_MSG_ID_SYS_STATUS: _system,
+    M.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: _global_position,
+    M.MAVLINK_MSG_ID_ESTIMATOR_STATUS: _error,
+    M.MAVLINK_MSG_ID_GPS_RAW_INT: _gps_error,
+}
+
+
+def setpoint_of(kind: AutopilotKind, target: AttitudeTarget) -> Setpoint:
+    """The stand-in's setpoint for this SET_ATTITUDE_TARGET, without rounding to 32 bits."""
+    thrust = DIALECTS[kind].thrust_of(target)
+    return Setpoint(quaternion_from_euler(target.roll_rad, target.pitch_rad, target.yaw_rad), thrust)
+
+
+class DirectLink:
+    """One link. Times are of the world's clock. Telemetry begins at `phase_s`."""
+
+    def __init__(self, autopilot: Autopilot, end: LinkEnd, links: Links, phase_s: float) -> None:
+        self.autopilot = autopilot
+        self._telemetry_delay_s = links.telemetry_delay_s
+        self._setpoint_delay_s = links.setpoint_delay_s
+        self._end = end
+        end.schedule.reset(rates_hz(autopilot.kind), phase_s)
+        self._translator = Translator(autopilot.system_id, autopilot.kind)
+        self._to_agent: deque[Telemetry] = deque()  # in the order of `received_s`
+        self._positions_s: deque[float] = deque()  # when those among them arrive
+        self.setpoint_s = -inf  # when the agent sent its last attitude target
+        self._to_autopilot: deque[tuple[float, Setpoint | bytes]] = deque()
+
+    # ------------------------------------------------------------ the autopilot's end
+
+    def deliver(self, now_s: float) -> None:
+        """Deliver to the autopilot what has arrived by now."""
+        while self._to_autopilot and self._to_autopilot[0][0] <= now_s:
+            _, what = self._to_autopilot.popleft()
+            if isinstance(what, Setpoint):
+                self.autopilot.take_setpoint(what)
+            else:
+                self._send(self._end.receive(what), now_s)
+
+    def send_telemetry(self, now_s: float) -> None:
+        """Send the texts and the telemetry that are due."""
+        if self.autopilot.texts:
+            self._send(self._end.texts(), now_s)
+        if self.autopilot.origin_changes:  # the agent requests the first one itself
+            self._send(self._end.changes(), now_s)
+        received_s = now_s + self._telemetry_delay_s
+        for message_id in self._end.schedule.due(now_s):
+            samples = SAMPLES[message_id](self.autopilot, received_s)
+            self._to_agent.extend(samples)
+            if samples and message_id == M.MAVLINK_MSG_ID_LOCAL_POSITION_NED:
+                self._positions_s.append(received_s)
+
+    def _send(self, packets: Iterator[bytes], now_s: float) -> None:
+        for packet in packets:
+            self._to_agent.extend(self._translator.telemetry(packet, now_s + self._telemetry_delay_s))
+
+    # ------------------------------------------------------------ the agent's end
+
+    def tick_s(self, before_s: float) -> float | None:
+        """Arrival time of the next position, which triggers a tick; None if none arrives before `before_s`."""
+        if not self._positions_s or self._positions_s[0] >= before_s:
+            return None
+        return self._positions_s.popleft()
+
+    def drain(self, now_s: float) -> tuple[Telemetry, ...]:
+        """All telemetry that has arrived since the last call."""
+        arrived = []
+        while self._to_agent and self._to_agent[0].received_s <= now_s:
+            arrived.append(self._to_agent.popleft())
+        return tuple(arrived)
+
+    def command(self, target: AttitudeTarget, now_s: float) -> None:
+        self.setpoint_s = now_s
+        self._to_autopilot.append((now_s + self._setpoint_delay_s, setpoint_of(self.autopilot.kind, target)))
+
+    def request(self, request: AutopilotRequest, now_s: float) -> None:
+        self._to_autopilot.append((now_s + self._setpoint_delay_s, self._translator.request(request)))

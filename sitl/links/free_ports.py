@@ -1,0 +1,127 @@
+"""Ports of a fleet: checked before anything starts, and reserved against another fleet that starts at the same moment."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import socket
+import tempfile
+from collections.abc import Collection, Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import BinaryIO
+
+from companion.types.autopilot import AutopilotKind
+from sitl.autopilots.behaviour import BEHAVIOURS
+from sitl.errors import UnusableError
+from sitl.links.ports import GROUND_STATION_PORT, LOOPBACK, ports_of
+
+WantedPort = tuple[socket.SocketKind, int, str]  # kind, number, purpose
+OFFSETS = range(0, 10_000, 100)  # tried in this order when no offset is given
+TCP_LOCKS_BEGIN = 65_536  # byte of the lock file: port for UDP, this and the port for TCP
+
+
+class PortInUseError(UnusableError):
+    """A port cannot be used. str() is one line: which port, its purpose, what to do."""
+
+
+@contextmanager
+def reserved_ports(vehicle_ids: Collection[int], kind: AutopilotKind | None, offset: int | None) -> Iterator[int]:
+    """Reserve the ports of these agents and their stand-ins until the block ends; yields the port offset.
+
+    Without `kind` only the agents' ports are reserved: the autopilots are external. Without `offset` the first of
+    OFFSETS is taken with which all ports are free. Raises PortInUseError.
+    """
+    with _lock_file().open("r+b") as file:  # closing it releases the locks, as the end of the process does
+        yield _first_free_offset(vehicle_ids, kind, OFFSETS if offset is None else (offset,), file)
+
+
+def _first_free_offset(
+    vehicle_ids: Collection[int], kind: AutopilotKind | None, offsets: Iterable[int], file: BinaryIO
+) -> int:
+    first_error: PortInUseError | None = None
+    for offset in offsets:
+        try:
+            ports = _ports_of_fleet(vehicle_ids, kind, offset)
+            _check(ports, offset)
+            _lock(ports, offset, file)
+        except PortInUseError as error:
+            first_error = first_error or error
+        else:
+            return offset
+    assert first_error is not None  # there is at least one offset
+    raise first_error
+
+
+def check_ports(vehicle_ids: Iterable[int], kind: AutopilotKind, port_offset: int) -> None:
+    """Try to bind every port of these vehicles, stand-ins and agents. Raises PortInUseError."""
+    _check(_ports_of_fleet(vehicle_ids, kind, port_offset), port_offset)
+
+
+def check_agents_ports(vehicle_ids: Iterable[int], port_offset: int) -> None:
+    """Try to bind the agents' ports; those of external autopilots are not chosen here. Raises PortInUseError."""
+    _check(_ports_of_fleet(vehicle_ids, None, port_offset), port_offset)
+
+
+def _ports_of_fleet(vehicle_ids: Iterable[int], kind: AutopilotKind | None, port_offset: int) -> list[WantedPort]:
+    return [port for i in vehicle_ids for port in _ports_of_vehicle(i, kind, port_offset)]
+
+
+def _ports_of_vehicle(vehicle_id: int, kind: AutopilotKind | None, port_offset: int) -> Iterator[WantedPort]:
+    ports = ports_of(vehicle_id, port_offset)
+    if kind is not None:
+        if BEHAVIOURS[kind].tcp_link:
+            yield socket.SOCK_STREAM, ports.tcp, f"autopilot {vehicle_id}"
+        yield socket.SOCK_DGRAM, ports.onboard, f"autopilot {vehicle_id} towards its agent"
+        yield socket.SOCK_DGRAM, ports.companion, f"agent {vehicle_id} towards its autopilot"
+        yield socket.SOCK_DGRAM, ports.ground_link, f"autopilot {vehicle_id} towards a ground station"
+    for protocol in (socket.SOCK_STREAM, socket.SOCK_DGRAM):
+        yield protocol, ports.zenoh, f"Zenoh of agent {vehicle_id}"
+
+
+def _check(ports: Iterable[WantedPort], port_offset: int) -> None:
+    wanted = {(socket.SOCK_DGRAM, GROUND_STATION_PORT): "a ground station"}
+    for kind, port, purpose in ports:
+        if other := wanted.get((kind, port)):
+            raise PortInUseError(
+                f"port {port} is wanted by {purpose} and by {other}; take other ports with --port-offset"
+                f" {port_offset + 100}, or ids that lie less than 40 apart"
+            )
+        wanted[kind, port] = purpose
+        _try(kind, port, purpose, port_offset)
+
+
+def _try(kind: socket.SocketKind, port: int, purpose: str, port_offset: int) -> None:
+    with socket.socket(socket.AF_INET, kind) as probe:
+        if kind is socket.SOCK_STREAM:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # closed connections of the last flight linger
+        try:
+            probe.bind((LOOPBACK, port))
+        except OSError as error:
+            raise _in_use(kind, port, purpose, port_offset, str(error.strerror)) from error
+
+
+def _lock(ports: Iterable[WantedPort], port_offset: int, file: BinaryIO) -> None:
+    """One byte of the lock file per port: a fleet that has reserved its ports may not have bound them yet."""
+    for kind, port, purpose in ports:
+        byte = port + (TCP_LOCKS_BEGIN if kind is socket.SOCK_STREAM else 0)
+        try:
+            fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, byte)
+        except OSError as error:
+            fcntl.lockf(file, fcntl.LOCK_UN)
+            raise _in_use(kind, port, purpose, port_offset, "reserved by another fleet") from error
+
+
+def _lock_file() -> Path:
+    """Shared by all fleets of this user on this machine."""
+    path = Path(tempfile.gettempdir()) / f"sitl-ports-{os.getuid()}.lock"
+    path.touch(mode=0o600)
+    return path
+
+
+def _in_use(kind: socket.SocketKind, port: int, purpose: str, port_offset: int, why: str) -> PortInUseError:
+    protocol = "UDP" if kind is socket.SOCK_DGRAM else "TCP"
+    return PortInUseError(
+        f"{protocol} port {port}, wanted by {purpose}, cannot be used ({why}); another fleet may be"
+        f" flying: wait for it, or take other ports with --port-offset {port_offset + 100}"
+    )

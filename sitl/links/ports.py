@@ -1,0 +1,39 @@
+"""Ports derived from vehicle ids, as the simulations of PX4 and ArduPilot derive them: instance i is id - 1.
+
+`offset` is added to all of them, so that several fleets can fly on one machine.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+LOOPBACK = "127.0.0.1"
+GROUND_STATION_PORT = 14550  # where QGroundControl listens
+MAX_PORT_OFFSET = 40_000  # the ports of vehicle 250 are still valid
+
+
+@dataclass(frozen=True, slots=True)
+class Ports:
+    """UDP and TCP ports of one vehicle."""
+
+    onboard: int  # UDP, autopilot, link to the companion computer
+    companion: int  # UDP, companion computer: the autopilot sends to it from the start
+    ground_link: int  # UDP, autopilot, link to a ground station
+    tcp: int  # TCP, autopilot, ArduPilot only
+    zenoh: int  # TCP and UDP, agent
+
+
+def ports_of(vehicle_id: int, offset: int = 0) -> Ports:
+    instance = vehicle_id - 1 + offset
+    return Ports(
+        onboard=14580 + instance,
+        companion=14540 + instance,
+        ground_link=18570 + instance,
+        tcp=5760 + 10 * (vehicle_id - 1) + offset,
+        zenoh=7447 + vehicle_id + offset,
+    )
+
+
+def zenoh_endpoint(vehicle_id: int, offset: int) -> str:
+    """Zenoh endpoint on which the vehicle's agent listens."""
+    return f"tcp/{LOOPBACK}:{ports_of(vehicle_id, offset).zenoh}"

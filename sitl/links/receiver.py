@@ -1,0 +1,181 @@
+"""Incoming MAVLink messages of a stand-in that all makes handle alike: changes of the autopilot, and answers.
+
+The receiver of each make adds its own messages and commands, one entry each.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from math import isfinite
+
+from companion.mavlink.codec import MavlinkMessage, mavlink
+from sitl.autopilots.autopilot import Autopilot
+from sitl.autopilots.logs.transfer import LogTransfer
+from sitl.links.schedule import Schedule
+
+M = mavlink
+ACCEPTED, LATER, DENIED = M.MAV_RESULT_ACCEPTED, M.MAV_RESULT_TEMPORARILY_REJECTED, M.MAV_RESULT_DENIED
+UNSUPPORTED, FAILED = M.MAV_RESULT_UNSUPPORTED, M.MAV_RESULT_FAILED
+FORCE = 21196.0  # param 2 of COMPONENT_ARM_DISARM
+CHUNK = 50  # characters of a STATUSTEXT
+NO_COORDINATE = 2**31 - 1  # COMMAND_INT's NaN
+# Older commands for REQUEST_MESSAGE.
+REQUESTS_OF_ONE_MESSAGE = {
+    M.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: M.MAVLINK_MSG_ID_AUTOPILOT_VERSION,
+    M.MAV_CMD_REQUEST_PROTOCOL_VERSION: 300,  # PROTOCOL_VERSION, no longer in the dialect: denied
+    M.MAV_CMD_GET_HOME_POSITION: M.MAVLINK_MSG_ID_HOME_POSITION,
+}
+
+Answers = Iterator[MavlinkMessage]
+
+
+class Receiver(ABC):
+    """Incoming messages of one link. `receive` yields the answers on the same link."""
+
+    logs: LogTransfer
+
+    def __init__(self, autopilot: Autopilot, schedule: Schedule) -> None:
+        self._autopilot = autopilot
+        self._schedule = schedule
+        self._text_id = 0
+        self.ground_station_s: float | None = None  # when its HEARTBEAT last came on this link
+        self._messages: dict[str, Callable[[MavlinkMessage], Answers]] = {
+            "HEARTBEAT": self._heartbeat,
+            "COMMAND_LONG": self._command_long,
+            "PARAM_REQUEST_LIST": self._param_list,
+            "PARAM_REQUEST_READ": self._param_read,
+            "PARAM_SET": self._param_set,
+            "MISSION_REQUEST_LIST": self._mission_list,
+            "MISSION_COUNT": self._mission_count,
+            "MISSION_REQUEST": self._no_such_item,
+            "MISSION_REQUEST_INT": self._no_such_item,
+            "MISSION_CLEAR_ALL": self._mission_cleared,
+            "TIMESYNC": self._timesync,
+            "PING": self._ping,
+            "FILE_TRANSFER_PROTOCOL": self._file_transfer,
+        }
+        self._commands: dict[int, Callable[[list[float]], Iterator[int]]] = {}  # results in their order
+
+    def receive(self, message: MavlinkMessage) -> Answers:
+        """Answers to one message. Messages for other targets are ignored silently."""
+        handler = self._messages.get(message.get_type())
+        if handler is not None and self._is_for_it(message):
+            yield from handler(message)
+
+    def texts(self, texts: list[tuple[int, str]]) -> Answers:
+        """STATUSTEXT in chunks of 50 characters."""
+        for severity, text in texts:
+            self._text_id = self._text_id % 65535 + 1
+            whole = self._terminated(text)
+            chunks = [whole[i : i + CHUNK] for i in range(0, len(whole), CHUNK)]
+            number = self._text_id if len(chunks) > 1 else 0
+            for index, chunk in enumerate(chunks):
+                yield M.MAVLink_statustext_message(severity, chunk.encode(), number, index)
+
+    @abstractmethod
+    def _is_for_it(self, message: MavlinkMessage) -> bool:
+        """Whether this autopilot accepts the message's target."""
+
+    @abstractmethod
+    def _terminated(self, text: str) -> str:
+        """The text with its terminator on the wire."""
+
+    @abstractmethod
+    def _requested(self, message_id: int) -> tuple[MavlinkMessage | None, int]:
+        """REQUEST_MESSAGE: the message, and the MAV_RESULT."""
+
+    # ------------------------------------------------------------ messages
+
+    def _heartbeat(self, message: MavlinkMessage) -> Answers:
+        if self._is_of_ground_station(message):
+            self.ground_station_s = self._autopilot.ground_station_s = self._autopilot.time_s
+        yield from ()
+
+    @abstractmethod
+    def _is_of_ground_station(self, heartbeat: MavlinkMessage) -> bool: ...
+
+    def _command_long(self, message: MavlinkMessage) -> Answers:
+        yield from self._command(message, [getattr(message, f"param{i}") for i in range(1, 8)])
+
+    def _command(self, message: MavlinkMessage, parameters: list[float]) -> Answers:
+        command = message.command
+        number = int(parameters[0]) if isfinite(parameters[0]) and 0.0 <= parameters[0] <= 65535.0 else -1
+        if command == M.MAV_CMD_REQUEST_MESSAGE or command in REQUESTS_OF_ONE_MESSAGE:
+            reply, result = self._requested(REQUESTS_OF_ONE_MESSAGE.get(command, number))
+            if reply:
+                yield reply
+            yield self._ack(message, result)
+            return
+        if command == M.MAV_CMD_GET_MESSAGE_INTERVAL and number >= 0:
+            yield M.MAVLink_message_interval_message(number, self._schedule.interval_us(number))
+            yield self._ack(message, ACCEPTED)
+            return
+        handler = self._commands.get(command)
+        if handler is None:
+            yield self._ack(message, UNSUPPORTED)
+            return
+        for result in handler(parameters):
+            yield self._ack(message, result)
+
+    def _ack(self, message: MavlinkMessage, result: int) -> MavlinkMessage:
+        return M.MAVLink_command_ack_message(
+            message.command, result, 255, 0, message.get_srcSystem(), message.get_srcComponent()
+        )
+
+    def _param_list(self, _message: MavlinkMessage) -> Answers:
+        yield from self._autopilot.parameters.messages()
+
+    def _param_read(self, message: MavlinkMessage) -> Answers:
+        name = message.param_id
+        if message.param_index >= 0:
+            name = self._autopilot.parameters.name_at(message.param_index)
+        reply = self._autopilot.parameters.read(name) if name else None
+        if reply:
+            yield reply
+
+    def _param_set(self, message: MavlinkMessage) -> Answers:
+        name = message.param_id
+        self._autopilot.parameters.set_from_wire(name, message.param_value, message.param_type)
+        if name in self._autopilot.parameters.values:
+            yield self._autopilot.parameters.message(name)
+
+    def _mission_list(self, message: MavlinkMessage) -> Answers:
+        yield M.MAVLink_mission_count_message(
+            message.get_srcSystem(), message.get_srcComponent(), 0, message.mission_type
+        )
+
+    def _mission_count(self, message: MavlinkMessage) -> Answers:
+        """An upload: only an empty mission is accepted."""
+        yield self._mission_ack(message, M.MAV_MISSION_NO_SPACE if message.count else M.MAV_MISSION_ACCEPTED)
+
+    def _mission_cleared(self, message: MavlinkMessage) -> Answers:
+        yield self._mission_ack(message, M.MAV_MISSION_ACCEPTED)
+
+    def _no_such_item(self, message: MavlinkMessage) -> Answers:
+        yield self._mission_ack(message, M.MAV_MISSION_INVALID_SEQUENCE)
+
+    def _mission_ack(self, message: MavlinkMessage, result: int) -> MavlinkMessage:
+        return M.MAVLink_mission_ack_message(
+            message.get_srcSystem(), message.get_srcComponent(), result, message.mission_type
+        )
+
+    def _timesync(self, message: MavlinkMessage) -> Answers:
+        if message.tc1 == 0:
+            yield M.MAVLink_timesync_message(self._autopilot.boot_ms * 1_000_000, message.ts1)
+
+    def _ping(self, message: MavlinkMessage) -> Answers:
+        if message.target_system == 0:
+            yield M.MAVLink_ping_message(
+                message.time_usec, message.seq, message.get_srcSystem(), message.get_srcComponent()
+            )
+
+    def _file_transfer(self, message: MavlinkMessage) -> Answers:
+        """There are no files: NAK, so that a client continues without them."""
+        request = bytes(message.payload)
+        reply = bytearray(251)
+        sequence = int.from_bytes(request[:2], "little") + 1
+        reply[:2] = (sequence & 0xFFFF).to_bytes(2, "little")
+        reply[2] = request[2]  # the session, by which MAVProxy matches answers
+        reply[3], reply[4], reply[5], reply[12] = 129, 1, request[3], 10  # NAK, one byte: file not found
+        yield M.MAVLink_file_transfer_protocol_message(0, message.get_srcSystem(), message.get_srcComponent(), reply)

@@ -1,0 +1,139 @@
+"""Claims on the eigenvalues of G: section 2.2, Lemmas 1 and 2, Corollary 2."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from companion.core.consensus.law import weighted
+from companion.stability.interaction import interaction_matrix
+from sitl.paper.claim import Claim, Verdict
+from sitl.paper.theory.graphs import Led, connected_graphs, described, random_parts, united
+from sitl.paper.theory.survey import ROUNDING, SEED, Survey, lambda_min, spectrum_of
+
+UNIONS = 300  # random graphs in parts
+
+
+def rows_of_g(survey: Survey) -> Claim:
+    """Section 2.2: entries off the diagonal are not positive and row i adds up to w_i^l."""
+    row_error, off_diagonal = 0.0, -np.inf
+    for spectra in survey.all:
+        matrix = spectra.interaction
+        role = np.array([1.0 if i in spectra.pair.leaders else 0.0 for i in sorted(spectra.pair.graph)])
+        row_error = max(row_error, float(np.abs(matrix.sum(axis=1) - role).max()))
+        off_diagonal = max(off_diagonal, float((matrix - np.diag(np.diag(matrix))).max()))
+    return Claim(
+        id="section-2.2",
+        where="section 2.2",
+        claim="no entry of G off its diagonal is positive, and row i adds up to 1 for a leader and to 0 for a follower",
+        paper="properties of a Laplacian",
+        ideal=f"errors of the sums at most {row_error:.0e}, largest entry off the diagonal {off_diagonal:g}, on "
+        f"{survey.extent()}",
+        full="-",
+        verdict=Verdict.HOLDS if row_error < ROUNDING and off_diagonal <= 0.0 else Verdict.FAILS,
+        measured=survey.counts() | {"largest_row_sum_error": row_error, "largest_off_diagonal": off_diagonal},
+    )
+
+
+def lemma_1(survey: Survey) -> Claim:
+    """Positive eigenvalues where every connected part has a leader, on graphs of one part and of several parts."""
+    random = np.random.default_rng(SEED)
+    smallest = min(survey.all, key=lambda spectra: spectra.lambda_min)
+    in_parts = [_smallest_eigenvalue(united(random_parts(random))) for _ in range(UNIONS)]
+    least = min(smallest.lambda_min, *in_parts)
+    return Claim(
+        id="lemma-1",
+        where="Lemma 1",
+        claim="G has only positive eigenvalues if every connected part of the graph has a leader",
+        paper="all positive",
+        ideal=f"smallest {least:.4g}, on {survey.extent()}; and on {UNIONS} random graphs of 2 to 4 parts",
+        full="-",
+        verdict=Verdict.HOLDS if least > ROUNDING else Verdict.FAILS,
+        remark=f"the smallest on a connected graph is {smallest.lambda_min:.4g}, on {described(smallest.pair)}",
+        measured=survey.counts()
+        | {
+            "graphs_in_parts": float(UNIONS),
+            "smallest_eigenvalue": least,
+            "smallest_eigenvalue_in_parts": min(in_parts),
+        },
+    )
+
+
+def lemma_1_converse(survey: Survey) -> Claim:
+    """A part without a leader makes G singular: every small connected graph without leader, and unions with such a part."""
+    random = np.random.default_rng(SEED + 1)
+    alone = [graph for n in range(2, survey.most_vertices + 1) for graph in connected_graphs(n)]
+    nearest = [_nearest_to_zero(Led(graph, frozenset())) for graph in alone]
+    for _ in range(UNIONS):
+        first, *others = random_parts(random)
+        nearest.append(_nearest_to_zero(united([Led(first.graph, frozenset()), *others])))
+    largest = max(nearest)
+    singular = largest < ROUNDING
+    return Claim(
+        id="lemma-1-converse",
+        where="Lemma 1, section 4.2",
+        claim="a connected part without a leader makes G singular, so that the formation does not converge",
+        paper="a singular G belongs to a disconnected topology",
+        ideal=f"an eigenvalue within {largest:.0e} of zero on each of {len(nearest)} graphs: every connected one of 2 to "
+        f"{survey.most_vertices} vertices without a leader, and {UNIONS} of several parts, one of them without a leader",
+        full="-",
+        verdict=Verdict.HOLDS if singular else Verdict.FAILS,
+        remark="so the condition of Lemma 1 is necessary; by Lemma 1 a disconnected graph still converges if each part has a "
+        "leader"
+        if singular
+        else f"not singular on {sum(distance >= ROUNDING for distance in nearest)} of them",
+        measured={"graphs": float(len(nearest)), "largest_distance_from_zero": largest},
+    )
+
+
+def lemma_2(survey: Survey) -> Claim:
+    """Real eigenvalues: by a general solver, and by the similar symmetric matrix of the proof."""
+    imaginary = max(spectra.largest_imaginary for spectra in survey.all)
+    asymmetry = max(spectra.asymmetry for spectra in survey.all)
+    gap = max(float(np.abs(s.symmetric_eigenvalues - s.eigenvalues).max()) for s in survey.all)
+    unsymmetric = sum(1 for s in survey.all if np.abs(s.interaction - s.interaction.T).max() > ROUNDING)
+    return Claim(
+        id="lemma-2",
+        where="Lemma 2",
+        claim="the eigenvalues of G are real although G is not symmetric",
+        paper="real, since T^-1 G T is symmetric",
+        ideal=f"largest imaginary part {imaginary:.1g}; T^-1 G T symmetric within {asymmetry:.0e} and its eigenvalues those of "
+        f"G within {gap:.0e}, on {survey.extent()}",
+        full="-",
+        verdict=Verdict.HOLDS if max(imaginary, asymmetry, gap) < ROUNDING else Verdict.FAILS,
+        remark=f"{unsymmetric} of these G are not symmetric",
+        measured=survey.counts()
+        | {
+            "largest_imaginary_part": imaginary,
+            "largest_asymmetry": asymmetry,
+            "largest_gap_of_solvers": gap,
+            "pairs_not_symmetric": float(unsymmetric),
+        },
+    )
+
+
+def corollary_2(survey: Survey) -> Claim:
+    """0 < lambda <= 3, and the part of this range that occurs."""
+    least = min(spectra.lambda_min for spectra in survey.all)
+    # Rounded, so that of equal values the smallest graph is named.
+    widest = max(survey.all, key=lambda spectra: round(float(spectra.eigenvalues[-1]), 9))
+    most = float(widest.eigenvalues[-1])
+    most_one_leader = max(float(spectra.eigenvalues[-1]) for spectra in survey.one_leader)
+    return Claim(
+        id="corollary-2",
+        where="Corollary 2",
+        claim="every eigenvalue of G is larger than 0 and at most 3",
+        paper="0 < lambda <= 3",
+        ideal=f"{least:.4g} to {most:.6g}, with one leader up to {most_one_leader:.6g}, on {survey.extent()}",
+        full="-",
+        verdict=Verdict.HOLDS if least > ROUNDING and most <= 3.0 + ROUNDING else Verdict.FAILS,
+        remark=f"the largest eigenvalue is on {described(widest.pair)}",
+        measured=survey.counts() | {"smallest": least, "largest": most, "largest_one_leader": most_one_leader},
+    )
+
+
+def _smallest_eigenvalue(pair: Led) -> float:
+    return lambda_min(interaction_matrix(pair.graph, pair.leaders, weighted()))
+
+
+def _nearest_to_zero(pair: Led) -> float:
+    return float(np.abs(spectrum_of(interaction_matrix(pair.graph, pair.leaders, weighted()))).min())

@@ -1,0 +1,1 @@
+"""Tracks -> figures, tables and plots of a flight."""

@@ -1,0 +1,196 @@
+"""Figures 5 and 6 of Hou and Zhang (2021) from tracks: curves of x and y, and inter-distances.
+
+Readable in grey: every vehicle and pair has its own line style and marker besides its colour.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from companion.stability.arrays import FloatArray
+from sitl.report.metrics import Flight, Formation, TrackSource, distances_m, pair_name, reference_positions_m
+
+BEFORE_S = 2.0  # shown before the formation
+PAIRS_INSIDE = 7  # up to here the legend of the distances is inside the axes
+MIN_SPAN_M = 1.0  # smallest range of an axis
+
+# The colour-blind safe palette of Okabe and Ito.
+COLOURS = ("#000000", "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+STYLES: tuple[Any, ...] = ("-", (0, (6, 2)), (0, (5, 1.5, 1, 1.5)), (0, (2, 1.2)))
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+MARKERS_PER_CURVE = 12
+GUIDE: dict[str, Any] = {"color": "#808080", "linewidth": 1.1, "linestyle": (0, (1, 1.8)), "zorder": 1.5}
+TIME_LABEL = "time since the start of the formation [s]"
+POSITIONS: dict[TrackSource, str] = {"true": "true positions", "estimated": "positions as estimated by the vehicles"}
+LAW_TITLES = {
+    "cooperative": "cooperative, not in the paper",
+    "weighted": "weighted neighbours, eq. 14",
+    "average_22": "average of neighbours, eq. 22",
+    "average_26": "average of neighbours, eq. 26",
+}
+
+
+def save_figure_5(path: Path, flight: Flight, name: str) -> None:
+    """x and y of all vehicles over time, with their slots."""
+    figure = new_figure(8.4, 6.0, f"{name}: x and y of every vehicle")
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=_heights([flight]))
+    upper.set_title(f"{POSITIONS[flight.source]}, {law_title(flight)}", fontsize=10, color="#444444")
+    draw_positions(upper, flight, 0)
+    draw_positions(lower, flight, 1)
+    keep_a_span([upper])
+    keep_a_span([lower])
+    upper.set_ylabel("x, east [m]")
+    lower.set_ylabel("y, north [m]")
+    lower.set_xlabel(TIME_LABEL)
+    legend_beside(upper)
+    figure.savefig(path, dpi=150)
+
+
+def save_figure_6(path: Path, flight: Flight, name: str) -> None:
+    """Inter-distances over time, with the wanted ones."""
+    figure = new_figure(8.4, 4.6 + _height_of_legends_in(len(flight.pairs)), f"{name}: inter-distances")
+    axes = figure.subplots()
+    axes.set_title(f"from {POSITIONS[flight.source]}, {law_title(flight)}", fontsize=10, color="#444444")
+    draw_distances(axes, flight)
+    keep_a_span([axes], 0.5)
+    axes.set_ylabel("distance [m]")
+    axes.set_xlabel(TIME_LABEL)
+    figure.savefig(path, dpi=150)
+
+
+def save_comparison(path: Path, flights: Sequence[Flight], name: str) -> None:
+    """Figures 5 and 6 side by side, a column for each law."""
+    height_in = 8.6 + _height_of_legends_in(max(len(flight.pairs) for flight in flights))
+    title = f"{name}: the laws side by side, from {POSITIONS[flights[0].source]}"
+    figure = new_figure(1.4 + 4.4 * len(flights), height_in, title)
+    heights = [*_heights(flights), 1.0]
+    grid = figure.subplots(3, len(flights), sharex="col", sharey="row", squeeze=False, height_ratios=heights)
+    for (x, y, distance), flight in zip(grid.T, flights, strict=True):
+        x.set_title(law_title(flight), fontsize=11)
+        draw_positions(x, flight, 0)
+        draw_positions(y, flight, 1)
+        draw_distances(distance, flight)
+        distance.set_xlabel(TIME_LABEL)
+    for row, label, span_m in zip(grid, ("x, east [m]", "y, north [m]", "distance [m]"), (1.0, 1.0, 0.5), strict=True):
+        row[0].set_ylabel(label)
+        keep_a_span(row, span_m)
+    legend_beside(grid[0, -1])
+    figure.savefig(path, dpi=130)
+
+
+def law_title(flight: Flight) -> str:
+    """Title of the flight's column."""
+    return LAW_TITLES.get(flight.law, flight.law)
+
+
+def _times_s(flight: Flight) -> FloatArray:
+    """Sample times (n,), from a little before the formation to its end."""
+    return Formation(flight.formation.start_s - BEFORE_S, flight.formation.end_s, 0.0).times_s()
+
+
+def new_figure(width_in: float, height_in: float, title: str) -> Figure:
+    """An empty figure with its title."""
+    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+    figure.suptitle(title, fontsize=13, fontweight="bold")
+    return figure
+
+
+def _heights(flights: Sequence[Flight]) -> list[float]:
+    """Relative heights of the panels of x and y: at least half the larger one."""
+    extents = [np.ptp(track.position_enu_m, axis=0) for flight in flights for track in flight.tracks.values()]
+    x_m, y_m, _ = np.max(extents, axis=0)
+    widest_m = max(x_m, y_m, MIN_SPAN_M)
+    return [max(0.5, float(extent_m / widest_m)) for extent_m in (x_m, y_m)]
+
+
+def look(index: int, samples: int) -> dict[str, Any]:
+    """Style of a curve; the markers of different curves are at different times."""
+    every = max(1, samples // MARKERS_PER_CURVE)
+    return {
+        "color": COLOURS[index % len(COLOURS)],
+        "linestyle": STYLES[index % len(STYLES)],
+        "linewidth": 1.5,
+        "marker": MARKERS[index % len(MARKERS)],
+        "markersize": 4.5,
+        "markerfacecolor": "white",
+        "markeredgewidth": 1.1,
+        "markevery": (index * every // 4 % every, every),
+    }
+
+
+def draw_positions(axes: Axes, flight: Flight, axis: int) -> None:
+    """One coordinate of every vehicle; thin dotted lines are the slots r + d_i0."""
+    times_s = _times_s(flight)
+    since_s = times_s - flight.formation.start_s
+    reference_m = reference_positions_m(flight.reference, flight.formation.reference_start_s, times_s)[:, axis]
+    for index, (vehicle_id, track) in enumerate(sorted(flight.tracks.items())):
+        axes.plot(since_s, reference_m + flight.slots[vehicle_id].at(times_s)[:, axis], **GUIDE, label="_")
+        axes.plot(since_s, track.at(times_s)[:, axis], label=f"UAV {vehicle_id}", **look(index, times_s.size))
+    axes.plot([], [], **GUIDE, label="its slot")
+    dress(axes, since_s)
+
+
+def draw_distances(axes: Axes, flight: Flight) -> None:
+    """The distance of every drawn pair, largest values in the legend; thin dotted lines are the wanted distances."""
+    times_s = _times_s(flight)
+    since_s = times_s - flight.formation.start_s
+    inside = times_s >= flight.formation.start_s
+    wanted_m = sorted({round(float(distances_m(flight.slots, pair, times_s[-1:])[0]), 3) for pair in flight.pairs})
+    for index, pair in enumerate(flight.pairs):
+        distance_m = distances_m(flight.tracks, pair, times_s)
+        label = f"UAV {pair_name(pair)}, largest {distance_m[inside].max():.2f} m"
+        axes.plot(since_s, distance_m, label=label, **look(index, times_s.size))
+    if not flight.pairs:
+        axes.text(0.5, 0.5, "one vehicle has no inter-distance", transform=axes.transAxes, ha="center")
+    for value_m in wanted_m:
+        axes.axhline(value_m, **GUIDE)
+    if wanted_m:
+        axes.plot([], [], **GUIDE, label="wanted, " + " and ".join(f"{value_m:.2f} m" for value_m in wanted_m))
+    _legend_of_distances(axes, len(flight.pairs))
+    dress(axes, since_s)
+
+
+def _legend_of_distances(axes: Axes, pairs: int) -> None:
+    """Inside the axes for few pairs, else below them."""
+    if pairs > PAIRS_INSIDE:
+        where: dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.2), "ncols": 2, "frameon": False}
+        axes.legend(**where, fontsize=7, handlelength=3.5, columnspacing=1.0)
+    elif pairs:
+        axes.legend(loc="upper right", fontsize=8, framealpha=0.9, handlelength=3.5)
+
+
+def _height_of_legends_in(pairs: int) -> float:
+    """Extra height of the figure for a legend below the axes."""
+    return 0.075 * (pairs + 1) + 0.2 if pairs > PAIRS_INSIDE else 0.0
+
+
+def dress(axes: Axes, since_s: FloatArray) -> None:
+    """Grid, frame and range of a time axis, with a line at zero."""
+    axes.axvline(0.0, color="#bbbbbb", linewidth=0.8, zorder=1)
+    axes.set_xlim(float(since_s[0]), float(since_s[-1]))
+    axes.grid(visible=True, color="#e6e6e6", linewidth=0.7)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.tick_params(labelsize=9)
+
+
+def keep_a_span(row: Sequence[Axes], span_m: float = MIN_SPAN_M) -> None:
+    """Axes that share their scale show at least `span_m`."""
+    lows, highs = np.array([axes.dataLim.intervaly for axes in row]).T
+    low_m, high_m = float(lows.min()), float(highs.max())
+    if not np.isfinite(high_m - low_m):  # nothing is drawn
+        return
+    margin_m = max(0.07 * (high_m - low_m), (span_m - (high_m - low_m)) / 2)
+    for axes in row:
+        axes.set_ylim(low_m - margin_m, high_m + margin_m)
+
+
+def legend_beside(axes: Axes) -> None:
+    """To the right of the axes."""
+    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=9, frameon=False, handlelength=3.5)

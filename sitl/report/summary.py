@@ -1,0 +1,248 @@
+"""The summary of a flight: summary.json, and the lines printed at its end."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import msgspec
+from msgspec import Struct
+
+from companion.assembly import law_of
+from companion.wire.ground import Percentiles
+from sitl.flight.scenario import Scenario
+from sitl.flight.watch import CommandGiven, Event, FlightWatch
+from sitl.report.load import overload_line
+from sitl.report.metrics import FormationFigures, TrackSource, neighbouring_pairs, pair_name
+from sitl.report.tracking import Tracking
+
+SCHEMA = 1
+MAX_EACH = 8  # vehicles whose figures are printed in one line
+
+
+class Tick(Struct, frozen=True, kw_only=True):
+    """How well an agent kept its 50 Hz in formation; times in microseconds."""
+
+    rate_hz: float
+    ticks: int
+    missed: int
+    late_us: Percentiles
+
+
+class VehicleSummary(Struct, frozen=True, kw_only=True):
+    """Figures of one vehicle, from its agent's status reports and its track.
+
+    Timing is None without a report in formation, and in virtual time.
+    """
+
+    id: int
+    role: str
+    tick: Tick | None
+    telemetry_to_command_us: Percentiles | None
+    cpu_percent: float | None
+    rss_mb: float | None
+    final_error_m: float | None
+    tracking_error_m: float | None  # about the RFT, second half of the formation: sitl/report/tracking.py
+    behind_leader_m: float | None  # likewise about the leader, while it follows
+    largest_step_deg: float | None  # of the commanded attitude, setpoint to setpoint
+    rejected: dict[str, int]  # counted rejections by reason
+
+
+class Summary(Struct, frozen=True, kw_only=True):
+    """One flight. Figures of the formation are None if none was flown; `failure` is None for a flight without one.
+
+    `real_time_factor`: seconds flown per second of computing time; None for real processes.
+    `tracks`: the source of distances and errors, the stand-ins' true positions or the estimates of external autopilots;
+    `sensors` and `seed` are then None. `overload`: the agents' timing beyond the limits of real time, None within them.
+    `first_within_s`, `least_error_m` and `reference_moves` are those of FormationFigures.
+    """
+
+    schema: int = SCHEMA
+    scenario: str
+    law: str
+    exponent: float
+    vehicles: list[VehicleSummary]
+    tracks: TrackSource = "true"
+    sensors: str | None
+    seed: int | None
+    failure: str | None
+    flight_s: float
+    real_time_factor: float | None = None
+    duration_s: float | None
+    pairs: list[str]  # of vehicles with the nearest slots
+    wanted_distance_m: dict[str, float] | None
+    max_distance_m: dict[str, float] | None
+    min_distance_m: dict[str, float] | None
+    final_distance_m: dict[str, float] | None
+    reference_moves: bool | None = None
+    settle_s: float | None
+    first_within_s: float | None = None
+    least_error_m: float | None = None
+    final_error_m: float | None
+    overload: str | None = None
+    smallest_distance_m: float | None
+    commands: list[CommandGiven]
+    events: list[Event]
+
+
+def summarize(
+    scenario: Scenario,
+    name: str,
+    watch: FlightWatch,
+    figures: FormationFigures | None,
+    tracked: Tracking | None,
+    smallest_distance_m: float | None,
+    failure: str | None,
+    flight_s: float,
+    real_time_factor: float | None = None,
+    source: TrackSource = "true",
+) -> Summary:
+    """`figures`, `tracked` and `smallest_distance_m` are of the tracks from `source`; the rest is from the reports."""
+    fleet, stand_in = scenario.fleet, scenario.stand_in
+    sensors = stand_in.sensors if isinstance(stand_in.sensors, str) else "as given"
+    slots_enu_m = {member.id: member.slot_enu_m for member in fleet.vehicles}
+    return Summary(
+        scenario=name,
+        law=fleet.law.name,
+        exponent=law_of(fleet.law).exponent,
+        tracks=source,
+        sensors=sensors if source == "true" else None,
+        seed=stand_in.seed if source == "true" else None,
+        failure=failure,
+        flight_s=round(flight_s, 1),
+        real_time_factor=None if real_time_factor is None else round(real_time_factor, 1),
+        duration_s=round(figures.duration_s, 3) if figures else None,
+        pairs=[pair_name(pair) for pair in neighbouring_pairs(slots_enu_m)],
+        wanted_distance_m=_rounded(figures.wanted_distance_m) if figures else None,
+        max_distance_m=_rounded(figures.max_distance_m) if figures else None,
+        min_distance_m=_rounded(figures.min_distance_m) if figures else None,
+        final_distance_m=_rounded(figures.final_distance_m) if figures else None,
+        reference_moves=figures.reference_moves if figures else None,
+        settle_s=round(figures.settle_s, 2) if figures and figures.settle_s is not None else None,
+        first_within_s=round(figures.first_within_s, 2) if figures and figures.first_within_s is not None else None,
+        least_error_m=round(figures.least_error_m, 4) if figures else None,
+        final_error_m=round(figures.final_error_m, 4) if figures else None,
+        overload=watch.overload(),
+        smallest_distance_m=None if smallest_distance_m is None else round(smallest_distance_m, 4),
+        vehicles=[
+            _vehicle(member.id, member.role, watch, figures, tracked)
+            for member in sorted(fleet.vehicles, key=lambda member: member.id)
+        ],
+        commands=watch.commands,
+        events=watch.events,
+    )
+
+
+def _vehicle(
+    vehicle_id: int, role: str, watch: FlightWatch, figures: FormationFigures | None, tracked: Tracking | None
+) -> VehicleSummary:
+    timing, step_deg = watch.timing.get(vehicle_id), watch.largest_step_deg.get(vehicle_id)
+    tick = timing and Tick(rate_hz=timing.rate_hz, ticks=timing.ticks, missed=timing.missed, late_us=timing.late_us)
+    return VehicleSummary(
+        id=vehicle_id,
+        role=role,
+        tick=tick or None,
+        telemetry_to_command_us=timing.telemetry_to_command_us if timing else None,
+        cpu_percent=timing.cpu_percent if timing else None,
+        rss_mb=timing.rss_mb if timing else None,
+        final_error_m=round(figures.final_error_of_vehicle_m[vehicle_id], 4) if figures else None,
+        tracking_error_m=_metres(tracked.to_reference_m[vehicle_id] if tracked else None),
+        behind_leader_m=_metres(tracked.to_leader_m[vehicle_id] if tracked else None),
+        largest_step_deg=None if step_deg is None else round(step_deg, 2),
+        rejected=watch.rejected()[vehicle_id],
+    )
+
+
+def _metres(value_m: float | None) -> float | None:
+    return None if value_m is None else round(value_m, 4)
+
+
+def _rounded(values_m: Mapping[str, float]) -> dict[str, float]:
+    return {name: round(value_m, 4) for name, value_m in values_m.items()}
+
+
+def write_json(path: Path, content: object) -> None:
+    path.write_bytes(msgspec.json.format(msgspec.json.encode(content), indent=2) + b"\n")
+
+
+def read_summary(path: Path) -> Summary:
+    """Read a summary.json that `write_json` wrote."""
+    return msgspec.json.decode(path.read_bytes(), type=Summary)
+
+
+def in_words(summary: Summary) -> str:
+    """The result as a few printed lines."""
+    head = f"{summary.scenario}, {summary.law}: " + (summary.failure or f"flown and landed in {summary.flight_s:.0f} s")
+    if summary.max_distance_m is None or summary.wanted_distance_m is None:
+        return "\n".join([head, *_overload_lines(summary)])
+    lines = [head, f"  formation         {summary.duration_s:.1f} s"]
+    if summary.tracks == "estimated":
+        lines.append("  positions         as estimated by the vehicles; their true errors are unknown")
+    pairs = summary.pairs
+    if pairs:
+        largest = "   ".join(f"{pair} {summary.max_distance_m[pair]:.2f} m" for pair in pairs)
+        wanted = "/".join(sorted({f"{summary.wanted_distance_m[pair]:.2f}" for pair in pairs}))
+        lines.append(f"  largest distance  {largest}   (wanted {wanted} m)")
+    if summary.smallest_distance_m is not None:
+        lines.append(f"  smallest distance {summary.smallest_distance_m:.2f} m, of any two in the whole flight")
+    lines.append(f"{_settled(summary)}; final error {summary.final_error_m:.3f} m")
+    lines.extend(_tracking_in_words(summary))
+    lines.extend(_answers_in_words(summary))
+    lines.extend(_ticks_in_words(summary))
+    lines.extend(_overload_lines(summary))
+    if summary.real_time_factor is not None:
+        lines.append(f"  virtual time      {summary.real_time_factor:.0f} times as fast as real time")
+    return "\n".join(lines)
+
+
+def _settled(summary: Summary) -> str:
+    """About a moving reference errors need not stay small: then the best that was reached is reported."""
+    if summary.settle_s is not None:
+        return f"  settled           {summary.settle_s:.1f} s to 10 cm"
+    if not summary.reference_moves:
+        return "  settled           never to 10 cm"
+    if summary.first_within_s is not None:
+        return f"  within 10 cm      first after {summary.first_within_s:.1f} s, about a moving reference"
+    return f"  smallest error    {summary.least_error_m:.3f} m of all vehicles at once, about a moving reference"
+
+
+def _overload_lines(summary: Summary) -> list[str]:
+    return [f"  {overload_line(summary.overload, summary.tracks)}"] if summary.overload else []
+
+
+def _tracking_in_words(summary: Summary) -> list[str]:
+    lines = []
+    if about_rft := {v.id: v.tracking_error_m for v in summary.vehicles if v.tracking_error_m is not None}:
+        lines.append(f"  tracking error    {_each(about_rft)}   (RMS about the RFT, second half)")
+    if about_leader := {v.id: v.behind_leader_m for v in summary.vehicles if v.behind_leader_m is not None}:
+        lines.append(f"  while following   {_each(about_leader)}   (likewise, about the leader)")
+    if steps_deg := [v.largest_step_deg for v in summary.vehicles if v.largest_step_deg is not None]:
+        lines.append(f"  attitude steps    at most {max(steps_deg):.1f} degrees from one setpoint to the next")
+    return lines
+
+
+def _answers_in_words(summary: Summary) -> list[str]:
+    answered_s = [asked.answered_in_s for asked in summary.commands]
+    in_time_s = [seconds for seconds in answered_s if seconds is not None]
+    if not in_time_s:
+        return []
+    missing = f", {len(answered_s) - len(in_time_s)} not by all" if len(in_time_s) < len(answered_s) else ""
+    return [f"  commands          {len(answered_s)} given, answered by all within {max(in_time_s):.2f} s{missing}"]
+
+
+def _each(values_m: Mapping[int, float]) -> str:
+    """All values if they fit into a line, else the largest."""
+    if len(values_m) <= MAX_EACH:
+        return "   ".join(f"{i} {value_m:.3f} m" for i, value_m in values_m.items())
+    worst = max(values_m, key=lambda i: values_m[i])
+    return f"at most {values_m[worst]:.3f} m, vehicle {worst}"
+
+
+def _ticks_in_words(summary: Summary) -> list[str]:
+    ticks = [vehicle.tick for vehicle in summary.vehicles if vehicle.tick]
+    if not ticks:
+        return []
+    slowest, fastest = min(tick.rate_hz for tick in ticks), max(tick.rate_hz for tick in ticks)
+    rate = f"{slowest:.2f}" if f"{slowest:.2f}" == f"{fastest:.2f}" else f"{slowest:.2f} to {fastest:.2f}"
+    missed, count = sum(tick.missed for tick in ticks), sum(tick.ticks for tick in ticks)
+    return [f"  control loop      {rate} Hz, {missed} of {missed + count} ticks missed"]

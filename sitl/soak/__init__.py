@@ -1,0 +1,1 @@
+"""`make soak`: a formation of real processes for an hour, with memory, files, threads and tick timing over time."""

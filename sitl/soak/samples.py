@@ -1,0 +1,119 @@
+"""Resources of agent processes over time, and a verdict on their trend. No processes, no sockets; Linux's /proc."""
+
+from __future__ import annotations
+
+import resource
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import fmean
+
+WARM_UP = 0.2  # share of the time that does not count: caches fill, the formation settles
+MOST_GROWTH_MB_H = 2.0
+MOST_GROWTH_MB = 1.0  # short runs: what allocators scatter
+LEAST_RATE_HZ = 49.0
+ROWS = 12  # of the table
+
+
+@dataclass(frozen=True, slots=True)
+class Use:
+    """Resident memory in MB, open files and threads of one process."""
+
+    memory_mb: float
+    files: int
+    threads: int
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """All agents at one time: the worst of each figure, and ticks since the sample before.
+
+    `rate_hz` is of the slowest agent; `command_p99_us` from a position's arrival to its setpoint, since the formation began.
+    """
+
+    time_s: float
+    memory_mb: float
+    files: int
+    threads: int
+    rate_hz: float
+    missed: int
+    command_p99_us: float
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One figure of the verdict."""
+
+    name: str
+    constant: bool
+    text: str
+
+
+def use_of(pid: int) -> Use:
+    """Of a running process. Raises OSError."""
+    folder = Path(f"/proc/{pid}")
+    pages = int((folder / "statm").read_text(encoding="ascii").split()[1])
+    return Use(
+        memory_mb=pages * resource.getpagesize() / 1e6,
+        files=len(list((folder / "fd").iterdir())),
+        threads=len(list((folder / "task").iterdir())),
+    )
+
+
+def findings(samples: Sequence[Sample]) -> list[Finding]:
+    """The trend of each figure after the warm-up. Raises ValueError with fewer than five samples."""
+    settled = [sample for sample in samples if sample.time_s >= samples[0].time_s + WARM_UP * _span_s(samples)]
+    if len(settled) < 5:
+        raise ValueError(f"{len(settled)} samples after the warm-up, expected at least 5")
+    slope_mb_h = slope([s.time_s for s in settled], [s.memory_mb for s in settled]) * 3600.0
+    growth_mb = slope_mb_h * _span_s(settled) / 3600.0
+    rates = [sample.rate_hz for sample in settled]
+    half = len(settled) // 2
+    early_us, late_us = (fmean(s.command_p99_us for s in part) for part in (settled[:half], settled[half:]))
+    return [
+        Finding(
+            "memory",
+            slope_mb_h <= MOST_GROWTH_MB_H or growth_mb <= MOST_GROWTH_MB,
+            f"{slope_mb_h:+.2f} MB/h, {growth_mb:+.2f} MB in {_span_s(settled):.0f} s",
+        ),
+        _counted("files", [sample.files for sample in settled]),
+        _counted("threads", [sample.threads for sample in settled]),
+        Finding("tick rate", min(rates) >= LEAST_RATE_HZ, f"{min(rates):.2f} to {max(rates):.2f} Hz"),
+        Finding(
+            "telemetry to command",
+            late_us <= 1.5 * early_us,
+            f"p99 {early_us / 1000:.2f} ms in the first half, {late_us / 1000:.2f} ms in the second",
+        ),
+    ]
+
+
+def slope(xs: Sequence[float], ys: Sequence[float]) -> float:
+    """Of the least-squares line through the points."""
+    x0, y0 = fmean(xs), fmean(ys)
+    spread = sum((x - x0) ** 2 for x in xs)
+    return sum((x - x0) * (y - y0) for x, y in zip(xs, ys, strict=True)) / spread if spread else 0.0
+
+
+def table(samples: Sequence[Sample]) -> list[str]:
+    """At most ROWS rows over the time, the first and the last among them."""
+    step = max(1, -(-len(samples) // ROWS))
+    shown = [*samples[:-1:step], samples[-1]]
+    head = f"{'time s':>8} {'memory MB':>10} {'files':>6} {'threads':>8} {'rate Hz':>8} {'missed':>7} {'p99 ms':>7}"
+    return [
+        head,
+        *(
+            f"{s.time_s:8.0f} {s.memory_mb:10.2f} {s.files:6} {s.threads:8} {s.rate_hz:8.2f} {s.missed:7}"
+            f" {s.command_p99_us / 1000:7.2f}"
+            for s in shown
+        ),
+    ]
+
+
+def _counted(name: str, values: Sequence[int]) -> Finding:
+    """Constant where the second half never exceeds the most of the first."""
+    half = len(values) // 2
+    return Finding(name, max(values[half:]) <= max(values[:half]), f"{min(values)} to {max(values)}")
+
+
+def _span_s(samples: Sequence[Sample]) -> float:
+    return samples[-1].time_s - samples[0].time_s

@@ -1,0 +1,1 @@
+"""The simulated quadrotor: body, motors, sensors, estimator and its own flight control."""

@@ -1,0 +1,117 @@
+"""Position control of the stand-in autopilot for its automatic modes: hold, take-off, return, landing.
+
+It uses the estimate: a damped proportional loop with an integrator follows a target that moves with limited speed and
+acceleration.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import copysign, inf, radians, sqrt
+
+from companion.core.control.attitude import attitude_target, limit_acceleration
+from companion.geometry.frames import quaternion_from_euler
+from companion.types.vectors import Vector3
+from sitl.vehicle.attitude_control import Setpoint
+
+LEVEL_GAINS = (1.6, 2.2, 0.4)  # on position [1/s^2], velocity [1/s] and the integral of position [1/s^3]
+CLIMB_GAINS = (4.0, 3.6, 0.4)
+MAX_INTEGRAL_M_S2 = 5.5  # acceleration that MAX_TILT_RAD can compensate
+MAX_ERROR_M = 2.0  # limit of the error, for a vehicle that cannot follow
+MAX_TILT_RAD = radians(30.0)
+ACCELERATION_M_S2, CLIMB_BRAKING_M_S2 = 2.0, 1.5
+MIN_LIFT_RATIO, MAX_LIFT_RATIO = 0.3, 1.7  # vertical thrust over weight
+
+
+@dataclass(slots=True)
+class Axis:
+    """One axis: a target that moves to the goal, and the loop that follows the target."""
+
+    gains: tuple[float, float, float]
+    braking_m_s2: float
+    goal_m: float = 0.0
+    goal_m_s: float | None = None  # a speed to keep instead of a position
+    max_speed_m_s: float = inf
+    target_m: float = 0.0
+    target_m_s: float = 0.0
+    integral_m_s2: float = 0.0
+
+    def stop_from(self, position_m: float, velocity_m_s: float) -> None:
+        """Brake and hold where the braking ends. The integral is kept: the wind has not changed."""
+        self.goal_m = position_m + velocity_m_s * abs(velocity_m_s) / (2.0 * self.braking_m_s2)
+        self.goal_m_s = None
+        self.target_m, self.target_m_s = position_m, velocity_m_s
+
+    def acceleration_m_s2(self, position_m: float, velocity_m_s: float, dt_s: float) -> float:
+        """Move the target by one step; returns the acceleration that follows it."""
+        feed_forward = self._move_target(dt_s)
+        k1, k2, ki = self.gains
+        error = min(max(self.target_m - position_m, -MAX_ERROR_M), MAX_ERROR_M)
+        if self.target_m == self.goal_m and self.goal_m_s is None:  # no windup while the target moves
+            integral = self.integral_m_s2 + ki * error * dt_s
+            self.integral_m_s2 = min(max(integral, -MAX_INTEGRAL_M_S2), MAX_INTEGRAL_M_S2)
+        return feed_forward + k1 * error + k2 * (self.target_m_s - velocity_m_s) + self.integral_m_s2
+
+    def _move_target(self, dt_s: float) -> float:
+        """The target's acceleration over this step."""
+        before = self.target_m_s
+        left = self.goal_m - self.target_m
+        if self.goal_m_s is not None:
+            wanted = min(max(self.goal_m_s, -self.max_speed_m_s), self.max_speed_m_s)
+        elif abs(left) <= max(1e-3, abs(before) * dt_s) and abs(before) <= 2.0 * ACCELERATION_M_S2 * dt_s:
+            self.target_m, self.target_m_s = self.goal_m, 0.0
+            return 0.0
+        else:
+            wanted = copysign(min(self.max_speed_m_s, sqrt(2.0 * self.braking_m_s2 * abs(left))), left)
+        most = ACCELERATION_M_S2 * dt_s
+        self.target_m_s = before + min(max(wanted - before, -most), most)
+        self.target_m += self.target_m_s * dt_s
+        return (self.target_m_s - before) / dt_s
+
+
+class PositionControl:
+    """Three axes in the local ENU frame and a heading; `braking_m_s2` applies to the horizontal axes.
+
+    Goals and speeds of `axes` may be changed at any time.
+    """
+
+    def __init__(self, hover_thrust_norm: float, braking_m_s2: float) -> None:
+        self._hover_thrust_norm = hover_thrust_norm
+        self.axes = (
+            Axis(LEVEL_GAINS, braking_m_s2),
+            Axis(LEVEL_GAINS, braking_m_s2),
+            Axis(CLIMB_GAINS, CLIMB_BRAKING_M_S2),
+        )
+        self.yaw_rad = 0.0
+
+    def stop(self, position_m: Vector3, velocity_m_s: Vector3, yaw_rad: float) -> None:
+        """Brake and hold from now on."""
+        self.yaw_rad = yaw_rad
+        for axis, position, velocity in zip(self.axes, position_m, velocity_m_s, strict=True):
+            axis.stop_from(position, velocity)
+
+    def reset_integrals(self) -> None:
+        """Before a new flight."""
+        for axis in self.axes:
+            axis.integral_m_s2 = 0.0
+
+    def shift(self, offset_m: Vector3) -> None:
+        """Shift goals and targets by the movement of the local frame: the vehicle has not moved."""
+        for axis, offset in zip(self.axes, offset_m, strict=True):
+            axis.goal_m += offset
+            axis.target_m += offset
+
+    def setpoint(self, position_m: Vector3, velocity_m_s: Vector3, euler_rad: Vector3, dt_s: float) -> Setpoint:
+        """Attitude and thrust for one step of `dt_s`."""
+        x, y, z = (
+            axis.acceleration_m_s2(position, velocity, dt_s)
+            for axis, position, velocity in zip(self.axes, position_m, velocity_m_s, strict=True)
+        )
+        acceleration = limit_acceleration((x, y, z), MAX_TILT_RAD, MIN_LIFT_RATIO, MAX_LIFT_RATIO)
+        roll, pitch, _ = euler_rad
+        # Eq. 7 has no solution at large tilt; then the vehicle is levelled first.
+        tilted = max(abs(roll), abs(pitch)) > 2.0 * MAX_TILT_RAD
+        roll, pitch = (0.0, 0.0) if tilted else (roll, pitch)
+        target = attitude_target(acceleration, self.yaw_rad, roll, pitch, self._hover_thrust_norm)
+        quaternion = quaternion_from_euler(target.roll_rad, target.pitch_rad, target.yaw_rad)
+        return Setpoint(quaternion, min(1.0, target.thrust_norm))

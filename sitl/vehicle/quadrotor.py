@@ -1,0 +1,186 @@
+"""One stand-in vehicle: attitude loop, motors, rigid body, ground contact, and the autopilot's estimate."""
+
+from __future__ import annotations
+
+from math import cos, hypot, radians, sin, sqrt
+from random import Random
+
+from companion.geometry.frames import (
+    Quaternion,
+    enu_from_geodetic,
+    euler_from_quaternion,
+    geodetic_from_enu,
+    quaternion_from_euler,
+)
+from companion.types.vectors import GRAVITY_M_S2, ZERO3, Vector3
+from sitl.vehicle.attitude_control import DelayLine, Loops, Setpoint, moments, wanted_rates
+from sitl.vehicle.config import AutopilotFile
+from sitl.vehicle.disturbances import EstimatorError, Gusts
+from sitl.vehicle.dynamics import (
+    THRUST,
+    Body,
+    State,
+    advance,
+    at_rest,
+    rate_of_change,
+)
+
+MOTORS_OFF = Setpoint((1.0, 0.0, 0.0, 0.0), 0.0)
+ESTIMATE_PERIOD_STEPS = 5  # the estimator's error changes at 50 Hz, the rate of an agent's ticks
+
+
+class Quadrotor:
+    """Truth and estimate, advanced in steps of `dt_s`. Random numbers depend on (seed, vehicle id) alone."""
+
+    def __init__(self, file: AutopilotFile, loops: Loops, dt_s: float) -> None:
+        airframe = file.stand_in.airframe
+        # One random stream per subject: enabling gusts does not change the sensor noise.
+        sensor_noise, gust_noise, origin_noise = (
+            Random(f"{file.stand_in.seed} {file.id} {subject}") for subject in ("sensors", "gusts", "origin")
+        )
+        self._dt_s = dt_s
+        self._loops = loops
+        self._ideal_attitude = airframe.attitude == "instant"
+        self._body = Body(airframe.mass_kg, airframe.inertia_kg_m2, airframe.drag_n_per_m_s, airframe.motor_lag_s)
+        self._newton_per_thrust = airframe.mass_kg * GRAVITY_M_S2 / file.stand_in.hover_thrust_norm
+        yaw = quaternion_from_euler(0.0, 0.0, radians(file.start_yaw_deg))
+        self.state = at_rest(file.start_enu_m, yaw)
+        self._ground_z_m = file.start_enu_m[2]
+        self._delay = DelayLine(MOTORS_OFF, loops.delay_s, dt_s)
+        self._gusts = Gusts(file.stand_in.wind, gust_noise, dt_s)
+        sensors = file.stand_in.sensor_model()
+        self._error = EstimatorError(sensors, sensor_noise, dt_s * ESTIMATE_PERIOD_STEPS)
+        self._steps = 0
+        sd_x, sd_y, sd_z = sensors.position_sd_m
+        self.reported_error_m = (hypot(sd_x, sd_y), sd_z)  # one sigma, in the plane and in height
+        self.world_origin = file.world_origin.as_tuple()
+        self._shift_m = ZERO3
+        about = file.start_enu_m if file.origin_enu_m is None else file.origin_enu_m
+        x, y, z = (a + origin_noise.gauss(0.0, sd) for a, sd in zip(about, sensors.origin_sd_m, strict=True))
+        self.set_origin(geodetic_from_enu((x, y, z), self.world_origin))
+
+    def set_origin(self, origin_deg_deg_m: Vector3) -> None:
+        """Move the origin of the local frame (SET_GPS_GLOBAL_ORIGIN), rounded to the resolution of GPS_GLOBAL_ORIGIN."""
+        latitude, longitude, altitude = origin_deg_deg_m
+        self.origin = (round(latitude, 7), round(longitude, 7), round(altitude, 3))
+        x, y, z = enu_from_geodetic(*self.origin, self.world_origin)
+        sx, sy, sz = self._shift_m
+        self._local_zero_enu_m = (x - sx, y - sy, z - sz)  # according to the estimate
+
+    def shift_estimate(self, shift_enu_m: Vector3) -> None:
+        """An estimator reset: its position error grows by this vector."""
+        (x, y, z), (a, b, c) = self._shift_m, shift_enu_m
+        self._shift_m = (x + a, y + b, z + c)
+        self.set_origin(self.origin)
+
+    @property
+    def thrust_norm(self) -> float:
+        return self.state[THRUST] / self._newton_per_thrust
+
+    @property
+    def position_enu_m(self) -> Vector3:
+        """True position in the world frame."""
+        state = self.state
+        return (state[0], state[1], state[2])
+
+    @property
+    def velocity_enu_m_s(self) -> Vector3:
+        state = self.state
+        return (state[3], state[4], state[5])
+
+    @property
+    def quaternion(self) -> Quaternion:
+        """True attitude, FLU to ENU."""
+        state = self.state
+        return (state[6], state[7], state[8], state[9])
+
+    @property
+    def rates_rad_s(self) -> Vector3:
+        state = self.state
+        return (state[10], state[11], state[12])
+
+    @property
+    def specific_force_m_s2(self) -> Vector3:
+        """Specific force as accelerometers measure it, FLU, without drag."""
+        return (0.0, 0.0, GRAVITY_M_S2 if self.on_ground else self.state[THRUST] / self._body.mass_kg)
+
+    def estimated_position_local_enu_m(self) -> Vector3:
+        x, y, z = self.position_enu_m
+        ex, ey, ez = self._error.position_m
+        ox, oy, oz = self._local_zero_enu_m
+        return (x + ex - ox, y + ey - oy, z + ez - oz)
+
+    def estimated_velocity_enu_m_s(self) -> Vector3:
+        x, y, z = self.velocity_enu_m_s
+        ex, ey, ez = self._error.velocity_m_s
+        return (x + ex, y + ey, z + ez)
+
+    def estimated_quaternion(self) -> Quaternion:
+        """Estimated attitude, FLU to ENU; every loop of the autopilot uses it."""
+        true = self.quaternion
+        return true if self._error.quiet else _turned(true, self._error.attitude_rad)
+
+    def estimated_euler_rad(self) -> Vector3:
+        """Roll, pitch, yaw of FLU in ENU."""
+        return euler_from_quaternion(self.estimated_quaternion())
+
+    @property
+    def on_ground(self) -> bool:
+        """On the ground and not climbing."""
+        return self.state[2] <= self._ground_z_m and self.state[5] <= 0.0
+
+    def step(self, setpoint: Setpoint) -> None:
+        """Advance by dt_s under this setpoint."""
+        wind = self._gusts.step()
+        if self._ideal_attitude:
+            self._set_attitude(setpoint)
+            torque = ZERO3
+        else:
+            rates = wanted_rates(self._loops, self._delay.pass_on(setpoint), self.estimated_quaternion())
+            torque = moments(self._loops, rates, self.rates_rad_s, self._body.inertia_kg_m2)
+        ground_position = self.state[:2] if self.on_ground else None
+        thrust_n = setpoint.thrust_norm * self._newton_per_thrust
+        if self._body.motor_lag_s == 0.0:
+            self.state = (*self.state[:THRUST], thrust_n, *torque)
+        rate = rate_of_change(self._body, self.state, thrust_n, torque, wind)
+        self.state = advance(self.state, rate, self._dt_s)
+        if self.on_ground:
+            self._touch_ground(ground_position)
+        self._steps += 1
+        if self._steps % ESTIMATE_PERIOD_STEPS == 0:
+            self._error.step()
+
+    def _set_attitude(self, setpoint: Setpoint) -> None:
+        """The ideal of section 3.1: the estimated attitude equals the commanded one without delay."""
+        rates = setpoint.rates_rad_s
+        if rates is not None:
+            p, q, r = rates
+            attitude = _turned(self.quaternion, (p * self._dt_s, q * self._dt_s, r * self._dt_s))
+        elif self._error.quiet:
+            attitude = setpoint.quaternion
+        else:
+            ex, ey, ez = self._error.attitude_rad
+            attitude = _turned(setpoint.quaternion, (-ex, -ey, -ez))
+        self.state = (*self.state[:6], *attitude, 0.0, 0.0, 0.0, *self.state[THRUST:])
+
+    def _touch_ground(self, ground_position: State | None) -> None:
+        """Flat ground: it stops the fall, levels the vehicle, and holds one that was on the ground before against wind."""
+        x, y = ground_position or self.state[:2]
+        _, _, yaw = euler_from_quaternion(self.quaternion)
+        half = yaw / 2.0
+        self.state = (
+            x, y, self._ground_z_m, 0.0, 0.0, 0.0, cos(half), 0.0, 0.0, sin(half), 0.0, 0.0, 0.0, *self.state[THRUST:]
+        )  # fmt: skip
+
+
+def _turned(quaternion: Quaternion, angles_rad: Vector3) -> Quaternion:
+    """A unit quaternion rotated by small angles about its own body axes."""
+    w, x, y, z = quaternion
+    a, b, c = 0.5 * angles_rad[0], 0.5 * angles_rad[1], 0.5 * angles_rad[2]
+    norm = sqrt(1.0 + a * a + b * b + c * c)
+    return (
+        (w - x * a - y * b - z * c) / norm,
+        (x + w * a + y * c - z * b) / norm,
+        (y + w * b + z * a - x * c) / norm,
+        (z + w * c + x * b - y * a) / norm,
+    )

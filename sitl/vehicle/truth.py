@@ -1,0 +1,34 @@
+"""True states of a stand-in as rows of a CSV file."""
+
+from __future__ import annotations
+
+from typing import TextIO
+
+from companion.geometry.frames import euler_from_quaternion
+from sitl.autopilots.autopilot import Autopilot
+from sitl.vehicle.dynamics import ATTITUDE, State
+
+TRUTH_HEADER = "monotonic_s,x_m,y_m,z_m,vx_m_s,vy_m_s,vz_m_s,roll_rad,pitch_rad,yaw_rad,thrust_norm,armed,mode\n"
+_ROW = "%.6f" + ",%.5f" * 10 + ",%d,%s\n"
+
+
+def truth_row(time_s: float, state: State, thrust_norm: float, armed: bool, mode_name: str) -> str:
+    """One row; `state` is that of sitl.vehicle.dynamics."""
+    w, x, y, z = state[ATTITUDE]
+    euler_rad = euler_from_quaternion((w, x, y, z))
+    return _ROW % (time_s, *state[:6], *euler_rad, thrust_norm, armed, mode_name)
+
+
+class TruthLog:
+    """True states as CSV at 50 Hz, stamped with the machine's monotonic clock, which all its processes share."""
+
+    def __init__(self, file: TextIO) -> None:
+        self._file = file
+        file.write(TRUTH_HEADER)
+
+    def write(self, autopilot: Autopilot, monotonic_s: float) -> None:
+        quad, mode = autopilot.quad, autopilot.flight_mode
+        self._file.write(truth_row(monotonic_s, quad.state, quad.thrust_norm, autopilot.armed, mode.name))
+
+    def flush(self) -> None:
+        self._file.flush()

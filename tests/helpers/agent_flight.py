@@ -1,0 +1,202 @@
+"""One agent in virtual time, with a simple autopilot that executes its requests."""
+
+from math import isfinite
+
+from msgspec.structs import replace
+
+from companion.assembly import build_agent
+from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember
+from companion.config.law import Law
+from companion.config.reference import PointReference, Reference
+from companion.config.vehicle import AgentConfig, VehicleConfig
+from companion.types.autopilot import AutopilotKind, AutopilotMode, LandedState
+from companion.types.commands import Command, CommandName, Content
+from companion.types.flight import FlightPhase, Role
+from companion.types.formation import FlownSlot, HeldReference, LeaderBeacon
+from companion.types.notices import Notice
+from companion.types.peers import PeerPacket, ReceivedPeerPacket
+from companion.types.requests import Arm, AttitudeTarget, RequestOrigin, RequestParameter, SetMode, TakeOff
+from companion.types.telemetry import (
+    AttitudeSample,
+    HeartbeatSample,
+    LandedSample,
+    ModeSample,
+    OriginSample,
+    ParameterSample,
+    PositionSample,
+    SystemSample,
+    Telemetry,
+)
+from companion.types.tick import Inbox, Outbox
+from companion.types.vectors import Vector3
+
+FLEET = FleetConfig(
+    name="pair",
+    origin="indoor",
+    vehicles=(
+        FormationMember(id=1, role=Role.LEADER, slot_enu_m=(0.0, 0.0, 0.0)),
+        FormationMember(id=2, role=Role.FOLLOWER, slot_enu_m=(-1.5, 0.0, 0.0)),
+    ),
+    neighbours=EdgeNeighbours(edges=((1, 2),)),
+    law=Law(name="weighted"),
+    takeoff_height_m=1.0,
+)
+SESSION = 7
+POINT = PointReference(point_enu_m=(1.0, 0.0, 1.0))
+IN_ORDER = {
+    "COM_OF_LOSS_T": 1.0,
+    "COM_OBL_RC_ACT": 5.0,
+    "NAV_DLL_ACT": 0.0,
+    "COM_RC_OVERRIDE": 3.0,
+    "GF_ACTION": 2.0,
+    "GF_MAX_HOR_DIST": 100.0,
+    "GF_MAX_VER_DIST": 50.0,
+    "MPC_THR_HOVER": 0.5,
+}
+
+
+class Flight:
+    """One agent, fed at 50 Hz by an autopilot that executes requests at once and does not move by itself.
+
+    A new `position` takes a while by the autopilot's clock, so that it is no jump.
+    """
+
+    def __init__(self, vehicle_id: int = 2, fleet: FleetConfig = FLEET, reference: Reference = POINT) -> None:
+        member = fleet.member(vehicle_id)
+        assert member is not None
+        vehicle = VehicleConfig(
+            id=vehicle_id,
+            fleet="fleet.yaml",
+            mavlink="udpin:127.0.0.1:14540",
+            hover_thrust_norm=0.5,
+            reference=reference if member.can_lead else None,
+        )
+        self.agent = build_agent(AgentConfig(vehicle, fleet, member), session=SESSION)
+        self.fleet = fleet
+        self.now_s = 100.0
+        self.position: Vector3 = (-1.5, 0.0, 0.0)
+        self.mode, self.armed, self.landed = AutopilotMode.OTHER, False, LandedState.ON_GROUND
+        self.peer_position: Vector3 | None = (0.0, 0.0, 1.0)
+        self.outbox = Outbox()
+        self.sends_origin = True
+        self.parameters = dict(IN_ORDER)
+        self.battery_percent = 90.0
+        self.withheld: tuple[type, ...] = ()
+        self.executes_requests = True
+        self.velocity: Vector3 = (0.0, 0.0, 0.0)
+        self.peer_phase = FlightPhase.FORMATION
+        self.stopping = False
+        self.roll_rad = 0.0
+        self.targets: list[AttitudeTarget] = []
+        self.events: list[Notice] = []
+        self.peer_role: Role | None = None
+        self.peer_reference_s = 0.0
+        self.peer_reference: HeldReference | None = None
+        self.peer_late_s = 0.0
+        self.peer_changes: dict[str, object] = {}  # of its packets
+        self.formation_ticks = 0
+        self._peer_sequence = 0
+        self._number = 0  # of the last command
+        self._put_at, self.boot_s = self.position, 50.0
+
+    def telemetry(self) -> list[Telemetry]:
+        t = self.now_s
+        return [sample for sample in self._all_telemetry(t) if not isinstance(sample, self.withheld)]
+
+    def _all_telemetry(self, t: float) -> list[Telemetry]:
+        if self.position != self._put_at and all(map(isfinite, self.position)):
+            self._put_at, self.boot_s = self.position, self.boot_s + 1.0
+        return [
+            AttitudeSample(t, self.roll_rad, 0.0, 0.3),
+            ModeSample(t, self.mode, self.mode),
+            HeartbeatSample(t, self.armed, AutopilotKind.PX4),
+            LandedSample(t, self.landed),
+            *(
+                [OriginSample(t, 47.0, 8.0, 400.0)]
+                if RequestOrigin() in self.outbox.requests and self.sends_origin
+                else []
+            ),
+            SystemSample(t, self.battery_percent, may_arm=True),
+            *(ParameterSample(t, name, self.parameters[name]) for name in self.asked() if name in self.parameters),
+            PositionSample(t, t - 100.0 + self.boot_s, self.position, self.velocity),
+        ]
+
+    def asked(self) -> list[str]:
+        """The parameters that the last tick asked for."""
+        return [request.name for request in self.outbox.requests if isinstance(request, RequestParameter)]
+
+    def peer(self) -> list[ReceivedPeerPacket]:
+        if self.peer_position is None:
+            return []
+        self._peer_sequence += 1
+        leads = 1 if self.agent_id == 2 else 2
+        packet = PeerPacket(
+            vehicle_id=leads,
+            session=1,
+            sequence=self._peer_sequence,
+            formation_hash=self.fleet.formation_hash(),
+            phase=self.peer_phase,
+            role=self.peer_role or (Role.LEADER if leads == 1 else Role.FOLLOWER),
+            position_enu_m=self.peer_position,
+            velocity_enu_m_s=(0.0, 0.0, 0.0),
+            acceleration_enu_m_s2=(0.0, 0.0, 0.0),
+            state_age_s=0.0,
+            sent_s=self.now_s - self.peer_late_s,
+            prc=leads if self.peer_role is None else 2,
+            leader_beacon=LeaderBeacon(1, 0, int(self.now_s * 1000), self.peer_reference_s),
+            slot=FlownSlot(self.fleet.vehicles[leads - 1].slot_enu_m),
+            reference=self.peer_reference,
+        )
+        return [ReceivedPeerPacket(self.now_s, replace(packet, **self.peer_changes))]
+
+    @property
+    def agent_id(self) -> int:
+        return 2 if self.position[0] < 0 else 1
+
+    def command(self, name: CommandName, operator: str = "anna@ground", content: Content | None = None) -> Command:
+        """The next one."""
+        self._number += 1
+        return Command(name, self._number, operator, SESSION, content)
+
+    def tick(
+        self,
+        *names: CommandName,
+        telemetry: list[Telemetry] | None = None,
+        lead: Content | None = None,
+        given: tuple[Command, ...] = (),
+    ) -> Outbox:
+        self.now_s += 0.02
+        self.peer_reference_s += 0.02 if self.peer_reference_s else 0.0
+        self.formation_ticks += self.agent.phase is FlightPhase.FORMATION
+        commands = tuple(self.command(name, content=lead) for name in names)
+        samples = self.telemetry() if telemetry is None else telemetry
+        inbox = Inbox(tuple(samples), tuple(self.peer()), commands + given, self.stopping)
+        self.outbox = self.agent.step(self.now_s, inbox)
+        if self.executes_requests:
+            self._execute_requests()
+        if self.outbox.attitude_target:
+            self.targets.append(self.outbox.attitude_target)
+        self.events += self.outbox.events
+        return self.outbox
+
+    def _execute_requests(self) -> None:
+        for request in self.outbox.requests:
+            match request:
+                case SetMode(mode):
+                    self.mode = mode
+                case Arm():
+                    self.armed = True
+                case TakeOff(_, height_m):
+                    self.mode, self.landed = AutopilotMode.HOLD, LandedState.IN_AIR
+                    self.position = (self.position[0], self.position[1], self.position[2] + height_m)
+
+    def fly_to(self, phase: FlightPhase) -> "Flight":
+        for name in (CommandName.PREPARE, CommandName.ARM, CommandName.TAKEOFF, CommandName.FORM):
+            if self.agent.phase is phase:
+                break
+            self.tick()
+            assert self.tick(name).replies[0].accepted, self.outbox.replies
+            for _ in range(50):
+                self.tick()
+        assert self.agent.phase is phase, self.events
+        return self

@@ -1,0 +1,120 @@
+"""A fleet of consensus stages, tick by tick: roles, leader beacons and packets, without flight."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from companion.core.command.phase import Flight
+from companion.core.consensus.neighbourhood import Consensus, ConsensusStage
+from companion.core.consensus.neighbours import EdgeRule
+from companion.core.consensus.peers import PeerTable
+from companion.core.consensus.plausibility import FleetLimits
+from companion.core.election.leader_beacon import BeaconMonitor
+from companion.core.election.leadership import Leadership
+from companion.core.election.succession import Succession
+from companion.types.autopilot import VehicleState
+from companion.types.commands import Lead
+from companion.types.flight import FlightPhase, HealthFlag, Role
+from companion.types.formation import FlownSlot
+from companion.types.peers import PeerPacket, ReceivedPeerPacket
+from companion.types.vectors import ZERO3
+
+TICK_S = 0.02
+RING = ((1, 2), (2, 3), (3, 4), (4, 1))
+CHAIN = ((1, 2), (2, 3), (3, 4), (4, 5), (5, 6))
+BEACON_MAX_AGE_S = 0.25
+
+
+def leaders_in(around: dict[int, Consensus]) -> list[int]:
+    return [i for i, what in around.items() if what.role is Role.LEADER]
+
+
+LIMITS = FleetLimits(25.0, 8.0, (200.0, 200.0, 55.0))
+
+
+class Fleet:
+    """Vehicles in formation that receive all packets of the previous tick, except those in `deaf`.
+
+    Vehicles in `dead` do not run. `receives(receiver, sender)` may replace the network, which loses nothing by default.
+    A vehicle that loses its leader is in hold from the next tick on.
+    """
+
+    def __init__(
+        self, edges: tuple[tuple[int, int], ...], may_lead: tuple[int, ...], successors: tuple[int, ...] = ()
+    ) -> None:
+        self.edges, self.may_lead, self.successors = edges, may_lead, successors
+        self.ids = sorted({i for edge in edges for i in edge})
+        self.vehicles = {i: self.started(i) for i in self.ids}
+        self.packets: dict[int, PeerPacket] = {}
+        self.deaf: set[int] = set()
+        self.dead: set[int] = set()
+        self.receives: Callable[[int, int], bool] = lambda _receiver, _sender: True
+        self.phases = dict.fromkeys(self.ids, FlightPhase.FORMATION)
+        self.sessions = dict.fromkeys(self.ids, 1)
+        self.now_s = 50.0
+        self._led: set[int] = set()
+
+    def started(self, vehicle_id: int) -> ConsensusStage:
+        return ConsensusStage(
+            vehicle_id,
+            Leadership(vehicle_id, [1], self.may_lead),
+            len(self.ids),
+            PeerTable(vehicle_id, {i: i in self.may_lead for i in self.ids}, 42, 0.3, LIMITS, self.successors),
+            EdgeRule(vehicle_id, self.edges),
+            BeaconMonitor(BEACON_MAX_AGE_S),
+            Succession(vehicle_id, self.successors),
+        )
+
+    def tick(self) -> dict[int, Consensus]:
+        self.now_s += TICK_S
+        around = {
+            i: vehicle.step(
+                self.now_s,
+                VehicleState(position_enu_m=ZERO3, armed=True),
+                Flight(self.phases[i], in_formation=self.phases[i] is not FlightPhase.HOLD),
+                self._received_by(i),
+                fit_to_lead=self.phases[i] is FlightPhase.FORMATION,
+            )
+            for i, vehicle in self.vehicles.items()
+            if i not in self.dead
+        }
+        for i, what in around.items():
+            if what.leader_beacon is not None:
+                self._led.add(i)
+            elif (
+                what.leaderless is HealthFlag.LEADER_LOST and i in self._led and self.phases[i] is FlightPhase.FORMATION
+            ):
+                self.phases[i] = FlightPhase.HOLD
+        self.packets = {i: self._packet(i, what) for i, what in around.items()}
+        assert all(not vehicle.peers.rejected for vehicle in self.vehicles.values())
+        return around
+
+    def fly(self, ticks: int) -> dict[int, Consensus]:
+        return [self.tick() for _ in range(ticks)][-1]
+
+    def give(self, lead: Lead, *ids: int) -> None:
+        for i in ids or self.ids:
+            assert self.vehicles[i].leadership.command(lead)[0].accepted
+
+    def _received_by(self, vehicle_id: int) -> list[ReceivedPeerPacket]:
+        senders = [] if vehicle_id in self.deaf else [i for i in self.packets if i != vehicle_id]
+        others = [self.packets[i] for i in senders if self.receives(vehicle_id, i)]
+        return [ReceivedPeerPacket(self.now_s, packet) for packet in others]
+
+    def _packet(self, vehicle_id: int, what: Consensus) -> PeerPacket:
+        return PeerPacket(
+            vehicle_id=vehicle_id,
+            session=self.sessions[vehicle_id],
+            sequence=round(self.now_s / TICK_S),
+            formation_hash=42,
+            phase=self.phases[vehicle_id],
+            role=what.role,
+            position_enu_m=ZERO3,
+            velocity_enu_m_s=ZERO3,
+            acceleration_enu_m_s2=ZERO3,
+            state_age_s=0.0,
+            sent_s=self.now_s,
+            prc=what.prc,
+            leader_beacon=what.leader_beacon,
+            slot=FlownSlot(ZERO3),
+        )

@@ -1,0 +1,278 @@
+"""A fleet of real processes that flies under a fault: taps at every autopilot, true tracks, and the links between agents.
+
+Four vehicles in a line of 1.5 m fly a circle under the law `cooperative`; the first one leads. States travel as datagrams over
+the emulated network. Times are of the machine's monotonic clock.
+"""
+
+from __future__ import annotations
+
+import csv
+import os
+import re
+import signal
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from datetime import datetime
+from itertools import combinations, pairwise
+from math import acos, degrees, dist
+from pathlib import Path
+from typing import Any
+
+from msgspec.structs import replace
+
+from agent_process import until
+from commanding_ground import Ground
+from companion.core.safety.failsafe import FAILSAFES, OTHER_FAILSAFES, Step
+from companion.ground.session import FleetSession
+from companion.types.commands import CommandName
+from companion.types.flight import FlightPhase
+from companion.types.notices import Code
+from companion.types.vectors import Vector3
+from fleet_ports import free_fleet_offset
+from repository import ROOT
+from sitl.flight.files import truth_path, write_files, write_network
+from sitl.flight.processes.fleet import Fleet
+from sitl.flight.scenario import Scenario, load_scenario
+from sitl.links.ports import ports_of, zenoh_endpoint
+from sitl.vehicle.config import Links
+from tapped_flight import PX4
+from wire_tap import Setpoint, WireTap
+
+IDS = (1, 2, 3, 4)
+LEADER, FOLLOWERS = 1, (2, 3, 4)
+SEPARATION_M = 1.0
+UNDISTURBED = Links(peer_transport="udp", peer_delay_s=0.002)  # not the default: the emulated network runs
+AGENTS_PORTS = 12_000  # away from the stand-ins' ports, where the taps listen
+LONGEST_STREAM_GAP_S = 0.1  # setpoints further apart are not of one stream
+OVERRIDES = (
+    "fleet.law.name=cooperative",
+    "fleet.takeoff_height_m=2.0",
+    f"fleet.separation_m={SEPARATION_M}",
+    "reference={kind: circle, centre_enu_m: [-6.0, 0.0, 2.0], radius_m: 6.0, period_s: 30.0}",
+    "links={peer_transport: udp, peer_delay_s: 0.002}",
+)
+LOGGED = re.compile(r"^(\d\d:\d\d:\d\d\.\d\d\d) vehicle \d+: ([A-Z_]+): (.*)$", re.MULTILINE)
+TO_FORMATION = (
+    (CommandName.PREPARE, FlightPhase.READY),
+    (CommandName.ARM, FlightPhase.ARMED),
+    (CommandName.TAKEOFF, FlightPhase.HOLD),
+    (CommandName.FORM, FlightPhase.FORMATION),
+)
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A time by both clocks: the monotonic one of taps and truth, and that of the agents' logs."""
+
+    monotonic_s: float
+    wall_s: float
+
+    @classmethod
+    def now(cls) -> Moment:
+        return cls(time.monotonic(), time.time())
+
+
+@dataclass(frozen=True)
+class Event:
+    """A line of an agent's log, `after_s` after the fault."""
+
+    after_s: float
+    code: str
+    text: str
+
+
+@dataclass
+class FaultyFleet:
+    """A flying fleet. `fault` starts the measurement of everything that has `since` in its description."""
+
+    scenario: Scenario
+    folder: Path
+    port_offset: int
+    fleet: Fleet
+    session: FleetSession
+    ground: Ground
+    taps: dict[int, WireTap]
+    since: Moment
+
+    # ------------------------------------------------------------ flying and faults
+
+    def form(self, ids: Sequence[int] = IDS) -> None:
+        """From any phase into formation, and two seconds of it."""
+        self.ground.listen(0.5)
+        for name, phase in TO_FORMATION:
+            in_the_air = self.ground.phases(tuple(ids)) <= {FlightPhase.HOLD, FlightPhase.FORMATION}
+            if not in_the_air or name is CommandName.FORM:
+                self.ground.order(name, phase, tuple(ids))
+        self.ground.listen(2.0)
+
+    def land(self, ids: Sequence[int] = IDS) -> None:
+        self.ground.order(CommandName.LAND, FlightPhase.OBSERVE, tuple(ids), within_s=60.0)
+
+    def fault(self) -> Moment:
+        """The fault begins now."""
+        self.since = Moment.now()
+        return self.since
+
+    def pid(self, name: str) -> int:
+        return self.fleet.pid_of(name)
+
+    def kill(self, name: str, number: signal.Signals = signal.SIGKILL) -> None:
+        os.kill(self.pid(name), number)
+
+    def links(self, links: Links) -> None:
+        """Change the links between the agents."""
+        log = self.folder / "network.log"
+        before = log.read_text().count("links changed")
+        write_network(self.scenario, links, self.folder, self.port_offset)
+        self.kill("network", signal.SIGHUP)
+        self.wait(lambda: log.read_text().count("links changed") > before, 5.0)
+
+    def wait(self, condition: Callable[[], object], within_s: float) -> None:
+        """Receive reports until the condition holds."""
+        end_s = time.monotonic() + within_s
+        while not condition():
+            assert time.monotonic() < end_s, (
+                {i: str(s.last_event) for i, s in self.ground.newest.items()},
+                self.logged(),
+            )
+            self.ground.listen(0.05)
+
+    def phase(self, vehicle_id: int) -> FlightPhase:
+        return self.ground.newest[vehicle_id].phase
+
+    # ------------------------------------------------------------ measured since the fault
+
+    def events(self, vehicle_id: int) -> list[Event]:
+        """What its agent logged since the fault."""
+        text = (self.folder / f"agent_{vehicle_id}.log").read_text(encoding="utf-8", errors="replace")
+        day = datetime.fromtimestamp(self.since.wall_s).date()
+        found = []
+        for clock, code, rest in LOGGED.findall(text):
+            at_s = datetime.fromisoformat(f"{day} {clock}").timestamp() - self.since.wall_s
+            if at_s > -0.002:
+                found.append(Event(max(at_s, 0.0), code, rest))
+        return found
+
+    def logged(self) -> dict[int, list[str]]:
+        return {i: [f"{e.after_s:.2f} {e.code} {e.text}" for e in self.events(i)][-6:] for i in IDS}
+
+    def event(self, vehicle_id: int, code: str) -> Event | None:
+        """The first event with this code since the fault."""
+        return next((event for event in self.events(vehicle_id) if event.code == code), None)
+
+    def setpoints(self, vehicle_id: int) -> list[Setpoint]:
+        return self.taps[vehicle_id].setpoints_since(self.since.monotonic_s)
+
+    def last_setpoint_s(self, vehicle_id: int) -> float:
+        """Time of the last setpoint since the fault; 0 if there was none."""
+        sent = self.setpoints(vehicle_id)
+        return sent[-1].at_s - self.since.monotonic_s if sent else 0.0
+
+    def largest_step_deg(self) -> float:
+        """Largest angle between consecutive setpoints of one vehicle since the fault."""
+        steps = [0.0]
+        for tap in self.taps.values():
+            sent = tap.setpoints_since(self.since.monotonic_s - 0.05)
+            steps += [_angle_deg(a, b) for a, b in pairwise(sent) if b.at_s - a.at_s < LONGEST_STREAM_GAP_S]
+        return max(steps)
+
+    def tracks(self) -> dict[int, dict[int, Vector3]]:
+        """True positions of the armed vehicles by id and time in units of 20 ms, since the fault."""
+        found: dict[int, dict[int, Vector3]] = {}
+        for vehicle_id in IDS:
+            lines = truth_path(self.folder, vehicle_id).read_text(encoding="ascii").splitlines(keepends=True)
+            rows = csv.DictReader(line for line in lines if line.endswith("\n"))
+            found[vehicle_id] = {
+                round(float(row["monotonic_s"]) / 0.02): (float(row["x_m"]), float(row["y_m"]), float(row["z_m"]))
+                for row in rows
+                if row["armed"] == "1" and float(row["monotonic_s"]) > self.since.monotonic_s
+            }
+        return found
+
+    def smallest_distance_m(self) -> float:
+        """Smallest true distance between two armed vehicles since the fault."""
+        tracks = self.tracks()
+        return min(
+            dist(tracks[i][at], tracks[j][at])
+            for i, j in combinations(IDS, 2)
+            for at in tracks[i].keys() & tracks[j].keys()
+        )
+
+    def largest_error_m(self, last_s: float) -> float:
+        """Largest true error of a follower's place beside the leader in the last seconds."""
+        tracks = self.tracks()
+        slots = {member.id: member.slot_enu_m for member in self.scenario.fleet.vehicles}
+        times = sorted(set.intersection(*(set(track) for track in tracks.values())))[-round(last_s / 0.02) :]
+        assert len(times) > 25 * last_s  # half of them
+        return max(
+            dist(_minus(tracks[i][at], tracks[LEADER][at]), _minus(slots[i], slots[LEADER]))
+            for i in FOLLOWERS
+            for at in times
+        )
+
+
+def _minus(a: Sequence[float], b: Sequence[float]) -> tuple[float, ...]:
+    return tuple(p - q for p, q in zip(a, b, strict=True))
+
+
+def _angle_deg(a: Setpoint, b: Setpoint) -> float:
+    cosine = abs(sum(p * q for p, q in zip(a.attitude, b.attitude, strict=True)))
+    return degrees(2.0 * acos(min(cosine, 1.0)))
+
+
+@contextmanager
+def faulty_fleet(folder: Path, *overrides: str) -> Iterator[FaultyFleet]:
+    """The processes of a fleet on the ground, ended with the block."""
+    scenario = load_scenario(ROOT / "config" / "scenarios" / "platoon.yaml", [*OVERRIDES, *overrides])
+    port_offset = free_fleet_offset()
+    write_files(scenario, folder, port_offset)
+    with ExitStack() as stack:
+        taps = {i: stack.enter_context(_tap(folder, i, port_offset)) for i in IDS}
+        fleet = stack.enter_context(Fleet.start_written(scenario, folder, port_offset))
+        endpoints = [zenoh_endpoint(i, port_offset) for i in IDS]
+        session = stack.enter_context(FleetSession.open(scenario.fleet.name, endpoints))
+        stack.callback(_resume, fleet)
+        until(lambda: "network of vehicles" in (folder / "network.log").read_text())
+        yield FaultyFleet(scenario, folder, port_offset, fleet, session, Ground(session), taps, Moment.now())
+
+
+def _tap(folder: Path, vehicle_id: int, port_offset: int) -> WireTap:
+    """The tap takes the agent's port; the agent gets another one."""
+    port = ports_of(vehicle_id, port_offset).companion
+    file = folder / f"vehicle_{vehicle_id}.yaml"
+    text = file.read_text(encoding="utf-8")
+    assert f":{port}" in text
+    file.write_text(text.replace(f"udpin:127.0.0.1:{port}", f"udpin:127.0.0.1:{port + AGENTS_PORTS}"), encoding="utf-8")
+    return WireTap(port, port + AGENTS_PORTS, PX4.formation_mode, PX4.mode_message)
+
+
+def _resume(fleet: Fleet) -> None:
+    """Frozen processes do not end by SIGTERM."""
+    for role in ("agent", "autopilot"):
+        for vehicle_id in IDS:
+            with suppress(ProcessLookupError):
+                os.kill(fleet.pid_of(f"{role} {vehicle_id}"), signal.SIGCONT)
+
+
+def disturbed(**links: Any) -> Links:
+    """The undisturbed links with these changes."""
+    return replace(UNDISTURBED, **links)
+
+
+def demanded(code: Code) -> str:
+    """What the failsafe matrix demands, in words."""
+    row = next(row for row in (*FAILSAFES, *OTHER_FAILSAFES) if row.condition is code)
+    steps = [f"{_action(step)}{_after(step)}" for step in row.steps]
+    return f"`{code}` ({row.raised}): {', then '.join(steps)}"
+
+
+def _action(step: Step) -> str:
+    return f"`{step.action}`" if isinstance(step.action, str) else step.action.name
+
+
+def _after(step: Step) -> str:
+    if not step.after_s:
+        return ""
+    return f" after `{step.after_s}`" if isinstance(step.after_s, str) else f" after {step.after_s:g} s"

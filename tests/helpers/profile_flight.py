@@ -1,0 +1,218 @@
+"""One agent in virtual time with an autopilot of either make."""
+
+from __future__ import annotations
+
+import struct
+
+import pytest
+
+from companion.assembly import build_agent
+from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember
+from companion.config.reference import PointReference
+from companion.config.vehicle import AgentConfig, VehicleConfig
+from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
+from companion.mavlink.translator import Translator
+from companion.types.autopilot import AutopilotKind
+from companion.types.commands import Command, CommandName
+from companion.types.flight import FlightPhase, Role
+from companion.types.notices import Code, Notice
+from companion.types.status import Status
+from companion.types.tick import Inbox
+
+M, P, C = mavlink, FlightPhase, CommandName
+PX4, ARDUPILOT = AutopilotKind.PX4, AutopilotKind.ARDUPILOT
+BOTH = pytest.mark.parametrize("kind", list(AutopilotKind))
+MAV_AUTOPILOT = {PX4: M.MAV_AUTOPILOT_PX4, ARDUPILOT: M.MAV_AUTOPILOT_ARDUPILOTMEGA}
+ORIGIN_AMSL_M = 488.0
+TAKEOFF_M = 2.0
+MANUAL = {PX4: 1 << 16, ARDUPILOT: 0}  # MANUAL, STABILIZE
+HOLD = {PX4: 4 << 16 | 3 << 24, ARDUPILOT: 17}
+IN_ORDER: dict[AutopilotKind, dict[str, int | float]] = {
+    PX4: {
+        "COM_OF_LOSS_T": 1.0,
+        "COM_OBL_RC_ACT": 5,
+        "NAV_DLL_ACT": 0,
+        "COM_RC_OVERRIDE": 3,
+        "GF_ACTION": 2,
+        "GF_MAX_HOR_DIST": 100.0,
+        "GF_MAX_VER_DIST": 50.0,
+        "MPC_THR_HOVER": 0.5,
+    },
+    ARDUPILOT: {
+        "GUID_OPTIONS": 8,
+        "ATC_ANGLE_BOOST": 1,
+        "GUID_TIMEOUT": 1.0,
+        "FS_GCS_ENABLE": 0,
+        "FENCE_ENABLE": 1,
+        "FENCE_ACTION": 1,
+        "MOT_THST_HOVER": 0.5,
+    },
+}
+Answer = tuple[int, ...]
+AHRS = M.MAV_SYS_STATUS_AHRS
+ACCEPTED, FAILED = M.MAV_RESULT_ACCEPTED, M.MAV_RESULT_FAILED
+TEMPORARILY_REJECTED = M.MAV_RESULT_TEMPORARILY_REJECTED
+
+
+class Autopilot:
+    """Executes commands, unless `refuses` has answers for a command: it sends these and does nothing else."""
+
+    def __init__(self, kind: AutopilotKind) -> None:
+        self.kind = kind
+        self.custom_mode, self.armed, self.landed, self.up_m = MANUAL[kind], False, 1, 0.0
+        self.north_m_s = 0.0
+        self.refuses: dict[int, Answer] = {}
+        self.queued: list[MavlinkMessage] = []  # sent in the next tick
+        self.withheld: tuple[str, ...] = ()
+        self.parameters = dict(IN_ORDER[kind])
+        self.battery_percent = 90
+        self.may_arm = self.estimator_healthy = True
+        self.read: list[str] = []  # names of parameters that were asked for
+        self.commands: list[MavlinkMessage] = []
+        self.targets: list[MavlinkMessage] = []
+        self._codec = MavlinkCodec(3, 1)
+        self._ticks = 0
+
+    def send(self) -> bytes:
+        """50 Hz; PX4's HEARTBEAT once a second."""
+        boot_ms = 20 * self._ticks
+        messages, self.queued = self.queued, []
+        messages.append(M.MAVLink_attitude_quaternion_message(boot_ms, 1, 0, 0, 0, 0, 0, 0))
+        messages.append(M.MAVLink_extended_sys_state_message(0, self.landed))
+        healthy = M.MAV_SYS_STATUS_PREARM_CHECK if self.may_arm else 0
+        healthy |= AHRS if self.estimator_healthy else 0
+        messages.append(
+            M.MAVLink_sys_status_message(AHRS, AHRS, healthy, 0, 0, 0, self.battery_percent, 0, 0, 0, 0, 0, 0)
+        )
+        if self.kind is PX4:
+            messages.append(M.MAVLink_current_mode_message(0, self.custom_mode, self.custom_mode))
+        if self.kind is ARDUPILOT or self._ticks % 50 == 0:
+            messages.append(self.heartbeat())
+        messages.append(M.MAVLink_local_position_ned_message(boot_ms, 0, 0, -self.up_m, self.north_m_s, 0, 0))
+        self._ticks += 1
+        return b"".join(self._codec.encode(m) for m in messages if m.get_type() not in self.withheld)
+
+    def heartbeat(self) -> MavlinkMessage:
+        flags = M.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | (M.MAV_MODE_FLAG_SAFETY_ARMED if self.armed else 0)
+        return M.MAVLink_heartbeat_message(
+            M.MAV_TYPE_QUADROTOR, MAV_AUTOPILOT[self.kind], flags, self.custom_mode, 4, 3
+        )
+
+    def receive(self, data: bytes) -> None:
+        for message in self._codec.decode(data):
+            if message.get_type() == "SET_ATTITUDE_TARGET":
+                self.targets.append(message)
+            elif message.get_type() == "PARAM_REQUEST_READ":
+                self._send_parameter(message.param_id)
+            else:
+                self._command(message)
+
+    def _send_parameter(self, name: str) -> None:
+        """Integers bytewise in PX4's, as numbers in ArduPilot's. No answer for a parameter that it does not have."""
+        self.read.append(name)
+        if name not in self.parameters:
+            return
+        value = self.parameters[name]
+        kind = M.MAV_PARAM_TYPE_INT32 if isinstance(value, int) else M.MAV_PARAM_TYPE_REAL32
+        if isinstance(value, int) and self.kind is PX4:
+            value = struct.unpack("<f", struct.pack("<i", value))[0]
+        self.queued.append(M.MAVLink_param_value_message(name.encode(), value, kind, len(self.parameters), 0))
+
+    def _command(self, message: MavlinkMessage) -> None:
+        number = message.command
+        if number == M.MAV_CMD_REQUEST_MESSAGE:
+            self.queued.append(M.MAVLink_gps_global_origin_message(473977420, 85455940, int(ORIGIN_AMSL_M * 1000)))
+            return
+        self.commands.append(message)
+        answers = self.refuses.get(number, (ACCEPTED,))
+        self.queued += [M.MAVLink_command_ack_message(number, result) for result in answers]
+        if number not in self.refuses:
+            self._do(message)
+
+    def _do(self, message: MavlinkMessage) -> None:
+        match message.command:
+            case M.MAV_CMD_DO_SET_MODE:
+                main, sub = int(message.param2), int(message.param3)
+                self.custom_mode = main << 16 | sub << 24 if self.kind is PX4 else main
+            case M.MAV_CMD_COMPONENT_ARM_DISARM:
+                self.armed = bool(message.param1)
+            case M.MAV_CMD_NAV_TAKEOFF:
+                above_m = ORIGIN_AMSL_M if self.kind is PX4 else 0.0
+                self.up_m, self.landed = message.param7 - above_m, 2
+                self.custom_mode = HOLD[PX4] if self.kind is PX4 else self.custom_mode
+
+
+class Flight:
+    """An agent and its autopilot, tick by tick, with nothing but bytes between them."""
+
+    def __init__(self, kind: AutopilotKind, wanted: AutopilotKind | None = None) -> None:
+        member = FormationMember(id=3, role=Role.LEADER, slot_enu_m=(0.0, 0.0, 0.0))
+        fleet = FleetConfig(
+            name="one",
+            origin="indoor",
+            vehicles=(member,),
+            neighbours=EdgeNeighbours(edges=()),
+            takeoff_height_m=TAKEOFF_M,
+        )
+        vehicle = VehicleConfig(
+            id=3,
+            fleet="fleet.yaml",
+            mavlink="udpin:127.0.0.1:14540",
+            hover_thrust_norm=0.5,
+            reference=PointReference(point_enu_m=(20.0, 0.0, TAKEOFF_M)),  # far away: it leans as far as it may
+        )
+        self.autopilot = Autopilot(kind)
+        self.translator = Translator(3, wanted)
+        self.agent = build_agent(AgentConfig(vehicle, fleet, member), session=1)
+        self.now_s = 100.0
+        self.stopping = False
+        self.events: list[Notice] = []
+        self.status: Status | None = None  # the newest
+        self.replies: list[tuple[bool, Code, str]] = []
+        self._number = 0  # of the last command
+
+    def next_number(self) -> int:
+        self._number += 1
+        return self._number
+
+    def tick(self, *names: CommandName) -> None:
+        self.now_s += 0.02
+        telemetry = tuple(self.translator.telemetry(self.autopilot.send(), self.now_s))
+        commands = tuple(Command(name, self.next_number(), "anna@ground", 1) for name in names)
+        outbox = self.agent.step(self.now_s, Inbox(telemetry, (), commands, self.stopping))
+        if outbox.attitude_target:
+            self.autopilot.receive(self.translator.attitude_target(outbox.attitude_target, self.now_s))
+        for request in outbox.requests:
+            self.autopilot.receive(self.translator.request(request))
+        self.events += outbox.events
+        self.status = outbox.status or self.status
+        self.replies += [(reply.accepted, reply.code, reply.reason) for reply in outbox.replies]
+
+    def ticks(self, seconds: float) -> None:
+        for _ in range(round(seconds / 0.02)):
+            self.tick()
+
+    def do(self, name: CommandName, seconds: float = 2.0) -> FlightPhase:
+        self.tick(name)
+        assert self.replies[-1][0], self.replies[-1]
+        self.ticks(seconds)
+        return self.agent.phase
+
+    def fly_to(self, phase: FlightPhase) -> Flight:
+        self.ticks(0.2)
+        for name in (C.PREPARE, C.ARM, C.TAKEOFF, C.FORM):
+            if self.agent.phase is not phase:
+                self.do(name)
+        assert self.agent.phase is phase, self.events
+        return self
+
+
+def asked(flight: Flight) -> list[tuple[float, ...]]:
+    """(command, the parameters that are not zero) of all COMMAND_LONGs."""
+    return [
+        (
+            m.command,
+            *(p for p in (m.param1, m.param2, m.param3, m.param4, m.param5, m.param6, m.param7) if p and p == p),
+        )
+        for m in flight.autopilot.commands
+    ]

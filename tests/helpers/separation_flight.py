@@ -1,0 +1,248 @@
+"""Point masses with an autopilot's lag that fly to goals under the separation filter, with late, lossy and noisy peer states.
+
+The vehicle answers an acceleration after a dead time and two low passes, as PX4's measured attitude step response: 50 % after
+0.2 s. Packets, peer table and filter are the agent's own.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from itertools import combinations
+from math import dist, exp, hypot, radians, sqrt, tan
+from random import Random
+
+from companion.assembly import safety_filter_of
+from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember
+from companion.config.law import Law
+from companion.core.consensus.law import Gains, feedback
+from companion.core.consensus.peers import PeerTable
+from companion.core.consensus.plausibility import FleetLimits
+from companion.core.safety.acceleration_filter import AccelerationLimits
+from companion.types.autopilot import PositionError, VehicleState
+from companion.types.flight import FlightPhase, Role
+from companion.types.formation import FlownSlot
+from companion.types.peers import PeerPacket, ReceivedPeerPacket
+from companion.types.separation import SeparationReport
+from companion.types.vectors import ZERO3, Vector3
+
+TICK_S = 0.02
+DEAD_TICKS = 3
+LOW_PASS_S = 0.07
+DRAG_1_S = 0.25
+GAINS = Gains(1.39, 1.2)
+LIMITS = FleetLimits(25.0, 8.0, (200.0, 200.0, 55.0))
+STILL = AccelerationLimits(tan(radians(25.0)), 0.3, 1.6, ZERO3)  # the default envelope, without wind
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """Slow drift of position and velocity, white noise of the velocity, and the error that the estimator reports."""
+
+    position_sd_m: float = 0.0
+    velocity_sd_m_s: float = 0.0
+    white_sd_m_s: float = 0.0
+    reported: PositionError | None = None
+
+
+IDEAL = Noise()
+DEFAULT = Noise(0.04, 0.03, 0.02, PositionError(0.06, 0.05))
+PX4_SIH = Noise(0.11, 0.13, 0.03, PositionError(0.15, 0.16))
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    delay_s: float = 0.001
+    jitter_s: float = 0.0
+    loss: float = 0.0
+
+
+class Drift:
+    """First-order Gauss-Markov error of three components."""
+
+    def __init__(self, sd: float, time_s: float, random: Random) -> None:
+        self._sd, self._keeps, self._random = sd, exp(-TICK_S / time_s), random
+        self.value = tuple(random.gauss(0.0, sd) for _ in range(3))
+
+    def step(self) -> None:
+        fresh = self._sd * sqrt(1.0 - self._keeps**2)
+        self.value = tuple(self._keeps * x + self._random.gauss(0.0, fresh) for x in self.value)
+
+
+Wish = Callable[[float, VehicleState], Vector3]
+
+
+def to_goal(goal_enu_m: Vector3, gains: Gains = GAINS) -> Wish:
+    """Eq. 14 of a leader whose reference stands still."""
+
+    def wish(_now_s: float, vehicle: VehicleState) -> Vector3:
+        (x, y, z), (gx, gy, gz) = vehicle.position_enu_m, goal_enu_m
+        return feedback(gains, (x - gx, y - gy, z - gz), vehicle.velocity_enu_m_s)
+
+    return wish
+
+
+@dataclass
+class Body:
+    """One vehicle. `filters` is False for one that ignores all others; its phase is what it reports."""
+
+    vehicle_id: int
+    position_enu_m: Vector3
+    wish: Wish
+    velocity_enu_m_s: Vector3 = ZERO3
+    phase: FlightPhase = FlightPhase.FORMATION
+    filters: bool = True
+    armed: bool = True
+    slot: FlownSlot = field(default_factory=lambda: FlownSlot(ZERO3))
+
+
+class SeparationFlight:
+    """All vehicles, tick by tick. `apart_m` is the least true distance so far of each pair that flies."""
+
+    def __init__(
+        self, bodies: Iterable[Body], separation_m: float, noise: Noise = IDEAL, link: Link = Link(), seed: int = 1
+    ) -> None:
+        self.bodies = {body.vehicle_id: body for body in bodies}
+        self.now_s = 100.0
+        self.apart_m: dict[tuple[int, int], float] = dict.fromkeys(combinations(sorted(self.bodies), 2), 1e9)
+        self.reports: dict[int, SeparationReport] = {}
+        self.interventions = 0
+        self.silent: set[int] = set()
+        self._noise, self._link, self._random = noise, link, Random(f"{seed} link")
+        random = Random(f"{seed} noise")
+        self._position = {i: Drift(noise.position_sd_m, 20.0, random) for i in self.bodies}
+        self._velocity = {i: Drift(noise.velocity_sd_m_s, 2.0, random) for i in self.bodies}
+        self._white = random
+        may_lead = dict.fromkeys(self.bodies, True)
+        self._tables = {i: PeerTable(i, may_lead, 1, 0.3, LIMITS, ()) for i in self.bodies}
+        fleet = _fleet(self.bodies, separation_m)
+        self._filters = {i: safety_filter_of(fleet, i) for i in self.bodies}
+        self._commanded = dict.fromkeys(self.bodies, ZERO3)
+        self._dead = {i: deque([ZERO3] * DEAD_TICKS) for i in self.bodies}
+        self._low: dict[int, tuple[Vector3, Vector3]] = dict.fromkeys(self.bodies, (ZERO3, ZERO3))
+        self._on_the_way: list[tuple[float, int, PeerPacket]] = []
+        self._sequence = 0
+
+    @property
+    def nearest_m(self) -> float:
+        return min(self.apart_m.values())
+
+    def fly(self, seconds: float) -> None:
+        for _ in range(round(seconds / TICK_S)):
+            self.tick()
+
+    def tick(self) -> None:
+        self.now_s += TICK_S
+        self._sequence += 1
+        states = {i: self._estimate(body) for i, body in self.bodies.items()}
+        for i, state in states.items():
+            self._decide(i, state)
+        for i, state in states.items():
+            if i not in self.silent:
+                self._send(i, state)
+        for i, body in self.bodies.items():
+            self._move(i, body)
+        for i, j in self.apart_m:
+            apart_m = dist(self.bodies[i].position_enu_m, self.bodies[j].position_enu_m)
+            self.apart_m[i, j] = min(self.apart_m[i, j], apart_m)
+
+    def _estimate(self, body: Body) -> VehicleState:
+        i, white = body.vehicle_id, self._noise.white_sd_m_s
+        self._position[i].step()
+        self._velocity[i].step()
+        position = [x + e for x, e in zip(body.position_enu_m, self._position[i].value, strict=True)]
+        velocity = [
+            v + e + (self._white.gauss(0.0, white) if white else 0.0)
+            for v, e in zip(body.velocity_enu_m_s, self._velocity[i].value, strict=True)
+        ]
+        return VehicleState(
+            position_enu_m=(position[0], position[1], position[2]),
+            velocity_enu_m_s=(velocity[0], velocity[1], velocity[2]),
+            position_time_s=self.now_s,
+            armed=body.armed,
+            position_error=self._noise.reported,
+        )
+
+    def _decide(self, i: int, state: VehicleState) -> None:
+        body, table = self.bodies[i], self._tables[i]
+        arrived = [(at_s, to, packet) for at_s, to, packet in self._on_the_way if to == i and at_s <= self.now_s]
+        self._on_the_way = [one for one in self._on_the_way if one not in arrived]
+        arrived.sort(key=lambda one: one[0])
+        table.fold([ReceivedPeerPacket(self.now_s, packet) for _, _, packet in arrived], 0)
+        wanted = body.wish(self.now_s, state)
+        if body.filters:
+            result = self._filters[i].step(
+                self.now_s,
+                state,
+                body.phase is FlightPhase.FORMATION,
+                table.newest,
+                table.fresh(self.now_s),
+                body.slot,
+                wanted,
+                self._commanded[i],
+                ZERO3,
+            )
+            self.reports[i] = result.separation
+            self.interventions += result.acceleration_enu_m_s2 is not wanted
+            wanted = result.acceleration_enu_m_s2
+        self._commanded[i] = STILL.nearest(wanted)
+
+    def _send(self, i: int, state: VehicleState) -> None:
+        body = self.bodies[i]
+        streams = body.phase is FlightPhase.FORMATION
+        packet = PeerPacket(
+            vehicle_id=i,
+            session=1,
+            sequence=self._sequence,
+            formation_hash=1,
+            phase=body.phase,
+            role=Role.FOLLOWER,
+            position_enu_m=state.position_enu_m,
+            velocity_enu_m_s=state.velocity_enu_m_s,
+            acceleration_enu_m_s2=self._commanded[i] if streams else ZERO3,
+            state_age_s=0.0,
+            sent_s=self.now_s,
+            prc=2,
+            leader_beacon=None,
+            slot=body.slot,
+            position_error=state.position_error,
+            armed=body.armed,
+        )
+        for j in self.bodies:
+            if j != i and self._random.random() >= self._link.loss:
+                late_s = self._link.delay_s + self._link.jitter_s * self._random.random()
+                self._on_the_way.append((self.now_s + late_s, j, packet))
+
+    def _move(self, i: int, body: Body) -> None:
+        self._dead[i].append(self._commanded[i])
+        asked = self._dead[i].popleft()
+        first, second = self._low[i]
+        share = 1.0 - exp(-TICK_S / LOW_PASS_S)
+        first = _towards(first, asked, share)
+        second = _towards(second, first, share)
+        self._low[i] = first, second
+        (x, y, z), (vx, vy, vz) = body.position_enu_m, body.velocity_enu_m_s
+        vx, vy, vz = (v + (a - DRAG_1_S * v) * TICK_S for v, a in zip((vx, vy, vz), second, strict=True))
+        body.velocity_enu_m_s = (vx, vy, vz)
+        body.position_enu_m = (x + vx * TICK_S, y + vy * TICK_S, z + vz * TICK_S)
+
+
+def _towards(a: Vector3, b: Vector3, share: float) -> Vector3:
+    return (a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]), a[2] + share * (b[2] - a[2]))
+
+
+def off_m(body: Body, goal_enu_m: Vector3) -> float:
+    return hypot(*(a - b for a, b in zip(body.position_enu_m, goal_enu_m, strict=True)))
+
+
+def _fleet(ids: Iterable[int], separation_m: float) -> FleetConfig:
+    members = tuple(FormationMember(i, Role.FOLLOWER, ZERO3) for i in ids)
+    return FleetConfig(
+        name="test",
+        origin="indoor",
+        vehicles=members,
+        neighbours=EdgeNeighbours(()),
+        law=Law(name="weighted"),
+        separation_m=separation_m,
+    )

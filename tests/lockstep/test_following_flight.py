@@ -1,0 +1,66 @@
+"""References that the law cannot follow at the spacing compress the formation; the pace that the refusal names does not."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from companion.assembly import flyable_problems
+from companion.config.reference import CircleReference, Reference, WaypointsReference
+from companion.core.safety import safety_filter
+from recorded_flight import Recorder
+from repository import ROOT
+from sitl.flight.director import Director
+from sitl.flight.lockstep import Lockstep
+from sitl.flight.scenario import Scenario, load_scenario
+from sitl.report.metrics import SAMPLE_S, pairs_of
+from sitl.report.progress import Progress
+
+PLATOON = ROOT / "config" / "scenarios" / "platoon.yaml"
+CIRCLE = CircleReference(centre_enu_m=(-8.0, 0.0, 2.0), radius_m=8.0, period_s=28.0, ramp_s=8.0)
+BACK_AND_FORTH = WaypointsReference(
+    points_enu_m=((0.0, 0.0, 2.0), (20.0, 0.0, 2.0), (0.0, 0.0, 2.0)), max_speed_m_s=3.0, max_acceleration_m_s2=1.2
+)
+
+
+def flown_by(reference: Reference, *overrides: str) -> Scenario:
+    scenario = load_scenario(PLATOON, ["stand_in.airframe.drag_n_per_m_s=0.25", *overrides])
+    return replace(scenario, reference=reference)
+
+
+def smallest_m(scenario: Scenario) -> float:
+    """The smallest true distance of two vehicles in formation."""
+    lockstep, watch = Lockstep(scenario), Recorder(scenario)
+    director = Director(lockstep, watch, Progress("test", True, 0.0), lambda: None, tuple, lockstep)
+    assert director.fly_and_land(scenario.timeline) == []
+    assert watch.formation is not None
+    times_s = np.arange(watch.formation.start_s, watch.formation.end_s, SAMPLE_S)
+    at = {s.vehicle_id: s.track().at(times_s) for s in lockstep.stand_ins}
+    return min(float(np.linalg.norm(at[i] - at[j], axis=1).min()) for i, j in pairs_of(at))
+
+
+def accepted(reference: Reference, text: str) -> Reference:
+    """The reference with the pace that a refusal names."""
+    if isinstance(reference, CircleReference):
+        period_s, ramp_s = re.search(r"at least ([\d.]+) s with ramp_s ([\d.]+)", text).groups()  # type: ignore[union-attr]
+        return replace(reference, period_s=float(period_s), ramp_s=float(ramp_s))
+    found = re.search(r"at most ([\d.]+) m/s\^2 with max_speed_m_s ([\d.]+)", text)
+    assert found
+    return replace(reference, max_acceleration_m_s2=float(found[1]), max_speed_m_s=float(found[2]))
+
+
+@pytest.mark.parametrize("reference", [CIRCLE, BACK_AND_FORTH], ids=["circle", "waypoints"])
+def test_a_refused_reference_compresses_the_formation_and_the_named_pace_does_not(
+    reference: Reference, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(safety_filter, "filtered", lambda wanted, _spaces, _limits: wanted)  # the law alone
+    scenario = flown_by(reference)
+    (problem,) = flyable_problems(scenario.fleet, reference)
+    separation_m = scenario.fleet.separation_m
+    assert smallest_m(scenario) < separation_m
+    slower = accepted(reference, problem.text)
+    assert not list(flyable_problems(scenario.fleet, slower))
+    assert smallest_m(replace(scenario, reference=slower)) >= separation_m

@@ -1,0 +1,194 @@
+"""Random flights in virtual time: reproducible, measured, and replayable from their scenario files."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from companion.types.flight import FlightPhase
+from repository import ROOT
+from sitl.cli.gauntlet import add_arguments, run
+from sitl.errors import UnusableError
+from sitl.flight.lockstep import Lockstep
+from sitl.flight.scenario import Scenario, load_scenario
+from sitl.flight.virtual_flight import fly_without_landing
+from sitl.gauntlet.command import numbers_of
+from sitl.gauntlet.distances import distances
+from sitl.gauntlet.drawn import drawn, family_of, has_runaway
+from sitl.gauntlet.families import FAMILIES
+from sitl.gauntlet.flight import Job, fly
+from sitl.gauntlet.worst import write_worst
+from sitl.report.progress import Progress
+from sitl.report.tracks import Track
+
+FLEET = """
+name: four
+origin: indoor
+law: {name: cooperative}
+separation_m: 1.0
+vehicles:
+  - {id: 3, role: leader, slot_enu_m: [0, 0, 0]}
+  - {id: 5, role: follower, slot_enu_m: [-2, 0, 0], may_lead: true}
+  - {id: 8, role: follower, slot_enu_m: [-4, 0, 0]}
+  - {id: 9, role: follower, slot_enu_m: [-6, 0, 0]}
+neighbours: {kind: edges, edges: [[3, 5], [5, 8], [8, 9], [3, 8], [5, 9]]}
+"""
+
+
+def arguments(*given: str) -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    add_arguments(parser)
+    return parser.parse_args([*given, "--quiet"])
+
+
+@pytest.mark.parametrize("number", range(len(FAMILIES)))
+def test_seed_and_number_give_the_same_scenario(number: int) -> None:
+    first, second = drawn(3, number), drawn(3, number)
+    assert first == second
+    assert first.scenario != drawn(4, number).scenario
+    assert first.family == family_of(number)
+    assert 4 <= len(first.scenario.fleet.vehicles) <= 12
+
+
+def test_each_family_has_runaways() -> None:
+    assert {family_of(number) for number in range(170) if has_runaway(number)} == set(FAMILIES)
+    flight = drawn(1, 9)
+    assert [pilot.vehicle for pilot in flight.scenario.stand_in.pilots] == [flight.runaway]
+
+
+def test_only_the_named_families_are_flown() -> None:
+    numbers = numbers_of(("joining", "exchange"))
+    assert {family_of(next(numbers)) for _ in range(6)} == {"joining", "exchange"}
+
+
+def test_a_flight_is_the_same_bit_for_bit_and_from_its_file(tmp_path: Path) -> None:
+    number = next(numbers_of(("leader_leaves",)))
+    flown = fly(Job(5, number, "ideal"))
+    assert not flown.exception
+    assert flown.ratio is not None
+    assert replace(flown, cpu_s=0.0) == replace(fly(Job(5, number, "ideal")), cpu_s=0.0)
+    write_worst(tmp_path, [flown], "ideal", None)
+    scenario = load_scenario(tmp_path / f"leader_leaves_{number}.yaml")
+    again = distances(fly_without_landing(scenario, Progress("test", True, 0.0)).stand_ins)
+    assert again == flown.distances
+
+
+def test_the_command_flies_a_users_fleet(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "fleet.yaml").write_text(FLEET)
+    given = ["--fleet", str(tmp_path / "fleet.yaml"), "--out", str(tmp_path / "out"), "--flights", "2", "--jobs", "2"]
+    code = run(arguments(*given, "--families", "form_near,reference_step", "--sensors", "ideal"))
+    assert code in (0, 1)
+    assert (tmp_path / "out" / "gauntlet.json").exists()
+    shown = capsys.readouterr().out
+    assert "form_near" in shown
+    assert "reference_step" in shown
+
+
+def test_an_unknown_family_is_refused() -> None:
+    with pytest.raises(UnusableError, match="expected some of formation_change, form_near"):
+        run(arguments("--families", "forming"))
+
+
+def test_an_exception_in_an_agent_is_an_outcome(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object) -> None:
+        raise ZeroDivisionError("in a tick")
+
+    monkeypatch.setattr("sitl.gauntlet.flight.fly_without_landing", fails)
+    outcome = fly(Job(1, 0))
+    assert "ZeroDivisionError: in a tick" in outcome.exception
+    assert outcome.ratio is None
+
+
+def stand_in(vehicle_id: int, x_m: list[float], commanded: bool) -> SimpleNamespace:
+    positions = np.array([[x, 0.0, 2.0] for x in x_m])
+    flags = np.full(len(x_m), commanded)
+    track = Track(0.02 * np.arange(len(x_m)), positions)
+    flies = np.full(len(x_m), True)
+    return SimpleNamespace(vehicle_id=vehicle_id, track=lambda: track, commanded=lambda: flags, flies=lambda: flies)
+
+
+def test_pairs_count_where_an_agent_commands_at_least_one() -> None:
+    stand_ins = [stand_in(1, [0.0, 0.0], True), stand_in(2, [3.0, 2.0], False), stand_in(3, [4.0, 2.5], False)]
+    found = distances(stand_ins)  # type: ignore[arg-type]
+    assert found.commanded is not None
+    assert (found.commanded.vehicles, found.commanded.distance_m, found.commanded.time_s) == ((1, 2), 2.0, 0.02)
+    assert found.automatic is not None
+    assert (found.automatic.vehicles, found.automatic.distance_m) == ((2, 3), 0.5)
+
+
+# ---------------------------------------------------------------- what scenarios can contain
+
+
+def leaving(*overrides: str) -> Scenario:
+    return load_scenario(ROOT / "config" / "scenarios" / "leaving.yaml", ["stand_in.sensors=ideal", *overrides])
+
+
+STEPS = "{command: prepare}, {command: arm}, {command: takeoff}"
+
+
+@pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
+def test_a_pilot_flies_one_vehicle_straight_on(autopilot: str) -> None:
+    scenario = leaving(
+        f"stand_in.autopilot={autopilot}",
+        "stand_in.pilots=[{vehicle: 3, at_s: 14, velocity_enu_m_s: [0, 2, 0]}]",
+        f"timeline=[{STEPS}, {{command: form, vehicles: [1], may_fail: true, at_s: 12, for_s: 7}}]",
+    )
+    flown = fly_without_landing(scenario, Progress("test", True, 0.0))
+    assert flown.failure is None
+    track = flown.tracks()[3]
+    (at_16, at_18) = track.at(np.array([16.0, 18.0]))
+    assert np.allclose((at_18 - at_16) / 2.0, (0.0, 2.0, 0.0), atol=0.1)
+    status = flown.watch.status(3)
+    assert status is not None
+    assert status.phase is FlightPhase.OBSERVE
+    assert not flown.stand_ins[2].commanded().any()
+    assert flown.stand_ins[0].commanded().any()
+
+
+def test_a_partition_cuts_the_network_and_heals() -> None:
+    scenario = leaving("links.partitions=[{vehicles: [4, 5], from_s: 3, until_s: 4}]", f"timeline=[{STEPS}]")
+    lockstep = Lockstep(scenario)
+    peers = {}
+    for until_s in (2.9, 3.9, 4.9):
+        lockstep.sleep(until_s - lockstep.now_s())
+        newest = {report.status.vehicle_id: report.status for report in lockstep.drain()}
+        peers[until_s] = {i: status.peers for i, status in newest.items()}
+    assert peers[2.9] == peers[4.9] == {i: tuple(j for j in range(1, 6) if j != i) for i in range(1, 6)}
+    assert peers[3.9] == {1: (2, 3), 2: (1, 3), 3: (1, 2), 4: (5,), 5: (4,)}
+
+
+def test_an_agent_that_ends_reports_nothing() -> None:
+    lockstep = Lockstep(leaving("agent_ends=[{vehicle: 2, at_s: 1}]", f"timeline=[{STEPS}]"))
+    lockstep.sleep(1.0)
+    assert 2 in {report.status.vehicle_id for report in lockstep.drain()}
+    lockstep.sleep(1.0)
+    assert {report.status.vehicle_id for report in lockstep.drain()} == {1, 3, 4, 5}
+
+
+def test_a_refused_step_that_may_fail_does_not_end_the_flight() -> None:
+    crossing = "slots_enu_m: {1: [0, 0, 0], 2: [-8, 0, 0], 3: [-4, 0, 0], 4: [-6, 0, 0], 5: [-2, 0, 0]}"
+    scenario = leaving(
+        f"timeline=[{STEPS}, {{command: form, for_s: 3}},"
+        f" {{command: formation, formation: {{{crossing}, speed_m_s: 20}}, may_fail: true, for_s: 1}}]"
+    )
+    flown = fly_without_landing(scenario, Progress("test", True, 0.0))
+    assert flown.failure is None
+    assert {refusal.vehicle for refusal in flown.refusals} == {1, 2, 3, 4, 5}
+    assert all(refusal.code for refusal in flown.refusals)
+
+
+def test_a_reference_is_commanded_to_vehicles_that_may_lead() -> None:
+    there = "{kind: point, point_enu_m: [1, 0, 2]}"
+    scenario = leaving(
+        f"timeline=[{STEPS}, {{command: form, for_s: 2}},"
+        f" {{command: reference, reference: {there}, may_fail: true, for_s: 1}}]"
+    )
+    flown = fly_without_landing(scenario, Progress("test", True, 0.0))
+    assert flown.failure is None
+    assert flown.refusals == []
+    assert flown.watch.commands[-1].vehicles == [1, 2]

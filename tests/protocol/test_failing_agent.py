@@ -1,0 +1,53 @@
+"""A real agent process in which a stage raises an exception in formation flight, in wind that tilts every setpoint of the law.
+
+tests/unit/link/test_failing_stages.py has every stage, in virtual time.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from agent_process import agent, faulty_agent, until
+from companion.cli.vehicle_link import EXIT_DEFECT
+from companion.core.consensus.neighbourhood import ConsensusStage
+from companion.link.zenoh_link import ZenohLink
+from companion.types.flight import FlightPhase
+from companion.types.notices import Code
+from tapped_flight import MAKES, UNDER_WAY, Make, in_the_air
+
+
+@MAKES
+@pytest.mark.parametrize("stage", [ConsensusStage.step, ZenohLink.publish_peer], ids=["consensus", "publishing"])
+def test_a_failing_stage_ends_in_hold_and_a_restarted_agent_observes(
+    tmp_path: Path, make: Make, stage: Callable[..., object]
+) -> None:
+    switch = tmp_path / "switch"
+    with in_the_air(tmp_path, make) as vehicle:
+        with faulty_agent(vehicle.files, stage, switch) as process:
+            process.wait_for_log("heartbeat of autopilot 1")
+            vehicle.form()
+            assert not vehicle.tap.setpoints[-1].is_level
+            switch.touch()
+            failed_s = time.monotonic()
+            assert process.process.wait(20.0) == EXIT_DEFECT
+        vehicle.stand_in.wait_for_mode(make.hold_mode_name)
+        last = vehicle.tap.setpoints[-1]
+        assert last.is_level
+        assert last.thrust_norm == pytest.approx(make.hover_thrust_norm, rel=0.1)
+        law = [setpoint.at_s for setpoint in vehicle.law_setpoints_since(failed_s)]
+        assert len(law) <= UNDER_WAY
+        event = vehicle.newest_event()
+        assert event is not None
+        assert event.code is Code.AGENT_FAILED
+        switch.unlink()
+        with agent(vehicle.files) as second:
+            second.wait_for_log("heartbeat of autopilot 1")
+            vehicle.forget_reports()
+            until(lambda: vehicle.phase is FlightPhase.OBSERVE)
+            vehicle.observes_and_sends_nothing(1.0)
+            assert vehicle.stand_in.truth()[-1].mode == make.hold_mode_name
+    print(f"\nlevel setpoints for {(last.at_s - failed_s) * 1000:.0f} ms after the switch")

@@ -1,0 +1,162 @@
+"""The Zenoh link of an agent against a client that floods it with commands and reads no reply. Real processes."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing, contextmanager
+from itertools import count
+
+import pytest
+
+from agent_process import free_port
+from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember
+from companion.config.vehicle import ZenohEndpoints
+from companion.core.command.arbitration import CommandArbitration
+from companion.ground.session import FleetSession
+from companion.link.zenoh_link import ZenohLink
+from companion.types.commands import Command, CommandName, CommandReply
+from companion.types.flight import FlightPhase, Role
+from companion.types.formation import FlownSlot
+from companion.types.notices import Answer, Code, Notice
+from companion.types.peers import PeerPacket
+
+FLEET = FleetConfig(
+    name="floodtest",
+    origin="indoor",
+    vehicles=(FormationMember(id=1, role=Role.LEADER, slot_enu_m=(0.0, 0.0, 0.0)),),
+    neighbours=EdgeNeighbours(edges=()),
+)
+ZERO = (0.0, 0.0, 0.0)
+PACKET = PeerPacket(1, 7, 1, 5, FlightPhase.HOLD, Role.LEADER, ZERO, ZERO, ZERO, 0.01, 0.0, 1, None, FlownSlot(ZERO))
+PERIOD_S = 0.02
+ABORTS = 10
+BLOCKED_S = 0.25  # a tick of this length was blocked: it was 5 s, and is 1 ms on an idle machine
+
+# FifoChannel(1) is full after one packet; then Zenoh's reading thread in that process waits, and its connection fills.
+DEAF_CLIENT = """
+import time, zenoh
+from companion.link.zenoh_session import open_session
+from companion.types.commands import Command, CommandName
+from companion.wire.ground import encode
+session = open_session([], ["{endpoint}"])
+deaf = session.declare_subscriber("formation/floodtest/peer/*", zenoh.handlers.FifoChannel(1))
+replies = session.declare_subscriber("formation/floodtest/reply/*", zenoh.handlers.FifoChannel(1))
+number = 0
+while True:
+    for _ in range(50):
+        number += 1
+        command = Command(CommandName.HOLD, number, "deaf", 7)
+        session.put("formation/floodtest/command/1", encode(command), express=True)
+    time.sleep(0.005)
+"""
+
+
+class Vehicle:
+    """A link with the agent's arbitration behind it, ticked as by the control loop."""
+
+    def __init__(self, link: ZenohLink) -> None:
+        self._link = link
+        self._arbitration = CommandArbitration(session=7)
+        self.worst_s = 0.0
+        self.received: Counter[CommandName] = Counter()
+
+    def tick(self) -> None:
+        start_s = time.monotonic()
+        _, commands = self._link.receive(start_s)
+        self.received.update(command.name for command in commands)
+        self._link.reply(self._replies(commands))
+        self._link.publish_peer(PACKET)
+        self.worst_s = max(self.worst_s, time.monotonic() - start_s)
+
+    def _replies(self, commands: tuple[Command, ...]) -> tuple[CommandReply, ...]:
+        intake = self._arbitration.step(commands)
+        done = Answer(True, Notice(Code.PHASE_CHANGED, "x" * 1900))
+        return self._arbitration.replies(1, intake, [(command.number, done) for command in intake.admitted])
+
+    def ticks(self, seconds: float) -> None:
+        end_s = time.monotonic() + seconds
+        while time.monotonic() < end_s:
+            self.tick()
+            time.sleep(PERIOD_S)
+
+
+@pytest.fixture
+def endpoint() -> str:
+    import socket
+
+    return f"tcp/127.0.0.1:{free_port(18700, socket.SOCK_STREAM)}"
+
+
+@contextmanager
+def deaf_client(endpoint: str) -> Iterator[None]:
+    process = subprocess.Popen([sys.executable, "-c", DEAF_CLIENT.format(endpoint=endpoint)], stderr=subprocess.DEVNULL)
+    try:
+        yield
+    finally:
+        process.kill()
+        process.wait()
+
+
+def test_a_client_that_reads_no_replies_does_not_block_the_tick(endpoint: str) -> None:
+    rejected: Counter[str] = Counter()
+    link = ZenohLink(1, FLEET, ZenohEndpoints(listen=(endpoint,)), lambda reason: rejected.update([reason]))
+    with deaf_client(endpoint):
+        vehicle = Vehicle(link)
+        vehicle.ticks(8.0)
+        start_s = time.monotonic()
+        link.close()
+        closed_s = time.monotonic() - start_s
+    received = vehicle.received.total()
+    print(
+        f"\n{received} commands, longest tick {vehicle.worst_s * 1000:.1f} ms, closed in {closed_s:.2f} s, {rejected}"
+    )
+    assert received > 500  # enough replies to fill the connection
+    assert vehicle.worst_s < BLOCKED_S
+    assert closed_s < 5.0
+
+
+def test_abort_passes_a_flood_of_other_commands_and_is_repeated_until_answered(endpoint: str) -> None:
+    link = ZenohLink(1, FLEET, ZenohEndpoints(listen=(endpoint,)), lambda _reason: None)
+    with (
+        closing(link),
+        deaf_client(endpoint),
+        FleetSession.open(FLEET.name, (endpoint,), "anna") as ground,
+        ThreadPoolExecutor() as pool,
+    ):
+        vehicle = Vehicle(link)
+        vehicle.ticks(2.0)
+        answered, took_s = 0, []
+        for _ in range(ABORTS):
+            asked = pool.submit(ground.ask, (1,), CommandName.ABORT, 10.0)
+            while not asked.done():
+                vehicle.tick()
+                time.sleep(PERIOD_S)
+            answer = asked.result()[1]
+            if answer is not None and answer.reply.accepted:
+                answered += 1
+                took_s.append(answer.after_s)
+    print(f"\n{answered} of {ABORTS} answered, after {max(took_s, default=0.0) * 1000:.0f} ms at most")
+    assert answered == ABORTS
+    assert vehicle.worst_s < BLOCKED_S
+
+
+def test_abort_reaches_a_vehicle_that_reports_nothing(endpoint: str) -> None:
+    link = ZenohLink(1, FLEET, ZenohEndpoints(listen=(endpoint,)), lambda _reason: None)
+    with closing(link), FleetSession.open(FLEET.name, (endpoint,), "anna") as ground, ThreadPoolExecutor() as pool:
+        vehicle = Vehicle(link)
+        asked = pool.submit(ground.ask, (1, 2), CommandName.ABORT, 3.0)
+        for _ in count():
+            vehicle.tick()
+            time.sleep(PERIOD_S)
+            if asked.done():
+                break
+        answers = asked.result()
+        assert answers[1] is not None
+        assert answers[1].reply.accepted
+        assert answers[2] is None  # there is no such vehicle; it was asked again until the time was over
+        assert ground.newest() == {}

@@ -1,0 +1,52 @@
+"""The example files of vehicles and fleets load and agree with each other."""
+
+from __future__ import annotations
+
+import re
+from itertools import combinations
+from pathlib import Path
+
+import pytest
+
+from companion.config.vehicle import load_agent
+from repository import ROOT
+
+CONFIG = ROOT / "config"
+VEHICLES = sorted((CONFIG / "vehicles").glob("*.yaml"))
+
+
+@pytest.mark.parametrize("path", VEHICLES, ids=lambda path: path.stem)
+def test_a_vehicle_file_loads_with_its_fleet(path: Path) -> None:
+    agent = load_agent(path)
+    assert path.stem.endswith(f"-{agent.vehicle.id}")
+
+
+def test_every_fleet_file_is_used_by_a_vehicle() -> None:
+    used = {(path.parent / load_agent(path).vehicle.fleet).resolve() for path in VEHICLES}
+    assert used == {path.resolve() for path in (CONFIG / "fleets").glob("*.yaml")}
+
+
+def test_the_simulated_vehicles_can_run_on_one_machine() -> None:
+    simulated = [load_agent(path).vehicle for path in VEHICLES if path.stem.startswith("simulation")]
+    for one, other in combinations(simulated, 2):
+        assert one.mavlink != other.mavlink
+        assert not set(one.zenoh.listen) & set(other.zenoh.listen)
+        assert set(one.zenoh.connect) & set(other.zenoh.listen) or set(other.zenoh.connect) & set(one.zenoh.listen)
+
+
+def test_the_monitor_connects_to_simulated_vehicles_by_default() -> None:
+    from companion.ground.current_fleet import simulation_endpoints
+
+    for path in VEHICLES:
+        vehicle = load_agent(path).vehicle
+        if path.stem.startswith("simulation"):
+            assert set(vehicle.zenoh.listen) <= set(simulation_endpoints([vehicle.id]))
+
+
+def test_the_examples_in_the_help_exist() -> None:
+    from companion.cli import agent
+
+    named = re.findall(r"config/vehicles/\S+\.yaml", agent.MORE)
+    assert named
+    for name in named:
+        assert (CONFIG.parent / name).is_file()

@@ -1,0 +1,320 @@
+"""Checks of peer packets, and the neighbour rules."""
+
+from math import inf, nan
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from msgspec.structs import replace
+
+from companion.core.consensus.neighbours import EdgeRule, RangeRule
+from companion.core.consensus.peers import PeerState, PeerTable
+from companion.core.consensus.plausibility import FleetLimits
+from companion.types.autopilot import PositionError
+from companion.types.flight import FlightPhase, Role
+from companion.types.formation import FlownSlot, FormationChange, Heading, LeaderBeacon
+from companion.types.notices import Code
+from companion.types.peers import PeerPacket, ReceivedPeerPacket
+
+LIMITS = FleetLimits(25.0, 8.0, (200.0, 200.0, 55.0))
+MAY_LEAD = {1: True, 2: False, 3: False}
+GOOD = PeerPacket(
+    vehicle_id=2,
+    session=77,
+    sequence=10,
+    formation_hash=42,
+    phase=FlightPhase.FORMATION,
+    role=Role.FOLLOWER,
+    position_enu_m=(1.0, 2.0, 3.0),
+    velocity_enu_m_s=(0.5, 0.0, 0.0),
+    acceleration_enu_m_s2=(0.0, 0.0, 0.0),
+    state_age_s=0.01,
+    sent_s=501.0,
+    prc=2,
+    leader_beacon=LeaderBeacon(1, 0, 20),
+    slot=FlownSlot((-1.5, 0.0, 0.0)),
+)
+
+
+def table() -> PeerTable:
+    return PeerTable(own_id=3, may_lead=MAY_LEAD, formation_hash=42, max_age_s=0.3, limits=LIMITS, successors=(1,))
+
+
+def rejections(peers: PeerTable, received_s: float = 1.0, **changes: Any) -> list[str]:
+    """Rejections counted so far, after one packet without delay."""
+    packet = replace(GOOD, **{"sent_s": 500.0 + received_s} | changes)
+    peers.fold([ReceivedPeerPacket(received_s, packet)], epochs_up_to=1007)
+    return list(peers.rejected)
+
+
+def test_valid_packet_is_accepted() -> None:
+    peers = table()
+    assert rejections(peers) == []
+    assert peers.fresh(1.1)[2].position_at(1.1) == pytest.approx((1.055, 2.0, 3.0))  # 0.11 s at 0.5 m/s
+
+
+@pytest.mark.parametrize(
+    ("changes", "code"),
+    [
+        ({"vehicle_id": 3}, Code.PEER_OWN_ID),
+        ({"vehicle_id": 9}, Code.PEER_NOT_IN_FLEET),
+        ({"formation_hash": 43}, Code.PEER_OTHER_FLEET_FILE),
+        ({"role": Role.LEADER, "prc": 1}, Code.PEER_NOT_A_LEADER),
+        ({"position_enu_m": (nan, 0.0, 0.0)}, Code.PEER_NOT_FINITE),
+        ({"velocity_enu_m_s": (inf, 0.0, 0.0)}, Code.PEER_NOT_FINITE),
+        ({"acceleration_enu_m_s2": (0.0, nan, 0.0)}, Code.PEER_NOT_FINITE),
+        ({"state_age_s": nan}, Code.PEER_NOT_FINITE),
+        ({"position_enu_m": (30_000.0, 0.0, 0.0)}, Code.PEER_POSITION_IMPLAUSIBLE),
+        ({"velocity_enu_m_s": (20.0, 20.0, 0.0)}, Code.PEER_SPEED_IMPLAUSIBLE),
+        ({"acceleration_enu_m_s2": (0.0, 0.0, 500.0)}, Code.PEER_ACCELERATION_IMPLAUSIBLE),
+        ({"state_age_s": -0.5}, Code.PEER_TIME_IMPLAUSIBLE),
+        ({"state_age_s": 1000.0}, Code.PEER_TIME_IMPLAUSIBLE),
+        ({"slot": FlownSlot((9000.0, 0.0, 0.0))}, Code.PEER_SLOT_IMPLAUSIBLE),
+        ({"slot": FlownSlot((nan, 0.0, 0.0))}, Code.PEER_SLOT_IMPLAUSIBLE),
+        ({"slot": FlownSlot((0.0, 0.0, 0.0), (30.0, 0.0, 0.0))}, Code.PEER_SLOT_IMPLAUSIBLE),
+        ({"slot": FlownSlot((0.0, 0.0, 0.0), (0.0, nan, 0.0))}, Code.PEER_SLOT_IMPLAUSIBLE),
+        ({"slot": FlownSlot((0.0, 0.0, 0.0), formation=2, waiting=1)}, Code.PEER_SLOT_IMPLAUSIBLE),
+        ({"sent_s": inf}, Code.PEER_NOT_FINITE),
+        ({"sent_s": -0.1}, Code.PEER_TIME_IMPLAUSIBLE),
+        ({"sent_s": 1e10}, Code.PEER_TIME_IMPLAUSIBLE),
+        ({"position_error": PositionError(nan, 0.1)}, Code.PEER_POSITION_ERROR_IMPLAUSIBLE),
+        ({"position_error": PositionError(0.1, -0.1)}, Code.PEER_POSITION_ERROR_IMPLAUSIBLE),
+        ({"prc": 0}, Code.PEER_PRC_IMPLAUSIBLE),
+        ({"prc": 4}, Code.PEER_PRC_IMPLAUSIBLE),
+        ({"prc": 1}, Code.PEER_PRC_IMPLAUSIBLE),
+        ({"leader_beacon": LeaderBeacon(2, 0, 100)}, Code.PEER_BEACON_IMPLAUSIBLE),
+        ({"leader_beacon": LeaderBeacon(9, 0, 100)}, Code.PEER_BEACON_IMPLAUSIBLE),
+        ({"leader_beacon": LeaderBeacon(1, -1, 100)}, Code.PEER_BEACON_IMPLAUSIBLE),
+        ({"leader_beacon": LeaderBeacon(1, 1008, 100)}, Code.PEER_EPOCH_TOO_HIGH),
+        ({"leader_beacon": LeaderBeacon(1, 2**63, 100)}, Code.PEER_EPOCH_TOO_HIGH),
+        ({"leader_beacon": LeaderBeacon(1, 1, 100, claim=2)}, Code.PEER_BEACON_IMPLAUSIBLE),
+        ({"leader_beacon": LeaderBeacon(1, 1, 100, claim=-1)}, Code.PEER_BEACON_IMPLAUSIBLE),
+        ({"leader_beacon": LeaderBeacon(1, 0, 100, nan)}, Code.PEER_BEACON_IMPLAUSIBLE),
+        ({"leader_beacon": LeaderBeacon(1, 0, 100, heading=Heading(nan))}, Code.PEER_BEACON_IMPLAUSIBLE),
+        ({"leader_beacon": LeaderBeacon(1, 0, 100, heading=Heading(3.2))}, Code.PEER_BEACON_IMPLAUSIBLE),
+        ({"leader_beacon": LeaderBeacon(1, 0, 100, heading=Heading(0.0, -5.1))}, Code.PEER_BEACON_IMPLAUSIBLE),
+        ({"leader_beacon": LeaderBeacon(1, 0, 100, heading=Heading(0.0, 0.0, inf))}, Code.PEER_BEACON_IMPLAUSIBLE),
+        ({"leader_beacon": LeaderBeacon(1, 0, 100, -0.1)}, Code.PEER_BEACON_IMPLAUSIBLE),
+        ({"leader_beacon": LeaderBeacon(1, 0, 100, 1e9)}, Code.PEER_BEACON_IMPLAUSIBLE),
+        ({"vehicle_id": 1, "prc": 2, "role": Role.LEADER}, Code.PEER_PRC_IMPLAUSIBLE),
+        ({"vehicle_id": 1, "prc": 1, "role": Role.FOLLOWER}, Code.PEER_PRC_IMPLAUSIBLE),
+        ({"vehicle_id": 1, "prc": 1, "role": Role.LEADER, "leader_beacon": None}, Code.PEER_BEACON_MISSING),
+    ],
+)
+def test_implausible_packet_is_counted_and_not_used(changes: dict[str, Any], code: Code) -> None:
+    peers = table()
+    assert rejections(peers, **changes) == [f"{code} {changes.get('vehicle_id', 2)}"]
+    assert peers.fresh(1.0) == {}
+
+
+@given(st.tuples(*[st.floats()] * 3), st.tuples(*[st.floats()] * 3), st.floats(), st.integers())
+def test_table_holds_only_finite_numbers(position: Any, velocity: Any, age: float, prc: int) -> None:
+    peers = table()
+    rejections(peers, position_enu_m=position, velocity_enu_m_s=velocity, state_age_s=age, prc=prc)
+    for peer in peers.fresh(1.0).values():
+        assert all(abs(x) < 1e6 for x in peer.position_at(1.0))
+
+
+SLOTS = ((1, (0.0, 0.0, 0.0)), (2, (-2.0, 0.0, 0.0)), (3, (-4.0, 0.0, 0.0)))
+LEADS = {"vehicle_id": 1, "prc": 1, "role": Role.LEADER}
+
+
+@pytest.mark.parametrize(
+    ("change", "by"),
+    [
+        (FormationChange(1, SLOTS, 10.0, 5.0), {}),  # a follower passes on none
+        (FormationChange(1, SLOTS[:2], 10.0, 5.0), LEADS),
+        (FormationChange(1, (*SLOTS, SLOTS[0]), 10.0, 5.0), LEADS),
+        (FormationChange(1, SLOTS, 10.0, 5.0, absent=(1, 2, 3)), LEADS),
+        (FormationChange(1, SLOTS, 10.0, 5.0, absent=(9,)), LEADS),
+    ],
+)
+def test_invalid_formation_change_is_not_used(change: FormationChange, by: dict[str, Any]) -> None:
+    assert rejections(table(), change=FormationChange(1, SLOTS, 10.0, 5.0), **LEADS) == []
+    peers = table()
+    assert rejections(peers, change=change, **by)[0].startswith(Code.PEER_CHANGE_IMPLAUSIBLE)
+    assert peers.fresh(1.0) == {}
+
+
+def test_permitted_leader_is_accepted_in_either_role() -> None:
+    peers = table()
+    assert rejections(peers, vehicle_id=1, role=Role.LEADER, prc=1) == []
+    assert rejections(peers, vehicle_id=1, role=Role.FOLLOWER, prc=2, sequence=11) == []
+    assert peers.fresh(1.0)[1].packet.role is Role.FOLLOWER
+
+
+def test_stale_peer_is_not_fresh() -> None:
+    peers = table()
+    rejections(peers)
+    assert 2 in peers.fresh(1.28)
+    assert 2 not in peers.fresh(1.31)  # 0.01 s old when it was sent
+
+
+def test_replayed_and_reordered_packets_are_refused() -> None:
+    peers = table()
+    rejections(peers)
+    assert rejections(peers, 1.02) == [f"{Code.PEER_OUT_OF_ORDER} 2"]
+    assert rejections(peers, 1.02, sequence=9) == [f"{Code.PEER_OUT_OF_ORDER} 2"]
+    assert peers.rejected.total() == 2
+
+
+def test_restarted_peer_is_accepted_when_its_old_session_is_stale() -> None:
+    peers = table()
+    rejections(peers)
+    assert rejections(peers, 1.02, session=78, sequence=1) == [f"{Code.PEER_ID_TWICE} 2"]
+    rejections(peers, 2.0, session=78, sequence=2)
+    assert peers.fresh(2.0)[2].packet.session == 78
+
+
+def test_position_jump_is_refused_until_the_old_state_is_stale() -> None:
+    peers = table()
+    rejections(peers)
+    assert rejections(peers, 1.02, sequence=11, position_enu_m=(60.0, 2.0, 3.0)) == [f"{Code.PEER_POSITION_JUMPED} 2"]
+    rejections(peers, 1.5, sequence=30, position_enu_m=(60.0, 2.0, 3.0))
+    assert peers.fresh(1.5)[2].packet.position_enu_m[0] == 60.0
+
+
+class DelayedLink:
+    """A peer's packets to this vehicle at 50 Hz, with another clock offset."""
+
+    def __init__(self, drift: float = 0.0) -> None:
+        self.peers, self.drift, self.sent = table(), drift, 0
+
+    def send(self, delay_s: float, ticks: int = 1, **changes: Any) -> list[str]:
+        for _ in range(ticks):
+            self.sent += 1
+            self.sent_s = 0.02 * self.sent
+            stamp_s = 8000.0 + self.sent_s * (1.0 + self.drift)
+            reasons = rejections(
+                self.peers, self.sent_s + delay_s, **{"sequence": self.sent, "sent_s": stamp_s} | changes
+            )
+        return reasons
+
+    def fresh(self, after_s: float) -> dict[int, PeerState]:
+        """Receive at this time after the last packet was sent."""
+        return self.peers.fresh(self.sent_s + after_s)
+
+
+def test_additional_delay_increases_the_age() -> None:
+    link = DelayedLink()
+    assert link.send(0.1, ticks=50) == []
+    assert link.sent_s + 0.1 - link.fresh(0.1)[2].measured_s == pytest.approx(0.01, abs=1e-9)  # as without any delay
+    assert link.send(0.25) == []
+    state = link.fresh(0.25)[2]
+    assert link.sent_s + 0.25 - state.measured_s == pytest.approx(0.01 + 0.15, abs=1e-4)
+    assert state.position_at(link.sent_s + 0.25)[0] == pytest.approx(1.0 + 0.5 * 0.16, abs=1e-4)
+    assert link.fresh(0.41) == {}
+
+
+def test_packet_delayed_by_five_seconds_is_refused() -> None:
+    link = DelayedLink()
+    link.send(0.01, ticks=50)
+    assert link.send(5.0, ticks=500) == [f"{Code.PEER_LATE} 2"]  # for ten seconds, also its leader beacon
+    assert link.peers.rejected.total() == 500
+    assert link.fresh(5.0) == {}
+    link.send(0.01)
+    assert 2 in link.fresh(0.02)
+
+
+def test_packets_queued_before_the_start_are_detected_as_old() -> None:
+    link = DelayedLink()
+    link.send(3.0, ticks=3)
+    link.send(0.01, ticks=5)
+    assert f"{Code.PEER_LATE} 2" in link.send(3.0)
+
+
+def test_queued_packets_are_used_at_their_true_age() -> None:
+    link = DelayedLink()
+    link.send(3.0, ticks=3)
+    link.send(0.01, ticks=6)
+    assert link.sent_s + 0.01 - link.fresh(0.01)[2].measured_s == pytest.approx(0.01, abs=1e-3)
+
+
+@pytest.mark.parametrize("established", [1, 10, 100])
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"sequence": 2**62},
+        {"sequence": 2**62, "session": 2**62},
+        {"sequence": 400},
+        {"sent_s": 1e9},
+        {"sent_s": 8100.0},
+        {"sent_s": 0.0},
+        {"state_age_s": 9.0},
+        {"sequence": 2**62, "sent_s": 1e9, "state_age_s": 9.0},
+    ],
+)
+def test_one_wrong_packet_locks_no_peer_out(wrong: dict[str, Any], established: int) -> None:
+    link = DelayedLink()
+    link.send(0.01, ticks=established)
+    link.send(0.01, **wrong)
+    link.send(0.01, ticks=40)
+    state = link.fresh(0.01)[2]
+    assert state.packet.sequence == link.sent
+    assert link.sent_s + 0.01 - state.measured_s == pytest.approx(0.01, abs=1e-3)
+
+
+@pytest.mark.parametrize("wrong", [{"sequence": 2**62}, {"sent_s": 1e9}, {"sent_s": 0.0}, {"session": 5}])
+def test_a_wrong_first_packet_locks_no_peer_out(wrong: dict[str, Any]) -> None:
+    link = DelayedLink()
+    link.send(0.01, **wrong)
+    link.send(0.01, ticks=50)
+    assert link.fresh(0.01)[2].packet.sequence == link.sent
+
+
+def test_accelerations_are_used_within_the_fleet_s_limits() -> None:
+    peers = table()
+    slot = FlownSlot((-1.5, 0.0, 0.0), acceleration_enu_m_s2=(0.0, 0.0, -90.0))
+    counted = rejections(peers, acceleration_enu_m_s2=(60.0, 80.0, 0.0), slot=slot)
+    assert counted == [f"{Code.PEER_ACCELERATION_LIMITED} 2"]
+    packet = peers.fresh(1.0)[2].packet
+    assert packet.acceleration_enu_m_s2 == pytest.approx((4.8, 6.4, 0.0))
+    assert packet.slot.acceleration_enu_m_s2 == pytest.approx((0.0, 0.0, -8.0))
+    assert packet.position_enu_m == GOOD.position_enu_m
+
+
+def test_one_packet_from_the_ground_is_no_home() -> None:
+    peers = table()
+    rejections(peers)
+    rejections(peers, 1.02, sequence=11, phase=FlightPhase.READY)
+    assert peers.ground_position_enu_m == {}
+    rejections(peers, 1.04, sequence=12, phase=FlightPhase.READY)
+    assert 2 in peers.ground_position_enu_m
+
+
+def test_clock_offset_is_measured_again_after_a_restart() -> None:
+    link = DelayedLink()
+    link.send(0.01, ticks=50)
+    link.sent += 100  # silent while it starts
+    assert link.send(0.01, session=78, sent_s=3.0) == []
+    assert 2 in link.fresh(0.02)
+
+
+@pytest.mark.parametrize("drift", [-1e-4, 1e-4])
+def test_clock_drift_does_not_increase_the_age(drift: float) -> None:
+    link = DelayedLink(drift)
+    assert link.send(0.01, ticks=180_000) == []  # an hour, in which they come 0.36 s apart
+    assert link.sent_s + 0.01 - link.fresh(0.01)[2].measured_s == pytest.approx(0.01, abs=1e-3)
+
+
+def peer_at(x_m: float) -> PeerState:
+    """At rest, as of 1 s."""
+    packet = replace(GOOD, position_enu_m=(x_m, 0.0, 0.0), velocity_enu_m_s=(0.0, 0.0, 0.0))
+    return PeerState(packet, 1.0, 0.0, 1.0)
+
+
+def test_neighbours_by_edges() -> None:
+    rule = EdgeRule(2, [(1, 2), (2, 3), (3, 4)])
+    everyone = dict.fromkeys((1, 3, 4), peer_at(0.0))
+    assert rule.select((0.0, 0.0, 0.0), everyone, 1.0) == (1, 3)
+    del everyone[1]
+    assert rule.select((0.0, 0.0, 0.0), everyone, 1.0) == (3,)
+
+
+def test_neighbours_by_range_with_hysteresis() -> None:
+    rule = RangeRule(3.0, 0.5)
+    own = (0.0, 0.0, 0.0)
+    seen = [rule.select(own, {7: peer_at(x)}, 1.0) for x in (3.2, 3.0, 3.4, 3.6, 3.4, 2.9)]
+    assert seen == [(), (7,), (7,), (), (), (7,)]
+    assert rule.select(own, {}, 1.0) == ()

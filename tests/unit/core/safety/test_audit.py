@@ -1,0 +1,193 @@
+"""The audit table, for every rule: ok, warning, refusal, and values that may be set."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from companion.core.safety.audit import Facts, Finding, PositionCheck, Verdict, audit, parameter_names, worst
+from companion.core.safety.audit_parameters import RULES
+from companion.types.autopilot import AutopilotKind
+
+PX4, ARDUPILOT = AutopilotKind.PX4, AutopilotKind.ARDUPILOT
+OK, WARNING, REFUSAL = Verdict.OK, Verdict.WARNING, Verdict.REFUSAL
+HOVER = 0.49
+
+# (autopilot, parameter, value, verdict, what --fix would set)
+CASES: list[tuple[AutopilotKind, str, float | None, Verdict, float | None]] = [
+    (PX4, "COM_OF_LOSS_T", 1.0, OK, None),
+    (PX4, "COM_OF_LOSS_T", 2.0, OK, None),
+    (PX4, "COM_OF_LOSS_T", 2.1, REFUSAL, 1.0),
+    (PX4, "COM_OF_LOSS_T", 60.0, REFUSAL, 1.0),
+    (PX4, "COM_OF_LOSS_T", 0.5, WARNING, 1.0),  # not longer than the agent's own patience
+    (PX4, "COM_OF_LOSS_T", 0.0, REFUSAL, 1.0),
+    (PX4, "COM_OF_LOSS_T", None, WARNING, None),
+    (PX4, "COM_OBL_RC_ACT", 5, OK, None),
+    (PX4, "COM_OBL_RC_ACT", 4, OK, None),
+    (PX4, "COM_OBL_RC_ACT", 0, REFUSAL, 5.0),
+    (PX4, "COM_OBL_RC_ACT", 1, REFUSAL, 5.0),
+    (PX4, "COM_OBL_RC_ACT", 2, REFUSAL, 5.0),
+    (PX4, "COM_OBL_RC_ACT", None, REFUSAL, None),
+    (PX4, "COM_OBL_RC_ACT", 3, WARNING, 5.0),
+    (PX4, "COM_OBL_RC_ACT", 6, REFUSAL, 5.0),
+    (PX4, "COM_OBL_RC_ACT", 7, REFUSAL, 5.0),
+    (PX4, "COM_OBL_RC_ACT", -5, REFUSAL, 5.0),
+    (PX4, "NAV_DLL_ACT", 0, OK, None),
+    (PX4, "NAV_DLL_ACT", 1, WARNING, None),
+    (PX4, "NAV_DLL_ACT", 2, WARNING, None),
+    (PX4, "NAV_DLL_ACT", 3, WARNING, None),
+    (PX4, "NAV_DLL_ACT", 5, REFUSAL, None),
+    (PX4, "NAV_DLL_ACT", 6, REFUSAL, None),
+    (PX4, "NAV_DLL_ACT", 99, WARNING, None),
+    (PX4, "COM_RC_OVERRIDE", 3, OK, None),
+    (PX4, "COM_RC_OVERRIDE", 2, OK, None),
+    (PX4, "COM_RC_OVERRIDE", 1, WARNING, 3.0),
+    (PX4, "COM_RC_OVERRIDE", 0, WARNING, 2.0),
+    (PX4, "GF_ACTION", 2, OK, None),
+    (PX4, "GF_ACTION", 3, OK, None),
+    (PX4, "GF_ACTION", 5, OK, None),
+    (PX4, "GF_ACTION", 0, WARNING, 2.0),
+    (PX4, "GF_ACTION", 1, WARNING, 2.0),
+    (PX4, "GF_ACTION", 4, REFUSAL, 2.0),
+    (PX4, "GF_MAX_HOR_DIST", 60.0, OK, None),
+    (PX4, "GF_MAX_HOR_DIST", 0.0, WARNING, None),
+    (PX4, "GF_MAX_VER_DIST", 30.0, OK, None),
+    (PX4, "GF_MAX_VER_DIST", 0.0, WARNING, None),
+    (PX4, "MPC_THR_HOVER", 0.5, OK, None),
+    (PX4, "MPC_THR_HOVER", 0.3, WARNING, None),
+    (ARDUPILOT, "GUID_OPTIONS", 8, OK, None),
+    (ARDUPILOT, "GUID_OPTIONS", 9, OK, None),
+    (ARDUPILOT, "GUID_OPTIONS", 0, REFUSAL, 8.0),
+    (ARDUPILOT, "GUID_OPTIONS", 5, REFUSAL, 13.0),  # the other bits stay
+    (ARDUPILOT, "GUID_OPTIONS", None, REFUSAL, None),  # thrust might be a climb rate
+    (ARDUPILOT, "ATC_ANGLE_BOOST", 1, OK, None),
+    (ARDUPILOT, "ATC_ANGLE_BOOST", 0, WARNING, 1.0),
+    (ARDUPILOT, "GUID_TIMEOUT", 1.0, OK, None),
+    (ARDUPILOT, "GUID_TIMEOUT", 3.0, WARNING, 1.0),  # as it comes
+    (ARDUPILOT, "GUID_TIMEOUT", 5.0, REFUSAL, 1.0),
+    (ARDUPILOT, "GUID_TIMEOUT", 0.1, WARNING, 1.0),
+    (ARDUPILOT, "FS_GCS_ENABLE", 0, OK, None),
+    (ARDUPILOT, "FS_GCS_ENABLE", 1, WARNING, None),
+    (ARDUPILOT, "FENCE_ENABLE", 1, OK, None),
+    (ARDUPILOT, "FENCE_ENABLE", 0, WARNING, None),
+    (ARDUPILOT, "FENCE_ACTION", 1, OK, None),
+    (ARDUPILOT, "FENCE_ACTION", 4, OK, None),
+    (ARDUPILOT, "FENCE_ACTION", 0, WARNING, 1.0),
+    (ARDUPILOT, "MOT_THST_HOVER", 0.47, OK, None),
+    (ARDUPILOT, "MOT_THST_HOVER", 0.2, WARNING, None),
+]
+
+
+def finding(facts: Facts) -> Finding:
+    (only,) = audit(facts)
+    return only
+
+
+@pytest.mark.parametrize(("autopilot", "name", "value", "verdict", "fix"), CASES)
+def test_verdict_of_every_parameter_value(
+    autopilot: AutopilotKind, name: str, value: float | None, verdict: Verdict, fix: float | None
+) -> None:
+    found = finding(Facts(autopilot, {name: value}, HOVER))
+    assert (found.subject, found.verdict, found.fix) == (name, verdict, fix)
+    assert found.wanted
+    assert bool(found.remedy) is (verdict is not OK)  # every warning has a remedy
+    if fix is not None:
+        assert f"set {name} to {fix:g}" in found.remedy
+
+
+@pytest.mark.parametrize(
+    ("value", "accepted"), [(0, WARNING), (1, WARNING), (2, WARNING), (None, WARNING), (6, REFUSAL), (7, REFUSAL)]
+)
+def test_a_vehicle_file_accepts_a_descent_in_silence_but_no_fall(value: float | None, accepted: Verdict) -> None:
+    facts = Facts(PX4, {"COM_OBL_RC_ACT": value}, HOVER)
+    assert finding(facts).verdict is REFUSAL
+    assert finding(replace(facts, accepts_uncontrolled_descent=True)).verdict is accepted
+
+
+@pytest.mark.parametrize("autopilot", AutopilotKind)
+def test_every_rule_is_tested(autopilot: AutopilotKind) -> None:
+    assert set(parameter_names(autopilot)) == {name for kind, name, *_ in CASES if kind is autopilot}
+
+
+@pytest.mark.parametrize("autopilot", AutopilotKind)
+def test_values_set_by_fix_pass_the_audit(autopilot: AutopilotKind) -> None:
+    for kind, name, value, _verdict, fix in CASES:
+        if kind is autopilot and fix is not None:
+            assert finding(Facts(kind, {name: fix}, HOVER)).verdict is OK, (name, value)
+
+
+@pytest.mark.parametrize("autopilot", AutopilotKind)
+def test_unknown_parameter_value_is_reported(autopilot: AutopilotKind) -> None:
+    nothing = audit(Facts(autopilot, dict.fromkeys(parameter_names(autopilot)), HOVER))
+    assert {found.found for found in nothing} == {"not found"}
+    assert all(found.wanted for found in nothing)
+    assert len(nothing) == len(RULES[autopilot])
+
+
+def test_missing_hover_thrust_parameter_is_reported_with_the_configured_value() -> None:
+    assert str(finding(Facts(PX4, {"MPC_THR_HOVER": None}, HOVER))) == (
+        "MPC_THR_HOVER: not found; wanted: near hover_thrust_norm of the vehicle file, 0.49;"
+        " update the firmware, or check the link for packet loss"
+    )
+
+
+BENCH = Facts(
+    PX4,
+    {},
+    HOVER,
+    rates_hz={"positions": 50.0, "attitudes": 50.0, "modes": 3.0, "landed states": 10.0},
+    failing_checks="",
+    position_check=PositionCheck.INSIDE,
+    position_enu_m=(1.0, 2.0, -0.0),
+    battery_percent=90.0,
+    mode_name="AUTO.LOITER",
+    armed=False,
+)
+
+
+def verdicts(facts: Facts) -> dict[str, Verdict]:
+    return {found.subject: found.verdict for found in audit(facts)}
+
+
+def test_vehicle_in_order_has_no_findings() -> None:
+    assert set(verdicts(BENCH).values()) == {OK}
+    assert list(verdicts(BENCH)) == [
+        "positions", "attitudes", "modes", "landed states", "estimator and checks", "origin", "battery", "mode",
+    ]  # fmt: skip
+    assert "1.0, 2.0, 0.0 m" in next(found.found for found in audit(BENCH) if found.subject == "origin")
+
+
+@pytest.mark.parametrize(
+    ("facts", "subject", "verdict"),
+    [
+        (replace(BENCH, rates_hz={**BENCH.rates_hz, "positions": 39.9}), "positions", REFUSAL),
+        (replace(BENCH, rates_hz={**BENCH.rates_hz, "attitudes": 10.0}), "attitudes", REFUSAL),
+        (replace(BENCH, rates_hz={**BENCH.rates_hz, "modes": 1.0}), "modes", REFUSAL),  # HEARTBEAT's alone
+        (replace(BENCH, rates_hz={**BENCH.rates_hz, "landed states": 0.0}), "landed states", REFUSAL),
+        (replace(BENCH, rates_hz={}), "positions", REFUSAL),
+        (replace(BENCH, failing_checks="Preflight Fail: no GPS"), "estimator and checks", REFUSAL),
+        (replace(BENCH, position_check=PositionCheck.UNKNOWN), "origin", REFUSAL),
+        (replace(BENCH, position_check=PositionCheck.NO_ORIGIN), "origin", REFUSAL),
+        (replace(BENCH, position_check=PositionCheck.OUTSIDE), "origin", REFUSAL),
+        (replace(BENCH, battery_percent=39.0), "battery", WARNING),
+        (replace(BENCH, battery_percent=19.0), "battery", REFUSAL),
+        (replace(BENCH, battery_percent=-1.0), "battery", WARNING),
+        (replace(BENCH, armed=True), "mode", WARNING),
+    ],
+)
+def test_each_defect_has_one_finding(facts: Facts, subject: str, verdict: Verdict) -> None:
+    assert verdicts(facts)[subject] is verdict
+    found = next(found for found in audit(facts) if found.subject == subject)
+    assert found.remedy
+    assert found.remedy in str(found)
+
+
+def test_facts_that_are_not_checked_have_no_finding() -> None:
+    assert audit(Facts(PX4, {}, HOVER)) == ()
+
+
+def test_worst_verdict_counts() -> None:
+    assert worst(audit(BENCH)) is OK
+    assert worst(audit(replace(BENCH, battery_percent=-1.0))) is WARNING
+    assert worst(audit(replace(BENCH, battery_percent=-1.0, rates_hz={}))) is REFUSAL

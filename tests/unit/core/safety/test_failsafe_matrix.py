@@ -1,0 +1,369 @@
+"""Every health flag in every flight phase with both autopilots. What is expected stands here, not in the table."""
+
+from __future__ import annotations
+
+from math import inf, radians
+
+import pytest
+from msgspec.structs import replace
+
+from companion.core.command.phase import Flight, PhaseChange
+from companion.core.consensus.neighbourhood import Consensus
+from companion.core.consensus.peers import PeerState
+from companion.core.safety.audit_parameters import RULES
+from companion.core.safety.failsafe import FAILSAFES, OTHER_FAILSAFES, RELIED_ON, FailsafeSettings
+from companion.core.safety.health import AgeLimits, HealthLimits
+from companion.core.safety.output_limits import OutputLimits
+from companion.core.safety.safeguard import SafeguardStage, Safety
+from companion.geometry.airspace import Fence
+from companion.types.autopilot import AutopilotKind, AutopilotMode, LandedState, PositionError, VehicleState
+from companion.types.flight import STREAMING, FailsafeAction, FlightPhase, HealthFlag, Role
+from companion.types.notices import Code
+from companion.types.separation import NearestVehicle, SeparationReport
+from slot_peers import peer
+
+F, P, A = HealthFlag, FlightPhase, FailsafeAction
+KINDS = list(AutopilotKind)
+TICK_S = 0.1
+SEPARATION_M = 1.0
+SETTINGS = FailsafeSettings(low_battery_action=A.LAND, land_after_s=10.0, leader_holds_after_s=5.0)
+LIMITS = HealthLimits(
+    AgeLimits(),
+    OutputLimits(radians(25.0), 2.0, 0.3, 1.6, 10.0, Fence((-50.0, -50.0, -5.0), (50.0, 50.0, 50.0))),
+    low_battery_percent=25.0,
+    critical_battery_percent=10.0,
+)
+
+# Seconds after the flag is raised in formation -> what is requested.
+IN_FORMATION: dict[HealthFlag, dict[str, float]] = {
+    F.POSITION_STALE: {"stop": 0.0},
+    F.ATTITUDE_STALE: {"stop": 0.0},
+    F.MODE_STALE: {"stop": 0.0},
+    F.FRAME_UNKNOWN: {"stop": 0.0},
+    F.ARMED_STALE: {"hold": 0.0},
+    F.LANDED_STALE: {"hold": 0.0},
+    F.LEADER_AWAITED: {"warn": 0.0},
+    F.LEADER_LOST: {"hold": 0.0},
+    F.FLEET_LINK_LOST: {"warn": 0.0, "hold": 5.0},
+    F.DUPLICATE_ID: {"warn": 0.0},
+    F.SEPARATION_VIOLATED: {"warn": 0.0},
+    F.OUTSIDE_FENCE: {"hold": 0.0},
+    F.FRAME_CONTRADICTED: {"hold": 0.0},
+    F.POSITION_JUMPED: {"hold": 0.0},
+    F.ESTIMATOR_BAD: {"warn": 0.0, "hold": 1.0},
+    F.TILT_EXCEEDED: {"warn": 0.0, "hold": 0.3},
+    F.TICK_LATE: {"warn": 0.0, "hold": 5.0},
+    F.BATTERY_LOW: {"warn": 0.0, "hold": 3.0},
+    F.BATTERY_CRITICAL: {"warn": 0.0, "hold": 3.0},
+}
+# After the hold that the flag led to, still raised: seconds since it was raised in formation -> what is requested.
+AFTERWARDS: dict[HealthFlag, dict[str, float]] = {
+    F.LEADER_LOST: {"land": 10.0},
+    F.FLEET_LINK_LOST: {"land": 15.0},
+    F.BATTERY_LOW: {"land": 3.0},
+    F.BATTERY_CRITICAL: {"land": 3.0},
+}
+IN_A_COMMANDED_HOLD: dict[HealthFlag, dict[str, float]] = {F.BATTERY_CRITICAL: {"land": 3.0}}
+STOPS = (F.POSITION_STALE, F.ATTITUDE_STALE, F.MODE_STALE, F.FRAME_UNKNOWN)
+NOT_FLOWN_BY_THE_AGENT = sorted(set(P) - STREAMING - {P.HOLD, P.RELEASE})
+
+
+class Vehicle:
+    """The safeguard of one vehicle with everything in order, except for the flags that are raised."""
+
+    def __init__(self, kind: AutopilotKind, settings: FailsafeSettings = SETTINGS) -> None:
+        self.kind = kind
+        self.stage = SafeguardStage(3, SEPARATION_M, LIMITS, settings)
+        self.now_s = 100.0
+        self.raised: set[HealthFlag] = set()
+        self.phase = P.FORMATION
+        self.commanded = False
+        self.silent_since_s: float | None = None
+        self.stopping = False
+        self.home_enu_m: tuple[float, float, float] | None = (0.0, 0.0, 0.0)
+
+    def tick(self) -> Safety:
+        self.now_s += TICK_S
+        flight = Flight(phase=self.phase, streams=self.phase in STREAMING, in_formation=self.phase is P.FORMATION)
+        safety = self.stage.step(
+            self.now_s,
+            self._state(),
+            flight,
+            self._consensus(),
+            self._separation(),
+            self.now_s if self.silent_since_s is None else self.silent_since_s,
+            self.commanded,
+            self.stopping,
+            0.2 if F.TICK_LATE in self.raised else 0.0,
+        )
+        assert safety.flags == self.raised
+        self.commanded = False
+        return safety
+
+    def requested(self, for_s: float = 30.0) -> dict[str, float]:
+        """What is requested while the present flags and phase last: the first time of each, seconds from now."""
+        begin_s, first = self.now_s + TICK_S, {}
+        for _ in range(round(for_s / TICK_S)):
+            for label in labels(self.tick()):
+                first.setdefault(label, pytest.approx(self.now_s - begin_s, abs=1.5 * TICK_S))
+        return first
+
+    def _state(self) -> VehicleState:
+        now_s, raised = self.now_s, self.raised
+        age = {flag: 10.0 if flag in raised else 0.0 for flag in F}
+        percent = 5.0 if F.BATTERY_CRITICAL in raised else 20.0 if F.BATTERY_LOW in raised else 90.0
+        if F.BATTERY_CRITICAL in raised:
+            raised.add(F.BATTERY_LOW)  # never one without the other
+        return VehicleState(
+            position_enu_m=(80.0 if F.OUTSIDE_FENCE in raised else 0.0, 0.0, 5.0),
+            position_time_s=now_s - age[F.POSITION_STALE],
+            roll_rad=radians(36.0 if F.TILT_EXCEEDED in raised else 20.0),
+            attitude_time_s=now_s - age[F.ATTITUDE_STALE],
+            mode=AutopilotMode.OFFBOARD,
+            mode_time_s=now_s - age[F.MODE_STALE],
+            autopilot=self.kind,
+            armed=True,
+            heartbeat_time_s=now_s - age[F.ARMED_STALE],
+            landed=LandedState.IN_AIR,
+            landed_time_s=now_s - age[F.LANDED_STALE],
+            ground_position_enu_m=self.home_enu_m,
+            frame_known=F.FRAME_UNKNOWN not in raised,
+            frame_contradicted=F.FRAME_CONTRADICTED in raised,
+            held_back_m=6.0 if F.POSITION_JUMPED in raised else 0.0,
+            jump_time_s=0.0 if F.POSITION_JUMPED in raised else -inf,
+            position_error=PositionError(6.0 if F.ESTIMATOR_BAD in raised else 0.3, 0.3),
+            battery_percent=percent,
+        )
+
+    def _consensus(self) -> Consensus:
+        other = {4: PeerState(replace(peer(4), position_enu_m=(30.0, 30.0, 5.0)), self.now_s, 0.0, self.now_s)}
+        leaderless = next((flag for flag in (F.LEADER_AWAITED, F.LEADER_LOST) if flag in self.raised), None)
+        return Consensus(
+            role=Role.LEADER,
+            epoch=0,
+            reference_s=0.0,
+            prc=1,
+            leader_beacon=None,
+            leader_beacon_age_s=0.0,
+            leaderless=leaderless,
+            neighbours=(),
+            neighbour_ids=(),
+            flying=(),
+            heading=None,
+            newest=other,
+            fresh={} if F.FLEET_LINK_LOST in self.raised else other,
+            duplicate_id_s=self.now_s if F.DUPLICATE_ID in self.raised else -inf,
+        )
+
+    def _separation(self) -> SeparationReport:
+        return SeparationReport(NearestVehicle("4", 0.9 if F.SEPARATION_VIOLATED in self.raised else 1.1, 1.3))
+
+
+def labels(safety: Safety) -> list[str]:
+    names = {
+        PhaseChange.HAND_OVER: "hold",
+        PhaseChange.HAND_OVER_NOW: "hold without levelling",
+        PhaseChange.GIVE_UP: "leave",
+        PhaseChange.ABANDON: "abandon",
+        PhaseChange.LAND: "land",
+        PhaseChange.RETURN: "return",
+        PhaseChange.END_STREAM: "end the stream",
+    }
+    found = [names[request.kind] for request in safety.requests]
+    if safety.action is A.STOP_STREAM:
+        found.append("stop")
+    return found + ["warn" for event in safety.events if event.code in set(F)]
+
+
+def raised_in_formation(kind: AutopilotKind, flag: HealthFlag) -> Vehicle:
+    vehicle = Vehicle(kind)
+    for _ in range(5):
+        assert labels(vehicle.tick()) == []
+    vehicle.raised = {flag}
+    return vehicle
+
+
+def test_every_flag_is_expected_here_and_stands_once_in_the_table() -> None:
+    assert set(IN_FORMATION) == set(F)
+    assert sorted(row.condition for row in FAILSAFES) == sorted(Code(flag) for flag in F)
+    assert not {row.condition for row in OTHER_FAILSAFES} & {Code(flag) for flag in F}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("phase", sorted(STREAMING))
+@pytest.mark.parametrize("flag", list(F))
+def test_the_action_while_setpoints_are_sent(flag: HealthFlag, phase: FlightPhase, kind: AutopilotKind) -> None:
+    vehicle = raised_in_formation(kind, flag)
+    vehicle.phase = phase
+    assert vehicle.requested() == IN_FORMATION[flag]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("flag", list(F))
+def test_what_follows_in_the_hold_that_a_flag_led_to(flag: HealthFlag, kind: AutopilotKind) -> None:
+    vehicle = raised_in_formation(kind, flag)
+    raised_s = vehicle.now_s + TICK_S
+    if "hold" in IN_FORMATION[flag]:
+        while "hold" not in labels(vehicle.tick()):
+            pass
+    vehicle.phase = P.RELEASE
+    assert set(vehicle.requested(0.3)) <= {"stop"}
+    vehicle.phase = P.HOLD
+    begin_s = vehicle.now_s - raised_s
+    after = {label: begin_s + at_s.expected for label, at_s in vehicle.requested().items() if label != "stop"}
+    expected = AFTERWARDS.get(flag, {})
+    assert after == {label: pytest.approx(at_s, abs=0.7) for label, at_s in expected.items()}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("flag", list(F))
+def test_what_follows_in_a_commanded_hold(flag: HealthFlag, kind: AutopilotKind) -> None:
+    vehicle = Vehicle(kind)
+    vehicle.tick()
+    vehicle.phase, vehicle.commanded = P.HOLD, True
+    vehicle.tick()
+    vehicle.raised = {flag}
+    stops = {"stop": 0.0} if flag in STOPS else {}
+    assert vehicle.requested() == stops | IN_A_COMMANDED_HOLD.get(flag, {})
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("phase", NOT_FLOWN_BY_THE_AGENT)
+@pytest.mark.parametrize("flag", [flag for flag in F if flag is not F.FLEET_LINK_LOST])
+def test_nothing_is_requested_of_a_vehicle_that_others_fly(
+    flag: HealthFlag, phase: FlightPhase, kind: AutopilotKind
+) -> None:
+    """The autopilot, a pilot, or the ground. Without a stream, `stop` has nothing to stop."""
+    vehicle = Vehicle(kind)
+    vehicle.phase, vehicle.raised = phase, {flag}
+    assert set(vehicle.requested()) <= {"stop"}
+
+
+@pytest.mark.parametrize(
+    ("kind", "expected"), [(AutopilotKind.PX4, "leave"), (AutopilotKind.ARDUPILOT, "hold without levelling")]
+)
+@pytest.mark.parametrize("flag", [None, *STOPS])
+def test_silence_leaves_px4_to_its_failsafe_and_brakes_arducopter(
+    flag: HealthFlag | None, kind: AutopilotKind, expected: str
+) -> None:
+    vehicle = raised_in_formation(kind, flag) if flag else Vehicle(kind)
+    if flag is F.MODE_STALE:
+        expected = "leave"  # a pilot may have taken over unseen
+    vehicle.silent_since_s = vehicle.now_s
+    found = {label for label in vehicle.requested() if label != "stop"}
+    assert found == {expected, "end the stream"}
+    assert not {"leave", "hold without levelling"} & set(Vehicle(kind).requested(0.4))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_stopping_agent_holds_and_gives_up_after_2_s(kind: AutopilotKind) -> None:
+    vehicle = Vehicle(kind)
+    vehicle.stopping = True
+    assert vehicle.requested() == {"hold": 0.0, "abandon": 2.1}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_highest_action_of_several_flags_is_taken(kind: AutopilotKind) -> None:
+    vehicle = raised_in_formation(kind, F.TICK_LATE)
+    vehicle.raised |= {F.LEADER_LOST, F.POSITION_STALE}
+    assert labels(vehicle.tick()) == ["stop", "warn"]
+    vehicle.raised -= {F.POSITION_STALE}
+    assert labels(vehicle.tick()) == ["hold"]
+
+
+def test_a_cleared_flag_begins_again_at_its_first_step() -> None:
+    vehicle = raised_in_formation(AutopilotKind.PX4, F.FLEET_LINK_LOST)
+    assert "hold" not in vehicle.requested(4.5)
+    vehicle.raised = set()
+    vehicle.tick()
+    vehicle.raised = {F.FLEET_LINK_LOST}
+    assert vehicle.requested(8.0)["hold"] == 5.0
+
+
+def test_a_flag_that_comes_and_goes_warns_once_in_5_s() -> None:
+    vehicle, warnings = Vehicle(AutopilotKind.PX4), 0
+    for tick in range(100):
+        vehicle.raised = {F.SEPARATION_VIOLATED} if tick % 2 else set()
+        warnings += "warn" in labels(vehicle.tick())
+    assert warnings == 2
+
+
+def held_by(flag: HealthFlag, settings: FailsafeSettings = SETTINGS) -> Vehicle:
+    """A vehicle in the hold that this flag led to."""
+    vehicle = Vehicle(AutopilotKind.PX4, settings)
+    vehicle.raised = {flag}
+    while "hold" not in labels(vehicle.tick()):
+        pass
+    vehicle.phase = P.HOLD
+    return vehicle
+
+
+def test_a_recovered_voltage_does_not_end_a_low_battery() -> None:
+    vehicle = held_by(F.BATTERY_LOW)
+    vehicle.raised = set()
+    assert vehicle.requested(1.0) == {"land": 0.0}
+
+
+def test_a_leader_that_appears_postpones_the_landing() -> None:
+    vehicle = held_by(F.LEADER_LOST)
+    assert vehicle.requested(8.0) == {}
+    vehicle.raised = set()
+    assert vehicle.requested(8.0) == {}
+    vehicle.raised = {F.LEADER_LOST}
+    assert vehicle.requested() == {"land": 10.0}
+
+
+@pytest.mark.parametrize("flag", [F.LEADER_LOST, F.BATTERY_LOW, F.FLEET_LINK_LOST])
+def test_a_command_ends_the_escalation(flag: HealthFlag) -> None:
+    vehicle = held_by(flag)
+    vehicle.commanded = True
+    assert vehicle.requested() == {}
+
+
+def test_a_command_ends_a_critical_landing_until_the_flag_is_raised_again() -> None:
+    vehicle = held_by(F.BATTERY_CRITICAL)
+    assert "land" in labels(vehicle.tick())
+    vehicle.phase = P.LAND
+    vehicle.tick()
+    vehicle.phase, vehicle.commanded = P.HOLD, True
+    assert vehicle.requested() == {}
+    vehicle.raised = set()
+    vehicle.tick()
+    vehicle.raised = {F.BATTERY_CRITICAL}
+    assert vehicle.requested() == {"land": 3.0}
+
+
+def test_a_pilot_ends_the_escalation() -> None:
+    vehicle = held_by(F.LEADER_LOST)
+    vehicle.phase = P.OBSERVE
+    vehicle.tick()
+    vehicle.phase = P.HOLD  # by a later command
+    assert vehicle.requested() == {}
+
+
+@pytest.mark.parametrize(
+    ("action", "home_enu_m", "expected"),
+    [
+        (A.HOLD, (0.0, 0.0, 0.0), set()),
+        (A.RETURN, (9.0, 0.0, 0.0), {"return"}),
+        (A.RETURN, (60.0, 60.0, 0.0), {"land"}),  # through vehicle 4
+        (A.RETURN, None, {"land"}),
+        (A.LAND, (0.0, 0.0, 0.0), {"land"}),
+    ],
+)
+def test_the_fleet_file_chooses_what_a_low_battery_does(
+    action: FailsafeAction, home_enu_m: tuple[float, float, float] | None, expected: set[str]
+) -> None:
+    vehicle = held_by(F.BATTERY_LOW, FailsafeSettings(low_battery_action=action))
+    vehicle.home_enu_m = home_enu_m
+    assert set(vehicle.requested()) == expected
+
+
+def test_steps_without_a_configured_time_are_never_taken() -> None:
+    vehicle = held_by(F.LEADER_LOST, FailsafeSettings(land_after_s=None))
+    assert vehicle.requested(600.0) == {}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_audit_judges_every_parameter_that_the_matrix_relies_on(kind: AutopilotKind) -> None:
+    assert set(RELIED_ON[kind]) <= {rule.name for rule in RULES[kind]}

@@ -1,0 +1,156 @@
+"""Checks of the fleet: altitudes on the ground, slot distances against reported position errors."""
+
+import pytest
+from msgspec.structs import replace
+
+from companion.core.safety.fleet_checks import FleetChecks
+from companion.types.autopilot import PositionError, VehicleState
+from companion.types.commands import CommandName
+from companion.types.flight import FlightPhase, Role
+from companion.types.formation import FlownSlot
+from companion.types.notices import Code, Notice
+from companion.types.peers import PeerPacket
+from notices import code_of
+from slot_peers import SLOTS, peer
+
+OWN = FlownSlot(SLOTS[2])
+CHECKS = FleetChecks(2, slots_have_height=True, ground_spread_m=1.0, separation_m=1.0)
+
+
+def vehicle(z_m: float = 0.0, error: PositionError | None = None) -> VehicleState:
+    return VehicleState(position_enu_m=(0.0, 0.0, z_m), position_error=error)
+
+
+# ---------------------------------------------------------------- on the ground
+
+
+@pytest.mark.parametrize("name", [CommandName.ARM, CommandName.TAKEOFF])
+def test_takeoff_is_refused_when_altitudes_differ(name: CommandName) -> None:
+    refusal, _ = CHECKS.judge(name, vehicle(0.3), OWN, [peer(1, 0.0), peer(3, 1.4)], Role.FOLLOWER)
+    assert code_of(refusal) is Code.ALTITUDES_DIFFER
+    assert "vehicle 3 is 1.4 m above vehicle 1" in refusal.text
+
+
+@pytest.mark.parametrize(
+    ("own_m", "peers"),
+    [
+        (0.0, []),
+        (0.3, [peer(1, -0.3), peer(3, 0.6)]),
+        (0.0, [peer(1, 30.0, air=True)]),  # it flies already
+    ],
+)
+def test_takeoff_is_accepted_when_altitudes_agree(own_m: float, peers: list[PeerPacket]) -> None:
+    assert CHECKS.judge(CommandName.TAKEOFF, vehicle(own_m), OWN, peers, Role.FOLLOWER) == (None, None)
+
+
+@pytest.mark.parametrize("name", [CommandName.ARM, CommandName.TAKEOFF])
+@pytest.mark.parametrize("height_m", [0.0, 20.0])  # on the ground, and in the air above
+def test_takeoff_is_refused_within_the_separation_of_a_peer(name: CommandName, height_m: float) -> None:
+    beside = replace(peer(3, air=height_m > 0.0), position_enu_m=(0.6, -0.5, height_m))
+    refusal, _ = CHECKS.judge(name, vehicle(), OWN, [peer(1), beside], Role.FOLLOWER)
+    assert code_of(refusal) is Code.VEHICLE_TOO_CLOSE
+    assert "vehicle 3 is 0.78 m from vehicle 2; expected at least separation_m, 1 m" in refusal.text
+    assert CHECKS.lacks(vehicle(), [peer(1), beside]) == (refusal,)
+
+
+def test_landing_near_a_peer_is_a_warning() -> None:
+    refusal, warning = CHECKS.judge(
+        CommandName.LAND, vehicle(3.0), OWN, [replace(peer(1), position_enu_m=(0.1, 0.0, 0.0))], Role.FOLLOWER
+    )
+    assert refusal is None
+    assert code_of(warning) is Code.VEHICLE_TOO_CLOSE
+
+
+# ---------------------------------------------------------------- before it forms
+
+
+def judged(own_m: float | None, *others: tuple[int, float | None]) -> tuple[Notice | None, Notice | None]:
+    """`own_m` and the second item of `others` are position errors, horizontal and vertical."""
+    own = None if own_m is None else PositionError(own_m, own_m)
+    peers = [peer(i, error=None if m is None else PositionError(m, m), air=True) for i, m in others]
+    return CHECKS.judge(CommandName.FORM, vehicle(error=own), OWN, peers, Role.FOLLOWER)
+
+
+def test_slots_within_three_sigma_are_refused() -> None:
+    refusal, _ = judged(0.6, (1, 0.01), (3, 0.6))
+    assert code_of(refusal) is Code.POSITION_ERROR_LARGE
+    assert refusal.text == (
+        "the slots of vehicles 2 and 3 are 1.5 m apart, 2.5 sigma of their estimators' errors; expected at least 3 sigma, 1.8 m"
+    )
+
+
+def test_slots_within_six_sigma_are_a_warning() -> None:
+    refusal, warning = judged(0.29, (1, 0.29), (3, 0.1))  # as a PX4 with GPS reports it
+    assert refusal is None
+    assert warning.text == (
+        "the slots of vehicles 2 and 1 are 1.5 m apart, 5.2 sigma of their estimators' errors; better 6 sigma, 1.7 m"
+    )
+
+
+@pytest.mark.parametrize(
+    ("spacing_m", "fits_m", "warned_m", "refused_m"),
+    [
+        (1.5, (0.02, 0.1, 0.24), (0.3, 0.49), (0.51, 0.8, 2.0)),
+        (3.0, (0.3, 0.49), (0.51, 0.8, 0.99), (1.01, 1.2, 2.0)),
+        (5.0, (0.3, 0.5, 0.8), (0.84, 1.2, 1.6), (1.7, 2.0)),
+    ],
+)
+def test_slot_spacing_limits_by_reported_position_error(
+    spacing_m: float, fits_m: tuple[float, ...], warned_m: tuple[float, ...], refused_m: tuple[float, ...]
+) -> None:
+    """The table of the README: at least 3 times the reported error, better 6 times."""
+    checks = FleetChecks(1, slots_have_height=True, ground_spread_m=1.0, separation_m=1.0)
+    for errors_m, wanted in ((fits_m, (False, False)), (warned_m, (False, True)), (refused_m, (True, False))):
+        for error_m in errors_m:
+            error = PositionError(error_m, 3.0)  # on level slots, height does not count
+            other = replace(peer(2, error=error, air=True), slot=FlownSlot((0.0, spacing_m, 0.0)))
+            refusal, warning = checks.judge(
+                CommandName.FORM, vehicle(error=error), FlownSlot(SLOTS[1]), [other], Role.FOLLOWER
+            )
+            assert (bool(refusal), bool(warning)) == wanted, error_m
+
+
+def test_distant_slots_and_zero_errors_are_accepted() -> None:
+    assert judged(0.05, (1, 0.05)) == (None, None)
+    assert judged(0.0, (1, 0.0)) == (None, None)
+
+
+def test_unknown_position_error_is_a_warning() -> None:
+    assert judged(None, (1, 0.1)) == (
+        None,
+        Notice(Code.POSITION_ERROR_UNKNOWN, "no error reported by the estimator of vehicle 2"),
+    )
+    _, warning = judged(0.01, (1, None), (3, None))
+    assert warning.text == "no error reported by the estimator of vehicle 1, 3"
+    refusal, _ = judged(0.6, (1, None), (3, 0.6))
+    assert "2 and 3" in refusal.text
+
+
+def test_vertical_error_counts_only_when_the_law_controls_altitude() -> None:
+    own = vehicle(error=PositionError(0.05, 0.6))
+    above = [peer(4, error=PositionError(0.05, 0.6), air=True)]
+    with_height = FleetChecks(3, slots_have_height=True, ground_spread_m=1.0, separation_m=1.0)
+    assert "1.2 sigma" in with_height.judge(CommandName.FORM, own, FlownSlot(SLOTS[3]), above, Role.FOLLOWER)[0].text
+    without = FleetChecks(3, slots_have_height=False, ground_spread_m=1.0, separation_m=1.0)
+    assert "0.0 sigma" in without.judge(CommandName.FORM, own, FlownSlot(SLOTS[3]), above, Role.FOLLOWER)[0].text
+
+
+def test_joining_is_refused_when_peers_fly_another_formation() -> None:
+    other = replace(peer(1, air=True), phase=FlightPhase.FORMATION, slot=FlownSlot(SLOTS[1], formation=3))
+    refusal, _ = CHECKS.judge(CommandName.FORM, vehicle(), OWN, [other], Role.FOLLOWER)
+    assert code_of(refusal) is Code.FORMATION_DIFFERS
+
+
+def test_joining_is_refused_when_the_leader_has_another_formation() -> None:
+    leader = replace(peer(1, air=True), role=Role.LEADER, slot=FlownSlot(SLOTS[1], formation=3))
+    refusal, _ = CHECKS.judge(CommandName.FORM, vehicle(), OWN, [leader, peer(3, air=True)], Role.FOLLOWER)
+    assert code_of(refusal) is Code.FORMATION_DIFFERS
+    assert "leader 1 has 3" in refusal.text
+    assert "leader 1 has 3" in CHECKS.judge(CommandName.FORM, vehicle(), OWN, [leader], Role.LEADER)[0].text
+    second = replace(leader, vehicle_id=3)  # of several the smallest id's counts
+    assert CHECKS.judge(CommandName.FORM, vehicle(), OWN, [second], Role.LEADER)[0] is None
+    follower = replace(leader, role=Role.FOLLOWER)
+    on_ground = replace(leader, phase=FlightPhase.READY)
+    formed = replace(peer(3, air=True), phase=FlightPhase.FORMATION)
+    for others in ([follower], [on_ground], [leader, formed]):
+        assert CHECKS.judge(CommandName.FORM, vehicle(), OWN, others, Role.FOLLOWER)[0] is None

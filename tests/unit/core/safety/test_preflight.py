@@ -1,0 +1,152 @@
+"""Preflight checks of the agent, over MAVLink to an autopilot with wrong parameters."""
+
+from __future__ import annotations
+
+import pytest
+
+from companion.core.estimation.disturbance_observer import DisturbanceObserver
+from companion.core.safety.preflight import ASK_PERIOD_S, REFRESH_PERIOD_S, Preflight
+from companion.types.autopilot import AutopilotKind
+from companion.types.commands import CommandName
+from companion.types.flight import FlightPhase
+from companion.types.notices import Code
+from companion.types.telemetry import ParameterSample
+from notices import code_of, codes_of
+from profile_flight import ARDUPILOT, BOTH, IN_ORDER, PX4, Flight
+
+C, P = CommandName, FlightPhase
+
+
+def form(flight: Flight) -> tuple[bool, Code, str]:
+    flight.tick(C.FORM)
+    return flight.replies[-1]
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "value", "words"),
+    [
+        (PX4, "COM_OBL_RC_ACT", 0, "COM_OBL_RC_ACT: 0 (position mode: sinks and drifts without a pilot); wanted: 5"),
+        (PX4, "COM_OBL_RC_ACT", 7, "COM_OBL_RC_ACT: 7 (disarm: it falls); wanted: 5 (hold) or 4 (land); set"),
+        (PX4, "COM_OF_LOSS_T", 30.0, "COM_OF_LOSS_T: 30 s (keeps the last setpoint for this time)"),
+        (ARDUPILOT, "GUID_OPTIONS", 0, "GUID_OPTIONS: 0 (thrust is taken as a climb rate); wanted: bit 3 (8) set"),
+        (ARDUPILOT, "GUID_TIMEOUT", 5.0, "GUID_TIMEOUT: 5 s (keeps the last attitude and thrust for this time)"),
+    ],
+)  # fmt: skip
+def test_formation_is_refused_until_the_parameter_is_set(
+    kind: AutopilotKind, name: str, value: float, words: str
+) -> None:
+    flight = Flight(kind)
+    flight.autopilot.parameters[name] = value
+    flight.fly_to(P.HOLD)
+    accepted, _, reason = form(flight)
+    assert not accepted
+    assert words in reason
+    assert flight.agent.phase is P.HOLD
+    assert flight.autopilot.targets == []
+    assert any(
+        event.text.startswith(f"refusal: {name}") for event in flight.events
+    )  # known long before the command form
+
+    flight.autopilot.parameters[name] = IN_ORDER[kind][name]  # by its pilot, from a ground station
+    flight.ticks(len(IN_ORDER[kind]) * REFRESH_PERIOD_S + 0.1)
+    assert form(flight)[0]
+
+
+@BOTH
+def test_low_battery_refuses_formation_and_permits_landing(kind: AutopilotKind) -> None:
+    flight = Flight(kind).fly_to(P.HOLD)
+    flight.autopilot.battery_percent = 15
+    flight.tick()
+    accepted, _, reason = form(flight)
+    assert not accepted
+    assert reason.startswith("form: battery: 15 %; wanted: at least 40 %")
+    assert flight.do(C.LAND) is P.LAND
+
+
+def test_other_px4_version_is_a_warning() -> None:
+    flight = Flight(PX4)
+    flight.autopilot.parameters = {"COM_OBL_RC_ACT": 5}
+    flight.fly_to(P.HOLD)
+    assert next(event for event in flight.events if "not found" in event.text).text.startswith(
+        "warning: COM_OF_LOSS_T: not found"
+    )
+    assert form(flight)[0]
+
+
+def test_no_parameter_is_requested_before_the_heartbeat() -> None:
+    preflight = Preflight(DisturbanceObserver(0.5, 0.0, 4.0))
+    preflight.update(0.0, (), None)
+    assert preflight.ask(0.0) == ()
+    assert code_of(preflight.refusal()) is Code.AUTOPILOT_UNKNOWN
+
+
+def test_ardupilot_without_the_thrust_parameter_is_refused() -> None:
+    flight = Flight(ARDUPILOT)
+    del flight.autopilot.parameters["GUID_OPTIONS"]
+    flight.fly_to(P.HOLD)
+    accepted, _, reason = form(flight)
+    assert not accepted
+    assert reason.startswith("form: GUID_OPTIONS: not found")
+
+
+@BOTH
+def test_warnings_are_reported_once(kind: AutopilotKind) -> None:
+    quiet = Flight(kind)
+    quiet.ticks(5.0)
+    assert quiet.events == []
+    warned = Flight(kind)
+    name, value = ("COM_OBL_RC_ACT", 3) if kind is PX4 else ("GUID_TIMEOUT", 3.0)
+    warned.autopilot.parameters[name] = value
+    warned.ticks(20.0)
+    (event,) = warned.events
+    assert event.code is (Code.SETPOINT_LOSS_ACTION_UNSAFE if kind is PX4 else Code.SETPOINT_TIMEOUT_UNSAFE)
+    assert event.text.startswith(f"warning: {name}: {value:g}")
+
+
+@BOTH
+def test_parameters_are_read_in_turn_and_never_set(kind: AutopilotKind) -> None:
+    flight = Flight(kind)
+    flight.ticks(len(IN_ORDER[kind]) * ASK_PERIOD_S + 0.3)
+    assert sorted(set(flight.autopilot.read)) == sorted(IN_ORDER[kind])
+    read = len(flight.autopilot.read)
+    flight.ticks(10.0)
+    assert len(flight.autopilot.read) - read == pytest.approx(10.0 / REFRESH_PERIOD_S, abs=1)
+    flight.fly_to(P.FORMATION)
+    read = len(flight.autopilot.read)
+    flight.ticks(2.0)
+    assert len(flight.autopilot.read) == read
+    assert "PARAM_SET" not in {message.get_type() for message in flight.autopilot.commands}
+
+
+def lacks(flight: Flight) -> list[Code]:
+    flight.ticks(0.2)  # until the next status
+    assert flight.status is not None
+    return codes_of(flight.status.lacks)
+
+
+@BOTH
+def test_status_lists_findings_on_the_ground_until_they_are_solved(kind: AutopilotKind) -> None:
+    flight = Flight(kind)
+    flight.autopilot.may_arm = False
+    assert lacks(flight)[0] is Code.PARAMETERS_UNREAD
+    flight.ticks(1.0)
+    assert lacks(flight) == [Code.ARMING_CHECKS_FAILED]
+    flight.autopilot.may_arm, flight.autopilot.battery_percent = True, 15
+    assert lacks(flight) == [Code.BATTERY_LOW]
+    flight.autopilot.battery_percent = 90
+    assert lacks(flight) == []
+
+
+@BOTH
+def test_status_lists_no_findings_when_armed(kind: AutopilotKind) -> None:
+    flight = Flight(kind).fly_to(P.ARMED)
+    flight.autopilot.may_arm = False
+    assert lacks(flight) == []
+
+
+@pytest.mark.parametrize(("kind", "name"), [(PX4, "MPC_THR_HOVER"), (ARDUPILOT, "MOT_THST_HOVER")])
+def test_observer_starts_from_the_hover_thrust_parameter(kind: AutopilotKind, name: str) -> None:
+    observer = DisturbanceObserver(0.5, 0.0, 4.0)
+    preflight = Preflight(observer)
+    preflight.update(0.0, (ParameterSample(0.0, name, 0.35),), kind)
+    assert observer.hover_thrust_norm == 0.35

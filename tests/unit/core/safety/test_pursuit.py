@@ -1,0 +1,36 @@
+"""A vehicle that drives another one before it, at the same speed and over a slow network."""
+
+import pytest
+
+from companion.types.autopilot import VehicleState
+from companion.types.flight import FlightPhase
+from companion.types.vectors import Vector3
+from separation_flight import Body, Link, SeparationFlight, to_goal
+
+SEPARATION_M = 2.0
+
+
+@pytest.mark.parametrize("speed_m_s", [1.0, 2.0])
+def test_a_vehicle_keeps_its_distance_when_pushed_over_a_late_network(speed_m_s: float) -> None:
+    """The distance no longer changes, but the pursuer is where its late packet will only report it to be."""
+
+    def straight_on(_now_s: float, vehicle: VehicleState) -> Vector3:
+        vx, vy, vz = vehicle.velocity_enu_m_s
+        return (2.0 * (speed_m_s - vx), -2.0 * vy, -2.0 * vz)
+
+    pursuer = Body(1, (-6.0, 0.0, 2.0), straight_on, phase=FlightPhase.OBSERVE, filters=False)
+    pushed = Body(2, (0.0, 0.0, 2.0), to_goal((0.0, 0.0, 2.0)))
+    flight = SeparationFlight([pursuer, pushed], SEPARATION_M, link=Link(delay_s=0.1))
+    flight.fly(12.0)
+    assert flight.nearest_m >= SEPARATION_M
+
+
+def test_the_required_distance_has_room_for_ripple_when_the_other_makes_no_way() -> None:
+    """8 mm below separation_m were flown along a hovering vehicle."""
+    hovering = Body(1, (0.0, 0.0, 2.0), to_goal((0.0, 0.0, 2.0)), phase=FlightPhase.HOLD, filters=False)
+    near = Body(2, (3.0, 0.0, 2.0), to_goal((3.0, 0.0, 2.0)))
+    flight = SeparationFlight([hovering, near], SEPARATION_M)
+    flight.fly(0.2)
+    nearest = flight.reports[2].nearest
+    assert nearest is not None
+    assert nearest.required_m >= SEPARATION_M + 0.05

@@ -1,0 +1,278 @@
+"""The command `return`: separation of return paths, mode request, end of the return."""
+
+import pytest
+from msgspec.structs import replace
+
+from agent_flight import Flight
+from commanded_phases import AIR, ImmediateAutopilot, flown_to, levelled, tick
+from companion.core.command.phase import RULES, PhaseMachine
+from companion.core.safety.return_check import Path, apart, refusal_of_return
+from companion.types.autopilot import AutopilotMode, LandedState
+from companion.types.commands import CommandName
+from companion.types.flight import FlightPhase
+from companion.types.notices import Answer, Code, Notice
+from companion.types.peers import PeerPacket
+from companion.types.requests import SetMode
+from companion.types.telemetry import AckSample, HeartbeatSample
+from companion.types.vectors import Vector3
+from notices import code_of, outcome
+from slot_peers import peer
+
+P, M, C = FlightPhase, AutopilotMode, CommandName
+
+
+# ---------------------------------------------------------------- paths
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "apart_m"),
+    [
+        (((0.0, 0.0), (10.0, 0.0)), ((5.0, -1.0), (5.0, 1.0)), 0.0),  # across
+        (((0.0, 0.0), (10.0, 0.0)), ((3.0, 2.0), (7.0, 2.0)), 2.0),  # side by side
+        (((0.0, 0.0), (10.0, 0.0)), ((10.0, 0.0), (10.0, 5.0)), 0.0),  # an end touches
+        (((0.0, 0.0), (10.0, 0.0)), ((4.0, 0.0), (14.0, 0.0)), 0.0),  # along the same line
+        (((0.0, 0.0), (10.0, 0.0)), ((13.0, 4.0), (20.0, 4.0)), 5.0),
+        (((0.0, 0.0), (0.0, 0.0)), ((3.0, 4.0), (3.0, 4.0)), 5.0),  # both hover above home
+        (((0.0, 0.0), (10.0, 0.0)), ((5.0, 3.0), (5.0, 3.0)), 3.0),  # one hovers beside the path
+        (((0.0, 0.0), (10.0, 10.0)), ((6.0, 0.0), (6.0, 5.0)), 0.5**0.5),  # ends before the other path
+    ],
+)
+def test_smallest_distance_of_two_paths(a: Path, b: Path, apart_m: float) -> None:
+    for one, other in ((a, b), (b, a), (a[::-1], b), (a, b[::-1])):
+        assert apart(one, other) == pytest.approx(apart_m, abs=1e-12)
+
+
+def peer_in(phase: FlightPhase, at: Vector3) -> PeerPacket:
+    return replace(peer(1), phase=phase, position_enu_m=at)
+
+
+def refusal(at: Vector3, home: Vector3 | None, *others: PeerPacket, peer_home: Vector3 | None = None) -> Notice | None:
+    vehicle = replace(AIR, position_enu_m=at, ground_position_enu_m=home)
+    return refusal_of_return(2, 1.0, vehicle, others, {} if peer_home is None else {1: peer_home})
+
+
+def test_separate_return_paths_are_accepted() -> None:
+    assert (
+        refusal((0.0, 10.0, 5.0), (0.0, 0.0, 0.0), peer_in(P.FORMATION, (3.0, 10.0, 5.0)), peer_home=(3.0, 0.0, 0.0))
+        is None
+    )
+    assert refusal((0.0, 10.0, 5.0), (0.0, 0.0, 0.0)) is None  # no peers
+
+
+def test_crossing_return_paths_are_refused_at_any_height() -> None:
+    other = peer_in(P.HOLD, (3.0, 10.0, 50.0))
+    assert refusal((0.0, 10.0, 5.0), (3.0, 0.0, 0.0), other, peer_home=(0.0, 0.0, 0.0)) == Notice(
+        Code.RETURN_PATH_TOO_CLOSE,
+        "separation: on its straight path home vehicle 2 comes within 0.00 m of vehicle 1 or of its path home; expected"
+        " at least separation_m, 1 m; land instead",
+    )
+
+
+@pytest.mark.parametrize("phase", [P.HOLD, P.ENGAGE, P.FORMATION, P.RELEASE, P.RETURN, P.OBSERVE])
+def test_return_paths_of_peers_are_checked(phase: FlightPhase) -> None:
+    """The peer's return path crosses this vehicle's home; its position is far from it."""
+    other, home = peer_in(phase, (0.0, -8.0, 5.0)), (0.0, 0.0, 0.0)
+    assert "comes within 0.00 m" in refusal((0.0, 1.0, 5.0), home, other, peer_home=(0.0, 8.0, 0.0)).text
+    assert refusal((0.0, 1.0, 5.0), home, other) is None
+
+
+@pytest.mark.parametrize("phase", [P.READY, P.ARMED, P.TAKEOFF, P.LAND])
+def test_only_the_position_counts_for_a_peer_that_takes_off_lands_or_is_on_the_ground(phase: FlightPhase) -> None:
+    home = (0.0, 0.0, 0.0)
+    assert refusal((0.0, 6.0, 5.0), home, peer_in(phase, (0.0, -8.0, 5.0)), peer_home=(0.0, 8.0, 0.0)) is None
+    assert "within 0.50 m" in refusal((0.0, 6.0, 5.0), home, peer_in(phase, (0.5, 3.0, 0.0))).text
+
+
+def test_return_is_refused_when_home_is_unknown() -> None:
+    assert code_of(refusal((0.0, 6.0, 5.0), None)) is Code.HOME_UNKNOWN
+
+
+# ---------------------------------------------------------------- phases
+
+
+def returning(phase: FlightPhase = P.HOLD) -> tuple[PhaseMachine, ImmediateAutopilot, float]:
+    """A phase machine whose autopilot returns, entered from this phase."""
+    machine, autopilot, now_s = flown_to(phase)
+    assert machine.command(C.RETURN, now_s, autopilot.state) == (True, Notice(Code.PHASE_CHANGED, "return begins"))
+    if phase is P.FORMATION:
+        now_s = levelled(machine, autopilot, now_s)
+    else:
+        autopilot.execute(tick(machine, now_s, autopilot.state, ()))
+    tick(machine, now_s + 0.02, autopilot.state, ())
+    assert (machine.phase, autopilot.state.mode) == (P.RETURN, M.RETURN)
+    return machine, autopilot, now_s + 0.04
+
+
+@pytest.mark.parametrize("phase", [P.HOLD, P.FORMATION])
+def test_return_is_flown_by_the_autopilot_until_disarmed(phase: FlightPhase) -> None:
+    machine, autopilot, now_s = returning(phase)
+    assert not machine.streams(autopilot.state)
+    for minute in range(60):
+        assert tick(machine, now_s + 60.0 * minute, autopilot.state, ()) == ()
+    assert machine.phase is P.RETURN
+    down = replace(autopilot.state, landed=LandedState.ON_GROUND, mode=M.HOLD)  # PX4's mode changes at disarming
+    tick(machine, now_s + 3600.0, down, ())
+    assert machine.phase is P.RETURN
+    tick(machine, now_s + 3600.2, replace(down, armed=False), ())
+    assert machine.phase is P.OBSERVE
+    assert machine.events[-1] == Notice(Code.PHASE_CHANGED, "return -> observe")
+
+
+@pytest.mark.parametrize("phase", sorted(set(P) - RULES[C.RETURN].allowed - {P.RETURN, P.PREPARE, P.ARM, P.LAND}))
+def test_return_begins_only_in_formation_or_hold(phase: FlightPhase) -> None:
+    machine, autopilot, now_s = flown_to(phase)
+    answer = machine.command(C.RETURN, now_s, autopilot.state)
+    assert outcome(answer) == (False, Code.WRONG_PHASE)
+    assert answer.notice.text.endswith(f"phase {phase}, only in engage, formation, hold, release")
+
+
+def test_repeated_return_command_changes_nothing() -> None:
+    machine, autopilot, now_s = returning()
+    assert machine.command(C.RETURN, now_s, autopilot.state) == (
+        True,
+        Notice(Code.ALREADY_DONE, "return already in progress"),
+    )
+    assert tick(machine, now_s, autopilot.state, ()) == ()
+
+
+@pytest.mark.parametrize(("name", "mode"), [(C.HOLD, M.HOLD), (C.LAND, M.LAND)])
+def test_hold_and_land_end_a_return(name: CommandName, mode: AutopilotMode) -> None:
+    machine, autopilot, now_s = returning()
+    assert machine.command(name, now_s, autopilot.state)[0]
+    for step in range(40):
+        autopilot.execute(tick(machine, now_s + 0.02 * step, autopilot.state, ()))
+    assert autopilot.state.mode is mode
+    assert machine.phase is RULES[name].via if name is C.LAND else RULES[name].to
+
+
+def test_abort_stops_a_return_except_during_the_landing() -> None:
+    machine, autopilot, now_s = returning()
+    descends = replace(autopilot.state, landed=LandedState.LANDING)
+    assert outcome(machine.abort(now_s, descends)) == (True, Code.LANDING_CONTINUES)
+    assert tick(machine, now_s, descends, ()) == ()
+    assert machine.abort(now_s, autopilot.state)[0]
+    for step in range(40):
+        autopilot.execute(tick(machine, now_s + 0.02 * step, autopilot.state, ()))
+    assert (machine.phase, autopilot.state.mode) == (P.HOLD, M.HOLD)
+
+
+def test_abort_does_not_stop_motors_just_after_a_return() -> None:
+    machine, autopilot, now_s = returning()
+    assert machine.abort(now_s, replace(autopilot.state, landed=LandedState.ON_GROUND)) == (
+        True,
+        Notice(Code.PHASE_CHANGED, "lands"),
+    )
+
+
+@pytest.mark.parametrize("mode", [M.HOLD, M.LAND, M.OFFBOARD, M.OTHER])
+def test_pilot_mode_ends_a_return(mode: AutopilotMode) -> None:
+    machine, autopilot, now_s = returning(P.FORMATION)
+    pilots = replace(autopilot.state, mode=mode, mode_name="THEIRS")
+    assert tick(machine, now_s, pilots, ()) == ()
+    assert machine.phase is P.OBSERVE
+    assert not machine.streams(pilots)
+
+
+@pytest.mark.parametrize("phase", [P.HOLD, P.FORMATION])
+def test_return_not_requested_by_the_agent_is_passive(phase: FlightPhase) -> None:
+    machine, autopilot, now_s = flown_to(phase)
+    failsafe = replace(autopilot.state, mode=M.RETURN, mode_name="AUTO.RTL")
+    assert tick(machine, now_s, failsafe, ()) == ()
+    assert machine.phase is P.OBSERVE
+    assert outcome(machine.abort(now_s, failsafe)) == (True, Code.FLOWN_BY_OTHERS)
+
+
+@pytest.mark.parametrize("phase", [P.HOLD, P.FORMATION])
+def test_vehicle_holds_when_the_return_mode_is_refused(phase: FlightPhase) -> None:
+    machine, autopilot, now_s = flown_to(phase)
+    before = autopilot.state
+    machine.command(C.RETURN, now_s, before)
+    refusal = AckSample(0.0, (SetMode,), False, "DO_SET_MODE temporarily rejected")
+    asked: list[object] = []
+    while machine.phase is P.RETURN:
+        assert machine.streams(before) is (phase is P.FORMATION)  # braking, by then
+        asked += tick(machine, now_s, before, [refusal])
+        now_s += 0.02
+        assert len(asked) < 20
+    assert set(asked) == {SetMode(M.RETURN)}
+    failed = "return -> release (return failed: DO_SET_MODE temporarily rejected)"
+    assert Notice(Code.PROCEDURE_FAILED, failed) in machine.events
+    for step in range(40):
+        autopilot.execute(tick(machine, now_s + 0.02 * step, autopilot.state, ()))
+    assert (machine.phase, autopilot.state.mode) == (P.HOLD, M.HOLD)
+
+
+# ---------------------------------------------------------------- the agent
+
+
+def answer(flight: Flight) -> Answer:
+    reply = flight.tick(C.RETURN).replies[0]
+    return Answer(reply.accepted, Notice(reply.code, reply.reason))
+
+
+def test_return_from_formation_levels_before_the_mode_change() -> None:
+    flight = Flight().fly_to(P.FORMATION)
+    assert answer(flight) == (True, Notice(Code.PHASE_CHANGED, "return begins"))
+    levels = 0
+    while flight.mode is not M.RETURN:
+        outbox = flight.tick()
+        levels += outbox.attitude_target is not None
+        assert outbox.peer_packet
+        assert outbox.peer_packet.phase is P.RETURN
+        assert levels < 20
+    assert levels > 10
+    assert all(flight.tick().attitude_target is None for _ in range(50))
+    assert flight.agent.phase is P.RETURN
+
+
+def test_return_check_uses_the_recorded_homes_of_peers() -> None:
+    flight = Flight()
+    flight.peer_phase, flight.peer_position = P.ARMED, (0.0, 0.0, 0.0)
+    flight.fly_to(P.HOLD)
+    flight.peer_phase, flight.peer_position = P.HOLD, (-3.0, 0.0, 1.0)  # on the other side of this one's home
+    for _ in range(200):
+        flight.tick()
+    flight.position = (-1.5, 5.0, 1.0)
+    flight.tick()
+    refusal = answer(flight)
+    assert outcome(refusal) == (False, Code.RETURN_PATH_TOO_CLOSE)
+    assert "vehicle 2 comes within 0.00 m of vehicle 1" in refusal.notice.text
+    assert flight.agent.phase is P.HOLD
+    flight.peer_phase = P.LAND  # it lands at its position
+    flight.tick()
+    assert answer(flight)[0]
+
+
+def test_home_is_unknown_after_a_restart_in_flight() -> None:
+    flight = Flight()
+    flight.armed, flight.landed, flight.mode = True, LandedState.IN_AIR, M.HOLD
+    late = [sample for sample in flight.telemetry() if not isinstance(sample, HeartbeatSample)]
+    flight.tick(telemetry=late)  # the first telemetry has no armed state
+    for _ in range(20):
+        flight.tick()
+    assert flight.tick(C.HOLD).replies[0].accepted
+    for _ in range(30):
+        flight.tick()
+    assert flight.agent.phase is P.HOLD
+    assert outcome(answer(flight)) == (False, Code.HOME_UNKNOWN)
+
+
+def test_return_is_accepted_outside_the_fence_and_refused_without_a_valid_position() -> None:
+    flight = Flight().fly_to(P.HOLD)
+    flight.position = (-101.0, 0.0, 1.0)
+    flight.peer_position = None
+    flight.tick()
+    flight.withheld = (type(flight.telemetry()[-1]),)
+    for _ in range(60):
+        flight.tick()
+    assert outcome(answer(flight)) == (False, Code.POSITION_STALE)
+    flight.withheld = ()
+    flight.tick()
+    assert answer(flight)[0]
+
+
+def test_formation_does_not_wait_for_a_returning_vehicle() -> None:
+    flight = Flight().fly_to(P.FORMATION)
+    flight.peer_phase = P.RETURN
+    statuses = [status for _ in range(20) if (status := flight.tick().status)]
+    assert statuses[-1].neighbours == ()

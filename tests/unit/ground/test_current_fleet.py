@@ -1,0 +1,96 @@
+"""The fleet file and the endpoints of a command: options, environment, saved current fleet."""
+
+from pathlib import Path
+
+import pytest
+
+from companion.cli.main import main
+from companion.config.file import ConfigError
+from companion.ground.current_fleet import (
+    current_file,
+    forget_current,
+    load_current,
+    save_current,
+    select,
+    simulation_endpoints,
+)
+from repository import ROOT
+
+PAIR = ROOT / "config" / "fleets" / "pair.yaml"
+HERE, THERE = "tcp/10.0.0.1:7447", "tcp/10.0.0.2:7447"
+
+
+@pytest.fixture
+def environment(tmp_path: Path) -> dict[str, str]:
+    return {"XDG_CONFIG_HOME": str(tmp_path / "xdg")}
+
+
+def test_nothing_is_selected_by_default(environment: dict[str, str]) -> None:
+    selection = select(None, (), environment)
+    assert (selection.fleet, selection.connect) == (None, ())
+    assert str(selection) == "no current fleet; endpoints of a simulation"
+
+
+def test_an_option_wins_over_the_environment_and_that_over_the_saved_fleet(environment: dict[str, str]) -> None:
+    save_current(PAIR, [HERE], environment)
+    assert str(select(None, (), environment)) == (
+        f"fleet file {PAIR} (current fleet); endpoints {HERE} (current fleet)"
+    )
+    environment |= {"COMPANION_FLEET": "other.yaml", "COMPANION_CONNECT": f"{HERE}, {THERE}"}
+    assert str(select(None, (), environment)) == (
+        f"fleet file other.yaml (COMPANION_FLEET); endpoints {HERE}, {THERE} (COMPANION_CONNECT)"
+    )
+    assert str(select(Path("third.yaml"), [THERE], environment)) == (
+        f"fleet file third.yaml (--fleet); endpoints {THERE} (--connect)"
+    )
+
+
+def test_saved_endpoints_are_not_used_with_another_fleet(environment: dict[str, str]) -> None:
+    save_current(PAIR, [HERE], environment)
+    assert select(Path("other.yaml"), (), environment).connect == ()
+    assert select(PAIR, (), environment).connect == (HERE,)
+
+
+def test_a_saved_fleet_is_forgotten(environment: dict[str, str]) -> None:
+    save_current(PAIR, (), environment)
+    forget_current(environment)
+    forget_current(environment)
+    assert load_current(environment) is None
+
+
+def test_a_damaged_saved_fleet_names_its_file(environment: dict[str, str]) -> None:
+    file = save_current(PAIR, (), environment)
+    file.write_text("{")
+    with pytest.raises(ConfigError, match=r"current_fleet\.json: cannot be used: .*--clear"):
+        select(None, (), environment)
+    assert select(PAIR, [HERE], environment).connect == (HERE,)
+
+
+@pytest.mark.parametrize("base", [{}, {"XDG_CONFIG_HOME": "relative"}])
+def test_without_a_config_folder_the_home_folder_has_it(base: dict[str, str]) -> None:
+    assert current_file(base) == Path.home() / ".config" / "companion" / "current_fleet.json"
+
+
+def test_a_simulated_vehicle_listens_at_a_port_of_its_id() -> None:
+    assert simulation_endpoints([1, 16]) == ("tcp/127.0.0.1:7448", "tcp/127.0.0.1:7463")
+
+
+def test_use_saves_shows_and_clears(
+    environment: dict[str, str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("XDG_CONFIG_HOME", environment["XDG_CONFIG_HOME"])
+    assert main(["fleet", "use", str(PAIR), "--connect", HERE]) == 0
+    assert main(["fleet", "use"]) == 0
+    shown = f"fleet file {PAIR} (current fleet); endpoints {HERE} (current fleet)"
+    assert capsys.readouterr().out.splitlines() == [f"saved in {current_file(environment)}", shown, shown]
+    assert main(["fleet", "use", "--clear"]) == 0
+    assert capsys.readouterr().out == "no current fleet; endpoints of a simulation\n"
+
+
+@pytest.mark.parametrize("arguments", [["nowhere.yaml"], [str(PAIR), "--connect", "nonsense"]])
+def test_use_refuses_what_cannot_be_used(
+    arguments: list[str], environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CONFIG_HOME", environment["XDG_CONFIG_HOME"])
+    assert main(["fleet", "use", *arguments]) == 2
+    assert load_current(environment) is None

@@ -1,0 +1,107 @@
+"""Status and readiness of vehicles as lines and data."""
+
+from math import pi
+
+import pytest
+from msgspec.structs import replace
+
+from companion.ground.readiness import checks_of
+from companion.ground.reports import readiness_as_data, readiness_lines, status_as_data, status_lines
+from companion.types.autopilot import PositionError
+from companion.types.flight import HealthFlag
+from companion.types.formation import FlownSlot, Heading, HeldReference
+from companion.types.notices import Code, Notice
+from companion.types.vectors import ZERO3
+from directed_flight import status
+
+READY = replace(status(1), peers=(2,), battery_percent=80.0, position_error=PositionError(0.1, 0.2))
+
+
+def test_a_vehicle_without_findings_is_ready() -> None:
+    checks = checks_of(replace(READY, flags=(HealthFlag.LEADER_LOST,)), (1, 2), 1)
+    assert all(check.passed for check in checks)
+    lines = readiness_lines({1: checks}, [], 3.0)
+    assert lines[0] == "vehicle 1  ready"
+    assert "  battery     ok  80 %" in lines
+    assert "  estimator   ok  error 0.10 m horizontal, 0.20 m vertical" in lines
+    assert readiness_as_data({1: checks}, [2])[1] == {"vehicle_id": 2, "ready": False, "checks": []}
+
+
+@pytest.mark.parametrize(
+    ("change", "name", "code"),
+    [
+        ({"flags": (HealthFlag.MODE_STALE,)}, "autopilot", Code.MODE_STALE),
+        ({"flags": (HealthFlag.POSITION_JUMPED,)}, "estimator", Code.POSITION_JUMPED),
+        ({"flags": (HealthFlag.FRAME_UNKNOWN,)}, "origin", Code.FRAME_UNKNOWN),
+        ({"flags": (HealthFlag.OUTSIDE_FENCE,)}, "origin", Code.OUTSIDE_FENCE),
+        ({"peers": ()}, "peers", Code.PEER_STALE),
+        ({"formation_hash": 2}, "fleet file", Code.FLEET_FILE_DIFFERS),
+        ({"lacks": (Notice(Code.BATTERY_LOW, "battery: 15 %"),)}, "battery", Code.BATTERY_LOW),
+        ({"lacks": (Notice(Code.VEHICLE_TOO_CLOSE, "0.40 m"),)}, "separation", Code.VEHICLE_TOO_CLOSE),
+        ({"lacks": (Notice(Code.ALTITUDES_DIFFER, "3.0 m above"),)}, "separation", Code.ALTITUDES_DIFFER),
+        ({"lacks": (Notice(Code.AUDIT_REFUSAL, "COM_OF_LOSS_T: not found"),)}, "parameters", Code.AUDIT_REFUSAL),
+    ],
+)
+def test_each_finding_fails_one_check(change: dict[str, object], name: str, code: Code) -> None:
+    checks = checks_of(replace(READY, **change), (1, 2), 1)  # type: ignore[arg-type]
+    failed = [check for check in checks if not check.passed]
+    assert [(check.name, check.codes) for check in failed] == [(name, (code,))]
+    assert failed[0].found.startswith(f"{code}: ")
+    assert readiness_lines({1: checks}, [], 3.0)[0] == "vehicle 1  not ready"
+
+
+def test_each_health_flag_fails_one_check() -> None:
+    for flag in set(HealthFlag) - {HealthFlag.LEADER_LOST}:
+        checks = checks_of(replace(READY, flags=(flag,)), (1, 2), 1)
+        assert sum(not check.passed for check in checks) == 1, flag
+
+
+def test_the_status_names_the_operator_and_missing_vehicles() -> None:
+    lines = status_lines({1: replace(READY, holder="anna@ground")}, [2], 3.0)
+    assert "operator anna@ground" in lines[1]
+    assert lines[-1] == "vehicle 2   missing  NO_REPORT: no report for 3 s"
+
+
+@pytest.mark.parametrize("columns", ["80", "100", "160"])
+def test_the_status_fits_the_terminal(columns: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", columns)
+    event = Notice(Code.PROCEDURE_FAILED, "arm -> ready (arm failed: " + "the autopilot refuses; " * 6 + ")")
+    busy = replace(READY, position_enu_m=(-1234.56, 1234.56, 123.4), mode_name="AUTO.PRECLAND", last_event=event)
+    lines = status_lines({250: replace(busy, vehicle_id=250, holder="a" * 63, target_age_s=0.3)}, [], 3.0)
+    assert max(map(len, lines)) <= min(int(columns), 100)
+
+
+@pytest.mark.parametrize(
+    ("slot", "text"),
+    [
+        (FlownSlot(ZERO3, formation=3, waiting=3), "3"),
+        (FlownSlot(ZERO3, formation=3, waiting=4), "3, then 4"),
+        (FlownSlot(ZERO3, (0.1, 0.0, 0.0), formation=4, waiting=4, moves_for_s=1.0), "changing to 4"),
+    ],
+)
+def test_the_status_shows_the_flown_formation_and_the_next(slot: FlownSlot, text: str) -> None:
+    assert f" formation {text}, reference -, operator -" in status_lines({1: replace(READY, slot=slot)}, [], 3.0)[1]
+
+
+def test_the_status_shows_the_heading_of_a_turned_formation() -> None:
+    assert " formation 0 at 90 deg, " in status_lines({1: replace(READY, heading=Heading(pi / 2.0))}, [], 3.0)[1]
+
+
+@pytest.mark.parametrize(
+    ("held", "target_age_s", "text"),
+    [
+        (HeldReference(2, 2), None, "2"),
+        (HeldReference(2, 3), None, "2, then 3"),
+        (HeldReference(2, 2), 0.31, "2, target 0.3 s old"),
+    ],
+)
+def test_the_status_shows_the_reference_and_the_age_of_its_target(
+    held: HeldReference, target_age_s: float | None, text: str
+) -> None:
+    lines = status_lines({1: replace(READY, reference=held, target_age_s=target_age_s)}, [], 3.0)
+    assert f" reference {text}, operator -, battery 80 %" in lines[1]
+
+
+def test_the_data_marks_missing_vehicles() -> None:
+    data = status_as_data({1: READY}, [2])
+    assert (data[0]["reported"], data[0]["vehicle_id"], data[1]) == (True, 1, {"vehicle_id": 2, "reported": False})

@@ -1,0 +1,156 @@
+"""The vehicle model of a batch against that of sitl.vehicle and companion.core: random states, every branch."""
+
+from math import radians
+
+import numpy as np
+import pytest
+
+from batch_scenarios import platoon
+from companion.config.fleet import Envelope
+from companion.core.control.attitude import attitude_target, limit_acceleration
+from companion.core.safety.output_limits import OutputLimiter, OutputLimits
+from companion.geometry.airspace import Fence
+from companion.geometry.frames import euler_from_quaternion, quaternion_from_euler
+from companion.stability.arrays import FloatArray
+from companion.types.requests import AttitudeTarget
+from sitl.batch.attitude_loops import AttitudeLoops
+from sitl.batch.bodies import Bodies, RungeKutta
+from sitl.batch.columns import columns_of, phase_steps
+from sitl.batch.commands import Commands
+from sitl.batch.rotations import euler_rad, product, quaternion_of_euler, quaternion_of_turns
+from sitl.flight.world import _phase_s
+from sitl.vehicle.attitude_control import PX4_LOOPS, Setpoint, moments, wanted_rates
+from sitl.vehicle.config import Airframe, AutopilotFile, StandIn
+from sitl.vehicle.dynamics import Body, advance, derivative, normalised, rate_of_change, rk4
+from sitl.vehicle.quadrotor import _turned
+
+AIRFRAMES = [
+    Airframe(),
+    Airframe(mass_kg=2.0, inertia_kg_m2=(0.02, 0.03, 0.06), drag_n_per_m_s=0.0, motor_lag_s=0.02),
+    Airframe(mass_kg=0.5, motor_lag_s=0.0),
+]
+COUNT = 30
+WIND = (2.0, -1.0, 0.5)
+
+
+def random_quaternions(random: np.random.Generator, count: int) -> FloatArray:
+    quaternions = random.standard_normal((4, count))
+    return quaternions / np.linalg.norm(quaternions, axis=0)
+
+
+def random_states(random: np.random.Generator) -> FloatArray:
+    states = random.standard_normal((17, COUNT)) * 3.0
+    states[6:10] = random_quaternions(random, COUNT)
+    return states
+
+
+@pytest.mark.parametrize("runge_kutta", [False, True])
+def test_bodies_move_as_in_the_stand_in(runge_kutta: bool) -> None:
+    random = np.random.default_rng(1)
+    of_column = random.integers(0, len(AIRFRAMES), COUNT)
+    states, commands = random_states(random), random.standard_normal((4, COUNT)) * 5.0
+    expected = []
+    for column, kind in enumerate(of_column.tolist()):
+        airframe = AIRFRAMES[kind]
+        body = Body(airframe.mass_kg, airframe.inertia_kg_m2, airframe.drag_n_per_m_s, airframe.motor_lag_s)
+        state, (thrust_n, mx, my, mz) = tuple(states[:, column].tolist()), commands[:, column].tolist()
+        if airframe.motor_lag_s == 0.0:
+            state = (*state[:13], thrust_n, mx, my, mz)
+        if runge_kutta:
+            expected.append(normalised(rk4(derivative(body, thrust_n, (mx, my, mz), WIND), state, 0.004)))
+        else:
+            expected.append(advance(state, rate_of_change(body, state, thrust_n, (mx, my, mz), WIND), 0.004))
+    bodies = Bodies(AIRFRAMES, of_column)
+    (RungeKutta(bodies) if runge_kutta else bodies).step(states, commands, np.array(WIND)[:, None], 0.004)
+    np.testing.assert_allclose(states.T, expected, rtol=1e-12, atol=1e-12)
+
+
+def test_attitude_loops_respond_as_in_the_stand_in() -> None:
+    random = np.random.default_rng(2)
+    goal, measured = random_quaternions(random, COUNT), random_quaternions(random, COUNT)
+    measured[:, 0], goal[:, 0] = (1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0)  # upside down
+    measured[:, 1] = goal[:, 1]
+    rates = random.standard_normal((3, COUNT))
+    inertia = np.repeat([[0.02], [0.03], [0.05]], COUNT, axis=1)
+    out = np.empty((3, COUNT))
+    AttitudeLoops(inertia).moments(goal, measured, rates, out)
+    for column in range(COUNT):
+        wanted = wanted_rates(
+            PX4_LOOPS, Setpoint(tuple(goal[:, column].tolist()), 0.5), tuple(measured[:, column].tolist())
+        )
+        single = moments(PX4_LOOPS, wanted, tuple(rates[:, column].tolist()), (0.02, 0.03, 0.05))
+        np.testing.assert_allclose(out[:, column], single, rtol=1e-9, atol=1e-12)
+
+
+def test_rotations_equal_those_of_frames() -> None:
+    random = np.random.default_rng(3)
+    quaternions, turns = random_quaternions(random, COUNT), random.standard_normal((3, COUNT)) * 0.02
+    turned = product(quaternions, quaternion_of_turns(turns))
+    euler = euler_rad(quaternions)
+    back = quaternion_of_euler(*euler)
+    for column in range(COUNT):
+        quaternion = tuple(quaternions[:, column].tolist())
+        np.testing.assert_allclose(turned[:, column], _turned(quaternion, tuple(turns[:, column].tolist())), atol=1e-12)
+        np.testing.assert_allclose(euler[:, column], euler_from_quaternion(quaternion), atol=1e-9)
+        np.testing.assert_allclose(back[:, column], quaternion_from_euler(*euler[:, column].tolist()), atol=1e-12)
+
+
+def test_output_limits_equal_those_of_the_agent() -> None:
+    """Some accelerations are far beyond the limits, and one vehicle has fallen over."""
+    random = np.random.default_rng(4)
+    scenarios = [platoon()] * 5
+    columns = columns_of(scenarios)
+    n = columns.count
+    commands = Commands(scenarios, columns, 0.02)
+    euler = np.stack([np.full(n, 0.05), np.full(n, -0.02), random.uniform(-3.0, 3.0, n)])
+    commands.open_at(euler)
+    limits = output_limits(Envelope())
+    limiters = [OutputLimiter(limits) for _ in range(n)]
+    for limiter, (roll, pitch, yaw) in zip(limiters, euler.T.tolist(), strict=True):
+        limiter.open_at(0.0, AttitudeTarget(roll, pitch, yaw, 0.49 / (np.cos(roll) * np.cos(pitch))), 0.49)
+    all_columns = slice(0, n)
+    for tick in range(1, 40):
+        wanted = random.standard_normal((3, n)) * 6.0
+        rolls, pitches = random.uniform(-0.4, 0.4, (2, n))
+        rolls[0] = 2.0 if tick > 5 else 0.0
+        single = [limit_acceleration(u, limits.max_tilt_rad, 0.3, 1.6) for u in wanted.T.tolist()]
+        before = commands.targets(all_columns)
+        commands.limit(wanted, all_columns)
+        np.testing.assert_allclose(wanted.T, single, atol=1e-9)
+        admitted = commands.admitted(wanted, rolls, pitches, all_columns)
+        for column in range(1, n):
+            target = attitude_target(single[column], euler[2, column], rolls[column], pitches[column], 0.49)
+            passed = limiters[column].admit(tick * 0.02, target, 0.49)
+            assert passed is not None
+            quaternion = quaternion_from_euler(passed.roll_rad, passed.pitch_rad, passed.yaw_rad)
+            np.testing.assert_allclose(admitted[:, column], (*quaternion, passed.thrust_norm), atol=1e-9)
+        assert np.array_equal(admitted[:, 0], before[:, 0]) == (tick > 5)  # fallen over
+
+
+def output_limits(envelope: Envelope) -> OutputLimits:
+    return OutputLimits(
+        radians(envelope.max_tilt_deg),
+        radians(envelope.max_tilt_rate_deg_s),
+        envelope.min_thrust_ratio,
+        envelope.max_thrust_ratio,
+        envelope.max_thrust_rate_1_s,
+        Fence(envelope.fence_min_enu_m, envelope.fence_max_enu_m),
+    )
+
+
+def test_phases_equal_those_of_lockstep() -> None:
+    for seed in (1, 7):
+        for vehicle_id in range(1, 9):
+            file = AutopilotFile(id=vehicle_id, stand_in=StandIn(seed=seed))
+            assert phase_steps(seed, vehicle_id) * 0.004 == _phase_s(file)
+
+
+def test_columns_are_sorted_by_phase_and_map_back_to_vehicles() -> None:
+    columns = columns_of([platoon(f"stand_in.seed={seed}") for seed in range(6)])
+    assert (np.diff(columns.phase_steps) >= 0).all()
+    for phase, group in enumerate(columns.groups):
+        assert (columns.phase_steps[group] == phase).all()
+    assert sum(group.stop - group.start for group in columns.groups) == 24
+    by_vehicle = np.arange(24.0 * 3).reshape(6, 4, 3)
+    np.testing.assert_array_equal(columns.by_vehicle(columns.in_columns(by_vehicle)), by_vehicle)
+    np.testing.assert_array_equal(columns.formation, columns.order // 4)

@@ -1,0 +1,107 @@
+"""Files of the agents and stand-ins of a flight."""
+
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from companion.config.file import ConfigError, load
+from companion.config.vehicle import load_agent
+from companion.types.flight import Role
+from repository import ROOT
+from sitl.flight.files import autopilot_file, ids_of, network_path, reached_stand_in, vehicle_file, write_files
+from sitl.flight.scenario import Scenario, load_scenario
+from sitl.links.emulated_network import NetworkFile
+from sitl.links.ports import ports_of
+from sitl.vehicle.config import AutopilotFile
+
+PLATOON = ROOT / "config" / "scenarios" / "platoon.yaml"
+
+
+@pytest.fixture
+def scenario(tmp_path: Path) -> Scenario:
+    scenario = load_scenario(PLATOON, ["stand_in.sensors=default", "stand_in.airframe.hover_thrust_norm=0.4"])
+    write_files(scenario, tmp_path, 50)
+    return scenario
+
+
+def test_vehicle_files_load_and_share_the_fleet(scenario: Scenario, tmp_path: Path) -> None:
+    configs = [load_agent(tmp_path / f"vehicle_{vehicle_id}.yaml") for vehicle_id in (1, 2, 3, 4)]
+    assert [config.fleet for config in configs] == [scenario.fleet] * 4
+    assert len({config.fleet.formation_hash() for config in configs}) == 1
+    assert all(config.vehicle.hover_thrust_norm == 0.4 for config in configs)
+
+
+def test_only_the_leader_holds_the_reference(scenario: Scenario, tmp_path: Path) -> None:
+    for vehicle_id in (1, 2, 3, 4):
+        config = load_agent(tmp_path / f"vehicle_{vehicle_id}.yaml")
+        leads = config.member.role is Role.LEADER
+        assert config.vehicle.reference == (scenario.reference if leads else None)
+
+
+def test_every_pair_of_agents_has_one_connection(scenario: Scenario, tmp_path: Path) -> None:
+    zenoh = {i: load_agent(tmp_path / f"vehicle_{i}.yaml").vehicle.zenoh for i in scenario.starts_enu_m}
+    for i, own in zenoh.items():
+        assert own.listen == (f"tcp/127.0.0.1:{ports_of(i, 50).zenoh}",)
+        for j, other in zenoh.items():
+            if i < j:
+                assert (own.listen[0] in other.connect) != (other.listen[0] in own.connect)
+
+
+def test_datagrams_go_from_every_agent_to_every_other() -> None:
+    scenario = load_scenario(PLATOON, ["links.peer_transport=udp"])
+    files = {i: vehicle_file(scenario, reached_stand_in(scenario, i, 50), 50).datagrams for i in ids_of(scenario)}
+    listening = {i: file.listen for i, file in files.items() if file}
+    assert listening == {i: f"127.0.0.1:{ports_of(i, 50).zenoh}" for i in ids_of(scenario)}
+    for i, file in files.items():
+        assert file is not None
+        assert set(file.send_to) == set(listening.values()) - {listening[i]}
+
+
+def test_disturbed_links_lead_over_the_emulated_network(tmp_path: Path) -> None:
+    scenario = load_scenario(PLATOON, ["links.peer_transport=udp", "links.peer_loss=0.1", "stand_in.seed=3"])
+    write_files(scenario, tmp_path, 50)
+    vehicle = load_agent(tmp_path / "vehicle_3.yaml").vehicle
+    port_1, port_2, port_4 = (ports_of(i, 50).zenoh for i in (1, 2, 4))
+    assert vehicle.zenoh.connect == (f"tcp/127.1.1.3:{port_1}", f"tcp/127.1.2.3:{port_2}")
+    assert vehicle.datagrams is not None
+    assert vehicle.datagrams.send_to == (f"127.1.1.3:{port_1}", f"127.1.2.3:{port_2}", f"127.1.4.3:{port_4}")
+    network = load(network_path(tmp_path), NetworkFile)
+    assert (network.vehicles, network.seed, network.port_offset) == ((1, 2, 3, 4), 3, 50)
+    assert network.links == scenario.links
+
+
+def test_undisturbed_links_need_no_network(scenario: Scenario, tmp_path: Path) -> None:
+    assert not network_path(tmp_path).exists()
+    assert not scenario.links.disturb_peers
+
+
+def test_autopilot_files_hold_the_starts_of_the_scenario(scenario: Scenario, tmp_path: Path) -> None:
+    for vehicle_id, start_enu_m in scenario.starts_enu_m.items():
+        file = load(tmp_path / f"autopilot_{vehicle_id}.yaml", AutopilotFile)
+        assert (file.id, file.start_enu_m) == (vehicle_id, start_enu_m)
+        assert file.stand_in == msgspec.structs.replace(
+            scenario.stand_in, armable_after_s=4.0, parameters={"COM_OBL_RC_ACT": 5.0}
+        )
+        assert file.world_origin == scenario.fleet.origin
+
+
+def test_stand_ins_of_arducopter_use_tcp_and_thrust_and_arm_early() -> None:
+    scenario = load_scenario(PLATOON, ["stand_in.autopilot=ardupilot"])
+    file = vehicle_file(scenario, reached_stand_in(scenario, 2, 100), 100)
+    assert (file.mavlink, file.hover_thrust_norm) == ("tcp:127.0.0.1:5870", 0.365)
+    stand_in = autopilot_file(scenario, 2).stand_in
+    assert (stand_in.ready_after_s, stand_in.parameters) == (4.0, {"GUID_OPTIONS": 8.0})
+    given = load_scenario(
+        PLATOON,
+        ["stand_in.autopilot=ardupilot", "stand_in.armable_after_s=42", "stand_in.parameters={GUID_OPTIONS: 0}"],
+    )
+    assert (given.stand_in.ready_after_s, autopilot_file(given, 1).stand_in.parameters) == (42.0, {"GUID_OPTIONS": 0.0})
+
+
+def test_unknown_parameters_of_the_autopilot_are_refused() -> None:
+    load_scenario(PLATOON, ["stand_in.autopilot=ardupilot", "stand_in.parameters={FS_GCS_ENABLE: 1}"])
+    with pytest.raises(ConfigError, match="GUID_TIMEOUT"):
+        load_scenario(PLATOON, ["stand_in.autopilot=ardupilot", "stand_in.parameters={GUID_TIMEOUTS: 1}"])
+    with pytest.raises(ConfigError, match="px4"):
+        load_scenario(PLATOON, ["stand_in.parameters={FS_GCS_ENABLE: 1}"])

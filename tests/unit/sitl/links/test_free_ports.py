@@ -1,0 +1,48 @@
+"""Check of the ports of a fleet before its processes start."""
+
+import socket
+
+import pytest
+
+from companion.types.autopilot import AutopilotKind
+from sitl.links.free_ports import PortInUseError, check_ports
+from sitl.links.ports import ports_of
+
+
+def test_a_check_of_free_ports_leaves_them_free() -> None:
+    check_ports([1, 2], AutopilotKind.PX4, 2300)
+    check_ports([1, 2], AutopilotKind.PX4, 2300)
+
+
+def test_a_port_in_use_is_named() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", ports_of(2, 2300).companion))
+        with pytest.raises(PortInUseError, match=r"^UDP port 16841, wanted by agent 2 .* --port-offset 2400$"):
+            check_ports([1, 2], AutopilotKind.PX4, 2300)
+
+
+@pytest.mark.parametrize(
+    ("ids", "offset", "message"),
+    [
+        ([11], 0, r"^port 14550 is wanted by agent 11 towards its autopilot and by a ground station; .* 100,"),
+        ([1], 10, r"^port 14550 is wanted by agent 1 towards its autopilot and by a ground station; .* 110,"),
+        (
+            [1, 41],
+            2300,
+            r"^port 16880 is wanted by agent 41 towards its autopilot and by autopilot 1 towards its agent;",
+        ),
+    ],
+)
+def test_a_port_with_two_uses_is_refused_in_one_line(ids: list[int], offset: int, message: str) -> None:
+    with pytest.raises(PortInUseError, match=message) as caught:
+        check_ports(ids, AutopilotKind.PX4, offset)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_tcp_port_of_an_arducopter_is_checked() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as other:
+        other.bind(("127.0.0.1", ports_of(2, 2300).tcp))
+        other.listen()
+        with pytest.raises(PortInUseError, match=r"^TCP port 8070, wanted by autopilot 2"):
+            check_ports([1, 2], AutopilotKind.ARDUPILOT, 2300)
+        check_ports([1, 2], AutopilotKind.PX4, 2300)

@@ -1,0 +1,229 @@
+"""The report of `sitl paper`: counts, contents and escaping, and measures computed from tracks."""
+
+import re
+from math import inf
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from companion.core.reference.trajectories import point
+from companion.stability.arrays import FloatArray
+from companion.types.flight import Role
+from sitl.flight.watch import TopologyChange
+from sitl.paper.book import listed, seconds, verdict_of
+from sitl.paper.claim import Claim, Erratum, Verdict
+from sitl.paper.figures.pictures import PICTURES
+from sitl.paper.flights import Model, Subject, paper_plans
+from sitl.paper.law_table import LawRow
+from sitl.paper.measures import alone_s, behind_leader_m, broken_s, edges_m, response_s, total_s
+from sitl.paper.report import SIGNS, Report, as_html, sentence, verdict_counts, versions, write_report
+from sitl.paper.theory.matrices import printed_matrix
+from sitl.paper.topology import VehicleReport, topology_at
+from sitl.report.metrics import Flight, Formation, standing
+from sitl.report.tracks import Track
+
+
+def claim(claim_id: str, verdict: Verdict, remark: str = "", full: str = "1.81 m") -> Claim:
+    return Claim(
+        id=claim_id,
+        where="figure 6",
+        claim="d12 < 1.75 m & d23 < 1.75 m",
+        paper="1.75 m",
+        ideal="1.754 m",
+        full=full,
+        verdict=verdict,
+        remark=remark,
+        measured={"largest_d12_m": 1.754, "never_s": inf},
+    )
+
+
+def report(*claims: Claim) -> Report:
+    return Report(
+        claims=list(claims),
+        errata=[Erratum(place="eq. 8", printed="tan(phi) - phi", right="tan(phi)", shown="<b>38 deg</b>")],
+        laws=[
+            LawRow(law="weighted", source="equations", largest_m=(1.754, 1.775, 1.661), settle_s=26.2),
+            LawRow(law="average_22", source="agents, full quadrotor", largest_m=(1.86, 1.772, 1.618), settle_s=None),
+        ],
+        versions=versions(),
+        full=False,
+        flights=31,
+        took_s=99.6,
+    )
+
+
+# ---------------------------------------------------------------- the page
+
+
+def test_the_summary_counts_every_verdict() -> None:
+    claims = [claim("a", Verdict.HOLDS), claim("b", Verdict.HOLDS), claim("c", Verdict.FAILS)]
+    assert verdict_counts(claims) == "3 claims: 2 hold, 0 hold with a condition and 1 does not hold"
+    assert verdict_counts(claims[:1]) == "1 claim: 1 holds, 0 hold with a condition and 0 do not hold"
+
+
+def test_every_verdict_has_its_own_sign_and_text() -> None:
+    assert len(set(SIGNS.values())) == len(Verdict)
+    for verdict in Verdict:
+        page = as_html(report(claim("a", verdict)))
+        row = page[page.index('<tr id="claim-a"') :]
+        row = row[: row.index("</tr>")]
+        assert SIGNS[verdict] in row
+        assert verdict.value in row
+        assert not any(SIGNS[other] in row for other in Verdict if other is not verdict)
+
+
+def test_texts_of_claims_are_escaped() -> None:
+    page = as_html(report(claim("a", Verdict.HOLDS, remark="<script>alert(1)</script>")))
+    assert "d12 &lt; 1.75 m &amp; d23 &lt; 1.75 m" in page
+    assert "<script" not in page
+    assert "&lt;b&gt;38 deg" in page
+
+
+def test_the_page_needs_no_network_and_names_every_figure() -> None:
+    page = as_html(report(claim("a", Verdict.HOLDS)))
+    assert not re.search(r"""(src|href)=["']?(https?:)?//""", page)
+    assert "url(" not in page
+    for picture in PICTURES:
+        assert f'src="{picture.file}"' in page
+        assert f'href="#{picture.file}"' in page
+        assert f'id="{picture.file}"' in page
+
+
+def test_a_figure_is_followed_by_its_claims() -> None:
+    page = as_html(report(claim("fig-8-peak", Verdict.CONDITION)))
+    figure_8 = page[page.index('id="figure_8.png"') : page.index('id="figure_9.png"')]
+    assert "Claim: d12 &lt; 1.75 m" in figure_8
+    assert Verdict.CONDITION.value in figure_8
+
+
+def test_failed_claims_are_listed_at_the_top() -> None:
+    page = as_html(report(claim("a", Verdict.FAILS, remark="d23 passes it"), claim("b", Verdict.HOLDS)))
+    top = page[: page.index('id="claims"')]
+    assert "d23 passes it" in top
+    assert '<a href="#claim-a">' in top
+    assert '<a href="#claim-b">' not in top
+    assert "What does not hold" not in as_html(report(claim("b", Verdict.HOLDS)))
+
+
+def test_a_law_that_never_settles_is_marked() -> None:
+    page = as_html(report())
+    assert "26.2" in page
+    assert "never" in page
+
+
+def test_the_folder_holds_the_page_and_all_numbers(tmp_path: Path) -> None:
+    written = report(claim("a", Verdict.FAILS))
+    write_report(tmp_path, written)
+    assert (tmp_path / "index.html").read_text(encoding="utf-8") == as_html(written)
+    content = msgspec.json.decode((tmp_path / "claims.json").read_bytes())
+    assert content["schema"] == 1
+    assert content["claims"][0]["verdict"] == "does not hold"
+    assert content["claims"][0]["measured"] == {"largest_d12_m": 1.754, "never_s": None}
+    assert content["errata"][0]["place"] == "eq. 8"
+    assert content["took_s"] == 99.6
+    assert "numpy" in content["versions"]
+
+
+# ---------------------------------------------------------------- texts and measures
+
+
+def test_texts_of_figures() -> None:
+    assert seconds(21.54) == "21.5 s"
+    assert seconds(inf) == "never"
+    assert listed([]) == ""
+    assert listed(["a"]) == "a"
+    assert listed(["a", "b", "c"]) == "a, b and c"
+    assert [sentence(text) for text in ("", "so it is", "It is.", "d23 is")] == ["", "So it is.", "It is.", "d23 is."]
+    assert verdict_of(True) is Verdict.HOLDS
+    assert verdict_of(False, True) is Verdict.CONDITION
+    assert verdict_of(False) is Verdict.FAILS
+
+
+# ---------------------------------------------------------------- figures
+
+
+TIMES_S = np.arange(0.0, 20.0, 0.02)
+
+
+def moving(*x_m: FloatArray) -> Flight:
+    """Vehicles 1, 2, ... along x; the formation lasts from 5 s to 15 s, the goal is x = 2 m."""
+    tracks = {
+        i: Track(TIMES_S, np.stack([x, np.zeros_like(x), np.ones_like(x)], axis=1)) for i, x in enumerate(x_m, start=1)
+    }
+    slots = {i: (1.0 - i, 0.0, 0.0) for i in tracks}
+    return Flight("weighted", tracks, standing(slots), [], point((2.0, 0.0, 1.0)), Formation(5.0, 15.0, 5.0))
+
+
+def test_edges_out_of_range_and_a_leader_alone() -> None:
+    away = np.where((TIMES_S >= 7.0) & (TIMES_S < 9.0), 4.0, 0.0)
+    flight = moving(away, np.full_like(TIMES_S, -1.0), np.full_like(TIMES_S, 1.5))
+    (broken,) = broken_s(flight, (1, 2), 3.0)
+    assert broken == pytest.approx((2.0, 4.0), abs=0.03)
+    assert broken_s(flight, (2, 3), 3.0) == []
+    assert alone_s(flight, 1, 3.0) == []  # 2.5 m from vehicle 3 all the while
+    assert total_s(alone_s(flight, 1, 2.4)) == pytest.approx(2.0, abs=0.03)
+    assert edges_m(flight.tracks, 8.0, 3.0) == [(1, 3), (2, 3)]
+
+
+def test_an_edge_that_stays_broken_is_broken_until_the_end() -> None:
+    flight = moving(np.where(TIMES_S >= 7.0, 9.0, 0.0), np.zeros_like(TIMES_S))
+    assert broken_s(flight, (1, 2), 3.0)[-1][1] == pytest.approx(10.0)
+
+
+def test_a_vehicle_has_responded_after_half_of_its_distance() -> None:
+    ramp = np.clip((TIMES_S - 6.0) / 4.0, 0.0, 1.0)  # from 6 s to 10 s
+    flight = moving(2.0 * ramp, 1.0 * ramp, np.zeros_like(TIMES_S) - 1.0)
+    assert response_s(flight, 1) == pytest.approx(3.0, abs=0.03)
+    assert response_s(flight, 3) == inf
+
+
+def test_the_error_of_a_follower_is_relative_to_its_leader() -> None:
+    flight = moving(np.full_like(TIMES_S, 2.0), np.full_like(TIMES_S, 0.7))
+    assert behind_leader_m(flight, 1, 2, TIMES_S[300:310]) == pytest.approx(np.full(10, 0.3))
+
+
+def change(time_s: float, vehicle: int, role: Role, prc: int) -> TopologyChange:
+    neighbours = (3 - vehicle,)
+    return TopologyChange(
+        time_s=time_s, vehicle=vehicle, role=role, epoch=0, prc=prc, neighbours=neighbours, in_formation=True
+    )
+
+
+def test_a_topology_holds_the_last_report_of_each_vehicle() -> None:
+    changes = [
+        change(1.0, 1, Role.LEADER, 1),
+        change(1.0, 2, Role.FOLLOWER, 2),
+        change(5.0, 2, Role.LEADER, 1),
+        change(5.1, 1, Role.FOLLOWER, 2),
+    ]
+    assert topology_at(changes, 4.9) == {
+        1: VehicleReport(Role.LEADER, 1, (2,)),
+        2: VehicleReport(Role.FOLLOWER, 2, (1,)),
+    }
+    assert topology_at(changes, 9.0) == {
+        1: VehicleReport(Role.FOLLOWER, 2, (2,)),
+        2: VehicleReport(Role.LEADER, 1, (1,)),
+    }
+
+
+def test_printed_matrices_are_parsed() -> None:
+    assert printed_matrix(["2 -1/2", "-3/4 1"]).tolist() == [[2.0, -0.5], [-0.75, 1.0]]
+
+
+def test_every_experiment_is_flown_with_both_models() -> None:
+    plans = paper_plans(full=False)
+    assert len(plans) == len(set(plans))
+    for subject in Subject:
+        for model in (Model.IDEAL, Model.FULL):
+            assert [p for p in plans if (p.subject, p.law, p.model) == (subject, "weighted", model)]
+    assert set(plans) < set(paper_plans(full=True))
+
+
+def test_the_ideal_model_is_a_double_integrator() -> None:
+    plan = next(p for p in paper_plans(full=False) if p.model is Model.IDEAL)
+    stand_in = plan.scenario().stand_in
+    assert stand_in.airframe.attitude == "instant"
+    assert stand_in.airframe.motor_lag_s == stand_in.airframe.drag_n_per_m_s == 0.0
+    assert stand_in.sensors == "ideal"

@@ -1,0 +1,178 @@
+"""Summary of a flight and comparison of laws: as text, table and file."""
+
+import argparse
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from companion.assembly import law_of
+from companion.core.consensus.law import cooperative
+from companion.wire.ground import Percentiles, Timing
+from repository import ROOT
+from sitl.cli.fly import add_arguments, fly_options
+from sitl.flight.options import FlyOptions, RunOptions
+from sitl.flight.scenario import load_scenario
+from sitl.flight.watch import FlightWatch
+from sitl.report.compare import Comparison, compare, in_a_table, with_law
+from sitl.report.summary import Summary, in_words, read_summary, summarize, write_json
+
+PLATOON = ROOT / "config" / "scenarios" / "platoon.yaml"
+TIMING = Timing(49.996, 2997, 3, Percentiles(1, 2, 3), Percentiles(4, 5, 6), 5.0, 48.0)
+
+
+def summary(
+    law: str, largest_m: float, settle_s: float | None, failure: str | None = None, timing: Timing = TIMING
+) -> Summary:
+    watch = FlightWatch([1, 2, 3, 4], [1], 0.0)
+    watch.timing = watch.newest_timing = dict.fromkeys((1, 2, 3, 4), timing)
+    empty = summarize(load_scenario(PLATOON), "platoon", watch, None, None, 1.2, failure, 93.04)
+    wanted = {"1-2": 1.5, "2-3": 1.5, "3-4": 1.5, "1-4": 4.5}
+    return msgspec.structs.replace(
+        empty,
+        law=law,
+        duration_s=75.0,
+        wanted_distance_m=wanted,
+        max_distance_m={**wanted, "1-2": largest_m},
+        settle_s=settle_s,
+        final_error_m=0.012,
+    )
+
+
+def test_a_summary_is_read_back_unchanged(tmp_path: Path) -> None:
+    before = summary("weighted", 1.78, 26.1)
+    write_json(tmp_path / "summary.json", before)
+    assert read_summary(tmp_path / "summary.json") == before
+    content = msgspec.json.decode((tmp_path / "summary.json").read_bytes())
+    assert content["schema"] == 1
+    assert content["vehicles"][0]["tick"] == {
+        "rate_hz": 49.996,
+        "ticks": 2997,
+        "missed": 3,
+        "late_us": {"p50": 1, "p99": 2, "max": 3},
+    }
+
+
+@pytest.mark.parametrize(
+    ("timing", "found"),
+    [
+        (msgspec.structs.replace(TIMING, missed=297), "9.0 % of the ticks missed"),
+        (
+            msgspec.structs.replace(TIMING, telemetry_to_command_us=Percentiles(300, 28_000, 30_000)),
+            "28 ms from telemetry to command (p99)",
+        ),
+    ],
+)
+def test_an_overloaded_machine_is_reported(timing: Timing, found: str) -> None:
+    flown = summary("average_22", 1.78, None, timing=timing)
+    assert in_words(flown).splitlines()[-1] == (
+        f"  the machine was too busy for real time: {found}; distrust the figures, or fly in virtual time: sitl run"
+    )
+    both = in_a_table(compare([summary("weighted", 1.78, 26.1), flown])).splitlines()
+    assert both[-1].startswith("the machine was too busy for real time under average_22: distrust")
+
+
+def test_an_idle_machine_is_not_reported() -> None:
+    assert "busy" not in in_words(summary("weighted", 1.78, 26.1))
+
+
+@pytest.mark.parametrize(
+    ("first_within_s", "line"),
+    [
+        (12.34, "  within 10 cm      first after 12.3 s, about a moving reference; final error 0.012 m"),
+        (None, "  smallest error    0.240 m of all vehicles at once, about a moving reference; final error 0.012 m"),
+    ],
+)
+def test_the_smallest_error_is_reported_when_the_reference_moves(first_within_s: float | None, line: str) -> None:
+    moving = {"reference_moves": True, "first_within_s": first_within_s, "least_error_m": 0.24}
+    flown = [msgspec.structs.replace(summary(law, 1.78, None), **moving) for law in ("weighted", "average_22")]
+    assert line in in_words(flown[0]).splitlines()
+    rows = {row.figure: row.values for row in compare(flown).rows}
+    assert rows["first within 10 cm"] == {"weighted": first_within_s, "average_22": first_within_s}
+    assert "settled to 10 cm" not in rows
+
+
+def test_the_summary_of_a_flight_is_printed_in_lines() -> None:
+    assert in_words(summary("weighted", 1.784, 26.1)).splitlines() == [
+        "platoon, weighted: flown and landed in 93 s",
+        "  formation         75.0 s",
+        "  largest distance  1-2 1.78 m   2-3 1.50 m   3-4 1.50 m   (wanted 1.50 m)",
+        "  smallest distance 1.20 m, of any two in the whole flight",
+        "  settled           26.1 s to 10 cm; final error 0.012 m",
+        "  control loop      50.00 Hz, 12 of 12000 ticks missed",
+    ]
+
+
+def test_a_flight_that_failed_before_formation_is_one_line() -> None:
+    watch = FlightWatch([1, 2, 3, 4], [1], 0.0)
+    failed = summarize(load_scenario(PLATOON), "platoon", watch, None, None, None, "vehicle 2: no", 12.0)
+    assert in_words(failed) == "platoon, weighted: vehicle 2: no"
+    assert failed.duration_s is None
+    assert [vehicle.tick for vehicle in failed.vehicles] == [None] * 4
+
+
+def test_the_best_of_each_row_is_marked() -> None:
+    compared = compare([summary("weighted", 1.78, 26.1), summary("average_22", 1.85, None)])
+    assert in_a_table(compared).splitlines() == [
+        "platoon                       weighted    average_22",
+        "largest distance 1-2 [m]       1.780 *       1.850",
+        "largest distance 2-3 [m]       1.500 *       1.500 *",
+        "largest distance 3-4 [m]       1.500 *       1.500 *",
+        "smallest distance [m]          1.200 *       1.200 *",
+        "settled to 10 cm [s]            26.1 *       never",
+        "final error [m]                0.012 *       0.012 *",
+        "* best",
+    ]
+
+
+def test_larger_is_better_for_the_smallest_distance() -> None:
+    near = msgspec.structs.replace(summary("weighted", 1.78, 26.1), smallest_distance_m=0.9)
+    rows = {row.figure: row for row in compare([near, summary("average_22", 1.85, None)]).rows}
+    assert rows["smallest distance"].best == ["average_22"]
+
+
+def test_a_comparison_is_read_back_unchanged(tmp_path: Path) -> None:
+    compared = compare([summary("weighted", 1.78, 26.1), summary("average_22", 1.85, None)])
+    write_json(tmp_path / "comparison.json", compared)
+    assert msgspec.json.decode((tmp_path / "comparison.json").read_bytes(), type=Comparison) == compared
+
+
+def test_another_law_changes_nothing_else() -> None:
+    scenario = load_scenario(PLATOON)
+    assert with_law(scenario, "average_26") == load_scenario(PLATOON, ["fleet.law.name=average_26"])
+    assert with_law(scenario, "weighted") == scenario
+
+
+def test_the_papers_laws_are_compared_with_the_same_gains_and_cooperative_has_its_own() -> None:
+    scenario = load_scenario(PLATOON, ["fleet.law.gains.velocity_1_s=2", "fleet.law.exponent=3"])
+    average, past = with_law(scenario, "average_22").fleet.law, with_law(scenario, "cooperative").fleet.law
+    assert (average.gains.velocity_1_s, average.exponent) == (2.0, None)
+    assert law_of(past) == cooperative()
+
+
+# ---------------------------------------------------------------- the command line
+
+
+def fly(*arguments: str) -> FlyOptions:
+    parser = argparse.ArgumentParser()
+    add_arguments(parser)
+    return fly_options(parser.parse_args(["s.yaml", *arguments]))
+
+
+def options(*arguments: str) -> RunOptions:
+    return fly(*arguments).run
+
+
+def test_the_command_line() -> None:
+    assert options().others is None
+    assert options("--compare").others == ("cooperative", "weighted", "average_22", "average_26")
+    assert options("--compare", "average_26").others == ["average_26"]
+    both = options("--law", "average_22", "--set", "a=1", "--set", "b=2")
+    assert both.overrides == ["fleet.law.name=average_22", "a=1", "b=2"]
+
+
+@pytest.mark.parametrize("bad", ["-1", "x", "1.5", "50000"])
+def test_an_invalid_port_offset_is_refused(bad: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        options(f"--port-offset={bad}")
+    assert "expected a whole number from 0 to 40000" in capsys.readouterr().err

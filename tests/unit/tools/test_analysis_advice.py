@@ -1,0 +1,286 @@
+"""Findings of `companion analyze` for formations at the limit of stability; its advice must help."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from companion.cli.main import main
+from companion.config.file import ConfigError
+from companion.core.consensus.law import FormationLaw, Gains
+from companion.stability.delay_margin import delay_margin_with_lag_s
+from companion.stability.interaction import couple
+from companion.stability.string_stability import string_gains
+from companion.tools.analysis import MODEL, Analysis, analyse, load_subject
+from companion.tools.analysis_report import report, verdict
+from companion.types.notices import Code
+from repository import ROOT
+from sitl.flight.scenario import ScenarioFile, load_scenario
+
+CONFIG = ROOT / "config"
+NO_FIGURES = (
+    "string_gain_per_hop",
+    "string_gain_per_hop_rad_s",
+    "string_gain_to_last",
+    "string_gain_to_last_rad_s",
+    "transient_peak",
+    "worst_transient_peak",
+    "time_to_10_cm_s",
+    "predicted_settle_s",
+    "predicted_max_distance_m",
+    "predicted_min_distance_m",
+    "stays_in_range",
+    "margin_to_range_m",
+)
+
+
+def in_a_line(tmp_path: Path, n: int, law: dict[str, Any], **changes: Any) -> Path:
+    data = yaml.safe_load((CONFIG / "fleets" / "pair.yaml").read_text())
+    data["vehicles"] = [
+        {"id": i, "role": "leader" if i == 1 else "follower", "slot_enu_m": [1.5 - 1.5 * i, 0.0, 0.0]}
+        for i in range(1, n + 1)
+    ]
+    data["neighbours"] = {"kind": "edges", "edges": [[i, i + 1] for i in range(1, n)]}
+    data["law"] = law
+    data.update(changes)
+    path = tmp_path / "fleet.yaml"
+    path.write_text(yaml.safe_dump(data))
+    return path
+
+
+def law(k1: float, k2: float, **more: Any) -> dict[str, Any]:
+    return {"name": "weighted", "gains": {"position_1_s2": k1, "velocity_1_s": k2}, **more}
+
+
+# ---------------------------------------------------------------- unstable
+
+
+@pytest.mark.parametrize(
+    ("k1", "k2", "said"),
+    [
+        (1.39, 0.36, "unstable with the usual delay, and so it cannot converge"),
+        (3.0, 0.5, "unstable with the attitude lag alone, and so it cannot converge"),
+        (10.0, 10.0, "unstable with the usual delay, and so it cannot converge"),
+    ],
+)
+@pytest.mark.parametrize("neighbours", ["edges", "range"])
+def test_unstable_law_is_reported_without_figures(
+    tmp_path: Path, k1: float, k2: float, said: str, neighbours: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    changes = {} if neighbours == "edges" else {"neighbours": {"kind": "range", "range_m": 1.6}}
+    path = in_a_line(tmp_path, 2, law(k1, k2), **changes)
+    assert main(["analyze", str(path), "--json"]) == 1
+    figures = json.loads(capsys.readouterr().out)
+    weighted = figures["laws"]["weighted"]
+    assert figures["converges"] is False
+    assert weighted["stable"] is False
+    assert [key for key in NO_FIGURES if weighted[key] is not None] == []
+    (finding,) = figures["verdict"]
+    assert finding["code"] == Code.FORMATION_UNSTABLE
+    assert finding["text"].startswith(said)
+    assert "; cooperative would be stable" in finding["text"]
+    assert main(["analyze", str(path)]) == 1
+    text = capsys.readouterr().out
+    assert said in " ".join(text.split())
+    assert "unstable" in next(row for row in text.splitlines() if row.startswith("string gain, leader to last"))
+
+
+def test_other_law_can_be_unstable(tmp_path: Path) -> None:
+    """Delay margin with these gains: 0.055 s with eq. 26, below 0.05 s with eq. 22."""
+    analysis = analyse(load_subject(in_a_line(tmp_path, 2, law(1.39, 0.36) | {"name": "average_26"})))
+    assert [name for name, figures in analysis.laws.items() if not figures.stable] == ["weighted", "average_22"]
+    assert analysis.converges
+    assert any("cooperative has 1.0" in finding.text for finding in verdict(analysis))
+
+
+def test_single_vehicle_can_be_unstable(tmp_path: Path) -> None:
+    path = in_a_line(tmp_path, 1, law(10.0, 1.0))
+    assert main(["analyze", str(path)]) == 1
+    (_, finding) = verdict(analyse(load_subject(path)))
+    assert finding.code is Code.FORMATION_UNSTABLE
+    assert "attitude lag alone" in finding.text
+
+
+# ---------------------------------------------------------------- advice
+
+
+@pytest.fixture
+def short(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Predictions of only 3 s, because the advice does not depend on them."""
+    monkeypatch.setattr("companion.tools.analysis.PREDICT_S", 3.0)
+
+
+def advised(tmp_path: Path, n: int, k1: float, k2: float, feedforward: float) -> Analysis:
+    return analyse(load_subject(in_a_line(tmp_path, n, law(k1, k2, feedforward=feedforward))))
+
+
+def margin_s(n: int, k1: float, k2: float, feedforward: float) -> float:
+    return delay_margin_with_lag_s(couple(chain(n), {1}, FormationLaw(Gains(k1, k2), 1.0, True, feedforward)), MODEL)
+
+
+def chain(n: int) -> dict[int, list[int]]:
+    return {i: [j for j in (i - 1, i + 1) if 1 <= j <= n] for i in range(1, n + 1)}
+
+
+@pytest.mark.usefixtures("short")
+@pytest.mark.parametrize("feedforward", [0.0, 0.9])
+@pytest.mark.parametrize("k1", [0.5, 1.39, 3.0, 6.0])
+@pytest.mark.parametrize("ratio_s", [0.1, 0.19, 0.22, 0.26, 0.36, 0.6, 1.0, 1.6])
+def test_advice_increases_the_delay_margin(tmp_path: Path, k1: float, ratio_s: float, feedforward: float) -> None:
+    k2 = round(k1 * ratio_s, 6)
+    before_s = margin_s(3, k1, k2, feedforward)
+    about_margin = (Code.FORMATION_UNSTABLE, Code.SMALL_DELAY_MARGIN)
+    findings = [f for f in verdict(advised(tmp_path, 3, k1, k2, feedforward)) if f.code in about_margin]
+    assert len(findings) == (1 if before_s < 0.15 else 0)
+    if not findings:
+        return
+    assert (findings[0].code is Code.FORMATION_UNSTABLE) is (before_s <= MODEL.delay_s)
+    if "less gain on both velocity and position helps" in findings[0].text:
+        assert margin_s(3, 0.9 * k1, 0.9 * k2, feedforward) > before_s > 0.0
+        return
+    assert "more gain on velocity or less on position helps" in findings[0].text
+    followed = [margin_s(3, k1, 1.1**steps * k2, feedforward) for steps in range(1, 12)]
+    otherwise = [margin_s(3, 0.9**steps * k1, k2, feedforward) for steps in range(1, 12)]
+    assert max(followed) > before_s
+    assert max(otherwise) > before_s
+    if before_s > 0.0:  # else the way to the first margin may be longer
+        assert followed[0] > before_s
+        assert otherwise[0] > before_s
+
+
+@pytest.mark.usefixtures("short")
+@pytest.mark.parametrize("feedforward", [0.0, 0.9])
+@pytest.mark.parametrize(("k1", "ratio_s"), [(0.3, 0.4), (0.3, 1.2), (1.39, 0.7), (1.39, 2.5), (3.0, 0.4), (3.0, 1.2)])
+def test_advice_decreases_the_string_gain(tmp_path: Path, k1: float, ratio_s: float, feedforward: float) -> None:
+    def to_last(k1: float, k2: float) -> float:
+        gains = string_gains(couple(chain(4), {1}, FormationLaw(Gains(k1, k2), 1.0, True, feedforward)), MODEL)
+        assert gains is not None
+        return gains.to_last
+
+    k2 = round(k1 * ratio_s, 6)
+    findings = verdict(advised(tmp_path, 4, k1, k2, feedforward))
+    texts = [finding.text for finding in findings if finding.code is Code.ERRORS_GROW]
+    assert len(texts) == (to_last(k1, k2) > 1.2)
+    for line in texts:
+        assert to_last(0.9 * k1, k2) < to_last(k1, k2)
+        assert ("more gain on velocity" not in line) or to_last(k1, 1.1 * k2) < to_last(k1, k2)
+        assert ("feedforward" in line) is (feedforward == 0.0)
+
+
+@pytest.mark.usefixtures("short")
+@pytest.mark.parametrize("ratio_s", [0.22, 0.3, 0.45, 0.7, 1.2])
+@pytest.mark.parametrize("k1", [1.39, 3.0, 8.0])
+def test_findings_do_not_contradict_each_other(tmp_path: Path, k1: float, ratio_s: float) -> None:
+    said = " ".join(map(str, verdict(advised(tmp_path, 4, k1, round(k1 * ratio_s, 6), 0.0))))
+    assert not ("more gain on velocity" in said and "less gain on both velocity" in said)
+
+
+# ---------------------------------------------------------------- for a person
+
+
+def test_frequency_of_the_largest_gain_is_printed() -> None:
+    analysis = analyse(load_subject(CONFIG / "scenarios" / "platoon.yaml"))
+    figures = analysis.laws["weighted"]
+    assert f"(at {figures.string_gain_per_hop_rad_s:.2f} rad/s)" in " ".join(map(str, verdict(analysis)))
+    assert figures.string_gain_to_last_rad_s is not None
+    assert 0.2 < figures.string_gain_to_last_rad_s < 2.0
+
+
+def test_fleet_file_is_analyzed_for_a_step_of_one_metre(tmp_path: Path) -> None:
+    """The vehicles have taken off: the height of the reference is not part of the step."""
+    analysis = analyse(load_subject(in_a_line(tmp_path, 3, {"name": "cooperative"})))
+    assert analysis.start_error_m == pytest.approx(1.0)
+    assert "the farthest vehicle 1.00 m from its slot" in " ".join(report(analysis).split())
+
+
+def test_moving_reference_is_mentioned() -> None:
+    said = "though it moves in flight"
+    assert said in " ".join(report(analyse(load_subject(CONFIG / "scenarios" / "ring_figure_8.yaml"))).split())
+    assert said not in " ".join(report(analyse(load_subject(CONFIG / "scenarios" / "platoon.yaml"))).split())
+
+
+# ---------------------------------------------------------------- what it reads of a scenario
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("starts_enu_m:", "starts_enum:", 'starts_enum: unknown key; did you mean "starts_enu_m"?'),
+        ("reference:", "refrence:", 'refrence: unknown key; did you mean "reference"?'),
+        ("timeline:", "timelin:", 'timelin: unknown key; did you mean "timeline"?'),
+        ("stand_in:", "standin:", 'standin: unknown key; did you mean "stand_in"?'),
+        ("point_enu_m: [1.0,", "point_enu_m: [500.0,", "vehicle 1 at x = 500 m, outside the fence"),
+        ("  4: [", "  5: [", "starts_enu_m.4: missing"),
+    ],
+)
+def test_invalid_scenario_is_refused_as_in_flight(tmp_path: Path, old: str, new: str, said: str) -> None:
+    text = (CONFIG / "scenarios" / "platoon.yaml").read_text(encoding="utf-8")
+    assert text.count(old) == 1
+    path = tmp_path / "platoon.yaml"
+    path.write_text(text.replace(old, new), encoding="utf-8")
+    with pytest.raises(ConfigError) as caught:
+        load_subject(path)
+    assert said in str(caught.value)
+
+
+def test_sections_not_read_are_listed() -> None:
+    analysis = analyse(load_subject(CONFIG / "scenarios" / "platoon.yaml"))
+    assert analysis.not_read == ["stand_in", "timeline"]
+    assert "not read and not checked: stand_in, timeline" in report(analysis)
+
+
+def test_rotation_of_the_formation_is_left_out_with_a_note() -> None:
+    analysis = analyse(load_subject(CONFIG / "scenarios" / "turning_column.yaml"))
+    assert analysis.not_read == ["timeline", "fleet.formation_heading"]
+
+
+@pytest.mark.parametrize(
+    "path", sorted([*(CONFIG / "scenarios").glob("*.yaml"), *(CONFIG / "fleets").glob("*.yaml")]), ids=lambda p: p.stem
+)
+def test_every_shipped_scenario_and_fleet_file_is_analyzed(path: Path) -> None:
+    assert analyse(load_subject(path)).converges
+
+
+def test_every_section_of_a_scenario_is_accepted(tmp_path: Path) -> None:
+    data = yaml.safe_load((CONFIG / "scenarios" / "platoon.yaml").read_text())
+    unused = {"origins_enu_m": {1: [0.0, 0.0, 0.0]}, "assumed": {"hover_thrust_norm": 0.4}, "targets": [], "links": {}}
+    unused["agent_ends"] = []
+    data |= unused
+    path = tmp_path / "scenario.yaml"
+    path.write_text(yaml.safe_dump(data))
+    load_scenario(path)
+    assert set(data) == set(ScenarioFile.__struct_fields__), "the scenario has every section"
+    assert set(load_subject(path).not_read) == {"stand_in", "timeline", *unused}
+
+
+def test_vehicle_file_is_refused() -> None:
+    with pytest.raises(ConfigError, match="this is a vehicle file; a scenario or a fleet file is expected"):
+        load_subject(next((CONFIG / "vehicles").glob("*.yaml")))
+
+
+@pytest.mark.usefixtures("short")
+def test_report_of_a_large_formation_fits_a_screen(tmp_path: Path) -> None:
+    text = report(analyse(load_subject(in_a_line(tmp_path, 24, {"name": "cooperative"}))))
+    assert "G and its 24 eigenvalues: see --json" in text
+    before_the_verdict = text[: text.index("verdict:")]
+    assert max(map(len, before_the_verdict.splitlines())) <= 130
+    assert "-0. " not in report(analyse(load_subject(CONFIG / "scenarios" / "chain_16.yaml")))
+
+
+@pytest.mark.parametrize(("given", "threads"), [(None, "1"), ("2", "2")])
+def test_blas_uses_one_thread_unless_configured(given: str | None, threads: str) -> None:
+    program = (
+        "import os, sys; from companion.cli.main import main; assert 'numpy' not in sys.modules;"
+        f"main(['analyze', {str(CONFIG / 'fleets' / 'pair.yaml')!r}, '--json']);"
+        "print(os.environ['OMP_NUM_THREADS'], file=sys.stderr)"
+    )
+    environment = {key: value for key, value in os.environ.items() if not key.endswith("NUM_THREADS")}
+    if given:
+        environment["OMP_NUM_THREADS"] = given
+    done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True)
+    assert done.stderr.strip() == threads

@@ -1,0 +1,56 @@
+"""The table of explanations and `companion explain`."""
+
+import pytest
+
+from companion.cli.main import main
+from companion.tools.explanations.report import COLUMNS, listing, report
+from companion.tools.explanations.table import EXPLANATIONS, SECTIONS
+from companion.types.flight import HealthFlag
+from companion.types.notices import Code
+
+CODES = {str(code) for code in Code} | {str(flag) for flag in HealthFlag}
+
+
+def test_every_code_and_health_flag_is_explained() -> None:
+    assert sorted(CODES - EXPLANATIONS.keys()) == []
+
+
+def test_every_explanation_is_of_a_code() -> None:
+    assert sorted(EXPLANATIONS.keys() - CODES) == []
+
+
+def test_no_code_is_explained_twice() -> None:
+    assert sum(len(entries) for entries in SECTIONS.values()) == len(EXPLANATIONS)
+
+
+@pytest.mark.parametrize("code", sorted(EXPLANATIONS))
+def test_symptom_cause_and_remedy_are_sentences(code: str) -> None:
+    entry = EXPLANATIONS[code]
+    for text in (entry.symptom, entry.cause, entry.remedy):
+        assert text.endswith(".")
+        assert "  " not in text
+    assert all(len(line) <= COLUMNS for line in report(code).splitlines())
+
+
+def test_explain_prints_the_entry_whatever_the_case(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["explain", "slot_too_close"]) == 0
+    printed = capsys.readouterr().out.splitlines()
+    assert printed[0] == "SLOT_TOO_CLOSE"
+    assert [line.split()[0] for line in printed if line[2:3].strip()] == [
+        "SLOT_TOO_CLOSE",
+        "symptom",
+        "cause",
+        "remedy",
+    ]
+
+
+def test_explain_lists_all_codes(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["explain"]) == 0
+    assert capsys.readouterr().out.strip() == listing()
+    assert all(f"  {code} " in listing() for code in EXPLANATIONS)
+    assert all(len(line) <= COLUMNS for line in listing().splitlines())
+
+
+def test_explain_refuses_an_unknown_code(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["explain", "NO_SUCH_CODE"]) == 2
+    assert "NO_SUCH_CODE" in capsys.readouterr().err
