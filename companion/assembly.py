@@ -50,16 +50,16 @@ from companion.core.reference.heading import CourseHeading, FixedHeading
 from companion.core.reference.plan import LiveReference, ReferencePlan, Rft
 from companion.core.reference.target_follower import Box, TargetLimits
 from companion.core.reference.trajectories import ReferenceTrajectory, along
-from companion.core.safety.boundaries import Boundaries
 from companion.core.safety.failsafe import FailsafeSettings
+from companion.core.safety.filter.boundaries import Boundaries
+from companion.core.safety.filter.safety_filter import SafetyFilter
+from companion.core.safety.filter.separation import PLANNED_SHARE, Separation, SeparationSettings
+from companion.core.safety.filter.speed_limit import SpeedLimit
 from companion.core.safety.fleet_checks import FleetChecks
 from companion.core.safety.health import AgeLimits, HealthLimits
 from companion.core.safety.output_limits import OutputLimits
 from companion.core.safety.preflight import Preflight
 from companion.core.safety.safeguard import SafeguardStage
-from companion.core.safety.safety_filter import SafetyFilter
-from companion.core.safety.separation import PLANNED_SHARE, Separation, SeparationSettings
-from companion.core.safety.speed_limit import SpeedLimit
 from companion.following import USUAL_DRAG_1_S, following_problems
 from companion.geometry.airspace import Airspace
 from companion.types.commands import Described

@@ -15,9 +15,9 @@ from companion.core.consensus.neighbourhood import Consensus
 from companion.core.control.setpoint import Setpoint
 from companion.core.estimation.perception import Perception
 from companion.core.formation.guidance import Guidance
+from companion.core.safety.filter.interventions import Interventions
 from companion.core.safety.fleet_checks import FleetChecks
 from companion.core.safety.health import POSITION_WRONG
-from companion.core.safety.interventions import Interventions
 from companion.core.safety.return_check import refusal_of_return
 from companion.core.safety.safeguard import Safety
 from companion.types.autopilot import VehicleState

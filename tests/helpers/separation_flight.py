@@ -19,7 +19,7 @@ from companion.config.law import Law
 from companion.core.consensus.law import Gains, feedback
 from companion.core.consensus.peers import PeerTable
 from companion.core.consensus.plausibility import FleetLimits
-from companion.core.safety.acceleration_filter import AccelerationLimits
+from companion.core.safety.filter.acceleration_filter import AccelerationLimits
 from companion.types.autopilot import PositionError, VehicleState
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot

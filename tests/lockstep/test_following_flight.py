@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from companion.assembly import flyable_problems
 from companion.config.reference import CircleReference, Reference, WaypointsReference
-from companion.core.safety import safety_filter
+from companion.core.safety.filter import safety_filter
 from recorded_flight import Recorder
 from repository import ROOT
 from sitl.flight.director import Director

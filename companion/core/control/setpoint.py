@@ -13,8 +13,8 @@ from companion.core.consensus.neighbourhood import Consensus
 from companion.core.control.setpoint_stream import THRUST_FRESH_S, SetpointStream
 from companion.core.estimation.disturbance_observer import Motion
 from companion.core.formation.guidance import Guidance
+from companion.core.safety.filter.safety_filter import SafetyFilter
 from companion.core.safety.safeguard import Safety
-from companion.core.safety.safety_filter import SafetyFilter
 from companion.types.autopilot import AutopilotMode, LandedState, VehicleState
 from companion.types.flight import COOPERATING, FailsafeAction, FlightPhase
 from companion.types.requests import AttitudeTarget

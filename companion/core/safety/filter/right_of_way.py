@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from math import hypot
 
 from companion.core.consensus.law import Gains
-from companion.core.safety.separation import Barrier
+from companion.core.safety.filter.separation import Barrier
 from companion.types.vectors import Vector3
 
 TURN = 0.8  # sideways acceleration for each m/s^2 that a half-space takes from the wanted one

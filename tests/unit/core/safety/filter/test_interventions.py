@@ -1,4 +1,4 @@
-from companion.core.safety.interventions import ENDS_AFTER_S, Interventions
+from companion.core.safety.filter.interventions import ENDS_AFTER_S, Interventions
 from companion.types.notices import Code
 from companion.types.separation import NearestVehicle, SeparationReport
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from companion.core.safety.acceleration_filter import AccelerationLimits, HalfSpace, Rank, filtered
+from companion.core.safety.filter.acceleration_filter import AccelerationLimits, HalfSpace, Rank, filtered
 from companion.types.vectors import Vector3
 
 LIMITS = AccelerationLimits(tan(radians(25.0)), 0.3, 1.6, (0.0, 0.0, 0.0))

@@ -9,14 +9,14 @@ from msgspec import Struct
 
 from companion.core.consensus.law import Gains
 from companion.core.consensus.peers import PeerState
-from companion.core.safety.acceleration_filter import AccelerationLimits, filtered
-from companion.core.safety.boundaries import Boundaries
-from companion.core.safety.lag import Lag
+from companion.core.safety.filter.acceleration_filter import AccelerationLimits, filtered
+from companion.core.safety.filter.boundaries import Boundaries
+from companion.core.safety.filter.lag import Lag
+from companion.core.safety.filter.right_of_way import turn_right
+from companion.core.safety.filter.separation import Separation, nearest_vehicle
+from companion.core.safety.filter.speed_limit import SpeedLimit
+from companion.core.safety.filter.traffic import Traffic
 from companion.core.safety.output_limits import OutputLimits
-from companion.core.safety.right_of_way import turn_right
-from companion.core.safety.separation import Separation, nearest_vehicle
-from companion.core.safety.speed_limit import SpeedLimit
-from companion.core.safety.traffic import Traffic
 from companion.types.autopilot import VehicleState
 from companion.types.formation import FlownSlot
 from companion.types.separation import SeparationReport

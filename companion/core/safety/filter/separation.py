@@ -17,10 +17,10 @@ from math import hypot, sqrt
 from msgspec import Struct
 
 from companion.core.consensus.peers import PeerState
-from companion.core.safety.acceleration_filter import HalfSpace, Rank
-from companion.core.safety.braking import approach_speed
-from companion.core.safety.lag import LAG_S, Ahead
-from companion.core.safety.others import NO_ERROR, Other, Others
+from companion.core.safety.filter.acceleration_filter import HalfSpace, Rank
+from companion.core.safety.filter.braking import approach_speed
+from companion.core.safety.filter.lag import LAG_S, Ahead
+from companion.core.safety.filter.others import NO_ERROR, Other, Others
 from companion.types.autopilot import PositionError, VehicleState
 from companion.types.formation import FlownSlot
 from companion.types.separation import NearestVehicle

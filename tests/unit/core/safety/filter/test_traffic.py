@@ -1,6 +1,6 @@
 import pytest
 
-from companion.core.safety.traffic import EXPIRES_S, KEPT, Traffic
+from companion.core.safety.filter.traffic import EXPIRES_S, KEPT, Traffic
 from companion.types.traffic import ReceivedTraffic, TrafficSample
 from companion.types.vectors import ZERO3
 from companion.wire.traffic import decode_traffic, encode_traffic

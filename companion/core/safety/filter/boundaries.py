@@ -11,9 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import hypot
 
-from companion.core.safety.acceleration_filter import HalfSpace, Rank
-from companion.core.safety.braking import approach_speed
-from companion.core.safety.lag import Ahead
+from companion.core.safety.filter.acceleration_filter import HalfSpace, Rank
+from companion.core.safety.filter.braking import approach_speed
+from companion.core.safety.filter.lag import Ahead
 from companion.geometry.airspace import Airspace, Gap
 
 RESPONSE_1_S = 4.0  # k: how fast b may approach 0

@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import hypot
 
-from companion.core.safety.acceleration_filter import HalfSpace, Rank
-from companion.core.safety.lag import Ahead
+from companion.core.safety.filter.acceleration_filter import HalfSpace, Rank
+from companion.core.safety.filter.lag import Ahead
 from companion.types.vectors import Vector3
 
 RESPONSE_1_S = 2.0  # k

@@ -8,7 +8,7 @@ from math import inf
 from msgspec import Struct
 
 from companion.core.consensus.peers import PeerState
-from companion.core.safety.lag import LAG_S
+from companion.core.safety.filter.lag import LAG_S
 from companion.geometry.separation import HEIGHT_WEIGHT
 from companion.types.autopilot import PositionError
 from companion.types.flight import FlightPhase
