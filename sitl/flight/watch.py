@@ -88,6 +88,7 @@ class FlightWatch:
         self.led_enu_m: list[
             tuple[float, Vector3]
         ] = []  # r as leaders in formation reported it, by the time of the report
+        self.slot_moved_s: dict[int, float] = {}  # when the slot of a vehicle last moved within the formation
         self._slots: dict[int, list[tuple[float, Vector3]]] = {vehicle_id: [] for vehicle_id in self.vehicle_ids}
         self.reference: list[tuple[float, Vector3]] = []  # r as leaders reported it, by mission time
         self._leader_ids = set(leader_ids)
@@ -141,6 +142,8 @@ class FlightWatch:
 
     def _follow_slot(self, status: Status, now_s: float) -> None:
         """Of a constant slot only the first and the last time are kept."""
+        if status.slot.moves:
+            self.slot_moved_s[status.vehicle_id] = now_s
         slots, slot_enu_m = self._slots[status.vehicle_id], turned_slot(status.slot, status.heading).position_enu_m
         if len(slots) > 1 and slots[-1][1] == slots[-2][1] == slot_enu_m:
             slots.pop()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from msgspec import Struct
+from numpy.typing import NDArray
 
 from companion.stability.arrays import FloatArray
 from companion.types.flight import FlightPhase
@@ -13,15 +14,17 @@ from sitl.flight.watch import FlightWatch
 from sitl.gauntlet.drawn import Drawn
 from sitl.report.tracks import Track, reported_track
 
-ARRIVED_M = 0.5
+WITHIN_M = {"ideal": 0.5, "default": 0.5, "px4_sih": 1.0}
+"""Error of a vehicle in its slot, by the sensors of the flight: with `px4_sih` the attitude error alone moves it by 0.5 m."""
 SAMPLE_S = 0.1
+SETTLED = 20  # samples in its slot in a row, until a vehicle has reached it
 
 
 class Arrivals(Struct, frozen=True, kw_only=True):
     """`expected`: number of vehicles that were to be in their slots at the end of the flight.
 
-    `not_in_formation`: those of them that were not in formation then; `reached_s`: of each vehicle by id, the time that it took
-    to come within ARRIVED_M of its slot and stay there; None where it did not.
+    `not_in_formation`: those of them that were not in formation then; `reached_s`: of each other vehicle by id, the time that
+    it took to its slot; None where it was not in it at the end.
     """
 
     expected: int
@@ -30,19 +33,17 @@ class Arrivals(Struct, frozen=True, kw_only=True):
 
 
 def arrivals(flight: Drawn, flown: Flown) -> Arrivals:
-    """The error of a vehicle is that about the reference; of a follower, the smaller one of that and that about the leader."""
+    """A vehicle is in its slot where the slot moves no more within the formation, and its error is small."""
     watch = flown.watch
     out = [i for i in flight.expected if not _in_formation(watch, i)]
     times_s = np.arange(flight.slots_from_s, flown.flight_s - SAMPLE_S, SAMPLE_S)
     present = [i for i in flight.expected if i not in out]
-    if not present or len(watch.led_enu_m) < 2 or not times_s.size:
-        return Arrivals(expected=len(flight.expected), not_in_formation=out, reached_s=dict.fromkeys(present))
-    errors_m = _errors_m(watch, present, times_s)
-    return Arrivals(
-        expected=len(flight.expected),
-        not_in_formation=out,
-        reached_s={i: _reached_s(errors_m[i]) for i in present},
-    )
+    reached_s: dict[int, float | None] = dict.fromkeys(present)
+    if len(watch.led_enu_m) > 1 and times_s.size:
+        within_m = WITHIN_M[str(flight.scenario.stand_in.sensors)]
+        for i, errors_m in _errors_m(watch, present, times_s).items():
+            reached_s[i] = settled_s((errors_m <= within_m) & (times_s >= watch.slot_moved_s.get(i, 0.0)))
+    return Arrivals(expected=len(flight.expected), not_in_formation=out, reached_s=reached_s)
 
 
 def _in_formation(watch: FlightWatch, vehicle_id: int) -> bool:
@@ -51,19 +52,25 @@ def _in_formation(watch: FlightWatch, vehicle_id: int) -> bool:
 
 
 def _errors_m(watch: FlightWatch, ids: list[int], times_s: FloatArray) -> dict[int, FloatArray]:
+    """The smaller one of the errors about the reference and about the median of the fleet, which lags behind a fast one."""
     slots = watch.slots()
-    centre = _track(watch.led_enu_m).at(times_s)
     about = {i: _track(watch.reported[i]).at(times_s) - slots[i].at(times_s) for i in ids}
-    return {i: np.linalg.norm(about[i] - centre, axis=1) for i in ids}
+    reference, fleet = _track(watch.led_enu_m).at(times_s), np.median(list(about.values()), axis=0)
+    return {
+        i: np.minimum(np.linalg.norm(own - reference, axis=1), np.linalg.norm(own - fleet, axis=1))
+        for i, own in about.items()
+    }
 
 
 def _track(reported: list[tuple[float, Vector3]]) -> Track:
     return reported_track(0, reported)
 
 
-def _reached_s(error_m: FloatArray) -> float | None:
-    """Time after which the error stays within ARRIVED_M."""
-    late = np.flatnonzero(error_m > ARRIVED_M)
-    if late.size and late[-1] == error_m.size - 1:
+def settled_s(in_slot: NDArray[np.bool_]) -> float | None:
+    """Time from which the vehicle is in its slot for SETTLED samples in a row; None where it is not at the end."""
+    if in_slot.size < SETTLED:
         return None
-    return round(float(late[-1] + 1) * SAMPLE_S, 2) if late.size else 0.0
+    settled = np.flatnonzero(np.convolve(in_slot, np.ones(SETTLED), "valid") == SETTLED)
+    if not settled.size or settled[-1] < in_slot.size - SETTLED:
+        return None
+    return round(float(settled[0]) * SAMPLE_S, 2)

@@ -25,6 +25,7 @@ from sitl.gauntlet.fleets import (
 
 FORM_S = 8.5  # by then all hover
 GIVEN_UP_AFTER_S = 3.0  # a command is repeated for so long
+ENTERED_WITHIN_S = 12.0  # so long may the paths into the slots last: until then a change of formation is refused
 Content = dict[str, Any]
 
 
@@ -152,7 +153,8 @@ def exchange(random: Random, fleet: Fleet) -> Plan:
         random.shuffle(others)
     slots = {i: list(slot) for i, slot in zip(fleet.ids, others, strict=True)}
     change = {"slots_enu_m": slots, "speed_m_s": rounded(random.uniform(0.5, 0.98) * fleet.slot_speed_m_s)}
-    return Plan(point(fleet), [step("formation", 5.0, formation=change)], slots_from_s=5.0, lasts_s=32.0)
+    steps = [step("formation", 5.0, formation=change, timeout_s=ENTERED_WITHIN_S)]
+    return Plan(point(fleet), steps, slots_from_s=5.0, lasts_s=38.0)
 
 
 def turning(random: Random, fleet: Fleet) -> Plan:

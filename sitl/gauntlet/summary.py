@@ -16,9 +16,9 @@ GRACE_S = 1.0  # more than that, for slots that are near
 class FamilySummary(Struct, frozen=True, kw_only=True):
     """Statistics of one family. Ratios are true distances in units of `separation_m`; None without a pair that counts.
 
-    `expected` vehicles were to be in their slots at the end: `refused` of them refused a command, `left` were not in formation,
-    `reached` were within reach of their slots. `timed` of those that reached them have an undisturbed time, and `in_time` took
-    at most twice that.
+    `expected` vehicles were to be in their slots at the end: `reached` were, `refused` had refused a command, `left` were not
+    in formation. `timed` of all have an undisturbed time and refused nothing, and `in_time` reached their slots in at most
+    twice that.
     """
 
     family: str
@@ -54,6 +54,8 @@ def _summary(family: str, outcomes: Sequence[Outcome]) -> FamilySummary:
         o.distances.automatic.distance_m / o.separation_m for o in outcomes if o.distances and o.distances.automatic
     ]
     vehicles = [fate for outcome in outcomes for fate in fates(outcome)]
+    ended = [fate.outcome for fate in vehicles]
+    timed = [fate.in_time for fate in vehicles if fate.in_time is not None]
     return FamilySummary(
         family=family,
         flights=len(outcomes),
@@ -65,35 +67,46 @@ def _summary(family: str, outcomes: Sequence[Outcome]) -> FamilySummary:
         median=_percentile(ratios, 50.0),
         automatic=round(min(automatic), 3) if automatic else None,
         expected=len(vehicles),
-        refused=vehicles.count("refused"),
-        left=vehicles.count("left"),
-        reached=sum(fate in ("reached", "in time", "late") for fate in vehicles),
-        timed=vehicles.count("in time") + vehicles.count("late"),
-        in_time=vehicles.count("in time"),
+        refused=ended.count("refused"),
+        left=ended.count("left"),
+        reached=ended.count("reached"),
+        timed=len(timed),
+        in_time=sum(timed),
         not_flown=sum(o.vehicles == 0 for o in outcomes),
         exceptions=sum(bool(o.exception) for o in outcomes),
     )
 
 
-def fates(outcome: Outcome) -> list[str]:
-    """What became of each vehicle that was to reach its slot.
+class Fate(Struct, frozen=True):
+    """What became of a vehicle that was to reach its slot: "refused", "left", "reached" or "not reached".
 
-    "refused", "left", "not reached"; "reached" without an undisturbed time, otherwise "in time" or "late".
+    `in_time`: None where its time is not compared: without an undisturbed time, or where it refused a command.
     """
+
+    outcome: str
+    in_time: bool | None
+
+
+def fates(outcome: Outcome) -> list[Fate]:
+    """One of each vehicle. A vehicle that refused a command and is in a slot nevertheless has reached it."""
     if outcome.arrivals is None:
         return []
     refused = {refusal.vehicle for refusal in outcome.refusals}
-    found = ["refused" if i in refused else "left" for i in outcome.arrivals.not_in_formation]
-    for vehicle_id, reached_s in outcome.arrivals.reached_s.items():
+    left = outcome.arrivals.not_in_formation
+    reached_s = dict.fromkeys(left) | outcome.arrivals.reached_s
+    found = []
+    for vehicle_id, in_s in reached_s.items():
         undisturbed_s = outcome.undisturbed_s.get(vehicle_id)
-        if vehicle_id in refused:
-            found.append("refused")
-        elif reached_s is None:
-            found.append("not reached")
-        elif undisturbed_s is None:
-            found.append("reached")
+        if vehicle_id in refused or undisturbed_s is None:
+            in_time = None
         else:
-            found.append("in time" if reached_s <= IN_TIME * undisturbed_s + GRACE_S else "late")
+            in_time = in_s is not None and in_s <= IN_TIME * undisturbed_s + GRACE_S
+        if in_s is not None:
+            found.append(Fate("reached", in_time))
+        elif vehicle_id in refused:
+            found.append(Fate("refused", None))
+        else:
+            found.append(Fate("left" if vehicle_id in left else "not reached", in_time))
     return found
 
 
@@ -160,5 +173,6 @@ MEANING = f"""\
 ratio: smallest true distance of a flight in units of separation_m, of pairs where an agent commands at least one vehicle: the
 worst flight and percentiles; automatic: the worst of the other pairs, which both fly by autopilots or pilots; violations:
 flights with a ratio below 1 (sensors ideal), 0.8 (default) or 0.6 (px4_sih); vehicles to slots: that were to be in their slots
-at the end; refused: a command was refused; left: no longer in formation; in time: share of those with an undisturbed flight
-to compare with that took at most {IN_TIME:g} times as long as there, plus {GRACE_S:g} s"""
+at the end; refused: those that were not, and had refused a command; left: no longer in formation; reached: in their slots; in
+time: share of those that reached their slots in an undisturbed flight and refused nothing, which took at most {IN_TIME:g} times
+as long as there, plus {GRACE_S:g} s; those that left or did not reach them are not in time"""
