@@ -51,6 +51,7 @@ from companion.core.reference.plan import LiveReference, ReferencePlan, Rft
 from companion.core.reference.target_follower import Box, TargetLimits
 from companion.core.reference.trajectories import ReferenceTrajectory, along
 from companion.core.safety.failsafe import FailsafeSettings
+from companion.core.safety.filter.acceleration_filter import AccelerationLimits
 from companion.core.safety.filter.boundaries import Boundaries
 from companion.core.safety.filter.safety_filter import SafetyFilter
 from companion.core.safety.filter.separation import PLANNED_SHARE, Separation, SeparationSettings
@@ -170,8 +171,7 @@ def safety_filter_of(fleet: FleetConfig, own_id: int) -> SafetyFilter:
         fleet.separation_m,
         Boundaries(fleet.airspace, settings.braking_m_s2, vertical_m_s2),
         SpeedLimit(speeds.max_speed_m_s, speeds.max_climb_m_s, speeds.max_descent_m_s),
-        envelope,
-        tan_max_tilt,
+        AccelerationLimits.of_envelope(tan_max_tilt, envelope.min_thrust_ratio, envelope.max_thrust_ratio),
         law_of(fleet.law).gains,
     )
 

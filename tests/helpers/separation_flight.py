@@ -33,7 +33,7 @@ LOW_PASS_S = 0.07
 DRAG_1_S = 0.25
 GAINS = Gains(1.39, 1.2)
 LIMITS = FleetLimits(25.0, 8.0, (200.0, 200.0, 55.0))
-STILL = AccelerationLimits(tan(radians(25.0)), 0.3, 1.6, ZERO3)  # the default envelope, without wind
+STILL = AccelerationLimits.of_envelope(tan(radians(25.0)), 0.3, 1.6)  # the default envelope, without wind
 
 
 @dataclass(frozen=True, slots=True)

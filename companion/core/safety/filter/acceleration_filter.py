@@ -13,14 +13,19 @@ from math import hypot, inf
 
 from msgspec import Struct
 
-from companion.types.vectors import GRAVITY_M_S2, Vector3
+from companion.types.vectors import GRAVITY_M_S2, ZERO3, Vector3
 
 MET_M_S2 = 1e-6  # a half-space that is violated by less is met
+LEAST_SHARE = 1e-12  # of an active normal in another one, below which it counts as none
 LEAST_NEW = 1e-9  # share of a normal outside the span of the active ones, squared, below which it lies within
 TILT_ROUNDING = 1.01  # the tilt limit is a cone: its tangent planes are cut off this close to it
 NEVER_ACTIVE_M_S2 = -12.0  # beyond what any vehicle flies
 SURELY_POSSIBLE_M_S2 = 1.0
 MOST_STEPS = 5  # of the active set: bounds the time; the half-spaces violated most come first
+
+
+Row = tuple[float, float, float, float]
+"""A half-space as the solver uses it: the normal, and the least acceleration along it."""
 
 
 class Rank(IntEnum):
@@ -44,21 +49,23 @@ class HalfSpace(Struct, frozen=True, gc=False):
 class AccelerationLimits(Struct, frozen=True, gc=False):
     """What tilt and thrust allow: a cut cone about the acceleration by the wind.
 
-    Thrust ratios are vertical thrust over weight. `disturbance_enu_m_s2` is the estimated acceleration by wind, z is 0.
+    `lowest_m_s2` and `highest_m_s2` bound the vertical acceleration. `disturbance_enu_m_s2` is the estimated acceleration by
+    wind, z is 0.
     """
 
     tan_max_tilt: float
-    min_thrust_ratio: float
-    max_thrust_ratio: float
+    lowest_m_s2: float
+    highest_m_s2: float
     disturbance_enu_m_s2: Vector3
 
-    @property
-    def lowest_m_s2(self) -> float:
-        return (self.min_thrust_ratio - 1.0) * GRAVITY_M_S2
+    @classmethod
+    def of_envelope(cls, tan_max_tilt: float, min_thrust_ratio: float, max_thrust_ratio: float) -> AccelerationLimits:
+        """In still air. Thrust ratios are vertical thrust over weight."""
+        lowest_m_s2, highest_m_s2 = (min_thrust_ratio - 1.0) * GRAVITY_M_S2, (max_thrust_ratio - 1.0) * GRAVITY_M_S2
+        return cls(tan_max_tilt, lowest_m_s2, highest_m_s2, ZERO3)
 
-    @property
-    def highest_m_s2(self) -> float:
-        return (self.max_thrust_ratio - 1.0) * GRAVITY_M_S2
+    def in_wind(self, disturbance_enu_m_s2: Vector3) -> AccelerationLimits:
+        return AccelerationLimits(self.tan_max_tilt, self.lowest_m_s2, self.highest_m_s2, disturbance_enu_m_s2)
 
     def level_radius_m_s2(self, up_m_s2: float) -> float:
         """Largest horizontal acceleration in still air beside this vertical one."""
@@ -95,117 +102,115 @@ def filtered(
     return _solved(limits.nearest(wanted_enu_m_s2), half_spaces, limits, most_steps)
 
 
-class _ContradictionError(Exception):
-    """These half-spaces cannot be met together: sum of share * normal = 0, with shares >= 0."""
-
-    def __init__(self, shares: list[tuple[int, float]], found_enu_m_s2: Vector3) -> None:
-        super().__init__()
-        self.shares = shares
-        self.found_enu_m_s2 = found_enu_m_s2  # meets those that were violated most
-
-
 def _solved(
-    start_enu_m_s2: Vector3, half_spaces: Sequence[HalfSpace], limits: AccelerationLimits, most_steps: int
+    start_enu_m_s2: Vector3, half_spaces: Sequence[HalfSpace], limits: AccelerationLimits, steps: int
 ) -> Vector3:
-    up_m_s2 = start_enu_m_s2[2]
-    normals: list[Vector3] = []
+    rows, ranks = _asked(half_spaces, limits, start_enu_m_s2[2])
+    while True:
+        found, steps, contradiction = _active_set(start_enu_m_s2, rows, steps)
+        if steps <= 0:
+            return limits.nearest(found)
+        if contradiction:
+            _relax(contradiction, ranks, rows)
+            continue
+        cut = _cut(found, limits)
+        if cut is None:
+            return limits.nearest(found)
+        rows.append(cut)
+        ranks.append(Rank.LIMIT)
+
+
+def _asked(
+    half_spaces: Sequence[HalfSpace], limits: AccelerationLimits, up_m_s2: float
+) -> tuple[list[Row], list[Rank]]:
+    """Half-spaces that may matter. More than the vehicle can do is asked of it as all that it can do."""
+    rows: list[Row] = []
     ranks: list[Rank] = []
-    least: list[float] = []
     for space in half_spaces:
         least_m_s2 = space.least_m_s2
         if least_m_s2 < NEVER_ACTIVE_M_S2:
             continue
-        if least_m_s2 > SURELY_POSSIBLE_M_S2:  # more than the vehicle can do is asked of it as all that it can do
-            least_m_s2 = min(least_m_s2, limits.most_along(space.normal_enu, up_m_s2))
-        normals.append(space.normal_enu)
+        normal_enu = space.normal_enu
+        if least_m_s2 > SURELY_POSSIBLE_M_S2:
+            least_m_s2 = min(least_m_s2, limits.most_along(normal_enu, up_m_s2))
+        rows.append((*normal_enu, least_m_s2))
         ranks.append(space.rank)
-        least.append(least_m_s2)
-    steps = [most_steps]
-    while True:
-        try:
-            found = _active_set(start_enu_m_s2, normals, least, steps)
-        except _ContradictionError as contradiction:
-            if steps[0] <= 0:
-                return limits.nearest(contradiction.found_enu_m_s2)
-            _relax(contradiction.shares, ranks, least)
-            continue
-        cut = None if steps[0] <= 0 else _cut(found, limits)
-        if cut is None:
-            return limits.nearest(found)
-        normals.append(cut.normal_enu)
-        least.append(cut.least_m_s2)
-        ranks.append(cut.rank)
+    return rows, ranks
 
 
-def _cut(found_enu_m_s2: Vector3, limits: AccelerationLimits) -> HalfSpace | None:
+def _cut(found_enu_m_s2: Vector3, limits: AccelerationLimits) -> Row | None:
     """The limit that this acceleration violates, as a tangent plane; None within the limits."""
     (x, y, z), (dx, dy, _) = found_enu_m_s2, limits.disturbance_enu_m_s2
     if z > limits.highest_m_s2 + MET_M_S2:
-        return HalfSpace((0.0, 0.0, -1.0), -limits.highest_m_s2, Rank.LIMIT)
+        return (0.0, 0.0, -1.0, -limits.highest_m_s2)
     if z < limits.lowest_m_s2 - MET_M_S2:
-        return HalfSpace((0.0, 0.0, 1.0), limits.lowest_m_s2, Rank.LIMIT)
+        return (0.0, 0.0, 1.0, limits.lowest_m_s2)
     radius, level = limits.level_radius_m_s2(z), hypot(x - dx, y - dy)
     if level <= radius * TILT_ROUNDING:
         return None
     nx, ny = (dx - x) / level, (dy - y) / level
-    return HalfSpace((nx, ny, 0.0), nx * dx + ny * dy - radius, Rank.LIMIT)
+    return (nx, ny, 0.0, nx * dx + ny * dy - radius)
 
 
-def _relax(shares: list[tuple[int, float]], ranks: list[Rank], least: list[float]) -> None:
+def _relax(shares: list[tuple[int, float]], ranks: list[Rank], rows: list[Row]) -> None:
     """Lower the least accelerations of the lowest rank in a contradiction, by the same and smallest amount."""
     rank = max(ranks[k] for k, _ in shares)
-    excess = sum(share * least[k] for k, share in shares)
+    excess = sum(share * rows[k][3] for k, share in shares)
     relaxed = sum(share for k, share in shares if ranks[k] is rank)
     lower = max(excess, 0.0) / relaxed + MET_M_S2
-    for k, of in enumerate(ranks):
-        if of is rank:
-            least[k] -= lower
+    for k, (nx, ny, nz, least) in enumerate(rows):
+        if ranks[k] is rank:
+            rows[k] = (nx, ny, nz, least - lower)
 
 
-def _active_set(start: Vector3, normals: list[Vector3], least: list[float], steps: list[int]) -> Vector3:
-    """The point nearest to `start` that meets all. Raises _ContradictionError. `steps` are those left; it stops at 0."""
+def _active_set(start: Vector3, rows: list[Row], steps: int) -> tuple[Vector3, int, list[tuple[int, float]]]:
+    """(the point nearest to `start` that meets all rows, the steps left, no contradiction). It stops without steps left.
+
+    Where rows contradict each other: the point that meets those violated most, and the contradiction as the rows and their
+    shares: the sum of share * normal is 0, all shares are positive.
+    """
     x, y, z = start
     active: list[int] = []
-    weights: list[float] = []
-    while steps[0] > 0:
+    normals: list[Vector3] = []  # of the active rows
+    weights: list[float] = []  # their multipliers
+    while steps > 0:
         worst, most = -1, MET_M_S2
-        for k, (nx, ny, nz) in enumerate(normals):
-            short = least[k] - nx * x - ny * y - nz * z
+        for k, (nx, ny, nz, least) in enumerate(rows):
+            short = least - nx * x - ny * y - nz * z
             if short > most:
                 worst, most = k, short
         if worst < 0:
-            return (x, y, z)
-        nx, ny, nz = normals[worst]
+            break
+        nx, ny, nz, least = rows[worst]
         weight = 0.0
-        while steps[0] > 0:
-            steps[0] -= 1
-            shares, (ox, oy, oz) = _split((nx, ny, nz), [normals[k] for k in active])
+        while steps > 0:
+            steps -= 1
+            shares, (ox, oy, oz) = _split(nx, ny, nz, normals)
             new = ox * ox + oy * oy + oz * oz
-            full = (least[worst] - nx * x - ny * y - nz * z) / new if new > LEAST_NEW else inf
-            leaves, step = -1, full
+            leaves, step = -1, (least - nx * x - ny * y - nz * z) / new if new > LEAST_NEW else inf
             for place, share in enumerate(shares):
-                if share > 1e-12 and weights[place] / share < step:
+                if share > LEAST_SHARE and weights[place] / share < step:
                     leaves, step = place, weights[place] / share
             if step == inf:
-                found = [(k, -share) for k, share in zip(active, shares, strict=True) if share < -1e-12]
-                raise _ContradictionError([(worst, 1.0), *found], (x, y, z))
+                others = [(k, -share) for k, share in zip(active, shares, strict=True) if share < -LEAST_SHARE]
+                return (x, y, z), steps, [(worst, 1.0), *others]
             x, y, z = x + step * ox, y + step * oy, z + step * oz
             weight += step
             for place, share in enumerate(shares):
                 weights[place] -= step * share
             if leaves < 0:
                 active.append(worst)
+                normals.append((nx, ny, nz))
                 weights.append(weight)
                 break
-            del active[leaves], weights[leaves]
-    return (x, y, z)
+            del active[leaves], normals[leaves], weights[leaves]
+    return (x, y, z), steps, []
 
 
-def _split(normal: Vector3, active: list[Vector3]) -> tuple[list[float], Vector3]:
-    """Shares of the active normals in a normal, and what is left outside their span. At most three are active."""
-    x, y, z = normal
+def _split(x: float, y: float, z: float, active: list[Vector3]) -> tuple[list[float], Vector3]:
+    """Shares of the active normals in a normal (x, y, z), and what is left outside their span. At most three are active."""
     if not active:
-        return [], normal
+        return [], (x, y, z)
     ax, ay, az = active[0]
     along_a = ax * x + ay * y + az * z
     if len(active) == 1:

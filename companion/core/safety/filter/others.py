@@ -113,11 +113,10 @@ def _lagged(before: Vector3, after: Vector3, share: float) -> Vector3:
 
 def _near(own_m: Vector3, own_m_s: Vector3, other_m: Vector3, other_m_s: Vector3, age_s: float) -> bool:
     """Whether the two might meet within NEAR_S, or come within NEAR_M."""
-    vx, vy, vz = other_m_s
-    wx, wy, wz = own_m_s
+    (x, y, z), (px, py, pz) = own_m, other_m
+    dx, dy, dz = abs(x - px), abs(y - py), abs(z - pz)
+    if dx < NEAR_M and dy < NEAR_M and dz < NEAR_M:
+        return True
+    (wx, wy, wz), (vx, vy, vz) = own_m_s, other_m_s
     reach_m = NEAR_M + NEAR_S * (abs(wx) + abs(wy) + abs(wz)) + (NEAR_S + age_s) * (abs(vx) + abs(vy) + abs(vz))
-    return (
-        abs(own_m[0] - other_m[0]) < reach_m
-        and abs(own_m[1] - other_m[1]) < reach_m
-        and abs(own_m[2] - other_m[2]) < reach_m
-    )
+    return dx < reach_m and dy < reach_m and dz < reach_m

@@ -14,9 +14,8 @@ from companion.core.safety.filter.boundaries import Boundaries
 from companion.core.safety.filter.lag import Lag
 from companion.core.safety.filter.right_of_way import turn_right
 from companion.core.safety.filter.separation import Separation, nearest_vehicle
-from companion.core.safety.filter.speed_limit import SpeedLimit
+from companion.core.safety.filter.speed_limit import SpeedLimit, limited
 from companion.core.safety.filter.traffic import Traffic
-from companion.core.safety.output_limits import OutputLimits
 from companion.types.autopilot import VehicleState
 from companion.types.formation import FlownSlot
 from companion.types.separation import SeparationReport
@@ -42,8 +41,7 @@ class SafetyFilter:
         separation_m: float,
         boundaries: Boundaries,
         speed_limit: SpeedLimit,
-        limits: OutputLimits,
-        tan_max_tilt: float,
+        limits: AccelerationLimits,
         gains: Gains,
     ) -> None:
         self._separation = separation
@@ -53,7 +51,6 @@ class SafetyFilter:
         self._speed_limit = speed_limit
         self._lag = Lag()
         self._limits = limits
-        self._tan_max_tilt = tan_max_tilt
         self._gains = gains
 
     def receive(self, now_s: float, vehicle: VehicleState, traffic: Iterable[ReceivedTraffic]) -> None:
@@ -75,14 +72,13 @@ class SafetyFilter:
         """`flown_enu_m_s2`: the command of the last tick. `peers`: the newest packets of any age, `fresh`: those in time."""
         ahead = self._lag.step(now_s, vehicle, flown_enu_m_s2)
         barriers = self._separation.step(now_s, vehicle, ahead, slot, in_formation, peers, fresh, self._traffic.newest)
-        slowed = self._speed_limit.limited(wanted_enu_m_s2, ahead)
+        speed_spaces = self._speed_limit.half_spaces(ahead)
+        slowed = limited(wanted_enu_m_s2, speed_spaces)
         # The speed limit is among the half-spaces, too: what the filter adds must not exceed it.
         spaces = [barrier.space for barrier in barriers]
         spaces += self._boundaries.half_spaces(ahead)
-        spaces += self._speed_limit.half_spaces(ahead)
-        limits = AccelerationLimits(
-            self._tan_max_tilt, self._limits.min_thrust_ratio, self._limits.max_thrust_ratio, disturbance_enu_m_s2
-        )
+        spaces += speed_spaces
+        limits = self._limits.in_wind(disturbance_enu_m_s2)
         allowed = filtered(slowed, spaces, limits)
         nearest = nearest_vehicle(now_s, vehicle, barriers) if barriers else None
         violated = nearest is not None and nearest.distance_m < self._separation_m

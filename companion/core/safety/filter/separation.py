@@ -17,7 +17,7 @@ from math import hypot, sqrt
 from msgspec import Struct
 
 from companion.core.consensus.peers import PeerState
-from companion.core.safety.filter.acceleration_filter import HalfSpace, Rank
+from companion.core.safety.filter.acceleration_filter import HalfSpace
 from companion.core.safety.filter.braking import approach_speed
 from companion.core.safety.filter.lag import LAG_S, Ahead
 from companion.core.safety.filter.others import NO_ERROR, Other, Others
@@ -72,7 +72,9 @@ class Separation:
     """One barrier for each vehicle nearby."""
 
     def __init__(self, settings: SeparationSettings) -> None:
-        self._settings = settings
+        self._separation_m = settings.separation_m
+        self._braking_alone_m_s2 = ALONE_SHARE * settings.braking_m_s2
+        self._braking_together_m_s2 = 2.0 * settings.braking_m_s2
         self._others = Others(settings.own_id)
 
     def step(
@@ -95,11 +97,8 @@ class Separation:
     def _barrier(self, ahead: Ahead, error: PositionError, slot: FlownSlot, other: Other) -> Barrier:
         """The half-space n . u >= a that keeps h' >= -k h, in coordinates whose height is weighted."""
         (x, y, z), (wx, wy, wz) = ahead.position_enu_m, ahead.velocity_enu_m_s
-        (px, py, pz), (vx, vy, vz), (ax, ay, az) = (
-            other.position_enu_m,
-            other.velocity_enu_m_s,
-            other.acceleration_enu_m_s2,
-        )
+        (px, py, pz), (vx, vy, vz) = other.position_enu_m, other.velocity_enu_m_s
+        ax, ay, az = other.acceleration_enu_m_s2
         age_s, weight, slot_of_other = other.age_s, other.height_weight, other.slot
         if age_s <= other.extrapolated_s:
             ahead_s = age_s + LAG_S
@@ -117,14 +116,13 @@ class Separation:
         across_m_s2 = (wx * wx + wy * wy + wz * wz - closing_m_s * closing_m_s) / (apart_m + NEAREST_M)
         mz = nz * weight
         required_m = self._required(error, other, mz)
-        braking_m_s2, cooperates = ALONE_SHARE * self._settings.braking_m_s2, False
         late_m = UNSEEN_DELAY_S * closing_m_s if closing_m_s > 0.0 else 0.0
         if slot_of_other is None:  # its late packet hides how far a pursuer has come, also where it closes no more
+            braking_m_s2 = self._braking_alone_m_s2
             late_m = max(late_m, PURSUED_S * (nx * vx + ny * vy + nz * vz * weight)) + RIPPLE_M
         else:
-            separation_m, offset_enu_m = self._settings.separation_m, (rx, ry, rz)
-            required_m = _limited_by_slots(required_m, separation_m, slot, slot_of_other, offset_enu_m, weight)
-            braking_m_s2, cooperates = 2.0 * self._settings.braking_m_s2, True
+            braking_m_s2, offset_enu_m = self._braking_together_m_s2, (rx, ry, rz)
+            required_m = _limited_by_slots(required_m, self._separation_m, slot, slot_of_other, offset_enu_m, weight)
         # p of a pair that turns about each other lags inside q; a closing vehicle is nearer than its late packet reports.
         required_m += TURNING_S2 * across_m_s2 + late_m
         room_m = apart_m - required_m
@@ -134,19 +132,21 @@ class Separation:
             allowed_m_s, slope_1_s = -FASTEST_LEAVING_M_S, 0.0
         least_m_s2 = RESPONSE_1_S * (closing_m_s - allowed_m_s) + slope_1_s * closing_m_s - across_m_s2
         own_m_s2 = least_m_s2 + nx * ax + ny * ay + mz * az
-        if cooperates and own_m_s2 < 0.5 * least_m_s2:
+        if slot_of_other is not None and own_m_s2 < 0.5 * least_m_s2:
             own_m_s2 = 0.5 * least_m_s2
-        space = HalfSpace((nx / size, ny / size, mz / size), own_m_s2 / size, Rank.VEHICLE)
+        space = HalfSpace((nx / size, ny / size, mz / size), own_m_s2 / size)
         return Barrier(space, other, (-rx, -ry, -rz), required_m, room_m)
 
     def _required(self, own: PositionError, other: Other, upward: float) -> float:
         """separation_m, both position errors along the line between the vehicles, and growth while the other is silent."""
-        separation_m, error = self._settings.separation_m, other.error
+        error = other.error
         level_m = hypot(own.horizontal_m, error.horizontal_m)
         height_m = hypot(own.vertical_m, error.vertical_m) * abs(upward)
-        required_m = separation_m + ERROR_FACTOR * (level_m + height_m)
+        required_m = self._separation_m + ERROR_FACTOR * (level_m + height_m)
         silent_s = other.age_s - other.extrapolated_s
-        return required_m if silent_s <= 0.0 else required_m + min(silent_s * GROWTH_M_S, LARGEST_GROWTH * separation_m)
+        if silent_s > 0.0:
+            required_m += min(silent_s * GROWTH_M_S, LARGEST_GROWTH * self._separation_m)
+        return required_m
 
 
 def nearest_vehicle(now_s: float, vehicle: VehicleState, barriers: list[Barrier]) -> NearestVehicle | None:
@@ -176,12 +176,13 @@ def _limited_by_slots(
     """
     (x, y, z), (ox, oy, oz), (rx, ry, rz) = own.position_enu_m, other.position_enu_m, offset_enu_m
     dx, dy, dz = x - ox, y - oy, z - oz
-    room_m = SLOT_SHARE * (sqrt(dx * dx + dy * dy + (dz * weight) ** 2) - separation_m)
+    ex, ey, ez, wz = rx - dx, ry - dy, (rz - dz) * weight, dz * weight
+    room_m = SLOT_SHARE * (sqrt(dx * dx + dy * dy + wz * wz) - separation_m)
     if room_m < 0.0:
         room_m = 0.0
-    passing_m = SLOT_SHARE * (sqrt((rx - dx) ** 2 + (ry - dy) ** 2 + ((rz - dz) * weight) ** 2) - PLACED_WITHIN_M)
+    passing_m = SLOT_SHARE * (sqrt(ex * ex + ey * ey + ez * ez) - PLACED_WITHIN_M)
     if passing_m > 0.0:
-        required_m += min(passing_m, PASSING_M)
+        required_m += passing_m if passing_m < PASSING_M else PASSING_M
         room_m = max(room_m, passing_m)
     most_m = separation_m + room_m
     return required_m if required_m < most_m else most_m

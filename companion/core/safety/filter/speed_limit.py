@@ -7,6 +7,7 @@ evaluated for the velocity that the attitude lag leads to (`lag.py`).
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from math import hypot
 
@@ -26,18 +27,8 @@ class SpeedLimit:
     climb_m_s: float
     descent_m_s: float
 
-    def limited(self, acceleration_enu_m_s2: Vector3, ahead: Ahead) -> Vector3:
-        """The acceleration without what would exceed a limit; the same object where there is nothing of it."""
-        limited = acceleration_enu_m_s2
-        for space in self.half_spaces(ahead):
-            (nx, ny, nz), (ux, uy, uz) = space.normal_enu, limited
-            short = space.least_m_s2 - (nx * ux + ny * uy + nz * uz)
-            if short > 0.0:
-                limited = (ux + short * nx, uy + short * ny, uz + short * nz)
-        return limited
-
     def half_spaces(self, ahead: Ahead) -> list[HalfSpace]:
-        """The same limits for the acceleration filter: what it adds must not exceed them either."""
+        """Half-spaces of the vertical and of the horizontal speed. Their normals are perpendicular to each other."""
         vx, vy, vz = ahead.velocity_enu_m_s
         upward = -1.0 if vz > 0.0 else 1.0
         most_m_s = self.climb_m_s if vz > 0.0 else self.descent_m_s
@@ -47,3 +38,14 @@ class SpeedLimit:
             normal = (-vx / level_m_s, -vy / level_m_s, 0.0)
             spaces.append(HalfSpace(normal, -RESPONSE_1_S * (self.level_m_s - level_m_s), Rank.SPEED))
         return spaces
+
+
+def limited(acceleration_enu_m_s2: Vector3, spaces: Iterable[HalfSpace]) -> Vector3:
+    """The acceleration without what would exceed a speed limit; the same object where there is nothing of it."""
+    allowed = acceleration_enu_m_s2
+    for space in spaces:
+        (nx, ny, nz), (ux, uy, uz) = space.normal_enu, allowed
+        short = space.least_m_s2 - (nx * ux + ny * uy + nz * uz)
+        if short > 0.0:
+            allowed = (ux + short * nx, uy + short * ny, uz + short * nz)
+    return allowed

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from companion.core.safety.filter.acceleration_filter import AccelerationLimits, HalfSpace, Rank, filtered
 from companion.types.vectors import Vector3
 
-LIMITS = AccelerationLimits(tan(radians(25.0)), 0.3, 1.6, (0.0, 0.0, 0.0))
+LIMITS = AccelerationLimits.of_envelope(tan(radians(25.0)), 0.3, 1.6)
 LEVEL_M_S2 = LIMITS.level_radius_m_s2(0.0)
 EAST, WEST, NORTH = (1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
 
@@ -51,7 +51,7 @@ def test_full_authority_where_more_is_asked_than_the_tilt_allows() -> None:
 
 
 def test_wind_moves_the_limits() -> None:
-    windy = AccelerationLimits(LIMITS.tan_max_tilt, 0.3, 1.6, (1.5, 0.0, 0.0))
+    windy = LIMITS.in_wind((1.5, 0.0, 0.0))
     assert filtered((0.0, 0.0, 0.0), [HalfSpace(EAST, 50.0)], windy)[0] == pytest.approx(LEVEL_M_S2 + 1.5)
     assert filtered((0.0, 0.0, 0.0), [HalfSpace(WEST, 50.0)], windy)[0] == pytest.approx(1.5 - LEVEL_M_S2)
 

@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 from companion.core.safety.filter.acceleration_filter import AccelerationLimits, filtered
 from companion.core.safety.filter.boundaries import Boundaries
 from companion.core.safety.filter.lag import Ahead, Lag
-from companion.core.safety.filter.speed_limit import SpeedLimit
+from companion.core.safety.filter.speed_limit import SpeedLimit, limited
 from companion.geometry.airspace import Airspace, Cuboid, Cylinder, Fence
 from companion.types.autopilot import VehicleState
 from companion.types.vectors import GRAVITY_M_S2, ZERO3, Vector3
 
 TAN_TILT = tan(radians(25.0))
-LIMITS = AccelerationLimits(TAN_TILT, 0.3, 1.6, ZERO3)
+LIMITS = AccelerationLimits.of_envelope(TAN_TILT, 0.3, 1.6)
 SPEED = SpeedLimit(12.0, 3.0, 2.0)
 U_SHAPE = (
     (-60.0, -40.0),
@@ -56,7 +56,7 @@ def fly(position: Vector3, wanted: list[Vector3], lag_s: float, each_s: float = 
             position_enu_m=(x[0], x[1], x[2]), velocity_enu_m_s=(v[0], v[1], v[2]), position_time_s=now_s
         )
         ahead = lag.step(now_s, state, command)
-        slowed = SPEED.limited(wanted[int(now_s / each_s)], ahead)
+        slowed = limited(wanted[int(now_s / each_s)], SPEED.half_spaces(ahead))
         spaces = BOUNDARIES.half_spaces(ahead) + SPEED.half_spaces(ahead)
         command = LIMITS.nearest(filtered(slowed, spaces, LIMITS))
         waiting.append(command)
@@ -100,12 +100,13 @@ def test_a_vehicle_at_full_speed_stops_before_the_boundary(angle_deg: int) -> No
 def test_a_command_far_from_all_limits_is_the_same_object() -> None:
     ahead = Ahead((0.0, -20.0, 15.0), (2.0, 1.0, 0.5))
     wanted = (0.1234567, -0.7654321, 0.3)
-    assert SPEED.limited(wanted, ahead) is wanted
+    assert limited(wanted, SPEED.half_spaces(ahead)) is wanted
     assert filtered(wanted, BOUNDARIES.half_spaces(ahead) + SPEED.half_spaces(ahead), LIMITS) is wanted
 
 
 def test_above_the_speed_limit_the_vehicle_is_slowed_down() -> None:
-    x, y, z = SPEED.limited((3.0, 1.0, 2.0), Ahead(ZERO3, (15.0, 0.0, 4.0)))
+    spaces = SPEED.half_spaces(Ahead(ZERO3, (15.0, 0.0, 4.0)))
+    x, y, z = limited((3.0, 1.0, 2.0), spaces)
     assert (x, y, z) == (-6.0, 1.0, -2.0)
 
 
