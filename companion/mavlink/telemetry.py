@@ -31,7 +31,8 @@ RESULT_TEXTS = {
     mavlink.MAV_RESULT_IN_PROGRESS: "in progress",
 }
 
-# Flags of ESTIMATOR_STATUS: what must be good, of which one must be, and that the position is only assumed constant.
+# Flags of ESTIMATOR_STATUS: what must be good, and of which one must be. ESTIMATOR_CONST_POS_MODE says nothing about that: PX4
+# sets it on every vehicle that rests on the ground, and without a position it clears those of the position.
 ESTIMATES = (
     mavlink.ESTIMATOR_ATTITUDE
     | mavlink.ESTIMATOR_VELOCITY_HORIZ
@@ -39,7 +40,6 @@ ESTIMATES = (
     | mavlink.ESTIMATOR_POS_VERT_ABS
 )
 POSITIONS = mavlink.ESTIMATOR_POS_HORIZ_REL | mavlink.ESTIMATOR_POS_HORIZ_ABS
-WITHOUT_POSITION = mavlink.ESTIMATOR_CONST_POS_MODE
 
 
 def position(message: MavlinkMessage, received_s: float) -> PositionSample:
@@ -81,11 +81,11 @@ def origin(message: MavlinkMessage, received_s: float) -> OriginSample:
 
 
 def system(message: MavlinkMessage, received_s: float) -> SystemSample:
-    """SYS_STATUS."""
+    """SYS_STATUS. PX4 enables the bit of the estimator only where it is bad, ArduCopter 10 s after the estimator has begun."""
     healthy = message.onboard_control_sensors_health
     may_arm = bool(healthy & mavlink.MAV_SYS_STATUS_PREARM_CHECK)
-    has_estimator = message.onboard_control_sensors_present & mavlink.MAV_SYS_STATUS_AHRS
-    estimator_healthy = not has_estimator or bool(healthy & mavlink.MAV_SYS_STATUS_AHRS)
+    judged = message.onboard_control_sensors_enabled & mavlink.MAV_SYS_STATUS_AHRS
+    estimator_healthy = not judged or bool(healthy & mavlink.MAV_SYS_STATUS_AHRS)
     return SystemSample(received_s, float(message.battery_remaining), may_arm, estimator_healthy)
 
 
@@ -99,7 +99,7 @@ def global_position(message: MavlinkMessage, received_s: float) -> GlobalPositio
 def estimator_status(message: MavlinkMessage, received_s: float) -> EstimatorSample:
     """ESTIMATOR_STATUS, with accuracies of one sigma; the horizontal one covers both axes. Flags of 0 are not reported."""
     flags = message.flags
-    usable = flags & ESTIMATES == ESTIMATES and flags & POSITIONS and not flags & WITHOUT_POSITION
+    usable = flags & ESTIMATES == ESTIMATES and flags & POSITIONS
     return EstimatorSample(received_s, message.pos_horiz_accuracy, message.pos_vert_accuracy, not flags or bool(usable))
 
 

@@ -90,9 +90,10 @@ def system_time(autopilot: Autopilot) -> MavlinkMessage:
     return M.MAVLink_system_time_message(0, autopilot.boot_ms)
 
 
-def sys_status(autopilot: Autopilot) -> MavlinkMessage:
-    healthy = SENSORS | (M.MAV_SYS_STATUS_PREARM_CHECK if autopilot.armable else 0)
-    present = SENSORS | M.MAV_SYS_STATUS_PREARM_CHECK
+def sys_status(autopilot: Autopilot, present: int = SENSORS | M.MAV_SYS_STATUS_PREARM_CHECK) -> MavlinkMessage:
+    """All that is `present` is enabled. What is absent is healthy, too."""
+    healthy = SENSORS | present & ~M.MAV_SYS_STATUS_PREARM_CHECK
+    healthy |= M.MAV_SYS_STATUS_PREARM_CHECK if autopilot.armable else 0
     return M.MAVLink_sys_status_message(
         present, present, healthy, 250, round(BATTERY_V * 1000), 800, autopilot.battery_percent, 0, 0, 0, 0, 0, 0
     )

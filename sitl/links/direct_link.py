@@ -31,6 +31,8 @@ from companion.types.telemetry import (
 )
 from sitl.autopilots.autopilot import Autopilot
 from sitl.autopilots.messages import global_position, gps_raw
+from sitl.autopilots.px4.autopilot import Px4
+from sitl.autopilots.px4.messages import estimator_status
 from sitl.links.link_end import LinkEnd
 from sitl.vehicle.attitude_control import Setpoint
 from sitl.vehicle.config import Links
@@ -91,8 +93,10 @@ def _gps_error(autopilot: Autopilot, received_s: float) -> tuple[Telemetry, ...]
 
 
 def _error(autopilot: Autopilot, received_s: float) -> tuple[Telemetry, ...]:
+    assert isinstance(autopilot, Px4)  # ArduCopter does not send it
+    healthy = telemetry.estimator_status(estimator_status(autopilot), received_s).healthy
     horizontal_m, vertical_m = _TWO_FLOATS.unpack(_TWO_FLOATS.pack(*autopilot.quad.reported_error_m))
-    return (EstimatorSample(received_s, horizontal_m, vertical_m),)
+    return (EstimatorSample(received_s, horizontal_m, vertical_m, healthy),)
 
 
 SAMPLES: dict[int, Callable[[Autopilot, float], tuple[Telemetry, ...]]] = {

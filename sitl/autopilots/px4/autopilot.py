@@ -92,6 +92,11 @@ class Px4(Autopilot):
         return LANDED_LANDING if self._automatic.landing else LANDED_IN_AIR
 
     @property
+    def at_rest(self) -> bool:
+        """Whether it rests on the ground without vibration."""
+        return self._ground.landed and not self.armed
+
+    @property
     def streaming(self) -> bool:
         """Whether the newest setpoint is at most COM_OF_LOSS_T old."""
         return self.time_s - self._stream.newest_s <= self.parameters["COM_OF_LOSS_T"]

@@ -12,6 +12,13 @@ from sitl.autopilots.px4.autopilot import Px4
 from sitl.autopilots.px4.modes import NEED_A_PILOT
 
 M = mavlink
+ESTIMATES = (
+    M.ESTIMATOR_ATTITUDE | M.ESTIMATOR_VELOCITY_HORIZ | M.ESTIMATOR_VELOCITY_VERT | M.ESTIMATOR_POS_HORIZ_REL
+    | M.ESTIMATOR_POS_HORIZ_ABS | M.ESTIMATOR_POS_VERT_ABS | M.ESTIMATOR_PRED_POS_HORIZ_REL
+    | M.ESTIMATOR_PRED_POS_HORIZ_ABS
+)  # fmt: skip
+# PX4 reports no component "AHRS" while it is good, and arming checks in the health alone.
+REPORTED_SENSORS = shared.SENSORS & ~M.MAV_SYS_STATUS_AHRS | M.MAV_SYS_STATUS_SENSOR_XY_POSITION_CONTROL
 
 
 def heartbeat(px4: Px4) -> MavlinkMessage:
@@ -51,9 +58,15 @@ def altitude(px4: Px4) -> MavlinkMessage:
 
 
 def estimator_status(px4: Px4) -> MavlinkMessage:
+    """PX4 calls the position of a vehicle that rests on the ground constant, however good it is."""
+    flags = ESTIMATES | (M.ESTIMATOR_CONST_POS_MODE if px4.at_rest else 0)
     return M.MAVLink_estimator_status_message(
-        px4.boot_ms * 1000, 0x3F, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1, *px4.quad.reported_error_m
+        px4.boot_ms * 1000, flags, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1, *px4.quad.reported_error_m
     )
+
+
+def sys_status(px4: Px4) -> MavlinkMessage:
+    return shared.sys_status(px4, REPORTED_SENSORS)
 
 
 def ping(px4: Px4) -> MavlinkMessage:
@@ -87,7 +100,7 @@ BUILDERS: dict[int, Callable[[Px4], MavlinkMessage]] = {
     M.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: shared.gps_global_origin,
     M.MAVLINK_MSG_ID_HOME_POSITION: shared.home_position,
     M.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: shared.extended_sys_state,
-    M.MAVLINK_MSG_ID_SYS_STATUS: shared.sys_status,
+    M.MAVLINK_MSG_ID_SYS_STATUS: sys_status,
     M.MAVLINK_MSG_ID_BATTERY_STATUS: shared.battery_status,
     M.MAVLINK_MSG_ID_VFR_HUD: shared.vfr_hud,
     M.MAVLINK_MSG_ID_ALTITUDE: altitude,

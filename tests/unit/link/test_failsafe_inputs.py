@@ -60,7 +60,8 @@ def test_the_flags_and_errors_of_estimator_status_decide() -> None:
         (GOOD | M.ESTIMATOR_POS_HORIZ_REL, 0.2, False),
         (GOOD | M.ESTIMATOR_POS_HORIZ_ABS, 0.2, False),
         (GOOD, 0.2, True),  # no horizontal position
-        (GOOD | M.ESTIMATOR_POS_HORIZ_ABS | M.ESTIMATOR_CONST_POS_MODE, 0.2, True),
+        (GOOD | M.ESTIMATOR_POS_HORIZ_ABS | M.ESTIMATOR_CONST_POS_MODE, 0.2, False),  # PX4 at rest on the ground
+        (GOOD | M.ESTIMATOR_CONST_POS_MODE, 0.2, True),
         ((GOOD | M.ESTIMATOR_POS_HORIZ_ABS) & ~M.ESTIMATOR_VELOCITY_HORIZ, 0.2, True),
         (0, 0.2, False),  # not reported
         (GOOD | M.ESTIMATOR_POS_HORIZ_ABS, 5.1, True),

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from companion.mavlink import telemetry
 from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
 from sitl.autopilots.px4.messages import BUILDERS
 from sitl.autopilots.px4.modes import Mode
@@ -141,6 +142,17 @@ def test_the_heartbeat_has_mode_arming_and_autopilot() -> None:
         assert interpret_px4_mode(heartbeat.base_mode, heartbeat.custom_mode) == name
         assert heartbeat.base_mode & M.MAV_MODE_FLAG_SAFETY_ARMED
         assert heartbeat.autopilot == M.MAV_AUTOPILOT_PX4
+
+
+def test_the_estimator_calls_the_position_constant_only_at_rest_on_the_ground() -> None:
+    """As PX4 does; its position is as good there as in flight, and `companion` must not refuse to arm it."""
+    vehicle = Vehicle()
+    on_ground, _ = vehicle.command(REQUEST, float(M.MAVLINK_MSG_ID_ESTIMATOR_STATUS))
+    vehicle.take_off()
+    in_flight, _ = vehicle.command(REQUEST, float(M.MAVLINK_MSG_ID_ESTIMATOR_STATUS))
+    assert (on_ground.flags, in_flight.flags) == (0x3BF, 0x33F)
+    for status in (on_ground, in_flight):
+        assert telemetry.estimator_status(status, 0.0).healthy
 
 
 def test_heading_is_clockwise_from_north() -> None:
