@@ -18,6 +18,7 @@ from companion.geometry.transition import ROUNDING_M, closest_approach, longest_
 from companion.geometry.turning import SLOT_ACCELERATION_M_S2
 from companion.ground.fleet_time import AHEAD_S, fleet_time_s
 from companion.ground.requests import COMMAND_LINE, FormationRequest
+from companion.types.bounds import MIN_CHANGE_S
 from companion.types.flight import FlightPhase
 from companion.types.formation import FormationChange
 from companion.types.status import Status
@@ -98,5 +99,5 @@ def change_to(slots_enu_m: Mapping[int, Vector3], statuses: Sequence[Status], sl
         number=max(status.slot.waiting for status in statuses) + 1,
         slots_enu_m=tuple(sorted(slots_enu_m.items())),
         begins_s=fleet_time_s(statuses) + AHEAD_S,
-        lasts_s=max(lasts_s, 0.1),
+        lasts_s=max(lasts_s, MIN_CHANGE_S),
     )

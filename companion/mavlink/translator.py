@@ -55,12 +55,10 @@ class Translator:
             elif message.get_srcComponent() == AUTOPILOT:
                 self.lacks_key = not self._has_key and bool(message.get_header().incompat_flags)
                 samples += self._samples(message, received_s)
-        if self._codec.refused:
-            self.rejected += self._codec.refused
-            self.refused_signature = next(
-                (code for code in SIGNATURE_CODES if code in self._codec.refused), self.refused_signature
-            )
-            self._codec.refused.clear()
+        if refused := self._codec.refused:
+            self.rejected.update(refused)
+            self.refused_signature = next((code for code in SIGNATURE_CODES if code in refused), self.refused_signature)
+            refused.clear()
         return samples
 
     @property

@@ -9,7 +9,7 @@ from msgspec import Meta
 
 MAX_COORDINATE_M = 20_000.0
 MAX_MISSION_S = 1e6  # eleven days
-MAX_CHANGE_S = 600.0  # duration of a formation change
+MIN_CHANGE_S, MAX_CHANGE_S = 0.1, 600.0  # duration of a formation change
 MAX_VEHICLES = 250  # MAVLink system ids
 MAX_NUMBER = 2**62  # of commands, changes and packets
 FLEET_NAME = "^[a-z0-9][a-z0-9_-]{0,40}$"  # it is a part of Zenoh's key expressions

@@ -19,6 +19,7 @@ T = TypeVar("T")
 
 # All that msgspec raises for malformed bytes: invalid UTF-8 and deep nesting have their own errors.
 DECODE_ERRORS = (msgspec.MsgspecError, UnicodeDecodeError, RecursionError)
+_PLACE = re.compile(r" - at `(\$[\w.\[\]]{1,60})`$")
 
 
 class WireError(Exception):
@@ -52,5 +53,5 @@ def unsealed(decoder: msgspec.msgpack.Decoder[T], data: bytes, code: Code, what:
     try:
         return decoder.decode(unseal(data))
     except DECODE_ERRORS as error:
-        place = re.search(r" - at `(\$[\w.\[\]]{1,60})`$", str(error))
+        place = _PLACE.search(str(error))
         raise WireError(code, f"malformed {what}" + (f" at {place[1]}" if place else "")) from error

@@ -47,6 +47,8 @@ COMMANDS = (
     Command(CommandName.FORMATION, 9, "anna@ground", 7, CHANGE),
     *(Command(CommandName.REFERENCE, 9, "anna@ground", 7, ReferenceChange(3, dict(d), 21.5)) for d in DESCRIBED),
 )
+RESEALED_EACH = 3
+MAVLINK_2_OVERHEAD = 12  # bytes of header and checksum
 ROUNDS_KEPT = 64  # bytes of damaged values are damaged again so often before new values are made
 
 
@@ -58,10 +60,14 @@ class Decoder(NamedTuple):
     values: Sequence[Struct] = ()
     encode: Callable[[Any], bytes] | None = None
     messages: Sequence[bytes] = ()
+    reseal: Callable[[bytes], bytes] | None = None  # a true checksum, so that damaged values reach what reads them
 
 
 class Fuzzed(Struct):
-    """Result for one decoder. `failures` are inputs that raised another exception, or passed with a number out of bounds."""
+    """Result for one decoder. `passed` counts inputs that gave a message or a sample.
+
+    `failures` are inputs that raised another exception, or passed with a number out of bounds.
+    """
 
     name: str
     inputs: int
@@ -74,6 +80,8 @@ def decoders() -> dict[str, Decoder]:
     """All decoders of received bytes, by name. Those with a state are created for each call."""
     px4, copter = Translator(1, AutopilotKind.PX4), Translator(1, AutopilotKind.ARDUPILOT)
     packets = mavlink_packets()
+    read = [packet for packet in packets if Translator(1, AutopilotKind.PX4).telemetry(packet, 100.0)]
+    packets += read * (len(packets) // len(read))  # half of the inputs are messages that the agent reads
     return {
         "peer packet": Decoder(decode_peer, (WireError,), (PACKET,), encode_peer),
         "command": Decoder(decode_command, (WireError,), COMMANDS, encode),
@@ -84,8 +92,10 @@ def decoders() -> dict[str, Decoder]:
         "command reply": Decoder(
             decode_reply, (WireError,), (CommandReply(3, 9, True, Code.PHASE_CHANGED, "engage", "anna@ground"),), encode
         ),
-        "MAVLink, PX4": Decoder(lambda data: px4.telemetry(data, 100.0), (), messages=packets),
-        "MAVLink, ArduCopter": Decoder(lambda data: copter.telemetry(data, 100.0), (), messages=packets),
+        "MAVLink, PX4": Decoder(lambda data: px4.telemetry(data, 100.0), (), messages=packets, reseal=resealed),
+        "MAVLink, ArduCopter": Decoder(
+            lambda data: copter.telemetry(data, 100.0), (), messages=packets, reseal=resealed
+        ),
     }
 
 
@@ -93,21 +103,23 @@ def fuzz(name: str, inputs: int, seed: int) -> Fuzzed:
     """Give a decoder this many seeded inputs: damaged values, damaged bytes, and both."""
     decoder, rng = decoders()[name], Random(f"{name} {seed}")
     passed, failures, begin_s = 0, list[str](), thread_time()
-    source = b""
+    source, decode, reseal = b"", decoder.decode, decoder.reseal
     for index in range(inputs):
         if index % ROUNDS_KEPT == 0:
             data = source = _source(decoder, rng)
             report_progress(index / inputs)
         else:
             data = damaged(rng, source)
+            if reseal and index % RESEALED_EACH == 0:
+                data = reseal(data)
         try:
-            message = decoder.decode(data)
+            message = decode(data)
         except decoder.refuses:
             continue
         except Exception as error:  # noqa: BLE001 -- every exception is a finding
             failures.append(f"{type(error).__name__}: {str(error)[:80]}: {data[:200].hex()}")
             continue
-        passed += 1
+        passed += message != []
         if index % 16 == 0 and not _is_bounded(message):
             failures.append(f"a number that is not finite: {data[:200].hex()}")
     return Fuzzed(name, inputs, passed, thread_time() - begin_s, failures[:20])
@@ -156,3 +168,17 @@ def _packed(link: Any, kind: Any, edge: float, rng: Random) -> bytes:
     by_name = dict(zip(kind.fieldnames, [None] * len(kind.fieldnames), strict=True))
     by_name.update(zip(kind.ordered_fieldnames, values, strict=True))
     return bytes(kind(**by_name).pack(link))
+
+
+def resealed(data: bytes) -> bytes:
+    """These bytes as one packet with the length and the checksum of what it carries, where they still name a message."""
+    if not MAVLINK_2_OVERHEAD <= len(data) <= MAVLINK_2_OVERHEAD + 255:
+        return data
+    packet = bytearray(data)
+    kind = mavlink.mavlink_map.get(int.from_bytes(packet[7:10], "little"))
+    if kind is None:
+        return data
+    packet[:3] = (mavlink.PROTOCOL_MARKER_V2, len(packet) - MAVLINK_2_OVERHEAD, 0)
+    packet[5:7] = (1, 1)  # from the autopilot
+    packet[-2:] = mavlink.x25crc(packet[1:-2] + bytes((kind.crc_extra,))).crc.to_bytes(2, "little")
+    return bytes(packet)

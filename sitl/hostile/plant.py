@@ -31,6 +31,7 @@ from companion.types.vectors import GRAVITY_M_S2, Vector3
 TICK_S = 0.02
 HOVER_THRUST_NORM = 0.5
 CLIMB_M_S = 3.0
+SYSTEM_TICKS = 25  # period of SYS_STATUS: 2 Hz, as autopilots send it
 PARAMETERS = {
     "COM_OF_LOSS_T": 1.0,
     "COM_OBL_RC_ACT": 5.0,
@@ -52,17 +53,20 @@ class Plant:
         self._ground_m, self._goal_m = position_enu_m[2], position_enu_m[2]
         self._attitude = AttitudeTarget(0.0, 0.0, 0.0, HOVER_THRUST_NORM)
         self._answers: list[Telemetry] = []
+        self._ticks = 0
 
     def telemetry(self, now_s: float) -> tuple[Telemetry, ...]:
         """All samples of one tick."""
         answers, self._answers = self._answers, []
+        self._ticks += 1
+        if self._ticks % SYSTEM_TICKS == 2:  # an agent disregards what was sent before its first tick
+            answers.append(SystemSample(now_s, 90.0, may_arm=True))
         attitude = self._attitude if self._is_followed else AttitudeTarget(0.0, 0.0, 0.0, HOVER_THRUST_NORM)
         return (
             AttitudeSample(now_s, attitude.roll_rad, attitude.pitch_rad, attitude.yaw_rad),
             ModeSample(now_s, self.mode, self.mode),
             HeartbeatSample(now_s, self.armed, AutopilotKind.PX4),
             LandedSample(now_s, self.landed),
-            SystemSample(now_s, 90.0, may_arm=True),
             *answers,
             PositionSample(now_s, now_s, self.position_enu_m, self.velocity_enu_m_s),
         )

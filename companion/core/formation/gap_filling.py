@@ -17,6 +17,7 @@ from companion.core.consensus.peers import PeerState
 from companion.core.formation.limits import FormationLimits
 from companion.geometry.curves import duration_s, rest_to_rest
 from companion.geometry.turning import SLOT_ACCELERATION_M_S2
+from companion.types.bounds import MIN_CHANGE_S
 from companion.types.flight import STREAMING, FlightPhase
 from companion.types.formation import FormationChange
 from companion.types.notices import Code, Notice
@@ -134,7 +135,7 @@ class GapFilling:
             number=number,
             slots_enu_m=tuple(sorted(after.items())),
             begins_s=reference_s + AHEAD_S,
-            lasts_s=duration_s(longest_m, self._limits.speed_m_s, SLOT_ACCELERATION_M_S2),
+            lasts_s=max(MIN_CHANGE_S, duration_s(longest_m, self._limits.speed_m_s, SLOT_ACCELERATION_M_S2)),
             absent=(gone_id,),
         )
 

@@ -15,6 +15,7 @@ from companion.core.formation.paths import Path
 from companion.geometry.curves import rest_to_rest
 from companion.geometry.turning import reach_m
 from companion.geometry.vectors import plus
+from companion.types.bounds import MAX_CHANGE_S, MIN_CHANGE_S
 from companion.types.commands import MAX_EPOCHS_AHEAD
 from companion.types.flight import STREAMING, FlightPhase
 from companion.types.formation import FlownSlot, FormationChange
@@ -23,7 +24,6 @@ from companion.types.peers import PeerPacket
 from companion.types.vectors import ZERO3, Vector3
 
 LATEST_S = 60.0  # ahead of mission time
-LONGEST_S = 600.0  # duration of a change
 
 
 class SlotPlan:
@@ -230,8 +230,8 @@ class SlotPlan:
         if not reference_s < change.begins_s <= reference_s + LATEST_S:
             text = f"begins at mission time {change.begins_s:.1f} s, which is {reference_s:.1f} s now"
             return Notice(Code.CHANGE_NOT_IN_TIME, text)
-        if not 0.0 < change.lasts_s <= LONGEST_S:
-            text = f"lasts {change.lasts_s:.1f} s; expected up to {LONGEST_S:g} s"
+        if not MIN_CHANGE_S <= change.lasts_s <= MAX_CHANGE_S:
+            text = f"lasts {change.lasts_s:.1f} s; expected {MIN_CHANGE_S:g} to {MAX_CHANGE_S:g} s"
             return Notice(Code.CHANGE_TOO_LONG, text)
         if self._path:
             return Notice(Code.CHANGE_IN_PROGRESS, "this vehicle is not in its slot yet")

@@ -53,8 +53,8 @@ ENTRIES: dict[str, Explanation] = {
     ),
     "CHANGE_TOO_LONG": Explanation(
         "A formation is refused because of its duration.",
-        "The slots would move for longer than the limit in the text.",
-        "Choose a higher slot speed, or slots that are nearer.",
+        "The slots would move for longer or shorter than the limits in the text.",
+        "Choose another slot speed, or other slots.",
     ),
     "SLOTS_INCOMPLETE": Explanation(
         "A formation is refused.",

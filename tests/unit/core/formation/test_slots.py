@@ -198,6 +198,7 @@ def test_the_same_change_is_accepted_again() -> None:
         ({"lasts_s": 5.0}, "slots move at up to 2.1 m/s; expected at most 1 m/s"),
         ({"lasts_s": float("nan")}, "lasts nan s"),
         ({"lasts_s": 0.0}, "lasts 0.0 s"),
+        ({"slots_enu_m": tuple(LINE.items()), "lasts_s": 1e-200}, "lasts 0.0 s; expected 0.1 to 600 s"),
         ({"begins_s": 8.9}, "begins at mission time 8.9 s, which is 9.0 s now"),
         ({"begins_s": 100.0}, "begins at mission time 100.0 s"),
     ],
