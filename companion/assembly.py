@@ -48,7 +48,8 @@ from companion.core.outputs import Identity, ReportStage
 from companion.core.reference.blend import BlendLimits
 from companion.core.reference.heading import CourseHeading, FixedHeading
 from companion.core.reference.plan import LiveReference, ReferencePlan, Rft
-from companion.core.reference.target_follower import Box, TargetLimits
+from companion.core.reference.room import Box
+from companion.core.reference.target_follower import TargetLimits
 from companion.core.reference.trajectories import ReferenceTrajectory, along
 from companion.core.safety.failsafe import FailsafeSettings
 from companion.core.safety.filter.acceleration_filter import AccelerationLimits

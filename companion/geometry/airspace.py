@@ -107,9 +107,10 @@ class Fence(Struct, frozen=True, gc=False):
             if distance_m < within_m:
                 yield distance_m, normal
         if self.corners_enu_m:
-            yield from self._polygon_gaps(x, y, within_m)
+            yield from self.polygon_gaps(x, y, within_m)
 
-    def _polygon_gaps(self, x: float, y: float, within_m: float) -> Iterator[Gap]:
+    def polygon_gaps(self, x: float, y: float, within_m: float = inf) -> Iterator[Gap]:
+        """Those of the polygon alone, which has corners."""
         inside = in_polygon((x, y), self.corners_enu_m)
         sides = _side_gaps(x, y, self.corners_enu_m)
         if inside:
@@ -131,6 +132,14 @@ class Airspace(Struct, frozen=True, gc=False):
         gaps = [distance_m for distance_m, _ in self.fence.gaps(position_enu_m)]
         gaps += [obstacle.gap(position_enu_m)[0] for obstacle in self.obstacles]
         return min(gaps) - self.clearance_m
+
+    def walls(self, position_enu_m: Vector3, within_m: float = inf) -> Iterator[Gap]:
+        """Distances to obstacles and to sides of the polygon that are nearer than `within_m`; the box left out."""
+        for obstacle in self.obstacles:
+            if (gap := obstacle.gap(position_enu_m))[0] < within_m:
+                yield gap
+        if self.corners_enu_m:
+            yield from self.fence.polygon_gaps(position_enu_m[0], position_enu_m[1], within_m)
 
     @property
     def is_box(self) -> bool:

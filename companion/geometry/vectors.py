@@ -18,6 +18,11 @@ def minus(a: Vector3, b: Vector3) -> Vector3:
     return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
 
 
+def dot(a: Vector3, b: Vector3) -> float:
+    """Inner product of a and b."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
 def scaled(vector: Vector3, factor: float) -> Vector3:
     """factor * vector."""
     x, y, z = vector

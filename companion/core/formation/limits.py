@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from math import hypot
 
-from companion.core.reference.target_follower import Box
+from companion.core.reference.room import Box
 from companion.geometry.airspace import Airspace
 from companion.geometry.clear_path import leg_conflict, nearest_kind
 from companion.geometry.separation import counted

@@ -6,19 +6,19 @@ all three. It depends on the two RFTs alone. So every possible leader computes t
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from math import ceil, hypot
 
 from companion.core.consensus.law import FormationState
-from companion.core.reference.target_follower import Box
+from companion.core.reference.room import Box, Room
 from companion.core.reference.trajectories import ReferenceTrajectory
 from companion.geometry.airspace import Airspace
 from companion.geometry.clear_path import room_for
 from companion.geometry.curves import Curve, decay_to_rest, duration_s
 from companion.geometry.turning import swept
 from companion.geometry.vectors import minus, plus
-from companion.types.vectors import Vector3
+from companion.types.vectors import ZERO3, Vector3
 
 SHORTEST_S = 1.0
 LONGEST_S = 600.0
@@ -51,9 +51,16 @@ class BlendLimits:
             return self.airspace.room_m(rft_enu_m) >= around_m
         return room_for(self.airspace, rft_enu_m, slots_enu_m, around_m)
 
-    def room(self, slots_enu_m: Iterable[Vector3]) -> Box:
+    def box(self, slots_enu_m: Iterable[Vector3]) -> Box:
         """The box that r may use, m."""
         return reference_box(self.fence, swept(slots_enu_m) if self.slots_turn else slots_enu_m)
+
+    def room(self, slots_enu_m: Collection[Vector3]) -> Room:
+        """The room for an r whose way is not known in advance."""
+        box = self.box(slots_enu_m)
+        if self.slots_turn:
+            return Room(box, self.airspace, (ZERO3,), max(hypot(*slot) for slot in slots_enu_m))
+        return Room(box, self.airspace, tuple(slots_enu_m))
 
 
 def reference_box(fence: Box, slots_enu_m: Iterable[Vector3]) -> Box:
@@ -74,7 +81,7 @@ def blended(
 
     `old` is R and r'' at `begins_s`; the time of `new` starts there.
     """
-    first, box = new(0.0), limits.room(slots_enu_m)
+    first, box = new(0.0), limits.box(slots_enu_m)
     begin = (
         minus(old.position_enu_m, first.position_enu_m),
         minus(old.velocity_enu_m_s, first.velocity_enu_m_s),

@@ -238,9 +238,10 @@ class ReferencePlan:
         """The RFT with its hand-over, and a text for the event. Raises ValueError where no hand-over is possible."""
         old = self.at(change.begins_s)
         if isinstance(rft, LiveReference):
-            box = self._limits.room(slots_enu_m.values())
-            if not can_keep(old, rft.limits, box):
-                raise ValueError("the fleet is too fast or too near the fence to follow a target within these limits")
+            if not can_keep(old, rft.limits, self._limits.room(slots_enu_m.values())):
+                raise ValueError(
+                    "the fleet is too fast, or too near the fence or an obstacle, to follow a target within these limits"
+                )
             return TargetPursuit(rft.limits, old), f"follows target {rft.name}"
         found = blended(old, rft, change.begins_s, self._limits, list(slots_enu_m.values()))
         if found is None:
@@ -270,8 +271,8 @@ class ReferencePlan:
         goal, velocity = None, ZERO3
         if target and age_s is not None and age_s <= live.max_age_s:
             goal, velocity = live.goal(target.position_at(now_s), target.sample.velocity_enu_m_s)
-        box = self._limits.room(slots_enu_m.values())
-        pursuit.advance(reference_s - self._reference_s, goal, velocity, box)
+        room = self._limits.room(slots_enu_m.values())
+        pursuit.advance(reference_s - self._reference_s, goal, velocity, room)
         return _target_events(live, before_s, age_s)
 
 

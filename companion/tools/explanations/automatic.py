@@ -7,7 +7,8 @@ from companion.tools.explanations.explanation import Explanation
 ENTRIES: dict[str, Explanation] = {
     "SEPARATION_INTERVENES": Explanation(
         "A vehicle in formation leaves the path that its law commands.",
-        "The separation filter keeps it away from another vehicle, which is too near or comes too near.",
+        "The safety filter keeps it away from another vehicle, which is too near or comes too near, from the fence or from an"
+        " obstacle.",
         "If it happens in a formation at rest, increase the distance of the slots or check the reported position errors.",
     ),
     "AGENT_FAILED": Explanation(

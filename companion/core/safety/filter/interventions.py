@@ -1,4 +1,4 @@
-"""Events of the separation filter: one when an intervention begins, however long it lasts or flickers."""
+"""Events of the safety filter: one when an intervention begins, however long it lasts or flickers."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ class Interventions:
 
     def step(self, now_s: float, separation: SeparationReport) -> tuple[Notice, ...]:
         """An event in the tick in which an intervention begins."""
-        nearest = separation.nearest
-        if separation.changed_m_s2 < REPORTED_M_S2 or nearest is None:
+        if separation.changed_m_s2 < REPORTED_M_S2:
             return ()
         begins = now_s - self._changed_s > ENDS_AFTER_S and now_s - self._event_s > PERIOD_S
         self._changed_s = now_s
         if not begins:
             return ()
         self._event_s = now_s
-        text = (
-            f"the separation filter changes the acceleration by {separation.changed_m_s2:.1f} m/s^2: vehicle {nearest.name} is"
-            f" {nearest.distance_m:.2f} m away, required are {nearest.required_m:.2f} m"
-        )
+        text = f"the filter of vehicles, obstacles and fence changes the acceleration by {separation.changed_m_s2:.1f} m/s^2"
+        if nearest := separation.nearest:
+            text += (
+                f"; nearest vehicle: {nearest.name} at {nearest.distance_m:.2f} m, required {nearest.required_m:.2f} m"
+            )
         return (Notice(Code.SEPARATION_INTERVENES, text),)

@@ -97,8 +97,8 @@ def test_rotating_slots_sweep_full_circles() -> None:
     fence = ((-10.0, -10.0, 0.0), (10.0, 10.0, 5.0))
     hand_over = BlendLimits(1.0, 1.0, 1.0, 1.0, fence, slots_turn=True)
     assert swept([(3.0, 4.0, 1.0)]) == [(-5.0, -5.0, 1.0), (5.0, 5.0, 1.0)]
-    assert hand_over.room([(3.0, 4.0, 1.0), (0.0, 0.0, 0.0)]) == ((-5.0, -5.0, 0.0), (5.0, 5.0, 4.0))
-    assert changed(hand_over, slots_turn=False).room([(3.0, 4.0, 1.0)]) == ((-13.0, -14.0, -1.0), (7.0, 6.0, 4.0))
+    assert hand_over.box([(3.0, 4.0, 1.0), (0.0, 0.0, 0.0)]) == ((-5.0, -5.0, 0.0), (5.0, 5.0, 4.0))
+    assert changed(hand_over, slots_turn=False).box([(3.0, 4.0, 1.0)]) == ((-13.0, -14.0, -1.0), (7.0, 6.0, 4.0))
 
     slots: dict[int, Vector3] = {1: ZERO3, 2: (3.0, 4.0, 1.0)}
     limits = FormationLimits(1.0, 1.0, fence, slots_turn=True)

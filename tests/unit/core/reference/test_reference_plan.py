@@ -16,7 +16,7 @@ from companion.config.vehicle import AgentConfig
 from companion.core.consensus.law import FormationState
 from companion.core.reference.blend import BlendLimits, blended, reference_box
 from companion.core.reference.plan import ReferencePlan
-from companion.core.reference.target_follower import Box
+from companion.core.reference.room import Box
 from companion.core.reference.trajectories import along, point
 from companion.geometry.curves import Curve, centred_at, circle, decay_to_rest, figure_8
 from companion.types.commands import ReferenceChange
@@ -183,7 +183,7 @@ def test_a_change_is_cancelled_when_a_peer_that_may_lead_lacks_it() -> None:
         ({"reference": CHANGE.reference | {"radius_m": 99.5}}, "puts vehicle 1 at x = 100.5 m, outside the fence"),
         ({"reference": CHANGE.reference | {"period_s": 5.0}}, "command: reference.period_s: 5 s with ramp_s 5 asks for"),
         ({"reference": TARGET | {"max_speed_m_s": 26.0}}, "reference.max_speed_m_s: 26 asks for 26.0 m/s, envelope.max_speed"),
-        ({"reference": TARGET | {"max_speed_m_s": 0.01}}, "the fleet is too fast or too near the fence"),
+        ({"reference": TARGET | {"max_speed_m_s": 0.01}}, "the fleet is too fast, or too near the fence or an obstacle"),
         ({"reference": TARGET | {"name": "a/b"}}, "command: reference.name: 'a/b': expected at most 41"),
     ],
 )  # fmt: skip

@@ -17,3 +17,8 @@ def test_another_event_after_a_pause() -> None:
     assert events.step(1.0, CHANGED)
     assert not events.step(1.0 + ENDS_AFTER_S, CHANGED)
     assert events.step(10.0, CHANGED)
+
+
+def test_a_vehicle_alone_reports_the_fence_and_obstacles_that_change_its_flight() -> None:
+    (notice,) = Interventions().step(1.0, SeparationReport(None, 2.0))
+    assert "obstacles and fence changes the acceleration by 2.0 m/s^2" in notice.text
