@@ -37,7 +37,7 @@ def run_monitor(fleet: str, endpoints: Sequence[str], once: bool, as_json: bool)
     if fleet != "*" and not re.fullmatch(FLEET_NAME, fleet):
         raise MonitorError(f"--fleet {fleet!r}: expected the name in a fleet file, like platoon, or * for every fleet")
     live = _live_table() if sys.stdout.isatty() and not (once or as_json) else None
-    with FleetSession.open(fleet, endpoints) as session:
+    with FleetSession(fleet, endpoints) as session:
         try:
             if once:
                 return _once(session, endpoints, _json if as_json else _plain_table)

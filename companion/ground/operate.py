@@ -32,7 +32,7 @@ def run_fleet(request: FleetRequest) -> int:
     ids = _vehicles(request, fleet)
     check_content(request, fleet)
     endpoints = request.connect or simulation_endpoints([member.id for member in fleet.vehicles])
-    with FleetSession.open(fleet.name, endpoints, request.operator) as session:
+    with FleetSession(fleet.name, endpoints, request.operator) as session:
         if request.action in ("status", "ready"):
             return _report(session, request, fleet, ids, endpoints)
         return _command(session, request, Sender(session, fleet, request, ids), endpoints)

@@ -8,15 +8,13 @@ import socket
 import time
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass
 from math import inf
-from types import TracebackType
-from typing import Self
 
 import zenoh
 
-from companion.link.zenoh_session import drain, open_session
+from companion.ground.connection import GroundConnection
+from companion.link.zenoh_session import drain
 from companion.types.commands import Command, CommandName, CommandReply, Content, next_number
 from companion.types.notices import Code
 from companion.types.status import Status
@@ -48,37 +46,28 @@ class Answer:
     after_s: float
 
 
-class FleetSession:
-    """A Zenoh session of the ground. Use it in a `with`, or call `close()`.
+class FleetSession(GroundConnection):
+    """Receives from one fleet and commands it.
 
     `operator` sends the commands. `rejected` counts refused reports and replies by code.
     """
 
-    def __init__(self, fleet: str, session: zenoh.Session, operator: str) -> None:
+    def __init__(self, fleet: str, connect: Sequence[str], operator: str = "") -> None:
+        """`fleet` may be * to receive from all fleets.
+
+        `operator` has the form of types.commands.OPERATOR; user@host where it is empty.
+        """
+        # A name that is no part of a key is refused here, before a session is open.
+        status, reply = zenoh.KeyExpr(every_status(fleet)), zenoh.KeyExpr(every_reply(fleet))
+        super().__init__(connect)
         self.fleet = fleet
-        self.operator = operator
+        self.operator = operator or operator_here()
         self.rejected: Counter[str] = Counter()
-        self._session = session
-        self._reports = session.declare_subscriber(every_status(fleet), zenoh.handlers.RingChannel(REPORTS_KEPT))
-        self._replies = session.declare_subscriber(every_reply(fleet), zenoh.handlers.RingChannel(REPLIES_KEPT))
+        self._reports = self._session.declare_subscriber(status, zenoh.handlers.RingChannel(REPORTS_KEPT))
+        self._replies = self._session.declare_subscriber(reply, zenoh.handlers.RingChannel(REPLIES_KEPT))
         self._undrained: deque[StatusReport] = deque(maxlen=REPORTS_KEPT)
         self._newest: dict[int, tuple[float, Status]] = {}  # by vehicle, with the time of arrival
         self._numbers: dict[int, int] = {}  # of the last command to each vehicle
-
-    @classmethod
-    def open(cls, fleet: str, connect: Sequence[str], operator: str = "") -> FleetSession:
-        """Connects to the vehicles' endpoints, in the background, without end. `fleet` may be * to receive from all fleets.
-
-        `operator` has the form of types.commands.OPERATOR; user@host where it is empty.
-
-        Raises link.zenoh_session.EndpointError.
-        """
-        with ExitStack() as undo:
-            session = open_session(listen=(), connect=connect)
-            undo.callback(session.close)
-            opened = cls(fleet, session, operator or operator_here())
-            undo.pop_all()
-        return opened
 
     def drain(self) -> list[StatusReport]:
         """All reports since the last call, oldest first. Never blocks."""
@@ -189,15 +178,3 @@ class FleetSession:
     def linked(self) -> list[str]:
         """Remote endpoints that this session has a link to, like tcp/192.168.1.11:7447."""
         return [str(link.dst) for link in self._session.info.links()]
-
-    def close(self) -> None:
-        """End the session; without this a process may hang at its exit."""
-        self._session.close()  # type: ignore[no-untyped-call]
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()

@@ -1,4 +1,4 @@
-"""Moving targets of a scenario: each moves along a curve and publishes its state, as `companion.ground.target` does."""
+"""Moving targets of a scenario: each moves along a curve and publishes its state, as `companion.ground.publishers` does."""
 
 from __future__ import annotations
 

@@ -140,7 +140,7 @@ def _fly(
     watch = watch_of(scenario, time.monotonic())
     progress = Progress("soak", quiet, watch.began_s)
     with Fleet.start(scenario, folder, offset) as fleet, progress, ExitStack() as stack:
-        session = stack.enter_context(FleetSession.open(scenario.fleet.name, endpoints, "soak"))
+        session = stack.enter_context(FleetSession(scenario.fleet.name, endpoints, "soak"))
         sampler = Sampler(fleet, watch, ids, seconds)
 
         def check() -> None:

@@ -31,7 +31,7 @@ def test_followers_hold_when_the_leader_dies(tmp_path: Path) -> None:
     port_offset = free_fleet_offset()
     with Fleet.start(scenario, tmp_path, port_offset) as fleet:
         endpoints = [zenoh_endpoint(i, port_offset) for i in FOLLOWERS]
-        with FleetSession.open("platoon", endpoints) as session:
+        with FleetSession("platoon", endpoints) as session:
             ground = Ground(session)
             ground.fly_to_formation(ALL)
             ground.listen(2.0)
@@ -54,7 +54,7 @@ def test_a_successor_becomes_leader_when_the_leader_dies_on_the_figure_8(tmp_pat
     port_offset = free_fleet_offset()
     with Fleet.start(scenario, tmp_path, port_offset) as fleet:
         endpoints = [zenoh_endpoint(i, port_offset) for i in FOLLOWERS]
-        with FleetSession.open("ring", endpoints) as session:
+        with FleetSession("ring", endpoints) as session:
             ground = Ground(session)
             ground.fly_to_formation(ALL)
             ground.listen(15.0)

@@ -79,7 +79,7 @@ class Ground:
 
     def until(self, phase: FlightPhase, condition: Callable[[Status], bool] = lambda _: True) -> None:
         """Until all vehicles are in this phase and the condition holds for each."""
-        with FleetSession.open("commanded", self.endpoints) as session:
+        with FleetSession("commanded", self.endpoints) as session:
             end_s = time.monotonic() + 60.0
             while True:
                 statuses = session.statuses(ALL, 10.0)
@@ -191,7 +191,7 @@ def test_a_recorded_command_has_no_effect(ground: Ground) -> None:
     ready(ground)
     ground.fleet("take")
     with (
-        FleetSession.open("commanded", ground.endpoints) as session,
+        FleetSession("commanded", ground.endpoints) as session,
         closing(open_session((), ground.endpoints)) as network,
     ):
         status = session.statuses([2], 10.0)[2]

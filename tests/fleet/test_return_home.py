@@ -72,7 +72,7 @@ def test_both_vehicles_return_home_also_without_an_agent(tmp_path: Path, make: s
 
     with (
         Fleet.start(scenario_from(tmp_path / "scenario.yaml", yaml.safe_load(text)), tmp_path, offset) as fleet,
-        FleetSession.open("home", endpoints) as session,
+        FleetSession("home", endpoints) as session,
     ):
         wait(session, lambda _: True)
         for name, phase in (

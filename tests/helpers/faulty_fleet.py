@@ -232,7 +232,7 @@ def faulty_fleet(folder: Path, *overrides: str) -> Iterator[FaultyFleet]:
         taps = {i: stack.enter_context(_tap(folder, i, port_offset)) for i in IDS}
         fleet = stack.enter_context(Fleet.start_written(scenario, folder, port_offset))
         endpoints = [zenoh_endpoint(i, port_offset) for i in IDS]
-        session = stack.enter_context(FleetSession.open(scenario.fleet.name, endpoints))
+        session = stack.enter_context(FleetSession(scenario.fleet.name, endpoints))
         stack.callback(_resume, fleet)
         until(lambda: "network of vehicles" in (folder / "network.log").read_text())
         yield FaultyFleet(scenario, folder, port_offset, fleet, session, Ground(session), taps, Moment.now())

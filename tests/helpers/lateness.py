@@ -9,9 +9,9 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-# Two periods of the control loop. On an idle machine no cycle starts more than 2 ms late.
+# One period of the control loop. On an idle machine no cycle starts more than 2 ms late.
 # Cycles that start more than 20 ms late are logged (companion/link/tick.py).
-STARVED_S = 0.04
+STARVED_S = 0.02
 PROBE_PERIOD_S = 0.01
 REPORTED = re.compile(r"LOOP_LATE: \d+ cycles of the loop started late, at most (\d+) ms")
 

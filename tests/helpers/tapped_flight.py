@@ -157,7 +157,7 @@ def in_the_air(folder: Path, make: Make) -> Iterator[Flight]:
         files.file.write_text(own, encoding="utf-8")
         with (
             WireTap(autopilot.ports.companion, files.udp_port, make.formation_mode, make.mode_message) as tap,
-            FleetSession.open("processtest", (files.zenoh,)) as session,
+            FleetSession("processtest", (files.zenoh,)) as session,
         ):
             yield Flight(make, files, autopilot, tap, session)
 

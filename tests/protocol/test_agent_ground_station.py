@@ -79,7 +79,7 @@ def test_a_pilot_at_the_ground_station_takes_over_and_its_setpoints_are_dropped(
         ground_station(tmp_path) as (files, station),
         HoveringAutopilot(1, files.udp_port) as autopilot,
         agent(files) as process,
-        FleetSession.open("processtest", (files.zenoh,)) as session,
+        FleetSession("processtest", (files.zenoh,)) as session,
     ):
         process.wait_for_log("heartbeat of autopilot 1")
         until(lambda: getattr(session.command([1], CommandName.HOLD, 5.0)[1], "accepted", False))

@@ -34,7 +34,7 @@ def files(tmp_path: Path) -> AgentFiles:
 
 @contextmanager
 def ground(files: AgentFiles) -> Iterator[FleetSession]:
-    with FleetSession.open("processtest", (files.zenoh,)) as session:
+    with FleetSession("processtest", (files.zenoh,)) as session:
         yield session
 
 

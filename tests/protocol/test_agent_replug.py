@@ -99,7 +99,7 @@ def test_a_line_unplugged_in_formation_is_opened_again_and_the_agent_observes(tm
         HoveringAutopilot(1, files.udp_port) as autopilot,
         cable(device, files.udp_port) as line,
         agent(files) as process,
-        FleetSession.open("processtest", (files.zenoh,)) as session,
+        FleetSession("processtest", (files.zenoh,)) as session,
     ):
 
         def command(name: CommandName) -> None:

@@ -35,7 +35,7 @@ def files(tmp_path: Path) -> AgentFiles:
 
 def hold(files: AgentFiles, autopilot: HoveringAutopilot) -> Status:
     """Command HOLD until the agent reports it; its newest status."""
-    with FleetSession.open("processtest", (files.zenoh,)) as session:
+    with FleetSession("processtest", (files.zenoh,)) as session:
         until(lambda: getattr(session.command([1], CommandName.HOLD, 5.0)[1], "accepted", False))
         until(lambda: autopilot.commands(mavlink.MAV_CMD_DO_SET_MODE))
         reports = session.drain()

@@ -63,7 +63,7 @@ def fly(folder: Path, mavlink: str, stream: Callable[[], int]) -> None:
         HoveringAutopilot(1, files.udp_port) as autopilot,
         bridge(files.udp_port, stream),
         agent(files) as process,
-        FleetSession.open("processtest", (files.zenoh,)) as session,
+        FleetSession("processtest", (files.zenoh,)) as session,
     ):
         process.wait_for_log("heartbeat of autopilot 1")
         phases: list[FlightPhase] = []

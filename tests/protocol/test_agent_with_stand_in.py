@@ -49,7 +49,7 @@ def test_a_whole_flight(tmp_path: Path) -> None:
     with (
         service_manager(str(tmp_path / "notify")) as manager,
         agent(files, environment=manager.environment()) as process,
-        FleetSession.open("processtest", (files.zenoh,)) as session,
+        FleetSession("processtest", (files.zenoh,)) as session,
     ):
         state = FleetState()
 

@@ -140,7 +140,7 @@ def test_a_px4_does_not_sign_and_accepts_any_signature(tmp_path: Path, secret: b
 def test_with_the_right_key_an_agent_arms_a_copter_that_enforces_it(tmp_path: Path) -> None:
     with copter_with_a_key(tmp_path) as (process, _):
         files = files_of(tmp_path, process, SECRET)
-        with agent(files) as running, FleetSession.open("processtest", (files.zenoh,)) as session:
+        with agent(files) as running, FleetSession("processtest", (files.zenoh,)) as session:
             running.wait_for_log("heartbeat of autopilot 1")
             order(session, CommandName.PREPARE, FlightPhase.READY)
             status = order(session, CommandName.ARM, FlightPhase.ARMED)
@@ -167,7 +167,7 @@ def test_an_agent_without_a_key_moves_nothing_and_reports_the_cause(tmp_path: Pa
     with copter_with_a_key(tmp_path) as (process, _):
         before = process.truth()[-1]
         files = files_of(tmp_path, process, None)
-        with agent(files) as running, FleetSession.open("processtest", (files.zenoh,)) as session:
+        with agent(files) as running, FleetSession("processtest", (files.zenoh,)) as session:
             running.wait_for_log("the autopilot signs its packets and may ignore unsigned ones: set signing")
             for _ in range(3):
                 session.command([1], CommandName.PREPARE, 1.0)

@@ -125,7 +125,7 @@ def test_abort_passes_a_flood_of_other_commands_and_is_repeated_until_answered(e
     with (
         closing(link),
         deaf_client(endpoint),
-        FleetSession.open(FLEET.name, (endpoint,), "anna") as ground,
+        FleetSession(FLEET.name, (endpoint,), "anna") as ground,
         ThreadPoolExecutor() as pool,
     ):
         vehicle = Vehicle(link)
@@ -147,7 +147,7 @@ def test_abort_passes_a_flood_of_other_commands_and_is_repeated_until_answered(e
 
 def test_abort_reaches_a_vehicle_that_reports_nothing(endpoint: str) -> None:
     link = ZenohLink(1, FLEET, ZenohEndpoints(listen=(endpoint,)), lambda _reason: None)
-    with closing(link), FleetSession.open(FLEET.name, (endpoint,), "anna") as ground, ThreadPoolExecutor() as pool:
+    with closing(link), FleetSession(FLEET.name, (endpoint,), "anna") as ground, ThreadPoolExecutor() as pool:
         vehicle = Vehicle(link)
         asked = pool.submit(ground.ask, (1, 2), CommandName.ABORT, 3.0)
         for _ in count():

@@ -23,8 +23,8 @@ from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember
 from companion.config.vehicle import ZenohEndpoints
 from companion.core.consensus.peers import PeerTable
 from companion.core.consensus.plausibility import FleetLimits
+from companion.ground.publishers import TargetPublisher
 from companion.ground.session import AGAIN_S, FleetSession
-from companion.ground.target import TargetPublisher
 from companion.link.zenoh_link import LONG_PAUSE_S, ZenohLink
 from companion.link.zenoh_session import EndpointError, open_session
 from companion.types.autopilot import LandedState
@@ -226,21 +226,23 @@ def test_packets_that_waited_through_a_pause_are_dated_back(port: int) -> None:
 def test_a_flood_of_packets_is_bounded_and_blocks_neither_side(port: int) -> None:
     with vehicle(1, listen=(endpoint(port),)) as first, vehicle(2, connect=(endpoint(port),)) as second:
         until(lambda: second.packets, lambda: (first.link.publish_peer(PACKET), second.tick()))
-        for sequence in range(5000):
-            first.link.publish_peer(replace(PACKET, sequence=sequence + 10))
-        newest = 0
+        sequences = count(10)
+        flood = [replace(PACKET, sequence=next(sequences)) for _ in range(5000)]
+        for packet in flood:
+            first.link.publish_peer(packet)
 
-        def drain() -> None:
-            nonlocal newest
+        def drain() -> bool:
+            """Whether something newer than the flood has arrived: who sends may drop any packet, its last ones too."""
+            first.link.publish_peer(replace(PACKET, sequence=next(sequences)))
             packets, _ = second.link.receive(time.monotonic())
             assert len(packets) <= 8 * len(FLEET.vehicles)
-            newest = max([newest] + [received.packet.sequence for received in packets])
+            return any(received.packet.sequence > flood[-1].sequence for received in packets)
 
-        until(lambda: newest > 4000, drain)  # the newest remain
+        until(drain)
 
 
 def test_a_command_is_answered_by_the_tick_that_decides(port: int) -> None:
-    with vehicle(1, listen=(endpoint(port),)) as first, FleetSession.open(FLEET.name, (endpoint(port),)) as ground:
+    with vehicle(1, listen=(endpoint(port),)) as first, FleetSession(FLEET.name, (endpoint(port),)) as ground:
         with ThreadPoolExecutor() as pool:
             asked = pool.submit(ground.command, (1, 2), CommandName.FORM, 2.0)
             until(lambda: first.commands, first.tick)
@@ -269,7 +271,7 @@ def test_a_target_reaches_only_possible_leaders_and_malformed_ones_are_counted(p
     with (
         vehicle(1, listen=(endpoint(port),)) as leader,
         vehicle(2, connect=(endpoint(port),)) as follower,
-        TargetPublisher.open(FLEET.name, (endpoint(port),), "walker") as walker,
+        TargetPublisher(FLEET.name, (endpoint(port),), "walker") as walker,
         closing(open_session((), (endpoint(port),))) as stranger,
     ):
 
@@ -292,7 +294,7 @@ def test_the_command_lead_carries_its_leaders_and_epoch(port: int) -> None:
     lead = Lead((1, 2), 7)
     with (
         vehicle(1, listen=(endpoint(port),)) as first,
-        FleetSession.open(FLEET.name, (endpoint(port),)) as ground,
+        FleetSession(FLEET.name, (endpoint(port),)) as ground,
         ThreadPoolExecutor() as pool,
     ):
         asked = pool.submit(ground.command, (1,), CommandName.LEAD, 10.0, lead)
@@ -310,7 +312,7 @@ def test_a_command_that_waited_through_a_pause_is_executed_only_if_it_ends_a_for
 ) -> None:
     with (
         vehicle(1, listen=(endpoint(port),)) as first,
-        FleetSession.open(FLEET.name, (endpoint(port),)) as ground,
+        FleetSession(FLEET.name, (endpoint(port),)) as ground,
         ThreadPoolExecutor() as pool,
     ):
         until(lambda: ground.drain(), lambda: first.link.publish_status(REPORT))  # connected
@@ -330,7 +332,7 @@ def test_a_command_that_waited_through_a_pause_is_executed_only_if_it_ends_a_for
 
 
 def test_a_vehicle_that_appears_within_the_timeout_still_gets_the_command(port: int) -> None:
-    with FleetSession.open(FLEET.name, (endpoint(port),)) as ground, ThreadPoolExecutor() as pool:
+    with FleetSession(FLEET.name, (endpoint(port),)) as ground, ThreadPoolExecutor() as pool:
         asked = pool.submit(ground.command, (1,), CommandName.LAND, 10.0)
         time.sleep(0.3)
         with vehicle(1, listen=(endpoint(port),)) as first:
@@ -346,8 +348,8 @@ def test_a_vehicle_that_appears_within_the_timeout_still_gets_the_command(port: 
 def test_commands_of_two_ground_stations_with_the_same_number_are_both_answered(port: int) -> None:
     with (
         vehicle(1, listen=(endpoint(port),)) as first,
-        FleetSession.open(FLEET.name, (endpoint(port),), "one") as one,
-        FleetSession.open(FLEET.name, (endpoint(port),), "other") as other,
+        FleetSession(FLEET.name, (endpoint(port),), "one") as one,
+        FleetSession(FLEET.name, (endpoint(port),), "other") as other,
         ThreadPoolExecutor() as pool,
     ):
         asked = [pool.submit(ground.command, (1,), CommandName.HOLD, 10.0) for ground in (one, other)]
@@ -394,7 +396,7 @@ def test_the_ground_receives_all_vehicles_through_one_endpoint(port: int) -> Non
     with (
         vehicle(1, listen=(endpoint(port),)) as first,
         vehicle(2, listen=(other,), connect=(endpoint(port),)) as second,
-        FleetSession.open("*", (endpoint(port),)) as ground,
+        FleetSession("*", (endpoint(port),)) as ground,
     ):
         reported: set[int] = set()
         until(
@@ -408,7 +410,7 @@ def test_the_ground_receives_all_vehicles_through_one_endpoint(port: int) -> Non
 
 
 def test_the_ground_counts_malformed_reports(port: int) -> None:
-    with vehicle(1, listen=(endpoint(port),)) as first, FleetSession.open(FLEET.name, (endpoint(port),)) as ground:
+    with vehicle(1, listen=(endpoint(port),)) as first, FleetSession(FLEET.name, (endpoint(port),)) as ground:
         session = first.link._session
 
         def disturb() -> None:
@@ -455,19 +457,19 @@ def test_no_session_stays_open_when_a_declaration_fails(port: int, monkeypatch: 
         opened.append(open_session(*arguments, **named))
         return opened[-1]
 
-    monkeypatch.setattr("companion.ground.session.open_session", recording)
+    monkeypatch.setattr("companion.ground.connection.open_session", recording)
     monkeypatch.setattr("companion.link.zenoh_link.open_session", recording)
     with pytest.raises(zenoh.ZError):
-        FleetSession.open("a*", (endpoint(port),))
+        FleetSession("a*", (endpoint(port),))
     with pytest.raises(zenoh.ZError):
         ZenohLink(1, msgspec.structs.replace(FLEET, name="a*"), ZenohEndpoints(), lambda _reason: None)
-    assert [session.is_closed() for session in opened] == [True, True]
+    assert [session.is_closed() for session in opened] == [True]  # the ground refuses the name before it opens one
 
 
 def test_a_process_with_a_closed_session_ends(port: int) -> None:
     program = (
         "from companion.ground.session import AGAIN_S, FleetSession\n"
-        f"with FleetSession.open('*', ('{endpoint(port)}',)) as ground:\n"
+        f"with FleetSession('*', ('{endpoint(port)}',)) as ground:\n"
         "    ground.drain()\n"
     )
     subprocess.run([sys.executable, "-c", program], check=True, timeout=30)

@@ -63,7 +63,7 @@ ENTRIES: dict[str, Explanation] = {
     "TARGET_MALFORMED": Explanation(
         "Counted in the status.",
         "A target sample does not have the form of this version.",
-        "Use `companion.ground.target`, or correct the publishing program.",
+        "Use `companion.ground.publishers`, or correct the publishing program.",
     ),
     "REPORT_MALFORMED": Explanation(
         "The ground does not show a vehicle's status or reply.",

@@ -107,7 +107,7 @@ class _Flight:
         fleet_name = self._scenario.fleet.name
         endpoints = [zenoh_endpoint(i, self._port_offset) for i in ids_of(self._scenario)]
         with Fleet.start(self._scenario, self._folder, self._port_offset, self._external) as fleet, self._progress:
-            with FleetSession.open(fleet_name, endpoints, OPERATOR) as session, ExitStack() as stack:
+            with FleetSession(fleet_name, endpoints, OPERATOR) as session, ExitStack() as stack:
                 targets = publish_targets(self._scenario, endpoints, self._watch.began_s, stack)
 
                 def check() -> None:

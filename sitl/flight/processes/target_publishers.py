@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import ExitStack
 
-from companion.ground.target import TargetPublisher
+from companion.ground.publishers import TargetPublisher
 from companion.types.vectors import Vector3
 from sitl.flight.moving_targets import MovingTargets
 from sitl.flight.scenario import Scenario
@@ -14,7 +14,7 @@ from sitl.flight.scenario import Scenario
 def publish_targets(scenario: Scenario, endpoints: Sequence[str], began_s: float, stack: ExitStack) -> MovingTargets:
     """One publisher per target, closed with `stack`."""
     publishers = {
-        target.name: stack.enter_context(TargetPublisher.open(scenario.fleet.name, endpoints, target.name))
+        target.name: stack.enter_context(TargetPublisher(scenario.fleet.name, endpoints, target.name))
         for target in scenario.targets
     }
 

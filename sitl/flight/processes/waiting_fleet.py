@@ -58,7 +58,7 @@ def _wait_and_land(
     progress = Progress(scenario.fleet.name, quiet, watch.began_s)
     failures: list[str] = []
     with Fleet.start(scenario, folder, offset) as fleet, progress:
-        with FleetSession.open(scenario.fleet.name, endpoints, OPERATOR) as session, ExitStack() as stack:
+        with FleetSession(scenario.fleet.name, endpoints, OPERATOR) as session, ExitStack() as stack:
             targets = publish_targets(scenario, endpoints, watch.began_s, stack)
 
             def update() -> None:

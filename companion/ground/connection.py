@@ -1,0 +1,31 @@
+"""The Zenoh session that every program of the ground opens to the vehicles."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import TracebackType
+from typing import Self
+
+from companion.link.zenoh_session import open_session
+
+
+class GroundConnection:
+    """Connects to vehicles' endpoints, in the background, without end. Use it in a `with`, or call `close()`.
+
+    Raises link.zenoh_session.EndpointError.
+    """
+
+    def __init__(self, connect: Sequence[str]) -> None:
+        self._session = open_session(listen=(), connect=connect)
+
+    def close(self) -> None:
+        """End the session; without this a process may hang at its exit."""
+        self._session.close()  # type: ignore[no-untyped-call]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
