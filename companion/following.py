@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from itertools import combinations, pairwise
 from math import ceil, dist, floor, hypot, inf, radians, tan, tau
 
-from companion.config.fleet import EdgeNeighbours, FleetConfig
+from companion.config.fleet import FleetConfig
 from companion.config.reference import (
     CircleReference,
     Figure8Reference,
@@ -17,9 +17,10 @@ from companion.config.reference import (
     WaypointsReference,
 )
 from companion.config.reference_check import largest_pace
+from companion.config.topology import neighbour_graph
 from companion.config.validation import Problem, needs
 from companion.core.consensus.law import FormationLaw
-from companion.core.formation.following import ROUNDING, Chain, Graph, Harmonic, Motion, Pair, slower_by, too_close
+from companion.core.formation.following import ROUNDING, Chain, Harmonic, Motion, Pair, slower_by, too_close
 from companion.geometry.curves import PEAK_ACCELERATION, PEAK_SPEED, duration_s
 from companion.geometry.separation import counted
 from companion.types.flight import Role
@@ -58,7 +59,7 @@ def chains_of(
     fleet: FleetConfig, law: FormationLaw, slots_enu_m: Mapping[int, Vector3], drag_1_s: float
 ) -> list[Chain]:
     """The formation with its leaders at the start, and with each other vehicle that may lead as the only leader."""
-    graph = _graph(fleet, slots_enu_m)
+    graph = neighbour_graph(fleet.neighbours, slots_enu_m)
     leaders = [frozenset(m.id for m in fleet.vehicles if m.role is Role.LEADER)]
     leaders += [frozenset({m.id}) for m in fleet.vehicles if m.can_lead and {m.id} != leaders[0]]
     envelope = fleet.envelope
@@ -131,19 +132,6 @@ def _harmonic(speed_m_s: float, acceleration_m_s2: float, direction: Vector3, ro
     size_m = speed_m_s**2 / acceleration_m_s2
     x, y, z = direction
     return Harmonic(acceleration_m_s2 / speed_m_s, (x * size_m, y * size_m, z * size_m), rotates)
-
-
-def _graph(fleet: FleetConfig, slots_enu_m: Mapping[int, Vector3]) -> Graph:
-    graph: dict[int, list[int]] = {i: [] for i in slots_enu_m}
-    for i, j in combinations(sorted(graph), 2):
-        if isinstance(fleet.neighbours, EdgeNeighbours):
-            near = (i, j) in fleet.neighbours.edges or (j, i) in fleet.neighbours.edges
-        else:
-            near = dist(slots_enu_m[i], slots_enu_m[j]) <= fleet.neighbours.range_m
-        if near:
-            graph[i].append(j)
-            graph[j].append(i)
-    return graph
 
 
 def _outcome(pair: Pair, fleet: FleetConfig) -> str:

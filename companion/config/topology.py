@@ -1,13 +1,15 @@
-"""Neighbour graphs by name: which slots are joined by edges."""
+"""Neighbour graphs: of a fleet at given positions, and by name, for a new fleet."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import combinations, pairwise
 from math import dist
 from typing import Literal
 
 from companion.config.fleet import EdgeNeighbours, FormationMember, RangeNeighbours
 from companion.config.planned_flight import default_neighbours
+from companion.types.vectors import Vector3
 
 Topology = Literal["chain", "double", "ring", "all", "range"]
 TOPOLOGY_WORDS: dict[Topology, str] = {
@@ -17,6 +19,22 @@ TOPOLOGY_WORDS: dict[Topology, str] = {
     "all": "all pairs",
     "range": "all vehicles within a range, as they fly",
 }
+
+
+def neighbour_graph(
+    neighbours: EdgeNeighbours | RangeNeighbours, positions_enu_m: Mapping[int, Vector3]
+) -> dict[int, list[int]]:
+    """Neighbour ids of every vehicle, from the edges or from the distances of these positions."""
+    graph: dict[int, list[int]] = {i: [] for i in positions_enu_m}
+    for i, j in combinations(sorted(graph), 2):
+        if isinstance(neighbours, EdgeNeighbours):
+            near = (i, j) in neighbours.edges or (j, i) in neighbours.edges
+        else:
+            near = dist(positions_enu_m[i], positions_enu_m[j]) <= neighbours.range_m
+        if near:
+            graph[i].append(j)
+            graph[j].append(i)
+    return graph
 
 
 def neighbours_of(topology: Topology, members: tuple[FormationMember, ...]) -> EdgeNeighbours | RangeNeighbours:

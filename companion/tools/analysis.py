@@ -7,8 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import combinations
-from math import dist
 from pathlib import Path
 from typing import Any, get_args
 
@@ -24,6 +22,7 @@ from companion.config.kind import kind_of_file, read_as
 from companion.config.law import LawName
 from companion.config.planned_flight import PlannedFlight, fleet_of, planned_problems, starts_of
 from companion.config.reference import Reference, moves
+from companion.config.topology import neighbour_graph
 from companion.config.validation import Problem, each, unless_invalid
 from companion.core.consensus.law import Gains
 from companion.stability.delay_margin import delay_margin_with_lag_s
@@ -181,26 +180,12 @@ def _a_step(fleet: FleetConfig) -> Vector3:
     return (STEP_M, 0.0, fleet.takeoff_height_m)
 
 
-def neighbour_graph(fleet: FleetConfig, positions_enu_m: Mapping[int, Vector3]) -> dict[int, list[int]]:
-    """Neighbour ids of every vehicle, from the edges or from the distances of these positions."""
-    graph: dict[int, list[int]] = {member.id: [] for member in fleet.vehicles}
-    for i, j in combinations(sorted(graph), 2):
-        if isinstance(fleet.neighbours, EdgeNeighbours):
-            near = (i, j) in fleet.neighbours.edges or (j, i) in fleet.neighbours.edges
-        else:
-            near = dist(positions_enu_m[i], positions_enu_m[j]) <= fleet.neighbours.range_m
-        if near:
-            graph[i].append(j)
-            graph[j].append(i)
-    return graph
-
-
 def analyse(subject: Subject) -> Analysis:
     """All figures of one subject. A formation that cannot converge is a result, not an error."""
     fleet = subject.fleet
     ids = sorted(member.id for member in fleet.vehicles)
     leaders = [member.id for member in fleet.vehicles if member.role is Role.LEADER]
-    graph = neighbour_graph(fleet, _flying_positions(subject))
+    graph = neighbour_graph(fleet.neighbours, _flying_positions(subject))
     unreached = sorted(set(ids) - reached_from(graph, leaders))
     laws = {} if unreached else {name: _law_analysis(subject, graph, leaders, name) for name in LAW_NAMES}
     own = law_of(fleet.law)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from companion.assembly import law_of
+from companion.config.topology import neighbour_graph
 from companion.core.consensus.law import FormationLaw
 from companion.stability.delay_margin import delay_margin_with_lag_s
 from companion.stability.interaction import Graph, couple, mode_eigenvalues, mode_figures, reached_from
 from companion.stability.prediction import LinearModel
 from companion.stability.string_stability import string_gains
-from companion.tools.analysis import neighbour_graph
 from companion.tools.analysis_report import BADLY_DAMPED, GROWS, SMALL_DELAY_MARGIN_S
 from companion.types.flight import Role
 from companion.types.notices import Code, Notice
@@ -26,7 +26,9 @@ def check_convergence(scenario: Scenario) -> list[Notice]:
     """Warnings about the formation under the scenario's law. Raises DivergesError for one that cannot converge."""
     fleet, law = scenario.fleet, law_of(scenario.fleet.law)
     height_m = fleet.takeoff_height_m
-    graph = neighbour_graph(fleet, {i: (x, y, z + height_m) for i, (x, y, z) in scenario.starts_enu_m.items()})
+    graph = neighbour_graph(
+        fleet.neighbours, {i: (x, y, z + height_m) for i, (x, y, z) in scenario.starts_enu_m.items()}
+    )
     leaders = [member.id for member in fleet.vehicles if member.role is Role.LEADER]
     if unreached := sorted(set(graph) - reached_from(graph, leaders)):
         ids = ", ".join(map(str, unreached))

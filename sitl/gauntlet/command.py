@@ -15,11 +15,12 @@ from sitl.gauntlet.drawn import family_of
 from sitl.gauntlet.families import FAMILIES
 from sitl.gauntlet.flight import Job, Outcome, fly
 from sitl.gauntlet.page import page
-from sitl.gauntlet.summary import MEANING, FamilySummary, summarize, table_text
+from sitl.gauntlet.summary import COLUMNS, MEANING, FamilySummary, cells, summarize
 from sitl.gauntlet.worst import write_worst
 from sitl.report.folder import results_folder
 from sitl.report.share import ShareProgress
 from sitl.report.summary import write_json
+from sitl.report.table import table_text
 from sitl.stopping import StopRequest
 from sitl.workers import POLL_S, running
 
@@ -79,7 +80,9 @@ def _finish(arguments: argparse.Namespace, folder: Path, outcomes: list[Outcome]
     write_json(folder / "gauntlet.json", Report(seed=arguments.seed, families=families, flights=outcomes))
     if arguments.page:
         arguments.page.write_text(page(arguments.seed, families, outcomes), encoding="utf-8")
-    print(f"{len(outcomes)} flights with seed {arguments.seed}\n\n{table_text(families)}\n\n{MEANING}\n")
+    print(
+        f"{len(outcomes)} flights with seed {arguments.seed}\n\n{table_text(COLUMNS, map(cells, families))}\n\n{MEANING}\n"
+    )
     for line in worst:
         print(line)
     print(f"results in {folder}")

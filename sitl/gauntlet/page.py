@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from sitl.gauntlet.families import FAMILIES
 from sitl.gauntlet.flight import Outcome
-from sitl.gauntlet.summary import GRACE_S, HEAD, IN_TIME, FamilySummary, cells
+from sitl.gauntlet.summary import COLUMNS, GRACE_S, IN_TIME, FamilySummary, cells
 
 
 def page(seed: int, families: Sequence[FamilySummary], outcomes: Sequence[Outcome]) -> str:
@@ -43,9 +43,9 @@ def _vehicles(outcomes: Sequence[Outcome]) -> str:
 
 
 def _table(families: Sequence[FamilySummary]) -> list[str]:
-    head = "| " + " | ".join(" ".join(filter(None, (a, b))).replace("- ", "") for a, b, _ in HEAD) + " |"
+    head = "| " + " | ".join(" ".join(filter(None, (a, b))).replace("- ", "") for a, b, _ in COLUMNS) + " |"
     rows = ["| " + " | ".join(cells(family)) + " |" for family in families]
-    return [head, "|" + "---|" * len(HEAD), *rows]
+    return [head, "|" + "---|" * len(COLUMNS), *rows]
 
 
 def _first_sentence(text: str | None) -> str:

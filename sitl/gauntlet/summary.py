@@ -8,6 +8,7 @@ import numpy as np
 from msgspec import Struct
 
 from sitl.gauntlet.flight import Outcome
+from sitl.report.table import Column
 
 IN_TIME = 2.0  # times the undisturbed time
 GRACE_S = 1.0  # more than that, for slots that are near
@@ -114,7 +115,7 @@ def _percentile(values: Sequence[float], percent: float) -> float | None:
     return round(float(np.percentile(values, percent)), 3) if values else None
 
 
-HEAD = (  # of each column: two lines and the width, negative for left alignment
+COLUMNS: tuple[Column, ...] = (
     ("family", "", -20),
     ("", "flights", 8),
     ("with", "runaway", 9),
@@ -131,18 +132,6 @@ HEAD = (  # of each column: two lines and the width, negative for left alignment
     ("in", "time", 8),
     ("excep-", "tions", 8),
 )
-
-
-def table_text(summaries: Sequence[FamilySummary]) -> str:
-    rows = [tuple(head[0] for head in HEAD), tuple(head[1] for head in HEAD), *(cells(s) for s in summaries)]
-    return "\n".join(_row(row) for row in rows)
-
-
-def _row(cells: Sequence[str]) -> str:
-    return "".join(
-        f"{cell:<{-width}}" if width < 0 else f"{cell:>{width}}"
-        for cell, (_, _, width) in zip(cells, HEAD, strict=True)
-    ).rstrip()
 
 
 def cells(s: FamilySummary) -> tuple[str, ...]:

@@ -13,10 +13,11 @@ from sitl.errors import EXIT_DONE
 from sitl.report.folder import results_folder
 from sitl.report.share import ShareProgress
 from sitl.report.summary import write_json
+from sitl.report.table import table_text
 from sitl.stopping import StopRequest
 from sitl.switching.starts import Start, random_start
 from sitl.switching.study import fly_all, plans
-from sitl.switching.summary import ARRIVED_M, LawSummary, limits_text, summarize, table_text
+from sitl.switching.summary import ARRIVED_M, COLUMNS, LawSummary, cells, limits_text, summarize
 from sitl.switching.topology import Topology
 
 SCHEMA = 1
@@ -76,7 +77,7 @@ def _write(folder: Path, arguments: argparse.Namespace, flown: list[Topology]) -
     )
     title = f"{_starts_text(arguments.starts)} of {arguments.vehicles} vehicles with a range of {arguments.range:g} m"
     save_switching(folder / "switching.png", flown, arguments.seconds, title)
-    print(f"{title}, {arguments.seconds:g} s\n\n{table_text(laws)}\n\n{MEANING}\n")
+    print(f"{title}, {arguments.seconds:g} s\n\n{table_text(COLUMNS, map(cells, laws))}\n\n{MEANING}\n")
     print(f"{limits_text(laws, arguments.vehicles)}\nresults in {folder}")
 
 

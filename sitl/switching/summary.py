@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from msgspec import Struct
 
+from sitl.report.table import Column
 from sitl.switching.topology import Topology
 
 ARRIVED_M = 0.2
@@ -74,7 +75,7 @@ def _summary(law: str, hysteresis_m: float, group: Sequence[Topology]) -> LawSum
     )
 
 
-HEAD = (  # of each column: two lines and the width, negative for left alignment
+COLUMNS: tuple[Column, ...] = (
     ("law", "", -12),
     ("hyste-", "resis", 8),
     ("con-", "nected", 9),
@@ -90,19 +91,7 @@ HEAD = (  # of each column: two lines and the width, negative for left alignment
 )
 
 
-def table_text(summaries: Sequence[LawSummary]) -> str:
-    rows = [tuple(head[0] for head in HEAD), tuple(head[1] for head in HEAD), *(_cells(s) for s in summaries)]
-    return "\n".join(_row(row) for row in rows)
-
-
-def _row(cells: Sequence[str]) -> str:
-    return "".join(
-        f"{cell:<{-width}}" if width < 0 else f"{cell:>{width}}"
-        for cell, (_, _, width) in zip(cells, HEAD, strict=True)
-    ).rstrip()
-
-
-def _cells(s: LawSummary) -> tuple[str, ...]:
+def cells(s: LawSummary) -> tuple[str, ...]:
     return (
         s.law,
         f"{s.hysteresis_m:.2f} m",

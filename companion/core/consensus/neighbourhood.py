@@ -117,14 +117,9 @@ class ConsensusStage:
         if not vehicle.armed:
             self._clock.restart()  # the next flight begins the RFT again
         leadership, in_formation = self.leadership, flight.in_formation
-        self.peers.fold(packets, self._epochs_up_to(now_s))
-        fresh = self.peers.fresh(now_s)
-        flying = []
-        for peer in fresh.values():
-            if peer.term > leadership.term:
-                events += leadership.receive(now_s, [peer.packet.leader_beacon])
-            if peer.packet.phase in COOPERATING:
-                flying.append(peer.packet)
+        fresh, changes = self._receive(now_s, packets)
+        events += changes
+        flying = [peer.packet for peer in fresh.values() if peer.packet.phase in COOPERATING]
         candidates = self._candidates(now_s, flying, in_formation)
         ids = self._rule.select(vehicle.position_enu_m, {p.vehicle_id: fresh[p.vehicle_id] for p in candidates}, now_s)
         packets_of_neighbours = [fresh[i].packet for i in ids]
@@ -160,6 +155,18 @@ class ConsensusStage:
             answers=answers,
             events=events + claimed,
         )
+
+    def _receive(
+        self, now_s: float, packets: Iterable[ReceivedPeerPacket]
+    ) -> tuple[dict[int, PeerState], tuple[Notice, ...]]:
+        """The fresh peers by id, and the events of the changes of the lead that they report."""
+        self.peers.fold(packets, self._epochs_up_to(now_s))
+        fresh = self.peers.fresh(now_s)
+        events: tuple[Notice, ...] = ()
+        for peer in fresh.values():
+            if peer.term > self.leadership.term:
+                events += self.leadership.receive(now_s, [peer.packet.leader_beacon])
+        return fresh, events
 
     def _epochs_up_to(self, now_s: float) -> int:
         """The largest epoch to accept: the changes that this vehicle may have missed since it last knew its leader."""

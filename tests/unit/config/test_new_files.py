@@ -11,11 +11,11 @@ from companion.cli.main import main
 from companion.config.file import ConfigError
 from companion.config.new_formation import NewFormation, ReferenceKind, flight_time_s
 from companion.config.planned_flight import ShapeName
-from companion.config.topology import Topology
+from companion.config.topology import Topology, neighbour_graph
 from companion.config.vehicle import AgentConfig, load_agent
 from companion.geometry.shapes import smallest_distance
 from companion.stability.interaction import reached_from
-from companion.tools.analysis import load_subject, neighbour_graph
+from companion.tools.analysis import load_subject
 from sitl.flight.new_scenario import new_scenario
 from sitl.flight.scenario import Scenario, load_scenario
 
@@ -40,7 +40,7 @@ def test_every_shape_with_every_topology_and_count_loads(shape: ShapeName, topol
         )
         scenario = scenario_of(tmp_path, new)
         slots = {member.id: member.slot_enu_m for member in scenario.fleet.vehicles}
-        assert reached_from(neighbour_graph(scenario.fleet, slots), [1]) == set(range(1, count + 1))
+        assert reached_from(neighbour_graph(scenario.fleet.neighbours, slots), [1]) == set(range(1, count + 1))
         assert smallest_distance(list(slots.values())) == pytest.approx(3.0, abs=0.003)
         starts = scenario.starts_enu_m.values()
         assert min(dist(a, b) for a, b in combinations(starts, 2)) >= scenario.fleet.separation_m

@@ -11,9 +11,10 @@ import yaml
 from companion.config.file import ConfigError
 from companion.config.fleet import RangeNeighbours
 from companion.config.planned_flight import DEFAULT_ORIGIN, ShapeName, default_neighbours
+from companion.config.topology import neighbour_graph
 from companion.geometry.shapes import SHAPES
 from companion.stability.interaction import reached_from
-from companion.tools.analysis import load_subject, neighbour_graph
+from companion.tools.analysis import load_subject
 from sitl.flight.scenario import Scenario, load_scenario
 from sitl.flight.timeline import STANDARD_TIMELINE
 
@@ -47,7 +48,7 @@ def test_the_names_of_shapes_are_those_of_the_geometry() -> None:
 def test_default_neighbours_connect_and_default_starts_allow_a_takeoff(shape: str, count: int, tmp_path: Path) -> None:
     scenario = scenario_of(tmp_path, {"vehicles": count, "formation": {"shape": shape, "spacing_m": 1.2}})
     slots = {member.id: member.slot_enu_m for member in scenario.fleet.vehicles}
-    graph = neighbour_graph(scenario.fleet, slots)
+    graph = neighbour_graph(scenario.fleet.neighbours, slots)
     assert reached_from(graph, [1]) == set(slots)
     for a, b in combinations(scenario.starts_enu_m.values(), 2):
         assert dist(a, b) >= scenario.fleet.separation_m

@@ -11,9 +11,10 @@ from companion.config.fleet import RangeNeighbours
 from companion.core.consensus.law import weighted
 from companion.types.vectors import Vector3
 from sitl.cli.main import main
+from sitl.report.table import table_text
 from sitl.switching.figure import save_switching
 from sitl.switching.starts import APART_M, Start, random_start
-from sitl.switching.summary import limits_text, summarize, table_text
+from sitl.switching.summary import COLUMNS, cells, limits_text, summarize
 from sitl.switching.topology import BoolArray, Spectra, Topology, losses, mutual, without_beacon
 
 
@@ -143,7 +144,7 @@ def test_the_summary_counts_each_law_separately(tmp_path: Path) -> None:
         1,
     )
     assert laws["weighted"].closest_median_m == 0.6
-    table = table_text(summarize(flown))
+    table = table_text(COLUMNS, map(cells, summarize(flown)))
     assert "50.0 %" in table
     assert max(len(line) for line in table.splitlines()) <= 120
     text = limits_text(summarize(flown), 6)
