@@ -6,7 +6,7 @@ the unit vector in which it grows. No distance changes faster than the position,
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from math import hypot, inf, sqrt
 
 from msgspec import Struct
@@ -87,7 +87,7 @@ class Fence(Struct, frozen=True, gc=False):
         in_box = low_x <= x <= high_x and low_y <= y <= high_y and low_z <= z <= high_z
         return in_box and (not self.corners_enu_m or in_polygon((x, y), self.corners_enu_m))
 
-    def gaps(self, position_enu_m: Vector3, within_m: float = inf) -> Iterator[Gap]:
+    def gaps(self, position_enu_m: Vector3, within_m: float = inf) -> list[Gap]:
         """Distances to the walls of the fence that are nearer than `within_m`.
 
         Inside the polygon each of its sides is a wall: a straight line would cut off parts of a concave one. Outside there is
@@ -96,28 +96,30 @@ class Fence(Struct, frozen=True, gc=False):
         x, y, z = position_enu_m
         low_x, low_y, low_z = self.min_enu_m
         high_x, high_y, high_z = self.max_enu_m
-        for distance_m, normal in (
-            (x - low_x, EAST),
-            (high_x - x, WEST),
-            (y - low_y, NORTH),
-            (high_y - y, SOUTH),
-            (z - low_z, UP),
-            (high_z - z, DOWN),
-        ):
-            if distance_m < within_m:
-                yield distance_m, normal
+        gaps: list[Gap] = []
+        if x - low_x < within_m:
+            gaps.append((x - low_x, EAST))
+        if high_x - x < within_m:
+            gaps.append((high_x - x, WEST))
+        if y - low_y < within_m:
+            gaps.append((y - low_y, NORTH))
+        if high_y - y < within_m:
+            gaps.append((high_y - y, SOUTH))
+        if z - low_z < within_m:
+            gaps.append((z - low_z, UP))
+        if high_z - z < within_m:
+            gaps.append((high_z - z, DOWN))
         if self.corners_enu_m:
-            yield from self.polygon_gaps(x, y, within_m)
+            gaps += self.polygon_gaps(x, y, within_m)
+        return gaps
 
-    def polygon_gaps(self, x: float, y: float, within_m: float = inf) -> Iterator[Gap]:
+    def polygon_gaps(self, x: float, y: float, within_m: float = inf) -> list[Gap]:
         """Those of the polygon alone, which has corners."""
-        inside = in_polygon((x, y), self.corners_enu_m)
         sides = _side_gaps(x, y, self.corners_enu_m)
-        if inside:
-            yield from (gap for gap in sides if gap[0] < within_m)
-            return
+        if in_polygon((x, y), self.corners_enu_m):
+            return [gap for gap in sides if gap[0] < within_m]
         distance_m, (nx, ny, _) = min(sides)
-        yield -distance_m, (-nx, -ny, 0.0)
+        return [(-distance_m, (-nx, -ny, 0.0))]
 
 
 class Airspace(Struct, frozen=True, gc=False):

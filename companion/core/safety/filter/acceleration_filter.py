@@ -24,10 +24,6 @@ SURELY_POSSIBLE_M_S2 = 1.0
 MOST_STEPS = 5  # of the active set: bounds the time; the half-spaces violated most come first
 
 
-Row = tuple[float, float, float, float]
-"""A half-space as the solver uses it: the normal, and the least acceleration along it."""
-
-
 class Rank(IntEnum):
     """Which half-spaces give way first where not all can be met: the largest rank."""
 
@@ -36,6 +32,14 @@ class Rank(IntEnum):
     OBSTACLE = 2
     FENCE = 3
     SPEED = 4
+
+
+LIMIT = Rank.LIMIT
+Row = tuple[float, float, float, float, Rank]
+"""A half-space as the solver uses it: the normal, the least acceleration along it, and the rank."""
+Contradiction = list[tuple[Row, float]]
+"""Rows that cannot be met together, with shares: the sum of share * normal is 0, all shares are positive."""
+NO_CONTRADICTION: Contradiction = []
 
 
 class HalfSpace(Struct, frozen=True, gc=False):
@@ -72,20 +76,14 @@ class AccelerationLimits(Struct, frozen=True, gc=False):
         return (min(max(up_m_s2, self.lowest_m_s2), self.highest_m_s2) + GRAVITY_M_S2) * self.tan_max_tilt
 
     def nearest(self, acceleration_enu_m_s2: Vector3) -> Vector3:
-        """The possible acceleration with the vertical part first, then the horizontal direction."""
-        (x, y, z), (dx, dy, _) = acceleration_enu_m_s2, self.disturbance_enu_m_s2
-        z = min(max(z, self.lowest_m_s2), self.highest_m_s2)
-        radius, level = self.level_radius_m_s2(z), hypot(x - dx, y - dy)
+        """The possible acceleration with the vertical part first, then the horizontal direction; itself if possible."""
+        (x, y, up), (dx, dy, _) = acceleration_enu_m_s2, self.disturbance_enu_m_s2
+        z = min(max(up, self.lowest_m_s2), self.highest_m_s2)
+        radius, level = (z + GRAVITY_M_S2) * self.tan_max_tilt, hypot(x - dx, y - dy)
         if level <= radius:
-            return (x, y, z)
+            return acceleration_enu_m_s2 if z == up else (x, y, z)
         scale = radius / level
         return (dx + (x - dx) * scale, dy + (y - dy) * scale, z)
-
-    def most_along(self, normal_enu: Vector3, up_m_s2: float) -> float:
-        """Largest acceleration along a direction while the vertical one is about `up_m_s2`, m/s^2."""
-        (x, y, z), (dx, dy, _) = normal_enu, self.disturbance_enu_m_s2
-        level = self.level_radius_m_s2(up_m_s2) * hypot(x, y) + x * dx + y * dy
-        return level + z * (self.highest_m_s2 if z > 0.0 else self.lowest_m_s2)
 
 
 def filtered(
@@ -105,94 +103,106 @@ def filtered(
 def _solved(
     start_enu_m_s2: Vector3, half_spaces: Sequence[HalfSpace], limits: AccelerationLimits, steps: int
 ) -> Vector3:
-    rows, ranks = _asked(half_spaces, limits, start_enu_m_s2[2])
+    rows = _asked(half_spaces, limits, start_enu_m_s2[2])
     while True:
         found, steps, contradiction = _active_set(start_enu_m_s2, rows, steps)
-        if steps <= 0:
-            return limits.nearest(found)
-        if contradiction:
-            _relax(contradiction, ranks, rows)
+        if contradiction and steps > 0:
+            rows = _relaxed(rows, contradiction)
             continue
-        cut = _cut(found, limits)
+        possible = limits.nearest(found)
+        cut = None if steps <= 0 or possible is found else _cut(found, limits)
         if cut is None:
-            return limits.nearest(found)
+            return possible
         rows.append(cut)
-        ranks.append(Rank.LIMIT)
 
 
-def _asked(
-    half_spaces: Sequence[HalfSpace], limits: AccelerationLimits, up_m_s2: float
-) -> tuple[list[Row], list[Rank]]:
-    """Half-spaces that may matter. More than the vehicle can do is asked of it as all that it can do."""
+def _asked(half_spaces: Sequence[HalfSpace], limits: AccelerationLimits, up_m_s2: float) -> list[Row]:
+    """Half-spaces that may matter. More than the vehicle can do is asked of it as all that it can do.
+
+    That is the largest acceleration along the normal while the vertical one is about `up_m_s2`.
+    """
     rows: list[Row] = []
-    ranks: list[Rank] = []
+    radius, (dx, dy, _) = limits.level_radius_m_s2(up_m_s2), limits.disturbance_enu_m_s2
+    lowest, highest = limits.lowest_m_s2, limits.highest_m_s2
     for space in half_spaces:
-        least_m_s2 = space.least_m_s2
-        if least_m_s2 < NEVER_ACTIVE_M_S2:
+        least = space.least_m_s2
+        if least < NEVER_ACTIVE_M_S2:
             continue
-        normal_enu = space.normal_enu
-        if least_m_s2 > SURELY_POSSIBLE_M_S2:
-            least_m_s2 = min(least_m_s2, limits.most_along(normal_enu, up_m_s2))
-        rows.append((*normal_enu, least_m_s2))
-        ranks.append(space.rank)
-    return rows, ranks
+        nx, ny, nz = space.normal_enu
+        if least > SURELY_POSSIBLE_M_S2:
+            most = radius * hypot(nx, ny) + nx * dx + ny * dy + nz * (highest if nz > 0.0 else lowest)
+            if most < least:
+                least = most
+        rows.append((nx, ny, nz, least, space.rank))
+    return rows
 
 
 def _cut(found_enu_m_s2: Vector3, limits: AccelerationLimits) -> Row | None:
     """The limit that this acceleration violates, as a tangent plane; None within the limits."""
     (x, y, z), (dx, dy, _) = found_enu_m_s2, limits.disturbance_enu_m_s2
     if z > limits.highest_m_s2 + MET_M_S2:
-        return (0.0, 0.0, -1.0, -limits.highest_m_s2)
+        return (0.0, 0.0, -1.0, -limits.highest_m_s2, LIMIT)
     if z < limits.lowest_m_s2 - MET_M_S2:
-        return (0.0, 0.0, 1.0, limits.lowest_m_s2)
+        return (0.0, 0.0, 1.0, limits.lowest_m_s2, LIMIT)
     radius, level = limits.level_radius_m_s2(z), hypot(x - dx, y - dy)
     if level <= radius * TILT_ROUNDING:
         return None
     nx, ny = (dx - x) / level, (dy - y) / level
-    return (nx, ny, 0.0, nx * dx + ny * dy - radius)
+    return (nx, ny, 0.0, nx * dx + ny * dy - radius, LIMIT)
 
 
-def _relax(shares: list[tuple[int, float]], ranks: list[Rank], rows: list[Row]) -> None:
-    """Lower the least accelerations of the lowest rank in a contradiction, by the same and smallest amount."""
-    rank = max(ranks[k] for k, _ in shares)
-    excess = sum(share * rows[k][3] for k, share in shares)
-    relaxed = sum(share for k, share in shares if ranks[k] is rank)
+def _relaxed(rows: list[Row], contradiction: Contradiction) -> list[Row]:
+    """The rows with less asked of those of the lowest rank in a contradiction, by the same and smallest amount."""
+    lowest = LIMIT
+    for (_, _, _, _, rank), _ in contradiction:
+        if rank > lowest:
+            lowest = rank
+    excess = relaxed = 0.0
+    for (_, _, _, least, rank), share in contradiction:
+        excess += share * least
+        if rank is lowest:
+            relaxed += share
     lower = max(excess, 0.0) / relaxed + MET_M_S2
-    for k, (nx, ny, nz, least) in enumerate(rows):
-        if ranks[k] is rank:
-            rows[k] = (nx, ny, nz, least - lower)
+    return [
+        (nx, ny, nz, least - lower, rank) if rank is lowest else (nx, ny, nz, least, rank)
+        for nx, ny, nz, least, rank in rows
+    ]
 
 
-def _active_set(start: Vector3, rows: list[Row], steps: int) -> tuple[Vector3, int, list[tuple[int, float]]]:
+def _active_set(start: Vector3, rows: list[Row], steps: int) -> tuple[Vector3, int, Contradiction]:
     """(the point nearest to `start` that meets all rows, the steps left, no contradiction). It stops without steps left.
 
-    Where rows contradict each other: the point that meets those violated most, and the contradiction as the rows and their
-    shares: the sum of share * normal is 0, all shares are positive.
+    Where rows contradict each other, the point is the one found before.
     """
     x, y, z = start
-    active: list[int] = []
-    normals: list[Vector3] = []  # of the active rows
-    weights: list[float] = []  # their multipliers
+    active: list[Row] = []
+    weights: list[float] = []  # multipliers of the active rows
     while steps > 0:
-        worst, most = -1, MET_M_S2
-        for k, (nx, ny, nz, least) in enumerate(rows):
+        worst, most = None, MET_M_S2
+        for row in rows:
+            nx, ny, nz, least, _ = row
             short = least - nx * x - ny * y - nz * z
             if short > most:
-                worst, most = k, short
-        if worst < 0:
+                worst, most = row, short
+        if worst is None:
             break
-        nx, ny, nz, least = rows[worst]
+        nx, ny, nz, least, _ = worst
+        if not active:  # straight to it
+            step = most / (nx * nx + ny * ny + nz * nz)
+            x, y, z = x + step * nx, y + step * ny, z + step * nz
+            active, weights, steps = [worst], [step], steps - 1
+            continue
         weight = 0.0
         while steps > 0:
             steps -= 1
-            shares, (ox, oy, oz) = _split(nx, ny, nz, normals)
+            shares, ox, oy, oz = _split(nx, ny, nz, active)
             new = ox * ox + oy * oy + oz * oz
-            leaves, step = -1, (least - nx * x - ny * y - nz * z) / new if new > LEAST_NEW else inf
+            leaves, step = -1, most / new if new > LEAST_NEW else inf
             for place, share in enumerate(shares):
                 if share > LEAST_SHARE and weights[place] / share < step:
                     leaves, step = place, weights[place] / share
             if step == inf:
-                others = [(k, -share) for k, share in zip(active, shares, strict=True) if share < -LEAST_SHARE]
+                others = [(row, -share) for row, share in zip(active, shares, strict=True) if share < -LEAST_SHARE]
                 return (x, y, z), steps, [(worst, 1.0), *others]
             x, y, z = x + step * ox, y + step * oy, z + step * oz
             weight += step
@@ -200,31 +210,31 @@ def _active_set(start: Vector3, rows: list[Row], steps: int) -> tuple[Vector3, i
                 weights[place] -= step * share
             if leaves < 0:
                 active.append(worst)
-                normals.append((nx, ny, nz))
                 weights.append(weight)
                 break
-            del active[leaves], normals[leaves], weights[leaves]
-    return (x, y, z), steps, []
+            del active[leaves], weights[leaves]
+            most = least - nx * x - ny * y - nz * z
+    return (x, y, z), steps, NO_CONTRADICTION
 
 
-def _split(x: float, y: float, z: float, active: list[Vector3]) -> tuple[list[float], Vector3]:
+def _split(x: float, y: float, z: float, active: list[Row]) -> tuple[Sequence[float], float, float, float]:
     """Shares of the active normals in a normal (x, y, z), and what is left outside their span. At most three are active."""
     if not active:
-        return [], (x, y, z)
-    ax, ay, az = active[0]
+        return (), x, y, z
+    ax, ay, az, _, _ = active[0]
     along_a = ax * x + ay * y + az * z
     if len(active) == 1:
-        return [along_a], (x - along_a * ax, y - along_a * ay, z - along_a * az)
-    bx, by, bz = active[1]
+        return (along_a,), x - along_a * ax, y - along_a * ay, z - along_a * az
+    bx, by, bz, _, _ = active[1]
     ab = ax * bx + ay * by + az * bz
     if len(active) == 2:
         along_b, rest = bx * x + by * y + bz * z, 1.0 - ab * ab
         a, b = (along_a - ab * along_b) / rest, (along_b - ab * along_a) / rest
-        return [a, b], (x - a * ax - b * bx, y - a * ay - b * by, z - a * az - b * bz)
-    cx, cy, cz = active[2]
+        return (a, b), x - a * ax - b * bx, y - a * ay - b * by, z - a * az - b * bz
+    cx, cy, cz, _, _ = active[2]
     bcx, bcy, bcz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
     volume = ax * bcx + ay * bcy + az * bcz
     a = (x * bcx + y * bcy + z * bcz) / volume
     b = (ax * (y * cz - z * cy) + ay * (z * cx - x * cz) + az * (x * cy - y * cx)) / volume
     c = (ax * (by * z - bz * y) + ay * (bz * x - bx * z) + az * (bx * y - by * x)) / volume
-    return [a, b, c], (0.0, 0.0, 0.0)
+    return (a, b, c), 0.0, 0.0, 0.0

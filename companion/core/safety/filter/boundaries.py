@@ -16,6 +16,7 @@ from companion.core.safety.filter.braking import approach_speed
 from companion.core.safety.filter.lag import Ahead
 from companion.geometry.airspace import Airspace, Gap
 
+OBSTACLE, FENCE = Rank.OBSTACLE, Rank.FENCE
 RESPONSE_1_S = 4.0  # k: how fast b may approach 0
 SLOPE_1_S = 2.0  # of the approach speed near the boundary
 FASTEST_RETURN_M_S = 1.0  # demanded beyond the boundary
@@ -33,12 +34,13 @@ class Boundaries:
     def half_spaces(self, ahead: Ahead) -> list[HalfSpace]:
         """Half-spaces of all obstacles and walls of the fence that may matter in this state."""
         position_enu_m, reach_m = ahead.position_enu_m, self._reach_m(ahead)
-        obstacles = [obstacle.gap(position_enu_m) for obstacle in self.airspace.obstacles]
-        spaces = [self._half_space(gap, ahead, Rank.OBSTACLE) for gap in obstacles if gap[0] < reach_m]
-        spaces += [
-            self._half_space(gap, ahead, Rank.FENCE) for gap in self.airspace.fence.gaps(position_enu_m, reach_m)
-        ]
-        return spaces
+        spaces = []
+        for obstacle in self.airspace.obstacles:
+            gap = obstacle.gap(position_enu_m)
+            if gap[0] < reach_m:
+                spaces.append(self._half_space(gap, ahead, OBSTACLE))
+        walls = self.airspace.fence.gaps(position_enu_m, reach_m)
+        return spaces + [self._half_space(gap, ahead, FENCE) for gap in walls] if walls else spaces
 
     def _reach_m(self, ahead: Ahead) -> float:
         """Farther than this nothing limits an acceleration: V(h) is above the speed by NEVER_WANTED_M_S2 / k."""

@@ -72,8 +72,9 @@ class Others:
                 continue
             is_fresh = peer_id in fresh
             acceleration = packet.acceleration_enu_m_s2 if is_fresh else ZERO3
-            if peer_id in before:
-                acceleration = _lagged(before[peer_id], acceleration, lag_share)
+            last = before.get(peer_id)
+            if last is not None:
+                acceleration = _lagged(last, acceleration, lag_share)
             commanded[peer_id] = acceleration
             near.append(
                 Other(

@@ -29,14 +29,15 @@ def turn_right(
     for barrier in barriers:
         nx, ny, nz = barrier.space.normal_enu
         along = nx * x + ny * y + nz * z
-        taken = min(barrier.space.least_m_s2, 0.0) - along  # of what is wanted towards the other vehicle
+        least = barrier.space.least_m_s2
+        taken = (least if least < 0.0 else 0.0) - along  # of what is wanted towards the other vehicle
         if taken <= 0.0:
             continue
         if barrier.other.slot is None:
             k1, k2 = gains.position_1_s2, gains.velocity_1_s
-            ox, oy, _ = barrier.to_other_enu_m
+            rx, ry, _ = barrier.offset_enu_m
             other_x, other_y, _ = barrier.other.velocity_enu_m_s
-            goal_m = hypot((x + k2 * vx) / k1 - ox, (y + k2 * vy) / k1 - oy)
+            goal_m = hypot((x + k2 * vx) / k1 + rx, (y + k2 * vy) / k1 + ry)
             leaves = hypot(other_x, other_y) / PASSING_M_S
             taken *= min(max(2.0 * (goal_m / barrier.required_m - OCCUPIED), leaves, 0.0), 1.0)
             if (vy - other_y) * nx - (vx - other_x) * ny < -DRIFTING_M_S:  # already passing on the other side

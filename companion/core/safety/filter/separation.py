@@ -56,14 +56,14 @@ class SeparationSettings:
 
 
 class Barrier(Struct, frozen=True, gc=False):
-    """The half-space of one other vehicle, with the offset to it, its velocity, and whether it makes way.
+    """The half-space of one other vehicle, and the offset of this vehicle from it.
 
     `room_m` is how much farther away it is than required, as both will be after their lag.
     """
 
     space: HalfSpace
     other: Other
-    to_other_enu_m: Vector3
+    offset_enu_m: Vector3
     required_m: float
     room_m: float
 
@@ -116,12 +116,12 @@ class Separation:
         across_m_s2 = (wx * wx + wy * wy + wz * wz - closing_m_s * closing_m_s) / (apart_m + NEAREST_M)
         mz = nz * weight
         required_m = self._required(error, other, mz)
-        late_m = UNSEEN_DELAY_S * closing_m_s if closing_m_s > 0.0 else 0.0
+        offset_enu_m, late_m = (rx, ry, rz), UNSEEN_DELAY_S * closing_m_s if closing_m_s > 0.0 else 0.0
         if slot_of_other is None:  # its late packet hides how far a pursuer has come, also where it closes no more
             braking_m_s2 = self._braking_alone_m_s2
             late_m = max(late_m, PURSUED_S * (nx * vx + ny * vy + nz * vz * weight)) + RIPPLE_M
         else:
-            braking_m_s2, offset_enu_m = self._braking_together_m_s2, (rx, ry, rz)
+            braking_m_s2 = self._braking_together_m_s2
             required_m = _limited_by_slots(required_m, self._separation_m, slot, slot_of_other, offset_enu_m, weight)
         # p of a pair that turns about each other lags inside q; a closing vehicle is nearer than its late packet reports.
         required_m += TURNING_S2 * across_m_s2 + late_m
@@ -135,7 +135,7 @@ class Separation:
         if slot_of_other is not None and own_m_s2 < 0.5 * least_m_s2:
             own_m_s2 = 0.5 * least_m_s2
         space = HalfSpace((nx / size, ny / size, mz / size), own_m_s2 / size)
-        return Barrier(space, other, (-rx, -ry, -rz), required_m, room_m)
+        return Barrier(space, other, offset_enu_m, required_m, room_m)
 
     def _required(self, own: PositionError, other: Other, upward: float) -> float:
         """separation_m, both position errors along the line between the vehicles, and growth while the other is silent."""
@@ -176,12 +176,14 @@ def _limited_by_slots(
     """
     (x, y, z), (ox, oy, oz), (rx, ry, rz) = own.position_enu_m, other.position_enu_m, offset_enu_m
     dx, dy, dz = x - ox, y - oy, z - oz
-    ex, ey, ez, wz = rx - dx, ry - dy, (rz - dz) * weight, dz * weight
-    room_m = SLOT_SHARE * (sqrt(dx * dx + dy * dy + wz * wz) - separation_m)
+    ex, ey, ez = rx - dx, ry - dy, (rz - dz) * weight
+    dz *= weight
+    room_m = SLOT_SHARE * (sqrt(dx * dx + dy * dy + dz * dz) - separation_m)
     if room_m < 0.0:
         room_m = 0.0
-    passing_m = SLOT_SHARE * (sqrt(ex * ex + ey * ey + ez * ez) - PLACED_WITHIN_M)
-    if passing_m > 0.0:
+    placed = ex * ex + ey * ey + ez * ez <= PLACED_WITHIN_M * PLACED_WITHIN_M
+    if not placed:
+        passing_m = SLOT_SHARE * (sqrt(ex * ex + ey * ey + ez * ez) - PLACED_WITHIN_M)
         required_m += passing_m if passing_m < PASSING_M else PASSING_M
         room_m = max(room_m, passing_m)
     most_m = separation_m + room_m

@@ -13,8 +13,10 @@ from math import hypot
 
 from companion.core.safety.filter.acceleration_filter import HalfSpace, Rank
 from companion.core.safety.filter.lag import Ahead
+from companion.geometry.airspace import DOWN, UP
 from companion.types.vectors import Vector3
 
+SPEED = Rank.SPEED
 RESPONSE_1_S = 2.0  # k
 STILL_M_S = 0.1  # below this speed its direction means nothing
 
@@ -30,13 +32,14 @@ class SpeedLimit:
     def half_spaces(self, ahead: Ahead) -> list[HalfSpace]:
         """Half-spaces of the vertical and of the horizontal speed. Their normals are perpendicular to each other."""
         vx, vy, vz = ahead.velocity_enu_m_s
-        upward = -1.0 if vz > 0.0 else 1.0
-        most_m_s = self.climb_m_s if vz > 0.0 else self.descent_m_s
-        spaces = [HalfSpace((0.0, 0.0, upward), -RESPONSE_1_S * (most_m_s - abs(vz)), Rank.SPEED)]
+        if vz > 0.0:
+            spaces = [HalfSpace(DOWN, -RESPONSE_1_S * (self.climb_m_s - vz), SPEED)]
+        else:
+            spaces = [HalfSpace(UP, -RESPONSE_1_S * (self.descent_m_s + vz), SPEED)]
         level_m_s = hypot(vx, vy)
         if level_m_s > STILL_M_S:
             normal = (-vx / level_m_s, -vy / level_m_s, 0.0)
-            spaces.append(HalfSpace(normal, -RESPONSE_1_S * (self.level_m_s - level_m_s), Rank.SPEED))
+            spaces.append(HalfSpace(normal, -RESPONSE_1_S * (self.level_m_s - level_m_s), SPEED))
         return spaces
 
 
