@@ -106,6 +106,7 @@ class ReportStage:
         self._sequence += 1
         identity, beacon = self._identity, consensus.leader_beacon
         leads = consensus.role is Role.LEADER and flight.phase is FlightPhase.FORMATION
+        rft = setpoint.rft
         return PeerPacket(
             vehicle_id=identity.vehicle_id,
             session=identity.session,
@@ -125,6 +126,7 @@ class ReportStage:
             reference=guidance.held_reference,
             change=guidance.offered if leads else None,
             armed=vehicle.armed,
+            rft=(rft.position_enu_m, rft.velocity_enu_m_s, rft.acceleration_enu_m_s2) if rft else None,
         )
 
     def _status(

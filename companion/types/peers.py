@@ -14,7 +14,9 @@ from companion.types.vectors import Vector3
 class PeerPacket(Struct, frozen=True, gc=False):
     """State of a vehicle that it publishes to its peers at every tick.
 
-    `state_age_s` is the age of the position at `sent_s`, which is of the sender's monotonic clock.
+    `state_age_s` is the age of the position at `sent_s`, which is of the sender's monotonic clock. `rft` is the state of the
+    RFT (position, velocity, acceleration) by which a vehicle flies that is kept off its slot; None where its own position
+    minus its slot counts.
     """
 
     vehicle_id: int
@@ -35,6 +37,7 @@ class PeerPacket(Struct, frozen=True, gc=False):
     reference: HeldReference | None = None  # None if the vehicle may not lead
     change: FormationChange | None = None  # from a leader in formation, for vehicles that lack the change
     armed: bool = True
+    rft: tuple[Vector3, Vector3, Vector3] | None = None
 
 
 class ReceivedPeerPacket(Struct, frozen=True, gc=False):

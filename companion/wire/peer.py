@@ -38,6 +38,7 @@ class _PeerWire(msgspec.Struct, array_like=True, frozen=True, forbid_unknown_fie
     reference: tuple[Number, Number, float] | None  # flown, waiting, begun_s
     change: tuple[Number, SlotsOfAll, MissionTime, ChangeDuration, VehicleIds] | None  # as FormationChange
     armed: bool
+    rft: tuple[Vector3, Vector3, Vector3] | None  # position, velocity, acceleration
 
 
 _encoder = msgspec.msgpack.Encoder()
@@ -76,6 +77,7 @@ def encode_peer(packet: PeerPacket) -> bytes:
                 (held.flown, held.waiting, held.begun_s) if held else None,
                 (change.number, change.slots_enu_m, change.begins_s, change.lasts_s, change.absent) if change else None,
                 packet.armed,
+                packet.rft,
             )
         )
     )
@@ -114,4 +116,5 @@ def decode_peer(data: bytes) -> PeerPacket:
         HeldReference(*wire.reference) if wire.reference else None,
         FormationChange(*wire.change) if wire.change else None,
         wire.armed,
+        wire.rft,
     )

@@ -13,7 +13,7 @@ import msgspec
 from companion.types.notices import Code
 from companion.types.rejections import rejection_key
 
-WIRE_VERSION = 7
+WIRE_VERSION = 8
 
 T = TypeVar("T")
 

@@ -93,6 +93,21 @@ def formation_state(
     return FormationState((x - dx, y - dy, z - dz), (vx - dvx, vy - dvy, vz - dvz), (ax - dax, ay - day, az - daz))
 
 
+def target(
+    law: FormationLaw, neighbours: Sequence[tuple[int, FormationState]], reference: FormationState | None
+) -> FormationState | None:
+    """The RFT that the law steers to: R of a leader, of a follower the weighted mean of its neighbours; None without any."""
+    if reference is not None or not neighbours:
+        return reference
+    weights = neighbour_weights([prc for prc, _ in neighbours], law.exponent)
+    states = [(s.position_enu_m, s.velocity_enu_m_s, s.acceleration_enu_m_s2) for _, s in neighbours]
+    means = [
+        tuple([sum(w * vector[axis] for w, vector in zip(weights, vectors, strict=True)) for axis in range(3)])
+        for vectors in zip(*states, strict=True)
+    ]
+    return FormationState(*means)
+
+
 def formation_error(
     law: FormationLaw,
     own: FormationState,

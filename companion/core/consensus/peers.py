@@ -57,8 +57,12 @@ class PeerState(Struct, frozen=True, gc=False):
         return replace(slot, position_enu_m=position_enu_m)
 
     def formation_state_at(self, now_s: float) -> FormationState:
-        """State of the peer minus that of its slot, both extrapolated."""
+        """State of the peer minus that of its slot, both extrapolated; where it is kept off its slot, the RFT it flies by."""
         packet, slot, age_s = self.packet, self.packet.slot, now_s - self.measured_s
+        if packet.rft is not None:
+            position_enu_m, velocity_enu_m_s, acceleration_enu_m_s2 = packet.rft
+            position_enu_m = extrapolated(position_enu_m, velocity_enu_m_s, age_s)
+            return FormationState(position_enu_m, velocity_enu_m_s, acceleration_enu_m_s2)
         (x, y, z), (dx, dy, dz) = packet.position_enu_m, slot.position_enu_m
         (vx, vy, vz), (dvx, dvy, dvz) = packet.velocity_enu_m_s, slot.velocity_enu_m_s
         (ax, ay, az), (dax, day, daz) = packet.acceleration_enu_m_s2, slot.acceleration_enu_m_s2
@@ -146,13 +150,16 @@ class PeerTable:
         most_m_s2, slot = self._limits.acceleration_m_s2, packet.slot
         ax, ay, az = packet.acceleration_enu_m_s2
         sx, sy, sz = slot.acceleration_enu_m_s2
-        if max(ax * ax + ay * ay + az * az, sx * sx + sy * sy + sz * sz) <= most_m_s2 * most_m_s2:
+        rx, ry, rz = packet.rft[2] if packet.rft else ZERO3
+        largest = max(ax * ax + ay * ay + az * az, sx * sx + sy * sy + sz * sz, rx * rx + ry * ry + rz * rz)
+        if largest <= most_m_s2 * most_m_s2:
             return packet
         self._count(Code.PEER_ACCELERATION_LIMITED, packet.vehicle_id)
         return replace(
             packet,
             acceleration_enu_m_s2=shortened(packet.acceleration_enu_m_s2, most_m_s2),
             slot=replace(slot, acceleration_enu_m_s2=shortened(slot.acceleration_enu_m_s2, most_m_s2)),
+            rft=packet.rft and (*packet.rft[:2], shortened(packet.rft[2], most_m_s2)),
         )
 
     def _count(self, code: Code, vehicle_id: int) -> None:

@@ -103,10 +103,20 @@ def refusal_of_motion(packet: PeerPacket, limits: FleetLimits) -> Code | None:
     in_time = 0.0 <= slot.moves_for_s <= MAX_CHANGE_S
     if not (near and slow and gentle and in_time and 0 <= slot.formation <= slot.waiting):
         return Code.PEER_SLOT_IMPLAUSIBLE
+    if packet.rft is not None and not _is_plausible_rft(packet.rft, limits):
+        return Code.PEER_SLOT_IMPLAUSIBLE
     error = packet.position_error
     if error and not (0.0 <= error.horizontal_m <= MAX_ERROR_M and 0.0 <= error.vertical_m <= MAX_ERROR_M):
         return Code.PEER_POSITION_ERROR_IMPLAUSIBLE
     return None
+
+
+def _is_plausible_rft(rft: tuple[Vector3, Vector3, Vector3], limits: FleetLimits) -> bool:
+    """False for numbers that are not finite."""
+    position_enu_m, velocity_enu_m_s, acceleration_enu_m_s2 = rft
+    near = all(abs(p) <= MAX_COORDINATE_M for p in position_enu_m)
+    slow = hypot(*velocity_enu_m_s) <= limits.speed_m_s
+    return near and slow and hypot(*acceleration_enu_m_s2) <= MAX_ACCELERATION_M_S2
 
 
 def _is_plausible_change(change: FormationChange, fleet: KnownFleet) -> bool:

@@ -8,7 +8,16 @@ from msgspec import Struct
 
 from companion.core.command.autopilot_profile import profile_of
 from companion.core.command.phase import Flight
-from companion.core.consensus.law import FormationLaw, Gains, feedback, formation_acceleration, formation_state
+from companion.core.consensus.kept_off import KeptOff
+from companion.core.consensus.law import (
+    FormationLaw,
+    FormationState,
+    Gains,
+    feedback,
+    formation_acceleration,
+    formation_state,
+    target,
+)
 from companion.core.consensus.neighbourhood import Consensus
 from companion.core.control.setpoint_stream import THRUST_FRESH_S, SetpointStream
 from companion.core.estimation.disturbance_observer import Motion
@@ -41,6 +50,7 @@ class Setpoint(Struct, frozen=True, gc=False):
     largest_step_deg: float
     rejected: Mapping[str, int]
     separation: SeparationReport = UNFILTERED
+    rft: FormationState | None = None  # to publish where the separation filter keeps this vehicle off its slot
 
 
 class SetpointStage:
@@ -67,6 +77,8 @@ class SetpointStage:
         self._flown_for_s = flown_for_s
         self._hold_altitude_m = 0.0
         self._separation = UNFILTERED  # of the last setpoint
+        self._taken_m_s2 = 0.0  # from the acceleration that the law wants, by other vehicles
+        self._kept_off = KeptOff()
 
     def step(
         self,
@@ -85,15 +97,15 @@ class SetpointStage:
         self._safety_filter.receive(now_s, vehicle, traffic)
         if flight.streams and not before.streams:
             stream.open(now_s, vehicle)
-        target = None
+        attitude_target = None
         if flight.streams and not silent:
             if stream.may_follow(vehicle):
-                target = self._decide(now_s, vehicle, flight, consensus, guidance)
+                attitude_target = self._decide(now_s, vehicle, flight, consensus, guidance)
         elif before.streams and _listens_in_silence(vehicle):
-            target = stream.final_level_setpoint(now_s)
+            attitude_target = stream.final_level_setpoint(now_s)
         observer = stream.observer
         return Setpoint(
-            target=target,
+            target=attitude_target,
             sent_s=stream.sent_s,
             acceleration_enu_m_s2=(
                 stream.flown_acceleration_enu_m_s2(now_s, self._flown_for_s) if flight.streams else ZERO3
@@ -103,6 +115,7 @@ class SetpointStage:
             largest_step_deg=stream.largest_step_deg,
             rejected=stream.rejected,
             separation=self._separation if flight.streams else UNFILTERED,
+            rft=self._published_rft(now_s, vehicle, flight, consensus, guidance),
         )
 
     def _decide(
@@ -130,7 +143,7 @@ class SetpointStage:
             self._stream.flown_acceleration_enu_m_s2(now_s, self._flown_for_s),
             self._stream.observer.disturbance_enu_m_s2,
         )
-        self._separation = safe.separation
+        self._separation, self._taken_m_s2 = safe.separation, safe.taken_m_s2
         return self._stream.follow(now_s, vehicle, safe.acceleration_enu_m_s2)
 
     def _in_formation(self, vehicle: VehicleState, consensus: Consensus, guidance: Guidance) -> Vector3:
@@ -143,6 +156,24 @@ class SetpointStage:
             return (x + dx, y + dy, self._braking(vehicle)[2])
         self._hold_altitude_m = vehicle.position_enu_m[2]  # where a handover begins
         return (x + dx, y + dy, z + dz)
+
+    def _published_rft(
+        self, now_s: float, vehicle: VehicleState, flight: Flight, consensus: Consensus, guidance: Guidance
+    ) -> FormationState | None:
+        """The RFT for peers where the separation filter keeps this vehicle off its slot."""
+        if flight.phase is not FlightPhase.FORMATION:
+            self._kept_off.end()
+            return None
+        if not self._kept_off.intervened(now_s, self._taken_m_s2):
+            return None
+        rft = target(self._law, consensus.neighbours, guidance.reference)
+        if rft is None:
+            return None
+        position_enu_m = vehicle.position_enu_m
+        if not self._law_flies_altitude:  # no height is wanted of the slot
+            position_enu_m = (*position_enu_m[:2], rft.position_enu_m[2] + guidance.slot.position_enu_m[2])
+        own = formation_state(position_enu_m, vehicle.velocity_enu_m_s, guidance.slot)
+        return self._kept_off.rft(now_s, own, rft)
 
     def _braking(self, vehicle: VehicleState) -> Vector3:
         """Against the velocity, and back to the altitude held; m/s^2 in ENU."""

@@ -81,6 +81,7 @@ packets = st.builds(
     slot=flown_slots,
     reference=st.none() | st.builds(HeldReference, counts, counts, numbers),
     change=st.none() | changes,
+    rft=st.none() | st.tuples(vectors, vectors, vectors),
 )
 percentiles = st.builds(Percentiles, numbers, numbers, numbers)
 reports = st.builds(

@@ -26,10 +26,14 @@ TURN_STEPS = 3  # of the active set, for the turn to the right
 
 
 class Filtered(Struct, frozen=True, gc=False):
-    """The acceleration to fly, the same object as the wanted one where nothing changes it."""
+    """The acceleration to fly, the same object as the wanted one where nothing changes it.
+
+    `taken_m_s2`: the most that another vehicle took away from the wanted one, along the line to it.
+    """
 
     acceleration_enu_m_s2: Vector3
     separation: SeparationReport
+    taken_m_s2: float = 0.0
 
 
 class SafetyFilter:
@@ -84,9 +88,14 @@ class SafetyFilter:
         violated = nearest is not None and nearest.distance_m < self._separation_m
         if allowed is wanted_enu_m_s2:
             return Filtered(allowed, SeparationReport(nearest, 0.0, violated))
+        taken_m_s2 = 0.0
         if barriers:
+            x, y, z = slowed
+            for barrier in barriers:
+                nx, ny, nz = barrier.space.normal_enu
+                taken_m_s2 = max(taken_m_s2, barrier.space.least_m_s2 - nx * x - ny * y - nz * z)
             turn_x, turn_y = turn_right(slowed, vehicle.velocity_enu_m_s, self._gains, barriers)
             if turn_x or turn_y:
                 x, y, z = allowed
                 allowed = filtered((x + turn_x, y + turn_y, z), spaces, limits, TURN_STEPS)
-        return Filtered(allowed, SeparationReport(nearest, dist(allowed, wanted_enu_m_s2), violated))
+        return Filtered(allowed, SeparationReport(nearest, dist(allowed, wanted_enu_m_s2), violated), taken_m_s2)

@@ -16,6 +16,7 @@ from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot, FormationChange, Heading, LeaderBeacon
 from companion.types.notices import Code
 from companion.types.peers import PeerPacket, ReceivedPeerPacket
+from companion.types.vectors import ZERO3
 
 LIMITS = FleetLimits(25.0, 8.0, (200.0, 200.0, 55.0))
 MAY_LEAD = {1: True, 2: False, 3: False}
@@ -75,6 +76,10 @@ def test_valid_packet_is_accepted() -> None:
         ({"slot": FlownSlot((0.0, 0.0, 0.0), (30.0, 0.0, 0.0))}, Code.PEER_SLOT_IMPLAUSIBLE),
         ({"slot": FlownSlot((0.0, 0.0, 0.0), (0.0, nan, 0.0))}, Code.PEER_SLOT_IMPLAUSIBLE),
         ({"slot": FlownSlot((0.0, 0.0, 0.0), formation=2, waiting=1)}, Code.PEER_SLOT_IMPLAUSIBLE),
+        ({"rft": ((nan, 0.0, 0.0), ZERO3, ZERO3)}, Code.PEER_SLOT_IMPLAUSIBLE),
+        ({"rft": ((0.0, 2e5, 0.0), ZERO3, ZERO3)}, Code.PEER_SLOT_IMPLAUSIBLE),
+        ({"rft": (ZERO3, (0.0, 0.0, 30.0), ZERO3)}, Code.PEER_SLOT_IMPLAUSIBLE),
+        ({"rft": (ZERO3, ZERO3, (nan, 0.0, 0.0))}, Code.PEER_SLOT_IMPLAUSIBLE),
         ({"sent_s": inf}, Code.PEER_NOT_FINITE),
         ({"sent_s": -0.1}, Code.PEER_TIME_IMPLAUSIBLE),
         ({"sent_s": 1e10}, Code.PEER_TIME_IMPLAUSIBLE),
@@ -266,11 +271,14 @@ def test_a_wrong_first_packet_locks_no_peer_out(wrong: dict[str, Any]) -> None:
 def test_accelerations_are_used_within_the_fleet_s_limits() -> None:
     peers = table()
     slot = FlownSlot((-1.5, 0.0, 0.0), acceleration_enu_m_s2=(0.0, 0.0, -90.0))
-    counted = rejections(peers, acceleration_enu_m_s2=(60.0, 80.0, 0.0), slot=slot)
+    rft = (ZERO3, ZERO3, (0.0, -90.0, 0.0))
+    counted = rejections(peers, acceleration_enu_m_s2=(60.0, 80.0, 0.0), slot=slot, rft=rft)
     assert counted == [f"{Code.PEER_ACCELERATION_LIMITED} 2"]
     packet = peers.fresh(1.0)[2].packet
     assert packet.acceleration_enu_m_s2 == pytest.approx((4.8, 6.4, 0.0))
     assert packet.slot.acceleration_enu_m_s2 == pytest.approx((0.0, 0.0, -8.0))
+    assert packet.rft is not None
+    assert packet.rft[2] == pytest.approx((0.0, -8.0, 0.0))
     assert packet.position_enu_m == GOOD.position_enu_m
 
 

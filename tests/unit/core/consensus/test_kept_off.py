@@ -1,0 +1,80 @@
+"""The RFT that a vehicle publishes which the separation filter keeps off its slot, and what its peers make of it."""
+
+from __future__ import annotations
+
+import pytest
+
+from companion.core.consensus.kept_off import BACK_WITHIN_M, INTERVENES_M_S2, LASTS_S, KeptOff
+from companion.core.consensus.law import FormationState, target, weighted
+from companion.core.consensus.peers import PeerState
+from companion.types.flight import FlightPhase, Role
+from companion.types.formation import FlownSlot
+from companion.types.peers import PeerPacket
+from companion.types.vectors import ZERO3
+
+RFT = FormationState((10.0, 0.0, 5.0), (1.0, 0.0, 0.0), (0.0, 0.5, 0.0))
+
+
+def off_by(x_m: float) -> FormationState:
+    return FormationState((10.0 + x_m, 0.0, 5.0), ZERO3)
+
+
+def test_a_vehicle_without_intervention_publishes_none() -> None:
+    kept_off = KeptOff()
+    assert not kept_off.intervened(0.0, 0.0)
+    assert not kept_off.intervened(0.0, INTERVENES_M_S2)
+    assert kept_off.intervened(0.0, 1.01 * INTERVENES_M_S2)
+
+
+def test_a_vehicle_kept_off_publishes_the_rft_until_it_is_back() -> None:
+    kept_off = KeptOff()
+    assert kept_off.intervened(0.0, 1.0)
+    assert kept_off.rft(0.0, off_by(0.0), RFT) is RFT  # an intervention has just begun
+    after_s = 1.1 * LASTS_S
+    assert kept_off.intervened(after_s, 0.0)
+    assert kept_off.rft(after_s, off_by(1.1 * BACK_WITHIN_M), RFT) is RFT  # it is not back yet
+    assert kept_off.rft(after_s, off_by(0.9 * BACK_WITHIN_M), RFT) is None
+    assert not kept_off.intervened(after_s, 0.0)
+
+
+def test_leaving_formation_ends_it() -> None:
+    kept_off = KeptOff()
+    kept_off.intervened(0.0, 1.0)
+    kept_off.end()
+    assert not kept_off.intervened(0.1, 0.0)
+
+
+def test_the_rft_is_that_of_the_law() -> None:
+    neighbours = [(1, off_by(0.0)), (3, off_by(4.0))]  # weights 3/4 and 1/4
+    assert target(weighted(), neighbours, RFT) is RFT
+    assert target(weighted(), [], None) is None
+    mean = target(weighted(), neighbours, None)
+    assert mean is not None
+    assert mean.position_enu_m == pytest.approx((11.0, 0.0, 5.0))
+    assert (mean.velocity_enu_m_s, mean.acceleration_enu_m_s2) == (ZERO3, ZERO3)
+
+
+def test_peers_use_the_rft_in_place_of_its_offset() -> None:
+    packet = PeerPacket(
+        vehicle_id=2,
+        session=1,
+        sequence=1,
+        formation_hash=0,
+        phase=FlightPhase.FORMATION,
+        role=Role.FOLLOWER,
+        position_enu_m=(13.0, 0.0, 5.0),
+        velocity_enu_m_s=(0.0, 2.0, 0.0),
+        acceleration_enu_m_s2=(3.0, 0.0, 0.0),
+        state_age_s=0.0,
+        sent_s=0.0,
+        prc=2,
+        leader_beacon=None,
+        slot=FlownSlot((1.0, 0.0, 0.0)),
+        rft=(RFT.position_enu_m, RFT.velocity_enu_m_s, RFT.acceleration_enu_m_s2),
+    )
+    peer = PeerState(packet, received_s=1.0, least_apart_s=0.0, measured_s=1.0)
+    state = peer.formation_state_at(1.5)
+    assert state.position_enu_m == pytest.approx((10.5, 0.0, 5.0))
+    assert state.velocity_enu_m_s == RFT.velocity_enu_m_s
+    assert state.acceleration_enu_m_s2 == RFT.acceleration_enu_m_s2
+    assert peer.position_at(1.5) == pytest.approx((13.0, 1.0, 5.0))  # what is kept apart is where it is
