@@ -6,7 +6,7 @@ the unit vector in which it grows. No distance changes faster than the position,
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from math import hypot, inf, sqrt
 
 from msgspec import Struct
