@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from math import pi
+from math import dist, pi
 from random import Random
 from typing import Any
 
+from companion.geometry.curves import PEAK_SPEED
 from sitl.gauntlet.fleets import (
     START_SPACING,
     Fleet,
@@ -25,6 +26,7 @@ from sitl.gauntlet.fleets import (
 
 FORM_S = 8.5  # by then all hover
 GIVEN_UP_AFTER_S = 3.0  # a command is repeated for so long
+LONGEST_S = 60.0  # of a flight; a change that takes longer is not flown to its end
 ENTERED_WITHIN_S = 12.0  # so long may the paths into the slots last: until then a change of formation is refused
 Content = dict[str, Any]
 
@@ -152,9 +154,12 @@ def exchange(random: Random, fleet: Fleet) -> Plan:
     else:
         random.shuffle(others)
     slots = {i: list(slot) for i, slot in zip(fleet.ids, others, strict=True)}
-    change = {"slots_enu_m": slots, "speed_m_s": rounded(random.uniform(0.5, 0.98) * fleet.slot_speed_m_s)}
+    speed_m_s = rounded(random.uniform(0.5, 0.98) * fleet.slot_speed_m_s)
+    change = {"slots_enu_m": slots, "speed_m_s": speed_m_s}
     steps = [step("formation", 5.0, formation=change, timeout_s=ENTERED_WITHIN_S)]
-    return Plan(point(fleet), steps, slots_from_s=5.0, lasts_s=38.0)
+    takes_s = PEAK_SPEED * max(dist(a, b) for a, b in zip(own, others, strict=True)) / speed_m_s
+    lasts_s = rounded(min(max(32.0, 10.0 + 1.5 * takes_s), LONGEST_S))
+    return Plan(point(fleet), steps, slots_from_s=5.0, lasts_s=lasts_s)
 
 
 def turning(random: Random, fleet: Fleet) -> Plan:
