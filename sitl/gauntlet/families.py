@@ -105,7 +105,13 @@ def form_crossing(random: Random, fleet: Fleet) -> Plan:
     starts = list(fleet.starts_enu_m.values())
     random.shuffle(starts)
     fleet.starts_enu_m = dict(zip(fleet.ids, starts, strict=True))
-    return Plan(slow(random, fleet), lasts_s=25.0)
+    way_m = max(dist(start[:2], fleet.slots_enu_m[i][:2]) for i, start in fleet.starts_enu_m.items())
+    return Plan(slow(random, fleet), lasts_s=max(25.0, _with_delays_s(way_m, fleet.slot_speed_m_s)))
+
+
+def _with_delays_s(way_m: float, speed_m_s: float) -> float:
+    """Time for slots that move this far, and for vehicles that make way meanwhile."""
+    return rounded(min(10.0 + 1.5 * PEAK_SPEED * way_m / speed_m_s, LONGEST_S))
 
 
 def hovering(random: Random, fleet: Fleet) -> Plan:
@@ -157,9 +163,8 @@ def exchange(random: Random, fleet: Fleet) -> Plan:
     speed_m_s = rounded(random.uniform(0.5, 0.98) * fleet.slot_speed_m_s)
     change = {"slots_enu_m": slots, "speed_m_s": speed_m_s}
     steps = [step("formation", 5.0, formation=change, timeout_s=ENTERED_WITHIN_S)]
-    takes_s = PEAK_SPEED * max(dist(a, b) for a, b in zip(own, others, strict=True)) / speed_m_s
-    lasts_s = rounded(min(max(32.0, 10.0 + 1.5 * takes_s), LONGEST_S))
-    return Plan(point(fleet), steps, slots_from_s=5.0, lasts_s=lasts_s)
+    way_m = max(dist(a, b) for a, b in zip(own, others, strict=True))
+    return Plan(point(fleet), steps, slots_from_s=5.0, lasts_s=max(32.0, _with_delays_s(way_m, speed_m_s)))
 
 
 def turning(random: Random, fleet: Fleet) -> Plan:

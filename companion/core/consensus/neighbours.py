@@ -25,13 +25,22 @@ class EdgeRule:
         return tuple([i for i in self._others if i in peers])
 
 
+BRIDGED_S = 10.0  # a vehicle beyond the range remains a neighbour for so long, then it is looked for again
+
+
 class RangeRule:
-    """Neighbours by range: added within `range_m`, removed beyond `range_m + hysteresis_m`."""
+    """Neighbours by range: added within `range_m`, removed beyond `range_m + hysteresis_m`.
+
+    Vehicles that pass each other may lose the range to all that lead to the leader, although they receive it. Where no
+    neighbour has a leader beacon, the nearest vehicle that has one becomes a neighbour as well.
+    """
 
     def __init__(self, range_m: float, hysteresis_m: float) -> None:
         self._join_m = range_m
         self._leave_m = range_m + hysteresis_m
         self._members: frozenset[int] = frozenset()
+        self._bridge: int | None = None  # a neighbour beyond the range
+        self._bridged_s = 0.0
 
     def select(self, own_position_enu_m: Vector3, peers: Mapping[int, PeerState], now_s: float) -> tuple[int, ...]:
         self._members = frozenset(
@@ -40,4 +49,11 @@ class RangeRule:
             if dist(own_position_enu_m, peer.position_at(now_s))
             <= (self._leave_m if i in self._members else self._join_m)
         )
-        return tuple(sorted(self._members))
+        if self._bridge is not None and (self._bridge not in peers or now_s - self._bridged_s > BRIDGED_S):
+            self._bridge = None
+        if self._bridge is None and all(peers[i].packet.leader_beacon is None for i in self._members):
+            led = [i for i, peer in peers.items() if peer.packet.leader_beacon is not None]
+            if led:
+                self._bridge = min(led, key=lambda i: (dist(own_position_enu_m, peers[i].position_at(now_s)), i))
+                self._bridged_s = now_s
+        return tuple(sorted(self._members if self._bridge is None else self._members | {self._bridge}))

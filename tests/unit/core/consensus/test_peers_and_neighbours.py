@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from companion.core.consensus.neighbours import EdgeRule, RangeRule
+from companion.core.consensus.neighbours import BRIDGED_S, EdgeRule, RangeRule
 from companion.core.consensus.peers import PeerState, PeerTable
 from companion.core.consensus.plausibility import FleetLimits
 from companion.types.autopilot import PositionError
@@ -312,6 +312,12 @@ def peer_at(x_m: float) -> PeerState:
     return PeerState(packet, 1.0, 0.0, 1.0)
 
 
+def without_leader(x_m: float) -> PeerState:
+    """The same, without a leader beacon."""
+    peer = peer_at(x_m)
+    return replace(peer, packet=replace(peer.packet, leader_beacon=None))
+
+
 def test_neighbours_by_edges() -> None:
     rule = EdgeRule(2, [(1, 2), (2, 3), (3, 4)])
     everyone = dict.fromkeys((1, 3, 4), peer_at(0.0))
@@ -323,6 +329,19 @@ def test_neighbours_by_edges() -> None:
 def test_neighbours_by_range_with_hysteresis() -> None:
     rule = RangeRule(3.0, 0.5)
     own = (0.0, 0.0, 0.0)
-    seen = [rule.select(own, {7: peer_at(x)}, 1.0) for x in (3.2, 3.0, 3.4, 3.6, 3.4, 2.9)]
+    seen = [rule.select(own, {7: without_leader(x)}, 1.0) for x in (3.2, 3.0, 3.4, 3.6, 3.4, 2.9)]
     assert seen == [(), (7,), (7,), (), (), (7,)]
     assert rule.select(own, {}, 1.0) == ()
+
+
+def test_beyond_the_range_the_nearest_that_leads_to_the_leader_is_a_neighbour() -> None:
+    rule = RangeRule(3.0, 0.5)
+    own, near = (0.0, 0.0, 0.0), without_leader(2.0)
+    assert rule.select(own, {3: peer_at(2.0), 7: peer_at(9.0)}, 1.0) == (3,)  # a neighbour leads to the leader
+    assert rule.select(own, {3: near, 5: without_leader(4.0), 7: peer_at(9.0), 8: peer_at(7.0)}, 2.0) == (3, 8)
+    bridged = [rule.select(own, {3: peer_at(2.0), 8: peer_at(7.0)}, now_s) for now_s in (2.1, 2.0 + BRIDGED_S)]
+    assert bridged == [(3, 8), (3, 8)]  # 3 may have its beacon from this vehicle alone
+    assert rule.select(own, {3: peer_at(2.0), 8: peer_at(7.0)}, 2.1 + BRIDGED_S) == (3,)
+    assert rule.select(own, {3: near, 5: peer_at(5.0), 8: peer_at(7.0)}, 20.0) == (3, 5)
+    assert rule.select(own, {3: near, 8: peer_at(7.0)}, 20.1) == (3, 8)  # 5 is silent
+    assert rule.select(own, {3: near}, 20.2) == (3,)
