@@ -141,10 +141,8 @@ class Autopilot(ABC):
         """Advance by dt_s: failsafes, control of the flight mode, physics, ground contact."""
         self._steps += 1
         self.time_s = self._steps * self.dt_s
-        while (shift_enu_m := self._incidents.reset(self.time_s)) is not None:
-            self.reset_estimator(shift_enu_m)
-        if self._incidents.pilot_takes_over(self.time_s) and self.armed and self._ground.flies:
-            self._enter_pilot_mode()
+        if self._incidents.next_s <= self.time_s:
+            self._meet_incidents()
         control_is_due = self._steps % self._control_steps == 0
         if control_is_due:
             self._run_failsafes()
@@ -155,6 +153,13 @@ class Autopilot(ABC):
         self.quad.step(self.setpoint)
         if self.armed:
             self._update_ground_contact()
+
+    def _meet_incidents(self) -> None:
+        """Estimator resets that are due, and a pilot who takes over."""
+        while (shift_enu_m := self._incidents.reset(self.time_s)) is not None:
+            self.reset_estimator(shift_enu_m)
+        if self._incidents.pilot_takes_over(self.time_s) and self.armed and self._ground.flies:
+            self._enter_pilot_mode()
 
     @abstractmethod
     def _enter_pilot_mode(self) -> None:

@@ -48,17 +48,17 @@ class StandIn:
         self.autopilot.texts.clear()
 
     def record(self, now_s: float) -> None:
-        self._track.append(now_s)
-        self._track.extend(self.autopilot.quad.state[:STATE_KEPT])
-        self._track.append(self.autopilot.quad.thrust_norm)
-        self._modes.append((self.autopilot.armed, self.autopilot.flight_mode.name))
+        autopilot, quad = self.autopilot, self.autopilot.quad
+        self._track.extend((now_s, *quad.state[:STATE_KEPT], quad.thrust_norm))
+        self._modes.append((autopilot.armed, autopilot.flight_mode.name))
         self._commanded.append(self._is_commanded(now_s))
 
     def _is_commanded(self, now_s: float) -> bool:
         """Whether the autopilot flies attitudes that its agent sends."""
+        if not self.autopilot.armed or now_s - self.link.setpoint_s >= STREAM_ENDED_AFTER_S:
+            return False
         mode, _ = DIALECTS[self.autopilot.kind].mode_of(self.autopilot.flight_mode.custom_mode)
-        streamed = now_s - self.link.setpoint_s < STREAM_ENDED_AFTER_S
-        return streamed and self.autopilot.armed and mode is AutopilotMode.OFFBOARD
+        return mode is AutopilotMode.OFFBOARD
 
     def commanded(self) -> BoolArray:
         """Whether an agent commanded the attitude (k,), at the times of the track."""

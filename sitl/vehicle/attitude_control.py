@@ -74,11 +74,10 @@ def wanted_rates(loops: Loops, setpoint: Setpoint, measured: Quaternion) -> Vect
             p += setpoint.yaw_rate_rad_s * 2.0 * (x * z - w * y)
             q += setpoint.yaw_rate_rad_s * 2.0 * (y * z + w * x)
             r += setpoint.yaw_rate_rad_s * (1.0 - 2.0 * (x * x + y * y))
-    return (
-        clamped(p, loops.max_rate_rad_s),
-        clamped(q, loops.max_rate_rad_s),
-        clamped(r, loops.max_yaw_rate_rad_s),
-    )
+    most, most_yaw = loops.max_rate_rad_s, loops.max_yaw_rate_rad_s
+    if -most <= p <= most and -most <= q <= most and -most_yaw <= r <= most_yaw:  # nearly always
+        return (p, q, r)
+    return (clamped(p, most), clamped(q, most), clamped(r, most_yaw))
 
 
 def moments(loops: Loops, rates_wanted: Vector3, rates: Vector3, inertia_kg_m2: Vector3) -> Vector3:

@@ -117,8 +117,9 @@ class Quadrotor:
 
     def estimated_quaternion(self) -> Quaternion:
         """Estimated attitude, FLU to ENU; every loop of the autopilot uses it."""
-        true = self.quaternion
-        return true if self._error.quiet else _turned(true, self._error.attitude_rad)
+        state, error = self.state, self._error
+        true = (state[6], state[7], state[8], state[9])
+        return true if error.quiet else _turned(true, error.attitude_rad)
 
     def estimated_euler_rad(self) -> Vector3:
         """Roll, pitch, yaw of FLU in ENU."""
@@ -138,13 +139,13 @@ class Quadrotor:
         else:
             rates = wanted_rates(self._loops, self._delay.pass_on(setpoint), self.estimated_quaternion())
             torque = moments(self._loops, rates, self.rates_rad_s, self._body.inertia_kg_m2)
-        ground_position = self.state[:2] if self.on_ground else None
+        body, state, ground_z_m = self._body, self.state, self._ground_z_m
+        ground_position = state[:2] if state[2] <= ground_z_m and state[5] <= 0.0 else None
         thrust_n = setpoint.thrust_norm * self._newton_per_thrust
-        if self._body.motor_lag_s == 0.0:
-            self.state = (*self.state[:THRUST], thrust_n, *torque)
-        rate = rate_of_change(self._body, self.state, thrust_n, torque, wind)
-        self.state = advance(self.state, rate, self._dt_s)
-        if self.on_ground:
+        if body.motor_lag_s == 0.0:
+            state = (*state[:THRUST], thrust_n, *torque)
+        self.state = state = advance(state, rate_of_change(body, state, thrust_n, torque, wind), self._dt_s)
+        if state[2] <= ground_z_m and state[5] <= 0.0:
             self._touch_ground(ground_position)
         self._steps += 1
         if self._steps % ESTIMATE_PERIOD_STEPS == 0:

@@ -35,7 +35,8 @@ class Stream(Struct, frozen=True, gc=False):
 
     def late_s(self, sent_s: float) -> float:
         """Delay of the last message beyond the least delayed one, which counts as not delayed."""
-        return self.received_s - sent_s - self.clock.least_apart_s
+        clock = self.clock
+        return clock.received_s - sent_s - clock.least_apart_s
 
 
 def following(
@@ -47,19 +48,20 @@ def following(
     another session, therefore counts for so long only.
     """
     apart_s = received_s - sent_s
-    first = Stream(session, sequence, ClockOffset(apart_s, received_s))
     if before is None:
-        return first, None
-    silence_s = received_s - before.received_s
+        return Stream(session, sequence, ClockOffset(apart_s, received_s)), None
+    clock, rival = before.clock, before.rival
+    silence_s = received_s - clock.received_s
     silent = silence_s > silent_s
     if session != before.session:
-        return (first, None) if silent else (before, Disorder.TWO_SENDERS)
-    clock, rival = before.clock, before.rival
+        if silent:
+            return Stream(session, sequence, ClockOffset(apart_s, received_s)), None
+        return before, Disorder.TWO_SENDERS
     if not clock.agrees(apart_s, received_s, silent_s):
         if rival and rival.agrees(apart_s, received_s, silent_s):
             rival = rival.with_message(apart_s, received_s)
         else:
-            rival = first.clock
+            rival = ClockOffset(apart_s, received_s)
         if replaces(rival, clock):
             return Stream(session, sequence, rival), None
         is_late = apart_s > clock.at(received_s)

@@ -140,10 +140,10 @@ class PeerTable:
 
     def _timed(self, packet: PeerPacket) -> PeerState:
         """The state of an accepted packet with its times."""
-        stream = self._streams[packet.vehicle_id]
-        measured_s = stream.received_s - stream.late_s(packet.sent_s) - packet.state_age_s
-        term = packet.leader_beacon.term if packet.leader_beacon else (0, 0)
-        return PeerState(packet, stream.received_s, stream.clock.least_apart_s, measured_s, term)
+        stream, beacon = self._streams[packet.vehicle_id], packet.leader_beacon
+        clock = stream.clock
+        measured_s = clock.received_s - stream.late_s(packet.sent_s) - packet.state_age_s
+        return PeerState(packet, clock.received_s, clock.least_apart_s, measured_s, beacon.term if beacon else (0, 0))
 
     def _within_limits(self, packet: PeerPacket) -> PeerPacket:
         """The packet with accelerations that this fleet can fly: the law feeds them forward. Its position remains usable."""

@@ -86,7 +86,7 @@ def refusal_of_motion(packet: PeerPacket, limits: FleetLimits) -> Code | None:
     numbers = x + y + z + vx + vy + vz + ax + ay + az + packet.state_age_s + packet.sent_s
     if not isfinite(numbers):  # one number that is not finite makes the sum so
         return Code.PEER_NOT_FINITE
-    if max(x, y, z) > MAX_COORDINATE_M or min(x, y, z) < -MAX_COORDINATE_M:
+    if abs(x) > MAX_COORDINATE_M or abs(y) > MAX_COORDINATE_M or abs(z) > MAX_COORDINATE_M:
         return Code.PEER_POSITION_IMPLAUSIBLE
     if hypot(vx, vy, vz) > limits.speed_m_s:
         return Code.PEER_SPEED_IMPLAUSIBLE

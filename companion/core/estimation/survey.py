@@ -54,6 +54,10 @@ class Survey:
             counts.clear()
             self._window_since_s = now_s
 
+    def facts(self) -> tuple[object, ...]:
+        """All that this survey has found, to be compared."""
+        return (self.rates_hz, self.battery_percent, self.may_arm, self.last_warning)
+
     @property
     def failing_checks(self) -> str | None:
         """Why the autopilot's preflight checks fail; "" where they pass, None where it has not reported them."""

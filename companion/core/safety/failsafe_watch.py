@@ -13,6 +13,7 @@ from companion.types.flight import HELD, STREAMING, FailsafeAction, FlightPhase,
 NONE = FailsafeAction.NONE
 TO_THE_GROUND = (FailsafeAction.RETURN, FailsafeAction.LAND)
 WARN_PERIOD_S = 5.0  # a flag that comes and goes warns no more often
+EVERY_FLAG = tuple(HealthFlag)  # in order; iterating over the enum itself looks each member up
 LATCHED = frozenset({HealthFlag(row.condition) for row in FAILSAFES if row.latched})
 IN_HOLD = frozenset({HealthFlag(row.condition) for row in FAILSAFES if row.in_hold})
 
@@ -58,7 +59,7 @@ class FailsafeWatch:
             self._landed_for |= {flag for flag in self._since_s if actions[flag] in TO_THE_GROUND}
         return ActiveFailsafe(
             action,
-            tuple([flag for flag in HealthFlag if actions.get(flag) is action]),
+            tuple([flag for flag in EVERY_FLAG if actions.get(flag) is action]),
             self._warn(now_s, actions, begins) if phase in STREAMING else (),
         )
 

@@ -17,7 +17,7 @@ from companion.core.safety.audit import Facts, Finding, Verdict, audit, paramete
 from companion.types.autopilot import AutopilotKind
 from companion.types.notices import Code, Notice
 from companion.types.requests import RequestParameter
-from companion.types.telemetry import ParameterSample, SystemSample, Telemetry, TextSample
+from companion.types.telemetry import ParameterSample, Telemetry
 
 ASK_PERIOD_S = 0.05  # while answers are missing
 REFRESH_PERIOD_S = 0.5  # afterwards, in turn: a pilot may correct a parameter at any time
@@ -25,7 +25,6 @@ AUTOPILOT_UNKNOWN = Notice(Code.AUTOPILOT_UNKNOWN, "the autopilot has not report
 CHECKS_UNKNOWN = Notice(
     Code.ARMING_CHECKS_UNKNOWN, "the autopilot has not reported yet whether its own arming checks pass"
 )
-CHANGES_FITNESS = (ParameterSample, SystemSample, TextSample)
 TRIES = 8  # an autopilot does not answer for a parameter that it lacks
 
 
@@ -57,20 +56,19 @@ class Preflight:
         self, now_s: float, telemetry: Sequence[Telemetry], autopilot: AutopilotKind | None
     ) -> tuple[Notice, ...]:
         """Use the telemetry of this tick, from an autopilot of this make; return the events."""
-        rates_hz = self._survey.rates_hz
+        before = self._survey.facts()
         self._survey.update(now_s, telemetry)
+        if self._survey.facts() != before:
+            self._fitness = None
         if autopilot is not self._autopilot and autopilot is not None:
             self._fitness = None
             self._autopilot, self._names = autopilot, deque(parameter_names(autopilot))
         for sample in telemetry:
-            if isinstance(sample, CHANGES_FITNESS):
-                self._fitness = None
             if isinstance(sample, ParameterSample) and sample.name in self._names:
-                self._values[sample.name] = sample.value
+                if self._values.get(sample.name) != sample.value:
+                    self._values[sample.name], self._fitness = sample.value, None
                 if sample.name in HOVER_PARAMETERS:
                     self._observer.start_from(sample.value)
-        if self._survey.rates_hz is not rates_hz:
-            self._fitness = None
         if self._reported or not self._names or self._unread():
             return ()
         self._reported = True
@@ -81,7 +79,7 @@ class Preflight:
     def fitness(self) -> Fitness:
         """Computed when a sample or a request has changed it."""
         if self._fitness is None:
-            self._fitness = Fitness(self.refusal(), self.lacks(), self.battery_percent)
+            self._fitness = self._judged()
         return self._fitness
 
     def ask(self, now_s: float) -> tuple[RequestParameter, ...]:
@@ -97,7 +95,8 @@ class Preflight:
         name = self._names[0]
         self._names.rotate(-1)
         self._asked[name] += 1
-        self._fitness = None
+        if unread:
+            self._fitness = None
         return (RequestParameter(name),)
 
     @property
@@ -106,20 +105,18 @@ class Preflight:
         percent = self._survey.battery_percent
         return percent if percent is not None and percent >= 0.0 else None
 
-    def refusal(self) -> Notice | None:
-        """The reason against a flight in formation, None without one. A parameter without an answer counts as missing."""
+    def _judged(self) -> Fitness:
+        """A parameter without an answer counts as missing."""
         if self._autopilot is None:
-            return AUTOPILOT_UNKNOWN
-        texts = [str(finding) for finding in self._findings() if finding.verdict is Verdict.REFUSAL]
-        return Notice(Code.AUDIT_REFUSAL, "; ".join(texts)) if texts else None
+            return Fitness(AUTOPILOT_UNKNOWN, (AUTOPILOT_UNKNOWN,), self.battery_percent)
+        refusals = [_notice(finding) for finding in self._findings() if finding.verdict is Verdict.REFUSAL]
+        refusal = Notice(Code.AUDIT_REFUSAL, "; ".join(notice.text for notice in refusals)) if refusals else None
+        return Fitness(refusal, self._lacks(refusals), self.battery_percent)
 
-    def lacks(self) -> tuple[Notice, ...]:
+    def _lacks(self, refusals: list[Notice]) -> tuple[Notice, ...]:
         """What the vehicle lacks for a flight in formation, on the ground: refusals of the audit, and failing arming checks."""
-        if self._autopilot is None:
-            return (AUTOPILOT_UNKNOWN,)
         if unread := self._unread():
             return (Notice(Code.PARAMETERS_UNREAD, f"not read yet: {', '.join(unread)}"),)
-        refusals = [_notice(finding) for finding in self._findings() if finding.verdict is Verdict.REFUSAL]
         match self._survey.failing_checks:
             case None:
                 return (CHECKS_UNKNOWN, *refusals)

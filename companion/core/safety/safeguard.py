@@ -113,11 +113,11 @@ class SafeguardStage:
         self, vehicle: VehicleState, flight: Flight, consensus: Consensus, active: ActiveFailsafe
     ) -> list[PhaseRequest]:
         """A hold from formation; from hold the return or landing."""
-        reason = flags_notice(active.flags)
         if flight.streams:
-            return [PhaseRequest(PhaseChange.HAND_OVER, reason)]
+            return [PhaseRequest(PhaseChange.HAND_OVER, flags_notice(active.flags))]
         if flight.phase is not FlightPhase.HOLD or active.action is FailsafeAction.HOLD:
             return []
+        reason = flags_notice(active.flags)
         if active.action is FailsafeAction.RETURN:
             peers, homes_enu_m = consensus.peers, consensus.ground_position_enu_m
             refusal = refusal_of_return(self._own_id, self._separation_m, vehicle, peers, homes_enu_m)

@@ -77,7 +77,7 @@ def test_no_parameter_is_requested_before_the_heartbeat() -> None:
     preflight = Preflight(DisturbanceObserver(0.5, 0.0, 4.0))
     preflight.update(0.0, (), None)
     assert preflight.ask(0.0) == ()
-    assert code_of(preflight.refusal()) is Code.AUTOPILOT_UNKNOWN
+    assert code_of(preflight.fitness.refusal) is Code.AUTOPILOT_UNKNOWN
 
 
 def test_ardupilot_without_the_thrust_parameter_is_refused() -> None:
