@@ -19,8 +19,8 @@ class GaussMarkov:
         self.value = random.gauss(0.0, sd)
 
     def step(self) -> float:
-        self.value = self._keep * self.value + self._gauss(0.0, self._kick)
-        return self.value
+        self.value = value = self._keep * self.value + self._gauss(0.0, self._kick)
+        return value
 
 
 class EstimatorError:

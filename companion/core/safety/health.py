@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import acos, cos, radians
+from math import acos, cos, inf, radians
 
 from companion.core.estimation.position_reset import LARGEST_JUMP_M, ORIGIN_WITHIN_S
 from companion.core.safety.output_limits import OutputLimits
@@ -57,7 +57,7 @@ def health_flags(now_s: float, vehicle: VehicleState, limits: HealthLimits) -> s
         flags.add(HealthFlag.FRAME_CONTRADICTED)
     if vehicle.held_back_m > LARGEST_JUMP_M and now_s - vehicle.jump_time_s > ORIGIN_WITHIN_S:
         flags.add(HealthFlag.POSITION_JUMPED)
-    if vehicle.position_time_s > float("-inf") and not limits.envelope.fence.contains(vehicle.position_enu_m):
+    if vehicle.position_time_s > -inf and not limits.envelope.fence.contains(vehicle.position_enu_m):
         flags.add(HealthFlag.OUTSIDE_FENCE)
     error = vehicle.position_error
     if not vehicle.estimator_healthy or (error and error.horizontal_m > limits.max_position_error_m):

@@ -74,7 +74,8 @@ class Others:
             acceleration = packet.acceleration_enu_m_s2 if is_fresh else ZERO3
             last = before.get(peer_id)
             if last is not None:
-                acceleration = _lagged(last, acceleration, lag_share)
+                (lx, ly, lz), (ux, uy, uz) = last, acceleration
+                acceleration = (lx + lag_share * (ux - lx), ly + lag_share * (uy - ly), lz + lag_share * (uz - lz))
             commanded[peer_id] = acceleration
             near.append(
                 Other(
@@ -104,12 +105,6 @@ class Others:
                     )
                 )
         return near
-
-
-def _lagged(before: Vector3, after: Vector3, share: float) -> Vector3:
-    """A low pass: `share` of the way from its state to its input."""
-    (x, y, z), (ax, ay, az) = before, after
-    return (x + share * (ax - x), y + share * (ay - y), z + share * (az - z))
 
 
 def _near(own_m: Vector3, own_m_s: Vector3, other_m: Vector3, other_m_s: Vector3, age_s: float) -> bool:
