@@ -46,14 +46,14 @@ def rate_of_change(body: Body, state: State, thrust_n: float, moments_n_m: Vecto
     wx, wy, wz = wind_enu_m_s
     follow = 1.0 / body.motor_lag_s if body.motor_lag_s > 0.0 else 0.0
     _, _, _, vx, vy, vz, w, x, y, z, p, q, r, force, mx, my, mz = state
-    per_mass = force / mass
+    per_mass, drag_1_s = force / mass, drag / mass
     return (
         vx,
         vy,
         vz,
-        2.0 * (x * z + w * y) * per_mass - drag / mass * (vx - wx),
-        2.0 * (y * z - w * x) * per_mass - drag / mass * (vy - wy),
-        (1.0 - 2.0 * (x * x + y * y)) * per_mass - GRAVITY_M_S2 - drag / mass * (vz - wz),
+        2.0 * (x * z + w * y) * per_mass - drag_1_s * (vx - wx),
+        2.0 * (y * z - w * x) * per_mass - drag_1_s * (vy - wy),
+        (1.0 - 2.0 * (x * x + y * y)) * per_mass - GRAVITY_M_S2 - drag_1_s * (vz - wz),
         0.5 * (-x * p - y * q - z * r),
         0.5 * (w * p + y * r - z * q),
         0.5 * (w * q - x * r + z * p),
