@@ -18,7 +18,9 @@ from companion.stability.settling import settle_time_s
 
 TICK_S = 0.02
 SUBSTEPS = 4
+CHECK_TICKS = 50
 DIVERGED_M = 1e6  # the prediction ends at this error, before an overflow
+AT_REST = 1e-9  # and where no error, velocity or acceleration is larger than this, in m and s
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,34 +48,64 @@ def errors_over_time(
     """
     gains, feedforward = coupling.law.gains, coupling.law.feedforward * coupling.W
     ticks = round(duration_s / TICK_S)
-    dt_s = TICK_S / SUBSTEPS
-    position, velocity = start_errors_m.astype(float), np.zeros_like(start_errors_m, dtype=float)
-    acceleration = np.zeros_like(position)
-    transport_s = max(0.0, model.delay_s - 0.5 * TICK_S)
-    waiting = deque([np.zeros_like(position)] * round(transport_s / dt_s))  # commands not yet at the motors
-    lag_s = model.attitude_lag_s
-    left = exp(-dt_s / lag_s) if lag_s > 0.0 else 0.0  # share of a difference that is left after a substep
-    left_for_s = lag_s * (1.0 - left)  # integral of that share over the substep
+    motion = _motion_of_a_tick(model)
+    state = np.zeros((3, start_errors_m.size))  # position, velocity and acceleration of each vehicle and axis
+    state[0] = start_errors_m.ravel()
+    nothing = np.zeros_like(start_errors_m, dtype=float)
+    sent = deque([nothing] * (motion.whole_ticks + 2))  # from the oldest that still arrives to the newest
+    arriving = np.zeros((2, start_errors_m.size))
     # Commands that have not reached the neighbours yet.
-    fed_forward = deque([np.zeros_like(position)] * max(1, round(model.feedforward_delay_s / TICK_S)))
-    history = np.empty((ticks, *position.shape))
+    fed_forward = deque([nothing] * max(1, round(model.feedforward_delay_s / TICK_S)))
+    history = np.empty((ticks, *start_errors_m.shape))
     for tick in range(ticks):
+        position, velocity = state[0].reshape(nothing.shape), state[1].reshape(nothing.shape)
         history[tick] = position
-        if np.abs(position).max() > DIVERGED_M:
+        if tick % CHECK_TICKS == 0 and _has_ended(state):
             history[tick:] = position
             break
         command = -(coupling.G @ (gains.position_1_s2 * position + gains.velocity_1_s * velocity))
         if coupling.law.feedforward > 0.0:
             command += feedforward @ fed_forward.popleft()
             fed_forward.append(command)
-        for _ in range(SUBSTEPS):
-            waiting.append(command)
-            arrived = waiting.popleft()
-            beyond = acceleration - arrived
-            position = position + velocity * dt_s + 0.5 * arrived * dt_s**2 + beyond * (lag_s * (dt_s - left_for_s))
-            velocity = velocity + arrived * dt_s + beyond * left_for_s
-            acceleration = arrived + beyond * left
+        sent.popleft()
+        sent.append(command)
+        arriving[0], arriving[1] = sent[0].ravel(), sent[1].ravel()
+        state = motion.of_state @ state + motion.of_commands @ arriving
     return history
+
+
+def _has_ended(state: FloatArray) -> bool:
+    largest = np.abs(state).max()
+    return bool(largest < AT_REST or np.abs(state[0]).max() > DIVERGED_M)
+
+
+@dataclass(frozen=True, slots=True)
+class _TickMotion:
+    """Exact motion over a tick behind lag and delay: state' = `of_state` state + `of_commands` (older, newer command).
+
+    The newer command was sent `whole_ticks` ticks ago, the older one a tick earlier.
+    """
+
+    of_state: FloatArray
+    of_commands: FloatArray
+    whole_ticks: int
+
+
+def _motion_of_a_tick(model: LinearModel) -> _TickMotion:
+    """A tick in SUBSTEPS. In the first of them the older command still arrives: the delay is no whole number of ticks."""
+    dt_s, lag_s = TICK_S / SUBSTEPS, model.attitude_lag_s
+    left = exp(-dt_s / lag_s) if lag_s > 0.0 else 0.0  # share of the acceleration's difference left after a substep
+    left_for_s = lag_s * (1.0 - left)  # integral of that share over the substep
+    left_for_s2 = lag_s * (dt_s - left_for_s)  # and its integral
+    substep = np.array([[1.0, dt_s, left_for_s2], [0.0, 1.0, left_for_s], [0.0, 0.0, left]])
+    effect = np.array([0.5 * dt_s**2 - left_for_s2, dt_s - left_for_s, 1.0 - left])
+    transport_s = max(0.0, model.delay_s - 0.5 * TICK_S)
+    whole_ticks, with_older = divmod(round(transport_s / dt_s), SUBSTEPS)
+    of_state, of_commands = np.eye(3), np.zeros((3, 2))
+    for index in range(SUBSTEPS):
+        of_state, of_commands = substep @ of_state, substep @ of_commands
+        of_commands[:, 0 if index < with_older else 1] += effect
+    return _TickMotion(of_state, of_commands, whole_ticks)
 
 
 def settled_after_s(errors_m: FloatArray, within_m: float) -> float | None:
