@@ -1,4 +1,4 @@
-"""The batch compared with lockstep over 15 s: the same formation, started from the true positions of lockstep's vehicles.
+"""The batch compared with lockstep over 12 s: the same formation, started from the true positions of lockstep's vehicles.
 
 With ideal sensors nothing is random, and every delay of the batch equals that of lockstep to the step. Remaining differences
 are MAVLink's 32-bit floats (a micrometre), start velocities from differences of the track, and level attitudes at the start.
@@ -19,13 +19,13 @@ from sitl.batch.flight import fly_batch
 from sitl.batch.metrics import batch_figures
 from sitl.batch.simulation import BatchStart
 from sitl.flight.scenario import Scenario, load_scenario, reference_of
-from sitl.flight.virtual_flight import Flown, fly_in_virtual_time
+from sitl.flight.virtual_flight import Flown, fly_without_landing
 from sitl.flight.world import TELEMETRY_STEPS
 from sitl.report.metrics import Formation, formation_figures, standing
 from sitl.report.progress import Progress
 
 PLATOON = ROOT / "config" / "scenarios" / "platoon.yaml"
-FLOWN_S = 15.0
+FLOWN_S = 12.0
 TOLERANCE_M = 1e-4
 COOPERATIVE = "fleet.law.name=cooperative"
 # Vehicles 1 and 3, 3.0 m apart, leave each other's range while the leader moves ahead, so that the PrC changes and returns.
@@ -45,7 +45,7 @@ def scenario_of(*overrides: str) -> Scenario:
 
 @cache
 def in_lockstep(*overrides: str) -> Flown:
-    flown = fly_in_virtual_time(scenario_of(*overrides), Progress("test", True, 0.0))
+    flown = fly_without_landing(scenario_of(*overrides), Progress("test", True, 0.0))
     assert flown.failure is None
     return flown
 
@@ -136,10 +136,8 @@ def test_another_delay_exceeds_the_tolerance() -> None:
 def test_loss_and_jitter_have_the_same_effect() -> None:
     """Random numbers differ, so the deviations from the undisturbed formation are compared."""
     bad = (COOPERATIVE, "links.peer_loss=0.3", "links.peer_jitter_s=0.06")
-    disturbed, undisturbed = (
-        fly_batch([scenario_of(*overrides, f"stand_in.seed={seed}") for seed in range(40)], FLOWN_S).positions_enu_m
-        for overrides in (bad, (COOPERATIVE,))
-    )
+    undisturbed = fly_batch([scenario_of(COOPERATIVE)], FLOWN_S).positions_enu_m  # the same for every seed
+    disturbed = fly_batch([scenario_of(*bad, f"stand_in.seed={seed}") for seed in range(40)], FLOWN_S).positions_enu_m
     strayed_m = np.linalg.norm(disturbed - undisturbed, axis=3).max(axis=(0, 2))
     assert strayed_m.mean() > 100.0 * TOLERANCE_M
     assert are_of_one_distribution([strayed_in_lockstep_m(bad, seed) for seed in (1, 2, 3)], strayed_m)
@@ -164,8 +162,8 @@ def strayed_in_lockstep_m(bad: tuple[str, ...], seed: int) -> float:
 def test_figures_with_sensor_noise_have_the_same_distribution() -> None:
     """Lockstep's flights are consistent with those of the batch: final error and largest distance of the platoon."""
     noisy = ("stand_in.sensors=default",)
-    seeds = (1, 2, 3, 4)
-    batch = fly_batch([scenario_of(*noisy, f"stand_in.seed={seed}") for seed in range(100)], FLOWN_S)
+    seeds = (1, 2, 3)
+    batch = fly_batch([scenario_of(*noisy, f"stand_in.seed={seed}") for seed in range(60)], FLOWN_S)
     figures = batch_figures(batch)
     largest, final = [], []
     for seed in seeds:
