@@ -35,6 +35,7 @@ RIPPLE_M = 0.05  # of the distance of a vehicle that slides along one that makes
 RESPONSE_1_S = 5.0  # k: how fast h may approach 0
 SLOPE_1_S = 4.0  # of the approach speed near the required distance
 FASTEST_LEAVING_M_S = 1.5  # demanded inside the required distance
+TRACKING_M = 0.1  # the attitude follows the command late, and between others a vehicle cannot always brake as planned
 ERROR_FACTOR = 1.0  # of the combined standard deviation of both positions
 SLOT_SHARE = 0.5  # of the room between separation_m and the distance of two slots: the most that margins may take
 PASSING_M = 0.15  # of the distance of two vehicles that pass each other on the way to their slots
@@ -142,7 +143,7 @@ class Separation:
         error = other.error
         level_m = hypot(own.horizontal_m, error.horizontal_m)
         height_m = hypot(own.vertical_m, error.vertical_m) * abs(upward)
-        required_m = self._separation_m + ERROR_FACTOR * (level_m + height_m)
+        required_m = self._separation_m + TRACKING_M + ERROR_FACTOR * (level_m + height_m)
         silent_s = other.age_s - other.extrapolated_s
         if silent_s > 0.0:
             required_m += min(silent_s * GROWTH_M_S, LARGEST_GROWTH * self._separation_m)
@@ -171,16 +172,15 @@ def _limited_by_slots(
 ) -> float:
     """The required distance, less where the slots are so near that the margins would push the formation apart.
 
-    Vehicles that are not placed as their slots pass each other on the way there: they get room for it. `offset_enu_m`: from
-    the other vehicle to this one.
+    Slots nearer than separation_m cross each other: the less these can be flown, the more margins count. Vehicles that are not
+    placed as their slots pass each other on the way there: they get room for it. `offset_enu_m`: from the other vehicle to
+    this one.
     """
     (x, y, z), (ox, oy, oz), (rx, ry, rz) = own.position_enu_m, other.position_enu_m, offset_enu_m
     dx, dy, dz = x - ox, y - oy, z - oz
     ex, ey, ez = rx - dx, ry - dy, (rz - dz) * weight
     dz *= weight
-    room_m = SLOT_SHARE * (sqrt(dx * dx + dy * dy + dz * dz) - separation_m)
-    if room_m < 0.0:
-        room_m = 0.0
+    room_m = SLOT_SHARE * abs(sqrt(dx * dx + dy * dy + dz * dz) - separation_m)
     placed = ex * ex + ey * ey + ez * ez <= PLACED_WITHIN_M * PLACED_WITHIN_M
     if not placed:
         passing_m = SLOT_SHARE * (sqrt(ex * ex + ey * ey + ez * ez) - PLACED_WITHIN_M)
