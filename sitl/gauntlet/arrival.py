@@ -39,7 +39,7 @@ def arrivals(flight: Drawn, flown: Flown) -> Arrivals:
     times_s = np.arange(flight.slots_from_s, flown.flight_s - SAMPLE_S, SAMPLE_S)
     present = [i for i in flight.expected if i not in out]
     reached_s: dict[int, float | None] = dict.fromkeys(present)
-    if len(watch.led_enu_m) > 1 and times_s.size:
+    if present and len(watch.led_enu_m) > 1 and times_s.size:
         within_m = WITHIN_M[str(flight.scenario.stand_in.sensors)]
         for i, errors_m in _errors_m(watch, present, times_s).items():
             reached_s[i] = settled_s((errors_m <= within_m) & (times_s >= watch.slot_moved_s.get(i, 0.0)))
