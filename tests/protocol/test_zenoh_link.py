@@ -23,7 +23,7 @@ from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember
 from companion.config.vehicle import ZenohEndpoints
 from companion.core.consensus.peers import PeerTable
 from companion.core.consensus.plausibility import FleetLimits
-from companion.ground.publishers import TargetPublisher
+from companion.ground.publishers import TargetPublisher, TrafficPublisher
 from companion.ground.session import AGAIN_S, FleetSession
 from companion.link.zenoh_link import LONG_PAUSE_S, ZenohLink
 from companion.link.zenoh_session import EndpointError, open_session
@@ -34,8 +34,9 @@ from companion.types.formation import FlownSlot, FormationChange, LeaderBeacon
 from companion.types.notices import Code
 from companion.types.peers import PeerPacket, ReceivedPeerPacket, ReceivedTarget
 from companion.types.status import Status
+from companion.types.traffic import ReceivedTraffic, TrafficSample
 from companion.wire.ground import Percentiles, StatusReport, Timing, encode
-from companion.wire.keys import abort_key, command_key, peer_key, status_key, target_key
+from companion.wire.keys import abort_key, command_key, peer_key, status_key, target_key, traffic_key
 from companion.wire.peer import encode_peer
 from companion.wire.version import WIRE_VERSION
 
@@ -288,6 +289,33 @@ def test_a_target_reaches_only_possible_leaders_and_malformed_ones_are_counted(p
     assert (second.session, second.sequence) == (first.session, first.sequence + 1)
     assert second.sent_s > first.sent_s
     assert set(leader.rejected) == {Code.TARGET_MALFORMED}
+
+
+def test_traffic_reaches_every_vehicle_and_malformed_samples_are_counted(port: int) -> None:
+    received: dict[int, list[ReceivedTraffic]] = {1: [], 2: []}
+    origin_deg_deg_m = (47.397742, 8.545594, 488.0)
+    with (
+        vehicle(1, listen=(endpoint(port),)) as leader,
+        vehicle(2, listen=(endpoint(port + 1),), connect=(endpoint(port),)) as follower,
+        TrafficPublisher(FLEET.name, (endpoint(port), endpoint(port + 1))) as receiver_of_adsb,
+        closing(open_session((), (endpoint(port),))) as stranger,
+    ):
+
+        def publish() -> None:
+            receiver_of_adsb.publish("4b1805", (5.0, 6.0, 7.0), (1.0, 0.0, 0.0), age_s=0.5, error_m=2.0)
+            receiver_of_adsb.publish_geodetic("4b1806", origin_deg_deg_m, (0.0, 0.0, 0.0), origin_deg_deg_m)
+            stranger.put(traffic_key(FLEET.name, "4b1805"), bytes((WIRE_VERSION,)) + b"nonsense")
+            for vehicle_id, one in ((1, leader), (2, follower)):
+                received[vehicle_id].extend(one.link.traffic(time.monotonic()))
+
+        def known(vehicle_id: int) -> dict[str, TrafficSample]:
+            return {each.name: each.sample for each in received[vehicle_id]}
+
+        until(lambda: len(known(1)) == len(known(2)) == 2 and leader.rejected, publish)
+    for newest in (known(1), known(2)):
+        assert newest["4b1805"] == TrafficSample((5.0, 6.0, 7.0), (1.0, 0.0, 0.0), 0.5, 2.0)
+        assert newest["4b1806"].position_enu_m == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
+    assert set(leader.rejected) == {Code.TRAFFIC_MALFORMED}
 
 
 def test_the_command_lead_carries_its_leaders_and_epoch(port: int) -> None:
