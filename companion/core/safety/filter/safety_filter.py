@@ -13,7 +13,7 @@ from companion.core.safety.filter.acceleration_filter import AccelerationLimits,
 from companion.core.safety.filter.boundaries import Boundaries
 from companion.core.safety.filter.lag import Lag
 from companion.core.safety.filter.right_of_way import turn_right
-from companion.core.safety.filter.separation import Separation, nearest_vehicle
+from companion.core.safety.filter.separation import Barrier, Separation, nearest_vehicle
 from companion.core.safety.filter.speed_limit import SpeedLimit, limited
 from companion.core.safety.filter.traffic import Traffic
 from companion.types.autopilot import VehicleState
@@ -90,12 +90,22 @@ class SafetyFilter:
             return Filtered(allowed, SeparationReport(nearest, 0.0, violated))
         taken_m_s2 = 0.0
         if barriers:
-            x, y, z = slowed
-            for barrier in barriers:
-                nx, ny, nz = barrier.space.normal_enu
-                taken_m_s2 = max(taken_m_s2, barrier.space.least_m_s2 - nx * x - ny * y - nz * z)
+            taken_m_s2 = _taken_m_s2(slowed, barriers)
             turn_x, turn_y = turn_right(slowed, vehicle.velocity_enu_m_s, self._gains, barriers)
             if turn_x or turn_y:
                 x, y, z = allowed
                 allowed = filtered((x + turn_x, y + turn_y, z), spaces, limits, TURN_STEPS)
         return Filtered(allowed, SeparationReport(nearest, dist(allowed, wanted_enu_m_s2), violated), taken_m_s2)
+
+
+def _taken_m_s2(wanted_enu_m_s2: Vector3, barriers: Iterable[Barrier]) -> float:
+    """The most that the half-space of a vehicle takes from the wanted acceleration."""
+    x, y, z = wanted_enu_m_s2
+    most = 0.0
+    for barrier in barriers:
+        space = barrier.space
+        nx, ny, nz = space.normal_enu
+        short = space.least_m_s2 - nx * x - ny * y - nz * z
+        if short > most:
+            most = short
+    return most
