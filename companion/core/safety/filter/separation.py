@@ -116,14 +116,14 @@ class Separation:
         closing_m_s = -(nx * wx + ny * wy + nz * wz)
         across_m_s2 = (wx * wx + wy * wy + wz * wz - closing_m_s * closing_m_s) / (apart_m + NEAREST_M)
         mz = nz * weight
-        required_m = self._required(error, other, mz)
-        offset_enu_m, late_m = (rx, ry, rz), UNSEEN_DELAY_S * closing_m_s if closing_m_s > 0.0 else 0.0
+        offset_enu_m = (rx, ry, rz)
+        required_m = self._required(error, slot, other, offset_enu_m, mz)
+        late_m = UNSEEN_DELAY_S * closing_m_s if closing_m_s > 0.0 else 0.0
         if slot_of_other is None:  # its late packet hides how far a pursuer has come, also where it closes no more
             braking_m_s2 = self._braking_alone_m_s2
             late_m = max(late_m, PURSUED_S * (nx * vx + ny * vy + nz * vz * weight)) + RIPPLE_M
         else:
             braking_m_s2 = self._braking_together_m_s2
-            required_m = _limited_by_slots(required_m, self._separation_m, slot, slot_of_other, offset_enu_m, weight)
         # p of a pair that turns about each other lags inside q; a closing vehicle is nearer than its late packet reports.
         required_m += TURNING_S2 * across_m_s2 + late_m
         room_m = apart_m - required_m
@@ -138,16 +138,36 @@ class Separation:
         space = HalfSpace((nx / size, ny / size, mz / size), own_m_s2 / size)
         return Barrier(space, other, offset_enu_m, required_m, room_m)
 
-    def _required(self, own: PositionError, other: Other, upward: float) -> float:
-        """separation_m, both position errors along the line between the vehicles, and growth while the other is silent."""
-        error = other.error
+    def _required(
+        self, own: PositionError, slot: FlownSlot, other: Other, offset_enu_m: Vector3, upward: float
+    ) -> float:
+        """separation_m, both position errors along the line between the vehicles, and growth while the other is silent.
+
+        Less where two slots are so near that these margins would push the formation apart. Slots nearer than separation_m
+        cross each other: the less these can be flown, the more margins count. Vehicles that are not placed as their slots pass
+        each other on the way there: they get room for it. `offset_enu_m`: from the other vehicle to this one.
+        """
+        separation_m, error = self._separation_m, other.error
         level_m = hypot(own.horizontal_m, error.horizontal_m)
         height_m = hypot(own.vertical_m, error.vertical_m) * abs(upward)
-        required_m = self._separation_m + TRACKING_M + ERROR_FACTOR * (level_m + height_m)
+        required_m = separation_m + TRACKING_M + ERROR_FACTOR * (level_m + height_m)
         silent_s = other.age_s - other.extrapolated_s
         if silent_s > 0.0:
-            required_m += min(silent_s * GROWTH_M_S, LARGEST_GROWTH * self._separation_m)
-        return required_m
+            required_m += min(silent_s * GROWTH_M_S, LARGEST_GROWTH * separation_m)
+        if other.slot is None:
+            return required_m
+        (x, y, z), (ox, oy, oz), (rx, ry, rz) = slot.position_enu_m, other.slot.position_enu_m, offset_enu_m
+        weight = other.height_weight
+        dx, dy, dz = x - ox, y - oy, z - oz
+        ex, ey, ez = rx - dx, ry - dy, (rz - dz) * weight
+        dz *= weight
+        room_m = SLOT_SHARE * abs(sqrt(dx * dx + dy * dy + dz * dz) - separation_m)
+        if ex * ex + ey * ey + ez * ez > PLACED_WITHIN_M * PLACED_WITHIN_M:
+            passing_m = SLOT_SHARE * (sqrt(ex * ex + ey * ey + ez * ez) - PLACED_WITHIN_M)
+            required_m += passing_m if passing_m < PASSING_M else PASSING_M
+            room_m = max(room_m, passing_m)
+        most_m = separation_m + room_m
+        return required_m if required_m < most_m else most_m
 
 
 def nearest_vehicle(now_s: float, vehicle: VehicleState, barriers: list[Barrier]) -> NearestVehicle | None:
@@ -165,26 +185,3 @@ def nearest_vehicle(now_s: float, vehicle: VehicleState, barriers: list[Barrier]
     dx, dy = x + vx * old_s - px - wx * age_s, y + vy * old_s - py - wy * age_s
     dz = (z + vz * old_s - pz - wz * age_s) * other.height_weight
     return NearestVehicle(str(other.key), sqrt(dx * dx + dy * dy + dz * dz), least.required_m)
-
-
-def _limited_by_slots(
-    required_m: float, separation_m: float, own: FlownSlot, other: FlownSlot, offset_enu_m: Vector3, weight: float
-) -> float:
-    """The required distance, less where the slots are so near that the margins would push the formation apart.
-
-    Slots nearer than separation_m cross each other: the less these can be flown, the more margins count. Vehicles that are not
-    placed as their slots pass each other on the way there: they get room for it. `offset_enu_m`: from the other vehicle to
-    this one.
-    """
-    (x, y, z), (ox, oy, oz), (rx, ry, rz) = own.position_enu_m, other.position_enu_m, offset_enu_m
-    dx, dy, dz = x - ox, y - oy, z - oz
-    ex, ey, ez = rx - dx, ry - dy, (rz - dz) * weight
-    dz *= weight
-    room_m = SLOT_SHARE * abs(sqrt(dx * dx + dy * dy + dz * dz) - separation_m)
-    placed = ex * ex + ey * ey + ez * ez <= PLACED_WITHIN_M * PLACED_WITHIN_M
-    if not placed:
-        passing_m = SLOT_SHARE * (sqrt(ex * ex + ey * ey + ez * ez) - PLACED_WITHIN_M)
-        required_m += passing_m if passing_m < PASSING_M else PASSING_M
-        room_m = max(room_m, passing_m)
-    most_m = separation_m + room_m
-    return required_m if required_m < most_m else most_m
