@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from math import atan2, degrees, hypot
+from typing import NamedTuple
 
 from companion.geometry.frames import (
     enu_from_geodetic,
@@ -78,11 +79,12 @@ def extended_sys_state(autopilot: Autopilot) -> MavlinkMessage:
     return M.MAVLink_extended_sys_state_message(0, autopilot.landed_state)
 
 
-SENSORS = (
-    M.MAV_SYS_STATUS_SENSOR_3D_GYRO | M.MAV_SYS_STATUS_SENSOR_3D_ACCEL | M.MAV_SYS_STATUS_SENSOR_3D_MAG
-    | M.MAV_SYS_STATUS_SENSOR_ABSOLUTE_PRESSURE | M.MAV_SYS_STATUS_SENSOR_GPS | M.MAV_SYS_STATUS_AHRS
-    | M.MAV_SYS_STATUS_SENSOR_BATTERY
-)  # fmt: skip
+class Sensors(NamedTuple):
+    """Bits of SYS_STATUS but for the arming checks in `healthy`."""
+
+    present: int
+    enabled: int
+    healthy: int
 
 
 def system_time(autopilot: Autopilot) -> MavlinkMessage:
@@ -90,13 +92,12 @@ def system_time(autopilot: Autopilot) -> MavlinkMessage:
     return M.MAVLink_system_time_message(0, autopilot.boot_ms)
 
 
-def sys_status(autopilot: Autopilot, present: int = SENSORS | M.MAV_SYS_STATUS_PREARM_CHECK) -> MavlinkMessage:
-    """All that is `present` is enabled. What is absent is healthy, too."""
-    healthy = SENSORS | present & ~M.MAV_SYS_STATUS_PREARM_CHECK
-    healthy |= M.MAV_SYS_STATUS_PREARM_CHECK if autopilot.armable else 0
+def sys_status(autopilot: Autopilot, sensors: Sensors) -> MavlinkMessage:
+    healthy = sensors.healthy | (M.MAV_SYS_STATUS_PREARM_CHECK if autopilot.armable else 0)
     return M.MAVLink_sys_status_message(
-        present, present, healthy, 250, round(BATTERY_V * 1000), 800, autopilot.battery_percent, 0, 0, 0, 0, 0, 0
-    )
+        sensors.present, sensors.enabled, healthy,
+        250, round(BATTERY_V * 1000), 800, autopilot.battery_percent, 0, 0, 0, 0, 0, 0,
+    )  # fmt: skip
 
 
 def battery_status(autopilot: Autopilot) -> MavlinkMessage:

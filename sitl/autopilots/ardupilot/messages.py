@@ -13,6 +13,12 @@ from sitl.autopilots.ardupilot.autopilot import ArduCopter
 from sitl.autopilots.ardupilot.modes import REPORTED_AS_GUIDED
 
 M = mavlink
+SENSORS = (
+    M.MAV_SYS_STATUS_SENSOR_3D_GYRO | M.MAV_SYS_STATUS_SENSOR_3D_ACCEL | M.MAV_SYS_STATUS_SENSOR_3D_MAG
+    | M.MAV_SYS_STATUS_SENSOR_ABSOLUTE_PRESSURE | M.MAV_SYS_STATUS_SENSOR_GPS | M.MAV_SYS_STATUS_AHRS
+    | M.MAV_SYS_STATUS_SENSOR_BATTERY
+)  # fmt: skip
+WITH_CHECKS = SENSORS | M.MAV_SYS_STATUS_PREARM_CHECK
 EKF_READY, EKF_WITHOUT_POSITION = 831, 167
 VERSION = (4 << 24) | (6 << 16) | (2 << 8) | 255  # 4.6.2, release
 
@@ -46,6 +52,10 @@ def attitude_target(copter: ArduCopter) -> MavlinkMessage:
     """ATTITUDE_TARGET with the commanded thrust, before the compensation of the tilt."""
     quaternion = quaternion_from_euler(*euler_ned_from_enu(*copter.wanted_euler_rad()))
     return M.MAVLink_attitude_target_message(copter.boot_ms, 0, quaternion, 0.0, 0.0, 0.0, copter.throttle_norm)
+
+
+def sys_status(copter: ArduCopter) -> MavlinkMessage:
+    return shared.sys_status(copter, shared.Sensors(present=WITH_CHECKS, enabled=WITH_CHECKS, healthy=SENSORS))
 
 
 def ekf_status_report(copter: ArduCopter) -> MavlinkMessage:
@@ -88,7 +98,7 @@ BUILDERS: dict[int, Builder] = {
     M.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: gps_global_origin,
     M.MAVLINK_MSG_ID_HOME_POSITION: home_position,
     M.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: shared.extended_sys_state,
-    M.MAVLINK_MSG_ID_SYS_STATUS: shared.sys_status,
+    M.MAVLINK_MSG_ID_SYS_STATUS: sys_status,
     M.MAVLINK_MSG_ID_BATTERY_STATUS: shared.battery_status,
     M.MAVLINK_MSG_ID_VFR_HUD: shared.vfr_hud,
     M.MAVLINK_MSG_ID_HIGHRES_IMU: shared.highres_imu,

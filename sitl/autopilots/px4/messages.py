@@ -14,11 +14,22 @@ from sitl.autopilots.px4.modes import NEED_A_PILOT
 M = mavlink
 ESTIMATES = (
     M.ESTIMATOR_ATTITUDE | M.ESTIMATOR_VELOCITY_HORIZ | M.ESTIMATOR_VELOCITY_VERT | M.ESTIMATOR_POS_HORIZ_REL
-    | M.ESTIMATOR_POS_HORIZ_ABS | M.ESTIMATOR_POS_VERT_ABS | M.ESTIMATOR_PRED_POS_HORIZ_REL
-    | M.ESTIMATOR_PRED_POS_HORIZ_ABS
+    | M.ESTIMATOR_POS_HORIZ_ABS | M.ESTIMATOR_POS_VERT_ABS | M.ESTIMATOR_POS_VERT_AGL
+    | M.ESTIMATOR_PRED_POS_HORIZ_REL | M.ESTIMATOR_PRED_POS_HORIZ_ABS
 )  # fmt: skip
-# PX4 reports no component "AHRS" while it is good, and arming checks in the health alone.
-REPORTED_SENSORS = shared.SENSORS & ~M.MAV_SYS_STATUS_AHRS | M.MAV_SYS_STATUS_SENSOR_XY_POSITION_CONTROL
+# Recorded of PX4 v1.16 in SIH. The attitude estimate (AHRS) is neither present nor enabled while it is good, the arming checks
+# never are. Without a transmitter the receiver is enabled and not healthy.
+PRESENT = (
+    M.MAV_SYS_STATUS_SENSOR_3D_GYRO | M.MAV_SYS_STATUS_SENSOR_3D_ACCEL | M.MAV_SYS_STATUS_SENSOR_3D_MAG
+    | M.MAV_SYS_STATUS_SENSOR_ABSOLUTE_PRESSURE | M.MAV_SYS_STATUS_SENSOR_GPS
+    | M.MAV_SYS_STATUS_SENSOR_XY_POSITION_CONTROL | M.MAV_SYS_STATUS_SENSOR_BATTERY
+)  # fmt: skip
+SENSORS = shared.Sensors(
+    present=PRESENT,
+    enabled=PRESENT | M.MAV_SYS_STATUS_SENSOR_RC_RECEIVER,
+    healthy=PRESENT | M.MAV_SYS_STATUS_AHRS | M.MAV_SYS_STATUS_SENSOR_DIFFERENTIAL_PRESSURE
+    | M.MAV_SYS_STATUS_SENSOR_ATTITUDE_STABILIZATION | M.MAV_SYS_STATUS_SENSOR_MOTOR_OUTPUTS | M.MAV_SYS_STATUS_LOGGING,
+)  # fmt: skip
 
 
 def heartbeat(px4: Px4) -> MavlinkMessage:
@@ -66,7 +77,7 @@ def estimator_status(px4: Px4) -> MavlinkMessage:
 
 
 def sys_status(px4: Px4) -> MavlinkMessage:
-    return shared.sys_status(px4, REPORTED_SENSORS)
+    return shared.sys_status(px4, SENSORS)
 
 
 def ping(px4: Px4) -> MavlinkMessage:

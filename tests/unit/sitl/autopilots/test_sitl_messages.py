@@ -145,14 +145,30 @@ def test_the_heartbeat_has_mode_arming_and_autopilot() -> None:
 
 
 def test_the_estimator_calls_the_position_constant_only_at_rest_on_the_ground() -> None:
-    """As PX4 does; its position is as good there as in flight, and `companion` must not refuse to arm it."""
+    """As recorded of PX4 v1.16; its position is as good there as in flight, and `companion` must not refuse to arm it."""
     vehicle = Vehicle()
     on_ground, _ = vehicle.command(REQUEST, float(M.MAVLINK_MSG_ID_ESTIMATOR_STATUS))
     vehicle.take_off()
     in_flight, _ = vehicle.command(REQUEST, float(M.MAVLINK_MSG_ID_ESTIMATOR_STATUS))
-    assert (on_ground.flags, in_flight.flags) == (0x3BF, 0x33F)
+    assert (on_ground.flags, in_flight.flags) == (0x3FF, 0x37F)
     for status in (on_ground, in_flight):
         assert telemetry.estimator_status(status, 0.0).healthy
+
+
+def test_sys_status_has_the_sensors_of_px4() -> None:
+    """As recorded of PX4 v1.16, before and after it can be armed. AHRS (0x200000) is healthy and not enabled."""
+    vehicle = Vehicle()
+    refused, _ = vehicle.command(REQUEST, float(M.MAVLINK_MSG_ID_SYS_STATUS))
+    vehicle.fly(5.0)
+    ready, _ = vehicle.command(REQUEST, float(M.MAVLINK_MSG_ID_SYS_STATUS))
+    for status, health in ((refused, 0x320C83F), (ready, 0x1320C83F)):
+        assert status.onboard_control_sensors_present == 0x200402F
+        assert status.onboard_control_sensors_enabled == 0x201402F
+        assert status.onboard_control_sensors_health == health
+        assert telemetry.system(status, 0.0).estimator_healthy
+    ready.onboard_control_sensors_enabled |= M.MAV_SYS_STATUS_AHRS  # PX4 enables it where it is bad
+    ready.onboard_control_sensors_health &= ~M.MAV_SYS_STATUS_AHRS
+    assert not telemetry.system(ready, 0.0).estimator_healthy
 
 
 def test_heading_is_clockwise_from_north() -> None:
