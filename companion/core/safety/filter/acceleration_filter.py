@@ -34,20 +34,20 @@ class Rank(IntEnum):
     SPEED = 4
 
 
-LIMIT = Rank.LIMIT
-Row = tuple[float, float, float, float, Rank]
-"""A half-space as the solver uses it: the normal, the least acceleration along it, and the rank."""
-Contradiction = list[tuple[Row, float]]
-"""Rows that cannot be met together, with shares: the sum of share * normal is 0, all shares are positive."""
+LIMIT, VEHICLE = Rank.LIMIT, Rank.VEHICLE  # enum member lookup is slow, and every tick needs them
+HalfSpace = tuple[float, float, float, float, Rank]
+"""Accelerations u with normal . u >= least, m/s^2: the normal of length 1 (east, north, up), least, and the rank.
+
+A flat tuple, because the solver goes through all half-spaces many times in a tick.
+"""
+Contradiction = list[tuple[HalfSpace, float]]
+"""Half-spaces that cannot be met together, with shares: the sum of share * normal is 0, all shares are positive."""
 NO_CONTRADICTION: Contradiction = []
 
 
-class HalfSpace(Struct, frozen=True, gc=False):
-    """Accelerations u with normal . u >= least, m/s^2; the normal has length 1."""
-
-    normal_enu: Vector3
-    least_m_s2: float
-    rank: Rank = Rank.VEHICLE
+def half_space(normal_enu: Vector3, least_m_s2: float, rank: Rank = Rank.VEHICLE) -> HalfSpace:
+    """A half-space from its normal."""
+    return (*normal_enu, least_m_s2, rank)
 
 
 class AccelerationLimits(Struct, frozen=True, gc=False):
@@ -91,9 +91,8 @@ def filtered(
 ) -> Vector3:
     """The wanted acceleration itself, the same object, where it meets all half-spaces; else the nearest one that does."""
     x, y, z = wanted_enu_m_s2
-    for space in half_spaces:
-        nx, ny, nz = space.normal_enu
-        if nx * x + ny * y + nz * z < space.least_m_s2 - MET_M_S2:
+    for nx, ny, nz, least, _ in half_spaces:
+        if nx * x + ny * y + nz * z < least - MET_M_S2:
             break
     else:
         return wanted_enu_m_s2
@@ -116,28 +115,27 @@ def _solved(
         rows.append(cut)
 
 
-def _asked(half_spaces: Sequence[HalfSpace], limits: AccelerationLimits, up_m_s2: float) -> list[Row]:
+def _asked(half_spaces: Sequence[HalfSpace], limits: AccelerationLimits, up_m_s2: float) -> list[HalfSpace]:
     """Half-spaces that may matter. More than the vehicle can do is asked of it as all that it can do.
 
     That is the largest acceleration along the normal while the vertical one is about `up_m_s2`.
     """
-    rows: list[Row] = []
+    asked: list[HalfSpace] = []
     radius, (dx, dy, _) = limits.level_radius_m_s2(up_m_s2), limits.disturbance_enu_m_s2
     lowest, highest = limits.lowest_m_s2, limits.highest_m_s2
     for space in half_spaces:
-        least = space.least_m_s2
+        nx, ny, nz, least, rank = space
         if least < NEVER_ACTIVE_M_S2:
             continue
-        nx, ny, nz = space.normal_enu
         if least > SURELY_POSSIBLE_M_S2:
             most = radius * hypot(nx, ny) + nx * dx + ny * dy + nz * (highest if nz > 0.0 else lowest)
             if most < least:
-                least = most
-        rows.append((nx, ny, nz, least, space.rank))
-    return rows
+                space = (nx, ny, nz, most, rank)
+        asked.append(space)
+    return asked
 
 
-def _cut(found_enu_m_s2: Vector3, limits: AccelerationLimits) -> Row | None:
+def _cut(found_enu_m_s2: Vector3, limits: AccelerationLimits) -> HalfSpace | None:
     """The limit that this acceleration violates, as a tangent plane; None within the limits."""
     (x, y, z), (dx, dy, _) = found_enu_m_s2, limits.disturbance_enu_m_s2
     if z > limits.highest_m_s2 + MET_M_S2:
@@ -151,7 +149,7 @@ def _cut(found_enu_m_s2: Vector3, limits: AccelerationLimits) -> Row | None:
     return (nx, ny, 0.0, nx * dx + ny * dy - radius, LIMIT)
 
 
-def _relaxed(rows: list[Row], contradiction: Contradiction) -> list[Row]:
+def _relaxed(rows: list[HalfSpace], contradiction: Contradiction) -> list[HalfSpace]:
     """The rows with less asked of those of the lowest rank in a contradiction, by the same and smallest amount."""
     lowest = LIMIT
     for (_, _, _, _, rank), _ in contradiction:
@@ -169,13 +167,13 @@ def _relaxed(rows: list[Row], contradiction: Contradiction) -> list[Row]:
     ]
 
 
-def _active_set(start: Vector3, rows: list[Row], steps: int) -> tuple[Vector3, int, Contradiction]:
+def _active_set(start: Vector3, rows: list[HalfSpace], steps: int) -> tuple[Vector3, int, Contradiction]:
     """(the point nearest to `start` that meets all rows, the steps left, no contradiction). It stops without steps left.
 
     Where rows contradict each other, the point is the one found before.
     """
     x, y, z = start
-    active: list[Row] = []
+    active: list[HalfSpace] = []
     weights: list[float] = []  # multipliers of the active rows
     while steps > 0:
         worst, most = None, MET_M_S2
@@ -217,7 +215,7 @@ def _active_set(start: Vector3, rows: list[Row], steps: int) -> tuple[Vector3, i
     return (x, y, z), steps, NO_CONTRADICTION
 
 
-def _split(x: float, y: float, z: float, active: list[Row]) -> tuple[Sequence[float], float, float, float]:
+def _split(x: float, y: float, z: float, active: list[HalfSpace]) -> tuple[Sequence[float], float, float, float]:
     """Shares of the active normals in a normal (x, y, z), and what is left outside their span. At most three are active."""
     if not active:
         return (), x, y, z

@@ -56,7 +56,7 @@ class Boundaries:
         if speed_m_s < -FASTEST_RETURN_M_S:
             speed_m_s, slope_1_s = -FASTEST_RETURN_M_S, 0.0
         least = -RESPONSE_1_S * (rate_m_s + speed_m_s) - slope_1_s * rate_m_s
-        return HalfSpace((nx, ny, nz), least, rank)
+        return (nx, ny, nz, least, rank)
 
     def _braking_m_s2(self, upward: float) -> float:
         if upward == 0.0:

@@ -27,9 +27,8 @@ def turn_right(
     (x, y, z), (vx, vy, _) = wanted_enu_m_s2, velocity_enu_m_s
     right_x = right_y = 0.0
     for barrier in barriers:
-        nx, ny, nz = barrier.space.normal_enu
+        nx, ny, nz, least, _ = barrier.space
         along = nx * x + ny * y + nz * z
-        least = barrier.space.least_m_s2
         taken = (least if least < 0.0 else 0.0) - along  # of what is wanted towards the other vehicle
         if taken <= 0.0:
             continue

@@ -103,9 +103,8 @@ def _taken_m_s2(wanted_enu_m_s2: Vector3, barriers: Iterable[Barrier]) -> float:
     x, y, z = wanted_enu_m_s2
     most = 0.0
     for barrier in barriers:
-        space = barrier.space
-        nx, ny, nz = space.normal_enu
-        short = space.least_m_s2 - nx * x - ny * y - nz * z
+        nx, ny, nz, least, _ = barrier.space
+        short = least - nx * x - ny * y - nz * z
         if short > most:
             most = short
     return most

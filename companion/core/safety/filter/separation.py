@@ -17,7 +17,7 @@ from math import hypot, sqrt
 from msgspec import Struct
 
 from companion.core.consensus.peers import PeerState
-from companion.core.safety.filter.acceleration_filter import HalfSpace
+from companion.core.safety.filter.acceleration_filter import VEHICLE, HalfSpace
 from companion.core.safety.filter.braking import approach_speed
 from companion.core.safety.filter.lag import LAG_S, Ahead
 from companion.core.safety.filter.others import NO_ERROR, Other, Others
@@ -135,7 +135,7 @@ class Separation:
         own_m_s2 = least_m_s2 + nx * ax + ny * ay + mz * az
         if slot_of_other is not None and own_m_s2 < 0.5 * least_m_s2:
             own_m_s2 = 0.5 * least_m_s2
-        space = HalfSpace((nx / size, ny / size, mz / size), own_m_s2 / size)
+        space = (nx / size, ny / size, mz / size, own_m_s2 / size, VEHICLE)
         return Barrier(space, other, offset_enu_m, required_m, room_m)
 
     def _required(

@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from math import hypot
 
-from companion.core.safety.filter.acceleration_filter import HalfSpace, Rank
+from companion.core.safety.filter.acceleration_filter import HalfSpace, Rank, half_space
 from companion.core.safety.filter.lag import Ahead
 from companion.geometry.airspace import DOWN, UP
 from companion.types.vectors import Vector3
@@ -33,13 +33,13 @@ class SpeedLimit:
         """Half-spaces of the vertical and of the horizontal speed. Their normals are perpendicular to each other."""
         vx, vy, vz = ahead.velocity_enu_m_s
         if vz > 0.0:
-            spaces = [HalfSpace(DOWN, -RESPONSE_1_S * (self.climb_m_s - vz), SPEED)]
+            spaces = [half_space(DOWN, -RESPONSE_1_S * (self.climb_m_s - vz), SPEED)]
         else:
-            spaces = [HalfSpace(UP, -RESPONSE_1_S * (self.descent_m_s + vz), SPEED)]
+            spaces = [half_space(UP, -RESPONSE_1_S * (self.descent_m_s + vz), SPEED)]
         level_m_s = hypot(vx, vy)
         if level_m_s > STILL_M_S:
-            normal = (-vx / level_m_s, -vy / level_m_s, 0.0)
-            spaces.append(HalfSpace(normal, -RESPONSE_1_S * (self.level_m_s - level_m_s), SPEED))
+            least_m_s2 = -RESPONSE_1_S * (self.level_m_s - level_m_s)
+            spaces.append((-vx / level_m_s, -vy / level_m_s, 0.0, least_m_s2, SPEED))
         return spaces
 
 
@@ -47,8 +47,8 @@ def limited(acceleration_enu_m_s2: Vector3, spaces: Iterable[HalfSpace]) -> Vect
     """The acceleration without what would exceed a speed limit; the same object where there is nothing of it."""
     allowed = acceleration_enu_m_s2
     for space in spaces:
-        (nx, ny, nz), (ux, uy, uz) = space.normal_enu, allowed
-        short = space.least_m_s2 - (nx * ux + ny * uy + nz * uz)
+        (nx, ny, nz, least, _), (ux, uy, uz) = space, allowed
+        short = least - (nx * ux + ny * uy + nz * uz)
         if short > 0.0:
             allowed = (ux + short * nx, uy + short * ny, uz + short * nz)
     return allowed
