@@ -38,6 +38,7 @@ def fleet_problems(fleet: FleetConfig, where: str = "") -> Iterator[Problem]:
         _takeoff_height(fleet, f"{where}takeoff_height_m"),
         airspace_problems(fleet, where),
         _speeds(fleet, f"{where}peers.max_speed_m_s"),
+        _battery(fleet, f"{where}land_below_percent"),
         law_problems(fleet.law, f"{where}law"),
         _successors(with_ids, f"{where}successors"),
         _edges(with_ids, f"{where}neighbours.edges"),
@@ -168,6 +169,17 @@ def _speeds(fleet: FleetConfig, where: str) -> Iterator[Problem]:
             where,
             f"{accepted_m_s:g} is less than the {fastest_m_s:.1f} m/s that envelope.max_speed_m_s, max_climb_m_s and"
             " max_descent_m_s allow; lower those, or raise it",
+        )
+
+
+def _battery(fleet: FleetConfig, where: str) -> Iterator[Problem]:
+    """A vehicle leaves with more charge than it lands with."""
+    leave, land = fleet.leave_below_percent, fleet.land_below_percent
+    if leave is not None and land is not None and land > leave:
+        yield Problem(
+            where,
+            f"{land:g} is more than leave_below_percent, {leave:g}: the vehicle would land before it leaves the formation;"
+            f" expected at most {leave:g}",
         )
 
 

@@ -71,9 +71,11 @@ ENTRIES: dict[str, Explanation] = {
         " With `land_after_s` both land.",
     ),
     "DUPLICATE_ID": Explanation(
-        "Packets of one vehicle id come from two agents.",
-        "Two vehicle files have the same `id`, or an agent was started twice.",
-        "Land, and end one of the agents. Vehicles refuse to arm and to form meanwhile.",
+        "Packets of one vehicle id come from two agents. Vehicles refuse to prepare, arm, take off and form until 3 s after the"
+        " last of them; those in formation go on.",
+        "Two vehicle files have the same `id`, an agent was started twice, or a stranger sends under an id of the fleet."
+        " `PEER_OWN_ID` and `PEER_ID_TWICE` among the rejected packets of the status name the id.",
+        "Land, and end one of the agents, or keep the stranger out of the network.",
     ),
     "SEPARATION_VIOLATED": Explanation(
         "Another vehicle is nearer than `separation_m`.",

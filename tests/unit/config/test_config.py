@@ -99,6 +99,10 @@ def test_parameters_of_a_law_can_be_changed_one_by_one(tmp_path: Path) -> None:
             lambda f: f.update(successors=[2]),
             ["successors[0]", "vehicle 2 may not lead", "may_lead: true for vehicle 2"],
         ),
+        (
+            lambda f: f.update(leave_below_percent=20, land_below_percent=25),
+            ["land_below_percent", "25 is more than leave_below_percent, 20"],
+        ),
         (lambda f: f.update(successors=[7]), ["successors[0]", "vehicle 7 may not lead; expected some of 1"]),
         (lambda f: f.update(successors=[1, 1]), ["successors[1]", "1 is named twice"]),
         (lambda f: f.update(land_after_s=0), ["land_after_s", "0", "> 0"]),
