@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from math import cos, sin
 
 from companion.types.autopilot import AutopilotKind, AutopilotMode, LandedState
@@ -32,12 +33,12 @@ TICK_S = 0.02
 HOVER_THRUST_NORM = 0.5
 CLIMB_M_S = 3.0
 SYSTEM_TICKS = 25  # period of SYS_STATUS: 2 Hz, as autopilots send it
-PARAMETERS = {
+PARAMETERS: Mapping[str, int | float] = {  # of a PX4 that the audit accepts
     "COM_OF_LOSS_T": 1.0,
-    "COM_OBL_RC_ACT": 5.0,
-    "NAV_DLL_ACT": 0.0,
-    "COM_RC_OVERRIDE": 3.0,
-    "GF_ACTION": 2.0,
+    "COM_OBL_RC_ACT": 5,
+    "NAV_DLL_ACT": 0,
+    "COM_RC_OVERRIDE": 3,
+    "GF_ACTION": 2,
     "GF_MAX_HOR_DIST": 100.0,
     "GF_MAX_VER_DIST": 50.0,
     "MPC_THR_HOVER": HOVER_THRUST_NORM,

@@ -5,7 +5,6 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -15,35 +14,17 @@ from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code
 from fault_table import FaultRow
-from faulty_fleet import IDS, LEADER, SEPARATION_M, FaultyFleet, demanded, faulty_fleet
+from faulty_fleet import IDS, LEADER, FaultyFleet, demanded, faulty_fleet
 from hovering_autopilot import HoveringAutopilot
 from sitl.links.ports import LOOPBACK, ports_of
 from tapped_flight import PX4
 
 pytestmark = [pytest.mark.fleet, pytest.mark.timeout(240)]
 
-STEP_DEG = 3.5
 AFTER_TAKEOVER_S = 0.1  # acceptance: no setpoint later than this after the change is visible
 OTHERS = (1, 2, 3)
 FAULT_AT_S = 35.0  # of the stand-in; the fleet is in formation then
 WITHIN_S = 60.0
-
-
-@pytest.fixture
-def flight(tmp_path: Path) -> Iterator[FaultyFleet]:
-    with faulty_fleet(tmp_path) as flight:
-        flight.form()
-        yield flight
-
-
-def check(flight: FaultyFleet, row: FaultRow) -> None:
-    row.smallest_distance_m, row.largest_step_deg = flight.smallest_distance_m(), flight.largest_step_deg()
-    assert row.smallest_distance_m >= SEPARATION_M
-    assert row.largest_step_deg <= STEP_DEG
-
-
-def fly_on(flight: FaultyFleet, ids: tuple[int, ...] = IDS) -> None:
-    assert flight.ground.phases(ids) == {FlightPhase.FORMATION}, flight.logged()
 
 
 @pytest.mark.every_fault
@@ -61,10 +42,10 @@ def test_setpoints_end_while_the_link_to_the_autopilot_is_interrupted(
     flight.ground.listen(4.0)
     row.measured.append(f"last setpoint {last_s * 1000:.0f} ms later")
     assert last_s < 0.1
-    fly_on(flight, OTHERS)
+    flight.check_formation(OTHERS)
     assert flight.phase(4) is (FlightPhase.FORMATION if returns else FlightPhase.OBSERVE), flight.logged()
     row.outcome = "it flies on in its slot" if returns else "it observes; its autopilot holds; the others fly on"
-    check(flight, row)
+    flight.check(row)
 
 
 def test_the_agent_lets_go_when_a_pilot_takes_over(flight: FaultyFleet, row: FaultRow) -> None:
@@ -84,8 +65,8 @@ def test_the_agent_lets_go_when_a_pilot_takes_over(flight: FaultyFleet, row: Fau
     row.outcome = "it observes; the others fly on"
     assert last_s <= AFTER_TAKEOVER_S
     assert flight.phase(4) is FlightPhase.OBSERVE
-    fly_on(flight, OTHERS)
-    check(flight, row)
+    flight.check_formation(OTHERS)
+    flight.check(row)
 
 
 def in_formation_before_the_fault(flight: FaultyFleet) -> None:
@@ -95,7 +76,7 @@ def in_formation_before_the_fault(flight: FaultyFleet) -> None:
     left_s = FAULT_AT_S - 3.0 - (time.monotonic() - began_s)
     assert left_s > 0.0, "the fleet was not in formation in time"
     flight.ground.listen(left_s)
-    fly_on(flight)
+    flight.check_formation()
     flight.fault()
 
 
@@ -117,7 +98,7 @@ def test_an_estimator_reset_causes_no_step(tmp_path: Path, shift_m: float, vehic
         phase = flight.phase(vehicle_id)
         row.outcome = f"phase {phase}; others: {', '.join(sorted({flight.phase(i) for i in IDS if i != vehicle_id}))}"
         assert phase in (FlightPhase.FORMATION, FlightPhase.HOLD), flight.logged()
-        check(flight, row)
+        flight.check(row)
         flight.land()
 
 
@@ -138,8 +119,8 @@ def test_a_vehicle_with_a_low_battery_lands(tmp_path: Path, percent: int, code: 
         row.measured.append(f"leaves formation {left_s - raised_s:.1f} s after the flag")
         flight.wait(lambda: not flight.ground.newest[4].armed, 30.0)
         row.outcome = "it lands and disarms; the others fly on"
-        fly_on(flight, OTHERS)
-        check(flight, row)
+        flight.check_formation(OTHERS)
+        flight.check(row)
 
 
 @pytest.mark.every_fault
@@ -153,11 +134,11 @@ def test_agents_fly_on_with_a_full_disk(flight: FaultyFleet, row: FaultRow) -> N
     flight.ground.order(CommandName.HOLD, FlightPhase.HOLD, IDS)  # events to log
     flight.ground.order(CommandName.FORM, FlightPhase.FORMATION, IDS)
     flight.ground.listen(5.0)
-    fly_on(flight)
+    flight.check_formation()
     assert not any(flight.events(i) for i in IDS)
     row.measured.append(f"hold and form again within {time.monotonic() - held_s - 5.0:.0f} s, nothing logged")
     row.outcome = "all in formation, then landed"
-    check(flight, row)
+    flight.check(row)
     flight.land()
 
 
@@ -201,9 +182,9 @@ def test_a_second_agent_with_an_id_of_the_fleet_does_not_disturb_it(flight: Faul
             flagged = {i for i in IDS if flight.event(i, Code.DUPLICATE_ID)}
             row.measured.append(f"reported by {len(flagged)} vehicles; error {error_m:.3f} m, before {before_m:.3f} m")
             row.outcome = "all in formation"
-            fly_on(flight)
+            flight.check_formation()
             assert flagged
-            check(flight, row)
+            flight.check(row)
         finally:
             double.kill()
             double.wait()

@@ -11,10 +11,11 @@ from companion.types.flight import FlightPhase
 from companion.types.notices import Code
 from fault_table import FaultRow
 from faulty_fleet import (
+    CONVERGED_M,
     FOLLOWERS,
     IDS,
     LEADER,
-    SEPARATION_M,
+    LOST_S,
     UNDISTURBED,
     FaultyFleet,
     demanded,
@@ -26,9 +27,6 @@ from sitl.vehicle.config import Links, Partition
 pytestmark = [pytest.mark.fleet, pytest.mark.timeout(240)]
 
 WORSE_BY_M = 0.2  # acceptance: 10 % loss and 100 +- 50 ms
-CONVERGED_M = 0.3
-LOST_S = 0.7  # leader_beacon_max_age_s, one turn of a successor, and the way through three relays
-STEP_DEG = 3.5  # output limit: 2.4 degrees in roll and pitch
 MEASURED_S = 8.0
 
 DELAYED = {"peer_delay_s": 0.05, "peer_jitter_s": 0.1}
@@ -58,32 +56,25 @@ def undisturbed_error_m(flight: FaultyFleet, seconds: float) -> float:
     return flight.largest_error_m(last_s=seconds)
 
 
-def fly_under(flight: FaultyFleet, links: Links, row: FaultRow, seconds: float) -> float:
+def fly_under(flight: FaultyFleet, links: Links, seconds: float) -> float:
     """The largest error in the second half of the time; all stay in formation."""
     flight.links(links)
     flight.fault()
     flight.ground.listen(seconds)
-    assert flight.ground.phases(IDS) == {FlightPhase.FORMATION}, flight.logged()
-    row.smallest_distance_m, row.largest_step_deg = flight.smallest_distance_m(), flight.largest_step_deg()
+    flight.check_formation()
     return flight.largest_error_m(last_s=seconds / 2.0)
-
-
-def check(row: FaultRow) -> None:
-    assert row.smallest_distance_m is not None and row.largest_step_deg is not None
-    assert row.smallest_distance_m >= SEPARATION_M
-    assert row.largest_step_deg <= STEP_DEG
 
 
 @pytest.mark.every_fault
 @pytest.mark.parametrize("fault", LINKS)
 def test_the_formation_holds_under(flight: FaultyFleet, fault: str, row: FaultRow) -> None:
     before_m = undisturbed_error_m(flight, 4.0)
-    error_m = fly_under(flight, LINKS[fault], row, MEASURED_S)
+    error_m = fly_under(flight, LINKS[fault], MEASURED_S)
     row.fault, row.demanded = fault, f"error within {WORSE_BY_M:g} m of the undisturbed one"
     row.measured = [f"largest error {error_m:.3f} m, undisturbed {before_m:.3f} m"]
     row.outcome = "all in formation"
     assert error_m <= before_m + WORSE_BY_M
-    check(row)
+    flight.check(row)
 
 
 def test_a_fleet_forms_under_loss_and_delay(tmp_path: Path, row: FaultRow) -> None:
@@ -92,14 +83,13 @@ def test_a_fleet_forms_under_loss_and_delay(tmp_path: Path, row: FaultRow) -> No
         flight.form()
         flight.fault()
         flight.ground.listen(10.0)
-        assert flight.ground.phases(IDS) == {FlightPhase.FORMATION}, flight.logged()
+        flight.check_formation()
         error_m = flight.largest_error_m(last_s=4.0)
         row.fault, row.demanded = "30 % loss and 100 +- 50 ms from the start", "the fleet forms and converges"
         row.measured = [f"largest error {error_m:.3f} m, 8 s after forming"]
-        row.smallest_distance_m, row.largest_step_deg = flight.smallest_distance_m(), flight.largest_step_deg()
         row.outcome = "all in formation"
         assert error_m < CONVERGED_M
-        check(row)
+        flight.check(row)
         flight.land()
 
 
@@ -115,9 +105,8 @@ def test_over_tcp_streams_loss_ends_the_formation_in_hold(tmp_path: Path, row: F
         assert flight.ground.phases(IDS) <= {FlightPhase.FORMATION, FlightPhase.HOLD, FlightPhase.RELEASE}
         row.fault, row.demanded = "10 % loss without `datagrams` (Zenoh over TCP)", demanded(Code.LEADER_LOST)
         row.measured = [f"first follower in hold {lost:.1f} s after the loss began"]
-        row.smallest_distance_m, row.largest_step_deg = flight.smallest_distance_m(), flight.largest_step_deg()
         row.outcome = "followers hold; use `datagrams` on such links"
-        check(row)
+        flight.check(row)
         flight.links(UNDISTURBED)
         flight.land()
 
@@ -143,11 +132,10 @@ def test_parted_followers_hold_and_form_again_when_the_network_heals(flight: Fau
         f"formed again {formed_s:.1f} s after healing, by `form`",
         f"error then {error_m:.3f} m",
     ]
-    row.smallest_distance_m, row.largest_step_deg = flight.smallest_distance_m(), flight.largest_step_deg()
     row.outcome = "each part acts by the matrix; all in formation again"
     assert lost_s < LOST_S
     assert error_m < CONVERGED_M
-    check(row)
+    flight.check(row)
 
 
 @pytest.mark.every_fault
@@ -161,10 +149,9 @@ def test_without_any_link_all_hold(flight: FaultyFleet, row: FaultRow) -> None:
     row.fault = "all links between agents lost"
     row.demanded = f"{demanded(Code.LEADER_LOST)}; leader: {demanded(Code.FLEET_LINK_LOST)}"
     row.measured = [f"followers leave formation after {followers_s:.2f} s", f"the leader after {leader_s:.2f} s"]
-    row.smallest_distance_m, row.largest_step_deg = flight.smallest_distance_m(), flight.largest_step_deg()
     row.outcome = "all hold"
     assert followers_s < LOST_S
     assert 5.0 < leader_s < 6.0
-    check(row)
+    flight.check(row)
     flight.links(UNDISTURBED)
     flight.ground.order(CommandName.LAND, FlightPhase.OBSERVE, IDS, within_s=60.0)

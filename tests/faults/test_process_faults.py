@@ -4,7 +4,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -12,30 +11,15 @@ import pytest
 from companion.types.flight import FlightPhase, Role
 from companion.types.notices import Code
 from fault_table import FaultRow
-from faulty_fleet import FOLLOWERS, IDS, LEADER, SEPARATION_M, FaultyFleet, demanded, faulty_fleet
+from faulty_fleet import CONVERGED_M, FOLLOWERS, IDS, LEADER, LOST_S, FaultyFleet, demanded, faulty_fleet
 from sitl.links.ports import zenoh_endpoint
 
 pytestmark = [pytest.mark.fleet, pytest.mark.timeout(240)]
 
 LAST_SETPOINT_S = 0.04  # acceptance: after an agent was killed or frozen
-LOST_S = 0.7  # leader_beacon_max_age_s, one turn of a successor, and the way through three relays
-STEP_DEG = 3.5
-CONVERGED_M = 0.3
 FROZEN_S = 3.0
+OTHERS = (1, 2, 3)  # than the faulty follower
 EVENTS_S = 5.0
-
-
-@pytest.fixture
-def flight(tmp_path: Path) -> Iterator[FaultyFleet]:
-    with faulty_fleet(tmp_path) as flight:
-        flight.form()
-        yield flight
-
-
-def check(flight: FaultyFleet, row: FaultRow) -> None:
-    row.smallest_distance_m, row.largest_step_deg = flight.smallest_distance_m(), flight.largest_step_deg()
-    assert row.smallest_distance_m >= SEPARATION_M
-    assert row.largest_step_deg <= STEP_DEG
 
 
 def last_setpoint(flight: FaultyFleet, vehicle_id: int, row: FaultRow) -> None:
@@ -52,10 +36,6 @@ def followers_lose_the_leader(flight: FaultyFleet, row: FaultRow) -> None:
     assert lost_s < LOST_S
 
 
-def followers_keep_formation(flight: FaultyFleet, ids: tuple[int, ...]) -> None:
-    assert flight.ground.phases(ids) == {FlightPhase.FORMATION}, flight.logged()
-
-
 @pytest.mark.every_fault
 def test_followers_hold_when_the_agent_of_the_leader_is_killed(flight: FaultyFleet, row: FaultRow) -> None:
     row.fault, row.demanded = "SIGKILL of the leader's agent, no successors", demanded(Code.LEADER_LOST)
@@ -64,7 +44,7 @@ def test_followers_hold_when_the_agent_of_the_leader_is_killed(flight: FaultyFle
     followers_lose_the_leader(flight, row)
     flight.ground.listen(EVENTS_S)
     last_setpoint(flight, LEADER, row)
-    check(flight, row)
+    flight.check(row)
     flight.land(FOLLOWERS)
 
 
@@ -79,11 +59,11 @@ def test_a_successor_leads_when_the_agent_of_the_leader_is_killed(tmp_path: Path
         leads_s = time.monotonic() - flight.since.monotonic_s  # by its status, ten times a second
         row.measured.append(f"vehicle 2 leads after {leads_s:.1f} s")
         flight.ground.listen(EVENTS_S)
-        followers_keep_formation(flight, FOLLOWERS)
+        flight.check_formation(FOLLOWERS)
         last_setpoint(flight, LEADER, row)
         row.outcome = "the others fly on behind vehicle 2"
         assert leads_s < 1.2
-        row.smallest_distance_m, row.largest_step_deg = flight.smallest_distance_m(), flight.largest_step_deg()
+        flight.check(row)
         flight.land(FOLLOWERS)
 
 
@@ -92,10 +72,10 @@ def test_the_others_fly_on_when_the_agent_of_a_follower_is_killed(flight: Faulty
     flight.fault()
     flight.kill("agent 4")
     flight.ground.listen(EVENTS_S)
-    followers_keep_formation(flight, (1, 2, 3))
+    flight.check_formation(OTHERS)
     last_setpoint(flight, 4, row)
     row.outcome = "the others fly on; its autopilot holds by itself"
-    check(flight, row)
+    flight.check(row)
 
 
 @pytest.mark.every_fault
@@ -118,9 +98,9 @@ def test_a_frozen_agent_sends_nothing_and_does_not_resume(flight: FaultyFleet, v
     if leads:
         followers_lose_the_leader(flight, row)
     else:
-        followers_keep_formation(flight, (1, 2, 3))
+        flight.check_formation(OTHERS)
         row.outcome = "the others fly on; it observes"
-    check(flight, row)
+    flight.check(row)
 
 
 @pytest.mark.every_fault
@@ -135,9 +115,9 @@ def test_setpoints_end_with_the_autopilots_telemetry(
     last_s = flight.last_setpoint_s(4)
     row.measured.append(f"last setpoint {last_s * 1000:.0f} ms later")
     assert last_s < 0.1
-    followers_keep_formation(flight, (1, 2, 3))
+    flight.check_formation(OTHERS)
     row.outcome = "the others fly on"
-    check(flight, row)
+    flight.check(row)
 
 
 @pytest.mark.every_fault
@@ -149,7 +129,7 @@ def test_all_hold_when_the_network_process_is_killed(flight: FaultyFleet, row: F
     flight.wait(lambda: flight.phase(LEADER) is FlightPhase.HOLD, 10.0)
     leader_s = next(event.after_s for event in flight.events(LEADER) if "formation -> release" in event.text)
     row.measured.append(f"the leader after {leader_s:.2f} s")
-    check(flight, row)
+    flight.check(row)
     flight.land()
 
 
@@ -172,9 +152,9 @@ def test_the_fleet_flies_on_without_its_ground_station(
         error_m = flight.largest_error_m(last_s=EVENTS_S - 1.0)
         row.measured.append(f"largest error {error_m:.3f} m")
         row.outcome = "all in formation"
-        followers_keep_formation(flight, IDS)
+        flight.check_formation()
         assert error_m < CONVERGED_M
-        check(flight, row)
+        flight.check(row)
     finally:
         monitor.kill()
         monitor.communicate()

@@ -29,6 +29,7 @@ from companion.types.telemetry import (
 )
 from companion.types.tick import Inbox, Outbox
 from companion.types.vectors import Vector3
+from sitl.hostile.plant import PARAMETERS
 
 FLEET = FleetConfig(
     name="pair",
@@ -43,16 +44,6 @@ FLEET = FleetConfig(
 )
 SESSION = 7
 POINT = PointReference(point_enu_m=(1.0, 0.0, 1.0))
-IN_ORDER = {
-    "COM_OF_LOSS_T": 1.0,
-    "COM_OBL_RC_ACT": 5.0,
-    "NAV_DLL_ACT": 0.0,
-    "COM_RC_OVERRIDE": 3.0,
-    "GF_ACTION": 2.0,
-    "GF_MAX_HOR_DIST": 100.0,
-    "GF_MAX_VER_DIST": 50.0,
-    "MPC_THR_HOVER": 0.5,
-}
 
 
 class Flight:
@@ -79,7 +70,7 @@ class Flight:
         self.peer_position: Vector3 | None = (0.0, 0.0, 1.0)
         self.outbox = Outbox()
         self.sends_origin = True
-        self.parameters = dict(IN_ORDER)
+        self.parameters = dict(PARAMETERS)
         self.battery_percent = 90.0
         self.withheld: tuple[type, ...] = ()
         self.executes_requests = True

@@ -30,6 +30,7 @@ from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code
 from companion.types.vectors import Vector3
+from fault_table import FaultRow
 from fleet_ports import free_fleet_offset
 from repository import ROOT
 from sitl.flight.files import truth_path, write_files, write_network
@@ -43,6 +44,9 @@ from wire_tap import Setpoint, WireTap
 IDS = (1, 2, 3, 4)
 LEADER, FOLLOWERS = 1, (2, 3, 4)
 SEPARATION_M = 1.0
+STEP_DEG = 3.5  # output limit between setpoints: 2.4 degrees in roll and pitch
+CONVERGED_M = 0.3
+LOST_S = 0.7  # leader_beacon_max_age_s, one turn of a successor, and the way through three relays
 UNDISTURBED = Links(peer_transport="udp", peer_delay_s=0.002)  # not the default: the emulated network runs
 AGENTS_PORTS = 12_000  # away from the stand-ins' ports, where the taps listen
 LONGEST_STREAM_GAP_S = 0.1  # setpoints further apart are not of one stream
@@ -142,7 +146,17 @@ class FaultyFleet:
     def phase(self, vehicle_id: int) -> FlightPhase:
         return self.ground.newest[vehicle_id].phase
 
+    def check_formation(self, ids: Sequence[int] = IDS) -> None:
+        """All of these are in formation."""
+        assert self.ground.phases(tuple(ids)) == {FlightPhase.FORMATION}, self.logged()
+
     # ------------------------------------------------------------ measured since the fault
+
+    def check(self, row: FaultRow) -> None:
+        """Measure smallest distance and largest step, and hold them against their limits."""
+        row.smallest_distance_m, row.largest_step_deg = self.smallest_distance_m(), self.largest_step_deg()
+        assert row.smallest_distance_m >= SEPARATION_M
+        assert row.largest_step_deg <= STEP_DEG
 
     def events(self, vehicle_id: int) -> list[Event]:
         """What its agent logged since the fault."""

@@ -11,20 +11,12 @@ from dataclasses import dataclass, field
 from background import Background
 from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
 from companion.mavlink.signing import SigningKey
+from sitl.hostile.plant import PARAMETERS
 
 PERIOD_S = 0.02
 LOITER, OFFBOARD = (4, 3), (6, 0)
 HOVER_THRUST_NORM = 0.49
-IN_ORDER = {
-    "COM_OF_LOSS_T": 1.0,
-    "COM_OBL_RC_ACT": 5.0,
-    "NAV_DLL_ACT": 0.0,
-    "COM_RC_OVERRIDE": 3.0,
-    "GF_ACTION": 2.0,
-    "GF_MAX_HOR_DIST": 100.0,
-    "GF_MAX_VER_DIST": 50.0,
-    "MPC_THR_HOVER": HOVER_THRUST_NORM,
-}
+IN_ORDER = {name: float(value) for name, value in PARAMETERS.items()} | {"MPC_THR_HOVER": HOVER_THRUST_NORM}
 
 
 @dataclass

@@ -18,6 +18,7 @@ from companion.types.flight import FlightPhase, Role
 from companion.types.notices import Code, Notice
 from companion.types.status import Status
 from companion.types.tick import Inbox
+from sitl.hostile.plant import PARAMETERS
 
 M, P, C = mavlink, FlightPhase, CommandName
 PX4, ARDUPILOT = AutopilotKind.PX4, AutopilotKind.ARDUPILOT
@@ -28,16 +29,7 @@ TAKEOFF_M = 2.0
 MANUAL = {PX4: 1 << 16, ARDUPILOT: 0}  # MANUAL, STABILIZE
 HOLD = {PX4: 4 << 16 | 3 << 24, ARDUPILOT: 17}
 IN_ORDER: dict[AutopilotKind, dict[str, int | float]] = {
-    PX4: {
-        "COM_OF_LOSS_T": 1.0,
-        "COM_OBL_RC_ACT": 5,
-        "NAV_DLL_ACT": 0,
-        "COM_RC_OVERRIDE": 3,
-        "GF_ACTION": 2,
-        "GF_MAX_HOR_DIST": 100.0,
-        "GF_MAX_VER_DIST": 50.0,
-        "MPC_THR_HOVER": 0.5,
-    },
+    PX4: dict(PARAMETERS),
     ARDUPILOT: {
         "GUID_OPTIONS": 8,
         "ATC_ANGLE_BOOST": 1,
