@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from math import dist
+from math import dist, inf
 from typing import Protocol
 
 from companion.core.consensus.peers import PeerState
@@ -25,6 +25,9 @@ class EdgeRule:
         return tuple([i for i in self._others if i in peers])
 
 
+BRIDGES_AFTER_S = (
+    0.2  # without a neighbour that has a leader beacon; beacons end 0.3 s after the leader was last received
+)
 BRIDGED_S = 10.0  # a vehicle beyond the range remains a neighbour for so long, then it is looked for again
 
 
@@ -41,6 +44,7 @@ class RangeRule:
         self._members: frozenset[int] = frozenset()
         self._bridge: int | None = None  # a neighbour beyond the range
         self._bridged_s = 0.0
+        self._led_s = inf  # when a neighbour last had a leader beacon; inf before the first
 
     def select(self, own_position_enu_m: Vector3, peers: Mapping[int, PeerState], now_s: float) -> tuple[int, ...]:
         self._members = frozenset(
@@ -51,7 +55,9 @@ class RangeRule:
         )
         if self._bridge is not None and (self._bridge not in peers or now_s - self._bridged_s > BRIDGED_S):
             self._bridge = None
-        if self._bridge is None and all(peers[i].packet.leader_beacon is None for i in self._members):
+        if any(peers[i].packet.leader_beacon is not None for i in self._members):
+            self._led_s = now_s
+        elif self._bridge is None and now_s - self._led_s > BRIDGES_AFTER_S:
             led = [i for i, peer in peers.items() if peer.packet.leader_beacon is not None]
             if led:
                 self._bridge = min(led, key=lambda i: (dist(own_position_enu_m, peers[i].position_at(now_s)), i))

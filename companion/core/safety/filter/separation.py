@@ -35,7 +35,9 @@ RIPPLE_M = 0.05  # of the distance of a vehicle that slides along one that makes
 RESPONSE_1_S = 5.0  # k: how fast h may approach 0
 SLOPE_1_S = 4.0  # of the approach speed near the required distance
 FASTEST_LEAVING_M_S = 1.5  # demanded inside the required distance
-TRACKING_M = 0.1  # the attitude follows the command late, and between others a vehicle cannot always brake as planned
+TRACKING_M = (
+    0.1  # where slots move: the attitude follows late, and between others a vehicle cannot always brake as planned
+)
 ERROR_FACTOR = 1.0  # of the combined standard deviation of both positions
 SLOT_SHARE = 0.5  # of the room between separation_m and the distance of two slots: the most that margins may take
 PASSING_M = 0.15  # of the distance of two vehicles that pass each other on the way to their slots
@@ -121,7 +123,7 @@ class Separation:
         late_m = UNSEEN_DELAY_S * closing_m_s if closing_m_s > 0.0 else 0.0
         if slot_of_other is None:  # its late packet hides how far a pursuer has come, also where it closes no more
             braking_m_s2 = self._braking_alone_m_s2
-            late_m = max(late_m, PURSUED_S * (nx * vx + ny * vy + nz * vz * weight)) + RIPPLE_M
+            late_m = max(late_m, PURSUED_S * (nx * vx + ny * vy + nz * vz * weight)) + RIPPLE_M + TRACKING_M
         else:
             braking_m_s2 = self._braking_together_m_s2
         # p of a pair that turns about each other lags inside q; a closing vehicle is nearer than its late packet reports.
@@ -150,7 +152,7 @@ class Separation:
         separation_m, error = self._separation_m, other.error
         level_m = hypot(own.horizontal_m, error.horizontal_m)
         height_m = hypot(own.vertical_m, error.vertical_m) * abs(upward)
-        required_m = separation_m + TRACKING_M + ERROR_FACTOR * (level_m + height_m)
+        required_m = separation_m + ERROR_FACTOR * (level_m + height_m)
         silent_s = other.age_s - other.extrapolated_s
         if silent_s > 0.0:
             required_m += min(silent_s * GROWTH_M_S, LARGEST_GROWTH * separation_m)
@@ -161,6 +163,8 @@ class Separation:
         dx, dy, dz = x - ox, y - oy, z - oz
         ex, ey, ez = rx - dx, ry - dy, (rz - dz) * weight
         dz *= weight
+        if slot.moves_for_s > 0.0 or other.slot.moves_for_s > 0.0:
+            required_m += TRACKING_M
         room_m = SLOT_SHARE * abs(sqrt(dx * dx + dy * dy + dz * dz) - separation_m)
         if ex * ex + ey * ey + ez * ez > PLACED_WITHIN_M * PLACED_WITHIN_M:
             passing_m = SLOT_SHARE * (sqrt(ex * ex + ey * ey + ez * ez) - PLACED_WITHIN_M)

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from companion.core.consensus.neighbours import BRIDGED_S, EdgeRule, RangeRule
+from companion.core.consensus.neighbours import BRIDGED_S, BRIDGES_AFTER_S, EdgeRule, RangeRule
 from companion.core.consensus.peers import PeerState, PeerTable
 from companion.core.consensus.plausibility import FleetLimits
 from companion.types.autopilot import PositionError
@@ -337,11 +337,14 @@ def test_neighbours_by_range_with_hysteresis() -> None:
 def test_beyond_the_range_the_nearest_that_leads_to_the_leader_is_a_neighbour() -> None:
     rule = RangeRule(3.0, 0.5)
     own, near = (0.0, 0.0, 0.0), without_leader(2.0)
-    assert rule.select(own, {3: peer_at(2.0), 7: peer_at(9.0)}, 1.0) == (3,)  # a neighbour leads to the leader
-    assert rule.select(own, {3: near, 5: without_leader(4.0), 7: peer_at(9.0), 8: peer_at(7.0)}, 2.0) == (3, 8)
-    bridged = [rule.select(own, {3: peer_at(2.0), 8: peer_at(7.0)}, now_s) for now_s in (2.1, 2.0 + BRIDGED_S)]
+    assert rule.select(own, {3: near, 7: peer_at(9.0)}, 0.9) == (3,)  # none has ever led to the leader
+    assert rule.select(own, {3: peer_at(2.0), 7: peer_at(9.0)}, 1.9) == (3,)  # a neighbour does
+    assert rule.select(own, {3: near, 7: peer_at(9.0)}, 1.9 + 0.9 * BRIDGES_AFTER_S) == (3,)
+    far = {3: near, 5: without_leader(4.0), 7: peer_at(9.0), 8: peer_at(7.0)}
+    assert rule.select(own, far, 2.0 + BRIDGES_AFTER_S) == (3, 8)
+    bridged = [rule.select(own, {3: peer_at(2.0), 8: peer_at(7.0)}, now_s) for now_s in (2.3, 2.2 + BRIDGED_S)]
     assert bridged == [(3, 8), (3, 8)]  # 3 may have its beacon from this vehicle alone
-    assert rule.select(own, {3: peer_at(2.0), 8: peer_at(7.0)}, 2.1 + BRIDGED_S) == (3,)
+    assert rule.select(own, {3: peer_at(2.0), 8: peer_at(7.0)}, 2.3 + BRIDGED_S) == (3,)
     assert rule.select(own, {3: near, 5: peer_at(5.0), 8: peer_at(7.0)}, 20.0) == (3, 5)
     assert rule.select(own, {3: near, 8: peer_at(7.0)}, 20.1) == (3, 8)  # 5 is silent
     assert rule.select(own, {3: near}, 20.2) == (3,)
