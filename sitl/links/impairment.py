@@ -13,8 +13,6 @@ class Path:
     def __init__(self, sender: int, receiver: int, links: Links, seed: int) -> None:
         self.sender, self.receiver, self.links = sender, receiver, links
         self._random = Random(f"{seed} {sender} {receiver} network")
-        impaired = links.peer_loss or links.peer_jitter_s or links.peer_duplicates or links.partitions
-        self._constant_delay_s = None if impaired else links.peer_delay_s  # None: each packet has a fate of its own
 
     def is_cut(self, now_s: float) -> bool:
         """Whether a partition separates sender and receiver at this time of the flight."""
@@ -31,8 +29,9 @@ class Path:
 
     def arrivals_s(self, now_s: float) -> tuple[float, ...]:
         """Arrival times of a datagram sent now: one, none if it is lost, two if it is duplicated."""
-        if self._constant_delay_s is not None:
-            return (now_s + self._constant_delay_s,)
+        links = self.links
+        if not (links.peer_loss or links.peer_jitter_s or links.peer_duplicates or links.partitions):
+            return (now_s + links.peer_delay_s,)
         if self.loses() or self.is_cut(now_s):
             return ()
         arrives_s = now_s + self.delay_s()
