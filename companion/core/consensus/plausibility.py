@@ -86,7 +86,8 @@ def refusal_of_motion(packet: PeerPacket, limits: FleetLimits) -> Code | None:
     numbers = x + y + z + vx + vy + vz + ax + ay + az + packet.state_age_s + packet.sent_s
     if not isfinite(numbers):  # one number that is not finite makes the sum so
         return Code.PEER_NOT_FINITE
-    if abs(x) > MAX_COORDINATE_M or abs(y) > MAX_COORDINATE_M or abs(z) > MAX_COORDINATE_M:
+    most = MAX_COORDINATE_M
+    if not (-most <= x <= most and -most <= y <= most and -most <= z <= most):
         return Code.PEER_POSITION_IMPLAUSIBLE
     if hypot(vx, vy, vz) > limits.speed_m_s:
         return Code.PEER_SPEED_IMPLAUSIBLE
@@ -96,7 +97,8 @@ def refusal_of_motion(packet: PeerPacket, limits: FleetLimits) -> Code | None:
         return Code.PEER_TIME_IMPLAUSIBLE
     slot = packet.slot
     (x, y, z), (far_x, far_y, far_z) = slot.position_enu_m, limits.fence_size_m
-    near = abs(x) <= MOST_FENCES * far_x and abs(y) <= MOST_FENCES * far_y and abs(z) <= MOST_FENCES * far_z
+    far_x, far_y, far_z = MOST_FENCES * far_x, MOST_FENCES * far_y, MOST_FENCES * far_z
+    near = -far_x <= x <= far_x and -far_y <= y <= far_y and -far_z <= z <= far_z
     sx, sy, sz = slot.velocity_enu_m_s
     slow = hypot(vx - sx, vy - sy, vz - sz) <= limits.speed_m_s  # of the RFT that it flies by; False for NaN
     gentle = hypot(*slot.acceleration_enu_m_s2) <= MAX_ACCELERATION_M_S2
