@@ -25,9 +25,8 @@ class EdgeRule:
         return tuple([i for i in self._others if i in peers])
 
 
-BRIDGES_AFTER_S = (
-    0.2  # without a neighbour that has a leader beacon; beacons end 0.3 s after the leader was last received
-)
+# Without a neighbour that has a leader beacon. Beacons end 0.3 s after the leader was last received.
+BRIDGES_AFTER_S = 0.2
 BRIDGED_S = 10.0  # a vehicle beyond the range remains a neighbour for so long, then it is looked for again
 
 

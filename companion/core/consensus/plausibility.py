@@ -20,9 +20,8 @@ MAX_ERROR_M = 10_000.0
 MAX_TURN_RAD_S, MAX_TURN_RAD_S2 = 5.0, 20.0  # several times the limits of any formation
 MAX_SENT_S = 1e9  # thirty years since the sender's computer was started
 MAX_STATE_AGE_S = 10.0
-MOST_FENCES = (
-    2.0  # a slot may be this many times the size of the fence from the RFT: a vehicle that joins flies one far off
-)
+# Size of a slot in fences, from the RFT: a vehicle that joins flies one far off.
+MOST_FENCES = 2.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -35,9 +35,8 @@ RIPPLE_M = 0.05  # of the distance of a vehicle that slides along one that makes
 RESPONSE_1_S = 5.0  # k: how fast h may approach 0
 SLOPE_1_S = 4.0  # of the approach speed near the required distance
 FASTEST_LEAVING_M_S = 1.5  # demanded inside the required distance
-TRACKING_M = (
-    0.1  # where slots move: the attitude follows late, and between others a vehicle cannot always brake as planned
-)
+# Where slots move: the attitude follows late, and between others a vehicle cannot always brake as planned.
+TRACKING_M = 0.1
 ERROR_FACTOR = 1.0  # of the combined standard deviation of both positions
 SLOT_SHARE = 0.5  # of the room between separation_m and the distance of two slots: the most that margins may take
 PASSING_M = 0.15  # of the distance of two vehicles that pass each other on the way to their slots
