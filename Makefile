@@ -4,7 +4,7 @@ PYTHON ?= python3
 SCENARIO ?= config/scenarios/platoon.yaml
 BIN := .venv/bin
 
-.PHONY: help fly hostile soak gauntlet pictures bench bench-batch bench-filter test test-fast test-virtual test-virtual-beside test-real-time test-vehicles test-fleets test-package faults check docs docs-check site format setup clean
+.PHONY: help fly hostile soak gauntlet pictures bench bench-batch bench-filter test test-fast test-virtual test-real-time test-vehicles test-fleets test-package faults check docs docs-check site format setup clean
 
 help:
 	@echo "make fly        fly the paper's platoon with four agents and four stand-in autopilots, weighted against average"
@@ -61,33 +61,27 @@ pictures: .venv/fly.ready
 	$(BIN)/sitl run config/scenarios/platoon.yaml --quiet --compare average_22 --out runs/pictures/platoon
 	cp runs/pictures/platoon/comparison.png docs/images/platoon_comparison.png
 
-# Tests in virtual time do not depend on the load of the machine: they run at idle priority and take the time that the real-time
-# tests leave. Real processes mostly wait. Two workers fly them, each a folder of tests/ at a time and one flight at a time.
-# A real-time test that failed while its processes were starved runs once more after the others: tests/helpers/starvation.py.
-IDLE := $(shell command -v chrt > /dev/null && echo chrt --idle 0) nice -n 19
+# Real processes need a quiet machine: their tests come first and alone. They mostly wait, so two workers fly them, each a folder
+# of tests/ at a time and one flight at a time. A real-time test that failed while its processes were starved runs once more
+# after the others: tests/helpers/starvation.py. Tests in virtual time do not depend on the load of the machine.
 VIRTUAL_TESTS = $(BIN)/pytest -q -n 2 --dist worksteal --durations 5 tests/unit tests/lockstep
 REAL_TIME_TESTS = $(BIN)/pytest -v -n 2 --dist loadscope --durations 10 $(KINDS)
-VIRTUAL_LOG = build/test-virtual.log
 KINDS =
 FAULT_TESTS = tests/faults/test_link_faults.py tests/faults/test_process_faults.py tests/faults/test_autopilot_faults.py
 
 test: .venv/test.ready
-	@$(MAKE) --no-print-directory -j 2 test-virtual-beside test-real-time
+	@$(MAKE) --no-print-directory test-real-time
+	@$(MAKE) --no-print-directory test-virtual
 
 test-fast: .venv/test.ready
-	@$(MAKE) --no-print-directory -j 2 test-virtual-beside test-real-time KINDS='-m "not fleet"'
+	@$(MAKE) --no-print-directory test-real-time KINDS='-m "not fleet"'
+	@$(MAKE) --no-print-directory test-virtual
 
 test-virtual: .venv/test.ready
 	$(VIRTUAL_TESTS)
 
 test-real-time: .venv/test.ready
 	$(REAL_TIME_TESTS) tests/protocol tests/fleet tests/faults
-
-# Its output would mix with that of the real-time tests; it is shown as a whole at its end.
-test-virtual-beside: .venv/test.ready
-	@mkdir -p $(dir $(VIRTUAL_LOG))
-	@echo "tests in virtual time run beside the real-time tests, at idle priority; their progress: $(VIRTUAL_LOG)"
-	@$(IDLE) $(VIRTUAL_TESTS) > $(VIRTUAL_LOG) 2>&1; code=$$?; cat $(VIRTUAL_LOG); exit $$code
 
 test-vehicles: .venv/test.ready
 	$(REAL_TIME_TESTS) -n 1 tests/protocol
