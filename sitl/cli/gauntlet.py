@@ -28,8 +28,8 @@ flights as scenario files: `sitl run FOLDER/FLIGHT.yaml` flies one again and plo
 that ended in an exception
 
 exit codes: 0 flown without a violation; 1 two vehicles came closer than allowed, an agent raised an exception, or a process
-ended before its flights did; 2 an argument or the fleet file cannot be used; 130 ended by Ctrl-C (129 by SIGHUP, 143 by
-SIGTERM), without results
+ended before its flights did; 2 an argument or the fleet file cannot be used; 130 stopped by Ctrl-C (129 by SIGHUP, 143 by
+SIGTERM), with the results of the flights that were complete
 """
 
 

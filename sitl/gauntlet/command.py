@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Iterator, Sequence
 from itertools import count, islice
 from pathlib import Path
@@ -21,7 +22,7 @@ from sitl.report.folder import results_folder
 from sitl.report.share import ShareProgress
 from sitl.report.summary import write_json
 from sitl.report.table import table_text
-from sitl.stopping import StopRequest
+from sitl.stopping import StopNow, StopRequest
 from sitl.workers import POLL_S, running
 
 SCHEMA = 1
@@ -40,16 +41,20 @@ def run_gauntlet(arguments: argparse.Namespace) -> int:
     """Run the command and return the exit code. Raises the errors that sitl/cli/ending.py reports."""
     own = load_fleet(arguments.fleet) if arguments.fleet else None
     families = chosen_families(arguments.families)
-    with StopRequest("stopped; nothing was written", at_once=True), ShareProgress(arguments.quiet) as progress:
+    with StopRequest("stopped at once; nothing was written") as stop, ShareProgress(arguments.quiet) as progress:
         folder = results_folder(arguments.out, "gauntlet")
         numbers = list(islice(numbers_of(families), arguments.flights))
         jobs = [Job(arguments.seed, number, arguments.sensors, own) for number in numbers]
         progress.begin(f"{len(jobs)} flights")
-        outcomes = _fly_all(jobs, arguments.jobs, progress)
+        outcomes = _fly_all(jobs, arguments.jobs, progress, stop)
         if own is not None and not any(outcome.vehicles for outcome in outcomes):
             raise UnusableError(f"{arguments.fleet}: no flight is possible: {outcomes[0].failure}")
         worst = write_worst(folder, outcomes, arguments.sensors, own)
-    return _finish(arguments, folder, outcomes, worst)
+    code = _finish(arguments, folder, outcomes, worst)
+    if len(outcomes) < len(jobs):
+        print(f"stopped after {len(outcomes)} of {len(jobs)} flights", file=sys.stderr)
+        return stop.exit_code
+    return code
 
 
 def chosen_families(text: str | None) -> tuple[str, ...]:
@@ -66,11 +71,16 @@ def numbers_of(families: Sequence[str]) -> Iterator[int]:
     return (number for number in count() if family_of(number) in families)
 
 
-def _fly_all(jobs: list[Job], workers: int | None, progress: ShareProgress) -> list[Outcome]:
+def _fly_all(jobs: list[Job], workers: int | None, progress: ShareProgress, stop: StopRequest) -> list[Outcome]:
+    """The flights that were flown: all, or fewer where a stop was requested. Raises StopNow where no flight was."""
     with running(fly, jobs, workers=workers) as in_progress:
         while not in_progress.wait(POLL_S):
             so_far = [outcome for outcome in in_progress.results_so_far() if outcome]
             progress.show(in_progress.share_done, f"{sum(one.violation for one in so_far)} violations")
+            if stop.number and so_far:
+                return so_far
+            if stop.number:
+                raise StopNow("stopped before the first flight was complete", stop.exit_code)
         return in_progress.results()
 
 
