@@ -13,12 +13,10 @@ from sitl.autopilots.ardupilot.autopilot import ArduCopter
 from sitl.autopilots.ardupilot.modes import REPORTED_AS_GUIDED
 
 M = mavlink
-SENSORS = (
-    M.MAV_SYS_STATUS_SENSOR_3D_GYRO | M.MAV_SYS_STATUS_SENSOR_3D_ACCEL | M.MAV_SYS_STATUS_SENSOR_3D_MAG
-    | M.MAV_SYS_STATUS_SENSOR_ABSOLUTE_PRESSURE | M.MAV_SYS_STATUS_SENSOR_GPS | M.MAV_SYS_STATUS_AHRS
-    | M.MAV_SYS_STATUS_SENSOR_BATTERY
-)  # fmt: skip
-WITH_CHECKS = SENSORS | M.MAV_SYS_STATUS_PREARM_CHECK
+# As recorded of ArduCopter 4.5 in SITL. Armed: motors, position and altitude control are enabled.
+PRESENT = 0x5371FC2F
+DISARMED = shared.Sensors(PRESENT, enabled=0x52619C2F, healthy=0x47719C2F)
+ARMED = shared.Sensors(PRESENT, enabled=0x5361FC2F, healthy=0x4771FC2F)
 EKF_READY, EKF_WITHOUT_POSITION = 831, 167
 VERSION = (4 << 24) | (6 << 16) | (2 << 8) | 255  # 4.6.2, release
 
@@ -55,7 +53,7 @@ def attitude_target(copter: ArduCopter) -> MavlinkMessage:
 
 
 def sys_status(copter: ArduCopter) -> MavlinkMessage:
-    return shared.sys_status(copter, shared.Sensors(present=WITH_CHECKS, enabled=WITH_CHECKS, healthy=SENSORS))
+    return shared.sys_status(copter, ARMED if copter.armed else DISARMED)
 
 
 def ekf_status_report(copter: ArduCopter) -> MavlinkMessage:

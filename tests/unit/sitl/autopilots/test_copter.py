@@ -6,7 +6,7 @@ from math import hypot, nan
 
 import pytest
 
-from companion.mavlink import ardupilot
+from companion.mavlink import ardupilot, telemetry
 from companion.mavlink.codec import MavlinkCodec, mavlink
 from companion.types.autopilot import AutopilotKind
 from sitl.autopilots.ardupilot.modes import Mode
@@ -89,6 +89,25 @@ def test_guided_is_accepted_before_arming_is_possible_and_reasons_are_sent() -> 
     for reason in ("Accels inconsistent", "AHRS: waiting for home", "Need Position Estimate"):
         assert f"Arm: {reason}" in texts
     assert any(text.startswith("PreArm: ") for text in texts)
+
+
+def test_sys_status_has_the_sensors_of_arducopter() -> None:
+    """As recorded of ArduCopter 4.5 in SITL: before it can be armed, ready, and armed."""
+    copter = Copter(armable_after_s=5.0)
+    copter.interval(M.MAVLINK_MSG_ID_SYS_STATUS, 10.0)
+    seen = []
+    for step in (lambda: None, lambda: copter.fly(6.0), copter.take_off):
+        step()
+        copter.fly(0.3)
+        seen.append(copter.messages("SYS_STATUS")[-1])
+    assert [(m.onboard_control_sensors_enabled, m.onboard_control_sensors_health) for m in seen] == [
+        (0x52619C2F, 0x47719C2F),
+        (0x52619C2F, 0x57719C2F),
+        (0x5361FC2F, 0x5771FC2F),
+    ]
+    for status in seen:
+        assert status.onboard_control_sensors_present == 0x5371FC2F
+        assert telemetry.system(status, 0.0).estimator_healthy
 
 
 def test_a_mode_set_before_initialisation_is_lost() -> None:
