@@ -17,7 +17,7 @@ help:
 	@echo "make site       builds the browsable documentation into build/site (needs npm, for the diagrams)"
 	@echo "make pictures   flies the scenarios of docs/scenarios.md in virtual time and draws them again"
 	@echo "make soak       eight vehicles for an hour: memory, files, threads and ticks over time; SECONDS=300 for a short run"
-	@echo "make gauntlet   1,000 random flights in virtual time; writes their table to docs/gauntlet.md (half an hour on two cores)"
+	@echo "make gauntlet   1,000 random flights in virtual time; writes their table to docs/gauntlet.md (over an hour on two cores; Ctrl-C reports those that are complete)"
 	@echo "make bench      how many times faster than real time four vehicles fly in virtual time, without and with sensor noise"
 	@echo "make hostile    hostile input for every decoder and for whole agents; writes docs/hostile.md (a quarter of an hour on two cores)"
 	@echo "make bench-batch  vehicle-steps a second of whole batches on one core, and RotorPy's; installs PyTorch in .venv-bench"
