@@ -82,4 +82,7 @@ EXPLANATION = f"""\
   as long, plus {GRACE_S:g} s. A vehicle that left or did not reach its slot is not in time. Every third
   flight is flown undisturbed as well.
 - A slot is in its place from the end of a change on. Until then it moves, and so does the vehicle
-  in it: the undisturbed time is at least the duration of the change or of the path into the slot."""
+  in it: the undisturbed time is at least the duration of the change or of the path into the slot.
+- In `leader_dies` the agent does not start again. A PX4 then holds its position; an ArduCopter
+  levels and drifts, up to 0.8 m/s with `px4_sih`, and nobody receives where it is. On a vehicle
+  systemd starts the agent again within seconds, and it publishes its position."""
