@@ -84,5 +84,5 @@ EXPLANATION = f"""\
 - A slot is in its place from the end of a change on. Until then it moves, and so does the vehicle
   in it: the undisturbed time is at least the duration of the change or of the path into the slot.
 - In `leader_dies` the agent does not start again. A PX4 then holds its position; an ArduCopter
-  levels and drifts, up to 0.8 m/s with `px4_sih`, and no other vehicle knows where it is. On a vehicle
-  systemd starts the agent again within seconds, and it publishes its position."""
+  levels and drifts, up to 0.8 m/s with `px4_sih`, and no other vehicle knows where it is. On a
+  vehicle systemd starts the agent again within seconds, and it publishes its position."""
