@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from companion.config.fleet import PeerLimits
-from companion.core.election.epoch_limits import COMMANDED_AHEAD, COMMANDED_WITHIN_S, RECEIVED_AHEAD
 from companion.core.election.succession import TURN_S
 from companion.core.safety.health import AgeLimits
 from companion.core.safety.safeguard import HAND_OVER_S, SILENT_TOO_LONG_S
@@ -11,6 +10,7 @@ from companion.link.tick import BACK_UP_S, PERIOD_S
 from companion.link.zenoh_session import LEASE_MS
 from companion.mavlink import ardupilot, px4
 from companion.mavlink.codec import mavlink
+from companion.types.commands import MAX_EPOCHS_AHEAD
 from companion.wire.version import WIRE_VERSION
 
 
@@ -34,16 +34,7 @@ def timing() -> str:
         ("turn of a successor", f"{TURN_S * 1e3:g} ms", "waited before the first claim and between claims"),
         ("silence that ends a formation", f"{SILENT_TOO_LONG_S * 1e3:g} ms", "below PX4's `COM_OF_LOSS_T` of 1 s"),
         ("hand-over at the end of the agent", f"{HAND_OVER_S:g} s", "then the process ends in any case"),
-        (
-            "epochs ahead, in packets",
-            f"{RECEIVED_AHEAD}",
-            "and one per second without a leader; larger ones are refused",
-        ),
-        (
-            "epochs ahead, by command",
-            f"{COMMANDED_AHEAD} in {COMMANDED_WITHIN_S:g} s",
-            "and one per second without a leader; larger ones are refused",
-        ),
+        ("epochs accepted ahead", f"{MAX_EPOCHS_AHEAD}", "larger steps are refused"),
         ("Zenoh lease", f"{LEASE_MS / 1e3:g} s", "a silent connection is closed and opened again"),
     ]
     return _table(("what", "value", "meaning"), rows)

@@ -13,7 +13,7 @@ from companion.core.election.leader_beacon import BeaconMonitor
 from companion.core.election.leadership import Leadership
 from companion.core.election.succession import Succession
 from companion.types.autopilot import VehicleState
-from companion.types.commands import MAX_EPOCH, Lead
+from companion.types.commands import Lead
 from companion.types.flight import FlightPhase, HealthFlag, Role
 from companion.types.formation import FlownSlot
 from companion.types.peers import PeerPacket, ReceivedPeerPacket
@@ -94,7 +94,7 @@ class Fleet:
 
     def give(self, lead: Lead, *ids: int) -> None:
         for i in ids or self.ids:
-            assert self.vehicles[i].leadership.command(lead, MAX_EPOCH)[0].accepted
+            assert self.vehicles[i].leadership.command(lead)[0].accepted
 
     def _received_by(self, vehicle_id: int) -> list[ReceivedPeerPacket]:
         senders = [] if vehicle_id in self.deaf else [i for i in self.packets if i != vehicle_id]

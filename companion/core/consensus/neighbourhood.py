@@ -14,14 +14,13 @@ from companion.core.consensus.neighbours import NeighbourRule
 from companion.core.consensus.peers import PeerState, PeerTable
 from companion.core.consensus.plausibility import MAX_TURN_RAD_S
 from companion.core.consensus.priority import next_prc
-from companion.core.election.epoch_limits import EpochLimits
 from companion.core.election.leader_beacon import BeaconMonitor
 from companion.core.election.leadership import Leadership
 from companion.core.election.mission_clock import WAITED_S, MissionClock
 from companion.core.election.succession import Succession
 from companion.geometry.turning import heading_after
 from companion.types.autopilot import VehicleState
-from companion.types.commands import Command, Lead
+from companion.types.commands import MAX_EPOCHS_AHEAD, Command, Lead
 from companion.types.flight import COOPERATING, STREAMING, FlightPhase, HealthFlag, Role
 from companion.types.formation import Heading, LeaderBeacon, Term
 from companion.types.notices import Answer, Notice
@@ -29,6 +28,7 @@ from companion.types.peers import PeerPacket, ReceivedPeerPacket
 from companion.types.vectors import Vector3
 
 LEADER, FORMATION = Role.LEADER, FlightPhase.FORMATION
+EPOCHS_AHEAD, EPOCHS_PER_S = 8, 1.0  # changes of leader that may be missed at once, and in time
 FORMING_S = 2.0  # so long a formation may take to come together
 
 
@@ -93,7 +93,7 @@ class ConsensusStage:
         self._leader = leader
         self._succession = succession
         self._clock = MissionClock()
-        self._epoch_limits = EpochLimits()
+        self._led_s = -inf  # when a leader of the own term was last known
         self._formed_s: float | None = None  # since when this vehicle is in formation
         self.leadership = leadership
         self.peers = peers
@@ -113,7 +113,7 @@ class ConsensusStage:
         A commanded role comes first: one tick, its packet included, is of one role. `refusal_to_lead` is why this vehicle
         must not become leader, `fit_to_lead` that it flies in formation without a failsafe; both of the last tick.
         """
-        answers, events = self._command_leads(now_s, commands, vehicle, flight, refusal_to_lead)
+        answers, events = self._command_leads(commands, vehicle, flight, refusal_to_lead)
         if not vehicle.armed:
             self._clock.restart()  # the next flight begins the RFT again
         leadership, in_formation = self.leadership, flight.in_formation
@@ -160,7 +160,7 @@ class ConsensusStage:
         self, now_s: float, packets: Iterable[ReceivedPeerPacket]
     ) -> tuple[dict[int, PeerState], tuple[Notice, ...]]:
         """The fresh peers by id, and the events of the changes of the lead that they report."""
-        self.peers.fold(packets, self._epoch_limits.of_packets(now_s, self.leadership.epoch))
+        self.peers.fold(packets, self._epochs_up_to(now_s))
         fresh = self.peers.fresh(now_s)
         events: tuple[Notice, ...] = ()
         for peer in fresh.values():
@@ -168,11 +168,16 @@ class ConsensusStage:
                 events += self.leadership.receive(now_s, [peer.packet.leader_beacon])
         return fresh, events
 
+    def _epochs_up_to(self, now_s: float) -> int:
+        """The largest epoch to accept: the changes that this vehicle may have missed since it last knew its leader."""
+        missed = min(EPOCHS_AHEAD + EPOCHS_PER_S * (now_s - self._led_s), MAX_EPOCHS_AHEAD)
+        return self.leadership.epoch + int(missed)
+
     def _settle_term(self, now_s: float, in_formation: bool, newest: LeaderBeacon | None) -> tuple[Notice, ...]:
         """Return to the term before where no leader of the new one is alive. The event of a change of role."""
         is_leader, led = self.leadership.role is LEADER, newest is not None and newest.term == self.leadership.term
         if led if not is_leader else in_formation:  # a leader on the ground may have restarted, and missed changes
-            self._epoch_limits.led(now_s)
+            self._led_s = now_s
         return self.leadership.settle(now_s, led or is_leader)
 
     def _beacons_of_others(self, packets: Iterable[PeerPacket]) -> list[LeaderBeacon]:
@@ -195,34 +200,25 @@ class ConsensusStage:
         return tuple(neighbours)
 
     def _command_leads(
-        self,
-        now_s: float,
-        commands: Iterable[Command],
-        vehicle: VehicleState,
-        flight: Flight,
-        refusal_to_lead: Notice | None,
+        self, commands: Iterable[Command], vehicle: VehicleState, flight: Flight, refusal_to_lead: Notice | None
     ) -> tuple[tuple[tuple[int, Answer], ...], tuple[Notice, ...]]:
         """The answers by command number, and the events of a change of role."""
         answers: list[tuple[int, Answer]] = []
         events: list[Notice] = []
         for command in commands:
             if isinstance(command.content, Lead):
-                refusal = self._refusal_of_lead(command.content, vehicle, flight, refusal_to_lead)
-                up_to = self._epoch_limits.of_command(now_s, self.leadership.epoch)
-                answer, changes = (
-                    (Answer(False, refusal), ()) if refusal else self.leadership.command(command.content, up_to)
-                )
+                answer, changes = self._command_lead(command.content, vehicle, flight, refusal_to_lead)
                 answers.append((command.number, answer))
                 events += changes
         return tuple(answers), tuple(events)
 
-    def _refusal_of_lead(
+    def _command_lead(
         self, lead: Lead, vehicle: VehicleState, flight: Flight, refusal_to_lead: Notice | None
-    ) -> Notice | None:
+    ) -> tuple[Answer, tuple[Notice, ...]]:
         refusal = refusal_of_lead(flight, vehicle)
         if not refusal and refusal_to_lead and self._own_id in lead.leaders:
             refusal = refusal_to_lead.about("lead")
-        return refusal
+        return (Answer(False, refusal), ()) if refusal else self.leadership.command(lead)
 
     def _candidates(self, now_s: float, flying: list[PeerPacket], in_formation: bool) -> list[PeerPacket]:
         """Peers whose beacons are passed on. Once a formation has come together, only vehicles in it are used.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable
 
-from companion.types.commands import MAX_EPOCH, Lead
+from companion.types.commands import MAX_EPOCH, MAX_EPOCHS_AHEAD, Lead
 from companion.types.flight import Role
 from companion.types.formation import LeaderBeacon, Term
 from companion.types.notices import Answer, Code, Notice, accepted
@@ -17,8 +17,9 @@ class Leadership:
 
     A vehicle becomes leader by command, or as successor of a lost leader. A newer term received from a peer makes it a
     follower, even a leader that missed the command or restarted: the leader of that term knows its role. A received term
-    without a leader that is alive ends after UNCONFIRMED_S, with the role before. How far an epoch may rise at once is
-    decided in `core/election/epoch_limits.py`, so that one wrong number cannot use up all epochs.
+    without a leader that is alive ends after UNCONFIRMED_S, with the role before. An epoch may rise by at most
+    MAX_EPOCHS_AHEAD at once, so that one wrong number cannot use up all epochs; `core/consensus/neighbourhood.py` allows
+    peer packets less.
 
     Terms are ordered: within an epoch a command beats a claim, and a better rank beats a worse one. Ranks are unique, so a
     claimed term belongs to one vehicle.
@@ -45,11 +46,11 @@ class Leadership:
         """The successor's rank of a claimed term; 0 for a commanded or configured one."""
         return -self.term[1]
 
-    def command(self, lead: Lead, epochs_up_to: int) -> tuple[Answer, tuple[Notice, ...]]:
+    def command(self, lead: Lead) -> tuple[Answer, tuple[Notice, ...]]:
         """((accepted, reason), events). A repeated command of the present term is accepted again."""
         if lead == self._commanded and self.term == (lead.epoch, 0):
             return accepted(Code.ALREADY_DONE, f"already {self.role} in epoch {self.epoch}"), ()
-        if refusal := self._refusal(lead, min(epochs_up_to, MAX_EPOCH)):
+        if refusal := self._refusal(lead):
             return Answer(False, refusal.about("lead")), ()
         self._commanded = lead
         events = self._enter((lead.epoch, 0), self._role_in(lead), "commanded")
@@ -82,7 +83,7 @@ class Leadership:
             return ()
         return self._enter(term, role, f"no leader of epoch {self.epoch}")
 
-    def _refusal(self, lead: Lead, epochs_up_to: int) -> Notice | None:
+    def _refusal(self, lead: Lead) -> Notice | None:
         not_allowed = sorted(set(lead.leaders) - self._may_lead)
         allowed = ", ".join(str(i) for i in sorted(self._may_lead))
         if not lead.leaders:
@@ -93,8 +94,8 @@ class Leadership:
         # A term known from peers, or claimed, may still be commanded: this vehicle missed the command that the others received.
         if lead.epoch < self.epoch or lead.epoch == self._commanded.epoch:
             return Notice(Code.EPOCH_TOO_OLD, f"epoch {lead.epoch} is not newer than {self.epoch}")
-        if lead.epoch > epochs_up_to:
-            text = f"epoch {lead.epoch} is too large; expected {self.epoch + 1}, and at most 8 changes of leader in 8 s"
+        if lead.epoch > min(self.epoch + MAX_EPOCHS_AHEAD, MAX_EPOCH):
+            text = f"epoch {lead.epoch} is too large; expected {self.epoch + 1}"
             return Notice(Code.EPOCH_TOO_LARGE, text)
         return None
 

@@ -28,8 +28,9 @@ ENTRIES: dict[str, Explanation] = {
     ),
     "EPOCH_TOO_LARGE": Explanation(
         "A leader command is refused.",
-        "Its epoch is too far ahead, or the leader was changed more than 8 times within 8 s.",
-        "Wait 8 s and give the command with the epoch in the text.",
+        "Its epoch is more than 1000 ahead.",
+        "Give the command with the epoch in the text. A vehicle that missed so many changes must restart with all"
+        " others.",
     ),
     "REFERENCE_ACCEPTED": Explanation(
         "A reference command is accepted.",

@@ -23,8 +23,6 @@ from companion.types.peers import ReceivedPeerPacket
 from cooperating_fleet import CHAIN, RING, TICK_S, Fleet, leaders_in
 from notices import outcome
 
-UP_TO = 8  # the largest epoch of a command
-
 
 def leadership(own_id: int = 1) -> Leadership:
     return Leadership(own_id, leaders=[1], may_lead=[1, 2])
@@ -37,7 +35,7 @@ def test_a_command_of_a_newer_epoch_sets_the_role() -> None:
     first, second, third = (leadership(i) for i in (1, 2, 3))
     events = []
     for vehicle in (first, second, third):
-        answer, changes = vehicle.command(Lead((2,), 1), UP_TO)
+        answer, changes = vehicle.command(Lead((2,), 1))
         assert answer.accepted
         assert vehicle.epoch == 1
         events.append(changes)
@@ -58,24 +56,24 @@ def test_a_command_of_a_newer_epoch_sets_the_role() -> None:
         (Lead((1,), 5), Code.EPOCH_TOO_OLD),
         (Lead((1,), 4), Code.EPOCH_TOO_OLD),
         (Lead((1,), 2**31), Code.EPOCH_TOO_LARGE),
-        (Lead((1,), UP_TO + 1), Code.EPOCH_TOO_LARGE),
+        (Lead((1,), 6 + MAX_EPOCHS_AHEAD), Code.EPOCH_TOO_LARGE),
     ],
 )
 def test_a_refused_command_changes_nothing(lead: Lead, code: Code) -> None:
     vehicle = leadership(2)
-    vehicle.command(Lead((2,), 5), UP_TO)
-    assert outcome(vehicle.command(lead, UP_TO)[0]) == (False, code)
+    vehicle.command(Lead((2,), 5))
+    assert outcome(vehicle.command(lead)[0]) == (False, code)
     assert (vehicle.role, vehicle.epoch) == (Role.LEADER, 5)
 
 
 def test_epoch_0_cannot_be_commanded() -> None:
-    assert leadership(2).command(Lead((2,), 0), UP_TO)[0].notice.code is Code.EPOCH_TOO_OLD
+    assert leadership(2).command(Lead((2,), 0))[0].notice.code is Code.EPOCH_TOO_OLD
 
 
 def test_the_same_command_again_is_accepted_and_changes_nothing() -> None:
     vehicle = leadership(2)
-    vehicle.command(Lead((2,), 1), UP_TO)
-    answer, events = vehicle.command(Lead((2,), 1), UP_TO)
+    vehicle.command(Lead((2,), 1))
+    answer, events = vehicle.command(Lead((2,), 1))
     assert outcome(answer) == (True, Code.ALREADY_DONE)
     assert events == ()
 
@@ -87,7 +85,7 @@ def test_a_vehicle_that_missed_a_command_follows_the_peers_and_accepts_it_later(
     named = leadership(2)
     named.receive(0.0, [LeaderBeacon(1, 1, 5)])
     assert named.role is Role.FOLLOWER
-    assert named.command(Lead((1, 2), 1), UP_TO)[0].accepted  # repeated to the one that did not answer
+    assert named.command(Lead((1, 2), 1))[0].accepted  # repeated to the one that did not answer
     assert named.role is Role.LEADER
 
 
@@ -99,12 +97,13 @@ def test_no_beacon_makes_a_leader(epochs: list[int]) -> None:
     assert vehicle.epoch == max(epochs, default=0)
 
 
-def test_an_epoch_above_the_limit_is_refused() -> None:
+def test_more_than_max_epochs_ahead_are_commanded_in_steps() -> None:
     vehicle = leadership(2)
-    assert vehicle.command(Lead((1,), UP_TO), UP_TO)[0].accepted
-    assert vehicle.command(Lead((2,), UP_TO + 1), UP_TO)[0].notice.code is Code.EPOCH_TOO_LARGE
-    assert vehicle.command(Lead((2,), UP_TO + 1), UP_TO + 1)[0].accepted
-    assert vehicle.command(Lead((2,), MAX_EPOCH + 1), MAX_EPOCH + 1)[0].notice.code is Code.EPOCH_TOO_LARGE
+    assert vehicle.command(Lead((1,), MAX_EPOCHS_AHEAD))[0].accepted
+    assert not vehicle.command(Lead((2,), 2 * MAX_EPOCHS_AHEAD + 1))[0].accepted
+    assert vehicle.command(Lead((1,), 2 * MAX_EPOCHS_AHEAD))[0].accepted
+    assert vehicle.command(Lead((2,), 2 * MAX_EPOCHS_AHEAD + 1))[0].accepted
+    assert (vehicle.role, vehicle.epoch) == (Role.LEADER, 2 * MAX_EPOCHS_AHEAD + 1)
 
 
 # ---------------------------------------------------------------- mission time

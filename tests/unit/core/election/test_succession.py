@@ -243,9 +243,9 @@ def test_a_command_beats_a_claim_of_its_epoch(claimed_first: bool) -> None:
     claimed, commanded = LeaderBeacon(2, 1, 10, claim=1), Lead((3,), 1)
     if claimed_first:
         vehicle.receive(0.0, [claimed])
-        assert vehicle.command(commanded, MAX_EPOCH)[0].accepted
+        assert vehicle.command(commanded)[0].accepted
     else:
-        assert vehicle.command(commanded, MAX_EPOCH)[0].accepted
+        assert vehicle.command(commanded)[0].accepted
         vehicle.receive(0.0, [claimed])
     assert (vehicle.role, vehicle.term) == (Role.LEADER, (1, 0))
     claimant = Leadership(2, [1], ALL_6)
@@ -256,9 +256,9 @@ def test_a_command_beats_a_claim_of_its_epoch(claimed_first: bool) -> None:
 
 def test_a_command_of_an_old_epoch_is_refused() -> None:
     vehicle = Leadership(3, [1], ALL_6)
-    assert vehicle.command(Lead((3,), 1), MAX_EPOCH)[0].accepted
+    assert vehicle.command(Lead((3,), 1))[0].accepted
     vehicle.receive(0.0, [LeaderBeacon(2, 2, 10, claim=1)])
-    assert outcome(vehicle.command(Lead((3,), 1), MAX_EPOCH)[0]) == (False, Code.EPOCH_TOO_OLD)
+    assert outcome(vehicle.command(Lead((3,), 1))[0]) == (False, Code.EPOCH_TOO_OLD)
     assert vehicle.role is Role.FOLLOWER
 
 
