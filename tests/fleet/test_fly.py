@@ -113,7 +113,7 @@ def test_every_agent_is_small_enough_for_its_board(compared: Compared) -> None:
         assert vehicle.rss_mb is not None
         assert vehicle.rss_mb < 60
         assert vehicle.cpu_percent is not None
-        assert vehicle.cpu_percent < 20  # 6 to 10 of an idle machine; other load makes the same work slower
+        assert vehicle.cpu_percent < 20  # 13 to 14 were measured beside other load
 
 
 def test_no_flight_fails_and_all_vehicles_land(compared: Compared) -> None:
