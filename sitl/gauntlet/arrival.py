@@ -18,6 +18,7 @@ WITHIN_M = {"ideal": 0.5, "default": 0.5, "px4_sih": 1.0}
 """Error of a vehicle in its slot, by the sensors of the flight: with `px4_sih` the attitude error alone moves it by 0.5 m."""
 SAMPLE_S = 0.1
 SETTLED = 20  # samples in its slot in a row, until a vehicle has reached it
+RESTS_WITHIN_M = 0.1  # of its last place: from then on the reference rests
 
 
 class Arrivals(Struct, frozen=True, kw_only=True):
@@ -33,7 +34,7 @@ class Arrivals(Struct, frozen=True, kw_only=True):
 
 
 def arrivals(flight: Drawn, flown: Flown) -> Arrivals:
-    """A vehicle is in its slot where the slot moves no more within the formation, and its error is small."""
+    """A vehicle is in its slot where the slot and a reference that comes to rest move no more, and its error is small."""
     watch = flown.watch
     out = [i for i in flight.expected if not _in_formation(watch, i)]
     times_s = np.arange(flight.slots_from_s, flown.flight_s - SAMPLE_S, SAMPLE_S)
@@ -41,8 +42,10 @@ def arrivals(flight: Drawn, flown: Flown) -> Arrivals:
     reached_s: dict[int, float | None] = dict.fromkeys(present)
     if present and len(watch.led_enu_m) > 1 and times_s.size:
         within_m = WITHIN_M[str(flight.scenario.stand_in.sensors)]
+        rests_from_s = reference_rests_from_s(_track(watch.led_enu_m).at(times_s), times_s)
         for i, errors_m in _errors_m(watch, present, times_s).items():
-            reached_s[i] = settled_s((errors_m <= within_m) & (times_s >= watch.slot_moved_s.get(i, 0.0)))
+            from_s = max(rests_from_s, watch.slot_moved_s.get(i, 0.0))
+            reached_s[i] = settled_s((errors_m <= within_m) & (times_s >= from_s))
     return Arrivals(expected=len(flight.expected), not_in_formation=out, reached_s=reached_s)
 
 
@@ -64,6 +67,17 @@ def _errors_m(watch: FlightWatch, ids: list[int], times_s: FloatArray) -> dict[i
 
 def _track(reported: list[tuple[float, Vector3]]) -> Track:
     return reported_track(0, reported)
+
+
+def reference_rests_from_s(reference_enu_m: FloatArray, times_s: FloatArray) -> float:
+    """Time from which the reference, shape (samples, 3), stays at its last place; the first time if it moves to the end.
+
+    A fleet that follows its reference has small errors on all of the way, also while the reference goes to its place.
+    """
+    moves = np.flatnonzero(np.linalg.norm(reference_enu_m - reference_enu_m[-1], axis=1) > RESTS_WITHIN_M)
+    if not moves.size or moves[-1] >= times_s.size - SETTLED:
+        return float(times_s[0])
+    return float(times_s[moves[-1] + 1])
 
 
 def settled_s(in_slot: NDArray[np.bool_]) -> float | None:

@@ -8,11 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from math import dist, pi
+from math import dist, pi, radians
 from random import Random
 from typing import Any
 
 from companion.geometry.curves import PEAK_SPEED
+from companion.geometry.shapes import SHAPES, slots_of
+from companion.ground.formations import assigned
+from companion.types.vectors import Vector3
 from sitl.gauntlet.fleets import (
     START_SPACING,
     Fleet,
@@ -92,11 +95,12 @@ def form_near(random: Random, fleet: Fleet) -> Plan:
 
 
 def form_far(random: Random, fleet: Fleet) -> Plan:
-    """The reference begins 10 to 40 m from the starts."""
+    """The reference begins 10 to 40 m from the starts, at most as far as slots of this speed move in 20 s at full speed."""
     plan = form_near(random, fleet)
-    away = direction(random, random.uniform(10.0, 40.0))
+    away = direction(random, random.uniform(10.0, min(40.0, 20.0 * fleet.slot_speed_m_s)))
     fleet.starts_enu_m = {i: moved(start, away) for i, start in fleet.starts_enu_m.items()}
-    plan.lasts_s = 35.0
+    farthest_m = max(dist(start[:2], fleet.slots_enu_m[i][:2]) for i, start in fleet.starts_enu_m.items())
+    plan.lasts_s = _with_delays_s(farthest_m, fleet.slot_speed_m_s)
     return plan
 
 
@@ -127,7 +131,13 @@ def hovering(random: Random, fleet: Fleet) -> Plan:
         if all(abs(complex(place[0] - x, place[1] - y)) > START_SPACING * fleet.separation_m for x, y, _ in others):
             fleet.starts_enu_m[out] = place
             break
-    return Plan(point(fleet), stays_out=(out,), lasts_s=28.0)
+    free = [i for i in fleet.ids if i == out or _is_free(fleet.slots_enu_m[i], fleet.starts_enu_m[out], fleet)]
+    return Plan(point(fleet), stays_out=(out,), expected=free, lasts_s=28.0)
+
+
+def _is_free(slot_enu_m: Vector3, hovering_enu_m: Vector3, fleet: Fleet) -> bool:
+    """Whether a vehicle can be in this slot beside one that hovers and makes no way."""
+    return dist(slot_enu_m[:2], hovering_enu_m[:2]) > START_SPACING * fleet.separation_m
 
 
 def joining(random: Random, fleet: Fleet) -> Plan:
@@ -175,9 +185,19 @@ def turning(random: Random, fleet: Fleet) -> Plan:
     size = {"radius_m": radius_m} if kind == "circle" else {"width_m": 2.0 * radius_m, "height_m": radius_m}
     centre = [-radius_m if kind == "circle" else 0.0, 0.0, fleet.height_m]
     reference: Content = {"kind": kind, "centre_enu_m": centre, "period_s": period_s, "ramp_s": 8.0, **size}
-    steps = [step("formation", 12.0, formation=shape_change(random, fleet))] if random.random() < 0.4 else []
-    slots_from_s = 12.0 if steps else 0.0
-    return Plan(reference, steps, turns=True, slots_from_s=slots_from_s, lasts_s=28.0)
+    plan = Plan(reference, turns=True, lasts_s=28.0)
+    if random.random() < 0.4:
+        change = shape_change(random, fleet)
+        plan.steps, plan.slots_from_s = [step("formation", 12.0, formation=change)], 12.0
+        plan.lasts_s = max(28.0, 12.0 + _with_delays_s(_way_m(fleet, change), change["speed_m_s"]))
+    return plan
+
+
+def _way_m(fleet: Fleet, change: Content) -> float:
+    """The longest way into a slot of a new shape."""
+    slots = slots_of(SHAPES[change["shape"]], fleet.size, fleet.spacing_m, radians(change["heading_deg"]))
+    assigned_m = assigned(fleet.slots_enu_m, slots)
+    return max(dist(slot, assigned_m[i]) for i, slot in fleet.slots_enu_m.items())
 
 
 # ---------------------------------------------------------------- references

@@ -113,12 +113,15 @@ def _undisturbed_s(flight: Drawn, arrived: Arrivals) -> dict[int, float | None]:
 
 
 def undisturbed(scenario: Scenario) -> Scenario:
-    """The flight with ideal sensors and network, without a runaway vehicle and in effect without separation."""
+    """The flight with ideal sensors and links, without a runaway vehicle and in effect without separation.
+
+    What happens to the fleet stays the same: commands, partitions, agents that end.
+    """
     return replace(
         scenario,
         fleet=replace(scenario.fleet, separation_m=NO_SEPARATION_M),
         stand_in=replace(scenario.stand_in, sensors="ideal", pilots=()),
-        links=Links(),
+        links=Links(partitions=scenario.links.partitions),
     )
 
 

@@ -12,6 +12,7 @@ from sitl.report.table import Column
 
 IN_TIME = 2.0  # times the undisturbed time
 GRACE_S = 1.0  # more than that, for slots that are near
+ALREADY_THERE_S = 1.0  # who takes less undisturbed was in its slot from the beginning: no time to compare
 
 
 class FamilySummary(Struct, frozen=True, kw_only=True):
@@ -81,7 +82,8 @@ def _summary(family: str, outcomes: Sequence[Outcome]) -> FamilySummary:
 class Fate(Struct, frozen=True):
     """What became of a vehicle that was to reach its slot: "refused", "left", "reached" or "not reached".
 
-    `in_time`: None where its time is not compared: without an undisturbed time, or where it refused a command.
+    `in_time`: None where its time is not compared: without an undisturbed time, where it was in its slot all the time, or
+    where it refused a command.
     """
 
     outcome: str
@@ -98,7 +100,7 @@ def fates(outcome: Outcome) -> list[Fate]:
     found = []
     for vehicle_id, in_s in reached_s.items():
         undisturbed_s = outcome.undisturbed_s.get(vehicle_id)
-        if vehicle_id in refused or undisturbed_s is None:
+        if vehicle_id in refused or undisturbed_s is None or undisturbed_s < ALREADY_THERE_S:
             in_time = None
         else:
             in_time = in_s is not None and in_s <= IN_TIME * undisturbed_s + GRACE_S
@@ -163,5 +165,5 @@ ratio: smallest true distance of a flight in units of separation_m, of pairs whe
 worst flight and percentiles; automatic: the worst of the other pairs, which both fly by autopilots or pilots; violations:
 flights with a ratio below 1 (sensors ideal), 0.8 (default) or 0.6 (px4_sih); vehicles to slots: that were to be in their slots
 at the end; refused: those that were not, and had refused a command; left: no longer in formation; reached: in their slots; in
-time: share of those that reached their slots in an undisturbed flight and refused nothing, which took at most {IN_TIME:g} times
+time: share of those that flew to their slots in an undisturbed flight and refused nothing, which took at most {IN_TIME:g} times
 as long as there, plus {GRACE_S:g} s; those that left or did not reach them are not in time"""
