@@ -73,16 +73,18 @@ EXPLANATION = f"""\
   pairs in the air, which both fly by their autopilots or pilots.
 - **Violation**: a flight with a ratio below 1 with ideal sensors, 0.8 with `default`, 0.6 with
   `px4_sih`.
-- **Vehicles to slots** were to be in their slots at the end. **Reached**: they were: the slot moved
-  no more, and they were within 0.5 m of it (1 m with `px4_sih`) for 2 s, by their own reports.
-  **Refused**: they were not, and had refused a command of the flight, for example because the path
-  was too near to another vehicle. **Left**: not in formation any more, by a failsafe.
-- **In time**: of the vehicles that reach their slots in the same flight undisturbed (ideal sensors
+- **Vehicles to slots** were to be in their slots at the end. **Reached**: they were: neither the slot
+  nor a reference that comes to rest moved any more, and they were within 0.5 m of the slot (1 m
+  with `px4_sih`) for 2 s, by their own reports. **Refused**: they were not, and had refused a
+  command of the flight, for example because the path was too near to another vehicle. **Left**: not
+  in formation any more, by a failsafe.
+- **In time**: of the vehicles that fly to their slots in the same flight undisturbed (ideal sensors
   and network, no runaway, no separation) and refused nothing, the share that took at most {IN_TIME:g} times
-  as long, plus {GRACE_S:g} s. A vehicle that left or did not reach its slot is not in time. Every third
-  flight is flown undisturbed as well.
-- A slot is in its place from the end of a change on. Until then it moves, and so does the vehicle
-  in it: the undisturbed time is at least the duration of the change or of the path into the slot.
+  as long, plus {GRACE_S:g} s. A vehicle that left or did not reach its slot is not in time. Vehicles that
+  were in their slots all the time undisturbed are not counted. Every third flight is flown
+  undisturbed as well.
+- The undisturbed time is at least the duration of the change, of the path into the slot, or of the
+  way of a reference to its place.
 - In `leader_dies` the agent does not start again. A PX4 then holds its position; an ArduCopter
   levels and drifts, up to 0.8 m/s with `px4_sih`, and no other vehicle knows where it is. On a
   vehicle systemd starts the agent again within seconds, and it publishes its position."""
