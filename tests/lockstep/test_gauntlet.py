@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import argparse
+from itertools import islice
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from companion.types.autopilot import AutopilotKind
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
 from repository import ROOT
@@ -64,6 +66,18 @@ def test_each_family_has_runaways() -> None:
 def test_only_the_named_families_are_flown() -> None:
     numbers = numbers_of(("joining", "exchange"))
     assert {family_of(next(numbers)) for _ in range(6)} == {"joining", "exchange"}
+
+
+def test_ended_agents_start_again_but_those_of_some_px4() -> None:
+    without = set()
+    for number in islice(numbers_of(("leader_dies",)), 20):
+        scenario = drawn(3, number).scenario
+        (end,) = scenario.agent_ends
+        if end.restarts_after_s is None:
+            without.add(scenario.stand_in.autopilot)
+        else:
+            assert 2.0 <= end.restarts_after_s <= 6.0
+    assert without == {AutopilotKind.PX4}
 
 
 def test_a_flight_is_the_same_bit_for_bit_and_from_its_file(tmp_path: Path) -> None:
