@@ -22,8 +22,12 @@ ARMABLE_IN_SCENARIOS_S = 4.0
 HOVER_PARAMETER = {AutopilotKind.PX4: "MPC_THR_HOVER", AutopilotKind.ARDUPILOT: "MOT_THST_HOVER"}
 SET_UP: dict[AutopilotKind, dict[str, float]] = {
     AutopilotKind.PX4: {"COM_OBL_RC_ACT": 5.0},  # hold when the setpoints end
-    AutopilotKind.ARDUPILOT: {"GUID_OPTIONS": 8.0},  # thrust is thrust
+    AutopilotKind.ARDUPILOT: {
+        "GUID_OPTIONS": 8.0,
+        "GUID_TIMEOUT": 1.0,
+    },  # thrust is thrust; level when the setpoints end
 }
+"""As `companion doctor` sets them, where the defaults are unsafe without an agent."""
 
 
 def ids_of(scenario: Scenario) -> list[VehicleId]:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from math import inf
 
 from companion.assembly import build_agent
 from companion.config.vehicle import AgentConfig
 from companion.core.agent import Agent
 from companion.types.commands import Command, CommandName, CommandReply, Content
 from companion.types.peers import ReceivedTarget, TargetSample
-from companion.types.tick import Inbox
+from companion.types.tick import Inbox, Outbox
 from companion.types.vectors import Vector3
 from companion.wire.ground import Percentiles, StatusReport, Timing
 from sitl.autopilots.autopilot import DT_S
@@ -100,8 +99,11 @@ class Vehicle:
         self.link = stand_in.link
         self._network = network
         self._reports = reports
-        self._agent = _agent(scenario, self.vehicle_id)
-        self._ends_s = min((end.at_s for end in scenario.agent_ends if end.vehicle == self.vehicle_id), default=inf)
+        self._scenario = scenario
+        ends = (end for end in scenario.agent_ends if end.vehicle == self.vehicle_id)
+        self._ends = sorted(ends, key=lambda end: end.at_s)  # those that are not over yet
+        self._starts = 1
+        self._agent = _agent(scenario, self.vehicle_id, self._starts)
         self._commands: tuple[Command, ...] = ()
         self._targets: tuple[tuple[str, TargetSample], ...] = ()
         self._reply: CommandReply | None = None  # the last
@@ -119,8 +121,7 @@ class Vehicle:
         return self._reply if self._reply and self._reply.number == number else None
 
     def tick(self, now_s: float) -> None:
-        if now_s >= self._ends_s:
-            return
+        runs = self._process_runs(now_s)
         inbox = Inbox(
             self.link.drain(now_s),
             self._network.receive(self.vehicle_id, now_s),
@@ -128,7 +129,18 @@ class Vehicle:
             targets=tuple(ReceivedTarget(now_s, name, target) for name, target in self._targets),
         )
         self._commands, self._targets = (), ()
-        outbox = self._agent.step(now_s, inbox)
+        if runs:  # else the input is lost: nothing waits for the next process
+            self._send(now_s, self._agent.step(now_s, inbox))
+
+    def _process_runs(self, now_s: float) -> bool:
+        """Whether the agent's process runs. A new one that is due is started, with its own session and without memory."""
+        if self._ends and now_s >= self._ends[0].until_s:
+            self._ends.pop(0)
+            self._starts += 1
+            self._agent = _agent(self._scenario, self.vehicle_id, self._starts)
+        return not self._ends or now_s < self._ends[0].at_s
+
+    def _send(self, now_s: float, outbox: Outbox) -> None:
         if outbox.attitude_target:
             self.link.command(outbox.attitude_target, now_s)
         for request in outbox.requests:
@@ -142,8 +154,8 @@ class Vehicle:
             self._reports.append(StatusReport(outbox.status, NOT_TIMED))
 
 
-def _agent(scenario: Scenario, vehicle_id: int) -> Agent:
+def _agent(scenario: Scenario, vehicle_id: int, session: int) -> Agent:
     member = next(member for member in scenario.fleet.vehicles if member.id == vehicle_id)
     file = vehicle_file(scenario, reached_stand_in(scenario, vehicle_id, port_offset=0), port_offset=0)
     config = AgentConfig(file, scenario.fleet, member)
-    return build_agent(config, session=1)
+    return build_agent(config, session)

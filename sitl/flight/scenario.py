@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from copy import deepcopy
+from itertools import pairwise
+from math import inf
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -39,10 +41,22 @@ class Assumed(Section, frozen=True, kw_only=True):
 
 
 class AgentEnd(Section, frozen=True, kw_only=True):
-    """The process of one agent ends: it neither sends nor receives from then on."""
+    """The process of one agent ends: it neither sends nor receives.
+
+    A new one may start, as systemd starts it. It has a new session, knows nothing of the flight, and observes.
+    """
 
     vehicle: VehicleId
     at_s: Annotated[float, Meta(ge=0, le=36_000, description="time of the flight")]
+    restarts_after_s: Annotated[
+        Annotated[float, Meta(gt=0, le=36_000)] | None,
+        Meta(description="time after the end at which a new agent starts; without it none does"),
+    ] = None
+
+    @property
+    def until_s(self) -> float:
+        """When the new agent starts; infinity without one."""
+        return inf if self.restarts_after_s is None else self.at_s + self.restarts_after_s
 
 
 class ScenarioFile(PlannedFlight, frozen=True, kw_only=True):
@@ -62,7 +76,8 @@ class ScenarioFile(PlannedFlight, frozen=True, kw_only=True):
     ] = ()
     links: Links = Links()
     agent_ends: Annotated[
-        tuple[AgentEnd, ...], Meta(description="agents whose processes end in flight; in virtual time (`sitl run`)")
+        tuple[AgentEnd, ...],
+        Meta(description="agents whose processes end in flight, and may start again; in virtual time (`sitl run`)"),
     ] = ()
     timeline: Annotated[
         tuple[TimelineStep, ...],
@@ -125,6 +140,7 @@ def _problems(file: ScenarioFile) -> Iterator[Problem]:
         parameter_problems(scenario.stand_in),
         flyable_problems(scenario.fleet, scenario.reference),
         _target_names(scenario),
+        _agent_ends(scenario),
         timeline_problems(scenario.fleet, scenario.timeline),
     )
 
@@ -140,6 +156,16 @@ def _target_names(scenario: Scenario) -> Iterator[Problem]:
     for index, name in enumerate(names):
         if name in names[:index]:
             yield Problem(f"targets[{index}].name", f'"{name}" is used twice; give each its own')
+
+
+def _agent_ends(scenario: Scenario) -> Iterator[Problem]:
+    """An agent can end again only after it has started again."""
+    ends = sorted(enumerate(scenario.agent_ends), key=lambda numbered: (numbered[1].vehicle, numbered[1].at_s))
+    for (_, before), (index, end) in pairwise(ends):
+        if end.vehicle == before.vehicle and end.at_s <= before.until_s:
+            starts = "does not start again" if before.until_s == inf else f"starts again at {before.until_s:g} s"
+            problem = f"the agent of vehicle {end.vehicle} ended at {before.at_s:g} s and {starts}"
+            yield Problem(f"agent_ends[{index}].at_s", problem)
 
 
 def _vehicles_named(scenario: Scenario) -> Iterator[Problem]:

@@ -15,6 +15,7 @@ from typing import Any
 from companion.geometry.curves import PEAK_SPEED
 from companion.geometry.shapes import SHAPES, slots_of
 from companion.ground.formations import assigned
+from companion.types.autopilot import AutopilotKind
 from companion.types.vectors import Vector3
 from sitl.gauntlet.fleets import (
     START_SPACING,
@@ -31,6 +32,8 @@ FORM_S = 8.5  # by then all hover
 GIVEN_UP_AFTER_S = 3.0  # a command is repeated for so long
 LONGEST_S = 60.0  # of a flight; a change that takes longer is not flown to its end
 ENTERED_WITHIN_S = 12.0  # so long may the paths into the slots last: until then a change of formation is refused
+RESTARTS_AFTER_S = (2.0, 6.0)  # RestartSec of the service and the start of the process; with a wide margin
+STAYS_DEAD = 0.3  # share of agents that do not start again, like a computer without power
 Content = dict[str, Any]
 
 
@@ -273,10 +276,16 @@ def leader_leaves(random: Random, fleet: Fleet) -> Plan:
 
 
 def leader_dies(random: Random, fleet: Fleet) -> Plan:
-    """The leader's agent ends."""
-    ends = [{"vehicle": fleet.leader, "at_s": rounded(FORM_S + random.uniform(4.0, 8.0))}]
+    """The leader's agent ends, and starts again after 2 to 6 s; of PX4, it sometimes never does.
+
+    An ArduCopter without an agent drifts, and no other vehicle knows where it is: the filter cannot avoid it.
+    """
+    end = {"vehicle": fleet.leader, "at_s": rounded(FORM_S + random.uniform(4.0, 8.0))}
+    restarts_after_s = rounded(random.uniform(*RESTARTS_AFTER_S))
+    if random.random() >= STAYS_DEAD or fleet.autopilot is AutopilotKind.ARDUPILOT:
+        end["restarts_after_s"] = restarts_after_s
     reference = fast(random, fleet).reference if random.random() < 0.5 else slow(random, fleet)
-    return Plan(reference, agent_ends=ends, expected=fleet.followers, lasts_s=24.0)
+    return Plan(reference, agent_ends=[end], expected=fleet.followers, lasts_s=24.0)
 
 
 def returning(random: Random, fleet: Fleet) -> Plan:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from sitl.gauntlet.families import FAMILIES
+from sitl.gauntlet.families import FAMILIES, RESTARTS_AFTER_S, STAYS_DEAD
 from sitl.gauntlet.flight import Outcome
 from sitl.gauntlet.summary import COLUMNS, GRACE_S, IN_TIME, FamilySummary, cells
 
@@ -67,6 +67,7 @@ sitl gauntlet --fleet fleet.yaml               # your own fleet: its slots, law 
 sitl run runs/gauntlet-DATE-TIME/FLIGHT.yaml   # one of the worst flights again, with its plot
 ```"""
 
+FIRST_S, LAST_S = RESTARTS_AFTER_S
 EXPLANATION = f"""\
 - **Ratio**: the smallest true distance of a flight in units of `separation_m`, over all pairs where
   an agent commands the attitude of at least one vehicle. **Automatic** is the worst of all other
@@ -85,6 +86,9 @@ EXPLANATION = f"""\
   undisturbed as well.
 - The undisturbed time is at least the duration of the change, of the path into the slot, or of the
   way of a reference to its place.
-- In `leader_dies` the agent does not start again. A PX4 then holds its position; an ArduCopter
-  levels and drifts, up to 0.8 m/s with `px4_sih`, and no other vehicle knows where it is. On a
-  vehicle systemd starts the agent again within seconds, and it publishes its position."""
+- In `leader_dies` a new agent starts {FIRST_S:g} to {LAST_S:g} s after the end, as systemd starts it on a vehicle. It
+  observes and publishes its position, and the others make way. {100 * STAYS_DEAD:g} % of the PX4 stay without an
+  agent: they brake and hold. No ArduCopter stays without one: it would level and drift, up to
+  0.8 m/s with `px4_sih`, and no other vehicle would know where it is. That the filter cannot avoid.
+- Before the restart the others take the silent vehicle to go on for 1 s and to stop. At 5 m/s and
+  more it goes several metres farther, and another vehicle may come too near."""

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import argparse
+from itertools import islice
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from companion.types.autopilot import AutopilotKind
+from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
 from repository import ROOT
 from sitl.cli.gauntlet import add_arguments, run
@@ -63,6 +66,18 @@ def test_each_family_has_runaways() -> None:
 def test_only_the_named_families_are_flown() -> None:
     numbers = numbers_of(("joining", "exchange"))
     assert {family_of(next(numbers)) for _ in range(6)} == {"joining", "exchange"}
+
+
+def test_ended_agents_start_again_but_those_of_some_px4() -> None:
+    without = set()
+    for number in islice(numbers_of(("leader_dies",)), 20):
+        scenario = drawn(3, number).scenario
+        (end,) = scenario.agent_ends
+        if end.restarts_after_s is None:
+            without.add(scenario.stand_in.autopilot)
+        else:
+            assert 2.0 <= end.restarts_after_s <= 6.0
+    assert without == {AutopilotKind.PX4}
 
 
 def test_a_flight_is_the_same_bit_for_bit_and_from_its_file(tmp_path: Path) -> None:
@@ -167,6 +182,27 @@ def test_an_agent_that_ends_reports_nothing() -> None:
     assert 2 in {report.status.vehicle_id for report in lockstep.drain()}
     lockstep.sleep(1.0)
     assert {report.status.vehicle_id for report in lockstep.drain()} == {1, 3, 4, 5}
+
+
+def test_a_restarted_agent_has_a_new_session_and_nothing_that_came_before() -> None:
+    ends = "{vehicle: 2, at_s: 1, restarts_after_s: 0.5}, {vehicle: 2, at_s: 2, restarts_after_s: 0.5}"
+    lockstep = Lockstep(leaving(f"agent_ends=[{ends}]", f"timeline=[{STEPS}]"))
+    received = {}
+    for at_s in (1.0, 1.5, 2.0, 2.5, 3.0):
+        lockstep.sleep(at_s - lockstep.now_s())
+        statuses = [report.status for report in lockstep.drain() if report.status.vehicle_id == 2]
+        received[at_s] = {status.session for status in statuses}
+        if at_s == 1.5:
+            reply = lockstep.command([2], CommandName.PREPARE, 0.01)[2]  # to the session that has ended
+            assert reply is None
+    assert received == {1.0: {1}, 1.5: set(), 2.0: {2}, 2.5: set(), 3.0: {3}}
+    lockstep.sleep(1.0)  # a HEARTBEAT comes once a second
+    reply = lockstep.command([2], CommandName.PREPARE, 0.5)[2]
+    assert reply is not None
+    assert reply.accepted
+    statuses = [report.status for report in lockstep.drain() if report.status.vehicle_id == 2]
+    assert statuses[-1].peers == (1, 3, 4, 5)
+    assert statuses[-1].rejected == {}  # packets of the time without a process would be refused as late
 
 
 def test_a_refused_step_that_may_fail_does_not_end_the_flight() -> None:

@@ -129,6 +129,27 @@ def test_a_reference_or_leader_change_that_cannot_be_flown_is_refused(override: 
     assert "\n" not in line
 
 
+@pytest.mark.parametrize(
+    ("ends", "words"),
+    [
+        ("[{vehicle: 9, at_s: 5}]", "agent_ends[0].vehicle: no vehicle 9 in the fleet"),
+        ("[{vehicle: 1, at_s: 5, restarts_after_s: 0}]", "agent_ends[0].restarts_after_s: 0"),
+        ("[{vehicle: 1, at_s: 5}, {vehicle: 1, at_s: 8}]", "agent_ends[1].at_s: the agent of vehicle 1 ended at 5 s"),
+        (
+            "[{vehicle: 1, at_s: 8}, {vehicle: 1, at_s: 5, restarts_after_s: 3}]",
+            "agent_ends[0].at_s: the agent of vehicle 1 ended at 5 s and starts again at 8 s",
+        ),
+    ],
+)
+def test_an_agent_that_does_not_run_cannot_end(ends: str, words: str) -> None:
+    assert words in error_of(f"agent_ends={ends}")
+
+
+def test_an_agent_may_end_again_after_it_started_again() -> None:
+    ends = "{vehicle: 1, at_s: 8}, {vehicle: 2, at_s: 6}, {vehicle: 1, at_s: 5, restarts_after_s: 2}"
+    assert len(load_scenario(PLATOON, [f"agent_ends=[{ends}]"]).agent_ends) == 3
+
+
 def test_an_id_that_is_used_twice_is_refused() -> None:
     message = error_of_file(lambda d: d["fleet"]["vehicles"][2].update(id=2))
     assert message.startswith("s.yaml: fleet.vehicles[2].id: 2 is used twice")
