@@ -73,17 +73,22 @@ class AccelerationLimits(Struct, frozen=True, gc=False):
 
     def level_radius_m_s2(self, up_m_s2: float) -> float:
         """Largest horizontal acceleration in still air beside this vertical one."""
-        return (min(max(up_m_s2, self.lowest_m_s2), self.highest_m_s2) + GRAVITY_M_S2) * self.tan_max_tilt
+        return (self._vertical(up_m_s2) + GRAVITY_M_S2) * self.tan_max_tilt
 
     def nearest(self, acceleration_enu_m_s2: Vector3) -> Vector3:
         """The possible acceleration with the vertical part first, then the horizontal direction; itself if possible."""
         (x, y, up), (dx, dy, _) = acceleration_enu_m_s2, self.disturbance_enu_m_s2
-        z = min(max(up, self.lowest_m_s2), self.highest_m_s2)
+        z = self._vertical(up)
         radius, level = (z + GRAVITY_M_S2) * self.tan_max_tilt, hypot(x - dx, y - dy)
         if level <= radius:
             return acceleration_enu_m_s2 if z == up else (x, y, z)
         scale = radius / level
         return (dx + (x - dx) * scale, dy + (y - dy) * scale, z)
+
+    def _vertical(self, up_m_s2: float) -> float:
+        if up_m_s2 < self.lowest_m_s2:
+            return self.lowest_m_s2
+        return self.highest_m_s2 if up_m_s2 > self.highest_m_s2 else up_m_s2
 
 
 def filtered(
@@ -197,8 +202,8 @@ def _active_set(start: Vector3, rows: list[HalfSpace], steps: int) -> tuple[Vect
             new = ox * ox + oy * oy + oz * oz
             leaves, step = -1, most / new if new > LEAST_NEW else inf
             for place, share in enumerate(shares):
-                if share > LEAST_SHARE and weights[place] / share < step:
-                    leaves, step = place, weights[place] / share
+                if share > LEAST_SHARE and (lasts := weights[place] / share) < step:
+                    leaves, step = place, lasts
             if step == inf:
                 others = [(row, -share) for row, share in zip(active, shares, strict=True) if share < -LEAST_SHARE]
                 return (x, y, z), steps, [(worst, 1.0), *others]

@@ -11,9 +11,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from math import hypot
 
-from companion.core.safety.filter.acceleration_filter import HalfSpace, Rank, half_space
+from companion.core.safety.filter.acceleration_filter import HalfSpace, Rank
 from companion.core.safety.filter.lag import Ahead
-from companion.geometry.airspace import DOWN, UP
 from companion.types.vectors import Vector3
 
 SPEED = Rank.SPEED
@@ -33,9 +32,9 @@ class SpeedLimit:
         """Half-spaces of the vertical and of the horizontal speed. Their normals are perpendicular to each other."""
         vx, vy, vz = ahead.velocity_enu_m_s
         if vz > 0.0:
-            spaces = [half_space(DOWN, -RESPONSE_1_S * (self.climb_m_s - vz), SPEED)]
+            spaces: list[HalfSpace] = [(0.0, 0.0, -1.0, -RESPONSE_1_S * (self.climb_m_s - vz), SPEED)]
         else:
-            spaces = [half_space(UP, -RESPONSE_1_S * (self.descent_m_s + vz), SPEED)]
+            spaces = [(0.0, 0.0, 1.0, -RESPONSE_1_S * (self.descent_m_s + vz), SPEED)]
         level_m_s = hypot(vx, vy)
         if level_m_s > STILL_M_S:
             least_m_s2 = -RESPONSE_1_S * (self.level_m_s - level_m_s)
