@@ -19,6 +19,7 @@ from companion.geometry.turning import SLOT_ACCELERATION_M_S2
 from companion.ground.fleet_time import AHEAD_S, fleet_time_s
 from companion.ground.requests import COMMAND_LINE, FormationRequest
 from companion.types.bounds import MIN_CHANGE_S
+from companion.types.commands import next_for_all
 from companion.types.flight import FlightPhase
 from companion.types.formation import FormationChange
 from companion.types.status import Status
@@ -96,7 +97,7 @@ def change_to(slots_enu_m: Mapping[int, Vector3], statuses: Sequence[Status], sl
     flown = {status.vehicle_id: status.slot.position_enu_m for status in statuses}
     lasts_s = duration_s(longest_path_m(flown, slots_enu_m), slot_speed_m_s, SLOT_ACCELERATION_M_S2)
     return FormationChange(
-        number=max(status.slot.waiting for status in statuses) + 1,
+        number=next_for_all(number for s in statuses for number in (s.slot.formation, s.slot.waiting)),
         slots_enu_m=tuple(sorted(slots_enu_m.items())),
         begins_s=fleet_time_s(statuses) + AHEAD_S,
         lasts_s=max(lasts_s, MIN_CHANGE_S),

@@ -8,7 +8,7 @@ from companion.config.file import ConfigError, convert
 from companion.config.reference import Reference, ReferenceSection, load_reference
 from companion.ground.fleet_time import AHEAD_S, fleet_time_s
 from companion.ground.requests import COMMAND_LINE, ReferenceRequest
-from companion.types.commands import Described, ReferenceChange
+from companion.types.commands import Described, ReferenceChange, next_for_all
 from companion.types.status import Status
 from companion.types.vectors import Vector3
 
@@ -23,8 +23,9 @@ POSITION_KEY = {
 
 def reference_change(reference: Described, statuses: Sequence[Status]) -> ReferenceChange:
     """`reference` as in a file, with the next number, AHEAD_S after the fleet time of these reports."""
-    numbers = (status.reference.waiting for status in statuses if status.reference)
-    return ReferenceChange(max(numbers, default=0) + 1, reference, fleet_time_s(statuses) + AHEAD_S)
+    held = [status.reference for status in statuses if status.reference]
+    number = next_for_all(number for one in held for number in (one.flown, one.waiting))
+    return ReferenceChange(number, reference, fleet_time_s(statuses) + AHEAD_S)
 
 
 def requested_reference(request: ReferenceRequest, here_enu_m: Vector3 | None) -> Reference:

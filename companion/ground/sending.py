@@ -16,7 +16,7 @@ from companion.ground.preconditions import ALL_OR_NONE, STILL_CHANGING, check_al
 from companion.ground.references import reference_change, requested_reference
 from companion.ground.requests import COMMAND_LINE, FleetRequest, FormationRequest, ReferenceRequest
 from companion.ground.session import POLL_S, FleetSession
-from companion.types.commands import CommandName, Content, Lead, ReferenceChange
+from companion.types.commands import CommandName, Content, Lead, ReferenceChange, next_epoch
 from companion.types.flight import FlightPhase
 from companion.types.formation import FormationChange
 from companion.types.status import Status
@@ -101,7 +101,7 @@ class Sender:
         So no vehicle gives up leadership that no other takes. A vehicle without the command learns it from the new leaders.
         """
         reports = self._session.statuses(self._ids, self._wait_s)
-        lead = Lead(leaders, max((status.epoch for status in reports.values()), default=0) + 1)
+        lead = Lead(leaders, next_epoch(status.epoch for status in reports.values()))
         outcomes = self._ask(leaders, CommandName.LEAD, lead)
         if all(outcome.kind is AnswerKind.ACCEPTED for outcome in outcomes.values()):
             outcomes |= self._ask([i for i in self._ids if i not in leaders], CommandName.LEAD, lead)

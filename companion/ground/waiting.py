@@ -10,7 +10,7 @@ from typing import Protocol
 from companion.ground.answers import AnswerKind, End, Outcome
 from companion.ground.text import id_list
 from companion.types.autopilot import LandedState
-from companion.types.commands import CommandName, Content, Lead, ReferenceChange
+from companion.types.commands import CommandName, Content, Lead, ReferenceChange, is_newer
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FormationChange
 from companion.types.notices import Code, Notice
@@ -81,17 +81,21 @@ def goal_of(name: CommandName, content: Content | None, running: bool) -> Goal |
 
 def _follows(status: Status, lead: Lead) -> bool:
     leads = status.vehicle_id in lead.leaders
-    return status.epoch > lead.epoch or (status.epoch == lead.epoch and (status.role is Role.LEADER) is leads)
+    return is_newer(status.epoch, lead.epoch) or (status.epoch == lead.epoch and (status.role is Role.LEADER) is leads)
 
 
 def _flies(status: Status, change: FormationChange) -> bool:
-    return status.slot.formation >= change.number and not status.slot.moves
+    flown = status.slot.formation
+    return (flown == change.number or is_newer(flown, change.number)) and not status.slot.moves
 
 
 def _holds(status: Status, change: ReferenceChange, running: bool) -> bool:
     """On the ground and in hold a vehicle begins with the new reference when it forms."""
     held = status.reference
-    return held is not None and (held.flown if running else held.waiting) >= change.number
+    if held is None:
+        return False
+    number = held.flown if running else held.waiting
+    return number == change.number or is_newer(number, change.number)
 
 
 def end_of(goal: Goal, status: Status, after_s: float) -> End | None:

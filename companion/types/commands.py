@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from enum import StrEnum
 from typing import Annotated
 
@@ -31,14 +32,14 @@ class CommandName(StrEnum):
 
 
 MAX_EPOCH = 2**31 - 1
-NUMBERS_AHEAD = 1000  # of the last command: one wrong number cannot use up all numbers
-MAX_EPOCHS_AHEAD = 1000  # above the own epoch: the number of changes that a vehicle may have missed
+NUMBERS_AHEAD = 1000  # of the own number, also the own epoch: one wrong number cannot use up all numbers
+EPOCHS_AHEAD = 8  # of the own epoch, of a leader that peers report: changes of leader that may be missed at once
 
 
 class Lead(Struct, frozen=True, gc=False, tag=True):
     """The leaders from now on; all other vehicles follow. Every vehicle gets the command.
 
-    A vehicle never returns to an older epoch.
+    A vehicle returns to an older epoch only from one that is more than EPOCHS_AHEAD newer, and so was wrong.
     """
 
     leaders: VehicleIds
@@ -90,6 +91,29 @@ def next_number(last: int, reported: int) -> int:
     A last number above all that the vehicle accepts came from a wrong report: it is forgotten.
     """
     return last + 1 if reported < last < reported + NUMBERS_AHEAD else reported + 1
+
+
+def is_newer(number: int, given: int) -> bool:
+    """Whether a number, or an epoch, came after the given one. One that is too far above it was wrong."""
+    return given < number <= given + NUMBERS_AHEAD
+
+
+def next_epoch(reported: Iterable[int]) -> int:
+    """Epoch of the next command `lead`, which all vehicles in these epochs accept."""
+    return next_for_all(reported, wrong_from=EPOCHS_AHEAD + 1)
+
+
+def next_for_all(reported: Iterable[int], wrong_from: int = 1) -> int:
+    """Number of the next formation or reference, or the next epoch, that all vehicles with these numbers accept.
+
+    It is above all of them, but for those that are too far above the smallest: they were wrong. A vehicle with such a number
+    accepts any number that is smaller by `wrong_from` or more.
+    """
+    known = set(reported) or {0}
+    least = min(known)
+    last = max(number for number in known if number < least + NUMBERS_AHEAD)
+    free = (n for n in range(last + 1, least, -1) if not any(n <= number < n + wrong_from for number in known))
+    return next(free, last + 1)
 
 
 CONTENT: dict[CommandName, type] = {

@@ -28,7 +28,7 @@ TEXTS: Mapping[Code, str] = {
     Code.PEER_NOT_IN_FLEET: "packet of a vehicle that is not in the fleet file",
     Code.PEER_OTHER_FLEET_FILE: "formation hash differs; give both vehicles the same fleet file",
     Code.PEER_NOT_A_LEADER: "claims to be leader, not permitted by the fleet file",
-    Code.PEER_EPOCH_TOO_HIGH: "leader epoch too far above the own one",
+    Code.PEER_EPOCH_TOO_HIGH: "leader epoch too far above the own one; the position is used",
     Code.PEER_NOT_FINITE: "packet with a number that is not finite",
     Code.PEER_POSITION_IMPLAUSIBLE: "position out of range",
     Code.PEER_POSITION_JUMPED: "position further from the last one than its speed permits",

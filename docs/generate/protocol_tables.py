@@ -10,7 +10,7 @@ from companion.link.tick import BACK_UP_S, PERIOD_S
 from companion.link.zenoh_session import LEASE_MS
 from companion.mavlink import ardupilot, px4
 from companion.mavlink.codec import mavlink
-from companion.types.commands import MAX_EPOCHS_AHEAD
+from companion.types.commands import EPOCHS_AHEAD, NUMBERS_AHEAD
 from companion.wire.version import WIRE_VERSION
 
 
@@ -34,7 +34,12 @@ def timing() -> str:
         ("turn of a successor", f"{TURN_S * 1e3:g} ms", "waited before the first claim and between claims"),
         ("silence that ends a formation", f"{SILENT_TOO_LONG_S * 1e3:g} ms", "below PX4's `COM_OF_LOSS_T` of 1 s"),
         ("hand-over at the end of the agent", f"{HAND_OVER_S:g} s", "then the process ends in any case"),
-        ("epochs accepted ahead", f"{MAX_EPOCHS_AHEAD}", "larger steps are refused"),
+        (
+            "epochs ahead, of peers",
+            f"{EPOCHS_AHEAD}",
+            "and one per second without a leader; a larger one claims nothing",
+        ),
+        ("numbers and epochs ahead, of commands", f"{NUMBERS_AHEAD}", "larger steps are refused"),
         ("Zenoh lease", f"{LEASE_MS / 1e3:g} s", "a silent connection is closed and opened again"),
     ]
     return _table(("what", "value", "meaning"), rows)

@@ -11,7 +11,7 @@ from msgspec import Struct
 from companion.core.command.phase import RULES
 from companion.ground.formations import assigned, change_to, named_slots, positions_enu_m
 from companion.ground.references import reference_change
-from companion.types.commands import CommandName, CommandReply, Content, Lead
+from companion.types.commands import CommandName, CommandReply, Content, Lead, next_epoch
 from companion.types.flight import FlightPhase, Role
 from companion.types.notices import Code
 from companion.types.status import Status
@@ -178,7 +178,7 @@ class _LeadOrder(Order):
     def __init__(self, session: Session, watch: FlightWatch, step: TimelineStep, clock: Clock) -> None:
         super().__init__(session, watch, step, clock)
         known = (status.epoch for i in watch.vehicle_ids if (status := watch.status(i)))
-        self._lead = Lead(step.leaders, max(known, default=0) + 1)
+        self._lead = Lead(step.leaders, next_epoch(known))
         others = [i for i in watch.vehicle_ids if i not in step.leaders]
         self._reasons = dict.fromkeys(others, "not commanded before the new leaders have accepted")
 

@@ -25,7 +25,7 @@ def run_hostile(inputs: int, ticks: int, seed: int, out: Path | None) -> int:
         for index in range(-(-inputs // INPUTS_A_JOB))
     ]
     episodes = -(-ticks // EPISODE_TICKS)
-    jobs += [("", first, min(EPISODES_A_JOB, episodes - first)) for first in range(0, episodes, EPISODES_A_JOB)]
+    jobs += [("", seed + at, min(EPISODES_A_JOB, episodes - at)) for at in range(0, episodes, EPISODES_A_JOB)]
     results = in_processes(work, jobs, _show)
     print(file=sys.stderr)
     text = table(results, seed)

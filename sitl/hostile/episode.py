@@ -8,8 +8,11 @@ from collections.abc import Mapping
 from random import Random
 
 from msgspec import Struct
+from msgspec.structs import replace
 
-from companion.types.commands import CommandName, Described, Lead, ReferenceChange
+from companion.ground.formations import change_to
+from companion.ground.references import reference_change
+from companion.types.commands import CommandName, Described, Lead, ReferenceChange, next_epoch
 from companion.types.flight import COOPERATING, FlightPhase
 from companion.types.formation import FormationChange
 from companion.types.notices import Code
@@ -31,6 +34,7 @@ NO_ROOM = {
     Code.REFERENCE_INVALID,
     Code.REFERENCE_DIFFERS,
     Code.REFERENCE_OFF_FLEET,
+    Code.VEHICLE_IN_THE_WAY,
 }
 CAN_CHANGE = COOPERATING | {FlightPhase.OBSERVE, FlightPhase.READY, FlightPhase.ARMED}
 
@@ -112,7 +116,7 @@ def _locks(fleet: HostileFleet) -> list[str]:
         _wait(fleet, 0.5)
         waited_s += 0.5
     statuses = list(fleet.statuses.values())
-    lead = Lead((1,), max(status.epoch for status in statuses) + 1)
+    lead = Lead((1,), next_epoch(status.epoch for status in statuses))
     found += _refused(fleet, CommandName.LEAD, fleet.command(CommandName.LEAD, lead))
     _wait(fleet, 1.0)
     if all(agent.phase in COOPERATING for agent in fleet.agents.values()):
@@ -143,17 +147,14 @@ def _refused(
 
 
 def _formation(fleet: HostileFleet) -> FormationChange:
-    statuses = fleet.statuses.values()
-    number = max(status.slot.waiting for status in statuses) + 1
-    slots = tuple((m.id, (m.slot_enu_m[0] * 1.1, 0.0, 0.0)) for m in fleet.config.vehicles)
-    return FormationChange(number, slots, max(status.reference_s for status in statuses) + 1.0, 60.0)
+    statuses = list(fleet.statuses.values())
+    slots = {m.id: (m.slot_enu_m[0] * 1.1, 0.0, 0.0) for m in fleet.config.vehicles}
+    return replace(change_to(slots, statuses, fleet.config.slot_speed_m_s), lasts_s=60.0)
 
 
 def _reference(fleet: HostileFleet) -> ReferenceChange:
-    statuses = fleet.statuses.values()
-    number = max((status.reference.waiting for status in statuses if status.reference), default=0) + 1
     described: Described = {"kind": "point", "point_enu_m": [0.0, 0.0, 5.0]}
-    return ReferenceChange(number, described, max(status.reference_s for status in statuses) + 1.0)
+    return reference_change(described, list(fleet.statuses.values()))
 
 
 def _wait(fleet: HostileFleet, seconds: float) -> None:

@@ -20,7 +20,7 @@ from companion.core.election.mission_clock import WAITED_S, MissionClock
 from companion.core.election.succession import Succession
 from companion.geometry.turning import heading_after
 from companion.types.autopilot import VehicleState
-from companion.types.commands import MAX_EPOCHS_AHEAD, Command, Lead
+from companion.types.commands import EPOCHS_AHEAD, NUMBERS_AHEAD, Command, Lead
 from companion.types.flight import COOPERATING, STREAMING, FlightPhase, HealthFlag, Role
 from companion.types.formation import Heading, LeaderBeacon, Term
 from companion.types.notices import Answer, Notice
@@ -28,7 +28,7 @@ from companion.types.peers import PeerPacket, ReceivedPeerPacket
 from companion.types.vectors import Vector3
 
 LEADER, FORMATION = Role.LEADER, FlightPhase.FORMATION
-EPOCHS_AHEAD, EPOCHS_PER_S = 8, 1.0  # changes of leader that may be missed at once, and in time
+EPOCHS_PER_S = 1.0  # changes of leader that may be missed in time
 FORMING_S = 2.0  # so long a formation may take to come together
 
 
@@ -113,9 +113,8 @@ class ConsensusStage:
         A commanded role comes first: one tick, its packet included, is of one role. `refusal_to_lead` is why this vehicle
         must not become leader, `fit_to_lead` that it flies in formation without a failsafe; both of the last tick.
         """
-        answers, events = self._command_leads(commands, vehicle, flight, refusal_to_lead)
-        if not vehicle.armed:
-            self._clock.restart()  # the next flight begins the RFT again
+        answers, events = self._command_leads(now_s, commands, vehicle, flight, refusal_to_lead)
+        self._clock.on_ground = not vehicle.armed
         leadership, in_formation = self.leadership, flight.in_formation
         fresh, changes = self._receive(now_s, packets)
         events += changes
@@ -160,17 +159,18 @@ class ConsensusStage:
         self, now_s: float, packets: Iterable[ReceivedPeerPacket]
     ) -> tuple[dict[int, PeerState], tuple[Notice, ...]]:
         """The fresh peers by id, and the events of the changes of the lead that they report."""
-        self.peers.fold(packets, self._epochs_up_to(now_s))
+        epochs_up_to = self._epochs_up_to(now_s)
+        self.peers.fold(packets, epochs_up_to)
         fresh = self.peers.fresh(now_s)
         events: tuple[Notice, ...] = ()
         for peer in fresh.values():
-            if peer.term > self.leadership.term:
+            if self.leadership.term < peer.term and peer.term[0] <= epochs_up_to:  # a command may just have lowered it
                 events += self.leadership.receive(now_s, [peer.packet.leader_beacon])
         return fresh, events
 
     def _epochs_up_to(self, now_s: float) -> int:
         """The largest epoch to accept: the changes that this vehicle may have missed since it last knew its leader."""
-        missed = min(EPOCHS_AHEAD + EPOCHS_PER_S * (now_s - self._led_s), MAX_EPOCHS_AHEAD)
+        missed = min(EPOCHS_AHEAD + EPOCHS_PER_S * (now_s - self._led_s), NUMBERS_AHEAD)
         return self.leadership.epoch + int(missed)
 
     def _settle_term(self, now_s: float, in_formation: bool, newest: LeaderBeacon | None) -> tuple[Notice, ...]:
@@ -200,14 +200,22 @@ class ConsensusStage:
         return tuple(neighbours)
 
     def _command_leads(
-        self, commands: Iterable[Command], vehicle: VehicleState, flight: Flight, refusal_to_lead: Notice | None
+        self,
+        now_s: float,
+        commands: Iterable[Command],
+        vehicle: VehicleState,
+        flight: Flight,
+        refusal_to_lead: Notice | None,
     ) -> tuple[tuple[tuple[int, Answer], ...], tuple[Notice, ...]]:
         """The answers by command number, and the events of a change of role."""
         answers: list[tuple[int, Answer]] = []
         events: list[Notice] = []
         for command in commands:
             if isinstance(command.content, Lead):
+                lowers = command.content.epoch < self.leadership.epoch
                 answer, changes = self._command_lead(command.content, vehicle, flight, refusal_to_lead)
+                if lowers and answer.accepted:
+                    self._led_s = now_s  # peers in the epoch left are not believed
                 answers.append((command.number, answer))
                 events += changes
         return tuple(answers), tuple(events)
@@ -287,4 +295,6 @@ class ConsensusStage:
         if newest is None:
             return None, age_s, reference_s
         reported_s = reference_s if self._clock.runs else 0.0
+        if not self._clock.runs and of_other and of_other.reference_s > 0.0:  # not believed yet: passed on unchanged
+            reported_s = of_other.reference_s + age_s + WAITED_S
         return LeaderBeacon(newest.leader_id, newest.epoch, newest.stamp, reported_s, newest.claim), age_s, reference_s

@@ -13,7 +13,7 @@ from companion.core.consensus.law import FormationState
 from companion.core.consensus.message_order import Disorder, Stream, following
 from companion.core.consensus.plausibility import FleetLimits, KnownFleet, refusal_of_claims, refusal_of_motion
 from companion.geometry.vectors import extrapolated, shortened
-from companion.types.flight import ON_GROUND
+from companion.types.flight import ON_GROUND, Role
 from companion.types.formation import FlownSlot, Term
 from companion.types.notices import Code
 from companion.types.peers import PeerPacket, ReceivedPeerPacket
@@ -103,17 +103,19 @@ class PeerTable:
         self.duplicate_id_s = -inf  # when a packet of a second agent with a known id last came
 
     def fold(self, packets: Iterable[ReceivedPeerPacket], epochs_up_to: int) -> None:
-        """Check and take these packets. Beacons of a larger epoch are refused."""
+        """Check and take these packets; of one with a beacon of a larger epoch only the motion."""
         for received in packets:
             packet = received.packet
             vehicle_id = packet.vehicle_id
-            code = refusal_of_claims(packet, self._fleet, epochs_up_to) or refusal_of_motion(packet, self._limits)
+            code = refusal_of_claims(packet, self._fleet) or refusal_of_motion(packet, self._limits)
             code = code or self._refusal_of_order(received)
             if code is not None:
                 if code in DUPLICATES:
                     self.duplicate_id_s = received.received_s
                 self._count(code, vehicle_id)
                 continue
+            if packet.leader_beacon is not None and packet.leader_beacon.epoch > epochs_up_to:
+                packet = self._without_leader(packet)
             before = self.newest.get(vehicle_id)
             self.newest[vehicle_id] = self._timed(self._within_limits(packet))
             if packet.phase in ON_GROUND and before is not None and before.packet.phase in ON_GROUND:
@@ -144,6 +146,11 @@ class PeerTable:
         clock = stream.clock
         measured_s = clock.received_s - stream.late_s(packet.sent_s) - packet.state_age_s
         return PeerState(packet, clock.received_s, clock.least_apart_s, measured_s, beacon.term if beacon else (0, 0))
+
+    def _without_leader(self, packet: PeerPacket) -> PeerPacket:
+        """The packet as of a follower that knows no leader. Its position is needed for separation."""
+        self._count(Code.PEER_EPOCH_TOO_HIGH, packet.vehicle_id)
+        return replace(packet, role=Role.FOLLOWER, prc=len(self._fleet.may_lead), leader_beacon=None, change=None)
 
     def _within_limits(self, packet: PeerPacket) -> PeerPacket:
         """The packet with accelerations that this fleet can fly: the law feeds them forward. Its position remains usable."""

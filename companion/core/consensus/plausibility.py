@@ -43,7 +43,7 @@ class FleetLimits:
     fence_size_m: Vector3
 
 
-def refusal_of_claims(packet: PeerPacket, fleet: KnownFleet, epochs_up_to: int) -> Code | None:
+def refusal_of_claims(packet: PeerPacket, fleet: KnownFleet) -> Code | None:
     """Checks sender, formation hash, role, PrC, leader beacon, reference and change."""
     if packet.vehicle_id == fleet.own_id:
         return Code.PEER_OWN_ID
@@ -55,12 +55,10 @@ def refusal_of_claims(packet: PeerPacket, fleet: KnownFleet, epochs_up_to: int) 
     is_leader, beacon = packet.role is LEADER, packet.leader_beacon
     if is_leader and not may_lead:
         return Code.PEER_NOT_A_LEADER
-    if beacon is not None and beacon.epoch > epochs_up_to:
-        return Code.PEER_EPOCH_TOO_HIGH
     if not 1 <= packet.prc <= len(fleet.may_lead) or (packet.prc == 1) is not is_leader:
         return Code.PEER_PRC_IMPLAUSIBLE
     held = packet.reference
-    if held and not (0 <= held.flown <= held.waiting and 0.0 <= held.begun_s <= MAX_MISSION_S):
+    if held and not (held.flown >= 0 and held.waiting >= 0 and 0.0 <= held.begun_s <= MAX_MISSION_S):
         return Code.PEER_REFERENCE_IMPLAUSIBLE
     if packet.change is not None and not (is_leader and _is_plausible_change(packet.change, fleet)):
         return Code.PEER_CHANGE_IMPLAUSIBLE
@@ -102,7 +100,7 @@ def refusal_of_motion(packet: PeerPacket, limits: FleetLimits) -> Code | None:
     slow = hypot(vx - sx, vy - sy, vz - sz) <= limits.speed_m_s  # of the RFT that it flies by; False for NaN
     gentle = hypot(*slot.acceleration_enu_m_s2) <= MAX_ACCELERATION_M_S2
     in_time = 0.0 <= slot.moves_for_s <= MAX_CHANGE_S
-    if not (near and slow and gentle and in_time and 0 <= slot.formation <= slot.waiting):
+    if not (near and slow and gentle and in_time and slot.formation >= 0 and slot.waiting >= 0):
         return Code.PEER_SLOT_IMPLAUSIBLE
     if packet.rft is not None and not _is_plausible_rft(packet.rft, limits):
         return Code.PEER_SLOT_IMPLAUSIBLE

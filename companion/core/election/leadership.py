@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable
 
-from companion.types.commands import MAX_EPOCH, MAX_EPOCHS_AHEAD, Lead
+from companion.types.commands import EPOCHS_AHEAD, MAX_EPOCH, NUMBERS_AHEAD, Lead
 from companion.types.flight import Role
 from companion.types.formation import LeaderBeacon, Term
 from companion.types.notices import Answer, Code, Notice, accepted
@@ -17,9 +17,9 @@ class Leadership:
 
     A vehicle becomes leader by command, or as successor of a lost leader. A newer term received from a peer makes it a
     follower, even a leader that missed the command or restarted: the leader of that term knows its role. A received term
-    without a leader that is alive ends after UNCONFIRMED_S, with the role before. An epoch may rise by at most
-    MAX_EPOCHS_AHEAD at once, so that one wrong number cannot use up all epochs; `core/consensus/neighbourhood.py` allows
-    peer packets less.
+    without a leader that is alive ends after UNCONFIRMED_S, with the role before. A command may raise the epoch by
+    NUMBERS_AHEAD; `core/consensus/neighbourhood.py` allows peer packets less. A command may also name an epoch so far below
+    that peers of the epoch left are not believed: the own one was wrong, and so one command reaches every vehicle.
 
     Terms are ordered: within an epoch a command beats a claim, and a better rank beats a worse one. Ranks are unique, so a
     claimed term belongs to one vehicle.
@@ -92,9 +92,10 @@ class Leadership:
             text = f"vehicle {not_allowed[0]} may not lead; expected some of {allowed}"
             return Notice(Code.NOT_A_LEADER, text)
         # A term known from peers, or claimed, may still be commanded: this vehicle missed the command that the others received.
-        if lead.epoch < self.epoch or lead.epoch == self._commanded.epoch:
+        missed = lead.epoch == self.epoch != self._commanded.epoch
+        if self.epoch - EPOCHS_AHEAD <= lead.epoch <= self.epoch and not missed:
             return Notice(Code.EPOCH_TOO_OLD, f"epoch {lead.epoch} is not newer than {self.epoch}")
-        if lead.epoch > min(self.epoch + MAX_EPOCHS_AHEAD, MAX_EPOCH):
+        if lead.epoch > min(self.epoch + NUMBERS_AHEAD, MAX_EPOCH):
             text = f"epoch {lead.epoch} is too large; expected {self.epoch + 1}"
             return Notice(Code.EPOCH_TOO_LARGE, text)
         return None

@@ -24,8 +24,9 @@ class MissionClock:
     def __init__(self) -> None:
         self._zero_s = 0.0  # when the RFT began
         self._counted_s = 0.0
-        self._differs_since_s: float | None = None
+        self._rival: tuple[float, float] | None = None  # another begin of the RFT, and since when it is reported
         self.runs = False
+        self.on_ground = True  # set in each tick
 
     @property
     def has_run(self) -> bool:
@@ -34,14 +35,16 @@ class MissionClock:
 
     def update(self, now_s: float, in_formation: bool, beacon: LeaderBeacon | None, beacon_age_s: float) -> float:
         """Mission time of a follower, from its leader's beacon. Without one, running time continues in formation."""
-        if beacon is not None and beacon.reference_s > 0.0:
+        if beacon is None or beacon.reference_s == 0.0:
+            self._rival = None
+            runs_on = beacon is None and in_formation
+        else:
             zero_s = now_s - (beacon.reference_s + beacon_age_s + WAITED_S)
-            if not self.runs or self._is_believed(now_s, zero_s):
+            if self._is_believed(now_s, zero_s):
                 self._zero_s = zero_s
-            return self._run(now_s)
-        if beacon is None and in_formation and self.runs:
-            return self._run(now_s)
-        return self._stop(now_s)
+                return self._run(now_s)
+            runs_on = True
+        return self._run(now_s) if self.runs and runs_on else self._stop(now_s)
 
     def lead(self, now_s: float, in_formation: bool, other: LeaderBeacon | None, other_age_s: float) -> float:
         """Mission time of a leader. It enters formation at the time of another leader, else at its own stopped time.
@@ -49,6 +52,7 @@ class MissionClock:
         In formation `other` is a leader with precedence: of two that entered at once, one after a landing, both count one time.
         """
         if in_formation and (other is None or self._agrees(now_s, other, other_age_s)):
+            self._rival = None
             return self._run(now_s)
         return self.update(now_s, in_formation, other, other_age_s)
 
@@ -56,21 +60,21 @@ class MissionClock:
         return other.reference_s == 0.0 or abs(other.reference_s + other_age_s - (now_s - self._zero_s)) < FALLS_BACK_S
 
     def _is_believed(self, now_s: float, zero_s: float) -> bool:
-        """Whether to follow a beacon: at once in small steps, else after DIFFERS_FOR_S of such beacons."""
-        if abs(zero_s - self._zero_s) <= FALLS_BACK_S:
-            self._differs_since_s = None
+        """Whether to follow a beacon: at once in small steps, else after DIFFERS_FOR_S of beacons that agree."""
+        own_zero_s = self._zero_s if self.runs else now_s - self._counted_s
+        if abs(zero_s - own_zero_s) <= FALLS_BACK_S:
+            self._rival = None
             return True
-        if self._differs_since_s is None:
-            self._differs_since_s = now_s
-        return now_s - self._differs_since_s >= DIFFERS_FOR_S
-
-    def restart(self) -> None:
-        self._counted_s, self.runs = 0.0, False
+        if self._rival is None or abs(zero_s - self._rival[0]) > FALLS_BACK_S:
+            self._rival = (zero_s, now_s)
+        return now_s - self._rival[1] >= DIFFERS_FOR_S
 
     def _run(self, now_s: float) -> float:
         self._counted_s, self.runs = now_s - self._zero_s, True
         return self._counted_s
 
     def _stop(self, now_s: float) -> float:
-        self._zero_s, self.runs, self._differs_since_s = now_s - self._counted_s, False, None
+        if self.on_ground:
+            self._counted_s = 0.0  # the next flight begins the RFT again
+        self._zero_s, self.runs = now_s - self._counted_s, False
         return self._counted_s

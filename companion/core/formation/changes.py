@@ -66,7 +66,8 @@ class Changes:
         for command in commands:
             match command.content:
                 case FormationChange() as change:
-                    answers.append((command.number, self._change_formation(change, vehicle, flight, consensus, slot)))
+                    answer = self._change_formation(change, vehicle, flight, consensus, slot, is_command=True)
+                    answers.append((command.number, answer))
                 case ReferenceChange() as change:
                     answers.append((command.number, self._change_reference(change, vehicle, flight, consensus, slot)))
         events = self._adopt(vehicle, flight, consensus, slot)
@@ -75,16 +76,23 @@ class Changes:
         return Changed(tuple(answers), events)
 
     def _change_formation(
-        self, change: FormationChange, vehicle: VehicleState, flight: Flight, consensus: Consensus, slot: FlownSlot
+        self,
+        change: FormationChange,
+        vehicle: VehicleState,
+        flight: Flight,
+        consensus: Consensus,
+        slot: FlownSlot,
+        is_command: bool = False,
     ) -> Answer:
         if reason := self._not_followed(change, consensus):
             return refused(Code.SLOTS_NOT_FOLLOWED, f"formation: {reason}")
         rft_enu_m = self._rft_enu_m(vehicle, flight, consensus, slot)
         if flight.on_ground:
-            return self._slots.change_on_ground(change, consensus.flying, rft_enu_m)
+            return self._slots.change_on_ground(change, consensus.flying, rft_enu_m, is_command)
         in_formation = [other for other in consensus.flying if other.phase is FlightPhase.FORMATION]
         alone = flight.phase is not FlightPhase.FORMATION
-        answer = self._slots.change(change, consensus.reference_s, in_formation if alone else (), rft_enu_m)
+        others = in_formation if alone else ()
+        answer = self._slots.change(change, consensus.reference_s, others, rft_enu_m, is_command)
         if answer.notice.code is not Code.FORMATION_ACCEPTED or alone:
             return answer
         tracks = self._tracks_of_change(change, consensus, _fleet_enu_m(vehicle, slot))
@@ -125,7 +133,9 @@ class Changes:
             text = "reference: this vehicle may not lead and has no reference"
             return refused(Code.REFERENCE_NOT_ALLOWED, text)
         fleet_enu_m, slots_enu_m = _fleet_enu_m(vehicle, slot), self._slots.slots_enu_m
-        answer = self._references.change(change, consensus.reference_s, slots_enu_m, consensus.flying, fleet_enu_m)
+        answer = self._references.change(
+            change, consensus.reference_s, slots_enu_m, consensus.flying, fleet_enu_m, flight.in_formation
+        )
         if answer.notice.code is not Code.REFERENCE_ACCEPTED or flight.phase is not FlightPhase.FORMATION:
             return answer
         if not (track := self._references.waiting_track_enu_m(slots_enu_m)):

@@ -16,7 +16,7 @@ from companion.geometry.curves import rest_to_rest
 from companion.geometry.turning import reach_m
 from companion.geometry.vectors import plus
 from companion.types.bounds import MAX_CHANGE_S, MIN_CHANGE_S
-from companion.types.commands import MAX_EPOCHS_AHEAD
+from companion.types.commands import NUMBERS_AHEAD
 from companion.types.flight import STREAMING, FlightPhase
 from companion.types.formation import FlownSlot, FormationChange
 from companion.types.notices import Answer, Code, Notice, accepted
@@ -47,8 +47,11 @@ class SlotPlan:
         reference_s: float,
         others: Iterable[PeerPacket],
         rft_enu_m: Sequence[Vector3],
+        is_command: bool = False,
     ) -> Answer:
         """(accepted, reason), in flight. `others` are the peers in formation where this vehicle is not in it, else empty.
+
+        A command may also have a smaller number than the formation flown: that was wrong, if other vehicles have a smaller one.
 
         `rft_enu_m` are the positions of the RFT that this vehicle knows, one a second: around none may a slot lie outside the
         fence or in an obstacle.
@@ -58,7 +61,7 @@ class SlotPlan:
         if _is_flown(change, others):
             return self._adopt_flown(change)
         refusal = (
-            self._refusal(change, rft_enu_m)
+            self._refusal(change, rft_enu_m, is_command)
             or self._refusal_of_change(change, reference_s)
             or self._refusal_of_airspace(change, reference_s, rft_enu_m)
         )
@@ -71,7 +74,11 @@ class SlotPlan:
         return accepted(Code.FORMATION_ACCEPTED, text)
 
     def change_on_ground(
-        self, change: FormationChange, flying: Collection[PeerPacket], rft_enu_m: Sequence[Vector3]
+        self,
+        change: FormationChange,
+        flying: Collection[PeerPacket],
+        rft_enu_m: Sequence[Vector3],
+        is_command: bool = False,
     ) -> Answer:
         """(accepted, reason), on the ground, where nothing moves. `flying` are the peers in the air."""
         if change == self._flown:
@@ -80,7 +87,7 @@ class SlotPlan:
             return self._adopt_flown(change)
         slots_enu_m = dict(change.slots_enu_m)
         refusal = (
-            self._refusal(change, rft_enu_m)
+            self._refusal(change, rft_enu_m, is_command)
             or self.limits.refusal_of_distance(slots_enu_m)
             or self.limits.refusal_of_airspace(slots_enu_m, slots_enu_m, (), rft_enu_m)
         )
@@ -211,16 +218,16 @@ class SlotPlan:
         if not set(change.absent) < set(ids):
             text = f"absent vehicles {sorted(change.absent)}; expected some of {sorted(ids)}, not all"
             return Notice(Code.SLOTS_INCOMPLETE, text)
-        if change.number > self._flown.number + MAX_EPOCHS_AHEAD:
+        if change.number > self._flown.number + NUMBERS_AHEAD:
             text = f"number {change.number} is too far ahead of {self._flown.number}"
             return Notice(Code.CHANGE_TOO_NEW, text)
         return self.limits.refusal_of_extent(dict(change.slots_enu_m))
 
-    def _refusal(self, change: FormationChange, rft_enu_m: Iterable[Vector3]) -> Notice | None:
+    def _refusal(self, change: FormationChange, rft_enu_m: Iterable[Vector3], is_command: bool) -> Notice | None:
         """The refusal that does not depend on when it begins."""
         if refusal := self._refusal_of_form(change):
             return refusal
-        if change.number <= self._flown.number:
+        if change.number == self._flown.number or (change.number < self._flown.number and not is_command):
             text = f"number {change.number} is not newer than {self._flown.number}"
             return Notice(Code.CHANGE_TOO_OLD, text)
         return self.limits.refusal_of_positions(dict(change.slots_enu_m), rft_enu_m)

@@ -15,7 +15,7 @@ from companion.core.reference.blend import BlendLimits, blended
 from companion.core.reference.target_follower import TargetLimits, TargetPursuit, can_keep
 from companion.core.reference.targets import Targets
 from companion.core.reference.trajectories import ReferenceTrajectory
-from companion.types.commands import MAX_EPOCHS_AHEAD, Described, ReferenceChange
+from companion.types.commands import NUMBERS_AHEAD, Described, ReferenceChange
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import HeldReference
 from companion.types.notices import Answer, Code, Notice, accepted, refused
@@ -23,6 +23,7 @@ from companion.types.peers import PeerPacket, ReceivedTarget
 from companion.types.vectors import ZERO3, Vector3
 
 LATEST_S = 60.0  # ahead of mission time
+SETTLED_S = 0.5  # before a change begins it stays: longer than any packet of a peer counts
 LOOK_AHEAD_S = 120  # for this time ahead a formation must keep its limits along the RFT
 LEADER_VALID_S = 2.0  # the last packet of a lost leader counts for this time: its successor needs the same RFT
 
@@ -115,18 +116,23 @@ class ReferencePlan:
         slots_enu_m: Mapping[int, Vector3],
         others: Iterable[PeerPacket],
         fleet_enu_m: Vector3,
+        in_formation: bool = False,
     ) -> Answer:
-        """(accepted, reason). `fleet_enu_m` is r of the fleet, derived from this vehicle's own position."""
+        """(accepted, reason). `fleet_enu_m` is r of the fleet, derived from this vehicle's own position.
+
+        `in_formation`: this vehicle forms or flies in formation, where mission time runs. A change replaces one that waits.
+        """
         if self._has(change):
             return accepted(Code.REFERENCE_KNOWN, f"reference {change.number} is known")
         theirs = HeldReference(change.number, begun_s=change.begins_s)
         late = any(other.reference and _is_same(other.reference, theirs) for other in others)
-        if refusal := self._refusal(change, reference_s, late):
+        if refusal := self._refusal(change, reference_s, late, in_formation):
             return Answer(False, refusal.about("reference"))
         try:
             rft = self._read(change.reference, slots_enu_m)
             if late:
                 self._take(change, rft, _joined(rft, change.begins_s, fleet_enu_m))
+                self._waiting = None
                 return accepted(Code.REFERENCE_ACCEPTED, f"reference {change.number}, which the leader flies")
             self._handed_over(change, rft, slots_enu_m)
         except ValueError as error:
@@ -206,12 +212,16 @@ class ReferencePlan:
         self._flown, self.target_age_s = _from_start(self._rft), None
         return (_cancelled(waiting[0], "the mission time restarts"),) if waiting else ()
 
-    def _refusal(self, change: ReferenceChange, reference_s: float, late: bool) -> Notice | None:
+    def _refusal(self, change: ReferenceChange, reference_s: float, late: bool, in_formation: bool) -> Notice | None:
         flown = self.held.flown
-        if self._waiting:
-            return Notice(Code.CHANGE_IN_PROGRESS, f"{self._waiting[0].number} is still to begin")
-        if not late and not flown < change.number <= flown + MAX_EPOCHS_AHEAD:
+        # In the last moment one vehicle would begin the change that waits, and another one this change.
+        if self._waiting and in_formation and self._waiting[0].begins_s - reference_s < SETTLED_S:
+            return Notice(Code.CHANGE_IN_PROGRESS, f"{self._waiting[0].number} is about to begin")
+        # Every change is a command: it may have a smaller number than the one flown, which then was wrong.
+        if change.number == flown and not late:
             return Notice(Code.CHANGE_TOO_OLD, f"number {change.number} is not newer than {flown}")
+        if change.number > flown + NUMBERS_AHEAD:
+            return Notice(Code.CHANGE_TOO_NEW, f"number {change.number} is too far ahead of {flown}")
         if not late and not reference_s < change.begins_s <= reference_s + LATEST_S:
             text = f"begins at mission time {change.begins_s:.1f} s, which is {reference_s:.1f} s now"
             return Notice(Code.CHANGE_NOT_IN_TIME, text)

@@ -32,13 +32,13 @@ ENTRIES: dict[str, Explanation] = {
     ),
     "CHANGE_TOO_OLD": Explanation(
         "A formation or reference is refused because of its number.",
-        "The vehicle had this number or a higher one.",
+        "The vehicle has this number, or a higher one than a leader passes on.",
         "Give the command again; `companion fleet` takes the next number.",
     ),
     "CHANGE_TOO_NEW": Explanation(
-        "A formation is refused because of its number.",
+        "A formation or reference is refused because of its number.",
         "The number is more than 1000 ahead.",
-        "Check the program that made the number. A vehicle that missed so many changes must restart with all others.",
+        "Give the command again; `companion fleet` takes a number that all vehicles accept.",
     ),
     "CHANGE_NOT_IN_TIME": Explanation(
         "A formation or reference is refused because of its start time.",

@@ -23,14 +23,13 @@ ENTRIES: dict[str, Explanation] = {
     ),
     "EPOCH_TOO_OLD": Explanation(
         "A leader command is refused.",
-        "Its epoch is not newer than the vehicle's: another change came first.",
+        "Its epoch is the vehicle's, or up to 8 older: another change came first.",
         "Give the command again; `companion fleet` takes the next epoch.",
     ),
     "EPOCH_TOO_LARGE": Explanation(
         "A leader command is refused.",
         "Its epoch is more than 1000 ahead.",
-        "Give the command with the epoch in the text. A vehicle that missed so many changes must restart with all"
-        " others.",
+        "Give the command again; `companion fleet` takes an epoch that all vehicles accept.",
     ),
     "REFERENCE_ACCEPTED": Explanation(
         "A reference command is accepted.",

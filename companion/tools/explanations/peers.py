@@ -31,9 +31,9 @@ ENTRIES: dict[str, Explanation] = {
         "Find out which program sends as that vehicle.",
     ),
     "PEER_EPOCH_TOO_HIGH": Explanation(
-        "Counted in the status; the peer is not used.",
-        "Its leader epoch is more than 1000 above the own one.",
-        "Restart all agents.",
+        "Counted in the status; the peer counts as a follower without a leader, and its position is used.",
+        "Its leader epoch is more than 8 above the own one, and one more per second without a leader.",
+        "Command `lead` to the whole fleet.",
     ),
     "PEER_NOT_FINITE": Explanation(
         "Counted in the status.",

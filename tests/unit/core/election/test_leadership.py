@@ -15,7 +15,7 @@ from companion.core.election.leadership import Leadership
 from companion.core.election.mission_clock import WAITED_S, MissionClock
 from companion.stability.interaction import interaction_matrix, settled_prcs
 from companion.types.autopilot import VehicleState
-from companion.types.commands import MAX_EPOCH, MAX_EPOCHS_AHEAD, Lead
+from companion.types.commands import MAX_EPOCH, NUMBERS_AHEAD, Command, CommandName, Lead, next_epoch
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import LeaderBeacon
 from companion.types.notices import Code, Notice
@@ -56,7 +56,7 @@ def test_a_command_of_a_newer_epoch_sets_the_role() -> None:
         (Lead((1,), 5), Code.EPOCH_TOO_OLD),
         (Lead((1,), 4), Code.EPOCH_TOO_OLD),
         (Lead((1,), 2**31), Code.EPOCH_TOO_LARGE),
-        (Lead((1,), 6 + MAX_EPOCHS_AHEAD), Code.EPOCH_TOO_LARGE),
+        (Lead((1,), 6 + NUMBERS_AHEAD), Code.EPOCH_TOO_LARGE),
     ],
 )
 def test_a_refused_command_changes_nothing(lead: Lead, code: Code) -> None:
@@ -97,21 +97,71 @@ def test_no_beacon_makes_a_leader(epochs: list[int]) -> None:
     assert vehicle.epoch == max(epochs, default=0)
 
 
-def test_more_than_max_epochs_ahead_are_commanded_in_steps() -> None:
+def test_more_than_numbers_ahead_are_commanded_in_steps() -> None:
     vehicle = leadership(2)
-    assert vehicle.command(Lead((1,), MAX_EPOCHS_AHEAD))[0].accepted
-    assert not vehicle.command(Lead((2,), 2 * MAX_EPOCHS_AHEAD + 1))[0].accepted
-    assert vehicle.command(Lead((1,), 2 * MAX_EPOCHS_AHEAD))[0].accepted
-    assert vehicle.command(Lead((2,), 2 * MAX_EPOCHS_AHEAD + 1))[0].accepted
-    assert (vehicle.role, vehicle.epoch) == (Role.LEADER, 2 * MAX_EPOCHS_AHEAD + 1)
+    assert vehicle.command(Lead((1,), NUMBERS_AHEAD))[0].accepted
+    assert not vehicle.command(Lead((2,), 2 * NUMBERS_AHEAD + 1))[0].accepted
+    assert vehicle.command(Lead((1,), 2 * NUMBERS_AHEAD))[0].accepted
+    assert vehicle.command(Lead((2,), 2 * NUMBERS_AHEAD + 1))[0].accepted
+    assert (vehicle.role, vehicle.epoch) == (Role.LEADER, 2 * NUMBERS_AHEAD + 1)
+
+
+@pytest.mark.parametrize("steps", [(56,), (999,), (1000,), (1000, 2000, 5000)])
+def test_one_command_leads_a_fleet_in_which_one_vehicle_has_a_wrong_epoch(steps: tuple[int, ...]) -> None:
+    vehicles = {i: leadership(i) for i in (1, 2, 3)}
+    for epoch in steps:
+        vehicles[2].command(Lead((2,), min(epoch, vehicles[2].epoch + NUMBERS_AHEAD)))
+    lead = Lead((1,), next_epoch(vehicle.epoch for vehicle in vehicles.values()))
+    assert all(vehicle.command(lead)[0].accepted for vehicle in vehicles.values())
+    assert {vehicle.term for vehicle in vehicles.values()} == {(lead.epoch, 0)}
+
+
+@pytest.mark.parametrize(("own", "lead", "accepted"), [(20, 11, True), (20, 12, False), (20, 20, False), (9, 0, True)])
+def test_an_epoch_is_lowered_only_to_where_that_of_its_peers_is_not_believed(
+    own: int, lead: int, accepted: bool
+) -> None:
+    vehicle = leadership(2)
+    vehicle.command(Lead((2,), own))
+    assert vehicle.command(Lead((1,), lead))[0].accepted is accepted
+
+
+def test_a_vehicle_whose_epoch_a_command_lowers_does_not_return_to_it_by_its_peers() -> None:
+    fleet = Fleet(RING, may_lead=(1, 2))
+    fleet.fly(20)
+    fleet.give(Lead((2,), 900))
+    fleet.fly(20)
+    command = Command(CommandName.LEAD, 1, "anna@ground", 1, Lead((2,), 5))
+    for tick in range(50):
+        fleet.now_s += TICK_S
+        packets = [
+            replace(fleet.packets[i], sequence=fleet.packets[i].sequence + tick + 1, sent_s=fleet.now_s) for i in (2, 4)
+        ]
+        around = fleet.vehicles[1].step(
+            fleet.now_s,
+            VehicleState(armed=True),
+            Flight(FlightPhase.FORMATION, in_formation=True),
+            [ReceivedPeerPacket(fleet.now_s, packet) for packet in packets],
+            [] if tick else [command],
+        )
+        assert around.epoch == 5
+    assert around.fresh.keys() == {2, 4}
 
 
 # ---------------------------------------------------------------- mission time
 
 
-def test_a_follower_counts_with_its_leader_and_continues_without_a_beacon() -> None:
+def clock_at(reference_s: float, now_s: float) -> MissionClock:
+    """That has received this mission time from a leader for long enough."""
     clock = MissionClock()
-    assert clock.update(100.0, True, LeaderBeacon(1, 0, 1, 30.0), 0.0) == pytest.approx(30.0 + WAITED_S)
+    for ago_s in (0.51, 0.25, 0.0):
+        counted_s = clock.update(now_s - ago_s, False, LeaderBeacon(1, 0, 1, reference_s - ago_s), 0.0)
+    assert counted_s == pytest.approx(reference_s + WAITED_S)
+    clock.on_ground = False
+    return clock
+
+
+def test_a_follower_counts_with_its_leader_and_continues_without_a_beacon() -> None:
+    clock = clock_at(30.0, now_s=100.0)
     assert clock.update(100.2, True, LeaderBeacon(1, 0, 1, 30.0), 0.2) == pytest.approx(30.2 + WAITED_S)
     assert clock.update(101.0, True, None, 9.0) == pytest.approx(31.0 + WAITED_S)
     assert clock.lead(101.5, True, None, 9.0) == pytest.approx(31.5 + WAITED_S)
@@ -128,14 +178,12 @@ def test_mission_time_is_stopped_until_a_leader_is_in_formation() -> None:
 
 
 def test_a_second_leader_enters_formation_at_the_time_of_the_first() -> None:
-    clock = MissionClock()
-    assert clock.lead(100.0, False, LeaderBeacon(2, 0, 1, 12.0), 0.0) == pytest.approx(12.0 + WAITED_S)
+    clock = clock_at(12.0, now_s=100.0)
     assert clock.lead(100.1, True, None, 9.0) == pytest.approx(12.1 + WAITED_S)
 
 
 def test_the_second_of_two_leaders_takes_the_time_of_the_first_when_they_differ_much() -> None:
-    clock = MissionClock()
-    clock.lead(100.0, False, LeaderBeacon(1, 0, 1, 60.0), 0.0)
+    clock = clock_at(60.0, now_s=100.0)
     for reported_s in (0.0, 59.9, 60.4):  # stopped, or different by network delay: no correction
         assert clock.lead(100.1, True, LeaderBeacon(1, 0, 2, reported_s), 0.0) == pytest.approx(60.1 + WAITED_S)
     assert clock.lead(100.2, True, LeaderBeacon(1, 0, 3, 0.5), 0.1) == pytest.approx(60.2 + WAITED_S)  # it may be wrong
@@ -144,11 +192,30 @@ def test_the_second_of_two_leaders_takes_the_time_of_the_first_when_they_differ_
 
 
 def test_one_wrong_mission_time_is_not_followed() -> None:
-    clock, wrong = MissionClock(), LeaderBeacon(1, 0, 9, 9e5)
+    clock, wrong = clock_at(60.0, now_s=100.0), LeaderBeacon(1, 0, 9, 9e5)
     for tick in range(100):
         now_s = 100.0 + 0.02 * tick
         beacon = wrong if tick % 20 == 19 else LeaderBeacon(1, 0, tick, 60.0 + 0.02 * tick)
         assert clock.update(now_s, True, beacon, 0.0) == pytest.approx(60.0 + 0.02 * tick + WAITED_S)
+
+
+def test_one_wrong_mission_time_does_not_start_a_clock_that_is_stopped() -> None:
+    """A leader in hold would lead from there; the operator's next change would begin too late for all others."""
+    clock, wrong = clock_at(60.0, now_s=100.0), LeaderBeacon(2, 0, 9, 9e5)
+    stopped_s = clock.lead(100.02, False, None, 9.0)
+    for tick in range(20):  # so long a beacon is passed on
+        assert clock.lead(101.0 + 0.02 * tick, False, wrong, 0.02 * tick) == stopped_s
+    assert clock.lead(110.0, False, None, 9.0) == stopped_s
+    for tick in range(50):  # two different ones do not confirm each other
+        assert clock.lead(120.0 + 0.02 * tick, False, LeaderBeacon(2, 0, 9, 9e5 * (1 + tick % 2)), 0.0) == stopped_s
+
+
+def test_a_vehicle_on_the_ground_follows_the_mission_time_of_the_others_until_it_stops() -> None:
+    clock = clock_at(60.0, now_s=100.0)
+    clock.on_ground = True
+    assert clock.update(100.02, False, LeaderBeacon(1, 0, 2, 60.02), 0.0) == pytest.approx(60.02 + WAITED_S)
+    assert clock.update(100.04, False, LeaderBeacon(1, 0, 3, 9e5), 0.0) == pytest.approx(60.04 + WAITED_S)
+    assert clock.update(100.06, False, None, 9.0) == 0.0
 
 
 def test_a_received_term_ends_without_a_leader_alive() -> None:
@@ -169,7 +236,7 @@ def test_a_received_term_ends_without_a_leader_alive() -> None:
 
 @pytest.mark.parametrize("in_formation", [True, False])
 def test_a_follower_stops_at_the_time_at_which_its_leader_stops(in_formation: bool) -> None:
-    clock = MissionClock()
+    clock = clock_at(60.0, now_s=100.0)
     stopped_s = clock.update(100.0, in_formation, LeaderBeacon(1, 0, 1, 60.0), 0.0)
     for now_s in (100.02, 101.0, 107.0):
         assert clock.update(now_s, in_formation, LeaderBeacon(1, 0, int(now_s * 1000), 0.0), 0.0) == stopped_s
@@ -179,11 +246,12 @@ def test_a_follower_stops_at_the_time_at_which_its_leader_stops(in_formation: bo
 
 def test_a_leader_continues_where_it_stopped_when_it_is_back_in_formation() -> None:
     clock = MissionClock()
+    clock.on_ground = False
     clock.lead(100.0, False, None, 9.0)
     stopped_s = clock.lead(160.0, True, None, 9.0)
     assert clock.lead(170.0, False, None, 9.0) == clock.lead(180.0, False, None, 9.0) == stopped_s
     assert clock.lead(180.02, True, None, 9.0) == pytest.approx(stopped_s + 0.02)
-    clock.restart()  # it has landed
+    clock.on_ground = True
     assert clock.lead(300.0, False, None, 9.0) == 0.0
 
 
@@ -319,7 +387,7 @@ def test_a_leader_in_hold_does_not_stop_the_time_of_another(holds: int) -> None:
     fleet.give(Lead((1, 3), 1))
     leads = 4 - holds
     fleet.phases[holds] = FlightPhase.HOLD
-    began_s = fleet.fly(20)[leads].reference_s
+    began_s = fleet.fly(40)[leads].reference_s  # the other one follows a mission time that lasts
     for tick in range(1, 200):
         around = fleet.tick()
         assert around[leads].reference_s == pytest.approx(began_s + tick * TICK_S)
@@ -327,12 +395,16 @@ def test_a_leader_in_hold_does_not_stop_the_time_of_another(holds: int) -> None:
         assert all(abs(what.reference_s - around[leads].reference_s) < 0.03 for what in around.values())
 
 
-def test_a_beacon_of_a_huge_epoch_is_rejected() -> None:
+def test_a_beacon_of_a_huge_epoch_claims_nothing() -> None:
     fleet = Fleet(RING, may_lead=(1, 2))
     fleet.fly(20)
     honest = fleet.packets[4]
     forged = replace(
-        honest, sequence=honest.sequence + 1, sent_s=fleet.now_s, leader_beacon=LeaderBeacon(1, MAX_EPOCH, 1, 1.0)
+        honest,
+        sequence=honest.sequence + 1,
+        sent_s=fleet.now_s,
+        leader_beacon=LeaderBeacon(1, MAX_EPOCH, 1, 1.0),
+        position_enu_m=(0.0, 0.0, 0.5),
     )
     around = fleet.vehicles[1].step(
         fleet.now_s,
@@ -341,16 +413,19 @@ def test_a_beacon_of_a_huge_epoch_is_rejected() -> None:
         [ReceivedPeerPacket(fleet.now_s, forged)],
     )
     assert (around.role, around.epoch) == (Role.LEADER, 0)
+    assert around.fresh[4].packet.position_enu_m == (0.0, 0.0, 0.5)  # separation needs it
     assert dict(fleet.vehicles[1].peers.rejected) == {f"{Code.PEER_EPOCH_TOO_HIGH} 4": 1}
     fleet.vehicles[1].peers.rejected.clear()
+    del fleet.packets[4]  # the forged one has taken its place
+    fleet.now_s += TICK_S
     fleet.give(Lead((2,), 1))
     assert leaders_in(fleet.fly(5)) == [2]
 
 
-def test_a_restarted_agent_catches_up_with_max_epochs_ahead() -> None:
+def test_a_restarted_agent_catches_up_with_all_epochs_it_may_have_missed() -> None:
     fleet = Fleet(RING, may_lead=(1, 2))
-    fleet.give(Lead((2,), MAX_EPOCHS_AHEAD))
+    fleet.give(Lead((2,), NUMBERS_AHEAD))
     fleet.vehicles[1], fleet.phases[1] = fleet.started(1), FlightPhase.HOLD
     around = fleet.fly(5)
     assert leaders_in(around) == [2]
-    assert {what.epoch for what in around.values()} == {MAX_EPOCHS_AHEAD}
+    assert {what.epoch for what in around.values()} == {NUMBERS_AHEAD}

@@ -162,6 +162,23 @@ def test_a_change_begins_at_its_time_when_all_peers_hold_it() -> None:
     assert flown(slots, 30.0, KNOW, in_formation=True) == FlownSlot(TURNED[2], formation=1, waiting=1)
 
 
+@pytest.mark.parametrize("on_ground", [True, False])
+def test_a_command_replaces_a_formation_whose_number_was_too_far_ahead(on_ground: bool) -> None:
+    """What another vehicle passes on must be newer; with a command the operator knows the numbers of all vehicles."""
+    slots = plan()
+    for number in (1000, 1001):
+        assert slots.change_on_ground(replace(CHANGE, number=number), (), ())[0]
+    change = slots.change_on_ground if on_ground else lambda *rest, **k: slots.change(rest[0], 9.0, *rest[1:], **k)
+    assert outcome(change(CHANGE, (), ())) == (False, Code.CHANGE_TOO_OLD)
+    assert outcome(change(replace(CHANGE, number=1001, lasts_s=9.0), (), (), is_command=True)) == (
+        False,
+        Code.CHANGE_TOO_OLD,
+    )
+    assert change(CHANGE, (), (), is_command=True)[0]
+    assert slots.update(0.0, 10.0, KNOW, in_formation=False) or on_ground
+    assert flown(slots, 10.0, KNOW, in_formation=False).formation == 1
+
+
 def test_a_change_is_cancelled_when_a_fresh_peer_lacks_it() -> None:
     slots = plan()
     slots.change(CHANGE, 9.0, (), ())

@@ -140,6 +140,17 @@ def commanded(references: ReferencePlan, change: ReferenceChange, others: Sequen
     return references.change(change, 20.0, SLOTS, others, ZERO3)
 
 
+def test_a_command_replaces_a_reference_whose_number_was_too_far_ahead() -> None:
+    references = plan()
+    assert commanded(references, replace(CHANGE, number=1000)).accepted
+    references.update(1.1, 21.0, SLOTS, [other(0, 1000)], ())
+    assert references.held.flown == 1000
+    again = replace(CHANGE, number=1000, begins_s=40.0)
+    assert commanded(references, again).notice.code is Code.CHANGE_TOO_OLD
+    assert commanded(references, CHANGE).accepted
+    assert references.held.waiting == 1
+
+
 def test_a_change_begins_at_its_time_when_all_peers_that_may_lead_hold_it() -> None:
     references = plan()
     before = references.at(21.0)
@@ -171,7 +182,7 @@ def test_a_change_is_cancelled_when_a_peer_that_may_lead_lacks_it() -> None:
     ("changes", "text"),
     [
         ({"number": 0}, "number 0 is not newer than 0"),
-        ({"number": 1002}, "number 1002 is not newer than 0"),
+        ({"number": 1002}, "number 1002 is too far ahead of 0"),
         ({"begins_s": 19.0}, "begins at mission time 19.0 s, which is 20.0 s now"),
         ({"begins_s": 90.0}, "begins at mission time 90.0 s, which is 20.0 s now"),
         ({"begins_s": float("nan")}, "begins at mission time nan s"),
@@ -209,12 +220,24 @@ def test_the_fence_is_checked_with_the_slots_flown_not_the_configured_ones() -> 
     assert "puts vehicle 4 at x = -101 m, outside the fence less clearance_m (-99.5 to 99.5)" in answer.notice.text
 
 
-def test_a_change_is_refused_while_another_waits() -> None:
+@pytest.mark.parametrize("number", [1, 2])
+def test_a_command_replaces_a_reference_that_waits(number: int) -> None:
+    """A wrong one may wait for a minute, and in hold until the fleet forms."""
+    references = plan()
+    commanded(references, replace(CHANGE, begins_s=80.0))
+    assert commanded(references, replace(CHANGE, number=number)).accepted
+    references.update(1.1, 21.0, SLOTS, [other(0, number)], ())
+    assert references.held == HeldReference(number, number, 21.0)
+
+
+def test_a_reference_that_is_about_to_begin_is_not_replaced() -> None:
+    """Else one vehicle may begin it and another one not, and both begin the next one from there."""
     references = plan()
     commanded(references, CHANGE)
-    assert commanded(references, replace(CHANGE, number=2)) == refused(
-        Code.CHANGE_IN_PROGRESS, "reference: 1 is still to begin"
-    )
+    late = replace(CHANGE, number=2, begins_s=23.0)
+    answer = references.change(late, 20.6, SLOTS, (), ZERO3, in_formation=True)
+    assert answer == refused(Code.CHANGE_IN_PROGRESS, "reference: 1 is about to begin")
+    assert references.change(late, 20.4, SLOTS, (), ZERO3, in_formation=True).accepted
 
 
 def test_a_vehicle_that_missed_a_change_must_not_lead_until_it_adopts_the_leader_s_rft() -> None:

@@ -2,6 +2,8 @@
 
 import pytest
 
+from sitl.hostile import command
+from sitl.hostile.command import EPISODE_TICKS, run_hostile
 from sitl.hostile.decoders import decoders, fuzz
 from sitl.hostile.episode import fly
 
@@ -18,3 +20,16 @@ def test_agents_withstand_hostile_packets_and_commands(seed: int) -> None:
     outcome = fly(seed)
     assert outcome.failures == []
     assert outcome.passed["packet"] > 500
+
+
+def test_another_seed_flies_other_episodes(monkeypatch: pytest.MonkeyPatch) -> None:
+    flown: list[list[int]] = []
+
+    def collect(_work: object, jobs: list[command.Job], _show: object) -> list[object]:
+        flown.append([seed for name, seed, _count in jobs if not name])
+        return []
+
+    monkeypatch.setattr(command, "in_processes", collect)
+    for seed in (0, 100):
+        run_hostile(inputs=0, ticks=9 * EPISODE_TICKS, seed=seed, out=None)
+    assert flown == [[0, 4, 8], [100, 104, 108]]
