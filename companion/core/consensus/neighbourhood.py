@@ -126,7 +126,7 @@ class ConsensusStage:
         beacons = self._beacons_of_others(packets_of_neighbours)
         self._leader.receive(now_s, beacons, leadership.term)
         newest = self._leader.youngest(now_s)
-        events += self._settle_term(now_s, in_formation, newest[0])
+        events += self._settle_term(now_s, in_formation, newest[0], flying)
         leaderless, claimed = self._succeed(now_s, newest[0] is not None, with_neighbours, flying, fit_to_lead)
         role, term = leadership.role, leadership.term
         ids = _attracting(packets_of_neighbours, role is LEADER) if in_formation else ids
@@ -173,11 +173,19 @@ class ConsensusStage:
         missed = min(EPOCHS_AHEAD + EPOCHS_PER_S * (now_s - self._led_s), NUMBERS_AHEAD)
         return self.leadership.epoch + int(missed)
 
-    def _settle_term(self, now_s: float, in_formation: bool, newest: LeaderBeacon | None) -> tuple[Notice, ...]:
-        """Return to the term before where no leader of the new one is alive. The event of a change of role."""
+    def _settle_term(
+        self, now_s: float, in_formation: bool, newest: LeaderBeacon | None, flying: Iterable[PeerPacket]
+    ) -> tuple[Notice, ...]:
+        """Return to the term before where no leader of the new one is alive. The event of a change of role.
+
+        A vehicle out of formation may have no neighbours: there any vehicle in formation shows that the leader is alive.
+        """
         is_leader, led = self.leadership.role is LEADER, newest is not None and newest.term == self.leadership.term
         if led if not is_leader else in_formation:  # a leader on the ground may have restarted, and missed changes
             self._led_s = now_s
+        if not in_formation:
+            term = self.leadership.term
+            led = led or any(p.phase is FORMATION and p.leader_beacon and p.leader_beacon.term == term for p in flying)
         return self.leadership.settle(now_s, led or is_leader)
 
     def _beacons_of_others(self, packets: Iterable[PeerPacket]) -> list[LeaderBeacon]:

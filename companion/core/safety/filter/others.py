@@ -9,6 +9,7 @@ from msgspec import Struct
 
 from companion.core.consensus.peers import PeerState
 from companion.core.safety.filter.lag import LAG_S
+from companion.core.safety.filter.silence import after_silence
 from companion.geometry.separation import HEIGHT_WEIGHT
 from companion.types.autopilot import PositionError
 from companion.types.flight import FlightPhase
@@ -19,7 +20,7 @@ from companion.types.vectors import ZERO3, Vector3
 FORMATION = FlightPhase.FORMATION
 NEAR_M, NEAR_S = 8.0, 3.0  # farther than NEAR_M + NEAR_S * relative speed nothing is computed
 FORGOTTEN_S = 600.0  # a vehicle that is silent for so long is no obstacle any more: its battery lasts no longer
-EXTRAPOLATED_S = 1.0  # a silent vehicle is taken to go on for so long, and then to stop
+EXTRAPOLATED_S = 1.0  # a vehicle is taken to go on for so long; silent for longer, it may be where `silence.py` says
 TRAFFIC_EXTRAPOLATED_S = 5.0  # an aircraft holds its course
 NO_ERROR = PositionError(0.0, 0.0)
 
@@ -27,6 +28,7 @@ NO_ERROR = PositionError(0.0, 0.0)
 class Other(Struct, frozen=True, gc=False):
     """Position and velocity `age_s` ago, the acceleration it flies by its commands, and what it is.
 
+    The acceleration of a silent vehicle is that of its last packet.
     `slot` is None for a vehicle that does not cooperate. `side` is the sign of its number compared with the own one.
     """
 
@@ -68,7 +70,9 @@ class Others:
         for peer_id, peer in peers.items():
             packet, age_s = peer.packet, now_s - peer.measured_s
             there_enu_m, moving_enu_m_s = packet.position_enu_m, packet.velocity_enu_m_s
-            if age_s > FORGOTTEN_S or not _near(position_enu_m, velocity_enu_m_s, there_enu_m, moving_enu_m_s, age_s):
+            is_silent = age_s > EXTRAPOLATED_S
+            reaches_m_s = after_silence(moving_enu_m_s, packet.acceleration_enu_m_s2) if is_silent else moving_enu_m_s
+            if age_s > FORGOTTEN_S or not _near(position_enu_m, velocity_enu_m_s, there_enu_m, reaches_m_s, age_s):
                 continue
             is_fresh = peer_id in fresh
             acceleration = packet.acceleration_enu_m_s2 if is_fresh else ZERO3
@@ -77,6 +81,8 @@ class Others:
                 (lx, ly, lz), (ux, uy, uz) = last, acceleration
                 acceleration = (lx + lag_share * (ux - lx), ly + lag_share * (uy - ly), lz + lag_share * (uz - lz))
             commanded[peer_id] = acceleration
+            if is_silent:
+                acceleration = packet.acceleration_enu_m_s2
             near.append(
                 Other(
                     peer_id,

@@ -21,11 +21,13 @@ from companion.core.safety.filter.acceleration_filter import VEHICLE, HalfSpace
 from companion.core.safety.filter.braking import approach_speed
 from companion.core.safety.filter.lag import LAG_S, Ahead
 from companion.core.safety.filter.others import NO_ERROR, Other, Others
+from companion.core.safety.filter.silence import nearest_on_way
+from companion.geometry.vectors import extrapolated
 from companion.types.autopilot import PositionError, VehicleState
 from companion.types.formation import FlownSlot
 from companion.types.separation import NearestVehicle
 from companion.types.traffic import ReceivedTraffic
-from companion.types.vectors import Vector3
+from companion.types.vectors import ZERO3, Vector3
 
 PLANNED_SHARE = 0.5  # of the acceleration at the tilt limit: what each vehicle plans to brake with
 ALONE_SHARE = 0.6  # of that, where the own vehicle alone makes way: others may stand behind it
@@ -102,11 +104,12 @@ class Separation:
         (px, py, pz), (vx, vy, vz) = other.position_enu_m, other.velocity_enu_m_s
         ax, ay, az = other.acceleration_enu_m_s2
         age_s, weight, slot_of_other = other.age_s, other.height_weight, other.slot
-        if age_s <= other.extrapolated_s:
-            ahead_s = age_s + LAG_S
-            wx, wy, wz = wx - vx - ax * ahead_s, wy - vy - ay * ahead_s, (wz - vz - az * ahead_s) * weight
-        else:
-            ahead_s, wz = other.extrapolated_s + LAG_S, wz * weight
+        ahead_s = age_s + LAG_S
+        if age_s > other.extrapolated_s:
+            (px, py, pz), (vx, vy, vz) = _silent(ahead.position_enu_m, other)
+            ax, ay, az = ZERO3
+            ahead_s = 0.0
+        wx, wy, wz = wx - vx - ax * ahead_s, wy - vy - ay * ahead_s, (wz - vz - az * ahead_s) * weight
         rx, ry, rz = x - px - vx * ahead_s, y - py - vy * ahead_s, z - pz - vz * ahead_s
         sz = rz * weight
         apart_m = sqrt(rx * rx + ry * ry + sz * sz)
@@ -171,6 +174,13 @@ class Separation:
             room_m = max(room_m, passing_m)
         most_m = separation_m + room_m
         return required_m if required_m < most_m else most_m
+
+
+def _silent(own_enu_m: Vector3, other: Other) -> tuple[Vector3, Vector3]:
+    """Where a silent vehicle may be nearest to this one, and how it moves there."""
+    expected_enu_m = extrapolated(other.position_enu_m, other.velocity_enu_m_s, other.extrapolated_s + LAG_S)
+    silent_s = other.age_s - other.extrapolated_s
+    return nearest_on_way(own_enu_m, expected_enu_m, other.velocity_enu_m_s, other.acceleration_enu_m_s2, silent_s)
 
 
 def nearest_vehicle(now_s: float, vehicle: VehicleState, barriers: list[Barrier]) -> NearestVehicle | None:
