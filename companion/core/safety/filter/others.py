@@ -9,7 +9,7 @@ from msgspec import Struct
 
 from companion.core.consensus.peers import PeerState
 from companion.core.safety.filter.lag import LAG_S
-from companion.core.safety.filter.silence import after_silence
+from companion.core.safety.filter.silence import velocity_after, with_kept_attitude
 from companion.geometry.separation import HEIGHT_WEIGHT
 from companion.types.autopilot import PositionError
 from companion.types.flight import FlightPhase
@@ -28,7 +28,8 @@ NO_ERROR = PositionError(0.0, 0.0)
 class Other(Struct, frozen=True, gc=False):
     """Position and velocity `age_s` ago, the acceleration it flies by its commands, and what it is.
 
-    The acceleration of a silent vehicle is that of its last packet.
+    A peer that is not fresh keeps its acceleration: an autopilot without setpoints keeps its attitude at first. Its position
+    is moved by what that adds.
     `slot` is None for a vehicle that does not cooperate. `side` is the sign of its number compared with the own one.
     """
 
@@ -63,6 +64,20 @@ class Others:
         traffic: Mapping[str, ReceivedTraffic],
     ) -> list[Other]:
         """`cooperates`: this vehicle flies in formation, so peers expect its share."""
+        near = self._peers_nearby(now_s, position_enu_m, velocity_enu_m_s, cooperates, peers, fresh)
+        if traffic:
+            near += _traffic_nearby(now_s, position_enu_m, velocity_enu_m_s, traffic)
+        return near
+
+    def _peers_nearby(
+        self,
+        now_s: float,
+        position_enu_m: Vector3,
+        velocity_enu_m_s: Vector3,
+        cooperates: bool,
+        peers: Mapping[int, PeerState],
+        fresh: Mapping[int, PeerState],
+    ) -> list[Other]:
         elapsed_s, self._last_s = now_s - self._last_s, now_s
         lag_share = 1.0 - LAG_S / (LAG_S + elapsed_s)
         near, before = [], self._lagged_enu_m_s2
@@ -70,19 +85,19 @@ class Others:
         for peer_id, peer in peers.items():
             packet, age_s = peer.packet, now_s - peer.measured_s
             there_enu_m, moving_enu_m_s = packet.position_enu_m, packet.velocity_enu_m_s
-            is_silent = age_s > EXTRAPOLATED_S
-            reaches_m_s = after_silence(moving_enu_m_s, packet.acceleration_enu_m_s2) if is_silent else moving_enu_m_s
+            acceleration, reaches_m_s = packet.acceleration_enu_m_s2, moving_enu_m_s
+            is_fresh = peer_id in fresh
+            if not is_fresh:
+                kept_s = min(age_s, EXTRAPOLATED_S)
+                there_enu_m = with_kept_attitude(there_enu_m, acceleration, kept_s)
+                reaches_m_s = velocity_after(moving_enu_m_s, acceleration, kept_s)
             if age_s > FORGOTTEN_S or not _near(position_enu_m, velocity_enu_m_s, there_enu_m, reaches_m_s, age_s):
                 continue
-            is_fresh = peer_id in fresh
-            acceleration = packet.acceleration_enu_m_s2 if is_fresh else ZERO3
             last = before.get(peer_id)
-            if last is not None:
+            if last is not None and is_fresh:
                 (lx, ly, lz), (ux, uy, uz) = last, acceleration
                 acceleration = (lx + lag_share * (ux - lx), ly + lag_share * (uy - ly), lz + lag_share * (uz - lz))
             commanded[peer_id] = acceleration
-            if is_silent:
-                acceleration = packet.acceleration_enu_m_s2
             near.append(
                 Other(
                     peer_id,
@@ -98,19 +113,23 @@ class Others:
                 )
             )
         self._lagged_enu_m_s2 = commanded
-        for name, one in traffic.items():
-            sample = one.sample
-            age_s = now_s - one.received_s + sample.age_s
-            there_enu_m, moving_enu_m_s = sample.position_enu_m, sample.velocity_enu_m_s
-            if _near(position_enu_m, velocity_enu_m_s, there_enu_m, moving_enu_m_s, age_s):
-                error = PositionError(sample.error_m, sample.error_m)
-                extrapolated_s = TRAFFIC_EXTRAPOLATED_S
-                near.append(
-                    Other(
-                        name, there_enu_m, moving_enu_m_s, ZERO3, age_s, extrapolated_s, error, HEIGHT_WEIGHT, None, 1.0
-                    )
-                )
         return near
+
+
+def _traffic_nearby(
+    now_s: float, position_enu_m: Vector3, velocity_enu_m_s: Vector3, traffic: Mapping[str, ReceivedTraffic]
+) -> list[Other]:
+    near = []
+    for name, one in traffic.items():
+        sample = one.sample
+        age_s = now_s - one.received_s + sample.age_s
+        there_enu_m, moving_enu_m_s = sample.position_enu_m, sample.velocity_enu_m_s
+        if _near(position_enu_m, velocity_enu_m_s, there_enu_m, moving_enu_m_s, age_s):
+            error, extrapolated_s = PositionError(sample.error_m, sample.error_m), TRAFFIC_EXTRAPOLATED_S
+            near.append(
+                Other(name, there_enu_m, moving_enu_m_s, ZERO3, age_s, extrapolated_s, error, HEIGHT_WEIGHT, None, 1.0)
+            )
+    return near
 
 
 def _near(own_m: Vector3, own_m_s: Vector3, other_m: Vector3, other_m_s: Vector3, age_s: float) -> bool:

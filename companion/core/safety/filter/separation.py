@@ -21,7 +21,7 @@ from companion.core.safety.filter.acceleration_filter import VEHICLE, HalfSpace
 from companion.core.safety.filter.braking import approach_speed
 from companion.core.safety.filter.lag import LAG_S, Ahead
 from companion.core.safety.filter.others import NO_ERROR, Other, Others
-from companion.core.safety.filter.silence import nearest_on_way
+from companion.core.safety.filter.silence import nearest_on_way, velocity_after
 from companion.geometry.vectors import extrapolated
 from companion.types.autopilot import PositionError, VehicleState
 from companion.types.formation import FlownSlot
@@ -178,9 +178,10 @@ class Separation:
 
 def _silent(own_enu_m: Vector3, other: Other) -> tuple[Vector3, Vector3]:
     """Where a silent vehicle may be nearest to this one, and how it moves there."""
-    expected_enu_m = extrapolated(other.position_enu_m, other.velocity_enu_m_s, other.extrapolated_s + LAG_S)
-    silent_s = other.age_s - other.extrapolated_s
-    return nearest_on_way(own_enu_m, expected_enu_m, other.velocity_enu_m_s, other.acceleration_enu_m_s2, silent_s)
+    kept_s, velocity_enu_m_s = other.extrapolated_s, other.velocity_enu_m_s
+    expected_enu_m = extrapolated(other.position_enu_m, velocity_enu_m_s, kept_s)
+    coasts_enu_m_s = velocity_after(velocity_enu_m_s, other.acceleration_enu_m_s2, kept_s)
+    return nearest_on_way(own_enu_m, expected_enu_m, coasts_enu_m_s, other.age_s - kept_s + LAG_S)
 
 
 def nearest_vehicle(now_s: float, vehicle: VehicleState, barriers: list[Barrier]) -> NearestVehicle | None:
