@@ -74,21 +74,19 @@ EXPLANATION = f"""\
   pairs in the air, which both fly by their autopilots or pilots.
 - **Violation**: a flight with a ratio below 1 with ideal sensors, 0.8 with `default`, 0.6 with
   `px4_sih`.
-- **Vehicles to slots** were to be in their slots at the end. **Reached**: they were: neither the slot
-  nor a reference that comes to rest moved any more, and they were within 0.5 m of the slot (1 m
-  with `px4_sih`) for 2 s, by their own reports. **Refused**: they were not, and had refused a
+- **Vehicles to slots** were to be in their slots at the end. **Reached**: they were: neither the
+  slot nor a reference that comes to rest moved any more, and they were within 0.5 m of the slot
+  (1 m with `px4_sih`) for 2 s, by their own reports. **Refused**: they were not, and had refused a
   command of the flight, for example because the path was too near to another vehicle. **Left**: not
   in formation any more, by a failsafe.
 - **In time**: of the vehicles that fly to their slots in the same flight undisturbed (ideal sensors
-  and network, no runaway, no separation) and refused nothing, the share that took at most {IN_TIME:g} times
-  as long, plus {GRACE_S:g} s. A vehicle that left or did not reach its slot is not in time. Vehicles that
-  were in their slots all the time undisturbed are not counted. Every third flight is flown
-  undisturbed as well.
+  and network, no runaway, no separation) and refused nothing, the share that took at most
+  {IN_TIME:g} times as long, plus {GRACE_S:g} s. A vehicle that left or did not reach its slot is not in time.
+  Vehicles that were in their slots all the time undisturbed are not counted. Every third flight is
+  flown undisturbed as well.
 - The undisturbed time is at least the duration of the change, of the path into the slot, or of the
   way of a reference to its place.
-- In `leader_dies` a new agent starts {FIRST_S:g} to {LAST_S:g} s after the end, as systemd starts it on a vehicle. It
-  observes and publishes its position, and the others make way. {100 * STAYS_DEAD:g} % of the PX4 stay without an
-  agent: they brake and hold. No ArduCopter stays without one: it would level and drift, up to
-  0.8 m/s with `px4_sih`, and no other vehicle would know where it is. That the filter cannot avoid.
-- Before the restart the others take the silent vehicle to go on for 1 s and to stop. At 5 m/s and
-  more it goes several metres farther, and another vehicle may come too near."""
+- In `leader_dies` a new agent starts {FIRST_S:g} to {LAST_S:g} s after the end, as systemd starts it on a vehicle.
+  It observes and publishes its position, and the others make way. {100 * STAYS_DEAD:g} % of the PX4 stay without
+  an agent: they brake and hold. No ArduCopter stays without one: it would level and drift, up to
+  0.8 m/s with `px4_sih`, and no other vehicle would know where it is. That the filter cannot avoid."""
