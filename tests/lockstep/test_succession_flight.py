@@ -137,7 +137,8 @@ def test_the_leader_is_replaced_over_a_slow_lossy_network_with_noise(seed: int) 
     flight = flown(SUCCESSOR, "fleet.law.name=cooperative", *links, *noise)
     assert max(flight.led_s(by=2).values()) < 1.5
     assert {status.phase for status in flight.reports} == {FlightPhase.FORMATION}
-    assert max(float(error_m.max()) for error_m in flight.errors_m.values()) < 0.5
+    assert max(float(flight.errors_m[i].max()) for i in (3, 4)) < 0.5
+    assert float(flight.errors_m[2].max()) < 0.65  # it makes way for the vehicle whose agent ended, which may coast
     assert max(flight.steps_deg()) < 5.0
 
 
