@@ -109,7 +109,7 @@ class ControlLoop:
     def _send(self, now_s: float, telemetry: Sequence[Telemetry], decision: Decision) -> None:
         """Send the setpoint and the requests, before packets, status and log lines are built."""
         target = decision.setpoint.target
-        self._response.sent(decision.flight.phase, target, decision.setpoint.hover_thrust_norm)
+        self._response.sent(decision.flight, target, decision.setpoint.hover_thrust_norm)
         if target:
             self._autopilot.command(target, now_s)
             self._measure_command(telemetry)
@@ -117,6 +117,7 @@ class ControlLoop:
 
     def _publish(self, now_s: float, outbox: Outbox) -> None:
         self._peers.reply(outbox.replies)
+        self._response.publishes(outbox.peer_packet)
         if outbox.peer_packet:
             self._peers.publish_peer(outbox.peer_packet)
         self._meter.phase_after_tick(self._agent.phase, now_s)
@@ -160,7 +161,14 @@ class ControlLoop:
             _attempt(lambda: self._autopilot.command(target, now_s))
         if response.requests:
             _attempt(lambda: self._autopilot.request(response.requests))
+        if not response.ended:
+            _attempt(lambda: self._publish_released(now_s))
         return response.ended
+
+    def _publish_released(self, now_s: float) -> None:
+        """A packet in phase release, so that the peers know that the vehicle brakes."""
+        if packet := self._response.packet(now_s):
+            self._peers.publish_peer(packet)
 
     # ------------------------------------------------------------ the loop
 

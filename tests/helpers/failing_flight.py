@@ -18,7 +18,7 @@ from companion.types.requests import AttitudeTarget, AutopilotRequest
 from companion.types.telemetry import Telemetry
 from companion.types.traffic import ReceivedTraffic
 from companion.wire.ground import StatusReport, encode
-from companion.wire.peer import encode_peer
+from companion.wire.peer import decode_peer, encode_peer
 from profile_flight import HOLD, Autopilot, Flight
 
 PERIOD_S = 0.02
@@ -55,6 +55,9 @@ class RecordedPeers:
     commands: tuple[Command, ...] = ()
     reports: list[StatusReport] = field(default_factory=list)
     replies: list[CommandReply] = field(default_factory=list)
+    packets: list[ReceivedPeerPacket] = field(default_factory=list)  # as a peer receives them, without delay
+    published_before: list[int] = field(default_factory=list)  # setpoints sent before each packet
+    sent: Callable[[], int] = lambda: 0
 
     def receive(self, _now_s: float) -> tuple[tuple[ReceivedPeerPacket, ...], tuple[Command, ...]]:
         commands, self.commands = self.commands, ()
@@ -67,7 +70,9 @@ class RecordedPeers:
         return ()
 
     def publish_peer(self, packet: PeerPacket) -> None:
-        encode_peer(packet)
+        received = decode_peer(encode_peer(packet))
+        self.packets.append(ReceivedPeerPacket(packet.sent_s, received))
+        self.published_before.append(self.sent())
 
     def publish_status(self, report: StatusReport) -> None:
         encode(report)
@@ -87,7 +92,7 @@ class FailingFlight:
         self.agent = self._flight.agent
         self.translator = self._flight.translator
         self.link = AutopilotByBytes(self._flight)
-        self.peers = RecordedPeers()
+        self.peers = RecordedPeers(sent=lambda: len(self.autopilot.targets))
         self.loop = ControlLoop(self.agent, self.link, self.peers, TickTrigger(), Notifier({}))
         self.now_s = 100.0
         self.failed_s: float | None = None

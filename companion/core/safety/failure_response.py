@@ -1,4 +1,4 @@
-"""What is sent after a stage of the tick has failed: level attitude, and the autopilot's hold.
+"""What is sent after a stage of the tick has failed: level attitude, the autopilot's hold, and a last packet to the peers.
 
 It uses only what was sent and received before. The results of the stages cannot be relied on any more.
 """
@@ -9,13 +9,16 @@ from collections.abc import Iterable
 from math import inf, isfinite
 
 from msgspec import Struct
+from msgspec.structs import replace
 
+from companion.core.command.phase import Flight
 from companion.types.autopilot import AutopilotMode
-from companion.types.flight import STREAMING, FlightPhase
+from companion.types.flight import FlightPhase
+from companion.types.peers import PeerPacket
 from companion.types.requests import AttitudeTarget, AutopilotRequest, SetMode
 from companion.types.telemetry import ModeSample, Telemetry
+from companion.types.vectors import ZERO3
 
-STREAM_UNDER_WAY = STREAMING | {FlightPhase.RELEASE}
 REPEAT_REQUEST_S = 0.1
 TELEMETRY_FRESH_S = 0.1  # without telemetry a pilot's change of mode would remain unseen
 HAND_OVER_WITHIN_S = 0.5  # both autopilots take over within 50 ms of the request
@@ -35,7 +38,8 @@ class FailureResponse:
     def __init__(self) -> None:
         self._mode: AutopilotMode | None = None
         self._telemetry_s = -inf
-        self._phase = FlightPhase.OBSERVE
+        self._flight = Flight()
+        self._packet: PeerPacket | None = None
         self._level: AttitudeTarget | None = None
         self._failed_s: float | None = None
         self._requested_s = -inf
@@ -47,29 +51,55 @@ class FailureResponse:
             if isinstance(sample, ModeSample):
                 self._mode = sample.mode
 
-    def sent(self, phase: FlightPhase, target: AttitudeTarget | None, hover_thrust_norm: float) -> None:
+    def sent(self, flight: Flight, target: AttitudeTarget | None, hover_thrust_norm: float) -> None:
         """What a tick has sent; `target` is None where there was no setpoint."""
-        self._phase = phase
-        if target and 0.0 < hover_thrust_norm < 1.0 and isfinite(target.yaw_rad):
+        self._flight = flight
+        if not flight.streams:
+            self._level = None  # its heading is of an earlier stream
+        elif target and 0.0 < hover_thrust_norm < 1.0 and isfinite(target.yaw_rad):
             self._level = AttitudeTarget(0.0, 0.0, target.yaw_rad, hover_thrust_norm)
+
+    def publishes(self, packet: PeerPacket | None) -> None:
+        """The peer packet of a tick, before it is published; None where peers must not use its position."""
+        self._packet = packet
 
     def step(self, now_s: float) -> Response:
         """The response at this time. The first one goes out in the tick that fails, the others until the autopilot holds.
 
-        A mode that the agent did not command is the pilot's: nothing is sent. In the other phases the autopilot flies itself.
+        A mode that the agent did not command is the pilot's: nothing is sent. Without a stream the autopilot flies itself; where
+        a hold has been requested, the request is repeated.
         """
         is_first = self._failed_s is None
         if self._failed_s is None:
             self._failed_s = now_s
         blind = now_s - self._telemetry_s > TELEMETRY_FRESH_S and not is_first
-        if self._phase not in STREAM_UNDER_WAY or blind or now_s - self._failed_s > HAND_OVER_WITHIN_S:
+        flight = self._flight
+        under_way = flight.streams or flight.phase is FlightPhase.RELEASE
+        if not under_way or blind or now_s - self._failed_s > HAND_OVER_WITHIN_S:
             return Response()
         if self._mode is AutopilotMode.OFFBOARD:
             return Response(self._level, self._request(now_s), ended=False)
-        if self._phase is FlightPhase.ENGAGE and self._mode is AutopilotMode.HOLD:
+        if flight.phase is FlightPhase.ENGAGE and self._mode is AutopilotMode.HOLD:
             # The request to follow the setpoints may be under way.
             return Response(None, self._request(now_s), ended=False)
         return Response()
+
+    def packet(self, now_s: float) -> PeerPacket | None:
+        """The last peer packet for now: the vehicle is released and brakes. The age of its position has advanced."""
+        last = self._packet
+        if last is None:
+            return None
+        self._packet = replace(
+            last,
+            sequence=last.sequence + 1,
+            phase=FlightPhase.RELEASE,
+            acceleration_enu_m_s2=ZERO3,
+            state_age_s=last.state_age_s + max(0.0, now_s - last.sent_s),
+            sent_s=now_s,
+            change=None,
+            rft=None,
+        )
+        return self._packet
 
     def _request(self, now_s: float) -> tuple[AutopilotRequest, ...]:
         if now_s - self._requested_s < REPEAT_REQUEST_S:

@@ -7,22 +7,30 @@ from typing import Any
 
 import pytest
 
+from companion.core.consensus.peers import PeerTable
+from companion.core.consensus.plausibility import FleetLimits
 from companion.core.safety.failure_response import HAND_OVER_WITHIN_S
 from companion.mavlink.codec import mavlink
 from companion.types.autopilot import AutopilotKind
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code
+from companion.types.vectors import ZERO3
 from failing_flight import PERIOD_S, FailingFlight
 from profile_flight import BOTH, HOLD, MANUAL
 
 P = FlightPhase
 SET_MODE = mavlink.MAV_CMD_DO_SET_MODE
 LEVEL = 1e-6
+LIMITS = FleetLimits(25.0, 20.0, (200.0, 200.0, 55.0))
+CLEARED_S = 0.25  # level setpoints at the end of formation, before the next mode is requested
 
 # Owner and method of each stage, in the order of the tick.
 STAGES: dict[str, Callable[[FailingFlight], tuple[Any, str]]] = {
     "peers and commands received": lambda flight: (flight.peers, "receive"),
+    "targets received": lambda flight: (flight.peers, "targets"),
+    "traffic received": lambda flight: (flight.peers, "traffic"),
+    "telemetry drained": lambda flight: (flight.link, "drain"),
     "perception": lambda flight: (flight.agent._perception, "step"),
     "phases, observed": lambda flight: (flight.agent._phases, "observe"),
     "arbitration": lambda flight: (flight.agent._arbitration, "step"),
@@ -34,11 +42,16 @@ STAGES: dict[str, Callable[[FailingFlight], tuple[Any, str]]] = {
     "setpoint": lambda flight: (flight.agent._setpoint, "step"),
     "setpoint encoded": lambda flight: (flight.translator, "attitude_target"),
     "request encoded": lambda flight: (flight.translator, "request"),
+    "setpoint sent": lambda flight: (flight.link, "command"),
+    "request sent": lambda flight: (flight.link, "request"),
     "report": lambda flight: (flight.agent._report, "step"),
     "reply": lambda flight: (flight.peers, "reply"),
     "peer packet published": lambda flight: (flight.peers, "publish_peer"),
     "status published": lambda flight: (flight.peers, "publish_status"),
 }
+SETPOINT_FAILS = ("setpoint encoded", "setpoint sent")
+REQUEST_FAILS = ("request encoded", "request sent")
+LAST_PACKET_TICKS = 2  # the last packet of a report that fails is of the tick before
 
 
 def set_modes(flight: FailingFlight) -> int:
@@ -58,18 +71,18 @@ def test_a_failing_stage_levels_the_vehicle_and_requests_hold(kind: AutopilotKin
     assert tilt(flight) > 0.03  # it leans against its velocity, by 4 degrees
     sent, requested = len(flight.autopilot.targets), set_modes(flight)
     flight.inject(*STAGES[stage](flight))
-    if stage == "request encoded":
+    if stage in REQUEST_FAILS:
         flight.tick(CommandName.HOLD)  # in a quiet tick nothing is requested
     flight.ticks(2.0)
     assert flight.failed_s is not None
     assert flight.ended_s is not None
     assert flight.ended_s - flight.failed_s <= HAND_OVER_WITHIN_S + 2 * PERIOD_S
-    if stage == "setpoint encoded":
-        assert len(flight.autopilot.targets) == sent  # the encoder is what failed
+    if stage in SETPOINT_FAILS:
+        assert len(flight.autopilot.targets) == sent  # what sends them is what failed
     else:
         assert tilt(flight) < LEVEL
         assert flight.last_target.thrust == pytest.approx(0.5, rel=0.2)  # the hover thrust estimated so far
-    if stage == "request encoded":
+    if stage in REQUEST_FAILS:
         return  # the level setpoints are all that can be sent; the autopilot's failsafe follows
     assert set_modes(flight) == requested + 1
     assert flight.holds
@@ -77,6 +90,116 @@ def test_a_failing_stage_levels_the_vehicle_and_requests_hold(kind: AutopilotKin
         event = flight.peers.reports[-1].status.last_event
         assert event is not None
         assert event.code is Code.AGENT_FAILED
+
+
+@BOTH
+@pytest.mark.parametrize("stage", [stage for stage in STAGES if stage != "peer packet published"])
+def test_the_peers_of_a_failing_agent_learn_that_it_brakes(kind: AutopilotKind, stage: str) -> None:
+    flight = FailingFlight(kind).fly_to(P.FORMATION)
+    flight.autopilot.north_m_s = 2.0
+    flight.ticks(0.4)
+    peers = PeerTable(4, {3: True, 4: False}, flight.peers.packets[-1].packet.formation_hash, 0.3, LIMITS, ())
+    peers.fold(flight.peers.packets, 0)
+    last = peers.newest[3].packet
+    assert last.phase is P.FORMATION
+    assert last.acceleration_enu_m_s2 != ZERO3
+    published, sent = len(flight.peers.packets), len(flight.autopilot.targets)
+    flight.inject(*STAGES[stage](flight))
+    if stage in REQUEST_FAILS:
+        flight.tick(CommandName.HOLD)
+    while flight.failed_s is None:
+        flight.tick()
+    released = [one.packet for one in flight.peers.packets[published:] if one.packet.phase is P.RELEASE]
+    packet = released[-1]
+    assert packet.acceleration_enu_m_s2 == ZERO3
+    assert packet.change is packet.rft is None
+    peers.fold(flight.peers.packets[published:], 0)
+    assert peers.rejected == {}
+    state = peers.newest[3]
+    assert state.packet == packet
+    assert flight.failed_s - state.measured_s <= LAST_PACKET_TICKS * PERIOD_S + last.state_age_s + 1e-6
+    assert stage in SETPOINT_FAILS or flight.peers.published_before[-1] > sent  # the level setpoint goes first
+
+
+@BOTH
+def test_a_packet_that_cannot_be_published_costs_no_level_setpoint(kind: AutopilotKind) -> None:
+    flight = FailingFlight(kind).fly_to(P.FORMATION)
+    flight.autopilot.refuses[SET_MODE] = (mavlink.MAV_RESULT_FAILED,)
+    flight.inject(flight.peers, "publish_peer")
+    sent = len(flight.autopilot.targets)
+    flight.ticks(0.3)
+    assert (
+        len(flight.autopilot.targets) - sent == round(0.3 / PERIOD_S) + 1
+    )  # both that of the law and a level one at first
+    assert tilt(flight) < LEVEL
+
+
+@BOTH
+@pytest.mark.parametrize("after_ticks", [1, 3, 8])
+@pytest.mark.parametrize("name", [CommandName.HOLD, CommandName.LAND, CommandName.RETURN])
+def test_a_failure_while_formation_is_left_levels_and_requests_hold(
+    kind: AutopilotKind, name: CommandName, after_ticks: int
+) -> None:
+    """The stream goes on for CLEARED_S and until the autopilot has taken over, whatever the phase is called."""
+    flight = FailingFlight(kind).fly_to(P.FORMATION)
+    flight.autopilot.north_m_s = 4.0
+    flight.ticks(0.5)
+    flight.tick(name)
+    flight.ticks((after_ticks - 1) * PERIOD_S)
+    assert (
+        flight.agent.phase
+        is {CommandName.HOLD: P.RELEASE, CommandName.LAND: P.LAND, CommandName.RETURN: P.RETURN}[name]
+    )
+    assert after_ticks > 1 or tilt(flight) > 0.03
+    sent, requested = len(flight.autopilot.targets), set_modes(flight)
+    flight.inject(flight.agent._guidance, "step")
+    flight.ticks(1.0)
+    assert len(flight.autopilot.targets) > sent
+    assert tilt(flight) < LEVEL
+    assert set_modes(flight) == requested + 1
+    assert flight.holds
+    assert flight.ended_s is not None
+    assert flight.peers.packets[-1].packet.phase is P.RELEASE
+
+
+@BOTH
+@pytest.mark.parametrize("name", [CommandName.LAND, CommandName.RETURN])
+def test_a_landing_or_return_that_has_begun_is_not_ended(kind: AutopilotKind, name: CommandName) -> None:
+    flight = FailingFlight(kind).fly_to(P.FORMATION)
+    flight.tick(name)
+    flight.ticks(CLEARED_S + 0.2)
+    sent, commands = len(flight.autopilot.targets), len(flight.autopilot.commands)
+    mode = flight.autopilot.custom_mode
+    flight.inject(flight.agent._guidance, "step")
+    flight.ticks(1.0)
+    assert (len(flight.autopilot.targets), len(flight.autopilot.commands)) == (sent, commands)
+    assert flight.autopilot.custom_mode == mode
+    assert flight.ended_s == flight.failed_s
+
+
+@BOTH
+def test_a_pilot_who_ends_a_landing_in_its_first_moments_keeps_the_vehicle(kind: AutopilotKind) -> None:
+    flight = FailingFlight(kind).fly_to(P.FORMATION)
+    flight.tick(CommandName.LAND)
+    flight.autopilot.custom_mode = MANUAL[kind]
+    sent, requested = len(flight.autopilot.targets), set_modes(flight)
+    flight.inject(flight.agent._guidance, "step")
+    flight.ticks(1.0)
+    assert (len(flight.autopilot.targets), set_modes(flight)) == (sent, requested)
+    assert flight.autopilot.custom_mode == MANUAL[kind]
+
+
+def test_a_failure_while_hold_is_requested_without_a_stream_repeats_the_request() -> None:
+    """A take-off that was ended: ArduCopter flies itself in GUIDED, and level setpoints would let it sink."""
+    flight = FailingFlight(AutopilotKind.ARDUPILOT).fly_to(P.TAKEOFF)
+    flight.autopilot.refuses[SET_MODE] = (mavlink.MAV_RESULT_FAILED,)
+    flight.tick(CommandName.HOLD)
+    assert flight.agent.phase is P.RELEASE
+    sent, requested = len(flight.autopilot.targets), set_modes(flight)
+    flight.inject(flight.agent._guidance, "step")
+    flight.ticks(0.2)
+    assert len(flight.autopilot.targets) == sent
+    assert set_modes(flight) - requested == 2
 
 
 @BOTH
@@ -129,7 +252,7 @@ def test_a_pilot_who_has_taken_over_keeps_the_vehicle(kind: AutopilotKind, seen:
 
 
 @BOTH
-@pytest.mark.parametrize("phase", [P.OBSERVE, P.READY, P.ARMED, P.HOLD])
+@pytest.mark.parametrize("phase", [P.OBSERVE, P.PREPARE, P.READY, P.ARM, P.ARMED, P.TAKEOFF, P.HOLD])
 def test_a_failure_outside_formation_sends_nothing(kind: AutopilotKind, phase: FlightPhase) -> None:
     """The autopilot flies itself or stands on the ground; ArduCopter is in GUIDED all the while."""
     flight = FailingFlight(kind).fly_to(phase)
