@@ -66,8 +66,8 @@ class FailureResponse:
     def step(self, now_s: float) -> Response:
         """The response at this time. The first one goes out in the tick that fails, the others until the autopilot holds.
 
-        A mode that the agent did not command is the pilot's: nothing is sent. Without a stream the autopilot flies itself; where
-        a hold has been requested, the request is repeated.
+        A mode that the agent did not command is the pilot's: nothing is sent. Without a stream the autopilot flies itself: only
+        a hold that is under way is requested again.
         """
         is_first = self._failed_s is None
         if self._failed_s is None:

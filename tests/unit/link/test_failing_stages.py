@@ -59,7 +59,7 @@ def set_modes(flight: FailingFlight) -> int:
 
 
 def tilt(flight: FailingFlight) -> float:
-    return max(abs(component) for component in flight.last_target.q[1:3])
+    return float(max(abs(component) for component in flight.last_target.q[1:3]))
 
 
 @BOTH
@@ -112,7 +112,7 @@ def test_the_peers_of_a_failing_agent_learn_that_it_brakes(kind: AutopilotKind, 
     released = [one.packet for one in flight.peers.packets[published:] if one.packet.phase is P.RELEASE]
     packet = released[-1]
     assert packet.acceleration_enu_m_s2 == ZERO3
-    assert packet.change is packet.rft is None
+    assert (packet.change, packet.rft) == (None, None)
     peers.fold(flight.peers.packets[published:], 0)
     assert peers.rejected == {}
     state = peers.newest[3]

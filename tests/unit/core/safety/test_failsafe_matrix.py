@@ -65,7 +65,10 @@ AFTERWARDS: dict[HealthFlag, dict[str, float]] = {
 }
 IN_A_COMMANDED_HOLD: dict[HealthFlag, dict[str, float]] = {F.BATTERY_CRITICAL: {"land": 3.0}}
 STOPS = (F.POSITION_STALE, F.ATTITUDE_STALE, F.MODE_STALE, F.FRAME_UNKNOWN)
+LATCHED = (F.BATTERY_LOW, F.BATTERY_CRITICAL)  # a recovered voltage says nothing
+LATE_FOR_S = 1.0  # TICK_LATE clears so long after the last late tick
 NOT_FLOWN_BY_THE_AGENT = sorted(set(P) - STREAMING - {P.HOLD, P.RELEASE})
+LEAVING = (P.RELEASE, P.LAND, P.RETURN)  # out of formation they begin with the stream
 
 
 class Vehicle:
@@ -81,13 +84,17 @@ class Vehicle:
         self.silent_since_s: float | None = None
         self.stopping = False
         self.home_enu_m: tuple[float, float, float] | None = (0.0, 0.0, 0.0)
+        self.leaves_formation = False
+        self._late_s = -inf
 
     def tick(self) -> Safety:
         self.now_s += TICK_S
-        flight = Flight(phase=self.phase, streams=self.phase in STREAMING, in_formation=self.phase is P.FORMATION)
+        streams = self.phase in STREAMING or (self.leaves_formation and self.phase in LEAVING)
+        flight = Flight(phase=self.phase, streams=streams, in_formation=self.phase is P.FORMATION)
+        state = self._state()
         safety = self.stage.step(
             self.now_s,
-            self._state(),
+            state,
             flight,
             self._consensus(),
             self._separation(),
@@ -96,7 +103,7 @@ class Vehicle:
             self.stopping,
             0.2 if F.TICK_LATE in self.raised else 0.0,
         )
-        assert safety.flags == self.raised
+        assert safety.flags == self._expected_flags()
         self.commanded = False
         return safety
 
@@ -107,6 +114,16 @@ class Vehicle:
             for label in labels(self.tick()):
                 first.setdefault(label, pytest.approx(self.now_s - begin_s, abs=1.5 * TICK_S))
         return first
+
+    def _expected_flags(self) -> set[HealthFlag]:
+        expected = set(self.raised)
+        if F.TICK_LATE in self.raised:
+            self._late_s = self.now_s
+        if self.now_s - self._late_s < LATE_FOR_S:
+            expected.add(F.TICK_LATE)
+        if self.phase not in (P.ENGAGE, P.FORMATION, P.RELEASE, P.HOLD):
+            expected.discard(F.FLEET_LINK_LOST)  # on its own nothing depends on the others
+        return expected
 
     def _state(self) -> VehicleState:
         now_s, raised = self.now_s, self.raised
@@ -229,7 +246,7 @@ def test_what_follows_in_a_commanded_hold(flag: HealthFlag, kind: AutopilotKind)
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("phase", NOT_FLOWN_BY_THE_AGENT)
-@pytest.mark.parametrize("flag", [flag for flag in F if flag is not F.FLEET_LINK_LOST])
+@pytest.mark.parametrize("flag", list(F))
 def test_nothing_is_requested_of_a_vehicle_that_others_fly(
     flag: HealthFlag, phase: FlightPhase, kind: AutopilotKind
 ) -> None:
@@ -256,10 +273,32 @@ def test_silence_leaves_px4_to_its_failsafe_and_brakes_arducopter(
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_stopping_agent_holds_and_gives_up_after_2_s(kind: AutopilotKind) -> None:
+@pytest.mark.parametrize("phase", sorted(P))
+@pytest.mark.parametrize("leaves_formation", [False, True])
+def test_silence_in_every_phase(leaves_formation: bool, phase: FlightPhase, kind: AutopilotKind) -> None:
+    """Only a stream can be silent. One that leaves formation ends; the request of the autopilot's mode goes on."""
     vehicle = Vehicle(kind)
-    vehicle.stopping = True
-    assert vehicle.requested() == {"hold": 0.0, "abandon": 2.1}
+    vehicle.phase, vehicle.leaves_formation, vehicle.silent_since_s = phase, leaves_formation, vehicle.now_s
+    in_formation = {AutopilotKind.PX4: "leave", AutopilotKind.ARDUPILOT: "hold without levelling"}[kind]
+    expected = set()
+    if phase in STREAMING:
+        expected = {in_formation, "end the stream"}
+    elif leaves_formation and phase in LEAVING:
+        expected = {"end the stream"}
+    assert set(vehicle.requested()) == expected
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("phase", sorted(P))
+@pytest.mark.parametrize("leaves_formation", [False, True])
+def test_a_stopping_agent_holds_and_gives_up_a_stream_after_2_s(
+    leaves_formation: bool, phase: FlightPhase, kind: AutopilotKind
+) -> None:
+    """The phase machine carries a hold out in formation only: tests/unit/core/safety/test_flags_and_commands.py."""
+    vehicle = Vehicle(kind)
+    vehicle.phase, vehicle.leaves_formation, vehicle.stopping = phase, leaves_formation, True
+    streams = phase in STREAMING or phase is P.RELEASE or (leaves_formation and phase in LEAVING)
+    assert vehicle.requested() == {"hold": 0.0} | ({"abandon": 2.1} if streams else {})
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -271,13 +310,71 @@ def test_the_highest_action_of_several_flags_is_taken(kind: AutopilotKind) -> No
     assert labels(vehicle.tick()) == ["hold"]
 
 
-def test_a_cleared_flag_begins_again_at_its_first_step() -> None:
-    vehicle = raised_in_formation(AutopilotKind.PX4, F.FLEET_LINK_LOST)
-    assert "hold" not in vehicle.requested(4.5)
+def cleared(vehicle: Vehicle) -> None:
     vehicle.raised = set()
+    for _ in range(round(LATE_FOR_S / TICK_S) + 1):
+        vehicle.tick()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("phase", sorted(STREAMING))
+@pytest.mark.parametrize("flag", list(F))
+def test_a_flag_that_is_cleared_before_its_last_step_begins_again_at_the_first(
+    flag: HealthFlag, phase: FlightPhase, kind: AutopilotKind
+) -> None:
+    vehicle = raised_in_formation(kind, flag)
+    vehicle.phase = phase
+    last_s = max(IN_FORMATION[flag].values())
+    lasts_s = max(TICK_S, last_s - 2 * TICK_S)
+    if flag is F.TICK_LATE:
+        lasts_s -= LATE_FOR_S  # it is raised for so long after the last late tick
+    assert set(vehicle.requested(lasts_s)) == {label for label, at_s in IN_FORMATION[flag].items() if at_s <= lasts_s}
+    cleared(vehicle)
+    assert vehicle.requested() == {}
+    vehicle.raised = {flag}
+    assert vehicle.requested() == IN_FORMATION[flag]  # the last warning is more than 5 s ago
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("flag", list(F))
+def test_a_flag_that_is_cleared_after_its_last_step_requests_nothing_more(
+    flag: HealthFlag, kind: AutopilotKind
+) -> None:
+    """Except for a low battery, which has ended the formation. A hold that has begun is completed by the phase machine."""
+    vehicle = raised_in_formation(kind, flag)
+    assert vehicle.requested(10.0) == IN_FORMATION[flag]
+    cleared(vehicle)
+    assert set(vehicle.requested()) == ({"hold"} if flag in LATCHED else set())
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("flag", [flag for flag in F if "hold" in IN_FORMATION[flag]])
+def test_a_flag_that_is_cleared_in_its_hold(flag: HealthFlag, kind: AutopilotKind) -> None:
+    """Only a low battery lands nevertheless; any other flag begins again."""
+    vehicle = held_by(flag, kind=kind)
+    cleared(vehicle)
+    if flag in LATCHED:
+        assert vehicle.requested() == {"land": 0.0}
+        return
+    assert vehicle.requested() == {}
+    vehicle.raised = {flag}
+    assert vehicle.requested() == AFTERWARDS.get(flag, {})
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("flag", list(F))
+def test_a_flag_that_is_cleared_in_a_commanded_hold_begins_again(flag: HealthFlag, kind: AutopilotKind) -> None:
+    vehicle = Vehicle(kind)
     vehicle.tick()
-    vehicle.raised = {F.FLEET_LINK_LOST}
-    assert vehicle.requested(8.0)["hold"] == 5.0
+    vehicle.phase, vehicle.commanded = P.HOLD, True
+    vehicle.tick()
+    vehicle.raised = {flag}
+    vehicle.requested(2.5)
+    cleared(vehicle)
+    assert vehicle.requested() == {}
+    vehicle.raised = {flag}
+    stops = {"stop": 0.0} if flag in STOPS else {}
+    assert vehicle.requested() == stops | IN_A_COMMANDED_HOLD.get(flag, {})
 
 
 def test_a_flag_that_comes_and_goes_warns_once_in_5_s() -> None:
@@ -288,9 +385,11 @@ def test_a_flag_that_comes_and_goes_warns_once_in_5_s() -> None:
     assert warnings == 2
 
 
-def held_by(flag: HealthFlag, settings: FailsafeSettings = SETTINGS) -> Vehicle:
+def held_by(
+    flag: HealthFlag, settings: FailsafeSettings = SETTINGS, kind: AutopilotKind = AutopilotKind.PX4
+) -> Vehicle:
     """A vehicle in the hold that this flag led to."""
-    vehicle = Vehicle(AutopilotKind.PX4, settings)
+    vehicle = Vehicle(kind, settings)
     vehicle.raised = {flag}
     while "hold" not in labels(vehicle.tick()):
         pass

@@ -1,0 +1,118 @@
+"""Whole agents: the commands that each flag refuses in the phase that allows them, and a stopping agent in each phase."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from msgspec.structs import replace
+
+from companion.core.safety.safeguard import Safety
+from companion.types.autopilot import AutopilotKind
+from companion.types.commands import CommandName
+from companion.types.flight import FLAG_TEXTS, FlightPhase, HealthFlag
+from companion.types.notices import Code
+from profile_flight import BOTH, Flight
+
+C, P, F = CommandName, FlightPhase, HealthFlag
+# The phase that each command is given in.
+GIVEN_IN = {
+    C.PREPARE: P.OBSERVE,
+    C.ARM: P.READY,
+    C.TAKEOFF: P.ARMED,
+    C.FORM: P.HOLD,
+    C.DISARM: P.ARMED,
+    C.HOLD: P.FORMATION,
+    C.LAND: P.HOLD,
+    C.RETURN: P.HOLD,
+    C.ABORT: P.FORMATION,
+}
+OF_THE_FLEET = {F.LEADER_AWAITED, F.LEADER_LOST, F.FLEET_LINK_LOST, F.SEPARATION_VIOLATED}
+REFUSES: dict[CommandName, set[HealthFlag]] = {
+    C.PREPARE: set(F) - OF_THE_FLEET,
+    C.ARM: set(F) - OF_THE_FLEET,
+    C.TAKEOFF: set(F) - OF_THE_FLEET,
+    C.FORM: set(F),
+    C.RETURN: {F.POSITION_STALE, F.FRAME_UNKNOWN, F.FRAME_CONTRADICTED, F.POSITION_JUMPED},
+    C.DISARM: set(),
+    C.HOLD: set(),
+    C.LAND: set(),
+    C.ABORT: set(),
+}
+
+
+def raise_flags(flight: Flight, flags: set[HealthFlag]) -> None:
+    """From now on the safeguard reports these flags besides its own; `flags` may change later."""
+    safeguard: Any = flight.agent._safeguard
+    step = safeguard.step
+
+    def with_flags(*arguments: Any) -> Safety:
+        safety: Safety = step(*arguments)
+        return replace(safety, flags=safety.flags | flags)
+
+    safeguard.step = with_flags
+
+
+@BOTH
+@pytest.mark.parametrize("name", GIVEN_IN)
+def test_the_commands_that_each_flag_refuses(kind: AutopilotKind, name: CommandName) -> None:
+    flight, phase = Flight(kind).fly_to(GIVEN_IN[name]), GIVEN_IN[name]
+    flags: set[HealthFlag] = set()
+    raise_flags(flight, flags)
+    for flag in sorted(REFUSES[name]):
+        flags.add(flag)
+        flight.tick(name)
+        accepted, code, reason = flight.replies[-1]
+        assert (accepted, code) == (False, Code(flag))
+        assert FLAG_TEXTS[flag] in reason
+        assert flight.agent.phase is phase
+        flags.remove(flag)
+    flags |= set(F) - REFUSES[name]
+    flight.tick(name)
+    assert flight.replies[-1][0], flight.replies[-1]
+    assert flight.agent.phase is not phase
+
+
+@BOTH
+@pytest.mark.parametrize("name", [name for name in GIVEN_IN if REFUSES[name]])
+def test_a_command_that_several_flags_refuse_names_all_of_them(kind: AutopilotKind, name: CommandName) -> None:
+    flight = Flight(kind).fly_to(GIVEN_IN[name])
+    raise_flags(flight, set(F))
+    flight.tick(name)
+    accepted, _code, reason = flight.replies[-1]
+    assert not accepted
+    assert all(FLAG_TEXTS[flag] in reason for flag in REFUSES[name])
+
+
+def test_each_command_that_changes_the_phase_stands_here() -> None:
+    contents = {C.LEAD, C.FORMATION, C.REFERENCE, C.TAKE}
+    assert set(GIVEN_IN) == set(REFUSES) == set(C) - contents
+
+
+@BOTH
+@pytest.mark.parametrize("phase", [P.OBSERVE, P.READY, P.ARMED, P.HOLD])
+def test_a_stopping_agent_leaves_a_vehicle_alone_that_it_does_not_fly(kind: AutopilotKind, phase: FlightPhase) -> None:
+    flight = Flight(kind).fly_to(phase)
+    commands, targets = len(flight.autopilot.commands), len(flight.autopilot.targets)
+    flight.stopping = True
+    flight.ticks(4.0)
+    assert flight.agent.phase is phase
+    assert flight.agent.has_handed_over
+    assert (len(flight.autopilot.commands), len(flight.autopilot.targets)) == (commands, targets)
+
+
+@BOTH
+@pytest.mark.parametrize("name", [None, C.HOLD, C.LAND, C.RETURN])
+def test_a_stopping_agent_hands_over_the_stream_of_every_phase(kind: AutopilotKind, name: CommandName | None) -> None:
+    """Out of formation by hold. A hold, a landing or a return that has begun is completed."""
+    flight = Flight(kind).fly_to(P.FORMATION)
+    if name:
+        flight.tick(name)
+    flight.stopping = True
+    flight.ticks(1.0)
+    wanted = {None: P.HOLD, C.HOLD: P.HOLD, C.LAND: P.LAND, C.RETURN: P.RETURN}[name]
+    assert flight.agent.phase is wanted
+    assert flight.agent.has_handed_over
+    assert flight.events[-1].code is not Code.PROCEDURE_FAILED
+    target = flight.autopilot.targets[-1]
+    assert max(abs(component) for component in target.q[1:3]) < 1e-6
