@@ -10,7 +10,8 @@ from sitl.hostile.decoders import Fuzzed, decoders, fuzz
 from sitl.hostile.episode import Outcome, fly
 from sitl.workers import in_processes, report_progress
 
-EPISODE_TICKS = 2800  # about, of three vehicles
+EPISODE_TICKS = 3800  # about, of all vehicles
+MOST_TICK_CPU_S = 0.02  # a period of 50 Hz
 INPUTS_A_JOB, EPISODES_A_JOB = 250_000, 4
 
 Job = tuple[str, int, int]
@@ -32,7 +33,7 @@ def run_hostile(inputs: int, ticks: int, seed: int, out: Path | None) -> int:
     print(text)
     if out:
         out.write_text(text, encoding="utf-8")
-    return 1 if any(result.failures for found in results for result in found) else 0
+    return 1 if any(result.failures or slow_ticks(result) for found in results for result in found) else 0
 
 
 def work(job: Job) -> list[Fuzzed] | list[Outcome]:
@@ -42,9 +43,19 @@ def work(job: Job) -> list[Fuzzed] | list[Outcome]:
         return [fuzz(name, count, seed)]
     outcomes = []
     for index in range(count):
-        outcomes.append(fly(seed + index))
+        outcome = fly(seed + index)
+        if outcome.longest_tick_s > MOST_TICK_CPU_S:  # the machine may have been slow: the same episode again
+            outcome = min(outcome, fly(seed + index), key=lambda flown: flown.longest_tick_s)
+        outcomes.append(outcome)
         report_progress((index + 1) / count)
     return outcomes
+
+
+def slow_ticks(result: Fuzzed | Outcome) -> list[str]:
+    """The longest tick of an episode, where its work takes more than MOST_TICK_CPU_S of CPU time."""
+    if isinstance(result, Fuzzed) or result.longest_tick_s <= MOST_TICK_CPU_S:
+        return []
+    return [f"a tick took {1e3 * result.longest_tick_s:.1f} ms of CPU time: {result.longest_tick}"]
 
 
 def table(results: list[list[Fuzzed] | list[Outcome]], seed: int) -> str:
@@ -69,21 +80,28 @@ def table(results: list[list[Fuzzed] | list[Outcome]], seed: int) -> str:
     ticks = sum(outcome.ticks for outcome in outcomes)
     mean_us = 1e6 * sum(outcome.tick_seconds for outcome in outcomes) / max(1, ticks)
     rows = {
-        "episodes of three agents": f"{len(outcomes):,}",
+        "episodes of three agents, and of a chain of six": " and ".join(
+            f"{sum(outcome.vehicles == vehicles for outcome in outcomes):,}" for vehicles in (3, 6)
+        ),
         "ticks of an agent": f"{ticks:,}",
-        "hostile packets, commands, targets that the wire passes": ", ".join(
-            f"{passed_all[kind]:,}" for kind in ("packet", "command", "target")
+        "hostile packets, commands, targets, traffic and telemetry that the decoders pass": ", ".join(
+            f"{passed_all[kind]:,}" for kind in ("packet", "command", "target", "traffic", "telemetry")
         ),
         "ticks under hostile input in formation": f"{phases['formation']:,}",
         "exceptions, broken invariants and locks": f"{sum(len(outcome.failures) for outcome in outcomes)}",
         "mean and longest CPU time of a tick": (
             f"{mean_us:.0f} us, {1e3 * max((o.longest_tick_s for o in outcomes), default=0.0):.1f} ms"
         ),
+        f"ticks above {1e3 * MOST_TICK_CPU_S:.0f} ms, of the longest of each episode": (
+            f"{sum(len(slow_ticks(outcome)) for outcome in outcomes)}"
+        ),
         "most objects in one agent's state": f"{max((o.most_objects for o in outcomes), default=0):,}",
     }
     lines += ["", "| whole agents | |", "|---|---|", *(f"| {name} | {value} |" for name, value in rows.items())]
     failures = [f"- {r.name}: {text}" for r in fuzzed for text in r.failures]
-    failures += [f"- seed {outcome.seed}: {text}" for outcome in outcomes for text in outcome.failures]
+    failures += [
+        f"- seed {outcome.seed}: {text}" for outcome in outcomes for text in outcome.failures + slow_ticks(outcome)
+    ]
     return "\n".join([*lines, *([""] if failures else []), *failures]) + "\n"
 
 

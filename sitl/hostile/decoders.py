@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 import msgspec
 from msgspec import Struct
 
-from companion.mavlink.codec import mavlink
 from companion.mavlink.translator import Translator
 from companion.types.autopilot import AutopilotKind, LandedState, PositionError
 from companion.types.commands import Command, CommandName, CommandReply, Lead, ReferenceChange
@@ -19,11 +18,14 @@ from companion.types.formation import FlownSlot, FormationChange, HeldReference,
 from companion.types.notices import Code, Notice
 from companion.types.peers import PeerPacket, TargetSample
 from companion.types.status import Status
+from companion.types.traffic import TrafficSample
 from companion.wire.ground import StatusReport, decode_command, decode_reply, decode_report, encode
 from companion.wire.peer import decode_peer, encode_peer
 from companion.wire.target import decode_target, encode_target
+from companion.wire.traffic import decode_traffic, encode_traffic
 from companion.wire.version import WireError
 from sitl.flight.lockstep import NOT_TIMED
+from sitl.hostile.mavlink import mavlink_packets, resealed
 from sitl.hostile.mutation import damaged, mutated
 from sitl.hostile.stream import DESCRIBED
 from sitl.workers import report_progress
@@ -48,7 +50,6 @@ COMMANDS = (
     *(Command(CommandName.REFERENCE, 9, "anna@ground", 7, ReferenceChange(3, dict(d), 21.5)) for d in DESCRIBED),
 )
 RESEALED_EACH = 3
-MAVLINK_2_OVERHEAD = 12  # bytes of header and checksum
 ROUNDS_KEPT = 64  # bytes of damaged values are damaged again so often before new values are made
 
 
@@ -87,6 +88,9 @@ def decoders() -> dict[str, Decoder]:
         "command": Decoder(decode_command, (WireError,), COMMANDS, encode),
         "target sample": Decoder(
             decode_target, (WireError,), (TargetSample(1, 2, 3.0, (1.0, 0.0, 0.0), (4.0, 5.0, 6.0)),), encode_target
+        ),
+        "traffic sample": Decoder(
+            decode_traffic, (WireError,), (TrafficSample((1.0, 2.0, 3.0), (4.0, 5.0, 6.0), 0.5, 2.0),), encode_traffic
         ),
         "status report": Decoder(decode_report, (WireError,), (StatusReport(STATUS, NOT_TIMED),), encode),
         "command reply": Decoder(
@@ -141,44 +145,3 @@ def _is_bounded(message: Any) -> bool:
     if isinstance(message, PeerPacket | TargetSample | list | tuple):
         return True
     return b"NaN" not in msgspec.json.encode(message) if isinstance(message, Struct) else True
-
-
-def mavlink_packets() -> list[bytes]:
-    """One packet of each message that a translator reads, with edges of its numbers."""
-    link, rng = mavlink.MAVLink(None, srcSystem=1, srcComponent=1), Random(2)
-    packets = []
-    for number, kind in sorted(mavlink.mavlink_map.items()):
-        for edge in (0, 1, float("nan"), float("inf"), -1e30, 255):
-            try:
-                packets.append(_packed(link, kind, edge, rng))
-            except Exception:  # noqa: BLE001 -- this message has no such value
-                continue
-        assert number == kind.id
-    return packets
-
-
-def _packed(link: Any, kind: Any, edge: float, rng: Random) -> bytes:
-    values: list[Any] = []
-    for type_name, length in zip(kind.fieldtypes, kind.array_lengths, strict=True):
-        if type_name == "char":
-            values.append(rng.randbytes(max(1, length)))
-            continue
-        value = float(edge) if type_name in ("float", "double") else int(max(0.0, min(edge, 100.0)))
-        values.append([value] * length if length else value)
-    by_name = dict(zip(kind.fieldnames, [None] * len(kind.fieldnames), strict=True))
-    by_name.update(zip(kind.ordered_fieldnames, values, strict=True))
-    return bytes(kind(**by_name).pack(link))
-
-
-def resealed(data: bytes) -> bytes:
-    """These bytes as one packet with the length and the checksum of what it carries, where they still name a message."""
-    if not MAVLINK_2_OVERHEAD <= len(data) <= MAVLINK_2_OVERHEAD + 255:
-        return data
-    packet = bytearray(data)
-    kind = mavlink.mavlink_map.get(int.from_bytes(packet[7:10], "little"))
-    if kind is None:
-        return data
-    packet[:3] = (mavlink.PROTOCOL_MARKER_V2, len(packet) - MAVLINK_2_OVERHEAD, 0)
-    packet[5:7] = (1, 1)  # from the autopilot
-    packet[-2:] = mavlink.x25crc(packet[1:-2] + bytes((kind.crc_extra,))).crc.to_bytes(2, "little")
-    return bytes(packet)

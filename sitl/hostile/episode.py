@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import traceback
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from random import Random
 
 from msgspec import Struct
@@ -12,6 +12,7 @@ from msgspec.structs import replace
 
 from companion.ground.formations import change_to
 from companion.ground.references import reference_change
+from companion.types.autopilot import LandedState
 from companion.types.commands import CommandName, Described, Lead, ReferenceChange, next_epoch
 from companion.types.flight import COOPERATING, FlightPhase
 from companion.types.formation import FormationChange
@@ -30,6 +31,7 @@ NO_ROOM = {
     Code.SLOT_OUTSIDE_FENCE,
     Code.SLOT_TOO_CLOSE,
     Code.SLOT_TOO_FAST,
+    Code.SLOTS_NOT_FOLLOWED,
     Code.CHANGE_IN_PROGRESS,
     Code.REFERENCE_INVALID,
     Code.REFERENCE_DIFFERS,
@@ -48,16 +50,22 @@ class Outcome(Struct):
     passed: Counter[str]
     phases: Counter[str]
     failures: list[str]
+    vehicles: int
     longest_tick_s: float
+    longest_tick: str  # what it received
     tick_seconds: float
     most_objects: int
 
 
 def fly(seed: int) -> Outcome:
-    """Fly the episode of this seed. Every second one has hostile commands as well as hostile packets."""
+    """Fly the episode of this seed.
+
+    All have hostile packets, targets and traffic; every second one hostile commands, two of four hostile telemetry. Every third
+    fleet is a chain of six.
+    """
     rng = Random(seed)
-    fleet = HostileFleet(rng)
-    stream = HostileStream(rng, fleet, gives_commands=seed % 2 == 1)
+    fleet = HostileFleet(rng, is_chain=seed % 3 == 2)
+    stream = HostileStream(rng, fleet, gives_commands=seed % 2 == 1, sends_telemetry=seed % 4 >= 2)
     failures: list[str] = []
     phases: Counter[str] = Counter()
     most_objects = 0
@@ -83,7 +91,9 @@ def fly(seed: int) -> Outcome:
         stream.passed,
         phases,
         failures,
+        len(fleet.agents),
         fleet.longest_tick_s,
+        fleet.longest_tick,
         fleet.tick_seconds,
         most_objects,
     )
@@ -116,6 +126,7 @@ def _locks(fleet: HostileFleet) -> list[str]:
         _wait(fleet, 0.5)
         waited_s += 0.5
     statuses = list(fleet.statuses.values())
+    found += _taken_back(fleet)
     lead = Lead((1,), next_epoch(status.epoch for status in statuses))
     found += _refused(fleet, CommandName.LEAD, fleet.command(CommandName.LEAD, lead))
     _wait(fleet, 1.0)
@@ -134,12 +145,33 @@ def _locks(fleet: HostileFleet) -> list[str]:
     return found
 
 
+def _taken_back(fleet: HostileFleet) -> list[str]:
+    """Vehicles that a wrong flight mode has left to a pilot: `hold` takes them back."""
+    observing = [i for i, agent in fleet.agents.items() if agent.phase is FlightPhase.OBSERVE and _flies(fleet, i)]
+    if not observing:
+        return []
+    fleet.replies = {}
+    for i in observing:
+        fleet.give(i, CommandName.HOLD)
+    _wait(fleet, 1.0)
+    found = _refused(fleet, CommandName.HOLD, fleet.replies)
+    return found + [
+        f"lock: vehicle {i} is in {fleet.agents[i].phase} after hold"
+        for i in observing
+        if fleet.agents[i].phase is not FlightPhase.HOLD
+    ]
+
+
+def _flies(fleet: HostileFleet, vehicle_id: int) -> bool:
+    return fleet.plants[vehicle_id].landed is LandedState.IN_AIR
+
+
 def _refused(
-    fleet: HostileFleet, name: CommandName, replies: Mapping[int, object], ids: tuple[int, ...] = (1, 2, 3)
+    fleet: HostileFleet, name: CommandName, replies: Mapping[int, object], ids: Collection[int] | None = None
 ) -> list[str]:
     found = []
     for i, reply in fleet.replies.items():
-        if i in ids and i in replies and not reply.accepted and reply.code not in NO_ROOM:
+        if (ids is None or i in ids) and i in replies and not reply.accepted and reply.code not in NO_ROOM:
             found.append(
                 f"lock: {name} refused by vehicle in {fleet.agents[i].phase}: {reply.code} {reply.reason}"[:200]
             )

@@ -19,7 +19,9 @@ from companion.types.flight import Role
 from companion.types.peers import PeerPacket, ReceivedPeerPacket, ReceivedTarget
 from companion.types.requests import AttitudeTarget
 from companion.types.status import Status
+from companion.types.telemetry import Telemetry
 from companion.types.tick import Inbox, Outbox
+from companion.types.traffic import ReceivedTraffic
 from companion.wire.ground import StatusReport, decode_reply, decode_report, encode
 from companion.wire.peer import decode_peer, encode_peer
 from companion.wire.version import WireError
@@ -28,6 +30,8 @@ from sitl.hostile.plant import HOVER_THRUST_NORM, TICK_S, Plant
 
 OPERATOR = "anna@ground"
 MAX_TILT_DEG = 25.0
+CHAIN = 6  # vehicles
+BEGIN_S = 100.0
 
 
 class InvariantError(AssertionError):
@@ -40,24 +44,35 @@ class Hostile(NamedTuple):
     packets: Sequence[PeerPacket] = ()
     commands: Sequence[Command] = ()
     targets: Sequence[ReceivedTarget] = ()
+    traffic: Sequence[ReceivedTraffic] = ()
+    telemetry: Sequence[Telemetry] = ()
 
 
 NOTHING = Hostile()
 
 
-def fleet_config(rng: Random) -> FleetConfig:
-    """A leader, a successor and a follower; law, heading, neighbours and gap filling at random."""
+def fleet_config(rng: Random, is_chain: bool = False) -> FleetConfig:
+    """A leader, a successor and followers; law, heading, neighbours and gap filling at random.
+
+    Three vehicles that all receive each other, or a chain of six: each one's neighbours are the next ones.
+    """
+    ids = range(1, CHAIN + 1) if is_chain else range(1, 4)
+    chain = EdgeNeighbours(edges=tuple((i, i + 1) for i in ids[:-1]))
+    triangle = EdgeNeighbours(edges=((1, 2), (2, 3), (1, 3)))
+    neighbours = rng.choice((triangle, RangeNeighbours(range_m=30.0, hysteresis_m=3.0)))
     return FleetConfig(
         name="hostile",
         origin="indoor",
-        vehicles=(
-            FormationMember(id=1, role=Role.LEADER, slot_enu_m=(0.0, 0.0, 0.0)),
-            FormationMember(id=2, role=Role.FOLLOWER, slot_enu_m=(-3.0, 0.0, 0.0), may_lead=True),
-            FormationMember(id=3, role=Role.FOLLOWER, slot_enu_m=(-6.0, 0.0, 0.0)),
+        vehicles=tuple(
+            FormationMember(
+                id=i,
+                role=Role.LEADER if i == 1 else Role.FOLLOWER,
+                slot_enu_m=(-3.0 * (i - 1), 0.0, 0.0),
+                may_lead=i == 2,
+            )
+            for i in ids
         ),
-        neighbours=rng.choice(
-            (EdgeNeighbours(edges=((1, 2), (2, 3), (1, 3))), RangeNeighbours(range_m=30.0, hysteresis_m=3.0))
-        ),
+        neighbours=chain if is_chain else neighbours,
         law=Law(name=rng.choice(("cooperative", "weighted"))),
         takeoff_height_m=3.0,
         formation_heading=rng.choice(("fixed", "course")),
@@ -78,11 +93,11 @@ def reference(rng: Random) -> Reference:
 
 
 class HostileFleet:
-    """Three vehicles. `tick` passes the true packets of the last tick on, and checks every output."""
+    """Three vehicles, or a chain of six. `tick` passes the true packets of the last tick on, and checks every output."""
 
-    def __init__(self, rng: Random) -> None:
-        self.config, first = fleet_config(rng), reference(rng)
-        self.now_s, self.ticks = 100.0, 0
+    def __init__(self, rng: Random, is_chain: bool = False) -> None:
+        self.config, first = fleet_config(rng, is_chain), reference(rng)
+        self.now_s, self.ticks = BEGIN_S, 0
         self.agents: dict[int, Agent] = {}
         self.plants: dict[int, Plant] = {}
         for member in self.config.vehicles:
@@ -99,6 +114,7 @@ class HostileFleet:
         self.statuses: dict[int, Status] = {}
         self.replies: dict[int, CommandReply] = {}  # to the last commands of the operator
         self.longest_tick_s = 0.0
+        self.longest_tick = ""  # what it received
         self.tick_seconds = 0.0
         self._rng = rng
         self._given: dict[int, Command] = {}
@@ -135,17 +151,25 @@ class HostileFleet:
         commands = list(hostile.commands)
         if given := self._given.pop(vehicle_id, None):
             commands.append(given)
+        telemetry = list(self.plants[vehicle_id].telemetry(self.now_s))
+        if hostile.telemetry:
+            telemetry[self._rng.randint(0, len(telemetry)) : 0] = hostile.telemetry
         inbox = Inbox(
-            self.plants[vehicle_id].telemetry(self.now_s),
+            tuple(telemetry),
             tuple([ReceivedPeerPacket(self.now_s, packet) for packet in packets]),
             tuple(commands),
             targets=tuple(hostile.targets),
+            traffic=tuple(hostile.traffic),
         )
         begin_s = thread_time()
         outbox = self.agents[vehicle_id].step(self.now_s, inbox)
         seconds = thread_time() - begin_s
         self.ticks, self.tick_seconds = self.ticks + 1, self.tick_seconds + seconds
-        self.longest_tick_s = max(self.longest_tick_s, seconds)
+        if seconds > self.longest_tick_s:
+            names = ", ".join(command.name for command in commands) or "no command"
+            phase, number = self.agents[vehicle_id].phase, round((self.now_s - BEGIN_S) / TICK_S)
+            self.longest_tick_s = seconds
+            self.longest_tick = f"vehicle {vehicle_id} in {phase}, tick {number}: {len(packets)} packets, {names}"
         for reply in outbox.replies:
             if given and reply.number == given.number:
                 self.replies[vehicle_id] = reply

@@ -33,6 +33,8 @@ TICK_S = 0.02
 HOVER_THRUST_NORM = 0.5
 CLIMB_M_S = 3.0
 SYSTEM_TICKS = 25  # period of SYS_STATUS: 2 Hz, as autopilots send it
+LOSS_TICKS = 50  # without a setpoint, COM_OF_LOSS_T: then COM_OBL_RC_ACT holds
+ORIGIN = (47.0, 8.0, 400.0)  # latitude, longitude, altitude
 PARAMETERS: Mapping[str, int | float] = {  # of a PX4 that the audit accepts
     "COM_OF_LOSS_T": 1.0,
     "COM_OBL_RC_ACT": 5,
@@ -55,6 +57,7 @@ class Plant:
         self._attitude = AttitudeTarget(0.0, 0.0, 0.0, HOVER_THRUST_NORM)
         self._answers: list[Telemetry] = []
         self._ticks = 0
+        self._silent_ticks = 0
 
     def telemetry(self, now_s: float) -> tuple[Telemetry, ...]:
         """All samples of one tick."""
@@ -86,13 +89,16 @@ class Plant:
                     self.mode, self.landed = AutopilotMode.TAKEOFF, LandedState.IN_AIR
                     self._goal_m = self.position_enu_m[2] + height_m
                 case RequestOrigin():
-                    self._answers.append(OriginSample(now_s, 47.0, 8.0, 400.0))
+                    self._answers.append(OriginSample(now_s, *ORIGIN))
                 case RequestParameter(name) if name in PARAMETERS:
                     self._answers.append(ParameterSample(now_s, name, PARAMETERS[name]))
 
     def move(self, target: AttitudeTarget | None) -> None:
         """Advance by one tick."""
         self._attitude = target or self._attitude
+        self._silent_ticks = 0 if target else self._silent_ticks + 1
+        if self._is_followed and self._silent_ticks > LOSS_TICKS:
+            self.mode = AutopilotMode.HOLD
         if not self.armed or self.landed is LandedState.ON_GROUND:
             self.velocity_enu_m_s = (0.0, 0.0, 0.0)
             return

@@ -12,15 +12,20 @@ from companion.types.commands import CONTENT, Command, CommandName, Lead, Refere
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FormationChange, HeldReference, LeaderBeacon
 from companion.types.peers import PeerPacket, ReceivedTarget, TargetSample
+from companion.types.telemetry import Telemetry
+from companion.types.traffic import ReceivedTraffic, TrafficSample
 from companion.wire.ground import decode_command, encode
 from companion.wire.peer import decode_peer, encode_peer
 from companion.wire.target import decode_target, encode_target
+from companion.wire.traffic import decode_traffic, encode_traffic
 from companion.wire.version import WireError
 from sitl.hostile.fleet import OPERATOR, Hostile, HostileFleet
+from sitl.hostile.mavlink import HostileTelemetry
 from sitl.hostile.mutation import mutated, other
 
 COUNTS = (0, 0, 1, 1, 2, 4)  # of hostile packets in a tick
-COMMAND_SHARE, TARGET_SHARE, REPLAY_SHARE = 0.1, 0.1, 0.1
+COMMAND_SHARE, TARGET_SHARE, TRAFFIC_SHARE, REPLAY_SHARE = 0.1, 0.1, 0.1, 0.1
+TELEMETRY_SHARE = 0.05  # one packet in 20 ticks: each wrong mode is a pilot who takes over
 DESCRIBED: tuple[dict[str, Any], ...] = (
     {"kind": "point", "point_enu_m": [0.0, 0.0, 4.0]},
     {"kind": "circle", "centre_enu_m": [0.0, 0.0, 4.0], "radius_m": 5.0, "period_s": 40.0, "ramp_s": 5.0},
@@ -39,13 +44,16 @@ DESCRIBED: tuple[dict[str, Any], ...] = (
 class HostileStream:
     """The hostile messages of one tick for each vehicle. `refused` counts those that the wire already refuses, by kind."""
 
-    def __init__(self, rng: Random, fleet: HostileFleet, gives_commands: bool) -> None:
+    def __init__(self, rng: Random, fleet: HostileFleet, gives_commands: bool, sends_telemetry: bool = False) -> None:
         self._rng = rng
         self._fleet = fleet
         self._gives_commands = gives_commands
         self._recorded: deque[PeerPacket] = deque(maxlen=600)
         self.refused: Counter[str] = Counter()
         self.passed: Counter[str] = Counter()
+        self._telemetry = {i: HostileTelemetry(rng, i) for i in fleet.agents} if sends_telemetry else {}
+        for telemetry in self._telemetry.values():
+            telemetry.passed, telemetry.refused = self.passed, self.refused
 
     def next(self) -> dict[int, Hostile]:
         self._recorded.extend(self._fleet.packets.values())
@@ -56,7 +64,18 @@ class HostileStream:
         packets = [self._packet() for _ in range(rng.choice(COUNTS))] if self._recorded else []
         commands = [self._command(vehicle_id)] if self._gives_commands and rng.random() < COMMAND_SHARE else []
         targets = [self._target()] if rng.random() < TARGET_SHARE else []
-        return Hostile([p for p in packets if p], [c for c in commands if c], [t for t in targets if t])
+        traffic = [self._traffic(vehicle_id)] if rng.random() < TRAFFIC_SHARE else []
+        telemetry: list[Telemetry] = []
+        if self._telemetry and rng.random() < TELEMETRY_SHARE:
+            plant = self._fleet.plants[vehicle_id]
+            telemetry = self._telemetry[vehicle_id].next(plant, self._fleet.now_s)
+        return Hostile(
+            [p for p in packets if p],
+            [c for c in commands if c],
+            [t for t in targets if t],
+            [t for t in traffic if t],
+            telemetry,
+        )
 
     def _packet(self) -> PeerPacket | None:
         rng = self._rng
@@ -88,7 +107,7 @@ class HostileStream:
         number, reference_s = (status.slot.waiting, status.reference_s) if status else (0, 0.0)
         scale = rng.choice((0.5, 1.0, 1.2, 2.0))
         slots = tuple((m.id, (m.slot_enu_m[0] * scale, 0.0, 0.0)) for m in self._fleet.config.vehicles)
-        absent = rng.choice(((), (), (3,), (1, 2, 3)))
+        absent = rng.choice(((), (), (3,), tuple(self._fleet.agents)))
         change = FormationChange(number + rng.choice((0, 1, 2)), slots, reference_s + 1.5, 6.0, absent)
         return mutated(rng, change, rng.choice((0, 1, 2)))
 
@@ -102,7 +121,7 @@ class HostileStream:
             held = status.reference.waiting if status.reference else 0
             described = rng.choice(DESCRIBED)
             content = {
-                CommandName.LEAD: Lead((rng.choice((1, 2, 3)),), status.epoch + 1),
+                CommandName.LEAD: Lead((rng.choice(tuple(self._fleet.agents)),), status.epoch + 1),
                 CommandName.FORMATION: self._change(),
                 CommandName.REFERENCE: ReferenceChange(held + 1, described, status.reference_s + 1.5),
             }[name]
@@ -119,6 +138,17 @@ class HostileStream:
         sample = TargetSample(rng.choice((1, 1, 2)), self._fleet.ticks, now_s, (1.0, 0.0, 0.0), (1.0, 1.0, 3.0))
         passed = self._through("target", encode_target, decode_target, mutated(rng, sample, rng.choice((0, 1, 2))))
         return ReceivedTarget(now_s, "main", passed) if passed else None
+
+    def _traffic(self, vehicle_id: int) -> ReceivedTraffic | None:
+        """A vehicle outside the fleet, near or far, under one of many names."""
+        rng, now_s = self._rng, self._fleet.now_s
+        x, y, z = self._fleet.plants[vehicle_id].position_enu_m
+        near = (x + rng.gauss(0.0, 5.0), y + rng.gauss(0.0, 5.0), z + rng.gauss(0.0, 2.0))
+        sample = TrafficSample(near, (rng.gauss(0.0, 3.0), rng.gauss(0.0, 3.0), 0.0), 0.1, 1.0)
+        hostile = mutated(rng, sample, rng.choice((0, 1, 2)))
+        passed = self._through("traffic", encode_traffic, decode_traffic, hostile)
+        name = rng.choice(("a", "a", "b", f"{rng.randrange(10**6):06x}"))
+        return ReceivedTraffic(now_s, name, passed) if passed else None
 
     def _through(self, kind: str, encoder: Any, decoder: Any, message: Any) -> Any:
         """The message as its receiver decodes it; None where the wire refuses it, or cannot carry it."""

@@ -1,11 +1,23 @@
 """A short run of the hostile input: the long one is `make hostile`."""
 
+from collections import Counter
+from random import Random
+from typing import get_args
+
 import pytest
 
+from companion.config.fleet import EdgeNeighbours
+from companion.mavlink.translator import Translator
+from companion.types.autopilot import AutopilotKind, AutopilotMode, LandedState
+from companion.types.requests import AttitudeTarget
+from companion.types.telemetry import Telemetry
 from sitl.hostile import command
 from sitl.hostile.command import EPISODE_TICKS, run_hostile
 from sitl.hostile.decoders import decoders, fuzz
-from sitl.hostile.episode import fly
+from sitl.hostile.episode import Outcome, fly
+from sitl.hostile.fleet import fleet_config
+from sitl.hostile.mavlink import HostileTelemetry, mavlink_packets
+from sitl.hostile.plant import Plant
 
 
 @pytest.mark.parametrize("name", decoders())
@@ -15,11 +27,75 @@ def test_decoders_refuse_damaged_input_with_their_own_error(name: str) -> None:
     assert 0 < result.passed <= 5000
 
 
-@pytest.mark.parametrize("seed", [0, 1])
-def test_agents_withstand_hostile_packets_and_commands(seed: int) -> None:
+@pytest.mark.parametrize(
+    ("seed", "vehicles", "besides"),
+    [
+        (0, 3, set()),
+        (1, 3, {"command"}),
+        (2, 6, {"telemetry"}),
+        (3, 3, {"command", "telemetry"}),
+        (5, 6, {"command"}),
+    ],
+)
+def test_agents_withstand_hostile_input_of_every_kind(seed: int, vehicles: int, besides: set[str]) -> None:
     outcome = fly(seed)
     assert outcome.failures == []
+    assert outcome.vehicles == vehicles
     assert outcome.passed["packet"] > 500
+    assert set(outcome.passed) == {"packet", "target", "traffic"} | besides
+
+
+def test_a_chain_has_neighbours_beside_each_other_only() -> None:
+    neighbours = fleet_config(Random(0), is_chain=True).neighbours
+    assert isinstance(neighbours, EdgeNeighbours)
+    assert neighbours.edges == ((1, 2), (2, 3), (3, 4), (4, 5), (5, 6))
+
+
+@pytest.mark.parametrize("kind", list(AutopilotKind))
+def test_every_sample_that_an_autopilot_can_send_is_among_the_packets(kind: AutopilotKind) -> None:
+    translator = Translator(1, kind)
+    samples = {type(sample) for packet in mavlink_packets() for sample in translator.telemetry(packet, 100.0)}
+    assert samples == set(get_args(Telemetry))
+
+
+def test_hostile_telemetry_keeps_to_the_ids_that_an_agent_reads() -> None:
+    plant, telemetry = Plant((1.0, 2.0, 3.0)), HostileTelemetry(Random(0), vehicle_id=3)
+    samples = {type(sample) for _ in range(2000) for sample in telemetry.next(plant, 100.0)}
+    assert samples == set(get_args(Telemetry))
+    assert telemetry.refused["telemetry"] > 400  # of wrong ids, and invalid
+
+
+def test_a_silent_agent_leaves_the_plant_to_its_failsafe() -> None:
+    plant = Plant((0.0, 0.0, 3.0))
+    plant.mode, plant.armed, plant.landed = AutopilotMode.OFFBOARD, True, LandedState.IN_AIR
+    plant.move(AttitudeTarget(0.1, 0.0, 0.0, 0.5))
+    for _ in range(49):
+        plant.move(None)
+    assert plant.mode is AutopilotMode.OFFBOARD
+    for _ in range(2):
+        plant.move(None)
+    assert plant.mode is AutopilotMode.HOLD
+
+
+def test_a_tick_that_takes_too_long_is_a_finding_of_the_command(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    outcome = Outcome(7, 1, Counter(), Counter(), Counter(), [], 3, 0.021, "vehicle 2 in hold", 0.021, 10)
+    monkeypatch.setattr(command, "in_processes", lambda _work, _jobs, _show: [[outcome]])
+    assert run_hostile(inputs=0, ticks=0, seed=0, out=None) == 1
+    assert "seed 7: a tick took 21.0 ms of CPU time: vehicle 2 in hold" in capsys.readouterr().out
+    outcome.longest_tick_s = 0.019
+    assert run_hostile(inputs=0, ticks=0, seed=0, out=None) == 0
+
+
+@pytest.mark.parametrize(("seconds", "expected_s"), [([0.05, 0.004], 0.004), ([0.05, 0.04], 0.04), ([0.01], 0.01)])
+def test_a_slow_machine_is_no_finding(monkeypatch: pytest.MonkeyPatch, seconds: list[float], expected_s: float) -> None:
+    flown = [Outcome(7, 1, Counter(), Counter(), Counter(), [], 3, s, "", s, 10) for s in seconds]
+    monkeypatch.setattr(command, "fly", lambda _seed: flown.pop(0))
+    (outcome,) = command.work(("", 7, 1))
+    assert isinstance(outcome, Outcome)
+    assert outcome.longest_tick_s == expected_s
+    assert flown == []
 
 
 def test_another_seed_flies_other_episodes(monkeypatch: pytest.MonkeyPatch) -> None:
