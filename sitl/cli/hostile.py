@@ -9,8 +9,9 @@ from sitl.cli.options import whole_number
 
 HELP = "decoders and whole agents under millions of damaged, wrong and forged messages"
 DESCRIPTION = """\
-Gives every decoder seeded damaged input, and flies fleets of whole agents under decodable but hostile packets, commands and
-targets. No exception, no setpoint outside its limits, no growing state; afterwards the true operator and the true peers work.
+Gives every decoder seeded damaged input, and flies fleets of whole agents under decodable but hostile packets, commands,
+targets, traffic and telemetry. No exception, no setpoint outside its limits, no growing state, no tick above 20 ms of CPU
+time; afterwards the true operator and the true peers work.
 """
 MORE = """\
 examples:

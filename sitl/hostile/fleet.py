@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from math import hypot, isfinite, radians
 from random import Random
@@ -166,14 +167,19 @@ class HostileFleet:
         seconds = thread_time() - begin_s
         self.ticks, self.tick_seconds = self.ticks + 1, self.tick_seconds + seconds
         if seconds > self.longest_tick_s:
-            names = ", ".join(command.name for command in commands) or "no command"
-            phase, number = self.agents[vehicle_id].phase, round((self.now_s - BEGIN_S) / TICK_S)
-            self.longest_tick_s = seconds
-            self.longest_tick = f"vehicle {vehicle_id} in {phase}, tick {number}: {len(packets)} packets, {names}"
+            self.longest_tick_s, self.longest_tick = seconds, self._described(vehicle_id, inbox)
         for reply in outbox.replies:
             if given and reply.number == given.number:
                 self.replies[vehicle_id] = reply
         return outbox
+
+    def _described(self, vehicle_id: int, inbox: Inbox) -> str:
+        """What the agent received in this tick."""
+        phase, at = self.agents[vehicle_id].phase, round((self.now_s - BEGIN_S) / TICK_S)
+        counted = Counter(command.name.value for command in inbox.commands)
+        commands = ", ".join(f"{number} {name}" for name, number in counted.items()) or "no command"
+        others = f"{len(inbox.peers)} packets, {len(inbox.traffic)} of traffic"
+        return f"vehicle {vehicle_id} in {phase}, tick {at}: {others}, {commands}"
 
     def _check(self, vehicle_id: int, outbox: Outbox) -> None:
         """Outputs are finite, within limits, and acceptable to every receiver."""

@@ -25,6 +25,8 @@ from sitl.hostile.mutation import mutated, other
 
 COUNTS = (0, 0, 1, 1, 2, 4)  # of hostile packets in a tick
 COMMAND_SHARE, TARGET_SHARE, TRAFFIC_SHARE, REPLAY_SHARE = 0.1, 0.1, 0.1, 0.1
+FLOOD_SHARE = 0.002  # as many as an agent takes in a tick
+PACKETS_A_VEHICLE, COMMANDS_A_TICK, TRAFFIC_A_TICK = 8, 32, 32
 TELEMETRY_SHARE = 0.05  # one packet in 20 ticks: each wrong mode is a pilot who takes over
 DESCRIBED: tuple[dict[str, Any], ...] = (
     {"kind": "point", "point_enu_m": [0.0, 0.0, 4.0]},
@@ -61,10 +63,12 @@ class HostileStream:
 
     def _for_vehicle(self, vehicle_id: int) -> Hostile:
         rng = self._rng
-        packets = [self._packet() for _ in range(rng.choice(COUNTS))] if self._recorded else []
-        commands = [self._command(vehicle_id)] if self._gives_commands and rng.random() < COMMAND_SHARE else []
+        count = PACKETS_A_VEHICLE * len(self._fleet.agents) if rng.random() < FLOOD_SHARE else rng.choice(COUNTS)
+        packets = [self._packet() for _ in range(count)] if self._recorded else []
+        commands = self._commands(vehicle_id) if self._gives_commands else []
         targets = [self._target()] if rng.random() < TARGET_SHARE else []
-        traffic = [self._traffic(vehicle_id)] if rng.random() < TRAFFIC_SHARE else []
+        samples = TRAFFIC_A_TICK if rng.random() < FLOOD_SHARE else rng.random() < TRAFFIC_SHARE
+        traffic = [self._traffic(vehicle_id) for _ in range(samples)]
         telemetry: list[Telemetry] = []
         if self._telemetry and rng.random() < TELEMETRY_SHARE:
             plant = self._fleet.plants[vehicle_id]
@@ -111,11 +115,20 @@ class HostileStream:
         change = FormationChange(number + rng.choice((0, 1, 2)), slots, reference_s + 1.5, 6.0, absent)
         return mutated(rng, change, rng.choice((0, 1, 2)))
 
-    def _command(self, vehicle_id: int) -> Command | None:
+    def _commands(self, vehicle_id: int) -> list[Command | None]:
+        """At most one, or as many with content as an agent takes in a tick: these cost the most."""
+        rng = self._rng
+        if rng.random() < FLOOD_SHARE:
+            name = rng.choice(sorted(CONTENT))
+            return [self._command(vehicle_id, name, ahead) for ahead in range(COMMANDS_A_TICK)]
+        if rng.random() < COMMAND_SHARE:
+            return [self._command(vehicle_id, rng.choice(list(CommandName)))]
+        return []
+
+    def _command(self, vehicle_id: int, name: CommandName, ahead: int = 0) -> Command | None:
         rng, status = self._rng, self._fleet.statuses.get(vehicle_id)
         if status is None:
             return None
-        name = rng.choice(list(CommandName))
         content: Any = None
         if name in CONTENT:
             held = status.reference.waiting if status.reference else 0
@@ -127,7 +140,7 @@ class HostileStream:
             }[name]
             content = mutated(rng, content, rng.choice((0, 1, 2)))
         operator = rng.choice((OPERATOR, "mallory@hill"))
-        command = Command(name, status.command_number + 1, operator, status.session, content)
+        command = Command(name, status.command_number + 1 + ahead, operator, status.session, content)
         if rng.random() < 0.3:
             command = replace(command, number=other(rng, command.number))
         received: Command | None = self._through("command", encode, decode_command, command)
