@@ -10,14 +10,23 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+import zenoh
 
 from agent_process import agent, faulty_agent, until
 from companion.cli.vehicle_link import EXIT_DEFECT
 from companion.core.consensus.neighbourhood import ConsensusStage
+from companion.ground.connection import GroundConnection
 from companion.link.zenoh_link import ZenohLink
+from companion.link.zenoh_session import drain
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code
+from companion.types.vectors import ZERO3
+from companion.wire.keys import peer_key
+from companion.wire.peer import decode_peer
 from tapped_flight import MAKES, UNDER_WAY, Make, in_the_air
+
+PEER_KEY = peer_key("processtest", 1)
+PACKETS_KEPT = 256  # a few seconds
 
 
 @MAKES
@@ -31,9 +40,16 @@ def test_a_failing_stage_ends_in_hold_and_a_restarted_agent_observes(
             process.wait_for_log("heartbeat of autopilot 1")
             vehicle.form()
             assert not vehicle.tap.setpoints[-1].is_level
-            switch.touch()
-            failed_s = time.monotonic()
-            assert process.process.wait(20.0) == EXIT_DEFECT
+            with GroundConnection((vehicle.files.zenoh,)) as connection:
+                packets = connection._session.declare_subscriber(PEER_KEY, zenoh.handlers.RingChannel(PACKETS_KEPT))
+                until(packets.try_recv)
+                switch.touch()
+                failed_s = time.monotonic()
+                assert process.process.wait(20.0) == EXIT_DEFECT
+                received = [decode_peer(sample.payload.to_bytes()) for sample in drain(packets, PACKETS_KEPT)]
+        if stage is not ZenohLink.publish_peer:
+            assert received[-1].phase is FlightPhase.RELEASE
+            assert received[-1].acceleration_enu_m_s2 == ZERO3
         vehicle.stand_in.wait_for_mode(make.hold_mode_name)
         last = vehicle.tap.setpoints[-1]
         assert last.is_level
