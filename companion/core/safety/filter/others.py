@@ -83,8 +83,7 @@ class Others:
     ) -> list[Other]:
         elapsed_s, self._last_s = now_s - self._last_s, now_s
         lag_share = 1.0 - LAG_S / (LAG_S + elapsed_s)
-        near, before, silence, on_ground = [], self._lagged_enu_m_s2, self._silence, self._silence_on_ground
-        begins_s = silence.begins_s
+        near, before, begins_s = [], self._lagged_enu_m_s2, self._silence.begins_s
         commanded: dict[int, Vector3] = {}
         for peer_id, peer in peers.items():
             packet, age_s = peer.packet, now_s - peer.measured_s
@@ -108,7 +107,7 @@ class Others:
                     moving_enu_m_s,
                     acceleration,
                     age_s,
-                    None if age_s <= begins_s else silence if packet.armed else on_ground,
+                    None if age_s <= begins_s else self._silence if packet.armed else self._silence_on_ground,
                     packet.position_error or NO_ERROR,
                     HEIGHT_WEIGHT if packet.armed else 1.0,  # no downwash reaches a vehicle on the ground
                     packet.slot if cooperates and is_fresh and packet.phase is FORMATION else None,

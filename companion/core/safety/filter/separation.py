@@ -38,7 +38,6 @@ SLOPE_1_S = 4.0  # of the approach speed near the required distance
 FASTEST_LEAVING_M_S = 1.5  # demanded inside the required distance
 # Where slots move: the attitude follows late, and between others a vehicle cannot always brake as planned.
 TRACKING_M = 0.1
-ERROR_FACTOR = 1.0  # of the combined standard deviation of both positions
 LARGEST_ERROR = 1.0  # of separation_m: more than both positions' errors count for; slots are 3 to 6 errors apart
 SLOT_SHARE = 0.5  # of the room between separation_m and the distance of two slots: the most that margins may take
 PASSING_M = 0.15  # of the distance of two vehicles that pass each other on the way to their slots
@@ -138,10 +137,11 @@ class Separation:
         required_m = self._required(error, slot, other, offset_enu_m, mz)
         late_m = UNSEEN_DELAY_S * closing_m_s if closing_m_s > 0.0 else 0.0
         if slot_of_other is None:  # its late packet hides how far a pursuer has come, also where it closes no more
-            margin_m, braking_m_s2 = required_m - self._separation_m, self._braking_alone_m_s2
+            braking_m_s2 = self._braking_alone_m_s2
+            margin_m = required_m - self._separation_m
             late_m = max(late_m, PURSUED_S * (nx * vx + ny * vy + nz * vz * weight)) + RIPPLE_M + TRACKING_M
         else:
-            margin_m, braking_m_s2 = 0.0, self._braking_together_m_s2
+            braking_m_s2 = self._braking_together_m_s2
         # p of a pair that turns about each other lags inside q; a closing vehicle is nearer than its late packet reports.
         required_m += TURNING_S2 * across_m_s2 + late_m
         room_m = apart_m - required_m
@@ -153,9 +153,10 @@ class Separation:
         least_m_s2 = RESPONSE_1_S * (closing_m_s - allowed_m_s) + slope_1_s * closing_m_s - across_m_s2
         towards_m_s2 = nx * ax + ny * ay + mz * az
         own_m_s2 = least_m_s2 + towards_m_s2
-        if slot_of_other is not None and own_m_s2 < 0.5 * least_m_s2:
-            own_m_s2 = 0.5 * least_m_s2
-        if margin_m > 0.0:
+        if slot_of_other is not None:
+            if own_m_s2 < 0.5 * least_m_s2:
+                own_m_s2 = 0.5 * least_m_s2
+        elif margin_m > 0.0:
             bare_m_s2 = _least_m_s2(room_m + margin_m, closing_m_s, braking_m_s2) - across_m_s2 + towards_m_s2
             nx, ny, mz = nx / size, ny / size, mz / size
             bare = (nx, ny, mz, bare_m_s2 / size, VEHICLE)
@@ -205,11 +206,11 @@ class Separation:
         separation_m, error = self._separation_m, other.error
         level_m = hypot(own.horizontal_m, error.horizontal_m)
         height_m = hypot(own.vertical_m, error.vertical_m) * abs(upward)
-        margin_m = ERROR_FACTOR * (level_m + height_m)
+        margin_m = level_m + height_m  # one standard deviation
         if margin_m > self._largest_error_m:
             most_m = self._largest_error_m
             if isinstance(other.key, str):
-                most_m += ERROR_FACTOR * (error.horizontal_m + error.vertical_m * abs(upward))
+                most_m += error.horizontal_m + error.vertical_m * abs(upward)
             margin_m = min(margin_m, most_m)
         if other.silence is not None:
             silent_s = max(0.0, other.age_s - other.silence.kept_s)
