@@ -164,13 +164,13 @@ def safety_filter_of(fleet: FleetConfig, own_id: int) -> SafetyFilter:
     """The safety filter of a vehicle of this fleet."""
     envelope = output_limits_of(fleet)
     tan_max_tilt = tan(envelope.max_tilt_rad)
-    settings = SeparationSettings(own_id, fleet.separation_m, PLANNED_SHARE * GRAVITY_M_S2 * tan_max_tilt)
+    braking_m_s2, speeds = PLANNED_SHARE * GRAVITY_M_S2 * tan_max_tilt, fleet.envelope
+    settings = SeparationSettings(own_id, fleet.separation_m, braking_m_s2, fleet.peers.max_age_s, speeds.max_speed_m_s)
     vertical_m_s2 = PLANNED_SHARE * GRAVITY_M_S2 * min(1.0 - envelope.min_thrust_ratio, envelope.max_thrust_ratio - 1.0)
-    speeds = fleet.envelope
     return SafetyFilter(
         Separation(settings),
         fleet.separation_m,
-        Boundaries(fleet.airspace, settings.braking_m_s2, vertical_m_s2),
+        Boundaries(fleet.airspace, braking_m_s2, vertical_m_s2),
         SpeedLimit(speeds.max_speed_m_s, speeds.max_climb_m_s, speeds.max_descent_m_s),
         AccelerationLimits.of_envelope(tan_max_tilt, envelope.min_thrust_ratio, envelope.max_thrust_ratio),
         law_of(fleet.law).gains,

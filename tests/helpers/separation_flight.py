@@ -14,8 +14,9 @@ from math import dist, exp, hypot, radians, sqrt, tan
 from random import Random
 
 from companion.assembly import safety_filter_of
-from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember
+from companion.config.fleet import EdgeNeighbours, Envelope, FleetConfig, FormationMember
 from companion.config.law import Law
+from companion.config.obstacles import Obstacle
 from companion.core.consensus.law import Gains, feedback
 from companion.core.consensus.peers import PeerTable
 from companion.core.consensus.plausibility import FleetLimits
@@ -101,7 +102,14 @@ class SeparationFlight:
     """All vehicles, tick by tick. `apart_m` is the least true distance so far of each pair that flies."""
 
     def __init__(
-        self, bodies: Iterable[Body], separation_m: float, noise: Noise = IDEAL, link: Link = Link(), seed: int = 1
+        self,
+        bodies: Iterable[Body],
+        separation_m: float,
+        noise: Noise = IDEAL,
+        link: Link = Link(),
+        seed: int = 1,
+        envelope: Envelope | None = None,
+        obstacles: tuple[Obstacle, ...] = (),
     ) -> None:
         self.bodies = {body.vehicle_id: body for body in bodies}
         self.now_s = 100.0
@@ -109,6 +117,7 @@ class SeparationFlight:
         self.reports: dict[int, SeparationReport] = {}
         self.interventions = 0
         self.silent: set[int] = set()
+        self.reported_error: dict[int, PositionError] = {}  # in the packets of a vehicle, instead of its own
         self._noise, self._link, self._random = noise, link, Random(f"{seed} link")
         random = Random(f"{seed} noise")
         self._position = {i: Drift(noise.position_sd_m, 20.0, random) for i in self.bodies}
@@ -116,7 +125,7 @@ class SeparationFlight:
         self._white = random
         may_lead = dict.fromkeys(self.bodies, True)
         self._tables = {i: PeerTable(i, may_lead, 1, 0.3, LIMITS, ()) for i in self.bodies}
-        fleet = _fleet(self.bodies, separation_m)
+        fleet = _fleet(self.bodies, separation_m, envelope or Envelope(), obstacles)
         self._filters = {i: safety_filter_of(fleet, i) for i in self.bodies}
         self._commanded = dict.fromkeys(self.bodies, ZERO3)
         self._dead = {i: deque([ZERO3] * DEAD_TICKS) for i in self.bodies}
@@ -206,7 +215,7 @@ class SeparationFlight:
             prc=2,
             leader_beacon=None,
             slot=body.slot,
-            position_error=state.position_error,
+            position_error=self.reported_error.get(i, state.position_error),
             armed=body.armed,
         )
         for j in self.bodies:
@@ -236,7 +245,7 @@ def off_m(body: Body, goal_enu_m: Vector3) -> float:
     return hypot(*(a - b for a, b in zip(body.position_enu_m, goal_enu_m, strict=True)))
 
 
-def _fleet(ids: Iterable[int], separation_m: float) -> FleetConfig:
+def _fleet(ids: Iterable[int], separation_m: float, envelope: Envelope, obstacles: tuple[Obstacle, ...]) -> FleetConfig:
     members = tuple(FormationMember(i, Role.FOLLOWER, ZERO3) for i in ids)
     return FleetConfig(
         name="test",
@@ -245,4 +254,6 @@ def _fleet(ids: Iterable[int], separation_m: float) -> FleetConfig:
         neighbours=EdgeNeighbours(()),
         law=Law(name="weighted"),
         separation_m=separation_m,
+        envelope=envelope,
+        obstacles=obstacles,
     )

@@ -31,10 +31,11 @@ class Rank(IntEnum):
     VEHICLE = 1
     OBSTACLE = 2
     FENCE = 3
-    SPEED = 4
+    MARGIN = 4  # more distance from a vehicle than separation_m, for what is not known of it
+    SPEED = 5
 
 
-LIMIT, VEHICLE = Rank.LIMIT, Rank.VEHICLE  # enum member lookup is slow, and every tick needs them
+LIMIT, VEHICLE, MARGIN = Rank.LIMIT, Rank.VEHICLE, Rank.MARGIN  # enum member lookup is slow, and every tick needs them
 HalfSpace = tuple[float, float, float, float, Rank]
 """Accelerations u with normal . u >= least, m/s^2: the normal of length 1 (east, north, up), least, and the rank.
 

@@ -6,10 +6,11 @@ from collections.abc import Mapping
 from math import inf
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from companion.core.consensus.peers import PeerState
 from companion.core.safety.filter.lag import LAG_S
-from companion.core.safety.filter.silence import velocity_after, with_kept_attitude
+from companion.core.safety.filter.silence import DESCENT_M_S, KEPT_S, Silence
 from companion.geometry.separation import HEIGHT_WEIGHT
 from companion.types.autopilot import PositionError
 from companion.types.flight import FlightPhase
@@ -20,16 +21,16 @@ from companion.types.vectors import ZERO3, Vector3
 FORMATION = FlightPhase.FORMATION
 NEAR_M, NEAR_S = 8.0, 3.0  # farther than NEAR_M + NEAR_S * relative speed nothing is computed
 FORGOTTEN_S = 600.0  # a vehicle that is silent for so long is no obstacle any more: its battery lasts no longer
-EXTRAPOLATED_S = 1.0  # a vehicle is taken to go on for so long; silent for longer, it may be where `silence.py` says
 TRAFFIC_EXTRAPOLATED_S = 5.0  # an aircraft holds its course
+TRAFFIC_SILENCE = Silence(TRAFFIC_EXTRAPOLATED_S, TRAFFIC_EXTRAPOLATED_S, TRAFFIC_EXTRAPOLATED_S, lands=False)
 NO_ERROR = PositionError(0.0, 0.0)
 
 
 class Other(Struct, frozen=True, gc=False):
     """Position and velocity `age_s` ago, the acceleration it flies by its commands, and what it is.
 
-    A peer that is not fresh keeps its acceleration: an autopilot without setpoints keeps its attitude at first. Its position
-    is moved by what that adds.
+    A peer that is not fresh keeps its acceleration: an autopilot without setpoints keeps its attitude at first.
+    `silence`: how it may fly where its state is too old, else None.
     `slot` is None for a vehicle that does not cooperate. `side` is the sign of its number compared with the own one.
     """
 
@@ -38,7 +39,7 @@ class Other(Struct, frozen=True, gc=False):
     velocity_enu_m_s: Vector3
     acceleration_enu_m_s2: Vector3
     age_s: float
-    extrapolated_s: float
+    silence: Silence | None
     error: PositionError
     height_weight: float
     slot: FlownSlot | None
@@ -48,8 +49,10 @@ class Other(Struct, frozen=True, gc=False):
 class Others:
     """Selects the vehicles nearby. Holds the lagged accelerations that peers fly by their commands."""
 
-    def __init__(self, own_id: int) -> None:
+    def __init__(self, own_id: int, silence: Silence) -> None:
         self._own_id = own_id
+        self._silence = silence  # of peers
+        self._silence_on_ground = replace(silence, lands=False)
         self._lagged_enu_m_s2: dict[int, Vector3] = {}
         self._last_s = -inf
 
@@ -80,7 +83,7 @@ class Others:
     ) -> list[Other]:
         elapsed_s, self._last_s = now_s - self._last_s, now_s
         lag_share = 1.0 - LAG_S / (LAG_S + elapsed_s)
-        near, before = [], self._lagged_enu_m_s2
+        near, before, begins_s = [], self._lagged_enu_m_s2, self._silence.begins_s
         commanded: dict[int, Vector3] = {}
         for peer_id, peer in peers.items():
             packet, age_s = peer.packet, now_s - peer.measured_s
@@ -88,9 +91,8 @@ class Others:
             acceleration, reaches_m_s = packet.acceleration_enu_m_s2, moving_enu_m_s
             is_fresh = peer_id in fresh
             if not is_fresh:
-                kept_s = min(age_s, EXTRAPOLATED_S)
-                there_enu_m = with_kept_attitude(there_enu_m, acceleration, kept_s)
-                reaches_m_s = velocity_after(moving_enu_m_s, acceleration, kept_s)
+                (vx, vy, vz), (ax, ay, _) = moving_enu_m_s, acceleration
+                reaches_m_s = (abs(vx) + KEPT_S * abs(ax), abs(vy) + KEPT_S * abs(ay), abs(vz) + DESCENT_M_S)
             if age_s > FORGOTTEN_S or not _near(position_enu_m, velocity_enu_m_s, there_enu_m, reaches_m_s, age_s):
                 continue
             last = before.get(peer_id)
@@ -105,7 +107,7 @@ class Others:
                     moving_enu_m_s,
                     acceleration,
                     age_s,
-                    EXTRAPOLATED_S,
+                    None if age_s <= begins_s else self._silence if packet.armed else self._silence_on_ground,
                     packet.position_error or NO_ERROR,
                     HEIGHT_WEIGHT if packet.armed else 1.0,  # no downwash reaches a vehicle on the ground
                     packet.slot if cooperates and is_fresh and packet.phase is FORMATION else None,
@@ -125,9 +127,10 @@ def _traffic_nearby(
         age_s = now_s - one.received_s + sample.age_s
         there_enu_m, moving_enu_m_s = sample.position_enu_m, sample.velocity_enu_m_s
         if _near(position_enu_m, velocity_enu_m_s, there_enu_m, moving_enu_m_s, age_s):
-            error, extrapolated_s = PositionError(sample.error_m, sample.error_m), TRAFFIC_EXTRAPOLATED_S
+            error = PositionError(sample.error_m, sample.error_m)
+            silence = TRAFFIC_SILENCE if age_s > TRAFFIC_EXTRAPOLATED_S else None
             near.append(
-                Other(name, there_enu_m, moving_enu_m_s, ZERO3, age_s, extrapolated_s, error, HEIGHT_WEIGHT, None, 1.0)
+                Other(name, there_enu_m, moving_enu_m_s, ZERO3, age_s, silence, error, HEIGHT_WEIGHT, None, 1.0)
             )
     return near
 

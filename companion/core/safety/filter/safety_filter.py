@@ -80,6 +80,7 @@ class SafetyFilter:
         slowed = limited(wanted_enu_m_s2, speed_spaces)
         # The speed limit is among the half-spaces, too: what the filter adds must not exceed it.
         spaces = [barrier.space for barrier in barriers]
+        spaces += [barrier.bare for barrier in barriers if barrier.bare]
         spaces += self._boundaries.half_spaces(ahead)
         spaces += speed_spaces
         limits = self._limits.in_wind(disturbance_enu_m_s2)

@@ -17,17 +17,16 @@ from math import hypot, sqrt
 from msgspec import Struct
 
 from companion.core.consensus.peers import PeerState
-from companion.core.safety.filter.acceleration_filter import VEHICLE, HalfSpace
+from companion.core.safety.filter.acceleration_filter import MARGIN, VEHICLE, HalfSpace
 from companion.core.safety.filter.braking import approach_speed
 from companion.core.safety.filter.lag import LAG_S, Ahead
 from companion.core.safety.filter.others import NO_ERROR, Other, Others
-from companion.core.safety.filter.silence import nearest_on_way, velocity_after
-from companion.geometry.vectors import extrapolated
+from companion.core.safety.filter.silence import KEPT_S, Motion, Silence, column_m, nearest_on_way
 from companion.types.autopilot import PositionError, VehicleState
 from companion.types.formation import FlownSlot
 from companion.types.separation import NearestVehicle
 from companion.types.traffic import ReceivedTraffic
-from companion.types.vectors import ZERO3, Vector3
+from companion.types.vectors import Vector3
 
 PLANNED_SHARE = 0.5  # of the acceleration at the tilt limit: what each vehicle plans to brake with
 ALONE_SHARE = 0.6  # of that, where the own vehicle alone makes way: others may stand behind it
@@ -39,12 +38,13 @@ SLOPE_1_S = 4.0  # of the approach speed near the required distance
 FASTEST_LEAVING_M_S = 1.5  # demanded inside the required distance
 # Where slots move: the attitude follows late, and between others a vehicle cannot always brake as planned.
 TRACKING_M = 0.1
-ERROR_FACTOR = 1.0  # of the combined standard deviation of both positions
+LARGEST_ERROR = 1.0  # of separation_m: more than both positions' errors count for; slots are 3 to 6 errors apart
 SLOT_SHARE = 0.5  # of the room between separation_m and the distance of two slots: the most that margins may take
 PASSING_M = 0.15  # of the distance of two vehicles that pass each other on the way to their slots
 PLACED_WITHIN_M = 0.5  # nearer than that to the offset of their slots, two vehicles do not pass each other
 GROWTH_M_S = 0.25  # of the required distance from a silent vehicle
 LARGEST_GROWTH = 0.5  # of separation_m
+FASTEST = 1.25  # of the speed limit: faster no vehicle is taken to fly in silence
 LEAST_DISTANCE_M = 1e-6
 NEAREST_M = 0.1  # keeps the turn of the line between two vehicles finite
 TURNING_S2 = 0.5 * LAG_S * LAG_S
@@ -52,17 +52,21 @@ TURNING_S2 = 0.5 * LAG_S * LAG_S
 
 @dataclass(frozen=True, slots=True)
 class SeparationSettings:
-    """`separation_m` of the fleet file, and the acceleration with which each vehicle plans to brake."""
+    """Settings of the fleet file, and the acceleration with which each vehicle plans to brake."""
 
     own_id: int
     separation_m: float
     braking_m_s2: float
+    fresh_s: float  # peers.max_age_s
+    max_speed_m_s: float
 
 
 class Barrier(Struct, frozen=True, gc=False):
     """The half-space of one other vehicle, and the offset of this vehicle from it.
 
-    `room_m` is how much farther away it is than required, as both will be after their lag.
+    `room_m` is how much farther away it is than required, as both will be after their lag. `bare` is what is left of `space`
+    without the margins for position errors and silence: `space` gives way to obstacles and the fence then, `bare` does not.
+    `below`: this vehicle is below a silent one that may land.
     """
 
     space: HalfSpace
@@ -70,6 +74,8 @@ class Barrier(Struct, frozen=True, gc=False):
     offset_enu_m: Vector3
     required_m: float
     room_m: float
+    bare: HalfSpace | None = None
+    below: bool = False
 
 
 class Separation:
@@ -79,7 +85,11 @@ class Separation:
         self._separation_m = settings.separation_m
         self._braking_alone_m_s2 = ALONE_SHARE * settings.braking_m_s2
         self._braking_together_m_s2 = 2.0 * settings.braking_m_s2
-        self._others = Others(settings.own_id)
+        self._braking_m_s2 = settings.braking_m_s2
+        self._largest_error_m = LARGEST_ERROR * settings.separation_m
+        # A vehicle that is silent for longer than its attitude is kept counts as silent, also where older states are fresh.
+        begins_s = min(settings.fresh_s, KEPT_S)
+        self._others = Others(settings.own_id, Silence(begins_s, 0.0, KEPT_S, FASTEST * settings.max_speed_m_s))
 
     def step(
         self,
@@ -96,7 +106,11 @@ class Separation:
         position_enu_m, velocity_enu_m_s = vehicle.position_enu_m, vehicle.velocity_enu_m_s
         others = self._others.step(now_s, position_enu_m, velocity_enu_m_s, in_formation, peers, fresh, traffic)
         error = vehicle.position_error or NO_ERROR
-        return [self._barrier(ahead, error, slot, other) for other in others]
+        barriers = [self._barrier(ahead, error, slot, other) for other in others]
+        if len(fresh) < len(peers):
+            below = (self._below(ahead, error, slot, other, other.silence) for other in others if other.silence)
+            barriers += [barrier for barrier in below if barrier is not None]
+        return barriers
 
     def _barrier(self, ahead: Ahead, error: PositionError, slot: FlownSlot, other: Other) -> Barrier:
         """The half-space n . u >= a that keeps h' >= -k h, in coordinates whose height is weighted."""
@@ -105,9 +119,8 @@ class Separation:
         ax, ay, az = other.acceleration_enu_m_s2
         age_s, weight, slot_of_other = other.age_s, other.height_weight, other.slot
         ahead_s = age_s + LAG_S
-        if age_s > other.extrapolated_s:
-            (px, py, pz), (vx, vy, vz) = _silent(ahead.position_enu_m, other)
-            ax, ay, az = ZERO3
+        if other.silence is not None:
+            (px, py, pz), (vx, vy, vz), (ax, ay, az) = self._nearest_on_way(ahead, other, other.silence)
             ahead_s = 0.0
         wx, wy, wz = wx - vx - ax * ahead_s, wy - vy - ay * ahead_s, (wz - vz - az * ahead_s) * weight
         rx, ry, rz = x - px - vx * ahead_s, y - py - vy * ahead_s, z - pz - vz * ahead_s
@@ -125,6 +138,7 @@ class Separation:
         late_m = UNSEEN_DELAY_S * closing_m_s if closing_m_s > 0.0 else 0.0
         if slot_of_other is None:  # its late packet hides how far a pursuer has come, also where it closes no more
             braking_m_s2 = self._braking_alone_m_s2
+            margin_m = required_m - self._separation_m
             late_m = max(late_m, PURSUED_S * (nx * vx + ny * vy + nz * vz * weight)) + RIPPLE_M + TRACKING_M
         else:
             braking_m_s2 = self._braking_together_m_s2
@@ -132,21 +146,59 @@ class Separation:
         required_m += TURNING_S2 * across_m_s2 + late_m
         room_m = apart_m - required_m
         size = sqrt(nx * nx + ny * ny + mz * mz)  # of the gradient: at most 1
-        allowed_m_s, slope_1_s = approach_speed(room_m, braking_m_s2 * size, SLOPE_1_S)
+        braking_m_s2 *= size
+        allowed_m_s, slope_1_s = approach_speed(room_m, braking_m_s2, SLOPE_1_S)
         if allowed_m_s < -FASTEST_LEAVING_M_S:
             allowed_m_s, slope_1_s = -FASTEST_LEAVING_M_S, 0.0
         least_m_s2 = RESPONSE_1_S * (closing_m_s - allowed_m_s) + slope_1_s * closing_m_s - across_m_s2
-        own_m_s2 = least_m_s2 + nx * ax + ny * ay + mz * az
-        if slot_of_other is not None and own_m_s2 < 0.5 * least_m_s2:
-            own_m_s2 = 0.5 * least_m_s2
+        towards_m_s2 = nx * ax + ny * ay + mz * az
+        own_m_s2 = least_m_s2 + towards_m_s2
+        if slot_of_other is not None:
+            if own_m_s2 < 0.5 * least_m_s2:
+                own_m_s2 = 0.5 * least_m_s2
+        elif margin_m > 0.0:
+            bare_m_s2 = _least_m_s2(room_m + margin_m, closing_m_s, braking_m_s2) - across_m_s2 + towards_m_s2
+            nx, ny, mz = nx / size, ny / size, mz / size
+            bare = (nx, ny, mz, bare_m_s2 / size, VEHICLE)
+            return Barrier((nx, ny, mz, own_m_s2 / size, MARGIN), other, offset_enu_m, required_m, room_m, bare)
         space = (nx / size, ny / size, mz / size, own_m_s2 / size, VEHICLE)
         return Barrier(space, other, offset_enu_m, required_m, room_m)
+
+    def _below(
+        self, ahead: Ahead, error: PositionError, slot: FlownSlot, other: Other, silence: Silence
+    ) -> Barrier | None:
+        """The half-space that keeps a horizontal distance below a silent vehicle, which may land."""
+        silent_s = other.age_s - silence.kept_s
+        if silent_s <= 0.0 or not silence.lands:
+            return None
+        (x, y, z), (wx, wy, _) = ahead.position_enu_m, ahead.velocity_enu_m_s
+        (px, py, pz), (vx, vy, _), (ax, ay, _) = self._nearest_on_way(ahead, other, silence)
+        rx, ry, rz, wx, wy = x - px, y - py, z - pz, wx - vx, wy - vy
+        required_m = self._required(error, slot, other, (rx, ry, 0.0), 0.0)
+        required_m, grows_m_s = column_m(required_m + RIPPLE_M + TRACKING_M, -rz, silent_s, other.height_weight)
+        if rz >= 0.0 or required_m <= 0.0:
+            return None
+        apart_m = hypot(rx, ry)
+        nx, ny = (rx / apart_m, ry / apart_m) if apart_m > LEAST_DISTANCE_M else (other.side, 0.0)
+        closing_m_s = grows_m_s - nx * wx - ny * wy
+        across_m_s = nx * wy - ny * wx
+        room_m = apart_m - required_m
+        least_m_s2 = _least_m_s2(room_m, closing_m_s, self._braking_alone_m_s2) + nx * ax + ny * ay
+        least_m_s2 -= across_m_s * across_m_s / (apart_m + NEAREST_M)
+        space = (nx, ny, 0.0, least_m_s2, MARGIN)
+        return Barrier(space, other, (rx, ry, rz), required_m, room_m, below=True)
+
+    def _nearest_on_way(self, ahead: Ahead, other: Other, silence: Silence) -> Motion:
+        last = other.position_enu_m, other.velocity_enu_m_s, other.acceleration_enu_m_s2
+        own_enu_m, weight = ahead.position_enu_m, other.height_weight
+        return nearest_on_way(own_enu_m, last, other.age_s, LAG_S, silence, self._braking_m_s2, weight)
 
     def _required(
         self, own: PositionError, slot: FlownSlot, other: Other, offset_enu_m: Vector3, upward: float
     ) -> float:
         """separation_m, both position errors along the line between the vehicles, and growth while the other is silent.
 
+        One packet may report any error, so no more than LARGEST_ERROR counts; only that of traffic has a bound of its own.
         Less where two slots are so near that these margins would push the formation apart. Slots nearer than separation_m
         cross each other: the less these can be flown, the more margins count. Vehicles that are not placed as their slots pass
         each other on the way there: they get room for it. `offset_enu_m`: from the other vehicle to this one.
@@ -154,10 +206,16 @@ class Separation:
         separation_m, error = self._separation_m, other.error
         level_m = hypot(own.horizontal_m, error.horizontal_m)
         height_m = hypot(own.vertical_m, error.vertical_m) * abs(upward)
-        required_m = separation_m + ERROR_FACTOR * (level_m + height_m)
-        silent_s = other.age_s - other.extrapolated_s
-        if silent_s > 0.0:
-            required_m += min(silent_s * GROWTH_M_S, LARGEST_GROWTH * separation_m)
+        margin_m = level_m + height_m  # one standard deviation
+        if margin_m > self._largest_error_m:
+            most_m = self._largest_error_m
+            if isinstance(other.key, str):
+                most_m += error.horizontal_m + error.vertical_m * abs(upward)
+            margin_m = min(margin_m, most_m)
+        if other.silence is not None:
+            silent_s = max(0.0, other.age_s - other.silence.kept_s)
+            margin_m += min(silent_s * GROWTH_M_S, LARGEST_GROWTH * separation_m)
+        required_m = separation_m + margin_m
         if other.slot is None:
             return required_m
         (x, y, z), (ox, oy, oz), (rx, ry, rz) = slot.position_enu_m, other.slot.position_enu_m, offset_enu_m
@@ -176,12 +234,12 @@ class Separation:
         return required_m if required_m < most_m else most_m
 
 
-def _silent(own_enu_m: Vector3, other: Other) -> tuple[Vector3, Vector3]:
-    """Where a silent vehicle may be nearest to this one, and how it moves there."""
-    kept_s, velocity_enu_m_s = other.extrapolated_s, other.velocity_enu_m_s
-    expected_enu_m = extrapolated(other.position_enu_m, velocity_enu_m_s, kept_s)
-    coasts_enu_m_s = velocity_after(velocity_enu_m_s, other.acceleration_enu_m_s2, kept_s)
-    return nearest_on_way(own_enu_m, expected_enu_m, coasts_enu_m_s, other.age_s - kept_s + LAG_S)
+def _least_m_s2(room_m: float, closing_m_s: float, braking_m_s2: float) -> float:
+    """Least acceleration of the pair away from each other, along the line between them."""
+    allowed_m_s, slope_1_s = approach_speed(room_m, braking_m_s2, SLOPE_1_S)
+    if allowed_m_s < -FASTEST_LEAVING_M_S:
+        allowed_m_s, slope_1_s = -FASTEST_LEAVING_M_S, 0.0
+    return RESPONSE_1_S * (closing_m_s - allowed_m_s) + slope_1_s * closing_m_s
 
 
 def nearest_vehicle(now_s: float, vehicle: VehicleState, barriers: list[Barrier]) -> NearestVehicle | None:
@@ -190,12 +248,12 @@ def nearest_vehicle(now_s: float, vehicle: VehicleState, barriers: list[Barrier]
         return None
     least = barriers[0]
     for barrier in barriers:
-        if barrier.room_m < least.room_m:
+        if barrier.room_m < least.room_m and not barrier.below:
             least = barrier
     other, old_s = least.other, now_s - vehicle.position_time_s
     (x, y, z), (vx, vy, vz) = vehicle.position_enu_m, vehicle.velocity_enu_m_s
     (px, py, pz), (wx, wy, wz) = other.position_enu_m, other.velocity_enu_m_s
-    age_s = min(other.age_s, other.extrapolated_s)
+    age_s = other.age_s if other.silence is None else min(other.age_s, other.silence.kept_s)
     dx, dy = x + vx * old_s - px - wx * age_s, y + vy * old_s - py - wy * age_s
     dz = (z + vz * old_s - pz - wz * age_s) * other.height_weight
     return NearestVehicle(str(other.key), sqrt(dx * dx + dy * dy + dz * dz), least.required_m)

@@ -1,54 +1,97 @@
-"""The way on which a silent vehicle may be."""
+"""Where a silent vehicle may be."""
 
 from __future__ import annotations
 
-from math import dist, exp
+from math import dist
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.core.safety.filter.silence import COAST_1_S, nearest_on_way, velocity_after, with_kept_attitude
-from companion.types.vectors import Vector3
+from companion.core.safety.filter.silence import KEPT_S, Motion, Silence, column_m, nearest_on_way
+from companion.types.vectors import ZERO3, Vector3
 
-BEGINS: Vector3 = (0.0, 0.0, 5.0)
-EAST: Vector3 = (5.0, 0.0, 0.0)
-
-
-def test_the_attitude_is_kept_at_first() -> None:
-    assert with_kept_attitude((1.0, 2.0, 3.0), (4.0, -2.0, 9.0), 0.5) == pytest.approx((1.5, 1.75, 3.0))
-    assert velocity_after((1.0, 2.0, 3.0), (4.0, -2.0, 9.0), 0.5) == pytest.approx((3.0, 1.0, 0.0))
+PEER = Silence(0.3, 0.0, KEPT_S, 15.0)
+BRAKING_M_S2 = 2.0
+EAST: Motion = ((0.0, 0.0, 5.0), (4.0, 0.0, 0.0), ZERO3)
+FAR_BEHIND: Vector3 = (-500.0, 0.0, 5.0)
+FAR_AHEAD: Vector3 = (500.0, 0.0, 5.0)
 
 
-def test_a_vehicle_behind_meets_the_beginning_of_the_way_which_rests() -> None:
-    assert nearest_on_way((-3.0, 1.0, 5.0), BEGINS, EAST, 2.0) == (BEGINS, (0.0, 0.0, 0.0))
+def nearest(own_enu_m: Vector3, last: Motion, age_s: float, silence: Silence = PEER) -> Motion:
+    return nearest_on_way(own_enu_m, last, age_s, 0.0, silence, BRAKING_M_S2, 1.0)
 
 
-def test_a_vehicle_ahead_meets_the_end_of_the_way_which_still_moves() -> None:
-    position, velocity = nearest_on_way((50.0, 1.0, 5.0), BEGINS, EAST, 2.0)
-    assert position == pytest.approx((7.87, 0.0, 5.0), abs=0.01)
-    assert velocity == pytest.approx((3.03, 0.0, 0.0), abs=0.01)
+def test_a_vehicle_behind_meets_one_that_brakes_at_once() -> None:
+    position, velocity, acceleration = nearest(FAR_BEHIND, EAST, 1.0)
+    assert position == pytest.approx((3.0, 0.0, 5.0))
+    assert velocity == pytest.approx((2.0, 0.0, 0.0))
+    assert acceleration == pytest.approx((-2.0, 0.0, 0.0))
+    assert nearest(FAR_BEHIND, EAST, 9.0) == (pytest.approx((4.0, 0.0, 5.0)), ZERO3, ZERO3)
+
+
+def test_a_vehicle_ahead_meets_one_that_coasts() -> None:
+    position, velocity, _ = nearest(FAR_AHEAD, EAST, 3.0)
+    assert position == pytest.approx((4.0 + 6.3, 0.0, 5.0), abs=0.01)
+    assert velocity == pytest.approx((2.43, 0.0, 0.0), abs=0.01)
 
 
 def test_a_vehicle_beside_the_way_meets_the_point_next_to_it() -> None:
-    assert nearest_on_way((4.0, 2.0, 7.0), BEGINS, EAST, 2.0)[0] == pytest.approx((4.0, 0.0, 5.0))
+    assert nearest((6.0, 2.0, 5.0), EAST, 3.0)[0] == pytest.approx((6.0, 0.0, 5.0))
+
+
+def test_the_attitude_is_kept_at_first() -> None:
+    turning: Motion = ((1.0, 2.0, 3.0), (4.0, 0.0, 0.0), (0.0, 2.0, 9.0))
+    position, velocity, _ = nearest((1.0, 500.0, 3.0), turning, 0.9)
+    assert position == pytest.approx((4.6, 2.81, 3.0))
+    assert velocity == pytest.approx((4.0, 1.8, 0.0))
 
 
 def test_a_vehicle_at_rest_stays_where_it_is() -> None:
-    assert nearest_on_way((4.0, 2.0, 7.0), BEGINS, (0.0, 0.0, 0.0), 500.0) == (BEGINS, (0.0, 0.0, 0.0))
+    resting: Motion = ((0.0, 0.0, 5.0), ZERO3, ZERO3)
+    assert nearest((4.0, 2.0, 7.0), resting, 500.0) == resting
+
+
+def test_no_vehicle_coasts_faster_than_this_fleet_flies() -> None:
+    """One packet may report any velocity: at 15 m/s a vehicle flies 15 m with its attitude kept, then 60 m."""
+    (x, _, _), _, _ = nearest(FAR_AHEAD, ((0.0, 0.0, 5.0), (25.0, 0.0, 0.0), ZERO3), 600.0)
+    assert x == pytest.approx(15.0 + 60.0, abs=0.1)
 
 
 METRES = st.floats(-50.0, 50.0)
-
-
-@given(
-    st.tuples(METRES, METRES, METRES),
-    st.tuples(METRES, METRES, st.just(0.0)),
-    st.floats(0.0, 600.0),
-    st.floats(0.0, 1.0),
+SPEEDS = st.floats(-8.0, 8.0)
+MOTIONS = st.tuples(
+    st.tuples(METRES, METRES, METRES), st.tuples(SPEEDS, SPEEDS, SPEEDS), st.tuples(SPEEDS, SPEEDS, SPEEDS)
 )
-def test_no_place_on_the_way_is_nearer(own: Vector3, velocity: Vector3, coasts_s: float, share: float) -> None:
-    nearest, _ = nearest_on_way(own, BEGINS, velocity, coasts_s)
-    reach_s = share * (1.0 - exp(-COAST_1_S * coasts_s)) / COAST_1_S
-    place = [p + reach_s * v for p, v in zip(BEGINS, velocity, strict=True)]
-    assert dist(own, nearest) <= dist(own, place) + 1e-9
+
+
+@given(st.tuples(METRES, METRES, METRES), MOTIONS)
+def test_the_way_grows_from_where_a_fresh_vehicle_is_expected(own: Vector3, last: Motion) -> None:
+    (x, y, z), (vx, vy, vz), (ax, ay, az) = last
+    position, velocity, acceleration = nearest(own, last, PEER.begins_s)
+    t = PEER.begins_s
+    assert position == pytest.approx((x + t * vx, y + t * vy, z + t * vz))
+    assert velocity == pytest.approx((vx + t * ax, vy + t * ay, vz + t * az))
+    assert acceleration == last[2]
+
+
+@pytest.mark.parametrize("age_s", [0.35, 0.5, 0.65, 0.8, 1.2, 3.0])
+@pytest.mark.parametrize("own", [FAR_BEHIND, FAR_AHEAD])
+def test_the_ends_of_the_way_move_at_their_velocity(own: Vector3, age_s: float) -> None:
+    before, after = nearest(own, EAST, age_s - 0.001), nearest(own, EAST, age_s + 0.001)
+    moved_m_s = (after[0][0] - before[0][0]) / 0.002
+    assert nearest(own, EAST, age_s)[1][0] == pytest.approx(moved_m_s, abs=0.01)
+
+
+@given(st.tuples(METRES, METRES, METRES), st.floats(0.3, 20.0), st.floats(0.0, 1.0))
+def test_no_place_on_the_way_is_nearer(own: Vector3, age_s: float, share: float) -> None:
+    begins, ends = nearest(FAR_BEHIND, EAST, age_s)[0], nearest(FAR_AHEAD, EAST, age_s)[0]
+    place = [a + share * (b - a) for a, b in zip(begins, ends, strict=True)]
+    assert dist(own, nearest(own, EAST, age_s)[0]) <= dist(own, place) + 1e-9
+
+
+def test_a_vehicle_below_makes_way_as_a_landing_may_arrive() -> None:
+    assert column_m(1.5, 4.0, 0.1, 0.5)[0] < 0.0
+    at_once, grows_m_s = column_m(1.5, 1.0, 0.1, 0.5)
+    assert (at_once, grows_m_s) == (pytest.approx(0.1), 1.0)
+    assert column_m(1.5, 4.0, 9.0, 0.5) == (1.5, 0.0)
