@@ -51,7 +51,11 @@ class BeaconMonitor:
         self._newest: dict[int, _Kept] = {}  # by leader id
 
     def receive(self, now_s: float, beacons: Iterable[LeaderBeacon | None], term: Term) -> None:
-        """Beacons that neighbours passed on. One of another term than `term`, this vehicle's own, is ignored."""
+        """Beacons that neighbours passed on. One of another term than `term`, this vehicle's own, is ignored.
+
+        The own term may be older than before: then those of the newer one had no leader, and are not passed on.
+        """
+        self._newest = {i: kept for i, kept in self._newest.items() if kept.beacon.term <= term}
         for beacon in beacons:
             if beacon is None or beacon.term != term:
                 continue

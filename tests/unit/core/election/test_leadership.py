@@ -222,16 +222,34 @@ def test_a_received_term_ends_without_a_leader_alive() -> None:
     vehicle = Leadership(1, [1], (1, 2))
     vehicle.receive(0.0, [LeaderBeacon(2, 1000, 5)])
     assert (vehicle.role, vehicle.epoch) == (Role.FOLLOWER, 1000)
-    vehicle.settle(0.2, led=False)
+    vehicle.settle(0.2, [LeaderBeacon(2, 1000, 5)])
     assert vehicle.epoch == 1000
-    vehicle.settle(0.32, led=False)
+    vehicle.settle(0.32, [LeaderBeacon(2, 1000, 5)])  # younger than UNCONFIRMED_S on its way, and no proof
     assert (vehicle.role, vehicle.epoch) == (Role.LEADER, 0)
     vehicle.receive(0.34, [LeaderBeacon(2, 1000, 5)])  # still passed on by others
     assert vehicle.epoch == 0
-    vehicle.receive(0.4, [LeaderBeacon(2, 3, 5)])
-    vehicle.settle(0.8, led=True)
-    vehicle.settle(5.0, led=False)
+
+
+def test_a_received_term_with_a_leader_alive_stays() -> None:
+    vehicle = Leadership(1, [1], (1, 2))
+    vehicle.receive(0.0, [LeaderBeacon(2, 3, 5)])
+    vehicle.settle(0.2, [LeaderBeacon(2, 3, 205)])
+    vehicle.settle(5.0, [])
     assert (vehicle.role, vehicle.epoch) == (Role.FOLLOWER, 3)
+
+
+def test_beacons_of_one_moment_confirm_no_term() -> None:
+    vehicle = Leadership(1, [1], (1, 2))
+    vehicle.receive(0.0, [LeaderBeacon(2, 3, 5)])
+    vehicle.settle(0.02, [LeaderBeacon(2, 3, 5), LeaderBeacon(2, 3, 25)])
+    vehicle.settle(0.2, [LeaderBeacon(2, 3, 25), LeaderBeacon(1, 3, 10**6)])  # the own id, and so no other leader
+    vehicle.settle(0.32, [LeaderBeacon(2, 3, 25)])
+    assert (vehicle.role, vehicle.epoch) == (Role.LEADER, 0)
+    for stamp in (5, 25):
+        vehicle.receive(0.34, [LeaderBeacon(2, 3, stamp)])
+    assert vehicle.epoch == 0
+    vehicle.receive(0.36, [LeaderBeacon(2, 3, 45)])
+    assert vehicle.epoch == 3
 
 
 @pytest.mark.parametrize("in_formation", [True, False])
