@@ -199,6 +199,27 @@ def test_one_wrong_mission_time_is_not_followed() -> None:
         assert clock.update(now_s, True, beacon, 0.0) == pytest.approx(60.0 + 0.02 * tick + WAITED_S)
 
 
+@pytest.mark.parametrize("step_s", [0.08, 0.95, -0.95])
+@pytest.mark.parametrize("packets", [1, 2])
+def test_wrong_mission_times_shift_a_clock_by_little_and_not_for_long(packets: int, step_s: float) -> None:
+    """Each differs from the one before by as much. A fall of more than a second would restart the formation's time."""
+    clock = clock_at(60.0, now_s=100.0)
+    for tick in range(1, 60):
+        true_s = 60.0 + 0.02 * tick
+        wrong_s = step_s * tick if tick <= packets else 0.0
+        counted_s = clock.update(100.0 + 0.02 * tick, True, LeaderBeacon(1, 0, tick, true_s + wrong_s), 0.0)
+        assert counted_s - true_s == pytest.approx(WAITED_S, abs=0.17)
+        if tick > packets + round(0.52 / TICK_S):
+            assert counted_s - true_s == pytest.approx(WAITED_S)
+
+
+def test_a_mission_time_that_differs_by_half_a_second_is_followed_when_it_lasts() -> None:
+    clock = clock_at(60.0, now_s=100.0)
+    for tick in range(1, 27):
+        counted_s = clock.update(100.0 + 0.02 * tick, True, LeaderBeacon(1, 0, tick, 60.5 + 0.02 * tick), 0.0)
+        assert counted_s - 0.02 * tick == pytest.approx((60.5 if tick == 26 else 60.0) + WAITED_S)
+
+
 def test_one_wrong_mission_time_does_not_start_a_clock_that_is_stopped() -> None:
     """A leader in hold would lead from there; the operator's next change would begin too late for all others."""
     clock, wrong = clock_at(60.0, now_s=100.0), LeaderBeacon(2, 0, 9, 9e5)
