@@ -40,15 +40,21 @@ class Fleet:
     """
 
     def __init__(
-        self, edges: tuple[tuple[int, int], ...], may_lead: tuple[int, ...], successors: tuple[int, ...] = ()
+        self,
+        edges: tuple[tuple[int, int], ...],
+        may_lead: tuple[int, ...],
+        successors: tuple[int, ...] = (),
+        beacon_max_age_s: float = BEACON_MAX_AGE_S,
     ) -> None:
         self.edges, self.may_lead, self.successors = edges, may_lead, successors
+        self.beacon_max_age_s = beacon_max_age_s
         self.ids = sorted({i for edge in edges for i in edge})
         self.vehicles = {i: self.started(i) for i in self.ids}
         self.packets: dict[int, PeerPacket] = {}
         self.deaf: set[int] = set()
         self.dead: set[int] = set()
         self.receives: Callable[[int, int], bool] = lambda _receiver, _sender: True
+        self.forged: dict[int, PeerPacket] = {}  # by receiver: takes the place of its sender's packet in the next tick
         self.phases = dict.fromkeys(self.ids, FlightPhase.FORMATION)
         self.sessions = dict.fromkeys(self.ids, 1)
         self.now_s = 50.0
@@ -61,7 +67,7 @@ class Fleet:
             len(self.ids),
             PeerTable(vehicle_id, {i: i in self.may_lead for i in self.ids}, 42, 0.3, LIMITS, self.successors),
             EdgeRule(vehicle_id, self.edges),
-            BeaconMonitor(BEACON_MAX_AGE_S),
+            BeaconMonitor(self.beacon_max_age_s),
             Succession(vehicle_id, self.successors),
         )
 
@@ -85,7 +91,7 @@ class Fleet:
                 what.leaderless is HealthFlag.LEADER_LOST and i in self._led and self.phases[i] is FlightPhase.FORMATION
             ):
                 self.phases[i] = FlightPhase.HOLD
-        self.packets = {i: self._packet(i, what) for i, what in around.items()}
+        self.packets, self.forged = {i: self._packet(i, what) for i, what in around.items()}, {}
         assert all(not vehicle.peers.rejected for vehicle in self.vehicles.values())
         return around
 
@@ -99,6 +105,8 @@ class Fleet:
     def _received_by(self, vehicle_id: int) -> list[ReceivedPeerPacket]:
         senders = [] if vehicle_id in self.deaf else [i for i in self.packets if i != vehicle_id]
         others = [self.packets[i] for i in senders if self.receives(vehicle_id, i)]
+        if forged := self.forged.get(vehicle_id):
+            others = [packet for packet in others if packet.vehicle_id != forged.vehicle_id] + [forged]
         return [ReceivedPeerPacket(self.now_s, packet) for packet in others]
 
     def _packet(self, vehicle_id: int, what: Consensus) -> PeerPacket:

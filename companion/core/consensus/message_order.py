@@ -22,7 +22,7 @@ class Disorder(Enum):
 
 
 class Stream(Struct, frozen=True, gc=False):
-    """The last message used of one sender, the offset of its clock, and a rival offset from refused messages in a row."""
+    """The last message used of one sender, the offset of its clock, and a rival offset from messages in a row."""
 
     session: int
     sequence: int
@@ -34,9 +34,9 @@ class Stream(Struct, frozen=True, gc=False):
         return self.clock.received_s
 
     def late_s(self, sent_s: float) -> float:
-        """Delay of the last message beyond the least delayed one, which counts as not delayed."""
+        """Delay of the last message beyond the least delayed one. An earlier one counts as not delayed."""
         clock = self.clock
-        return clock.received_s - sent_s - clock.least_apart_s
+        return max(0.0, clock.received_s - sent_s - clock.least_apart_s)
 
 
 def following(
@@ -57,16 +57,19 @@ def following(
         if silent:
             return Stream(session, sequence, ClockOffset(apart_s, received_s)), None
         return before, Disorder.TWO_SENDERS
-    if not clock.agrees(apart_s, received_s, silent_s):
-        if rival and rival.agrees(apart_s, received_s, silent_s):
-            rival = rival.with_message(apart_s, received_s)
-        else:
-            rival = ClockOffset(apart_s, received_s)
-        if replaces(rival, clock):
-            return Stream(session, sequence, rival), None
-        is_late = apart_s > clock.at(received_s)
-        return Stream(session, before.sequence, clock, rival), Disorder.LATE if is_late else Disorder.TIME
+    late = not clock.supported_by(apart_s, received_s)
+    agrees = clock.agrees(apart_s, received_s, silent_s)
     most = before.sequence + SEQUENCES_AHEAD + SEQUENCES_PER_S * silence_s
-    if not silent and not before.sequence < sequence <= most:
+    if agrees and not silent and not before.sequence < sequence <= most:
         return before, Disorder.OUT_OF_ORDER
-    return Stream(session, sequence, clock.with_message(apart_s, received_s)), None
+    if agrees and (clock.is_established or not late):
+        return Stream(session, sequence, clock.with_message(apart_s, received_s)), None
+    if rival and rival.agrees(apart_s, received_s, silent_s):
+        rival = rival.with_rival_message(apart_s, received_s)
+    else:
+        rival = ClockOffset(apart_s, received_s)
+    if replaces(rival, clock):
+        return Stream(session, sequence, rival), None
+    if agrees:
+        return Stream(session, sequence, clock.with_message(apart_s, received_s), rival), None
+    return Stream(session, before.sequence, clock, rival), Disorder.LATE if late else Disorder.TIME

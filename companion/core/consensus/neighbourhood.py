@@ -178,15 +178,13 @@ class ConsensusStage:
     ) -> tuple[Notice, ...]:
         """Return to the term before where no leader of the new one is alive. The event of a change of role.
 
-        A vehicle out of formation may have no neighbours: there any vehicle in formation shows that the leader is alive.
+        Any vehicle shows that the leader is alive: a vehicle out of formation may have no neighbours, and over many hops a
+        beacon needs longer than a packet that this vehicle receives itself.
         """
         is_leader, led = self.leadership.role is LEADER, newest is not None and newest.term == self.leadership.term
         if led if not is_leader else in_formation:  # a leader on the ground may have restarted, and missed changes
             self._led_s = now_s
-        if not in_formation:
-            term = self.leadership.term
-            led = led or any(p.phase is FORMATION and p.leader_beacon and p.leader_beacon.term == term for p in flying)
-        return self.leadership.settle(now_s, led or is_leader)
+        return self.leadership.settle(now_s, [p.leader_beacon for p in flying if p.leader_beacon is not None])
 
     def _beacons_of_others(self, packets: Iterable[PeerPacket]) -> list[LeaderBeacon]:
         """The leader beacons in these packets. The own beacon is from before a handover or a restart: left out."""

@@ -14,9 +14,11 @@ from msgspec import Struct
 from companion.types.formation import LeaderBeacon, Term
 
 STAMPS_PER_S = 1000.0  # of the leader's clock
+REMEMBERED = 0.7  # of the rise of the leader's clock: what was received may be wrong, so it fades
 STAMPS_AHEAD = 300  # what beacons on ways of different length differ by at most, ms
 CONFIRMED_S = 1.0  # longer than the last beacons of a dead leader are passed on
 GAP_S = 0.5  # longest time between two beacons of a rival
+OLDER_TERM_S = 5.0  # so long beacons of an older term are remembered: the vehicle may return to it
 
 
 class _Kept(Struct, frozen=True, gc=False):
@@ -24,6 +26,7 @@ class _Kept(Struct, frozen=True, gc=False):
 
     beacon: LeaderBeacon
     received_s: float
+    clock_stamp: float  # of the leader's clock at this time at least, by all beacons so far
     rival_stamp: int = -1
     rival_since_s: float = inf
     rival_s: float = -inf
@@ -33,8 +36,14 @@ class _Kept(Struct, frozen=True, gc=False):
         lasts = now_s - self.rival_s <= GAP_S
         if lasts and stamp <= self.rival_stamp:
             return self
-        follows = lasts and _is_next(stamp, self.rival_stamp, now_s - self.rival_s)
-        return _Kept(self.beacon, self.received_s, stamp, self.rival_since_s if follows else now_s, now_s)
+        follows = lasts and _is_next(stamp, self.rival_stamp, self.rival_stamp, now_s - self.rival_s)
+        since_s = self.rival_since_s if follows else now_s
+        return _Kept(self.beacon, self.received_s, self.clock_stamp, stamp, since_s, now_s)
+
+    def with_next(self, now_s: float, beacon: LeaderBeacon) -> _Kept:
+        """After a beacon that follows. It may come from far, and be older than the one that follows it."""
+        clock_stamp = self.clock_stamp + REMEMBERED * STAMPS_PER_S * (now_s - self.received_s)
+        return _Kept(beacon, now_s, max(clock_stamp, float(beacon.stamp)))
 
 
 class BeaconMonitor:
@@ -48,24 +57,29 @@ class BeaconMonitor:
 
     def __init__(self, max_age_s: float) -> None:
         self._max_age_s = max_age_s
-        self._newest: dict[int, _Kept] = {}  # by leader id
+        self._newest: dict[tuple[int, Term], _Kept] = {}  # by leader id and term
 
     def receive(self, now_s: float, beacons: Iterable[LeaderBeacon | None], term: Term) -> None:
-        """Beacons that neighbours passed on. One of another term than `term`, this vehicle's own, is ignored."""
+        """Beacons that neighbours passed on. One of another term than `term`, this vehicle's own, is ignored.
+
+        The own term may be older than before: then those of the newer one had no leader, and are not passed on.
+        """
+        for leader, kept in tuple(self._newest.items()):
+            if leader[1] > term or (leader[1] < term and now_s - kept.received_s > OLDER_TERM_S):
+                del self._newest[leader]
         for beacon in beacons:
             if beacon is None or beacon.term != term:
                 continue
-            kept = self._newest.get(beacon.leader_id)
-            if (
-                kept is None
-                or kept.beacon.term != term
-                or _is_next(beacon.stamp, kept.beacon.stamp, now_s - kept.received_s)
-            ):
-                self._newest[beacon.leader_id] = _Kept(beacon, now_s)
-            elif beacon.stamp != kept.beacon.stamp:
-                kept = kept.with_rival(now_s, beacon.stamp)
+            leader, stamp = (beacon.leader_id, term), beacon.stamp
+            kept = self._newest.get(leader)
+            if kept is None:
+                self._newest[leader] = _Kept(beacon, now_s, float(stamp))
+            elif _is_next(stamp, kept.beacon.stamp, kept.clock_stamp, now_s - kept.received_s):
+                self._newest[leader] = kept.with_next(now_s, beacon)
+            elif stamp != kept.beacon.stamp:
+                kept = kept.with_rival(now_s, stamp)
                 confirmed = now_s - max(kept.rival_since_s, kept.received_s) >= CONFIRMED_S and kept.rival_s == now_s
-                self._newest[beacon.leader_id] = _Kept(beacon, now_s) if confirmed else kept
+                self._newest[leader] = _Kept(beacon, now_s, float(stamp)) if confirmed else kept
 
     def youngest(self, now_s: float) -> tuple[LeaderBeacon | None, float]:
         """The beacon to pass on and its age in seconds; None and infinity without one within `max_age_s`.
@@ -74,7 +88,7 @@ class BeaconMonitor:
         the last beacon of the old one counts until it is too old: that of the new leader is on its way.
         """
         best, youngest, youngest_age_s = None, None, inf
-        for leader_id, kept in self._newest.items():
+        for (leader_id, _), kept in self._newest.items():
             age_s = now_s - kept.received_s
             rank = (kept.beacon.term, kept.beacon.reference_s > 0.0, -age_s, leader_id)
             if age_s <= self._max_age_s and (best is None or rank > best):
@@ -82,6 +96,6 @@ class BeaconMonitor:
         return youngest, youngest_age_s
 
 
-def _is_next(stamp: int, before: int, elapsed_s: float) -> bool:
-    """Whether a stamp follows another one by the leader's clock."""
-    return before < stamp <= before + STAMPS_PER_S * elapsed_s + STAMPS_AHEAD
+def _is_next(stamp: int, before: int, clock_stamp: float, elapsed_s: float) -> bool:
+    """Whether a stamp follows another one by the leader's clock, which was at `clock_stamp`."""
+    return before < stamp <= clock_stamp + STAMPS_PER_S * elapsed_s + STAMPS_AHEAD

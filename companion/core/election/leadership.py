@@ -9,7 +9,9 @@ from companion.types.flight import Role
 from companion.types.formation import LeaderBeacon, Term
 from companion.types.notices import Answer, Code, Notice, accepted
 
-UNCONFIRMED_S = 0.3  # a beacon is passed on for less: after this time a received term needs a leader that is alive
+UNCONFIRMED_S = 0.3  # after this time a received term ends, unless its leader is known to be alive
+RISES_AFTER_S = 0.15  # after a few beacons at once: a stamp that rises later is that of a leader that is alive
+REFUTED = 8  # remembered beacons of terms without a leader
 
 
 class Leadership:
@@ -17,7 +19,8 @@ class Leadership:
 
     A vehicle becomes leader by command, or as successor of a lost leader. A newer term received from a peer makes it a
     follower, even a leader that missed the command or restarted: the leader of that term knows its role. A received term
-    without a leader that is alive ends after UNCONFIRMED_S, with the role before. A command may raise the epoch by
+    without a leader that is alive ends after UNCONFIRMED_S, with the role before. Only a leader raises stamps: a beacon that
+    vehicles pass to each other proves nothing, however young it is on its way. A command may raise the epoch by
     NUMBERS_AHEAD; `core/consensus/neighbourhood.py` allows peer packets less. A command may also name an epoch so far below
     that peers of the epoch left are not believed: the own one was wrong, and so one command reaches every vehicle.
 
@@ -33,9 +36,8 @@ class Leadership:
         self.term: Term = (0, 0)
         self.role = self._role_in(self._commanded)
         self._unconfirmed: tuple[float, Term, Role] | None = None  # since when, and term and role before
-        self._refuted: tuple[
-            tuple[Term, int], ...
-        ] = ()  # term and stamp that made no difference: still passed on by others
+        self._stamps: dict[int, int] = {}  # largest of each leader of an unconfirmed term
+        self._refuted: tuple[tuple[Term, int], ...] = ()  # terms and stamps that others may still pass on
 
     @property
     def epoch(self) -> int:
@@ -64,24 +66,41 @@ class Leadership:
 
     def receive(self, now_s: float, beacons: Iterable[LeaderBeacon | None]) -> tuple[Notice, ...]:
         """Enter the newest term in the leader beacons of peers, until `settle` decides on it."""
-        alive = [(b.term, b.stamp) for b in beacons if b is not None and (b.term, b.stamp) not in self._refuted]
-        newest, stamp = max(alive, default=(self.term, 0))
-        if newest <= self.term:
+        new = [b for b in beacons if b is not None and b.term > self.term and (b.term, b.stamp) not in self._refuted]
+        if not new:
             return ()
+        newest = max(new, key=lambda beacon: (beacon.term, beacon.stamp))
         term, role = self._unconfirmed[1:] if self._unconfirmed else (self.term, self.role)
-        events = self._enter(newest, Role.FOLLOWER, "reported by a peer")
-        self._unconfirmed, self._refuted = (now_s, term, role), ((newest, stamp),)
+        events = self._enter(newest.term, Role.FOLLOWER, "reported by a peer")
+        self._unconfirmed, self._stamps = (now_s, term, role), {newest.leader_id: newest.stamp}
+        self._refute(newest.term)
         return events
 
-    def settle(self, now_s: float, led: bool) -> tuple[Notice, ...]:
-        """Keep a received term where its leader is alive (`led`) after UNCONFIRMED_S; else return to the term before."""
-        if self._unconfirmed is None or now_s - self._unconfirmed[0] <= UNCONFIRMED_S:
+    def settle(self, now_s: float, beacons: Iterable[LeaderBeacon]) -> tuple[Notice, ...]:
+        """Keep a received term once a stamp rises in these beacons of peers; else return to the term before."""
+        if self._unconfirmed is None:
             return ()
-        _, term, role = self._unconfirmed
-        self._unconfirmed = None
-        if led:
+        since_s, term, role = self._unconfirmed
+        rises = [self._rises(beacon) for beacon in beacons if beacon.term == self.term]
+        if any(rises) and now_s - since_s >= RISES_AFTER_S:
+            self._unconfirmed = None
+        if self._unconfirmed is None or now_s - since_s <= UNCONFIRMED_S:
             return ()
+        self._refute(self.term)
         return self._enter(term, role, f"no leader of epoch {self.epoch}")
+
+    def _rises(self, beacon: LeaderBeacon) -> bool:
+        """Whether the stamp of this leader is larger than all of its before. Several leaders of a term have a clock each."""
+        before = self._stamps.get(beacon.leader_id)
+        if beacon.leader_id == self._own_id or (before is not None and beacon.stamp <= before):
+            return False
+        self._stamps[beacon.leader_id] = beacon.stamp
+        return before is not None
+
+    def _refute(self, term: Term) -> None:
+        """Ignore the newest beacons of this term from now on: they enter it once."""
+        refuted = [(term, stamp) for stamp in self._stamps.values() if (term, stamp) not in self._refuted]
+        self._refuted = (*self._refuted, *refuted)[-REFUTED:]
 
     def _refusal(self, lead: Lead) -> Notice | None:
         not_allowed = sorted(set(lead.leaders) - self._may_lead)

@@ -9,6 +9,7 @@ from companion.types.formation import LeaderBeacon
 
 # On average a packet waits half a tick until it is read; without this each change of leader would lose as much.
 WAITED_S = 0.01
+CORRECTION_S = 0.1  # followed at once: what packets' delays change by
 DIFFERS_FOR_S = 0.5  # longer than any one beacon counts: then another mission time is true
 FALLS_BACK_S = 1.0  # a larger step back than any correction: mission time restarted
 
@@ -60,14 +61,20 @@ class MissionClock:
         return other.reference_s == 0.0 or abs(other.reference_s + other_age_s - (now_s - self._zero_s)) < FALLS_BACK_S
 
     def _is_believed(self, now_s: float, zero_s: float) -> bool:
-        """Whether to follow a beacon: at once in small steps, else after DIFFERS_FOR_S of beacons that agree."""
+        """Whether to follow a beacon: at once in small steps, else after DIFFERS_FOR_S of beacons that agree.
+
+        Larger steps of single beacons would add up, and a fall that does not last would restart the formation's time.
+        """
         own_zero_s = self._zero_s if self.runs else now_s - self._counted_s
-        if abs(zero_s - own_zero_s) <= FALLS_BACK_S:
+        if abs(zero_s - own_zero_s) <= CORRECTION_S:
             self._rival = None
             return True
         if self._rival is None or abs(zero_s - self._rival[0]) > FALLS_BACK_S:
             self._rival = (zero_s, now_s)
-        return now_s - self._rival[1] >= DIFFERS_FOR_S
+        if now_s - self._rival[1] < DIFFERS_FOR_S:
+            return False
+        self._rival = None
+        return True
 
     def _run(self, now_s: float) -> float:
         self._counted_s, self.runs = now_s - self._zero_s, True

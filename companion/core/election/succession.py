@@ -12,6 +12,7 @@ from math import inf
 from companion.types.formation import Term
 
 TURN_S = 0.3  # longer than a claim needs to reach the next successor; otherwise the better rank wins later
+RETURN_S = 0.4  # the leader may leave a term without a leader later than this vehicle, and its beacon is on the way for as long
 
 
 class Succession:
@@ -20,6 +21,7 @@ class Succession:
     The successor of rank k becomes leader k turns after the beacon was lost. All vehicles stop waiting two turns after the last
     successor's, which may have noticed the loss later; without successors, or without a neighbour in formation, after one turn,
     before any successor's turn. After a new term is received, waiting starts again, as its beacon is on the way.
+    After the return from a term without a leader to one in which a leader was alive it lasts RETURN_S longer.
     """
 
     def __init__(self, own_id: int, successors: Sequence[int]) -> None:
@@ -28,11 +30,16 @@ class Succession:
         self._turns = len(successors) + 2 if successors else 1
         self._term: Term = (0, 0)
         self._led_s = -inf
+        self._led = False  # in the last tick
+        self._returns_s = 0.0  # after the present term, where it has no leader
 
     def awaits(self, now_s: float, term: Term, led: bool, with_neighbours: bool) -> bool:
         """Whether a leader is known, or may still appear. `with_neighbours`: a neighbour flies in formation."""
+        if term > self._term:
+            self._returns_s = RETURN_S if self._led else 0.0
         if led or term != self._term:
-            self._led_s, self._term = now_s, term
+            self._led_s = max(self._led_s, now_s + self._returns_s if term < self._term else now_s)
+        self._term, self._led = term, led
         return now_s - self._led_s <= TURN_S * (self._turns if with_neighbours else 1)
 
     def rank_in_turn(self, now_s: float) -> int:

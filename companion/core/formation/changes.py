@@ -161,7 +161,8 @@ class Changes:
             return ()
         events = []
         first_id = self._first_leader(flight, consensus)
-        for vehicle_id, change in changes:
+        of_first = [(vehicle_id, change) for vehicle_id, change in changes if vehicle_id == first_id]
+        for vehicle_id, change in of_first or changes:
             if not self._slots.lacks(change, over_own=vehicle_id == first_id):
                 continue
             accepted, notice = self._change_formation(change, vehicle, flight, consensus, slot)

@@ -105,11 +105,14 @@ class SlotPlan:
         self._waiting = None
 
     def lacks(self, change: FormationChange, over_own: bool) -> bool:
-        """Whether a change passed on by a leader is new here; with `over_own` also if another of its number waits."""
-        waiting, flown = self._waiting, self._flown
-        if waiting is not None and change.number <= waiting.number:
-            return over_own and change.number == waiting.number and change != waiting
-        return change.number != flown.number
+        """Whether a change passed on by a leader is new here.
+
+        With `over_own` also if another one waits, of any number: one that the leader does not have would not begin.
+        """
+        waiting = self._waiting
+        if waiting is not None and change.number <= waiting.number and not over_own:
+            return False
+        return change != waiting and change.number != self._flown.number
 
     def is_settled(self, reference_s: float) -> bool:
         """Whether no change waits, and the formation flown has been reached."""

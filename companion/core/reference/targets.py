@@ -62,7 +62,7 @@ class Targets:
                 self.rejected = counted(self.rejected, code)
             else:
                 stream = self._streams[sample.name]
-                measured_s = sample.sample.sent_s + stream.clock.least_apart_s
+                measured_s = sample.received_s - stream.late_s(sample.sample.sent_s)
                 self._newest[sample.name] = Target(
                     sample.sample, sample.received_s, stream.clock.least_apart_s, measured_s
                 )

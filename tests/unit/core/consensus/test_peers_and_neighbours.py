@@ -277,6 +277,62 @@ def test_a_wrong_first_packet_locks_no_peer_out(wrong: dict[str, Any]) -> None:
     assert link.fresh(0.01)[2].packet.sequence == link.sent
 
 
+def ages_s(link: DelayedLink, ticks: int) -> list[float]:
+    """Age of the peer's state 10 ms after each of its next packets, in which it is 10 ms old, without any delay; inf: stale."""
+    ages = []
+    for _ in range(ticks):
+        link.send(0.01)
+        peers = link.fresh(0.02)
+        ages.append(link.sent_s + 0.02 - peers[2].measured_s if 2 in peers else inf)
+    return ages
+
+
+@pytest.mark.parametrize("early_s", [0.004, 0.03, 0.0999])
+def test_one_early_packet_costs_5_ms_of_age(early_s: float) -> None:
+    link = DelayedLink()
+    link.send(0.01, ticks=100)
+    link.send(0.01, sent_s=8000.0 + 0.02 * (link.sent + 1) + early_s)
+    assert link.fresh(0.01)[2].measured_s == pytest.approx(link.sent_s)  # used, and not from the future
+    assert max(ages_s(link, 100)) < 0.02 + 0.0051
+
+
+@pytest.mark.parametrize("established", [1, 2, 5, 25, 100])
+@pytest.mark.parametrize("packets", [1, 2, 3, 5, 10])
+@pytest.mark.parametrize("early_s", [0.003, 0.03, 0.0965, 0.0995, 0.29, 0.299])
+def test_early_packets_make_no_peer_old_for_long(early_s: float, packets: int, established: int) -> None:
+    """Each is earlier than the one before by as much."""
+    link = DelayedLink()
+    link.send(0.01, ticks=established)
+    for k in range(1, packets + 1):
+        link.send(0.01, sent_s=8000.0 + 0.02 * (link.sent + 1) + early_s * k)
+    assert max(ages_s(link, 100)[27:]) <= 0.02 + 0.0201
+
+
+@pytest.mark.parametrize("early_s", [0.05, 0.29, 0.299, 5.0])
+def test_an_early_first_packet_makes_no_peer_old_for_long(early_s: float) -> None:
+    link = DelayedLink()
+    link.send(0.01, sent_s=8000.02 + early_s)
+    assert max(ages_s(link, 100)[27:]) <= 0.0201
+
+
+def test_congestion_that_lasts_is_seen() -> None:
+    link = DelayedLink()
+    link.send(0.01, ticks=50)
+    for _ in range(60 * 50):
+        link.send(0.21)
+        assert (
+            link.sent_s + 0.21 - link.fresh(0.21)[2].measured_s > 0.01 + 0.19 - 0.013
+        )  # 200 ms, less the clocks' drift
+
+
+def test_the_age_is_right_soon_after_a_congestion_at_the_start() -> None:
+    link = DelayedLink()
+    link.send(0.09, ticks=50)
+    assert min(ages_s(link, 10)) >= 0.02 - 1e-9  # never from the future
+    link.send(0.09)
+    assert link.sent_s + 0.09 - link.fresh(0.09)[2].measured_s == pytest.approx(0.01 + 0.08, abs=1e-3)
+
+
 def test_accelerations_are_used_within_the_fleet_s_limits() -> None:
     peers = table()
     slot = FlownSlot((-1.5, 0.0, 0.0), acceleration_enu_m_s2=(0.0, 0.0, -90.0))

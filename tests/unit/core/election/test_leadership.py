@@ -199,6 +199,27 @@ def test_one_wrong_mission_time_is_not_followed() -> None:
         assert clock.update(now_s, True, beacon, 0.0) == pytest.approx(60.0 + 0.02 * tick + WAITED_S)
 
 
+@pytest.mark.parametrize("step_s", [0.08, 0.95, -0.95])
+@pytest.mark.parametrize("packets", [1, 2])
+def test_wrong_mission_times_shift_a_clock_by_little_and_not_for_long(packets: int, step_s: float) -> None:
+    """Each differs from the one before by as much. A fall of more than a second would restart the formation's time."""
+    clock = clock_at(60.0, now_s=100.0)
+    for tick in range(1, 60):
+        true_s = 60.0 + 0.02 * tick
+        wrong_s = step_s * tick if tick <= packets else 0.0
+        counted_s = clock.update(100.0 + 0.02 * tick, True, LeaderBeacon(1, 0, tick, true_s + wrong_s), 0.0)
+        assert counted_s - true_s == pytest.approx(WAITED_S, abs=0.17)
+        if tick > packets + round(0.52 / TICK_S):
+            assert counted_s - true_s == pytest.approx(WAITED_S)
+
+
+def test_a_mission_time_that_differs_by_half_a_second_is_followed_when_it_lasts() -> None:
+    clock = clock_at(60.0, now_s=100.0)
+    for tick in range(1, 27):
+        counted_s = clock.update(100.0 + 0.02 * tick, True, LeaderBeacon(1, 0, tick, 60.5 + 0.02 * tick), 0.0)
+        assert counted_s - 0.02 * tick == pytest.approx((60.5 if tick == 26 else 60.0) + WAITED_S)
+
+
 def test_one_wrong_mission_time_does_not_start_a_clock_that_is_stopped() -> None:
     """A leader in hold would lead from there; the operator's next change would begin too late for all others."""
     clock, wrong = clock_at(60.0, now_s=100.0), LeaderBeacon(2, 0, 9, 9e5)
@@ -222,16 +243,34 @@ def test_a_received_term_ends_without_a_leader_alive() -> None:
     vehicle = Leadership(1, [1], (1, 2))
     vehicle.receive(0.0, [LeaderBeacon(2, 1000, 5)])
     assert (vehicle.role, vehicle.epoch) == (Role.FOLLOWER, 1000)
-    vehicle.settle(0.2, led=False)
+    vehicle.settle(0.2, [LeaderBeacon(2, 1000, 5)])
     assert vehicle.epoch == 1000
-    vehicle.settle(0.32, led=False)
+    vehicle.settle(0.32, [LeaderBeacon(2, 1000, 5)])  # younger than UNCONFIRMED_S on its way, and no proof
     assert (vehicle.role, vehicle.epoch) == (Role.LEADER, 0)
     vehicle.receive(0.34, [LeaderBeacon(2, 1000, 5)])  # still passed on by others
     assert vehicle.epoch == 0
-    vehicle.receive(0.4, [LeaderBeacon(2, 3, 5)])
-    vehicle.settle(0.8, led=True)
-    vehicle.settle(5.0, led=False)
+
+
+def test_a_received_term_with_a_leader_alive_stays() -> None:
+    vehicle = Leadership(1, [1], (1, 2))
+    vehicle.receive(0.0, [LeaderBeacon(2, 3, 5)])
+    vehicle.settle(0.2, [LeaderBeacon(2, 3, 205)])
+    vehicle.settle(5.0, [])
     assert (vehicle.role, vehicle.epoch) == (Role.FOLLOWER, 3)
+
+
+def test_beacons_of_one_moment_confirm_no_term() -> None:
+    vehicle = Leadership(1, [1], (1, 2))
+    vehicle.receive(0.0, [LeaderBeacon(2, 3, 5)])
+    vehicle.settle(0.02, [LeaderBeacon(2, 3, 5), LeaderBeacon(2, 3, 25)])
+    vehicle.settle(0.2, [LeaderBeacon(2, 3, 25), LeaderBeacon(1, 3, 10**6)])  # the own id, and so no other leader
+    vehicle.settle(0.32, [LeaderBeacon(2, 3, 25)])
+    assert (vehicle.role, vehicle.epoch) == (Role.LEADER, 0)
+    for stamp in (5, 25):
+        vehicle.receive(0.34, [LeaderBeacon(2, 3, stamp)])
+    assert vehicle.epoch == 0
+    vehicle.receive(0.36, [LeaderBeacon(2, 3, 45)])
+    assert vehicle.epoch == 3
 
 
 @pytest.mark.parametrize("in_formation", [True, False])

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from companion.core.consensus.neighbourhood import Consensus
 from companion.core.election.leader_beacon import BeaconMonitor
-from companion.core.election.leadership import Leadership
+from companion.core.election.leadership import UNCONFIRMED_S, Leadership
 from companion.core.election.succession import TURN_S, Succession
 from companion.stability.interaction import settled_prcs
 from companion.types.commands import MAX_EPOCH, Lead
@@ -125,12 +125,16 @@ def test_the_old_leader_returns_as_a_follower() -> None:
         assert leaders_in(fleet.tick()) == [2]
 
 
-def test_the_next_successor_leads_in_a_newer_epoch_when_the_first_dies() -> None:
+@pytest.mark.parametrize(("leads_s", "term"), [(0.0, (1, -2)), (0.4, (2, -2))])
+def test_the_next_successor_leads_when_the_first_dies(leads_s: float, term: tuple[int, int]) -> None:
+    """In a newer epoch, where all vehicles knew that the first was alive."""
     fleet = fleet_in_flight(tuple((i, i + 1) for i in range(1, 6)), successors=(2, 3))
-    for dead, by, epoch in (({1}, 2, 1), ({1, 2}, 3, 2)):
-        fleet.dead = dead
-        seconds_until_led(fleet, by)
-        assert {what.epoch for what in fleet.tick().values()} == {epoch}
+    fleet.dead = {1}
+    seconds_until_led(fleet, by=2)
+    assert {what.term for what in fleet.fly(1 + round(leads_s / TICK_S)).values()} == {(1, -1)}
+    fleet.dead = {1, 2}
+    assert seconds_until_led(fleet, by=3) < UNCONFIRMED_S + 2 * TURN_S + 7 * TICK_S
+    assert {what.term for what in fleet.tick().values()} == {term}
 
 
 @pytest.mark.parametrize("phase", [FlightPhase.HOLD, FlightPhase.RELEASE, FlightPhase.LAND, FlightPhase.OBSERVE])

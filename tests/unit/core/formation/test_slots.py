@@ -372,6 +372,18 @@ def test_a_leader_passes_on_the_formation_flown_while_a_peer_lacks_it() -> None:
     assert slots.to_pass_on([other(2, 2, 2)]) == CHANGE  # a change that was cancelled
 
 
+@pytest.mark.parametrize("number", [2, 1000])
+def test_the_first_leader_replaces_a_waiting_change_of_any_number(number: int) -> None:
+    """One packet in the leader's name stopped all of its changes for a minute."""
+    slots, wrong = plan(), replace(CHANGE, number=number, begins_s=60.0)
+    assert slots.change(wrong, 9.0, (), ())[0]
+    assert not slots.lacks(CHANGE, over_own=False)
+    assert slots.lacks(CHANGE, over_own=True)
+    assert slots.change(CHANGE, 9.0, (), ())[0]
+    assert flown(slots, 10.0, KNOW, in_formation=True).formation == 1
+    assert not slots.lacks(CHANGE, over_own=True)  # flown: the leader sends it while a peer lacks it
+
+
 def test_the_change_of_the_first_leader_wins_when_two_have_one_number() -> None:
     slots, same_number = plan(), replace(CHANGE, begins_s=11.0)
     assert slots.lacks(CHANGE, over_own=False)
