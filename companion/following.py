@@ -20,7 +20,8 @@ from companion.config.reference_check import largest_pace
 from companion.config.topology import neighbour_graph
 from companion.config.validation import Problem, needs
 from companion.core.consensus.law import FormationLaw
-from companion.core.formation.following import ROUNDING, Chain, Harmonic, Motion, Pair, slower_by, too_close
+from companion.core.formation.following import ROUNDING, Chain, Harmonic, Motion, Pair, refused_cases, slower_by
+from companion.core.paced import Steps, whole
 from companion.geometry.curves import PEAK_ACCELERATION, PEAK_SPEED, duration_s
 from companion.geometry.separation import counted
 from companion.types.flight import Role
@@ -39,32 +40,47 @@ def following_problems(
     where: str = "reference",
 ) -> Iterator[Problem]:
     """One problem where the formation would be compressed below separation_m, with the pace that would be accepted."""
+    problem = whole(following_steps(fleet, law, reference, slots_enu_m, drag_1_s, where))
+    return iter(() if problem is None else (problem,))
+
+
+def following_steps(
+    fleet: FleetConfig,
+    law: FormationLaw,
+    reference: Reference,
+    slots_enu_m: Mapping[int, Vector3],
+    drag_1_s: float = USUAL_DRAG_1_S,
+    where: str = "reference",
+) -> Steps[Problem | None]:
+    """`following_problems` in steps."""
     needs(reference)
     motions = motions_of(reference, fleet.slots_turn)
     if not motions or len(slots_enu_m) < 2:
-        return
+        return None
     slots_m = {i: counted(slot, fleet.law.altitude == "formation") for i, slot in slots_enu_m.items()}
     if min(dist(a, b) for a, b in combinations(slots_m.values(), 2)) < fleet.separation_m * (1.0 - ROUNDING):
-        return  # refused by themselves
+        return None  # refused by themselves
     chains = chains_of(fleet, law, slots_enu_m, drag_1_s)
-    pair = too_close(chains, motions, slots_m, fleet.separation_m)
-    if pair is None:
-        return
-    times = slower_by(chains, motions, slots_m, fleet.separation_m)
+    yield
+    refused = yield from refused_cases(chains, motions, slots_m, fleet.separation_m)
+    if not refused:
+        return None
+    times = yield from slower_by(refused, slots_m, fleet.separation_m)
     field, value, advice = _slower(reference, times)
-    yield Problem(f"{where}.{field}", f"{value}: with {fleet.law.name} {_outcome(pair, fleet)}; expected {advice}")
+    outcome = _outcome(refused[0].pair, fleet)
+    return Problem(f"{where}.{field}", f"{value}: with {fleet.law.name} {outcome}; expected {advice}")
 
 
 def chains_of(
     fleet: FleetConfig, law: FormationLaw, slots_enu_m: Mapping[int, Vector3], drag_1_s: float
-) -> list[Chain]:
+) -> Iterator[Chain]:
     """The formation with its leaders at the start, and with each other vehicle that may lead as the only leader."""
     graph = neighbour_graph(fleet.neighbours, slots_enu_m)
     leaders = [frozenset(m.id for m in fleet.vehicles if m.role is Role.LEADER)]
     leaders += [frozenset({m.id}) for m in fleet.vehicles if m.can_lead and {m.id} != leaders[0]]
     envelope = fleet.envelope
     most_m_s2 = GRAVITY_M_S2 * tan(radians(envelope.max_tilt_deg))
-    return [Chain(law, graph, of, drag_1_s, envelope.max_speed_m_s, most_m_s2) for of in leaders]
+    return (Chain(law, graph, of, drag_1_s, envelope.max_speed_m_s, most_m_s2) for of in leaders)
 
 
 def motions_of(reference: Reference, slots_turn: bool) -> list[Motion]:
