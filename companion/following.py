@@ -21,10 +21,10 @@ from companion.config.topology import neighbour_graph
 from companion.config.validation import Problem, needs
 from companion.core.consensus.law import FormationLaw
 from companion.core.formation.following import ROUNDING, Chain, Harmonic, Motion, Pair, refused_cases, slower_by
-from companion.core.paced import Steps, whole
 from companion.geometry.curves import PEAK_ACCELERATION, PEAK_SPEED, duration_s
 from companion.geometry.separation import counted
 from companion.types.flight import Role
+from companion.types.steps import Steps, whole
 from companion.types.vectors import GRAVITY_M_S2, Vector3
 
 USUAL_DRAG_1_S = 0.25  # of a small open quadrotor

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from companion.core.consensus.law import FormationLaw
 from companion.core.consensus.priority import next_prc
 from companion.core.consensus.weights import neighbour_weights
-from companion.core.paced import Steps, whole
 from companion.geometry.vectors import minus
+from companion.types.steps import Steps, whole
 from companion.types.vectors import Vector3
 
 LAG_S, DELAY_S, FEEDFORWARD_DELAY_S = 0.2, 0.05, 0.02  # of stability/prediction.py

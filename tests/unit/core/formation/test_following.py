@@ -9,8 +9,8 @@ import pytest
 
 from companion.core.consensus.law import FormationLaw, average_22, average_26, cooperative, weighted
 from companion.core.formation.following import OVERSHOOT, Chain, Harmonic, refused_cases, slower_by, too_close
-from companion.core.paced import whole
 from companion.stability.interaction import couple
+from companion.types.steps import whole
 from companion.types.vectors import Vector3
 
 LAWS = [weighted(), average_22(), average_26(), cooperative()]
