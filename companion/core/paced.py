@@ -9,11 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable
 from enum import Enum, auto
 from math import inf
-from typing import Any
+from typing import Any, Final
 
+from companion.types.notices import Answer, Code, Notice
 from companion.types.steps import Result, Steps
 
 STEPS_PER_TICK = 4
+BEING_CHECKED = Answer(False, Notice(Code.CHANGE_IN_PROGRESS, "is being checked"))  # the answer comes in a later tick
 RESULTS_KEPT = 4  # leaders send a change in every tick until all have it
 
 
@@ -23,7 +25,7 @@ class Pending(Enum):
     PENDING = auto()
 
 
-PENDING = Pending.PENDING
+PENDING: Final = Pending.PENDING
 
 
 class PacedChecks:

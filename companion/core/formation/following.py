@@ -248,9 +248,7 @@ def _nearest_m(apart_m: Reals, motions: Sequence[Motion], first: Indices, shifts
     return np.array([_nearest_on_curve_m(apart_m, motion, shifts[at : at + len(motion)]) for motion, at in each])
 
 
-def _nearest_in_any_direction_m(
-    apart_m: Reals, motions: Sequence[Motion], first: Indices, shifts: Complexes
-) -> Reals:
+def _nearest_in_any_direction_m(apart_m: Reals, motions: Sequence[Motion], first: Indices, shifts: Complexes) -> Reals:
     amplitudes = np.array([harmonic.amplitude_enu_m for motion in motions for harmonic in motion])
     sizes = np.abs(shifts)
     level = np.add.reduceat(sizes * amplitudes[:, :2].max(axis=1)[:, None], first)
