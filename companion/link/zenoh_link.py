@@ -45,8 +45,9 @@ PACKETS_KEPT_PER_VEHICLE = 8
 COMMANDS_KEPT = 32
 ABORTS_KEPT = 4  # ABORT is idempotent: more of them say nothing more
 # Samples on the abort key between two ticks. All are read, and what is no ABORT is dropped before it can displace one.
-ABORT_SAMPLES_KEPT = 512
-LONGEST_ABORT = 512  # bytes; a longer message is dropped without decoding
+ABORT_SAMPLES_KEPT = 256
+LONGEST_ABORT = 512  # bytes; a longer message, or one without this text, is dropped without decoding
+ABORT_TEXT = CommandName.ABORT.encode()
 UNANSWERED_KEPT = 2 * COMMANDS_KEPT  # commands whose reply is not logged yet; a check may take several ticks
 TARGETS_KEPT = 32
 TRAFFIC_KEPT = 32  # samples between two ticks: a flood costs no more
@@ -216,7 +217,7 @@ class ZenohLink:
         for sample in drain(self._aborts, ABORT_SAMPLES_KEPT):
             if len(aborts) == ABORTS_KEPT:
                 continue  # the channel is emptied all the same
-            if len(sample.payload) > LONGEST_ABORT:
+            if len(sample.payload) > LONGEST_ABORT or ABORT_TEXT not in sample.payload.to_bytes():
                 self._reject(Code.COMMAND_MALFORMED)
             elif (command := self._decoded(sample)) is not None:
                 if command.name is CommandName.ABORT:
