@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from itertools import combinations, pairwise
-from math import ceil, dist, floor, hypot, inf, radians, tan, tau
+from math import ceil, dist, floor, hypot, inf, log, radians, tan, tau
 
 from companion.config.fleet import FleetConfig
 from companion.config.reference import (
@@ -28,6 +28,7 @@ from companion.types.steps import Steps, whole
 from companion.types.vectors import GRAVITY_M_S2, Vector3
 
 USUAL_DRAG_1_S = 0.25  # of a small open quadrotor
+MANY_LEGS, DURATION_STEP = 32, 1.06
 TARGET_RATES = (0.1, 0.3, 1.0, 2.0, 4.0)  # of a target's motion, in units of largest acceleration over largest speed
 
 
@@ -113,14 +114,20 @@ def motions_of(reference: Reference, slots_turn: bool) -> list[Motion]:
 
 
 def _legs(reference: WaypointsReference, slots_turn: bool) -> Iterator[Harmonic]:
-    """One harmonic for each leg with another direction or pace."""
+    """One harmonic for each leg with another direction or pace.
+
+    Of many legs the duration is shortened by up to DURATION_STEP, so that few rates remain: they are the dear part.
+    """
     limits = (reference.max_speed_m_s, reference.max_acceleration_m_s2)
+    lengths_m = [(a, b, leg_m) for a, b in pairwise(reference.points_enu_m) if (leg_m := dist(a, b)) > 1e-6]
+    shortest_s = min((duration_s(leg_m, *limits) for _, _, leg_m in lengths_m), default=0.0)
     seen = set()
-    for a, b in pairwise(reference.points_enu_m):
-        leg_m = dist(a, b)
+    for a, b, leg_m in lengths_m:
         lasts_s = duration_s(leg_m, *limits)
-        if leg_m <= 1e-6 or lasts_s <= 0.0:
+        if lasts_s <= 0.0:
             continue
+        if len(lengths_m) > MANY_LEGS:
+            lasts_s = shortest_s * DURATION_STEP ** floor(log(lasts_s / shortest_s) / log(DURATION_STEP) + 1e-9)
         direction = ((b[0] - a[0]) / leg_m, (b[1] - a[1]) / leg_m, (b[2] - a[2]) / leg_m)
         key = (round(leg_m, 3), *(round(abs(c), 3) for c in direction))
         if key in seen:

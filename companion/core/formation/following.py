@@ -11,17 +11,14 @@ and for a leader the same with the reference as one more neighbour. The solution
 
 from __future__ import annotations
 
+from cmath import exp
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from math import hypot, inf
-
-import numpy as np
-from numpy.typing import NDArray
+from math import cos, dist, hypot, inf, pi, sin
 
 from companion.core.consensus.law import FormationLaw
 from companion.core.consensus.priority import next_prc
 from companion.core.consensus.weights import neighbour_weights
-from companion.geometry.vectors import minus
 from companion.types.steps import Steps, whole
 from companion.types.vectors import Vector3
 
@@ -30,12 +27,9 @@ PHASES = 48  # of a lap at which two harmonics are added
 SLOWER, FINER, MOST_STEPS = 1.5, 6, 10  # search for the pace that would do
 OVERSHOOT = 1.3  # of the shift of two vehicles when a motion begins, relative to that of the steady motion; flown: 1.2
 ROUNDING = 0.02  # of the separation: less than sensor errors
-PAIRS_PER_STEP = 1500  # of vehicles, over all motions of a step
+COST_PER_STEP = 700  # see Chain.cost
 
 Graph = Mapping[int, Sequence[int]]
-Reals = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
-Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,73 +75,73 @@ class Chain:
     drag_1_s: float
     speed_m_s: float
     acceleration_m_s2: float
-    _weights: Reals = field(init=False, repr=False, compare=False)  # w_ij: a row for each vehicle
-    _leads: NDArray[np.bool_] = field(init=False, repr=False, compare=False)
+    _weights: dict[int, tuple[Sequence[int], Sequence[float]]] = field(init=False, repr=False, compare=False)
+    _known: dict[float, dict[int, complex]] = field(init=False, repr=False, compare=False)  # responses by rate
 
     def __post_init__(self) -> None:
-        column, prcs = {i: k for k, i in enumerate(self.graph)}, _prcs(self.graph, self.leaders)
-        weights = np.zeros((len(column), len(column)))
+        prcs = _prcs(self.graph, self.leaders)
+        weights = {}
         for i, neighbours in self.graph.items():
             used = neighbours if i not in self.leaders or self.law.leader_uses_neighbours else ()
-            of_used = neighbour_weights([prcs[j] for j in used], self.law.exponent)
-            weights[column[i], [column[j] for j in used]] = of_used
+            weights[i] = (used, neighbour_weights([prcs[j] for j in used], self.law.exponent))
         object.__setattr__(self, "_weights", weights)
-        object.__setattr__(self, "_leads", np.array([i in self.leaders for i in self.graph]))
+        object.__setattr__(self, "_known", {})
+
+    def cost(self, motion: Motion) -> int:
+        """Work of `closest`, about in microseconds: of each pair, and of each rate that is new."""
+        n = len(self.graph)
+        new = sum(harmonic.rate_rad_s not in self._known for harmonic in motion)
+        return n * (n - 1) // 2 * (1 if len(motion) == 1 else PHASES // 2) + new * n**3 // 4
 
     def responses(self, rate_rad_s: float) -> dict[int, complex]:
         """x_i/r of each vehicle at this rate."""
-        (row,) = self.responses_at(np.array([rate_rad_s]))
-        return {i: complex(response) for i, response in zip(self.graph, row, strict=True)}
+        if (known := self._known.get(rate_rad_s)) is None:
+            known = self._known[rate_rad_s] = self._responses(rate_rad_s)
+        return known
 
-    def responses_at(self, rates_rad_s: Reals) -> Complexes:
-        """x_i/r at each of these rates: a row for each rate, a column for each vehicle in the order of the graph."""
-        s = 1j * rates_rad_s
-        gains, g, leads = self.law.gains, self.law.feedforward, self._leads
-        plant, follow = s * s + self.drag_1_s * s, np.exp(-s * DELAY_S) / (1.0 + s * LAG_S)
+    def _responses(self, rate_rad_s: float) -> dict[int, complex]:
+        s = 1j * rate_rad_s
+        gains, g = self.law.gains, self.law.feedforward
+        plant, follow = s * s + self.drag_1_s * s, exp(-s * DELAY_S) / (1.0 + s * LAG_S)
         fed_back = follow * (gains.position_1_s2 + gains.velocity_1_s * s)
-        from_neighbours = fed_back + g * np.exp(-s * FEEDFORWARD_DELAY_S) * plant
-        from_each = np.where(leads, fed_back[:, None], from_neighbours[:, None])
-        rows = -from_each[:, :, None] * self._weights
-        n = len(leads)
-        used = leads.astype(float) + self._weights.any(axis=1)
-        rows[:, range(n), range(n)] += plant[:, None] + fed_back[:, None] * used
-        right = np.where(leads, (fed_back + g * follow * s * s)[:, None], 0.0)
-        return np.asarray(np.linalg.solve(rows, right[..., None])[..., 0])
+        from_neighbours = fed_back + g * exp(-s * FEEDFORWARD_DELAY_S) * plant
+        rows: dict[int, dict[int, complex]] = {}
+        right: dict[int, complex] = {}
+        for i, neighbours in self.graph.items():
+            leads, (used, weights) = i in self.leaders, self._weights[i]
+            from_each = fed_back if leads else from_neighbours
+            row = dict.fromkeys(neighbours, 0j)
+            row |= {j: -from_each * weight for j, weight in zip(used, weights, strict=True)}
+            row[i] = plant + fed_back * ((1.0 if leads else 0.0) + (1.0 if used else 0.0))
+            rows[i], right[i] = row, (fed_back + g * follow * s * s) if leads else 0j
+        return _solved(rows, right)
 
     def closest(self, motion: Motion, slots_m: Mapping[int, Vector3]) -> Pair:
         """The least distance of any two vehicles in this motion; 0 for a vehicle beyond its speed or acceleration.
 
         `slots_m` are the slots in the coordinates that count for distances.
         """
-        return self.closest_of([motion], slots_m)[0]
-
-    def closest_of(self, motions: Sequence[Motion], slots_m: Mapping[int, Vector3]) -> list[Pair]:
-        """`closest` for each of these motions."""
-        harmonics = [harmonic for motion in motions for harmonic in motion]
-        first = np.cumsum([0, *(len(motion) for motion in motions[:-1])])  # harmonic of each motion
-        rates = np.array([harmonic.rate_rad_s for harmonic in harmonics])
-        sizes = np.array([harmonic.size_m for harmonic in harmonics])
-        responses = self.responses_at(rates)
-        moved = np.abs(responses) * (sizes * rates)[:, None]
-        speeds = np.add.reduceat(moved, first)
-        accelerations = np.add.reduceat(moved * np.abs(1j * rates + self.drag_1_s)[:, None], first)
-        too_fast = (speeds > self.speed_m_s * (1.0 + ROUNDING)) | (accelerations > self.acceleration_m_s2)
-        ids = list(self.graph)
-        column = {i: k for k, i in enumerate(ids)}
-        pairs = [(j, i) for index, i in enumerate(sorted(slots_m)) for j in sorted(slots_m)[:index]]
-        one, other = [column[j] for j, _ in pairs], [column[i] for _, i in pairs]
-        apart = np.array([minus(slots_m[i], slots_m[j]) for j, i in pairs])
-        shifts = OVERSHOOT * (responses[:, other] - responses[:, one])
-        distances = _nearest_m(apart, motions, first, shifts)
-        found = []
-        for fast, row in zip(too_fast, distances, strict=True):
-            if fast.any():
-                slow = ids[int(np.argmax(fast))]
-                found.append(Pair(slow, slow, 0.0))
-            else:
-                (j, i), nearest_m = pairs[int(np.argmin(row))], float(row.min())
-                found.append(Pair(j, i, nearest_m))
-        return found
+        responses = [self.responses(harmonic.rate_rad_s) for harmonic in motion]
+        for i in self.graph:
+            speed_m_s = acceleration_m_s2 = 0.0
+            for harmonic, response in zip(motion, responses, strict=True):
+                moved_m_s = abs(response[i]) * harmonic.size_m * harmonic.rate_rad_s
+                speed_m_s += moved_m_s
+                acceleration_m_s2 += moved_m_s * abs(1j * harmonic.rate_rad_s + self.drag_1_s)
+            if speed_m_s > self.speed_m_s * (1.0 + ROUNDING) or acceleration_m_s2 > self.acceleration_m_s2:
+                return Pair(i, i, 0.0)
+        worst = Pair(0, 0, inf)
+        ids = sorted(slots_m)
+        for index, i in enumerate(ids):
+            for j in ids[:index]:
+                apart_m = dist(slots_m[i], slots_m[j])
+                shifts = [OVERSHOOT * (response[i] - response[j]) for response in responses]
+                most_m = sum(abs(shift) * harmonic.size_m for shift, harmonic in zip(shifts, motion, strict=True))
+                if apart_m - most_m < worst.distance_m:
+                    nearest_m = _nearest_m(slots_m[i], slots_m[j], motion, shifts)
+                    if nearest_m < worst.distance_m:
+                        worst = Pair(j, i, nearest_m)
+        return worst
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,21 +157,19 @@ def refused_cases(
     chains: Iterable[Chain], motions: Sequence[Motion], slots_m: Mapping[int, Vector3], separation_m: float
 ) -> Steps[list[Case]]:
     """The cases in which two vehicles come nearer than `separation_m`."""
-    pairs, done = len(slots_m) * (len(slots_m) - 1) // 2, 0
-    curved = any(len(motion) > 1 for motion in motions)
-    cost = pairs * (PHASES // 6 if curved else 1)
-    at_once = max(1, PAIRS_PER_STEP // cost)
+    done = 0
     found: list[Case] = []
     for chain in chains:
-        done += 2 * pairs
-        for k in range(0, len(motions), at_once):
-            some = motions[k : k + at_once]
-            if done and done + cost * len(some) > PAIRS_PER_STEP:
+        done += len(slots_m) ** 2
+        for motion in motions:
+            cost = chain.cost(motion)
+            if done and done + cost > COST_PER_STEP:
                 done = 0
                 yield
-            nearest = zip(some, chain.closest_of(some, slots_m), strict=True)
-            found += [Case(chain, motion, pair) for motion, pair in nearest if _is_too_near(pair, separation_m)]
-            done += cost * len(some)
+            pair = chain.closest(motion, slots_m)
+            if _is_too_near(pair, separation_m):
+                found.append(Case(chain, motion, pair))
+            done += cost
     return found
 
 
@@ -235,42 +227,32 @@ def _is_too_near(pair: Pair, separation_m: float) -> bool:
     return pair.distance_m < separation_m * (1.0 - ROUNDING)
 
 
-def _nearest_m(apart_m: Reals, motions: Sequence[Motion], first: Indices, shifts: Complexes) -> Reals:
-    """Least distance of each pair in each motion: a row for each motion.
-
-    `apart_m` is between the slots of a pair. `shifts` are its responses to each harmonic, those of a motion from `first` on.
-    """
-    if all(any(harmonic.rotates for harmonic in motion) for motion in motions):
-        return _nearest_in_any_direction_m(apart_m, motions, first, shifts)
-    if all(len(motion) == 1 for motion in motions):
-        return _nearest_on_lines_m(apart_m, np.array([motion[0].amplitude_enu_m for motion in motions]), shifts)
-    each = zip(motions, first.tolist(), strict=True)
-    return np.array([_nearest_on_curve_m(apart_m, motion, shifts[at : at + len(motion)]) for motion, at in each])
-
-
-def _nearest_in_any_direction_m(apart_m: Reals, motions: Sequence[Motion], first: Indices, shifts: Complexes) -> Reals:
-    amplitudes = np.array([harmonic.amplitude_enu_m for motion in motions for harmonic in motion])
-    sizes = np.abs(shifts)
-    level = np.add.reduceat(sizes * amplitudes[:, :2].max(axis=1)[:, None], first)
-    rise = np.add.reduceat(sizes * amplitudes[:, 2:], first)
-    beside = np.maximum(0.0, np.hypot(apart_m[:, 0], apart_m[:, 1]) - level)
-    return np.asarray(np.hypot(beside, np.maximum(0.0, np.abs(apart_m[:, 2]) - rise)))
-
-
-def _nearest_on_lines_m(apart_m: Reals, amplitudes: Reals, shifts: Complexes) -> Reals:
-    """One harmonic moves a pair to and fro on a straight line."""
-    squared, sizes = (amplitudes**2).sum(axis=1)[:, None], np.abs(shifts)
-    way = np.clip(-(amplitudes @ apart_m.T) / squared, -sizes, sizes)
-    return np.asarray(np.linalg.norm(apart_m + way[:, :, None] * amplitudes[:, None, :], axis=2))
-
-
-def _nearest_on_curve_m(apart_m: Reals, motion: Motion, shifts: Complexes) -> Reals:
-    amplitudes = np.array([harmonic.amplitude_enu_m for harmonic in motion])
-    rates = np.array([harmonic.rate_rad_s for harmonic in motion])
-    angles = 2.0 * np.pi * np.arange(PHASES)[:, None] / PHASES * rates / rates.min()
-    moved = np.sin(angles)[:, :, None] * shifts.real + np.cos(angles)[:, :, None] * shifts.imag
-    ways = np.einsum("shp,ha->spa", moved, amplitudes)
-    return np.asarray(np.linalg.norm(apart_m + ways, axis=2).min(axis=0))
+def _nearest_m(one_m: Vector3, other_m: Vector3, motion: Motion, shifts: Sequence[complex]) -> float:
+    """Least distance of two vehicles whose slots are shifted by these responses to the harmonics."""
+    x, y, z = one_m[0] - other_m[0], one_m[1] - other_m[1], one_m[2] - other_m[2]
+    if any(harmonic.rotates for harmonic in motion):
+        level_m = sum(
+            abs(shift) * max(harmonic.amplitude_enu_m[:2]) for shift, harmonic in zip(shifts, motion, strict=True)
+        )
+        rise_m = sum(abs(shift) * harmonic.amplitude_enu_m[2] for shift, harmonic in zip(shifts, motion, strict=True))
+        return hypot(max(0.0, hypot(x, y) - level_m), max(0.0, abs(z) - rise_m))
+    if len(motion) == 1:  # to and fro on a straight line
+        ax, ay, az = motion[0].amplitude_enu_m
+        most = abs(shifts[0])
+        way = min(max(-(x * ax + y * ay + z * az) / (ax * ax + ay * ay + az * az), -most), most)
+        return hypot(x + way * ax, y + way * ay, z + way * az)
+    slowest_rad_s = min(harmonic.rate_rad_s for harmonic in motion)
+    nearest_m = inf
+    for step in range(PHASES):
+        phase = 2.0 * pi * step / PHASES
+        px, py, pz = x, y, z
+        for harmonic, shift in zip(motion, shifts, strict=True):
+            angle = phase * harmonic.rate_rad_s / slowest_rad_s
+            moved = shift.real * sin(angle) + shift.imag * cos(angle)
+            ax, ay, az = harmonic.amplitude_enu_m
+            px, py, pz = px + moved * ax, py + moved * ay, pz + moved * az
+        nearest_m = min(nearest_m, hypot(px, py, pz))
+    return nearest_m
 
 
 def _prcs(graph: Graph, leaders: Collection[int]) -> dict[int, int]:
@@ -283,3 +265,27 @@ def _prcs(graph: Graph, leaders: Collection[int]) -> dict[int, int]:
             break
         prcs = after
     return prcs
+
+
+def _solved(rows: dict[int, dict[int, complex]], right: dict[int, complex]) -> dict[int, complex]:
+    """Solution of a sparse system with a symmetric pattern, by elimination of the row with the fewest entries first."""
+    left, order = set(rows), []
+    while left:
+        pivot = min(left, key=lambda i: len(rows[i]))
+        left.discard(pivot)
+        order.append(pivot)
+        row = rows[pivot]
+        diagonal = row[pivot]
+        for i in row.keys() & left:
+            other = rows[i]
+            factor = other.pop(pivot) / diagonal
+            for j, value in row.items():
+                if j != pivot:
+                    other[j] = other.get(j, 0j) - factor * value
+            right[i] -= factor * right[pivot]
+    solution: dict[int, complex] = {}
+    for pivot in reversed(order):
+        row = rows[pivot]
+        rest = sum((value * solution[j] for j, value in row.items() if j != pivot), 0j)
+        solution[pivot] = (right[pivot] - rest) / row[pivot]
+    return solution

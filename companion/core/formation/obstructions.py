@@ -6,12 +6,11 @@ A vehicle in hold, or one that climbs, lands or returns, does not move with the 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-
-import numpy as np
-from numpy.typing import NDArray
+from itertools import pairwise
+from math import dist
 
 from companion.geometry.separation import counted
-from companion.geometry.vectors import plus
+from companion.geometry.vectors import minus, plus, scaled
 from companion.types.flight import HELD, ON_GROUND, STREAMING, FlightPhase
 from companion.types.notices import Code, Notice
 from companion.types.peers import PeerPacket
@@ -27,18 +26,18 @@ def refusal_of_tracks(tracks_enu_m: Tracks, peers: Iterable[PeerPacket], separat
     Of a peer in hold the height counts; one that climbs or comes down is in the way at every height. A vehicle that is already
     nearer at the beginning of its track is the separation filter's matter.
     """
-    staying = [peer for peer in peers if stays(peer)]
-    if not staying or not tracks_enu_m:
-        return None
-    tracks = {vehicle_id: np.array(track_enu_m) for vehicle_id, track_enu_m in tracks_enu_m.items()}
-    for peer in staying:
+    for peer in peers:
+        if not stays(peer):
+            continue
         has_height = peer.phase in HELD
-        scale = np.array(counted((1.0, 1.0, 1.0), has_height))
-        at = np.array(peer.position_enu_m) * scale
-        for vehicle_id, track in tracks.items():
-            points = track * scale - at
-            apart_m, begins_m = _least_m(points), float(np.linalg.norm(points[0]))
-            if apart_m < separation_m <= begins_m:
+        at = counted(peer.position_enu_m, has_height)
+        for vehicle_id, track_enu_m in tracks_enu_m.items():
+            points = [counted(point, has_height) for point in track_enu_m]
+            longest_m = max((dist(a, b) for a, b in pairwise(points)), default=0.0)
+            if min(dist(at, point) for point in points) - longest_m >= separation_m:
+                continue  # no segment comes nearer than that
+            apart_m = min((_off(at, a, b) for a, b in pairwise(points)), default=dist(at, points[0]))
+            if apart_m < separation_m <= dist(at, points[0]):
                 return Notice(
                     Code.VEHICLE_IN_THE_WAY,
                     f"vehicle {vehicle_id} would come within {apart_m:.2f} m of vehicle {peer.vehicle_id}, which is in phase"
@@ -64,11 +63,9 @@ def tracks_about(
     return {i: [plus(r, slots_enu_m[i]) for r in rft_enu_m] for i in vehicle_ids}
 
 
-def _least_m(points: NDArray[np.float64]) -> float:
-    """Least distance from the origin of the segments between these points."""
-    starts, ways = points[:-1], np.diff(points, axis=0)
-    if not len(ways):
-        return float(np.linalg.norm(points[0]))
-    squared = (ways**2).sum(axis=1)
-    shares = np.clip(-(starts * ways).sum(axis=1) / np.where(squared > 0.0, squared, 1.0), 0.0, 1.0)
-    return float(np.linalg.norm(starts + shares[:, None] * ways, axis=1).min())
+def _off(point: Vector3, a: Vector3, b: Vector3) -> float:
+    """Distance of a point from a segment."""
+    way, to = minus(b, a), minus(point, a)
+    squared = sum(c * c for c in way)
+    share = sum(c * d for c, d in zip(way, to, strict=True)) / squared if squared > 0.0 else 0.0
+    return dist(point, plus(a, scaled(way, min(max(share, 0.0), 1.0))))
