@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from functools import lru_cache
 from math import hypot, radians, tan
 from pathlib import Path
 from typing import TypeVar
-
-import msgspec
 
 from companion.config.file import ConfigError, convert, refuse
 from companion.config.fleet import EdgeNeighbours, FleetConfig
 from companion.config.law import Law, LawName
 from companion.config.reference import Reference, ReferenceSection, TargetReference
-from companion.config.reference_check import most_pace, reference_problems
+from companion.config.reference_check import most_pace, reference_checks
 from companion.config.validation import Problem, needs
 from companion.config.vehicle import AgentConfig
 from companion.core.agent import Agent
@@ -62,10 +59,11 @@ from companion.core.safety.health import AgeLimits, HealthLimits
 from companion.core.safety.output_limits import OutputLimits
 from companion.core.safety.preflight import Preflight
 from companion.core.safety.safeguard import SafeguardStage
-from companion.following import USUAL_DRAG_1_S, following_problems
+from companion.following import USUAL_DRAG_1_S, following_steps
 from companion.geometry.airspace import Airspace
 from companion.types.commands import Described
 from companion.types.flight import FailsafeAction, Role
+from companion.types.steps import Steps
 from companion.types.vectors import GRAVITY_M_S2, Vector3
 
 Value = TypeVar("Value")
@@ -200,14 +198,26 @@ def flyable_problems(
     drag_1_s: float = USUAL_DRAG_1_S,
 ) -> Iterator[Problem]:
     """`reference_problems`, and where there are none, whether the law follows it without compressing the formation."""
+    checks = flyable_checks(fleet, reference, where, slots_enu_m, drag_1_s)
+    return (problem for problem in checks if problem is not None)
+
+
+def flyable_checks(
+    fleet: FleetConfig,
+    reference: Reference,
+    where: str = "reference",
+    slots_enu_m: Mapping[int, Vector3] | None = None,
+    drag_1_s: float = USUAL_DRAG_1_S,
+) -> Iterator[Problem | None]:
+    """`flyable_problems`, with None after each part of the work."""
     needs(reference)
     refused = False
-    for problem in reference_problems(fleet, reference, where, slots_enu_m):
-        refused = True
+    for problem in reference_checks(fleet, reference, where, slots_enu_m):
+        refused = refused or problem is not None
         yield problem
     if not refused:
         slots = slots_enu_m or {member.id: member.slot_enu_m for member in fleet.vehicles}
-        yield from following_problems(fleet, law_of(fleet.law), reference, slots, drag_1_s, where)
+        yield (yield from following_steps(fleet, law_of(fleet.law), reference, slots, drag_1_s, where))
 
 
 def check_agent(file: Path, config: AgentConfig) -> None:
@@ -229,25 +239,29 @@ def _references(fleet: FleetConfig, first: Reference, drag_1_s: float) -> Refere
         airspace=_beyond_box(fleet),
     )
 
-    def read(described: Described, slots_enu_m: Mapping[int, Vector3]) -> Rft:
+    def read(described: Described, slots_enu_m: Mapping[int, Vector3]) -> Steps[Rft]:
         """RFT of a command, after the checks of the vehicle file. Raises ValueError."""
+        problems = []
         try:
             reference = convert(COMMANDED, {"reference": described}, ReferenceSection).reference
-            refuse(COMMANDED, flyable_problems(fleet, reference, slots_enu_m=slots_enu_m, drag_1_s=drag_1_s))
+            yield
+            for problem in flyable_checks(fleet, reference, slots_enu_m=slots_enu_m, drag_1_s=drag_1_s):
+                if problem is None:
+                    yield
+                else:
+                    problems.append(problem)
+            refuse(COMMANDED, problems)
         except ConfigError as error:
             raise ValueError(" ".join(str(error).split())[:LONGEST_REASON]) from error
         return rft_of(reference)
 
-    @lru_cache(maxsize=4)  # leaders send a change in every tick until all have it
-    def not_followed(described: bytes, slots_enu_m: tuple[tuple[int, Vector3], ...]) -> str | None:
-        reference = msgspec.json.decode(described, type=ReferenceSection).reference if described else first
-        problems = following_problems(fleet, law_of(fleet.law), reference, dict(slots_enu_m), drag_1_s)
-        return next((f"{problem.field}: {problem.text}"[:LONGEST_REASON] for problem in problems), None)
-
-    def refusal_of_slots(described: Described | None, slots_enu_m: Mapping[int, Vector3]) -> str | None:
+    def refusal_of_slots(described: Described | None, slots_enu_m: Mapping[int, Vector3]) -> Steps[str | None]:
         """Why the law cannot fly these slots with the configured reference or with that of a command."""
-        encoded = b"" if described is None else msgspec.json.encode({"reference": described})
-        return not_followed(encoded, tuple(sorted(slots_enu_m.items())))
+        reference = first
+        if described is not None:
+            reference = convert(COMMANDED, {"reference": described}, ReferenceSection).reference
+        problem = yield from following_steps(fleet, law_of(fleet.law), reference, slots_enu_m, drag_1_s)
+        return None if problem is None else f"{problem.field}: {problem.text}"[:LONGEST_REASON]
 
     return ReferencePlan(rft_of(first), read, refusal_of_slots, limits)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from itertools import combinations, pairwise
-from math import ceil, dist, floor, hypot, inf, radians, tan, tau
+from math import ceil, dist, floor, hypot, inf, log, radians, tan, tau
 
 from companion.config.fleet import FleetConfig
 from companion.config.reference import (
@@ -20,13 +20,15 @@ from companion.config.reference_check import largest_pace
 from companion.config.topology import neighbour_graph
 from companion.config.validation import Problem, needs
 from companion.core.consensus.law import FormationLaw
-from companion.core.formation.following import ROUNDING, Chain, Harmonic, Motion, Pair, slower_by, too_close
+from companion.core.formation.following import ROUNDING, Chain, Harmonic, Motion, Pair, refused_cases, slower_by
 from companion.geometry.curves import PEAK_ACCELERATION, PEAK_SPEED, duration_s
 from companion.geometry.separation import counted
 from companion.types.flight import Role
+from companion.types.steps import Steps, whole
 from companion.types.vectors import GRAVITY_M_S2, Vector3
 
 USUAL_DRAG_1_S = 0.25  # of a small open quadrotor
+MANY_LEGS, DURATION_STEP = 32, 1.06
 TARGET_RATES = (0.1, 0.3, 1.0, 2.0, 4.0)  # of a target's motion, in units of largest acceleration over largest speed
 
 
@@ -39,32 +41,47 @@ def following_problems(
     where: str = "reference",
 ) -> Iterator[Problem]:
     """One problem where the formation would be compressed below separation_m, with the pace that would be accepted."""
+    problem = whole(following_steps(fleet, law, reference, slots_enu_m, drag_1_s, where))
+    return iter(() if problem is None else (problem,))
+
+
+def following_steps(
+    fleet: FleetConfig,
+    law: FormationLaw,
+    reference: Reference,
+    slots_enu_m: Mapping[int, Vector3],
+    drag_1_s: float = USUAL_DRAG_1_S,
+    where: str = "reference",
+) -> Steps[Problem | None]:
+    """`following_problems` in steps."""
     needs(reference)
     motions = motions_of(reference, fleet.slots_turn)
     if not motions or len(slots_enu_m) < 2:
-        return
+        return None
     slots_m = {i: counted(slot, fleet.law.altitude == "formation") for i, slot in slots_enu_m.items()}
     if min(dist(a, b) for a, b in combinations(slots_m.values(), 2)) < fleet.separation_m * (1.0 - ROUNDING):
-        return  # refused by themselves
+        return None  # refused by themselves
     chains = chains_of(fleet, law, slots_enu_m, drag_1_s)
-    pair = too_close(chains, motions, slots_m, fleet.separation_m)
-    if pair is None:
-        return
-    times = slower_by(chains, motions, slots_m, fleet.separation_m)
+    yield
+    refused = yield from refused_cases(chains, motions, slots_m, fleet.separation_m)
+    if not refused:
+        return None
+    times = yield from slower_by(refused, slots_m, fleet.separation_m)
     field, value, advice = _slower(reference, times)
-    yield Problem(f"{where}.{field}", f"{value}: with {fleet.law.name} {_outcome(pair, fleet)}; expected {advice}")
+    outcome = _outcome(refused[0].pair, fleet)
+    return Problem(f"{where}.{field}", f"{value}: with {fleet.law.name} {outcome}; expected {advice}")
 
 
 def chains_of(
     fleet: FleetConfig, law: FormationLaw, slots_enu_m: Mapping[int, Vector3], drag_1_s: float
-) -> list[Chain]:
+) -> Iterator[Chain]:
     """The formation with its leaders at the start, and with each other vehicle that may lead as the only leader."""
     graph = neighbour_graph(fleet.neighbours, slots_enu_m)
     leaders = [frozenset(m.id for m in fleet.vehicles if m.role is Role.LEADER)]
     leaders += [frozenset({m.id}) for m in fleet.vehicles if m.can_lead and {m.id} != leaders[0]]
     envelope = fleet.envelope
     most_m_s2 = GRAVITY_M_S2 * tan(radians(envelope.max_tilt_deg))
-    return [Chain(law, graph, of, drag_1_s, envelope.max_speed_m_s, most_m_s2) for of in leaders]
+    return (Chain(law, graph, of, drag_1_s, envelope.max_speed_m_s, most_m_s2) for of in leaders)
 
 
 def motions_of(reference: Reference, slots_turn: bool) -> list[Motion]:
@@ -97,14 +114,20 @@ def motions_of(reference: Reference, slots_turn: bool) -> list[Motion]:
 
 
 def _legs(reference: WaypointsReference, slots_turn: bool) -> Iterator[Harmonic]:
-    """One harmonic for each leg with another direction or pace."""
+    """One harmonic for each leg with another direction or pace.
+
+    Of many legs the duration is shortened by up to DURATION_STEP, so that few rates remain: they are the dear part.
+    """
     limits = (reference.max_speed_m_s, reference.max_acceleration_m_s2)
+    lengths_m = [(a, b, leg_m) for a, b in pairwise(reference.points_enu_m) if (leg_m := dist(a, b)) > 1e-6]
+    shortest_s = min((duration_s(leg_m, *limits) for _, _, leg_m in lengths_m), default=0.0)
     seen = set()
-    for a, b in pairwise(reference.points_enu_m):
-        leg_m = dist(a, b)
+    for a, b, leg_m in lengths_m:
         lasts_s = duration_s(leg_m, *limits)
-        if leg_m <= 1e-6 or lasts_s <= 0.0:
+        if lasts_s <= 0.0:
             continue
+        if len(lengths_m) > MANY_LEGS:
+            lasts_s = shortest_s * DURATION_STEP ** floor(log(lasts_s / shortest_s) / log(DURATION_STEP) + 1e-9)
         direction = ((b[0] - a[0]) / leg_m, (b[1] - a[1]) / leg_m, (b[2] - a[2]) / leg_m)
         key = (round(leg_m, 3), *(round(abs(c), 3) for c in direction))
         if key in seen:

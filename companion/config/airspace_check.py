@@ -10,9 +10,10 @@ from companion.config.obstacles import BoxObstacle, CylinderObstacle
 from companion.config.reference import FIELD_OF_POSITION, Lapping, Reference, WaypointsReference
 from companion.config.validation import Problem
 from companion.geometry.airspace import Airspace, area_m2, crossing_sides
-from companion.geometry.clear_path import first_conflict, leg_conflict, nearest_kind
+from companion.geometry.clear_path import conflict_steps, leg_conflict_steps, nearest_kind
 from companion.geometry.turning import reach_m
 from companion.geometry.vectors import plus
+from companion.types.steps import Steps, coarser
 from companion.types.vectors import Vector3
 
 SMALLEST_AREA_M2 = 1.0
@@ -59,17 +60,20 @@ def _polygon(fleet: FleetConfig, where: str) -> Iterator[Problem]:
 
 def path_problems(
     where: str, fleet: FleetConfig, reference: Reference, slots_enu_m: Mapping[int, Vector3], speed_m_s: float
-) -> Iterator[Problem]:
+) -> Iterator[Problem | None]:
     """The first vehicle whose path with this reference leaves the fence or meets an obstacle, in an airspace beyond a box.
 
-    `speed_m_s` is the largest speed of the reference. A slot that turns about the RFT needs room on its whole circle.
+    `speed_m_s` is the largest speed of the reference. A slot that turns about the RFT needs room on its whole circle. None
+    stands for a pause of the check.
     """
     airspace = fleet.airspace
     if airspace.is_box:
         return
     for vehicle_id, slot_enu_m in slots_enu_m.items():
         offset, around_m = ((0.0, 0.0, slot_enu_m[2]), reach_m([slot_enu_m])) if fleet.slots_turn else (slot_enu_m, 0.0)
-        position = _conflict(airspace, reference, offset, around_m, speed_m_s)
+        steps = _conflict(airspace, reference, offset, around_m, speed_m_s)
+        position = yield from coarser(steps, airspace.positions_per_step())
+        yield None
         if position is not None:
             x, y, z = position
             place = f"({x:.1f}, {y:.1f}, {z:.1f})" + (f" with {around_m:.1f} m around it to turn" if around_m else "")
@@ -81,13 +85,15 @@ def path_problems(
 
 def _conflict(
     airspace: Airspace, reference: Reference, offset: Vector3, around_m: float, speed_m_s: float
-) -> Vector3 | None:
+) -> Steps[Vector3 | None]:
     if isinstance(reference, WaypointsReference):
         points = [plus(point, offset) for point in reference.points_enu_m]
         legs = pairwise(points) if len(points) > 1 else [(points[0], points[0])]
-        return next((found for a, b in legs if (found := leg_conflict(airspace, a, b, around_m)) is not None), None)
+        for a, b in legs:
+            if (found := (yield from leg_conflict_steps(airspace, a, b, around_m))) is not None:
+                return found
+        return None
     curve = reference.curve()
     lasts_s = reference.ramp_s + reference.period_s if isinstance(reference, Lapping) else 0.0
-    return first_conflict(
-        airspace, lambda time_s: plus(curve(time_s)[0], offset), lasts_s, max(speed_m_s, 0.1), around_m
-    )
+    at, rate_m_s = lambda time_s: plus(curve(time_s)[0], offset), max(speed_m_s, 0.1)
+    return (yield from conflict_steps(airspace, at, lasts_s, rate_m_s, around_m))

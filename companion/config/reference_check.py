@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from functools import lru_cache
 from itertools import pairwise
 from math import dist, floor, hypot, radians, tan
 from pathlib import Path
@@ -46,14 +47,23 @@ def reference_problems(
     `slots_enu_m`: the slots of the formation that is flown; None for those of the fleet file.
     `where`: the path of the section of the reference.
     """
+    return (problem for problem in reference_checks(fleet, reference, where, slots_enu_m) if problem is not None)
+
+
+def reference_checks(
+    fleet: FleetConfig, reference: Reference, where: str = "reference", slots_enu_m: Mapping[int, Vector3] | None = None
+) -> Iterator[Problem | None]:
+    """`reference_problems`, with None after each part of the work."""
     needs(reference)
     slots = slots_enu_m or {member.id: member.slot_enu_m for member in fleet.vehicles}
     yield from each(
         _positions(where, fleet, reference, slots),
         path_problems(where, fleet, reference, slots, largest_pace(reference)[0]),
     )
+    yield None
     if moves(reference):
         yield from each(_pace(where, fleet, reference))
+        yield None
     if fleet.slots_turn and isinstance(reference, Lapping):
         yield from each(_turns(where, fleet, reference, slots))
 
@@ -73,6 +83,7 @@ def most_pace(fleet: FleetConfig) -> tuple[float, float]:
     return speed_m_s, acceleration_m_s2
 
 
+@lru_cache(maxsize=8)  # several checks of a reference need it
 def largest_pace(reference: Reference) -> tuple[float, float]:
     """Largest speed [m/s] and acceleration [m/s^2] of a reference at any time; of a target, its limits."""
     match reference:
@@ -84,7 +95,7 @@ def largest_pace(reference: Reference) -> tuple[float, float]:
             return _largest_pace_of_legs(reference)
         case Figure8Reference() | CircleReference():
             curve = reference.curve()
-            motions = [curve(time_s) for time_s in _ramp_and_lap_s(reference)]
+            motions = [curve(time_s) for time_s in _ramp_s(reference) + _lap_s(reference)]
             return max(hypot(*m[1]) for m in motions), max(hypot(*m[2]) for m in motions)
 
 
@@ -160,8 +171,7 @@ def _turns(where: str, fleet: FleetConfig, reference: Lapping, slots_enu_m: Mapp
     outermost_m = reach_m(slots_enu_m.values())
     most_rad_s = turn_limits(outermost_m, fleet.slot_speed_m_s).rate_rad_s
     curve, period_s = reference.curve(), reference.period_s
-    laps = (curve(reference.ramp_s + period_s * index / LAP_SAMPLES) for index in range(LAP_SAMPLES))
-    turns = (course(velocity, acceleration, 0.0) for _, velocity, acceleration in laps)
+    turns = (course(velocity, acceleration, 0.0) for _, velocity, acceleration in map(curve, _lap_s(reference)))
     fastest_rad_s = max(abs(turn.rate_rad_s) for turn in turns if turn)
     if fastest_rad_s > most_rad_s * ROUNDED:
         longer_s = period_s * fastest_rad_s / most_rad_s + 0.05
@@ -194,9 +204,11 @@ def _largest_pace_of_legs(reference: WaypointsReference) -> tuple[float, float]:
     )
 
 
-def _ramp_and_lap_s(reference: Lapping) -> Iterator[float]:
-    """Times of the ramp and of the first full lap: later laps are the same."""
-    for index in range(RAMP_SAMPLES):
-        yield reference.ramp_s * index / RAMP_SAMPLES
-    for index in range(LAP_SAMPLES):
-        yield reference.ramp_s + reference.period_s * index / LAP_SAMPLES
+def _ramp_s(reference: Lapping) -> list[float]:
+    return [reference.ramp_s * index / RAMP_SAMPLES for index in range(RAMP_SAMPLES)]
+
+
+def _lap_s(reference: Lapping) -> list[float]:
+    """Times of a lap at full pace, as far as pace and turns differ: half of a figure 8, one time of a circle."""
+    samples = LAP_SAMPLES // 2 if isinstance(reference, Figure8Reference) else 1
+    return [reference.ramp_s + reference.period_s * index / LAP_SAMPLES for index in range(samples)]

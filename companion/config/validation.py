@@ -48,7 +48,7 @@ for _name in _USES.split():
 INVALID: Any = _Invalid()
 
 
-def each(*checks: Iterable[Problem]) -> Iterator[Problem]:
+def each(*checks: Iterable[T]) -> Iterator[T]:
     """The problems that independent checks find. A check ends where it needs a field that is invalid."""
     for check in checks:
         try:

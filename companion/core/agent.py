@@ -134,7 +134,7 @@ class Agent:
             requests=decided.requests,
             peer_packet=report.peer_packet,
             status=report.status,
-            replies=self._arbitration.replies(self._vehicle_id, intake, answers) if intake.received else (),
+            replies=self._arbitration.replies(self._vehicle_id, intake, answers) if intake.received or answers else (),
             events=report.events,
         )
 

@@ -19,6 +19,7 @@ Gap = tuple[float, Vector3]
 UP, DOWN = (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)
 EAST, WEST, NORTH, SOUTH = (1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0)
 TOUCHES_M = 1e-9
+GAPS_PER_STEP = 500  # distances to walls and obstacles
 
 
 class Cylinder(Struct, frozen=True, gc=False):
@@ -142,6 +143,10 @@ class Airspace(Struct, frozen=True, gc=False):
                 yield gap
         if self.corners_enu_m:
             yield from self.fence.polygon_gaps(position_enu_m[0], position_enu_m[1], within_m)
+
+    def positions_per_step(self, each: int = 1) -> int:
+        """How many positions, each with so many distances to all walls, are a step of a check."""
+        return max(1, GAPS_PER_STEP // (each * (6 + len(self.corners_enu_m) + len(self.obstacles))))
 
     @property
     def is_box(self) -> bool:

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import logging
+import os
+import queue
+import select
 import sys
+import threading
 from collections.abc import Mapping
 
 from companion.mavlink.codec import mavlink
@@ -15,6 +19,8 @@ from companion.types.rejections import rejection_text
 REPEAT_AFTER_S = 1.0  # of a key
 BURST = 20  # lines of one code at once
 LINES_PER_S = 1.0  # of one code, after that
+LINES_KEPT = 500  # that wait for the stream
+FLUSH_S = 1.0
 
 _log = logging.getLogger(__name__)
 
@@ -26,9 +32,53 @@ class PrintableFormatter(logging.Formatter):
         return printable_lines(super().format(record))
 
 
+class DroppingHandler(logging.Handler):
+    """Writes lines to a file descriptor in a thread of its own. A line that finds the queue full is dropped.
+
+    So a stopped terminal, a full pipe or a journal that hangs never stops the caller. The next line that is kept has the
+    number of those dropped before it. `flush`, and with it the end of the process, waits for FLUSH_S at most.
+    """
+
+    def __init__(self, descriptor: int) -> None:
+        super().__init__()
+        self._descriptor = descriptor
+        self._lines: queue.Queue[str] = queue.Queue(LINES_KEPT)
+        self.dropped = 0
+        threading.Thread(target=self._write, name="log", daemon=True).start()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Put a line into the queue, or count it."""
+        text = self.format(record)
+        if self.dropped:
+            text += f" ({self.dropped} lines dropped before, while the log took none)"
+        try:
+            self._lines.put_nowait(text + "\n")
+            self.dropped = 0
+        except queue.Full:
+            self.dropped += 1
+
+    def flush(self) -> None:
+        """Wait until all lines are written, FLUSH_S at most."""
+        with self._lines.all_tasks_done:
+            self._lines.all_tasks_done.wait_for(lambda: not self._lines.unfinished_tasks, FLUSH_S)
+
+    def _write(self) -> None:
+        # Not by sys.stderr: a thread that hangs in its buffer would abort the interpreter at its end.
+        while True:
+            left = self._lines.get().encode(errors="replace")
+            while left:
+                try:
+                    left = left[os.write(self._descriptor, left) :]
+                except BlockingIOError:
+                    select.select([], [self._descriptor], [])
+                except OSError:  # there is no reader any more
+                    break
+            self._lines.task_done()
+
+
 def log_to_stderr(vehicle_id: int) -> None:
     """Log lines like "12:00:01.234 vehicle 3: takeoff -> hold", in local time."""
-    handler = logging.StreamHandler(sys.stderr)
+    handler = DroppingHandler(sys.stderr.fileno())
     handler.setFormatter(PrintableFormatter(f"%(asctime)s.%(msecs)03d vehicle {vehicle_id}: %(message)s", "%H:%M:%S"))
     logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
     logging.getLogger(mavlink.logger.name).setLevel(

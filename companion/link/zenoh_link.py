@@ -44,6 +44,11 @@ from companion.wire.version import WireError
 PACKETS_KEPT_PER_VEHICLE = 8
 COMMANDS_KEPT = 32
 ABORTS_KEPT = 4  # ABORT is idempotent: more of them say nothing more
+# Samples on the abort key between two ticks. All are read, and what is no ABORT is dropped before it can displace one.
+ABORT_SAMPLES_KEPT = 256
+LONGEST_ABORT = 512  # bytes; a longer message, or one without this text, is dropped without decoding
+ABORT_TEXT = CommandName.ABORT.encode()
+UNANSWERED_KEPT = 2 * COMMANDS_KEPT  # commands whose reply is not logged yet; a check may take several ticks
 TARGETS_KEPT = 32
 TRAFFIC_KEPT = 32  # samples between two ticks: a flood costs no more
 TRAFFIC_NAME = re.compile("[A-Za-z0-9_-]{1,32}")
@@ -105,7 +110,7 @@ class ZenohLink:
             command_key(fleet.name, vehicle_id), zenoh.handlers.RingChannel(COMMANDS_KEPT)
         )
         self._aborts = self._session.declare_subscriber(
-            abort_key(fleet.name, vehicle_id), zenoh.handlers.RingChannel(ABORTS_KEPT)
+            abort_key(fleet.name, vehicle_id), zenoh.handlers.RingChannel(ABORT_SAMPLES_KEPT)
         )
         self._reply_publisher = self._session.declare_publisher(
             reply_key(fleet.name, vehicle_id),
@@ -133,14 +138,13 @@ class ZenohLink:
         """
         before_s, self._drained_s = self._drained_s, now_s
         late = before_s is not None and now_s - before_s > LONG_PAUSE_S
-        self._unanswered.clear()
         packets = (self._packet(sample) for sample in drain(self._peers, self._packets_kept))
-        received = (*drain(self._aborts, ABORTS_KEPT), *drain(self._commands, COMMANDS_KEPT))
-        commands = (self._command(sample, late) for sample in received)
+        aborts = self._received_aborts()
+        commands = (self._command(sample, late) for sample in drain(self._commands, COMMANDS_KEPT))
         return (
             tuple(ReceivedPeerPacket(now_s, packet) for packet in packets if packet)
             + (self._datagrams.receive(now_s) if self._datagrams else ()),
-            tuple(command for command in commands if command),
+            (*aborts, *(command for command in commands if command)),
         )
 
     def targets(self, now_s: float) -> tuple[ReceivedTarget, ...]:
@@ -207,14 +211,40 @@ class ZenohLink:
             self._reject(error.key)
             return None
 
-    def _command(self, sample: zenoh.Sample, late: bool) -> Command | None:
-        """The command in a message; None where it is malformed, and where it comes late, which is answered here."""
+    def _received_aborts(self) -> list[Command]:
+        """The first ABORTS_KEPT aborts on the abort key."""
+        aborts: list[Command] = []
+        for sample in drain(self._aborts, ABORT_SAMPLES_KEPT):
+            if len(aborts) == ABORTS_KEPT:
+                continue  # the channel is emptied all the same
+            if len(sample.payload) > LONGEST_ABORT or ABORT_TEXT not in sample.payload.to_bytes():
+                self._reject(Code.COMMAND_MALFORMED)
+            elif (command := self._decoded(sample)) is not None:
+                if command.name is CommandName.ABORT:
+                    self._note(command)
+                    aborts.append(command)
+                else:
+                    self._reject(Code.COMMAND_MALFORMED)
+        return aborts
+
+    def _decoded(self, sample: zenoh.Sample) -> Command | None:
         try:
-            command = decode_command(sample.payload.to_bytes())
+            return decode_command(sample.payload.to_bytes())
         except WireError as error:
             self._reject(error.key)
             return None
+
+    def _note(self, command: Command) -> None:
+        """Keep a command until its reply is logged."""
         self._unanswered[command.operator, command.number] = command
+        if len(self._unanswered) > UNANSWERED_KEPT:
+            del self._unanswered[next(iter(self._unanswered))]
+
+    def _command(self, sample: zenoh.Sample, late: bool) -> Command | None:
+        """The command in a message; None where it is malformed, and where it comes late, which is answered here."""
+        if (command := self._decoded(sample)) is None:
+            return None
+        self._note(command)
         if late and command.name not in ACCEPTED_LATE:
             reason = "arrived while this agent was paused; give it again"
             self.reply(

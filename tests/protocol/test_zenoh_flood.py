@@ -19,11 +19,14 @@ from companion.config.vehicle import ZenohEndpoints
 from companion.core.command.arbitration import CommandArbitration
 from companion.ground.session import FleetSession
 from companion.link.zenoh_link import ZenohLink
+from companion.link.zenoh_session import open_session
 from companion.types.commands import Command, CommandName, CommandReply
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot
 from companion.types.notices import Answer, Code, Notice
 from companion.types.peers import PeerPacket
+from companion.wire.ground import encode
+from companion.wire.keys import abort_key
 
 FLEET = FleetConfig(
     name="floodtest",
@@ -53,6 +56,23 @@ while True:
         command = Command(CommandName.HOLD, number, "deaf", 7)
         session.put("formation/floodtest/command/1", encode(command), express=True)
     time.sleep(0.005)
+"""
+
+
+# More than 4 samples in each tick, of garbage and of other commands, on the key that has ABORT alone.
+ABORT_FLOOD = """
+import time, zenoh
+from companion.link.zenoh_session import open_session
+from companion.types.commands import Command, CommandName
+from companion.wire.ground import encode
+session = open_session([], ["{endpoint}"])
+number = 0
+while True:
+    for _ in range(20):
+        number += 1
+        session.put("formation/floodtest/abort/1", bytes(range(100)), express=True)
+        session.put("formation/floodtest/abort/1", encode(Command(CommandName.LAND, number, "mallory", 7)), express=True)
+    time.sleep(0.01)
 """
 
 
@@ -93,8 +113,8 @@ def endpoint() -> str:
 
 
 @contextmanager
-def deaf_client(endpoint: str) -> Iterator[None]:
-    process = subprocess.Popen([sys.executable, "-c", DEAF_CLIENT.format(endpoint=endpoint)], stderr=subprocess.DEVNULL)
+def deaf_client(endpoint: str, program: str = DEAF_CLIENT) -> Iterator[None]:
+    process = subprocess.Popen([sys.executable, "-c", program.format(endpoint=endpoint)], stderr=subprocess.DEVNULL)
     try:
         yield
     finally:
@@ -120,11 +140,13 @@ def test_a_client_that_reads_no_replies_does_not_block_the_tick(endpoint: str) -
     assert closed_s < 5.0
 
 
-def test_abort_passes_a_flood_of_other_commands_and_is_repeated_until_answered(endpoint: str) -> None:
-    link = ZenohLink(1, FLEET, ZenohEndpoints(listen=(endpoint,)), lambda _reason: None)
+@pytest.mark.parametrize("program", [DEAF_CLIENT, ABORT_FLOOD], ids=["commands", "abort key"])
+def test_abort_passes_a_flood_and_is_repeated_until_answered(endpoint: str, program: str) -> None:
+    rejected: Counter[str] = Counter()
+    link = ZenohLink(1, FLEET, ZenohEndpoints(listen=(endpoint,)), lambda reason: rejected.update([reason]))
     with (
         closing(link),
-        deaf_client(endpoint),
+        deaf_client(endpoint, program),
         FleetSession(FLEET.name, (endpoint,), "anna") as ground,
         ThreadPoolExecutor() as pool,
     ):
@@ -143,6 +165,25 @@ def test_abort_passes_a_flood_of_other_commands_and_is_repeated_until_answered(e
     print(f"\n{answered} of {ABORTS} answered, after {max(took_s, default=0.0) * 1000:.0f} ms at most")
     assert answered == ABORTS
     assert vehicle.worst_s < BLOCKED_S
+    if program is ABORT_FLOOD:
+        assert rejected[Code.COMMAND_MALFORMED] > 1000
+        assert vehicle.received.keys() == {CommandName.ABORT}  # no other command is admitted by this key
+
+
+def test_abort_is_received_among_other_messages_of_its_key_between_two_ticks(endpoint: str) -> None:
+    link = ZenohLink(1, FLEET, ZenohEndpoints(listen=(endpoint,)), lambda _reason: None)
+    session = open_session([], [endpoint])
+    with closing(link), closing(session):
+        key = abort_key(FLEET.name, 1)
+        received: list[Command] = []
+        for _ in range(200):
+            for payload in (encode(Command(CommandName.ABORT, 1, "anna", 7)), *[b"garbage"] * 100):
+                session.put(key, payload, express=True)
+            time.sleep(PERIOD_S)
+            received += link.receive(time.monotonic())[1]
+            if received:
+                break
+    assert [command.name for command in received][:1] == [CommandName.ABORT]
 
 
 def test_abort_reaches_a_vehicle_that_reports_nothing(endpoint: str) -> None:

@@ -4,7 +4,9 @@ The first operator to give a command holds command until another operator takes 
 the status has the last one, so that they depend on no clock.
 
 ABORT is idempotent. It is admitted from any operator, with any number and session, and changes neither the holder nor the last
-number.
+number. The other commands of its tick are not executed, not even when they are sent again.
+
+A command whose check takes several ticks is answered when it is done.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from companion.types.commands import NUMBERS_AHEAD, Command, CommandName, CommandReply
-from companion.types.notices import Answer, Code, Notice
+from companion.types.notices import Answer, Code, Notice, refused
 
 ABORT_NUMBER = 0  # in place of its own, which may be that of another command
 
@@ -41,12 +43,14 @@ class CommandArbitration:
         self._last_answer: Answer | None = None
         self.holder = ""
         self.number = 0
+        self._unanswered: dict[int, Command] = {}  # by number: their check takes several ticks
         self._aborted_by = ""  # since the last other command
 
     def step(self, commands: tuple[Command, ...]) -> Intake:
         """Admit or answer the commands of one tick."""
         if not commands:
             return Intake(holder=self.holder, number=self.number)
+        aborts = any(command.name is CommandName.ABORT for command in commands)
         admitted: list[Command] = []
         answers: list[Answer | None] = []
         events: tuple[Notice, ...] = ()
@@ -59,6 +63,8 @@ class CommandArbitration:
                 continue
             repeated = command == self._last
             answer, changes = self.admit(command)
+            if aborts and answer is None and not repeated:
+                answer = self._last_answer = refused(Code.ABORTED, f"{command.name}: an abort came at the same time")
             answers.append(answer)
             events += changes
             if answer is None and not repeated:
@@ -68,15 +74,24 @@ class CommandArbitration:
     def replies(
         self, vehicle_id: int, intake: Intake, answers: Iterable[tuple[int, Answer]]
     ) -> tuple[CommandReply, ...]:
-        """The replies to all commands of a tick, given the answers of the stages by command number."""
+        """The replies to the commands of a tick, given the answers of the stages by command number.
+
+        One that is not answered yet gets its reply when it is, also where it was not sent again meanwhile.
+        """
         by_number = dict(answers)
         if self._last is not None:
             self._last_answer = by_number.get(self._last.number, self._last_answer)
         replies = []
         for command, known in zip(intake.received, intake.answers, strict=True):
             number = ABORT_NUMBER if command.name is CommandName.ABORT else command.number
-            ok, notice = known or by_number[number]
-            replies.append(CommandReply(vehicle_id, command.number, ok, notice.code, notice.text, command.operator))
+            if answer := known or by_number.get(number):
+                replies.append(_reply(vehicle_id, command, answer))
+            else:
+                self._unanswered[number] = command
+            if known is None and number in by_number:
+                self._unanswered.pop(number, None)
+        answered = [number for number in self._unanswered if number in by_number]
+        replies += [_reply(vehicle_id, self._unanswered.pop(number), by_number[number]) for number in answered]
         return tuple(replies)
 
     def admit(self, command: Command) -> tuple[Answer | None, tuple[Notice, ...]]:
@@ -126,3 +141,8 @@ class CommandArbitration:
             return Notice(Code.COMMAND_TAKEN, f"{operator} holds command already")
         text = f"{operator} takes command from {before}" if before else f"{operator} holds command"
         return Notice(Code.COMMAND_TAKEN, text)
+
+
+def _reply(vehicle_id: int, command: Command, answer: Answer) -> CommandReply:
+    notice = answer.notice
+    return CommandReply(vehicle_id, command.number, answer.accepted, notice.code, notice.text, command.operator)

@@ -6,6 +6,7 @@ Each vehicle checks every change itself.
 from __future__ import annotations
 
 from collections.abc import Collection
+from math import inf
 
 from msgspec import Struct
 
@@ -13,19 +14,23 @@ from companion.core.command.phase import Flight
 from companion.core.consensus.law import formation_state
 from companion.core.consensus.neighbourhood import Consensus
 from companion.core.formation.change_gossip import first_leader, passed_on
-from companion.core.formation.gap_filling import GapFilling
+from companion.core.formation.gap_filling import GapFilling, Proposal
 from companion.core.formation.obstructions import Tracks, members, refusal_of_tracks, tracks_about
 from companion.core.formation.slots import SlotPlan
+from companion.core.paced import BEING_CHECKED, STEPS_PER_TICK, PacedChecks, Pending
 from companion.core.reference.plan import ReferencePlan
 from companion.geometry.curves import rest_to_rest
 from companion.geometry.vectors import plus
 from companion.types.autopilot import VehicleState
-from companion.types.commands import Command, ReferenceChange
+from companion.types.commands import Command, Content, ReferenceChange
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot, FormationChange
 from companion.types.notices import Answer, Code, Notice, refused
+from companion.types.steps import Steps
 from companion.types.vectors import Vector3
 
+QUEUED = 3  # commands with content that wait for their check; more of them are refused
+HEARD_PERIOD_S = 0.1  # between changes of leaders that are judged
 TRACK_SAMPLES = 40  # of a formation change
 
 
@@ -48,6 +53,12 @@ class Changes:
         self._references = references
         self._gap_filling = gap_filling
         self._refused_number: int | None = None  # of the last refused change of a leader, which is reported once
+        self._checks = PacedChecks(STEPS_PER_TICK)
+        self._queue: list[Command] = []  # to be judged, one in a tick
+        self._heard: tuple[int, FormationChange] | None = None  # the leader and its change that is being checked
+        self._last_heard_id = 0  # the leader whose change was judged last
+        self._next_heard_s = -inf
+        self._proposal: Proposal | None = None  # that is being checked
 
     def step(
         self,
@@ -60,20 +71,34 @@ class Changes:
     ) -> Changed:
         """Apply commands first, then changes of leaders, then this vehicle's own proposal.
 
-        `slot` is the one flown in the last tick.
+        `slot` is the one flown in the last tick. The answer to a command may come ticks later.
         """
+        self._checks.begin_tick()
         answers = []
         for command in commands:
-            match command.content:
-                case FormationChange() as change:
-                    answer = self._change_formation(change, vehicle, flight, consensus, slot, is_command=True)
-                    answers.append((command.number, answer))
-                case ReferenceChange() as change:
-                    answers.append((command.number, self._change_reference(change, vehicle, flight, consensus, slot)))
-        events = self._adopt(vehicle, flight, consensus, slot)
+            if not isinstance(command.content, FormationChange | ReferenceChange):
+                continue
+            if len(self._queue) < QUEUED:
+                self._queue.append(command)
+            else:
+                text = f"{command.name}: other changes are being checked; give it again"
+                answers.append((command.number, refused(Code.CHANGE_IN_PROGRESS, text)))
+        if self._queue:
+            answer = self._judged(self._queue[0].content, vehicle, flight, consensus, slot)
+            if answer is not BEING_CHECKED:
+                answers.append((self._queue.pop(0).number, answer))
+        events = self._adopt(now_s, vehicle, flight, consensus, slot)
         if self._gap_filling:
             events += self._fill_gap(self._gap_filling, now_s, vehicle, flight, consensus, slot)
         return Changed(tuple(answers), events)
+
+    def _judged(
+        self, content: Content | None, vehicle: VehicleState, flight: Flight, consensus: Consensus, slot: FlownSlot
+    ) -> Answer:
+        if isinstance(content, FormationChange):
+            return self._change_formation(content, vehicle, flight, consensus, slot, is_command=True)
+        assert isinstance(content, ReferenceChange)
+        return self._change_reference(content, vehicle, flight, consensus, slot)
 
     def _change_formation(
         self,
@@ -84,15 +109,18 @@ class Changes:
         slot: FlownSlot,
         is_command: bool = False,
     ) -> Answer:
-        if reason := self._not_followed(change, consensus):
-            return refused(Code.SLOTS_NOT_FOLLOWED, f"formation: {reason}")
+        def check(airspace: Steps[Notice | None]) -> Notice | Pending | None:
+            key = (change, flight.on_ground, flown_slots, self._references and self._references.flown_count)
+            return self._checks.ask(key, lambda: self._dear_refusal(change, airspace, consensus))
+
+        flown_slots = tuple(sorted(self._slots.slots_enu_m.items()))
         rft_enu_m = self._rft_enu_m(vehicle, flight, consensus, slot)
         if flight.on_ground:
-            return self._slots.change_on_ground(change, consensus.flying, rft_enu_m, is_command)
+            return self._slots.change_on_ground(change, consensus.flying, rft_enu_m, is_command, check)
         in_formation = [other for other in consensus.flying if other.phase is FlightPhase.FORMATION]
         alone = flight.phase is not FlightPhase.FORMATION
         others = in_formation if alone else ()
-        answer = self._slots.change(change, consensus.reference_s, others, rft_enu_m, is_command)
+        answer = self._slots.change(change, consensus.reference_s, others, rft_enu_m, is_command, check)
         if answer.notice.code is not Code.FORMATION_ACCEPTED or alone:
             return answer
         tracks = self._tracks_of_change(change, consensus, _fleet_enu_m(vehicle, slot))
@@ -118,13 +146,18 @@ class Changes:
         limits = self._slots.limits
         return None if limits.slots_turn else refusal_of_tracks(tracks, consensus.peers, limits.separation_m)
 
-    def _not_followed(self, change: FormationChange, consensus: Consensus) -> str | None:
-        """Why the law cannot fly a new formation with the reference of this vehicle. What others fly already is adopted."""
+    def _dear_refusal(
+        self, change: FormationChange, airspace: Steps[Notice | None], consensus: Consensus
+    ) -> Steps[Notice | None]:
+        """Airspace, and whether the law can fly the slots with the reference. What others fly already is adopted."""
+        if refusal := (yield from airspace):
+            return refusal
         flown = any(other.slot.formation == change.number for other in consensus.flying)
-        complete = {vehicle_id for vehicle_id, _ in change.slots_enu_m} == self._slots.slots_enu_m.keys()
-        if self._references is None or flown or not complete or not self._slots.lacks(change, over_own=True):
+        if self._references is None or flown:
             return None
-        return self._references.refusal_of_slots(dict(change.slots_enu_m))
+        yield
+        reason = yield from self._references.refusal_of_slots(dict(change.slots_enu_m))
+        return None if reason is None else Notice(Code.SLOTS_NOT_FOLLOWED, reason)
 
     def _change_reference(
         self, change: ReferenceChange, vehicle: VehicleState, flight: Flight, consensus: Consensus, slot: FlownSlot
@@ -134,7 +167,7 @@ class Changes:
             return refused(Code.REFERENCE_NOT_ALLOWED, text)
         fleet_enu_m, slots_enu_m = _fleet_enu_m(vehicle, slot), self._slots.slots_enu_m
         answer = self._references.change(
-            change, consensus.reference_s, slots_enu_m, consensus.flying, fleet_enu_m, flight.in_formation
+            change, consensus.reference_s, slots_enu_m, consensus.flying, fleet_enu_m, flight.in_formation, self._checks
         )
         if answer.notice.code is not Code.REFERENCE_ACCEPTED or flight.phase is not FlightPhase.FORMATION:
             return answer
@@ -153,23 +186,34 @@ class Changes:
         return [_fleet_enu_m(vehicle, slot)] if flight.phase is FlightPhase.FORMATION else []
 
     def _adopt(
-        self, vehicle: VehicleState, flight: Flight, consensus: Consensus, slot: FlownSlot
+        self, now_s: float, vehicle: VehicleState, flight: Flight, consensus: Consensus, slot: FlownSlot
     ) -> tuple[Notice, ...]:
-        """Apply the changes of leaders like commands; of two different ones, that of the smallest leader id."""
+        """Apply the changes of leaders like commands; of two different ones, that of the smallest leader id.
+
+        One change is judged at a time, and the leaders take turns: a leader may send another change in every packet.
+        """
         changes = passed_on(consensus.flying, consensus.term, flight.on_ground)
         if not changes:
+            self._heard = None
             return ()
-        events = []
         first_id = self._first_leader(flight, consensus)
-        of_first = [(vehicle_id, change) for vehicle_id, change in changes if vehicle_id == first_id]
-        for vehicle_id, change in of_first or changes:
-            if not self._slots.lacks(change, over_own=vehicle_id == first_id):
-                continue
-            accepted, notice = self._change_formation(change, vehicle, flight, consensus, slot)
-            if accepted or change.number != self._refused_number:
-                events.append(notice.about(f"passed on by vehicle {vehicle_id}"))
-            self._refused_number = None if accepted else change.number
-        return tuple(events)
+        of_first = [one for one in changes if one[0] == first_id]
+        lacked = [one for one in of_first or changes if self._slots.lacks(one[1], over_own=one[0] == first_id)]
+        heard = self._heard if self._heard in lacked else None
+        if heard is None:
+            if not lacked or now_s < self._next_heard_s:
+                self._heard = None
+                return ()
+            heard = next((one for one in lacked if one[0] > self._last_heard_id), lacked[0])
+            self._last_heard_id, self._next_heard_s = heard[0], now_s + HEARD_PERIOD_S
+        vehicle_id, change = heard
+        answer = self._change_formation(change, vehicle, flight, consensus, slot)
+        self._heard = heard if answer is BEING_CHECKED else None
+        if answer is BEING_CHECKED:
+            return ()
+        is_new = answer.accepted or change.number != self._refused_number
+        self._refused_number = None if answer.accepted else change.number
+        return (answer.notice.about(f"passed on by vehicle {vehicle_id}"),) if is_new else ()
 
     def _fill_gap(
         self,
@@ -187,8 +231,9 @@ class Changes:
         slots, references = self._slots, self._references
         is_first = self._first_leader(flight, consensus) == self._own_id
         if references is None or not is_first or not slots.is_settled(consensus.reference_s):
+            self._proposal = None
             return ()
-        proposal = gap_filling.propose(
+        proposal = self._proposal or gap_filling.propose(
             now_s,
             slots.slots_enu_m,
             slots.flown.waiting,
@@ -198,7 +243,11 @@ class Changes:
         )
         if proposal.change is None:
             return proposal.events
-        accepted, notice = self._change_formation(proposal.change, vehicle, flight, consensus, slot)
+        answer = self._change_formation(proposal.change, vehicle, flight, consensus, slot)
+        self._proposal = Proposal(proposal.gone_id, proposal.change) if answer is BEING_CHECKED else None
+        if answer is BEING_CHECKED:
+            return proposal.events
+        accepted, notice = answer
         if accepted:
             return (*proposal.events, notice.about(f"closes the gap of vehicle {proposal.gone_id}"))
         return proposal.events + gap_filling.keep_gap(proposal.gone_id, notice.text)

@@ -12,13 +12,14 @@ and for a leader the same with the reference as one more neighbour. The solution
 from __future__ import annotations
 
 from cmath import exp
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from math import cos, dist, hypot, inf, pi, sin
 
 from companion.core.consensus.law import FormationLaw
 from companion.core.consensus.priority import next_prc
 from companion.core.consensus.weights import neighbour_weights
+from companion.types.steps import Steps, whole
 from companion.types.vectors import Vector3
 
 LAG_S, DELAY_S, FEEDFORWARD_DELAY_S = 0.2, 0.05, 0.02  # of stability/prediction.py
@@ -26,6 +27,7 @@ PHASES = 48  # of a lap at which two harmonics are added
 SLOWER, FINER, MOST_STEPS = 1.5, 6, 10  # search for the pace that would do
 OVERSHOOT = 1.3  # of the shift of two vehicles when a motion begins, relative to that of the steady motion; flown: 1.2
 ROUNDING = 0.02  # of the separation: less than sensor errors
+COST_PER_STEP = 700  # see Chain.cost
 
 Graph = Mapping[int, Sequence[int]]
 
@@ -73,21 +75,40 @@ class Chain:
     drag_1_s: float
     speed_m_s: float
     acceleration_m_s2: float
+    _weights: dict[int, tuple[Sequence[int], Sequence[float]]] = field(init=False, repr=False, compare=False)
+    _known: dict[float, dict[int, complex]] = field(init=False, repr=False, compare=False)  # responses by rate
+
+    def __post_init__(self) -> None:
+        prcs = _prcs(self.graph, self.leaders)
+        weights = {}
+        for i, neighbours in self.graph.items():
+            used = neighbours if i not in self.leaders or self.law.leader_uses_neighbours else ()
+            weights[i] = (used, neighbour_weights([prcs[j] for j in used], self.law.exponent))
+        object.__setattr__(self, "_weights", weights)
+        object.__setattr__(self, "_known", {})
+
+    def cost(self, motion: Motion) -> int:
+        """Work of `closest`, about in microseconds: of each pair, and of each rate that is new."""
+        n = len(self.graph)
+        new = sum(harmonic.rate_rad_s not in self._known for harmonic in motion)
+        return n * (n - 1) // 2 * (1 if len(motion) == 1 else PHASES // 2) + new * n**3 // 4
 
     def responses(self, rate_rad_s: float) -> dict[int, complex]:
         """x_i/r of each vehicle at this rate."""
+        if (known := self._known.get(rate_rad_s)) is None:
+            known = self._known[rate_rad_s] = self._responses(rate_rad_s)
+        return known
+
+    def _responses(self, rate_rad_s: float) -> dict[int, complex]:
         s = 1j * rate_rad_s
         gains, g = self.law.gains, self.law.feedforward
         plant, follow = s * s + self.drag_1_s * s, exp(-s * DELAY_S) / (1.0 + s * LAG_S)
         fed_back = follow * (gains.position_1_s2 + gains.velocity_1_s * s)
         from_neighbours = fed_back + g * exp(-s * FEEDFORWARD_DELAY_S) * plant
-        prcs = _prcs(self.graph, self.leaders)
         rows: dict[int, dict[int, complex]] = {}
         right: dict[int, complex] = {}
         for i, neighbours in self.graph.items():
-            leads = i in self.leaders
-            used = neighbours if not leads or self.law.leader_uses_neighbours else ()
-            weights = neighbour_weights([prcs[j] for j in used], self.law.exponent)
+            leads, (used, weights) = i in self.leaders, self._weights[i]
             from_each = fed_back if leads else from_neighbours
             row = dict.fromkeys(neighbours, 0j)
             row |= {j: -from_each * weight for j, weight in zip(used, weights, strict=True)}
@@ -123,39 +144,87 @@ class Chain:
         return worst
 
 
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One motion for one chain, and the pair that comes nearest in it."""
+
+    chain: Chain
+    motion: Motion
+    pair: Pair
+
+
+def refused_cases(
+    chains: Iterable[Chain], motions: Sequence[Motion], slots_m: Mapping[int, Vector3], separation_m: float
+) -> Steps[list[Case]]:
+    """The cases in which two vehicles come nearer than `separation_m`."""
+    done = 0
+    found: list[Case] = []
+    for chain in chains:
+        done += len(slots_m) ** 2
+        for motion in motions:
+            cost = chain.cost(motion)
+            if done and done + cost > COST_PER_STEP:
+                done = 0
+                yield
+            pair = chain.closest(motion, slots_m)
+            if _is_too_near(pair, separation_m):
+                found.append(Case(chain, motion, pair))
+            done += cost
+    return found
+
+
 def too_close(
-    chains: Sequence[Chain], motions: Sequence[Motion], slots_m: Mapping[int, Vector3], separation_m: float
+    chains: Iterable[Chain], motions: Sequence[Motion], slots_m: Mapping[int, Vector3], separation_m: float
 ) -> Pair | None:
     """The first pair that comes nearer than `separation_m` in any of the motions; None where the law keeps the distance."""
-    for chain in chains:
-        for motion in motions:
-            pair = chain.closest(motion, slots_m)
-            if pair.distance_m < separation_m * (1.0 - ROUNDING):
-                return pair
-    return None
+    return next((case.pair for case in whole(refused_cases(chains, motions, slots_m, separation_m))), None)
 
 
-def slower_by(
-    chains: Sequence[Chain], motions: Sequence[Motion], slots_m: Mapping[int, Vector3], separation_m: float
-) -> float:
-    """How many times longer the same motions must take, so that the law keeps the distance; inf where no pace does."""
+def slower_by(refused: Sequence[Case], slots_m: Mapping[int, Vector3], separation_m: float) -> Steps[float]:
+    """How many times longer the same motions must take, so that the law keeps the distance; inf where no pace does.
 
-    def is_refused(times: float) -> bool:
-        slowed = [[harmonic.slowed(times) for harmonic in motion] for motion in motions]
-        return too_close(chains, slowed, slots_m, separation_m) is not None
+    The search is done for the worst case. The others only have to be checked at the pace that is found, most of all once.
+    """
+    times = 1.0
+    while refused:
+        worst = min(refused, key=lambda case: case.pair.distance_m)
+        times = yield from _pace_of(worst, times, slots_m, separation_m)
+        if times == inf:
+            return inf
+        still: list[Case] = []
+        for case in refused:
+            pair = _slowed(case, times, slots_m)
+            if case is not worst and _is_too_near(pair, separation_m):
+                still.append(Case(case.chain, case.motion, pair))
+            yield
+        refused = still
+    return times
 
-    times = SLOWER
+
+def _pace_of(case: Case, times: float, slots_m: Mapping[int, Vector3], separation_m: float) -> Steps[float]:
+    """`slower_by` of one case that is refused at the pace `times`."""
     for _ in range(MOST_STEPS):
-        if not is_refused(times):
+        too_fast, times = times, times * SLOWER
+        refused = _is_too_near(_slowed(case, times, slots_m), separation_m)
+        yield
+        if not refused:
             break
-        times *= SLOWER
     else:
         return inf
-    too_fast = times / SLOWER
     for _ in range(FINER):
         between = (too_fast + times) / 2.0
-        too_fast, times = (between, times) if is_refused(between) else (too_fast, between)
+        refused = _is_too_near(_slowed(case, between, slots_m), separation_m)
+        too_fast, times = (between, times) if refused else (too_fast, between)
+        yield
     return times
+
+
+def _slowed(case: Case, times: float, slots_m: Mapping[int, Vector3]) -> Pair:
+    return case.chain.closest([harmonic.slowed(times) for harmonic in case.motion], slots_m)
+
+
+def _is_too_near(pair: Pair, separation_m: float) -> bool:
+    return pair.distance_m < separation_m * (1.0 - ROUNDING)
 
 
 def _nearest_m(one_m: Vector3, other_m: Vector3, motion: Motion, shifts: Sequence[complex]) -> float:
@@ -167,6 +236,11 @@ def _nearest_m(one_m: Vector3, other_m: Vector3, motion: Motion, shifts: Sequenc
         )
         rise_m = sum(abs(shift) * harmonic.amplitude_enu_m[2] for shift, harmonic in zip(shifts, motion, strict=True))
         return hypot(max(0.0, hypot(x, y) - level_m), max(0.0, abs(z) - rise_m))
+    if len(motion) == 1:  # to and fro on a straight line
+        ax, ay, az = motion[0].amplitude_enu_m
+        most = abs(shifts[0])
+        way = min(max(-(x * ax + y * ay + z * az) / (ax * ax + ay * ay + az * az), -most), most)
+        return hypot(x + way * ax, y + way * ay, z + way * az)
     slowest_rad_s = min(harmonic.rate_rad_s for harmonic in motion)
     nearest_m = inf
     for step in range(PHASES):

@@ -6,14 +6,16 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from math import hypot
 
+from companion.core.reference.blend import reference_box
 from companion.core.reference.room import Box
 from companion.geometry.airspace import Airspace
-from companion.geometry.clear_path import leg_conflict, nearest_kind
+from companion.geometry.clear_path import leg_conflict_steps, nearest_kind
 from companion.geometry.separation import counted
 from companion.geometry.transition import ROUNDING_M, closest_approach, peak_speed_m_s
 from companion.geometry.turning import reach_m, swept
 from companion.geometry.vectors import plus
 from companion.types.notices import Code, Notice
+from companion.types.steps import Steps, coarser, whole
 from companion.types.vectors import Vector3
 
 Slots = Mapping[int, Vector3]
@@ -37,8 +39,12 @@ class FormationLimits:
 
     def refusal_of_positions(self, slots_enu_m: Slots, rft_enu_m: Iterable[Vector3]) -> Notice | None:
         """Fence: no slot may lie outside it, at any of these positions of the RFT."""
+        corners = self._corners(slots_enu_m)
+        low_m, high_m = reference_box(self.fence, [corner for _, corner in corners])
         for r_enu_m in rft_enu_m:
-            for vehicle_id, slot_enu_m in self._corners(slots_enu_m):
+            if all(least < r < most for r, least, most in zip(r_enu_m, low_m, high_m, strict=True)):
+                continue
+            for vehicle_id, slot_enu_m in corners:
                 for axis, r, d, least, most in zip("xyz", r_enu_m, slot_enu_m, *self.fence, strict=True):
                     if not least <= r + d <= most:
                         where = f"{axis} = {r + d:.1f} m, outside the fence less clearance_m ({least:g} to {most:g})"
@@ -60,10 +66,18 @@ class FormationLimits:
         self, before_enu_m: Slots, after_enu_m: Slots, on_the_way_enu_m: Iterable[Vector3], rft_enu_m: Iterable[Vector3]
     ) -> Notice | None:
         """Polygon and obstacles: straight paths between the slots about some positions of the RFT, and the slots about all."""
+        return whole(self.airspace_steps(before_enu_m, after_enu_m, on_the_way_enu_m, rft_enu_m))
+
+    def airspace_steps(
+        self, before_enu_m: Slots, after_enu_m: Slots, on_the_way_enu_m: Iterable[Vector3], rft_enu_m: Iterable[Vector3]
+    ) -> Steps[Notice | None]:
+        """`refusal_of_airspace` in steps."""
         if self.airspace is None:
             return None
-        found = self._conflict(before_enu_m, after_enu_m, on_the_way_enu_m, self.airspace)
-        found = found or self._conflict(after_enu_m, after_enu_m, rft_enu_m, self.airspace)
+        at_once = self.airspace.positions_per_step()
+        ways = self._conflict(before_enu_m, after_enu_m, on_the_way_enu_m, self.airspace)
+        slots = self._conflict(after_enu_m, after_enu_m, rft_enu_m, self.airspace)
+        found = (yield from coarser(ways, at_once)) or (yield from coarser(slots, at_once))
         if found is None:
             return None
         vehicle_id, position = found
@@ -77,9 +91,10 @@ class FormationLimits:
 
     def _conflict(
         self, before_enu_m: Slots, after_enu_m: Slots, rft_enu_m: Iterable[Vector3], airspace: Airspace
-    ) -> tuple[int, Vector3] | None:
+    ) -> Steps[tuple[int, Vector3] | None]:
         outermost_m = max(hypot(*slot) for slots in (before_enu_m, after_enu_m) for slot in slots.values())
         for r_enu_m in rft_enu_m:
+            yield
             if airspace.room_m(r_enu_m) >= outermost_m:
                 continue
             for vehicle_id, after in after_enu_m.items():
@@ -87,7 +102,8 @@ class FormationLimits:
                 if self.slots_turn:
                     around_m = reach_m([before, after])
                     before, after = (0.0, 0.0, before[2]), (0.0, 0.0, after[2])
-                found = leg_conflict(airspace, plus(r_enu_m, before), plus(r_enu_m, after), around_m)
+                start_m, end_m = plus(r_enu_m, before), plus(r_enu_m, after)
+                found = yield from leg_conflict_steps(airspace, start_m, end_m, around_m)
                 if found is not None:
                     return vehicle_id, found
         return None

@@ -33,6 +33,9 @@ def refusal_of_tracks(tracks_enu_m: Tracks, peers: Iterable[PeerPacket], separat
         at = counted(peer.position_enu_m, has_height)
         for vehicle_id, track_enu_m in tracks_enu_m.items():
             points = [counted(point, has_height) for point in track_enu_m]
+            longest_m = max((dist(a, b) for a, b in pairwise(points)), default=0.0)
+            if min(dist(at, point) for point in points) - longest_m >= separation_m:
+                continue  # no segment comes nearer than that
             apart_m = min((_off(at, a, b) for a, b in pairwise(points)), default=dist(at, points[0]))
             if apart_m < separation_m <= dist(at, points[0]):
                 return Notice(

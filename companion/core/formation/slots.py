@@ -6,12 +6,13 @@ the path of the others. On the ground mission time does not run and nothing move
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from math import ceil
 
 from companion.core.election.mission_clock import FALLS_BACK_S
 from companion.core.formation.limits import FormationLimits
 from companion.core.formation.paths import Path
+from companion.core.paced import BEING_CHECKED, PENDING, Pending
 from companion.geometry.curves import rest_to_rest
 from companion.geometry.turning import reach_m
 from companion.geometry.vectors import plus
@@ -21,9 +22,12 @@ from companion.types.flight import STREAMING, FlightPhase
 from companion.types.formation import FlownSlot, FormationChange
 from companion.types.notices import Answer, Code, Notice, accepted
 from companion.types.peers import PeerPacket
+from companion.types.steps import Steps, whole
 from companion.types.vectors import ZERO3, Vector3
 
 LATEST_S = 60.0  # ahead of mission time
+Check = Callable[[Steps[Notice | None]], Notice | Pending | None]
+"""Does the dear part of the checks of a change; PENDING where that takes more ticks."""
 
 
 class SlotPlan:
@@ -48,6 +52,7 @@ class SlotPlan:
         others: Iterable[PeerPacket],
         rft_enu_m: Sequence[Vector3],
         is_command: bool = False,
+        check: Check = whole,
     ) -> Answer:
         """(accepted, reason), in flight. `others` are the peers in formation where this vehicle is not in it, else empty.
 
@@ -55,6 +60,8 @@ class SlotPlan:
 
         `rft_enu_m` are the positions of the RFT that this vehicle knows, one a second: around none may a slot lie outside the
         fence or in an obstacle.
+
+        `check` does the dear part, after all other refusals: while the answer is BEING_CHECKED, ask again in the next tick.
         """
         if change in (self._waiting, self._flown):
             return accepted(Code.FORMATION_KNOWN, f"formation {change.number} is known")
@@ -63,8 +70,10 @@ class SlotPlan:
         refusal = (
             self._refusal(change, rft_enu_m, is_command)
             or self._refusal_of_change(change, reference_s)
-            or self._refusal_of_airspace(change, reference_s, rft_enu_m)
+            or check(self._airspace_steps(change, reference_s, rft_enu_m))
         )
+        if refusal is PENDING:
+            return BEING_CHECKED
         if refusal:
             return Answer(False, refusal.about("formation"))
         self._waiting = change
@@ -79,8 +88,9 @@ class SlotPlan:
         flying: Collection[PeerPacket],
         rft_enu_m: Sequence[Vector3],
         is_command: bool = False,
+        check: Check = whole,
     ) -> Answer:
-        """(accepted, reason), on the ground, where nothing moves. `flying` are the peers in the air."""
+        """(accepted, reason), on the ground, where nothing moves. `flying` are the peers in the air; `check` as in flight."""
         if change == self._flown:
             return accepted(Code.FORMATION_KNOWN, f"formation {change.number} is known")
         if _is_flown(change, [other for other in flying if other.phase is FlightPhase.FORMATION]):
@@ -89,8 +99,10 @@ class SlotPlan:
         refusal = (
             self._refusal(change, rft_enu_m, is_command)
             or self.limits.refusal_of_distance(slots_enu_m)
-            or self.limits.refusal_of_airspace(slots_enu_m, slots_enu_m, (), rft_enu_m)
+            or check(self.limits.airspace_steps(slots_enu_m, slots_enu_m, (), rft_enu_m))
         )
+        if refusal is PENDING:
+            return BEING_CHECKED
         if refusal:
             return Answer(False, refusal.about("formation"))
         if flying:
@@ -258,13 +270,13 @@ class SlotPlan:
         after = {i: slot for i, slot in change.slots_enu_m if i not in change.absent}
         return {i: self.slots_enu_m[i] for i in after}, after
 
-    def _refusal_of_airspace(
+    def _airspace_steps(
         self, change: FormationChange, reference_s: float, rft_enu_m: Sequence[Vector3]
-    ) -> Notice | None:
+    ) -> Steps[Notice | None]:
         """The refusal where a slot, or a path to it while the change lasts, meets an obstacle or leaves the polygon."""
         arrives_in_s = change.begins_s + change.lasts_s - reference_s
         on_the_way = rft_enu_m[: ceil(arrives_in_s) + 1]
-        return self.limits.refusal_of_airspace(self.slots_enu_m, dict(change.slots_enu_m), on_the_way, rft_enu_m)
+        return self.limits.airspace_steps(self.slots_enu_m, dict(change.slots_enu_m), on_the_way, rft_enu_m)
 
 
 def _is_flown(change: FormationChange, others: Iterable[PeerPacket]) -> bool:

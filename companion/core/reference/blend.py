@@ -18,11 +18,13 @@ from companion.geometry.clear_path import room_for
 from companion.geometry.curves import Curve, decay_to_rest, duration_s
 from companion.geometry.turning import swept
 from companion.geometry.vectors import minus, plus
+from companion.types.steps import Steps, coarser, whole
 from companion.types.vectors import ZERO3, Vector3
 
 SHORTEST_S = 1.0
 LONGEST_S = 600.0
 LONGER = 1.1  # ratio of one tried duration to the one before
+SAMPLES_PER_STEP = 100
 SAMPLES = 60  # of a blend at least, and one per second
 
 
@@ -81,6 +83,31 @@ def blended(
 
     `old` is R and r'' at `begins_s`; the time of `new` starts there.
     """
+    return whole(blending(old, new, begins_s, limits, slots_enu_m))
+
+
+def blending(
+    old: FormationState,
+    new: ReferenceTrajectory,
+    begins_s: float,
+    limits: BlendLimits,
+    slots_enu_m: Sequence[Vector3],
+) -> Steps[tuple[ReferenceTrajectory, float] | None]:
+    """`blended` in steps."""
+    samples = SAMPLES_PER_STEP
+    if limits.airspace is not None:
+        samples = min(samples, limits.airspace.positions_per_step(1 + len(slots_enu_m)))
+    return (yield from coarser(_blending(old, new, begins_s, limits, slots_enu_m), samples))
+
+
+def _blending(
+    old: FormationState,
+    new: ReferenceTrajectory,
+    begins_s: float,
+    limits: BlendLimits,
+    slots_enu_m: Sequence[Vector3],
+) -> Steps[tuple[ReferenceTrajectory, float] | None]:
+    """A step for each sample."""
     first, box = new(0.0), limits.box(slots_enu_m)
     begin = (
         minus(old.position_enu_m, first.position_enu_m),
@@ -94,10 +121,18 @@ def blended(
         delta = decay_to_rest(begin, lasts_s)
         samples = max(SAMPLES, ceil(lasts_s))
         times_s = [lasts_s * index / samples for index in range(samples + 1)]
-        if within(delta, times_s, speed_m_s, acceleration_m_s2):
-            whole = _sum(new, delta, begins_s)
-            if all(_is_flyable(whole(begins_s + time_s), limits, box, slots_enu_m) for time_s in times_s):
-                return whole, lasts_s
+        trajectory = _sum(new, delta, begins_s)
+        for time_s in times_s:
+            if not within(delta, [time_s], speed_m_s, acceleration_m_s2):
+                break
+            yield
+        else:
+            for time_s in times_s:
+                if not _is_flyable(trajectory(begins_s + time_s), limits, box, slots_enu_m):
+                    break
+                yield
+            else:
+                return trajectory, lasts_s
         lasts_s *= LONGER
     return None
 

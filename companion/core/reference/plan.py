@@ -9,9 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 
+from msgspec import json
+
 from companion.core.consensus.law import FormationState
 from companion.core.election.mission_clock import FALLS_BACK_S
-from companion.core.reference.blend import BlendLimits, blended
+from companion.core.paced import BEING_CHECKED, PENDING, PacedChecks
+from companion.core.reference.blend import BlendLimits, blending
 from companion.core.reference.target_follower import TargetLimits, TargetPursuit, can_keep
 from companion.core.reference.targets import Targets
 from companion.core.reference.trajectories import ReferenceTrajectory
@@ -20,11 +23,13 @@ from companion.types.flight import FlightPhase, Role
 from companion.types.formation import HeldReference
 from companion.types.notices import Answer, Code, Notice, accepted, refused
 from companion.types.peers import PeerPacket, ReceivedTarget
+from companion.types.steps import Steps, first_steps
 from companion.types.vectors import ZERO3, Vector3
 
 LATEST_S = 60.0  # ahead of mission time
 SETTLED_S = 0.5  # before a change begins it stays: longer than any packet of a peer counts
 LOOK_AHEAD_S = 120  # for this time ahead a formation must keep its limits along the RFT
+STEPS_AT_ONCE = 12  # of the search for a hand-over that begins now
 LEADER_VALID_S = 2.0  # the last packet of a lost leader counts for this time: its successor needs the same RFT
 
 
@@ -50,12 +55,14 @@ class LiveReference:
 
 
 Rft = ReferenceTrajectory | LiveReference
-Read = Callable[[Described, Mapping[int, Vector3]], Rft]
+Read = Callable[[Described, Mapping[int, Vector3]], Steps[Rft]]
 """(description, slots) -> checked RFT. Raises ValueError with the reason."""
-RefusalOfSlots = Callable[[Described | None, Mapping[int, Vector3]], str | None]
+RefusalOfSlots = Callable[[Described | None, Mapping[int, Vector3]], Steps[str | None]]
 """(description, None for the configured RFT; slots) -> why the law cannot fly these slots with it."""
 Flown = ReferenceTrajectory | TargetPursuit
 """A function of mission time, or a pursuit that is advanced tick by tick."""
+HandedOver = tuple[Flown, str]
+"""An RFT with its hand-over, and a text for the event."""
 
 
 class ReferencePlan:
@@ -71,6 +78,8 @@ class ReferencePlan:
         self._waiting: tuple[ReferenceChange, Rft] | None = None
         self._rft = first
         self._flown = _from_start(first)
+        self._handed: tuple[Flown, Mapping[int, Vector3], HandedOver] | None = None  # of the change that waits
+        self.flown_count = 0  # of RFTs flown since the start
         self._begun_s = 0.0  # mission time at which the RFT flown began
         self._reference_s = 0.0
         self._led_by: tuple[int, HeldReference] | None = None  # leader in formation, and its RFT
@@ -102,11 +111,12 @@ class ReferencePlan:
             waiting_enu_m = _positions_enu_m(_from_start(rft), [max(0.0, t - change.begins_s) for t in times_s])
         return _positions_enu_m(self._flown, times_s) + waiting_enu_m
 
-    def refusal_of_slots(self, slots_enu_m: Mapping[int, Vector3]) -> str | None:
+    def refusal_of_slots(self, slots_enu_m: Mapping[int, Vector3]) -> Steps[str | None]:
         """Why the law cannot fly these slots with the RFT flown, or with the one that waits."""
-        refusal = self._refusal_of_slots(self._change.reference if self._change else None, slots_enu_m)
-        if refusal is None and self._waiting:
-            refusal = self._refusal_of_slots(self._waiting[0].reference, slots_enu_m)
+        waiting = self._waiting
+        refusal = yield from self._refusal_of_slots(self._change.reference if self._change else None, slots_enu_m)
+        if refusal is None and waiting:
+            refusal = yield from self._refusal_of_slots(waiting[0].reference, slots_enu_m)
         return refusal
 
     def change(
@@ -117,10 +127,12 @@ class ReferencePlan:
         others: Iterable[PeerPacket],
         fleet_enu_m: Vector3,
         in_formation: bool = False,
+        checks: PacedChecks | None = None,
     ) -> Answer:
         """(accepted, reason). `fleet_enu_m` is r of the fleet, derived from this vehicle's own position.
 
         `in_formation`: this vehicle forms or flies in formation, where mission time runs. A change replaces one that waits.
+        `checks` do the dear part, after all other refusals: while the answer is BEING_CHECKED, ask again in the next tick.
         """
         if self._has(change):
             return accepted(Code.REFERENCE_KNOWN, f"reference {change.number} is known")
@@ -128,18 +140,32 @@ class ReferencePlan:
         late = any(other.reference and _is_same(other.reference, theirs) for other in others)
         if refusal := self._refusal(change, reference_s, late, in_formation):
             return Answer(False, refusal.about("reference"))
-        try:
-            rft = self._read(change.reference, slots_enu_m)
-            if late:
-                self._take(change, rft, _joined(rft, change.begins_s, fleet_enu_m))
-                self._waiting = None
-                return accepted(Code.REFERENCE_ACCEPTED, f"reference {change.number}, which the leader flies")
-            self._handed_over(change, rft, slots_enu_m)
-        except ValueError as error:
-            return refused(Code.REFERENCE_INVALID, f"reference: {error}")
-        self._waiting = (change, rft)
+        slots = tuple(sorted(slots_enu_m.items()))
+        key = (json.encode(change), slots, self.flown_count, late)
+        found = (checks or PacedChecks()).ask(key, lambda: self._checked(change, dict(slots), late))
+        if found is PENDING:
+            return BEING_CHECKED
+        if isinstance(found, str):
+            return refused(Code.REFERENCE_INVALID, f"reference: {found}")
+        rft, handed = found
+        if handed is None:
+            self._take(change, rft, _joined(rft, change.begins_s, fleet_enu_m))
+            self._waiting = None
+            return accepted(Code.REFERENCE_ACCEPTED, f"reference {change.number}, which the leader flies")
+        self._waiting, self._handed = (change, rft), (self._flown, dict(slots), handed)
         text = f"reference {change.number} begins in {change.begins_s - reference_s:.1f} s"
         return accepted(Code.REFERENCE_ACCEPTED, text)
+
+    def _checked(
+        self, change: ReferenceChange, slots_enu_m: Mapping[int, Vector3], late: bool
+    ) -> Steps[tuple[Rft, HandedOver | None] | str]:
+        """The RFT of a change and, unless others fly it already, its hand-over; or why it is refused."""
+        try:
+            rft = yield from self._read(change.reference, slots_enu_m)
+            yield
+            return rft, (None if late else (yield from self._handing_over(change, rft, slots_enu_m)))
+        except ValueError as error:
+            return str(error)
 
     def waiting_track_enu_m(self, slots_enu_m: Mapping[int, Vector3]) -> list[Vector3]:
         """r of the change that waits, with its hand-over, once a second for LOOK_AHEAD_S; empty for a followed target."""
@@ -210,6 +236,7 @@ class ReferencePlan:
         waiting = self._waiting
         self._waiting, self._begun_s = None, 0.0
         self._flown, self.target_age_s = _from_start(self._rft), None
+        self.flown_count += 1
         return (_cancelled(waiting[0], "the mission time restarts"),) if waiting else ()
 
     def _refusal(self, change: ReferenceChange, reference_s: float, late: bool, in_formation: bool) -> Notice | None:
@@ -244,8 +271,19 @@ class ReferencePlan:
         self._take(change, rft, flown)
         return (Notice(Code.REFERENCE_CHANGED, text),)
 
-    def _handed_over(self, change: ReferenceChange, rft: Rft, slots_enu_m: Mapping[int, Vector3]) -> tuple[Flown, str]:
-        """The RFT with its hand-over, and a text for the event. Raises ValueError where no hand-over is possible."""
+    def _handed_over(self, change: ReferenceChange, rft: Rft, slots_enu_m: Mapping[int, Vector3]) -> HandedOver:
+        """The hand-over of the change that waits. Raises ValueError where none is possible, or none is found at once.
+
+        It was found when the change was checked, unless a target is followed or the slots are others now.
+        """
+        if self._handed and not isinstance(self._flown, TargetPursuit):
+            flown, slots, handed = self._handed
+            if flown is self._flown and slots == slots_enu_m:
+                return handed
+        return first_steps(self._handing_over(change, rft, slots_enu_m), STEPS_AT_ONCE)
+
+    def _handing_over(self, change: ReferenceChange, rft: Rft, slots_enu_m: Mapping[int, Vector3]) -> Steps[HandedOver]:
+        """The RFT with its hand-over. Raises ValueError where no hand-over is possible."""
         old = self.at(change.begins_s)
         if isinstance(rft, LiveReference):
             if not can_keep(old, rft.limits, self._limits.room(slots_enu_m.values())):
@@ -253,7 +291,7 @@ class ReferencePlan:
                     "the fleet is too fast, or too near the fence or an obstacle, to follow a target within these limits"
                 )
             return TargetPursuit(rft.limits, old), f"follows target {rft.name}"
-        found = blended(old, rft, change.begins_s, self._limits, list(slots_enu_m.values()))
+        found = yield from blending(old, rft, change.begins_s, self._limits, list(slots_enu_m.values()))
         if found is None:
             raise ValueError(
                 "no hand-over to it keeps all vehicles inside the fence and within the limits of speed and tilt"
@@ -263,6 +301,7 @@ class ReferencePlan:
 
     def _take(self, change: ReferenceChange, rft: Rft, flown: Flown) -> None:
         self._change, self._rft, self._flown = change, rft, flown
+        self.flown_count += 1
         self._begun_s, self.target_age_s = change.begins_s, None
         self._reference_s = max(self._reference_s, change.begins_s)  # a target is followed from then on
 

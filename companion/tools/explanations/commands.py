@@ -49,4 +49,9 @@ ENTRIES: dict[str, Explanation] = {
         "`abort` is open to every operator.",
         "Ask that operator for the reason. The holder of the command has not changed.",
     ),
+    "ABORTED": Explanation(
+        "A command is refused because of an abort.",
+        "It arrived together with `abort`, which goes first.",
+        "See what the vehicle does now, then give the command again if it is still wanted.",
+    ),
 }

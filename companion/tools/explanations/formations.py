@@ -48,7 +48,7 @@ ENTRIES: dict[str, Explanation] = {
     ),
     "CHANGE_IN_PROGRESS": Explanation(
         "A formation or reference is refused because of another one.",
-        "The vehicle is joining, or the change before is not finished.",
+        "The vehicle is joining, the change before is not finished, or several changes are still being checked.",
         "Wait a few seconds and give the command again.",
     ),
     "CHANGE_TOO_LONG": Explanation(

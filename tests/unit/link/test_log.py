@@ -1,10 +1,14 @@
 """The log: each event is a line, and no flood of messages fills the disk."""
 
 import logging
+import os
+import subprocess
+import sys
+import threading
 
 import pytest
 
-from companion.link.log import BURST, CommandLog, EventLog, RejectionLog
+from companion.link.log import BURST, LINES_KEPT, CommandLog, DroppingHandler, EventLog, RejectionLog
 from companion.types.commands import Command, CommandName, CommandReply
 from companion.types.notices import Code, Notice
 
@@ -49,3 +53,52 @@ def test_a_flood_of_foreign_versions_is_a_few_lines(caplog: pytest.LogCaptureFix
             counts = {f"{Code.WIRE_VERSION_DIFFERS} {version}": 50 * (second + 1) for version in range(255)}
             log.update(counts, 100.0 + second)
     assert sum(map(len, lines(caplog))) < 10_000
+
+
+GIVEN = 2 * LINES_KEPT + 1000
+
+
+def record(text: str) -> logging.LogRecord:
+    return logging.LogRecord("companion", logging.INFO, "", 0, text, None, None)
+
+
+def test_a_stream_that_is_not_read_drops_lines_and_never_blocks() -> None:
+    """With a blocking handler the first loop would never end."""
+    reads, writes = os.pipe()
+    handler = DroppingHandler(writes)
+    for _ in range(GIVEN):
+        handler.handle(record("x" * 999))
+    assert handler.dropped > 0  # since the last line that was kept
+    received: list[bytes] = []
+    reader = threading.Thread(target=lambda: received.extend(iter(lambda: os.read(reads, 65536), b"")))
+    reader.start()
+    handler.flush()
+    handler.handle(record("the end"))
+    handler.flush()
+    os.close(writes)
+    reader.join()
+    os.close(reads)
+    lines = b"".join(received).decode().splitlines()
+    dropped = sum(int(line.partition("(")[2].split()[0]) for line in lines if "lines dropped before" in line)
+    assert len(lines) + dropped == GIVEN + 1
+    assert lines[-1].startswith("the end (")
+    assert handler.dropped == 0
+
+
+ENDS = """
+import logging, sys
+from companion.link.log import log_to_stderr
+log_to_stderr(3)
+for number in range(int(sys.argv[1])):
+    logging.info("line %d %s", number, "x" * 999)
+"""
+
+
+def test_the_last_lines_are_written_before_the_process_ends() -> None:
+    done = subprocess.run([sys.executable, "-c", ENDS, "50"], capture_output=True, text=True, check=True)
+    assert " vehicle 3: line 49 x" in done.stderr
+
+
+def test_a_process_ends_although_its_log_is_not_read() -> None:
+    with subprocess.Popen([sys.executable, "-c", ENDS, "2000"], stderr=subprocess.PIPE) as process:
+        assert process.wait() == 0

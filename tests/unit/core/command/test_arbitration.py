@@ -115,17 +115,42 @@ def test_aborts_of_one_tick_are_executed_once_and_all_are_answered() -> None:
     arbitration = CommandArbitration(session=7)
     hold, first, second = command(5), command(5, "boris", C.ABORT), command(9, "carla", C.ABORT)
     intake = arbitration.step((hold, first, second))
-    assert [admitted.name for admitted in intake.admitted] == [C.HOLD, C.ABORT]
-    answers = [
-        (admitted.number, accepted(Code.PHASE_CHANGED if admitted.name is C.HOLD else Code.ALREADY_DONE, ""))
-        for admitted in intake.admitted
-    ]
+    assert [admitted.name for admitted in intake.admitted] == [C.ABORT]
+    answers = [(admitted.number, accepted(Code.ALREADY_DONE, "")) for admitted in intake.admitted]
     replies = arbitration.replies(1, intake, answers)
     assert [(reply.number, reply.code) for reply in replies] == [
-        (5, Code.PHASE_CHANGED),
+        (5, Code.ABORTED),
         (5, Code.ALREADY_DONE),
         (9, Code.ALREADY_DONE),
     ]
+
+
+@pytest.mark.parametrize("name", [C.RETURN, C.LAND])
+def test_an_abort_goes_before_the_other_commands_of_its_tick(name: CommandName) -> None:
+    flight = Flight().fly_to(FlightPhase.FORMATION)
+    other = flight.command(name)
+    outbox = flight.tick(given=(flight.command(C.ABORT), other))
+    assert [(reply.number, reply.accepted) for reply in outbox.replies if reply.number == other.number] == [
+        (other.number, False)
+    ]
+    assert flight.tick(given=(other,)).replies[0].code is Code.ABORTED  # sent again, because the reply may be lost
+    for _ in range(50):
+        flight.tick()
+    assert flight.agent.phase is FlightPhase.HOLD
+
+
+def test_a_command_is_answered_once_ticks_later_when_its_check_is_done() -> None:
+    arbitration = CommandArbitration(session=7)
+    given = command(4, name=C.REFERENCE)
+    assert arbitration.replies(1, arbitration.step((given,)), ()) == ()
+    repeated = arbitration.step((given,))
+    assert repeated.admitted == ()
+    assert arbitration.replies(1, repeated, ()) == ()
+    answer = (4, accepted(Code.REFERENCE_ACCEPTED, ""))
+    assert [reply.number for reply in arbitration.replies(1, arbitration.step(()), [answer])] == [4]
+    assert arbitration.replies(1, arbitration.step(()), ()) == ()
+    again = arbitration.step((given,))
+    assert [reply.code for reply in arbitration.replies(1, again, ())] == [Code.REFERENCE_ACCEPTED]
 
 
 def test_the_repeated_abort_of_another_operator_is_one_event() -> None:

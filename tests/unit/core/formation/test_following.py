@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from companion.core.consensus.law import FormationLaw, average_22, average_26, cooperative, weighted
-from companion.core.formation.following import OVERSHOOT, Chain, Harmonic, slower_by, too_close
+from companion.core.formation.following import OVERSHOOT, Chain, Harmonic, refused_cases, slower_by, too_close
 from companion.stability.interaction import couple
+from companion.types.steps import whole
 from companion.types.vectors import Vector3
 
 LAWS = [weighted(), average_22(), average_26(), cooperative()]
@@ -84,7 +85,8 @@ def test_a_vehicle_that_cannot_keep_up_is_named() -> None:
 def test_the_named_pace_is_accepted_and_a_little_faster_is_not(law: FormationLaw) -> None:
     chains, fast = [chain(law)], Harmonic(1.2, (8.0, 8.0, 0.0), rotates=True)
     assert too_close(chains, [[fast]], slots(4, 1.5), 1.0)
-    times = slower_by(chains, [[fast]], slots(4, 1.5), 1.0)
+    refused = whole(refused_cases(chains, [[fast]], slots(4, 1.5), 1.0))
+    times = whole(slower_by(refused, slots(4, 1.5), 1.0))
     assert 1.0 < times < inf
     assert too_close(chains, [[fast.slowed(times)]], slots(4, 1.5), 1.0) is None
     assert too_close(chains, [[fast.slowed(times * 0.97)]], slots(4, 1.5), 1.0)
