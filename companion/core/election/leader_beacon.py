@@ -64,8 +64,8 @@ class BeaconMonitor:
 
         The own term may be older than before: then those of the newer one had no leader, and are not passed on.
         """
-        for leader, kept in tuple(self._newest.items()):
-            if leader[1] > term or (leader[1] < term and now_s - kept.received_s > OLDER_TERM_S):
+        for leader, of_term in tuple(self._newest.items()):
+            if leader[1] > term or (leader[1] < term and now_s - of_term.received_s > OLDER_TERM_S):
                 del self._newest[leader]
         for beacon in beacons:
             if beacon is None or beacon.term != term:
