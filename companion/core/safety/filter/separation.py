@@ -190,8 +190,7 @@ class Separation:
 
     def _nearest_on_way(self, ahead: Ahead, other: Other, silence: Silence) -> Motion:
         last = other.position_enu_m, other.velocity_enu_m_s, other.acceleration_enu_m_s2
-        own_enu_m, weight = ahead.position_enu_m, other.height_weight
-        return nearest_on_way(own_enu_m, last, other.age_s, LAG_S, silence, self._braking_m_s2, weight)
+        return nearest_on_way(ahead, last, other.age_s, LAG_S, silence, self._braking_m_s2, other.height_weight)
 
     def _required(
         self, own: PositionError, slot: FlownSlot, other: Other, offset_enu_m: Vector3, upward: float

@@ -11,6 +11,7 @@ from math import exp, hypot, inf, sqrt
 
 from msgspec import Struct
 
+from companion.core.safety.filter.lag import Ahead
 from companion.geometry.vectors import shortened
 from companion.types.vectors import ZERO3, Vector3
 
@@ -40,12 +41,13 @@ class Silence(Struct, frozen=True, gc=False):
 
 
 def nearest_on_way(
-    own_enu_m: Vector3, last: Motion, age_s: float, ahead_s: float, silence: Silence, braking_m_s2: float, weight: float
+    own: Ahead, last: Motion, age_s: float, ahead_s: float, silence: Silence, braking_m_s2: float, weight: float
 ) -> Motion:
     """The point nearest to this vehicle of all where a silent one may be `ahead_s` from now, and how that point moves.
 
     `last` is `age_s` old. The way is a straight line from where the vehicle brakes at once to where it coasts. It grows from
-    the expected position within GROWS_S, so nothing jumps. `weight` is that of heights.
+    the expected position within GROWS_S, so nothing jumps. Between its ends the point follows this vehicle along the way.
+    `weight` is that of heights.
     """
     at_s, most_m_s = age_s + ahead_s, silence.most_m_s
     plausible = (last[0], shortened(last[1], most_m_s), last[2])
@@ -55,11 +57,19 @@ def nearest_on_way(
     if part < 1.0:
         expected = _expected(last, at_s)
         braked, coasted = _grown(expected, braked, part), _grown(expected, coasted, part)
-    (x, y, z), (px, py, pz), (qx, qy, qz) = own_enu_m, braked[0], coasted[0]
+    (x, y, z), (px, py, pz), (qx, qy, qz) = own.position_enu_m, braked[0], coasted[0]
     dx, dy, dz = qx - px, qy - py, (qz - pz) * weight
     length2_m2 = dx * dx + dy * dy + dz * dz
     share = ((x - px) * dx + (y - py) * dy + (z - pz) * weight * dz) / length2_m2 if length2_m2 > 0.0 else 0.0
-    return _between(braked, coasted, min(max(share, 0.0), 1.0))
+    if share <= 0.0:
+        return braked
+    if share >= 1.0:
+        return coasted
+    position_enu_m, (vx, vy, vz), acceleration_enu_m_s2 = _between(braked, coasted, share)
+    wx, wy, wz = own.velocity_enu_m_s
+    follows_1_s = ((wx - vx) * dx + (wy - vy) * dy + (wz - vz) * weight * dz) / length2_m2
+    vx, vy, vz = vx + follows_1_s * (qx - px), vy + follows_1_s * (qy - py), vz + follows_1_s * (qz - pz)
+    return position_enu_m, (vx, vy, vz), acceleration_enu_m_s2
 
 
 def column_m(required_m: float, above_m: float, silent_s: float, weight: float) -> tuple[float, float]:
@@ -131,10 +141,6 @@ def _grown(expected: Motion, end: Motion, part: float) -> Motion:
 
 
 def _between(one: Motion, other: Motion, share: float) -> Motion:
-    if share == 0.0:
-        return one
-    if share == 1.0:
-        return other
     ((ax, ay, az), (bx, by, bz), (cx, cy, cz)), ((dx, dy, dz), (ex, ey, ez), (fx, fy, fz)) = one, other
     return (
         (ax + share * (dx - ax), ay + share * (dy - ay), az + share * (dz - az)),

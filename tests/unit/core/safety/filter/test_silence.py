@@ -8,18 +8,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from companion.core.safety.filter.lag import Ahead
 from companion.core.safety.filter.silence import KEPT_S, Motion, Silence, column_m, nearest_on_way
 from companion.types.vectors import ZERO3, Vector3
 
 PEER = Silence(0.3, 0.0, KEPT_S, 15.0)
 BRAKING_M_S2 = 2.0
 EAST: Motion = ((0.0, 0.0, 5.0), (4.0, 0.0, 0.0), ZERO3)
+OWN_M_S: Vector3 = (3.0, 1.0, 0.0)
 FAR_BEHIND: Vector3 = (-500.0, 0.0, 5.0)
 FAR_AHEAD: Vector3 = (500.0, 0.0, 5.0)
 
 
 def nearest(own_enu_m: Vector3, last: Motion, age_s: float, silence: Silence = PEER) -> Motion:
-    return nearest_on_way(own_enu_m, last, age_s, 0.0, silence, BRAKING_M_S2, 1.0)
+    return nearest_on_way(Ahead(own_enu_m, OWN_M_S), last, age_s, 0.0, silence, BRAKING_M_S2, 1.0)
 
 
 def test_a_vehicle_behind_meets_one_that_brakes_at_once() -> None:
@@ -37,7 +39,9 @@ def test_a_vehicle_ahead_meets_one_that_coasts() -> None:
 
 
 def test_a_vehicle_beside_the_way_meets_the_point_next_to_it() -> None:
-    assert nearest((6.0, 2.0, 5.0), EAST, 3.0)[0] == pytest.approx((6.0, 0.0, 5.0))
+    position, velocity, _ = nearest((6.0, 2.0, 5.0), EAST, 3.0)
+    assert position == pytest.approx((6.0, 0.0, 5.0))
+    assert velocity == pytest.approx((OWN_M_S[0], 0.0, 0.0))  # it follows along the way, and does not turn away
 
 
 def test_the_attitude_is_kept_at_first() -> None:
