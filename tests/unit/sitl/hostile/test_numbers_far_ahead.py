@@ -19,6 +19,7 @@ from sitl.hostile.fleet import Hostile, HostileFleet
 C = CommandName
 POINT = {"kind": "point", "point_enu_m": [0.0, 0.0, 5.0]}
 WRONG = 2  # the vehicle that obeys wrong commands
+ANSWERED_WITHIN = 50  # ticks: a reference is judged in steps
 
 
 def ticks(fleet: HostileFleet, number: int) -> None:
@@ -42,7 +43,10 @@ def wrongly_commanded(
 ) -> None:
     fleet.replies.clear()
     fleet.give(WRONG, name, content)
-    fleet.tick()
+    for _ in range(ANSWERED_WITHIN):
+        fleet.tick()
+        if WRONG in fleet.replies:
+            break
     assert fleet.replies[WRONG].accepted, fleet.replies[WRONG].reason
 
 
