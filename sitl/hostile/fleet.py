@@ -29,6 +29,7 @@ from companion.wire.version import WireError
 from sitl.flight.lockstep import NOT_TIMED
 from sitl.hostile.plant import HOVER_THRUST_NORM, TICK_S, Plant
 
+ANSWERED_WITHIN = 100  # ticks: formations and references are judged in steps
 OPERATOR = "anna@ground"
 MAX_TILT_DEG = 25.0
 CHAIN = 6  # vehicles
@@ -139,12 +140,15 @@ class HostileFleet:
         self._given[vehicle_id] = Command(name, number, OPERATOR, status.session, content)
 
     def command(self, name: CommandName, content: Content | None = None) -> dict[int, CommandReply]:
-        """The replies to a command of the true operator to every vehicle."""
+        """The replies to a command of the true operator to every vehicle. Raises InvariantError where one does not answer."""
         self.replies = {}
         for i in self.agents:
             self.give(i, name, content)
-        self.tick()
-        return self.replies
+        for _ in range(ANSWERED_WITHIN):
+            self.tick()
+            if self.replies.keys() == self.agents.keys():
+                return self.replies
+        raise InvariantError(f"{name} is not answered by {sorted(self.agents.keys() - self.replies.keys())}")
 
     def _step(self, vehicle_id: int, hostile: Hostile) -> Outbox:
         packets = [packet for i, packet in self.packets.items() if i != vehicle_id]
@@ -169,7 +173,7 @@ class HostileFleet:
         if seconds > self.longest_tick_s:
             self.longest_tick_s, self.longest_tick = seconds, self._described(vehicle_id, inbox)
         for reply in outbox.replies:
-            if given and reply.number == given.number:
+            if reply.operator == OPERATOR and reply.number == self._numbers.get(vehicle_id):
                 self.replies[vehicle_id] = reply
         return outbox
 

@@ -14,12 +14,11 @@ from companion.types.commands import NUMBERS_AHEAD, CommandName, Lead, Reference
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FormationChange, LeaderBeacon
 from companion.types.peers import PeerPacket
-from sitl.hostile.fleet import Hostile, HostileFleet
+from sitl.hostile.fleet import ANSWERED_WITHIN, Hostile, HostileFleet
 
 C = CommandName
 POINT = {"kind": "point", "point_enu_m": [0.0, 0.0, 5.0]}
 WRONG = 2  # the vehicle that obeys wrong commands
-ANSWERED_WITHIN = 50  # ticks: a reference is judged in steps
 
 
 def ticks(fleet: HostileFleet, number: int) -> None:
