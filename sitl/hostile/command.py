@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections import Counter
 from pathlib import Path
+from textwrap import fill
 
 from sitl.hostile.decoders import Fuzzed, decoders, fuzz
 from sitl.hostile.episode import Outcome, fly
@@ -102,7 +103,8 @@ def table(results: list[list[Fuzzed] | list[Outcome]], seed: int) -> str:
     failures += [
         f"- seed {outcome.seed}: {text}" for outcome in outcomes for text in outcome.failures + slow_ticks(outcome)
     ]
-    return "\n".join([*lines, *([""] if failures else []), *failures]) + "\n"
+    wrapped = [fill(text, 100, subsequent_indent="  ", break_long_words=False) for text in failures]
+    return "\n".join([*lines, *([""] if failures else []), *wrapped]) + "\n"
 
 
 def _show(share: float) -> None:
