@@ -121,16 +121,14 @@ def _locks(fleet: HostileFleet) -> list[str]:
         if set(status.peers) != fleet.packets.keys() - {i}
     ]
     found += _refused(fleet, CommandName.TAKE, fleet.command(CommandName.TAKE))
-    waited_s = 0.0
-    while waited_s < LANDS_WITHIN_S and any(agent.phase not in CAN_CHANGE for agent in fleet.agents.values()):
-        _wait(fleet, 0.5)
-        waited_s += 0.5
-    statuses = list(fleet.statuses.values())
+    _wait_for_landings(fleet)
     found += _taken_back(fleet)
+    _wait_for_landings(fleet)  # hold without a leader ends in a landing after `land_after_s`
+    statuses = list(fleet.statuses.values())
     lead = Lead((1,), next_epoch(status.epoch for status in statuses))
     found += _refused(fleet, CommandName.LEAD, fleet.command(CommandName.LEAD, lead))
     _wait(fleet, 1.0)
-    if all(agent.phase in COOPERATING for agent in fleet.agents.values()):
+    if _all_cooperate(fleet):
         found += [
             f"lock: vehicle {i} has no leader beacon"
             for i, status in fleet.statuses.items()
@@ -143,6 +141,19 @@ def _locks(fleet: HostileFleet) -> list[str]:
     hold = fleet.command(CommandName.HOLD)
     found += _refused(fleet, CommandName.HOLD, {i: hold[i] for i in flying if i in hold})
     return found
+
+
+def _all_cooperate(fleet: HostileFleet) -> bool:
+    """Whether the leader's beacon can pass through every vehicle: one that does not know its position sends no packet."""
+    flying = all(agent.phase in COOPERATING for agent in fleet.agents.values())
+    return flying and fleet.packets.keys() == fleet.agents.keys()
+
+
+def _wait_for_landings(fleet: HostileFleet) -> None:
+    waited_s = 0.0
+    while waited_s < LANDS_WITHIN_S and any(agent.phase not in CAN_CHANGE for agent in fleet.agents.values()):
+        _wait(fleet, 0.5)
+        waited_s += 0.5
 
 
 def _taken_back(fleet: HostileFleet) -> list[str]:
