@@ -16,6 +16,7 @@ from sitl.gauntlet.families import FAMILIES, FORM_S, Plan, step
 from sitl.gauntlet.fleets import START_SPACING, Fleet, SensorsName, random_fleet, rounded, sections
 
 RUNAWAY_EVERY = 10
+SEEN_S = 1.0  # a runaway has its speed, and the others have received it
 RUNAWAY_M_S = (0.3, 2.0)
 DRAWS = 200
 NAMES = tuple(FAMILIES)
@@ -78,7 +79,7 @@ def _content(random: Random, fleet: Fleet, plan: Plan, with_runaway: bool) -> tu
     if with_runaway:
         runaway = random.choice([i for i in fleet.followers if i not in (fleet.successor, *stays_out)])
         pilot, from_outside = _pilot(random, fleet, runaway)
-        pilots.append(pilot)
+        pilots.append(pilot | {"at_s": _seen_at_s(pilot["at_s"], plan)})
         stays_out |= {runaway} if from_outside else set()
         plan.steps = [_without(one, runaway) for one in plan.steps]
     content = sections(fleet, random)
@@ -124,6 +125,14 @@ def _pilot(random: Random, fleet: Fleet, runaway: int) -> tuple[dict[str, Any], 
     velocity = [rounded(speed_m_s * cos(angle_rad)), rounded(speed_m_s * sin(angle_rad)), 0.0]
     at_s = rounded(FORM_S + random.uniform(2.0 if from_outside else 5.0, 9.0))
     return {"vehicle": runaway, "at_s": at_s, "velocity_enu_m_s": velocity}, from_outside
+
+
+def _seen_at_s(at_s: float, plan: Plan) -> float:
+    """When the pilot takes over: not while a partition may hide from the others that the vehicle begins to move."""
+    for split in plan.partitions:
+        if split["from_s"] - SEEN_S < at_s < split["until_s"]:
+            return rounded(split["until_s"] + SEEN_S)
+    return at_s
 
 
 def _end(timeline: list[dict[str, Any]], ends_s: float) -> None:

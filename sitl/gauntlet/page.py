@@ -58,7 +58,8 @@ on simulated quadrotors. Each flight draws its fleet (4 to 12 vehicles, shape, s
 `separation_m` from 1 to 2.5 m), the law (`weighted` or `cooperative`), the autopilot, the sensors,
 the network (delay up to 0.1 s with up to 0.05 s jitter, loss up to 10 %), and what happens to it.
 Every tenth flight has a runaway: a pilot takes over one vehicle and flies it straight on at up to
-2 m/s. The seed and the number of a flight give the same flight bit for bit.
+2 m/s. In a split network it begins while the others receive it: no vehicle can avoid another one
+that begins to move unheard. The seed and the number of a flight give the same flight bit for bit.
 
 ```sh
 sitl gauntlet --flights 100 --seed 7           # on all cores, some minutes
