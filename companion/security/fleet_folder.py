@@ -1,9 +1,10 @@
 """The folder that `companion init` wrote, and the folders in it that `companion provision` adds.
 
-DIR/fleet.yaml, vehicle-N.yaml    the files to edit
-DIR/authority/                    authority.pem, private.key, admitted.json: never copied
-DIR/copy/NAME/                    what goes to the computer of one participant
-DIR/retired/NAME-TIME/            what copy/ held before a renewal or a revocation
+- DIR/fleet.yaml, DIR/vehicle-N.yaml: the files to edit.
+- DIR/authority/: authority.pem, private.key, admitted.json; never copied.
+- DIR/copy/NAME/: what goes to the computer of one participant. Users other than root may read all but the keys there: the
+  agent gets its key from systemd.
+- DIR/retired/NAME-TIME/: what copy/ held before a renewal or a revocation.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ from pathlib import Path
 from companion.config.file import ConfigError
 
 PRIVATE, PUBLIC = 0o600, 0o644
-PRIVATE_FOLDER = 0o700
+PRIVATE_FOLDER, PUBLIC_FOLDER = 0o700, 0o755
 PART = ".part"  # suffix of what is not complete yet
 
 
@@ -34,11 +34,11 @@ def write_file(path: Path, content: bytes, mode: int = PUBLIC) -> None:
 
 
 @contextmanager
-def new_folder(path: Path) -> Iterator[Path]:
+def new_folder(path: Path, mode: int = PRIVATE_FOLDER) -> Iterator[Path]:
     """A folder under another name, which gets its name when it is complete. Nothing is left of it after an exception."""
     part = _part(path)
     try:
-        make_folder(part)
+        make_folder(part, mode)
         yield part
         _sync(part)
         part.rename(path)
@@ -48,10 +48,10 @@ def new_folder(path: Path) -> Iterator[Path]:
         raise
 
 
-def make_folder(path: Path) -> None:
-    """A folder for its owner alone. Raises OSError where it exists."""
+def make_folder(path: Path, mode: int = PRIVATE_FOLDER) -> None:
+    """A folder, for its owner alone without a `mode`. Raises OSError where it exists."""
     path.mkdir(PRIVATE_FOLDER)
-    path.chmod(PRIVATE_FOLDER)
+    path.chmod(mode)
 
 
 def remove_parts(folder: Path) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from datetime import datetime
+from datetime import datetime, timedelta
 
 from companion.security.admission import Admitted, AdmittedParticipant
 from companion.security.authority import Authority
@@ -35,7 +35,9 @@ def new_text(done: Provisioned) -> str:
         for name in done.not_in_fleet
     ]
     if done.names:
-        lines += ["next:", *_copy_steps(done), *_list_step(done.folder, 2), *_backup_step(done.folder, 3)]
+        others = len(admitted.participants) > len(done.names)
+        lines += ["next:", *_copy_steps(done), *(_list_step(done.folder, 2) if others else [])]
+        lines += _backup_step(done.folder, 3 if others else 2)
     return "\n".join(lines) + "\n"
 
 
@@ -79,7 +81,7 @@ def list_text(authority: Authority, now: datetime) -> str:
 
 
 def _admitted_row(one: AdmittedParticipant, now: datetime) -> str:
-    days = (one.expires_at - now).days
+    days = -((now - one.expires_at) // timedelta(days=1))  # a day that has begun counts
     state = "expired, renew" if one.expires_at < now else "admitted"
     if state == "admitted" and days < RENEW_WITHIN_DAYS:
         state = "admitted, renew soon"
@@ -92,7 +94,7 @@ def _with_end(admitted: Admitted, name: str) -> str:
 
 
 def _copy_steps(done: Provisioned) -> list[str]:
-    lines = ["  1. Copy each folder to its computer, over a link that you trust, then remove it here:"]
+    lines = ["  1. Copy each folder to its computer, over a link that you trust:"]
     for text in done.names:
         name = parse_common_name(text)
         if name.role is ParticipantRole.VEHICLE:

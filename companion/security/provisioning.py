@@ -6,24 +6,16 @@ authority's list second and its copies last. The same command completes a run th
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
-from msgspec.structs import replace
-
 from companion.config.file import ConfigError
-from companion.security.admission import Admitted, AdmittedParticipant, RevokedParticipant, now_in_seconds
-from companion.security.authority import Authority, create_authority, open_authority, signed
-from companion.security.certificates import (
-    certificate_pem,
-    key_der,
-    key_pem,
-    new_key,
-    participant_certificate,
-    serial_of,
-)
+from companion.security.admission import Admitted, RevokedParticipant, now_in_seconds
+from companion.security.authority import Authority, create_authority, open_authority
+from companion.security.certificates import certificate_pem
 from companion.security.fleet_folder import (
     FLEET_FILE,
     IDENTITY,
@@ -34,10 +26,16 @@ from companion.security.fleet_folder import (
     write_mavlink_key,
 )
 from companion.security.identity import ADMITTED_FILE, AUTHORITY_FILE, CERTIFICATE_FILE, KEY_FILE
+from companion.security.issuing import COMMAND, Issued, issue, next_list, with_issued
 from companion.security.names import ParticipantName, ParticipantRole, parse_common_name
-from companion.security.private_files import PRIVATE, make_folder, new_folder, one_at_a_time, write_file
-
-COMMAND = "companion provision"
+from companion.security.private_files import (
+    PRIVATE,
+    PUBLIC_FOLDER,
+    make_folder,
+    new_folder,
+    one_at_a_time,
+    write_file,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,16 +53,6 @@ class Provisioned:
     not_in_fleet: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class _Issued:
-    """A new identity that is not written yet."""
-
-    name: ParticipantName
-    entry: AdmittedParticipant
-    certificate: bytes
-    key: bytes = field(repr=False)
-
-
 def provision_new(
     folder: Path, wanted: Sequence[ParticipantName], default_ground: ParticipantName, days: int, now: datetime
 ) -> Provisioned:
@@ -76,10 +64,11 @@ def provision_new(
     with one_at_a_time(folder):
         authority = _open_or_create(files, paths, now)
         names = _missing(files, wanted, default_ground, authority.admitted)
-        if issued := _issue(authority, names, days, now):
-            data = _next_list(authority, _with(authority.admitted, issued), authority.admitted.revoked, now)
-            _write_folders(paths, files, authority, issued)
-            authority = _publish(paths, data)
+        if issued := issue(authority, names, days, now):
+            data = next_list(authority, with_issued(authority.admitted, issued), authority.admitted.revoked, now)
+            with _tidy_after_failure(paths, now):
+                _write_folders(paths, files, authority, issued)
+                authority = _publish(paths, data)
         else:
             paths.distribute((paths.authority / ADMITTED_FILE).read_bytes())
         different = [path for name, copy in paths.copies() for path in write_configuration(copy, files.of(name))]
@@ -95,8 +84,8 @@ def renew(folder: Path, names: Sequence[str] | None, days: int, now: datetime) -
     with one_at_a_time(folder):
         authority = _open(paths, now)
         chosen = _chosen(authority.admitted, names)
-        issued = _issue(authority, chosen, days, now)
-        data = _next_list(authority, _with(authority.admitted, issued), authority.admitted.revoked, now)
+        issued = issue(authority, chosen, days, now)
+        data = next_list(authority, with_issued(authority.admitted, issued), authority.admitted.revoked, now)
         for one in issued:
             _renew_folder(paths, authority, one, now)
         authority = _publish(paths, data)
@@ -116,7 +105,7 @@ def revoke(folder: Path, names: Sequence[str], now: datetime) -> Provisioned:
             for one in admitted.participants
             if one.name in chosen
         )
-        authority = _publish(paths, _next_list(authority, kept, (*admitted.revoked, *revoked), now))
+        authority = _publish(paths, next_list(authority, kept, (*admitted.revoked, *revoked), now))
         paths.tidy(_participants(authority.admitted), now)
     return Provisioned(paths, authority, tuple(one.name for one in revoked))
 
@@ -147,8 +136,8 @@ def _open(paths: FleetFolder, now: datetime) -> Authority:
 def _open_or_create(files: FleetFiles, paths: FleetFolder, now: datetime) -> Authority:
     if not paths.authority.exists():
         if paths.copy.exists():
-            text = f"exists without {paths.authority}; restore that folder from its backup, or move copy away for a new authority"
-            raise ConfigError(paths.copy, "", text)
+            text = f"exists without {paths.authority}; restore that folder from its backup"
+            raise ConfigError(paths.copy, "", f"{text}, or move copy away for a new authority")
         create_authority(paths.authority, files.fleet, now)
     authority = _open(paths, now)
     if authority.fleet != files.fleet:
@@ -172,8 +161,10 @@ def _missing(
 def _chosen(admitted: Admitted, names: Sequence[str] | None) -> list[ParticipantName]:
     """Admitted names by what the operator wrote: vehicle-3, or the whole common name vehicle-3.2."""
     parsed = [parse_common_name(one.name) for one in admitted.participants]
-    if names is None:
+    if names is None and parsed:
         return parsed
+    if names is None:
+        raise ConfigError(COMMAND, "--all", "no participant is admitted; companion provision new DIR admits some")
     by_text = {text: name for name in parsed for text in (name.participant, str(name))}
     for text in names:
         if text not in by_text:
@@ -186,82 +177,52 @@ def _participants(admitted: Admitted) -> set[str]:
     return {parse_common_name(one.name).participant for one in admitted.participants}
 
 
-def _texts(issued: Iterable[_Issued]) -> tuple[str, ...]:
+def _texts(issued: Iterable[Issued]) -> tuple[str, ...]:
     return tuple(str(one.name) for one in issued)
-
-
-# ---------------------------------------------------------------- made in memory
-
-
-def _issue(authority: Authority, names: Sequence[ParticipantName], days: int, now: datetime) -> list[_Issued]:
-    """Keys and certificates. The authority's key is not read where there are none to make."""
-    if not names:
-        return []
-    authority_key, issued = authority.key(), []
-    for name in names:
-        key = new_key()
-        try:
-            certificate = participant_certificate(
-                name, key.public_key(), authority.certificate, authority_key, now, days
-            )
-        except ValueError as error:
-            raise ConfigError(COMMAND, "--days", str(error)) from error
-        entry = AdmittedParticipant(
-            name=str(name),
-            serial=serial_of(certificate),
-            public_key=key_der(key.public_key()),
-            expires_at=certificate.not_valid_after_utc,
-        )
-        issued.append(_Issued(name, entry, certificate_pem(certificate), key_pem(key)))
-    return issued
-
-
-def _with(admitted: Admitted, issued: Sequence[_Issued]) -> tuple[AdmittedParticipant, ...]:
-    """The participants with the new entries in place of those with the same names, and the others at the end."""
-    entries = {one.name: one for one in admitted.participants} | {one.entry.name: one.entry for one in issued}
-    return tuple(entries.values())
-
-
-def _next_list(
-    authority: Authority,
-    participants: tuple[AdmittedParticipant, ...],
-    revoked: tuple[RevokedParticipant, ...],
-    now: datetime,
-) -> bytes:
-    old = authority.admitted
-    new = replace(old, number=old.number + 1, issued_at=now_in_seconds(now), participants=participants, revoked=revoked)
-    return signed(authority, authority.key(), new)
 
 
 # ---------------------------------------------------------------- written
 
 
-def _write_folders(paths: FleetFolder, files: FleetFiles, authority: Authority, issued: Sequence[_Issued]) -> None:
+@contextmanager
+def _tidy_after_failure(paths: FleetFolder, now: datetime) -> Iterator[None]:
+    """After an exception or Ctrl-C copy/ has the folders of those that are admitted, and no others."""
+    try:
+        yield
+    except BaseException:
+        with suppress(OSError, ConfigError):
+            paths.tidy(_participants(open_authority(paths.authority).admitted), now)
+        raise
+
+
+def _write_folders(paths: FleetFolder, files: FleetFiles, authority: Authority, issued: Sequence[Issued]) -> None:
     if not paths.copy.exists():
         make_folder(paths.copy)
     for one in issued:
-        with new_folder(paths.copy_of(one.name)) as part:
-            make_folder(part / IDENTITY)
+        with new_folder(paths.copy_of(one.name), PUBLIC_FOLDER) as part:
+            make_folder(part / IDENTITY, PUBLIC_FOLDER)
             _write_identity(part / IDENTITY, authority, one)
             write_configuration(part, files.of(one.name))
             if one.name.role is ParticipantRole.VEHICLE:
                 write_mavlink_key(part)
 
 
-def _renew_folder(paths: FleetFolder, authority: Authority, one: _Issued, now: datetime) -> None:
+def _renew_folder(paths: FleetFolder, authority: Authority, one: Issued, now: datetime) -> None:
     """The old key and certificate go to retired/. A folder that was removed after copying gets the identity alone."""
     copy = paths.copy_of(one.name)
-    for folder in (paths.copy, copy):
-        if not folder.exists():
-            make_folder(folder)
-    with new_folder(copy / IDENTITY) as part:
+    if not paths.copy.exists():
+        make_folder(paths.copy)
+    if not copy.exists():
+        make_folder(copy, PUBLIC_FOLDER)
+    with new_folder(copy / IDENTITY, PUBLIC_FOLDER) as part:
         _write_identity(part, authority, one)
+        write_file(part / ADMITTED_FILE, (paths.authority / ADMITTED_FILE).read_bytes())
         if (copy / IDENTITY).exists():
             paths.retire(copy / IDENTITY, str(one.name), now)
 
 
-def _write_identity(folder: Path, authority: Authority, one: _Issued) -> None:
-    """Without the list, which follows when the authority has it."""
+def _write_identity(folder: Path, authority: Authority, one: Issued) -> None:
+    """Without a list: one that admits a new name follows when the authority has it."""
     write_file(folder / KEY_FILE, one.key, PRIVATE)
     write_file(folder / CERTIFICATE_FILE, one.certificate)
     write_file(folder / AUTHORITY_FILE, certificate_pem(authority.certificate))
