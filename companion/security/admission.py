@@ -21,6 +21,7 @@ from msgspec import Meta, Struct
 from companion.security.certificates import HASH, UNUSABLE, common_name, organization, p256, public_key_of
 from companion.security.names import FORM, ParticipantName, ParticipantRole, parse_common_name
 from companion.types.bounds import FleetName
+from companion.types.printable import printable
 
 MAX_LIST_BYTES = 256 * 1024
 MAX_PARTICIPANTS = 256
@@ -34,7 +35,10 @@ Instant = Annotated[datetime, Meta(tz=True)]
 
 
 class AdmissionError(Exception):
-    """An admission list that is refused. str() is one line without the name of the file."""
+    """An admission list that is refused. str() is one printable line without the name of the file."""
+
+    def __init__(self, problem: str) -> None:
+        super().__init__(printable(problem))
 
 
 class Section(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

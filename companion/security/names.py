@@ -74,4 +74,7 @@ def parse_common_name(text: str) -> ParticipantName:
     if found is None or found["role"] not in list(ParticipantRole) or found["generation"] == "1":
         roles = ", ".join(ParticipantRole)
         raise ValueError(f"{text!r}, expected ROLE-ID or ROLE-ID.GENERATION with one of the roles {roles}")
-    return participant_name(ParticipantRole(found["role"]), found["id"], int(found["generation"] or 1))
+    try:
+        return participant_name(ParticipantRole(found["role"]), found["id"], int(found["generation"] or 1))
+    except ValueError as error:
+        raise ValueError(f"{text!r}: {error}") from None

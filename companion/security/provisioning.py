@@ -68,7 +68,7 @@ def provision_new(
             data = next_list(authority, with_issued(authority.admitted, issued), authority.admitted.revoked, now)
             with _tidy_after_failure(paths, now):
                 _write_folders(paths, files, authority, issued)
-                authority = _publish(paths, data)
+                authority = _publish(paths, data, now)
         else:
             paths.distribute((paths.authority / ADMITTED_FILE).read_bytes())
         different = [path for name, copy in paths.copies() for path in write_configuration(copy, files.of(name))]
@@ -88,7 +88,7 @@ def renew(folder: Path, names: Sequence[str] | None, days: int, now: datetime) -
         data = next_list(authority, with_issued(authority.admitted, issued), authority.admitted.revoked, now)
         for one in issued:
             _renew_folder(paths, authority, one, now)
-        authority = _publish(paths, data)
+        authority = _publish(paths, data, now)
     return Provisioned(paths, authority, _texts(issued))
 
 
@@ -105,8 +105,7 @@ def revoke(folder: Path, names: Sequence[str], now: datetime) -> Provisioned:
             for one in admitted.participants
             if one.name in chosen
         )
-        authority = _publish(paths, next_list(authority, kept, (*admitted.revoked, *revoked), now))
-        paths.tidy(_participants(authority.admitted), now)
+        authority = _publish(paths, next_list(authority, kept, (*admitted.revoked, *revoked), now), now)
     return Provisioned(paths, authority, tuple(one.name for one in revoked))
 
 
@@ -228,8 +227,10 @@ def _write_identity(folder: Path, authority: Authority, one: Issued) -> None:
     write_file(folder / AUTHORITY_FILE, certificate_pem(authority.certificate))
 
 
-def _publish(paths: FleetFolder, data: bytes) -> Authority:
-    """Writes the list for the authority and into all copies; the authority with it."""
+def _publish(paths: FleetFolder, data: bytes, now: datetime) -> Authority:
+    """Writes the list for the authority and into the copies of those that are admitted. Returns the authority with it."""
     write_file(paths.authority / ADMITTED_FILE, data)
+    authority = open_authority(paths.authority)
+    paths.tidy(_participants(authority.admitted), now)
     paths.distribute(data)
-    return open_authority(paths.authority)
+    return authority

@@ -84,12 +84,11 @@ def test_the_next_name_was_never_revoked() -> None:
     assert names == {"vehicle-3": "vehicle-3.2", "vehicle-9": "vehicle-9"}
 
 
-def test_every_single_changed_bit_is_refused() -> None:
+def test_every_changed_byte_is_refused() -> None:
     for position in range(len(DATA)):
-        for bit in (0, 5, 7):
-            changed = bytearray(DATA)
-            changed[position] ^= 1 << bit
-            refused(bytes(changed))
+        changed = bytearray(DATA)
+        changed[position] ^= 1 << position % 8
+        refused(bytes(changed))
 
 
 def test_every_removed_or_added_byte_is_refused() -> None:
@@ -101,9 +100,8 @@ def test_every_removed_or_added_byte_is_refused() -> None:
 
 
 def test_another_authority_of_the_same_fleet_is_refused() -> None:
-    assert "not signed by alpha authority" in refused(
-        sign(ADMITTED, other := new_key(), authority_certificate("alpha", other, NOW))
-    )
+    other = new_key()
+    assert "not signed by alpha authority" in refused(sign(ADMITTED, other, authority_certificate("alpha", other, NOW)))
 
 
 def test_another_fleet_is_refused() -> None:

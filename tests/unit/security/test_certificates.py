@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from companion.security.certificates import (
     AUTHORITY_DAYS,
+    HASH,
     authority_certificate,
     certificate_pem,
     common_name,
@@ -94,7 +95,7 @@ def test_a_key_with_a_password_is_refused() -> None:
 def test_a_certificate_without_organization_is_refused() -> None:
     name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "vehicle-1")])
     builder = x509.CertificateBuilder().subject_name(name).issuer_name(name).public_key(KEY.public_key())
-    built = builder.serial_number(1).not_valid_before(NOW).not_valid_after(NOW + timedelta(days=1)).sign(KEY, None)  # type: ignore[arg-type]
+    built = builder.serial_number(1).not_valid_before(NOW).not_valid_after(NOW + timedelta(days=1)).sign(KEY, HASH)
     with pytest.raises(ValueError):
         read_certificate(certificate_pem(built))
 

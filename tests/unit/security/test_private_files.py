@@ -77,8 +77,7 @@ def test_what_a_killed_run_left_is_removed_and_nothing_else(tmp_path: Path) -> N
 
 
 def test_a_second_process_is_refused(tmp_path: Path) -> None:
-    with one_at_a_time(tmp_path):
-        with pytest.raises(ConfigError, match="is at work here"), one_at_a_time(tmp_path):
-            pass
+    with one_at_a_time(tmp_path), pytest.raises(ConfigError, match="is at work here"), one_at_a_time(tmp_path):
+        pass
     with one_at_a_time(tmp_path):
         pass
