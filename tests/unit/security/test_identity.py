@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from companion.security.identity import IdentityError, load_identity
-from companion.security.names import ParticipantRole
+from companion.security.names import ParticipantRole, participant_name
 from companion.security.provisioning import provision_new, revoke
 from provisioned_fleet import GROUND, NOW, provisioned
 
@@ -123,7 +123,7 @@ def test_a_revoked_identity_and_its_successor(tmp_path: Path) -> None:
 def test_a_list_from_before_the_participant_does_not_admit_it(tmp_path: Path) -> None:
     provisioned(tmp_path)
     old = (tmp_path / "authority/admitted.json").read_bytes()
-    provision_new(tmp_path, [GROUND.__class__(ParticipantRole.MONITOR, "tower")], GROUND, 365, NOW)
+    provision_new(tmp_path, [participant_name(ParticipantRole.MONITOR, "tower")], GROUND, 365, NOW)
     identity = tmp_path / "copy/monitor-tower/identity"
     (identity / "admitted.json").write_bytes(old)
     refused(identity, "admitted.json", "does not admit monitor-tower")

@@ -199,10 +199,11 @@ def test_a_revoked_vehicle_returns_under_a_new_name_with_new_keys(field: Path) -
 @pytest.mark.parametrize("name", ["vehicle-1.2", "vehicle-9", "anna", "", "\x1b[2J"])
 def test_names_that_are_not_admitted_are_refused_and_change_nothing(field: Path, name: str) -> None:
     before = tree(field)
-    for refused in (lambda: revoke(field, ["vehicle-1", name], NOW), lambda: renew(field, [name], 365, NOW)):
-        with pytest.raises(ConfigError, match="is not admitted; companion provision list DIR") as caught:
-            refused()
-        assert str(caught.value).isprintable()
+    with pytest.raises(ConfigError, match="is not admitted; companion provision list DIR") as caught:
+        revoke(field, ["vehicle-1", name], NOW)
+    assert str(caught.value).isprintable()
+    with pytest.raises(ConfigError, match="is not admitted; companion provision list DIR"):
+        renew(field, [name], 365, NOW)
     assert tree(field) == before
 
 
