@@ -6,11 +6,11 @@ import argparse
 from collections.abc import Callable, Sequence
 
 from companion import __version__
-from companion.cli import agent, analyze, completion, doctor, explain, fleet, init, logs, monitor
+from companion.cli import agent, analyze, completion, doctor, explain, fleet, init, logs, monitor, provision
 from companion.cli.ending import ending_quietly
 
 # A command module has NAME, SUMMARY (one line), DESCRIPTION and MORE (its help), add_arguments(parser) and run(options).
-COMMANDS = (agent, doctor, logs, fleet, monitor, analyze, explain, init, completion)
+COMMANDS = (agent, doctor, logs, fleet, monitor, analyze, explain, init, provision, completion)
 
 DESCRIPTION = "Formation flight for quadrotors with an onboard computer."
 

@@ -1,0 +1,1 @@
+"""Identities of a fleet: authority, certificates, the admission list. No sockets, no Zenoh."""
