@@ -90,7 +90,7 @@ def test_the_watchdog_is_fed_a_few_times_per_its_period(tmp_path: Path, environm
     with service_manager(str(tmp_path / "notify")) as manager:
         speaker = notifier(manager, **environment)
         for cycle in range(500):
-            speaker.cycle_completed(cycle * 0.02, autopilot_connected=False)
+            speaker.cycle_completed(cycle * 0.02, links_up=False)
             manager.listen()  # the kernel keeps ten messages, not more
         assert abs(manager.listen().count("WATCHDOG=1") - fed) <= 3
         speaker.close()
@@ -108,10 +108,10 @@ def test_without_cycles_the_watchdog_is_not_fed(tmp_path: Path) -> None:
 def test_ready_is_sent_again_until_it_is_received(tmp_path: Path) -> None:
     address = str(tmp_path / "notify")
     speaker = Notifier({"NOTIFY_SOCKET": address})
-    speaker.cycle_completed(0.0, autopilot_connected=True)  # no receiver yet
+    speaker.cycle_completed(0.0, links_up=True)  # no receiver yet
     with service_manager(address) as manager:
-        speaker.cycle_completed(0.02, autopilot_connected=True)
-        speaker.cycle_completed(0.04, autopilot_connected=True)
+        speaker.cycle_completed(0.02, links_up=True)
+        speaker.cycle_completed(0.04, links_up=True)
         assert manager.listen() == ["READY=1"]
     speaker.close()
 
