@@ -107,7 +107,7 @@ def clean_stop(machine: Machine, service: Service, results: Results) -> None:
     before_s = time.monotonic()
     machine.must("systemctl", "stop", UNIT)
     results.time("systemctl stop in formation", time.monotonic() - before_s, STOP_LIMIT_S)
-    ended = f"{service.property('Result')}, exit code {service.property('ExecMainStatus')}"
+    ended = f"{service.value('Result')}, exit code {service.value('ExecMainStatus')}"
     results.check("its end", ended == "success, exit code 0", ended, "success, exit code 0")
     machine.must("systemctl", "start", UNIT)
     until(lambda: service.phase == "observe", 10.0)

@@ -59,7 +59,7 @@ def remove_and_purge(machine: Machine, service: Service, results: Results) -> No
     machine.must("systemctl", "stop", "autopilot")
     kept = machine.must(*CONFIGURATION)
     machine.must("apt-get", "remove", "--yes", "companion")
-    results.check("removal stops the agent", service.pid == 0, service.property("ActiveState"), "no process")
+    results.check("removal stops the agent", service.pid == 0, service.value("ActiveState"), "no process")
     results.check("removal keeps the configuration", machine.must(*CONFIGURATION) == kept, "same files", "same files")
     machine.must("apt-get", "purge", "--yes", "companion")
     left = machine.must(*LEFT).split()

@@ -17,19 +17,19 @@ class Service:
         self._machine = machine
         self.unit = unit
 
-    def property(self, name: str) -> str:
+    def value(self, name: str) -> str:
         """A property of `systemctl show`."""
         return self._machine.must("systemctl", "show", "--value", f"--property={name}", self.unit).strip()
 
     @property
     def pid(self) -> int:
         """The main process, as the container numbers it; 0 without one."""
-        return int(self.property("MainPID"))
+        return int(self.value("MainPID"))
 
     @property
     def status(self) -> str:
         """What the agent reported with STATUS=."""
-        return self.property("StatusText")
+        return self.value("StatusText")
 
     @property
     def phase(self) -> str:
@@ -57,14 +57,14 @@ class Service:
     def _wait_ready(self, since_s: float) -> None:
         try:
             until(
-                lambda: self.property("ActiveState") == "active" and self._time("ActiveEnterTimestampMonotonic") > since_s,
+                lambda: self.value("ActiveState") == "active" and self._time("ActiveEnterTimestampMonotonic") > since_s,
                 READY_WITHIN_S,
             )
         except BootError as error:
             raise BootError(f"READY {error}; {self.journal()[-500:]}") from None
 
     def _time(self, name: str) -> float:
-        return int(self.property(name)) / 1e6
+        return int(self.value(name)) / 1e6
 
     def journal(self) -> str:
         """All lines of the unit."""
