@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 import time
 
-from documented import PAGE, missing_lines
-from machine import Machine, until
-from report import Results
-from service import UNIT, Service
+from deploy.boot.documented import PAGE, missing_lines
+from deploy.boot.machine import Machine, until
+from deploy.boot.report import Results
+from deploy.boot.service import UNIT, Service
 
 FLEET = "/etc/companion/fleet.yaml"
 ENDPOINT = "tcp/127.0.0.1:7447"

@@ -6,9 +6,9 @@ import shutil
 import time
 from pathlib import Path
 
-from machine import Machine
-from report import Results
-from service import Service
+from deploy.boot.machine import Machine
+from deploy.boot.report import Results
+from deploy.boot.service import Service
 
 CONFIGURATION = ("sh", "-c", "cd /etc/companion && find . -type f -exec sha256sum {} + | sort")
 LEFT = (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from machine import BootError, Machine, until
+from deploy.boot.machine import BootError, Machine, until
 
 UNIT = "companion@1.service"
 READY_WITHIN_S = 40.0
@@ -39,7 +39,7 @@ class Service:
     def signal(self, name: str) -> float:
         """Send a signal to the main process. The time at which it was sent."""
         sent_s = time.monotonic()
-        self._machine.must("kill", f"-{name}", str(self.pid))
+        self._machine.must("systemctl", "kill", "--kill-who=main", f"--signal=SIG{name}", self.unit)
         return sent_s
 
     def back_after(self, since_s: float) -> tuple[float, float]:

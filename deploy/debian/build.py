@@ -16,7 +16,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from tree import stage
+from deploy.debian.tree import stage
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCES = ("companion", "sitl", "pyproject.toml", "README.md", "LICENSE")

@@ -13,13 +13,13 @@ import subprocess
 import sys
 from pathlib import Path
 
-from flight import clean_stop, credentials, into_formation, journal, killed_and_hung, start
-from machine import SUITE, BootError, Machine, bare_root
-from packages import install, remove_and_purge, upgrade_and_rollback
-from report import Results
+from deploy.boot.flight import clean_stop, credentials, into_formation, journal, killed_and_hung, start
+from deploy.boot.machine import SUITE, BootError, Machine, bare_root
+from deploy.boot.packages import install, remove_and_purge, upgrade_and_rollback
+from deploy.boot.report import Results
 
 ROOT = Path(__file__).resolve().parents[2]
-BUILDER = ROOT / "deploy" / "debian" / "build.py"
+BUILDER = ("-m", "deploy.debian.build")
 NEEDED = {"debootstrap": "debootstrap", "systemd-nspawn": "systemd-container", "nsenter": "util-linux"}
 PYTHON = "3.11"  # of the suite that is booted
 NEXT_VERSION = "0.1.1.dev1"
@@ -72,9 +72,9 @@ def _package(folder: Path, version: str | None) -> Path:
     architecture = subprocess.run(["dpkg", "--print-architecture"], capture_output=True, text=True, check=True).stdout
     out = folder / "packages" / (version or "current")
     shutil.rmtree(out, ignore_errors=True)
-    command = [sys.executable, str(BUILDER), "--architectures", architecture.strip(), "--pythons", PYTHON]
+    command = [sys.executable, *BUILDER, "--architectures", architecture.strip(), "--pythons", PYTHON]
     command += ["--out", str(out), *(("--version", version) if version else ())]
-    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL, cwd=ROOT)
     (package,) = out.glob("*.deb")
     return package
 
