@@ -13,7 +13,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from deploy.boot.flight import clean_stop, credentials, into_formation, journal, killed_and_hung, start
+from deploy.boot.flight import clean_stop, credentials, into_formation, journal, killed_and_hung, land, start
 from deploy.boot.machine import SUITE, BootError, Machine, bare_root
 from deploy.boot.packages import install, remove_and_purge, upgrade_and_rollback
 from deploy.boot.report import Results
@@ -60,6 +60,8 @@ def _boot(folder: Path, results: Results) -> None:
         _say("formation flight of one vehicle")
         into_formation(machine, service)
         killed_and_hung(service, results, "in flight")
+        land(machine, results)
+        into_formation(machine, service)
         clean_stop(machine, service, results)
         _say("upgrade, rollback and removal, in flight")
         upgrade_and_rollback(machine, service, old, new, results)

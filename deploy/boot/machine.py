@@ -54,7 +54,9 @@ class Machine:
         with self._console.open("wb") as log:
             self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
         self._leader = self._wait_for_leader(self._process)
-        until(lambda: self.run("systemctl", "is-system-running").stdout.strip() in ("running", "degraded"), BOOT_WITHIN_S)
+        until(
+            lambda: self.run("systemctl", "is-system-running").stdout.strip() in ("running", "degraded"), BOOT_WITHIN_S
+        )
 
     def _wait_for_leader(self, process: subprocess.Popen[bytes]) -> int:
         children = Path(f"/proc/{process.pid}/task/{process.pid}/children")

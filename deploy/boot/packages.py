@@ -40,7 +40,9 @@ def upgrade_and_rollback(machine: Machine, service: Service, old: Path, new: Pat
     for name, package in (("upgrade", new), ("rollback", old)):
         kept, pid, phase = machine.must(*CONFIGURATION), service.pid, service.phase
         printed = machine.must("apt-get", "install", "--yes", "--allow-downgrades", put(machine, package))
-        results.check(f"{name}: the running agent goes on", service.pid == pid, f"{service.phase}", f"{phase}, same process")
+        results.check(
+            f"{name}: the running agent goes on", service.pid == pid, f"{service.phase}", f"{phase}, same process"
+        )
         results.check(f"{name}: says so", RESTARTED in printed, _line(printed, RESTARTED), "one line")
         results.check(f"{name}: configuration kept", machine.must(*CONFIGURATION) == kept, "same files", "same files")
         wanted = f"companion {package.name.split('_')[1].partition('-')[0]}"

@@ -45,7 +45,8 @@ class Service:
     def back_after(self, since_s: float) -> tuple[float, float]:
         """Seconds from `since_s` to the new process, and to its READY=1. Raises BootError."""
         self._wait_ready(since_s)
-        return self._time("ExecMainStartTimestampMonotonic") - since_s, self._time("ActiveEnterTimestampMonotonic") - since_s
+        times = (self._time("ExecMainStartTimestampMonotonic"), self._time("ActiveEnterTimestampMonotonic"))
+        return times[0] - since_s, times[1] - since_s
 
     def wait_phase(self, phase: str, within_s: float = 60.0) -> None:
         """Wait until the status line has this phase. Raises BootError."""

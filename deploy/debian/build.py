@@ -101,7 +101,9 @@ def _pip(*arguments: str) -> None:
 def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--architectures", nargs="+", choices=list(MACHINES), default=list(MACHINES))
-    parser.add_argument("--pythons", nargs="+", default=list(PYTHONS), metavar="X.Y", help="Python versions of the boards")
+    parser.add_argument(
+        "--pythons", nargs="+", default=list(PYTHONS), metavar="X.Y", help="Python versions of the boards"
+    )
     parser.add_argument("--version", help="instead of that of the source tree")
     parser.add_argument("--revision", default="1", help="of the package, counted up for each one of the same version")
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "deb", metavar="DIR")

@@ -48,9 +48,7 @@ def _metadata(tree: Path, version: str, architecture: str) -> None:
     kilobytes = sum(path.stat().st_size for path in files) // 1024
     sums = [f"{hashlib.md5(path.read_bytes()).hexdigest()}  {path.relative_to(tree)}\n" for path in files]
     control = (DEPLOY / "debian" / "control").read_text(encoding="utf-8")
-    _write(
-        tree / "DEBIAN/control", control.format(version=version, architecture=architecture, kilobytes=kilobytes)
-    )
+    _write(tree / "DEBIAN/control", control.format(version=version, architecture=architecture, kilobytes=kilobytes))
     _write(tree / "DEBIAN/md5sums", "".join(sums))
     for script in SCRIPTS:
         _copy(DEPLOY / "debian" / script, tree / "DEBIAN" / script, mode=0o755)

@@ -123,11 +123,14 @@ def test_the_status_line_is_sent_when_it_changes(tmp_path: Path) -> None:
 
 
 def test_the_status_line_has_phase_and_flags(files: AgentFiles, tmp_path: Path) -> None:
-    with service_manager(str(tmp_path / "notify")) as manager, HoveringAutopilot(1, files.udp_port) as autopilot:
-        with agent(files, environment=manager.environment()):
-            manager.wait_for("STATUS=observe; no flags")
-            autopilot.positions = False
-            manager.wait_for("STATUS=observe; POSITION_STALE")
+    with (
+        service_manager(str(tmp_path / "notify")) as manager,
+        HoveringAutopilot(1, files.udp_port) as autopilot,
+        agent(files, environment=manager.environment()),
+    ):
+        manager.wait_for("STATUS=observe; no flags")
+        autopilot.positions = False
+        manager.wait_for("STATUS=observe; POSITION_STALE")
 
 
 def test_a_closed_session_is_no_fleet_link(files: AgentFiles) -> None:

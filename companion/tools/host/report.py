@@ -56,7 +56,9 @@ def report(board: Board, findings: Sequence[HostFinding]) -> Iterator[str]:
     subject_width = max(len(finding.subject) for finding in findings)
     found_width = min(WIDEST_FOUND, max(len(finding.found) for finding in findings))
     for finding in findings:
-        line = f"{finding.verdict:<9} {finding.subject:<{subject_width}}  {finding.found:<{found_width}}  {finding.remedy}"
+        line = (
+            f"{finding.verdict:<9} {finding.subject:<{subject_width}}  {finding.found:<{found_width}}  {finding.remedy}"
+        )
         yield printable(line.rstrip())
     counts = [f"{_count(findings, verdict)} {verdict}" for verdict in HostVerdict if _count(findings, verdict)]
     yield ""

@@ -83,7 +83,9 @@ def test_the_build_is_named_after_the_wheels(tree: Path, wheels: Path) -> None:
 @pytest.mark.skipif(not shutil.which("dpkg-deb"), reason="dpkg-deb is not installed")
 def test_dpkg_packs_the_tree(tree: Path, tmp_path: Path) -> None:
     package = tmp_path / "companion.deb"
-    subprocess.run(["dpkg-deb", "--root-owner-group", "-Znone", "--build", tree, package], check=True, capture_output=True)
+    subprocess.run(
+        ["dpkg-deb", "--root-owner-group", "-Znone", "--build", tree, package], check=True, capture_output=True
+    )
     fields = ["dpkg-deb", "--showformat=${Package} ${Version} ${Architecture}", "--show", str(package)]
     shown = subprocess.run(fields, check=True, capture_output=True, text=True).stdout
     assert shown == "companion 0.1.0-1 arm64"
