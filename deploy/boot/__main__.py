@@ -13,7 +13,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from deploy.boot.flight import clean_stop, credentials, into_formation, journal, killed_and_hung, land, start
+from deploy.boot.flight import clean_stop, credentials, into_formation, journal, killed_and_hung, land, monitor, start
 from deploy.boot.machine import SUITE, BootError, Machine, bare_root
 from deploy.boot.packages import install, remove_and_purge, upgrade_and_rollback
 from deploy.boot.report import Results
@@ -55,6 +55,7 @@ def _boot(folder: Path, results: Results) -> None:
         install(machine, old, results)
         _say("the agent beside a stand-in autopilot")
         service = start(machine, results)
+        monitor(machine, results)
         killed_and_hung(service, results, "on the ground")
         credentials(machine, service, results)
         _say("formation flight of one vehicle")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 
-from deploy.boot.documented import PAGE, missing_lines
+from deploy.boot.documented import PAGE, install_commands, missing_lines
 from deploy.boot.machine import Machine, until
 from deploy.boot.report import Results
 from deploy.boot.service import UNIT, Service
@@ -20,11 +20,16 @@ HOLD_MODE = "AUTO.LOITER"  # of PX4
 KEY = "/etc/companion/identity/private.key"
 CREDENTIAL = f"/run/credentials/{UNIT}/identity.key"
 STOP_LIMIT_S, KILLED_LIMIT_S, HUNG_LIMIT_S, START_LIMIT_S = 5.0, 3.0, 4.0, 5.0
+MOST_COMMANDS = 10
 WATCHDOG_LINE = "Watchdog timeout"
 
 
 def start(machine: Machine, results: Results) -> Service:
     """From the installed package to READY, by the commands of the guide."""
+    commands = install_commands(PAGE.read_text(encoding="utf-8"))
+    results.check("commands of the guide to READY", len(commands) < MOST_COMMANDS, str(len(commands)), "fewer than 10")
+    findings = machine.run("companion", "doctor", "--host").stdout.strip().rpartition("\n")[2]
+    results.check("companion doctor --host", " ok" in findings, findings, "a summary")
     machine.must("companion", "init", "/etc/companion", *INIT, "--address", "127.0.0.1:7447", "127.0.0.1:7448")
     machine.must(*AUTOPILOT, "--id", "1")
     until(lambda: machine.run(*DOCTOR).returncode == 0, DOCTOR_WITHIN_S)
@@ -47,6 +52,17 @@ def _status_follows(machine: Machine, service: Service, results: Results) -> Non
     results.check(
         "phase and flags in systemctl status", "observe; no flags" in line, line, 'Status: "observe; no flags"'
     )
+
+
+def monitor(machine: Machine, results: Results) -> None:
+    """The monitor's service records the vehicle in a journal of its own."""
+    machine.run("sh", "-c", "cat >/etc/companion/monitor.env", stdin=f"COMPANION_CONNECT={ENDPOINT}\n")
+    machine.must("systemctl", "start", "companion-monitor")
+    read = ("journalctl", "--namespace=companion-monitor", "--output=cat", "--no-pager")
+    until(lambda: '"vehicle_id":1' in machine.run(*read).stdout, 20.0)
+    machine.must("systemctl", "stop", "companion-monitor")
+    ended = Service(machine, "companion-monitor.service").value("Result")
+    results.check("companion-monitor records the vehicle", ended == "success", f"ended with {ended}", "success")
 
 
 def killed_and_hung(service: Service, results: Results, where: str) -> None:

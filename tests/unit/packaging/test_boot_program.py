@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from deploy.boot.documented import PAGE, documented_lines, missing_lines
+from deploy.boot.documented import PAGE, documented_lines, install_commands, missing_lines
 from deploy.boot.report import Results
 
 LINES = """\
@@ -29,6 +29,12 @@ def test_documented_lines_are_those_of_their_table() -> None:
 
 def test_the_guide_documents_lines() -> None:
     assert len(documented_lines(PAGE.read_text(encoding="utf-8"))) >= 5
+
+
+def test_the_guide_needs_fewer_than_ten_commands() -> None:
+    commands = install_commands(PAGE.read_text(encoding="utf-8"))
+    assert "systemctl enable --now companion@1" in " ".join(commands)
+    assert 3 <= len(commands) < 10
 
 
 def test_a_time_at_its_limit_fails(capsys: pytest.CaptureFixture[str]) -> None:
