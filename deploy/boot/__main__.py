@@ -15,7 +15,7 @@ from pathlib import Path
 
 from deploy.boot.flight import clean_stop, credentials, into_formation, journal, killed_and_hung, land, monitor, start
 from deploy.boot.machine import SUITE, BootError, Machine, bare_root
-from deploy.boot.packages import install, remove_and_purge, upgrade_and_rollback
+from deploy.boot.packages import install, reinstall, remove_and_purge, upgrade_and_rollback
 from deploy.boot.report import Results
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -64,8 +64,10 @@ def _boot(folder: Path, results: Results) -> None:
         land(machine, results)
         into_formation(machine, service)
         clean_stop(machine, service, results)
-        _say("upgrade, rollback and removal, in flight")
+        _say("upgrade, rollback and removal, beginning in formation")
+        into_formation(machine, service)
         upgrade_and_rollback(machine, service, old, new, results)
+        reinstall(machine, old, results)
         journal(service, results)
         remove_and_purge(machine, service, results)
 

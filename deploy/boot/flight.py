@@ -85,7 +85,9 @@ def _observes(service: Service, results: Results, when: str) -> None:
 
 
 def into_formation(machine: Machine, service: Service) -> None:
-    """The leader alone, from the ground into formation."""
+    """The leader alone into formation, from the ground; it lands first where it flies."""
+    if report(machine)["armed"]:
+        _command(machine, "land")
     for action, phase in (("arm", "armed"), ("takeoff", "hold"), ("form", "formation")):
         _command(machine, action)
         service.wait_phase(phase)

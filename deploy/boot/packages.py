@@ -43,7 +43,7 @@ def upgrade_and_rollback(machine: Machine, service: Service, old: Path, new: Pat
         results.check(
             f"{name}: the running agent goes on", service.pid == pid, f"{service.phase}", f"{phase}, same process"
         )
-        results.check(f"{name}: says so", RESTARTED in printed, _line(printed, RESTARTED), "one line")
+        results.check(f"{name}: says so", RESTARTED in printed, _said(printed), "one line")
         results.check(f"{name}: configuration kept", machine.must(*CONFIGURATION) == kept, "same files", "same files")
         wanted = f"companion {package.name.split('_')[1].partition('-')[0]}"
         found = machine.must("companion", "--version").strip()
@@ -70,5 +70,15 @@ def remove_and_purge(machine: Machine, service: Service, results: Results) -> No
     results.check("purge leaves no user", not users, users or "none", "none")
 
 
-def _line(text: str, part: str) -> str:
-    return next((line for line in text.splitlines() if part in line), "nothing")
+def reinstall(machine: Machine, package: Path, results: Results) -> None:
+    """Environments that no agent uses are removed by the next installation."""
+    environments = ("sh", "-c", "ls -d /opt/companion/env-*")
+    before = len(machine.must(*environments).split())
+    machine.must("apt-get", "install", "--yes", "--reinstall", put(machine, package))
+    after = len(machine.must(*environments).split())
+    results.check("unused environments are removed", after == 1, f"{before}, then {after}", "1")
+
+
+def _said(printed: str) -> str:
+    lines = [line for line in printed.splitlines() if RESTARTED in line]
+    return f"{len(lines)} line" if lines else "nothing"
