@@ -15,6 +15,8 @@ LEFT = (
     *("find", "/", "-xdev", "(", "-path", "/proc", "-o", "-path", "/sys", "-o", "-path", "/root", ")", "-prune", "-o"),
     *("-iname", "*companion*", "-print"),
 )
+UDEV = ("sh", "-c", "udevadm test /sys/class/tty/tty 2>&1")
+RULES = "70-companion.rules"
 RESTARTED = "running agents continue"
 
 
@@ -31,6 +33,9 @@ def install(machine: Machine, package: Path, results: Results) -> None:
     results.check("apt install without a network", True, f"{time.monotonic() - before_s:.1f} s", "no error")
     links = machine.must("sh", "-c", "ip -o link 2>/dev/null || ls /sys/class/net").split()
     results.check("the network of the container", links == ["lo"], " ".join(links), "lo only")
+    read = [line for line in machine.run(*UDEV).stdout.splitlines() if RULES in line]
+    accepted = len(read) == 1 and read[0].startswith("Reading rules file")
+    results.check("udev accepts the rules", accepted, read[-1] if read else "not read", "read without an error")
     version = machine.must("companion", "--version").strip()
     results.check("companion on the PATH", version.startswith("companion "), version, "a version")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, field
 
 PAGE = """\
@@ -9,8 +10,8 @@ PAGE = """\
 
 Written by `make boot`: systemd boots a bare Debian {suite} root in a container, the Debian package
 is installed into it without a network, and a stand-in autopilot runs beside the agent.
-[Installation](installation.md) explains the package. Times are of this computer: a Raspberry Pi
-needs longer to start Python.
+[Installation](installation.md) explains the package. The times are of a computer with {cores}
+cores; a Raspberry Pi needs longer to start Python.
 
 | step | measured | wanted | result |
 |---|---|---|---|
@@ -56,7 +57,7 @@ class Results:
             f"| {result.step} | {_cell(result.found)} | {_cell(result.wanted)} | {'ok' if result.passed else '**failed**'} |"
             for result in self.all
         ]
-        return PAGE.format(suite=suite, rows="\n".join(rows))
+        return PAGE.format(suite=suite, rows="\n".join(rows), cores=os.cpu_count())
 
 
 def _cell(text: str) -> str:
