@@ -35,7 +35,7 @@ def install(machine: Machine, package: Path, results: Results) -> None:
     results.check("the network of the container", links == ["lo"], " ".join(links), "lo only")
     read = [line for line in machine.run(*UDEV).stdout.splitlines() if RULES in line]
     accepted = len(read) == 1 and read[0].startswith("Reading rules file")
-    results.check("udev accepts the rules", accepted, read[-1] if read else "not read", "read without an error")
+    results.check("udev accepts the rules", accepted, "no error" if accepted else " ".join(read), "no error")
     version = machine.must("companion", "--version").strip()
     results.check("companion on the PATH", version.startswith("companion "), version, "a version")
 
@@ -58,7 +58,9 @@ def upgrade_and_rollback(machine: Machine, service: Service, old: Path, new: Pat
         service.back_after(before_s)
         program = machine.must("sh", "-c", f"tr '\\0' ' ' </proc/{service.pid}/cmdline").split()[0]
         environment = machine.must("readlink", "-f", "/opt/companion/bin").strip()
-        results.check(f"{name}: restarted from it", program.startswith(environment), program, environment)
+        results.check(
+            f"{name}: restarted from it", program.startswith(environment), _short(program), _short(environment)
+        )
 
 
 def remove_and_purge(machine: Machine, service: Service, results: Results) -> None:
@@ -82,6 +84,10 @@ def reinstall(machine: Machine, package: Path, results: Results) -> None:
     machine.must("apt-get", "install", "--yes", "--reinstall", put(machine, package))
     after = len(machine.must(*environments).split())
     results.check("unused environments are removed", after == 1, f"{before}, then {after}", "1")
+
+
+def _short(path: str) -> str:
+    return path.removeprefix("/opt/companion/")
 
 
 def _said(printed: str) -> str:
