@@ -4,7 +4,7 @@ PYTHON ?= python3
 SCENARIO ?= config/scenarios/platoon.yaml
 BIN := .venv/bin
 
-.PHONY: help fly hostile soak gauntlet pictures bench bench-batch bench-filter test test-fast test-virtual test-real-time test-again test-vehicles test-fleets test-package faults check docs docs-check site format setup clean
+.PHONY: help fly hostile soak gauntlet pictures bench bench-batch bench-filter test test-fast test-virtual test-real-time test-again test-vehicles test-fleets test-package deb boot faults check docs docs-check site format setup clean
 
 help:
 	@echo "make fly        fly the paper's platoon with four agents and four stand-in autopilots, weighted against average"
@@ -12,6 +12,8 @@ help:
 	@echo "make test-virtual, test-vehicles, test-fleets  one part: unit and lockstep tests, single real vehicles, real fleets"
 	@echo "make test-again the tests that failed in the last make test once more, one at a time"
 	@echo "make test-package  builds wheel and sdist, installs each without the source tree and runs it (minutes, needs a package index)"
+	@echo "make deb        the Debian packages for amd64 and arm64, installed without a network: build/deb (minutes, needs a package index)"
+	@echo "make boot       boots systemd in a container with the package installed; writes docs/boot.md (needs root, debootstrap, systemd-container)"
 	@echo "make faults     flies real fleets under every fault and writes the measured table into docs/faults.md (a quarter of an hour)"
 	@echo "make check      ruff, mypy --strict and the import directions"
 	@echo "make docs       writes the generated parts of docs/ again; make docs-check reports those that are not current"
@@ -95,6 +97,16 @@ test-fleets: .venv/test.ready
 # Builds the wheel and the sdist and installs each into an environment of its own: downloads all dependencies twice.
 test-package: .venv/test.ready
 	$(BIN)/pytest -v --durations 10 tests/packaging
+
+# Wheels of all base dependencies come from the package index; ARCHITECTURES="arm64" and REVISION=2 choose.
+ARCHITECTURES = amd64 arm64
+REVISION = 1
+deb: .venv/fly.ready
+	$(BIN)/python -m deploy.debian.build --architectures $(ARCHITECTURES) --revision $(REVISION)
+
+# The root of the container is made once and kept in build/boot. Times are measured: without other load.
+boot: .venv/fly.ready
+	$(BIN)/python -m deploy.boot --out docs/boot.md
 
 # One flight at a time, without other load: latencies are measured.
 faults: .venv/test.ready

@@ -43,9 +43,9 @@ def operator(text: str) -> str:
     return text
 
 
-def add_vehicle_file(parser: argparse.ArgumentParser) -> None:
+def add_vehicle_file(parser: argparse.ArgumentParser, required: bool = True) -> None:
     """--config and --wait-s, for commands that connect to an autopilot."""
-    parser.add_argument("--config", type=Path, required=True, metavar="FILE", help="the vehicle file (YAML)")
+    parser.add_argument("--config", type=Path, required=required, metavar="FILE", help="the vehicle file (YAML)")
     parser.add_argument(
         "--wait-s", type=seconds, default=15.0, metavar="S", help="how long to wait for the autopilot (default 15)"
     )

@@ -16,7 +16,7 @@ from msgspec.structs import replace
 from companion.core.agent import Agent, Decision
 from companion.core.safety.failure_response import FailureResponse
 from companion.link.log import EventLog, RejectionLog
-from companion.link.systemd import Notifier
+from companion.link.systemd import Notifier, status_line
 from companion.link.tick import BACK_UP_S, PERIOD_S, LateLoopLog, TickMeter, TickTrigger
 from companion.types.commands import Command, CommandReply
 from companion.types.notices import Code, Notice
@@ -51,6 +51,9 @@ class AutopilotEnd(Protocol):
 
 class PeerEnd(Protocol):
     """The part of `ZenohLink` that a tick uses."""
+
+    @property
+    def is_open(self) -> bool: ...
 
     def receive(self, now_s: float) -> tuple[tuple[ReceivedPeerPacket, ...], tuple[Command, ...]]: ...
 
@@ -98,7 +101,7 @@ class ControlLoop:
         decision = self._agent.decide(now_s, inbox)
         self._send(now_s, inbox.telemetry, decision)
         self._publish(now_s, self._agent.report(decision))
-        self._notifier.cycle_completed(now_s, self._autopilot.is_connected)
+        self._notifier.cycle_completed(now_s, self._autopilot.is_connected and self._peers.is_open)
 
     def _inbox(self, now_s: float) -> Inbox:
         peers, commands = self._peers.receive(now_s)
@@ -124,10 +127,10 @@ class ControlLoop:
         if outbox.status:
             self._last_report = StatusReport(outbox.status, self._meter.timing(now_s))
             self._peers.publish_status(self._last_report)
+            self._notifier.status(status_line(outbox.status))
             self._rejections.update(outbox.status.rejected, now_s)
         for event in outbox.events:
             self._events.happened(event, now_s)
-            self._notifier.status(str(event))
 
     def _measure_command(self, telemetry: Sequence[Telemetry]) -> None:
         """Latency from the arrival of the newest position to now, when its setpoint has been sent."""

@@ -1,10 +1,12 @@
-"""sd_notify(3): reports to systemd that the agent is ready, alive and stopping."""
+"""sd_notify(3): reports to systemd that the agent is ready, alive and stopping, and its status line."""
 
 from __future__ import annotations
 
 import os
 import socket
 from collections.abc import Mapping
+
+from companion.types.status import Status
 
 MIN_WATCHDOG_PERIOD_S = 0.2  # a few times per second are enough for any WatchdogSec
 
@@ -25,18 +27,20 @@ class Notifier:
         self._watchdog_period_s = _watchdog_period_s(environment)
         self._fed_s = float("-inf")
         self._is_ready = False
+        self._status = ""
 
-    def cycle_completed(self, now_s: float, autopilot_connected: bool) -> None:
-        """Report a completed control cycle. The first one with an autopilot makes the service ready."""
-        if autopilot_connected and not self._is_ready:
+    def cycle_completed(self, now_s: float, links_up: bool) -> None:
+        """Report a completed control cycle. The first one with autopilot and fleet link makes the service ready."""
+        if links_up and not self._is_ready:
             self._is_ready = self._send("READY=1")
         is_due = self._watchdog_period_s is not None and now_s - self._fed_s >= self._watchdog_period_s
         if is_due and self._send("WATCHDOG=1"):
             self._fed_s = now_s
 
     def status(self, text: str) -> None:
-        """Set the status line of `systemctl status`."""
-        self._send(f"STATUS={text}")
+        """Set the status line of `systemctl status`; sent only when it changes."""
+        if text != self._status and self._send(f"STATUS={text}"):
+            self._status = text
 
     def stopping(self) -> None:
         """Report that the agent is stopping."""
@@ -56,6 +60,11 @@ class Notifier:
         except OSError:
             return False
         return True
+
+
+def status_line(status: Status) -> str:
+    """Phase and health flags of a vehicle: what `systemctl status` shows of it."""
+    return f"{status.phase}; {', '.join(status.flags) or 'no flags'}"
 
 
 def _watchdog_period_s(environment: Mapping[str, str]) -> float | None:

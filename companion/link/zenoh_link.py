@@ -130,6 +130,11 @@ class ZenohLink:
             priority=zenoh.Priority.DATA,
         )
 
+    @property
+    def is_open(self) -> bool:
+        """Whether the session is open. It listens then; peers need not be connected: a lone vehicle is ready as well."""
+        return not self._session.is_closed()
+
     def receive(self, now_s: float) -> tuple[tuple[ReceivedPeerPacket, ...], tuple[Command, ...]]:
         """All peer packets and commands since the last call. Never blocks.
 

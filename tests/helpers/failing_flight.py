@@ -58,6 +58,7 @@ class RecordedPeers:
     packets: list[ReceivedPeerPacket] = field(default_factory=list)  # as a peer receives them, without delay
     published_before: list[int] = field(default_factory=list)  # setpoints sent before each packet
     sent: Callable[[], int] = lambda: 0
+    is_open = True
 
     def receive(self, _now_s: float) -> tuple[tuple[ReceivedPeerPacket, ...], tuple[Command, ...]]:
         commands, self.commands = self.commands, ()

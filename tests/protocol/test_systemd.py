@@ -1,23 +1,20 @@
-"""sd_notify messages as a service manager receives them, and the unit file as systemd-analyze checks it."""
+"""sd_notify messages as a service manager receives them."""
 
 from __future__ import annotations
 
 import os
-import shutil
 import signal
-import subprocess
 import time
 from pathlib import Path
 
 import pytest
 
 from agent_process import AgentFiles, agent, agent_files, until
+from companion.config.vehicle import load_agent
 from companion.link.systemd import MIN_WATCHDOG_PERIOD_S, Notifier
+from companion.link.zenoh_link import ZenohLink
 from hovering_autopilot import HoveringAutopilot
-from repository import ROOT
 from service_manager import WATCHDOG_S, ServiceManager, service_manager
-
-UNIT = ROOT / "deploy" / "companion@.service"
 
 
 @pytest.fixture
@@ -90,7 +87,7 @@ def test_the_watchdog_is_fed_a_few_times_per_its_period(tmp_path: Path, environm
     with service_manager(str(tmp_path / "notify")) as manager:
         speaker = notifier(manager, **environment)
         for cycle in range(500):
-            speaker.cycle_completed(cycle * 0.02, autopilot_connected=False)
+            speaker.cycle_completed(cycle * 0.02, links_up=False)
             manager.listen()  # the kernel keeps ten messages, not more
         assert abs(manager.listen().count("WATCHDOG=1") - fed) <= 3
         speaker.close()
@@ -108,74 +105,37 @@ def test_without_cycles_the_watchdog_is_not_fed(tmp_path: Path) -> None:
 def test_ready_is_sent_again_until_it_is_received(tmp_path: Path) -> None:
     address = str(tmp_path / "notify")
     speaker = Notifier({"NOTIFY_SOCKET": address})
-    speaker.cycle_completed(0.0, autopilot_connected=True)  # no receiver yet
+    speaker.cycle_completed(0.0, links_up=True)  # no receiver yet
     with service_manager(address) as manager:
-        speaker.cycle_completed(0.02, autopilot_connected=True)
-        speaker.cycle_completed(0.04, autopilot_connected=True)
+        speaker.cycle_completed(0.02, links_up=True)
+        speaker.cycle_completed(0.04, links_up=True)
         assert manager.listen() == ["READY=1"]
     speaker.close()
 
 
-# ---------------------------------------------------------------- unit file
-
-needs_systemd = pytest.mark.skipif(not shutil.which("systemd-analyze"), reason="systemd-analyze is not installed")
-
-
-def verify(unit: Path) -> subprocess.CompletedProcess[str]:
-    """systemd-analyze reports an unknown key on standard error and still exits with 0."""
-    return subprocess.run(
-        ["systemd-analyze", "verify", str(unit)], capture_output=True, text=True, timeout=60, check=False
-    )
+def test_the_status_line_is_sent_when_it_changes(tmp_path: Path) -> None:
+    with service_manager(str(tmp_path / "notify")) as manager:
+        speaker = notifier(manager)
+        for text in ("observe; no flags", "observe; no flags", "hold; MODE_STALE", "observe; no flags"):
+            speaker.status(text)
+        assert manager.listen() == ["STATUS=observe; no flags", "STATUS=hold; MODE_STALE", "STATUS=observe; no flags"]
+        speaker.close()
 
 
-@needs_systemd
-def test_the_unit_file_verifies(tmp_path: Path) -> None:
-    unit = tmp_path / "companion@3.service"
-    unit.write_bytes(UNIT.read_bytes())
-    for path in (UNIT, unit):
-        result = verify(path)
-        assert (result.returncode, result.stderr) == (0, "")
+def test_the_status_line_has_phase_and_flags(files: AgentFiles, tmp_path: Path) -> None:
+    with (
+        service_manager(str(tmp_path / "notify")) as manager,
+        HoveringAutopilot(1, files.udp_port) as autopilot,
+        agent(files, environment=manager.environment()),
+    ):
+        manager.wait_for("STATUS=observe; no flags")
+        autopilot.positions = False
+        manager.wait_for("STATUS=observe; POSITION_STALE")
 
 
-@needs_systemd
-@pytest.mark.parametrize(
-    "change", [("WatchdogSec=", "WatchdogSecs="), ("Type=notify", "Type=loud"), ("/usr/bin/env", "/no/such/binary")]
-)
-def test_a_damaged_unit_file_does_not_verify(tmp_path: Path, change: tuple[str, str]) -> None:
-    unit = tmp_path / "companion@3.service"
-    unit.write_text(UNIT.read_text(encoding="utf-8").replace(*change), encoding="utf-8")
-    result = verify(unit)
-    assert result.returncode != 0 or result.stderr
-
-
-def setting(key: str) -> list[str]:
-    lines = UNIT.read_text(encoding="utf-8").splitlines()
-    return [line.partition("=")[2] for line in lines if line.startswith(key + "=")]
-
-
-def test_the_unit_is_a_template_with_a_watchdog() -> None:
-    assert setting("ExecStart") == ["/usr/bin/env companion agent --config /etc/companion/vehicle-%i.yaml"]
-    assert setting("Type") == ["notify"]
-    assert setting("Restart") == ["on-failure"]
-    assert float(setting("WatchdogSec")[0]) > 4 * MIN_WATCHDOG_PERIOD_S
-
-
-def test_the_timeouts_of_the_unit_leave_time_to_wait_and_hand_over() -> None:
-    from companion.app import WAIT_FOR_AUTOPILOT_S
-    from companion.core.safety.safeguard import HAND_OVER_S
-
-    assert float(setting("TimeoutStartSec")[0]) > WAIT_FOR_AUTOPILOT_S
-    assert float(setting("TimeoutStopSec")[0]) > HAND_OVER_S
-
-
-@needs_systemd
-def test_the_sandbox_scores_at_most_3() -> None:
-    """The score by systemd-analyze, without a running systemd: 0 is best, 10 is no sandbox; the threshold is in tenths."""
-    result = subprocess.run(
-        ["systemd-analyze", "security", "--offline=true", "--threshold=30", str(UNIT)],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
-    assert result.returncode == 0, result.stdout[-300:]
+def test_a_closed_session_is_no_fleet_link(files: AgentFiles) -> None:
+    config = load_agent(files.file)
+    link = ZenohLink(1, config.fleet, config.vehicle.zenoh, lambda _code: None)
+    assert link.is_open  # without any peer
+    link.close()
+    assert not link.is_open
