@@ -4,7 +4,7 @@ PYTHON ?= python3
 SCENARIO ?= config/scenarios/platoon.yaml
 BIN := .venv/bin
 
-.PHONY: help fly hostile soak gauntlet pictures bench bench-batch bench-filter test test-fast test-virtual test-real-time test-again test-vehicles test-fleets test-package deb boot faults check docs docs-check site format setup clean
+.PHONY: help fly hostile soak gauntlet pictures bench bench-batch bench-filter test test-fast test-virtual test-real-time test-again test-vehicles test-fleets test-package deb boot faults attacks check docs docs-check site format setup clean
 
 help:
 	@echo "make fly        fly the paper's platoon with four agents and four stand-in autopilots, weighted against average"
@@ -15,6 +15,7 @@ help:
 	@echo "make deb        the Debian packages for amd64 and arm64, installed without a network: build/deb (minutes, needs a package index)"
 	@echo "make boot       boots systemd in a container with the package installed; writes docs/boot.md (needs root, debootstrap, systemd-container)"
 	@echo "make faults     flies real fleets under every fault and writes the measured table into docs/faults.md (a quarter of an hour)"
+	@echo "make attacks    lets strangers attack a real fleet with identities and writes the table into docs/attacks.md (minutes)"
 	@echo "make check      ruff, mypy --strict and the import directions"
 	@echo "make docs       writes the generated parts of docs/ again; make docs-check reports those that are not current"
 	@echo "make site       builds the browsable documentation into build/site (needs npm, for the diagrams)"
@@ -111,6 +112,9 @@ boot: .venv/fly.ready
 # One flight at a time, without other load: latencies are measured.
 faults: .venv/test.ready
 	$(BIN)/pytest -v --durations 5 --faults --fault-table docs/faults.md $(FAULT_TESTS)
+
+attacks: .venv/test.ready
+	$(BIN)/pytest -v --fault-table docs/attacks.md tests/faults/test_strangers.py
 
 check: .venv/test.ready docs-check
 	$(BIN)/ruff check .

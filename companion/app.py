@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import os
 import secrets
 import selectors
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from companion.assembly import build_agent, check_agent
 from companion.config.file import ConfigError
 from companion.config.vehicle import AgentConfig, load_agent
 from companion.core.agent import Agent
 from companion.link.autopilot_link import AutopilotLink, AutopilotSilentError
-from companion.link.control_loop import ControlLoop
+from companion.link.control_loop import ControlLoop, Job
+from companion.link.datagram_seal import DatagramSeal
 from companion.link.endpoint import LinkError
 from companion.link.ground_link import GroundStationLink
 from companion.link.log import log_to_stderr
@@ -28,6 +31,10 @@ from companion.link.zenoh_session import EndpointError
 from companion.mavlink.dialect import AGENT_STREAMS
 from companion.mavlink.ground_station import GroundStationFilter
 from companion.mavlink.translator import Translator
+
+if TYPE_CHECKING:
+    from companion.link.admissions import Admissions
+    from companion.security.identity import Identity
 
 WAIT_FOR_AUTOPILOT_S = 15.0
 
@@ -62,6 +69,7 @@ def _loop() -> asyncio.AbstractEventLoop:
 async def _run(settings: Settings, config: AgentConfig) -> None:
     vehicle, agent, trigger = config.vehicle, build_agent(config, secrets.randbits(32)), TickTrigger()
     key = read_signing_key(settings.file, vehicle.signing) if vehicle.signing else None
+    identity = _identity(settings, config)
     with ExitStack() as stack:
         try:
             autopilot = AutopilotLink(
@@ -72,17 +80,26 @@ async def _run(settings: Settings, config: AgentConfig) -> None:
                 reject=agent.reject,
             )
             stack.enter_context(closing(autopilot))
-            datagrams = stack.enter_context(closing(_datagrams(settings, config, agent))) if vehicle.datagrams else None
-            peers = ZenohLink(vehicle.id, config.fleet, vehicle.zenoh, agent.reject, datagrams)
+            datagrams = (
+                stack.enter_context(closing(_datagrams(settings, config, agent, identity is not None)))
+                if config.datagrams
+                else None
+            )
+            peers = ZenohLink(vehicle.id, config.fleet, config.zenoh, agent.reject, datagrams, identity)
             stack.enter_context(closing(peers))
         except LinkError as error:
             raise ConfigError(settings.file, "mavlink", f'"{vehicle.mavlink}": {error}') from error
         except EndpointError as error:
-            raise ConfigError(settings.file, f"zenoh.{error.kind}", f'"{error.endpoint}": {error}') from error
+            field = f"zenoh.{error.kind}" if vehicle.zenoh else "fleet"
+            raise ConfigError(settings.file, field, f'"{error.endpoint}": {error}') from error
         notifier = stack.enter_context(closing(Notifier()))
         signed = ", signed" if key else ""
         _log.info("%s of fleet %s, %s%s", config.member.role, config.fleet.name, vehicle.mavlink, signed)
-        beside = []
+        if config.fleet.security == "none":
+            _log.warning("UNSECURED: strangers in the network of the fleet can command this vehicle (security: none)")
+        beside: list[Job] = []
+        if identity:
+            beside.append(_admissions(identity, peers).run)
         if vehicle.ground_station:
             ground = stack.enter_context(closing(_ground_station(settings, config, autopilot, agent)))
             beside.append(ground.run)
@@ -90,6 +107,22 @@ async def _run(settings: Settings, config: AgentConfig) -> None:
         loop = ControlLoop(agent, autopilot, peers, trigger, notifier)
         if not await loop.run(settings.wait_s, jobs):
             raise AutopilotSilentError(settings.file, vehicle, settings.wait_s, autopilot.why_silent())
+
+
+def _identity(settings: Settings, config: AgentConfig) -> Identity | None:
+    """Of the vehicle file. Only an agent with an identity loads the cryptography for it, 8 MB. Raises ConfigError."""
+    if config.vehicle.identity is None:
+        return None
+    from companion.link.own_identity import vehicle_identity
+
+    return vehicle_identity(settings.file, config)
+
+
+def _admissions(identity: Identity, link: ZenohLink) -> Admissions:
+    from companion.link.admissions import Admissions
+    from companion.link.own_identity import list_file
+
+    return Admissions(identity, list_file(identity.authority_file.parent, os.environ), link)
 
 
 def _ground_station(
@@ -108,11 +141,13 @@ def _ground_station(
     return ground
 
 
-def _datagrams(settings: Settings, config: AgentConfig, agent: Agent) -> PeerDatagrams:
+def _datagrams(settings: Settings, config: AgentConfig, agent: Agent, secured: bool) -> PeerDatagrams:
     """Link of the peer states where it is not Zenoh. Raises ConfigError."""
-    endpoints = config.vehicle.datagrams
+    endpoints = config.datagrams
     assert endpoints is not None
     try:
-        return PeerDatagrams(endpoints, config.fleet, agent.reject)
+        ids = [member.id for member in config.fleet.vehicles]
+        seal = DatagramSeal(config.vehicle.id, ids) if secured else None
+        return PeerDatagrams(endpoints, config.fleet, agent.reject, seal)
     except LinkError as error:
         raise ConfigError(settings.file, "datagrams", str(error)) from error

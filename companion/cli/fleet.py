@@ -8,8 +8,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from companion.cli import fleet_formation, fleet_reference, fleet_use
-from companion.cli.options import fail, number, operator, seconds, vehicle_id
+from companion.cli import fleet_admit, fleet_formation, fleet_reference, fleet_use
+from companion.cli.options import add_identity, fail, number, operator, seconds, vehicle_id
 
 if TYPE_CHECKING:
     from companion.ground.requests import FleetRequest
@@ -28,7 +28,7 @@ gets the command.
 
 MORE = """\
 examples:
-  companion fleet use fleet.yaml --connect tcp/192.168.1.11:7447     saves the current fleet
+  companion fleet use fleet.yaml --identity identity                 saves the current fleet
   companion fleet ready
   companion fleet arm && companion fleet takeoff && companion fleet form
   companion fleet form --only 2 3 --no-wait
@@ -44,12 +44,15 @@ and reference), --no-wait skips it. The action itself goes on, also after Ctrl-C
 
 The fleet file is --fleet, else the environment variable COMPANION_FLEET, else the current fleet
 saved by `use`. The endpoints are --connect, else COMPANION_CONNECT (separated by commas or
-spaces), else those saved with the current fleet, else tcp/127.0.0.1:7447+ID for each vehicle, as
-in a simulation. The endpoint of one vehicle (zenoh.listen in its vehicle file) leads to all
-vehicles that it is connected with; further endpoints help where one vehicle may be away.
+spaces), else those saved with the current fleet, else the addresses in the fleet file, else
+tcp/127.0.0.1:7447+ID for each vehicle, as in a simulation. Each endpoint reaches one vehicle.
+
+A fleet with identities needs that of a ground: --identity, else COMPANION_IDENTITY, else that
+saved with the current fleet. The operator is then the name in its certificate, like ground-anna.
 
 The first operator who sends a command holds command of the vehicle; other operators are refused,
-with the name of the holder, until they take command. An operator is user@host, or --as NAME.
+with the name of the holder, until they take command. Without an identity an operator is
+user@host, or --as NAME.
 Vehicles refuse commands for an earlier start of the agent and commands that are not newer than
 the last one, so that a recorded command has no effect.
 
@@ -105,6 +108,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         actions.add_parser(name, parents=[*report, _some_vehicles()], help=summary, description=summary, epilog=SEE)
     for name, summary in SIMPLE_COMMANDS.items():
         actions.add_parser(name, parents=[*command, _some_vehicles()], help=summary, description=summary, epilog=SEE)
+    fleet_admit.add_arguments(
+        actions.add_parser(
+            fleet_admit.NAME,
+            parents=report,
+            help=fleet_admit.SUMMARY,
+            description=fleet_admit.DESCRIPTION,
+            epilog=SEE,
+        )
+    )
     leader = actions.add_parser(
         "leader", parents=command, help=CHANGES["leader"], description=CHANGES["leader"], epilog=SEE
     )
@@ -153,7 +165,7 @@ def fleet_request(parsed: argparse.Namespace) -> FleetRequest:
     from companion.ground.current_fleet import FLEET_VARIABLE, select
     from companion.ground.requests import COMMAND_LINE, FleetRequest
 
-    selection = select(parsed.fleet, parsed.connect or (), os.environ)
+    selection = select(parsed.fleet, parsed.connect or (), parsed.identity, os.environ)
     if selection.fleet is None:
         raise ConfigError(
             COMMAND_LINE, "--fleet", f"missing; give it, set {FLEET_VARIABLE}, or save one: companion fleet use FILE"
@@ -164,6 +176,7 @@ def fleet_request(parsed: argparse.Namespace) -> FleetRequest:
         action=parsed.action,
         fleet=selection.fleet,
         connect=selection.connect,
+        identity=selection.identity,
         operator=parsed.operator or "",
         only=tuple(getattr(parsed, "only", ())),
         wait_s=parsed.wait_s,
@@ -172,6 +185,7 @@ def fleet_request(parsed: argparse.Namespace) -> FleetRequest:
         timeout_s=getattr(parsed, "timeout", None),
         leaders=tuple(getattr(parsed, "leaders", ())),
         formation=fleet_formation.formation_request(parsed) if parsed.action == "formation" else None,
+        admission_list=parsed.file if parsed.action == fleet_admit.NAME else None,
         reference=fleet_reference.reference_request(parsed) if parsed.action == "reference" else None,
     )
 
@@ -182,6 +196,7 @@ def _connection() -> argparse.ArgumentParser:
         "--fleet", type=Path, metavar="FILE", help="the fleet file of the vehicles (default: the current fleet)"
     )
     parser.add_argument("--connect", nargs="+", metavar="ENDPOINT", help="Zenoh endpoints of vehicles")
+    add_identity(parser)
     parser.add_argument(
         "--as", dest="operator", type=operator, metavar="NAME", help="the operator (default: user@host)"
     )

@@ -9,7 +9,7 @@ from pathlib import Path
 NAME = "use"
 SUMMARY = "saves or shows the current fleet: a fleet file and endpoints"
 DESCRIPTION = """\
-Save a fleet file and endpoints as the current fleet; without FILE, show the current fleet and
+Save a fleet file, endpoints and an identity as the current fleet; without FILE, show the current fleet and
 where it comes from.
 """
 
@@ -17,6 +17,7 @@ where it comes from.
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", nargs="?", type=Path, metavar="FILE", help="the fleet file of the vehicles")
     parser.add_argument("--connect", nargs="+", default=[], metavar="ENDPOINT", help="Zenoh endpoints of vehicles")
+    parser.add_argument("--identity", type=Path, metavar="DIR", help="folder of the own certificate")
     parser.add_argument("--clear", action="store_true", help="delete the saved current fleet")
 
 
@@ -24,6 +25,7 @@ def run(options: argparse.Namespace) -> int:
     """The exit code. Raises ConfigError and link.zenoh_session.EndpointError."""
     from companion.config.fleet_check import load_fleet
     from companion.ground.current_fleet import forget_current, save_current, select
+    from companion.link.own_identity import load
     from companion.link.zenoh_session import check_endpoints
 
     if options.clear:
@@ -31,6 +33,8 @@ def run(options: argparse.Namespace) -> int:
     elif options.file:
         load_fleet(options.file)
         check_endpoints("connect", options.connect)
-        print(f"saved in {save_current(options.file, options.connect, os.environ)}")
-    print(select(None, (), os.environ))
+        if options.identity:
+            load(options.identity)
+        print(f"saved in {save_current(options.file, options.connect, options.identity, os.environ)}")
+    print(select(None, (), None, os.environ))
     return 0

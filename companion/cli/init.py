@@ -14,8 +14,8 @@ SUMMARY = "writes the fleet file and the vehicle files of real vehicles"
 EXIT_WRITTEN, EXIT_REFUSED = 0, 2
 DESCRIPTION = """\
 Write the files of N real vehicles into DIR: fleet.yaml, which all of them share, and vehicle-1.yaml
-to vehicle-N.yaml with the endpoint of the autopilot, the hover thrust and the Zenoh endpoints, and
-the reference for the vehicles that may lead. All files are commented and agree with each other.
+to vehicle-N.yaml with the endpoint of the autopilot, the hover thrust, and the reference for the
+vehicles that may lead. All files are commented and agree with each other.
 Existing files are not overwritten.
 """
 
@@ -64,6 +64,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="MAVLink endpoints of the autopilots (default serial:/dev/ttyAMA0:921600)",
     )
     parser.add_argument(
+        "--security",
+        choices=["none"],
+        help="without identities: whoever reaches the network of the fleet commands it (default: identities, which"
+        " companion provision makes, for addresses that other machines reach)",
+    )
+    parser.add_argument(
         "--autopilot", type=AutopilotKind, choices=list(AutopilotKind), help="accept no other autopilot"
     )
     parser.add_argument(
@@ -85,6 +91,7 @@ def run(options: argparse.Namespace) -> int:
             mavlink=options.mavlink,
             hover_thrust_norm=options.hover_thrust,
             autopilot=options.autopilot,
+            security=options.security,
         )
         print(new_fleet(choices, options.folder, flyable_problems), end="")
     except ConfigError as error:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import argparse
 import os
+from pathlib import Path
 
-from companion.cli.options import fail
+from companion.cli.options import add_identity, fail
 
 NAME = "monitor"
 SUMMARY = "shows the state of a fleet in the terminal"
@@ -20,13 +21,13 @@ report for one second is SILENT and stays in the table.
 MORE = """\
 examples:
   companion monitor                                          the current fleet, or a simulation
-  companion monitor --connect tcp/192.168.1.11:7447          a real fleet, through any one vehicle
+  companion monitor --connect tls/192.168.1.11:7447 --identity identity      one vehicle of a real fleet
   companion monitor --fleet platoon --once                   one table, for scripts
   companion monitor --once --json | jq '.[].error_to_slot_m'
 
-One vehicle's endpoint (zenoh.listen in its vehicle file) leads to all vehicles that it is
-connected with; further endpoints help where one vehicle may be away. On a terminal the table is
-live; into a pipe or a file it is printed once a second.
+Each endpoint reaches one vehicle; those of all vehicles come from the addresses in the fleet file.
+A fleet with identities needs that of a ground or of a monitor. On a terminal the table is live;
+into a pipe or a file it is printed once a second.
 
 columns, on terminals of 80 columns and more:
   position   east, north, up of the origin of the fleet, metres
@@ -57,11 +58,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--connect",
         nargs="+",
         metavar="ENDPOINT",
-        help="Zenoh endpoints of vehicles (default: COMPANION_CONNECT, else those of the current fleet, else"
-        " tcp/127.0.0.1:7448 to 7455, vehicles 1 to 8 of a simulation)",
+        help="Zenoh endpoints of vehicles (default: COMPANION_CONNECT, else those or the addresses of the current fleet,"
+        " else tcp/127.0.0.1:7448 to 7455, vehicles 1 to 8 of a simulation)",
     )
+    add_identity(parser)
     parser.add_argument("--once", action="store_true", help="print one table after at most 3 s and end")
     parser.add_argument("--json", action="store_true", help="one JSON array per table instead of the table")
+
+
+def _addresses(fleet: Path | None, secured: bool) -> tuple[str, ...]:
+    """Of the current fleet. Raises ConfigError."""
+    from companion.config.fleet_check import load_fleet
+    from companion.config.network import ground_endpoints
+
+    return ground_endpoints(load_fleet(fleet), secured) if fleet else ()
 
 
 def run(options: argparse.Namespace) -> int:
@@ -69,12 +79,15 @@ def run(options: argparse.Namespace) -> int:
     from companion.config.file import ConfigError
     from companion.ground.current_fleet import select, simulation_endpoints
     from companion.ground.monitor import MonitorError, run_monitor
+    from companion.link.own_identity import load
     from companion.link.zenoh_session import EndpointError
 
     try:
-        connect = select(None, options.connect or (), os.environ).connect
-        endpoints = connect or simulation_endpoints(SIMULATED_VEHICLES)
-        return run_monitor(options.fleet, endpoints, once=options.once, as_json=options.json)
+        selection = select(None, options.connect or (), options.identity, os.environ)
+        identity = load(selection.identity) if selection.identity else None
+        endpoints = selection.connect or _addresses(selection.fleet, identity is not None)
+        endpoints = endpoints or simulation_endpoints(SIMULATED_VEHICLES)
+        return run_monitor(options.fleet, endpoints, identity, once=options.once, as_json=options.json)
     except EndpointError as error:
         return fail(f'companion monitor: --connect "{error.endpoint}": {error}', EXIT_UNUSABLE)
     except ConfigError as error:

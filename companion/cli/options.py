@@ -51,6 +51,17 @@ def add_vehicle_file(parser: argparse.ArgumentParser, required: bool = True) -> 
     )
 
 
+def add_identity(parser: argparse.ArgumentParser) -> None:
+    """--identity, for programs of the ground."""
+    parser.add_argument(
+        "--identity",
+        type=Path,
+        metavar="DIR",
+        help="folder of the own certificate, made by companion provision (default: COMPANION_IDENTITY, else that of the"
+        " current fleet, else none: vehicles that need one are not reached)",
+    )
+
+
 def fail(line: str, exit_code: int) -> int:
     """Prints the line on standard error, without control characters of foreign text; returns the exit code."""
     from companion.types.printable import printable_lines

@@ -10,7 +10,7 @@ from msgspec import Meta
 
 from companion.config.law import Law
 from companion.config.obstacles import ObstacleSection, PointM
-from companion.config.values import Name, PositionM, Section, VehicleId
+from companion.config.values import Name, NetworkAddress, PositionM, Section, VehicleId
 from companion.geometry.airspace import Airspace, Fence
 from companion.types.flight import Role
 from companion.types.vectors import Vector3
@@ -37,6 +37,15 @@ class FormationMember(Section, frozen=True):
     may_lead: Annotated[
         bool, Meta(description="`true`: a follower that can be made leader; its vehicle file then holds the reference")
     ] = False
+    address: (
+        Annotated[
+            NetworkAddress,
+            Meta(
+                description="where the agent of the vehicle listens in the network of the fleet, like `192.168.1.11:7447`"
+            ),
+        ]
+        | None
+    ) = None
 
     @property
     def can_lead(self) -> bool:
@@ -216,6 +225,31 @@ class FleetSettings(Section, frozen=True, kw_only=True):
             description="time after which a leader in formation that receives no other vehicle goes into hold",
         ),
     ] = 5.0
+    transport: Annotated[
+        Literal["tcp", "quic"],
+        Meta(
+            description="protocol between the addresses; with identities `tcp` is TLS over TCP; `quic` needs identities"
+        ),
+    ] = "tcp"
+    multicast: (
+        Annotated[
+            NetworkAddress,
+            Meta(
+                description="group and port, like `239.255.77.1:7446`: states of the vehicles as UDP multicast, for radio links"
+                " that lose packets; with identities each datagram is authenticated"
+            ),
+        ]
+        | None
+    ) = None
+    security: (
+        Annotated[
+            Literal["none"],
+            Meta(
+                description="`none`: agents without an identity may use a network; whoever reaches it commands the fleet"
+            ),
+        ]
+        | None
+    ) = None
     peers: PeerLimits = PeerLimits()
     envelope: Envelope = Envelope()
     obstacles: Annotated[

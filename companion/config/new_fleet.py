@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Literal
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from companion.config.file import ConfigError, convert, refuse
 from companion.config.fleet import GeodeticOrigin
+from companion.config.network import reaches_network
 from companion.config.new_formation import (
     NewFormation,
     PlannedFormation,
@@ -28,7 +30,6 @@ from companion.config.vehicle import load_agent
 from companion.types.autopilot import AutopilotKind
 
 ZENOH_PORT = 7447
-LOOPBACK = ("127.0.0.1", "localhost")
 ID_IN_PATTERN = re.compile(r"\{id(?:\+(\d{1,5}))?\}")
 HOVER_PARAMETER = {AutopilotKind.PX4: "MPC_THR_HOVER", AutopilotKind.ARDUPILOT: "MOT_THST_HOVER"}
 LAND_AFTER_S = 60.0
@@ -36,12 +37,18 @@ NEXT = """\
 wrote {files} in {folder}
 next:
   1. In fleet.yaml check origin, fence and slots; in each vehicle file mavlink and hover_thrust_norm.
-  2. companion analyze {fleet}
+  2. companion analyze {folder}/fleet.yaml
+{then}"""
+SECURED = """\
+  3. companion provision new {folder}
+     It makes the keys of vehicles and ground, and says what to copy to each of them.
+"""
+OPEN = """\
   3. Copy fleet.yaml and its own file to each vehicle:
 {copies}
   4. On each vehicle: companion doctor --config /etc/companion/vehicle-ID.yaml
      then:            systemctl enable --now companion@ID
-  5. On the ground:   companion monitor --connect {endpoint}
+  5. On the ground:   companion fleet use {folder}/fleet.yaml && companion monitor
 """
 
 
@@ -54,33 +61,32 @@ class NewFleet(Struct, frozen=True, kw_only=True):
     mavlink: Sequence[str]
     hover_thrust_norm: float
     autopilot: AutopilotKind | None = None
+    security: Literal["none"] | None = None
 
-
-class Endpoint(Struct, frozen=True):
-    """Where the agent of a vehicle is reached by the other agents."""
-
-    host: str
-    port: int
-
-    def to_connect(self) -> str:
-        return f"tcp/{self.host}:{self.port}"
-
-    def to_listen(self) -> str:
-        return f"tcp/{self.host if self.host in LOOPBACK else '0.0.0.0'}:{self.port}"
+    def needs_identities(self, addresses: Mapping[int, str]) -> bool:
+        """Where strangers could reach the vehicles, and the choice is not to let them."""
+        return self.security is None and any(reaches_network(address) for address in addresses.values())
 
 
 def new_fleet(new: NewFleet, folder: Path, problems_of: ProblemsOf) -> str:
     """Writes fleet.yaml and vehicle-N.yaml, checks them by loading them, returns what to do next. Raises ConfigError."""
     check_choices(new.formation, "companion init")
-    endpoints = _endpoints(new)
+    addresses = _addresses(new)
     mavlink = _per_vehicle(new.mavlink, new.formation.vehicles, "--mavlink")
-    planned = planned_formation(new.formation, problems_of, new.origin)
-    vehicles = {
-        folder / f"vehicle-{i}.yaml": vehicle_text(new, planned, i, mavlink[i - 1], endpoints) for i in endpoints
-    }
+    planned = with_addresses(planned_formation(new.formation, problems_of, new.origin), addresses, new.security)
+    secured = new.needs_identities(addresses)
+    vehicles = {folder / f"vehicle-{i}.yaml": vehicle_text(new, planned, i, mavlink[i - 1], secured) for i in addresses}
     texts = {folder / "fleet.yaml": fleet_text(new, planned)} | vehicles
     write_new(texts, check=lambda: [load_agent(path) for path in vehicles])
-    return _next_steps(folder, endpoints)
+    return _next_steps(folder, addresses, secured)
+
+
+def with_addresses(
+    planned: PlannedFormation, addresses: Mapping[int, str], security: Literal["none"] | None
+) -> PlannedFormation:
+    """The plan with the address of each vehicle, and its security."""
+    members = tuple(replace(member, address=addresses[member.id]) for member in planned.fleet.vehicles)
+    return replace(planned, fleet=replace(planned.fleet, vehicles=members, security=security))
 
 
 def fleet_text(new: NewFleet, planned: PlannedFormation) -> str:
@@ -99,7 +105,14 @@ def fleet_text(new: NewFleet, planned: PlannedFormation) -> str:
             else [commented("altitude_source: takeoff", "z is zero where each vehicle is armed: level ground")]
         ),
         *([] if indoor else [commented("ground_spread_m: 3.0", "altitudes by GPS differ by a metre or two")]),
-        commented("vehicles:", "the slots are offsets from the reference: x east, y north, z up"),
+        *(
+            [commented("security: none", "no identities: whoever reaches the network commands the fleet")]
+            if fleet.security
+            else []
+        ),
+        commented(
+            "vehicles:", "slots are offsets from the reference: x east, y north, z up; addresses in the fleet's network"
+        ),
         *vehicle_lines(fleet.vehicles),
         *settings_lines(planned, new.formation),
         commented(f"  max_tilt_deg: {fleet.envelope.max_tilt_deg:g}", "no setpoint tilts more than this"),
@@ -110,14 +123,11 @@ def fleet_text(new: NewFleet, planned: PlannedFormation) -> str:
     return "\n".join(lines) + "\n"
 
 
-def vehicle_text(
-    new: NewFleet, planned: PlannedFormation, vehicle_id: int, mavlink: str, endpoints: dict[int, Endpoint]
-) -> str:
-    """One whole vehicle file. Each agent connects to those with lower ids, so that every pair has one connection."""
+def vehicle_text(new: NewFleet, planned: PlannedFormation, vehicle_id: int, mavlink: str, secured: bool) -> str:
+    """One whole vehicle file."""
     member = planned.fleet.member(vehicle_id)
     leads = member is not None and member.can_lead
     parameters = HOVER_PARAMETER[new.autopilot] if new.autopilot else ", ".join(HOVER_PARAMETER.values())
-    others = [endpoint.to_connect() for i, endpoint in endpoints.items() if i < vehicle_id]
     reference = inline(planned.reference)
     lines = [
         f"# The settings of vehicle {vehicle_id}. Its agent: companion agent --config vehicle-{vehicle_id}.yaml",
@@ -129,9 +139,7 @@ def vehicle_text(
             f"hover_thrust_norm: {new.hover_thrust_norm:g}",
             f"initial value ({parameters}); estimated in flight",
         ),
-        commented("zenoh:", "addresses in the radio network of the fleet"),
-        f"  listen: [{endpoints[vehicle_id].to_listen()}]",
-        *([commented(f"  connect: [{', '.join(others)}]", "tried until they answer")] if others else []),
+        *([commented("identity: identity", "folder beside this file, from companion provision")] if secured else []),
         *(
             ["# The trajectory of the formation. Vehicles that may lead hold it, all of them the same."]
             if leads
@@ -142,32 +150,32 @@ def vehicle_text(
     return "\n".join(lines) + "\n"
 
 
-def _next_steps(folder: Path, endpoints: dict[int, Endpoint]) -> str:
+def _next_steps(folder: Path, addresses: Mapping[int, str], secured: bool) -> str:
     copies = "\n".join(
-        f"     scp {folder / 'fleet.yaml'} {folder / f'vehicle-{i}.yaml'} {endpoint.host}:/etc/companion/"
-        for i, endpoint in endpoints.items()
+        f"     scp {folder / 'fleet.yaml'} {folder / f'vehicle-{i}.yaml'} {address.rpartition(':')[0]}:/etc/companion/"
+        for i, address in addresses.items()
     )
-    files = f"fleet.yaml and vehicle-1.yaml to vehicle-{len(endpoints)}.yaml"
-    fleet = folder / "fleet.yaml"
-    return NEXT.format(files=files, folder=folder, fleet=fleet, copies=copies, endpoint=endpoints[1].to_connect())
+    files = f"fleet.yaml and vehicle-1.yaml to vehicle-{len(addresses)}.yaml"
+    then = (SECURED if secured else OPEN).format(folder=folder, copies=copies)
+    return NEXT.format(files=files, folder=folder, then=then)
 
 
-def _endpoints(new: NewFleet) -> dict[int, Endpoint]:
-    """The endpoint of each vehicle by id. Raises ConfigError for what is no address, or used twice."""
-    endpoints: dict[int, Endpoint] = {}
+def _addresses(new: NewFleet) -> dict[int, str]:
+    """HOST:PORT of each vehicle by id. Raises ConfigError for what is no address, or used twice."""
+    addresses: dict[int, str] = {}
     problems = []
-    for vehicle_id, address in enumerate(_per_vehicle(new.addresses, new.formation.vehicles, "--address"), start=1):
-        found = re.fullmatch(r"([A-Za-z0-9._-]+)(?::(\d{1,5}))?", address)
+    for vehicle_id, given in enumerate(_per_vehicle(new.addresses, new.formation.vehicles, "--address"), start=1):
+        found = re.fullmatch(r"([A-Za-z0-9._-]+)(?::(\d{1,5}))?", given)
         if not found or not 0 < int(found[2] or ZENOH_PORT) < 65536:
-            problems.append(Problem("--address", f"{address!r}: expected HOST or HOST:PORT"))
+            problems.append(Problem("--address", f"{given!r}: expected HOST or HOST:PORT"))
             continue
-        endpoint = Endpoint(found[1], int(found[2] or ZENOH_PORT))
-        if endpoint in endpoints.values():
+        address = f"{found[1]}:{int(found[2] or ZENOH_PORT)}"
+        if address in addresses.values():
             hint = "give each vehicle its own, or a pattern with {id}"
-            problems.append(Problem("--address", f"{address!r}: is that of two vehicles; {hint}"))
-        endpoints[vehicle_id] = endpoint
+            problems.append(Problem("--address", f"{given!r}: is that of two vehicles; {hint}"))
+        addresses[vehicle_id] = address
     refuse("companion init", dict.fromkeys(problems))
-    return endpoints
+    return addresses
 
 
 def _filled(pattern: str, vehicle_id: int) -> str:

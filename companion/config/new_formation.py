@@ -139,7 +139,8 @@ def vehicle_lines(members: tuple[FormationMember, ...]) -> list[str]:
     lines = []
     for member in members:
         fields = {"id": member.id, "role": str(member.role), "slot_enu_m": list(member.slot_enu_m)}
-        lines.append("  - " + inline(fields | ({"may_lead": True} if member.may_lead else {})))
+        fields |= {"may_lead": True} if member.may_lead else {}
+        lines.append("  - " + inline(fields | ({"address": member.address} if member.address else {})))
     return lines
 
 

@@ -17,6 +17,13 @@ FLEET_NAME_WORDS = "at most 41 lower-case letters, digits, - and _, a letter or 
 
 Name = Annotated[str, Meta(pattern=FLEET_NAME, extra={"format": FLEET_NAME_WORDS})]
 VehicleId = Annotated[int, Meta(ge=1, le=250, description="MAVLink system id of the vehicle")]
+NetworkAddress = Annotated[
+    str,
+    Meta(
+        pattern=r"^(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9._-]+):[0-9]{1,5}$",
+        extra={"format": "HOST:PORT, like 192.168.1.11:7447"},
+    ),
+]
 Seconds = Annotated[float, Meta(gt=0, le=60)]
 Coordinate = Annotated[float, Meta(ge=-10_000, le=10_000)]
 PositionM = tuple[Coordinate, Coordinate, Coordinate]

@@ -13,32 +13,13 @@ from companion.config.file import ConfigError, convert
 from companion.config.fleet import FleetConfig, FormationMember
 from companion.config.fleet_check import load_fleet
 from companion.config.kind import read_as
+from companion.config.network import DatagramEndpoints, ZenohEndpoints, datagrams_of, endpoints_of, network_problems
 from companion.config.reference import Reference
 from companion.config.reference_check import reference_problems
 from companion.config.validation import Problem, each
 from companion.config.values import Drag, HoverThrust, Section, VehicleId
 from companion.types.autopilot import AutopilotKind
 from companion.types.flight import Role
-
-
-class ZenohEndpoints(Section, frozen=True):
-    """Endpoints of the vehicle's Zenoh session, like `tcp/192.168.1.11:7447`. Multicast scouting is off."""
-
-    listen: Annotated[tuple[str, ...], Meta(description="endpoints where the agent accepts connections")] = ()
-    connect: Annotated[tuple[str, ...], Meta(description="endpoints of other vehicles, tried until they answer")] = ()
-
-
-PeerAddress = Annotated[str, Meta(pattern="^.+:[0-9]{1,5}$", extra={"format": "HOST:PORT, like 192.168.1.11:7447"})]
-
-
-class DatagramEndpoints(Section, frozen=True):
-    """Peer states as UDP datagrams instead of over Zenoh, for radio links that lose packets; the same in all vehicles."""
-
-    listen: Annotated[PeerAddress, Meta(description="address and port where the agent receives, like `0.0.0.0:7447`")]
-    send_to: Annotated[
-        tuple[PeerAddress, ...],
-        Meta(min_length=1, description="where the other vehicles listen; one broadcast address reaches them all"),
-    ]
 
 
 class Signing(Section, frozen=True):
@@ -101,8 +82,31 @@ class VehicleConfig(Section, frozen=True):
             " 2), as a pilot stands by"
         ),
     ] = False
-    zenoh: ZenohEndpoints = ZenohEndpoints()
-    datagrams: DatagramEndpoints | None = None
+    identity: (
+        Annotated[
+            str,
+            Meta(
+                min_length=1,
+                description="folder of the vehicle's certificate, made by `companion provision`; the path is relative to the"
+                " vehicle file",
+            ),
+        ]
+        | None
+    ) = None
+    zenoh: (
+        Annotated[
+            ZenohEndpoints,
+            Meta(description="instead of the addresses in the fleet file, for networks with translation"),
+        ]
+        | None
+    ) = None
+    datagrams: (
+        Annotated[
+            DatagramEndpoints,
+            Meta(description="instead of `multicast` of the fleet file: one address for each vehicle"),
+        ]
+        | None
+    ) = None
     reference: (
         Annotated[
             Reference,
@@ -131,6 +135,17 @@ class AgentConfig:
     fleet: FleetConfig
     member: FormationMember
 
+    @property
+    def zenoh(self) -> ZenohEndpoints:
+        """Those of the vehicle file; without them by the addresses of the fleet file."""
+        secured = self.vehicle.identity is not None
+        return self.vehicle.zenoh or endpoints_of(self.fleet, self.vehicle.id, secured)
+
+    @property
+    def datagrams(self) -> DatagramEndpoints | None:
+        """Those of the vehicle file; without them the multicast of the fleet file, if it has any."""
+        return self.vehicle.datagrams or datagrams_of(self.fleet, self.vehicle.id)
+
 
 def load_agent(path: Path) -> AgentConfig:
     """Read a vehicle file and the fleet file that it names. Raises ConfigError with the errors of both."""
@@ -150,6 +165,8 @@ def load_agent(path: Path) -> AgentConfig:
             errors.append(error)
         else:
             yield from _membership_problems(vehicle, fleets[0], fleet_path)
+            secured = vehicle.identity is not None
+            yield from each(network_problems(fleets[0], vehicle.id, vehicle.zenoh, vehicle.datagrams, secured))
 
     try:
         vehicle = convert(path, read_as(path, "vehicle"), VehicleConfig, problems)

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from types import TracebackType
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 from companion.link.zenoh_session import open_session
+
+if TYPE_CHECKING:
+    from companion.security.identity import Identity
 
 
 class GroundConnection:
@@ -15,8 +18,8 @@ class GroundConnection:
     Raises link.zenoh_session.EndpointError.
     """
 
-    def __init__(self, connect: Sequence[str]) -> None:
-        self._session = open_session(listen=(), connect=connect)
+    def __init__(self, connect: Sequence[str], identity: Identity | None = None) -> None:
+        self._session = open_session(listen=(), connect=connect, identity=identity)
 
     def close(self) -> None:
         """End the session; without this a process may hang at its exit."""

@@ -14,35 +14,44 @@ from companion.config.bounded_read import read_regular
 from companion.config.file import ConfigError
 
 FLEET_VARIABLE, CONNECT_VARIABLE = "COMPANION_FLEET", "COMPANION_CONNECT"
+IDENTITY_VARIABLE = "COMPANION_IDENTITY"
 SIMULATION_PORT = 7447  # plus the vehicle id: where the agent of a simulated vehicle listens for Zenoh
 
 
 class CurrentFleet(msgspec.Struct, frozen=True):
-    """A fleet file as an absolute path, and Zenoh endpoints of its vehicles."""
+    """A fleet file as an absolute path, Zenoh endpoints of its vehicles, and the folder of the own identity."""
 
     fleet: str
     connect: tuple[str, ...] = ()
+    identity: str = ""  # an absolute path; empty without one
 
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """A fleet file (None where none is named) and endpoints (empty for a simulation's), each with the source of its value."""
+    """A fleet file (None where none is named), endpoints and identity, each with the source of its value.
+
+    Without endpoints: the addresses of the fleet file, or those of a simulation.
+    """
 
     fleet: Path | None
     fleet_source: str
     connect: tuple[str, ...]
     connect_source: str
+    identity: Path | None
 
     def __str__(self) -> str:
         fleet = f"fleet file {self.fleet} ({self.fleet_source})" if self.fleet else "no current fleet"
-        endpoints = f"{', '.join(self.connect)} ({self.connect_source})" if self.connect else "of a simulation"
-        return f"{fleet}; endpoints {endpoints}"
+        endpoints = f"{', '.join(self.connect)} ({self.connect_source})" if self.connect else "of the fleet file"
+        identity = f"identity {self.identity}" if self.identity else "no identity"
+        return f"{fleet}; endpoints {endpoints}; {identity}"
 
 
-def select(fleet: Path | None, connect: Sequence[str], environment: Mapping[str, str]) -> Selection:
+def select(
+    fleet: Path | None, connect: Sequence[str], identity: Path | None, environment: Mapping[str, str]
+) -> Selection:
     """An option wins over the environment, the environment over the saved current fleet. Raises ConfigError.
 
-    The saved endpoints belong to the saved fleet file: they are not used with another one.
+    The saved endpoints and the saved identity belong to the saved fleet file: they are not used with another one.
     """
     saved = None if fleet is not None and connect else load_current(environment)
     named = environment.get(FLEET_VARIABLE, "")
@@ -53,14 +62,18 @@ def select(fleet: Path | None, connect: Sequence[str], environment: Mapping[str,
         chosen, fleet_source = Path(named), FLEET_VARIABLE
     else:
         chosen, fleet_source = (Path(saved.fleet), "current fleet") if saved else (None, "")
+    if saved and chosen is not None and chosen.absolute() != Path(saved.fleet):
+        saved = None
+    folder = environment.get(IDENTITY_VARIABLE, "") or (saved.identity if saved else "")
+    identity = identity or (Path(folder) if folder else None)
     listed = tuple(re.split(r"[\s,]+", environment.get(CONNECT_VARIABLE, "").strip(" ,")))
     if connect:
-        return Selection(chosen, fleet_source, tuple(connect), "--connect")
+        return Selection(chosen, fleet_source, tuple(connect), "--connect", identity)
     if listed != ("",):
-        return Selection(chosen, fleet_source, listed, CONNECT_VARIABLE)
-    if saved and saved.connect and (chosen is None or chosen.absolute() == Path(saved.fleet)):
-        return Selection(chosen, fleet_source, saved.connect, "current fleet")
-    return Selection(chosen, fleet_source, (), "")
+        return Selection(chosen, fleet_source, listed, CONNECT_VARIABLE, identity)
+    if saved and saved.connect:
+        return Selection(chosen, fleet_source, saved.connect, "current fleet", identity)
+    return Selection(chosen, fleet_source, (), "", identity)
 
 
 def simulation_endpoints(vehicle_ids: Sequence[int]) -> tuple[str, ...]:
@@ -86,10 +99,11 @@ def load_current(environment: Mapping[str, str]) -> CurrentFleet | None:
         raise ConfigError(file, "", problem) from error
 
 
-def save_current(fleet: Path, connect: Sequence[str], environment: Mapping[str, str]) -> Path:
+def save_current(fleet: Path, connect: Sequence[str], identity: Path | None, environment: Mapping[str, str]) -> Path:
     """The file written. Raises ConfigError."""
     file = current_file(environment)
-    content = msgspec.json.encode(CurrentFleet(str(fleet.absolute()), tuple(connect)))
+    folder = str(identity.absolute()) if identity else ""
+    content = msgspec.json.encode(CurrentFleet(str(fleet.absolute()), tuple(connect), folder))
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         part = file.with_name(f"{file.name}.{os.getpid()}")

@@ -12,7 +12,7 @@ from companion.types.autopilot import LandedState
 from companion.types.flight import WITHOUT_LEADER, FlightPhase, HealthFlag, Role
 from companion.types.notices import Notice
 from companion.types.separation import SeparationReport
-from companion.types.status import Status
+from companion.types.status import NetworkState, Status
 from companion.types.vectors import Vector3
 from companion.wire.ground import StatusReport, Timing
 
@@ -73,6 +73,7 @@ class VehicleRow:
     separation: SeparationReport
     last_event: Notice | None
     timing: Timing
+    network: NetworkState
 
     @property
     def altitude_m(self) -> float:
@@ -125,6 +126,7 @@ def _row(state: FleetState, received: Received, now_s: float) -> VehicleRow:
         separation=status.separation,
         last_event=status.last_event,
         timing=received.report.timing,
+        network=status.network,
     )
 
 

@@ -7,7 +7,7 @@ import shutil
 import sys
 import time
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
@@ -17,6 +17,9 @@ from companion.ground.fleet_status import FleetState, VehicleRow, fold, rows
 from companion.ground.monitor_table import by_fleet, cells, columns_for, note, plain_lines
 from companion.ground.session import FleetSession
 from companion.types.bounds import FLEET_NAME
+
+if TYPE_CHECKING:
+    from companion.security.identity import Identity
 
 ONCE_LISTEN_S = 3.0
 ONCE_SETTLE_S = 0.5  # five status periods: every connected vehicle has reported by then
@@ -32,12 +35,12 @@ class MonitorError(Exception):
     """The monitor cannot run as requested. str() is one line with what to do."""
 
 
-def run_monitor(fleet: str, endpoints: Sequence[str], once: bool, as_json: bool) -> int:
+def run_monitor(fleet: str, endpoints: Sequence[str], identity: Identity | None, once: bool, as_json: bool) -> int:
     """The exit code. Raises MonitorError and link.zenoh_session.EndpointError."""
     if fleet != "*" and not re.fullmatch(FLEET_NAME, fleet):
         raise MonitorError(f"--fleet {fleet!r}: expected the name in a fleet file, like platoon, or * for every fleet")
     live = _live_table() if sys.stdout.isatty() and not (once or as_json) else None
-    with FleetSession(fleet, endpoints) as session:
+    with FleetSession(fleet, endpoints, identity=identity) as session:
         try:
             if once:
                 return _once(session, endpoints, _json if as_json else _plain_table)
@@ -74,8 +77,8 @@ def _nothing_received(session: FleetSession, endpoints: Sequence[str]) -> str:
     states += [f"{endpoint}: reached, without a report" for endpoint in reached]
     other_fleet = f", or leave --fleet {session.fleet} out to show every fleet" if session.fleet != "*" else ""
     return (
-        f"no report for {ONCE_LISTEN_S:g} s ({'; '.join(states)}); give the endpoints of running agents (zenoh.listen in a"
-        f" vehicle file) with --connect{other_fleet}"
+        f"no report for {ONCE_LISTEN_S:g} s ({'; '.join(states)}); give the endpoints of running agents with --connect, and"
+        f" the own identity where they have identities{other_fleet}"
     )
 
 

@@ -100,7 +100,9 @@ def by_fleet(table: Sequence[VehicleRow]) -> Iterator[tuple[str, list[VehicleRow
     for fleet, rows in groupby(table, key=lambda row: row.fleet):
         of_fleet = list(rows)
         silent = [row.vehicle_id for row in of_fleet if row.silent]
-        yield f"fleet {fleet}, {count(len(of_fleet))}" + (f", SILENT: {id_list(silent)}" if silent else ""), of_fleet
+        open_ = [row.vehicle_id for row in of_fleet if row.network.security == "none"]
+        heading = f"fleet {fleet}, {count(len(of_fleet))}" + (f", SILENT: {id_list(silent)}" if silent else "")
+        yield heading + (f", UNSECURED (strangers can command): {id_list(open_)}" if open_ else ""), of_fleet
 
 
 def plain_lines(table: Sequence[VehicleRow], width: int) -> Iterator[str]:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
 from companion.config.fleet import FleetConfig
 from companion.config.fleet_check import load_fleet
+from companion.config.network import ground_endpoints
 from companion.ground.answers import AnswerKind, answer_lines, answers_as_data, end_lines
 from companion.ground.current_fleet import simulation_endpoints
 from companion.ground.endpoints import unreachable
@@ -22,8 +24,13 @@ from companion.ground.sending import OperateError, Sender, Sent, check_content
 from companion.ground.session import FleetSession
 from companion.ground.text import wrapped
 from companion.ground.waiting import Goal, goal_of, wait_for
+from companion.security.names import ParticipantRole
+
+if TYPE_CHECKING:
+    from companion.security.identity import Identity
 
 EXIT_ALL, EXIT_SOME = 0, 1
+REPORTS = ("status", "ready")
 
 
 def run_fleet(request: FleetRequest) -> int:
@@ -31,11 +38,34 @@ def run_fleet(request: FleetRequest) -> int:
     fleet = load_fleet(request.fleet)
     ids = _vehicles(request, fleet)
     check_content(request, fleet)
-    endpoints = request.connect or simulation_endpoints([member.id for member in fleet.vehicles])
-    with FleetSession(fleet.name, endpoints, request.operator) as session:
-        if request.action in ("status", "ready"):
+    identity = _identity(request, fleet)
+    endpoints = request.connect or ground_endpoints(fleet, identity is not None)
+    endpoints = endpoints or simulation_endpoints([member.id for member in fleet.vehicles])
+    with FleetSession(fleet.name, endpoints, request.operator, identity) as session:
+        if request.admission_list:
+            return _admit(session, request.admission_list, identity, ids)
+        if request.action in REPORTS:
             return _report(session, request, fleet, ids, endpoints)
         return _command(session, request, Sender(session, fleet, request, ids), endpoints)
+
+
+def _identity(request: FleetRequest, fleet: FleetConfig) -> Identity | None:
+    """The identity of this ground. Raises ConfigError, and OperateError for one that the vehicles would not obey."""
+    if request.identity is None:
+        return None
+    from companion.link.own_identity import load  # it loads the cryptography, 8 MB
+
+    identity = load(request.identity)
+    if identity.fleet != fleet.name:
+        raise OperateError(f'{request.identity} is of fleet "{identity.fleet}", the fleet file of "{fleet.name}"')
+    if request.operator:
+        raise OperateError(f"--as is for fleets without identities; the operator is {identity.common_name}")
+    readers = (ParticipantRole.GROUND, ParticipantRole.MONITOR)
+    wanted = readers if request.action in REPORTS else readers[:1]
+    if identity.role not in wanted:
+        expected = " or a ".join(wanted)
+        raise OperateError(f"{identity.common_name} may not do this; expected the identity of a {expected}")
+    return identity
 
 
 def _vehicles(request: FleetRequest, fleet: FleetConfig) -> list[int]:
@@ -67,6 +97,16 @@ def _report(
         _print_json(request, data, unreachable=failed_endpoints)
     else:
         _print([*lines, *_endpoint_lines(failed_endpoints)])
+    return EXIT_ALL if good else EXIT_SOME
+
+
+def _admit(session: FleetSession, file: Path, identity: Identity | None, ids: Sequence[int]) -> int:
+    if identity is None:
+        raise OperateError("needs the identity of a ground: --identity DIR")
+    from companion.ground.admitting import admit
+
+    lines, good = admit(session, identity, file, ids)
+    _print(lines)
     return EXIT_ALL if good else EXIT_SOME
 
 

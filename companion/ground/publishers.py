@@ -5,6 +5,7 @@ from __future__ import annotations
 import secrets
 import time
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import zenoh
 
@@ -17,16 +18,21 @@ from companion.wire.keys import target_key, traffic_key
 from companion.wire.target import encode_target
 from companion.wire.traffic import encode_traffic
 
+if TYPE_CHECKING:
+    from companion.security.identity import Identity
+
 
 class TargetPublisher(GroundConnection):
     """Motion of a target: a vehicle, a person, a joystick. A reference of kind `target` follows it.
 
-    The only publisher of its name in the fleet.
+    The only publisher of its name in the fleet. With an identity the name is the id of its certificate.
     """
 
-    def __init__(self, fleet: str, connect: Sequence[str], name: str = "main") -> None:
-        self._key = target_key(fleet, name)
-        super().__init__(connect)
+    def __init__(
+        self, fleet: str, connect: Sequence[str], name: str = "main", identity: Identity | None = None
+    ) -> None:
+        self._key = target_key(fleet, identity.id if identity else name)
+        super().__init__(connect, identity)
         self._number = secrets.randbits(32)
         self._published = 0
 
@@ -40,11 +46,16 @@ class TargetPublisher(GroundConnection):
 
 
 class TrafficPublisher(GroundConnection):
-    """Positions of vehicles outside the fleet, such as those that a receiver of ADS-B reports."""
+    """Positions of vehicles outside the fleet, such as those that a receiver of ADS-B reports.
 
-    def __init__(self, fleet: str, connect: Sequence[str]) -> None:
-        super().__init__(connect)
-        self._fleet = fleet
+    `source` names the receiver; with an identity it is the id of its certificate.
+    """
+
+    def __init__(
+        self, fleet: str, connect: Sequence[str], source: str = "main", identity: Identity | None = None
+    ) -> None:
+        super().__init__(connect, identity)
+        self._fleet, self._source = fleet, identity.id if identity else source
 
     def publish(
         self,
@@ -57,7 +68,7 @@ class TrafficPublisher(GroundConnection):
         """A position in the fleet frame, `age_s` old. `name`: letters, digits, _ and -, such as an ICAO address."""
         sample = TrafficSample(position_enu_m, velocity_enu_m_s, age_s, error_m)
         self._session.put(
-            traffic_key(self._fleet, name),
+            traffic_key(self._fleet, self._source, name),
             encode_traffic(sample),
             congestion_control=zenoh.CongestionControl.DROP,
             express=True,

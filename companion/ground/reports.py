@@ -53,6 +53,9 @@ def status_lines(statuses: Mapping[int, Status], silent: Sequence[int], wait_s: 
     return lines
 
 
+UNSECURED = "UNSECURED: strangers in its network can command it (security: none in the fleet file)"
+
+
 def _status_lines(status: Status) -> list[str]:
     x, y, z = status.position_enu_m
     battery = "unknown" if status.battery_percent is None else f"{status.battery_percent:.0f} %"
@@ -65,7 +68,8 @@ def _status_lines(status: Status) -> list[str]:
         f" reference {reference_text(status.reference, status.target_age_s)},"
         f" operator {status.holder or '-'}, battery {battery}"
     )
-    event = [str(status.last_event)] if status.last_event else []
+    event = [UNSECURED] if status.network.security == "none" else []
+    event += [str(status.last_event)] if status.last_event else []
     return [
         *wrapped(f"vehicle {status.vehicle_id:<3} ", state),
         *wrapped(INDENT, flown),

@@ -34,18 +34,20 @@ class ReferenceRequest:
 class FleetRequest:
     """One action for the fleet in the file `fleet`. `only` is empty for all vehicles of the file.
 
-    `leaders`, `formation` and `reference` belong to one action each.
+    `leaders`, `formation`, `reference` and `admission_list` belong to one action each.
     """
 
     action: str
     fleet: Path
     connect: tuple[str, ...]
-    operator: str  # "" for user@host
+    operator: str  # "" for user@host; not used with an identity
     only: tuple[int, ...]
     wait_s: float  # for reports and replies
     as_json: bool
     wait: bool = True  # until the action is finished, after all vehicles have accepted it
+    identity: Path | None = None
     timeout_s: float | None = None  # of that wait; None for the default of the action
     leaders: tuple[int, ...] = ()
     formation: FormationRequest | None = None
     reference: ReferenceRequest | None = None
+    admission_list: Path | None = None

@@ -10,6 +10,7 @@ from collections import Counter, deque
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from math import inf
+from typing import TYPE_CHECKING
 
 import zenoh
 
@@ -19,8 +20,19 @@ from companion.types.commands import Command, CommandName, CommandReply, Content
 from companion.types.notices import Code
 from companion.types.status import Status
 from companion.wire.ground import StatusReport, decode_reply, decode_report, encode
-from companion.wire.keys import abort_key, command_key, every_reply, every_status, reply_key, status_key
+from companion.wire.keys import (
+    abort_key,
+    admission_key,
+    command_key,
+    every_reply,
+    every_status,
+    reply_key,
+    status_key,
+)
 from companion.wire.version import WireError
+
+if TYPE_CHECKING:
+    from companion.security.identity import Identity
 
 REPORTS_KEPT = 4096  # a ring: without drain() the oldest reports are dropped
 POLL_S = 0.01
@@ -52,16 +64,21 @@ class FleetSession(GroundConnection):
     `operator` sends the commands. `rejected` counts refused reports and replies by code.
     """
 
-    def __init__(self, fleet: str, connect: Sequence[str], operator: str = "") -> None:
-        """`fleet` may be * to receive from all fleets.
+    def __init__(
+        self, fleet: str, connect: Sequence[str], operator: str = "", identity: Identity | None = None
+    ) -> None:
+        """`fleet` may be * to receive from all fleets; with an identity that is its own fleet.
 
-        `operator` has the form of types.commands.OPERATOR; user@host where it is empty.
+        `operator` has the form of types.commands.OPERATOR; user@host where it is empty. With an identity it is the common name
+        of the certificate: agents accept no other.
         """
+        if identity and fleet == "*":
+            fleet = identity.fleet
         # A name that is no part of a key is refused here, before a session is open.
         status, reply = zenoh.KeyExpr(every_status(fleet)), zenoh.KeyExpr(every_reply(fleet))
-        super().__init__(connect)
+        super().__init__(connect, identity)
         self.fleet = fleet
-        self.operator = operator or operator_here()
+        self.operator = identity.common_name if identity else operator or operator_here()
         self.rejected: Counter[str] = Counter()
         self._reports = self._session.declare_subscriber(status, zenoh.handlers.RingChannel(REPORTS_KEPT))
         self._replies = self._session.declare_subscriber(reply, zenoh.handlers.RingChannel(REPLIES_KEPT))
@@ -156,11 +173,17 @@ class FleetSession(GroundConnection):
     def _send(self, vehicle_id: int, command: Command) -> None:
         key = abort_key if command.name is CommandName.ABORT else command_key
         self._session.put(
-            key(self.fleet, vehicle_id),
+            key(self.fleet, vehicle_id, self.operator),
             encode(command),
             congestion_control=zenoh.CongestionControl.DROP,
             priority=zenoh.Priority.INTERACTIVE_HIGH,
             express=True,
+        )
+
+    def send_admission_list(self, data: bytes) -> None:
+        """To all vehicles; they verify it."""
+        self._session.put(
+            admission_key(self.fleet, self.operator), data, congestion_control=zenoh.CongestionControl.DROP
         )
 
     def _received_replies(self) -> Iterator[CommandReply]:

@@ -22,6 +22,7 @@ from companion.types.commands import Command, CommandReply
 from companion.types.notices import Code, Notice
 from companion.types.peers import PeerPacket, ReceivedPeerPacket, ReceivedTarget
 from companion.types.requests import AttitudeTarget, AutopilotRequest
+from companion.types.status import NetworkState
 from companion.types.telemetry import PositionSample, Telemetry
 from companion.types.tick import Inbox, Outbox
 from companion.types.traffic import ReceivedTraffic
@@ -51,6 +52,9 @@ class AutopilotEnd(Protocol):
 
 class PeerEnd(Protocol):
     """The part of `ZenohLink` that a tick uses."""
+
+    @property
+    def network(self) -> NetworkState: ...
 
     @property
     def is_open(self) -> bool: ...
@@ -125,7 +129,8 @@ class ControlLoop:
             self._peers.publish_peer(outbox.peer_packet)
         self._meter.phase_after_tick(self._agent.phase, now_s)
         if outbox.status:
-            self._last_report = StatusReport(outbox.status, self._meter.timing(now_s))
+            status = replace(outbox.status, network=self._peers.network)
+            self._last_report = StatusReport(status, self._meter.timing(now_s))
             self._peers.publish_status(self._last_report)
             self._notifier.status(status_line(outbox.status))
             self._rejections.update(outbox.status.rejected, now_s)

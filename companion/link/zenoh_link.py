@@ -12,24 +12,30 @@ import contextlib
 import re
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
+from typing import TYPE_CHECKING, Literal
 
 import zenoh
 
 from companion.config.fleet import FleetConfig
-from companion.config.vehicle import ZenohEndpoints
+from companion.config.network import ZenohEndpoints
 from companion.link.log import CommandLog
+from companion.link.pairing import Pairing
 from companion.link.peer_datagrams import PeerDatagrams, packet_of_fleet
-from companion.link.zenoh_session import CONFIGURED_PEERS_ONLY, drain, open_session
+from companion.link.zenoh_session import drain, open_session
+from companion.security.names import ParticipantRole, parse_common_name
 from companion.types.commands import Command, CommandName, CommandReply
 from companion.types.notices import Code
 from companion.types.peers import PeerPacket, ReceivedPeerPacket, ReceivedTarget
+from companion.types.status import NetworkState
 from companion.types.traffic import ReceivedTraffic
 from companion.wire.ground import StatusReport, decode_command, encode
 from companion.wire.keys import (
     abort_key,
     command_key,
-    every_peer,
+    every_abort,
+    every_admission,
+    every_command,
     every_target,
     every_traffic,
     peer_key,
@@ -40,6 +46,10 @@ from companion.wire.peer import encode_peer
 from companion.wire.target import decode_target
 from companion.wire.traffic import decode_traffic
 from companion.wire.version import WireError
+
+if TYPE_CHECKING:
+    from companion.security.admission import Admitted
+    from companion.security.identity import Identity
 
 PACKETS_KEPT_PER_VEHICLE = 8
 COMMANDS_KEPT = 32
@@ -52,6 +62,7 @@ UNANSWERED_KEPT = 2 * COMMANDS_KEPT  # commands whose reply is not logged yet; a
 TARGETS_KEPT = 32
 TRAFFIC_KEPT = 32  # samples between two ticks: a flood costs no more
 TRAFFIC_NAME = re.compile("[A-Za-z0-9_-]{1,32}")
+LISTS_KEPT = 2  # admission lists between two looks; the ground repeats the newest
 CLOSE_WITHIN_S = 2.0
 LONG_PAUSE_S = 0.1  # five ticks
 # Commands that end a formation. They are safe even when they are late.
@@ -71,32 +82,43 @@ class ZenohLink:
         endpoints: ZenohEndpoints,
         reject: Callable[[str], None],
         datagrams: PeerDatagrams | None = None,
+        identity: Identity | None = None,
     ) -> None:
         """Open the session; peers that are not running yet connect later. Raises EndpointError.
 
-        With `datagrams` peer packets are published there and received from both.
+        With `datagrams` peer packets are published there and received from both. With `identity` only participants that the
+        fleet authority has admitted are connected, each for its own keys.
         """
         self._datagrams = datagrams
         self._vehicle_id = vehicle_id
+        self._identity = identity
+        self._refused: frozenset[str] = (
+            frozenset()
+        )  # participants that were admitted when the session began, and are no longer
+        security: Literal["local", "identity", "none"] = "none" if fleet.security == "none" else "local"
+        self.network = NetworkState("identity", identity.admitted.number) if identity else NetworkState(security)
         self._fleet_name = fleet.name
         self._fleet_ids = frozenset(member.id for member in fleet.vehicles)
         self._reject = reject
         self._drained_s: float | None = None
         self._unanswered: dict[tuple[str, int], Command] = {}
         self._log = CommandLog()
-        self._session = open_session(endpoints.listen, endpoints.connect, CONFIGURED_PEERS_ONLY)
-        self._packets_kept = PACKETS_KEPT_PER_VEHICLE * len(fleet.vehicles)
+        self._session = open_session(endpoints.listen, endpoints.connect, identity)
         with contextlib.ExitStack() as undo:
             undo.callback(self.close)
             self._declare(vehicle_id, fleet)
             undo.pop_all()
 
     def _declare(self, vehicle_id: int, fleet: FleetConfig) -> None:
-        self._peers = self._session.declare_subscriber(
-            every_peer(fleet.name),
-            zenoh.handlers.RingChannel(self._packets_kept),
-            allowed_origin=zenoh.Locality.REMOTE,
-        )
+        # A channel for each vehicle: one that floods displaces no packet of the others.
+        self._peers = {
+            member.id: self._session.declare_subscriber(
+                peer_key(fleet.name, member.id),
+                zenoh.handlers.RingChannel(PACKETS_KEPT_PER_VEHICLE),
+                allowed_origin=zenoh.Locality.REMOTE,
+            )
+            for member in fleet.vehicles
+        }
         may_lead = any(member.id == vehicle_id and member.can_lead for member in fleet.vehicles)
         self._targets = (
             self._session.declare_subscriber(every_target(fleet.name), zenoh.handlers.RingChannel(TARGETS_KEPT))
@@ -107,11 +129,18 @@ class ZenohLink:
             every_traffic(fleet.name), zenoh.handlers.RingChannel(TRAFFIC_KEPT)
         )
         self._commands = self._session.declare_subscriber(
-            command_key(fleet.name, vehicle_id), zenoh.handlers.RingChannel(COMMANDS_KEPT)
+            every_command(fleet.name, vehicle_id), zenoh.handlers.RingChannel(COMMANDS_KEPT)
         )
         self._aborts = self._session.declare_subscriber(
-            abort_key(fleet.name, vehicle_id), zenoh.handlers.RingChannel(ABORT_SAMPLES_KEPT)
+            every_abort(fleet.name, vehicle_id), zenoh.handlers.RingChannel(ABORT_SAMPLES_KEPT)
         )
+        self._lists = (
+            self._session.declare_subscriber(every_admission(fleet.name), zenoh.handlers.RingChannel(LISTS_KEPT))
+            if self._identity
+            else None
+        )
+        seal = self._datagrams.seal if self._datagrams else None
+        self._pairing = Pairing(self._session, fleet.name, vehicle_id, seal) if seal else None
         self._reply_publisher = self._session.declare_publisher(
             reply_key(fleet.name, vehicle_id),
             congestion_control=zenoh.CongestionControl.DROP,
@@ -141,9 +170,15 @@ class ZenohLink:
         The age of a peer packet follows from its time of sending. A command has none: after a pause of this process its
         operator may consider it lost. So it is refused, except those in ACCEPTED_LATE.
         """
+        if self._pairing:
+            self._pairing.step(now_s)
         before_s, self._drained_s = self._drained_s, now_s
         late = before_s is not None and now_s - before_s > LONG_PAUSE_S
-        packets = (self._packet(sample) for sample in drain(self._peers, self._packets_kept))
+        packets = (
+            self._packet(sample, i)
+            for i, channel in self._peers.items()
+            for sample in drain(channel, PACKETS_KEPT_PER_VEHICLE)
+        )
         aborts = self._received_aborts()
         commands = (self._command(sample, late) for sample in drain(self._commands, COMMANDS_KEPT))
         return (
@@ -182,33 +217,59 @@ class ZenohLink:
                 self._log.answered(command, reply, time.monotonic())
             self._reply_publisher.put(encode(reply))
 
+    def admission_lists(self) -> Sequence[bytes]:
+        """Admission lists since the last call, not verified. Never blocks."""
+        if self._lists is None:
+            return ()
+        return tuple(sample.payload.to_bytes() for sample in drain(self._lists, LISTS_KEPT))
+
+    def admit(self, admitted: Admitted) -> None:
+        """From now on use nothing from those that this newer list does not admit.
+
+        Zenoh's access control keeps the names with which the session began, so a new identity is connected after a restart.
+        """
+        assert self._identity is not None
+        names = self._identity.admitted.participants
+        refused = [parse_common_name(one.name) for one in names if admitted.participant(one.name) is None]
+        self._refused = frozenset(str(name) for name in refused) | {name.participant for name in refused}
+        for name in refused:
+            if name.role is ParticipantRole.VEHICLE and (channel := self._peers.pop(int(name.id), None)):
+                channel.undeclare()  # type: ignore[no-untyped-call]
+                if self._datagrams and self._datagrams.seal:
+                    self._datagrams.seal.forget(int(name.id))
+        self.network = NetworkState("identity", admitted.number)
+
     def close(self) -> None:
         """Close the session. Zenoh may wait for a client that reads nothing; the process does not."""
         closing = threading.Thread(target=self._session.close, name="closing", daemon=True)
         closing.start()
         closing.join(CLOSE_WITHIN_S)
 
-    def _packet(self, sample: zenoh.Sample) -> PeerPacket | None:
+    def _packet(self, sample: zenoh.Sample, sender_id: int) -> PeerPacket | None:
         packet = packet_of_fleet(sample.payload.to_bytes(), self._fleet_ids, self._reject)
-        # Compared as text: an unknown sender's key may end in anything, such as thousands of digits.
-        if packet and str(sample.key_expr) != peer_key(self._fleet_name, packet.vehicle_id):
+        if packet and packet.vehicle_id != sender_id:
             self._reject(Code.PEER_KEY_MISMATCH)
             return None
         return packet
 
     def _target(self, sample: zenoh.Sample, now_s: float) -> ReceivedTarget | None:
+        name = str(sample.key_expr).rpartition("/")[2]
+        if f"{ParticipantRole.TARGET}-{name}" in self._refused:
+            self._reject(Code.NOT_ADMITTED)
+            return None
         try:
-            return ReceivedTarget(
-                now_s, str(sample.key_expr).rpartition("/")[2], decode_target(sample.payload.to_bytes())
-            )
+            return ReceivedTarget(now_s, name, decode_target(sample.payload.to_bytes()))
         except WireError as error:
             self._reject(error.key)
             return None
 
     def _traffic_sample(self, sample: zenoh.Sample, now_s: float) -> ReceivedTraffic | None:
-        name = str(sample.key_expr).rpartition("/")[2]
+        source, name = str(sample.key_expr).split("/")[-2:]
         if not TRAFFIC_NAME.fullmatch(name):  # it appears in events and on terminals
             self._reject(Code.TRAFFIC_MALFORMED)
+            return None
+        if f"{ParticipantRole.TRAFFIC}-{source}" in self._refused:
+            self._reject(Code.NOT_ADMITTED)
             return None
         try:
             return ReceivedTraffic(now_s, name, decode_traffic(sample.payload.to_bytes()))
@@ -224,7 +285,7 @@ class ZenohLink:
                 continue  # the channel is emptied all the same
             if len(sample.payload) > LONGEST_ABORT or ABORT_TEXT not in sample.payload.to_bytes():
                 self._reject(Code.COMMAND_MALFORMED)
-            elif (command := self._decoded(sample)) is not None:
+            elif (command := self._decoded(sample, abort_key)) is not None:
                 if command.name is CommandName.ABORT:
                     self._note(command)
                     aborts.append(command)
@@ -232,12 +293,20 @@ class ZenohLink:
                     self._reject(Code.COMMAND_MALFORMED)
         return aborts
 
-    def _decoded(self, sample: zenoh.Sample) -> Command | None:
+    def _decoded(self, sample: zenoh.Sample, key: Callable[[str, int, str], str]) -> Command | None:
+        """The command; None for one that is malformed, or under the key of another operator than it names."""
         try:
-            return decode_command(sample.payload.to_bytes())
+            command = decode_command(sample.payload.to_bytes())
         except WireError as error:
             self._reject(error.key)
             return None
+        if str(sample.key_expr) != key(self._fleet_name, self._vehicle_id, command.operator):
+            self._reject(Code.COMMAND_KEY_MISMATCH)
+            return None
+        if command.operator in self._refused:
+            self._reject(Code.NOT_ADMITTED)
+            return None
+        return command
 
     def _note(self, command: Command) -> None:
         """Keep a command until its reply is logged."""
@@ -247,7 +316,7 @@ class ZenohLink:
 
     def _command(self, sample: zenoh.Sample, late: bool) -> Command | None:
         """The command in a message; None where it is malformed, and where it comes late, which is answered here."""
-        if (command := self._decoded(sample)) is None:
+        if (command := self._decoded(sample, command_key)) is None:
             return None
         self._note(command)
         if late and command.name not in ACCEPTED_LATE:

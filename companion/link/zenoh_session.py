@@ -4,20 +4,28 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from types import MappingProxyType
-from typing import Any
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
 
 import zenoh
+
+from companion.link.access import access_control
+from companion.security.names import parse_common_name
+
+if TYPE_CHECKING:
+    from companion.security.identity import Identity
 
 # A silent link is closed after this time. The formation does not depend on it, as it uses the age of the data. A lease below
 # the stalls of TCP on a lossy radio (about a second) would only add reconnections to the loss.
 LEASE_MS = 2000
 HANDSHAKE_MS = 2000
 
+PROTECTED, PROTECTED_WORDS = ("tls", "quic"), "tls/HOST:PORT or quic/HOST:PORT"
+
 SETTINGS: dict[str, Any] = {
     "mode": "peer",
     "scouting/multicast/enabled": False,
+    "scouting/gossip/enabled": False,  # sessions to configured endpoints only: nothing connects two fleets
     "scouting/delay": 0,  # the default delays the opening of a session by half a second
     "transport/shared_memory/enabled": False,  # a hardened systemd unit may not create it; opening would fail
     "transport/link/tx/lease": LEASE_MS,
@@ -34,9 +42,6 @@ SETTINGS: dict[str, Any] = {
     "connect/retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5},
 }
 
-# An agent connects to the endpoints of its vehicle file only. The ground also finds those that these vehicles tell of.
-CONFIGURED_PEERS_ONLY: dict[str, Any] = {"scouting/gossip/autoconnect": {"router": [], "peer": []}}
-
 
 class EndpointError(Exception):
     """A Zenoh endpoint that cannot be used. `str()` is the reason and the remedy, without the endpoint."""
@@ -47,15 +52,17 @@ class EndpointError(Exception):
         self.endpoint = endpoint
 
 
-def open_session(
-    listen: Sequence[str], connect: Sequence[str], settings: Mapping[str, Any] = MappingProxyType({})
-) -> zenoh.Session:
-    """A session on these endpoints, with `settings` beside SETTINGS. Close it on every path. Raises EndpointError."""
+def open_session(listen: Sequence[str], connect: Sequence[str], identity: Identity | None = None) -> zenoh.Session:
+    """A session on these endpoints. Close it on every path. Raises EndpointError.
+
+    With an identity only over TLS or QUIC, with the participants that its fleet has admitted.
+    """
     for kind, endpoints in (("listen", listen), ("connect", connect)):
         check_endpoints(kind, endpoints)
+        _check_protection(kind, endpoints, identity)
     zenoh.init_log_from_env_or("off")  # errors are reported here, in one line
     config = zenoh.Config()
-    for path, value in {**SETTINGS, **settings}.items():
+    for path, value in {**SETTINGS, **(_secured(identity) if identity else {})}.items():
         config.insert_json5(path, json.dumps(value))
     config.insert_json5("listen/endpoints", json.dumps(list(listen)))
     config.insert_json5("connect/endpoints", json.dumps(list(connect)))
@@ -63,6 +70,40 @@ def open_session(
         return zenoh.open(config)
     except zenoh.ZError as error:
         raise _explain(str(error), listen, connect) from error
+
+
+def _secured(identity: Identity) -> dict[str, Any]:
+    """Zenoh's settings for mutual TLS, over TCP or QUIC, and its access control."""
+    key, certificate = str(identity.key_file), str(identity.certificate_file)
+    return {
+        "transport/link/tls": {
+            "root_ca_certificate": str(identity.authority_file),
+            "listen_private_key": key,
+            "listen_certificate": certificate,
+            "connect_private_key": key,
+            "connect_certificate": certificate,
+            "enable_mtls": True,
+            # Endpoints are addresses; a certificate names a participant. The access control compares its common name.
+            "verify_name_on_connect": False,
+            "close_link_on_expiration": True,
+        },
+        "access_control": access_control(
+            parse_common_name(identity.common_name),
+            identity.fleet,
+            [parse_common_name(one.name) for one in identity.admitted.participants],
+        ),
+    }
+
+
+def _check_protection(kind: str, endpoints: Sequence[str], identity: Identity | None) -> None:
+    for endpoint in endpoints:
+        protected = endpoint.partition("/")[0] in PROTECTED
+        if identity and not protected:
+            raise EndpointError(kind, endpoint, f"not protected; with an identity expected {PROTECTED_WORDS}")
+        if protected and not identity:
+            raise EndpointError(
+                kind, endpoint, "needs an identity; companion provision --help explains how to make one"
+            )
 
 
 def drain(channel: Any, limit: int) -> Iterator[Any]:

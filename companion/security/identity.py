@@ -19,6 +19,7 @@ from companion.security.names import ParticipantName, ParticipantRole, parse_com
 AUTHORITY_FILE, CERTIFICATE_FILE, KEY_FILE = "authority.pem", "certificate.pem", "private.key"
 ADMITTED_FILE = "admitted.json"
 KEY_CREDENTIAL = "identity.key"  # LoadCredential=identity.key:FILE in a systemd unit
+NO_CREDENTIAL = b"none"  # SetCredential=identity.key:none in the unit
 MAX_PEM_BYTES = 16 * 1024
 COPY_AGAIN = "copy the whole folder again"
 
@@ -99,8 +100,11 @@ def _certificate(file: Path) -> x509.Certificate:
 
 
 def _key_file(folder: Path, credentials: Path | None) -> Path:
+    """The credential; where systemd found no key for it, the unit gives the word none, and the key is in the folder."""
     if credentials is not None and (credentials / KEY_CREDENTIAL).exists():
-        return credentials / KEY_CREDENTIAL
+        content, _ = _content(credentials / KEY_CREDENTIAL)
+        if content.strip() != NO_CREDENTIAL:
+            return credentials / KEY_CREDENTIAL
     return folder / KEY_FILE
 
 

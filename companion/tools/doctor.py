@@ -19,6 +19,7 @@ from companion.core.safety.audit import Facts, Finding, PositionCheck, audit, pa
 from companion.link.bench import LISTEN_PERIOD_S, Bench, run_on_bench
 from companion.link.parameters import ParameterError, Parameters
 from companion.tools.doctor_report import Change, Diagnosis, heading, lines, summary
+from companion.tools.network_report import network_line
 from companion.types.autopilot import VehicleState
 from companion.types.requests import RequestOrigin
 
@@ -57,6 +58,7 @@ async def _examine(session: DoctorSession, options: Options) -> Diagnosis:
     show: Callable[[str], None] = _nothing if options.as_json else print
     diagnosis = await session.diagnose()
     show(heading(diagnosis))
+    show(network_line(options.file, session.config))
     _each(show, lines(diagnosis.findings))
     fixable = [finding for finding in diagnosis.findings if finding.fix is not None]
     if options.fix and fixable:
@@ -82,7 +84,7 @@ class DoctorSession:
 
     def __init__(self, file: Path, config: AgentConfig) -> None:
         """Opens the link. Raises ConfigError."""
-        self._config = config
+        self.config = config
         self._survey = Survey()
         self._tracker = tracker_of(config.fleet)
         self._limits = output_limits_of(config.fleet)
@@ -118,7 +120,7 @@ class DoctorSession:
         """Listen for one window, read the parameters, audit."""
         self._survey = Survey()
         await asyncio.sleep(WINDOW_S + 2 * LISTEN_PERIOD_S)
-        vehicle, survey, config = self._tracker.state, self._survey, self._config
+        vehicle, survey, config = self._tracker.state, self._survey, self.config
         assert vehicle.autopilot is not None  # it answers
         assert self._parameters is not None
         facts = Facts(

@@ -46,6 +46,7 @@ TEXTS: Mapping[Code, str] = {
     Code.PEER_ID_TWICE: "two vehicles with one id",
     Code.PEER_OUT_OF_ORDER: "packet out of order or replayed",
     Code.PEER_LATE: "packet delayed longer than the permitted age",
+    Code.PEER_NOT_AUTHENTICATED: "datagram without the sender's tag for this vehicle",
     Code.PEER_KEY_MISMATCH: "packet of another vehicle than its Zenoh key names",
     # Targets
     Code.TARGET_NOT_FINITE: "target sample with a number that is not finite",
@@ -62,6 +63,8 @@ TEXTS: Mapping[Code, str] = {
     Code.TARGET_MALFORMED: "malformed target sample",
     Code.TRAFFIC_MALFORMED: "malformed traffic sample, or a number out of range",
     Code.COMMAND_MALFORMED: "malformed command",
+    Code.NOT_ADMITTED: "from a participant that the fleet no longer admits",
+    Code.COMMAND_KEY_MISMATCH: "command of another operator than its Zenoh key names",
     Code.REPORT_MALFORMED: "malformed status report or command reply",
     # Ground station
     Code.GROUND_STATION_OWN_ID: "ground station packet with this vehicle's own system id",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
@@ -12,6 +12,17 @@ from companion.types.flight import FlightPhase, HealthFlag, Role
 from companion.types.formation import EAST, FlownSlot, Heading, HeldReference, LeaderBeacon
 from companion.types.notices import Notice
 from companion.types.separation import SeparationReport
+
+
+class NetworkState(Struct, frozen=True, gc=False):
+    """How the agent is protected in the network of its fleet.
+
+    `security`: `local`, reached from its own machine only; `identity`, by certificates; `none`. `admission`: number of the
+    admission list it holds.
+    """
+
+    security: Literal["local", "identity", "none"] = "local"
+    admission: Number | None = None
 
 
 class Status(Struct, frozen=True, gc=False):
@@ -56,3 +67,4 @@ class Status(Struct, frozen=True, gc=False):
     largest_step_deg: Finite = 0.0  # of the commanded attitude between two setpoints, in the last stream
     heading: Heading = EAST
     separation: SeparationReport = SeparationReport()  # while setpoints stream
+    network: NetworkState = NetworkState()

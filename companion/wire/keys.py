@@ -15,14 +15,34 @@ def status_key(fleet: str, vehicle_id: int) -> str:
     return f"{ROOT}/{fleet}/status/{vehicle_id}"
 
 
-def command_key(fleet: str, vehicle_id: int) -> str:
-    """Key on which a vehicle receives Commands."""
-    return f"{ROOT}/{fleet}/command/{vehicle_id}"
+def command_key(fleet: str, vehicle_id: int, operator: str) -> str:
+    """Key under which an operator publishes Commands to a vehicle. The name belongs to the operator's certificate."""
+    return f"{ROOT}/{fleet}/command/{vehicle_id}/{operator}"
 
 
-def abort_key(fleet: str, vehicle_id: int) -> str:
-    """Key on which a vehicle receives the Command ABORT, so that a flood of other commands cannot displace it."""
-    return f"{ROOT}/{fleet}/abort/{vehicle_id}"
+def every_command(fleet: str, vehicle_id: int) -> str:
+    """Key expression of all commands to a vehicle."""
+    return command_key(fleet, vehicle_id, "*")
+
+
+def abort_key(fleet: str, vehicle_id: int, operator: str) -> str:
+    """Key of the Command ABORT, so that a flood of other commands cannot displace it."""
+    return f"{ROOT}/{fleet}/abort/{vehicle_id}/{operator}"
+
+
+def every_abort(fleet: str, vehicle_id: int) -> str:
+    """Key expression of all aborts to a vehicle."""
+    return abort_key(fleet, vehicle_id, "*")
+
+
+def admission_key(fleet: str, ground: str) -> str:
+    """Key under which a ground publishes a new admission list, which the fleet's authority has signed."""
+    return f"{ROOT}/{fleet}/admitted/{ground}"
+
+
+def every_admission(fleet: str) -> str:
+    """Key expression of all admission lists of a fleet."""
+    return admission_key(fleet, "*")
 
 
 def reply_key(fleet: str, vehicle_id: int) -> str:
@@ -40,14 +60,24 @@ def every_target(fleet: str) -> str:
     return target_key(fleet, "*")
 
 
-def traffic_key(fleet: str, name: str) -> str:
-    """Key under which a vehicle outside the fleet is published, as a TrafficSample."""
-    return f"{ROOT}/{fleet}/traffic/{name}"
+def traffic_key(fleet: str, source: str, name: str) -> str:
+    """Key under which a source publishes a vehicle outside the fleet, as a TrafficSample."""
+    return f"{ROOT}/{fleet}/traffic/{source}/{name}"
 
 
 def every_traffic(fleet: str) -> str:
     """Key expression of all traffic of a fleet."""
-    return traffic_key(fleet, "*")
+    return traffic_key(fleet, "*", "*")
+
+
+def pairing_key(fleet: str, sender_id: int, receiver_id: int) -> str:
+    """Key under which a vehicle gives another one the key of its datagrams. Only that one may receive it."""
+    return f"{ROOT}/{fleet}/pairing/{sender_id}/{receiver_id}"
+
+
+def every_pairing(fleet: str, receiver_id: int) -> str:
+    """Key expression of all keys for one vehicle."""
+    return f"{ROOT}/{fleet}/pairing/*/{receiver_id}"
 
 
 def every_peer(fleet: str) -> str:

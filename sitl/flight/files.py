@@ -7,10 +7,12 @@ from pathlib import Path
 
 import msgspec
 import yaml
+from msgspec.structs import replace
 
-from companion.config.fleet import GeodeticOrigin
+from companion.config.fleet import FleetConfig, GeodeticOrigin
+from companion.config.network import DatagramEndpoints, ZenohEndpoints
 from companion.config.values import MAX_DRAG_1_S, VehicleId
-from companion.config.vehicle import DatagramEndpoints, VehicleConfig, ZenohEndpoints
+from companion.config.vehicle import VehicleConfig
 from companion.types.autopilot import AutopilotKind
 from sitl.flight.external import ReachedVehicle
 from sitl.flight.scenario import Scenario
@@ -47,7 +49,7 @@ def write_files(
 ) -> None:
     """scenario.yaml as flown, fleet.yaml, vehicle_N.yaml, autopilot_N.yaml for stand-ins, network.yaml for disturbed links."""
     write_scenario(scenario, folder)
-    _write_yaml(folder / "fleet.yaml", scenario.fleet)
+    _write_yaml(folder / "fleet.yaml", _with_addresses(scenario.fleet, port_offset))
     for vehicle_id in ids_of(scenario):
         reached = reached_stand_in(scenario, vehicle_id, port_offset) if external is None else external[vehicle_id]
         _write_yaml(folder / f"vehicle_{vehicle_id}.yaml", vehicle_file(scenario, reached, port_offset))
@@ -90,7 +92,7 @@ def reached_stand_in(scenario: Scenario, vehicle_id: int, port_offset: int) -> R
 
 
 def vehicle_file(scenario: Scenario, reached: ReachedVehicle, port_offset: int) -> VehicleConfig:
-    """An agent's file. Of two vehicles the one with the larger id connects; only a vehicle that may lead has the reference."""
+    """An agent's file. Only a vehicle that may lead has the reference."""
     member, assumed, vehicle_id = scenario.fleet.member(reached.id), scenario.assumed, reached.id
     assert member is not None  # a vehicle of this fleet
     return VehicleConfig(
@@ -106,7 +108,18 @@ def vehicle_file(scenario: Scenario, reached: ReachedVehicle, port_offset: int) 
     )
 
 
-def _zenoh_endpoints(scenario: Scenario, vehicle_id: int, port_offset: int) -> ZenohEndpoints:
+def _with_addresses(fleet: FleetConfig, port_offset: int) -> FleetConfig:
+    """The fleet with the address of each agent on this machine."""
+    members = [
+        replace(member, address=f"{LOOPBACK}:{ports_of(member.id, port_offset).zenoh}") for member in fleet.vehicles
+    ]
+    return replace(fleet, vehicles=tuple(members))
+
+
+def _zenoh_endpoints(scenario: Scenario, vehicle_id: int, port_offset: int) -> ZenohEndpoints | None:
+    """None for the addresses of the fleet file; on disturbed links the agents reach each other through the emulated network."""
+    if not scenario.links.disturb_peers:
+        return None
     reached = {i: _peer_address(scenario, i, vehicle_id, port_offset) for i in ids_of(scenario)}
     return ZenohEndpoints(
         listen=(zenoh_endpoint(vehicle_id, port_offset),),

@@ -201,7 +201,7 @@ def test_a_recorded_command_has_no_effect(ground: Ground) -> None:
         def give(command: Command) -> CommandReply:
             while received.try_recv():
                 pass
-            network.put(command_key("commanded", 2), encode(command))
+            network.put(command_key("commanded", 2, "anna"), encode(command))
             end_s = time.monotonic() + 10.0
             while time.monotonic() < end_s:
                 sample = received.try_recv()

@@ -12,22 +12,21 @@ import pytest
 
 from fleet_ports import free_fleet_offset
 from repository import ROOT
-from sitl.links.ports import zenoh_endpoint
 
 pytestmark = [pytest.mark.fleet, pytest.mark.timeout(180)]
 
 PLATOON = ROOT / "config" / "scenarios" / "platoon.yaml"
 
 
-def companion(*arguments: str, folder: Path, port_offset: int) -> subprocess.CompletedProcess[str]:
-    """`companion fleet` with its fleet file and endpoint from the environment."""
-    fleet = {"COMPANION_FLEET": str(folder / "fleet.yaml"), "COMPANION_CONNECT": zenoh_endpoint(1, port_offset)}
+def companion(*arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    """`companion fleet` with its fleet file from the environment, which has the addresses."""
+    fleet = {"COMPANION_FLEET": str(folder / "fleet.yaml")}
     command = [sys.executable, "-m", "companion", "fleet", *arguments, "--wait-s", "10"]
     return subprocess.run(command, capture_output=True, text=True, timeout=90, check=False, env={**os.environ, **fleet})
 
 
-def phases(folder: Path, port_offset: int) -> set[str]:
-    report = json.loads(companion("status", "--json", folder=folder, port_offset=port_offset).stdout)
+def phases(folder: Path) -> set[str]:
+    report = json.loads(companion("status", "--json", folder=folder).stdout)
     return {vehicle["phase"] for vehicle in report["vehicles"]}
 
 
@@ -39,13 +38,13 @@ def test_ctrl_c_lands_a_fleet_that_an_operator_flies(tmp_path: Path) -> None:
         assert fleet.stdout is not None
         assert fleet.stdout.readline().startswith("fleet platoon, vehicles 1, 2, 3, 4. In a second terminal")
         end_s = time.monotonic() + 60.0
-        while companion("ready", folder=tmp_path, port_offset=port_offset).returncode != 0:
+        while companion("ready", folder=tmp_path).returncode != 0:
             assert time.monotonic() < end_s
         for action, phase in (("arm", "armed"), ("takeoff", "hold"), ("form", "formation")):
-            done = companion(action, folder=tmp_path, port_offset=port_offset)
+            done = companion(action, folder=tmp_path)
             assert done.returncode == 0, done.stdout + done.stderr
             assert f"fleet file {tmp_path / 'fleet.yaml'} (COMPANION_FLEET)" in done.stderr
-            assert phases(tmp_path, port_offset) == {phase}  # the command has waited for it
+            assert phases(tmp_path) == {phase}  # the command has waited for it
         fleet.send_signal(signal.SIGINT)
         output, _ = fleet.communicate(timeout=60.0)
     finally:

@@ -15,6 +15,7 @@ from companion.types.commands import Command, CommandName, CommandReply
 from companion.types.flight import FlightPhase
 from companion.types.peers import PeerPacket, ReceivedPeerPacket, ReceivedTarget
 from companion.types.requests import AttitudeTarget, AutopilotRequest
+from companion.types.status import NetworkState
 from companion.types.telemetry import Telemetry
 from companion.types.traffic import ReceivedTraffic
 from companion.wire.ground import StatusReport, encode
@@ -59,6 +60,7 @@ class RecordedPeers:
     published_before: list[int] = field(default_factory=list)  # setpoints sent before each packet
     sent: Callable[[], int] = lambda: 0
     is_open = True
+    network: NetworkState = field(default_factory=NetworkState)
 
     def receive(self, _now_s: float) -> tuple[tuple[ReceivedPeerPacket, ...], tuple[Command, ...]]:
         commands, self.commands = self.commands, ()

@@ -14,7 +14,7 @@ import pytest
 
 BEGIN, END = "<!-- measured: faults -->", "<!-- end of faults -->"
 HEAD = (
-    "| fault | demanded | measured | smallest distance [m] | largest setpoint step [deg] | outcome |",
+    "| fault or attack | demanded | measured | smallest distance [m] | largest setpoint step [deg] | outcome |",
     "|---|---|---|---|---|---|",
 )
 

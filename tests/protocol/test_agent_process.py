@@ -165,7 +165,7 @@ def test_rejected_packets_are_counted_reported_and_logged_once_a_second(files: A
         until(disturbed, timeout_s=60.0)
         reply = session.command([1], CommandName.HOLD, 10.0)[1]
         assert reply is not None  # the agent still works
-        rogue.put(command_key("processtest", 1), b"nonsense")
+        rogue.put(command_key("processtest", 1, "rogue"), b"nonsense")
         until(lambda: f"{Code.WIRE_VERSION_DIFFERS} 110" in newest(session).status.rejected)
         seconds = time.monotonic() - start_s
     lines = [line for line in process.log.splitlines() if key in line]

@@ -15,7 +15,7 @@ import pytest
 
 from agent_process import free_port
 from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember
-from companion.config.vehicle import ZenohEndpoints
+from companion.config.network import ZenohEndpoints
 from companion.core.command.arbitration import CommandArbitration
 from companion.ground.session import FleetSession
 from companion.link.zenoh_link import ZenohLink
@@ -54,7 +54,7 @@ while True:
     for _ in range(50):
         number += 1
         command = Command(CommandName.HOLD, number, "deaf", 7)
-        session.put("formation/floodtest/command/1", encode(command), express=True)
+        session.put("formation/floodtest/command/1/deaf", encode(command), express=True)
     time.sleep(0.005)
 """
 
@@ -70,8 +70,9 @@ number = 0
 while True:
     for _ in range(20):
         number += 1
-        session.put("formation/floodtest/abort/1", bytes(range(100)), express=True)
-        session.put("formation/floodtest/abort/1", encode(Command(CommandName.LAND, number, "mallory", 7)), express=True)
+        session.put("formation/floodtest/abort/1/mallory", bytes(range(100)), express=True)
+        command = encode(Command(CommandName.LAND, number, "mallory", 7))
+        session.put("formation/floodtest/abort/1/mallory", command, express=True)
     time.sleep(0.01)
 """
 
@@ -174,7 +175,7 @@ def test_abort_is_received_among_other_messages_of_its_key_between_two_ticks(end
     link = ZenohLink(1, FLEET, ZenohEndpoints(listen=(endpoint,)), lambda _reason: None)
     session = open_session([], [endpoint])
     with closing(link), closing(session):
-        key = abort_key(FLEET.name, 1)
+        key = abort_key(FLEET.name, 1, "anna")
         received: list[Command] = []
         for _ in range(200):
             for payload in (encode(Command(CommandName.ABORT, 1, "anna", 7)), *[b"garbage"] * 100):

@@ -20,7 +20,7 @@ import zenoh
 from msgspec.structs import replace
 
 from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember
-from companion.config.vehicle import ZenohEndpoints
+from companion.config.network import ZenohEndpoints
 from companion.core.consensus.peers import PeerTable
 from companion.core.consensus.plausibility import FleetLimits
 from companion.ground.publishers import TargetPublisher, TrafficPublisher
@@ -173,7 +173,7 @@ def test_a_malformed_peer_packet_is_rejected_and_counted(port: int) -> None:
         Code.PEER_MALFORMED: (1, good[:-3]),
         Code.MESSAGE_EMPTY: (1, b""),
         Code.PEER_KEY_MISMATCH: (3, good),
-        Code.PEER_NOT_IN_FLEET: (99, encode_peer(replace(PACKET, vehicle_id=99))),
+        Code.PEER_NOT_IN_FLEET: (3, encode_peer(replace(PACKET, vehicle_id=99))),
     }
     with vehicle(2, listen=(endpoint(port),)) as second, closing(open_session((), (endpoint(port),))) as stranger:
         until(
@@ -186,13 +186,51 @@ def test_a_malformed_peer_packet_is_rejected_and_counted(port: int) -> None:
         assert second.packets == []
 
 
-@pytest.mark.parametrize("end", ["9" * 5000, "01", "1x", "²"])
-def test_a_key_without_a_vehicle_id_is_rejected_and_counted(port: int, end: str) -> None:
+@pytest.mark.parametrize("end", ["9" * 5000, "01", "1x", "²", "1/2", "99"])
+def test_a_key_without_a_vehicle_of_the_fleet_is_not_received(port: int, end: str) -> None:
     key = peer_key(FLEET.name, 1).removesuffix("1") + end
-    with vehicle(2, listen=(endpoint(port),)) as second, closing(open_session((), (endpoint(port),))) as stranger:
-        until(lambda: second.rejected, lambda: (stranger.put(key, encode_peer(PACKET)), second.tick()))
-        assert set(second.rejected) == {Code.PEER_KEY_MISMATCH}
-        assert second.packets == []
+    with (
+        vehicle(1, connect=(endpoint(port),)) as first,
+        vehicle(2, listen=(endpoint(port),)) as second,
+        closing(open_session((), (endpoint(port),))) as stranger,
+    ):
+        end_s = time.monotonic() + 0.5
+        until(
+            lambda: second.packets and time.monotonic() > end_s,
+            lambda: (first.link.publish_peer(PACKET), stranger.put(key, b"nonsense"), second.tick()),
+        )
+        assert not second.rejected
+
+
+def test_a_vehicle_that_floods_displaces_no_packet_of_another(port: int) -> None:
+    with (
+        vehicle(1, connect=(endpoint(port),)) as first,
+        vehicle(2, listen=(endpoint(port),)) as second,
+        vehicle(3, connect=(endpoint(port),)) as third,
+    ):
+        until(lambda: second.packets, lambda: (first.link.publish_peer(PACKET), second.tick()))
+        second.packets.clear()
+        flood = replace(PACKET, vehicle_id=3)
+        for _ in range(100):
+            first.link.publish_peer(PACKET)
+            for _ in range(100):
+                third.link.publish_peer(flood)
+            time.sleep(0.02)
+            second.tick()
+        senders = Counter(received.packet.vehicle_id for received in second.packets)
+        assert senders[1] > 50
+        assert senders[3] <= 8 * 101
+
+
+def test_a_command_under_the_key_of_another_operator_is_counted(port: int) -> None:
+    command = encode(Command(CommandName.HOLD, 1, "anna", 7))
+    with vehicle(1, listen=(endpoint(port),)) as first, closing(open_session((), (endpoint(port),))) as stranger:
+        until(
+            lambda: first.rejected,
+            lambda: (stranger.put(command_key(FLEET.name, 1, "mallory"), command), first.tick()),
+        )
+        assert first.rejected.keys() == {Code.COMMAND_KEY_MISMATCH}
+        assert first.commands == []
 
 
 def test_packets_that_waited_through_a_pause_are_dated_back(port: int) -> None:
@@ -304,7 +342,7 @@ def test_traffic_reaches_every_vehicle_and_malformed_samples_are_counted(port: i
         def publish() -> None:
             receiver_of_adsb.publish("4b1805", (5.0, 6.0, 7.0), (1.0, 0.0, 0.0), age_s=0.5, error_m=2.0)
             receiver_of_adsb.publish_geodetic("4b1806", origin_deg_deg_m, (0.0, 0.0, 0.0), origin_deg_deg_m)
-            stranger.put(traffic_key(FLEET.name, "4b1805"), bytes((WIRE_VERSION,)) + b"nonsense")
+            stranger.put(traffic_key(FLEET.name, "main", "4b1805"), bytes((WIRE_VERSION,)) + b"nonsense")
             for vehicle_id, one in ((1, leader), (2, follower)):
                 received[vehicle_id].extend(one.link.traffic(time.monotonic()))
 
@@ -409,8 +447,8 @@ def test_a_malformed_command_is_counted(port: int, payload: bytes, key: str) -> 
         until(
             lambda: first.rejected[key],
             lambda: (
-                stranger.put(command_key(FLEET.name, 1), payload),
-                stranger.put(abort_key(FLEET.name, 1), payload),
+                stranger.put(command_key(FLEET.name, 1, "mallory"), payload),
+                stranger.put(abort_key(FLEET.name, 1, "mallory"), payload),
                 first.tick(),
             ),
         )
@@ -419,23 +457,27 @@ def test_a_malformed_command_is_counted(port: int, payload: bytes, key: str) -> 
         assert first.commands == []
 
 
-def test_the_ground_receives_all_vehicles_through_one_endpoint(port: int) -> None:
+def test_the_ground_connects_no_vehicles_with_each_other(port: int) -> None:
+    """Nor two fleets: it knows where two agents listen, and neither learns of the other."""
     second_report = replace(REPORT, status=replace(REPORT.status, vehicle_id=2))
-    other = endpoint(port + 100)
     with (
         vehicle(1, listen=(endpoint(port),)) as first,
-        vehicle(2, listen=(other,), connect=(endpoint(port),)) as second,
-        FleetSession("*", (endpoint(port),)) as ground,
+        vehicle(2, listen=(endpoint(port + 100),)) as second,
+        FleetSession("*", (endpoint(port), endpoint(port + 100))) as ground,
     ):
         reported: set[int] = set()
-        until(
-            lambda: reported == {1, 2},
-            lambda: (
-                first.link.publish_status(REPORT),
-                second.link.publish_status(second_report),
-                reported.update(report.status.vehicle_id for report in ground.drain()),
-            ),
-        )
+
+        def publish() -> None:
+            first.link.publish_status(REPORT)
+            second.link.publish_status(second_report)
+            first.link.publish_peer(PACKET)
+            second.tick()
+            reported.update(report.status.vehicle_id for report in ground.drain())
+
+        until(lambda: reported == {1, 2}, publish)
+        end_s = time.monotonic() + 1.0
+        until(lambda: time.monotonic() > end_s, publish)
+        assert second.packets == []
 
 
 def test_the_ground_counts_malformed_reports(port: int) -> None:
@@ -459,7 +501,7 @@ def test_the_ground_counts_malformed_reports(port: int) -> None:
         ("", "tcp/127.0.0.1:99999", "connect", "expected PROTOCOL/HOST:PORT"),
         ("tcp/192.0.2.1:17609", "", "listen", "no such address"),
         ("", "pigeon/127.0.0.1:17609", "connect", 'unknown protocol "pigeon"'),
-        ("tls/127.0.0.1:17609", "", "listen", "Missing TLS private key"),
+        ("tls/127.0.0.1:17609", "", "listen", "needs an identity"),
     ],
 )
 def test_an_endpoint_that_cannot_be_used_is_named_in_one_line(listen: str, connect: str, kind: str, words: str) -> None:

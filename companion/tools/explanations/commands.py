@@ -12,6 +12,16 @@ ENTRIES: dict[str, Explanation] = {
         "Its bytes are no command of this wire version, or its operator name or number is not valid.",
         "Use `companion fleet` of the same release as the agents.",
     ),
+    "COMMAND_KEY_MISMATCH": Explanation(
+        "A command is refused before it is checked further.",
+        "It was published under the Zenoh key of another operator than it names.",
+        "Use `companion fleet` of the same release as the agents. Else find the program that publishes there.",
+    ),
+    "NOT_ADMITTED": Explanation(
+        "Commands, targets or traffic of a participant are not used.",
+        "A newer admission list has revoked it; its connection lasts until the agent restarts.",
+        "If that was a mistake: `companion provision new` makes a new identity. Restart the agents on the ground then.",
+    ),
     "COMMAND_LATE": Explanation(
         "A command is refused although it is valid.",
         "The agent's process was paused for more than 0.1 s, and the age of the waiting command is unknown.",

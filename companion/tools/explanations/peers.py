@@ -120,6 +120,12 @@ ENTRIES: dict[str, Explanation] = {
         "The network delayed a packet by more than `peers.max_age_s`.",
         "Improve the radio link. After a suspend of the other computer restart its agent.",
     ),
+    "PEER_NOT_AUTHENTICATED": Explanation(
+        "Counted in the status; the datagram is not used.",
+        "It was not made by the vehicle that it names for this one: a stranger, a vehicle without an identity, or the first"
+        " second after a start, before the keys have been exchanged.",
+        "Where the count keeps rising, find out who sends there. All vehicles of a fleet need identities, or none.",
+    ),
     "PEER_KEY_MISMATCH": Explanation(
         "Counted in the status.",
         "A packet was published on the Zenoh key of another vehicle.",

@@ -43,8 +43,8 @@ def run_fly(options: FlyOptions) -> int:
         kind = scenario.stand_in.autopilot if external is None else None
         with reserved_ports(ids_of(scenario), kind, options.port_offset) as offset:
             if offset and not options.run.quiet:
-                endpoint = zenoh_endpoint(ids_of(scenario)[0], offset)
-                print(f"all ports are offset by {offset}: companion monitor --connect {endpoint}", flush=True)
+                endpoints = " ".join(zenoh_endpoint(i, offset) for i in ids_of(scenario))
+                print(f"all ports are offset by {offset}: companion monitor --connect {endpoints}", flush=True)
 
             def fly_once(scenario: Scenario, name: str, folder: Path, stop: StopRequest) -> Result:
                 return _Flight(scenario, name, folder, options.run.quiet, offset, external, stop).result()

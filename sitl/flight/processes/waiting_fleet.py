@@ -25,11 +25,10 @@ from sitl.report.progress import Progress
 from sitl.stopping import StopRequest
 
 OPERATOR = "sitl-fleet"
-DEFAULT_VEHICLES = 8  # `companion fleet` connects to so many without --connect
 HOW_TO = """\
 fleet {name}, vehicles {ids}. In a second terminal, one after the other:
-  companion fleet ready --fleet {file}{connect}
-  companion fleet arm --fleet {file}{connect}        and likewise takeoff, form, ..., land: companion fleet --help
+  companion fleet ready --fleet {file}
+  companion fleet arm --fleet {file}        and likewise takeoff, form, ..., land: companion fleet --help
 MAVLink for a ground station: {ground_links}
 Ctrl-C here lands all vehicles and ends."""
 
@@ -84,6 +83,5 @@ def _how_to(scenario: Scenario, folder: Path, offset: int) -> str:
         name=scenario.fleet.name,
         ids=", ".join(map(str, ids)),
         file=folder / "fleet.yaml",
-        connect=f" --connect {zenoh_endpoint(ids[0], offset)}" if offset or len(ids) > DEFAULT_VEHICLES else "",
         ground_links=f"udpout:{LOOPBACK}:{first}" + (f" (vehicle {ids[0]}) to {last} (vehicle {ids[-1]})"),
     )

@@ -27,9 +27,9 @@ def test_every_fleet_file_is_used_by_a_vehicle() -> None:
 
 
 def test_the_simulated_vehicles_can_run_on_one_machine() -> None:
-    simulated = [load_agent(path).vehicle for path in VEHICLES if path.stem.startswith("simulation")]
+    simulated = [load_agent(path) for path in VEHICLES if path.stem.startswith("simulation")]
     for one, other in combinations(simulated, 2):
-        assert one.mavlink != other.mavlink
+        assert one.vehicle.mavlink != other.vehicle.mavlink
         assert not set(one.zenoh.listen) & set(other.zenoh.listen)
         assert set(one.zenoh.connect) & set(other.zenoh.listen) or set(other.zenoh.connect) & set(one.zenoh.listen)
 
@@ -38,9 +38,9 @@ def test_the_monitor_connects_to_simulated_vehicles_by_default() -> None:
     from companion.ground.current_fleet import simulation_endpoints
 
     for path in VEHICLES:
-        vehicle = load_agent(path).vehicle
+        agent = load_agent(path)
         if path.stem.startswith("simulation"):
-            assert set(vehicle.zenoh.listen) <= set(simulation_endpoints([vehicle.id]))
+            assert set(agent.zenoh.listen) <= set(simulation_endpoints([agent.vehicle.id]))
 
 
 def test_the_examples_in_the_help_exist() -> None:

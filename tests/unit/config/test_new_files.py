@@ -105,6 +105,15 @@ def test_the_files_of_a_fleet_agree(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert agents[0].fleet.successors == (2,)
     assert {agent.vehicle.autopilot for agent in agents} == {"px4"}
     output = capsys.readouterr().out
+    assert {agent.vehicle.identity for agent in agents} == {"identity"}
+    assert "companion provision new" in output
+
+
+def test_without_security_the_files_are_copied_as_they_are(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    agents = fleet_of(tmp_path / "field", "--vehicles", "4", "--security", "none")
+    assert {agent.vehicle.identity for agent in agents} == {None}
+    assert agents[0].fleet.security == "none"
+    output = capsys.readouterr().out
     assert "scp" in output and "192.168.10.14:/etc/companion/" in output
 
 
@@ -112,7 +121,7 @@ def test_every_pair_of_vehicles_has_one_connection(tmp_path: Path) -> None:
     agents = fleet_of(
         tmp_path, "--vehicles", "3", "--address", "127.0.0.1:{id+7447}", "--mavlink", "udpin:127.0.0.1:{id+14539}"
     )
-    zenoh = [agent.vehicle.zenoh for agent in agents]
+    zenoh = [agent.zenoh for agent in agents]
     assert [one.listen for one in zenoh] == [(f"tcp/127.0.0.1:{port}",) for port in (7448, 7449, 7450)]
     for one, other in combinations(zenoh, 2):
         assert (set(one.listen) <= set(other.connect)) != (set(other.listen) <= set(one.connect))
@@ -121,9 +130,9 @@ def test_every_pair_of_vehicles_has_one_connection(tmp_path: Path) -> None:
 
 def test_addresses_can_be_a_list(tmp_path: Path) -> None:
     agents = fleet_of(tmp_path, "--vehicles", "2", "--address", "drone-a.local", "10.0.0.7:7000")
-    assert agents[0].vehicle.zenoh.listen == ("tcp/0.0.0.0:7447",)
-    assert agents[1].vehicle.zenoh.listen == ("tcp/0.0.0.0:7000",)
-    assert agents[1].vehicle.zenoh.connect == ("tcp/drone-a.local:7447",)
+    assert agents[0].zenoh.listen == ("tls/0.0.0.0:7447",)
+    assert agents[1].zenoh.listen == ("tls/0.0.0.0:7000",)
+    assert agents[1].zenoh.connect == ("tls/drone-a.local:7447",)
 
 
 @pytest.mark.parametrize("shape", SHAPES)

@@ -26,44 +26,53 @@ def environment(tmp_path: Path) -> dict[str, str]:
 
 
 def test_nothing_is_selected_by_default(environment: dict[str, str]) -> None:
-    selection = select(None, (), environment)
+    selection = select(None, (), None, environment)
     assert (selection.fleet, selection.connect) == (None, ())
-    assert str(selection) == "no current fleet; endpoints of a simulation"
+    assert str(selection) == "no current fleet; endpoints of the fleet file; no identity"
 
 
 def test_an_option_wins_over_the_environment_and_that_over_the_saved_fleet(environment: dict[str, str]) -> None:
-    save_current(PAIR, [HERE], environment)
-    assert str(select(None, (), environment)) == (
-        f"fleet file {PAIR} (current fleet); endpoints {HERE} (current fleet)"
+    save_current(PAIR, [HERE], None, environment)
+    assert str(select(None, (), None, environment)) == (
+        f"fleet file {PAIR} (current fleet); endpoints {HERE} (current fleet); no identity"
     )
     environment |= {"COMPANION_FLEET": "other.yaml", "COMPANION_CONNECT": f"{HERE}, {THERE}"}
-    assert str(select(None, (), environment)) == (
-        f"fleet file other.yaml (COMPANION_FLEET); endpoints {HERE}, {THERE} (COMPANION_CONNECT)"
+    assert str(select(None, (), None, environment)) == (
+        f"fleet file other.yaml (COMPANION_FLEET); endpoints {HERE}, {THERE} (COMPANION_CONNECT); no identity"
     )
-    assert str(select(Path("third.yaml"), [THERE], environment)) == (
-        f"fleet file third.yaml (--fleet); endpoints {THERE} (--connect)"
+    assert str(select(Path("third.yaml"), [THERE], None, environment)) == (
+        f"fleet file third.yaml (--fleet); endpoints {THERE} (--connect); no identity"
     )
 
 
 def test_saved_endpoints_are_not_used_with_another_fleet(environment: dict[str, str]) -> None:
-    save_current(PAIR, [HERE], environment)
-    assert select(Path("other.yaml"), (), environment).connect == ()
-    assert select(PAIR, (), environment).connect == (HERE,)
+    save_current(PAIR, [HERE], None, environment)
+    assert select(Path("other.yaml"), (), None, environment).connect == ()
+    assert select(PAIR, (), None, environment).connect == (HERE,)
+
+
+def test_an_identity_is_that_of_an_option_the_environment_or_the_saved_fleet(environment: dict[str, str]) -> None:
+    save_current(PAIR, (), Path("/saved"), environment)
+    assert select(None, (), None, environment).identity == Path("/saved")
+    assert select(Path("other.yaml"), (), None, environment).identity is None
+    environment |= {"COMPANION_IDENTITY": "/named"}
+    assert select(None, (), None, environment).identity == Path("/named")
+    assert select(None, (), Path("given"), environment).identity == Path("given")
 
 
 def test_a_saved_fleet_is_forgotten(environment: dict[str, str]) -> None:
-    save_current(PAIR, (), environment)
+    save_current(PAIR, (), None, environment)
     forget_current(environment)
     forget_current(environment)
     assert load_current(environment) is None
 
 
 def test_a_damaged_saved_fleet_names_its_file(environment: dict[str, str]) -> None:
-    file = save_current(PAIR, (), environment)
+    file = save_current(PAIR, (), None, environment)
     file.write_text("{")
     with pytest.raises(ConfigError, match=r"current_fleet\.json: cannot be used: .*--clear"):
-        select(None, (), environment)
-    assert select(PAIR, [HERE], environment).connect == (HERE,)
+        select(None, (), None, environment)
+    assert select(PAIR, [HERE], None, environment).connect == (HERE,)
 
 
 @pytest.mark.parametrize("base", [{}, {"XDG_CONFIG_HOME": "relative"}])
@@ -81,10 +90,10 @@ def test_use_saves_shows_and_clears(
     monkeypatch.setenv("XDG_CONFIG_HOME", environment["XDG_CONFIG_HOME"])
     assert main(["fleet", "use", str(PAIR), "--connect", HERE]) == 0
     assert main(["fleet", "use"]) == 0
-    shown = f"fleet file {PAIR} (current fleet); endpoints {HERE} (current fleet)"
+    shown = f"fleet file {PAIR} (current fleet); endpoints {HERE} (current fleet); no identity"
     assert capsys.readouterr().out.splitlines() == [f"saved in {current_file(environment)}", shown, shown]
     assert main(["fleet", "use", "--clear"]) == 0
-    assert capsys.readouterr().out == "no current fleet; endpoints of a simulation\n"
+    assert capsys.readouterr().out == "no current fleet; endpoints of the fleet file; no identity\n"
 
 
 @pytest.mark.parametrize("arguments", [["nowhere.yaml"], [str(PAIR), "--connect", "nonsense"]])

@@ -13,6 +13,7 @@ from companion.ground.monitor_table import cells, columns_for, note, plain_lines
 from companion.types.flight import FlightPhase, HealthFlag, Role
 from companion.types.notices import Code, Notice
 from companion.types.separation import NearestVehicle, SeparationReport
+from companion.types.status import NetworkState
 from companion.wire.ground import Percentiles, Timing
 
 NOTHING = Percentiles(0.0, 0.0, 0.0)
@@ -41,6 +42,7 @@ ROW = VehicleRow(
     separation=SeparationReport(),
     last_event=Notice(Code.PHASE_CHANGED, "engage -> formation"),
     timing=Timing(50.0, 1, 0, NOTHING, NOTHING, 5.0, 49.0),
+    network=NetworkState(),
 )
 
 
@@ -123,3 +125,8 @@ def test_an_invalid_fleet_name_is_refused_in_one_line(fleet: str, capsys: pytest
     printed = capsys.readouterr().err
     assert "expected the name in a fleet file" in printed
     assert printed.count("\n") == 1
+
+
+def test_a_fleet_that_strangers_can_command_is_named_in_its_heading() -> None:
+    lines = list(plain_lines([ROW, replace(ROW, vehicle_id=4, network=NetworkState("none"))], 120))
+    assert lines[0].endswith("UNSECURED (strangers can command): vehicle 4")

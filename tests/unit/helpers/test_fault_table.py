@@ -38,7 +38,7 @@ def test_rows_of_passed_cases_replace_theirs_and_others_stay(pytester: pytest.Py
     result, lines = run(pytester, "--fault-table", "page.md")
     result.assert_outcomes(passed=1, failed=1, deselected=1)
     assert (lines[0], lines[-1]) == ("before", "after")
-    rows = [line for line in lines if line.startswith("| ") and not line.startswith("| fault |")]
+    rows = [line for line in lines if line.startswith("| ") and not line.startswith("| fault or attack |")]
     assert rows == ["| fault 1.4 | 1 m | after 0.1 s | 1.40 | 2.0 | lands |", "| other | kept |"]
 
 

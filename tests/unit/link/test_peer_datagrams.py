@@ -4,14 +4,17 @@ import socket
 import time
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from agent_process import free_port
 from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember
-from companion.config.vehicle import DatagramEndpoints
+from companion.config.network import DatagramEndpoints
+from companion.link.datagram_seal import HEADER_BYTES, MARK, DatagramSeal
 from companion.link.endpoint import LinkError
 from companion.link.peer_datagrams import PeerDatagrams
 from companion.types.flight import FlightPhase, Role
@@ -117,3 +120,99 @@ def test_an_address_that_cannot_be_used_is_refused(listen: str) -> None:
 def test_a_port_in_use_is_refused(address: str) -> None:
     with link(address, "127.0.0.1:9"), pytest.raises(LinkError, match="is in use"):
         PeerDatagrams(DatagramEndpoints(address, ("127.0.0.1:9",)), FLEET, lambda _code: None)
+
+
+# ---------------------------------------------------------------- authenticated
+
+
+def seals() -> tuple[DatagramSeal, DatagramSeal, DatagramSeal]:
+    """Of vehicles 1, 2 and 3, after they have exchanged their keys."""
+    made = [DatagramSeal(i, (1, 2, 3)) for i in (1, 2, 3)]
+    for sender_id, sender in enumerate(made, start=1):
+        for receiver_id, key in sender.own_keys.items():
+            made[receiver_id - 1].learn(sender_id, key)
+    return made[0], made[1], made[2]
+
+
+def test_a_sealed_packet_is_opened_by_every_receiver() -> None:
+    first, second, third = seals()
+    datagram = first.sealed(b"packet")
+    assert second.opened(datagram) == third.opened(datagram) == (1, b"packet")
+
+
+def test_a_receiver_cannot_speak_for_the_sender() -> None:
+    """Vehicle 2 knows its own key with vehicle 1, not that of vehicle 3 with vehicle 1."""
+    first, second, third = seals()
+    forged = DatagramSeal(1, (1, 2, 3))
+    forged.own_keys.update(dict.fromkeys((2, 3), first.own_keys[2]))
+    assert second.opened(forged.sealed(b"packet")) == (1, b"packet")
+    assert third.opened(forged.sealed(b"packet")) is Code.PEER_NOT_AUTHENTICATED
+
+
+def test_a_sender_cannot_speak_for_another_one() -> None:
+    _, second, third = seals()
+    datagram = bytearray(second.sealed(b"packet"))
+    datagram[1] = 1
+    assert third.opened(bytes(datagram)) is Code.PEER_NOT_AUTHENTICATED
+
+
+@given(place=st.integers(0, 200), change=st.integers(1, 255))
+def test_every_changed_byte_that_counts_is_noticed(place: int, change: int) -> None:
+    first, second, _ = seals()
+    datagram = bytearray(first.sealed(b"packet of some length"))
+    place %= len(datagram)
+    datagram[place] ^= change
+    tag_of_third = range(HEADER_BYTES + 9, HEADER_BYTES + 18)
+    opened = second.opened(bytes(datagram))
+    assert opened is Code.PEER_NOT_AUTHENTICATED or (place in tag_of_third and opened == (1, b"packet of some length"))
+
+
+@given(st.binary(max_size=300))
+def test_whatever_arrives_is_opened_or_refused(data: bytes) -> None:
+    _, second, _ = seals()
+    assert second.opened(data) is Code.PEER_NOT_AUTHENTICATED
+    assert second.opened(bytes((MARK,)) + data) is Code.PEER_NOT_AUTHENTICATED
+
+
+def test_keys_of_strangers_and_of_wrong_length_are_not_learned() -> None:
+    seal = DatagramSeal(1, (1, 2))
+    for sender_id, key in ((9, b"k" * 32), (2, b"k"), (1, b"k" * 32)):
+        seal.learn(sender_id, key)
+    other = DatagramSeal(2, (1, 2))
+    assert seal.opened(other.sealed(b"packet")) is Code.PEER_NOT_AUTHENTICATED
+    seal.learn(2, other.own_keys[1])
+    assert seal.opened(other.sealed(b"packet")) == (2, b"packet")
+    seal.forget(2)
+    assert seal.opened(other.sealed(b"packet")) is Code.PEER_NOT_AUTHENTICATED
+
+
+def test_packets_without_a_tag_are_counted_and_displace_none() -> None:
+    rejected: Counter[str] = Counter()
+    first, second, _ = seals()
+    here, there = other_address(), f"127.0.0.1:{free_port(36000, socket.SOCK_DGRAM)}"
+    with (
+        closing(
+            PeerDatagrams(DatagramEndpoints(here, (there,)), FLEET, lambda code: rejected.update([code]), second)
+        ) as to,
+        closing(PeerDatagrams(DatagramEndpoints(there, (here,)), FLEET, lambda _: None, first)) as sender,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger,
+    ):
+        host, port = here.split(":")
+        for _ in range(200):
+            stranger.sendto(encode_peer(PACKET), (host, int(port)))
+        sender.publish_peer(PACKET)
+        assert received(to) == [PACKET]
+        assert rejected == {Code.PEER_NOT_AUTHENTICATED: 200}
+
+
+def test_one_multicast_datagram_reaches_every_vehicle_of_the_group() -> None:
+    port = free_port(36000, socket.SOCK_DGRAM)
+    group = f"239.255.77.1:{port}"
+    endpoints = DatagramEndpoints(f"127.0.0.1:{port}", (group,))
+    with ExitStack() as stack:
+        first, second, third = (
+            stack.enter_context(closing(PeerDatagrams(endpoints, FLEET, lambda _: None))) for _ in range(3)
+        )
+        first.publish_peer(PACKET)
+        assert received(second) == received(third) == [PACKET]
+        assert first.receive(3.0) == ()  # its own

@@ -83,8 +83,4 @@ def test_the_files_of_init_change_in_nothing_else(tmp_path: Path) -> None:
     for path in folder.glob("vehicle-*.yaml"):
         before = yaml.safe_load(path.read_text())
         after = yaml.safe_load(board_vehicle_file(path.read_text()))
-        assert after.pop("identity") == "identity"
-        assert after.pop("zenoh") == {
-            key: [one.replace("tcp/", "tls/") for one in value] for key, value in before.pop("zenoh").items()
-        }
-        assert after == before
+        assert after == before | {"identity": "identity"}

@@ -56,6 +56,13 @@ def test_a_credential_comes_before_the_key_in_the_folder(folder: Path, tmp_path:
     refused(folder, "private.key", "cannot be read: No such file")
 
 
+def test_the_word_none_as_a_credential_is_no_key(folder: Path, tmp_path: Path) -> None:
+    credentials = tmp_path / "credentials"
+    credentials.mkdir()
+    (credentials / "identity.key").write_text("none")
+    assert load_identity(folder, NOW, credentials).key_file == folder / "private.key"
+
+
 @pytest.mark.parametrize("file", ["authority.pem", "certificate.pem", "private.key", "admitted.json"])
 def test_every_file_is_needed_regular_bounded_and_whole(folder: Path, file: str) -> None:
     content = (folder / file).read_bytes()

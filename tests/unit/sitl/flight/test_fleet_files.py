@@ -4,6 +4,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from msgspec.structs import replace
 
 from companion.config.file import ConfigError, load
 from companion.config.vehicle import load_agent
@@ -27,7 +28,11 @@ def scenario(tmp_path: Path) -> Scenario:
 
 def test_vehicle_files_load_and_share_the_fleet(scenario: Scenario, tmp_path: Path) -> None:
     configs = [load_agent(tmp_path / f"vehicle_{vehicle_id}.yaml") for vehicle_id in (1, 2, 3, 4)]
-    assert [config.fleet for config in configs] == [scenario.fleet] * 4
+    for config in configs:
+        addresses = [member.address for member in config.fleet.vehicles]
+        assert addresses == [f"127.0.0.1:{ports_of(i, 50).zenoh}" for i in (1, 2, 3, 4)]
+        members = tuple(replace(member, address=None) for member in config.fleet.vehicles)
+        assert replace(config.fleet, vehicles=members) == scenario.fleet
     assert len({config.fleet.formation_hash() for config in configs}) == 1
     assert all(config.vehicle.hover_thrust_norm == 0.4 for config in configs)
 
@@ -40,7 +45,7 @@ def test_only_the_leader_holds_the_reference(scenario: Scenario, tmp_path: Path)
 
 
 def test_every_pair_of_agents_has_one_connection(scenario: Scenario, tmp_path: Path) -> None:
-    zenoh = {i: load_agent(tmp_path / f"vehicle_{i}.yaml").vehicle.zenoh for i in scenario.starts_enu_m}
+    zenoh = {i: load_agent(tmp_path / f"vehicle_{i}.yaml").zenoh for i in scenario.starts_enu_m}
     for i, own in zenoh.items():
         assert own.listen == (f"tcp/127.0.0.1:{ports_of(i, 50).zenoh}",)
         for j, other in zenoh.items():
@@ -63,6 +68,7 @@ def test_disturbed_links_lead_over_the_emulated_network(tmp_path: Path) -> None:
     write_files(scenario, tmp_path, 50)
     vehicle = load_agent(tmp_path / "vehicle_3.yaml").vehicle
     port_1, port_2, port_4 = (ports_of(i, 50).zenoh for i in (1, 2, 4))
+    assert vehicle.zenoh is not None
     assert vehicle.zenoh.connect == (f"tcp/127.1.1.3:{port_1}", f"tcp/127.1.2.3:{port_2}")
     assert vehicle.datagrams is not None
     assert vehicle.datagrams.send_to == (f"127.1.1.3:{port_1}", f"127.1.2.3:{port_2}", f"127.1.4.3:{port_4}")

@@ -1,0 +1,86 @@
+"""Keeps the admission list of a running agent current: from its file, and from the ground over the network."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Protocol
+
+from companion.config.bounded_read import read_regular
+from companion.security.admission import MAX_LIST_BYTES, AdmissionError, Admitted, accept
+from companion.security.certificates import read_certificate
+from companion.security.identity import ADMITTED_FILE, Identity
+from companion.security.private_files import write_file
+
+CHECK_S = 2.0
+
+_log = logging.getLogger(__name__)
+
+
+class Admitting(Protocol):
+    """The part of `ZenohLink` that a list concerns."""
+
+    def admission_lists(self) -> Sequence[bytes]: ...
+
+    def admit(self, admitted: Admitted) -> None: ...
+
+
+class Admissions:
+    """Looks for a newer list every CHECK_S. `kept` is the file for a list from the network.
+
+    A list is verified in a thread: that takes up to 10 ms. A list that is refused changes nothing.
+    """
+
+    def __init__(self, identity: Identity, kept: Path, link: Admitting) -> None:
+        self._authority = read_certificate(identity.authority_file.read_bytes())
+        self._copied = identity.authority_file.with_name(ADMITTED_FILE)
+        self._kept = kept
+        self._link = link
+        self._held = identity.admitted
+        self._seen: tuple[int, int] | None = self._stamp()
+
+    async def run(self) -> None:
+        """Until cancelled."""
+        while True:
+            await asyncio.sleep(CHECK_S)
+            for data in self._link.admission_lists():
+                if await self._consider(data, "from the network"):
+                    await asyncio.to_thread(self._keep, data)
+            if (stamp := self._stamp()) != self._seen:
+                self._seen = stamp
+                with contextlib.suppress(OSError):
+                    content, _ = await asyncio.to_thread(read_regular, self._copied, MAX_LIST_BYTES)
+                    await self._consider(content, f"in {self._copied}")
+
+    async def _consider(self, data: bytes, where: str) -> bool:
+        """Whether a list is newer than that held; then it holds from now on."""
+        try:
+            admitted = await asyncio.to_thread(accept, data, self._authority, self._held)
+        except AdmissionError as error:
+            _log.warning("admission list %s: %s", where, error)
+            return False
+        if admitted.number == self._held.number:
+            return False
+        gone = [one.name for one in self._held.participants if admitted.participant(one.name) is None]
+        self._held = admitted
+        self._link.admit(admitted)
+        _log.warning(
+            "admission list %d %s: no longer admitted: %s", admitted.number, where, ", ".join(gone) or "nobody"
+        )
+        return True
+
+    def _keep(self, data: bytes) -> None:
+        try:
+            write_file(self._kept, data)
+        except OSError as error:
+            _log.warning("%s cannot be written: %s; the list holds until a restart", self._kept, error.strerror)
+
+    def _stamp(self) -> tuple[int, int] | None:
+        try:
+            state = self._copied.stat()
+        except OSError:
+            return None
+        return state.st_mtime_ns, state.st_size

@@ -1,0 +1,304 @@
+"""What strangers, and participants at fault, can do to a flying fleet with identities. Real agents, TLS, real sockets.
+
+`make attacks` writes the table of docs/attacks.md.
+"""
+
+from __future__ import annotations
+
+import random
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, contextmanager, suppress
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from itertools import count, pairwise
+from pathlib import Path
+
+import pytest
+import zenoh
+from msgspec.structs import replace
+
+from companion.ground.session import FleetSession
+from companion.security.provisioning import revoke
+from companion.types.commands import Command, CommandName
+from companion.types.flight import FlightPhase, Role
+from companion.types.formation import FlownSlot
+from companion.types.peers import PeerPacket
+from companion.wire.ground import encode
+from companion.wire.keys import abort_key, command_key, peer_key, reply_key, status_key
+from companion.wire.peer import encode_peer
+from fault_table import FaultRow
+from identities import stranger, tls_of
+from secured_fleet import IDS, SecuredFleet, provisioned_copy, secured_fleet
+
+pytestmark = [pytest.mark.fleet, pytest.mark.timeout(240)]
+
+MEASURED_S = 5.0
+LARGEST_ERROR_M = 0.1  # more than in undisturbed flight
+FLOOD_HZ = 10_000
+SILENT_CONNECTIONS = 800
+NEW_SESSION_WITHIN_S = 120.0  # after an attack on the listeners
+DEMANDED = "formation error 0.1 m at most above the undisturbed one, all ticks, abort answered"
+FAR_M = (30.0, 30.0, 5.0)
+
+
+@dataclass(frozen=True)
+class Undisturbed:
+    """A fleet in formation and its error before any attack."""
+
+    fleet: SecuredFleet
+    error_m: float
+
+
+@pytest.fixture(scope="module")
+def flying(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Undisturbed]:
+    with secured_fleet(tmp_path_factory.mktemp("secured")) as fleet:
+        since_s = time.monotonic()
+        fleet.ground.listen(MEASURED_S)
+        yield Undisturbed(fleet, fleet.largest_error_m(since_s))
+
+
+def false_messages(fleet: SecuredFleet, operators: tuple[str, ...]) -> Iterator[tuple[str, bytes]]:
+    """Packets that put every vehicle 30 m away, and `land` and `abort` to all, under the keys of all."""
+    name, formation_hash = fleet.scenario.fleet.name, next(iter(fleet.ground.newest.values())).formation_hash
+    sessions = {i: status.session for i, status in fleet.ground.newest.items()}
+    packet = PeerPacket(
+        1, 1, 1, formation_hash, FlightPhase.FORMATION, Role.FOLLOWER, FAR_M, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0, 2,
+        None, FlownSlot((0.0, 0.0, 0.0)),
+    )  # fmt: skip
+    for number in count(1):
+        for i in IDS:
+            false = replace(packet, vehicle_id=i, session=sessions[i], sequence=10**6 + number, sent_s=time.monotonic())
+            yield peer_key(name, i), encode_peer(false)
+            yield status_key(name, i), b"\x08nonsense"
+            yield reply_key(name, i), b"\x08nonsense"
+            for operator in operators:
+                land = Command(CommandName.LAND, 900 + number % 90, operator, sessions[i])
+                yield command_key(name, i, operator), encode(land)
+                yield abort_key(name, i, operator), encode(replace(land, name=CommandName.ABORT))
+
+
+@contextmanager
+def running(attack: Callable[[], object], period_s: float) -> Iterator[None]:
+    """Calls the attack again and again in a thread."""
+    stop = threading.Event()
+
+    def repeat() -> None:
+        while not stop.wait(period_s):
+            attack()
+
+    thread = threading.Thread(target=repeat)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()
+
+
+@contextmanager
+def publishing(
+    fleet: SecuredFleet, sessions: list[zenoh.Session], operators: tuple[str, ...] = ("ground-anna", "mallory")
+) -> Iterator[None]:
+    messages = false_messages(fleet, operators)
+
+    def some() -> None:
+        for _ in range(44):
+            key, payload = next(messages)
+            for session in sessions:
+                session.put(key, payload, congestion_control=zenoh.CongestionControl.DROP)
+
+    with ExitStack() as stack:
+        for session in sessions:
+            stack.enter_context(closing(session))
+        stack.enter_context(running(some, 0.02))
+        yield
+
+
+def measured(flying: Undisturbed, row: FaultRow, attack: str, outcome: str) -> None:
+    """Let the attack run; then the fleet must be in formation, with all ticks, and the operator heard."""
+    fleet = flying.fleet
+    row.fault, row.demanded, row.outcome = attack, DEMANDED, outcome
+    fleet.ground.received.clear()
+    since_s = time.monotonic()
+    fleet.ground.listen(MEASURED_S)
+    error_m = fleet.largest_error_m(since_s)
+    gaps_s = _gaps_s(fleet)
+    began_s = time.monotonic()
+    taken = fleet.session.command(IDS, CommandName.TAKE, 3.0)
+    answered_s = time.monotonic() - began_s
+    row.measured.append(f"error {error_m:.2f} m, {flying.error_m:.2f} m undisturbed")
+    row.measured.append(f"longest time between two reports {gaps_s:.2f} s")
+    row.measured.append(f"operator answered by all after {answered_s:.2f} s")
+    assert fleet.ground.phases(IDS) == {FlightPhase.FORMATION}, fleet.ground.newest
+    assert error_m <= flying.error_m + LARGEST_ERROR_M, row
+    assert all(reply is not None and reply.accepted for reply in taken.values()), taken
+
+
+def _gaps_s(fleet: SecuredFleet) -> float:
+    """Between two reports of one vehicle, which come every 0.1 s."""
+    longest_s = 0.0
+    for i in IDS:
+        times = [at_s for at_s, status in fleet.ground.received if status.vehicle_id == i]
+        longest_s = max([longest_s, *(b - a for a, b in pairwise(times))])
+    return longest_s
+
+
+@pytest.mark.parametrize("who", ["no certificate", "foreign authority", "expired certificate", "plain TCP"])
+def test_a_stranger_is_not_connected(flying: Undisturbed, row: FaultRow, who: str, tmp_path: Path) -> None:
+    fleet = flying.fleet
+    authority, protocol = fleet.keys / "authority" / "authority.pem", "tls"
+    if who == "no certificate":
+        tls = {"root_ca_certificate": str(authority), "verify_name_on_connect": False}
+    elif who == "plain TCP":
+        tls, protocol = {}, "tcp"
+    else:
+        age, days = (timedelta(days=10), 1) if who == "expired certificate" else (timedelta(0), 30)
+        provisioned_copy(fleet.folder, tmp_path / "keys", age, days)
+        tls = tls_of(tmp_path / "keys" / "copy" / "vehicle-2" / "identity", authority)
+    sessions = [stranger(endpoint, tls) for endpoint in fleet.endpoints(protocol)]
+    with publishing(fleet, sessions):
+        measured(flying, row, f"a stranger with {who} publishes false states, land and abort", "not connected")
+
+
+@pytest.mark.parametrize(
+    ("who", "attack"),
+    [
+        ("vehicle-2", "vehicle 2 publishes states, status and replies of others, and commands"),
+        ("monitor-tower", "a monitor publishes states and commands"),
+        ("traffic-adsb", "a source of traffic publishes states and commands"),
+    ],
+)
+def test_a_participant_does_not_speak_for_others(flying: Undisturbed, row: FaultRow, who: str, attack: str) -> None:
+    fleet, own = flying.fleet, who.rpartition("-")[2]
+    sessions = [
+        stranger(endpoint, tls_of(fleet.identity_folder(who)))
+        for endpoint in fleet.endpoints()
+        if f":{own}" not in endpoint
+    ]
+    if who == "vehicle-2":  # under its own key its states count as those of a duplicate id
+        rejected = {i: dict(fleet.ground.newest[i].rejected) for i in IDS}
+    with publishing(fleet, sessions, ("ground-anna", who)):
+        measured(flying, row, attack, "denied by the access control")
+    if who == "vehicle-2":
+        for i in (1, 3, 4):
+            others = [key for key in fleet.ground.newest[i].rejected if key.endswith((" 1", " 3", " 4"))]
+            assert all(fleet.ground.newest[i].rejected[key] <= rejected[i].get(key, 0) + 5 for key in others)
+
+
+def test_a_recorded_connection_has_no_effect(flying: Undisturbed, row: FaultRow) -> None:
+    fleet, recorded = flying.fleet, bytearray()
+    with (
+        relay(fleet.port(1), recorded) as port,
+        FleetSession("*", [f"tls/127.0.0.1:{port}"], identity=fleet.identity("ground-ben")) as ben,
+    ):
+        answered = ben.command([1], CommandName.HOLD, 5.0)[1]
+        assert answered is not None  # refused: anna holds command
+        assert not answered.accepted
+    assert len(recorded) > 1000
+
+    def replay() -> None:
+        with suppress(OSError), socket.create_connection(("127.0.0.1", fleet.port(1)), 1.0) as connection:
+            connection.sendall(recorded)
+
+    with running(replay, 0.2):
+        measured(flying, row, "the recorded bytes of a ground's connection, sent again", "the handshake fails")
+
+
+@contextmanager
+def relay(port: int, recorded: bytearray) -> Iterator[int]:
+    """A TCP relay to a port of this machine that keeps what the client sends."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def serve() -> None:
+            with suppress(OSError):
+                client, _ = server.accept()
+                there = socket.create_connection(("127.0.0.1", port))
+                threading.Thread(target=copy, args=(there, client, bytearray()), daemon=True).start()
+                copy(client, there, recorded)
+
+        threading.Thread(target=serve, daemon=True).start()
+        yield server.getsockname()[1]
+
+
+def copy(source: socket.socket, target: socket.socket, kept: bytearray) -> None:
+    with suppress(OSError):
+        while data := source.recv(65536):
+            kept += data
+            target.sendall(data)
+        target.close()
+
+
+def test_a_flood_from_inside_displaces_nothing(flying: Undisturbed, row: FaultRow) -> None:
+    fleet = flying.fleet
+    sessions = [stranger(endpoint, tls_of(fleet.identity_folder("vehicle-4"))) for endpoint in fleet.endpoints()[:3]]
+    key, garbage = peer_key(fleet.scenario.fleet.name, 4), random.Random(1).randbytes(200)
+    sent = count()
+
+    def burst() -> None:
+        for _ in range(FLOOD_HZ // 50 // len(sessions)):
+            for session in sessions:
+                next(sent)
+                session.put(key, garbage, congestion_control=zenoh.CongestionControl.DROP)
+
+    with ExitStack() as stack:
+        for session in sessions:
+            stack.enter_context(closing(session))
+        stack.enter_context(running(burst, 0.02))
+        measured(
+            flying, row, "vehicle 4 floods the others with garbage, up to 10,000 messages a second", "its queue alone"
+        )
+    row.measured.append(f"{next(sent) / MEASURED_S:.0f} messages a second sent")
+
+
+def test_silent_connections_hold_nothing_up(flying: Undisturbed, row: FaultRow) -> None:
+    fleet = flying.fleet
+    with ExitStack() as stack:
+        for number in range(SILENT_CONNECTIONS):
+            address = ("127.0.0.1", fleet.port(IDS[number % len(IDS)]))
+            stack.enter_context(socket.create_connection(address, 5.0))
+        measured(flying, row, f"{SILENT_CONNECTIONS} connections that send nothing", "no effect")
+
+
+def test_a_revoked_ground_is_not_obeyed(flying: Undisturbed, row: FaultRow) -> None:
+    fleet = flying.fleet
+    with FleetSession("*", fleet.endpoints(), identity=fleet.identity("ground-ben")) as ben:
+        assert len(ben.statuses(IDS, 10.0)) == len(IDS)
+        revoke(fleet.keys, ["ground-ben"], datetime.now(UTC))
+        data = (fleet.keys / "authority" / "admitted.json").read_bytes()
+        number = max(status.network.admission or 0 for status in fleet.ground.newest.values())
+        began_s = time.monotonic()
+        while not all((status.network.admission or 0) > number for status in fleet.ground.newest.values()):
+            assert time.monotonic() < began_s + 30.0
+            fleet.session.send_admission_list(data)
+            fleet.ground.listen(0.5)
+        effective_s = time.monotonic() - began_s
+        taken = ben.command(IDS, CommandName.TAKE, 2.0)
+        assert set(taken.values()) == {None}, taken
+        measured(flying, row, "a revoked ground, still connected, takes command", "not used, not answered")
+        row.measured.append(f"effective at all vehicles after {effective_s:.1f} s")
+
+
+def test_failing_handshakes_keep_only_new_sessions_out(flying: Undisturbed, row: FaultRow) -> None:
+    fleet = flying.fleet
+
+    def churn() -> None:
+        for i in IDS:
+            with suppress(OSError), socket.create_connection(("127.0.0.1", fleet.port(i)), 0.5) as connection:
+                connection.sendall(b"\x16\x03\x01garbage")
+
+    with running(churn, 0.02):
+        outcome = "established sessions are not affected; new ones wait until it ends"
+        measured(flying, row, "50 failing handshakes a second at every agent", outcome)
+    # Zenoh 1.10 accepts one connection after the other and pauses 0.1 s after each that failed.
+    began_s = time.monotonic()
+    with FleetSession("*", fleet.endpoints(), identity=fleet.identity("monitor-tower")) as tower:
+        assert len(tower.statuses(IDS, NEW_SESSION_WITHIN_S)) == len(IDS)
+    row.measured.append(f"a new session {time.monotonic() - began_s:.1f} s after its end")
+
+
+def test_abort_is_answered_in_the_end(flying: Undisturbed) -> None:
+    answers = flying.fleet.session.ask(IDS, CommandName.ABORT, 5.0)
+    assert all(answer is not None and answer.reply.accepted for answer in answers.values()), answers
