@@ -195,7 +195,7 @@ def _connection() -> argparse.ArgumentParser:
     parser.add_argument(
         "--fleet", type=Path, metavar="FILE", help="the fleet file of the vehicles (default: the current fleet)"
     )
-    parser.add_argument("--connect", nargs="+", metavar="ENDPOINT", help="Zenoh endpoints of vehicles")
+    parser.add_argument("--connect", nargs="+", action="extend", metavar="ENDPOINT", help="Zenoh endpoints of vehicles")
     add_identity(parser)
     parser.add_argument(
         "--as", dest="operator", type=operator, metavar="NAME", help="the operator (default: user@host)"

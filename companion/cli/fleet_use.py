@@ -16,7 +16,9 @@ where it comes from.
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", nargs="?", type=Path, metavar="FILE", help="the fleet file of the vehicles")
-    parser.add_argument("--connect", nargs="+", default=[], metavar="ENDPOINT", help="Zenoh endpoints of vehicles")
+    parser.add_argument(
+        "--connect", nargs="+", action="extend", default=[], metavar="ENDPOINT", help="Zenoh endpoints of vehicles"
+    )
     parser.add_argument("--identity", type=Path, metavar="DIR", help="folder of the own certificate")
     parser.add_argument("--clear", action="store_true", help="delete the saved current fleet")
 

@@ -57,6 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--connect",
         nargs="+",
+        action="extend",
         metavar="ENDPOINT",
         help="Zenoh endpoints of vehicles (default: COMPANION_CONNECT, else those or the addresses of the current fleet,"
         " else tcp/127.0.0.1:7448 to 7455, vehicles 1 to 8 of a simulation)",

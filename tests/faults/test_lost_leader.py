@@ -30,7 +30,7 @@ def test_followers_hold_when_the_leader_dies(tmp_path: Path) -> None:
     scenario = load_scenario(SCENARIOS / "platoon.yaml", [])
     port_offset = free_fleet_offset()
     with Fleet.start(scenario, tmp_path, port_offset) as fleet:
-        endpoints = [zenoh_endpoint(i, port_offset) for i in FOLLOWERS]
+        endpoints = [zenoh_endpoint(i, port_offset) for i in ALL]
         with FleetSession("platoon", endpoints) as session:
             ground = Ground(session)
             ground.fly_to_formation(ALL)
@@ -53,7 +53,7 @@ def test_a_successor_becomes_leader_when_the_leader_dies_on_the_figure_8(tmp_pat
     )
     port_offset = free_fleet_offset()
     with Fleet.start(scenario, tmp_path, port_offset) as fleet:
-        endpoints = [zenoh_endpoint(i, port_offset) for i in FOLLOWERS]
+        endpoints = [zenoh_endpoint(i, port_offset) for i in ALL]
         with FleetSession("ring", endpoints) as session:
             ground = Ground(session)
             ground.fly_to_formation(ALL)
