@@ -15,7 +15,6 @@ from typing import Any
 import pytest
 import zenoh
 from msgspec.structs import replace
-from test_zenoh_link import PACKET, until
 
 from agent_process import free_port
 from companion.config.fleet_check import load_fleet
@@ -36,6 +35,7 @@ from companion.wire.peer import encode_peer
 from companion.wire.target import encode_target
 from companion.wire.traffic import encode_traffic
 from identities import FLEET_NAME, Identities, provisioned, stranger, tls_of
+from link_traffic import PACKET, until
 
 TRIES_S = 1.5
 ZERO = (0.0, 0.0, 0.0)

@@ -7,7 +7,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
@@ -32,13 +32,14 @@ from companion.types.commands import Command, CommandName, CommandReply, Content
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot, FormationChange, LeaderBeacon
 from companion.types.notices import Code
-from companion.types.peers import PeerPacket, ReceivedPeerPacket, ReceivedTarget
+from companion.types.peers import ReceivedPeerPacket, ReceivedTarget
 from companion.types.status import Status
 from companion.types.traffic import ReceivedTraffic, TrafficSample
 from companion.wire.ground import Percentiles, StatusReport, Timing, encode
 from companion.wire.keys import abort_key, command_key, peer_key, status_key, target_key, traffic_key
 from companion.wire.peer import encode_peer
 from companion.wire.version import WIRE_VERSION
+from link_traffic import PACKET, until
 
 FLEET = FleetConfig(
     name="testfleet",
@@ -50,7 +51,6 @@ FLEET = FleetConfig(
     neighbours=EdgeNeighbours(edges=((1, 2), (2, 3))),
 )
 ZERO = (0.0, 0.0, 0.0)
-PACKET = PeerPacket(1, 7, 1, 5, FlightPhase.HOLD, Role.LEADER, ZERO, ZERO, ZERO, 0.01, 0.0, 1, None, FlownSlot(ZERO))
 NO_TIME = Percentiles(0.0, 0.0, 0.0)
 REPORT = StatusReport(
     Status(
@@ -112,15 +112,6 @@ def vehicle(vehicle_id: int, listen: tuple[str, ...] = (), connect: tuple[str, .
     )
     with closing(link):
         yield Vehicle(link, rejected)
-
-
-def until(condition: Callable[[], object], each: Callable[[], object] = lambda: None, timeout_s: float = 10.0) -> None:
-    """Repeat `each` until the condition holds."""
-    end_s = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < end_s, "it never came true"
-        each()
-        time.sleep(0.01)
 
 
 def test_a_packet_reaches_the_peers_and_not_its_sender(port: int) -> None:
