@@ -4,11 +4,12 @@ PYTHON ?= python3
 SCENARIO ?= config/scenarios/platoon.yaml
 BIN := .venv/bin
 
-.PHONY: help fly hostile soak gauntlet pictures bench bench-batch bench-filter test test-fast test-virtual test-real-time test-again test-vehicles test-fleets test-package deb boot faults attacks check docs docs-check site format setup clean
+.PHONY: help fly hostile soak gauntlet pictures bench bench-batch bench-filter bench-identities transports test test-fast test-virtual test-real-time test-again test-long test-vehicles test-fleets test-package deb boot faults attacks check docs docs-check site format setup clean
 
 help:
 	@echo "make fly        fly the paper's platoon with four agents and four stand-in autopilots, weighted against average"
-	@echo "make test       all tests, real fleets included; make test-fast leaves the fleets out"
+	@echo "make test       the tests, real fleets included; make test-fast leaves the fleets out"
+	@echo "make test-long  the flights that make test leaves out (a quarter of an hour)"
 	@echo "make test-virtual, test-vehicles, test-fleets  one part: unit and lockstep tests, single real vehicles, real fleets"
 	@echo "make test-again the tests that failed in the last make test once more, one at a time"
 	@echo "make test-package  builds wheel and sdist, installs each without the source tree and runs it (minutes, needs a package index)"
@@ -26,6 +27,8 @@ help:
 	@echo "make hostile    hostile input for every decoder and for whole agents; writes docs/hostile.md (a quarter of an hour on two cores)"
 	@echo "make bench-batch  vehicle-steps a second of whole batches on one core, and RotorPy's; installs PyTorch in .venv-bench"
 	@echo "make bench-filter  time of the separation filter with seven vehicles nearby, against its limit of 60 us"
+	@echo "make transports  age of the states over TCP, TLS, QUIC and multicast with lost packets; writes docs/transports.md (needs root)"
+	@echo "make bench-identities  CPU of agents in formation with identities against those without; limit 1.2 times"
 	@echo "make setup      only installs the project and its ground tools into .venv"
 	@echo "make fly SCENARIO=FILE flies another scenario; $(BIN)/sitl fly --help explains it"
 
@@ -51,6 +54,13 @@ hostile: .venv/fly.ready
 bench-batch: .venv-bench/bench.ready
 	.venv-bench/bin/python -m sitl.batch.benchmark
 
+# In network namespaces: needs root and iproute2.
+transports: .venv/fly.ready
+	$(BIN)/python -m sitl.transports --page docs/transports.md
+
+bench-identities: .venv/fly.ready
+	$(BIN)/python -m sitl.transports.agents
+
 bench-filter: .venv/fly.ready
 	$(BIN)/python -m sitl.filter_benchmark
 
@@ -68,16 +78,16 @@ pictures: .venv/fly.ready
 # Real processes need a quiet machine: their tests come first and alone. They mostly wait, so two workers fly them, each a folder
 # of tests/ at a time and one flight at a time. A real-time test that failed while its processes were starved runs once more
 # after the others: tests/helpers/starvation.py. Tests in virtual time do not depend on the load of the machine.
-VIRTUAL_TESTS = $(BIN)/pytest -q -n 2 --dist worksteal --durations 5 tests/unit tests/lockstep
-REAL_TIME_TESTS = $(BIN)/pytest -v -n 2 --dist loadscope --durations 10 $(KINDS)
-KINDS =
+VIRTUAL_TESTS = $(BIN)/pytest -q -n 2 --dist worksteal --durations 25 -m "not long" tests/unit tests/lockstep
+REAL_TIME_TESTS = $(BIN)/pytest -v -n 2 --dist loadscope --durations 60 -m "$(KINDS)"
+KINDS = not long
 FAULT_TESTS = tests/faults/test_link_faults.py tests/faults/test_process_faults.py tests/faults/test_autopilot_faults.py
 
 test: .venv/test.ready
 	@$(MAKE) --no-print-directory -j 1 --keep-going test-real-time test-virtual
 
 test-fast: .venv/test.ready
-	@$(MAKE) --no-print-directory -j 1 --keep-going test-real-time test-virtual KINDS='-m "not fleet"'
+	@$(MAKE) --no-print-directory -j 1 --keep-going test-real-time test-virtual KINDS='not fleet and not long'
 
 test-virtual: .venv/test.ready
 	$(VIRTUAL_TESTS)
@@ -88,6 +98,10 @@ test-real-time: .venv/test.ready
 # Where a machine is shared with strangers, a failure may be the machine's: what failed in the last `make test`, alone.
 test-again: .venv/test.ready
 	$(BIN)/pytest -v --last-failed --last-failed-no-failures none tests
+
+# Flights of real processes whose like is flown in virtual time, and every command of the field guide.
+test-long: .venv/test.ready
+	$(BIN)/pytest -v --durations 10 -m long tests
 
 test-vehicles: .venv/test.ready
 	$(REAL_TIME_TESTS) -n 1 tests/protocol
@@ -114,7 +128,7 @@ faults: .venv/test.ready
 	$(BIN)/pytest -v --durations 5 --faults --fault-table docs/faults.md $(FAULT_TESTS)
 
 attacks: .venv/test.ready
-	$(BIN)/pytest -v --fault-table docs/attacks.md tests/faults/test_strangers.py
+	$(BIN)/pytest -v --faults --fault-table docs/attacks.md tests/faults/test_strangers.py tests/faults/test_strangers_quic.py
 
 check: .venv/test.ready docs-check
 	$(BIN)/ruff check .

@@ -95,7 +95,7 @@ async def _run(settings: Settings, config: AgentConfig) -> None:
         notifier = stack.enter_context(closing(Notifier()))
         signed = ", signed" if key else ""
         _log.info("%s of fleet %s, %s%s", config.member.role, config.fleet.name, vehicle.mavlink, signed)
-        if config.fleet.security == "none":
+        if identity is None and config.fleet.security == "none":
             _log.warning("UNSECURED: strangers in the network of the fleet can command this vehicle (security: none)")
         beside: list[Job] = []
         if identity:
@@ -110,7 +110,7 @@ async def _run(settings: Settings, config: AgentConfig) -> None:
 
 
 def _identity(settings: Settings, config: AgentConfig) -> Identity | None:
-    """Of the vehicle file. Only an agent with an identity loads the cryptography for it, 8 MB. Raises ConfigError."""
+    """Of the vehicle file. Only an agent with an identity loads the library for it. Raises ConfigError."""
     if config.vehicle.identity is None:
         return None
     from companion.link.own_identity import vehicle_identity

@@ -29,7 +29,7 @@ gets the command.
 MORE = """\
 examples:
   companion fleet use fleet.yaml --identity identity                 saves the current fleet
-  companion fleet ready
+  companion fleet doctor
   companion fleet arm && companion fleet takeoff && companion fleet form
   companion fleet form --only 2 3 --no-wait
   companion fleet leader 2
@@ -70,7 +70,7 @@ command again after others are home, or first bring the formation back to its ta
 `hold`, `land` and `abort` end a return; `abort` not for vehicles that already descend at home.
 
 exit codes:
-  0    every vehicle accepted and finished; with status: reported; with ready: is ready
+  0    every vehicle accepted and finished; with status: reported; with doctor: is ready
   1    some vehicles refused, are missing, did not finish or are not ready
   2    the fleet file, an endpoint or an argument cannot be used; no command was sent
   130  ended by Ctrl-C
@@ -79,7 +79,7 @@ exit codes:
 SEE = "`companion fleet --help` explains the fleet file, the endpoints, holding command, and the exit codes."
 REPORTS = {
     "status": "phase, position, formation and reference of each vehicle, and the operator who holds command",
-    "ready": "the checks before flight: autopilot, estimator, battery, origin, peers, fleet file, separation",
+    "doctor": "checks before flight, while the agents run: autopilot, estimator, battery, origin, peers, fleet file, distances",
 }
 SIMPLE_COMMANDS = {
     "arm": "prepares vehicles in phase observe, then arms",

@@ -66,7 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--security",
         choices=["none"],
-        help="without identities: whoever reaches the network of the fleet commands it (default: identities, which"
+        help="without identities: all who reach the network of the fleet can command it (default: identities, which"
         " companion provision makes, for addresses that other machines reach)",
     )
     parser.add_argument(

@@ -245,7 +245,7 @@ class FleetSettings(Section, frozen=True, kw_only=True):
         Annotated[
             Literal["none"],
             Meta(
-                description="`none`: agents without an identity may use a network; whoever reaches it commands the fleet"
+                description="`none`: agents without an identity may use a network; all who reach it can command the fleet"
             ),
         ]
         | None

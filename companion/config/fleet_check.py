@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from ipaddress import IPv4Address
 from itertools import combinations
 from math import dist, hypot, inf
 from pathlib import Path
@@ -38,6 +40,7 @@ def fleet_problems(fleet: FleetConfig, where: str = "") -> Iterator[Problem]:
         _takeoff_height(fleet, f"{where}takeoff_height_m"),
         airspace_problems(fleet, where),
         _speeds(fleet, f"{where}peers.max_speed_m_s"),
+        _multicast(fleet, f"{where}multicast"),
         _battery(fleet, f"{where}land_below_percent"),
         law_problems(fleet.law, f"{where}law"),
         _successors(with_ids, f"{where}successors"),
@@ -51,6 +54,16 @@ def checkable(fleet: FleetConfig) -> FleetConfig:
     ids = unless_invalid(lambda: [member.id for member in fleet.vehicles])
     unusable = unless_invalid(lambda: len(set(ids)) < max(len(ids), 1))
     return replace(fleet, vehicles=INVALID) if unusable is True else fleet
+
+
+def _multicast(fleet: FleetConfig, where: str) -> Iterator[Problem]:
+    if fleet.multicast is None:
+        return
+    host = fleet.multicast.rpartition(":")[0]
+    with suppress(ValueError):
+        if IPv4Address(host).is_multicast:
+            return
+    yield Problem(where, f'"{host}" is no multicast group; expected one from 224.0.0.0 to 239.255.255.255')
 
 
 def start_problems(fleet: FleetConfig, starts_enu_m: Mapping[int, Vector3]) -> Iterator[Problem]:

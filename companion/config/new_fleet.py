@@ -106,7 +106,7 @@ def fleet_text(new: NewFleet, planned: PlannedFormation) -> str:
         ),
         *([] if indoor else [commented("ground_spread_m: 3.0", "altitudes by GPS differ by a metre or two")]),
         *(
-            [commented("security: none", "no identities: whoever reaches the network commands the fleet")]
+            [commented("security: none", "no identities: all who reach the network can command the fleet")]
             if fleet.security
             else []
         ),

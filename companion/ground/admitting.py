@@ -11,7 +11,6 @@ from companion.ground.answers import AnswerKind
 from companion.ground.sending import OperateError
 from companion.ground.session import FleetSession
 from companion.security.admission import MAX_LIST_BYTES, AdmissionError, verify
-from companion.security.certificates import read_certificate
 from companion.security.identity import Identity
 from companion.types.status import Status
 
@@ -23,7 +22,7 @@ def admit(session: FleetSession, identity: Identity, file: Path, ids: Sequence[i
     """One line for each vehicle, and whether all hold the list. Raises OperateError for a file that is none."""
     try:
         data, _ = read_regular(file, MAX_LIST_BYTES)
-        admitted = verify(data, read_certificate(identity.authority_file.read_bytes()))
+        admitted = verify(data, identity.authority)
     except OSError as error:
         raise OperateError(f"{file}: cannot be read: {error.strerror}") from error
     except AdmissionError as error:
@@ -32,22 +31,20 @@ def admit(session: FleetSession, identity: Identity, file: Path, ids: Sequence[i
     while time.monotonic() < end_s:
         session.send_admission_list(data)
         time.sleep(AGAIN_S)
-        statuses = session.newest()
-        if all(i in statuses and _number(statuses[i]) >= admitted.number for i in ids):
+        if all(_holds(session.newest().get(i), admitted.number) for i in ids):
             break
     statuses = session.newest()
     lines = [_line(i, statuses.get(i), admitted.number) for i in ids]
-    return lines, all(i in statuses and _number(statuses[i]) >= admitted.number for i in ids)
+    return lines, all(_holds(statuses.get(i), admitted.number) for i in ids)
 
 
-def _number(status: Status) -> int:
-    held = status.network.admission
-    return -1 if held is None else held
+def _holds(status: Status | None, number: int) -> bool:
+    return status is not None and status.network.admission is not None and status.network.admission >= number
 
 
 def _line(vehicle_id: int, status: Status | None, number: int) -> str:
     if status is None:
         return f"vehicle {vehicle_id:<3} {AnswerKind.MISSING}  no report"
-    held = _number(status)
-    kind = AnswerKind.ACCEPTED if held >= number else AnswerKind.MISSING
-    return f"vehicle {vehicle_id:<3} {kind}  holds list {held if held >= 0 else 'none'}, sent was {number}"
+    held = status.network.admission
+    kind = AnswerKind.ACCEPTED if _holds(status, number) else AnswerKind.MISSING
+    return f"vehicle {vehicle_id:<3} {kind}  holds list {'none' if held is None else held}, sent was {number}"

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from companion.security.identity import Identity
 
 EXIT_ALL, EXIT_SOME = 0, 1
-REPORTS = ("status", "ready")
+REPORTS = ("status", "doctor")
 
 
 def run_fleet(request: FleetRequest) -> int:
@@ -53,7 +53,7 @@ def _identity(request: FleetRequest, fleet: FleetConfig) -> Identity | None:
     """The identity of this ground. Raises ConfigError, and OperateError for one that the vehicles would not obey."""
     if request.identity is None:
         return None
-    from companion.link.own_identity import load  # it loads the cryptography, 8 MB
+    from companion.link.own_identity import load  # without an identity its library is not loaded
 
     identity = load(request.identity)
     if identity.fleet != fleet.name:

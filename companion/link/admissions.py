@@ -11,7 +11,6 @@ from typing import Protocol
 
 from companion.config.bounded_read import read_regular
 from companion.security.admission import MAX_LIST_BYTES, AdmissionError, Admitted, accept
-from companion.security.certificates import read_certificate
 from companion.security.identity import ADMITTED_FILE, Identity
 from companion.security.private_files import write_file
 
@@ -35,7 +34,7 @@ class Admissions:
     """
 
     def __init__(self, identity: Identity, kept: Path, link: Admitting) -> None:
-        self._authority = read_certificate(identity.authority_file.read_bytes())
+        self._authority = identity.authority
         self._copied = identity.authority_file.with_name(ADMITTED_FILE)
         self._kept = kept
         self._link = link
@@ -67,9 +66,7 @@ class Admissions:
         gone = [one.name for one in self._held.participants if admitted.participant(one.name) is None]
         self._held = admitted
         self._link.admit(admitted)
-        _log.warning(
-            "admission list %d %s: no longer admitted: %s", admitted.number, where, ", ".join(gone) or "nobody"
-        )
+        _log.warning("admission list %d %s; no longer admitted: %s", admitted.number, where, ", ".join(gone) or "-")
         return True
 
     def _keep(self, data: bytes) -> None:

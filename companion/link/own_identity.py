@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Mapping
 from dataclasses import replace
@@ -10,10 +11,10 @@ from pathlib import Path
 
 from companion.config.file import ConfigError
 from companion.config.vehicle import AgentConfig
-from companion.security.admission import Admitted
-from companion.security.certificates import read_certificate
-from companion.security.identity import ADMITTED_FILE, Identity, load_identity, read_admitted
+from companion.security.identity import ADMITTED_FILE, Identity, IdentityError, load_identity, read_admitted
 from companion.security.names import ParticipantRole
+
+_log = logging.getLogger(__name__)
 
 
 def vehicle_identity(vehicle_file: Path, config: AgentConfig, environment: Mapping[str, str] = os.environ) -> Identity:
@@ -30,21 +31,24 @@ def vehicle_identity(vehicle_file: Path, config: AgentConfig, environment: Mappi
 
 
 def load(folder: Path, environment: Mapping[str, str] = os.environ) -> Identity:
-    """The identity in a folder. Raises ConfigError."""
+    """The identity in a folder. Raises ConfigError.
+
+    A list in the state folder that this authority did not sign is left alone: it is that of an earlier authority.
+    """
     credentials = environment.get("CREDENTIALS_DIRECTORY", "")
     identity = load_identity(folder, datetime.now(UTC), Path(credentials) if credentials else None)
     kept = list_file(folder, environment)
     if kept.parent == folder or not kept.exists():
         return identity
-    authority = read_certificate(identity.authority_file.read_bytes())
-    return replace(identity, admitted=newer(identity.admitted, read_admitted(kept, authority)))
+    try:
+        admitted = read_admitted(kept, identity.authority)
+    except IdentityError as error:
+        _log.warning("%s; the list in %s is used", error, folder)
+        return identity
+    return replace(identity, admitted=admitted) if admitted.number > identity.admitted.number else identity
 
 
 def list_file(folder: Path, environment: Mapping[str, str]) -> Path:
     """Where a newer admission list is kept: in the state folder of the systemd unit, else with the identity."""
     state = environment.get("STATE_DIRECTORY", "")
     return (Path(state) if state else folder) / ADMITTED_FILE
-
-
-def newer(one: Admitted, other: Admitted) -> Admitted:
-    return other if other.number > one.number else one

@@ -39,6 +39,7 @@ class Identity:
     common_name: str
     role: ParticipantRole
     id: str
+    authority: x509.Certificate
     authority_file: Path
     certificate_file: Path
     key_file: Path
@@ -67,6 +68,7 @@ def load_identity(folder: Path, now: datetime, credentials: Path | None = None) 
         common_name=str(name),
         role=name.role,
         id=name.id,
+        authority=authority,
         authority_file=authority_file,
         certificate_file=certificate_file,
         key_file=key_file,

@@ -57,7 +57,7 @@ def _boot(folder: Path, results: Results) -> None:
         service = start(machine, results)
         monitor(machine, results)
         killed_and_hung(service, results, "on the ground")
-        credentials(machine, service, results)
+        credentials(machine, results)
         _say("formation flight of one vehicle")
         into_formation(machine, service)
         killed_and_hung(service, results, "in flight")

@@ -15,10 +15,11 @@ def documented_lines(page: str) -> list[re.Pattern[str]]:
     return [re.compile(".*".join(map(re.escape, line.split("...")))) for line in ROW.findall(section)]
 
 
-def install_commands(page: str) -> list[str]:
-    """The commands of the first block below the heading "Install"."""
-    block = page.partition("## Install\n")[2].partition("```sh\n")[2].partition("```")[0]
-    return [line for line in block.splitlines() if line.strip()]
+def guide_commands(page: str) -> list[str]:
+    """From a bare computer to READY: the first blocks below the headings "Prepare the files" and "Install"."""
+    sections = (page.partition(f"## {heading}\n")[2] for heading in ("Prepare the files", "Install"))
+    blocks = (section.partition("```sh\n")[2].partition("```")[0] for section in sections)
+    return [line for block in blocks for line in block.splitlines() if line.strip()]
 
 
 def missing_lines(page: str, journal: str) -> list[str]:

@@ -5,14 +5,20 @@ from __future__ import annotations
 import json
 import time
 
-from deploy.boot.documented import PAGE, install_commands, missing_lines
+from deploy.boot.documented import PAGE, guide_commands, missing_lines
 from deploy.boot.machine import Machine, until
 from deploy.boot.report import Results
 from deploy.boot.service import UNIT, Service
 
-FLEET = "/etc/companion/fleet.yaml"
-ENDPOINT = "tcp/127.0.0.1:7447"
-INIT = ("--vehicles", "2", "--origin", "47.397742", "8.545594", "488", "--mavlink", "udpin:127.0.0.1:14540")
+FIELD, ENDPOINT = "/root/field", "tls/127.0.0.1:7447"
+PREPARE = (
+    f"companion init {FIELD} --vehicles 2 --origin 47.397742 8.545594 488 --mavlink udpin:127.0.0.1:14540"
+    " --address 127.0.0.1:7447 127.0.0.1:7448",
+    f"companion provision new {FIELD} --ground anna --monitor tower",
+    f"cp -r {FIELD}/copy/vehicle-1/. /etc/companion/",
+)
+GROUND = ("--connect", ENDPOINT, "--identity", f"{FIELD}/copy/ground-anna/identity")
+MONITOR_FILE = f"COMPANION_CONNECT={ENDPOINT}\nCOMPANION_IDENTITY=/etc/companion/monitor\n"
 AUTOPILOT = ("systemd-run", "--unit=autopilot", "--quiet", "--slice=autopilot", "/opt/companion/bin/sitl", "autopilot")
 DOCTOR = ("companion", "doctor", "--config", "/etc/companion/vehicle-1.yaml", "--fix")
 DOCTOR_WITHIN_S = 90.0  # the stand-in's estimator needs some seconds
@@ -27,11 +33,12 @@ WATCHDOG_LINE = "Watchdog timeout"
 
 def start(machine: Machine, results: Results) -> Service:
     """From the installed package to READY, by the commands of the guide."""
-    commands = install_commands(PAGE.read_text(encoding="utf-8"))
+    commands = guide_commands(PAGE.read_text(encoding="utf-8"))
     results.check("commands of the guide to READY", len(commands) < MOST_COMMANDS, str(len(commands)), "fewer than 10")
     findings = machine.run("companion", "doctor", "--host").stdout.strip().rpartition("\n")[2]
     results.check("companion doctor --host", " ok" in findings, findings, "a summary")
-    machine.must("companion", "init", "/etc/companion", *INIT, "--address", "127.0.0.1:7447", "127.0.0.1:7448")
+    for command in PREPARE:
+        machine.must(*command.split())
     machine.must(*AUTOPILOT, "--id", "1")
     until(lambda: machine.run(*DOCTOR).returncode == 0, DOCTOR_WITHIN_S)
     results.check("companion doctor --fix", True, "fit to fly in formation", "fit to fly in formation")
@@ -39,7 +46,7 @@ def start(machine: Machine, results: Results) -> Service:
     before_s = time.monotonic()
     machine.must("systemctl", "enable", "--now", UNIT)
     _, ready_s = service.back_after(before_s)
-    results.time("systemctl enable --now to READY, no identity", ready_s, START_LIMIT_S)
+    results.time("systemctl enable --now to READY", ready_s, START_LIMIT_S)
     user = machine.must("stat", "--format=%U", f"/proc/{service.pid}").strip()
     results.check("the agent runs as its own user", user == "companion", user, "companion")
     _status_follows(machine, service, results)
@@ -57,7 +64,8 @@ def _status_follows(machine: Machine, service: Service, results: Results) -> Non
 
 def monitor(machine: Machine, results: Results) -> None:
     """The monitor's service records the vehicle in a journal of its own."""
-    machine.run("sh", "-c", "cat >/etc/companion/monitor.env", stdin=f"COMPANION_CONNECT={ENDPOINT}\n")
+    machine.must("cp", "-r", f"{FIELD}/copy/monitor-tower/identity", "/etc/companion/monitor")
+    machine.run("sh", "-c", "cat >/etc/companion/monitor.env", stdin=MONITOR_FILE)
     machine.must("systemctl", "start", "companion-monitor")
     read = ("journalctl", "--namespace=companion-monitor", "--output=cat", "--no-pager")
     until(lambda: '"vehicle_id":1' in machine.run(*read).stdout, 20.0)
@@ -105,31 +113,28 @@ def land(machine: Machine, results: Results) -> None:
 def _command(machine: Machine, action: str) -> None:
     """Give a command to vehicle 1 and wait until it has finished. Raises BootError."""
     machine.must(
-        "companion", "fleet", action, "--fleet", FLEET, "--connect", ENDPOINT, "--only", "1", "--timeout", "60"
+        *("companion", "fleet", action, "--fleet", f"{FIELD}/fleet.yaml", *GROUND, "--only", "1", "--timeout", "60")
     )
 
 
 def report(machine: Machine) -> dict[str, object]:
     """The newest status of vehicle 1, as the monitor prints it."""
-    (row,) = json.loads(machine.must("companion", "monitor", "--once", "--json", "--connect", ENDPOINT))
+    (row,) = json.loads(machine.must("companion", "monitor", "--once", "--json", *GROUND))
     assert isinstance(row, dict)
     return row
 
 
-def credentials(machine: Machine, service: Service, results: Results) -> None:
-    """The private key reaches the agent, and nobody else reads it."""
-    machine.must("install", "-d", "-m", "755", "/etc/companion/identity")
-    machine.run("sh", "-c", f"umask 077; cat >{KEY}", stdin="a private key of this test\n")
-    before_s = time.monotonic()
-    machine.must("systemctl", "restart", UNIT)
-    service.back_after(before_s)
+def credentials(machine: Machine, results: Results) -> None:
+    """The private key reaches the agent, and no other user can read it."""
     seen = machine.run("runuser", "-u", "companion", "--", "cat", CREDENTIAL).stdout
-    results.check("the agent's user reads the credential", "private key" in seen, f"{len(seen)} bytes", "the key")
+    results.check("the agent's user reads the credential", "PRIVATE KEY" in seen, f"{len(seen)} bytes", "the key")
     for user in ("nobody", "companion"):
         refused = machine.run("runuser", "-u", user, "--", "cat", KEY)
-        results.check(f"{user} cannot read the key file", refused.returncode != 0, _last(refused.stderr), "refused")
+        results.check(
+            f"user {user} cannot read the key file", refused.returncode != 0, _last(refused.stderr), "refused"
+        )
     refused = machine.run("runuser", "-u", "nobody", "--", "cat", CREDENTIAL)
-    results.check("nobody cannot read the credential", refused.returncode != 0, _last(refused.stderr), "refused")
+    results.check("user nobody cannot read the credential", refused.returncode != 0, _last(refused.stderr), "refused")
 
 
 def clean_stop(machine: Machine, service: Service, results: Results) -> None:

@@ -128,12 +128,7 @@ def _locks(fleet: HostileFleet) -> list[str]:
     lead = Lead((1,), next_epoch(status.epoch for status in statuses))
     found += _refused(fleet, CommandName.LEAD, fleet.command(CommandName.LEAD, lead))
     _wait(fleet, 1.0)
-    if _all_cooperate(fleet):
-        found += [
-            f"lock: vehicle {i} has no leader beacon"
-            for i, status in fleet.statuses.items()
-            if status.leader_beacon is None
-        ]
+    found += _without_beacon(fleet)
     found += _refused(fleet, CommandName.FORMATION, fleet.command(CommandName.FORMATION, _formation(fleet)))
     found += _refused(fleet, CommandName.REFERENCE, fleet.command(CommandName.REFERENCE, _reference(fleet)), (1, 2))
     _wait(fleet, 2.0)
@@ -143,10 +138,15 @@ def _locks(fleet: HostileFleet) -> list[str]:
     return found
 
 
-def _all_cooperate(fleet: HostileFleet) -> bool:
-    """Whether the leader's beacon can pass through every vehicle: one that does not know its position sends no packet."""
-    flying = all(agent.phase in COOPERATING for agent in fleet.agents.values())
-    return flying and fleet.packets.keys() == fleet.agents.keys()
+def _without_beacon(fleet: HostileFleet) -> list[str]:
+    """Vehicles that do not pass on the beacon of a neighbour."""
+    flying = {i: status for i, status in fleet.statuses.items() if fleet.agents[i].phase in COOPERATING}
+    have = {i for i, status in flying.items() if status.leader_beacon is not None and i in fleet.packets}
+    return [
+        f"lock: vehicle {i} has no leader beacon, its neighbours {sorted(have & set(status.neighbours))} have one"
+        for i, status in flying.items()
+        if i not in have and have & set(status.neighbours)
+    ]
 
 
 def _wait_for_landings(fleet: HostileFleet) -> None:

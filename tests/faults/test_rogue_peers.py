@@ -107,5 +107,5 @@ def test_packets_of_a_rogue_peer_are_counted_and_never_used(tmp_path: Path) -> N
     summary = read_summary(out / "summary.json")
     assert max(summary.max_distance_m[pair] for pair in ("1-2", "2-3", "3-4")) < 2.0
     for vehicle in summary.vehicles:
-        if vehicle.id < 3:  # 3 and 4 do not use what comes under their own key
+        if vehicle.id != 3:  # nothing that comes under its own key is used
             assert vehicle.rejected.keys() >= REJECTED, vehicle.rejected

@@ -100,7 +100,7 @@ def ready(ground: Ground) -> None:
     end_s = time.monotonic() + 60.0
     while True:
         try:
-            ground.fleet("ready")
+            ground.fleet("doctor")
             return
         except AssertionError:
             assert time.monotonic() < end_s
@@ -109,7 +109,7 @@ def ready(ground: Ground) -> None:
 
 def test_a_mission_from_one_terminal(ground: Ground) -> None:
     ready(ground)
-    lines = ground.fleet("ready").splitlines()
+    lines = ground.fleet("doctor").splitlines()
     assert [line for line in lines if line.startswith("vehicle")] == [f"vehicle {i}  ready" for i in ALL]
     assert sum("fresh: " in line for line in lines) == 3
 
@@ -233,7 +233,7 @@ def test_a_missing_vehicle_does_not_hold_back_a_disarm_of_the_others(ground: Gro
     with contextlib.redirect_stdout(output):
         common = ["--fleet", str(file), "--connect", *ground.endpoints, "--wait-s", "3"]
         assert main(["fleet", "disarm", *common, "--as", "anna"]) == 1
-        assert main(["fleet", "ready", *common]) == 1
+        assert main(["fleet", "doctor", *common]) == 1
     lines = output.getvalue().splitlines()
     assert [line.split()[2] for line in lines[:4]] == ["accepted"] * 3 + ["missing"]
     assert "NO_REPLY: " in lines[3]

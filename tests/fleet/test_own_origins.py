@@ -11,7 +11,7 @@ from fleet_ports import free_fleet_offset
 from repository import ROOT
 from sitl.report.summary import read_summary
 
-pytestmark = [pytest.mark.fleet, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.fleet, pytest.mark.long, pytest.mark.timeout(300)]
 
 PLATOON = ROOT / "config" / "scenarios" / "platoon.yaml"
 OVERRIDES = (

@@ -11,7 +11,7 @@ from fleet_ports import free_fleet_offset
 from repository import ROOT
 from sitl.report.summary import read_summary
 
-pytestmark = [pytest.mark.fleet, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.fleet, pytest.mark.long, pytest.mark.timeout(300)]
 
 RING = ROOT / "config" / "scenarios" / "ring_figure_8.yaml"
 LEADERS = (2, 1, 2, 1, 2)

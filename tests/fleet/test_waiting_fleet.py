@@ -38,7 +38,7 @@ def test_ctrl_c_lands_a_fleet_that_an_operator_flies(tmp_path: Path) -> None:
         assert fleet.stdout is not None
         assert fleet.stdout.readline().startswith("fleet platoon, vehicles 1, 2, 3, 4. In a second terminal")
         end_s = time.monotonic() + 60.0
-        while companion("ready", folder=tmp_path).returncode != 0:
+        while companion("doctor", folder=tmp_path).returncode != 0:
             assert time.monotonic() < end_s
         for action, phase in (("arm", "armed"), ("takeoff", "hold"), ("form", "formation")):
             done = companion(action, folder=tmp_path)

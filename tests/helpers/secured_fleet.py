@@ -6,19 +6,18 @@ import csv
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
 from math import dist
 from pathlib import Path
 
 from commanding_ground import Ground
+from companion.config.network import protocol_of
 from companion.ground.session import FleetSession
 from companion.link.own_identity import load
 from companion.security.identity import Identity
-from companion.security.names import parse_common_name
-from companion.security.provisioning import provision_new
 from fleet_ports import free_fleet_offset
 from repository import ROOT
 from sitl.flight.files import truth_path, write_files
+from sitl.flight.identities import identity_folder, provision, use_identities
 from sitl.flight.processes.fleet import Fleet
 from sitl.flight.scenario import Scenario, load_scenario
 from sitl.links.ports import ports_of
@@ -42,6 +41,7 @@ class SecuredFleet:
     folder: Path
     keys: Path
     port_offset: int
+    protocol: str  # Zenoh's name: tls or quic
     session: FleetSession
     ground: Ground
 
@@ -49,13 +49,13 @@ class SecuredFleet:
         return load(self.identity_folder(name), {})
 
     def identity_folder(self, name: str) -> Path:
-        return self.keys / "copy" / name / "identity"
+        return identity_folder(self.keys, name)
 
     def port(self, vehicle_id: int) -> int:
         return ports_of(vehicle_id, self.port_offset).zenoh
 
-    def endpoints(self, protocol: str = "tls") -> list[str]:
-        return [f"{protocol}/127.0.0.1:{self.port(i)}" for i in IDS]
+    def endpoints(self, protocol: str | None = None) -> list[str]:
+        return [f"{protocol or self.protocol}/127.0.0.1:{self.port(i)}" for i in IDS]
 
     def largest_error_m(self, since_s: float) -> float:
         """Largest true error of a follower's place beside the leader since this time of the monotonic clock."""
@@ -82,34 +82,21 @@ def _minus(a: tuple[float, ...], b: tuple[float, ...]) -> tuple[float, ...]:
     return tuple(p - q for p, q in zip(a, b, strict=True))
 
 
-def provisioned_copy(folder: Path, keys: Path, age: timedelta = timedelta(0), days: int = 30) -> None:
-    """Identities in `keys` for the fleet whose files are in `folder`."""
-    keys.mkdir()
-    (keys / "fleet.yaml").write_bytes((folder / "fleet.yaml").read_bytes())
-    for i in IDS:
-        (keys / f"vehicle-{i}.yaml").write_bytes((folder / f"vehicle_{i}.yaml").read_bytes())
-    names = [parse_common_name(name) for name in OTHERS]
-    provision_new(keys, names, names[0], days, datetime.now(UTC) - age)
-
-
 @contextmanager
-def secured_fleet(folder: Path) -> Iterator[SecuredFleet]:
-    """The processes of a fleet in formation, ended with the block."""
-    scenario = load_scenario(ROOT / "config" / "scenarios" / "platoon.yaml", OVERRIDES)
+def secured_fleet(folder: Path, *overrides: str) -> Iterator[SecuredFleet]:
+    """The processes of a fleet in formation, ended with the block. `overrides` are those of the scenario."""
+    scenario = load_scenario(ROOT / "config" / "scenarios" / "platoon.yaml", (*OVERRIDES, *overrides))
+    protocol = protocol_of(scenario.fleet, secured=True)
     offset, keys = free_fleet_offset(), folder / "keys"
     write_files(scenario, folder, offset)
-    provisioned_copy(folder, keys)
-    for i in IDS:
-        file = folder / f"vehicle_{i}.yaml"
-        text = file.read_text(encoding="utf-8")
-        assert "identity: null" in text
-        file.write_text(text.replace("identity: null", f"identity: keys/copy/vehicle-{i}/identity"), encoding="utf-8")
-    endpoints = [f"tls/127.0.0.1:{ports_of(i, offset).zenoh}" for i in IDS]
+    provision(scenario, folder, keys, OTHERS)
+    use_identities(scenario, folder, keys)
+    endpoints = [f"{protocol}/127.0.0.1:{ports_of(i, offset).zenoh}" for i in IDS]
     with (
         Fleet.start_written(scenario, folder, offset),
-        FleetSession("*", endpoints, identity=load(keys / "copy" / "ground-anna" / "identity", {})) as session,
+        FleetSession("*", endpoints, identity=load(identity_folder(keys, OTHERS[0]), {})) as session,
     ):
-        fleet = SecuredFleet(scenario, folder, keys, offset, session, Ground(session))
+        fleet = SecuredFleet(scenario, folder, keys, offset, protocol, session, Ground(session))
         fleet.ground.listen(0.5)
         fleet.ground.fly_to_formation(IDS)
         fleet.ground.listen(3.0)

@@ -36,7 +36,7 @@ ENTRIES: dict[str, Explanation] = {
     "ALTITUDE_UNKNOWN": Explanation(
         "`takeoff` is refused.",
         "PX4 takes the take-off altitude above sea level, and the autopilot has not reported its origin.",
-        "Wait for a GPS fix; `companion fleet ready` shows when the origin is known.",
+        "Wait for a GPS fix; `companion fleet doctor` shows when the origin is known.",
     ),
     "PHASE_CHANGED": Explanation(
         "The log or reply names the new flight phase.",

@@ -27,7 +27,7 @@ from sitl.stopping import StopRequest
 OPERATOR = "sitl-fleet"
 HOW_TO = """\
 fleet {name}, vehicles {ids}. In a second terminal, one after the other:
-  companion fleet ready --fleet {file}
+  companion fleet doctor --fleet {file}
   companion fleet arm --fleet {file}        and likewise takeoff, form, ..., land: companion fleet --help
 MAVLink for a ground station: {ground_links}
 Ctrl-C here lands all vehicles and ends."""

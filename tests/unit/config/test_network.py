@@ -86,3 +86,9 @@ def test_multicast_goes_out_where_the_vehicle_has_its_address(tmp_path: Path) ->
     assert (loaded.datagrams.listen, loaded.datagrams.send_to) == ("10.0.0.9:7446", ("239.255.77.1:7446",))
     with pytest.raises(ConfigError, match=NEEDED):
         agent(tmp_path, "127.0.0.1", fleet="multicast: 239.255.77.1:7446\n")
+
+
+@pytest.mark.parametrize("group", ["10.0.0.9:7446", "fleet.local:7446", "255.255.255.255:7446"])
+def test_multicast_names_a_group(tmp_path: Path, group: str) -> None:
+    with pytest.raises(ConfigError, match=r"multicast: .*no multicast group; expected one from 224\.0\.0\.0"):
+        agent(tmp_path, fleet=f"multicast: {group}\n", vehicle="identity: identity\n")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from deploy.boot.documented import PAGE, documented_lines, install_commands, missing_lines
+from deploy.boot.documented import PAGE, documented_lines, guide_commands, missing_lines
 from deploy.boot.report import Results
 
 LINES = """\
@@ -32,7 +32,7 @@ def test_the_guide_documents_lines() -> None:
 
 
 def test_the_guide_needs_fewer_than_ten_commands() -> None:
-    commands = install_commands(PAGE.read_text(encoding="utf-8"))
+    commands = guide_commands(PAGE.read_text(encoding="utf-8"))
     assert "systemctl enable --now companion@1" in " ".join(commands)
     assert 3 <= len(commands) < 10
 
