@@ -17,7 +17,7 @@ from companion.ground.answers import AnswerKind, answer_lines, answers_as_data, 
 from companion.ground.current_fleet import simulation_endpoints
 from companion.ground.endpoints import unreachable
 from companion.ground.preconditions import divided
-from companion.ground.readiness import checks_of
+from companion.ground.readiness import checks_of, leader_check
 from companion.ground.reports import readiness_as_data, readiness_lines, status_as_data, status_lines
 from companion.ground.requests import FleetRequest
 from companion.ground.sending import OperateError, Sender, Sent, check_content
@@ -89,7 +89,8 @@ def _report(
         good = not silent
     else:
         every, own_hash = [member.id for member in fleet.vehicles], fleet.formation_hash()
-        checks = {i: checks_of(status, every, own_hash) for i, status in statuses.items()}
+        leader = leader_check(statuses, every)
+        checks = {i: (*checks_of(status, every, own_hash), leader) for i, status in statuses.items()}
         lines, data = readiness_lines(checks, silent, request.wait_s), readiness_as_data(checks, silent)
         good = not silent and all(check.passed for of_one in checks.values() for check in of_one)
     failed_endpoints = unreachable(endpoints, session.linked()) if silent else {}

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 
-from companion.types.flight import BATTERY_FLAGS, FLAG_TEXTS, HealthFlag
+from companion.types.flight import BATTERY_FLAGS, FLAG_TEXTS, HealthFlag, Role
 from companion.types.notices import Code, Notice
 from companion.types.status import Status
 
@@ -59,6 +59,14 @@ def checks_of(status: Status, fleet_ids: Collection[int], formation_hash: int) -
         ),
         _check("parameters", others, NOT_CHECKED if status.armed else "as the audit requires; arming checks pass"),
     )
+
+
+def leader_check(statuses: Mapping[int, Status], fleet_ids: Collection[int]) -> Check:
+    """Whether a vehicle leads. An agent that starts again is no leader where a command had made it one."""
+    leaders = sorted(i for i, status in statuses.items() if status.role is Role.LEADER)
+    if leaders or not set(fleet_ids) <= statuses.keys():
+        return _check("leader", [], f"vehicle {_ids(leaders)}" if leaders else "not checked without all vehicles")
+    return _check("leader", [Notice(Code.LEADER_LOST, "no vehicle leads; companion fleet leader ID names one")], "")
 
 
 def _notices(flags: Iterable[HealthFlag]) -> list[Notice]:

@@ -26,6 +26,7 @@ from sitl.links.ports import LOOPBACK, ports_of
 IDS = (1, 2, 3, 4)
 LONGEST_S = 120.0
 PREPARED_WITHIN_S = 60.0
+LOOKS_AGAIN_FOR_S = 10.0
 ON_DEBIAN = ("sudo apt install ", "systemctl status ", "journalctl ")  # `make boot` runs these
 
 
@@ -47,6 +48,7 @@ class Field:
             (r"companion doctor --host", self._host_doctor),
             (r"companion logs .*", lambda line: self._run(self._on_board(line[0], 1))),
             (r"companion monitor", lambda line: self._run(f"{line[0]} --once")),
+            (r"companion fleet doctor.*", lambda line: self._run_until_well(line[0])),
             (r"companion (analyze|provision|fleet) .*", lambda line: self._run(line[0])),
             (r"scp -r field/copy/vehicle-1 \S+:", lambda _: self._copy()),
             (r"sudo cp -r vehicle-1/\. /etc/companion/", lambda _: self._configure()),
@@ -79,6 +81,13 @@ class Field:
     def _run(self, command: str, timeout_s: float = LONGEST_S) -> None:
         done = self._tried(command, timeout_s)
         assert done.returncode == 0, f"{command}\n{done.stdout}{done.stderr}{self._logs()}"
+
+    def _run_until_well(self, command: str) -> None:
+        """An operator looks again: agents that have just started need a moment to read the parameters."""
+        end_s = time.monotonic() + LOOKS_AGAIN_FOR_S
+        while time.monotonic() < end_s and self._tried(command).returncode != 0:
+            time.sleep(1.0)
+        self._run(command)
 
     def _tried(self, command: str, timeout_s: float = LONGEST_S) -> subprocess.CompletedProcess[str]:
         program, *arguments = shlex.split(command)

@@ -5,10 +5,10 @@ from math import pi
 import pytest
 from msgspec.structs import replace
 
-from companion.ground.readiness import checks_of
+from companion.ground.readiness import checks_of, leader_check
 from companion.ground.reports import readiness_as_data, readiness_lines, status_as_data, status_lines
 from companion.types.autopilot import PositionError
-from companion.types.flight import HealthFlag
+from companion.types.flight import HealthFlag, Role
 from companion.types.formation import FlownSlot, Heading, HeldReference
 from companion.types.notices import Code, Notice
 from companion.types.vectors import ZERO3
@@ -48,6 +48,15 @@ def test_each_finding_fails_one_check(change: dict[str, object], name: str, code
     assert [(check.name, check.codes) for check in failed] == [(name, (code,))]
     assert failed[0].found.startswith(f"{code}: ")
     assert readiness_lines({1: checks}, [], 3.0)[0] == "vehicle 1  not ready"
+
+
+def test_a_fleet_without_a_leader_is_not_ready() -> None:
+    follower, leader = replace(READY, role=Role.FOLLOWER), replace(READY, role=Role.LEADER)
+    missing = leader_check({1: follower, 2: follower}, (1, 2))
+    assert missing.codes == (Code.LEADER_LOST,)
+    assert "companion fleet leader ID" in missing.found
+    assert leader_check({1: follower, 2: leader}, (1, 2)).found == "vehicle 2"
+    assert leader_check({1: follower}, (1, 2)).passed  # the other one may lead
 
 
 def test_each_health_flag_fails_one_check() -> None:
