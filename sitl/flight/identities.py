@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -11,7 +12,7 @@ from companion.security.provisioning import provision_new
 from sitl.flight.files import ids_of
 from sitl.flight.scenario import Scenario
 
-NONE_YET = "identity: null"  # in a vehicle file of a simulated fleet
+LINE = re.compile("^identity: .*$", re.MULTILINE)
 
 
 def provision(
@@ -21,7 +22,8 @@ def provision(
     keys.mkdir()
     (keys / "fleet.yaml").write_bytes((folder / "fleet.yaml").read_bytes())
     for i in ids_of(scenario):
-        (keys / f"vehicle-{i}.yaml").write_bytes((folder / f"vehicle_{i}.yaml").read_bytes())
+        text = _naming(folder / f"vehicle_{i}.yaml", "identity")
+        (keys / f"vehicle-{i}.yaml").write_text(text, encoding="utf-8")
     names = [parse_common_name(name) for name in others]
     provision_new(keys, names, names[0], days, datetime.now(UTC) - age)
 
@@ -29,12 +31,17 @@ def provision(
 def use_identities(scenario: Scenario, folder: Path, keys: Path) -> None:
     """Name the identities in the vehicle files. `keys` is within `folder`."""
     for i in ids_of(scenario):
-        file = folder / f"vehicle_{i}.yaml"
-        text = file.read_text(encoding="utf-8")
-        if NONE_YET not in text:
-            raise ValueError(f"{file}: expected the line {NONE_YET}")
-        own = identity_folder(keys, f"vehicle-{i}").relative_to(folder)
-        file.write_text(text.replace(NONE_YET, f"identity: {own}"), encoding="utf-8")
+        file, own = folder / f"vehicle_{i}.yaml", identity_folder(keys, f"vehicle-{i}").relative_to(folder)
+        file.write_text(_naming(file, str(own)), encoding="utf-8")
+
+
+def _naming(file: Path, identity: str) -> str:
+    """The text of a vehicle file with this folder as its identity."""
+    text = file.read_text(encoding="utf-8")
+    named, count = LINE.subn(f"identity: {identity}", text)
+    if count != 1:
+        raise ValueError(f"{file}: expected one line with identity")
+    return named
 
 
 def identity_folder(keys: Path, name: str) -> Path:

@@ -60,7 +60,7 @@ class Row:
         if self.worst is None:
             return f"{name}not connected within {HEARD_WITHIN_S:g} s | | | | | |"
         w = self.worst
-        ages = f"{w.median_ms:.0f} | {w.p99_ms:.0f} | {w.worst_ms:.0f} | {w.too_old:.2%}"
+        ages = f"{w.median_ms:.1f} | {w.p99_ms:.1f} | {w.worst_ms:.0f} | {w.too_old:.2%}"
         return f"{name}{ages} | {self.sent_kb_s:.0f} | {w.cpu:.1%} |"
 
 
@@ -104,8 +104,9 @@ def _files(folder: Path, transport: Transport) -> dict[int, Path]:
     fleet = f"name: transports\norigin: indoor\nneighbours: {{kind: range, range_m: 20.0}}\n{transport.settings}"
     (folder / "fleet.yaml").write_text(f"{fleet}vehicles:\n{members}", encoding="utf-8")
     for i in VEHICLES:
-        reference = "reference: {kind: point, point_enu_m: [0.0, 0.0, 2.0]}\n" if i == 1 else ""
-        text = f"id: {i}\nfleet: fleet.yaml\nmavlink: udpin:127.0.0.1:14540\nhover_thrust_norm: 0.5\n{reference}"
+        text = f"id: {i}\nfleet: fleet.yaml\nmavlink: udpin:127.0.0.1:14540\nhover_thrust_norm: 0.5\n"
+        text += "reference: {kind: point, point_enu_m: [0.0, 0.0, 2.0]}\n" if i == 1 else ""
+        text += "identity: identity\n" if transport.secured else ""
         (folder / f"vehicle-{i}.yaml").write_text(text, encoding="utf-8")
     if not transport.secured:
         return {i: folder / f"vehicle-{i}.yaml" for i in VEHICLES}

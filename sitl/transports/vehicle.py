@@ -104,12 +104,14 @@ class _Vehicle:
             leader_beacon=LeaderBeacon(1, 1, 1),
             slot=FlownSlot(ZERO3),
         )
+        # A little different for each vehicle: in 20 s the ticks of two vehicles pass each other, and no result depends on luck.
+        self._period_s = PERIOD_S * (1.0 + 1e-3 * config.vehicle.id)
         self._due_s = time.monotonic()
         self.newest_s: dict[int, float] = {}  # time of sending by sender: one machine has one clock
 
     def tick(self) -> float:
         """The time of this tick."""
-        self._due_s += PERIOD_S
+        self._due_s += self._period_s
         time.sleep(max(0.0, self._due_s - time.monotonic()))
         now_s = time.monotonic()
         self._packet = msgspec.structs.replace(self._packet, sequence=self._packet.sequence + 1, sent_s=now_s)

@@ -76,7 +76,7 @@ def test_the_table_takes_its_place_in_the_page(tmp_path: Path) -> None:
     page.write_text(f"# Page\n\n{BEGIN}\nold\n{END}\nafter\n")
     write_page(page, table(rows))
     text = page.read_text()
-    assert "| `quic` | 10% | 12 | 40 | 100 | 1.23% | 31 | 5.1% |" in text
+    assert "| `quic` | 10% | 12.4 | 40.0 | 100 | 1.23% | 31 | 5.1% |" in text
     assert "| `tcp` (TLS) | 30% | not connected within 60 s |" in text
     assert "old" not in text
     assert text.endswith(f"{END}\nafter\n")
