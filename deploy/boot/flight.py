@@ -28,6 +28,7 @@ CREDENTIAL = f"/run/credentials/{UNIT}/identity.key"
 HUNG_READY_LIMIT_S = 5.0  # READY also waits for a HEARTBEAT, which comes once a second
 STOP_LIMIT_S, KILLED_LIMIT_S, HUNG_LIMIT_S, START_LIMIT_S = 5.0, 3.0, 4.0, 5.0
 MOST_COMMANDS = 10
+TRIES, TOO_BUSY = 6, "TICK_LATE"
 WATCHDOG_LINE = "Watchdog timeout"
 
 
@@ -111,10 +112,30 @@ def land(machine: Machine, results: Results) -> None:
 
 
 def _command(machine: Machine, action: str) -> None:
-    """Give a command to vehicle 1 and wait until it has finished. Raises BootError."""
-    machine.must(
-        *("companion", "fleet", action, "--fleet", f"{FIELD}/fleet.yaml", *GROUND, "--only", "1", "--timeout", "60")
+    """Give a command to vehicle 1 and wait until it has finished. Raises BootError.
+
+    Where the computer was busy the agent refuses to form (TICK_LATE); an operator tries again.
+    """
+    command = (
+        "companion",
+        "fleet",
+        action,
+        "--fleet",
+        f"{FIELD}/fleet.yaml",
+        *GROUND,
+        "--only",
+        "1",
+        "--timeout",
+        "60",
     )
+    for _ in range(TRIES - 1):
+        done = machine.run(*command)
+        if done.returncode == 0:
+            return
+        if TOO_BUSY not in done.stdout:
+            break
+        time.sleep(5.0)
+    machine.must(*command)
 
 
 def report(machine: Machine) -> dict[str, object]:
