@@ -27,12 +27,13 @@ from sitl.report.progress import Progress
 
 SCENARIO = Path(__file__).parent.parent / "scenarios" / "platoon.yaml"
 ROUNDS = 2
+FORM_S = 40.0
 LIMIT = 1.2
 GROUND = "ground-bench"
 
 
 def main() -> int:
-    scenario = load_scenario(SCENARIO)
+    scenario = load_scenario(SCENARIO, [f"timeline[3].for_s={FORM_S:g}"])
     percent: dict[bool, list[float]] = {False: [], True: []}
     for number in range(2 * ROUNDS):
         secured = number % 2 == 1
