@@ -97,8 +97,9 @@ def revoke(folder: Path, names: Sequence[str], now: datetime) -> Provisioned:
     paths = FleetFolder(folder)
     with one_at_a_time(folder):
         authority = _open(paths, now)
-        chosen = set(map(str, _chosen(authority.admitted, names)))
         admitted = authority.admitted
+        _check_revocable(admitted, names)
+        chosen = set(map(str, _chosen(admitted, names)))
         kept = tuple(one for one in admitted.participants if one.name not in chosen)
         revoked = tuple(
             RevokedParticipant(name=one.name, serial=one.serial, revoked_at=now_in_seconds(now))
@@ -170,6 +171,20 @@ def _chosen(admitted: Admitted, names: Sequence[str] | None) -> list[Participant
             hint = "companion provision list DIR shows the names"
             raise ConfigError(COMMAND, text, f"is not admitted; {hint}")
     return list(dict.fromkeys(by_text[text] for text in names))
+
+
+def _check_revocable(admitted: Admitted, names: Sequence[str]) -> None:
+    """The same command given twice must not revoke the identity that came after. Raises ConfigError."""
+    for text in names:
+        if was := admitted.revocation(text):
+            name = parse_common_name(text)
+            present = admitted.name_of(name.role, name.id)
+            hint = (
+                f"its present identity is {present}"
+                if present
+                else "companion provision new DIR makes its next identity"
+            )
+            raise ConfigError(COMMAND, text, f"is revoked since {was.revoked_at:%Y-%m-%d}; {hint}")
 
 
 def _participants(admitted: Admitted) -> set[str]:

@@ -45,7 +45,7 @@ class Field:
         self.operator.mkdir()
         self.rules: list[tuple[str, Callable[[re.Match[str]], None]]] = [
             (r"companion init field .*", self._init),
-            (r"companion doctor --host", self._host_doctor),
+            (r"companion doctor --host .*", self._host_doctor),
             (r"companion logs .*", lambda line: self._run(self._on_board(line[0], 1))),
             (r"companion monitor", lambda line: self._run(f"{line[0]} --once")),
             (r"companion fleet doctor.*", lambda line: self._run_until_well(line[0])),
@@ -126,7 +126,7 @@ class Field:
         return own.replace("/etc/companion", str(self._board(vehicle_id) / "etc"))
 
     def _host_doctor(self, line: re.Match[str]) -> None:
-        done = self._tried(line[0])
+        done = self._tried(self._on_board(line[0], 1))
         assert " ok" in done.stdout, done.stdout + done.stderr  # this machine is no board: findings are no error
 
     def _configure(self) -> None:
