@@ -139,9 +139,10 @@ def _locks(fleet: HostileFleet) -> list[str]:
 
 
 def _without_beacon(fleet: HostileFleet) -> list[str]:
-    """Vehicles that do not pass on the beacon of a neighbour."""
-    flying = {i: status for i, status in fleet.statuses.items() if fleet.agents[i].phase in COOPERATING}
-    have = {i for i, status in flying.items() if status.leader_beacon is not None and i in fleet.packets}
+    """Vehicles that do not pass on the beacon of a neighbour. One that does not know its position sends no packet."""
+    sends = [i for i, agent in fleet.agents.items() if agent.phase in COOPERATING and i in fleet.packets]
+    flying = {i: status for i, status in fleet.statuses.items() if i in sends}
+    have = {i for i, status in flying.items() if status.leader_beacon is not None}
     return [
         f"lock: vehicle {i} has no leader beacon, its neighbours {sorted(have & set(status.neighbours))} have one"
         for i, status in flying.items()

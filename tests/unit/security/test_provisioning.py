@@ -332,7 +332,9 @@ def test_two_runs_at_once_are_refused(field: Path) -> None:
 
 def test_the_same_revocation_twice_keeps_the_identity_that_came_after(field: Path) -> None:
     revoke(field, ["vehicle-1"], NOW)
-    with pytest.raises(ConfigError, match=r"vehicle-1: is revoked since .*; companion provision new DIR makes its next"):
+    with pytest.raises(
+        ConfigError, match=r"vehicle-1: is revoked since .*; companion provision new DIR makes its next"
+    ):
         revoke(field, ["vehicle-1"], NOW)
     provision_new(field, [], GROUND, 365, NOW)
     with pytest.raises(ConfigError, match=r"vehicle-1: is revoked since .*; its present identity is vehicle-1\.2"):
