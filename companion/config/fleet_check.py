@@ -56,16 +56,6 @@ def checkable(fleet: FleetConfig) -> FleetConfig:
     return replace(fleet, vehicles=INVALID) if unusable is True else fleet
 
 
-def _multicast(fleet: FleetConfig, where: str) -> Iterator[Problem]:
-    if fleet.multicast is None:
-        return
-    host = fleet.multicast.rpartition(":")[0]
-    with suppress(ValueError):
-        if IPv4Address(host).is_multicast:
-            return
-    yield Problem(where, f'"{host}" is no multicast group; expected one from 224.0.0.0 to 239.255.255.255')
-
-
 def start_problems(fleet: FleetConfig, starts_enu_m: Mapping[int, Vector3]) -> Iterator[Problem]:
     """Every vehicle needs a position to start from, not too near to another."""
     ids = {member.id for member in fleet.vehicles}
@@ -183,6 +173,16 @@ def _speeds(fleet: FleetConfig, where: str) -> Iterator[Problem]:
             f"{accepted_m_s:g} is less than the {fastest_m_s:.1f} m/s that envelope.max_speed_m_s, max_climb_m_s and"
             " max_descent_m_s allow; lower those, or raise it",
         )
+
+
+def _multicast(fleet: FleetConfig, where: str) -> Iterator[Problem]:
+    if fleet.multicast is None:
+        return
+    host = fleet.multicast.rpartition(":")[0]
+    with suppress(ValueError):
+        if IPv4Address(host).is_multicast:
+            return
+    yield Problem(where, f'"{host}" is no multicast group; expected one from 224.0.0.0 to 239.255.255.255')
 
 
 def _battery(fleet: FleetConfig, where: str) -> Iterator[Problem]:

@@ -28,7 +28,7 @@ CREDENTIAL = f"/run/credentials/{UNIT}/identity.key"
 HUNG_READY_LIMIT_S = 5.0  # READY also waits for a HEARTBEAT, which comes once a second
 STOP_LIMIT_S, KILLED_LIMIT_S, HUNG_LIMIT_S, START_LIMIT_S = 5.0, 3.0, 4.0, 5.0
 MOST_COMMANDS = 10
-TRIES, TOO_BUSY = 6, "TICK_LATE"
+TRIES, PAUSE_S, TOO_BUSY = 6, 5.0, "TICK_LATE"
 WATCHDOG_LINE = "Watchdog timeout"
 
 
@@ -134,7 +134,8 @@ def _command(machine: Machine, action: str) -> None:
             return
         if TOO_BUSY not in done.stdout:
             break
-        time.sleep(5.0)
+        print(f"--    {action} is refused, the computer is busy ({TOO_BUSY}); again in {PAUSE_S:g} s", flush=True)
+        time.sleep(PAUSE_S)
     machine.must(*command)
 
 

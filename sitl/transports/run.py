@@ -42,6 +42,7 @@ TRANSPORTS = (
     Transport("`tcp` (TLS)", "transport: tcp\n", True),
     Transport("`quic`", "transport: quic\n", True),
     Transport("`tcp` and `multicast`", f"transport: tcp\nmulticast: {GROUP}\n", True),
+    Transport("`quic` and `multicast`", f"transport: quic\nmulticast: {GROUP}\n", True),
 )
 
 

@@ -12,7 +12,6 @@ import os
 import sys
 import threading
 import time
-from collections import Counter
 from contextlib import ExitStack, closing
 from pathlib import Path
 
@@ -43,10 +42,10 @@ class Measured(msgspec.Struct, frozen=True):
 
 def main(file: Path, seconds: float) -> None:
     config = load_agent(file)
-    go, rejected = threading.Event(), Counter[str]()
+    go = threading.Event()
     threading.Thread(target=_read_input, args=(go,), daemon=True).start()
     with ExitStack() as stack:
-        link = _link(file, config, rejected, stack)
+        link = _link(file, config, stack)
         peers = {member.id for member in config.fleet.vehicles} - {config.vehicle.id}
         vehicle = _Vehicle(link, config)
         while not peers <= vehicle.newest_s.keys():
@@ -67,20 +66,20 @@ def _read_input(go: threading.Event) -> None:
     go.set()
 
 
-def _link(file: Path, config: AgentConfig, rejected: Counter[str], stack: ExitStack) -> ZenohLink:
+def _link(file: Path, config: AgentConfig, stack: ExitStack) -> ZenohLink:
     """The links as the agent opens them."""
     identity = vehicle_identity(file, config) if config.vehicle.identity else None
-
-    def reject(key: str) -> None:
-        rejected[key] += 1
-
     datagrams = None
     if config.datagrams:
         ids = [member.id for member in config.fleet.vehicles]
         seal = DatagramSeal(config.vehicle.id, ids) if identity else None
-        datagrams = stack.enter_context(closing(PeerDatagrams(config.datagrams, config.fleet, reject, seal)))
-    link = ZenohLink(config.vehicle.id, config.fleet, config.zenoh, reject, datagrams, identity)
+        datagrams = stack.enter_context(closing(PeerDatagrams(config.datagrams, config.fleet, _ignore, seal)))
+    link = ZenohLink(config.vehicle.id, config.fleet, config.zenoh, _ignore, datagrams, identity)
     return stack.enter_context(closing(link))
+
+
+def _ignore(_rejected: str) -> None:
+    """A refused packet shows in the age."""
 
 
 class _Vehicle:

@@ -53,7 +53,7 @@ class Field:
             (r"scp -r field/copy/vehicle-1 \S+:", lambda _: self._copy()),
             (r"sudo cp -r vehicle-1/\. /etc/companion/", lambda _: self._configure()),
             (r"sudo (companion doctor --config .*)", lambda line: self._doctor(line[1])),
-            (r"sudo systemctl enable --now companion@1", lambda _: [self._start(i) for i in IDS].clear()),
+            (r"sudo systemctl enable --now companion@1", lambda _: self._start_all()),
             (r"sudo systemctl start companion@(\d)", lambda line: self._start(int(line[1]))),
             (r"sudo systemctl stop companion@(\d)", lambda line: self._stop(int(line[1]))),
         ]
@@ -65,7 +65,7 @@ class Field:
         self.stack.close()
 
     def perform(self, line: str) -> None:
-        """Run one line of the guide. Raises AssertionError where it fails, and for a line that nobody runs."""
+        """Run one line of the guide. Raises AssertionError where it fails, and for a line without a rule."""
         command = line.partition("  #")[0].strip()
         if command.startswith(ON_DEBIAN):
             self.on_debian.append(command)
@@ -149,6 +149,10 @@ class Field:
     def _start(self, vehicle_id: int) -> None:
         file = self._board(vehicle_id) / "etc" / f"vehicle-{vehicle_id}.yaml"
         self.agents[vehicle_id] = self._process(f"agent-{vehicle_id}", "companion", "agent", "--config", str(file))
+
+    def _start_all(self) -> None:
+        for i in IDS:
+            self._start(i)
 
     def _stop(self, vehicle_id: int) -> None:
         self.agents[vehicle_id].send_signal(signal.SIGTERM)
