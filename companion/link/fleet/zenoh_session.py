@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import zenoh
 
-from companion.link.access import access_control
+from companion.link.fleet.access import access_control
 from companion.security.names import parse_common_name
 
 if TYPE_CHECKING:
@@ -19,6 +20,9 @@ if TYPE_CHECKING:
 # the stalls of TCP on a lossy radio (about a second) would only add reconnections to the loss.
 LEASE_MS = 2000
 HANDSHAKE_MS = 2000
+# Threads of Zenoh in this process. By default every message wakes the thread that opened its connection, which wakes one of
+# two threads that receive, which wakes the other.
+THREADS = "(rx: (worker_threads: 1), acc: (handover: rx), net: (handover: rx))"
 
 PROTECTED, PROTECTED_WORDS = ("tls", "quic"), "tls/HOST:PORT or quic/HOST:PORT"
 
@@ -60,6 +64,7 @@ def open_session(listen: Sequence[str], connect: Sequence[str], identity: Identi
     for kind, endpoints in (("listen", listen), ("connect", connect)):
         check_endpoints(kind, endpoints)
         _check_protection(kind, endpoints, identity)
+    os.environ.setdefault("ZENOH_RUNTIME", THREADS)  # there is no other way; Zenoh reads it at the first session
     zenoh.init_log_from_env_or("off")  # errors are reported here, in one line
     config = zenoh.Config()
     for path, value in {**SETTINGS, **(_secured(identity) if identity else {})}.items():

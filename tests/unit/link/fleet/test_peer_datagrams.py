@@ -14,9 +14,9 @@ from msgspec.structs import replace
 from agent_process import free_port
 from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember
 from companion.config.network import DatagramEndpoints
-from companion.link.datagram_seal import HEADER_BYTES, MARK, DatagramSeal
 from companion.link.endpoint import LinkError
-from companion.link.peer_datagrams import PeerDatagrams
+from companion.link.fleet.datagram_seal import HEADER_BYTES, MARK, DatagramSeal
+from companion.link.fleet.peer_datagrams import PeerDatagrams
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot
 from companion.types.notices import Code

@@ -19,10 +19,10 @@ import zenoh
 
 from companion.config.fleet import FleetConfig
 from companion.config.network import ZenohEndpoints
+from companion.link.fleet.pairing import Pairing
+from companion.link.fleet.peer_datagrams import PeerDatagrams, packet_of_fleet
+from companion.link.fleet.zenoh_session import drain, open_session
 from companion.link.log import CommandLog
-from companion.link.pairing import Pairing
-from companion.link.peer_datagrams import PeerDatagrams, packet_of_fleet
-from companion.link.zenoh_session import drain, open_session
 from companion.security.names import ParticipantRole, parse_common_name
 from companion.types.commands import Command, CommandName, CommandReply
 from companion.types.notices import Code

@@ -6,8 +6,8 @@ from math import inf
 
 import zenoh
 
-from companion.link.datagram_seal import DatagramSeal
-from companion.link.zenoh_session import drain
+from companion.link.fleet.datagram_seal import DatagramSeal
+from companion.link.fleet.zenoh_session import drain
 from companion.wire.keys import every_pairing, pairing_key
 
 PERIOD_S = 1.0  # a vehicle that restarts has all keys after this time

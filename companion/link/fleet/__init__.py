@@ -1,0 +1,1 @@
+"""The network of the fleet: Zenoh, its access control and identities, and peer states as datagrams."""
