@@ -7,7 +7,8 @@ from collections import Counter
 # pymavlink's development dialect is common.xml plus a few messages that PX4 already sends, among them CURRENT_MODE (436).
 from pymavlink.dialects.v20 import development as mavlink
 
-from companion.mavlink.packet_reader import MavlinkMessage, PacketReader
+from companion.mavlink.packet_reader import PacketReader
+from companion.mavlink.plain_packets import MavlinkMessage, encode_plain
 from companion.mavlink.signing import SignedMavlink, SigningKey
 
 __all__ = ["MavlinkCodec", "MavlinkMessage", "mavlink"]
@@ -23,16 +24,20 @@ class MavlinkCodec:
         self._signed = SignedMavlink(system_id, component_id, key) if key else None
         self._mav = self._signed or mavlink.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
         self._reader = PacketReader(self._mav)
-        self.packets: list[bytes] = []  # of the last `decode`, unchanged, without refused ones
+        self._messages: list[MavlinkMessage] = []  # of the last `decode`
 
     @property
     def refused(self) -> Counter[str]:
         return self._reader.refused
 
+    @property
+    def packets(self) -> list[bytes]:
+        """Packets of the last `decode`, unchanged, without refused ones."""
+        return [bytes(message.get_msgbuf()) for message in self._messages]
+
     def decode(self, data: bytes) -> list[MavlinkMessage]:
         """All complete messages in the earlier remainder and `data`, in order. Unknown messages are left out. Never raises."""
-        messages = self._reader.read(data)
-        self.packets = [bytes(message.get_msgbuf()) for message in messages]
+        self._messages = messages = self._reader.read(data)
         # The checksum and the signature of unknown messages are unchecked.
         return [message for message in messages if message.get_msgId() != mavlink.MAVLINK_MSG_ID_UNKNOWN]
 
@@ -40,6 +45,6 @@ class MavlinkCodec:
         """The MAVLink 2 packet of a message."""
         if self._signed:
             self._signed.keep_time()
-        packed: bytes = message.pack(self._mav)
+        packed: bytes = encode_plain(message, self._mav) or message.pack(self._mav)
         self._mav.seq = (self._mav.seq + 1) % 256
         return packed

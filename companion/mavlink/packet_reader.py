@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import Any
+
+from fastcrc.crc16 import mcrf4xx
 
 # pymavlink's development dialect is common.xml plus a few messages that PX4 already sends, among them CURRENT_MODE (436).
 from pymavlink.dialects.v20 import development as mavlink
 
+from companion.mavlink.plain_packets import MavlinkMessage, decode_plain
 from companion.mavlink.signing import SIGNATURE_CODES
 from companion.types.notices import Code
 
@@ -17,8 +19,6 @@ OVERHEAD = {MAVLINK_2: 12, MAVLINK_1: 8}  # bytes of header and checksum
 ID_AT = {MAVLINK_2: slice(7, 10), MAVLINK_1: slice(5, 6)}
 CHECKSUM_BYTES, SIGNATURE_BYTES = 2, 13
 MOST_DAMAGED = 16  # packets of one call; each costs a checksum, and what follows is discarded
-
-MavlinkMessage = Any  # pymavlink generates its classes without types
 
 
 class PacketReader:
@@ -40,6 +40,8 @@ class PacketReader:
 
     def read(self, data: bytes) -> list[MavlinkMessage]:
         """All messages in the kept bytes and `data`, in order. Unknown ones are MAVLink_unknown. Never raises."""
+        if not self._rest and (message := self._plain(data)) is not None:
+            return [message]  # nearly always
         if self._rest and _is_packet(data, 0):  # what was kept is garbage, or lost its other half
             self.refused[Code.MAVLINK_UNREADABLE] += 1
             self._rest = b""
@@ -68,10 +70,17 @@ class PacketReader:
         self._rest = data[start:]
         return messages
 
+    def _plain(self, packet: bytes) -> MavlinkMessage | None:
+        """The message of a packet that no key protects; None where pymavlink has to judge it."""
+        return decode_plain(packet) if self._mav.signing.secret_key is None else None
+
     def _decoded(self, data: bytes, start: int, end: int) -> MavlinkMessage | None:
         """The message of these bytes, BAD_DATA where its signature is refused, None where it is no packet."""
+        packet = data[start:end]
+        if (message := self._plain(packet)) is not None:
+            return message
         try:
-            message = self._mav.decode(bytearray(data[start:end]))
+            message = self._mav.decode(bytearray(packet))
         except mavlink.MAVError as error:
             reason = str(error)
             if reason not in SIGNATURE_CODES:
@@ -118,7 +127,7 @@ def _is_packet(data: bytes, start: int) -> bool:
         return False
     if packet[0] == MAVLINK_2 and packet[2]:
         packet = packet[:-SIGNATURE_BYTES]
-    checksum = mavlink.x25crc(bytearray(packet[1:-CHECKSUM_BYTES]) + bytes([known.crc_extra])).crc
+    checksum = mcrf4xx(packet[1:-CHECKSUM_BYTES] + bytes([known.crc_extra]))
     return bool(checksum == int.from_bytes(packet[-CHECKSUM_BYTES:], "little"))
 
 

@@ -1,10 +1,15 @@
-"""MAVLink messages -> Telemetry in ENU, FLU and SI units. The same for every autopilot."""
+"""MAVLink messages -> Telemetry in ENU, FLU and SI units. The same for every autopilot.
+
+Floats of 32 bits are rounded below what a sensor resolves: as floats of 64 bits they have ten digits more that mean nothing,
+and a recording would keep them.
+"""
 
 from __future__ import annotations
 
 from math import isfinite, nan
 
 from companion.geometry.frames import enu_from_ned, euler_enu_from_ned, euler_from_quaternion
+from companion.geometry.vectors import rounded
 from companion.mavlink.codec import MavlinkMessage, mavlink
 from companion.mavlink.commands import ANSWERS
 from companion.types.autopilot import AutopilotKind, LandedState
@@ -39,7 +44,11 @@ ESTIMATES = (
     | mavlink.ESTIMATOR_VELOCITY_VERT
     | mavlink.ESTIMATOR_POS_VERT_ABS
 )
+LENGTH_DECIMALS = 4  # 0.1 mm, 0.1 mm/s
+ANGLE_DECIMALS = 5  # 10 urad, 0.0006 degrees
 POSITIONS = mavlink.ESTIMATOR_POS_HORIZ_REL | mavlink.ESTIMATOR_POS_HORIZ_ABS
+
+LANDED_STATES = {int(state): state for state in LandedState}
 
 
 def position(message: MavlinkMessage, received_s: float) -> PositionSample:
@@ -47,8 +56,8 @@ def position(message: MavlinkMessage, received_s: float) -> PositionSample:
     return PositionSample(
         received_s,
         message.time_boot_ms / 1000.0,
-        enu_from_ned((message.x, message.y, message.z)),
-        enu_from_ned((message.vx, message.vy, message.vz)),
+        rounded(enu_from_ned((message.x, message.y, message.z)), LENGTH_DECIMALS),
+        rounded(enu_from_ned((message.vx, message.vy, message.vz)), LENGTH_DECIMALS),
     )
 
 
@@ -61,7 +70,7 @@ def attitude(message: MavlinkMessage, received_s: float) -> AttitudeSample | Non
         euler_ned = euler_from_quaternion(quaternion)
     except ValueError:
         return None
-    return AttitudeSample(received_s, *euler_enu_from_ned(*euler_ned))
+    return AttitudeSample(received_s, *rounded(euler_enu_from_ned(*euler_ned), ANGLE_DECIMALS))
 
 
 def heartbeat(message: MavlinkMessage, autopilot: AutopilotKind, received_s: float) -> HeartbeatSample:
@@ -71,8 +80,7 @@ def heartbeat(message: MavlinkMessage, autopilot: AutopilotKind, received_s: flo
 
 def landed(message: MavlinkMessage, received_s: float) -> LandedSample:
     """EXTENDED_SYS_STATE; an unknown landed_state is UNDEFINED."""
-    known = message.landed_state in list(LandedState)
-    return LandedSample(received_s, LandedState(message.landed_state) if known else LandedState.UNDEFINED)
+    return LandedSample(received_s, LANDED_STATES.get(message.landed_state, LandedState.UNDEFINED))
 
 
 def origin(message: MavlinkMessage, received_s: float) -> OriginSample:
@@ -100,7 +108,9 @@ def estimator_status(message: MavlinkMessage, received_s: float) -> EstimatorSam
     """ESTIMATOR_STATUS, with accuracies of one sigma; the horizontal one covers both axes. Flags of 0 are not reported."""
     flags = message.flags
     usable = flags & ESTIMATES == ESTIMATES and flags & POSITIONS
-    return EstimatorSample(received_s, message.pos_horiz_accuracy, message.pos_vert_accuracy, not flags or bool(usable))
+    horizontal_m = round(message.pos_horiz_accuracy, LENGTH_DECIMALS)
+    vertical_m = round(message.pos_vert_accuracy, LENGTH_DECIMALS)
+    return EstimatorSample(received_s, horizontal_m, vertical_m, not flags or bool(usable))
 
 
 def gps_error(message: MavlinkMessage, received_s: float) -> EstimatorSample:

@@ -17,6 +17,7 @@ from companion.types.requests import AttitudeTarget, AutopilotRequest
 from companion.types.telemetry import ModeSample, ParameterSample, Telemetry, ThrustSample
 
 AUTOPILOT = mavlink.MAV_COMP_ID_AUTOPILOT1
+THRUST_DECIMALS = 5
 
 
 class Translator:
@@ -131,7 +132,7 @@ class Translator:
         return ModeSample(received_s, *self.dialect.mode_of(message.custom_mode))
 
     def _thrust(self, message: MavlinkMessage, received_s: float) -> ThrustSample:
-        return ThrustSample(received_s, self.dialect.commanded_thrust(message))
+        return ThrustSample(received_s, round(self.dialect.commanded_thrust(message), THRUST_DECIMALS))
 
     def attitude_target(self, target: AttitudeTarget, now_s: float) -> bytes:
         """SET_ATTITUDE_TARGET with attitude and thrust; `now_s` becomes its time_boot_ms."""

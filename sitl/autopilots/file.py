@@ -1,8 +1,8 @@
-"""The file of `sitl autopilot --config`, with the overrides of the command line."""
+"""The files of `sitl autopilot --config`, with the overrides of the command line."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import msgspec
@@ -14,8 +14,22 @@ from sitl.autopilots.behaviour import BEHAVIOURS
 from sitl.vehicle.config import AutopilotFile, StandIn
 
 
-def load_autopilot_file(path: Path | None, vehicle_id: int | None, autopilot: AutopilotKind | None) -> AutopilotFile:
-    """The file, or defaults without one, with another id and autopilot where they are given. Raises ConfigError."""
+def load_autopilot_files(
+    paths: Sequence[Path] | None, vehicle_id: int | None, autopilot: AutopilotKind | None
+) -> list[AutopilotFile]:
+    """The files, or defaults without one, with another id and autopilot where they are given. Raises ConfigError."""
+    if vehicle_id is not None and paths and len(paths) > 1:
+        raise ConfigError("--id", "", f"one id for {len(paths)} vehicles: set the ids in their files")
+    files: dict[int, AutopilotFile] = {}
+    for path in paths or (None,):
+        file = _loaded(path, vehicle_id, autopilot)
+        if file.id in files:
+            raise ConfigError(path or "", "id", f"{file.id} is the id of an earlier file, too: expected another one")
+        files[file.id] = file
+    return list(files.values())
+
+
+def _loaded(path: Path | None, vehicle_id: int | None, autopilot: AutopilotKind | None) -> AutopilotFile:
     file = load(path, AutopilotFile) if path else AutopilotFile()
     if vehicle_id is not None:
         if not 1 <= vehicle_id <= 250:

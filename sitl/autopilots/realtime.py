@@ -1,38 +1,103 @@
-"""A stand-in autopilot behind sockets, in real time."""
+"""Stand-in autopilots behind sockets, in real time: any number of them in one process, in one loop."""
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import functools
+import gc
 import selectors
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, closing
+from dataclasses import dataclass
 from pathlib import Path
+from threading import Event
 
 from companion.config.file import ConfigError
 from companion.link.tick import LateLoopLog
 from sitl.autopilots.autopilot import DT_S, Autopilot
 from sitl.autopilots.behaviour import BEHAVIOURS
 from sitl.links.ports import GROUND_STATION_PORT, LOOPBACK, Ports
-from sitl.links.sockets import TcpLink, UdpLink
+from sitl.links.sockets import Link, TcpLink, UdpLink, receive_waiting
 from sitl.vehicle.config import AutopilotFile
 from sitl.vehicle.truth import TruthLog
 
 MAX_LAG_S = 0.5  # longer pauses of the machine are skipped
+TRUTH_STEPS, FLUSH_STEPS = 5, 250
+GROUPS = 4  # of vehicles, 1 ms after each other
 PORT_HINT = "stop what uses the port, or move all ports with --port-offset"
 
 
-def run_autopilot(file: AutopilotFile, ports: Ports, truth: Path | None, seconds: float | None) -> None:
+@dataclass(frozen=True, slots=True)
+class StandIn:
+    """One vehicle to be run: its file, its ports, and the file for its true states."""
+
+    file: AutopilotFile
+    ports: Ports
+    truth: Path | None
+
+
+def run_autopilots(stand_ins: Sequence[StandIn], seconds: float | None) -> None:
     """Run until SIGTERM, SIGINT or `seconds` have passed. Raises ConfigError for a port in use or an unwritable file."""
-    with contextlib.ExitStack() as stack:
+    done = Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda _number, _frame: done.set())
+    with ExitStack() as stack:
+        selector = stack.enter_context(selectors.DefaultSelector())
+        vehicles = [_Vehicle(stand_in, selector, stack) for stand_in in stand_ins]
+        gc.collect()
+        gc.freeze()  # objects made until now stay; the collector skips them in a step
+        _fly(vehicles, selector, done, time.monotonic() + seconds if seconds is not None else float("inf"))
+        for vehicle in vehicles:
+            vehicle.flush()
+
+
+class _Vehicle:
+    """One stand-in with its open links and its truth file."""
+
+    def __init__(self, stand_in: StandIn, selector: selectors.BaseSelector, stack: ExitStack) -> None:
+        """Raises ConfigError. `stack` closes what it opens."""
+        file, ports, truth = stand_in.file, stand_in.ports, stand_in.truth
+        behaviour = BEHAVIOURS[file.stand_in.autopilot]
+        self._autopilot: Autopilot = behaviour.vehicle(file, DT_S)
+        self._autopilot.flight_logs.utc_at_start_s = time.time()
         try:
-            log = TruthLog(stack.enter_context(truth.open("w", encoding="ascii"))) if truth else None
+            self._log = TruthLog(stack.enter_context(truth.open("w", encoding="ascii"))) if truth else None
         except OSError as error:
             raise ConfigError(f"--truth {truth}", "", f"{error.strerror}; name a file that can be written") from error
-        with asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(selectors.SelectSelector())) as runner:
-            runner.run(_run(file, ports, log, seconds))
+        self._links: list[Link] = []
+        for end, port, address in (
+            (behaviour.onboard_link(self._autopilot), ports.onboard, (LOOPBACK, ports.companion)),
+            (behaviour.ground_link(self._autopilot), ports.ground_link, (LOOPBACK, GROUND_STATION_PORT)),
+        ):
+            with _named_port("UDP", port):
+                self._links.append(stack.enter_context(closing(UdpLink(end, port, address, selector))))
+        where = f"UDP {ports.onboard} to {ports.companion}, ground station on {ports.ground_link}"
+        if behaviour.tcp_link:
+            with _named_port("TCP", ports.tcp):
+                tcp = TcpLink(behaviour.tcp_link(self._autopilot), ports.tcp, selector)
+            self._links.append(stack.enter_context(closing(tcp)))
+            where = f"TCP {ports.tcp}, {where}"
+        self._steps = 0
+        print(f"vehicle {file.id}: MAVLink on {where}", flush=True)
+
+    def step(self, now_s: float) -> None:
+        autopilot = self._autopilot
+        autopilot.step()
+        autopilot.flight_logs.write(autopilot)
+        self._steps += 1
+        for link in self._links:
+            link.send_due()
+        autopilot.texts.clear()
+        if self._log and self._steps % TRUTH_STEPS == 0:
+            self._log.write(autopilot, now_s)
+        if self._steps % FLUSH_STEPS == 0:
+            self.flush()
+
+    def flush(self) -> None:
+        if self._log:
+            self._log.flush()
 
 
 @contextlib.contextmanager
@@ -44,55 +109,22 @@ def _named_port(protocol: str, port: int) -> Iterator[None]:
         raise ConfigError(f"{protocol} port {port}", "", f"{error.strerror}; {PORT_HINT}") from error
 
 
-async def _run(file: AutopilotFile, ports: Ports, log: TruthLog | None, seconds: float | None) -> None:
-    loop = asyncio.get_running_loop()
-    done = asyncio.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        loop.add_signal_handler(number, done.set)
-    behaviour = BEHAVIOURS[file.stand_in.autopilot]
-    autopilot = behaviour.vehicle(file, DT_S)
-    autopilot.flight_logs.utc_at_start_s = time.time()
-    onboard = UdpLink(behaviour.onboard_link(autopilot), (LOOPBACK, ports.companion))
-    ground = UdpLink(behaviour.ground_link(autopilot), (LOOPBACK, GROUND_STATION_PORT))
-    links: list[UdpLink | TcpLink] = [onboard, ground]
-    for link, port in ((onboard, ports.onboard), (ground, ports.ground_link)):
-        with _named_port("UDP", port):
-            await loop.create_datagram_endpoint(lambda link=link: link, local_addr=(LOOPBACK, port))  # type: ignore[misc]
-    where = f"UDP {ports.onboard} to {ports.companion}, ground station on {ports.ground_link}"
-    if behaviour.tcp_link:
-        tcp = TcpLink(behaviour.tcp_link(autopilot))
-        links.append(tcp)
-        with _named_port("TCP", ports.tcp):
-            await loop.create_server(tcp.accept, LOOPBACK, ports.tcp)
-        where = f"TCP {ports.tcp}, {where}"
-    print(f"vehicle {file.id}: MAVLink on {where}", flush=True)
-    end_s = time.monotonic() + seconds if seconds is not None else float("inf")
-    await _fly(autopilot, tuple(links), log, done, end_s)
-    if log:
-        log.flush()
+def _fly(vehicles: Sequence[_Vehicle], selector: selectors.BaseSelector, done: Event, end_s: float) -> None:
+    """Step all whenever a step is due, in GROUPS after each other; after a late wake-up catch up by at most MAX_LAG_S.
 
-
-async def _fly(
-    autopilot: Autopilot, links: tuple[UdpLink | TcpLink, ...], log: TruthLog | None, done: asyncio.Event, end_s: float
-) -> None:
-    """Step whenever a step is due; after a late wake-up catch up by at most MAX_LAG_S."""
-    next_s = time.monotonic()
-    steps = 0
+    Vehicles do not step at the same moment, no more than real autopilots do: all their agents would want the processor at once.
+    """
+    groups = [vehicles[k::GROUPS] for k in range(min(GROUPS, len(vehicles)))]
+    next_s, group = time.monotonic(), 0
     late = LateLoopLog(functools.partial(print, flush=True))
     while not done.is_set() and next_s < end_s:
         now_s = time.monotonic()
         late.cycle(next_s, now_s)
         next_s = max(next_s, now_s - MAX_LAG_S)
+        receive_waiting(selector)
         while next_s <= now_s:
-            autopilot.step()
-            autopilot.flight_logs.write(autopilot)
-            steps += 1
-            for link in links:
-                link.send_due()
-            autopilot.texts.clear()
-            if log and steps % 5 == 0:
-                log.write(autopilot, next_s)
-            if log and steps % 250 == 0:
-                log.flush()
-            next_s += DT_S
-        await asyncio.sleep(max(0.0, next_s - time.monotonic()))
+            for vehicle in groups[group]:
+                vehicle.step(next_s)
+            group = (group + 1) % len(groups)
+            next_s += DT_S / len(groups)
+        time.sleep(max(0.0, next_s - time.monotonic()))

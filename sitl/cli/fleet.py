@@ -25,7 +25,9 @@ offsets 0, 100, 200, ... with which all ports are free, so that several fleets c
 the folder (default: a new one, runs/fleet-SCENARIO-DATE-TIME; files of an older run in --out are removed):
   fleet.yaml                     for `companion fleet --fleet`; vehicle_N.yaml, autopilot_N.yaml, scenario.yaml
   truth_N.csv                    true positions of vehicle N, 50 times a second
-  agent_N.log, autopilot_N.log   output of the processes: every command and its answer is a line of agent_N.log
+  agent_N.log                    output of the agents: every command and its answer is a line
+  autopilots_1_to_M.log          output of the stand-ins, up to sixteen in one process
+  vehicle_N_*.mcap               what the agent of vehicle N received and decided (docs/recording.md)
 
 Ctrl-C takes command, lands all vehicles where they are and stops everything; a second Ctrl-C stops at once. On a busy
 machine the last lines report it: where more than 0.5 % of the ticks were missed, or an agent took more than 5 ms (p99) from

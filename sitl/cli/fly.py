@@ -7,8 +7,7 @@ from pathlib import Path
 
 from companion.config.file import ConfigError
 from sitl.cli.options import add_port_offset
-from sitl.cli.run import add_arguments as add_run_arguments
-from sitl.cli.run import run_options
+from sitl.cli.run import add_flight_arguments, run_options
 from sitl.flight.options import FlyOptions
 
 HELP = "a whole fleet of real processes through a scenario, with figures at its end"
@@ -45,7 +44,8 @@ run in --out are removed; a folder that another run uses is refused):
   comparison.json, .png          with --compare
   scenario.yaml                  as flown; fleet.yaml, vehicle_N.yaml, autopilot_N.yaml are made from it
   truth_N.csv                    true positions of vehicle N, 50 times a second
-  agent_N.log, autopilot_N.log   output of the processes
+  agent_N.log                    output of the agents; autopilots_1_to_M.log that of the stand-ins, which share a process
+  vehicle_N_*.mcap               what the agent of vehicle N received and decided (docs/recording.md)
 
 --external FILE flies the same scenario with agents alone. FILE gives for each vehicle the endpoint of its autopilot, its
 hover thrust and its drag (see config/external/ and docs/external.md). No command is given before all vehicles are ready: the
@@ -69,7 +69,7 @@ exit codes:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_run_arguments(parser)
+    add_flight_arguments(parser)
     parser.add_argument(
         "--external",
         type=Path,

@@ -9,6 +9,7 @@ from typing import NoReturn, Protocol
 
 from companion import __version__
 from companion.cli.ending import ending_quietly
+from companion.cli.options import LineParser
 
 
 class Subcommand(Protocol):
@@ -46,7 +47,7 @@ def _main() -> int:
 def parser() -> argparse.ArgumentParser:
     from sitl.cli import autopilot, completion, fleet, fly, gauntlet, hostile, new, paper, run, study, sweep, switching
 
-    whole = argparse.ArgumentParser(prog="sitl", description="Stand-in vehicles, and whole fleets of real processes.")
+    whole = LineParser(prog="sitl", description="Stand-in vehicles, and whole fleets of real processes.")
     whole.add_argument("--version", action="version", version=f"sitl {__version__}")
     subparsers = whole.add_subparsers(dest="command", required=True, metavar="COMMAND")
     subcommands: dict[str, Subcommand] = {

@@ -38,6 +38,7 @@ run in --out are removed; a folder that another run uses is refused):
                             (tick, telemetry_to_command_us, cpu_percent, rss_mb) is null in virtual time
   figure_5.png, figure_6.png, from_above.png, comparison.json, comparison.png, scenario.yaml      as of `sitl fly`
   truth_N.csv               true positions of vehicle N, 50 times a second; its clock is virtual and begins at 0
+  vehicle_N_*.mcap          with --record: what the agent of vehicle N received and decided, by the virtual clock
 
 Ctrl-C lands all vehicles, which takes no time here, and writes the folder; a second Ctrl-C stops at once.
 
@@ -50,6 +51,16 @@ exit codes:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_flight_arguments(parser)
+    parser.add_argument(
+        "--record",
+        action="store_true",
+        help="leave the recordings of the agents, as `sitl fly` does",
+    )
+
+
+def add_flight_arguments(parser: argparse.ArgumentParser) -> None:
+    """What `sitl run` and `sitl fly` have in common."""
     add_scenario(parser)
     parser.add_argument("--law", choices=LAWS, help="fly with this law (short for --set fleet.law.name=LAW)")
     add_autopilot(parser)
@@ -75,4 +86,5 @@ def run_options(parsed: argparse.Namespace) -> RunOptions:
     others: Sequence[LawName] | None = parsed.compare
     if others is not None and not others:
         others = LAWS
-    return RunOptions(parsed.scenario, overrides_of(parsed), others, parsed.out, parsed.quiet, parsed.anyway)
+    record = getattr(parsed, "record", True)  # real agents always record
+    return RunOptions(parsed.scenario, overrides_of(parsed), others, parsed.out, parsed.quiet, parsed.anyway, record)

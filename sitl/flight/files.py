@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from companion.config.fleet import FleetConfig, GeodeticOrigin
 from companion.config.network import DatagramEndpoints, ZenohEndpoints
 from companion.config.values import MAX_DRAG_1_S, VehicleId
-from companion.config.vehicle import VehicleConfig
+from companion.config.vehicle import RecordingSettings, VehicleConfig
 from companion.types.autopilot import AutopilotKind
 from sitl.flight.external import ReachedVehicle
 from sitl.flight.scenario import Scenario
@@ -36,6 +36,10 @@ def ids_of(scenario: Scenario) -> list[VehicleId]:
     return sorted(member.id for member in scenario.fleet.vehicles)
 
 
+def autopilot_path(folder: Path, vehicle_id: int) -> Path:
+    return folder / f"autopilot_{vehicle_id}.yaml"
+
+
 def truth_path(folder: Path, vehicle_id: int) -> Path:
     return folder / f"truth_{vehicle_id}.csv"
 
@@ -54,7 +58,7 @@ def write_files(
         reached = reached_stand_in(scenario, vehicle_id, port_offset) if external is None else external[vehicle_id]
         _write_yaml(folder / f"vehicle_{vehicle_id}.yaml", vehicle_file(scenario, reached, port_offset))
         if external is None:
-            _write_yaml(folder / f"autopilot_{vehicle_id}.yaml", autopilot_file(scenario, vehicle_id))
+            _write_yaml(autopilot_path(folder, vehicle_id), autopilot_file(scenario, vehicle_id))
     if scenario.links.disturb_peers:
         write_network(scenario, scenario.links, folder, port_offset)
 
@@ -105,6 +109,7 @@ def vehicle_file(scenario: Scenario, reached: ReachedVehicle, port_offset: int) 
         zenoh=_zenoh_endpoints(scenario, vehicle_id, port_offset),
         datagrams=_datagram_endpoints(scenario, vehicle_id, port_offset),
         reference=scenario.reference if member.can_lead else None,
+        recording=RecordingSettings(folder="."),
     )
 
 

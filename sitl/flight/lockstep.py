@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from pathlib import Path
 
 from companion.assembly import build_agent
 from companion.config.vehicle import AgentConfig
 from companion.core.agent import Agent
+from companion.recording.records import TimingRecord
+from companion.recording.writer.start import recorder_of
+from companion.recording.writer.writing import WritingAtOnce
 from companion.types.commands import Command, CommandName, CommandReply, Content
 from companion.types.peers import ReceivedTarget, TargetSample
 from companion.types.tick import Inbox, Outbox
 from companion.types.vectors import Vector3
 from companion.wire.ground import Percentiles, StatusReport, Timing
+from companion.wire.rounding import as_sent
 from sitl.autopilots.autopilot import DT_S
 from sitl.flight.files import autopilot_file, ids_of, reached_stand_in, vehicle_file
 from sitl.flight.scenario import Scenario
@@ -26,13 +31,14 @@ NOT_TIMED = Timing(0.0, 0, 0, _NONE, _NONE, 0.0, 0.0)  # in virtual time no tick
 class Lockstep:
     """A whole fleet; for the director it is both session and clock. The result depends on the scenario alone."""
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Scenario, recordings: Path | None = None) -> None:
+        """With `recordings` every agent records into that folder, with virtual times."""
         ids = ids_of(scenario)
         self._world = World([autopilot_file(scenario, i) for i in ids], scenario.links)
         self._network = Network(ids, scenario.links, scenario.stand_in.seed)
         self._reports: list[StatusReport] = []
         self._vehicles = {
-            stand_in.vehicle_id: Vehicle(scenario, stand_in, self._network, self._reports)
+            stand_in.vehicle_id: Vehicle(scenario, stand_in, self._network, self._reports, recordings)
             for stand_in in self._world.stand_ins
         }
         self._in_order = list(self._vehicles.values())
@@ -82,6 +88,11 @@ class Lockstep:
         for vehicle in self._in_order:
             vehicle.take_target(name, sample)
 
+    def close(self) -> None:
+        """End the recordings."""
+        for vehicle in self._in_order:
+            vehicle.close()
+
     def _step(self) -> None:
         self._world.step()
         next_step_s = self._world.now_s + DT_S
@@ -94,7 +105,14 @@ class Lockstep:
 class Vehicle:
     """An agent with its links: fills the Inbox, runs a tick, sends the Outbox, as the agent's process does."""
 
-    def __init__(self, scenario: Scenario, stand_in: StandIn, network: Network, reports: list[StatusReport]) -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        stand_in: StandIn,
+        network: Network,
+        reports: list[StatusReport],
+        recordings: Path | None = None,
+    ) -> None:
         self.vehicle_id = stand_in.vehicle_id
         self.link = stand_in.link
         self._network = network
@@ -103,7 +121,8 @@ class Vehicle:
         ends = (end for end in scenario.agent_ends if end.vehicle == self.vehicle_id)
         self._ends = sorted(ends, key=lambda end: end.at_s)  # those that are not over yet
         self._starts = 1
-        self._agent = _agent(scenario, self.vehicle_id, self._starts)
+        self._recordings = recordings
+        self._start()
         self._commands: tuple[Command, ...] = ()
         self._targets: tuple[tuple[str, TargetSample], ...] = ()
         self._reply: CommandReply | None = None  # the last
@@ -129,16 +148,37 @@ class Vehicle:
             targets=tuple(ReceivedTarget(now_s, name, target) for name, target in self._targets),
         )
         self._commands, self._targets = (), ()
-        if runs:  # else the input is lost: nothing waits for the next process
-            self._send(now_s, self._agent.step(now_s, inbox))
+        if not runs:  # the input is lost: nothing waits for the next process
+            return
+        decision = self._agent.decide(now_s, inbox)
+        outbox = self._agent.report(decision)
+        self._send(now_s, outbox)
+        if self._recorder:
+            sent = as_sent(outbox)
+            report = StatusReport(sent.status, NOT_TIMED) if sent.status else None
+            self._recorder.tick(now_s, inbox, decision, sent, report, TimingRecord(now_s, 0, 0, 0, None))
+
+    def close(self) -> None:
+        """End the recording."""
+        if self._recorder:
+            self._recorder.close()
 
     def _process_runs(self, now_s: float) -> bool:
         """Whether the agent's process runs. A new one that is due is started, with its own session and without memory."""
         if self._ends and now_s >= self._ends[0].until_s:
             self._ends.pop(0)
             self._starts += 1
-            self._agent = _agent(self._scenario, self.vehicle_id, self._starts)
+            self.close()
+            self._start()
         return not self._ends or now_s < self._ends[0].at_s
+
+    def _start(self) -> None:
+        """A new process of the agent."""
+        config = _config(self._scenario, self.vehicle_id)
+        self._agent: Agent = build_agent(config, self._starts)
+        self._recorder = (
+            recorder_of(config, self._starts, self._recordings, 0.0, 0.0, WritingAtOnce()) if self._recordings else None
+        )
 
     def _send(self, now_s: float, outbox: Outbox) -> None:
         if outbox.attitude_target:
@@ -154,8 +194,7 @@ class Vehicle:
             self._reports.append(StatusReport(outbox.status, NOT_TIMED))
 
 
-def _agent(scenario: Scenario, vehicle_id: int, session: int) -> Agent:
+def _config(scenario: Scenario, vehicle_id: int) -> AgentConfig:
     member = next(member for member in scenario.fleet.vehicles if member.id == vehicle_id)
     file = vehicle_file(scenario, reached_stand_in(scenario, vehicle_id, port_offset=0), port_offset=0)
-    config = AgentConfig(file, scenario.fleet, member)
-    return build_agent(config, session)
+    return AgentConfig(file, scenario.fleet, member)

@@ -11,7 +11,10 @@ from companion.config.law import LawName
 
 @dataclass(frozen=True, slots=True)
 class RunOptions:
-    """`others` are the laws to compare with, None without --compare. `anyway` flies an unstable formation, too."""
+    """`others` are the laws to compare with, None without --compare. `anyway` flies an unstable formation, too.
+
+    `record`: agents in virtual time leave recordings; those of real processes always do.
+    """
 
     scenario: Path
     overrides: Sequence[str] = ()
@@ -19,6 +22,7 @@ class RunOptions:
     out: Path | None = None
     quiet: bool = False
     anyway: bool = False
+    record: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,7 +26,7 @@ def _run_once(options: RunOptions, scenario: Scenario, name: str, folder: Path, 
     write_scenario(scenario, folder)
     progress = Progress(f"{name}, {scenario.fleet.law.name}", options.quiet, began_s=0.0)
     with progress:
-        flown = fly_in_virtual_time(scenario, progress, stop)
+        flown = fly_in_virtual_time(scenario, progress, stop, folder if options.record else None)
     for stand_in in flown.stand_ins:
         stand_in.write_track(truth_path(folder, stand_in.vehicle_id))
     return write_results(

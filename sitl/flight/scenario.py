@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from copy import deepcopy
 from itertools import pairwise
 from math import inf
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
-import yaml
 from msgspec import Meta, field
 from msgspec.structs import replace
 
 from companion.assembly import flyable_problems, trajectory_of
-from companion.config.file import ConfigError, StrictLoader, convert
+from companion.config.file import convert
 from companion.config.fleet import FleetConfig
 from companion.config.fleet_check import checkable
 from companion.config.kind import read_as
+from companion.config.overrides import SET, put
 from companion.config.planned_flight import PlannedFlight, fleet_of, planned_problems, starts_of
 from companion.config.reference import Reference
 from companion.config.validation import Problem, each, unless_invalid
@@ -28,9 +27,6 @@ from sitl.autopilots.file import parameter_problems
 from sitl.flight.moving_targets import MovingTarget
 from sitl.flight.timeline import STANDARD_TIMELINE, TimelineStep, timeline_problems
 from sitl.vehicle.config import Links, StandIn
-
-SET = Path("--set")  # named in errors instead of a file
-LONGEST_KEY = 200  # of --set
 
 
 class Assumed(Section, frozen=True, kw_only=True):
@@ -109,7 +105,7 @@ def load_scenario(path: Path, overrides: Sequence[str] = ()) -> Scenario:
         return scenario
     data = deepcopy(data)
     for override in overrides:
-        _put(data, override)
+        put(data, override, example="fleet.law.name=average_22 or timeline[3].for_s=20")
     return scenario_from(SET, data)
 
 
@@ -185,45 +181,3 @@ def _vehicles_named(scenario: Scenario) -> Iterator[Problem]:
         if scenario.fleet.member(vehicle_id) is None:
             known = ", ".join(str(member.id) for member in scenario.fleet.vehicles)
             yield Problem(where, f"no vehicle {vehicle_id} in the fleet; expected one of {known}")
-
-
-def _put(data: Any, override: str) -> None:
-    """Set one value in a scenario's plain content; sections that are missing are made. Raises ConfigError."""
-    field, equals, text = override.partition("=")
-    steps = _steps(field) if len(field) <= LONGEST_KEY else []  # Python refuses to read a number of thousands of digits
-    if not equals or not steps:
-        raise ConfigError(SET, override, "expected KEY=VALUE, like fleet.law.name=average_22 or timeline[3].for_s=20")
-    try:
-        value = yaml.load(text, Loader=StrictLoader)
-    except yaml.YAMLError as error:
-        raise ConfigError(SET, field, f"{text!r} is not a YAML value") from error
-    node, place = data, ""
-    for step, following in zip(steps, [*steps[1:], None], strict=True):
-        _check_step(node, place, step)
-        if following is None:
-            node[step] = value
-        elif isinstance(node, dict):
-            node = node.setdefault(step, {})
-        else:
-            node = node[step]
-        place = f"{place}[{step}]" if isinstance(step, int) else f"{place}.{step}".lstrip(".")
-
-
-def _steps(field: str) -> list[str | int]:
-    """ "timeline[3].for_s" -> ["timeline", 3, "for_s"]; a bare number is a number, too (starts_enu_m.1)."""
-    if not re.fullmatch(r"\w+(\.\w+|\[\d+\])*", field):
-        return []
-    return [int(step) if step.isdecimal() else step for step in re.findall(r"\w+", field)]
-
-
-def _check_step(node: Any, place: str, step: str | int) -> None:
-    if isinstance(node, dict):
-        return
-    if not isinstance(node, list):
-        raise ConfigError(SET, place, f"is {node!r}, which has no keys inside; set it as a whole")
-    if not isinstance(step, int):
-        raise ConfigError(
-            SET, f"{place}.{step}", f"{place} is a list; expected a number, {place}[0] to [{len(node) - 1}]"
-        )
-    if step >= len(node):
-        raise ConfigError(SET, f"{place}[{step}]", f"no such item; expected {place}[0] to [{len(node) - 1}]")

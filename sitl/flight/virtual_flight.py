@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass
+from pathlib import Path
 
 from sitl.flight.collector import collecting_seldom
 from sitl.flight.director import Director
@@ -35,9 +37,11 @@ class Flown:
         return {stand_in.vehicle_id: stand_in.track() for stand_in in self.stand_ins}
 
 
-def fly_in_virtual_time(scenario: Scenario, progress: Progress, stop: StopRequest | None = None) -> Flown:
-    """Fly the scenario's whole timeline and land, also after a failure."""
-    return _flown(scenario, progress, stop, Director.fly_and_land)
+def fly_in_virtual_time(
+    scenario: Scenario, progress: Progress, stop: StopRequest | None = None, recordings: Path | None = None
+) -> Flown:
+    """Fly the scenario's whole timeline and land, also after a failure. `recordings` is the folder for what agents record."""
+    return _flown(scenario, progress, stop, Director.fly_and_land, recordings)
 
 
 def fly_without_landing(scenario: Scenario, progress: Progress) -> Flown:
@@ -58,6 +62,7 @@ def _flown(
     progress: Progress,
     stop: StopRequest | None,
     fly: Callable[[Director, Sequence[TimelineStep]], list[str]],
+    recordings: Path | None = None,
 ) -> Flown:
     """`fly` returns the failures, one line each."""
 
@@ -67,11 +72,11 @@ def _flown(
         targets.update(lockstep.now_s())
 
     began_s = time.perf_counter()
-    lockstep = Lockstep(scenario)
+    lockstep = Lockstep(scenario, recordings)
     targets = MovingTargets(scenario.targets, lockstep.publish_target, lockstep.now_s())
     watch = watch_of(scenario, lockstep.now_s())
     director = Director(lockstep, watch, progress, check, tuple, lockstep)
-    with collecting_seldom():
+    with collecting_seldom(), closing(lockstep):
         failures = fly(director, scenario.timeline)
     wall_s = time.perf_counter() - began_s
     failure = "; ".join(failures) or None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator
+from itertools import chain
 
 from companion.mavlink.codec import MavlinkCodec, MavlinkMessage
 from sitl.autopilots.autopilot import Autopilot
@@ -20,6 +21,11 @@ class LinkEnd(ABC):
         self.schedule = schedule
         self.receiver = receiver
 
+    @property
+    def system_id(self) -> int:
+        """Of the autopilot."""
+        return self._autopilot.system_id
+
     def receive(self, data: bytes) -> Iterator[bytes]:
         """Answers to received bytes."""
         for message in self._codec_now().decode(data):
@@ -28,9 +34,7 @@ class LinkEnd(ABC):
     def due(self) -> Iterator[bytes]:
         """All packets that are due now."""
         yield from self.texts()
-        yield from self.changes()
-        yield from self._encoded(self._telemetry())
-        yield from self._encoded(self.receiver.logs.due())
+        yield from self._encoded(chain(self._changes(), self._telemetry(), self.receiver.logs.due()))
 
     def texts(self) -> Iterator[bytes]:
         """STATUSTEXT of the autopilot's texts, if this link sends them."""

@@ -1,58 +1,94 @@
-"""Sockets of a stand-in's links: UDP with one peer, TCP with one client at a time."""
+"""Sockets of a stand-in's links: UDP with one peer, TCP with one client at a time.
+
+They are read where a step begins, as an autopilot does, so that no packet wakes the process by itself.
+"""
 
 from __future__ import annotations
 
-import asyncio
+import contextlib
 import os
+import selectors
+import socket
 import sys
-from collections.abc import Iterator
-from typing import cast
+from collections.abc import Callable, Iterable, Iterator
+from typing import Protocol
 
 from sitl.autopilots.autopilot import AutopilotAbortedError
 from sitl.links.link_end import LinkEnd
+from sitl.links.ports import LOOPBACK
 
+READ_BYTES = 65_536
+DATAGRAMS_PER_STEP = 64  # of one link; the rest waits for the next step
 MOST_WAITING_BYTES = 65_536  # for a client that does not read; further packets are dropped
 
 
+class Link(Protocol):
+    """One link behind a socket. Its constructor registers what `receive_waiting` calls."""
+
+    def send_due(self) -> None:
+        """Send all packets that are due."""
+
+    def close(self) -> None:
+        """Close the sockets."""
+
+
+def receive_waiting(selector: selectors.BaseSelector) -> None:
+    """Read all sockets of this selector on which something waits, and answer."""
+    for key, _ in selector.select(0):
+        read: Callable[[], None] = key.data
+        read()
+
+
 def _answers(end: LinkEnd, data: bytes) -> Iterator[bytes]:
-    """Answers to received bytes. Aborts the process where the real autopilot aborts."""
+    """Answers to received bytes. Aborts the process, with all its stand-ins, where the real autopilot aborts."""
     try:
         yield from end.receive(data)
     except AutopilotAbortedError as error:
-        print(f"aborted by {error}", file=sys.stderr, flush=True)
+        print(f"vehicle {end.system_id}: aborted by {error}", file=sys.stderr, flush=True)
         os.abort()
 
 
-class UdpLink(asyncio.DatagramProtocol):
+class UdpLink:
     """One UDP link. Its peer is the first sender, for the life of the process; before, packets go to `address`."""
 
-    def __init__(self, end: LinkEnd, address: tuple[str, int]) -> None:
+    def __init__(self, end: LinkEnd, port: int, address: tuple[str, int], selector: selectors.BaseSelector) -> None:
+        """Raises OSError for a port in use."""
         self._end = end
         self._address = address
         self._connected = False
-        self._transport: asyncio.DatagramTransport | None = None
-
-    def connection_made(self, transport: asyncio.DatagramTransport) -> None:  # type: ignore[override]
-        self._transport = transport
-
-    def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
-        if not self._connected:
-            self._connected, self._address = True, addr
-            self._end.peer_connected()
-        elif addr != self._address:
-            return
-        self._send(_answers(self._end, data))
-
-    def error_received(self, exc: Exception) -> None:
-        """No process listens at the address yet."""
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self._socket.setblocking(False)
+            self._socket.bind((LOOPBACK, port))
+        except OSError:
+            self._socket.close()
+            raise
+        selector.register(self._socket, selectors.EVENT_READ, self._read)
 
     def send_due(self) -> None:
         self._send(self._end.due())
 
-    def _send(self, packets: Iterator[bytes]) -> None:
+    def close(self) -> None:
+        self._socket.close()
+
+    def _read(self) -> None:
+        for _ in range(DATAGRAMS_PER_STEP):
+            try:
+                data, sender = self._socket.recvfrom(READ_BYTES)
+            except BlockingIOError:
+                return
+            except OSError:
+                continue  # an ICMP error for an earlier packet: no process listens at the address yet
+            if not self._connected:
+                self._connected, self._address = True, sender
+                self._end.peer_connected()
+            if sender == self._address:
+                self._send(_answers(self._end, data))
+
+    def _send(self, packets: Iterable[bytes]) -> None:
         for packet in packets:
-            if self._transport is not None:
-                self._transport.sendto(packet, self._address)
+            with contextlib.suppress(OSError):  # also for an earlier packet; a full buffer loses this one
+                self._socket.sendto(packet, self._address)
 
 
 class TcpLink:
@@ -61,50 +97,69 @@ class TcpLink:
     A later client finds the message rates unchanged.
     """
 
-    def __init__(self, end: LinkEnd) -> None:
+    def __init__(self, end: LinkEnd, port: int, selector: selectors.BaseSelector) -> None:
+        """Raises OSError for a port in use."""
         self._end = end
-        self._client: asyncio.Transport | None = None
-
-    def accept(self) -> asyncio.Protocol:
-        """The protocol of a new connection."""
-        return _Client(self)
-
-    def connected(self, transport: asyncio.Transport) -> None:
-        if self._client is None:
-            self._client = transport
-            self._end.peer_connected()
-        else:
-            transport.close()
-
-    def disconnected(self, transport: asyncio.Transport) -> None:
-        if transport is self._client:
-            self._client = None
-
-    def received(self, transport: asyncio.Transport, data: bytes) -> None:
-        if transport is self._client:
-            self._send(_answers(self._end, data))
+        self._selector = selector
+        self._client: socket.socket | None = None
+        self._waiting = b""  # for the client
+        self._server = socket.create_server((LOOPBACK, port))
+        self._server.setblocking(False)
+        selector.register(self._server, selectors.EVENT_READ, self._accept)
 
     def send_due(self) -> None:
         self._send(self._end.due())
 
-    def _send(self, packets: Iterator[bytes]) -> None:
+    def close(self) -> None:
+        self._disconnect()
+        self._server.close()
+
+    def _accept(self) -> None:
+        try:
+            client, _ = self._server.accept()
+        except OSError:
+            return  # it has gone already
+        if self._client is not None:
+            client.close()
+            return
+        client.setblocking(False)
+        client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._client = client
+        self._selector.register(client, selectors.EVENT_READ, self._read)
+        self._end.peer_connected()
+
+    def _disconnect(self) -> None:
+        if self._client is not None:
+            self._selector.unregister(self._client)
+            self._client.close()
+        self._client, self._waiting = None, b""
+
+    def _read(self) -> None:
+        if self._client is None:
+            return
+        try:
+            data = self._client.recv(READ_BYTES)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        if data:
+            self._send(_answers(self._end, data))
+        else:
+            self._disconnect()
+
+    def _send(self, packets: Iterable[bytes]) -> None:
+        """Also without a client: what is due now is not due again."""
         data = b"".join(packets)
-        if data and self._client is not None and self._client.get_write_buffer_size() < MOST_WAITING_BYTES:
-            self._client.write(data)
-
-
-class _Client(asyncio.Protocol):
-    """One connection to a TcpLink."""
-
-    def __init__(self, link: TcpLink) -> None:
-        self._link = link
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self._transport = cast(asyncio.Transport, transport)
-        self._link.connected(self._transport)
-
-    def connection_lost(self, _exc: Exception | None) -> None:
-        self._link.disconnected(self._transport)
-
-    def data_received(self, data: bytes) -> None:
-        self._link.received(self._transport, data)
+        if self._client is None:
+            return
+        if len(self._waiting) < MOST_WAITING_BYTES:
+            self._waiting += data
+        if not self._waiting:
+            return
+        try:
+            self._waiting = self._waiting[self._client.send(self._waiting) :]
+        except BlockingIOError:
+            return
+        except OSError:
+            self._disconnect()

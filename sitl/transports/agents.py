@@ -12,12 +12,12 @@ from statistics import fmean
 from tempfile import TemporaryDirectory
 
 from companion.ground.session import FleetSession
-from companion.link.own_identity import load
+from companion.link.fleet.own_identity import load
 from companion.security.identity import Identity
 from sitl.flight.director import Director, MachineClock
 from sitl.flight.files import ids_of, write_files
 from sitl.flight.orders import FlightFailure
-from sitl.flight.processes.fleet import Fleet
+from sitl.flight.processes.fleet import Fleet, stand_ins_together
 from sitl.flight.processes.identities import identity_folder, provision, use_identities
 from sitl.flight.scenario import Scenario, load_scenario
 from sitl.flight.watch import watch_of
@@ -63,7 +63,7 @@ def _cpu_percent(scenario: Scenario, folder: Path, secured: bool) -> float:
         endpoints = [f"{'tls' if secured else 'tcp'}/{LOOPBACK}:{ports_of(i, offset).zenoh}" for i in ids]
         watch = watch_of(scenario, time.monotonic())
         progress = Progress(_name(secured), True, watch.began_s)
-        with Fleet.start_written(scenario, folder, offset) as fleet, progress:
+        with Fleet.start_written(scenario, folder, offset, stand_ins_together(scenario)) as fleet, progress:
             with FleetSession(scenario.fleet.name, endpoints, "" if identity else "bench", identity) as session:
 
                 def check() -> None:

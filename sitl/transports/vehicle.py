@@ -19,11 +19,11 @@ import msgspec
 import numpy as np
 
 from companion.config.vehicle import AgentConfig, load_agent
-from companion.link.datagram_seal import DatagramSeal
-from companion.link.own_identity import vehicle_identity
-from companion.link.peer_datagrams import PeerDatagrams
+from companion.link.fleet.datagram_seal import DatagramSeal
+from companion.link.fleet.own_identity import vehicle_identity
+from companion.link.fleet.peer_datagrams import PeerDatagrams
+from companion.link.fleet.zenoh_link import ZenohLink
 from companion.link.tick import PERIOD_S
-from companion.link.zenoh_link import ZenohLink
 from companion.types.flight import FlightPhase
 from companion.types.formation import FlownSlot, LeaderBeacon
 from companion.types.peers import PeerPacket

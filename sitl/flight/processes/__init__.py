@@ -1,1 +1,1 @@
-"""A flight with real processes: one agent and one stand-in per vehicle, their start and end; `sitl fly` and `sitl fleet`."""
+"""A flight with real processes: one agent per vehicle, the stand-ins, their start and end; `sitl fly` and `sitl fleet`."""

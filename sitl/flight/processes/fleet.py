@@ -1,4 +1,4 @@
-"""Processes of one flight: an agent and, without external autopilots, a stand-in per vehicle; their start and end."""
+"""Processes of one flight: an agent per vehicle and, without external autopilots, the stand-ins; their start and end."""
 
 from __future__ import annotations
 
@@ -14,20 +14,21 @@ from types import TracebackType
 from typing import Self
 
 from sitl.flight.external import ReachedVehicle
-from sitl.flight.files import ids_of, network_path, truth_path, write_files
+from sitl.flight.files import autopilot_path, ids_of, network_path, truth_path, write_files
 from sitl.flight.scenario import Scenario
 
 AGENT_ENDS_WITHIN_S = 5.0  # it first hands over to the autopilot
 STAND_IN_ENDS_WITHIN_S = 3.0
 POLL_S = 0.02
+STAND_INS_PER_PROCESS = 16  # a third of a core; alone each of them would take three to four times its share
 
 
 @dataclass(frozen=True, slots=True)
 class Child:
-    """One process of a fleet. `name` is "agent 3", "autopilot 3" or "network", which belongs to no vehicle."""
+    """One process of a fleet. `name` is "agent 3", "autopilot 3", "autopilots 1 to 4" or "network", which has no vehicle."""
 
     name: str
-    vehicle_id: int | None
+    vehicle_ids: tuple[int, ...]
     log: Path
     process: subprocess.Popen[bytes]
 
@@ -41,7 +42,8 @@ class Child:
         code = self.process.poll()
         if code is None:
             return ""
-        how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
+        was = "were" if len(self.vehicle_ids) > 1 else "was"
+        how = f"{was} killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
         return f"{self.name} {how}: {self.last_output()}"
 
 
@@ -62,34 +64,43 @@ class Fleet:
     ) -> Fleet:
         """Write every process's file into `folder` and start it, stand-ins first; `external` autopilots need no stand-in."""
         write_files(scenario, folder, port_offset, external)
-        return cls.start_written(scenario, folder, port_offset, external is None)
+        together = stand_ins_together(scenario) if external is None else []
+        return cls.start_written(scenario, folder, port_offset, together)
 
     @classmethod
-    def start_written(cls, scenario: Scenario, folder: Path, port_offset: int, stand_ins: bool = True) -> Fleet:
-        """Start the processes of the files in `folder`."""
+    def start_written(
+        cls, scenario: Scenario, folder: Path, port_offset: int, stand_ins: Sequence[Sequence[int]]
+    ) -> Fleet:
+        """Start the processes of the files in `folder`. Each item of `stand_ins` is the ids of those in one process."""
         fleet = cls([])
         try:
             if network_path(folder).exists():
                 fleet._start_network(folder)
-            for vehicle_id in ids_of(scenario) if stand_ins else []:
-                arguments = ["--port-offset", str(port_offset), "--truth", str(truth_path(folder, vehicle_id))]
-                fleet._start(folder, "sitl", "autopilot", vehicle_id, arguments)
+            for ids in stand_ins:
+                fleet._start_stand_ins(folder, ids, port_offset)
             for vehicle_id in ids_of(scenario):
-                fleet._start(folder, "companion", "agent", vehicle_id, [])
+                fleet._start_agent(folder, vehicle_id)
         except BaseException:  # also an interruption: started processes must not remain
             fleet.kill()
             raise
         return fleet
 
     def _start_network(self, folder: Path) -> None:
-        self._spawn("network", None, folder / "network.log", "sitl.links.emulated_network", str(network_path(folder)))
+        self._spawn("network", (), "sitl.links.emulated_network", str(network_path(folder)), folder=folder)
 
-    def _start(self, folder: Path, program: str, role: str, vehicle_id: int, more: Sequence[str]) -> None:
-        config = folder / f"{'vehicle' if role == 'agent' else role}_{vehicle_id}.yaml"
-        log = folder / f"{role}_{vehicle_id}.log"
-        self._spawn(f"{role} {vehicle_id}", vehicle_id, log, program, role, "--config", str(config), *more)
+    def _start_stand_ins(self, folder: Path, ids: Sequence[int], port_offset: int) -> None:
+        name = f"autopilot {ids[0]}" if len(ids) == 1 else f"autopilots {ids[0]} to {ids[-1]}"
+        configs = [str(autopilot_path(folder, i)) for i in ids]
+        truths = [str(truth_path(folder, i)) for i in ids]
+        arguments = ["--config", *configs, "--truth", *truths, "--port-offset", str(port_offset)]
+        self._spawn(name, ids, "sitl", "autopilot", *arguments, folder=folder)
 
-    def _spawn(self, name: str, vehicle_id: int | None, log: Path, module: str, *arguments: str) -> None:
+    def _start_agent(self, folder: Path, vehicle_id: int) -> None:
+        config = str(folder / f"vehicle_{vehicle_id}.yaml")
+        self._spawn(f"agent {vehicle_id}", [vehicle_id], "companion", "agent", "--config", config, folder=folder)
+
+    def _spawn(self, name: str, ids: Sequence[int], module: str, *arguments: str, folder: Path) -> None:
+        log = folder / f"{name.replace(' ', '_')}.log"
         with log.open("wb") as output:
             process = subprocess.Popen(
                 [
@@ -101,7 +112,7 @@ class Fleet:
                 stderr=subprocess.STDOUT,
                 start_new_session=True,  # Ctrl-C in the terminal reaches the parent alone, which lands first
             )
-        self._children = (*self._children, Child(name, vehicle_id, log, process))
+        self._children = (*self._children, Child(name, tuple(ids), log, process))
 
     def pid_of(self, name: str) -> int:
         """Process id of the process with this name, like "agent 3"."""
@@ -118,7 +129,7 @@ class Fleet:
     def lost_vehicles(self) -> set[int]:
         """Vehicles whose agent or stand-in has ended: they cannot be landed from here."""
         ended = (child for child in self._children if child.process.poll() is not None)
-        return {child.vehicle_id for child in ended if child.vehicle_id is not None}
+        return {vehicle_id for child in ended for vehicle_id in child.vehicle_ids}
 
     def stop(self) -> list[str]:
         """End the agents, then the others; kill a process that does not end. Returns the names of the killed."""
@@ -144,6 +155,12 @@ class Fleet:
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.kill()
+
+
+def stand_ins_together(scenario: Scenario) -> list[list[int]]:
+    """Ids of all stand-ins, in as few processes as one core each can run."""
+    ids = [int(vehicle_id) for vehicle_id in ids_of(scenario)]
+    return [ids[at : at + STAND_INS_PER_PROCESS] for at in range(0, len(ids), STAND_INS_PER_PROCESS)]
 
 
 def _end(children: Sequence[Child], within_s: float) -> list[str]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+import sys
 import time
 from contextlib import ExitStack
 from pathlib import Path
@@ -27,8 +29,10 @@ from sitl.stopping import StopRequest
 OPERATOR = "sitl-fleet"
 HOW_TO = """\
 fleet {name}, vehicles {ids}. In a second terminal, one after the other:
-  companion fleet doctor --fleet {file}
-  companion fleet arm --fleet {file}        and likewise takeoff, form, ..., land: companion fleet --help
+  {companion} fleet use {file}        from then on this fleet is meant
+  {companion} fleet doctor
+  {companion} fleet arm        and likewise takeoff, form, ..., land: companion fleet --help
+  {companion} monitor
 MAVLink for a ground station: {ground_links}
 Ctrl-C here lands all vehicles and ends."""
 
@@ -76,6 +80,14 @@ def _wait_and_land(
     return [*([overload_line(busy)] if busy else []), *failures], bool(failures)
 
 
+def companion_program() -> str:
+    """How a terminal in the present folder calls `companion`: by its name where that is in PATH, else by its path."""
+    if shutil.which("companion"):
+        return "companion"
+    program = Path(sys.executable).with_name("companion")
+    return str(program.relative_to(Path.cwd()) if program.is_relative_to(Path.cwd()) else program)
+
+
 def _how_to(scenario: Scenario, folder: Path, offset: int) -> str:
     ids = ids_of(scenario)
     first, last = (ports_of(vehicle_id, offset).ground_link for vehicle_id in (ids[0], ids[-1]))
@@ -83,5 +95,6 @@ def _how_to(scenario: Scenario, folder: Path, offset: int) -> str:
         name=scenario.fleet.name,
         ids=", ".join(map(str, ids)),
         file=folder / "fleet.yaml",
+        companion=companion_program(),
         ground_links=f"udpout:{LOOPBACK}:{first}" + (f" (vehicle {ids[0]}) to {last} (vehicle {ids[-1]})"),
     )

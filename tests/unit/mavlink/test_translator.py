@@ -50,7 +50,7 @@ def test_attitude_is_converted_to_flu_in_enu() -> None:
     data = from_autopilot(mavlink.MAVLink_attitude_quaternion_message(1500, *quaternion, 0, 0, 0))
     (sample,) = Translator(3, AutopilotKind.PX4).telemetry(data, 9.0)
     assert isinstance(sample, AttitudeSample)
-    assert (sample.roll_rad, sample.pitch_rad, sample.yaw_rad) == pytest.approx((0.1, -0.2, pi / 2 - 0.3), abs=1e-6)
+    assert (sample.roll_rad, sample.pitch_rad, sample.yaw_rad) == pytest.approx((0.1, -0.2, pi / 2 - 0.3), abs=1e-5)
 
 
 @pytest.mark.parametrize("quaternion", [(float("nan"), 0, 0, 0), (0, 0, 0, 0), (2, 0, 0, 0)])

@@ -34,7 +34,8 @@ def test_a_missing_package_is_reported_in_one_line(command: str, package: str) -
     ("run", "arguments"),
     [
         ("companion.app.run_agent", ["agent", "--config", "vehicle.yaml"]),
-        ("companion.ground.monitor.run_monitor", ["monitor"]),
+        ("companion.monitor.terminal.run.run_monitor", ["monitor", "--tui"]),
+        ("companion.monitor.live_page.run_live_page", ["monitor"]),
     ],
 )
 def test_agent_and_monitor_exit_with_0_on_ctrl_c_during_the_start(

