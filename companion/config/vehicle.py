@@ -42,6 +42,33 @@ class Signing(Section, frozen=True):
     link_id: Annotated[int, Meta(ge=0, le=255, description="link id of the signed packets")] = 0
 
 
+class RecordingSettings(Section, frozen=True):
+    """What the agent records of each flight, and how much of the disk that may use."""
+
+    enabled: Annotated[bool, Meta(description="`false`: nothing is recorded")] = True
+    folder: (
+        Annotated[
+            str,
+            Meta(
+                min_length=1,
+                description="folder of the recordings, relative to the vehicle file; without it `recordings` in the state"
+                " folder of the systemd unit, and without a unit nothing is recorded",
+            ),
+        ]
+        | None
+    ) = None
+    keep_mb: Annotated[
+        int,
+        Meta(
+            ge=2, le=1_000_000, description="what all files in the folder may use; the oldest flights are removed first"
+        ),
+    ] = 2000
+    part_mb: Annotated[int, Meta(ge=1, le=100_000, description="size at which another file is begun")] = 50
+    tlog: Annotated[
+        bool, Meta(description="`true`: also a `.tlog` of the raw MAVLink in both directions, some 0.8 MB a minute")
+    ] = False
+
+
 MAVLINK_FORMAT = "udpin:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD, like serial:/dev/ttyAMA0:921600"
 MavlinkEndpoint = Annotated[
     str,
@@ -117,6 +144,7 @@ class VehicleConfig(Section, frozen=True):
         | None
     ) = None
     signing: Signing | None = None
+    recording: RecordingSettings = RecordingSettings()
     ground_station: Annotated[
         str,
         Meta(
@@ -154,6 +182,7 @@ def load_agent(path: Path) -> AgentConfig:
 
     def problems(vehicle: VehicleConfig) -> Iterator[Problem]:
         yield from each(_signing_problems(vehicle))
+        yield from each(_recording_problems(vehicle.recording))
         fleet_path = path.parent / vehicle.fleet
         if not fleet_path.is_file():
             where = f"looked for {fleet_path}; the path is relative to the vehicle file"
@@ -164,7 +193,7 @@ def load_agent(path: Path) -> AgentConfig:
         except ConfigError as error:
             errors.append(error)
         else:
-            yield from _membership_problems(vehicle, fleets[0], fleet_path)
+            yield from membership_problems(vehicle, fleets[0], fleet_path)
             secured = vehicle.identity is not None
             yield from each(network_problems(fleets[0], vehicle.id, vehicle.zenoh, vehicle.datagrams, secured))
 
@@ -185,7 +214,13 @@ def _signing_problems(vehicle: VehicleConfig) -> Iterator[Problem]:
         yield Problem("signing", "expected one of key_file and credential, where the key is")
 
 
-def _membership_problems(vehicle: VehicleConfig, fleet: FleetConfig, fleet_path: Path) -> Iterator[Problem]:
+def _recording_problems(recording: RecordingSettings) -> Iterator[Problem]:
+    if recording.keep_mb < 2 * recording.part_mb:
+        expected = f"at least {2 * recording.part_mb}, twice part_mb"
+        yield Problem("recording.keep_mb", f"{recording.keep_mb}; expected {expected}")
+
+
+def membership_problems(vehicle: VehicleConfig, fleet: FleetConfig, fleet_path: Path) -> Iterator[Problem]:
     """The vehicle must have a slot in its fleet, and a reference exactly if it may lead."""
     member = fleet.member(vehicle.id)
     if member is None:

@@ -11,6 +11,7 @@ from msgspec.structs import replace
 
 from companion.core.command.arbitration import Intake
 from companion.core.command.phase import RULES, Flight
+from companion.core.consensus.law import FormationLaw, used_weights
 from companion.core.consensus.neighbourhood import Consensus
 from companion.core.control.setpoint import Setpoint
 from companion.core.estimation.perception import Perception
@@ -53,8 +54,9 @@ class Report(Struct, frozen=True, gc=False):
 class ReportStage:
     """Peer packet, status and events. `refused` counts messages rejected before they came to the agent, by reason."""
 
-    def __init__(self, identity: Identity, checks: FleetChecks) -> None:
+    def __init__(self, identity: Identity, law: FormationLaw, checks: FleetChecks) -> None:
         self._identity = identity
+        self._law = law
         self._checks = checks
         self._interventions = Interventions()
         self._sequence = 0
@@ -175,6 +177,7 @@ class ReportStage:
             reference=guidance.held_reference,
             target_age_s=guidance.target_age_s,
             refuses_return=self._refusal_of_return(vehicle, flight, consensus),
+            warnings=() if vehicle.armed else perception.fitness.warnings,
             lacks=() if vehicle.armed else perception.fitness.lacks + self._checks.lacks(vehicle, peers),
             holder=intake.holder,
             command_number=intake.number,
@@ -184,6 +187,8 @@ class ReportStage:
             heading=guidance.heading,
             largest_step_deg=setpoint.largest_step_deg,
             separation=setpoint.separation,
+            weights=tuple(used_weights(self._law, consensus.role is Role.LEADER, consensus.neighbour_prcs)),
+            neighbour_ages_s=tuple([now_s - consensus.fresh[i].measured_s for i in consensus.neighbour_ids]),
         )
 
     def _refusal_of_return(self, vehicle: VehicleState, flight: Flight, consensus: Consensus) -> Notice | None:

@@ -52,3 +52,9 @@ def clamped(value: float, limit: float) -> float:
     if value > limit:
         return limit
     return -limit if value < -limit else value
+
+
+def rounded(vector: Vector3, decimals: int) -> Vector3:
+    """The vector with so many decimals. NaN and infinity stay."""
+    x, y, z = vector
+    return (round(x, decimals), round(y, decimals), round(z, decimals))

@@ -11,6 +11,7 @@ from typing import NoReturn
 
 from companion.config.vehicle import VehicleConfig
 from companion.link.mavlink_link import open_link
+from companion.link.recorded_link import RecordedLink, RecordPacket
 from companion.mavlink.translator import Translator
 from companion.types.notices import Code
 from companion.types.requests import AttitudeTarget, AutopilotRequest
@@ -52,8 +53,9 @@ class AutopilotLink:
         translator: Translator,
         position_arrived: Callable[[], None],
         reject: Callable[[str], None],
+        record: RecordPacket | None = None,
     ) -> None:
-        """Opens the endpoint. Raises LinkError."""
+        """Opens the endpoint. `record` gets every packet of either direction. Raises LinkError."""
         self._vehicle_id = vehicle_id
         self._translator = translator
         self._position_arrived = position_arrived
@@ -64,7 +66,9 @@ class AutopilotLink:
         # Any valid packet, or one signed with an old timestamp: that autopilot first needs the time of this computer.
         self._present = asyncio.Event()
         self._pass_on: Callable[[Sequence[bytes]], None] | None = None
-        self._link = open_link(endpoint, self._bytes_arrived)
+        self._record = record
+        link = open_link(endpoint, self._bytes_arrived)
+        self._link = RecordedLink(link, record) if record else link
 
     @property
     def is_connected(self) -> bool:
@@ -158,6 +162,7 @@ class AutopilotLink:
         self._link.close()
 
     def _bytes_arrived(self, data: bytes, received_s: float) -> bool:
+        received_s = round(received_s, 6)  # as the time of a tick, so that it is never after the tick's
         samples = self._translator.telemetry(data, received_s)
         for _ in range(len(self._telemetry) + len(samples) - SAMPLES_KEPT):
             self._reject(Code.TELEMETRY_OVERLOAD)
@@ -175,6 +180,9 @@ class AutopilotLink:
                 self._position_arrived()
             elif isinstance(sample, HeartbeatSample):
                 self._heartbeat_received.set()
+        if self._record:
+            for packet in self._translator.packets:
+                self._record(packet, received_s)
         if self._pass_on and self.is_connected:
             self._pass_on(self._translator.packets)
         return from_autopilot

@@ -7,26 +7,28 @@ import gc
 import logging
 import signal
 import time
-from collections.abc import Callable, Coroutine, Iterable, Sequence
+from collections.abc import Callable, Coroutine, Sequence
 from math import inf
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from msgspec.structs import replace
 
 from companion.core.agent import Agent, Decision
 from companion.core.safety.failure_response import FailureResponse
-from companion.link.log import EventLog, RejectionLog
+from companion.link.ends import AutopilotEnd, PeerEnd
+from companion.link.log import EventLog, RejectionLog, field_of
 from companion.link.systemd import Notifier, status_line
-from companion.link.tick import BACK_UP_S, PERIOD_S, LateLoopLog, TickMeter, TickTrigger
-from companion.types.commands import Command, CommandReply
+from companion.link.tick import BACK_UP_S, PERIOD_S, LateLoopLog, TickMeter, TickTrigger, monotonic_s
+from companion.recording.records import TimingRecord
 from companion.types.notices import Code, Notice
-from companion.types.peers import PeerPacket, ReceivedPeerPacket, ReceivedTarget
-from companion.types.requests import AttitudeTarget, AutopilotRequest
-from companion.types.status import NetworkState
+from companion.types.status import RecordingState
 from companion.types.telemetry import PositionSample, Telemetry
 from companion.types.tick import Inbox, Outbox
-from companion.types.traffic import ReceivedTraffic
 from companion.wire.ground import StatusReport
+from companion.wire.rounding import as_sent, target_as_sent
+
+if TYPE_CHECKING:
+    from companion.recording.writer.recorder import Recorder
 
 COLLECT_PERIOD_S = 5.0
 
@@ -39,55 +41,27 @@ class AgentFailedError(Exception):
     """A defect ended the agent. `str()` is one line: what failed, and what was done."""
 
 
-class AutopilotEnd(Protocol):
-    """The part of `AutopilotLink` that a tick uses."""
-
-    @property
-    def is_connected(self) -> bool: ...
-
-    def drain(self) -> tuple[Telemetry, ...]: ...
-
-    def command(self, target: AttitudeTarget, now_s: float) -> None: ...
-
-    def request(self, requests: Iterable[AutopilotRequest]) -> None: ...
-
-
-class PeerEnd(Protocol):
-    """The part of `ZenohLink` that a tick uses."""
-
-    @property
-    def network(self) -> NetworkState: ...
-
-    @property
-    def is_open(self) -> bool: ...
-
-    def receive(self, now_s: float) -> tuple[tuple[ReceivedPeerPacket, ...], tuple[Command, ...]]: ...
-
-    def targets(self, now_s: float) -> tuple[ReceivedTarget, ...]: ...
-
-    def traffic(self, now_s: float) -> tuple[ReceivedTraffic, ...]: ...
-
-    def publish_peer(self, packet: PeerPacket) -> None: ...
-
-    def publish_status(self, report: StatusReport) -> None: ...
-
-    def reply(self, replies: Iterable[CommandReply]) -> None: ...
-
-
 class ControlLoop:
-    """Once per tick: fills the Inbox, lets the agent decide, sends the setpoint, then publishes the reports.
+    """Once per tick: fills the Inbox, lets the agent decide, sends the setpoint, then publishes the reports and records.
 
     An exception in any of this ends the loop by a hand-over: level setpoints and the autopilot's hold.
     """
 
     def __init__(
-        self, agent: Agent, autopilot: AutopilotEnd, peers: PeerEnd, trigger: TickTrigger, notifier: Notifier
+        self,
+        agent: Agent,
+        autopilot: AutopilotEnd,
+        peers: PeerEnd,
+        trigger: TickTrigger,
+        notifier: Notifier,
+        recorder: Recorder | None = None,
     ) -> None:
         self._agent = agent
         self._autopilot = autopilot
         self._peers = peers
         self._trigger = trigger
         self._notifier = notifier
+        self._recorder = recorder
         self._meter = TickMeter(time.monotonic())
         self._late = LateLoopLog()
         self._rejections = RejectionLog()
@@ -97,54 +71,79 @@ class ControlLoop:
         self._failure: BaseException | None = None
         self._last_report: StatusReport | None = None
         self._due_s = inf  # when the next tick begins at the latest
+        self._ticked_s = inf  # when the last one began
+        self._begun: tuple[float, Inbox] | None = None  # time and input of a tick that has not ended
         self._collected_s = -inf
 
     # ------------------------------------------------------------ one tick
 
     def tick(self, now_s: float) -> None:
         """One tick. Raises whatever a stage, an encoder or a link raises; `fail` must follow then."""
+        began_s = time.monotonic()
         inbox = self._inbox(now_s)
+        self._begun = (now_s, inbox)
         self._response.receive(inbox.telemetry)
         decision = self._agent.decide(now_s, inbox)
-        self._send(now_s, inbox.telemetry, decision)
-        self._publish(now_s, self._agent.report(decision))
+        latency_us = self._send(now_s, inbox.telemetry, decision)
+        sent_s = time.monotonic()
+        outbox = as_sent(self._agent.report(decision))
+        report = self._publish(now_s, outbox)
         self._notifier.cycle_completed(now_s, self._autopilot.is_connected and self._peers.is_open)
+        late_s, self._ticked_s = max(0.0, now_s - self._ticked_s - PERIOD_S), now_s
+        if self._recorder:
+            decide_us, whole_us = _us(sent_s - began_s), _us(time.monotonic() - began_s)
+            timing = TimingRecord(now_s, _us(late_s), decide_us, whole_us, latency_us)
+            if notice := self._recorder.tick(now_s, inbox, decision, outbox, report, timing):
+                self._events.happened(notice, now_s)
+        self._begun = None
 
     def _inbox(self, now_s: float) -> Inbox:
         peers, commands = self._peers.receive(now_s)
         targets, traffic = self._peers.targets(now_s), self._peers.traffic(now_s)
-        late_s, self._due_s = max(0.0, now_s - self._due_s), now_s + BACK_UP_S
+        late_s, self._due_s = round(max(0.0, now_s - self._due_s), 6), now_s + BACK_UP_S
         return Inbox(self._autopilot.drain(), peers, commands, self._stop_asked_s is not None, targets, late_s, traffic)
 
-    def _send(self, now_s: float, telemetry: Sequence[Telemetry], decision: Decision) -> None:
-        """Send the setpoint and the requests, before packets, status and log lines are built."""
-        target = decision.setpoint.target
+    def _send(self, now_s: float, telemetry: Sequence[Telemetry], decision: Decision) -> int | None:
+        """Send the setpoint and the requests, before packets, status and log lines are built.
+
+        Returns the time from the newest position to its setpoint, us.
+        """
+        latency_us, wanted = None, decision.setpoint.target
+        target = target_as_sent(wanted) if wanted else None
         self._response.sent(decision.flight, target, decision.setpoint.hover_thrust_norm)
         if target:
             self._autopilot.command(target, now_s)
-            self._measure_command(telemetry)
+            latency_us = self._measure_command(telemetry)
         self._autopilot.request(decision.requests)
+        return latency_us
 
-    def _publish(self, now_s: float, outbox: Outbox) -> None:
+    def _publish(self, now_s: float, outbox: Outbox) -> StatusReport | None:
+        """Returns the report where one is published."""
         self._peers.reply(outbox.replies)
         self._response.publishes(outbox.peer_packet)
         if outbox.peer_packet:
             self._peers.publish_peer(outbox.peer_packet)
         self._meter.phase_after_tick(self._agent.phase, now_s)
+        report = None
         if outbox.status:
-            status = replace(outbox.status, network=self._peers.network)
-            self._last_report = StatusReport(status, self._meter.timing(now_s))
-            self._peers.publish_status(self._last_report)
+            recording = self._recorder.state if self._recorder else RecordingState()
+            status = replace(outbox.status, network=self._peers.network, recording=recording)
+            report = self._last_report = StatusReport(status, self._meter.timing(now_s))
+            self._peers.publish_status(report)
             self._notifier.status(status_line(outbox.status))
             self._rejections.update(outbox.status.rejected, now_s)
         for event in outbox.events:
             self._events.happened(event, now_s)
+        return report
 
-    def _measure_command(self, telemetry: Sequence[Telemetry]) -> None:
-        """Latency from the arrival of the newest position to now, when its setpoint has been sent."""
+    def _measure_command(self, telemetry: Sequence[Telemetry]) -> int | None:
+        """Latency from the arrival of the newest position to now, when its setpoint has been sent, us."""
         arrivals_s = [sample.received_s for sample in telemetry if isinstance(sample, PositionSample)]
-        if arrivals_s:
-            self._meter.command_sent(arrivals_s[-1], time.monotonic())
+        if not arrivals_s:
+            return None
+        sent_s = time.monotonic()
+        self._meter.command_sent(arrivals_s[-1], sent_s)
+        return _us(sent_s - arrivals_s[-1])
 
     # ------------------------------------------------------------ after a failure
 
@@ -153,8 +152,10 @@ class ControlLoop:
         self._failure = error
         ended = self.hand_over(now_s)
         notice = Notice(Code.AGENT_FAILED, f"{type(error).__name__}: {error}")
-        _log.critical("%s in phase %s", notice, self._agent.phase, exc_info=error)
+        _log.critical("%s in phase %s", notice, self._agent.phase, exc_info=error, extra=field_of(notice.code))
         _attempt(lambda: self._notifier.status(str(notice)))
+        if self._recorder:
+            self._recorder.failure(now_s, notice, self._begun)
         if self._last_report:
             report = replace(self._last_report, status=replace(self._last_report.status, last_event=notice))
             _attempt(lambda: self._peers.publish_status(report))
@@ -206,10 +207,10 @@ class ControlLoop:
         return self._stop_asked_s is not None
 
     async def _tick_until_done(self, give_up_s: float) -> None:
-        now_s = time.monotonic()
+        now_s = monotonic_s()
         while not self._is_done(now_s, give_up_s):
             await self._trigger.wait(now_s)
-            due_s, now_s = now_s + BACK_UP_S, time.monotonic()
+            due_s, now_s = now_s + BACK_UP_S, monotonic_s()
             if self._failure:
                 break
             self._late.cycle(due_s, now_s)
@@ -270,6 +271,11 @@ class ControlLoop:
         """End the loop at once. Of several failures the first is reported."""
         self._failure = self._failure or error
         self._trigger.fire()
+
+
+def _us(seconds: float) -> int:
+    """To ten microseconds."""
+    return round(seconds * 1e5) * 10
 
 
 def _attempt(action: Callable[[], object]) -> None:

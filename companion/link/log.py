@@ -9,9 +9,11 @@ import select
 import sys
 import threading
 from collections.abc import Mapping
+from typing import Any
 
 from companion.mavlink.codec import mavlink
 from companion.types.commands import Command, CommandReply
+from companion.types.flight import HealthFlag
 from companion.types.notices import Notice
 from companion.types.printable import printable_lines
 from companion.types.rejections import rejection_text
@@ -21,6 +23,7 @@ BURST = 20  # lines of one code at once
 LINES_PER_S = 1.0  # of one code, after that
 LINES_KEPT = 500  # that wait for the stream
 FLUSH_S = 1.0
+FLAGS = frozenset(str(flag) for flag in HealthFlag)
 
 _log = logging.getLogger(__name__)
 
@@ -42,9 +45,9 @@ class DroppingHandler(logging.Handler):
     def __init__(self, descriptor: int) -> None:
         super().__init__()
         self._descriptor = descriptor
-        self._lines: queue.Queue[str] = queue.Queue(LINES_KEPT)
+        self._waiting: queue.Queue[Any] = queue.Queue(LINES_KEPT)
         self.dropped = 0
-        threading.Thread(target=self._write, name="log", daemon=True).start()
+        threading.Thread(target=self._write_all, name="log", daemon=True).start()
 
     def emit(self, record: logging.LogRecord) -> None:
         """Put a line into the queue, or count it."""
@@ -52,34 +55,53 @@ class DroppingHandler(logging.Handler):
         if self.dropped:
             text += f" ({self.dropped} lines dropped before, while the log took none)"
         try:
-            self._lines.put_nowait(text + "\n")
+            self._waiting.put_nowait(self._made(record, text))
             self.dropped = 0
         except queue.Full:
             self.dropped += 1
 
     def flush(self) -> None:
         """Wait until all lines are written, FLUSH_S at most."""
-        with self._lines.all_tasks_done:
-            self._lines.all_tasks_done.wait_for(lambda: not self._lines.unfinished_tasks, FLUSH_S)
+        with self._waiting.all_tasks_done:
+            self._waiting.all_tasks_done.wait_for(lambda: not self._waiting.unfinished_tasks, FLUSH_S)
 
-    def _write(self) -> None:
-        # Not by sys.stderr: a thread that hangs in its buffer would abort the interpreter at its end.
+    def _write_all(self) -> None:
         while True:
-            left = self._lines.get().encode(errors="replace")
-            while left:
-                try:
-                    left = left[os.write(self._descriptor, left) :]
-                except BlockingIOError:
-                    select.select([], [self._descriptor], [])
-                except OSError:  # there is no reader any more
-                    break
-            self._lines.task_done()
+            self._write(self._waiting.get())
+            self._waiting.task_done()
+
+    def _made(self, _record: logging.LogRecord, text: str) -> Any:
+        """What waits in the queue for `_write`; made by the caller's thread."""
+        return text
+
+    def _write(self, made: Any) -> None:
+        write_line(self._descriptor, made)
+
+
+def write_line(descriptor: int, text: str) -> None:
+    """Wait until the line is written, or there is no reader any more.
+
+    Not by sys.stderr: a thread that hangs in its buffer would abort the interpreter at its end.
+    """
+    left = f"{text}\n".encode(errors="replace")
+    while left:
+        try:
+            left = left[os.write(descriptor, left) :]
+        except BlockingIOError:
+            select.select([], [descriptor], [])
+        except OSError:  # there is no reader any more
+            break
 
 
 def log_to_stderr(vehicle_id: int) -> None:
     """Log lines like "12:00:01.234 vehicle 3: takeoff -> hold", in local time."""
-    handler = DroppingHandler(sys.stderr.fileno())
-    handler.setFormatter(PrintableFormatter(f"%(asctime)s.%(msecs)03d vehicle {vehicle_id}: %(message)s", "%H:%M:%S"))
+    line = f"%(asctime)s.%(msecs)03d vehicle {vehicle_id}: %(message)s"
+    log_to(DroppingHandler(sys.stderr.fileno()), PrintableFormatter(line, "%H:%M:%S"))
+
+
+def log_to(handler: logging.Handler, formatter: logging.Formatter) -> None:
+    """The only handler of this process."""
+    handler.setFormatter(formatter)
     logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
     logging.getLogger(mavlink.logger.name).setLevel(
         logging.WARNING
@@ -104,7 +126,13 @@ class LogLimiter:
             self._kept[code] = (lines, now_s, left_out + 1)
             return
         self._kept[code] = (lines - 1.0, now_s, 0)
-        _log.log(level, "%s%s", text, f" ({left_out} more of {code} left out before)" if left_out else "")
+        more = f" ({left_out} more of {code} left out before)" if left_out else ""
+        _log.log(level, "%s%s", text, more, extra=field_of(code))
+
+
+def field_of(code: str) -> dict[str, str]:
+    """`extra` of a log call: the code becomes a field of the journal."""
+    return {"companion_code": code}
 
 
 class EventLog:
@@ -114,8 +142,9 @@ class EventLog:
         self._limiter = LogLimiter()
 
     def happened(self, event: Notice, now_s: float) -> None:
-        """Log one event."""
-        self._limiter.log(logging.INFO, event.code, str(event), now_s)
+        """Log one event: a health flag as a warning."""
+        level = logging.WARNING if event.code in FLAGS else logging.INFO
+        self._limiter.log(level, event.code, str(event), now_s)
 
 
 class RejectionLog:

@@ -6,7 +6,10 @@ import asyncio
 import logging
 import os
 import resource
+import time
+from bisect import bisect_left
 from collections.abc import Callable
+from itertools import accumulate
 from math import inf, log
 from pathlib import Path
 
@@ -20,8 +23,14 @@ LEAST_PERIOD_S = 1 / 60  # mean time between ticks while positions come faster t
 TICKS_AT_ONCE = 3  # after a late position the next ones follow at once
 LATE_S = 0.02  # logged from this lateness on; on an idle machine a tick is less than 2 ms late
 LOG_PERIOD_S = 1.0
+OWN_MEMORY = Path("/proc/self/statm")
 
 _log = logging.getLogger(__name__)
+
+
+def monotonic_s() -> float:
+    """Time of this machine's monotonic clock, to the microsecond. More digits would be noise in packets and recordings."""
+    return round(time.monotonic(), 6)
 
 
 class TickTrigger:
@@ -32,31 +41,42 @@ class TickTrigger:
     """
 
     def __init__(self) -> None:
-        self._arrived = asyncio.Event()
+        self._arrived = False
+        self._waiter: asyncio.Future[None] | None = None
         self._nominal_s = -inf  # time of the next tick at the highest mean rate
 
     def position_arrived(self) -> None:
         """Trigger the next tick."""
-        self._arrived.set()
+        self._arrived = True
+        if self._waiter:
+            _end(self._waiter)
 
     def fire(self) -> None:
         """End the present wait at once, whatever the rate."""
         self._nominal_s = -inf
-        self._arrived.set()
+        self.position_arrived()
 
     async def wait(self, last_tick_s: float) -> None:
         """Wait for a position, at most until BACK_UP_S after the last tick. Times are of the event loop's clock."""
-        try:
-            async with asyncio.timeout_at(last_tick_s + BACK_UP_S):
-                await self._arrived.wait()
-        except TimeoutError:
-            pass
         loop = asyncio.get_running_loop()
+        if not self._arrived:
+            self._waiter = loop.create_future()
+            back_up = loop.call_at(last_tick_s + BACK_UP_S, _end, self._waiter)
+            try:
+                await self._waiter
+            finally:
+                back_up.cancel()
+                self._waiter = None
         early_s = self._nominal_s - (TICKS_AT_ONCE - 1) * LEAST_PERIOD_S - loop.time()
         if early_s > 0.0:
             await asyncio.sleep(early_s)
-        self._arrived.clear()
+        self._arrived = False
         self._nominal_s = max(self._nominal_s, loop.time()) + LEAST_PERIOD_S
+
+
+def _end(wait: asyncio.Future[None]) -> None:
+    if not wait.done():
+        wait.set_result(None)
 
 
 class LateLoopLog:
@@ -105,12 +125,10 @@ class Histogram:
         return Percentiles(self._at(0.50), self._at(0.99), round(self._max_us, 1))
 
     def _at(self, fraction: float) -> float:
-        seen = 0
-        for index, count in enumerate(self._counts):
-            seen += count
-            if count and seen >= fraction * self._total:
-                return round(min(self._RATIO**index, self._max_us), 1)
-        return 0.0
+        if not self._total:
+            return 0.0
+        index = bisect_left(list(accumulate(self._counts)), fraction * self._total)
+        return round(min(self._RATIO**index, self._max_us), 1)
 
 
 class TickMeter:
@@ -189,7 +207,7 @@ def _cpu_time_s() -> float:
 def _rss_mb() -> float:
     """Resident memory, MB; the peak where /proc is missing."""
     try:
-        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+        pages = int(OWN_MEMORY.read_bytes().split()[1])
     except OSError:
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     return pages * resource.getpagesize() / 1e6

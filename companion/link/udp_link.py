@@ -18,6 +18,7 @@ RELOCK_AFTER_S = 5.0  # a restarted autopilot may send from another port
 
 _SO_TIMESTAMPNS = 35  # Linux; missing in the socket module
 _TIMESPEC = struct.Struct("@ll")
+_ANCILLARY_BYTES = socket.CMSG_SPACE(_TIMESPEC.size)
 
 _log = logging.getLogger(__name__)
 
@@ -67,7 +68,7 @@ class UdpLink:
             if read_bytes > BYTES_PER_WAKE_UP:
                 return
             try:
-                data, ancillary, _, sender = self._socket.recvmsg(READ_BYTES, socket.CMSG_SPACE(_TIMESPEC.size))
+                data, ancillary, _, sender = self._socket.recvmsg(READ_BYTES, _ANCILLARY_BYTES)
             except BlockingIOError:
                 return
             except OSError:

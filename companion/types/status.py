@@ -7,11 +7,13 @@ from typing import Annotated, Literal
 from msgspec import Meta, Struct
 
 from companion.types.autopilot import LandedState, PositionError
-from companion.types.bounds import Finite, FiniteVector, FleetName, Number, VehicleId, VehicleIds, Word
+from companion.types.bounds import MAX_VEHICLES, Finite, FiniteVector, FleetName, Number, VehicleId, VehicleIds, Word
 from companion.types.flight import FlightPhase, HealthFlag, Role
 from companion.types.formation import EAST, FlownSlot, Heading, HeldReference, LeaderBeacon
 from companion.types.notices import Notice
 from companion.types.separation import SeparationReport
+
+OfNeighbours = Annotated[tuple[Finite, ...], Meta(max_length=MAX_VEHICLES)]
 
 
 class NetworkState(Struct, frozen=True, gc=False):
@@ -23,6 +25,13 @@ class NetworkState(Struct, frozen=True, gc=False):
 
     security: Literal["local", "identity", "none"] = "local"
     admission: Number | None = None
+
+
+class RecordingState(Struct, frozen=True, gc=False):
+    """Whether the agent records this flight. `dropped` records were lost so far, to a full or a slow disk."""
+
+    state: Literal["off", "on", "dropping"] = "off"
+    dropped: Number = 0
 
 
 class Status(Struct, frozen=True, gc=False):
@@ -68,3 +77,8 @@ class Status(Struct, frozen=True, gc=False):
     heading: Heading = EAST
     separation: SeparationReport = SeparationReport()  # while setpoints stream
     network: NetworkState = NetworkState()
+    # disarmed only: findings of the audit with which a vehicle may fly
+    warnings: Annotated[tuple[Notice, ...], Meta(max_length=100)] = ()
+    weights: OfNeighbours = ()  # w_ij of the neighbours, in their order; empty where the law does not use them
+    neighbour_ages_s: OfNeighbours = ()  # of their newest positions, in their order
+    recording: RecordingState = RecordingState()

@@ -89,7 +89,8 @@ class PhaseRequest(Struct, frozen=True, gc=False):
 class PhaseCommand(Struct, frozen=True, gc=False):
     """An admitted command for the phase machine, with what the checks found.
 
-    `unfit` refuses it in every phase, `refusal` in the phases where RULES allows it; `warning` goes with the answer.
+    `unfit` refuses it in every phase that does not refuse it itself, `refusal` in the phases where RULES allows it; `warning`
+    goes with the answer.
     """
 
     number: int
@@ -162,7 +163,7 @@ class PhaseMachine:
         if vehicle.autopilot is None:
             return refused(Code.NO_HEARTBEAT, f"{name}: no HEARTBEAT has come from the autopilot yet")
         rule = RULES[name]
-        if self._rule is rule or (self._rule is None and self.phase is rule.to is not P.OBSERVE):
+        if self._is_under_way(name):
             return accepted(Code.ALREADY_DONE, ALREADY.get(self.phase, f"{name} already in progress"))
         if self.phase not in rule.allowed:
             text = f"{name} is not possible in phase {self.phase}, only in {', '.join(sorted(rule.allowed))}"
@@ -176,6 +177,11 @@ class PhaseMachine:
         except ValueError as error:
             return refused(Code.ALTITUDE_UNKNOWN, f"{name}: {error}")
         return accepted(Code.PHASE_CHANGED, f"{name} begins")
+
+    def _is_under_way(self, name: CommandName) -> bool:
+        """Or done already."""
+        rule = RULES[name]
+        return self._rule is rule or (self._rule is None and self.phase is rule.to is not P.OBSERVE)
 
     def abort(self, now_s: float, vehicle: VehicleState) -> Answer:
         """(accepted, reason), from every phase: disarm on the ground, the autopilot's own hold in the air.
@@ -252,7 +258,7 @@ class PhaseMachine:
         name, warning = command.name, command.warning
         if name is C.ABORT:
             return self.abort(now_s, vehicle)
-        if command.unfit:
+        if command.unfit and (self._is_under_way(name) or self.phase in RULES[name].allowed):
             return Answer(False, command.unfit)
         if command.refusal and self.phase in RULES[name].allowed:
             return Answer(False, command.refusal)

@@ -44,6 +44,11 @@ class FormationLaw:
     feedforward: float = 0.0
 
 
+def used_weights(law: FormationLaw, leads: bool, prcs: Sequence[int]) -> list[float]:
+    """w_ij of the neighbours with these PrCs, in their order; empty for a leader under a law that does not use them."""
+    return neighbour_weights(prcs, law.exponent) if law.leader_uses_neighbours or not leads else []
+
+
 def weighted(gains: Gains = PAPER_GAINS, exponent: float = 1.0) -> FormationLaw:
     """Eq. 14 with Algorithms 1 and 2: the paper's law at exponent 1."""
     return FormationLaw(gains, exponent, leader_uses_neighbours=True)

@@ -58,6 +58,11 @@ class Consensus(Struct, frozen=True, gc=False):
     events: tuple[Notice, ...] = ()
 
     @property
+    def neighbour_prcs(self) -> list[int]:
+        """In the order of `neighbour_ids`."""
+        return [prc for prc, _ in self.neighbours]
+
+    @property
     def peers(self) -> tuple[PeerPacket, ...]:
         """The packets of all fresh peers, in every phase."""
         return tuple([peer.packet for peer in self.fresh.values()])

@@ -29,11 +29,15 @@ TRIES = 8  # an autopilot does not answer for a parameter that it lacks
 
 
 class Fitness(Struct, frozen=True, gc=False):
-    """Result of the audit: `refusal` of a flight in formation, and what a vehicle on the ground lacks for it."""
+    """Result of the audit: `refusal` of a flight in formation, and what a vehicle on the ground lacks for it.
+
+    `warnings` are the findings with which it may fly.
+    """
 
     refusal: Notice | None
     lacks: tuple[Notice, ...]
     battery_percent: float | None
+    warnings: tuple[Notice, ...] = ()
 
 
 class Preflight:
@@ -109,9 +113,11 @@ class Preflight:
         """A parameter without an answer counts as missing."""
         if self._autopilot is None:
             return Fitness(AUTOPILOT_UNKNOWN, (AUTOPILOT_UNKNOWN,), self.battery_percent)
-        refusals = [_notice(finding) for finding in self._findings() if finding.verdict is Verdict.REFUSAL]
+        findings = self._findings()
+        refusals = [_notice(finding) for finding in findings if finding.verdict is Verdict.REFUSAL]
+        warnings = [_notice(finding) for finding in findings if finding.verdict is Verdict.WARNING]
         refusal = Notice(Code.AUDIT_REFUSAL, "; ".join(notice.text for notice in refusals)) if refusals else None
-        return Fitness(refusal, self._lacks(refusals), self.battery_percent)
+        return Fitness(refusal, self._lacks(refusals), self.battery_percent, () if self._unread() else tuple(warnings))
 
     def _lacks(self, refusals: list[Notice]) -> tuple[Notice, ...]:
         """What the vehicle lacks for a flight in formation, on the ground: refusals of the audit, and failing arming checks."""

@@ -1,0 +1,1 @@
+"""What an agent records of a flight, and how it is read again."""

@@ -1,0 +1,162 @@
+"""Messages of a recording <-> JSON.
+
+`/inbox` and `/outbox` are exact, also for NaN, infinity and -0.0: what is decoded is what was encoded. What is empty or None
+is left out; telemetry, packets and the like are arrays (`compact.py`). The other messages are plain JSON.
+
+In MCAP: `log_time` is that of `log_time_ns`, and `sequence` of /inbox and /outbox is the number of the tick in its start, from
+1, so that a reader sees a gap.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Generic, TypeVar, get_args
+
+import msgspec
+from msgspec import Struct
+from msgspec.structs import fields
+
+from companion.recording import numbers
+from companion.recording.compact import Form, form_of
+from companion.recording.records import FORMAT, FORMAT_VERSION, DecisionRecord, Header, TimingRecord
+from companion.types.bounds import MAX_VEHICLES
+from companion.types.commands import Command, CommandReply
+from companion.types.notices import Notice
+from companion.types.requests import AutopilotRequest
+from companion.types.tick import Inbox, Outbox
+from companion.wire.ground import StatusReport
+
+T = TypeVar("T")
+Message = DecisionRecord | TimingRecord | StatusReport | Notice | Command | CommandReply
+
+LAST_S = 1e10  # of all clocks, the year 2286: its nanoseconds fit into an MCAP time
+MAX_PART = 100_000
+
+_REQUESTS = {type_.__name__: type_ for type_ in get_args(AutopilotRequest)}
+DECODE_ERRORS = (msgspec.MsgspecError, ValueError, RecursionError, LookupError, AttributeError, TypeError)
+
+
+class RecordError(Exception):
+    """A message that cannot be decoded."""
+
+
+class _TickCodec:
+    """Exact JSON of an Inbox or an Outbox with its time: an object with the fields that are not empty."""
+
+    def __init__(self, type_: type[Struct]) -> None:
+        forms: dict[str, Form[Any]] = {field.name: form_of(field.type, _REQUESTS) for field in fields(type_)}
+        self._type = type_
+        self._packs = [(name, form.pack) for name, form in forms.items()]
+        self._unpacks = [(name, form.unpack) for name, form in forms.items()]
+        self._wire: type[Any] = msgspec.defstruct(
+            type_.__name__,
+            [("now_s", float), *((field.name, forms[field.name].wire, field.default) for field in fields(type_))],
+            forbid_unknown_fields=True,
+        )
+        self._decoder = msgspec.json.Decoder(self._wire)
+
+    def encode(self, now_s: float, tick: Struct) -> bytes:
+        record: dict[str, Any] = {"now_s": now_s}
+        for name, pack in self._packs:
+            value = getattr(tick, name)
+            if value or value.__class__ is float:  # 0.0 too: -0.0 is another number
+                record[name] = pack(value) if pack else value
+        return numbers.encode(record)
+
+    def decode(self, data: bytes) -> tuple[float, Any]:
+        try:
+            if numbers.has_not_finite(data):
+                wire = msgspec.convert(numbers.decoded(data), self._wire)
+            else:
+                wire = self._decoder.decode(data)
+            values = {}
+            for name, unpack in self._unpacks:
+                value = getattr(wire, name)
+                values[name] = unpack(value) if unpack and value is not None else value
+            return wire.now_s, self._type(**values)
+        except DECODE_ERRORS as error:
+            raise RecordError(f"not an {self._type.__name__}: {_short(error)}") from error
+
+
+_inbox, _outbox = _TickCodec(Inbox), _TickCodec(Outbox)
+_encoder = msgspec.json.Encoder()
+
+
+def encode_inbox(now_s: float, inbox: Inbox) -> bytes:
+    """The message of /inbox for the tick at `now_s`."""
+    return _inbox.encode(now_s, inbox)
+
+
+def decode_inbox(data: bytes) -> tuple[float, Inbox]:
+    """Time and Inbox of a message. Raises RecordError."""
+    return _inbox.decode(data)
+
+
+def encode_outbox(now_s: float, outbox: Outbox) -> bytes:
+    """The message of /outbox for the tick at `now_s`."""
+    return _outbox.encode(now_s, outbox)
+
+
+def decode_outbox(data: bytes) -> tuple[float, Outbox]:
+    """Time and Outbox of a message. Raises RecordError."""
+    return _outbox.decode(data)
+
+
+def encode(message: Message) -> bytes:
+    """A message of another topic. NaN and infinity become null."""
+    return _encoder.encode(message)
+
+
+class Decoder(Generic[T]):
+    """Decodes the messages of one topic: `Decoder(Notice)` those of /event."""
+
+    def __init__(self, type_: type[T]) -> None:
+        self._type = type_
+        self._decoder = msgspec.json.Decoder(type_)
+
+    def decode(self, data: bytes) -> T:
+        """The message. Raises RecordError."""
+        try:
+            return self._decoder.decode(data)
+        except DECODE_ERRORS as error:
+            raise RecordError(f"not a {self._type.__name__}: {_short(error)}") from error
+
+
+def log_time_ns(header: Header, now_s: float) -> int:
+    """Unix time of a moment of the vehicle's monotonic clock, as MCAP holds it."""
+    return round(header.unix_s * 1e9) + round((now_s - header.monotonic_s) * 1e9)
+
+
+def monotonic_s(header: Header, time_ns: int) -> float:
+    """The moment of the vehicle's monotonic clock, to the nanosecond."""
+    return header.monotonic_s + (time_ns - round(header.unix_s * 1e9)) / 1e9
+
+
+def metadata_of(header: Header) -> dict[str, str]:
+    """The content of the MCAP metadata record, which has the name FORMAT."""
+    return {field: str(getattr(header, field)) for field in header.__struct_fields__}
+
+
+def header_of(metadata: Mapping[str, str]) -> Header:
+    """The header of a recording. Raises RecordError, also for a newer version."""
+    if metadata.get("format") != FORMAT:
+        raise RecordError(f"not a recording of {FORMAT}")
+    version = metadata.get("version", "")
+    if version != str(FORMAT_VERSION):
+        raise RecordError(
+            f"version {version[:20]} of the format, expected {FORMAT_VERSION}; use the release that wrote it"
+        )
+    try:
+        header = msgspec.convert(dict(metadata), Header, strict=False)
+    except DECODE_ERRORS as error:
+        raise RecordError(f"its header is not valid: {_short(error)}") from error
+    if not (abs(header.unix_s) < LAST_S and abs(header.monotonic_s) < LAST_S):
+        raise RecordError("its header is not valid: times out of range")
+    if not (0 <= header.vehicle_id <= MAX_VEHICLES and 1 <= header.part <= MAX_PART):
+        raise RecordError("its header is not valid: vehicle id or part out of range")
+    return header
+
+
+def _short(error: Exception) -> str:
+    """The reason in one line; a value of a damaged message may be of any length."""
+    return " ".join(str(error).split())[:200]

@@ -1,0 +1,155 @@
+"""Recorder of an agent: its inputs, decisions, timing and events. It never raises and never waits for a disk."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from functools import wraps
+from typing import Concatenate, ParamSpec, TypeVar
+
+from companion.core.agent import Decision
+from companion.core.consensus.law import FormationLaw
+from companion.recording.codec import Message, encode, encode_inbox, encode_outbox, log_time_ns
+from companion.recording.decisions import decision_record
+from companion.recording.records import (
+    COMMAND,
+    DECISION,
+    EVENT,
+    INBOX,
+    OUTBOX,
+    REPLY,
+    STATUS,
+    TIMING,
+    Header,
+    TimingRecord,
+)
+from companion.recording.writer.chunk import Chunk
+from companion.recording.writer.drops import DropReport
+from companion.recording.writer.files import PartFiles
+from companion.recording.writer.stream import MessageStream
+from companion.recording.writer.tlog import stamped
+from companion.recording.writer.writing import Writing
+from companion.types.notices import Notice
+from companion.types.status import RecordingState
+from companion.types.tick import Inbox, Outbox
+from companion.wire.ground import StatusReport
+
+TOPICS = (INBOX, OUTBOX, DECISION, TIMING, STATUS, EVENT, COMMAND, REPLY)
+FAILED = RecordingState("dropping")
+
+_log = logging.getLogger(__name__)
+
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def _harmless(method: Callable[Concatenate[Recorder, P], R]) -> Callable[Concatenate[Recorder, P], R | None]:
+    """A defect in recording ends the recording, not the flight."""
+
+    @wraps(method)
+    def guarded(self: Recorder, /, *args: P.args, **kwargs: P.kwargs) -> R | None:
+        if self.has_failed:
+            return None
+        try:
+            return method(self, *args, **kwargs)
+        except Exception as error:  # noqa: BLE001 -- whatever it is, the flight goes on
+            self.has_failed = True
+            _log.error("recording ends after a defect", exc_info=error)
+            return None
+
+    return guarded
+
+
+class Recorder:
+    """Records one start of an agent. `law` is the one flown; `tlog` are the files of raw MAVLink, if any."""
+
+    def __init__(
+        self,
+        header: Header,
+        law: FormationLaw,
+        writing: Writing,
+        mcap: PartFiles[Chunk],
+        tlog: PartFiles[bytes] | None = None,
+    ) -> None:
+        self._header, self._law, self._writing, self._tlog = header, law, writing, tlog
+        self._stream = MessageStream(header, TOPICS, mcap, writing)
+        self._drops = DropReport(writing)
+        self._packets: list[bytes] = []
+        self.ticks = 0  # recorded or lost
+        self.has_failed = False
+
+    @property
+    def records_mavlink(self) -> bool:
+        """Whether `mavlink` keeps packets."""
+        return self._tlog is not None
+
+    @property
+    def state(self) -> RecordingState:
+        """For the status of the vehicle."""
+        return FAILED if self.has_failed else self._drops.state
+
+    @_harmless
+    def tick(
+        self,
+        now_s: float,
+        inbox: Inbox,
+        decision: Decision,
+        outbox: Outbox,
+        report: StatusReport | None,
+        timing: TimingRecord,
+    ) -> Notice | None:
+        """Record a tick, after all that it sends has left. Returns what is to be reported of the recording itself.
+
+        `outbox` as it was sent (`wire/rounding.py`), `report` as published.
+        """
+        self.ticks += 1
+        stream = self._stream
+        stream.add(INBOX, self.ticks, now_s, encode_inbox(now_s, inbox))
+        stream.add(OUTBOX, self.ticks, now_s, encode_outbox(now_s, outbox))
+        self._add(DECISION, now_s, decision_record(decision, self._law))
+        self._add(TIMING, now_s, timing)
+        for command in inbox.commands:
+            self._add(COMMAND, now_s, command)
+        for reply in outbox.replies:
+            self._add(REPLY, now_s, reply)
+        for event in outbox.events:
+            self._add(EVENT, now_s, event)
+        if report:
+            self._add(STATUS, now_s, report)
+        if not stream.hand_on(now_s):
+            return None
+        self._hand_on_packets()
+        notice = self._drops.step(now_s)
+        if notice:
+            self._add(EVENT, now_s, notice)
+        return notice
+
+    @_harmless
+    def failure(self, now_s: float, notice: Notice, begun: tuple[float, Inbox] | None) -> None:
+        """Record why the agent ends. `begun`: time and input of the tick that failed, if one did; a replay fails in it too."""
+        if begun is not None:
+            self.ticks += 1
+            self._stream.add(INBOX, self.ticks, begun[0], encode_inbox(*begun))
+        self._add(EVENT, now_s, notice)
+
+    def mavlink(self, packet: bytes, now_s: float) -> None:
+        """Record a MAVLink packet of either direction."""
+        if self.has_failed:
+            return
+        self._packets.append(stamped(packet, log_time_ns(self._header, now_s) // 1000))
+
+    @_harmless
+    def close(self) -> None:
+        """Write what there is and end the files."""
+        self._stream.flush()
+        self._hand_on_packets()
+        self._writing.close()
+
+    def _add(self, topic: str, now_s: float, message: Message) -> None:
+        self._stream.add(topic, self.ticks, now_s, encode(message))
+
+    def _hand_on_packets(self) -> None:
+        packets, self._packets = self._packets, []
+        if self._tlog and packets:
+            self._writing.put(self._tlog, b"".join(packets), len(packets))

@@ -1,0 +1,127 @@
+"""Numbers as they leave a vehicle: rounded far below what any sensor resolves.
+
+A float of 64 bits has 17 digits, most of them noise that no recording could compress. The control loop rounds before it sends
+and records, so that every receiver acts on exactly what recordings hold. So a replay on another make of processor, whose last
+digit of a sine differs, gives the same commands too. Rounding is idempotent.
+"""
+
+from __future__ import annotations
+
+from msgspec.structs import replace
+
+from companion.geometry.vectors import rounded
+from companion.types.autopilot import PositionError
+from companion.types.formation import FlownSlot, Heading, LeaderBeacon
+from companion.types.peers import PeerPacket
+from companion.types.requests import AttitudeTarget
+from companion.types.separation import SeparationReport
+from companion.types.status import Status
+from companion.types.tick import Outbox
+from companion.types.vectors import Vector3
+
+LENGTH = 4  # decimals: 0.1 mm
+VELOCITY = 3  # 1 mm/s
+ACCELERATION = 3  # 1 mm/s^2
+TIME = 5  # 10 us
+ANGLE = 6  # 1 urad, 1 urad/s
+SHARE = 6  # of thrust
+SETPOINT = 7  # 0.1 urad, and 1e-7 of thrust: what the floats of 32 bits in SET_ATTITUDE_TARGET hold
+
+
+def as_sent(outbox: Outbox) -> Outbox:
+    """The outbox with its setpoint, packet and status as they leave the vehicle. Requests, replies and events stay."""
+    target, packet, status = outbox.attitude_target, outbox.peer_packet, outbox.status
+    return replace(
+        outbox,
+        attitude_target=target_as_sent(target) if target else None,
+        peer_packet=_packet_as_sent(packet) if packet else None,
+        status=_status_as_sent(status) if status else None,
+    )
+
+
+def target_as_sent(target: AttitudeTarget) -> AttitudeTarget:
+    """The setpoint as it is handed to the autopilot's link."""
+    return AttitudeTarget(
+        round(target.roll_rad, SETPOINT),
+        round(target.pitch_rad, SETPOINT),
+        round(target.yaw_rad, SETPOINT),
+        round(target.thrust_norm, SETPOINT),
+    )
+
+
+def _packet_as_sent(packet: PeerPacket) -> PeerPacket:
+    """What vehicles compare for equality is kept: numbers, and the slots of a change."""
+    beacon, error, rft = packet.leader_beacon, packet.position_error, packet.rft
+    return replace(
+        packet,
+        position_enu_m=rounded(packet.position_enu_m, LENGTH),
+        velocity_enu_m_s=rounded(packet.velocity_enu_m_s, VELOCITY),
+        acceleration_enu_m_s2=rounded(packet.acceleration_enu_m_s2, ACCELERATION),
+        state_age_s=round(packet.state_age_s, TIME),
+        sent_s=round(packet.sent_s, TIME),
+        leader_beacon=_beacon(beacon) if beacon else None,
+        slot=_slot(packet.slot),
+        position_error=_error(error) if error else None,
+        rft=_motion(*rft) if rft else None,
+    )
+
+
+def _status_as_sent(status: Status) -> Status:
+    beacon, age_s, target_age_s = status.leader_beacon, status.leader_beacon_age_s, status.target_age_s
+    reference_enu_m, error = status.reference_enu_m, status.position_error
+    return replace(
+        status,
+        position_enu_m=rounded(status.position_enu_m, LENGTH),
+        velocity_enu_m_s=rounded(status.velocity_enu_m_s, VELOCITY),
+        state_age_s=round(status.state_age_s, TIME),
+        hover_thrust_norm=round(status.hover_thrust_norm, SHARE),
+        disturbance_enu_m_s2=rounded(status.disturbance_enu_m_s2, ACCELERATION),
+        leader_beacon=_beacon(beacon) if beacon else None,
+        leader_beacon_age_s=None if age_s is None else round(age_s, TIME),
+        slot=_slot(status.slot),
+        reference_enu_m=rounded(reference_enu_m, LENGTH) if reference_enu_m else None,
+        reference_s=round(status.reference_s, TIME),
+        target_age_s=None if target_age_s is None else round(target_age_s, TIME),
+        position_error=_error(error) if error else None,
+        largest_step_deg=round(status.largest_step_deg, LENGTH),
+        heading=_heading(status.heading),
+        separation=_separation(status.separation),
+    )
+
+
+def _motion(
+    position_enu_m: Vector3, velocity_enu_m_s: Vector3, acceleration_enu_m_s2: Vector3
+) -> tuple[Vector3, Vector3, Vector3]:
+    return (
+        rounded(position_enu_m, LENGTH),
+        rounded(velocity_enu_m_s, VELOCITY),
+        rounded(acceleration_enu_m_s2, ACCELERATION),
+    )
+
+
+def _slot(slot: FlownSlot) -> FlownSlot:
+    motion = _motion(slot.position_enu_m, slot.velocity_enu_m_s, slot.acceleration_enu_m_s2)
+    return FlownSlot(*motion, slot.formation, slot.waiting, round(slot.moves_for_s, TIME))
+
+
+def _beacon(beacon: LeaderBeacon) -> LeaderBeacon:
+    return replace(beacon, reference_s=round(beacon.reference_s, TIME), heading=_heading(beacon.heading))
+
+
+def _heading(heading: Heading) -> Heading:
+    return Heading(
+        round(heading.angle_rad, ANGLE), round(heading.rate_rad_s, ANGLE), round(heading.acceleration_rad_s2, ANGLE)
+    )
+
+
+def _error(error: PositionError) -> PositionError:
+    return PositionError(round(error.horizontal_m, LENGTH), round(error.vertical_m, LENGTH))
+
+
+def _separation(separation: SeparationReport) -> SeparationReport:
+    nearest = separation.nearest
+    if nearest:
+        nearest = replace(
+            nearest, distance_m=round(nearest.distance_m, LENGTH), required_m=round(nearest.required_m, LENGTH)
+        )
+    return replace(separation, nearest=nearest, changed_m_s2=round(separation.changed_m_s2, ACCELERATION))

@@ -1,0 +1,221 @@
+"""An agent's recording holds every tick exactly, whatever its disk does, and no tick waits for it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections import Counter
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+
+from companion.recording.codec import decode_inbox, decode_outbox
+from companion.recording.reader import recordings
+from companion.recording.records import DECISION, EVENT, INBOX, OUTBOX, TIMING
+from companion.recording.writer.writing import WAITING, WritingAtOnce, WritingThread
+from companion.types.autopilot import AutopilotKind
+from companion.types.flight import FlightPhase
+from companion.types.notices import Code
+from companion.types.tick import Inbox, Outbox
+from companion.wire.rounding import as_sent
+from failing_flight import PERIOD_S, FailingFlight
+from recorded_agent import BEGAN_UNIX_S, Disk, recorder, until
+
+P = FlightPhase
+SECOND = round(1.0 / PERIOD_S)  # ticks
+
+
+def flight_with(recording: object) -> FailingFlight:
+    return FailingFlight(AutopilotKind.PX4, recording)  # type: ignore[arg-type]
+
+
+def ticks_of(folder: Path) -> list[int]:
+    """Numbers of the recorded ticks."""
+    (recorded,) = recordings(folder, print)
+    return [message.sequence for message in recorded.undecoded([INBOX], print)]
+
+
+def test_every_tick_is_recorded_exactly(tmp_path: Path) -> None:
+    taken: list[tuple[float, Inbox, Outbox]] = []
+    recording = recorder(tmp_path, WritingAtOnce())
+    flight = flight_with(recording)
+    decide, report = flight.agent.decide, flight.agent.report
+
+    def deciding(now_s: float, inbox: Inbox):  # type: ignore[no-untyped-def]
+        decision = decide(now_s, inbox)
+        taken.append((now_s, inbox, as_sent(report(decision))))
+        return decision
+
+    flight.agent.decide = deciding  # type: ignore[method-assign]
+    flight.agent.report = lambda _decision: taken[-1][2]  # type: ignore[method-assign]
+    flight.fly_to(P.FORMATION).ticks(1.0)
+    recording.close()
+    (file,) = tmp_path.glob("*.mcap")
+    assert file.name == "vehicle_3_0001_001.mcap"
+    with file.open("rb") as stream:
+        messages = [
+            (channel.topic, message) for _, channel, message in make_reader(stream, validate_crcs=True).iter_messages()
+        ]
+    inboxes = [decode_inbox(message.data) for topic, message in messages if topic == INBOX]
+    outboxes = [decode_outbox(message.data) for topic, message in messages if topic == OUTBOX]
+    assert inboxes == [(now_s, inbox) for now_s, inbox, _ in taken]
+    assert outboxes == [(now_s, outbox) for now_s, _, outbox in taken]
+    counts = Counter(topic for topic, _ in messages)
+    assert counts[INBOX] == counts[OUTBOX] == counts[DECISION] == counts[TIMING] == len(taken)
+    assert counts["/command"] == counts["/reply"] == 4
+    assert counts["/status"] == len(flight.peers.reports)
+    first = next(message for topic, message in messages if topic == INBOX)
+    assert first.log_time == round(BEGAN_UNIX_S * 1e9) + 20_000_000
+
+
+def test_a_full_disk_costs_records_and_no_tick(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    disk = Disk(monkeypatch)
+    flight: FailingFlight
+    writing = WritingThread(clock_s=lambda: flight.now_s)
+    recording = recorder(tmp_path, writing)
+    flight = flight_with(recording)
+    flight.fly_to(P.FORMATION)
+    until(lambda: any(tmp_path.iterdir()))
+    disk.room = 0
+    sent = len(flight.autopilot.targets)
+    for _ in range(10):
+        flight.ticks(1.0)
+        until(lambda: not writing.waiting)
+    assert len(flight.autopilot.targets) - sent == 10 * SECOND
+    assert flight.failed_s is None
+    state = flight.peers.reports[-1].status.recording
+    assert state.state == "dropping"
+    assert state.dropped > 0
+    assert "No space left" in writing.problem
+    disk.room = 1 << 40
+    for _ in range(20):
+        flight.ticks(1.0)
+        until(lambda: not writing.waiting)
+    assert flight.peers.reports[-1].status.recording.state == "on"
+    recording.close()
+    recorded = ticks_of(tmp_path)
+    assert recorded[-1] == recording.ticks
+    assert 0 < recording.ticks - len(recorded) <= 17 * SECOND
+    (whole,) = recordings(tmp_path, print)
+    codes = [record.value.code for record in whole.read([EVENT], print)]
+    assert codes.count(Code.RECORDING_RESUMED) == 1  # that of the beginning found the disk full
+
+
+def test_a_disk_that_hangs_costs_records_and_no_tick(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    disk = Disk(monkeypatch)
+    writing = WritingThread()
+    recording = recorder(tmp_path, writing)
+    flight = flight_with(recording).fly_to(P.FORMATION)
+    disk.works.clear()
+    sent = len(flight.autopilot.targets)
+    flight.ticks(1.0)
+    assert disk.waiting.wait(60.0)
+    flight.ticks(WAITING + 8.0)
+    assert len(flight.autopilot.targets) - sent == round((WAITING + 9.0) * SECOND)
+    assert flight.failed_s is None
+    assert flight.peers.reports[-1].status.recording.state == "dropping"
+    disk.works.set()
+    until(lambda: not writing.waiting)
+    flight.ticks(8.0)
+    assert flight.peers.reports[-1].status.recording.state == "on"
+    recording.close()
+    recorded = ticks_of(tmp_path)
+    assert recorded[-1] == recording.ticks
+    assert 0 < recording.ticks - len(recorded) < 10 * SECOND
+
+
+def test_a_process_ends_though_its_disk_hangs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    disk = Disk(monkeypatch)
+    monkeypatch.setattr("companion.recording.writer.writing.CLOSE_WITHIN_S", 0.05)
+    recording = recorder(tmp_path, WritingThread())
+    flight = flight_with(recording)
+    disk.works.clear()
+    flight.ticks(WAITING + 5.0)
+    recording.close()
+    disk.works.set()
+
+
+def test_a_removed_folder_is_made_again(tmp_path: Path) -> None:
+    folder = tmp_path / "recordings"
+    writing = WritingThread(clock_s=lambda: flight.now_s)
+    recording = recorder(folder, writing)
+    flight = flight_with(recording)
+    flight.ticks(2.0)
+    until(lambda: not writing.waiting and folder.exists())
+    shutil.rmtree(folder)
+    for _ in range(10):
+        flight.ticks(1.0)
+        until(lambda: not writing.waiting)
+    assert flight.peers.reports[-1].status.recording.state == "dropping"
+    recording.close()
+    assert ticks_of(folder)[-1] == recording.ticks
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write into any folder")
+def test_a_folder_without_permission_costs_no_tick(tmp_path: Path) -> None:
+    folder = tmp_path / "recordings"
+    folder.mkdir(mode=0o500)
+    check_without_a_file(folder)
+
+
+def test_a_folder_that_cannot_be_made_costs_no_tick(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    check_without_a_file(tmp_path / "file" / "recordings")
+
+
+def check_without_a_file(folder: Path) -> None:
+    writing = WritingThread()
+    recording = recorder(folder, writing)
+    flight = flight_with(recording)
+    flight.ticks(3.0)
+    until(lambda: writing.dropped > 0)
+    flight.ticks(3.0)
+    assert flight.failed_s is None
+    assert flight.peers.reports[-1].status.recording.state == "dropping"
+    recording.close()
+
+
+def test_a_clock_that_steps_back_changes_no_time_of_a_recording(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recording = recorder(tmp_path, WritingThread())
+    flight = flight_with(recording)
+    flight.ticks(2.0)
+    monkeypatch.setattr("time.time", lambda: 1.0)
+    monkeypatch.setattr("time.time_ns", lambda: 10**9)
+    flight.ticks(2.0)
+    recording.close()
+    (recorded,) = recordings(tmp_path, print)
+    times_ns = [message.log_time_ns for message in recorded.undecoded([INBOX], print)]
+    period_ns = round(PERIOD_S * 1e9)
+    assert [b - a for a, b in pairwise(times_ns)] == pytest.approx([period_ns] * (4 * SECOND - 1))
+
+
+def test_a_defect_of_the_recorder_ends_the_recording_and_not_the_flight(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    recording = recorder(tmp_path, WritingAtOnce())
+    flight = flight_with(recording).fly_to(P.FORMATION)
+    monkeypatch.setattr("companion.recording.writer.recorder.encode_inbox", lambda *_: 1 / 0)
+    sent = len(flight.autopilot.targets)
+    flight.ticks(1.0)
+    assert len(flight.autopilot.targets) - sent == SECOND
+    assert flight.failed_s is None
+    assert flight.peers.reports[-1].status.recording.state == "dropping"
+    assert sum("recording ends after a defect" in record.message for record in caplog.records) == 1
+    recording.close()
+
+
+def test_the_failure_of_an_agent_is_recorded(tmp_path: Path) -> None:
+    recording = recorder(tmp_path, WritingAtOnce())
+    flight = flight_with(recording).fly_to(P.FORMATION)
+    flight.inject(flight.agent._perception, "step")
+    flight.ticks(1.0)
+    recording.close()
+    (recorded,) = recordings(tmp_path, print)
+    assert [record.value.code for record in recorded.read([EVENT], print)][-1] is Code.AGENT_FAILED
+    *_, before, failed = recorded.ticks(print)
+    assert before.output and not failed.output  # the input that the agent failed at
+    assert failed.now_s > before.now_s

@@ -1,0 +1,77 @@
+"""A .tlog is read by pymavlink, with the times and packets of both directions."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from pymavlink import mavutil
+
+from companion.link.recorded_link import RecordedLink
+from companion.mavlink.translator import Translator
+from companion.recording.writer.writing import WritingAtOnce
+from companion.types.autopilot import AutopilotKind
+from failing_flight import FailingFlight
+from recorded_agent import BEGAN_S, BEGAN_UNIX_S, recorder
+
+
+class Wire:
+    """A link that sends nowhere, and is free every second time."""
+
+    def __init__(self) -> None:
+        self.sent: list[bytes] = []
+
+    def send(self, data: bytes) -> None:
+        self.sent.append(data)
+
+    def offer(self, data: bytes) -> bool:
+        self.sent.append(data)
+        return len(self.sent) % 2 == 0
+
+    async def run(self) -> None: ...
+
+    def problem(self) -> str:
+        return ""
+
+    def close(self) -> None: ...
+
+
+def test_mavutil_reads_a_tlog(tmp_path: Path) -> None:
+    recording = recorder(tmp_path, WritingAtOnce(), tlog=True)
+    flight = FailingFlight(AutopilotKind.PX4, recording)
+    translator = Translator(3)
+    for _ in range(120):
+        for packet in packets(translator, flight):
+            recording.mavlink(packet, flight.now_s + 0.02)
+        flight.tick()
+    recording.close()
+    log = mavutil.mavlink_connection(str(tmp_path / "vehicle_3_0001_001.tlog"))
+    times_s, kinds = [], set()
+    while message := log.recv_match():
+        times_s.append(message._timestamp)
+        kinds.add(message.get_type())
+    assert {"HEARTBEAT", "LOCAL_POSITION_NED", "ATTITUDE_QUATERNION"} <= kinds
+    assert "BAD_DATA" not in kinds
+    assert times_s == sorted(times_s)
+    assert times_s[0] == pytest.approx(BEGAN_UNIX_S + flight.now_s - BEGAN_S - 120 * 0.02 + 0.02, abs=1e-5)
+
+
+def packets(translator: Translator, flight: FailingFlight) -> list[bytes]:
+    """What the autopilot sends now, as the link hands it on."""
+    sent = flight.autopilot.send()
+    translator.telemetry(sent, flight.now_s)
+    return translator.packets
+
+
+def test_only_what_was_sent_is_recorded() -> None:
+    recorded: list[bytes] = []
+    link = RecordedLink(Wire(), lambda packet, _now_s: recorded.append(packet))
+    link.send(b"setpoint")
+    assert link.offer(b"sent")
+    assert not link.offer(b"link is busy")
+    assert recorded == [b"setpoint", b"sent"]
+
+
+def test_without_the_setting_no_packet_is_kept(tmp_path: Path) -> None:
+    assert not recorder(tmp_path, WritingAtOnce()).records_mavlink
+    assert recorder(tmp_path, WritingAtOnce(), tlog=True).records_mavlink
