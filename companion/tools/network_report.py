@@ -17,7 +17,7 @@ def network_line(vehicle_file: Path, config: AgentConfig) -> str:
         if config.fleet.security == "none":
             return "warning  network: UNSECURED: strangers in it can command this vehicle (security: none in the fleet file)"
         return "ok       network: reached from this computer only"
-    from companion.link.own_identity import vehicle_identity  # without an identity its library is not loaded
+    from companion.link.fleet.own_identity import vehicle_identity  # without an identity its library is not loaded
 
     try:
         identity = vehicle_identity(vehicle_file, config)

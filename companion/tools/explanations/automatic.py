@@ -32,4 +32,14 @@ ENTRIES: dict[str, Explanation] = {
         "There was no new position to decide on.",
         "See POSITION_STALE.",
     ),
+    "RECORDING_DROPS": Explanation(
+        "The recording of a vehicle has gaps. Its flight is not affected.",
+        "The disk is full, too slow, or the folder cannot be written; the event has the reason.",
+        "Free space or set a smaller `recording.keep_mb`; replace a slow card. See docs/recording.md.",
+    ),
+    "RECORDING_RESUMED": Explanation(
+        "All records of a vehicle are written again.",
+        "The disk takes data again; the event has the number of records that were lost.",
+        "None is needed.",
+    ),
 }

@@ -1,5 +1,5 @@
 """Commands, operators and command arbitration: `companion/core/command/arbitration.py`,
-`companion/link/zenoh_link.py`.
+`companion/link/fleet/zenoh_link.py`.
 """
 
 from __future__ import annotations

@@ -12,8 +12,10 @@ ENTRIES: dict[str, Explanation] = {
     ),
     "NO_REPORT": Explanation(
         "A vehicle is missing in the status.",
-        "No status report arrived.",
-        "As for NO_REPLY.",
+        "No status report arrived: the vehicle has no power or no radio, or its agent does not run. An agent that runs flies"
+        " on without the ground.",
+        "In flight: watch it, with its pilot ready to take over. Then `ping` its address, and look at"
+        " `systemctl status companion@N` on its board. Name another endpoint with `--connect` where its address changed.",
     ),
     "NOT_SENT": Explanation(
         "A command was sent to no vehicle.",

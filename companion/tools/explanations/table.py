@@ -18,6 +18,7 @@ from companion.tools.explanations import (
     phases,
     preflight,
     process,
+    recorded_flight,
 )
 from companion.tools.explanations.explanation import Explanation
 
@@ -37,6 +38,7 @@ SECTIONS: dict[str, dict[str, Explanation]] = {
     "Ground tools": ground.ENTRIES,
     "Verdicts of companion analyze": analysis.ENTRIES,
     "Process and machine": process.ENTRIES,
+    "Report of a flight": recorded_flight.ENTRIES,
 }
 
 EXPLANATIONS: dict[str, Explanation] = {code: entry for section in SECTIONS.values() for code, entry in section.items()}

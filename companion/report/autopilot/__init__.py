@@ -1,0 +1,1 @@
+"""Logs of the autopilots themselves, beside the recordings of the agents."""

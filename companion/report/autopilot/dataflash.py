@@ -1,0 +1,127 @@
+"""Reads ArduPilot's log format (DataFlash, .bin)."""
+
+from __future__ import annotations
+
+import io
+import struct
+from collections.abc import Callable
+from contextlib import redirect_stderr, redirect_stdout
+from math import cos, radians
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pymavlink import DFReader
+
+from companion.report.arrays import Floats
+from companion.report.autopilot.log import AutopilotLog, LogError, LogMessage, Series
+
+TYPES = ("POS", "XKF1", "BAT", "VIBE", "GPS", "GPA", "MSG", "ERR")
+VIBRATION_LIMIT_M_S2 = 30.0  # of VIBE
+METRES_PER_DEGREE = 111_319.5
+FIRST_ONLY = {"XKF1": "C", "BAT": "Inst", "VIBE": "IMU", "GPS": "I", "GPA": "I"}  # field that counts instances
+# Subsystems of ERR that are failsafes; a code of 0 is their end.
+FAILSAFES = {
+    5: "radio control",
+    6: "battery",
+    7: "GPS",
+    8: "ground station",
+    9: "fence",
+    12: "crash check",
+    16: "EKF check",
+    17: "EKF",
+    20: "ADS-B",
+    25: "thrust loss",
+    26: "sensors",
+    29: "vibration",
+    31: "dead reckoning",
+}
+DAMAGED = (TypeError, ValueError, KeyError, IndexError, AttributeError, EOFError, struct.error, OSError)
+Rows = dict[str, list[Any]]
+
+
+def read_dataflash(path: Path) -> AutopilotLog:
+    """Raises LogError."""
+    rows = _rows(path)
+    velocity = _by_filter(rows) or _by_position(rows)
+    if velocity is None:
+        raise LogError("it has neither POS nor XKF1")
+    altitude_m, velocity_enu_m_s = velocity
+    return AutopilotLog(
+        name=path.name,
+        make="ArduPilot",
+        altitude_m=altitude_m,
+        velocity_enu_m_s=velocity_enu_m_s,
+        voltage_v=_series(rows, "BAT", lambda row: row.Volt),
+        vibration_m_s2=_series(rows, "VIBE", lambda row: max(row.VibeX, row.VibeY, row.VibeZ)),
+        vibration_limit_m_s2=VIBRATION_LIMIT_M_S2,
+        satellites=_series(rows, "GPS", lambda row: row.NSats),
+        position_error_m=_series(rows, "GPA", lambda row: row.HAcc),
+        messages=tuple(_messages(rows)),
+    )
+
+
+def _rows(path: Path) -> Rows:
+    """The rows of each type, of its first instance. Raises LogError."""
+    rows: Rows = {name: [] for name in TYPES}
+    try:
+        with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):  # the library prints what it skips
+            log = DFReader.DFReader_binary(str(path), zero_time_base=True)
+            while (row := log.recv_match(type=list(TYPES))) is not None:
+                name = row.get_type()
+                if getattr(row, FIRST_ONLY.get(name, ""), 0) == 0:
+                    rows[name].append(row)
+    except DAMAGED as error:
+        raise LogError(f"not a DataFlash log that can be read: {str(error) or type(error).__name__}") from error
+    return rows
+
+
+def _series(rows: Rows, name: str, value_of: Callable[[Any], float]) -> Series:
+    """Empty where this version of the type has no such field."""
+    try:
+        values = np.array([value_of(row) for row in rows[name]], dtype=np.float64)
+    except AttributeError:
+        return Series()
+    return Series(_times_s(rows[name]), values)
+
+
+def _times_s(rows: list[Any]) -> Floats:
+    return np.array([row.TimeUS for row in rows], dtype=np.float64) / 1e6
+
+
+def _by_filter(rows: Rows) -> tuple[Series, Floats] | None:
+    """(altitude, velocity) of the EKF's first core."""
+    found = rows["XKF1"]
+    if len(found) < 2:
+        return None
+    velocity = np.array([(row.VE, row.VN, -row.VD) for row in found], dtype=np.float64)
+    return Series(_times_s(found), -np.array([row.PD for row in found], dtype=np.float64)), velocity
+
+
+def _by_position(rows: Rows) -> tuple[Series, Floats] | None:
+    """(altitude, velocity) from the positions: their differences."""
+    found = rows["POS"]
+    if len(found) < 3:
+        return None
+    time_s = _times_s(found)
+    east = METRES_PER_DEGREE * cos(radians(found[0].Lat))
+    position = np.array(
+        [((row.Lng - found[0].Lng) * east, (row.Lat - found[0].Lat) * METRES_PER_DEGREE, row.Alt) for row in found],
+        dtype=np.float64,
+    )
+    rising, first = np.unique(time_s, return_index=True)
+    if rising.size < 3:
+        return None
+    velocity = np.gradient(position[first], rising, axis=0)
+    return Series(rising, position[first, 2]), velocity
+
+
+def _messages(rows: Rows) -> list[LogMessage]:
+    found = [LogMessage(row.TimeUS / 1e6, str(row.Message), False, False) for row in rows["MSG"]]
+    for row in rows["ERR"]:
+        if row.ECode and row.Subsys in FAILSAFES:
+            text = f"failsafe: {FAILSAFES[row.Subsys]} (ERR {row.Subsys}, {row.ECode})"
+            found.append(LogMessage(row.TimeUS / 1e6, text, failsafe=True, severe=True))
+        elif row.ECode:
+            found.append(LogMessage(row.TimeUS / 1e6, f"error {row.Subsys}, {row.ECode} (ERR)", severe=True))
+    return sorted(found, key=lambda one: one.time_s)

@@ -1,0 +1,74 @@
+"""Finds and reads the logs of autopilots."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from companion.report.autopilot.log import AutopilotLog, LogError
+from companion.report.autopilot.match import MatchedLog, match
+from companion.report.finding import Finding, Kind, Severity, finding
+from companion.report.flight import RecordedFlight
+from companion.types.notices import Code
+
+ULOG, DATAFLASH = ".ulg", ".bin"
+SUFFIXES = (ULOG, DATAFLASH)
+MAX_LOG_BYTES = 2_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class AutopilotLogs:
+    """The logs that belong to the flight, and a finding for each that does not, or cannot be read."""
+
+    matched: tuple[MatchedLog, ...] = ()
+    left_out: tuple[Finding, ...] = ()
+
+
+NO_LOGS = AutopilotLogs()
+
+
+def log_files(folder: Path, named: Sequence[Path]) -> tuple[Path, ...]:
+    """Those named, and those in the folder, each once."""
+    inside = [path for path in sorted(folder.rglob("*")) if path.suffix.lower() in SUFFIXES] if folder.is_dir() else []
+    return tuple(dict.fromkeys([*named, *inside]))
+
+
+def read_logs(files: Sequence[Path], flight: RecordedFlight) -> AutopilotLogs:
+    """All logs with their vehicles and times."""
+    matched, left_out = [], []
+    for path in files:
+        try:
+            found = match(read_log(path), flight)
+        except LogError as error:
+            left_out.append(_left_out(Code.LOG_UNREADABLE, f"{path.name}: {error}"))
+            continue
+        if found:
+            matched.append(found)
+        else:
+            text = f"{path.name}: no recorded vehicle moved as this log says; it is left out"
+            left_out.append(_left_out(Code.LOG_NOT_ALIGNED, text))
+    return AutopilotLogs(tuple(sorted(matched, key=lambda one: one.vehicle_id)), tuple(left_out))
+
+
+def read_log(path: Path) -> AutopilotLog:
+    """By its suffix. Raises LogError."""
+    try:
+        size = path.stat().st_size
+    except OSError as error:
+        raise LogError(f"cannot be read: {error.strerror}") from error
+    if not path.is_file() or size > MAX_LOG_BYTES:
+        raise LogError(f"expected a file of at most {MAX_LOG_BYTES / 1e9:g} GB")
+    if path.suffix.lower() == ULOG:
+        from companion.report.autopilot.ulog import read_ulog
+
+        return read_ulog(path)
+    if path.suffix.lower() == DATAFLASH:
+        from companion.report.autopilot.dataflash import read_dataflash
+
+        return read_dataflash(path)
+    raise LogError(f"expected a name that ends in {ULOG} (PX4) or {DATAFLASH} (ArduPilot)")
+
+
+def _left_out(code: Code, text: str) -> Finding:
+    return finding(Kind.AUTOPILOT, Severity.WARNING, code, None, 0.0, text)

@@ -1,0 +1,85 @@
+"""`companion report`: reads a folder, judges the flight, writes the page."""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import dataclass
+from datetime import datetime, tzinfo
+from pathlib import Path
+
+import msgspec
+
+from companion.recording.reader import RecordingError
+from companion.report.autopilot.files import log_files, read_logs
+from companion.report.finding import Severity
+from companion.report.judge import judged
+from companion.report.load import load
+from companion.report.page import page_of, verdict
+
+EXIT_WRITTEN, EXIT_CRITICAL = 0, 1
+FILE_NAME = "report.html"
+
+
+class ReportError(Exception):
+    """Nothing was written. str() is one line."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReportOptions:
+    """`logs` are those of autopilots outside of the folder."""
+
+    folder: Path
+    out: Path | None = None
+    logs: tuple[Path, ...] = ()
+    as_json: bool = False
+
+
+class Steps:
+    """Progress on standard error, with the time since the begin."""
+
+    def __init__(self) -> None:
+        self._began_s = time.monotonic()
+
+    def show(self, line: str) -> None:
+        print(f"{time.monotonic() - self._began_s:5.1f} s  {line}", file=sys.stderr, flush=True)
+
+
+def run_report(options: ReportOptions) -> int:
+    """The exit code. Raises ReportError."""
+    steps = Steps()
+    out = options.out or (options.folder if options.folder.is_dir() else options.folder.parent) / FILE_NAME
+    try:
+        flight = load(options.folder, steps.show)
+    except RecordingError as error:
+        raise ReportError(str(error)) from error
+    steps.show(f"{flight.ends_s:.0f} s of flight are read")
+    files = log_files(options.folder, options.logs)
+    logs = read_logs(files, flight)
+    if files:
+        steps.show(f"{len(logs.matched)} of {len(files)} logs of autopilots belong to this flight")
+    one = judged(flight, logs)
+    steps.show("the figures are drawn")
+    html = page_of(one, _local_zone(flight.begin_unix_s))
+    _write(out, html)
+    if options.as_json:
+        print(msgspec.json.format(msgspec.json.encode(one.summary), indent=2).decode())
+    steps.show(f"{verdict(one.summary)}: {out}")
+    return EXIT_CRITICAL if one.summary.count(Severity.CRITICAL) else EXIT_WRITTEN
+
+
+def _local_zone(unix_s: float) -> tzinfo:
+    """That of this computer at the time of the flight."""
+    zone = datetime.fromtimestamp(unix_s).astimezone().tzinfo
+    assert zone is not None
+    return zone
+
+
+def _write(out: Path, html: str) -> None:
+    """As a whole or not at all. Raises ReportError."""
+    part = out.with_name(f"{out.name}.part")
+    try:
+        part.write_text(html, encoding="utf-8")
+        part.replace(out)
+    except OSError as error:
+        raise ReportError(f"{out}: cannot be written: {error.strerror}; choose another file with --out") from error

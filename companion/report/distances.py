@@ -1,0 +1,91 @@
+"""Distances between vehicles, in the metric of `separation_m`: a metre of height counts half."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from companion.geometry.separation import HEIGHT_WEIGHT
+from companion.report.arrays import Bools, Floats
+from companion.report.flight import RecordedFlight, VehicleLog
+
+GRID_S = 0.02
+LONGEST_GAP_S = 0.5  # across a longer gap of a recording there is no position
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """Positions of all vehicles at common times (n,): (n, 3) by vehicle id, NaN where there is none."""
+
+    time_s: Floats
+    position_enu_m: dict[int, Floats]
+    in_air: dict[int, Bools]
+
+
+@dataclass(frozen=True, slots=True)
+class PairDistance:
+    """Distance of a pair over the grid (n,). `judged`: both vehicles are in the air. `smallest_m` is NaN if they never are."""
+
+    pair: tuple[int, int]
+    time_s: Floats
+    distance_m: Floats
+    judged: Bools
+
+    @property
+    def smallest_m(self) -> float:
+        return float(np.nanmin(self.distance_m, where=self.judged, initial=np.inf)) if self.judged.any() else np.nan
+
+    @property
+    def smallest_at_s(self) -> float:
+        return float(self.time_s[int(np.nanargmin(np.where(self.judged, self.distance_m, np.inf)))])
+
+
+def grid_of(flight: RecordedFlight) -> Grid:
+    """Positions every 20 ms, interpolated between the ticks of each vehicle."""
+    vehicles = [vehicle for vehicle in flight.vehicles if vehicle.ticks.time_s.size]
+    if not vehicles:
+        return Grid(np.empty(0), {}, {})
+    ends_s = max(float(vehicle.ticks.time_s[-1]) for vehicle in vehicles)
+    time_s = np.arange(0.0, ends_s + GRID_S / 2.0, GRID_S)
+    positions = {vehicle.vehicle_id: sampled(vehicle, vehicle.ticks.position_enu_m, time_s) for vehicle in vehicles}
+    in_air = {vehicle.vehicle_id: _in_air(vehicle, time_s) for vehicle in vehicles}
+    return Grid(time_s, positions, in_air)
+
+
+def sampled(vehicle: VehicleLog, values: Floats, time_s: Floats) -> Floats:
+    """Values of the ticks (m, k) at other times (n, k), linear in between; NaN before, after and in long gaps."""
+    own_s = vehicle.ticks.time_s
+    if own_s.size < 2:
+        return np.full((time_s.size, values.shape[1]), np.nan)
+    columns = [np.interp(time_s, own_s, column, left=np.nan, right=np.nan) for column in values.T]
+    return np.where(_near(own_s, time_s)[:, None], np.stack(columns, axis=1), np.nan)
+
+
+def _near(own_s: Floats, time_s: Floats) -> Bools:
+    """Whether each time (n,) lies between two samples that are at most LONGEST_GAP_S apart."""
+    after = np.clip(np.searchsorted(own_s, time_s, side="left"), 1, own_s.size - 1)
+    return np.asarray(own_s[after] - own_s[after - 1] <= LONGEST_GAP_S, dtype=np.bool_)
+
+
+def _in_air(vehicle: VehicleLog, time_s: Floats) -> Bools:
+    row = np.maximum(np.searchsorted(vehicle.ticks.time_s, time_s, side="right") - 1, 0)
+    return np.asarray(vehicle.in_air()[row], dtype=np.bool_)
+
+
+def pair_distances(flight: RecordedFlight, grid: Grid) -> list[PairDistance]:
+    """Of every pair, the one that came nearest first."""
+    weights = np.array([1.0, 1.0, 0.0 if _keeps_altitudes(flight) else HEIGHT_WEIGHT])
+    pairs = []
+    for a, b in combinations(sorted(grid.position_enu_m), 2):
+        offset_m = (grid.position_enu_m[a] - grid.position_enu_m[b]) * weights
+        distance_m = np.sqrt(np.einsum("nk,nk->n", offset_m, offset_m))
+        judged = grid.in_air[a] & grid.in_air[b] & ~np.isnan(distance_m)
+        pairs.append(PairDistance((a, b), grid.time_s, distance_m, judged))
+    return sorted(pairs, key=lambda pair: (np.nan_to_num(pair.smallest_m, nan=np.inf), pair.pair))
+
+
+def _keeps_altitudes(flight: RecordedFlight) -> bool:
+    """With `law.altitude: hold` each vehicle keeps its own altitude, and only the horizontal distance counts."""
+    return flight.fleet is not None and flight.fleet.law.altitude == "hold"

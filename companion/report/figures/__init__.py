@@ -1,0 +1,1 @@
+"""The figures of the page, each as one self-contained picture."""

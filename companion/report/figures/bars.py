@@ -1,0 +1,161 @@
+"""Figures of states as bars over time: phases, leader, flags."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from companion.report.figures.picture import Picture, picture
+from companion.report.figures.style import LEFT_IN, Axis, dress, dress_time, finish, new_figure
+from companion.report.findings.failsafes import counting
+from companion.report.flight import RecordedFlight
+from companion.report.intervals import Interval, runs, stretches
+from companion.types.flight import FlightPhase
+
+LETTER_ROOM = 0.012
+GAP_S = 0.5  # a longer gap of the recording is no part of a bar
+# From light to dark with what is at stake; hatches tell apart what follows each other.
+PHASES: dict[str, tuple[str, str]] = {
+    FlightPhase.OBSERVE: ("#ffffff", ""),
+    FlightPhase.PREPARE: ("#f0f0f0", ""),
+    FlightPhase.READY: ("#f0f0f0", ".."),
+    FlightPhase.ARM: ("#e3e3e3", ""),
+    FlightPhase.ARMED: ("#e3e3e3", ".."),
+    FlightPhase.TAKEOFF: ("#cfe3f1", "//"),
+    FlightPhase.HOLD: ("#f6e3b4", ""),
+    FlightPhase.ENGAGE: ("#9cc9a9", "//"),
+    FlightPhase.FORMATION: ("#9cc9a9", ""),
+    FlightPhase.RELEASE: ("#f6e3b4", "//"),
+    FlightPhase.LAND: ("#cfe3f1", "\\\\"),
+    FlightPhase.RETURN: ("#e7bcae", "\\\\"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Bar:
+    interval: Interval
+    colour: str
+    hatch: str = ""
+    label: str = ""
+
+
+def phases(flight: RecordedFlight, axis: Axis) -> Picture:
+    """Phase of every agent."""
+    rows = []
+    for vehicle in flight.vehicles:
+        ticks = vehicle.ticks
+        bars = []
+        for piece in _recorded(ticks.time_s):
+            for interval, phase in stretches(ticks.time_s[piece], ticks.phase[piece]):
+                colour, hatch = PHASES.get(str(phase), ("#ffffff", "xx"))
+                bars.append(Bar(interval, colour, hatch, str(phase)))
+        rows.append((f"vehicle {vehicle.vehicle_id}", bars))
+    caption = "Phase of each agent. A gap: nothing is recorded."
+    return _picture(rows, axis, "phases", "Flight phases over time", caption, used_phases(flight))
+
+
+def used_phases(flight: RecordedFlight) -> list[str]:
+    """In the order of a flight, for the legend."""
+    used = {str(phase) for vehicle in flight.vehicles for phase in np.unique(vehicle.ticks.phase)}
+    return [str(phase) for phase in FlightPhase if phase in used]
+
+
+def leaders(flight: RecordedFlight, axis: Axis) -> Picture:
+    """Known leader of every vehicle."""
+    shades = ("#cfe3f1", "#f6e3b4", "#9cc9a9", "#e7bcae", "#d9cfe8")
+    rows = []
+    for vehicle in flight.vehicles:
+        ticks = vehicle.ticks
+        bars = []
+        for piece in _recorded(ticks.time_s):
+            known = np.nan_to_num(ticks.leader_id[piece], nan=0.0)
+            for interval, leader in stretches(ticks.time_s[piece], known):
+                leader_id = int(leader)
+                if leader_id:
+                    label = "leads" if leader_id == vehicle.vehicle_id else f"follows {leader_id}"
+                    hatch = "//" if leader_id == vehicle.vehicle_id else ""
+                    bars.append(Bar(interval, shades[leader_id % len(shades)], hatch, label))
+        rows.append((f"vehicle {vehicle.vehicle_id}", bars))
+    caption = "The leader as each vehicle knew it; hatched: the vehicle itself. A gap: no leader is known."
+    return _picture(rows, axis, "leaders", "Leader over time", caption)
+
+
+def flags(flight: RecordedFlight, axis: Axis) -> Picture | None:
+    """None where no flag was ever raised."""
+    rows = []
+    for vehicle in flight.vehicles:
+        ticks = vehicle.ticks
+        for flag, raised in sorted(ticks.flags.items()):
+            counts = counting(vehicle, flag)
+            found = [Bar(one.interval, "#d4d4d4") for one in runs(ticks.time_s, raised & ~counts, apart_s=0.1)]
+            found += [Bar(one.interval, "#8c3b2a") for one in runs(ticks.time_s, counts, apart_s=0.1)]
+            rows.append((f"{vehicle.vehicle_id}: {flag}", found))
+    if not rows:
+        return None
+    caption = (
+        "Raised health flags of each vehicle. Dark: where they count, which is in formation"
+        " (battery, fence and estimator: in the air); light: elsewhere, where some are expected."
+    )
+    return _picture(rows, axis, "flags", "Health flags over time", caption)
+
+
+def _recorded(time_s: np.ndarray) -> list[slice]:
+    """The parts of a recording without gaps."""
+    breaks = np.flatnonzero(np.diff(time_s) > GAP_S) + 1
+    edges = [0, *breaks.tolist(), time_s.size]
+    return [slice(first, last) for first, last in pairwise(edges) if last > first]
+
+
+def _picture(
+    rows: Sequence[tuple[str, Sequence[Bar]]],
+    axis: Axis,
+    id_: str,
+    title: str,
+    caption: str,
+    legend_of: Sequence[str] = (),
+) -> Picture:
+    figure = new_figure(0.27 * len(rows) + 0.05)
+    axes = figure.subplots()
+    for place, (_, bars) in enumerate(rows):
+        for bar in bars:
+            _draw(axes, place, bar, axis)
+    axes.set_yticks(range(len(rows)), [label for label, _ in rows])
+    axes.set_ylim(len(rows) - 0.4, -0.6)
+    dress(axes, "")
+    axes.grid(False, axis="y")
+    dress_time([axes], axis)
+    if legend_of:
+        for phase in legend_of:
+            colour, hatch = PHASES[phase]
+            axes.bar(0, 0, color=colour, hatch=hatch, edgecolor="#555555", linewidth=0.6, label=phase)
+    finish(figure, [axes], max(LEFT_IN, 0.1 + 0.078 * max(len(label) for label, _ in rows)))
+    return picture(figure, id_, title, caption)
+
+
+def _draw(axes: Axes, place: int, bar: Bar, axis: Axis) -> None:
+    least_s = 0.0012 * axis.ends_s  # a short one must be seen
+    lasts_s = max(bar.interval.lasts_s, least_s)
+    axes.barh(
+        place,
+        lasts_s,
+        left=bar.interval.begins_s,
+        height=0.68,
+        color=bar.colour,
+        hatch=bar.hatch,
+        edgecolor="#555555",
+        linewidth=0.5,
+    )
+    if bar.label and lasts_s > LETTER_ROOM * len(bar.label) * axis.ends_s:
+        axes.text(
+            bar.interval.begins_s + lasts_s / 2.0,
+            place,
+            bar.label,
+            ha="center",
+            va="center",
+            fontsize=7,
+            bbox={"boxstyle": "round,pad=0.1", "facecolor": bar.colour, "edgecolor": "none"} if bar.hatch else None,
+        )

@@ -1,0 +1,256 @@
+"""Figures of values over time: altitude, distances, errors, PrC and weights, age of peers, battery, wind, filter."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.ticker import MaxNLocator
+
+from companion.report.arrays import Floats
+from companion.report.distances import PairDistance
+from companion.report.figures.picture import Picture, picture
+from companion.report.figures.style import GREY, LIMIT, Axis, dress, dress_time, finish, look, new_figure, plot
+from companion.report.flight import RecordedFlight, VehicleLog
+
+MOST_PAIRS = 10  # of large fleets only the nearest pairs are drawn
+MOST_PANELS = 12
+SMOOTH_TICKS = 100  # 2 s: the estimate follows every gust and the noise
+JUDGED = "Judged are all records; drawn are the smallest and largest of each moment."
+
+
+def altitude(flight: RecordedFlight, axis: Axis) -> Picture:
+    """Altitude of every vehicle."""
+    figure = new_figure(1.8)
+    axes = figure.subplots()
+    for index, vehicle in enumerate(flight.vehicles):
+        ticks = vehicle.ticks
+        plot(axes, ticks.time_s, ticks.position_enu_m[:, 2], f"vehicle {vehicle.vehicle_id}", **look(index))
+    dress(axes, "altitude above the origin [m]")
+    dress_time([axes], axis)
+    finish(figure, [axes])
+    return picture(figure, "altitude", "Altitude over time", "As estimated on board, in the fleet frame.")
+
+
+def distances(flight: RecordedFlight, pairs: Sequence[PairDistance], axis: Axis) -> Picture:
+    """The pair that came nearest is highlighted, with what the separation filter of its vehicles required."""
+    figure = new_figure(2.5)
+    axes = figure.subplots()
+    for index, pair in reversed(list(enumerate(pairs[:MOST_PAIRS]))):
+        label = f"{pair.pair[0]} - {pair.pair[1]}"
+        judged_m = np.where(pair.judged, pair.distance_m, np.nan)
+        if index == 0 and pair.judged.any():
+            style = {"color": "#000000", "linewidth": 2.2}
+            label += f", smallest {pair.smallest_m:.2f} m"
+            axes.plot(pair.smallest_at_s, pair.smallest_m, "o", color="#000000", markersize=6, zorder=5)
+        else:
+            style = look(index) | {"linewidth": 1.0}
+        plot(axes, pair.time_s, judged_m, label, **style)
+    if pairs:
+        required_s, required_m = _required(flight, pairs[0].pair)
+        plot(axes, required_s, required_m, "required by the filter, nearest pair", color=GREY, linewidth=1.2)
+    if flight.separation_m is not None:
+        axes.axhline(flight.separation_m, label=f"separation_m {flight.separation_m:g} m", **LIMIT)
+    axes.set_ylim(bottom=0.0)
+    dress(axes, "distance [m]")
+    dress_time([axes], axis)
+    finish(figure, [axes])
+    left_out = (
+        f" {len(pairs) - MOST_PAIRS} pairs that stayed farther apart are left out." if len(pairs) > MOST_PAIRS else ""
+    )
+    caption = (
+        "Pairs with both vehicles in the air, from their recorded positions. A metre of height counts half, as"
+        f" separation_m counts it. {JUDGED}{left_out}"
+    )
+    return picture(figure, "distances", "Inter-distances over time", caption)
+
+
+def _required(flight: RecordedFlight, pair: tuple[int, int]) -> tuple[Floats, Floats]:
+    """Required distance of the pair, where one of the two has the other as its nearest vehicle."""
+    for own, other in (pair, pair[::-1]):
+        ticks = next(vehicle.ticks for vehicle in flight.vehicles if vehicle.vehicle_id == own)
+        shown = ticks.nearest == str(other)
+        if shown.any():
+            return ticks.time_s, np.where(shown, ticks.required_m, np.nan)
+    return np.empty(0), np.empty(0)
+
+
+def errors(flight: RecordedFlight, errors_m: Mapping[int, Floats], axis: Axis) -> Picture:
+    """Error to the slot of every vehicle; `errors_m` is per tick, by vehicle."""
+    figure = new_figure(1.9)
+    axes = figure.subplots()
+    for index, vehicle in enumerate(flight.vehicles):
+        plot(axes, vehicle.ticks.time_s, errors_m[vehicle.vehicle_id], f"vehicle {vehicle.vehicle_id}", **look(index))
+    axes.set_ylim(bottom=0.0)
+    dress(axes, "error to slot [m]")
+    dress_time([axes], axis)
+    finish(figure, [axes])
+    caption = f"|(x - d) - r|: position less its slot offset, to the leader's reference at that time. {JUDGED}"
+    return picture(figure, "errors", "Error to the slot over time", caption)
+
+
+def prc(flight: RecordedFlight, axis: Axis) -> Picture:
+    """PrC of every vehicle, as steps."""
+    figure = new_figure(1.3)
+    axes = figure.subplots()
+    for index, vehicle in enumerate(flight.vehicles):
+        # Curves of equal values lie side by side.
+        shifted = vehicle.ticks.prc + 0.06 * (index - (len(flight.vehicles) - 1) / 2.0)
+        axes.step(
+            *_changes(vehicle.ticks.time_s, shifted), where="post", label=f"vehicle {vehicle.vehicle_id}", **look(index)
+        )
+    axes.yaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.margins(y=0.12)
+    dress(axes, "PrC [-]")
+    dress_time([axes], axis)
+    finish(figure, [axes])
+    return picture(
+        figure, "prc", "Priority coefficient (PrC) over time", "1 is a leader, 2 has a leader as neighbour, and so on."
+    )
+
+
+def _changes(time_s: Floats, values: Floats) -> tuple[Floats, Floats]:
+    """Only where a value changes, and the ends."""
+    if time_s.size < 2:
+        return time_s, values
+    keep = np.concatenate(([True], values[1:] != values[:-1]))
+    keep[-1] = True
+    return time_s[keep], values[keep]
+
+
+def weights(flight: RecordedFlight, axis: Axis) -> Picture | None:
+    """A panel for each vehicle that used neighbours; None without any."""
+    users = [vehicle for vehicle in flight.vehicles if vehicle.ticks.neighbours][:MOST_PANELS]
+    if not users:
+        return None
+    places = {vehicle_id: index for index, vehicle_id in enumerate(_all_ids(flight))}
+    figure = new_figure(max(0.42, 0.8 - 0.06 * len(users)) * len(users))
+    panels = list(figure.subplots(len(users), 1, sharex=True, squeeze=False)[:, 0])
+    shown: set[int] = set()
+    for axes, vehicle in zip(panels, users, strict=True):
+        for other, use in vehicle.ticks.neighbours.items():
+            label = "_" if other in shown else f"of neighbour {other}"
+            shown.add(other)
+            plot(axes, vehicle.ticks.time_s, use.weight, label, **look(places[other]))
+        axes.set_ylim(-0.05, 1.05)
+        dress(axes, f"w of {vehicle.vehicle_id} [-]")
+    dress_time(panels, axis)
+    finish(figure, panels)
+    return picture(figure, "weights", "Weights of the neighbours over time", "w_ij of eq. 6; a gap: not used.")
+
+
+def _all_ids(flight: RecordedFlight) -> list[int]:
+    """Recorded vehicles in their order, then those that are only known as neighbours."""
+    others = {other for vehicle in flight.vehicles for other in vehicle.ticks.neighbours}
+    return [*flight.ids, *sorted(others - set(flight.ids))]
+
+
+def peer_ages(flight: RecordedFlight, axis: Axis) -> Picture:
+    """The oldest state of a neighbour that was used in each tick."""
+    figure = new_figure(1.5)
+    axes = figure.subplots()
+    for index, vehicle in enumerate(flight.vehicles):
+        plot(axes, vehicle.ticks.time_s, 1e3 * _oldest_s(vehicle), f"vehicle {vehicle.vehicle_id}", **look(index))
+    if flight.fleet:
+        limit_ms = 1e3 * flight.fleet.peers.max_age_s
+        axes.axhline(limit_ms, label=f"peers.max_age_s {limit_ms:g} ms", **LIMIT)
+    axes.set_ylim(bottom=0.0)
+    dress(axes, "age [ms]")
+    dress_time([axes], axis)
+    finish(figure, [axes])
+    return picture(
+        figure, "peer-ages", "Age of the oldest neighbour state used", "An older state than the limit is not used."
+    )
+
+
+def _oldest_s(vehicle: VehicleLog) -> Floats:
+    ages = [use.age_s for use in vehicle.ticks.neighbours.values()]
+    if not ages:
+        return np.full(vehicle.ticks.time_s.size, np.nan)
+    oldest = np.fmax.reduce(ages)
+    return np.asarray(oldest, dtype=np.float64)
+
+
+def battery(flight: RecordedFlight, axis: Axis) -> Picture:
+    """Charge of every vehicle, with the thresholds of the fleet file."""
+    figure = new_figure(1.5)
+    axes = figure.subplots()
+    for index, vehicle in enumerate(flight.vehicles):
+        ticks = vehicle.ticks
+        plot(axes, ticks.time_s, ticks.battery_percent, f"vehicle {vehicle.vehicle_id}", **look(index))
+    fleet = flight.fleet
+    for name in ("leave_below_percent", "land_below_percent"):
+        value = getattr(fleet, name) if fleet else None
+        if value is not None:
+            axes.axhline(value, label=f"{name} {value:g} %", **LIMIT)
+    axes.set_ylim(0.0, 105.0)
+    dress(axes, "charge [%]")
+    dress_time([axes], axis)
+    finish(figure, [axes])
+    return picture(figure, "battery", "Battery over time", "As reported by the autopilots.")
+
+
+def wind(flight: RecordedFlight, axis: Axis) -> Picture:
+    """Estimated acceleration by wind, east and north."""
+    figure = new_figure(2.2)
+    panels = list(figure.subplots(2, 1, sharex=True))
+    for index, vehicle in enumerate(flight.vehicles):
+        ticks = vehicle.ticks
+        for axes, column in zip(panels, ticks.wind_acceleration_enu_m_s2.T[:2], strict=True):
+            shown = np.where(ticks.flying, _smooth(column), np.nan)
+            plot(axes, ticks.time_s, shown, f"vehicle {vehicle.vehicle_id}", **look(index) | {"linewidth": 0.9})
+    dress(panels[0], "east [m/s²]")
+    dress(panels[1], "north [m/s²]")
+    dress_time(panels, axis)
+    finish(figure, panels)
+    caption = "Acceleration by wind as each agent estimates it; in steady wind all vehicles agree. Drawn is the mean over 2 s."
+    return picture(figure, "wind", "Estimated wind over time", caption)
+
+
+def _smooth(values: Floats) -> Floats:
+    """The mean over SMOOTH_TICKS about each value."""
+    if values.size < SMOOTH_TICKS:
+        return values
+    padded = np.pad(values, (SMOOTH_TICKS // 2, SMOOTH_TICKS - 1 - SMOOTH_TICKS // 2), mode="edge")
+    sums = np.cumsum(np.concatenate(([0.0], padded)))
+    return np.asarray((sums[SMOOTH_TICKS:] - sums[:-SMOOTH_TICKS]) / SMOOTH_TICKS, dtype=np.float64)
+
+
+def interventions(flight: RecordedFlight, axis: Axis) -> Picture:
+    """What the separation filter changed, and the room that was left."""
+    figure = new_figure(2.4)
+    above, below = figure.subplots(2, 1, sharex=True)
+    for index, vehicle in enumerate(flight.vehicles):
+        ticks = vehicle.ticks
+        plot(above, ticks.time_s, ticks.filter_changed_m_s2, f"vehicle {vehicle.vehicle_id}", **look(index))
+        plot(below, ticks.time_s, ticks.nearest_m - ticks.required_m, f"vehicle {vehicle.vehicle_id}", **look(index))
+    below.axhline(0.0, label="required distance", **LIMIT)
+    above.set_ylim(bottom=0.0, top=max(1.0, above.get_ylim()[1]))
+    dress(above, "change [m/s²]")
+    dress(below, "room [m]")
+    dress_time([above, below], axis)
+    finish(figure, [above, below])
+    caption = (
+        "Above: by how much the separation filter changed the commanded acceleration. Below: distance of the nearest"
+        " vehicle or traffic less its required distance; the filter acts towards 0."
+    )
+    return picture(figure, "interventions", "Separation filter: interventions and room", caption)
+
+
+def position_errors(flight: RecordedFlight, axis: Axis) -> Picture:
+    """Horizontal position error that each estimator reports."""
+    figure = new_figure(1.5)
+    axes = figure.subplots()
+    for index, vehicle in enumerate(flight.vehicles):
+        statuses = vehicle.statuses
+        plot(axes, statuses.time_s, statuses.error_horizontal_m, f"vehicle {vehicle.vehicle_id}", **look(index))
+    axes.set_ylim(bottom=0.0)
+    dress(axes, "one sigma, horizontal [m]")
+    dress_time([axes], axis)
+    finish(figure, [axes])
+    return picture(
+        figure,
+        "position-errors",
+        "Position error as the estimators report it",
+        "From the status reports, ten a second.",
+    )

@@ -1,0 +1,1 @@
+"""What deserves attention in a flight: one module for each kind of finding."""

@@ -1,0 +1,103 @@
+"""Failsafes: health flags in flight, and events by which an agent or an autopilot left the formation."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from companion.config.fleet import FleetConfig
+from companion.core.safety.failsafe import FAILSAFES, FailsafeSettings, schedule
+from companion.report.arrays import Bools
+from companion.report.finding import Finding, Kind, Severity, finding
+from companion.report.flight import VehicleLog
+from companion.report.intervals import Interval, runs
+from companion.types.flight import FLAG_TEXTS, STREAMING, FailsafeAction, HealthFlag
+from companion.types.notices import Code
+
+APART_S = 2.0  # a flag that comes and goes within this time is one finding
+LOST_FLAGS = frozenset({HealthFlag.LEADER_AWAITED, HealthFlag.LEADER_LOST, HealthFlag.FLEET_LINK_LOST})
+LATE_FLAGS = frozenset({HealthFlag.TICK_LATE})
+# These count in every phase in the air; the others only while the agent commands setpoints.
+ALWAYS_COUNT = frozenset(
+    {HealthFlag.BATTERY_LOW, HealthFlag.BATTERY_CRITICAL, HealthFlag.OUTSIDE_FENCE, HealthFlag.ESTIMATOR_BAD}
+)
+STREAMING_PHASES = tuple(str(phase) for phase in STREAMING)
+EVENTS = {
+    Code.AGENT_FAILED: Severity.CRITICAL,
+    Code.HAND_OVER_FAILED: Severity.CRITICAL,
+    Code.NO_SETPOINT: Severity.CRITICAL,
+    Code.PROCEDURE_FAILED: Severity.WARNING,
+    Code.MODE_CHANGED_BY_OTHERS: Severity.WARNING,
+    Code.AGENT_STOPPING: Severity.WARNING,
+    Code.RECORDING_DROPS: Severity.WARNING,
+    Code.SEPARATION_INTERVENES: Severity.INFO,
+}
+KINDS = {Code.SEPARATION_INTERVENES: Kind.CLOSE, Code.RECORDING_DROPS: Kind.RECORDING}
+
+
+def settings_of(fleet: FleetConfig | None) -> FailsafeSettings:
+    """What the fleet file chooses; the defaults without one."""
+    if fleet is None:
+        return FailsafeSettings()
+    action = FailsafeAction[fleet.low_battery_action.upper()]
+    return FailsafeSettings(action, fleet.land_after_s, fleet.leader_holds_after_s)
+
+
+def raised_flags(vehicle: VehicleLog, settings: FailsafeSettings) -> Iterator[Finding]:
+    """One finding for each time a flag was raised in the air. Critical where a failsafe beyond a warning came due."""
+    streaming = np.asarray(np.isin(vehicle.ticks.phase, STREAMING_PHASES), dtype=np.bool_)
+    schedules = {HealthFlag(row.condition): schedule(row.steps, settings) for row in FAILSAFES}
+    for flag in HealthFlag:
+        raised = vehicle.ticks.flags.get(flag)
+        # The positions of all vehicles show SEPARATION_VIOLATED better than one vehicle's view: see `closeness`.
+        if raised is None or flag is HealthFlag.SEPARATION_VIOLATED:
+            continue
+        for interval, first, last in runs(vehicle.ticks.time_s, counting(vehicle, flag), APART_S):
+            action = _action(schedules[flag], interval, bool(streaming[first : last + 1].any()))
+            yield _of_flag(vehicle, flag, interval, action)
+
+
+def counting(vehicle: VehicleLog, flag: str) -> Bools:
+    """Per tick: whether the flag is raised where it counts: on the ground most flags are expected."""
+    streaming = np.isin(vehicle.ticks.phase, STREAMING_PHASES)
+    return np.asarray(
+        vehicle.ticks.flags[flag] & vehicle.in_air() & (streaming | (flag in ALWAYS_COUNT)), dtype=np.bool_
+    )
+
+
+def _action(steps: tuple[tuple[float, FailsafeAction], ...], interval: Interval, streaming: bool) -> FailsafeAction:
+    """The strongest step that came due while the flag was raised; a warning where no step is taken."""
+    due = [action for due_s, action in steps if due_s <= interval.lasts_s + 0.02]
+    return max(due, default=FailsafeAction.WARN) if streaming else FailsafeAction.WARN
+
+
+def _of_flag(vehicle: VehicleLog, flag: HealthFlag, interval: Interval, action: FailsafeAction) -> Finding:
+    kind = Kind.LOST if flag in LOST_FLAGS else Kind.LATE if flag in LATE_FLAGS else Kind.FAILSAFE
+    beyond = action not in (FailsafeAction.NONE, FailsafeAction.WARN, FailsafeAction.STOP_STREAM)
+    text = f"{FLAG_TEXTS[flag]} for {interval.lasts_s:.1f} s"
+    if beyond:
+        text += f"; failsafe: {action.name.lower()}"
+    elif action is FailsafeAction.STOP_STREAM:
+        text += "; no setpoint was sent"
+    severity = Severity.CRITICAL if beyond else Severity.WARNING
+    return finding(kind, severity, Code(flag), vehicle.vehicle_id, interval.begins_s, text, interval.lasts_s)
+
+
+def failsafe_events(vehicle: VehicleLog) -> Iterator[Finding]:
+    """Events that are findings by themselves."""
+    for event in vehicle.events:
+        if severity := EVENTS.get(event.code):
+            kind = KINDS.get(event.code, Kind.FAILSAFE)
+            yield finding(kind, severity, event.code, vehicle.vehicle_id, event.time_s, event.text)
+
+
+def disarmed_in_air(vehicle: VehicleLog) -> Iterator[Finding]:
+    """The autopilot disarmed while it reported to be in the air."""
+    statuses = vehicle.statuses
+    fell = np.flatnonzero(statuses.armed[:-1] & ~statuses.armed[1:] & statuses.in_air[:-1] & statuses.in_air[1:])
+    for row in fell:
+        time_s = float(statuses.time_s[row + 1])
+        height_m = float(np.interp(time_s, vehicle.ticks.time_s, vehicle.ticks.position_enu_m[:, 2]))
+        text = f"disarmed in the air, {height_m:.1f} m above the origin, in mode {statuses.mode[row]}"
+        yield finding(Kind.FAILSAFE, Severity.CRITICAL, Code.AUTOPILOT_DISARMED, vehicle.vehicle_id, time_s, text)

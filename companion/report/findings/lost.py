@@ -1,0 +1,56 @@
+"""Lost: peers whose packets did not arrive while both vehicles were in the air."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from companion.report.arrays import Bools
+from companion.report.finding import Finding, Kind, Severity, finding
+from companion.report.flight import RecordedFlight, VehicleLog
+from companion.report.intervals import runs
+from companion.types.notices import Code
+
+LOST_S = 0.25  # in three reports in a row
+APART_S = 1.0
+REPORT_S = 0.35  # a report counts until the next one, at most for this time
+
+
+def lost_peers(flight: RecordedFlight) -> Iterator[Finding]:
+    """One finding for each time a vehicle did not receive another one that was in the air and had been received before."""
+    for vehicle in flight.vehicles:
+        for other in flight.vehicles:
+            if other is not vehicle:
+                yield from _lost(vehicle, other)
+
+
+def _lost(vehicle: VehicleLog, other: VehicleLog) -> Iterator[Finding]:
+    statuses = vehicle.statuses
+    fresh = np.array([other.vehicle_id in peers for peers in statuses.peers], dtype=np.bool_)
+    if not fresh.any():
+        return
+    known = np.arange(fresh.size) > int(np.argmax(fresh))
+    missing = ~fresh & known & statuses.in_air & _in_air_at(other, vehicle)
+    for interval, _, _ in runs(statuses.time_s, missing, APART_S, REPORT_S):
+        if interval.lasts_s >= LOST_S:
+            text = f"no packets of vehicle {other.vehicle_id} for {interval.lasts_s:.1f} s"
+            yield finding(
+                Kind.LOST,
+                Severity.WARNING,
+                Code.PEER_STALE,
+                vehicle.vehicle_id,
+                interval.begins_s,
+                text,
+                interval.lasts_s,
+            )
+
+
+def _in_air_at(other: VehicleLog, vehicle: VehicleLog) -> Bools:
+    """Whether the other vehicle is in the air, and its agent runs, at each report of this one."""
+    time_s, own_s = vehicle.statuses.time_s, other.ticks.time_s
+    if not own_s.size:
+        return np.zeros(time_s.size, dtype=np.bool_)
+    row = np.clip(np.searchsorted(own_s, time_s, side="right") - 1, 0, own_s.size - 1)
+    runs_now = (time_s >= own_s[0]) & (time_s - own_s[row] < REPORT_S)
+    return np.asarray(other.in_air()[row] & runs_now, dtype=np.bool_)

@@ -1,0 +1,121 @@
+"""`companion report` with files: exit codes, JSON, damage, and what it prints."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from msgspec.structs import replace
+
+from companion.cli.main import main
+from companion.report.findings.commands import refused_commands
+from companion.types.commands import CommandName
+from companion.types.notices import Code, Notice
+from flown_records import BEGIN_UNIX_S, Faults, flight_of, records_of, write_recordings
+
+SECONDS = 24.0
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two vehicles, a good flight; with its report."""
+    folder = tmp_path_factory.mktemp("good")
+    write_recordings(folder, records_of(2, SECONDS))
+    return folder
+
+
+def codes(folder: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, list[tuple[str, int | None]]]:
+    """(exit code, codes and vehicles of the findings)."""
+    capsys.readouterr()
+    exit_code = main(["report", str(folder), "--json"])
+    printed = json.loads(capsys.readouterr().out)
+    return exit_code, [(one["code"], one["vehicle_id"]) for one in printed["findings"]]
+
+
+def test_a_good_flight_gives_a_page_and_exit_code_0(flown: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["report", str(flown)]) == 0
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert "No findings" in printed.err.splitlines()[-1]
+    assert str(flown / "report.html") in printed.err
+    assert "No findings: no vehicles came too close" in (flown / "report.html").read_text(encoding="utf-8")
+
+
+def test_json_has_figures_of_every_vehicle(flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["report", str(flown), "--json", "--out", str(tmp_path / "a.html")]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert (printed["version"], printed["fleet"], printed["findings"]) == (1, "golden", [])
+    assert printed["begin_unix_s"] == pytest.approx(BEGIN_UNIX_S, abs=0.05)
+    assert printed["lasts_s"] == pytest.approx(SECONDS, abs=0.1)
+    assert printed["smallest_separation"]["pair"] == [1, 2]
+    assert printed["smallest_separation"]["distance_m"] == pytest.approx(3.05, abs=0.01)
+    first, second = printed["vehicles"]
+    assert (first["vehicle_id"], first["error_max_m"], first["commands"], first["refused"]) == (1, 0.0, 5, 0)
+    assert second["error_max_m"] == pytest.approx(0.05, abs=0.01)
+    assert second["in_formation_s"] == pytest.approx(6.0, abs=0.1)
+    assert (tmp_path / "a.html").exists()
+
+
+def test_critical_findings_are_exit_code_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    failed = Faults(events=((12.0, Notice(Code.AGENT_FAILED, "ValueError: a defect")),))
+    write_recordings(tmp_path, records_of(2, SECONDS, {2: failed}))
+    assert codes(tmp_path, capsys) == (1, [("AGENT_FAILED", 2)])
+
+
+def test_a_truncated_file_is_read_as_far_as_possible(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    _, path = write_recordings(tmp_path, records_of(2, SECONDS))
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    exit_code, found = codes(tmp_path, capsys)
+    assert exit_code == 1
+    assert found == [("RECORDING_ENDS_IN_AIR", 2), ("RECORDING_TRUNCATED", 2)]
+
+
+def test_two_starts_of_one_vehicle_are_one_vehicle(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_recordings(tmp_path, records_of(2, SECONDS, {2: Faults(restart_s=(12.0, 13.0))}))
+    assert codes(tmp_path, capsys) == (1, [("AGENT_RESTARTED", 2)])
+
+
+def test_a_missing_vehicle_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    missing, *others = records_of(3, SECONDS)
+    write_recordings(tmp_path, others)
+    assert codes(tmp_path, capsys) == (0, [("RECORDING_MISSING", missing.header.vehicle_id)])
+
+
+def test_vehicles_that_never_met_are_not_aligned(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for number, start in enumerate(records_of(2, SECONDS)):
+        write_recordings(tmp_path / str(number), [start])
+    exit_code, found = codes(tmp_path, capsys)
+    assert (exit_code, found) == (0, [("CLOCK_NOT_ALIGNED", 1), ("CLOCK_NOT_ALIGNED", 2)])
+
+
+def test_another_file_in_the_folder_is_a_finding(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_recordings(tmp_path, records_of(1, SECONDS))
+    (tmp_path / "notes.mcap").write_text("no recording")
+    assert codes(tmp_path, capsys) == (0, [("RECORDING_UNREADABLE", None)])
+
+
+def test_an_empty_folder_is_exit_code_2_with_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["report", str(tmp_path)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"companion report: {tmp_path}: no recordings here")
+
+
+def test_a_page_that_cannot_be_written_is_exit_code_2(flown: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["report", str(flown), "--out", str(flown / "missing" / "a.html")]) == 2
+    assert "cannot be written: No such file or directory; choose another file with --out" in capsys.readouterr().err
+
+
+def test_a_refusal_that_was_accepted_soon_after_is_information() -> None:
+    start = records_of(1, SECONDS, {1: Faults(refused={CommandName.ARM: Code.WRONG_PHASE})})[0]
+    again_s = 1.2
+    repeated = [(now_s + again_s, command) for now_s, command in start.commands if command.name is CommandName.ARM]
+    start.commands.extend((now_s, replace(command, number=50)) for now_s, command in repeated)
+    answers = [reply for _, reply in start.replies if reply.number == 2]
+    start.replies.extend(
+        (repeated[0][0] + 0.01, replace(reply, number=50, accepted=True, code=Code.PHASE_CHANGED)) for reply in answers
+    )
+    (vehicle,) = flight_of([start]).vehicles
+    (found,) = refused_commands(vehicle)
+    assert (found.severity, found.code) == ("info", Code.WRONG_PHASE)
+    assert found.text.endswith("; accepted 1.2 s later")

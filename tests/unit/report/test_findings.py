@@ -1,0 +1,142 @@
+"""A flight with known violations has exactly these findings; a good one has none."""
+
+from __future__ import annotations
+
+from msgspec.structs import replace
+
+from companion.recording.records import DecisionRecord, TimingRecord
+from companion.report.distances import grid_of, pair_distances
+from companion.report.finding import Finding, Kind, Severity
+from companion.report.findings.all import all_findings
+from companion.types.autopilot import LandedState
+from companion.types.commands import CommandName
+from companion.types.flight import FlightPhase, HealthFlag
+from companion.types.notices import Code, Notice
+from companion.types.status import Status
+from flown_records import Faults, flagged, fleet_of, flight_of, near_vehicle_1, records_of
+
+Expected = tuple[Severity, Code, int | None, float]
+CRITICAL, WARNING, INFO = Severity
+
+
+def findings_of(faults: dict[int, Faults], vehicles: int = 4, seconds: float = 60.0) -> tuple[Finding, ...]:
+    starts = records_of(vehicles, seconds, faults)
+    flight = flight_of(starts)
+    return all_findings(flight, pair_distances(flight, grid_of(flight)))
+
+
+def short(findings: tuple[Finding, ...]) -> list[Expected]:
+    return [(one.severity, one.code, one.vehicle_id, round(one.time_s, 1)) for one in findings]
+
+
+def late_ticks(time_s: float, record: TimingRecord) -> TimingRecord:
+    return TimingRecord(record.now_s, 45_000, 900, 1300, 30_000) if 29.99 < time_s < 31.99 else record
+
+
+def without_peer_1(time_s: float, status: Status) -> Status:
+    return replace(status, peers=tuple(i for i in status.peers if i != 1)) if 25.0 <= time_s < 26.0 else status
+
+
+def disarmed_at_40_s(time_s: float, status: Status) -> Status:
+    return replace(status, armed=False) if time_s >= 40.0 and status.landed is LandedState.IN_AIR else status
+
+
+def test_a_good_flight_has_no_findings() -> None:
+    assert findings_of({}) == ()
+
+
+def test_the_golden_flight_has_exactly_the_known_findings() -> None:
+    faults = {
+        1: Faults(refused={CommandName.ARM: Code.WRONG_PHASE}, status=disarmed_at_40_s),
+        2: Faults(decision=near_vehicle_1, status=without_peer_1),
+        3: Faults(timing=late_ticks, problems=("b.mcap: ends within a record",)),
+        4: Faults(
+            lost=(34.0, 35.0),
+            decision=flagged(HealthFlag.BATTERY_LOW, 36.0, 41.0).decision,
+            events=((37.0, Notice(Code.SEPARATION_INTERVENES, "the filter changes the acceleration by 1.2 m/s^2")),),
+        ),
+    }
+    assert short(findings_of(faults)) == [
+        (CRITICAL, Code.SEPARATION_VIOLATED, 1, 20.0),
+        (CRITICAL, Code.BATTERY_LOW, 4, 36.0),
+        (CRITICAL, Code.AUTOPILOT_DISARMED, 1, 40.0),
+        (WARNING, Code.WRONG_PHASE, 1, 1.9),
+        (WARNING, Code.PEER_STALE, 2, 25.0),
+        (WARNING, Code.COMMANDS_SLOW, 3, 30.0),
+        (WARNING, Code.LOOP_LATE, 3, 30.0),
+        (WARNING, Code.RECORDING_GAP, 4, 34.0),
+        (WARNING, Code.RECORDING_TRUNCATED, 3, 60.0),
+        (INFO, Code.SEPARATION_INTERVENES, 4, 37.0),
+    ]
+
+
+def test_the_nearest_moment_of_an_encounter_is_named() -> None:
+    (found,) = findings_of({2: Faults(decision=near_vehicle_1)})
+    assert found.kind is Kind.CLOSE
+    assert "vehicles 1 and 2 were 1.00 m apart" in found.text
+    assert "separation_m is 1.5 m" in found.text
+    assert found.lasts_s is not None
+    assert 1.9 < found.lasts_s < 2.1
+
+
+def test_a_leader_lost_long_enough_is_critical_and_names_the_failsafe() -> None:
+    (brief,) = findings_of({3: flagged(HealthFlag.LEADER_AWAITED, 20.0, 20.4)})
+    assert (brief.kind, brief.severity, brief.code) == (Kind.LOST, WARNING, Code.LEADER_AWAITED)
+    (lost,) = findings_of({3: flagged(HealthFlag.LEADER_LOST, 20.0, 20.4)})
+    assert (lost.severity, lost.code) == (CRITICAL, Code.LEADER_LOST)
+    assert "failsafe: hold" in lost.text
+
+
+def test_a_flag_on_the_ground_is_no_finding() -> None:
+    assert findings_of({3: flagged(HealthFlag.LEADER_LOST, 0.0, 4.0)}) == ()
+
+
+def test_a_stale_position_is_a_warning_that_names_the_missing_setpoint() -> None:
+    (found,) = findings_of({2: flagged(HealthFlag.POSITION_STALE, 20.0, 20.06)})
+    assert (found.severity, found.code) == (WARNING, Code.POSITION_STALE)
+    assert "no setpoint was sent" in found.text
+
+
+def test_a_vehicle_without_a_recording_is_named() -> None:
+    starts = [start for start in records_of(3) if start.header.vehicle_id != 2]
+    flight = flight_of(starts)
+    found = all_findings(flight, pair_distances(flight, grid_of(flight)))
+    assert short(found) == [(WARNING, Code.RECORDING_MISSING, 2, 0.0)]
+
+
+def test_a_restart_in_the_air_is_critical() -> None:
+    found = findings_of({2: Faults(restart_s=(30.0, 33.0))})
+    assert short(found) == [(CRITICAL, Code.AGENT_RESTARTED, 2, 33.0)]
+    assert "3.0 s after its last record" in found[0].text
+
+
+def test_a_recording_that_ends_in_the_air_is_critical() -> None:
+    found = findings_of({3: Faults(ends_s=30.0)})
+    assert short(found) == [(CRITICAL, Code.RECORDING_ENDS_IN_AIR, 3, 30.0)]
+
+
+def test_a_flight_on_the_ground_only_is_named() -> None:
+    def on_the_ground(_time_s: float, record: DecisionRecord) -> DecisionRecord:
+        return replace(record, phase=FlightPhase.OBSERVE, reference_enu_m=None)
+
+    def landed(_time_s: float, status: Status) -> Status:
+        return replace(status, landed=LandedState.ON_GROUND, armed=False)
+
+    faults = {i: Faults(decision=on_the_ground, status=landed) for i in (1, 2)}
+    assert short(findings_of(faults, vehicles=2, seconds=20.0)) == [(INFO, Code.NOT_FLOWN, None, 0.0)]
+
+
+def test_without_a_usable_fleet_file_distances_are_not_judged_and_it_is_said() -> None:
+    starts = records_of(2, 20.0, {2: Faults(decision=near_vehicle_1)}, fleet_of(2))
+    starts = [type(start)(replace(start.header, fleet_file="{"), start.decisions, start.timings) for start in starts]
+    flight = flight_of(starts)
+    found = all_findings(flight, pair_distances(flight, grid_of(flight)))
+    assert [one.code for one in found] == [Code.RECORDING_UNREADABLE]
+    assert "distances are not judged" in found[0].text
+
+
+def test_a_clock_that_could_not_be_compared_is_named() -> None:
+    starts = records_of(2, 30.0)
+    flight = flight_of(starts, unaligned=(2,))
+    found = all_findings(flight, pair_distances(flight, grid_of(flight)))
+    assert short(found) == [(WARNING, Code.CLOCK_NOT_ALIGNED, 2, 0.0)]

@@ -1,0 +1,130 @@
+"""Recordings as CSV files: names with units, one time for all vehicles."""
+
+import csv
+from pathlib import Path
+
+import pytest
+from msgspec.structs import replace
+
+from companion.cli.main import main
+from companion.recording.records import DECISION, STATUS, DecisionRecord
+from companion.tools.columns import Table
+from companion.types.autopilot import PositionError
+from companion.types.formation import LeaderBeacon
+from companion.types.notices import Code, Notice
+from companion.wire.ground import StatusReport
+from directed_flight import TIMING, status
+from recording_files import HEADER, RecordingFile
+
+DECISION_1 = DecisionRecord(
+    now_s=101.0,
+    phase="formation",
+    role="follower",
+    leader_id=None,
+    epoch=0,
+    prc=2,
+    position_enu_m=(1.5, -2.0, 3.0),
+    velocity_enu_m_s=(0.0, 0.0, 0.0),
+    slot_offset_enu_m=(0.0, 0.0, 0.0),
+    reference_enu_m=None,
+    neighbours=(1, 3),
+    weights=(0.75, 0.25),
+    peer_ages_s=(0.02, 0.04),
+    acceleration_enu_m_s2=(0.1, 0.2, 0.3),
+    roll_deg=None,
+    pitch_deg=-1.25,
+    yaw_deg=None,
+    thrust_norm=0.5,
+    nearest="1",
+    nearest_m=3.0,
+    required_m=1.0,
+    filter_changed_m_s2=0.0,
+    wind_acceleration_enu_m_s2=(0.0, 0.0, 0.0),
+    hover_thrust_norm=0.49,
+    battery_percent=None,
+    flags=("TICK_LATE", "BATTERY_LOW"),
+)
+
+
+def record(path: Path, vehicle_id: int = 1, unix_s: float = HEADER.unix_s, session: int = 1) -> None:
+    file = RecordingFile(path, replace(HEADER, vehicle_id=vehicle_id, unix_s=unix_s, session=session))
+    file.write(DECISION, 101.0, DECISION_1)
+    file.write(DECISION, 101.02, replace(DECISION_1, roll_deg=2.5, flags=()))
+    file.write(STATUS, 101.0, StatusReport(status(vehicle_id), TIMING))
+    file.close()
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_decisions_have_units_and_empty_cells(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    record(tmp_path / "a.mcap")
+    assert main(["export", str(tmp_path), "--csv"]) == 0
+    first, second = rows(tmp_path / "csv" / "vehicle-1_decision.csv")
+    assert (first["time_s"], first["unix_s"]) == ("1.0", f"{HEADER.unix_s + 1.0}")
+    assert (first["position_east_m"], first["position_north_m"], first["position_up_m"]) == ("1.5", "-2.0", "3.0")
+    assert first["acceleration_up_m_s2"] == "0.3"
+    assert (first["reference_east_m"], first["roll_deg"], first["pitch_deg"]) == ("", "", "-1.25")
+    assert (first["neighbours"], first["weights"], first["flags"]) == ("1 3", "0.75 0.25", "TICK_LATE BATTERY_LOW")
+    assert (second["roll_deg"], second["flags"], second["time_s"]) == ("2.5", "", "1.02")
+    assert "vehicle-1_decision.csv: 2 rows" in capsys.readouterr().out
+
+
+def test_a_status_is_flat(tmp_path: Path) -> None:
+    record(tmp_path / "a.mcap")
+    assert main(["export", str(tmp_path / "a.mcap"), "--csv", "--out", str(tmp_path / "out")]) == 0
+    (row,) = rows(tmp_path / "out" / "vehicle-1_status.csv")
+    assert row["status_phase"] == "observe"
+    assert row["status_armed"] == "0"
+    assert row["status_landed"] == "1"
+    assert row["status_leader_beacon_leader_id"] == ""
+    assert row["status_reference_east_m"] == "0.0"
+    assert row["timing_late_us_p99"] == "2.0"
+
+
+def test_cells_of_nested_values() -> None:
+    table = Table(StatusReport)
+    beacon, note = LeaderBeacon(3, 1, 2), Notice(Code.PEER_STALE, "text")
+    full = replace(
+        status(2),
+        leader_beacon=beacon,
+        last_event=note,
+        rejected={"A": 2, "B": 3},
+        position_error=PositionError(0.1, 0.2),
+    )
+    cells = dict(zip(table.names, table.cells(StatusReport(full, TIMING)), strict=True))
+    assert cells["status_leader_beacon_leader_id"] == 3
+    assert cells["status_leader_beacon_heading_rate_rad_s"] == 0.0
+    assert cells["status_last_event_code"] == "PEER_STALE"
+    assert cells["status_rejected"] == 5
+    assert cells["status_position_error_vertical_m"] == 0.2
+    assert cells["status_lacks"] == ""
+    assert len(set(table.names)) == len(table.names)
+
+
+def test_vehicles_have_one_time(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    record(tmp_path / "1.mcap")
+    record(tmp_path / "2.mcap", vehicle_id=2, unix_s=HEADER.unix_s + 3.0)
+    record(tmp_path / "3.mcap", vehicle_id=2, unix_s=HEADER.unix_s + 60.0, session=2)
+    assert main(["export", str(tmp_path), "--csv"]) == 0
+    folder = tmp_path / "csv"
+    assert [rows(folder / f"{name}_decision.csv")[0]["time_s"] for name in ("vehicle-1", "vehicle-2_start-1")] == [
+        "1.0",
+        "4.0",
+    ]
+    assert rows(folder / "vehicle-2_start-2_status.csv")[0]["time_s"] == "61.0"
+    assert "vehicle 1: its clock cannot be compared" in capsys.readouterr().err
+
+
+def test_what_cannot_be_exported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["export", str(tmp_path), "--csv"]) == 2
+    assert "no recordings here" in capsys.readouterr().err
+    record(tmp_path / "ground.mcap", vehicle_id=0)
+    assert main(["export", str(tmp_path), "--csv"]) == 2
+    assert "only the ground recorded here" in capsys.readouterr().err
+    record(tmp_path / "a.mcap")
+    (tmp_path / "file").write_text("")
+    assert main(["export", str(tmp_path), "--csv", "--out", str(tmp_path / "file")]) == 2
+    assert "cannot be written" in capsys.readouterr().err
