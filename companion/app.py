@@ -7,6 +7,7 @@ import logging
 import os
 import secrets
 import selectors
+import time
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,22 +19,24 @@ from companion.config.vehicle import AgentConfig, load_agent
 from companion.core.agent import Agent
 from companion.link.autopilot_link import AutopilotLink, AutopilotSilentError
 from companion.link.control_loop import ControlLoop, Job
-from companion.link.datagram_seal import DatagramSeal
 from companion.link.endpoint import LinkError
+from companion.link.fleet.datagram_seal import DatagramSeal
+from companion.link.fleet.peer_datagrams import PeerDatagrams
+from companion.link.fleet.zenoh_link import ZenohLink
+from companion.link.fleet.zenoh_session import EndpointError
 from companion.link.ground_link import GroundStationLink
-from companion.link.log import log_to_stderr
-from companion.link.peer_datagrams import PeerDatagrams
+from companion.link.journal import log_as_service
 from companion.link.signing_key import read_signing_key
 from companion.link.systemd import Notifier
-from companion.link.tick import TickTrigger
-from companion.link.zenoh_link import ZenohLink
-from companion.link.zenoh_session import EndpointError
+from companion.link.tick import TickTrigger, monotonic_s
 from companion.mavlink.dialect import AGENT_STREAMS
 from companion.mavlink.ground_station import GroundStationFilter
 from companion.mavlink.translator import Translator
+from companion.recording.writer.folder import recordings_folder
 
 if TYPE_CHECKING:
-    from companion.link.admissions import Admissions
+    from companion.link.fleet.admissions import Admissions
+    from companion.recording.writer.recorder import Recorder
     from companion.security.identity import Identity
 
 WAIT_FOR_AUTOPILOT_S = 15.0
@@ -53,7 +56,6 @@ def run_agent(settings: Settings) -> None:
     """Run the agent until SIGTERM or SIGINT. Raises ConfigError, AutopilotSilentError and AgentFailedError."""
     config = load_agent(settings.file)
     check_agent(settings.file, config)
-    log_to_stderr(config.vehicle.id)
     with asyncio.Runner(loop_factory=_loop) as runner:
         runner.run(_run(settings, config))
 
@@ -67,10 +69,14 @@ def _loop() -> asyncio.AbstractEventLoop:
 
 
 async def _run(settings: Settings, config: AgentConfig) -> None:
-    vehicle, agent, trigger = config.vehicle, build_agent(config, secrets.randbits(32)), TickTrigger()
+    session = secrets.randbits(32)
+    vehicle, agent, trigger = config.vehicle, build_agent(config, session), TickTrigger()
+    log_as_service(vehicle.id, lambda: agent.phase)
     key = read_signing_key(settings.file, vehicle.signing) if vehicle.signing else None
     identity = _identity(settings, config)
     with ExitStack() as stack:
+        if recorder := _recorder(settings, config, session):
+            stack.enter_context(closing(recorder))
         try:
             autopilot = AutopilotLink(
                 vehicle.id,
@@ -78,6 +84,7 @@ async def _run(settings: Settings, config: AgentConfig) -> None:
                 Translator(vehicle.id, vehicle.autopilot, key),
                 position_arrived=trigger.position_arrived,
                 reject=agent.reject,
+                record=recorder.mavlink if recorder and recorder.records_mavlink else None,
             )
             stack.enter_context(closing(autopilot))
             datagrams = (
@@ -104,23 +111,34 @@ async def _run(settings: Settings, config: AgentConfig) -> None:
             ground = stack.enter_context(closing(_ground_station(settings, config, autopilot, agent)))
             beside.append(ground.run)
         jobs = [autopilot.receive, autopilot.keep_in_touch, autopilot.keep_streams, *beside]
-        loop = ControlLoop(agent, autopilot, peers, trigger, notifier)
+        loop = ControlLoop(agent, autopilot, peers, trigger, notifier, recorder)
         if not await loop.run(settings.wait_s, jobs):
             raise AutopilotSilentError(settings.file, vehicle, settings.wait_s, autopilot.why_silent())
+
+
+def _recorder(settings: Settings, config: AgentConfig, session: int) -> Recorder | None:
+    """Only an agent that records loads the library for it."""
+    if (folder := recordings_folder(settings.file, config.vehicle.recording, os.environ)) is None:
+        return None
+    from companion.recording.writer.start import recorder_of
+    from companion.recording.writer.writing import WritingThread
+
+    _log.info("records into %s", folder)
+    return recorder_of(config, session, folder, time.time(), monotonic_s(), WritingThread())
 
 
 def _identity(settings: Settings, config: AgentConfig) -> Identity | None:
     """Of the vehicle file. Only an agent with an identity loads the library for it. Raises ConfigError."""
     if config.vehicle.identity is None:
         return None
-    from companion.link.own_identity import vehicle_identity
+    from companion.link.fleet.own_identity import vehicle_identity
 
     return vehicle_identity(settings.file, config)
 
 
 def _admissions(identity: Identity, link: ZenohLink) -> Admissions:
-    from companion.link.admissions import Admissions
-    from companion.link.own_identity import list_file
+    from companion.link.fleet.admissions import Admissions
+    from companion.link.fleet.own_identity import list_file
 
     return Admissions(identity, list_file(identity.authority_file.parent, os.environ), link)
 

@@ -79,10 +79,16 @@ COMMANDED = Path("command")  # in place of a file name in error messages
 LONGEST_REASON = 300  # characters; keys and values of a command have no limit of length
 
 
-def build_agent(config: AgentConfig, session: int) -> Agent:
-    """The agent of a vehicle. `session` differs between two starts of the agent of one vehicle."""
+def build_agent(config: AgentConfig, session: int, formation_hash: int | None = None) -> Agent:
+    """The agent of a vehicle. `session` differs between two starts of the agent of one vehicle.
+
+    `formation_hash` is that of the fleet file without a value. With that of other vehicles it accepts their packets although
+    its own settings differ: for a replay of recorded inputs.
+    """
     fleet, member, law, vehicle = config.fleet, config.member, config.fleet.law, config.vehicle
-    identity = Identity(member.id, session, fleet.name, fleet.formation_hash(), law.name)
+    if formation_hash is None:
+        formation_hash = fleet.formation_hash()
+    identity = Identity(member.id, session, fleet.name, formation_hash, law.name)
     ages, envelope = AgeLimits(), output_limits_of(fleet)
     observer = DisturbanceObserver(vehicle.hover_thrust_norm, vehicle.drag_1_s, law.disturbance_bandwidth_1_s)
     health = HealthLimits(ages, envelope, fleet.leave_below_percent, fleet.land_below_percent)
@@ -102,7 +108,7 @@ def build_agent(config: AgentConfig, session: int) -> Agent:
         safeguard=SafeguardStage(member.id, fleet.separation_m, health, _failsafes(fleet)),
         dispatcher=CommandDispatcher(checks),
         setpoint=_setpoint(fleet, safety_filter_of(fleet, member.id), SetpointStream(envelope, observer), ages.state_s),
-        report=ReportStage(identity, checks),
+        report=ReportStage(identity, law_of(law), checks),
     )
 
 

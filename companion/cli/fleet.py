@@ -142,7 +142,7 @@ def run(options: argparse.Namespace) -> int:
     from companion.config.file import ConfigError
     from companion.ground.operate import run_fleet
     from companion.ground.sending import OperateError
-    from companion.link.zenoh_session import EndpointError
+    from companion.link.fleet.zenoh_session import EndpointError
 
     try:
         if options.action == fleet_use.NAME:
@@ -163,12 +163,14 @@ def fleet_request(parsed: argparse.Namespace) -> FleetRequest:
     """
     from companion.config.file import ConfigError
     from companion.ground.current_fleet import FLEET_VARIABLE, select
-    from companion.ground.requests import COMMAND_LINE, FleetRequest
+    from companion.ground.requests import FleetRequest, command_line
 
     selection = select(parsed.fleet, parsed.connect or (), parsed.identity, os.environ)
     if selection.fleet is None:
         raise ConfigError(
-            COMMAND_LINE, "--fleet", f"missing; give it, set {FLEET_VARIABLE}, or save one: companion fleet use FILE"
+            command_line(parsed.action),
+            "--fleet",
+            f"missing; give it, set {FLEET_VARIABLE}, or save one: companion fleet use FILE",
         )
     if parsed.fleet is None:
         print(selection, file=sys.stderr)

@@ -24,11 +24,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """The exit code. Raises ConfigError and link.zenoh_session.EndpointError."""
+    """The exit code. Raises ConfigError and link.fleet.zenoh_session.EndpointError."""
     from companion.config.fleet_check import load_fleet
     from companion.ground.current_fleet import forget_current, save_current, select
-    from companion.link.own_identity import load
-    from companion.link.zenoh_session import check_endpoints
+    from companion.link.fleet.own_identity import load
+    from companion.link.fleet.zenoh_session import check_endpoints
 
     if options.clear:
         forget_current(os.environ)

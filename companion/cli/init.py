@@ -46,7 +46,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         required=True,
         metavar="WHERE",
-        help="zero of the fleet frame: LATITUDE LONGITUDE ALTITUDE_AMSL, or indoor (motion capture)",
+        help="zero of the fleet frame: latitude and longitude in degrees, altitude above mean sea level in metres;"
+        " or indoor (motion capture)",
     )
     add_formation(parser)
     parser.add_argument(

@@ -6,11 +6,26 @@ import argparse
 from collections.abc import Callable, Sequence
 
 from companion import __version__
-from companion.cli import agent, analyze, completion, doctor, explain, fleet, init, logs, monitor, provision
+from companion.cli import (
+    agent,
+    analyze,
+    completion,
+    doctor,
+    explain,
+    export,
+    fleet,
+    init,
+    logs,
+    monitor,
+    provision,
+    replay,
+    report,
+)
 from companion.cli.ending import ending_quietly
+from companion.cli.options import LineParser
 
 # A command module has NAME, SUMMARY (one line), DESCRIPTION and MORE (its help), add_arguments(parser) and run(options).
-COMMANDS = (agent, doctor, logs, fleet, monitor, analyze, explain, init, provision, completion)
+COMMANDS = (agent, doctor, logs, fleet, monitor, report, replay, export, analyze, explain, init, provision, completion)
 
 DESCRIPTION = "Formation flight for quadrotors with an onboard computer."
 
@@ -25,7 +40,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def parser() -> argparse.ArgumentParser:
     raw = argparse.RawDescriptionHelpFormatter
-    made = argparse.ArgumentParser(
+    made = LineParser(
         prog="companion",
         description=DESCRIPTION,
         epilog="`companion COMMAND --help` shows examples and exit codes.",

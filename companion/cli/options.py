@@ -6,9 +6,21 @@ import argparse
 import re
 import sys
 from pathlib import Path
+from typing import NoReturn
 
+EXIT_USAGE = 2
 MAX_VEHICLE_ID = 250
 MAX_WAIT_FOR_AUTOPILOT_S = 3600.0
+
+
+class LineParser(argparse.ArgumentParser):
+    """Reports an argument that cannot be used in one line, without the usage text above it."""
+
+    def error(self, message: str) -> NoReturn:
+        """Ends the program with EXIT_USAGE."""
+        from companion.types.printable import printable
+
+        self.exit(EXIT_USAGE, f"{self.prog}: {printable(message)}; {self.prog} --help explains it\n")
 
 
 def number(text: str, expected: str, least: float, most: float) -> float:

@@ -83,6 +83,9 @@ def run(options: argparse.Namespace) -> int:
     """The exit code."""
     from companion.config.file import ConfigError
 
+    if options.folder.is_file():
+        expected = "expected the folder of the fleet file and the vehicle files, which companion init writes"
+        return fail(f"{options.folder}: is a file; {expected}", EXIT_REFUSED)
     try:
         print(ACTIONS[options.action](options), end="")
     except ConfigError as error:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
-from companion.link.zenoh_session import open_session
+from companion.link.fleet.zenoh_session import open_session
 
 if TYPE_CHECKING:
     from companion.security.identity import Identity
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 class GroundConnection:
     """Connects to vehicles' endpoints, in the background, without end. Use it in a `with`, or call `close()`.
 
-    Raises link.zenoh_session.EndpointError.
+    Raises link.fleet.zenoh_session.EndpointError.
     """
 
     def __init__(self, connect: Sequence[str], identity: Identity | None = None) -> None:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import groupby
 from math import dist
 
 from companion.geometry.turning import turned_slot
 from companion.ground.text import formation_text, reference_text
-from companion.types.autopilot import LandedState
+from companion.types.autopilot import LandedState, PositionError
 from companion.types.flight import WITHOUT_LEADER, FlightPhase, HealthFlag, Role
 from companion.types.notices import Notice
 from companion.types.separation import SeparationReport
@@ -45,8 +46,9 @@ class VehicleRow:
     """One vehicle as the ground sees it at one time.
 
     `age_s` is the time since the last report; `data_age_s` adds the age of the position on board (inf where there never was
-    one). `error_to_slot_m` is |(x_i - d_i0) - r|, None where no leader reports or the vehicle does not fly. `holder` is the
-    operator who holds command. `flags` has LEADER_AWAITED and LEADER_LOST only while a flight of the fleet is under way.
+    one). `peers` are fresh ones; `lacks` is what keeps it from flying besides flags. `error_to_slot_m` is |(x_i - d_i0) - r|,
+    None where no leader reports or the vehicle does not fly. `holder` is the operator who holds command. `flags` has
+    LEADER_AWAITED and LEADER_LOST only while a flight of the fleet is under way.
     """
 
     fleet: str
@@ -65,6 +67,9 @@ class VehicleRow:
     data_age_s: float
     silent: bool
     neighbours: tuple[int, ...]
+    peers: tuple[int, ...]
+    position_error: PositionError | None
+    lacks: tuple[Notice, ...]
     formation: str
     reference: str
     holder: str
@@ -74,6 +79,8 @@ class VehicleRow:
     last_event: Notice | None
     timing: Timing
     network: NetworkState
+    reference_enu_m: Vector3 | None = None  # which its slot is relative to: its own, or that of its leader
+    slot_position_enu_m: Vector3 | None = None  # of its slot now
 
     @property
     def altitude_m(self) -> float:
@@ -95,12 +102,38 @@ def fold(state: FleetState, report: StatusReport, now_s: float) -> FleetState:
 
 def rows(state: FleetState, now_s: float) -> list[VehicleRow]:
     """All vehicles that ever reported, by fleet and id."""
-    return [_row(state, state.vehicles[key], now_s) for key in sorted(state.vehicles)]
+    ordered = [state.vehicles[key] for key in sorted(state.vehicles)]
+    fleets = [list(of_fleet) for _, of_fleet in groupby(ordered, key=lambda received: received.report.status.fleet)]
+    return [_row(facts, received, now_s) for one in fleets for facts in [_facts(one, now_s)] for received in one]
 
 
-def _row(state: FleetState, received: Received, now_s: float) -> VehicleRow:
+@dataclass(frozen=True, slots=True)
+class _FleetFacts:
+    """`under_way`: a vehicle is in flight, past its takeoff: from then on a leader publishes its beacon.
+
+    `references_enu_m` has those of the leaders that report, by rising id.
+    """
+
+    under_way: bool
+    references_enu_m: Mapping[int, Vector3]
+
+
+def _facts(fleet: Sequence[Received], now_s: float) -> _FleetFacts:
+    reporting = [received.report.status for received in fleet if not _is_silent(received, now_s)]
+    return _FleetFacts(
+        any(status.phase in PAST_TAKEOFF for status in reporting),
+        {s.vehicle_id: s.reference_enu_m for s in reporting if s.reference_enu_m is not None},
+    )
+
+
+def _row(facts: _FleetFacts, received: Received, now_s: float) -> VehicleRow:
     status = received.report.status
-    age_s = now_s - received.received_s
+    age_s, silent = now_s - received.received_s, _is_silent(received, now_s)
+    reference_enu_m = _reference_enu_m(facts, status)
+    slot_position_enu_m = None if reference_enu_m is None else _slot_position_enu_m(status, reference_enu_m)
+    error_to_slot_m = None
+    if slot_position_enu_m is not None and status.landed in _FLYING and not silent:
+        error_to_slot_m = dist(status.position_enu_m, slot_position_enu_m)
     return VehicleRow(
         fleet=status.fleet,
         vehicle_id=status.vehicle_id,
@@ -111,31 +144,27 @@ def _row(state: FleetState, received: Received, now_s: float) -> VehicleRow:
         position_enu_m=status.position_enu_m,
         prc=status.prc,
         battery_percent=status.battery_percent,
-        error_to_slot_m=_error_to_slot_m(state, status, now_s),
+        error_to_slot_m=error_to_slot_m,
         hover_thrust_norm=status.hover_thrust_norm,
         disturbance_enu_m_s2=status.disturbance_enu_m_s2,
         age_s=age_s,
         data_age_s=age_s + status.state_age_s,
-        silent=_is_silent(received, now_s),
+        silent=silent,
         neighbours=status.neighbours,
+        peers=status.peers,
+        position_error=status.position_error,
+        lacks=status.lacks,
         formation=formation_text(status.slot, status.heading),
         reference=reference_text(status.reference, status.target_age_s),
         holder=status.holder,
-        flags=status.flags if _under_way(state, status.fleet, now_s) else _without_leader_flags(status),
+        flags=status.flags if facts.under_way else _without_leader_flags(status),
         rejected=sum(status.rejected.values()),
         separation=status.separation,
         last_event=status.last_event,
         timing=received.report.timing,
         network=status.network,
-    )
-
-
-def _under_way(state: FleetState, fleet: str, now_s: float) -> bool:
-    """Whether a vehicle of the fleet is in flight, past its takeoff: from then on a leader publishes its beacon."""
-    return any(
-        received.report.status.phase in PAST_TAKEOFF and not _is_silent(received, now_s)
-        for (of_fleet, _), received in state.vehicles.items()
-        if of_fleet == fleet
+        reference_enu_m=reference_enu_m,
+        slot_position_enu_m=slot_position_enu_m,
     )
 
 
@@ -147,26 +176,16 @@ def _is_silent(received: Received, now_s: float) -> bool:
     return now_s - received.received_s > SILENT_AFTER_S
 
 
-def _error_to_slot_m(state: FleetState, status: Status, now_s: float) -> float | None:
-    reference_enu_m = _reference_enu_m(state, status, now_s)
-    own = state.vehicles[status.fleet, status.vehicle_id]
-    if reference_enu_m is None or status.landed not in _FLYING or _is_silent(own, now_s):
-        return None
-    slot = turned_slot(status.slot, status.heading)
-    flown_reference_enu_m = tuple(x - d for x, d in zip(status.position_enu_m, slot.position_enu_m, strict=True))
-    return dist(flown_reference_enu_m, reference_enu_m)
+def _slot_position_enu_m(status: Status, reference_enu_m: Vector3) -> Vector3:
+    (x, y, z), (dx, dy, dz) = reference_enu_m, turned_slot(status.slot, status.heading).position_enu_m
+    return (x + dx, y + dy, z + dz)
 
 
-def _reference_enu_m(state: FleetState, status: Status, now_s: float) -> Vector3 | None:
+def _reference_enu_m(facts: _FleetFacts, status: Status) -> Vector3 | None:
     """The vehicle's own reference, else that of the leader of its leader beacon, else of any leader that reports."""
     if status.reference_enu_m is not None:
         return status.reference_enu_m
-    known = {
-        vehicle_id: received.report.status.reference_enu_m
-        for (fleet, vehicle_id), received in sorted(state.vehicles.items())
-        if fleet == status.fleet
-        and not _is_silent(received, now_s)
-        and received.report.status.reference_enu_m is not None
-    }
-    beacon_leader_id = status.leader_beacon.leader_id if status.leader_beacon else None
-    return known.get(beacon_leader_id) if beacon_leader_id in known else next(iter(known.values()), None)
+    known = facts.references_enu_m
+    if status.leader_beacon and status.leader_beacon.leader_id in known:
+        return known[status.leader_beacon.leader_id]
+    return next(iter(known.values()), None)

@@ -17,7 +17,7 @@ from companion.geometry.shapes import SHAPES, rotated, slots_of
 from companion.geometry.transition import ROUNDING_M, closest_approach, longest_path_m
 from companion.geometry.turning import SLOT_ACCELERATION_M_S2
 from companion.ground.fleet_time import AHEAD_S, fleet_time_s
-from companion.ground.requests import COMMAND_LINE, FormationRequest
+from companion.ground.requests import FormationRequest, command_line
 from companion.types.bounds import MIN_CHANGE_S
 from companion.types.commands import next_for_all
 from companion.types.flight import FlightPhase
@@ -34,16 +34,22 @@ def named_slots(shape: str, n: int, spacing_m: float, heading_deg: float) -> lis
 def check_request(request: FormationRequest, fleet: FleetConfig) -> None:
     """The checks that need no report of a vehicle. Raises ConfigError."""
     if request.shape and request.slots_file:
-        raise ConfigError(COMMAND_LINE, "--slots", f"is a whole formation; give it or {request.shape}, not both")
+        raise ConfigError(
+            command_line("formation"), "--slots", f"is a whole formation; give it or {request.shape}, not both"
+        )
     if request.shape and request.spacing_m is None:
-        raise ConfigError(COMMAND_LINE, "--spacing", f"missing; {request.shape} needs it: --spacing METRES")
+        raise ConfigError(
+            command_line("formation"), "--spacing", f"missing; {request.shape} needs it: --spacing METRES"
+        )
     if request.spacing_m is not None and not request.shape:
-        raise ConfigError(COMMAND_LINE, "--spacing", "belongs to a SHAPE, and none is given")
+        raise ConfigError(command_line("formation"), "--spacing", "belongs to a SHAPE, and none is given")
     if request.slots_file:
         load_slots(request.slots_file, fleet)
-    elif not request.shape and request.scale == 1.0 and request.heading_deg == 0.0:
+    elif not request.shape and request.slots_enu_m is None and request.scale == 1.0 and request.heading_deg == 0.0:
         raise ConfigError(
-            COMMAND_LINE, "SHAPE", "missing; expected one, --slots FILE, or --scale or --heading for the present slots"
+            command_line("formation"),
+            "SHAPE",
+            "missing; expected one, --slots FILE, or --scale or --heading for the present slots",
         )
 
 
@@ -53,7 +59,7 @@ def requested_slots(request: FormationRequest, statuses: Sequence[Status], fleet
         slots = named_slots(request.shape, len(statuses), request.spacing_m * request.scale, request.heading_deg)
         return assigned(positions_enu_m(statuses), slots)
     flown_enu_m = {status.vehicle_id: status.slot.position_enu_m for status in statuses}
-    slots_enu_m = load_slots(request.slots_file, fleet) if request.slots_file else flown_enu_m
+    slots_enu_m = load_slots(request.slots_file, fleet) if request.slots_file else request.slots_enu_m or flown_enu_m
     return {i: rotated(slot, radians(request.heading_deg), request.scale) for i, slot in slots_enu_m.items()}
 
 

@@ -34,7 +34,7 @@ REPORTS = ("status", "doctor")
 
 
 def run_fleet(request: FleetRequest) -> int:
-    """The exit code. Raises ConfigError, OperateError and link.zenoh_session.EndpointError."""
+    """The exit code. Raises ConfigError, OperateError and link.fleet.zenoh_session.EndpointError."""
     fleet = load_fleet(request.fleet)
     ids = _vehicles(request, fleet)
     check_content(request, fleet)
@@ -53,7 +53,7 @@ def _identity(request: FleetRequest, fleet: FleetConfig) -> Identity | None:
     """The identity of this ground. Raises ConfigError, and OperateError for one that the vehicles would not obey."""
     if request.identity is None:
         return None
-    from companion.link.own_identity import load  # without an identity its library is not loaded
+    from companion.link.fleet.own_identity import load  # without an identity its library is not loaded
 
     identity = load(request.identity)
     if identity.fleet != fleet.name:

@@ -16,17 +16,22 @@ ORIGIN = frozenset({F.FRAME_UNKNOWN, F.FRAME_CONTRADICTED, F.OUTSIDE_FENCE})
 OTHER_CHECKS = ESTIMATOR | ORIGIN | BATTERY_FLAGS
 LATER = frozenset({F.LEADER_LOST, F.LEADER_AWAITED})  # a leader publishes no beacon before the fleet is in the air
 BATTERY = frozenset({Code.BATTERY_LOW})
+BATTERY_WARNINGS = frozenset({Code.BATTERY_LOW, Code.BATTERY_UNKNOWN})
 SEPARATION = frozenset({Code.VEHICLE_TOO_CLOSE, Code.ALTITUDES_DIFFER})
 NOT_CHECKED = "not checked while armed"
 
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One check before flight; `codes` is empty where it passed, `found` describes the state or the findings."""
+    """One check before flight; `codes` is empty where it passed, `found` describes the state or the findings.
+
+    A check that passed may have `warnings`.
+    """
 
     name: str
     codes: tuple[Code, ...]
     found: str
+    warnings: tuple[Code, ...] = ()
 
     @property
     def passed(self) -> bool:
@@ -48,6 +53,7 @@ def checks_of(status: Status, fleet_ids: Collection[int], formation_hash: int) -
             "battery",
             _notices(flags & BATTERY_FLAGS) + [notice for notice in lacks if notice.code in BATTERY],
             _battery(status.battery_percent),
+            [notice for notice in status.warnings if notice.code in BATTERY_WARNINGS],
         ),
         _check("origin", _notices(flags & ORIGIN), "in the fleet frame, inside the fence"),
         _check("peers", no_peers, f"fresh: {_ids(status.peers)}"),
@@ -57,7 +63,12 @@ def checks_of(status: Status, fleet_ids: Collection[int], formation_hash: int) -
             [notice for notice in lacks if notice.code in SEPARATION],
             NOT_CHECKED if status.armed else "kept",
         ),
-        _check("parameters", others, NOT_CHECKED if status.armed else "as the audit requires; arming checks pass"),
+        _check(
+            "parameters",
+            others,
+            NOT_CHECKED if status.armed else "as the audit requires; arming checks pass",
+            [notice for notice in status.warnings if notice.code not in BATTERY_WARNINGS],
+        ),
     )
 
 
@@ -73,8 +84,12 @@ def _notices(flags: Iterable[HealthFlag]) -> list[Notice]:
     return [Notice(Code(flag), FLAG_TEXTS[flag]) for flag in sorted(flags)]
 
 
-def _check(name: str, notices: Collection[Notice], found: str) -> Check:
-    return Check(name, tuple(notice.code for notice in notices), "; ".join(map(str, notices)) or found)
+def _check(name: str, notices: Collection[Notice], found: str, warnings: Collection[Notice] = ()) -> Check:
+    """The findings, or `found` where there are none; then the warnings."""
+    texts = ["; ".join(map(str, notices)) or found, *(f"warning: {notice}" for notice in warnings)]
+    return Check(
+        name, tuple(notice.code for notice in notices), "; ".join(texts), tuple(notice.code for notice in warnings)
+    )
 
 
 def _error(status: Status) -> str:

@@ -24,7 +24,8 @@ def readiness_lines(checks: Mapping[int, Sequence[Check]], silent: Sequence[int]
             lines += wrapped(f"vehicle {vehicle_id}  {AnswerKind.MISSING}  ", str(no_report(wait_s)))
             continue
         ready = all(check.passed for check in checks[vehicle_id])
-        lines.append(f"vehicle {vehicle_id}  {'ready' if ready else 'not ready'}")
+        warned = ready and any(check.warnings for check in checks[vehicle_id])
+        lines.append(f"vehicle {vehicle_id}  {'ready' if ready else 'not ready'}{', with warnings' if warned else ''}")
         for check in checks[vehicle_id]:
             lines += wrapped(f"  {check.name:<11} {'ok' if check.passed else '--'}  ", check.found)
     return lines
@@ -33,7 +34,16 @@ def readiness_lines(checks: Mapping[int, Sequence[Check]], silent: Sequence[int]
 def readiness_as_data(checks: Mapping[int, Sequence[Check]], silent: Sequence[int]) -> list[dict[str, Any]]:
     """`checks` is empty for a vehicle without a report; `codes` of a check is empty where it passed."""
     data = {
-        vehicle_id: [{"check": c.name, "passed": c.passed, "codes": list(c.codes), "found": c.found} for c in of_one]
+        vehicle_id: [
+            {
+                "check": c.name,
+                "passed": c.passed,
+                "codes": list(c.codes),
+                "warnings": list(c.warnings),
+                "found": c.found,
+            }
+            for c in of_one
+        ]
         for vehicle_id, of_one in checks.items()
     }
     return [

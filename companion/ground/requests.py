@@ -2,32 +2,46 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from companion.config.reference import Reference
 from companion.types.commands import Described
+from companion.types.vectors import Vector3
 
-COMMAND_LINE = Path("command line")  # named in an error in place of a file
+
+def command_line(action: str) -> Path:
+    """Named in an error in place of a file."""
+    return Path(f"companion fleet {action}")
 
 
 @dataclass(frozen=True, slots=True)
 class FormationRequest:
-    """A shape by its name with `spacing_m`, or `slots_file`, or neither: the present slots. Each is rotated and scaled."""
+    """A shape by its name with `spacing_m`, or slots, or neither: the present slots. Each is rotated and scaled.
+
+    Slots are those in `slots_file`, or `slots_enu_m` by vehicle id.
+    """
 
     shape: str | None
     slots_file: Path | None
     spacing_m: float | None
     heading_deg: float
     scale: float
+    slots_enu_m: Mapping[int, Vector3] | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class ReferenceRequest:
-    """A file, or the keys of its section `reference` without positions; `positions_enu_m` has every --at."""
+    """A file, or the keys of its section `reference` without positions; `positions_enu_m` has every --at.
+
+    Or `whole`, a reference that is complete.
+    """
 
     file: Path | None
     described: Described
     positions_enu_m: tuple[list[float], ...]
+    whole: Reference | None = None
 
 
 @dataclass(frozen=True, slots=True)

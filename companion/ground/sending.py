@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import msgspec
 
@@ -14,8 +15,8 @@ from companion.config.reference_check import check_reference
 from companion.ground.answers import AnswerKind, Outcome, outcome_of
 from companion.ground.preconditions import ALL_OR_NONE, STILL_CHANGING, check_all
 from companion.ground.references import reference_change, requested_reference
-from companion.ground.requests import COMMAND_LINE, FleetRequest, FormationRequest, ReferenceRequest
-from companion.ground.session import POLL_S, FleetSession
+from companion.ground.requests import FleetRequest, FormationRequest, ReferenceRequest, command_line
+from companion.ground.session import POLL_S, Answer
 from companion.types.commands import CommandName, Content, Lead, ReferenceChange, next_epoch
 from companion.types.flight import FlightPhase
 from companion.types.formation import FormationChange
@@ -39,10 +40,25 @@ class Sent:
     running: bool = False
 
 
+class Commanding(Protocol):
+    """What a Sender uses of a FleetSession."""
+
+    @property
+    def operator(self) -> str: ...
+
+    def newest(self) -> dict[int, Status]: ...
+
+    def statuses(self, vehicle_ids: Iterable[int], timeout_s: float) -> dict[int, Status]: ...
+
+    def ask(
+        self, vehicle_ids: Iterable[int], name: CommandName, timeout_s: float, content: Content | None
+    ) -> dict[int, Answer | None]: ...
+
+
 class Sender:
     """Sends the commands of one request over an open session."""
 
-    def __init__(self, session: FleetSession, fleet: FleetConfig, request: FleetRequest, ids: Sequence[int]) -> None:
+    def __init__(self, session: Commanding, fleet: FleetConfig, request: FleetRequest, ids: Sequence[int]) -> None:
         self._session = session
         self._fleet = fleet
         self._ids = ids  # the vehicles of the request
@@ -134,7 +150,7 @@ class Sender:
         flown = [status.reference_enu_m for status in statuses if status.reference_enu_m]
         reference = requested_reference(request, here_enu_m=flown[0] if flown else None)
         slots_enu_m = {status.vehicle_id: status.slot.position_enu_m for status in statuses}
-        check_reference(request.file or COMMAND_LINE, self._fleet, reference, slots_enu_m=slots_enu_m)
+        check_reference(request.file or command_line("reference"), self._fleet, reference, slots_enu_m=slots_enu_m)
         change = reference_change(msgspec.to_builtins(reference), statuses)
         may_lead = [member.id for member in self._fleet.vehicles if member.can_lead]
         return self._changed(CommandName.REFERENCE, may_lead, change, statuses)

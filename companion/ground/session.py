@@ -5,9 +5,10 @@ from __future__ import annotations
 import getpass
 import re
 import socket
+import threading
 import time
 from collections import Counter, deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from math import inf
 from typing import TYPE_CHECKING
@@ -15,7 +16,7 @@ from typing import TYPE_CHECKING
 import zenoh
 
 from companion.ground.connection import GroundConnection
-from companion.link.zenoh_session import drain
+from companion.link.fleet.zenoh_session import drain
 from companion.types.commands import Command, CommandName, CommandReply, Content, next_number
 from companion.types.notices import Code
 from companion.types.status import Status
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
 
 REPORTS_KEPT = 4096  # a ring: without drain() the oldest reports are dropped
 POLL_S = 0.01
-REPLIES_KEPT = 1024
+REPLIES_KEPT = COMMANDS_KEPT = 1024
 AGAIN_S = 0.25  # an unanswered command is sent again
 FRESH_S = 1.0  # seconds; without a report for longer, an agent may have restarted
 
@@ -59,7 +60,7 @@ class Answer:
 
 
 class FleetSession(GroundConnection):
-    """Receives from one fleet and commands it.
+    """Receives from one fleet and commands it. Threads may use it at the same time.
 
     `operator` sends the commands. `rejected` counts refused reports and replies by code.
     """
@@ -82,16 +83,36 @@ class FleetSession(GroundConnection):
         self.rejected: Counter[str] = Counter()
         self._reports = self._session.declare_subscriber(status, zenoh.handlers.RingChannel(REPORTS_KEPT))
         self._replies = self._session.declare_subscriber(reply, zenoh.handlers.RingChannel(REPLIES_KEPT))
+        self._lock = threading.Lock()  # of all below
         self._undrained: deque[StatusReport] = deque(maxlen=REPORTS_KEPT)
+        self._undrained_replies: deque[tuple[str, CommandReply]] = deque(maxlen=REPLIES_KEPT)
+        self._undrained_commands: deque[Command] = deque(maxlen=COMMANDS_KEPT)
+        self._mailboxes: list[deque[CommandReply]] = []  # one for each `ask` under way
         self._newest: dict[int, tuple[float, Status]] = {}  # by vehicle, with the time of arrival
         self._numbers: dict[int, int] = {}  # of the last command to each vehicle
 
     def drain(self) -> list[StatusReport]:
         """All reports since the last call, oldest first. Never blocks."""
-        self._listen()
-        reports = list(self._undrained)
-        self._undrained.clear()
+        with self._lock:
+            self._listen()
+            reports = list(self._undrained)
+            self._undrained.clear()
         return reports
+
+    def drain_replies(self) -> list[tuple[str, CommandReply]]:
+        """Fleet and reply of all replies since the last call, oldest first, also to other operators. Never blocks."""
+        with self._lock:
+            self._listen_to_replies()
+            replies = list(self._undrained_replies)
+            self._undrained_replies.clear()
+        return replies
+
+    def drain_commands(self) -> list[Command]:
+        """The commands sent since the last call, each once, oldest first."""
+        with self._lock:
+            commands = list(self._undrained_commands)
+            self._undrained_commands.clear()
+        return commands
 
     def _listen(self) -> None:
         for sample in drain(self._reports, REPORTS_KEPT):
@@ -108,9 +129,10 @@ class FleetSession(GroundConnection):
 
     def newest(self) -> dict[int, Status]:
         """The newest status of each vehicle, none older than FRESH_S. Never blocks."""
-        self._listen()
-        now_s = time.monotonic()
-        return {i: status for i, (received_s, status) in self._newest.items() if now_s - received_s < FRESH_S}
+        with self._lock:
+            self._listen()
+            now_s = time.monotonic()
+            return {i: status for i, (received_s, status) in self._newest.items() if now_s - received_s < FRESH_S}
 
     def statuses(self, vehicle_ids: Iterable[int], timeout_s: float) -> dict[int, Status]:
         """Status of these vehicles when all have reported, or of those that have after `timeout_s`."""
@@ -136,17 +158,37 @@ class FleetSession(GroundConnection):
         name: CommandName,
         timeout_s: float = 2.0,
         content: Content | None = None,
+        cancelled: Callable[[], bool] = lambda: False,
     ) -> dict[int, Answer | None]:
         """Sends one command to these vehicles at the same time and waits for their replies. Some commands have a `content`.
 
         Returns one entry per id; None where no reply came within `timeout_s`. A command waits for the report of its vehicle,
         because it is valid for one start of the agent only. ABORT waits for nothing. A command is sent again until it is
-        answered; a vehicle executes it once.
+        answered, or `cancelled`; a vehicle executes it once.
         """
+        mailbox: deque[CommandReply] = deque(maxlen=REPLIES_KEPT)
+        with self._lock:
+            self._listen_to_replies()  # those before this command are not for it
+            self._mailboxes.append(mailbox)
+        try:
+            return self._ask(vehicle_ids, name, timeout_s, content, cancelled, mailbox)
+        finally:
+            with self._lock:
+                self._mailboxes = [other for other in self._mailboxes if other is not mailbox]
+
+    def _ask(
+        self,
+        vehicle_ids: Iterable[int],
+        name: CommandName,
+        timeout_s: float,
+        content: Content | None,
+        cancelled: Callable[[], bool],
+        mailbox: deque[CommandReply],
+    ) -> dict[int, Answer | None]:
         start_s = time.monotonic()
         answers: dict[int, Answer | None] = dict.fromkeys(vehicle_ids)
         sent: dict[int, tuple[Command, float, float]] = {}  # command, time of the first and of the last sending
-        while None in answers.values() and time.monotonic() - start_s < timeout_s:
+        while None in answers.values() and time.monotonic() - start_s < timeout_s and not cancelled():
             now_s, reports = time.monotonic(), self.newest()
             for vehicle_id in sorted(i for i, answer in answers.items() if answer is None):
                 command, first_s, last_s = sent.get(vehicle_id, (None, now_s, -inf))
@@ -156,9 +198,15 @@ class FleetSession(GroundConnection):
                     command = self._command(reports[vehicle_id], name, content)
                 if command and now_s - last_s >= AGAIN_S:
                     self._send(vehicle_id, command)
+                    if vehicle_id not in sent:
+                        with self._lock:
+                            self._undrained_commands.append(command)
                     sent[vehicle_id] = (command, first_s, now_s)
             time.sleep(min(POLL_S, timeout_s))
-            for reply in self._received_replies():
+            with self._lock:
+                self._listen_to_replies()
+            while mailbox:
+                reply = mailbox.popleft()
                 command, first_s, _ = sent.get(reply.vehicle_id, (None, 0.0, 0.0))
                 if command and (reply.operator, reply.number) == (command.operator, command.number):
                     answers[reply.vehicle_id] = Answer(reply, time.monotonic() - first_s)
@@ -166,8 +214,9 @@ class FleetSession(GroundConnection):
 
     def _command(self, status: Status, name: CommandName, content: Content | None) -> Command:
         """For the vehicle with this status, with a number of its own: a wrong one of a vehicle does not concern the others."""
-        number = next_number(self._numbers.get(status.vehicle_id, 0), status.command_number)
-        self._numbers[status.vehicle_id] = number
+        with self._lock:
+            number = next_number(self._numbers.get(status.vehicle_id, 0), status.command_number)
+            self._numbers[status.vehicle_id] = number
         return Command(name, number, self.operator, status.session, content)
 
     def _send(self, vehicle_id: int, command: Command) -> None:
@@ -186,15 +235,19 @@ class FleetSession(GroundConnection):
             admission_key(self.fleet, self.operator), data, congestion_control=zenoh.CongestionControl.DROP
         )
 
-    def _received_replies(self) -> Iterator[CommandReply]:
+    def _listen_to_replies(self) -> None:
         for sample in drain(self._replies, REPLIES_KEPT):
             try:
                 reply = decode_reply(sample.payload.to_bytes())
             except WireError as error:
                 self.rejected[error.key] += 1
                 continue
-            if str(sample.key_expr) == reply_key(self.fleet, reply.vehicle_id):
-                yield reply
+            key = str(sample.key_expr)
+            fleet = key.split("/")[1]
+            if key == reply_key(fleet, reply.vehicle_id):
+                self._undrained_replies.append((fleet, reply))
+                for mailbox in self._mailboxes:
+                    mailbox.append(reply)
             else:
                 self.rejected[Code.PEER_KEY_MISMATCH] += 1
 

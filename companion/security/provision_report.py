@@ -7,7 +7,7 @@ from datetime import datetime, timedelta
 from companion.security.admission import Admitted, AdmittedParticipant
 from companion.security.authority import Authority
 from companion.security.certificates import day
-from companion.security.fleet_folder import FleetFolder
+from companion.security.fleet_folder import MAVLINK_KEY_FILE, FleetFolder
 from companion.security.identity import ADMITTED_FILE, KEY_FILE
 from companion.security.names import ParticipantRole, parse_common_name
 from companion.security.provisioning import Provisioned
@@ -15,6 +15,7 @@ from companion.security.provisioning import Provisioned
 RENEW_WITHIN_DAYS = 30
 SERIAL_DIGITS = 8
 ETC = "/etc/companion"
+WITHOUT_MAVLINK_KEY = ", without mavlink.key: the board and its autopilot keep theirs"
 ROW = "{:<24} {:<9} {:<12} {:<10} {}"
 
 
@@ -34,6 +35,11 @@ def new_text(done: Provisioned) -> str:
         f"admitted, but not in the fleet file: {name}; companion provision revoke {done.folder.folder} {name}"
         for name in done.not_in_fleet
     ]
+    for name in done.removed:
+        lines += [
+            f"not in copy/: {name.participant}. Where its computer has its files nothing is to do; else, with a new key:",
+            f"  companion provision renew {done.folder.folder} {name.participant}",
+        ]
     if done.names:
         others = len(admitted.participants) > len(done.names)
         lines += ["next:", *_copy_steps(done), *(_list_step(done.folder, 2) if others else [])]
@@ -46,6 +52,12 @@ def renew_text(done: Provisioned) -> str:
     admitted = done.authority.admitted
     lines = [f"fleet {done.authority.fleet}, admission list {admitted.number}"]
     lines += [f"  renewed: {_with_end(admitted, name)}" for name in done.names]
+    lines += [
+        f"written again, because it was removed: {done.folder.copy_of(name)}{WITHOUT_MAVLINK_KEY}"
+        if name.role is ParticipantRole.VEHICLE
+        else f"written again, because it was removed: {done.folder.copy_of(name)}"
+        for name in done.removed
+    ]
     lines += [f"the old keys and certificates are in {done.folder.retired}", "next:", *_copy_steps(done)]
     return "\n".join([*lines, *_list_step(done.folder, 2), *_backup_step(done.folder, 3)]) + "\n"
 
@@ -94,13 +106,17 @@ def _with_end(admitted: Admitted, name: str) -> str:
 
 
 def _copy_steps(done: Provisioned) -> list[str]:
+    """The same commands as in docs/field-guide.md."""
+    names = [parse_common_name(text) for text in done.names]
+    vehicles = [name for name in names if name.role is ParticipantRole.VEHICLE]
     lines = ["  1. Copy each folder to its computer, over a link that you trust:"]
-    for text in done.names:
-        name = parse_common_name(text)
-        if name.role is ParticipantRole.VEHICLE:
-            lines.append(f"     scp -r {done.folder.copy_of(name)}/. root@BOARD-{name.id}:{ETC}/")
-        else:
-            lines.append(f"     {done.folder.copy_of(name)}")
+    lines += [f"     scp -r {done.folder.copy_of(name)} ADDRESS-OF-VEHICLE-{name.id}:" for name in vehicles]
+    lines += [f"     {done.folder.copy_of(name)}" for name in names if name not in vehicles]
+    if vehicles:
+        lines.append(f"     and on each board: sudo cp -r vehicle-N/. {ETC}/")
+        lines.append(
+            f"     {MAVLINK_KEY_FILE} in it is used only with signing: {{key_file: {MAVLINK_KEY_FILE}}} in the vehicle file"
+        )
     return lines
 
 

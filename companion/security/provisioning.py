@@ -43,7 +43,8 @@ class Provisioned:
     """The state after a run.
 
     `names` are the common names that were issued or revoked, `different` the files in copy/ that differ from those of the
-    fleet and were not changed, `not_in_fleet` the admitted vehicles that the fleet file does not have.
+    fleet and were not changed, `not_in_fleet` the admitted vehicles that the fleet file does not have. `removed` are the
+    participants whose folder in copy/ was removed: `provision_new` leaves it so, `renew` has written it again.
     """
 
     folder: FleetFolder
@@ -51,6 +52,7 @@ class Provisioned:
     names: tuple[str, ...]
     different: tuple[Path, ...] = ()
     not_in_fleet: tuple[str, ...] = ()
+    removed: tuple[ParticipantName, ...] = ()
 
 
 def provision_new(
@@ -75,7 +77,8 @@ def provision_new(
     vehicles = {f"{ParticipantRole.VEHICLE}-{vehicle_id}" for vehicle_id in files.vehicle_files}
     admitted = map(parse_common_name, authority.admitted.names(ParticipantRole.VEHICLE))
     gone = [str(name) for name in admitted if name.participant not in vehicles]
-    return Provisioned(paths, authority, _texts(issued), tuple(different), tuple(gone))
+    removed = _removed(paths, map(parse_common_name, sorted(_participants(authority.admitted))))
+    return Provisioned(paths, authority, _texts(issued), tuple(different), tuple(gone), removed)
 
 
 def renew(folder: Path, names: Sequence[str] | None, days: int, now: datetime) -> Provisioned:
@@ -84,12 +87,16 @@ def renew(folder: Path, names: Sequence[str] | None, days: int, now: datetime) -
     with one_at_a_time(folder):
         authority = _open(paths, now)
         chosen = _chosen(authority.admitted, names)
+        removed = _removed(paths, chosen)
+        files = read_fleet_files(folder) if removed else None
         issued = issue(authority, chosen, days, now)
         data = next_list(authority, with_issued(authority.admitted, issued), authority.admitted.revoked, now)
         for one in issued:
             _renew_folder(paths, authority, one, now)
+            if files and one.name in removed:
+                write_configuration(paths.copy_of(one.name), files.of(one.name))
         authority = _publish(paths, data, now)
-    return Provisioned(paths, authority, _texts(issued))
+    return Provisioned(paths, authority, _texts(issued), removed=removed)
 
 
 def revoke(folder: Path, names: Sequence[str], now: datetime) -> Provisioned:
@@ -191,6 +198,11 @@ def _participants(admitted: Admitted) -> set[str]:
     return {parse_common_name(one.name).participant for one in admitted.participants}
 
 
+def _removed(paths: FleetFolder, names: Iterable[ParticipantName]) -> tuple[ParticipantName, ...]:
+    """Those without a key in copy/."""
+    return tuple(name for name in names if not (paths.copy_of(name) / IDENTITY / KEY_FILE).exists())
+
+
 def _texts(issued: Iterable[Issued]) -> tuple[str, ...]:
     return tuple(str(one.name) for one in issued)
 
@@ -222,7 +234,7 @@ def _write_folders(paths: FleetFolder, files: FleetFiles, authority: Authority, 
 
 
 def _renew_folder(paths: FleetFolder, authority: Authority, one: Issued, now: datetime) -> None:
-    """The old key and certificate go to retired/. A folder that was removed after copying gets the identity alone."""
+    """The old key and certificate go to retired/."""
     copy = paths.copy_of(one.name)
     if not paths.copy.exists():
         make_folder(paths.copy)

@@ -1,21 +1,22 @@
-"""`companion monitor`: the fleet in the terminal, from Zenoh alone."""
+"""`companion monitor --tui`: the fleet in the terminal, from Zenoh alone."""
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import sys
 import time
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import msgspec
 
 from companion import GROUND_INSTALL
 from companion.ground.endpoints import unreachable
 from companion.ground.fleet_status import FleetState, VehicleRow, fold, rows
-from companion.ground.monitor_table import by_fleet, cells, columns_for, note, plain_lines
 from companion.ground.session import FleetSession
+from companion.monitor.terminal.page import page
 from companion.types.bounds import FLEET_NAME
 
 if TYPE_CHECKING:
@@ -23,9 +24,9 @@ if TYPE_CHECKING:
 
 ONCE_LISTEN_S = 3.0
 ONCE_SETTLE_S = 0.5  # five status periods: every connected vehicle has reported by then
-LIVE_PERIOD_S = 0.2
 PLAIN_PERIOD_S = 1.0
 PLAIN_WIDTH = 120  # where the output is no terminal and COLUMNS is not set
+WITHOUT_CURSOR = ("dumb", "unknown", "")  # values of TERM: lines can only be added
 EXIT_ENDED, EXIT_NO_REPORT = 0, 1
 
 Print = Callable[[list[VehicleRow]], None]
@@ -36,21 +37,26 @@ class MonitorError(Exception):
 
 
 def run_monitor(fleet: str, endpoints: Sequence[str], identity: Identity | None, once: bool, as_json: bool) -> int:
-    """The exit code. Raises MonitorError and link.zenoh_session.EndpointError."""
+    """The exit code. Raises MonitorError and link.fleet.zenoh_session.EndpointError."""
     if fleet != "*" and not re.fullmatch(FLEET_NAME, fleet):
         raise MonitorError(f"--fleet {fleet!r}: expected the name in a fleet file, like platoon, or * for every fleet")
-    live = _live_table() if sys.stdout.isatty() and not (once or as_json) else None
+    is_live = _is_live_terminal() and not (once or as_json)
+    show_live = _live_screen() if is_live else None
     with FleetSession(fleet, endpoints, identity=identity) as session:
         try:
             if once:
                 return _once(session, endpoints, _json if as_json else _plain_table)
-            if live:
-                live(session, endpoints)
+            if show_live:
+                show_live(_reader(session), endpoints)
             else:
                 _repeat(session, _json if as_json else _plain_table)
         except KeyboardInterrupt:
             return EXIT_ENDED
     return EXIT_ENDED
+
+
+def _is_live_terminal() -> bool:
+    return sys.stdout.isatty() and os.environ.get("TERM", "") not in WITHOUT_CURSOR
 
 
 def _once(session: FleetSession, endpoints: Sequence[str], show: Print) -> int:
@@ -82,12 +88,34 @@ def _nothing_received(session: FleetSession, endpoints: Sequence[str]) -> str:
     )
 
 
-def _repeat(session: FleetSession, show: Print) -> None:
+def _live_screen() -> Callable[[Callable[[], Sequence[VehicleRow]], Sequence[str]], None]:
+    """Raises MonitorError where its package is missing."""
+    try:
+        from companion.monitor.terminal.live import show_live
+    except ImportError as error:
+        raise MonitorError(
+            f"the live table needs the package rich: {GROUND_INSTALL}, or use --once, --json or a pipe"
+        ) from error
+    return show_live
+
+
+def _reader(session: FleetSession) -> Callable[[], list[VehicleRow]]:
+    """Gives the rows of all vehicles at each call."""
     state = FleetState()
+
+    def read() -> list[VehicleRow]:
+        nonlocal state
+        state = _updated(session, state)
+        return rows(state, time.monotonic())
+
+    return read
+
+
+def _repeat(session: FleetSession, show: Print) -> None:
+    read = _reader(session)
     while True:
         time.sleep(PLAIN_PERIOD_S)
-        state = _updated(session, state)
-        show(rows(state, time.monotonic()))
+        show(read())
         sys.stdout.flush()
 
 
@@ -98,63 +126,10 @@ def _updated(session: FleetSession, state: FleetState) -> FleetState:
     return state
 
 
-def _plain_table(table: list[VehicleRow]) -> None:
-    for line in plain_lines(table, shutil.get_terminal_size((PLAIN_WIDTH, 24)).columns):
-        print(line)
+def _plain_table(vehicles: list[VehicleRow]) -> None:
+    lines = page(vehicles, shutil.get_terminal_size((PLAIN_WIDTH, 24)).columns)
+    print("\n".join(shown.text for shown in lines) or "no vehicle has reported yet")
 
 
-def _json(table: list[VehicleRow]) -> None:
-    print(msgspec.json.encode(table).decode())
-
-
-def _live_table() -> Callable[[FleetSession, Sequence[str]], None]:
-    """Shows the live table until Ctrl-C. Raises MonitorError where its package is missing."""
-    try:
-        from rich.console import Group
-        from rich.live import Live
-        from rich.table import Table
-        from rich.text import Text
-    except ImportError as error:
-        raise MonitorError(
-            f"the live table needs the package rich: {GROUND_INSTALL}, or use --once, --json or a pipe"
-        ) from error
-
-    def table_of(of_fleet: list[VehicleRow], width: int) -> Any:
-        columns = columns_for(width)
-        shown = Table(box=None, padding=(0, 1, 0, 0), pad_edge=False)
-        for column in columns:
-            shown.add_column(
-                column.name, min_width=column.width, no_wrap=True, justify="right" if column.right else "left"
-            )
-        for row in of_fleet:
-            texts = (Text(text) for text in cells(row, columns))  # Text: brackets are no markup
-            shown.add_row(*texts, style=_style(row))
-        return shown
-
-    def notes_of(of_fleet: list[VehicleRow]) -> list[Any]:
-        return [Text(f"  {row.vehicle_id}: {note(row)}", style=_style(row) or "dim") for row in of_fleet if note(row)]
-
-    def screen_of(table: list[VehicleRow], endpoints: Sequence[str], width: int) -> Any:
-        if not table:
-            return Text(f"no report yet from {', '.join(endpoints)}")
-        parts: list[Any] = []
-        for heading, of_fleet in by_fleet(table):
-            parts += [Text(heading, style="bold"), table_of(of_fleet, width), *notes_of(of_fleet)]
-        return Group(*parts)
-
-    def live(session: FleetSession, endpoints: Sequence[str]) -> None:
-        state = FleetState()
-        with Live(screen_of([], endpoints, 80), auto_refresh=False) as screen:
-            while True:
-                state = _updated(session, state)
-                table = rows(state, time.monotonic())
-                screen.update(screen_of(table, endpoints, screen.console.width), refresh=True)
-                time.sleep(LIVE_PERIOD_S)
-
-    return live
-
-
-def _style(row: VehicleRow) -> str:
-    if row.silent:
-        return "bold red"
-    return "yellow" if row.flags else ""
+def _json(vehicles: list[VehicleRow]) -> None:
+    print(msgspec.json.encode(vehicles).decode())

@@ -1,0 +1,1 @@
+"""Commands from the live page: what `companion fleet` does, without a terminal."""

@@ -1,0 +1,68 @@
+/** Commands of this page and their answers. */
+
+import { command, hasToken, preview } from "./api.js";
+
+const KEPT = 2;
+
+export class Commanding {
+  constructor(store, onChange) {
+    this._store = store;
+    this._onChange = onChange;
+    this._number = 0;
+    this.sent = []; // newest first: {number, title, result: CommandResult or null, error}
+    this.toSelected = false; // else to all vehicles
+    this.previewing = false;
+    this.previewError = "";
+    this.allowed = hasToken;
+  }
+
+  /** Ids for a CommandRequest, where none means all; null where a selection is meant and there is none. */
+  get targets() {
+    if (!this.toSelected) return [];
+    const ids = [...this._store.selected].sort((a, b) => a - b);
+    return ids.length ? ids : null;
+  }
+
+  async send(name, vehicleIds = [], content = {}) {
+    const fleet = this._store.fleetName;
+    const who = vehicleIds.length ? `vehicles ${vehicleIds.join(", ")}` : "all vehicles";
+    const entry = { number: (this._number += 1), title: `${name}, ${who}`, result: null, error: "" };
+    this.sent = [entry, ...this.sent].slice(0, KEPT);
+    this._onChange();
+    try {
+      entry.result = await command({ fleet, name, vehicle_ids: vehicleIds, content });
+      entry.error = entry.result.error || "";
+    } catch (error) {
+      entry.error = error.message;
+    }
+    this._onChange();
+    return entry;
+  }
+
+  /** Shows what a formation or reference would do. Nothing is sent to a vehicle. */
+  async preview(name, content) {
+    this.discard();
+    this.previewing = true;
+    this._onChange();
+    try {
+      const result = await preview({ fleet: this._store.fleetName, name, vehicle_ids: [], content });
+      this._store.preview = { ...result, name, content };
+    } catch (error) {
+      this.previewError = error.message;
+    }
+    this.previewing = false;
+    this._onChange();
+  }
+
+  async sendPreviewed() {
+    const { name, content } = this._store.preview;
+    this.discard();
+    await this.send(name, [], content);
+  }
+
+  discard() {
+    this._store.preview = null;
+    this.previewError = "";
+    this._onChange();
+  }
+}

@@ -1,0 +1,211 @@
+/** Start of the page: connects the parts and draws a frame where something has changed. */
+
+import { acknowledge } from "./api.js";
+import { Commanding } from "./commanding.js";
+import { watchAbortKeys, watchHolds } from "./hold.js";
+import { LiveConnection } from "./live.js";
+import { FleetMap } from "./map/map.js";
+import { Metrics } from "./metrics.js";
+import { AlarmSound } from "./sound.js";
+import { Store } from "./store.js";
+import { Theme } from "./theme.js";
+import { alarms } from "./views/alarms.js";
+import { banner } from "./views/banner.js";
+import { bar } from "./views/bar.js";
+import { control } from "./views/control.js";
+import { details } from "./views/details.js";
+import { events } from "./views/events.js";
+import { figures } from "./views/figures.js";
+import { help } from "./views/help.js";
+import { render } from "./views/lit.js";
+import { legend, mapTools } from "./views/map_tools.js";
+import { Plots } from "./views/plots.js";
+import { replay } from "./views/replay.js";
+import { watchSight } from "./views/sight.js";
+import { tabs } from "./views/tabs.js";
+import { vehicles } from "./views/vehicles.js";
+
+const ABORT_HOLD_S = 0.5;
+const HINT_MS = 4000;
+const TICK_MS = 200; // ages count up also without snapshots
+const DEFAULT_ALTITUDE_M = 4;
+
+const at = (id) => document.getElementById(id);
+const main = document.querySelector("main");
+const store = new Store();
+const sound = new AlarmSound();
+const metrics = new Metrics();
+const abort = { keys: false };
+const page = { tab: "vehicles", filter: "all", hint: "", speed: 1, altitudeM: null };
+let frame = null; // the requested animation frame
+let arrivedMs = null; // of the oldest snapshot that is not painted yet
+
+const theme = new Theme(schedule);
+const commanding = new Commanding(store, schedule);
+const map = new FleetMap(at("scene"), store, {
+  changed: schedule,
+  selected: (id, several) => act.select(id, several),
+  placed: (point) => act.place(point),
+});
+const plots = new Plots(at("plots"), store);
+const watchRows = watchSight(at("vehicles"), schedule);
+
+const act = {
+  select(id, several) {
+    store.select(id, several);
+    if (!store.selected.size) commanding.toSelected = false;
+    schedule();
+  },
+  chooseFleet(name) {
+    store.chooseFleet(name);
+    map.fit();
+  },
+  tab(name) {
+    page.tab = name;
+    main.dataset.tab = name;
+    if (name === "alarms") at("alarms").scrollTop = 0;
+    schedule();
+  },
+  filterEvents(filter) {
+    page.filter = filter;
+    schedule();
+  },
+  acknowledge: (id) => acknowledge(id).catch((error) => act.hint(`Not acknowledged: ${error.message}`)),
+  sound() {
+    sound.toggle();
+    schedule();
+  },
+  theme: () => theme.next(),
+  help: () => at("help").showModal(),
+  hint(text) {
+    page.hint = text;
+    schedule();
+    clearTimeout(page.hintTimer);
+    page.hintTimer = setTimeout(() => act.hint(""), text ? HINT_MS : 2 ** 30);
+  },
+  target(toSelected) {
+    commanding.toSelected = toSelected;
+    schedule();
+  },
+  abort() {
+    if (!store.controls) return;
+    act.tab("control");
+    commanding.send("abort");
+  },
+  altitude: () => page.altitudeM ?? presentAltitude(),
+  setAltitude(altitudeM) {
+    page.altitudeM = altitudeM;
+    if (store.drawing) store.drawing = { ...store.drawing, altitudeM };
+    schedule();
+  },
+  draw(most) {
+    if (store.drawing?.active) store.drawing.active = false;
+    else store.drawing = { points: [], ...store.drawing, altitudeM: act.altitude(), most, active: true };
+    schedule();
+  },
+  place(point) {
+    const { most, points } = store.drawing;
+    const rounded = point.map((value) => Math.round(value * 100) / 100);
+    store.drawing.points = most === 1 ? [rounded] : [...points, rounded].slice(0, most);
+    if (most === 1) store.drawing.active = false;
+    commanding.discard();
+  },
+  movePoint(index, axis, value) {
+    if (!Number.isFinite(value)) return;
+    const moved = (point) => point.map((old, j) => (j === axis ? value : old));
+    store.drawing.points = store.drawing.points.map((point, i) => (i === index ? moved(point) : point));
+    commanding.discard();
+  },
+  stopDrawing() {
+    store.drawing = null;
+    schedule();
+  },
+  replay(message) {
+    if (message.speed) page.speed = message.speed;
+    live.send(message);
+  },
+  lastSpeed: () => page.speed,
+};
+
+function presentAltitude() {
+  const leader = store.vehicles.find((vehicle) => vehicle.reference_enu_m);
+  return leader ? Math.round(leader.reference_enu_m[2] * 10) / 10 : DEFAULT_ALTITUDE_M;
+}
+
+const live = new LiveConnection(
+  (snapshot, nowMs) => {
+    store.accept(snapshot, nowMs);
+    sound.update(snapshot.alarms, nowMs);
+    if (snapshot.replay?.speed) page.speed = snapshot.replay.speed;
+    arrivedMs ??= nowMs;
+    store.refreshFile(nowMs, (file) => map.probeTiles(file));
+    schedule();
+  },
+  () => store.loadHistory(),
+);
+
+function schedule() {
+  frame ??= requestAnimationFrame(draw);
+}
+
+function draw() {
+  frame = null;
+  const nowMs = performance.now();
+  const lost = store.freshness.lost(nowMs);
+  document.body.classList.toggle("lost", lost);
+  document.body.classList.toggle("replaying", Boolean(store.snapshot?.replay));
+  const context = { store, nowMs, theme, sound, abort, act, commanding, hint: page.hint, filter: page.filter };
+  render(bar(context), at("bar"));
+  render(banner(context), at("banner"));
+  render(figures(context), at("figures"));
+  render(tabs({ store, current: page.tab, act }), at("tabs"));
+  drawPanels(context);
+  map.draw(theme.colours, nowMs);
+  at("scene").classList.toggle("drawing", Boolean(store.drawing?.active));
+  plots.update(theme.colours, document.documentElement.dataset.theme);
+  if (arrivedMs !== null) metrics.drawn(arrivedMs);
+  arrivedMs = null;
+}
+
+function drawPanels(context) {
+  const { controls, snapshot } = store;
+  at("control").hidden = !controls;
+  if (!controls && page.tab === "control") act.tab("vehicles");
+  at("replay").hidden = !snapshot?.replay;
+  if (snapshot?.replay) render(replay(context), at("replay"));
+  if (controls) render(control(context), at("control"));
+  render(vehicles(context), at("vehicles"));
+  watchRows();
+  render(details(context), at("details"));
+  render(alarms(context), at("alarms"));
+  render(events(context), at("events"));
+  render(mapTools(map), at("map-tools"));
+  render(help({ controls, close: () => at("help").close() }), at("help"));
+  render(drawingNote(), at("map-note"));
+}
+
+function drawingNote() {
+  if (!store.drawing?.active) return "";
+  return store.drawing.most === 1 ? "Click a point on the map." : "Click the points on the map, in order.";
+}
+
+/** Once a second without snapshots as well: ages, the banner, the sound of a lost server. */
+function tick() {
+  const nowMs = performance.now();
+  if (!store.freshness.lost(nowMs)) return;
+  if (store.snapshot) sound.lost(nowMs);
+  schedule();
+}
+
+watchHolds(document);
+watchAbortKeys(
+  ABORT_HOLD_S,
+  (held) => {
+    abort.keys = held && store.controls;
+    schedule();
+  },
+  () => act.abort(),
+);
+render(legend(), at("map-legend"));
+setInterval(tick, TICK_MS);
+schedule();

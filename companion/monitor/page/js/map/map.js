@@ -1,0 +1,168 @@
+/** The map: one canvas, its camera, and what it draws in which order. */
+
+import { Camera } from "./camera.js";
+import { listen } from "./gestures.js";
+import { drawFence, drawGrid, drawHomes, drawNorth, drawObstacles, drawScaleBar } from "./ground.js";
+import { drawEdges, drawSlot } from "./links.js";
+import { Pen } from "./pen.js";
+import { drawPoints, drawPreview } from "./plan.js";
+import { Tiles } from "./tiles.js";
+import { drawSafetyDistance, drawSmallestSeparation, drawTrail, drawVehicle, roomForLabels, trailBands } from "./vehicles.js";
+
+const TOUCH_PX = 26; // how near to a vehicle a click selects it
+const MARGIN_PX = 104;
+const LEAST_MARGIN_PX = 62; // the buttons are that wide
+
+export class FleetMap {
+  /** `on.changed()` asks for a frame; `on.selected(id, several)`; `on.placed(point)` while points are drawn. */
+  constructor(canvas, store, on) {
+    this._canvas = canvas;
+    this._store = store;
+    this._on = on;
+    this._context = canvas.getContext("2d", { alpha: false });
+    this.camera = new Camera();
+    this.follows = true; // until the operator moves the map
+    this._tiles = new Tiles(on.changed);
+    this._resized = true;
+    new ResizeObserver(() => {
+      this._resized = true;
+      on.changed();
+    }).observe(canvas);
+    listen(canvas, this.camera, {
+      moved: () => {
+        this.follows = false;
+        on.changed();
+      },
+      clicked: (x, y, event) => this._clicked(x, y, event),
+      key: (key) => this._key(key),
+    });
+  }
+
+  fit() {
+    this.follows = true;
+    this._fitTo(this._placed(), MARGIN_PX);
+    this._on.changed();
+  }
+
+  toggle3d() {
+    this.camera.toggle3d();
+    this.fit();
+  }
+
+  northUp() {
+    this.camera.northUp();
+    this._on.changed();
+  }
+
+  zoom(factor) {
+    this.follows = false;
+    this.camera.zoom(factor);
+    this._on.changed();
+  }
+
+  probeTiles(file) {
+    this._tiles.probe(file.origin);
+  }
+
+  draw(colours, nowMs) {
+    if (this._resized) this._resize();
+    const { camera, _store: store } = this;
+    const shown = this._shown();
+    const placed = this._placed();
+    if (this.follows && placed.length && !camera.shows(placed, Math.min(LEAST_MARGIN_PX, camera.width / 8, camera.height / 8))) this._fitTo(placed, MARGIN_PX);
+    const pen = new Pen(this._context, camera, colours);
+    const ratio = devicePixelRatio;
+    this._context.setTransform(ratio, 0, 0, ratio, 0, 0);
+    this._context.fillStyle = colours.map;
+    this._context.fillRect(0, 0, camera.width, camera.height);
+    this._tiles.draw(pen);
+    drawGrid(pen);
+    this._drawPlace(pen, shown);
+    this._drawFleet(pen, shown, nowMs);
+    if (store.preview) drawPreview(pen, store.preview);
+    if (store.drawing) drawPoints(pen, store.drawing.points);
+    drawScaleBar(pen);
+    drawNorth(pen);
+  }
+
+  _drawPlace(pen, shown) {
+    const file = this._store.file;
+    if (!file) return;
+    drawFence(pen, file);
+    drawObstacles(pen, file);
+    drawHomes(pen, file, new Set(shown.keys()));
+  }
+
+  _drawFleet(pen, shown, nowMs) {
+    const store = this._store;
+    const vehicles = [...shown.values()];
+    const separationM = store.file?.separation_m ?? null;
+    const bands = trailBands(vehicles.length);
+    for (const vehicle of vehicles) drawTrail(pen, store.trails.of(vehicle), store.snapshot.time_s, bands);
+    drawEdges(pen, shown);
+    for (const vehicle of vehicles) drawSlot(pen, vehicle);
+    if (separationM !== null) for (const vehicle of vehicles) drawSafetyDistance(pen, vehicle, separationM);
+    const labelled = roomForLabels(pen, vehicles);
+    const leaders = new Set(store.fleet?.leader_ids ?? []);
+    const farthestFirst = (a, b) => pen.camera.project(b.position_enu_m)[2] - pen.camera.project(a.position_enu_m)[2];
+    for (const vehicle of vehicles.sort(farthestFirst)) {
+      drawVehicle(pen, vehicle, {
+        selected: store.selected.has(vehicle.vehicle_id),
+        leader: leaders.has(vehicle.vehicle_id),
+        labelled,
+        sinceS: store.freshness.ageS(nowMs) ?? 0,
+      });
+    }
+    if (store.fleet) drawSmallestSeparation(pen, store.fleet, shown, separationM);
+  }
+
+  /** Vehicles with a position, by id. */
+  _shown() {
+    return new Map(this._store.vehicles.filter((v) => v.data_age_s !== null).map((v) => [v.vehicle_id, v]));
+  }
+
+  _placed() {
+    const vehicles = [...this._shown().values()];
+    const points = vehicles.map((vehicle) => vehicle.position_enu_m);
+    const slots = vehicles.map((vehicle) => vehicle.slot_position_enu_m).filter(Boolean);
+    const planned = this._store.preview ? this._store.preview.paths.map((path) => path.to_enu_m) : [];
+    const ground = this.camera.is3d ? points.map(([x, y]) => [x, y, 0]) : [];
+    return [...points, ...slots, ...planned, ...(this._store.preview?.track_enu_m ?? []), ...ground];
+  }
+
+  _fitTo(points, marginPx) {
+    this.camera.fit(points, Math.min(marginPx, this.camera.width / 5, this.camera.height / 5));
+  }
+
+  /** In the frame that draws: a canvas that gets a size is empty. */
+  _resize() {
+    this._resized = false;
+    const { clientWidth, clientHeight } = this._canvas;
+    if (!clientWidth || !clientHeight) return;
+    this._canvas.width = Math.round(clientWidth * devicePixelRatio);
+    this._canvas.height = Math.round(clientHeight * devicePixelRatio);
+    this.camera.width = clientWidth;
+    this.camera.height = clientHeight;
+    if (this.follows) this._fitTo(this._placed(), MARGIN_PX);
+  }
+
+  _clicked(x, y, event) {
+    if (this._store.drawing?.active) {
+      this._on.placed(this.camera.unproject(x, y, this._store.drawing.altitudeM));
+      return;
+    }
+    let nearest = null;
+    for (const vehicle of this._shown().values()) {
+      const [vx, vy] = this.camera.project(vehicle.position_enu_m);
+      const distance = Math.hypot(vx - x, vy - y);
+      if (distance <= TOUCH_PX && (!nearest || distance < nearest.distance)) nearest = { id: vehicle.vehicle_id, distance };
+    }
+    this._on.selected(nearest?.id ?? null, event.shiftKey || event.ctrlKey || event.metaKey);
+  }
+
+  _key(key) {
+    const action = { f: () => this.fit(), 3: () => this.toggle3d(), n: () => this.northUp() }[key.toLowerCase()];
+    action?.();
+    return Boolean(action);
+  }
+}

@@ -1,0 +1,82 @@
+/** Drawing in metres: a canvas context with a camera and the colours of the theme. */
+
+export class Pen {
+  constructor(context, camera, colours) {
+    this.context = context;
+    this.camera = camera;
+    this.colours = colours;
+  }
+
+  /** A line through points of the fleet frame. */
+  line(points, style) {
+    this._path(points);
+    this._stroke(style);
+  }
+
+  polygon(points, { fill, fillAlpha = 1, ...style }) {
+    this._path(points);
+    this.context.closePath();
+    if (fill) {
+      this.context.globalAlpha = fillAlpha;
+      this.context.fillStyle = this.colours[fill];
+      this.context.fill();
+    }
+    this._stroke(style);
+  }
+
+  /** A level circle. */
+  circle(centre, radiusM, style) {
+    const [x, y] = this.camera.project(centre);
+    const radius = radiusM * this.camera.scale;
+    this.context.beginPath();
+    this.context.ellipse(x, y, radius, radius * Math.cos(this.camera.tilt), 0, 0, 2 * Math.PI);
+    this._stroke(style);
+  }
+
+  /** A line between points of the canvas. */
+  pixels(points, style) {
+    this.context.beginPath();
+    points.forEach(([x, y], i) => (i ? this.context.lineTo(x, y) : this.context.moveTo(x, y)));
+    this._stroke(style);
+  }
+
+  /** With an outline in the colour of the map, so that lines behind it do not disturb. */
+  text(text, x, y, { colour = "text", size = 12, weight = 400, align = "center", bare = false } = {}) {
+    const context = this.context;
+    context.font = `${weight} ${size}px system-ui, "Liberation Sans", "DejaVu Sans", sans-serif`;
+    context.textAlign = align;
+    context.textBaseline = "middle";
+    if (!bare) {
+      context.lineWidth = 3;
+      context.lineJoin = "round";
+      context.strokeStyle = this.colours.map;
+      context.strokeText(text, x, y);
+    }
+    context.fillStyle = this.colours[colour];
+    context.fillText(text, x, y);
+  }
+
+  _path(points) {
+    this.context.beginPath();
+    for (let i = 0; i < points.length; i += 1) {
+      const [x, y] = this.camera.project(points[i]);
+      if (i) this.context.lineTo(x, y);
+      else this.context.moveTo(x, y);
+    }
+  }
+
+  _stroke({ colour, width = 1, dash = [], alpha = 1 }) {
+    const context = this.context;
+    if (!colour) {
+      context.globalAlpha = 1;
+      return;
+    }
+    context.globalAlpha = alpha;
+    context.strokeStyle = this.colours[colour];
+    context.lineWidth = width;
+    context.setLineDash(dash);
+    context.stroke();
+    context.setLineDash([]);
+    context.globalAlpha = 1;
+  }
+}

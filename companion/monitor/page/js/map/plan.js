@@ -1,0 +1,27 @@
+/** What has not been sent yet: the preview of a formation or reference, and the points that are being drawn. */
+
+export function drawPreview(pen, preview) {
+  for (const path of preview.paths) {
+    pen.line([path.from_enu_m, path.to_enu_m], { colour: "accent", width: 2, dash: [8, 5] });
+    const [x, y] = pen.camera.project(path.to_enu_m);
+    pen.pixels([[-11, -11], [11, -11], [11, 11], [-11, 11], [-11, -11]].map(([dx, dy]) => [x + dx, y + dy]), {
+      colour: "accent",
+      width: 2,
+    });
+    pen.text(String(path.vehicle_id), x, y, { colour: "accent", size: 12, weight: 700 });
+  }
+  if (preview.track_enu_m.length > 1) pen.line(preview.track_enu_m, { colour: "accent", width: 3, dash: [8, 5] });
+  if (preview.track_enu_m.length) drawPoint(pen, preview.track_enu_m[0], "start");
+}
+
+export function drawPoints(pen, points) {
+  if (points.length > 1) pen.line(points, { colour: "accent", width: 1.5, dash: [3, 3] });
+  points.forEach((point, i) => drawPoint(pen, point, String(i + 1)));
+}
+
+function drawPoint(pen, point, label) {
+  const [x, y] = pen.camera.project(point);
+  pen.pixels([[x - 6, y], [x + 6, y]], { colour: "accent", width: 2.5 });
+  pen.pixels([[x, y - 6], [x, y + 6]], { colour: "accent", width: 2.5 });
+  pen.text(label, x + 12, y - 10, { colour: "accent", size: 12, weight: 700 });
+}

@@ -1,0 +1,123 @@
+/** What the page knows: the newest snapshot, what it has kept of earlier ones, and what the operator has chosen. */
+
+import { get } from "./api.js";
+import { Freshness } from "./freshness.js";
+import { History } from "./history.js";
+import { Trails } from "./trails.js";
+
+const KEPT_EVENTS = 500;
+const JUMP_S = 3; // a larger step in time is a seek: what came before belongs elsewhere
+const FILE_AGAIN_MS = 5000; // homes change
+const NO_FILE_AGAIN_MS = 60000; // without a fleet file the server answers 404
+
+export class Store {
+  constructor() {
+    this.snapshot = null;
+    this.freshness = new Freshness();
+    this.trails = new Trails();
+    this.history = new History();
+    this.events = []; // newest first
+    this.selected = new Set();
+    this.preview = null; // of what has not been sent
+    this.drawing = null; // {altitudeM, points, most} while points are placed on the map
+    this.file = null; // FleetFileView
+    this._fleetName = null;
+    this._fileNextMs = 0; // when the file is asked for again
+    this._historyAsked = false;
+  }
+
+  get fleetName() {
+    return this._fleetName ?? this.snapshot?.fleets[0]?.name ?? null;
+  }
+
+  get fleet() {
+    return this.snapshot?.fleets.find((fleet) => fleet.name === this.fleetName) ?? null;
+  }
+
+  get vehicles() {
+    return this.snapshot?.vehicles.filter((vehicle) => vehicle.fleet === this.fleetName) ?? [];
+  }
+
+  get alarms() {
+    return this.snapshot?.alarms ?? [];
+  }
+
+  /** Those that the page can command now. */
+  get controls() {
+    return Boolean(this.snapshot?.may_control) && !this.snapshot.replay;
+  }
+
+  chooseFleet(name) {
+    this._fleetName = name;
+    this.selected.clear();
+    this.preview = null;
+    this.drawing = null;
+    this.file = null;
+    this._fileNextMs = 0;
+    this.history.clear();
+    this.loadHistory();
+  }
+
+  accept(snapshot, nowMs) {
+    const before = this.snapshot;
+    const restarted = before && snapshot.number < before.number; // the server numbers events from 1 again
+    const jumped = before && Math.abs(snapshot.time_s - before.time_s) > JUMP_S;
+    const missed = before && snapshot.number > before.number + 1; // and with them, events
+    this.snapshot = snapshot;
+    this.freshness.accept(snapshot, nowMs);
+    if (restarted || jumped) this._forget();
+    else if (missed) this.loadHistory();
+    this.trails.accept(snapshot);
+    this.history.accept(snapshot.time_s, this.fleet, this.vehicles);
+    this._addEvents(snapshot.events);
+  }
+
+  select(id, several) {
+    const only = !several;
+    const was = this.selected.has(id);
+    if (only) this.selected.clear();
+    if (id === null) return;
+    if (was && several) this.selected.delete(id);
+    else this.selected.add(id);
+  }
+
+  /** Past points and events. Without them the plots begin now. */
+  async loadHistory() {
+    if (this._historyAsked) return;
+    this._historyAsked = true;
+    const history = await get("history").catch(() => null);
+    this._historyAsked = false;
+    if (!history) return;
+    this.history.load(history.points);
+    this._addEvents(history.events);
+  }
+
+  /** The fleet file, again from time to time because of the homes. Calls `onFile(file)`. */
+  async refreshFile(nowMs, onFile) {
+    const name = this.fleetName;
+    if (name === null || nowMs < this._fileNextMs) return;
+    this._fileNextMs = nowMs + FILE_AGAIN_MS;
+    const file = await get(`fleets/${encodeURIComponent(name)}`).catch(() => null);
+    if (name !== this.fleetName) return;
+    if (!file) {
+      this._fileNextMs = nowMs + NO_FILE_AGAIN_MS;
+      return;
+    }
+    this.file = file;
+    onFile(file);
+  }
+
+  _addEvents(events) {
+    if (!events.length) return;
+    const known = new Set(this.events.map((event) => event.id));
+    const fresh = events.filter((event) => !known.has(event.id));
+    this.events = [...fresh, ...this.events].sort((a, b) => b.id - a.id).slice(0, KEPT_EVENTS);
+  }
+
+  _forget() {
+    this.trails.clear();
+    this.history.clear();
+    this.events = [];
+    this.loadHistory();
+  }
+}

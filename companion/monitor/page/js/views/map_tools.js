@@ -1,0 +1,29 @@
+/** Buttons on the map, and the meaning of its symbols. */
+
+import { GROUPS } from "../phases.js";
+import { html, nothing } from "./lit.js";
+import { symbol } from "./symbol.js";
+
+const SAMPLE_PHASE = { ground: "ready", armed: "armed", takeoff: "takeoff", hold: "hold", formation: "formation", land: "land", return: "return" };
+
+export function mapTools(map) {
+  return html`
+    <button @click=${() => map.toggle3d()} aria-pressed=${map.camera.is3d} title="Key 3">3-D</button>
+    <button @click=${() => map.fit()} aria-pressed=${map.follows} title="Show all, and follow: key F">Fit</button>
+    <button @click=${() => map.zoom(1.4)} aria-label="Zoom in" title="Key +">+</button>
+    <button @click=${() => map.zoom(1 / 1.4)} aria-label="Zoom out" title="Key -">−</button>
+    ${Math.abs(map.camera.azimuth) > 0.01 ? html`<button @click=${() => map.northUp()} title="Key N">North</button>` : nothing}`;
+}
+
+export function legend() {
+  return html`<details><summary>Symbols</summary><ul>
+    ${GROUPS.map((group) => html`<li>${symbol(SAMPLE_PHASE[group.name])} ${group.text}</li>`)}
+    <li>${symbol("ready", true)} silent, where it last was</li>
+    <li><span class="key">★</span> leader, with a ring</li>
+    <li><span class="key">◇</span> slot</li>
+    <li><span class="key">→</span> where it will be in 1 s</li>
+    <li><span class="key">━</span> weight of a neighbour</li>
+    <li><span class="key">┅</span> neighbour with old data</li>
+    <li><span class="key">◌</span> circles touch at separation_m</li>
+  </ul></details>`;
+}

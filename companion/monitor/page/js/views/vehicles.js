@@ -1,0 +1,71 @@
+/** The list of vehicles: one row each, below it what is wrong. */
+
+import { age, number } from "../format.js";
+import { html, noChange, nothing, repeat } from "./lit.js";
+import { outOfSight } from "./sight.js";
+import { symbol } from "./symbol.js";
+
+const LOW_BATTERY_PERCENT = 25;
+const OLD_DATA_S = 1;
+
+export function vehicles({ store, nowMs, act }) {
+  const sinceS = store.freshness.ageS(nowMs) ?? 0;
+  return html`
+    <div class="heading"><h2>Vehicles</h2>${selectionButtons(store, act)}</div>
+    <table class="fleet">
+      <thead><tr>
+        <th scope="col">id</th><th scope="col">phase</th><th scope="col" class="mode">mode</th>
+        <th scope="col" class="n">battery %</th><th scope="col" class="n">altitude m</th><th scope="col" class="n">error m</th>
+        <th scope="col" class="n">nearest m</th><th scope="col" class="n">age</th>
+      </tr></thead>
+      ${repeat(store.vehicles, (vehicle) => vehicle.vehicle_id, (vehicle) =>
+        outOfSight(vehicle.vehicle_id, nowMs) ? noChange : rows(vehicle, store, sinceS, act))}
+    </table>
+    ${store.vehicles.length ? nothing : html`<p class="empty">No vehicle has reported yet.</p>`}`;
+}
+
+function selectionButtons(store, act) {
+  if (!store.selected.size) return html`<span class="quiet">click selects, Shift adds</span>`;
+  return html`<button class="small" @click=${() => act.select(null, false)}>Select none</button>`;
+}
+
+function rows(vehicle, store, sinceS, act) {
+  const id = vehicle.vehicle_id;
+  const selected = store.selected.has(id);
+  const leader = store.fleet?.leader_ids.includes(id);
+  const ageS = vehicle.age_s + sinceS;
+  return html`<tbody class="vehicle ${vehicle.silent ? "silent" : ""} ${selected ? "selected" : ""}" data-id=${id}
+      @click=${(event) => act.select(id, event.shiftKey || event.ctrlKey || event.metaKey)}>
+    <tr>
+      <th scope="row"><button class="pick" aria-pressed=${selected}
+        aria-label="Vehicle ${id}${leader ? ", leader" : ""}">${symbol(vehicle.phase, vehicle.silent)}<span>${id}</span>${
+        leader ? html`<span class="leader" title="leader">★</span>` : nothing}</button></th>
+      <td>${vehicle.silent ? html`<strong class="critical">SILENT</strong>` : vehicle.phase}</td>
+      <td class="mode">${vehicle.mode}${vehicle.armed ? nothing : html`<span class="quiet"> disarmed</span>`}</td>
+      <td class="n ${vehicle.battery_percent < LOW_BATTERY_PERCENT && vehicle.battery_percent !== null ? "warning" : ""}"
+        >${number(vehicle.battery_percent, 0)}</td>
+      <td class="n">${number(vehicle.position_enu_m[2], 1)}</td>
+      <td class="n">${number(vehicle.error_to_slot_m, 2)}</td>
+      <td class="n ${nearness(vehicle.nearest)}">${number(vehicle.nearest?.distance_m, 2)}</td>
+      <td class="n ${vehicle.silent ? "critical" : vehicle.data_age_s > OLD_DATA_S ? "warning" : ""}"
+        >${age(vehicle.silent ? ageS : vehicle.data_age_s)}</td>
+    </tr>
+    ${note(vehicle, ageS)}
+  </tbody>`;
+}
+
+function note(vehicle, ageS) {
+  if (vehicle.silent) {
+    return html`<tr class="note critical"><td colspan="7">no report for ${age(ageS)}; the values are those of before</td><td class="mode"></td></tr>`;
+  }
+  if (!vehicle.flags.length) return nothing;
+  const severity = vehicle.flags.some((flag) => flag.severity === "critical") ? "critical" : "warning";
+  const texts = vehicle.flags.map((flag) => `${flag.code}: ${flag.text}. Agent: ${flag.action}. ${flag.advice}`);
+  return html`<tr class="note ${severity}"><td colspan="7">${texts.join(" ")}</td><td class="mode"></td></tr>`;
+}
+
+function nearness(nearest) {
+  if (!nearest) return "";
+  if (nearest.distance_m < nearest.required_m) return "critical";
+  return nearest.changed_m_s2 > 0 ? "warning" : "";
+}

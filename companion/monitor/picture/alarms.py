@@ -1,0 +1,141 @@
+"""The alarm list: conditions that need attention, until they have ended and are acknowledged."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from msgspec.structs import replace
+
+from companion.monitor.api import AlarmView, Severity, VehicleView
+from companion.monitor.picture.flags import advice_of
+from companion.types.notices import Code
+
+MOST_ALARMS = 500
+SILENT, UNSECURED, NOT_RECORDED = "SILENT", "UNSECURED", "NOT_RECORDED"
+_RANKS: dict[Severity, int] = {"critical": 0, "warning": 1, "info": 2}
+
+Key = tuple[str, int | None, str]  # fleet, vehicle id, code
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """What is wrong at present."""
+
+    severity: Severity
+    text: str
+    advice: str
+
+
+OTHER_FILE = Condition(
+    "warning",
+    "its fleet file is not the one here: slots, fence and the figures of the law may be wrong",
+    "copy one fleet file to all vehicles and to the ground",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Changes:
+    """The alarms that have begun and those that have ended in one update."""
+
+    begun: tuple[AlarmView, ...] = ()
+    ended: tuple[AlarmView, ...] = ()
+
+
+class AlarmList:
+    """At most MOST_ALARMS. A condition that returns before its alarm was acknowledged goes on under the same alarm."""
+
+    def __init__(self) -> None:
+        self._alarms: dict[Key, AlarmView] = {}
+        self._last_id = 0
+
+    def update(self, time_s: float, conditions: Mapping[Key, Condition]) -> Changes:
+        """Begin and end alarms by the present conditions."""
+        begun = [self._begin(time_s, key, condition) for key, condition in conditions.items() if self._is_new(key)]
+        ended = [self._end(time_s, key) for key in list(self._alarms) if key not in conditions and self._lasts(key)]
+        for key, condition in conditions.items():
+            alarm = self._alarms.get(key)
+            if alarm and (alarm.severity, alarm.text) != (condition.severity, condition.text):
+                self._alarms[key] = replace(alarm, severity=condition.severity, text=condition.text)
+        self._bound()
+        return Changes(tuple(begun), tuple(ended))
+
+    def acknowledge(self, alarm_id: int) -> AlarmView | None:
+        """The alarm, now acknowledged; None where there is none with this id. One that has ended leaves the list."""
+        for key, alarm in self._alarms.items():
+            if alarm.id == alarm_id:
+                acknowledged = replace(alarm, acknowledged=True)
+                if alarm.until_s is None:
+                    self._alarms[key] = acknowledged
+                else:
+                    del self._alarms[key]
+                return acknowledged
+        return None
+
+    def forget(self) -> None:
+        """All alarms; the ids of later ones go on."""
+        self._alarms.clear()
+
+    def all(self) -> tuple[AlarmView, ...]:
+        """Those that last first, the most severe first, the newest first."""
+        order = sorted(self._alarms.values(), key=lambda a: (a.until_s is not None, _RANKS[a.severity], -a.since_s))
+        return tuple(order)
+
+    def _lasts(self, key: Key) -> bool:
+        return self._alarms[key].until_s is None
+
+    def _is_new(self, key: Key) -> bool:
+        return key not in self._alarms or not self._lasts(key)
+
+    def _begin(self, time_s: float, key: Key, condition: Condition) -> AlarmView:
+        fleet, vehicle_id, code = key
+        if (alarm := self._alarms.get(key)) is not None:
+            self._alarms[key] = replace(alarm, until_s=None)
+            return self._alarms[key]
+        self._last_id += 1
+        self._alarms[key] = AlarmView(
+            id=self._last_id,
+            fleet=fleet,
+            vehicle_id=vehicle_id,
+            code=code,
+            severity=condition.severity,
+            text=condition.text,
+            advice=condition.advice,
+            since_s=time_s,
+            until_s=None,
+            acknowledged=False,
+        )
+        return self._alarms[key]
+
+    def _end(self, time_s: float, key: Key) -> AlarmView:
+        alarm = replace(self._alarms[key], until_s=time_s)
+        if alarm.acknowledged:
+            del self._alarms[key]
+        else:
+            self._alarms[key] = alarm
+        return alarm
+
+    def _bound(self) -> None:
+        """The oldest leave first: those that have ended, then the least severe."""
+        for alarm in reversed(self.all()[MOST_ALARMS:]):
+            del self._alarms[alarm.fleet, alarm.vehicle_id, alarm.code]
+
+
+def conditions_of(vehicle: VehicleView) -> dict[Key, Condition]:
+    """What is wrong with a vehicle. The flags of a silent one last until it reports again."""
+    fleet, vehicle_id = vehicle.fleet, vehicle.vehicle_id
+    found: dict[Key, Condition] = {
+        (fleet, vehicle_id, flag.code): Condition(flag.severity, flag.text, flag.advice) for flag in vehicle.flags
+    }
+    if vehicle.silent:
+        severity: Severity = "critical" if vehicle.armed else "warning"
+        state = f"{vehicle.phase}, {'armed' if vehicle.armed else 'disarmed'}"
+        text = f"no report any more; when it last reported: {state}"
+        found[fleet, vehicle_id, SILENT] = Condition(severity, text, advice_of(Code.NO_REPORT))
+    if vehicle.recording.state == "dropping":
+        text = f"{vehicle.recording.dropped} records lost: its disk is full or slow; the flight is not affected"
+        found[fleet, vehicle_id, NOT_RECORDED] = Condition("info", text, "free space on the disk of the vehicle")
+    if vehicle.network.security == "none":
+        text = "strangers in its network can command it (security: none in the fleet file)"
+        found[fleet, None, UNSECURED] = Condition("info", text, "make identities: companion provision new FOLDER")
+    return found

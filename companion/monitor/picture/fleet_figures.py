@@ -1,0 +1,157 @@
+"""Figures of a whole fleet: separation and its trend, convergence of the law, margin of the links."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from itertools import combinations
+from math import dist, inf
+
+from companion.assembly import law_of
+from companion.config.fleet import FleetConfig, RangeNeighbours
+from companion.config.law import Law
+from companion.geometry.separation import separation_distance_m
+from companion.monitor.api import FleetView, VehicleView
+from companion.stability.interaction import (
+    couple,
+    eigenvalues,
+    mode_eigenvalues,
+    mode_figures,
+    reached_from,
+    time_to_shrink_s,
+)
+from companion.types.flight import STREAMING, Role
+from companion.types.vectors import Vector3
+
+FRESH_S = 1.0  # positions older than that have no distance now
+TREND_S = 5.0
+SAMPLE_S = 0.5
+FIGURES_EVERY_S = 1.0
+SHRUNK_TO = 0.1  # of an error: the settling time
+
+Pair = tuple[int, int]
+Edges = frozenset[Pair]
+
+
+class FleetFigures:
+    """The figures of one fleet over time. `file` is None without the fleet file."""
+
+    def __init__(self, name: str, file: FleetConfig | None) -> None:
+        self._name = name
+        self._file = file
+        self._separations: deque[tuple[float, float]] = deque(maxlen=int(TREND_S / SAMPLE_S) + 1)
+        self._figured_s = -inf
+        self._convergence: tuple[float | None, float | None] = (None, None)
+        self._link: tuple[float, Pair] | None = None
+
+    def view(self, now_s: float, vehicles: Sequence[VehicleView]) -> FleetView:
+        """Of these vehicles, all of this fleet."""
+        fresh = [v for v in vehicles if not v.silent and v.data_age_s is not None and v.data_age_s <= FRESH_S]
+        positions = {v.vehicle_id: v.position_enu_m for v in fresh}
+        smallest = smallest_separation(positions)
+        if smallest and (not self._separations or now_s - self._separations[-1][0] >= SAMPLE_S - 1e-6):
+            self._separations.append((now_s, smallest[0]))
+        if now_s - self._figured_s >= FIGURES_EVERY_S - 1e-6:
+            self._figured_s = now_s
+            self._figure(fresh)
+        leaders = tuple(v.vehicle_id for v in vehicles if v.role == Role.LEADER and not v.silent)
+        return FleetView(
+            name=self._name,
+            vehicle_ids=tuple(v.vehicle_id for v in vehicles),
+            leader_ids=leaders,
+            smallest_separation_m=round(smallest[0], 3) if smallest else None,
+            smallest_separation_pair=smallest[1] if smallest else None,
+            separation_trend_m_s=self._trend_m_s(now_s),
+            lambda_min=self._convergence[0],
+            settling_s=self._convergence[1],
+            link_margin_m=round(self._link[0], 3) if self._link else None,
+            link_margin_pair=self._link[1] if self._link else None,
+            data_age_worst_s=max(
+                (v.data_age_s for v in vehicles if not v.silent and v.data_age_s is not None), default=None
+            ),
+        )
+
+    def _figure(self, vehicles: Sequence[VehicleView]) -> None:
+        """Those of the law and of the links, which need the fleet file."""
+        if self._file is None:
+            return
+        flying = {v.vehicle_id: v for v in vehicles if v.phase in STREAMING}
+        edges = edges_of(flying)
+        leaders = frozenset(i for i, v in flying.items() if v.role == Role.LEADER)
+        self._convergence = convergence(frozenset(flying), edges, leaders, self._file.law)
+        self._link = None
+        if isinstance(self._file.neighbours, RangeNeighbours):
+            reach_m = self._file.neighbours.range_m + self._file.neighbours.hysteresis_m
+            self._link = weakest_link({i: v.position_enu_m for i, v in flying.items()}, edges, reach_m)
+
+    def _trend_m_s(self, now_s: float) -> float | None:
+        """The slope of the line through the last five seconds; None before there are two of them."""
+        samples = [(t, d) for t, d in self._separations if now_s - t <= TREND_S + SAMPLE_S]
+        if len(samples) < 2 or samples[-1][0] - samples[0][0] < TREND_S / 2.5:
+            return None
+        mean_t = sum(t for t, _ in samples) / len(samples)
+        mean_d = sum(d for _, d in samples) / len(samples)
+        spread = sum([(t - mean_t) * (t - mean_t) for t, _ in samples])
+        return round(sum([(t - mean_t) * (d - mean_d) for t, d in samples]) / spread, 3)
+
+
+def smallest_separation(positions_enu_m: Mapping[int, Vector3]) -> tuple[float, Pair] | None:
+    """In the metric of `separation_m`, with the pair; None with fewer than two vehicles."""
+    pairs = combinations(positions_enu_m.items(), 2)
+    distances = ((separation_distance_m(a, b), (i, j)) for (i, a), (j, b) in pairs)
+    return min(distances, default=None)
+
+
+def edges_of(vehicles: Mapping[int, VehicleView]) -> Edges:
+    """Pairs of these vehicles of which at least one uses the other as neighbour."""
+    return frozenset(
+        (min(i, n.vehicle_id), max(i, n.vehicle_id))
+        for i, vehicle in vehicles.items()
+        for n in vehicle.neighbours
+        if n.vehicle_id in vehicles and n.vehicle_id != i
+    )
+
+
+@lru_cache(maxsize=64)
+def convergence(
+    vehicle_ids: frozenset[int], edges: Edges, leaders: frozenset[int], settings: Law
+) -> tuple[float | None, float | None]:
+    """(smallest eigenvalue of G, predicted time to a tenth of an error in s).
+
+    (None, None) without a vehicle in formation, (0, None) where a vehicle has no path to a leader.
+    """
+    if not vehicle_ids:
+        return None, None
+    graph: dict[int, list[int]] = {i: [] for i in vehicle_ids}
+    for i, j in edges:
+        graph[i].append(j)
+        graph[j].append(i)
+    if reached_from(graph, leaders) != vehicle_ids:
+        return 0.0, None
+    law = law_of(settings)
+    coupling = couple(graph, leaders, law)
+    rate_1_s = min(mode_figures(law.gains, float(value)).rate_1_s for value in mode_eigenvalues(coupling))
+    settling_s = time_to_shrink_s(rate_1_s, 1.0, SHRUNK_TO)
+    return round(float(eigenvalues(coupling.G)[0]), 4), round(settling_s, 2) if settling_s < inf else None
+
+
+def weakest_link(positions_enu_m: Mapping[int, Vector3], edges: Edges, reach_m: float) -> tuple[float, Pair] | None:
+    """How much farther apart the weakest link that holds the fleet together may get, m, with its pair.
+
+    Of the links only the shortest ones that connect all vehicles count (a minimum spanning tree): to lose a longer one changes
+    no path to a leader. None without a link.
+    """
+    longest: tuple[float, Pair] | None = None
+    part = {i: i for i in positions_enu_m}
+
+    def root(i: int) -> int:
+        while part[i] != i:
+            i = part[i]
+        return i
+
+    for length_m, (i, j) in sorted((dist(positions_enu_m[i], positions_enu_m[j]), (i, j)) for i, j in edges):
+        if (a := root(i)) != (b := root(j)):
+            part[a] = b
+            longest = (length_m, (i, j))
+    return (reach_m - longest[0], longest[1]) if longest else None

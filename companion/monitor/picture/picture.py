@@ -1,0 +1,173 @@
+"""The state behind the live page: a fold over reports and replies, and a snapshot of it at any time."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import groupby
+
+from companion.config.fleet import FleetConfig
+from companion.ground.fleet_status import FleetState, VehicleKey, fold, rows
+from companion.monitor.api import (
+    AlarmView,
+    FleetFileView,
+    FleetView,
+    History,
+    ReplayView,
+    Snapshot,
+    VehicleView,
+)
+from companion.monitor.picture.alarms import OTHER_FILE, AlarmList, Condition, Key, conditions_of
+from companion.monitor.picture.events import EventLog, happened
+from companion.monitor.picture.fleet_figures import FleetFigures
+from companion.monitor.picture.fleet_map import fleet_map
+from companion.monitor.picture.history import HistoryRing
+from companion.monitor.picture.vehicle_view import vehicle_view
+from companion.types.autopilot import LandedState
+from companion.types.notices import Code
+from companion.types.vectors import Vector3
+from companion.wire.ground import StatusReport
+
+RATE_OVER_S = 3.0
+TIMES_KEPT = 64  # of the reports of a vehicle, for its rate
+
+
+class Picture:
+    """All that is known of the fleets. Times: `now_s` is of the clock of the reports, `time_s` is Unix time."""
+
+    def __init__(self, fleets: Mapping[str, FleetConfig], operator: str, may_control: bool = False) -> None:
+        self._files = fleets
+        self._hashes = {name: fleet.formation_hash() for name, fleet in fleets.items()}
+        self._operator = operator
+        self._may_control = may_control
+        self.alarms = AlarmList()
+        self.events = EventLog()
+        self._number = 0
+        self._begin()
+
+    def jump(self, time_s: float) -> None:
+        """Begin again, as a replay goes on from this time: without vehicles, history, alarms and later events."""
+        self.alarms.forget()
+        self.events.forget_from(time_s)
+        self._begin()
+
+    def _begin(self) -> None:
+        self._state = FleetState()
+        self._arrivals: dict[VehicleKey, deque[float]] = {}
+        self._figures: dict[str, FleetFigures] = {}
+        self._history = HistoryRing()
+        self._homes: dict[str, dict[int, Vector3]] = {}
+
+    @property
+    def has_vehicles(self) -> bool:
+        return bool(self._state.vehicles)
+
+    def receive(self, reports: Iterable[tuple[float, StatusReport]], unix_ahead_s: float = 0.0) -> None:
+        """Reports with their times of arrival, in order. `unix_ahead_s`: Unix time less the clock of these times."""
+        for arrived_s, report in reports:
+            status = report.status
+            key = (status.fleet, status.vehicle_id)
+            before = self._state.vehicles.get(key)
+            self._state = fold(self._state, report, arrived_s)
+            self._arrivals.setdefault(key, deque(maxlen=TIMES_KEPT)).append(arrived_s)
+            if before is not None:
+                for kind, code, text in happened(before.report.status, status):
+                    self.events.add(arrived_s + unix_ahead_s, *key, kind, code, text)
+            if not status.armed and status.landed is LandedState.ON_GROUND:
+                self._homes.setdefault(status.fleet, {})[status.vehicle_id] = status.position_enu_m
+        if len(self._arrivals) > len(self._state.vehicles):
+            self._forget_displaced()
+
+    def _forget_displaced(self) -> None:
+        """What is kept beside the state is bounded as it is: `fold` gave up a silent vehicle for a new one."""
+        kept = self._state.vehicles
+        names = {fleet for fleet, _ in kept}
+        self._arrivals = {key: times for key, times in self._arrivals.items() if key in kept}
+        self._figures = {name: figures for name, figures in self._figures.items() if name in names}
+        self._homes = {
+            name: {i: home for i, home in homes.items() if (name, i) in kept}
+            for name, homes in self._homes.items()
+            if name in names
+        }
+
+    def snapshot(
+        self,
+        now_s: float,
+        time_s: float,
+        connected: tuple[str, ...] = (),
+        unreachable: tuple[str, ...] = (),
+        replay: ReplayView | None = None,
+    ) -> Snapshot:
+        """The fleets at this time, without events. Updates alarms, figures and history."""
+        self._number += 1
+        vehicles = self._vehicles(now_s)
+        fleets = self._fleets(now_s, vehicles)
+        self._update_alarms(time_s, vehicles)
+        if self._history.is_due(time_s):
+            self._history.add(time_s, vehicles, fleets)
+        return Snapshot(
+            number=self._number,
+            time_s=time_s,
+            may_control=self._may_control,
+            operator=self._operator,
+            connected=connected,
+            unreachable=unreachable,
+            vehicles=vehicles,
+            fleets=fleets,
+            alarms=self.alarms.all(),
+            replay=replay,
+        )
+
+    def _vehicles(self, now_s: float) -> tuple[VehicleView, ...]:
+        reports = self._state.vehicles
+        return tuple(
+            [
+                vehicle_view(
+                    row,
+                    reports[row.fleet, row.vehicle_id].report.status,
+                    self._rate_hz((row.fleet, row.vehicle_id), now_s),
+                    self._files.get(row.fleet),
+                )
+                for row in rows(self._state, now_s)
+            ]
+        )
+
+    def _rate_hz(self, key: VehicleKey, now_s: float) -> float:
+        """Reports of the last RATE_OVER_S per second."""
+        times = self._arrivals[key]
+        while times and now_s - times[0] > RATE_OVER_S:
+            times.popleft()
+        return (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 and times[-1] > times[0] else 0.0
+
+    def _fleets(self, now_s: float, vehicles: Sequence[VehicleView]) -> tuple[FleetView, ...]:
+        views = []
+        for name, of_fleet in groupby(vehicles, key=lambda vehicle: vehicle.fleet):
+            if name not in self._figures:
+                self._figures[name] = FleetFigures(name, self._files.get(name))
+            views.append(self._figures[name].view(now_s, list(of_fleet)))
+        return tuple(views)
+
+    def _update_alarms(self, time_s: float, vehicles: Sequence[VehicleView]) -> None:
+        conditions: dict[Key, Condition] = {}
+        for vehicle in vehicles:
+            conditions |= conditions_of(vehicle)
+            own_hash = self._hashes.get(vehicle.fleet)
+            status = self._state.vehicles[vehicle.fleet, vehicle.vehicle_id].report.status
+            if own_hash is not None and status.formation_hash != own_hash:
+                conditions[vehicle.fleet, vehicle.vehicle_id, Code.FLEET_FILE_DIFFERS] = OTHER_FILE
+        changes = self.alarms.update(time_s, conditions)
+        for alarm in changes.begun:
+            self._alarm_event(time_s, alarm, alarm.text)
+        for alarm in changes.ended:
+            self._alarm_event(time_s, alarm, f"ended after {time_s - alarm.since_s:.1f} s: {alarm.text}")
+
+    def _alarm_event(self, time_s: float, alarm: AlarmView, text: str) -> None:
+        self.events.add(time_s, alarm.fleet, alarm.vehicle_id, "alarm", alarm.code, text)
+
+    def history(self) -> History:
+        return History(self._history.points(), self.events.all())
+
+    def fleet_map(self, name: str) -> FleetFileView | None:
+        """None without the fleet file of this fleet."""
+        file = self._files.get(name)
+        return fleet_map(file, self._homes.get(name, {})) if file else None

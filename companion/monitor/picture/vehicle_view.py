@@ -1,0 +1,105 @@
+"""One vehicle: its newest report and the times of its reports -> VehicleView."""
+
+from __future__ import annotations
+
+from itertools import zip_longest
+
+from companion.config.fleet import FleetConfig
+from companion.ground.fleet_status import VehicleRow
+from companion.monitor.api import NearestView, NeighbourView, TimingView, VehicleView
+from companion.monitor.picture.flags import flag_view
+from companion.types.status import Status
+from companion.types.vectors import Vector3
+from companion.wire.ground import Timing
+
+NEVER_S = 1e5  # an agent without a position reports an age beyond this
+
+
+def vehicle_view(row: VehicleRow, status: Status, report_rate_hz: float, fleet: FleetConfig | None) -> VehicleView:
+    """`row` and `status` are of the same report; `fleet` is None without the fleet file."""
+    nearest, error, beacon = status.separation.nearest, status.position_error, status.leader_beacon
+    return VehicleView(
+        fleet=row.fleet,
+        vehicle_id=row.vehicle_id,
+        silent=row.silent,
+        age_s=round(row.age_s, 3),
+        data_age_s=round(row.data_age_s, 3) if row.data_age_s < NEVER_S else None,
+        report_rate_hz=round(report_rate_hz, 1),
+        phase=row.phase,
+        role=row.role,
+        mode=row.mode_name,
+        armed=row.armed,
+        landed=status.landed.name.lower(),
+        position_enu_m=_in_mm(row.position_enu_m),
+        velocity_enu_m_s=_in_mm(status.velocity_enu_m_s),
+        position_error_m=(round(error.horizontal_m, 3), round(error.vertical_m, 3)) if error else None,
+        battery_percent=None if row.battery_percent is None else round(row.battery_percent, 1),
+        law=status.law,
+        prc=row.prc,
+        epoch=status.epoch,
+        leader_id=beacon.leader_id if beacon else None,
+        leader_beacon_age_s=status.leader_beacon_age_s,
+        neighbours=_neighbours(status),
+        peers=status.peers,
+        slot_position_enu_m=_in_mm(row.slot_position_enu_m) if row.slot_position_enu_m else None,
+        slot_offset_enu_m=_in_mm(status.slot.position_enu_m),
+        error_to_slot_m=None if row.error_to_slot_m is None else round(row.error_to_slot_m, 3),
+        reference_enu_m=_in_mm(status.reference_enu_m) if status.reference_enu_m else None,
+        formation=row.formation,
+        reference=row.reference,
+        holder=row.holder,
+        flags=tuple([flag_view(flag, row.armed, fleet) for flag in row.flags]),
+        lacks=tuple(map(str, status.lacks)),
+        refuses_return=str(status.refuses_return) if status.refuses_return else None,
+        nearest=(
+            NearestView(
+                nearest.name,
+                round(nearest.distance_m, 3),
+                round(nearest.required_m, 3),
+                round(status.separation.changed_m_s2, 3),
+            )
+            if nearest
+            else None
+        ),
+        hover_thrust_norm=round(row.hover_thrust_norm, 4),
+        wind_acceleration_enu_m_s2=_in_mm(row.disturbance_enu_m_s2),
+        timing=_timing(row.timing),
+        network=row.network,
+        recording=status.recording,
+        rejected=row.rejected,
+        last_event=str(row.last_event) if row.last_event else None,
+    )
+
+
+def _in_mm(vector: Vector3) -> Vector3:
+    """Rounded: half the bytes of a snapshot are digits below a millimetre."""
+    x, y, z = vector
+    return (round(x, 3), round(y, 3), round(z, 3))
+
+
+def _neighbours(status: Status) -> tuple[NeighbourView, ...]:
+    """A report of an older agent has neither weights nor ages."""
+    known = len(status.neighbours)
+    return tuple(
+        NeighbourView(
+            vehicle_id, None if weight is None else round(weight, 4), None if age_s is None else round(age_s, 3)
+        )
+        for vehicle_id, weight, age_s in zip_longest(
+            status.neighbours, status.weights[:known], status.neighbour_ages_s[:known]
+        )
+    )
+
+
+def _timing(timing: Timing) -> TimingView:
+    late, to_command = timing.late_us, timing.telemetry_to_command_us
+    return TimingView(
+        rate_hz=round(timing.rate_hz, 1),
+        missed=timing.missed,
+        late_p50_ms=round(late.p50 / 1e3, 3),
+        late_p99_ms=round(late.p99 / 1e3, 3),
+        late_max_ms=round(late.max / 1e3, 3),
+        telemetry_to_command_p50_ms=round(to_command.p50 / 1e3, 3),
+        telemetry_to_command_p99_ms=round(to_command.p99 / 1e3, 3),
+        cpu_percent=round(timing.cpu_percent, 1),
+        memory_mb=round(timing.rss_mb, 1),
+    )

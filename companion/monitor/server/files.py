@@ -1,0 +1,56 @@
+"""Files that the server hands out: the page, and map tiles of a folder. No path of a request is ever joined to a folder."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from aiohttp import web
+
+from companion.monitor.server.access import error
+
+PAGE = Path(__file__).parent.parent / "page"
+TYPES = {
+    ".html": "text/html",
+    ".css": "text/css",
+    ".js": "text/javascript",
+    ".mjs": "text/javascript",
+    ".json": "application/json",
+    ".webmanifest": "application/manifest+json",
+    ".svg": "image/svg+xml",
+    ".png": "image/png",
+    ".ico": "image/x-icon",
+    ".woff2": "font/woff2",
+    ".txt": "text/plain",
+}
+DEEPEST_ZOOM = 24
+TILE_AGE_S = 86400
+
+
+def page_files(folder: Path = PAGE) -> Mapping[str, Path]:
+    """The files of the page by their path below it, of known types; read once at the start."""
+    files = (file for file in sorted(folder.rglob("*")) if file.is_file() and file.suffix in TYPES)
+    return {file.relative_to(folder).as_posix(): file for file in files}
+
+
+async def page_file(request: web.Request, files: Mapping[str, Path]) -> web.StreamResponse:
+    """A file of the page; / is index.html."""
+    file = files.get(request.match_info.get("path", "") or "index.html")
+    if file is None:
+        return error(404, f"{request.path[:200]}: no such file of the page")
+    response = web.FileResponse(file, headers={"Cache-Control": "no-cache"})
+    response.content_type = TYPES[file.suffix]
+    if response.content_type.startswith("text/"):
+        response.charset = "utf-8"
+    return response
+
+
+async def tile(request: web.Request, folder: Path | None) -> web.StreamResponse:
+    """A map tile FOLDER/Z/X/Y.png."""
+    z, x, y = (int(request.match_info[name]) for name in ("z", "x", "y"))
+    if folder is None or z > DEEPEST_ZOOM or x >= 1 << z or y >= 1 << z:
+        return error(404, "no such tile")
+    file = folder / str(z) / str(x) / f"{y}.png"
+    if not file.is_file() or not file.resolve().is_relative_to(folder.resolve()):  # a link may lead anywhere
+        return error(404, "no such tile")
+    return web.FileResponse(file, headers={"Cache-Control": f"max-age={TILE_AGE_S}", "Content-Type": "image/png"})

@@ -1,0 +1,130 @@
+"""The ground station behind the server: reads its source, keeps the picture, publishes snapshots."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable, Mapping, Sequence
+
+import msgspec
+
+from companion.config.fleet import FleetConfig
+from companion.monitor.api import AlarmView, ClientMessage, FleetFileView, History, Seek, Snapshot, Speed
+from companion.monitor.picture.events import Kind
+from companion.monitor.picture.picture import Picture
+from companion.monitor.sources import BEFORE_JUMP_S, Moment, ReplaySource, Source, TimedReport
+
+PERIOD_S = 0.05
+STEPS_PER_SNAPSHOT = 2
+CONNECTIONS_EVERY_S = 3.0
+FAR_BEHIND_S = 1.0  # after a pause of this process steps are left out, not made up for
+
+_log = logging.getLogger(__name__)
+_encoder = msgspec.json.Encoder()
+
+
+Listener = Callable[[Sequence[TimedReport], float], None]
+
+
+class Station:
+    """`publish` gets every snapshot, encoded once, with the events since the one before.
+
+    `listeners` get the new reports, with the time on their clock, at every reading. They do not block.
+    """
+
+    def __init__(
+        self,
+        source: Source,
+        fleets: Mapping[str, FleetConfig],
+        operator: str,
+        may_control: bool = False,
+        endpoints_are_guessed: bool = False,
+    ) -> None:
+        """With `endpoints_are_guessed` those that are not reached are shown while no vehicle reports."""
+        self._source = source
+        self._guessed = endpoints_are_guessed
+        self._picture = Picture(fleets, operator, may_control)
+        self._connected: tuple[str, ...] = ()
+        self._unreachable: tuple[str, ...] = ()
+        self._published_event = 0
+        self.fleet_names = tuple(fleets)
+        self.listeners: list[Listener] = []
+        self.publish: Callable[[bytes], None] = lambda _snapshot: None
+        self.newest = self._snapshot(source.moment())
+
+    async def run(self) -> None:
+        """Without end: reads every 50 ms, publishes every 100 ms."""
+        looking = asyncio.create_task(self._look_at_connections())
+        try:
+            await self._steps()
+        finally:
+            looking.cancel()
+
+    async def _steps(self) -> None:
+        loop = asyncio.get_running_loop()
+        due_s, step = loop.time(), 0
+        while True:
+            self.read()
+            step += 1
+            if step % STEPS_PER_SNAPSHOT == 0:
+                self._publish()
+            due_s = max(due_s + PERIOD_S, loop.time() - FAR_BEHIND_S)
+            await asyncio.sleep(max(0.0, due_s - loop.time()))
+
+    def read(self) -> None:
+        """Take in what has come since the last call."""
+        moment, reports = self._source.moment(), self._source.drain()
+        self._picture.receive(reports, moment.time_s - moment.now_s)
+        for happening in self._source.drain_happenings():
+            self._picture.events.add(*happening)
+        for listen in self.listeners:
+            listen(reports, moment.now_s)
+
+    def _publish(self) -> None:
+        self.newest = self._snapshot(self._source.moment())
+        events = self._picture.events
+        new = events.after(self._published_event)
+        self._published_event = events.last_id
+        sent = msgspec.structs.replace(self.newest, events=new) if new else self.newest
+        self.publish(_encoder.encode(sent))
+
+    def _snapshot(self, moment: Moment) -> Snapshot:
+        replay = self._source.replay if isinstance(self._source, ReplaySource) else None
+        unreachable = () if self._guessed and self._picture.has_vehicles else self._unreachable
+        return self._picture.snapshot(*moment, self._connected, unreachable, replay)
+
+    async def _look_at_connections(self) -> None:
+        """In a thread: to reach an endpoint may take a second."""
+        while True:
+            try:
+                self._connected, self._unreachable = await asyncio.to_thread(self._source.connections)
+            except Exception:  # noqa: BLE001 -- Zenoh's; the picture goes on without it
+                _log.exception("the connections to the vehicles cannot be looked at")
+            await asyncio.sleep(CONNECTIONS_EVERY_S)
+
+    def act(self, message: ClientMessage) -> None:
+        """What a client asks of a replay. Without effect on live vehicles."""
+        source = self._source
+        if not isinstance(source, ReplaySource):
+            return
+        match message:
+            case Seek(time_s):
+                source.seek(time_s)
+                self._picture.jump(source.moment().time_s - BEFORE_JUMP_S)
+            case Speed(speed):
+                source.set_speed(speed)
+
+    def acknowledge(self, alarm_id: int) -> AlarmView | None:
+        """None where there is no alarm with this id."""
+        return self._picture.alarms.acknowledge(alarm_id)
+
+    def log(self, fleet: str, vehicle_id: int | None, kind: Kind, code: str, text: str) -> None:
+        """An event that this program knows of: a command, an answer."""
+        self._picture.events.add(self._source.moment().time_s, fleet, vehicle_id, kind, code, text)
+
+    def history(self) -> History:
+        return self._picture.history()
+
+    def fleet_map(self, name: str) -> FleetFileView | None:
+        """None without the fleet file of this fleet."""
+        return self._picture.fleet_map(name)

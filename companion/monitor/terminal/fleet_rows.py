@@ -1,0 +1,95 @@
+"""The rows of one fleet with what only the whole fleet shows: distances, and the heading. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations, groupby
+
+from companion.geometry.separation import separation_distance_m
+from companion.ground.fleet_status import SILENT_AFTER_S, VehicleRow
+from companion.ground.text import count, id_list
+from companion.monitor.terminal.problems import Problem, problems_of
+from companion.types.flight import Role
+from companion.types.printable import printable
+
+
+@dataclass(frozen=True, slots=True)
+class Nearest:
+    """The nearest vehicle or traffic. `avoided`: the separation filter changes the command because of it."""
+
+    name: str
+    distance_m: float
+    avoided: bool
+
+
+@dataclass(frozen=True, slots=True)
+class TableRow:
+    """A vehicle, its nearest other one (None if unknown) and what is wrong with it."""
+
+    vehicle: VehicleRow
+    fleet_size: int
+    nearest: Nearest | None
+    problems: tuple[Problem, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class FleetRows:
+    """A fleet, its rows by vehicle id, and its smallest separation with the two vehicles."""
+
+    name: str
+    rows: tuple[TableRow, ...]
+    smallest: tuple[float, int, int] | None
+
+
+def fleets(vehicles: Sequence[VehicleRow]) -> Iterator[FleetRows]:
+    """Of rows that come sorted by fleet."""
+    for name, group in groupby(vehicles, key=lambda row: row.fleet):
+        yield _fleet(name, list(group))
+
+
+def _fleet(name: str, vehicles: list[VehicleRow]) -> FleetRows:
+    """Distances are in the metric of `separation_m`, between vehicles whose positions are not old."""
+    nearest: dict[int, tuple[float, int]] = {}
+    known = [row for row in vehicles if not row.silent and row.data_age_s <= SILENT_AFTER_S]
+    pairs = [
+        (separation_distance_m(a.position_enu_m, b.position_enu_m), a.vehicle_id, b.vehicle_id)
+        for a, b in combinations(known, 2)
+    ]
+    for distance_m, one, other in sorted(pairs, reverse=True):  # the last one that stays is the nearest
+        nearest[one], nearest[other] = (distance_m, other), (distance_m, one)
+    rows = (
+        TableRow(row, len(vehicles), _nearest(row, nearest.get(row.vehicle_id)), problems_of(row)) for row in vehicles
+    )
+    return FleetRows(name, tuple(rows), min(pairs, default=None))
+
+
+def _nearest(row: VehicleRow, on_the_ground: tuple[float, int] | None) -> Nearest | None:
+    """As the vehicle itself sees it while it flies in formation, with traffic; else from the positions reported."""
+    seen = row.separation.nearest
+    if row.silent:
+        return None
+    if seen is not None:
+        return Nearest(seen.name, seen.distance_m, row.separation.changed_m_s2 > 0.0)
+    return Nearest(str(on_the_ground[1]), on_the_ground[0], False) if on_the_ground else None
+
+
+def heading(fleet: FleetRows) -> list[str]:
+    """What matters first. Parts for one or more lines; capitals mark what needs attention."""
+    vehicles = [row.vehicle for row in fleet.rows]
+    silent = [row.vehicle_id for row in vehicles if row.silent]
+    leaders = [row.vehicle_id for row in vehicles if row.role is Role.LEADER and not row.silent]
+    open_ = [row.vehicle_id for row in vehicles if row.network.security == "none"]
+    holders = sorted({row.holder for row in vehicles if row.holder and not row.silent})
+    parts = [f"fleet {fleet.name}: {count(len(vehicles))}"]
+    if silent:
+        parts.append(f"SILENT: {id_list(silent)}")
+    if fleet.smallest:
+        distance_m, one, other = fleet.smallest
+        parts.append(f"smallest separation {distance_m:.2f} m ({one}, {other})")
+    parts.append(f"leader {', '.join(map(str, leaders))}" if leaders else "NO LEADER")
+    if holders:
+        parts.append(f"operator {printable(', '.join(holders))}")
+    if open_:
+        parts.append(f"UNSECURED (strangers can command): {id_list(open_)}")
+    return parts

@@ -1,0 +1,61 @@
+"""A headless Chromium and the live page in it. Skipped where the browser or Playwright is missing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from page_waits import until
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+CHROMIUM = Path("/usr/bin/chromium")
+ARGUMENTS = [
+    *("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking"),
+    *("--disable-component-update", "--disable-sync", "--autoplay-policy=user-gesture-required"),
+]
+PATIENCE_MS = 20_000
+EXPECTED = ("Failed to load resource", "WebSocket connection to")  # no map tiles; a server that a test has stopped
+
+OpenPage = Callable[..., "Page"]
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Browser]:
+    playwright = pytest.importorskip("playwright.sync_api", reason="Playwright is missing: pip install playwright")
+    if not CHROMIUM.exists():
+        pytest.skip(f"{CHROMIUM} is missing: apt install chromium")
+    with playwright.sync_playwright() as started:
+        chromium = started.chromium.launch(executable_path=str(CHROMIUM), args=ARGUMENTS)
+        yield chromium
+        chromium.close()
+
+
+@pytest.fixture
+def open_page(browser: Browser) -> Iterator[OpenPage]:
+    """Opens a URL in a context of its own and waits for the first snapshot. Unexpected console messages fail the test."""
+    messages: list[str] = []
+    contexts = []
+
+    def listen(page: Page) -> None:
+        page.on("pageerror", lambda error: messages.append(str(error)))
+        page.on("console", lambda m: messages.append(m.text) if m.type in ("error", "warning") else None)
+
+    def open_(url: str, width: int = 1440, height: int = 900, **options: Any) -> Page:
+        context = browser.new_context(viewport={"width": width, "height": height}, **options)
+        context.set_default_timeout(PATIENCE_MS)
+        contexts.append(context)
+        page = context.new_page()
+        listen(page)
+        page.goto(url)
+        until(page, "globalThis.companionMetrics?.count > 0")
+        return page
+
+    yield open_
+    for context in contexts:
+        context.close()
+    assert [text for text in messages if not text.startswith(EXPECTED)] == []

@@ -1,0 +1,169 @@
+"""Commands from the live page: what is sent, what must be held, what each vehicle has answered."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from page_server import PageServer
+from page_waits import until
+
+expect = pytest.importorskip("playwright.sync_api", reason="Playwright is missing").expect
+
+if TYPE_CHECKING:
+    from conftest import OpenPage
+    from playwright.sync_api import Page
+
+HELD_MS = 1300
+SHORTLY_MS = 150
+REFUSED = "vehicle 3 is not armed"
+
+
+def hold(page: Page, action: str, duration_ms: int = HELD_MS) -> None:
+    """Press a button with the mouse for this time."""
+    button = page.locator(f"[data-action={action}]")
+    button.scroll_into_view_if_needed()
+    box = button.bounding_box()
+    assert box
+    page.mouse.move(box["x"] + box["width"] / 2.0, box["y"] + box["height"] / 2.0)
+    page.mouse.down()
+    page.wait_for_timeout(duration_ms)
+    page.mouse.up()
+
+
+def test_a_dangerous_action_is_sent_only_when_it_is_held(open_page: OpenPage) -> None:
+    with PageServer(may_control=True) as server:
+        page = open_page(server.control_url)
+        assert "token" not in page.url  # nor in the address bar
+        hold(page, "takeoff", SHORTLY_MS)
+        expect(page.locator("#banner")).to_contain_text('Hold "Take off" for a second')
+        assert server.commands == []
+        hold(page, "takeoff")
+        until(page, lambda: len(server.commands) == 1)
+        assert (server.commands[0].name, server.commands[0].vehicle_ids) == ("takeoff", ())
+
+
+def test_keys_hold_a_button_too(open_page: OpenPage) -> None:
+    with PageServer(may_control=True) as server:
+        page = open_page(server.control_url)
+        page.locator("[data-action=arm]").focus()
+        page.keyboard.down("Enter")
+        page.wait_for_timeout(HELD_MS)
+        page.keyboard.up("Enter")
+        until(page, lambda: [command.name for command in server.commands] == ["arm"])
+
+
+def test_each_vehicles_answer_is_shown(open_page: OpenPage) -> None:
+    with PageServer(may_control=True) as server:
+        server.refuse = {3: REFUSED}
+        page = open_page(server.control_url)
+        page.locator("[data-action=hold]").click()
+        answers = page.locator(".answer li")
+        expect(answers).to_have_count(4)
+        expect(answers.nth(0)).to_contain_text("accepted")
+        expect(answers.nth(2)).to_contain_text(REFUSED)
+        expect(answers.nth(2)).to_contain_text("COMMAND_REFUSED")
+
+
+def test_commands_go_to_the_selected_vehicles_where_that_is_chosen(open_page: OpenPage) -> None:
+    with PageServer(may_control=True) as server:
+        page = open_page(server.control_url)
+        page.get_by_label("selected: none").check()
+        expect(page.locator("[data-action=hold]")).to_be_disabled()
+        page.locator("tbody.vehicle[data-id='3']").click()
+        page.locator("tbody.vehicle[data-id='2']").click(modifiers=["Shift"])
+        page.get_by_label("selected: 2, 3").check()
+        page.locator("[data-action=hold]").click()
+        until(page, lambda: [command.vehicle_ids for command in server.commands] == [(2, 3)])
+
+
+def test_a_selected_vehicle_becomes_leader(open_page: OpenPage) -> None:
+    with PageServer(may_control=True) as server:
+        page = open_page(server.control_url)
+        page.locator("tbody.vehicle[data-id='4']").click()
+        expect(page.locator("[data-action=leader]")).to_be_disabled()  # it may not lead
+        page.locator("tbody.vehicle[data-id='2']").click()
+        expect(page.locator("[data-action=leader]")).to_have_text("Make 2 leader")
+        hold(page, "leader")
+        until(page, lambda: [command.content for command in server.commands] == [{"leader_ids": [2]}])
+
+
+def test_a_formation_is_previewed_before_it_can_be_sent(open_page: OpenPage) -> None:
+    with PageServer(may_control=True) as server:
+        page = open_page(server.control_url)
+        page.locator("summary", has_text="Formation").click()
+        expect(page.locator("[data-action=send-formation]")).to_have_count(0)
+        page.get_by_label("Spacing").fill("1")
+        page.locator("[data-action=preview-formation]").click()
+        expect(page.locator(".previewed")).to_contain_text("SLOT_TOO_CLOSE")
+        expect(page.locator("[data-action=send-formation]")).to_be_disabled()
+        page.get_by_label("Spacing").fill("3.5")
+        expect(page.locator(".previewed")).to_have_count(0)  # it was of other values
+        page.locator("[data-action=preview-formation]").click()
+        expect(page.locator(".previewed")).to_contain_text("smallest separation on the way 2.81")
+        assert server.commands == []
+        page.locator("[data-action=send-formation]").click()
+        until(page, lambda: bool(server.commands))
+        assert server.commands[0].content == {"shape": "line", "spacing_m": 3.5, "heading_deg": 0}
+
+
+def test_a_reference_is_placed_on_the_map(open_page: OpenPage) -> None:
+    with PageServer(may_control=True) as server:
+        page = open_page(server.control_url)
+        page.locator("summary", has_text="Reference").click()
+        page.get_by_label("Kind").select_option("circle")
+        page.get_by_label("Altitude").fill("6")
+        page.get_by_label("Altitude").blur()
+        page.locator("[data-action=place]").click()
+        expect(page.locator("#map-note")).to_have_text("Click a point on the map.")
+        page.locator("#scene").click(position={"x": 200, "y": 200})
+        expect(page.locator(".points input")).to_have_count(3)
+        page.get_by_label("Point 1, E, metres").fill("2.5")
+        page.get_by_label("Point 1, N, metres").fill("-1")
+        page.get_by_label("Point 1, N, metres").blur()
+        page.locator("[data-action=preview-reference]").click()
+        page.locator("[data-action=send-reference]").click()
+        until(page, lambda: bool(server.commands))
+        content = server.commands[0].content
+        assert content == {"kind": "circle", "centre_enu_m": [2.5, -1, 6], "radius_m": 6, "period_s": 40}
+
+
+def test_shift_escape_aborts_from_everywhere_when_it_is_held(open_page: OpenPage) -> None:
+    with PageServer(may_control=True) as server:
+        page = open_page(server.control_url)
+        page.locator("summary", has_text="Formation").click()
+        page.get_by_label("Spacing").focus()
+        page.keyboard.down("Shift")
+        page.keyboard.down("Escape")
+        expect(page.locator("#banner")).to_contain_text("Keep holding Shift+Escape")
+        page.keyboard.up("Escape")
+        expect(page.locator("#banner")).not_to_contain_text("Keep holding")
+        assert server.commands == []
+        page.keyboard.down("Escape")
+        until(page, lambda: bool(server.commands))
+        page.keyboard.up("Escape")
+        page.keyboard.up("Shift")
+        assert [(command.name, command.vehicle_ids) for command in server.commands] == [("abort", ())]
+
+
+def test_the_abort_button_is_held_for_half_a_second(open_page: OpenPage) -> None:
+    with PageServer(may_control=True) as server:
+        page = open_page(server.control_url, width=390, height=844)
+        abort = page.locator("#abort")
+        expect(abort).to_be_in_viewport()
+        abort.click()
+        expect(page.locator("#banner")).to_contain_text("Hold ABORT for half a second")
+        assert server.commands == []
+        abort.hover()
+        page.mouse.down()
+        page.wait_for_timeout(HELD_MS)
+        page.mouse.up()
+        until(page, lambda: [command.name for command in server.commands] == ["abort"])
+
+
+def test_without_its_token_the_page_says_how_to_get_control(open_page: OpenPage) -> None:
+    with PageServer(may_control=True) as server:
+        page = open_page(server.url)
+        expect(page.locator("#control")).to_contain_text("without the token")
+        expect(page.locator("[data-action]")).to_have_count(0)

@@ -1,0 +1,98 @@
+"""The live page of `companion monitor --control`, with a real simulated fleet."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from fleet_ports import free_fleet_offset
+from page_waits import until
+from repository import ROOT
+
+expect = pytest.importorskip("playwright.sync_api", reason="Playwright is missing").expect
+
+if TYPE_CHECKING:
+    from conftest import OpenPage
+    from playwright.sync_api import Page
+
+pytestmark = [pytest.mark.fleet, pytest.mark.timeout(300)]
+
+PLATOON = ROOT / "config" / "scenarios" / "platoon.yaml"
+HELD_MS = 1300
+PATIENCE_MS = 60_000
+
+
+@contextmanager
+def running(*arguments: str) -> Iterator[subprocess.Popen[str]]:
+    """A program of the project, interrupted at the end."""
+    command = [sys.executable, "-m", *arguments]
+    environment = {key: value for key, value in os.environ.items() if not key.startswith("COMPANION")}
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
+    try:
+        yield process
+    finally:
+        process.send_signal(signal.SIGINT)
+        try:
+            process.communicate(timeout=40.0)
+        finally:
+            process.kill()
+
+
+@pytest.fixture
+def fleet_file(tmp_path: Path) -> Iterator[Path]:
+    """That of four vehicles on the ground."""
+    offset = str(free_fleet_offset())
+    with running("sitl", "fleet", str(PLATOON), "--out", str(tmp_path), "--quiet", "--port-offset", offset) as fleet:
+        assert fleet.stdout
+        assert fleet.stdout.readline().startswith("fleet platoon")
+        yield tmp_path / "fleet.yaml"
+
+
+def hold(page: Page, selector: str) -> None:
+    page.locator(selector).hover()
+    page.mouse.down()
+    page.wait_for_timeout(HELD_MS)
+    page.mouse.up()
+
+
+def test_an_operator_arms_a_fleet_on_the_page_and_aborts(open_page: OpenPage, fleet_file: Path) -> None:
+    monitor = ["companion", "monitor", "--control", "--fleet-file", str(fleet_file), "--listen", "127.0.0.1:0"]
+    with running(*monitor) as server:
+        assert server.stdout
+        page = open_page(server.stdout.readline().strip())
+        expect(page.locator("tbody.vehicle")).to_have_count(4, timeout=PATIENCE_MS)
+        expect(page.locator("#figures")).to_contain_text("4 of 4", timeout=PATIENCE_MS)
+
+        def all_checks_pass() -> bool:
+            page.locator("[data-action=doctor]").click()
+            expect(page.locator(".answer").first.locator("li")).to_have_count(4, timeout=PATIENCE_MS)
+            return page.locator(".answer").first.locator("li.ready").count() == 4
+
+        until(page, all_checks_pass)
+        hold(page, "[data-action=arm]")
+        expect(page.locator(".answer", has_text="arm, all").locator("li.accepted")).to_have_count(
+            4, timeout=PATIENCE_MS
+        )
+        expect(page.locator("tbody.vehicle tr:first-child td:nth-child(2)")).to_have_text(
+            ["armed"] * 4, timeout=PATIENCE_MS
+        )
+        expect(page.locator("#events li.command")).to_have_count(1)
+
+        page.keyboard.down("Shift")
+        page.keyboard.down("Escape")
+        expect(page.locator(".answer", has_text="abort, all").locator("li.accepted")).to_have_count(
+            4, timeout=PATIENCE_MS
+        )
+        page.keyboard.up("Escape")
+        page.keyboard.up("Shift")
+        expect(page.locator("tbody.vehicle", has_text="disarmed")).to_have_count(4, timeout=PATIENCE_MS)
+    expect(page.locator("#banner .lost-server")).to_be_visible(timeout=PATIENCE_MS)
+    expect(page.locator(".live")).to_have_text("LOST")

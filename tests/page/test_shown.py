@@ -1,0 +1,178 @@
+"""What the live page shows of a fleet, and how it follows it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+from msgspec.structs import replace
+
+from companion.monitor.api import FlagView, ReplayView, VehicleView
+from page_server import PageServer
+from page_waits import until
+
+expect = pytest.importorskip("playwright.sync_api", reason="Playwright is missing").expect
+expect.set_options(timeout=20_000)
+
+if TYPE_CHECKING:
+    from conftest import OpenPage
+    from playwright.sync_api import Page
+
+BATTERY_LOW = FlagView("BATTERY_LOW", "warning", "battery below 25 %", "hold", "change the battery of vehicle 3")
+
+
+def in_hold(vehicles: list[VehicleView]) -> list[VehicleView]:
+    """Vehicle 3 with a flag, in hold."""
+    return [
+        replace(v, phase="hold", flags=(BATTERY_LOW,), battery_percent=21.0) if v.vehicle_id == 3 else v
+        for v in vehicles
+    ]
+
+
+def test_every_vehicle_has_a_row_and_its_details(open_page: OpenPage) -> None:
+    with PageServer() as server:
+        page = open_page(server.url)
+        expect(page.locator("tbody.vehicle")).to_have_count(4)
+        expect(page.locator("tbody.vehicle[data-id='1']")).to_contain_text("formation")
+        expect(page.locator("tbody.vehicle[data-id='1'] .leader")).to_be_visible()
+        expect(page.locator("#details")).to_contain_text("Select a vehicle")
+        page.locator("tbody.vehicle[data-id='2']").click()
+        expect(page.locator("#details h2")).to_have_text("Vehicle 2, follower")
+        names = {name.strip() for name in page.locator("#details dt").all_inner_texts()}
+        assert {"Battery", "PrC", "Fresh peers", "Error to slot", "Required distance", "Last event", "Epoch"} <= names
+        expect(page.locator("#details .neighbours tbody tr")).not_to_have_count(0)
+        expect(page.locator("#control")).to_be_hidden()
+        expect(page.locator("#abort")).to_have_count(0)
+
+
+def test_a_changed_vehicle_changes_its_row(open_page: OpenPage) -> None:
+    with PageServer() as server:
+        page = open_page(server.url)
+        row = page.locator("tbody.vehicle[data-id='3']")
+        expect(row).to_contain_text("formation")
+        server.change = in_hold
+        expect(row).to_contain_text("hold")
+        expect(row).to_contain_text("BATTERY_LOW: battery below 25 %. Agent: hold. change the battery of vehicle 3")
+
+
+def test_a_silent_vehicle_is_marked_with_its_age(open_page: OpenPage) -> None:
+    with PageServer() as server:
+        page = open_page(server.url)
+        expect(page.locator("#figures")).to_contain_text("4 of 4")
+        server.change = lambda vs: [replace(v, silent=True, age_s=12.3) if v.vehicle_id == 4 else v for v in vs]
+        server.alarm(4, "SILENT", text="no report any more")
+        row = page.locator("tbody.vehicle[data-id='4']")
+        expect(row).to_contain_text("SILENT")
+        expect(row).to_contain_text("no report for 12.3")
+        expect(page.locator("#figures")).to_contain_text("3 of 4")
+        expect(page.locator("#alarms li.critical")).to_contain_text("vehicle 4: SILENT")
+        row.click()
+        expect(page.locator("#details")).to_contain_text("SILENT for 12.3")
+
+
+def click_along(page: Page, points: list[tuple[float, float]], stop_at: str = "") -> None:
+    """Clicks from outside inwards until a vehicle is selected; a click beside all of them selects none."""
+    for x, y in points:
+        page.mouse.click(x, y)
+        page.wait_for_timeout(60)
+        selected = page.locator("tbody.vehicle.selected")
+        if selected.count() and stop_at in (selected.get_attribute("data-id") or ""):
+            return
+
+
+def test_a_click_on_the_map_selects_the_vehicle_there(open_page: OpenPage) -> None:
+    with PageServer() as server:
+        still = server.vehicles(server.begin_s)
+        server.change = lambda _: still
+        page = open_page(server.url)
+        box = page.locator("#scene").bounding_box()
+        assert box
+        page.locator("#scene").focus()
+        page.keyboard.press("f")
+        # North is up and the fleet is in the middle: its northernmost vehicle is straight above it, vehicle 1 to the right.
+        x, y = box["x"] + box["width"] / 2.0, box["y"] + box["height"] / 2.0
+        expect(page.locator("#details")).to_contain_text("Select a vehicle")
+        click_along(page, [(x, y - step) for step in range(int(box["height"] / 2.0), 0, -12)])
+        expect(page.locator("#details h2")).to_contain_text("Vehicle 2")
+        click_along(page, [(x + step, y) for step in range(int(box["width"] / 2.0) - 80, 0, -12)], stop_at="1")
+        expect(page.locator("#details h2")).to_contain_text("Vehicle 1")
+
+
+def test_keys_turn_the_map_into_3d_and_back(open_page: OpenPage) -> None:
+    with PageServer() as server:
+        page = open_page(server.url)
+        button = page.get_by_role("button", name="3-D")
+        page.locator("#scene").focus()
+        page.keyboard.press("3")
+        expect(button).to_have_attribute("aria-pressed", "true")
+        expect(page.get_by_role("button", name="North")).to_be_visible()
+        page.keyboard.press("n")
+        expect(page.get_by_role("button", name="North")).to_have_count(0)
+        page.keyboard.press("ArrowLeft")
+        expect(page.get_by_role("button", name="Fit")).to_have_attribute("aria-pressed", "false")
+        page.keyboard.press("f")
+        expect(page.get_by_role("button", name="Fit")).to_have_attribute("aria-pressed", "true")
+
+
+def test_alarms_are_acknowledged(open_page: OpenPage) -> None:
+    with PageServer() as server:
+        server.alarm(3, "BATTERY_LOW", "warning")
+        server.alarm(4, "SILENT")
+        page = open_page(server.url)
+        expect(page.locator("#alarms li")).to_have_count(2)
+        expect(page.locator("#alarms li").first).to_contain_text("SILENT")  # the most severe first
+        page.get_by_role("button", name="Acknowledge vehicle 4 SILENT").click()
+        expect(page.locator("#alarms li.acknowledged")).to_contain_text("vehicle 4")
+        expect(page.get_by_role("button", name="1 alarms not acknowledged")).to_be_visible()
+        assert [alarm.acknowledged for alarm in server.alarms] == [False, True]
+
+
+def test_events_are_listed_with_the_newest_first(open_page: OpenPage) -> None:
+    with PageServer() as server:
+        page = open_page(server.url)
+        server.event("ROLE_CHANGED", "follower", 2)
+        expect(page.locator("#events li")).to_have_count(1)
+        server.event("hold", "anna: hold", kind="command")
+        expect(page.locator("#events li").first).to_contain_text("anna: hold")
+        page.locator("#events").get_by_role("button", name="Commands").click()
+        expect(page.locator("#events li")).to_have_count(1)
+
+
+def test_plots_have_titles_units_and_lines(open_page: OpenPage) -> None:
+    with PageServer() as server:
+        page = open_page(server.url)
+        expect(page.locator(".plot canvas")).to_have_count(4)
+        titles = page.locator(".plot figcaption span").all_inner_texts()
+        assert titles == ["Distance to the nearest (m)", "Error to slot (m)", "Altitude (m)", "Tick lateness, p99 (ms)"]
+        expect(page.locator(".plot-key li")).to_have_text(["1", "2", "3", "4", "┊command"])
+
+
+def test_a_large_fleet_is_plotted_by_its_range(open_page: OpenPage) -> None:
+    with PageServer(20) as server:
+        page = open_page(server.url)
+        expect(page.locator(".plot-key li")).to_have_text(["smallest", "median", "largest", "┊command"])
+        page.locator("tbody.vehicle[data-id='7']").click()
+        expect(page.locator(".plot-key li")).to_have_text(["smallest", "median", "largest", "7", "┊command"])
+
+
+def test_a_replay_is_never_taken_for_a_flight(open_page: OpenPage) -> None:
+    with PageServer(may_control=True) as server:
+        server.replay = ReplayView(server.begin_s, server.begin_s + 300.0, server.begin_s + 60.0, 1.0)
+        page = open_page(server.control_url)
+        expect(page.locator("#banner")).to_contain_text("REPLAY of a recorded flight")
+        expect(page.locator(".live")).to_have_text("REPLAY")
+        expect(page.locator("#control")).to_be_hidden()
+        expect(page.locator("#abort")).to_have_count(0)
+        page.get_by_role("button", name="Pause").click()
+        page.locator("#replay input").fill("120")
+        until(page, lambda: {"type": "speed", "speed": 0} in server.received)
+        until(page, lambda: {"type": "seek", "time_s": server.begin_s + 120.0} in server.received)
+
+
+def test_update_times_are_measured(open_page: OpenPage) -> None:
+    with PageServer() as server:
+        page = open_page(server.url)
+        until(page, "companionMetrics.count >= 10")
+        p50_ms, p95_ms = page.evaluate("[companionMetrics.p50_ms, companionMetrics.p95_ms]")
+        assert 0.0 < p50_ms <= p95_ms
+        assert page.evaluate("performance.getEntriesByName('snapshot').length") >= 1

@@ -1,0 +1,194 @@
+"""Commands over HTTP, Zenoh and the links of agents, and back."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Awaitable, Callable
+
+import pytest
+
+from companion.monitor.api import TOKEN_HEADER
+from companion.types.commands import Command, CommandReply
+from companion.types.notices import Code
+from linked_vehicles import LinkedVehicles, accept, linked_vehicles
+from served_site import TOKEN, Served, served_live, until_true
+
+
+def with_fleet(work: Callable[[Served, LinkedVehicles], Awaitable[None]]) -> None:
+    async def run(vehicles: LinkedVehicles) -> None:
+        async with served_live(vehicles) as server:
+            await until_true(lambda: all_report(server))
+            await work(server, vehicles)
+
+    with linked_vehicles() as vehicles:
+        asyncio.run(run(vehicles))
+
+
+async def all_report(server: Served) -> bool:
+    snapshot = (await server.get("/api/v1/snapshot"))[1]
+    return len([v for v in snapshot["vehicles"] if not v["silent"]]) == 3
+
+
+def refuse(vehicle_id: int, command: Command) -> CommandReply:
+    return CommandReply(vehicle_id, command.number, False, Code.WRONG_PHASE, "not now", command.operator)
+
+
+@pytest.mark.parametrize("token", [None, "", "wrong", TOKEN + "x", TOKEN.upper(), "\u00e4"])
+def test_no_command_without_the_token(token: str | None) -> None:
+    async def work(server: Served, vehicles: LinkedVehicles) -> None:
+        headers = {} if token is None else {TOKEN_HEADER: token}
+        for path in ("commands", "preview"):
+            status, answer = await server.post(f"/api/v1/{path}", {"fleet": "load", "name": "abort"}, **headers)
+            assert (status, "token" in answer["error"]) == (403, True)
+        assert (await server.get("/api/v1/snapshot"))[1]["may_control"] is True
+        assert vehicles.commands == []
+
+    with_fleet(work)
+
+
+def test_a_command_reaches_the_vehicles_named_and_their_answers_come_back() -> None:
+    async def work(server: Served, vehicles: LinkedVehicles) -> None:
+        vehicles.answer = lambda i, command: refuse(i, command) if i == 2 else accept(i, command)
+        result = await server.command("hold", ids=(1, 2))
+        assert [(a["vehicle_id"], a["kind"], a["code"]) for a in result["answers"]] == [
+            (1, "accepted", "PHASE_CHANGED"),
+            (2, "refused", "WRONG_PHASE"),
+        ]
+        assert all(a["after_ms"] > 0.0 for a in result["answers"])
+        assert vehicles.received("hold") == [1, 2]
+        assert {command.operator for _, command in vehicles.commands} == {"anna@ground"}
+        events = (await server.get("/api/v1/history"))[1]["events"]
+        assert [(e["kind"], e["vehicle_id"]) for e in events if e["kind"] in ("command", "answer")] == [
+            ("command", None),
+            ("answer", 1),
+            ("answer", 2),
+        ]
+
+    with_fleet(work)
+
+
+def test_every_change_is_sent_with_its_content() -> None:
+    async def work(server: Served, vehicles: LinkedVehicles) -> None:
+        result = await server.command("leader", {"leader_ids": [1]})
+        assert result["error"] == ""
+        result = await server.command("formation", {"shape": "line", "spacing_m": 4.0})
+        assert result["error"] == ""
+        point = [10.0, 0.0, 10.0]
+        result = await server.command("reference", {"kind": "point", "point_enu_m": point})
+        assert result["error"] == ""
+        assert vehicles.received("lead") == [1, 2, 3]
+        assert vehicles.received("formation") == [1, 2, 3]
+        assert vehicles.received("reference") == [1]  # the only one that may lead
+        contents = {command.name: command.content for _, command in vehicles.commands}
+        assert contents["reference"].reference["point_enu_m"] == point  # type: ignore[union-attr]
+
+    with_fleet(work)
+
+
+def test_what_the_ground_refuses_is_not_sent() -> None:
+    async def work(server: Served, vehicles: LinkedVehicles) -> None:
+        for name, content, words in (
+            ("formation", {"shape": "line", "spacing_m": 0.1}, "separation_m"),
+            ("reference", {"kind": "point", "point_enu_m": [0.0, 0.0, 900.0]}, "outside the fence"),
+            ("leader", {"leader_ids": [77]}, "not in the fleet"),
+        ):
+            result = await server.command(name, content)
+            assert words in result["error"]
+            assert "\n" not in result["error"]
+        result = await server.command("takeoff")  # they are in formation
+        assert {(a["kind"], a["code"]) for a in result["answers"]} == {("not sent", "WRONG_PHASE")}
+        assert vehicles.commands == []
+
+    with_fleet(work)
+
+
+def test_doctor_has_the_checks_of_each_vehicle_and_sends_nothing() -> None:
+    async def work(server: Served, vehicles: LinkedVehicles) -> None:
+        result = await server.command("doctor", ids=(1, 3))
+        assert [(a["vehicle_id"], a["kind"]) for a in result["answers"]] == [(1, "ready"), (3, "ready")]
+        assert vehicles.commands == []
+
+    with_fleet(work)
+
+
+def test_abort_goes_out_at_once_and_ends_the_command_under_way() -> None:
+    """No vehicle answers `hold`: its sender repeats it. The abort is answered meanwhile, and hold is not repeated after it."""
+    asked, aborted = threading.Event(), threading.Event()
+    late: list[Command] = []
+
+    def answer(vehicle_id: int, command: Command) -> CommandReply | None:
+        if command.name == "abort":
+            aborted.set()
+            return accept(vehicle_id, command)
+        if aborted.is_set() and asked.is_set():
+            late.append(command)
+        asked.set()
+        return None
+
+    async def work(server: Served, vehicles: LinkedVehicles) -> None:
+        vehicles.answer = answer
+        holding = asyncio.create_task(server.command("hold"))
+        await asyncio.to_thread(asked.wait, 10.0)
+        refused = await server.command("land")
+        assert refused["error"] == "hold is being sent; wait for its answers"
+        result = await server.command("abort")
+        assert [a["kind"] for a in result["answers"]] == ["accepted"] * 3
+        assert vehicles.received("abort") == [1, 2, 3]
+        assert "ended by abort" in (await holding)["error"]
+        late.clear()
+        vehicles.answer = lambda i, command: late.append(command) or accept(i, command)  # type: ignore[func-returns-value]
+        assert (await server.command("form"))["error"] == ""  # and the next command is sent
+        assert {command.name for command in late} == {"form"}
+        assert vehicles.received("land") == []
+
+    with_fleet(work)
+
+
+def test_abort_needs_no_report_and_misses_no_vehicle_that_is_silent() -> None:
+    async def work(server: Served, vehicles: LinkedVehicles) -> None:
+        vehicles.silent = {1, 2, 3}
+        await until_true(lambda: none_reports(server))
+        result = await server.command("abort")
+        assert [a["kind"] for a in result["answers"]] == ["accepted"] * 3
+        missing = await server.command("hold")
+        assert {a["kind"] for a in missing["answers"]} == {"missing"}
+
+    with_fleet(work)
+
+
+async def none_reports(server: Served) -> bool:
+    return all(v["silent"] for v in (await server.get("/api/v1/snapshot"))[1]["vehicles"])
+
+
+def test_a_preview_sends_nothing() -> None:
+    async def work(server: Served, vehicles: LinkedVehicles) -> None:
+        headers = {TOKEN_HEADER: TOKEN}
+        wanted = {"fleet": "load", "name": "formation", "content": {"shape": "v", "spacing_m": 4.0}}
+        status, answer = await server.post("/api/v1/preview", wanted, **headers)
+        assert (status, len(answer["paths"]), answer["refused"]) == (200, 3, "")
+        status, answer = await server.post("/api/v1/preview", {"fleet": "load", "name": "land"}, **headers)
+        assert (status, "no preview" in answer["refused"]) == (200, True)
+        assert vehicles.commands == []
+
+    with_fleet(work)
+
+
+@pytest.mark.parametrize(
+    "body", [b"", b"{}", b"[1]", b'{"fleet":"load"}', b'{"fleet":"load","name":1}', b"\xff", b"[" * 9000]
+)
+def test_a_body_that_is_no_request_is_refused_in_one_line(body: bytes) -> None:
+    async def work(server: Served, vehicles: LinkedVehicles) -> None:
+        headers = {TOKEN_HEADER: TOKEN, "Content-Type": "application/json"}
+        async with server.http.post(server.url + "/api/v1/commands", data=body, headers=headers) as response:
+            assert response.status == 400
+            assert "CommandRequest" in (await response.json())["error"]
+        headers["Content-Type"] = "text/plain"  # what another page may send without asking
+        async with server.http.post(server.url + "/api/v1/commands", data=body, headers=headers) as response:
+            assert response.status == 415
+        headers["Content-Type"] = "application/json"
+        async with server.http.post(server.url + "/api/v1/commands", data=b" " * 70_000, headers=headers) as response:
+            assert response.status == 413
+        assert vehicles.commands == []
+
+    with_fleet(work)

@@ -1,0 +1,71 @@
+"""Figures of a fleet, against hand-worked values and against the analysis of the paper's law."""
+
+from __future__ import annotations
+
+from math import dist
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from companion.assembly import law_of
+from companion.config.law import Law
+from companion.monitor.picture.fleet_figures import convergence, smallest_separation, weakest_link
+from companion.stability.interaction import interaction_matrix
+from companion.types.vectors import Vector3
+
+WEIGHTED = Law(name="weighted")
+coordinates = st.floats(-100.0, 100.0)
+positions = st.dictionaries(st.integers(1, 30), st.tuples(coordinates, coordinates, coordinates), max_size=8)
+
+
+def test_a_metre_of_height_counts_half() -> None:
+    found = smallest_separation({1: (0.0, 0.0, 0.0), 2: (0.0, 0.0, 4.0), 7: (3.0, 0.0, 0.0)})
+    assert found == (2.0, (1, 2))
+    assert smallest_separation({1: (0.0, 0.0, 0.0)}) is None
+
+
+def test_lambda_min_and_settling_of_a_chain_of_three() -> None:
+    """G of leader - follower - follower by eq. 6 with the weights of Algorithm 2, worked with numpy's general solver."""
+    edges = frozenset({(1, 2), (2, 3)})
+    lambda_min, settling_s = convergence(frozenset({1, 2, 3}), edges, frozenset({1}), WEIGHTED)
+    law = law_of(WEIGHTED)
+    matrix = interaction_matrix({1: [2], 2: [1, 3], 3: [2]}, {1}, law)
+    smallest = float(np.linalg.eigvals(matrix).real.min())
+    assert lambda_min == pytest.approx(smallest, abs=1e-4)
+    # Below critical damping errors shrink with k2 lambda / 2 (Corollary 1).
+    assert settling_s == pytest.approx(np.log(10.0) / (law.gains.velocity_1_s * smallest / 2.0), abs=0.01)
+
+
+def test_without_a_path_to_a_leader_nothing_converges() -> None:
+    assert convergence(frozenset({1, 2, 3}), frozenset({(1, 2)}), frozenset({1}), WEIGHTED) == (0.0, None)
+    assert convergence(frozenset({1, 2}), frozenset({(1, 2)}), frozenset(), WEIGHTED) == (0.0, None)
+    assert convergence(frozenset(), frozenset(), frozenset(), WEIGHTED) == (None, None)
+
+
+def test_the_weakest_link_is_the_longest_that_the_fleet_cannot_spare() -> None:
+    """1 - 2 - 3 in a line; the link 1 - 3 of 5 m is the longest, but 1 and 3 are connected through 2."""
+    line: dict[int, Vector3] = {1: (0.0, 0.0, 0.0), 2: (2.0, 0.0, 0.0), 3: (5.0, 0.0, 0.0)}
+    edges = frozenset({(1, 2), (2, 3), (1, 3)})
+    assert weakest_link(line, edges, 6.0) == (3.0, (2, 3))
+    assert weakest_link(line, frozenset(), 6.0) is None
+
+
+@given(positions, st.data())
+def test_without_the_weakest_link_and_longer_ones_a_part_is_cut_off(
+    fleet: dict[int, Vector3], data: st.DataObject
+) -> None:
+    pairs = [(i, j) for i in fleet for j in fleet if i < j]
+    edges = frozenset(data.draw(st.lists(st.sampled_from(pairs)))) if pairs else frozenset()
+    found = weakest_link(fleet, edges, 0.0)
+    if found is None:
+        assert not edges
+        return
+    length_m, (i, j) = -found[0], found[1]
+    assert length_m == dist(fleet[i], fleet[j])
+    shorter = [(a, b) for a, b in edges if dist(fleet[a], fleet[b]) < length_m]
+    reached = {i}
+    while more := {b for a, b in shorter + [(b, a) for a, b in shorter] if a in reached} - reached:
+        reached |= more
+    assert j not in reached

@@ -1,0 +1,143 @@
+"""The interface for programs over loopback: a recorded fleet, played again."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from math import inf
+
+import msgspec
+import pytest
+
+from companion.monitor.api import FleetFileView, History, Snapshot
+from served_site import Served, recorded, served, until_true
+
+
+def with_server(work: Callable[[Served], Awaitable[None]], lost_after_s: float = inf) -> None:
+    async def run() -> None:
+        load, source = recorded(lost_after_s=lost_after_s)
+        async with served(source, load.fleet) as server:
+            await work(server)
+
+    asyncio.run(run())
+
+
+def test_every_address_answers_with_its_type() -> None:
+    async def work(server: Served) -> None:
+        await until_true(lambda: _vehicles(server))
+        for path, type_ in (("snapshot", Snapshot), ("history", History), ("fleets/load", FleetFileView)):
+            async with server.http.get(f"{server.url}/api/v1/{path}") as response:
+                assert response.content_type == "application/json"
+                msgspec.json.decode(await response.read(), type=type_)
+        status, answer = await server.get("/api/v1/fleets/other")
+        assert (status, "it has: load" in answer["error"]) == (404, True)
+        assert (await server.get("/api/v1/nothing"))[0] == 404
+        assert (await server.get("/api/v1/live"))[0] == 426
+
+    with_server(work)
+
+
+async def _vehicles(server: Served) -> list[int]:
+    return [v["vehicle_id"] for v in (await server.get("/api/v1/snapshot"))[1]["vehicles"]]
+
+
+def test_snapshots_come_in_order_with_each_event_once() -> None:
+    async def work(server: Served) -> None:
+        async with server.http.ws_connect(f"{server.url}/api/v1/live") as live:
+            first = await live.receive_json()
+            for i in range(5):
+                server.station.log("load", 1, "event", "CODE", str(i))
+            numbers, texts = [first["number"]], []
+            while len(texts) < 5:
+                snapshot = await live.receive_json()
+                numbers.append(snapshot["number"])
+                texts += [event["text"] for event in snapshot["events"] if event["code"] == "CODE"]
+        assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+        assert texts == ["0", "1", "2", "3", "4"]
+
+    with_server(work)
+
+
+def test_a_client_that_does_not_read_delays_no_other() -> None:
+    async def work(server: Served) -> None:
+        slow = await server.http.ws_connect(f"{server.url}/api/v1/live")
+        transport = slow._response.connection.transport  # type: ignore[union-attr]
+        transport.pause_reading()  # type: ignore[union-attr]
+        large = b'"' + b"x" * 8_000_000 + b'"'  # more than the buffers of the connection hold
+        async with server.http.ws_connect(f"{server.url}/api/v1/live", max_msg_size=0) as quick:
+            for client in server.site.clients._clients:
+                client.offer(large)
+            numbers = [s["number"] for s in [await quick.receive_json() for _ in range(20)] if isinstance(s, dict)]
+            assert numbers == sorted(set(numbers))
+            assert len(numbers) >= 18
+        transport.abort()  # type: ignore[union-attr]
+
+    with_server(work)
+
+
+def test_nothing_is_queued_for_a_client() -> None:
+    async def work(server: Served) -> None:
+        async with server.http.ws_connect(f"{server.url}/api/v1/live") as live:
+            await live.receive()
+            for text in (b'"old"', b'"older"', b'"new"'):  # before the client's turn to send comes
+                server.site.clients.publish(text)
+            received = []
+            while "new" not in received:
+                received.append(await live.receive_json())
+        assert "old" not in received
+        assert "older" not in received
+
+    with_server(work)
+
+
+def test_a_replay_jumps_and_changes_its_speed() -> None:
+    async def work(server: Served) -> None:
+        async with server.http.ws_connect(f"{server.url}/api/v1/live") as live:
+
+            async def snapshot_where(condition: Callable[[Snapshot], bool]) -> Snapshot:
+                async with asyncio.timeout(15.0):
+                    while True:
+                        snapshot = msgspec.json.decode(await live.receive_str(), type=Snapshot)
+                        if condition(snapshot):
+                            return snapshot
+
+            await live.send_json({"type": "speed", "speed": 0.0})
+            paused = await snapshot_where(lambda s: s.replay is not None and s.replay.speed == 0.0)
+            assert paused.replay is not None
+            await live.send_json({"type": "seek", "time_s": paused.replay.begin_s + 15.0})
+            there = await snapshot_where(lambda s: s.time_s == paused.replay.begin_s + 15.0 and bool(s.vehicles))  # type: ignore[union-attr]
+            assert [v.silent for v in there.vehicles] == [False, False, False]
+            await live.send_json({"type": "seek", "time_s": paused.replay.begin_s + 5.0})
+            back = await snapshot_where(lambda s: s.time_s == paused.replay.begin_s + 5.0 and bool(s.vehicles))  # type: ignore[union-attr]
+            assert back.vehicles[0].position_enu_m != there.vehicles[0].position_enu_m
+            assert back.alarms == ()
+
+    with_server(work)
+
+
+def test_an_alarm_is_acknowledged_without_control() -> None:
+    async def work(server: Served) -> None:
+        async with server.http.ws_connect(f"{server.url}/api/v1/live") as live:
+            await live.send_json({"type": "speed", "speed": 20.0})
+            await live.receive()
+        alarm = await until_true(lambda: _alarm(server))
+        assert (alarm["vehicle_id"], alarm["code"]) == (3, "SILENT")
+        status, answer = await server.post(f"/api/v1/alarms/{alarm['id']}/acknowledge", {})
+        assert (status, answer["acknowledged"]) == (200, True)
+        assert (await server.post("/api/v1/alarms/999/acknowledge", {}))[0] == 404
+
+    with_server(work, lost_after_s=5.0)
+
+
+async def _alarm(server: Served) -> dict[str, object] | None:
+    alarms = (await server.get("/api/v1/snapshot"))[1]["alarms"]
+    return alarms[0] if alarms else None
+
+
+@pytest.mark.parametrize("method", ["OPTIONS", "DELETE", "PUT", "PATCH"])
+def test_no_other_method_is_answered(method: str) -> None:
+    async def work(server: Served) -> None:
+        async with server.http.request(method, f"{server.url}/api/v1/commands") as response:
+            assert response.status == 405
+
+    with_server(work)

@@ -1,0 +1,80 @@
+"""The live picture on a real pseudo-terminal, and what a terminal without a cursor or a pipe gets."""
+
+from __future__ import annotations
+
+import os
+import pty
+import signal
+import subprocess
+import sys
+
+import pytest
+from rich.console import Console
+
+TO_SECOND_SCREEN, BACK, SHOW_CURSOR = b"\x1b[?1049h", b"\x1b[?1049l", b"\x1b[?25h"
+# On a closed port: no vehicle is there, and none is needed.
+PROGRAM = """
+import sys
+from companion.monitor.terminal.run import run_monitor
+sys.exit(run_monitor("*", ["tcp/127.0.0.1:1"], None, once=False, as_json=False))
+"""
+
+
+def until(master: int, awaited: bytes, seen: bytes = b"") -> bytes:
+    while awaited not in seen:
+        try:
+            read = os.read(master, 65536)
+        except OSError:  # Linux: the other end is closed
+            break
+        seen += read
+    return seen
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_the_end_leaves_the_terminal_as_it_was(number: signal.Signals) -> None:
+    master, slave = pty.openpty()
+    environment = os.environ | {"TERM": "xterm-256color"}
+    with subprocess.Popen(
+        [sys.executable, "-c", PROGRAM], stdin=slave, stdout=slave, stderr=slave, env=environment
+    ) as process:
+        os.close(slave)
+        seen = until(master, b"no report yet from tcp/127.0.0.1:1")
+        assert TO_SECOND_SCREEN in seen
+        process.send_signal(number)
+        seen = until(master, b"never printed", seen)
+        assert process.wait() == 0
+    os.close(master)
+    assert seen.rfind(BACK) > seen.rfind(TO_SECOND_SCREEN)
+    assert seen.rfind(SHOW_CURSOR) > seen.rfind(b"\x1b[?25l")
+    assert b"Traceback" not in seen
+
+
+@pytest.mark.parametrize("term", ["dumb", ""])
+def test_a_terminal_without_a_cursor_gets_lines(term: str) -> None:
+    master, slave = pty.openpty()
+    with subprocess.Popen(
+        [sys.executable, "-c", PROGRAM], stdin=slave, stdout=slave, stderr=slave, env=os.environ | {"TERM": term}
+    ) as process:
+        os.close(slave)
+        seen = until(master, b"no vehicle has reported yet")
+        process.send_signal(signal.SIGINT)
+        seen = until(master, b"never printed", seen)
+        assert process.wait() == 0
+    os.close(master)
+    assert b"\x1b" not in seen
+
+
+def test_without_colour_the_text_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    from companion.monitor.terminal.live import as_text
+    from companion.monitor.terminal.page import page
+    from reported_fleet import troubled_fleet
+
+    lines = page(troubled_fleet(), 80)
+    monkeypatch.setenv("NO_COLOR", "1")
+    console = Console(force_terminal=True, width=80, color_system="truecolor")
+    with console.capture() as printed:
+        console.print(as_text(lines))
+    assert "\x1b[33m" not in printed.get()
+    assert "\x1b[31m" not in printed.get()
+    for line in lines:
+        assert line.text in printed.get()
