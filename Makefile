@@ -4,13 +4,14 @@ PYTHON ?= python3
 SCENARIO ?= config/scenarios/platoon.yaml
 BIN := .venv/bin
 
-.PHONY: help fly hostile soak gauntlet pictures bench bench-batch bench-filter bench-identities transports test test-fast test-virtual test-real-time test-again test-long test-vehicles test-fleets test-package deb boot faults attacks check docs docs-check site format setup clean
+.PHONY: help fly hostile soak gauntlet pictures bench bench-batch bench-filter bench-identities bench-recording transports test test-fast test-virtual test-real-time test-page test-again test-long test-vehicles test-fleets test-package deb boot faults attacks check docs docs-check site page-vendor screenshots format setup clean
 
 help:
 	@echo "make fly        fly the paper's platoon with four agents and four stand-in autopilots, weighted against average"
 	@echo "make test       the tests, real fleets included; make test-fast leaves the fleets out"
 	@echo "make test-long  the flights that make test leaves out (a quarter of an hour)"
 	@echo "make test-virtual, test-vehicles, test-fleets  one part: unit and lockstep tests, single real vehicles, real fleets"
+	@echo "make test-page  the live page in a headless Chromium (apt install chromium)"
 	@echo "make test-again the tests that failed in the last make test once more, one at a time"
 	@echo "make test-package  builds wheel and sdist, installs each without the source tree and runs it (minutes, needs a package index)"
 	@echo "make deb        the Debian packages for amd64 and arm64, installed without a network: build/deb (minutes, needs a package index)"
@@ -20,6 +21,8 @@ help:
 	@echo "make check      ruff, mypy --strict and the import directions"
 	@echo "make docs       writes the generated parts of docs/ again; make docs-check reports those that are not current"
 	@echo "make site       builds the browsable documentation into build/site (needs npm, for the diagrams)"
+	@echo "make page-vendor  installs the libraries of the live page in the versions of its package-lock.json and copies the files it uses (needs npm)"
+	@echo "make screenshots  the pictures of docs/monitor.md, from the live page in Debian's Chromium (a minute)"
 	@echo "make pictures   flies the scenarios of docs/scenarios.md in virtual time and draws them again"
 	@echo "make soak       eight vehicles for an hour: memory, files, threads and ticks over time; SECONDS=300 for a short run"
 	@echo "make gauntlet   1,000 random flights in virtual time; writes their table to docs/gauntlet.md (over an hour on two cores; Ctrl-C reports those that are complete)"
@@ -29,6 +32,7 @@ help:
 	@echo "make bench-filter  time of the separation filter with seven vehicles nearby, against its limit of 60 us"
 	@echo "make transports  age of the states over TCP, TLS, QUIC and multicast with lost packets; writes docs/transports.md (needs root)"
 	@echo "make bench-identities  CPU of agents in formation with identities against those without; limit 1.2 times"
+	@echo "make bench-recording  CPU, tick lateness and disk of agents that record against those that do not"
 	@echo "make setup      only installs the project and its ground tools into .venv"
 	@echo "make fly SCENARIO=FILE flies another scenario; $(BIN)/sitl fly --help explains it"
 
@@ -61,6 +65,9 @@ transports: .venv/fly.ready
 bench-identities: .venv/fly.ready
 	$(BIN)/python -m sitl.transports.agents
 
+bench-recording: .venv/fly.ready
+	$(BIN)/python -m sitl.recording_benchmark
+
 bench-filter: .venv/fly.ready
 	$(BIN)/python -m sitl.filter_benchmark
 
@@ -84,7 +91,7 @@ KINDS = not long
 FAULT_TESTS = tests/faults/test_link_faults.py tests/faults/test_process_faults.py tests/faults/test_autopilot_faults.py
 
 test: .venv/test.ready
-	@$(MAKE) --no-print-directory -j 1 --keep-going test-real-time test-virtual
+	@$(MAKE) --no-print-directory -j 1 --keep-going test-real-time test-page test-virtual
 
 test-fast: .venv/test.ready
 	@$(MAKE) --no-print-directory -j 1 --keep-going test-real-time test-virtual KINDS='not fleet and not long'
@@ -94,6 +101,10 @@ test-virtual: .venv/test.ready
 
 test-real-time: .venv/test.ready
 	$(REAL_TIME_TESTS) tests/protocol tests/fleet tests/faults
+
+# The live page in Debian's Chromium, skipped without it. Its drawing would starve real flights beside it.
+test-page: .venv/test.ready
+	$(BIN)/pytest -q -n 2 --dist loadfile tests/page
 
 # Where a machine is shared with strangers, a failure may be the machine's: what failed in the last `make test`, alone.
 test-again: .venv/test.ready
@@ -146,6 +157,20 @@ docs-check: .venv/fly.ready
 site: .venv/site.ready docs-check
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
 	@echo "build/site/index.html"
+
+# The page works offline: what it uses of these libraries is committed.
+PAGE_VENDOR = companion/monitor/page/vendor
+page-vendor:
+	rm -rf build/page-vendor && mkdir -p build/page-vendor
+	cp $(PAGE_VENDOR)/package.json $(PAGE_VENDOR)/package-lock.json build/page-vendor
+	cd build/page-vendor && npm ci --silent --ignore-scripts --no-audit --no-fund
+	rm -rf $(PAGE_VENDOR)/lit-html $(PAGE_VENDOR)/uplot && mkdir -p $(PAGE_VENDOR)/lit-html/directives $(PAGE_VENDOR)/uplot
+	cd build/page-vendor/node_modules/lit-html && cp LICENSE lit-html.js directive.js directive-helpers.js $(CURDIR)/$(PAGE_VENDOR)/lit-html
+	cp build/page-vendor/node_modules/lit-html/directives/repeat.js $(PAGE_VENDOR)/lit-html/directives
+	cd build/page-vendor/node_modules/uplot && cp LICENSE dist/uPlot.esm.js dist/uPlot.min.css $(CURDIR)/$(PAGE_VENDOR)/uplot
+
+screenshots: .venv/test.ready
+	$(BIN)/python tests/page/screenshots.py
 
 format: .venv/test.ready
 	$(BIN)/ruff check --fix .

@@ -11,7 +11,7 @@ from xdist.scheduler import LoadScopeScheduling
 
 pytest_plugins = ["pytester", "starvation", "fault_table"]
 
-REAL_TIME = {"protocol", "fleet", "faults"}  # folders beside this file
+REAL_TIME = {"protocol", "fleet", "faults", "page"}  # folders beside this file
 
 # Read when numpy is first loaded. Tests work on small matrices, for which more threads only get into each other's way.
 os.environ.setdefault("OMP_NUM_THREADS", "1")

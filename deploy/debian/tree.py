@@ -11,6 +11,7 @@ DEPLOY = Path(__file__).resolve().parents[1]
 ROOT = DEPLOY.parent
 UNITS = ("companion@.service", "companion-monitor.service", "companion-router.service")
 SCRIPTS = ("preinst", "postinst", "prerm", "postrm")
+EXAMPLES = ("companion.nft", "prometheus/alerts.yaml")  # for the operator to copy and change
 JOURNALS = ("journald.conf.d", "journald@companion-monitor.conf.d")  # of the board, and of the monitor
 
 
@@ -32,6 +33,8 @@ def stage(tree: Path, wheels: Path, version: str, architecture: str, pythons: Se
     documents = tree / "usr/share/doc/companion"
     _copy(ROOT / "LICENSE", documents / "copyright")
     _copy(ROOT / "docs" / "installation.md", documents / "installation.md")
+    for example in EXAMPLES:
+        _copy(DEPLOY / example, documents / "examples" / Path(example).name)
     _metadata(tree, version, architecture)
 
 

@@ -16,8 +16,10 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
 
+import api_tables
 import configuration
 import failsafe_table
+import metrics_table
 import package_diagram
 import phase_diagram
 import protocol_tables
@@ -37,6 +39,8 @@ PAGES: dict[str, Callable[[], str]] = {
 BLOCKS: dict[str, Callable[[], str]] = {
     "failsafe": failsafe_table.table,
     "relied_on": failsafe_table.parameters,
+    "api": api_tables.table,
+    "metrics": metrics_table.table,
     "packages": package_diagram.diagram,
     "phases": phase_diagram.diagram,
     "commands": phase_diagram.table,

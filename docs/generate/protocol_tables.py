@@ -6,8 +6,8 @@ from companion.config.fleet import PeerLimits
 from companion.core.election.succession import TURN_S
 from companion.core.safety.health import AgeLimits
 from companion.core.safety.safeguard import HAND_OVER_S, SILENT_TOO_LONG_S
+from companion.link.fleet.zenoh_session import LEASE_MS
 from companion.link.tick import BACK_UP_S, PERIOD_S
-from companion.link.zenoh_session import LEASE_MS
 from companion.mavlink import ardupilot, px4
 from companion.mavlink.codec import mavlink
 from companion.types.commands import EPOCHS_AHEAD, NUMBERS_AHEAD

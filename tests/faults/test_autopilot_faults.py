@@ -125,7 +125,7 @@ def test_a_vehicle_with_a_low_battery_lands(tmp_path: Path, percent: int, code: 
 
 @pytest.mark.every_fault
 def test_agents_fly_on_with_a_full_disk(flight: FaultyFleet, row: FaultRow) -> None:
-    row.fault, row.demanded = "no agent can write its log (RLIMIT_FSIZE)", "no effect on the flight"
+    row.fault, row.demanded = "no agent can write its log or its recording (RLIMIT_FSIZE)", "no effect on the flight"
     flight.fault()
     for i in IDS:
         size = (flight.folder / f"agent_{i}.log").stat().st_size
@@ -136,6 +136,7 @@ def test_agents_fly_on_with_a_full_disk(flight: FaultyFleet, row: FaultRow) -> N
     flight.ground.listen(5.0)
     flight.check_formation()
     assert not any(flight.events(i) for i in IDS)
+    assert all(flight.ground.newest[i].recording.state == "dropping" for i in IDS)
     row.measured.append(f"hold and form again within {time.monotonic() - held_s - 5.0:.0f} s, nothing logged")
     row.outcome = "all in formation, then landed"
     flight.check(row)

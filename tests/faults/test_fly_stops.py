@@ -77,8 +77,7 @@ class Flight:
         """The exit code."""
         return self.process.wait(within_s)
 
-    def process_of(self, role: str, vehicle_id: int) -> int:
-        file = f"{'vehicle' if role == 'agent' else role}_{vehicle_id}.yaml"
+    def process_with(self, file: str) -> int:
         return next(pid for pid, command in processes(self.marker).items() if file in command)
 
     def armed_at_the_end(self, vehicle_id: int) -> bool:
@@ -111,7 +110,7 @@ def launch(tmp_path: Path) -> Iterator[Callable[[], Flight]]:
 def test_ctrl_c_in_formation_lands_all_and_leaves_no_process(launch: Callable[[], Flight]) -> None:
     flight = launch()
     flight.wait_for_formation()
-    assert len(processes(flight.marker)) == 9
+    assert len(processes(flight.marker)) == 6  # sitl fly, four agents, one process with all stand-ins
     flight.process.send_signal(signal.SIGINT)
     assert flight.end(40.0) == 130
     assert processes(flight.marker) == {}
@@ -155,21 +154,32 @@ def test_killing_the_parent_leaves_no_process(launch: Callable[[], Flight]) -> N
 
 
 @fleet
-@pytest.mark.parametrize(("role", "vehicle_id"), [("agent", 3), ("autopilot", 2)])
-def test_a_process_killed_in_formation_ends_the_flight_and_the_others_land(
-    launch: Callable[[], Flight], role: str, vehicle_id: int
-) -> None:
+def test_an_agent_killed_in_formation_ends_the_flight_and_the_others_land(launch: Callable[[], Flight]) -> None:
     flight = launch()
     flight.wait_for_formation()
-    os.kill(flight.process_of(role, vehicle_id), signal.SIGKILL)
+    os.kill(flight.process_with("vehicle_3.yaml"), signal.SIGKILL)
     flight.wait_until(lambda: "landing all" in flight.printed, 1.5)
     assert flight.end(40.0) == 1
     assert processes(flight.marker) == {}
-    others = {1, 2, 3, 4} - {vehicle_id}
-    assert not any(flight.armed_at_the_end(other) for other in others)
+    assert not any(flight.armed_at_the_end(other) for other in (1, 2, 4))
+    assert_failure(flight, "agent 3 was killed by SIGKILL: ")
+
+
+@fleet
+def test_stand_ins_killed_in_formation_end_the_flight(launch: Callable[[], Flight]) -> None:
+    flight = launch()
+    flight.wait_for_formation()
+    os.kill(flight.process_with("autopilot_2.yaml"), signal.SIGKILL)
+    assert flight.end(40.0) == 1
+    assert processes(flight.marker) == {}
+    assert_failure(flight, "autopilots 1 to 4 were killed by SIGKILL: ")
+
+
+def assert_failure(flight: Flight, begins: str) -> None:
+    """The summary and the output name it."""
     failure = read_summary(flight.folder / "summary.json").failure
     assert failure is not None
-    assert failure.startswith(f"{role} {vehicle_id} was killed by SIGKILL: ")
+    assert failure.startswith(begins)
     assert failure in flight.printed
     assert "Traceback" not in flight.printed
 

@@ -141,7 +141,7 @@ def test_the_fleet_flies_on_without_its_ground_station(
     """A second ground station, which is also connected to every agent."""
     row.fault, row.demanded = f"{number.name} of a ground station", "the formation does not depend on it"
     endpoints = [zenoh_endpoint(i, flight.port_offset) for i in IDS]
-    command = [sys.executable, "-m", "companion", "monitor", "--connect", *endpoints]
+    command = [sys.executable, "-m", "companion", "monitor", "--listen", "127.0.0.1:0", "--connect", *endpoints]
     monitor = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL)
     try:
         flight.ground.listen(3.0)

@@ -13,7 +13,7 @@ from msgspec.structs import replace
 
 from companion.config.file import ConfigError, load
 from companion.config.fleet import FleetConfig
-from companion.link.zenoh_session import open_session
+from companion.link.fleet.zenoh_session import open_session
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot, LeaderBeacon
 from companion.types.notices import Code

@@ -15,7 +15,7 @@ import zenoh
 
 from companion.cli.main import main
 from companion.ground.session import FleetSession
-from companion.link.zenoh_session import open_session
+from companion.link.fleet.zenoh_session import open_session
 from companion.types.commands import Command, CommandName, CommandReply
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code
@@ -110,7 +110,7 @@ def ready(ground: Ground) -> None:
 def test_a_mission_from_one_terminal(ground: Ground) -> None:
     ready(ground)
     lines = ground.fleet("doctor").splitlines()
-    assert [line for line in lines if line.startswith("vehicle")] == [f"vehicle {i}  ready" for i in ALL]
+    assert [line.split(",")[0] for line in lines if line.startswith("vehicle")] == [f"vehicle {i}  ready" for i in ALL]
     assert sum("fresh: " in line for line in lines) == 3
 
     refused = ground.answers("takeoff", code=1)
@@ -158,7 +158,7 @@ def test_a_mission_from_one_terminal(ground: Ground) -> None:
     ground.until(FlightPhase.FORMATION, lambda s: s.slot.formation == 2 and not s.slot.moves)
 
     outside = ground.fleet("reference", "point", "--at", "101", "0", "3", code=2)
-    assert outside.startswith("command line: reference.point_enu_m: puts vehicle ")
+    assert outside.startswith("companion fleet reference: reference.point_enu_m: puts vehicle ")
     answers = ground.answers("reference", "point", "--at", "1", "-1", "3")
     assert answers.keys() == {1, 2}  # those that may lead
     assert {vehicle["answer"] for vehicle in answers.values()} == {"accepted"}

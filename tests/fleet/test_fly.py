@@ -132,8 +132,8 @@ def test_each_flight_writes_its_folder(compared: Compared) -> None:
         assert load_scenario(folder / "scenario.yaml").fleet.law.name == law
         for vehicle_id in (1, 2, 3, 4):
             assert "engage -> formation" in (folder / f"agent_{vehicle_id}.log").read_text(encoding="utf-8")
-            assert (folder / f"autopilot_{vehicle_id}.log").stat().st_size > 0
             assert (folder / f"truth_{vehicle_id}.csv").stat().st_size > 100_000
+        assert "vehicle 4: MAVLink on" in (folder / "autopilots_1_to_4.log").read_text(encoding="utf-8")
 
 
 def test_the_comparison_is_a_table_a_figure_and_a_file(compared: Compared) -> None:

@@ -149,7 +149,7 @@ def test_a_mixed_pair_flies_and_its_autopilots_keep_running(
         )
         times_s = np.linspace(reported.time_s[0], reported.time_s[-1], 100)
         assert np.abs((reported.at(times_s) - true.at(times_s))[:, :2]).max() < 0.5
-    assert not list((tmp_path / "out").glob("truth_*")) and not list((tmp_path / "out").glob("autopilot_*"))
+    assert not list((tmp_path / "out").glob("truth_*")) and not list((tmp_path / "out").glob("autopilot*"))
 
 
 def test_ctrl_c_in_formation_lands_both_and_keeps_their_autopilots(

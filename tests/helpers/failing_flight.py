@@ -10,6 +10,7 @@ from companion.link.control_loop import ControlLoop
 from companion.link.systemd import Notifier
 from companion.link.tick import TickTrigger
 from companion.mavlink.codec import MavlinkMessage
+from companion.recording.writer.recorder import Recorder
 from companion.types.autopilot import AutopilotKind
 from companion.types.commands import Command, CommandName, CommandReply
 from companion.types.flight import FlightPhase
@@ -88,7 +89,7 @@ class RecordedPeers:
 class FailingFlight:
     """Tick by tick, as `ControlLoop.run` does it. `failed_s` is the time of the failure, `ended_s` that of the hand-over."""
 
-    def __init__(self, kind: AutopilotKind) -> None:
+    def __init__(self, kind: AutopilotKind, recorder: Recorder | None = None) -> None:
         self._flight = Flight(kind)
         self.kind = kind
         self.autopilot: Autopilot = self._flight.autopilot
@@ -96,7 +97,7 @@ class FailingFlight:
         self.translator = self._flight.translator
         self.link = AutopilotByBytes(self._flight)
         self.peers = RecordedPeers(sent=lambda: len(self.autopilot.targets))
-        self.loop = ControlLoop(self.agent, self.link, self.peers, TickTrigger(), Notifier({}))
+        self.loop = ControlLoop(self.agent, self.link, self.peers, TickTrigger(), Notifier({}), recorder)
         self.now_s = 100.0
         self.failed_s: float | None = None
         self.ended_s: float | None = None

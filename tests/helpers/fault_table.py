@@ -13,10 +13,7 @@ from pathlib import Path
 import pytest
 
 BEGIN, END = "<!-- measured: faults -->", "<!-- end of faults -->"
-HEAD = (
-    "| fault or attack | demanded | measured | smallest distance [m] | largest setpoint step [deg] | outcome |",
-    "|---|---|---|---|---|---|",
-)
+TITLES = ("fault or attack", "demanded", "measured", "smallest distance [m]", "largest setpoint step [deg]", "outcome")
 
 
 @dataclass
@@ -90,10 +87,24 @@ class FaultTable:
         before, found, rest = text.partition(BEGIN)
         assert found, f"{file} has no mark {BEGIN}"
         table, _, after = rest.partition(END)
-        rows = {_fault(line): line for line in table.splitlines() if line.startswith("| ") and line != HEAD[0]}
-        rows |= {_fault(line): line for line in lines}
-        file.write_text(before + "\n".join((BEGIN, *HEAD, *rows.values(), END)) + after, encoding="utf-8")
+        rows = rows_of(table) | {cells[0]: cells for cells in map(cells_of, lines)}
+        file.write_text(before + "\n".join((BEGIN, *table_of(list(rows.values())), END)) + after, encoding="utf-8")
 
 
-def _fault(line: str) -> str:
-    return line.split(" | ")[0]
+def cells_of(line: str) -> list[str]:
+    return [cell.strip() for cell in line.strip().strip("|").split("|")]
+
+
+def rows_of(table: str) -> dict[str, list[str]]:
+    """The rows of a written table by their first cell, with an empty cell for each column that it leaves out."""
+    head, *rows = [cells_of(line) for line in table.splitlines() if line.startswith("| ")] or [list(TITLES)]
+    by_title = [dict(zip(head, row, strict=True)) for row in rows]
+    return {row[TITLES[0]]: [row.get(title, "") for title in TITLES] for row in by_title}
+
+
+def table_of(rows: list[list[str]]) -> list[str]:
+    """Its lines, without columns that are empty in all rows."""
+    kept = [i for i in range(len(TITLES)) if any(row[i] for row in rows)]
+    head = [TITLES[i] for i in kept]
+    body = [[row[i] for i in kept] for row in rows]
+    return [f"| {' | '.join(head)} |", "|---" * len(kept) + "|", *(f"| {' | '.join(row)} |" for row in body)]

@@ -248,7 +248,8 @@ def faulty_fleet(folder: Path, *overrides: str) -> Iterator[FaultyFleet]:
     write_files(scenario, folder, port_offset)
     with ExitStack() as stack:
         taps = {i: stack.enter_context(_tap(folder, i, port_offset)) for i in IDS}
-        fleet = stack.enter_context(Fleet.start_written(scenario, folder, port_offset))
+        one_by_one = [[i] for i in IDS]  # each stand-in can be killed by itself
+        fleet = stack.enter_context(Fleet.start_written(scenario, folder, port_offset, one_by_one))
         endpoints = [zenoh_endpoint(i, port_offset) for i in IDS]
         session = stack.enter_context(FleetSession(scenario.fleet.name, endpoints))
         stack.callback(_resume, fleet)

@@ -11,8 +11,8 @@ from typing import Any
 
 import zenoh
 
-from companion.link.own_identity import load
-from companion.link.zenoh_session import SETTINGS
+from companion.link.fleet.own_identity import load
+from companion.link.fleet.zenoh_session import SETTINGS
 from companion.security.identity import Identity
 from companion.security.names import parse_common_name
 from companion.security.provisioning import provision_new, revoke

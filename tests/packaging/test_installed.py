@@ -111,6 +111,8 @@ def test_the_wheel_holds_the_programs_and_nothing_else(distributions: dict[str, 
     }
     assert {name for name in names if name.endswith(".py")} == sources
     assert {"sitl/scenarios/platoon.yaml", "sitl/paper/templates/report.html.j2"} <= set(names)
+    page = {str(path.relative_to(ROOT)) for path in (ROOT / "companion/monitor/page").rglob("*") if path.is_file()}
+    assert page <= set(names)
 
 
 def test_the_programs_report_their_version(installed: Environment) -> None:

@@ -16,7 +16,7 @@ import pytest
 from agent_process import AgentFiles, Running, agent, agent_files, companion, faulty_agent, until
 from companion.cli.vehicle_link import EXIT_DEFECT
 from companion.ground.session import FleetSession
-from companion.link.zenoh_session import open_session
+from companion.link.fleet.zenoh_session import open_session
 from companion.mavlink.codec import mavlink
 from companion.mavlink.translator import Translator
 from companion.types.commands import CommandName, CommandReply

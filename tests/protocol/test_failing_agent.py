@@ -16,8 +16,8 @@ from agent_process import agent, faulty_agent, until
 from companion.cli.vehicle_link import EXIT_DEFECT
 from companion.core.consensus.neighbourhood import ConsensusStage
 from companion.ground.connection import GroundConnection
-from companion.link.zenoh_link import ZenohLink
-from companion.link.zenoh_session import drain
+from companion.link.fleet.zenoh_link import ZenohLink
+from companion.link.fleet.zenoh_session import drain
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code
 from companion.types.vectors import ZERO3

@@ -21,8 +21,8 @@ from companion.config.fleet_check import load_fleet
 from companion.config.network import ZenohEndpoints
 from companion.ground.publishers import TargetPublisher, TrafficPublisher
 from companion.ground.session import FleetSession
-from companion.link.zenoh_link import ZenohLink
-from companion.link.zenoh_session import EndpointError, open_session
+from companion.link.fleet.zenoh_link import ZenohLink
+from companion.link.fleet.zenoh_session import EndpointError, open_session
 from companion.security.admission import accept
 from companion.security.certificates import read_certificate
 from companion.types.commands import Command, CommandName

@@ -1,4 +1,4 @@
-"""`companion monitor` as a process, beside a real agent."""
+"""`companion monitor --tui` as a process, beside a real agent."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ def test_the_monitor_lists_the_vehicle(files: AgentFiles) -> None:
         rows = json.loads(companion("monitor", "--connect", files.zenoh, "--once", "--json").stdout)
     assert table.returncode == 0, table.stderr
     heading, header, line, *_ = table.stdout.splitlines()
-    assert heading == "fleet processtest, 1 vehicle"
-    assert header.split()[:3] == ["vehicle", "phase", "mode"]
+    assert heading == "fleet processtest: 1 vehicle, leader 1"
+    assert header.split()[:3] == ["id", "phase", "mode"]
     assert line.split()[:4] == ["1", "observe", "AUTO.LOITER", "armed"]
-    assert " 0.0 0.0 2.0 " in line
+    assert rows[0]["position_enu_m"] == pytest.approx([0.0, 0.0, 2.0], abs=0.05)
     assert rows[0]["vehicle_id"] == 1
     assert rows[0]["error_to_slot_m"] == pytest.approx(0.0, abs=1e-3)
     assert rows[0]["silent"] is False
@@ -42,7 +42,7 @@ def test_the_monitor_lists_the_vehicle(files: AgentFiles) -> None:
 def test_the_monitor_shows_a_killed_vehicle_as_silent(files: AgentFiles) -> None:
     with HoveringAutopilot(1, files.udp_port), agent(files) as process:
         monitor = subprocess.Popen(
-            [sys.executable, "-m", "companion", "monitor", "--connect", files.zenoh],
+            [sys.executable, "-m", "companion", "monitor", "--tui", "--connect", files.zenoh],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -50,11 +50,12 @@ def test_the_monitor_shows_a_killed_vehicle_as_silent(files: AgentFiles) -> None
         try:
             assert monitor.stdout
             lines = iter(monitor.stdout)
-            assert "observe" in next(line for line in lines if line.startswith("1 "))
+            assert "observe" in next(line for line in lines if line.startswith("  1 "))
             process.process.kill()
-            assert "SILENT for" in next(line for line in lines if line.startswith("  1: SILENT"))
-            assert next(lines) == "fleet processtest, 1 vehicle, SILENT: vehicle 1\n"
-            assert "SILENT for" in next(line for line in lines if line.startswith("  1: "))  # and it stays
+            assert "SILENT" in next(line for line in lines if line.startswith("  1 ") and "observe   " not in line)
+            heading = next(line for line in lines if line.startswith("fleet "))
+            assert heading == "fleet processtest: 1 vehicle, SILENT: vehicle 1, NO LEADER\n"
+            assert "SILENT" in next(line for line in lines if line.startswith("  1 "))  # and it stays
             monitor.send_signal(signal.SIGINT)
             assert monitor.wait(10.0) == 0
             assert monitor.stderr
@@ -85,7 +86,7 @@ def test_a_terminal_gets_a_live_table(files: AgentFiles, columns: str) -> None:
     with HoveringAutopilot(1, files.udp_port), agent(files) as process:
         process.wait_for_log("heartbeat of autopilot 1")
         monitor = subprocess.Popen(
-            [sys.executable, "-m", "companion", "monitor", "--connect", files.zenoh],
+            [sys.executable, "-m", "companion", "monitor", "--tui", "--connect", files.zenoh],
             stdout=terminal_of_the_monitor,
             stderr=terminal_of_the_monitor,
             env={**os.environ, "TERM": "xterm", "COLUMNS": columns, "LINES": "40"},
@@ -94,7 +95,7 @@ def test_a_terminal_gets_a_live_table(files: AgentFiles, columns: str) -> None:
         try:
             until(lambda: "AUTO.LOITER" in look())
             process.process.kill()
-            until(lambda: "SILENT for" in look())
+            until(lambda: "SILENT: vehicle 1" in look())
             monitor.send_signal(signal.SIGINT)
             assert monitor.wait(10.0) == 0
             assert "Traceback" not in shown.decode(errors="replace")
@@ -109,11 +110,11 @@ def test_a_live_table_without_its_package_names_what_to_install(tmp_path: Path) 
     terminal, terminal_of_the_monitor = pty.openpty()
     try:
         result = subprocess.run(
-            [sys.executable, "-m", "companion", "monitor"],
+            [sys.executable, "-m", "companion", "monitor", "--tui"],
             stdout=terminal_of_the_monitor,
             stderr=subprocess.PIPE,
             text=True,
-            env={**os.environ, "PYTHONPATH": str(tmp_path)},
+            env={**os.environ, "TERM": "xterm", "PYTHONPATH": f"{tmp_path}:{os.environ.get('PYTHONPATH', '')}"},
             timeout=30,
             check=False,
         )
@@ -127,7 +128,7 @@ def test_a_live_table_without_its_package_names_what_to_install(tmp_path: Path) 
 
 def test_a_closed_pipe_is_no_error(files: AgentFiles) -> None:
     monitor = subprocess.Popen(
-        [sys.executable, "-m", "companion", "monitor", "--connect", files.zenoh],
+        [sys.executable, "-m", "companion", "monitor", "--tui", "--connect", files.zenoh],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

@@ -81,6 +81,41 @@ def test_a_truth_file_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
     assert_one_line_of(result, "truth.csv")
 
 
+def written(folder: Path, *ids: int) -> list[str]:
+    """A file for each of these vehicles."""
+    files = [folder / f"{number}.yaml" for number, _ in enumerate(ids)]
+    for file, vehicle_id in zip(files, ids, strict=True):
+        file.write_text(f"id: {vehicle_id}\nstart_enu_m: [{vehicle_id}.0, 0.0, 0.0]\n", encoding="utf-8")
+    return [str(file) for file in files]
+
+
+def test_several_vehicles_fly_in_one_process(tmp_path: Path) -> None:
+    truths = [str(tmp_path / f"{number}.csv") for number in range(2)]
+    offset = str(free_vehicle_offset())
+    options = ("--truth", *truths, "--port-offset", offset, "--seconds", "1")
+    result = sitl("autopilot", "--config", *written(tmp_path, 1, 2), *options)
+    assert result.returncode == 0, result.stderr
+    assert [line.split(":")[0] for line in result.stdout.splitlines()][:2] == ["vehicle 1", "vehicle 2"]
+    for truth, x_m in zip(truths, ("1.00000", "2.00000"), strict=True):
+        rows = Path(truth).read_text(encoding="ascii").splitlines()[1:]
+        assert len(rows) >= 10
+        assert {row.split(",")[1] for row in rows} == {x_m}
+
+
+@pytest.mark.parametrize(
+    ("ids", "options", "words"),
+    [
+        ((1, 2), ("--id", "3"), ("--id", "2 vehicles")),
+        ((1, 1), (), ("1.yaml", "id")),
+        ((1, 2), ("--truth", "truth.csv"), ("--truth", "1 files for 2 vehicles")),
+    ],
+)
+def test_options_that_do_not_suit_several_vehicles_are_refused(
+    tmp_path: Path, ids: tuple[int, ...], options: tuple[str, ...], words: tuple[str, ...]
+) -> None:
+    assert_one_line_of(sitl("autopilot", "--config", *written(tmp_path, *ids), *options), *words)
+
+
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_signal_ends_the_process_at_once_with_a_complete_truth_file(tmp_path: Path, number: signal.Signals) -> None:
     with stand_in(tmp_path) as process:

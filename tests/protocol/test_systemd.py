@@ -11,8 +11,8 @@ import pytest
 
 from agent_process import AgentFiles, agent, agent_files, until
 from companion.config.vehicle import load_agent
+from companion.link.fleet.zenoh_link import ZenohLink
 from companion.link.systemd import MIN_WATCHDOG_PERIOD_S, Notifier
-from companion.link.zenoh_link import ZenohLink
 from hovering_autopilot import HoveringAutopilot
 from service_manager import WATCHDOG_S, ServiceManager, service_manager
 

@@ -18,8 +18,8 @@ from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember
 from companion.config.network import ZenohEndpoints
 from companion.core.command.arbitration import CommandArbitration
 from companion.ground.session import FleetSession
-from companion.link.zenoh_link import ZenohLink
-from companion.link.zenoh_session import open_session
+from companion.link.fleet.zenoh_link import ZenohLink
+from companion.link.fleet.zenoh_session import open_session
 from companion.types.commands import Command, CommandName, CommandReply
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot
@@ -43,7 +43,7 @@ BLOCKED_S = 0.25  # a tick of this length was blocked: it was 5 s, and is 1 ms o
 # FifoChannel(1) is full after one packet; then Zenoh's reading thread in that process waits, and its connection fills.
 DEAF_CLIENT = """
 import time, zenoh
-from companion.link.zenoh_session import open_session
+from companion.link.fleet.zenoh_session import open_session
 from companion.types.commands import Command, CommandName
 from companion.wire.ground import encode
 session = open_session([], ["{endpoint}"])
@@ -62,7 +62,7 @@ while True:
 # More than 4 samples in each tick, of garbage and of other commands, on the key that has ABORT alone.
 ABORT_FLOOD = """
 import time, zenoh
-from companion.link.zenoh_session import open_session
+from companion.link.fleet.zenoh_session import open_session
 from companion.types.commands import Command, CommandName
 from companion.wire.ground import encode
 session = open_session([], ["{endpoint}"])

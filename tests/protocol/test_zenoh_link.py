@@ -25,8 +25,8 @@ from companion.core.consensus.peers import PeerTable
 from companion.core.consensus.plausibility import FleetLimits
 from companion.ground.publishers import TargetPublisher, TrafficPublisher
 from companion.ground.session import AGAIN_S, FleetSession
-from companion.link.zenoh_link import LONG_PAUSE_S, ZenohLink
-from companion.link.zenoh_session import EndpointError, open_session
+from companion.link.fleet.zenoh_link import LONG_PAUSE_S, ZenohLink
+from companion.link.fleet.zenoh_session import EndpointError, open_session
 from companion.types.autopilot import LandedState
 from companion.types.commands import Command, CommandName, CommandReply, Content, Lead, ReferenceChange
 from companion.types.flight import FlightPhase, Role
@@ -520,7 +520,7 @@ def test_no_session_stays_open_when_a_declaration_fails(port: int, monkeypatch: 
         return opened[-1]
 
     monkeypatch.setattr("companion.ground.connection.open_session", recording)
-    monkeypatch.setattr("companion.link.zenoh_link.open_session", recording)
+    monkeypatch.setattr("companion.link.fleet.zenoh_link.open_session", recording)
     with pytest.raises(zenoh.ZError):
         FleetSession("a*", (endpoint(port),))
     with pytest.raises(zenoh.ZError):

@@ -43,7 +43,9 @@ def test_new_names_the_ground_after_the_login_user_and_says_what_is_next(
     assert provision("new", field) == 0
     output = capsys.readouterr().out
     assert "  new: ground-anna-m-ller, valid until 20" in output
-    assert f"scp -r {field}/copy/vehicle-1/. root@BOARD-1:/etc/companion/" in output
+    assert f"scp -r {field}/copy/vehicle-1 ADDRESS-OF-VEHICLE-1:\n" in output
+    assert "sudo cp -r vehicle-N/. /etc/companion/" in output
+    assert "mavlink.key in it is used only with signing:" in output
     assert "companion fleet admit" not in output
     assert f"Back up {field}/authority" in output
 
@@ -99,6 +101,9 @@ def test_every_refusal_is_one_line_with_the_file_and_what_to_do(
     for action in (["list"], ["renew", "--all"], ["revoke", "vehicle-1"]):
         line = refused(capsys, action[0], field, *action[1:])
         assert line == f"{field}/authority: no such folder; companion provision new {field} creates it"
+    file = field / "fleet.yaml"
+    for arguments in (["list", file], ["new", file], ["renew", file, "--all"], ["revoke", file, "vehicle-1"]):
+        assert refused(capsys, *arguments).startswith(f"{file}: is a file; expected the folder of the fleet file")
     provision("new", field)
     assert "expected names, or --all" in refused(capsys, "renew", field)
     assert "expected names, or --all" in refused(capsys, "renew", field, "vehicle-1", "--all")

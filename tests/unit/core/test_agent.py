@@ -324,6 +324,17 @@ def test_a_peer_that_lands_or_is_flown_by_its_pilot_is_no_neighbour(phase: Fligh
     assert statuses[-1].neighbours == ()
 
 
+def test_the_status_has_the_weights_and_the_ages_of_the_neighbours() -> None:
+    flight = Flight().fly_to(FlightPhase.FORMATION)
+    status = [status for _ in range(20) if (status := flight.tick().status)][-1]
+    assert len(status.neighbours) == 1
+    assert status.weights == (1.0,)
+    assert 0.0 <= status.neighbour_ages_s[0] <= FLEET.peers.max_age_s
+    flight.peer_phase = FlightPhase.LAND
+    alone = [status for _ in range(20) if (status := flight.tick().status)][-1]
+    assert (alone.weights, alone.neighbour_ages_s) == ((), ())
+
+
 def test_a_landing_is_requested_again_when_the_state_is_stale() -> None:
     flight = Flight().fly_to(FlightPhase.FORMATION)
     flight.tick(CommandName.LAND)

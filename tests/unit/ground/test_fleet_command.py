@@ -45,7 +45,7 @@ AT = ["--at", "0", "-5", "4"]
         (["hold", "--fleet", PAIR, "--as", "two words"], "expected 1 to 63 letters"),
         (["hold", "--fleet", PAIR, "--wait-s", "nan"], "expected seconds from 0.1 to 60"),
         (["formation", "star", "--spacing", "3", "--fleet", PAIR], "invalid choice: 'star'"),
-        (["formation", "v", "--fleet", PAIR], "command line: --spacing: missing; v needs it"),
+        (["formation", "v", "--fleet", PAIR], "companion fleet formation: --spacing: missing; v needs it"),
         (["formation", "line", "--spacing", "0", "--fleet", PAIR], "expected metres above 0, up to 1000"),
         (["formation", "line", "--spacing", "3", "--heading", "999", "--fleet", PAIR], "expected degrees"),
         (["formation", "line", "--spacing", "3", "--only", "1", "--fleet", PAIR], "--only"),
@@ -55,23 +55,32 @@ AT = ["--at", "0", "-5", "4"]
         ),
         (
             ["formation", "line", "--slots", "s.yaml", "--fleet", PAIR],
-            "command line: --slots: is a whole formation",
+            "companion fleet formation: --slots: is a whole formation",
         ),
-        (["formation", "--spacing", "3", "--fleet", PAIR], "command line: --spacing: belongs to a SHAPE"),
-        (["formation", "--fleet", PAIR], "command line: SHAPE: missing; expected one, --slots FILE"),
+        (["formation", "--spacing", "3", "--fleet", PAIR], "companion fleet formation: --spacing: belongs to a SHAPE"),
+        (["formation", "--fleet", PAIR], "companion fleet formation: SHAPE: missing; expected one, --slots FILE"),
         (["formation", "--slots", "nowhere.yaml", "--fleet", PAIR], "nowhere.yaml: cannot be read"),
         (["formation", "--slots", PAIR, "--fleet", PAIR], "this is a fleet file; a file with slots_enu_m is expected"),
-        (["reference", "--fleet", PAIR], "command line: KIND: missing; expected one of point, waypoints, circle"),
+        (
+            ["reference", "--fleet", PAIR],
+            "companion fleet reference: KIND: missing; expected one of point, waypoints, circle",
+        ),
         (["reference", "spiral", "--fleet", PAIR], "invalid choice: 'spiral'"),
-        (["reference", "point", "--fleet", PAIR], "command line: --at: given 0 times; a reference point has one"),
+        (
+            ["reference", "point", "--fleet", PAIR],
+            "companion fleet reference: --at: given 0 times; a reference point has one",
+        ),
         (
             ["reference", "circle", *AT, *AT, "--fleet", PAIR],
-            "command line: --at: given 2 times; a reference circle has one",
+            "companion fleet reference: --at: given 2 times; a reference circle has one",
         ),
-        (["reference", "circle", *AT, "--period", "20", "--fleet", PAIR], "command line: reference.radius_m: missing"),
+        (
+            ["reference", "circle", *AT, "--period", "20", "--fleet", PAIR],
+            "companion fleet reference: reference.radius_m: missing",
+        ),
         (
             ["reference", "point", *AT, "--radius", "2", "--fleet", PAIR],
-            "command line: reference.radius_m: unknown key",
+            "companion fleet reference: reference.radius_m: unknown key",
         ),
         (
             ["reference", "point", "--at", "0", "0", "nan", "--fleet", PAIR],
@@ -80,11 +89,11 @@ AT = ["--at", "0", "-5", "4"]
         (["reference", "point", "--at", "0", "0", "--fleet", PAIR], "expected 3 arguments"),
         (
             ["reference", "target", "--name", "A/b", "--fleet", PAIR],
-            "command line: reference.name: 'A/b': expected at most 41",
+            "companion fleet reference: reference.name: 'A/b': expected at most 41",
         ),
         (
             ["reference", "point", "--file", "r.yaml", "--fleet", PAIR],
-            "command line: --file: describes the whole reference",
+            "companion fleet reference: --file: describes the whole reference",
         ),
         (["reference", "--file", "nowhere.yaml", "--fleet", PAIR], "nowhere.yaml: cannot be read"),
         (["reference", "--file", PAIR, "--fleet", PAIR], "a file with nothing but a reference is expected"),

@@ -7,42 +7,22 @@ from math import inf, pi, sqrt
 import pytest
 from msgspec.structs import replace
 
+import reported_fleet
 from companion.ground.fleet_status import MOST_VEHICLES, SILENT_AFTER_S, FleetState, fold, rows
 from companion.types.autopilot import LandedState
 from companion.types.flight import FlightPhase, HealthFlag, Role
 from companion.types.formation import FlownSlot, Heading, LeaderBeacon
 from companion.types.status import Status
 from companion.types.vectors import Vector3
-from companion.wire.ground import Percentiles, StatusReport, Timing
+from companion.wire.ground import StatusReport
 
-NOTHING = Percentiles(0.0, 0.0, 0.0)
-TIMING = Timing(50.0, 1, 0, NOTHING, NOTHING, 5.0, 49.0)
-STATUS = Status(
-    vehicle_id=1,
-    session=1,
-    fleet="platoon",
-    formation_hash=5,
-    law="weighted",
-    phase=FlightPhase.FORMATION,
-    mode_name="OFFBOARD",
-    armed=True,
-    landed=LandedState.IN_AIR,
+STATUS = replace(
+    reported_fleet.STATUS,
     position_enu_m=(0.0, 0.0, 1.0),
     velocity_enu_m_s=(0.0, 0.0, 0.0),
-    state_age_s=0.02,
-    hover_thrust_norm=0.5,
-    disturbance_enu_m_s2=(0.0, 0.0, 0.0),
-    role=Role.FOLLOWER,
-    epoch=0,
-    prc=2,
-    leader_beacon=None,
-    leader_beacon_age_s=None,
     neighbours=(),
-    slot=FlownSlot((0.0, 0.0, 0.0)),
-    reference_enu_m=None,
-    flags=(),
-    rejected={},
     last_event=None,
+    holder="",
 )
 
 
@@ -58,7 +38,7 @@ def follower(vehicle_id: int, **changes: object) -> Status:
 def received(*statuses: Status, at_s: float = 100.0, state: FleetState | None = None) -> FleetState:
     state = state or FleetState()
     for status in statuses:
-        state = fold(state, StatusReport(status, TIMING), at_s)
+        state = fold(state, StatusReport(status, reported_fleet.TIMING), at_s)
     return state
 
 

@@ -50,6 +50,20 @@ def test_each_finding_fails_one_check(change: dict[str, object], name: str, code
     assert readiness_lines({1: checks}, [], 3.0)[0] == "vehicle 1  not ready"
 
 
+def test_warnings_of_the_audit_are_shown_and_fail_no_check() -> None:
+    fence = Notice(Code.AUTOPILOT_FENCE_OFF, "GF_ACTION: 0 (nothing)")
+    warned = replace(READY, warnings=(fence, Notice(Code.BATTERY_LOW, "battery: 35 %")))
+    checks = checks_of(warned, (1, 2), 1)
+    assert all(check.passed for check in checks)
+    found = {check.name: check.found for check in checks}
+    assert found["parameters"].endswith("arming checks pass; warning: AUTOPILOT_FENCE_OFF: GF_ACTION: 0 (nothing)")
+    assert found["battery"] == "80 %; warning: BATTERY_LOW: battery: 35 %"
+    lines = readiness_lines({1: checks}, [], 3.0)
+    assert lines[0] == "vehicle 1  ready, with warnings"
+    data = {check["check"]: check["warnings"] for check in readiness_as_data({1: checks}, [])[0]["checks"]}
+    assert data["parameters"] == [Code.AUTOPILOT_FENCE_OFF]
+
+
 def test_a_fleet_without_a_leader_is_not_ready() -> None:
     follower, leader = replace(READY, role=Role.FOLLOWER), replace(READY, role=Role.LEADER)
     missing = leader_check({1: follower, 2: follower}, (1, 2))

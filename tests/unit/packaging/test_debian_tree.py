@@ -45,6 +45,7 @@ def test_every_file_has_its_place(tree: Path) -> None:
         f"{systemd}/journald@companion-monitor.conf.d/50-companion.conf",
         "usr/lib/udev/rules.d/70-companion.rules",
         *("usr/share/doc/companion/copyright", "usr/share/doc/companion/installation.md"),
+        *(f"usr/share/doc/companion/examples/{name}" for name in ("companion.nft", "alerts.yaml")),
     }
     assert (tree / "usr/bin/companion").readlink() == Path("/opt/companion/bin/companion")
 

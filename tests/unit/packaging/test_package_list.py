@@ -38,7 +38,8 @@ def test_nothing_but_the_two_programs_is_packaged() -> None:
 
 
 def test_every_data_file_is_packaged() -> None:
-    taken = {path for package, globs in DATA.items() for glob in globs for path in package_folder(package).glob(glob)}
+    named = (path for package, globs in DATA.items() for glob in globs for path in package_folder(package).glob(glob))
+    taken = {path for path in named if path.is_file()}
     present = {
         path
         for program in PROGRAMS

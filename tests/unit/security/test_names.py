@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.link.zenoh_link import TRAFFIC_NAME
+from companion.link.fleet.zenoh_link import TRAFFIC_NAME
 from companion.security.names import ParticipantName, ParticipantRole, parse_common_name, participant_name
 from companion.types.bounds import FLEET_NAME
 

@@ -16,6 +16,7 @@ from companion.security.authority import open_authority
 from companion.security.identity import load_identity
 from companion.security.names import ParticipantName, ParticipantRole, participant_name
 from companion.security.private_files import one_at_a_time
+from companion.security.provision_report import new_text, renew_text
 from companion.security.provisioning import Provisioned, open_provisioned, provision_new, renew, revoke
 from provisioned_fleet import GROUND, NOW, fleet_files, provisioned, tree
 
@@ -169,11 +170,25 @@ def test_all_are_renewed_twice_in_one_second_and_nothing_is_lost(field: Path) ->
     assert open_provisioned(field).admitted.number == 3
 
 
-def test_a_renewal_without_the_copy_makes_the_identity_alone(field: Path) -> None:
+def test_a_renewal_without_the_copy_writes_all_but_the_key_that_the_autopilot_has(field: Path) -> None:
+    before = tree(field / "copy/vehicle-1")
     shutil.rmtree(field / "copy")
-    renew(field, ["vehicle-1"], 365, LATER)
+    done = renew(field, ["vehicle-1"], 365, LATER)
+    assert [str(name) for name in done.removed] == ["vehicle-1"]
     assert load_identity(field / "copy/vehicle-1/identity", LATER).common_name == "vehicle-1"
-    assert not (field / "copy/vehicle-1/mavlink.key").exists()
+    after = tree(field / "copy/vehicle-1")
+    assert before.keys() - after.keys() == {"mavlink.key"}
+    assert all(after[name] == before[name] for name in ("fleet.yaml", "vehicle-1.yaml"))
+    text = renew_text(done)
+    assert f"removed: {field}/copy/vehicle-1, without mavlink.key" in text
+
+
+def test_a_copy_without_its_identity_is_named_with_what_to_do(field: Path) -> None:
+    shutil.rmtree(field / "copy/vehicle-1/identity")
+    done = again(field)
+    assert [str(name) for name in done.removed] == ["vehicle-1"]
+    assert f"  companion provision renew {field} vehicle-1\n" in new_text(done)
+    assert again(field).names == ()
 
 
 def test_a_revoked_vehicle_returns_under_a_new_name_with_new_keys(field: Path) -> None:

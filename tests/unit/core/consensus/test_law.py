@@ -11,6 +11,7 @@ from companion.core.consensus.law import (
     formation_acceleration,
     formation_error,
     formation_state,
+    used_weights,
     weighted,
 )
 from companion.core.consensus.priority import next_prc
@@ -111,3 +112,9 @@ def test_the_platoon_of_ideal_vehicles(law: FormationLaw, largest_m: list[float]
     largest, settled = fly_platoon(law)
     assert largest == pytest.approx(largest_m, abs=0.01)
     assert settled == pytest.approx(settled_s, abs=0.4)
+
+
+def test_a_leader_that_follows_the_reference_alone_uses_no_weights() -> None:
+    assert used_weights(average_26(), True, [2, 2]) == []
+    assert used_weights(average_26(), False, [1, 3]) == [0.5, 0.5]
+    assert used_weights(weighted(), True, [1, 3]) == pytest.approx([0.75, 0.25])

@@ -116,3 +116,13 @@ def test_a_stopping_agent_hands_over_the_stream_of_every_phase(kind: AutopilotKi
     assert flight.events[-1].code is not Code.PROCEDURE_FAILED
     target = flight.autopilot.targets[-1]
     assert max(abs(component) for component in target.q[1:3]) < 1e-6
+
+
+def test_a_command_in_the_wrong_phase_is_refused_for_the_phase_and_not_for_a_flag() -> None:
+    """On the ground no vehicle has a leader beacon: `form` needs a take-off, not a leader."""
+    flight = Flight(AutopilotKind.PX4).fly_to(P.READY)
+    raise_flags(flight, {F.LEADER_LOST})
+    flight.tick(C.FORM)
+    assert flight.replies[-1][:2] == (False, Code.WRONG_PHASE)
+    flight.tick(C.PREPARE)  # done already
+    assert flight.replies[-1][:2] == (True, Code.ALREADY_DONE)

@@ -150,3 +150,17 @@ def test_observer_starts_from_the_hover_thrust_parameter(kind: AutopilotKind, na
     preflight = Preflight(observer)
     preflight.update(0.0, (ParameterSample(0.0, name, 0.35),), kind)
     assert observer.hover_thrust_norm == 0.35
+
+
+@BOTH
+def test_a_warning_of_the_audit_stays_in_the_status_on_the_ground(kind: AutopilotKind) -> None:
+    flight = Flight(kind)
+    flight.autopilot.parameters["GF_ACTION" if kind is PX4 else "FENCE_ENABLE"] = 0
+    flight.fly_to(P.READY)
+    flight.ticks(1.0)
+    assert flight.status
+    code = Code.FENCE_ACTION_UNSAFE if kind is PX4 else Code.AUTOPILOT_FENCE_OFF
+    assert [notice.code for notice in flight.status.warnings] == [code]
+    assert flight.status.lacks == ()
+    flight.fly_to(P.HOLD)
+    assert flight.status.warnings == ()

@@ -1,0 +1,266 @@
+"""A server of the live page for its tests: the JSON of `companion/monitor/api.py` from a fleet that a test changes.
+
+The Content-Security-Policy is at least as strict as that of `companion monitor`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from math import radians
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+from aiohttp import WSMsgType, web
+from msgspec import structs
+
+import companion.monitor
+from companion.geometry.shapes import SHAPES
+from companion.geometry.shapes import slots_of as shape_slots
+from companion.monitor.api import (
+    AlarmView,
+    AnswerView,
+    CommandRequest,
+    CommandResult,
+    EventView,
+    FleetFileView,
+    FleetView,
+    History,
+    HistoryPoint,
+    HistorySample,
+    PathView,
+    Preview,
+    ReplayView,
+    Severity,
+    Snapshot,
+    VehicleView,
+)
+from page_fleet import fleet_file, fleet_of, vehicles_at
+
+PAGE = Path(companion.monitor.__file__).parent / "page"
+TOKEN = "a-token-of-this-test"
+POLICY = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; base-uri 'none'"
+Kind = Literal["event", "phase", "command", "answer", "alarm"]
+Change = Callable[[list[VehicleView]], list[VehicleView]]
+ANSWER_MS = 31.0
+HISTORY_POINTS = 60
+
+
+class PageServer:
+    """Serves in a thread, from `with` to its end. A test sets the public attributes; they hold from the next snapshot on."""
+
+    def __init__(self, count: int = 4, *, may_control: bool = False, port: int = 0) -> None:
+        self.count = count
+        self.may_control = may_control
+        self.port = port
+        self.change: Change = lambda vehicles: vehicles
+        self.alarms: list[AlarmView] = []
+        self.events: list[EventView] = []  # taken by the next snapshot
+        self.replay: ReplayView | None = None
+        self.refuse: dict[int, str] = {}  # by vehicle, the reason
+        self.paused = False  # nothing is sent, but the connection stays
+        self.delayed_by = 0  # snapshots that wait on a slow network
+        self.commands: list[CommandRequest] = []
+        self.received: list[dict[str, object]] = []  # over the WebSocket
+        self.begin_s = time.time() - 180.0
+        self.fleet_name = "ring"
+        self._number = 0
+        self._started = threading.Event()
+
+    @property
+    def url(self) -> str:
+        return f"http://127.0.0.1:{self.port}/"
+
+    @property
+    def control_url(self) -> str:
+        return f"{self.url}#token={TOKEN}"
+
+    def __enter__(self) -> PageServer:
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._serve()), daemon=True)
+        self._thread.start()
+        assert self._started.wait(20.0)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def stop(self) -> None:
+        """As a server that ends: every connection is closed."""
+        if self._thread.is_alive():
+            self._loop.call_soon_threadsafe(self._ended.set)
+            self._thread.join(20.0)
+
+    def alarm(self, vehicle_id: int | None, code: str, severity: Severity = "critical", text: str = "") -> AlarmView:
+        alarm = AlarmView(
+            id=len(self.alarms) + 1,
+            fleet=self.fleet_name,
+            vehicle_id=vehicle_id,
+            code=code,
+            severity=severity,
+            text=text or f"{code} of a test",
+            advice="look at the vehicle",
+            since_s=time.time() - 4.0,
+            until_s=None,
+            acknowledged=False,
+        )
+        self.alarms = [*self.alarms, alarm]
+        return alarm
+
+    def event(self, code: str, text: str, vehicle_id: int | None = None, kind: Kind = "event") -> None:
+        now_s, fleet = time.time(), self.fleet_name
+        number = int(now_s * 1e6)
+        event = EventView(id=number, time_s=now_s, fleet=fleet, vehicle_id=vehicle_id, kind=kind, code=code, text=text)
+        self.events.append(event)
+
+    def vehicles(self, time_s: float) -> list[VehicleView]:
+        return self.change(vehicles_at(time_s - self.begin_s, self.count, self.fleet_name))
+
+    def file(self) -> FleetFileView:
+        return fleet_file(self.count, self.fleet_name)
+
+    def snapshot(self) -> Snapshot:
+        self._number += 1
+        if self.replay:
+            self.replay = structs.replace(self.replay, now_s=self.replay.now_s + 0.1 * self.replay.speed)
+        now_s = self.replay.now_s if self.replay else time.time()
+        vehicles = self.vehicles(now_s)
+        fleets: list[FleetView] = [fleet_of(vehicles, self.fleet_name)]
+        events, self.events = tuple(self.events), []
+        return Snapshot(
+            number=self._number,
+            time_s=now_s,
+            may_control=self.may_control,
+            operator="ground-anna",
+            connected=tuple(f"tcp/192.168.1.{10 + i}:7447" for i in range(self.count)),
+            unreachable=(),
+            vehicles=tuple(vehicles),
+            fleets=tuple(fleets),
+            alarms=tuple(self.alarms),
+            events=events,
+            replay=self.replay,
+        )
+
+    async def _serve(self) -> None:
+        self._loop, self._ended = asyncio.get_running_loop(), asyncio.Event()
+        app = web.Application(middlewares=[_policy])
+        app.add_routes(
+            [
+                web.get("/", _index),
+                web.get("/api/v1/live", self._live),
+                web.get("/api/v1/history", self._history),
+                web.get("/api/v1/fleets/{name}", self._fleet),
+                web.post("/api/v1/commands", self._command),
+                web.post("/api/v1/preview", self._preview),
+                web.post("/api/v1/alarms/{id}/acknowledge", self._acknowledge),
+                web.static("/", PAGE),
+            ]
+        )
+        runner = web.AppRunner(app, shutdown_timeout=0.1)
+        await runner.setup()
+        site = web.TCPSite(runner, "127.0.0.1", self.port, reuse_address=True)
+        await site.start()
+        self.port = runner.addresses[0][1]
+        self._started.set()
+        await self._ended.wait()
+        await runner.cleanup()
+
+    async def _live(self, request: web.Request) -> web.WebSocketResponse:
+        socket = web.WebSocketResponse()
+        await socket.prepare(request)
+        sender = asyncio.ensure_future(self._send(socket))
+        ended = asyncio.ensure_future(self._ended.wait())
+        reader = asyncio.ensure_future(self._read(socket))
+        await asyncio.wait([sender, ended, reader], return_when=asyncio.FIRST_COMPLETED)
+        for task in (sender, ended, reader):
+            task.cancel()
+        await socket.close()
+        return socket
+
+    async def _send(self, socket: web.WebSocketResponse) -> None:
+        waiting: deque[str] = deque()
+        while True:
+            if not self.paused:
+                waiting.append(msgspec.json.encode(self.snapshot()).decode())
+                if len(waiting) > self.delayed_by:
+                    await socket.send_str(waiting.popleft())
+            await asyncio.sleep(0.1)
+
+    async def _read(self, socket: web.WebSocketResponse) -> None:
+        async for message in socket:
+            if message.type is WSMsgType.TEXT:
+                self.received.append(message.json())
+
+    async def _history(self, _: web.Request) -> web.Response:
+        end_s = time.time()
+        times = [end_s - (HISTORY_POINTS - i) / 2.0 for i in range(HISTORY_POINTS)]
+        return _json(History(tuple(_point(time_s, self.vehicles(time_s)) for time_s in times), ()))
+
+    async def _fleet(self, _: web.Request) -> web.Response:
+        return _json(self.file())
+
+    async def _command(self, request: web.Request) -> web.Response:
+        if request.headers.get("X-Companion-Token") != TOKEN:
+            return _json({"error": "the token is missing or wrong"}, status=403)
+        command = msgspec.json.decode(await request.read(), type=CommandRequest)
+        self.commands.append(command)
+        self.event(f"COMMAND {command.name}", "sent", kind="command")
+        ids = command.vehicle_ids or range(1, self.count + 1)
+        return _json(CommandResult(command.name, tuple(self._answer(vehicle_id, command.name) for vehicle_id in ids)))
+
+    def _answer(self, vehicle_id: int, name: str) -> AnswerView:
+        if reason := self.refuse.get(vehicle_id):
+            return AnswerView(vehicle_id, "refused", "COMMAND_REFUSED", reason, ANSWER_MS)
+        return AnswerView(vehicle_id, "accepted", "PHASE_CHANGED", f"{name} begins", ANSWER_MS)
+
+    async def _preview(self, request: web.Request) -> web.Response:
+        command = msgspec.json.decode(await request.read(), type=CommandRequest)
+        if command.name == "reference":
+            centre = command.content.get("centre_enu_m") or command.content.get("point_enu_m")
+            track = (tuple(centre),) if centre else tuple(map(tuple, command.content["points_enu_m"]))
+            return _json(Preview(track_enu_m=track, lasts_s=12.0))  # type: ignore[arg-type]
+        spacing_m = command.content["spacing_m"]
+        if spacing_m < 2.5:
+            return _json(Preview(refused=f"SLOT_TOO_CLOSE: slots {spacing_m} m apart, separation_m is 2.5 m"))
+        shape = SHAPES[command.content["shape"]]
+        slots = shape_slots(shape, self.count, spacing_m, radians(command.content["heading_deg"]))
+        leader, *_ = vehicles = self.vehicles(time.time())
+        x, y, z = leader.reference_enu_m or leader.position_enu_m
+        paths = tuple(
+            PathView(v.vehicle_id, v.slot_position_enu_m or v.position_enu_m, (x + dx, y + dy, z + dz))
+            for v, (dx, dy, dz) in zip(vehicles, slots, strict=True)
+        )
+        return _json(Preview(paths=paths, smallest_separation_m=2.81, lasts_s=6.2))
+
+    async def _acknowledge(self, request: web.Request) -> web.Response:
+        number = int(request.match_info["id"])
+        self.alarms = [structs.replace(a, acknowledged=True) if a.id == number else a for a in self.alarms]
+        return _json({})
+
+
+def _point(time_s: float, vehicles: list[VehicleView]) -> HistoryPoint:
+    samples = []
+    for vehicle in vehicles:
+        nearest_m = vehicle.nearest.distance_m if vehicle.nearest else None
+        altitude_m, late_ms = vehicle.position_enu_m[2], vehicle.timing.late_p99_ms
+        values = (altitude_m, vehicle.error_to_slot_m, vehicle.battery_percent, late_ms, nearest_m)
+        samples.append(HistorySample(vehicle.vehicle_id, *values))
+    return HistoryPoint(time_s, fleet_of(vehicles).smallest_separation_m, tuple(samples))
+
+
+@web.middleware
+async def _policy(request: web.Request, handler: Callable[[web.Request], object]) -> web.StreamResponse:
+    response: web.StreamResponse = await handler(request)  # type: ignore[misc]
+    response.headers["Content-Security-Policy"] = POLICY
+    return response
+
+
+async def _index(_: web.Request) -> web.FileResponse:
+    return web.FileResponse(PAGE / "index.html")
+
+
+def _json(value: object, status: int = 200) -> web.Response:
+    return web.Response(body=msgspec.json.encode(value), content_type="application/json", status=status)

@@ -1,0 +1,85 @@
+"""A flight in virtual time, recorded by its agents, shown again by the source of `companion monitor --replay`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from companion.monitor.api import Snapshot
+from companion.monitor.picture.picture import Picture
+from companion.monitor.recorded_flight import NoFlightError, recorded_flight
+from companion.recording.reader import RecordingError
+from companion.types.flight import FlightPhase
+from repository import ROOT
+from sitl.flight.scenario import load_scenario
+from sitl.flight.virtual_flight import Flown, fly_in_virtual_time
+from sitl.report.progress import Progress
+
+PLATOON = ROOT / "config" / "scenarios" / "platoon.yaml"
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory: pytest.TempPathFactory) -> tuple[Flown, Path]:
+    folder = tmp_path_factory.mktemp("recordings")
+    scenario = load_scenario(PLATOON, ["timeline[3].for_s=4"])
+    return fly_in_virtual_time(scenario, Progress("test", True, 0.0), recordings=folder), folder
+
+
+class Shown:
+    """A recording, played step by step by a clock of the test."""
+
+    def __init__(self, folder: Path) -> None:
+        self._now_s = 0.0
+        warnings: list[str] = []
+        self.flight = recorded_flight(folder, warnings.append, lambda: self._now_s)
+        assert warnings == []
+        self.picture = Picture(self.flight.fleets, "")
+
+    def play(self, seconds: float) -> Snapshot:
+        """The last snapshot of these seconds."""
+        source = self.flight.source
+        for _ in range(int(seconds * 10)):
+            self._now_s += 0.1
+            self.picture.receive(source.drain())
+            for happening in source.drain_happenings():
+                self.picture.events.add(*happening)
+            snapshot = self.picture.snapshot(*source.moment())
+        return snapshot
+
+
+def test_it_has_the_fleet_file_and_every_vehicle(flight: tuple[Flown, Path]) -> None:
+    shown = Shown(flight[1])
+    assert list(shown.flight.fleets) == ["platoon"]
+    snapshot = shown.play(2.0)
+    assert [v.vehicle_id for v in snapshot.vehicles] == sorted(flight[0].tracks())
+    assert not any(v.silent for v in snapshot.vehicles)
+
+
+def test_the_whole_flight_is_in_its_timeline(flight: tuple[Flown, Path]) -> None:
+    shown = Shown(flight[1])
+    replay = shown.flight.source.replay
+    snapshot = shown.play(replay.end_s - replay.begin_s + 1.0)
+    events = shown.picture.events.all()
+    phases = [e.text for e in events if e.kind == "phase" and e.vehicle_id == 1]
+    assert any(FlightPhase.FORMATION in text for text in phases)
+    exchanged = [e for e in events if e.kind in ("command", "answer") and e.vehicle_id == 1]
+    assert [e.code for e in exchanged if e.kind == "command"] == [
+        "prepare",
+        "prepare",
+        "arm",
+        "takeoff",
+        "form",
+        "land",
+    ]
+    assert [e.kind for e in exchanged] == ["command", "answer"] * 6
+    assert exchanged[1].code == "WRONG_SESSION"  # the first one came before the first report of the agent
+    points = shown.picture.history().points
+    assert any(v.error_to_slot_m is not None for point in points for v in point.vehicles)
+    assert not any(v.armed for v in snapshot.vehicles)
+
+
+def test_a_folder_without_a_recording_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises((RecordingError, NoFlightError)) as raised:
+        recorded_flight(tmp_path, print)
+    assert "\n" not in str(raised.value)
