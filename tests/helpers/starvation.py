@@ -4,6 +4,8 @@ A test marked `real_time` is starved if an agent, a stand-in or the test process
 `lateness.STARVED_S` while the test or one of its module or session fixtures ran. Its first failure is reported as STARVED,
 which is no failure yet. After all other tests, of all xdist workers, it runs once more, alone, with new fixtures; that
 outcome counts. A starved test that could not run again is a failure. Without measured starvation a failure counts at once.
+A second failure while the hypervisor gave at least `lateness.STOLEN_SHARE` of the processors to other machines is NOT JUDGED:
+such a machine cannot fly in real time, and the code has no part in it. It is reported with what was stolen, and is no failure.
 """
 
 from __future__ import annotations
@@ -23,6 +25,7 @@ import lateness
 from lateness import Late, OwnLateness, ReportedLateness
 
 STARVED = "starved"
+NOT_JUDGED = "not judged"
 SHOWN_SOURCES = 3
 
 
@@ -40,11 +43,13 @@ class StarvedTests:
         self._own: OwnLateness | None = None
         self._reported: ReportedLateness | None = None
         self._late: list[Late] = []
+        self._stolen: list[tuple[float, float]] = []  # share of the processors, and when it was collected
         self._fixture_began_s: dict[object, float] = {}  # of module and session fixtures, their last setup
         self._deferred: list[pytest.Item] = []
         self._again: set[pytest.Item] = set()
         self._first_failures: dict[str, Any] = {}  # by test id, in the order in which they were reported
         self._outcomes: dict[str, str] = {}  # of the second runs
+        self._stolen_from: dict[str, str] = {}  # of those that were not judged: what was stolen
 
     # ---------------------------------------------------------------- running
 
@@ -65,11 +70,15 @@ class StarvedTests:
         reports = runtestprotocol(item, log=False, nextitem=nextitem)
         self._measure()
         failure = next((report for report in reports if report.failed), None)
-        late = self._starving(item, began_s) if failure and item not in self._again else []
-        if failure and late:
+        since_s = self._since_s(item, began_s)
+        late = [late for late in self._late if late.collected_s >= since_s]
+        stolen = max((share for share, collected_s in self._stolen if collected_s >= since_s), default=0.0)
+        if failure and late and item not in self._again:
             self._deferred.append(item)
             reports = [_starved_report(failure, late)]
             item.user_properties.append((STARVED, _in_words(late)))  # goes into the reports of the second run
+        elif failure and item in self._again and stolen >= lateness.STOLEN_SHARE:
+            reports = [_not_judged_report(failure, stolen)]
         for report in reports:
             hook.pytest_runtest_logreport(report=report)
         hook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
@@ -112,18 +121,20 @@ class StarvedTests:
             self._reported = ReportedLateness(self._config._tmp_path_factory.getbasetemp())  # type: ignore[attr-defined]
         measured = self._reported.collect() + self._own.collect()
         self._late += [late for late in measured if late.late_s >= lateness.STARVED_S]
+        self._stolen.append((self._own.collect_stolen(), time.monotonic()))
 
-    def _starving(self, item: pytest.Item, began_s: float) -> list[Late]:
-        """Lateness measured while the test ran, or a fixture that it shares with others."""
+    def _since_s(self, item: pytest.Item, began_s: float) -> float:
+        """When the test, or a fixture that it shares with others, began."""
         fixtures = [fixture for named in item._fixtureinfo.name2fixturedefs.values() for fixture in named]  # type: ignore[attr-defined]
-        since_s = min([began_s, *(self._fixture_began_s.get(fixture, began_s) for fixture in fixtures)])
-        return [late for late in self._late if late.collected_s >= since_s]
+        return min([began_s, *(self._fixture_began_s.get(fixture, began_s) for fixture in fixtures)])
 
     # ---------------------------------------------------------------- reporting
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_report_teststatus(self, report: Any) -> tuple[str, str, tuple[str, dict[str, bool]]] | None:
-        return (STARVED, "S", ("STARVED", {"yellow": True})) if report.outcome == STARVED else None
+        if report.outcome in (STARVED, NOT_JUDGED):
+            return report.outcome, "S", (report.outcome.upper(), {"yellow": True})
+        return None
 
     def pytest_runtest_logreport(self, report: Any) -> None:
         test = report.nodeid
@@ -131,6 +142,8 @@ class StarvedTests:
             self._first_failures[test] = report
         elif test in self._first_failures and (report.when == "call" or not report.passed):
             self._outcomes[test] = "failed" if self._outcomes.get(test) == "failed" else report.outcome
+        if report.outcome == NOT_JUDGED:
+            self._stolen_from[test] = report.stolen
 
     def _fail_what_did_not_run_again(self) -> None:
         for test, first in self._first_failures.items():
@@ -145,9 +158,11 @@ class StarvedTests:
         terminalreporter.section("starved tests: failed while late, run once more after the others")
         for test, first in self._first_failures.items():
             outcome = self._outcomes.get(test, "not run again")
-            terminalreporter.write_line(f"{outcome:<8} {test}")
+            terminalreporter.write_line(f"{outcome:<10} {test}")
             terminalreporter.write_line(f"         measured: {first.starved}")
             terminalreporter.write_line(f"         first failure: {first.first_failure}")
+            if test in self._stolen_from:
+                terminalreporter.write_line(f"         second run: {self._stolen_from[test]}")
 
 
 def _starved_report(failure: pytest.TestReport, late: list[Late]) -> pytest.TestReport:
@@ -156,6 +171,14 @@ def _starved_report(failure: pytest.TestReport, late: list[Late]) -> pytest.Test
     crash = getattr(failure.longrepr, "reprcrash", None)
     failure.first_failure = (crash.message if crash else str(failure.longrepr)).splitlines()[0]  # type: ignore[attr-defined]
     failure.starved = _in_words(late)  # type: ignore[attr-defined]
+    return failure
+
+
+def _not_judged_report(failure: pytest.TestReport, stolen: float) -> pytest.TestReport:
+    """The report of a second failure on a machine that cannot fly in real time."""
+    failure.outcome = NOT_JUDGED  # type: ignore[assignment]
+    stolen_words = f"the hypervisor gave {stolen:.0%} of the processors to others within {lateness.STOLEN_WITHIN_S:g} s"
+    failure.stolen = stolen_words  # type: ignore[attr-defined]
     return failure
 
 

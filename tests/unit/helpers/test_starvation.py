@@ -14,6 +14,16 @@ import lateness
 import pytest
 
 lateness.STARVED_S = {limit_s}
+lateness.STOLEN_WITHIN_S = 0.05
+lateness.STAT = __import__("pathlib").Path(__file__).parent / "stat"
+lateness.STAT.write_text("cpu  100 0 0 100 0 0 0 0 0 0\\n")
+
+@pytest.fixture
+def stolen():
+    user, stolen = [int(lateness.STAT.read_text().split()[i]) for i in (1, 8)]
+    lateness.STAT.write_text(f"cpu  {{user + 100 - {stolen}}} 0 0 100 0 0 0 {{stolen + {stolen}}} 0 0\\n")
+    yield
+    __import__("time").sleep(0.2)
 
 @pytest.fixture
 def late(tmp_path):
@@ -31,8 +41,10 @@ WORKER = ["-p", "xdist", "-n", "1"]
 plain_and_xdist = pytest.mark.parametrize("workers", [[], WORKER], ids=["plain", "xdist"])
 
 
-def run(pytester: pytest.Pytester, code: str, *options: str, limit_s: float = 10.0) -> pytest.RunResult:
-    pytester.makeconftest(CONFTEST.format(limit_s=limit_s))
+def run(
+    pytester: pytest.Pytester, code: str, *options: str, limit_s: float = 10.0, stolen: int = 40
+) -> pytest.RunResult:
+    pytester.makeconftest(CONFTEST.format(limit_s=limit_s, stolen=stolen))
     pytester.makepyfile(test_it=f"import pytest\npytestmark = pytest.mark.real_time\n{code}")
     helpers = str(ROOT / "tests" / "helpers")
     pytester.makeini(f"[pytest]\npythonpath = {helpers}\n")
@@ -72,7 +84,7 @@ def test_other():
             "*STARVED*",
             "*test_starved*PASSED*" if not workers else "*PASSED*test_starved*",
             "*starved tests*",
-            "passed   test_it.py::test_starved",
+            "passed     test_it.py::test_starved",
             "*measured: agent_1 20000 ms late",
             "*first failure: AssertionError: the first run",
         ]
@@ -90,9 +102,37 @@ def test_a_starved_test_that_fails_again_is_a_failure(pytester: pytest.Pytester,
     result = run(pytester, "def test_starved(late, runs): assert runs == 3\ndef test_other(): pass\n", *workers)
     assert result.ret == 1
     result.assert_outcomes(passed=1, failed=1)
-    result.stdout.fnmatch_lines(["failed   test_it.py::test_starved"])
+    result.stdout.fnmatch_lines(["failed     test_it.py::test_starved"])
     assert (pytester.path / "test_starved.runs").read_text() == "2"
     assert len(cases(pytester.path)["test_starved"].findall("failure")) == 1
+
+
+@plain_and_xdist
+def test_a_starved_test_that_fails_again_while_the_hypervisor_takes_the_processors_is_not_judged(
+    pytester: pytest.Pytester, workers: list[str]
+) -> None:
+    result = run(pytester, "def test_starved(late, stolen, runs): assert runs == 3\ndef test_other(): pass\n", *workers)
+    assert result.ret == 0
+    result.assert_outcomes(passed=1)
+    result.stdout.fnmatch_lines(
+        [
+            "*NOT JUDGED*",
+            "not judged test_it.py::test_starved",
+            "*second run: the hypervisor gave 40% of the processors to others within 0.05 s",
+        ]
+    )
+
+
+def test_a_little_stolen_time_excuses_no_second_failure(pytester: pytest.Pytester) -> None:
+    result = run(pytester, "def test_starved(late, stolen, runs): assert runs == 3\n", stolen=5)
+    assert result.ret == 1
+    result.assert_outcomes(failed=1)
+
+
+def test_stolen_time_excuses_no_failure_of_a_test_that_was_in_time(pytester: pytest.Pytester) -> None:
+    result = run(pytester, "def test_fails(stolen): assert False\n")
+    assert result.ret == 1
+    result.assert_outcomes(failed=1)
 
 
 @plain_and_xdist
@@ -128,7 +168,7 @@ def test_second(flight): pass
     assert result.ret == 0
     result.assert_outcomes(passed=2)
     result.stdout.fnmatch_lines(
-        ["passed   test_it.py::test_first", "*autopilot_2 11000 ms late", "passed   test_it.py::test_second"]
+        ["passed     test_it.py::test_first", "*autopilot_2 11000 ms late", "passed     test_it.py::test_second"]
     )
     assert (pytester.path / "setups").read_text() == "xx"
 
