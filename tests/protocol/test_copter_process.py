@@ -123,10 +123,8 @@ def test_rates_outlive_a_client_and_only_one_can_connect(tmp_path: Path) -> None
 
 def test_a_quaternion_that_is_not_a_number_ends_the_process(tmp_path: Path) -> None:
     with client_of(tmp_path) as (process, client):
-        client.wait("HEARTBEAT")
-        while client.command(M.MAV_CMD_DO_SET_MODE, 1, GUIDED):  # refused before it has a position
-            time.sleep(0.2)
-        client.wait_for_mode(GUIDED)
+        while client.wait("HEARTBEAT").custom_mode != GUIDED:  # a mode set before "ArduPilot Ready" is lost
+            client.command(M.MAV_CMD_DO_SET_MODE, 1, GUIDED)
         client.link.mav.set_attitude_target_send(0, 1, 1, 7, [nan] * 4, 0.0, 0.0, 0.0, 0.365)
         assert process.process.wait(TIMEOUT_S) == -signal.SIGABRT
         assert "not a number" in process.log

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from hashlib import sha256
 from pathlib import Path
 
 from aiohttp import web
@@ -23,25 +25,44 @@ TYPES = {
     ".woff2": "font/woff2",
     ".txt": "text/plain",
 }
+PRELOADS = b"<!-- preloads -->"  # in index.html
 DEEPEST_ZOOM = 24
 TILE_AGE_S = 86400
 
 
-def page_files(folder: Path = PAGE) -> Mapping[str, Path]:
+@dataclass(frozen=True, slots=True)
+class PageFile:
+    """A file of the page as it is sent."""
+
+    body: bytes
+    content_type: str
+    tag: str  # differs where the content does
+
+
+def page_files(folder: Path = PAGE) -> Mapping[str, PageFile]:
     """The files of the page by their path below it, of known types; read once at the start."""
-    files = (file for file in sorted(folder.rglob("*")) if file.is_file() and file.suffix in TYPES)
-    return {file.relative_to(folder).as_posix(): file for file in files}
+    files = [file for file in sorted(folder.rglob("*")) if file.is_file() and file.suffix in TYPES]
+    bodies = {file.relative_to(folder).as_posix(): file.read_bytes() for file in files}
+    bodies["index.html"] = bodies["index.html"].replace(PRELOADS, _preloads(bodies))
+    return {path: PageFile(body, TYPES[Path(path).suffix], sha256(body).hexdigest()) for path, body in bodies.items()}
 
 
-async def page_file(request: web.Request, files: Mapping[str, Path]) -> web.StreamResponse:
+def _preloads(paths: Iterable[str]) -> bytes:
+    """The browser asks for all modules at once; without this it finds the imports of a module when it has loaded that one."""
+    return "".join(f'<link rel="modulepreload" href="{path}">' for path in paths if path.endswith(".js")).encode()
+
+
+async def page_file(request: web.Request, files: Mapping[str, PageFile]) -> web.StreamResponse:
     """A file of the page; / is index.html."""
     file = files.get(request.match_info.get("path", "") or "index.html")
     if file is None:
         return error(404, f"{request.path[:200]}: no such file of the page")
-    response = web.FileResponse(file, headers={"Cache-Control": "no-cache"})
-    response.content_type = TYPES[file.suffix]
-    if response.content_type.startswith("text/"):
-        response.charset = "utf-8"
+    if any(known.value == file.tag for known in request.if_none_match or ()):
+        return web.Response(status=304)
+    charset = "utf-8" if file.content_type.startswith("text/") else None
+    response = web.Response(body=file.body, content_type=file.content_type, charset=charset)
+    response.headers["Cache-Control"] = "no-cache"
+    response.etag = file.tag
     return response
 
 

@@ -28,6 +28,7 @@ import { vehicles } from "./views/vehicles.js";
 const ABORT_HOLD_S = 0.5;
 const HINT_MS = 4000;
 const TICK_MS = 200; // ages count up also without snapshots
+const PANELS_MS = 240; // between two updates of lists and plots by snapshots: people read no faster
 const DEFAULT_ALTITUDE_M = 4;
 
 const at = (id) => document.getElementById(id);
@@ -38,6 +39,8 @@ const metrics = new Metrics();
 const abort = { keys: false };
 const page = { tab: "vehicles", filter: "all", hint: "", speed: 1, altitudeM: null };
 let frame = null; // the requested animation frame
+let panelsFrame = null; // likewise, of the panels
+let panelsMs = -Infinity; // when they were drawn
 let arrivedMs = null; // of the oldest snapshot that is not painted yet
 
 const theme = new Theme(schedule);
@@ -139,41 +142,59 @@ const live = new LiveConnection(
     if (snapshot.replay?.speed) page.speed = snapshot.replay.speed;
     arrivedMs ??= nowMs;
     store.refreshFile(nowMs, (file) => map.probeTiles(file));
-    schedule();
+    scheduleMap();
+    if (nowMs - panelsMs >= PANELS_MS) schedulePanels();
   },
   () => store.loadHistory(),
 );
 
+/** All of the page: after an action of the operator. */
 function schedule() {
-  frame ??= requestAnimationFrame(draw);
+  scheduleMap();
+  schedulePanels();
 }
 
-function draw() {
+function scheduleMap() {
+  frame ??= requestAnimationFrame(drawMap);
+}
+
+/** In a frame after that of the map, which does not wait for them. */
+function schedulePanels() {
+  panelsFrame ??= requestAnimationFrame(() => {
+    panelsFrame = requestAnimationFrame(drawPanels);
+  });
+}
+
+function contextAt(nowMs) {
+  return { store, nowMs, theme, sound, abort, act, commanding, hint: page.hint, filter: page.filter };
+}
+
+function drawMap() {
   frame = null;
   const nowMs = performance.now();
-  const lost = store.freshness.lost(nowMs);
-  document.body.classList.toggle("lost", lost);
+  document.body.classList.toggle("lost", store.freshness.lost(nowMs));
   document.body.classList.toggle("replaying", Boolean(store.snapshot?.replay));
-  const context = { store, nowMs, theme, sound, abort, act, commanding, hint: page.hint, filter: page.filter };
+  const context = contextAt(nowMs);
   render(bar(context), at("bar"));
   render(banner(context), at("banner"));
-  render(figures(context), at("figures"));
-  render(tabs({ store, current: page.tab, act }), at("tabs"));
-  drawPanels(context);
   map.draw(theme.colours, nowMs);
   at("scene").classList.toggle("drawing", Boolean(store.drawing?.active));
-  plots.update(theme.colours, document.documentElement.dataset.theme);
   if (arrivedMs !== null) metrics.drawn(arrivedMs);
   arrivedMs = null;
 }
 
-function drawPanels(context) {
+function drawPanels() {
+  panelsFrame = null;
+  panelsMs = performance.now();
+  const context = contextAt(panelsMs);
   const { controls, snapshot } = store;
   at("control").hidden = !controls;
   if (!controls && page.tab === "control") act.tab("vehicles");
   at("replay").hidden = !snapshot?.replay;
   if (snapshot?.replay) render(replay(context), at("replay"));
   if (controls) render(control(context), at("control"));
+  render(figures(context), at("figures"));
+  render(tabs({ store, current: page.tab, act }), at("tabs"));
   render(vehicles(context), at("vehicles"));
   watchRows();
   render(details(context), at("details"));
@@ -182,6 +203,8 @@ function drawPanels(context) {
   render(mapTools(map), at("map-tools"));
   render(help({ controls, close: () => at("help").close() }), at("help"));
   render(drawingNote(), at("map-note"));
+  plots.update(theme.colours, document.documentElement.dataset.theme);
+  if (store.arrivedMs !== null) metrics.drawn(store.arrivedMs);
 }
 
 function drawingNote() {

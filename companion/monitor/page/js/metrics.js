@@ -4,13 +4,17 @@ const KEPT = 600;
 
 export class Metrics {
   constructor() {
-    this._durationsMs = [];
-    this.count = 0;
+    this.restart();
     this.firstPaintMs = null; // since the navigation to the page
     this._channel = new MessageChannel();
     this._channel.port1.onmessage = () => this._painted();
     this._pendingMs = null;
     globalThis.companionMetrics = this;
+  }
+
+  restart() {
+    this._durationsMs = [];
+    this.count = 0;
   }
 
   /** Called in an animation frame, after drawing. A message is handled after the frame has been painted. */

@@ -13,6 +13,7 @@ const NO_FILE_AGAIN_MS = 60000; // without a fleet file the server answers 404
 export class Store {
   constructor() {
     this.snapshot = null;
+    this.arrivedMs = null; // of the snapshot
     this.freshness = new Freshness();
     this.trails = new Trails();
     this.history = new History();
@@ -64,6 +65,7 @@ export class Store {
     const jumped = before && Math.abs(snapshot.time_s - before.time_s) > JUMP_S;
     const missed = before && snapshot.number > before.number + 1; // and with them, events
     this.snapshot = snapshot;
+    this.arrivedMs = nowMs;
     this.freshness.accept(snapshot, nowMs);
     if (restarted || jumped) this._forget();
     else if (missed) this.loadHistory();
