@@ -91,7 +91,7 @@ pictures: .venv/fly.ready
 # after the others; one that fails again while the hypervisor takes the processors is NOT JUDGED (decision 0041). Tests in
 # virtual time do not depend on the load of the machine.
 VIRTUAL_TESTS = $(BIN)/pytest -q -n 2 --dist worksteal --durations 25 -m "not long" tests/unit tests/lockstep
-REAL_TIME_TESTS = $(BIN)/pytest -v -n 2 --dist loadscope --durations 60 -m "$(KINDS)"
+REAL_TIME_TESTS = $(BIN)/pytest -v -n 3 --dist loadscope --durations 60 -m "$(KINDS)"
 KINDS = not long
 FAULT_TESTS = tests/faults/test_link_faults.py tests/faults/test_process_faults.py tests/faults/test_autopilot_faults.py
 

@@ -17,7 +17,6 @@ from mcap.data_stream import RecordBuilder
 from mcap.records import Channel, DataEnd, Footer, McapRecord, Metadata, MetadataIndex, Schema, Statistics
 from mcap.records import Chunk as ChunkRecord
 from mcap.records import Header as McapHeader
-from mcap.writer import MCAP0_MAGIC
 
 from companion.recording import schemas
 from companion.recording.codec import metadata_of
@@ -25,6 +24,7 @@ from companion.recording.records import FORMAT, Header
 from companion.recording.writer.chunk import Chunk
 from companion.recording.writer.files import Part
 
+MAGIC = b"\x89MCAP0\r\n"  # first and last bytes of a file; mcap.writer, which has them too, would take 2 MB of memory
 CRC_BYTES = 4  # at the end of a footer, the one field that its checksum leaves out
 # Level 9 with longer matches, for text with many numbers: 45 us of a core for a tick. Level 3 makes files a seventh larger, and
 # level 15 takes ten times as long.
@@ -69,13 +69,13 @@ class McapPart(Part[Chunk]):
         summary_start = offset + len(data_end)
         footer = _bytes_of(Footer(summary_start, 0, 0))
         crc = zlib.crc32(footer[:-CRC_BYTES], zlib.crc32(summary))
-        return data_end + summary + _bytes_of(Footer(summary_start, 0, crc)) + MCAP0_MAGIC
+        return data_end + summary + _bytes_of(Footer(summary_start, 0, crc)) + MAGIC
 
     def _before_messages(self) -> tuple[bytes, bytes]:
         """What precedes the metadata record, and the metadata record."""
         header = McapHeader(profile=FORMAT, library=self._header.software)
         metadata = Metadata(name=FORMAT, metadata=metadata_of(self._header))
-        return MCAP0_MAGIC + _bytes_of(header), _bytes_of(metadata)
+        return MAGIC + _bytes_of(header), _bytes_of(metadata)
 
     def _compressed(self, data: bytes, start_ns: int, end_ns: int) -> bytes:
         self._chunks += 1
