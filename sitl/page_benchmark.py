@@ -26,7 +26,7 @@ ARGUMENTS = [
     *("--disable-component-update", "--disable-sync"),
 ]
 VEHICLES, RATE_HZ = 50, 10.0
-SIZE_PX = {"width": 1440, "height": 900}
+WIDTH_PX, HEIGHT_PX = 1440, 900
 SETTLE_S, MEASURE_S = 5.0, 40.0
 P95_LIMIT_MS, CPU_LIMIT_PERCENT, FIRST_LIMIT_S = 100.0, 25.0, 2.0
 LOAD_PORT, PAGE_PORT = 7448, 8601
@@ -72,7 +72,7 @@ def _measured(folder: Path) -> Measured:
         with _running(*show, "--listen", f"127.0.0.1:{PAGE_PORT}") as (output, server_id), sync_playwright() as tool:
             url = _url(output)
             browser = tool.chromium.launch(executable_path=str(CHROMIUM), args=ARGUMENTS)
-            page = browser.new_page(viewport=SIZE_PX)
+            page = browser.new_page(viewport={"width": WIDTH_PX, "height": HEIGHT_PX})
             page.goto(url)
             while not page.evaluate("globalThis.companionMetrics?.count"):  # the page forbids to wait by eval
                 time.sleep(0.05)

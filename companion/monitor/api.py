@@ -223,6 +223,7 @@ class FleetFileView(Struct, frozen=True, kw_only=True):
     clearance_m: float
     obstacles: tuple[ObstacleView, ...]
     homes_enu_m: dict[int, Vector3]  # where each vehicle was last disarmed on the ground, as this server saw it
+    tiles: bool = False  # whether this server has a folder of map tiles
 
 
 class CommandRequest(Struct, frozen=True, forbid_unknown_fields=True):
@@ -288,7 +289,10 @@ class HistorySample(Struct, frozen=True, array_like=True):
 
 
 class HistoryPoint(Struct, frozen=True):
+    """One fleet at one time."""
+
     time_s: float
+    fleet: str
     smallest_separation_m: float | None
     vehicles: tuple[HistorySample, ...]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
+from math import inf
 from typing import NamedTuple, Protocol
 
 from companion.ground.endpoints import unreachable
@@ -12,10 +13,13 @@ from companion.ground.fleet_status import VehicleKey
 from companion.ground.session import FleetSession
 from companion.monitor.api import ReplayView
 from companion.monitor.picture.events import Happening, answered
+from companion.types.rejections import rejection_text
 from companion.wire.ground import StatusReport
 
 TimedReport = tuple[float, StatusReport]
 BEFORE_JUMP_S = 2.0  # after a jump in a replay these reports are read, for rates and changes
+REFUSED_EVERY_S = 60.0
+NO_FLEET = ""  # of an event that no fleet can be named for
 MOST_AT_ONCE = 20_000  # reports in one call
 
 
@@ -49,6 +53,7 @@ class LiveSource:
     def __init__(self, session: FleetSession, endpoints: Sequence[str]) -> None:
         self._session = session
         self._endpoints = endpoints
+        self._refused: dict[str, float] = {}  # code of refused reports -> when it was last told
 
     def moment(self) -> Moment:
         return Moment(time.monotonic(), time.time())
@@ -59,11 +64,23 @@ class LiveSource:
 
     def drain_happenings(self) -> list[Happening]:
         """Answers to this operator are left out: they are logged with the command."""
-        return [
+        answers = [
             answered(time.time(), fleet, reply)
             for fleet, reply in self._session.drain_replies()
             if reply.operator != self._session.operator
         ]
+        return answers + self._refusals(time.monotonic())
+
+    def _refusals(self, now_s: float) -> list[Happening]:
+        """One event per code and REFUSED_EVERY_S: a vehicle with another version of this software is not seen otherwise."""
+        happened, rejected = [], self._session.rejected
+        for code in list(rejected):
+            if now_s - self._refused.get(code, -inf) < REFUSED_EVERY_S:
+                continue
+            self._refused[code] = now_s
+            text = f"{rejected.pop(code)} reports or answers refused: {rejection_text(code)}"
+            happened.append(Happening(time.time(), NO_FLEET, None, "event", code, text))
+        return happened
 
     def connections(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
         failed = unreachable(self._endpoints, self._session.linked())

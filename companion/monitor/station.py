@@ -95,11 +95,15 @@ class Station:
 
     async def _look_at_connections(self) -> None:
         """In a thread: to reach an endpoint may take a second."""
+        failed = False
         while True:
             try:
                 self._connected, self._unreachable = await asyncio.to_thread(self._source.connections)
+                failed = False
             except Exception:  # noqa: BLE001 -- Zenoh's; the picture goes on without it
-                _log.exception("the connections to the vehicles cannot be looked at")
+                if not failed:  # logged once, until it works again
+                    _log.exception("the connections to the vehicles cannot be looked at")
+                failed = True
             await asyncio.sleep(CONNECTIONS_EVERY_S)
 
     def act(self, message: ClientMessage) -> None:

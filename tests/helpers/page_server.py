@@ -197,7 +197,7 @@ class PageServer:
     async def _history(self, _: web.Request) -> web.Response:
         end_s = time.time()
         times = [end_s - (HISTORY_POINTS - i) / 2.0 for i in range(HISTORY_POINTS)]
-        return _json(History(tuple(_point(time_s, self.vehicles(time_s)) for time_s in times), ()))
+        return _json(History(tuple(_point(time_s, self.vehicles(time_s), self.fleet_name) for time_s in times), ()))
 
     async def _fleet(self, _: web.Request) -> web.Response:
         return _json(self.file())
@@ -241,14 +241,14 @@ class PageServer:
         return _json({})
 
 
-def _point(time_s: float, vehicles: list[VehicleView]) -> HistoryPoint:
+def _point(time_s: float, vehicles: list[VehicleView], fleet: str) -> HistoryPoint:
     samples = []
     for vehicle in vehicles:
         nearest_m = vehicle.nearest.distance_m if vehicle.nearest else None
         altitude_m, late_ms = vehicle.position_enu_m[2], vehicle.timing.late_p99_ms
         values = (altitude_m, vehicle.error_to_slot_m, vehicle.battery_percent, late_ms, nearest_m)
         samples.append(HistorySample(vehicle.vehicle_id, *values))
-    return HistoryPoint(time_s, fleet_of(vehicles).smallest_separation_m, tuple(samples))
+    return HistoryPoint(time_s, fleet, fleet_of(vehicles).smallest_separation_m, tuple(samples))
 
 
 @web.middleware

@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import signal
-import subprocess
-import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,6 +11,7 @@ import pytest
 from fleet_ports import free_fleet_offset
 from page_waits import until
 from repository import ROOT
+from running_program import running
 
 expect = pytest.importorskip("playwright.sync_api", reason="Playwright is missing").expect
 
@@ -28,22 +24,6 @@ pytestmark = [pytest.mark.fleet, pytest.mark.timeout(300)]
 PLATOON = ROOT / "config" / "scenarios" / "platoon.yaml"
 HELD_MS = 1300
 PATIENCE_MS = 60_000
-
-
-@contextmanager
-def running(*arguments: str) -> Iterator[subprocess.Popen[str]]:
-    """A program of the project, interrupted at the end."""
-    command = [sys.executable, "-m", *arguments]
-    environment = {key: value for key, value in os.environ.items() if not key.startswith("COMPANION")}
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
-    try:
-        yield process
-    finally:
-        process.send_signal(signal.SIGINT)
-        try:
-            process.communicate(timeout=40.0)
-        finally:
-            process.kill()
 
 
 @pytest.fixture

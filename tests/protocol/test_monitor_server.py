@@ -16,6 +16,9 @@ from pathlib import Path
 import pytest
 
 from agent_process import companion, until
+from companion.link.fleet.zenoh_session import open_session
+from companion.wire.keys import status_key
+from companion.wire.version import WIRE_VERSION
 from linked_vehicles import LinkedVehicles, linked_vehicles
 from sitl.monitor_load import write_fleet
 
@@ -83,6 +86,21 @@ def test_lost_vehicles_do_not_end_it_and_come_back() -> None:
         assert process.poll() is None
     finally:
         process_and_url.__exit__(None, None, None)
+
+
+def test_reports_of_another_version_are_an_event() -> None:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    with open_session(listen=(endpoint,), connect=()) as session, monitor("--connect", endpoint) as (_, url):
+
+        def told() -> list[str]:
+            session.put(status_key("load", 1), bytes((WIRE_VERSION + 1,)) + b"of another release")
+            return [event["text"] for event in json.loads(get(url, "/api/v1/history")[1])["events"]]
+
+        until(told)
+        (text,) = told()
+        assert text.endswith("refused: message of another wire version; run the same release everywhere")
 
 
 def test_with_control_the_token_of_the_url_commands(vehicles: LinkedVehicles, tmp_path: Path) -> None:

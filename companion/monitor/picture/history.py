@@ -12,20 +12,21 @@ KEPT_S = 600.0
 
 
 class HistoryRing:
-    """Points in rising order of time. Vehicles of several fleets with the same id: the first fleet counts."""
+    """Points in rising order of time, one for each fleet."""
 
     def __init__(self) -> None:
-        self._points: deque[HistoryPoint] = deque(maxlen=int(KEPT_S / PERIOD_S))
+        self._points: deque[HistoryPoint] = deque()
 
     def is_due(self, time_s: float) -> bool:
         return not self._points or time_s - self._points[-1].time_s >= PERIOD_S - 1e-6
 
     def add(self, time_s: float, vehicles: Sequence[VehicleView], fleets: Sequence[FleetView]) -> None:
         """Vehicles that are silent are left out: old values are no history of now."""
-        smallest = [f.smallest_separation_m for f in fleets if f.smallest_separation_m is not None]
-        samples = {v.vehicle_id: _sample(v) for v in reversed(vehicles) if not v.silent}
-        point = HistoryPoint(time_s, min(smallest, default=None), tuple(samples[i] for i in sorted(samples)))
-        self._points.append(point)
+        for fleet in fleets:
+            samples = tuple([_sample(v) for v in vehicles if v.fleet == fleet.name and not v.silent])
+            self._points.append(HistoryPoint(time_s, fleet.name, fleet.smallest_separation_m, samples))
+        while self._points and self._points[0].time_s <= time_s - KEPT_S + 1e-6:
+            self._points.popleft()
 
     def points(self) -> tuple[HistoryPoint, ...]:
         return tuple(self._points)

@@ -79,7 +79,7 @@ class Site:
         if view is None:
             known = ", ".join(self._station.fleet_names) or "none; give one with --fleet-file"
             return error(404, f"this server has no such fleet file; it has: {known}")
-        return _json(view)
+        return _json(msgspec.structs.replace(view, tiles=self._tiles is not None))
 
     async def _acknowledge(self, request: web.Request) -> web.StreamResponse:
         alarm = self._station.acknowledge(int(request.match_info["id"]))

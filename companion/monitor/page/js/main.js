@@ -141,7 +141,7 @@ const live = new LiveConnection(
     sound.update(snapshot.alarms, nowMs);
     if (snapshot.replay?.speed) page.speed = snapshot.replay.speed;
     arrivedMs ??= nowMs;
-    store.refreshFile(nowMs, (file) => map.probeTiles(file));
+    store.refreshFile(nowMs, (file) => file.tiles && map.probeTiles(file));
     scheduleMap();
     if (nowMs - panelsMs >= PANELS_MS) schedulePanels();
   },

@@ -68,7 +68,7 @@ export class Store {
     this.arrivedMs = nowMs;
     this.freshness.accept(snapshot, nowMs);
     if (restarted || jumped) this._forget();
-    else if (missed) this.loadHistory();
+    else if (missed || !before) this.loadHistory();
     this.trails.accept(snapshot);
     this.history.accept(snapshot.time_s, this.fleet, this.vehicles);
     this._addEvents(snapshot.events);
@@ -85,12 +85,12 @@ export class Store {
 
   /** Past points and events. Without them the plots begin now. */
   async loadHistory() {
-    if (this._historyAsked) return;
+    if (this._historyAsked || this.fleetName === null) return;
     this._historyAsked = true;
     const history = await get("history").catch(() => null);
     this._historyAsked = false;
     if (!history) return;
-    this.history.load(history.points);
+    this.history.load(history.points.filter((point) => point.fleet === this.fleetName));
     this._addEvents(history.events);
   }
 

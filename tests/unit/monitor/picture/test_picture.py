@@ -159,6 +159,16 @@ def test_history_leaves_out_silent_vehicles() -> None:
     assert [sample.vehicle_id for sample in picture.history().points[-1].vehicles] == [1]
 
 
+def test_the_history_of_fleets_with_the_same_ids_is_separate() -> None:
+    picture = picture_of(leader(), leader(fleet="other", position_enu_m=(0.0, 0.0, 30.0)))
+    seen(picture, 100.1)
+    points = picture.history().points
+    assert [(point.fleet, point.vehicles[0].altitude_m) for point in points] == [
+        ("other", 30.0),
+        (leader().fleet, leader().position_enu_m[2]),
+    ]
+
+
 def test_homes_are_where_vehicles_were_last_disarmed_on_the_ground(load: SteadyFleet) -> None:
     picture = Picture({"load": load.fleet}, "anna@ground")
     on_ground = replace(

@@ -15,11 +15,11 @@ export function events({ store, filter, act }) {
     ${shown.length ? nothing : html`<p class="empty">Nothing yet.</p>`}
     <ol class="events">${repeat(shown, (event) => event.id, (event) => html`<li class=${event.kind}>
       <time>${clock(event.time_s)}</time>
-      <span class="who">${event.vehicle_id === null ? "fleet" : event.vehicle_id}</span>
+      <span class="who">${event.vehicle_id === null ? (event.fleet ? "fleet" : "server") : event.vehicle_id}</span>
       <span><strong>${event.code}</strong> ${event.text}</span></li>`)}</ol>`;
 }
 
 function passes(event, filter, store) {
-  if (event.fleet !== store.fleetName) return false;
+  if (event.fleet && event.fleet !== store.fleetName) return false; // without a fleet: of this server
   return filter === "all" || COMMANDS.has(event.kind) === (filter === "commands");
 }

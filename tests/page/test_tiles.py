@@ -1,0 +1,78 @@
+"""A local map below the fleet, from the real server."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from math import asinh, pi, radians, tan
+from pathlib import Path
+from socket import SOCK_STREAM
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from matplotlib.image import imsave
+
+from agent_process import free_port
+from companion.config.planned_flight import DEFAULT_ORIGIN
+from page_waits import until
+from running_program import running
+
+if TYPE_CHECKING:
+    from conftest import OpenPage
+
+CORNER = "[...document.getElementById('scene').getContext('2d').getImageData(3, 3, 1, 1).data.slice(0, 3)]"
+ORANGE = [255, 128, 0]
+ZOOM = 17
+
+
+@contextmanager
+def monitored(folder: Path, *options: str) -> Iterator[str]:
+    """The URL of the page of three vehicles in formation."""
+    port, page_port = (free_port(first, SOCK_STREAM) for first in (30_000, 31_000))
+    fleet_file = folder / "fleet.yaml"
+    with running("sitl.monitor_load", "--vehicles", "3", "--port", str(port), "--write-fleet", str(fleet_file)) as load:
+        assert load.stdout
+        assert load.stdout.readline()
+        listening = ("--connect", f"tcp/127.0.0.1:{port}", "--listen", f"127.0.0.1:{page_port}")
+        with running("companion", "monitor", "--fleet-file", str(fleet_file), *listening, *options) as monitor:
+            assert monitor.stdout
+            found = next(found for line in monitor.stdout if (found := re.search(r"http://\S+", line)))
+            yield found[0]
+
+
+def tile_at(latitude_deg: float, longitude_deg: float, zoom: int) -> tuple[int, int]:
+    """Column and row of the tile with this place, as OpenStreetMap counts them."""
+    latitude, count = radians(latitude_deg), 2**zoom
+    return int((longitude_deg + 180.0) / 360.0 * count), int((1.0 - asinh(tan(latitude)) / pi) / 2.0 * count)
+
+
+@pytest.fixture
+def tiles(tmp_path: Path) -> Path:
+    """Orange tiles of zoom 17 about the origin of the fleet: some 600 m of them."""
+    origin = DEFAULT_ORIGIN
+    column, row = tile_at(origin.latitude_deg, origin.longitude_deg, ZOOM)
+    for x in range(column - 1, column + 2):
+        folder = tmp_path / "tiles" / str(ZOOM) / str(x)
+        folder.mkdir(parents=True)
+        for y in range(row - 1, row + 2):
+            imsave(folder / f"{y}.png", np.full((256, 256, 3), ORANGE, dtype=np.uint8))
+    return tmp_path / "tiles"
+
+
+def test_tiles_of_a_folder_are_drawn_below_the_fleet(open_page: OpenPage, tmp_path: Path, tiles: Path) -> None:
+    with monitored(tmp_path, "--tiles", str(tiles)) as url:
+        page = open_page(url)
+        until(page, lambda: page.evaluate(CORNER) == ORANGE)
+
+
+def test_without_a_folder_no_tile_is_asked_for(open_page: OpenPage, tmp_path: Path) -> None:
+    with monitored(tmp_path) as url:
+        page = open_page(url)
+        asked: list[str] = []
+        page.on("request", lambda request: asked.append(request.url))
+        page.reload()
+        until(page, "globalThis.companionMetrics?.count > 20")
+        assert any("/api/v1/fleets/" in path for path in asked)
+        assert not any("/tiles/" in path for path in asked)
