@@ -31,13 +31,15 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker("real_time")
 
 
-class OneFolderOneSequence(LoadScopeScheduling):
-    """Scheduler for `--dist loadscope`: a worker takes a whole folder at a time and runs its tests in sequence."""
+class OneFleetOneSequence(LoadScopeScheduling):
+    """Scheduler for `--dist loadscope`: a worker takes a folder of fleets, or a file of single vehicles, at a time."""
 
     def _split_scope(self, nodeid: str) -> str:
-        return nodeid.partition("::")[0].rpartition("/")[0]
+        file = nodeid.partition("::")[0]
+        folder = file.rpartition("/")[0]
+        return folder if folder.endswith(("fleet", "faults")) else file
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> LoadScopeScheduling | None:
-    return OneFolderOneSequence(config, log) if config.getvalue("dist") == "loadscope" else None
+    return OneFleetOneSequence(config, log) if config.getvalue("dist") == "loadscope" else None
