@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from math import dist
 from typing import Protocol
 
 import msgspec
@@ -23,6 +24,7 @@ from sitl.flight.watch import FlightWatch, vehicles_in_words
 REPEAT_S = 0.5
 REPLY_WITHIN_S = 0.5
 DISARM_SEEN_WITHIN_S = 1.5  # heartbeats, which carry the armed state, come once a second
+SLOT_REACHED_M = 0.001  # a status has its slot to 0.1 mm
 # After one of these commands a vehicle may be in phase observe without a failure.
 TO_THE_GROUND = (CommandName.LAND, CommandName.RETURN)
 MAY_OBSERVE = (CommandName.PREPARE, CommandName.DISARM, *TO_THE_GROUND)
@@ -220,15 +222,21 @@ class _FormationOrder(Order):
     def _done(self, vehicle_id: int) -> bool:
         """The change is accepted and complete."""
         status = self._watch.status(vehicle_id)
-        slot = dict(self._change.slots_enu_m)[vehicle_id]
         accepted = status is not None and status.slot.formation == self._change.number
-        return accepted and status is not None and status.slot.position_enu_m == slot
+        return accepted and status is not None and self._way_left_m(status) < SLOT_REACHED_M
+
+    def _way_left_m(self, status: Status) -> float:
+        """From the slot that the vehicle flies to its slot in the new formation."""
+        return dist(status.slot.position_enu_m, dict(self._change.slots_enu_m)[status.vehicle_id])
 
     def _check_phase(self, vehicle_id: int, now_s: float) -> None:
         """The command changes no phase; phases are checked while the step lasts."""
 
     def _why_not_done(self, status: Status) -> str:
-        return f"formation {status.slot.formation}, expected {self._change.number}"
+        number, wanted = status.slot.formation, self._change.number
+        if number != wanted:
+            return f"formation {number}, expected {wanted}"
+        return f"its slot is {self._way_left_m(status):.2f} m from that of formation {wanted}"
 
 
 def _slots(wanted: FormationStep, statuses: Sequence[Status]) -> Mapping[int, Vector3]:

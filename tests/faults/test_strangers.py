@@ -18,6 +18,7 @@ from pathlib import Path
 import pytest
 import zenoh
 
+from agent_process import companion, until
 from attacked_fleet import MEASURED_S, Undisturbed, measured, publishing, running, tls_of_a_stranger
 from companion.ground.session import FleetSession
 from companion.security.provisioning import revoke
@@ -25,6 +26,7 @@ from companion.types.commands import CommandName
 from companion.wire.keys import peer_key
 from fault_table import FaultRow
 from identities import stranger, tls_of
+from monitor_process import monitor, snapshot
 from secured_fleet import IDS, secured_fleet
 
 pytestmark = [pytest.mark.fleet, pytest.mark.timeout(240)]
@@ -165,6 +167,18 @@ def test_a_revoked_ground_is_not_obeyed(flying: Undisturbed, row: FaultRow) -> N
         assert set(taken.values()) == {None}, taken
         measured(flying, row, "a revoked ground, still connected, takes command", "not used, not answered")
         row.measured.append(f"effective at all vehicles after {effective_s:.1f} s")
+
+
+def test_the_live_page_shows_the_fleet_by_its_identity_and_a_monitor_may_not_command(flying: Undisturbed) -> None:
+    fleet = flying.fleet
+    reached = ("--connect", *fleet.endpoints(), "--fleet-file", str(fleet.folder / "fleet.yaml"))
+    tower = ("--identity", str(fleet.identity_folder("monitor-tower")))
+    with monitor(*reached, *tower) as (_, url):
+        until(lambda: [v["phase"] for v in snapshot(url)["vehicles"]] == ["formation"] * len(IDS))
+        assert {v["network"]["security"] for v in snapshot(url)["vehicles"]} == {"identity"}
+    refused = companion("monitor", *reached, *tower, "--control")
+    assert (refused.returncode, refused.stdout) == (2, "")
+    assert "--control: monitor-tower may not command; expected the identity of a ground" in refused.stderr
 
 
 def test_failing_handshakes_keep_only_new_sessions_out(flying: Undisturbed, row: FaultRow) -> None:

@@ -11,10 +11,12 @@ from companion.core.command.phase import RULES
 from companion.types.autopilot import LandedState
 from companion.types.commands import CommandName, CommandReply, Content, Lead, ReferenceChange
 from companion.types.flight import FlightPhase, Role
-from companion.types.formation import FlownSlot, HeldReference
+from companion.types.formation import FlownSlot, FormationChange, HeldReference
 from companion.types.notices import Code, Notice
 from companion.types.status import Status
+from companion.types.tick import Outbox
 from companion.wire.ground import Percentiles, StatusReport, Timing
+from companion.wire.rounding import as_sent
 from sitl.flight.director import Director, MachineClock
 from sitl.flight.orders import FlightFailure
 from sitl.flight.timeline import TimelineStep
@@ -80,6 +82,8 @@ class Vehicles:
         if isinstance(content, ReferenceChange):
             self.references.append(content)
             return {i: self._change_reference(i, content) for i in commanded}
+        if isinstance(content, FormationChange):
+            return {i: self._change_formation(i, content) for i in commanded}
         if isinstance(content, Lead):
             self.leads.append(content)
             return {i: None if i in self.mute else self._change_lead(i, content) for i in commanded}
@@ -98,6 +102,10 @@ class Vehicles:
         self.change(vehicle_id, reference=HeldReference(change.number, change.number, change.begins_s))
         return CommandReply(vehicle_id, 1, True, Code.PHASE_CHANGED, "yes", "anna@ground")
 
+    def _change_formation(self, vehicle_id: int, change: FormationChange) -> CommandReply:
+        self.change(vehicle_id, slot=FlownSlot(dict(change.slots_enu_m)[vehicle_id], formation=change.number))
+        return CommandReply(vehicle_id, 1, True, Code.FORMATION_ACCEPTED, "yes", "anna@ground")
+
     def _reply(self, vehicle_id: int, name: CommandName) -> CommandReply:
         reasons = self.refuses.get((vehicle_id, name))
         if reasons:
@@ -111,7 +119,8 @@ class Vehicles:
             if time.monotonic() >= due_s:
                 del self._due[vehicle_id]
                 self._finish(vehicle_id, name)
-        return [StatusReport(s, TIMING) for s in self.statuses.values() if s.vehicle_id not in self.mute]
+        sent = [as_sent(Outbox(status=status)).status for status in self.statuses.values()]
+        return [StatusReport(status, TIMING) for status in sent if status and status.vehicle_id not in self.mute]
 
     def _finish(self, vehicle_id: int, name: CommandName) -> None:
         before = self.statuses[vehicle_id]

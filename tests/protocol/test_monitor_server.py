@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import http.client
 import json
 import re
 import signal
@@ -10,7 +9,6 @@ import socket
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
 from pathlib import Path
 
 import pytest
@@ -20,6 +18,7 @@ from companion.link.fleet.zenoh_session import open_session
 from companion.wire.keys import status_key
 from companion.wire.version import WIRE_VERSION
 from linked_vehicles import LinkedVehicles, linked_vehicles
+from monitor_process import get, monitor, snapshot
 from sitl.monitor_load import write_fleet
 
 
@@ -27,37 +26,6 @@ from sitl.monitor_load import write_fleet
 def vehicles() -> Iterator[LinkedVehicles]:
     with linked_vehicles() as running:
         yield running
-
-
-@contextmanager
-def monitor(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """The process and the line that it printed."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "companion", "monitor", "--listen", "127.0.0.1:0", *arguments],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    assert process.stdout
-    try:
-        yield process, process.stdout.readline().strip()
-    finally:
-        process.kill()
-        process.communicate()
-
-
-def get(url: str, path: str, method: str = "GET", body: str = "", **headers: str) -> tuple[int, str]:
-    found = re.match(r"http://([\d.]+):(\d+)/", url)
-    assert found, url
-    with closing(http.client.HTTPConnection(found[1], int(found[2]), timeout=20)) as connection:
-        connection.request(method, path, body, headers)
-        answer = connection.getresponse()
-        return answer.status, answer.read().decode()
-
-
-def snapshot(url: str) -> dict[str, list[dict[str, object]]]:
-    decoded: dict[str, list[dict[str, object]]] = json.loads(get(url, "/api/v1/snapshot")[1])
-    return decoded
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -4,6 +4,7 @@ import dataclasses
 import time
 
 import pytest
+from msgspec.structs import replace
 
 from companion.config.reference import PointReference
 from companion.types.commands import CommandName, Lead, ReferenceChange
@@ -12,7 +13,7 @@ from companion.types.formation import HeldReference
 from companion.types.notices import Code, Notice
 from directed_flight import DOING_S, TIMING, WHOLE, C, Flight, P
 from sitl.flight.orders import FlightFailure
-from sitl.flight.timeline import TimelineStep
+from sitl.flight.timeline import FormationStep, TimelineStep
 from sitl.report.progress import vehicle_line
 
 
@@ -247,6 +248,7 @@ def test_missing_data_have_no_age(flight: Flight) -> None:
     assert "data  20 ms old" in vehicle_line(dataclasses.replace(row, data_age_s=0.02, silent=False))
 
 
+APART = {1: (1.0, 0.5, 0.0), 2: (1.0, 1.0, 0.0)}
 POINT = TimelineStep(command=C.REFERENCE, reference=PointReference((1.0, 2.0, 3.0)), timeout_s=1.2)
 
 
@@ -270,3 +272,23 @@ def test_the_flight_ends_with_the_reason_when_a_reference_is_refused(flight: Fli
         FlightFailure, match=r"reference not done within 1\.2 s: vehicle 1: WRONG_PHASE: reference: too far away"
     ):
         flight.director.fly([POINT])
+
+
+def test_a_formation_is_complete_where_the_rounded_slots_of_the_reports_are_those_commanded(flight: Flight) -> None:
+    flight.fly(C.PREPARE)
+    slots_enu_m = {1: (2.0**0.5, 1.0 / 3.0, 0.0), 2: (-(2.0**0.5), 0.0, 0.0)}
+    flight.director.fly(
+        [TimelineStep(command=C.FORMATION, formation=FormationStep(slots_enu_m=slots_enu_m), timeout_s=1.2)]
+    )
+    assert flight.vehicles.received[-1] == (C.FORMATION, (1, 2))
+
+
+def test_a_formation_that_is_still_on_its_way_is_not_complete(flight: Flight, monkeypatch: pytest.MonkeyPatch) -> None:
+    flight.fly(C.PREPARE)
+    changed = flight.vehicles.change
+    monkeypatch.setattr(
+        flight.vehicles, "change", lambda i, slot: changed(i, slot=replace(slot, position_enu_m=(1.0, 0.5, 0.0)))
+    )
+    step = TimelineStep(command=C.FORMATION, formation=FormationStep(slots_enu_m=APART), timeout_s=0.6)
+    with pytest.raises(FlightFailure, match=r"vehicle 2: its slot is 0\.50 m from that of formation 1"):
+        flight.director.fly([step])
