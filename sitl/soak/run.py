@@ -127,7 +127,7 @@ def run_soak(folder: Path, seconds: float, quiet: bool) -> int:
         print(f"no verdict: {error}")
         return 1
     for finding in verdict:
-        print(f"{finding.name:<22} {'constant' if finding.constant else 'GROWS':<9} {finding.text}")
+        print(f"{finding.name:<22} {'constant' if finding.constant else 'CHANGES':<9} {finding.text}")
     print("\n".join([*failures, f"samples and plot in {folder}"]))
     return 0 if not failures and all(finding.constant for finding in verdict) else 1
 
