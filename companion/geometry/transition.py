@@ -14,7 +14,8 @@ from math import dist, hypot, inf
 from companion.geometry.curves import PEAK_SPEED
 from companion.types.vectors import Vector3
 
-ROUNDING_M = 1e-6  # tolerance of a distance after slots were rotated and scaled
+# Tolerance of a distance between slots. The ground computes with the slots that vehicles report, to 0.1 mm on each axis.
+ROUNDING_M = 5e-4
 
 
 def closest_approach(before_enu_m: Mapping[int, Vector3], after_enu_m: Mapping[int, Vector3]) -> tuple[float, int, int]:

@@ -12,8 +12,9 @@ from msgspec import Struct
 from companion.core.command.phase import RULES
 from companion.ground.formations import assigned, change_to, named_slots, positions_enu_m
 from companion.ground.references import reference_change
-from companion.types.commands import CommandName, CommandReply, Content, Lead, next_epoch
+from companion.types.commands import CommandName, CommandReply, Content, Lead, ReferenceChange, next_epoch
 from companion.types.flight import FlightPhase, Role
+from companion.types.formation import FormationChange
 from companion.types.notices import Code
 from companion.types.status import Status
 from companion.types.vectors import Vector3
@@ -112,6 +113,9 @@ class Order:
             while self._clock.now_s() < given_s + REPEAT_S and len(self._accepted_s) < len(self._ids):
                 wait()
         return [refusal for vehicle_id, refusal in first.items() if vehicle_id not in self._accepted_s]
+
+    def _statuses(self) -> list[Status]:
+        return [status for i in self._watch.vehicle_ids if (status := self._watch.status(i))]
 
     def _refusal(self, vehicle_id: int, reply: CommandReply | None) -> Refusal:
         return Refusal(
@@ -212,11 +216,16 @@ class _FormationOrder(Order):
 
     def __init__(self, session: Session, watch: FlightWatch, step: TimelineStep, clock: Clock) -> None:
         super().__init__(session, watch, step, clock)
-        statuses = [status for i in watch.vehicle_ids if (status := watch.status(i))]
-        assert step.formation is not None  # checked when the scenario was read
-        self._change = change_to(_slots(step.formation, statuses), statuses, step.formation.speed_m_s)
+        self._change = self._new_change()
+
+    def _new_change(self) -> FormationChange:
+        wanted, statuses = self._step.formation, self._statuses()
+        assert wanted is not None  # checked when the scenario was read
+        return change_to(_slots(wanted, statuses), statuses, wanted.speed_m_s)
 
     def _give(self, vehicle_ids: Collection[int]) -> dict[int, CommandReply | None]:
+        if not self._accepted_s:  # while all refuse, its begin passes
+            self._change = self._new_change()
         return self._session.command(vehicle_ids, CommandName.FORMATION, REPLY_WITHIN_S, self._change)
 
     def _done(self, vehicle_id: int) -> bool:
@@ -254,12 +263,16 @@ class _ReferenceOrder(Order):
 
     def __init__(self, session: Session, watch: FlightWatch, step: TimelineStep, clock: Clock) -> None:
         super().__init__(session, watch, step, clock)
-        statuses = [status for i in watch.vehicle_ids if (status := watch.status(i))]
-        followers_only = {status.vehicle_id for status in statuses if status.reference is None}
+        followers_only = {status.vehicle_id for status in self._statuses() if status.reference is None}
         self._ids = [i for i in self._ids if i not in followers_only]
-        self._change = reference_change(msgspec.to_builtins(step.reference), statuses)
+        self._change = self._new_change()
+
+    def _new_change(self) -> ReferenceChange:
+        return reference_change(msgspec.to_builtins(self._step.reference), self._statuses())
 
     def _give(self, vehicle_ids: Collection[int]) -> dict[int, CommandReply | None]:
+        if not self._accepted_s:  # while all refuse, its begin passes
+            self._change = self._new_change()
         return self._session.command(vehicle_ids, CommandName.REFERENCE, REPLY_WITHIN_S, self._change)
 
     def _done(self, vehicle_id: int) -> bool:

@@ -10,6 +10,7 @@ from companion.core.reference.blend import reference_box
 from companion.core.reference.room import Box
 from companion.geometry.airspace import Airspace
 from companion.geometry.clear_path import leg_conflict_steps, nearest_kind
+from companion.geometry.curves import PEAK_SPEED
 from companion.geometry.separation import counted
 from companion.geometry.transition import ROUNDING_M, closest_approach, peak_speed_m_s
 from companion.geometry.turning import reach_m, swept
@@ -118,7 +119,7 @@ class FormationLimits:
         if refusal := self.refusal_of_distance(after_enu_m):
             return refusal
         speed_m_s = peak_speed_m_s(before_enu_m, after_enu_m, lasts_s)
-        if not speed_m_s <= self.speed_m_s:
+        if not speed_m_s <= self.speed_m_s + PEAK_SPEED * ROUNDING_M / lasts_s:
             text = f"slots move at up to {speed_m_s:.1f} m/s; expected at most {self.speed_m_s:g} m/s"
             return Notice(Code.SLOT_TOO_FAST, text)
         return None
