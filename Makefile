@@ -183,9 +183,6 @@ format: .venv/test.ready
 
 setup: .venv/fly.ready
 
-# Python compiles what it imports. To compile all dialects of pymavlink in advance would take longer than the rest.
-PIP = --quiet --disable-pip-version-check --no-compile
-
 .venv/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 		{ echo "This needs Python 3.11 or newer; try make PYTHON=python3.12 ..."; exit 1; }
@@ -194,8 +191,7 @@ PIP = --quiet --disable-pip-version-check --no-compile
 
 .venv/fly.ready: .venv/bin/python pyproject.toml
 	@echo "Installing the project and its ground tools into .venv (half a minute) ..."
-	$(BIN)/pip install $(PIP) --editable '.[ground]'
-	@$(BIN)/python -c 'import companion.app, sitl.flight.processes.fly, sitl.cli.autopilot'
+	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[ground]'
 	@touch $@
 
 # A venv of its own: PyTorch is as large as all the rest together, and nothing else needs it. It comes first, and in one
@@ -223,8 +219,8 @@ SCRIPTS = mermaid@11.12.0 iframe-worker@1.0.4
 # MAVProxy is an independent client in the tests; its windows (OpenCV, VTK) are not needed.
 .venv/test.ready: .venv/fly.ready
 	@echo "Installing what tests and checks need into .venv (half a minute) ..."
-	$(BIN)/pip install $(PIP) --editable '.[ground,test,check]'
-	$(BIN)/pip install $(PIP) --no-deps MAVProxy==1.8.75
+	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[ground,test,check]'
+	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps MAVProxy==1.8.75
 	@touch $@
 
 clean:

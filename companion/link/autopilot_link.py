@@ -6,6 +6,7 @@ import asyncio
 import logging
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Sequence
+from math import floor
 from pathlib import Path
 from typing import NoReturn
 
@@ -162,7 +163,7 @@ class AutopilotLink:
         self._link.close()
 
     def _bytes_arrived(self, data: bytes, received_s: float) -> bool:
-        received_s = round(received_s, 6)  # as the time of a tick, so that it is never after the tick's
+        received_s = floor(received_s * 1e5) / 1e5  # more digits would be noise in a recording; never after the tick
         samples = self._translator.telemetry(data, received_s)
         for _ in range(len(self._telemetry) + len(samples) - SAMPLES_KEPT):
             self._reject(Code.TELEMETRY_OVERLOAD)

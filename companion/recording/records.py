@@ -17,7 +17,7 @@ SOFTWARE = f"formation-companion {__version__}"
 
 INBOX, OUTBOX = "/inbox", "/outbox"  # one message for each tick, in this order
 DECISION, TIMING = "/decision", "/timing"  # one message for each tick
-STATUS = "/status"  # as published to the ground, ten a second
+STATUS = "/status"  # as published to the ground: five a second, and all with an event
 EVENT, COMMAND, REPLY = "/event", "/command", "/reply"  # as they occur
 GROUND_STATUS, GROUND_COMMAND = "/ground/status", "/ground/command"  # of a recording made on the ground
 
@@ -58,7 +58,7 @@ class DecisionRecord(Struct, frozen=True, kw_only=True):
     weights: tuple[float, ...]  # w_ij of the neighbours, in their order; empty where the law does not use them
     peer_ages_s: tuple[float, ...]  # of the neighbours, in their order
     acceleration_enu_m_s2: Vector3
-    roll_deg: float | None  # of the setpoint; None without one
+    roll_deg: float | None  # of the setpoint, which /outbox has exactly; None without one
     pitch_deg: float | None
     yaw_deg: float | None
     thrust_norm: float | None

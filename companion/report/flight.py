@@ -74,7 +74,7 @@ class TickTiming:
 
 @dataclass(frozen=True, slots=True)
 class Statuses:
-    """What the vehicle reported ten times a second (n,). `peers` has the fresh peers of each report."""
+    """What the vehicle reported (n,), five times a second and with every event. `peers` has the fresh ones of each report."""
 
     time_s: Floats
     armed: Bools

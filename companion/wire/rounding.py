@@ -21,11 +21,11 @@ from companion.types.vectors import Vector3
 
 LENGTH = 4  # decimals: 0.1 mm
 VELOCITY = 3  # 1 mm/s
-ACCELERATION = 3  # 1 mm/s^2
-TIME = 5  # 10 us
+ACCELERATION = 2  # 1 cm/s^2; the noise of a good velocity alone makes that much
+TIME = 4  # 0.1 ms
 ANGLE = 6  # 1 urad, 1 urad/s
 SHARE = 6  # of thrust
-SETPOINT = 7  # 0.1 urad, and 1e-7 of thrust: what the floats of 32 bits in SET_ATTITUDE_TARGET hold
+SETPOINT = 6  # 1 urad, and 1e-6 of thrust
 
 
 def as_sent(outbox: Outbox) -> Outbox:
@@ -86,6 +86,7 @@ def _status_as_sent(status: Status) -> Status:
         largest_step_deg=round(status.largest_step_deg, LENGTH),
         heading=_heading(status.heading),
         separation=_separation(status.separation),
+        neighbour_ages_s=tuple([round(age_s, TIME) for age_s in status.neighbour_ages_s]),
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from functools import wraps
+from math import inf
 from typing import Concatenate, ParamSpec, TypeVar
 
 from companion.core.agent import Decision
@@ -35,6 +36,7 @@ from companion.types.tick import Inbox, Outbox
 from companion.wire.ground import StatusReport
 
 TOPICS = (INBOX, OUTBOX, DECISION, TIMING, STATUS, EVENT, COMMAND, REPLY)
+STATUS_PERIOD_S = 0.19  # of those without an event; every second one, also where it comes a little early
 FAILED = RecordingState("dropping")
 
 _log = logging.getLogger(__name__)
@@ -76,6 +78,7 @@ class Recorder:
         self._stream = MessageStream(header, TOPICS, mcap, writing)
         self._drops = DropReport(writing)
         self._packets: list[bytes] = []
+        self._status_s = -inf  # of the last one recorded
         self.ticks = 0  # recorded or lost
         self.has_failed = False
 
@@ -115,7 +118,8 @@ class Recorder:
             self._add(REPLY, now_s, reply)
         for event in outbox.events:
             self._add(EVENT, now_s, event)
-        if report:
+        if report and (outbox.events or now_s - self._status_s >= STATUS_PERIOD_S):
+            self._status_s = now_s
             self._add(STATUS, now_s, report)
         if not stream.hand_on(now_s):
             return None

@@ -252,5 +252,5 @@ def position_errors(flight: RecordedFlight, axis: Axis) -> Picture:
         figure,
         "position-errors",
         "Position error as the estimators report it",
-        "From the status reports, ten a second.",
+        "From the recorded status reports, five a second.",
     )
