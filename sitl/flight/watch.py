@@ -100,6 +100,7 @@ class FlightWatch:
         self._formed_from_s: float | None = None
         self._reference_start_s = began_s
         self.newest_timing: dict[int, Timing] = {}
+        self.timing_received_s: dict[int, float] = {}
         self._state = FleetState()
         self._statuses: dict[int, Status] = {}  # the newest of every vehicle
 
@@ -121,6 +122,7 @@ class FlightWatch:
         self._follow_reference(status, now_s)
         if report.timing.ticks:  # in virtual time no ticks are timed
             self.newest_timing[vehicle_id] = report.timing
+            self.timing_received_s[vehicle_id] = now_s
         if vehicle_id in self._entered_s:
             self.largest_step_deg[vehicle_id] = status.largest_step_deg
         if vehicle_id in self._entered_s and report.timing.ticks:

@@ -21,7 +21,7 @@ from sitl.links.free_ports import reserved_ports
 from sitl.links.ports import zenoh_endpoint
 from sitl.report.progress import Progress
 from sitl.soak.plot import save_plot
-from sitl.soak.samples import Sample, findings, table, use_of
+from sitl.soak.samples import Sample, Ticks, findings, table, use_of
 from sitl.stopping import StopRequest
 
 VEHICLES = 8
@@ -77,7 +77,7 @@ class Sampler:
         self._watch = watch
         self._period_s = max(LEAST_PERIOD_S, seconds / SAMPLES)
         self._due_s = 0.0
-        self._before: tuple[float, dict[int, tuple[int, int]]] | None = None
+        self._before: dict[int, Ticks] | None = None
         self.samples: list[Sample] = []
 
     def update(self, now_s: float) -> None:
@@ -86,12 +86,11 @@ class Sampler:
             return
         self._due_s = now_s + self._period_s
         timings = self._watch.newest_timing
-        ticks = {i: (timing.ticks, timing.missed) for i, timing in timings.items()}
-        before, self._before = self._before, (now_s, ticks)
-        if before is None or any(ticks[i][0] < before[1][i][0] for i in ticks):
+        ticks = {i: Ticks(self._watch.timing_received_s[i], t.ticks, t.missed) for i, t in timings.items()}
+        before, self._before = self._before, ticks
+        if before is None or any(ticks[i].ticks < before[i].ticks for i in ticks):
             self.samples.clear()  # the timing begins again with the formation
             return
-        before_s, earlier = before
         uses = [use_of(pid) for pid in self._pids]
         self.samples.append(
             Sample(
@@ -99,8 +98,8 @@ class Sampler:
                 memory_mb=max(use.memory_mb for use in uses),
                 files=max(use.files for use in uses),
                 threads=max(use.threads for use in uses),
-                rate_hz=min((ticks[i][0] - earlier[i][0]) / (now_s - before_s) for i in ticks),
-                missed=sum(ticks[i][1] - earlier[i][1] for i in ticks),
+                rate_hz=min(ticks[i].rate_hz(before[i]) for i in ticks),
+                missed=sum(ticks[i].missed - before[i].missed for i in ticks),
                 command_p99_us=max(timing.telemetry_to_command_us.p99 for timing in timings.values()),
             )
         )

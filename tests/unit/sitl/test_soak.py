@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 import tempfile
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from sitl.flight.scenario import load_scenario
 from sitl.soak.run import VEHICLES, scenario_file
-from sitl.soak.samples import ROWS, Sample, findings, slope, table, use_of
+from sitl.soak.samples import ROWS, Sample, Ticks, findings, slope, table, use_of
 
 
 def samples(count: int = 100, **growth: float) -> list[Sample]:
@@ -45,6 +46,18 @@ def growing(made: list[Sample]) -> list[str]:
 )
 def test_a_growing_figure_is_found(growth: dict[str, float], names: list[str]) -> None:
     assert growing(samples(**growth)) == names
+
+
+@pytest.mark.parametrize(("slow", "names"), [(1, []), (9, ["tick rate"])])
+def test_a_single_stall_of_the_machine_is_not_a_change(slow: int, names: list[str]) -> None:
+    made = [replace(sample, rate_hz=48.5) if 40 <= n < 40 + slow else sample for n, sample in enumerate(samples(200))]
+    assert growing(made) == names
+
+
+def test_a_rate_is_of_the_reports_not_of_the_time_of_sampling() -> None:
+    before = Ticks(received_s=10.0, ticks=500, missed=0)
+    assert Ticks(received_s=19.9, ticks=995, missed=0).rate_hz(before) == pytest.approx(50.0)
+    assert before.rate_hz(before) == 0.0
 
 
 def test_growth_during_the_warm_up_does_not_count() -> None:
