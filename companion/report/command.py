@@ -12,7 +12,7 @@ import msgspec
 
 from companion.recording.reader import RecordingError
 from companion.report.autopilot.files import log_files, read_logs
-from companion.report.finding import Severity
+from companion.report.finding import Severity, rows_of
 from companion.report.judge import judged
 from companion.report.load import load
 from companion.report.page import page_of, verdict
@@ -64,7 +64,7 @@ def run_report(options: ReportOptions) -> int:
     _write(out, html)
     if options.as_json:
         print(msgspec.json.format(msgspec.json.encode(one.summary), indent=2).decode())
-    steps.show(f"{verdict(one.summary)}: {out}")
+    steps.show(f"{verdict(rows_of(one.summary.findings))}: {out}")
     return EXIT_CRITICAL if one.summary.count(Severity.CRITICAL) else EXIT_WRITTEN
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from enum import StrEnum
 from typing import NamedTuple
@@ -12,6 +13,7 @@ from companion.tools.explanations.table import EXPLANATIONS
 from companion.types.notices import Code
 
 SAME_TIME_S = 0.5  # a command to all vehicles reaches them within this time
+MOST_APART = 3  # rows of one code that stay apart; more become one row
 
 
 class Severity(StrEnum):
@@ -73,14 +75,43 @@ def finding(
 
 
 class Row(NamedTuple):
-    """The same finding of several vehicles at one time, as one row of the page."""
+    """The same finding of several vehicles at one time, or often: one row of the page.
+
+    `finding` is the first; of one that came often, the longest.
+    """
 
     finding: Finding
     vehicle_ids: tuple[int, ...]  # empty: the whole fleet
+    times: int = 1
 
 
 def rows_of(findings: Sequence[Finding]) -> list[Row]:
-    """The rows of the page, in the order of their first findings."""
+    """The rows of the page, in the order of their first findings. Critical ones are never put together by code."""
+    rows = _by_time(findings)
+    often = {
+        key
+        for key, count in Counter(_kind_of(row) for row in rows).items()
+        if count > MOST_APART and key[0] is not Severity.CRITICAL
+    }
+    shown: dict[object, list[Row]] = {}
+    for n, row in enumerate(rows):
+        key = _kind_of(row)
+        shown.setdefault(key if key in often else n, []).append(row)
+    return [_together(same) for same in shown.values()]
+
+
+def _kind_of(row: Row) -> tuple[Severity, Kind, Code]:
+    return row.finding.severity, row.finding.kind, row.finding.code
+
+
+def _together(same: Sequence[Row]) -> Row:
+    """Rows of one code as one: the longest, with all vehicles."""
+    longest = max(same, key=lambda row: row.finding.lasts_s or 0.0)
+    return Row(longest.finding, tuple(sorted({i for row in same for i in row.vehicle_ids})), len(same))
+
+
+def _by_time(findings: Sequence[Finding]) -> list[Row]:
+    """One row for the same finding of several vehicles at one time."""
     rows: list[Row] = []
     for one in findings:
         ids = () if one.vehicle_id is None else (one.vehicle_id,)

@@ -13,7 +13,7 @@ from companion import __version__
 from companion.report import configuration
 from companion.report.figures.all import Section, sections_of
 from companion.report.figures.style import Axis, marks_of
-from companion.report.finding import Severity, rows_of
+from companion.report.finding import Row, Severity, rows_of
 from companion.report.findings.timing import LATE_P99_MS, TO_COMMAND_P99_MS
 from companion.report.flight import Event, GivenCommand, RecordedFlight
 from companion.report.judge import Judged
@@ -51,16 +51,17 @@ def page(flight: RecordedFlight, summary: Summary, sections: Sequence[Section], 
         lstrip_blocks=True,
     )
     environment.filters |= {"sign": SIGNS.__getitem__, "number": number, "clock": axis.clock, "prose": prose}
+    rows = rows_of(summary.findings)
     begin = datetime.fromtimestamp(axis.begin_unix_s, axis.zone)
     return environment.get_template("report.html.j2").render(
         flight=flight,
         summary=summary,
-        rows=rows_of(summary.findings),
-        verdict=verdict(summary),
+        rows=rows,
+        verdict=verdict(rows),
         sections=sections,
         date=f"{begin:%A, %d %B %Y}",
         zone=f"{begin:UTC%z}"[:6] + ":" + f"{begin:%z}"[3:5],
-        counts=[(severity, summary.count(severity)) for severity in Severity],
+        counts=[(severity, counted(rows, severity)) for severity in Severity],
         commands=command_rows(flight),
         events=event_rows(flight)[:MOST_EVENTS],
         events_left_out=max(0, len(event_rows(flight)) - MOST_EVENTS),
@@ -72,16 +73,21 @@ def page(flight: RecordedFlight, summary: Summary, sections: Sequence[Section], 
     )
 
 
-def verdict(summary: Summary) -> str:
+def counted(rows: Sequence[Row], severity: Severity) -> int:
+    """Rows of the page of one severity."""
+    return sum(row.finding.severity is severity for row in rows)
+
+
+def verdict(rows: Sequence[Row]) -> str:
     """ "2 critical findings and 1 warning", or that there are none."""
-    critical, warnings = summary.count(Severity.CRITICAL), summary.count(Severity.WARNING)
+    critical, warnings = counted(rows, Severity.CRITICAL), counted(rows, Severity.WARNING)
     parts = []
     if critical:
         parts.append(f"{critical} critical finding{'s' if critical > 1 else ''}")
     if warnings:
         parts.append(f"{warnings} warning{'s' if warnings > 1 else ''}")
     if not parts:
-        informative = summary.count(Severity.INFO)
+        informative = counted(rows, Severity.INFO)
         return f"No findings but {informative} for information" if informative else "No findings"
     return " and ".join(parts)
 

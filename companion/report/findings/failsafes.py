@@ -75,7 +75,7 @@ def _action(steps: tuple[tuple[float, FailsafeAction], ...], interval: Interval,
 def _of_flag(vehicle: VehicleLog, flag: HealthFlag, interval: Interval, action: FailsafeAction) -> Finding:
     kind = Kind.LOST if flag in LOST_FLAGS else Kind.LATE if flag in LATE_FLAGS else Kind.FAILSAFE
     beyond = action not in (FailsafeAction.NONE, FailsafeAction.WARN, FailsafeAction.STOP_STREAM)
-    text = f"{FLAG_TEXTS[flag]} for {interval.lasts_s:.1f} s"
+    text = f"{FLAG_TEXTS[flag]} for {interval.lasts_s:.2f} s"
     if beyond:
         text += f"; failsafe: {action.name.lower()}"
     elif action is FailsafeAction.STOP_STREAM:

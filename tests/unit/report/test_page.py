@@ -180,5 +180,22 @@ def test_the_same_finding_of_several_vehicles_is_one_row() -> None:
     assert [row.vehicle_ids for row in rows] == [(1, 3), (2,), (1,)]
 
 
+def test_a_finding_that_comes_often_is_one_row_with_its_longest_time() -> None:
+    found = [
+        finding(Kind.FAILSAFE, Severity.WARNING, Code.POSITION_STALE, 1 + n % 2, 10.0 * n, f"for {n} s", float(n))
+        for n in range(5)
+    ]
+    (row,) = rows_of(found)
+    assert (row.times, row.vehicle_ids, row.finding.text) == (5, (1, 2), "for 4 s")
+    assert [row.times for row in rows_of(found[:3])] == [1, 1, 1]
+
+
+def test_critical_findings_stay_apart() -> None:
+    found = [
+        finding(Kind.CLOSE, Severity.CRITICAL, Code.SEPARATION_VIOLATED, 1, 10.0 * n, f"pair {n}") for n in range(5)
+    ]
+    assert len(rows_of(found)) == 5
+
+
 def test_code_in_an_explanation_is_marked_and_escaped() -> None:
     assert str(prose("set `a<b` now")) == "set <code>a&lt;b</code> now"
