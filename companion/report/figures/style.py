@@ -118,7 +118,10 @@ def dress_time(panels: Sequence[Axes], axis: Axis) -> None:
     panels[-1].set_xlabel(TIME_LABEL, fontsize=8.5)
     above = panels[0].secondary_xaxis("top")
     above.xaxis.set_major_locator(MultipleLocator(step_s))
-    above.xaxis.set_major_formatter(FuncFormatter(lambda time_s, _: axis.clock(time_s)))
+    # A label at the right end would leave the picture.
+    above.xaxis.set_major_formatter(
+        FuncFormatter(lambda time_s, _: axis.clock(time_s) if time_s < 0.96 * axis.ends_s else "")
+    )
     above.tick_params(labelsize=7, colors="#666666", length=0, pad=11)
     above.spines["top"].set_visible(False)
     _number(panels[0], axis)
