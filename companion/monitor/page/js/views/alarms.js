@@ -2,6 +2,7 @@
 
 import { age, clock } from "../format.js";
 import { html, nothing, repeat } from "./lit.js";
+import { prose } from "./prose.js";
 
 const RANK = { critical: 0, warning: 1, info: 2 };
 const MARK = { critical: "■", warning: "▲", info: "●" };
@@ -28,7 +29,7 @@ function row(alarm, store, act) {
       data-alarm=${alarm.id}>
     <span class="mark" role="img" aria-label=${alarm.severity}>${MARK[alarm.severity] ?? "●"}</span>
     <div><p><strong>${subject}: ${alarm.code}</strong> ${alarm.text}</p>
-      <p class="when">${when}${alarm.advice ? html`. <span class="advice">${alarm.advice}</span>` : nothing}</p></div>
+      <p class="when">${when}${alarm.advice ? html`. <span class="advice">${prose(alarm.advice)}</span>` : nothing}</p></div>
     ${alarm.acknowledged
       ? html`<span class="quiet">acknowledged</span>`
       : html`<button class="small" @click=${() => act.acknowledge(alarm.id)} aria-label="Acknowledge ${subject} ${alarm.code}">Acknowledge</button>`}

@@ -2,6 +2,7 @@
 
 import { quantity } from "../format.js";
 import { html, nothing, repeat } from "./lit.js";
+import { prose } from "./prose.js";
 
 const MARK = { accepted: "✓", ready: "✓", refused: "✗", "not ready": "✗", missing: "?", "not sent": "–" };
 const GOOD = new Set(["accepted", "ready"]);
@@ -19,5 +20,5 @@ function entry({ title, result, error }) {
       <span class="mark" aria-hidden="true">${MARK[answer.kind] ?? "·"}</span>
       <span><strong>${answer.vehicle_id}</strong> ${answer.kind} <span class="quiet">${answer.after_ms === null ? "" : quantity(answer.after_ms, 0, "ms")}</span>
         ${GOOD.has(answer.kind) ? nothing : html`<br><strong>${answer.code}</strong>`} ${answer.text}</span></li>`)}</ul>
-      ${result.advice ? html`<p class="advice">${result.advice}</p>` : nothing}` : nothing}</div>`;
+      ${result.advice ? html`<p class="advice">${prose(result.advice)}</p>` : nothing}` : nothing}</div>`;
 }

@@ -2,6 +2,7 @@
 
 import { age, idList, known, metres, number, percent, quantity, vector, NONE } from "../format.js";
 import { html, nothing } from "./lit.js";
+import { prose } from "./prose.js";
 import { symbol } from "./symbol.js";
 
 const LANDED = { 0: "undefined", 1: "on ground", 2: "in air", 3: "takeoff", 4: "landing" };
@@ -90,7 +91,7 @@ function problems(vehicle) {
   if (!vehicle.flags.length && !lacks.length) return nothing;
   return html`<ul class="problems">
     ${vehicle.flags.map((flag) => html`<li class=${flag.severity}><strong>${flag.code}</strong> ${flag.text}.
-      Agent: ${flag.action}. <em>${flag.advice}</em></li>`)}
+      Agent: ${flag.action}. <em>${prose(flag.advice)}</em></li>`)}
     ${lacks.map(([name, text]) => html`<li class="info"><strong>${name}</strong> ${text}</li>`)}
   </ul>`;
 }

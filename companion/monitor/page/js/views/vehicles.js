@@ -60,7 +60,7 @@ function note(vehicle, ageS) {
   }
   if (!vehicle.flags.length) return nothing;
   const severity = vehicle.flags.some((flag) => flag.severity === "critical") ? "critical" : "warning";
-  const texts = vehicle.flags.map((flag) => `${flag.code}: ${flag.text}. Agent: ${flag.action}. ${flag.advice}`);
+  const texts = vehicle.flags.map((flag) => `${flag.code}: ${flag.text}. Agent: ${flag.action}. ${flag.advice.replaceAll("`", "")}`);
   return html`<tr class="note ${severity}"><td colspan="7">${texts.join(" ")}</td><td class="mode"></td></tr>`;
 }
 
