@@ -32,7 +32,7 @@ fleet {name}, vehicles {ids}. In a second terminal, one after the other:
   {companion} fleet use {file}        from then on this fleet is meant
   {companion} fleet doctor
   {companion} fleet arm        and likewise takeoff, form, ..., land: companion fleet --help
-  {companion} monitor
+  {companion} monitor --control        or all of this from a page in the browser
 MAVLink for a ground station: {ground_links}
 Ctrl-C here lands all vehicles and ends."""
 
