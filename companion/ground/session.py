@@ -86,6 +86,9 @@ class FleetSession(GroundConnection):
         self._lock = threading.Lock()  # of all below
         self._undrained: deque[StatusReport] = deque(maxlen=REPORTS_KEPT)
         self._undrained_replies: deque[tuple[str, CommandReply]] = deque(maxlen=REPLIES_KEPT)
+        self._asked: dict[
+            tuple[int, int], None
+        ] = {}  # vehicle and number of commands that wait for a reply, or had one
         self._undrained_commands: deque[Command] = deque(maxlen=COMMANDS_KEPT)
         self._mailboxes: list[deque[CommandReply]] = []  # one for each `ask` under way
         self._newest: dict[int, tuple[float, Status]] = {}  # by vehicle, with the time of arrival
@@ -99,8 +102,11 @@ class FleetSession(GroundConnection):
             self._undrained.clear()
         return reports
 
-    def drain_replies(self) -> list[tuple[str, CommandReply]]:
-        """Fleet and reply of all replies since the last call, oldest first, also to other operators. Never blocks."""
+    def drain_other_replies(self) -> list[tuple[str, CommandReply]]:
+        """Fleet and reply since the last call, oldest first, of those that `ask` does not return. Never blocks.
+
+        They are for other operators, for other programs of this one, or too late.
+        """
         with self._lock:
             self._listen_to_replies()
             replies = list(self._undrained_replies)
@@ -170,24 +176,30 @@ class FleetSession(GroundConnection):
         with self._lock:
             self._listen_to_replies()  # those before this command are not for it
             self._mailboxes.append(mailbox)
+        answers: dict[int, Answer | None] = dict.fromkeys(vehicle_ids)
+        sent: dict[int, tuple[Command, float, float]] = {}  # command, time of the first and of the last sending
         try:
-            return self._ask(vehicle_ids, name, timeout_s, content, cancelled, mailbox)
+            self._ask(answers, sent, name, timeout_s, content, cancelled, mailbox)
         finally:
             with self._lock:
                 self._mailboxes = [other for other in self._mailboxes if other is not mailbox]
+                for vehicle_id, (command, _, _) in sent.items():
+                    if answers[vehicle_id] is None:  # a reply that comes now is a late one
+                        self._asked.pop((vehicle_id, command.number), None)
+        return answers
 
     def _ask(
         self,
-        vehicle_ids: Iterable[int],
+        answers: dict[int, Answer | None],
+        sent: dict[int, tuple[Command, float, float]],
         name: CommandName,
         timeout_s: float,
         content: Content | None,
         cancelled: Callable[[], bool],
         mailbox: deque[CommandReply],
-    ) -> dict[int, Answer | None]:
+    ) -> None:
+        """Sends and waits; fills in `answers` and `sent`."""
         start_s = time.monotonic()
-        answers: dict[int, Answer | None] = dict.fromkeys(vehicle_ids)
-        sent: dict[int, tuple[Command, float, float]] = {}  # command, time of the first and of the last sending
         while None in answers.values() and time.monotonic() - start_s < timeout_s and not cancelled():
             now_s, reports = time.monotonic(), self.newest()
             for vehicle_id in sorted(i for i, answer in answers.items() if answer is None):
@@ -197,10 +209,9 @@ class FleetSession(GroundConnection):
                 elif command is None and vehicle_id in reports:
                     command = self._command(reports[vehicle_id], name, content)
                 if command and now_s - last_s >= AGAIN_S:
-                    self._send(vehicle_id, command)
                     if vehicle_id not in sent:
-                        with self._lock:
-                            self._undrained_commands.append(command)
+                        self._note(vehicle_id, command)
+                    self._send(vehicle_id, command)
                     sent[vehicle_id] = (command, first_s, now_s)
             time.sleep(min(POLL_S, timeout_s))
             with self._lock:
@@ -210,7 +221,14 @@ class FleetSession(GroundConnection):
                 command, first_s, _ = sent.get(reply.vehicle_id, (None, 0.0, 0.0))
                 if command and (reply.operator, reply.number) == (command.operator, command.number):
                     answers[reply.vehicle_id] = Answer(reply, time.monotonic() - first_s)
-        return answers
+
+    def _note(self, vehicle_id: int, command: Command) -> None:
+        """A command that is sent for the first time."""
+        with self._lock:
+            self._undrained_commands.append(command)
+            self._asked[vehicle_id, command.number] = None
+            if len(self._asked) > REPLIES_KEPT:
+                del self._asked[next(iter(self._asked))]
 
     def _command(self, status: Status, name: CommandName, content: Content | None) -> Command:
         """For the vehicle with this status, with a number of its own: a wrong one of a vehicle does not concern the others."""
@@ -245,7 +263,8 @@ class FleetSession(GroundConnection):
             key = str(sample.key_expr)
             fleet = key.split("/")[1]
             if key == reply_key(fleet, reply.vehicle_id):
-                self._undrained_replies.append((fleet, reply))
+                if reply.operator != self.operator or (reply.vehicle_id, reply.number) not in self._asked:
+                    self._undrained_replies.append((fleet, reply))
                 for mailbox in self._mailboxes:
                     mailbox.append(reply)
             else:

@@ -44,8 +44,6 @@ class Source(Protocol):
     def connections(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """Endpoints that are reached, and those that are not, with the reason. May take a second."""
 
-    def close(self) -> None: ...
-
 
 class LiveSource:
     """The vehicles that a session is connected to. A lost connection comes back by itself."""
@@ -63,12 +61,8 @@ class LiveSource:
         return [(now_s, report) for report in self._session.drain()]
 
     def drain_happenings(self) -> list[Happening]:
-        """Answers to this operator are left out: they are logged with the command."""
-        answers = [
-            answered(time.time(), fleet, reply)
-            for fleet, reply in self._session.drain_replies()
-            if reply.operator != self._session.operator
-        ]
+        """Answers that a command of this program waits for are left out: they are logged with it."""
+        answers = [answered(time.time(), fleet, reply) for fleet, reply in self._session.drain_other_replies()]
         return answers + self._refusals(time.monotonic())
 
     def _refusals(self, now_s: float) -> list[Happening]:
@@ -86,9 +80,6 @@ class LiveSource:
         failed = unreachable(self._endpoints, self._session.linked())
         reached = tuple(endpoint for endpoint in self._endpoints if endpoint not in failed)
         return reached, tuple(f"{endpoint}: {reason}" for endpoint, reason in failed.items())
-
-    def close(self) -> None:
-        self._session.close()
 
 
 class ReplaySource:
@@ -154,6 +145,3 @@ class ReplaySource:
         """Seconds of the flight per second; 0 pauses."""
         self._from = Moment(self._clock(), self.moment().time_s)
         self._speed = speed
-
-    def close(self) -> None:
-        pass

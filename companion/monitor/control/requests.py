@@ -20,9 +20,9 @@ from companion.monitor.api import CommandRequest
 from companion.types.bounds import VehicleId
 
 WAIT_S = 3.0  # for reports and replies, as `companion fleet` does
-SIMPLE = ("arm", "takeoff", "form", "hold", "land", "return", "disarm", "take")
+ABORT, DOCTOR, HOLD, LAND = "abort", "doctor", "hold", "land"
+SIMPLE = ("arm", "takeoff", "form", HOLD, LAND, "return", "disarm", "take")
 CHANGES = ("leader", "formation", "reference")
-ABORT, DOCTOR = "abort", "doctor"
 ACTIONS = (*SIMPLE, ABORT, DOCTOR, *CHANGES)
 REQUEST = Path("request")  # named in an error in place of a file
 

@@ -107,5 +107,6 @@ def _reached_address(request: web.Request) -> str:
 
 
 def has_token(request: web.Request, token: str) -> bool:
-    """Compared in constant time."""
-    return hmac.compare_digest(request.headers.get(TOKEN_HEADER, "").encode(), token.encode())
+    """Compared in constant time. A header may have bytes that are no UTF-8."""
+    given = request.headers.get(TOKEN_HEADER, "").encode(errors="surrogateescape")
+    return hmac.compare_digest(given, token.encode())

@@ -41,7 +41,8 @@ class Clients:
         """Until the client leaves. `act` gets its messages; a message that is none ends the connection."""
         socket = web.WebSocketResponse(max_msg_size=LONGEST_MESSAGE, heartbeat=ALIVE_S, compress=False, timeout=2.0)
         await socket.prepare(request)
-        client = _Client(socket)
+        assert request.transport is not None  # the answer to the upgrade went through it
+        client = _Client(socket, request.transport)
         client.offer(first)
         self._clients.add(client)
         sending = asyncio.create_task(client.send_newest())
@@ -62,8 +63,9 @@ class Clients:
 
 
 class _Client:
-    def __init__(self, socket: web.WebSocketResponse) -> None:
+    def __init__(self, socket: web.WebSocketResponse, transport: asyncio.Transport) -> None:
         self.socket = socket
+        self._transport = transport
         self._newest = b""
         self._offered = asyncio.Event()
 
@@ -80,7 +82,7 @@ class _Client:
                 async with asyncio.timeout(SEND_WITHIN_S):
                     await self.socket.send_frame(self._newest, WSMsgType.TEXT)
         except (TimeoutError, ConnectionError):
-            await self.socket.close(code=WSCloseCode.GOING_AWAY)
+            self._transport.abort()  # a close frame would wait behind what the client does not read
 
 
 async def _receive(socket: web.WebSocketResponse, act: Callable[[ClientMessage], None]) -> None:

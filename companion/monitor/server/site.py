@@ -82,6 +82,8 @@ class Site:
         return _json(msgspec.structs.replace(view, tiles=self._tiles is not None))
 
     async def _acknowledge(self, request: web.Request) -> web.StreamResponse:
+        if self._commander and not has_token(request, self._token):
+            return error(403, WRONG_TOKEN)
         alarm = self._station.acknowledge(int(request.match_info["id"]))
         return error(404, "no such alarm; it has ended") if alarm is None else _json(alarm)
 

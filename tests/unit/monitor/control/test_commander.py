@@ -8,8 +8,11 @@ from collections.abc import Awaitable, Callable
 
 import pytest
 
+from companion.ground.readiness import Check
+from companion.ground.session import FleetSession
 from companion.monitor.api import TOKEN_HEADER
-from companion.types.commands import Command, CommandReply
+from companion.monitor.control import commander
+from companion.types.commands import Command, CommandName, CommandReply
 from companion.types.notices import Code
 from linked_vehicles import LinkedVehicles, accept, linked_vehicles
 from served_site import TOKEN, Served, served_live, until_true
@@ -43,6 +46,60 @@ def test_no_command_without_the_token(token: str | None) -> None:
             assert (status, "token" in answer["error"]) == (403, True)
         assert (await server.get("/api/v1/snapshot"))[1]["may_control"] is True
         assert vehicles.commands == []
+
+    with_fleet(work)
+
+
+def test_an_alarm_is_acknowledged_only_with_the_token() -> None:
+    async def work(server: Served, _vehicles: LinkedVehicles) -> None:
+        path = "/api/v1/alarms/999/acknowledge"
+        assert (await server.post(path, {}))[0] == 403
+        assert (await server.post(path, {}, **{TOKEN_HEADER: TOKEN}))[0] == 404  # there is no such alarm
+
+    with_fleet(work)
+
+
+def test_a_token_that_is_no_text_is_refused() -> None:
+    async def work(server: Served, _vehicles: LinkedVehicles) -> None:
+        address = server.url.removeprefix("http://")
+        reader, writer = await asyncio.open_connection(*address.split(":"))
+        lines = f"POST /api/v1/commands HTTP/1.1\r\nHost: {address}\r\nContent-Length: 0\r\n{TOKEN_HEADER}: "
+        writer.write(lines.encode() + b"\xff\r\n\r\n")
+        assert b" 403 " in await reader.readline()
+        writer.close()
+
+    with_fleet(work)
+
+
+def test_the_timeline_has_the_answers_to_other_programs_of_this_operator_once() -> None:
+    """Those to a command of the page are logged with it. Vehicle 2 answers `hold` when the page has stopped to wait."""
+    held: list[Command] = []
+
+    def answer(vehicle_id: int, command: Command) -> CommandReply | None:
+        if vehicle_id == 2 and command.name == "hold":
+            held.append(command)
+            return None
+        if vehicle_id == 2 and command.name == "take" and held:
+            return accept(2, held.pop())
+        return accept(vehicle_id, command)
+
+    async def answers(server: Served) -> list[int]:
+        events = (await server.get("/api/v1/history"))[1]["events"]
+        return sorted(e["vehicle_id"] for e in events if e["kind"] == "answer")
+
+    async def work(server: Served, vehicles: LinkedVehicles) -> None:
+        vehicles.answer = answer
+        with FleetSession("load", vehicles.endpoints, "anna@ground") as program:
+            await asyncio.to_thread(program.command, [1, 3], CommandName.LAND, 5.0)
+        await until_true(lambda: equal(answers(server), [1, 3]))
+        await server.command("hold", ids=(1, 2))
+        assert await answers(server) == [1, 1, 2, 3]  # vehicle 2: no reply
+        held[:] = held[-1:]
+        await server.command("take", ids=(2,))
+        await until_true(lambda: equal(answers(server), [1, 1, 2, 2, 2, 3]))
+
+    async def equal(found: Awaitable[list[int]], expected: list[int]) -> bool:
+        return await found == expected
 
     with_fleet(work)
 
@@ -130,18 +187,65 @@ def test_abort_goes_out_at_once_and_ends_the_command_under_way() -> None:
         vehicles.answer = answer
         holding = asyncio.create_task(server.command("hold"))
         await asyncio.to_thread(asked.wait, 10.0)
-        refused = await server.command("land")
+        refused = await server.command("disarm")
         assert refused["error"] == "hold is being sent; wait for its answers"
         result = await server.command("abort")
         assert [a["kind"] for a in result["answers"]] == ["accepted"] * 3
         assert vehicles.received("abort") == [1, 2, 3]
-        assert "ended by abort" in (await holding)["error"]
+        held = await holding
+        assert "ended by abort" in held["error"]
+        assert {(a["kind"], a["text"]) for a in held["answers"]} == {("missing", "no reply before abort")}
         late.clear()
         vehicles.answer = lambda i, command: late.append(command) or accept(i, command)  # type: ignore[func-returns-value]
         assert (await server.command("form"))["error"] == ""  # and the next command is sent
         assert {command.name for command in late} == {"form"}
-        assert vehicles.received("land") == []
+        assert vehicles.received("disarm") == []
 
+    with_fleet(work)
+
+
+@pytest.mark.parametrize("urgent", ["hold", "land"])
+def test_hold_and_land_end_the_command_under_way(urgent: str) -> None:
+    """Vehicle 2 does not answer `disarm`; the other answers are kept."""
+    asked = threading.Event()
+
+    def answer(vehicle_id: int, command: Command) -> CommandReply | None:
+        if command.name == "disarm" and vehicle_id == 2:
+            asked.set()
+            return None
+        return accept(vehicle_id, command)
+
+    async def work(server: Served, vehicles: LinkedVehicles) -> None:
+        vehicles.answer = answer
+        disarming = asyncio.create_task(server.command("disarm"))
+        await asyncio.to_thread(asked.wait, 10.0)
+        result = await server.command(urgent)
+        assert (result["error"], [a["kind"] for a in result["answers"]]) == ("", ["accepted"] * 3)
+        disarmed = await disarming
+        assert f"ended by {urgent}" in disarmed["error"]
+        assert [(a["vehicle_id"], a["kind"]) for a in disarmed["answers"] if a["vehicle_id"] == 2] == [(2, "missing")]
+        events = (await server.get("/api/v1/history"))[1]["events"]
+        assert [e["code"] for e in events if "ended by" in e["text"]] == ["NO_REPLY"]
+
+    with_fleet(work)
+
+
+def test_scipy_is_not_loaded_in_the_event_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It takes seconds on a small computer; meanwhile no ABORT would go out."""
+    threads: list[str] = []
+    checked = commander.check_content
+
+    def check(*arguments: object) -> None:
+        threads.append(threading.current_thread().name)
+        checked(*arguments)  # type: ignore[arg-type]
+
+    async def work(server: Served, _vehicles: LinkedVehicles) -> None:
+        wanted = {"fleet": "load", "name": "formation", "content": {"shape": "line", "spacing_m": 4.0}}
+        await server.post("/api/v1/preview", wanted, **{TOKEN_HEADER: TOKEN})
+        await server.command("formation", {"shape": "line", "spacing_m": 4.0})
+        assert [name.rstrip("_0123456789") for name in threads] == ["preview", "command"]
+
+    monkeypatch.setattr(commander, "check_content", check)
     with_fleet(work)
 
 
@@ -159,6 +263,15 @@ def test_abort_needs_no_report_and_misses_no_vehicle_that_is_silent() -> None:
 
 async def none_reports(server: Served) -> bool:
     return all(v["silent"] for v in (await server.get("/api/v1/snapshot"))[1]["vehicles"])
+
+
+def test_doctor_tells_warnings_of_a_vehicle_that_is_ready() -> None:
+    checks = [Check("origin", (), "in the fleet frame"), Check("battery", (), "unknown", (Code.BATTERY_UNKNOWN,))]
+    answer = commander._readiness(2, checks)
+    assert (answer.kind, answer.code, answer.text) == ("ready, with warnings", "BATTERY_UNKNOWN", "battery: unknown")
+    assert commander._readiness(2, checks[:1]).kind == "ready"
+    failed = commander._readiness(2, [Check("peers", (Code.PEER_STALE,), "no fresh report"), *checks])
+    assert (failed.kind, failed.code) == ("not ready", "PEER_STALE")
 
 
 def test_a_preview_sends_nothing() -> None:

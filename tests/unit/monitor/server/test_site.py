@@ -10,6 +10,7 @@ import msgspec
 import pytest
 
 from companion.monitor.api import FleetFileView, History, Snapshot
+from companion.monitor.server import clients
 from served_site import Served, recorded, served, until_true
 
 
@@ -70,6 +71,24 @@ def test_a_client_that_does_not_read_delays_no_other() -> None:
             numbers = [s["number"] for s in [await quick.receive_json() for _ in range(20)] if isinstance(s, dict)]
             assert numbers == sorted(set(numbers))
             assert len(numbers) >= 18
+        transport.abort()  # type: ignore[union-attr]
+
+    with_server(work)
+
+
+def test_a_client_that_does_not_read_leaves_its_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(clients, "SEND_WITHIN_S", 0.2)
+
+    async def work(server: Served) -> None:
+        slow = await server.http.ws_connect(f"{server.url}/api/v1/live")
+        transport = slow._response.connection.transport  # type: ignore[union-attr]
+        transport.pause_reading()  # type: ignore[union-attr]
+        server.site.clients.publish(b'"' + b"x" * 8_000_000 + b'"')
+
+        async def left() -> bool:
+            return not server.site.clients._clients
+
+        await until_true(left, 1.5)  # without the heartbeat, which would come after 15 s
         transport.abort()  # type: ignore[union-attr]
 
     with_server(work)
