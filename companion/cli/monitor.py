@@ -138,6 +138,8 @@ def _selected(
     from companion.ground.current_fleet import select
     from companion.link.fleet.own_identity import load
 
+    if options.replay and not options.fleet_file:  # a flight has the fleet file that it was flown with
+        return Selection(None, "", (), "", None), None, None, ()
     selection = select(options.fleet_file, options.connect or (), options.identity, os.environ)
     identity = load(selection.identity) if selection.identity else None
     fleet = load_fleet(selection.fleet) if selection.fleet else None
@@ -156,8 +158,14 @@ def _run_terminal(options: argparse.Namespace) -> int:
 
     _, fleet, identity, endpoints = _selected(options)
     try:
-        endpoints = endpoints or _simulation(fleet)
-        return run_monitor(options.fleet, endpoints, identity, once=options.once, as_json=options.json)
+        return run_monitor(
+            options.fleet,
+            endpoints or _simulation(fleet),
+            identity,
+            once=options.once,
+            as_json=options.json,
+            endpoints_are_guessed=not endpoints,
+        )
     except MonitorError as error:
         return fail(f"companion monitor: {error}", EXIT_UNUSABLE)
 

@@ -47,8 +47,8 @@ class VehicleRow:
 
     `age_s` is the time since the last report; `data_age_s` adds the age of the position on board (inf where there never was
     one). `peers` are fresh ones; `lacks` is what keeps it from flying besides flags. `error_to_slot_m` is |(x_i - d_i0) - r|,
-    None where no leader reports or the vehicle does not fly. `holder` is the operator who holds command. `flags` has
-    LEADER_AWAITED and LEADER_LOST only while a flight of the fleet is under way.
+    None where no leader reports, the vehicle does not fly, or its position is older than SILENT_AFTER_S. `holder` is the
+    operator who holds command. `flags` has LEADER_AWAITED and LEADER_LOST only while a flight of the fleet is under way.
     """
 
     fleet: str
@@ -132,7 +132,8 @@ def _row(facts: _FleetFacts, received: Received, now_s: float) -> VehicleRow:
     reference_enu_m = _reference_enu_m(facts, status)
     slot_position_enu_m = None if reference_enu_m is None else _slot_position_enu_m(status, reference_enu_m)
     error_to_slot_m = None
-    if slot_position_enu_m is not None and status.landed in _FLYING and not silent:
+    data_age_s = age_s + status.state_age_s
+    if slot_position_enu_m is not None and status.landed in _FLYING and data_age_s <= SILENT_AFTER_S and not silent:
         error_to_slot_m = dist(status.position_enu_m, slot_position_enu_m)
     return VehicleRow(
         fleet=status.fleet,
@@ -148,7 +149,7 @@ def _row(facts: _FleetFacts, received: Received, now_s: float) -> VehicleRow:
         hover_thrust_norm=status.hover_thrust_norm,
         disturbance_enu_m_s2=status.disturbance_enu_m_s2,
         age_s=age_s,
-        data_age_s=age_s + status.state_age_s,
+        data_age_s=data_age_s,
         silent=silent,
         neighbours=status.neighbours,
         peers=status.peers,

@@ -65,7 +65,9 @@ class VehicleView(Struct, frozen=True, kw_only=True):
     vehicle_id: int
     silent: bool
     age_s: float  # since the last report
-    data_age_s: float | None  # of the position, with the transmission; None where there never was one
+    data_age_s: (
+        float | None
+    )  # of the position: its age on board and the time since the report; None where there never was one
     report_rate_hz: float
     phase: str
     role: str
@@ -107,7 +109,8 @@ class FleetView(Struct, frozen=True, kw_only=True):
     """Figures of a whole fleet. Those of the law need its fleet file, and are None without it."""
 
     name: str
-    vehicle_ids: tuple[int, ...]
+    vehicle_ids: tuple[int, ...]  # that ever reported
+    missing_ids: tuple[int, ...]  # of the fleet file, that never reported; none without the file
     leader_ids: tuple[int, ...]
     smallest_separation_m: float | None
     smallest_separation_pair: tuple[int, int] | None
@@ -281,7 +284,7 @@ class HistorySample(Struct, frozen=True, array_like=True):
     """Of one vehicle at one time: id, altitude, error to slot, battery, lateness p99, nearest distance."""
 
     vehicle_id: int
-    altitude_m: float
+    altitude_m: float | None  # None where the position is older than a second
     error_to_slot_m: float | None
     battery_percent: float | None
     late_p99_ms: float

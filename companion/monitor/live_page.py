@@ -104,12 +104,28 @@ def _show_recording(options: LivePage, folder: Path, address: Address) -> None:
         flight = recorded_flight(folder, lambda line: print(line, file=sys.stderr))
     except (RecordingError, NoFlightError) as error:
         raise MonitorError(f"--replay: {error}") from error
-    fleet = options.fleet or next(iter(flight.fleets.values()), None)
+    fleets = _with_file(flight.fleets, options)
     with ExitStack() as stack:
-        station = Station(flight.source, flight.fleets, operator="")
+        station = Station(flight.source, fleets, operator="")
         if options.mavlink is not None:
-            station.listeners.append(stack.enter_context(_feed(options.mavlink, fleet)).forward)
+            shown = options.fleet or next(iter(fleets.values()), None)
+            station.listeners.append(stack.enter_context(_feed(options.mavlink, shown)).forward)
         serve(station, None, address, options.tiles)
+
+
+def _with_file(recorded: dict[str, FleetConfig], options: LivePage) -> dict[str, FleetConfig]:
+    """The fleet files of the recordings, and --fleet-file in the place of that of its fleet."""
+    fleet = options.fleet
+    if fleet is None:
+        return recorded
+    flown = recorded.get(fleet.name)
+    if flown is not None and flown.formation_hash() != fleet.formation_hash():
+        print(
+            f"companion monitor: {options.fleet_file} is not the fleet file of this flight: slots, fence and the figures of"
+            " the law are those of the file",
+            file=sys.stderr,
+        )
+    return recorded | {fleet.name: fleet}
 
 
 def _feed(endpoint: str, fleet: FleetConfig | None) -> FleetFeed:

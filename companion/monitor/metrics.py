@@ -17,6 +17,7 @@ from prometheus_client.metrics_core import CounterMetricFamily, GaugeMetricFamil
 from prometheus_client.registry import Collector
 
 from companion.monitor.api import FleetView, Snapshot, VehicleView
+from companion.monitor.picture.vehicle_view import is_old
 from companion.types.bounds import FLEET_NAME
 from companion.types.flight import FlightPhase, HealthFlag, Role
 
@@ -61,11 +62,21 @@ def _percent(value: float | None) -> Value:
 
 
 V, F = Measure[VehicleView], Measure[FleetView]
+UP = V(
+    "companion_vehicle_up",
+    "1 while the vehicle reports, 0 when it is silent or has never reported",
+    lambda v: not v.silent,
+    if_silent=True,
+)
 VEHICLE_MEASURES: tuple[Measure[VehicleView], ...] = (
-    V("companion_vehicle_up", "1 while the vehicle reports, 0 when it is silent", lambda v: not v.silent, "", True),
+    UP,
     V("companion_vehicle_report_age_seconds", "Time since the last status report", lambda v: v.age_s, "", True),
     V("companion_vehicle_report_rate_hertz", "Status reports received per second", lambda v: v.report_rate_hz),
-    V("companion_vehicle_data_age_seconds", "Age of the position, with the transmission", lambda v: v.data_age_s),
+    V(
+        "companion_vehicle_data_age_seconds",
+        "Age of the position: on board, and since the report",
+        lambda v: v.data_age_s,
+    ),
     V(
         "companion_vehicle_phase",
         "1 for the present flight phase, 0 for the others",
@@ -76,8 +87,16 @@ VEHICLE_MEASURES: tuple[Measure[VehicleView], ...] = (
     V("companion_vehicle_armed", "1 while the motors are armed", lambda v: v.armed),
     V("companion_vehicle_leader", "1 while the vehicle is leader", lambda v: v.role == Role.LEADER),
     V("companion_vehicle_battery_ratio", "Battery charge, 0 to 1", lambda v: _percent(v.battery_percent)),
-    V("companion_vehicle_altitude_meters", "Height above the fleet's origin", lambda v: v.position_enu_m[2]),
-    V("companion_vehicle_speed_meters_per_second", "Speed", lambda v: hypot(*v.velocity_enu_m_s)),
+    V(
+        "companion_vehicle_altitude_meters",
+        "Height above the fleet's origin",
+        lambda v: None if is_old(v) else v.position_enu_m[2],
+    ),
+    V(
+        "companion_vehicle_speed_meters_per_second",
+        "Speed",
+        lambda v: None if is_old(v) else hypot(*v.velocity_enu_m_s),
+    ),
     V(
         "companion_vehicle_position_error_meters",
         "One sigma of the position by the autopilot's estimator",
@@ -176,13 +195,16 @@ class _Collector(Collector):
 
     def collect(self) -> Iterator[Metric]:
         vehicles = [v for v in self._snapshot.vehicles if re.fullmatch(FLEET_NAME, v.fleet)]
+        fleets = [f for f in self._snapshot.fleets if re.fullmatch(FLEET_NAME, f.name)]
         for measure in VEHICLE_MEASURES:
             metric = _family(measure, OF_VEHICLE)
             for vehicle in vehicles:
                 if measure.if_silent or not vehicle.silent:
                     _add(metric, measure, vehicle, (vehicle.fleet, str(vehicle.vehicle_id)))
+            if measure is UP:
+                for fleet, vehicle_id in ((f.name, i) for f in fleets for i in f.missing_ids):
+                    metric.add_metric((fleet, str(vehicle_id)), 0.0)
             yield metric
-        fleets = [f for f in self._snapshot.fleets if re.fullmatch(FLEET_NAME, f.name)]
         for of_fleet in FLEET_MEASURES:
             metric = _family(of_fleet, OF_FLEET)
             for fleet in fleets:

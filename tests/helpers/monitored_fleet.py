@@ -52,6 +52,7 @@ VEHICLE = VehicleView(
 FLEET = FleetView(
     name="platoon",
     vehicle_ids=(1, 2),
+    missing_ids=(),
     leader_ids=(1,),
     smallest_separation_m=1.5,
     smallest_separation_pair=(1, 2),

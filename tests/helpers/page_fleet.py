@@ -118,6 +118,7 @@ def fleet_of(vehicles: list[VehicleView], name: str = "ring") -> FleetView:
     return FleetView(
         name=name,
         vehicle_ids=tuple(vehicle.vehicle_id for vehicle in vehicles),
+        missing_ids=(),
         leader_ids=(1,),
         smallest_separation_m=distance_m,
         smallest_separation_pair=pair,

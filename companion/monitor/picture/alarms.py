@@ -12,7 +12,7 @@ from companion.monitor.picture.flags import advice_of
 from companion.types.notices import Code
 
 MOST_ALARMS = 500
-SILENT, UNSECURED, NOT_RECORDED = "SILENT", "UNSECURED", "NOT_RECORDED"
+SILENT, NEVER_HEARD, UNSECURED, NOT_RECORDED = "SILENT", "NEVER_HEARD", "UNSECURED", "NOT_RECORDED"
 _RANKS: dict[Severity, int] = {"critical": 0, "warning": 1, "info": 2}
 
 Key = tuple[str, int | None, str]  # fleet, vehicle id, code
@@ -34,6 +34,13 @@ OTHER_FILE = Condition(
 )
 
 
+MISSING = Condition(
+    "warning",
+    "no report yet; the fleet file here names it",
+    "start its agent, and look at its endpoint and its network",
+)
+
+
 @dataclass(frozen=True, slots=True)
 class Changes:
     """The alarms that have begun and those that have ended in one update."""
@@ -50,14 +57,18 @@ class AlarmList:
         self._last_id = 0
 
     def update(self, time_s: float, conditions: Mapping[Key, Condition]) -> Changes:
-        """Begin and end alarms by the present conditions."""
-        begun = [self._begin(time_s, key, condition) for key, condition in conditions.items() if self._is_new(key)]
+        """Begin and end alarms by the present conditions. One that was acknowledged begins again where it becomes worse."""
+        self._leave_room(len(conditions.keys() - self._alarms.keys()))
+        for key, condition in conditions.items():
+            if self._is_worse(key, condition):
+                del self._alarms[key]
+        new = [key for key in sorted(conditions, key=lambda key: _RANKS[conditions[key].severity]) if self._is_new(key)]
+        begun = [self._begin(time_s, key, conditions[key]) for key in new if self._has_room(key)]
         ended = [self._end(time_s, key) for key in list(self._alarms) if key not in conditions and self._lasts(key)]
         for key, condition in conditions.items():
             alarm = self._alarms.get(key)
             if alarm and (alarm.severity, alarm.text) != (condition.severity, condition.text):
                 self._alarms[key] = replace(alarm, severity=condition.severity, text=condition.text)
-        self._bound()
         return Changes(tuple(begun), tuple(ended))
 
     def acknowledge(self, alarm_id: int) -> AlarmView | None:
@@ -87,6 +98,14 @@ class AlarmList:
     def _is_new(self, key: Key) -> bool:
         return key not in self._alarms or not self._lasts(key)
 
+    def _is_worse(self, key: Key, condition: Condition) -> bool:
+        alarm = self._alarms.get(key)
+        return bool(alarm and alarm.acknowledged) and _RANKS[condition.severity] < _RANKS[self._alarms[key].severity]
+
+    def _has_room(self, key: Key) -> bool:
+        """Those that last stay: to take the place of one would begin it again at every update."""
+        return key in self._alarms or len(self._alarms) < MOST_ALARMS
+
     def _begin(self, time_s: float, key: Key, condition: Condition) -> AlarmView:
         fleet, vehicle_id, code = key
         if (alarm := self._alarms.get(key)) is not None:
@@ -115,9 +134,13 @@ class AlarmList:
             self._alarms[key] = alarm
         return alarm
 
-    def _bound(self) -> None:
-        """The oldest leave first: those that have ended, then the least severe."""
-        for alarm in reversed(self.all()[MOST_ALARMS:]):
+    def _leave_room(self, count: int) -> None:
+        """For so many new ones: those that have ended leave, the least severe and oldest first."""
+        too_many = len(self._alarms) + count - MOST_ALARMS
+        if too_many <= 0:
+            return
+        ended = [alarm for alarm in self.all() if alarm.until_s is not None]
+        for alarm in ended[max(0, len(ended) - too_many) :]:
             del self._alarms[alarm.fleet, alarm.vehicle_id, alarm.code]
 
 

@@ -14,17 +14,23 @@ from companion.types.flight import FLAG_TEXTS, HealthFlag
 WARNINGS = frozenset({HealthFlag.LEADER_AWAITED, HealthFlag.BATTERY_LOW, HealthFlag.TICK_LATE})
 
 
-def severity_of(flag: HealthFlag, armed: bool) -> Severity:
+# They count while the vehicle flies by its neighbours: in hold it only cannot begin to.
+IN_FORMATION = frozenset({HealthFlag.LEADER_LOST, HealthFlag.FLEET_LINK_LOST})
+
+
+def severity_of(flag: HealthFlag, armed: bool, streaming: bool) -> Severity:
     """On the ground a flag only keeps a vehicle from flying."""
-    return "critical" if armed and flag not in WARNINGS else "warning"
+    if flag in WARNINGS or not armed or (flag in IN_FORMATION and not streaming):
+        return "warning"
+    return "critical"
 
 
 @lru_cache(maxsize=1024)
-def flag_view(flag: HealthFlag, armed: bool, fleet: FleetSettings | None) -> FlagView:
-    """A flag of a vehicle of this fleet."""
+def flag_view(flag: HealthFlag, armed: bool, streaming: bool, fleet: FleetSettings | None) -> FlagView:
+    """A flag of a vehicle of this fleet. `streaming`: its agent sends setpoints."""
     return FlagView(
         code=flag,
-        severity=severity_of(flag, armed),
+        severity=severity_of(flag, armed, streaming),
         text=FLAG_TEXTS[flag],
         action=action_words(flag, fleet),
         advice=advice_of(flag),

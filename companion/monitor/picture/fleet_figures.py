@@ -59,6 +59,7 @@ class FleetFigures:
         return FleetView(
             name=self._name,
             vehicle_ids=tuple(v.vehicle_id for v in vehicles),
+            missing_ids=self._missing(vehicles),
             leader_ids=leaders,
             smallest_separation_m=round(smallest[0], 3) if smallest else None,
             smallest_separation_pair=smallest[1] if smallest else None,
@@ -71,6 +72,11 @@ class FleetFigures:
                 (v.data_age_s for v in vehicles if not v.silent and v.data_age_s is not None), default=None
             ),
         )
+
+    def _missing(self, vehicles: Sequence[VehicleView]) -> tuple[int, ...]:
+        if self._file is None:
+            return ()
+        return tuple(sorted({member.id for member in self._file.vehicles} - {v.vehicle_id for v in vehicles}))
 
     def _figure(self, vehicles: Sequence[VehicleView]) -> None:
         """Those of the law and of the links, which need the fleet file."""

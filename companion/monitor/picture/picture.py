@@ -17,7 +17,7 @@ from companion.monitor.api import (
     Snapshot,
     VehicleView,
 )
-from companion.monitor.picture.alarms import OTHER_FILE, AlarmList, Condition, Key, conditions_of
+from companion.monitor.picture.alarms import MISSING, NEVER_HEARD, OTHER_FILE, AlarmList, Condition, Key, conditions_of
 from companion.monitor.picture.events import EventLog, happened
 from companion.monitor.picture.fleet_figures import FleetFigures
 from companion.monitor.picture.fleet_map import fleet_map
@@ -29,6 +29,7 @@ from companion.types.vectors import Vector3
 from companion.wire.ground import StatusReport
 
 RATE_OVER_S = 3.0
+HEARD_WITHIN_S = 5.0  # after the first vehicle of its fleet
 TIMES_KEPT = 64  # of the reports of a vehicle, for its rate
 
 
@@ -57,6 +58,7 @@ class Picture:
         self._figures: dict[str, FleetFigures] = {}
         self._history = HistoryRing()
         self._homes: dict[str, dict[int, Vector3]] = {}
+        self._first_s: dict[str, float] = {}  # when a fleet was first seen
 
     @property
     def has_vehicles(self) -> bool:
@@ -83,6 +85,7 @@ class Picture:
         kept = self._state.vehicles
         names = {fleet for fleet, _ in kept}
         self._arrivals = {key: times for key, times in self._arrivals.items() if key in kept}
+        self._first_s = {name: first_s for name, first_s in self._first_s.items() if name in names}
         self._figures = {name: figures for name, figures in self._figures.items() if name in names}
         self._homes = {
             name: {i: home for i, home in homes.items() if (name, i) in kept}
@@ -102,9 +105,9 @@ class Picture:
         self._number += 1
         vehicles = self._vehicles(now_s)
         fleets = self._fleets(now_s, vehicles)
-        self._update_alarms(time_s, vehicles)
-        if self._history.is_due(time_s):
-            self._history.add(time_s, vehicles, fleets)
+        self._update_alarms(now_s, time_s, vehicles, () if replay else fleets)
+        if self._history.is_due(now_s):
+            self._history.add(now_s, time_s, vehicles, fleets)
         return Snapshot(
             number=self._number,
             time_s=time_s,
@@ -147,8 +150,14 @@ class Picture:
             views.append(self._figures[name].view(now_s, list(of_fleet)))
         return tuple(views)
 
-    def _update_alarms(self, time_s: float, vehicles: Sequence[VehicleView]) -> None:
+    def _update_alarms(
+        self, now_s: float, time_s: float, vehicles: Sequence[VehicleView], fleets: Sequence[FleetView]
+    ) -> None:
+        """`fleets`: those of which all vehicles are expected to report."""
         conditions: dict[Key, Condition] = {}
+        for fleet in fleets:
+            if now_s - self._first_s.setdefault(fleet.name, now_s) >= HEARD_WITHIN_S:
+                conditions |= {(fleet.name, i, NEVER_HEARD): MISSING for i in fleet.missing_ids}
         for vehicle in vehicles:
             conditions |= conditions_of(vehicle)
             own_hash = self._hashes.get(vehicle.fleet)

@@ -5,14 +5,20 @@ from __future__ import annotations
 from itertools import zip_longest
 
 from companion.config.fleet import FleetConfig
-from companion.ground.fleet_status import VehicleRow
+from companion.ground.fleet_status import SILENT_AFTER_S, VehicleRow
 from companion.monitor.api import NearestView, NeighbourView, TimingView, VehicleView
 from companion.monitor.picture.flags import flag_view
+from companion.types.flight import STREAMING
 from companion.types.status import Status
 from companion.types.vectors import Vector3
 from companion.wire.ground import Timing
 
 NEVER_S = 1e5  # an agent without a position reports an age beyond this
+
+
+def is_old(vehicle: VehicleView) -> bool:
+    """Whether its position is none that holds now."""
+    return vehicle.data_age_s is None or vehicle.data_age_s > SILENT_AFTER_S
 
 
 def vehicle_view(row: VehicleRow, status: Status, report_rate_hz: float, fleet: FleetConfig | None) -> VehicleView:
@@ -48,7 +54,7 @@ def vehicle_view(row: VehicleRow, status: Status, report_rate_hz: float, fleet: 
         formation=row.formation,
         reference=row.reference,
         holder=row.holder,
-        flags=tuple([flag_view(flag, row.armed, fleet) for flag in row.flags]),
+        flags=tuple([flag_view(flag, row.armed, row.phase in STREAMING, fleet) for flag in row.flags]),
         lacks=tuple(map(str, status.lacks)),
         refuses_return=str(status.refuses_return) if status.refuses_return else None,
         nearest=(

@@ -68,6 +68,8 @@ class FleetFeed:
 
     def forward(self, reports: Iterable[tuple[float, StatusReport]], now_s: float) -> None:
         """Take in the reports that came since the last call, with their times of arrival; send what is due."""
+        if now_s < self._stepped_s:  # a recording goes back: what is known is of its future
+            self._systems.clear()
         for received_s, report in reports:
             self.take(report.status, received_s)
         self.step(now_s)
@@ -86,9 +88,6 @@ class FleetFeed:
 
     def step(self, now_s: float) -> None:
         """Send what is due, and drain what the ground station sent."""
-        if now_s < self._stepped_s:  # a recording goes back
-            for system in self._systems.values():
-                system.positions_due_s = system.states_due_s = now_s
         self._stepped_s, self._began_s = now_s, min(self._began_s, now_s)
         time_ms = int((now_s - self._began_s) * 1e3) % 2**32
         for system in self._systems.values():

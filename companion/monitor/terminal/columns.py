@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import isfinite
 
+from companion.ground.fleet_status import SILENT_AFTER_S
 from companion.monitor.terminal.fleet_rows import TableRow
 from companion.types.printable import printable
 
@@ -56,6 +57,8 @@ def _live(text: Callable[[TableRow], str]) -> Callable[[TableRow], str]:
 
 
 def _position(row: TableRow) -> str:
+    if row.vehicle.data_age_s > SILENT_AFTER_S:
+        return NONE
     return " ".join(f"{x:z.1f}" for x in row.vehicle.position_enu_m)
 
 

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import signal
+import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from types import FrameType
+from typing import Self
 
+import zenoh
 from rich.console import Console
 from rich.live import Live
 from rich.text import Text
@@ -16,17 +20,61 @@ from companion.ground.fleet_status import VehicleRow
 from companion.monitor.terminal.page import Line, Style, fitted_page
 
 PERIOD_S = 0.2
+CONNECTIONS_EVERY_S = 3.0
 
 
-def show_live(vehicles: Callable[[], Sequence[VehicleRow]], endpoints: Sequence[str]) -> None:
-    """Until Ctrl-C, which is raised as KeyboardInterrupt, as is SIGTERM."""
+def show_live(
+    vehicles: Callable[[], Sequence[VehicleRow]], endpoints: Sequence[str], unreachable: Callable[[], Mapping[str, str]]
+) -> None:
+    """Until Ctrl-C, which is raised as KeyboardInterrupt, as is SIGTERM.
+
+    `unreachable` gives the reason by endpoint and may take seconds.
+    """
     console = Console(highlight=False)
-    with _ended_by_sigterm(), Live(console=console, screen=True, auto_refresh=False, transient=True) as screen:
+    with (
+        _Connections(unreachable) as connections,
+        _ended_by_sigterm(),
+        Live(console=console, screen=True, auto_refresh=False, transient=True) as screen,
+    ):
         while True:
             width, height = console.size
-            lines = fitted_page(vehicles(), width, height, time.monotonic()) or _nothing_yet(endpoints)
-            screen.update(as_text(lines), refresh=True)
+            above = top_lines(time.strftime("%H:%M:%S"), connections.failed, width)
+            room = height - len(above)
+            lines = fitted_page(vehicles(), width, room, time.monotonic()) or _nothing_yet(endpoints)
+            screen.update(as_text([*above, *lines]), refresh=True)
             time.sleep(PERIOD_S)
+
+
+def top_lines(clock: str, failed: Mapping[str, str], width: int) -> list[Line]:
+    """The time of this picture, so that a connection that stalls is seen, and the endpoints that are not reached."""
+    lines = [Line(clock, Style.QUIET)]
+    if failed:
+        text = "not reached: " + "; ".join(f"{endpoint}: {reason}" for endpoint, reason in failed.items())
+        lines.append(Line(text if len(text) <= width else f"{text[: width - 1]}…", Style.WARNING))
+    return lines
+
+
+class _Connections:
+    """Looks at the endpoints in a thread."""
+
+    def __init__(self, unreachable: Callable[[], Mapping[str, str]]) -> None:
+        self.failed: Mapping[str, str] = {}
+        self._unreachable = unreachable
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._look, daemon=True)
+
+    def _look(self) -> None:
+        while not self._ended.wait(CONNECTIONS_EVERY_S):
+            with contextlib.suppress(zenoh.ZError, OSError):  # the picture goes on without it
+                self.failed = self._unreachable()
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        self._thread.join(2.0)
 
 
 def _nothing_yet(endpoints: Sequence[str]) -> list[Line]:

@@ -7,7 +7,7 @@ import re
 import shutil
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -30,14 +30,25 @@ WITHOUT_CURSOR = ("dumb", "unknown", "")  # values of TERM: lines can only be ad
 EXIT_ENDED, EXIT_NO_REPORT = 0, 1
 
 Print = Callable[[list[VehicleRow]], None]
+ShowLive = Callable[[Callable[[], Sequence[VehicleRow]], Sequence[str], Callable[[], Mapping[str, str]]], None]
 
 
 class MonitorError(Exception):
     """The monitor cannot run as requested. str() is one line with what to do."""
 
 
-def run_monitor(fleet: str, endpoints: Sequence[str], identity: Identity | None, once: bool, as_json: bool) -> int:
-    """The exit code. Raises MonitorError and link.fleet.zenoh_session.EndpointError."""
+def run_monitor(
+    fleet: str,
+    endpoints: Sequence[str],
+    identity: Identity | None,
+    once: bool,
+    as_json: bool,
+    endpoints_are_guessed: bool = False,
+) -> int:
+    """The exit code. With `endpoints_are_guessed` the live table does not tell which of them are not reached.
+
+    Raises MonitorError and link.fleet.zenoh_session.EndpointError.
+    """
     if fleet != "*" and not re.fullmatch(FLEET_NAME, fleet):
         raise MonitorError(f"--fleet {fleet!r}: expected the name in a fleet file, like platoon, or * for every fleet")
     is_live = _is_live_terminal() and not (once or as_json)
@@ -47,7 +58,8 @@ def run_monitor(fleet: str, endpoints: Sequence[str], identity: Identity | None,
             if once:
                 return _once(session, endpoints, _json if as_json else _plain_table)
             if show_live:
-                show_live(_reader(session), endpoints)
+                known = () if endpoints_are_guessed else endpoints
+                show_live(_reader(session), endpoints, lambda: unreachable(known, session.linked()))
             else:
                 _repeat(session, _json if as_json else _plain_table)
         except KeyboardInterrupt:
@@ -88,7 +100,7 @@ def _nothing_received(session: FleetSession, endpoints: Sequence[str]) -> str:
     )
 
 
-def _live_screen() -> Callable[[Callable[[], Sequence[VehicleRow]], Sequence[str]], None]:
+def _live_screen() -> ShowLive:
     """Raises MonitorError where its package is missing."""
     try:
         from companion.monitor.terminal.live import show_live

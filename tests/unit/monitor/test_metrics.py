@@ -29,6 +29,18 @@ def _rank(label: str) -> int:
     return ("fleet", "vehicle").index(label) if label in ("fleet", "vehicle") else 2
 
 
+def test_an_old_position_has_no_value() -> None:
+    found = samples(snapshot(replace(vehicle(1), data_age_s=1.5)))
+    assert ("companion_vehicle_altitude_meters", "platoon", "1") not in found
+    assert ("companion_vehicle_speed_meters_per_second", "platoon", "1") not in found
+
+
+def test_a_vehicle_that_never_reported_is_down() -> None:
+    found = samples(replace(snapshot(vehicle(1)), fleets=(replace(FLEET, missing_ids=(3,)),)))
+    assert found["companion_vehicle_up", "platoon", "3"] == 0.0
+    assert ("companion_vehicle_report_age_seconds", "platoon", "3") not in found
+
+
 @pytest.mark.parametrize(
     ("key", "value"),
     [

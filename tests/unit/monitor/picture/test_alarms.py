@@ -51,6 +51,28 @@ def test_an_alarm_that_becomes_worse_shows_it() -> None:
     assert [(a.severity, a.text) for a in alarms.all()] == [("critical", CRITICAL.text)]
 
 
+def test_an_acknowledged_alarm_that_becomes_worse_is_another_one() -> None:
+    alarms = AlarmList()
+    first = alarms.update(10.0, {LOW: WARNING}).begun[0]
+    alarms.acknowledge(first.id)
+    (worse,) = alarms.update(11.0, {LOW: CRITICAL}).begun
+    assert (worse.id != first.id, worse.since_s, worse.acknowledged) == (True, 11.0, False)
+    alarms.acknowledge(worse.id)
+    assert alarms.update(12.0, {LOW: WARNING}).begun == ()  # less severe: still the same
+    assert [a.acknowledged for a in alarms.all()] == [True]
+
+
+def test_a_full_list_keeps_its_alarms_and_takes_no_new_ones() -> None:
+    alarms = AlarmList()
+    conditions: dict[Key, Condition] = {("platoon", i, "TICK_LATE"): WARNING for i in range(MOST_ALARMS + 100)}
+    first = alarms.update(10.0, conditions).begun
+    assert len(first) == MOST_ALARMS
+    assert alarms.update(11.0, conditions).begun == ()
+    del conditions["platoon", 0, "TICK_LATE"]
+    assert len(alarms.update(12.0, conditions).ended) == 1
+    assert len(alarms.update(13.0, conditions).begun) == 1  # in the place of the one that has ended
+
+
 def test_the_most_severe_come_first_and_those_that_have_ended_last() -> None:
     alarms = AlarmList()
     alarms.update(9.0, {("platoon", 3, "SILENT"): CRITICAL})

@@ -77,6 +77,45 @@ def test_the_figures_of_the_law_need_the_fleet_file(load: SteadyFleet) -> None:
     assert (without.lambda_min, without.settling_s) == (None, None)
 
 
+def test_a_vehicle_of_the_fleet_file_that_never_reports_is_missed(load: SteadyFleet) -> None:
+    picture = Picture({"load": load.fleet}, "anna@ground")
+    for step in range(80):
+        now_s = step / 10
+        picture.receive([(now_s, load.report(i, now_s)) for i in load.vehicle_ids if i != 4], UNIX_S)
+        snapshot = seen(picture, now_s)
+        assert [a.vehicle_id for a in snapshot.alarms if a.code == "NEVER_HEARD"] == ([4] if now_s >= 5.0 else [])
+    assert snapshot.fleets[0].missing_ids == (4,)
+    assert 4 not in snapshot.fleets[0].vehicle_ids
+    picture.receive([(8.0, load.report(4, 8.0))], UNIX_S)
+    assert seen(picture, 8.0).fleets[0].missing_ids == ()
+
+
+def test_plots_go_on_where_the_clock_is_set_back(load: SteadyFleet) -> None:
+    picture = Picture({}, "anna@ground")
+    for step in range(200):
+        now_s, set_back_s = step / 10, 3600.0 if step >= 100 else 0.0
+        picture.receive([(now_s, load.report(i, now_s)) for i in load.vehicle_ids], UNIX_S - set_back_s)
+        picture.snapshot(now_s, UNIX_S + now_s - set_back_s)
+    times = [point.time_s for point in picture.history().points]
+    assert times == sorted(times)
+    assert times[-1] == pytest.approx(UNIX_S + 19.5 - 3600.0, abs=0.6)
+    assert len(times) == 20  # of ten seconds: those before are of a time that has not come
+
+
+def test_an_old_position_has_no_error_and_no_altitude() -> None:
+    fresh, old = leader(), leader(state_age_s=1.5)
+    assert vehicle(picture_of(fresh), 1).error_to_slot_m is not None
+    picture = picture_of(old)
+    assert vehicle(picture, 1).error_to_slot_m is None
+    assert [s.altitude_m for point in picture.history().points for s in point.vehicles] == [None]
+
+
+@pytest.mark.parametrize(("phase", "severity"), [(FlightPhase.HOLD, "warning"), (FlightPhase.FORMATION, "critical")])
+def test_a_lost_leader_is_critical_in_formation(phase: FlightPhase, severity: str) -> None:
+    status = reported(2, phase=phase, flags=(HealthFlag.LEADER_LOST,))
+    assert [flag.severity for flag in vehicle(picture_of(status), 2).flags] == [severity]
+
+
 def test_the_trend_is_that_of_two_vehicles_that_approach() -> None:
     picture = Picture({}, "anna@ground")
     for step in range(80):

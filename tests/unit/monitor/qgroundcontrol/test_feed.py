@@ -127,6 +127,16 @@ def test_rates_are_bounded(feed: FleetFeed, station: GroundStation) -> None:
     assert 45 <= kinds.count("GLOBAL_POSITION_INT") <= 50
 
 
+def test_a_recording_that_goes_back_sends_no_vehicle_of_its_future(feed: FleetFeed, station: GroundStation) -> None:
+    report = StatusReport(of_fleet(leader()), TIMING)
+    feed.forward([(100.0, report)], 100.0)
+    assert station.received()
+    feed.forward([], 99.5)
+    assert station.received() == []
+    feed.forward([(99.6, report)], 99.6)
+    assert station.received()
+
+
 def test_a_silent_vehicle_is_not_sent_and_comes_back(feed: FleetFeed, station: GroundStation) -> None:
     feed.take(of_fleet(leader()), 100.0)
     feed.step(101.5)

@@ -49,6 +49,14 @@ def test_the_end_leaves_the_terminal_as_it_was(number: signal.Signals) -> None:
     assert b"Traceback" not in seen
 
 
+def test_the_picture_has_its_time_and_the_endpoints_that_are_not_reached() -> None:
+    from companion.monitor.terminal.live import top_lines
+
+    assert [line.text for line in top_lines("12:00:01", {}, 80)] == ["12:00:01"]
+    lines = top_lines("12:00:01", {"tcp/10.0.0.2:7447": "connection refused; no agent listens there"}, 40)
+    assert lines[1].text == "not reached: tcp/10.0.0.2:7447: connect…"
+
+
 @pytest.mark.parametrize("term", ["dumb", ""])
 def test_a_terminal_without_a_cursor_gets_lines(term: str) -> None:
     master, slave = pty.openpty()

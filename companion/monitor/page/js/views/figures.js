@@ -8,7 +8,7 @@ const STEADY_M_S = 0.02;
 export function figures({ store }) {
   const { fleet, vehicles, file } = store;
   const reporting = vehicles.filter((vehicle) => !vehicle.silent).length;
-  const expected = fleet ? fleet.vehicle_ids.length : vehicles.length;
+  const expected = fleet ? fleet.vehicle_ids.length + fleet.missing_ids.length : vehicles.length;
   const near = known(fleet?.smallest_separation_m) && file && fleet.smallest_separation_m < file.separation_m;
   return html`
     ${figure("Reporting", `${reporting} of ${expected}`, "", reporting < expected ? "critical" : "")}

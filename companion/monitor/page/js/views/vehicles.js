@@ -20,6 +20,7 @@ export function vehicles({ store, nowMs, act }) {
       </tr></thead>
       ${repeat(store.vehicles, (vehicle) => vehicle.vehicle_id, (vehicle) =>
         outOfSight(vehicle.vehicle_id, nowMs) ? noChange : rows(vehicle, store, sinceS, act))}
+      ${store.vehicles.length ? missing(store.fleet?.missing_ids ?? []) : nothing}
     </table>
     ${store.vehicles.length ? nothing : html`<p class="empty">No vehicle has reported yet.</p>`}`;
 }
@@ -44,7 +45,7 @@ function rows(vehicle, store, sinceS, act) {
       <td class="mode">${vehicle.mode}${vehicle.armed ? nothing : html`<span class="quiet"> disarmed</span>`}</td>
       <td class="n ${vehicle.battery_percent < LOW_BATTERY_PERCENT && vehicle.battery_percent !== null ? "warning" : ""}"
         >${number(vehicle.battery_percent, 0)}</td>
-      <td class="n">${number(vehicle.position_enu_m[2], 1)}</td>
+      <td class="n">${number(vehicle.data_age_s > OLD_DATA_S && !vehicle.silent ? null : vehicle.position_enu_m[2], 1)}</td>
       <td class="n">${number(vehicle.error_to_slot_m, 2)}</td>
       <td class="n ${nearness(vehicle.nearest)}">${number(vehicle.nearest?.distance_m, 2)}</td>
       <td class="n ${vehicle.silent ? "critical" : vehicle.data_age_s > OLD_DATA_S ? "warning" : ""}"
@@ -52,6 +53,12 @@ function rows(vehicle, store, sinceS, act) {
     </tr>
     ${note(vehicle, ageS)}
   </tbody>`;
+}
+
+/** Vehicles of the fleet file that never reported. */
+function missing(ids) {
+  return ids.map((id) => html`<tbody class="vehicle silent" data-missing=${id}>
+    <tr><th scope="row">${id}</th><td colspan="6" class="warning">no report yet</td><td class="mode"></td></tr></tbody>`);
 }
 
 function note(vehicle, ageS) {
