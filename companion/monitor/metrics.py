@@ -202,8 +202,8 @@ class _Collector(Collector):
                 if measure.if_silent or not vehicle.silent:
                     _add(metric, measure, vehicle, (vehicle.fleet, str(vehicle.vehicle_id)))
             if measure is UP:
-                for fleet, vehicle_id in ((f.name, i) for f in fleets for i in f.missing_ids):
-                    metric.add_metric((fleet, str(vehicle_id)), 0.0)
+                for name, vehicle_id in ((f.name, i) for f in fleets for i in f.missing_ids):
+                    metric.add_metric((name, str(vehicle_id)), 0.0)
             yield metric
         for of_fleet in FLEET_MEASURES:
             metric = _family(of_fleet, OF_FLEET)
