@@ -86,9 +86,8 @@ class FleetSession(GroundConnection):
         self._lock = threading.Lock()  # of all below
         self._undrained: deque[StatusReport] = deque(maxlen=REPORTS_KEPT)
         self._undrained_replies: deque[tuple[str, CommandReply]] = deque(maxlen=REPLIES_KEPT)
-        self._asked: dict[
-            tuple[int, int], None
-        ] = {}  # vehicle and number of commands that wait for a reply, or had one
+        # Vehicle and number of the commands that wait for a reply, or had one; the order is that of sending.
+        self._asked: dict[tuple[int, int], None] = {}
         self._undrained_commands: deque[Command] = deque(maxlen=COMMANDS_KEPT)
         self._mailboxes: list[deque[CommandReply]] = []  # one for each `ask` under way
         self._newest: dict[int, tuple[float, Status]] = {}  # by vehicle, with the time of arrival
@@ -203,6 +202,8 @@ class FleetSession(GroundConnection):
         while None in answers.values() and time.monotonic() - start_s < timeout_s and not cancelled():
             now_s, reports = time.monotonic(), self.newest()
             for vehicle_id in sorted(i for i, answer in answers.items() if answer is None):
+                if cancelled():
+                    break
                 command, first_s, last_s = sent.get(vehicle_id, (None, now_s, -inf))
                 if command is None and name is CommandName.ABORT:
                     command = Command(name, time.time_ns() // 1_000_000, self.operator, session=0)

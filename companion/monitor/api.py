@@ -253,7 +253,7 @@ class AnswerView(Struct, frozen=True):
 
 
 class CommandResult(Struct, frozen=True):
-    """`error`: nothing was sent, and why."""
+    """`error`: why nothing was sent; with `answers`, which command has ended this one."""
 
     name: str
     answers: tuple[AnswerView, ...]

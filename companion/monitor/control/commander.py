@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Literal, Protocol
+from typing import Literal, Protocol, TypeVar
 
 from companion.config.file import ConfigError
 from companion.config.fleet import FleetConfig
@@ -22,10 +22,12 @@ from companion.monitor.control.requests import ABORT, DOCTOR, HOLD, LAND, Reques
 from companion.monitor.control.until_ended import EndedError, Running, UntilEnded
 from companion.types.notices import Code, Notice
 
-ABORTS_AT_ONCE = 16
+AT_ONCE = 16  # commands with threads of their own; a further one waits for one of them
 URGENT = frozenset({HOLD, LAND})  # they end the command under way
 REFUSALS = (ConfigError, OperateError, OverflowError)  # the last: a vehicle reports 1e200 m
 READY, WITH_WARNINGS, NOT_READY = "ready", "ready, with warnings", "not ready"
+
+T = TypeVar("T")
 
 
 class Log(Protocol):
@@ -43,15 +45,15 @@ class Commander:
         self._session = session
         self._fleet = fleet
         self._log = log
-        self._running: list[Running] = []  # at most one that is not urgent
-        self._threads = ThreadPoolExecutor(max_workers=1, thread_name_prefix="command")
-        self._abort_threads = ThreadPoolExecutor(max_workers=ABORTS_AT_ONCE, thread_name_prefix="abort")
+        self._running: list[Running] = []  # oldest first; at most one is not urgent
+        self._threads = ThreadPoolExecutor(max_workers=AT_ONCE, thread_name_prefix="command")
+        self._abort_threads = ThreadPoolExecutor(max_workers=AT_ONCE, thread_name_prefix="abort")
         self._preview_threads = ThreadPoolExecutor(max_workers=1, thread_name_prefix="preview")
 
     async def send(self, request: CommandRequest) -> CommandResult:
         """Waits for the answers, not for the end of the action.
 
-        Refused while another command is being sent; ABORT, hold and land end that one instead.
+        Refused while another command is being sent; ABORT, hold and land end that one instead. Only ABORT is never ended.
         """
         try:
             wanted = fleet_request(request, self._fleet)
@@ -59,35 +61,58 @@ class Commander:
             return CommandResult(request.name, (), error=_one_line(error))
         ids = sorted(set(wanted.only)) or [member.id for member in self._fleet.vehicles]
         if request.name == DOCTOR:
-            return await self._in_thread(self._preview_threads, lambda: self._doctor(ids), DOCTOR)
+            return await self._in_thread(self._preview_threads, lambda: self._doctor(ids))
+        running = Running(request.name, frozenset(ids))
         if request.name == ABORT:
-            self._end_running(ABORT, self._running)
-            return await self._send(wanted, ids, self._abort_threads)
-        others = [running for running in self._running if running.name not in URGENT]
-        if request.name in URGENT:
-            self._end_running(request.name, others)
-        elif self._running:
-            text = f"{self._running[-1].name} is being sent; wait for its answers"
+            self._end(self._running, ABORT)
+            return await self._send(wanted, running, self._abort_threads)
+        before = list(self._running)
+        if before and request.name not in URGENT:
+            text = f"{before[-1].name} is being sent; wait for its answers"
             return CommandResult(request.name, (), error=text)
-        running = Running(request.name)
         self._running.append(running)
         try:
-            return await self._send(wanted, ids, self._threads, running)
+            await self._make_way(running, before)
+            return await self._send(wanted, running, self._threads)
         finally:
             self._running.remove(running)
+            running.left.set()
 
-    def _end_running(self, by: str, those: list[Running]) -> None:
+    def _end(self, those: Sequence[Running], by: str) -> None:
         """They are not repeated any more, and send nothing further."""
         for running in those:
             running.end(by)
 
-    async def _send(
-        self, wanted: FleetRequest, ids: list[int], threads: ThreadPoolExecutor, running: Running | None = None
-    ) -> CommandResult:
-        """In one of these threads; without `running` nothing ends it."""
+    async def _make_way(self, urgent: Running, before: Sequence[Running]) -> None:
+        """Ends the commands before this one, and waits for them, so that each vehicle gets this one last.
+
+        Another urgent one that is also for other vehicles is not ended: those may not have it yet.
+        """
+        self._end([one for one in before if one.name not in URGENT or one.ids <= urgent.ids], urgent.name)
+        for one in before:
+            if one.ids & urgent.ids and not one.is_checked:
+                await one.left.wait()
+
+    async def _send(self, wanted: FleetRequest, running: Running, threads: ThreadPoolExecutor) -> CommandResult:
+        """In one of these threads."""
+        ids = sorted(running.ids)
         self._log_command(wanted.action, ids, wanted)
-        session = UntilEnded(self._session, running or Running(wanted.action))
-        return self._logged(await self._in_thread(threads, lambda: self._sent(session, wanted, ids), wanted.action))
+        session = UntilEnded(self._session, running)
+        try:
+            await self._check(wanted, running)
+            result = await self._in_thread(threads, lambda: self._sent(session, wanted, ids))
+        except REFUSALS as error:
+            result = CommandResult(wanted.action, (), error=_one_line(error))
+        return self._logged(result)
+
+    async def _check(self, wanted: FleetRequest, running: Running) -> None:
+        """Of the content, before anything is sent. Raises ConfigError and OperateError."""
+        if wanted.formation:  # with scipy, which takes seconds to load: neither the event loop nor hold waits for it
+            running.is_checked = True
+            await self._in_thread(self._preview_threads, lambda: check_content(wanted, self._fleet))
+            running.is_checked = False
+        else:
+            check_content(wanted, self._fleet)
 
     async def preview(self, request: CommandRequest) -> Preview:
         """What `formation` or `reference` would do. Nothing is sent."""
@@ -95,8 +120,7 @@ class Commander:
             wanted = fleet_request(request, self._fleet)
             if not (wanted.formation or wanted.reference):
                 raise RequestError("name: expected formation or reference; other commands have no preview")
-            loop = asyncio.get_running_loop()
-            return await loop.run_in_executor(self._preview_threads, lambda: self._previewed(wanted))
+            return await self._in_thread(self._preview_threads, lambda: self._previewed(wanted))
         except (RequestError, *REFUSALS) as error:
             return Preview(refused=_one_line(error))
 
@@ -106,17 +130,11 @@ class Commander:
         check_content(wanted, self._fleet)
         return preview_of(wanted, self._fleet, self._session.newest())
 
-    async def _in_thread(
-        self, threads: ThreadPoolExecutor, work: Callable[[], CommandResult], name: str
-    ) -> CommandResult:
-        try:
-            return await asyncio.get_running_loop().run_in_executor(threads, work)
-        except REFUSALS as error:
-            return CommandResult(name, (), error=_one_line(error))
+    async def _in_thread(self, threads: ThreadPoolExecutor, work: Callable[[], T]) -> T:
+        return await asyncio.get_running_loop().run_in_executor(threads, work)
 
     def _sent(self, session: UntilEnded, wanted: FleetRequest, ids: list[int]) -> CommandResult:
         try:
-            check_content(wanted, self._fleet)
             sent = Sender(session, self._fleet, wanted, ids).send(wanted)
         except EndedError as error:
             return CommandResult(wanted.action, _views(session.outcomes()), error=str(error))
@@ -154,7 +172,7 @@ class Commander:
 
     def close(self) -> None:
         """What is being sent ends at its next step."""
-        self._end_running("the end of the server", self._running)
+        self._end(self._running, "the end of the server")
         for threads in (self._threads, self._abort_threads, self._preview_threads):
             threads.shutdown(wait=False, cancel_futures=True)
 

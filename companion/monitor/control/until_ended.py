@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import time
 from collections.abc import Iterable
 
@@ -14,10 +15,13 @@ from companion.types.status import Status
 
 
 class Running:
-    """A command that is being sent. One thread may end it while another one sends it."""
+    """A command to vehicles, from its request to its answers. One thread may end it while another one sends it."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, ids: frozenset[int]) -> None:
         self.name = name
+        self.ids = ids
+        self.is_checked = False  # at this time; where it has ended then, it sends nothing
+        self.left = asyncio.Event()  # it sends nothing any more
         self.ended_by = ""
 
     def end(self, by: str) -> None:

@@ -8,7 +8,9 @@ from collections.abc import Awaitable, Callable
 
 import pytest
 
+from companion.config.fleet import FleetConfig
 from companion.ground.readiness import Check
+from companion.ground.requests import FleetRequest
 from companion.ground.session import FleetSession
 from companion.monitor.api import TOKEN_HEADER
 from companion.monitor.control import commander
@@ -230,6 +232,58 @@ def test_hold_and_land_end_the_command_under_way(urgent: str) -> None:
     with_fleet(work)
 
 
+def test_land_ends_a_hold_of_the_same_vehicles_but_not_one_of_others_too() -> None:
+    """Vehicle 3 does not answer `hold`."""
+    asked = threading.Event()
+
+    def answer(vehicle_id: int, command: Command) -> CommandReply | None:
+        if command.name == "hold" and vehicle_id == 3:
+            asked.set()
+            return None
+        return accept(vehicle_id, command)
+
+    async def work(server: Served, vehicles: LinkedVehicles) -> None:
+        vehicles.answer = answer
+        holding = asyncio.create_task(server.command("hold"))
+        await asyncio.to_thread(asked.wait, 10.0)
+        async with asyncio.timeout(2.0):  # hold would wait for 3 s
+            assert (await server.command("land"))["error"] == ""
+        assert "ended by land" in (await holding)["error"]
+        asked.clear()
+        holding = asyncio.create_task(server.command("hold"))
+        await asyncio.to_thread(asked.wait, 10.0)
+        assert (await server.command("land", ids=(2,)))["error"] == ""
+        held = await holding
+        assert (held["error"], [a["kind"] for a in held["answers"]]) == ("", ["accepted", "accepted", "missing"])
+        assert [c.name for i, c in vehicles.commands if i == 2] == ["hold", "land", "hold", "land"]
+
+    with_fleet(work)
+
+
+def test_hold_does_not_wait_for_the_check_of_a_formation(monkeypatch: pytest.MonkeyPatch) -> None:
+    """That loads scipy. Afterwards the formation is not sent: hold has ended it."""
+    begun, loaded = threading.Event(), threading.Event()
+    checked = commander.check_content
+
+    def check(wanted: FleetRequest, fleet: FleetConfig) -> None:
+        if wanted.formation:
+            begun.set()
+            loaded.wait(10.0)
+        checked(wanted, fleet)
+
+    async def work(server: Served, vehicles: LinkedVehicles) -> None:
+        changing = asyncio.create_task(server.command("formation", {"shape": "line", "spacing_m": 4.0}))
+        await asyncio.to_thread(begun.wait, 10.0)
+        assert (await server.command("hold"))["error"] == ""
+        assert not changing.done()
+        loaded.set()
+        assert "ended by hold" in (await changing)["error"]
+        assert {command.name for _, command in vehicles.commands} == {"hold"}
+
+    monkeypatch.setattr(commander, "check_content", check)
+    with_fleet(work)
+
+
 def test_scipy_is_not_loaded_in_the_event_loop(monkeypatch: pytest.MonkeyPatch) -> None:
     """It takes seconds on a small computer; meanwhile no ABORT would go out."""
     threads: list[str] = []
@@ -243,7 +297,7 @@ def test_scipy_is_not_loaded_in_the_event_loop(monkeypatch: pytest.MonkeyPatch) 
         wanted = {"fleet": "load", "name": "formation", "content": {"shape": "line", "spacing_m": 4.0}}
         await server.post("/api/v1/preview", wanted, **{TOKEN_HEADER: TOKEN})
         await server.command("formation", {"shape": "line", "spacing_m": 4.0})
-        assert [name.rstrip("_0123456789") for name in threads] == ["preview", "command"]
+        assert [name.rstrip("_0123456789") for name in threads] == ["preview", "preview"]
 
     monkeypatch.setattr(commander, "check_content", check)
     with_fleet(work)
