@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
@@ -39,6 +40,15 @@ class Served:
     async def post(self, path: str, content: Any, **headers: str) -> tuple[int, Any]:
         async with self.http.post(self.url + path, json=content, headers=headers) as response:
             return response.status, await response.json()
+
+    async def raw(self, lines: list[str], last: bytes) -> tuple[int, Any]:
+        """A request with these lines and Host, as no client would send it."""
+        address = self.url.removeprefix("http://")
+        reader, writer = await asyncio.open_connection(*address.split(":"))
+        writer.write("\r\n".join([*lines, f"Host: {address}", "Connection: close", ""]).encode() + last + b"\r\n\r\n")
+        head, _, body = (await reader.read()).partition(b"\r\n\r\n")
+        writer.close()
+        return int(head.split()[1]), json.loads(body)
 
     async def command(self, name: str, content: Any = None, ids: tuple[int, ...] = ()) -> Any:
         wanted = {"fleet": "load", "name": name, "vehicle_ids": ids, "content": content or {}}

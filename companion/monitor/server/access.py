@@ -10,6 +10,7 @@
 from __future__ import annotations
 
 import hmac
+import logging
 import re
 import socket
 from ipaddress import ip_address
@@ -35,7 +36,9 @@ HEADERS = {
     "Permissions-Policy": "camera=(), geolocation=(), microphone=()",
     "Server": "companion",
 }
+PLAIN_HEADERS = (TOKEN_HEADER, "Sec-WebSocket-Key", "Sec-WebSocket-Version", "Sec-WebSocket-Protocol")
 LOCAL_NAMES = frozenset({"localhost", "127.0.0.1", "::1"})
+_log = logging.getLogger(__name__)
 _HOST = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9._-]+)(:\d{1,5})?")
 
 
@@ -83,10 +86,17 @@ async def _handled(request: web.Request, handler: Handler) -> web.StreamResponse
         return error(413, "the request is too long")
     except web.HTTPException as answer:  # of aiohttp: an unknown path or method
         return error(answer.status, f"{request.method} {request.path[:200]}: {answer.reason}")
+    except web.RequestPayloadError:
+        return error(400, "the body cannot be read; expected it as Content-Encoding and Content-Length say")
+    except Exception:
+        if request.writer.output_size:  # a part of the answer is sent already
+            raise
+        _log.exception("%s %s", request.method, request.path[:200])
+        return error(500, "a fault of this server; the terminal of companion monitor has the reason")
 
 
 def refusal_of(request: web.Request, names: frozenset[str]) -> web.Response | None:
-    """None for a request by a name of this server, from its own page or from no page at all."""
+    """None for a request by a name of this server, from its own page or from no page at all, with headers of plain text."""
     host = request.headers.get("Host", "")
     found = _HOST.fullmatch(host)
     name = found[1].strip("[]").lower() if found else ""
@@ -96,6 +106,9 @@ def refusal_of(request: web.Request, names: frozenset[str]) -> web.Response | No
     changes = request.method not in ("GET", "HEAD") or request.headers.get("Upgrade") is not None
     if changes and origin is not None and origin not in (f"http://{host}", f"https://{host}"):
         return error(403, "Origin is another page; only the page of this server may do this")
+    for header in PLAIN_HEADERS:
+        if not request.headers.get(header, "").isascii():
+            return error(400, f"{header}: has other characters; expected ASCII text")
     return None
 
 
@@ -107,6 +120,5 @@ def _reached_address(request: web.Request) -> str:
 
 
 def has_token(request: web.Request, token: str) -> bool:
-    """Compared in constant time. A header may have bytes that are no UTF-8."""
-    given = request.headers.get(TOKEN_HEADER, "").encode(errors="surrogateescape")
-    return hmac.compare_digest(given, token.encode())
+    """Compared in constant time."""
+    return hmac.compare_digest(request.headers.get(TOKEN_HEADER, "").encode(), token.encode())

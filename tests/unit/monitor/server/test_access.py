@@ -60,6 +60,30 @@ def test_another_page_can_neither_post_nor_listen(origin: str) -> None:
     with_server(work)
 
 
+@pytest.mark.parametrize("header", ["Sec-WebSocket-Key", "Sec-WebSocket-Version"])
+def test_a_handshake_that_is_no_plain_text_is_refused(header: str) -> None:
+    async def work(server: Served) -> None:
+        others = {"Sec-WebSocket-Key": "AAAAAAAAAAAAAAAAAAAAAA==", "Sec-WebSocket-Version": "13"}
+        lines = ["GET /api/v1/live HTTP/1.1", "Upgrade: websocket", "Connection: Upgrade"]
+        lines += [f"{name}: {value}" for name, value in others.items() if name != header]
+        status, answer = await server.raw(lines, header.encode() + b": \xff")
+        assert (status, answer["error"].split()[0]) == (400, f"{header}:")
+
+    with_server(work)
+
+
+def test_a_fault_of_the_server_is_told_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def work(server: Served) -> None:
+        def fail() -> None:
+            raise ArithmeticError("secret")
+
+        monkeypatch.setattr(server.station, "history", fail)
+        status, answer = await server.get("/api/v1/history")
+        assert (status, "fault of this server" in answer["error"], "secret" in answer["error"]) == (500, True, False)
+
+    with_server(work)
+
+
 def test_the_own_page_may_listen_and_post() -> None:
     async def work(server: Served) -> None:
         async with server.http.ws_connect(f"{server.url}/api/v1/live", origin=server.url) as live:
