@@ -18,6 +18,7 @@ from companion.geometry.transition import ROUNDING_M, closest_approach, longest_
 from companion.geometry.turning import SLOT_ACCELERATION_M_S2
 from companion.ground.fleet_time import AHEAD_S, fleet_time_s
 from companion.ground.requests import FormationRequest, command_line
+from companion.ground.usable_reports import check_reports
 from companion.types.bounds import MIN_CHANGE_S
 from companion.types.commands import next_for_all
 from companion.types.flight import FlightPhase
@@ -55,6 +56,7 @@ def check_request(request: FormationRequest, fleet: FleetConfig) -> None:
 
 def requested_slots(request: FormationRequest, statuses: Sequence[Status], fleet: FleetConfig) -> dict[int, Vector3]:
     """The slot of each vehicle: as in the file, the flown one, or assigned for a shape. Raises ConfigError."""
+    check_reports("formation", statuses)
     if request.shape and request.spacing_m is not None:
         slots = named_slots(request.shape, len(statuses), request.spacing_m * request.scale, request.heading_deg)
         return assigned(positions_enu_m(statuses), slots)

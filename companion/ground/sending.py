@@ -17,6 +17,7 @@ from companion.ground.preconditions import ALL_OR_NONE, STILL_CHANGING, check_al
 from companion.ground.references import reference_change, requested_reference
 from companion.ground.requests import FleetRequest, FormationRequest, ReferenceRequest, command_line
 from companion.ground.session import POLL_S, Answer
+from companion.ground.usable_reports import check_reports
 from companion.types.commands import CommandName, Content, Lead, ReferenceChange, next_epoch
 from companion.types.flight import FlightPhase
 from companion.types.formation import FormationChange
@@ -147,6 +148,7 @@ class Sender:
         if not reports:
             raise OperateError(f"no report of any vehicle for {self._wait_s:g} s")
         statuses = list(reports.values())
+        check_reports("reference", statuses)
         flown = [status.reference_enu_m for status in statuses if status.reference_enu_m]
         reference = requested_reference(request, here_enu_m=flown[0] if flown else None)
         slots_enu_m = {status.vehicle_id: status.slot.position_enu_m for status in statuses}

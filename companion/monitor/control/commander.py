@@ -24,7 +24,7 @@ from companion.types.notices import Code, Notice
 
 AT_ONCE = 16  # commands with threads of their own; a further one waits for one of them
 URGENT = frozenset({HOLD, LAND})  # they end the command under way
-REFUSALS = (ConfigError, OperateError, OverflowError)  # the last: a vehicle reports 1e200 m
+REFUSALS = (ConfigError, OperateError)
 READY, WITH_WARNINGS, NOT_READY = "ready", "ready, with warnings", "not ready"
 
 T = TypeVar("T")
@@ -198,6 +198,4 @@ def _view(vehicle_id: int, outcome: Outcome) -> AnswerView:
 
 
 def _one_line(error: Exception) -> str:
-    if isinstance(error, OverflowError):
-        return "a vehicle reports a position or slot that is too large to compute with"
     return "; ".join(str(error).splitlines())

@@ -16,6 +16,7 @@ from companion.geometry.turning import turned_slot
 from companion.ground.formations import change_to, refusal_of, requested_slots
 from companion.ground.references import requested_reference
 from companion.ground.requests import FleetRequest, FormationRequest
+from companion.ground.usable_reports import check_reports
 from companion.monitor.api import PathView, Preview
 from companion.types.formation import FlownSlot
 from companion.types.status import Status
@@ -32,6 +33,7 @@ def preview_of(wanted: FleetRequest, fleet: FleetConfig, statuses: Mapping[int, 
             return Preview(refused=f"no report of vehicle {', '.join(silent)}; all vehicles get new slots")
         return _formation(wanted.formation, fleet, [statuses[member.id] for member in fleet.vehicles])
     assert wanted.reference is not None
+    check_reports("reference", statuses.values())
     flown = [status.reference_enu_m for status in statuses.values() if status.reference_enu_m]
     reference = requested_reference(wanted.reference, flown[0] if flown else None)
     return _reference(reference, fleet, list(statuses.values()))

@@ -7,6 +7,7 @@ import threading
 from collections.abc import Awaitable, Callable
 
 import pytest
+from msgspec.structs import replace
 
 from companion.config.fleet import FleetConfig
 from companion.ground.readiness import Check
@@ -15,9 +16,12 @@ from companion.ground.session import FleetSession
 from companion.monitor.api import TOKEN_HEADER
 from companion.monitor.control import commander
 from companion.types.commands import Command, CommandName, CommandReply
+from companion.types.formation import FlownSlot
 from companion.types.notices import Code
+from companion.wire.ground import StatusReport
 from linked_vehicles import LinkedVehicles, accept, linked_vehicles
 from served_site import TOKEN, Served, served_live, until_true
+from sitl.monitor_load import SteadyFleet
 
 
 def with_fleet(work: Callable[[Served, LinkedVehicles], Awaitable[None]]) -> None:
@@ -166,6 +170,43 @@ def test_what_the_ground_refuses_is_not_sent() -> None:
         result = await server.command("takeoff")  # they are in formation
         assert {(a["kind"], a["code"]) for a in result["answers"]} == {("not sent", "WRONG_PHASE")}
         assert vehicles.commands == []
+
+    with_fleet(work)
+
+
+class _Far:
+    """The fleet, but vehicle 2 reports a slot whose square is no number."""
+
+    def __init__(self, load: SteadyFleet) -> None:
+        self.fleet, self._load = load.fleet, load
+
+    def report(self, vehicle_id: int, time_s: float) -> StatusReport:
+        report = self._load.report(vehicle_id, time_s)
+        slot = FlownSlot((1e200 if vehicle_id == 2 else 0.0, 4.0 * vehicle_id, 0.0))
+        return replace(report, status=replace(report.status, slot=slot))
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("formation", {"shape": "line", "spacing_m": 4.0}),
+        ("reference", {"kind": "point", "point_enu_m": [0.0, 0.0, 10.0]}),
+    ],
+)
+def test_a_report_that_cannot_be_computed_with_is_named(name: str, content: dict[str, object]) -> None:
+    async def work(server: Served, vehicles: LinkedVehicles) -> None:
+        vehicles.load = _Far(vehicles.load)  # type: ignore[assignment]
+        await until_true(lambda: far(server))
+        words = "slot of vehicle 2: is 1e+200 m from the origin by its report; expected at most 20000 m"
+        assert words in (await server.command(name, content))["error"]
+        wanted = {"fleet": "load", "name": name, "content": content}
+        status, answer = await server.post("/api/v1/preview", wanted, **{TOKEN_HEADER: TOKEN})
+        assert (status, words in answer["refused"]) == (200, True)
+        assert vehicles.commands == []
+
+    async def far(server: Served) -> bool:
+        views = (await server.get("/api/v1/snapshot"))[1]["vehicles"]
+        return any(v["slot_offset_enu_m"][0] == 1e200 for v in views)
 
     with_fleet(work)
 
