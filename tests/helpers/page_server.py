@@ -64,6 +64,8 @@ class PageServer:
         self.refuse: dict[int, str] = {}  # by vehicle, the reason
         self.paused = False  # nothing is sent, but the connection stays
         self.delayed_by = 0  # snapshots that wait on a slow network
+        self.skipped = 0  # snapshots that a slow client misses before each
+        self.histories = 0  # how often the history was asked for
         self.commands: list[CommandRequest] = []
         self.received: list[dict[str, object]] = []  # over the WebSocket
         self.begin_s = time.time() - 180.0
@@ -123,7 +125,7 @@ class PageServer:
         return fleet_file(self.count, self.fleet_name)
 
     def snapshot(self) -> Snapshot:
-        self._number += 1
+        self._number += 1 + self.skipped
         if self.replay:
             self.replay = structs.replace(self.replay, now_s=self.replay.now_s + 0.1 * self.replay.speed)
         now_s = self.replay.now_s if self.replay else time.time()
@@ -195,6 +197,7 @@ class PageServer:
                 self.received.append(message.json())
 
     async def _history(self, _: web.Request) -> web.Response:
+        self.histories += 1
         end_s = time.time()
         times = [end_s - (HISTORY_POINTS - i) / 2.0 for i in range(HISTORY_POINTS)]
         return _json(History(tuple(_point(time_s, self.vehicles(time_s), self.fleet_name) for time_s in times), ()))
@@ -236,6 +239,8 @@ class PageServer:
         return _json(Preview(paths=paths, smallest_separation_m=2.81, lasts_s=6.2))
 
     async def _acknowledge(self, request: web.Request) -> web.Response:
+        if self.may_control and request.headers.get("X-Companion-Token") != TOKEN:
+            return _json({"error": "the token is missing or wrong"}, status=403)
         number = int(request.match_info["id"])
         self.alarms = [structs.replace(a, acknowledged=True) if a.id == number else a for a in self.alarms]
         return _json({})

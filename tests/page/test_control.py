@@ -162,6 +162,16 @@ def test_the_abort_button_is_held_for_half_a_second(open_page: OpenPage) -> None
         until(page, lambda: [command.name for command in server.commands] == ["abort"])
 
 
+def test_an_alarm_is_acknowledged_by_a_page_with_the_token(open_page: OpenPage) -> None:
+    with PageServer(may_control=True) as server:
+        server.alarm(2, "BATTERY_LOW")
+        without = open_page(server.url)
+        without.locator("[data-alarm='1'] button").click()
+        expect(without.locator("#banner")).to_contain_text("Not acknowledged: the token is missing")
+        open_page(server.control_url).locator("[data-alarm='1'] button").click()
+        expect(without.locator("[data-alarm='1']")).to_contain_text("acknowledged")
+
+
 def test_without_its_token_the_page_says_how_to_get_control(open_page: OpenPage) -> None:
     with PageServer(may_control=True) as server:
         page = open_page(server.url)

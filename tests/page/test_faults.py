@@ -56,6 +56,14 @@ def test_a_server_that_only_stops_sending_is_lost_too(open_page: OpenPage) -> No
         expect(page.locator(".live")).to_have_text("LIVE")
 
 
+def test_a_client_that_misses_snapshots_asks_for_the_history_now_and_then(open_page: OpenPage) -> None:
+    with PageServer() as server:
+        page = open_page(server.url)
+        server.skipped = 1
+        page.wait_for_timeout(2000)  # twenty snapshots
+        assert 1 <= server.histories <= 2
+
+
 def test_the_page_returns_with_the_server(open_page: OpenPage) -> None:
     with PageServer() as server:
         page = open_page(server.url)

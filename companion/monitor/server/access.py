@@ -101,7 +101,9 @@ def refusal_of(request: web.Request, names: frozenset[str]) -> web.Response | No
     found = _HOST.fullmatch(host)
     name = found[1].strip("[]").lower() if found else ""
     if name not in names and name != _reached_address(request):
-        return error(403, "Host is not this server; use the URL that companion monitor printed")
+        return error(
+            403, "Host is not this server; use the URL that companion monitor printed, or name it: --listen NAME:PORT"
+        )
     origin = request.headers.get("Origin")
     changes = request.method not in ("GET", "HEAD") or request.headers.get("Upgrade") is not None
     if changes and origin is not None and origin not in (f"http://{host}", f"https://{host}"):

@@ -9,6 +9,7 @@ const KEPT_EVENTS = 500;
 const JUMP_S = 3; // a larger step in time is a seek: what came before belongs elsewhere
 const FILE_AGAIN_MS = 5000; // homes change
 const NO_FILE_AGAIN_MS = 60000; // without a fleet file the server answers 404
+const HISTORY_AGAIN_MS = 5000; // a slow connection misses snapshots all the time
 
 export class Store {
   constructor() {
@@ -25,6 +26,8 @@ export class Store {
     this._fleetName = null;
     this._fileNextMs = 0; // when the file is asked for again
     this._historyAsked = false;
+    this._historyNextMs = 0; // when it may be asked for again because of missed snapshots
+    this._missed = true; // events that only the history has
   }
 
   get fleetName() {
@@ -63,12 +66,15 @@ export class Store {
     const before = this.snapshot;
     const restarted = before && snapshot.number < before.number; // the server numbers events from 1 again
     const jumped = before && Math.abs(snapshot.time_s - before.time_s) > JUMP_S;
-    const missed = before && snapshot.number > before.number + 1; // and with them, events
+    this._missed ||= before !== null && snapshot.number > before.number + 1;
     this.snapshot = snapshot;
     this.arrivedMs = nowMs;
     this.freshness.accept(snapshot, nowMs);
     if (restarted || jumped) this._forget();
-    else if (missed || !before) this.loadHistory();
+    else if (this._missed && nowMs >= this._historyNextMs) {
+      this._historyNextMs = nowMs + HISTORY_AGAIN_MS;
+      this.loadHistory();
+    }
     this.trails.accept(snapshot);
     this.history.accept(snapshot.time_s, this.fleet, this.vehicles);
     this._addEvents(snapshot.events);
@@ -87,8 +93,10 @@ export class Store {
   async loadHistory() {
     if (this._historyAsked || this.fleetName === null) return;
     this._historyAsked = true;
+    this._missed = false;
     const history = await get("history").catch(() => null);
     this._historyAsked = false;
+    this._missed ||= history === null;
     if (!history) return;
     this.history.load(history.points.filter((point) => point.fleet === this.fleetName));
     this._addEvents(history.events);

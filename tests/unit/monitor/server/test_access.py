@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import socket
+import threading
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 
@@ -11,9 +12,10 @@ import pytest
 from aiohttp import ClientSession, WSServerHandshakeError
 
 from companion.monitor.api import TOKEN_HEADER
+from companion.monitor.server import files
 from companion.monitor.server.access import is_loopback
 from companion.monitor.server.clients import LONGEST_MESSAGE, MOST_CLIENTS
-from companion.monitor.server.site import LONGEST_BODY
+from companion.monitor.server.site import LONGEST_BODY, Site
 from served_site import Served, recorded, served
 
 
@@ -45,6 +47,18 @@ def test_host_must_be_a_name_of_the_server(host: str, status: int) -> None:
     async def work(server: Served) -> None:
         name = host.format(port=server.url.rpartition(":")[2])
         assert (await server.get("/api/v1/snapshot", Host=name))[0] == status
+
+    with_server(work)
+
+
+def test_host_may_be_the_name_that_the_server_listens_by(monkeypatch: pytest.MonkeyPatch) -> None:
+    app = Site.app
+    monkeypatch.setattr(Site, "app", lambda site, _address: app(site, "Ground.example.org"))
+
+    async def work(server: Served) -> None:
+        assert (await server.get("/api/v1/snapshot", Host="ground.example.org:8600"))[0] == 200
+        status, answer = await server.get("/api/v1/snapshot", Host="other.example.org:8600")
+        assert (status, "--listen NAME:PORT" in answer["error"]) == (403, True)
 
     with_server(work)
 
@@ -168,6 +182,24 @@ def test_tiles_come_from_the_folder_alone(tmp_path: Path) -> None:
             assert response.status == 404
 
     with_server(work, tmp_path / "tiles")
+
+
+def test_a_slow_folder_of_tiles_delays_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = threading.Event()
+
+    def is_below(_folder: Path, _file: Path) -> bool:
+        return not found.wait(10.0)
+
+    async def work(server: Served) -> None:
+        asked = asyncio.create_task(server.get("/tiles/3/4/5.png"))
+        await asyncio.sleep(0.05)
+        assert (await server.get("/api/v1/snapshot"))[0] == 200
+        assert not asked.done()
+        found.set()
+        assert (await asked)[0] == 404
+
+    monkeypatch.setattr(files, "_is_below", is_below)
+    with_server(work, tmp_path)
 
 
 def test_a_body_is_bounded_and_checked() -> None:
