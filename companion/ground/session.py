@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import zenoh
 
 from companion.ground.connection import GroundConnection
+from companion.ground.fleet_status import SILENT_AFTER_S
 from companion.link.fleet.zenoh_session import drain
 from companion.types.commands import Command, CommandName, CommandReply, Content, next_number
 from companion.types.notices import Code
@@ -39,7 +40,6 @@ REPORTS_KEPT = 4096  # a ring: without drain() the oldest reports are dropped
 POLL_S = 0.01
 REPLIES_KEPT = COMMANDS_KEPT = 1024
 AGAIN_S = 0.25  # an unanswered command is sent again
-FRESH_S = 1.0  # seconds; without a report for longer, an agent may have restarted
 
 
 def operator_here() -> str:
@@ -133,11 +133,13 @@ class FleetSession(GroundConnection):
                 self.rejected[Code.PEER_KEY_MISMATCH] += 1
 
     def newest(self) -> dict[int, Status]:
-        """The newest status of each vehicle, none older than FRESH_S. Never blocks."""
+        """The newest status of each vehicle; without one that is silent: its agent may have restarted. Never blocks."""
         with self._lock:
             self._listen()
             now_s = time.monotonic()
-            return {i: status for i, (received_s, status) in self._newest.items() if now_s - received_s < FRESH_S}
+            return {
+                i: status for i, (received_s, status) in self._newest.items() if now_s - received_s < SILENT_AFTER_S
+            }
 
     def statuses(self, vehicle_ids: Iterable[int], timeout_s: float) -> dict[int, Status]:
         """Status of these vehicles when all have reported, or of those that have after `timeout_s`."""

@@ -10,6 +10,7 @@ from typing import Literal, Protocol, TypeVar
 from companion.config.file import ConfigError
 from companion.config.fleet import FleetConfig
 from companion.ground.answers import AnswerKind, Outcome
+from companion.ground.fleet_status import SILENT_AFTER_S
 from companion.ground.preconditions import divided
 from companion.ground.readiness import Check, checks_of, leader_check
 from companion.ground.reports import no_report
@@ -148,7 +149,7 @@ class Commander:
         answers = []
         for i in ids:
             if (status := statuses.get(i)) is None:
-                notice = no_report(1.0)
+                notice = no_report(SILENT_AFTER_S)
                 answers.append(AnswerView(i, AnswerKind.MISSING, notice.code, notice.text, None))
                 continue
             answers.append(_readiness(i, (*checks_of(status, every, own_hash), leader)))

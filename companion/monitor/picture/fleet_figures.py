@@ -12,6 +12,7 @@ from companion.assembly import law_of
 from companion.config.fleet import FleetConfig, RangeNeighbours
 from companion.config.law import Law
 from companion.geometry.separation import separation_distance_m
+from companion.ground.fleet_status import SILENT_AFTER_S
 from companion.monitor.api import FleetView, VehicleView
 from companion.stability.interaction import (
     couple,
@@ -24,7 +25,6 @@ from companion.stability.interaction import (
 from companion.types.flight import STREAMING, Role
 from companion.types.vectors import Vector3
 
-FRESH_S = 1.0  # positions older than that have no distance now
 TREND_S = 5.0
 SAMPLE_S = 0.5
 FIGURES_EVERY_S = 1.0
@@ -47,7 +47,7 @@ class FleetFigures:
 
     def view(self, now_s: float, vehicles: Sequence[VehicleView]) -> FleetView:
         """Of these vehicles, all of this fleet."""
-        fresh = [v for v in vehicles if not v.silent and v.data_age_s is not None and v.data_age_s <= FRESH_S]
+        fresh = [v for v in vehicles if not v.silent and v.data_age_s is not None and v.data_age_s <= SILENT_AFTER_S]
         positions = {v.vehicle_id: v.position_enu_m for v in fresh}
         smallest = smallest_separation(positions)
         if smallest and (not self._separations or now_s - self._separations[-1][0] >= SAMPLE_S - 1e-6):
