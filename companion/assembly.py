@@ -24,6 +24,7 @@ from companion.core.consensus.neighbourhood import ConsensusStage
 from companion.core.consensus.neighbours import EdgeRule, NeighbourRule, RangeRule
 from companion.core.consensus.peers import PeerTable
 from companion.core.consensus.plausibility import FleetLimits
+from companion.core.consensus.weights import Weighting
 from companion.core.control.setpoint import SetpointStage
 from companion.core.control.setpoint_stream import SetpointStream
 from companion.core.election.leader_beacon import BeaconMonitor
@@ -312,7 +313,9 @@ def law_of(law: Law) -> FormationLaw:
             _first(changed.position_1_s2, named.gains.position_1_s2),
             _first(changed.velocity_1_s, named.gains.velocity_1_s),
         ),
-        exponent=_first(law.exponent, named.exponent),
+        weighting=Weighting(
+            _first(law.exponent, named.weighting.exponent), _first(law.weight_ratio, named.weighting.ratio)
+        ),
         leader_uses_neighbours=_first(law.leader_uses_neighbours, named.leader_uses_neighbours),
         feedforward=_first(law.feedforward, named.feedforward),
     )

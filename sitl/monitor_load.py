@@ -53,7 +53,7 @@ class SteadyFleet:
         self._leader_id = next(member.id for member in fleet.vehicles if member.role is Role.LEADER)
         self._graph = neighbour_graph(fleet.neighbours, self._slots)
         self._prcs = settled_prcs(self._graph, {self._leader_id})
-        self._exponent = law_of(fleet.law).exponent
+        self._weighting = law_of(fleet.law).weighting
         self._hash = fleet.formation_hash()
         self._nearest = {i: self._nearest_id(i) for i in self._slots}
 
@@ -110,7 +110,7 @@ class SteadyFleet:
             battery_percent=battery,
             position_error=PositionError(0.3, 0.5),
             separation=SeparationReport(self._nearest_vehicle(vehicle_id, time_s)),
-            weights=tuple(neighbour_weights([prcs[j] for j in neighbours], self._exponent)),
+            weights=tuple(neighbour_weights([prcs[j] for j in neighbours], self._weighting)),
             neighbour_ages_s=tuple(0.015 + 0.01 * sin(time_s + j) for j in neighbours),
         )
         return StatusReport(status, TIMING)

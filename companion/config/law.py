@@ -42,11 +42,16 @@ class Law(Section, frozen=True):
     ] = "cooperative"
     gains: Gains = Gains()
     exponent: (
-        Annotated[float, Meta(ge=0, le=16, description="alpha of the weights 1/p^alpha; 1 in the paper's Algorithm 2")]
+        Annotated[
+            float, Meta(ge=0, le=16, description="alpha of the weights rho^p / p^alpha; 1 in the paper's Algorithm 2")
+        ]
         | None
     ) = None
+    weight_ratio: (
+        Annotated[float, Meta(ge=0.001, le=1, description="rho of the weights rho^p / p^alpha; 1 in the paper")] | None
+    ) = None
     feedforward: (
-        Annotated[float, Meta(ge=0, le=0.95, description="share of the neighbours' acceleration that is fed forward")]
+        Annotated[float, Meta(ge=0, le=0.99, description="share of the neighbours' acceleration that is fed forward")]
         | None
     ) = None
     leader_uses_neighbours: (
@@ -74,6 +79,7 @@ class Law(Section, frozen=True):
             name=name,
             gains=self.gains if same_gains else Gains(),
             exponent=None,
+            weight_ratio=None,
             feedforward=None,
             leader_uses_neighbours=None,
         )
@@ -83,7 +89,7 @@ def law_problems(law: Law, where: str) -> Iterator[Problem]:
     """Parameters that an average law does not have: with them it would be the weighted law with another exponent."""
     if law.name not in ("average_22", "average_26"):
         return
-    for field in ("exponent", "feedforward", "leader_uses_neighbours"):
+    for field in ("exponent", "weight_ratio", "feedforward", "leader_uses_neighbours"):
         if getattr(law, field) is not None:
             hint = "take it out, or fly weighted (its average is exponent: 0)"
             yield Problem(f"{where}.{field}", f"{law.name} takes no {field}; {hint}")

@@ -67,7 +67,7 @@ def couple(graph: Graph, leaders: Collection[int], law: FormationLaw) -> Couplin
     for i in ids:
         uses_neighbours = i not in leaders or law.leader_uses_neighbours
         neighbours = sorted(graph[i]) if uses_neighbours else []
-        shares = neighbour_weights([prcs[j] for j in neighbours], law.exponent)
+        shares = neighbour_weights([prcs[j] for j in neighbours], law.weighting)
         weights[column[i], [column[j] for j in neighbours]] = shares
     return Coupling(
         law=law,

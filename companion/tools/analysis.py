@@ -65,6 +65,7 @@ class LawAnalysis(Struct, frozen=True, kw_only=True):
     gain_position_1_s2: float
     gain_velocity_1_s: float
     exponent: float
+    weight_ratio: float
     feedforward: float
     stable: bool  # with attitude lag and the usual delay
     lambda_min: float
@@ -234,7 +235,8 @@ def _law_analysis(subject: Subject, graph: Graph, leaders: Collection[int], name
     return LawAnalysis(
         gain_position_1_s2=law.gains.position_1_s2,
         gain_velocity_1_s=law.gains.velocity_1_s,
-        exponent=law.exponent,
+        exponent=law.weighting.exponent,
+        weight_ratio=law.weighting.ratio,
         feedforward=law.feedforward,
         stable=stable,
         lambda_min=float(spectrum[0]),

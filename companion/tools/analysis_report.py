@@ -186,7 +186,10 @@ def _law_table(analysis: Analysis) -> list[str]:
         rows.append((title, [cell(law) if law.stable or not of_stable else "unstable" for law in laws]))
 
     add("gains on position, velocity", lambda law: f"{law.gain_position_1_s2:g}, {law.gain_velocity_1_s:g}")
-    add("exponent of the weights, feedforward", lambda law: f"{law.exponent:g}, {law.feedforward:g}")
+    add(
+        "exponent and ratio of the weights, feedforward",
+        lambda law: f"{law.exponent:g}, {law.weight_ratio:g}, {law.feedforward:g}",
+    )
     add("lambda_min", lambda law: f"{law.lambda_min:.4f}")
     add("convergence rate, no lag [1/s]", lambda law: f"{law.rate_1_s:.4f}")
     add("time to 10 cm by this rate [s]", lambda law: _number(law.time_to_10_cm_s, 1), of_stable=True)

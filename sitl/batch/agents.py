@@ -58,7 +58,8 @@ class Agents:
         used = self._from_neighbours(group, own[:3], self._packets.receive(tick, group))
         packets = self._packets.packets(used)
         prcs = laws.next_prcs(packets[:, :, PRC], used.fresh, group)
-        weighted_sum, has_neighbours = _weighted_sum(used, packets)
+        shares = laws.by_hops(packets[:, :, SHARE], packets[:, :, PRC], used.fresh, group)
+        weighted_sum, has_neighbours = _weighted_sum(used, packets, shares)
         acceleration = laws.acceleration(
             group,
             own,
@@ -121,15 +122,14 @@ class Agents:
         return prcs
 
 
-def _weighted_sum(used: Received, packets: FloatArray) -> tuple[FloatArray, BoolArray]:
+def _weighted_sum(used: Received, packets: FloatArray, shares: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Algorithm 2: weighted sums (9, G) over the neighbours, and whether a vehicle has any (G,).
 
     The rows are extrapolated positions minus slots, velocities and accelerations.
     """
-    weights = packets[:, :, SHARE] * used.fresh
-    total = weights.sum(axis=1)
+    total = shares.sum(axis=1)
     has_neighbours = total > 0.0
-    weights /= np.where(has_neighbours, total, 1.0)[:, None]
+    weights = shares / np.where(has_neighbours, total, 1.0)[:, None]
     sums = np.matmul(weights[:, None, :], packets[:, :, :9])[:, 0].T
     if used.age_s is not None:
         sums[REDUCED_POSITION] += np.matmul((weights * used.age_s)[:, None, :], packets[:, :, VELOCITY])[:, 0].T

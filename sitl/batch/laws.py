@@ -26,7 +26,8 @@ class Laws:
         self.slots_by_vehicle_enu_m: FloatArray = slots
         self.slot_enu_m = columns.in_columns(slots)
         self.is_leader: BoolArray = columns.in_columns(leaders)[0] > 0.0
-        self.exponent = columns.spread([law.exponent for law in laws])
+        self._exponent = columns.spread([law.weighting.exponent for law in laws])
+        self._ratio = columns.spread([law.weighting.ratio for law in laws])
         self._vehicles = columns.vehicles
         self._k1 = columns.spread([law.gains.position_1_s2 for law in laws])
         self._k2 = columns.spread([law.gains.velocity_1_s for law in laws])
@@ -38,8 +39,18 @@ class Laws:
         self._hold_k2 = columns.spread([gains.velocity_1_s for gains in hold_gains])
 
     def shares(self, prcs: FloatArray, group: slice) -> FloatArray:
-        """p^-alpha (G,): the weights that others give to vehicles with these PrCs, before normalisation."""
-        return np.asarray(prcs ** -self.exponent[group])
+        """p^-alpha (G,): the part of its weights that a vehicle can tell its neighbours."""
+        return np.asarray(prcs ** -self._exponent[group])
+
+    def by_hops(self, shares: FloatArray, prcs: FloatArray, fresh: BoolArray, group: slice) -> FloatArray:
+        """`shares` (G, K) of the neighbours times rho^p, counted from the nearest one; 0 for those that are not `fresh`."""
+        shares = shares * fresh
+        ratio = self._ratio[group]
+        if (ratio == 1.0).all():
+            return np.asarray(shares)
+        least = np.where(fresh, prcs, np.inf).min(axis=1, initial=np.inf)
+        hops = np.where(fresh, prcs - least[:, None], 0.0)
+        return np.asarray(shares * ratio[:, None] ** hops)
 
     def next_prcs(self, neighbour_prcs: FloatArray, members: BoolArray, group: slice) -> FloatArray:
         """Algorithm 1: PrCs (G,) after one tick from `neighbour_prcs` and `members` (G, K)."""

@@ -126,7 +126,7 @@ def _algorithm_1() -> Erratum:
 def _algorithm_2() -> Erratum:
     graph: dict[int, set[int]] = {1: set(), 2: set()}
     matrix = interaction_matrix(graph, {1}, weighted())
-    count = len(neighbour_weights([], weighted().exponent))
+    count = len(neighbour_weights([], weighted().weighting))
     return Erratum(
         place="Algorithm 2",
         printed="vehicles without neighbours are not treated: the sum in the denominator is 0",

@@ -75,7 +75,7 @@ def reported_matrix(flown: FlownPlan, topology: Topology) -> FloatArray:
         report = topology[i]
         is_leader = report.role is Role.LEADER
         neighbours = report.neighbours if not is_leader or law.leader_uses_neighbours else ()
-        weights = neighbour_weights([topology[j].prc for j in neighbours], law.exponent)
+        weights = neighbour_weights([topology[j].prc for j in neighbours], law.weighting)
         for j, weight in zip(neighbours, weights, strict=True):
             matrix[row, ids.index(j)] = -weight
         matrix[row, row] = sum(weights) + is_leader

@@ -61,6 +61,7 @@ class Summary(Struct, frozen=True, kw_only=True):
     scenario: str
     law: str
     exponent: float
+    weight_ratio: float
     vehicles: list[VehicleSummary]
     tracks: TrackSource = "true"
     sensors: str | None
@@ -101,10 +102,12 @@ def summarize(
     fleet, stand_in = scenario.fleet, scenario.stand_in
     sensors = stand_in.sensors if isinstance(stand_in.sensors, str) else "as given"
     slots_enu_m = {member.id: member.slot_enu_m for member in fleet.vehicles}
+    weighting = law_of(fleet.law).weighting
     return Summary(
         scenario=name,
         law=fleet.law.name,
-        exponent=law_of(fleet.law).exponent,
+        exponent=weighting.exponent,
+        weight_ratio=weighting.ratio,
         tracks=source,
         sensors=sensors if source == "true" else None,
         seed=stand_in.seed if source == "true" else None,

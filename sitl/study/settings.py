@@ -57,4 +57,5 @@ def parameters_text(setting: Setting) -> str:
     law = law_of(setting.law)
     leader = "" if law.leader_uses_neighbours else ", leader uncoupled"
     gains = f"K = ({law.gains.position_1_s2:g}, {law.gains.velocity_1_s:g})"
-    return f"alpha {law.exponent:g}, {gains}, g {law.feedforward:g}{leader}"
+    rho = "" if law.weighting.ratio == 1.0 else f", rho {law.weighting.ratio:g}"
+    return f"alpha {law.weighting.exponent:g}{rho}, {gains}, g {law.feedforward:g}{leader}"

@@ -33,7 +33,7 @@ def weight_matrix(graph: Graph, leaders: Collection[int], law: FormationLaw) -> 
         neighbours = sorted(graph[i]) if i not in leaders or law.leader_uses_neighbours else []
         rows += [column[i]] * len(neighbours)
         columns += [column[j] for j in neighbours]
-        values += neighbour_weights([prcs[j] for j in neighbours], law.exponent)
+        values += neighbour_weights([prcs[j] for j in neighbours], law.weighting)
     return csc_array((values, (rows, columns)), shape=(len(ids), len(ids)))
 
 

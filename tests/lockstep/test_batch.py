@@ -90,6 +90,7 @@ def apart_m(*overrides: str) -> FloatArray:
     [
         (),
         (COOPERATIVE,),
+        (COOPERATIVE, "fleet.law.weight_ratio=0.3"),
         ("fleet.law.name=average_26",),
         ("links.peer_delay_s=0.05",),
         (COOPERATIVE, "links.peer_delay_s=0.05"),

@@ -1,6 +1,6 @@
 """Formation law: eq. 14 with the weights of Algorithm 2, the two average laws of the paper and the cooperative law.
 
-All are one formula with different data: gains, exponent of the weights, whether a leader uses its neighbours, and the share
+All are one formula with different data: gains, weighting of the neighbours, whether a leader uses its neighbours, and the share
 of the neighbours' acceleration that is fed forward.
 With d_ij = d_i0 - d_j0 every relative error of the paper is a difference of two formation states:
 x_i - x_j - d_ij = (x_i - d_i0) - (x_j - d_j0).
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from msgspec import Struct
 
-from companion.core.consensus.weights import neighbour_weights
+from companion.core.consensus.weights import Weighting, neighbour_weights
 from companion.types.formation import FlownSlot
 from companion.types.vectors import ZERO3, Vector3
 
@@ -33,35 +33,35 @@ PAPER_GAINS = Gains(1.39, 1.2)  # K of section 5.1.1
 class FormationLaw:
     """Parameters of a law.
 
-    `exponent` is alpha of the weights 1/p^alpha. Where `leader_uses_neighbours` is False a leader tracks the RFT alone.
+    Where `leader_uses_neighbours` is False a leader tracks the RFT alone.
     `feedforward` is g: a follower adds g sum_j w_ij u_j, its neighbours' last acceleration commands with the same weights,
     and a leader adds g r''. Followers may be neighbours of each other, so the sum feeds back; g < 1 keeps it finite.
     """
 
     gains: Gains
-    exponent: float
+    weighting: Weighting
     leader_uses_neighbours: bool
     feedforward: float = 0.0
 
 
 def used_weights(law: FormationLaw, leads: bool, prcs: Sequence[int]) -> list[float]:
     """w_ij of the neighbours with these PrCs, in their order; empty for a leader under a law that does not use them."""
-    return neighbour_weights(prcs, law.exponent) if law.leader_uses_neighbours or not leads else []
+    return neighbour_weights(prcs, law.weighting) if law.leader_uses_neighbours or not leads else []
 
 
 def weighted(gains: Gains = PAPER_GAINS, exponent: float = 1.0) -> FormationLaw:
     """Eq. 14 with Algorithms 1 and 2: the paper's law at exponent 1."""
-    return FormationLaw(gains, exponent, leader_uses_neighbours=True)
+    return FormationLaw(gains, Weighting(exponent), leader_uses_neighbours=True)
 
 
 def average_22(gains: Gains = PAPER_GAINS) -> FormationLaw:
     """Eq. 22: equal weights for all neighbours, leaders coupled to theirs too."""
-    return FormationLaw(gains, 0.0, leader_uses_neighbours=True)
+    return FormationLaw(gains, Weighting(0.0), leader_uses_neighbours=True)
 
 
 def average_26(gains: Gains = PAPER_GAINS) -> FormationLaw:
     """Eq. 26: followers average their neighbours, leaders track the reference alone."""
-    return FormationLaw(gains, 0.0, leader_uses_neighbours=False)
+    return FormationLaw(gains, Weighting(0.0), leader_uses_neighbours=False)
 
 
 def cooperative() -> FormationLaw:
@@ -71,7 +71,7 @@ def cooperative() -> FormationLaw:
     neighbours' acceleration fed forward. A larger k2 for the same k1 costs twice: a velocity error e shifts a vehicle by
     k2/k1 e, and with slow attitude loops and late packets the leader and its followers begin to oscillate.
     """
-    return FormationLaw(Gains(2.0, 2.4), 8.0, leader_uses_neighbours=True, feedforward=0.9)
+    return FormationLaw(Gains(2.0, 2.4), Weighting(8.0), leader_uses_neighbours=True, feedforward=0.9)
 
 
 class FormationState(Struct, frozen=True, gc=False):
@@ -104,7 +104,7 @@ def target(
     """The RFT that the law steers to: R of a leader, of a follower the weighted mean of its neighbours; None without any."""
     if reference is not None or not neighbours:
         return reference
-    weights = neighbour_weights([prc for prc, _ in neighbours], law.exponent)
+    weights = neighbour_weights([prc for prc, _ in neighbours], law.weighting)
     states = [(s.position_enu_m, s.velocity_enu_m_s, s.acceleration_enu_m_s2) for _, s in neighbours]
     means = [
         tuple([sum(w * vector[axis] for w, vector in zip(weights, vectors, strict=True)) for axis in range(3)])
@@ -124,7 +124,7 @@ def formation_error(
     `neighbours` are (PrC, formation state); `reference` is R = [r, r'] for a leader, None for a follower.
     """
     used = neighbours if reference is None or law.leader_uses_neighbours else ()
-    weights = neighbour_weights([prc for prc, _ in used], law.exponent)
+    weights = neighbour_weights([prc for prc, _ in used], law.weighting)
     terms = list(zip(weights, [target for _, target in used], strict=True))
     if reference is not None:
         terms.append((1.0, reference))
@@ -156,7 +156,7 @@ def formation_acceleration(
 def _mean_acceleration(law: FormationLaw, neighbours: Sequence[tuple[int, FormationState]]) -> Vector3:
     """sum_j w_ij u_j."""
     x = y = z = 0.0
-    weights = neighbour_weights([prc for prc, _ in neighbours], law.exponent)
+    weights = neighbour_weights([prc for prc, _ in neighbours], law.weighting)
     for weight, (_, target) in zip(weights, neighbours, strict=True):
         ax, ay, az = target.acceleration_enu_m_s2
         x, y, z = x + weight * ax, y + weight * ay, z + weight * az

@@ -1,16 +1,32 @@
-"""Neighbour weights of Algorithm 2, with the exponent alpha of weights 1/p^alpha."""
+"""Neighbour weights of Algorithm 2, and weights that fall faster with the hops to the leader."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 
-def neighbour_weights(prcs: Sequence[int], exponent: float) -> list[float]:
-    """w_ij = p_j^-alpha / sum_j p_j^-alpha for the neighbours' PrCs p_j >= 1, in their order.
+@dataclass(frozen=True, slots=True)
+class Weighting:
+    """How the share of a neighbour falls with its PrC p: as ratio^p / p^exponent.
 
-    alpha = 1 is the paper's Algorithm 2, alpha = 0 the average of eq. 22. The weights add up to one. The list is empty
-    without neighbours, where the paper's algorithm would divide by zero.
+    Exponent 1 and ratio 1 is the paper's Algorithm 2, exponent 0 and ratio 1 the average of eq. 22. A power is sharp between
+    the first hops and nearly flat behind twenty: a vehicle there would follow its own followers. A ratio rho < 1 (0 < rho) is
+    as sharp at every hop: of two neighbours at p - 1 and p + 1 the second has rho^2 times the weight of the first.
     """
-    shares = [prc**-exponent for prc in prcs]
+
+    exponent: float = 1.0
+    ratio: float = 1.0
+
+
+def neighbour_weights(prcs: Sequence[int], weighting: Weighting) -> list[float]:
+    """w_ij = s_j / sum_j s_j with the shares s_j of neighbours with PrCs p_j >= 1, in their order.
+
+    The weights add up to one. The list is empty without neighbours, where the paper's algorithm would divide by zero.
+    """
+    least = min(
+        prcs, default=1
+    )  # rho^p of the 160th hop is below the smallest float: counted from the nearest neighbour
+    shares = [prc**-weighting.exponent * weighting.ratio ** (prc - least) for prc in prcs]
     total = sum(shares)
     return [share / total for share in shares]

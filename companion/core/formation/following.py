@@ -83,7 +83,7 @@ class Chain:
         weights = {}
         for i, neighbours in self.graph.items():
             used = neighbours if i not in self.leaders or self.law.leader_uses_neighbours else ()
-            weights[i] = (used, neighbour_weights([prcs[j] for j in used], self.law.exponent))
+            weights[i] = (used, neighbour_weights([prcs[j] for j in used], self.law.weighting))
         object.__setattr__(self, "_weights", weights)
         object.__setattr__(self, "_known", {})
 

@@ -128,7 +128,7 @@ def weights_of(graph: Graph, leaders: Collection[int], vertex: int) -> dict[int,
     """Neighbour -> weight, by Algorithms 1 and 2."""
     prcs = settled_prcs(graph, leaders)
     neighbours = sorted(graph[vertex])
-    return dict(zip(neighbours, neighbour_weights([prcs[j] for j in neighbours], weighted().exponent), strict=True))
+    return dict(zip(neighbours, neighbour_weights([prcs[j] for j in neighbours], weighted().weighting), strict=True))
 
 
 def printed_matrix(rows: Sequence[str]) -> FloatArray:

@@ -11,6 +11,7 @@ from companion.assembly import law_of
 from companion.config.file import ConfigError
 from companion.config.vehicle import load_agent
 from companion.core.consensus.law import Gains, cooperative, weighted
+from companion.core.consensus.weights import Weighting
 
 FLEET: dict[str, Any] = {
     "name": "pair",
@@ -60,7 +61,7 @@ def test_parameters_of_a_law_can_be_changed_one_by_one(tmp_path: Path) -> None:
     fleet = deep_copy(FLEET)
     fleet["law"] = {"name": "weighted", "gains": {"velocity_1_s": 2.0}, "feedforward": 0.5}
     law = law_of(load_agent(write(tmp_path, fleet, LEADER)).fleet.law)
-    assert (law.gains, law.exponent, law.feedforward) == (Gains(1.39, 2.0), 1.0, 0.5)
+    assert (law.gains, law.weighting, law.feedforward) == (Gains(1.39, 2.0), Weighting(1.0), 0.5)
     assert law.leader_uses_neighbours
 
 
@@ -72,7 +73,7 @@ def test_parameters_of_a_law_can_be_changed_one_by_one(tmp_path: Path) -> None:
         (lambda f: f["law"]["gains"].update(velocity_1_s="fast"), ["law.gains.velocity_1_s", "'fast'", "float"]),
         (lambda f: f["law"].update(name="weigthed"), ["law.name", "'weigthed'", "average_22", '"weighted"']),
         (lambda f: f["law"].update(exponent=99), ["law.exponent", "99", "<= 16"]),
-        (lambda f: f["law"].update(feedforward=1.0), ["law.feedforward", "1.0", "<= 0.95"]),
+        (lambda f: f["law"].update(feedforward=1.0), ["law.feedforward", "1.0", "<= 0.99"]),
         (lambda f: f["law"].update(name="average_22", exponent=2), ["law.exponent", "average_22", "weighted"]),
         (lambda f: f["law"].update(name="average_26", feedforward=0.5), ["law.feedforward", "average_26", "weighted"]),
         (lambda f: f["vehicles"][1].update(id=1), ["vehicles[1].id", "used twice"]),

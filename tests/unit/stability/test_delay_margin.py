@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from companion.core.consensus.law import FormationLaw, Gains, average_26
+from companion.core.consensus.weights import Weighting
 from companion.stability.delay_margin import delay_margin_with_lag_s
 from companion.stability.interaction import Coupling, couple
 from companion.stability.prediction import LinearModel
@@ -67,15 +68,15 @@ def first_unstable_s(coupling: Coupling) -> float:
 
 
 LAWS = [
-    FormationLaw(Gains(2.0, 2.4), 8.0, True, 0.9),
-    FormationLaw(Gains(1.0, 2.0), 1.0, False, 0.5),
-    FormationLaw(Gains(1.39, 0.8), 2.0, True, 0.7),
-    FormationLaw(Gains(6.0, 5.0), 0.0, True, 0.3),
-    FormationLaw(PAPER, 1.0, True),
-    FormationLaw(Gains(1.39, 0.36), 1.0, True),
-    FormationLaw(Gains(1.39, 0.29), 1.0, True),
-    FormationLaw(Gains(0.1, 3.0), 8.0, True),
-    FormationLaw(Gains(8.0, 9.0), 0.0, True),
+    FormationLaw(Gains(2.0, 2.4), Weighting(8.0), True, 0.9),
+    FormationLaw(Gains(1.0, 2.0), Weighting(1.0), False, 0.5),
+    FormationLaw(Gains(1.39, 0.8), Weighting(2.0), True, 0.7),
+    FormationLaw(Gains(6.0, 5.0), Weighting(0.0), True, 0.3),
+    FormationLaw(PAPER, Weighting(1.0), True),
+    FormationLaw(Gains(1.39, 0.36), Weighting(1.0), True),
+    FormationLaw(Gains(1.39, 0.29), Weighting(1.0), True),
+    FormationLaw(Gains(0.1, 3.0), Weighting(8.0), True),
+    FormationLaw(Gains(8.0, 9.0), Weighting(0.0), True),
     average_26(Gains(2.0, 0.9)),
 ]
 

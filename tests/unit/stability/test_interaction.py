@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from companion.cli.main import main
 from companion.core.consensus.law import FormationLaw, Gains, average_22, average_26, weighted
 from companion.core.consensus.priority import next_prc
+from companion.core.consensus.weights import Weighting
 from companion.stability.interaction import (
     couple,
     eigenvalues,
@@ -115,7 +116,7 @@ def test_modes_with_feedforward_are_real_and_positive(
     graph: dict[int, list[int]], data: st.DataObject, alpha: float, feedforward: float, leader_heeds: bool
 ) -> None:
     leaders = data.draw(st.sets(st.sampled_from(sorted(graph)), min_size=1))
-    coupling = couple(graph, leaders, FormationLaw(K, alpha, leader_heeds, feedforward))
+    coupling = couple(graph, leaders, FormationLaw(K, Weighting(alpha), leader_heeds, feedforward))
     effective = np.linalg.solve(np.eye(len(graph)) - feedforward * coupling.W, coupling.G)
     spectrum = np.linalg.eigvals(effective)
     assert np.abs(spectrum.imag).max() < 1e-4
@@ -191,9 +192,9 @@ def stepped(n: int, law: FormationLaw, duration_s: float) -> np.ndarray:
     ("law", "largest", "smallest", "settles_s"),
     [
         (weighted(Gains(1.0, 2.0)), 1.75, 1.19, 166.0),
-        (FormationLaw(Gains(1.0, 2.0), 1.0, True, 0.9), 1.58, 1.43, 19.0),
-        (FormationLaw(Gains(1.0, 2.0), 8.0, True, 0.9), 1.54, 1.47, 6.0),
-        (FormationLaw(Gains(1.0, 2.0), 8.0, True, 0.8), 1.57, 1.43, 8.0),
+        (FormationLaw(Gains(1.0, 2.0), Weighting(1.0), True, 0.9), 1.58, 1.43, 19.0),
+        (FormationLaw(Gains(1.0, 2.0), Weighting(8.0), True, 0.9), 1.54, 1.47, 6.0),
+        (FormationLaw(Gains(1.0, 2.0), Weighting(8.0), True, 0.8), 1.57, 1.43, 8.0),
     ],
 )
 def test_predictions_for_a_chain_of_16(law: FormationLaw, largest: float, smallest: float, settles_s: float) -> None:

@@ -9,6 +9,7 @@ import yaml
 
 from companion.cli.main import main
 from companion.core.consensus.law import PAPER_GAINS, FormationLaw, Gains, average_22, average_26, cooperative, weighted
+from companion.core.consensus.weights import Weighting
 from companion.stability.delay_margin import delay_margin_with_lag_s
 from companion.stability.interaction import Coupling, couple, mode_figures
 from companion.stability.prediction import LinearModel, errors_over_time
@@ -21,9 +22,9 @@ from repository import ROOT
 
 SCENARIOS = ROOT / "config" / "scenarios"
 K = Gains(1.39, 1.2)
-FED_FORWARD = FormationLaw(Gains(1.0, 2.0), 1.0, leader_uses_neighbours=True, feedforward=0.9)
-COOPERATIVE = FormationLaw(Gains(1.0, 2.5), 8.0, leader_uses_neighbours=True, feedforward=0.9)
-ALONE = FormationLaw(Gains(1.0, 2.0), 1.0, leader_uses_neighbours=False, feedforward=0.9)
+FED_FORWARD = FormationLaw(Gains(1.0, 2.0), Weighting(1.0), leader_uses_neighbours=True, feedforward=0.9)
+COOPERATIVE = FormationLaw(Gains(1.0, 2.5), Weighting(8.0), leader_uses_neighbours=True, feedforward=0.9)
+ALONE = FormationLaw(Gains(1.0, 2.0), Weighting(1.0), leader_uses_neighbours=False, feedforward=0.9)
 IDEAL = LinearModel(0.0, 0.0, 0.0)
 LAWS = [COOPERATIVE, weighted(), average_22(), average_26(), FED_FORWARD, ALONE]
 
@@ -162,7 +163,7 @@ def test_worst_start_bounds_all_unit_starts(law: FormationLaw) -> None:
         (3, weighted(Gains(10.0, 1.0))),
         (2, weighted(Gains(1.39, 0.36))),  # unstable by a hair, and by the delay alone: its figures looked like figures
         (2, weighted(Gains(3.0, 0.5))),  # even without delay
-        (3, FormationLaw(Gains(10.0, 1.0), 8.0, True, 0.9)),
+        (3, FormationLaw(Gains(10.0, 1.0), Weighting(8.0), True, 0.9)),
     ],
 )
 def test_unstable_formation_has_no_string_gain_and_no_worst_start(n: int, law: FormationLaw) -> None:

@@ -13,6 +13,7 @@ import yaml
 from companion.cli.main import main
 from companion.config.file import ConfigError
 from companion.core.consensus.law import FormationLaw, Gains
+from companion.core.consensus.weights import Weighting
 from companion.stability.delay_margin import delay_margin_with_lag_s
 from companion.stability.interaction import couple
 from companion.stability.string_stability import string_gains
@@ -120,7 +121,9 @@ def advised(tmp_path: Path, n: int, k1: float, k2: float, feedforward: float) ->
 
 
 def margin_s(n: int, k1: float, k2: float, feedforward: float) -> float:
-    return delay_margin_with_lag_s(couple(chain(n), {1}, FormationLaw(Gains(k1, k2), 1.0, True, feedforward)), MODEL)
+    return delay_margin_with_lag_s(
+        couple(chain(n), {1}, FormationLaw(Gains(k1, k2), Weighting(1.0), True, feedforward)), MODEL
+    )
 
 
 def chain(n: int) -> dict[int, list[int]]:
@@ -158,7 +161,9 @@ def test_advice_increases_the_delay_margin(tmp_path: Path, k1: float, ratio_s: f
 @pytest.mark.parametrize(("k1", "ratio_s"), [(0.3, 0.4), (0.3, 1.2), (1.39, 0.7), (1.39, 2.5), (3.0, 0.4), (3.0, 1.2)])
 def test_advice_decreases_the_string_gain(tmp_path: Path, k1: float, ratio_s: float, feedforward: float) -> None:
     def to_last(k1: float, k2: float) -> float:
-        gains = string_gains(couple(chain(4), {1}, FormationLaw(Gains(k1, k2), 1.0, True, feedforward)), MODEL)
+        gains = string_gains(
+            couple(chain(4), {1}, FormationLaw(Gains(k1, k2), Weighting(1.0), True, feedforward)), MODEL
+        )
         assert gains is not None
         return gains.to_last
 

@@ -15,6 +15,7 @@ from companion.core.consensus.law import (
     weighted,
 )
 from companion.core.consensus.priority import next_prc
+from companion.core.consensus.weights import Weighting
 from companion.core.reference.trajectories import point
 from companion.types.formation import FlownSlot
 
@@ -60,13 +61,13 @@ def test_acceleration_is_zero_in_perfect_formation() -> None:
 
 
 def test_feedforward_uses_the_same_weights() -> None:
-    law = FormationLaw(K, 1.0, leader_uses_neighbours=True, feedforward=0.8)
+    law = FormationLaw(K, Weighting(1.0), leader_uses_neighbours=True, feedforward=0.8)
     neighbours = [(1, accelerating(1.0)), (3, accelerating(-2.0))]  # weights 3/4 and 1/4
     assert formation_acceleration(law, at(0.0), neighbours, None) == pytest.approx((0.8 * 0.25, 0.0, 0.0))
 
 
 def test_leader_feeds_forward_its_reference_only() -> None:
-    law = FormationLaw(K, 1.0, leader_uses_neighbours=True, feedforward=0.8)
+    law = FormationLaw(K, Weighting(1.0), leader_uses_neighbours=True, feedforward=0.8)
     u = formation_acceleration(law, at(0.0), [(2, accelerating(5.0))], accelerating(0.5))
     assert u == pytest.approx((0.8 * 0.5, 0.0, 0.0))
 

@@ -56,7 +56,7 @@ def test_the_responses_solve_the_equations_of_the_law(law: FormationLaw, rate_ra
     back = lag * (law.gains.position_1_s2 + law.gains.velocity_1_s * s)
     plant = s * s + 0.25 * s
     for i, neighbours in ring.items():
-        shares = np.array([prcs[j] ** -law.exponent for j in neighbours])
+        shares = np.array([prcs[j] ** -law.weighting.exponent for j in neighbours])
         mean = sum(share * responses[j] for share, j in zip(shares / shares.sum(), neighbours, strict=True))
         if i == 1:
             used = law.leader_uses_neighbours

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from companion.core.consensus.law import PAPER_GAINS, FormationLaw, average_22, average_26, cooperative, weighted
+from companion.core.consensus.weights import Weighting
 from companion.stability.interaction import couple, eigenvalues, mode_eigenvalues
 from sitl.study import spectra
 from sitl.study.shapes import RANGE_M, SPACING_M, Shape, chain, grid, is_connected, random_geometric, ring
@@ -67,7 +68,7 @@ LAWS = [
     average_22(),
     average_26(),
     cooperative(),
-    FormationLaw(PAPER_GAINS, 3.0, leader_uses_neighbours=False, feedforward=0.5),
+    FormationLaw(PAPER_GAINS, Weighting(3.0), leader_uses_neighbours=False, feedforward=0.5),
 ]
 
 

@@ -181,7 +181,7 @@ def test_the_settings_match_their_labels() -> None:
     assert law_of(WEIGHTED.law) == weighted()
     parts = [setting for setting in SETTINGS if setting.is_part]
     ours, papers = cooperative(), weighted()
-    assert [law_of(part.law).exponent for part in parts] == [ours.exponent, 1.0, 1.0, 1.0]
+    assert [law_of(part.law).weighting.exponent for part in parts] == [ours.weighting.exponent, 1.0, 1.0, 1.0]
     assert [law_of(part.law).gains for part in parts] == [papers.gains, ours.gains, papers.gains, papers.gains]
     assert [law_of(part.law).feedforward for part in parts] == [0.0, 0.0, ours.feedforward, 0.0]
     assert [law_of(part.law).leader_uses_neighbours for part in parts] == [True, True, True, False]
