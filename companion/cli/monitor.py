@@ -114,6 +114,7 @@ def run(options: argparse.Namespace) -> int:
     """The exit code."""
     from companion.config.file import ConfigError
     from companion.link.fleet.zenoh_session import EndpointError
+    from companion.monitor.error import MonitorError
 
     in_terminal = options.tui or options.once or options.json
     if in_terminal and (given := _options_of_page(options)):
@@ -125,6 +126,8 @@ def run(options: argparse.Namespace) -> int:
         return fail(f'companion monitor: --connect "{error.endpoint}": {error}', EXIT_UNUSABLE)
     except ConfigError as error:
         return fail(str(error), EXIT_UNUSABLE)
+    except MonitorError as error:
+        return fail(f"companion monitor: {error}", EXIT_UNUSABLE)
     except KeyboardInterrupt:  # the usual end, here before anything is shown
         return EXIT_ENDED
 
@@ -135,7 +138,7 @@ def _selected(
     """Fleet file, identity and endpoints. No endpoints: a simulation is guessed. Raises ConfigError."""
     from companion.config.fleet_check import load_fleet
     from companion.config.network import ground_endpoints
-    from companion.ground.current_fleet import select
+    from companion.ground.current_fleet import Selection, select
     from companion.link.fleet.own_identity import load
 
     if options.replay and not options.fleet_file:  # a flight has the fleet file that it was flown with
@@ -154,20 +157,17 @@ def _simulation(fleet: FleetConfig | None) -> tuple[str, ...]:
 
 
 def _run_terminal(options: argparse.Namespace) -> int:
-    from companion.monitor.terminal.run import MonitorError, run_monitor
+    from companion.monitor.terminal.run import run_monitor
 
     _, fleet, identity, endpoints = _selected(options)
-    try:
-        return run_monitor(
-            options.fleet,
-            endpoints or _simulation(fleet),
-            identity,
-            once=options.once,
-            as_json=options.json,
-            endpoints_are_guessed=not endpoints,
-        )
-    except MonitorError as error:
-        return fail(f"companion monitor: {error}", EXIT_UNUSABLE)
+    return run_monitor(
+        options.fleet,
+        endpoints or _simulation(fleet),
+        identity,
+        once=options.once,
+        as_json=options.json,
+        endpoints_are_guessed=not endpoints,
+    )
 
 
 def _run_page(options: argparse.Namespace) -> int:
@@ -177,26 +177,22 @@ def _run_page(options: argparse.Namespace) -> int:
         needed = f"the live page needs the package aiohttp: {GROUND_INSTALL}, or use --tui"
         return fail(f"companion monitor: {needed}", EXIT_UNUSABLE)
     from companion.monitor.live_page import LivePage, run_live_page
-    from companion.monitor.server.run import MonitorError
 
     selection, fleet, identity, endpoints = _selected(options)
-    try:
-        run_live_page(
-            LivePage(
-                fleet_name=options.fleet,
-                fleet=fleet,
-                fleet_file=selection.fleet,
-                endpoints=endpoints or _simulation(fleet),
-                endpoints_are_guessed=not endpoints,
-                identity=identity,
-                listen=options.listen,
-                control=options.control,
-                tiles=options.tiles,
-                mavlink=options.mavlink,
-                record=options.record,
-                replay=options.replay,
-            )
+    run_live_page(
+        LivePage(
+            fleet_name=options.fleet,
+            fleet=fleet,
+            fleet_file=selection.fleet,
+            endpoints=endpoints or _simulation(fleet),
+            endpoints_are_guessed=not endpoints,
+            identity=identity,
+            listen=options.listen,
+            control=options.control,
+            tiles=options.tiles,
+            mavlink=options.mavlink,
+            record=options.record,
+            replay=options.replay,
         )
-    except MonitorError as error:
-        return fail(f"companion monitor: {error}", EXIT_UNUSABLE)
+    )
     return EXIT_ENDED

@@ -13,7 +13,8 @@ from companion.config.fleet import FleetConfig
 from companion.ground.session import FleetSession
 from companion.link.endpoint import LinkError
 from companion.monitor.control.commander import Commander
-from companion.monitor.server.run import Address, MonitorError, listen_address, serve
+from companion.monitor.error import MonitorError
+from companion.monitor.server.run import Address, listen_address, serve
 from companion.monitor.sources import LiveSource
 from companion.monitor.station import Station
 from companion.security.names import ParticipantRole

@@ -18,6 +18,7 @@ from typing import Any
 from aiohttp import web
 
 from companion.monitor.control.commander import Commander
+from companion.monitor.error import MonitorError
 from companion.monitor.server.access import is_loopback
 from companion.monitor.server.site import Site
 from companion.monitor.station import Station
@@ -26,10 +27,6 @@ TOKEN_BYTES = 24
 CLOSE_WITHIN_S = 0.5
 LISTEN = re.compile(r"(?:(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9._-]+):)?(\d{1,5})")
 LISTEN_WORDS = "ADDRESS:PORT, like 127.0.0.1:8600; port 0 chooses a free one"
-
-
-class MonitorError(Exception):
-    """The monitor cannot run as requested. str() is one line with what to do."""
 
 
 @dataclass(frozen=True, slots=True)

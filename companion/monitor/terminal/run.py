@@ -16,6 +16,7 @@ from companion import GROUND_INSTALL
 from companion.ground.endpoints import unreachable
 from companion.ground.fleet_status import FleetState, VehicleRow, fold, rows
 from companion.ground.session import FleetSession
+from companion.monitor.error import MonitorError
 from companion.monitor.terminal.page import page
 from companion.types.bounds import FLEET_NAME
 
@@ -31,10 +32,6 @@ EXIT_ENDED, EXIT_NO_REPORT = 0, 1
 
 Print = Callable[[list[VehicleRow]], None]
 ShowLive = Callable[[Callable[[], Sequence[VehicleRow]], Sequence[str], Callable[[], Mapping[str, str]]], None]
-
-
-class MonitorError(Exception):
-    """The monitor cannot run as requested. str() is one line with what to do."""
 
 
 def run_monitor(
