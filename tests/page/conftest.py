@@ -19,7 +19,8 @@ ARGUMENTS = [
     *("--disable-component-update", "--disable-sync", "--autoplay-policy=user-gesture-required"),
 ]
 PATIENCE_MS = 20_000
-EXPECTED = ("Failed to load resource", "WebSocket connection to")  # no map tiles; a server that a test has stopped
+# No map tiles; a server that a test has stopped; a test that reads pixels.
+EXPECTED = ("Failed to load resource", "WebSocket connection to", "Canvas2D: Multiple readback operations")
 
 OpenPage = Callable[..., "Page"]
 

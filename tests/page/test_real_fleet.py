@@ -54,7 +54,7 @@ def test_an_operator_arms_a_fleet_on_the_page_and_aborts(open_page: OpenPage, fl
         def all_checks_pass() -> bool:
             page.locator("[data-action=doctor]").click()
             expect(page.locator(".answer").first.locator("li")).to_have_count(4, timeout=PATIENCE_MS)
-            return page.locator(".answer").first.locator("li.ready").count() == 4
+            return page.locator(".answer").first.locator("li.ready, li.ready-with-warnings").count() == 4
 
         until(page, all_checks_pass)
         hold(page, "[data-action=arm]")
