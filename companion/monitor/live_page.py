@@ -120,6 +120,11 @@ def _with_file(recorded: dict[str, FleetConfig], options: LivePage) -> dict[str,
     if fleet is None:
         return recorded
     flown = recorded.get(fleet.name)
+    if recorded and flown is None:
+        print(
+            f"companion monitor: {options.fleet_file} is of fleet {fleet.name}, this flight of {', '.join(sorted(recorded))}",
+            file=sys.stderr,
+        )
     if flown is not None and flown.formation_hash() != fleet.formation_hash():
         print(
             f"companion monitor: {options.fleet_file} is not the fleet file of this flight: slots, fence and the figures of"
