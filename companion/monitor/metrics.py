@@ -61,6 +61,13 @@ def _percent(value: float | None) -> Value:
     return None if value is None else value / 100.0
 
 
+def _position_errors(vehicle: VehicleView) -> dict[str, Value]:
+    if is_old(vehicle) or vehicle.position_error_m is None:
+        return {}
+    horizontal_m, vertical_m = vehicle.position_error_m
+    return {"horizontal": horizontal_m, "vertical": vertical_m}
+
+
 V, F = Measure[VehicleView], Measure[FleetView]
 UP = V(
     "companion_vehicle_up",
@@ -100,7 +107,7 @@ VEHICLE_MEASURES: tuple[Measure[VehicleView], ...] = (
     V(
         "companion_vehicle_position_error_meters",
         "One sigma of the position by the autopilot's estimator",
-        lambda v: dict(zip(("horizontal", "vertical"), v.position_error_m or (None, None), strict=True)),
+        _position_errors,
         "direction",
     ),
     V("companion_vehicle_slot_error_meters", "Distance from its slot", lambda v: v.error_to_slot_m),

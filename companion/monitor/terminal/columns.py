@@ -56,9 +56,12 @@ def _live(text: Callable[[TableRow], str]) -> Callable[[TableRow], str]:
     return lambda row: NONE if row.vehicle.silent else text(row)
 
 
+def _of_fresh_position(text: Callable[[TableRow], str]) -> Callable[[TableRow], str]:
+    """An old position has no value that holds now."""
+    return lambda row: NONE if row.vehicle.data_age_s > SILENT_AFTER_S else text(row)
+
+
 def _position(row: TableRow) -> str:
-    if row.vehicle.data_age_s > SILENT_AFTER_S:
-        return NONE
     return " ".join(f"{x:z.1f}" for x in row.vehicle.position_enu_m)
 
 
@@ -103,8 +106,8 @@ COLUMNS = (
     Column("late", 5, 109, _live(lambda row: duration_text(row.vehicle.timing.late_us.p99 / 1e6)), right=True),
     Column("peers", 5, 115, _live(lambda row: f"{len(row.vehicle.peers)}/{row.fleet_size - 1}"), right=True),
     Column("rej", 4, 120, _live(lambda row: count_text(row.vehicle.rejected)), right=True),
-    Column("position", 21, 142, _live(_position), right=True),
-    Column("sigma", 5, 148, _live(_estimator), right=True),
+    Column("position", 21, 142, _live(_of_fresh_position(_position)), right=True),
+    Column("sigma", 5, 148, _live(_of_fresh_position(_estimator)), right=True),
     Column("ref", 7, 156, _live(lambda row: row.vehicle.reference), right=True),
     Column("flag", FLAG_WIDTH, 0, _flag),
 )

@@ -33,6 +33,7 @@ def test_an_old_position_has_no_value() -> None:
     found = samples(snapshot(replace(vehicle(1), data_age_s=1.5)))
     assert ("companion_vehicle_altitude_meters", "platoon", "1") not in found
     assert ("companion_vehicle_speed_meters_per_second", "platoon", "1") not in found
+    assert ("companion_vehicle_position_error_meters", "platoon", "1", "vertical") not in found
 
 
 def test_a_vehicle_that_never_reported_is_down() -> None:

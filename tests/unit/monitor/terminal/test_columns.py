@@ -63,6 +63,11 @@ def test_an_unknown_value_is_a_dash() -> None:
     assert [cell(unknown, name) for name in ("batt", "sigma", "flag")] == ["-", "-", "-"]
 
 
+def test_an_old_position_has_no_value() -> None:
+    old = row(state_age_s=1.5)
+    assert [cell(old, name) for name in ("position", "error", "sigma", "age")] == ["-", "-", "-", "1.5s"]
+
+
 @pytest.mark.parametrize(
     ("seconds", "shown"),
     [
