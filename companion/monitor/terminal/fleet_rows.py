@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, groupby
+from types import MappingProxyType
 
 from companion.geometry.separation import separation_distance_m
 from companion.ground.fleet_status import SILENT_AFTER_S, VehicleRow
@@ -12,6 +13,9 @@ from companion.ground.text import count, id_list
 from companion.monitor.terminal.problems import Problem, problems_of
 from companion.types.flight import Role
 from companion.types.printable import printable
+
+Members = Mapping[str, frozenset[int]]  # fleet -> the vehicles in its fleet file
+NO_MEMBERS: Members = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,20 +39,24 @@ class TableRow:
 
 @dataclass(frozen=True, slots=True)
 class FleetRows:
-    """A fleet, its rows by vehicle id, and its smallest separation with the two vehicles."""
+    """A fleet, its rows by vehicle id, and its smallest separation with the two vehicles.
+
+    `missing_ids` are of its fleet file and never reported; none without the file.
+    """
 
     name: str
     rows: tuple[TableRow, ...]
     smallest: tuple[float, int, int] | None
+    missing_ids: tuple[int, ...] = ()
 
 
-def fleets(vehicles: Sequence[VehicleRow]) -> Iterator[FleetRows]:
+def fleets(vehicles: Sequence[VehicleRow], members: Members = NO_MEMBERS) -> Iterator[FleetRows]:
     """Of rows that come sorted by fleet."""
     for name, group in groupby(vehicles, key=lambda row: row.fleet):
-        yield _fleet(name, list(group))
+        yield _fleet(name, list(group), members.get(name, frozenset()))
 
 
-def _fleet(name: str, vehicles: list[VehicleRow]) -> FleetRows:
+def _fleet(name: str, vehicles: list[VehicleRow], members: frozenset[int]) -> FleetRows:
     """Distances are in the metric of `separation_m`, between vehicles whose positions are not old."""
     nearest: dict[int, tuple[float, int]] = {}
     known = [row for row in vehicles if not row.silent and row.data_age_s <= SILENT_AFTER_S]
@@ -61,7 +69,8 @@ def _fleet(name: str, vehicles: list[VehicleRow]) -> FleetRows:
     rows = (
         TableRow(row, len(vehicles), _nearest(row, nearest.get(row.vehicle_id)), problems_of(row)) for row in vehicles
     )
-    return FleetRows(name, tuple(rows), min(pairs, default=None))
+    missing_ids = tuple(sorted(members - {row.vehicle_id for row in vehicles}))
+    return FleetRows(name, tuple(rows), min(pairs, default=None), missing_ids)
 
 
 def _nearest(row: VehicleRow, on_the_ground: tuple[float, int] | None) -> Nearest | None:
@@ -84,6 +93,8 @@ def heading(fleet: FleetRows) -> list[str]:
     parts = [f"fleet {fleet.name}: {count(len(vehicles))}"]
     if silent:
         parts.append(f"SILENT: {id_list(silent)}")
+    if fleet.missing_ids:
+        parts.append(f"NEVER HEARD: {id_list(fleet.missing_ids)}")
     if fleet.smallest:
         distance_m, one, other = fleet.smallest
         parts.append(f"smallest separation {distance_m:.2f} m ({one}, {other})")

@@ -17,6 +17,7 @@ from rich.live import Live
 from rich.text import Text
 
 from companion.ground.fleet_status import VehicleRow
+from companion.monitor.terminal.fleet_rows import Members
 from companion.monitor.terminal.page import Line, Style, fitted_page
 
 PERIOD_S = 0.2
@@ -24,7 +25,10 @@ CONNECTIONS_EVERY_S = 3.0
 
 
 def show_live(
-    vehicles: Callable[[], Sequence[VehicleRow]], endpoints: Sequence[str], unreachable: Callable[[], Mapping[str, str]]
+    vehicles: Callable[[], Sequence[VehicleRow]],
+    endpoints: Sequence[str],
+    unreachable: Callable[[], Mapping[str, str]],
+    members: Members,
 ) -> None:
     """Until Ctrl-C, which is raised as KeyboardInterrupt, as is SIGTERM.
 
@@ -40,7 +44,7 @@ def show_live(
             width, height = console.size
             above = top_lines(time.strftime("%H:%M:%S"), connections.failed, width)
             room = height - len(above)
-            lines = fitted_page(vehicles(), width, room, time.monotonic()) or _nothing_yet(endpoints)
+            lines = fitted_page(vehicles(), width, room, time.monotonic(), members) or _nothing_yet(endpoints)
             screen.update(as_text([*above, *lines]), refresh=True)
             time.sleep(PERIOD_S)
 

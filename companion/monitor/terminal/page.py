@@ -13,7 +13,7 @@ from enum import StrEnum
 from companion.ground.fleet_status import VehicleRow
 from companion.ground.text import id_list
 from companion.monitor.terminal.columns import Column, cells, columns_for, line
-from companion.monitor.terminal.fleet_rows import FleetRows, TableRow, fleets, heading
+from companion.monitor.terminal.fleet_rows import NO_MEMBERS, FleetRows, Members, TableRow, fleets, heading
 from companion.monitor.terminal.problems import SILENT, grouped
 from companion.types.printable import printable
 
@@ -38,17 +38,19 @@ class Line:
     style: Style = Style.PLAIN
 
 
-def page(vehicles: Sequence[VehicleRow], width: int) -> list[Line]:
+def page(vehicles: Sequence[VehicleRow], width: int, members: Members = NO_MEMBERS) -> list[Line]:
     """All of it, for a file, a pipe, or a terminal that is high enough."""
-    return [shown for fleet in fleets(vehicles) for shown in _fleet(fleet, max(width, NARROWEST))]
+    return [shown for fleet in fleets(vehicles, members) for shown in _fleet(fleet, max(width, NARROWEST))]
 
 
-def fitted_page(vehicles: Sequence[VehicleRow], width: int, height: int, now_s: float) -> list[Line]:
+def fitted_page(
+    vehicles: Sequence[VehicleRow], width: int, height: int, now_s: float, members: Members = NO_MEMBERS
+) -> list[Line]:
     """At most `height` lines. `now_s`: any clock; it turns the part that is shown."""
-    whole = page(vehicles, width)
+    whole = page(vehicles, width, members)
     if len(whole) <= height:
         return whole
-    width, all_fleets = max(width, NARROWEST), list(fleets(vehicles))
+    width, all_fleets = max(width, NARROWEST), list(fleets(vehicles, members))
     lines = []
     share, left = divmod(height, len(all_fleets))
     for number, fleet in enumerate(all_fleets):

@@ -8,6 +8,7 @@ import shutil
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -17,6 +18,7 @@ from companion.ground.endpoints import unreachable
 from companion.ground.fleet_status import FleetState, VehicleRow, fold, rows
 from companion.ground.session import FleetSession
 from companion.monitor.error import MonitorError
+from companion.monitor.terminal.fleet_rows import NO_MEMBERS, Members
 from companion.monitor.terminal.page import page
 from companion.types.bounds import FLEET_NAME
 
@@ -31,7 +33,7 @@ WITHOUT_CURSOR = ("dumb", "unknown", "")  # values of TERM: lines can only be ad
 EXIT_ENDED, EXIT_NO_REPORT = 0, 1
 
 Print = Callable[[list[VehicleRow]], None]
-ShowLive = Callable[[Callable[[], Sequence[VehicleRow]], Sequence[str], Callable[[], Mapping[str, str]]], None]
+ShowLive = Callable[[Callable[[], Sequence[VehicleRow]], Sequence[str], Callable[[], Mapping[str, str]], Members], None]
 
 
 def run_monitor(
@@ -41,6 +43,7 @@ def run_monitor(
     once: bool,
     as_json: bool,
     endpoints_are_guessed: bool = False,
+    members: Members = NO_MEMBERS,
 ) -> int:
     """The exit code. With `endpoints_are_guessed` the live table does not tell which of them are not reached.
 
@@ -50,15 +53,16 @@ def run_monitor(
         raise MonitorError(f"--fleet {fleet!r}: expected the name in a fleet file, like platoon, or * for every fleet")
     is_live = _is_live_terminal() and not (once or as_json)
     show_live = _live_screen() if is_live else None
+    show = _json if as_json else partial(_plain_table, members=members)
     with FleetSession(fleet, endpoints, identity=identity) as session:
         try:
             if once:
-                return _once(session, endpoints, _json if as_json else _plain_table)
+                return _once(session, endpoints, show)
             if show_live:
                 known = () if endpoints_are_guessed else endpoints
-                show_live(_reader(session), endpoints, lambda: unreachable(known, session.linked()))
+                show_live(_reader(session), endpoints, lambda: unreachable(known, session.linked()), members)
             else:
-                _repeat(session, _json if as_json else _plain_table)
+                _repeat(session, show)
         except KeyboardInterrupt:
             return EXIT_ENDED
     return EXIT_ENDED
@@ -135,8 +139,8 @@ def _updated(session: FleetSession, state: FleetState) -> FleetState:
     return state
 
 
-def _plain_table(vehicles: list[VehicleRow]) -> None:
-    lines = page(vehicles, shutil.get_terminal_size((PLAIN_WIDTH, 24)).columns)
+def _plain_table(vehicles: list[VehicleRow], members: Members) -> None:
+    lines = page(vehicles, shutil.get_terminal_size((PLAIN_WIDTH, 24)).columns, members)
     print("\n".join(shown.text for shown in lines) or "no vehicle has reported yet")
 
 

@@ -77,6 +77,14 @@ def test_a_silent_leader_does_not_lead_and_a_silent_position_has_no_distance() -
     assert first == "fleet platoon: 2 vehicles, SILENT: vehicle 1, NO LEADER, operator anna@ground"
 
 
+def test_a_vehicle_of_the_fleet_file_that_never_reported_is_in_the_heading() -> None:
+    vehicles = rows_of(leader(), reported(2))
+    expected = {"platoon": frozenset({1, 2, 4}), "other": frozenset({9})}
+    for lines in (page(vehicles, 120, expected), fitted_page(vehicles, 120, 4, 0.0, expected)):
+        assert "NEVER HEARD: vehicle 4" in lines[0].text
+    assert "NEVER HEARD" not in page(vehicles, 120)[0].text
+
+
 def test_a_fleet_that_strangers_can_command_is_named_in_its_heading() -> None:
     lines = texts(rows_of(leader(), reported(4, network=NetworkState("none"))), 120)
     assert any("UNSECURED (strangers can command): vehicle 4" in text for text in lines[:2])
