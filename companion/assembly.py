@@ -33,6 +33,7 @@ from companion.core.election.succession import Succession
 from companion.core.estimation.disturbance_observer import DisturbanceObserver
 from companion.core.estimation.perception import PerceptionStage
 from companion.core.estimation.vehicle_state import VehicleTracker
+from companion.core.estimation.velocity_correction import VelocityCorrection
 from companion.core.formation.entry import FormationEntry
 from companion.core.formation.gap_filling import GapFilling
 from companion.core.formation.guidance import GuidanceStage
@@ -333,9 +334,11 @@ def _neighbour_rule(fleet: FleetConfig, own_id: int) -> NeighbourRule:
 
 def tracker_of(fleet: FleetConfig) -> VehicleTracker:
     """The tracker that maps the vehicle's local frame into the fleet frame."""
+    bandwidth_1_s = fleet.law.velocity_correction_1_s
     return VehicleTracker(
         None if fleet.origin == "indoor" else fleet.origin.as_tuple(),
         height_from_takeoff=fleet.altitude_source == "takeoff",
+        velocity_correction=VelocityCorrection(bandwidth_1_s) if bandwidth_1_s > 0.0 else None,
     )
 
 

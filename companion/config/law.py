@@ -68,6 +68,14 @@ class Law(Section, frozen=True):
         float,
         Meta(ge=0, le=5, description="bandwidth of the observer for wind and hover thrust error; 0 switches it off"),
     ] = 4.0
+    velocity_correction_1_s: Annotated[
+        float,
+        Meta(
+            ge=0,
+            le=5,
+            description="bandwidth of the filter that makes the velocity agree with the position; 0 switches it off",
+        ),
+    ] = 2.0
 
     def renamed(self, name: LawName) -> Law:
         """Another law with these settings, for comparisons. The paper's three laws share their gains."""

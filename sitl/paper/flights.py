@@ -39,6 +39,7 @@ class Model(StrEnum):
     NOISY = "noisy"  # the same with the default errors of the estimator
 
 
+AS_IN_THE_PAPER = ("fleet.law.disturbance_bandwidth_1_s=0", "fleet.law.velocity_correction_1_s=0")
 MODEL_OVERRIDES: dict[Model, tuple[str, ...]] = {
     Model.IDEAL: (
         "stand_in.airframe.attitude=instant",
@@ -61,7 +62,10 @@ class Subject(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """One flight to be flown, with its overrides of the scenario. The disturbance observer is off, as in the paper."""
+    """One flight to be flown, with its overrides of the scenario.
+
+    Disturbance observer and velocity correction are off, as in the paper.
+    """
 
     subject: Subject
     law: LawName
@@ -71,7 +75,7 @@ class Plan:
 
     def scenario(self) -> Scenario:
         """The scenario of the flight. Raises ConfigError."""
-        law = [f"fleet.law.name={self.law}", "fleet.law.disturbance_bandwidth_1_s=0"]
+        law = [f"fleet.law.name={self.law}", *AS_IN_THE_PAPER]
         model = [f"stand_in.seed={self.seed}", *MODEL_OVERRIDES[self.model]]
         return load_scenario(SCENARIOS / f"{self.subject}.yaml", [*law, *model, *self.more])
 

@@ -73,6 +73,8 @@ SENSORS: dict[str, Sensors] = {
         attitude_sd_deg=0.6,
         origin_sd_m=(0.3, 0.3, 0.8),
     ),
+    # As measured of ArduCopter's SITL in a hover: the position at rest, and a velocity beside it that varies over minutes.
+    "ardupilot_sitl": Sensors(velocity_sd_m_s=0.025, velocity_time_s=100.0),
 }
 
 
@@ -138,9 +140,10 @@ class StandIn(Section, frozen=True):
     ) = None
     airframe: Airframe = Airframe()
     sensors: Annotated[
-        Literal["ideal", "default", "px4_sih"] | Sensors,
+        Literal["ideal", "default", "px4_sih", "ardupilot_sitl"] | Sensors,
         Meta(
-            description="`ideal`: no errors; `default`: a good estimator; `px4_sih`: PX4's SIH with stock EKF2 parameters"
+            description="`ideal`: no errors; `default`: a good estimator; `px4_sih`: PX4's SIH with stock EKF2 parameters;"
+            " `ardupilot_sitl`: ArduCopter's SITL"
         ),
     ] = "default"
     wind: Wind = Wind()

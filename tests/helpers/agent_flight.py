@@ -39,7 +39,7 @@ FLEET = FleetConfig(
         FormationMember(id=2, role=Role.FOLLOWER, slot_enu_m=(-1.5, 0.0, 0.0)),
     ),
     neighbours=EdgeNeighbours(edges=((1, 2),)),
-    law=Law(name="weighted"),
+    law=Law(name="weighted", velocity_correction_1_s=0.0),  # its position does not move as its velocity says
     takeoff_height_m=1.0,
 )
 SESSION = 7

@@ -29,7 +29,8 @@ FLOWN_S = 12.0
 TOLERANCE_M = 1e-4
 COOPERATIVE = "fleet.law.name=cooperative"
 # Vehicles 1 and 3, 3.0 m apart, leave each other's range while the leader moves ahead, so that the PrC changes and returns.
-NO_OBSERVER = "fleet.law.disturbance_bandwidth_1_s=0"  # the batch has no disturbance observer
+# The batch has neither the disturbance observer nor the velocity correction.
+BY_THE_LAW_ALONE = ("fleet.law.disturbance_bandwidth_1_s=0", "fleet.law.velocity_correction_1_s=0")
 LINKS_BREAK = "fleet.neighbours={kind: range, range_m: 3.1, hysteresis_m: 0.1}"
 FIGURE_8 = "reference={kind: figure_8, centre_enu_m: [0, 0, 1], width_m: 16, height_m: 8, period_s: 20, ramp_s: 2}"
 SIDEWAYS_AND_UP = "reference.point_enu_m=[1.0, 3.0, 1.5]"
@@ -40,7 +41,7 @@ BY_THE_LAW = (
 
 @cache
 def scenario_of(*overrides: str) -> Scenario:
-    return load_scenario(PLATOON, (f"timeline[3].for_s={FLOWN_S + 1.0}", NO_OBSERVER, *overrides))
+    return load_scenario(PLATOON, (f"timeline[3].for_s={FLOWN_S + 1.0}", *BY_THE_LAW_ALONE, *overrides))
 
 
 @cache

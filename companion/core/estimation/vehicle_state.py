@@ -9,6 +9,7 @@ from typing import Any
 
 from companion.core.estimation.fleet_frame import FleetFrame
 from companion.core.estimation.position_reset import RELEASE_M_S, PositionReset
+from companion.core.estimation.velocity_correction import VelocityCorrection
 from companion.types.autopilot import LandedState, PositionError, VehicleState
 from companion.types.notices import Code, Notice
 from companion.types.rejections import counted
@@ -43,9 +44,15 @@ class VehicleTracker:
     position.
     """
 
-    def __init__(self, fleet_origin: Vector3 | None, height_from_takeoff: bool = False) -> None:
+    def __init__(
+        self,
+        fleet_origin: Vector3 | None,
+        height_from_takeoff: bool = False,
+        velocity_correction: VelocityCorrection | None = None,
+    ) -> None:
         self._frame = FleetFrame(fleet_origin)
         self._position_reset = PositionReset()
+        self._velocity_correction = velocity_correction
         self._ground_up_m: float | None = None if height_from_takeoff else 0.0
         self._follows_ground = height_from_takeoff
         self._position: PositionSample | None = None
@@ -120,11 +127,17 @@ class VehicleTracker:
             self._jump_s = sample.received_s
         fields, held_back_m = self._fields, self._position_reset.held_back_m
         fields["position_enu_m"] = used_enu_m
-        fields["velocity_enu_m_s"] = sample.velocity_enu_m_s
+        fields["velocity_enu_m_s"] = self._velocity(sample, position_enu_m)
         fields["position_time_s"] = sample.received_s
         if not fields.get("armed", True) and self._on_ground():
             fields["ground_position_enu_m"] = used_enu_m
         fields["held_back_m"] = 0.0 if held_back_m is ZERO3 else hypot(*held_back_m)
+
+    def _velocity(self, sample: PositionSample, position_enu_m: Vector3) -> Vector3:
+        """Consistent with the reported position. A jump that is released slowly is no velocity."""
+        if self._velocity_correction is None:
+            return sample.velocity_enu_m_s
+        return self._velocity_correction.follow(sample.boot_time_s, position_enu_m, sample.velocity_enu_m_s)
 
     def _on_ground(self) -> bool:
         """Whether the autopilot reports disarmed, and not in flight."""
@@ -142,6 +155,8 @@ class VehicleTracker:
         """Discard origin and position reset after a reboot of the autopilot."""
         self._frame.forget()
         self._position_reset.restart()
+        if self._velocity_correction is not None:
+            self._velocity_correction.restart()
         if self._follows_ground:
             self._ground_up_m = None
         self._fields.update(altitude_amsl_m=None, frame_known=self._frame_known(), frame_contradicted=False)

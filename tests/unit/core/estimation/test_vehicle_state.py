@@ -5,6 +5,7 @@ from math import nan
 import pytest
 
 from companion.core.estimation.vehicle_state import VehicleTracker
+from companion.core.estimation.velocity_correction import VelocityCorrection
 from companion.geometry.frames import geodetic_from_enu
 from companion.types.telemetry import AttitudeSample, OriginSample, PositionSample
 from companion.types.vectors import Vector3
@@ -80,3 +81,12 @@ def test_samples_are_accepted_after_a_reboot() -> None:
     tracker = VehicleTracker(None)
     tracker.fold([sample(1000.0)])
     assert tracker.fold([sample(2.0, (4.0, 5.0, 6.0))])[0].position_enu_m == (4.0, 5.0, 6.0)
+
+
+def test_the_velocity_is_that_of_the_position_where_a_correction_is_given() -> None:
+    tracker = VehicleTracker(None, velocity_correction=VelocityCorrection(2.0))
+    states = [tracker.fold([sample(1.0 + 0.02 * tick, velocity=(0.1, 0.0, 0.0))])[0] for tick in range(500)]
+    assert states[0].velocity_enu_m_s == (0.1, 0.0, 0.0)
+    assert states[-1].velocity_enu_m_s == pytest.approx((0.0, 0.0, 0.0), abs=1e-3)
+    rebooted = tracker.fold([sample(0.0, velocity=(0.1, 0.0, 0.0))])[0]  # the autopilot's clock begins again
+    assert rebooted.velocity_enu_m_s == (0.1, 0.0, 0.0)

@@ -1,0 +1,58 @@
+"""Velocity that agrees with the change of the reported position.
+
+An estimator's velocity may disagree with its own position, slowly varying: real ArduCopter by 0.025 m/s in hover, real PX4 with
+its stock EKF2 by up to 0.4 m/s. The law rests where k1 times the position error balances k2 times that velocity, k2/k1 of it
+away from the slot. A complementary filter takes the slow part from the position and the fast part from the velocity:
+p' = v + b + 2 w e, b' = w^2 e with e = position - p; used is v + b. Where both agree, b is zero and nothing is changed.
+"""
+
+from __future__ import annotations
+
+from math import exp, hypot
+
+from companion.geometry.vectors import minus, plus, scaled, shortened
+from companion.types.vectors import ZERO3, Vector3
+
+LARGEST_M_S = 0.6  # of the correction: a larger disagreement is no slow error of an estimator
+JUMP_M = 0.2  # the position moved without a motion, beyond what the largest correction explains
+LONGEST_GAP_S = 0.5  # between positions; the motion in a longer gap is unknown
+
+
+class VelocityCorrection:
+    """The correction b of one vehicle, in the axes of its velocity."""
+
+    def __init__(self, bandwidth_1_s: float) -> None:
+        """`bandwidth_1_s` is w, above 0."""
+        self._bandwidth_1_s = bandwidth_1_s
+        self._largest_error_m = JUMP_M + LARGEST_M_S / (exp(1.0) * bandwidth_1_s)  # the peak after a step of b
+        self._correction_m_s: Vector3 = ZERO3
+        self._before: tuple[float, Vector3, Vector3] | None = None  # time, filtered position, velocity as reported
+
+    def restart(self) -> None:
+        """Begin with the next position, without a correction."""
+        self._correction_m_s, self._before = ZERO3, None
+
+    def follow(self, time_s: float, position_m: Vector3, velocity_m_s: Vector3) -> Vector3:
+        """The velocity to be used, m/s. `time_s` is the autopilot's clock and increases from call to call."""
+        if self._before is None or time_s - self._before[0] > LONGEST_GAP_S:
+            self.restart()
+            filtered_m = position_m
+        else:
+            filtered_m = self._filtered(time_s - self._before[0], position_m, velocity_m_s, *self._before[1:])
+        self._before = (time_s, filtered_m, velocity_m_s)
+        return plus(velocity_m_s, self._correction_m_s)
+
+    def _filtered(
+        self, step_s: float, position_m: Vector3, velocity_m_s: Vector3, filtered_m: Vector3, velocity0_m_s: Vector3
+    ) -> Vector3:
+        """The filtered position after a step. A jump of the reported one moves it and leaves the correction as it is."""
+        moved_m = scaled(plus(scaled(plus(velocity0_m_s, velocity_m_s), 0.5), self._correction_m_s), step_s)
+        predicted_m = plus(filtered_m, moved_m)
+        error_m = minus(position_m, predicted_m)
+        if hypot(*error_m) > self._largest_error_m:
+            return position_m
+        # The continuous filter, sampled: critically damped with both poles at exp(-w step), stable at every step.
+        pole = exp(-self._bandwidth_1_s * step_s)
+        on_velocity_1_s = (1.0 - pole) * (1.0 - pole) / step_s
+        self._correction_m_s = shortened(plus(self._correction_m_s, scaled(error_m, on_velocity_1_s)), LARGEST_M_S)
+        return plus(predicted_m, scaled(error_m, 1.0 - pole * pole))
