@@ -30,7 +30,7 @@ def growth_text(report: StudyReport) -> str:
     return (
         f"Under the paper's law the largest deviation of a neighbour distance is {few_m:.2f} m in the chain of {few} and "
         f"{many_m:.2f} m in the chain of {many}: the errors {'grow' if many_m > few_m else 'do not grow'} along it. In the "
-        f"chain of {many} it is {sharper_m:.2f} m with a sharper exponent alone (a) and {ours_m:.2f} m with cooperative."
+        f"chain of {many} it is {sharper_m:.2f} m with sharper weights alone (a) and {ours_m:.2f} m with cooperative."
     )
 
 

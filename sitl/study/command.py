@@ -17,6 +17,8 @@ from sitl.report.summary import write_json
 from sitl.stopping import StopRequest
 from sitl.study.goals import goal_claims
 from sitl.study.large import Spectra, large_spectra
+from sitl.study.plan import compared_shapes
+from sitl.study.selection import Score, chosen, compare, scores, selection_text
 from sitl.study.study import Study, run_study
 from sitl.study.table import table_text
 
@@ -24,7 +26,7 @@ SCHEMA = 1
 WIDTH = 120
 SHOWN = ("chain-4", "chain-16", "ring-16", "grid-10x10")
 DRAWN = ("chain-16", "ring-16", "grid-10x10")
-SPECTRA_SHARE = 0.1  # of the run time
+SPECTRA_SHARE, SELECTION_SHARE = 0.1, 0.4  # of the run time
 
 
 class StudyReport(Struct, frozen=True, kw_only=True):
@@ -33,6 +35,8 @@ class StudyReport(Struct, frozen=True, kw_only=True):
     schema: int = SCHEMA
     claims: list[Claim]
     study: Study
+    selection: list[Score]
+    selected: str | None
     smallest_eigenvalues: Spectra
 
 
@@ -44,22 +48,35 @@ def run_study_command(arguments: argparse.Namespace) -> int:
         report = study_report(arguments.full, progress.show)
     write_json(folder / "study.json", report)
     draw(folder, report)
-    print(f"{table_text(report.study.quiet, SHOWN)}\n\n{_claims_text(report.claims)}\n\nresults in {folder}")
+    parts = [table_text(report.study.quiet, SHOWN), selection_text(report.selection), _claims_text(report.claims)]
+    print("\n\n".join([*parts, f"results in {folder}"]))
     return EXIT_DONE
 
 
 def study_report(full: bool, progress: Callable[[float], None]) -> StudyReport:
     """Compute all spectra and fly all flights. Calls `progress` with the share done, 0 to 1."""
     spectra = large_spectra(lambda share: progress(SPECTRA_SHARE * share))
-    study = run_study(full, lambda share: progress(SPECTRA_SHARE + (1.0 - SPECTRA_SHARE) * share))
-    return StudyReport(claims=goal_claims(study), study=study, smallest_eigenvalues=spectra)
+    compared = compare(compared_shapes(), lambda share: progress(SPECTRA_SHARE + SELECTION_SHARE * share))
+    begun = SPECTRA_SHARE + SELECTION_SHARE
+    study = run_study(full, lambda share: progress(begun + (1.0 - begun) * share))
+    found = scores(compared)
+    best = chosen(found)
+    return StudyReport(
+        claims=goal_claims(study),
+        study=study,
+        selection=found,
+        selected=best.setting if best else None,
+        smallest_eigenvalues=spectra,
+    )
 
 
 def draw(folder: Path, report: StudyReport) -> None:
-    """Write trade_off.png and spectra.png."""
+    """Write trade_off.png, selection.png and spectra.png."""
     from sitl.study.figures import save_spectra, save_trade_off  # importing matplotlib is slow
+    from sitl.study.selection_figure import save_selection
 
     save_trade_off(folder / "trade_off.png", report.study.quiet, DRAWN)
+    save_selection(folder / "selection.png", report.selection, chosen(report.selection))
     save_spectra(folder / "spectra.png", report.smallest_eigenvalues)
 
 

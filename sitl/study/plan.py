@@ -46,6 +46,11 @@ def shapes(full: bool) -> list[Shape]:
     return found
 
 
+def compared_shapes() -> list[Shape]:
+    """Those in which the candidates for `cooperative` are compared, deep ones above all."""
+    return [chain(16), chain(100), ring(64), grid(10, 10), random_geometric(100, np.random.default_rng(SHAPES_SEED))]
+
+
 def quiet_batches(full: bool, duration_s: float) -> list[Batch]:
     """Every shape with every setting, without noise: attitude lag and ideal links."""
     return [

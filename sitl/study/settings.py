@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from companion.assembly import law_of
 from companion.config.law import Gains, Law
 
-SHARPER = 8.0
+SHARPER = {"exponent": 0.0, "weight_ratio": 0.03}
 DESIGNED = Gains(position_1_s2=2.0, velocity_1_s=2.4)
-FED_FORWARD = 0.9
+FED_FORWARD = 0.98
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,19 +34,19 @@ SETTINGS: tuple[Setting, ...] = (
     AVERAGE_22,
     Setting("average, eq. 26", Law(name="average_26")),
     WEIGHTED,
-    Setting("a: exponent 8", _weighted(exponent=SHARPER), is_part=True),
+    Setting("a: ratio 0.03", _weighted(**SHARPER), is_part=True),
     Setting("b: K = (2, 2.4)", _weighted(gains=DESIGNED), is_part=True),
-    Setting("c: feed-forward 0.9", _weighted(feedforward=FED_FORWARD), is_part=True),
+    Setting("c: feed-forward 0.98", _weighted(feedforward=FED_FORWARD), is_part=True),
     Setting("d: leader uncoupled", _weighted(leader_uses_neighbours=False), is_part=True),
-    Setting("a + b", _weighted(exponent=SHARPER, gains=DESIGNED)),
-    Setting("a + c", _weighted(exponent=SHARPER, feedforward=FED_FORWARD)),
+    Setting("a + b", _weighted(**SHARPER, gains=DESIGNED)),
+    Setting("a + c", _weighted(**SHARPER, feedforward=FED_FORWARD)),
     Setting("b + c", _weighted(gains=DESIGNED, feedforward=FED_FORWARD)),
     COOPERATIVE,
     Setting("cooperative, leader uncoupled", Law(name="cooperative", leader_uses_neighbours=False)),
-    Setting("cooperative, g = 0.6", Law(name="cooperative", feedforward=0.6)),
     Setting("cooperative, g = 0.8", Law(name="cooperative", feedforward=0.8)),
-    Setting("cooperative, exponent 4", Law(name="cooperative", exponent=4.0)),
-    Setting("cooperative, exponent 16", Law(name="cooperative", exponent=16.0)),
+    Setting("cooperative, g = 0.9", Law(name="cooperative", feedforward=0.9)),
+    Setting("cooperative, alpha 8, rho 1", Law(name="cooperative", exponent=8.0, weight_ratio=1.0)),
+    Setting("cooperative, alpha 16, rho 1", Law(name="cooperative", exponent=16.0, weight_ratio=1.0)),
     Setting("cooperative, K = (1, 2)", Law(name="cooperative", gains=Gains(position_1_s2=1.0, velocity_1_s=2.0))),
     Setting("cooperative, K = (1.39, 3)", Law(name="cooperative", gains=Gains(position_1_s2=1.39, velocity_1_s=3.0))),
 )

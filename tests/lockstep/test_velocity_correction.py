@@ -15,7 +15,7 @@ RESTS_S = 10.0
 
 
 def resting_error_m(correction_1_s: float) -> float:
-    """The largest distance of a vehicle from its slot about the reference point, over the last RESTS_S."""
+    """The largest mean distance of a vehicle from its slot about the reference point, over the last RESTS_S."""
     sensors = ("stand_in.sensors=ardupilot_sitl", f"fleet.law.velocity_correction_1_s={correction_1_s}")
     scenario = load_scenario(FOUR_IN_LINE, sensors)
     flown = fly_without_landing(scenario, Progress("test", True, 0.0))
@@ -25,7 +25,7 @@ def resting_error_m(correction_1_s: float) -> float:
     times_s = np.arange(end_s - RESTS_S, end_s, 0.1)
     point = np.array(scenario.reference.point_enu_m)  # type: ignore[union-attr]
     errors_m = [
-        np.linalg.norm(flown.tracks()[member.id].at(times_s) - point - np.array(member.slot_enu_m), axis=1).max()
+        np.linalg.norm(flown.tracks()[member.id].at(times_s) - point - np.array(member.slot_enu_m), axis=1).mean()
         for member in scenario.fleet.vehicles
     ]
     return float(max(errors_m))

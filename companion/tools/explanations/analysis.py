@@ -13,7 +13,7 @@ ENTRIES: dict[str, Explanation] = {
     "FORMATION_UNSTABLE": Explanation(
         "The formation cannot converge.",
         "With attitude lag and delay the law is unstable on this graph.",
-        "Lower the gains, `exponent` or `feedforward`, or use `cooperative`.",
+        "Lower the gains, raise `weight_ratio`, lower `exponent` or `feedforward`, or use `cooperative`.",
     ),
     "BADLY_DAMPED": Explanation(
         "The formation swings before it settles.",

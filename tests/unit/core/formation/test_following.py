@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from companion.core.consensus.law import FormationLaw, average_22, average_26, cooperative, weighted
+from companion.core.consensus.weights import neighbour_weights
 from companion.core.formation.following import OVERSHOOT, Chain, Harmonic, refused_cases, slower_by, too_close
 from companion.stability.interaction import couple
 from companion.types.steps import whole
@@ -56,8 +57,8 @@ def test_the_responses_solve_the_equations_of_the_law(law: FormationLaw, rate_ra
     back = lag * (law.gains.position_1_s2 + law.gains.velocity_1_s * s)
     plant = s * s + 0.25 * s
     for i, neighbours in ring.items():
-        shares = np.array([prcs[j] ** -law.weighting.exponent for j in neighbours])
-        mean = sum(share * responses[j] for share, j in zip(shares / shares.sum(), neighbours, strict=True))
+        shares = np.array(neighbour_weights([prcs[j] for j in neighbours], law.weighting))
+        mean = sum(share * responses[j] for share, j in zip(shares, neighbours, strict=True))
         if i == 1:
             used = law.leader_uses_neighbours
             left = plant * responses[1] + back * ((responses[1] - 1.0) + (responses[1] - mean if used else 0.0))

@@ -9,12 +9,24 @@ from msgspec.structs import replace
 
 from companion.assembly import law_of
 from companion.core.consensus.law import cooperative, weighted
+from companion.core.consensus.weights import Weighting
 from sitl.paper.claim import Claim, Verdict
 from sitl.study.cases import BAD_LINKS, GOOD_LINKS, Case, Figures, closest_m, fly, settled_s
 from sitl.study.figures import save_spectra, save_trade_off
 from sitl.study.goals import goal_claims
 from sitl.study.pairs import Pair, band_m, fly_pairs
 from sitl.study.plan import GOAL_SHAPES
+from sitl.study.selection import (
+    CANDIDATES,
+    CONDITIONS,
+    Compared,
+    Score,
+    chosen,
+    leader_alone_s,
+    scores,
+    selection_text,
+)
+from sitl.study.selection_figure import save_selection
 from sitl.study.settings import AVERAGE_22, COOPERATIVE, MAIN, SETTINGS, WEIGHTED, Setting, parameters_text
 from sitl.study.shapes import chain
 from sitl.study.study import Study
@@ -181,7 +193,7 @@ def test_the_settings_match_their_labels() -> None:
     assert law_of(WEIGHTED.law) == weighted()
     parts = [setting for setting in SETTINGS if setting.is_part]
     ours, papers = cooperative(), weighted()
-    assert [law_of(part.law).weighting.exponent for part in parts] == [ours.weighting.exponent, 1.0, 1.0, 1.0]
+    assert [law_of(part.law).weighting for part in parts] == [ours.weighting, *[Weighting()] * 3]
     assert [law_of(part.law).gains for part in parts] == [papers.gains, ours.gains, papers.gains, papers.gains]
     assert [law_of(part.law).feedforward for part in parts] == [0.0, 0.0, ours.feedforward, 0.0]
     assert [law_of(part.law).leader_uses_neighbours for part in parts] == [True, True, True, False]
@@ -207,3 +219,67 @@ def test_the_plots_and_the_table(tmp_path: Path) -> None:
     table = table_text(flights, ["chain-16"])
     assert "over 300 s, 1.60/1.40 m" in table
     assert len(table.splitlines()) == 1 + len(SETTINGS)
+
+
+def compared(setting: str, settle_s: float | None, smallest_m: float, condition: str = "undisturbed") -> Compared:
+    figures = replace(flown("chain-16", AVERAGE_22, settle_s, 1.6, smallest_m), setting=setting)
+    return Compared(condition=condition, figures=figures, leader_s=2.0)
+
+
+def scored(figures: dict[str, tuple[float | None, float]]) -> dict[str, Score]:
+    """Settling time and smallest distance by candidate; the others settle in 50 s. Eq. 22 keeps 1.4 m."""
+    flights = [compared(AVERAGE_22.label, None, 1.4)]
+    flights += [compared(c.label, *figures.get(c.label, (50.0, 1.4))) for c in CANDIDATES]
+    return {score.setting: score for score in scores(flights)}
+
+
+def test_chosen_is_the_smallest_feedforward_of_those_that_are_about_as_soon() -> None:
+    found = scored(
+        {
+            "rho 0.1, g 0.99": (4.0, 1.4),
+            "rho 0.1, g 0.98": (4.8, 1.4),
+            "rho 0.03, g 0.98": (4.8, 1.4),
+            "rho 0.1, g 0.97": (5.1, 1.4),
+        }
+    )
+    assert found["rho 0.1, g 0.99"].settling == 2.0
+    best = chosen(list(found.values()))
+    assert best is not None
+    assert best.setting == "rho 0.1, g 0.98"  # 0.97 is more than AS_SOON times as late; the larger ratio of two
+
+
+def test_a_candidate_that_comes_nearer_than_eq_22_or_never_settles_is_not_chosen() -> None:
+    found = scored({"rho 0.1, g 0.99": (4.0, 1.34), "rho 0.1, g 0.98": (None, 1.4), "rho 0.1, g 0.97": (9.0, 1.37)})
+    assert found["rho 0.1, g 0.98"].settling is None
+    best = chosen(list(found.values()))
+    assert best is not None
+    assert best.setting == "rho 0.1, g 0.97"
+    assert chosen([replace(score, settling=None) for score in found.values()]) is None
+
+
+def test_noise_counts_for_the_distance_alone() -> None:
+    label = CANDIDATES[0].label
+    noisy = compared(label, None, 1.0, "default noise")
+    average = compared(AVERAGE_22.label, None, 1.2, "default noise")
+    flights = [
+        compared(AVERAGE_22.label, None, 1.4),
+        replace(average, figures=replace(average.figures, sensors="default")),
+        *[compared(c.label, 4.0, 1.4) for c in CANDIDATES],
+        replace(noisy, figures=replace(noisy.figures, sensors="default")),
+    ]
+    score = scores(flights)[0]
+    assert (score.settling, score.room_m, score.smallest_m) == (2.0, -0.2, 1.0)
+
+
+def test_every_condition_is_flown_and_the_leader_alone_settles_first(tmp_path: Path) -> None:
+    quiet = [condition for condition in CONDITIONS if condition.sensors == "ideal"]
+    alone_s = [leader_alone_s(condition) for condition in quiet]
+    assert all(time_s is not None and 1.0 < time_s < 5.0 for time_s in alone_s)
+    found = list(scored({"rho 0.1, g 0.99": (4.0, 1.4)}).values())
+    save_selection(tmp_path / "s.png", found, chosen(found))
+    assert (tmp_path / "s.png").read_bytes().startswith(b"\x89PNG")
+    assert "> rho 0.1, g 0.99" in selection_text(found)
+
+
+def test_the_setting_of_cooperative_is_a_candidate() -> None:
+    assert law_of(COOPERATIVE.law) in [law_of(candidate.law) for candidate in CANDIDATES]

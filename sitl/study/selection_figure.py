@@ -1,0 +1,89 @@
+"""The comparison of the settings of `cooperative` as a figure: settling against the smallest distance, one point each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
+
+from companion.assembly import law_of
+from sitl.report.plots import COLOURS, MARKERS
+from sitl.study.selection import CANDIDATES, LOST_ROOM_M, Score
+
+STRIP = 1.5  # width of the strip for settings that did not settle, as a factor
+
+
+def save_selection(path: Path, found: Sequence[Score], chosen: Score | None) -> None:
+    """x: the longest settling time over that of a leader alone; y: the most by which it comes nearer than eq. 22."""
+    figure = Figure(figsize=(9.0, 6.2), layout="constrained")
+    axes = figure.subplots()
+    figure.suptitle("Settings of cooperative: the worst of all shapes and conditions", fontsize=13)
+    never = STRIP * STRIP * max((score.settling for score in found if score.settling is not None), default=1.0)
+    _draw_points(axes, found, never)
+    if chosen is not None and chosen.settling is not None:
+        axes.plot(
+            chosen.settling,
+            _nearer_m(chosen),
+            label=f"chosen: {chosen.setting}",
+            linestyle="none",
+            marker="o",
+            markersize=18,
+            markerfacecolor="none",
+            markeredgecolor="black",
+        )
+    axes.axhline(LOST_ROOM_M, color="#808080", linewidth=1.0, linestyle=(0, (1, 1.8)))
+    axes.text(
+        0.99, LOST_ROOM_M, "most allowed", transform=axes.get_yaxis_transform(), va="bottom", ha="right", fontsize=9
+    )
+    _dress(axes, never)
+    axes.legend(fontsize=9, frameon=False)
+    figure.savefig(path, dpi=130)
+
+
+def _nearer_m(score: Score) -> float:
+    """At least a centimetre, for the logarithmic axis."""
+    return max(0.01, -score.room_m)
+
+
+def _draw_points(axes: Axes, found: Sequence[Score], never: float) -> None:
+    """One marker per ratio; the feed-forward stands beside the points of the first ratio and of the power."""
+    laws = [law_of(candidate.law) for candidate in CANDIDATES]
+    ratios = list(dict.fromkeys(law.weighting.ratio for law in laws))
+    for index, ratio in enumerate(ratios):
+        rows = [(score, law) for score, law in zip(found, laws, strict=True) if law.weighting.ratio == ratio]
+        x = [never if score.settling is None else score.settling for score, _ in rows]
+        axes.plot(
+            x,
+            [_nearer_m(score) for score, _ in rows],
+            linestyle="none",
+            marker=MARKERS[index],
+            markersize=8,
+            markerfacecolor=COLOURS[index],
+            markeredgecolor="black",
+            markeredgewidth=0.6,
+            label=f"rho {ratio:g}" if ratio < 1.0 else f"alpha {rows[0][1].weighting.exponent:g}",
+        )
+        if index == 0 or ratio == 1.0:
+            for place, (score, law) in zip(x, rows, strict=True):
+                axes.annotate(
+                    f"g {law.feedforward:g}", (place, _nearer_m(score)), (6, 6), textcoords="offset points", fontsize=8
+                )
+
+
+def _dress(axes: Axes, never: float) -> None:
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.axvspan(never / STRIP, never * STRIP, color="#eeeeee", zorder=0)
+    axes.set_xlim(right=never * STRIP)
+    above = axes.get_xaxis_transform()
+    axes.text(never, 0.03, "did not settle\nin every flight", transform=above, ha="center", fontsize=9)
+    axes.set_xlabel("longest settling time to 10 cm, in settling times of a leader alone [-]")
+    axes.set_ylabel("nearer than under eq. 22, at most in any flight [m]")
+    axes.xaxis.set_major_locator(LogLocator(10.0, subs=(1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.grid(True, which="major", color="#dddddd", linewidth=0.6)
