@@ -24,7 +24,7 @@ from companion.config.planned_flight import PlannedFlight, fleet_of, planned_pro
 from companion.config.reference import Reference, moves
 from companion.config.topology import neighbour_graph
 from companion.config.validation import Problem, each, unless_invalid
-from companion.core.consensus.law import Gains
+from companion.core.consensus.law import FormationLaw, Gains
 from companion.stability.delay_margin import delay_margin_with_lag_s
 from companion.stability.interaction import (
     Coupling,
@@ -35,6 +35,7 @@ from companion.stability.interaction import (
     mode_eigenvalues,
     mode_figures,
     reached_from,
+    settled_prcs,
     time_to_shrink_s,
 )
 from companion.stability.prediction import LinearModel, errors_over_time, settled_after_s, transient_peak
@@ -83,6 +84,7 @@ class LawAnalysis(Struct, frozen=True, kw_only=True):
     worst_transient_peak: float | None  # of all starts; None for more than WORST_START_UP_TO vehicles
     time_to_10_cm_s: float | None  # by the rate alone
     predicted_settle_s: float | None  # by the linear model with attitude lag and delay
+    leader_settle_s: float | None  # likewise, of a leader without neighbours from the same largest error
     predicted_max_distance_m: dict[str, float] | None
     predicted_min_distance_m: dict[str, float] | None
     stays_in_range: bool | None  # None: neighbours are given as edges
@@ -107,6 +109,7 @@ class Analysis(Struct, frozen=True, kw_only=True):
     reference_moves: bool  # in flight; in the predictions it is at rest at its start
     graph: dict[int, list[int]]
     laws: dict[LawName, LawAnalysis]
+    hops: int  # of the vehicle farthest from a leader
     lambda_min_by_leader: dict[int, float]
     gain_on_average: dict[LawName, float]
     unreached: list[int]  # vehicles without a path to a leader
@@ -206,6 +209,7 @@ def analyse(subject: Subject) -> Analysis:
         reference_moves=subject.reference_moves,
         graph=graph,
         laws=laws,
+        hops=0 if unreached else max(settled_prcs(graph, leaders).values()) - 1,
         lambda_min_by_leader=by_leader,
         gain_on_average=gain,
         unreached=unreached,
@@ -254,12 +258,18 @@ def _law_analysis(subject: Subject, graph: Graph, leaders: Collection[int], name
         worst_transient_peak=_worst_transient_peak(coupling) if stable else None,
         time_to_10_cm_s=time_to_shrink_s(rate_1_s, start_error_m, SETTLED_WITHIN_M) if stable else None,
         predicted_settle_s=None if errors_m is None else settled_after_s(errors_m, SETTLED_WITHIN_M),
+        leader_settle_s=_leader_settle_s(law, start_error_m) if stable else None,
         predicted_max_distance_m=_extremes_m(distances_m, np.max),
         predicted_min_distance_m=_extremes_m(distances_m, np.min),
         stays_in_range=None if range_m is None else range_m >= 0.0,
         margin_to_range_m=range_m,
         G=coupling.G.tolist(),
     )
+
+
+def _leader_settle_s(law: FormationLaw, start_error_m: float) -> float | None:
+    alone = couple({1: []}, {1}, law)
+    return settled_after_s(errors_over_time(alone, np.array([[start_error_m]]), MODEL, PREDICT_S), SETTLED_WITHIN_M)
 
 
 def _more_velocity_gain(coupling: Coupling) -> Coupling:

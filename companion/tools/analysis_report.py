@@ -13,6 +13,8 @@ from companion.types.notices import Code, Notice
 BADLY_DAMPED = 0.3
 CLOSE_M = 0.8
 GROWS = 1.2  # string gain to the last vehicle; 1 is perfect, and up to this value the difference is not visible
+LATE_LINK_S = 0.1
+DEEP = 0.5  # time for a motion to reach the last vehicle, in settling times of a leader alone
 SMALL_DELAY_MARGIN_S = 0.15  # three times the usual loop delay
 WHOLE_UP_TO = 20  # vehicles; a larger matrix does not fit a screen
 A_LINE = 8  # vehicles per line
@@ -25,6 +27,7 @@ LEGEND = f"""\
   delay margin: the loop delay above which the formation is unstable
   string gain: factor by which an oscillation grows on its way from the leader, at the frequency
     where it grows most
+  gamma: share of the neighbours' acceleration that is fed forward
   transient peak: the largest error of any vehicle over the largest at the start"""
 
 
@@ -77,6 +80,7 @@ def _warnings(analysis: Analysis) -> Iterator[Notice]:
         return
     yield from _slow_or_badly_damped(law)
     yield from _grows(analysis, law)
+    yield from _too_deep(analysis, law)
     yield from _too_far_or_too_close(law)
     yield from _better_leader(analysis)
 
@@ -153,6 +157,18 @@ def _grows(analysis: Analysis, law: LawAnalysis) -> Iterator[Notice]:
     )
 
 
+def _too_deep(analysis: Analysis, law: LawAnalysis) -> Iterator[Notice]:
+    late_s = analysis.hops * MODEL.feedforward_delay_s
+    if law.leader_settle_s is None or late_s < DEEP * law.leader_settle_s:
+        return
+    yield Notice(
+        Code.FLEET_TOO_DEEP,
+        f"deep for its delay: {analysis.hops} hops pass a motion of the leader on, {late_s:.1f} s later to the last vehicle,"
+        f" and {late_s + analysis.hops * LATE_LINK_S:.1f} s with links of {1000 * LATE_LINK_S:g} ms; a leader alone settles in"
+        f" {law.leader_settle_s:.1f} s; more edges, a leader in the middle or a second leader help",
+    )
+
+
 def _too_far_or_too_close(law: LawAnalysis) -> Iterator[Notice]:
     if law.margin_to_range_m is not None and law.margin_to_range_m < 0.0 and law.predicted_max_distance_m:
         pair, distance_m = max(law.predicted_max_distance_m.items(), key=lambda item: item[1])
@@ -187,7 +203,7 @@ def _law_table(analysis: Analysis) -> list[str]:
 
     add("gains on position, velocity", lambda law: f"{law.gain_position_1_s2:g}, {law.gain_velocity_1_s:g}")
     add(
-        "exponent and ratio of the weights, feedforward",
+        "alpha and rho of the weights, gamma",
         lambda law: f"{law.exponent:g}, {law.weight_ratio:g}, {law.feedforward:g}",
     )
     add("lambda_min", lambda law: f"{law.lambda_min:.4f}")
@@ -203,6 +219,7 @@ def _law_table(analysis: Analysis) -> list[str]:
     add("transient peak, worst start", lambda law: _gain(law.worst_transient_peak), of_stable=True)
     add("transient peak, this start", lambda law: _gain(law.transient_peak), of_stable=True)
     add("settled to 10 cm [s]", lambda law: _number(law.predicted_settle_s, 1), of_stable=True)
+    add("  a leader alone [s]", lambda law: _number(law.leader_settle_s, 1), of_stable=True)
     add("largest distance of neighbours [m]", lambda law: _extreme(law.predicted_max_distance_m, max), of_stable=True)
     add("smallest distance of neighbours [m]", lambda law: _extreme(law.predicted_min_distance_m, min), of_stable=True)
     if any(law.margin_to_range_m is not None for law in laws):

@@ -40,6 +40,11 @@ ENTRIES: dict[str, Explanation] = {
         "The convergence rate is low for this graph and start.",
         "Add edges, use a leader nearer to the middle, or use `cooperative`.",
     ),
+    "FLEET_TOO_DEEP": Explanation(
+        "The last vehicles move noticeably later than the leader.",
+        "Every hop passes a motion on one tick and one link later; together that is half the leader's settling time.",
+        "Add edges or range, put the leader in the middle, or name a second leader.",
+    ),
     "NEIGHBOURS_OUT_OF_RANGE": Explanation(
         "Neighbours are predicted to leave each other's range.",
         "The start errors are large for the range, or the reference moves fast.",

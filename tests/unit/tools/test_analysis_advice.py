@@ -33,6 +33,7 @@ NO_FIGURES = (
     "worst_transient_peak",
     "time_to_10_cm_s",
     "predicted_settle_s",
+    "leader_settle_s",
     "predicted_max_distance_m",
     "predicted_min_distance_m",
     "stays_in_range",
@@ -266,6 +267,17 @@ def test_every_section_of_a_scenario_is_accepted(tmp_path: Path) -> None:
 def test_vehicle_file_is_refused() -> None:
     with pytest.raises(ConfigError, match="this is a vehicle file; a scenario or a fleet file is expected"):
         load_subject(next((CONFIG / "vehicles").glob("*.yaml")))
+
+
+@pytest.mark.parametrize(("vehicles", "is_deep"), [(16, False), (60, True)])
+def test_a_fleet_that_is_too_deep_for_its_delay_is_told(tmp_path: Path, vehicles: int, is_deep: bool) -> None:
+    """A motion of the leader reaches the last vehicle a tick per hop later; a leader alone settles in 2 s."""
+    fence = {"fence_min_enu_m": [-100.0, -30.0, -5.0], "fence_max_enu_m": [30.0, 30.0, 20.0]}
+    analysis = analyse(load_subject(in_a_line(tmp_path, vehicles, {"name": "cooperative"}, envelope=fence)))
+    found = analysis.laws["cooperative"]
+    assert analysis.hops == vehicles - 1
+    assert found.leader_settle_s == pytest.approx(2.0, abs=0.3)
+    assert (Code.FLEET_TOO_DEEP in [finding.code for finding in verdict(analysis)]) is is_deep
 
 
 @pytest.mark.usefixtures("short")
