@@ -14,7 +14,8 @@ def table_text(flights: Sequence[Figures], shapes: Sequence[str]) -> str:
     """The table. Each cell holds the settle time, and the largest and smallest distance of neighbours one spacing apart."""
     rows = [f"{'':<{LABEL_WIDTH}}" + "".join(f"{shape:>{WIDTH}}" for shape in shapes)]
     rows += [
-        f"{setting.label:<{LABEL_WIDTH}}" + "".join(f"{cell:>{WIDTH}}" for cell in cells_of(flights, setting, shapes))
+        f"{setting.label:<{LABEL_WIDTH}}"
+        + "".join(f" {cell:>{WIDTH - 1}}" for cell in cells_of(flights, setting, shapes))
         for setting in SETTINGS
     ]
     return "\n".join(row.rstrip() for row in rows)
