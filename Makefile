@@ -26,7 +26,7 @@ help:
 	@echo "make pictures   flies the scenarios of docs/scenarios.md in virtual time and draws them again"
 	@echo "make soak       eight vehicles for an hour: memory, files, threads and ticks over time; SECONDS=300 for a short run"
 	@echo "make gauntlet   1,000 random flights in virtual time; writes their table to docs/gauntlet.md (over an hour on two cores; Ctrl-C reports those that are complete)"
-	@echo "make bench      how many times faster than real time four vehicles fly in virtual time, without and with sensor noise"
+	@echo "make bench      speed of agents, lockstep and batch beside C, asyncio, mavsdk, UDP and RotorPy; writes docs/performance.md (ten minutes)"
 	@echo "make hostile    hostile input for every decoder and for whole agents; writes docs/hostile.md (a quarter of an hour on two cores)"
 	@echo "make bench-batch  vehicle-steps a second of whole batches on one core, and RotorPy's; installs PyTorch in .venv-bench"
 	@echo "make bench-filter  time of the separation filter with seven vehicles nearby, against its limit of 60 us"
@@ -48,9 +48,9 @@ soak: .venv/fly.ready
 gauntlet: .venv/fly.ready
 	$(BIN)/sitl gauntlet --flights 1000 --seed 1 --out runs/gauntlet --page docs/gauntlet.md
 
-bench: .venv/fly.ready
-	$(BIN)/sitl run $(SCENARIO) --quiet --out runs/bench/ideal --set stand_in.sensors=ideal
-	$(BIN)/sitl run $(SCENARIO) --quiet --out runs/bench/default --set stand_in.sensors=default
+# Real-time figures are measured: without other load. The environment with RotorPy is made once, which takes some minutes.
+bench: .venv/fly.ready .venv-bench/bench.ready
+	$(BIN)/python -m sitl.bench --out runs/bench/bench.json --page docs/performance.md
 
 # Ten million inputs for each decoder and a million ticks of whole agents; the result is docs/hostile.md.
 hostile: .venv/fly.ready

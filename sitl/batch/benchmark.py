@@ -1,12 +1,13 @@
 """Vehicle-steps per second of the batch and of RotorPy: python -m sitl.batch.benchmark.
 
 One core, one thread, the same step, states in double precision. Each figure is the best of a few rounds. The models take turns,
-so that other load on the machine affects all of them.
+so that other load on the machine affects all of them. With --json the rates of all rounds are printed, by model.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import sys
 import time
@@ -22,6 +23,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m sitl.batch.benchmark", description=__doc__)
     parser.add_argument("--vehicles", type=int, default=1000, metavar="N")
     parser.add_argument("--scenario", type=Path, default=PLATOON, help="scenario of the whole formations")
+    parser.add_argument("--json", action="store_true", help="vehicle-steps per second of every round, by model")
     options = parser.parse_args()
     _take_one_core()
     from sitl.batch.contestants import formations, ours, rotorpy  # numpy reads the number of threads when it is loaded
@@ -42,16 +44,20 @@ def main() -> int:
     except ImportError:
         print(INSTALL, file=sys.stderr)
         return 2
-    print(_table(count, best_rates_1_s(contestants)))
+    rates_1_s = rates_of_rounds_1_s(contestants)
+    if options.json:
+        print(json.dumps({name: [rate * count for rate in rates] for name, rates in rates_1_s.items()}))
+    else:
+        print(_table(count, {name: max(rates) for name, rates in rates_1_s.items()}))
     return 0
 
 
-def best_rates_1_s(contestants: dict[str, Callable[[], None]]) -> dict[str, float]:
-    """Steps per second, the best of ROUNDS rounds in which all take turns."""
-    rates = dict.fromkeys(contestants, 0.0)
+def rates_of_rounds_1_s(contestants: dict[str, Callable[[], None]]) -> dict[str, list[float]]:
+    """Steps per second in each of ROUNDS rounds in which all take turns."""
+    rates: dict[str, list[float]] = {name: [] for name in contestants}
     for _ in range(ROUNDS):
         for name, step in contestants.items():
-            rates[name] = max(rates[name], _rate_1_s(step))
+            rates[name].append(_rate_1_s(step))
     return rates
 
 

@@ -82,27 +82,32 @@ def _ignore(_rejected: str) -> None:
     """A refused packet shows in the age."""
 
 
+def example_packet(config: AgentConfig) -> PeerPacket:
+    """A packet in formation, of the usual size."""
+    return PeerPacket(
+        vehicle_id=config.vehicle.id,
+        session=os.getpid(),
+        sequence=0,
+        formation_hash=1,
+        phase=FlightPhase.FORMATION,
+        role=config.member.role,
+        position_enu_m=(1.5, 2.5, 10.5),
+        velocity_enu_m_s=(0.5, 0.5, 0.5),
+        acceleration_enu_m_s2=ZERO3,
+        state_age_s=0.01,
+        sent_s=0.0,
+        prc=2,
+        leader_beacon=LeaderBeacon(1, 1, 1),
+        slot=FlownSlot(ZERO3),
+    )
+
+
 class _Vehicle:
     """Publishes and receives once a tick, on a fixed grid of time."""
 
     def __init__(self, link: ZenohLink, config: AgentConfig) -> None:
         self._link, self._max_age_s = link, config.fleet.peers.max_age_s
-        self._packet = PeerPacket(
-            vehicle_id=config.vehicle.id,
-            session=os.getpid(),
-            sequence=0,
-            formation_hash=1,
-            phase=FlightPhase.FORMATION,
-            role=config.member.role,
-            position_enu_m=(1.5, 2.5, 10.5),
-            velocity_enu_m_s=(0.5, 0.5, 0.5),
-            acceleration_enu_m_s2=ZERO3,
-            state_age_s=0.01,
-            sent_s=0.0,
-            prc=2,
-            leader_beacon=LeaderBeacon(1, 1, 1),
-            slot=FlownSlot(ZERO3),
-        )
+        self._packet = example_packet(config)
         # A little different for each vehicle: in 20 s the ticks of two vehicles pass each other, and no result depends on luck.
         self._period_s = PERIOD_S * (1.0 + 1e-3 * config.vehicle.id)
         self._due_s = time.monotonic()

@@ -1,0 +1,122 @@
+"""The whole run: one measurement after the other, then JSON and page."""
+
+from __future__ import annotations
+
+import os
+import platform
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import msgspec
+
+from sitl.bench import agent_step, batch, control_loop, peer_states, resources, virtual_time
+from sitl.bench.figures import Section
+from sitl.bench.page import Machine, page, row_in_words
+
+Step = tuple[str, Callable[[], list[Section]]]
+LOAD_S = 1.0
+IDLE, IO_WAIT, STOLEN = 3, 4, 7  # columns of /proc/stat
+
+
+class Times(msgspec.Struct, frozen=True):
+    """Of all cores since the start of the machine, in clock ticks."""
+
+    all: int
+    unused: int
+    stolen: int
+
+
+class Run(msgspec.Struct, frozen=True, kw_only=True):
+    """The JSON file."""
+
+    machine: Machine
+    sections: tuple[Section, ...]
+
+
+def run(out: Path, page_file: Path) -> None:
+    """Measures everything, prints each figure when it is there, and writes both files at the end."""
+    before, load = times(), _load()
+    began_s = time.monotonic()
+    sections: list[Section] = []
+    with TemporaryDirectory(prefix="bench-") as name:
+        steps = list(_steps(Path(name)))
+        for number, (what, measure) in enumerate(steps, start=1):
+            print(f"[{number} of {len(steps)}, {time.monotonic() - began_s:.0f} s] {what}", flush=True)
+            for section in measure():
+                sections.append(section)
+                for row in section.rows:
+                    print(f"  {row_in_words(row)}", flush=True)
+    machine = _machine(time.monotonic() - began_s, load, stolen_percent(before, times()))
+    out.parent.mkdir(parents=True, exist_ok=True)
+    out.write_bytes(msgspec.json.format(msgspec.json.encode(Run(machine=machine, sections=tuple(sections))), indent=2))
+    page_file.write_text(page(machine, sections), encoding="utf-8")
+    print(f"{machine.in_words()}\nwrote {out} and {page_file}")
+
+
+def _steps(folder: Path) -> Iterator[Step]:
+    """In the order in which they run; real agents first, while the machine is coolest and quietest."""
+
+    def agents() -> list[Section]:
+        first = folder / "control_loop"
+        first.mkdir()
+        sections, few = control_loop.measure(first)
+        return [*sections, resources.measure(few, folder)]
+
+    yield "real agents with 3, 7 and 15 peers, the first beside C, asyncio and mavsdk (three minutes)", agents
+    yield "age of peer states over Zenoh and UDP", lambda: [peer_states.measure(folder / "peers")]
+    yield "Agent.step with 3, 10 and 50 neighbours", lambda: [agent_step.measure(folder)]
+    yield "lockstep with 4, 16 and 100 vehicles (minutes)", lambda: [virtual_time.measure()]
+    yield "batches beside RotorPy (two minutes)", lambda: [batch.measure()]
+
+
+def times_of(stat: str) -> Times:
+    """From the text of /proc/stat."""
+    columns = [int(column) for column in stat.split("\n", 1)[0].split()[1:9]]
+    return Times(sum(columns), columns[IDLE] + columns[IO_WAIT], columns[STOLEN])
+
+
+def times() -> Times:
+    return times_of(Path("/proc/stat").read_text(encoding="ascii"))
+
+
+def stolen_percent(before: Times, after: Times) -> float:
+    """Share of the cores' time that the hypervisor took."""
+    return 100.0 * (after.stolen - before.stolen) / max(1, after.all - before.all)
+
+
+def _load() -> float:
+    """Cores that other processes use now."""
+    before = times()
+    time.sleep(LOAD_S)
+    after = times()
+    return (os.cpu_count() or 1) * (1.0 - (after.unused - before.unused) / max(1, after.all - before.all))
+
+
+def _machine(lasted_s: float, load: float, stolen: float) -> Machine:
+    return Machine(
+        processor=_processor(),
+        cores=len(os.sched_getaffinity(0)),
+        python=platform.python_version(),
+        commit=_commit(),
+        date=f"{datetime.now(UTC):%Y-%m-%d}",
+        lasted_s=lasted_s,
+        load_before=load,
+        stolen_percent=stolen,
+    )
+
+
+def _processor() -> str:
+    lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), platform.machine())
+
+
+def _commit() -> str:
+    command = ["git", "rev-parse", "--short", "HEAD"]
+    try:
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
