@@ -65,11 +65,15 @@ class Row(Struct, frozen=True, kw_only=True):
 
 
 class Section(Struct, frozen=True, kw_only=True):
-    """The rows of one measurement. `how` says in plain words how they are measured."""
+    """The rows of one measurement. `how` says in plain words how they are measured.
+
+    `others_cores`: what processes outside the bench used meanwhile, in cores.
+    """
 
     title: str
     how: str
     rows: tuple[Row, ...]
+    others_cores: float = 0.0
 
 
 def percentile(values: Sequence[float], share: float) -> float:

@@ -19,7 +19,7 @@ or to the limit where nothing stands beside it. All repeats are in `runs/bench/b
 
 
 class Machine(Struct, frozen=True, kw_only=True):
-    """Where and when the run took place. Loads are those of the other processes, in cores."""
+    """Where and when the run took place. `stolen_percent`: of the cores' time, taken by the hypervisor."""
 
     processor: str
     cores: int
@@ -27,14 +27,13 @@ class Machine(Struct, frozen=True, kw_only=True):
     commit: str
     date: str
     lasted_s: float
-    load_before: float
     stolen_percent: float
 
     def in_words(self) -> str:
         return (
             f"Measured on {self.date} in {self.lasted_s / 60.0:.1f} minutes on {self.cores} cores of {self.processor},"
-            f" Python {self.python}, commit {self.commit}. In the second before the run other processes used"
-            f" {self.load_before:.1f} cores; during it the hypervisor took {self.stolen_percent:.1f} % of the cores."
+            f" Python {self.python}, commit {self.commit}. The hypervisor took {self.stolen_percent:.1f} % of the cores."
+            " What processes outside the bench used stands below each table: they delay what is measured."
         )
 
 
@@ -43,13 +42,19 @@ def page(machine: Machine, sections: Sequence[Section]) -> str:
     parts = ["# Performance", _wrapped(INTRODUCTION), _wrapped(machine.in_words())]
     for section in sections:
         parts += [f"## {section.title}", *map(_wrapped, section.how.split("\n\n")), table(section.rows)]
-        parts += [_bullet(f"{row.what}: {row.remark}") for row in section.rows if row.remark]
+        remarks = [_bullet(f"{row.what}: {row.remark}") for row in section.rows if row.remark]
+        parts.append("\n".join([*remarks, _bullet(others_in_words(section))]))
     return "\n\n".join(parts) + "\n"
 
 
 def table(rows: Iterable[Row]) -> str:
     """In Markdown."""
     return "\n".join([HEAD, *(_line(row) for row in rows)])
+
+
+def others_in_words(section: Section) -> str:
+    """The disturbance by other processes."""
+    return f"meanwhile processes outside the bench used {section.others_cores:.2f} cores"
 
 
 def row_in_words(row: Row) -> str:
@@ -67,7 +72,8 @@ def quantity(values: Sequence[float], unit: str) -> str:
         return "not measured"
     row = Row(what="", unit=unit, values=tuple(values))
     assert row.value is not None  # there are values
-    return f"{digits(row.value)} {unit} ({digits(min(values))} to {digits(max(values))})"
+    scatter = f" ({digits(min(values))} to {digits(max(values))})" if min(values) < max(values) else ""
+    return f"{digits(row.value)} {unit}{scatter}"
 
 
 def digits(value: float) -> str:

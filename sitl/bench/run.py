@@ -12,13 +12,15 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import msgspec
+from msgspec.structs import replace
 
 from sitl.bench import agent_step, batch, control_loop, peer_states, resources, virtual_time
 from sitl.bench.figures import Section
-from sitl.bench.page import Machine, page, row_in_words
+from sitl.bench.page import Machine, others_in_words, page, row_in_words
+from sitl.bench.real_flight import Flown
 
 Step = tuple[str, Callable[[], list[Section]]]
-LOAD_S = 1.0
+TICKS_A_SECOND = os.sysconf("SC_CLK_TCK")
 IDLE, IO_WAIT, STOLEN = 3, 4, 7  # columns of /proc/stat
 
 
@@ -39,18 +41,18 @@ class Run(msgspec.Struct, frozen=True, kw_only=True):
 
 def run(out: Path, page_file: Path) -> None:
     """Measures everything, prints each figure when it is there, and writes both files at the end."""
-    before, load = times(), _load()
-    began_s = time.monotonic()
+    before, began_s = times(), time.monotonic()
     sections: list[Section] = []
     with TemporaryDirectory(prefix="bench-") as name:
         steps = list(_steps(Path(name)))
         for number, (what, measure) in enumerate(steps, start=1):
             print(f"[{number} of {len(steps)}, {time.monotonic() - began_s:.0f} s] {what}", flush=True)
-            for section in measure():
+            for section in _with_others(measure):
                 sections.append(section)
                 for row in section.rows:
                     print(f"  {row_in_words(row)}", flush=True)
-    machine = _machine(time.monotonic() - began_s, load, stolen_percent(before, times()))
+                print(f"  {others_in_words(section)}", flush=True)
+    machine = _machine(time.monotonic() - began_s, stolen_percent(before, times()))
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_bytes(msgspec.json.format(msgspec.json.encode(Run(machine=machine, sections=tuple(sections))), indent=2))
     page_file.write_text(page(machine, sections), encoding="utf-8")
@@ -60,13 +62,17 @@ def run(out: Path, page_file: Path) -> None:
 def _steps(folder: Path) -> Iterator[Step]:
     """In the order in which they run; real agents first, while the machine is coolest and quietest."""
 
-    def agents() -> list[Section]:
+    few: list[Flown] = []  # the flight with three peers serves two tables
+
+    def beside_others() -> list[Section]:
         first = folder / "control_loop"
         first.mkdir()
-        sections, few = control_loop.measure(first)
-        return [*sections, resources.measure(few, folder)]
+        sections, flown = control_loop.measure(first)
+        few.append(flown)
+        return sections
 
-    yield "real agents with 3, 7 and 15 peers, the first beside C, asyncio and mavsdk (three minutes)", agents
+    yield "four real agents beside C, asyncio and mavsdk (a minute)", beside_others
+    yield "real agents with 7 and 15 peers (two minutes)", lambda: [resources.measure(few[0], folder)]
     yield "age of peer states over Zenoh and UDP", lambda: [peer_states.measure(folder / "peers")]
     yield "Agent.step with 3, 10 and 50 neighbours", lambda: [agent_step.measure(folder)]
     yield "lockstep with 4, 16 and 100 vehicles (minutes)", lambda: [virtual_time.measure()]
@@ -88,15 +94,23 @@ def stolen_percent(before: Times, after: Times) -> float:
     return 100.0 * (after.stolen - before.stolen) / max(1, after.all - before.all)
 
 
-def _load() -> float:
-    """Cores that other processes use now."""
-    before = times()
-    time.sleep(LOAD_S)
-    after = times()
-    return (os.cpu_count() or 1) * (1.0 - (after.unused - before.unused) / max(1, after.all - before.all))
+def _with_others(measure: Callable[[], list[Section]]) -> list[Section]:
+    """The sections, with the use of the cores by other processes during their measurement."""
+    before, began = times(), os.times()
+    sections = measure()
+    after, ended = times(), os.times()
+    own_s = sum(ended[:4]) - sum(began[:4])  # of this process and of all processes that it has started and ended
+    used = others_cores(before, after, own_s, ended.elapsed - began.elapsed)
+    return [replace(section, others_cores=used) for section in sections]
 
 
-def _machine(lasted_s: float, load: float, stolen: float) -> Machine:
+def others_cores(before: Times, after: Times, own_s: float, lasted_s: float) -> float:
+    """Use of all cores less the own, in cores."""
+    busy = (after.all - after.unused - after.stolen) - (before.all - before.unused - before.stolen)
+    return max(0.0, busy / TICKS_A_SECOND - own_s) / lasted_s
+
+
+def _machine(lasted_s: float, stolen: float) -> Machine:
     return Machine(
         processor=_processor(),
         cores=len(os.sched_getaffinity(0)),
@@ -104,7 +118,6 @@ def _machine(lasted_s: float, load: float, stolen: float) -> Machine:
         commit=_commit(),
         date=f"{datetime.now(UTC):%Y-%m-%d}",
         lasted_s=lasted_s,
-        load_before=load,
         stolen_percent=stolen,
     )
 

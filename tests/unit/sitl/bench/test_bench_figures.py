@@ -13,7 +13,7 @@ from sitl.bench.peer_vehicle import Ages, Result
 from sitl.bench.real_flight import Flown
 from sitl.bench.resources import FEW, MANY, SOME
 from sitl.bench.resources import section as resources_section
-from sitl.bench.run import Times, stolen_percent, times_of
+from sitl.bench.run import TICKS_A_SECOND, Times, others_cores, stolen_percent, times_of
 from sitl.bench.windows import Use, Window, cpu_percent, windows_of, within
 
 
@@ -138,3 +138,9 @@ def test_the_share_that_the_hypervisor_took() -> None:
     before = times_of("cpu  100 0 50 800 50 0 0 10 0 0\ncpu0 1 2 3\n")
     assert before == Times(1010, 850, 10)
     assert stolen_percent(before, Times(1110, 900, 15)) == 5.0
+
+
+def test_what_other_processes_used_is_the_rest_of_the_busy_time() -> None:
+    before, after = Times(0, 0, 0), Times(20 * TICKS_A_SECOND, 5 * TICKS_A_SECOND, 1 * TICKS_A_SECOND)
+    assert others_cores(before, after, own_s=9.0, lasted_s=10.0) == pytest.approx(0.5)
+    assert others_cores(before, after, own_s=14.1, lasted_s=10.0) == 0.0

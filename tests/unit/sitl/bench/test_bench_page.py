@@ -14,7 +14,6 @@ MACHINE = Machine(
     commit="abc1234",
     date="2026-01-31",
     lasted_s=570.0,
-    load_before=0.1,
     stolen_percent=1.25,
 )
 MEASURED = Row(
@@ -38,6 +37,7 @@ def test_three_digits_are_written(value: float, text: str) -> None:
 
 def test_a_quantity_has_its_range() -> None:
     assert quantity((1.0, 3.0, 2.0), "us") == "2.00 us (1.00 to 3.00)"
+    assert quantity((20.0, 20.0), "ms") == "20.0 ms"
     assert quantity((), "us") == "not measured"
 
 
@@ -61,9 +61,11 @@ def test_what_could_not_be_measured_says_so() -> None:
 
 
 def test_the_page_says_where_and_how_it_was_measured() -> None:
-    text = page(MACHINE, [Section(title="Wake-up", how="By a\nclock. " * 30, rows=(MEASURED, MISSING))])
+    text = page(
+        MACHINE, [Section(title="Wake-up", how="By a\nclock. " * 30, rows=(MEASURED, MISSING), others_cores=0.5)]
+    )
     assert text.startswith("# Performance\n")
     assert "9.5 minutes on 2 cores of a processor" in " ".join(text.split())
     assert "\n## Wake-up\n\nBy a clock." in text
-    assert "\n- flight: it failed\n" in text
+    assert "\n- flight: it failed\n- meanwhile processes outside the bench used 0.50 cores\n" in text
     assert all(len(line) <= 100 or line.startswith("|") for line in text.splitlines())
