@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from companion.core.consensus.peers import EXTRAPOLATED_MOST_S
 from companion.stability.arrays import FloatArray
 from sitl.autopilots.autopilot import DT_S
 from sitl.batch.candidates import Candidates
@@ -125,12 +126,16 @@ class Agents:
 def _weighted_sum(used: Received, packets: FloatArray, shares: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Algorithm 2: weighted sums (9, G) over the neighbours, and whether a vehicle has any (G,).
 
-    The rows are extrapolated positions minus slots, velocities and accelerations.
+    The rows are positions minus slots, velocities and accelerations, extrapolated as `PeerState.formation_state_at` does.
     """
     total = shares.sum(axis=1)
     has_neighbours = total > 0.0
     weights = shares / np.where(has_neighbours, total, 1.0)[:, None]
     sums = np.matmul(weights[:, None, :], packets[:, :, :9])[:, 0].T
     if used.age_s is not None:
-        sums[REDUCED_POSITION] += np.matmul((weights * used.age_s)[:, None, :], packets[:, :, VELOCITY])[:, 0].T
+        age_s = np.minimum(used.age_s, EXTRAPOLATED_MOST_S)
+        over_age, over_square = (weights * age_s)[:, None, :], (weights * (0.5 * age_s * age_s))[:, None, :]
+        velocity, acceleration = packets[:, :, VELOCITY], packets[:, :, ACCELERATION]
+        sums[REDUCED_POSITION] += (np.matmul(over_age, velocity) + np.matmul(over_square, acceleration))[:, 0].T
+        sums[VELOCITY] += np.matmul(over_age, acceleration)[:, 0].T
     return sums, has_neighbours

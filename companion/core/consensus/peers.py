@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from companion.core.consensus.law import FormationState
 from companion.core.consensus.message_order import Disorder, Stream, following
 from companion.core.consensus.plausibility import FleetLimits, KnownFleet, refusal_of_claims, refusal_of_motion
-from companion.geometry.vectors import extrapolated, shortened
+from companion.geometry.vectors import extrapolated, minus, shortened
 from companion.types.flight import ON_GROUND, Role
 from companion.types.formation import FlownSlot, Term
 from companion.types.notices import Code
@@ -27,6 +27,9 @@ CODES = {
     Disorder.LATE: Code.PEER_LATE,
     Disorder.TIME: Code.PEER_TIME_IMPLAUSIBLE,
 }
+# Two ticks: a lost packet, or usual jitter. What is older remains late. A vehicle that extrapolates its neighbour answers a
+# wave by a larger one, and along a hundred hops that grows without bound: docs/law.md.
+EXTRAPOLATED_MOST_S = 0.04
 JUMP_MARGIN_M = 1.0  # an estimator correction may add this to the distance flown between two packets
 
 
@@ -57,24 +60,35 @@ class PeerState(Struct, frozen=True, gc=False):
         return replace(slot, position_enu_m=position_enu_m)
 
     def formation_state_at(self, now_s: float) -> FormationState:
-        """State of the peer minus that of its slot, both extrapolated; where it is kept off its slot, the RFT it flies by."""
-        packet, slot, age_s = self.packet, self.packet.slot, now_s - self.measured_s
+        """State of the peer minus that of its slot, at most EXTRAPOLATED_MOST_S later than it was measured.
+
+        x + v a + u a^2 / 2 and v + u a with the acceleration command u. Where a vehicle is kept off its slot, the RFT it flies
+        by counts instead.
+        """
+        packet, slot, age_s = self.packet, self.packet.slot, min(now_s - self.measured_s, EXTRAPOLATED_MOST_S)
         if packet.rft is not None:
-            position_enu_m, velocity_enu_m_s, acceleration_enu_m_s2 = packet.rft
-            position_enu_m = extrapolated(position_enu_m, velocity_enu_m_s, age_s)
-            return FormationState(position_enu_m, velocity_enu_m_s, acceleration_enu_m_s2)
-        (x, y, z), (dx, dy, dz) = packet.position_enu_m, slot.position_enu_m
-        (vx, vy, vz), (dvx, dvy, dvz) = packet.velocity_enu_m_s, slot.velocity_enu_m_s
-        (ax, ay, az), (dax, day, daz) = packet.acceleration_enu_m_s2, slot.acceleration_enu_m_s2
-        return FormationState(
-            (
-                (x + vx * age_s) - (dx + dvx * age_s),
-                (y + vy * age_s) - (dy + dvy * age_s),
-                (z + vz * age_s) - (dz + dvz * age_s),
-            ),
-            (vx - dvx, vy - dvy, vz - dvz),
-            (ax - dax, ay - day, az - daz),
+            return _later(*packet.rft, age_s)
+        return _later(
+            minus(packet.position_enu_m, slot.position_enu_m),
+            minus(packet.velocity_enu_m_s, slot.velocity_enu_m_s),
+            minus(packet.acceleration_enu_m_s2, slot.acceleration_enu_m_s2),
+            age_s,
         )
+
+
+def _later(position: Vector3, velocity: Vector3, acceleration: Vector3, age_s: float) -> FormationState:
+    """A state after `age_s` of constant acceleration."""
+    (x, y, z), (vx, vy, vz), (ax, ay, az) = position, velocity, acceleration
+    half = 0.5 * age_s
+    return FormationState(
+        (
+            x + age_s * (vx + half * ax),
+            y + age_s * (vy + half * ay),
+            z + age_s * (vz + half * az),
+        ),
+        (vx + age_s * ax, vy + age_s * ay, vz + age_s * az),
+        acceleration,
+    )
 
 
 class PeerTable:

@@ -73,8 +73,10 @@ def test_peers_use_the_rft_in_place_of_its_offset() -> None:
         rft=(RFT.position_enu_m, RFT.velocity_enu_m_s, RFT.acceleration_enu_m_s2),
     )
     peer = PeerState(packet, received_s=1.0, least_apart_s=0.0, measured_s=1.0)
-    state = peer.formation_state_at(1.5)
-    assert state.position_enu_m == pytest.approx((10.5, 0.0, 5.0))
-    assert state.velocity_enu_m_s == RFT.velocity_enu_m_s
+    state = peer.formation_state_at(1.02)
+    assert state.position_enu_m == pytest.approx(
+        tuple(x + 0.02 * v for x, v in zip(RFT.position_enu_m, RFT.velocity_enu_m_s, strict=True)), abs=3e-4
+    )
+    assert state.velocity_enu_m_s == pytest.approx(RFT.velocity_enu_m_s, abs=0.03)
     assert state.acceleration_enu_m_s2 == RFT.acceleration_enu_m_s2
     assert peer.position_at(1.5) == pytest.approx((13.0, 1.0, 5.0))  # what is kept apart is where it is

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from companion.core.consensus.neighbours import BRIDGED_S, BRIDGES_AFTER_S, EdgeRule, RangeRule
-from companion.core.consensus.peers import PeerState, PeerTable
+from companion.core.consensus.peers import EXTRAPOLATED_MOST_S, PeerState, PeerTable
 from companion.core.consensus.plausibility import FleetLimits
 from companion.types.autopilot import PositionError
 from companion.types.flight import FlightPhase, Role
@@ -53,6 +53,30 @@ def test_valid_packet_is_accepted() -> None:
     peers = table()
     assert rejections(peers) == []
     assert peers.fresh(1.1)[2].position_at(1.1) == pytest.approx((1.055, 2.0, 3.0))  # 0.11 s at 0.5 m/s
+
+
+MOVING = replace(
+    GOOD,
+    velocity_enu_m_s=(2.0, -1.0, 0.0),
+    acceleration_enu_m_s2=(1.0, 0.5, -0.5),
+    slot=FlownSlot((-1.5, 0.0, 0.0), (0.5, 0.0, 0.0), (0.2, 0.0, 0.0)),
+)
+
+
+@given(st.floats(0.0, EXTRAPOLATED_MOST_S))
+def test_the_law_uses_neighbours_where_they_are_now(age_s: float) -> None:
+    """A neighbour with constant acceleration, less its slot: x + v a + u a^2 / 2, and v + u a."""
+    state = PeerState(MOVING, 1.0, 0.0, measured_s=1.0).formation_state_at(1.0 + age_s)
+    assert state.position_enu_m[0] == pytest.approx(2.5 + 1.5 * age_s + 0.4 * age_s**2)
+    assert state.position_enu_m[1:] == pytest.approx((2.0 - age_s + 0.25 * age_s**2, 3.0 - 0.25 * age_s**2))
+    assert state.velocity_enu_m_s == pytest.approx((1.5 + 0.8 * age_s, -1.0 + 0.5 * age_s, -0.5 * age_s))
+    assert state.acceleration_enu_m_s2 == pytest.approx((0.8, 0.5, -0.5))
+
+
+def test_states_are_extrapolated_by_two_ticks_at_most() -> None:
+    state = PeerState(MOVING, 1.0, 0.0, measured_s=1.0)
+    assert state.formation_state_at(1.3) == state.formation_state_at(1.0 + EXTRAPOLATED_MOST_S)
+    assert state.position_at(1.3)[0] == pytest.approx(1.0 + 2.0 * 0.3)  # what is kept apart is where it is
 
 
 @pytest.mark.parametrize(
