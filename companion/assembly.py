@@ -109,7 +109,7 @@ def build_agent(config: AgentConfig, session: int, formation_hash: int | None = 
         guidance=_guidance(config),
         safeguard=SafeguardStage(member.id, fleet.separation_m, health, _failsafes(fleet)),
         dispatcher=CommandDispatcher(checks),
-        setpoint=_setpoint(fleet, safety_filter_of(fleet, member.id), SetpointStream(envelope, observer), ages.state_s),
+        setpoint=_setpoint(config, SetpointStream(envelope, observer), ages.state_s),
         report=ReportStage(identity, law_of(law), checks),
     )
 
@@ -183,18 +183,17 @@ def safety_filter_of(fleet: FleetConfig, own_id: int) -> SafetyFilter:
     )
 
 
-def _setpoint(
-    fleet: FleetConfig, safety_filter: SafetyFilter, stream: SetpointStream, flown_for_s: float
-) -> SetpointStage:
-    law = fleet.law
+def _setpoint(config: AgentConfig, stream: SetpointStream, flown_for_s: float) -> SetpointStage:
+    law = config.fleet.law
     gains = law.altitude_hold_gains
     return SetpointStage(
         law=law_of(law),
         law_flies_altitude=law.altitude == "formation",
         altitude_hold_gains=Gains(gains.position_1_s2, gains.velocity_1_s),
-        safety_filter=safety_filter,
+        safety_filter=safety_filter_of(config.fleet, config.member.id),
         stream=stream,
         flown_for_s=flown_for_s,
+        drag_1_s=config.vehicle.drag_1_s,
     )
 
 

@@ -94,7 +94,7 @@ class VehicleConfig(Section, frozen=True):
     drag_1_s: Annotated[
         Drag,
         Meta(
-            description="linear drag over mass, which the control law leaves undisturbed because it damps the vehicle; 0.25 is"
+            description="linear drag over mass, which damps the vehicle; a leader feeds it forward along its reference; 0.25 is"
             " that of a small open quadrotor"
         ),
     ] = 0.25

@@ -10,6 +10,7 @@ from companion.assembly import law_of
 from companion.stability.arrays import FloatArray
 from companion.types.flight import Role
 from sitl.batch.columns import BoolArray, Columns, IntArray
+from sitl.flight.files import known_drag_1_s
 from sitl.flight.scenario import Scenario
 
 
@@ -32,6 +33,7 @@ class Laws:
         self._k1 = columns.spread([law.gains.position_1_s2 for law in laws])
         self._k2 = columns.spread([law.gains.velocity_1_s for law in laws])
         self._feedforward = columns.spread([law.feedforward for law in laws])
+        self._drag_1_s = columns.spread([known_drag_1_s(scenario) for scenario in scenarios])
         coupled = columns.spread([float(law.leader_uses_neighbours) for law in laws])
         self._uses_neighbours: FloatArray = np.where(self.is_leader, coupled, 1.0)
         self._holds: BoolArray = columns.spread([float(hold) for hold in holds]) > 0.0
@@ -83,7 +85,7 @@ class Laws:
         acceleration -= error[3:] * self._k2[group]
         if self._feedforward.any():
             fed_forward = weighted_sum[6:9]
-            fed_forward[:, leaders] = reference[6:9]
+            fed_forward[:, leaders] = reference[6:9] + reference[3:6] * self._drag_1_s[group][leaders]
             acceleration += fed_forward * self._feedforward[group]
         holds = self._holds[group]
         if holds.any():

@@ -82,7 +82,7 @@ def write_scenario(scenario: Scenario, folder: Path) -> None:
 
 def reached_stand_in(scenario: Scenario, vehicle_id: int, port_offset: int) -> ReachedVehicle:
     """Endpoint, hover thrust and drag of a scenario's stand-in."""
-    kind, ports, airframe = scenario.stand_in.autopilot, ports_of(vehicle_id, port_offset), scenario.stand_in.airframe
+    kind, ports = scenario.stand_in.autopilot, ports_of(vehicle_id, port_offset)
     endpoints = {  # the defaults of the autopilots' own simulations
         AutopilotKind.PX4: f"udpin:{LOOPBACK}:{ports.companion}",
         AutopilotKind.ARDUPILOT: f"tcp:{LOOPBACK}:{ports.tcp}",
@@ -91,8 +91,18 @@ def reached_stand_in(scenario: Scenario, vehicle_id: int, port_offset: int) -> R
         id=vehicle_id,
         mavlink=endpoints[kind],
         hover_thrust_norm=scenario.stand_in.hover_thrust_norm,
-        drag_1_s=min(airframe.drag_n_per_m_s / airframe.mass_kg, MAX_DRAG_1_S),
+        drag_1_s=_drag_1_s(scenario),
     )
+
+
+def known_drag_1_s(scenario: Scenario) -> float:
+    """The drag in the vehicle files of a scenario that flies stand-ins."""
+    return _first(scenario.assumed.drag_1_s, _drag_1_s(scenario))
+
+
+def _drag_1_s(scenario: Scenario) -> float:
+    airframe = scenario.stand_in.airframe
+    return min(airframe.drag_n_per_m_s / airframe.mass_kg, MAX_DRAG_1_S)
 
 
 def vehicle_file(scenario: Scenario, reached: ReachedVehicle, port_offset: int) -> VehicleConfig:

@@ -35,7 +35,8 @@ class FormationLaw:
 
     Where `leader_uses_neighbours` is False a leader tracks the RFT alone.
     `feedforward` is g: a follower adds g sum_j w_ij u_j, its neighbours' last acceleration commands with the same weights,
-    and a leader adds g r''. Followers may be neighbours of each other, so the sum feeds back; g < 1 keeps it finite.
+    and a leader adds g (r'' + c r'), with its drag c; u_j contains what vehicle j does against its own. Followers may be
+    neighbours of each other, so the sum feeds back; g < 1 keeps it finite.
     """
 
     gains: Gains
@@ -144,15 +145,25 @@ def formation_acceleration(
     own: FormationState,
     neighbours: Sequence[tuple[int, FormationState]],
     reference: FormationState | None,
+    drag_1_s: float = 0.0,
 ) -> Vector3:
-    """u_i of eq. 14 plus feed-forward, m/s^2 in ENU on all three axes. Zero for a follower without neighbours."""
+    """u_i of eq. 14 plus feed-forward, m/s^2 in ENU on all three axes. Zero for a follower without neighbours.
+
+    `drag_1_s` is the deceleration by drag per m/s of this vehicle.
+    """
     position_error, velocity_error = formation_error(law, own, neighbours, reference)
     fed_back = feedback(law.gains, position_error, velocity_error)
     if law.feedforward == 0.0:
         return fed_back
-    ax, ay, az = reference.acceleration_enu_m_s2 if reference else _mean_acceleration(law, neighbours)
+    ax, ay, az = _along(reference, drag_1_s) if reference else _mean_acceleration(law, neighbours)
     x, y, z = fed_back
     return (x + law.feedforward * ax, y + law.feedforward * ay, z + law.feedforward * az)
+
+
+def _along(reference: FormationState, drag_1_s: float) -> Vector3:
+    """r'' + c r': what keeps a vehicle with drag on the reference."""
+    (vx, vy, vz), (ax, ay, az) = reference.velocity_enu_m_s, reference.acceleration_enu_m_s2
+    return (ax + drag_1_s * vx, ay + drag_1_s * vy, az + drag_1_s * vz)
 
 
 def _mean_acceleration(law: FormationLaw, neighbours: Sequence[tuple[int, FormationState]]) -> Vector3:

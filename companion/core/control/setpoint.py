@@ -64,6 +64,7 @@ class SetpointStage:
         safety_filter: SafetyFilter,
         stream: SetpointStream,
         flown_for_s: float,
+        drag_1_s: float,
     ) -> None:
         """Without `law_flies_altitude` the vehicle holds the altitude at which it came into formation.
 
@@ -75,6 +76,7 @@ class SetpointStage:
         self._safety_filter = safety_filter
         self._stream = stream
         self._flown_for_s = flown_for_s
+        self._drag_1_s = drag_1_s
         self._hold_altitude_m = 0.0
         self._separation = UNFILTERED  # of the last setpoint
         self._taken_m_s2 = 0.0  # from the acceleration that the law wants, by other vehicles
@@ -150,7 +152,7 @@ class SetpointStage:
         """Eq. 14 about a slot that may move, or on z the vehicle's own altitude hold; m/s^2 in ENU."""
         slot = guidance.slot
         own = formation_state(vehicle.position_enu_m, vehicle.velocity_enu_m_s, slot)
-        x, y, z = formation_acceleration(self._law, own, consensus.neighbours, guidance.reference)
+        x, y, z = formation_acceleration(self._law, own, consensus.neighbours, guidance.reference, self._drag_1_s)
         dx, dy, dz = slot.acceleration_enu_m_s2
         if not self._law_flies_altitude:
             return (x + dx, y + dy, self._braking(vehicle)[2])

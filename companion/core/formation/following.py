@@ -6,7 +6,8 @@ s = j omega, A = s^2 + c s, H = exp(-s D)/(1 + s T) and K = k1 + k2 s, eq. 14 wi
 
     (A + H K) x_i = (H K + g exp(-s m) A) sum_j w_ij x_j
 
-and for a leader the same with the reference as one more neighbour. The solution is the response x_i/r of each vehicle.
+and for a leader the same with the reference as one more neighbour, of which it adds g H A r. The solution is the response
+x_i/r of each vehicle.
 """
 
 from __future__ import annotations
@@ -113,7 +114,7 @@ class Chain:
             row = dict.fromkeys(neighbours, 0j)
             row |= {j: -from_each * weight for j, weight in zip(used, weights, strict=True)}
             row[i] = plant + fed_back * ((1.0 if leads else 0.0) + (1.0 if used else 0.0))
-            rows[i], right[i] = row, (fed_back + g * follow * s * s) if leads else 0j
+            rows[i], right[i] = row, (fed_back + g * follow * plant) if leads else 0j
         return _solved(rows, right)
 
     def closest(self, motion: Motion, slots_m: Mapping[int, Vector3]) -> Pair:

@@ -18,6 +18,7 @@ from companion.core.consensus.priority import next_prc
 from companion.core.consensus.weights import Weighting
 from companion.core.reference.trajectories import point
 from companion.types.formation import FlownSlot
+from companion.types.vectors import ZERO3
 
 K = Gains(1.39, 1.2)
 REST = (0.0, 0.0, 0.0)
@@ -72,11 +73,19 @@ def test_leader_feeds_forward_its_reference_only() -> None:
     assert u == pytest.approx((0.8 * 0.5, 0.0, 0.0))
 
 
+def test_leader_feeds_forward_its_drag_along_the_reference() -> None:
+    law = FormationLaw(K, Weighting(1.0), leader_uses_neighbours=False, feedforward=0.8)
+    moving = FormationState(ZERO3, (2.0, 0.0, -1.0), (0.5, 0.0, 0.0))
+    on_it = FormationState(ZERO3, (2.0, 0.0, -1.0))
+    u = formation_acceleration(law, on_it, [], moving, drag_1_s=0.3)
+    assert u == pytest.approx((0.8 * (0.5 + 0.3 * 2.0), 0.0, 0.8 * 0.3 * -1.0))
+
+
 def test_laws_of_the_paper_have_no_feedforward() -> None:
     neighbours = [(1, accelerating(5.0))]
     for law in (weighted(), average_22(), average_26()):
         assert formation_acceleration(law, at(0.0), neighbours, None) == (0.0, 0.0, 0.0)
-        assert formation_acceleration(law, at(0.0), [], accelerating(5.0)) == (0.0, 0.0, 0.0)
+        assert formation_acceleration(law, at(0.0), [], accelerating(5.0), drag_1_s=0.3) == (0.0, 0.0, 0.0)
 
 
 def fly_platoon(law: FormationLaw, seconds: float = 100.0) -> tuple[list[float], float]:

@@ -62,7 +62,7 @@ def test_the_responses_solve_the_equations_of_the_law(law: FormationLaw, rate_ra
         if i == 1:
             used = law.leader_uses_neighbours
             left = plant * responses[1] + back * ((responses[1] - 1.0) + (responses[1] - mean if used else 0.0))
-            assert left == pytest.approx(law.feedforward * lag * s * s, abs=1e-9)
+            assert left == pytest.approx(law.feedforward * lag * plant, abs=1e-9)
         else:
             forward = law.feedforward * np.exp(-0.02 * s) * plant * mean
             assert plant * responses[i] + back * (responses[i] - mean) == pytest.approx(forward, abs=1e-9)
