@@ -162,7 +162,7 @@ def test_an_agent_killed_in_formation_ends_the_flight_and_the_others_land(launch
     assert flight.end(40.0) == 1
     assert processes(flight.marker) == {}
     assert not any(flight.armed_at_the_end(other) for other in (1, 2, 4))
-    assert_failure(flight, "agent 3 was killed by SIGKILL: ")
+    assert_failure(flight, "agent 3 was killed by SIGKILL; log: ")
 
 
 @fleet
@@ -172,7 +172,7 @@ def test_stand_ins_killed_in_formation_end_the_flight(launch: Callable[[], Fligh
     os.kill(flight.process_with("autopilot_2.yaml"), signal.SIGKILL)
     assert flight.end(40.0) == 1
     assert processes(flight.marker) == {}
-    assert_failure(flight, "autopilots 1 to 4 were killed by SIGKILL: ")
+    assert_failure(flight, "autopilots 1 to 4 were killed by SIGKILL; log: ")
 
 
 def assert_failure(flight: Flight, begins: str) -> None:

@@ -38,13 +38,14 @@ class Child:
         return next((line.strip() for line in reversed(lines) if line.strip()), "no output")
 
     def ending(self) -> str:
-        """How it ended, with the last line of its log; "" while it runs."""
+        """How it ended, with the last line of its log, which says why unless it was killed; "" while it runs."""
         code = self.process.poll()
         if code is None:
             return ""
-        was = "were" if len(self.vehicle_ids) > 1 else "was"
-        how = f"{was} killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
-        return f"{self.name} {how}: {self.last_output()}"
+        if code < 0:
+            was = "were" if len(self.vehicle_ids) > 1 else "was"
+            return f"{self.name} {was} killed by {signal.Signals(-code).name}; log: {self.log}"
+        return f"{self.name} ended with exit code {code}: {self.last_output()}"
 
 
 class Fleet:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import sys
 import time
+from collections.abc import Iterable
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from companion.ground.session import FleetSession
 from companion.types.commands import CommandName
 from sitl.errors import EXIT_DONE, EXIT_FAILED
 from sitl.flight.director import Director, MachineClock
-from sitl.flight.files import ids_of
+from sitl.flight.files import ids_of, truth_path
 from sitl.flight.options import FleetOptions
 from sitl.flight.orders import REPLY_WITHIN_S
 from sitl.flight.processes.fleet import Fleet
@@ -25,6 +26,7 @@ from sitl.report.folder import open_folder
 from sitl.report.load import overload_line
 from sitl.report.progress import Progress
 from sitl.stopping import StopRequest
+from sitl.vehicle.truth import armed_at_m
 
 OPERATOR = "sitl-fleet"
 HOW_TO = """\
@@ -75,9 +77,21 @@ def _wait_and_land(
             session.command(set(ids) - fleet.lost_vehicles(), CommandName.TAKE, REPLY_WITHIN_S)
             if still_up := director.land_all():
                 failures.append(still_up)
+        lost = fleet.lost_vehicles()
         failures.extend(fleet.stop_all())
+        failures.extend(left_armed(folder, lost))
     busy = watch.overload()
     return [*([overload_line(busy)] if busy else []), *failures], bool(failures)
+
+
+def left_armed(folder: Path, lost: Iterable[int]) -> list[str]:
+    """A line for each vehicle without an agent or stand-in that was armed to the end: nobody could land it."""
+    heights_m = {i: armed_at_m(truth_path(folder, i)) for i in sorted(lost)}
+    return [
+        f"vehicle {i} was left armed at {height_m:.1f} m: its agent or stand-in had ended"
+        for i, height_m in heights_m.items()
+        if height_m is not None
+    ]
 
 
 def companion_program() -> str:

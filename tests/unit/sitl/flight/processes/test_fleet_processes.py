@@ -102,3 +102,11 @@ def test_a_bound_command_that_does_not_exist_is_reported() -> None:
     )
     assert done.returncode == 1
     assert done.stderr == "no-such-command: No such file or directory\n"
+
+
+def test_the_end_of_a_killed_process_does_not_quote_a_line_that_has_nothing_to_do_with_it(tmp_path: Path) -> None:
+    killed = child(tmp_path, "agent 3", SLEEP)
+    until_it_runs(killed)
+    os.killpg(killed.process.pid, signal.SIGKILL)
+    killed.process.wait()
+    assert killed.ending() == f"agent 3 was killed by SIGKILL; log: {killed.log}"
