@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
+from math import tau
 from pathlib import Path
 from typing import Any, get_args
 
@@ -42,6 +43,7 @@ from companion.stability.prediction import LinearModel, errors_over_time, settle
 from companion.stability.settling import SETTLED_WITHIN_M
 from companion.stability.state_space import worst_transient_peak
 from companion.stability.string_stability import string_gains
+from companion.stability.velocity_error import share_left, shift_m
 from companion.types.flight import Role
 from companion.types.vectors import ZERO3, Vector3
 
@@ -52,6 +54,8 @@ PREDICT_S = 120.0
 WORST_START_UP_TO = 100  # vehicles; for more the worst start takes too long to compute
 MORE = 0.1  # relative change of a gain that is tried
 NOT_READ = ("origins_enu_m", "stand_in", "assumed", "targets", "links", "timeline", "agent_ends")
+VELOCITY_ERROR_M_S = 0.1  # of an estimator against its own position
+ERROR_TURNS_S = 30.0
 STEP_M = 1.0  # step of the reference that is predicted for a fleet file, which has no start positions
 
 
@@ -80,6 +84,8 @@ class LawAnalysis(Struct, frozen=True, kw_only=True):
     string_gain_per_hop_rad_s: float | None  # its frequency
     string_gain_to_last: float | None
     string_gain_to_last_rad_s: float | None
+    velocity_error_shift_m: float  # from the slot, by a constant VELOCITY_ERROR_M_S that the correction does not see
+    velocity_error_shift_corrected_m: float  # by one that turns once in ERROR_TURNS_S, with law.velocity_correction_1_s
     transient_peak: float | None  # largest error over the largest at the start
     worst_transient_peak: float | None  # of all starts; None for more than WORST_START_UP_TO vehicles
     time_to_10_cm_s: float | None  # by the rate alone
@@ -259,6 +265,9 @@ def _law_analysis(subject: Subject, graph: Graph, leaders: Collection[int], name
         time_to_10_cm_s=time_to_shrink_s(rate_1_s, start_error_m, SETTLED_WITHIN_M) if stable else None,
         predicted_settle_s=None if errors_m is None else settled_after_s(errors_m, SETTLED_WITHIN_M),
         leader_settle_s=_leader_settle_s(law, start_error_m) if stable else None,
+        velocity_error_shift_m=shift_m(law.gains, VELOCITY_ERROR_M_S),
+        velocity_error_shift_corrected_m=shift_m(law.gains, VELOCITY_ERROR_M_S)
+        * share_left(tau / ERROR_TURNS_S, subject.fleet.law.velocity_correction_1_s),
         predicted_max_distance_m=_extremes_m(distances_m, np.max),
         predicted_min_distance_m=_extremes_m(distances_m, np.min),
         stays_in_range=None if range_m is None else range_m >= 0.0,

@@ -7,7 +7,7 @@ from textwrap import wrap
 
 import numpy as np
 
-from companion.tools.analysis import MODEL, PREDICT_S, Analysis, LawAnalysis
+from companion.tools.analysis import ERROR_TURNS_S, MODEL, PREDICT_S, VELOCITY_ERROR_M_S, Analysis, LawAnalysis
 from companion.types.notices import Code, Notice
 
 BADLY_DAMPED = 0.3
@@ -28,6 +28,8 @@ LEGEND = f"""\
   string gain: factor by which an oscillation grows on its way from the leader, at the frequency
     where it grows most
   gamma: share of the neighbours' acceleration that is fed forward
+  shift: where a vehicle rests while its velocity disagrees with its position; corrected: with
+    velocity_correction_1_s, for an error that turns once in {ERROR_TURNS_S:g} s
   transient peak: the largest error of any vehicle over the largest at the start"""
 
 
@@ -216,6 +218,8 @@ def _law_table(analysis: Analysis) -> list[str]:
     add("  at [rad/s]", lambda law: _gain(law.string_gain_per_hop_rad_s), of_stable=True)
     add("string gain, leader to last", lambda law: _gain(law.string_gain_to_last), of_stable=True)
     add("  at [rad/s]", lambda law: _gain(law.string_gain_to_last_rad_s), of_stable=True)
+    add(f"shift by {VELOCITY_ERROR_M_S:g} m/s velocity error [m]", lambda law: f"{law.velocity_error_shift_m:.3f}")
+    add("  corrected", lambda law: f"{law.velocity_error_shift_corrected_m:.3f}")
     add("transient peak, worst start", lambda law: _gain(law.worst_transient_peak), of_stable=True)
     add("transient peak, this start", lambda law: _gain(law.transient_peak), of_stable=True)
     add("settled to 10 cm [s]", lambda law: _number(law.predicted_settle_s, 1), of_stable=True)
