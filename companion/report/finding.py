@@ -37,8 +37,9 @@ class Kind(StrEnum):
 
 
 class Finding(Struct, frozen=True, kw_only=True):
-    """`time_s` is since the first record, `lasts_s` None for a moment. `vehicle_id` None: the whole fleet.
+    """`time_s` is since the first record. `vehicle_id` None: the whole fleet.
 
+    `lasts_s` is how long it held, without pauses in between; None for a moment.
     `advice` is what to do, by `companion explain CODE`.
     """
 

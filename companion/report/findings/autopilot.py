@@ -68,16 +68,16 @@ def _of_message(message: LogMessage, vehicle_id: int, time_s: float) -> Finding:
 def _beyond(vehicle: VehicleLog, series: Series, limit: float, code: Code, text: str) -> Iterator[Finding]:
     """One finding for each time in the air with values above the limit; `text` may show the largest one."""
     beyond = (series.values > limit) & in_air_at(vehicle, series.time_s)
-    for interval, first, last in runs(series.time_s, beyond, APART_S, HELD_S):
-        largest = float(series.values[first : last + 1].max())
+    for episode in runs(series.time_s, beyond, APART_S, HELD_S):
+        largest = float(series.values[episode.first : episode.last + 1].max())
         yield finding(
             Kind.AUTOPILOT,
             Severity.WARNING,
             code,
             vehicle.vehicle_id,
-            interval.begins_s,
+            episode.interval.begins_s,
             text.format(largest),
-            interval.lasts_s,
+            episode.held_s,
         )
 
 

@@ -20,13 +20,19 @@ def too_close(pairs: Sequence[PairDistance], separation_m: float | None) -> Iter
         return
     for pair in pairs:
         distance_m = np.where(pair.judged, pair.distance_m, np.inf)
-        for interval, first, last in runs(pair.time_s, distance_m < separation_m, APART_S):
-            row = first + int(np.argmin(distance_m[first : last + 1]))
+        for episode in runs(pair.time_s, distance_m < separation_m, APART_S):
+            row = episode.first + int(np.argmin(distance_m[episode.first : episode.last + 1]))
             a, b = pair.pair
             text = (
                 f"vehicles {a} and {b} were {distance_m[row]:.2f} m apart at {pair.time_s[row]:.1f} s,"
                 f" separation_m is {separation_m:g} m"
             )
             yield finding(
-                Kind.CLOSE, Severity.CRITICAL, Code.SEPARATION_VIOLATED, a, interval.begins_s, text, interval.lasts_s
+                Kind.CLOSE,
+                Severity.CRITICAL,
+                Code.SEPARATION_VIOLATED,
+                a,
+                episode.interval.begins_s,
+                text,
+                episode.held_s,
             )

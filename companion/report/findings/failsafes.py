@@ -11,7 +11,7 @@ from companion.core.safety.failsafe import FAILSAFES, FailsafeSettings, schedule
 from companion.report.arrays import Bools
 from companion.report.finding import Finding, Kind, Severity, finding
 from companion.report.flight import VehicleLog
-from companion.report.intervals import Interval, runs
+from companion.report.intervals import Episode, runs
 from companion.types.flight import FLAG_TEXTS, STREAMING, FailsafeAction, HealthFlag
 from companion.types.notices import Code
 
@@ -53,9 +53,9 @@ def raised_flags(vehicle: VehicleLog, settings: FailsafeSettings) -> Iterator[Fi
         # The positions of all vehicles show SEPARATION_VIOLATED better than one vehicle's view: see `closeness`.
         if raised is None or flag is HealthFlag.SEPARATION_VIOLATED:
             continue
-        for interval, first, last in runs(vehicle.ticks.time_s, counting(vehicle, flag), APART_S):
-            action = _action(schedules[flag], interval, bool(streaming[first : last + 1].any()))
-            yield _of_flag(vehicle, flag, interval, action)
+        for episode in runs(vehicle.ticks.time_s, counting(vehicle, flag), APART_S):
+            streamed = bool(streaming[episode.first : episode.last + 1].any())
+            yield _of_flag(vehicle, flag, episode, _action(schedules[flag], episode, streamed))
 
 
 def counting(vehicle: VehicleLog, flag: str) -> Bools:
@@ -66,22 +66,25 @@ def counting(vehicle: VehicleLog, flag: str) -> Bools:
     )
 
 
-def _action(steps: tuple[tuple[float, FailsafeAction], ...], interval: Interval, streaming: bool) -> FailsafeAction:
-    """The strongest step that came due while the flag was raised; a warning where no step is taken."""
-    due = [action for due_s, action in steps if due_s <= interval.lasts_s + 0.02]
+def _action(steps: tuple[tuple[float, FailsafeAction], ...], episode: Episode, streaming: bool) -> FailsafeAction:
+    """The strongest step that came due while the flag was raised; a warning where no step is taken.
+
+    The steps count from when the flag is raised: once it is cleared, they begin anew.
+    """
+    due = [action for due_s, action in steps if due_s <= episode.longest_s + 0.02]
     return max(due, default=FailsafeAction.WARN) if streaming else FailsafeAction.WARN
 
 
-def _of_flag(vehicle: VehicleLog, flag: HealthFlag, interval: Interval, action: FailsafeAction) -> Finding:
+def _of_flag(vehicle: VehicleLog, flag: HealthFlag, episode: Episode, action: FailsafeAction) -> Finding:
     kind = Kind.LOST if flag in LOST_FLAGS else Kind.LATE if flag in LATE_FLAGS else Kind.FAILSAFE
     beyond = action not in (FailsafeAction.NONE, FailsafeAction.WARN, FailsafeAction.STOP_STREAM)
-    text = f"{FLAG_TEXTS[flag]} for {interval.lasts_s:.2f} s"
+    text = f"{FLAG_TEXTS[flag]} {episode.duration_text}"
     if beyond:
         text += f"; failsafe: {action.name.lower()}"
     elif action is FailsafeAction.STOP_STREAM:
-        text += "; no setpoint was sent"
+        text += "; no setpoint was sent in that time"
     severity = Severity.CRITICAL if beyond else Severity.WARNING
-    return finding(kind, severity, Code(flag), vehicle.vehicle_id, interval.begins_s, text, interval.lasts_s)
+    return finding(kind, severity, Code(flag), vehicle.vehicle_id, episode.interval.begins_s, text, episode.held_s)
 
 
 def failsafe_events(vehicle: VehicleLog) -> Iterator[Finding]:

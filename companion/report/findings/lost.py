@@ -32,17 +32,17 @@ def _lost(vehicle: VehicleLog, other: VehicleLog) -> Iterator[Finding]:
         return
     known = np.arange(fresh.size) > int(np.argmax(fresh))
     missing = ~fresh & known & statuses.in_air & _in_air_at(other, vehicle)
-    for interval, _, _ in runs(statuses.time_s, missing, APART_S, REPORT_S):
-        if interval.lasts_s >= LOST_S:
-            text = f"no packets of vehicle {other.vehicle_id} for {interval.lasts_s:.1f} s"
+    for episode in runs(statuses.time_s, missing, APART_S, REPORT_S):
+        if episode.longest_s >= LOST_S:
+            text = f"no packets of vehicle {other.vehicle_id} {episode.duration_text}"
             yield finding(
                 Kind.LOST,
                 Severity.WARNING,
                 Code.PEER_STALE,
                 vehicle.vehicle_id,
-                interval.begins_s,
+                episode.interval.begins_s,
                 text,
-                interval.lasts_s,
+                episode.held_s,
             )
 
 

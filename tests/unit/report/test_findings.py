@@ -97,6 +97,41 @@ def test_a_stale_position_is_a_warning_that_names_the_missing_setpoint() -> None
     assert "no setpoint was sent" in found.text
 
 
+def raised_twice(flag: HealthFlag, first: tuple[float, float], second: tuple[float, float]) -> Faults:
+    before, after = flagged(flag, *first), flagged(flag, *second)
+    return Faults(decision=lambda time_s, record: after.decision(time_s, before.decision(time_s, record)))
+
+
+def test_the_pauses_of_a_flag_that_comes_and_goes_do_not_count() -> None:
+    (found,) = findings_of({2: raised_twice(HealthFlag.POSITION_STALE, (20.0, 20.06), (21.7, 21.78))})
+    assert found.lasts_s == 0.14
+    assert found.text == "position older than allowed for 0.14 s within 1.78 s; no setpoint was sent in that time"
+
+
+def test_a_failsafe_comes_due_only_while_the_flag_stays_raised() -> None:
+    (found,) = findings_of({2: raised_twice(HealthFlag.ESTIMATOR_BAD, (20.0, 20.5), (21.0, 21.5))})
+    assert (found.severity, found.code, found.lasts_s) == (WARNING, Code.ESTIMATOR_BAD, 1.0)
+    assert "failsafe" not in found.text
+
+
+def test_the_pauses_of_an_encounter_do_not_count() -> None:
+    def apart_for_a_second(time_s: float, record: DecisionRecord) -> DecisionRecord:
+        return record if 20.5 <= time_s < 21.5 else near_vehicle_1(time_s, record)
+
+    (found,) = findings_of({2: Faults(decision=apart_for_a_second)})
+    assert found.lasts_s is not None
+    assert 0.9 < found.lasts_s < 1.1
+
+
+def test_packets_between_two_losses_are_not_lost() -> None:
+    def without_peer_1_twice(time_s: float, status: Status) -> Status:
+        return status if 25.3 <= time_s < 25.7 else without_peer_1(time_s, status)
+
+    (found,) = findings_of({2: Faults(status=without_peer_1_twice)})
+    assert found.text == "no packets of vehicle 1 for 0.60 s within 1.00 s"
+    assert found.lasts_s == 0.6
+
+
 def test_a_vehicle_without_a_recording_is_named() -> None:
     starts = [start for start in records_of(3) if start.header.vehicle_id != 2]
     flight = flight_of(starts)

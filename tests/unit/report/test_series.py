@@ -28,7 +28,9 @@ def test_a_run_ends_where_the_next_sample_is_not_in_it() -> None:
 def test_runs_that_are_near_each_other_are_one() -> None:
     holds = ((TIME_S >= 2.0) & (TIME_S < 3.0)) | ((TIME_S >= 4.0) & (TIME_S < 5.0))
     assert [one.interval for one in runs(TIME_S, holds)] == [pytest.approx((2.0, 3.0)), pytest.approx((4.0, 5.0))]
-    assert [one.interval for one in runs(TIME_S, holds, apart_s=1.1)] == [pytest.approx((2.0, 5.0))]
+    (one,) = runs(TIME_S, holds, apart_s=1.1)
+    assert one.interval == pytest.approx((2.0, 5.0))
+    assert (one.held_s, one.longest_s) == pytest.approx((2.0, 1.0))
 
 
 def test_a_gap_of_the_recording_is_no_evidence() -> None:
