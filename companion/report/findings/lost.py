@@ -35,6 +35,9 @@ def _lost(vehicle: VehicleLog, other: VehicleLog) -> Iterator[Finding]:
     for episode in runs(statuses.time_s, missing, APART_S, REPORT_S):
         if episode.longest_s >= LOST_S:
             text = f"no packets of vehicle {other.vehicle_id} {episode.duration_text}"
+            ended_s = _last_record_s(other, episode.interval.ends_s)
+            if episode.interval.ends_s - ended_s > REPORT_S:
+                text += f"; its records end at {ended_s:.1f} s, in the air"
             yield finding(
                 Kind.LOST,
                 Severity.WARNING,
@@ -47,10 +50,18 @@ def _lost(vehicle: VehicleLog, other: VehicleLog) -> Iterator[Finding]:
 
 
 def _in_air_at(other: VehicleLog, vehicle: VehicleLog) -> Bools:
-    """Whether the other vehicle is in the air, and its agent runs, at each report of this one."""
+    """Whether the other vehicle is in the air at each report of this one.
+
+    A vehicle whose records end in the air counts as in the air from then on: its agent may have died, not the vehicle.
+    """
     time_s, own_s = vehicle.statuses.time_s, other.ticks.time_s
     if not own_s.size:
         return np.zeros(time_s.size, dtype=np.bool_)
     row = np.clip(np.searchsorted(own_s, time_s, side="right") - 1, 0, own_s.size - 1)
-    runs_now = (time_s >= own_s[0]) & (time_s - own_s[row] < REPORT_S)
-    return np.asarray(other.in_air()[row] & runs_now, dtype=np.bool_)
+    return np.asarray(other.in_air()[row] & (time_s >= own_s[0]), dtype=np.bool_)
+
+
+def _last_record_s(vehicle: VehicleLog, until_s: float) -> float:
+    """Time of its last tick up to a time, of which there is at least one."""
+    own_s = vehicle.ticks.time_s
+    return float(own_s[np.searchsorted(own_s, until_s, side="right") - 1])

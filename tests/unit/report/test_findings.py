@@ -132,6 +132,27 @@ def test_packets_between_two_losses_are_not_lost() -> None:
     assert found.lasts_s == 0.6
 
 
+def without_peer_3(time_s: float, status: Status) -> Status:
+    """As the others report a vehicle whose agent ended at 30 s: the limit of a fresh packet passes first."""
+    return replace(status, peers=tuple(i for i in status.peers if i != 3)) if time_s >= 30.3 else status
+
+
+def test_the_others_miss_a_vehicle_whose_agent_ended_in_the_air() -> None:
+    found = findings_of({1: Faults(status=without_peer_3), 3: Faults(ends_s=30.0)}, vehicles=3)
+    assert short(found) == [(CRITICAL, Code.RECORDING_ENDS_IN_AIR, 3, 30.0), (WARNING, Code.PEER_STALE, 1, 30.3)]
+    lost = found[1]
+    assert lost.kind is Kind.LOST
+    assert lost.text == "no packets of vehicle 3 for 27.70 s; its records end at 30.0 s, in the air"
+
+
+def test_a_vehicle_that_landed_and_ended_is_not_missed() -> None:
+    def landed(time_s: float, status: Status) -> Status:
+        return replace(status, landed=LandedState.ON_GROUND) if time_s >= 29.0 else status
+
+    found = findings_of({1: Faults(status=without_peer_3), 3: Faults(ends_s=30.0, status=landed)}, vehicles=3)
+    assert found == ()
+
+
 def test_a_vehicle_without_a_recording_is_named() -> None:
     starts = [start for start in records_of(3) if start.header.vehicle_id != 2]
     flight = flight_of(starts)
