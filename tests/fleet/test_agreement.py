@@ -18,8 +18,10 @@ pytestmark = [pytest.mark.fleet, pytest.mark.timeout(300)]
 PLATOON = ROOT / "config" / "scenarios" / "platoon.yaml"
 FORMATION_S = 12.0
 # Real vehicles enter formation up to two ticks apart, depending on the start of their processes: two real flights differ, too.
-# Measured: 1 cm RMS and 3 cm at most where the first entered formation 28 ms before the last.
-RMS_M, MAX_M = 0.03, 0.06
+# And the phases of real ticks drift: states have ages of up to a tick, over which they are extrapolated. In virtual time the
+# phases are constant, and a constant delay is not known. Measured: 2.5 to 3.5 cm RMS, 6 cm at most; without extrapolation
+# 1.2 cm RMS.
+RMS_M, MAX_M = 0.05, 0.1
 
 
 def fly(how: str, folder: Path, *more: str) -> None:

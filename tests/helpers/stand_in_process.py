@@ -44,6 +44,11 @@ class StandInProcess:
         rows = csv.DictReader(line for line in lines if line.endswith("\n"))
         return [Truth(float(r["z_m"]), float(r["roll_rad"]), r["armed"] == "1", r["mode"]) for r in rows]
 
+    def first_truth(self) -> Truth:
+        """The first row, which a starved process writes late."""
+        until(lambda: bool(self.truth()), 30.0)
+        return self.truth()[0]
+
     def wait_for_mode(self, mode: str) -> None:
         until(lambda: (rows := self.truth()) and rows[-1].mode == mode, 30.0)
 

@@ -165,7 +165,7 @@ def test_a_copter_with_another_key_is_rejected(tmp_path: Path) -> None:
 
 def test_an_agent_without_a_key_moves_nothing_and_reports_the_cause(tmp_path: Path) -> None:
     with copter_with_a_key(tmp_path) as (process, _):
-        before = process.truth()[-1]
+        before = process.first_truth()
         files = files_of(tmp_path, process, None)
         with agent(files) as running, FleetSession("processtest", (files.zenoh,)) as session:
             running.wait_for_log("the autopilot signs its packets and may ignore unsigned ones: set signing")
