@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import sys
 import time
 from dataclasses import dataclass
@@ -11,7 +13,8 @@ from pathlib import Path
 import msgspec
 
 from companion.recording.reader import RecordingError
-from companion.report.autopilot.files import log_files, read_logs
+from companion.report.autopilot.files import log_files, named_logs, read_logs
+from companion.report.autopilot.log import LogError
 from companion.report.finding import Severity, rows_of
 from companion.report.judge import judged
 from companion.report.load import load
@@ -46,18 +49,21 @@ class Steps:
 
 
 def run_report(options: ReportOptions) -> int:
-    """The exit code. Raises ReportError."""
+    """The exit code. Raises ReportError, before the recordings are read where an argument cannot be used."""
     steps = Steps()
     out = options.out or (options.folder if options.folder.is_dir() else options.folder.parent) / FILE_NAME
+    if options.folder.exists():
+        _check_writable(out)
     try:
+        named = named_logs(options.logs)
         flight = load(options.folder, steps.show)
-    except RecordingError as error:
+    except (LogError, RecordingError) as error:
         raise ReportError(str(error)) from error
     steps.show(f"{flight.ends_s:.0f} s of flight are read")
     files = log_files(options.folder, options.logs)
-    logs = read_logs(files, flight)
-    if files:
-        steps.show(f"{len(logs.matched)} of {len(files)} logs of autopilots belong to this flight")
+    logs = read_logs(files, flight, named)
+    if named or files:
+        steps.show(f"{len(logs.matched)} of {len(named) + len(files)} logs of autopilots are used")
     one = judged(flight, logs)
     steps.show("the figures are drawn")
     html = page_of(one, _local_zone(flight.begin_unix_s))
@@ -75,11 +81,33 @@ def _local_zone(unix_s: float) -> tzinfo:
     return zone
 
 
+def _check_writable(out: Path) -> None:
+    """Raises ReportError."""
+    try:
+        if out.is_dir():
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+        _part_of(out).touch()
+        _part_of(out).unlink()
+    except OSError as error:
+        raise _not_written(out, error) from error
+
+
 def _write(out: Path, html: str) -> None:
     """As a whole or not at all. Raises ReportError."""
-    part = out.with_name(f"{out.name}.part")
+    part = _part_of(out)
     try:
         part.write_text(html, encoding="utf-8")
         part.replace(out)
     except OSError as error:
-        raise ReportError(f"{out}: cannot be written: {error.strerror}; choose another file with --out") from error
+        raise _not_written(out, error) from error
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def _part_of(out: Path) -> Path:
+    """The page while it is not complete."""
+    return out.with_name(f"{out.name}.part")
+
+
+def _not_written(out: Path, error: OSError) -> ReportError:
+    return ReportError(f"{out}: cannot be written: {error.strerror}; choose another file with --out")

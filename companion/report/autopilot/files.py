@@ -19,7 +19,7 @@ MAX_LOG_BYTES = 2_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class AutopilotLogs:
-    """The logs that belong to the flight, and a finding for each that does not, or cannot be read."""
+    """The logs that belong to the flight, and a finding for each that does not, or of the folder that cannot be read."""
 
     matched: tuple[MatchedLog, ...] = ()
     left_out: tuple[Finding, ...] = ()
@@ -28,25 +28,39 @@ class AutopilotLogs:
 NO_LOGS = AutopilotLogs()
 
 
+def named_logs(paths: Sequence[Path]) -> tuple[AutopilotLog, ...]:
+    """Those that the command line names, each once. Raises LogError, which names the file."""
+    return tuple(_named_log(path) for path in {path.resolve(): path for path in paths}.values())
+
+
+def _named_log(path: Path) -> AutopilotLog:
+    try:
+        return read_log(path)
+    except LogError as error:
+        raise LogError(f"{path}: {error}") from error
+
+
 def log_files(folder: Path, named: Sequence[Path]) -> tuple[Path, ...]:
-    """Those named, and those in the folder, each once."""
-    inside = [path for path in sorted(folder.rglob("*")) if path.suffix.lower() in SUFFIXES] if folder.is_dir() else []
-    return tuple(dict.fromkeys([*named, *inside]))
+    """Those in the folder that are not named."""
+    known = {path.resolve() for path in named}
+    inside = sorted(folder.rglob("*")) if folder.is_dir() else []
+    return tuple(path for path in inside if path.suffix.lower() in SUFFIXES and path.resolve() not in known)
 
 
-def read_logs(files: Sequence[Path], flight: RecordedFlight) -> AutopilotLogs:
-    """All logs with their vehicles and times."""
-    matched, left_out = [], []
+def read_logs(files: Sequence[Path], flight: RecordedFlight, named: Sequence[AutopilotLog] = ()) -> AutopilotLogs:
+    """All logs, and those of the command line, with their vehicles and times."""
+    logs, left_out = [*named], []
     for path in files:
         try:
-            found = match(read_log(path), flight)
+            logs.append(read_log(path))
         except LogError as error:
             left_out.append(_left_out(Code.LOG_UNREADABLE, f"{path.name}: {error}"))
-            continue
-        if found:
+    matched = []
+    for log in logs:
+        if found := match(log, flight):
             matched.append(found)
         else:
-            text = f"{path.name}: no recorded vehicle moved as this log says; it is left out"
+            text = f"{log.name}: no recorded vehicle moved as this log says; it is left out"
             left_out.append(_left_out(Code.LOG_NOT_ALIGNED, text))
     return AutopilotLogs(tuple(sorted(matched, key=lambda one: one.vehicle_id)), tuple(left_out))
 

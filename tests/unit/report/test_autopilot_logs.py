@@ -124,9 +124,11 @@ def test_logs_of_the_stand_ins_are_read(kind: AutopilotKind, suffix: str, tmp_pa
     assert log.altitude_m.values.size > 20
 
 
-def test_logs_in_the_folder_and_named_ones_are_found_once(tmp_path: Path) -> None:
+def test_logs_in_the_folder_are_found_where_they_are_not_named(tmp_path: Path) -> None:
     inside, outside = tmp_path / "flight" / "logs" / "a.ULG", tmp_path / "b.bin"
     inside.parent.mkdir(parents=True)
     for path in (inside, outside):
         path.touch()
-    assert log_files(tmp_path / "flight", [outside, inside]) == (outside, inside)
+    folder = tmp_path / "flight"
+    assert log_files(folder, [outside]) == (inside,)
+    assert log_files(folder, [outside, folder / ".." / "flight" / "logs" / "a.ULG"]) == ()

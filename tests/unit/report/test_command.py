@@ -101,6 +101,42 @@ def test_an_empty_folder_is_exit_code_2_with_one_line(tmp_path: Path, capsys: py
     assert line.startswith(f"companion report: {tmp_path}: no recordings here")
 
 
+@pytest.mark.parametrize(
+    ("name", "content", "reason"),
+    [
+        ("missing.bin", None, "cannot be read: No such file or directory"),
+        ("notes.md", b"no log", "expected a name that ends in .ulg (PX4) or .bin (ArduPilot)"),
+        ("damaged.ulg", b"no log at all", "not a ULog that can be read"),
+    ],
+)
+def test_a_named_log_that_cannot_be_used_is_exit_code_2_before_the_work(
+    name: str, content: bytes | None, reason: str, flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    assert main(["report", str(flown), "--log", str(tmp_path / name), "--out", str(tmp_path / "a.html")]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"companion report: {tmp_path / name}: {reason}")
+    assert not (tmp_path / "a.html").exists()
+
+
+def test_a_log_in_the_folder_that_cannot_be_read_is_a_finding(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_recordings(tmp_path, records_of(1, SECONDS))
+    (tmp_path / "damaged.ulg").write_text("no log at all")
+    assert codes(tmp_path, capsys) == (0, [("LOG_UNREADABLE", None)])
+
+
+@pytest.mark.parametrize("out", ["missing/a.html", ""])
+def test_a_page_that_cannot_be_written_is_found_before_the_work(
+    out: str, flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["report", str(flown), "--out", str(tmp_path / out)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "cannot be written: " in line
+
+
 def test_a_page_that_cannot_be_written_is_exit_code_2(flown: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["report", str(flown), "--out", str(flown / "missing" / "a.html")]) == 2
     assert "cannot be written: No such file or directory; choose another file with --out" in capsys.readouterr().err
