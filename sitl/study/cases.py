@@ -53,7 +53,7 @@ class Case:
             fleet=FleetConfig(
                 name=self.shape.name,
                 origin=ORIGIN,
-                vehicles=members_of(self.shape.slots_enu_m),
+                vehicles=members_of(self.shape.slots_enu_m, self.shape.leaders),
                 neighbours=EdgeNeighbours(edges=self.shape.edges),
                 law=self.setting.law,
                 takeoff_height_m=HEIGHT_M,

@@ -8,7 +8,7 @@ import numpy as np
 
 from sitl.study.cases import BAD_LINKS, GOOD_LINKS, Case, Sensing
 from sitl.study.settings import COOPERATIVE, MAIN, SETTINGS, Setting
-from sitl.study.shapes import Shape, chain, grid, random_geometric, ring
+from sitl.study.shapes import Shape, chain, chain_led_at_both_ends, grid, random_geometric, ring
 from sitl.vehicle.config import Airframe, Links
 
 SHAPES_SEED = 1
@@ -48,7 +48,14 @@ def shapes(full: bool) -> list[Shape]:
 
 def compared_shapes() -> list[Shape]:
     """Those in which the candidates for `cooperative` are compared, deep ones above all."""
-    return [chain(16), chain(100), ring(64), grid(10, 10), random_geometric(100, np.random.default_rng(SHAPES_SEED))]
+    return [
+        chain(16),
+        chain(100),
+        chain_led_at_both_ends(100),
+        ring(64),
+        grid(10, 10),
+        random_geometric(100, np.random.default_rng(SHAPES_SEED)),
+    ]
 
 
 def quiet_batches(full: bool, duration_s: float) -> list[Batch]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 from companion.config.fleet import Envelope, FormationMember, GeodeticOrigin
 from companion.types.flight import Role
@@ -12,10 +12,10 @@ from sitl.study.shapes import LEADER
 ORIGIN = GeodeticOrigin(latitude_deg=47.397742, longitude_deg=8.545594, altitude_amsl_m=488.0)
 
 
-def members_of(slots_enu_m: Mapping[int, Vector3]) -> tuple[FormationMember, ...]:
-    """Members in rising order of their ids, with LEADER as the leader."""
+def members_of(slots_enu_m: Mapping[int, Vector3], leaders: Collection[int] = (LEADER,)) -> tuple[FormationMember, ...]:
+    """Members in rising order of their ids."""
     return tuple(
-        FormationMember(id=i, role=Role.LEADER if i == LEADER else Role.FOLLOWER, slot_enu_m=slots_enu_m[i])
+        FormationMember(id=i, role=Role.LEADER if i in leaders else Role.FOLLOWER, slot_enu_m=slots_enu_m[i])
         for i in sorted(slots_enu_m)
     )
 

@@ -1,7 +1,7 @@
 """Formations of any size: chain, ring, grid and random geometric graph, as slots and undirected edges.
 
-Vehicle 1 is the leader, with its slot at the origin. Shapes of more than 250 vehicles have no valid vehicle ids and serve for
-spectra only.
+Vehicle 1 is a leader, in most shapes the only one, with its slot at the origin. Shapes of more than 250 vehicles have no valid
+vehicle ids and serve for spectra only.
 """
 
 from __future__ import annotations
@@ -28,11 +28,12 @@ Point = tuple[float, float]  # x, y [m]
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """Slots d_i0 by vehicle id, and each pair of neighbours once, with the smaller id first."""
+    """Slots d_i0 by vehicle id, each pair of neighbours once, with the smaller id first, and the ids of the leaders."""
 
     name: str
     slots_enu_m: dict[int, Vector3]
     edges: tuple[tuple[int, int], ...]
+    leaders: tuple[int, ...] = (LEADER,)
 
     def adjacency(self) -> dict[int, list[int]]:
         """Neighbour ids of every vehicle, in rising order."""
@@ -48,6 +49,12 @@ def chain(n: int) -> Shape:
     _need(n)
     slots: dict[int, Vector3] = {i: (0.0 - SPACING_M * (i - 1), 0.0, 0.0) for i in range(1, n + 1)}
     return Shape(f"chain-{n}", slots, tuple(pairwise(range(1, n + 1))))
+
+
+def chain_led_at_both_ends(n: int) -> Shape:
+    """A chain with leaders 1 and n: two waves that meet in the middle."""
+    one = chain(n)
+    return Shape(f"chain-{n}-led-at-both-ends", one.slots_enu_m, one.edges, (LEADER, n))
 
 
 def ring(n: int) -> Shape:

@@ -28,7 +28,7 @@ from sitl.study.selection import (
 )
 from sitl.study.selection_figure import save_selection
 from sitl.study.settings import AVERAGE_22, COOPERATIVE, MAIN, SETTINGS, WEIGHTED, Setting, parameters_text
-from sitl.study.shapes import chain
+from sitl.study.shapes import chain, chain_led_at_both_ends
 from sitl.study.study import Study
 from sitl.study.table import table_text
 
@@ -283,3 +283,9 @@ def test_every_condition_is_flown_and_the_leader_alone_settles_first(tmp_path: P
 
 def test_the_setting_of_cooperative_is_a_candidate() -> None:
     assert law_of(COOPERATIVE.law) in [law_of(candidate.law) for candidate in CANDIDATES]
+
+
+def test_a_chain_led_at_both_ends_settles_sooner_than_one_led_at_one_end() -> None:
+    both, one = (fly([Case(shape, AVERAGE_22)], 90.0)[0] for shape in (chain_led_at_both_ends(5), chain(5)))
+    assert both.settle_s is not None
+    assert one.settle_s is None or both.settle_s < 0.5 * one.settle_s
