@@ -286,6 +286,6 @@ def test_the_setting_of_cooperative_is_a_candidate() -> None:
 
 
 def test_a_chain_led_at_both_ends_settles_sooner_than_one_led_at_one_end() -> None:
-    both, one = (fly([Case(shape, AVERAGE_22)], 90.0)[0] for shape in (chain_led_at_both_ends(5), chain(5)))
+    both, one = (fly([Case(shape, AVERAGE_22)], 40.0)[0] for shape in (chain_led_at_both_ends(4), chain(4)))
     assert both.settle_s is not None
     assert one.settle_s is None or both.settle_s < 0.5 * one.settle_s
