@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import degrees
+from math import degrees, inf
 
 from companion.core.agent import Decision
 from companion.core.consensus.law import FormationLaw, used_weights
@@ -26,7 +26,7 @@ def decision_record(decision: Decision, law: FormationLaw) -> DecisionRecord:
     target, separation, reference, now_s = setpoint.target, setpoint.separation, guidance.reference, decision.now_s
     nearest, battery_percent = separation.nearest, decision.perception.fitness.battery_percent
     role, leader = consensus.role, consensus.leader_beacon
-    ids = consensus.neighbour_ids
+    ids, located = consensus.neighbour_ids, vehicle.position_time_s > -inf
     return DecisionRecord(
         now_s=round(now_s, 6),
         phase=decision.flight.phase.value,
@@ -34,8 +34,8 @@ def decision_record(decision: Decision, law: FormationLaw) -> DecisionRecord:
         leader_id=leader.leader_id if leader else None,
         epoch=consensus.epoch,
         prc=consensus.prc,
-        position_enu_m=rounded(vehicle.position_enu_m, LENGTH),
-        velocity_enu_m_s=rounded(vehicle.velocity_enu_m_s, VELOCITY),
+        position_enu_m=rounded(vehicle.position_enu_m, LENGTH) if located else None,
+        velocity_enu_m_s=rounded(vehicle.velocity_enu_m_s, VELOCITY) if located else None,
         slot_offset_enu_m=rounded(guidance.slot.position_enu_m, 3),
         reference_enu_m=rounded(reference.position_enu_m, 3) if reference and role is Role.LEADER else None,
         neighbours=ids,

@@ -50,8 +50,8 @@ class DecisionRecord(Struct, frozen=True, kw_only=True):
     leader_id: int | None
     epoch: int
     prc: int
-    position_enu_m: Vector3
-    velocity_enu_m_s: Vector3
+    position_enu_m: Vector3 | None  # None before there is one in the fleet frame, like the velocity
+    velocity_enu_m_s: Vector3 | None
     slot_offset_enu_m: Vector3  # turned to the heading of the formation
     reference_enu_m: Vector3 | None  # leaders only
     neighbours: tuple[int, ...]

@@ -56,6 +56,11 @@ class Ticks:
     flags: Mapping[str, Bools]
 
     @property
+    def located(self) -> Bools:
+        """Whether there is a position."""
+        return ~np.isnan(self.position_enu_m[:, 0])
+
+    @property
     def flying(self) -> Bools:
         """By the phase of the agent."""
         return np.isin(self.phase, FLYING_PHASES)

@@ -39,13 +39,16 @@ def tracks(flight: RecordedFlight, pairs: Sequence[PairDistance]) -> Picture:
     dress(axes, "north [m]")
     axes.set_xlabel("east [m]", fontsize=8.5)
     finish(figure, [axes])
-    caption = "Open symbols: first record; filled: last record. Fence and obstacles are drawn where they are in view."
+    caption = (
+        "Open symbols: first position; filled: last position. Fence and obstacles are drawn where they are in view."
+    )
     return picture(figure, "tracks", "Tracks from above", caption)
 
 
 def _view(flight: RecordedFlight) -> tuple[Range, Range]:
     """What the tracks cover, with a margin: a far fence does not make them small."""
-    positions = [vehicle.ticks.position_enu_m[:, :2] for vehicle in flight.vehicles if vehicle.ticks.time_s.size]
+    tracks_m = [vehicle.ticks.position_enu_m[vehicle.ticks.located, :2] for vehicle in flight.vehicles]
+    positions = [track_m for track_m in tracks_m if track_m.size]
     if not positions:
         return (-1.0, 1.0), (-1.0, 1.0)
     low, high = np.min([p.min(axis=0) for p in positions], axis=0), np.max([p.max(axis=0) for p in positions], axis=0)
@@ -61,7 +64,7 @@ def _height_in(x_range: Range, y_range: Range) -> float:
 
 
 def _draw_track(axes: Axes, vehicle: VehicleLog, index: int) -> None:
-    position = vehicle.ticks.position_enu_m
+    position = vehicle.ticks.position_enu_m[vehicle.ticks.located]
     if not position.size:
         return
     begin = (float(position[0, 0]), float(position[0, 1]))

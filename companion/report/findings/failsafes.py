@@ -101,6 +101,10 @@ def disarmed_in_air(vehicle: VehicleLog) -> Iterator[Finding]:
     fell = np.flatnonzero(statuses.armed[:-1] & ~statuses.armed[1:] & statuses.in_air[:-1] & statuses.in_air[1:])
     for row in fell:
         time_s = float(statuses.time_s[row + 1])
-        height_m = float(np.interp(time_s, vehicle.ticks.time_s, vehicle.ticks.position_enu_m[:, 2]))
-        text = f"disarmed in the air, {height_m:.1f} m above the origin, in mode {statuses.mode[row]}"
+        text = f"disarmed in the air, {_height_text(vehicle, time_s)}, in mode {statuses.mode[row]}"
         yield finding(Kind.FAILSAFE, Severity.CRITICAL, Code.AUTOPILOT_DISARMED, vehicle.vehicle_id, time_s, text)
+
+
+def _height_text(vehicle: VehicleLog, time_s: float) -> str:
+    height_m = float(np.interp(time_s, vehicle.ticks.time_s, vehicle.ticks.position_enu_m[:, 2]))
+    return "at an unknown height" if np.isnan(height_m) else f"{height_m:.1f} m above the origin"

@@ -8,10 +8,13 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from autopilot_log_files import write_ulog
+from companion.recording.records import DecisionRecord
 from companion.report.autopilot.files import read_logs
 from companion.report.figures.style import COLUMNS, STYLES, look, thinned
+from companion.report.figures.tracks import _view
 from companion.report.finding import Kind, Severity, finding, rows_of
 from companion.report.judge import judged
 from companion.report.page import page_of, prose
@@ -153,6 +156,20 @@ def test_the_page_of_a_vehicle_alone_has_no_figure_of_pairs() -> None:
     parsed.feed(page_of(judged(flight_of(records_of(1, 24.0))), ZONE))
     assert not {"distances", "flags", "weights", "topology", "autopilot-1"} & set(parsed.figures)
     assert {"tracks", "errors", "timing"} <= set(parsed.figures)
+
+
+def test_a_track_begins_at_the_first_position() -> None:
+    def located_from_4_s(time_s: float, record: DecisionRecord) -> DecisionRecord:
+        if time_s >= 4.0:
+            return replace(record, position_enu_m=(50.0, 60.0, 0.0))
+        return replace(record, position_enu_m=None, velocity_enu_m_s=None)
+
+    def never_located(_time_s: float, record: DecisionRecord) -> DecisionRecord:
+        return replace(record, position_enu_m=None, velocity_enu_m_s=None)
+
+    flight = flight_of(records_of(2, 24.0, {1: Faults(decision=located_from_4_s), 2: Faults(decision=never_located)}))
+    assert "tracks" in page_of(judged(flight), ZONE)
+    assert _view(flight) == ((49.0, 51.0), (59.0, 61.0))
 
 
 def test_what_is_drawn_keeps_every_peak() -> None:

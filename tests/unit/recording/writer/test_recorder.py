@@ -73,6 +73,18 @@ def test_every_tick_is_recorded_exactly(tmp_path: Path) -> None:
     assert first.log_time == round(BEGAN_UNIX_S * 1e9) + 20_000_000
 
 
+def test_a_decision_has_no_position_before_the_first_one(tmp_path: Path) -> None:
+    recording = recorder(tmp_path, WritingAtOnce())
+    flight = flight_with(recording)
+    flight.loop.tick(flight.now_s)  # without telemetry
+    flight.fly_to(P.FORMATION)
+    recording.close()
+    (recorded,) = recordings(tmp_path, print)
+    decisions = [record.value for record in recorded.read([DECISION], print)]
+    assert (decisions[0].position_enu_m, decisions[0].velocity_enu_m_s) == (None, None)
+    assert decisions[-1].position_enu_m[2] > 1.0
+
+
 def test_a_full_disk_costs_records_and_no_tick(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     disk = Disk(monkeypatch)
     flight: FailingFlight
