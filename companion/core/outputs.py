@@ -27,7 +27,7 @@ from companion.types.flight import FlightPhase, Role
 from companion.types.notices import Notice
 from companion.types.peers import PeerPacket
 from companion.types.rejections import counted
-from companion.types.status import Status
+from companion.types.status import NO_STATE_AGE_S, Status
 
 STATUS_PERIOD_S = 0.099  # every fifth tick of 50 Hz, also where a tick comes a little early
 
@@ -159,7 +159,7 @@ class ReportStage:
             landed=vehicle.landed,
             position_enu_m=vehicle.position_enu_m,
             velocity_enu_m_s=vehicle.velocity_enu_m_s,
-            state_age_s=min(1e6, now_s - vehicle.position_time_s),
+            state_age_s=min(NO_STATE_AGE_S, now_s - vehicle.position_time_s),
             hover_thrust_norm=setpoint.hover_thrust_norm,
             disturbance_enu_m_s2=setpoint.disturbance_enu_m_s2,
             role=consensus.role,

@@ -13,6 +13,7 @@ from companion.types.formation import EAST, FlownSlot, Heading, HeldReference, L
 from companion.types.notices import Notice
 from companion.types.separation import SeparationReport
 
+NO_STATE_AGE_S = 1e6  # before the first position, or as good as that
 OfNeighbours = Annotated[tuple[Finite, ...], Meta(max_length=MAX_VEHICLES)]
 
 
@@ -48,7 +49,7 @@ class Status(Struct, frozen=True, gc=False):
     landed: LandedState
     position_enu_m: FiniteVector
     velocity_enu_m_s: FiniteVector
-    state_age_s: Finite
+    state_age_s: Finite  # NO_STATE_AGE_S at most: then there is neither position nor velocity
     hover_thrust_norm: Finite  # estimated, or its initial value
     disturbance_enu_m_s2: FiniteVector  # estimated acceleration by wind, without drag; z is always 0
     role: Role

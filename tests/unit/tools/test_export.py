@@ -1,17 +1,20 @@
 """Recordings as CSV files: names with units, one time for all vehicles."""
 
 import csv
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 from msgspec.structs import replace
 
 from companion.cli.main import main
+from companion.recording.reader import Recording
 from companion.recording.records import DECISION, STATUS, DecisionRecord
 from companion.tools.columns import Table
 from companion.types.autopilot import PositionError
 from companion.types.formation import LeaderBeacon
 from companion.types.notices import Code, Notice
+from companion.types.status import NO_STATE_AGE_S
 from companion.wire.ground import StatusReport
 from directed_flight import TIMING, status
 from recording_files import HEADER, RecordingFile
@@ -61,7 +64,7 @@ def rows(path: Path) -> list[dict[str, str]]:
 
 def test_decisions_have_units_and_empty_cells(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     record(tmp_path / "a.mcap")
-    assert main(["export", str(tmp_path), "--csv"]) == 0
+    assert main(["export", str(tmp_path)]) == 0
     first, second = rows(tmp_path / "csv" / "vehicle-1_decision.csv")
     assert (first["time_s"], first["unix_s"]) == ("1.0", f"{HEADER.unix_s + 1.0}")
     assert (first["position_east_m"], first["position_north_m"], first["position_up_m"]) == ("1.5", "-2.0", "3.0")
@@ -72,9 +75,44 @@ def test_decisions_have_units_and_empty_cells(tmp_path: Path, capsys: pytest.Cap
     assert "vehicle-1_decision.csv: 2 rows" in capsys.readouterr().out
 
 
+def test_position_and_velocity_are_empty_before_the_first_position(tmp_path: Path) -> None:
+    file = RecordingFile(tmp_path / "a.mcap", HEADER)
+    file.write(DECISION, 101.0, replace(DECISION_1, position_enu_m=None, velocity_enu_m_s=None))
+    file.write(STATUS, 101.0, StatusReport(replace(status(1), state_age_s=NO_STATE_AGE_S), TIMING))
+    file.close()
+    assert main(["export", str(tmp_path)]) == 0
+    (decision,) = rows(tmp_path / "csv" / "vehicle-1_decision.csv")
+    assert {decision[name] for name in ("position_east_m", "position_up_m", "velocity_north_m_s")} == {""}
+    (row,) = rows(tmp_path / "csv" / "vehicle-1_status.csv")
+    names = ("status_state_age_s", "status_position_east_m", "status_position_up_m", "status_velocity_north_m_s")
+    assert {row[name] for name in names} == {""}
+    assert row["status_reference_east_m"] == "0.0"
+
+
+def test_an_interrupted_export_leaves_complete_files_alone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    record(tmp_path / "a.mcap")
+    older = tmp_path / "csv" / "vehicle-1_status.csv"
+    older.parent.mkdir()
+    older.write_text("older")
+    read = Recording.read
+
+    def interrupted(self: Recording, topics: list[str], report: Callable[[str], None]) -> Iterator[object]:
+        yield from read(self, topics, report)
+        if STATUS in topics:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(Recording, "read", interrupted)
+    assert main(["export", str(tmp_path)]) == 130
+    assert {path.name for path in older.parent.iterdir()} == {"vehicle-1_decision.csv", older.name}
+    assert older.read_text() == "older"
+    assert "vehicle-1_decision.csv: 2 rows" in capsys.readouterr().out
+
+
 def test_a_status_is_flat(tmp_path: Path) -> None:
     record(tmp_path / "a.mcap")
-    assert main(["export", str(tmp_path / "a.mcap"), "--csv", "--out", str(tmp_path / "out")]) == 0
+    assert main(["export", str(tmp_path / "a.mcap"), "--out", str(tmp_path / "out")]) == 0
     (row,) = rows(tmp_path / "out" / "vehicle-1_status.csv")
     assert row["status_phase"] == "observe"
     assert row["status_armed"] == "0"
@@ -108,7 +146,7 @@ def test_vehicles_have_one_time(tmp_path: Path, capsys: pytest.CaptureFixture[st
     record(tmp_path / "1.mcap")
     record(tmp_path / "2.mcap", vehicle_id=2, unix_s=HEADER.unix_s + 3.0)
     record(tmp_path / "3.mcap", vehicle_id=2, unix_s=HEADER.unix_s + 60.0, session=2)
-    assert main(["export", str(tmp_path), "--csv"]) == 0
+    assert main(["export", str(tmp_path)]) == 0
     folder = tmp_path / "csv"
     assert [rows(folder / f"{name}_decision.csv")[0]["time_s"] for name in ("vehicle-1", "vehicle-2_start-1")] == [
         "1.0",
@@ -119,12 +157,12 @@ def test_vehicles_have_one_time(tmp_path: Path, capsys: pytest.CaptureFixture[st
 
 
 def test_what_cannot_be_exported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["export", str(tmp_path), "--csv"]) == 2
+    assert main(["export", str(tmp_path)]) == 2
     assert "no recordings here" in capsys.readouterr().err
     record(tmp_path / "ground.mcap", vehicle_id=0)
-    assert main(["export", str(tmp_path), "--csv"]) == 2
+    assert main(["export", str(tmp_path)]) == 2
     assert "only the ground recorded here" in capsys.readouterr().err
     record(tmp_path / "a.mcap")
     (tmp_path / "file").write_text("")
-    assert main(["export", str(tmp_path), "--csv", "--out", str(tmp_path / "file")]) == 2
+    assert main(["export", str(tmp_path), "--out", str(tmp_path / "file")]) == 2
     assert "cannot be written" in capsys.readouterr().err
