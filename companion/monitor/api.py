@@ -229,6 +229,12 @@ class FleetFileView(Struct, frozen=True, kw_only=True):
     tiles: bool = False  # whether this server has a folder of map tiles
 
 
+class ControlView(Struct, frozen=True):
+    """`GET /api/v1/control`: whether the token of this request is that of the server, so that it would take commands."""
+
+    allowed: bool
+
+
 class CommandRequest(Struct, frozen=True, forbid_unknown_fields=True):
     """`POST /api/v1/commands`, only with --control. `name` is an action of `companion fleet`.
 

@@ -26,6 +26,7 @@ from companion.monitor.api import (
     AnswerView,
     CommandRequest,
     CommandResult,
+    ControlView,
     EventView,
     FleetFileView,
     FleetView,
@@ -42,7 +43,7 @@ from companion.monitor.api import (
 from page_fleet import fleet_file, fleet_of, vehicles_at
 
 PAGE = Path(companion.monitor.__file__).parent / "page"
-TOKEN = "a-token-of-this-test"
+TOKEN = "a-token-of-this-test"  # until a test changes that of its server
 POLICY = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; base-uri 'none'"
 Kind = Literal["event", "phase", "command", "answer", "alarm"]
 Change = Callable[[list[VehicleView]], list[VehicleView]]
@@ -56,6 +57,7 @@ class PageServer:
     def __init__(self, count: int = 4, *, may_control: bool = False, port: int = 0) -> None:
         self.count = count
         self.may_control = may_control
+        self.token = TOKEN
         self.port = port
         self.change: Change = lambda vehicles: vehicles
         self.alarms: list[AlarmView] = []
@@ -79,7 +81,7 @@ class PageServer:
 
     @property
     def control_url(self) -> str:
-        return f"{self.url}#token={TOKEN}"
+        return f"{self.url}#token={self.token}"
 
     def __enter__(self) -> PageServer:
         self._thread = threading.Thread(target=lambda: asyncio.run(self._serve()), daemon=True)
@@ -155,6 +157,7 @@ class PageServer:
                 web.get("/api/v1/live", self._live),
                 web.get("/api/v1/history", self._history),
                 web.get("/api/v1/fleets/{name}", self._fleet),
+                web.get("/api/v1/control", self._control),
                 web.post("/api/v1/commands", self._command),
                 web.post("/api/v1/preview", self._preview),
                 web.post("/api/v1/alarms/{id}/acknowledge", self._acknowledge),
@@ -205,8 +208,11 @@ class PageServer:
     async def _fleet(self, _: web.Request) -> web.Response:
         return _json(self.file())
 
+    async def _control(self, request: web.Request) -> web.Response:
+        return _json(ControlView(self.may_control and request.headers.get("X-Companion-Token") == self.token))
+
     async def _command(self, request: web.Request) -> web.Response:
-        if request.headers.get("X-Companion-Token") != TOKEN:
+        if request.headers.get("X-Companion-Token") != self.token:
             return _json({"error": "the token is missing or wrong"}, status=403)
         command = msgspec.json.decode(await request.read(), type=CommandRequest)
         self.commands.append(command)
@@ -239,7 +245,7 @@ class PageServer:
         return _json(Preview(paths=paths, smallest_separation_m=2.81, lasts_s=6.2))
 
     async def _acknowledge(self, request: web.Request) -> web.Response:
-        if self.may_control and request.headers.get("X-Companion-Token") != TOKEN:
+        if self.may_control and request.headers.get("X-Companion-Token") != self.token:
             return _json({"error": "the token is missing or wrong"}, status=403)
         number = int(request.match_info["id"])
         self.alarms = [structs.replace(a, acknowledged=True) if a.id == number else a for a in self.alarms]

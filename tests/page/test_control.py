@@ -37,7 +37,7 @@ def test_a_dangerous_action_is_sent_only_when_it_is_held(open_page: OpenPage) ->
         page = open_page(server.control_url)
         assert "token" not in page.url  # nor in the address bar
         hold(page, "takeoff", SHORTLY_MS)
-        expect(page.locator("#banner")).to_contain_text('Hold "Take off" for a second')
+        expect(page.locator("#hint")).to_contain_text('Hold "Take off" for a second')
         assert server.commands == []
         hold(page, "takeoff")
         until(page, lambda: len(server.commands) == 1)
@@ -153,7 +153,7 @@ def test_the_abort_button_is_held_for_half_a_second(open_page: OpenPage) -> None
         abort = page.locator("#abort")
         expect(abort).to_be_in_viewport()
         abort.click()
-        expect(page.locator("#banner")).to_contain_text("Hold ABORT for half a second")
+        expect(page.locator("#hint")).to_contain_text("Hold ABORT for half a second")
         assert server.commands == []
         abort.hover()
         page.mouse.down()
@@ -167,7 +167,7 @@ def test_an_alarm_is_acknowledged_by_a_page_with_the_token(open_page: OpenPage) 
         server.alarm(2, "BATTERY_LOW")
         without = open_page(server.url)
         without.locator("[data-alarm='1'] button").click()
-        expect(without.locator("#banner")).to_contain_text("Not acknowledged: the token is missing")
+        expect(without.locator("#hint")).to_contain_text("Not acknowledged: the token is missing")
         open_page(server.control_url).locator("[data-alarm='1'] button").click()
         expect(without.locator("[data-alarm='1']")).to_contain_text("acknowledged")
 
@@ -177,3 +177,35 @@ def test_without_its_token_the_page_says_how_to_get_control(open_page: OpenPage)
         page = open_page(server.url)
         expect(page.locator("#control")).to_contain_text("without the token")
         expect(page.locator("[data-action]")).to_have_count(0)
+
+
+def test_a_restarted_server_ends_control_until_its_new_url_is_opened(open_page: OpenPage) -> None:
+    with PageServer(may_control=True) as server:
+        page = open_page(server.control_url)
+        expect(page.locator("[data-action=hold]")).to_be_enabled()
+        server.stop()
+        port = server.port
+    with PageServer(may_control=True, port=port) as server:
+        server.token = "of-the-new-start"
+        expect(page.locator("#banner .no-control")).to_contain_text("this page commands no vehicle, ABORT included")
+        expect(page.locator("[data-action]")).to_have_count(0)
+        page.locator("#abort").hover()
+        page.mouse.down()
+        expect(page.locator("#banner .abort-error")).to_contain_text(
+            "ABORT was not sent: the token is missing or wrong"
+        )
+        page.mouse.up()
+        page.goto(server.control_url)  # the same tab: only the part after # differs
+        expect(page.locator("[data-action=hold]")).to_be_enabled()
+        expect(page.locator("#banner p")).to_have_count(0)
+        assert page.url == server.url
+
+
+def test_a_notice_moves_no_button(open_page: OpenPage) -> None:
+    with PageServer(may_control=True) as server:
+        page = open_page(server.control_url)
+        before = page.locator("[data-action=land]").bounding_box()
+        page.locator("[data-action=land]").click()
+        expect(page.locator("#hint")).to_contain_text('Hold "Land" for a second')
+        assert page.locator("[data-action=land]").bounding_box() == before
+        assert server.commands == []

@@ -9,7 +9,7 @@ from typing import TypeVar
 import msgspec
 from aiohttp import web
 
-from companion.monitor.api import CommandRequest
+from companion.monitor.api import CommandRequest, ControlView
 from companion.monitor.control.commander import Commander
 from companion.monitor.server.access import add_headers, error, guard, has_token
 from companion.monitor.server.clients import MOST_CLIENTS, Clients
@@ -47,6 +47,7 @@ class Site:
                 web.get(f"{api}/snapshot", self._snapshot),
                 web.get(f"{api}/history", self._history),
                 web.get(f"{api}/fleets/{{name}}", self._fleet),
+                web.get(f"{api}/control", self._control),
                 web.post(f"{api}/commands", self._command),
                 web.post(f"{api}/preview", self._preview),
                 web.post(rf"{api}/alarms/{{id:\d{{1,9}}}}/acknowledge", self._acknowledge),
@@ -86,6 +87,9 @@ class Site:
             return error(403, WRONG_TOKEN)
         alarm = self._station.acknowledge(int(request.match_info["id"]))
         return error(404, "no such alarm; it has ended") if alarm is None else _json(alarm)
+
+    async def _control(self, request: web.Request) -> web.StreamResponse:
+        return _json(ControlView(self._commander is not None and has_token(request, self._token)))
 
     async def _command(self, request: web.Request) -> web.StreamResponse:
         if self._commander is None or not has_token(request, self._token):

@@ -4,18 +4,22 @@ const TOKEN_KEY = "companion-token";
 const PATIENCE_MS = 20000;
 
 /** The token leaves the address bar, so that no screenshot and no bookmark has it. This tab keeps it for a reload. */
-function readToken() {
+export function readToken() {
   const given = new URLSearchParams(location.hash.slice(1)).get("token");
   if (given) {
     sessionStorage.setItem(TOKEN_KEY, given);
     history.replaceState(null, "", location.pathname + location.search);
   }
-  return sessionStorage.getItem(TOKEN_KEY) ?? "";
+  token = sessionStorage.getItem(TOKEN_KEY) ?? "";
 }
 
-const token = readToken();
+let token = "";
+readToken();
 
-export const hasToken = token !== "";
+export const hasToken = () => token !== "";
+
+/** Whether the server would take commands of this page: each start of the server makes a new token. */
+export const mayCommand = async () => hasToken() && (await get("control")).allowed;
 
 export async function get(path) {
   return request("GET", path);

@@ -1,6 +1,6 @@
 /** Commands of this page and their answers. */
 
-import { command, hasToken, preview } from "./api.js";
+import { command, hasToken, mayCommand, preview } from "./api.js";
 
 const KEPT = 2;
 
@@ -13,7 +13,27 @@ export class Commanding {
     this.toSelected = false; // else to all vehicles
     this.previewing = false;
     this.previewError = "";
-    this.allowed = hasToken;
+    this.allowed = hasToken();
+    this.abortError = ""; // why the last ABORT was not sent
+  }
+
+  /** An operator must see at once that a page commands nobody, as after a new start of the server. */
+  async checkControl() {
+    this.allowed = await mayCommand().catch(() => this.allowed);
+    if (this.allowed) this.abortError = "";
+    this._onChange();
+  }
+
+  /** The page had control; the server does not take its token any more. */
+  get hasLostControl() {
+    return hasToken() && !this.allowed;
+  }
+
+  async abort() {
+    this.abortError = "";
+    const { error } = await this.send("abort");
+    this.abortError = error;
+    this._onChange();
   }
 
   /** Ids for a CommandRequest, where none means all; null where a selection is meant and there is none. */

@@ -1,6 +1,6 @@
 /** Start of the page: connects the parts and draws a frame where something has changed. */
 
-import { acknowledge } from "./api.js";
+import { acknowledge, readToken } from "./api.js";
 import { Commanding } from "./commanding.js";
 import { watchAbortKeys, watchHolds } from "./hold.js";
 import { LiveConnection } from "./live.js";
@@ -10,7 +10,7 @@ import { AlarmSound } from "./sound.js";
 import { Store } from "./store.js";
 import { Theme } from "./theme.js";
 import { alarms } from "./views/alarms.js";
-import { banner } from "./views/banner.js";
+import { banner, hint } from "./views/banner.js";
 import { bar } from "./views/bar.js";
 import { control } from "./views/control.js";
 import { details } from "./views/details.js";
@@ -93,7 +93,7 @@ const act = {
   abort() {
     if (!store.controls) return;
     act.tab("control");
-    commanding.send("abort");
+    commanding.abort();
   },
   altitude: () => page.altitudeM ?? presentAltitude(),
   setAltitude(altitudeM) {
@@ -145,7 +145,10 @@ const live = new LiveConnection(
     scheduleMap();
     if (nowMs - panelsMs >= PANELS_MS) schedulePanels();
   },
-  () => store.loadHistory(),
+  () => {
+    store.loadHistory();
+    commanding.checkControl();
+  },
 );
 
 /** All of the page: after an action of the operator. */
@@ -166,7 +169,7 @@ function schedulePanels() {
 }
 
 function contextAt(nowMs) {
-  return { store, nowMs, theme, sound, abort, act, commanding, hint: page.hint, filter: page.filter };
+  return { store, nowMs, theme, sound, abort, act, commanding, filter: page.filter };
 }
 
 function drawMap() {
@@ -177,6 +180,7 @@ function drawMap() {
   const context = contextAt(nowMs);
   render(bar(context), at("bar"));
   render(banner(context), at("banner"));
+  render(hint(page.hint), at("hint"));
   map.draw(theme.colours, nowMs);
   at("scene").classList.toggle("drawing", Boolean(store.drawing?.active));
   if (arrivedMs !== null) metrics.drawn(arrivedMs);
@@ -220,6 +224,10 @@ function tick() {
   schedule();
 }
 
+window.addEventListener("hashchange", () => {
+  readToken();
+  commanding.checkControl();
+});
 watchHolds(document);
 watchAbortKeys(
   ABORT_HOLD_S,

@@ -20,8 +20,9 @@ const ACTIONS = [
 
 export function control({ store, commanding, nowMs, act }) {
   if (!commanding.allowed) {
-    return html`<div class="heading"><h2>Control</h2></div><p class="empty">This page was opened without the token of
-      --control. Open the URL that companion monitor has printed, with its part after #.</p>`;
+    const why = commanding.hasLostControl ? "The token of this page is not the server's" : "This page was opened without the token";
+    return html`<div class="heading"><h2>Control</h2></div><p class="empty">${why}: open the URL that
+      companion monitor --control has printed, with its part after #.</p>`;
   }
   const lost = store.freshness.lost(nowMs);
   return html`<div class="heading"><h2>Control</h2></div>
