@@ -219,7 +219,7 @@ SCRIPTS = mermaid@11.12.0 iframe-worker@1.0.4
 # MAVProxy is an independent client in the tests; its windows (OpenCV, VTK) are not needed.
 .venv/test.ready: .venv/fly.ready
 	@echo "Installing what tests and checks need into .venv (half a minute) ..."
-	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[ground,test,check]'
+	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[ground,cluster,test,check]'
 	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps MAVProxy==1.8.75
 	@touch $@
 

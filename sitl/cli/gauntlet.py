@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from sitl.cli.options import add_out_and_quiet, whole_number
+from sitl.cli.options import add_cluster, add_out_and_quiet, whole_number
 
 MOST_FLIGHTS, MOST_SEED, MOST_JOBS = 100_000, 999_999_999, 256
 
@@ -47,9 +47,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--sensors", choices=("ideal", "default", "px4_sih"), help="of all flights (default: random for each flight)"
     )
     parser.add_argument("--fleet", type=Path, metavar="FILE", help="fly this fleet instead of random ones")
-    parser.add_argument(
-        "--jobs", type=whole_number(1, MOST_JOBS), metavar="N", help="processes (default: one per core)"
-    )
+    place = parser.add_mutually_exclusive_group()
+    place.add_argument("--jobs", type=whole_number(1, MOST_JOBS), metavar="N", help="processes (default: one per core)")
+    add_cluster(place)
     parser.add_argument("--page", type=Path, metavar="FILE", help="also write the table as a Markdown page")
     add_out_and_quiet(parser)
 

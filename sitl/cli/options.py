@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 from collections.abc import Callable
 from math import nan
 from pathlib import Path
@@ -10,6 +11,8 @@ from pathlib import Path
 from companion.types.autopilot import AutopilotKind
 from sitl.links.ports import MAX_PORT_OFFSET
 
+CLUSTER_ADDRESS = re.compile(r"(?P<protocol>(tcp|tls)://)?(?P<host>[\w.-]+|\[[\da-fA-F:.]+\]):(?P<port>[0-9]{1,5})")
+LAST_PORT = 65535
 LONGEST_NUMBER = 9  # digits; Python refuses to read thousands of them
 
 
@@ -43,6 +46,24 @@ def add_out(parser: argparse.ArgumentParser) -> None:
 def add_out_and_quiet(parser: argparse.ArgumentParser) -> None:
     add_out(parser)
     parser.add_argument("--quiet", action="store_true", help="print the result only")
+
+
+def add_cluster(parser: argparse._ActionsContainer) -> None:
+    parser.add_argument(
+        "--cluster",
+        type=cluster_address,
+        metavar="ADDRESS",
+        help="fly on the workers of this Dask scheduler, [tcp://|tls://]HOST:PORT, instead of the cores of this machine "
+        "(docs/cluster.md)",
+    )
+
+
+def cluster_address(text: str) -> str:
+    """An argparse type: the address of a scheduler, with its protocol."""
+    found = CLUSTER_ADDRESS.fullmatch(text)
+    if found is None or not 0 < int(found["port"]) <= LAST_PORT:
+        raise argparse.ArgumentTypeError(f"{text!r}, expected [tcp://|tls://]HOST:PORT")
+    return f"{found['protocol'] or 'tcp://'}{found['host']}:{found['port']}"
 
 
 def add_port_offset(parser: argparse.ArgumentParser) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from sitl.cli.options import add_out_and_quiet
+from sitl.cli.options import add_cluster, add_out_and_quiet
 
 HELP = "every claim of the paper computed or flown again, on one page"
 DESCRIPTION = """\
@@ -32,6 +32,7 @@ exit codes:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--full", action="store_true", help="more graphs and more flights with sensor noise")
+    add_cluster(parser)
     add_out_and_quiet(parser)
 
 
@@ -39,4 +40,4 @@ def run(parsed: argparse.Namespace) -> int:
     from sitl.paper.command import PaperOptions, run_paper
     from sitl.report.folder import results_folder
 
-    return run_paper(PaperOptions(results_folder(parsed.out, "paper"), parsed.full, parsed.quiet))
+    return run_paper(PaperOptions(results_folder(parsed.out, "paper"), parsed.full, parsed.quiet, parsed.cluster))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from sitl.cli.options import add_out_and_quiet
+from sitl.cli.options import add_cluster, add_out_and_quiet
 
 HELP = "beyond the paper: every setting of the law on formations of 4 to 100 vehicles"
 DESCRIPTION = """\
@@ -30,6 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--full", action="store_true", help="more shapes, more seeds, longer flights (an hour and more)"
     )
+    add_cluster(parser)
     add_out_and_quiet(parser)
 
 

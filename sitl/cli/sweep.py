@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from sitl.cli.options import add_out_and_quiet, add_overrides, add_scenario, number, whole_number
+from sitl.cli.options import add_cluster, add_out_and_quiet, add_overrides, add_scenario, number, whole_number
 from sitl.sweep.options import DEFAULT_SEEDS, LONGEST_S, MAX_FLIGHTS, SHORTEST_S, SweepOptions
 
 HELP = "statistics: many flights of one formation, with varied keys and seeds, side by side in arrays"
@@ -76,6 +76,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"duration of each flight, {SHORTEST_S:g} to {LONGEST_S:g} (default: for_s of the scenario's form step)",
     )
     add_overrides(parser)
+    add_cluster(parser)
     add_out_and_quiet(parser)
 
 
@@ -87,5 +88,12 @@ def run(parsed: argparse.Namespace) -> int:
 
 def sweep_options(parsed: argparse.Namespace) -> SweepOptions:
     return SweepOptions(
-        parsed.scenario, parsed.varied, parsed.seeds, parsed.seconds, parsed.overrides, parsed.out, parsed.quiet
+        parsed.scenario,
+        parsed.varied,
+        parsed.seeds,
+        parsed.seconds,
+        parsed.overrides,
+        parsed.out,
+        parsed.quiet,
+        parsed.cluster,
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from sitl.cli.options import add_out_and_quiet, number, whole_number
+from sitl.cli.options import add_cluster, add_out_and_quiet, number, whole_number
 
 MOST_STARTS, MOST_VEHICLES, MOST = 100_000, 50, 600.0
 
@@ -38,6 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--hysteresis", type=positive, default=0.3, metavar="M", help="the second of two, after 0 (default 0.3 m)"
     )
     parser.add_argument("--seconds", type=positive, default=30.0, metavar="S", help="of each flight (default 30)")
+    add_cluster(parser)
     add_out_and_quiet(parser)
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from msgspec import Struct
 
 from companion.config.fleet_check import load_fleet
+from sitl.cluster import workers_of
 from sitl.errors import EXIT_DONE, EXIT_FAILED, UnusableError
 from sitl.gauntlet.drawn import family_of
 from sitl.gauntlet.families import FAMILIES
@@ -23,7 +24,7 @@ from sitl.report.share import ShareProgress
 from sitl.report.summary import write_json
 from sitl.report.table import table_text
 from sitl.stopping import StopNow, StopRequest
-from sitl.workers import POLL_S, running
+from sitl.workers import POLL_S, Workers
 
 SCHEMA = 1
 
@@ -41,12 +42,16 @@ def run_gauntlet(arguments: argparse.Namespace) -> int:
     """Run the command and return the exit code. Raises the errors that sitl/cli/ending.py reports."""
     own = load_fleet(arguments.fleet) if arguments.fleet else None
     families = chosen_families(arguments.families)
-    with StopRequest("stopped at once; nothing was written") as stop, ShareProgress(arguments.quiet) as progress:
+    with (
+        StopRequest("stopped at once; nothing was written") as stop,
+        ShareProgress(arguments.quiet) as progress,
+        workers_of(arguments.cluster, arguments.jobs) as workers,
+    ):
         folder = results_folder(arguments.out, "gauntlet")
         numbers = list(islice(numbers_of(families), arguments.flights))
         jobs = [Job(arguments.seed, number, arguments.sensors, own) for number in numbers]
         progress.begin(f"{len(jobs)} flights")
-        outcomes = _fly_all(jobs, arguments.jobs, progress, stop)
+        outcomes = _fly_all(workers, jobs, progress, stop)
         if own is not None and not any(outcome.vehicles for outcome in outcomes):
             raise UnusableError(f"{arguments.fleet}: no flight is possible: {outcomes[0].failure}")
         worst = write_worst(folder, outcomes, arguments.sensors, own)
@@ -71,9 +76,9 @@ def numbers_of(families: Sequence[str]) -> Iterator[int]:
     return (number for number in count() if family_of(number) in families)
 
 
-def _fly_all(jobs: list[Job], workers: int | None, progress: ShareProgress, stop: StopRequest) -> list[Outcome]:
+def _fly_all(workers: Workers, jobs: list[Job], progress: ShareProgress, stop: StopRequest) -> list[Outcome]:
     """The flights that were flown: all, or fewer where a stop was requested. Raises StopNow where no flight was."""
-    with running(fly, jobs, workers=workers) as in_progress:
+    with workers.running(fly, jobs) as in_progress:
         while not in_progress.wait(POLL_S):
             so_far = [outcome for outcome in in_progress.results_so_far() if outcome]
             progress.show(in_progress.share_done, f"{sum(one.violation for one in so_far)} violations")

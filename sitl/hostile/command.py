@@ -9,7 +9,7 @@ from textwrap import fill
 
 from sitl.hostile.decoders import Fuzzed, decoders, fuzz
 from sitl.hostile.episode import Outcome, fly
-from sitl.workers import in_processes, report_progress
+from sitl.workers import LocalWorkers, all_results, report_progress
 
 EPISODE_TICKS = 3800  # about, of all vehicles
 MOST_TICK_CPU_S = 0.02  # a period of 50 Hz
@@ -28,7 +28,7 @@ def run_hostile(inputs: int, ticks: int, seed: int, out: Path | None) -> int:
     ]
     episodes = -(-ticks // EPISODE_TICKS)
     jobs += [("", seed + at, min(EPISODES_A_JOB, episodes - at)) for at in range(0, episodes, EPISODES_A_JOB)]
-    results = in_processes(work, jobs, _show)
+    results = all_results(LocalWorkers(), work, jobs, _show)
     print(file=sys.stderr)
     text = table(results, seed)
     print(text)

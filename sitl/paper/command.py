@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from sitl.cluster import workers_of
 from sitl.errors import EXIT_DONE
 from sitl.report.share import ShareProgress
 from sitl.stopping import StopRequest
@@ -14,6 +15,7 @@ from sitl.stopping import StopRequest
 if TYPE_CHECKING:
     from sitl.paper.claim import Claim
     from sitl.paper.flights import FlownPlan
+    from sitl.workers import Workers
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,6 +23,7 @@ class PaperOptions:
     out: Path
     full: bool = False
     quiet: bool = False
+    cluster: str | None = None
 
 
 def run_paper(options: PaperOptions) -> int:
@@ -51,9 +54,10 @@ def _reproduce(options: PaperOptions) -> int:
 
     began_s = time.perf_counter()
     with ShareProgress(options.quiet) as progress:
-        theory, flown = _compute_and_fly(options, progress)
-        progress.begin("study")
-        study = study_report(options.full, progress.show)
+        with workers_of(options.cluster) as workers:
+            theory, flown = _compute_and_fly(options, workers, progress)
+            progress.begin("study")
+            study = study_report(workers, options.full, progress.show)
         progress.begin("drawing")
         book = Book(flown)
         for number, picture in enumerate(PICTURES):
@@ -79,17 +83,19 @@ def _reproduce(options: PaperOptions) -> int:
     return EXIT_DONE
 
 
-def _compute_and_fly(options: PaperOptions, progress: ShareProgress) -> tuple[list[Claim], list[FlownPlan]]:
-    """Compute the theory in this process while worker processes fly the flights."""
+def _compute_and_fly(
+    options: PaperOptions, workers: Workers, progress: ShareProgress
+) -> tuple[list[Claim], list[FlownPlan]]:
+    """Compute the theory in this process while the workers fly the flights."""
     from sitl.paper.flights import fly, paper_plans
     from sitl.paper.theory.theorems import theory_claims
-    from sitl.workers import POLL_S, running
+    from sitl.workers import POLL_S
 
     plans = paper_plans(options.full)
     for plan in plans:
         plan.scenario()  # an invalid scenario is an error before any flight
     progress.begin("theory and flights")
-    with running(fly, plans) as flights:
+    with workers.running(fly, plans) as flights:
 
         def show(theory: float) -> None:
             flown = flights.share_done

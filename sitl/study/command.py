@@ -9,6 +9,7 @@ from textwrap import fill
 
 from msgspec import Struct
 
+from sitl.cluster import workers_of
 from sitl.errors import EXIT_DONE
 from sitl.paper.claim import Claim
 from sitl.report.folder import results_folder
@@ -21,6 +22,7 @@ from sitl.study.plan import compared_shapes
 from sitl.study.selection import Score, chosen, compare, scores, selection_text
 from sitl.study.study import Study, run_study
 from sitl.study.table import table_text
+from sitl.workers import Workers
 
 SCHEMA = 1
 WIDTH = 120
@@ -42,10 +44,14 @@ class StudyReport(Struct, frozen=True, kw_only=True):
 
 def run_study_command(arguments: argparse.Namespace) -> int:
     """Run the command and return the exit code. Raises the errors that sitl/cli/ending.py reports."""
-    folder = results_folder(arguments.out, "study")
-    with StopRequest("stopped; nothing was written", at_once=True), ShareProgress(arguments.quiet) as progress:
+    with (
+        StopRequest("stopped; nothing was written", at_once=True),
+        ShareProgress(arguments.quiet) as progress,
+        workers_of(arguments.cluster) as workers,
+    ):
+        folder = results_folder(arguments.out, "study")
         progress.begin("study")
-        report = study_report(arguments.full, progress.show)
+        report = study_report(workers, arguments.full, progress.show)
     write_json(folder / "study.json", report)
     draw(folder, report)
     parts = [table_text(report.study.quiet, SHOWN), selection_text(report.selection), _claims_text(report.claims)]
@@ -53,12 +59,12 @@ def run_study_command(arguments: argparse.Namespace) -> int:
     return EXIT_DONE
 
 
-def study_report(full: bool, progress: Callable[[float], None]) -> StudyReport:
-    """Compute all spectra and fly all flights. Calls `progress` with the share done, 0 to 1."""
+def study_report(workers: Workers, full: bool, progress: Callable[[float], None]) -> StudyReport:
+    """Compute all spectra here and fly all flights in these workers. Calls `progress` with the share done, 0 to 1."""
     spectra = large_spectra(lambda share: progress(SPECTRA_SHARE * share))
-    compared = compare(compared_shapes(), lambda share: progress(SPECTRA_SHARE + SELECTION_SHARE * share))
+    compared = compare(workers, compared_shapes(), lambda share: progress(SPECTRA_SHARE + SELECTION_SHARE * share))
     begun = SPECTRA_SHARE + SELECTION_SHARE
-    study = run_study(full, lambda share: progress(begun + (1.0 - begun) * share))
+    study = run_study(workers, full, lambda share: progress(begun + (1.0 - begun) * share))
     found = scores(compared)
     best = chosen(found)
     return StudyReport(

@@ -28,7 +28,7 @@ from sitl.study.cases import BAD_LINKS, GOOD_LINKS, STEP_M, Case, Figures, Sensi
 from sitl.study.settings import AVERAGE_22, Setting
 from sitl.study.shapes import Shape, chain
 from sitl.vehicle.config import Airframe, Links
-from sitl.workers import in_processes
+from sitl.workers import Workers, all_results
 
 RATIOS = (0.3, 0.1, 0.03, 0.01)
 FED_FORWARD = (0.9, 0.95, 0.97, 0.98, 0.99)
@@ -93,8 +93,8 @@ class Score(Struct, frozen=True, kw_only=True):
     smallest_m: float
 
 
-def compare(shapes: Sequence[Shape], progress: Callable[[float], None]) -> list[Compared]:
-    """Fly all candidates, eq. 22 and a leader alone, on all cores."""
+def compare(workers: Workers, shapes: Sequence[Shape], progress: Callable[[float], None]) -> list[Compared]:
+    """Fly all candidates and eq. 22 in these workers, and a leader alone here."""
     settings = (AVERAGE_22, *CANDIDATES)
     groups = [settings[k : k + AT_ONCE] for k in range(0, len(settings), AT_ONCE)]
     jobs = [
@@ -102,7 +102,7 @@ def compare(shapes: Sequence[Shape], progress: Callable[[float], None]) -> list[
         for condition, shape, group in product(CONDITIONS, shapes, groups)
     ]
     weights = [float(len(cases) * len(cases[0].shape.slots_enu_m)) for _, cases in jobs]
-    flown = in_processes(_fly, jobs, progress, weights)
+    flown = all_results(workers, _fly, jobs, progress, weights)
     leader_s = {condition.label: leader_alone_s(condition) for condition in CONDITIONS}
     return [
         Compared(condition=condition.label, figures=figures, leader_s=leader_s[condition.label])

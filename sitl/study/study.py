@@ -1,4 +1,4 @@
-"""Flies the plan of the study on all cores and collects the figures."""
+"""Flies the plan of the study and collects the figures."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from sitl.study.plan import (
     noisy_batches,
     quiet_batches,
 )
-from sitl.workers import in_processes
+from sitl.workers import Workers, all_results
 
 One = TypeVar("One")
 Progress = Callable[[float], None]  # share done, 0 to 1
@@ -40,17 +40,18 @@ class Study(Struct, frozen=True, kw_only=True):
     bands_m: dict[str, float]
 
 
-def run_study(full: bool, progress: Progress) -> Study:
+def run_study(workers: Workers, full: bool, progress: Progress) -> Study:
     """Fly the batches without noise, then the pairs with noise."""
     seeds = SEEDS_FULL if full else SEEDS
     quiet = [*quiet_batches(full, QUIET_S), *long_batches(LONG_FULL_S if full else LONG_S)]
     single = [*quiet, *drag_batches(QUIET_S)]
-    flown = in_processes(
-        _fly_batch, single, lambda share: progress(QUIET_SHARE * share), [batch.work for batch in single]
+    flown = all_results(
+        workers, _fly_batch, single, lambda share: progress(QUIET_SHARE * share), [batch.work for batch in single]
     )
     noisy = noisy_batches(seeds, "default", NOISY_S)
     double = [*noisy, *disturbed_batches(seeds, "default", NOISY_S)]
-    pairs = in_processes(
+    pairs = all_results(
+        workers,
         _fly_pairs,
         double,
         lambda share: progress(QUIET_SHARE + (1.0 - QUIET_SHARE) * share),

@@ -13,7 +13,7 @@ SHORTEST_S, LONGEST_S = 2.0, 3600.0  # "final" and "settled" are taken over the 
 
 @dataclass(frozen=True, slots=True)
 class SweepOptions:
-    """`seconds` is None to take the scenario's; `workers` is None to use all cores."""
+    """`seconds` is None to take the scenario's; `cluster` is None to fly on all cores of this machine."""
 
     scenario: Path
     varied: Sequence[str] = ()
@@ -22,4 +22,5 @@ class SweepOptions:
     overrides: Sequence[str] = ()
     out: Path | None = None
     quiet: bool = False
-    workers: int | None = None
+    cluster: str | None = None
+    processes: int | None = None

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from sitl.cluster import workers_of
 from sitl.errors import EXIT_DONE
 from sitl.report.folder import results_folder
 from sitl.report.share import ShareProgress
@@ -18,7 +19,7 @@ from sitl.sweep.options import SweepOptions
 from sitl.sweep.points import Axis, Point, axes_of, base_scenario, formation_time_s, points_of
 from sitl.sweep.report import Row, table_text, write_csv
 from sitl.sweep.statistics import Sweep, combination
-from sitl.workers import POLL_S, running
+from sitl.workers import POLL_S, Workers
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,8 +49,9 @@ def _run(options: SweepOptions, stop: StopRequest) -> int:
     name = options.scenario.stem
     with ShareProgress(options.quiet) as progress:
         grid = _grid(options, progress, stop)
-        folder = results_folder(options.out, f"{name}-sweep")
-        flown = _fly(chunks_of(grid.points, options.seeds, grid.seconds), options.workers, progress, stop)
+        with workers_of(options.cluster, options.processes) as workers:
+            folder = results_folder(options.out, f"{name}-sweep")
+            flown = _fly(workers, chunks_of(grid.points, options.seeds, grid.seconds), progress, stop)
     if not flown.rows:
         print(f"stopped before any flight was complete; nothing in {folder}", file=sys.stderr)
         return stop.exit_code
@@ -74,11 +76,11 @@ def _grid(options: SweepOptions, progress: ShareProgress, stop: StopRequest) -> 
     return Grid(axes, points_of(options.scenario, options.overrides, axes, checked), seconds)
 
 
-def _fly(chunks: Sequence[Chunk], workers: int | None, progress: ShareProgress, stop: StopRequest) -> FlownGrid:
+def _fly(workers: Workers, chunks: Sequence[Chunk], progress: ShareProgress, stop: StopRequest) -> FlownGrid:
     flights = sum(len(chunk.flights) for chunk in chunks)
     began_s = time.perf_counter()
     progress.begin("flying")
-    with running(fly_chunk, chunks, [chunk.work_s for chunk in chunks], workers) as in_progress:
+    with workers.running(fly_chunk, chunks, [chunk.work_s for chunk in chunks]) as in_progress:
         while not in_progress.wait(POLL_S) and not stop.number:
             done = sum(map(len, filter(None, in_progress.results_so_far())))
             progress.show(in_progress.share_done, f"{done} of {flights} flights")

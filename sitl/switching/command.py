@@ -9,6 +9,7 @@ from pathlib import Path
 from msgspec import Struct
 
 from companion.config.file import ConfigError
+from sitl.cluster import workers_of
 from sitl.errors import EXIT_DONE
 from sitl.report.folder import results_folder
 from sitl.report.share import ShareProgress
@@ -39,10 +40,11 @@ def run_switching(arguments: argparse.Namespace) -> int:
     with StopRequest("stopped; nothing was written", at_once=True), ShareProgress(arguments.quiet) as progress:
         progress.begin("random starts")
         starts = _starts(arguments, progress.show)
-        folder = results_folder(arguments.out, "switching")
-        planned = plans(starts, arguments.range, (0.0, arguments.hysteresis), arguments.seconds)
-        progress.begin(f"{len(planned)} batches")
-        flown = fly_all(planned, progress.show)
+        with workers_of(arguments.cluster) as workers:
+            folder = results_folder(arguments.out, "switching")
+            planned = plans(starts, arguments.range, (0.0, arguments.hysteresis), arguments.seconds)
+            progress.begin(f"{len(planned)} batches")
+            flown = fly_all(workers, planned, progress.show)
     _write(folder, arguments, flown)
     return EXIT_DONE
 

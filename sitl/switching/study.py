@@ -15,7 +15,7 @@ from sitl.batch.flight import BatchFlight, fly_batch
 from sitl.study.cases import closest_m
 from sitl.switching.starts import Start
 from sitl.switching.topology import Spectra, Topology, losses, mutual, over_time, without_beacon
-from sitl.workers import in_processes
+from sitl.workers import Workers, all_results
 
 LAWS: tuple[LawName, ...] = ("average_26", "average_22", "weighted", "cooperative")
 SAMPLE_S = 0.1
@@ -43,9 +43,9 @@ def plans(starts: Sequence[Start], range_m: float, hystereses_m: Sequence[float]
     ]
 
 
-def fly_all(planned: list[Plan], progress: Callable[[float], None]) -> list[Topology]:
+def fly_all(workers: Workers, planned: list[Plan], progress: Callable[[float], None]) -> list[Topology]:
     """Topologies in the order of the plans and their starts. Calls `progress` with the share done, 0 to 1."""
-    return [topology for batch in in_processes(fly, planned, progress) for topology in batch]
+    return [topology for batch in all_results(workers, fly, planned, progress) for topology in batch]
 
 
 def fly(plan: Plan) -> list[Topology]:

@@ -18,7 +18,7 @@ from sitl.paper.ideal_model import ideal_figures
 from sitl.paper.theory.matrices import RING_LED_BY_1, RING_LED_BY_2, printed_matrix
 from sitl.paper.topology import leaderships, reported_matrix, topology_at
 from sitl.report.metrics import formation_figures
-from sitl.workers import running
+from sitl.workers import LocalWorkers
 
 SHORT = "timeline[3].for_s=6"
 
@@ -69,7 +69,7 @@ def test_measuring_a_flight_without_formation_gives_the_reason() -> None:
 
 def test_flights_in_worker_processes_are_the_same() -> None:
     plans = [Plan(Subject.PLATOON, law, Model.IDEAL, more=(SHORT,)) for law in ("weighted", "average_22")]
-    with running(fly, plans, workers=2) as flights:
+    with LocalWorkers(2).running(fly, plans) as flights:
         assert flights.wait(60.0)
         assert flights.share_done == 1.0
         results = flights.results()

@@ -70,8 +70,8 @@ def test_a_sweep_is_the_same_for_any_number_of_workers(tmp_path: Path) -> None:
         "links.peer_loss=0,0.2",
         "stand_in.airframe.attitude=rigid_body,instant",
     )
-    for folder, workers in ((tmp_path / "one", 1), (tmp_path / "two", 2)):
-        assert run_sweep(SweepOptions(PLATOON, varied, 3, 3.0, out=folder, quiet=True, workers=workers)) == 0
+    for folder, processes in ((tmp_path / "one", 1), (tmp_path / "two", 2)):
+        assert run_sweep(SweepOptions(PLATOON, varied, 3, 3.0, out=folder, quiet=True, processes=processes)) == 0
     for name in ("sweep.csv", "sweep.json"):
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
     rows = rows_of(tmp_path / "one")
@@ -145,7 +145,7 @@ def test_ctrl_c_keeps_complete_flights(
     monkeypatch.setattr(ShareProgress, "show", interrupt)
     monkeypatch.setattr(flights, "chunk_size", lambda *_: 5)
     varied = ("fleet.law.name=weighted,cooperative",)
-    assert run_sweep(SweepOptions(PLATOON, varied, 1000, 3.0, out=tmp_path, workers=1)) == 130
+    assert run_sweep(SweepOptions(PLATOON, varied, 1000, 3.0, out=tmp_path, processes=1)) == 130
     rows = rows_of(tmp_path)
     assert 5 <= len(rows) < 500
     assert [int(row["seed"]) for row in rows] == list(range(1, len(rows) + 1))

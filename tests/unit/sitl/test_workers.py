@@ -11,17 +11,17 @@ from pathlib import Path
 
 import pytest
 
-from sitl.workers import WorkerDiedError, in_processes, report_progress, running
+from sitl.workers import LocalWorkers, WorkerDiedError, all_results, report_progress
 
 PARENT = """
 import sys
 from pathlib import Path
 sys.path.insert(0, sys.argv[1])
 from test_workers import hang
-from sitl.workers import running
+from sitl.workers import LocalWorkers
 if __name__ == "__main__":
-    with running(hang, [Path(sys.argv[2]) / "a", Path(sys.argv[2]) / "b"], workers=2) as in_progress:
-        in_progress.wait()
+    with LocalWorkers(2).running(hang, [Path(sys.argv[2]) / "a", Path(sys.argv[2]) / "b"]) as in_progress:
+        in_progress.results()
 """
 
 
@@ -81,19 +81,19 @@ def pids_in(*files: Path) -> list[int]:
 
 
 def test_results_are_in_the_order_of_the_jobs_for_any_weights() -> None:
-    assert in_processes(square, [3, 4, 5], lambda _share: None) == [9, 16, 25]
-    assert in_processes(square, [3, 4, 5], lambda _share: None, weights=[1.0, 3.0, 2.0]) == [9, 16, 25]
+    assert all_results(LocalWorkers(), square, [3, 4, 5], lambda _share: None) == [9, 16, 25]
+    assert all_results(LocalWorkers(), square, [3, 4, 5], lambda _share: None, weights=[1.0, 3.0, 2.0]) == [9, 16, 25]
 
 
 def test_no_jobs_give_no_results() -> None:
-    assert in_processes(square, [], lambda _share: None) == []
+    assert all_results(LocalWorkers(), square, [], lambda _share: None) == []
 
 
 def test_workers_are_processes_with_one_thread_that_ignore_ctrl_c() -> None:
-    with running(own_process, [1, 2], workers=1) as in_progress:
+    with LocalWorkers(1).running(own_process, [1, 2]) as in_progress:
         first, second = in_progress.results()
     assert first == second != os.getpid()
-    ((threads, blocked),) = in_processes(settings, [1], lambda _share: None)
+    ((threads, blocked),) = all_results(LocalWorkers(), settings, [1], lambda _share: None)
     assert threads == "1"
     assert blocked >= {signal.SIGINT, signal.SIGHUP}
     assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
@@ -101,17 +101,17 @@ def test_workers_are_processes_with_one_thread_that_ignore_ctrl_c() -> None:
 
 def test_an_error_of_a_job_is_raised_at_once_while_others_run() -> None:
     with pytest.raises(ValueError, match="job 7") as raised:
-        in_processes(fail, [0, 7], lambda _share: None)
+        all_results(LocalWorkers(), fail, [0, 7], lambda _share: None)
     assert "in fail" in str(raised.value.__cause__)  # the traceback of the worker
 
 
 def test_a_result_that_cannot_be_pickled_is_an_error() -> None:
     with pytest.raises(Exception, match="pickle"):
-        in_processes(return_what_cannot_be_pickled, [1], lambda _share: None)
+        all_results(LocalWorkers(), return_what_cannot_be_pickled, [1], lambda _share: None)
 
 
 def test_a_job_reports_its_progress() -> None:
-    with running(half, [1, 2], weights=[30.0, 10.0], workers=1) as in_progress:
+    with LocalWorkers(1).running(half, [1, 2], weights=[30.0, 10.0]) as in_progress:
         assert in_progress.share_done == 0.0
         until(lambda: in_progress.share_done > 0.0, 20.0)
         assert in_progress.share_done == 0.5 * 30.0 / 40.0
@@ -121,7 +121,7 @@ def test_a_job_reports_its_progress() -> None:
 
 
 def test_a_killed_worker_is_one_error(tmp_path: Path) -> None:
-    with running(hang, [tmp_path / "a", tmp_path / "b"], workers=2) as in_progress:
+    with LocalWorkers(2).running(hang, [tmp_path / "a", tmp_path / "b"]) as in_progress:
         os.kill(pids_in(tmp_path / "a")[0], signal.SIGKILL)
         with pytest.raises(WorkerDiedError):
             in_progress.results()
@@ -137,7 +137,7 @@ def test_a_worker_that_started_slowly_and_was_killed_is_noticed(
         start(process)
 
     monkeypatch.setattr(SpawnProcess, "start", start_slowly)
-    with running(hang, [tmp_path / "a", tmp_path / "b"], workers=2) as in_progress:
+    with LocalWorkers(2).running(hang, [tmp_path / "a", tmp_path / "b"]) as in_progress:
         os.kill(max(pids_in(tmp_path / "a", tmp_path / "b")), signal.SIGKILL)
         assert in_progress.wait(20.0)
         with pytest.raises(WorkerDiedError):
@@ -146,7 +146,7 @@ def test_a_worker_that_started_slowly_and_was_killed_is_noticed(
 
 def test_leaving_the_block_early_ends_all_workers_at_once(tmp_path: Path) -> None:
     files = (tmp_path / "a", tmp_path / "b")
-    with pytest.raises(KeyError), running(hang, [*files, tmp_path / "c"], workers=2):
+    with pytest.raises(KeyError), LocalWorkers(2).running(hang, [*files, tmp_path / "c"]):
         pids = pids_in(*files)
         began_s = time.monotonic()
         raise KeyError

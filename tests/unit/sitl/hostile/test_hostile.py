@@ -81,7 +81,7 @@ def test_a_tick_that_takes_too_long_is_a_finding_of_the_command(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     outcome = Outcome(7, 1, Counter(), Counter(), Counter(), [], 3, 0.021, "vehicle 2 in hold", 0.021, 10)
-    monkeypatch.setattr(command, "in_processes", lambda _work, _jobs, _show: [[outcome]])
+    monkeypatch.setattr(command, "all_results", lambda *_: [[outcome]])
     assert run_hostile(inputs=0, ticks=0, seed=0, out=None) == 1
     assert "seed 7: a tick took 21.0 ms of CPU time: vehicle 2 in hold" in capsys.readouterr().out
     outcome.longest_tick_s = 0.019
@@ -101,11 +101,11 @@ def test_a_slow_machine_is_no_finding(monkeypatch: pytest.MonkeyPatch, seconds: 
 def test_another_seed_flies_other_episodes(monkeypatch: pytest.MonkeyPatch) -> None:
     flown: list[list[int]] = []
 
-    def collect(_work: object, jobs: list[command.Job], _show: object) -> list[object]:
+    def collect(_workers: object, _work: object, jobs: list[command.Job], _show: object) -> list[object]:
         flown.append([seed for name, seed, _count in jobs if not name])
         return []
 
-    monkeypatch.setattr(command, "in_processes", collect)
+    monkeypatch.setattr(command, "all_results", collect)
     for seed in (0, 100):
         run_hostile(inputs=0, ticks=9 * EPISODE_TICKS, seed=seed, out=None)
     assert flown == [[0, 4, 8], [100, 104, 108]]

@@ -1,0 +1,66 @@
+"""A real Dask scheduler and worker processes on loopback."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+from repository import ROOT
+
+HELPERS = Path(__file__).parent
+STARTS_WITHIN_S = 60.0
+
+
+class Cluster:
+    """The processes of one cluster. `folder` holds what they print."""
+
+    def __init__(self, folder: Path, stack: ExitStack) -> None:
+        self._folder, self._stack = folder, stack
+        self.workers: list[subprocess.Popen[bytes]] = []
+        file = folder / "scheduler.json"
+        self.scheduler = self._start("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(file))
+        until(lambda: file.exists() and file.read_text().endswith("}"), STARTS_WITHIN_S)  # it is not written at once
+        self.address: str = json.loads(file.read_text())["address"]
+
+    def add_worker(self, *options: str) -> subprocess.Popen[bytes]:
+        """Start a worker process without a nanny, which would start it again."""
+        given = ("--nthreads", "1", *options)  # the last of two equal options counts
+        self.workers.append(self._start("worker", self.address, "--no-nanny", "--host", "127.0.0.1", *given))
+        return self.workers[-1]
+
+    def _start(self, kind: str, *arguments: str) -> subprocess.Popen[bytes]:
+        command = [sys.executable, "-m", f"distributed.cli.dask_{kind}", "--no-dashboard", *arguments]
+        path = os.pathsep.join([str(HELPERS), str(ROOT)])
+        with (self._folder / f"{kind}_{len(self.workers)}.log").open("wb") as log:
+            process = subprocess.Popen(
+                command, cwd=self._folder, env=os.environ | {"PYTHONPATH": path}, stdout=log, stderr=log
+            )
+        self._stack.callback(_end, process)
+        return process
+
+
+@contextmanager
+def cluster(folder: Path, workers: int) -> Iterator[Cluster]:
+    with ExitStack() as stack:
+        made = Cluster(folder, stack)
+        for _ in range(workers):
+            made.add_worker()
+        yield made
+
+
+def until(what: Callable[[], bool], seconds: float) -> None:
+    end_s = time.monotonic() + seconds
+    while not what():
+        assert time.monotonic() < end_s
+        time.sleep(0.02)
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    process.kill()
+    process.wait()

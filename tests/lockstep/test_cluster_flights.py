@@ -1,0 +1,146 @@
+"""Flights of `sitl` commands on a real cluster: the same results, Ctrl-C, and a scheduler that is away."""
+
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from distributed import Client
+
+from cluster_jobs import known_tasks, running_tasks
+from dask_cluster import Cluster, cluster, until
+from repository import ROOT
+from sitl.cli.ending import exit_code_of
+from sitl.cli.main import parser
+from sitl.cluster import client, workers_of
+from sitl.cluster.software import software
+from sitl.paper.flights import Model, Plan, Subject
+from sitl.paper.flights import fly as fly_plan
+from sitl.report.share import ShareProgress
+from sitl.study.cases import Case
+from sitl.study.plan import Batch
+from sitl.study.settings import AVERAGE_22
+from sitl.study.shapes import chain
+from sitl.study.study import _fly_pairs as fly_batch_of_pairs
+from sitl.sweep import flights
+from sitl.workers import LocalWorkers, all_results
+
+PLATOON = ROOT / "config" / "scenarios" / "platoon.yaml"
+SWEEP = ["sweep", str(PLATOON), "--vary", "stand_in.sensors=ideal,default", "--vary", "links.peer_loss=0,0.2"]
+SWEEP += ["--seeds", "4", "--seconds", "3", "--quiet"]
+GAUNTLET = ["gauntlet", "--flights", "1", "--families", "exchange", "--seed", "7", "--quiet"]
+SWITCHING = ["switching", "--starts", "3", "--vehicles", "4", "--seconds", "2", "--quiet"]
+COMMANDS = (SWEEP, GAUNTLET, SWITCHING, ["study"], ["paper"])
+
+
+@pytest.fixture(autouse=True)
+def sources_of_this_moment() -> None:
+    """A working tree may be edited while its tests run."""
+    software.cache_clear()
+
+
+@pytest.fixture
+def two(tmp_path: Path) -> Iterator[Cluster]:
+    (tmp_path / "cluster").mkdir()
+    with cluster(tmp_path / "cluster", 2) as made:
+        with Client(made.address, set_as_default=False) as to_it:
+            to_it.wait_for_workers(2, timeout=60)
+        yield made
+
+
+def no_progress(_share: float) -> None:
+    pass
+
+
+def run(arguments: list[str], out: Path, *more: str) -> int:
+    parsed = parser().parse_args([*arguments, "--out", str(out), *more])
+    code: int = parsed.run(parsed)
+    return code
+
+
+def test_a_sweep_is_the_same_although_a_worker_is_killed(
+    two: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def kill_one(_progress: ShareProgress, share: float, more: str = "") -> None:
+        if more and share > 0.1 and two.workers[0].poll() is None:
+            two.workers[0].kill()
+            two.workers[0].wait()
+
+    monkeypatch.setattr(flights, "chunk_size", lambda *_: 2)
+    assert run(SWEEP, tmp_path / "here") == 0
+    monkeypatch.setattr(ShareProgress, "show", kill_one)
+    assert run(SWEEP, tmp_path / "there", "--cluster", two.address) == 0
+    assert two.workers[0].poll() == -signal.SIGKILL
+    for name in ("sweep.csv", "sweep.json"):
+        assert (tmp_path / "here" / name).read_bytes() == (tmp_path / "there" / name).read_bytes()
+
+
+def test_the_flights_of_the_gauntlet_are_the_same(two: Cluster, tmp_path: Path) -> None:
+    assert run(GAUNTLET, tmp_path / "here") == run(GAUNTLET, tmp_path / "there", "--cluster", two.address) == 0
+
+    def flown(folder: str) -> dict[str, Any]:
+        report: dict[str, Any] = msgspec.json.decode((tmp_path / folder / "gauntlet.json").read_bytes())
+        for flight in report["flights"]:
+            del flight["cpu_s"]
+        return report
+
+    assert flown("here") == flown("there")
+
+
+def test_random_starts_are_the_same(two: Cluster, tmp_path: Path) -> None:
+    assert run(SWITCHING, tmp_path / "here") == run(SWITCHING, tmp_path / "there", "--cluster", two.address) == 0
+    name = "switching.json"
+    assert (tmp_path / "here" / name).read_bytes() == (tmp_path / "there" / name).read_bytes()
+
+
+def test_flights_of_the_paper_and_the_study_are_the_same(two: Cluster) -> None:
+    plans = [Plan(Subject.PLATOON, "weighted", Model.FULL, more=("timeline[3].for_s=4",))]
+    batches = [Batch((Case(chain(4), AVERAGE_22, "default"),), 4.0)]
+    (flight,) = all_results(LocalWorkers(), fly_plan, plans, no_progress)
+    (pairs,) = all_results(LocalWorkers(), fly_batch_of_pairs, batches, no_progress)
+    with workers_of(two.address) as workers:
+        (flight_there,) = all_results(workers, fly_plan, plans, no_progress)
+        (pairs_there,) = all_results(workers, fly_batch_of_pairs, batches, no_progress)
+    tracks, tracks_there = flight.flight().tracks, flight_there.flight().tracks
+    assert all(np.array_equal(tracks[i].position_enu_m, tracks_there[i].position_enu_m) for i in tracks)
+    assert pairs[0].pair == pairs_there[0].pair
+    assert np.array_equal(pairs[0].step_worst_m, pairs_there[0].step_worst_m)
+
+
+def test_ctrl_c_cancels_the_tasks(two: Cluster, tmp_path: Path) -> None:
+    arguments = ["sweep", str(PLATOON), "--seeds", "3000", "--seconds", "3600", "--out", str(tmp_path / "out")]
+    with subprocess.Popen(
+        [sys.executable, "-m", "sitl", *arguments, "--cluster", two.address],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stderr is not None
+        assert "0 of 3000 flights" in process.stderr.readline()
+        with Client(two.address, set_as_default=False) as to_it:
+            until(lambda: sum(to_it.run(running_tasks).values()) == 2, 60.0)
+            process.send_signal(signal.SIGINT)
+            printed, errors = process.communicate(timeout=60)
+            assert to_it.run_on_scheduler(known_tasks) == 0
+            until(lambda: sum(to_it.run(running_tasks).values()) == 0, 60.0)
+    assert process.returncode == 130, errors
+    assert errors == f"stopped before any flight was complete; nothing in {tmp_path / 'out'}\n"
+    assert printed == ""
+
+
+@pytest.mark.parametrize("arguments", COMMANDS, ids=lambda arguments: arguments[0])
+def test_a_scheduler_that_is_away_ends_each_command_with_one_line(
+    arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(client, "ANSWERS_WITHIN_S", 0.5)
+    assert exit_code_of(lambda: run(arguments, tmp_path, "--cluster", "127.0.0.1:1")) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    (line,) = [line for line in printed.err.splitlines() if " % " not in line]
+    assert line.startswith("no Dask scheduler answers at tcp://127.0.0.1:1; start one there with `dask scheduler`, or")
+    assert list(tmp_path.iterdir()) == []
