@@ -6,6 +6,7 @@ import socket
 import subprocess
 import sys
 import time
+from argparse import ArgumentTypeError
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -16,6 +17,7 @@ from numpy.lib.introspect import opt_func_info
 
 import cluster_jobs as jobs
 from dask_cluster import Cluster, cluster, until
+from sitl.cli.options import cluster_address
 from sitl.cluster import client as client_module
 from sitl.cluster import workers_of
 from sitl.cluster.client import DeadlyJobError, NoWorkersLeftError, SchedulerLostError
@@ -60,6 +62,31 @@ def test_results_are_those_of_local_processes_in_the_order_of_the_jobs(two: Clus
 def test_without_an_address_the_workers_are_local() -> None:
     with workers_of(None, 3) as workers:
         assert workers == LocalWorkers(3)
+
+
+def test_without_dask_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    wanted = r"distributed is not installed; pip install '\.\[cluster\]'"
+    with pytest.raises(UnusableError, match=wanted), workers_of("tcp://127.0.0.1:1"):
+        pytest.fail("connected")
+
+
+@pytest.mark.parametrize(
+    ("text", "address"),
+    [
+        ("10.0.0.1:8786", "tcp://10.0.0.1:8786"),
+        ("tls://big-machine.lab:8786", "tls://big-machine.lab:8786"),
+        ("[fe80::1]:1", "tcp://[fe80::1]:1"),
+    ],
+)
+def test_the_address_gets_its_protocol(text: str, address: str) -> None:
+    assert cluster_address(text) == address
+
+
+@pytest.mark.parametrize("text", ["10.0.0.1", "10.0.0.1:0", "10.0.0.1:70000", "http://a:1", "a:1/x", "", ":1"])
+def test_a_wrong_address_is_refused(text: str) -> None:
+    with pytest.raises(ArgumentTypeError, match="expected"):
+        cluster_address(text)
 
 
 def test_an_error_of_a_job_is_raised(two: Cluster) -> None:
