@@ -20,7 +20,7 @@ from companion.types.peers import PeerPacket, ReceivedPeerPacket
 from companion.wire.peer import decode_peer, encode_peer
 from companion.wire.version import WireError
 
-READ_BYTES = 4096  # a peer packet has a few hundred
+READ_BYTES = 16_384  # a change of MAX_VEHICLES slots with a tag for each vehicle has 11,000; most packets a few hundred
 DATAGRAMS_PER_VEHICLE = 8  # read in one tick
 # A stranger may send as much as the network carries. To refuse a forged datagram takes 4 us here, so that in
 # a tick more of them are read than arrive at 20,000 a second, and none waits before those of the fleet.

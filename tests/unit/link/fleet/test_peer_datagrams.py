@@ -17,8 +17,9 @@ from companion.config.network import DatagramEndpoints
 from companion.link.endpoint import LinkError
 from companion.link.fleet.datagram_seal import HEADER_BYTES, MARK, DatagramSeal
 from companion.link.fleet.peer_datagrams import PeerDatagrams
+from companion.types.bounds import MAX_VEHICLES
 from companion.types.flight import FlightPhase, Role
-from companion.types.formation import FlownSlot
+from companion.types.formation import FlownSlot, FormationChange
 from companion.types.notices import Code
 from companion.types.peers import PeerPacket
 from companion.types.vectors import ZERO3
@@ -67,6 +68,21 @@ def test_a_peer_packet_arrives_in_the_other_agent(address: str) -> None:
         first.publish_peer(PACKET)
         assert received(second) == [PACKET]
         assert second.receive(4.0) == ()
+
+
+def test_a_change_of_the_largest_fleet_arrives_with_a_tag_for_each_vehicle(address: str) -> None:
+    ids = range(1, MAX_VEHICLES + 1)
+    sending, receiving = DatagramSeal(1, ids), DatagramSeal(2, ids)
+    receiving.learn(1, sending.own_keys[2])
+    change = FormationChange(1, tuple((i, (0.1 * i, 0.2, 0.3)) for i in ids), 1.5, 2.5, tuple(ids))
+    packet = replace(PACKET, change=change)
+    ends = DatagramEndpoints(other_address(), (address,)), DatagramEndpoints(address, ("127.0.0.1:9",))
+    with (
+        closing(PeerDatagrams(ends[0], FLEET, pytest.fail, sending)) as first,
+        closing(PeerDatagrams(ends[1], FLEET, pytest.fail, receiving)) as second,
+    ):
+        first.publish_peer(packet)
+        assert received(second) == [packet]
 
 
 def test_publishing_continues_while_nobody_listens(address: str) -> None:
