@@ -4,7 +4,7 @@ PYTHON ?= python3
 SCENARIO ?= config/scenarios/platoon.yaml
 BIN := .venv/bin
 
-.PHONY: help fly hostile soak gauntlet pictures bench bench-batch bench-filter bench-identities bench-recording bench-page transports test test-fast test-virtual test-real-time test-page test-again test-long test-vehicles test-fleets test-package deb boot faults attacks check docs docs-check site page-vendor screenshots format setup clean
+.PHONY: help fly hostile soak gauntlet pictures bench bench-batch bench-filter bench-identities bench-recording bench-page bench-large-fleet transports test test-fast test-virtual test-real-time test-page test-again test-long test-vehicles test-fleets test-package deb boot faults attacks check docs docs-check site page-vendor screenshots format setup clean
 
 help:
 	@echo "make fly        fly the paper's platoon with four agents and four stand-in autopilots, weighted against average"
@@ -33,6 +33,7 @@ help:
 	@echo "make transports  age of the states over TCP, TLS, QUIC and multicast with lost packets; writes docs/transports.md (needs root)"
 	@echo "make bench-identities  CPU of agents in formation with identities against those without; limit 1.2 times"
 	@echo "make bench-recording  CPU, tick lateness and disk of agents that record against those that do not"
+	@echo "make bench-large-fleet  CPU and bytes of an agent's Zenoh link among 8 to 64 others, with and without a router; writes docs/large-fleets.md"
 	@echo "make bench-page  the live page with 50 vehicles in a headless Chromium: update time, server, first picture"
 	@echo "make setup      only installs the project and its ground tools into .venv"
 	@echo "make fly SCENARIO=FILE flies another scenario; $(BIN)/sitl fly --help explains it"
@@ -71,6 +72,10 @@ bench-recording: .venv/fly.ready
 
 bench-page: .venv/test.ready
 	$(BIN)/python -m sitl.page_benchmark
+
+# Needs iproute2, for the kernel's counters of bytes.
+bench-large-fleet: .venv/fly.ready
+	$(BIN)/python -m sitl.large_fleet --page docs/large-fleets.md
 
 bench-filter: .venv/fly.ready
 	$(BIN)/python -m sitl.filter_benchmark
