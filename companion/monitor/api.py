@@ -114,6 +114,9 @@ class FleetView(Struct, frozen=True, kw_only=True):
     leader_ids: tuple[int, ...]
     smallest_separation_m: float | None
     smallest_separation_pair: tuple[int, int] | None
+    smallest_separation_unheard: (
+        bool  # the second of the pair does not report here; the distance is as the first sees it
+    )
     separation_trend_m_s: float | None  # over the last five seconds; negative: closing
     lambda_min: float | None  # of the interaction matrix G of the present neighbours (eq. 18)
     settling_s: float | None  # predicted, to a tenth of an error
@@ -125,7 +128,10 @@ class FleetView(Struct, frozen=True, kw_only=True):
 
 
 class AlarmView(Struct, frozen=True, kw_only=True):
-    """A condition that needs attention. It stays after its end until it is acknowledged."""
+    """A condition that needs attention. It stays after its end until it is acknowledged.
+
+    `since_s` is the begin of the newest occurrence, `first_s` that of the first one, `times` how many there were.
+    """
 
     id: int
     fleet: str
@@ -137,6 +143,8 @@ class AlarmView(Struct, frozen=True, kw_only=True):
     since_s: float
     until_s: float | None
     acknowledged: bool
+    first_s: float
+    times: int = 1
 
 
 class EventView(Struct, frozen=True, kw_only=True):

@@ -56,6 +56,7 @@ FLEET = FleetView(
     leader_ids=(1,),
     smallest_separation_m=1.5,
     smallest_separation_pair=(1, 2),
+    smallest_separation_unheard=False,
     separation_trend_m_s=-0.1,
     lambda_min=None,
     settling_s=None,
@@ -74,6 +75,7 @@ ALARM = AlarmView(
     since_s=0.0,
     until_s=None,
     acknowledged=False,
+    first_s=0.0,
 )
 
 

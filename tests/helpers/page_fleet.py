@@ -122,6 +122,7 @@ def fleet_of(vehicles: list[VehicleView], name: str = "ring") -> FleetView:
         leader_ids=(1,),
         smallest_separation_m=distance_m,
         smallest_separation_pair=pair,
+        smallest_separation_unheard=False,
         separation_trend_m_s=-0.04,
         lambda_min=0.382,
         settling_s=6.4,

@@ -108,6 +108,7 @@ class PageServer:
             text=text or f"{code} of a test",
             advice="look at the vehicle",
             since_s=time.time() - 4.0,
+            first_s=time.time() - 4.0,
             until_s=None,
             acknowledged=False,
         )

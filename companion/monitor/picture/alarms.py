@@ -109,7 +109,7 @@ class AlarmList:
     def _begin(self, time_s: float, key: Key, condition: Condition) -> AlarmView:
         fleet, vehicle_id, code = key
         if (alarm := self._alarms.get(key)) is not None:
-            self._alarms[key] = replace(alarm, until_s=None)
+            self._alarms[key] = replace(alarm, since_s=time_s, until_s=None, times=alarm.times + 1)
             return self._alarms[key]
         self._last_id += 1
         self._alarms[key] = AlarmView(
@@ -123,6 +123,7 @@ class AlarmList:
             since_s=time_s,
             until_s=None,
             acknowledged=False,
+            first_s=time_s,
         )
         return self._alarms[key]
 

@@ -49,7 +49,8 @@ class FleetFigures:
         """Of these vehicles, all of this fleet."""
         fresh = [v for v in vehicles if not v.silent and v.data_age_s is not None and v.data_age_s <= SILENT_AFTER_S]
         positions = {v.vehicle_id: v.position_enu_m for v in fresh}
-        smallest = smallest_separation(positions)
+        among_them, unheard = smallest_separation(positions), nearest_unheard(fresh)
+        smallest = min((found for found in (among_them, unheard) if found), default=None)
         if smallest and (not self._separations or now_s - self._separations[-1][0] >= SAMPLE_S - 1e-6):
             self._separations.append((now_s, smallest[0]))
         if now_s - self._figured_s >= FIGURES_EVERY_S - 1e-6:
@@ -63,6 +64,7 @@ class FleetFigures:
             leader_ids=leaders,
             smallest_separation_m=round(smallest[0], 3) if smallest else None,
             smallest_separation_pair=smallest[1] if smallest else None,
+            smallest_separation_unheard=unheard is not None and smallest is unheard,
             separation_trend_m_s=self._trend_m_s(now_s),
             lambda_min=self._convergence[0],
             settling_s=self._convergence[1],
@@ -107,6 +109,14 @@ def smallest_separation(positions_enu_m: Mapping[int, Vector3]) -> tuple[float, 
     pairs = combinations(positions_enu_m.items(), 2)
     distances = ((separation_distance_m(a, b), (i, j)) for (i, a), (j, b) in pairs)
     return min(distances, default=None)
+
+
+def nearest_unheard(vehicles: Sequence[VehicleView]) -> tuple[float, Pair] | None:
+    """The nearest vehicle that does not report here, as the one nearest to it sees it: where it was last, or may be by now."""
+    heard = {v.vehicle_id for v in vehicles}
+    seen = [(v.nearest.distance_m, v.vehicle_id, v.nearest.name) for v in vehicles if v.nearest]
+    unheard = [(d, (i, int(name))) for d, i, name in seen if name.isdecimal() and int(name) not in heard]
+    return min(unheard, default=None)
 
 
 def edges_of(vehicles: Mapping[int, VehicleView]) -> Edges:

@@ -66,10 +66,9 @@ def _fleet(name: str, vehicles: list[VehicleRow], members: frozenset[int]) -> Fl
     ]
     for distance_m, one, other in sorted(pairs, reverse=True):  # the last one that stays is the nearest
         nearest[one], nearest[other] = (distance_m, other), (distance_m, one)
-    rows = (
-        TableRow(row, len(vehicles), _nearest(row, nearest.get(row.vehicle_id)), problems_of(row)) for row in vehicles
-    )
     missing_ids = tuple(sorted(members - {row.vehicle_id for row in vehicles}))
+    size = len(vehicles) + len(missing_ids)
+    rows = (TableRow(row, size, _nearest(row, nearest.get(row.vehicle_id)), problems_of(row)) for row in vehicles)
     return FleetRows(name, tuple(rows), min(pairs, default=None), missing_ids)
 
 

@@ -40,7 +40,8 @@ def test_a_condition_that_comes_and_goes_is_one_alarm() -> None:
     first = alarms.update(10.0, {LOW: WARNING}).begun[0]
     alarms.update(11.0, {})
     again = alarms.update(12.0, {LOW: WARNING}).begun[0]
-    assert (again.id, again.since_s, again.until_s) == (first.id, 10.0, None)
+    assert (again.id, again.since_s, again.until_s) == (first.id, 12.0, None)  # how long it lasts is of this time alone
+    assert (again.first_s, again.times) == (10.0, 2)
     assert len(alarms.all()) == 1
 
 

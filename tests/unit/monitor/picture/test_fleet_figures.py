@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from companion.assembly import law_of
 from companion.config.law import Law
-from companion.monitor.picture.fleet_figures import convergence, smallest_separation, weakest_link
+from companion.monitor.api import NearestView
+from companion.monitor.picture.fleet_figures import FleetFigures, convergence, smallest_separation, weakest_link
 from companion.stability.interaction import interaction_matrix
 from companion.types.vectors import Vector3
+from monitored_fleet import vehicle
 
 WEIGHTED = Law(name="weighted")
 coordinates = st.floats(-100.0, 100.0)
@@ -24,6 +27,19 @@ def test_a_metre_of_height_counts_half() -> None:
     found = smallest_separation({1: (0.0, 0.0, 0.0), 2: (0.0, 0.0, 4.0), 7: (3.0, 0.0, 0.0)})
     assert found == (2.0, (1, 2))
     assert smallest_separation({1: (0.0, 0.0, 0.0)}) is None
+
+
+def test_a_silent_vehicle_counts_where_another_one_sees_it() -> None:
+    """It hovers in the way; from here nothing is received of it."""
+    one = vehicle(1, nearest=NearestView("3", 1.75, 1.35, 0.2), position_enu_m=(0.0, 0.0, 2.0))
+    other = vehicle(2, nearest=NearestView("1", 1.97, 1.3, 0.0), position_enu_m=(1.97, 0.0, 2.0))
+    view = FleetFigures("platoon", None).view(10.0, [one, other])
+    assert (view.smallest_separation_m, view.smallest_separation_pair) == (1.75, (1, 3))
+    assert view.smallest_separation_unheard
+    away = replace(one, nearest=NearestView("airliner", 1.0, 1.0, 0.0))  # traffic is no vehicle of the fleet
+    view = FleetFigures("platoon", None).view(10.0, [away, other])
+    assert (view.smallest_separation_m, view.smallest_separation_pair) == (1.97, (1, 2))
+    assert not view.smallest_separation_unheard
 
 
 def test_lambda_min_and_settling_of_a_chain_of_three() -> None:

@@ -25,11 +25,12 @@ function row(alarm, store, act) {
   const when = ended
     ? `${clock(alarm.since_s)} to ${clock(alarm.until_s)}, ended`
     : `since ${clock(alarm.since_s)}, ${age(snapshot.time_s - alarm.since_s)}`;
+  const times = alarm.times > 1 ? `; ${alarm.times} times since ${clock(alarm.first_s)}` : "";
   return html`<li class="${alarm.severity} ${alarm.acknowledged ? "acknowledged" : ""} ${ended ? "ended" : ""}"
       data-alarm=${alarm.id}>
     <span class="mark" role="img" aria-label=${alarm.severity}>${MARK[alarm.severity] ?? "●"}</span>
     <div><p><strong>${subject}: ${alarm.code}</strong> ${alarm.text}</p>
-      <p class="when">${when}${alarm.advice ? html`. <span class="advice">${prose(alarm.advice)}</span>` : nothing}</p></div>
+      <p class="when">${when}${times}${alarm.advice ? html`. <span class="advice">${prose(alarm.advice)}</span>` : nothing}</p></div>
     ${alarm.acknowledged
       ? html`<span class="quiet">acknowledged</span>`
       : html`<button class="small" @click=${() => act.acknowledge(alarm.id)} aria-label="Acknowledge ${subject} ${alarm.code}">Acknowledge</button>`}

@@ -28,7 +28,8 @@ function figure(name, value, note, state = "") {
 
 function separationNote(fleet, file) {
   const limit = file ? `limit ${metres(file.separation_m, 1)}` : "";
-  return [pair(fleet?.smallest_separation_pair), limit].filter(Boolean).join(", ");
+  const unheard = fleet?.smallest_separation_unheard ? `${fleet.smallest_separation_pair[1]} does not report` : "";
+  return [pair(fleet?.smallest_separation_pair), unheard, limit].filter(Boolean).join(", ");
 }
 
 /** The sign as an arrow and a term, too. */
