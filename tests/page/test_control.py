@@ -108,6 +108,14 @@ def test_a_formation_is_previewed_before_it_can_be_sent(open_page: OpenPage) -> 
         assert server.commands[0].content == {"shape": "line", "spacing_m": 3.5, "heading_deg": 0}
 
 
+def test_the_answer_of_a_preview_comes_into_sight(open_page: OpenPage) -> None:
+    with PageServer(may_control=True) as server:
+        page = open_page(server.control_url, height=620)
+        page.locator("summary", has_text="Formation").click()
+        page.locator("[data-action=preview-formation]").click()
+        expect(page.locator("[data-action=send-formation]")).to_be_in_viewport(ratio=1.0)
+
+
 def test_a_reference_is_placed_on_the_map(open_page: OpenPage) -> None:
     with PageServer(may_control=True) as server:
         page = open_page(server.control_url)

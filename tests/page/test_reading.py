@@ -114,3 +114,16 @@ def test_the_help_explains_the_abort_key(open_page: OpenPage) -> None:
         expect(page.locator("#help")).to_contain_text("both held for half a second: ABORT")
         page.get_by_role("button", name="Close").click()
         expect(page.locator("#help")).to_be_hidden()
+
+
+@pytest.mark.parametrize(("width", "height"), [(390, 844), (1440, 900)])
+def test_phase_and_whether_it_is_armed_are_not_cut_off(open_page: OpenPage, width: int, height: int) -> None:
+    with PageServer() as server:
+        server.change = lambda vehicles: [
+            replace(vehicle, mode="AUTO.LOITER", armed=False, silent=vehicle.vehicle_id == 2) for vehicle in vehicles
+        ]
+        page = open_page(server.url, width=width, height=height)
+        expect(page.locator("[data-id='2']")).to_contain_text("SILENT")
+        cut_off = """() => [...document.querySelectorAll(".fleet thead th, .fleet tr:not(.note) td:is(:nth-child(2), .mode)")]
+            .filter((cell) => cell.checkVisibility() && cell.scrollWidth > cell.clientWidth).map((cell) => cell.innerText)"""
+        assert page.evaluate(cut_off) == []

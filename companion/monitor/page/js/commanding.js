@@ -5,9 +5,10 @@ import { command, hasToken, mayCommand, preview } from "./api.js";
 const KEPT = 2;
 
 export class Commanding {
-  constructor(store, onChange) {
+  constructor(store, onChange, onPreviewed) {
     this._store = store;
     this._onChange = onChange;
+    this._onPreviewed = onPreviewed;
     this._number = 0;
     this.sent = []; // newest first: {number, title, result: CommandResult or null, error}
     this.toSelected = false; // else to all vehicles
@@ -72,6 +73,7 @@ export class Commanding {
     }
     this.previewing = false;
     this._onChange();
+    this._onPreviewed();
   }
 
   async sendPreviewed() {

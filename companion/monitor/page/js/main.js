@@ -44,7 +44,7 @@ let panelsMs = -Infinity; // when they were drawn
 let arrivedMs = null; // of the oldest snapshot that is not painted yet
 
 const theme = new Theme(schedule);
-const commanding = new Commanding(store, schedule);
+const commanding = new Commanding(store, schedule, showPreviewed);
 const map = new FleetMap(at("scene"), store, {
   changed: schedule,
   selected: (id, several) => act.select(id, several),
@@ -159,6 +159,12 @@ function schedule() {
 
 function scheduleMap() {
   frame ??= requestAnimationFrame(drawMap);
+}
+
+/** The panel of commands may be longer than its place: what a preview says, and its `Send`, come into sight. */
+function showPreviewed() {
+  drawPanels();
+  document.querySelector(".previewed")?.scrollIntoView({ block: "nearest" });
 }
 
 /** In a frame after that of the map, which does not wait for them. */

@@ -4,7 +4,7 @@ import { metres, quantity } from "../format.js";
 import { html, nothing } from "./lit.js";
 
 export function previewed({ store, commanding }, name) {
-  if (commanding.previewError) return html`<p class="critical">${commanding.previewError}</p>`;
+  if (commanding.previewError) return html`<p class="previewed critical">${commanding.previewError}</p>`;
   const preview = store.preview;
   if (!preview || preview.name !== name) return nothing;
   return html`<div class="previewed">
