@@ -141,6 +141,10 @@ class ReplaySource:
         lasts = [indices[bisect_left(indices, self._next) - 1] for indices in self._of_vehicle.values()]
         self._before_jump = [self._reports[index] for index in sorted(lasts) if index < self._next]
 
+    def go_on(self, time_s: float) -> None:
+        """Play up to this time at once: the next `drain` has all that comes before it."""
+        self._from = Moment(self._clock(), min(max(time_s, self._times[0]), self._times[-1]))
+
     def set_speed(self, speed: float) -> None:
         """Seconds of the flight per second; 0 pauses."""
         self._from = Moment(self._clock(), self.moment().time_s)

@@ -17,6 +17,8 @@ from companion.monitor.sources import BEFORE_JUMP_S, Moment, ReplaySource, Sourc
 PERIOD_S = 0.05
 STEPS_PER_SNAPSHOT = 2
 CONNECTIONS_EVERY_S = 3.0
+RETRACED_S = 300.0  # before the time that a replay jumps to: of alarms, events and history
+RETRACE_STEP_S = 0.5
 FAR_BEHIND_S = 1.0  # after a pause of this process steps are left out, not made up for
 
 _log = logging.getLogger(__name__)
@@ -47,6 +49,7 @@ class Station:
         self._connected: tuple[str, ...] = ()
         self._unreachable: tuple[str, ...] = ()
         self._published_event = 0
+        self._sought_s: float | None = None
         self.fleet_names = tuple(fleets)
         self.listeners: list[Listener] = []
         self.publish: Callable[[bytes], None] = lambda _snapshot: None
@@ -73,12 +76,32 @@ class Station:
 
     def read(self) -> None:
         """Take in what has come since the last call."""
+        if self._sought_s is not None and isinstance(self._source, ReplaySource):
+            self._jump(self._source, self._sought_s)
+        self._sought_s = None
+        moment, reports = self._take_in()
+        for listen in self.listeners:
+            listen(reports, moment.now_s)
+
+    def _take_in(self) -> tuple[Moment, list[TimedReport]]:
         moment, reports = self._source.moment(), self._source.drain()
         self._picture.receive(reports, moment.time_s - moment.now_s)
         for happening in self._source.drain_happenings():
             self._picture.events.add(*happening)
-        for listen in self.listeners:
-            listen(reports, moment.now_s)
+        return moment, reports
+
+    def _jump(self, source: ReplaySource, time_s: float) -> None:
+        """Fold what came before this time, so that alarms have their true begin. Some 0.4 ms per step with four vehicles."""
+        source.seek(time_s)
+        end_s = source.moment().time_s
+        begin_s = max(end_s - RETRACED_S, source.replay.begin_s)
+        source.seek(begin_s)
+        self._picture.jump(begin_s - BEFORE_JUMP_S)
+        for step in range(int((end_s - begin_s) / RETRACE_STEP_S) + 1):
+            source.go_on(begin_s + step * RETRACE_STEP_S)
+            self._take_in()
+            self._snapshot(source.moment())
+        source.go_on(end_s)
 
     def _publish(self) -> None:
         self.newest = self._snapshot(self._source.moment())
@@ -113,8 +136,7 @@ class Station:
             return
         match message:
             case Seek(time_s):
-                source.seek(time_s)
-                self._picture.jump(source.moment().time_s - BEFORE_JUMP_S)
+                self._sought_s = time_s  # at the next reading: a slider that is dragged asks for many
             case Speed(speed):
                 source.set_speed(speed)
 
