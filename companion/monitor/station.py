@@ -91,7 +91,10 @@ class Station:
         return moment, reports
 
     def _jump(self, source: ReplaySource, time_s: float) -> None:
-        """Fold what came before this time, so that alarms have their true begin. Some 0.4 ms per step with four vehicles."""
+        """Fold what came before this time, so that alarms have their true begin.
+
+        Blocks: five minutes take 0.2 s with four vehicles, 0.5 s with 16, 1.7 s with 50.
+        """
         source.seek(time_s)
         end_s = source.moment().time_s
         begin_s = max(end_s - RETRACED_S, source.replay.begin_s)

@@ -17,8 +17,9 @@ from companion import GROUND_INSTALL
 from companion.ground.endpoints import unreachable
 from companion.ground.fleet_status import FleetState, VehicleRow, fold, rows
 from companion.ground.session import FleetSession
+from companion.ground.text import id_list
 from companion.monitor.error import MonitorError
-from companion.monitor.terminal.fleet_rows import NO_MEMBERS, Members
+from companion.monitor.terminal.fleet_rows import NO_MEMBERS, Members, fleets
 from companion.monitor.terminal.page import page
 from companion.types.bounds import FLEET_NAME
 
@@ -53,11 +54,12 @@ def run_monitor(
         raise MonitorError(f"--fleet {fleet!r}: expected the name in a fleet file, like platoon, or * for every fleet")
     is_live = _is_live_terminal() and not (once or as_json)
     show_live = _live_screen() if is_live else None
-    show = _json if as_json else partial(_plain_table, members=members)
+    show: Print = _json if as_json else partial(_plain_table, members=members)
+    show_once: Print = partial(_json_once, members=members) if as_json else show
     with FleetSession(fleet, endpoints, identity=identity) as session:
         try:
             if once:
-                return _once(session, endpoints, show)
+                return _once(session, endpoints, show_once)
             if show_live:
                 known = () if endpoints_are_guessed else endpoints
                 show_live(_reader(session), endpoints, lambda: unreachable(known, session.linked()), members)
@@ -146,3 +148,12 @@ def _plain_table(vehicles: list[VehicleRow], members: Members) -> None:
 
 def _json(vehicles: list[VehicleRow]) -> None:
     print(msgspec.json.encode(vehicles).decode())
+
+
+def _json_once(vehicles: list[VehicleRow], members: Members) -> None:
+    """On standard error those that the array cannot have, because they never reported."""
+    _json(vehicles)
+    for fleet in fleets(vehicles, members):
+        if fleet.missing_ids:
+            missing = f"NEVER HEARD: {id_list(fleet.missing_ids)} of its fleet file"
+            print(f"companion monitor: fleet {fleet.name}: {missing}", file=sys.stderr)
