@@ -146,7 +146,8 @@ def test_the_second_successor_becomes_leader_when_the_first_stops_too() -> None:
     third = ("fleet.vehicles[2].may_lead=true", "fleet.successors=[2,3]")
     flight = flown("fleet.law.name=cooperative", *third, dead=(1, 2))
     assert 0.8 < max(flight.led_s(by=3).values()) < 1.0
-    assert max(float(error_m.max()) for error_m in flight.errors_m.values()) < 0.1
+    # The last state of a dead leader is extrapolated by two ticks and used until it is peers.max_age_s old: twice 0.3 s late.
+    assert max(float(error_m.max()) for error_m in flight.errors_m.values()) < 0.13
     assert flight.last()[4].prc == 2
 
 
