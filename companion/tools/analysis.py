@@ -91,6 +91,7 @@ class LawAnalysis(Struct, frozen=True, kw_only=True):
     time_to_10_cm_s: float | None  # by the rate alone
     predicted_settle_s: float | None  # by the linear model with attitude lag and delay
     leader_settle_s: float | None  # likewise, of a leader without neighbours from the same largest error
+    leader_step_settle_s: float | None  # likewise, from STEP_M
     predicted_max_distance_m: dict[str, float] | None
     predicted_min_distance_m: dict[str, float] | None
     stays_in_range: bool | None  # None: neighbours are given as edges
@@ -265,6 +266,7 @@ def _law_analysis(subject: Subject, graph: Graph, leaders: Collection[int], name
         time_to_10_cm_s=time_to_shrink_s(rate_1_s, start_error_m, SETTLED_WITHIN_M) if stable else None,
         predicted_settle_s=None if errors_m is None else settled_after_s(errors_m, SETTLED_WITHIN_M),
         leader_settle_s=_leader_settle_s(law, start_error_m) if stable else None,
+        leader_step_settle_s=_leader_settle_s(law, STEP_M) if stable else None,
         velocity_error_shift_m=shift_m(law.gains, VELOCITY_ERROR_M_S),
         velocity_error_shift_corrected_m=shift_m(law.gains, VELOCITY_ERROR_M_S)
         * share_left(tau / ERROR_TURNS_S, subject.fleet.law.velocity_correction_1_s),

@@ -7,7 +7,7 @@ from textwrap import wrap
 
 import numpy as np
 
-from companion.tools.analysis import ERROR_TURNS_S, MODEL, PREDICT_S, VELOCITY_ERROR_M_S, Analysis, LawAnalysis
+from companion.tools.analysis import ERROR_TURNS_S, MODEL, PREDICT_S, STEP_M, VELOCITY_ERROR_M_S, Analysis, LawAnalysis
 from companion.types.notices import Code, Notice
 
 BADLY_DAMPED = 0.3
@@ -161,13 +161,13 @@ def _grows(analysis: Analysis, law: LawAnalysis) -> Iterator[Notice]:
 
 def _too_deep(analysis: Analysis, law: LawAnalysis) -> Iterator[Notice]:
     late_s = analysis.hops * MODEL.feedforward_delay_s
-    if law.leader_settle_s is None or late_s < DEEP * law.leader_settle_s:
+    if law.leader_step_settle_s is None or late_s < DEEP * law.leader_step_settle_s:
         return
     yield Notice(
         Code.FLEET_TOO_DEEP,
         f"deep for its delay: {analysis.hops} hops pass a motion of the leader on, {late_s:.1f} s later to the last vehicle,"
         f" and {late_s + analysis.hops * LATE_LINK_S:.1f} s with links of {1000 * LATE_LINK_S:g} ms; a leader alone settles in"
-        f" {law.leader_settle_s:.1f} s; more edges, a leader in the middle or a second leader help",
+        f" {law.leader_step_settle_s:.1f} s from {STEP_M:g} m; more edges, a leader in the middle or a second leader help",
     )
 
 

@@ -34,6 +34,7 @@ NO_FIGURES = (
     "time_to_10_cm_s",
     "predicted_settle_s",
     "leader_settle_s",
+    "leader_step_settle_s",
     "predicted_max_distance_m",
     "predicted_min_distance_m",
     "stays_in_range",
@@ -278,6 +279,14 @@ def test_a_fleet_that_is_too_deep_for_its_delay_is_told(tmp_path: Path, vehicles
     assert analysis.hops == vehicles - 1
     assert found.leader_settle_s == pytest.approx(2.0, abs=0.3)
     assert (Code.FLEET_TOO_DEEP in [finding.code for finding in verdict(analysis)]) is is_deep
+
+
+@pytest.mark.parametrize("name", ["exchange", "ring_figure_8"])
+def test_a_small_fleet_that_starts_at_its_slots_is_not_too_deep(name: str) -> None:
+    """It has settled from the beginning, and so has a leader alone: the comparison is with a step."""
+    analysis = analyse(load_subject(CONFIG / "scenarios" / f"{name}.yaml"))
+    assert analysis.laws[analysis.law].leader_settle_s == 0.0
+    assert Code.FLEET_TOO_DEEP not in [finding.code for finding in verdict(analysis)]
 
 
 @pytest.mark.usefixtures("short")
