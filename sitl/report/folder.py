@@ -68,13 +68,14 @@ def open_folder(out: Path | None, stem: str) -> Iterator[Path]:
 def remove_old_run(folder: Path) -> None:
     """Remove the files of an older run, also those of its laws' folders, so that none remains beside the new ones.
 
-    A folder holds a run if it has tracks and the scenario as flown; other files are kept. Raises OSError.
+    A folder holds a run if it has the scenario as flown, and tracks or the agents' logs: a flight with external autopilots that
+    failed has no tracks. Other files are kept. Raises OSError.
     """
     for place in (folder, *(folder / law for law in LAWS)):
         files = [file for file in place.iterdir() if OWN_FILES.fullmatch(file.name)] if place.is_dir() else []
         names = {file.name for file in files}
-        has_tracks = any(name.startswith(("truth_", "estimated_")) for name in names)
-        if "comparison.json" in names or ("scenario.yaml" in names and has_tracks):
+        was_flown = any(name.startswith(("truth_", "estimated_", "agent_")) for name in names)
+        if "comparison.json" in names or ("scenario.yaml" in names and was_flown):
             for file in files:
                 file.unlink()
             if place != folder and not any(place.iterdir()):

@@ -25,6 +25,14 @@ def test_default_folders_of_one_second_differ(tmp_path: Path, monkeypatch: pytes
     assert all(folder.is_dir() and folder.name.startswith("platoon-weighted-") for folder in folders)
 
 
+def test_recordings_of_a_failed_run_without_tracks_are_removed(tmp_path: Path) -> None:
+    """As with external autopilots, whose estimated tracks are written at the end of a flight."""
+    for name in ("scenario.yaml", "agent_1.log", "vehicle_1_0001_001.mcap", "notes.txt"):
+        (tmp_path / name).touch()
+    with open_folder(tmp_path, "x"):
+        assert [file.name for file in tmp_path.iterdir()] == ["notes.txt"]
+
+
 def test_files_of_a_running_run_are_kept(tmp_path: Path) -> None:
     for name in ("scenario.yaml", "truth_1.csv"):
         (tmp_path / name).touch()
