@@ -13,7 +13,7 @@ from companion.ground.references import reference_change
 from companion.ground.session import FleetSession
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
-from fleet_ports import free_fleet_offset
+from own_ports import free_fleet_offset
 from repository import ROOT
 from sitl.flight.processes.fleet import Fleet
 from sitl.flight.scenario import load_scenario

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from fleet_ports import free_fleet_offset
+from own_ports import free_fleet_offset
 from repository import ROOT
 from sitl.links.ports import ports_of
 from sitl.report.summary import read_summary

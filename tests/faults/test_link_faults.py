@@ -16,6 +16,7 @@ from faulty_fleet import (
     IDS,
     LEADER,
     LOST_S,
+    SPEED_M_S,
     TOUCHING_M,
     UNDISTURBED,
     FaultyFleet,
@@ -29,8 +30,10 @@ pytestmark = [pytest.mark.fleet, pytest.mark.timeout(240)]
 
 WORSE_BY_M = 0.2  # acceptance: 10 % loss and 100 +- 50 ms
 MEASURED_S = 8.0
+DELAY_S, JITTER_S = 0.05, 0.1
+LAG_M = len(FOLLOWERS) * (DELAY_S + JITTER_S / 2.0) * SPEED_M_S  # of the last vehicle of the line
 
-DELAYED = {"peer_delay_s": 0.05, "peer_jitter_s": 0.1}
+DELAYED = {"peer_delay_s": DELAY_S, "peer_jitter_s": JITTER_S}
 LINKS = {
     "10 % loss": disturbed(peer_loss=0.1),
     "30 % loss": disturbed(peer_loss=0.3),
@@ -79,17 +82,26 @@ def test_the_formation_holds_under(flight: FaultyFleet, fault: str, row: FaultRo
 
 
 def test_a_fleet_forms_under_loss_and_delay(tmp_path: Path, row: FaultRow) -> None:
-    """The links are bad from the start: connecting, arming, take-off and forming, too."""
-    with faulty_fleet(tmp_path, "links.peer_loss=0.3", "links.peer_delay_s=0.05", "links.peer_jitter_s=0.1") as flight:
+    """The links are bad from the start: connecting, arming, take-off and forming, too.
+
+    No vehicle ever heard a fast packet, so the fleet flies its circle with the whole delay in every hop: docs/law.md, states
+    that arrive late.
+    """
+    with faulty_fleet(
+        tmp_path, "links.peer_loss=0.3", *(f"links.{key}={value}" for key, value in DELAYED.items())
+    ) as flight:
         flight.form()
         flight.fault()
         flight.ground.listen(10.0)
         flight.check_formation()
         error_m = flight.largest_error_m(last_s=4.0)
-        row.fault, row.demanded = "30 % loss and 100 +- 50 ms from the start", "the fleet forms and converges"
+        row.fault = "30 % loss and 100 +- 50 ms from the start"
+        row.demanded = (
+            f"the fleet forms; error within {LAG_M + WORSE_BY_M:.2f} m: {LAG_M:.2f} m are the delay of three hops"
+        )
         row.measured = [f"largest error {error_m:.3f} m, 8 s after forming"]
         row.outcome = "all in formation"
-        assert error_m < CONVERGED_M
+        assert error_m < LAG_M + WORSE_BY_M
         flight.check(row)
         flight.land()
 

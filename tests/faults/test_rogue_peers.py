@@ -20,7 +20,7 @@ from companion.types.notices import Code
 from companion.types.peers import PeerPacket
 from companion.wire.keys import peer_key
 from companion.wire.peer import encode_peer
-from fleet_ports import free_fleet_offset
+from own_ports import free_fleet_offset
 from repository import ROOT
 from sitl.links.ports import LOOPBACK, ports_of
 from sitl.report.summary import read_summary

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from agent_process import free_port
 from attacked_fleet import MEASURED_S, Undisturbed, measured, publishing, running, tls_of_a_stranger
 from companion.types.notices import Code
 from fault_table import FaultRow
 from identities import stranger, tls_of
+from own_ports import free_port
 from secured_fleet import IDS, secured_fleet
 
 pytestmark = [pytest.mark.fleet, pytest.mark.every_fault, pytest.mark.timeout(240)]
@@ -27,7 +27,7 @@ RECORDED = 200
 
 @pytest.fixture(scope="module")
 def flying(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Undisturbed]:
-    multicast = f"{GROUP}:{free_port(24740, socket.SOCK_DGRAM)}"
+    multicast = f"{GROUP}:{free_port(socket.SOCK_DGRAM)}"
     overrides = ("fleet.transport=quic", f"fleet.multicast={multicast}")
     with secured_fleet(tmp_path_factory.mktemp("quic"), *overrides) as fleet:
         yield Undisturbed.of(fleet)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from companion.stability.arrays import FloatArray
-from fleet_ports import free_fleet_offset
+from own_ports import free_fleet_offset
 from repository import ROOT
 from sitl.report.summary import read_summary
 from sitl.report.tracks import read_track

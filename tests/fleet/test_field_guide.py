@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from deploy.boot.documented import PAGE as INSTALLATION
-from fleet_ports import free_fleet_offset
 from guided_field import Field
+from own_ports import free_fleet_offset
 from repository import ROOT
 
 pytestmark = [pytest.mark.fleet, pytest.mark.long, pytest.mark.timeout(600)]

@@ -22,7 +22,7 @@ from companion.types.notices import Code
 from companion.types.status import Status
 from companion.wire.ground import decode_reply, encode
 from companion.wire.keys import command_key, reply_key
-from fleet_ports import free_fleet_offset
+from own_ports import free_fleet_offset
 from sitl.flight.processes.fleet import Fleet
 from sitl.flight.scenario import scenario_from
 from sitl.links.ports import zenoh_endpoint

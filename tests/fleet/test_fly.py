@@ -10,7 +10,7 @@ import msgspec
 import pytest
 
 from companion.types.notices import Code
-from fleet_ports import free_fleet_offset
+from own_ports import free_fleet_offset
 from repository import ROOT
 from sitl.flight.scenario import load_scenario
 from sitl.report.summary import Summary, read_summary

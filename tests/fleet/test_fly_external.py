@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from companion.mavlink.codec import MavlinkCodec, mavlink
-from fleet_ports import free_fleet_offset
+from own_ports import free_fleet_offset
 from sitl.links.ports import ports_of
 from sitl.report.summary import Summary, read_summary
 from sitl.report.tracks import read_track

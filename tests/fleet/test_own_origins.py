@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from companion.types.notices import Code
-from fleet_ports import free_fleet_offset
+from own_ports import free_fleet_offset
 from repository import ROOT
 from sitl.report.summary import read_summary
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from fleet_ports import free_fleet_offset
+from own_ports import free_fleet_offset
 from repository import ROOT
 
 pytestmark = [pytest.mark.fleet, pytest.mark.timeout(180)]

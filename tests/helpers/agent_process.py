@@ -13,6 +13,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from own_ports import free_port
+
 FLEET = """\
 name: processtest
 origin: {latitude_deg: 47.397742, longitude_deg: 8.545594, altitude_amsl_m: 488.0}
@@ -30,22 +32,6 @@ zenoh: {{listen: ["{zenoh}"]}}
 reference: {{kind: point, point_enu_m: [0.0, 0.0, 2.0]}}
 """
 
-PORTS_OF_A_RUN, RUNS_AT_ONCE = 100, 50
-
-
-def free_port(first: int, kind: int) -> int:
-    """The first free port of the range of this process; test runs at the same time have different ranges."""
-    first += PORTS_OF_A_RUN * (os.getpid() % RUNS_AT_ONCE)
-    for port in range(first, first + PORTS_OF_A_RUN):
-        with socket.socket(socket.AF_INET, kind) as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            try:
-                probe.bind(("127.0.0.1", port))
-            except OSError:
-                continue
-            return port
-    raise AssertionError(f"no free port from {first} on")
-
 
 @dataclass(frozen=True)
 class AgentFiles:
@@ -57,9 +43,9 @@ class AgentFiles:
 
 
 def agent_files(folder: Path, mavlink: str = "", zenoh: str = "") -> AgentFiles:
-    """The files of vehicle 1, on free ports away from those of simulated fleets."""
-    udp_port = free_port(24540, socket.SOCK_DGRAM)
-    zenoh = zenoh or f"tcp/127.0.0.1:{free_port(17700, socket.SOCK_STREAM)}"
+    """The files of vehicle 1, on free ports."""
+    udp_port = free_port(socket.SOCK_DGRAM)
+    zenoh = zenoh or f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}"
     (folder / "fleet.yaml").write_text(FLEET, encoding="utf-8")
     file = folder / "vehicle-1.yaml"
     file.write_text(VEHICLE.format(mavlink=mavlink or f"udpin:127.0.0.1:{udp_port}", zenoh=zenoh), encoding="utf-8")

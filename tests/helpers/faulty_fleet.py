@@ -16,7 +16,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime
 from itertools import combinations, pairwise
-from math import acos, degrees, dist
+from math import acos, degrees, dist, pi
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +31,7 @@ from companion.types.flight import FlightPhase
 from companion.types.notices import Code
 from companion.types.vectors import Vector3
 from fault_table import FaultRow
-from fleet_ports import free_fleet_offset
+from own_ports import free_fleet_offset
 from repository import ROOT
 from sitl.flight.files import truth_path, write_files, write_network
 from sitl.flight.processes.fleet import Fleet
@@ -52,11 +52,13 @@ UNDISTURBED = Links(peer_transport="udp", peer_delay_s=0.002)  # not the default
 AGENTS_PORTS = 12_000  # away from the stand-ins' ports, where the taps listen
 TICK_S = 0.02
 LONGEST_STREAM_GAP_S = 0.1  # setpoints further apart are not of one stream
+RADIUS_M, PERIOD_S = 6.0, 30.0
+SPEED_M_S = 2.0 * pi * RADIUS_M / PERIOD_S  # of the reference
 OVERRIDES = (
     "fleet.law.name=cooperative",
     "fleet.takeoff_height_m=2.0",
     f"fleet.separation_m={SEPARATION_M}",
-    "reference={kind: circle, centre_enu_m: [-6.0, 0.0, 2.0], radius_m: 6.0, period_s: 30.0}",
+    f"reference={{kind: circle, centre_enu_m: [-6.0, 0.0, 2.0], radius_m: {RADIUS_M}, period_s: {PERIOD_S}}}",
     "links={peer_transport: udp, peer_delay_s: 0.002}",
 )
 LOGGED = re.compile(r"^(\d\d:\d\d:\d\d\.\d\d\d) vehicle \d+: ([A-Z_]+): (.*)$", re.MULTILINE)

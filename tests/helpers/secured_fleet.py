@@ -14,7 +14,7 @@ from companion.config.network import protocol_of
 from companion.ground.session import FleetSession
 from companion.link.fleet.own_identity import load
 from companion.security.identity import Identity
-from fleet_ports import free_fleet_offset
+from own_ports import free_fleet_offset
 from repository import ROOT
 from sitl.flight.files import truth_path, write_files
 from sitl.flight.processes.fleet import Fleet, stand_ins_together

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from agent_process import until
-from fleet_ports import free_vehicle_offset
+from own_ports import free_vehicle_offset
 from sitl.links.ports import Ports, ports_of
 
 

@@ -16,8 +16,8 @@ from pathlib import Path
 
 import pytest
 
-from agent_process import FLEET, VEHICLE, free_port, until
-from fleet_ports import free_vehicle_offset
+from agent_process import FLEET, VEHICLE, until
+from own_ports import free_port, free_vehicle_offset
 from repository import ROOT
 from sitl.links.ports import ports_of
 
@@ -89,7 +89,7 @@ def installed(
 def vehicle(installed: Environment) -> Iterator[Path]:
     """The file of a vehicle whose autopilot is a running stand-in of the installed project."""
     offset = free_vehicle_offset()
-    zenoh = f"tcp/127.0.0.1:{free_port(17700, socket.SOCK_STREAM)}"
+    zenoh = f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}"
     mavlink = f"udpin:127.0.0.1:{ports_of(1, offset).companion}"
     (installed.folder / "fleet.yaml").write_text(FLEET, encoding="utf-8")
     file = installed.folder / "vehicle.yaml"

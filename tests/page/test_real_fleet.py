@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from fleet_ports import free_fleet_offset
+from own_ports import free_fleet_offset
 from page_waits import until
 from repository import ROOT
 from running_program import running

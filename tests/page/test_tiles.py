@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from matplotlib.image import imsave
 
-from agent_process import free_port
 from companion.config.planned_flight import DEFAULT_ORIGIN
+from own_ports import free_port
 from page_waits import until
 from running_program import running
 
@@ -30,7 +30,7 @@ ZOOM = 17
 @contextmanager
 def monitored(folder: Path, *options: str) -> Iterator[str]:
     """The URL of the page of three vehicles in formation."""
-    port, page_port = (free_port(first, SOCK_STREAM) for first in (30_000, 31_000))
+    port, page_port = free_port(SOCK_STREAM), free_port(SOCK_STREAM)
     fleet_file = folder / "fleet.yaml"
     with running("sitl.monitor_load", "--vehicles", "3", "--port", str(port), "--write-fleet", str(fleet_file)) as load:
         assert load.stdout

@@ -13,11 +13,12 @@ from pathlib import Path
 
 import pytest
 
-from agent_process import agent, agent_files, free_port, until
+from agent_process import agent, agent_files, until
 from companion.ground.session import FleetSession
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
 from hovering_autopilot import LOITER, HoveringAutopilot
+from own_ports import free_port
 
 PIECE_BYTES = 7  # packets arrive in pieces, as on a slow line
 
@@ -93,7 +94,7 @@ def test_on_a_serial_line(tmp_path: Path) -> None:
 
 
 def test_over_tcp(tmp_path: Path) -> None:
-    port = free_port(24700, socket.SOCK_STREAM)
+    port = free_port(socket.SOCK_STREAM)
     with socket.create_server(("127.0.0.1", port)) as server:
         server.settimeout(20.0)
         connections: list[socket.socket] = []

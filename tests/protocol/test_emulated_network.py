@@ -15,7 +15,8 @@ from pathlib import Path
 
 import pytest
 
-from agent_process import free_port, until
+from agent_process import until
+from own_ports import free_fleet_offset
 from sitl.links.emulated_network import emulated_host
 from sitl.links.ports import LOOPBACK, ports_of
 
@@ -57,7 +58,7 @@ def network(tmp_path: Path) -> Iterator[Callable[..., Running]]:
     processes = []
 
     def start(**links: Setting) -> Running:
-        port_offset = free_port(41000, socket.SOCK_STREAM) - ports_of(1, 0).zenoh
+        port_offset = free_fleet_offset()
         file, log = tmp_path / "network.yaml", tmp_path / "network.log"
         write(file, port_offset, links)
         with log.open("wb") as output:

@@ -16,7 +16,6 @@ import pytest
 import zenoh
 from msgspec.structs import replace
 
-from agent_process import free_port
 from companion.config.fleet_check import load_fleet
 from companion.config.network import ZenohEndpoints
 from companion.ground.publishers import TargetPublisher, TrafficPublisher
@@ -36,6 +35,7 @@ from companion.wire.target import encode_target
 from companion.wire.traffic import encode_traffic
 from identities import FLEET_NAME, Identities, provisioned, stranger, tls_of
 from link_traffic import PACKET, until
+from own_ports import free_port
 
 TRIES_S = 1.5
 ZERO = (0.0, 0.0, 0.0)
@@ -84,7 +84,7 @@ def vehicle(identities: Identities, vehicle_id: int, listen: str = "", connect: 
 @pytest.fixture(params=["tls", "quic"])
 def endpoint(request: pytest.FixtureRequest) -> str:
     kind = socket.SOCK_STREAM if request.param == "tls" else socket.SOCK_DGRAM
-    return f"{request.param}/127.0.0.1:{free_port(17700, kind)}"
+    return f"{request.param}/127.0.0.1:{free_port(kind)}"
 
 
 def everything(session: zenoh.Session, operators: tuple[str, ...] = ("ground-anna",)) -> Callable[[], None]:
@@ -178,7 +178,7 @@ def test_a_stranger_is_not_connected(fleet: Identities, endpoint: str, who: str,
 def test_a_participant_publishes_only_under_its_own_keys(
     fleet: Identities, who: str, packets_of: set[int], operators: set[str], others: set[str]
 ) -> None:
-    endpoint = f"tls/127.0.0.1:{free_port(17700, socket.SOCK_STREAM)}"
+    endpoint = f"tls/127.0.0.1:{free_port(socket.SOCK_STREAM)}"
     with (
         vehicle(fleet, 1, listen=endpoint) as first,
         FleetSession(FLEET_NAME, [endpoint], identity=fleet.of("ground-anna")) as ground,
@@ -195,7 +195,7 @@ def test_a_participant_publishes_only_under_its_own_keys(
 
 def test_who_is_revoked_is_not_used_from_the_next_list_on(tmp_path: Path) -> None:
     fleet = provisioned(tmp_path / "fleet")
-    endpoint = f"tls/127.0.0.1:{free_port(17700, socket.SOCK_STREAM)}"
+    endpoint = f"tls/127.0.0.1:{free_port(socket.SOCK_STREAM)}"
     revoked = ("vehicle-2", "ground-anna", "target-beacon", "traffic-adsb")
     with vehicle(fleet, 1, listen=endpoint) as first:
         sessions = [stranger(endpoint, tls_of(fleet.folder_of(name))) for name in (*revoked, "vehicle-3", "ground-ben")]

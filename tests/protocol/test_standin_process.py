@@ -14,7 +14,7 @@ from statistics import median
 import pytest
 
 from agent_process import until
-from fleet_ports import free_vehicle_offset
+from own_ports import free_vehicle_offset
 from sitl.links.ports import ports_of
 from sitl.vehicle.truth import TRUTH_HEADER
 from stand_in_process import stand_in

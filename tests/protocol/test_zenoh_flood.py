@@ -13,7 +13,6 @@ from itertools import count
 
 import pytest
 
-from agent_process import free_port
 from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember
 from companion.config.network import ZenohEndpoints
 from companion.core.command.arbitration import CommandArbitration
@@ -27,6 +26,7 @@ from companion.types.notices import Answer, Code, Notice
 from companion.types.peers import PeerPacket
 from companion.wire.ground import encode
 from companion.wire.keys import abort_key
+from own_ports import free_port
 
 FLEET = FleetConfig(
     name="floodtest",
@@ -110,7 +110,7 @@ class Vehicle:
 def endpoint() -> str:
     import socket
 
-    return f"tcp/127.0.0.1:{free_port(18700, socket.SOCK_STREAM)}"
+    return f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}"
 
 
 @contextmanager

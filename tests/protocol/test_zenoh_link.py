@@ -40,6 +40,7 @@ from companion.wire.keys import abort_key, command_key, peer_key, status_key, ta
 from companion.wire.peer import encode_peer
 from companion.wire.version import WIRE_VERSION
 from link_traffic import PACKET, until
+from own_ports import free_port
 
 FLEET = FleetConfig(
     name="testfleet",
@@ -77,12 +78,12 @@ def endpoint(port: int) -> str:
 
 @pytest.fixture
 def port() -> int:
-    """A free port, away from those of simulated fleets."""
-    for candidate in range(17600, 17700):
-        with socket.socket() as probe:
-            if probe.connect_ex(("127.0.0.1", candidate)) != 0:
-                return candidate
-    raise AssertionError("no free port from 17600 to 17699")
+    return free_port(socket.SOCK_STREAM)
+
+
+@pytest.fixture
+def other_port() -> int:
+    return free_port(socket.SOCK_STREAM)
 
 
 @dataclass
@@ -138,11 +139,11 @@ def test_a_peer_that_starts_late_is_received_without_a_restart(port: int) -> Non
             until(lambda: second.packets, lambda: (first.link.publish_peer(PACKET), second.tick()))
 
 
-def test_agents_connect_to_configured_peers_only(port: int) -> None:
+def test_agents_connect_to_configured_peers_only(port: int, other_port: int) -> None:
     """Vehicles 2 and 3 both know vehicle 1, which tells each of them where the other listens."""
     with (
         vehicle(1, listen=(endpoint(port),)) as first,
-        vehicle(2, listen=(endpoint(port + 100),), connect=(endpoint(port),)) as second,
+        vehicle(2, listen=(endpoint(other_port),), connect=(endpoint(port),)) as second,
         vehicle(3, connect=(endpoint(port),)) as third,
     ):
 
@@ -320,13 +321,13 @@ def test_a_target_reaches_only_possible_leaders_and_malformed_ones_are_counted(p
     assert set(leader.rejected) == {Code.TARGET_MALFORMED}
 
 
-def test_traffic_reaches_every_vehicle_and_malformed_samples_are_counted(port: int) -> None:
+def test_traffic_reaches_every_vehicle_and_malformed_samples_are_counted(port: int, other_port: int) -> None:
     received: dict[int, list[ReceivedTraffic]] = {1: [], 2: []}
     origin_deg_deg_m = (47.397742, 8.545594, 488.0)
     with (
         vehicle(1, listen=(endpoint(port),)) as leader,
-        vehicle(2, listen=(endpoint(port + 1),), connect=(endpoint(port),)) as follower,
-        TrafficPublisher(FLEET.name, (endpoint(port), endpoint(port + 1))) as receiver_of_adsb,
+        vehicle(2, listen=(endpoint(other_port),), connect=(endpoint(port),)) as follower,
+        TrafficPublisher(FLEET.name, (endpoint(port), endpoint(other_port))) as receiver_of_adsb,
         closing(open_session((), (endpoint(port),))) as stranger,
     ):
 
@@ -448,13 +449,13 @@ def test_a_malformed_command_is_counted(port: int, payload: bytes, key: str) -> 
         assert first.commands == []
 
 
-def test_the_ground_connects_no_vehicles_with_each_other(port: int) -> None:
+def test_the_ground_connects_no_vehicles_with_each_other(port: int, other_port: int) -> None:
     """Nor two fleets: it knows where two agents listen, and neither learns of the other."""
     second_report = replace(REPORT, status=replace(REPORT.status, vehicle_id=2))
     with (
         vehicle(1, listen=(endpoint(port),)) as first,
-        vehicle(2, listen=(endpoint(port + 100),)) as second,
-        FleetSession("*", (endpoint(port), endpoint(port + 100))) as ground,
+        vehicle(2, listen=(endpoint(other_port),)) as second,
+        FleetSession("*", (endpoint(port), endpoint(other_port))) as ground,
     ):
         reported: set[int] = set()
 

@@ -11,7 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from agent_process import free_port
 from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember
 from companion.config.network import DatagramEndpoints
 from companion.link.endpoint import LinkError
@@ -24,6 +23,7 @@ from companion.types.notices import Code
 from companion.types.peers import PeerPacket
 from companion.types.vectors import ZERO3
 from companion.wire.peer import encode_peer
+from own_ports import free_port
 
 FLEET = FleetConfig(
     name="pair",
@@ -41,11 +41,11 @@ PACKET = PeerPacket(
 
 @pytest.fixture
 def address() -> str:
-    return f"127.0.0.1:{free_port(36000, socket.SOCK_DGRAM)}"
+    return f"127.0.0.1:{free_port(socket.SOCK_DGRAM)}"
 
 
 def other_address() -> str:
-    return f"127.0.0.1:{free_port(31000, socket.SOCK_DGRAM)}"
+    return f"127.0.0.1:{free_port(socket.SOCK_DGRAM)}"
 
 
 @contextmanager
@@ -205,7 +205,7 @@ def test_keys_of_strangers_and_of_wrong_length_are_not_learned() -> None:
 def test_packets_without_a_tag_are_counted_and_displace_none() -> None:
     rejected: Counter[str] = Counter()
     first, second, _ = seals()
-    here, there = other_address(), f"127.0.0.1:{free_port(36000, socket.SOCK_DGRAM)}"
+    here, there = other_address(), f"127.0.0.1:{free_port(socket.SOCK_DGRAM)}"
     with (
         closing(
             PeerDatagrams(DatagramEndpoints(here, (there,)), FLEET, lambda code: rejected.update([code]), second)
@@ -222,7 +222,7 @@ def test_packets_without_a_tag_are_counted_and_displace_none() -> None:
 
 
 def test_one_multicast_datagram_reaches_every_vehicle_of_the_group() -> None:
-    port = free_port(36000, socket.SOCK_DGRAM)
+    port = free_port(socket.SOCK_DGRAM)
     group = f"239.255.77.1:{port}"
     endpoints = DatagramEndpoints(f"127.0.0.1:{port}", (group,))
     with ExitStack() as stack:
