@@ -19,6 +19,7 @@ from companion.core.command.arbitration import CommandArbitration
 from companion.core.command.dispatcher import CommandDispatcher
 from companion.core.command.phase import PhaseMachine
 from companion.core.consensus import law as formation
+from companion.core.consensus.distant import DistantLimits, DistantPeers
 from companion.core.consensus.law import FormationLaw, Gains
 from companion.core.consensus.neighbourhood import ConsensusStage
 from companion.core.consensus.neighbours import EdgeRule, NeighbourRule, RangeRule
@@ -110,6 +111,7 @@ def build_agent(config: AgentConfig, session: int, formation_hash: int | None = 
         safeguard=SafeguardStage(member.id, fleet.separation_m, health, _failsafes(fleet)),
         dispatcher=CommandDispatcher(checks),
         setpoint=_setpoint(config, SetpointStream(envelope, observer), ages.state_s),
+        distant_peers=_distant_peers(fleet, member.id),
         report=ReportStage(identity, law_of(law), checks),
     )
 
@@ -136,6 +138,19 @@ def _consensus(fleet: FleetConfig, own_id: int, formation_hash: int) -> Consensu
     leader, succession = BeaconMonitor(fleet.peers.leader_beacon_max_age_s), Succession(own_id, fleet.successors)
     rule = _neighbour_rule(fleet, own_id)
     return ConsensusStage(own_id, leadership, len(fleet.vehicles), peers, rule, leader, succession)
+
+
+def _distant_peers(fleet: FleetConfig, own_id: int) -> DistantPeers:
+    """Neighbours, leaders and successors are never distant, and in a small fleet nobody is."""
+    at_full_rate = {m.id for m in fleet.vehicles if m.role is Role.LEADER or not fleet.has_distant_peers}
+    neighbours, range_m = fleet.neighbours, 0.0
+    if isinstance(neighbours, EdgeNeighbours):
+        at_full_rate.update(*(edge for edge in neighbours.edges if own_id in edge))
+    else:
+        range_m = neighbours.range_m + neighbours.hysteresis_m
+    tilt_m_s2 = GRAVITY_M_S2 * tan(output_limits_of(fleet).max_tilt_rad)
+    limits = DistantLimits(at_full_rate.union(fleet.successors), range_m, fleet.separation_m, tilt_m_s2)
+    return DistantPeers(limits)
 
 
 def _guidance(config: AgentConfig) -> GuidanceStage:

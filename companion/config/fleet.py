@@ -79,6 +79,15 @@ class PeerLimits(Section, frozen=True):
     leader_beacon_max_age_s: Annotated[
         float, Meta(gt=0.02, le=10, description="without a newer leader beacon for this time the leader is lost")
     ] = 0.25  # two hops on it is missed within 0.3 s
+    full_rate_up_to: Annotated[
+        int,
+        Meta(
+            ge=1,
+            le=250,
+            description="in a fleet of up to so many vehicles each receives all others at 50 Hz; in a larger one, those far"
+            " away in formation at 5 Hz",
+        ),
+    ] = 16
     max_speed_m_s: Annotated[
         float, Meta(gt=0, le=100, description="a peer state with a larger speed is rejected; also limits references")
     ] = 25.0
@@ -281,6 +290,11 @@ class FleetConfig(FleetSettings, frozen=True, kw_only=True):
     ]
     vehicles: Annotated[tuple[FormationMember, ...], Meta(description="the vehicles with their roles and slots")]
     neighbours: Annotated[EdgeNeighbours | RangeNeighbours, Meta(description="the neighbours of each vehicle")]
+
+    @property
+    def has_distant_peers(self) -> bool:
+        """Whether the fleet is so large that each vehicle receives some of the others at 5 Hz."""
+        return len(self.vehicles) > self.peers.full_rate_up_to
 
     def formation_hash(self) -> int:
         """64 bits over all settings. Vehicles fly together only if theirs are the same."""

@@ -7,6 +7,7 @@ from msgspec import Struct
 from companion.core.command.arbitration import CommandArbitration, Intake
 from companion.core.command.dispatcher import CommandDispatcher
 from companion.core.command.phase import Flight, PhaseMachine
+from companion.core.consensus.distant import NONE, DistantPeers
 from companion.core.consensus.neighbourhood import Consensus, ConsensusStage
 from companion.core.control.setpoint import Setpoint, SetpointStage
 from companion.core.estimation.perception import Perception, PerceptionStage
@@ -31,6 +32,7 @@ class Decision(Struct, frozen=True, gc=False):
     flight: Flight
     setpoint: Setpoint
     requests: tuple[AutopilotRequest, ...]
+    distant: frozenset[int] = NONE
 
 
 class Agent:
@@ -47,6 +49,7 @@ class Agent:
         safeguard: SafeguardStage,
         dispatcher: CommandDispatcher,
         setpoint: SetpointStage,
+        distant_peers: DistantPeers,
         report: ReportStage,
     ) -> None:
         self._vehicle_id = vehicle_id
@@ -58,6 +61,7 @@ class Agent:
         self._safeguard = safeguard
         self._dispatcher = dispatcher
         self._setpoint = setpoint
+        self._distant_peers = distant_peers
         self._report = report
         # Results of the last tick that stages of this one need
         self._flight = Flight()
@@ -65,6 +69,7 @@ class Agent:
         self._last_safety = Safety()
         self._last_setpoint_s = 0.0
         self._last_separation = SeparationReport()
+        self._distant = NONE
 
     @property
     def phase(self) -> FlightPhase:
@@ -92,7 +97,7 @@ class Agent:
         intake = self._arbitration.step(inbox.commands)
         refusal_to_lead, fit_to_lead = last_guidance.refusal_to_lead, self._fit_to_lead(last, last_guidance)
         consensus = self._consensus.step(
-            now_s, vehicle, before, inbox.peers, intake.admitted, refusal_to_lead, fit_to_lead
+            now_s, vehicle, before, inbox.peers, intake.admitted, refusal_to_lead, fit_to_lead, self._distant
         )
         guidance = self._guidance.step(now_s, vehicle, before, consensus, intake.admitted, inbox.targets)
         safety = self._safeguard.step(
@@ -112,8 +117,11 @@ class Agent:
         setpoint = self._setpoint.step(now_s, vehicle, before, flight, consensus, guidance, safety, inbox.traffic)
         self._flight, self._last_guidance, self._last_safety = flight, guidance, safety
         self._last_setpoint_s, self._last_separation = setpoint.sent_s, setpoint.separation
+        self._distant = self._distant_peers.step(now_s, vehicle, flight, guidance.slot, consensus)
         requests = perception.requests + flight.requests + parameter_requests
-        return Decision(now_s, intake, perception, consensus, guidance, safety, flight, setpoint, requests)
+        return Decision(
+            now_s, intake, perception, consensus, guidance, safety, flight, setpoint, requests, self._distant
+        )
 
     def report(self, decided: Decision) -> Outbox:
         """Peer packet, status, replies and events of the decision, with its setpoint and requests."""
@@ -136,6 +144,7 @@ class Agent:
             status=report.status,
             replies=self._arbitration.replies(self._vehicle_id, intake, answers) if intake.received or answers else (),
             events=report.events,
+            distant_ids=tuple(sorted(decided.distant)) if decided.distant else (),
         )
 
     def _fit_to_lead(self, flight: Flight, guidance: Guidance) -> bool:

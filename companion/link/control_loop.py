@@ -123,6 +123,7 @@ class ControlLoop:
         self._response.publishes(outbox.peer_packet)
         if outbox.peer_packet:
             self._peers.publish_peer(outbox.peer_packet)
+        self._peers.receive_slowly(outbox.distant_ids)
         self._meter.phase_after_tick(self._agent.phase, now_s)
         report = None
         if outbox.status:

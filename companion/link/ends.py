@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from typing import Protocol
 
 from companion.types.commands import Command, CommandReply
@@ -43,6 +43,8 @@ class PeerEnd(Protocol):
     def traffic(self, now_s: float) -> tuple[ReceivedTraffic, ...]: ...
 
     def publish_peer(self, packet: PeerPacket) -> None: ...
+
+    def receive_slowly(self, distant_ids: Collection[int]) -> None: ...
 
     def publish_status(self, report: StatusReport) -> None: ...
 

@@ -37,3 +37,4 @@ class Outbox(Struct, frozen=True, gc=False):
     status: Status | None = None
     replies: tuple[CommandReply, ...] = ()
     events: tuple[Notice, ...] = ()
+    distant_ids: tuple[int, ...] = ()  # peers to receive at 5 Hz instead of 50 Hz

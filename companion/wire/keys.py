@@ -10,6 +10,11 @@ def peer_key(fleet: str, vehicle_id: int) -> str:
     return f"{ROOT}/{fleet}/peer/{vehicle_id}"
 
 
+def distant_key(fleet: str, vehicle_id: int) -> str:
+    """Key of every tenth PeerPacket of a vehicle in a large fleet, for those that are far away."""
+    return f"{ROOT}/{fleet}/distant/{vehicle_id}"
+
+
 def status_key(fleet: str, vehicle_id: int) -> str:
     """Key of a vehicle's Status, published a few times per second."""
     return f"{ROOT}/{fleet}/status/{vehicle_id}"

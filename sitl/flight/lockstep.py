@@ -126,6 +126,7 @@ class Vehicle:
         self._commands: tuple[Command, ...] = ()
         self._targets: tuple[tuple[str, TargetSample], ...] = ()
         self._reply: CommandReply | None = None  # the last
+        self._distant_ids: tuple[int, ...] = ()
         self.session = 0  # of the agent, from its status; commands before its first status are ignored
 
     def give(self, command: Command) -> None:
@@ -189,6 +190,9 @@ class Vehicle:
             self._reply = reply
         if outbox.peer_packet:
             self._network.send(outbox.peer_packet, now_s)
+        if outbox.distant_ids != self._distant_ids:
+            self._distant_ids = outbox.distant_ids
+            self._network.receive_slowly(self.vehicle_id, outbox.distant_ids, now_s)
         if outbox.status:
             self.session = outbox.status.session
             self._reports.append(StatusReport(outbox.status, NOT_TIMED))

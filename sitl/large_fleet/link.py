@@ -13,21 +13,16 @@ from typing import Any
 
 import zenoh
 
-from companion.link.fleet.zenoh_link import PACKETS_KEPT_PER_VEHICLE
+from companion.link.fleet.peer_states import SAMPLES_KEPT_PER_VEHICLE
 from companion.link.fleet.zenoh_session import SETTINGS, THREADS, drain
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot, LeaderBeacon
 from companion.types.peers import PeerPacket
 from companion.types.vectors import ZERO3
-from companion.wire.keys import peer_key
+from companion.wire.keys import distant_key, peer_key
 from companion.wire.peer import decode_peer, encode_peer
 
 FLEET = "large"
-
-
-def slow_key(vehicle_id: int) -> str:
-    """Key of the packets that a vehicle publishes a few times per second."""
-    return f"{peer_key(FLEET, vehicle_id)}/slow"
 
 
 def opened(mode: str, listen: Sequence[str], connect: Sequence[str]) -> zenoh.Session:
@@ -62,15 +57,15 @@ class PeerLink:
             express=True,
         )
         self._slow = session.declare_publisher(
-            slow_key(own_id), congestion_control=zenoh.CongestionControl.DROP, priority=zenoh.Priority.DATA
+            distant_key(FLEET, own_id), congestion_control=zenoh.CongestionControl.DROP, priority=zenoh.Priority.DATA
         )
         self._channels = [self.subscribed(peer_key(FLEET, i)) for i in full_ids]
-        self._channels += [self.subscribed(slow_key(i)) for i in slow_ids]
+        self._channels += [self.subscribed(distant_key(FLEET, i)) for i in slow_ids]
 
     def subscribed(self, key: str) -> Any:
         """A subscriber as the agent has one for each vehicle."""
         return self._session.declare_subscriber(
-            key, zenoh.handlers.RingChannel(PACKETS_KEPT_PER_VEHICLE), allowed_origin=zenoh.Locality.REMOTE
+            key, zenoh.handlers.RingChannel(SAMPLES_KEPT_PER_VEHICLE), allowed_origin=zenoh.Locality.REMOTE
         )
 
     def publish(self, now_s: float, also_slow: bool) -> None:
@@ -86,7 +81,7 @@ class PeerLink:
         return [
             decode_peer(sample.payload.to_bytes())
             for channel in self._channels
-            for sample in drain(channel, PACKETS_KEPT_PER_VEHICLE)
+            for sample in drain(channel, SAMPLES_KEPT_PER_VEHICLE)
         ]
 
 

@@ -5,27 +5,44 @@ from __future__ import annotations
 from collections.abc import Iterable
 from heapq import heappop, heappush
 
+from companion.core.consensus.distant import LOW_RATE_TICKS
 from companion.types.peers import PeerPacket, ReceivedPeerPacket
 from sitl.links.impairment import Path
 from sitl.vehicle.config import Links
 
+SUBSCRIBED_AFTER_S = 0.05  # a change of rate takes effect, beside the delay of the path
+
 
 class Network:
-    """Peer packets in transit. The result depends on the packets, `links` and the seed alone."""
+    """Peer packets in transit. The result depends on the packets, the rates, `links` and the seed alone."""
 
     def __init__(self, vehicle_ids: Iterable[int], links: Links, seed: int) -> None:
         ids = list(vehicle_ids)
         self._in_transit: dict[int, list[tuple[float, int, PeerPacket]]] = {i: [] for i in ids}
         self._paths = {i: [Path(i, j, links, seed) for j in ids if j != i] for i in ids}
+        self._distant: dict[int, frozenset[int]] = {i: frozenset() for i in ids}  # of each receiver
+        self._next_distant: list[tuple[float, int, frozenset[int]]] = []  # from when on, receiver, its distant peers
+        self._subscribed_after_s = SUBSCRIBED_AFTER_S + links.peer_delay_s + links.peer_jitter_s
         self._sent = 0
 
     def send(self, packet: PeerPacket, now_s: float) -> None:
-        """To all others."""
+        """To all others; to those that receive the sender at 5 Hz only every tenth."""
+        while self._next_distant and self._next_distant[0][0] <= now_s:
+            _, receiver, distant_ids = self._next_distant.pop(0)
+            self._distant[receiver] = distant_ids
         self._sent += 1
-        for path in self._paths[packet.vehicle_id]:
+        sender_id = packet.vehicle_id
+        at_low_rate = (packet.sequence + sender_id) % LOW_RATE_TICKS == 0
+        for path in self._paths[sender_id]:
+            if not at_low_rate and sender_id in self._distant[path.receiver]:
+                continue
             for arrives_s in path.arrivals_s(now_s):
                 # The number keeps packets of one time in order.
                 heappush(self._in_transit[path.receiver], (arrives_s, self._sent, packet))
+
+    def receive_slowly(self, vehicle_id: int, distant_ids: Iterable[int], now_s: float) -> None:
+        """This vehicle subscribes to these peers at 5 Hz, and to all others at 50 Hz."""
+        self._next_distant.append((now_s + self._subscribed_after_s, vehicle_id, frozenset(distant_ids)))
 
     def receive(self, vehicle_id: int, now_s: float) -> tuple[ReceivedPeerPacket, ...]:
         """Packets that arrived since the last call; as on board, their time of receipt is that of this call."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -77,6 +77,9 @@ class RecordedPeers:
         received = decode_peer(encode_peer(packet))
         self.packets.append(ReceivedPeerPacket(packet.sent_s, received))
         self.published_before.append(self.sent())
+
+    def receive_slowly(self, distant_ids: Collection[int]) -> None:
+        assert not distant_ids  # a small fleet
 
     def publish_status(self, report: StatusReport) -> None:
         encode(report)

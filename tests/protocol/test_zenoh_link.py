@@ -11,15 +11,14 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
-from itertools import count
+from itertools import count, pairwise
 from typing import Any
 
-import msgspec
 import pytest
 import zenoh
 from msgspec.structs import replace
 
-from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember
+from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember, PeerLimits
 from companion.config.network import ZenohEndpoints
 from companion.core.consensus.peers import PeerTable
 from companion.core.consensus.plausibility import FleetLimits
@@ -106,10 +105,12 @@ class Vehicle:
 
 
 @contextmanager
-def vehicle(vehicle_id: int, listen: tuple[str, ...] = (), connect: tuple[str, ...] = ()) -> Iterator[Vehicle]:
+def vehicle(
+    vehicle_id: int, listen: tuple[str, ...] = (), connect: tuple[str, ...] = (), fleet: FleetConfig = FLEET
+) -> Iterator[Vehicle]:
     rejected: Counter[str] = Counter()
     link = ZenohLink(
-        vehicle_id, FLEET, ZenohEndpoints(listen=listen, connect=connect), lambda reason: rejected.update([reason])
+        vehicle_id, fleet, ZenohEndpoints(listen=listen, connect=connect), lambda reason: rejected.update([reason])
     )
     with closing(link):
         yield Vehicle(link, rejected)
@@ -212,6 +213,65 @@ def test_a_vehicle_that_floods_displaces_no_packet_of_another(port: int) -> None
         senders = Counter(received.packet.vehicle_id for received in second.packets)
         assert senders[1] > 50
         assert senders[3] <= 8 * 101
+
+
+def test_garbage_under_the_key_of_a_vehicle_displaces_none_of_its_packets(port: int) -> None:
+    """A hundred messages of garbage after each packet."""
+    with (
+        vehicle(1, connect=(endpoint(port),)) as first,
+        vehicle(2, listen=(endpoint(port),)) as second,
+        closing(open_session((), (endpoint(port),))) as stranger,
+    ):
+        key, version = peer_key(FLEET.name, 1), encode_peer(PACKET)[:1]
+        until(
+            lambda: second.packets and second.rejected,
+            lambda: (first.link.publish_peer(PACKET), stranger.put(key, b"nonsense"), second.tick()),
+        )
+        second.packets.clear()
+        for _ in range(50):
+            first.link.publish_peer(PACKET)
+            for number in range(100):
+                stranger.put(key, version + b"nonsense" if number % 2 else b"nonsense")
+            time.sleep(0.05)
+            second.tick()
+        assert len(second.packets) >= 45
+        assert second.rejected[Code.PEER_MALFORMED] > 1000
+
+
+LARGE_FLEET = replace(FLEET, peers=PeerLimits(full_rate_up_to=1))
+
+
+def test_a_peer_is_received_at_the_rate_of_the_choice_without_gaps(port: int) -> None:
+    """50 Hz, then 5 Hz, then 50 Hz again; two vehicles that are not distant stay at 50 Hz."""
+    with (
+        vehicle(1, connect=(endpoint(port),), fleet=LARGE_FLEET) as first,
+        vehicle(2, listen=(endpoint(port),), fleet=LARGE_FLEET) as second,
+        vehicle(3, connect=(endpoint(port),), fleet=LARGE_FLEET) as third,
+    ):
+        sequence = count(1)
+
+        def tick(distant_ids: tuple[int, ...]) -> None:
+            number = next(sequence)
+            for sender, vehicle_id in ((first, 1), (third, 3)):
+                sender.link.publish_peer(replace(PACKET, vehicle_id=vehicle_id, sequence=number))
+            time.sleep(0.01)
+            second.link.receive_slowly(distant_ids)
+            second.tick()
+
+        until(lambda: {received.packet.vehicle_id for received in second.packets} == {1, 3}, lambda: tick(()))
+        second.packets.clear()
+        for distant_ids in ((), (1,), (), (1,), ()):
+            since = next(sequence)
+            for _ in range(60):
+                tick(distant_ids)
+            received = [received.packet for received in second.packets if received.packet.sequence > since]
+            sequences = [packet.sequence for packet in received if packet.vehicle_id == 1]
+            wanted = range(5, 15) if distant_ids else range(50, 62)
+            assert len(sequences) in wanted, (distant_ids, sequences)
+            assert sequences == sorted(set(sequences)), "no packet twice, none out of order"
+            assert all(b - a <= 21 for a, b in pairwise(sequences)), sequences
+            assert sum(packet.vehicle_id == 3 for packet in received) >= 55
+        assert not second.rejected
 
 
 def test_a_command_under_the_key_of_another_operator_is_counted(port: int) -> None:
@@ -525,7 +585,7 @@ def test_no_session_stays_open_when_a_declaration_fails(port: int, monkeypatch: 
     with pytest.raises(zenoh.ZError):
         FleetSession("a*", (endpoint(port),))
     with pytest.raises(zenoh.ZError):
-        ZenohLink(1, msgspec.structs.replace(FLEET, name="a*"), ZenohEndpoints(), lambda _reason: None)
+        ZenohLink(1, replace(FLEET, name="a*"), ZenohEndpoints(), lambda _reason: None)
     assert [session.is_closed() for session in opened] == [True]  # the ground refuses the name before it opens one
 
 

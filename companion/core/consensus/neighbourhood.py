@@ -33,7 +33,7 @@ FORMING_S = 2.0  # so long a formation may take to come together
 
 
 class Consensus(Struct, frozen=True, gc=False):
-    """Own role, PrC and leader beacon of this tick, the neighbours with their PrCs and states, and all fresh peers."""
+    """Own role, PrC and leader beacon of this tick, the neighbours with their PrCs and states, and all peers in time."""
 
     role: Role
     epoch: int
@@ -46,10 +46,11 @@ class Consensus(Struct, frozen=True, gc=False):
     )  # LEADER_AWAITED: followers hold formation among themselves; LEADER_LOST: for too long
     neighbours: tuple[tuple[int, FormationState], ...]  # (PrC, state)
     neighbour_ids: tuple[int, ...]
-    flying: tuple[PeerPacket, ...]  # fresh peers in a cooperating phase
+    flying: tuple[PeerPacket, ...]  # present peers in a cooperating phase
     heading: Heading | None  # of the formation, as peers report it; None where this vehicle decides it
     term: Term = (0, 0)
-    fresh: Mapping[int, PeerState] = {}
+    fresh: Mapping[int, PeerState] = {}  # received at 50 Hz and in time: the law and the separation filter use these
+    present: Mapping[int, PeerState] = {}  # these, and the distant ones that are in time at 5 Hz
     newest: Mapping[int, PeerState] = {}  # the last packet of every peer, however old
     ground_position_enu_m: Mapping[int, Vector3] = {}  # where each peer was last on the ground
     duplicate_id_s: float = -inf  # when a packet of a second agent with a known id last came
@@ -64,8 +65,8 @@ class Consensus(Struct, frozen=True, gc=False):
 
     @property
     def peers(self) -> tuple[PeerPacket, ...]:
-        """The packets of all fresh peers, in every phase."""
-        return tuple([peer.packet for peer in self.fresh.values()])
+        """The packets of all present peers, in every phase."""
+        return tuple([peer.packet for peer in self.present.values()])
 
 
 def _attracting(packets: Sequence[PeerPacket], leads: bool) -> tuple[int, ...]:
@@ -112,20 +113,24 @@ class ConsensusStage:
         commands: Iterable[Command] = (),
         refusal_to_lead: Notice | None = None,
         fit_to_lead: bool = False,
+        distant: frozenset[int] = frozenset(),
     ) -> Consensus:
         """Algorithm 1 and the neighbour set, from the packets since the last tick.
 
         A commanded role comes first: one tick, its packet included, is of one role. `refusal_to_lead` is why this vehicle
-        must not become leader, `fit_to_lead` that it flies in formation without a failsafe; both of the last tick.
+        must not become leader, `fit_to_lead` that it flies in formation without a failsafe, `distant` the peers that are
+        received at 5 Hz; all of the last tick.
         """
         answers, events = self._command_leads(now_s, commands, vehicle, flight, refusal_to_lead)
         self._clock.on_ground = not vehicle.armed
         leadership, in_formation = self.leadership, flight.in_formation
-        fresh, changes = self._receive(now_s, packets)
+        self.peers.receive_slowly(now_s, distant)
+        fresh, present, changes = self._receive(now_s, packets)
         events += changes
-        flying = [peer.packet for peer in fresh.values() if peer.packet.phase in COOPERATING]
+        flying = [peer.packet for peer in present.values() if peer.packet.phase in COOPERATING]
         candidates = self._candidates(now_s, flying, in_formation)
-        ids = self._rule.select(vehicle.position_enu_m, {p.vehicle_id: fresh[p.vehicle_id] for p in candidates}, now_s)
+        states = {p.vehicle_id: fresh[p.vehicle_id] for p in candidates if p.vehicle_id in fresh}
+        ids = self._rule.select(vehicle.position_enu_m, states, now_s)
         packets_of_neighbours = [fresh[i].packet for i in ids]
         with_neighbours = any(packet.phase is FORMATION for packet in packets_of_neighbours)
         beacons = self._beacons_of_others(packets_of_neighbours)
@@ -152,6 +157,7 @@ class ConsensusStage:
             heading=heading,
             term=term,
             fresh=fresh,
+            present=present,
             newest=dict(self.peers.newest),
             ground_position_enu_m=dict(self.peers.ground_position_enu_m),
             duplicate_id_s=self.peers.duplicate_id_s,
@@ -162,16 +168,17 @@ class ConsensusStage:
 
     def _receive(
         self, now_s: float, packets: Iterable[ReceivedPeerPacket]
-    ) -> tuple[dict[int, PeerState], tuple[Notice, ...]]:
-        """The fresh peers by id, and the events of the changes of the lead that they report."""
+    ) -> tuple[dict[int, PeerState], dict[int, PeerState], tuple[Notice, ...]]:
+        """The fresh peers by id, those that are present, and the events of the changes of the lead that they report."""
         epochs_up_to = self._epochs_up_to(now_s)
         self.peers.fold(packets, epochs_up_to)
         fresh = self.peers.fresh(now_s)
+        present = self.peers.present(now_s, fresh)
         events: tuple[Notice, ...] = ()
-        for peer in fresh.values():
+        for peer in present.values():
             if self.leadership.term < peer.term and peer.term[0] <= epochs_up_to:  # a command may just have lowered it
                 events += self.leadership.receive(now_s, [peer.packet.leader_beacon])
-        return fresh, events
+        return fresh, present, events
 
     def _epochs_up_to(self, now_s: float) -> int:
         """The largest epoch to accept: the changes that this vehicle may have missed since it last knew its leader."""

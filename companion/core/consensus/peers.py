@@ -30,6 +30,8 @@ CODES = {
 # Two ticks: a lost packet, or usual jitter. What is older remains late. A vehicle that extrapolates its neighbour answers a
 # wave by a larger one, and along a hundred hops that grows without bound: docs/law.md.
 EXTRAPOLATED_MOST_S = 0.04
+DISTANT_MAX_AGE_S = 1.0  # of a peer that is received at 5 Hz: four lost packets, and the usual delay
+FULL_RATE_WITHIN_S = 0.5  # after such a peer is to be received at 50 Hz, its first packets have arrived
 JUMP_MARGIN_M = 1.0  # an estimator correction may add this to the distance flown between two packets
 
 
@@ -111,10 +113,19 @@ class PeerTable:
         self._max_age_s = max_age_s
         self._limits = limits
         self._streams: dict[int, Stream] = {}
+        self._distant: frozenset[int] = frozenset()
+        self._distant_s: dict[int, float] = {}  # when each of those was last distant
         self.newest: dict[int, PeerState] = {}  # of each peer, of any age
         self.ground_position_enu_m: dict[int, Vector3] = {}  # last position of each peer on the ground
         self.rejected: Counter[str] = Counter()
         self.duplicate_id_s = -inf  # when a packet of a second agent with a known id last came
+
+    def receive_slowly(self, now_s: float, distant: frozenset[int]) -> None:
+        """From now on these peers are received at 5 Hz, and their states may be older."""
+        self._distant = distant
+        if distant or self._distant_s:
+            within = {i: s for i, s in self._distant_s.items() if now_s - s <= FULL_RATE_WITHIN_S}
+            self._distant_s = within | dict.fromkeys(distant, now_s)
 
     def fold(self, packets: Iterable[ReceivedPeerPacket], epochs_up_to: int) -> None:
         """Check and take these packets; of one with a beacon of a larger epoch only the motion."""
@@ -136,18 +147,33 @@ class PeerTable:
                 self.ground_position_enu_m[vehicle_id] = packet.position_enu_m
 
     def fresh(self, now_s: float) -> dict[int, PeerState]:
-        """Peers whose state is not older than the configured age (`peers.max_age_s`)."""
-        return {i: peer for i, peer in self.newest.items() if now_s - peer.measured_s <= self._max_age_s}
+        """Peers whose state is not older than the configured age (`peers.max_age_s`), without the distant ones."""
+        fresh = {i: peer for i, peer in self.newest.items() if now_s - peer.measured_s <= self._max_age_s}
+        for i in self._distant & fresh.keys():
+            del fresh[i]
+        return fresh
+
+    def present(self, now_s: float, fresh: dict[int, PeerState]) -> dict[int, PeerState]:
+        """The fresh peers, and the distant ones whose state is as old as it may be at 5 Hz."""
+        if not self._distant_s:
+            return fresh
+        return {
+            i: peer for i, peer in self.newest.items() if i in fresh or now_s - peer.measured_s <= self._age_limit_s(i)
+        }
+
+    def _age_limit_s(self, vehicle_id: int) -> float:
+        return max(self._max_age_s, DISTANT_MAX_AGE_S) if vehicle_id in self._distant_s else self._max_age_s
 
     def _refusal_of_order(self, received: ReceivedPeerPacket) -> Code | None:
         """Checks against the packets before of the same vehicle: session, sequence, delay and distance."""
         packet, received_s = received.packet, received.received_s
         vehicle_id, before = packet.vehicle_id, self.newest.get(packet.vehicle_id)
+        max_age_s = self._age_limit_s(vehicle_id)
         stream, disorder = following(
-            self._streams.get(vehicle_id), packet.session, packet.sequence, packet.sent_s, received_s, self._max_age_s
+            self._streams.get(vehicle_id), packet.session, packet.sequence, packet.sent_s, received_s, max_age_s
         )
-        if disorder is None and before is not None and received_s - before.measured_s <= self._max_age_s:
-            elapsed_s = max(0.0, received_s - before.received_s) + self._max_age_s
+        if disorder is None and before is not None and received_s - before.measured_s <= max_age_s:
+            elapsed_s = max(0.0, received_s - before.received_s) + max_age_s
             distance_m = dist(packet.position_enu_m, before.packet.position_enu_m)
             if distance_m > self._limits.speed_m_s * elapsed_s + JUMP_MARGIN_M:
                 return Code.PEER_POSITION_JUMPED

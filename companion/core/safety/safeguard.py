@@ -95,7 +95,7 @@ class SafeguardStage:
         flags = set()
         if consensus.leaderless is not None:
             flags.add(consensus.leaderless)
-        if phase in COOPERATING and consensus.newest and not consensus.fresh:
+        if phase in COOPERATING and consensus.newest and not consensus.present:
             flags.add(HealthFlag.FLEET_LINK_LOST)
         if now_s - consensus.duplicate_id_s < DUPLICATE_FOR_S:
             flags.add(HealthFlag.DUPLICATE_ID)

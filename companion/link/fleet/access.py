@@ -14,6 +14,7 @@ from companion.wire.keys import (
     abort_key,
     admission_key,
     command_key,
+    distant_key,
     every_abort,
     every_admission,
     every_command,
@@ -71,7 +72,8 @@ def published(sender: ParticipantName, receiver: ParticipantName, fleet: str) ->
         i = int(sender.id)
         if receiver.role is ParticipantRole.VEHICLE:
             to = int(receiver.id)
-            return (peer_key(fleet, i), pairing_key(fleet, i, to)), (peer_key(fleet, i), every_pairing(fleet, to))
+            states = (peer_key(fleet, i), distant_key(fleet, i))
+            return (*states, pairing_key(fleet, i, to)), (*states, every_pairing(fleet, to))
         if receiver.role in READERS:
             keys = (peer_key(fleet, i), status_key(fleet, i), reply_key(fleet, i))
             return keys, (every_peer(fleet), every_status(fleet), every_reply(fleet))

@@ -12,7 +12,7 @@ import contextlib
 import re
 import threading
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from typing import TYPE_CHECKING, Literal
 
 import zenoh
@@ -20,7 +20,8 @@ import zenoh
 from companion.config.fleet import FleetConfig
 from companion.config.network import ZenohEndpoints
 from companion.link.fleet.pairing import Pairing
-from companion.link.fleet.peer_datagrams import PeerDatagrams, packet_of_fleet
+from companion.link.fleet.peer_datagrams import PeerDatagrams
+from companion.link.fleet.peer_states import PeerStates
 from companion.link.fleet.zenoh_session import drain, open_session
 from companion.link.log import CommandLog
 from companion.security.names import ParticipantRole, parse_common_name
@@ -38,11 +39,9 @@ from companion.wire.keys import (
     every_command,
     every_target,
     every_traffic,
-    peer_key,
     reply_key,
     status_key,
 )
-from companion.wire.peer import encode_peer
 from companion.wire.target import decode_target
 from companion.wire.traffic import decode_traffic
 from companion.wire.version import WireError
@@ -51,7 +50,6 @@ if TYPE_CHECKING:
     from companion.security.admission import Admitted
     from companion.security.identity import Identity
 
-PACKETS_KEPT_PER_VEHICLE = 8
 COMMANDS_KEPT = 32
 ABORTS_KEPT = 4  # ABORT is idempotent: more of them say nothing more
 # Samples on the abort key between two ticks. All are read, and what is no ABORT is dropped before it can displace one.
@@ -98,7 +96,6 @@ class ZenohLink:
         security: Literal["local", "identity", "none"] = "none" if fleet.security == "none" else "local"
         self.network = NetworkState("identity", identity.admitted.number) if identity else NetworkState(security)
         self._fleet_name = fleet.name
-        self._fleet_ids = frozenset(member.id for member in fleet.vehicles)
         self._reject = reject
         self._drained_s: float | None = None
         self._unanswered: dict[tuple[str, int], Command] = {}
@@ -110,15 +107,7 @@ class ZenohLink:
             undo.pop_all()
 
     def _declare(self, vehicle_id: int, fleet: FleetConfig) -> None:
-        # A channel for each vehicle: one that floods displaces no packet of the others.
-        self._peers = {
-            member.id: self._session.declare_subscriber(
-                peer_key(fleet.name, member.id),
-                zenoh.handlers.RingChannel(PACKETS_KEPT_PER_VEHICLE),
-                allowed_origin=zenoh.Locality.REMOTE,
-            )
-            for member in fleet.vehicles
-        }
+        self._peers = PeerStates(self._session, vehicle_id, fleet, self._reject)
         may_lead = any(member.id == vehicle_id and member.can_lead for member in fleet.vehicles)
         self._targets = (
             self._session.declare_subscriber(every_target(fleet.name), zenoh.handlers.RingChannel(TARGETS_KEPT))
@@ -147,12 +136,6 @@ class ZenohLink:
             priority=zenoh.Priority.INTERACTIVE_HIGH,
             express=True,
         )
-        self._peer_publisher = self._session.declare_publisher(
-            peer_key(fleet.name, vehicle_id),
-            congestion_control=zenoh.CongestionControl.DROP,
-            priority=zenoh.Priority.REAL_TIME,
-            express=True,
-        )
         self._status_publisher = self._session.declare_publisher(
             status_key(fleet.name, vehicle_id),
             congestion_control=zenoh.CongestionControl.DROP,
@@ -174,15 +157,10 @@ class ZenohLink:
             self._pairing.step(now_s)
         before_s, self._drained_s = self._drained_s, now_s
         late = before_s is not None and now_s - before_s > LONG_PAUSE_S
-        packets = (
-            self._packet(sample, i)
-            for i, channel in self._peers.items()
-            for sample in drain(channel, PACKETS_KEPT_PER_VEHICLE)
-        )
         aborts = self._received_aborts()
         commands = (self._command(sample, late) for sample in drain(self._commands, COMMANDS_KEPT))
         return (
-            tuple(ReceivedPeerPacket(now_s, packet) for packet in packets if packet)
+            tuple([ReceivedPeerPacket(now_s, packet) for packet in self._peers.receive()])
             + (self._datagrams.receive(now_s) if self._datagrams else ()),
             (*aborts, *(command for command in commands if command)),
         )
@@ -204,7 +182,12 @@ class ZenohLink:
         if self._datagrams:
             self._datagrams.publish_peer(packet)
         else:
-            self._peer_publisher.put(encode_peer(packet))
+            self._peers.publish(packet)
+
+    def receive_slowly(self, distant_ids: Collection[int]) -> None:
+        """Receive these peers at 5 Hz and all others at 50 Hz. Everyone hears multicast datagrams: they stay at 50 Hz."""
+        if not self._datagrams:
+            self._peers.receive_slowly(distant_ids)
 
     def publish_status(self, report: StatusReport) -> None:
         """Publish the own status."""
@@ -233,8 +216,8 @@ class ZenohLink:
         refused = [parse_common_name(one.name) for one in names if admitted.participant(one.name) is None]
         self._refused = frozenset(str(name) for name in refused) | {name.participant for name in refused}
         for name in refused:
-            if name.role is ParticipantRole.VEHICLE and (channel := self._peers.pop(int(name.id), None)):
-                channel.undeclare()  # type: ignore[no-untyped-call]
+            if name.role is ParticipantRole.VEHICLE:
+                self._peers.refuse(int(name.id))
                 if self._datagrams and self._datagrams.seal:
                     self._datagrams.seal.forget(int(name.id))
         self.network = NetworkState("identity", admitted.number)
@@ -244,13 +227,6 @@ class ZenohLink:
         closing = threading.Thread(target=self._session.close, name="closing", daemon=True)
         closing.start()
         closing.join(CLOSE_WITHIN_S)
-
-    def _packet(self, sample: zenoh.Sample, sender_id: int) -> PeerPacket | None:
-        packet = packet_of_fleet(sample.payload.to_bytes(), self._fleet_ids, self._reject)
-        if packet and packet.vehicle_id != sender_id:
-            self._reject(Code.PEER_KEY_MISMATCH)
-            return None
-        return packet
 
     def _target(self, sample: zenoh.Sample, now_s: float) -> ReceivedTarget | None:
         name = str(sample.key_expr).rpartition("/")[2]

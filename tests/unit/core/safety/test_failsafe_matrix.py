@@ -169,6 +169,7 @@ class Vehicle:
             heading=None,
             newest=other,
             fresh={} if F.FLEET_LINK_LOST in self.raised else other,
+            present={} if F.FLEET_LINK_LOST in self.raised else other,
             duplicate_id_s=self.now_s if F.DUPLICATE_ID in self.raised else -inf,
         )
 

@@ -23,8 +23,8 @@ def keys(sender: str, receiver: str) -> set[str]:
 @pytest.mark.parametrize(
     ("sender", "receiver", "expected"),
     [
-        ("vehicle-1", "vehicle-2", {"peer/1", "pairing/1/2"}),
-        ("vehicle-3.2", "vehicle-2", {"peer/3", "pairing/3/2"}),
+        ("vehicle-1", "vehicle-2", {"peer/1", "distant/1", "pairing/1/2"}),
+        ("vehicle-3.2", "vehicle-2", {"peer/3", "distant/3", "pairing/3/2"}),
         ("vehicle-1", "ground-anna", {"peer/1", "status/1", "reply/1"}),
         ("vehicle-1", "monitor-tower", {"peer/1", "status/1", "reply/1"}),
         ("ground-anna", "vehicle-2", {"command/2/ground-anna", "abort/2/ground-anna", "admitted/ground-anna"}),

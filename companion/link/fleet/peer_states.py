@@ -1,0 +1,113 @@
+"""Peer packets over Zenoh. Every vehicle publishes at 50 Hz, and in a large fleet every tenth packet under a second key.
+
+Zenoh transmits only what somebody subscribes to. So a receiver chooses the rate of each peer by its subscription, and nobody
+else needs to know.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from itertools import islice
+from typing import Any
+
+import zenoh
+
+from companion.config.fleet import FleetConfig
+from companion.core.consensus.distant import LOW_RATE_TICKS
+from companion.link.fleet.peer_datagrams import packet_of_fleet
+from companion.link.fleet.zenoh_session import drain
+from companion.types.notices import Code
+from companion.types.peers import PeerPacket
+from companion.wire.keys import distant_key, peer_key
+from companion.wire.peer import encode_peer
+
+PACKETS_PER_VEHICLE = 8  # used at most of each tick, the newest
+SAMPLES_KEPT_PER_VEHICLE = 128  # between two ticks: what is no packet is dropped before it can displace one
+CHANGES_PER_TICK = 8  # of subscriptions: one takes 0.1 ms
+
+
+class PeerStates:
+    """Publishes the own packets and receives those of the peers. Calls `reject` with the counter's key for a refused one."""
+
+    def __init__(
+        self, session: zenoh.Session, vehicle_id: int, fleet: FleetConfig, reject: Callable[[str], None]
+    ) -> None:
+        self._session, self._own_id, self._fleet_name, self._reject = session, vehicle_id, fleet.name, reject
+        self._fleet_ids = frozenset(member.id for member in fleet.vehicles)
+        # A channel for each vehicle: one that floods displaces no packet of the others.
+        self._at_50_hz = {member.id: self._subscribed(peer_key(fleet.name, member.id)) for member in fleet.vehicles}
+        self._at_5_hz: dict[int, Any] = {}
+        self._admitted = set(self._at_50_hz)
+        self._publisher = self._published(peer_key(fleet.name, vehicle_id))
+        self._low_rate_publisher = (
+            self._published(distant_key(fleet.name, vehicle_id)) if fleet.has_distant_peers else None
+        )
+
+    def publish(self, packet: PeerPacket) -> None:
+        """Publish the own packet."""
+        payload = encode_peer(packet)
+        self._publisher.put(payload)
+        # Not all vehicles in the same tick
+        if self._low_rate_publisher and (packet.sequence + self._own_id) % LOW_RATE_TICKS == 0:
+            self._low_rate_publisher.put(payload)
+
+    def receive(self) -> list[PeerPacket]:
+        """All packets since the last call. Never blocks."""
+        packets: list[PeerPacket] = []
+        for sender_id, channel in self._at_50_hz.items():
+            packets += self._packets(channel, sender_id)
+        if self._at_5_hz:
+            at_full_rate = {packet.vehicle_id for packet in packets}
+            for sender_id in at_full_rate & self._at_5_hz.keys():
+                self._at_5_hz.pop(sender_id).undeclare()  # what it holds are copies
+            for sender_id, channel in self._at_5_hz.items():
+                packets += self._packets(channel, sender_id)
+        return packets
+
+    def receive_slowly(self, distant_ids: Collection[int]) -> None:
+        """Receive these at 5 Hz and all others at 50 Hz. Once a tick: each call makes a few of the changes.
+
+        A peer that is to be received at 50 Hz remains at 5 Hz as well until its first packet at 50 Hz.
+        """
+        if self._low_rate_publisher is None:
+            return  # a small fleet
+        changes = 0
+        for peer_id in self._admitted.difference(distant_ids, self._at_50_hz):
+            if changes < CHANGES_PER_TICK:
+                self._at_50_hz[peer_id] = self._subscribed(peer_key(self._fleet_name, peer_id))
+                changes += 1
+        for peer_id in self._admitted.intersection(distant_ids, self._at_50_hz):
+            if changes < CHANGES_PER_TICK:
+                if peer_id not in self._at_5_hz:
+                    self._at_5_hz[peer_id] = self._subscribed(distant_key(self._fleet_name, peer_id))
+                self._at_50_hz.pop(peer_id).undeclare()
+                changes += 1
+
+    def refuse(self, vehicle_id: int) -> None:
+        """From now on receive nothing of this vehicle."""
+        self._admitted.discard(vehicle_id)
+        for channels in (self._at_50_hz, self._at_5_hz):
+            if channel := channels.pop(vehicle_id, None):
+                channel.undeclare()
+
+    def _packets(self, channel: Any, sender_id: int) -> list[PeerPacket]:
+        samples = list(drain(channel, SAMPLES_KEPT_PER_VEHICLE))
+        packets = (packet for sample in reversed(samples) if (packet := self._packet(sample, sender_id)))
+        return list(islice(packets, PACKETS_PER_VEHICLE))[::-1]
+
+    def _packet(self, sample: zenoh.Sample, sender_id: int) -> PeerPacket | None:
+        packet = packet_of_fleet(sample.payload.to_bytes(), self._fleet_ids, self._reject)
+        if packet and packet.vehicle_id != sender_id:
+            self._reject(Code.PEER_KEY_MISMATCH)
+            return None
+        return packet
+
+    def _subscribed(self, key: str) -> Any:
+        return self._session.declare_subscriber(
+            key, zenoh.handlers.RingChannel(SAMPLES_KEPT_PER_VEHICLE), allowed_origin=zenoh.Locality.REMOTE
+        )
+
+    def _published(self, key: str) -> zenoh.Publisher:
+        return self._session.declare_publisher(
+            key, congestion_control=zenoh.CongestionControl.DROP, priority=zenoh.Priority.REAL_TIME, express=True
+        )
