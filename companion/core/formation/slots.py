@@ -26,6 +26,8 @@ from companion.types.steps import Steps, whole
 from companion.types.vectors import ZERO3, Vector3
 
 LATEST_S = 60.0  # ahead of mission time
+# Time until every vehicle knows who has accepted a change: each cancels it at its beginning where another one lacks it.
+AGREED_WITHIN_S = 0.3
 Check = Callable[[Steps[Notice | None]], Notice | Pending | None]
 """Does the dear part of the checks of a change; PENDING where that takes more ticks."""
 
@@ -249,8 +251,11 @@ class SlotPlan:
 
     def _refusal_of_change(self, change: FormationChange, reference_s: float) -> Notice | None:
         """The refusal of its time, of its slots and of the speed from the formation flown now."""
-        if not reference_s < change.begins_s <= reference_s + LATEST_S:
-            text = f"begins at mission time {change.begins_s:.1f} s, which is {reference_s:.1f} s now"
+        if not reference_s + AGREED_WITHIN_S <= change.begins_s <= reference_s + LATEST_S:
+            text = (
+                f"begins at mission time {change.begins_s:.1f} s, which is {reference_s:.1f} s now; expected"
+                f" {AGREED_WITHIN_S:g} to {LATEST_S:g} s ahead"
+            )
             return Notice(Code.CHANGE_NOT_IN_TIME, text)
         if not MIN_CHANGE_S <= change.lasts_s <= MAX_CHANGE_S:
             text = f"lasts {change.lasts_s:.1f} s; expected {MIN_CHANGE_S:g} to {MAX_CHANGE_S:g} s"

@@ -42,8 +42,8 @@ ENTRIES: dict[str, Explanation] = {
     ),
     "CHANGE_NOT_IN_TIME": Explanation(
         "A formation or reference is refused because of its start time.",
-        "The start is past, or too far ahead in mission time: the command was slow, or the mission clock is stopped"
-        " because no leader is in formation.",
+        "The start is past or too near for all vehicles to agree on it, or too far ahead in mission time: the command was"
+        " slow, or the mission clock is stopped because no leader is in formation.",
         "Give the command again while the fleet is in formation, or on the ground.",
     ),
     "CHANGE_IN_PROGRESS": Explanation(

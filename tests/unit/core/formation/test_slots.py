@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from companion.core.formation.limits import FormationLimits
-from companion.core.formation.slots import SlotPlan
+from companion.core.formation.slots import AGREED_WITHIN_S, SlotPlan
 from companion.geometry.curves import Motion, circle, duration_s, rest_to_rest, waypoint_path
 from companion.geometry.shapes import SHAPES, slots_of, smallest_distance
 from companion.geometry.transition import closest_approach, peak_speed_m_s
@@ -226,6 +226,12 @@ def test_a_change_that_cannot_be_flown_is_refused(changes: dict[str, object], te
     assert not ok
     assert text in notice.text
     assert flown(slots, 50.0, KNOW, in_formation=True) == FlownSlot(LINE[2])
+
+
+def test_a_change_begins_late_enough_for_all_to_know_who_has_accepted_it() -> None:
+    too_late_s = CHANGE.begins_s - AGREED_WITHIN_S + 0.01
+    assert outcome(plan().change(CHANGE, too_late_s, (), ())) == (False, Code.CHANGE_NOT_IN_TIME)
+    assert plan().change(CHANGE, too_late_s - 0.02, (), ())[0]
 
 
 def test_a_change_is_refused_while_another_is_flown() -> None:
