@@ -11,6 +11,7 @@ from rich.live import Live
 from rich.text import Text
 
 IN_PLACE_EVERY_S = 0.2
+FIRST_PLAIN_AFTER_S = 2.0  # a computation that is over at once prints no plain line
 
 
 class _Console(Console):
@@ -28,8 +29,7 @@ class Screen:
         in_place = self._console.is_terminal and not self._console.is_dumb_terminal
         self._live = Live(console=self._console, auto_refresh=False, transient=transient) if in_place else None
         self._every_s = IN_PLACE_EVERY_S if in_place else plain_every_s
-        # On the clock of the machine. A computation that is over at once prints no plain line.
-        self._next_s = time.monotonic() + (0.0 if in_place else plain_every_s)
+        self._next_s = time.monotonic() + (0.0 if in_place else FIRST_PLAIN_AFTER_S)  # on the clock of the machine
 
     def is_due(self) -> bool:
         return not self._console.quiet and time.monotonic() >= self._next_s

@@ -57,7 +57,7 @@ def test_a_terminal_is_refreshed_in_place_five_times_a_second(clock: list[float]
     assert screen.getvalue().count("\n") == 1
 
 
-def test_a_line_is_printed_every_ten_seconds_without_a_terminal(clock: list[float]) -> None:
+def test_a_line_is_printed_after_two_seconds_and_then_every_ten_without_a_terminal(clock: list[float]) -> None:
     out = io.StringIO()
     with ShareProgress(False, out) as progress:
         progress.begin("flying")
@@ -65,8 +65,17 @@ def test_a_line_is_printed_every_ten_seconds_without_a_terminal(clock: list[floa
             clock.append(100.0 + 0.35 * share)
             progress.show(share / 100)
     lines = out.getvalue().splitlines()
-    assert lines[0] == "flying  29%   10 s, 25 s left"
-    assert len(lines) == 3
+    assert lines[0] == "flying   6%   2 s, 33 s left"
+    assert lines[1].startswith("flying  35%   12 s, ")
+    assert len(lines) == 4
+
+
+def test_what_is_over_within_two_seconds_prints_no_line_without_a_terminal(clock: list[float]) -> None:
+    out = io.StringIO()
+    with ShareProgress(False, out) as progress:
+        clock.append(101.9)
+        progress.show(0.9)
+    assert out.getvalue() == ""
 
 
 def test_quiet_shows_nothing() -> None:
