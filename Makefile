@@ -24,7 +24,7 @@ help:
 	@echo "make page-vendor  installs the libraries of the live page in the versions of its package-lock.json and copies the files it uses (needs npm)"
 	@echo "make screenshots  the pictures of docs/monitor.md, from the live page in Debian's Chromium (a minute)"
 	@echo "make pictures   flies the scenarios of docs/scenarios.md in virtual time and draws them again"
-	@echo "make soak       eight vehicles for an hour: memory, files, threads and ticks over time; SECONDS=300 for a short run"
+	@echo "make soak       eight vehicles for an hour: memory, files, threads and ticks over time; writes docs/soak.md; SECONDS=300: a short run without the page"
 	@echo "make gauntlet   1,000 random flights in virtual time; writes their table to docs/gauntlet.md (over an hour on two cores; Ctrl-C reports those that are complete)"
 	@echo "make bench      speed of agents, lockstep and batch beside C, asyncio, mavsdk, UDP and RotorPy; writes docs/performance.md (ten minutes)"
 	@echo "make hostile    hostile input for every decoder and for whole agents; writes docs/hostile.md (a quarter of an hour on two cores)"
@@ -44,7 +44,7 @@ fly: .venv/fly.ready
 # Ends with exit code 1 where two vehicles came closer than allowed; the table is written in any case.
 SECONDS = 3600
 soak: .venv/fly.ready
-	$(BIN)/python -m sitl.soak --seconds $(SECONDS)
+	$(BIN)/python -m sitl.soak --seconds $(SECONDS) $(if $(filter 3600,$(SECONDS)),--page docs/soak.md)
 
 gauntlet: .venv/fly.ready
 	$(BIN)/sitl gauntlet --flights 1000 --seed 1 --out runs/gauntlet --page docs/gauntlet.md

@@ -6,9 +6,8 @@ from collections.abc import Iterable, Sequence
 from math import floor, inf, log10
 from textwrap import fill
 
-from msgspec import Struct
-
 from sitl.bench.figures import Row, Section, Target
+from sitl.bench.machine import Machine
 
 WIDTH = 100
 HEAD = "| figure | measured | beside it | ratio | target | met |\n|---|---|---|---|---|---|"
@@ -16,30 +15,12 @@ INTRODUCTION = """\
 `make bench` measures everything on this page in one run and writes it. A figure is the median of at least five \
 repeats; the smallest and the largest repeat follow in brackets. The ratio is that of the figure to the one beside it, \
 or to the limit where nothing stands beside it. All repeats are in `runs/bench/bench.json`."""
-
-
-class Machine(Struct, frozen=True, kw_only=True):
-    """Where and when the run took place. `stolen_percent`: of the cores' time, taken by the hypervisor."""
-
-    processor: str
-    cores: int
-    python: str
-    commit: str
-    date: str
-    lasted_s: float
-    stolen_percent: float
-
-    def in_words(self) -> str:
-        return (
-            f"Measured on {self.date} in {self.lasted_s / 60.0:.1f} minutes on {self.cores} cores of {self.processor},"
-            f" Python {self.python}, commit {self.commit}. The hypervisor took {self.stolen_percent:.1f} % of the cores."
-            " What processes outside the bench used stands below each table: they delay what is measured."
-        )
+OTHERS = "What processes outside the bench used stands below each table: they delay what is measured."
 
 
 def page(machine: Machine, sections: Sequence[Section]) -> str:
     """The whole page."""
-    parts = ["# Performance", _wrapped(INTRODUCTION), _wrapped(machine.in_words())]
+    parts = ["# Performance", _wrapped(INTRODUCTION), _wrapped(f"{machine.in_words()} {OTHERS}")]
     for section in sections:
         parts += [f"## {section.title}", *map(_wrapped, section.how.split("\n\n")), table(section.rows)]
         remarks = [_bullet(f"{row.what}: {row.remark}") for row in section.rows if row.remark]

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import os
-import platform
-import subprocess
 import time
 from collections.abc import Callable, Iterator
-from datetime import UTC, datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -16,20 +13,11 @@ from msgspec.structs import replace
 
 from sitl.bench import agent_step, batch, control_loop, peer_states, resources, virtual_time
 from sitl.bench.figures import Section
-from sitl.bench.page import Machine, others_in_words, page, row_in_words
+from sitl.bench.machine import Machine, others_cores, stolen_percent, this_machine, times
+from sitl.bench.page import others_in_words, page, row_in_words
 from sitl.bench.real_flight import Flown
 
 Step = tuple[str, Callable[[], list[Section]]]
-TICKS_A_SECOND = os.sysconf("SC_CLK_TCK")
-IDLE, IO_WAIT, STOLEN = 3, 4, 7  # columns of /proc/stat
-
-
-class Times(msgspec.Struct, frozen=True):
-    """Of all cores since the start of the machine, in clock ticks."""
-
-    all: int
-    unused: int
-    stolen: int
 
 
 class Run(msgspec.Struct, frozen=True, kw_only=True):
@@ -52,7 +40,7 @@ def run(out: Path, page_file: Path) -> None:
                 for row in section.rows:
                     print(f"  {row_in_words(row)}", flush=True)
                 print(f"  {others_in_words(section)}", flush=True)
-    machine = _machine(time.monotonic() - began_s, stolen_percent(before, times()))
+    machine = this_machine(time.monotonic() - began_s, stolen_percent(before, times()))
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_bytes(msgspec.json.format(msgspec.json.encode(Run(machine=machine, sections=tuple(sections))), indent=2))
     page_file.write_text(page(machine, sections), encoding="utf-8")
@@ -79,21 +67,6 @@ def _steps(folder: Path) -> Iterator[Step]:
     yield "batches beside RotorPy (two minutes)", lambda: [batch.measure()]
 
 
-def times_of(stat: str) -> Times:
-    """From the text of /proc/stat."""
-    columns = [int(column) for column in stat.split("\n", 1)[0].split()[1:9]]
-    return Times(sum(columns), columns[IDLE] + columns[IO_WAIT], columns[STOLEN])
-
-
-def times() -> Times:
-    return times_of(Path("/proc/stat").read_text(encoding="ascii"))
-
-
-def stolen_percent(before: Times, after: Times) -> float:
-    """Share of the cores' time that the hypervisor took."""
-    return 100.0 * (after.stolen - before.stolen) / max(1, after.all - before.all)
-
-
 def _with_others(measure: Callable[[], list[Section]]) -> list[Section]:
     """The sections, with the use of the cores by other processes during their measurement."""
     before, began = times(), os.times()
@@ -102,34 +75,3 @@ def _with_others(measure: Callable[[], list[Section]]) -> list[Section]:
     own_s = sum(ended[:4]) - sum(began[:4])  # of this process and of all processes that it has started and ended
     used = others_cores(before, after, own_s, ended.elapsed - began.elapsed)
     return [replace(section, others_cores=used) for section in sections]
-
-
-def others_cores(before: Times, after: Times, own_s: float, lasted_s: float) -> float:
-    """Use of all cores less the own, in cores."""
-    busy = (after.all - after.unused - after.stolen) - (before.all - before.unused - before.stolen)
-    return max(0.0, busy / TICKS_A_SECOND - own_s) / lasted_s
-
-
-def _machine(lasted_s: float, stolen: float) -> Machine:
-    return Machine(
-        processor=_processor(),
-        cores=len(os.sched_getaffinity(0)),
-        python=platform.python_version(),
-        commit=_commit(),
-        date=f"{datetime.now(UTC):%Y-%m-%d}",
-        lasted_s=lasted_s,
-        stolen_percent=stolen,
-    )
-
-
-def _processor() -> str:
-    lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), platform.machine())
-
-
-def _commit() -> str:
-    command = ["git", "rev-parse", "--short", "HEAD"]
-    try:
-        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
-    except (OSError, subprocess.CalledProcessError):
-        return "unknown"

@@ -7,7 +7,7 @@ import os
 import sys
 from pathlib import Path
 
-from sitl.bench.run import others_cores, times
+from sitl.bench.machine import others_cores, times
 from sitl.large_fleet.run import NUMBERS, measure_all, table, write_page
 
 

@@ -17,9 +17,10 @@ def main() -> int:
     )
     parser.add_argument("--seconds", type=float, default=3600.0, metavar="S", help="in formation (default 3600)")
     parser.add_argument("--out", type=Path, default=Path("runs/soak"), metavar="FOLDER", help="default runs/soak")
+    parser.add_argument("--page", type=Path, metavar="FILE", help="also write the page of the documentation")
     parser.add_argument("--quiet", action="store_true", help="only the result")
     parsed = parser.parse_args()
-    return run_soak(parsed.out, parsed.seconds, parsed.quiet)
+    return run_soak(parsed.out, parsed.seconds, parsed.quiet, parsed.page)
 
 
 if __name__ == "__main__":

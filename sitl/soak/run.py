@@ -11,6 +11,7 @@ from pathlib import Path
 import yaml
 
 from companion.ground.session import FleetSession
+from sitl.bench.machine import stolen_percent, this_machine, times
 from sitl.flight.director import Director, MachineClock
 from sitl.flight.files import ids_of
 from sitl.flight.orders import FlightFailure
@@ -20,6 +21,7 @@ from sitl.flight.watch import FlightWatch, watch_of
 from sitl.links.free_ports import reserved_ports
 from sitl.links.ports import zenoh_endpoint
 from sitl.report.progress import Progress
+from sitl.soak.page import page
 from sitl.soak.plot import save_plot
 from sitl.soak.samples import Sample, Ticks, findings, table, use_of
 from sitl.stopping import StopRequest
@@ -105,9 +107,13 @@ class Sampler:
         )
 
 
-def run_soak(folder: Path, seconds: float, quiet: bool) -> int:
-    """The exit code: 0 where all figures are constant, 1 otherwise. Writes soak.csv and soak.png into `folder`."""
+def run_soak(folder: Path, seconds: float, quiet: bool, page_file: Path | None) -> int:
+    """The exit code: 0 where all figures are constant, 1 otherwise.
+
+    Writes soak.csv and soak.png into `folder`, and where a page is wanted, the page and its plot in images/ beside it.
+    """
     folder.mkdir(parents=True, exist_ok=True)
+    before, began_s = times(), time.monotonic()
     scenario = load_scenario(scenario_file(folder, seconds))
     with (
         reserved_ports(ids_of(scenario), scenario.stand_in.autopilot, None) as offset,
@@ -127,6 +133,10 @@ def run_soak(folder: Path, seconds: float, quiet: bool) -> int:
         return 1
     for finding in verdict:
         print(f"{finding.name:<22} {'constant' if finding.constant else 'CHANGES':<9} {finding.text}")
+    if page_file:
+        machine = this_machine(time.monotonic() - began_s, stolen_percent(before, times()))
+        page_file.write_text(page(machine, samples, verdict, failures), encoding="utf-8")
+        save_plot(page_file.parent / "images/soak.png", samples)
     print("\n".join([*failures, f"samples and plot in {folder}"]))
     return 0 if not failures and all(finding.constant for finding in verdict) else 1
 

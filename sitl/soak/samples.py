@@ -14,6 +14,7 @@ MOST_GROWTH_MB = 1.0  # short runs: what allocators scatter
 LEAST_MEAN_RATE_HZ = 49.5  # of each half of the time
 LEAST_RATE_HZ, MOST_SLOW = 49.0, 0.01  # of one sample, and the share of samples below it: the machine stalls at times
 ROWS = 12  # of the table
+COLUMNS = ("time [s]", "memory [MB]", "files", "threads", "rate [Hz]", "missed", "p99 [ms]")
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,19 +110,29 @@ def slope(xs: Sequence[float], ys: Sequence[float]) -> float:
     return sum((x - x0) * (y - y0) for x, y in zip(xs, ys, strict=True)) / spread if spread else 0.0
 
 
-def table(samples: Sequence[Sample]) -> list[str]:
-    """At most ROWS rows over the time, the first and the last among them."""
+def shown(samples: Sequence[Sample]) -> list[Sample]:
+    """At most ROWS of them over the time, the first and the last among them."""
     step = max(1, -(-len(samples) // ROWS))
-    shown = [*samples[:-1:step], samples[-1]]
-    head = f"{'time s':>8} {'memory MB':>10} {'files':>6} {'threads':>8} {'rate Hz':>8} {'missed':>7} {'p99 ms':>7}"
-    return [
-        head,
-        *(
-            f"{s.time_s:8.0f} {s.memory_mb:10.2f} {s.files:6} {s.threads:8} {s.rate_hz:8.2f} {s.missed:7}"
-            f" {s.command_p99_us / 1000:7.2f}"
-            for s in shown
-        ),
-    ]
+    return [*samples[:-1:step], samples[-1]]
+
+
+def cells(sample: Sample) -> tuple[str, ...]:
+    """Values of a row, one for each of COLUMNS."""
+    return (
+        f"{sample.time_s:.0f}",
+        f"{sample.memory_mb:.2f}",
+        f"{sample.files}",
+        f"{sample.threads}",
+        f"{sample.rate_hz:.2f}",
+        f"{sample.missed}",
+        f"{sample.command_p99_us / 1000:.2f}",
+    )
+
+
+def table(samples: Sequence[Sample]) -> list[str]:
+    """Lines for the terminal."""
+    rows = [COLUMNS, *(cells(sample) for sample in shown(samples))]
+    return ["".join(f"{cell:>{len(name) + 2}}" for name, cell in zip(COLUMNS, row, strict=True)) for row in rows]
 
 
 def _rate(rates_hz: Sequence[float]) -> Finding:

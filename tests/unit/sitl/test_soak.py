@@ -10,7 +10,9 @@ from pathlib import Path
 
 import pytest
 
+from sitl.bench.machine import Machine
 from sitl.flight.scenario import load_scenario
+from sitl.soak.page import page
 from sitl.soak.run import VEHICLES, scenario_file
 from sitl.soak.samples import ROWS, Sample, Ticks, findings, slope, table, use_of
 
@@ -76,6 +78,19 @@ def test_the_table_has_the_first_and_the_last_sample() -> None:
     assert len(lines) <= ROWS + 2
     assert lines[1].split()[0] == "0"
     assert lines[-1].split()[0] == "990"
+
+
+def test_the_page_has_the_verdict_the_samples_and_what_failed() -> None:
+    machine = Machine(
+        processor="P", cores=2, python="3.11", commit="abc", date="2026-01-02", lasted_s=3660.0, stolen_percent=0.5
+    )
+    made = samples(memory_mb=0.02)
+    text = page(machine, made, findings(made), ["vehicle 3 left the formation"])
+    assert "Measured on 2026-01-02 in 61.0 minutes on 2 cores of P" in text
+    assert "| memory | **changes** | +7.20 MB/h" in text
+    assert "| files | constant | 20 to 20 |" in text
+    assert "| 990 | 49.98 | 20 | 9 | 50.00 | 0 | 0.80 |" in text
+    assert "The flight failed: vehicle 3 left the formation." in text
 
 
 def test_slope_of_a_line() -> None:

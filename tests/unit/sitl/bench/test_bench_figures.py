@@ -8,12 +8,12 @@ from companion.recording.records import TimingRecord
 from sitl.bench.batch import section as batch_section
 from sitl.bench.control_loop import rate_of_slowest_hz
 from sitl.bench.figures import Row, Target, lateness_us, percentile
+from sitl.bench.machine import TICKS_A_SECOND, Times, others_cores, stolen_percent, times_of
 from sitl.bench.peer_states import section as peers_section
 from sitl.bench.peer_vehicle import Ages, Result
 from sitl.bench.real_flight import Flown
 from sitl.bench.resources import FEW, MANY, SOME
 from sitl.bench.resources import section as resources_section
-from sitl.bench.run import TICKS_A_SECOND, Times, others_cores, stolen_percent, times_of
 from sitl.bench.windows import Use, Window, cpu_percent, windows_of, within
 
 

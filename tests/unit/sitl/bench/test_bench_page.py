@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from sitl.bench.figures import Row, Section, Target
-from sitl.bench.page import Machine, digits, page, quantity, row_in_words, table, target_in_words
+from sitl.bench.machine import Machine
+from sitl.bench.page import digits, page, quantity, row_in_words, table, target_in_words
 
 MACHINE = Machine(
     processor="a processor",

@@ -1,0 +1,44 @@
+"""docs/soak.md: the verdict, the samples and the plot of a soak. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from textwrap import fill
+
+from sitl.bench.machine import Machine
+from sitl.soak.samples import COLUMNS, Finding, Sample, cells, shown
+
+WIDTH = 100
+INTRODUCTION = """\
+`make soak` flies eight vehicles as real processes for an hour: agents with their recordings, stand-in autopilots, \
+Zenoh and MAVLink over loopback. They fly a figure 8 in two columns, with neighbours by range. It writes this page, \
+`runs/soak/soak.csv` and the plot."""
+WHAT_COUNTS = """\
+Each figure is the worst of all eight agents. The first fifth of the time does not count: caches fill, and the \
+formation settles. Memory is constant where it grows by less than 2 MB in an hour; files and threads where the second \
+half never exceeds the first; the tick rate where both halves have a mean of at least 49.5 Hz and at most every \
+hundredth sample is below 49 Hz; telemetry to command where the 99 % of the second half are at most 1.5 times those of \
+the first. `missed` is the sum of all agents since the row before."""
+
+
+def page(machine: Machine, samples: Sequence[Sample], verdict: Sequence[Finding], failures: Sequence[str]) -> str:
+    """The whole page. `failures` are those of the flight."""
+    parts = ["# Soak", _wrapped(INTRODUCTION), _wrapped(machine.in_words()), _wrapped(WHAT_COUNTS)]
+    parts.append(_table(("figure", "verdict", "measured"), [_verdict(finding) for finding in verdict]))
+    parts += [f"The flight failed: {failure}." for failure in failures]
+    parts.append(_table(COLUMNS, [cells(sample) for sample in shown(samples)]))
+    parts.append("![Memory, files, threads, tick rate and telemetry to command over the hour](images/soak.png)")
+    return "\n\n".join(parts) + "\n"
+
+
+def _verdict(finding: Finding) -> tuple[str, str, str]:
+    return finding.name, "constant" if finding.constant else "**changes**", finding.text
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def _wrapped(text: str) -> str:
+    return fill(text, WIDTH, break_long_words=False, break_on_hyphens=False)
