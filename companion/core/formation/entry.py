@@ -85,6 +85,8 @@ class FormationEntry:
             form = [peer for peer in peers if peer.packet.phase in forming]
             path = self._together.leaders_path(now_s, vehicle, frame, form)
         else:
+            if ends_in_s > 0.0:
+                ends_in_s = min(ends_in_s, self._together.longest_s(now_s, vehicle, frame, peers))
             path = self._together.followers_path(vehicle, frame, ends_in_s)
         if now_s >= self._check_s:
             self._check_s = now_s + CHECK_PERIOD_S

@@ -29,6 +29,7 @@ from companion.types.vectors import Vector3
 
 SPREAD = 1.0 / 3.0  # of the distance that the law settles: so much may offsets differ there, as paths of the law bend
 SLACK = 1.15  # of the duration: a vehicle that enters a little later still ends with the leader
+BELIEVED = 2.0  # times what the farthest vehicle needs: a peer that publishes a longer duration is wrong
 PATH_MARGIN_M = 0.05  # a path counts where it is nearer than both its ends by this; slots too close are another check
 SAMPLES = 40
 VERTICAL = frozenset({FlightPhase.TAKEOFF, FlightPhase.LAND, FlightPhase.RETURN})  # any height may be flown through
@@ -72,8 +73,13 @@ class FormingTogether:
         near = farthest_m <= self._law_within_m and differ_m <= SPREAD * self._law_within_m
         if near and own.speed_m_s <= self._speed_m_s:
             return None
-        needed_s = max(SHORTEST_S, duration_s(farthest_m, self._speed_m_s, SLOT_ACCELERATION_M_S2))
-        return gentle_path(own, self._speed_m_s, min(SLACK * needed_s, LONGEST_S))
+        return gentle_path(own, self._speed_m_s, min(SLACK * self._needed_s(farthest_m), LONGEST_S))
+
+    def longest_s(self, now_s: float, vehicle: VehicleState, frame: Frame, peers: Iterable[PeerState]) -> float:
+        """The longest duration that a path of these vehicles may have. One packet may report any."""
+        in_air = [self._peer_offset(now_s, peer, frame) for peer in peers if peer.packet.phase not in ON_GROUND]
+        offsets = [self._own_offset(vehicle, frame), *in_air]
+        return BELIEVED * self._needed_s(max(offset.distance_m for offset in offsets))
 
     def followers_path(self, vehicle: VehicleState, frame: Frame, ends_in_s: float) -> Path | None:
         """The path that ends in `ends_in_s` with that of the leader; None where that flies none and this vehicle is near.
@@ -128,7 +134,7 @@ class FormingTogether:
         """(peer, distance in m, whether it forms) of each peer that comes too near on the way."""
         forming = STREAMING | {FlightPhase.HOLD} if all_form else STREAMING
         own, slot_m = self._own_offset(vehicle, frame), frame.slots_m[self._own_id]
-        delta, lasts_s = path or path_from(own, self._nominal_s(own))
+        delta, lasts_s = path or path_from(own, self._needed_s(own.distance_m))
         for peer in sorted(peers, key=lambda p: p.packet.vehicle_id):
             packet = peer.packet
             if packet.phase in ON_GROUND or not packet.armed:
@@ -155,8 +161,8 @@ class FormingTogether:
         (x, y, _), (vx, vy, _) = offset.position_m, offset.velocity_m_s
         return Offset((x, y, 0.0), (vx, vy, 0.0))
 
-    def _nominal_s(self, offset: Offset) -> float:
-        return max(SHORTEST_S, duration_s(offset.distance_m, self._speed_m_s, SLOT_ACCELERATION_M_S2))
+    def _needed_s(self, distance_m: float) -> float:
+        return max(SHORTEST_S, duration_s(distance_m, self._speed_m_s, SLOT_ACCELERATION_M_S2))
 
     def _forming(self, now_s: float, peer: PeerState, frame: Frame, lasts_s: float) -> Curve:
         """Offset of a peer from its slot over time: the rest of its published path, or a path as long as the own one."""
