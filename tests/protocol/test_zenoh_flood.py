@@ -12,11 +12,14 @@ from contextlib import closing, contextmanager
 from itertools import count
 
 import pytest
+import zenoh
+from msgspec.structs import replace
 
 from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember
 from companion.config.network import ZenohEndpoints
 from companion.core.command.arbitration import CommandArbitration
 from companion.ground.session import FleetSession
+from companion.link.fleet.peer_states import CHANGES_PER_TICK
 from companion.link.fleet.zenoh_link import ZenohLink
 from companion.link.fleet.zenoh_session import open_session
 from companion.types.commands import Command, CommandName, CommandReply
@@ -25,7 +28,7 @@ from companion.types.formation import FlownSlot
 from companion.types.notices import Answer, Code, Notice
 from companion.types.peers import PeerPacket
 from companion.wire.ground import encode
-from companion.wire.keys import abort_key
+from companion.wire.keys import abort_key, peer_key
 from own_ports import free_port
 
 FLEET = FleetConfig(
@@ -185,6 +188,48 @@ def test_abort_is_received_among_other_messages_of_its_key_between_two_ticks(end
             if received:
                 break
     assert [command.name for command in received][:1] == [CommandName.ABORT]
+
+
+# It reads nothing from its first packet on. Zenoh's threads in that process keep the connection alive.
+DEAF_LISTENER = """
+import time, zenoh
+from companion.link.fleet.zenoh_session import open_session
+session = open_session([], ["{endpoint}"])
+deaf = session.declare_subscriber("formation/floodtest/peer/*", zenoh.handlers.FifoChannel(1))
+while True:
+    time.sleep(1.0)
+"""
+FILLS_WITHIN_S, CHANGES = 5.0, 300
+
+
+def test_a_client_that_reads_nothing_does_not_block_a_change_of_rates(endpoint: str) -> None:
+    """Once its connection was full, the declarations of subscribers waited for it: one tick took 5 s."""
+    others = frozenset(range(2, 65))
+    large = replace(
+        FLEET,
+        vehicles=tuple(FormationMember(id=i, role=Role.LEADER, slot_enu_m=(3.0 * i, 0.0, 0.0)) for i in (1, *others)),
+    )
+    link = ZenohLink(1, large, ZenohEndpoints(listen=(endpoint,)), lambda _reason: None)
+    with closing(link), deaf_client(endpoint, DEAF_LISTENER):
+        until_s = time.monotonic() + 30.0
+        while not link._session.info.peers_zid() and time.monotonic() < until_s:
+            time.sleep(PERIOD_S)
+        assert link._session.info.peers_zid()
+        until_s = time.monotonic() + FILLS_WITHIN_S
+        while time.monotonic() < until_s:  # the buffers of both computers' connections
+            link._session.put(peer_key(FLEET.name, 1), bytes(60_000), congestion_control=zenoh.CongestionControl.DROP)
+            time.sleep(0.001)
+        worst_s = 0.0
+        for change in range(CHANGES):
+            distant = others if change % 2 == 0 else frozenset[int]()
+            for _ in range(len(others) // CHANGES_PER_TICK + 1):
+                start_s = time.monotonic()
+                link.receive_slowly(distant)
+                worst_s = max(worst_s, time.monotonic() - start_s)
+        connected = bool(link._session.info.peers_zid())
+    print(f"\nlongest call {worst_s * 1000:.1f} ms, the client is {'still' if connected else 'no longer'} connected")
+    assert worst_s < BLOCKED_S
+    assert not connected  # the connection was full, and was closed
 
 
 def test_abort_reaches_a_vehicle_that_reports_nothing(endpoint: str) -> None:

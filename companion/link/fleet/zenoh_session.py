@@ -34,6 +34,9 @@ SETTINGS: dict[str, Any] = {
     "transport/shared_memory/enabled": False,  # a hardened systemd unit may not create it; opening would fail
     "transport/link/tx/lease": LEASE_MS,
     "transport/link/tx/keep_alive": 4,
+    # Changes of subscriptions are never dropped. With the default of 5 s each waits in a tick for a participant that reads
+    # nothing, once 128 kB of them do; now that connection is closed.
+    "transport/link/tx/queue/congestion_control/block/wait_before_close": 1000,  # us
     "transport/link/rx/max_message_size": 65536,  # the default is a gigabyte; the longest messages are a few kilobytes
     # The default waits 10 s for an answer that a lossy link or a partition took.
     "transport/unicast/open_timeout": HANDSHAKE_MS,
