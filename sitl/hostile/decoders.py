@@ -35,7 +35,7 @@ CHANGE = FormationChange(1, SLOTS, 12.0, 8.0, (3,))
 PACKET = PeerPacket(
     1, 7, 100, 42, FlightPhase.FORMATION, Role.LEADER, (1.0, 2.0, 3.0), (0.1, 0.2, 0.3), (0.0, 0.1, 0.0), 0.02, 100.0, 1,
     LeaderBeacon(1, 2, 100_000, 12.5), FlownSlot((0.0, 0.0, 0.0), formation=1, waiting=2), PositionError(0.3, 0.4),
-    HeldReference(1, 2, 3.0), CHANGE,
+    HeldReference(1, 2, 3.0), CHANGE, True, ((1.0, 2.0, 3.0), (0.1, 0.2, 0.3), (0.0, 0.1, 0.0)),
 )  # fmt: skip
 STATUS = Status(
     3, 1, "platoon", 5, "weighted", FlightPhase.HOLD, "AUTO.LOITER", True, LandedState.IN_AIR, (1.0, 2.0, 3.0),

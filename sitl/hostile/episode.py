@@ -61,10 +61,10 @@ def fly(seed: int) -> Outcome:
     """Fly the episode of this seed.
 
     All have hostile packets, targets and traffic; every second one hostile commands, two of four hostile telemetry. Every third
-    fleet is a chain of six.
+    fleet is a chain of six, every second one of these wide.
     """
     rng = Random(seed)
-    fleet = HostileFleet(rng, is_chain=seed % 3 == 2)
+    fleet = HostileFleet(rng, is_chain=seed % 3 == 2, is_wide=seed % 6 == 5)
     stream = HostileStream(rng, fleet, gives_commands=seed % 2 == 1, sends_telemetry=seed % 4 >= 2)
     failures: list[str] = []
     phases: Counter[str] = Counter()

@@ -10,11 +10,12 @@ from time import thread_time
 from typing import NamedTuple
 
 from companion.assembly import build_agent
-from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember, RangeNeighbours
+from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember, PeerLimits, RangeNeighbours
 from companion.config.law import Law
 from companion.config.reference import CircleReference, PointReference, Reference, TargetReference
 from companion.config.vehicle import AgentConfig, VehicleConfig
 from companion.core.agent import Agent
+from companion.core.consensus.distant import LOW_RATE_TICKS
 from companion.types.commands import Command, CommandName, CommandReply, Content, next_number
 from companion.types.flight import Role
 from companion.types.peers import PeerPacket, ReceivedPeerPacket, ReceivedTarget
@@ -33,6 +34,7 @@ ANSWERED_WITHIN = 100  # ticks: formations and references are judged in steps
 OPERATOR = "anna@ground"
 MAX_TILT_DEG = 25.0
 CHAIN = 6  # vehicles
+SPACING_M, WIDE_M = 3.0, 16.0
 BEGIN_S = 100.0
 
 
@@ -53,11 +55,13 @@ class Hostile(NamedTuple):
 NOTHING = Hostile()
 
 
-def fleet_config(rng: Random, is_chain: bool = False) -> FleetConfig:
+def fleet_config(rng: Random, is_chain: bool = False, is_wide: bool = False) -> FleetConfig:
     """A leader, a successor and followers; law, heading, neighbours and gap filling at random.
 
-    Three vehicles that all receive each other, or a chain of six: each one's neighbours are the next ones.
+    Three vehicles that all receive each other, or a chain of six: each one's neighbours are the next ones. `is_wide`: so far
+    apart that they receive all but these at 5 Hz.
     """
+    spacing_m = WIDE_M if is_wide else SPACING_M
     ids = range(1, CHAIN + 1) if is_chain else range(1, 4)
     chain = EdgeNeighbours(edges=tuple((i, i + 1) for i in ids[:-1]))
     triangle = EdgeNeighbours(edges=((1, 2), (2, 3), (1, 3)))
@@ -69,13 +73,14 @@ def fleet_config(rng: Random, is_chain: bool = False) -> FleetConfig:
             FormationMember(
                 id=i,
                 role=Role.LEADER if i == 1 else Role.FOLLOWER,
-                slot_enu_m=(-3.0 * (i - 1), 0.0, 0.0),
+                slot_enu_m=(-spacing_m * (i - 1), 0.0, 0.0),
                 may_lead=i == 2,
             )
             for i in ids
         ),
         neighbours=chain if is_chain else neighbours,
         law=Law(name=rng.choice(("cooperative", "weighted"))),
+        peers=PeerLimits(full_rate_up_to=1) if is_wide else PeerLimits(),
         takeoff_height_m=3.0,
         formation_heading=rng.choice(("fixed", "course")),
         when_one_leaves=rng.choice(("keep_gap", "close_up")),
@@ -97,8 +102,8 @@ def reference(rng: Random) -> Reference:
 class HostileFleet:
     """Three vehicles, or a chain of six. `tick` passes the true packets of the last tick on, and checks every output."""
 
-    def __init__(self, rng: Random, is_chain: bool = False) -> None:
-        self.config, first = fleet_config(rng, is_chain), reference(rng)
+    def __init__(self, rng: Random, is_chain: bool = False, is_wide: bool = False) -> None:
+        self.config, first = fleet_config(rng, is_chain, is_wide), reference(rng)
         self.now_s, self.ticks = BEGIN_S, 0
         self.agents: dict[int, Agent] = {}
         self.plants: dict[int, Plant] = {}
@@ -113,6 +118,7 @@ class HostileFleet:
             self.agents[member.id] = build_agent(AgentConfig(vehicle, self.config, member), session=member.id * 1000)
             self.plants[member.id] = Plant(member.slot_enu_m)
         self.packets: dict[int, PeerPacket] = {}  # the true ones of the last tick
+        self.distant: dict[int, tuple[int, ...]] = {}  # whom each vehicle receives at 5 Hz
         self.statuses: dict[int, Status] = {}
         self.replies: dict[int, CommandReply] = {}  # to the last commands of the operator
         self.longest_tick_s = 0.0
@@ -151,7 +157,7 @@ class HostileFleet:
         raise InvariantError(f"{name} is not answered by {sorted(self.agents.keys() - self.replies.keys())}")
 
     def _step(self, vehicle_id: int, hostile: Hostile) -> Outbox:
-        packets = [packet for i, packet in self.packets.items() if i != vehicle_id]
+        packets = [packet for packet in self.packets.values() if self._reaches(packet, vehicle_id)]
         packets[self._rng.randint(0, len(packets)) : 0] = hostile.packets
         commands = list(hostile.commands)
         if given := self._given.pop(vehicle_id, None):
@@ -169,6 +175,7 @@ class HostileFleet:
         begin_s = thread_time()
         outbox = self.agents[vehicle_id].step(self.now_s, inbox)
         seconds = thread_time() - begin_s
+        self.distant[vehicle_id] = outbox.distant_ids
         self.ticks, self.tick_seconds = self.ticks + 1, self.tick_seconds + seconds
         if seconds > self.longest_tick_s:
             self.longest_tick_s, self.longest_tick = seconds, self._described(vehicle_id, inbox)
@@ -176,6 +183,13 @@ class HostileFleet:
             if reply.operator == OPERATOR and reply.number == self._numbers.get(vehicle_id):
                 self.replies[vehicle_id] = reply
         return outbox
+
+    def _reaches(self, packet: PeerPacket, vehicle_id: int) -> bool:
+        """Of a vehicle that is received at 5 Hz every tenth packet, as `PeerStates` publishes it."""
+        sender_id = packet.vehicle_id
+        if sender_id in self.distant.get(vehicle_id, ()):
+            return (packet.sequence + sender_id) % LOW_RATE_TICKS == 0
+        return sender_id != vehicle_id
 
     def _described(self, vehicle_id: int, inbox: Inbox) -> str:
         """What the agent received in this tick."""

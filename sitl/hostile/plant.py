@@ -68,7 +68,7 @@ class Plant:
         attitude = self._attitude if self._is_followed else AttitudeTarget(0.0, 0.0, 0.0, HOVER_THRUST_NORM)
         return (
             AttitudeSample(now_s, attitude.roll_rad, attitude.pitch_rad, attitude.yaw_rad),
-            ModeSample(now_s, self.mode, self.mode),
+            ModeSample(now_s, self.mode, self.mode.value),
             HeartbeatSample(now_s, self.armed, AutopilotKind.PX4),
             LandedSample(now_s, self.landed),
             *answers,
@@ -91,7 +91,7 @@ class Plant:
                 case RequestOrigin():
                     self._answers.append(OriginSample(now_s, *ORIGIN))
                 case RequestParameter(name) if name in PARAMETERS:
-                    self._answers.append(ParameterSample(now_s, name, PARAMETERS[name]))
+                    self._answers.append(ParameterSample(now_s, name, float(PARAMETERS[name])))
 
     def move(self, target: AttitudeTarget | None) -> None:
         """Advance by one tick."""

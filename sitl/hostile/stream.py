@@ -8,6 +8,8 @@ from typing import Any
 
 from msgspec.structs import replace
 
+from companion.core.consensus.law import formation_state
+from companion.types.autopilot import PositionError
 from companion.types.commands import CONTENT, Command, CommandName, Lead, ReferenceChange
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FormationChange, HeldReference, LeaderBeacon
@@ -25,6 +27,7 @@ from sitl.hostile.mutation import mutated, other
 
 COUNTS = (0, 0, 1, 1, 2, 4)  # of hostile packets in a tick
 COMMAND_SHARE, TARGET_SHARE, TRAFFIC_SHARE, REPLAY_SHARE = 0.1, 0.1, 0.1, 0.1
+KEPT_OFF_SHARE = 0.3  # of hostile packets
 FLOOD_SHARE = 0.002  # as many as an agent takes in a tick
 PACKETS_A_VEHICLE, COMMANDS_A_TICK, TRAFFIC_A_TICK = 8, 32, 32
 TELEMETRY_SHARE = 0.05  # one packet in 20 ticks: each wrong mode is a pilot who takes over
@@ -89,6 +92,8 @@ class HostileStream:
         base = replace(base, sequence=base.sequence + rng.choice((0, 1, 1, 2, 3)))
         if rng.random() < 0.4:
             base = self._as_leader(base)
+        if rng.random() < KEPT_OFF_SHARE:
+            base = self._kept_off(base)
         hostile = mutated(rng, base, rng.choice((0, 1, 1, 2, 3)))
         received: PeerPacket | None = self._through("packet", encode_peer, decode_peer, hostile)
         return received
@@ -105,6 +110,14 @@ class HostileStream:
         change = self._change() if rng.random() < 0.5 else None
         leader = replace(packet, role=Role.LEADER, prc=1, leader_beacon=beacon, phase=phase, change=change)
         return replace(leader, reference=other(rng, held) if rng.random() < 0.2 else held)
+
+    def _kept_off(self, packet: PeerPacket) -> PeerPacket:
+        """The packet of a vehicle that makes way for another one, with the position error that its estimator reports."""
+        rng, own = self._rng, formation_state(packet.position_enu_m, packet.velocity_enu_m_s, packet.slot)
+        rft, error = (own.position_enu_m, own.velocity_enu_m_s, own.acceleration_enu_m_s2), PositionError(0.3, 0.4)
+        return replace(
+            packet, rft=rng.choice((rft, other(rng, rft))), position_error=rng.choice((error, other(rng, error)))
+        )
 
     def _change(self) -> FormationChange:
         rng, status = self._rng, self._fleet.statuses.get(1)

@@ -5,17 +5,20 @@ from random import Random
 from typing import get_args
 
 import pytest
+from msgspec.structs import replace
 
 from companion.config.fleet import EdgeNeighbours
 from companion.mavlink.translator import Translator
 from companion.types.autopilot import AutopilotKind, AutopilotMode, LandedState
+from companion.types.commands import CommandName
+from companion.types.flight import FlightPhase
 from companion.types.requests import AttitudeTarget
 from companion.types.telemetry import Telemetry
 from sitl.hostile import command
 from sitl.hostile.command import EPISODE_TICKS, run_hostile
 from sitl.hostile.decoders import decoders, fuzz
 from sitl.hostile.episode import Outcome, fly
-from sitl.hostile.fleet import fleet_config
+from sitl.hostile.fleet import Hostile, HostileFleet, fleet_config
 from sitl.hostile.mavlink import HostileTelemetry, mavlink_packets
 from sitl.hostile.plant import Plant
 
@@ -43,6 +46,23 @@ def test_agents_withstand_hostile_input_of_every_kind(seed: int, vehicles: int, 
     assert outcome.vehicles == vehicles
     assert outcome.passed["packet"] > 500
     assert set(outcome.passed) == {"packet", "target", "traffic"} | besides
+
+
+def test_in_a_wide_chain_vehicles_are_received_at_5_hz_until_something_hostile_comes() -> None:
+    fleet = HostileFleet(Random(5), is_chain=True, is_wide=True)
+    for _ in range(10):
+        fleet.tick()
+    for name in (CommandName.PREPARE, CommandName.ARM, CommandName.TAKEOFF, CommandName.FORM):
+        assert all(reply.accepted for reply in fleet.command(name).values())
+        for _ in range(200 if name is CommandName.FORM else 80):
+            fleet.tick()
+    at_full_rate = {1, *fleet.config.successors}
+    for i in fleet.agents:
+        assert set(fleet.distant[i]) == fleet.agents.keys() - at_full_rate - {i - 1, i, i + 1}
+    hold = replace(fleet.packets[5], sequence=fleet.packets[5].sequence + 1, phase=FlightPhase.HOLD)
+    for _ in range(11):  # the choice is made every 0.2 s
+        fleet.tick({i: Hostile([replace(hold, sequence=fleet.packets[5].sequence + 1)]) for i in fleet.agents})
+    assert all(5 not in ids for i, ids in fleet.distant.items() if i != 5)
 
 
 def test_a_chain_has_neighbours_beside_each_other_only() -> None:
