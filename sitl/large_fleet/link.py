@@ -13,7 +13,7 @@ from typing import Any
 
 import zenoh
 
-from companion.link.fleet.peer_states import SAMPLES_KEPT_PER_VEHICLE
+from companion.link.fleet.peer_states import samples_kept
 from companion.link.fleet.zenoh_session import SETTINGS, THREADS, drain
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot, LeaderBeacon
@@ -59,13 +59,14 @@ class PeerLink:
         self._slow = session.declare_publisher(
             distant_key(FLEET, own_id), congestion_control=zenoh.CongestionControl.DROP, priority=zenoh.Priority.DATA
         )
+        self._samples_kept = samples_kept(1 + len({*full_ids, *slow_ids}))
         self._channels = [self.subscribed(peer_key(FLEET, i)) for i in full_ids]
         self._channels += [self.subscribed(distant_key(FLEET, i)) for i in slow_ids]
 
     def subscribed(self, key: str) -> Any:
         """A subscriber as the agent has one for each vehicle."""
         return self._session.declare_subscriber(
-            key, zenoh.handlers.RingChannel(SAMPLES_KEPT_PER_VEHICLE), allowed_origin=zenoh.Locality.REMOTE
+            key, zenoh.handlers.RingChannel(self._samples_kept), allowed_origin=zenoh.Locality.REMOTE
         )
 
     def publish(self, now_s: float, also_slow: bool) -> None:
@@ -81,7 +82,7 @@ class PeerLink:
         return [
             decode_peer(sample.payload.to_bytes())
             for channel in self._channels
-            for sample in drain(channel, SAMPLES_KEPT_PER_VEHICLE)
+            for sample in drain(channel, self._samples_kept)
         ]
 
 

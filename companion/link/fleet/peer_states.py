@@ -22,8 +22,15 @@ from companion.wire.keys import distant_key, peer_key
 from companion.wire.peer import encode_peer
 
 PACKETS_PER_VEHICLE = 8  # used at most of each tick, the newest
-SAMPLES_KEPT_PER_VEHICLE = 128  # between two ticks: what is no packet is dropped before it can displace one
+# Messages that wait for a tick: what is no packet is dropped before it can displace one. To refuse one takes 10 us, so in a
+# large fleet fewer wait for each vehicle.
+SAMPLES_KEPT, LEAST_PER_VEHICLE, MOST_PER_VEHICLE = 1024, 2 * PACKETS_PER_VEHICLE, 128
 CHANGES_PER_TICK = 8  # of subscriptions: one takes 0.1 ms
+
+
+def samples_kept(vehicles: int) -> int:
+    """How many messages wait for each vehicle of a fleet of this size."""
+    return min(max(SAMPLES_KEPT // vehicles, LEAST_PER_VEHICLE), MOST_PER_VEHICLE)
 
 
 class PeerStates:
@@ -34,6 +41,7 @@ class PeerStates:
     ) -> None:
         self._session, self._own_id, self._fleet_name, self._reject = session, vehicle_id, fleet.name, reject
         self._fleet_ids = frozenset(member.id for member in fleet.vehicles)
+        self._samples_kept = samples_kept(len(self._fleet_ids))
         # A channel for each vehicle: one that floods displaces no packet of the others.
         self._at_50_hz = {member.id: self._subscribed(peer_key(fleet.name, member.id)) for member in fleet.vehicles}
         self._at_5_hz: dict[int, Any] = {}
@@ -91,7 +99,7 @@ class PeerStates:
                 channel.undeclare()
 
     def _packets(self, channel: Any, sender_id: int) -> list[PeerPacket]:
-        samples = list(drain(channel, SAMPLES_KEPT_PER_VEHICLE))
+        samples = list(drain(channel, self._samples_kept))
         packets = (packet for sample in reversed(samples) if (packet := self._packet(sample, sender_id)))
         return list(islice(packets, PACKETS_PER_VEHICLE))[::-1]
 
@@ -104,7 +112,7 @@ class PeerStates:
 
     def _subscribed(self, key: str) -> Any:
         return self._session.declare_subscriber(
-            key, zenoh.handlers.RingChannel(SAMPLES_KEPT_PER_VEHICLE), allowed_origin=zenoh.Locality.REMOTE
+            key, zenoh.handlers.RingChannel(self._samples_kept), allowed_origin=zenoh.Locality.REMOTE
         )
 
     def _published(self, key: str) -> zenoh.Publisher:

@@ -15,10 +15,11 @@ from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember
 from companion.config.network import DatagramEndpoints
 from companion.link.endpoint import LinkError
 from companion.link.fleet.datagram_seal import HEADER_BYTES, MARK, DatagramSeal
-from companion.link.fleet.peer_datagrams import PeerDatagrams
-from companion.types.bounds import MAX_VEHICLES
+from companion.link.fleet.peer_datagrams import BYTES_PER_VEHICLE, LONGEST_BYTES, PeerDatagrams, packet_of_fleet
+from companion.types.autopilot import PositionError
+from companion.types.bounds import MAX_NUMBER, MAX_VEHICLES
 from companion.types.flight import FlightPhase, Role
-from companion.types.formation import FlownSlot, FormationChange
+from companion.types.formation import FlownSlot, FormationChange, Heading, HeldReference, LeaderBeacon
 from companion.types.notices import Code
 from companion.types.peers import PeerPacket
 from companion.types.vectors import ZERO3
@@ -77,9 +78,10 @@ def test_a_change_of_the_largest_fleet_arrives_with_a_tag_for_each_vehicle(addre
     change = FormationChange(1, tuple((i, (0.1 * i, 0.2, 0.3)) for i in ids), 1.5, 2.5, tuple(ids))
     packet = replace(PACKET, change=change)
     ends = DatagramEndpoints(other_address(), (address,)), DatagramEndpoints(address, ("127.0.0.1:9",))
+    largest = replace(FLEET, vehicles=tuple(replace(FLEET.vehicles[0], id=i) for i in ids))
     with (
-        closing(PeerDatagrams(ends[0], FLEET, pytest.fail, sending)) as first,
-        closing(PeerDatagrams(ends[1], FLEET, pytest.fail, receiving)) as second,
+        closing(PeerDatagrams(ends[0], largest, pytest.fail, sending)) as first,
+        closing(PeerDatagrams(ends[1], largest, pytest.fail, receiving)) as second,
     ):
         first.publish_peer(packet)
         assert received(second) == [packet]
@@ -117,6 +119,41 @@ def test_other_data_is_counted_and_dropped(address: str) -> None:
         assert received(second) == [PACKET]
     assert rejected[Code.PEER_NOT_IN_FLEET] == 1
     assert sum(rejected.values()) == 4
+
+
+def longest_packet(vehicles: int) -> PeerPacket:
+    """Every field as long as it may be: numbers of nine bytes, ids of two."""
+    number, motion = MAX_NUMBER, ((-1e3 / 3, 1e3 / 3, 1e2 / 3),) * 3
+    ids = range(MAX_VEHICLES, MAX_VEHICLES - vehicles, -1)
+    return PeerPacket(
+        MAX_VEHICLES,
+        number,
+        number,
+        2**64 - 1,
+        FlightPhase.FORMATION,
+        Role.FOLLOWER,
+        *motion,
+        1.0 / 3,
+        1e6 / 3,
+        MAX_VEHICLES,
+        LeaderBeacon(MAX_VEHICLES, number, number, 1.0 / 3, number, Heading(1.0 / 3, 1.0 / 3, 1.0 / 3)),
+        FlownSlot(*motion, number, number, 1.0 / 3),
+        PositionError(1.0 / 3, 1.0 / 3),
+        HeldReference(number, number, 1.0 / 3),
+        FormationChange(number, tuple((i, motion[0]) for i in ids), 1.0 / 3, 1.0 / 3, tuple(ids)),
+        True,
+        motion,
+    )
+
+
+@pytest.mark.parametrize("vehicles", [1, 2, 16, MAX_VEHICLES])
+def test_what_is_longer_than_any_packet_of_the_fleet_is_not_even_decoded(vehicles: int) -> None:
+    packet, rejected = longest_packet(vehicles), Counter[str]()
+    ids, data = range(MAX_VEHICLES, MAX_VEHICLES - vehicles, -1), encode_peer(packet)
+    assert packet_of_fleet(data, ids, pytest.fail) == packet
+    longer = data + bytes(LONGEST_BYTES + BYTES_PER_VEHICLE * vehicles - len(data) + 1)
+    assert packet_of_fleet(longer, ids, lambda key: rejected.update([key])) is None
+    assert rejected == {Code.PEER_MALFORMED: 1}
 
 
 def test_a_flood_does_not_hold_the_tick(address: str) -> None:
