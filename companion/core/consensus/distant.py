@@ -21,8 +21,9 @@ from companion.types.formation import FlownSlot
 
 LOW_RATE_TICKS = 10  # 5 Hz
 CHOICE_PERIOD_S = 0.2
-# A packet at 5 Hz, another that is lost, the next choice, the queue of subscriptions, and the first packet at 50 Hz
-UNTIL_FULL_RATE_S = 0.2 + 0.2 + CHOICE_PERIOD_S + 0.1 + 0.1
+STATE_AGE_S = 0.2 + 0.2  # of a packet at 5 Hz, after another that is lost
+# That state, the next choice, the queue of subscriptions, and the first packet at 50 Hz
+UNTIL_FULL_RATE_S = STATE_AGE_S + CHOICE_PERIOD_S + 0.1 + 0.1
 ROOM_M = 2.0  # for the lag of attitude, delays and the response of the separation filter
 STEADY_S = 2.0  # so long a peer is steady and far away before it is distant
 FARTHER = 1.2  # than needed it is then
@@ -70,18 +71,19 @@ class DistantPeers:
             if peer_id in at_full_rate or not _is_steady(now_s, peer, slot):
                 continue
             farther = 1.0 if peer_id in self._ids else FARTHER
-            if _apart_m(now_s, vehicle, peer) <= farther * self._needed_m(vehicle, peer):
+            if _apart_m(now_s, vehicle, peer) <= farther * self._needed_m(now_s, vehicle, peer):
                 continue
             self._since_s[peer_id] = since_s.get(peer_id, now_s)
             if now_s - max(self._since_s[peer_id], self._steady_s) >= STEADY_S:
                 yield peer_id
 
-    def _needed_m(self, vehicle: VehicleState, peer: PeerState) -> float:
+    def _needed_m(self, now_s: float, vehicle: VehicleState, peer: PeerState) -> float:
         """Nearer than this a peer is received at 50 Hz.
 
-        Both may fly towards each other at the tilt limit until it is, and then brake as the separation filter plans to.
+        Both may fly towards each other at the tilt limit until it is, and then brake as the separation filter plans to. Where
+        more packets are lost than one, they have flown so for longer.
         """
-        limits, until_s = self._limits, UNTIL_FULL_RATE_S
+        limits, until_s = self._limits, UNTIL_FULL_RATE_S + max(0.0, now_s - peer.measured_s - STATE_AGE_S)
         towards_m_s2 = 2.0 * limits.acceleration_m_s2
         speed_m_s = dist(vehicle.velocity_enu_m_s, peer.packet.velocity_enu_m_s)
         nearer_m = speed_m_s * until_s + 0.5 * towards_m_s2 * until_s * until_s

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from random import Random
 from typing import Any
 
 import pytest
@@ -11,6 +12,7 @@ from companion.core.command.phase import Flight
 from companion.core.consensus.distant import (
     CHOICE_PERIOD_S,
     NONE,
+    STATE_AGE_S,
     STEADY_S,
     UNTIL_FULL_RATE_S,
     DistantLimits,
@@ -159,22 +161,61 @@ def within_range(range_m: float) -> DistantLimits:
     return DistantLimits(NONE, range_m, SEPARATION_M, 4.5)
 
 
+@pytest.mark.parametrize("age_s", [0.0, 0.4, 0.7, DISTANT_MAX_AGE_S])  # of the last state: one to four lost packets
 @pytest.mark.parametrize("speed_m_s", [0.0, 3.0, 8.0])
-def test_two_vehicles_that_turn_on_each_other_can_still_brake(speed_m_s: float) -> None:
+def test_two_vehicles_that_turn_on_each_other_can_still_brake(speed_m_s: float, age_s: float) -> None:
     """Both accelerate at the tilt limit until the first packet at 50 Hz, then brake as the filter plans, with half of it."""
     distant_from_m = next(
-        x / 10.0
-        for x in range(10_000)
-        if Choice().after(LONG_S, position_enu_m=(x / 10.0, 0.0, 0.0), velocity_enu_m_s=(-speed_m_s, 0.0, 0.0))
+        x / 10.0 for x in range(10_000) if is_distant_at(x / 10.0, age_s, velocity_enu_m_s=(-speed_m_s, 0.0, 0.0))
     )
     remains_m = 1e9
+    until_s = UNTIL_FULL_RATE_S + max(0.0, age_s - STATE_AGE_S)
     # As near as a distant peer may be before it is received at 50 Hz again
     gap_m, towards_m_s, dt_s, t = distant_from_m / 1.2, speed_m_s, 0.001, 0.0
     while towards_m_s > 0.0 or t == 0.0:
-        towards_m_s += dt_s * (2 * 4.5 if t < UNTIL_FULL_RATE_S else -4.5)
+        towards_m_s += dt_s * (2 * 4.5 if t < until_s else -4.5)
         gap_m, t = gap_m - dt_s * towards_m_s, t + dt_s
         remains_m = min(remains_m, gap_m)
     assert SEPARATION_M < remains_m < SEPARATION_M + 10.0
+
+
+def is_distant_at(x_m: float, age_s: float, **changes: Any) -> bool:
+    """Whether a peer is distant whose extrapolated position is this far away."""
+    choice, flown_m = Choice(), age_s * changes["velocity_enu_m_s"][0]
+    choice.age_s = age_s
+    return choice.after(LONG_S, position_enu_m=(x_m - flown_m, 0.0, 0.0), **changes) != NONE
+
+
+def test_a_peer_of_which_packets_are_lost_is_received_at_50_hz_from_farther_away() -> None:
+    choice, at_m = Choice(), (20.0, 0.0, 0.0)
+    assert choice.after(LONG_S, position_enu_m=at_m) == {5}
+    choice.age_s = STATE_AGE_S
+    assert choice.after(CHOICE_PERIOD_S + 0.02, position_enu_m=at_m) == {5}
+    choice.age_s = 0.9
+    assert choice.after(CHOICE_PERIOD_S + 0.02, position_enu_m=at_m) == NONE
+    assert Choice().after(LONG_S, position_enu_m=(60.0, 0.0, 0.0)) == {5}
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_no_stream_of_packets_changes_the_rates_of_a_peer_more_than_once_in_2_s(seed: int) -> None:
+    """Each change of a subscription takes 0.1 ms of a tick. Every tick another packet, hostile or true, is the newest."""
+    choice, random = Choice(), Random(seed)
+    hostile: tuple[dict[str, Any], ...] = (
+        {"phase": FlightPhase.HOLD},
+        {"role": Role.LEADER},
+        {"slot": replace(SLOT, moves_for_s=1.0)},
+        {"position_enu_m": (3.0, 0.0, 0.0)},
+        {"velocity_enu_m_s": (25.0, 0.0, 0.0)},
+        {"rft": (ZERO3, ZERO3, ZERO3)},
+    )
+    before, becomes_distant = NONE, 0
+    for _ in range(60):
+        for _ in range(random.randint(1, 160)):
+            ids = choice.after(0.02)
+            becomes_distant += len(ids - before)
+            before = ids
+        before = choice.after(0.02 * random.randint(1, 12), **random.choice(hostile))
+    assert 1 <= becomes_distant <= (choice.now_s - 100.0) / STEADY_S
 
 
 def table() -> PeerTable:
