@@ -40,6 +40,7 @@ STAGES: dict[str, Callable[[FailingFlight], tuple[Any, str]]] = {
     "dispatcher": lambda flight: (flight.agent._dispatcher, "step"),
     "phases": lambda flight: (flight.agent._phases, "step"),
     "setpoint": lambda flight: (flight.agent._setpoint, "step"),
+    "distant peers": lambda flight: (flight.agent._distant_peers, "step"),
     "setpoint encoded": lambda flight: (flight.translator, "attitude_target"),
     "request encoded": lambda flight: (flight.translator, "request"),
     "setpoint sent": lambda flight: (flight.link, "command"),
@@ -47,6 +48,7 @@ STAGES: dict[str, Callable[[FailingFlight], tuple[Any, str]]] = {
     "report": lambda flight: (flight.agent._report, "step"),
     "reply": lambda flight: (flight.peers, "reply"),
     "peer packet published": lambda flight: (flight.peers, "publish_peer"),
+    "rates of the peers changed": lambda flight: (flight.peers, "receive_slowly"),
     "status published": lambda flight: (flight.peers, "publish_status"),
 }
 SETPOINT_FAILS = ("setpoint encoded", "setpoint sent")
