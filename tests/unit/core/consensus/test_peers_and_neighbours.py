@@ -293,6 +293,15 @@ def test_one_wrong_packet_locks_no_peer_out(wrong: dict[str, Any], established: 
     assert link.sent_s + 0.01 - state.measured_s == pytest.approx(0.01, abs=1e-3)
 
 
+@pytest.mark.parametrize("sequence", [700, 2**40, 2**62])
+def test_a_sequence_far_ahead_costs_no_true_packet(sequence: int) -> None:
+    link = DelayedLink()
+    link.send(0.01, ticks=50)
+    assert link.send(0.01, sequence=sequence) == [f"{Code.PEER_OUT_OF_ORDER} 2"]
+    link.send(0.01)
+    assert link.fresh(0.01)[2].packet.sequence == link.sent
+
+
 @pytest.mark.parametrize("wrong", [{"sequence": 2**62}, {"sent_s": 1e9}, {"sent_s": 0.0}, {"session": 5}])
 def test_a_wrong_first_packet_locks_no_peer_out(wrong: dict[str, Any]) -> None:
     link = DelayedLink()

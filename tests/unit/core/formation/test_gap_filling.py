@@ -17,7 +17,7 @@ from companion.core.formation.limits import FormationLimits
 from companion.core.formation.slots import SlotPlan
 from companion.geometry.shapes import SHAPES, slots_of
 from companion.types.flight import FlightPhase
-from companion.types.formation import FormationChange
+from companion.types.formation import FlownSlot, FormationChange
 from companion.types.notices import Code, Notice
 from companion.types.vectors import Vector3
 from formation_peers import NOW_S, peer
@@ -86,6 +86,16 @@ def test_the_gap_is_closed_when_the_vehicle_has_landed_or_is_clear_of_the_paths(
         assert dict(change.slots_enu_m) == {1: SLOTS[1], 2: SLOTS[3], 3: SLOTS[2]}
         slots = SlotPlan(2, SLOTS, LIMITS)
         assert slots.change(change, 50.0, (), [AT])[0]
+
+
+@pytest.mark.parametrize(("waiting", "number"), [(6, 7), (20, 21), (21, 5), (2**62, 5)])
+def test_a_wrong_number_of_a_peer_stops_no_gap_from_being_closed(waiting: int, number: int) -> None:
+    """A vehicle may have missed a few changes; a number far ahead would be refused by all, for as long as it is known."""
+    newest = fleet(armed=False)
+    newest[2] = peer(2, slot=FlownSlot(SLOTS[2], formation=4, waiting=waiting))
+    change = proposed(left(), newest, NOW_S + GONE_FOR_S)
+    assert change is not None
+    assert change.number == number
 
 
 def test_a_short_absence_closes_no_gap() -> None:
