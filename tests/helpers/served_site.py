@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import socket
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
@@ -73,19 +74,20 @@ async def served(
     station = Station(source, {fleet.name: fleet}, "anna@ground", may_control=session is not None)
     commander = Commander(session, fleet, station.log) if session else None
     site = Site(station, commander, TOKEN, tiles)
+    listening = socket.create_server(("127.0.0.1", 0))
     runner = web.AppRunner(site.app("127.0.0.1"), handle_signals=False, access_log=None, shutdown_timeout=0.5)
     await runner.setup()
     running = asyncio.create_task(station.run())
+    accepting = await site.connections.accept(runner, listening)
     try:
-        listening = web.TCPSite(runner, "127.0.0.1", 0)
-        await listening.start()
-        port = runner.addresses[0][1]
+        port = listening.getsockname()[1]
         async with ClientSession() as http:
             yield Served(station, site, f"http://127.0.0.1:{port}", http)
     finally:
         running.cancel()
         with suppress(asyncio.CancelledError):
             await running
+        accepting.close()
         await site.clients.close()
         await runner.cleanup()
         if commander:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import errno
+import logging
 import re
 import secrets
 import signal
@@ -16,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from aiohttp import web
+from aiohttp.http_exceptions import HttpProcessingError
 
 from companion.monitor.control.commander import Commander
 from companion.monitor.error import MonitorError
@@ -27,6 +29,9 @@ TOKEN_BYTES = 24
 CLOSE_WITHIN_S = 0.5
 LISTEN = re.compile(r"(?:(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9._-]+):)?(\d{1,5})")
 LISTEN_WORDS = "ADDRESS:PORT, like 127.0.0.1:8600; port 0 chooses a free one"
+_log = logging.getLogger(__name__)
+_log.addFilter(lambda record: not (record.exc_info and isinstance(record.exc_info[1], HttpProcessingError)))
+"""For aiohttp. Who sends what is no HTTP gets the reason as an answer; the operator's terminal needs none of it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,19 +59,20 @@ def serve(station: Station, commander: Commander | None, address: Address, tiles
 async def _serve(station: Station, commander: Commander | None, address: Address, tiles: Path | None) -> None:
     token = secrets.token_urlsafe(TOKEN_BYTES) if commander else ""
     site = Site(station, commander, token, tiles)
+    listening = _listening(address)
     runner = web.AppRunner(
-        site.app(address.host), handle_signals=False, access_log=None, shutdown_timeout=CLOSE_WITHIN_S
+        site.app(address.host), handle_signals=False, access_log=None, logger=_log, shutdown_timeout=CLOSE_WITHIN_S
     )
     await runner.setup()
+    accepting = await site.connections.accept(runner, listening)
     try:
-        listening = _listening(address)
-        await web.SockSite(runner, listening).start()
         port = listening.getsockname()[1]
         print(f"{url(address.host, port)}{'#token=' + token if token else ''}", flush=True)
         for line in warnings(address.host, commander is not None):
             print(line, file=sys.stderr, flush=True)
         await _until_stopped(station.run())
     finally:
+        accepting.close()
         await site.clients.close()
         await runner.cleanup()
 

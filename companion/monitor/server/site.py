@@ -13,6 +13,7 @@ from companion.monitor.api import CommandRequest, ControlView
 from companion.monitor.control.commander import Commander
 from companion.monitor.server.access import add_headers, error, guard, has_token
 from companion.monitor.server.clients import MOST_CLIENTS, Clients
+from companion.monitor.server.connections import Connections
 from companion.monitor.server.files import page_file, page_files, tile
 from companion.monitor.station import Station
 
@@ -35,10 +36,12 @@ class Site:
         self._files = page_files()
         self._encoded = _encoder.encode(station.newest)
         self.clients = Clients()
+        self.connections = Connections()
         station.publish = self._publish
 
     def app(self, listen_address: str) -> web.Application:
-        app = web.Application(middlewares=[guard(listen_address)], client_max_size=LONGEST_BODY)
+        middlewares = [self.connections.watch, guard(listen_address)]
+        app = web.Application(middlewares=middlewares, client_max_size=LONGEST_BODY)
         app.on_response_prepare.append(add_headers)
         api = "/api/v1"
         app.add_routes(

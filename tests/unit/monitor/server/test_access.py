@@ -6,6 +6,7 @@ import asyncio
 import socket
 import threading
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ from companion.monitor.api import TOKEN_HEADER
 from companion.monitor.server import files
 from companion.monitor.server.access import is_loopback
 from companion.monitor.server.clients import LONGEST_MESSAGE, MOST_CLIENTS
+from companion.monitor.server.connections import MOST_CONNECTIONS
 from companion.monitor.server.site import LONGEST_BODY, Site
 from served_site import Served, recorded, served
 
@@ -245,6 +247,26 @@ def test_clients_are_bounded() -> None:
                     await asyncio.sleep(0.01)
             async with http.ws_connect(f"{server.url}/api/v1/live") as live:
                 assert (await live.receive_json())["type"] == "snapshot"
+
+    with_server(work)
+
+
+def test_connections_without_a_request_keep_nobody_out() -> None:
+    """As of a stranger in the network who wants no ABORT to come through."""
+
+    async def work(server: Served) -> None:
+        async with server.http.ws_connect(f"{server.url}/api/v1/live") as live:
+            address = server.url.removeprefix("http://").split(":")
+            idle = [await asyncio.open_connection(*address) for _ in range(2 * MOST_CONNECTIONS)]
+            assert (await server.get("/api/v1/snapshot"))[0] == 200
+            for _ in range(3):
+                assert (await live.receive_json())["type"] == "snapshot"
+            async with asyncio.timeout(10.0):
+                for reader, _ in idle[: MOST_CONNECTIONS // 2]:  # the oldest were closed
+                    with suppress(ConnectionResetError):
+                        assert await reader.read() == b""
+            for _, writer in idle:
+                writer.close()
 
     with_server(work)
 
