@@ -9,11 +9,13 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from agent_process import until
 from companion.mavlink.codec import MavlinkCodec, mavlink
 from own_ports import free_fleet_offset
 from sitl.links.ports import ports_of
@@ -31,8 +33,9 @@ fleet:
     - {id: 1, role: leader, slot_enu_m: [0.0, 0.0, 0.0]}
     - {id: 2, role: follower, slot_enu_m: [-3.0, 0.0, 0.0]}
   neighbours: {kind: edges, edges: [[1, 2]]}
+  takeoff_height_m: 2.0
 starts_enu_m: {1: [0.0, 0.0, 0.0], 2: [-3.0, 0.0, 0.0]}
-reference: {kind: point, point_enu_m: [1.0, 0.0, 3.0]}
+reference: {kind: point, point_enu_m: [1.0, 0.0, 2.0]}
 timeline:
   - {command: prepare}
   - {command: arm}
@@ -54,10 +57,16 @@ def offset() -> int:
 
 @pytest.fixture
 def autopilots(tmp_path: Path, offset: int) -> Iterator[list[subprocess.Popen[bytes]]]:
+    with running_autopilots(tmp_path, offset) as started:
+        yield started
+
+
+@contextmanager
+def running_autopilots(folder: Path, offset: int) -> Iterator[list[subprocess.Popen[bytes]]]:
     """Vehicle 1 behaves like PX4, vehicle 2 like ArduCopter. They run until the test ends them."""
     of_one, of_two = ports_of(1, offset), ports_of(2, offset)
-    (tmp_path / "pair.yaml").write_text(SCENARIO, encoding="utf-8")
-    (tmp_path / "external.yaml").write_text(
+    (folder / "pair.yaml").write_text(SCENARIO, encoding="utf-8")
+    (folder / "external.yaml").write_text(
         "external_vehicles:\n"
         f"  - {{id: 1, mavlink: udpin:127.0.0.1:{of_one.companion}, autopilot: px4, hover_thrust_norm: 0.49}}\n"
         f"  - {{id: 2, mavlink: tcp:127.0.0.1:{of_two.tcp}, autopilot: ardupilot, hover_thrust_norm: 0.365}}\n",
@@ -68,16 +77,19 @@ def autopilots(tmp_path: Path, offset: int) -> Iterator[list[subprocess.Popen[by
         (1, 0.0, "px4", "COM_OBL_RC_ACT: 5"),
         (2, -3.0, "ardupilot", "GUID_OPTIONS: 8"),
     ):
-        file = tmp_path / f"own_{vehicle_id}.yaml"
+        file = folder / f"own_{vehicle_id}.yaml"
         file.write_text(AUTOPILOT.format(id=vehicle_id, x=x, kind=kind, parameters=parameters), encoding="utf-8")
         command = [sys.executable, "-m", "sitl", "autopilot", "--config", str(file), "--port-offset", str(offset)]
-        truth = ["--truth", str(tmp_path / f"true_{vehicle_id}.csv")]
-        with (tmp_path / f"own_{vehicle_id}.log").open("wb") as log:
+        truth = ["--truth", str(folder / f"true_{vehicle_id}.csv")]
+        with (folder / f"own_{vehicle_id}.log").open("wb") as log:
             started.append(subprocess.Popen([*command, *truth], stdout=log))
-    yield started
-    for process in started:
-        process.kill()
-        process.wait()
+    try:
+        until(lambda: all((folder / f"own_{i}.log").stat().st_size for i in (1, 2)))  # they have their ports
+        yield started
+    finally:
+        for process in started:
+            process.kill()
+            process.wait()
 
 
 def fly(folder: Path, offset: int, *more: str) -> subprocess.Popen[str]:
@@ -195,22 +207,29 @@ def test_a_vehicle_taken_over_by_a_pilot_in_formation_is_left_to_the_pilot(
     assert all_are_running(autopilots)
 
 
-@pytest.mark.parametrize(
-    ("change", "named"),
-    [
-        (("autopilot: px4", "autopilot: ardupilot"), "ArduCopter"),
-        (("{id: 2, ", "{id: 2, hover_thrust_norm: 0.365, mavlink: tcp:127.0.0.1:9, autopilot: ardupilot} #"), "127.0.0.1:9"),
-    ],
-    ids=["another make", "no autopilot"],
-)  # fmt: skip
-def test_a_missing_or_wrong_autopilot_is_named_and_nothing_flies(
-    tmp_path: Path, offset: int, autopilots: list[subprocess.Popen[bytes]], change: tuple[str, str], named: str
-) -> None:
-    file = tmp_path / "external.yaml"
-    file.write_text(file.read_text(encoding="utf-8").replace(*change), encoding="utf-8")
-    code, printed = ended(fly(tmp_path, offset, "--quiet"))
-    assert code == 1
-    assert named in summary_of(tmp_path).failure  # type: ignore[operator]
-    assert "ended with exit code" in printed
-    assert all_are_running(autopilots)
-    assert armed(tmp_path) == []
+def test_a_missing_or_wrong_autopilot_is_named_and_nothing_flies(tmp_path: Path) -> None:
+    """Both fleets at the same time: their agents wait ten seconds for the autopilot."""
+    cases = {
+        "another make": ("autopilot: px4", "autopilot: ardupilot", "ArduCopter"),
+        "no autopilot": (
+            "{id: 2, ",
+            "{id: 2, hover_thrust_norm: 0.365, mavlink: tcp:127.0.0.1:9, autopilot: ardupilot} #",
+            "127.0.0.1:9",
+        ),
+    }
+    with ExitStack() as stack:
+        started = {}
+        for case, (right, wrong, _) in cases.items():
+            folder, offset = tmp_path / case, free_fleet_offset()
+            folder.mkdir()
+            autopilots = stack.enter_context(running_autopilots(folder, offset))
+            file = folder / "external.yaml"
+            file.write_text(file.read_text(encoding="utf-8").replace(right, wrong), encoding="utf-8")
+            started[case] = folder, autopilots, fly(folder, offset, "--quiet")
+        for case, (folder, autopilots, flight) in started.items():
+            code, printed = ended(flight)
+            assert code == 1, (case, printed)
+            assert cases[case][2] in summary_of(folder).failure, case  # type: ignore[operator]
+            assert "ended with exit code" in printed
+            assert all_are_running(autopilots)
+            assert armed(folder) == []
