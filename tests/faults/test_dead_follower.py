@@ -22,6 +22,7 @@ from sitl.links.ports import zenoh_endpoint
 pytestmark = [pytest.mark.fleet, pytest.mark.timeout(240)]
 
 LEAVING = ROOT / "config" / "scenarios" / "leaving.yaml"
+OVERRIDES = ("stand_in.sensors=ideal", "stand_in.armable_after_s=1")
 DEAD, OTHERS = 3, (1, 2, 4, 5)
 ALL = (1, 2, 3, 4, 5)
 AWAY = {"kind": "waypoints", "points_enu_m": [[0.0, 0.0, 2.0], [8.0, 0.0, 2.0]], "max_speed_m_s": 3.0}
@@ -36,7 +37,7 @@ def until(ground: Ground, condition: Callable[[], bool], within_s: float = 40.0)
 
 def test_the_gap_of_a_dead_follower_stays_open_also_after_the_fleet_moved(tmp_path: Path) -> None:
     port_offset = free_fleet_offset()
-    with Fleet.start(load_scenario(LEAVING, ["stand_in.sensors=ideal"]), tmp_path, port_offset) as fleet:
+    with Fleet.start(load_scenario(LEAVING, OVERRIDES), tmp_path, port_offset) as fleet:
         endpoints = [zenoh_endpoint(i, port_offset) for i in ALL]
         with FleetSession("leaving", endpoints) as session:
             ground = Ground(session)

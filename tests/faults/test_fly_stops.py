@@ -43,7 +43,8 @@ class Flight:
         self.folder = folder / "out"
         self.marker = uuid.uuid4().hex
         self._log = folder / "fly.log"
-        overrides = [word for key in ("timeline[2].for_s=0", "timeline[3].for_s=120") for word in ("--set", key)]
+        changes = ("stand_in.armable_after_s=1", "timeline[2].for_s=0", "timeline[3].for_s=120")
+        overrides = [word for change in changes for word in ("--set", change)]
         arguments = [str(PLATOON), "--out", str(self.folder), "--port-offset", str(free_fleet_offset()), *overrides]
         with self._log.open("w") as output:
             self.process = subprocess.Popen(

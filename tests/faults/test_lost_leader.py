@@ -22,12 +22,14 @@ from sitl.links.ports import zenoh_endpoint
 pytestmark = [pytest.mark.fleet, pytest.mark.timeout(180)]
 
 SCENARIOS = ROOT / "config" / "scenarios"
+READY_SOON = "stand_in.armable_after_s=1"
+AT_FULL_SPEED_S = 9.0  # after forming: ramp_s of the figure 8, and a second
 FOLLOWERS = (2, 3, 4)
 ALL = (1, *FOLLOWERS)
 
 
 def test_followers_hold_when_the_leader_dies(tmp_path: Path) -> None:
-    scenario = load_scenario(SCENARIOS / "platoon.yaml", [])
+    scenario = load_scenario(SCENARIOS / "platoon.yaml", [READY_SOON])
     port_offset = free_fleet_offset()
     with Fleet.start(scenario, tmp_path, port_offset) as fleet:
         endpoints = [zenoh_endpoint(i, port_offset) for i in ALL]
@@ -49,7 +51,7 @@ def test_followers_hold_when_the_leader_dies(tmp_path: Path) -> None:
 def test_a_successor_becomes_leader_when_the_leader_dies_on_the_figure_8(tmp_path: Path) -> None:
     scenario = load_scenario(
         SCENARIOS / "ring_figure_8.yaml",
-        ["fleet.successors=[2]", "fleet.law.name=cooperative", "fleet.land_after_s=20"],
+        [READY_SOON, "fleet.successors=[2]", "fleet.law.name=cooperative", "fleet.land_after_s=20"],
     )
     port_offset = free_fleet_offset()
     with Fleet.start(scenario, tmp_path, port_offset) as fleet:
@@ -57,7 +59,7 @@ def test_a_successor_becomes_leader_when_the_leader_dies_on_the_figure_8(tmp_pat
         with FleetSession("ring", endpoints) as session:
             ground = Ground(session)
             ground.fly_to_formation(ALL)
-            ground.listen(15.0)
+            ground.listen(AT_FULL_SPEED_S)
             assert ground.newest[1].role is Role.LEADER
 
             ground.received.clear()

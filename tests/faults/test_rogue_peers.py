@@ -83,7 +83,7 @@ def written(file: Path, flight: subprocess.Popen[str]) -> FleetConfig:
 
 def test_packets_of_a_rogue_peer_are_counted_and_never_used(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    overrides = ["--set", "timeline[3].for_s=15"]
+    overrides = ["--set", "stand_in.armable_after_s=1", "--set", "timeline[2].for_s=2", "--set", "timeline[3].for_s=8"]
     command = [sys.executable, "-m", "sitl", "fly", str(PLATOON), "--out", str(out), *overrides]
     port_offset = free_fleet_offset()
     flight = subprocess.Popen(

@@ -42,7 +42,7 @@ fleet:
   law: {name: cooperative}
 starts_enu_m: {1: [0.0, 0.0, 0.0], 2: [-3.0, 0.0, 0.0], 3: [-6.0, 0.0, 0.0]}
 reference: {kind: point, point_enu_m: [0.0, 0.0, 2.5]}
-stand_in: {sensors: ideal}
+stand_in: {sensors: ideal, armable_after_s: 1}
 timeline: [{command: prepare}]
 """
 ALL = (1, 2, 3)

@@ -25,7 +25,7 @@ from sitl.links.ports import zenoh_endpoint
 
 pytestmark = [pytest.mark.fleet, pytest.mark.timeout(200)]
 
-LOW = {"px4": "RTL_RETURN_ALT: 4", "ardupilot": "RTL_ALT: 400, RTL_LOIT_TIME: 500"}
+LOW = {"px4": "RTL_RETURN_ALT: 3", "ardupilot": "RTL_ALT: 300, RTL_LOIT_TIME: 500"}
 SCENARIO = """\
 fleet:
   name: home
@@ -34,9 +34,10 @@ fleet:
     - {{id: 1, role: leader, slot_enu_m: [0.0, 0.0, 0.0]}}
     - {{id: 2, role: follower, slot_enu_m: [-3.0, 0.0, 0.0]}}
   neighbours: {{kind: edges, edges: [[1, 2]]}}
+  takeoff_height_m: 2.0
 starts_enu_m: {{1: [0.0, 0.0, 0.0], 2: [-3.0, 0.0, 0.0]}}
-reference: {{kind: point, point_enu_m: [0.0, 5.0, 2.5]}}
-stand_in: {{autopilot: {make}, sensors: ideal, parameters: {{{low}}}}}
+reference: {{kind: point, point_enu_m: [0.0, 5.0, 2.0]}}
+stand_in: {{autopilot: {make}, sensors: ideal, armable_after_s: 1, parameters: {{{low}}}}}
 timeline: [{{command: prepare}}]
 """
 STARTS = {1: (0.0, 0.0), 2: (-3.0, 0.0)}

@@ -1,6 +1,7 @@
 """A ground station that commands a fleet of real processes and keeps the reports."""
 
 import time
+from collections.abc import Callable
 
 from companion.ground.session import FleetSession
 from companion.types.commands import CommandName
@@ -17,9 +18,10 @@ class Ground:
         self.events: set[str] = set()
         self.received: list[tuple[float, Status]] = []
 
-    def listen(self, seconds: float) -> None:
+    def listen(self, seconds: float, enough: Callable[[], bool] = lambda: False) -> None:
+        """Receive reports for this time, or until `enough`."""
         end_s = time.monotonic() + seconds
-        while time.monotonic() < end_s:
+        while time.monotonic() < end_s and not enough():
             for report in self._session.drain():
                 self.newest[report.status.vehicle_id] = report.status
                 self.received.append((time.monotonic(), report.status))
@@ -44,4 +46,4 @@ class Ground:
         while self.phases(ids) != {phase}:
             assert time.monotonic() < end_s, (name, self.newest)
             self._session.command([i for i in ids if self.phases((i,)) != {phase}], name, 0.5)
-            self.listen(0.5)
+            self.listen(0.5, lambda: self.phases(ids) == {phase})

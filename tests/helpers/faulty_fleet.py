@@ -57,6 +57,7 @@ SPEED_M_S = 2.0 * pi * RADIUS_M / PERIOD_S  # of the reference
 OVERRIDES = (
     "fleet.law.name=cooperative",
     "fleet.takeoff_height_m=2.0",
+    "stand_in.armable_after_s=1",
     f"fleet.separation_m={SEPARATION_M}",
     f"reference={{kind: circle, centre_enu_m: [-6.0, 0.0, 2.0], radius_m: {RADIUS_M}, period_s: {PERIOD_S}}}",
     "links={peer_transport: udp, peer_delay_s: 0.002}",

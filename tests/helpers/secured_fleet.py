@@ -28,6 +28,7 @@ OTHERS = ("ground-anna", "ground-ben", "monitor-tower", "target-main", "traffic-
 OVERRIDES = (
     "fleet.law.name=cooperative",
     "fleet.takeoff_height_m=2.0",
+    "stand_in.armable_after_s=1",
     "fleet.separation_m=1.0",
     "reference={kind: circle, centre_enu_m: [-6.0, 0.0, 2.0], radius_m: 6.0, period_s: 30.0}",
 )
