@@ -27,7 +27,7 @@ from identities import tls_of
 from secured_fleet import IDS, OTHERS, SecuredFleet
 from sitl.flight.processes.identities import identity_folder, provision
 
-MEASURED_S = 5.0
+MEASURED_S = 3.0
 LARGEST_ERROR_M = 0.1  # more than in undisturbed flight
 DEMANDED = "in formation, error 0.1 m at most above the undisturbed one, operator answered"
 FAR_M = (30.0, 30.0, 5.0)
