@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import csv
+import os
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,9 @@ from pathlib import Path
 from agent_process import until
 from own_ports import free_vehicle_offset
 from sitl.links.ports import Ports, ports_of
+from sitl.vehicle.truth import TRUTH_HEADER
+
+TAIL_BYTES = 512  # of a truth file: more than two rows
 
 
 @dataclass(frozen=True)
@@ -23,6 +27,11 @@ class Truth:
     roll_rad: float
     armed: bool
     mode: str
+
+    @classmethod
+    def of(cls, row: Mapping[str, str]) -> Truth:
+        """The row by its columns."""
+        return cls(float(row["z_m"]), float(row["roll_rad"]), row["armed"] == "1", row["mode"])
 
 
 @dataclass
@@ -42,18 +51,28 @@ class StandInProcess:
         """The complete rows written so far, one every 20 ms."""
         lines = self.truth_file.read_text(encoding="ascii").splitlines(keepends=True)
         rows = csv.DictReader(line for line in lines if line.endswith("\n"))
-        return [Truth(float(r["z_m"]), float(r["roll_rad"]), r["armed"] == "1", r["mode"]) for r in rows]
+        return [Truth.of(row) for row in rows]
+
+    @property
+    def newest(self) -> Truth | None:
+        """The last complete row, None before the first. For polling: to parse all rows each time takes most of a core."""
+        with self.truth_file.open("rb") as file:
+            file.seek(-min(TAIL_BYTES, file.seek(0, os.SEEK_END)), os.SEEK_END)
+            header, complete = TRUTH_HEADER.strip(), file.read().decode("ascii").split("\n")[:-1]
+        if not complete or complete[-1] == header:
+            return None
+        return Truth.of(dict(zip(header.split(","), complete[-1].split(","), strict=True)))
 
     def first_truth(self) -> Truth:
         """The first row, which a starved process writes late."""
-        until(lambda: bool(self.truth()), 30.0)
+        until(lambda: self.newest, 30.0)
         return self.truth()[0]
 
     def wait_for_mode(self, mode: str) -> None:
-        until(lambda: (rows := self.truth()) and rows[-1].mode == mode, 30.0)
+        until(lambda: (row := self.newest) and row.mode == mode, 30.0)
 
     def wait_until_disarmed(self) -> None:
-        until(lambda: not self.truth()[-1].armed, 30.0)
+        until(lambda: (row := self.newest) and not row.armed, 30.0)
 
 
 @contextmanager

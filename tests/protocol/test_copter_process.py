@@ -103,7 +103,7 @@ def test_a_return_to_launch_by_pymavlink(tmp_path: Path) -> None:
         while client.wait("EXTENDED_SYS_STATE").landed_state != M.MAV_LANDED_STATE_LANDING:
             pass
         process.wait_until_disarmed()
-        assert process.truth()[-1].mode == "RTL"
+        assert process.newest.mode == "RTL"
 
 
 def test_rates_outlive_a_client_and_only_one_can_connect(tmp_path: Path) -> None:

@@ -97,7 +97,7 @@ def test_a_flight_by_typed_commands(tmp_path: Path) -> None:
         proxy.wait_for("Mode LAND")
         proxy.wait_for("DISARMED")
         process.wait_until_disarmed()
-        assert process.truth()[-1].z_m == 0.0
+        assert process.newest.z_m == 0.0
     assert top_m == pytest.approx(1.5, abs=0.3)
     assert not re.search(r"Traceback|ERROR in command", proxy.log)
     assert re.search(r"COMPONENT_ARM_DISARM: ACCEPTED", proxy.log)
