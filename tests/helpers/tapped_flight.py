@@ -41,7 +41,7 @@ class Make:
 
 # A PX4 without its stream changes to Hold after a second, as the README advises.
 PX4 = Make(
-    stand_in="{sensors: ideal, wind: {mean_enu_m_s: [3.0, 0.0, 0.0]}, parameters: {COM_OBL_RC_ACT: 5}}",
+    stand_in="{armable_after_s: 1, sensors: ideal, wind: {mean_enu_m_s: [3.0, 0.0, 0.0]}, parameters: {COM_OBL_RC_ACT: 5}}",
     formation_mode=6 << 16,
     mode_message="CURRENT_MODE",
     formation_mode_name="OFFBOARD",
@@ -53,7 +53,7 @@ PX4 = Make(
     leaves_formation_by_itself=True,
 )
 ARDUPILOT = Make(
-    stand_in="{autopilot: ardupilot, armable_after_s: 3, sensors: ideal, wind: {mean_enu_m_s: [3.0, 0.0, 0.0]},"
+    stand_in="{autopilot: ardupilot, armable_after_s: 1, sensors: ideal, wind: {mean_enu_m_s: [3.0, 0.0, 0.0]},"
     " parameters: {GUID_OPTIONS: 8}}",
     formation_mode=4,
     mode_message="HEARTBEAT",
@@ -115,7 +115,7 @@ class Flight:
             (CommandName.ARM, FlightPhase.ARMED),
             (CommandName.TAKEOFF, FlightPhase.HOLD),
         ):
-            if not self.stand_in.truth() or self.stand_in.truth()[-1].z_m < CLIMBED_M:
+            if (row := self.stand_in.newest) is None or row.z_m < CLIMBED_M:
                 self.order(name, phase)
         if self.phase is not FlightPhase.FORMATION:
             self.order(CommandName.HOLD, FlightPhase.HOLD)
@@ -131,7 +131,7 @@ class Flight:
         assert self.tap.setpoints_since(start_s) == []
         assert self.tap.commands[commands:] == []
         assert len(self.tap.positions_since(start_s)) > 10  # it had positions
-        assert self.stand_in.truth()[-1].mode != "OFFBOARD"
+        assert self.stand_in.newest.mode != "OFFBOARD"  # type: ignore[union-attr]
 
     def is_silent(self, since_s: float) -> bool:
         """No setpoint of the law since then except those on their way; level final setpoints where the make needs them."""
@@ -160,6 +160,3 @@ def in_the_air(folder: Path, make: Make) -> Iterator[Flight]:
             FleetSession("processtest", (files.zenoh,)) as session,
         ):
             yield Flight(make, files, autopilot, tap, session)
-
-
-MAKES = pytest.mark.parametrize("make", [PX4, ARDUPILOT], ids=["px4", "ardupilot"])

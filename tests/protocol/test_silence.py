@@ -12,25 +12,21 @@ import socket
 import time
 from collections.abc import Iterator
 from itertools import pairwise
-from pathlib import Path
 
 import pytest
 
 from agent_process import Running, agent, until
 from companion.mavlink.codec import MavlinkCodec, mavlink
-from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
-from tapped_flight import ARDUPILOT, MAKES, PX4, UNDER_WAY, Flight, Make, in_the_air
+from tapped_flight import UNDER_WAY, Flight
 
 
-@pytest.fixture(scope="module", params=[PX4, ARDUPILOT], ids=["px4", "ardupilot"])
-def flight(
-    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
-) -> Iterator[tuple[Flight, Running]]:
-    """One flight for the tests that keep the agent alive; each enters formation by itself."""
-    with in_the_air(tmp_path_factory.mktemp("silence"), request.param) as flight, agent(flight.files) as process:
+@pytest.fixture(scope="module")
+def flight(vehicle: Flight) -> Iterator[tuple[Flight, Running]]:
+    """With one agent for all tests; each enters formation by itself."""
+    with agent(vehicle.files) as process:
         process.wait_for_log("heartbeat of autopilot 1")
-        yield flight, process
+        yield vehicle, process
 
 
 def test_a_short_gap_in_positions_pauses_the_stream(flight: tuple[Flight, Running]) -> None:
@@ -127,28 +123,3 @@ def test_without_positions_the_agent_requests_hold(flight: tuple[Flight, Running
     assert asked <= {
         (mavlink.MAV_CMD_DO_SET_MODE, vehicle.make.hold_mode)
     }  # none if the failsafe of the autopilot was faster
-
-
-@MAKES
-def test_an_agent_killed_and_restarted_in_flight_observes(tmp_path: Path, make: Make) -> None:
-    with in_the_air(tmp_path, make) as vehicle:
-        with agent(vehicle.files) as first:
-            first.wait_for_log("heartbeat of autopilot 1")
-            vehicle.form()
-            first.process.kill()
-            first.process.wait()
-            time.sleep(0.05)
-            killed_s = time.monotonic()
-        commands = len(vehicle.tap.commands)
-        with agent(vehicle.files) as second:
-            second.wait_for_log("heartbeat of autopilot 1")
-            if make.leaves_formation_by_itself:
-                vehicle.stand_in.wait_for_mode(vehicle.make.hold_mode_name)
-            vehicle.forget_reports()
-            until(lambda: vehicle.phase is not None)
-            vehicle.observes_and_sends_nothing(3.0)
-            assert vehicle.tap.setpoints_since(killed_s) == []
-            assert vehicle.tap.commands[commands:] == []
-            assert vehicle.stand_in.truth()[-1].armed
-            vehicle.form()  # flies again on command
-            vehicle.order(CommandName.LAND, FlightPhase.OBSERVE)
