@@ -12,19 +12,19 @@ from typing import Any
 
 from agent_process import AgentFiles, agent_files, companion, until
 from companion.types.notices import Code
-from hovering_autopilot import HoveringAutopilot
+from hovering_autopilot import IN_ORDER, HoveringAutopilot
 from stand_in_process import StandInProcess, stand_in
 
 CONFIGURED = {"COM_OBL_RC_ACT": 5, "COM_RC_OVERRIDE": 3, "GF_MAX_HOR_DIST": 90.0, "GF_MAX_VER_DIST": 40.0}
 
 
-ARMABLE_S = 4.0  # its checks pass this long after its start
+ARMABLE_S = 0.5  # its checks pass this long after its start
 
 
 @contextmanager
 def vehicle_with(folder: Path, **parameters: float) -> Iterator[tuple[StandInProcess, AgentFiles]]:
     """A correctly configured stand-in, except for these parameters, and the files of vehicle 1 for it."""
-    configuration = {"id": 1, "stand_in": {"parameters": CONFIGURED | parameters}}
+    configuration = {"id": 1, "stand_in": {"armable_after_s": ARMABLE_S, "parameters": CONFIGURED | parameters}}
     with stand_in(folder, json.dumps(configuration)) as process:
         until(lambda: len(process.truth()) > ARMABLE_S * 50)
         yield process, agent_files(folder, f"udpin:127.0.0.1:{process.ports.companion}")
@@ -88,9 +88,8 @@ def test_bad_parameters_are_refused_and_fixed(tmp_path: Path) -> None:
 
 def test_no_parameter_is_set_while_armed_and_missing_ones_are_not_found(tmp_path: Path) -> None:
     files = agent_files(tmp_path)
-    with HoveringAutopilot(
-        1, files.udp_port, parameters={"COM_OBL_RC_ACT": 5.0}
-    ) as autopilot:  # armed; it lacks the others
+    known = {name: value for name, value in IN_ORDER.items() if name != "COM_OF_LOSS_T"}
+    with HoveringAutopilot(1, files.udp_port, parameters=known) as autopilot:  # armed
         result = doctor(files, "--fix", "--json")
     printed = diagnosis(result)
     subjects = {finding["subject"]: finding for finding in printed["findings"]}

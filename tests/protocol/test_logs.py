@@ -8,7 +8,10 @@ import socket
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from random import Random
 from subprocess import CompletedProcess
@@ -39,6 +42,31 @@ def logs(files: AgentFiles, *options: str, timeout_s: float = 100.0) -> Complete
 
 def folder_of(files: AgentFiles) -> Path:
     return files.file.parent / "logs"
+
+
+@dataclass(frozen=True)
+class Waiting:
+    """Commands that wait twenty seconds for an answer. They do so beside the other tests of this file."""
+
+    silent_link: Future[CompletedProcess[str]]
+    silent_files: AgentFiles
+    no_logs: Future[CompletedProcess[str]]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def waiting(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Waiting]:
+    silent, empty = (agent_files(tmp_path_factory.mktemp(name)) for name in ("silent_link", "no_logs"))
+
+    def from_a_link_that_goes_silent() -> CompletedProcess[str]:
+        with LoggingAutopilot(PX4, silent.udp_port, [bytes(1_000_000)], silent_after_packets=1000):
+            return logs(silent, "--get", "last", "--out", str(folder_of(silent)))
+
+    def from_a_px4_without_logs() -> CompletedProcess[str]:
+        with LoggingAutopilot(PX4, empty.udp_port, []):
+            return logs(empty)
+
+    with ThreadPoolExecutor() as pool:
+        yield Waiting(pool.submit(from_a_link_that_goes_silent), silent, pool.submit(from_a_px4_without_logs))
 
 
 @both
@@ -117,15 +145,6 @@ def test_arming_ends_a_download(kind: AutopilotKind, tmp_path: Path) -> None:
     assert list(folder_of(files).iterdir()) == []
 
 
-def test_a_link_that_goes_silent_leaves_no_partial_log(tmp_path: Path) -> None:
-    files, log = agent_files(tmp_path), bytes(1_000_000)
-    with LoggingAutopilot(PX4, files.udp_port, [log], silent_after_packets=1000):
-        result = logs(files, "--get", "last", "--out", str(folder_of(files)))
-    assert result.returncode == 1
-    assert "vehicle 1: log 0: no data for 20 s; no HEARTBEAT for 5 s\n" in result.stderr
-    assert list(folder_of(files).iterdir()) == []
-
-
 def test_ctrl_c_ends_the_transfer_and_leaves_no_file(tmp_path: Path) -> None:
     files, log_file = agent_files(tmp_path), tmp_path / "logs.log"
     with LoggingAutopilot(PX4, files.udp_port, [bytes(50_000_000)]) as autopilot, log_file.open("wb") as log:
@@ -180,10 +199,15 @@ def test_missing_logs_are_named(tmp_path: Path) -> None:
     assert none.stderr == "vehicle 1: it has no logs\n"
 
 
-def test_a_px4_without_logs_does_not_answer(tmp_path: Path) -> None:
-    files = agent_files(tmp_path)
-    with LoggingAutopilot(PX4, files.udp_port, []):
-        none = logs(files)
+def test_a_link_that_goes_silent_leaves_no_partial_log(waiting: Waiting) -> None:
+    result = waiting.silent_link.result()
+    assert result.returncode == 1
+    assert "vehicle 1: log 0: no data for 20 s; no HEARTBEAT for 5 s\n" in result.stderr
+    assert list(folder_of(waiting.silent_files).iterdir()) == []
+
+
+def test_a_px4_without_logs_does_not_answer(waiting: Waiting) -> None:
+    none = waiting.no_logs.result()
     assert none.returncode == 1
     assert none.stderr == "vehicle 1: no answer to the request for its list; PX4 does not answer where it has no logs\n"
 
@@ -249,9 +273,9 @@ def test_the_log_of_a_flight(kind: AutopilotKind, tmp_path: Path) -> None:
             if kind is ARDUPILOT:
                 pilot.command(mavlink.MAV_CMD_DO_SET_MODE, 1.0, Mode.GUIDED)
             pilot.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
-            until(lambda: any(row.armed for row in process.truth()))
+            until(lambda: process.newest.armed)
             pilot.command(mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, 2.0 if kind is ARDUPILOT else 490.0)
-            until(lambda: process.truth()[-1].z_m > 1.0, 30.0)
+            until(lambda: process.newest.z_m > 1.0, 30.0)
             pilot.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0, FORCE)
             process.wait_until_disarmed()
         files = agent_files(tmp_path, f"udpin:127.0.0.1:{process.ports.companion}")

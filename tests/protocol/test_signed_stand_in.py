@@ -25,7 +25,7 @@ from companion.types.status import Status
 from stand_in_process import StandInProcess, stand_in
 
 SECRET, OTHER_SECRET = bytes(range(1, 33)), bytes(range(33, 65))
-COPTER = "stand_in: {autopilot: ardupilot, armable_after_s: 3, sensors: ideal, parameters: {GUID_OPTIONS: 8}}\n"
+COPTER = "stand_in: {autopilot: ardupilot, armable_after_s: 1, sensors: ideal, parameters: {GUID_OPTIONS: 8}}\n"
 PX4 = "stand_in: {sensors: ideal}\n"
 ASK = mavlink.MAVLink_command_long_message(1, 1, mavlink.MAV_CMD_REQUEST_MESSAGE, 0, 148, 0, 0, 0, 0, 0, 0)
 
@@ -144,7 +144,7 @@ def test_with_the_right_key_an_agent_arms_a_copter_that_enforces_it(tmp_path: Pa
             running.wait_for_log("heartbeat of autopilot 1")
             order(session, CommandName.PREPARE, FlightPhase.READY)
             status = order(session, CommandName.ARM, FlightPhase.ARMED)
-            until(lambda: process.truth()[-1].armed)
+            until(lambda: process.newest.armed)
             assert not set(SIGNATURE_CODES) & set(status.rejected)
 
 
@@ -158,7 +158,7 @@ def test_with_the_right_key_the_doctor_reads_a_copter_that_enforces_it(tmp_path:
 
 def test_a_copter_with_another_key_is_rejected(tmp_path: Path) -> None:
     with copter_with_a_key(tmp_path) as (process, _):
-        done = companion("agent", "--config", str(files_of(tmp_path, process, OTHER_SECRET).file), "--wait-s", "3")
+        done = companion("agent", "--config", str(files_of(tmp_path, process, OTHER_SECRET).file), "--wait-s", "2")
     assert done.returncode == 3
     assert "its packets are signed with another key" in done.stderr.splitlines()[-1]
 
@@ -174,7 +174,7 @@ def test_an_agent_without_a_key_moves_nothing_and_reports_the_cause(tmp_path: Pa
                 session.command([1], CommandName.ARM, 1.0)
                 time.sleep(0.5)
             phases = {report.status.phase for report in session.drain()}
-        assert (process.truth()[-1].mode, process.truth()[-1].armed) == (before.mode, False)
+        assert (process.newest.mode, process.newest.armed) == (before.mode, False)
         assert phases
         assert not {FlightPhase.READY, FlightPhase.ARMED} & phases
 
@@ -182,7 +182,7 @@ def test_an_agent_without_a_key_moves_nothing_and_reports_the_cause(tmp_path: Pa
 @pytest.mark.parametrize("configuration", [PX4, COPTER], ids=["a PX4", "a copter without a key"])
 def test_an_agent_with_a_key_rejects_an_autopilot_that_does_not_sign(tmp_path: Path, configuration: str) -> None:
     with stand_in(tmp_path, configuration) as process:
-        done = companion("agent", "--config", str(files_of(tmp_path, process, SECRET).file), "--wait-s", "3")
+        done = companion("agent", "--config", str(files_of(tmp_path, process, SECRET).file), "--wait-s", "2")
     assert done.returncode == 3
     assert "its packets are not signed; give it the key" in done.stderr.splitlines()[-1]
     assert "PX4 1.16 cannot sign" in done.stderr

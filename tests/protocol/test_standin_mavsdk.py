@@ -22,7 +22,7 @@ from stand_in_process import StandInProcess, stand_in
 
 HOVER_THRUST = 0.49
 TIMEOUT_S = 60.0
-IDEAL = "stand_in: {sensors: ideal}\n"
+IDEAL = "stand_in: {sensors: ideal, armable_after_s: 1}\n"
 
 
 @dataclass
@@ -104,7 +104,7 @@ def test_health_and_parameters(tmp_path: Path) -> None:
 def test_a_return_to_launch(tmp_path: Path) -> None:
     async def flight(c: Client) -> None:
         await c.take_off()
-        await c.action.set_return_to_launch_altitude(4.0)
+        await c.action.set_return_to_launch_altitude(2.5)
         await c.action.return_to_launch()
         await c.wait_for_mode(FlightMode.RETURN_TO_LAUNCH)
         async for state in c.telemetry.subscribe_landed_state():

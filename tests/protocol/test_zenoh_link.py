@@ -436,7 +436,7 @@ def test_a_command_that_waited_through_a_pause_is_executed_only_if_it_ends_a_for
         until(lambda: ground.drain(), lambda: first.link.publish_status(REPORT))  # connected
         first.tick()
         asked = pool.submit(ground.command, (1,), name, 10.0, CONTENT_OF.get(name))
-        time.sleep(1.0)  # the process hangs
+        time.sleep(5 * LONG_PAUSE_S)  # the process hangs
         first.tick()
         if name in (CommandName.LAND, CommandName.HOLD, CommandName.ABORT):
             assert {command.name for command in first.commands} == {name}
