@@ -46,7 +46,7 @@ timeline:
 AUTOPILOT = """\
 id: {id}
 start_enu_m: [{x}, 0.0, 0.0]
-stand_in: {{autopilot: {kind}, armable_after_s: 4, parameters: {{{parameters}}}}}
+stand_in: {{autopilot: {kind}, armable_after_s: 2, parameters: {{{parameters}}}}}
 """
 
 
