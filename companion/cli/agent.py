@@ -6,6 +6,7 @@ import argparse
 
 from companion.cli.options import add_vehicle_file, fail
 from companion.cli.vehicle_link import EXIT_DEFECT, exit_code_of
+from companion.cli.without_openssl import leave_out_openssl
 
 NAME = "agent"
 SUMMARY = "runs on each vehicle, beside its autopilot"
@@ -44,6 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """The exit code."""
+    leave_out_openssl()
     return exit_code_of(lambda: _run(options))
 
 
