@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 
-# pymavlink's development dialect is common.xml plus a few messages that PX4 already sends, among them CURRENT_MODE (436).
-from pymavlink.dialects.v20 import development as mavlink
-
+from companion.mavlink.messages import mavlink
 from companion.mavlink.packet_reader import PacketReader
 from companion.mavlink.plain_packets import MavlinkMessage, encode_plain
 from companion.mavlink.signing import SignedMavlink, SigningKey

@@ -6,9 +6,7 @@ from collections import Counter
 
 from fastcrc.crc16 import mcrf4xx
 
-# pymavlink's development dialect is common.xml plus a few messages that PX4 already sends, among them CURRENT_MODE (436).
-from pymavlink.dialects.v20 import development as mavlink
-
+from companion.mavlink.messages import mavlink
 from companion.mavlink.plain_packets import MavlinkMessage, decode_plain
 from companion.mavlink.signing import SIGNATURE_CODES
 from companion.types.notices import Code

@@ -13,8 +13,7 @@ from typing import Any
 
 from fastcrc.crc16 import mcrf4xx
 
-# pymavlink's development dialect is common.xml plus a few messages that PX4 already sends, among them CURRENT_MODE (436).
-from pymavlink.dialects.v20 import development as mavlink
+from companion.mavlink.messages import mavlink
 
 MavlinkMessage = Any  # pymavlink generates its classes without types
 
@@ -67,7 +66,8 @@ class _Layout:
 
 
 def _layouts() -> Iterator[tuple[int, _Layout]]:
-    for message_id, kind in mavlink.mavlink_map.items():
+    kinds: dict[int, Any] = mavlink.mavlink_map
+    for message_id, kind in kinds.items():
         names = tuple(kind.ordered_fieldnames)
         if "s" in kind.unpacker.format or len(names) < 2:
             continue

@@ -9,9 +9,7 @@ import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-# pymavlink's development dialect is common.xml plus a few messages that PX4 already sends, among them CURRENT_MODE (436).
-from pymavlink.dialects.v20 import development as mavlink
-
+from companion.mavlink.messages import mavlink
 from companion.types.notices import Code
 
 KEY_BYTES = 32
@@ -31,7 +29,7 @@ class SigningKey:
     unix_time_s: Callable[[], float]
 
 
-class SignedMavlink(mavlink.MAVLink):  # type: ignore[misc]  # pymavlink has no types
+class SignedMavlink(mavlink.MAVLink):
     """A MAVLink end that signs all packets and accepts only correctly signed ones.
 
     pymavlink accepts a time stamp before it checks the signature, so one forged packet would make the genuine ones look old.
@@ -44,7 +42,7 @@ class SignedMavlink(mavlink.MAVLink):  # type: ignore[misc]  # pymavlink has no 
     def __init__(self, system_id: int, component_id: int, key: SigningKey) -> None:
         super().__init__(None, srcSystem=system_id, srcComponent=component_id)
         self._unix_time_s = key.unix_time_s
-        self.signing.secret_key = key.secret
+        self._secret = self.signing.secret_key = key.secret
         self.signing.link_id = key.link_id
         self.signing.sign_outgoing = True
         self.signing.allow_unsigned_callback = _refuse_unsigned
@@ -56,7 +54,7 @@ class SignedMavlink(mavlink.MAVLink):  # type: ignore[misc]  # pymavlink has no 
 
     def check_signature(self, msgbuf: bytearray, srcSystem: int, srcComponent: int) -> bool:  # noqa: N803
         """True for a correct signature. Raises MAVError with one of SIGNATURE_CODES otherwise."""
-        digest = hashlib.sha256(self.signing.secret_key + msgbuf[:-SIGNATURE_BYTES]).digest()
+        digest = hashlib.sha256(self._secret + msgbuf[:-SIGNATURE_BYTES]).digest()
         if digest[:SIGNATURE_BYTES] != msgbuf[-SIGNATURE_BYTES:]:
             raise mavlink.MAVError(Code.MAVLINK_WRONG_KEY)
         self.keep_time()

@@ -291,7 +291,7 @@ def test_help_has_examples_and_exit_codes(command_name: list[str]) -> None:
 def test_the_agent_imports_no_ground_tools() -> None:
     program = (
         "import sys, companion.app\n"
-        "heavy = {'numpy', 'matplotlib', 'rich', 'mavsdk', 'lxml', 'sitl'} & set(sys.modules)\n"
+        "heavy = {'numpy', 'matplotlib', 'rich', 'mavsdk', 'lxml', 'pymavlink', 'sitl'} & set(sys.modules)\n"
         "assert not heavy, heavy"
     )
     subprocess.run([sys.executable, "-c", program], check=True, timeout=30)

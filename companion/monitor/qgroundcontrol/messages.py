@@ -50,8 +50,11 @@ def position_messages(
     if status.state_age_s + age_s > OLDEST_POSITION_S or not _is_possible(status):
         return []
     position_ned_m, velocity_ned_m_s = ned_from_enu(status.position_enu_m), ned_from_enu(status.velocity_enu_m_s)
-    messages = [mavlink.MAVLink_local_position_ned_message(time_ms, *position_ned_m, *velocity_ned_m_s)]
+    messages: list[MavlinkMessage] = [
+        mavlink.MAVLink_local_position_ned_message(time_ms, *position_ned_m, *velocity_ned_m_s)
+    ]
     if origin_deg_deg_m is not None:
+        north_cm_s, east_cm_s, down_cm_s = (round(speed_m_s * 100.0) for speed_m_s in velocity_ned_m_s)
         latitude_deg, longitude_deg, altitude_m = geodetic_from_enu(status.position_enu_m, origin_deg_deg_m)
         messages.append(
             mavlink.MAVLink_global_position_int_message(
@@ -60,7 +63,9 @@ def position_messages(
                 round(longitude_deg * 1e7),
                 round(altitude_m * 1e3),
                 round(status.position_enu_m[2] * 1e3),
-                *(round(speed_m_s * 100.0) for speed_m_s in velocity_ned_m_s),
+                north_cm_s,
+                east_cm_s,
+                down_cm_s,
                 _heading(velocity_ned_m_s),
             )
         )

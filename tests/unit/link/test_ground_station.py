@@ -11,12 +11,12 @@ from contextlib import closing
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pymavlink.dialects.v20 import common
+from pymavlink.dialects.v20 import development as mavlink
 
 from companion.link import ground_link
 from companion.link.endpoint import LinkError
 from companion.link.ground_link import GroundStationLink
-from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
+from companion.mavlink.codec import MavlinkCodec, MavlinkMessage
 from companion.mavlink.ground_station import AGENT_FLIES, GroundStationFilter
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code
@@ -147,7 +147,7 @@ def test_packet_for_another_vehicle_is_not_forwarded() -> None:
 
 
 def test_signed_and_mavlink_1_packets_pass_unchanged() -> None:
-    sender = common.MAVLink(None, 255, 190)
+    sender = mavlink.MAVLink(None, 255, 190)
     old = sender.heartbeat_encode(6, 8, 0, 0, 4).pack(sender, force_mavlink1=True)
     sender.signing.secret_key, sender.signing.sign_outgoing = bytes(range(32)), True
     signed = sender.heartbeat_encode(6, 8, 0, 0, 4).pack(sender)
