@@ -16,6 +16,7 @@ class Chunk:
     def __init__(self) -> None:
         self.frames: list[bytes] = []
         self.counts: dict[int, int] = {}  # messages by channel
+        self.bytes = 0
         self.start_ns = 0
         self.end_ns = 0
 
@@ -29,4 +30,5 @@ class Chunk:
         self.start_ns, self.end_ns = min(self.start_ns, time_ns), max(self.end_ns, time_ns)
         head = _FRAME.pack(_MESSAGE, _FIELDS + len(data), channel_id, sequence % _MOST_SEQUENCE, time_ns, time_ns)
         self.frames += (head, data)
+        self.bytes += len(head) + len(data)
         self.counts[channel_id] = self.counts.get(channel_id, 0) + 1

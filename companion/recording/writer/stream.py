@@ -12,6 +12,9 @@ from companion.recording.writer.mcap_part import channel_ids
 from companion.recording.writer.writing import Writing
 
 CHUNK_S = 1.0  # what a power loss may take, and a compromise: shorter chunks compress worse
+# All packets of 250 vehicles have half of it. Whatever else a stranger sends must fill neither the memory nor the disk.
+MOST_BYTES = 8_000_000
+TOO_MUCH = f"more than {MOST_BYTES // 1_000_000} MB in a second: the network is flooded"
 
 
 class MessageStream:
@@ -24,7 +27,10 @@ class MessageStream:
         self._began_s = 0.0
 
     def add(self, topic: str, sequence: int, now_s: float, data: bytes) -> None:
-        """Add a message of this moment."""
+        """Add a message of this moment, or drop it where a chunk has MOST_BYTES already."""
+        if self._chunk.bytes > MOST_BYTES:
+            self._writing.drop(1, TOO_MUCH)
+            return
         if not self._chunk.frames:
             self._began_s = now_s
         self._chunk.add(self._ids[topic], sequence, log_time_ns(self._header, now_s), data)

@@ -30,6 +30,9 @@ class Writing(Protocol):
     def put(self, files: PartFiles[Piece], piece: Piece, records: int) -> None:
         """Write a piece of so many records, or drop it."""
 
+    def drop(self, records: int, problem: str) -> None:
+        """Count records that are in no piece."""
+
     def close(self) -> None:
         """End all files."""
 
@@ -44,7 +47,7 @@ class WritingThread:
     def __init__(self, clock_s: Callable[[], float] = time.monotonic) -> None:
         self.problem = ""
         self._clock_s = clock_s
-        self._refused = 0  # records that found the queue full
+        self._refused = 0  # records that found the queue full, or are in no piece
         self._failed = 0  # records that could not be written; counted by the thread
         self._retry_s = float("-inf")
         self._pieces: queue.Queue[tuple[PartFiles[Any], Any, int] | None] = queue.Queue(WAITING)
@@ -66,8 +69,12 @@ class WritingThread:
         try:
             self._pieces.put_nowait((files, piece, records))
         except queue.Full:
-            self._refused += records
-            self.problem = "the disk is too slow"
+            self.drop(records, "the disk is too slow")
+
+    def drop(self, records: int, problem: str) -> None:
+        """Count records that are in no piece."""
+        self._refused += records
+        self.problem = problem
 
     def close(self) -> None:
         """End the files. Waits for CLOSE_WITHIN_S: a disk that hangs does not keep the process."""
@@ -116,8 +123,12 @@ class WritingAtOnce:
         try:
             files.write(piece)
         except OSError as error:
-            self.dropped += records
-            self.problem = _words(error)
+            self.drop(records, _words(error))
+
+    def drop(self, records: int, problem: str) -> None:
+        """Count records that are in no piece."""
+        self.dropped += records
+        self.problem = problem
 
     def close(self) -> None:
         """End the files."""

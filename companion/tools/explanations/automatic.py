@@ -34,8 +34,8 @@ ENTRIES: dict[str, Explanation] = {
     ),
     "RECORDING_DROPS": Explanation(
         "The recording of a vehicle has gaps. Its flight is not affected.",
-        "The disk is full, too slow, or the folder cannot be written; the event has the reason.",
-        "Free space or set a smaller `recording.keep_mb`; replace a slow card. See docs/recording.md.",
+        "The disk is full, too slow, the folder cannot be written, or the network is flooded; the event has the reason.",
+        "Free space or set a smaller `recording.keep_mb`; replace a slow card; find who floods. See docs/recording.md.",
     ),
     "RECORDING_RESUMED": Explanation(
         "All records of a vehicle are written again.",

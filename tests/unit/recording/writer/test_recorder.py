@@ -14,8 +14,12 @@ from mcap.reader import make_reader
 from companion.recording.codec import decode_inbox, decode_outbox
 from companion.recording.reader import recordings
 from companion.recording.records import DECISION, EVENT, INBOX, OUTBOX, TIMING
+from companion.recording.writer.chunk import Chunk
+from companion.recording.writer.files import PartFiles
+from companion.recording.writer.stream import MOST_BYTES, TOO_MUCH
 from companion.recording.writer.writing import WAITING, WritingAtOnce, WritingThread
 from companion.types.autopilot import AutopilotKind
+from companion.types.commands import Command, CommandName, ReferenceChange
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code
 from companion.types.tick import Inbox, Outbox
@@ -139,6 +143,42 @@ def test_a_disk_that_hangs_costs_records_and_no_tick(tmp_path: Path, monkeypatch
     recorded = ticks_of(tmp_path)
     assert recorded[-1] == recording.ticks
     assert 0 < recording.ticks - len(recorded) < 10 * SECOND
+
+
+def largest_commands() -> tuple[Command, ...]:
+    """As many as an agent takes in a tick, for an earlier start of it: each is refused."""
+    points = [[i + 1.0 / 3.0, -i - 1.0 / 7.0, 1.0 / 9.0] for i in range(200)]
+    content = ReferenceChange(1, {"kind": "waypoints", "points_enu_m": points}, 1.0)
+    return tuple(Command(CommandName.REFERENCE, number, "mallory", 99, content) for number in range(1, 33))
+
+
+def test_a_flood_of_commands_fills_neither_the_memory_nor_the_disk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    writing, sizes = WritingAtOnce(), []
+    recording = recorder(tmp_path, writing)
+    flight = flight_with(recording).fly_to(P.FORMATION)
+    put, flood, sent = writing.put, largest_commands(), len(flight.autopilot.targets)
+
+    def sized(files: PartFiles[Chunk], chunk: Chunk, records: int) -> None:
+        sizes.append(sum(map(len, chunk.frames)))
+        put(files, chunk, records)
+
+    monkeypatch.setattr(writing, "put", sized)
+    receive = flight.peers.receive
+    flight.peers.receive = lambda now_s: (receive(now_s)[0], flood)  # type: ignore[method-assign]
+    flight.ticks(3.0)
+    flight.peers.receive = receive  # type: ignore[method-assign]
+    assert max(sizes) < 1.2 * MOST_BYTES
+    assert flight.peers.reports[-1].status.recording.state == "dropping"
+    assert writing.problem == TOO_MUCH
+    assert len(flight.autopilot.targets) - sent == 3 * SECOND
+    flight.ticks(10.0)
+    assert flight.peers.reports[-1].status.recording.state == "on"
+    recording.close()
+    recorded = ticks_of(tmp_path)
+    assert recorded[-1] == recording.ticks
+    assert SECOND < recording.ticks - len(recorded) < 3 * SECOND  # a part of each second is kept
 
 
 def test_a_process_ends_though_its_disk_hangs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
