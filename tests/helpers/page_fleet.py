@@ -74,7 +74,7 @@ def _vehicle(
         role="follower" if i else "leader",
         mode="OFFBOARD",
         armed=True,
-        landed="in air",
+        landed="in_air",
         position_enu_m=position,
         velocity_enu_m_s=velocity,
         position_error_m=(0.21, 0.34),

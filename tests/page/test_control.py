@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import pytest
+from msgspec.structs import replace
 
 from page_server import PageServer
 from page_waits import until
@@ -106,6 +107,22 @@ def test_a_formation_is_previewed_before_it_can_be_sent(open_page: OpenPage) -> 
         page.locator("[data-action=send-formation]").click()
         until(page, lambda: bool(server.commands))
         assert server.commands[0].content == {"shape": "line", "spacing_m": 3.5, "heading_deg": 0}
+
+
+def test_free_slots_begin_with_those_flown_at_the_time(open_page: OpenPage) -> None:
+    with PageServer(may_control=True) as server:
+        page = open_page(server.control_url)
+        page.locator("summary", has_text="Formation").click()
+        slots, east = page.get_by_label("Slots"), page.get_by_label("Vehicle 2, east, metres")
+        slots.select_option("a slot for each vehicle")
+        before = east.input_value()
+        slots.select_option("line")
+        server.change = lambda vs: [replace(v, slot_offset_enu_m=(9.0, 8.0, 7.0)) for v in vs]  # another formation flies
+        page.locator("tbody.vehicle[data-id='2']").click()
+        expect(page.locator("#details dl div", has_text="Slot offset").locator("dd")).to_have_text("9.00, 8.00, 7.00")
+        slots.select_option("a slot for each vehicle")
+        expect(east).to_have_value("9.00")
+        assert before != "9.00"
 
 
 def test_the_answer_of_a_preview_comes_into_sight(open_page: OpenPage) -> None:

@@ -40,6 +40,7 @@ def test_every_vehicle_has_a_row_and_its_details(open_page: OpenPage) -> None:
         expect(page.locator("#details h2")).to_have_text("Vehicle 2, follower")
         names = {name.strip() for name in page.locator("#details dt").all_inner_texts()}
         assert {"Battery", "PrC", "Fresh peers", "Error to slot", "Required distance", "Last event", "Epoch"} <= names
+        expect(page.locator("#details dl div", has_text="Landed").locator("dd")).to_have_text("in air")
         expect(page.locator("#details .neighbours tbody tr")).not_to_have_count(0)
         expect(page.locator("#control")).to_be_hidden()
         expect(page.locator("#abort")).to_have_count(0)
@@ -125,6 +126,53 @@ def test_alarms_are_acknowledged(open_page: OpenPage) -> None:
         expect(page.locator("#alarms li.acknowledged")).to_contain_text("vehicle 4")
         expect(page.get_by_role("button", name="1 alarms not acknowledged")).to_be_visible()
         assert [alarm.acknowledged for alarm in server.alarms] == [False, True]
+
+
+@pytest.mark.parametrize(("width", "height"), [(1440, 900), (1280, 720)])
+def test_many_alarms_cover_nothing_on_a_wide_screen(open_page: OpenPage, width: int, height: int) -> None:
+    with PageServer(8) as server:
+        server.replay = ReplayView(server.begin_s, server.begin_s + 300.0, server.begin_s + 60.0, 1.0)
+        for vehicle_id in range(1, 9):
+            server.alarm(vehicle_id, "BATTERY_LOW", "warning", text="a text that needs more than one line of the list")
+        page = open_page(server.url, width, height)
+        page.locator("tbody.vehicle[data-id='3']").click()
+        expect(page.locator("#details h2")).to_contain_text("Vehicle 3")
+        bottoms = page.evaluate(
+            """() => ["#alarms", "#vehicles", "#details", "#events", "#replay", "#replay input"].map(
+                (selector) => document.querySelector(selector).getBoundingClientRect())
+                .map(({ top, bottom }) => [top, bottom])"""
+        )
+        events, replay = bottoms[3], bottoms[4]
+        assert events[1] <= replay[0] + 1.0
+        assert all(bottom - top >= 60.0 for top, bottom in bottoms[:4])
+        expect(page.locator("#replay input")).to_be_in_viewport(ratio=1.0)
+
+
+@pytest.mark.parametrize("width", [360, 390, 1440])
+def test_the_age_of_a_vehicle_is_shown_with_its_unit(open_page: OpenPage, width: int) -> None:
+    with PageServer() as server:
+        ages = {1: 0.166, 2: 0.999, 3: 59.9}
+        server.change = lambda vs: [replace(v, data_age_s=ages.get(v.vehicle_id, 0.05)) for v in vs]
+        page = open_page(server.url, width, 844)
+        cells = page.locator("tbody.vehicle tr:first-child td:last-child")
+        expect(cells.nth(1)).to_have_text("999\u00a0ms")
+        assert cells.evaluate_all("(all) => all.filter((cell) => cell.scrollWidth > cell.clientWidth).length") == 0
+
+
+def test_an_old_position_is_no_altitude_of_now(open_page: OpenPage) -> None:
+    with PageServer() as server:
+        page = open_page(server.url)
+        points = page.evaluate(
+            """async () => {
+                const { History } = await import("/js/history.js");
+                const history = new History();
+                const vehicle = { vehicle_id: 1, position_enu_m: [0, 0, 5], timing: {}, nearest: null };
+                history.accept(10, null, [{ ...vehicle, data_age_s: 0.1 }]);
+                history.accept(20, null, [{ ...vehicle, data_age_s: 3 }]);
+                return history.points.map((point) => point.of.get(1).altitudeM);
+            }"""
+        )
+        assert points == [5, None]
 
 
 def test_events_are_listed_with_the_newest_first(open_page: OpenPage) -> None:

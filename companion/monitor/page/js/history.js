@@ -2,6 +2,7 @@
 
 const KEPT_S = 600;
 const STEP_S = 0.5;
+const OLD_DATA_S = 1; // an older position is none of now
 
 export class History {
   constructor() {
@@ -32,7 +33,7 @@ export class History {
 
 function sampleOf(vehicle) {
   return {
-    altitudeM: vehicle.position_enu_m[2],
+    altitudeM: vehicle.data_age_s !== null && vehicle.data_age_s <= OLD_DATA_S ? vehicle.position_enu_m[2] : null,
     errorM: vehicle.error_to_slot_m,
     lateMs: vehicle.timing.late_p99_ms,
     nearestM: vehicle.nearest?.distance_m ?? null,

@@ -5,8 +5,6 @@ import { html, nothing } from "./lit.js";
 import { prose } from "./prose.js";
 import { symbol } from "./symbol.js";
 
-const LANDED = { 0: "undefined", 1: "on ground", 2: "in air", 3: "takeoff", 4: "landing" };
-
 export function details({ store, nowMs }) {
   const id = [...store.selected].at(-1);
   const vehicle = store.vehicles.find((candidate) => candidate.vehicle_id === id);
@@ -32,7 +30,7 @@ function state(vehicle) {
   return [
     ["Phase", vehicle.phase],
     ["Mode", `${vehicle.mode}, ${vehicle.armed ? "armed" : "disarmed"}`],
-    ["Landed", LANDED[vehicle.landed] ?? vehicle.landed],
+    ["Landed", vehicle.landed.replaceAll("_", " ")],
     ["Battery", percent(vehicle.battery_percent)],
     ["Position ENU (m)", vector(vehicle.position_enu_m, 2)],
     ["Velocity (m/s)", vector(vehicle.velocity_enu_m_s, 2)],

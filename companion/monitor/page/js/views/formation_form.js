@@ -15,7 +15,10 @@ export function formationForm({ store, commanding }) {
     commanding.preview("formation", contentOf(new FormData(event.target)));
   };
   const edited = (event) => {
-    if (event.target.name === "shape") chosen = event.target.value;
+    if (event.target.name === "shape") {
+      chosen = event.target.value;
+      initials.clear();
+    }
     if (store.preview?.name === "formation") commanding.discard();
   };
   return html`<details class="form"><summary>Formation</summary>
