@@ -20,14 +20,15 @@ from sitl.report.metrics import SAMPLE_S, pairs_of
 from sitl.report.progress import Progress
 
 PLATOON = ROOT / "config" / "scenarios" / "platoon.yaml"
+REFUSED_S, ACCEPTED_S = 35.0, 62.0  # one turn of the circle, and there and back, at the two paces
 CIRCLE = CircleReference(centre_enu_m=(-8.0, 0.0, 2.0), radius_m=8.0, period_s=28.0, ramp_s=8.0)
 BACK_AND_FORTH = WaypointsReference(
     points_enu_m=((0.0, 0.0, 2.0), (20.0, 0.0, 2.0), (0.0, 0.0, 2.0)), max_speed_m_s=3.0, max_acceleration_m_s2=1.2
 )
 
 
-def flown_by(reference: Reference, *overrides: str) -> Scenario:
-    scenario = load_scenario(PLATOON, ["stand_in.airframe.drag_n_per_m_s=0.25", *overrides])
+def flown_by(reference: Reference, for_s: float) -> Scenario:
+    scenario = load_scenario(PLATOON, ["stand_in.airframe.drag_n_per_m_s=0.25", f"timeline[3].for_s={for_s}"])
     return replace(scenario, reference=reference)
 
 
@@ -57,10 +58,10 @@ def test_a_refused_reference_compresses_the_formation_and_the_named_pace_does_no
     reference: Reference, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(safety_filter, "filtered", lambda wanted, _spaces, _limits: wanted)  # the law alone
-    scenario = flown_by(reference)
+    scenario = flown_by(reference, REFUSED_S)
     (problem,) = flyable_problems(scenario.fleet, reference)
     separation_m = scenario.fleet.separation_m
     assert smallest_m(scenario) < separation_m
     slower = accepted(reference, problem.text)
     assert not list(flyable_problems(scenario.fleet, slower))
-    assert smallest_m(replace(scenario, reference=slower)) >= separation_m
+    assert smallest_m(flown_by(slower, ACCEPTED_S)) >= separation_m

@@ -36,6 +36,7 @@ class LargeFleet(Flight):
             f"fleet.neighbours={neighbours}",
             f"starts_enu_m={ {i: [x, 0.0, 0.0] for i, x in X_M.items()} }",
             "fleet.takeoff_height_m=2.0",
+            "timeline[3].for_s=0",
             f"fleet.separation_m={SEPARATION_M}",
             "fleet.successors=[2]",
             f"fleet.peers.full_rate_up_to={full_rate_up_to}",

@@ -76,7 +76,8 @@ def test_loss_and_delay_change_the_flight_but_the_platoon_settles() -> None:
 
 
 def test_the_weighted_law_keeps_the_platoon_closer_and_settles_faster() -> None:
-    weighted, *averages = (figures(f"fleet.law.name={law}") for law in ("weighted", "average_22", "average_26"))
+    laws = ("weighted", "average_22", "average_26")
+    weighted, *averages = (figures("timeline[3].for_s=45", f"fleet.law.name={law}") for law in laws)
     assert weighted.max_distance_m["1-2"] <= 1.90
     assert weighted.settle_s is not None
     assert weighted.final_error_m <= 0.05

@@ -21,9 +21,9 @@ LIMITED_STEP_DEG = 2.41  # 120 deg/s at 50 Hz, `max_tilt_rate_deg_s`
 
 
 def on_the_figure_8(law: str, *overrides: str) -> Flight:
-    """Four vehicles in a ring, when they move fastest."""
-    flight = Flight(RING, f"fleet.law.name={law}", *SUCCESSORS, *overrides)
-    flight.go_on(14.0)
+    """Four vehicles in a ring, on the figure since 14 s."""
+    flight = Flight(RING, f"fleet.law.name={law}", "timeline[3].for_s=4", *SUCCESSORS, *overrides)
+    flight.go_on(9.5)
     return flight
 
 
