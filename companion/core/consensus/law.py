@@ -45,9 +45,9 @@ class FormationLaw:
     feedforward: float = 0.0
 
 
-def used_weights(law: FormationLaw, leads: bool, prcs: Sequence[int]) -> list[float]:
+def used_weights(law: FormationLaw, leads: bool, prcs: Sequence[int]) -> tuple[float, ...]:
     """w_ij of the neighbours with these PrCs, in their order; empty for a leader under a law that does not use them."""
-    return neighbour_weights(prcs, law.weighting) if law.leader_uses_neighbours or not leads else []
+    return neighbour_weights(prcs, law.weighting) if law.leader_uses_neighbours or not leads else ()
 
 
 def weighted(gains: Gains = PAPER_GAINS, exponent: float = 1.0) -> FormationLaw:
@@ -116,30 +116,6 @@ def target(
     return FormationState(*means)
 
 
-def formation_error(
-    law: FormationLaw,
-    own: FormationState,
-    neighbours: Sequence[tuple[int, FormationState]],
-    reference: FormationState | None,
-) -> tuple[Vector3, Vector3]:
-    """z_i of eq. 11 without the offsets, as (position error m, velocity error m/s).
-
-    `neighbours` are (PrC, formation state); `reference` is R = [r, r'] for a leader, None for a follower.
-    """
-    used = neighbours if reference is None or law.leader_uses_neighbours else ()
-    weights = neighbour_weights([prc for prc, _ in used], law.weighting)
-    terms = list(zip(weights, [target for _, target in used], strict=True))
-    if reference is not None:
-        terms.append((1.0, reference))
-    (x, y, z), (vx, vy, vz) = own.position_enu_m, own.velocity_enu_m_s
-    ex = ey = ez = evx = evy = evz = 0.0
-    for weight, target in terms:
-        (tx, ty, tz), (tvx, tvy, tvz) = target.position_enu_m, target.velocity_enu_m_s
-        ex, ey, ez = ex + weight * (x - tx), ey + weight * (y - ty), ez + weight * (z - tz)
-        evx, evy, evz = evx + weight * (vx - tvx), evy + weight * (vy - tvy), evz + weight * (vz - tvz)
-    return (ex, ey, ez), (evx, evy, evz)
-
-
 def formation_acceleration(
     law: FormationLaw,
     own: FormationState,
@@ -149,15 +125,43 @@ def formation_acceleration(
 ) -> Vector3:
     """u_i of eq. 14 plus feed-forward, m/s^2 in ENU on all three axes. Zero for a follower without neighbours.
 
+    `neighbours` are (PrC, formation state); `reference` is R = [r, r'] for a leader, None for a follower.
     `drag_1_s` is the deceleration by drag per m/s of this vehicle.
     """
-    position_error, velocity_error = formation_error(law, own, neighbours, reference)
+    used = _used(law, neighbours, reference is not None)
+    position_error, velocity_error = _error(own, used, reference)
     fed_back = feedback(law.gains, position_error, velocity_error)
     if law.feedforward == 0.0:
         return fed_back
-    ax, ay, az = _along(reference, drag_1_s) if reference else _mean_acceleration(law, neighbours)
+    ax, ay, az = _mean_acceleration(used) if reference is None else _along(reference, drag_1_s)
     x, y, z = fed_back
     return (x + law.feedforward * ax, y + law.feedforward * ay, z + law.feedforward * az)
+
+
+Weighted = Sequence[tuple[float, FormationState]]
+"""(w_ij, formation state) of each neighbour that counts."""
+
+
+def _used(law: FormationLaw, neighbours: Sequence[tuple[int, FormationState]], leads: bool) -> Weighted:
+    if leads and not law.leader_uses_neighbours:
+        return ()
+    weights = neighbour_weights([prc for prc, _ in neighbours], law.weighting)
+    return [(weight, state) for weight, (_, state) in zip(weights, neighbours, strict=True)]
+
+
+def _error(own: FormationState, used: Weighted, reference: FormationState | None) -> tuple[Vector3, Vector3]:
+    """z_i of eq. 11 without the offsets, as (position error m, velocity error m/s): w_ij is 1 for the reference."""
+    (x, y, z), (vx, vy, vz) = own.position_enu_m, own.velocity_enu_m_s
+    ex = ey = ez = evx = evy = evz = 0.0
+    for weight, target in used:
+        (tx, ty, tz), (tvx, tvy, tvz) = target.position_enu_m, target.velocity_enu_m_s
+        ex, ey, ez = ex + weight * (x - tx), ey + weight * (y - ty), ez + weight * (z - tz)
+        evx, evy, evz = evx + weight * (vx - tvx), evy + weight * (vy - tvy), evz + weight * (vz - tvz)
+    if reference is not None:
+        (rx, ry, rz), (rvx, rvy, rvz) = reference.position_enu_m, reference.velocity_enu_m_s
+        ex, ey, ez = ex + (x - rx), ey + (y - ry), ez + (z - rz)
+        evx, evy, evz = evx + (vx - rvx), evy + (vy - rvy), evz + (vz - rvz)
+    return (ex, ey, ez), (evx, evy, evz)
 
 
 def _along(reference: FormationState, drag_1_s: float) -> Vector3:
@@ -166,11 +170,10 @@ def _along(reference: FormationState, drag_1_s: float) -> Vector3:
     return (ax + drag_1_s * vx, ay + drag_1_s * vy, az + drag_1_s * vz)
 
 
-def _mean_acceleration(law: FormationLaw, neighbours: Sequence[tuple[int, FormationState]]) -> Vector3:
+def _mean_acceleration(used: Weighted) -> Vector3:
     """sum_j w_ij u_j."""
     x = y = z = 0.0
-    weights = neighbour_weights([prc for prc, _ in neighbours], law.weighting)
-    for weight, (_, target) in zip(weights, neighbours, strict=True):
+    for weight, target in used:
         ax, ay, az = target.acceleration_enu_m_s2
         x, y, z = x + weight * ax, y + weight * ay, z + weight * az
     return (x, y, z)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,14 +20,19 @@ class Weighting:
     ratio: float = 1.0
 
 
-def neighbour_weights(prcs: Sequence[int], weighting: Weighting) -> list[float]:
+def neighbour_weights(prcs: Sequence[int], weighting: Weighting) -> tuple[float, ...]:
     """w_ij = s_j / sum_j s_j with the shares s_j of neighbours with PrCs p_j >= 1, in their order.
 
-    The weights add up to one. The list is empty without neighbours, where the paper's algorithm would divide by zero.
+    The weights add up to one. There are none without neighbours, where the paper's algorithm would divide by zero.
     """
+    return _weights(tuple(prcs), weighting.exponent, weighting.ratio)
+
+
+@lru_cache(maxsize=256)  # PrCs change seldom, and every tick needs their weights
+def _weights(prcs: tuple[int, ...], exponent: float, ratio: float) -> tuple[float, ...]:
     least = min(
         prcs, default=1
     )  # rho^p of the 160th hop is below the smallest float: counted from the nearest neighbour
-    shares = [prc**-weighting.exponent * weighting.ratio ** (prc - least) for prc in prcs]
+    shares = [prc**-exponent * ratio ** (prc - least) for prc in prcs]
     total = sum(shares)
-    return [share / total for share in shares]
+    return tuple([share / total for share in shares])

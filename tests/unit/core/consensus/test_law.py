@@ -9,7 +9,6 @@ from companion.core.consensus.law import (
     average_22,
     average_26,
     formation_acceleration,
-    formation_error,
     formation_state,
     used_weights,
     weighted,
@@ -39,8 +38,9 @@ def test_equation_14_of_a_follower() -> None:
 
 
 def test_equation_14_of_a_leader() -> None:
-    error = formation_error(weighted(K, 1.0), at(0.0), [(2, at(0.5))], at(1.0))
-    assert error == (pytest.approx((-1.5, 0.0, 0.0)), pytest.approx(REST))
+    # z = (0 - 0.5) + (0 - 1) = -1.5 m: the reference counts as one more neighbour.
+    u = formation_acceleration(weighted(K, 1.0), at(0.0), [(2, at(0.5))], at(1.0))
+    assert u == pytest.approx((1.39 * 1.5, 0.0, 0.0))
 
 
 def test_equation_26_leader_uses_the_reference_alone() -> None:
@@ -125,6 +125,6 @@ def test_the_platoon_of_ideal_vehicles(law: FormationLaw, largest_m: list[float]
 
 
 def test_a_leader_that_follows_the_reference_alone_uses_no_weights() -> None:
-    assert used_weights(average_26(), True, [2, 2]) == []
-    assert used_weights(average_26(), False, [1, 3]) == [0.5, 0.5]
+    assert used_weights(average_26(), True, [2, 2]) == ()
+    assert used_weights(average_26(), False, [1, 3]) == (0.5, 0.5)
     assert used_weights(weighted(), True, [1, 3]) == pytest.approx([0.75, 0.25])

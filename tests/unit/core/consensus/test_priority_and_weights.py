@@ -115,11 +115,11 @@ def test_a_ratio_is_as_sharp_at_every_hop(prc: int) -> None:
 def test_a_ratio_of_one_changes_no_bit() -> None:
     for prcs in ([1, 3], [2, 2, 5], [7, 8, 9]):
         shares = [prc**-8.0 for prc in prcs]
-        assert neighbour_weights(prcs, Weighting(8.0)) == [share / sum(shares) for share in shares]
+        assert neighbour_weights(prcs, Weighting(8.0)) == tuple(share / sum(shares) for share in shares)
 
 
 def test_no_weights_without_neighbours() -> None:
-    assert neighbour_weights([], Weighting()) == []
+    assert neighbour_weights([], Weighting()) == ()
 
 
 def test_prc_rises_to_n_without_a_leader() -> None:
