@@ -109,15 +109,15 @@ class ReportStage:
         identity, beacon = self._identity, consensus.leader_beacon
         leads = consensus.role is Role.LEADER and flight.phase is FlightPhase.FORMATION
         rft = setpoint.rft
-        return PeerPacket(
-            vehicle_id=identity.vehicle_id,
-            session=identity.session,
-            sequence=self._sequence,
-            formation_hash=identity.formation_hash,
-            phase=flight.phase,
-            role=consensus.role,
-            position_enu_m=vehicle.position_enu_m,
-            velocity_enu_m_s=vehicle.velocity_enu_m_s,
+        return PeerPacket(  # Python is slow with more than 15 keywords
+            identity.vehicle_id,
+            identity.session,
+            self._sequence,
+            identity.formation_hash,
+            flight.phase,
+            consensus.role,
+            vehicle.position_enu_m,
+            vehicle.velocity_enu_m_s,
             acceleration_enu_m_s2=setpoint.acceleration_enu_m_s2,
             state_age_s=max(0.0, now_s - vehicle.position_time_s),
             sent_s=now_s,

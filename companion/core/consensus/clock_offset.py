@@ -40,17 +40,12 @@ class ClockOffset(Struct, frozen=True, gc=False):
         """Whether a message is neither early nor more than `max_late_s` late."""
         return -EARLY_S <= apart_s - self.at(received_s) <= max_late_s
 
-    def supported_by(self, apart_s: float, received_s: float) -> bool:
-        """Whether a message is hardly later than the least delayed one."""
-        return apart_s - self.at(received_s) <= AGREES_S
-
-    def with_message(self, apart_s: float, received_s: float) -> ClockOffset:
-        """The offset after a message that agrees."""
-        least_s = self.at(received_s)
+    def with_message(self, apart_s: float, received_s: float, least_s: float) -> ClockOffset:
+        """The offset after a message that agrees. `least_s` is the offset `at(received_s)`."""
         early_s = least_s - apart_s
         if early_s <= 0.0:
             support = self.support + 1.0 if early_s >= -AGREES_S else self.support
-            return ClockOffset(least_s, received_s, min(support, LATE_MESSAGES))
+            return ClockOffset(least_s, received_s, support if support < LATE_MESSAGES else LATE_MESSAGES)
         step_s = min(early_s, STEP_S if self.support > LATE_MESSAGES / 2 else EARLY_S)
         support = self.support * max(0.0, 1.0 - step_s / AGREES_S) + 1.0
         return ClockOffset(least_s - step_s, received_s, min(support, LATE_MESSAGES))

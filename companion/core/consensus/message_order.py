@@ -6,7 +6,7 @@ from enum import Enum, auto
 
 from msgspec import Struct
 
-from companion.core.consensus.clock_offset import ClockOffset, replaces
+from companion.core.consensus.clock_offset import AGREES_S, EARLY_S, ClockOffset, replaces
 
 SEQUENCES_AHEAD = 500  # and SEQUENCES_PER_S since the last message; 50 a second are sent
 SEQUENCES_PER_S = 1000.0
@@ -36,7 +36,8 @@ class Stream(Struct, frozen=True, gc=False):
     def late_s(self, sent_s: float) -> float:
         """Delay of the last message beyond the least delayed one. An earlier one counts as not delayed."""
         clock = self.clock
-        return max(0.0, clock.received_s - sent_s - clock.least_apart_s)
+        late_s = clock.received_s - sent_s - clock.least_apart_s
+        return late_s if late_s > 0.0 else 0.0
 
 
 def following(
@@ -57,13 +58,14 @@ def following(
         if silent:
             return Stream(session, sequence, ClockOffset(apart_s, received_s)), None
         return before, Disorder.TWO_SENDERS
-    late = not clock.supported_by(apart_s, received_s)
-    agrees = clock.agrees(apart_s, received_s, silent_s)
+    least_s = clock.at(received_s)
+    late_s = apart_s - least_s
+    late, agrees = late_s > AGREES_S, -EARLY_S <= late_s <= silent_s
     most = before.sequence + SEQUENCES_AHEAD + SEQUENCES_PER_S * silence_s
     if agrees and not silent and not before.sequence < sequence <= most:
         return before, Disorder.OUT_OF_ORDER
-    if agrees and (clock.is_established or not late):
-        return Stream(session, sequence, clock.with_message(apart_s, received_s)), None
+    if agrees and (not late or clock.is_established):
+        return Stream(session, sequence, clock.with_message(apart_s, received_s, least_s)), None
     if rival and rival.agrees(apart_s, received_s, silent_s):
         rival = rival.with_rival_message(apart_s, received_s)
     else:
@@ -71,5 +73,5 @@ def following(
     if replaces(rival, clock):
         return Stream(session, sequence, rival), None
     if agrees:
-        return Stream(session, sequence, clock.with_message(apart_s, received_s), rival), None
+        return Stream(session, sequence, clock.with_message(apart_s, received_s, least_s), rival), None
     return Stream(session, before.sequence, clock, rival), Disorder.LATE if late else Disorder.TIME

@@ -19,6 +19,7 @@ from companion.core.election.leadership import Leadership
 from companion.core.election.mission_clock import WAITED_S, MissionClock
 from companion.core.election.succession import Succession
 from companion.geometry.turning import heading_after
+from companion.geometry.vectors import clamped
 from companion.types.autopilot import VehicleState
 from companion.types.commands import EPOCHS_AHEAD, NUMBERS_AHEAD, Command, Lead
 from companion.types.flight import COOPERATING, STREAMING, FlightPhase, HealthFlag, Role
@@ -27,7 +28,9 @@ from companion.types.notices import Answer, Notice
 from companion.types.peers import PeerPacket, ReceivedPeerPacket
 from companion.types.vectors import Vector3
 
+# Member lookup of an enum is slow, and every tick needs these.
 LEADER, FORMATION = Role.LEADER, FlightPhase.FORMATION
+LEADER_AWAITED, LEADER_LOST = HealthFlag.LEADER_AWAITED, HealthFlag.LEADER_LOST
 EPOCHS_PER_S = 1.0  # changes of leader that may be missed in time
 FORMING_S = 2.0  # so long a formation may take to come together
 
@@ -76,8 +79,9 @@ def _attracting(packets: Sequence[PeerPacket], leads: bool) -> tuple[int, ...]:
     counts, where no other leads: the fleet waits with it. `leads`: this vehicle is leader.
     """
     streaming = [p for p in packets if p.phase in STREAMING]
-    led = leads or any(p.role is LEADER for p in streaming)
-    return tuple([p.vehicle_id for p in packets if p.phase in STREAMING or (p.role is LEADER and not led)])
+    if len(streaming) < len(packets) and not leads and not any(p.role is LEADER for p in streaming):
+        streaming = [p for p in packets if p.phase in STREAMING or p.role is LEADER]
+    return tuple([p.vehicle_id for p in streaming])
 
 
 class ConsensusStage:
@@ -132,7 +136,7 @@ class ConsensusStage:
         states = {p.vehicle_id: fresh[p.vehicle_id] for p in candidates if p.vehicle_id in fresh}
         ids = self._rule.select(vehicle.position_enu_m, states, now_s)
         packets_of_neighbours = [fresh[i].packet for i in ids]
-        with_neighbours = any(packet.phase is FORMATION for packet in packets_of_neighbours)
+        with_neighbours = FORMATION in [packet.phase for packet in packets_of_neighbours]
         beacons = self._beacons_of_others(packets_of_neighbours)
         self._leader.receive(now_s, beacons, leadership.term)
         newest = self._leader.youngest(now_s)
@@ -143,18 +147,19 @@ class ConsensusStage:
         neighbours = self._neighbours(now_s, [fresh[i] for i in ids], term)
         heading = self._received_heading(role, in_formation, *newest)
         beacon, beacon_age_s, reference_s = self._beacon(now_s, role, in_formation, *newest)
-        return Consensus(
-            role=role,
-            epoch=term[0],
-            reference_s=reference_s,
-            prc=next_prc(role is LEADER, [prc for prc, _ in neighbours], self._n),
-            leader_beacon=beacon,
-            leader_beacon_age_s=beacon_age_s,
-            leaderless=leaderless if beacon is None else None,
-            neighbours=neighbours,
-            neighbour_ids=ids,
-            flying=tuple(flying),
-            heading=heading,
+        prc = next_prc(role is LEADER, [prc for prc, _ in neighbours], self._n)
+        return Consensus(  # Python is slow with more than 15 keywords
+            role,
+            term[0],
+            reference_s,
+            prc,
+            beacon,
+            beacon_age_s,
+            leaderless if beacon is None else None,
+            neighbours,
+            ids,
+            tuple(flying),
+            heading,
             term=term,
             fresh=fresh,
             present=present,
@@ -182,8 +187,8 @@ class ConsensusStage:
 
     def _epochs_up_to(self, now_s: float) -> int:
         """The largest epoch to accept: the changes that this vehicle may have missed since it last knew its leader."""
-        missed = min(EPOCHS_AHEAD + EPOCHS_PER_S * (now_s - self._led_s), NUMBERS_AHEAD)
-        return self.leadership.epoch + int(missed)
+        missed = EPOCHS_AHEAD + EPOCHS_PER_S * (now_s - self._led_s)
+        return self.leadership.epoch + (int(missed) if missed < NUMBERS_AHEAD else NUMBERS_AHEAD)
 
     def _settle_term(
         self, now_s: float, in_formation: bool, newest: LeaderBeacon | None, flying: Iterable[PeerPacket]
@@ -196,7 +201,7 @@ class ConsensusStage:
         is_leader, led = self.leadership.role is LEADER, newest is not None and newest.term == self.leadership.term
         if led if not is_leader else in_formation:  # a leader on the ground may have restarted, and missed changes
             self._led_s = now_s
-        return self.leadership.settle(now_s, [p.leader_beacon for p in flying if p.leader_beacon is not None])
+        return self.leadership.settle(now_s, (p.leader_beacon for p in flying if p.leader_beacon is not None))
 
     def _beacons_of_others(self, packets: Iterable[PeerPacket]) -> list[LeaderBeacon]:
         """The leader beacons in these packets. The own beacon is from before a handover or a restart: left out."""
@@ -271,11 +276,11 @@ class ConsensusStage:
         """
         led = led or self.leadership.role is LEADER
         if not self._succession.awaits(now_s, self.leadership.term, led, with_neighbours):
-            return HealthFlag.LEADER_LOST, ()
+            return LEADER_LOST, ()
         may_take = not led and fit_to_lead and self._clock.has_run
         if may_take and (rank := self._succession.rank_in_turn(now_s)) and not self._leads_in(flying):
-            return HealthFlag.LEADER_AWAITED, self.leadership.claim(rank)
-        return HealthFlag.LEADER_AWAITED, ()
+            return LEADER_AWAITED, self.leadership.claim(rank)
+        return LEADER_AWAITED, ()
 
     def _leads_in(self, flying: list[PeerPacket]) -> bool:
         """Whether a leader of this term or a newer one flies; a leader of an older term does not know the change yet."""
@@ -294,7 +299,9 @@ class ConsensusStage:
                 return None
         heading = heading_after(newest.heading, age_s + WAITED_S)
         most = MAX_TURN_RAD_S  # the limit of what peers accept: a beacon passed on must not get this vehicle rejected
-        return replace(heading, rate_rad_s=min(max(heading.rate_rad_s, -most), most))
+        if -most <= heading.rate_rad_s <= most:
+            return heading
+        return replace(heading, rate_rad_s=clamped(heading.rate_rad_s, most))
 
     def _beacon(
         self, now_s: float, role: Role, in_formation: bool, newest: LeaderBeacon | None, age_s: float

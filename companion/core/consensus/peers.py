@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from companion.core.consensus.law import FormationState
 from companion.core.consensus.message_order import Disorder, Stream, following
 from companion.core.consensus.plausibility import FleetLimits, KnownFleet, refusal_of_claims, refusal_of_motion
-from companion.geometry.vectors import extrapolated, minus, shortened
+from companion.geometry.vectors import extrapolated, shortened
 from companion.types.flight import ON_GROUND, Role
 from companion.types.formation import FlownSlot, Term
 from companion.types.notices import Code
@@ -67,30 +67,25 @@ class PeerState(Struct, frozen=True, gc=False):
         x + v a + u a^2 / 2 and v + u a with the acceleration command u. Where a vehicle is kept off its slot, the RFT it flies
         by counts instead.
         """
-        packet, slot, age_s = self.packet, self.packet.slot, min(now_s - self.measured_s, EXTRAPOLATED_MOST_S)
+        packet, age_s = self.packet, now_s - self.measured_s
+        if age_s > EXTRAPOLATED_MOST_S:
+            age_s = EXTRAPOLATED_MOST_S
         if packet.rft is not None:
-            return _later(*packet.rft, age_s)
-        return _later(
-            minus(packet.position_enu_m, slot.position_enu_m),
-            minus(packet.velocity_enu_m_s, slot.velocity_enu_m_s),
-            minus(packet.acceleration_enu_m_s2, slot.acceleration_enu_m_s2),
-            age_s,
+            (x, y, z), (vx, vy, vz), (ax, ay, az) = packet.rft
+        else:
+            slot = packet.slot
+            (x, y, z), (dx, dy, dz) = packet.position_enu_m, slot.position_enu_m
+            (vx, vy, vz), (dvx, dvy, dvz) = packet.velocity_enu_m_s, slot.velocity_enu_m_s
+            (ax, ay, az), (dax, day, daz) = packet.acceleration_enu_m_s2, slot.acceleration_enu_m_s2
+            x, y, z = x - dx, y - dy, z - dz
+            vx, vy, vz = vx - dvx, vy - dvy, vz - dvz
+            ax, ay, az = ax - dax, ay - day, az - daz
+        half_s = 0.5 * age_s
+        return FormationState(
+            (x + age_s * (vx + half_s * ax), y + age_s * (vy + half_s * ay), z + age_s * (vz + half_s * az)),
+            (vx + age_s * ax, vy + age_s * ay, vz + age_s * az),
+            (ax, ay, az),
         )
-
-
-def _later(position: Vector3, velocity: Vector3, acceleration: Vector3, age_s: float) -> FormationState:
-    """A state after `age_s` of constant acceleration."""
-    (x, y, z), (vx, vy, vz), (ax, ay, az) = position, velocity, acceleration
-    half = 0.5 * age_s
-    return FormationState(
-        (
-            x + age_s * (vx + half * ax),
-            y + age_s * (vy + half * ay),
-            z + age_s * (vz + half * az),
-        ),
-        (vx + age_s * ax, vy + age_s * ay, vz + age_s * az),
-        acceleration,
-    )
 
 
 class PeerTable:
@@ -131,20 +126,30 @@ class PeerTable:
         """Check and take these packets; of one with a beacon of a larger epoch only the motion."""
         for received in packets:
             packet = received.packet
-            vehicle_id = packet.vehicle_id
             code = refusal_of_claims(packet, self._fleet) or refusal_of_motion(packet, self._limits)
             code = code or self._refusal_of_order(received)
-            if code is not None:
-                if code in DUPLICATES:
-                    self.duplicate_id_s = received.received_s
-                self._count(code, vehicle_id)
+            if code is None:
+                self._take(packet, epochs_up_to)
                 continue
-            if packet.leader_beacon is not None and packet.leader_beacon.epoch > epochs_up_to:
-                packet = self._without_leader(packet)
+            if code in DUPLICATES:
+                self.duplicate_id_s = received.received_s
+            self._count(code, packet.vehicle_id)
+
+    def _take(self, packet: PeerPacket, epochs_up_to: int) -> None:
+        """An accepted packet, after its stream, as the newest state of its vehicle."""
+        vehicle_id, beacon = packet.vehicle_id, packet.leader_beacon
+        if beacon is not None and beacon.epoch > epochs_up_to:
+            packet, beacon = self._without_leader(packet), None
+        packet = self._within_limits(packet)
+        stream = self._streams[vehicle_id]
+        clock = stream.clock
+        measured_s = clock.received_s - stream.late_s(packet.sent_s) - packet.state_age_s
+        term = beacon.term if beacon is not None else (0, 0)
+        if packet.phase in ON_GROUND:
             before = self.newest.get(vehicle_id)
-            self.newest[vehicle_id] = self._timed(self._within_limits(packet))
-            if packet.phase in ON_GROUND and before is not None and before.packet.phase in ON_GROUND:
+            if before is not None and before.packet.phase in ON_GROUND:
                 self.ground_position_enu_m[vehicle_id] = packet.position_enu_m
+        self.newest[vehicle_id] = PeerState(packet, clock.received_s, clock.least_apart_s, measured_s, term)
 
     def fresh(self, now_s: float) -> dict[int, PeerState]:
         """Peers whose state is not older than the configured age (`peers.max_age_s`), without the distant ones."""
@@ -173,19 +178,13 @@ class PeerTable:
             self._streams.get(vehicle_id), packet.session, packet.sequence, packet.sent_s, received_s, max_age_s
         )
         if disorder is None and before is not None and received_s - before.measured_s <= max_age_s:
-            elapsed_s = max(0.0, received_s - before.received_s) + max_age_s
+            since_s = received_s - before.received_s
+            elapsed_s = (since_s if since_s > 0.0 else 0.0) + max_age_s
             distance_m = dist(packet.position_enu_m, before.packet.position_enu_m)
             if distance_m > self._limits.speed_m_s * elapsed_s + JUMP_MARGIN_M:
                 return Code.PEER_POSITION_JUMPED
         self._streams[vehicle_id] = stream
         return CODES[disorder] if disorder else None
-
-    def _timed(self, packet: PeerPacket) -> PeerState:
-        """The state of an accepted packet with its times."""
-        stream, beacon = self._streams[packet.vehicle_id], packet.leader_beacon
-        clock = stream.clock
-        measured_s = clock.received_s - stream.late_s(packet.sent_s) - packet.state_age_s
-        return PeerState(packet, clock.received_s, clock.least_apart_s, measured_s, beacon.term if beacon else (0, 0))
 
     def _without_leader(self, packet: PeerPacket) -> PeerPacket:
         """The packet as of a follower that knows no leader. Its position is needed for separation."""
@@ -195,18 +194,18 @@ class PeerTable:
     def _within_limits(self, packet: PeerPacket) -> PeerPacket:
         """The packet with accelerations that this fleet can fly: the law feeds them forward. Its position remains usable."""
         most_m_s2, slot = self._limits.acceleration_m_s2, packet.slot
-        ax, ay, az = packet.acceleration_enu_m_s2
-        sx, sy, sz = slot.acceleration_enu_m_s2
-        rx, ry, rz = packet.rft[2] if packet.rft else ZERO3
-        largest = max(ax * ax + ay * ay + az * az, sx * sx + sy * sy + sz * sz, rx * rx + ry * ry + rz * rz)
-        if largest <= most_m_s2 * most_m_s2:
+        squared, rft = most_m_s2 * most_m_s2, packet.rft
+        (ax, ay, az), (sx, sy, sz) = packet.acceleration_enu_m_s2, slot.acceleration_enu_m_s2
+        rx, ry, rz = ZERO3 if rft is None else rft[2]
+        own, of_slot, of_rft = ax * ax + ay * ay + az * az, sx * sx + sy * sy + sz * sz, rx * rx + ry * ry + rz * rz
+        if own <= squared and of_slot <= squared and of_rft <= squared:
             return packet
         self._count(Code.PEER_ACCELERATION_LIMITED, packet.vehicle_id)
         return replace(
             packet,
             acceleration_enu_m_s2=shortened(packet.acceleration_enu_m_s2, most_m_s2),
             slot=replace(slot, acceleration_enu_m_s2=shortened(slot.acceleration_enu_m_s2, most_m_s2)),
-            rft=packet.rft and (*packet.rft[:2], shortened(packet.rft[2], most_m_s2)),
+            rft=rft and (*rft[:2], shortened(rft[2], most_m_s2)),
         )
 
     def _count(self, code: Code, vehicle_id: int) -> None:

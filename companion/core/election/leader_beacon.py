@@ -43,7 +43,8 @@ class _Kept(Struct, frozen=True, gc=False):
     def with_next(self, now_s: float, beacon: LeaderBeacon) -> _Kept:
         """After a beacon that follows. It may come from far, and be older than the one that follows it."""
         clock_stamp = self.clock_stamp + REMEMBERED * STAMPS_PER_S * (now_s - self.received_s)
-        return _Kept(beacon, now_s, max(clock_stamp, float(beacon.stamp)))
+        stamp = float(beacon.stamp)
+        return _Kept(beacon, now_s, stamp if stamp > clock_stamp else clock_stamp)
 
 
 class BeaconMonitor:
@@ -67,8 +68,9 @@ class BeaconMonitor:
         for leader, of_term in tuple(self._newest.items()):
             if leader[1] > term or (leader[1] < term and now_s - of_term.received_s > OLDER_TERM_S):
                 del self._newest[leader]
+        epoch, rank = term
         for beacon in beacons:
-            if beacon is None or beacon.term != term:
+            if beacon is None or beacon.epoch != epoch or -beacon.claim != rank:
                 continue
             leader, stamp = (beacon.leader_id, term), beacon.stamp
             kept = self._newest.get(leader)
@@ -90,8 +92,10 @@ class BeaconMonitor:
         best, youngest, youngest_age_s = None, None, inf
         for (leader_id, _), kept in self._newest.items():
             age_s = now_s - kept.received_s
+            if age_s > self._max_age_s:
+                continue
             rank = (kept.beacon.term, kept.beacon.reference_s > 0.0, -age_s, leader_id)
-            if age_s <= self._max_age_s and (best is None or rank > best):
+            if best is None or rank > best:
                 best, youngest, youngest_age_s = rank, kept.beacon, age_s
         return youngest, youngest_age_s
 
