@@ -33,13 +33,13 @@ class PositionReset:
 
     def follow(self, time_s: float, position_m: Vector3, velocity_m_s: Vector3) -> tuple[Vector3, float]:
         """(used position, size of a jump of the reported one, else 0). `time_s` is the autopilot's clock and increases."""
-        jump_m = 0.0
-        if self._before is not None:
-            step_s = time_s - self._before[0]
+        jump_m, before = 0.0, self._before
+        if before is not None:
+            step_s = time_s - before[0]
             if step_s > LONGEST_GAP_S:
                 self.restart()
             else:
-                jump_m = self._find_jump(step_s, position_m, velocity_m_s, *self._before[1:])
+                jump_m = self._find_jump(step_s, position_m, velocity_m_s, before[1], before[2])
         self._before = (time_s, position_m, velocity_m_s)
         (x, y, z), (hx, hy, hz) = position_m, self.held_back_m
         return (x + hx, y + hy, z + hz), jump_m

@@ -32,31 +32,36 @@ class Survey:
         self.battery_percent: float | None = None
         self.may_arm: bool | None = None
         self.last_warning = ""  # newest STATUSTEXT of severity WARNING or worse
-        self._counts: dict[type[Telemetry], int] = {}
+        self._counts: dict[type[Telemetry], int] = dict.fromkeys(NAMES, 0)
         self._window_since_s: float | None = None
 
-    def update(self, now_s: float, telemetry: Sequence[Telemetry]) -> None:
-        """Add the telemetry since the last call. That of the first call is older than the window and is not counted."""
+    def update(self, now_s: float, telemetry: Sequence[Telemetry]) -> bool:
+        """Add the telemetry since the last call; return whether what is found has changed.
+
+        The telemetry of the first call is older than the window and is not counted.
+        """
+        changed = False
         if self._window_since_s is None:
             self._window_since_s = now_s
             telemetry = ()
         counts = self._counts
         for sample in telemetry:
             kind = type(sample)
-            counts[kind] = counts.get(kind, 0) + 1
-            if isinstance(sample, SystemSample):
+            if kind in counts:
+                counts[kind] += 1
+            elif isinstance(sample, SystemSample):
+                changed |= (self.battery_percent, self.may_arm) != (sample.battery_percent, sample.may_arm)
                 self.battery_percent, self.may_arm = sample.battery_percent, sample.may_arm
             elif isinstance(sample, TextSample) and sample.severity <= WARNING:
+                changed |= self.last_warning != sample.text
                 self.last_warning = sample.text
         elapsed_s = now_s - self._window_since_s
         if elapsed_s >= WINDOW_S:
-            self.rates_hz = {name: counts.get(kind, 0) / elapsed_s for kind, name in NAMES.items()}
-            counts.clear()
+            rates_hz = {name: counts[kind] / elapsed_s for kind, name in NAMES.items()}
+            changed |= rates_hz != self.rates_hz
+            self.rates_hz, self._counts = rates_hz, dict.fromkeys(NAMES, 0)
             self._window_since_s = now_s
-
-    def facts(self) -> tuple[object, ...]:
-        """All that this survey has found, to be compared."""
-        return (self.rates_hz, self.battery_percent, self.may_arm, self.last_warning)
+        return changed
 
     @property
     def failing_checks(self) -> str | None:

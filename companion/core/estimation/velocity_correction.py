@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from math import exp, hypot
 
-from companion.geometry.vectors import minus, plus, scaled, shortened
+from companion.geometry.vectors import plus, shortened
 from companion.types.vectors import ZERO3, Vector3
 
 LARGEST_M_S = 0.6  # of the correction: a larger disagreement is no slow error of an estimator
@@ -34,11 +34,12 @@ class VelocityCorrection:
 
     def follow(self, time_s: float, position_m: Vector3, velocity_m_s: Vector3) -> Vector3:
         """The velocity to be used, m/s. `time_s` is the autopilot's clock and increases from call to call."""
-        if self._before is None or time_s - self._before[0] > LONGEST_GAP_S:
+        before = self._before
+        if before is None or time_s - before[0] > LONGEST_GAP_S:
             self.restart()
             filtered_m = position_m
         else:
-            filtered_m = self._filtered(time_s - self._before[0], position_m, velocity_m_s, *self._before[1:])
+            filtered_m = self._filtered(time_s - before[0], position_m, velocity_m_s, before[1], before[2])
         self._before = (time_s, filtered_m, velocity_m_s)
         return plus(velocity_m_s, self._correction_m_s)
 
@@ -46,13 +47,19 @@ class VelocityCorrection:
         self, step_s: float, position_m: Vector3, velocity_m_s: Vector3, filtered_m: Vector3, velocity0_m_s: Vector3
     ) -> Vector3:
         """The filtered position after a step. A jump of the reported one moves it and leaves the correction as it is."""
-        moved_m = scaled(plus(scaled(plus(velocity0_m_s, velocity_m_s), 0.5), self._correction_m_s), step_s)
-        predicted_m = plus(filtered_m, moved_m)
-        error_m = minus(position_m, predicted_m)
-        if hypot(*error_m) > self._largest_error_m:
+        (vx0, vy0, vz0), (vx, vy, vz), (bx, by, bz) = velocity0_m_s, velocity_m_s, self._correction_m_s
+        (x, y, z), (fx, fy, fz) = position_m, filtered_m
+        # The prediction p, and the error e
+        px = fx + ((vx0 + vx) * 0.5 + bx) * step_s
+        py = fy + ((vy0 + vy) * 0.5 + by) * step_s
+        pz = fz + ((vz0 + vz) * 0.5 + bz) * step_s
+        ex, ey, ez = x - px, y - py, z - pz
+        if hypot(ex, ey, ez) > self._largest_error_m:
             return position_m
         # The continuous filter, sampled: critically damped with both poles at exp(-w step), stable at every step.
         pole = exp(-self._bandwidth_1_s * step_s)
         on_velocity_1_s = (1.0 - pole) * (1.0 - pole) / step_s
-        self._correction_m_s = shortened(plus(self._correction_m_s, scaled(error_m, on_velocity_1_s)), LARGEST_M_S)
-        return plus(predicted_m, scaled(error_m, 1.0 - pole * pole))
+        corrected_m_s = (bx + ex * on_velocity_1_s, by + ey * on_velocity_1_s, bz + ez * on_velocity_1_s)
+        self._correction_m_s = shortened(corrected_m_s, LARGEST_M_S)
+        on_position = 1.0 - pole * pole
+        return (px + ex * on_position, py + ey * on_position, pz + ez * on_position)

@@ -60,9 +60,7 @@ class Preflight:
         self, now_s: float, telemetry: Sequence[Telemetry], autopilot: AutopilotKind | None
     ) -> tuple[Notice, ...]:
         """Use the telemetry of this tick, from an autopilot of this make; return the events."""
-        before = self._survey.facts()
-        self._survey.update(now_s, telemetry)
-        if self._survey.facts() != before:
+        if self._survey.update(now_s, telemetry):
             self._fitness = None
         if autopilot is not self._autopilot and autopilot is not None:
             self._fitness = None
