@@ -54,6 +54,13 @@ def clamped(value: float, limit: float) -> float:
     return -limit if value < -limit else value
 
 
+def between(value: float, low: float, high: float) -> float:
+    """The value limited to [low, high]; `high` where that is below `low`."""
+    if value < low:
+        value = low
+    return high if value > high else value
+
+
 def rounded(vector: Vector3, decimals: int) -> Vector3:
     """The vector with so many decimals. NaN and infinity stay."""
     x, y, z = vector

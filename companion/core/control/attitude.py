@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from math import atan, cos, hypot, sin, tan
 
+from companion.geometry.vectors import between
 from companion.types.requests import AttitudeTarget
 from companion.types.vectors import GRAVITY_M_S2, Vector3
 
@@ -16,7 +17,7 @@ def limit_acceleration(
     Thrust ratios are vertical thrust over weight.
     """
     ux, uy, uz = acceleration_enu_m_s2
-    lift = min(max(uz + GRAVITY_M_S2, min_thrust_ratio * GRAVITY_M_S2), max_thrust_ratio * GRAVITY_M_S2)
+    lift = between(uz + GRAVITY_M_S2, min_thrust_ratio * GRAVITY_M_S2, max_thrust_ratio * GRAVITY_M_S2)
     level = hypot(ux, uy)
     most = lift * tan(max_tilt_rad)
     scale = most / level if level > most else 1.0
@@ -42,6 +43,7 @@ def attitude_target(
     if not lift > 0.0 or not vertical_share > 0.0:
         raise ValueError("no attitude gives this acceleration")
     ax, ay = ux / lift, uy / lift
-    pitch = atan(ax * cos(yaw_rad) + ay * sin(yaw_rad))
-    roll = atan(cos(pitch) * (ax * sin(yaw_rad) - ay * cos(yaw_rad)))
+    cos_yaw, sin_yaw = cos(yaw_rad), sin(yaw_rad)
+    pitch = atan(ax * cos_yaw + ay * sin_yaw)
+    roll = atan(cos(pitch) * (ax * sin_yaw - ay * cos_yaw))
     return AttitudeTarget(roll, pitch, yaw_rad, hover_thrust_norm * lift / (GRAVITY_M_S2 * vertical_share))

@@ -92,8 +92,10 @@ class SetpointStream:
         if target is None:
             self.rejected = counted(self.rejected, Code.SETPOINT_IMPOSSIBLE)
             return None
-        step_rad = hypot(target.roll_rad - self.sent.roll_rad, target.pitch_rad - self.sent.pitch_rad)
-        self.largest_step_deg = max(self.largest_step_deg, degrees(step_rad))
+        sent = self.sent
+        step_deg = degrees(hypot(target.roll_rad - sent.roll_rad, target.pitch_rad - sent.pitch_rad))
+        if step_deg > self.largest_step_deg:
+            self.largest_step_deg = step_deg
         self.sent, self.sent_s, self._commanded_enu_m_s2 = target, now_s, acceleration_enu_m_s2
         self._final_level_sent = False
         return target

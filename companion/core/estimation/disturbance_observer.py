@@ -15,7 +15,7 @@ from math import cos, exp, hypot, sin
 
 from msgspec import Struct
 
-from companion.geometry.vectors import clamped
+from companion.geometry.vectors import between, clamped
 from companion.types.vectors import GRAVITY_M_S2, ZERO3, Vector3
 
 HOVER_PARAMETERS = ("MPC_THR_HOVER", "MOT_THST_HOVER")  # of PX4 and of ArduCopter
@@ -89,7 +89,8 @@ class DisturbanceObserver:
         self._last, self._has_flown = motion, True
         (vx, vy, vz), (last_x, last_y, last_z) = motion.velocity_enu_m_s, last.velocity_enu_m_s
         jump_x, jump_y, jump_z = vx - last_x, vy - last_y, vz - last_z
-        if max(abs(jump_x), abs(jump_y), abs(jump_z)) > RESET_M_S + RESET_M_S2 * dt_s:
+        most = RESET_M_S + RESET_M_S2 * dt_s
+        if not (-most <= jump_x <= most and -most <= jump_y <= most and -most <= jump_z <= most):
             x, y, z = self._velocity_enu_m_s
             self._velocity_enu_m_s = (x + jump_x, y + jump_y, z + jump_z)
             return
@@ -133,8 +134,7 @@ class DisturbanceObserver:
         most = MAX_DISTURBANCE_RATE_M_S3 * dt_s
         self._add_disturbance(clamped(to_disturbance * error_x, most), clamped(to_disturbance * error_y, most))
         share = clamped(to_disturbance * error_z / GRAVITY_M_S2, MAX_HOVER_RATE_1_S * dt_s)
-        low, high = HOVER_RANGE_NORM
-        self.hover_thrust_norm = min(max(self.hover_thrust_norm * (1.0 - share), low), high)
+        self.hover_thrust_norm = between(self.hover_thrust_norm * (1.0 - share), *HOVER_RANGE_NORM)
 
     def _add_disturbance(self, dx_m_s2: float, dy_m_s2: float) -> None:
         x, y = self.disturbance_enu_m_s2[0] + dx_m_s2, self.disturbance_enu_m_s2[1] + dy_m_s2

@@ -7,6 +7,7 @@ from math import hypot, isfinite, pi
 
 from companion.geometry.airspace import Fence
 from companion.geometry.frames import wrap_pi
+from companion.geometry.vectors import between, clamped
 from companion.types.requests import AttitudeTarget
 
 
@@ -44,7 +45,7 @@ class OutputLimiter:
         if self._last is None or not _finite(wanted):
             return None
         # After a gap the slew still starts from the last setpoint: without setpoints a vehicle has not turned far.
-        elapsed_s = min(max(now_s - self._last_s, 0.0), 0.1)
+        elapsed_s = between(now_s - self._last_s, 0.0, 0.1)
         # Slewing each angle separately can leave the tilt circle slightly, so the tilt is limited again.
         allowed = self._within_limits(wanted, hover_thrust_norm)
         slewed = self._slewed(self._last, allowed, elapsed_s, hover_thrust_norm)
@@ -63,7 +64,7 @@ class OutputLimiter:
             roll, pitch = roll * scale, pitch * scale
         least = hover_thrust_norm * self._limits.min_thrust_ratio
         most = min(1.0, hover_thrust_norm * self._limits.max_thrust_ratio)
-        return AttitudeTarget(roll, pitch, yaw, min(max(target.thrust_norm, least), most))
+        return AttitudeTarget(roll, pitch, yaw, between(target.thrust_norm, least, most))
 
     def _slewed(
         self, last: AttitudeTarget, wanted: AttitudeTarget, elapsed_s: float, hover_thrust_norm: float
@@ -74,10 +75,10 @@ class OutputLimiter:
         roll, pitch, yaw = last.roll_rad, last.pitch_rad, last.yaw_rad
         turn = wrap_pi(wanted.yaw_rad - yaw)
         return AttitudeTarget(
-            roll + min(max(wanted.roll_rad - roll, -angle), angle),
-            pitch + min(max(wanted.pitch_rad - pitch, -angle), angle),
-            yaw + min(max(turn, -angle), angle),
-            last.thrust_norm + min(max(wanted.thrust_norm - last.thrust_norm, -thrust), thrust),
+            roll + clamped(wanted.roll_rad - roll, angle),
+            pitch + clamped(wanted.pitch_rad - pitch, angle),
+            yaw + clamped(turn, angle),
+            last.thrust_norm + clamped(wanted.thrust_norm - last.thrust_norm, thrust),
         )
 
 
