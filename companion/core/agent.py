@@ -112,7 +112,9 @@ class Agent:
             inbox.late_s,
         )
         commands = self._dispatcher.step(intake, perception, consensus, guidance, safety)
-        flight = self._phases.step(now_s, vehicle, inbox.telemetry, guidance.requests, commands, safety.requests)
+        flight = self._phases.step(
+            now_s, vehicle, before, inbox.telemetry, guidance.requests, commands, safety.requests
+        )
         parameter_requests = self._perception.parameter_requests(now_s, flight)
         setpoint = self._setpoint.step(now_s, vehicle, before, flight, consensus, guidance, safety, inbox.traffic)
         self._flight, self._last_guidance, self._last_safety = flight, guidance, safety

@@ -6,7 +6,7 @@ until the next command.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 from enum import Enum, auto
 
@@ -57,7 +57,8 @@ RULES: dict[CommandName, Rule] = {
     C.RETURN: Rule(STREAMING | {P.HOLD, P.RELEASE}, P.RETURN, P.OBSERVE, P.RELEASE, False),
     C.DISARM: Rule(ON_GROUND | {P.OBSERVE}, P.LAND, P.OBSERVE, P.OBSERVE, True),
 }
-
+LANDING, RETURNING = RULES[C.LAND], RULES[C.RETURN]
+FORMATION = P.FORMATION  # member lookup of an enum is slow
 
 ALREADY = {
     P.READY: "already prepared",
@@ -213,12 +214,18 @@ class PhaseMachine:
         self,
         now_s: float,
         vehicle: VehicleState,
+        before: Flight,
         telemetry: Iterable[Telemetry],
-        guidance_requests: Iterable[PhaseRequest],
-        commands: Iterable[PhaseCommand],
-        safety_requests: Iterable[PhaseRequest],
+        guidance_requests: Collection[PhaseRequest],
+        commands: Collection[PhaseCommand],
+        safety_requests: Collection[PhaseRequest],
     ) -> Flight:
-        """The phase after the requests of guidance, the commands and the requests of safety, in this order."""
+        """The phase after the requests of guidance, the commands and the requests of safety, in this order.
+
+        `before` is what `observe` returned in this tick.
+        """
+        if not (guidance_requests or commands or safety_requests or self._running or self.events):
+            return before
         answers, commanded = [], False
         for request in guidance_requests:
             self._apply(request, now_s, vehicle, commanded)
@@ -241,11 +248,11 @@ class PhaseMachine:
         answers: tuple[tuple[int, Answer], ...] = (),
         events: tuple[Notice, ...] = (),
     ) -> Flight:
-        phase, leaving = self.phase, self._leaving_formation
+        phase = self.phase
         return Flight(
             phase=phase,
             streams=self.streams(vehicle),
-            in_formation=phase is P.FORMATION or (phase is P.RELEASE and leaving),
+            in_formation=phase is FORMATION or (self._leaving_formation and phase is P.RELEASE),
             on_ground=not vehicle.armed or phase in ON_GROUND,
             levels=self.hands_over_level(now_s),
             commanded=commanded,
@@ -372,11 +379,11 @@ class PhaseMachine:
             self._enter(P.OBSERVE, Notice(Code.MODE_CHANGED_BY_OTHERS, text))
 
     def _mode_is_ours(self, vehicle: VehicleState) -> bool:
-        own = profile_of(vehicle).modes.get(self.phase)
         if self.phase in TO_THE_GROUND and vehicle.landed is LandedState.ON_GROUND:
             return True  # at disarming PX4 reports its new mode before it reports disarmed
+        own = profile_of(vehicle).modes.get(self.phase)
         if own is None or vehicle.mode in own:
-            if self._rule is RULES[C.LAND] or self._rule is RULES[C.RETURN]:
+            if self._rule is LANDING or self._rule is RETURNING:
                 # It has begun: any other mode from now on is the pilot's, and nothing is left to hand over.
                 self._tolerated = frozenset()
                 self._leaving_formation = False

@@ -26,6 +26,9 @@ class ActiveFailsafe(Struct, frozen=True, gc=False):
     warnings: tuple[HealthFlag, ...] = ()
 
 
+NONE_ACTIVE = ActiveFailsafe()
+
+
 class FailsafeWatch:
     """The steps of the failsafe matrix in time.
 
@@ -47,7 +50,7 @@ class FailsafeWatch:
         """`commanded`: the last tick executed a command."""
         self._forget(phase, flags, commanded)
         if not flags and not self._since_s:
-            return ActiveFailsafe()
+            return NONE_ACTIVE
         begins = [flag for flag in flags if flag not in self._since_s and self._counts(flag, phase)]
         for flag in begins:
             self._since_s[flag] = now_s
@@ -64,10 +67,11 @@ class FailsafeWatch:
         )
 
     def _forget(self, phase: FlightPhase, flags: Collection[HealthFlag], commanded: bool) -> None:
-        self._landed_for.intersection_update(flags)
-        self._overridden.intersection_update(flags)
-        if commanded:
-            self._overridden |= self._landed_for
+        if self._landed_for or self._overridden:
+            self._landed_for.intersection_update(flags)
+            self._overridden.intersection_update(flags)
+            if commanded:
+                self._overridden |= self._landed_for
         if commanded or (phase not in STREAMING and phase not in HELD):
             self._since_s.clear()
             self._begun.clear()

@@ -16,7 +16,7 @@ from companion.core.safety.failsafe import (
     flags_notice,
     schedule,
 )
-from companion.core.safety.failsafe_watch import ActiveFailsafe, FailsafeWatch
+from companion.core.safety.failsafe_watch import NONE_ACTIVE, ActiveFailsafe, FailsafeWatch
 from companion.core.safety.health import HealthLimits, health_flags
 from companion.core.safety.return_check import refusal_of_return
 from companion.types.autopilot import VehicleState
@@ -40,6 +40,9 @@ class Safety(Struct, frozen=True, gc=False):
     action: FailsafeAction = FailsafeAction.NONE
     requests: tuple[PhaseRequest, ...] = ()
     events: tuple[Notice, ...] = ()
+
+
+SAFE = Safety()
 
 
 class SafeguardStage:
@@ -86,6 +89,8 @@ class SafeguardStage:
             requests += self._end_silent_formation(now_s, vehicle, flight, active)
         elif active.action in PHASE_CHANGES:
             requests += self._carry_out(vehicle, flight, consensus, active)
+        if not flags and not requests and active is NONE_ACTIVE:
+            return SAFE
         return Safety(
             frozenset(flags), active.action, tuple(requests), tuple([flags_notice([flag]) for flag in active.warnings])
         )
