@@ -19,6 +19,8 @@ from companion.types.requests import AutopilotRequest
 from companion.types.separation import SeparationReport
 from companion.types.tick import Inbox, Outbox
 
+FORMATION, WARN = FlightPhase.FORMATION, FailsafeAction.WARN  # member lookup of an enum is slow
+
 
 class Decision(Struct, frozen=True, gc=False):
     """Results of the stages of one tick. The setpoint and the requests leave the process before the reports are built."""
@@ -151,5 +153,5 @@ class Agent:
 
     def _fit_to_lead(self, flight: Flight, guidance: Guidance) -> bool:
         """In formation without more than a warning or a reference that differs, by the results of the last tick."""
-        in_formation = flight.phase is FlightPhase.FORMATION and self._last_safety.action <= FailsafeAction.WARN
+        in_formation = flight.phase is FORMATION and self._last_safety.action <= WARN
         return in_formation and guidance.refusal_to_lead is None

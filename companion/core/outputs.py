@@ -29,6 +29,7 @@ from companion.types.peers import PeerPacket
 from companion.types.rejections import counted
 from companion.types.status import NO_STATE_AGE_S, Status
 
+LEADER, FORMATION = Role.LEADER, FlightPhase.FORMATION  # member lookup of an enum is slow
 STATUS_PERIOD_S = 0.099  # every fifth tick of 50 Hz, also where a tick comes a little early
 
 
@@ -107,7 +108,7 @@ class ReportStage:
             return None
         self._sequence += 1
         identity, beacon = self._identity, consensus.leader_beacon
-        leads = consensus.role is Role.LEADER and flight.phase is FlightPhase.FORMATION
+        leads = consensus.role is LEADER and flight.phase is FORMATION
         rft = setpoint.rft
         return PeerPacket(  # Python is slow with more than 15 keywords
             identity.vehicle_id,
@@ -187,7 +188,7 @@ class ReportStage:
             heading=guidance.heading,
             largest_step_deg=setpoint.largest_step_deg,
             separation=setpoint.separation,
-            weights=tuple(used_weights(self._law, consensus.role is Role.LEADER, consensus.neighbour_prcs)),
+            weights=tuple(used_weights(self._law, consensus.role is LEADER, consensus.neighbour_prcs)),
             neighbour_ages_s=tuple([now_s - consensus.fresh[i].measured_s for i in consensus.neighbour_ids]),
         )
 

@@ -32,6 +32,10 @@ from companion.types.traffic import ReceivedTraffic
 from companion.types.vectors import ZERO3, Vector3
 
 UNFILTERED = SeparationReport()
+# Member lookup of an enum is slow, and every tick needs these.
+ENGAGE, FORMATION, TAKEOFF = FlightPhase.ENGAGE, FlightPhase.FORMATION, FlightPhase.TAKEOFF
+OFFBOARD, STOP_STREAM = AutopilotMode.OFFBOARD, FailsafeAction.STOP_STREAM
+OFF_THE_GROUND = (LandedState.IN_AIR, LandedState.TAKEOFF)
 CLIMBS_M_S = 0.3  # faster than that it is not on the ground any more
 
 
@@ -94,7 +98,7 @@ class SetpointStage:
         traffic: Iterable[ReceivedTraffic] = (),
     ) -> Setpoint:
         """`before` is the flight at the beginning of the tick, `flight` the one after commands and requests."""
-        stream, silent = self._stream, safety.action is FailsafeAction.STOP_STREAM
+        stream, silent = self._stream, safety.action is STOP_STREAM
         self._observe(now_s, vehicle, before, silent)
         self._safety_filter.receive(now_s, vehicle, traffic)
         if flight.streams and not before.streams:
@@ -124,20 +128,20 @@ class SetpointStage:
         self, now_s: float, vehicle: VehicleState, flight: Flight, consensus: Consensus, guidance: Guidance
     ) -> AttitudeTarget | None:
         """The attitude target of this phase; None where the output limits refuse it."""
-        match flight.phase:
-            case FlightPhase.ENGAGE:  # the autopilot has not taken the stream yet
-                self._hold_altitude_m = vehicle.position_enu_m[2]
-                return self._stream.carry_on(now_s, vehicle)
-            case FlightPhase.FORMATION:
-                wanted_enu_m_s2 = self._in_formation(vehicle, consensus, guidance)
-            case _ if flight.levels:  # no acceleration over ground
-                wanted_enu_m_s2 = (0.0, 0.0, self._braking(vehicle)[2])
-            case _:  # the autopilot does not take over
-                wanted_enu_m_s2 = self._braking(vehicle)
+        phase = flight.phase
+        if phase is ENGAGE:  # the autopilot has not taken the stream yet
+            self._hold_altitude_m = vehicle.position_enu_m[2]
+            return self._stream.carry_on(now_s, vehicle)
+        if phase is FORMATION:
+            wanted_enu_m_s2 = self._in_formation(vehicle, consensus, guidance)
+        elif flight.levels:  # no acceleration over ground
+            wanted_enu_m_s2 = (0.0, 0.0, self._braking(vehicle)[2])
+        else:  # the autopilot does not take over
+            wanted_enu_m_s2 = self._braking(vehicle)
         safe = self._safety_filter.step(
             now_s,
             vehicle,
-            flight.phase is FlightPhase.FORMATION,
+            phase is FORMATION,
             consensus.newest,
             consensus.fresh,
             guidance.slot,
@@ -163,7 +167,7 @@ class SetpointStage:
         self, now_s: float, vehicle: VehicleState, flight: Flight, consensus: Consensus, guidance: Guidance
     ) -> FormationState | None:
         """The RFT for peers where the separation filter keeps this vehicle off its slot."""
-        if flight.phase is not FlightPhase.FORMATION:
+        if flight.phase is not FORMATION:
             self._kept_off.end()
             return None
         if not self._kept_off.intervened(now_s, self._taken_m_s2):
@@ -188,7 +192,7 @@ class SetpointStage:
         if not vehicle.armed:
             observer.landed()
         thrust_time_s, thrust_norm = vehicle.thrust_time_s, vehicle.thrust_norm  # as the autopilot reports it
-        if vehicle.mode is AutopilotMode.OFFBOARD and before.streams:
+        if vehicle.mode is OFFBOARD and before.streams:
             thrust_time_s, thrust_norm = stream.sent_s, stream.sent.thrust_norm
         if silent or now_s - thrust_time_s > THRUST_FRESH_S or not _flies_freely(vehicle, before.phase):
             observer.pause()
@@ -199,13 +203,13 @@ class SetpointStage:
 
 def _flies_freely(vehicle: VehicleState, phase: FlightPhase) -> bool:
     """Off the ground, and flown by the agent or as the agent requested."""
-    if vehicle.landed not in (LandedState.IN_AIR, LandedState.TAKEOFF):
+    if vehicle.landed not in OFF_THE_GROUND:
         return False
-    if phase is FlightPhase.TAKEOFF:  # it may not have left the ground yet, whatever the landed state
+    if phase is TAKEOFF:  # it may not have left the ground yet, whatever the landed state
         return vehicle.velocity_enu_m_s[2] > CLIMBS_M_S
     return phase in COOPERATING
 
 
 def _listens_in_silence(vehicle: VehicleState) -> bool:
     """The autopilot still takes setpoints, and would go on with the last one."""
-    return vehicle.mode is AutopilotMode.OFFBOARD and profile_of(vehicle).flies_on_in_silence
+    return vehicle.mode is OFFBOARD and profile_of(vehicle).flies_on_in_silence

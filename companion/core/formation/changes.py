@@ -29,6 +29,7 @@ from companion.types.notices import Answer, Code, Notice, refused
 from companion.types.steps import Steps
 from companion.types.vectors import Vector3
 
+LEADER, FORMATION = Role.LEADER, FlightPhase.FORMATION  # member lookup of an enum is slow
 QUEUED = 3  # commands with content that wait for their check; more of them are refused
 HEARD_PERIOD_S = 0.1  # between changes of leaders that are judged
 TRACK_SAMPLES = 40  # of a formation change
@@ -117,8 +118,8 @@ class Changes:
         rft_enu_m = self._rft_enu_m(vehicle, flight, consensus, slot)
         if flight.on_ground:
             return self._slots.change_on_ground(change, consensus.flying, rft_enu_m, is_command, check)
-        in_formation = [other for other in consensus.flying if other.phase is FlightPhase.FORMATION]
-        alone = flight.phase is not FlightPhase.FORMATION
+        in_formation = [other for other in consensus.flying if other.phase is FORMATION]
+        alone = flight.phase is not FORMATION
         others = in_formation if alone else ()
         answer = self._slots.change(change, consensus.reference_s, others, rft_enu_m, is_command, check)
         if answer.notice.code is not Code.FORMATION_ACCEPTED or alone:
@@ -169,7 +170,7 @@ class Changes:
         answer = self._references.change(
             change, consensus.reference_s, slots_enu_m, consensus.flying, fleet_enu_m, flight.in_formation, self._checks
         )
-        if answer.notice.code is not Code.REFERENCE_ACCEPTED or flight.phase is not FlightPhase.FORMATION:
+        if answer.notice.code is not Code.REFERENCE_ACCEPTED or flight.phase is not FORMATION:
             return answer
         if not (track := self._references.waiting_track_enu_m(slots_enu_m)):
             return answer
@@ -183,7 +184,7 @@ class Changes:
         """Positions of the RFT as far as this vehicle knows them: all of its reference plan, or where the fleet is now."""
         if self._references:
             return self._references.positions_enu_m(consensus.reference_s)
-        return [_fleet_enu_m(vehicle, slot)] if flight.phase is FlightPhase.FORMATION else []
+        return [_fleet_enu_m(vehicle, slot)] if flight.phase is FORMATION else []
 
     def _adopt(
         self, now_s: float, vehicle: VehicleState, flight: Flight, consensus: Consensus, slot: FlownSlot
@@ -253,7 +254,7 @@ class Changes:
         return proposal.events + gap_filling.keep_gap(proposal.gone_id, notice.text)
 
     def _first_leader(self, flight: Flight, consensus: Consensus) -> int | None:
-        leads = consensus.role is Role.LEADER and flight.phase is FlightPhase.FORMATION
+        leads = consensus.role is LEADER and flight.phase is FORMATION
         return first_leader(consensus.flying, self._own_id if leads else None)
 
 

@@ -21,6 +21,7 @@ from companion.types.formation import FlownSlot, Heading
 from companion.types.notices import Code, Notice, Refused
 from companion.types.vectors import Vector3
 
+LEADER, ENGAGE, FORMATION = Role.LEADER, FlightPhase.ENGAGE, FlightPhase.FORMATION  # member lookup of an enum is slow
 COMMANDED_WITHIN_S = 0.25  # from the command to this vehicle to the packet of a peer that was commanded as well
 CHECK_PERIOD_S = 0.2
 
@@ -104,11 +105,11 @@ class FormationEntry:
         slot: FlownSlot,
     ) -> FormationState | None:
         """R that this vehicle flies as leader, None for a follower. `held` is R of its plan, `slot` the one flown last."""
-        if consensus.role is not Role.LEADER:
+        if consensus.role is not LEADER:
             self._led = False
             return None
-        begins = flight.phase is FlightPhase.ENGAGE or not self._led
-        self._led = flight.phase is FlightPhase.FORMATION
+        begins = flight.phase is ENGAGE or not self._led
+        self._led = flight.phase is FORMATION
         if flight.phase not in STREAMING:
             self._lead_in.end()
         elif begins:
@@ -128,7 +129,7 @@ class FormationEntry:
         Raises Refused.
         """
         formed = _formed(peers)
-        leaders = [p for p in peers if p.packet.role is Role.LEADER and p.packet.phase in COOPERATING]
+        leaders = [p for p in peers if p.packet.role is LEADER and p.packet.phase in COOPERATING]
         forming = [p for p in leaders if p.packet.phase in STREAMING]
         if reference is not None and not formed:
             if not (first := _first(forming)) or first.packet.vehicle_id > self._own_id:
@@ -147,7 +148,7 @@ class FormationEntry:
 
 
 def _formed(peers: Iterable[PeerState]) -> list[PeerState]:
-    return [peer for peer in peers if peer.packet.phase is FlightPhase.FORMATION]
+    return [peer for peer in peers if peer.packet.phase is FORMATION]
 
 
 def _first(peers: Collection[PeerState]) -> PeerState | None:

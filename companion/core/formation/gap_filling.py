@@ -24,6 +24,7 @@ from companion.types.notices import Code, Notice
 from companion.types.peers import PeerPacket
 from companion.types.vectors import Vector3
 
+FORMATION = FlightPhase.FORMATION  # member lookup of an enum is slow
 GONE_FOR_S = 3.0  # a short loss of packets moves no vehicle
 CHECK_PERIOD_S = 0.5
 RETRY_AFTER_S = 10.0  # a proposal that did not begin is made again
@@ -81,7 +82,7 @@ class GapFilling:
 
     def update(self, now_s: float, flying: Collection[PeerPacket]) -> None:
         """Once a tick, with all fresh peers that fly."""
-        present = {packet.vehicle_id for packet in flying if packet.phase is FlightPhase.FORMATION}
+        present = {packet.vehicle_id for packet in flying if packet.phase is FORMATION}
         for i in present:
             self._gone_s[i] = None
         for i, since_s in self._gone_s.items():

@@ -25,6 +25,9 @@ from companion.types.notices import Answer, Code, Notice, Refused
 from companion.types.peers import ReceivedTarget
 from companion.types.vectors import ZERO3
 
+# Member lookup of an enum is slow, and every tick needs these.
+LEADER, ENGAGE, FORMATION = Role.LEADER, FlightPhase.ENGAGE, FlightPhase.FORMATION
+MAY_FORM = RULES[CommandName.FORM].allowed
 MAX_OFF_FLEET_M = 30.0  # more than a fleet lags behind a fast RFT; farther away it is another RFT
 NONE_REJECTED: Mapping[str, int] = {}
 
@@ -89,14 +92,14 @@ class GuidanceStage:
             heading.restart()
         changed = self._changes.step(now_s, vehicle, flight, consensus, self._slot, commands)
         events += changed.events
-        reference_s, leads = consensus.reference_s, consensus.role is Role.LEADER
+        reference_s, leads = consensus.reference_s, consensus.role is LEADER
         held, reference, refusal_to_lead = None, None, None
         if references:
             events += references.update(now_s, reference_s, slots.slots_enu_m, consensus.flying, targets)
             held = references.at(reference_s)
             reference = self._entry.reference(now_s, vehicle, flight, consensus, held, self._slot)
             refusal_to_lead = references.missing(now_s)
-            if not leads and flight.phase is FlightPhase.FORMATION:
+            if not leads and flight.phase is FORMATION:
                 refusal_to_lead = self._off_fleet(vehicle, held) or refusal_to_lead
         known = held if leads else None
         self._entry.update(now_s, consensus)
@@ -107,7 +110,7 @@ class GuidanceStage:
         heading.update(now_s, consensus, known if flight.in_formation else None, slots.reach_m)
         self._slot = turned_slot(slots.flown, heading.flown)
         refusal_to_enter, warning_to_enter = None, None
-        if flight.phase in RULES[CommandName.FORM].allowed and _forms(commands):
+        if flight.phase in MAY_FORM and _forms(commands):
             refusal_to_enter, warning_to_enter = self._entry.judge_command(
                 now_s, vehicle, consensus, known, heading.flown, slots.slots_enu_m
             )
@@ -149,7 +152,7 @@ class GuidanceStage:
         slots = self._slots
         if flight.phase not in STREAMING:
             slots.end_path()
-        elif flight.phase is FlightPhase.ENGAGE:
+        elif flight.phase is ENGAGE:
             slots.end_path()
             try:
                 path = self._entry.path(now_s, vehicle, consensus, known, self._heading.flown, slots.slots_enu_m)

@@ -26,6 +26,7 @@ from companion.types.peers import PeerPacket, ReceivedTarget
 from companion.types.steps import Steps, first_steps
 from companion.types.vectors import ZERO3, Vector3
 
+LEADER, FORMATION = Role.LEADER, FlightPhase.FORMATION  # member lookup of an enum is slow
 LATEST_S = 60.0  # ahead of mission time
 SETTLED_S = 0.5  # before a change begins it stays: longer than any packet of a peer counts
 LOOK_AHEAD_S = 120  # for this time ahead a formation must keep its limits along the RFT
@@ -223,7 +224,7 @@ class ReferencePlan:
 
     def _note_leader(self, now_s: float, others: Iterable[PeerPacket]) -> None:
         for other in others:
-            if other.reference and other.role is Role.LEADER and other.phase is FlightPhase.FORMATION:
+            if other.reference and other.role is LEADER and other.phase is FORMATION:
                 self._led_by, self._led_s = (other.vehicle_id, other.reference), now_s
 
     def _has(self, change: ReferenceChange) -> bool:
