@@ -26,7 +26,7 @@ from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase, Role
 from companion.types.notices import Notice
 from companion.types.peers import PeerPacket
-from companion.types.rejections import counted
+from companion.types.rejections import counted, summed
 from companion.types.status import NO_STATE_AGE_S, Status
 
 LEADER, FORMATION = Role.LEADER, FlightPhase.FORMATION  # member lookup of an enum is slow
@@ -145,9 +145,7 @@ class ReportStage:
     ) -> Status:
         identity, vehicle, reference = self._identity, perception.vehicle, guidance.reference
         peers = consensus.peers
-        rejected = Counter(self.refused)
-        for stage in (setpoint, perception, consensus, guidance):
-            rejected.update(stage.rejected)
+        rejected = summed((self.refused, setpoint.rejected, perception.rejected, consensus.rejected, guidance.rejected))
         return Status(
             vehicle_id=identity.vehicle_id,
             session=identity.session,
@@ -172,7 +170,7 @@ class ReportStage:
             slot=guidance.plan_slot,
             reference_enu_m=reference.position_enu_m if reference else None,
             flags=tuple(sorted(safety.flags)),
-            rejected=dict(rejected),
+            rejected=rejected,
             last_event=self._last_event,
             reference_s=consensus.reference_s,
             reference=guidance.held_reference,
@@ -188,7 +186,7 @@ class ReportStage:
             heading=guidance.heading,
             largest_step_deg=setpoint.largest_step_deg,
             separation=setpoint.separation,
-            weights=tuple(used_weights(self._law, consensus.role is LEADER, consensus.neighbour_prcs)),
+            weights=used_weights(self._law, consensus.role is LEADER, consensus.neighbour_prcs),
             neighbour_ages_s=tuple([now_s - consensus.fresh[i].measured_s for i in consensus.neighbour_ids]),
         )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 from companion.types.notices import Code
 
@@ -89,6 +89,15 @@ def rejection_text(key: str) -> str:
     """The text for a counter's key; "" for a code of another release."""
     code = key.partition(" ")[0]
     return TEXTS[Code(code)] if code in TEXTS else ""
+
+
+def summed(counts: Iterable[Mapping[str, int]]) -> dict[str, int]:
+    """The sums of several counts by key."""
+    total: dict[str, int] = {}
+    for count in counts:
+        for key, number in count.items():
+            total[key] = total.get(key, 0) + number
+    return total
 
 
 def counted(rejected: Counter[str], key: str) -> Counter[str]:

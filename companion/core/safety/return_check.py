@@ -6,7 +6,7 @@ whole: vehicles whose straight paths stay apart stay apart themselves, at any sp
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from math import hypot
 
 from companion.core.command.phase import RULES
@@ -19,6 +19,8 @@ from companion.types.vectors import Vector3
 
 # Phases in which a vehicle returns, may be commanded to, or (in OBSERVE) may return by a failsafe of its autopilot.
 MAY_GO_HOME = RULES[CommandName.RETURN].allowed | {FlightPhase.RETURN, FlightPhase.OBSERVE}
+
+ROUNDING_M = 0.001  # more than that of any distance computed here
 
 Path = tuple[tuple[float, float], tuple[float, float]]
 """A straight path from one position to another, metres east and north."""
@@ -40,7 +42,8 @@ def refusal_of_return(
         text = "its home is unknown, as this agent has not seen it on the ground; land instead"
         return Notice(Code.HOME_UNKNOWN, text)
     own = _path(vehicle.position_enu_m, vehicle.ground_position_enu_m)
-    apart_m = {peer.vehicle_id: apart(own, _path_of(peer, ground_position_enu_m)) for peer in peers}
+    near = _paths_near(own, separation_m, peers, ground_position_enu_m)
+    apart_m = {vehicle_id: apart(own, path) for vehicle_id, path in near}
     nearest = min(apart_m, key=apart_m.__getitem__, default=None)
     if nearest is None or apart_m[nearest] >= separation_m:
         return None
@@ -49,6 +52,22 @@ def refusal_of_return(
         f"separation: on its straight path home vehicle {own_id} comes within {apart_m[nearest]:.2f} m of vehicle {nearest}"
         f" or of its path home; expected at least separation_m, {separation_m:g} m; land instead",
     )
+
+
+def _paths_near(
+    own: Path, separation_m: float, peers: Iterable[PeerPacket], ground_position_enu_m: Mapping[int, Vector3]
+) -> Iterator[tuple[int, Path]]:
+    """(vehicle id, path) of the peers, without paths that one comparison of coordinates shows to be farther away."""
+    (x0, y0), (x1, y1) = own
+    around_m = separation_m + ROUNDING_M
+    west, east = min(x0, x1) - around_m, max(x0, x1) + around_m
+    south, north = min(y0, y1) - around_m, max(y0, y1) + around_m
+    for peer in peers:
+        path = _path_of(peer, ground_position_enu_m)
+        (x0, y0), (x1, y1) = path
+        beside = (x0 > east and x1 > east) or (x0 < west and x1 < west)
+        if not (beside or (y0 > north and y1 > north) or (y0 < south and y1 < south)):
+            yield peer.vehicle_id, path
 
 
 def _path_of(peer: PeerPacket, ground_position_enu_m: Mapping[int, Vector3]) -> Path:
