@@ -43,13 +43,14 @@ class CommandArbitration:
         self._last_answer: Answer | None = None
         self.holder = ""
         self.number = 0
+        self._idle = Intake()  # of a tick without commands
         self._unanswered: dict[int, Command] = {}  # by number: their check takes several ticks
         self._aborted_by = ""  # since the last other command
 
     def step(self, commands: tuple[Command, ...]) -> Intake:
         """Admit or answer the commands of one tick."""
         if not commands:
-            return Intake(holder=self.holder, number=self.number)
+            return self._idle
         aborts = any(command.name is CommandName.ABORT for command in commands)
         admitted: list[Command] = []
         answers: list[Answer | None] = []
@@ -69,6 +70,7 @@ class CommandArbitration:
             events += changes
             if answer is None and not repeated:
                 admitted.append(command)
+        self._idle = Intake(holder=self.holder, number=self.number)
         return Intake(commands, tuple(admitted), tuple(answers), events, self.holder, self.number)
 
     def replies(

@@ -133,7 +133,10 @@ class ConsensusStage:
         events += changes
         flying = [peer.packet for peer in present.values() if peer.packet.phase in COOPERATING]
         candidates = self._candidates(now_s, flying, in_formation)
-        states = {p.vehicle_id: fresh[p.vehicle_id] for p in candidates if p.vehicle_id in fresh}
+        if len(candidates) == len(fresh) and present is fresh:  # the usual case: all of them
+            states = fresh
+        else:
+            states = {p.vehicle_id: fresh[p.vehicle_id] for p in candidates if p.vehicle_id in fresh}
         ids = self._rule.select(vehicle.position_enu_m, states, now_s)
         packets_of_neighbours = [fresh[i].packet for i in ids]
         with_neighbours = FORMATION in [packet.phase for packet in packets_of_neighbours]

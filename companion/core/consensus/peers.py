@@ -126,17 +126,19 @@ class PeerTable:
         """Check and take these packets; of one with a beacon of a larger epoch only the motion."""
         for received in packets:
             packet = received.packet
-            code = refusal_of_claims(packet, self._fleet) or refusal_of_motion(packet, self._limits)
-            code = code or self._refusal_of_order(received)
+            before = self.newest.get(packet.vehicle_id)
+            known = before.packet.slot if before is not None else None
+            code = refusal_of_claims(packet, self._fleet) or refusal_of_motion(packet, self._limits, known)
+            code = code or self._refusal_of_order(received, before)
             if code is None:
-                self._take(packet, epochs_up_to)
+                self._take(packet, epochs_up_to, before)
                 continue
             if code in DUPLICATES:
                 self.duplicate_id_s = received.received_s
             self._count(code, packet.vehicle_id)
 
-    def _take(self, packet: PeerPacket, epochs_up_to: int) -> None:
-        """An accepted packet, after its stream, as the newest state of its vehicle."""
+    def _take(self, packet: PeerPacket, epochs_up_to: int, before: PeerState | None) -> None:
+        """An accepted packet, after its stream, as the newest state of its vehicle. `before` is the last one."""
         vehicle_id, beacon = packet.vehicle_id, packet.leader_beacon
         if beacon is not None and beacon.epoch > epochs_up_to:
             packet, beacon = self._without_leader(packet), None
@@ -145,17 +147,16 @@ class PeerTable:
         clock = stream.clock
         measured_s = clock.received_s - stream.late_s(packet.sent_s) - packet.state_age_s
         term = beacon.term if beacon is not None else (0, 0)
-        if packet.phase in ON_GROUND:
-            before = self.newest.get(vehicle_id)
-            if before is not None and before.packet.phase in ON_GROUND:
-                self.ground_position_enu_m[vehicle_id] = packet.position_enu_m
+        if packet.phase in ON_GROUND and before is not None and before.packet.phase in ON_GROUND:
+            self.ground_position_enu_m[vehicle_id] = packet.position_enu_m
         self.newest[vehicle_id] = PeerState(packet, clock.received_s, clock.least_apart_s, measured_s, term)
 
     def fresh(self, now_s: float) -> dict[int, PeerState]:
         """Peers whose state is not older than the configured age (`peers.max_age_s`), without the distant ones."""
         fresh = {i: peer for i, peer in self.newest.items() if now_s - peer.measured_s <= self._max_age_s}
-        for i in self._distant & fresh.keys():
-            del fresh[i]
+        if self._distant:
+            for i in self._distant & fresh.keys():
+                del fresh[i]
         return fresh
 
     def present(self, now_s: float, fresh: dict[int, PeerState]) -> dict[int, PeerState]:
@@ -169,11 +170,11 @@ class PeerTable:
     def _age_limit_s(self, vehicle_id: int) -> float:
         return max(self._max_age_s, DISTANT_MAX_AGE_S) if vehicle_id in self._distant_s else self._max_age_s
 
-    def _refusal_of_order(self, received: ReceivedPeerPacket) -> Code | None:
+    def _refusal_of_order(self, received: ReceivedPeerPacket, before: PeerState | None) -> Code | None:
         """Checks against the packets before of the same vehicle: session, sequence, delay and distance."""
         packet, received_s = received.packet, received.received_s
-        vehicle_id, before = packet.vehicle_id, self.newest.get(packet.vehicle_id)
-        max_age_s = self._age_limit_s(vehicle_id)
+        vehicle_id = packet.vehicle_id
+        max_age_s = self._age_limit_s(vehicle_id) if self._distant_s else self._max_age_s
         stream, disorder = following(
             self._streams.get(vehicle_id), packet.session, packet.sequence, packet.sent_s, received_s, max_age_s
         )

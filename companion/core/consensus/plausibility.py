@@ -9,7 +9,7 @@ from math import hypot, isfinite, pi
 from companion.types.bounds import MAX_CHANGE_S, MAX_COORDINATE_M, MAX_MISSION_S
 from companion.types.commands import MAX_EPOCH
 from companion.types.flight import Role
-from companion.types.formation import FormationChange
+from companion.types.formation import FlownSlot, FormationChange
 from companion.types.notices import Code
 from companion.types.peers import PeerPacket
 from companion.types.vectors import Vector3
@@ -75,8 +75,8 @@ def refusal_of_claims(packet: PeerPacket, fleet: KnownFleet) -> Code | None:
     return None
 
 
-def refusal_of_motion(packet: PeerPacket, limits: FleetLimits) -> Code | None:
-    """Checks position, velocity, acceleration, times, slot and position error."""
+def refusal_of_motion(packet: PeerPacket, limits: FleetLimits, known: FlownSlot | None) -> Code | None:
+    """Checks position, velocity, acceleration, times, slot and position error. `known` is a slot that has passed before."""
     x, y, z = packet.position_enu_m
     vx, vy, vz = packet.velocity_enu_m_s
     ax, ay, az = packet.acceleration_enu_m_s2
@@ -93,14 +93,10 @@ def refusal_of_motion(packet: PeerPacket, limits: FleetLimits) -> Code | None:
     if not 0.0 <= packet.state_age_s <= MAX_STATE_AGE_S or not 0.0 <= packet.sent_s <= MAX_SENT_S:
         return Code.PEER_TIME_IMPLAUSIBLE
     slot = packet.slot
-    (x, y, z), (far_x, far_y, far_z) = slot.position_enu_m, limits.fence_size_m
-    far_x, far_y, far_z = MOST_FENCES * far_x, MOST_FENCES * far_y, MOST_FENCES * far_z
-    near = -far_x <= x <= far_x and -far_y <= y <= far_y and -far_z <= z <= far_z
+    if slot != known and not _is_plausible_slot(slot, limits):
+        return Code.PEER_SLOT_IMPLAUSIBLE
     sx, sy, sz = slot.velocity_enu_m_s
-    slow = hypot(vx - sx, vy - sy, vz - sz) <= limits.speed_m_s  # of the RFT that it flies by; False for NaN
-    gentle = hypot(*slot.acceleration_enu_m_s2) <= MAX_ACCELERATION_M_S2
-    in_time = 0.0 <= slot.moves_for_s <= MAX_CHANGE_S
-    if not (near and slow and gentle and in_time and slot.formation >= 0 and slot.waiting >= 0):
+    if not hypot(vx - sx, vy - sy, vz - sz) <= limits.speed_m_s:  # of the RFT that it flies by; also for NaN
         return Code.PEER_SLOT_IMPLAUSIBLE
     if packet.rft is not None and not _is_plausible_rft(packet.rft, limits):
         return Code.PEER_SLOT_IMPLAUSIBLE
@@ -108,6 +104,16 @@ def refusal_of_motion(packet: PeerPacket, limits: FleetLimits) -> Code | None:
     if error and not (0.0 <= error.horizontal_m <= MAX_ERROR_M and 0.0 <= error.vertical_m <= MAX_ERROR_M):
         return Code.PEER_POSITION_ERROR_IMPLAUSIBLE
     return None
+
+
+def _is_plausible_slot(slot: FlownSlot, limits: FleetLimits) -> bool:
+    """False for numbers that are not finite, other than those of its velocity."""
+    (x, y, z), (far_x, far_y, far_z) = slot.position_enu_m, limits.fence_size_m
+    far_x, far_y, far_z = MOST_FENCES * far_x, MOST_FENCES * far_y, MOST_FENCES * far_z
+    near = -far_x <= x <= far_x and -far_y <= y <= far_y and -far_z <= z <= far_z
+    gentle = hypot(*slot.acceleration_enu_m_s2) <= MAX_ACCELERATION_M_S2
+    in_time = 0.0 <= slot.moves_for_s <= MAX_CHANGE_S
+    return near and gentle and in_time and slot.formation >= 0 and slot.waiting >= 0
 
 
 def _is_plausible_rft(rft: tuple[Vector3, Vector3, Vector3], limits: FleetLimits) -> bool:

@@ -32,12 +32,14 @@ class Joining:
         self._separation_m = separation_m
         self._speed_m_s = speed_m_s
         self._since_s: dict[int, float] = {}
+        self._formed: list[int] = []  # its keys
 
     def update(self, now_s: float, flying: Iterable[PeerPacket]) -> None:
         """Once a tick, with all fresh peers that fly."""
-        self._since_s = {
-            p.vehicle_id: self._since_s.get(p.vehicle_id, now_s) for p in flying if p.phase is FORMATION
-        }
+        formed = [p.vehicle_id for p in flying if p.phase is FORMATION]
+        if formed != self._formed:
+            self._formed, since_s = formed, self._since_s
+            self._since_s = {vehicle_id: since_s.get(vehicle_id, now_s) for vehicle_id in formed}
 
     def is_due(self, now_s: float) -> bool:
         """Whether a peer has been in formation long enough for this vehicle to join it."""
