@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from math import inf
 
 from msgspec import Struct
@@ -72,16 +72,17 @@ class Consensus(Struct, frozen=True, gc=False):
         return tuple([peer.packet for peer in self.present.values()])
 
 
-def _attracting(packets: Sequence[PeerPacket], leads: bool) -> tuple[int, ...]:
-    """Ids of the neighbours that the law uses: those that form or fly in formation.
+def _attracting(ids: tuple[int, ...], packets: Sequence[PeerPacket], leads: bool) -> tuple[int, ...]:
+    """Which of these neighbours the law uses: those that form or fly in formation. `packets` are in the same order.
 
     A vehicle in hold may not have been commanded to form: where it is says nothing about the formation. Only a leader in hold
     counts, where no other leads: the fleet waits with it. `leads`: this vehicle is leader.
     """
     streaming = [p for p in packets if p.phase in STREAMING]
-    if len(streaming) < len(packets) and not leads and not any(p.role is LEADER for p in streaming):
-        streaming = [p for p in packets if p.phase in STREAMING or p.role is LEADER]
-    return tuple([p.vehicle_id for p in streaming])
+    if len(streaming) == len(packets):
+        return ids
+    led = leads or any(p.role is LEADER for p in streaming)
+    return tuple([p.vehicle_id for p in packets if p.phase in STREAMING or (p.role is LEADER and not led)])
 
 
 class ConsensusStage:
@@ -114,7 +115,7 @@ class ConsensusStage:
         vehicle: VehicleState,
         flight: Flight,
         packets: Iterable[ReceivedPeerPacket],
-        commands: Iterable[Command] = (),
+        commands: Collection[Command] = (),
         refusal_to_lead: Notice | None = None,
         fit_to_lead: bool = False,
         distant: frozenset[int] = frozenset(),
@@ -146,7 +147,7 @@ class ConsensusStage:
         events += self._settle_term(now_s, in_formation, newest[0], flying)
         leaderless, claimed = self._succeed(now_s, newest[0] is not None, with_neighbours, flying, fit_to_lead)
         role, term = leadership.role, leadership.term
-        ids = _attracting(packets_of_neighbours, role is LEADER) if in_formation else ids
+        ids = _attracting(ids, packets_of_neighbours, role is LEADER) if in_formation else ids
         neighbours = self._neighbours(now_s, [fresh[i] for i in ids], term)
         heading = self._received_heading(role, in_formation, *newest)
         beacon, beacon_age_s, reference_s = self._beacon(now_s, role, in_formation, *newest)
@@ -204,7 +205,9 @@ class ConsensusStage:
         is_leader, led = self.leadership.role is LEADER, newest is not None and newest.term == self.leadership.term
         if led if not is_leader else in_formation:  # a leader on the ground may have restarted, and missed changes
             self._led_s = now_s
-        return self.leadership.settle(now_s, (p.leader_beacon for p in flying if p.leader_beacon is not None))
+        if self.leadership.is_settled:
+            return ()
+        return self.leadership.settle(now_s, [p.leader_beacon for p in flying if p.leader_beacon is not None])
 
     def _beacons_of_others(self, packets: Iterable[PeerPacket]) -> list[LeaderBeacon]:
         """The leader beacons in these packets. The own beacon is from before a handover or a restart: left out."""
@@ -228,12 +231,14 @@ class ConsensusStage:
     def _command_leads(
         self,
         now_s: float,
-        commands: Iterable[Command],
+        commands: Collection[Command],
         vehicle: VehicleState,
         flight: Flight,
         refusal_to_lead: Notice | None,
     ) -> tuple[tuple[tuple[int, Answer], ...], tuple[Notice, ...]]:
         """The answers by command number, and the events of a change of role."""
+        if not commands:
+            return (), ()
         answers: list[tuple[int, Answer]] = []
         events: list[Notice] = []
         for command in commands:
@@ -266,7 +271,10 @@ class ConsensusStage:
             self._formed_s = now_s
         if now_s - self._formed_s <= FORMING_S:
             return flying
-        led = self.leadership.role is LEADER or LEADER in [p.role for p in flying if p.phase is FORMATION]
+        formed = [p for p in flying if p.phase is FORMATION]
+        if len(formed) == len(flying):
+            return flying
+        led = self.leadership.role is LEADER or LEADER in [p.role for p in formed]
         return [p for p in flying if p.phase is FORMATION or (p.role is LEADER and not led)]
 
     def _succeed(

@@ -12,4 +12,8 @@ def next_prc(is_leader: bool, neighbour_prcs: Iterable[int], n: int) -> int:
     """
     if is_leader:
         return 1
-    return min(n, min(neighbour_prcs, default=n) + 1)
+    least = n
+    for prc in neighbour_prcs:
+        if prc < least:
+            least = prc
+    return min(n, least + 1)

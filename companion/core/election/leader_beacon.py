@@ -65,8 +65,8 @@ class BeaconMonitor:
 
         The own term may be older than before: then those of the newer one had no leader, and are not passed on.
         """
-        for leader, of_term in tuple(self._newest.items()):
-            if leader[1] > term or (leader[1] < term and now_s - of_term.received_s > OLDER_TERM_S):
+        for leader in [leader for leader in self._newest if leader[1] != term]:
+            if leader[1] > term or now_s - self._newest[leader].received_s > OLDER_TERM_S:
                 del self._newest[leader]
         epoch, rank = term
         for beacon in beacons:
@@ -80,7 +80,7 @@ class BeaconMonitor:
                 self._newest[leader] = kept.with_next(now_s, beacon)
             elif stamp != kept.beacon.stamp:
                 kept = kept.with_rival(now_s, stamp)
-                confirmed = now_s - max(kept.rival_since_s, kept.received_s) >= CONFIRMED_S and kept.rival_s == now_s
+                confirmed = kept.rival_s == now_s and now_s - max(kept.rival_since_s, kept.received_s) >= CONFIRMED_S
                 self._newest[leader] = _Kept(beacon, now_s, float(stamp)) if confirmed else kept
 
     def youngest(self, now_s: float) -> tuple[LeaderBeacon | None, float]:
@@ -89,15 +89,17 @@ class BeaconMonitor:
         The newest term comes first, and in it a leader that flies the RFT before one that does not. After a change of leader
         the last beacon of the old one counts until it is too old: that of the new leader is on its way.
         """
-        best, youngest, youngest_age_s = None, None, inf
-        for (leader_id, _), kept in self._newest.items():
-            age_s = now_s - kept.received_s
-            if age_s > self._max_age_s:
-                continue
-            rank = (kept.beacon.term, kept.beacon.reference_s > 0.0, -age_s, leader_id)
-            if best is None or rank > best:
-                best, youngest, youngest_age_s = rank, kept.beacon, age_s
-        return youngest, youngest_age_s
+        alive = [kept for kept in self._newest.values() if now_s - kept.received_s <= self._max_age_s]
+        if not alive:
+            return None, inf
+        best = alive[0]
+        if len(alive) > 1:
+            best = max(alive, key=lambda kept: _rank(kept.beacon, now_s - kept.received_s))
+        return best.beacon, now_s - best.received_s
+
+
+def _rank(beacon: LeaderBeacon, age_s: float) -> tuple[Term, bool, float, int]:
+    return (beacon.term, beacon.reference_s > 0.0, -age_s, beacon.leader_id)
 
 
 def _is_next(stamp: int, before: int, clock_stamp: float, elapsed_s: float) -> bool:

@@ -76,6 +76,11 @@ class Leadership:
         self._refute(newest.term)
         return events
 
+    @property
+    def is_settled(self) -> bool:
+        """Whether the present term needs no more beacons."""
+        return self._unconfirmed is None
+
     def settle(self, now_s: float, beacons: Iterable[LeaderBeacon]) -> tuple[Notice, ...]:
         """Keep a received term once a stamp rises in these beacons of peers; else return to the term before."""
         if self._unconfirmed is None:

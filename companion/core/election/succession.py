@@ -38,7 +38,9 @@ class Succession:
         if term > self._term:
             self._returns_s = RETURN_S if self._led else 0.0
         if led or term != self._term:
-            self._led_s = max(self._led_s, now_s + self._returns_s if term < self._term else now_s)
+            led_s = now_s + self._returns_s if term < self._term else now_s
+            if led_s > self._led_s:
+                self._led_s = led_s
         self._term, self._led = term, led
         return now_s - self._led_s <= TURN_S * (self._turns if with_neighbours else 1)
 

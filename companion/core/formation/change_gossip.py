@@ -28,7 +28,8 @@ def passed_on(flying: Iterable[PeerPacket], term: Term, on_ground: bool) -> list
         if packet.change and _leads(packet) and packet.leader_beacon and packet.leader_beacon.term == term
         if not on_ground or packet.change.number == packet.slot.formation
     ]
-    return sorted(changes, key=lambda change: change[0])
+    changes.sort(key=lambda change: change[0])
+    return changes
 
 
 def _leads(packet: PeerPacket) -> bool:

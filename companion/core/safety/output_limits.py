@@ -42,28 +42,30 @@ class OutputLimiter:
 
     def admit(self, now_s: float, wanted: AttitudeTarget, hover_thrust_norm: float) -> AttitudeTarget | None:
         """The allowed setpoint nearest to the wanted one. None where it is not finite or no stream was begun."""
-        if self._last is None or not _finite(wanted):
+        last = self._last
+        if last is None or not _finite(wanted):
             return None
         # After a gap the slew still starts from the last setpoint: without setpoints a vehicle has not turned far.
         elapsed_s = between(now_s - self._last_s, 0.0, 0.1)
         # Slewing each angle separately can leave the tilt circle slightly, so the tilt is limited again.
         allowed = self._within_limits(wanted, hover_thrust_norm)
-        slewed = self._slewed(self._last, allowed, elapsed_s, hover_thrust_norm)
-        self._last = self._within_limits(slewed, hover_thrust_norm)
+        slewed = self._slewed(last, allowed, elapsed_s, hover_thrust_norm)
         self._last_s = now_s
-        return self._last
+        self._last = admitted = self._within_limits(slewed, hover_thrust_norm)
+        return admitted
 
     def _within_limits(self, target: AttitudeTarget, hover_thrust_norm: float) -> AttitudeTarget:
         roll, pitch, yaw = target.roll_rad, target.pitch_rad, target.yaw_rad
         if not (-pi <= roll < pi and -pi <= pitch < pi and -pi <= yaw < pi):
             roll, pitch, yaw = wrap_pi(roll), wrap_pi(pitch), wrap_pi(yaw)
         # The tilt acos(cos(roll) cos(pitch)) never exceeds hypot(roll, pitch), so this limit is safe and smooth.
-        tilt = hypot(roll, pitch)
-        if tilt > self._limits.max_tilt_rad:
-            scale = self._limits.max_tilt_rad / tilt
+        tilt, limits = hypot(roll, pitch), self._limits
+        if tilt > limits.max_tilt_rad:
+            scale = limits.max_tilt_rad / tilt
             roll, pitch = roll * scale, pitch * scale
-        least = hover_thrust_norm * self._limits.min_thrust_ratio
-        most = min(1.0, hover_thrust_norm * self._limits.max_thrust_ratio)
+        least, most = hover_thrust_norm * limits.min_thrust_ratio, hover_thrust_norm * limits.max_thrust_ratio
+        if most > 1.0:
+            most = 1.0
         return AttitudeTarget(roll, pitch, yaw, between(target.thrust_norm, least, most))
 
     def _slewed(
