@@ -13,6 +13,7 @@ from __future__ import annotations
 from functools import lru_cache
 from math import cos
 
+from companion.geometry.frames import Quaternion
 from companion.mavlink.codec import MavlinkMessage, mavlink
 from companion.mavlink.commands import command_long, common_command
 from companion.types.autopilot import AutopilotMode
@@ -120,15 +121,15 @@ def thrust_of(target: AttitudeTarget) -> float:
     return target.thrust_norm * cos(target.roll_rad) * cos(target.pitch_rad)
 
 
-def commanded_thrust(message: MavlinkMessage) -> float:
+def commanded_thrust(thrust: float, quaternion: Quaternion) -> float:
     """Thrust along the body z axis. ATTITUDE_TARGET reports it before the division by the cosine of the wanted tilt.
 
     During landing the vertical loop may report a negative thrust; the motors then give none.
     """
-    _, x, y, _ = message.q
+    _, x, y, _ = quaternion
     cos_tilt = 1.0 - 2.0 * (x * x + y * y)
-    thrust: float = message.thrust / max(LEAST_COS_TILT, cos_tilt)
-    return 0.0 if -1.0 <= thrust < 0.0 else thrust
+    along_z = thrust / max(LEAST_COS_TILT, cos_tilt)
+    return 0.0 if -1.0 <= along_z < 0.0 else along_z
 
 
 def command_for(request: AutopilotRequest, system_id: int) -> MavlinkMessage:

@@ -6,7 +6,7 @@ from collections import Counter
 
 from companion.mavlink.messages import mavlink
 from companion.mavlink.packet_reader import PacketReader
-from companion.mavlink.plain_packets import MavlinkMessage, encode_plain
+from companion.mavlink.plain_packets import MavlinkMessage, Packet, encode_plain
 from companion.mavlink.signing import SignedMavlink, SigningKey
 
 __all__ = ["MavlinkCodec", "MavlinkMessage", "mavlink"]
@@ -22,7 +22,7 @@ class MavlinkCodec:
         self._signed = SignedMavlink(system_id, component_id, key) if key else None
         self._mav = self._signed or mavlink.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
         self._reader = PacketReader(self._mav)
-        self._messages: list[MavlinkMessage] = []  # of the last `decode`
+        self._packets: list[Packet] = []  # of the last `read`
 
     @property
     def refused(self) -> Counter[str]:
@@ -30,14 +30,18 @@ class MavlinkCodec:
 
     @property
     def packets(self) -> list[bytes]:
-        """Packets of the last `decode`, unchanged, without refused ones."""
-        return [bytes(message.get_msgbuf()) for message in self._messages]
+        """Packets of the last `read`, unchanged, without refused ones."""
+        return [packet.data for packet in self._packets]
+
+    def read(self, data: bytes) -> list[Packet]:
+        """All complete packets in the earlier remainder and `data`, in order. Unknown ones are left out. Never raises."""
+        self._packets = self._reader.read(data)
+        # The checksum and the signature of unknown messages are unchecked.
+        return [packet for packet in self._packets if packet.message_id != mavlink.MAVLINK_MSG_ID_UNKNOWN]
 
     def decode(self, data: bytes) -> list[MavlinkMessage]:
-        """All complete messages in the earlier remainder and `data`, in order. Unknown messages are left out. Never raises."""
-        self._messages = messages = self._reader.read(data)
-        # The checksum and the signature of unknown messages are unchecked.
-        return [message for message in messages if message.get_msgId() != mavlink.MAVLINK_MSG_ID_UNKNOWN]
+        """The messages of `read`."""
+        return [packet.message for packet in self.read(data)]
 
     def encode(self, message: MavlinkMessage) -> bytes:
         """The MAVLink 2 packet of a message."""

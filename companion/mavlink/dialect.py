@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Protocol
 
+from companion.geometry.frames import Quaternion
 from companion.mavlink import ardupilot, px4
 from companion.mavlink.codec import MavlinkMessage
 from companion.types.autopilot import AutopilotKind, AutopilotMode
@@ -45,8 +46,8 @@ class Dialect(Protocol):
     def thrust_of(self, target: AttitudeTarget) -> float:
         """The thrust field of SET_ATTITUDE_TARGET for this target."""
 
-    def commanded_thrust(self, message: MavlinkMessage) -> float:
-        """Thrust along the body z axis, 0 to 1, from ATTITUDE_TARGET. It may be NaN."""
+    def commanded_thrust(self, thrust: float, quaternion: Quaternion) -> float:
+        """Thrust along the body z axis, 0 to 1, from these fields of ATTITUDE_TARGET. It may be NaN."""
 
     def command_for(self, request: AutopilotRequest, system_id: int) -> MavlinkMessage:
         """The MAVLink message of this request."""

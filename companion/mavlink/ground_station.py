@@ -107,14 +107,15 @@ class GroundStationFilter:
             mavlink.MAVLink(None)
         )  # a new one: an incomplete packet must not consume the next datagram
         admitted = []
-        for message in reader.read(datagram):
+        for packet in reader.read(datagram):
+            message = packet.message
             code = self._refusal(message, phase)
             if getattr(message, "target_system", 0) not in (0, self._vehicle_id):
                 continue
             if code:
                 self.refused[code] += 1
             else:
-                admitted.append(bytes(message.get_msgbuf()))
+                admitted.append(packet.data)
         unreadable = reader.refused.total() + (not reader.is_between_packets)
         if unreadable:
             self.refused[Code.GROUND_STATION_UNREADABLE] += unreadable

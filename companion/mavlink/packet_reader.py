@@ -1,4 +1,4 @@
-"""Received bytes -> MAVLink messages. Behind a damaged packet the search goes on one byte later: no good packet is lost."""
+"""Received bytes -> MAVLink packets. Behind a damaged packet the search goes on one byte later: no good packet is lost."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections import Counter
 from fastcrc.crc16 import mcrf4xx
 
 from companion.mavlink.messages import mavlink
-from companion.mavlink.plain_packets import MavlinkMessage, decode_plain
+from companion.mavlink.plain_packets import Packet, read_plain
 from companion.mavlink.signing import SIGNATURE_CODES
 from companion.types.notices import Code
 
@@ -20,7 +20,7 @@ MOST_DAMAGED = 16  # packets of one call; each costs a checksum, and what follow
 
 
 class PacketReader:
-    """Splits bytes into packets and decodes them with `mav`. Keeps an incomplete packet until the next call.
+    """Splits bytes into packets and checks them with `mav`. Keeps an incomplete packet until the next call.
 
     `refused` counts runs of garbage and packets with a refused signature, by code. pymavlink's own parser skips as many bytes
     as a damaged packet claims to have, and with them the good packets behind it.
@@ -28,6 +28,7 @@ class PacketReader:
 
     def __init__(self, mav: mavlink.MAVLink) -> None:
         self._mav = mav
+        self._has_key = mav.signing.secret_key is not None
         self._rest = b""
         self.refused: Counter[str] = Counter()
 
@@ -36,58 +37,60 @@ class PacketReader:
         """Whether the bytes so far ended with a complete packet."""
         return not self._rest
 
-    def read(self, data: bytes) -> list[MavlinkMessage]:
-        """All messages in the kept bytes and `data`, in order. Unknown ones are MAVLink_unknown. Never raises."""
-        if not self._rest and (message := self._plain(data)) is not None:
-            return [message]  # nearly always
+    def read(self, data: bytes) -> list[Packet]:
+        """All packets in the kept bytes and `data`, in order. Messages of unknown ones are MAVLink_unknown. Never raises."""
+        if not self._rest and (packet := self._plain(data)) is not None:
+            return [packet]  # nearly always
         if self._rest and _is_packet(data, 0):  # what was kept is garbage, or lost its other half
             self.refused[Code.MAVLINK_UNREADABLE] += 1
             self._rest = b""
         data = self._rest + data
-        messages: list[MavlinkMessage] = []
+        packets: list[Packet] = []
         at, damaged, in_garbage = 0, 0, False
         while (start := _next_magic(data, at)) < len(data):
             end = _claimed_end(data, start)
             if end > len(data):
                 break  # the rest of this packet is yet to come
-            message = self._decoded(data, start, end) if end > start else None
-            if message is None or start > at:
+            packet = self._checked(data, start, end) if end > start else None
+            if packet is None or start > at:
                 self.refused[Code.MAVLINK_UNREADABLE] += not in_garbage
                 in_garbage = True
-            if message is None:
+            if packet is None:
                 damaged, at = damaged + (end > start), start + 1
                 if damaged == MOST_DAMAGED:
                     start = len(data)
                     break
                 continue
-            if message.get_type() != "BAD_DATA":
-                messages.append(message)
+            if packet.message_id != mavlink.MAVLINK_MSG_ID_BAD_DATA:
+                packets.append(packet)
             at, in_garbage = end, False
         if start == len(data) and at < start:
             self.refused[Code.MAVLINK_UNREADABLE] += not in_garbage
         self._rest = data[start:]
-        return messages
+        return packets
 
-    def _plain(self, packet: bytes) -> MavlinkMessage | None:
-        """The message of a packet that no key protects; None where pymavlink has to judge it."""
-        return decode_plain(packet) if self._mav.signing.secret_key is None else None
+    def _plain(self, data: bytes) -> Packet | None:
+        """A packet that no key protects; None where pymavlink has to judge it."""
+        return None if self._has_key else read_plain(data)
 
-    def _decoded(self, data: bytes, start: int, end: int) -> MavlinkMessage | None:
-        """The message of these bytes, BAD_DATA where its signature is refused, None where it is no packet."""
-        packet = data[start:end]
-        if (message := self._plain(packet)) is not None:
-            return message
+    def _checked(self, data: bytes, start: int, end: int) -> Packet | None:
+        """The packet of these bytes, BAD_DATA where its signature is refused, None where it is none."""
+        candidate = data[start:end]
+        if (packet := self._plain(candidate)) is not None:
+            return packet
         try:
-            message = self._mav.decode(bytearray(packet))
+            message = self._mav.decode(bytearray(candidate))
         except mavlink.MAVError as error:
             reason = str(error)
             if reason not in SIGNATURE_CODES:
                 return None
             self.refused[reason] += 1
-            return mavlink.MAVLink_bad_data(b"", reason)
-        if message.get_msgId() == mavlink.MAVLINK_MSG_ID_UNKNOWN and not _ends_well(data, start, end):
+            message = mavlink.MAVLink_bad_data(b"", reason)
+        message_id = message.get_msgId()
+        if message_id == mavlink.MAVLINK_MSG_ID_UNKNOWN and not _ends_well(data, start, end):
             return None
-        return message
+        sender, flags = (message.get_srcSystem(), message.get_srcComponent()), message.get_header().incompat_flags
+        return Packet(candidate, message_id, *sender, is_signed=bool(flags), known=message)
 
 
 def _next_magic(data: bytes, start: int) -> int:

@@ -12,6 +12,7 @@ from operator import attrgetter, itemgetter
 from typing import Any
 
 from fastcrc.crc16 import mcrf4xx
+from msgspec import Struct
 
 from companion.mavlink.messages import mavlink
 
@@ -20,9 +21,10 @@ MavlinkMessage = Any  # pymavlink generates its classes without types
 MAGIC = 0xFD
 HEADER_BYTES, CHECKSUM_BYTES = 10, 2
 OVERHEAD_BYTES = HEADER_BYTES + CHECKSUM_BYTES
-_HEADER = struct.Struct(
-    "<BBBBBBBHB"
-)  # magic, length, flags, compatible flags, sequence, system, component, id (24 bits)
+PAYLOAD_AT = {MAGIC: HEADER_BYTES, 0xFE: 6}  # by the first byte: MAVLink 2 and 1
+# Magic, length, flags, compatible flags, sequence, system, component, id (24 bits)
+_HEADER = struct.Struct("<BBBBBBBHB")
+_CHECKED = struct.Struct("<BBBxxBBHB")  # the same without what no check needs
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,30 +102,57 @@ def _layouts() -> Iterator[tuple[int, _Layout]]:
 _LAYOUTS = dict(_layouts())
 
 
-def decode_plain(packet: bytes) -> MavlinkMessage | None:
-    """The message of these bytes where they are one good packet. None where pymavlink has to judge them."""
-    if len(packet) < OVERHEAD_BYTES:
+class Packet(Struct, gc=False):
+    """A good packet. Its pymavlink message is made only when it is asked for: the frequent ones are read by `values`."""
+
+    data: bytes
+    message_id: int
+    system_id: int
+    component_id: int
+    is_signed: bool = False
+    known: MavlinkMessage | None = None  # the message, if it has been made
+
+    @property
+    def values(self) -> tuple[Any, ...]:
+        """Numbers of a message without text in their order on the wire, those of an array one by one."""
+        data, layout = self.data, _LAYOUTS[self.message_id]
+        start = PAYLOAD_AT[data[0]]
+        return layout.fields.unpack_from(data[start : start + data[1]] + layout.padding)
+
+    @property
+    def message(self) -> MavlinkMessage:
+        """The message as pymavlink makes it."""
+        if self.known is None:
+            self.known = self._made()
+        return self.known
+
+    def _made(self) -> MavlinkMessage:
+        data, layout = self.data, _LAYOUTS[self.message_id]
+        message = object.__new__(layout.kind)
+        attributes = layout.attributes_with(self.values)
+        attributes["_msgbuf"] = data
+        attributes["_payload"] = data[6:-CHECKSUM_BYTES]  # from there, as pymavlink does
+        attributes["_crc"] = data[-2] | data[-1] << 8
+        length, compatible_flags, sequence = data[1], data[3], data[4]
+        attributes["_header"] = mavlink.MAVLink_header(
+            self.message_id, 0, compatible_flags, length, sequence, self.system_id, self.component_id
+        )
+        message.__dict__ = attributes
+        return message
+
+
+def read_plain(data: bytes) -> Packet | None:
+    """The packet of these bytes where they are one good packet. None where pymavlink has to judge them."""
+    if len(data) < OVERHEAD_BYTES:
         return None
-    magic, length, flags, compatible_flags, sequence, system, component, id_low, id_high = _HEADER.unpack_from(packet)
-    if magic != MAGIC or flags or len(packet) != length + OVERHEAD_BYTES:
+    magic, length, flags, system_id, component_id, id_low, id_high = _CHECKED.unpack_from(data)
+    if magic != MAGIC or flags or len(data) != length + OVERHEAD_BYTES:
         return None
     message_id = id_low | id_high << 16
     layout = _LAYOUTS.get(message_id)
-    if layout is None:
+    if layout is None or mcrf4xx(data[1:-CHECKSUM_BYTES] + layout.checksum_extra) != data[-2] | data[-1] << 8:
         return None
-    checksum = packet[-2] | packet[-1] << 8
-    if mcrf4xx(packet[1:-CHECKSUM_BYTES] + layout.checksum_extra) != checksum:
-        return None
-    payload = packet[HEADER_BYTES:-CHECKSUM_BYTES]
-    values = layout.fields.unpack_from(payload + layout.padding[length:])
-    message = object.__new__(layout.kind)
-    attributes = layout.attributes_with(values)
-    attributes["_msgbuf"] = packet
-    attributes["_payload"] = packet[6:-CHECKSUM_BYTES]  # from there, as pymavlink does
-    attributes["_crc"] = checksum
-    attributes["_header"] = mavlink.MAVLink_header(message_id, 0, compatible_flags, length, sequence, system, component)
-    message.__dict__ = attributes
-    return message
+    return Packet(data, message_id, system_id, component_id)
 
 
 def encode_plain(message: MavlinkMessage, mav: mavlink.MAVLink) -> bytes | None:

@@ -6,6 +6,7 @@ import struct
 from functools import lru_cache
 from math import nan
 
+from companion.geometry.frames import Quaternion
 from companion.mavlink.codec import MavlinkMessage, mavlink
 from companion.mavlink.commands import command_long, common_command
 from companion.types.autopilot import AutopilotMode
@@ -92,9 +93,8 @@ def thrust_of(target: AttitudeTarget) -> float:
     return target.thrust_norm
 
 
-def commanded_thrust(message: MavlinkMessage) -> float:
+def commanded_thrust(thrust: float, _quaternion: Quaternion) -> float:
     """Thrust along the body z axis, from ATTITUDE_TARGET."""
-    thrust: float = message.thrust
     return thrust
 
 

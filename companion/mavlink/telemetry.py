@@ -1,11 +1,14 @@
 """MAVLink messages -> Telemetry in ENU, FLU and SI units. The same for every autopilot.
 
+The most frequent ones are read from their numbers in the order on the wire (`Packet.values`), which saves the message object.
+
 Floats of 32 bits are rounded below what a sensor resolves: as floats of 64 bits they have ten digits more that mean nothing,
 and a recording would keep them.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import isfinite, nan
 
 from companion.geometry.frames import enu_from_ned, euler_enu_from_ned, euler_from_quaternion
@@ -51,23 +54,24 @@ POSITIONS = mavlink.ESTIMATOR_POS_HORIZ_REL | mavlink.ESTIMATOR_POS_HORIZ_ABS
 LANDED_STATES = {int(state): state for state in LandedState}
 
 
-def position(message: MavlinkMessage, received_s: float) -> PositionSample:
+def position(values: Sequence[float], received_s: float) -> PositionSample:
     """LOCAL_POSITION_NED. Its numbers may be NaN; `VehicleTracker` refuses those."""
+    boot_ms, north_m, east_m, down_m, north_m_s, east_m_s, down_m_s = values
     return PositionSample(
         received_s,
-        message.time_boot_ms / 1000.0,
-        rounded(enu_from_ned((message.x, message.y, message.z)), LENGTH_DECIMALS),
-        rounded(enu_from_ned((message.vx, message.vy, message.vz)), LENGTH_DECIMALS),
+        boot_ms / 1000.0,
+        rounded(enu_from_ned((north_m, east_m, down_m)), LENGTH_DECIMALS),
+        rounded(enu_from_ned((north_m_s, east_m_s, down_m_s)), LENGTH_DECIMALS),
     )
 
 
-def attitude(message: MavlinkMessage, received_s: float) -> AttitudeSample | None:
+def attitude(values: Sequence[float], received_s: float) -> AttitudeSample | None:
     """ATTITUDE_QUATERNION; None where the quaternion is not a rotation."""
-    quaternion = (message.q1, message.q2, message.q3, message.q4)
-    if not all(map(isfinite, quaternion)):
+    _, w, x, y, z, *_ = values
+    if not all(map(isfinite, (w, x, y, z))):
         return None
     try:
-        euler_ned = euler_from_quaternion(quaternion)
+        euler_ned = euler_from_quaternion((w, x, y, z))
     except ValueError:
         return None
     return AttitudeSample(received_s, *rounded(euler_enu_from_ned(*euler_ned), ANGLE_DECIMALS))

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from math import isfinite
 
 from companion.geometry.frames import euler_ned_from_enu, quaternion_from_euler
 from companion.mavlink import telemetry
-from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
+from companion.mavlink.codec import MavlinkCodec, mavlink
 from companion.mavlink.commands import stream_request
 from companion.mavlink.dialect import DIALECTS, Dialect, autopilot_kind, describe_heartbeat
+from companion.mavlink.plain_packets import Packet
 from companion.mavlink.signing import SIGNATURE_CODES, SigningKey
 from companion.types.autopilot import AutopilotKind
 from companion.types.notices import Code
@@ -18,6 +20,8 @@ from companion.types.telemetry import ModeSample, ParameterSample, Telemetry, Th
 
 AUTOPILOT = mavlink.MAV_COMP_ID_AUTOPILOT1
 THRUST_DECIMALS = 5
+
+Samples = tuple[Telemetry, ...]
 
 
 class Translator:
@@ -39,6 +43,22 @@ class Translator:
         self.lacks_key = False  # the autopilot signs, and this agent has no key
         self._autopilot = autopilot
         self.refused_heartbeat = ""  # reason for the last refused HEARTBEAT
+        self._samples_of: dict[int, Callable[[Packet, float], Samples]] = {
+            mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: lambda p, s: (telemetry.position(p.values, s),),
+            mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: self._attitude,
+            mavlink.MAVLINK_MSG_ID_CURRENT_MODE: self._mode,
+            mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET: self._thrust,
+            mavlink.MAVLINK_MSG_ID_HEARTBEAT: self._heartbeat,
+            mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: lambda p, s: (telemetry.landed(p.message, s),),
+            mavlink.MAVLINK_MSG_ID_SYS_STATUS: lambda p, s: (telemetry.system(p.message, s),),
+            mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: lambda p, s: (telemetry.global_position(p.message, s),),
+            mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: lambda p, s: (telemetry.estimator_status(p.message, s),),
+            mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: self._gps_error,
+            mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: lambda p, s: (telemetry.origin(p.message, s),),
+            mavlink.MAVLINK_MSG_ID_PARAM_VALUE: self._parameter,
+            mavlink.MAVLINK_MSG_ID_COMMAND_ACK: self._acknowledgement,
+            mavlink.MAVLINK_MSG_ID_STATUSTEXT: self._text,
+        }
 
     @property
     def dialect(self) -> Dialect:
@@ -50,12 +70,13 @@ class Translator:
     def telemetry(self, data: bytes, received_s: float) -> list[Telemetry]:
         """All samples in these bytes, in order."""
         samples: list[Telemetry] = []
-        for message in self._codec.decode(data):
-            if message.get_srcSystem() != self._system_id:
-                self.other_systems.add(message.get_srcSystem())
-            elif message.get_srcComponent() == AUTOPILOT:
-                self.lacks_key = not self._has_key and bool(message.get_header().incompat_flags)
-                samples += self._samples(message, received_s)
+        for packet in self._codec.read(data):
+            if packet.system_id != self._system_id:
+                self.other_systems.add(packet.system_id)
+            elif packet.component_id == AUTOPILOT:
+                self.lacks_key = not self._has_key and packet.is_signed
+                if (samples_of := self._samples_of.get(packet.message_id)) is not None:
+                    samples += samples_of(packet, received_s)
         if refused := self._codec.refused:
             self.rejected.update(refused)
             self.refused_signature = next((code for code in SIGNATURE_CODES if code in refused), self.refused_signature)
@@ -67,72 +88,65 @@ class Translator:
         """Accepted packets of the last bytes, unchanged, including those of other systems and components."""
         return self._codec.packets
 
-    def _samples(self, message: MavlinkMessage, received_s: float) -> list[Telemetry]:
-        match message.get_type():
-            case "LOCAL_POSITION_NED":
-                return [telemetry.position(message, received_s)]
-            case "ATTITUDE_QUATERNION":
-                attitude = telemetry.attitude(message, received_s)
-                if attitude is None:
-                    self.rejected[Code.ATTITUDE_INVALID] += 1
-                    return []
-                return [attitude]
-            case "CURRENT_MODE":
-                return [self._mode(message, received_s)] if self._autopilot else []
-            case "HEARTBEAT":
-                return self._heartbeat(message, received_s)
-            case "EXTENDED_SYS_STATE":
-                return [telemetry.landed(message, received_s)]
-            case "ATTITUDE_TARGET":
-                return [self._thrust(message, received_s)] if self._autopilot else []
-            case "GPS_GLOBAL_ORIGIN":
-                return [telemetry.origin(message, received_s)]
-            case "SYS_STATUS":
-                return [telemetry.system(message, received_s)]
-            case "PARAM_VALUE":
-                return self._parameter(message, received_s)
-            case "GLOBAL_POSITION_INT":
-                return [telemetry.global_position(message, received_s)]
-            case "ESTIMATOR_STATUS":
-                return [telemetry.estimator_status(message, received_s)]
-            case "GPS_RAW_INT" if self._autopilot and mavlink.MAVLINK_MSG_ID_GPS_RAW_INT in self.dialect.STREAMS_US:
-                return [telemetry.gps_error(message, received_s)]
-            case "COMMAND_ACK":
-                if message.target_system not in (0, self._system_id):
-                    return []  # addressed to a ground station on the same link
-                return [telemetry.acknowledgement(message, received_s)]
-            case "STATUSTEXT":
-                text = self._texts.add(message, received_s)
-                return [text] if text else []
-        return []
+    def _attitude(self, packet: Packet, received_s: float) -> Samples:
+        attitude = telemetry.attitude(packet.values, received_s)
+        if attitude is None:
+            self.rejected[Code.ATTITUDE_INVALID] += 1
+            return ()
+        return (attitude,)
 
-    def _heartbeat(self, message: MavlinkMessage, received_s: float) -> list[Telemetry]:
+    def _heartbeat(self, packet: Packet, received_s: float) -> Samples:
+        message = packet.message
         kind = autopilot_kind(message)
         if kind is None or self._autopilot not in (None, kind):
             self.refused_heartbeat = f"HEARTBEAT reports {describe_heartbeat(message)}, expected {self._expected()}"
             self.rejected[Code.AUTOPILOT_OTHER_MAKE] += 1
-            return []
+            return ()
         self._autopilot = kind
-        return [telemetry.heartbeat(message, kind, received_s), self._mode(message, received_s)]
+        mode = ModeSample(received_s, *self.dialect.mode_of(message.custom_mode))
+        return (telemetry.heartbeat(message, kind, received_s), mode)
 
     def _expected(self) -> str:
         expected = [DIALECTS[self._autopilot]] if self._autopilot else list(DIALECTS.values())
         return " or ".join(f"{dialect.MAV_AUTOPILOT} ({dialect.NAME})" for dialect in expected)
 
-    def _parameter(self, message: MavlinkMessage, received_s: float) -> list[Telemetry]:
+    def _mode(self, packet: Packet, received_s: float) -> Samples:
         if self._autopilot is None:
-            return []
+            return ()
+        custom_mode, *_ = packet.values
+        return (ModeSample(received_s, *self.dialect.mode_of(custom_mode)),)
+
+    def _thrust(self, packet: Packet, received_s: float) -> Samples:
+        if self._autopilot is None:
+            return ()
+        _, w, x, y, z, _, _, _, thrust, *_ = packet.values
+        thrust_norm = self.dialect.commanded_thrust(thrust, (w, x, y, z))
+        return (ThrustSample(received_s, round(thrust_norm, THRUST_DECIMALS)),)
+
+    def _parameter(self, packet: Packet, received_s: float) -> Samples:
+        if self._autopilot is None:
+            return ()
+        message = packet.message
         value = self.dialect.parameter_value(message)
         if not isfinite(value):
             self.rejected[Code.PARAMETER_NOT_FINITE] += 1
-            return []
-        return [ParameterSample(received_s, message.param_id, value)]
+            return ()
+        return (ParameterSample(received_s, message.param_id, value),)
 
-    def _mode(self, message: MavlinkMessage, received_s: float) -> ModeSample:
-        return ModeSample(received_s, *self.dialect.mode_of(message.custom_mode))
+    def _gps_error(self, packet: Packet, received_s: float) -> Samples:
+        if self._autopilot is None or mavlink.MAVLINK_MSG_ID_GPS_RAW_INT not in self.dialect.STREAMS_US:
+            return ()
+        return (telemetry.gps_error(packet.message, received_s),)
 
-    def _thrust(self, message: MavlinkMessage, received_s: float) -> ThrustSample:
-        return ThrustSample(received_s, round(self.dialect.commanded_thrust(message), THRUST_DECIMALS))
+    def _acknowledgement(self, packet: Packet, received_s: float) -> Samples:
+        message = packet.message
+        if message.target_system not in (0, self._system_id):
+            return ()  # addressed to a ground station on the same link
+        return (telemetry.acknowledgement(message, received_s),)
+
+    def _text(self, packet: Packet, received_s: float) -> Samples:
+        text = self._texts.add(packet.message, received_s)
+        return (text,) if text else ()
 
     def attitude_target(self, target: AttitudeTarget, now_s: float) -> bytes:
         """SET_ATTITUDE_TARGET with attitude and thrust; `now_s` becomes its time_boot_ms."""

@@ -69,11 +69,11 @@ def test_an_unknown_packet_is_kept_and_an_invented_one_is_garbage() -> None:
     unknown = bytearray(positions(1)[0])
     unknown[7:10] = b"\xab\xcd\xef"
     reader = PacketReader(mavlink.MAVLink(None))
-    kinds = [message.get_msgId() for message in reader.read(bytes(unknown) + positions(1)[0])]
+    kinds = [packet.message_id for packet in reader.read(bytes(unknown) + positions(1)[0])]
     assert kinds == [mavlink.MAVLINK_MSG_ID_UNKNOWN, mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED]
     assert not reader.refused
     unknown[1] += 20  # it now claims the first bytes of the next one
-    kinds = [message.get_msgId() for message in reader.read(bytes(unknown) + positions(1)[0])]
+    kinds = [packet.message_id for packet in reader.read(bytes(unknown) + positions(1)[0])]
     assert kinds == [mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED]
 
 

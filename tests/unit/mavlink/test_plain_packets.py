@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from companion.mavlink.codec import MavlinkMessage, mavlink
 from companion.mavlink.packet_reader import PacketReader
-from companion.mavlink.plain_packets import decode_plain, encode_plain
+from companion.mavlink.plain_packets import Packet, encode_plain, read_plain
 
 HOT = (
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
@@ -76,22 +76,32 @@ def of_pymavlink(packet: bytes) -> dict[str, Any] | None:
 @MESSAGES
 @given(PACKETS)
 def test_a_message_is_that_of_pymavlink(packet: bytes) -> None:
-    message = decode_plain(packet)
-    assert message is None or content(message) == of_pymavlink(packet)
+    assert (plain := read_plain(packet)) is None or content(plain.message) == of_pymavlink(packet)
 
 
 @MESSAGES
 @given(damaged() | st.binary(max_size=300))
 def test_what_pymavlink_refuses_is_no_message(data: bytes) -> None:
-    message = decode_plain(data)
-    assert message is None or content(message) == of_pymavlink(data)
+    assert (plain := read_plain(data)) is None or content(plain.message) == of_pymavlink(data)
 
 
 @given(st.sampled_from(HOT), st.binary(min_size=1, max_size=60), BYTE)
 def test_the_messages_of_a_flight_are_read_without_pymavlink(message_id: int, payload: bytes, sequence: int) -> None:
     packet = built(message_id, payload, sequence, 1, 0, 0)
-    assert decode_plain(packet) is not None
-    assert decode_plain(packet[:-1] + bytes((packet[-1] ^ 1,))) is None
+    assert read_plain(packet) is not None
+    assert read_plain(packet[:-1] + bytes((packet[-1] ^ 1,))) is None
+
+
+@given(st.sampled_from(HOT), st.binary(min_size=1, max_size=60), st.booleans())
+def test_values_are_the_fields_of_the_message_in_their_order_on_the_wire(
+    message_id: int, payload: bytes, by_pymavlink: bool
+) -> None:
+    reader = reader_of_pymavlink() if by_pymavlink else PacketReader(mavlink.MAVLink(None))
+    (packet,) = reader.read(built(message_id, payload, 0, 1, 0, 0))
+    message = mavlink.MAVLink(None).decode(bytearray(packet.data))
+    fields = (getattr(message, name) for name in message.ordered_fieldnames)
+    expected = [number for field in fields for number in (field if isinstance(field, list) else [field])]
+    assert repr(packet.values) == repr(tuple(expected))  # NaN too
 
 
 @MESSAGES
@@ -102,6 +112,10 @@ def test_a_packet_is_that_of_pymavlink(message_id: int, payload: bytes, sequence
     mav.seq = sequence
     packet = encode_plain(message, mav)
     assert packet == message.pack(mav) if message_id in HOT else packet in (None, message.pack(mav))
+
+
+def facts(packet: Packet) -> tuple[object, ...]:
+    return packet.data, packet.message_id, packet.system_id, packet.component_id, packet.is_signed
 
 
 def reader_of_pymavlink() -> PacketReader:
@@ -119,6 +133,8 @@ def test_a_stream_gives_the_messages_and_refusals_of_pymavlink(parts: list[bytes
     chunks = [stream[at : at + size] for at in range(0, len(stream), size)] if size else parts
     fast, slow = PacketReader(mavlink.MAVLink(None)), reader_of_pymavlink()
     for chunk in chunks:
-        assert [content(m) for m in fast.read(chunk)] == [content(m) for m in slow.read(chunk)]
+        quick, judged = fast.read(chunk), slow.read(chunk)
+        assert [content(packet.message) for packet in quick] == [content(packet.message) for packet in judged]
+        assert [facts(packet) for packet in quick] == [facts(packet) for packet in judged]
         assert fast.refused == slow.refused
         assert fast.is_between_packets == slow.is_between_packets

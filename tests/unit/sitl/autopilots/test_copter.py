@@ -216,7 +216,7 @@ def test_negative_reported_thrust_is_read_as_zero_after_landing() -> None:
         copter.fly(DT_S)
     reported = [message for message in copter.messages("ATTITUDE_TARGET") if message.thrust < 0.0]
     assert 20 < len(reported) < 120
-    assert {ardupilot.commanded_thrust(message) for message in reported} == {0.0}
+    assert {ardupilot.commanded_thrust(message.thrust, message.q) for message in reported} == {0.0}
 
 
 def test_brake_holds_the_position_and_loiter_sinks_without_a_pilot() -> None:
