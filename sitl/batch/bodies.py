@@ -52,7 +52,7 @@ class Bodies:
         return state
 
     def step(self, state: FloatArray, command: FloatArray, wind_enu_m_s: FloatArray, dt_s: float) -> None:
-        """Semi-implicit Euler, as sitl.vehicle.dynamics.advance. Changes `state` in place."""
+        """Semi-implicit Euler, as sitl.vehicle.dynamics.Body.step. Changes `state` in place."""
         self.set_motors(state, command)
         step = self._step
         np.multiply(self.rate_of_change(state, command, wind_enu_m_s, self._rate), dt_s, out=step)
@@ -133,7 +133,7 @@ class Bodies:
 
 
 class RungeKutta:
-    """The same bodies, integrated by the classical fourth-order method, as sitl.vehicle.dynamics.rk4."""
+    """The same bodies, integrated by the classical fourth-order Runge-Kutta method."""
 
     def __init__(self, bodies: Bodies) -> None:
         self._bodies = bodies

@@ -51,42 +51,40 @@ class Setpoint(Struct, frozen=True, gc=False):
     rates_rad_s: Vector3 | None = None
 
 
-class DelayLine:
-    """A queue that delays setpoints by `delay_s`, one per step of `dt_s`."""
+class AttitudeControl:
+    """Both loops of one vehicle, which follow setpoints after the delay of the loops, one per step of `dt_s`."""
 
-    def __init__(self, first: Setpoint, delay_s: float, dt_s: float) -> None:
-        self._line = deque([first] * max(1, round(delay_s / dt_s)))
+    def __init__(self, loops: Loops, inertia_kg_m2: Vector3, first: Setpoint, dt_s: float) -> None:
+        """`first` is followed until the delay has passed."""
+        self._loops = loops
+        jx, jy, jz = inertia_kg_m2
+        self._rate_gains = (jx * loops.rate_gain_1_s, jy * loops.rate_gain_1_s, jz * loops.yaw_rate_gain_1_s)
+        self._delayed = deque([first] * max(1, round(loops.delay_s / dt_s)))
 
-    def pass_on(self, setpoint: Setpoint) -> Setpoint:
-        self._line.append(setpoint)
-        return self._line.popleft()
+    def moments_n_m(self, setpoint: Setpoint, measured: Quaternion, p: float, q: float, r: float) -> Vector3:
+        """Moments about the body axes in the next step, from the measured attitude and body rates [rad/s]."""
+        self._delayed.append(setpoint)
+        wanted_p, wanted_q, wanted_r = self._wanted_rates(self._delayed.popleft(), measured)
+        gain_p, gain_q, gain_r = self._rate_gains
+        return (gain_p * (wanted_p - p), gain_q * (wanted_q - q), gain_r * (wanted_r - r))
 
-
-def wanted_rates(loops: Loops, setpoint: Setpoint, measured: Quaternion) -> Vector3:
-    """Body rates p, q, r [rad/s] that turn the measured attitude towards the setpoint by the shorter rotation."""
-    if setpoint.rates_rad_s is not None:
-        p, q, r = setpoint.rates_rad_s
-    else:
-        ex, ey, ez = rotation_error(measured, setpoint.quaternion)
-        p, q, r = loops.tilt_gain_1_s * ex, loops.tilt_gain_1_s * ey, loops.yaw_gain_1_s * ez
-        if setpoint.yaw_rate_rad_s:
-            w, x, y, z = measured
-            p += setpoint.yaw_rate_rad_s * 2.0 * (x * z - w * y)
-            q += setpoint.yaw_rate_rad_s * 2.0 * (y * z + w * x)
-            r += setpoint.yaw_rate_rad_s * (1.0 - 2.0 * (x * x + y * y))
-    most, most_yaw = loops.max_rate_rad_s, loops.max_yaw_rate_rad_s
-    if -most <= p <= most and -most <= q <= most and -most_yaw <= r <= most_yaw:  # nearly always
-        return (p, q, r)
-    return (clamped(p, most), clamped(q, most), clamped(r, most_yaw))
-
-
-def moments(loops: Loops, rates_wanted: Vector3, rates: Vector3, inertia_kg_m2: Vector3) -> Vector3:
-    """Moments [N m] about the body axes."""
-    return (
-        inertia_kg_m2[0] * loops.rate_gain_1_s * (rates_wanted[0] - rates[0]),
-        inertia_kg_m2[1] * loops.rate_gain_1_s * (rates_wanted[1] - rates[1]),
-        inertia_kg_m2[2] * loops.yaw_rate_gain_1_s * (rates_wanted[2] - rates[2]),
-    )
+    def _wanted_rates(self, setpoint: Setpoint, measured: Quaternion) -> Vector3:
+        """Body rates p, q, r [rad/s] that turn the measured attitude towards the setpoint by the shorter rotation."""
+        loops = self._loops
+        if setpoint.rates_rad_s is not None:
+            p, q, r = setpoint.rates_rad_s
+        else:
+            ex, ey, ez = rotation_error(measured, setpoint.quaternion)
+            p, q, r = loops.tilt_gain_1_s * ex, loops.tilt_gain_1_s * ey, loops.yaw_gain_1_s * ez
+            if setpoint.yaw_rate_rad_s:
+                w, x, y, z = measured
+                p += setpoint.yaw_rate_rad_s * 2.0 * (x * z - w * y)
+                q += setpoint.yaw_rate_rad_s * 2.0 * (y * z + w * x)
+                r += setpoint.yaw_rate_rad_s * (1.0 - 2.0 * (x * x + y * y))
+        most, most_yaw = loops.max_rate_rad_s, loops.max_yaw_rate_rad_s
+        if -most <= p <= most and -most <= q <= most and -most_yaw <= r <= most_yaw:  # nearly always
+            return (p, q, r)
+        return (clamped(p, most), clamped(q, most), clamped(r, most_yaw))
 
 
 def rotation_error(measured: Quaternion, wanted: Quaternion) -> Vector3:

@@ -2,57 +2,73 @@
 
 from __future__ import annotations
 
-from math import exp, radians, sqrt
+from math import cos, exp, log, radians, sin, sqrt, tau
 from random import Random
 
-from companion.types.vectors import Vector3
+from companion.types.vectors import ZERO3, Vector3
 from sitl.vehicle.config import Sensors, Wind
+from sitl.vehicle.small_turn import NO_TURN, small_turn
+
+
+class Normals:
+    """Standard normal numbers: those of `random.gauss(0.0, 1.0)`, of which one call takes as long as three here."""
+
+    def __init__(self, random: Random) -> None:
+        self._uniform = random.random
+        self._left: list[float] = []  # they are made in pairs
+
+    def take(self, count: int) -> list[float]:
+        """The next `count` numbers."""
+        uniform, numbers = self._uniform, self._left
+        while len(numbers) < count:
+            angle_rad, radius = uniform() * tau, sqrt(-2.0 * log(1.0 - uniform()))
+            numbers += (cos(angle_rad) * radius, sin(angle_rad) * radius)
+        self._left = numbers[count:]
+        return numbers[:count]
 
 
 class GaussMarkov:
-    """Noise of standard deviation `sd` and correlation time `time_s`; it starts in its stationary distribution."""
+    """Noise of three numbers with standard deviations `sd` and one correlation time, from its stationary distribution on."""
 
-    def __init__(self, random: Random, sd: float, time_s: float, dt_s: float) -> None:
-        self._gauss = random.gauss
+    def __init__(self, normals: Normals, sd: Vector3, time_s: float, dt_s: float) -> None:
         self._keep = exp(-dt_s / time_s)
-        self._kick = sd * sqrt(1.0 - self._keep**2)
-        self.value = random.gauss(0.0, sd)
+        of_sd = sqrt(1.0 - self._keep**2)
+        sd_x, sd_y, sd_z = sd
+        self._kicks = (sd_x * of_sd, sd_y * of_sd, sd_z * of_sd)
+        x, y, z = normals.take(3)
+        self.value: Vector3 = (sd_x * x, sd_y * y, sd_z * z)
 
-    def step(self) -> float:
-        self.value = value = self._keep * self.value + self._gauss(0.0, self._kick)
-        return value
+    def step(self, normal_x: float, normal_y: float, normal_z: float) -> Vector3:
+        """The value one step later, with three new standard normal numbers."""
+        (x, y, z), (kick_x, kick_y, kick_z), keep = self.value, self._kicks, self._keep
+        self.value = (keep * x + kick_x * normal_x, keep * y + kick_y * normal_y, keep * z + kick_z * normal_z)
+        return self.value
 
 
 class EstimatorError:
     """Error of the autopilot's estimate, advanced every `dt_s`: position [m], velocity [m/s], attitude [rad]."""
 
     def __init__(self, sensors: Sensors, random: Random, dt_s: float) -> None:
-        self._random = random
+        self._normals = Normals(random)
         self._white_m_s = sensors.velocity_white_sd_m_s
-        self._attitude_rad = radians(sensors.attitude_sd_deg)
-        self._position = [GaussMarkov(random, sd, sensors.position_time_s, dt_s) for sd in sensors.position_sd_m]
-        self._velocity = [GaussMarkov(random, sensors.velocity_sd_m_s, sensors.velocity_time_s, dt_s) for _ in range(3)]
-        self._attitude = [GaussMarkov(random, self._attitude_rad, sensors.velocity_time_s, dt_s) for _ in range(3)]
+        of_velocity, of_attitude = (sensors.velocity_sd_m_s,) * 3, (radians(sensors.attitude_sd_deg),) * 3
+        self._position = GaussMarkov(self._normals, sensors.position_sd_m, sensors.position_time_s, dt_s)
+        self._velocity = GaussMarkov(self._normals, of_velocity, sensors.velocity_time_s, dt_s)
+        self._attitude = GaussMarkov(self._normals, of_attitude, sensors.velocity_time_s, dt_s)
         self.quiet = sensors == Sensors(origin_sd_m=sensors.origin_sd_m)
-        self.position_m: Vector3 = (0.0, 0.0, 0.0)
-        self.velocity_m_s: Vector3 = (0.0, 0.0, 0.0)
-        self.attitude_rad: Vector3 = (0.0, 0.0, 0.0)
+        self.position_m = self.velocity_m_s = ZERO3
+        self.turn = NO_TURN  # from the true attitude to the estimated one
         self.step()
 
     def step(self) -> None:
         if self.quiet:
             return
-        white, white_m_s = self._random.gauss, self._white_m_s
-        x, y, z = self._position
-        self.position_m = (x.step(), y.step(), z.step())
-        x, y, z = self._velocity
-        self.velocity_m_s = (
-            x.step() + white(0.0, white_m_s),
-            y.step() + white(0.0, white_m_s),
-            z.step() + white(0.0, white_m_s),
-        )
-        x, y, z = self._attitude
-        self.attitude_rad = (x.step(), y.step(), z.step())
+        px, py, pz, vx, white_x, vy, white_y, vz, white_z, ax, ay, az = self._normals.take(12)
+        white_m_s = self._white_m_s
+        self.position_m = self._position.step(px, py, pz)
+        x, y, z = self._velocity.step(vx, vy, vz)
+        self.velocity_m_s = (x + white_m_s * white_x, y + white_m_s * white_y, z + white_m_s * white_z)
+        self.turn = small_turn(self._attitude.step(ax, ay, az))
 
 
 class Gusts:
@@ -61,10 +77,11 @@ class Gusts:
     def __init__(self, wind: Wind, random: Random, dt_s: float) -> None:
         self._mean = wind.mean_enu_m_s
         self._quiet = wind.gust_sd_m_s == 0.0
-        self._gusts = [GaussMarkov(random, wind.gust_sd_m_s, wind.gust_time_s, dt_s) for _ in range(3)]
+        self._normals = Normals(random)
+        self._gusts = GaussMarkov(self._normals, (wind.gust_sd_m_s,) * 3, wind.gust_time_s, dt_s)
 
     def step(self) -> Vector3:
         if self._quiet:
             return self._mean
-        x, y, z = (mean + gust.step() for mean, gust in zip(self._mean, self._gusts, strict=True))
-        return (x, y, z)
+        (x, y, z), (gust_x, gust_y, gust_z) = self._mean, self._gusts.step(*self._normals.take(3))
+        return (x + gust_x, y + gust_y, z + gust_z)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import cos, hypot, radians, sin, sqrt
+from math import cos, hypot, radians, sin
 from random import Random
 
 from companion.geometry.frames import (
@@ -13,17 +13,11 @@ from companion.geometry.frames import (
     quaternion_from_euler,
 )
 from companion.types.vectors import GRAVITY_M_S2, ZERO3, Vector3
-from sitl.vehicle.attitude_control import DelayLine, Loops, Setpoint, moments, wanted_rates
+from sitl.vehicle.attitude_control import AttitudeControl, Loops, Setpoint
 from sitl.vehicle.config import AutopilotFile
 from sitl.vehicle.disturbances import EstimatorError, Gusts
-from sitl.vehicle.dynamics import (
-    THRUST,
-    Body,
-    State,
-    advance,
-    at_rest,
-    rate_of_change,
-)
+from sitl.vehicle.dynamics import THRUST, Body, State, at_rest
+from sitl.vehicle.small_turn import back, small_turn, turned
 
 MOTORS_OFF = Setpoint((1.0, 0.0, 0.0, 0.0), 0.0)
 ESTIMATE_PERIOD_STEPS = 5  # the estimator's error changes at 50 Hz, the rate of an agent's ticks
@@ -39,14 +33,13 @@ class Quadrotor:
             Random(f"{file.stand_in.seed} {file.id} {subject}") for subject in ("sensors", "gusts", "origin")
         )
         self._dt_s = dt_s
-        self._loops = loops
         self._ideal_attitude = airframe.attitude == "instant"
-        self._body = Body(airframe.mass_kg, airframe.inertia_kg_m2, airframe.drag_n_per_m_s, airframe.motor_lag_s)
+        self._body = Body(airframe.mass_kg, airframe.inertia_kg_m2, airframe.drag_n_per_m_s, airframe.motor_lag_s, dt_s)
         self._newton_per_thrust = airframe.mass_kg * GRAVITY_M_S2 / file.stand_in.hover_thrust_norm
         yaw = quaternion_from_euler(0.0, 0.0, radians(file.start_yaw_deg))
         self.state = at_rest(file.start_enu_m, yaw)
         self._ground_z_m = file.start_enu_m[2]
-        self._delay = DelayLine(MOTORS_OFF, loops.delay_s, dt_s)
+        self._control = AttitudeControl(loops, airframe.inertia_kg_m2, MOTORS_OFF, dt_s)
         self._gusts = Gusts(file.stand_in.wind, gust_noise, dt_s)
         sensors = file.stand_in.sensor_model()
         self._error = EstimatorError(sensors, sensor_noise, dt_s * ESTIMATE_PERIOD_STEPS)
@@ -117,9 +110,7 @@ class Quadrotor:
 
     def estimated_quaternion(self) -> Quaternion:
         """Estimated attitude, FLU to ENU; every loop of the autopilot uses it."""
-        state, error = self.state, self._error
-        true = (state[6], state[7], state[8], state[9])
-        return true if error.quiet else _turned(true, error.attitude_rad)
+        return self.quaternion if self._error.quiet else turned(self.quaternion, self._error.turn)
 
     def estimated_euler_rad(self) -> Vector3:
         """Roll, pitch, yaw of FLU in ENU."""
@@ -128,60 +119,51 @@ class Quadrotor:
     @property
     def on_ground(self) -> bool:
         """On the ground and not climbing."""
-        return self.state[2] <= self._ground_z_m and self.state[5] <= 0.0
+        return self._is_on_ground(self.state)
 
-    def step(self, setpoint: Setpoint) -> None:
-        """Advance by dt_s under this setpoint."""
-        wind = self._gusts.step()
-        if self._ideal_attitude:
-            self._set_attitude(setpoint)
-            torque = ZERO3
-        else:
-            rates = wanted_rates(self._loops, self._delay.pass_on(setpoint), self.estimated_quaternion())
-            torque = moments(self._loops, rates, self.rates_rad_s, self._body.inertia_kg_m2)
-        body, state, ground_z_m = self._body, self.state, self._ground_z_m
-        ground_position = state[:2] if state[2] <= ground_z_m and state[5] <= 0.0 else None
+    def step(self, setpoint: Setpoint, most: int = 1) -> int:
+        """Advance by at most so many steps of dt_s under this setpoint, until it is on the ground. Returns their number."""
+        state, error, ground_z_m = self.state, self._error, self._ground_z_m
         thrust_n = setpoint.thrust_norm * self._newton_per_thrust
-        if body.motor_lag_s == 0.0:
-            state = (*state[:THRUST], thrust_n, *torque)
-        self.state = state = advance(state, rate_of_change(body, state, thrust_n, torque, wind), self._dt_s)
-        if state[2] <= ground_z_m and state[5] <= 0.0:
-            self._touch_ground(ground_position)
-        self._steps += 1
-        if self._steps % ESTIMATE_PERIOD_STEPS == 0:
-            self._error.step()
+        for number in range(1, most + 1):
+            before, wind_enu_m_s = state, self._gusts.step()
+            if self._ideal_attitude:
+                state, moments_n_m = self._at_commanded_attitude(state, setpoint), ZERO3
+            else:  # the loops know only the estimate
+                _, _, _, _, _, _, w, x, y, z, p, q, r, _, _, _, _ = state
+                measured = (w, x, y, z) if error.quiet else turned((w, x, y, z), error.turn)
+                moments_n_m = self._control.moments_n_m(setpoint, measured, p, q, r)
+            state = self._body.step(state, thrust_n, moments_n_m, wind_enu_m_s)
+            self._steps += 1
+            if self._steps % ESTIMATE_PERIOD_STEPS == 0:
+                error.step()
+            if state[2] <= ground_z_m and state[5] <= 0.0:
+                self.state = self._at_rest(state, before)
+                return number
+        self.state = state
+        return most
 
-    def _set_attitude(self, setpoint: Setpoint) -> None:
+    def _is_on_ground(self, state: State) -> bool:
+        return state[2] <= self._ground_z_m and state[5] <= 0.0
+
+    def _at_commanded_attitude(self, state: State, setpoint: Setpoint) -> State:
         """The ideal of section 3.1: the estimated attitude equals the commanded one without delay."""
         rates = setpoint.rates_rad_s
         if rates is not None:
             p, q, r = rates
-            attitude = _turned(self.quaternion, (p * self._dt_s, q * self._dt_s, r * self._dt_s))
+            turn = small_turn((p * self._dt_s, q * self._dt_s, r * self._dt_s))
+            attitude = turned((state[6], state[7], state[8], state[9]), turn)
         elif self._error.quiet:
             attitude = setpoint.quaternion
         else:
-            ex, ey, ez = self._error.attitude_rad
-            attitude = _turned(setpoint.quaternion, (-ex, -ey, -ez))
-        self.state = (*self.state[:6], *attitude, 0.0, 0.0, 0.0, *self.state[THRUST:])
+            attitude = turned(setpoint.quaternion, back(self._error.turn))
+        return (*state[:6], *attitude, 0.0, 0.0, 0.0, *state[THRUST:])
 
-    def _touch_ground(self, ground_position: State | None) -> None:
+    def _at_rest(self, state: State, before: State) -> State:
         """Flat ground: it stops the fall, levels the vehicle, and holds one that was on the ground before against wind."""
-        x, y = ground_position or self.state[:2]
-        _, _, yaw = euler_from_quaternion(self.quaternion)
+        x, y, *_ = before if self._is_on_ground(before) else state
+        _, _, yaw = euler_from_quaternion((state[6], state[7], state[8], state[9]))
         half = yaw / 2.0
-        self.state = (
-            x, y, self._ground_z_m, 0.0, 0.0, 0.0, cos(half), 0.0, 0.0, sin(half), 0.0, 0.0, 0.0, *self.state[THRUST:]
+        return (
+            x, y, self._ground_z_m, 0.0, 0.0, 0.0, cos(half), 0.0, 0.0, sin(half), 0.0, 0.0, 0.0, *state[THRUST:]
         )  # fmt: skip
-
-
-def _turned(quaternion: Quaternion, angles_rad: Vector3) -> Quaternion:
-    """A unit quaternion rotated by small angles about its own body axes."""
-    w, x, y, z = quaternion
-    a, b, c = 0.5 * angles_rad[0], 0.5 * angles_rad[1], 0.5 * angles_rad[2]
-    norm = sqrt(1.0 + a * a + b * b + c * c)
-    return (
-        (w - x * a - y * b - z * c) / norm,
-        (x + w * a + y * c - z * b) / norm,
-        (y + w * b + z * a - x * c) / norm,
-        (z + w * c + x * b - y * a) / norm,
-    )

@@ -13,16 +13,18 @@ from companion.geometry.airspace import Fence
 from companion.geometry.frames import euler_from_quaternion, quaternion_from_euler
 from companion.stability.arrays import FloatArray
 from companion.types.requests import AttitudeTarget
+from rigid_body import Equations
+from sitl.autopilots.autopilot import DT_S
 from sitl.batch.attitude_loops import AttitudeLoops
 from sitl.batch.bodies import Bodies, RungeKutta
 from sitl.batch.columns import columns_of, phase_steps
 from sitl.batch.commands import Commands
 from sitl.batch.rotations import euler_rad, product, quaternion_of_euler, quaternion_of_turns
 from sitl.flight.world import _phase_s
-from sitl.vehicle.attitude_control import PX4_LOOPS, Setpoint, moments, wanted_rates
+from sitl.vehicle.attitude_control import PX4_LOOPS, AttitudeControl, Setpoint
 from sitl.vehicle.config import Airframe, AutopilotFile, StandIn
-from sitl.vehicle.dynamics import Body, advance, derivative, normalised, rate_of_change, rk4
-from sitl.vehicle.quadrotor import _turned
+from sitl.vehicle.dynamics import Body
+from sitl.vehicle.small_turn import small_turn, turned
 
 AIRFRAMES = [
     Airframe(),
@@ -52,16 +54,14 @@ def test_bodies_move_as_in_the_stand_in(runge_kutta: bool) -> None:
     expected = []
     for column, kind in enumerate(of_column.tolist()):
         airframe = AIRFRAMES[kind]
-        body = Body(airframe.mass_kg, airframe.inertia_kg_m2, airframe.drag_n_per_m_s, airframe.motor_lag_s)
-        state, (thrust_n, mx, my, mz) = tuple(states[:, column].tolist()), commands[:, column].tolist()
-        if airframe.motor_lag_s == 0.0:
-            state = (*state[:13], thrust_n, mx, my, mz)
+        state, (thrust_n, *moments_n_m) = tuple(states[:, column].tolist()), commands[:, column].tolist()
+        of_airframe = (airframe.mass_kg, airframe.inertia_kg_m2, airframe.drag_n_per_m_s, airframe.motor_lag_s)
         if runge_kutta:
-            expected.append(normalised(rk4(derivative(body, thrust_n, (mx, my, mz), WIND), state, 0.004)))
+            expected.append(Equations(*of_airframe, thrust_n, moments_n_m, WIND).after(state, DT_S))
         else:
-            expected.append(advance(state, rate_of_change(body, state, thrust_n, (mx, my, mz), WIND), 0.004))
+            expected.append(Body(*of_airframe, DT_S).step(state, thrust_n, moments_n_m, WIND))
     bodies = Bodies(AIRFRAMES, of_column)
-    (RungeKutta(bodies) if runge_kutta else bodies).step(states, commands, np.array(WIND)[:, None], 0.004)
+    (RungeKutta(bodies) if runge_kutta else bodies).step(states, commands, np.array(WIND)[:, None], DT_S)
     np.testing.assert_allclose(states.T, expected, rtol=1e-12, atol=1e-12)
 
 
@@ -75,22 +75,22 @@ def test_attitude_loops_respond_as_in_the_stand_in() -> None:
     out = np.empty((3, COUNT))
     AttitudeLoops(inertia).moments(goal, measured, rates, out)
     for column in range(COUNT):
-        wanted = wanted_rates(
-            PX4_LOOPS, Setpoint(tuple(goal[:, column].tolist()), 0.5), tuple(measured[:, column].tolist())
-        )
-        single = moments(PX4_LOOPS, wanted, tuple(rates[:, column].tolist()), (0.02, 0.03, 0.05))
+        setpoint = Setpoint(tuple(goal[:, column].tolist()), 0.5)
+        control = AttitudeControl(PX4_LOOPS, (0.02, 0.03, 0.05), setpoint, DT_S)
+        single = control.moments_n_m(setpoint, tuple(measured[:, column].tolist()), *rates[:, column].tolist())
         np.testing.assert_allclose(out[:, column], single, rtol=1e-9, atol=1e-12)
 
 
 def test_rotations_equal_those_of_frames() -> None:
     random = np.random.default_rng(3)
     quaternions, turns = random_quaternions(random, COUNT), random.standard_normal((3, COUNT)) * 0.02
-    turned = product(quaternions, quaternion_of_turns(turns))
+    all_turned = product(quaternions, quaternion_of_turns(turns))
     euler = euler_rad(quaternions)
     back = quaternion_of_euler(*euler)
     for column in range(COUNT):
         quaternion = tuple(quaternions[:, column].tolist())
-        np.testing.assert_allclose(turned[:, column], _turned(quaternion, tuple(turns[:, column].tolist())), atol=1e-12)
+        single = turned(quaternion, small_turn(tuple(turns[:, column].tolist())))
+        np.testing.assert_allclose(all_turned[:, column], single, atol=1e-12)
         np.testing.assert_allclose(euler[:, column], euler_from_quaternion(quaternion), atol=1e-9)
         np.testing.assert_allclose(back[:, column], quaternion_from_euler(*euler[:, column].tolist()), atol=1e-12)
 

@@ -11,7 +11,7 @@ import pytest
 from companion.geometry.frames import enu_from_geodetic, enu_from_ned
 from companion.mavlink.codec import mavlink
 from sitl.vehicle.config import SENSORS, Sensors, Wind
-from sitl.vehicle.disturbances import GaussMarkov
+from sitl.vehicle.disturbances import GaussMarkov, Normals
 from sitl_vehicle import Vehicle
 
 
@@ -29,14 +29,21 @@ def position_error_m(vehicle: Vehicle, axis: int) -> float:
     return quad.estimated_position_local_enu_m()[axis] + origin[axis] - quad.position_enu_m[axis]
 
 
+def test_normal_numbers_are_those_of_random_gauss() -> None:
+    normals, random = Normals(Random(7)), Random(7)
+    for count in (3, 12, 1, 2, 12):
+        assert normals.take(count) == [random.gauss(0.0, 1.0) for _ in range(count)]
+
+
 def test_gauss_markov_has_its_spread_from_the_start_and_decorrelates_within_its_time() -> None:
     starts, later = [], []
     for seed in range(2000):
-        process = GaussMarkov(Random(seed), 0.3, 2.0, 0.1)
-        starts.append(process.value)
+        normals = Normals(Random(seed))
+        process = GaussMarkov(normals, (0.3, 0.3, 0.3), 2.0, 0.1)
+        starts.append(process.value[0])
         for _ in range(20):
-            process.step()
-        later.append(process.value)
+            process.step(*normals.take(3))
+        later.append(process.value[0])
     assert pstdev(starts) == pytest.approx(0.3, rel=0.06)
     assert pstdev(later) == pytest.approx(0.3, rel=0.06)
     correlation = fmean(a * b for a, b in zip(starts, later, strict=True)) / 0.3**2
