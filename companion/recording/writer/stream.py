@@ -11,7 +11,9 @@ from companion.recording.writer.files import PartFiles
 from companion.recording.writer.mcap_part import channel_ids
 from companion.recording.writer.writing import Writing
 
-CHUNK_S = 1.0  # what a power loss may take, and a compromise: shorter chunks compress worse
+# From its first message to its last: an agent's chunks, of whole tens of ticks, have a second. That is what a power loss may
+# take, and a compromise: shorter chunks compress worse.
+CHUNK_S = 0.9
 # All packets of 250 vehicles have half of it. Whatever else a stranger sends must fill neither the memory nor the disk.
 MOST_BYTES = 8_000_000
 TOO_MUCH = f"more than {MOST_BYTES // 1_000_000} MB in a second: the network is flooded"

@@ -11,7 +11,9 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
-from companion.recording.codec import decode_inbox, decode_outbox
+from companion.core.consensus.law import cooperative
+from companion.recording.codec import decode_inbox, decode_outbox, encode
+from companion.recording.decisions import decision_record
 from companion.recording.reader import recordings
 from companion.recording.records import DECISION, EVENT, INBOX, OUTBOX, TIMING
 from companion.recording.writer.chunk import Chunk
@@ -43,12 +45,14 @@ def ticks_of(folder: Path) -> list[int]:
 
 def test_every_tick_is_recorded_exactly(tmp_path: Path) -> None:
     taken: list[tuple[float, Inbox, Outbox]] = []
+    decided: list[bytes] = []
     recording = recorder(tmp_path, WritingAtOnce())
     flight = flight_with(recording)
     decide, report = flight.agent.decide, flight.agent.report
 
     def deciding(now_s: float, inbox: Inbox):  # type: ignore[no-untyped-def]
         decision = decide(now_s, inbox)
+        decided.append(encode(decision_record(decision, cooperative())))
         taken.append((now_s, inbox, as_sent(report(decision))))
         return decision
 
@@ -66,6 +70,7 @@ def test_every_tick_is_recorded_exactly(tmp_path: Path) -> None:
     outboxes = [decode_outbox(message.data) for topic, message in messages if topic == OUTBOX]
     assert inboxes == [(now_s, inbox) for now_s, inbox, _ in taken]
     assert outboxes == [(now_s, outbox) for now_s, _, outbox in taken]
+    assert [message.data for topic, message in messages if topic == DECISION] == decided
     counts = Counter(topic for topic, _ in messages)
     assert counts[INBOX] == counts[OUTBOX] == counts[DECISION] == counts[TIMING] == len(taken)
     assert counts["/command"] == counts["/reply"] == 4
