@@ -15,7 +15,7 @@ import yaml
 from companion.link.tick import PERIOD_S
 from sitl.bench.figures import Row, Section, Target, lateness_us, percentile
 from sitl.bench.loops import Cycle, build_c_loop, cycles_of
-from sitl.bench.real_flight import FORM_S, Flown, fly, start
+from sitl.bench.real_flight import FORM_S, Flown, delays_of_ticks, fly, start
 from sitl.bench.relay import commands_of
 from sitl.bench.scenarios import line
 from sitl.bench.windows import Window, windows_of, within
@@ -29,13 +29,17 @@ LATE_HOW = """\
 Four real agents fly in formation in real time with their stand-in autopilots, on default settings: they record, and \
 each agent uses the states of three peers. A loop in C (clock_nanosleep to absolute times, built by the bench) and one \
 with stock asyncio (sleep to absolute times) run beside them, in the same seconds; each of five windows of 7 s is a \
-repeat. An agent's tick is triggered by the autopilot's position, 50 times a second. Lateness is how much later than \
-the earliest twentieth of the window's ticks a tick begins, on a grid of 20 ms, by the same formula for all three; so \
-an agent's lateness contains that of its stand-in, which is a Python process. For the two timers the page also has the \
-time from the due time to the wake-up, which an agent, without a due time of its own, does not have."""
+repeat. An agent has no timer: a tick is due when the autopilot's position arrives, 50 times a second. So its delay is \
+the time from the kernel's receipt of the position, rounded down to 10 us, to the beginning of the tick, when it has \
+read and decoded all telemetry that waits; both times are in its recording. For the timers it is the time from the \
+due time to the wake-up.
+
+On the grid, for information, the ticks of all programs are judged by one formula: how much later than the earliest \
+twentieth of the window's ticks a tick begins, on a grid of 20 ms. There an agent's lateness also contains that of its \
+stand-in, a Python process, which is why it is no measure of the agent."""
 COMMAND_HOW = """\
-In the same flight. By the agent's own clock it is the time from reading the position at the socket to the setpoint at \
-the socket, of all four agents. On the wire it is measured from outside, equally for both programs: a relay between \
+In the same flight. By the agent's own clock it is the time from the kernel's receipt of the position to the setpoint \
+at the socket, of all four agents. On the wire it is measured from outside, equally for both programs: a relay between \
 autopilot and client notes when it forwards a position and the kernel's time stamp of the first attitude setpoint \
 after it. mavsdk flies no formation: it has a vehicle of its own, and its callback for position and velocity calls \
 set_attitude at once with a constant, with its synchronous Python interface, which is its fastest."""
@@ -45,16 +49,16 @@ set_attitude at once with a constant, with its synchronous Python interface, whi
 class Measured:
     """One value for each window."""
 
-    late: dict[str, list[float]] = field(default_factory=dict)
+    figures: dict[str, list[float]] = field(default_factory=dict)
 
     def add(self, name: str, values: Sequence[float]) -> None:
         """Median and 99 % of one window; nothing where a program did not run."""
         if values:
-            self.late.setdefault(f"{name} p50", []).append(percentile(values, 0.5))
-            self.late.setdefault(f"{name} p99", []).append(percentile(values, 0.99))
+            self.figures.setdefault(f"{name} p50", []).append(percentile(values, 0.5))
+            self.figures.setdefault(f"{name} p99", []).append(percentile(values, 0.99))
 
     def of(self, name: str) -> tuple[float, ...]:
-        return tuple(self.late.get(name, ()))
+        return tuple(self.figures.get(name, ()))
 
 
 def measure(folder: Path) -> tuple[list[Section], Flown]:
@@ -108,7 +112,9 @@ def _measured(flown: Flown, folder: Path) -> Measured:
         "agent": commands_of(folder / f"relay_{MEASURED}.txt"),
         "mavsdk": commands_of(folder / f"relay_{MAVSDK}.txt"),
     }
+    delays = delays_of_ticks(folder)
     for window in windows_of(flown.uses):
+        measured.add("agent woken", within(window, delays))
         measured.add("agent late", _agents_late_us(flown, window))
         measured.add("agent own", _own_us(flown, window))
         for name, cycles in loops.items():
@@ -143,30 +149,29 @@ def _woken_us(cycles: Sequence[Cycle]) -> list[float]:
 
 def _lateness(measured: Measured, c_loop: Path | None, failure: str) -> Section:
     remark = failure or ("" if c_loop else "gcc could not build the C loop")
-    rows = []
-    for share, target in (("p50", Target("ratio", most=2.0)), ("p99", None)):
-        agents = measured.of(f"agent late {share}")
-        for beside, of_item in (("C", target), ("asyncio", None)):
-            rows.append(
-                Row(
-                    what=f"tick lateness of the agents, {share}",
-                    unit="us",
-                    values=agents,
-                    beside=f"{beside} loop",
-                    beside_values=measured.of(f"{beside} late {share}"),
-                    target=of_item,
-                    remark=remark if beside == "C" else "",
-                )
-            )
-    rows += [
+    rows = [
         Row(
-            what=f"stock asyncio timer, due time to wake-up, {share}",
+            what=f"{program}, {share}",
             unit="us",
-            values=measured.of(f"asyncio woken {share}"),
+            values=measured.of(f"{name} woken {share}"),
             beside="C loop",
             beside_values=measured.of(f"C woken {share}"),
+            target=target if name == "agent" else None,
+            remark=remark if name == "agent" else "",
+        )
+        for name, program in (("agent", "agents, position to tick"), ("asyncio", "stock asyncio timer, due to wake-up"))
+        for share, target in (("p50", Target("ratio", most=2.0)), ("p99", None))
+    ]
+    rows += [
+        Row(
+            what=f"agents on the grid, {share}",
+            unit="us",
+            values=measured.of(f"agent late {share}"),
+            beside=f"{beside} loop",
+            beside_values=measured.of(f"{beside} late {share}"),
         )
         for share in ("p50", "p99")
+        for beside in ("C", "asyncio")
     ]
     return Section(title="Tick lateness at 50 Hz", how=LATE_HOW, rows=tuple(rows))
 

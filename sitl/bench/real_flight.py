@@ -13,7 +13,8 @@ from pathlib import Path
 
 from companion.ground.session import FleetSession
 from companion.recording.reader import recordings
-from companion.recording.records import TIMING, TimingRecord
+from companion.recording.records import INBOX, TIMING, TimingRecord
+from companion.types.telemetry import PositionSample
 from sitl.bench.windows import REPEATS, Use
 from sitl.flight.director import Director, MachineClock
 from sitl.flight.files import ids_of, write_files
@@ -68,6 +69,16 @@ def _timings(folder: Path) -> dict[int, list[TimingRecord]]:
         for one in recordings(folder, _ignore)
         if one.vehicle_id
     }
+
+
+def delays_of_ticks(folder: Path) -> list[tuple[float, float]]:
+    """Of all agents' ticks with a position: when the tick began, and us from the first position's arrival until then."""
+    inboxes = (message.value for one in recordings(folder, _ignore) for message in one.read([INBOX], _ignore))
+    return [
+        (now_s, (now_s - arrivals_s[0]) * 1e6)
+        for now_s, inbox in inboxes
+        if (arrivals_s := [sample.received_s for sample in inbox.telemetry if isinstance(sample, PositionSample)])
+    ]
 
 
 def _ignore(_: str) -> None:
