@@ -42,9 +42,10 @@ class AutopilotSilentError(Exception):
 
 
 class AutopilotLink:
-    """Decodes telemetry as it arrives and keeps it for the next tick. Calls `position_arrived` for every position.
+    """Decodes telemetry as it arrives and keeps it for the next tick.
 
-    Calls `reject` with the code of every damaged or implausible packet.
+    Calls `position_arrived` when all that waited is read and a position was among it: what an autopilot sends together is
+    decided on together. Calls `reject` with the code of every damaged or implausible packet.
     """
 
     def __init__(
@@ -63,12 +64,13 @@ class AutopilotLink:
         self._reject = reject
         self._telemetry: deque[Telemetry] = deque(maxlen=SAMPLES_KEPT)  # of a flood the newest remain
         self._received: Counter[type[Telemetry]] = Counter()  # samples since the last check of the streams
+        self._has_position = False  # among what was read just now
         self._heartbeat_received = asyncio.Event()
         # Any valid packet, or one signed with an old timestamp: that autopilot first needs the time of this computer.
         self._present = asyncio.Event()
         self._pass_on: Callable[[Sequence[bytes]], None] | None = None
         self._record = record
-        link = open_link(endpoint, self._bytes_arrived)
+        link = open_link(endpoint, self._bytes_arrived, self._all_read)
         self._link = RecordedLink(link, record) if record else link
 
     @property
@@ -178,7 +180,7 @@ class AutopilotLink:
         for sample in samples:
             self._received[type(sample)] += 1
             if isinstance(sample, PositionSample):
-                self._position_arrived()
+                self._has_position = True
             elif isinstance(sample, HeartbeatSample):
                 self._heartbeat_received.set()
         if self._record:
@@ -187,3 +189,8 @@ class AutopilotLink:
         if self._pass_on and self.is_connected:
             self._pass_on(self._translator.packets)
         return from_autopilot
+
+    def _all_read(self) -> None:
+        if self._has_position:
+            self._has_position = False
+            self._position_arrived()

@@ -8,6 +8,7 @@ import logging
 import signal
 import time
 from collections.abc import Callable, Coroutine, Sequence
+from functools import partial
 from math import inf
 from typing import TYPE_CHECKING, Any
 
@@ -79,13 +80,15 @@ class ControlLoop:
 
     def tick(self, now_s: float) -> None:
         """One tick. Raises whatever a stage, an encoder or a link raises; `fail` must follow then."""
-        began_s = time.monotonic()
+        began_s, due_s = time.monotonic(), self._due_s
         inbox = self._inbox(now_s)
         self._begun = (now_s, inbox)
         self._response.receive(inbox.telemetry)
         decision = self._agent.decide(now_s, inbox)
         latency_us = self._send(now_s, inbox.telemetry, decision)
         sent_s = time.monotonic()
+        self._late.cycle(due_s, now_s)
+        self._meter.tick(now_s)
         outbox = as_sent(self._agent.report(decision))
         report = self._publish(now_s, outbox)
         self._notifier.cycle_completed(now_s, self._autopilot.is_connected and self._peers.is_open)
@@ -198,7 +201,9 @@ class ControlLoop:
         gc.freeze()  # objects made until now stay; the collector skips them in a tick
         async with asyncio.TaskGroup() as group:
             tasks = [group.create_task(self._guarded(job)) for job in jobs]
-            await self._tick_until_done(give_up_s=time.monotonic() + wait_s)
+            await self._trigger.run(partial(self._tick_now, time.monotonic() + wait_s), self._prepare)
+            if self._failure:
+                await self._end_after_failure(self._failure)
             for task in tasks:
                 task.cancel()
         if self._failure:
@@ -207,24 +212,24 @@ class ControlLoop:
         _log.info("ends in phase %s", self._agent.phase)
         return self._stop_asked_s is not None
 
-    async def _tick_until_done(self, give_up_s: float) -> None:
+    def _tick_now(self, give_up_s: float) -> None:
         now_s = monotonic_s()
-        while not self._is_done(now_s, give_up_s):
-            await self._trigger.wait(now_s)
-            due_s, now_s = now_s + BACK_UP_S, monotonic_s()
-            if self._failure:
-                break
-            self._late.cycle(due_s, now_s)
-            self._meter.tick(now_s)
-            try:
-                self.tick(now_s)
-            except Exception as error:  # noqa: BLE001 -- whatever failed, the vehicle is handed over
-                self._failure = error
-            self._collect(now_s)
-        if self._failure:
-            await self._end_after_failure(self._failure)
+        try:
+            self.tick(now_s)
+        except Exception as error:  # noqa: BLE001 -- whatever failed, the vehicle is handed over
+            self._fail_soon(error)
+        self._collect_garbage(now_s)
+        if self._is_done(now_s, give_up_s):
+            self._trigger.end()
 
-    def _collect(self, now_s: float) -> None:
+    def _prepare(self) -> None:
+        """Take the peer packets that are there, so that the tick finds little to decode."""
+        try:
+            self._peers.receive_early(monotonic_s())
+        except Exception as error:  # noqa: BLE001 -- whatever failed, the vehicle is handed over
+            self._fail_soon(error)
+
+    def _collect_garbage(self, now_s: float) -> None:
         """Keep the memory constant, in some 15 us every COLLECT_PERIOD_S.
 
         CPython keeps up to 2000 freed tuples of each length for reuse, and frees them only in a full collection. The few
@@ -271,7 +276,7 @@ class ControlLoop:
     def _fail_soon(self, error: Exception) -> None:
         """End the loop at once. Of several failures the first is reported."""
         self._failure = self._failure or error
-        self._trigger.fire()
+        self._trigger.end()
 
 
 def _us(seconds: float) -> int:

@@ -6,6 +6,7 @@ import errno
 from collections.abc import Callable
 
 Received = Callable[[bytes, float], bool]  # (bytes, time of arrival) -> whether they are from the autopilot
+AllRead = Callable[[], None]  # after `Received` was called for all that waited, up to a limit
 
 _IN_USE = "{what} is in use; stop the other program (an agent or ground station?) or choose another one"
 _ADVICE = {

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from companion.link.endpoint import LinkError, Received
+from companion.link.endpoint import AllRead, LinkError, Received
 from companion.link.stream_link import SerialLine, StreamLink, TcpConnection
 from companion.link.udp_link import UdpLink
 
@@ -33,16 +33,16 @@ class MavlinkLink(Protocol):
         """Close the link."""
 
 
-def open_link(endpoint: str, received: Received) -> MavlinkLink:
+def open_link(endpoint: str, received: Received, all_read: AllRead) -> MavlinkLink:
     """The link for "udpin:HOST:PORT", "tcp:HOST:PORT" or "serial:DEVICE:BAUD". Raises LinkError."""
     kind, _, rest = endpoint.partition(":")
     address, _, number = rest.rpartition(":")
     if len(number) > LONGEST_NUMBER:
         raise LinkError(f"the number at the end has {len(number)} digits, expected at most {LONGEST_NUMBER}")
     if kind == "serial":
-        return StreamLink(SerialLine(address, int(number)), received)
+        return StreamLink(SerialLine(address, int(number)), received, all_read)
     if not 0 < int(number) <= 65535:
         raise LinkError(f"port {number}, expected 1 to 65535")
     if kind == "tcp":
-        return StreamLink(TcpConnection(address, int(number)), received)
-    return UdpLink(address, int(number), received)
+        return StreamLink(TcpConnection(address, int(number)), received, all_read)
+    return UdpLink(address, int(number), received, all_read)

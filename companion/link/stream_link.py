@@ -18,7 +18,7 @@ from typing import Protocol
 
 import serial
 
-from companion.link.endpoint import LinkError, Received, check_host, explain
+from companion.link.endpoint import AllRead, LinkError, Received, check_host, explain
 
 READ_BYTES = 4096  # at once, some 100 messages; the rest wakes the loop again, after a tick that may be due
 RECONNECT_FIRST_S, RECONNECT_MAX_S = 0.2, 2.0
@@ -52,9 +52,9 @@ class Line(Protocol):
 class StreamLink:
     """One byte stream to the autopilot, opened again until it succeeds."""
 
-    def __init__(self, line: Line, received: Received) -> None:
+    def __init__(self, line: Line, received: Received, all_read: AllRead) -> None:
         self._line = line
-        self._received = received
+        self._received, self._all_read = received, all_read
         self._stream: Stream | None = None
         self._rest = b""  # unsent part of a message
         self._lost: asyncio.Future[str] | None = None
@@ -135,6 +135,7 @@ class StreamLink:
             self._lose("closed by the other end")
             return
         self._received(data, time.monotonic())
+        self._all_read()
 
     def _write(self, data: bytes) -> None:
         """Write as much as the kernel takes. The rest of the message follows when possible, to keep the stream intact."""

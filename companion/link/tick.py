@@ -21,6 +21,7 @@ PERIOD_S = 0.02  # 50 Hz
 BACK_UP_S = 0.03  # longest time between two ticks
 LEAST_PERIOD_S = 1 / 60  # mean time between ticks while positions come faster than requested
 TICKS_AT_ONCE = 3  # after a late position the next ones follow at once
+PREPARED_S = 0.002  # before the next position is expected; autopilots send them to a millisecond
 LATE_S = 0.02  # logged from this lateness on; on an idle machine a tick is less than 2 ms late
 LOG_PERIOD_S = 1.0
 OWN_MEMORY = Path("/proc/self/statm")
@@ -37,46 +38,73 @@ class TickTrigger:
     """A position triggers the tick at once: a free-running timer would add up to one period to its age.
 
     Without positions a back-up timer triggers the ticks, so that peers, commands and failsafes are served. A flood of
-    positions triggers one tick per LEAST_PERIOD_S, after a burst of TICKS_AT_ONCE.
+    positions triggers one tick per LEAST_PERIOD_S, after a burst of TICKS_AT_ONCE. Ticks run in callbacks of the event loop:
+    to wake a task would take another pass of the loop.
     """
 
     def __init__(self) -> None:
-        self._arrived = False
-        self._waiter: asyncio.Future[None] | None = None
-        self._nominal_s = -inf  # time of the next tick at the highest mean rate
+        self._ticking: _Ticking | None = None
+
+    async def run(self, tick: Callable[[], None], prepare: Callable[[], None]) -> None:
+        """Tick until `end`, with `prepare` shortly before a position is expected. Neither may raise."""
+        self._ticking = _Ticking(asyncio.get_running_loop(), tick, prepare)
+        try:
+            await self._ticking.ended
+        finally:
+            self._ticking.end()
 
     def position_arrived(self) -> None:
-        """Trigger the next tick."""
-        self._arrived = True
-        if self._waiter:
-            _end(self._waiter)
+        """Tick now, or soon where positions come too fast."""
+        if self._ticking:
+            self._ticking.position_arrived()
 
-    def fire(self) -> None:
-        """End the present wait at once, whatever the rate."""
-        self._nominal_s = -inf
-        self.position_arrived()
-
-    async def wait(self, last_tick_s: float) -> None:
-        """Wait for a position, at most until BACK_UP_S after the last tick. Times are of the event loop's clock."""
-        loop = asyncio.get_running_loop()
-        if not self._arrived:
-            self._waiter = loop.create_future()
-            back_up = loop.call_at(last_tick_s + BACK_UP_S, _end, self._waiter)
-            try:
-                await self._waiter
-            finally:
-                back_up.cancel()
-                self._waiter = None
-        early_s = self._nominal_s - (TICKS_AT_ONCE - 1) * LEAST_PERIOD_S - loop.time()
-        if early_s > 0.0:
-            await asyncio.sleep(early_s)
-        self._arrived = False
-        self._nominal_s = max(self._nominal_s, loop.time()) + LEAST_PERIOD_S
+    def end(self) -> None:
+        """No further tick; `run` returns."""
+        if self._ticking:
+            self._ticking.end()
 
 
-def _end(wait: asyncio.Future[None]) -> None:
-    if not wait.done():
-        wait.set_result(None)
+class _Ticking:
+    """The ticks of one run, and its timer: for the preparation, then for the back-up, or for a position that came too soon."""
+
+    def __init__(self, loop: asyncio.AbstractEventLoop, tick: Callable[[], None], prepare: Callable[[], None]) -> None:
+        self._loop, self._tick, self._prepare = loop, tick, prepare
+        self.ended: asyncio.Future[None] = loop.create_future()
+        self._ticked_s = loop.time()  # when the last tick began
+        self._nominal_s = -inf  # time of the next tick at the highest mean rate
+        self._postponed = False  # whether the timer is for a position that came too soon
+        self._timer = loop.call_at(self._ticked_s + BACK_UP_S, self._tick_now)
+
+    def position_arrived(self) -> None:
+        earliest_s = self._nominal_s - (TICKS_AT_ONCE - 1) * LEAST_PERIOD_S
+        if earliest_s <= self._loop.time():
+            self._tick_now()
+        elif not self._postponed:
+            self._postponed = True
+            self._set_timer(earliest_s, self._tick_now)
+
+    def end(self) -> None:
+        self._timer.cancel()
+        if not self.ended.done():
+            self.ended.set_result(None)
+
+    def _tick_now(self) -> None:
+        if self.ended.done():
+            return
+        self._postponed = False
+        self._ticked_s = self._loop.time()
+        self._nominal_s = max(self._nominal_s, self._ticked_s) + LEAST_PERIOD_S
+        self._tick()
+        self._set_timer(self._ticked_s + PERIOD_S - PREPARED_S, self._prepare_now)
+
+    def _prepare_now(self) -> None:
+        self._prepare()
+        self._set_timer(self._ticked_s + BACK_UP_S, self._tick_now)
+
+    def _set_timer(self, at_s: float, callback: Callable[[], None]) -> None:
+        self._timer.cancel()
+        if not self.ended.done():
+            self._timer = self._loop.call_at(at_s, callback)
 
 
 class LateLoopLog:

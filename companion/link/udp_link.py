@@ -9,7 +9,7 @@ import socket
 import struct
 import time
 
-from companion.link.endpoint import LinkError, Received, check_host, explain
+from companion.link.endpoint import AllRead, LinkError, Received, check_host, explain
 
 READ_BYTES = 4096  # of a datagram: autopilots send at most an Ethernet frame
 DATAGRAMS_PER_WAKE_UP = 64  # the rest wakes the loop again, after a tick that may be due
@@ -29,8 +29,8 @@ class UdpLink:
     Times of arrival are the kernel's: datagrams that waited during a pause of this process keep their true age.
     """
 
-    def __init__(self, host: str, port: int, received: Received) -> None:
-        self._received = received
+    def __init__(self, host: str, port: int, received: Received, all_read: AllRead) -> None:
+        self._received, self._all_read = received, all_read
         self._socket = _bound_udp_socket(host, port)
         self._autopilot: tuple[str, int] | None = None
         self._heard_s = float("-inf")
@@ -63,6 +63,10 @@ class UdpLink:
         self._socket.close()
 
     def _readable(self) -> None:
+        self._read_waiting()
+        self._all_read()
+
+    def _read_waiting(self) -> None:
         read_bytes = 0
         for _ in range(DATAGRAMS_PER_WAKE_UP):
             if read_bytes > BYTES_PER_WAKE_UP:

@@ -63,6 +63,9 @@ class RecordedPeers:
     is_open = True
     network: NetworkState = field(default_factory=NetworkState)
 
+    def receive_early(self, _now_s: float) -> None:
+        """Nothing arrives."""
+
     def receive(self, _now_s: float) -> tuple[tuple[ReceivedPeerPacket, ...], tuple[Command, ...]]:
         commands, self.commands = self.commands, ()
         return (), commands

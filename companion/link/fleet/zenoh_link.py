@@ -1,9 +1,10 @@
 """Zenoh link of an agent: peer packets, commands and targets in; peer packets, replies and status out.
 
-The control loop drains ring channels at each tick. So no Zenoh thread enters the loop, and nothing waits for a loop that
-hangs. Whatever is sent is a publication that is dropped where the network is congested (CongestionControl.DROP: a call takes
-1.4 ms at most). Commands are no queries, because a reply to a query blocks the whole process for seconds where the client
-reads nothing: Zenoh's `query.reply` waits with the interpreter locked.
+The control loop drains ring channels at each tick, and the peers' a moment before it too, so that little is left to decode in
+the tick. So no Zenoh thread enters the loop, and nothing waits for a loop that hangs. Whatever is sent is a publication that is
+dropped where the network is congested (CongestionControl.DROP: a call takes 1.4 ms at most). Commands are no queries, because a
+reply to a query blocks the whole process for seconds where the client reads nothing: Zenoh's `query.reply` waits with the
+interpreter locked.
 """
 
 from __future__ import annotations
@@ -98,6 +99,7 @@ class ZenohLink:
         self._fleet_name = fleet.name
         self._reject = reject
         self._drained_s: float | None = None
+        self._early: list[ReceivedPeerPacket] = []  # for the next `receive`
         self._unanswered: dict[tuple[str, int], Command] = {}
         self._log = CommandLog()
         self._session = open_session(endpoints.listen, endpoints.connect, identity)
@@ -147,6 +149,10 @@ class ZenohLink:
         """Whether the session is open. It listens then; peers need not be connected: a lone vehicle is ready as well."""
         return not self._session.is_closed()
 
+    def receive_early(self, now_s: float) -> None:
+        """Decode the peer packets that Zenoh has received by now: the next `receive` returns them too. Never blocks."""
+        self._early += [ReceivedPeerPacket(now_s, packet) for packet in self._peers.receive_early()]
+
     def receive(self, now_s: float) -> tuple[tuple[ReceivedPeerPacket, ...], tuple[Command, ...]]:
         """All peer packets and commands since the last call. Never blocks.
 
@@ -159,9 +165,10 @@ class ZenohLink:
         late = before_s is not None and now_s - before_s > LONG_PAUSE_S
         aborts = self._received_aborts()
         commands = (self._command(sample, late) for sample in drain(self._commands, COMMANDS_KEPT))
+        early, self._early = self._early, []
+        packets = [ReceivedPeerPacket(now_s, packet) for packet in self._peers.receive()]
         return (
-            tuple([ReceivedPeerPacket(now_s, packet) for packet in self._peers.receive()])
-            + (self._datagrams.receive(now_s) if self._datagrams else ()),
+            (*early, *packets, *(self._datagrams.receive(now_s) if self._datagrams else ())),
             (*aborts, *(command for command in commands if command)),
         )
 
@@ -215,6 +222,7 @@ class ZenohLink:
         names = self._identity.admitted.participants
         refused = [parse_common_name(one.name) for one in names if admitted.participant(one.name) is None]
         self._refused = frozenset(str(name) for name in refused) | {name.participant for name in refused}
+        self._early.clear()
         for name in refused:
             if name.role is ParticipantRole.VEHICLE:
                 self._peers.refuse(int(name.id))

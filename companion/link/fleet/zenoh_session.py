@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import zenoh
@@ -114,12 +114,12 @@ def _check_protection(kind: str, endpoints: Sequence[str], identity: Identity | 
             )
 
 
-def drain(channel: Any, limit: int) -> Iterator[Any]:
+def drain(channel: Any, limit: int) -> list[Any]:
     """At most `limit` items waiting in the channel of a subscriber. Never blocks."""
-    for _ in range(limit):
-        if (item := channel.try_recv()) is None:
-            return
-        yield item
+    items: list[Any] = []
+    while len(items) < limit and (item := channel.try_recv()) is not None:
+        items.append(item)
+    return items
 
 
 def check_endpoints(kind: str, endpoints: Sequence[str]) -> None:

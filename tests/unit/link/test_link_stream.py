@@ -24,6 +24,10 @@ class Received:
         return True
 
 
+def ignore() -> None:
+    """All is read."""
+
+
 async def until(condition: Callable[[], object]) -> None:
     async with asyncio.timeout(10.0):
         while not condition():
@@ -44,7 +48,7 @@ def test_tcp_reconnects_after_the_autopilot_closed() -> None:
         with listener() as server:
             port = server.getsockname()[1]
         received = Received()
-        link = StreamLink(TcpConnection("127.0.0.1", port), received)
+        link = StreamLink(TcpConnection("127.0.0.1", port), received, ignore)
         task = asyncio.create_task(link.run())
         await until(lambda: "no program listens" in link.problem())
         link.send(b"lost, never kept")
@@ -67,7 +71,7 @@ def test_tcp_peer_that_does_not_read_loses_only_whole_messages() -> None:
         with listener() as server:
             server.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
             received = Received()
-            link = StreamLink(TcpConnection("127.0.0.1", server.getsockname()[1]), received)
+            link = StreamLink(TcpConnection("127.0.0.1", server.getsockname()[1]), received, ignore)
             task = asyncio.create_task(link.run())
             connection, _ = await asyncio.to_thread(server.accept)
             with connection:
@@ -121,7 +125,7 @@ def test_serial_port_is_reopened_after_it_was_unplugged(tmp_path: Path) -> None:
         device = tmp_path / "ttyAutopilot"
         received = Received()
         other_end = terminal(device)
-        link = StreamLink(SerialLine(str(device), 57600), received)
+        link = StreamLink(SerialLine(str(device), 57600), received, ignore)
         task = asyncio.create_task(link.run())
         for word in (b"before", b"after"):
             await until(lambda: "is open" in link.problem())
@@ -146,7 +150,7 @@ def test_serial_port_is_reopened_after_it_was_unplugged(tmp_path: Path) -> None:
 def test_full_serial_port_does_not_block(tmp_path: Path) -> None:
     async def scenario() -> None:
         other_end = terminal(tmp_path / "ttyAutopilot")
-        link = StreamLink(SerialLine(str(tmp_path / "ttyAutopilot"), 57600), Received())
+        link = StreamLink(SerialLine(str(tmp_path / "ttyAutopilot"), 57600), Received(), ignore)
         task = asyncio.create_task(link.run())
         await asyncio.sleep(0.05)
         async with asyncio.timeout(10.0):
@@ -171,7 +175,7 @@ def test_full_serial_port_does_not_block(tmp_path: Path) -> None:
 def test_offered_packets_are_accepted_only_while_the_port_is_free(tmp_path: Path) -> None:
     async def scenario() -> None:
         other_end = terminal(tmp_path / "ttyAutopilot")
-        link = StreamLink(SerialLine(str(tmp_path / "ttyAutopilot"), 57600), Received())
+        link = StreamLink(SerialLine(str(tmp_path / "ttyAutopilot"), 57600), Received(), ignore)
         assert not link.offer(b"not open yet")
         task = asyncio.create_task(link.run())
         await asyncio.sleep(0.05)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import math
+import time
+from itertools import pairwise
 
 import pytest
 from hypothesis import given
@@ -11,8 +13,8 @@ from hypothesis import strategies as st
 
 from companion.link.tick import (
     BACK_UP_S,
-    LEAST_PERIOD_S,
     PERIOD_S,
+    PREPARED_S,
     TICKS_AT_ONCE,
     Histogram,
     LateLoopLog,
@@ -116,59 +118,113 @@ def test_timing_is_reset_at_the_start_of_formation() -> None:
     assert meter.timing(10.02).ticks == 1
 
 
-def test_position_triggers_the_tick_before_the_backup() -> None:
-    async def scenario() -> tuple[float, float]:
-        loop, trigger = asyncio.get_running_loop(), TickTrigger()
-        start_s = loop.time()
-        loop.call_later(0.001, trigger.position_arrived)
-        await trigger.wait(start_s + 1.0)  # the back-up would come in a second
-        by_position_s = loop.time() - start_s
-        start_s = loop.time()
-        await trigger.wait(start_s)
-        return by_position_s, loop.time() - start_s
+class Calls:
+    """Ticks and preparations of a trigger, with their times on the clock of the event loop."""
 
-    by_position_s, by_timer_s = asyncio.run(scenario())
-    assert by_position_s < 0.9
-    assert by_timer_s >= BACK_UP_S * 0.99
+    def __init__(self) -> None:
+        self.trigger = TickTrigger()
+        self.began_s = time.monotonic()
+        self.ticks_s: list[float] = []
+        self.prepared_s: list[float] = []
+        self.until_ticks = 1
+
+    def tick(self) -> None:
+        self.ticks_s.append(time.monotonic())
+        if len(self.ticks_s) == self.until_ticks:
+            self.trigger.end()
+
+    def prepare(self) -> None:
+        self.prepared_s.append(time.monotonic())
+
+    async def run(self, until_ticks: int) -> None:
+        self.until_ticks = len(self.ticks_s) + until_ticks
+        async with asyncio.timeout(20.0):
+            await self.trigger.run(self.tick, self.prepare)
 
 
-def test_position_received_during_a_tick_triggers_the_next() -> None:
-    async def scenario() -> float:
-        loop, trigger = asyncio.get_running_loop(), TickTrigger()
-        trigger.position_arrived()
-        start_s = loop.time()
-        await trigger.wait(start_s + 5.0)
-        return loop.time() - start_s
+def test_without_positions_a_timer_ticks() -> None:
+    calls = Calls()
+    asyncio.run(calls.run(4))
+    for before_s, now_s in pairwise([calls.began_s, *calls.ticks_s]):
+        assert now_s - before_s >= BACK_UP_S * 0.99
 
-    assert asyncio.run(scenario()) < 4.0
+
+def test_a_position_ticks_within_the_call() -> None:
+    async def scenario() -> list[int]:
+        calls, ticks = Calls(), list[int]()
+
+        def arrive() -> None:
+            calls.trigger.position_arrived()
+            ticks.append(len(calls.ticks_s))
+
+        asyncio.get_running_loop().call_soon(arrive)
+        await calls.run(1)
+        return ticks
+
+    assert asyncio.run(scenario()) == [1]
+
+
+def test_each_tick_is_prepared_once_shortly_before_the_next_position_is_expected() -> None:
+    calls = Calls()
+    asyncio.run(calls.run(4))
+    assert len(calls.prepared_s) == 3
+    for tick_s, prepared_s, next_s in zip(calls.ticks_s, calls.prepared_s, calls.ticks_s[1:], strict=False):
+        assert tick_s + PERIOD_S - PREPARED_S <= prepared_s + 1e-4
+        assert prepared_s <= next_s
+
+
+def test_a_position_that_comes_early_needs_no_preparation() -> None:
+    async def scenario() -> Calls:
+        calls, loop = Calls(), asyncio.get_running_loop()
+        loop.call_soon(calls.trigger.position_arrived)
+        loop.call_soon(calls.trigger.position_arrived)
+        await calls.run(2)
+        return calls
+
+    assert asyncio.run(scenario()).prepared_s == []
 
 
 def test_a_flood_of_positions_triggers_few_ticks_more_than_the_nominal_rate() -> None:
-    async def scenario() -> tuple[int, float]:
-        loop, trigger, ticks = asyncio.get_running_loop(), TickTrigger(), 0
-        start_s = now_s = loop.time()
-        while now_s - start_s < 0.5:
-            loop.call_soon(trigger.position_arrived)
-            await trigger.wait(now_s)
-            ticks, now_s = ticks + 1, loop.time()
-        return ticks, now_s - start_s
+    async def scenario() -> Calls:
+        calls, loop = Calls(), asyncio.get_running_loop()
 
-    ticks, lasted_s = asyncio.run(scenario())
-    assert ticks <= lasted_s * 61.0 + TICKS_AT_ONCE  # a second has 50 positions
+        def flood() -> None:
+            calls.trigger.position_arrived()
+            loop.call_soon(flood)
+
+        loop.call_soon(flood)
+        await calls.run(20)
+        return calls
+
+    calls = asyncio.run(scenario())
+    lasted_s = calls.ticks_s[-1] - calls.began_s
+    assert len(calls.ticks_s) <= lasted_s * 61.0 + TICKS_AT_ONCE  # a second has 50 positions
 
 
 def test_positions_that_were_delayed_trigger_ticks_at_once() -> None:
-    async def scenario() -> list[float]:
-        loop, trigger, waits_s = asyncio.get_running_loop(), TickTrigger(), []
-        await trigger.wait(loop.time())  # nothing comes for BACK_UP_S
-        for _ in range(TICKS_AT_ONCE - 1):
-            trigger.position_arrived()
-            start_s = loop.time()
-            await trigger.wait(start_s + 1.0)
-            waits_s.append(loop.time() - start_s)
-        return waits_s
+    async def scenario() -> list[int]:
+        calls, ticks = Calls(), list[int]()
 
-    assert min(asyncio.run(scenario())) < LEAST_PERIOD_S / 2
+        def arrive() -> None:
+            for _ in range(TICKS_AT_ONCE - 1):
+                calls.trigger.position_arrived()
+                ticks.append(len(calls.ticks_s))
+
+        asyncio.get_running_loop().call_later(1.5 * BACK_UP_S, arrive)  # after a tick without them
+        await calls.run(TICKS_AT_ONCE)
+        return ticks
+
+    assert asyncio.run(scenario()) == [2, 3]
+
+
+def test_after_the_end_a_position_triggers_nothing() -> None:
+    async def scenario() -> Calls:
+        calls = Calls()
+        await calls.run(1)
+        calls.trigger.position_arrived()
+        return calls
+
+    assert len(asyncio.run(scenario()).ticks_s) == 1
 
 
 def test_late_cycles_are_logged_once_a_second_with_the_worst() -> None:

@@ -53,10 +53,14 @@ class Recorder:
         return [data for data, _ in self.received]
 
 
+def ignore() -> None:
+    """All is read."""
+
+
 def test_only_the_autopilot_address_is_used() -> None:
     async def scenario(port: int) -> None:
         recorder = Recorder()
-        link = UdpLink(HOST, port, recorder)
+        link = UdpLink(HOST, port, recorder, ignore)
         task = asyncio.create_task(link.run())
         with sender(port) as stranger, sender(port) as autopilot, sender(port) as second:
             link.send(b"no address yet")
@@ -88,7 +92,7 @@ def test_autopilot_is_found_at_another_port_after_silence(
 ) -> None:
     async def scenario(port: int) -> None:
         recorder = Recorder()
-        link = UdpLink(HOST, port, recorder)
+        link = UdpLink(HOST, port, recorder, ignore)
         task = asyncio.create_task(link.run())
         with sender(port) as before, sender(port) as after:
             before.send(b"A1")
@@ -108,7 +112,7 @@ def test_autopilot_is_found_at_another_port_after_silence(
 def test_receipt_time_includes_the_wait_in_the_kernel() -> None:
     async def scenario(port: int) -> None:
         recorder = Recorder()
-        link = UdpLink(HOST, port, recorder)
+        link = UdpLink(HOST, port, recorder, ignore)
         with sender(port) as autopilot:
             sent_s = time.monotonic()
             autopilot.send(b"A waiting")
@@ -129,7 +133,7 @@ def test_link_continues_when_the_autopilot_port_is_closed() -> None:
 
     async def scenario(port: int) -> None:
         recorder = Recorder()
-        link = UdpLink(HOST, port, recorder)
+        link = UdpLink(HOST, port, recorder, ignore)
         task = asyncio.create_task(link.run())
         with sender(port) as autopilot:
             autopilot.send(b"A1")
@@ -138,6 +142,25 @@ def test_link_continues_when_the_autopilot_port_is_closed() -> None:
             link.send(b"no receiver")
             await asyncio.sleep(0.01)
         assert not task.done()
+        task.cancel()
+        link.close()
+
+    with free_port() as port:
+        asyncio.run(scenario(port))
+
+
+def test_what_waits_together_is_read_together() -> None:
+    async def scenario(port: int) -> None:
+        recorder, read = Recorder(), list[int]()
+        link = UdpLink(HOST, port, recorder, lambda: read.append(len(recorder.received)))
+        with sender(port) as autopilot:
+            for _ in range(3):
+                autopilot.send(b"A")
+            task = asyncio.create_task(link.run())
+            await until(lambda: read)
+            assert read == [3]
+            autopilot.send(b"A")
+            await until(lambda: read == [3, 4])
         task.cancel()
         link.close()
 
@@ -162,7 +185,7 @@ def test_flood_does_not_starve_the_event_loop() -> None:
                     stranger.send(b"S")
                 return False
 
-            link = UdpLink(HOST, port, flood)
+            link = UdpLink(HOST, port, flood, ignore)
             task = asyncio.create_task(link.run())
             stranger.send(b"S")
             await until(lambda: read == 1000)
@@ -179,7 +202,7 @@ def test_port_in_use_is_reported() -> None:
         other.bind((HOST, 0))
         port = other.getsockname()[1]
         with pytest.raises(LinkError, match=f"UDP port {port} is in use; stop"):
-            open_link(f"udpin:{HOST}:{port}", Recorder())
+            open_link(f"udpin:{HOST}:{port}", Recorder(), ignore)
 
 
 @pytest.mark.parametrize(
@@ -202,6 +225,6 @@ def test_port_in_use_is_reported() -> None:
 )
 def test_invalid_endpoint_is_reported_in_one_line(endpoint: str, words: str) -> None:
     with pytest.raises(LinkError) as caught:
-        open_link(endpoint, Recorder())
+        open_link(endpoint, Recorder(), ignore)
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
