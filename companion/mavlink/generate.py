@@ -24,22 +24,20 @@ from pymavlink.generator import mavgen_python, mavparse
 SOURCE = "development.xml"
 GENERATED = Path(__file__).parent / "generated"
 MADE_WITH = "# Made with pymavlink "
+FASTCRC = "    import fastcrc\n    mcrf4xx = fastcrc.crc16.mcrf4xx\n"
+CHECKSUM = "    from companion.mavlink.checksum import mcrf4xx\n"
 
-# Messages whose fields or ids are named in `companion`, `sitl` or their tests.
+# Messages whose fields `companion`, `sitl` or their tests use. The ids of all are known.
 MESSAGES = """
-    ALTITUDE ATTITUDE ATTITUDE_QUATERNION ATTITUDE_TARGET ATT_POS_MOCAP AUTOPILOT_VERSION BATTERY_STATUS COMMAND_ACK COMMAND_INT
-    COMMAND_LONG CURRENT_MODE DISTANCE_SENSOR ESTIMATOR_STATUS EXTENDED_SYS_STATE FILE_TRANSFER_PROTOCOL GLOBAL_POSITION_INT
-    GPS_GLOBAL_ORIGIN GPS_RAW_INT GPS_RTCM_DATA HEARTBEAT HIGHRES_IMU HOME_POSITION LOCAL_POSITION_NED LOG_DATA LOG_ENTRY
-    LOG_ERASE LOG_REQUEST_DATA LOG_REQUEST_END LOG_REQUEST_LIST MANUAL_CONTROL MESSAGE_INTERVAL MISSION_ACK MISSION_CLEAR_ALL
-    MISSION_COUNT MISSION_REQUEST MISSION_REQUEST_INT MISSION_REQUEST_LIST NAV_CONTROLLER_OUTPUT ODOMETRY OPEN_DRONE_ID_BASIC_ID
-    OPEN_DRONE_ID_OPERATOR_ID OPEN_DRONE_ID_SELF_ID OPEN_DRONE_ID_SYSTEM OPEN_DRONE_ID_SYSTEM_UPDATE OPTICAL_FLOW_RAD
-    PARAM_REQUEST_LIST PARAM_REQUEST_READ PARAM_SET PARAM_VALUE PING POSITION_TARGET_GLOBAL_INT POSITION_TARGET_LOCAL_NED
-    RADIO_STATUS RC_CHANNELS RC_CHANNELS_OVERRIDE REQUEST_DATA_STREAM SCALED_IMU SCALED_PRESSURE SERVO_OUTPUT_RAW SETUP_SIGNING
-    SET_ACTUATOR_CONTROL_TARGET SET_ATTITUDE_TARGET SET_GPS_GLOBAL_ORIGIN SET_MODE SET_POSITION_TARGET_GLOBAL_INT
-    SET_POSITION_TARGET_LOCAL_NED STATUSTEXT SYSTEM_TIME SYS_STATUS TIMESYNC UTM_GLOBAL_POSITION VFR_HUD VIBRATION
-    VISION_POSITION_ESTIMATE WIND_COV
+    ALTITUDE ATTITUDE ATTITUDE_QUATERNION ATTITUDE_TARGET AUTOPILOT_VERSION BATTERY_STATUS COMMAND_ACK COMMAND_INT COMMAND_LONG
+    CURRENT_MODE ESTIMATOR_STATUS EXTENDED_SYS_STATE FILE_TRANSFER_PROTOCOL GLOBAL_POSITION_INT GPS_GLOBAL_ORIGIN GPS_RAW_INT
+    HEARTBEAT HIGHRES_IMU HOME_POSITION LOCAL_POSITION_NED LOG_DATA LOG_ENTRY LOG_ERASE LOG_REQUEST_DATA LOG_REQUEST_END
+    LOG_REQUEST_LIST MESSAGE_INTERVAL MISSION_ACK MISSION_CLEAR_ALL MISSION_COUNT MISSION_REQUEST MISSION_REQUEST_INT
+    MISSION_REQUEST_LIST ODOMETRY PARAM_REQUEST_LIST PARAM_REQUEST_READ PARAM_SET PARAM_VALUE PING REQUEST_DATA_STREAM
+    SETUP_SIGNING SET_ATTITUDE_TARGET SET_GPS_GLOBAL_ORIGIN SET_MODE SET_POSITION_TARGET_LOCAL_NED STATUSTEXT SYSTEM_TIME
+    SYS_STATUS TIMESYNC VFR_HUD
 """
-# Enumerations whose values are named there.
+# Enumerations whose values they use.
 ENUMS = """
     ESTIMATOR_STATUS_FLAGS GPS_FIX_TYPE MAV_AUTOPILOT MAV_BATTERY_FUNCTION MAV_BATTERY_TYPE MAV_CMD MAV_COMPONENT
     MAV_DATA_STREAM MAV_FRAME MAV_LANDED_STATE MAV_MISSION_RESULT MAV_MISSION_TYPE MAV_MODE_FLAG MAV_PARAM_TYPE
@@ -81,7 +79,7 @@ def generated() -> dict[str, str]:
     missing = (wanted_messages | wanted_enums) - {one.name for one in (*used, *enums)}
     assert not missing, f"not in {SOURCE}: {missing}"
     parsed[0].message, parsed[0].enum = used, enums
-    return {"in_use.py": _in_use(parsed[0]), "others.py": _others(others)}
+    return {"in_use.py": _in_use(parsed[0], messages), "others.py": _others(others)}
 
 
 def version_in(text: str) -> str:
@@ -104,8 +102,9 @@ def _parsed(name: str) -> list[Any]:
 
 
 def _without_texts(message: Any) -> Any:
-    for described in (message, *message.fields):
-        described.description = ""
+    message.description = ""
+    for field in message.fields:
+        field.description = field.units = field.display = field.enum = ""
     return message
 
 
@@ -115,13 +114,17 @@ def _without_texts_of_enum(enum: Any) -> Any:
     return enum
 
 
-def _in_use(xml: Any) -> str:
-    """pymavlink's text, without the methods X_encode and X_send that it would give the class MAVLink for every message."""
+def _in_use(xml: Any, messages: list[Any]) -> str:
+    """pymavlink's text with the ids of all messages and our checksum, without the methods that send one of each kind."""
+    generate_ids = mavgen_python.generate_message_ids
+    mavgen_python.generate_message_ids = lambda out, _messages: generate_ids(out, messages)
     mavgen_python.generate_methods = lambda _out, _messages: None
     with TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
         path = Path(folder) / "in_use.py"
         mavgen_python.generate(str(path), [xml])
         text = path.read_text(encoding="utf-8")
+    assert text.count(FASTCRC) == 1
+    text = text.replace(FASTCRC, CHECKSUM)
     return f"{text.strip()}\n\n{MADE_WITH}{pymavlink.__version__}\n"
 
 

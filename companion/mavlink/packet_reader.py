@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 
-from fastcrc.crc16 import mcrf4xx
-
+from companion.mavlink.checksum import mcrf4xx
 from companion.mavlink.messages import mavlink
 from companion.mavlink.plain_packets import Packet, read_plain
 from companion.mavlink.signing import SIGNATURE_CODES

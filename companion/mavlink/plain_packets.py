@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from operator import attrgetter, itemgetter
 from typing import Any
 
-from fastcrc.crc16 import mcrf4xx
 from msgspec import Struct
 
+from companion.mavlink.checksum import mcrf4xx
 from companion.mavlink.messages import mavlink
 
 MavlinkMessage = Any  # pymavlink generates its classes without types

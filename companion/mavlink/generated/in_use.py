@@ -49,8 +49,7 @@ MAVLINK_TYPE_DOUBLE = 10
 # CRC calculation using fastcrc, falling back to a pure Python implementation
 # if fastcrc is not available
 try:
-    import fastcrc
-    mcrf4xx = fastcrc.crc16.mcrf4xx
+    from companion.mavlink.checksum import mcrf4xx
 except Exception:
     mcrf4xx = None  # type: ignore
 
@@ -1674,78 +1673,220 @@ enums["MAV_COMPONENT"][251] = EnumEntry("MAV_COMPONENT_ENUM_END", """""")
 # message IDs
 MAVLINK_MSG_ID_BAD_DATA = -1
 MAVLINK_MSG_ID_UNKNOWN = -2
+MAVLINK_MSG_ID_MISSION_CHECKSUM = 53
+MAVLINK_MSG_ID_RADIO_RC_CHANNELS = 420
+MAVLINK_MSG_ID_AVAILABLE_MODES = 435
 MAVLINK_MSG_ID_CURRENT_MODE = 436
+MAVLINK_MSG_ID_AVAILABLE_MODES_MONITOR = 437
+MAVLINK_MSG_ID_GNSS_INTEGRITY = 441
+MAVLINK_MSG_ID_RANGING_BEACON = 513
 MAVLINK_MSG_ID_SYS_STATUS = 1
 MAVLINK_MSG_ID_SYSTEM_TIME = 2
 MAVLINK_MSG_ID_PING = 4
+MAVLINK_MSG_ID_CHANGE_OPERATOR_CONTROL = 5
+MAVLINK_MSG_ID_CHANGE_OPERATOR_CONTROL_ACK = 6
+MAVLINK_MSG_ID_AUTH_KEY = 7
 MAVLINK_MSG_ID_SET_MODE = 11
 MAVLINK_MSG_ID_PARAM_REQUEST_READ = 20
 MAVLINK_MSG_ID_PARAM_REQUEST_LIST = 21
 MAVLINK_MSG_ID_PARAM_VALUE = 22
 MAVLINK_MSG_ID_PARAM_SET = 23
 MAVLINK_MSG_ID_GPS_RAW_INT = 24
+MAVLINK_MSG_ID_GPS_STATUS = 25
 MAVLINK_MSG_ID_SCALED_IMU = 26
+MAVLINK_MSG_ID_RAW_IMU = 27
+MAVLINK_MSG_ID_RAW_PRESSURE = 28
 MAVLINK_MSG_ID_SCALED_PRESSURE = 29
 MAVLINK_MSG_ID_ATTITUDE = 30
 MAVLINK_MSG_ID_ATTITUDE_QUATERNION = 31
 MAVLINK_MSG_ID_LOCAL_POSITION_NED = 32
+MAVLINK_MSG_ID_RC_CHANNELS_SCALED = 34
+MAVLINK_MSG_ID_RC_CHANNELS_RAW = 35
 MAVLINK_MSG_ID_SERVO_OUTPUT_RAW = 36
+MAVLINK_MSG_ID_MISSION_REQUEST_PARTIAL_LIST = 37
+MAVLINK_MSG_ID_MISSION_WRITE_PARTIAL_LIST = 38
+MAVLINK_MSG_ID_MISSION_ITEM = 39
 MAVLINK_MSG_ID_MISSION_REQUEST = 40
+MAVLINK_MSG_ID_MISSION_SET_CURRENT = 41
+MAVLINK_MSG_ID_MISSION_CURRENT = 42
 MAVLINK_MSG_ID_MISSION_REQUEST_LIST = 43
 MAVLINK_MSG_ID_MISSION_COUNT = 44
 MAVLINK_MSG_ID_MISSION_CLEAR_ALL = 45
+MAVLINK_MSG_ID_MISSION_ITEM_REACHED = 46
 MAVLINK_MSG_ID_MISSION_ACK = 47
 MAVLINK_MSG_ID_SET_GPS_GLOBAL_ORIGIN = 48
 MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN = 49
+MAVLINK_MSG_ID_PARAM_MAP_RC = 50
 MAVLINK_MSG_ID_MISSION_REQUEST_INT = 51
+MAVLINK_MSG_ID_SAFETY_SET_ALLOWED_AREA = 54
+MAVLINK_MSG_ID_SAFETY_ALLOWED_AREA = 55
+MAVLINK_MSG_ID_ATTITUDE_QUATERNION_COV = 61
 MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT = 62
+MAVLINK_MSG_ID_GLOBAL_POSITION_INT_COV = 63
+MAVLINK_MSG_ID_LOCAL_POSITION_NED_COV = 64
 MAVLINK_MSG_ID_RC_CHANNELS = 65
 MAVLINK_MSG_ID_REQUEST_DATA_STREAM = 66
+MAVLINK_MSG_ID_DATA_STREAM = 67
 MAVLINK_MSG_ID_MANUAL_CONTROL = 69
 MAVLINK_MSG_ID_RC_CHANNELS_OVERRIDE = 70
+MAVLINK_MSG_ID_MISSION_ITEM_INT = 73
 MAVLINK_MSG_ID_VFR_HUD = 74
 MAVLINK_MSG_ID_COMMAND_INT = 75
 MAVLINK_MSG_ID_COMMAND_LONG = 76
 MAVLINK_MSG_ID_COMMAND_ACK = 77
+MAVLINK_MSG_ID_MANUAL_SETPOINT = 81
 MAVLINK_MSG_ID_SET_ATTITUDE_TARGET = 82
 MAVLINK_MSG_ID_ATTITUDE_TARGET = 83
 MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED = 84
 MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED = 85
 MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT = 86
 MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT = 87
+MAVLINK_MSG_ID_LOCAL_POSITION_NED_SYSTEM_GLOBAL_OFFSET = 89
+MAVLINK_MSG_ID_HIL_STATE = 90
+MAVLINK_MSG_ID_HIL_CONTROLS = 91
+MAVLINK_MSG_ID_HIL_RC_INPUTS_RAW = 92
+MAVLINK_MSG_ID_HIL_ACTUATOR_CONTROLS = 93
+MAVLINK_MSG_ID_OPTICAL_FLOW = 100
+MAVLINK_MSG_ID_GLOBAL_VISION_POSITION_ESTIMATE = 101
 MAVLINK_MSG_ID_VISION_POSITION_ESTIMATE = 102
+MAVLINK_MSG_ID_VISION_SPEED_ESTIMATE = 103
+MAVLINK_MSG_ID_VICON_POSITION_ESTIMATE = 104
 MAVLINK_MSG_ID_HIGHRES_IMU = 105
 MAVLINK_MSG_ID_OPTICAL_FLOW_RAD = 106
+MAVLINK_MSG_ID_HIL_SENSOR = 107
+MAVLINK_MSG_ID_SIM_STATE = 108
 MAVLINK_MSG_ID_RADIO_STATUS = 109
 MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL = 110
 MAVLINK_MSG_ID_TIMESYNC = 111
+MAVLINK_MSG_ID_CAMERA_TRIGGER = 112
+MAVLINK_MSG_ID_HIL_GPS = 113
+MAVLINK_MSG_ID_HIL_OPTICAL_FLOW = 114
+MAVLINK_MSG_ID_HIL_STATE_QUATERNION = 115
+MAVLINK_MSG_ID_SCALED_IMU2 = 116
 MAVLINK_MSG_ID_LOG_REQUEST_LIST = 117
 MAVLINK_MSG_ID_LOG_ENTRY = 118
 MAVLINK_MSG_ID_LOG_REQUEST_DATA = 119
 MAVLINK_MSG_ID_LOG_DATA = 120
 MAVLINK_MSG_ID_LOG_ERASE = 121
 MAVLINK_MSG_ID_LOG_REQUEST_END = 122
+MAVLINK_MSG_ID_GPS_INJECT_DATA = 123
+MAVLINK_MSG_ID_GPS2_RAW = 124
+MAVLINK_MSG_ID_POWER_STATUS = 125
+MAVLINK_MSG_ID_SERIAL_CONTROL = 126
+MAVLINK_MSG_ID_GPS_RTK = 127
+MAVLINK_MSG_ID_GPS2_RTK = 128
+MAVLINK_MSG_ID_SCALED_IMU3 = 129
+MAVLINK_MSG_ID_DATA_TRANSMISSION_HANDSHAKE = 130
+MAVLINK_MSG_ID_ENCAPSULATED_DATA = 131
 MAVLINK_MSG_ID_DISTANCE_SENSOR = 132
+MAVLINK_MSG_ID_TERRAIN_REQUEST = 133
+MAVLINK_MSG_ID_TERRAIN_DATA = 134
+MAVLINK_MSG_ID_TERRAIN_CHECK = 135
+MAVLINK_MSG_ID_TERRAIN_REPORT = 136
+MAVLINK_MSG_ID_SCALED_PRESSURE2 = 137
 MAVLINK_MSG_ID_ATT_POS_MOCAP = 138
 MAVLINK_MSG_ID_SET_ACTUATOR_CONTROL_TARGET = 139
+MAVLINK_MSG_ID_ACTUATOR_CONTROL_TARGET = 140
 MAVLINK_MSG_ID_ALTITUDE = 141
+MAVLINK_MSG_ID_RESOURCE_REQUEST = 142
+MAVLINK_MSG_ID_SCALED_PRESSURE3 = 143
+MAVLINK_MSG_ID_FOLLOW_TARGET = 144
+MAVLINK_MSG_ID_CONTROL_SYSTEM_STATE = 146
 MAVLINK_MSG_ID_BATTERY_STATUS = 147
+MAVLINK_MSG_ID_LANDING_TARGET = 149
+MAVLINK_MSG_ID_FENCE_STATUS = 162
+MAVLINK_MSG_ID_MAG_CAL_REPORT = 192
+MAVLINK_MSG_ID_EFI_STATUS = 225
 MAVLINK_MSG_ID_ESTIMATOR_STATUS = 230
 MAVLINK_MSG_ID_WIND_COV = 231
+MAVLINK_MSG_ID_GPS_INPUT = 232
 MAVLINK_MSG_ID_GPS_RTCM_DATA = 233
+MAVLINK_MSG_ID_HIGH_LATENCY = 234
+MAVLINK_MSG_ID_HIGH_LATENCY2 = 235
 MAVLINK_MSG_ID_VIBRATION = 241
 MAVLINK_MSG_ID_HOME_POSITION = 242
+MAVLINK_MSG_ID_SET_HOME_POSITION = 243
 MAVLINK_MSG_ID_MESSAGE_INTERVAL = 244
 MAVLINK_MSG_ID_EXTENDED_SYS_STATE = 245
+MAVLINK_MSG_ID_ADSB_VEHICLE = 246
+MAVLINK_MSG_ID_COLLISION = 247
+MAVLINK_MSG_ID_V2_EXTENSION = 248
+MAVLINK_MSG_ID_MEMORY_VECT = 249
+MAVLINK_MSG_ID_DEBUG_VECT = 250
+MAVLINK_MSG_ID_NAMED_VALUE_FLOAT = 251
+MAVLINK_MSG_ID_NAMED_VALUE_INT = 252
 MAVLINK_MSG_ID_STATUSTEXT = 253
+MAVLINK_MSG_ID_DEBUG = 254
 MAVLINK_MSG_ID_SETUP_SIGNING = 256
+MAVLINK_MSG_ID_BUTTON_CHANGE = 257
+MAVLINK_MSG_ID_PLAY_TUNE = 258
+MAVLINK_MSG_ID_CAMERA_INFORMATION = 259
+MAVLINK_MSG_ID_CAMERA_SETTINGS = 260
+MAVLINK_MSG_ID_STORAGE_INFORMATION = 261
+MAVLINK_MSG_ID_CAMERA_CAPTURE_STATUS = 262
+MAVLINK_MSG_ID_CAMERA_IMAGE_CAPTURED = 263
+MAVLINK_MSG_ID_FLIGHT_INFORMATION = 264
+MAVLINK_MSG_ID_MOUNT_ORIENTATION = 265
+MAVLINK_MSG_ID_LOGGING_DATA = 266
+MAVLINK_MSG_ID_LOGGING_DATA_ACKED = 267
+MAVLINK_MSG_ID_LOGGING_ACK = 268
+MAVLINK_MSG_ID_VIDEO_STREAM_INFORMATION = 269
+MAVLINK_MSG_ID_VIDEO_STREAM_STATUS = 270
+MAVLINK_MSG_ID_CAMERA_FOV_STATUS = 271
+MAVLINK_MSG_ID_CAMERA_TRACKING_IMAGE_STATUS = 275
+MAVLINK_MSG_ID_CAMERA_TRACKING_GEO_STATUS = 276
+MAVLINK_MSG_ID_CAMERA_THERMAL_RANGE = 277
+MAVLINK_MSG_ID_GIMBAL_MANAGER_INFORMATION = 280
+MAVLINK_MSG_ID_GIMBAL_MANAGER_STATUS = 281
+MAVLINK_MSG_ID_GIMBAL_MANAGER_SET_ATTITUDE = 282
+MAVLINK_MSG_ID_GIMBAL_DEVICE_INFORMATION = 283
+MAVLINK_MSG_ID_GIMBAL_DEVICE_SET_ATTITUDE = 284
+MAVLINK_MSG_ID_GIMBAL_DEVICE_ATTITUDE_STATUS = 285
+MAVLINK_MSG_ID_AUTOPILOT_STATE_FOR_GIMBAL_DEVICE = 286
+MAVLINK_MSG_ID_GIMBAL_MANAGER_SET_PITCHYAW = 287
+MAVLINK_MSG_ID_GIMBAL_MANAGER_SET_MANUAL_CONTROL = 288
+MAVLINK_MSG_ID_AIRSPEED = 295
+MAVLINK_MSG_ID_GLOBAL_POSITION_SENSOR = 296
+MAVLINK_MSG_ID_WIFI_CONFIG_AP = 299
+MAVLINK_MSG_ID_AIS_VESSEL = 301
+MAVLINK_MSG_ID_UAVCAN_NODE_STATUS = 310
+MAVLINK_MSG_ID_UAVCAN_NODE_INFO = 311
+MAVLINK_MSG_ID_PARAM_EXT_REQUEST_READ = 320
+MAVLINK_MSG_ID_PARAM_EXT_REQUEST_LIST = 321
+MAVLINK_MSG_ID_PARAM_EXT_VALUE = 322
+MAVLINK_MSG_ID_PARAM_EXT_SET = 323
+MAVLINK_MSG_ID_PARAM_EXT_ACK = 324
+MAVLINK_MSG_ID_OBSTACLE_DISTANCE = 330
 MAVLINK_MSG_ID_ODOMETRY = 331
+MAVLINK_MSG_ID_TRAJECTORY_REPRESENTATION_WAYPOINTS = 332
+MAVLINK_MSG_ID_TRAJECTORY_REPRESENTATION_BEZIER = 333
+MAVLINK_MSG_ID_ISBD_LINK_STATUS = 335
+MAVLINK_MSG_ID_RAW_RPM = 339
 MAVLINK_MSG_ID_UTM_GLOBAL_POSITION = 340
+MAVLINK_MSG_ID_PARAM_ERROR = 345
+MAVLINK_MSG_ID_DEBUG_FLOAT_ARRAY = 350
+MAVLINK_MSG_ID_ORBIT_EXECUTION_STATUS = 360
+MAVLINK_MSG_ID_SMART_BATTERY_INFO = 370
+MAVLINK_MSG_ID_GENERATOR_STATUS = 373
+MAVLINK_MSG_ID_ACTUATOR_OUTPUT_STATUS = 375
+MAVLINK_MSG_ID_RELAY_STATUS = 376
+MAVLINK_MSG_ID_TUNNEL = 385
+MAVLINK_MSG_ID_CAN_FRAME = 386
+MAVLINK_MSG_ID_CANFD_FRAME = 387
+MAVLINK_MSG_ID_CAN_FILTER_MODIFY = 388
+MAVLINK_MSG_ID_ONBOARD_COMPUTER_STATUS = 390
+MAVLINK_MSG_ID_WHEEL_DISTANCE = 9000
+MAVLINK_MSG_ID_WINCH_STATUS = 9005
 MAVLINK_MSG_ID_OPEN_DRONE_ID_BASIC_ID = 12900
+MAVLINK_MSG_ID_OPEN_DRONE_ID_LOCATION = 12901
+MAVLINK_MSG_ID_OPEN_DRONE_ID_AUTHENTICATION = 12902
 MAVLINK_MSG_ID_OPEN_DRONE_ID_SELF_ID = 12903
 MAVLINK_MSG_ID_OPEN_DRONE_ID_SYSTEM = 12904
 MAVLINK_MSG_ID_OPEN_DRONE_ID_OPERATOR_ID = 12905
+MAVLINK_MSG_ID_OPEN_DRONE_ID_MESSAGE_PACK = 12915
+MAVLINK_MSG_ID_OPEN_DRONE_ID_ARM_STATUS = 12918
 MAVLINK_MSG_ID_OPEN_DRONE_ID_SYSTEM_UPDATE = 12919
+MAVLINK_MSG_ID_HYGROMETER_SENSOR = 12920
 MAVLINK_MSG_ID_GLOBAL_POSITION_INT = 33
 MAVLINK_MSG_ID_AUTOPILOT_VERSION = 148
 MAVLINK_MSG_ID_HEARTBEAT = 0
@@ -1762,7 +1903,7 @@ class MAVLink_current_mode_message(MAVLink_message):
     ordered_fieldnames = ["custom_mode", "intended_custom_mode", "standard_mode"]
     fieldtypes = ["uint8_t", "uint32_t", "uint32_t"]
     fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {"standard_mode": "MAV_STANDARD_MODE"}
+    fieldenums_by_name: Dict[str, str] = {}
     fieldunits_by_name: Dict[str, str] = {}
     native_format = bytearray(b"<IIB")
     orders = [2, 0, 1]
@@ -1801,9 +1942,9 @@ class MAVLink_sys_status_message(MAVLink_message):
     fieldnames = ["onboard_control_sensors_present", "onboard_control_sensors_enabled", "onboard_control_sensors_health", "load", "voltage_battery", "current_battery", "battery_remaining", "drop_rate_comm", "errors_comm", "errors_count1", "errors_count2", "errors_count3", "errors_count4", "onboard_control_sensors_present_extended", "onboard_control_sensors_enabled_extended", "onboard_control_sensors_health_extended"]
     ordered_fieldnames = ["onboard_control_sensors_present", "onboard_control_sensors_enabled", "onboard_control_sensors_health", "load", "voltage_battery", "current_battery", "drop_rate_comm", "errors_comm", "errors_count1", "errors_count2", "errors_count3", "errors_count4", "battery_remaining", "onboard_control_sensors_present_extended", "onboard_control_sensors_enabled_extended", "onboard_control_sensors_health_extended"]
     fieldtypes = ["uint32_t", "uint32_t", "uint32_t", "uint16_t", "uint16_t", "int16_t", "int8_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint32_t", "uint32_t", "uint32_t"]
-    fielddisplays_by_name: Dict[str, str] = {"onboard_control_sensors_present": "bitmask", "onboard_control_sensors_enabled": "bitmask", "onboard_control_sensors_health": "bitmask"}
-    fieldenums_by_name: Dict[str, str] = {"onboard_control_sensors_present": "MAV_SYS_STATUS_SENSOR", "onboard_control_sensors_enabled": "MAV_SYS_STATUS_SENSOR", "onboard_control_sensors_health": "MAV_SYS_STATUS_SENSOR", "onboard_control_sensors_present_extended": "MAV_SYS_STATUS_SENSOR_EXTENDED", "onboard_control_sensors_enabled_extended": "MAV_SYS_STATUS_SENSOR_EXTENDED", "onboard_control_sensors_health_extended": "MAV_SYS_STATUS_SENSOR_EXTENDED"}
-    fieldunits_by_name: Dict[str, str] = {"load": "d%", "voltage_battery": "mV", "current_battery": "cA", "battery_remaining": "%", "drop_rate_comm": "c%"}
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {}
     native_format = bytearray(b"<IIIHHhHHHHHHbIII")
     orders = [0, 1, 2, 3, 4, 5, 12, 6, 7, 8, 9, 10, 11, 13, 14, 15]
     lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1]
@@ -1856,7 +1997,7 @@ class MAVLink_system_time_message(MAVLink_message):
     fieldtypes = ["uint64_t", "uint32_t"]
     fielddisplays_by_name: Dict[str, str] = {}
     fieldenums_by_name: Dict[str, str] = {}
-    fieldunits_by_name: Dict[str, str] = {"time_unix_usec": "us", "time_boot_ms": "ms"}
+    fieldunits_by_name: Dict[str, str] = {}
     native_format = bytearray(b"<QI")
     orders = [0, 1]
     lengths = [1, 1]
@@ -1895,7 +2036,7 @@ class MAVLink_ping_message(MAVLink_message):
     fieldtypes = ["uint64_t", "uint32_t", "uint8_t", "uint8_t"]
     fielddisplays_by_name: Dict[str, str] = {}
     fieldenums_by_name: Dict[str, str] = {}
-    fieldunits_by_name: Dict[str, str] = {"time_usec": "us"}
+    fieldunits_by_name: Dict[str, str] = {}
     native_format = bytearray(b"<QIBB")
     orders = [0, 1, 2, 3]
     lengths = [1, 1, 1, 1]
@@ -1935,7 +2076,7 @@ class MAVLink_set_mode_message(MAVLink_message):
     ordered_fieldnames = ["custom_mode", "target_system", "base_mode"]
     fieldtypes = ["uint8_t", "uint8_t", "uint32_t"]
     fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {"base_mode": "MAV_MODE"}
+    fieldenums_by_name: Dict[str, str] = {}
     fieldunits_by_name: Dict[str, str] = {}
     native_format = bytearray(b"<IBB")
     orders = [1, 2, 0]
@@ -2056,7 +2197,7 @@ class MAVLink_param_value_message(MAVLink_message):
     ordered_fieldnames = ["param_value", "param_count", "param_index", "param_id", "param_type"]
     fieldtypes = ["char", "float", "uint8_t", "uint16_t", "uint16_t"]
     fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {"param_type": "MAV_PARAM_TYPE"}
+    fieldenums_by_name: Dict[str, str] = {}
     fieldunits_by_name: Dict[str, str] = {}
     native_format = bytearray(b"<fHHcB")
     orders = [3, 0, 4, 1, 2]
@@ -2099,7 +2240,7 @@ class MAVLink_param_set_message(MAVLink_message):
     ordered_fieldnames = ["param_value", "target_system", "target_component", "param_id", "param_type"]
     fieldtypes = ["uint8_t", "uint8_t", "char", "float", "uint8_t"]
     fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {"param_type": "MAV_PARAM_TYPE"}
+    fieldenums_by_name: Dict[str, str] = {}
     fieldunits_by_name: Dict[str, str] = {}
     native_format = bytearray(b"<fBBcB")
     orders = [1, 2, 3, 0, 4]
@@ -2142,8 +2283,8 @@ class MAVLink_gps_raw_int_message(MAVLink_message):
     ordered_fieldnames = ["time_usec", "lat", "lon", "alt", "eph", "epv", "vel", "cog", "fix_type", "satellites_visible", "alt_ellipsoid", "h_acc", "v_acc", "vel_acc", "hdg_acc", "yaw"]
     fieldtypes = ["uint64_t", "uint8_t", "int32_t", "int32_t", "int32_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint8_t", "int32_t", "uint32_t", "uint32_t", "uint32_t", "uint32_t", "uint16_t"]
     fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {"fix_type": "GPS_FIX_TYPE"}
-    fieldunits_by_name: Dict[str, str] = {"time_usec": "us", "lat": "degE7", "lon": "degE7", "alt": "mm", "vel": "cm/s", "cog": "cdeg", "alt_ellipsoid": "mm", "h_acc": "mm", "v_acc": "mm", "vel_acc": "mm/s", "hdg_acc": "degE5", "yaw": "cdeg"}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {}
     native_format = bytearray(b"<QiiiHHHHBBiIIIIH")
     orders = [0, 8, 1, 2, 3, 4, 5, 6, 7, 9, 10, 11, 12, 13, 14, 15]
     lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1]
@@ -2184,96 +2325,6 @@ class MAVLink_gps_raw_int_message(MAVLink_message):
 setattr(MAVLink_gps_raw_int_message, "name", mavlink_msg_deprecated_name_property())
 
 
-class MAVLink_scaled_imu_message(MAVLink_message):
-    """
-
-    """
-
-    id = MAVLINK_MSG_ID_SCALED_IMU
-    msgname = "SCALED_IMU"
-    fieldnames = ["time_boot_ms", "xacc", "yacc", "zacc", "xgyro", "ygyro", "zgyro", "xmag", "ymag", "zmag", "temperature"]
-    ordered_fieldnames = ["time_boot_ms", "xacc", "yacc", "zacc", "xgyro", "ygyro", "zgyro", "xmag", "ymag", "zmag", "temperature"]
-    fieldtypes = ["uint32_t", "int16_t", "int16_t", "int16_t", "int16_t", "int16_t", "int16_t", "int16_t", "int16_t", "int16_t", "int16_t"]
-    fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {}
-    fieldunits_by_name: Dict[str, str] = {"time_boot_ms": "ms", "xacc": "mG", "yacc": "mG", "zacc": "mG", "xgyro": "mrad/s", "ygyro": "mrad/s", "zgyro": "mrad/s", "xmag": "mgauss", "ymag": "mgauss", "zmag": "mgauss", "temperature": "cdegC"}
-    native_format = bytearray(b"<Ihhhhhhhhhh")
-    orders = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10]
-    lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1]
-    array_lengths = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]
-    crc_extra = 170
-    unpacker = struct.Struct("<Ihhhhhhhhhh")
-    instance_field = None
-    instance_offset = -1
-
-    def __init__(self, time_boot_ms: int, xacc: int, yacc: int, zacc: int, xgyro: int, ygyro: int, zgyro: int, xmag: int, ymag: int, zmag: int, temperature: int = 0):
-        MAVLink_message.__init__(self, MAVLink_scaled_imu_message.id, MAVLink_scaled_imu_message.msgname)
-        self._fieldnames = MAVLink_scaled_imu_message.fieldnames
-        self._instance_field = MAVLink_scaled_imu_message.instance_field
-        self._instance_offset = MAVLink_scaled_imu_message.instance_offset
-        self.time_boot_ms = time_boot_ms
-        self.xacc = xacc
-        self.yacc = yacc
-        self.zacc = zacc
-        self.xgyro = xgyro
-        self.ygyro = ygyro
-        self.zgyro = zgyro
-        self.xmag = xmag
-        self.ymag = ymag
-        self.zmag = zmag
-        self.temperature = temperature
-
-    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
-        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.time_boot_ms, self.xacc, self.yacc, self.zacc, self.xgyro, self.ygyro, self.zgyro, self.xmag, self.ymag, self.zmag, self.temperature), force_mavlink1=force_mavlink1)
-
-
-# Define name on the class for backwards compatibility (it is now msgname).
-# Done with setattr to hide the class variable from mypy.
-setattr(MAVLink_scaled_imu_message, "name", mavlink_msg_deprecated_name_property())
-
-
-class MAVLink_scaled_pressure_message(MAVLink_message):
-    """
-
-    """
-
-    id = MAVLINK_MSG_ID_SCALED_PRESSURE
-    msgname = "SCALED_PRESSURE"
-    fieldnames = ["time_boot_ms", "press_abs", "press_diff", "temperature", "temperature_press_diff"]
-    ordered_fieldnames = ["time_boot_ms", "press_abs", "press_diff", "temperature", "temperature_press_diff"]
-    fieldtypes = ["uint32_t", "float", "float", "int16_t", "int16_t"]
-    fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {}
-    fieldunits_by_name: Dict[str, str] = {"time_boot_ms": "ms", "press_abs": "hPa", "press_diff": "hPa", "temperature": "cdegC", "temperature_press_diff": "cdegC"}
-    native_format = bytearray(b"<Iffhh")
-    orders = [0, 1, 2, 3, 4]
-    lengths = [1, 1, 1, 1, 1]
-    array_lengths = [0, 0, 0, 0, 0]
-    crc_extra = 115
-    unpacker = struct.Struct("<Iffhh")
-    instance_field = None
-    instance_offset = -1
-
-    def __init__(self, time_boot_ms: int, press_abs: float, press_diff: float, temperature: int, temperature_press_diff: int = 0):
-        MAVLink_message.__init__(self, MAVLink_scaled_pressure_message.id, MAVLink_scaled_pressure_message.msgname)
-        self._fieldnames = MAVLink_scaled_pressure_message.fieldnames
-        self._instance_field = MAVLink_scaled_pressure_message.instance_field
-        self._instance_offset = MAVLink_scaled_pressure_message.instance_offset
-        self.time_boot_ms = time_boot_ms
-        self.press_abs = press_abs
-        self.press_diff = press_diff
-        self.temperature = temperature
-        self.temperature_press_diff = temperature_press_diff
-
-    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
-        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.time_boot_ms, self.press_abs, self.press_diff, self.temperature, self.temperature_press_diff), force_mavlink1=force_mavlink1)
-
-
-# Define name on the class for backwards compatibility (it is now msgname).
-# Done with setattr to hide the class variable from mypy.
-setattr(MAVLink_scaled_pressure_message, "name", mavlink_msg_deprecated_name_property())
-
-
 class MAVLink_attitude_message(MAVLink_message):
     """
 
@@ -2286,7 +2337,7 @@ class MAVLink_attitude_message(MAVLink_message):
     fieldtypes = ["uint32_t", "float", "float", "float", "float", "float", "float"]
     fielddisplays_by_name: Dict[str, str] = {}
     fieldenums_by_name: Dict[str, str] = {}
-    fieldunits_by_name: Dict[str, str] = {"time_boot_ms": "ms", "roll": "rad", "pitch": "rad", "yaw": "rad", "rollspeed": "rad/s", "pitchspeed": "rad/s", "yawspeed": "rad/s"}
+    fieldunits_by_name: Dict[str, str] = {}
     native_format = bytearray(b"<Iffffff")
     orders = [0, 1, 2, 3, 4, 5, 6]
     lengths = [1, 1, 1, 1, 1, 1, 1]
@@ -2330,7 +2381,7 @@ class MAVLink_attitude_quaternion_message(MAVLink_message):
     fieldtypes = ["uint32_t", "float", "float", "float", "float", "float", "float", "float", "float"]
     fielddisplays_by_name: Dict[str, str] = {}
     fieldenums_by_name: Dict[str, str] = {}
-    fieldunits_by_name: Dict[str, str] = {"time_boot_ms": "ms", "rollspeed": "rad/s", "pitchspeed": "rad/s", "yawspeed": "rad/s"}
+    fieldunits_by_name: Dict[str, str] = {}
     native_format = bytearray(b"<Iffffffff")
     orders = [0, 1, 2, 3, 4, 5, 6, 7, 8]
     lengths = [1, 1, 1, 1, 1, 1, 1, 1, 4]
@@ -2376,7 +2427,7 @@ class MAVLink_local_position_ned_message(MAVLink_message):
     fieldtypes = ["uint32_t", "float", "float", "float", "float", "float", "float"]
     fielddisplays_by_name: Dict[str, str] = {}
     fieldenums_by_name: Dict[str, str] = {}
-    fieldunits_by_name: Dict[str, str] = {"time_boot_ms": "ms", "x": "m", "y": "m", "z": "m", "vx": "m/s", "vy": "m/s", "vz": "m/s"}
+    fieldunits_by_name: Dict[str, str] = {}
     native_format = bytearray(b"<Iffffff")
     orders = [0, 1, 2, 3, 4, 5, 6]
     lengths = [1, 1, 1, 1, 1, 1, 1]
@@ -2408,61 +2459,6 @@ class MAVLink_local_position_ned_message(MAVLink_message):
 setattr(MAVLink_local_position_ned_message, "name", mavlink_msg_deprecated_name_property())
 
 
-class MAVLink_servo_output_raw_message(MAVLink_message):
-    """
-
-    """
-
-    id = MAVLINK_MSG_ID_SERVO_OUTPUT_RAW
-    msgname = "SERVO_OUTPUT_RAW"
-    fieldnames = ["time_usec", "port", "servo1_raw", "servo2_raw", "servo3_raw", "servo4_raw", "servo5_raw", "servo6_raw", "servo7_raw", "servo8_raw", "servo9_raw", "servo10_raw", "servo11_raw", "servo12_raw", "servo13_raw", "servo14_raw", "servo15_raw", "servo16_raw"]
-    ordered_fieldnames = ["time_usec", "servo1_raw", "servo2_raw", "servo3_raw", "servo4_raw", "servo5_raw", "servo6_raw", "servo7_raw", "servo8_raw", "port", "servo9_raw", "servo10_raw", "servo11_raw", "servo12_raw", "servo13_raw", "servo14_raw", "servo15_raw", "servo16_raw"]
-    fieldtypes = ["uint32_t", "uint8_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t"]
-    fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {}
-    fieldunits_by_name: Dict[str, str] = {"time_usec": "us", "servo1_raw": "us", "servo2_raw": "us", "servo3_raw": "us", "servo4_raw": "us", "servo5_raw": "us", "servo6_raw": "us", "servo7_raw": "us", "servo8_raw": "us", "servo9_raw": "us", "servo10_raw": "us", "servo11_raw": "us", "servo12_raw": "us", "servo13_raw": "us", "servo14_raw": "us", "servo15_raw": "us", "servo16_raw": "us"}
-    native_format = bytearray(b"<IHHHHHHHHBHHHHHHHH")
-    orders = [0, 9, 1, 2, 3, 4, 5, 6, 7, 8, 10, 11, 12, 13, 14, 15, 16, 17]
-    lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1]
-    array_lengths = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]
-    crc_extra = 222
-    unpacker = struct.Struct("<IHHHHHHHHBHHHHHHHH")
-    instance_field = "port"
-    instance_offset = 20
-
-    def __init__(self, time_usec: int, port: int, servo1_raw: int, servo2_raw: int, servo3_raw: int, servo4_raw: int, servo5_raw: int, servo6_raw: int, servo7_raw: int, servo8_raw: int, servo9_raw: int = 0, servo10_raw: int = 0, servo11_raw: int = 0, servo12_raw: int = 0, servo13_raw: int = 0, servo14_raw: int = 0, servo15_raw: int = 0, servo16_raw: int = 0):
-        MAVLink_message.__init__(self, MAVLink_servo_output_raw_message.id, MAVLink_servo_output_raw_message.msgname)
-        self._fieldnames = MAVLink_servo_output_raw_message.fieldnames
-        self._instance_field = MAVLink_servo_output_raw_message.instance_field
-        self._instance_offset = MAVLink_servo_output_raw_message.instance_offset
-        self.time_usec = time_usec
-        self.port = port
-        self.servo1_raw = servo1_raw
-        self.servo2_raw = servo2_raw
-        self.servo3_raw = servo3_raw
-        self.servo4_raw = servo4_raw
-        self.servo5_raw = servo5_raw
-        self.servo6_raw = servo6_raw
-        self.servo7_raw = servo7_raw
-        self.servo8_raw = servo8_raw
-        self.servo9_raw = servo9_raw
-        self.servo10_raw = servo10_raw
-        self.servo11_raw = servo11_raw
-        self.servo12_raw = servo12_raw
-        self.servo13_raw = servo13_raw
-        self.servo14_raw = servo14_raw
-        self.servo15_raw = servo15_raw
-        self.servo16_raw = servo16_raw
-
-    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
-        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.time_usec, self.servo1_raw, self.servo2_raw, self.servo3_raw, self.servo4_raw, self.servo5_raw, self.servo6_raw, self.servo7_raw, self.servo8_raw, self.port, self.servo9_raw, self.servo10_raw, self.servo11_raw, self.servo12_raw, self.servo13_raw, self.servo14_raw, self.servo15_raw, self.servo16_raw), force_mavlink1=force_mavlink1)
-
-
-# Define name on the class for backwards compatibility (it is now msgname).
-# Done with setattr to hide the class variable from mypy.
-setattr(MAVLink_servo_output_raw_message, "name", mavlink_msg_deprecated_name_property())
-
-
 class MAVLink_mission_request_message(MAVLink_message):
     """
 
@@ -2474,7 +2470,7 @@ class MAVLink_mission_request_message(MAVLink_message):
     ordered_fieldnames = ["seq", "target_system", "target_component", "mission_type"]
     fieldtypes = ["uint8_t", "uint8_t", "uint16_t", "uint8_t"]
     fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {"mission_type": "MAV_MISSION_TYPE"}
+    fieldenums_by_name: Dict[str, str] = {}
     fieldunits_by_name: Dict[str, str] = {}
     native_format = bytearray(b"<HBBB")
     orders = [1, 2, 0, 3]
@@ -2515,7 +2511,7 @@ class MAVLink_mission_request_list_message(MAVLink_message):
     ordered_fieldnames = ["target_system", "target_component", "mission_type"]
     fieldtypes = ["uint8_t", "uint8_t", "uint8_t"]
     fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {"mission_type": "MAV_MISSION_TYPE"}
+    fieldenums_by_name: Dict[str, str] = {}
     fieldunits_by_name: Dict[str, str] = {}
     native_format = bytearray(b"<BBB")
     orders = [0, 1, 2]
@@ -2555,7 +2551,7 @@ class MAVLink_mission_count_message(MAVLink_message):
     ordered_fieldnames = ["count", "target_system", "target_component", "mission_type"]
     fieldtypes = ["uint8_t", "uint8_t", "uint16_t", "uint8_t"]
     fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {"mission_type": "MAV_MISSION_TYPE"}
+    fieldenums_by_name: Dict[str, str] = {}
     fieldunits_by_name: Dict[str, str] = {}
     native_format = bytearray(b"<HBBB")
     orders = [1, 2, 0, 3]
@@ -2596,7 +2592,7 @@ class MAVLink_mission_clear_all_message(MAVLink_message):
     ordered_fieldnames = ["target_system", "target_component", "mission_type"]
     fieldtypes = ["uint8_t", "uint8_t", "uint8_t"]
     fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {"mission_type": "MAV_MISSION_TYPE"}
+    fieldenums_by_name: Dict[str, str] = {}
     fieldunits_by_name: Dict[str, str] = {}
     native_format = bytearray(b"<BBB")
     orders = [0, 1, 2]
@@ -2636,7 +2632,7 @@ class MAVLink_mission_ack_message(MAVLink_message):
     ordered_fieldnames = ["target_system", "target_component", "type", "mission_type"]
     fieldtypes = ["uint8_t", "uint8_t", "uint8_t", "uint8_t"]
     fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {"type": "MAV_MISSION_RESULT", "mission_type": "MAV_MISSION_TYPE"}
+    fieldenums_by_name: Dict[str, str] = {}
     fieldunits_by_name: Dict[str, str] = {}
     native_format = bytearray(b"<BBBB")
     orders = [0, 1, 2, 3]
@@ -2678,7 +2674,7 @@ class MAVLink_set_gps_global_origin_message(MAVLink_message):
     fieldtypes = ["uint8_t", "int32_t", "int32_t", "int32_t", "uint64_t"]
     fielddisplays_by_name: Dict[str, str] = {}
     fieldenums_by_name: Dict[str, str] = {}
-    fieldunits_by_name: Dict[str, str] = {"latitude": "degE7", "longitude": "degE7", "altitude": "mm", "time_usec": "us"}
+    fieldunits_by_name: Dict[str, str] = {}
     native_format = bytearray(b"<iiiBQ")
     orders = [3, 0, 1, 2, 4]
     lengths = [1, 1, 1, 1, 1]
@@ -2720,7 +2716,7 @@ class MAVLink_gps_global_origin_message(MAVLink_message):
     fieldtypes = ["int32_t", "int32_t", "int32_t", "uint64_t"]
     fielddisplays_by_name: Dict[str, str] = {}
     fieldenums_by_name: Dict[str, str] = {}
-    fieldunits_by_name: Dict[str, str] = {"latitude": "degE7", "longitude": "degE7", "altitude": "mm", "time_usec": "us"}
+    fieldunits_by_name: Dict[str, str] = {}
     native_format = bytearray(b"<iiiQ")
     orders = [0, 1, 2, 3]
     lengths = [1, 1, 1, 1]
@@ -2760,7 +2756,7 @@ class MAVLink_mission_request_int_message(MAVLink_message):
     ordered_fieldnames = ["seq", "target_system", "target_component", "mission_type"]
     fieldtypes = ["uint8_t", "uint8_t", "uint16_t", "uint8_t"]
     fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {"mission_type": "MAV_MISSION_TYPE"}
+    fieldenums_by_name: Dict[str, str] = {}
     fieldunits_by_name: Dict[str, str] = {}
     native_format = bytearray(b"<HBBB")
     orders = [1, 2, 0, 3]
@@ -2790,109 +2786,6 @@ class MAVLink_mission_request_int_message(MAVLink_message):
 setattr(MAVLink_mission_request_int_message, "name", mavlink_msg_deprecated_name_property())
 
 
-class MAVLink_nav_controller_output_message(MAVLink_message):
-    """
-
-    """
-
-    id = MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT
-    msgname = "NAV_CONTROLLER_OUTPUT"
-    fieldnames = ["nav_roll", "nav_pitch", "nav_bearing", "target_bearing", "wp_dist", "alt_error", "aspd_error", "xtrack_error"]
-    ordered_fieldnames = ["nav_roll", "nav_pitch", "alt_error", "aspd_error", "xtrack_error", "nav_bearing", "target_bearing", "wp_dist"]
-    fieldtypes = ["float", "float", "int16_t", "int16_t", "uint16_t", "float", "float", "float"]
-    fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {}
-    fieldunits_by_name: Dict[str, str] = {"nav_roll": "deg", "nav_pitch": "deg", "nav_bearing": "deg", "target_bearing": "deg", "wp_dist": "m", "alt_error": "m", "aspd_error": "m/s", "xtrack_error": "m"}
-    native_format = bytearray(b"<fffffhhH")
-    orders = [0, 1, 5, 6, 7, 2, 3, 4]
-    lengths = [1, 1, 1, 1, 1, 1, 1, 1]
-    array_lengths = [0, 0, 0, 0, 0, 0, 0, 0]
-    crc_extra = 183
-    unpacker = struct.Struct("<fffffhhH")
-    instance_field = None
-    instance_offset = -1
-
-    def __init__(self, nav_roll: float, nav_pitch: float, nav_bearing: int, target_bearing: int, wp_dist: int, alt_error: float, aspd_error: float, xtrack_error: float):
-        MAVLink_message.__init__(self, MAVLink_nav_controller_output_message.id, MAVLink_nav_controller_output_message.msgname)
-        self._fieldnames = MAVLink_nav_controller_output_message.fieldnames
-        self._instance_field = MAVLink_nav_controller_output_message.instance_field
-        self._instance_offset = MAVLink_nav_controller_output_message.instance_offset
-        self.nav_roll = nav_roll
-        self.nav_pitch = nav_pitch
-        self.nav_bearing = nav_bearing
-        self.target_bearing = target_bearing
-        self.wp_dist = wp_dist
-        self.alt_error = alt_error
-        self.aspd_error = aspd_error
-        self.xtrack_error = xtrack_error
-
-    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
-        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.nav_roll, self.nav_pitch, self.alt_error, self.aspd_error, self.xtrack_error, self.nav_bearing, self.target_bearing, self.wp_dist), force_mavlink1=force_mavlink1)
-
-
-# Define name on the class for backwards compatibility (it is now msgname).
-# Done with setattr to hide the class variable from mypy.
-setattr(MAVLink_nav_controller_output_message, "name", mavlink_msg_deprecated_name_property())
-
-
-class MAVLink_rc_channels_message(MAVLink_message):
-    """
-
-    """
-
-    id = MAVLINK_MSG_ID_RC_CHANNELS
-    msgname = "RC_CHANNELS"
-    fieldnames = ["time_boot_ms", "chancount", "chan1_raw", "chan2_raw", "chan3_raw", "chan4_raw", "chan5_raw", "chan6_raw", "chan7_raw", "chan8_raw", "chan9_raw", "chan10_raw", "chan11_raw", "chan12_raw", "chan13_raw", "chan14_raw", "chan15_raw", "chan16_raw", "chan17_raw", "chan18_raw", "rssi"]
-    ordered_fieldnames = ["time_boot_ms", "chan1_raw", "chan2_raw", "chan3_raw", "chan4_raw", "chan5_raw", "chan6_raw", "chan7_raw", "chan8_raw", "chan9_raw", "chan10_raw", "chan11_raw", "chan12_raw", "chan13_raw", "chan14_raw", "chan15_raw", "chan16_raw", "chan17_raw", "chan18_raw", "chancount", "rssi"]
-    fieldtypes = ["uint32_t", "uint8_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint8_t"]
-    fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {}
-    fieldunits_by_name: Dict[str, str] = {"time_boot_ms": "ms", "chan1_raw": "us", "chan2_raw": "us", "chan3_raw": "us", "chan4_raw": "us", "chan5_raw": "us", "chan6_raw": "us", "chan7_raw": "us", "chan8_raw": "us", "chan9_raw": "us", "chan10_raw": "us", "chan11_raw": "us", "chan12_raw": "us", "chan13_raw": "us", "chan14_raw": "us", "chan15_raw": "us", "chan16_raw": "us", "chan17_raw": "us", "chan18_raw": "us"}
-    native_format = bytearray(b"<IHHHHHHHHHHHHHHHHHHBB")
-    orders = [0, 19, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 20]
-    lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1]
-    array_lengths = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]
-    crc_extra = 118
-    unpacker = struct.Struct("<IHHHHHHHHHHHHHHHHHHBB")
-    instance_field = None
-    instance_offset = -1
-
-    def __init__(self, time_boot_ms: int, chancount: int, chan1_raw: int, chan2_raw: int, chan3_raw: int, chan4_raw: int, chan5_raw: int, chan6_raw: int, chan7_raw: int, chan8_raw: int, chan9_raw: int, chan10_raw: int, chan11_raw: int, chan12_raw: int, chan13_raw: int, chan14_raw: int, chan15_raw: int, chan16_raw: int, chan17_raw: int, chan18_raw: int, rssi: int):
-        MAVLink_message.__init__(self, MAVLink_rc_channels_message.id, MAVLink_rc_channels_message.msgname)
-        self._fieldnames = MAVLink_rc_channels_message.fieldnames
-        self._instance_field = MAVLink_rc_channels_message.instance_field
-        self._instance_offset = MAVLink_rc_channels_message.instance_offset
-        self.time_boot_ms = time_boot_ms
-        self.chancount = chancount
-        self.chan1_raw = chan1_raw
-        self.chan2_raw = chan2_raw
-        self.chan3_raw = chan3_raw
-        self.chan4_raw = chan4_raw
-        self.chan5_raw = chan5_raw
-        self.chan6_raw = chan6_raw
-        self.chan7_raw = chan7_raw
-        self.chan8_raw = chan8_raw
-        self.chan9_raw = chan9_raw
-        self.chan10_raw = chan10_raw
-        self.chan11_raw = chan11_raw
-        self.chan12_raw = chan12_raw
-        self.chan13_raw = chan13_raw
-        self.chan14_raw = chan14_raw
-        self.chan15_raw = chan15_raw
-        self.chan16_raw = chan16_raw
-        self.chan17_raw = chan17_raw
-        self.chan18_raw = chan18_raw
-        self.rssi = rssi
-
-    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
-        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.time_boot_ms, self.chan1_raw, self.chan2_raw, self.chan3_raw, self.chan4_raw, self.chan5_raw, self.chan6_raw, self.chan7_raw, self.chan8_raw, self.chan9_raw, self.chan10_raw, self.chan11_raw, self.chan12_raw, self.chan13_raw, self.chan14_raw, self.chan15_raw, self.chan16_raw, self.chan17_raw, self.chan18_raw, self.chancount, self.rssi), force_mavlink1=force_mavlink1)
-
-
-# Define name on the class for backwards compatibility (it is now msgname).
-# Done with setattr to hide the class variable from mypy.
-setattr(MAVLink_rc_channels_message, "name", mavlink_msg_deprecated_name_property())
-
-
 class MAVLink_request_data_stream_message(MAVLink_message):
     """
 
@@ -2904,8 +2797,8 @@ class MAVLink_request_data_stream_message(MAVLink_message):
     ordered_fieldnames = ["req_message_rate", "target_system", "target_component", "req_stream_id", "start_stop"]
     fieldtypes = ["uint8_t", "uint8_t", "uint8_t", "uint16_t", "uint8_t"]
     fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {"req_stream_id": "MAV_DATA_STREAM"}
-    fieldunits_by_name: Dict[str, str] = {"req_message_rate": "Hz"}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {}
     native_format = bytearray(b"<HBBBB")
     orders = [1, 2, 3, 0, 4]
     lengths = [1, 1, 1, 1, 1]
@@ -2935,116 +2828,6 @@ class MAVLink_request_data_stream_message(MAVLink_message):
 setattr(MAVLink_request_data_stream_message, "name", mavlink_msg_deprecated_name_property())
 
 
-class MAVLink_manual_control_message(MAVLink_message):
-    """
-
-    """
-
-    id = MAVLINK_MSG_ID_MANUAL_CONTROL
-    msgname = "MANUAL_CONTROL"
-    fieldnames = ["target", "x", "y", "z", "r", "buttons", "buttons2", "enabled_extensions", "s", "t", "aux1", "aux2", "aux3", "aux4", "aux5", "aux6"]
-    ordered_fieldnames = ["x", "y", "z", "r", "buttons", "target", "buttons2", "enabled_extensions", "s", "t", "aux1", "aux2", "aux3", "aux4", "aux5", "aux6"]
-    fieldtypes = ["uint8_t", "int16_t", "int16_t", "int16_t", "int16_t", "uint16_t", "uint16_t", "uint8_t", "int16_t", "int16_t", "int16_t", "int16_t", "int16_t", "int16_t", "int16_t", "int16_t"]
-    fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {}
-    fieldunits_by_name: Dict[str, str] = {}
-    native_format = bytearray(b"<hhhhHBHBhhhhhhhh")
-    orders = [5, 0, 1, 2, 3, 4, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15]
-    lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1]
-    array_lengths = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]
-    crc_extra = 243
-    unpacker = struct.Struct("<hhhhHBHBhhhhhhhh")
-    instance_field = None
-    instance_offset = -1
-
-    def __init__(self, target: int, x: int, y: int, z: int, r: int, buttons: int, buttons2: int = 0, enabled_extensions: int = 0, s: int = 0, t: int = 0, aux1: int = 0, aux2: int = 0, aux3: int = 0, aux4: int = 0, aux5: int = 0, aux6: int = 0):
-        MAVLink_message.__init__(self, MAVLink_manual_control_message.id, MAVLink_manual_control_message.msgname)
-        self._fieldnames = MAVLink_manual_control_message.fieldnames
-        self._instance_field = MAVLink_manual_control_message.instance_field
-        self._instance_offset = MAVLink_manual_control_message.instance_offset
-        self.target = target
-        self.x = x
-        self.y = y
-        self.z = z
-        self.r = r
-        self.buttons = buttons
-        self.buttons2 = buttons2
-        self.enabled_extensions = enabled_extensions
-        self.s = s
-        self.t = t
-        self.aux1 = aux1
-        self.aux2 = aux2
-        self.aux3 = aux3
-        self.aux4 = aux4
-        self.aux5 = aux5
-        self.aux6 = aux6
-
-    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
-        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.x, self.y, self.z, self.r, self.buttons, self.target, self.buttons2, self.enabled_extensions, self.s, self.t, self.aux1, self.aux2, self.aux3, self.aux4, self.aux5, self.aux6), force_mavlink1=force_mavlink1)
-
-
-# Define name on the class for backwards compatibility (it is now msgname).
-# Done with setattr to hide the class variable from mypy.
-setattr(MAVLink_manual_control_message, "name", mavlink_msg_deprecated_name_property())
-
-
-class MAVLink_rc_channels_override_message(MAVLink_message):
-    """
-
-    """
-
-    id = MAVLINK_MSG_ID_RC_CHANNELS_OVERRIDE
-    msgname = "RC_CHANNELS_OVERRIDE"
-    fieldnames = ["target_system", "target_component", "chan1_raw", "chan2_raw", "chan3_raw", "chan4_raw", "chan5_raw", "chan6_raw", "chan7_raw", "chan8_raw", "chan9_raw", "chan10_raw", "chan11_raw", "chan12_raw", "chan13_raw", "chan14_raw", "chan15_raw", "chan16_raw", "chan17_raw", "chan18_raw"]
-    ordered_fieldnames = ["chan1_raw", "chan2_raw", "chan3_raw", "chan4_raw", "chan5_raw", "chan6_raw", "chan7_raw", "chan8_raw", "target_system", "target_component", "chan9_raw", "chan10_raw", "chan11_raw", "chan12_raw", "chan13_raw", "chan14_raw", "chan15_raw", "chan16_raw", "chan17_raw", "chan18_raw"]
-    fieldtypes = ["uint8_t", "uint8_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t"]
-    fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {}
-    fieldunits_by_name: Dict[str, str] = {"chan1_raw": "us", "chan2_raw": "us", "chan3_raw": "us", "chan4_raw": "us", "chan5_raw": "us", "chan6_raw": "us", "chan7_raw": "us", "chan8_raw": "us", "chan9_raw": "us", "chan10_raw": "us", "chan11_raw": "us", "chan12_raw": "us", "chan13_raw": "us", "chan14_raw": "us", "chan15_raw": "us", "chan16_raw": "us", "chan17_raw": "us", "chan18_raw": "us"}
-    native_format = bytearray(b"<HHHHHHHHBBHHHHHHHHHH")
-    orders = [8, 9, 0, 1, 2, 3, 4, 5, 6, 7, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19]
-    lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1]
-    array_lengths = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]
-    crc_extra = 124
-    unpacker = struct.Struct("<HHHHHHHHBBHHHHHHHHHH")
-    instance_field = None
-    instance_offset = -1
-
-    def __init__(self, target_system: int, target_component: int, chan1_raw: int, chan2_raw: int, chan3_raw: int, chan4_raw: int, chan5_raw: int, chan6_raw: int, chan7_raw: int, chan8_raw: int, chan9_raw: int = 0, chan10_raw: int = 0, chan11_raw: int = 0, chan12_raw: int = 0, chan13_raw: int = 0, chan14_raw: int = 0, chan15_raw: int = 0, chan16_raw: int = 0, chan17_raw: int = 0, chan18_raw: int = 0):
-        MAVLink_message.__init__(self, MAVLink_rc_channels_override_message.id, MAVLink_rc_channels_override_message.msgname)
-        self._fieldnames = MAVLink_rc_channels_override_message.fieldnames
-        self._instance_field = MAVLink_rc_channels_override_message.instance_field
-        self._instance_offset = MAVLink_rc_channels_override_message.instance_offset
-        self.target_system = target_system
-        self.target_component = target_component
-        self.chan1_raw = chan1_raw
-        self.chan2_raw = chan2_raw
-        self.chan3_raw = chan3_raw
-        self.chan4_raw = chan4_raw
-        self.chan5_raw = chan5_raw
-        self.chan6_raw = chan6_raw
-        self.chan7_raw = chan7_raw
-        self.chan8_raw = chan8_raw
-        self.chan9_raw = chan9_raw
-        self.chan10_raw = chan10_raw
-        self.chan11_raw = chan11_raw
-        self.chan12_raw = chan12_raw
-        self.chan13_raw = chan13_raw
-        self.chan14_raw = chan14_raw
-        self.chan15_raw = chan15_raw
-        self.chan16_raw = chan16_raw
-        self.chan17_raw = chan17_raw
-        self.chan18_raw = chan18_raw
-
-    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
-        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.chan1_raw, self.chan2_raw, self.chan3_raw, self.chan4_raw, self.chan5_raw, self.chan6_raw, self.chan7_raw, self.chan8_raw, self.target_system, self.target_component, self.chan9_raw, self.chan10_raw, self.chan11_raw, self.chan12_raw, self.chan13_raw, self.chan14_raw, self.chan15_raw, self.chan16_raw, self.chan17_raw, self.chan18_raw), force_mavlink1=force_mavlink1)
-
-
-# Define name on the class for backwards compatibility (it is now msgname).
-# Done with setattr to hide the class variable from mypy.
-setattr(MAVLink_rc_channels_override_message, "name", mavlink_msg_deprecated_name_property())
-
-
 class MAVLink_vfr_hud_message(MAVLink_message):
     """
 
@@ -3057,7 +2840,7 @@ class MAVLink_vfr_hud_message(MAVLink_message):
     fieldtypes = ["float", "float", "int16_t", "uint16_t", "float", "float"]
     fielddisplays_by_name: Dict[str, str] = {}
     fieldenums_by_name: Dict[str, str] = {}
-    fieldunits_by_name: Dict[str, str] = {"airspeed": "m/s", "groundspeed": "m/s", "heading": "deg", "throttle": "%", "alt": "m", "climb": "m/s"}
+    fieldunits_by_name: Dict[str, str] = {}
     native_format = bytearray(b"<ffffhH")
     orders = [0, 1, 4, 5, 2, 3]
     lengths = [1, 1, 1, 1, 1, 1]
@@ -3099,7 +2882,7 @@ class MAVLink_command_int_message(MAVLink_message):
     ordered_fieldnames = ["param1", "param2", "param3", "param4", "x", "y", "z", "command", "target_system", "target_component", "frame", "current", "autocontinue"]
     fieldtypes = ["uint8_t", "uint8_t", "uint8_t", "uint16_t", "uint8_t", "uint8_t", "float", "float", "float", "float", "int32_t", "int32_t", "float"]
     fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {"frame": "MAV_FRAME", "command": "MAV_CMD"}
+    fieldenums_by_name: Dict[str, str] = {}
     fieldunits_by_name: Dict[str, str] = {}
     native_format = bytearray(b"<ffffiifHBBBBB")
     orders = [8, 9, 10, 7, 11, 12, 0, 1, 2, 3, 4, 5, 6]
@@ -3149,7 +2932,7 @@ class MAVLink_command_long_message(MAVLink_message):
     ordered_fieldnames = ["param1", "param2", "param3", "param4", "param5", "param6", "param7", "command", "target_system", "target_component", "confirmation"]
     fieldtypes = ["uint8_t", "uint8_t", "uint16_t", "uint8_t", "float", "float", "float", "float", "float", "float", "float"]
     fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {"command": "MAV_CMD"}
+    fieldenums_by_name: Dict[str, str] = {}
     fieldunits_by_name: Dict[str, str] = {}
     native_format = bytearray(b"<fffffffHBBB")
     orders = [8, 9, 7, 10, 0, 1, 2, 3, 4, 5, 6]
@@ -3197,7 +2980,7 @@ class MAVLink_command_ack_message(MAVLink_message):
     ordered_fieldnames = ["command", "result", "progress", "result_param2", "target_system", "target_component"]
     fieldtypes = ["uint16_t", "uint8_t", "uint8_t", "int32_t", "uint8_t", "uint8_t"]
     fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {"command": "MAV_CMD", "result": "MAV_RESULT"}
+    fieldenums_by_name: Dict[str, str] = {}
     fieldunits_by_name: Dict[str, str] = {}
     native_format = bytearray(b"<HBBiBB")
     orders = [0, 1, 2, 3, 4, 5]
@@ -3240,8 +3023,8 @@ class MAVLink_set_attitude_target_message(MAVLink_message):
     ordered_fieldnames = ["time_boot_ms", "q", "body_roll_rate", "body_pitch_rate", "body_yaw_rate", "thrust", "target_system", "target_component", "type_mask"]
     fieldtypes = ["uint32_t", "uint8_t", "uint8_t", "uint8_t", "float", "float", "float", "float", "float"]
     fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {"type_mask": "ATTITUDE_TARGET_TYPEMASK"}
-    fieldunits_by_name: Dict[str, str] = {"time_boot_ms": "ms", "body_roll_rate": "rad/s", "body_pitch_rate": "rad/s", "body_yaw_rate": "rad/s"}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {}
     native_format = bytearray(b"<IfffffBBB")
     orders = [0, 6, 7, 8, 1, 2, 3, 4, 5]
     lengths = [1, 4, 1, 1, 1, 1, 1, 1, 1]
@@ -3286,8 +3069,8 @@ class MAVLink_attitude_target_message(MAVLink_message):
     ordered_fieldnames = ["time_boot_ms", "q", "body_roll_rate", "body_pitch_rate", "body_yaw_rate", "thrust", "type_mask"]
     fieldtypes = ["uint32_t", "uint8_t", "float", "float", "float", "float", "float"]
     fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {"type_mask": "ATTITUDE_TARGET_TYPEMASK"}
-    fieldunits_by_name: Dict[str, str] = {"time_boot_ms": "ms", "body_roll_rate": "rad/s", "body_pitch_rate": "rad/s", "body_yaw_rate": "rad/s"}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {}
     native_format = bytearray(b"<IfffffB")
     orders = [0, 6, 1, 2, 3, 4, 5]
     lengths = [1, 4, 1, 1, 1, 1, 1]
@@ -3330,8 +3113,8 @@ class MAVLink_set_position_target_local_ned_message(MAVLink_message):
     ordered_fieldnames = ["time_boot_ms", "x", "y", "z", "vx", "vy", "vz", "afx", "afy", "afz", "yaw", "yaw_rate", "type_mask", "target_system", "target_component", "coordinate_frame"]
     fieldtypes = ["uint32_t", "uint8_t", "uint8_t", "uint8_t", "uint16_t", "float", "float", "float", "float", "float", "float", "float", "float", "float", "float", "float"]
     fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {"coordinate_frame": "MAV_FRAME", "type_mask": "POSITION_TARGET_TYPEMASK"}
-    fieldunits_by_name: Dict[str, str] = {"time_boot_ms": "ms", "x": "m", "y": "m", "z": "m", "vx": "m/s", "vy": "m/s", "vz": "m/s", "afx": "m/s/s", "afy": "m/s/s", "afz": "m/s/s", "yaw": "rad", "yaw_rate": "rad/s"}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {}
     native_format = bytearray(b"<IfffffffffffHBBB")
     orders = [0, 13, 14, 15, 12, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11]
     lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1]
@@ -3372,207 +3155,6 @@ class MAVLink_set_position_target_local_ned_message(MAVLink_message):
 setattr(MAVLink_set_position_target_local_ned_message, "name", mavlink_msg_deprecated_name_property())
 
 
-class MAVLink_position_target_local_ned_message(MAVLink_message):
-    """
-
-    """
-
-    id = MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED
-    msgname = "POSITION_TARGET_LOCAL_NED"
-    fieldnames = ["time_boot_ms", "coordinate_frame", "type_mask", "x", "y", "z", "vx", "vy", "vz", "afx", "afy", "afz", "yaw", "yaw_rate"]
-    ordered_fieldnames = ["time_boot_ms", "x", "y", "z", "vx", "vy", "vz", "afx", "afy", "afz", "yaw", "yaw_rate", "type_mask", "coordinate_frame"]
-    fieldtypes = ["uint32_t", "uint8_t", "uint16_t", "float", "float", "float", "float", "float", "float", "float", "float", "float", "float", "float"]
-    fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {"coordinate_frame": "MAV_FRAME", "type_mask": "POSITION_TARGET_TYPEMASK"}
-    fieldunits_by_name: Dict[str, str] = {"time_boot_ms": "ms", "x": "m", "y": "m", "z": "m", "vx": "m/s", "vy": "m/s", "vz": "m/s", "afx": "m/s/s", "afy": "m/s/s", "afz": "m/s/s", "yaw": "rad", "yaw_rate": "rad/s"}
-    native_format = bytearray(b"<IfffffffffffHB")
-    orders = [0, 13, 12, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11]
-    lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1]
-    array_lengths = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]
-    crc_extra = 140
-    unpacker = struct.Struct("<IfffffffffffHB")
-    instance_field = None
-    instance_offset = -1
-
-    def __init__(self, time_boot_ms: int, coordinate_frame: int, type_mask: int, x: float, y: float, z: float, vx: float, vy: float, vz: float, afx: float, afy: float, afz: float, yaw: float, yaw_rate: float):
-        MAVLink_message.__init__(self, MAVLink_position_target_local_ned_message.id, MAVLink_position_target_local_ned_message.msgname)
-        self._fieldnames = MAVLink_position_target_local_ned_message.fieldnames
-        self._instance_field = MAVLink_position_target_local_ned_message.instance_field
-        self._instance_offset = MAVLink_position_target_local_ned_message.instance_offset
-        self.time_boot_ms = time_boot_ms
-        self.coordinate_frame = coordinate_frame
-        self.type_mask = type_mask
-        self.x = x
-        self.y = y
-        self.z = z
-        self.vx = vx
-        self.vy = vy
-        self.vz = vz
-        self.afx = afx
-        self.afy = afy
-        self.afz = afz
-        self.yaw = yaw
-        self.yaw_rate = yaw_rate
-
-    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
-        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.time_boot_ms, self.x, self.y, self.z, self.vx, self.vy, self.vz, self.afx, self.afy, self.afz, self.yaw, self.yaw_rate, self.type_mask, self.coordinate_frame), force_mavlink1=force_mavlink1)
-
-
-# Define name on the class for backwards compatibility (it is now msgname).
-# Done with setattr to hide the class variable from mypy.
-setattr(MAVLink_position_target_local_ned_message, "name", mavlink_msg_deprecated_name_property())
-
-
-class MAVLink_set_position_target_global_int_message(MAVLink_message):
-    """
-
-    """
-
-    id = MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT
-    msgname = "SET_POSITION_TARGET_GLOBAL_INT"
-    fieldnames = ["time_boot_ms", "target_system", "target_component", "coordinate_frame", "type_mask", "lat_int", "lon_int", "alt", "vx", "vy", "vz", "afx", "afy", "afz", "yaw", "yaw_rate"]
-    ordered_fieldnames = ["time_boot_ms", "lat_int", "lon_int", "alt", "vx", "vy", "vz", "afx", "afy", "afz", "yaw", "yaw_rate", "type_mask", "target_system", "target_component", "coordinate_frame"]
-    fieldtypes = ["uint32_t", "uint8_t", "uint8_t", "uint8_t", "uint16_t", "int32_t", "int32_t", "float", "float", "float", "float", "float", "float", "float", "float", "float"]
-    fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {"coordinate_frame": "MAV_FRAME", "type_mask": "POSITION_TARGET_TYPEMASK"}
-    fieldunits_by_name: Dict[str, str] = {"time_boot_ms": "ms", "lat_int": "degE7", "lon_int": "degE7", "alt": "m", "vx": "m/s", "vy": "m/s", "vz": "m/s", "afx": "m/s/s", "afy": "m/s/s", "afz": "m/s/s", "yaw": "rad", "yaw_rate": "rad/s"}
-    native_format = bytearray(b"<IiifffffffffHBBB")
-    orders = [0, 13, 14, 15, 12, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11]
-    lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1]
-    array_lengths = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]
-    crc_extra = 5
-    unpacker = struct.Struct("<IiifffffffffHBBB")
-    instance_field = None
-    instance_offset = -1
-
-    def __init__(self, time_boot_ms: int, target_system: int, target_component: int, coordinate_frame: int, type_mask: int, lat_int: int, lon_int: int, alt: float, vx: float, vy: float, vz: float, afx: float, afy: float, afz: float, yaw: float, yaw_rate: float):
-        MAVLink_message.__init__(self, MAVLink_set_position_target_global_int_message.id, MAVLink_set_position_target_global_int_message.msgname)
-        self._fieldnames = MAVLink_set_position_target_global_int_message.fieldnames
-        self._instance_field = MAVLink_set_position_target_global_int_message.instance_field
-        self._instance_offset = MAVLink_set_position_target_global_int_message.instance_offset
-        self.time_boot_ms = time_boot_ms
-        self.target_system = target_system
-        self.target_component = target_component
-        self.coordinate_frame = coordinate_frame
-        self.type_mask = type_mask
-        self.lat_int = lat_int
-        self.lon_int = lon_int
-        self.alt = alt
-        self.vx = vx
-        self.vy = vy
-        self.vz = vz
-        self.afx = afx
-        self.afy = afy
-        self.afz = afz
-        self.yaw = yaw
-        self.yaw_rate = yaw_rate
-
-    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
-        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.time_boot_ms, self.lat_int, self.lon_int, self.alt, self.vx, self.vy, self.vz, self.afx, self.afy, self.afz, self.yaw, self.yaw_rate, self.type_mask, self.target_system, self.target_component, self.coordinate_frame), force_mavlink1=force_mavlink1)
-
-
-# Define name on the class for backwards compatibility (it is now msgname).
-# Done with setattr to hide the class variable from mypy.
-setattr(MAVLink_set_position_target_global_int_message, "name", mavlink_msg_deprecated_name_property())
-
-
-class MAVLink_position_target_global_int_message(MAVLink_message):
-    """
-
-    """
-
-    id = MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT
-    msgname = "POSITION_TARGET_GLOBAL_INT"
-    fieldnames = ["time_boot_ms", "coordinate_frame", "type_mask", "lat_int", "lon_int", "alt", "vx", "vy", "vz", "afx", "afy", "afz", "yaw", "yaw_rate"]
-    ordered_fieldnames = ["time_boot_ms", "lat_int", "lon_int", "alt", "vx", "vy", "vz", "afx", "afy", "afz", "yaw", "yaw_rate", "type_mask", "coordinate_frame"]
-    fieldtypes = ["uint32_t", "uint8_t", "uint16_t", "int32_t", "int32_t", "float", "float", "float", "float", "float", "float", "float", "float", "float"]
-    fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {"coordinate_frame": "MAV_FRAME", "type_mask": "POSITION_TARGET_TYPEMASK"}
-    fieldunits_by_name: Dict[str, str] = {"time_boot_ms": "ms", "lat_int": "degE7", "lon_int": "degE7", "alt": "m", "vx": "m/s", "vy": "m/s", "vz": "m/s", "afx": "m/s/s", "afy": "m/s/s", "afz": "m/s/s", "yaw": "rad", "yaw_rate": "rad/s"}
-    native_format = bytearray(b"<IiifffffffffHB")
-    orders = [0, 13, 12, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11]
-    lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1]
-    array_lengths = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]
-    crc_extra = 150
-    unpacker = struct.Struct("<IiifffffffffHB")
-    instance_field = None
-    instance_offset = -1
-
-    def __init__(self, time_boot_ms: int, coordinate_frame: int, type_mask: int, lat_int: int, lon_int: int, alt: float, vx: float, vy: float, vz: float, afx: float, afy: float, afz: float, yaw: float, yaw_rate: float):
-        MAVLink_message.__init__(self, MAVLink_position_target_global_int_message.id, MAVLink_position_target_global_int_message.msgname)
-        self._fieldnames = MAVLink_position_target_global_int_message.fieldnames
-        self._instance_field = MAVLink_position_target_global_int_message.instance_field
-        self._instance_offset = MAVLink_position_target_global_int_message.instance_offset
-        self.time_boot_ms = time_boot_ms
-        self.coordinate_frame = coordinate_frame
-        self.type_mask = type_mask
-        self.lat_int = lat_int
-        self.lon_int = lon_int
-        self.alt = alt
-        self.vx = vx
-        self.vy = vy
-        self.vz = vz
-        self.afx = afx
-        self.afy = afy
-        self.afz = afz
-        self.yaw = yaw
-        self.yaw_rate = yaw_rate
-
-    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
-        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.time_boot_ms, self.lat_int, self.lon_int, self.alt, self.vx, self.vy, self.vz, self.afx, self.afy, self.afz, self.yaw, self.yaw_rate, self.type_mask, self.coordinate_frame), force_mavlink1=force_mavlink1)
-
-
-# Define name on the class for backwards compatibility (it is now msgname).
-# Done with setattr to hide the class variable from mypy.
-setattr(MAVLink_position_target_global_int_message, "name", mavlink_msg_deprecated_name_property())
-
-
-class MAVLink_vision_position_estimate_message(MAVLink_message):
-    """
-
-    """
-
-    id = MAVLINK_MSG_ID_VISION_POSITION_ESTIMATE
-    msgname = "VISION_POSITION_ESTIMATE"
-    fieldnames = ["usec", "x", "y", "z", "roll", "pitch", "yaw", "covariance", "reset_counter"]
-    ordered_fieldnames = ["usec", "x", "y", "z", "roll", "pitch", "yaw", "covariance", "reset_counter"]
-    fieldtypes = ["uint64_t", "float", "float", "float", "float", "float", "float", "float", "uint8_t"]
-    fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {}
-    fieldunits_by_name: Dict[str, str] = {"usec": "us", "x": "m", "y": "m", "z": "m", "roll": "rad", "pitch": "rad", "yaw": "rad"}
-    native_format = bytearray(b"<QfffffffB")
-    orders = [0, 1, 2, 3, 4, 5, 6, 7, 8]
-    lengths = [1, 1, 1, 1, 1, 1, 1, 21, 1]
-    array_lengths = [0, 0, 0, 0, 0, 0, 0, 21, 0]
-    crc_extra = 158
-    unpacker = struct.Struct("<Qffffff21fB")
-    instance_field = None
-    instance_offset = -1
-
-    def __init__(self, usec: int, x: float, y: float, z: float, roll: float, pitch: float, yaw: float, covariance: Sequence[float] = (0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0), reset_counter: int = 0):
-        MAVLink_message.__init__(self, MAVLink_vision_position_estimate_message.id, MAVLink_vision_position_estimate_message.msgname)
-        self._fieldnames = MAVLink_vision_position_estimate_message.fieldnames
-        self._instance_field = MAVLink_vision_position_estimate_message.instance_field
-        self._instance_offset = MAVLink_vision_position_estimate_message.instance_offset
-        self.usec = usec
-        self.x = x
-        self.y = y
-        self.z = z
-        self.roll = roll
-        self.pitch = pitch
-        self.yaw = yaw
-        self.covariance = covariance
-        self.reset_counter = reset_counter
-
-    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
-        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.usec, self.x, self.y, self.z, self.roll, self.pitch, self.yaw, self.covariance[0], self.covariance[1], self.covariance[2], self.covariance[3], self.covariance[4], self.covariance[5], self.covariance[6], self.covariance[7], self.covariance[8], self.covariance[9], self.covariance[10], self.covariance[11], self.covariance[12], self.covariance[13], self.covariance[14], self.covariance[15], self.covariance[16], self.covariance[17], self.covariance[18], self.covariance[19], self.covariance[20], self.reset_counter), force_mavlink1=force_mavlink1)
-
-
-# Define name on the class for backwards compatibility (it is now msgname).
-# Done with setattr to hide the class variable from mypy.
-setattr(MAVLink_vision_position_estimate_message, "name", mavlink_msg_deprecated_name_property())
-
-
 class MAVLink_highres_imu_message(MAVLink_message):
     """
 
@@ -3584,8 +3166,8 @@ class MAVLink_highres_imu_message(MAVLink_message):
     ordered_fieldnames = ["time_usec", "xacc", "yacc", "zacc", "xgyro", "ygyro", "zgyro", "xmag", "ymag", "zmag", "abs_pressure", "diff_pressure", "pressure_alt", "temperature", "fields_updated", "id"]
     fieldtypes = ["uint64_t", "float", "float", "float", "float", "float", "float", "float", "float", "float", "float", "float", "float", "float", "uint16_t", "uint8_t"]
     fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {"fields_updated": "HIGHRES_IMU_UPDATED_FLAGS"}
-    fieldunits_by_name: Dict[str, str] = {"time_usec": "us", "xacc": "m/s/s", "yacc": "m/s/s", "zacc": "m/s/s", "xgyro": "rad/s", "ygyro": "rad/s", "zgyro": "rad/s", "xmag": "gauss", "ymag": "gauss", "zmag": "gauss", "abs_pressure": "hPa", "diff_pressure": "hPa", "temperature": "degC"}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {}
     native_format = bytearray(b"<QfffffffffffffHB")
     orders = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15]
     lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1]
@@ -3624,99 +3206,6 @@ class MAVLink_highres_imu_message(MAVLink_message):
 # Define name on the class for backwards compatibility (it is now msgname).
 # Done with setattr to hide the class variable from mypy.
 setattr(MAVLink_highres_imu_message, "name", mavlink_msg_deprecated_name_property())
-
-
-class MAVLink_optical_flow_rad_message(MAVLink_message):
-    """
-
-    """
-
-    id = MAVLINK_MSG_ID_OPTICAL_FLOW_RAD
-    msgname = "OPTICAL_FLOW_RAD"
-    fieldnames = ["time_usec", "sensor_id", "integration_time_us", "integrated_x", "integrated_y", "integrated_xgyro", "integrated_ygyro", "integrated_zgyro", "temperature", "quality", "time_delta_distance_us", "distance"]
-    ordered_fieldnames = ["time_usec", "integration_time_us", "integrated_x", "integrated_y", "integrated_xgyro", "integrated_ygyro", "integrated_zgyro", "time_delta_distance_us", "distance", "temperature", "sensor_id", "quality"]
-    fieldtypes = ["uint64_t", "uint8_t", "uint32_t", "float", "float", "float", "float", "float", "int16_t", "uint8_t", "uint32_t", "float"]
-    fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {}
-    fieldunits_by_name: Dict[str, str] = {"time_usec": "us", "integration_time_us": "us", "integrated_x": "rad", "integrated_y": "rad", "integrated_xgyro": "rad", "integrated_ygyro": "rad", "integrated_zgyro": "rad", "temperature": "cdegC", "time_delta_distance_us": "us", "distance": "m"}
-    native_format = bytearray(b"<QIfffffIfhBB")
-    orders = [0, 10, 1, 2, 3, 4, 5, 6, 9, 11, 7, 8]
-    lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1]
-    array_lengths = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]
-    crc_extra = 138
-    unpacker = struct.Struct("<QIfffffIfhBB")
-    instance_field = "sensor_id"
-    instance_offset = 42
-
-    def __init__(self, time_usec: int, sensor_id: int, integration_time_us: int, integrated_x: float, integrated_y: float, integrated_xgyro: float, integrated_ygyro: float, integrated_zgyro: float, temperature: int, quality: int, time_delta_distance_us: int, distance: float):
-        MAVLink_message.__init__(self, MAVLink_optical_flow_rad_message.id, MAVLink_optical_flow_rad_message.msgname)
-        self._fieldnames = MAVLink_optical_flow_rad_message.fieldnames
-        self._instance_field = MAVLink_optical_flow_rad_message.instance_field
-        self._instance_offset = MAVLink_optical_flow_rad_message.instance_offset
-        self.time_usec = time_usec
-        self.sensor_id = sensor_id
-        self.integration_time_us = integration_time_us
-        self.integrated_x = integrated_x
-        self.integrated_y = integrated_y
-        self.integrated_xgyro = integrated_xgyro
-        self.integrated_ygyro = integrated_ygyro
-        self.integrated_zgyro = integrated_zgyro
-        self.temperature = temperature
-        self.quality = quality
-        self.time_delta_distance_us = time_delta_distance_us
-        self.distance = distance
-
-    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
-        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.time_usec, self.integration_time_us, self.integrated_x, self.integrated_y, self.integrated_xgyro, self.integrated_ygyro, self.integrated_zgyro, self.time_delta_distance_us, self.distance, self.temperature, self.sensor_id, self.quality), force_mavlink1=force_mavlink1)
-
-
-# Define name on the class for backwards compatibility (it is now msgname).
-# Done with setattr to hide the class variable from mypy.
-setattr(MAVLink_optical_flow_rad_message, "name", mavlink_msg_deprecated_name_property())
-
-
-class MAVLink_radio_status_message(MAVLink_message):
-    """
-
-    """
-
-    id = MAVLINK_MSG_ID_RADIO_STATUS
-    msgname = "RADIO_STATUS"
-    fieldnames = ["rssi", "remrssi", "txbuf", "noise", "remnoise", "rxerrors", "fixed"]
-    ordered_fieldnames = ["rxerrors", "fixed", "rssi", "remrssi", "txbuf", "noise", "remnoise"]
-    fieldtypes = ["uint8_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t", "uint16_t", "uint16_t"]
-    fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {}
-    fieldunits_by_name: Dict[str, str] = {"txbuf": "%"}
-    native_format = bytearray(b"<HHBBBBB")
-    orders = [2, 3, 4, 5, 6, 0, 1]
-    lengths = [1, 1, 1, 1, 1, 1, 1]
-    array_lengths = [0, 0, 0, 0, 0, 0, 0]
-    crc_extra = 185
-    unpacker = struct.Struct("<HHBBBBB")
-    instance_field = None
-    instance_offset = -1
-
-    def __init__(self, rssi: int, remrssi: int, txbuf: int, noise: int, remnoise: int, rxerrors: int, fixed: int):
-        MAVLink_message.__init__(self, MAVLink_radio_status_message.id, MAVLink_radio_status_message.msgname)
-        self._fieldnames = MAVLink_radio_status_message.fieldnames
-        self._instance_field = MAVLink_radio_status_message.instance_field
-        self._instance_offset = MAVLink_radio_status_message.instance_offset
-        self.rssi = rssi
-        self.remrssi = remrssi
-        self.txbuf = txbuf
-        self.noise = noise
-        self.remnoise = remnoise
-        self.rxerrors = rxerrors
-        self.fixed = fixed
-
-    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
-        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.rxerrors, self.fixed, self.rssi, self.remrssi, self.txbuf, self.noise, self.remnoise), force_mavlink1=force_mavlink1)
-
-
-# Define name on the class for backwards compatibility (it is now msgname).
-# Done with setattr to hide the class variable from mypy.
-setattr(MAVLink_radio_status_message, "name", mavlink_msg_deprecated_name_property())
 
 
 class MAVLink_file_transfer_protocol_message(MAVLink_message):
@@ -3772,7 +3261,7 @@ class MAVLink_timesync_message(MAVLink_message):
     fieldtypes = ["int64_t", "int64_t"]
     fielddisplays_by_name: Dict[str, str] = {}
     fieldenums_by_name: Dict[str, str] = {}
-    fieldunits_by_name: Dict[str, str] = {"tc1": "ns", "ts1": "ns"}
+    fieldunits_by_name: Dict[str, str] = {}
     native_format = bytearray(b"<qq")
     orders = [0, 1]
     lengths = [1, 1]
@@ -3852,7 +3341,7 @@ class MAVLink_log_entry_message(MAVLink_message):
     fieldtypes = ["uint16_t", "uint16_t", "uint16_t", "uint32_t", "uint32_t"]
     fielddisplays_by_name: Dict[str, str] = {}
     fieldenums_by_name: Dict[str, str] = {}
-    fieldunits_by_name: Dict[str, str] = {"time_utc": "s", "size": "bytes"}
+    fieldunits_by_name: Dict[str, str] = {}
     native_format = bytearray(b"<IIHHH")
     orders = [2, 3, 4, 0, 1]
     lengths = [1, 1, 1, 1, 1]
@@ -3894,7 +3383,7 @@ class MAVLink_log_request_data_message(MAVLink_message):
     fieldtypes = ["uint8_t", "uint8_t", "uint16_t", "uint32_t", "uint32_t"]
     fielddisplays_by_name: Dict[str, str] = {}
     fieldenums_by_name: Dict[str, str] = {}
-    fieldunits_by_name: Dict[str, str] = {"count": "bytes"}
+    fieldunits_by_name: Dict[str, str] = {}
     native_format = bytearray(b"<IIHBB")
     orders = [3, 4, 2, 0, 1]
     lengths = [1, 1, 1, 1, 1]
@@ -3936,7 +3425,7 @@ class MAVLink_log_data_message(MAVLink_message):
     fieldtypes = ["uint16_t", "uint32_t", "uint8_t", "uint8_t"]
     fielddisplays_by_name: Dict[str, str] = {}
     fieldenums_by_name: Dict[str, str] = {}
-    fieldunits_by_name: Dict[str, str] = {"count": "bytes"}
+    fieldunits_by_name: Dict[str, str] = {}
     native_format = bytearray(b"<IHBB")
     orders = [1, 0, 2, 3]
     lengths = [1, 1, 1, 90]
@@ -4043,140 +3532,6 @@ class MAVLink_log_request_end_message(MAVLink_message):
 setattr(MAVLink_log_request_end_message, "name", mavlink_msg_deprecated_name_property())
 
 
-class MAVLink_distance_sensor_message(MAVLink_message):
-    """
-
-    """
-
-    id = MAVLINK_MSG_ID_DISTANCE_SENSOR
-    msgname = "DISTANCE_SENSOR"
-    fieldnames = ["time_boot_ms", "min_distance", "max_distance", "current_distance", "type", "id", "orientation", "covariance", "horizontal_fov", "vertical_fov", "quaternion", "signal_quality"]
-    ordered_fieldnames = ["time_boot_ms", "min_distance", "max_distance", "current_distance", "type", "id", "orientation", "covariance", "horizontal_fov", "vertical_fov", "quaternion", "signal_quality"]
-    fieldtypes = ["uint32_t", "uint16_t", "uint16_t", "uint16_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t", "float", "float", "float", "uint8_t"]
-    fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {"type": "MAV_DISTANCE_SENSOR", "orientation": "MAV_SENSOR_ORIENTATION"}
-    fieldunits_by_name: Dict[str, str] = {"time_boot_ms": "ms", "min_distance": "cm", "max_distance": "cm", "current_distance": "cm", "covariance": "cm^2", "horizontal_fov": "rad", "vertical_fov": "rad", "signal_quality": "%"}
-    native_format = bytearray(b"<IHHHBBBBfffB")
-    orders = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11]
-    lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 4, 1]
-    array_lengths = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 4, 0]
-    crc_extra = 85
-    unpacker = struct.Struct("<IHHHBBBBff4fB")
-    instance_field = "id"
-    instance_offset = 11
-
-    def __init__(self, time_boot_ms: int, min_distance: int, max_distance: int, current_distance: int, type: int, id: int, orientation: int, covariance: int, horizontal_fov: float = 0, vertical_fov: float = 0, quaternion: Sequence[float] = (0, 0, 0, 0), signal_quality: int = 0):
-        MAVLink_message.__init__(self, MAVLink_distance_sensor_message.id, MAVLink_distance_sensor_message.msgname)
-        self._fieldnames = MAVLink_distance_sensor_message.fieldnames
-        self._instance_field = MAVLink_distance_sensor_message.instance_field
-        self._instance_offset = MAVLink_distance_sensor_message.instance_offset
-        self.time_boot_ms = time_boot_ms
-        self.min_distance = min_distance
-        self.max_distance = max_distance
-        self.current_distance = current_distance
-        self.type = type
-        self.id = id
-        self.orientation = orientation
-        self.covariance = covariance
-        self.horizontal_fov = horizontal_fov
-        self.vertical_fov = vertical_fov
-        self.quaternion = quaternion
-        self.signal_quality = signal_quality
-
-    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
-        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.time_boot_ms, self.min_distance, self.max_distance, self.current_distance, self.type, self.id, self.orientation, self.covariance, self.horizontal_fov, self.vertical_fov, self.quaternion[0], self.quaternion[1], self.quaternion[2], self.quaternion[3], self.signal_quality), force_mavlink1=force_mavlink1)
-
-
-# Define name on the class for backwards compatibility (it is now msgname).
-# Done with setattr to hide the class variable from mypy.
-setattr(MAVLink_distance_sensor_message, "name", mavlink_msg_deprecated_name_property())
-
-
-class MAVLink_att_pos_mocap_message(MAVLink_message):
-    """
-
-    """
-
-    id = MAVLINK_MSG_ID_ATT_POS_MOCAP
-    msgname = "ATT_POS_MOCAP"
-    fieldnames = ["time_usec", "q", "x", "y", "z", "covariance"]
-    ordered_fieldnames = ["time_usec", "q", "x", "y", "z", "covariance"]
-    fieldtypes = ["uint64_t", "float", "float", "float", "float", "float"]
-    fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {}
-    fieldunits_by_name: Dict[str, str] = {"time_usec": "us", "x": "m", "y": "m", "z": "m"}
-    native_format = bytearray(b"<Qfffff")
-    orders = [0, 1, 2, 3, 4, 5]
-    lengths = [1, 4, 1, 1, 1, 21]
-    array_lengths = [0, 4, 0, 0, 0, 21]
-    crc_extra = 109
-    unpacker = struct.Struct("<Q4ffff21f")
-    instance_field = None
-    instance_offset = -1
-
-    def __init__(self, time_usec: int, q: Sequence[float], x: float, y: float, z: float, covariance: Sequence[float] = (0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0)):
-        MAVLink_message.__init__(self, MAVLink_att_pos_mocap_message.id, MAVLink_att_pos_mocap_message.msgname)
-        self._fieldnames = MAVLink_att_pos_mocap_message.fieldnames
-        self._instance_field = MAVLink_att_pos_mocap_message.instance_field
-        self._instance_offset = MAVLink_att_pos_mocap_message.instance_offset
-        self.time_usec = time_usec
-        self.q = q
-        self.x = x
-        self.y = y
-        self.z = z
-        self.covariance = covariance
-
-    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
-        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.time_usec, self.q[0], self.q[1], self.q[2], self.q[3], self.x, self.y, self.z, self.covariance[0], self.covariance[1], self.covariance[2], self.covariance[3], self.covariance[4], self.covariance[5], self.covariance[6], self.covariance[7], self.covariance[8], self.covariance[9], self.covariance[10], self.covariance[11], self.covariance[12], self.covariance[13], self.covariance[14], self.covariance[15], self.covariance[16], self.covariance[17], self.covariance[18], self.covariance[19], self.covariance[20]), force_mavlink1=force_mavlink1)
-
-
-# Define name on the class for backwards compatibility (it is now msgname).
-# Done with setattr to hide the class variable from mypy.
-setattr(MAVLink_att_pos_mocap_message, "name", mavlink_msg_deprecated_name_property())
-
-
-class MAVLink_set_actuator_control_target_message(MAVLink_message):
-    """
-
-    """
-
-    id = MAVLINK_MSG_ID_SET_ACTUATOR_CONTROL_TARGET
-    msgname = "SET_ACTUATOR_CONTROL_TARGET"
-    fieldnames = ["time_usec", "group_mlx", "target_system", "target_component", "controls"]
-    ordered_fieldnames = ["time_usec", "controls", "group_mlx", "target_system", "target_component"]
-    fieldtypes = ["uint64_t", "uint8_t", "uint8_t", "uint8_t", "float"]
-    fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {}
-    fieldunits_by_name: Dict[str, str] = {"time_usec": "us"}
-    native_format = bytearray(b"<QfBBB")
-    orders = [0, 2, 3, 4, 1]
-    lengths = [1, 8, 1, 1, 1]
-    array_lengths = [0, 8, 0, 0, 0]
-    crc_extra = 168
-    unpacker = struct.Struct("<Q8fBBB")
-    instance_field = None
-    instance_offset = -1
-
-    def __init__(self, time_usec: int, group_mlx: int, target_system: int, target_component: int, controls: Sequence[float]):
-        MAVLink_message.__init__(self, MAVLink_set_actuator_control_target_message.id, MAVLink_set_actuator_control_target_message.msgname)
-        self._fieldnames = MAVLink_set_actuator_control_target_message.fieldnames
-        self._instance_field = MAVLink_set_actuator_control_target_message.instance_field
-        self._instance_offset = MAVLink_set_actuator_control_target_message.instance_offset
-        self.time_usec = time_usec
-        self.group_mlx = group_mlx
-        self.target_system = target_system
-        self.target_component = target_component
-        self.controls = controls
-
-    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
-        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.time_usec, self.controls[0], self.controls[1], self.controls[2], self.controls[3], self.controls[4], self.controls[5], self.controls[6], self.controls[7], self.group_mlx, self.target_system, self.target_component), force_mavlink1=force_mavlink1)
-
-
-# Define name on the class for backwards compatibility (it is now msgname).
-# Done with setattr to hide the class variable from mypy.
-setattr(MAVLink_set_actuator_control_target_message, "name", mavlink_msg_deprecated_name_property())
-
-
 class MAVLink_altitude_message(MAVLink_message):
     """
 
@@ -4189,7 +3544,7 @@ class MAVLink_altitude_message(MAVLink_message):
     fieldtypes = ["uint64_t", "float", "float", "float", "float", "float", "float"]
     fielddisplays_by_name: Dict[str, str] = {}
     fieldenums_by_name: Dict[str, str] = {}
-    fieldunits_by_name: Dict[str, str] = {"time_usec": "us", "altitude_monotonic": "m", "altitude_amsl": "m", "altitude_local": "m", "altitude_relative": "m", "altitude_terrain": "m", "bottom_clearance": "m"}
+    fieldunits_by_name: Dict[str, str] = {}
     native_format = bytearray(b"<Qffffff")
     orders = [0, 1, 2, 3, 4, 5, 6]
     lengths = [1, 1, 1, 1, 1, 1, 1]
@@ -4232,8 +3587,8 @@ class MAVLink_battery_status_message(MAVLink_message):
     ordered_fieldnames = ["current_consumed", "energy_consumed", "temperature", "voltages", "current_battery", "id", "battery_function", "type", "battery_remaining", "time_remaining", "charge_state", "voltages_ext", "mode", "fault_bitmask"]
     fieldtypes = ["uint8_t", "uint8_t", "uint8_t", "int16_t", "uint16_t", "int16_t", "int32_t", "int32_t", "int8_t", "int32_t", "uint8_t", "uint16_t", "uint8_t", "uint32_t"]
     fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {"battery_function": "MAV_BATTERY_FUNCTION", "type": "MAV_BATTERY_TYPE", "charge_state": "MAV_BATTERY_CHARGE_STATE", "mode": "MAV_BATTERY_MODE", "fault_bitmask": "MAV_BATTERY_FAULT"}
-    fieldunits_by_name: Dict[str, str] = {"temperature": "cdegC", "voltages": "mV", "current_battery": "cA", "current_consumed": "mAh", "energy_consumed": "hJ", "battery_remaining": "%", "time_remaining": "s", "voltages_ext": "mV"}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {}
     native_format = bytearray(b"<iihHhBBBbiBHBI")
     orders = [5, 6, 7, 2, 3, 4, 0, 1, 8, 9, 10, 11, 12, 13]
     lengths = [1, 1, 1, 10, 1, 1, 1, 1, 1, 1, 1, 4, 1, 1]
@@ -4282,9 +3637,9 @@ class MAVLink_estimator_status_message(MAVLink_message):
     fieldnames = ["time_usec", "flags", "vel_ratio", "pos_horiz_ratio", "pos_vert_ratio", "mag_ratio", "hagl_ratio", "tas_ratio", "pos_horiz_accuracy", "pos_vert_accuracy"]
     ordered_fieldnames = ["time_usec", "vel_ratio", "pos_horiz_ratio", "pos_vert_ratio", "mag_ratio", "hagl_ratio", "tas_ratio", "pos_horiz_accuracy", "pos_vert_accuracy", "flags"]
     fieldtypes = ["uint64_t", "uint16_t", "float", "float", "float", "float", "float", "float", "float", "float"]
-    fielddisplays_by_name: Dict[str, str] = {"flags": "bitmask"}
-    fieldenums_by_name: Dict[str, str] = {"flags": "ESTIMATOR_STATUS_FLAGS"}
-    fieldunits_by_name: Dict[str, str] = {"time_usec": "us", "pos_horiz_accuracy": "m", "pos_vert_accuracy": "m"}
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {}
     native_format = bytearray(b"<QffffffffH")
     orders = [0, 9, 1, 2, 3, 4, 5, 6, 7, 8]
     lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1, 1]
@@ -4319,136 +3674,6 @@ class MAVLink_estimator_status_message(MAVLink_message):
 setattr(MAVLink_estimator_status_message, "name", mavlink_msg_deprecated_name_property())
 
 
-class MAVLink_wind_cov_message(MAVLink_message):
-    """
-
-    """
-
-    id = MAVLINK_MSG_ID_WIND_COV
-    msgname = "WIND_COV"
-    fieldnames = ["time_usec", "wind_x", "wind_y", "wind_z", "var_horiz", "var_vert", "wind_alt", "horiz_accuracy", "vert_accuracy"]
-    ordered_fieldnames = ["time_usec", "wind_x", "wind_y", "wind_z", "var_horiz", "var_vert", "wind_alt", "horiz_accuracy", "vert_accuracy"]
-    fieldtypes = ["uint64_t", "float", "float", "float", "float", "float", "float", "float", "float"]
-    fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {}
-    fieldunits_by_name: Dict[str, str] = {"time_usec": "us", "wind_x": "m/s", "wind_y": "m/s", "wind_z": "m/s", "var_horiz": "m/s", "var_vert": "m/s", "wind_alt": "m", "horiz_accuracy": "m/s", "vert_accuracy": "m/s"}
-    native_format = bytearray(b"<Qffffffff")
-    orders = [0, 1, 2, 3, 4, 5, 6, 7, 8]
-    lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1]
-    array_lengths = [0, 0, 0, 0, 0, 0, 0, 0, 0]
-    crc_extra = 105
-    unpacker = struct.Struct("<Qffffffff")
-    instance_field = None
-    instance_offset = -1
-
-    def __init__(self, time_usec: int, wind_x: float, wind_y: float, wind_z: float, var_horiz: float, var_vert: float, wind_alt: float, horiz_accuracy: float, vert_accuracy: float):
-        MAVLink_message.__init__(self, MAVLink_wind_cov_message.id, MAVLink_wind_cov_message.msgname)
-        self._fieldnames = MAVLink_wind_cov_message.fieldnames
-        self._instance_field = MAVLink_wind_cov_message.instance_field
-        self._instance_offset = MAVLink_wind_cov_message.instance_offset
-        self.time_usec = time_usec
-        self.wind_x = wind_x
-        self.wind_y = wind_y
-        self.wind_z = wind_z
-        self.var_horiz = var_horiz
-        self.var_vert = var_vert
-        self.wind_alt = wind_alt
-        self.horiz_accuracy = horiz_accuracy
-        self.vert_accuracy = vert_accuracy
-
-    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
-        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.time_usec, self.wind_x, self.wind_y, self.wind_z, self.var_horiz, self.var_vert, self.wind_alt, self.horiz_accuracy, self.vert_accuracy), force_mavlink1=force_mavlink1)
-
-
-# Define name on the class for backwards compatibility (it is now msgname).
-# Done with setattr to hide the class variable from mypy.
-setattr(MAVLink_wind_cov_message, "name", mavlink_msg_deprecated_name_property())
-
-
-class MAVLink_gps_rtcm_data_message(MAVLink_message):
-    """
-
-    """
-
-    id = MAVLINK_MSG_ID_GPS_RTCM_DATA
-    msgname = "GPS_RTCM_DATA"
-    fieldnames = ["flags", "len", "data"]
-    ordered_fieldnames = ["flags", "len", "data"]
-    fieldtypes = ["uint8_t", "uint8_t", "uint8_t"]
-    fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {}
-    fieldunits_by_name: Dict[str, str] = {"len": "bytes"}
-    native_format = bytearray(b"<BBB")
-    orders = [0, 1, 2]
-    lengths = [1, 1, 180]
-    array_lengths = [0, 0, 180]
-    crc_extra = 35
-    unpacker = struct.Struct("<BB180B")
-    instance_field = None
-    instance_offset = -1
-
-    def __init__(self, flags: int, len: int, data: Sequence[int]):
-        MAVLink_message.__init__(self, MAVLink_gps_rtcm_data_message.id, MAVLink_gps_rtcm_data_message.msgname)
-        self._fieldnames = MAVLink_gps_rtcm_data_message.fieldnames
-        self._instance_field = MAVLink_gps_rtcm_data_message.instance_field
-        self._instance_offset = MAVLink_gps_rtcm_data_message.instance_offset
-        self.flags = flags
-        self.len = len
-        self.data = data
-
-    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
-        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.flags, self.len, self.data[0], self.data[1], self.data[2], self.data[3], self.data[4], self.data[5], self.data[6], self.data[7], self.data[8], self.data[9], self.data[10], self.data[11], self.data[12], self.data[13], self.data[14], self.data[15], self.data[16], self.data[17], self.data[18], self.data[19], self.data[20], self.data[21], self.data[22], self.data[23], self.data[24], self.data[25], self.data[26], self.data[27], self.data[28], self.data[29], self.data[30], self.data[31], self.data[32], self.data[33], self.data[34], self.data[35], self.data[36], self.data[37], self.data[38], self.data[39], self.data[40], self.data[41], self.data[42], self.data[43], self.data[44], self.data[45], self.data[46], self.data[47], self.data[48], self.data[49], self.data[50], self.data[51], self.data[52], self.data[53], self.data[54], self.data[55], self.data[56], self.data[57], self.data[58], self.data[59], self.data[60], self.data[61], self.data[62], self.data[63], self.data[64], self.data[65], self.data[66], self.data[67], self.data[68], self.data[69], self.data[70], self.data[71], self.data[72], self.data[73], self.data[74], self.data[75], self.data[76], self.data[77], self.data[78], self.data[79], self.data[80], self.data[81], self.data[82], self.data[83], self.data[84], self.data[85], self.data[86], self.data[87], self.data[88], self.data[89], self.data[90], self.data[91], self.data[92], self.data[93], self.data[94], self.data[95], self.data[96], self.data[97], self.data[98], self.data[99], self.data[100], self.data[101], self.data[102], self.data[103], self.data[104], self.data[105], self.data[106], self.data[107], self.data[108], self.data[109], self.data[110], self.data[111], self.data[112], self.data[113], self.data[114], self.data[115], self.data[116], self.data[117], self.data[118], self.data[119], self.data[120], self.data[121], self.data[122], self.data[123], self.data[124], self.data[125], self.data[126], self.data[127], self.data[128], self.data[129], self.data[130], self.data[131], self.data[132], self.data[133], self.data[134], self.data[135], self.data[136], self.data[137], self.data[138], self.data[139], self.data[140], self.data[141], self.data[142], self.data[143], self.data[144], self.data[145], self.data[146], self.data[147], self.data[148], self.data[149], self.data[150], self.data[151], self.data[152], self.data[153], self.data[154], self.data[155], self.data[156], self.data[157], self.data[158], self.data[159], self.data[160], self.data[161], self.data[162], self.data[163], self.data[164], self.data[165], self.data[166], self.data[167], self.data[168], self.data[169], self.data[170], self.data[171], self.data[172], self.data[173], self.data[174], self.data[175], self.data[176], self.data[177], self.data[178], self.data[179]), force_mavlink1=force_mavlink1)
-
-
-# Define name on the class for backwards compatibility (it is now msgname).
-# Done with setattr to hide the class variable from mypy.
-setattr(MAVLink_gps_rtcm_data_message, "name", mavlink_msg_deprecated_name_property())
-
-
-class MAVLink_vibration_message(MAVLink_message):
-    """
-
-    """
-
-    id = MAVLINK_MSG_ID_VIBRATION
-    msgname = "VIBRATION"
-    fieldnames = ["time_usec", "vibration_x", "vibration_y", "vibration_z", "clipping_0", "clipping_1", "clipping_2"]
-    ordered_fieldnames = ["time_usec", "vibration_x", "vibration_y", "vibration_z", "clipping_0", "clipping_1", "clipping_2"]
-    fieldtypes = ["uint64_t", "float", "float", "float", "uint32_t", "uint32_t", "uint32_t"]
-    fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {}
-    fieldunits_by_name: Dict[str, str] = {"time_usec": "us"}
-    native_format = bytearray(b"<QfffIII")
-    orders = [0, 1, 2, 3, 4, 5, 6]
-    lengths = [1, 1, 1, 1, 1, 1, 1]
-    array_lengths = [0, 0, 0, 0, 0, 0, 0]
-    crc_extra = 90
-    unpacker = struct.Struct("<QfffIII")
-    instance_field = None
-    instance_offset = -1
-
-    def __init__(self, time_usec: int, vibration_x: float, vibration_y: float, vibration_z: float, clipping_0: int, clipping_1: int, clipping_2: int):
-        MAVLink_message.__init__(self, MAVLink_vibration_message.id, MAVLink_vibration_message.msgname)
-        self._fieldnames = MAVLink_vibration_message.fieldnames
-        self._instance_field = MAVLink_vibration_message.instance_field
-        self._instance_offset = MAVLink_vibration_message.instance_offset
-        self.time_usec = time_usec
-        self.vibration_x = vibration_x
-        self.vibration_y = vibration_y
-        self.vibration_z = vibration_z
-        self.clipping_0 = clipping_0
-        self.clipping_1 = clipping_1
-        self.clipping_2 = clipping_2
-
-    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
-        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.time_usec, self.vibration_x, self.vibration_y, self.vibration_z, self.clipping_0, self.clipping_1, self.clipping_2), force_mavlink1=force_mavlink1)
-
-
-# Define name on the class for backwards compatibility (it is now msgname).
-# Done with setattr to hide the class variable from mypy.
-setattr(MAVLink_vibration_message, "name", mavlink_msg_deprecated_name_property())
-
-
 class MAVLink_home_position_message(MAVLink_message):
     """
 
@@ -4461,7 +3686,7 @@ class MAVLink_home_position_message(MAVLink_message):
     fieldtypes = ["int32_t", "int32_t", "int32_t", "float", "float", "float", "float", "float", "float", "float", "uint64_t"]
     fielddisplays_by_name: Dict[str, str] = {}
     fieldenums_by_name: Dict[str, str] = {}
-    fieldunits_by_name: Dict[str, str] = {"latitude": "degE7", "longitude": "degE7", "altitude": "mm", "x": "m", "y": "m", "z": "m", "approach_x": "m", "approach_y": "m", "approach_z": "m", "time_usec": "us"}
+    fieldunits_by_name: Dict[str, str] = {}
     native_format = bytearray(b"<iiifffffffQ")
     orders = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10]
     lengths = [1, 1, 1, 1, 1, 1, 4, 1, 1, 1, 1]
@@ -4509,7 +3734,7 @@ class MAVLink_message_interval_message(MAVLink_message):
     fieldtypes = ["uint16_t", "int32_t"]
     fielddisplays_by_name: Dict[str, str] = {}
     fieldenums_by_name: Dict[str, str] = {}
-    fieldunits_by_name: Dict[str, str] = {"interval_us": "us"}
+    fieldunits_by_name: Dict[str, str] = {}
     native_format = bytearray(b"<iH")
     orders = [1, 0]
     lengths = [1, 1]
@@ -4547,7 +3772,7 @@ class MAVLink_extended_sys_state_message(MAVLink_message):
     ordered_fieldnames = ["vtol_state", "landed_state"]
     fieldtypes = ["uint8_t", "uint8_t"]
     fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {"vtol_state": "MAV_VTOL_STATE", "landed_state": "MAV_LANDED_STATE"}
+    fieldenums_by_name: Dict[str, str] = {}
     fieldunits_by_name: Dict[str, str] = {}
     native_format = bytearray(b"<BB")
     orders = [0, 1]
@@ -4586,7 +3811,7 @@ class MAVLink_statustext_message(MAVLink_message):
     ordered_fieldnames = ["severity", "text", "id", "chunk_seq"]
     fieldtypes = ["uint8_t", "char", "uint16_t", "uint8_t"]
     fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {"severity": "MAV_SEVERITY"}
+    fieldenums_by_name: Dict[str, str] = {}
     fieldunits_by_name: Dict[str, str] = {}
     native_format = bytearray(b"<BcHB")
     orders = [0, 1, 2, 3]
@@ -4669,8 +3894,8 @@ class MAVLink_odometry_message(MAVLink_message):
     ordered_fieldnames = ["time_usec", "x", "y", "z", "q", "vx", "vy", "vz", "rollspeed", "pitchspeed", "yawspeed", "pose_covariance", "velocity_covariance", "frame_id", "child_frame_id", "reset_counter", "estimator_type", "quality"]
     fieldtypes = ["uint64_t", "uint8_t", "uint8_t", "float", "float", "float", "float", "float", "float", "float", "float", "float", "float", "float", "float", "uint8_t", "uint8_t", "int8_t"]
     fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {"frame_id": "MAV_FRAME", "child_frame_id": "MAV_FRAME", "estimator_type": "MAV_ESTIMATOR_TYPE"}
-    fieldunits_by_name: Dict[str, str] = {"time_usec": "us", "x": "m", "y": "m", "z": "m", "vx": "m/s", "vy": "m/s", "vz": "m/s", "rollspeed": "rad/s", "pitchspeed": "rad/s", "yawspeed": "rad/s", "quality": "%"}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {}
     native_format = bytearray(b"<QffffffffffffBBBBb")
     orders = [0, 13, 14, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 15, 16, 17]
     lengths = [1, 1, 1, 1, 4, 1, 1, 1, 1, 1, 1, 21, 21, 1, 1, 1, 1, 1]
@@ -4713,285 +3938,6 @@ class MAVLink_odometry_message(MAVLink_message):
 setattr(MAVLink_odometry_message, "name", mavlink_msg_deprecated_name_property())
 
 
-class MAVLink_utm_global_position_message(MAVLink_message):
-    """
-
-    """
-
-    id = MAVLINK_MSG_ID_UTM_GLOBAL_POSITION
-    msgname = "UTM_GLOBAL_POSITION"
-    fieldnames = ["time", "uas_id", "lat", "lon", "alt", "relative_alt", "vx", "vy", "vz", "h_acc", "v_acc", "vel_acc", "next_lat", "next_lon", "next_alt", "update_rate", "flight_state", "flags"]
-    ordered_fieldnames = ["time", "lat", "lon", "alt", "relative_alt", "next_lat", "next_lon", "next_alt", "vx", "vy", "vz", "h_acc", "v_acc", "vel_acc", "update_rate", "uas_id", "flight_state", "flags"]
-    fieldtypes = ["uint64_t", "uint8_t", "int32_t", "int32_t", "int32_t", "int32_t", "int16_t", "int16_t", "int16_t", "uint16_t", "uint16_t", "uint16_t", "int32_t", "int32_t", "int32_t", "uint16_t", "uint8_t", "uint8_t"]
-    fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {"flight_state": "UTM_FLIGHT_STATE", "flags": "UTM_DATA_AVAIL_FLAGS"}
-    fieldunits_by_name: Dict[str, str] = {"time": "us", "lat": "degE7", "lon": "degE7", "alt": "mm", "relative_alt": "mm", "vx": "cm/s", "vy": "cm/s", "vz": "cm/s", "h_acc": "mm", "v_acc": "mm", "vel_acc": "cm/s", "next_lat": "degE7", "next_lon": "degE7", "next_alt": "mm", "update_rate": "cs"}
-    native_format = bytearray(b"<QiiiiiiihhhHHHHBBB")
-    orders = [0, 15, 1, 2, 3, 4, 8, 9, 10, 11, 12, 13, 5, 6, 7, 14, 16, 17]
-    lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 18, 1, 1]
-    array_lengths = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 18, 0, 0]
-    crc_extra = 99
-    unpacker = struct.Struct("<QiiiiiiihhhHHHH18BBB")
-    instance_field = None
-    instance_offset = -1
-
-    def __init__(self, time: int, uas_id: Sequence[int], lat: int, lon: int, alt: int, relative_alt: int, vx: int, vy: int, vz: int, h_acc: int, v_acc: int, vel_acc: int, next_lat: int, next_lon: int, next_alt: int, update_rate: int, flight_state: int, flags: int):
-        MAVLink_message.__init__(self, MAVLink_utm_global_position_message.id, MAVLink_utm_global_position_message.msgname)
-        self._fieldnames = MAVLink_utm_global_position_message.fieldnames
-        self._instance_field = MAVLink_utm_global_position_message.instance_field
-        self._instance_offset = MAVLink_utm_global_position_message.instance_offset
-        self.time = time
-        self.uas_id = uas_id
-        self.lat = lat
-        self.lon = lon
-        self.alt = alt
-        self.relative_alt = relative_alt
-        self.vx = vx
-        self.vy = vy
-        self.vz = vz
-        self.h_acc = h_acc
-        self.v_acc = v_acc
-        self.vel_acc = vel_acc
-        self.next_lat = next_lat
-        self.next_lon = next_lon
-        self.next_alt = next_alt
-        self.update_rate = update_rate
-        self.flight_state = flight_state
-        self.flags = flags
-
-    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
-        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.time, self.lat, self.lon, self.alt, self.relative_alt, self.next_lat, self.next_lon, self.next_alt, self.vx, self.vy, self.vz, self.h_acc, self.v_acc, self.vel_acc, self.update_rate, self.uas_id[0], self.uas_id[1], self.uas_id[2], self.uas_id[3], self.uas_id[4], self.uas_id[5], self.uas_id[6], self.uas_id[7], self.uas_id[8], self.uas_id[9], self.uas_id[10], self.uas_id[11], self.uas_id[12], self.uas_id[13], self.uas_id[14], self.uas_id[15], self.uas_id[16], self.uas_id[17], self.flight_state, self.flags), force_mavlink1=force_mavlink1)
-
-
-# Define name on the class for backwards compatibility (it is now msgname).
-# Done with setattr to hide the class variable from mypy.
-setattr(MAVLink_utm_global_position_message, "name", mavlink_msg_deprecated_name_property())
-
-
-class MAVLink_open_drone_id_basic_id_message(MAVLink_message):
-    """
-
-    """
-
-    id = MAVLINK_MSG_ID_OPEN_DRONE_ID_BASIC_ID
-    msgname = "OPEN_DRONE_ID_BASIC_ID"
-    fieldnames = ["target_system", "target_component", "id_or_mac", "id_type", "ua_type", "uas_id"]
-    ordered_fieldnames = ["target_system", "target_component", "id_or_mac", "id_type", "ua_type", "uas_id"]
-    fieldtypes = ["uint8_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t"]
-    fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {"id_type": "MAV_ODID_ID_TYPE", "ua_type": "MAV_ODID_UA_TYPE"}
-    fieldunits_by_name: Dict[str, str] = {}
-    native_format = bytearray(b"<BBBBBB")
-    orders = [0, 1, 2, 3, 4, 5]
-    lengths = [1, 1, 20, 1, 1, 20]
-    array_lengths = [0, 0, 20, 0, 0, 20]
-    crc_extra = 114
-    unpacker = struct.Struct("<BB20BBB20B")
-    instance_field = None
-    instance_offset = -1
-
-    def __init__(self, target_system: int, target_component: int, id_or_mac: Sequence[int], id_type: int, ua_type: int, uas_id: Sequence[int]):
-        MAVLink_message.__init__(self, MAVLink_open_drone_id_basic_id_message.id, MAVLink_open_drone_id_basic_id_message.msgname)
-        self._fieldnames = MAVLink_open_drone_id_basic_id_message.fieldnames
-        self._instance_field = MAVLink_open_drone_id_basic_id_message.instance_field
-        self._instance_offset = MAVLink_open_drone_id_basic_id_message.instance_offset
-        self.target_system = target_system
-        self.target_component = target_component
-        self.id_or_mac = id_or_mac
-        self.id_type = id_type
-        self.ua_type = ua_type
-        self.uas_id = uas_id
-
-    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
-        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.target_system, self.target_component, self.id_or_mac[0], self.id_or_mac[1], self.id_or_mac[2], self.id_or_mac[3], self.id_or_mac[4], self.id_or_mac[5], self.id_or_mac[6], self.id_or_mac[7], self.id_or_mac[8], self.id_or_mac[9], self.id_or_mac[10], self.id_or_mac[11], self.id_or_mac[12], self.id_or_mac[13], self.id_or_mac[14], self.id_or_mac[15], self.id_or_mac[16], self.id_or_mac[17], self.id_or_mac[18], self.id_or_mac[19], self.id_type, self.ua_type, self.uas_id[0], self.uas_id[1], self.uas_id[2], self.uas_id[3], self.uas_id[4], self.uas_id[5], self.uas_id[6], self.uas_id[7], self.uas_id[8], self.uas_id[9], self.uas_id[10], self.uas_id[11], self.uas_id[12], self.uas_id[13], self.uas_id[14], self.uas_id[15], self.uas_id[16], self.uas_id[17], self.uas_id[18], self.uas_id[19]), force_mavlink1=force_mavlink1)
-
-
-# Define name on the class for backwards compatibility (it is now msgname).
-# Done with setattr to hide the class variable from mypy.
-setattr(MAVLink_open_drone_id_basic_id_message, "name", mavlink_msg_deprecated_name_property())
-
-
-class MAVLink_open_drone_id_self_id_message(MAVLink_message):
-    """
-
-    """
-
-    id = MAVLINK_MSG_ID_OPEN_DRONE_ID_SELF_ID
-    msgname = "OPEN_DRONE_ID_SELF_ID"
-    fieldnames = ["target_system", "target_component", "id_or_mac", "description_type", "description"]
-    ordered_fieldnames = ["target_system", "target_component", "id_or_mac", "description_type", "description"]
-    fieldtypes = ["uint8_t", "uint8_t", "uint8_t", "uint8_t", "char"]
-    fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {"description_type": "MAV_ODID_DESC_TYPE"}
-    fieldunits_by_name: Dict[str, str] = {}
-    native_format = bytearray(b"<BBBBc")
-    orders = [0, 1, 2, 3, 4]
-    lengths = [1, 1, 20, 1, 1]
-    array_lengths = [0, 0, 20, 0, 23]
-    crc_extra = 249
-    unpacker = struct.Struct("<BB20BB23s")
-    instance_field = None
-    instance_offset = -1
-
-    def __init__(self, target_system: int, target_component: int, id_or_mac: Sequence[int], description_type: int, description: bytes):
-        MAVLink_message.__init__(self, MAVLink_open_drone_id_self_id_message.id, MAVLink_open_drone_id_self_id_message.msgname)
-        self._fieldnames = MAVLink_open_drone_id_self_id_message.fieldnames
-        self._instance_field = MAVLink_open_drone_id_self_id_message.instance_field
-        self._instance_offset = MAVLink_open_drone_id_self_id_message.instance_offset
-        self.target_system = target_system
-        self.target_component = target_component
-        self.id_or_mac = id_or_mac
-        self.description_type = description_type
-        self._description_raw = description
-        self.description = description.split(b"\x00", 1)[0].decode("ascii", errors="replace")
-
-    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
-        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.target_system, self.target_component, self.id_or_mac[0], self.id_or_mac[1], self.id_or_mac[2], self.id_or_mac[3], self.id_or_mac[4], self.id_or_mac[5], self.id_or_mac[6], self.id_or_mac[7], self.id_or_mac[8], self.id_or_mac[9], self.id_or_mac[10], self.id_or_mac[11], self.id_or_mac[12], self.id_or_mac[13], self.id_or_mac[14], self.id_or_mac[15], self.id_or_mac[16], self.id_or_mac[17], self.id_or_mac[18], self.id_or_mac[19], self.description_type, self._description_raw), force_mavlink1=force_mavlink1)
-
-
-# Define name on the class for backwards compatibility (it is now msgname).
-# Done with setattr to hide the class variable from mypy.
-setattr(MAVLink_open_drone_id_self_id_message, "name", mavlink_msg_deprecated_name_property())
-
-
-class MAVLink_open_drone_id_system_message(MAVLink_message):
-    """
-
-    """
-
-    id = MAVLINK_MSG_ID_OPEN_DRONE_ID_SYSTEM
-    msgname = "OPEN_DRONE_ID_SYSTEM"
-    fieldnames = ["target_system", "target_component", "id_or_mac", "operator_location_type", "classification_type", "operator_latitude", "operator_longitude", "area_count", "area_radius", "area_ceiling", "area_floor", "category_eu", "class_eu", "operator_altitude_geo", "timestamp"]
-    ordered_fieldnames = ["operator_latitude", "operator_longitude", "area_ceiling", "area_floor", "operator_altitude_geo", "timestamp", "area_count", "area_radius", "target_system", "target_component", "id_or_mac", "operator_location_type", "classification_type", "category_eu", "class_eu"]
-    fieldtypes = ["uint8_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t", "int32_t", "int32_t", "uint16_t", "uint16_t", "float", "float", "uint8_t", "uint8_t", "float", "uint32_t"]
-    fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {"operator_location_type": "MAV_ODID_OPERATOR_LOCATION_TYPE", "classification_type": "MAV_ODID_CLASSIFICATION_TYPE", "category_eu": "MAV_ODID_CATEGORY_EU", "class_eu": "MAV_ODID_CLASS_EU"}
-    fieldunits_by_name: Dict[str, str] = {"operator_latitude": "degE7", "operator_longitude": "degE7", "area_radius": "m", "area_ceiling": "m", "area_floor": "m", "operator_altitude_geo": "m", "timestamp": "s"}
-    native_format = bytearray(b"<iifffIHHBBBBBBB")
-    orders = [8, 9, 10, 11, 12, 0, 1, 6, 7, 2, 3, 13, 14, 4, 5]
-    lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 20, 1, 1, 1, 1]
-    array_lengths = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 20, 0, 0, 0, 0]
-    crc_extra = 77
-    unpacker = struct.Struct("<iifffIHHBB20BBBBB")
-    instance_field = None
-    instance_offset = -1
-
-    def __init__(self, target_system: int, target_component: int, id_or_mac: Sequence[int], operator_location_type: int, classification_type: int, operator_latitude: int, operator_longitude: int, area_count: int, area_radius: int, area_ceiling: float, area_floor: float, category_eu: int, class_eu: int, operator_altitude_geo: float, timestamp: int):
-        MAVLink_message.__init__(self, MAVLink_open_drone_id_system_message.id, MAVLink_open_drone_id_system_message.msgname)
-        self._fieldnames = MAVLink_open_drone_id_system_message.fieldnames
-        self._instance_field = MAVLink_open_drone_id_system_message.instance_field
-        self._instance_offset = MAVLink_open_drone_id_system_message.instance_offset
-        self.target_system = target_system
-        self.target_component = target_component
-        self.id_or_mac = id_or_mac
-        self.operator_location_type = operator_location_type
-        self.classification_type = classification_type
-        self.operator_latitude = operator_latitude
-        self.operator_longitude = operator_longitude
-        self.area_count = area_count
-        self.area_radius = area_radius
-        self.area_ceiling = area_ceiling
-        self.area_floor = area_floor
-        self.category_eu = category_eu
-        self.class_eu = class_eu
-        self.operator_altitude_geo = operator_altitude_geo
-        self.timestamp = timestamp
-
-    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
-        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.operator_latitude, self.operator_longitude, self.area_ceiling, self.area_floor, self.operator_altitude_geo, self.timestamp, self.area_count, self.area_radius, self.target_system, self.target_component, self.id_or_mac[0], self.id_or_mac[1], self.id_or_mac[2], self.id_or_mac[3], self.id_or_mac[4], self.id_or_mac[5], self.id_or_mac[6], self.id_or_mac[7], self.id_or_mac[8], self.id_or_mac[9], self.id_or_mac[10], self.id_or_mac[11], self.id_or_mac[12], self.id_or_mac[13], self.id_or_mac[14], self.id_or_mac[15], self.id_or_mac[16], self.id_or_mac[17], self.id_or_mac[18], self.id_or_mac[19], self.operator_location_type, self.classification_type, self.category_eu, self.class_eu), force_mavlink1=force_mavlink1)
-
-
-# Define name on the class for backwards compatibility (it is now msgname).
-# Done with setattr to hide the class variable from mypy.
-setattr(MAVLink_open_drone_id_system_message, "name", mavlink_msg_deprecated_name_property())
-
-
-class MAVLink_open_drone_id_operator_id_message(MAVLink_message):
-    """
-
-    """
-
-    id = MAVLINK_MSG_ID_OPEN_DRONE_ID_OPERATOR_ID
-    msgname = "OPEN_DRONE_ID_OPERATOR_ID"
-    fieldnames = ["target_system", "target_component", "id_or_mac", "operator_id_type", "operator_id"]
-    ordered_fieldnames = ["target_system", "target_component", "id_or_mac", "operator_id_type", "operator_id"]
-    fieldtypes = ["uint8_t", "uint8_t", "uint8_t", "uint8_t", "char"]
-    fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {"operator_id_type": "MAV_ODID_OPERATOR_ID_TYPE"}
-    fieldunits_by_name: Dict[str, str] = {}
-    native_format = bytearray(b"<BBBBc")
-    orders = [0, 1, 2, 3, 4]
-    lengths = [1, 1, 20, 1, 1]
-    array_lengths = [0, 0, 20, 0, 20]
-    crc_extra = 49
-    unpacker = struct.Struct("<BB20BB20s")
-    instance_field = None
-    instance_offset = -1
-
-    def __init__(self, target_system: int, target_component: int, id_or_mac: Sequence[int], operator_id_type: int, operator_id: bytes):
-        MAVLink_message.__init__(self, MAVLink_open_drone_id_operator_id_message.id, MAVLink_open_drone_id_operator_id_message.msgname)
-        self._fieldnames = MAVLink_open_drone_id_operator_id_message.fieldnames
-        self._instance_field = MAVLink_open_drone_id_operator_id_message.instance_field
-        self._instance_offset = MAVLink_open_drone_id_operator_id_message.instance_offset
-        self.target_system = target_system
-        self.target_component = target_component
-        self.id_or_mac = id_or_mac
-        self.operator_id_type = operator_id_type
-        self._operator_id_raw = operator_id
-        self.operator_id = operator_id.split(b"\x00", 1)[0].decode("ascii", errors="replace")
-
-    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
-        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.target_system, self.target_component, self.id_or_mac[0], self.id_or_mac[1], self.id_or_mac[2], self.id_or_mac[3], self.id_or_mac[4], self.id_or_mac[5], self.id_or_mac[6], self.id_or_mac[7], self.id_or_mac[8], self.id_or_mac[9], self.id_or_mac[10], self.id_or_mac[11], self.id_or_mac[12], self.id_or_mac[13], self.id_or_mac[14], self.id_or_mac[15], self.id_or_mac[16], self.id_or_mac[17], self.id_or_mac[18], self.id_or_mac[19], self.operator_id_type, self._operator_id_raw), force_mavlink1=force_mavlink1)
-
-
-# Define name on the class for backwards compatibility (it is now msgname).
-# Done with setattr to hide the class variable from mypy.
-setattr(MAVLink_open_drone_id_operator_id_message, "name", mavlink_msg_deprecated_name_property())
-
-
-class MAVLink_open_drone_id_system_update_message(MAVLink_message):
-    """
-
-    """
-
-    id = MAVLINK_MSG_ID_OPEN_DRONE_ID_SYSTEM_UPDATE
-    msgname = "OPEN_DRONE_ID_SYSTEM_UPDATE"
-    fieldnames = ["target_system", "target_component", "operator_latitude", "operator_longitude", "operator_altitude_geo", "timestamp"]
-    ordered_fieldnames = ["operator_latitude", "operator_longitude", "operator_altitude_geo", "timestamp", "target_system", "target_component"]
-    fieldtypes = ["uint8_t", "uint8_t", "int32_t", "int32_t", "float", "uint32_t"]
-    fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {}
-    fieldunits_by_name: Dict[str, str] = {"operator_latitude": "degE7", "operator_longitude": "degE7", "operator_altitude_geo": "m", "timestamp": "s"}
-    native_format = bytearray(b"<iifIBB")
-    orders = [4, 5, 0, 1, 2, 3]
-    lengths = [1, 1, 1, 1, 1, 1]
-    array_lengths = [0, 0, 0, 0, 0, 0]
-    crc_extra = 7
-    unpacker = struct.Struct("<iifIBB")
-    instance_field = None
-    instance_offset = -1
-
-    def __init__(self, target_system: int, target_component: int, operator_latitude: int, operator_longitude: int, operator_altitude_geo: float, timestamp: int):
-        MAVLink_message.__init__(self, MAVLink_open_drone_id_system_update_message.id, MAVLink_open_drone_id_system_update_message.msgname)
-        self._fieldnames = MAVLink_open_drone_id_system_update_message.fieldnames
-        self._instance_field = MAVLink_open_drone_id_system_update_message.instance_field
-        self._instance_offset = MAVLink_open_drone_id_system_update_message.instance_offset
-        self.target_system = target_system
-        self.target_component = target_component
-        self.operator_latitude = operator_latitude
-        self.operator_longitude = operator_longitude
-        self.operator_altitude_geo = operator_altitude_geo
-        self.timestamp = timestamp
-
-    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
-        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.operator_latitude, self.operator_longitude, self.operator_altitude_geo, self.timestamp, self.target_system, self.target_component), force_mavlink1=force_mavlink1)
-
-
-# Define name on the class for backwards compatibility (it is now msgname).
-# Done with setattr to hide the class variable from mypy.
-setattr(MAVLink_open_drone_id_system_update_message, "name", mavlink_msg_deprecated_name_property())
-
-
 class MAVLink_global_position_int_message(MAVLink_message):
     """
 
@@ -5004,7 +3950,7 @@ class MAVLink_global_position_int_message(MAVLink_message):
     fieldtypes = ["uint32_t", "int32_t", "int32_t", "int32_t", "int32_t", "int16_t", "int16_t", "int16_t", "uint16_t"]
     fielddisplays_by_name: Dict[str, str] = {}
     fieldenums_by_name: Dict[str, str] = {}
-    fieldunits_by_name: Dict[str, str] = {"time_boot_ms": "ms", "lat": "degE7", "lon": "degE7", "alt": "mm", "relative_alt": "mm", "vx": "cm/s", "vy": "cm/s", "vz": "cm/s", "hdg": "cdeg"}
+    fieldunits_by_name: Dict[str, str] = {}
     native_format = bytearray(b"<IiiiihhhH")
     orders = [0, 1, 2, 3, 4, 5, 6, 7, 8]
     lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1]
@@ -5048,8 +3994,8 @@ class MAVLink_autopilot_version_message(MAVLink_message):
     fieldnames = ["capabilities", "flight_sw_version", "middleware_sw_version", "os_sw_version", "board_version", "flight_custom_version", "middleware_custom_version", "os_custom_version", "vendor_id", "product_id", "uid", "uid2"]
     ordered_fieldnames = ["capabilities", "uid", "flight_sw_version", "middleware_sw_version", "os_sw_version", "board_version", "vendor_id", "product_id", "flight_custom_version", "middleware_custom_version", "os_custom_version", "uid2"]
     fieldtypes = ["uint64_t", "uint32_t", "uint32_t", "uint32_t", "uint32_t", "uint8_t", "uint8_t", "uint8_t", "uint16_t", "uint16_t", "uint64_t", "uint8_t"]
-    fielddisplays_by_name: Dict[str, str] = {"capabilities": "bitmask"}
-    fieldenums_by_name: Dict[str, str] = {"capabilities": "MAV_PROTOCOL_CAPABILITY"}
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
     fieldunits_by_name: Dict[str, str] = {}
     native_format = bytearray(b"<QQIIIIHHBBBB")
     orders = [0, 2, 3, 4, 5, 8, 9, 10, 6, 7, 1, 11]
@@ -5097,8 +4043,8 @@ class MAVLink_heartbeat_message(MAVLink_message):
     fieldnames = ["type", "autopilot", "base_mode", "custom_mode", "system_status", "mavlink_version"]
     ordered_fieldnames = ["custom_mode", "type", "autopilot", "base_mode", "system_status", "mavlink_version"]
     fieldtypes = ["uint8_t", "uint8_t", "uint8_t", "uint32_t", "uint8_t", "uint8_t"]
-    fielddisplays_by_name: Dict[str, str] = {"base_mode": "bitmask"}
-    fieldenums_by_name: Dict[str, str] = {"type": "MAV_TYPE", "autopilot": "MAV_AUTOPILOT", "base_mode": "MAV_MODE_FLAG", "system_status": "MAV_STATE"}
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
     fieldunits_by_name: Dict[str, str] = {}
     native_format = bytearray(b"<IBBBBB")
     orders = [1, 2, 3, 0, 4, 5]
@@ -5141,12 +4087,9 @@ mavlink_map: Dict[int, Type[MAVLink_message]] = {
     MAVLINK_MSG_ID_PARAM_VALUE: MAVLink_param_value_message,
     MAVLINK_MSG_ID_PARAM_SET: MAVLink_param_set_message,
     MAVLINK_MSG_ID_GPS_RAW_INT: MAVLink_gps_raw_int_message,
-    MAVLINK_MSG_ID_SCALED_IMU: MAVLink_scaled_imu_message,
-    MAVLINK_MSG_ID_SCALED_PRESSURE: MAVLink_scaled_pressure_message,
     MAVLINK_MSG_ID_ATTITUDE: MAVLink_attitude_message,
     MAVLINK_MSG_ID_ATTITUDE_QUATERNION: MAVLink_attitude_quaternion_message,
     MAVLINK_MSG_ID_LOCAL_POSITION_NED: MAVLink_local_position_ned_message,
-    MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: MAVLink_servo_output_raw_message,
     MAVLINK_MSG_ID_MISSION_REQUEST: MAVLink_mission_request_message,
     MAVLINK_MSG_ID_MISSION_REQUEST_LIST: MAVLink_mission_request_list_message,
     MAVLINK_MSG_ID_MISSION_COUNT: MAVLink_mission_count_message,
@@ -5155,11 +4098,7 @@ mavlink_map: Dict[int, Type[MAVLink_message]] = {
     MAVLINK_MSG_ID_SET_GPS_GLOBAL_ORIGIN: MAVLink_set_gps_global_origin_message,
     MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: MAVLink_gps_global_origin_message,
     MAVLINK_MSG_ID_MISSION_REQUEST_INT: MAVLink_mission_request_int_message,
-    MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT: MAVLink_nav_controller_output_message,
-    MAVLINK_MSG_ID_RC_CHANNELS: MAVLink_rc_channels_message,
     MAVLINK_MSG_ID_REQUEST_DATA_STREAM: MAVLink_request_data_stream_message,
-    MAVLINK_MSG_ID_MANUAL_CONTROL: MAVLink_manual_control_message,
-    MAVLINK_MSG_ID_RC_CHANNELS_OVERRIDE: MAVLink_rc_channels_override_message,
     MAVLINK_MSG_ID_VFR_HUD: MAVLink_vfr_hud_message,
     MAVLINK_MSG_ID_COMMAND_INT: MAVLink_command_int_message,
     MAVLINK_MSG_ID_COMMAND_LONG: MAVLink_command_long_message,
@@ -5167,13 +4106,7 @@ mavlink_map: Dict[int, Type[MAVLink_message]] = {
     MAVLINK_MSG_ID_SET_ATTITUDE_TARGET: MAVLink_set_attitude_target_message,
     MAVLINK_MSG_ID_ATTITUDE_TARGET: MAVLink_attitude_target_message,
     MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED: MAVLink_set_position_target_local_ned_message,
-    MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: MAVLink_position_target_local_ned_message,
-    MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT: MAVLink_set_position_target_global_int_message,
-    MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT: MAVLink_position_target_global_int_message,
-    MAVLINK_MSG_ID_VISION_POSITION_ESTIMATE: MAVLink_vision_position_estimate_message,
     MAVLINK_MSG_ID_HIGHRES_IMU: MAVLink_highres_imu_message,
-    MAVLINK_MSG_ID_OPTICAL_FLOW_RAD: MAVLink_optical_flow_rad_message,
-    MAVLINK_MSG_ID_RADIO_STATUS: MAVLink_radio_status_message,
     MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL: MAVLink_file_transfer_protocol_message,
     MAVLINK_MSG_ID_TIMESYNC: MAVLink_timesync_message,
     MAVLINK_MSG_ID_LOG_REQUEST_LIST: MAVLink_log_request_list_message,
@@ -5182,27 +4115,15 @@ mavlink_map: Dict[int, Type[MAVLink_message]] = {
     MAVLINK_MSG_ID_LOG_DATA: MAVLink_log_data_message,
     MAVLINK_MSG_ID_LOG_ERASE: MAVLink_log_erase_message,
     MAVLINK_MSG_ID_LOG_REQUEST_END: MAVLink_log_request_end_message,
-    MAVLINK_MSG_ID_DISTANCE_SENSOR: MAVLink_distance_sensor_message,
-    MAVLINK_MSG_ID_ATT_POS_MOCAP: MAVLink_att_pos_mocap_message,
-    MAVLINK_MSG_ID_SET_ACTUATOR_CONTROL_TARGET: MAVLink_set_actuator_control_target_message,
     MAVLINK_MSG_ID_ALTITUDE: MAVLink_altitude_message,
     MAVLINK_MSG_ID_BATTERY_STATUS: MAVLink_battery_status_message,
     MAVLINK_MSG_ID_ESTIMATOR_STATUS: MAVLink_estimator_status_message,
-    MAVLINK_MSG_ID_WIND_COV: MAVLink_wind_cov_message,
-    MAVLINK_MSG_ID_GPS_RTCM_DATA: MAVLink_gps_rtcm_data_message,
-    MAVLINK_MSG_ID_VIBRATION: MAVLink_vibration_message,
     MAVLINK_MSG_ID_HOME_POSITION: MAVLink_home_position_message,
     MAVLINK_MSG_ID_MESSAGE_INTERVAL: MAVLink_message_interval_message,
     MAVLINK_MSG_ID_EXTENDED_SYS_STATE: MAVLink_extended_sys_state_message,
     MAVLINK_MSG_ID_STATUSTEXT: MAVLink_statustext_message,
     MAVLINK_MSG_ID_SETUP_SIGNING: MAVLink_setup_signing_message,
     MAVLINK_MSG_ID_ODOMETRY: MAVLink_odometry_message,
-    MAVLINK_MSG_ID_UTM_GLOBAL_POSITION: MAVLink_utm_global_position_message,
-    MAVLINK_MSG_ID_OPEN_DRONE_ID_BASIC_ID: MAVLink_open_drone_id_basic_id_message,
-    MAVLINK_MSG_ID_OPEN_DRONE_ID_SELF_ID: MAVLink_open_drone_id_self_id_message,
-    MAVLINK_MSG_ID_OPEN_DRONE_ID_SYSTEM: MAVLink_open_drone_id_system_message,
-    MAVLINK_MSG_ID_OPEN_DRONE_ID_OPERATOR_ID: MAVLink_open_drone_id_operator_id_message,
-    MAVLINK_MSG_ID_OPEN_DRONE_ID_SYSTEM_UPDATE: MAVLink_open_drone_id_system_update_message,
     MAVLINK_MSG_ID_GLOBAL_POSITION_INT: MAVLink_global_position_int_message,
     MAVLINK_MSG_ID_AUTOPILOT_VERSION: MAVLink_autopilot_version_message,
     MAVLINK_MSG_ID_HEARTBEAT: MAVLink_heartbeat_message,
