@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 # the stalls of TCP on a lossy radio (about a second) would only add reconnections to the loss.
 LEASE_MS = 2000
 HANDSHAKE_MS = 2000
+# Of each buffer of a connection. The default of 64 kB takes 0.3 MB more for every peer; a longer message is sent in parts.
+BATCH_BYTES = 8192
 # Threads of Zenoh in this process. By default every message wakes the thread that opened its connection, which wakes one of
 # two threads that receive, which wakes the other.
 THREADS = "(rx: (worker_threads: 1), acc: (handover: rx), net: (handover: rx))"
@@ -35,8 +37,10 @@ SETTINGS: dict[str, Any] = {
     "transport/link/tx/lease": LEASE_MS,
     "transport/link/tx/keep_alive": 4,
     # Changes of subscriptions are never dropped. With the default of 5 s each waits in a tick for a participant that reads
-    # nothing, once 128 kB of them do; now that connection is closed.
+    # nothing, once two batches of them do; now that connection is closed.
     "transport/link/tx/queue/congestion_control/block/wait_before_close": 1000,  # us
+    "transport/link/tx/batch_size": BATCH_BYTES,
+    "transport/link/rx/buffer_size": BATCH_BYTES,
     "transport/link/rx/max_message_size": 65536,  # the default is a gigabyte; the longest messages are a few kilobytes
     # The default waits 10 s for an answer that a lossy link or a partition took.
     "transport/unicast/open_timeout": HANDSHAKE_MS,
