@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import logging
 import os
-import secrets
 import selectors
 import time
 from contextlib import ExitStack, closing
@@ -20,8 +19,6 @@ from companion.core.agent import Agent
 from companion.link.autopilot_link import AutopilotLink, AutopilotSilentError
 from companion.link.control_loop import ControlLoop, Job
 from companion.link.endpoint import LinkError
-from companion.link.fleet.datagram_seal import DatagramSeal
-from companion.link.fleet.peer_datagrams import PeerDatagrams
 from companion.link.fleet.zenoh_link import ZenohLink
 from companion.link.fleet.zenoh_session import EndpointError
 from companion.link.ground_link import GroundStationLink
@@ -36,6 +33,7 @@ from companion.recording.writer.folder import recordings_folder
 
 if TYPE_CHECKING:
     from companion.link.fleet.admissions import Admissions
+    from companion.link.fleet.peer_datagrams import PeerDatagrams
     from companion.recording.writer.recorder import Recorder
     from companion.security.identity import Identity
 
@@ -69,7 +67,7 @@ def _loop() -> asyncio.AbstractEventLoop:
 
 
 async def _run(settings: Settings, config: AgentConfig) -> None:
-    session = secrets.randbits(32)
+    session = int.from_bytes(os.urandom(4))
     vehicle, agent, trigger = config.vehicle, build_agent(config, session), TickTrigger()
     log_as_service(vehicle.id, lambda: agent.phase)
     key = read_signing_key(settings.file, vehicle.signing) if vehicle.signing else None
@@ -160,7 +158,10 @@ def _ground_station(
 
 
 def _datagrams(settings: Settings, config: AgentConfig, agent: Agent, secured: bool) -> PeerDatagrams:
-    """Link of the peer states where it is not Zenoh. Raises ConfigError."""
+    """Link of the peer states where it is not Zenoh. Only an agent with one loads it. Raises ConfigError."""
+    from companion.link.fleet.datagram_seal import DatagramSeal
+    from companion.link.fleet.peer_datagrams import PeerDatagrams
+
     endpoints = config.datagrams
     assert endpoints is not None
     try:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator
-from difflib import get_close_matches
 from enum import Enum
 from math import isfinite
 from types import NoneType, UnionType
@@ -107,6 +106,8 @@ def all_finite(data: Any) -> bool:
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:
     """A hint at the known name that is most like this one; empty where none is."""
+    from difflib import get_close_matches  # a file without errors needs it not
+
     names = sorted(known)
     near = get_close_matches(str(name), names, n=1) or [longer for longer in names if longer.startswith(f"{name}_")]
     return f'; did you mean "{near[0]}"?' if near else ""

@@ -26,14 +26,25 @@ class LinkError(Exception):
     """An endpoint that cannot be opened. `str()` is the reason and the remedy."""
 
 
-def check_host(host: str) -> None:
-    """Raises LinkError for an invalid host name, whose lookup would raise more than an OSError."""
-    try:
-        host.encode("idna")
-    except UnicodeError as error:
-        raise LinkError("the host is neither an address nor a name, expected one like 192.168.1.11") from error
+def encoded_host(host: str) -> bytes:
+    """The host as `socket` passes it to the operating system. Raises LinkError where no lookup takes it.
+
+    Only a name that is not ASCII needs Python's codec for names, and `socket` itself would load it: half an MB of an agent.
+    """
     if "\0" in host:
         raise LinkError("there is a zero byte in the host, expected one like 192.168.1.11")
+    try:
+        return _ascii_host(host) if host.isascii() else host.encode("idna")
+    except ValueError as error:
+        raise LinkError("the host is neither an address nor a name, expected one like 192.168.1.11") from error
+
+
+def _ascii_host(host: str) -> bytes:
+    """As the codec for names would encode it. Raises ValueError."""
+    labels = host.removesuffix(".").split(".")
+    if host and not all(0 < len(label) < 64 for label in labels):
+        raise ValueError("label empty or too long")
+    return host.encode()
 
 
 def explain(error: OSError, what: str) -> str:

@@ -15,7 +15,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import NoReturn
 
-from companion.link.endpoint import LinkError, check_host
+from companion.link.endpoint import LinkError, encoded_host
 from companion.mavlink.ground_station import GroundStationFilter
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code
@@ -128,11 +128,11 @@ class GroundStationLink:
 def _socket_towards(endpoint: str) -> tuple[socket.socket, tuple[str, int]]:
     """A UDP socket on its own port, and the address of the ground station."""
     host, _, port = endpoint.removeprefix("udpout:").rpartition(":")
-    check_host(host)
+    name = encoded_host(host)
     if not 0 < int(port) <= 65535:
         raise LinkError(f"port {port}, expected 1 to 65535")
     try:
-        family, kind, protocol, _, address = socket.getaddrinfo(host, int(port), type=socket.SOCK_DGRAM)[0]
+        family, kind, protocol, _, address = socket.getaddrinfo(name, int(port), type=socket.SOCK_DGRAM)[0]
     except socket.gaierror as error:
         raise LinkError(
             f'no address found for "{host}"; give the ground station\'s IP address, like 192.168.1.50'

@@ -16,9 +16,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-import serial
-
-from companion.link.endpoint import AllRead, LinkError, Received, check_host, explain
+from companion.link.endpoint import AllRead, LinkError, Received, encoded_host, explain
 
 READ_BYTES = 4096  # at once, some 100 messages; the rest wakes the loop again, after a tick that may be due
 RECONNECT_FIRST_S, RECONNECT_MAX_S = 0.2, 2.0
@@ -176,9 +174,8 @@ class TcpConnection:
 
     def __init__(self, host: str, port: int) -> None:
         """Raises LinkError."""
-        check_host(host)
         self.name = f"tcp:{host}:{port}"
-        self._host, self._port = host, port
+        self._host, self._port = encoded_host(host), port
 
     async def open(self) -> Stream:
         loop = asyncio.get_running_loop()
@@ -213,6 +210,8 @@ class SerialLine:
         return stream
 
     def _open(self) -> Stream:
+        import serial  # only an agent with a serial link loads it
+
         try:
             line = serial.Serial(self._device, self._baud, timeout=0, write_timeout=0, exclusive=True)
         except serial.SerialException as error:

@@ -9,7 +9,7 @@ import socket
 import struct
 import time
 
-from companion.link.endpoint import AllRead, LinkError, Received, check_host, explain
+from companion.link.endpoint import AllRead, LinkError, Received, encoded_host, explain
 
 READ_BYTES = 4096  # of a datagram: autopilots send at most an Ethernet frame
 DATAGRAMS_PER_WAKE_UP = 64  # the rest wakes the loop again, after a tick that may be due
@@ -93,9 +93,9 @@ class UdpLink:
 
 
 def _bound_udp_socket(host: str, port: int) -> socket.socket:
-    check_host(host)
+    name = encoded_host(host)
     try:
-        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
+        family, kind, protocol, _, address = socket.getaddrinfo(name, port, type=socket.SOCK_DGRAM)[0]
     except socket.gaierror as error:
         raise LinkError(f'"{host}" is not an address of this machine; use 0.0.0.0 for all of them') from error
     udp = socket.socket(family, kind, protocol)

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from math import inf
+from typing import TYPE_CHECKING
 
 import zenoh
 
-from companion.link.fleet.datagram_seal import DatagramSeal
 from companion.link.fleet.zenoh_session import drain
 from companion.wire.keys import every_pairing, pairing_key
+
+if TYPE_CHECKING:
+    from companion.link.fleet.datagram_seal import DatagramSeal
 
 PERIOD_S = 1.0  # a vehicle that restarts has all keys after this time
 KEYS_READ = 16  # in one tick

@@ -13,7 +13,7 @@ from ipaddress import ip_address
 
 from companion.config.fleet import FleetConfig
 from companion.config.network import DatagramEndpoints
-from companion.link.endpoint import LinkError, check_host, explain
+from companion.link.endpoint import LinkError, encoded_host, explain
 from companion.link.fleet.datagram_seal import DatagramSeal
 from companion.types.notices import Code
 from companion.types.peers import PeerPacket, ReceivedPeerPacket
@@ -138,11 +138,11 @@ def _opened(address: Address, group: str | None) -> socket.socket:
 
 def _resolved(endpoint: str) -> Address:
     host, _, port = endpoint.rpartition(":")
-    check_host(host)
+    name = encoded_host(host)
     if not 0 < int(port) <= 65535:
         raise LinkError(f"port {port} does not exist, expected 1 to 65535")
     try:
-        address = socket.getaddrinfo(host, int(port), socket.AF_INET, socket.SOCK_DGRAM)[0][4]
+        address = socket.getaddrinfo(name, int(port), socket.AF_INET, socket.SOCK_DGRAM)[0][4]
     except socket.gaierror as error:
         raise LinkError(f'"{host}" has no address; expected one like 192.168.1.11') from error
     return str(address[0]), int(address[1])

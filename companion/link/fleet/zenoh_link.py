@@ -21,7 +21,6 @@ import zenoh
 from companion.config.fleet import FleetConfig
 from companion.config.network import ZenohEndpoints
 from companion.link.fleet.pairing import Pairing
-from companion.link.fleet.peer_datagrams import PeerDatagrams
 from companion.link.fleet.peer_states import PeerStates
 from companion.link.fleet.zenoh_session import drain, open_session
 from companion.link.log import CommandLog
@@ -48,6 +47,7 @@ from companion.wire.traffic import decode_traffic
 from companion.wire.version import WireError
 
 if TYPE_CHECKING:
+    from companion.link.fleet.peer_datagrams import PeerDatagrams
     from companion.security.admission import Admitted
     from companion.security.identity import Identity
 

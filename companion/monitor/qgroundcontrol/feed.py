@@ -15,7 +15,7 @@ from typing import Self
 
 from companion.config.fleet import FleetConfig, GeodeticOrigin
 from companion.ground.fleet_status import SILENT_AFTER_S
-from companion.link.endpoint import LinkError, check_host
+from companion.link.endpoint import LinkError, encoded_host
 from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
 from companion.monitor.qgroundcontrol.messages import (
     denial,
@@ -165,9 +165,8 @@ def _socket_towards(endpoint: str) -> socket.socket:
     parts = re.fullmatch("udpout:(?P<host>.+):(?P<port>[0-9]{1,5})", endpoint)
     if not parts or not 0 < int(parts["port"]) <= 65_535:
         raise LinkError("expected udpout:HOST:PORT, like udpout:127.0.0.1:14550")
-    check_host(parts["host"])
+    host = encoded_host(parts["host"].strip("[]"))
     try:
-        host = parts["host"].strip("[]")
         family, kind, protocol, _, address = socket.getaddrinfo(host, int(parts["port"]), type=socket.SOCK_DGRAM)[0]
     except socket.gaierror as error:
         raise LinkError(f'no address found for "{parts["host"]}"; give an IP address') from error
