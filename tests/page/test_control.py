@@ -117,7 +117,9 @@ def test_free_slots_begin_with_those_flown_at_the_time(open_page: OpenPage) -> N
         slots.select_option("a slot for each vehicle")
         before = east.input_value()
         slots.select_option("line")
-        server.change = lambda vs: [replace(v, slot_offset_enu_m=(9.0, 8.0, 7.0)) for v in vs]  # another formation flies
+        server.change = lambda vs: [
+            replace(v, slot_offset_enu_m=(9.0, 8.0, 7.0)) for v in vs
+        ]  # another formation flies
         page.locator("tbody.vehicle[data-id='2']").click()
         expect(page.locator("#details dl div", has_text="Slot offset").locator("dd")).to_have_text("9.00, 8.00, 7.00")
         slots.select_option("a slot for each vehicle")
