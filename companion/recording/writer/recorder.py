@@ -35,9 +35,8 @@ from companion.types.status import RecordingState
 from companion.types.tick import Inbox, Outbox
 from companion.wire.ground import StatusReport
 
-ENCODED_TOGETHER = (
-    10  # ticks: one after the other they take half the time, as the processor still has code and data at hand
-)
+# Ticks. One after the other they take half the time, as the processor still has code and data at hand.
+ENCODED_TOGETHER = 10
 TOPICS = (INBOX, OUTBOX, DECISION, TIMING, STATUS, EVENT, COMMAND, REPLY)
 STATUS_PERIOD_S = 0.19  # of those without an event; every second one, also where it comes a little early
 FAILED = RecordingState("dropping")
@@ -124,7 +123,7 @@ class Recorder:
         """
         self.ticks += 1
         self._waiting.append(_Tick(self.ticks, now_s, inbox, decision, outbox, report, timing))
-        if len(self._waiting) < ENCODED_TOGETHER:
+        if len(self._waiting) < ENCODED_TOGETHER and not inbox.commands:  # a flood of commands may be large: tick by tick
             return None
         self._encode_waiting()
         if not self._stream.hand_on(now_s):
