@@ -131,6 +131,26 @@ def test_a_packet_reaches_the_peers_and_not_its_sender(port: int) -> None:
         assert not first.rejected + second.rejected
 
 
+def test_a_packet_that_is_decoded_early_is_received_once_with_its_own_time(port: int) -> None:
+    with vehicle(1, listen=(endpoint(port),)) as first, vehicle(2, connect=(endpoint(port),)) as second:
+        until(lambda: second.packets, lambda: (first.link.publish_peer(PACKET), second.tick()))
+        sequence = count(PACKET.sequence + 1)
+        until(
+            lambda: second.link._early,
+            lambda: (
+                first.link.publish_peer(replace(PACKET, sequence=next(sequence))),
+                second.link.receive_early(time.monotonic()),
+            ),
+        )
+        began_s, second.packets = time.monotonic(), []
+        second.tick()
+        assert second.packets[0].received_s <= began_s
+        sequences = [received.packet.sequence for received in second.packets]
+        second.tick()
+        sequences += [received.packet.sequence for received in second.packets[len(sequences) :]]
+        assert sequences == sorted(set(sequences))
+
+
 def test_a_peer_that_starts_late_is_received_without_a_restart(port: int) -> None:
     with vehicle(2, connect=(endpoint(port),)) as second:
         for _ in range(50):

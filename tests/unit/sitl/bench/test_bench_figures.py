@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from companion.recording.records import TimingRecord
+from companion.recording.writer.writing import WritingAtOnce
+from companion.types.autopilot import AutopilotKind
+from companion.types.telemetry import PositionSample
+from companion.types.vectors import ZERO3
+from failing_flight import FailingFlight
+from recorded_agent import recorder
 from sitl.bench.batch import section as batch_section
 from sitl.bench.control_loop import rate_of_slowest_hz
 from sitl.bench.figures import Row, Target, lateness_us, percentile
 from sitl.bench.machine import TICKS_A_SECOND, Times, others_cores, stolen_percent, times_of
 from sitl.bench.peer_states import section as peers_section
 from sitl.bench.peer_vehicle import Ages, Result
-from sitl.bench.real_flight import Flown
+from sitl.bench.real_flight import Flown, delays_of_ticks
 from sitl.bench.resources import FEW, MANY, SOME
 from sitl.bench.resources import section as resources_section
 from sitl.bench.windows import Use, Window, cpu_percent, windows_of, within
@@ -103,6 +111,18 @@ def test_cpu_is_the_mean_of_the_agents() -> None:
 
 def test_the_slowest_agent_counts_for_the_rate() -> None:
     assert rate_of_slowest_hz(flown(0.05)) == pytest.approx((48.0, 48.0))
+
+
+def test_a_tick_is_due_when_its_first_position_arrives(tmp_path: Path) -> None:
+    recording = recorder(tmp_path, WritingAtOnce())
+    flight = FailingFlight(AutopilotKind.PX4, recording)
+    for now_s, ages_s in ((101.0, (0.0009, 0.0004)), (101.02, ()), (101.04, (0.0001,))):
+        flight.link.telemetry = tuple(PositionSample(now_s - age_s, now_s, ZERO3, ZERO3) for age_s in ages_s)
+        flight.loop.tick(now_s)
+    recording.close()
+    (first_s, first_us), (last_s, last_us) = delays_of_ticks(tmp_path)
+    assert (first_s, last_s) == (101.0, 101.04)
+    assert (first_us, last_us) == pytest.approx((900.0, 100.0))
 
 
 def test_further_peers_cost_the_difference_of_two_flights() -> None:
