@@ -23,7 +23,7 @@ pytestmark = [pytest.mark.fleet, pytest.mark.timeout(180)]
 
 SCENARIOS = ROOT / "config" / "scenarios"
 READY_SOON = "stand_in.armable_after_s=1"
-AT_FULL_SPEED_S = 9.0  # after forming: ramp_s of the figure 8, and a second
+AT_FULL_SPEED_S = 15.0  # after forming
 FOLLOWERS = (2, 3, 4)
 ALL = (1, *FOLLOWERS)
 
