@@ -144,6 +144,29 @@ def test_table_holds_only_finite_numbers(position: Any, velocity: Any, age: floa
         assert all(abs(x) < 1e6 for x in peer.position_at(1.0))
 
 
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"slot": FlownSlot((-500.0, 0.0, 0.0))},
+        {"slot": FlownSlot((-1.5, 0.0, 0.0), moves_for_s=-1.0)},
+        {"slot": FlownSlot((nan, 0.0, 0.0))},
+        {"velocity_enu_m_s": (24.0, 0.0, 0.0), "slot": FlownSlot((-1.5, 0.0, 0.0), (-24.0, 0.0, 0.0))},
+    ],
+)
+def test_a_slot_is_checked_after_another_one_was_accepted(changes: dict[str, Any]) -> None:
+    peers = table()
+    assert rejections(peers) == []
+    assert rejections(peers, 1.02, sequence=11) == []
+    assert rejections(peers, 1.04, sequence=12, **changes) == [f"{Code.PEER_SLOT_IMPLAUSIBLE} 2"]
+
+
+def test_the_speed_of_the_rft_is_checked_with_a_known_slot() -> None:
+    peers, slot = table(), FlownSlot((-1.5, 0.0, 0.0), (20.0, 0.0, 0.0))
+    assert rejections(peers, slot=slot) == []
+    counted = rejections(peers, 1.02, sequence=11, slot=slot, velocity_enu_m_s=(-20.0, 0.0, 0.0))
+    assert counted == [f"{Code.PEER_SLOT_IMPLAUSIBLE} 2"]
+
+
 def test_of_a_packet_with_an_epoch_too_high_only_the_motion_is_used() -> None:
     """By repeated commands one vehicle had such an epoch, and its position was missing for separation for 48 s."""
     peers = table()

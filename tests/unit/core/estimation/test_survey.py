@@ -24,6 +24,18 @@ def test_rates_are_of_the_last_complete_window() -> None:
     assert survey.rates_hz["positions"] == pytest.approx(20.0)
 
 
+def test_it_is_told_whether_what_is_found_has_changed() -> None:
+    survey = Survey()
+    assert not survey.update(10.0, [POSITION])
+    assert survey.update(10.1, [SystemSample(10.1, 80.0, may_arm=True)])
+    assert not survey.update(10.2, [SystemSample(10.2, 80.0, may_arm=True), POSITION])
+    assert survey.update(10.3, [SystemSample(10.3, 79.0, may_arm=True)])
+    assert not survey.update(10.4, [TextSample(10.4, 6, "all is well")])
+    assert survey.update(10.5, [TextSample(10.5, 4, "Preflight Fail: no GPS")])
+    assert survey.update(10.0 + WINDOW_S, [])  # the first rates
+    assert not survey.update(10.1 + WINDOW_S, [POSITION])
+
+
 def test_failed_arming_checks_are_named() -> None:
     survey = Survey()
     assert survey.failing_checks is None

@@ -1,6 +1,8 @@
 """The command `return`: separation of return paths, mode request, end of the return."""
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from agent_flight import Flight
@@ -81,6 +83,17 @@ def test_only_the_position_counts_for_a_peer_that_takes_off_lands_or_is_on_the_g
     home = (0.0, 0.0, 0.0)
     assert refusal((0.0, 6.0, 5.0), home, peer_in(phase, (0.0, -8.0, 5.0)), peer_home=(0.0, 8.0, 0.0)) is None
     assert "within 0.50 m" in refusal((0.0, 6.0, 5.0), home, peer_in(phase, (0.5, 3.0, 0.0))).text
+
+
+COORDINATE_M = st.floats(-4.0, 4.0) | st.sampled_from([-1.0, 0.0, 1.0, 2.0])
+PLACE = st.tuples(COORDINATE_M, COORDINATE_M, st.just(5.0))
+
+
+@given(PLACE, PLACE, PLACE, PLACE)
+def test_every_path_within_separation_is_refused(at: Vector3, home: Vector3, other: Vector3, its_home: Vector3) -> None:
+    """However the two paths lie: none is left out as too far away to be compared."""
+    too_close = apart((at[:2], home[:2]), (other[:2], its_home[:2])) < 1.0
+    assert (refusal(at, home, peer_in(P.HOLD, other), peer_home=its_home) is not None) is too_close
 
 
 def test_return_is_refused_when_home_is_unknown() -> None:
