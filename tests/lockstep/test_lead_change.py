@@ -165,9 +165,9 @@ def tracked(law: str) -> Tracking:
 
 
 def test_the_leader_changes_with_noise_and_a_lossy_network() -> None:
-    flight = flown(
-        "stand_in.sensors=default", "links.peer_loss=0.2", "links.peer_delay_s=0.05", "fleet.law.name=cooperative"
-    )
+    soon = [f"timeline[{step}].for_s=8" for step in range(3, 9)]
+    bad_links = ("links.peer_loss=0.2", "links.peer_delay_s=0.05")
+    flight = flown("stand_in.sensors=default", *bad_links, "fleet.law.name=cooperative", *soon)
     assert flight.failures == []
     assert len(flight.changes_s()) == CHANGES
 
