@@ -1,6 +1,7 @@
 """MAVLink 2 packets that are not signed and carry no text: the same messages and bytes as pymavlink's, in a fifth of its time.
 
-These are nearly all packets of a flight. Whatever else comes, and every damaged packet, is left to pymavlink.
+These are nearly all packets of a flight. Whatever else comes, and every damaged packet, is left to pymavlink. Messages that
+only pass are checked here too.
 """
 
 from __future__ import annotations
@@ -100,6 +101,12 @@ def _layouts() -> Iterator[tuple[int, _Layout]]:
 
 
 _LAYOUTS = dict(_layouts())
+# Of the messages that are read here, and of those that only pass.
+_CHECKSUM_EXTRAS = {
+    message_id: bytes((kind.crc_extra,))
+    for message_id, kind in mavlink.mavlink_map.items()
+    if message_id in _LAYOUTS or not isinstance(kind, type)
+}
 
 
 class Packet(Struct, gc=False):
@@ -127,7 +134,9 @@ class Packet(Struct, gc=False):
         return self.known
 
     def _made(self) -> MavlinkMessage:
-        data, layout = self.data, _LAYOUTS[self.message_id]
+        data, layout = self.data, _LAYOUTS.get(self.message_id)
+        if layout is None:
+            return mavlink.MAVLink(None).decode(bytearray(data))
         message = object.__new__(layout.kind)
         attributes = layout.attributes_with(self.values)
         attributes["_msgbuf"] = data
@@ -149,8 +158,8 @@ def read_plain(data: bytes) -> Packet | None:
     if magic != MAGIC or flags or len(data) != length + OVERHEAD_BYTES:
         return None
     message_id = id_low | id_high << 16
-    layout = _LAYOUTS.get(message_id)
-    if layout is None or mcrf4xx(data[1:-CHECKSUM_BYTES] + layout.checksum_extra) != data[-2] | data[-1] << 8:
+    extra = _CHECKSUM_EXTRAS.get(message_id)
+    if extra is None or mcrf4xx(data[1:-CHECKSUM_BYTES] + extra) != data[-2] | data[-1] << 8:
         return None
     return Packet(data, message_id, system_id, component_id)
 
