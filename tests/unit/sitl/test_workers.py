@@ -101,7 +101,7 @@ def test_workers_are_processes_with_one_thread_that_ignore_ctrl_c() -> None:
 
 def test_an_error_of_a_job_is_raised_at_once_while_others_run() -> None:
     with pytest.raises(ValueError, match="job 7") as raised:
-        all_results(LocalWorkers(), fail, [0, 7], lambda _share: None)
+        all_results(LocalWorkers(2), fail, [0, 7], lambda _share: None)
     assert "in fail" in str(raised.value.__cause__)  # the traceback of the worker
 
 
