@@ -8,7 +8,7 @@ BIN := .venv/bin
 # times the CPU time and 10 MB more memory, and a worker collects the tests in 2.8 times the time.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help fly hostile soak gauntlet pictures bench bench-batch bench-filter bench-identities bench-recording bench-page bench-large-fleet transports test test-fast test-virtual test-real-time test-page test-again test-long test-vehicles test-fleets test-package deb boot faults attacks check mavlink docs docs-check site page-vendor screenshots format setup clean
+.PHONY: help fly hostile soak gauntlet pictures bench bench-batch bench-filter bench-identities bench-recording bench-replay bench-page bench-large-fleet transports test test-fast test-virtual test-real-time test-page test-again test-long test-vehicles test-fleets test-package deb boot faults attacks check mavlink docs docs-check site page-vendor screenshots format setup clean
 
 help:
 	@echo "make fly        fly the paper's platoon with four agents and four stand-in autopilots, weighted against average"
@@ -38,6 +38,7 @@ help:
 	@echo "make transports  age of the states over TCP, TLS, QUIC and multicast with lost packets; writes docs/transports.md (needs root)"
 	@echo "make bench-identities  CPU of agents in formation with identities against those without; limit 1.2 times"
 	@echo "make bench-recording  CPU, tick lateness and disk of agents that record against those that do not"
+	@echo "make bench-replay  ten minutes of four real agents: every tick replayed, and the time of the report (a quarter of an hour)"
 	@echo "make bench-large-fleet  CPU and bytes of an agent's Zenoh link among 8 to 64 others, with and without a router; writes docs/large-fleets.md"
 	@echo "make bench-page  the live page with 50 vehicles in a headless Chromium: update time, server, first picture"
 	@echo "make setup      only installs the project and its ground tools into .venv"
@@ -74,6 +75,9 @@ bench-identities: .venv/fly.ready
 
 bench-recording: .venv/fly.ready
 	$(BIN)/python -m sitl.recording_benchmark
+
+bench-replay: .venv/fly.ready
+	$(BIN)/python -m sitl.replay_benchmark
 
 bench-page: .venv/test.ready
 	$(BIN)/python -m sitl.page_benchmark

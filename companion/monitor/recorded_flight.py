@@ -5,6 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import islice
+from math import inf
 from pathlib import Path
 
 from companion.config.file import ConfigError
@@ -14,11 +16,13 @@ from companion.monitor.sources import ReplaySource, TimedReport
 from companion.recording.alignment import Clock, align
 from companion.recording.configuration import recorded_fleet
 from companion.recording.mcap_file import Warn
+from companion.recording.one_flight import APART_S, of_one_flight
 from companion.recording.reader import Recording, recordings
 from companion.recording.records import COMMAND, GROUND_STATUS, REPLY, STATUS
 from companion.types.printable import printable
 
-MOST_REPORTS = 1_000_000  # ten vehicles for almost three hours
+MOST_REPORTS = 300_000  # ten vehicles for 100 minutes, in 1.3 GB of memory
+MOST_HAPPENINGS = 100_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,40 +43,50 @@ def recorded_flight(folder: Path, warn: Warn, clock_s: Callable[[], float] = tim
     Raises recording.reader.RecordingError and NoFlightError.
     """
     found = recordings(folder, warn)
-    of_vehicles = [one for one in found if one.vehicle_id]
-    clocks = align(of_vehicles, warn)
-    reports = _reports(of_vehicles, clocks, STATUS, warn)
-    recorded_ids = {(one.header.fleet, one.vehicle_id) for one in of_vehicles}
+    by_vehicles = [one for one in found if one.vehicle_id]
     by_ground = [one for one in found if not one.vehicle_id]
-    on_ground = _reports(by_ground, [_own_clock(one) for one in by_ground], GROUND_STATUS, warn)
-    reports += [(t, r) for t, r in on_ground if (r.status.fleet, r.status.vehicle_id) not in recorded_ids]
+    own_clocks = [_own_clock(one) for one in by_ground]
+    pairs = of_one_flight(by_vehicles, align(by_vehicles, warn), warn) if by_vehicles else []
+    on_ground = list(zip(by_ground, own_clocks, strict=True)) if pairs else of_one_flight(by_ground, own_clocks, warn)
+    recorded_ids = {(one.header.fleet, one.vehicle_id) for one, _ in pairs}
+    reports = list(islice(_reports(pairs, STATUS, warn), MOST_REPORTS + 1))
+    first_s, last_s = _about([time_s for time_s, _ in reports])
+    unrecorded = (
+        (time_s, report)
+        for time_s, report in _reports(on_ground, GROUND_STATUS, warn)
+        if first_s <= time_s <= last_s and (report.status.fleet, report.status.vehicle_id) not in recorded_ids
+    )
+    reports += islice(unrecorded, MOST_REPORTS + 1)
     if not reports:
         raise NoFlightError(f"{printable(str(folder))}: its recordings have no status of any vehicle")
     if len(reports) > MOST_REPORTS:
         raise NoFlightError(
-            f"{printable(str(folder))}: {len(reports)} statuses are more than are shown at once, {MOST_REPORTS};"
+            f"{printable(str(folder))}: has more statuses than are shown at once, {MOST_REPORTS};"
             " give the folder of one flight"
         )
     reports.sort(key=lambda report: report[0])
-    happenings = sorted(_happenings(of_vehicles, clocks, warn), key=lambda happening: happening.time_s)
+    happenings = sorted(islice(_happenings(pairs, warn), MOST_HAPPENINGS), key=lambda one: one.time_s)
     return RecordedFlight(ReplaySource(reports, happenings, clock_s), _fleets(found, warn))
+
+
+def _about(times_s: Sequence[float]) -> tuple[float, float]:
+    """The time of a flight, with some before and after it, from those of its records; all time without any."""
+    return (min(times_s) - APART_S, max(times_s) + APART_S) if times_s else (-inf, inf)
 
 
 def _own_clock(recording: Recording) -> Clock:
     return Clock(recording.header.monotonic_s, recording.header.unix_s, 0.0)
 
 
-def _reports(recorded: Sequence[Recording], clocks: Sequence[Clock], topic: str, warn: Warn) -> list[TimedReport]:
-    return [
-        (clock.common_s(message.now_s), message.value)
-        for one, clock in zip(recorded, clocks, strict=True)
-        for message in one.read([topic], warn)
-    ]
+def _reports(recorded: Sequence[tuple[Recording, Clock]], topic: str, warn: Warn) -> Iterator[TimedReport]:
+    for one, clock in recorded:
+        for message in one.read([topic], warn):
+            yield clock.common_s(message.now_s), message.value
 
 
-def _happenings(recorded: Sequence[Recording], clocks: Sequence[Clock], warn: Warn) -> Iterator[Happening]:
+def _happenings(recorded: Sequence[tuple[Recording, Clock]], warn: Warn) -> Iterator[Happening]:
     """Commands as the vehicles received them, and their answers; each once, however often its operator repeated it."""
-    for one, clock in zip(recorded, clocks, strict=True):
+    for one, clock in recorded:
         fleet, vehicle_id = one.header.fleet, one.vehicle_id
         seen: set[tuple[str, str, int]] = set()
         for message in one.read([COMMAND, REPLY], warn):

@@ -75,11 +75,14 @@ class Clock:
 
 
 def align(recordings: Sequence[Recording], warn: Warn) -> tuple[Clock, ...]:
-    """The clock of each recording. The reference is the first recording, of those that are connected with the most others."""
+    """The clock of each recording. The reference is the first recording of those that are connected with the most others.
+
+    Of several such groups, as with all flights of a day in one folder, it is the latest by its own clocks.
+    """
     lines = _lines(recordings, warn)
     own = [Clock(one.header.monotonic_s, one.header.unix_s, 0.0) for one in recordings]
     groups = [_connected(start, own[start], lines) for start in range(len(recordings))]
-    best = max(groups, key=len, default={})
+    best = max(groups, key=lambda group: (len(group), max(own[i].unix_s for i in group)), default={})
     if len(best) == 1:
         best = {}
     return tuple(best.get(index, clock) for index, clock in enumerate(own))

@@ -28,7 +28,7 @@ def name_of(recording: Recording, all_of_them: Sequence[Recording]) -> str:
 def replayed_lines(name: str, result: Replayed) -> Iterator[str]:
     """The result for one start of one vehicle."""
     if not result.ticks:
-        yield f"{name}: cannot be replayed: {printable(result.unusable) or 'no ticks are recorded'}"
+        yield f"{name}: cannot be replayed: {printable(result.unusable)}"
     elif result.difference:
         yield f"{name}: {_place(result.difference)}: {printable(result.difference.field)}"
         yield f"  recorded {printable(result.difference.recorded)}"

@@ -77,7 +77,7 @@ def replay(recording: Recording, progress: Progress, warn: Warn) -> Replayed:
         ticks=ticks,
         not_recorded=not_recorded,
         difference=difference,
-        unusable=unusable,
+        unusable=unusable or ("" if ticks else "no ticks are recorded"),
     )
 
 

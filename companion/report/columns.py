@@ -14,6 +14,7 @@ from companion.report.flight import NeighbourUse, Statuses, Ticks, TickTiming
 from companion.types.status import Status
 
 NO_VECTOR = (np.nan, np.nan, np.nan)
+LARGEST = 1e9  # of no quantity in the units of the records is there more
 
 
 def ticks_of(time_s: Sequence[float], records: Sequence[DecisionRecord]) -> Ticks:
@@ -71,12 +72,19 @@ def statuses_of(time_s: Sequence[float], records: Sequence[Status]) -> Statuses:
 
 def _numbers(records: Iterable[Any], name: str) -> Floats:
     get = attrgetter(name)
-    return np.array([np.nan if (value := get(record)) is None else value for record in records], dtype=np.float64)
+    return _possible(
+        np.array([np.nan if (value := get(record)) is None else value for record in records], dtype=np.float64)
+    )
 
 
 def _vectors(records: Iterable[Any], name: str) -> Floats:
     get = attrgetter(name)
-    return np.array([get(record) or NO_VECTOR for record in records], dtype=np.float64).reshape(-1, 3)
+    return _possible(np.array([get(record) or NO_VECTOR for record in records], dtype=np.float64).reshape(-1, 3))
+
+
+def _possible(values: Floats) -> Floats:
+    """NaN in place of what no agent records: a figure would have no end."""
+    return np.where(np.abs(values) <= LARGEST, values, np.nan)
 
 
 def _words(records: Iterable[Any], name: str) -> Words:

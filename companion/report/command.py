@@ -65,7 +65,7 @@ def run_report(options: ReportOptions) -> int:
     if named or files:
         steps.show(f"{len(logs.matched)} of {len(named) + len(files)} logs of autopilots are used")
     one = judged(flight, logs)
-    steps.show("the figures are drawn")
+    steps.show("drawing the figures")
     html = page_of(one, _local_zone(flight.begin_unix_s))
     _write(out, html)
     if options.as_json:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -10,12 +11,16 @@ from pathlib import Path
 from typing import Any
 
 from companion.recording.alignment import Clock, align
+from companion.recording.one_flight import of_one_flight
 from companion.recording.reader import Recording, RecordingError, recordings
 from companion.recording.records import COMMAND, DECISION, EVENT, REPLY, STATUS, TIMING
 from companion.report.assemble import StartRecords, fleet_of, vehicle_log
 from companion.report.flight import RecordedFlight, VehicleLog
 
 TOPICS = (DECISION, TIMING, STATUS, EVENT, COMMAND, REPLY)
+MOST = {DECISION: 720_000, TIMING: 720_000, STATUS: 100_000, EVENT: 10_000, COMMAND: 10_000, REPLY: 10_000}
+"""Records of one start that are read: four hours of ticks, in some 2 GB of memory."""
+LONGEST_S = 86_400.0
 Show = Callable[[str], None]
 
 
@@ -23,21 +28,31 @@ def load(folder: Path, show: Show) -> RecordedFlight:
     """The flight in a folder. `show` gets a line for each step. Raises RecordingError."""
     problems: list[str] = []
     chosen = _of_one_fleet(folder, recordings(folder, problems.append), problems)
-    vehicles = sorted({recording.vehicle_id for recording in chosen})
+    pairs = of_one_flight(chosen, align(chosen, _nothing), problems.append)
+    vehicles = sorted({recording.vehicle_id for recording, _ in pairs})
     show(f"recordings of vehicle{'s' if len(vehicles) > 1 else ''} {', '.join(map(str, vehicles))}")
-    clocks = align(chosen, _nothing)
-    begin_s = min(clock.common_s(_first_s(recording)) for recording, clock in zip(chosen, clocks, strict=True))
+    begin_s = min(clock.common_s(_first_s(recording)) for recording, clock in pairs)
     jobs: list[list[tuple[Recording, Clock]]] = []
     for vehicle_id in vehicles:
-        own = [pair for pair in zip(chosen, clocks, strict=True) if pair[0].vehicle_id == vehicle_id]
+        own = [pair for pair in pairs if pair[0].vehicle_id == vehicle_id]
         jobs.append(sorted(own, key=lambda pair: pair[1].common_s(_first_s(pair[0]))))
     aligned = [len(vehicles) == 1 or all(clock.is_aligned for _, clock in job) for job in jobs]
-    with ProcessPoolExecutor(max_workers=len(jobs)) as pool:
+    with ProcessPoolExecutor(max_workers=min(len(jobs), os.cpu_count() or 1)) as pool:
         logs = list(pool.map(_read_vehicle, jobs, [begin_s] * len(jobs), [str(folder)] * len(jobs), aligned))
-    header = chosen[0].header
+    header = pairs[0][0].header
     fleet, why_not = fleet_of(header)
     problems = [_without(line, str(folder)) for line in problems]
-    return RecordedFlight(header.fleet, tuple(logs), begin_s, fleet, header.fleet_file, (*problems, *why_not))
+    flight = RecordedFlight(header.fleet, tuple(logs), begin_s, fleet, header.fleet_file, (*problems, *why_not))
+    _check_span(folder, flight)
+    return flight
+
+
+def _check_span(folder: Path, flight: RecordedFlight) -> None:
+    """Raises RecordingError: positions are compared every 20 ms from the first record to the last."""
+    first_s = min(start.begins_s for vehicle in flight.vehicles for start in vehicle.starts)
+    if not flight.ends_s - min(0.0, first_s) <= LONGEST_S:
+        hours = f"{LONGEST_S / 3600.0:g} hours"
+        raise RecordingError(f"{folder}: its records span more than {hours}; give the folder of one flight")
 
 
 def _of_one_fleet(folder: Path, found: Sequence[Recording], problems: list[str]) -> list[Recording]:
@@ -77,7 +92,12 @@ def _read_start(recording: Recording, folder: str) -> StartRecords:
         COMMAND: records.commands,
         REPLY: records.replies,
     }
+    counts: Counter[str] = Counter()
     for topic, now_s, value in recording.read(TOPICS, problems.append):
+        counts[topic] += 1
+        if counts[topic] > MOST[topic]:
+            problems.append(f"after {MOST[topic]} records of {topic} the rest of the recording is left out")
+            break
         if topic == DECISION:
             records.decisions.append(value)
         elif topic == TIMING:

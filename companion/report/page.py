@@ -20,7 +20,7 @@ from companion.report.judge import Judged
 from companion.report.summary import Summary
 
 SIGNS = {Severity.CRITICAL: "✖", Severity.WARNING: "▲", Severity.INFO: "●"}  # distinct without colour
-MOST_EVENTS = 400
+MOST_EVENTS, MOST_COMMANDS = 400, 1000
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +52,7 @@ def page(flight: RecordedFlight, summary: Summary, sections: Sequence[Section], 
     )
     environment.filters |= {"sign": SIGNS.__getitem__, "number": number, "clock": axis.clock, "prose": prose}
     rows = rows_of(summary.findings)
+    commands, events = command_rows(flight), event_rows(flight)
     begin = datetime.fromtimestamp(axis.begin_unix_s, axis.zone)
     return environment.get_template("report.html.j2").render(
         flight=flight,
@@ -62,9 +63,10 @@ def page(flight: RecordedFlight, summary: Summary, sections: Sequence[Section], 
         date=f"{begin:%A, %d %B %Y}",
         zone=f"{begin:UTC%z}"[:6] + ":" + f"{begin:%z}"[3:5],
         counts=[(severity, counted(rows, severity)) for severity in Severity],
-        commands=command_rows(flight),
-        events=event_rows(flight)[:MOST_EVENTS],
-        events_left_out=max(0, len(event_rows(flight)) - MOST_EVENTS),
+        commands=commands[:MOST_COMMANDS],
+        commands_left_out=max(0, len(commands) - MOST_COMMANDS),
+        events=events[:MOST_EVENTS],
+        events_left_out=max(0, len(events) - MOST_EVENTS),
         settings=configuration.settings(flight.fleet) if flight.fleet else [],
         members=configuration.members(flight.fleet) if flight.fleet else [],
         recordings=configuration.recordings(flight),

@@ -83,3 +83,12 @@ def test_a_folder_without_a_recording_is_one_line(tmp_path: Path) -> None:
     with pytest.raises((RecordingError, NoFlightError)) as raised:
         recorded_flight(tmp_path, print)
     assert "\n" not in str(raised.value)
+
+
+def test_more_statuses_than_can_be_shown_are_one_line(
+    flight: tuple[Flown, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("companion.monitor.recorded_flight.MOST_REPORTS", 50)
+    with pytest.raises(NoFlightError, match="has more statuses than are shown at once, 50") as raised:
+        recorded_flight(flight[1], print)
+    assert "\n" not in str(raised.value)

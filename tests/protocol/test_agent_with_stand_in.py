@@ -21,7 +21,8 @@ PX4_COMPANION_PORT = 14540
 @contextmanager
 def stand_in(port_offset: int, log_file: Path) -> Iterator[None]:
     file = log_file.with_suffix(".yaml")
-    file.write_text("stand_in: {armable_after_s: 1, parameters: {COM_OBL_RC_ACT: 5}}\n", encoding="utf-8")  # by default it would sink
+    # By default it would sink
+    file.write_text("stand_in: {armable_after_s: 1, parameters: {COM_OBL_RC_ACT: 5}}\n", encoding="utf-8")
     with log_file.open("wb") as log:
         process = subprocess.Popen(
             [

@@ -21,7 +21,7 @@ from companion.core.command.arbitration import CommandArbitration
 from companion.ground.session import FleetSession
 from companion.link.fleet.peer_states import CHANGES_PER_TICK
 from companion.link.fleet.zenoh_link import ZenohLink
-from companion.link.fleet.zenoh_session import BATCH_BYTES, open_session
+from companion.link.fleet.zenoh_session import open_session
 from companion.types.commands import Command, CommandName, CommandReply
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot

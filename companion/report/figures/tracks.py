@@ -196,7 +196,14 @@ def _draw_graph(axes: Axes, flight: RecordedFlight, ids: list[int], share: Float
         leads = bool(np.any(in_formation(vehicle) & (vehicle.ticks.role == "leader")))
         colour = look(index)["color"]
         axes.plot(
-            x, y, "s" if leads else "o", markersize=15, markerfacecolor="white", color=colour, markeredgewidth=1.6
+            x,
+            y,
+            "s" if leads else "o",
+            markersize=15,
+            markerfacecolor="white",
+            color=colour,
+            markeredgewidth=1.6,
+            clip_on=False,
         )
         axes.text(x, y, str(vehicle.vehicle_id), ha="center", va="center", fontsize=8, fontweight="bold")
     axes.margins(0.2)

@@ -220,6 +220,14 @@ def test_without_the_first_part_there_is_no_replay(
     assert out == "vehicle 2: cannot be replayed: part 1 of the recording is not here\n"
 
 
+def test_a_recording_without_ticks_is_not_equal(
+    flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, out, _ = replayed(rewritten(flight, tmp_path, lambda _tick, _i, _o: None), capsys)
+    assert code == 2
+    assert out == "vehicle 2: cannot be replayed: no ticks are recorded\n"
+
+
 @pytest.mark.parametrize(
     ("change", "reason"),
     [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -9,6 +10,9 @@ import pytest
 from msgspec.structs import replace
 
 from companion.cli.main import main
+from companion.recording.records import DecisionRecord
+from companion.report import load
+from companion.report.assemble import StartRecords
 from companion.report.findings.commands import refused_commands
 from companion.types.commands import CommandName
 from companion.types.notices import Code, Notice
@@ -87,6 +91,63 @@ def test_vehicles_that_never_met_are_not_aligned(tmp_path: Path, capsys: pytest.
         write_recordings(tmp_path / str(number), [start])
     exit_code, found = codes(tmp_path, capsys)
     assert (exit_code, found) == (0, [("CLOCK_NOT_ALIGNED", 1), ("CLOCK_NOT_ALIGNED", 2)])
+
+
+def later(starts: list[StartRecords], by_s: float, session: int) -> list[StartRecords]:
+    """The same flight again, by the dates of the vehicles."""
+    headers = [replace(start.header, unix_s=start.header.unix_s + by_s, session=session) for start in starts]
+    return [dataclasses.replace(start, header=header) for start, header in zip(starts, headers, strict=True)]
+
+
+def test_of_flights_on_several_days_the_last_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """As after `scp` of all that the boards have."""
+    first = records_of(2, SECONDS)
+    write_recordings(tmp_path / "first", first)
+    write_recordings(tmp_path / "second", later(first, 172_800.0, 9))
+    main(["report", str(tmp_path), "--json"])
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["begin_unix_s"] == pytest.approx(BEGIN_UNIX_S + 172_800.0, abs=0.1)
+    assert printed["lasts_s"] == pytest.approx(SECONDS, abs=0.1)
+    (found,) = printed["findings"]
+    assert found["code"] == "RECORDING_UNREADABLE"
+    assert "2 recordings of more than an hour before or after this flight" in found["text"]
+
+
+def test_a_vehicle_of_1970_that_never_met_the_others_ends_no_report(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    *others, alone = records_of(3, SECONDS)
+    write_recordings(tmp_path / "others", others)
+    write_recordings(tmp_path / "alone", later([alone], -BEGIN_UNIX_S, 1))
+    exit_code, found = codes(tmp_path, capsys)
+    assert (exit_code, set(found)) == (0, {("RECORDING_MISSING", 3), ("RECORDING_UNREADABLE", None)})
+
+
+def test_records_of_many_days_are_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (start,) = records_of(1, SECONDS)
+    start.decisions.append(replace(start.decisions[-1], now_s=start.decisions[-1].now_s + 1e9))
+    write_recordings(tmp_path, [start])
+    assert main(["report", str(tmp_path)]) == 2
+    line = capsys.readouterr().err.splitlines()[-1]
+    assert line.endswith("its records span more than 24 hours; give the folder of one flight")
+
+
+def test_values_that_no_vehicle_has_are_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def far(time_s: float, record: DecisionRecord) -> DecisionRecord:
+        return replace(record, position_enu_m=(1e308, -1e308, 1e300), nearest_m=1e308) if time_s > 15.0 else record
+
+    write_recordings(tmp_path, records_of(2, SECONDS, {2: Faults(decision=far)}))
+    assert codes(tmp_path, capsys) == (0, [])
+
+
+def test_a_recording_of_very_many_records_is_read_up_to_a_limit(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(load.MOST, load.STATUS, 100)
+    write_recordings(tmp_path, records_of(1, SECONDS))
+    main(["report", str(tmp_path), "--json"])
+    texts = [one["text"] for one in json.loads(capsys.readouterr().out)["findings"]]
+    assert "after 100 records of /status the rest of the recording is left out" in texts
 
 
 def test_another_file_in_the_folder_is_a_finding(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
