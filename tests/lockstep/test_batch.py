@@ -41,7 +41,8 @@ BY_THE_LAW = (
 
 @cache
 def scenario_of(*overrides: str) -> Scenario:
-    return load_scenario(PLATOON, (f"timeline[3].for_s={FLOWN_S + 1.0}", *BY_THE_LAW_ALONE, *overrides))
+    timeline = ("stand_in.armable_after_s=1", "timeline[2].for_s=3", f"timeline[3].for_s={FLOWN_S + 0.5}")
+    return load_scenario(PLATOON, (*timeline, *BY_THE_LAW_ALONE, *overrides))
 
 
 @cache
