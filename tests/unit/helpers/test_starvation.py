@@ -16,12 +16,19 @@ import pytest
 lateness.STARVED_S = {limit_s}
 lateness.STOLEN_WITHIN_S = 0.05
 lateness.STAT = __import__("pathlib").Path(__file__).parent / "stat"
-lateness.STAT.write_text("cpu  100 0 0 100 0 0 0 0 0 0\\n")
+
+def write(user, stolen):
+    '''At once, as the kernel does: another thread reads it.'''
+    new = lateness.STAT.with_suffix(".new")
+    new.write_text(f"cpu  {{user}} 0 0 100 0 0 0 {{stolen}} 0 0\\n")
+    new.rename(lateness.STAT)
+
+write(100, 0)
 
 @pytest.fixture
 def stolen():
     user, stolen = [int(lateness.STAT.read_text().split()[i]) for i in (1, 8)]
-    lateness.STAT.write_text(f"cpu  {{user + 100 - {stolen}}} 0 0 100 0 0 0 {{stolen + {stolen}}} 0 0\\n")
+    write(user + 100 - {stolen}, stolen + {stolen})
     yield
     __import__("time").sleep(0.2)
 
