@@ -106,7 +106,7 @@ def all_finite(data: Any) -> bool:
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:
     """A hint at the known name that is most like this one; empty where none is."""
-    from difflib import get_close_matches  # a file without errors needs it not
+    from difflib import get_close_matches  # not loaded for a file without errors
 
     names = sorted(known)
     near = get_close_matches(str(name), names, n=1) or [longer for longer in names if longer.startswith(f"{name}_")]

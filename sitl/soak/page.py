@@ -6,18 +6,32 @@ from collections.abc import Sequence
 from textwrap import fill
 
 from sitl.bench.machine import Machine
-from sitl.soak.samples import COLUMNS, Finding, Sample, cells, shown
+from sitl.soak.samples import (
+    COLUMNS,
+    LEAST_MEAN_RATE_HZ,
+    LEAST_RATE_HZ,
+    MOST_GROWTH_MB,
+    MOST_GROWTH_MB_H,
+    MOST_LATER,
+    MOST_SLOW,
+    WARM_UP,
+    Finding,
+    Sample,
+    cells,
+    shown,
+)
 
 WIDTH = 100
 INTRODUCTION = """\
 `make soak` flies eight vehicles as real processes for an hour: agents with their recordings, stand-in autopilots, \
 Zenoh and MAVLink over loopback. They fly a figure 8 in two columns, with neighbours by range. It writes this page, \
 `runs/soak/soak.csv` and the plot."""
-WHAT_COUNTS = """\
-Each figure is the worst of all eight agents. The first fifth of the time does not count: caches fill, and the \
-formation settles. Memory is constant where it grows by less than 2 MB in an hour; files and threads where the second \
-half never exceeds the first; the tick rate where both halves have a mean of at least 49.5 Hz and at most every \
-hundredth sample is below 49 Hz; telemetry to command where the 99 % of the second half are at most 1.5 times those of \
+WHAT_COUNTS = f"""\
+Each figure is the worst of all eight agents. The first {WARM_UP:.0%} of the time do not count: caches fill, and the \
+formation settles. Memory is constant where its trend is at most {MOST_GROWTH_MB_H:g} MB in an hour, or \
+{MOST_GROWTH_MB:g} MB in the run; files and threads where the second half never exceeds the first; the tick rate where \
+both halves have a mean of at least {LEAST_MEAN_RATE_HZ:g} Hz and at most {MOST_SLOW:.0%} of the samples are below \
+{LEAST_RATE_HZ:g} Hz; telemetry to command where the 99 % of the second half are at most {MOST_LATER:g} times those of \
 the first. `missed` is the sum of all agents since the row before."""
 
 

@@ -34,12 +34,12 @@ def shuffled_starts(seed: int) -> dict[int, Vector3]:
 @pytest.mark.parametrize(
     "overrides", [(), ("stand_in.sensors=default", "links.peer_delay_s=0.1", "links.peer_loss=0.1")]
 )
-def test_a_fleet_30_m_from_its_reference_enters_at_the_joining_speed(
+def test_a_fleet_60_m_from_its_reference_enters_at_the_joining_speed(
     tmp_path: Path, overrides: tuple[str, ...]
 ) -> None:
-    fleet = EnteringFleet(scenario_of(tmp_path, SLOTS, SLOTS, point(30.0), *overrides))
+    fleet = EnteringFleet(scenario_of(tmp_path, SLOTS, SLOTS, point(60.0), *overrides))
     assert fleet.accepted(CommandName.FORM)
-    fleet.go_on(70.0)
+    fleet.go_on(135.0)
     assert fleet.phases() == {FlightPhase.FORMATION}
     assert max(fleet.errors_m().values()) < 0.3
     assert fleet.largest_speed_m_s() < JOINING_M_S + 0.3

@@ -38,7 +38,7 @@ class ClockOffset(Struct, frozen=True, gc=False):
 
     def agrees(self, apart_s: float, received_s: float, max_late_s: float) -> bool:
         """Whether a message is neither early nor more than `max_late_s` late."""
-        return -EARLY_S <= apart_s - self.at(received_s) <= max_late_s
+        return is_in_time(apart_s - self.at(received_s), max_late_s)
 
     def with_message(self, apart_s: float, received_s: float, least_s: float) -> ClockOffset:
         """The offset after a message that agrees. `least_s` is the offset `at(received_s)`."""
@@ -53,6 +53,11 @@ class ClockOffset(Struct, frozen=True, gc=False):
     def with_rival_message(self, apart_s: float, received_s: float) -> ClockOffset:
         """As a rival: the smallest offset of messages in a row, and their number."""
         return ClockOffset(min(self.at(received_s), apart_s), received_s, self.support + 1.0)
+
+
+def is_in_time(late_s: float, max_late_s: float) -> bool:
+    """Whether a message this much later than the least delayed one is neither early nor too late."""
+    return -EARLY_S <= late_s <= max_late_s
 
 
 def replaces(rival: ClockOffset, offset: ClockOffset) -> bool:

@@ -6,7 +6,7 @@ from enum import Enum, auto
 
 from msgspec import Struct
 
-from companion.core.consensus.clock_offset import AGREES_S, EARLY_S, ClockOffset, replaces
+from companion.core.consensus.clock_offset import AGREES_S, ClockOffset, is_in_time, replaces
 
 SEQUENCES_AHEAD = 500  # and SEQUENCES_PER_S since the last message; 50 a second are sent
 SEQUENCES_PER_S = 1000.0
@@ -60,7 +60,7 @@ def following(
         return before, Disorder.TWO_SENDERS
     least_s = clock.at(received_s)
     late_s = apart_s - least_s
-    late, agrees = late_s > AGREES_S, -EARLY_S <= late_s <= silent_s
+    late, agrees = late_s > AGREES_S, is_in_time(late_s, silent_s)
     most = before.sequence + SEQUENCES_AHEAD + SEQUENCES_PER_S * silence_s
     if agrees and not silent and not before.sequence < sequence <= most:
         return before, Disorder.OUT_OF_ORDER

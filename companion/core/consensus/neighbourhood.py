@@ -72,6 +72,15 @@ class Consensus(Struct, frozen=True, gc=False):
         return tuple([peer.packet for peer in self.present.values()])
 
 
+def _states_of(
+    candidates: Sequence[PeerPacket], fresh: dict[int, PeerState], present: dict[int, PeerState]
+) -> dict[int, PeerState]:
+    """The fresh ones of the candidates, which are some of the present peers."""
+    if len(candidates) == len(fresh) and present is fresh:  # the usual case: all of them
+        return fresh
+    return {p.vehicle_id: fresh[p.vehicle_id] for p in candidates if p.vehicle_id in fresh}
+
+
 def _attracting(ids: tuple[int, ...], packets: Sequence[PeerPacket], leads: bool) -> tuple[int, ...]:
     """Which of these neighbours the law uses: those that form or fly in formation. `packets` are in the same order.
 
@@ -134,11 +143,7 @@ class ConsensusStage:
         events += changes
         flying = [peer.packet for peer in present.values() if peer.packet.phase in COOPERATING]
         candidates = self._candidates(now_s, flying, in_formation)
-        if len(candidates) == len(fresh) and present is fresh:  # the usual case: all of them
-            states = fresh
-        else:
-            states = {p.vehicle_id: fresh[p.vehicle_id] for p in candidates if p.vehicle_id in fresh}
-        ids = self._rule.select(vehicle.position_enu_m, states, now_s)
+        ids = self._rule.select(vehicle.position_enu_m, _states_of(candidates, fresh, present), now_s)
         packets_of_neighbours = [fresh[i].packet for i in ids]
         with_neighbours = FORMATION in [packet.phase for packet in packets_of_neighbours]
         beacons = self._beacons_of_others(packets_of_neighbours)

@@ -30,9 +30,8 @@ def neighbour_weights(prcs: Sequence[int], weighting: Weighting) -> tuple[float,
 
 @lru_cache(maxsize=256)  # PrCs change seldom, and every tick needs their weights
 def _weights(prcs: tuple[int, ...], exponent: float, ratio: float) -> tuple[float, ...]:
-    least = min(
-        prcs, default=1
-    )  # rho^p of the 160th hop is below the smallest float: counted from the nearest neighbour
+    # rho^p of the 160th hop is below the smallest float, so hops are counted from the nearest neighbour.
+    least = min(prcs, default=1)
     shares = [prc**-exponent * ratio ** (prc - least) for prc in prcs]
     total = sum(shares)
     return tuple([share / total for share in shares])

@@ -25,9 +25,7 @@ PACKETS_PER_VEHICLE = 8  # used at most of each tick, the newest
 # Messages that wait for a tick: what is no packet is dropped before it can displace one. To refuse one takes 10 us, so in a
 # large fleet fewer wait for each vehicle.
 SAMPLES_KEPT, LEAST_PER_VEHICLE, MOST_PER_VEHICLE = 1024, 2 * PACKETS_PER_VEHICLE, 128
-TAKEN_EARLY = (
-    2  # messages of each vehicle before a tick: under a flood the rest waits, and costs a tick no more than without
-)
+TAKEN_EARLY = 2  # messages of each vehicle before a tick; the rest of a flood waits for the tick
 CHANGES_PER_TICK = 8  # of subscriptions: one takes 0.1 ms
 
 

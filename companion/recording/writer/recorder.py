@@ -123,9 +123,8 @@ class Recorder:
         """
         self.ticks += 1
         self._waiting.append(_Tick(self.ticks, now_s, inbox, decision, outbox, report, timing))
-        if (
-            len(self._waiting) < ENCODED_TOGETHER and not inbox.commands
-        ):  # a flood of commands may be large: tick by tick
+        # Commands may be large: a flood of them is encoded tick by tick.
+        if len(self._waiting) < ENCODED_TOGETHER and not inbox.commands:
             return None
         self._encode_waiting()
         if not self._stream.hand_on(now_s):

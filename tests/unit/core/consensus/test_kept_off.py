@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from math import inf
+
 import pytest
 
-from companion.core.consensus.kept_off import BACK_WITHIN_M, INTERVENES_M_S2, LASTS_S, KeptOff
+from companion.core.consensus.kept_off import BACK_WITHIN_M, INTERVENES_M_S2, LASTS_S, NEARER_WITHIN_S, KeptOff
 from companion.core.consensus.law import FormationState, target, weighted
 from companion.core.consensus.peers import PeerState
 from companion.types.flight import FlightPhase, Role
@@ -35,6 +37,30 @@ def test_a_vehicle_kept_off_publishes_the_rft_until_it_is_back() -> None:
     assert kept_off.rft(after_s, off_by(1.1 * BACK_WITHIN_M), RFT) is RFT  # it is not back yet
     assert kept_off.rft(after_s, off_by(0.9 * BACK_WITHIN_M), RFT) is None
     assert not kept_off.intervened(after_s, 0.0)
+
+
+def seconds_published(speed_m_s: float, began_m: float, lag_m: float) -> float:
+    """For how long a vehicle publishes the RFT that comes back at this speed and then lags by `lag_m`."""
+    kept_off = KeptOff()
+    assert kept_off.intervened(0.0, 1.0)
+    for tick in range(1, 5000):
+        now_s = 0.02 * tick
+        assert kept_off.intervened(now_s, 0.0)
+        off_m = max(lag_m, began_m - speed_m_s * max(0.0, now_s - LASTS_S))
+        if kept_off.rft(now_s, off_by(off_m), RFT) is None:
+            return now_s
+    return inf
+
+
+@pytest.mark.parametrize("lag_m", [0.5, 3.0])
+def test_a_vehicle_that_lags_behind_a_moving_rft_is_not_kept_off_for_ever(lag_m: float) -> None:
+    """The law lags more than BACK_WITHIN_M: one intervention, by one wrong packet, would shift its peers for the flight."""
+    assert seconds_published(0.0, lag_m, lag_m) == pytest.approx(LASTS_S + NEARER_WITHIN_S, abs=0.1)
+
+
+@pytest.mark.parametrize("speed_m_s", [0.03, 1.0])
+def test_a_vehicle_on_its_way_back_publishes_the_rft_until_it_is_there(speed_m_s: float) -> None:
+    assert seconds_published(speed_m_s, 1.0, 0.0) == pytest.approx(LASTS_S + (1.0 - BACK_WITHIN_M) / speed_m_s, abs=0.1)
 
 
 def test_leaving_formation_ends_it() -> None:
