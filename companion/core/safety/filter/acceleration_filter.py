@@ -109,16 +109,26 @@ def _solved(
     start_enu_m_s2: Vector3, half_spaces: Sequence[HalfSpace], limits: AccelerationLimits, steps: int
 ) -> Vector3:
     rows = _asked(half_spaces, limits, start_enu_m_s2[2])
+    complete = None  # the last point of an active set that came to its end
     while True:
         found, steps, contradiction = _active_set(start_enu_m_s2, rows, steps)
-        if contradiction and steps > 0:
-            rows = _relaxed(rows, contradiction)
-            continue
         possible = limits.nearest(found)
-        cut = None if steps <= 0 or possible is found else _cut(found, limits)
+        if steps < 0:  # half a solution may leave out what a whole one of before meets
+            return possible if complete is None else min(complete, possible, key=lambda u: _shortfall(u, rows))
+        if contradiction:
+            complete, rows = possible, _relaxed(rows, contradiction)
+            continue
+        cut = None if possible is found else _cut(found, limits)
         if cut is None:
             return possible
+        complete = possible
         rows.append(cut)
+
+
+def _shortfall(acceleration_enu_m_s2: Vector3, rows: Sequence[HalfSpace]) -> float:
+    """By how much it violates the row that it violates most."""
+    x, y, z = acceleration_enu_m_s2
+    return max(least - nx * x - ny * y - nz * z for nx, ny, nz, least, _ in rows)
 
 
 def _asked(half_spaces: Sequence[HalfSpace], limits: AccelerationLimits, up_m_s2: float) -> list[HalfSpace]:
@@ -174,14 +184,14 @@ def _relaxed(rows: list[HalfSpace], contradiction: Contradiction) -> list[HalfSp
 
 
 def _active_set(start: Vector3, rows: list[HalfSpace], steps: int) -> tuple[Vector3, int, Contradiction]:
-    """(the point nearest to `start` that meets all rows, the steps left, no contradiction). It stops without steps left.
+    """(the point nearest to `start` that meets all rows, the steps left, no contradiction); -1 where the steps do not suffice.
 
     Where rows contradict each other, the point is the one found before.
     """
     x, y, z = start
     active: list[HalfSpace] = []
     weights: list[float] = []  # multipliers of the active rows
-    while steps > 0:
+    while True:
         worst, most = None, MET_M_S2
         for row in rows:
             nx, ny, nz, least, _ = row
@@ -189,7 +199,9 @@ def _active_set(start: Vector3, rows: list[HalfSpace], steps: int) -> tuple[Vect
             if short > most:
                 worst, most = row, short
         if worst is None:
-            break
+            return (x, y, z), steps, NO_CONTRADICTION
+        if steps <= 0:
+            return (x, y, z), -1, NO_CONTRADICTION
         nx, ny, nz, least, _ = worst
         if not active:  # straight to it
             step = most / (nx * nx + ny * ny + nz * nz)
@@ -218,7 +230,6 @@ def _active_set(start: Vector3, rows: list[HalfSpace], steps: int) -> tuple[Vect
                 break
             del active[leaves], weights[leaves]
             most = least - nx * x - ny * y - nz * z
-    return (x, y, z), steps, NO_CONTRADICTION
 
 
 def _split(x: float, y: float, z: float, active: list[HalfSpace]) -> tuple[Sequence[float], float, float, float]:

@@ -68,6 +68,24 @@ def test_a_vehicle_comes_before_obstacle_and_fence(rank: Rank) -> None:
     assert filtered((0.0, 0.0, 0.0), spaces, LIMITS)[0] == pytest.approx(3.0, abs=1e-3)
 
 
+# Where two walls of the fence and its top meet: a slow vehicle that flies into the corner, and a fast one.
+CORNERS = [
+    [((-1.0, 0.0, 0.0), 2.7), ((0.0, -1.0, 0.0), 2.7), ((0.0, 0.0, -1.0), 2.6)],
+    [((1.0, 0.0, 0.0), 20.6), ((0.0, -1.0, 0.0), 26.4), ((0.0, 0.0, -1.0), 5.6)],
+]
+
+
+@pytest.mark.parametrize("most_steps", range(3, 13))
+@pytest.mark.parametrize("corner", CORNERS)
+def test_no_half_space_is_left_out_where_the_steps_do_not_suffice(
+    corner: list[tuple[Vector3, float]], most_steps: int
+) -> None:
+    asked = [half_space(normal, least, Rank.FENCE) for normal, least in corner]
+    u = filtered((-0.6, 1.8, 2.0), asked, LIMITS, most_steps)
+    for normal, least in corner:
+        assert along(normal, u) > min(0.8 * least, 1.2)
+
+
 def test_an_obstacle_comes_before_the_fence() -> None:
     spaces = [half_space(WEST, 1.0, Rank.FENCE), half_space(EAST, 3.0, Rank.OBSTACLE)]
     assert filtered((0.0, 0.0, 0.0), spaces, LIMITS)[0] == pytest.approx(3.0, abs=1e-3)
