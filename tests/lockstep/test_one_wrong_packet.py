@@ -1,0 +1,89 @@
+"""One wrong packet of a neighbour, as wrong as the checks let it be, moves no vehicle in formation far, and none for long."""
+
+from __future__ import annotations
+
+from copy import deepcopy
+from math import dist
+from random import Random
+
+import pytest
+from msgspec.structs import replace
+
+from companion.types.commands import CommandName
+from companion.types.flight import FlightPhase
+from companion.types.peers import PeerPacket
+from companion.types.vectors import Vector3
+from sitl.hostile.fleet import Hostile, HostileFleet
+from sitl.hostile.plant import TICK_S
+
+FOLLOWER = 2
+MOST_M, GONE_M, GONE_AFTER_S = 0.6, 0.05, 12.0
+SEEDS = range(2)  # `weighted` and `cooperative`, on a circle
+FAR, FAST, HARD = 4.5, 25.0, 13.0  # of a jump, speed and acceleration: a little below what is refused
+
+
+def along(axis: int, size: float) -> Vector3:
+    x, y, z = (size if i == axis else 0.0 for i in range(3))
+    return (x, y, z)
+
+
+def wrong(packet: PeerPacket, what: str, axis: int, sign: float) -> PeerPacket:
+    moved = along(axis, sign * FAR)
+    x, y, z = (a + b for a, b in zip(packet.position_enu_m, moved, strict=True))
+    packet = replace(packet, sequence=packet.sequence + 1)
+    match what:
+        case "position":
+            return replace(packet, position_enu_m=(x, y, z))
+        case "velocity":
+            return replace(packet, velocity_enu_m_s=along(axis, sign * 0.99 * FAST))
+        case "acceleration":
+            return replace(packet, acceleration_enu_m_s2=along(axis, sign * 99.0))
+        case "all":
+            motion = (along(axis, sign * 0.99 * FAST), along(axis, sign * HARD))
+            return replace(
+                packet, position_enu_m=(x, y, z), velocity_enu_m_s=motion[0], acceleration_enu_m_s2=motion[1]
+            )
+        case "slot":
+            slot = replace(packet.slot, position_enu_m=along(axis, -sign * (390.0 if axis < 2 else 100.0)))
+            return replace(packet, slot=slot)
+        case "rft":
+            rft = (along(axis, sign * 19_999.0), along(axis, sign * 0.99 * FAST), along(axis, sign * 99.0))
+            return replace(packet, rft=rft)
+        case _:
+            return replace(packet, state_age_s=9.9)
+
+
+@pytest.fixture(scope="module", params=SEEDS)
+def settled(request: pytest.FixtureRequest) -> HostileFleet:
+    fleet = HostileFleet(Random(request.param))
+    for _ in range(10):
+        fleet.tick()
+    for name in (CommandName.PREPARE, CommandName.ARM, CommandName.TAKEOFF, CommandName.FORM):
+        assert all(reply.accepted for reply in fleet.command(name).values())
+        for _ in range(900 if name is CommandName.FORM else 100):
+            fleet.tick()
+    assert {agent.phase for agent in fleet.agents.values()} == {FlightPhase.FORMATION}
+    return fleet
+
+
+def flown(fleet: HostileFleet, forged: PeerPacket | None) -> list[Vector3]:
+    """Positions of the follower, in each tick after this packet."""
+    positions = []
+    for tick in range(round(GONE_AFTER_S / TICK_S)):
+        hostile = Hostile([forged]) if forged and tick == 0 else Hostile()
+        fleet.tick({i: hostile if i == FOLLOWER else Hostile() for i in fleet.agents})
+        positions.append(fleet.plants[FOLLOWER].position_enu_m)
+    return positions
+
+
+@pytest.mark.parametrize("what", ["position", "velocity", "acceleration", "all", "slot", "rft", "age"])
+def test_one_wrong_packet_moves_a_follower_a_little_and_not_for_long(settled: HostileFleet, what: str) -> None:
+    """The separation filter may act on it, and then the follower counts as kept off its slot for 4 s."""
+    undisturbed = flown(deepcopy(settled), None)
+    for axis, sign in ((0, -1.0), (0, 1.0)):
+        fleet = deepcopy(settled)
+        disturbed = flown(fleet, wrong(fleet.packets[1], what, axis, sign))
+        moved_m = [dist(a, b) for a, b in zip(disturbed, undisturbed, strict=True)]
+        assert max(moved_m) < MOST_M, (axis, sign)
+        assert moved_m[-1] < GONE_M, (axis, sign)
+        assert fleet.agents[FOLLOWER].phase is FlightPhase.FORMATION
