@@ -5,13 +5,15 @@ from __future__ import annotations
 import os
 import platform
 import subprocess
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 
 from msgspec import Struct
 
 TICKS_A_SECOND = os.sysconf("SC_CLK_TCK")
-IDLE, IO_WAIT, STOLEN = 3, 4, 7  # columns of /proc/stat
+STOLEN = 7  # column of /proc/stat
+PARENT, TIMES = 1, slice(11, 15)  # columns of /proc/PID/stat after the name: user, system, and those of ended children
 
 
 class Machine(Struct, frozen=True, kw_only=True):
@@ -36,14 +38,13 @@ class Times(Struct, frozen=True):
     """Of all cores since the start of the machine, in clock ticks."""
 
     all: int
-    unused: int
     stolen: int
 
 
 def times_of(stat: str) -> Times:
     """From the text of /proc/stat."""
     columns = [int(column) for column in stat.split("\n", 1)[0].split()[1:9]]
-    return Times(sum(columns), columns[IDLE] + columns[IO_WAIT], columns[STOLEN])
+    return Times(sum(columns), columns[STOLEN])
 
 
 def times() -> Times:
@@ -55,10 +56,32 @@ def stolen_percent(before: Times, after: Times) -> float:
     return 100.0 * (after.stolen - before.stolen) / max(1, after.all - before.all)
 
 
-def others_cores(before: Times, after: Times, own_s: float, lasted_s: float) -> float:
-    """Use of all cores less the own, in cores."""
-    busy = (after.all - after.unused - after.stolen) - (before.all - before.unused - before.stolen)
-    return max(0.0, busy / TICKS_A_SECOND - own_s) / lasted_s
+def others_cpu_s() -> float:
+    """CPU time up to now of all processes but this one and those that it started, seconds.
+
+    What ended in between counts with its parent. /proc/stat less the own time would count interrupts too, by samples.
+    """
+    processes = {}
+    for file in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            columns = file.read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()
+        except OSError:  # it has just ended
+            continue
+        processes[int(file.parent.name)] = (int(columns[PARENT]), sum(map(int, columns[TIMES])))
+    return used_by_others(os.getpid(), processes) / TICKS_A_SECOND
+
+
+def used_by_others(own_id: int, processes: Mapping[int, tuple[int, int]]) -> int:
+    """Sum over all processes that this one did not start. `processes`: parent and use of each."""
+
+    def is_own(process_id: int) -> bool:
+        while process_id != own_id:
+            if process_id not in processes:
+                return False
+            process_id, _ = processes[process_id]
+        return True
+
+    return sum(used for process_id, (_, used) in processes.items() if not is_own(process_id))
 
 
 def this_machine(lasted_s: float, stolen: float) -> Machine:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -13,7 +12,7 @@ from msgspec.structs import replace
 
 from sitl.bench import agent_step, batch, control_loop, peer_states, resources, virtual_time
 from sitl.bench.figures import Section
-from sitl.bench.machine import Machine, others_cores, stolen_percent, this_machine, times
+from sitl.bench.machine import Machine, others_cpu_s, stolen_percent, this_machine, times
 from sitl.bench.page import others_in_words, page, row_in_words
 from sitl.bench.real_flight import Flown
 
@@ -69,9 +68,7 @@ def _steps(folder: Path) -> Iterator[Step]:
 
 def _with_others(measure: Callable[[], list[Section]]) -> list[Section]:
     """The sections, with the use of the cores by other processes during their measurement."""
-    before, began = times(), os.times()
+    before_s, began_s = others_cpu_s(), time.monotonic()
     sections = measure()
-    after, ended = times(), os.times()
-    own_s = sum(ended[:4]) - sum(began[:4])  # of this process and of all processes that it has started and ended
-    used = others_cores(before, after, own_s, ended.elapsed - began.elapsed)
+    used = (others_cpu_s() - before_s) / (time.monotonic() - began_s)
     return [replace(section, others_cores=used) for section in sections]

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import os
 import sys
+import time
 from pathlib import Path
 
-from sitl.bench.machine import others_cores, times
+from sitl.bench.machine import others_cpu_s
 from sitl.large_fleet.run import NUMBERS, measure_all, table, write_page
 
 
@@ -25,7 +25,7 @@ def main() -> int:
     options = parser.parse_args()
     if not all(1 <= number <= 200 for number in options.others):
         parser.error("expected 1 to 200 publishers")
-    rows, before, began = [], times(), os.times()
+    rows, before_s, began_s = [], others_cpu_s(), time.monotonic()
     try:
         for row in measure_all(options.others, options.port):
             print(row.line(), flush=True)
@@ -33,11 +33,8 @@ def main() -> int:
     except RuntimeError as error:
         print(f"sitl.large_fleet: {error}", file=sys.stderr)
         return 1
-    after, ended = times(), os.times()
-    own_s = sum(ended[:4]) - sum(began[:4])  # of this process and of all that it has started
-    elsewhere = (
-        f"Meanwhile other processes used {others_cores(before, after, own_s, ended.elapsed - began.elapsed):.1f} cores."
-    )
+    others_cores = (others_cpu_s() - before_s) / (time.monotonic() - began_s)
+    elsewhere = f"Meanwhile other processes used {others_cores:.1f} cores."
     print(elsewhere)
     if options.page:
         write_page(options.page, f"{table(rows)}\n\n{elsewhere}")

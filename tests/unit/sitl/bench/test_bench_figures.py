@@ -16,7 +16,7 @@ from recorded_agent import recorder
 from sitl.bench.batch import section as batch_section
 from sitl.bench.control_loop import rate_of_slowest_hz
 from sitl.bench.figures import Row, Target, lateness_us, percentile
-from sitl.bench.machine import TICKS_A_SECOND, Times, others_cores, stolen_percent, times_of
+from sitl.bench.machine import Times, stolen_percent, times_of, used_by_others
 from sitl.bench.peer_states import section as peers_section
 from sitl.bench.peer_vehicle import Ages, Result
 from sitl.bench.real_flight import Flown, delays_of_ticks
@@ -156,11 +156,11 @@ def test_batches_are_beside_rotorpy_with_the_same_integrator() -> None:
 
 def test_the_share_that_the_hypervisor_took() -> None:
     before = times_of("cpu  100 0 50 800 50 0 0 10 0 0\ncpu0 1 2 3\n")
-    assert before == Times(1010, 850, 10)
-    assert stolen_percent(before, Times(1110, 900, 15)) == 5.0
+    assert before == Times(1010, 10)
+    assert stolen_percent(before, Times(1110, 15)) == 5.0
 
 
-def test_what_other_processes_used_is_the_rest_of_the_busy_time() -> None:
-    before, after = Times(0, 0, 0), Times(20 * TICKS_A_SECOND, 5 * TICKS_A_SECOND, 1 * TICKS_A_SECOND)
-    assert others_cores(before, after, own_s=9.0, lasted_s=10.0) == pytest.approx(0.5)
-    assert others_cores(before, after, own_s=14.1, lasted_s=10.0) == 0.0
+def test_what_others_use_is_not_of_this_process_nor_of_those_that_it_started() -> None:
+    processes = {1: (0, 1000), 10: (1, 100), 20: (10, 10), 30: (20, 5), 40: (1, 7)}
+    assert used_by_others(10, processes) == 1007
+    assert used_by_others(20, processes) == 1107
