@@ -12,6 +12,7 @@ from companion.monitor.picture.flags import advice_of
 from companion.types.notices import Code
 
 MOST_ALARMS = 500
+WARNS_AFTER_S = 0.5
 SILENT, NEVER_HEARD, UNSECURED, NOT_RECORDED = "SILENT", "NEVER_HEARD", "UNSECURED", "NOT_RECORDED"
 _RANKS: dict[Severity, int] = {"critical": 0, "warning": 1, "info": 2}
 
@@ -47,6 +48,26 @@ class Changes:
 
     begun: tuple[AlarmView, ...] = ()
     ended: tuple[AlarmView, ...] = ()
+
+
+class Delay:
+    """Keeps warnings back until they have lasted for WARNS_AFTER_S.
+
+    At the start of an agent, and while vehicles take off one after the other, flags come and go within a few statuses. An
+    operator who is called for nothing soon listens no more.
+    """
+
+    def __init__(self) -> None:
+        self._since_s: dict[Key, float] = {}  # of the present conditions
+
+    def lasting(self, now_s: float, conditions: Mapping[Key, Condition]) -> dict[Key, Condition]:
+        """Those of the present conditions that are critical, or have lasted."""
+        self._since_s = {key: self._since_s.get(key, now_s) for key in conditions}
+        return {
+            key: condition
+            for key, condition in conditions.items()
+            if condition.severity == "critical" or now_s - self._since_s[key] >= WARNS_AFTER_S
+        }
 
 
 class AlarmList:

@@ -17,7 +17,16 @@ from companion.monitor.api import (
     Snapshot,
     VehicleView,
 )
-from companion.monitor.picture.alarms import MISSING, NEVER_HEARD, OTHER_FILE, AlarmList, Condition, Key, conditions_of
+from companion.monitor.picture.alarms import (
+    MISSING,
+    NEVER_HEARD,
+    OTHER_FILE,
+    AlarmList,
+    Condition,
+    Delay,
+    Key,
+    conditions_of,
+)
 from companion.monitor.picture.events import EventLog, happened
 from companion.monitor.picture.fleet_figures import FleetFigures
 from companion.monitor.picture.fleet_map import fleet_map
@@ -54,6 +63,7 @@ class Picture:
 
     def _begin(self) -> None:
         self._state = FleetState()
+        self._delay = Delay()
         self._arrivals: dict[VehicleKey, deque[float]] = {}
         self._figures: dict[str, FleetFigures] = {}
         self._history = HistoryRing()
@@ -155,15 +165,16 @@ class Picture:
     ) -> None:
         """`fleets`: those of which all vehicles are expected to report."""
         conditions: dict[Key, Condition] = {}
-        for fleet in fleets:
-            if now_s - self._first_s.setdefault(fleet.name, now_s) >= HEARD_WITHIN_S:
-                conditions |= {(fleet.name, i, NEVER_HEARD): MISSING for i in fleet.missing_ids}
         for vehicle in vehicles:
             conditions |= conditions_of(vehicle)
             own_hash = self._hashes.get(vehicle.fleet)
             status = self._state.vehicles[vehicle.fleet, vehicle.vehicle_id].report.status
             if own_hash is not None and status.formation_hash != own_hash:
                 conditions[vehicle.fleet, vehicle.vehicle_id, Code.FLEET_FILE_DIFFERS] = OTHER_FILE
+        conditions = self._delay.lasting(now_s, conditions)
+        for fleet in fleets:
+            if now_s - self._first_s.setdefault(fleet.name, now_s) >= HEARD_WITHIN_S:
+                conditions |= {(fleet.name, i, NEVER_HEARD): MISSING for i in fleet.missing_ids}
         changes = self.alarms.update(time_s, conditions)
         for alarm in changes.begun:
             self._alarm_event(time_s, alarm, alarm.text)

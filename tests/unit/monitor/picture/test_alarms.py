@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.monitor.picture.alarms import MOST_ALARMS, AlarmList, Condition, Key
+from companion.monitor.picture.alarms import MOST_ALARMS, WARNS_AFTER_S, AlarmList, Condition, Delay, Key
 
 LOW = ("platoon", 2, "BATTERY_LOW")
 LATE = ("platoon", 1, "TICK_LATE")
@@ -23,6 +23,15 @@ def test_an_alarm_lasts_until_it_has_ended_and_is_acknowledged() -> None:
     assert alarms.acknowledge(begun[0].id) is not None
     assert alarms.all() == ()
     assert alarms.acknowledge(begun[0].id) is None
+
+
+def test_a_warning_that_passes_at_once_is_no_alarm_and_a_critical_condition_is_one_at_once() -> None:
+    delay = Delay()
+    assert delay.lasting(10.0, {LOW: WARNING, LATE: CRITICAL}) == {LATE: CRITICAL}
+    assert delay.lasting(10.0 + 0.9 * WARNS_AFTER_S, {LOW: WARNING}) == {}
+    assert delay.lasting(10.0 + WARNS_AFTER_S, {LOW: WARNING}) == {LOW: WARNING}
+    assert delay.lasting(11.0, {}) == {}
+    assert delay.lasting(11.1, {LOW: WARNING}) == {}
 
 
 def test_an_acknowledged_alarm_leaves_at_its_end() -> None:
