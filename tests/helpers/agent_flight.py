@@ -28,6 +28,7 @@ from companion.types.telemetry import (
     Telemetry,
 )
 from companion.types.tick import Inbox, Outbox
+from companion.types.traffic import ReceivedTraffic, TrafficSample
 from companion.types.vectors import Vector3
 from sitl.hostile.plant import PARAMETERS
 
@@ -85,6 +86,7 @@ class Flight:
         self.peer_reference: HeldReference | None = None
         self.peer_late_s = 0.0
         self.peer_changes: dict[str, object] = {}  # of its packets
+        self.traffic: dict[str, TrafficSample] = {}  # published anew before every tick
         self.formation_ticks = 0
         self._peer_sequence = 0
         self._number = 0  # of the last command
@@ -161,7 +163,8 @@ class Flight:
         self.formation_ticks += self.agent.phase is FlightPhase.FORMATION
         commands = tuple(self.command(name, content=lead) for name in names)
         samples = self.telemetry() if telemetry is None else telemetry
-        inbox = Inbox(tuple(samples), tuple(self.peer()), commands + given, self.stopping)
+        traffic = tuple(ReceivedTraffic(self.now_s, name, sample) for name, sample in self.traffic.items())
+        inbox = Inbox(tuple(samples), tuple(self.peer()), commands + given, self.stopping, traffic=traffic)
         self.outbox = self.agent.step(self.now_s, inbox)
         if self.executes_requests:
             self._execute_requests()

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from itertools import combinations
+from itertools import combinations, product
 from math import dist, exp, hypot, radians, sqrt, tan
 from random import Random
 
@@ -21,11 +21,13 @@ from companion.core.consensus.law import Gains, feedback
 from companion.core.consensus.peers import PeerTable
 from companion.core.consensus.plausibility import FleetLimits
 from companion.core.safety.filter.acceleration_filter import AccelerationLimits
+from companion.geometry.separation import separation_distance_m
 from companion.types.autopilot import PositionError, VehicleState
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot
 from companion.types.peers import PeerPacket, ReceivedPeerPacket
 from companion.types.separation import SeparationReport
+from companion.types.traffic import ReceivedTraffic, TrafficSample
 from companion.types.vectors import ZERO3, Vector3
 
 TICK_S = 0.02
@@ -98,8 +100,38 @@ class Body:
     slot: FlownSlot = field(default_factory=lambda: FlownSlot(ZERO3))
 
 
+@dataclass
+class Intruder:
+    """A vehicle outside the fleet that flies straight on and makes no way, published every `period_s` while `published`.
+
+    Samples are `age_s` old when they arrive. `error_m` is reported; the published position is the true one.
+    """
+
+    name: str
+    position_enu_m: Vector3
+    velocity_enu_m_s: Vector3 = ZERO3
+    error_m: float = 0.0
+    age_s: float = 0.0
+    period_s: float = 1.0
+    published: bool = True
+
+    def move(self) -> None:
+        self.position_enu_m = self._at(TICK_S)
+
+    def sample(self, now_s: float) -> ReceivedTraffic:
+        sample = TrafficSample(self._at(-self.age_s), self.velocity_enu_m_s, self.age_s, self.error_m)
+        return ReceivedTraffic(now_s, self.name, sample)
+
+    def _at(self, ahead_s: float) -> Vector3:
+        (x, y, z), (vx, vy, vz) = self.position_enu_m, self.velocity_enu_m_s
+        return (x + vx * ahead_s, y + vy * ahead_s, z + vz * ahead_s)
+
+
 class SeparationFlight:
-    """All vehicles, tick by tick. `apart_m` is the least true distance so far of each pair that flies."""
+    """All vehicles, tick by tick. `apart_m` is the least true distance so far of each pair that flies.
+
+    `least_counted_m` is that of any two, also of traffic, in the metric of `separation_m`.
+    """
 
     def __init__(
         self,
@@ -110,10 +142,13 @@ class SeparationFlight:
         seed: int = 1,
         envelope: Envelope | None = None,
         obstacles: tuple[Obstacle, ...] = (),
+        intruders: Iterable[Intruder] = (),
     ) -> None:
         self.bodies = {body.vehicle_id: body for body in bodies}
+        self.intruders = tuple(intruders)
         self.now_s = 100.0
         self.apart_m: dict[tuple[int, int], float] = dict.fromkeys(combinations(sorted(self.bodies), 2), 1e9)
+        self.least_counted_m = 1e9
         self.reports: dict[int, SeparationReport] = {}
         self.interventions = 0
         self.silent: set[int] = set()
@@ -145,16 +180,30 @@ class SeparationFlight:
         self.now_s += TICK_S
         self._sequence += 1
         states = {i: self._estimate(body) for i, body in self.bodies.items()}
+        traffic = [one.sample(self.now_s) for one in self.intruders if self._publishes(one)]
         for i, state in states.items():
+            self._filters[i].receive(self.now_s, state, traffic)
             self._decide(i, state)
         for i, state in states.items():
             if i not in self.silent:
                 self._send(i, state)
         for i, body in self.bodies.items():
             self._move(i, body)
+        for intruder in self.intruders:
+            intruder.move()
+        self._measure()
+
+    def _publishes(self, intruder: Intruder) -> bool:
+        return intruder.published and (self._sequence - 1) % round(intruder.period_s / TICK_S) == 0
+
+    def _measure(self) -> None:
         for i, j in self.apart_m:
-            apart_m = dist(self.bodies[i].position_enu_m, self.bodies[j].position_enu_m)
-            self.apart_m[i, j] = min(self.apart_m[i, j], apart_m)
+            one, other = self.bodies[i].position_enu_m, self.bodies[j].position_enu_m
+            self.apart_m[i, j] = min(self.apart_m[i, j], dist(one, other))
+            self.least_counted_m = min(self.least_counted_m, separation_distance_m(one, other))
+        for body, intruder in product(self.bodies.values(), self.intruders):
+            counted_m = separation_distance_m(body.position_enu_m, intruder.position_enu_m)
+            self.least_counted_m = min(self.least_counted_m, counted_m)
 
     def _estimate(self, body: Body) -> VehicleState:
         i, white = body.vehicle_id, self._noise.white_sd_m_s

@@ -1,0 +1,73 @@
+"""Other vehicles nearby, through a whole agent: what it flies, and what its status and its events say."""
+
+from __future__ import annotations
+
+import pytest
+from msgspec import Struct
+
+from agent_flight import Flight
+from companion.types.commands import CommandName
+from companion.types.flight import FlightPhase, HealthFlag
+from companion.types.notices import Code, Notice
+from companion.types.requests import AttitudeTarget
+from companion.types.separation import NearestVehicle
+from companion.types.status import Status
+from companion.types.traffic import TrafficSample
+from companion.types.vectors import ZERO3, Vector3
+from notices import codes_of
+
+FROM_THE_NORTH = TrafficSample((-1.5, 1.6, 1.0), (0.0, -1.0, 0.0))  # straight at the vehicle, which is at (-1.5, 0, 1)
+
+
+class Seen(Struct):
+    """What the ground has seen of some ticks: the last status and all events; and the last setpoint and its acceleration."""
+
+    status: Status
+    events: list[Notice]
+    target: AttitudeTarget
+    acceleration_enu_m_s2: Vector3
+
+
+def after(flight: Flight, seconds: float) -> Seen:
+    events: list[Notice] = []
+    status = None
+    for _ in range(round(seconds / 0.02)):
+        outbox = flight.tick()
+        events += outbox.events
+        status = outbox.status or status
+    assert status is not None and outbox.attitude_target is not None and outbox.peer_packet is not None
+    return Seen(status, events, outbox.attitude_target, outbox.peer_packet.acceleration_enu_m_s2)
+
+
+def nearest_of(status: Status) -> NearestVehicle:
+    nearest = status.separation.nearest
+    assert nearest is not None
+    return nearest
+
+
+def test_traffic_changes_attitude_and_acceleration_and_the_status_shows_it() -> None:
+    flight = Flight().fly_to(FlightPhase.FORMATION)
+    alone = after(flight, 2.0)
+    assert alone.status.separation.changed_m_s2 == 0.0
+    flight.traffic["ABCDEF"] = FROM_THE_NORTH
+    beside = after(flight, 1.0)
+    assert beside.acceleration_enu_m_s2[1] < alone.acceleration_enu_m_s2[1] - 0.3
+    assert abs(beside.target.roll_rad - alone.target.roll_rad) > 0.03
+    separation, nearest = beside.status.separation, nearest_of(beside.status)
+    assert separation.changed_m_s2 == pytest.approx(-beside.acceleration_enu_m_s2[1], abs=0.05)
+    assert nearest.name == "ABCDEF"
+    assert nearest.distance_m == pytest.approx(1.6)
+    assert codes_of(beside.events) == [Code.SEPARATION_INTERVENES]
+    assert "nearest vehicle: ABCDEF at 1.60 m" in beside.events[0].text
+
+
+def test_traffic_received_before_formation_counts_in_formation() -> None:
+    flight = Flight().fly_to(FlightPhase.HOLD)
+    flight.traffic["ABCDEF"] = TrafficSample((-1.5, 5.0, 1.0), ZERO3)
+    flight.tick()
+    flight.traffic.clear()
+    flight.tick(CommandName.FORM)
+    after(flight, 1.0)
+    assert flight.agent.phase is FlightPhase.FORMATION
+    flight.peer_position = (5.0, 5.0, 1.0)  # out of the way
+    assert nearest_of(after(flight, 0.2).status).name == "ABCDEF"
