@@ -71,3 +71,48 @@ def test_traffic_received_before_formation_counts_in_formation() -> None:
     assert flight.agent.phase is FlightPhase.FORMATION
     flight.peer_position = (5.0, 5.0, 1.0)  # out of the way
     assert nearest_of(after(flight, 0.2).status).name == "ABCDEF"
+
+
+VIOLATED = HealthFlag.SEPARATION_VIOLATED
+TOO_NEAR: Vector3 = (-0.7, 0.0, 1.0)  # 0.8 m before the vehicle
+APART: Vector3 = (0.0, 0.0, 1.0)  # as their slots are
+
+
+def test_a_peer_nearer_than_separation_is_flagged_and_shown_while_it_is_there() -> None:
+    flight = Flight().fly_to(FlightPhase.FORMATION)
+    assert VIOLATED not in after(flight, 1.0).status.flags
+    flight.peer_position = TOO_NEAR
+    near = after(flight, 1.0)
+    nearest, separation = nearest_of(near.status), near.status.separation
+    assert VIOLATED in near.status.flags
+    assert separation.violated
+    assert nearest.name == "1"
+    assert nearest.distance_m == pytest.approx(0.8)
+    assert nearest.required_m >= flight.fleet.separation_m
+    assert separation.changed_m_s2 > 1.0
+    assert near.acceleration_enu_m_s2[0] < -0.5
+    assert flight.agent.phase is FlightPhase.FORMATION
+    flight.peer_position = APART
+    apart = after(flight, 1.0).status
+    assert VIOLATED not in apart.flags
+    assert not apart.separation.violated
+    assert nearest_of(apart).distance_m == pytest.approx(1.5)
+
+
+def test_a_peer_that_stays_too_near_is_reported_once() -> None:
+    flight = Flight().fly_to(FlightPhase.FORMATION)
+    after(flight, 1.0)
+    flight.peer_position = TOO_NEAR
+    near = after(flight, 20.0)
+    assert codes_of(near.events) == [Code.SEPARATION_INTERVENES, Code.SEPARATION_VIOLATED]
+    assert "nearest vehicle: 1 at 0.80 m, required" in near.events[0].text
+
+
+def test_a_peer_that_comes_too_near_again_is_reported_again() -> None:
+    flight = Flight().fly_to(FlightPhase.FORMATION)
+    after(flight, 1.0)
+    for _ in range(2):
+        flight.peer_position = TOO_NEAR
+        assert codes_of(after(flight, 3.0).events).count(Code.SEPARATION_INTERVENES) == 1
+        flight.peer_position = APART
+        assert codes_of(after(flight, 3.0).events) == []
