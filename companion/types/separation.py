@@ -21,7 +21,8 @@ class NearestVehicle(Struct, frozen=True, gc=False):
 class SeparationReport(Struct, frozen=True, gc=False):
     """What the separation filter sees and does. `changed_m_s2` is the change of the commanded acceleration, 0 without one.
 
-    `violated`: the nearest vehicle is nearer than `separation_m`, by the own position and its last packet.
+    `violated`: a vehicle is nearer than `separation_m`, by the own position and its last packet. It may be another one than
+    `nearest`, whose required distance may be larger.
     """
 
     nearest: NearestVehicle | None = None

@@ -77,7 +77,7 @@ class SafeguardStage:
             self._late_s = now_s
         flags = health_flags(now_s, vehicle, self._limits)
         flags |= self._flags_of_fleet(now_s, flight.phase, consensus)
-        if separation.nearest is not None and separation.nearest.distance_m < self._separation_m:
+        if separation.violated:
             flags.add(HealthFlag.SEPARATION_VIOLATED)
         if now_s - self._late_s < LATE_FOR_S:
             flags.add(HealthFlag.TICK_LATE)

@@ -116,3 +116,13 @@ def test_a_peer_that_comes_too_near_again_is_reported_again() -> None:
         assert codes_of(after(flight, 3.0).events).count(Code.SEPARATION_INTERVENES) == 1
         flight.peer_position = APART
         assert codes_of(after(flight, 3.0).events) == []
+
+
+def test_a_peer_too_near_is_flagged_also_while_another_vehicle_lacks_more_of_its_required_distance() -> None:
+    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight.peer_position = TOO_NEAR
+    flight.traffic["ABCDEF"] = TrafficSample((-1.5, 3.0, 1.0), ZERO3, error_m=5.0)
+    near = after(flight, 1.0)
+    assert nearest_of(near.status).name == "ABCDEF"
+    assert near.status.separation.violated
+    assert VIOLATED in near.status.flags

@@ -13,7 +13,7 @@ from companion.core.safety.filter.acceleration_filter import AccelerationLimits,
 from companion.core.safety.filter.boundaries import Boundaries
 from companion.core.safety.filter.lag import Lag
 from companion.core.safety.filter.right_of_way import turn_right
-from companion.core.safety.filter.separation import Barrier, Separation, nearest_vehicle
+from companion.core.safety.filter.separation import Barrier, Separation, distance_m, nearest_vehicle
 from companion.core.safety.filter.speed_limit import SpeedLimit, limited
 from companion.core.safety.filter.traffic import Traffic
 from companion.types.autopilot import VehicleState
@@ -86,7 +86,8 @@ class SafetyFilter:
         limits = self._limits.in_wind(disturbance_enu_m_s2)
         allowed = filtered(slowed, spaces, limits)
         nearest = nearest_vehicle(now_s, vehicle, barriers) if barriers else None
-        violated = nearest is not None and nearest.distance_m < self._separation_m
+        # Where positions are uncertain, the vehicle with the least room may be farther away than another one.
+        violated = any(distance_m(now_s, vehicle, barrier.other) < self._separation_m for barrier in barriers)
         if allowed is wanted_enu_m_s2:
             return Filtered(allowed, SeparationReport(nearest, 0.0, violated))
         taken_m_s2 = 0.0

@@ -251,10 +251,15 @@ def nearest_vehicle(now_s: float, vehicle: VehicleState, barriers: list[Barrier]
     for barrier in barriers:
         if barrier.room_m < least.room_m and not barrier.below:
             least = barrier
-    other, old_s = least.other, now_s - vehicle.position_time_s
+    return NearestVehicle(str(least.other.key), distance_m(now_s, vehicle, least.other), least.required_m)
+
+
+def distance_m(now_s: float, vehicle: VehicleState, other: Other) -> float:
+    """The present distance from a vehicle by its last packet, in the metric of `separation_m`."""
+    old_s = now_s - vehicle.position_time_s
     (x, y, z), (vx, vy, vz) = vehicle.position_enu_m, vehicle.velocity_enu_m_s
     (px, py, pz), (wx, wy, wz) = other.position_enu_m, other.velocity_enu_m_s
     age_s = other.age_s if other.silence is None else min(other.age_s, other.silence.kept_s)
     dx, dy = x + vx * old_s - px - wx * age_s, y + vy * old_s - py - wy * age_s
     dz = (z + vz * old_s - pz - wz * age_s) * other.height_weight
-    return NearestVehicle(str(other.key), sqrt(dx * dx + dy * dy + dz * dz), least.required_m)
+    return sqrt(dx * dx + dy * dy + dz * dz)

@@ -174,7 +174,7 @@ class Vehicle:
         )
 
     def _separation(self) -> SeparationReport:
-        return SeparationReport(NearestVehicle("4", 0.9 if F.SEPARATION_VIOLATED in self.raised else 1.1, 1.3))
+        return SeparationReport(NearestVehicle("4", 1.1, 1.3), violated=F.SEPARATION_VIOLATED in self.raised)
 
 
 def labels(safety: Safety) -> list[str]:
