@@ -21,7 +21,6 @@ from companion.core.consensus.law import Gains, feedback
 from companion.core.consensus.peers import PeerTable
 from companion.core.consensus.plausibility import FleetLimits
 from companion.core.safety.filter.acceleration_filter import AccelerationLimits
-from companion.geometry.separation import separation_distance_m
 from companion.types.autopilot import PositionError, VehicleState
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot
@@ -130,7 +129,7 @@ class Intruder:
 class SeparationFlight:
     """All vehicles, tick by tick. `apart_m` is the least true distance so far of each pair that flies.
 
-    `least_counted_m` is that of any two, also of traffic, in the metric of `separation_m`.
+    `least_counted_m` is that of any two, also of traffic, with heights that count half.
     """
 
     def __init__(
@@ -200,10 +199,9 @@ class SeparationFlight:
         for i, j in self.apart_m:
             one, other = self.bodies[i].position_enu_m, self.bodies[j].position_enu_m
             self.apart_m[i, j] = min(self.apart_m[i, j], dist(one, other))
-            self.least_counted_m = min(self.least_counted_m, separation_distance_m(one, other))
+            self.least_counted_m = min(self.least_counted_m, counted_m(one, other))
         for body, intruder in product(self.bodies.values(), self.intruders):
-            counted_m = separation_distance_m(body.position_enu_m, intruder.position_enu_m)
-            self.least_counted_m = min(self.least_counted_m, counted_m)
+            self.least_counted_m = min(self.least_counted_m, counted_m(body.position_enu_m, intruder.position_enu_m))
 
     def _estimate(self, body: Body) -> VehicleState:
         i, white = body.vehicle_id, self._noise.white_sd_m_s
@@ -288,6 +286,12 @@ class SeparationFlight:
 
 def _towards(a: Vector3, b: Vector3, share: float) -> Vector3:
     return (a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]), a[2] + share * (b[2] - a[2]))
+
+
+def counted_m(one_enu_m: Vector3, other_enu_m: Vector3) -> float:
+    """Distance of two vehicles in flight as `docs/safety.md` states it: a metre of height counts half."""
+    (x, y, z), (px, py, pz) = one_enu_m, other_enu_m
+    return hypot(x - px, y - py, 0.5 * (z - pz))
 
 
 def off_m(body: Body, goal_enu_m: Vector3) -> float:
