@@ -126,3 +126,20 @@ def test_a_peer_too_near_is_flagged_also_while_another_vehicle_lacks_more_of_its
     assert nearest_of(near.status).name == "ABCDEF"
     assert near.status.separation.violated
     assert VIOLATED in near.status.flags
+
+
+def test_a_vehicle_too_near_is_pushed_away_while_the_agent_hands_over() -> None:
+    """In the level setpoints at first, and in the braking of an autopilot that does not take over."""
+    flight = Flight().fly_to(FlightPhase.FORMATION)
+    after(flight, 1.0)
+    flight.executes_requests = False
+    flight.tick(CommandName.HOLD)
+    flight.peer_position = TOO_NEAR
+    for seconds in (0.2, 2.0):
+        near = after(flight, seconds)
+        assert flight.agent.phase is FlightPhase.RELEASE
+        assert near.acceleration_enu_m_s2[0] < -1.0
+        assert near.target.pitch_rad < -0.1
+        assert nearest_of(near.status).name == "1"
+        assert nearest_of(near.status).required_m == pytest.approx(1.15, abs=0.01)  # it makes way alone
+        assert VIOLATED in near.status.flags

@@ -10,7 +10,7 @@ from companion.types.autopilot import PositionError
 from companion.types.flight import FlightPhase
 from companion.types.formation import FlownSlot
 from companion.types.vectors import Vector3
-from separation_flight import Body, Noise, SeparationFlight, off_m, to_goal
+from separation_flight import Body, Noise, SeparationFlight, counted_m, off_m, to_goal
 
 SEPARATION_M = 1.0
 HUGE = PositionError(9999.0, 9999.0)
@@ -77,3 +77,25 @@ def test_separation_itself_comes_before_the_fence() -> None:
     flight = beside((0.5, 0.0, 5.0), FlightPhase.HOLD, FENCE)
     flight.fly(8.0)
     assert flight.bodies[1].position_enu_m[0] <= -0.4
+
+
+@pytest.mark.parametrize(
+    ("start_enu_m", "goal_enu_m", "margin_m"),
+    [((2.0, 0.0, 5.0), (0.2, 0.0, 5.0), 0.4), ((0.0, 0.0, 9.0), (0.0, 0.0, 6.5), 0.4 + 0.5 * 0.6)],
+    ids=["beside", "above"],
+)
+@pytest.mark.parametrize("of_the_other", [False, True])
+def test_an_error_of_a_vehicle_or_of_the_other_one_adds_to_the_distance_that_is_kept(
+    of_the_other: bool, start_enu_m: Vector3, goal_enu_m: Vector3, margin_m: float
+) -> None:
+    """0.6 m of error in height count half, and above the other vehicle only. 0.15 m are kept before any in hold."""
+    error, none = PositionError(0.4, 0.6), PositionError(0.0, 0.0)
+    own = Body(1, start_enu_m, to_goal(goal_enu_m))
+    other = Body(2, HOME, to_goal(HOME), phase=FlightPhase.HOLD, filters=False)
+    flight = SeparationFlight([own, other], SEPARATION_M, Noise(reported=none if of_the_other else error))
+    flight.reported_error[2] = error if of_the_other else none
+    flight.fly(10.0)
+    nearest = flight.reports[1].nearest
+    assert nearest is not None
+    assert nearest.required_m == pytest.approx(SEPARATION_M + 0.15 + margin_m, abs=0.01)
+    assert counted_m(own.position_enu_m, HOME) == pytest.approx(nearest.required_m, abs=0.01)
