@@ -6,6 +6,8 @@ moves as it likes. The law obeys; the safety filter of each vehicle stops it.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import pytest
 
@@ -29,6 +31,8 @@ SPEED_M_S = 6.0  # max_speed_m_s of the scenario
 REACHED = 0.8  # of it: the limit holds back more, the nearer the speed is to it, and the airframe has drag
 INTO_CLEARANCE_M = 0.1  # as docs/safety.md states
 BEYOND_M = 5.0
+START_ENU_M: Vector3 = (0.0, 0.0, 4.0)  # of the reference
+EAST: Vector3 = (1.0, 0.0, 0.0)
 # Side of the polygon to the east, the same with a slant, a mast and a shed across the way: all some 20 m east of the start.
 WALLS = {
     "polygon": (),
@@ -88,27 +92,86 @@ class Flight:
         return self.scenario.fleet.airspace.room_m((x + 1.5, y + 1.5, z))
 
 
-def east(way_m: float) -> ReferenceTrajectory:
-    """From (0, 0, 4) this far to the east: up to the speed limit with 2 m/s^2, and a stop at once."""
-    ramp_s = SPEED_M_S / 2.0
+def straight(start_enu_m: Vector3, direction: Vector3, way_m: float, speed_m_s: float) -> ReferenceTrajectory:
+    """This far in a direction: up to the speed with 2 m/s^2, and a stop at once."""
+    ramp_s = speed_m_s / 2.0
 
     def at(t: float) -> FormationState:
-        x, v, a = (t * t, 2.0 * t, 2.0) if t < ramp_s else (SPEED_M_S * (t - ramp_s / 2.0), SPEED_M_S, 0.0)
-        if x > way_m:
-            return FormationState((way_m, 0.0, 4.0), ZERO3)
-        return FormationState((x, 0.0, 4.0), (v, 0.0, 0.0), (a, 0.0, 0.0))
+        way, v, a = (t * t, 2.0 * t, 2.0) if t < ramp_s else (speed_m_s * (t - ramp_s / 2.0), speed_m_s, 0.0)
+        if way > way_m:
+            return FormationState(ahead(start_enu_m, direction, way_m), ZERO3)
+        return FormationState(
+            ahead(start_enu_m, direction, way), ahead(ZERO3, direction, v), ahead(ZERO3, direction, a)
+        )
 
     return at
+
+
+def ahead(start: Vector3, direction: Vector3, way: float) -> Vector3:
+    (x, y, z), (dx, dy, dz) = start, direction
+    return (x + way * dx, y + way * dy, z + way * dz)
 
 
 @pytest.mark.parametrize("wall", WALLS)
 def test_vehicles_led_through_a_wall_at_the_speed_limit_stop_before_it(wall: str) -> None:
     flight = Flight(*WALLS[wall])
-    flight.lead_by(east(24.0 + BEYOND_M))
+    flight.lead_by(straight(START_ENU_M, EAST, 24.0 + BEYOND_M, SPEED_M_S))
     flight.fleet.go_on(9.0)
     assert REACHED * SPEED_M_S < flight.fleet.largest_speed_m_s() <= SPEED_M_S
     assert flight.reference_room_m() < -1.0
     flight.check()
+
+
+class Side(NamedTuple):
+    """A side of the box of the fence, as a half-space of all positions that keep the clearance: outward . p <= most_m.
+
+    `limit_m_s` is the speed limit of the fleet file in this direction.
+    """
+
+    outward: Vector3
+    most_m: float
+    limit_m_s: float
+    start_enu_m: Vector3 = START_ENU_M
+    overrides: tuple[str, ...] = ()
+
+
+BOX_ALONE = (
+    "fleet.envelope.fence_corners_enu_m=[]",
+    "fleet.envelope.fence_min_enu_m=[-10.0, -24.0, -0.5]",
+    "fleet.envelope.fence_max_enu_m=[28.0, 34.0, 18.0]",
+    "fleet.obstacles=[]",
+)
+HIGH_ABOVE_THE_FLOOR = (
+    "fleet.envelope.clearance_m=3.0",  # vehicles take off within the fence
+    "fleet.takeoff_height_m=10.0",
+    "reference={kind: point, point_enu_m: [0.0, 0.0, 10.0]}",
+)
+SIDES = {
+    "east": Side(EAST, 27.5, SPEED_M_S),
+    "south": Side((0.0, -1.0, 0.0), 23.5, SPEED_M_S),
+    "ceiling": Side((0.0, 0.0, 1.0), 17.5, 3.0),
+    "floor": Side((0.0, 0.0, -1.0), -2.5, 2.0, (0.0, 0.0, 10.0), HIGH_ABOVE_THE_FLOOR),
+}
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_vehicles_led_through_a_side_of_a_box_faster_than_they_may_fly_stop_before_it(side: str) -> None:
+    outward, most_m, limit_m_s, start_enu_m, overrides = SIDES[side]
+    flight = Flight(*BOX_ALONE, *overrides)
+    way_m = most_m - float(np.dot(start_enu_m, outward)) + BEYOND_M
+    flight.lead_by(straight(start_enu_m, outward, way_m, limit_m_s + 2.0))
+    flight.fleet.go_on(9.0)
+    farthest_m, fastest_m_s = farthest_and_fastest(flight, outward)
+    assert farthest_m == pytest.approx(most_m, abs=INTO_CLEARANCE_M)
+    assert REACHED * limit_m_s < fastest_m_s <= limit_m_s
+    flight.check()
+
+
+def farthest_and_fastest(flight: Flight, direction: Vector3) -> tuple[float, float]:
+    """Largest true coordinate of any vehicle in this direction, and its largest rate, since formation."""
+    times_s = np.arange(flight.began_s, flight.lockstep.now_s() - 0.1, SAMPLE_S)
+    along_m = [s.track().at(times_s) @ np.array(direction) for s in flight.lockstep.stand_ins]
+    return float(np.max(along_m)), float(np.max(np.gradient(along_m, times_s, axis=1)))
 
 
 def walk(flight: Flight, target_enu_m: Vector3, seconds: float) -> None:
