@@ -95,14 +95,24 @@ class AccelerationLimits(Struct, frozen=True, gc=False):
 def filtered(
     wanted_enu_m_s2: Vector3, half_spaces: Sequence[HalfSpace], limits: AccelerationLimits, most_steps: int = MOST_STEPS
 ) -> Vector3:
-    """The wanted acceleration itself, the same object, where it meets all half-spaces; else the nearest one that does."""
-    x, y, z = wanted_enu_m_s2
+    """The wanted acceleration itself, the same object, where it meets all half-spaces; else the nearest one that does.
+
+    Of one that the vehicle cannot fly, what the limits leave of it must meet them, too.
+    """
+    possible = limits.nearest(wanted_enu_m_s2)
+    if _meets(wanted_enu_m_s2, half_spaces) and (possible is wanted_enu_m_s2 or _meets(possible, half_spaces)):
+        return wanted_enu_m_s2
+    return _solved(possible, half_spaces, limits, most_steps)
+
+
+def _meets(acceleration_enu_m_s2: Vector3, half_spaces: Sequence[HalfSpace]) -> bool:
+    x, y, z = acceleration_enu_m_s2
     for nx, ny, nz, least, _ in half_spaces:
         if nx * x + ny * y + nz * z < least - MET_M_S2:
             break
-    else:
-        return wanted_enu_m_s2
-    return _solved(limits.nearest(wanted_enu_m_s2), half_spaces, limits, most_steps)
+    else:  # not all(): it is slow
+        return True
+    return False
 
 
 def _solved(

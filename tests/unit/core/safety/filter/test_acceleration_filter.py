@@ -31,8 +31,16 @@ def along(normal: Vector3, u: Vector3) -> float:
 
 def test_the_same_object_returns_where_nothing_is_violated() -> None:
     u = (9.0, 1.0, 0.5)  # beyond the limits: those of the output come later
-    assert filtered(u, [half_space(EAST, 8.9), half_space(NORTH, -1.0)], LIMITS) is u
+    assert filtered(u, [half_space(EAST, 4.0), half_space(NORTH, -1.0)], LIMITS) is u
     assert filtered(u, [], LIMITS) is u
+
+
+def test_more_than_the_vehicle_can_fly_meets_a_half_space_by_what_is_left_within_the_limits() -> None:
+    """Of (3, 30) m/s^2 the tilt limit leaves 0.5 to the east."""
+    x, y, z = filtered((3.0, 30.0, 0.0), [half_space(EAST, 2.5)], LIMITS)
+    assert x == pytest.approx(2.5, abs=0.01)
+    assert hypot(x, y) == pytest.approx(LEVEL_M_S2, rel=0.02)
+    assert (y > 0.0, z) == (True, pytest.approx(0.0, abs=0.01))
 
 
 def test_one_half_space_changes_only_the_component_along_its_normal() -> None:

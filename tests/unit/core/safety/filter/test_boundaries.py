@@ -104,6 +104,13 @@ def test_a_vehicle_at_full_speed_stops_before_the_boundary(angle_deg: int) -> No
     assert -DEEPEST_M < flown.room_m < 0.5  # it reaches the boundary, and stays out of it
 
 
+@pytest.mark.parametrize("back_m_s2", [2.0, 3.0, 4.0])
+def test_a_pull_sideways_beyond_the_tilt_limit_takes_no_braking_away(back_m_s2: float) -> None:
+    """As much as a law wants far from its goal: it would brake before the wall, but the limit leaves a part of it only."""
+    pulls: list[Vector3] = [(6.0, 0.0, 0.0), (-back_m_s2, -30.0, 0.0), (-back_m_s2, -7.5, 0.0)]
+    assert fly((40.0, 20.0, 15.0), pulls, 0.25).room_m > -DEEPEST_M
+
+
 def test_a_command_far_from_all_limits_is_the_same_object() -> None:
     ahead = Ahead((0.0, -20.0, 15.0), (2.0, 1.0, 0.5))
     wanted = (0.1234567, -0.7654321, 0.3)
