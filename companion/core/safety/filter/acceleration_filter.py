@@ -172,7 +172,12 @@ def _cut(found_enu_m_s2: Vector3, limits: AccelerationLimits) -> HalfSpace | Non
     if level <= radius * TILT_ROUNDING:
         return None
     nx, ny = (dx - x) / level, (dy - y) / level
-    return (nx, ny, 0.0, nx * dx + ny * dy - radius, LIMIT)
+    if z >= 0.0:  # heights come first
+        return (nx, ny, 0.0, nx * dx + ny * dy - radius, LIMIT)
+    # The tangent plane of the cone: more thrust allows more tilt, so a dive is given up where braking needs it.
+    tan_tilt, size = limits.tan_max_tilt, hypot(1.0, limits.tan_max_tilt)
+    nx, ny, nz = nx / size, ny / size, tan_tilt / size
+    return (nx, ny, nz, nx * dx + ny * dy - nz * GRAVITY_M_S2, LIMIT)
 
 
 def _relaxed(rows: list[HalfSpace], contradiction: Contradiction) -> list[HalfSpace]:
