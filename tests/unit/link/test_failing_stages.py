@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import ast
+import inspect
+import textwrap
 from collections.abc import Callable
 from typing import Any
 
 import pytest
 
+from companion.core.agent import Agent
 from companion.core.consensus.peers import PeerTable
 from companion.core.consensus.plausibility import FleetLimits
 from companion.core.safety.failure_response import HAND_OVER_WITHIN_S
+from companion.link.control_loop import ControlLoop
 from companion.mavlink.codec import mavlink
 from companion.types.autopilot import AutopilotKind
 from companion.types.commands import CommandName
@@ -31,6 +36,7 @@ STAGES: dict[str, Callable[[FailingFlight], tuple[Any, str]]] = {
     "targets received": lambda flight: (flight.peers, "targets"),
     "traffic received": lambda flight: (flight.peers, "traffic"),
     "telemetry drained": lambda flight: (flight.link, "drain"),
+    "response to a failure, its telemetry": lambda flight: (flight.loop._response, "receive"),
     "perception": lambda flight: (flight.agent._perception, "step"),
     "phases, observed": lambda flight: (flight.agent._phases, "observe"),
     "arbitration": lambda flight: (flight.agent._arbitration, "step"),
@@ -39,20 +45,34 @@ STAGES: dict[str, Callable[[FailingFlight], tuple[Any, str]]] = {
     "safety": lambda flight: (flight.agent._safeguard, "step"),
     "dispatcher": lambda flight: (flight.agent._dispatcher, "step"),
     "phases": lambda flight: (flight.agent._phases, "step"),
+    "parameter requests": lambda flight: (flight.agent._perception, "parameter_requests"),
     "setpoint": lambda flight: (flight.agent._setpoint, "step"),
     "distant peers": lambda flight: (flight.agent._distant_peers, "step"),
+    "response to a failure, its setpoint": lambda flight: (flight.loop._response, "sent"),
     "setpoint encoded": lambda flight: (flight.translator, "attitude_target"),
     "request encoded": lambda flight: (flight.translator, "request"),
     "setpoint sent": lambda flight: (flight.link, "command"),
+    "latency measured": lambda flight: (flight.loop._meter, "command_sent"),
     "request sent": lambda flight: (flight.link, "request"),
+    "late ticks logged": lambda flight: (flight.loop._late, "cycle"),
+    "tick measured": lambda flight: (flight.loop._meter, "tick"),
     "report": lambda flight: (flight.agent._report, "step"),
+    "replies composed": lambda flight: (flight.agent._arbitration, "replies"),
     "reply": lambda flight: (flight.peers, "reply"),
+    "response to a failure, its packet": lambda flight: (flight.loop._response, "publishes"),
     "peer packet published": lambda flight: (flight.peers, "publish_peer"),
     "rates of the peers changed": lambda flight: (flight.peers, "receive_slowly"),
+    "phase measured": lambda flight: (flight.loop._meter, "phase_after_tick"),
+    "timing reported": lambda flight: (flight.loop._meter, "timing"),
     "status published": lambda flight: (flight.peers, "publish_status"),
+    "status line": lambda flight: (flight.loop._notifier, "status"),
+    "rejections logged": lambda flight: (flight.loop._rejections, "update"),
+    "event logged": lambda flight: (flight.loop._events, "happened"),
+    "watchdog fed": lambda flight: (flight.loop._notifier, "cycle_completed"),
 }
 SETPOINT_FAILS = ("setpoint encoded", "setpoint sent")
 REQUEST_FAILS = ("request encoded", "request sent")
+AT_A_COMMAND = (*REQUEST_FAILS, "replies composed", "event logged")  # in a quiet tick these do nothing
 LAST_PACKET_TICKS = 2  # the last packet of a report that fails is of the tick before
 
 
@@ -64,21 +84,52 @@ def tilt(flight: FailingFlight) -> float:
     return float(max(abs(component) for component in flight.last_target.q[1:3]))
 
 
+def called(method: Callable[..., object]) -> set[tuple[str, str]]:
+    """(attribute, method) of each call of `self.attribute.method` in the source of a method."""
+    found = set()
+    for node in ast.walk(ast.parse(textwrap.dedent(inspect.getsource(method)))):
+        match node:
+            case ast.Call(func=ast.Attribute(ast.Attribute(ast.Name("self"), attribute), name)):
+                found.add((attribute, name))
+    return found
+
+
+def test_each_call_of_a_tick_is_among_the_stages() -> None:
+    """But for the two halves of the agent, whose stages are, and the recorder, whose defects end the recording alone."""
+    flight = FailingFlight(AutopilotKind.PX4)
+    listed = [stage(flight) for stage in STAGES.values()]
+    loop = ControlLoop
+    of_loop = set().union(*map(called, (loop.tick, loop._inbox, loop._send, loop._publish, loop._measure_command)))
+    assert {("_agent", "decide"), ("_agent", "report"), ("_recorder", "tick")} <= of_loop
+    of_loop -= {("_agent", "decide"), ("_agent", "report"), ("_recorder", "tick")}
+    of_agent = called(Agent.decide) | called(Agent.report)
+    calls = [(flight.loop, *call) for call in of_loop] + [(flight.agent, *call) for call in of_agent]
+    missing = [
+        f"{attribute}.{method}"
+        for owner, attribute, method in calls
+        if not any(getattr(owner, attribute) is one and method == name for one, name in listed)
+    ]
+    assert missing == []
+
+
 @BOTH
 @pytest.mark.parametrize("stage", STAGES)
-def test_a_failing_stage_levels_the_vehicle_and_requests_hold(kind: AutopilotKind, stage: str) -> None:
+def test_a_failing_stage_levels_the_vehicle_and_requests_hold(
+    kind: AutopilotKind, stage: str, caplog: pytest.LogCaptureFixture
+) -> None:
     flight = FailingFlight(kind).fly_to(P.FORMATION)
     flight.autopilot.north_m_s = 2.0
     flight.ticks(0.4)
     assert tilt(flight) > 0.03  # it leans against its velocity, by 4 degrees
     sent, requested = len(flight.autopilot.targets), set_modes(flight)
     flight.inject(*STAGES[stage](flight))
-    if stage in REQUEST_FAILS:
-        flight.tick(CommandName.HOLD)  # in a quiet tick nothing is requested
+    if stage in AT_A_COMMAND:
+        flight.tick(CommandName.HOLD)
     flight.ticks(2.0)
     assert flight.failed_s is not None
     assert flight.ended_s is not None
     assert flight.ended_s - flight.failed_s <= HAND_OVER_WITHIN_S + 2 * PERIOD_S
+    assert [r.levelname for r in caplog.records if "AGENT_FAILED: Fault" in r.getMessage()] == ["CRITICAL"]
     if stage in SETPOINT_FAILS:
         assert len(flight.autopilot.targets) == sent  # what sends them is what failed
     else:
@@ -107,7 +158,7 @@ def test_the_peers_of_a_failing_agent_learn_that_it_brakes(kind: AutopilotKind, 
     assert last.acceleration_enu_m_s2 != ZERO3
     published, sent = len(flight.peers.packets), len(flight.autopilot.targets)
     flight.inject(*STAGES[stage](flight))
-    if stage in REQUEST_FAILS:
+    if stage in AT_A_COMMAND:
         flight.tick(CommandName.HOLD)
     while flight.failed_s is None:
         flight.tick()
