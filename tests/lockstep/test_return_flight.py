@@ -1,4 +1,4 @@
-"""Four agents leave in formation and return, with both makes of autopilots, to their starts and with separation."""
+"""Agents leave in formation and return, all or some, with both makes of autopilots, to their starts and with separation."""
 
 from itertools import combinations
 from math import dist
@@ -8,7 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from commanded_flight import Flight
 from companion.types.autopilot import AutopilotKind
+from companion.types.commands import CommandName
+from companion.types.flight import FlightPhase, HealthFlag, Role
+from repository import ROOT
 from sitl.flight.scenario import scenario_from
 from sitl.flight.virtual_flight import Flown, fly_in_virtual_time
 from sitl.report.progress import Progress
@@ -22,6 +26,13 @@ STARTS: dict[int, tuple[float, float, float]] = {
 EAST, NORTH = (12.0, 0.0), (0.0, 12.0)
 DOWN_WITHIN_M = 0.7  # drift of the estimators
 HIGHEST_M = {"px4": 30.0, "ardupilot": 15.0}  # RTL_RETURN_ALT, RTL_ALT
+
+COLUMN = ROOT / "config" / "scenarios" / "leaving.yaml"
+THERE_AND_BACK = (
+    "reference={kind: waypoints, points_enu_m: [[0, 0, 2], [0, 9, 2], [0, 0, 2], [0, 9, 2]],"
+    " max_speed_m_s: 1.0, max_acceleration_m_s2: 0.5}"
+)
+ON_THE_WAY_BACK_S, DOWN_AFTER_S = 13.0, {"px4": 30.0, "ardupilot": 45.0}
 
 
 def flown(tmp_path: Path, make: str, way: tuple[float, float], **last_step: float) -> Flown:
@@ -80,3 +91,44 @@ def test_a_return_with_crossing_paths_is_refused_with_the_reason(tmp_path: Path)
     assert all(not status.armed for i in STARTS if (status := flight.watch.status(i)))
     ends_m = {i: track.at(track.time_s[-1:])[0] for i, track in flight.tracks().items()}
     assert all(ends_m[i][0] - start[0] > 11.0 for i, start in STARTS.items())
+
+
+def returned_alone(make: str, *ids: int) -> Flight:
+    """Five in a column fly north and back over their starts; only these vehicles are told to return, on the way back."""
+    flight = Flight(COLUMN, THERE_AND_BACK, f"stand_in.autopilot={make}")
+    flight.go_on(ON_THE_WAY_BACK_S)
+    since_s = flight.lockstep.now_s()
+    flight.give(CommandName.RETURN, *ids)
+    flight.go_on(DOWN_AFTER_S[make])
+    assert flight.smallest_m(since_s) >= flight.scenario.fleet.separation_m
+    for vehicle_id in ids:
+        status = flight.newest[vehicle_id]
+        assert not status.armed
+        assert dist(status.position_enu_m[:2], flight.scenario.starts_enu_m[vehicle_id][:2]) < DOWN_WITHIN_M
+    return flight
+
+
+def phases_of(flight: Flight, *ids: int) -> dict[int, FlightPhase]:
+    return {i: flight.newest[i].phase for i in ids}
+
+
+@pytest.mark.parametrize("make", sorted(AutopilotKind))
+def test_a_leader_that_returns_alone_is_replaced_and_the_others_fly_past_it(make: str) -> None:
+    """With PX4 they come back over its start while it lands there, and stop before it."""
+    flight = returned_alone(make, 1)
+    assert phases_of(flight, 2, 3, 4, 5) == dict.fromkeys((2, 3, 4, 5), FlightPhase.FORMATION)
+    assert {i for i in (2, 3, 4, 5) if flight.newest[i].role is Role.LEADER} == {2}
+    assert max(flight.errors_m().values()) < 0.1
+
+
+def test_followers_whose_leader_and_successor_return_hold() -> None:
+    flight = returned_alone("px4", 1, 2)
+    assert phases_of(flight, 3, 4, 5) == dict.fromkeys((3, 4, 5), FlightPhase.HOLD)
+    assert all(HealthFlag.LEADER_LOST in flight.newest[i].flags for i in (3, 4, 5))
+
+
+def test_a_follower_whose_neighbours_return_holds_and_the_others_fly_on() -> None:
+    flight = returned_alone("px4", 3, 4)
+    assert phases_of(flight, 1, 2, 5) == {1: FlightPhase.FORMATION, 2: FlightPhase.FORMATION, 5: FlightPhase.HOLD}
+    assert HealthFlag.LEADER_LOST in flight.newest[5].flags
+    assert max(flight.errors_m().values()) < 0.1
