@@ -1,9 +1,10 @@
-"""One wrong packet of a neighbour, as wrong as the checks let it be, moves no vehicle in formation far, and none for long."""
+"""Wrong packets of a neighbour, as wrong as the checks let them be, move no vehicle in formation far, and none for long."""
 
 from __future__ import annotations
 
 from copy import deepcopy
-from math import dist
+from itertools import combinations
+from math import dist, hypot
 from random import Random
 
 import pytest
@@ -11,14 +12,17 @@ from msgspec.structs import replace
 
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
+from companion.types.notices import Code
 from companion.types.peers import PeerPacket
 from companion.types.vectors import Vector3
 from sitl.hostile.fleet import Hostile, HostileFleet
 from sitl.hostile.plant import TICK_S
 
-FOLLOWER = 2
+LEADER, FOLLOWER = 1, 2
 MOST_M, GONE_M, GONE_AFTER_S = 0.6, 0.05, 12.0
 SEEDS = range(2)  # `weighted` and `cooperative`, on a circle
+STREAM_S = 6.0
+CARRIED_M = 12.0  # by a stream: what the law makes of the largest acceleration that the fleet can fly; it was 99 m
 FAR, FAST, HARD = 4.5, 25.0, 13.0  # of a jump, speed and acceleration: a little below what is refused
 
 
@@ -87,3 +91,40 @@ def test_one_wrong_packet_moves_a_follower_a_little_and_not_for_long(settled: Ho
         assert max(moved_m) < MOST_M, (axis, sign)
         assert moved_m[-1] < GONE_M, (axis, sign)
         assert fleet.agents[FOLLOWER].phase is FlightPhase.FORMATION
+
+
+def carried(fleet: HostileFleet, liar: int | None, claimed_enu_m_s2: Vector3) -> list[dict[int, Vector3]]:
+    """Positions in each tick while this vehicle claims an acceleration for 6 s, and for 12 s afterwards.
+
+    `tick` itself judges the tilt of every setpoint.
+    """
+    envelope, positions = fleet.config.envelope, []
+    fastest_m_s = hypot(envelope.max_speed_m_s, max(envelope.max_climb_m_s, envelope.max_descent_m_s))
+    for tick in range(round((STREAM_S + GONE_AFTER_S) / TICK_S)):
+        if liar and tick < round(STREAM_S / TICK_S):
+            fleet.packets[liar] = replace(fleet.packets[liar], acceleration_enu_m_s2=claimed_enu_m_s2)
+        fleet.tick()
+        for plant in fleet.plants.values():
+            assert hypot(*plant.velocity_enu_m_s) <= fastest_m_s
+        positions.append({i: plant.position_enu_m for i, plant in fleet.plants.items()})
+    return positions
+
+
+@pytest.mark.parametrize("claimed_enu_m_s2", [along(0, 99.0), along(0, -99.0), along(1, 99.0), along(2, 99.0)], ids=str)
+@pytest.mark.parametrize("liar", [LEADER, FOLLOWER])
+def test_a_stream_of_claimed_accelerations_carries_no_vehicle_away(
+    settled: HostileFleet, liar: int, claimed_enu_m_s2: Vector3
+) -> None:
+    """Used as the fleet can fly at most, by which a follower of the law that feeds it forward is moved while it lasts."""
+    undisturbed = carried(deepcopy(settled), None, claimed_enu_m_s2)
+    fleet = deepcopy(settled)
+    disturbed = carried(fleet, liar, claimed_enu_m_s2)
+    for i in fleet.agents:
+        moved_m = [dist(a[i], b[i]) for a, b in zip(disturbed, undisturbed, strict=True)]
+        assert max(moved_m) < CARRIED_M
+        assert moved_m[-1] < GONE_M
+    distances_m = [dist(at[i], at[j]) for at in disturbed for i, j in combinations(at, 2)]
+    assert min(distances_m) >= fleet.config.separation_m
+    assert {agent.phase for agent in fleet.agents.values()} == {FlightPhase.FORMATION}
+    for i in fleet.agents.keys() - {liar}:
+        assert fleet.statuses[i].rejected[f"{Code.PEER_ACCELERATION_LIMITED} {liar}"] == round(STREAM_S / TICK_S)
