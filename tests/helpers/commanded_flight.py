@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from itertools import combinations, pairwise
-from math import degrees, dist
+from itertools import combinations
+from math import dist
 from pathlib import Path
 from typing import Literal
 
@@ -16,6 +16,7 @@ from companion.types.commands import CommandName, CommandReply, Content
 from companion.types.flight import FlightPhase
 from companion.types.peers import PeerPacket
 from companion.types.status import Status
+from decided_flight import Decisions
 from recorded_flight import record_targets
 from sitl.flight.director import Director
 from sitl.flight.files import ids_of, reached_stand_in, vehicle_file
@@ -29,7 +30,7 @@ FORMATION = FlightPhase.FORMATION
 
 
 class Flight:
-    """The fleet of a scenario after the form step of its timeline, with all reports, packets and targets since then."""
+    """The fleet of a scenario after the form step of its timeline, and all reports, packets, targets, decisions since then."""
 
     def __init__(self, scenario: Path, *overrides: str) -> None:
         self.scenario = load_scenario(scenario, ["stand_in.sensors=ideal", *overrides])
@@ -42,6 +43,7 @@ class Flight:
         self.events: list[tuple[int, str]] = []
         self.packets: list[PeerPacket] = []
         self.targets = record_targets(self.lockstep)
+        self.decisions = Decisions(self.lockstep)
         send = self.lockstep._network.send
 
         def sent(packet: PeerPacket, now_s: float) -> None:
@@ -105,15 +107,6 @@ class Flight:
         times_s = np.arange(since_s, self.lockstep.now_s() - 0.1, 0.02)
         at = {s.vehicle_id: s.track().at(times_s) for s in self.lockstep.stand_ins}
         return min(float(np.linalg.norm(at[i] - at[j], axis=1).min()) for i, j in combinations(at, 2))
-
-    def largest_step_deg(self) -> float:
-        """Largest step of roll or pitch between two setpoints 20 ms apart."""
-        return max(
-            degrees(max(abs(b.roll_rad - a.roll_rad), abs(b.pitch_rad - a.pitch_rad)))
-            for sent_targets in self.targets.values()
-            for (a_s, a), (b_s, b) in pairwise(sent_targets)
-            if b_s - a_s < 0.03
-        )
 
     def errors_m(self) -> dict[int, float]:
         """Distance of each vehicle in formation to its slot about the leader's reference."""

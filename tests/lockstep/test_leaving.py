@@ -11,6 +11,7 @@ from companion.ground.references import reference_change
 from companion.types.commands import CommandName, Lead
 from companion.types.flight import FlightPhase, Role
 from companion.types.notices import Code
+from decided_flight import JUMP_M
 from repository import ROOT
 from sitl.flight.scenario import load_scenario
 from sitl.flight.virtual_flight import fly_in_virtual_time
@@ -50,7 +51,6 @@ def test_a_vehicle_rejoins_its_gap_without_disturbing_the_others() -> None:
     fleet.land(3)
     fleet.take_off_again(3)
     since_s = fleet.lockstep.now_s()
-    fleet.targets = {i: [] for i in fleet.targets}
     fleet.give(CommandName.FORM, 3)
     fleet.until(3, FlightPhase.FORMATION)
     fleet.go_on(12.0)
@@ -79,7 +79,7 @@ def test_a_vehicle_joins_from_a_distance_and_the_others_keep_their_slots(moving:
     assert worst_m < 0.35
     assert {i: status.slot.position_enu_m for i, status in fleet.newest.items()} == slots
     assert fleet.smallest_m(since_s) > 1.8
-    assert fleet.largest_step_deg() < 5.0
+    assert fleet.decisions.jump_m() < JUMP_M
 
 
 def test_a_path_too_close_to_another_vehicle_is_refused_with_its_id() -> None:
@@ -132,7 +132,7 @@ def test_the_successor_replaces_a_leader_that_leaves() -> None:
     assert {fleet.newest[i].phase for i in (2, 3, 4, 5)} == {FlightPhase.FORMATION}
     assert {status.slot.formation for status in fleet.newest.values()} == {0}
     assert max(fleet.errors_m().values()) < 0.1
-    assert fleet.largest_step_deg() < 5.0
+    assert fleet.decisions.jump_m() < JUMP_M
 
 
 def test_the_column_fills_the_gap_and_the_vehicle_joins_at_its_end() -> None:
@@ -167,7 +167,7 @@ def test_the_column_fills_the_gap_and_the_vehicle_joins_at_its_end() -> None:
     assert {i: status.slot.position_enu_m[0] for i, status in fleet.newest.items()} == xs
     assert {status.slot.formation for status in fleet.newest.values()} == {1}
     assert worst_m < 0.3  # as reported, at up to 1.9 m/s and at different times
-    assert fleet.largest_step_deg() < 5.0
+    assert fleet.decisions.jump_m() < JUMP_M
     assert fleet.smallest_m(since_s) > 1.7  # true distances, in the air and on the ground
 
 
@@ -270,7 +270,7 @@ def test_the_successor_of_a_leader_that_left_fills_its_gap() -> None:
     assert fleet.newest[2].role is Role.LEADER
     assert [fleet.newest[i].slot.position_enu_m[0] for i in (2, 3, 4, 5, 1)] == [0.0, -2.0, -4.0, -6.0, -8.0]
     assert max(fleet.errors_m().values()) < 0.1
-    assert fleet.largest_step_deg() < 5.0
+    assert fleet.decisions.jump_m() < JUMP_M
     assert fleet.smallest_m(since_s) > 1.6
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from functools import cache
 from itertools import pairwise
-from math import cos, degrees, dist, hypot, sin
+from math import cos, dist, hypot, sin
 
 import pytest
 
@@ -17,8 +17,9 @@ from companion.types.flight import FlightPhase
 from companion.types.notices import Code
 from companion.types.status import Status
 from companion.types.vectors import Vector3
+from decided_flight import JUMP_M, Decisions
 from notices import outcome
-from recorded_flight import Recorder, record_targets
+from recorded_flight import Recorder
 from repository import ROOT
 from sitl.flight.director import Director
 from sitl.flight.files import reached_stand_in, vehicle_file
@@ -39,12 +40,12 @@ TIMELINE = (
 
 
 class Flight:
-    """The ring in virtual time, with all commanded attitudes."""
+    """The ring in virtual time, with all decisions."""
 
     def __init__(self, *overrides: str) -> None:
         self.scenario = load_scenario(RING, overrides)
         self.lockstep, self.watch = Lockstep(self.scenario), Recorder(self.scenario)
-        self.targets = record_targets(self.lockstep)
+        self.decisions = Decisions(self.lockstep)
         self.director = Director(
             self.lockstep, self.watch, Progress("test", True, 0.0), lambda: None, tuple, self.lockstep
         )
@@ -55,14 +56,6 @@ class Flight:
             beacon = status.leader_beacon
             if status.reference_enu_m and beacon and beacon.reference_s > 0.0 and at_s >= from_s:
                 yield at_s, status
-
-    def largest_step_deg(self, after_s: float) -> float:
-        return max(
-            degrees(max(abs(b.roll_rad - a.roll_rad), abs(b.pitch_rad - a.pitch_rad)))
-            for sent_targets in self.targets.values()
-            for (at_s, a), (_, b) in pairwise(sent_targets)
-            if at_s > after_s
-        )
 
     def command(self, name: CommandName, *ids: int, content: Content | None = None) -> None:
         replies = self.lockstep.command(ids, name, 1.0, content)
@@ -99,11 +92,11 @@ def test_a_circle_and_waypoints_are_flown_with_a_leader_change_in_the_blend() ->
     assert not any(any(status.rejected) for _, status in flight.watch.reports)
 
 
-def test_attitudes_have_no_step_and_vehicles_keep_their_distance() -> None:
+def test_slots_and_references_do_not_jump_and_vehicles_keep_their_distance() -> None:
     flight, _ = circle_then_way()
     formation = flight.watch.formation
     assert formation is not None
-    assert flight.largest_step_deg(formation.start_s + 1.0) < 5.0
+    assert flight.decisions.jump_m() < JUMP_M
     tracks = {s.vehicle_id: s.track() for s in flight.lockstep.stand_ins}
     smallest_m = smallest_distance_m(tracks)
     assert smallest_m is not None
@@ -229,7 +222,7 @@ def test_a_target_is_followed_over_a_leader_change_and_its_loss_ends_at_rest() -
         assert status.reference_enu_m[2] == 2.0
         assert status.target_age_s is not None
         assert status.target_age_s < 0.2
-    assert flight.largest_step_deg(began_s) < 5.0
+    assert flight.decisions.jump_m() < JUMP_M
     silent_s = flight.lockstep.now_s()
     for _ in range(60):
         flight.lockstep.sleep(0.1)

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
-from math import degrees, dist, hypot
+from math import dist, hypot
 
 import numpy as np
 import pytest
@@ -16,9 +16,8 @@ from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase, HealthFlag, Role
 from companion.types.notices import Code
 from companion.types.peers import PeerPacket
-from companion.types.requests import AttitudeTarget
 from companion.types.status import Status
-from recorded_flight import record_targets
+from decided_flight import JUMP_M, Decisions
 from repository import ROOT
 from sitl.flight.director import Director
 from sitl.flight.files import ids_of
@@ -38,7 +37,7 @@ class Flown:
     """The flight after the stop of the leader's agent; times count from it."""
 
     packets: list[tuple[float, PeerPacket]]
-    targets: dict[int, list[AttitudeTarget]]
+    decisions: Decisions
     errors_m: dict[int, np.ndarray]  # of each remaining vehicle to its slot about the RFT, every 20 ms
     reports: list[Status]
 
@@ -47,13 +46,6 @@ class Flown:
 
     def led_s(self, by: int) -> dict[int, float]:
         return self._first(lambda packet: packet.leader_beacon is not None and packet.leader_beacon.leader_id == by)
-
-    def steps_deg(self) -> list[float]:
-        return [
-            degrees(max(abs(after.roll_rad - before.roll_rad), abs(after.pitch_rad - before.pitch_rad)))
-            for sent_targets in self.targets.values()
-            for before, after in pairwise(sent_targets)
-        ]
 
     def last(self) -> dict[int, Status]:
         return {status.vehicle_id: status for status in self.reports}
@@ -77,7 +69,7 @@ def flown(*overrides: str, dead: Iterable[int] = (1,), for_s: float = 5.0) -> Fl
 
     lockstep._network.send = sent  # type: ignore[method-assign]
     lockstep._in_order = [vehicle for vehicle in lockstep._in_order if vehicle.vehicle_id not in dead]
-    recorded = record_targets(lockstep)
+    decisions = Decisions(lockstep)
     lockstep.sleep(for_s)
     assert watch.formation is not None
     times_s = np.arange(died_s, lockstep.now_s() - 0.1, 0.02)
@@ -85,8 +77,7 @@ def flown(*overrides: str, dead: Iterable[int] = (1,), for_s: float = 5.0) -> Fl
     slots = standing({member.id: member.slot_enu_m for member in scenario.fleet.vehicles})
     tracks = {s.vehicle_id: s.track() for s in lockstep.stand_ins if s.vehicle_id not in dead}
     errors = {i: errors_m(track, slots[i], reference_enu_m, times_s) for i, track in tracks.items()}
-    targets = {i: [target for _, target in recorded[i]] for i in tracks}
-    return Flown(packets, targets, errors, [report.status for report in lockstep.drain()])
+    return Flown(packets, decisions, errors, [report.status for report in lockstep.drain()])
 
 
 def test_a_stopped_leader_is_detected_within_0_3_s_and_replaced_within_0_65_s() -> None:
@@ -110,7 +101,7 @@ def test_the_missing_leader_is_reported_and_all_stay_in_formation() -> None:
 def test_a_turning_formation_continues_without_a_step() -> None:
     flight = flown(SUCCESSOR, "fleet.law.name=cooperative", "fleet.formation_heading=course")
     assert max(flight.led_s(by=2).values()) < 0.65
-    assert max(flight.steps_deg()) < 3.0  # the others make way for the vehicle whose agent ended
+    assert flight.decisions.jump_m() < JUMP_M
     for i in (2, 3, 4):
         slots = [(at_s, packet.slot) for at_s, packet in flight.packets if packet.vehicle_id == i]
         assert max(hypot(*slot.velocity_enu_m_s) for _, slot in slots) > 0.1  # the formation does turn
@@ -127,7 +118,7 @@ def test_vehicles_keep_their_slots_without_a_step(law: str, most_m: float) -> No
     """
     flight = flown(SUCCESSOR, f"fleet.law.name={law}")
     assert max(float(error_m.max()) for error_m in flight.errors_m.values()) < most_m
-    assert max(flight.steps_deg()) < 3.0
+    assert flight.decisions.jump_m() < JUMP_M
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -139,7 +130,7 @@ def test_the_leader_is_replaced_over_a_slow_lossy_network_with_noise(seed: int) 
     assert {status.phase for status in flight.reports} == {FlightPhase.FORMATION}
     assert max(float(flight.errors_m[i].max()) for i in (3, 4)) < 0.5
     assert float(flight.errors_m[2].max()) < 0.65  # it makes way for the vehicle whose agent ended, which may coast
-    assert max(flight.steps_deg()) < 5.0
+    assert flight.decisions.jump_m() < JUMP_M
 
 
 def test_the_second_successor_becomes_leader_when_the_first_stops_too() -> None:

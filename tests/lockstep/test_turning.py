@@ -16,6 +16,7 @@ from companion.stability.arrays import FloatArray
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase, Role
 from companion.types.status import Status
+from decided_flight import JUMP_M, Decisions
 from recorded_flight import Recorder, record_at_setpoints
 from repository import ROOT
 from sitl.flight.director import Director
@@ -39,6 +40,7 @@ class Flown:
         lockstep, self.watch = Lockstep(self.scenario), Recorder(self.scenario)
         agents = {vehicle_id: vehicle._agent for vehicle_id, vehicle in lockstep._vehicles.items()}
         self.headings = record_at_setpoints(lockstep, lambda vehicle_id, _: agents[vehicle_id]._last_guidance.heading)
+        self.decisions = Decisions(lockstep)
         director = Director(lockstep, self.watch, Progress("test", True, 0.0), lambda: None, tuple, lockstep)
         self.failures = director.fly_and_land(self.scenario.timeline)
         self.tracks = {s.vehicle_id: s.track() for s in lockstep.stand_ins}
@@ -110,9 +112,9 @@ def test_slots_are_kept_while_turning_with_five_leader_changes(
 
 
 @pytest.mark.parametrize("late", [(), LATE])
-def test_attitudes_and_heading_have_no_step_at_leader_changes(late: tuple[str, ...]) -> None:
+def test_slots_references_and_heading_have_no_step_at_leader_changes(late: tuple[str, ...]) -> None:
     flight = flown(RING, *COURSE, *late)
-    assert max(flight.watch.largest_step_deg.values()) < 5.0
+    assert flight.decisions.jump_m() < JUMP_M
     most_rad_s2 = turn_limits(sqrt(2.0), flight.scenario.fleet.slot_speed_m_s).acceleration_rad_s2
     for recorded in flight.headings.values():
         in_formation = [(at_s, heading) for at_s, heading in recorded if at_s < flight.formation.end_s]
@@ -128,7 +130,7 @@ def test_a_column_changes_to_a_line_while_turning_on_a_circle() -> None:
     flight = flown(COLUMN, "stand_in.sensors=ideal")
     assert max(e.max() for e in flight.errors_m().values()) < 0.4
     assert flight.smallest_m() > 1.3  # slots that are 2 m apart keep 1.41 m or more during the change
-    assert max(flight.watch.largest_step_deg.values()) < 5.0
+    assert flight.decisions.jump_m() < JUMP_M
     end = {i: status.slot for i in flight.tracks if (status := flight.watch.status(i))}
     assert sorted(round(slot.position_enu_m[1], 6) for slot in end.values()) == [-3.0, -1.0, 1.0, 3.0]
     assert all(slot.formation == 1 and slot.position_enu_m[0] == pytest.approx(0.0) for slot in end.values())
@@ -145,7 +147,7 @@ def test_a_vehicle_rejoins_a_turning_formation() -> None:
     flight = flown("leaving.yaml", *turning, f"timeline[6].reference={circle}", "timeline[10].for_s=20")
     joined_s = next(e.time_s for e in flight.watch.events if e.vehicle == 3 and e.event.startswith("has joined"))
     assert max(abs(s.heading.rate_rad_s) for at_s, s in flight.led() if at_s > joined_s) > 0.08  # 2 pi / 60 are 0.1
-    assert max(flight.watch.largest_step_deg.values()) < 5.0
+    assert flight.decisions.jump_m() < JUMP_M
     smallest_m = smallest_distance_m(flight.tracks)
     assert smallest_m is not None
     assert smallest_m > 1.0
