@@ -7,10 +7,16 @@ from math import hypot, radians, tan
 import pytest
 from msgspec.structs import replace
 
-from companion.assembly import fleet_limits
+from companion.assembly import build_agent, fleet_limits
 from companion.config.fleet import EdgeNeighbours, Envelope, FleetConfig, FormationMember, PeerLimits
-from companion.types.flight import Role
+from companion.config.reference import PointReference
+from companion.config.vehicle import AgentConfig, VehicleConfig
+from companion.types.autopilot import AutopilotKind
+from companion.types.commands import CommandName
+from companion.types.flight import FlightPhase, Role
+from companion.types.notices import Code
 from companion.types.vectors import GRAVITY_M_S2
+from profile_flight import Flight
 
 FLEET = FleetConfig(
     name="one",
@@ -36,3 +42,50 @@ def test_received_speeds_are_limited_by_the_peers_section_and_slots_by_the_fence
     limits = fleet_limits(replace(FLEET, envelope=envelope, peers=PeerLimits(max_speed_m_s=31.0)))
     assert limits.speed_m_s == 31.0
     assert limits.fence_size_m == (36.0, 56.0, 6.0)
+
+
+# Of COM_OBL_RC_ACT of PX4.
+SINKS, FALLS, HOLDS = (0, 1, 2), 7, 5  # position, altitude and manual mode without a pilot; disarm; hold
+
+
+def prepared(loss_action: int, accepts: bool) -> Flight:
+    """An agent with a PX4 that does this when setpoints end, after the command to prepare."""
+    flight = Flight(AutopilotKind.PX4)
+    (member,) = FLEET.vehicles
+    vehicle = VehicleConfig(
+        id=3,
+        fleet="fleet.yaml",
+        mavlink="udpin:127.0.0.1:14540",
+        hover_thrust_norm=0.5,
+        reference=PointReference(point_enu_m=(0.0, 0.0, 2.0)),
+        accept_uncontrolled_descent=accepts,
+    )
+    flight.agent = build_agent(AgentConfig(vehicle, FLEET, member), session=1)
+    flight.autopilot.parameters["COM_OBL_RC_ACT"] = loss_action
+    flight.ticks(2.0)
+    for name in (CommandName.PREPARE, CommandName.ARM, CommandName.TAKEOFF):
+        flight.tick(name)
+        flight.ticks(2.0)
+    assert flight.agent.phase is FlightPhase.HOLD
+    flight.tick(CommandName.FORM)
+    flight.ticks(2.0)
+    return flight
+
+
+@pytest.mark.parametrize("loss_action", SINKS)
+def test_formation_is_refused_where_the_vehicle_would_sink_unless_its_file_accepts_that(loss_action: int) -> None:
+    refused = prepared(loss_action, accepts=False)
+    accepted, code, reason = refused.replies[-1]
+    assert (accepted, code) == (False, Code.AUDIT_REFUSAL)
+    assert "COM_OBL_RC_ACT" in reason
+    flown = prepared(loss_action, accepts=True)
+    assert flown.replies[-1][0], flown.replies[-1]
+    assert flown.agent.phase is FlightPhase.FORMATION
+    assert any(Code.SETPOINT_LOSS_ACTION_UNSAFE is event.code for event in flown.events)  # as a warning
+
+
+def test_a_vehicle_that_would_fall_is_refused_although_its_file_accepts_to_sink() -> None:
+    accepted, code, reason = prepared(FALLS, accepts=True).replies[-1]
+    assert (accepted, code) == (False, Code.AUDIT_REFUSAL)
+    assert "COM_OBL_RC_ACT" in reason
+    assert prepared(HOLDS, accepts=False).replies[-1][0]

@@ -257,6 +257,27 @@ def test_nothing_is_requested_of_a_vehicle_that_others_fly(
     assert set(vehicle.requested()) <= {"stop"}
 
 
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("raised_before", [False, True])
+@pytest.mark.parametrize("phase", LEAVING)
+@pytest.mark.parametrize("flag", list(F))
+def test_a_stream_that_leaves_formation_is_only_stopped(
+    flag: HealthFlag, phase: FlightPhase, raised_before: bool, kind: AutopilotKind
+) -> None:
+    """Also by a flag that was raised in formation. A hold the phase machine carries out in formation only:
+    tests/unit/core/safety/test_flags_and_commands.py.
+    """
+    vehicle = Vehicle(kind)
+    vehicle.leaves_formation = True
+    if raised_before:
+        vehicle.raised = {flag}
+        vehicle.tick()
+    vehicle.phase, vehicle.raised = phase, {flag}
+    requested = vehicle.requested()
+    requested.pop("hold", None)
+    assert requested == ({"stop": 0.0} if flag in STOPS else {})
+
+
 @pytest.mark.parametrize(
     ("kind", "expected"), [(AutopilotKind.PX4, "leave"), (AutopilotKind.ARDUPILOT, "hold without levelling")]
 )

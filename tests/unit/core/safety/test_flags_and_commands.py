@@ -40,6 +40,13 @@ REFUSES: dict[CommandName, set[HealthFlag]] = {
     C.ABORT: set(),
 }
 
+OWN_MODE = {  # AUTO.LAND and AUTO.RTL; LAND and RTL
+    (AutopilotKind.PX4, C.LAND): 4 << 16 | 6 << 24,
+    (AutopilotKind.PX4, C.RETURN): 4 << 16 | 5 << 24,
+    (AutopilotKind.ARDUPILOT, C.LAND): 9,
+    (AutopilotKind.ARDUPILOT, C.RETURN): 6,
+}
+
 
 def raise_flags(flight: Flight, flags: set[HealthFlag]) -> None:
     """From now on the safeguard reports these flags besides its own; `flags` may change later."""
@@ -116,6 +123,24 @@ def test_a_stopping_agent_hands_over_the_stream_of_every_phase(kind: AutopilotKi
     assert flight.events[-1].code is not Code.PROCEDURE_FAILED
     target = flight.autopilot.targets[-1]
     assert max(abs(component) for component in target.q[1:3]) < 1e-6
+
+
+@BOTH
+@pytest.mark.parametrize("name", [C.LAND, C.RETURN])
+def test_a_flag_in_the_first_moments_of_a_landing_or_return_does_not_end_it(
+    kind: AutopilotKind, name: CommandName
+) -> None:
+    """A flag that holds at once in formation, while setpoints are still sent: the autopilot's mode is requested after them."""
+    flight = Flight(kind).fly_to(P.FORMATION)
+    flight.tick(name)
+    sent = len(flight.autopilot.targets)
+    flight.autopilot.up_m = 60.0  # above the fence
+    flight.ticks(0.1)
+    assert F.OUTSIDE_FENCE in flight.agent._last_safety.flags
+    assert len(flight.autopilot.targets) > sent
+    flight.ticks(1.0)
+    assert flight.agent.phase is {C.LAND: P.LAND, C.RETURN: P.RETURN}[name]
+    assert flight.autopilot.custom_mode == OWN_MODE[kind, name]
 
 
 def test_a_command_in_the_wrong_phase_is_refused_for_the_phase_and_not_for_a_flag() -> None:
