@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from commanded_flight import Flight
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase, HealthFlag, Role
 from companion.types.notices import Code
@@ -29,6 +30,15 @@ from sitl.report.progress import Progress
 
 RING = ROOT / "config" / "scenarios" / "ring_figure_8.yaml"
 SUCCESSOR = "fleet.successors=[2]"
+CORNERS_ENU_M = {1: (8, 8), 2: (8, -8), 3: (-8, -8), 4: (-8, 8)}
+FAST_WAY = (
+    "reference={kind: waypoints, points_enu_m: [[-70, 0, 2], [70, 0, 2]], max_speed_m_s: 8.0, max_acceleration_m_s2: 1.8}",
+    *(f"fleet.vehicles[{i - 1}].slot_enu_m=[{x},{y},0]" for i, (x, y) in CORNERS_ENU_M.items()),
+    *(f"starts_enu_m.{i}=[{x - 70},{y},0]" for i, (x, y) in CORNERS_ENU_M.items()),
+    "timeline[3].for_s=1",
+)
+FAST_AFTER_S = 7.0  # the reference still gains speed
+LAG_M = 3.0
 DIES_AFTER_S = 26.0  # in formation: where the eight is flown fastest, 0.5 m/s
 
 
@@ -170,3 +180,19 @@ def test_a_commanded_hold_does_not_end_in_landing() -> None:
     lockstep._in_order = lockstep._in_order[1:3]
     lockstep.sleep(5.0)
     assert {report.status.phase for report in lockstep.drain()[-2:]} == {FlightPhase.HOLD}
+
+
+def test_a_successor_that_lags_far_behind_a_fast_reference_takes_over_and_nobody_holds() -> None:
+    """The weighted law lags behind an acceleration: that does not show that the successor's reference is another one."""
+    flight = Flight(RING, SUCCESSOR, "fleet.law.name=weighted", *FAST_WAY)
+    flight.go_on(FAST_AFTER_S)
+    assert min(error_m for i, error_m in flight.errors_m().items() if i != 1) > LAG_M
+    since_s = flight.lockstep.now_s()
+    flight.lockstep._in_order = [vehicle for vehicle in flight.lockstep._in_order if vehicle.vehicle_id != 1]
+    for _ in range(40):
+        flight.go_on(0.5)
+        assert {flight.newest[i].phase for i in (2, 3, 4)} == {FlightPhase.FORMATION}
+    assert [flight.newest[i].role for i in (2, 3, 4)] == [Role.LEADER, Role.FOLLOWER, Role.FOLLOWER]
+    assert flight.newest[2].position_enu_m[0] > 70.0  # it has led the others to the end of the way
+    assert flight.decisions.jump_m(since_s) < JUMP_M
+    assert flight.smallest_m(since_s) > flight.scenario.fleet.separation_m
