@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from companion.core.consensus.peers import EXTRAPOLATED_MOST_S
+from companion.core.consensus.peers import EXTRAPOLATED_MOST_S, EXTRAPOLATED_NEAR_LEADER_S, NEAR_LEADER_PRC
 from companion.stability.arrays import FloatArray
 from sitl.autopilots.autopilot import DT_S
 from sitl.batch.candidates import Candidates
@@ -133,7 +133,8 @@ def _weighted_sum(used: Received, packets: FloatArray, shares: FloatArray) -> tu
     weights = shares / np.where(has_neighbours, total, 1.0)[:, None]
     sums = np.matmul(weights[:, None, :], packets[:, :, :9])[:, 0].T
     if used.age_s is not None:
-        age_s = np.minimum(used.age_s, EXTRAPOLATED_MOST_S)
+        near_leader = packets[:, :, PRC] <= NEAR_LEADER_PRC
+        age_s = np.minimum(used.age_s, np.where(near_leader, EXTRAPOLATED_NEAR_LEADER_S, EXTRAPOLATED_MOST_S))
         over_age, over_square = (weights * age_s)[:, None, :], (weights * (0.5 * age_s * age_s))[:, None, :]
         velocity, acceleration = packets[:, :, VELOCITY], packets[:, :, ACCELERATION]
         sums[REDUCED_POSITION] += (np.matmul(over_age, velocity) + np.matmul(over_square, acceleration))[:, 0].T

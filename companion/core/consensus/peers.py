@@ -28,8 +28,10 @@ CODES = {
     Disorder.TIME: Code.PEER_TIME_IMPLAUSIBLE,
 }
 # Two ticks: a lost packet, or usual jitter. What is older remains late. A vehicle that extrapolates its neighbour answers a
-# wave by a larger one, and along a hundred hops that grows without bound: docs/law.md.
+# wave by a larger one, and along a hundred hops that grows without bound: docs/law.md. Near the leader nothing has grown
+# yet: by longer extrapolation a small fleet lags less.
 EXTRAPOLATED_MOST_S = 0.04
+EXTRAPOLATED_NEAR_LEADER_S, NEAR_LEADER_PRC = 0.08, 3
 DISTANT_MAX_AGE_S = 1.0  # of a peer that is received at 5 Hz: four lost packets, and the usual delay
 FULL_RATE_WITHIN_S = 0.5  # after such a peer is to be received at 50 Hz, its first packets have arrived
 JUMP_MARGIN_M = 1.0  # an estimator correction may add this to the distance flown between two packets
@@ -62,14 +64,15 @@ class PeerState(Struct, frozen=True, gc=False):
         return replace(slot, position_enu_m=position_enu_m)
 
     def formation_state_at(self, now_s: float) -> FormationState:
-        """State of the peer minus that of its slot, at most EXTRAPOLATED_MOST_S later than it was measured.
+        """State of the peer minus that of its slot, extrapolated over a bounded age.
 
         x + v a + u a^2 / 2 and v + u a with the acceleration command u. Where a vehicle is kept off its slot, the RFT it flies
         by counts instead.
         """
         packet, age_s = self.packet, now_s - self.measured_s
-        if age_s > EXTRAPOLATED_MOST_S:
-            age_s = EXTRAPOLATED_MOST_S
+        most_s = EXTRAPOLATED_MOST_S if packet.prc > NEAR_LEADER_PRC else EXTRAPOLATED_NEAR_LEADER_S
+        if age_s > most_s:
+            age_s = most_s
         if packet.rft is not None:
             (x, y, z), (vx, vy, vz), (ax, ay, az) = packet.rft
         else:

@@ -73,9 +73,11 @@ def test_the_law_uses_neighbours_where_they_are_now(age_s: float) -> None:
     assert state.acceleration_enu_m_s2 == pytest.approx((0.8, 0.5, -0.5))
 
 
-def test_states_are_extrapolated_by_two_ticks_at_most() -> None:
-    state = PeerState(MOVING, 1.0, 0.0, measured_s=1.0)
-    assert state.formation_state_at(1.3) == state.formation_state_at(1.0 + EXTRAPOLATED_MOST_S)
+@pytest.mark.parametrize(("prc", "most_s"), [(1, 0.08), (3, 0.08), (4, 0.04), (100, 0.04)])
+def test_states_are_extrapolated_by_two_ticks_at_most_and_by_four_near_the_leader(prc: int, most_s: float) -> None:
+    state = PeerState(replace(MOVING, prc=prc), 1.0, 0.0, measured_s=1.0)
+    assert state.formation_state_at(1.3) == state.formation_state_at(1.0 + most_s)
+    assert state.formation_state_at(1.3) != state.formation_state_at(0.99 + most_s)
     assert state.position_at(1.3)[0] == pytest.approx(1.0 + 2.0 * 0.3)  # what is kept apart is where it is
 
 
