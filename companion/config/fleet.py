@@ -86,7 +86,7 @@ class PeerLimits(Section, frozen=True):
             description="in a fleet of up to so many vehicles each receives all others at 50 Hz; in a larger one, those far"
             " away in formation at 5 Hz",
         ),
-    ] = 16
+    ] = 8
     max_speed_m_s: Annotated[
         float, Meta(gt=0, le=100, description="a peer state with a larger speed is rejected; also limits references")
     ] = 25.0
