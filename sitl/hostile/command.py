@@ -11,7 +11,7 @@ from sitl.hostile.decoders import Fuzzed, decoders, fuzz
 from sitl.hostile.episode import Outcome, fly
 from sitl.workers import LocalWorkers, all_results, report_progress
 
-EPISODE_TICKS = 3800  # about, of all vehicles
+EPISODE_TICKS = 3600  # about, of all vehicles
 MOST_TICK_CPU_S = 0.02  # a period of 50 Hz
 INPUTS_A_JOB, EPISODES_A_JOB = 250_000, 4
 
