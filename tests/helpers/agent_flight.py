@@ -86,7 +86,7 @@ class Flight:
         self.peer_reference: HeldReference | None = None
         self.peer_late_s = 0.0
         self.peer_changes: dict[str, object] = {}  # of its packets
-        self.traffic: dict[str, TrafficSample] = {}  # published anew before every tick
+        self.traffic: dict[str, TrafficSample] = {}  # published again before every tick
         self.formation_ticks = 0
         self._peer_sequence = 0
         self._number = 0  # of the last command

@@ -124,7 +124,7 @@ def _solved(
         found, steps, contradiction = _active_set(start_enu_m_s2, rows, steps)
         possible = limits.nearest(found)
         if steps < 0:  # half a solution may leave out what a whole one of before meets
-            return possible if complete is None else min(complete, possible, key=lambda u: _shortfall(u, rows))
+            return possible if complete is None else min(complete, possible, key=lambda u: _shortfalls(u, rows))
         if contradiction:
             complete, rows = possible, _relaxed(rows, contradiction)
             continue
@@ -135,10 +135,15 @@ def _solved(
         rows.append(cut)
 
 
-def _shortfall(acceleration_enu_m_s2: Vector3, rows: Sequence[HalfSpace]) -> float:
-    """By how much it violates the row that it violates most."""
+def _shortfalls(acceleration_enu_m_s2: Vector3, rows: Sequence[HalfSpace]) -> list[float]:
+    """By how much it violates the row of each rank that it violates most, those first that give way last."""
     x, y, z = acceleration_enu_m_s2
-    return max(least - nx * x - ny * y - nz * z for nx, ny, nz, least, _ in rows)
+    worst = [MET_M_S2] * len(Rank)
+    for nx, ny, nz, least, rank in rows:
+        short = least - nx * x - ny * y - nz * z
+        if short > worst[rank]:
+            worst[rank] = short
+    return worst
 
 
 def _asked(half_spaces: Sequence[HalfSpace], limits: AccelerationLimits, up_m_s2: float) -> list[HalfSpace]:

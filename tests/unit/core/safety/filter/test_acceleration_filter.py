@@ -94,6 +94,25 @@ def test_no_half_space_is_left_out_where_the_steps_do_not_suffice(
         assert along(normal, u) > min(0.8 * least, 1.2)
 
 
+def test_where_the_steps_do_not_suffice_vehicles_come_first() -> None:
+    """Three vehicles that can be kept off, and a fence and a speed limit that ask for the opposite."""
+    vehicles = [
+        half_space((-0.172, -0.976, -0.137), 4.3),
+        half_space((0.093, -0.978, -0.187), -4.3),
+        half_space((0.521, -0.844, -0.125), 5.6),
+    ]
+    others = [
+        half_space((-0.379, 0.889, 0.255), 4.4, Rank.FENCE),
+        half_space((0.912, 0.371, 0.174), 1.1, Rank.FENCE),
+        half_space((-0.157, 0.708, -0.688), 0.9, Rank.SPEED),
+        half_space((0.553, 0.741, -0.381), -4.3, Rank.SPEED),
+        half_space((-0.321, 0.704, -0.633), -2.7, Rank.SPEED),
+    ]
+    asked = [others[0], others[2], others[1], others[3], *vehicles, others[4]]
+    u = filtered((0.78, -4.01, 1.86), asked, LIMITS)
+    assert all(along(space[:3], u) > space[3] - 0.05 for space in vehicles)
+
+
 def test_an_obstacle_comes_before_the_fence() -> None:
     spaces = [half_space(WEST, 1.0, Rank.FENCE), half_space(EAST, 3.0, Rank.OBSTACLE)]
     assert filtered((0.0, 0.0, 0.0), spaces, LIMITS)[0] == pytest.approx(3.0, abs=1e-3)
