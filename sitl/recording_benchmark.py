@@ -1,7 +1,8 @@
 """What recording costs real agents: CPU, lateness of ticks, disk: python -m sitl.recording_benchmark.
 
 Four agents fly in formation, and two of them record: in each flight others, so that both kinds meet the same load at the same
-time. The limits are those of one agent at 50 Hz with three peers.
+time. Lateness differs more between flights than between the two kinds, so they are compared within each flight. The limits are
+those of one agent at 50 Hz with three peers.
 """
 
 from __future__ import annotations
@@ -9,9 +10,9 @@ from __future__ import annotations
 import re
 import sys
 import time
-from dataclasses import dataclass, field
+from math import log, sqrt
 from pathlib import Path
-from statistics import fmean
+from statistics import fmean, geometric_mean, stdev
 from tempfile import TemporaryDirectory
 
 from companion.ground.session import FleetSession
@@ -31,38 +32,35 @@ from sitl.report.progress import Progress
 
 SCENARIO = Path(__file__).parent / "scenarios" / "platoon.yaml"
 FORM_S = 40.0
-RECORDING = ((1, 3), (2, 4), (2, 4), (1, 3))  # in each flight
+RECORDING = ((1, 3), (2, 4), (2, 4), (1, 3), (1, 3), (2, 4), (2, 4), (1, 3))  # in each flight
 CPU_LIMIT_PERCENT, LATE_LIMIT, SIZE_LIMIT_MB = 3.0, 1.1, 1.0  # of a core; ratio of the p99; for a vehicle and minute
 ENABLED = re.compile("^  enabled: true$", re.MULTILINE)
 
 
-@dataclass
-class Measured:
-    """Of agents in formation, one value for each agent and flight."""
-
-    cpu_percent: list[float] = field(default_factory=list)
-    late_p99_us: list[float] = field(default_factory=list)
-
-
 def main() -> int:
     scenario = load_scenario(SCENARIO, [f"timeline[3].for_s={FORM_S:g}", "stand_in.sensors=default"])
-    recorded, others = Measured(), Measured()
+    cpu_percent: list[float] = []  # of those that record more than of the others, in each flight
+    late_ratios: list[float] = []  # of the p99, in each flight
     mb_per_minute: list[float] = []
     for ids in RECORDING:
         with TemporaryDirectory(prefix="recording-") as name:
             watch = _flown(scenario, Path(name), ids)
             mb_per_minute += _sizes(Path(name))
-        for vehicle_id, timing in watch.newest_timing.items():
-            kind = recorded if vehicle_id in ids else others
-            kind.cpu_percent.append(timing.cpu_percent)
-            kind.late_p99_us.append(timing.late_us.p99)
-        print(f"  vehicles {ids[0]} and {ids[1]} record: {_in_words(watch, ids)}", flush=True)
-    cpu = fmean(recorded.cpu_percent) - fmean(others.cpu_percent)
-    late = fmean(recorded.late_p99_us) / fmean(others.late_p99_us)
+        recorded, others = (
+            [t for i, t in watch.newest_timing.items() if (i in ids) is which] for which in (True, False)
+        )
+        cpu_percent.append(fmean(t.cpu_percent for t in recorded) - fmean(t.cpu_percent for t in others))
+        late_ratios.append(fmean(t.late_us.p99 for t in recorded) / fmean(t.late_us.p99 for t in others))
+        print(
+            f"  vehicles {ids[0]} and {ids[1]} record: {_in_words(watch, ids)}: {late_ratios[-1]:.2f} times", flush=True
+        )
+    cpu, late = fmean(cpu_percent), geometric_mean(late_ratios)
+    error = stdev(map(log, late_ratios)) / sqrt(len(late_ratios))
     size = max(mb_per_minute)
     print(
         f"recording takes {cpu:.1f} % of a core, limit {CPU_LIMIT_PERCENT:g}\n"
-        f"tick lateness, p99: {late:.2f} times that without, limit {LATE_LIMIT:g}\n"
+        f"tick lateness, p99: {late:.2f} times that without, limit {LATE_LIMIT:g} (mean of {len(late_ratios)} flights, "
+        f"standard error {100 * error:.0f} %)\n"
         f"size: {size:.2f} MB for a vehicle and minute at most, limit {SIZE_LIMIT_MB:g}"
     )
     return 0 if cpu <= CPU_LIMIT_PERCENT and late <= LATE_LIMIT and size <= SIZE_LIMIT_MB else 1
