@@ -24,6 +24,7 @@ TICKS_AT_ONCE = 3  # after a late position the next ones follow at once
 PREPARED_S = 0.002  # before the next position is expected; autopilots send them to a millisecond
 LATE_S = 0.02  # logged from this lateness on; on an idle machine a tick is less than 2 ms late
 LOG_PERIOD_S = 1.0
+MEASURED_PERIOD_S = 0.9  # between two measurements of the timing: one takes half the time of a decision
 OWN_MEMORY = Path("/proc/self/statm")
 
 _log = logging.getLogger(__name__)
@@ -168,11 +169,13 @@ class TickMeter:
     def __init__(self, now_s: float) -> None:
         self._formed = False  # whether this is the timing of a formation
         self._frozen: Timing | None = None
+        self._newest: tuple[float, Timing] | None = None  # when it was measured
         self._start(now_s)
 
     def _start(self, now_s: float) -> None:
         self._first_s = now_s
         self._last_s = now_s
+        self._newest = None
         self._ticks = 0
         self._missed = 0
         self._late = Histogram()
@@ -209,8 +212,12 @@ class TickMeter:
             self._frozen = self._measured(now_s)
 
     def timing(self, now_s: float) -> Timing:
-        """Timing since the start, or of the last formation."""
-        return self._frozen or self._measured(now_s)
+        """Timing since the start, or of the last formation; at most MEASURED_PERIOD_S old."""
+        if self._frozen:
+            return self._frozen
+        if self._newest is None or now_s - self._newest[0] >= MEASURED_PERIOD_S:
+            self._newest = now_s, self._measured(now_s)
+        return self._newest[1]
 
     def _measured(self, now_s: float) -> Timing:
         elapsed_s = self._last_s - self._first_s

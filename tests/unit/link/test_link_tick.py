@@ -118,6 +118,15 @@ def test_timing_is_reset_at_the_start_of_formation() -> None:
     assert meter.timing(10.02).ticks == 1
 
 
+def test_timing_is_measured_once_a_second() -> None:
+    meter = TickMeter(0.0)
+    ticks(meter, [n * PERIOD_S for n in range(100)])
+    at_2_s = meter.timing(2.0)
+    ticks(meter, [n * PERIOD_S for n in range(100, 150)])
+    assert meter.timing(2.8) is at_2_s
+    assert meter.timing(3.0).ticks == 150
+
+
 class Calls:
     """Ticks and preparations of a trigger, with their times on the clock of the event loop."""
 
