@@ -10,7 +10,13 @@ from companion.report.finding import Finding, in_order
 from companion.report.findings.autopilot import autopilot_findings
 from companion.report.findings.closeness import too_close
 from companion.report.findings.commands import refused_commands
-from companion.report.findings.failsafes import disarmed_in_air, failsafe_events, raised_flags, settings_of
+from companion.report.findings.failsafes import (
+    disarmed_in_air,
+    failsafe_events,
+    raised_flags,
+    settings_of,
+    streams_ended,
+)
 from companion.report.findings.lost import lost_peers
 from companion.report.findings.recording import recording_gaps, starts_and_ends, whole_flight
 from companion.report.findings.timing import late
@@ -32,6 +38,7 @@ def _found(flight: RecordedFlight, pairs: Sequence[PairDistance], logs: Autopilo
     for vehicle in flight.vehicles:
         yield from raised_flags(vehicle, settings)
         yield from failsafe_events(vehicle)
+        yield from streams_ended(vehicle)
         yield from disarmed_in_air(vehicle)
         yield from late(vehicle)
         yield from refused_commands(vehicle)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from companion.config.fleet import FleetConfig
-from companion.core.safety.failsafe import FAILSAFES, FailsafeSettings, schedule
+from companion.core.safety.failsafe import FAILSAFES, STOP, FailsafeSettings, schedule
 from companion.report.arrays import Bools
 from companion.report.finding import Finding, Kind, Severity, finding
 from companion.report.flight import VehicleLog
@@ -15,6 +15,7 @@ from companion.report.intervals import Episode, runs
 from companion.types.flight import FLAG_TEXTS, STREAMING, FailsafeAction, HealthFlag
 from companion.types.notices import Code
 
+SAME_TICK_S = 0.005
 APART_S = 2.0  # a flag that comes and goes within this time is one finding
 LOST_FLAGS = frozenset({HealthFlag.LEADER_AWAITED, HealthFlag.LEADER_LOST, HealthFlag.FLEET_LINK_LOST})
 LATE_FLAGS = frozenset({HealthFlag.TICK_LATE})
@@ -22,6 +23,7 @@ LATE_FLAGS = frozenset({HealthFlag.TICK_LATE})
 ALWAYS_COUNT = frozenset(
     {HealthFlag.BATTERY_LOW, HealthFlag.BATTERY_CRITICAL, HealthFlag.OUTSIDE_FENCE, HealthFlag.ESTIMATOR_BAD}
 )
+STOPPING_FLAGS = frozenset(row.condition for row in FAILSAFES if STOP in row.steps)
 STREAMING_PHASES = tuple(str(phase) for phase in STREAMING)
 EVENTS = {
     Code.AGENT_FAILED: Severity.CRITICAL,
@@ -93,6 +95,16 @@ def failsafe_events(vehicle: VehicleLog) -> Iterator[Finding]:
         if severity := EVENTS.get(event.code):
             kind = KINDS.get(event.code, Kind.FAILSAFE)
             yield finding(kind, severity, event.code, vehicle.vehicle_id, event.time_s, event.text)
+
+
+def streams_ended(vehicle: VehicleLog) -> Iterator[Finding]:
+    """Events with which an agent in the air gave up for want of valid input. The flag may be raised for a single tick."""
+    streaming = np.isin(vehicle.ticks.phase, STREAMING_PHASES)
+    ended = np.flatnonzero(streaming[:-1] & ~streaming[1:]) + 1
+    ended_s = vehicle.ticks.time_s[ended[vehicle.in_air()[ended]]]
+    for event in vehicle.events:
+        if event.code in STOPPING_FLAGS and np.any(np.abs(ended_s - event.time_s) < SAME_TICK_S):
+            yield finding(Kind.FAILSAFE, Severity.CRITICAL, event.code, vehicle.vehicle_id, event.time_s, event.text)
 
 
 def disarmed_in_air(vehicle: VehicleLog) -> Iterator[Finding]:

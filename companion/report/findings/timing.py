@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from companion.core.safety.failsafe import SILENT_TOO_LONG_S
 from companion.link.tick import LATE_S, PERIOD_S
 from companion.report.arrays import Floats
 from companion.report.finding import Finding, Kind, Severity, finding
@@ -15,7 +16,7 @@ from companion.types.notices import Code
 
 LATE_P99_MS = 10.0  # half a period: then the formation flies by old states all the time
 TO_COMMAND_P99_MS = 20.0  # one period
-FEW_LATE = 0.001  # a smaller share of late ticks is information
+FEW_LATE = 0.001  # a smaller share of late ticks is information, unless one was so late that the autopilot took over
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,12 +86,12 @@ def late(vehicle: VehicleLog) -> Iterator[Finding]:
 
 
 def _ticks_late(vehicle: VehicleLog, figures: TimingFigures) -> Finding:
-    often = figures.late > FEW_LATE * figures.ticks or figures.lateness.p99_ms > LATE_P99_MS
     worst = figures.lateness.max_ms
+    often = figures.late > FEW_LATE * figures.ticks or figures.lateness.p99_ms > LATE_P99_MS
     time_s = float(vehicle.timing.time_s[int(np.argmax(vehicle.timing.late_ms == worst))])
     text = (
         f"{figures.late} of {figures.ticks} ticks in the air began more than {1e3 * LATE_S:g} ms late, at most"
         f" {worst:.0f} ms; {figures.missed} periods without a tick; lateness {figures.lateness.p99_ms:.1f} ms (p99)"
     )
-    severity = Severity.WARNING if often else Severity.INFO
+    severity = Severity.WARNING if often or worst > 1e3 * SILENT_TOO_LONG_S else Severity.INFO
     return finding(Kind.LATE, severity, Code.LOOP_LATE, vehicle.vehicle_id, time_s, text)

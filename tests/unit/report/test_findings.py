@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 from msgspec.structs import replace
 
 from companion.recording.records import DecisionRecord, TimingRecord
@@ -95,6 +96,31 @@ def test_a_stale_position_is_a_warning_that_names_the_missing_setpoint() -> None
     (found,) = findings_of({2: flagged(HealthFlag.POSITION_STALE, 20.0, 20.06)})
     assert (found.severity, found.code) == (WARNING, Code.POSITION_STALE)
     assert "no setpoint was sent" in found.text
+
+
+def gave_up(time_s: float, record: DecisionRecord) -> DecisionRecord:
+    """From 20 s to 30 s the agent observes. The flag is raised in the first of these ticks only."""
+    if not 20.0 <= time_s < 30.0:
+        return record
+    flags = (HealthFlag.POSITION_STALE,) if time_s < 20.01 else ()
+    return replace(record, phase=FlightPhase.OBSERVE, flags=flags)
+
+
+def test_an_agent_that_gives_up_in_the_air_is_critical_however_short_its_flag_was() -> None:
+    text = "formation -> observe (no setpoint for 0.5 s: position older than allowed)"
+    event = (20.0, Notice(Code.POSITION_STALE, text))
+    (found,) = findings_of({3: Faults(decision=gave_up, events=(event,))})
+    assert (found.severity, found.code, found.vehicle_id, found.text) == (CRITICAL, Code.POSITION_STALE, 3, text)
+    on_the_ground = (1.0, Notice(Code.POSITION_STALE, "observe -> observe"))
+    assert findings_of({3: Faults(events=(on_the_ground,))}) == ()
+
+
+@pytest.mark.parametrize(("late_us", "severity"), [(30_000, INFO), (490_000, INFO), (510_000, WARNING)])
+def test_one_late_tick_is_a_warning_where_the_autopilot_took_over(late_us: int, severity: Severity) -> None:
+    def late_once(time_s: float, record: TimingRecord) -> TimingRecord:
+        return replace(record, late_us=late_us) if 29.99 < time_s < 30.01 else record
+
+    assert short(findings_of({3: Faults(timing=late_once)})) == [(severity, Code.LOOP_LATE, 3, 30.0)]
 
 
 def raised_twice(flag: HealthFlag, first: tuple[float, float], second: tuple[float, float]) -> Faults:
