@@ -138,12 +138,17 @@ def _due(
     """The messages of a vehicle that are due now; notes in `system` that they are sent."""
     messages: list[MavlinkMessage] = []
     if now_s >= system.states_due_s:
-        system.states_due_s = now_s + STATES_EVERY_S
+        system.states_due_s = _next_s(system.states_due_s, now_s, STATES_EVERY_S)
         messages += state_messages(system.status)
     if now_s >= system.positions_due_s:
-        system.positions_due_s = now_s + POSITIONS_EVERY_S
+        system.positions_due_s = _next_s(system.positions_due_s, now_s, POSITIONS_EVERY_S)
         messages += position_messages(system.status, now_s - system.received_s, origin_deg_deg_m, time_ms)
     return messages + _texts(system, now_s)
+
+
+def _next_s(due_s: float, now_s: float, period_s: float) -> float:
+    """A step that comes late delays no later message: the rate stays."""
+    return due_s + period_s if now_s < due_s + period_s else now_s + period_s
 
 
 def _texts(system: _System, now_s: float) -> list[MavlinkMessage]:

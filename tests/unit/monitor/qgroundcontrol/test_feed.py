@@ -127,6 +127,15 @@ def test_rates_are_bounded(feed: FleetFeed, station: GroundStation) -> None:
     assert 45 <= kinds.count("GLOBAL_POSITION_INT") <= 50
 
 
+def test_late_steps_do_not_lower_the_rates(feed: FleetFeed, station: GroundStation) -> None:
+    for i in range(100):  # ten steps a second, each a little later than the last
+        feed.take(of_fleet(leader()), 100.0 + 0.1003 * i)
+        feed.step(100.0 + 0.1003 * i)
+    kinds = [message.get_type() for message in station.received()]
+    assert kinds.count("HEARTBEAT") == 10
+    assert kinds.count("GLOBAL_POSITION_INT") == 50
+
+
 def test_a_recording_that_goes_back_sends_no_vehicle_of_its_future(feed: FleetFeed, station: GroundStation) -> None:
     report = StatusReport(of_fleet(leader()), TIMING)
     feed.forward([(100.0, report)], 100.0)
