@@ -170,11 +170,7 @@ def recordings(folder: Path, warn: Warn) -> list[Recording]:
     files = _files(folder)
     parts = [part for path in files if (part := _part(path, warn))]
     if not parts:
-        raise RecordingError(
-            f"{_shown(folder)}: none of its {len(files)} files of the kind *.mcap is a recording that can be used"
-            if files
-            else f"{_shown(folder)}: no recordings here; expected files *.mcap of agents, also in folders inside"
-        )
+        raise RecordingError(f"{_shown(folder)}: {_nothing_usable(folder, files)}")
     starts: dict[tuple[str, int, int, float], dict[int, Part]] = {}
     for part in parts:
         header = part.header
@@ -195,6 +191,14 @@ def _files(folder: Path) -> list[Path]:
     if len(files) > MAX_FILES:
         raise RecordingError(f"{_shown(folder)}: more than {MAX_FILES} recordings; choose a folder inside")
     return sorted(files)
+
+
+def _nothing_usable(folder: Path, files: list[Path]) -> str:
+    if folder.is_file():
+        return "no recording of an agent; give a file *.mcap of a flight, or the folder of the flight"
+    if files:
+        return f"none of its {len(files)} files *.mcap is a recording that can be used"
+    return "no recordings here; expected files *.mcap of agents, also in folders inside"
 
 
 def _part(path: Path, warn: Warn) -> Part | None:

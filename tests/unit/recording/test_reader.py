@@ -272,6 +272,12 @@ def nowhere(path: Path) -> None:
     path.symlink_to(path.parent / "missing")
 
 
+def test_a_single_file_that_is_no_recording_is_told_what_is_expected(tmp_path: Path, lines: list[str]) -> None:
+    (tmp_path / "notes.txt").write_text("no recording")
+    with pytest.raises(RecordingError, match=r"notes\.txt: no recording of an agent; give a file \*\.mcap of a flight"):
+        recordings(tmp_path / "notes.txt", lines.append)
+
+
 @pytest.mark.parametrize(
     ("make", "reason"),
     [
