@@ -7,7 +7,7 @@ import os
 import re
 import sys
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 EXIT_USAGE = 2
 MAX_VEHICLE_ID = 250
@@ -33,7 +33,17 @@ def _columns() -> int:
 
 
 class LineParser(argparse.ArgumentParser):
-    """Reports an argument that cannot be used in one line, without the usage text above it."""
+    """Reports an argument that cannot be used in one line, without the usage text above it.
+
+    An unknown one is reported by the parser of the command, whose help explains it, and not by that of the whole program.
+    """
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
+        """Ends the program where an argument is unknown."""
+        parsed, unknown = super().parse_known_args(args, namespace)
+        if unknown:
+            self.error(f"unrecognized arguments: {' '.join(unknown)}")
+        return parsed, unknown
 
     def error(self, message: str) -> NoReturn:
         """Ends the program with EXIT_USAGE."""

@@ -20,7 +20,10 @@ import sitl.cli.main
             "companion fleet leader: argument ID: '0', expected a vehicle id from 1 to 250;"
             " companion fleet leader --help explains it",
         ),
-        (["monitor", "--wrong"], "companion: unrecognized arguments: --wrong; companion --help explains it"),
+        (
+            ["monitor", "--wrong"],
+            "companion monitor: unrecognized arguments: --wrong; companion monitor --help explains it",
+        ),
     ],
 )
 def test_a_wrong_argument_of_companion_is_one_line(
@@ -34,7 +37,8 @@ def test_a_wrong_argument_of_companion_is_one_line(
 def test_control_characters_of_an_argument_are_not_printed(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit, match="2"):
         companion.cli.main.main(["monitor", "--x\n\x1b[2J"])
-    assert capsys.readouterr().err == "companion: unrecognized arguments: --x??[2J; companion --help explains it\n"
+    expected = "companion monitor: unrecognized arguments: --x??[2J; companion monitor --help explains it\n"
+    assert capsys.readouterr().err == expected
 
 
 def test_a_wrong_argument_of_sitl_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
