@@ -72,7 +72,7 @@ class Law(Section, frozen=True):
         float,
         Meta(
             ge=0,
-            le=5,
+            le=10,
             description="bandwidth of the filter that makes the velocity agree with the position; 0 switches it off",
         ),
     ] = 2.0

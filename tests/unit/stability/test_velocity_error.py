@@ -22,10 +22,11 @@ def test_law_and_correction_have_their_own_poles_and_no_others() -> None:
     assert poles == pytest.approx(expected, abs=1e-6)
 
 
+@pytest.mark.parametrize("bandwidth_1_s", [W, 8.0])
 @pytest.mark.parametrize("rate_rad_s", [0.1, 0.5, 2.0])
-def test_the_filter_leaves_the_share_that_is_predicted(rate_rad_s: float) -> None:
+def test_the_filter_leaves_the_share_that_is_predicted(rate_rad_s: float, bandwidth_1_s: float) -> None:
     """A vehicle at rest whose reported velocity turns."""
-    correction = VelocityCorrection(W)
+    correction = VelocityCorrection(bandwidth_1_s)
     largest = -inf
     for tick in range(round(200.0 / 0.02)):
         time_s = 0.02 * tick
@@ -33,7 +34,7 @@ def test_the_filter_leaves_the_share_that_is_predicted(rate_rad_s: float) -> Non
         used = correction.follow(time_s, (0.0, 0.0, 0.0), error)
         if time_s > 150.0:
             largest = max(largest, float(np.hypot(*used[:2])))
-    assert largest == pytest.approx(0.1 * share_left(rate_rad_s, W), rel=0.05)
+    assert largest == pytest.approx(0.1 * share_left(rate_rad_s, bandwidth_1_s), rel=0.05)
 
 
 def test_shift_without_and_with_correction() -> None:
