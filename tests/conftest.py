@@ -31,13 +31,16 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker("real_time")
 
 
+PAIRS = ("test_fly_external.py", "test_return_home.py")  # their fleets have two vehicles
+
+
 class OneFleetOneSequence(LoadScopeScheduling):
-    """Scheduler for `--dist loadscope`: a worker takes a folder of fleets, or a file of single vehicles, at a time."""
+    """Scheduler for `--dist loadscope`: a worker takes a folder of fleets, or a file of one or two vehicles, at a time."""
 
     def _split_scope(self, nodeid: str) -> str:
         file = nodeid.partition("::")[0]
-        folder = file.rpartition("/")[0]
-        return folder if folder.endswith(("fleet", "faults")) else file
+        folder, _, name = file.rpartition("/")
+        return folder if folder.endswith(("fleet", "faults")) and name not in PAIRS else file
 
 
 @pytest.hookimpl(optionalhook=True)
