@@ -23,6 +23,7 @@ from companion.link.fleet.zenoh_link import ZenohLink
 from companion.link.fleet.zenoh_session import EndpointError
 from companion.link.ground_link import GroundStationLink
 from companion.link.journal import log_as_service
+from companion.link.log import flush_log
 from companion.link.signing_key import read_signing_key
 from companion.link.systemd import Notifier
 from companion.link.tick import TickTrigger, monotonic_s
@@ -54,8 +55,11 @@ def run_agent(settings: Settings) -> None:
     """Run the agent until SIGTERM or SIGINT. Raises ConfigError, AutopilotSilentError and AgentFailedError."""
     config = load_agent(settings.file)
     check_agent(settings.file, config)
-    with asyncio.Runner(loop_factory=_loop) as runner:
-        runner.run(_run(settings, config))
+    try:
+        with asyncio.Runner(loop_factory=_loop) as runner:
+            runner.run(_run(settings, config))
+    finally:
+        flush_log()
 
 
 def _loop() -> asyncio.AbstractEventLoop:

@@ -108,6 +108,12 @@ def log_to(handler: logging.Handler, formatter: logging.Formatter) -> None:
     )  # it has a line for each packet with an old signature
 
 
+def flush_log() -> None:
+    """Wait until what was logged is written, FLUSH_S at most: what is printed now comes last, such as why the agent ends."""
+    for handler in logging.getLogger().handlers:
+        handler.flush()
+
+
 class LogLimiter:
     """Limits the lines of each code: a stranger on the network can cause any of them, as often as it sends.
 

@@ -24,7 +24,8 @@ TICKS_AT_ONCE = 3  # after a late position the next ones follow at once
 PREPARED_S = 0.002  # before the next position is expected; autopilots send them to a millisecond
 LATE_S = 0.02  # logged from this lateness on; on an idle machine a tick is less than 2 ms late
 LOG_PERIOD_S = 1.0
-MEASURED_PERIOD_S = 0.9  # between two measurements of the timing: one takes half the time of a decision
+# Between two measurements of the timing: one takes half the time of a decision. The first ticks are shown at once.
+MEASURED_PERIOD_S, MEASURED_TICKS = 0.9, 50
 OWN_MEMORY = Path("/proc/self/statm")
 
 _log = logging.getLogger(__name__)
@@ -215,9 +216,12 @@ class TickMeter:
         """Timing since the start, or of the last formation; at most MEASURED_PERIOD_S old."""
         if self._frozen:
             return self._frozen
-        if self._newest is None or now_s - self._newest[0] >= MEASURED_PERIOD_S:
-            self._newest = now_s, self._measured(now_s)
-        return self._newest[1]
+        if self._newest and now_s - self._newest[0] < MEASURED_PERIOD_S:
+            return self._newest[1]
+        measured = self._measured(now_s)
+        if self._ticks >= MEASURED_TICKS:
+            self._newest = now_s, measured
+        return measured
 
     def _measured(self, now_s: float) -> Timing:
         elapsed_s = self._last_s - self._first_s

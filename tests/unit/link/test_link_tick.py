@@ -118,7 +118,12 @@ def test_timing_is_reset_at_the_start_of_formation() -> None:
     assert meter.timing(10.02).ticks == 1
 
 
-def test_timing_is_measured_once_a_second() -> None:
+def test_timing_is_measured_once_a_second_after_the_first() -> None:
+    meter = TickMeter(0.0)
+    meter.tick(0.0)
+    assert meter.timing(0.0).ticks == 1
+    meter.tick(PERIOD_S)
+    assert meter.timing(PERIOD_S).ticks == 2
     meter = TickMeter(0.0)
     ticks(meter, [n * PERIOD_S for n in range(100)])
     at_2_s = meter.timing(2.0)

@@ -99,6 +99,13 @@ def test_the_last_lines_are_written_before_the_process_ends() -> None:
     assert " vehicle 3: line 49 x" in done.stderr
 
 
+def test_what_is_printed_after_a_flush_comes_last() -> None:
+    """As the reason why the agent ends."""
+    code = f"{ENDS}\nimport os\nfrom companion.link.log import flush_log\nflush_log()\nos.write(2, b'the end\\n')\n"
+    done = subprocess.run([sys.executable, "-c", code, "400"], capture_output=True, text=True, check=True)
+    assert done.stderr.splitlines()[-1] == "the end"
+
+
 def test_a_process_ends_although_its_log_is_not_read() -> None:
     with subprocess.Popen([sys.executable, "-c", ENDS, "2000"], stderr=subprocess.PIPE) as process:
         assert process.wait() == 0
