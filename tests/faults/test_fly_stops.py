@@ -151,7 +151,7 @@ def test_killing_the_parent_leaves_no_process(launch: Callable[[], Flight]) -> N
     flight.wait_for_formation()
     flight.process.kill()
     flight.end(5.0)
-    flight.wait_until(lambda: not processes(flight.marker), 30.0)
+    flight.wait_until(lambda: not processes(flight.marker), 10.0)
 
 
 @fleet

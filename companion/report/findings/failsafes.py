@@ -15,7 +15,7 @@ from companion.report.intervals import Episode, runs
 from companion.types.flight import FLAG_TEXTS, STREAMING, FailsafeAction, HealthFlag
 from companion.types.notices import Code
 
-SAME_TICK_S = 0.005
+SAME_TICK_S = 0.005  # of an event and a tick
 APART_S = 2.0  # a flag that comes and goes within this time is one finding
 LOST_FLAGS = frozenset({HealthFlag.LEADER_AWAITED, HealthFlag.LEADER_LOST, HealthFlag.FLEET_LINK_LOST})
 LATE_FLAGS = frozenset({HealthFlag.TICK_LATE})
@@ -98,7 +98,10 @@ def failsafe_events(vehicle: VehicleLog) -> Iterator[Finding]:
 
 
 def streams_ended(vehicle: VehicleLog) -> Iterator[Finding]:
-    """Events with which an agent in the air gave up for want of valid input. The flag may be raised for a single tick."""
+    """Events that end the setpoints of an agent in the air, because its input was not valid.
+
+    `raised_flags` does not find them all: the flag may be raised in the tick of the event alone.
+    """
     streaming = np.isin(vehicle.ticks.phase, STREAMING_PHASES)
     ended = np.flatnonzero(streaming[:-1] & ~streaming[1:]) + 1
     ended_s = vehicle.ticks.time_s[ended[vehicle.in_air()[ended]]]

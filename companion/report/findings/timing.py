@@ -86,8 +86,8 @@ def late(vehicle: VehicleLog) -> Iterator[Finding]:
 
 
 def _ticks_late(vehicle: VehicleLog, figures: TimingFigures) -> Finding:
-    worst = figures.lateness.max_ms
     often = figures.late > FEW_LATE * figures.ticks or figures.lateness.p99_ms > LATE_P99_MS
+    worst = figures.lateness.max_ms
     time_s = float(vehicle.timing.time_s[int(np.argmax(vehicle.timing.late_ms == worst))])
     text = (
         f"{figures.late} of {figures.ticks} ticks in the air began more than {1e3 * LATE_S:g} ms late, at most"
