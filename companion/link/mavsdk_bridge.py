@@ -7,6 +7,7 @@ doctor use the same endpoints and report the same errors.
 from __future__ import annotations
 
 import asyncio
+from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -20,12 +21,14 @@ class MavsdkBridge:
     """mavsdk as onboard computer of the vehicle's system. It sends no ground station heartbeat."""
 
     def __init__(self, vehicle_id: int, send: Callable[[bytes], None]) -> None:
-        """`send` is called in the running loop, for packets of any mavsdk thread."""
+        """`send` is called in the running loop and by `close`, for packets of any mavsdk thread."""
         log_subscribe(lambda *_: True)  # keep mavsdk's log lines off the terminal
-        loop = asyncio.get_running_loop()
+        self._send = send
+        self._loop = asyncio.get_running_loop()
+        self._waiting: deque[bytes] = deque()
         self._mavsdk = Mavsdk(Configuration.create_manual(vehicle_id, mavlink.MAV_COMP_ID_ONBOARD_COMPUTER, False))
         self._mavsdk.add_any_connection("raw://")
-        self._mavsdk.subscribe_raw_bytes_to_be_sent(lambda data: loop.call_soon_threadsafe(send, data))
+        self._mavsdk.subscribe_raw_bytes_to_be_sent(self._send_soon)
 
     def receive(self, packets: Sequence[bytes]) -> None:
         """Pass received packets to mavsdk."""
@@ -37,4 +40,15 @@ class MavsdkBridge:
         return await asyncio.to_thread(self._mavsdk.first_autopilot, wait_s)
 
     def close(self) -> None:
+        """End mavsdk, then send what it sent last: an autopilot whose transfer is not ended would go on with it."""
         self._mavsdk.destroy()
+        self._send_waiting()
+
+    def _send_soon(self, packet: bytes) -> None:
+        """In a thread of mavsdk."""
+        self._waiting.append(packet)
+        self._loop.call_soon_threadsafe(self._send_waiting)
+
+    def _send_waiting(self) -> None:
+        while self._waiting:
+            self._send(self._waiting.popleft())
