@@ -1,4 +1,4 @@
-"""The director with vehicles that accept, refuse, fall back and fall silent, without any process."""
+"""The director in real time, with vehicles that accept, refuse, fall back and fall silent, without any process."""
 
 import dataclasses
 import time
