@@ -71,13 +71,19 @@ class Lockstep:
         timeout_s: float,
         content: Content | None = None,
     ) -> dict[int, CommandReply | None]:
-        """Give one command to these vehicles and advance the world until all have answered or `timeout_s` has passed."""
+        """Give one command to these vehicles and advance the world until all have answered or `timeout_s` has passed.
+
+        A vehicle that has not reported yet gets none, for lack of its session, and is waited for until it reports.
+        """
         self._commands_given += 1
         number, asked = self._commands_given, [self._vehicles[vehicle_id] for vehicle_id in vehicle_ids]
-        for vehicle in asked:
+        given = [vehicle for vehicle in asked if vehicle.session]
+        for vehicle in given:
             vehicle.give(Command(name, number, OPERATOR, vehicle.session, content))
         deadline_s = self.now_s() + timeout_s
-        while self.now_s() < deadline_s and any(vehicle.reply_to(number) is None for vehicle in asked):
+        while self.now_s() < deadline_s and (
+            any(vehicle.reply_to(number) is None for vehicle in given) or not all(vehicle.session for vehicle in asked)
+        ):
             self._step()
         return {vehicle.vehicle_id: vehicle.reply_to(number) for vehicle in asked}
 
@@ -127,7 +133,7 @@ class Vehicle:
         self._targets: tuple[tuple[str, TargetSample], ...] = ()
         self._reply: CommandReply | None = None  # the last
         self._distant_ids: tuple[int, ...] = ()
-        self.session = 0  # of the agent, from its status; commands before its first status are ignored
+        self.session = 0  # of the agent, from its status; 0 before the first
 
     def give(self, command: Command) -> None:
         self._commands += (command,)
