@@ -106,11 +106,17 @@ def all_finite(data: Any) -> bool:
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:
     """A hint at the known name that is most like this one; empty where none is."""
+    near = nearest(name, known)
+    return f'; did you mean "{near}"?' if near else ""
+
+
+def nearest(name: object, known: Iterable[str]) -> str | None:
+    """The known name that is most like this one."""
     from difflib import get_close_matches  # not loaded for a file without errors
 
     names = sorted(known)
     near = get_close_matches(str(name), names, n=1) or [longer for longer in names if longer.startswith(f"{name}_")]
-    return f'; did you mean "{near[0]}"?' if near else ""
+    return near[0] if near else None
 
 
 # ---------------------------------------------------------------- one level of a file
@@ -120,7 +126,7 @@ def _examine_section(data: dict[Any, Any], cls: Any, field: str) -> tuple[Any, l
     known = {info.encode_name: info for info in fields(cls)}
     tag_field = cls.__struct_config__.tag_field
     problems = [
-        Problem(_join(field, key), "unknown key" + _hint(key, known, cls))
+        Problem(_join(field, key), "unknown key" + _hint(field, key, known, cls))
         for key in data
         if key not in known and key != tag_field
     ]
@@ -241,18 +247,20 @@ def _choices(type_: Any) -> list[str]:
     return sorted(names)
 
 
-def _keys_inside(type_: Any) -> set[str]:
-    """All keys of the sections inside a type."""
-    keys: set[str] = set()
+def _keys_inside(type_: Any, path: str = "") -> dict[str, str]:
+    """All keys of the sections inside a type, each with the first path to it."""
+    paths: dict[str, str] = {}
     for part in _alternatives(type_):
-        inside: Iterable[Any] = (item for item in get_args(part) if item is not Ellipsis)
-        if _is_struct(part):
-            keys |= {info.encode_name for info in fields(part)}
-            inside = [info.type for info in fields(part)]
-        for item in inside:
+        inside: Iterable[tuple[Any, str]] = ((item, path) for item in get_args(part) if item is not Ellipsis)
+        if get_origin(part) in (tuple, list):
+            inside = [(item, f"{path}[N]") for item, _ in inside]
+        elif _is_struct(part):
+            inside = [(info.type, _join(path, info.encode_name)) for info in fields(part)]
+            paths = {info.encode_name: _join(path, info.encode_name) for info in fields(part)} | paths
+        for item, place in inside:
             if not isinstance(item, str | int | NoneType):  # arguments of a literal
-                keys |= _keys_inside(item)
-    return keys
+                paths = _keys_inside(item, place) | paths
+    return paths
 
 
 # ---------------------------------------------------------------- words
@@ -271,8 +279,13 @@ def _explained(value: Any, type_: Any, problem: str) -> str:
     return shown + text[:1].lower() + text[1:] + _as_yaml_number(value)
 
 
-def _hint(key: object, known: Iterable[str], cls: type) -> str:
-    return did_you_mean(key, known) or did_you_mean(key, _keys_inside(cls)) or "; take it out"
+def _hint(field: str, key: object, known: Iterable[str], cls: type) -> str:
+    """A key of another section is named with its path: it is only in the wrong place."""
+    paths = _keys_inside(cls)
+    if key not in paths and (hint := did_you_mean(key, known)):
+        return hint
+    near = nearest(key, paths)
+    return f'; did you mean "{_join(field, paths[near])}"?' if near else "; take it out"
 
 
 def _as_yaml_number(value: Any) -> str:

@@ -44,17 +44,21 @@ class UnusableError(Exception):
 
 def run_replay(options: Options) -> int:
     """Prints the result and returns the exit code. Raises UnusableError."""
+    left_out: list[str] = []
     try:
-        found = [one for one in recordings(options.folder, _warn) if one.vehicle_id]
+        found = [one for one in recordings(options.folder, left_out.append) if one.vehicle_id]
     except RecordingError as error:
-        raise UnusableError(str(error)) from error
+        raise UnusableError("\n".join([*left_out, str(error)])) from error
+    for line in left_out:
+        _warn(line)
     ids = sorted({one.vehicle_id for one in found})
     if options.vehicle_id is not None:
         found = [one for one in found if one.vehicle_id == options.vehicle_id]
     if not found:
         known = f"expected one of {', '.join(map(str, ids))}" if ids else "only the ground recorded here"
         raise UnusableError(f"{printable(str(options.folder))}: no recording of that vehicle; {known}")
-    return _compare_all(options, found) if options.overrides else _replay_all(options, found)
+    exit_code = _compare_all(options, found) if options.overrides else _replay_all(options, found)
+    return EXIT_UNUSABLE if left_out and exit_code == EXIT_EQUAL else exit_code
 
 
 # ------------------------------------------------------------ the recorded settings

@@ -6,13 +6,14 @@ The figures are of the linear model (stability/prediction.py): no noise, no satu
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from copy import deepcopy
 from dataclasses import replace
 from math import tau
 from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
-from msgspec import Struct
+from msgspec import Struct, structs
 from numpy.typing import NDArray
 
 from companion.assembly import flyable_problems, law_of
@@ -21,6 +22,7 @@ from companion.config.fleet import EdgeNeighbours, FleetConfig
 from companion.config.fleet_check import fleet_problems
 from companion.config.kind import kind_of_file, read_as
 from companion.config.law import LawName
+from companion.config.overrides import SET, put
 from companion.config.planned_flight import PlannedFlight, fleet_of, planned_problems, starts_of
 from companion.config.reference import Reference, moves
 from companion.config.topology import neighbour_graph
@@ -108,6 +110,7 @@ class Analysis(Struct, frozen=True, kw_only=True):
     """
 
     file: str
+    settings: list[str]  # KEY=VALUE, in place of those of the file
     converges: bool
     vehicles: list[int]
     leaders: list[int]
@@ -145,14 +148,26 @@ class Subject(Struct, frozen=True, kw_only=True):
     reference_enu_m: Vector3
     reference_moves: bool = False
     not_read: Sequence[str] = ()
+    settings: Sequence[str] = ()
 
 
-def load_subject(path: Path) -> Subject:
-    """The subject of a scenario file, or of a fleet file. For the latter the vehicles start in formation, STEP_M behind.
+def load_subject(path: Path, overrides: Sequence[str] = ()) -> Subject:
+    """The subject of a scenario file, or of a fleet file, with overrides "KEY.PATH=VALUE" (a YAML value).
 
-    Raises ConfigError.
+    In a fleet file the vehicles start in formation, STEP_M behind the reference. Raises ConfigError.
     """
     data = read_as(path, "scenario", "fleet")
+    subject = _subject(path, data)  # the file must be valid by itself, so that an error below is an override's
+    if not overrides:
+        return subject
+    data = deepcopy(data)
+    for override in overrides:
+        put(data, override, example="fleet.law.name=average_22, or law.name=average_22 in a fleet file")
+    return structs.replace(_subject(SET, data), file=path, settings=tuple(overrides))
+
+
+def _subject(path: Path, data: Any) -> Subject:
+    """`path` names the file in errors."""
     if kind_of_file(data) != "scenario" and not (isinstance(data, dict) and "fleet" in data):
         fleet = convert(path, data, FleetConfig, fleet_problems)
         starts = {member.id: member.slot_enu_m for member in fleet.vehicles}
@@ -208,6 +223,7 @@ def analyse(subject: Subject) -> Analysis:
     gain = {name: laws[fleet.law.name].lambda_min / laws[name].lambda_min for name in AVERAGE_LAWS if laws}
     return Analysis(
         file=str(subject.file),
+        settings=list(subject.settings),
         converges=bool(laws) and laws[fleet.law.name].stable,
         vehicles=ids,
         leaders=leaders,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from math import inf
 from textwrap import wrap
 
 import numpy as np
@@ -23,11 +24,13 @@ COLUMNS = 100
 LEGEND = f"""\
   lambda_min: the smallest eigenvalue of G; the larger, the faster errors decay
   damping: 1 is critical, 0 is an undamped oscillation
-  no lag: without the attitude lag; all else is with a lag of {MODEL.attitude_lag_s:g} s and a loop delay of {MODEL.delay_s:g} s
+  no lag: without the attitude lag; all else is with a lag of {MODEL.attitude_lag_s:g} s and a loop delay of
+    {MODEL.delay_s:g} s; the stand-ins follow faster, and large fleets settle sooner there
   delay margin: the loop delay above which the formation is unstable
   string gain: factor by which an oscillation grows on its way from the leader, at the frequency
     where it grows most
-  gamma: share of the neighbours' acceleration that is fed forward
+  alpha, rho, gamma: exponent, weight_ratio and feedforward of the law; gamma is the share of the
+    neighbours' acceleration that is fed forward
   shift: where a vehicle rests while its velocity disagrees with its position; corrected: with
     velocity_correction_1_s, for an error that turns once in {ERROR_TURNS_S:g} s
   transient peak: the largest error of any vehicle over the largest at the start"""
@@ -37,6 +40,7 @@ def report(analysis: Analysis) -> str:
     """The text that `companion analyze` prints."""
     lines = [
         f"{analysis.file}: {_vehicles(analysis)}, led by {_ids(analysis.leaders)}, law {analysis.law}",
+        *([f"with {', '.join(analysis.settings)}"] if analysis.settings else []),
         "",
     ]
     lines += ["neighbours at the start:"]
@@ -147,9 +151,13 @@ def _slow_or_badly_damped(law: LawAnalysis) -> Iterator[Notice]:
 def _grows(analysis: Analysis, law: LawAnalysis) -> Iterator[Notice]:
     if law.string_gain_per_hop is None or law.string_gain_to_last is None or law.string_gain_to_last <= GROWS:
         return
-    to_last = {name: other.string_gain_to_last for name, other in analysis.laws.items()}
-    least, gain = min(((name, gain) for name, gain in to_last.items() if gain is not None), key=lambda item: item[1])
-    other = "" if least == analysis.law else f"; {least} has {gain:.2f} to the last"
+    to_last = {
+        name: other.string_gain_to_last
+        for name, other in analysis.laws.items()
+        if other.string_gain_to_last is not None and _settles_as_soon(other, law)
+    }
+    least = min(to_last, key=lambda name: to_last[name])
+    other = "" if least == analysis.law else f"; {least} has {to_last[least]:.2f} to the last"
     remedies = [*_for_damping(law), *([] if law.feedforward > 0.0 else ["feedforward"])]
     yield Notice(
         Code.ERRORS_GROW,
@@ -157,6 +165,11 @@ def _grows(analysis: Analysis, law: LawAnalysis) -> Iterator[Notice]:
         f"(at {law.string_gain_per_hop_rad_s:.2f} rad/s) and {law.string_gain_to_last:.2f} times to the last vehicle (at "
         f"{law.string_gain_to_last_rad_s:.2f} rad/s); {', '.join(remedies)}, or fewer hops from the leader help{other}",
     )
+
+
+def _settles_as_soon(other: LawAnalysis, law: LawAnalysis) -> bool:
+    """Whether this law is no slower than the one flown: a slow law amplifies less, but is no remedy."""
+    return (other.predicted_settle_s or inf) <= (law.predicted_settle_s or inf)
 
 
 def _too_deep(analysis: Analysis, law: LawAnalysis) -> Iterator[Notice]:
@@ -167,7 +180,8 @@ def _too_deep(analysis: Analysis, law: LawAnalysis) -> Iterator[Notice]:
         Code.FLEET_TOO_DEEP,
         f"deep for its delay: {analysis.hops} hops pass a motion of the leader on, {late_s:.1f} s later to the last vehicle,"
         f" and {late_s + analysis.hops * LATE_LINK_S:.1f} s with links of {1000 * LATE_LINK_S:g} ms; a leader alone settles in"
-        f" {law.leader_step_settle_s:.1f} s from {STEP_M:g} m; more edges, a leader in the middle or a second leader help",
+        f" {law.leader_step_settle_s:.1f} s from {STEP_M:g} m, and from {DEEP:g} times that on a fleet is deep; more edges, a "
+        "leader in the middle or a second leader help",
     )
 
 

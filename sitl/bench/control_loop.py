@@ -42,7 +42,8 @@ In the same flight. By the agent's own clock it is the time from the kernel's re
 at the socket, of all four agents. On the wire it is measured from outside, equally for both programs: a relay between \
 autopilot and client notes when it forwards a position and the kernel's time stamp of the first attitude setpoint \
 after it. mavsdk flies no formation: it has a vehicle of its own, and its callback for position and velocity calls \
-set_attitude at once with a constant, with its synchronous Python interface, which is its fastest."""
+set_attitude at once with a constant, with its synchronous Python interface, which is its fastest. The kernel stamps a \
+packet before the call that sends it returns: on the wire the agents are faster than by their own clock."""
 
 
 @dataclass

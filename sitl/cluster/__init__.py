@@ -9,7 +9,7 @@ from importlib.util import find_spec
 from sitl.errors import UnusableError
 from sitl.workers import LocalWorkers, Workers
 
-INSTALL = "pip install '.[cluster]' in the project's folder"
+INSTALL = "pip install --editable '.[cluster]' in the project's folder"
 
 
 @contextmanager

@@ -42,7 +42,7 @@ ENTRIES: dict[str, Explanation] = {
     ),
     "FLEET_TOO_DEEP": Explanation(
         "The last vehicles move noticeably later than the leader.",
-        "Every hop passes a motion on one tick and one link later; together that is half the leader's settling time.",
+        "Every hop passes a motion on one tick and one link later; together at least half the leader's settling time.",
         "Add edges or range, put the leader in the middle, or name a second leader.",
     ),
     "NEIGHBOURS_OUT_OF_RANGE": Explanation(
@@ -63,6 +63,7 @@ ENTRIES: dict[str, Explanation] = {
     "ERRORS_GROW": Explanation(
         "Swings grow along the chain.",
         "The string gain to the last vehicle is above 1.2.",
-        "Use `cooperative`, add edges, or shorten the chain. Keep spare distance at the rear.",
+        "Add edges, name a second leader, or shorten the chain; keep spare distance at the rear. Use `cooperative` in place"
+        " of another law.",
     ),
 }

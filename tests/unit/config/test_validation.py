@@ -70,6 +70,14 @@ def test_all_errors_are_reported_in_file_order() -> None:
     ]
 
 
+def test_a_key_in_the_wrong_section_is_named_with_its_path() -> None:
+    lines = lines_of(
+        {"first_s": 1, "last_s": 2, "radius_m": 3, "areas": [{"kind": "point", "at_m": [1], "heights_m": 2}]}
+    )
+    assert 'radius_m: unknown key; did you mean "areas[N].radius_m"?' in lines
+    assert "areas[0].heights_m: unknown key; take it out" in lines
+
+
 def test_a_check_runs_when_the_fields_that_it_needs_are_valid() -> None:
     bad_area = {"areas": [{"kind": "point", "at_m": [1]}]}
     assert lines_of({"first_s": 2, "last_s": 1} | bad_area, order) == [

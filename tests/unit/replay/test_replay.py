@@ -97,6 +97,16 @@ def test_equal_ticks_are_one_line(flight: Path, capsys: pytest.CaptureFixture[st
     assert (code, out, err) == (0, f"vehicle 2: {count} ticks, all equal\n", "")
 
 
+def test_a_file_that_cannot_be_read_is_named_and_not_passed_over(
+    flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (rewritten(flight, tmp_path, unchanged) / "3.mcap").write_bytes(b"no recording")
+    code, out, err = replayed(tmp_path, capsys)
+    assert code == 2
+    assert "all equal" in out
+    assert "3.mcap: not an MCAP file" in err
+
+
 def test_one_bit_in_a_command_is_found(flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     number = first_setpoint(flight) + 10
     values: list[float] = []

@@ -235,6 +235,20 @@ def test_invalid_scenario_is_refused_as_in_flight(tmp_path: Path, old: str, new:
     assert said in str(caught.value)
 
 
+def test_settings_of_the_command_line_take_the_place_of_those_of_the_file(capsys: pytest.CaptureFixture[str]) -> None:
+    platoon = CONFIG / "scenarios" / "platoon.yaml"
+    settings = ["fleet.law.name=cooperative", "fleet.law.weight_ratio=0.2"]
+    analysis = analyse(load_subject(platoon, settings))
+    assert (analysis.law, analysis.laws["cooperative"].weight_ratio, analysis.settings) == (
+        "cooperative",
+        0.2,
+        settings,
+    )
+    assert "with fleet.law.name=cooperative, fleet.law.weight_ratio=0.2" in report(analysis).splitlines()
+    assert main(["analyze", str(platoon), "--set", "fleet.law.weight_ratio=2"]) == 2
+    assert capsys.readouterr().err == "--set: fleet.law.weight_ratio: 2: expected float <= 1.0\n"
+
+
 def test_sections_not_read_are_listed() -> None:
     analysis = analyse(load_subject(CONFIG / "scenarios" / "platoon.yaml"))
     assert analysis.not_read == ["stand_in", "timeline"]
