@@ -12,12 +12,14 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from companion.stability.arrays import FloatArray
-from sitl.report.metrics import Flight, Formation, TrackSource, distances_m, pair_name, reference_positions_m
+from sitl.report.metrics import Flight, Formation, Pair, TrackSource, distances_m, pair_name, reference_positions_m
 
 BEFORE_S = 2.0  # shown before the formation
-PAIRS_INSIDE = 7  # up to here the legend of the distances is inside the axes
+PAIRS_SHOWN = 7  # each with a curve of its own; of more pairs the nearest and the farthest ones, the others thin
+EXTREMES = 3  # as many of each
 MIN_SPAN_M = 1.0  # smallest range of an axis
 
 # The colour-blind safe palette of Okabe and Ito.
@@ -140,34 +142,52 @@ def draw_distances(axes: Axes, flight: Flight) -> None:
     """The distance of every drawn pair, largest values in the legend; thin dotted lines are the wanted distances."""
     times_s = _times_s(flight)
     since_s = times_s - flight.formation.start_s
-    inside = times_s >= flight.formation.start_s
-    wanted_m = sorted({round(float(distances_m(flight.slots, pair, times_s[-1:])[0]), 3) for pair in flight.pairs})
-    for index, pair in enumerate(flight.pairs):
-        distance_m = distances_m(flight.tracks, pair, times_s)
-        label = f"UAV {pair_name(pair)}, largest {distance_m[inside].max():.2f} m"
-        axes.plot(since_s, distance_m, label=label, **look(index, times_s.size))
+    curves_m = {pair: distances_m(flight.tracks, pair, times_s) for pair in flight.pairs}
+    shown = _shown(curves_m, times_s >= flight.formation.start_s)
+    others_m = [distance_m for pair, distance_m in curves_m.items() if pair not in shown]
+    if others_m:
+        axes.plot(since_s, np.transpose(others_m), color="#b0b0b0", linewidth=0.6, zorder=1.8)
+        axes.plot([], [], color="#b0b0b0", linewidth=0.6, label=f"{len(others_m)} other pairs")
+    for index, (pair, range_m) in enumerate(shown.items()):
+        label = f"UAV {pair_name(pair)}, {range_m}"
+        axes.plot(since_s, curves_m[pair], label=label, **look(index, times_s.size))
     if not flight.pairs:
         axes.text(0.5, 0.5, "one vehicle has no inter-distance", transform=axes.transAxes, ha="center")
+    wanted_m = sorted({round(float(distances_m(flight.slots, pair, times_s[-1:])[0]), 3) for pair in flight.pairs})
     for value_m in wanted_m:
         axes.axhline(value_m, **GUIDE)
     if wanted_m:
         axes.plot([], [], **GUIDE, label="wanted, " + " and ".join(f"{value_m:.2f} m" for value_m in wanted_m))
-    _legend_of_distances(axes, len(flight.pairs))
+        _legend_of_distances(axes, len(flight.pairs))
     dress(axes, since_s)
 
 
 def _legend_of_distances(axes: Axes, pairs: int) -> None:
     """Inside the axes for few pairs, else below them."""
-    if pairs > PAIRS_INSIDE:
+    if pairs > PAIRS_SHOWN:
         where: dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.2), "ncols": 2, "frameon": False}
         axes.legend(**where, fontsize=7, handlelength=3.5, columnspacing=1.0)
-    elif pairs:
+    else:
         axes.legend(loc="upper right", fontsize=8, framealpha=0.9, handlelength=3.5)
 
 
 def _height_of_legends_in(pairs: int) -> float:
     """Extra height of the figure for a legend below the axes."""
-    return 0.075 * (pairs + 1) + 0.2 if pairs > PAIRS_INSIDE else 0.0
+    return 0.8 if pairs > PAIRS_SHOWN else 0.0
+
+
+def _shown(curves_m: dict[Pair, FloatArray], inside: NDArray[np.bool_]) -> dict[Pair, str]:
+    """The pairs with a curve of their own and what the legend says of each: its largest distance in formation.
+
+    Of many pairs these are the EXTREMES that go farthest and as many that come nearest.
+    """
+    largest_m = {pair: float(curve[inside].max()) for pair, curve in curves_m.items()}
+    if len(curves_m) <= PAIRS_SHOWN:
+        return {pair: f"largest {value_m:.2f} m" for pair, value_m in largest_m.items()}
+    smallest_m = {pair: float(curve[inside].min()) for pair, curve in curves_m.items()}
+    farthest = sorted(curves_m, key=lambda pair: -largest_m[pair])[:EXTREMES]
+    nearest = sorted(curves_m, key=lambda pair: smallest_m[pair])[:EXTREMES]
+    return {pair: f"{smallest_m[pair]:.2f} to {largest_m[pair]:.2f} m" for pair in dict.fromkeys([*farthest, *nearest])}
 
 
 def dress(axes: Axes, since_s: FloatArray) -> None:
