@@ -6,7 +6,7 @@ import argparse
 import os
 from pathlib import Path
 
-from companion.cli.options import fail
+from companion.cli.options import add_overrides, fail
 
 NAME = "analyze"
 SUMMARY = "predicts the behaviour of a formation before it flies"
@@ -39,14 +39,7 @@ exit codes:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", type=Path, metavar="FILE", help="a scenario or fleet file (YAML)")
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        dest="overrides",
-        metavar="KEY=VALUE",
-        help="change one key of the file; may be given many times",
-    )
+    add_overrides(parser, "change one key of the file")
     parser.add_argument("--json", action="store_true", help="all figures as one JSON object instead of the text")
 
 

@@ -52,6 +52,18 @@ class LineParser(argparse.ArgumentParser):
         self.exit(EXIT_USAGE, f"{self.prog}: {printable(message)}; {self.prog} --help explains it\n")
 
 
+def add_overrides(parser: argparse.ArgumentParser, what: str) -> None:
+    """--set; its help says `what` one of them does."""
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        dest="overrides",
+        metavar="KEY=VALUE",
+        help=f"{what}; may be given many times",
+    )
+
+
 def number(text: str, expected: str, least: float, most: float) -> float:
     """A number from `least` to `most`. Raises argparse.ArgumentTypeError, which names what was `expected`."""
     try:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from companion.cli.options import fail, vehicle_id
+from companion.cli.options import add_overrides, fail, vehicle_id
 
 NAME = "replay"
 SUMMARY = "feeds recorded inputs to the agent again and compares its commands"
@@ -46,14 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="the folder with the recordings of a flight")
     parser.add_argument("--vehicle", type=vehicle_id, metavar="N", help="only this vehicle (default: all)")
     parser.add_argument("--law", choices=LAWS, help="compare with this law (short for --set fleet.law.name=LAW)")
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        dest="overrides",
-        metavar="KEY=VALUE",
-        help="compare with another value of one key of the fleet or vehicle file; may be given many times",
-    )
+    add_overrides(parser, "compare with another value of one key of the fleet or vehicle file")
     parser.add_argument(
         "--csv", type=Path, metavar="FILE", help="with --law or --set: the commands of every tick, recorded and other"
     )

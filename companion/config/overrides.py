@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,14 @@ from companion.config.file import ConfigError, StrictLoader
 
 SET = Path("--set")  # named in errors instead of a file
 LONGEST_KEY = 200
+
+
+def overridden(data: Any, overrides: Sequence[str], example: str) -> Any:
+    """A copy of the content with these values. Raises ConfigError, where `example` may help."""
+    data = deepcopy(data)
+    for override in overrides:
+        put(data, override, example)
+    return data
 
 
 def put(data: Any, override: str, example: str) -> None:

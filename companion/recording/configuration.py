@@ -11,7 +11,7 @@ import msgspec
 from companion.config.file import ConfigError, convert
 from companion.config.fleet import FleetConfig
 from companion.config.fleet_check import fleet_problems
-from companion.config.overrides import SET, put
+from companion.config.overrides import SET, overridden
 from companion.config.validation import Problem, each
 from companion.config.values import Section
 from companion.config.vehicle import AgentConfig, VehicleConfig, membership_problems
@@ -48,9 +48,7 @@ def recorded_config(path: Path, header: Header, overrides: Sequence[str] = ()) -
     config = _checked(path, files, header.vehicle_id)
     if not overrides:
         return config
-    for override in overrides:
-        put(files, override, EXAMPLE)
-    return _checked(SET, files, header.vehicle_id)
+    return _checked(SET, overridden(files, overrides, EXAMPLE), header.vehicle_id)
 
 
 def _plain(path: Path, text: str, what: str) -> Any:

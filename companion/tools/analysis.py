@@ -6,7 +6,6 @@ The figures are of the linear model (stability/prediction.py): no noise, no satu
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from copy import deepcopy
 from dataclasses import replace
 from math import tau
 from pathlib import Path
@@ -22,7 +21,7 @@ from companion.config.fleet import EdgeNeighbours, FleetConfig
 from companion.config.fleet_check import fleet_problems
 from companion.config.kind import kind_of_file, read_as
 from companion.config.law import LawName
-from companion.config.overrides import SET, put
+from companion.config.overrides import SET, overridden
 from companion.config.planned_flight import PlannedFlight, fleet_of, planned_problems, starts_of
 from companion.config.reference import Reference, moves
 from companion.config.topology import neighbour_graph
@@ -160,9 +159,7 @@ def load_subject(path: Path, overrides: Sequence[str] = ()) -> Subject:
     subject = _subject(path, data)  # the file must be valid by itself, so that an error below is an override's
     if not overrides:
         return subject
-    data = deepcopy(data)
-    for override in overrides:
-        put(data, override, example="fleet.law.name=average_22, or law.name=average_22 in a fleet file")
+    data = overridden(data, overrides, "fleet.law.name=average_22, or law.name=average_22 in a fleet file")
     return structs.replace(_subject(SET, data), file=path, settings=tuple(overrides))
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import argparse
 
-from sitl.cli.options import add_autopilot, add_out, add_overrides, add_port_offset, add_scenario, overrides_of
+from companion.cli.options import add_overrides
+from sitl.cli.options import add_autopilot, add_out, add_port_offset, add_scenario, overrides_of
 from sitl.flight.options import FleetOptions
 
 HELP = "a fleet of real processes that waits on the ground for `companion fleet`"
@@ -43,7 +44,7 @@ exit codes:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_scenario(parser)
     add_autopilot(parser)
-    add_overrides(parser)
+    add_overrides(parser, "change one key of the scenario")
     add_out(parser)
     parser.add_argument("--quiet", action="store_true", help="do not show the vehicles, only how to command them")
     add_port_offset(parser)

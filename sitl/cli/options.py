@@ -20,17 +20,6 @@ def add_scenario(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scenario", type=Path, metavar="SCENARIO", help="a scenario file, see config/scenarios/")
 
 
-def add_overrides(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        dest="overrides",
-        metavar="KEY=VALUE",
-        help="change one key of the scenario; may be given many times",
-    )
-
-
 def add_autopilot(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--autopilot",

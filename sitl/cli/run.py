@@ -6,8 +6,9 @@ import argparse
 from collections.abc import Sequence
 from typing import get_args
 
+from companion.cli.options import add_overrides
 from companion.config.law import LawName
-from sitl.cli.options import add_autopilot, add_out_and_quiet, add_overrides, add_scenario, overrides_of
+from sitl.cli.options import add_autopilot, add_out_and_quiet, add_scenario, overrides_of
 from sitl.flight.options import RunOptions
 
 LAWS: tuple[LawName, ...] = get_args(LawName)
@@ -71,7 +72,7 @@ def add_flight_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="LAW",
         help="fly with the scenario's law, then with these (default: with all others), and compare",
     )
-    add_overrides(parser)
+    add_overrides(parser, "change one key of the scenario")
     parser.add_argument("--anyway", action="store_true", help="fly a formation that `companion analyze` rejects")
     add_out_and_quiet(parser)
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import argparse
 
-from sitl.cli.options import add_cluster, add_out_and_quiet, add_overrides, add_scenario, number, whole_number
+from companion.cli.options import add_overrides
+from sitl.cli.options import add_cluster, add_out_and_quiet, add_scenario, number, whole_number
 from sitl.sweep.options import DEFAULT_SEEDS, LONGEST_S, MAX_FLIGHTS, SHORTEST_S, SweepOptions
 
 HELP = "statistics: many flights of one formation, with varied keys and seeds, side by side in arrays"
@@ -75,7 +76,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help=f"duration of each flight, {SHORTEST_S:g} to {LONGEST_S:g} (default: for_s of the scenario's form step)",
     )
-    add_overrides(parser)
+    add_overrides(parser, "change one key of the scenario")
     add_cluster(parser)
     add_out_and_quiet(parser)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from copy import deepcopy
 from itertools import pairwise
 from math import inf
 from pathlib import Path
@@ -17,7 +16,7 @@ from companion.config.file import convert
 from companion.config.fleet import FleetConfig
 from companion.config.fleet_check import checkable
 from companion.config.kind import read_as
-from companion.config.overrides import SET, put
+from companion.config.overrides import SET, overridden
 from companion.config.planned_flight import PlannedFlight, fleet_of, planned_problems, starts_of
 from companion.config.reference import Reference
 from companion.config.validation import Problem, each, unless_invalid
@@ -103,10 +102,7 @@ def load_scenario(path: Path, overrides: Sequence[str] = ()) -> Scenario:
     scenario = scenario_from(path, data)  # the file must be valid by itself, so that an error below is an override's
     if not overrides:
         return scenario
-    data = deepcopy(data)
-    for override in overrides:
-        put(data, override, example="fleet.law.name=average_22 or timeline[3].for_s=20")
-    return scenario_from(SET, data)
+    return scenario_from(SET, overridden(data, overrides, "fleet.law.name=average_22 or timeline[3].for_s=20"))
 
 
 def reference_of(scenario: Scenario) -> ReferenceTrajectory:
