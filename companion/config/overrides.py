@@ -20,11 +20,11 @@ def overridden(data: Any, overrides: Sequence[str], example: str) -> Any:
     """A copy of the content with these values. Raises ConfigError, where `example` may help."""
     data = deepcopy(data)
     for override in overrides:
-        put(data, override, example)
+        _put(data, override, example)
     return data
 
 
-def put(data: Any, override: str, example: str) -> None:
+def _put(data: Any, override: str, example: str) -> None:
     """Set the value, written in YAML; sections that are missing are made. Raises ConfigError, where `example` may help."""
     field, equals, text = override.partition("=")
     steps = _steps(field) if len(field) <= LONGEST_KEY else []  # Python refuses to read a number of thousands of digits
