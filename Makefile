@@ -8,7 +8,7 @@ BIN := .venv/bin
 # times the CPU time and 10 MB more memory, and a worker collects the tests in 2.8 times the time.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help fly hostile soak gauntlet pictures bench bench-batch bench-filter bench-identities bench-recording bench-replay bench-page bench-large-fleet transports test test-fast test-virtual test-real-time test-page test-again test-long test-vehicles test-fleets test-package deb boot faults attacks check mavlink docs docs-check site page-vendor screenshots format setup clean
+.PHONY: help fly hostile soak gauntlet pictures bench bench-batch bench-filter bench-identities bench-recording bench-replay bench-page bench-large-fleet transports test test-fast test-virtual test-real-time test-page test-again test-long test-vehicles test-fleets test-package deb boot faults attacks tick tighten check mavlink docs docs-check site page-vendor screenshots format setup clean
 
 help:
 	@echo "make fly        fly the paper's platoon with four agents and four stand-in autopilots, weighted against average"
@@ -22,6 +22,8 @@ help:
 	@echo "make boot       boots systemd in a container with the package installed; writes docs/boot.md (needs root, debootstrap, systemd-container)"
 	@echo "make faults     flies real fleets under every fault and writes the measured table into docs/faults.md (a quarter of an hour)"
 	@echo "make attacks    lets strangers attack a real fleet with identities and writes the table into docs/attacks.md (minutes)"
+	@echo "make tick       files, classes, calls and depth of a follower's tick, as a diagram of its stages and as JSON"
+	@echo "make tighten    lowers the budgets of source and tick (tests/unit/budgets.json) to today's figures"
 	@echo "make check      ruff, mypy --strict and the import directions"
 	@echo "make mavlink    writes the MAVLink messages in use, with pymavlink's generator"
 	@echo "make docs       writes the generated parts of docs/ again; make docs-check reports those that are not current"
@@ -160,6 +162,14 @@ faults: .venv/test.ready
 
 attacks: .venv/test.ready
 	$(BIN)/pytest -v --faults --fault-table docs/attacks.md tests/faults/test_strangers.py tests/faults/test_strangers_quic.py
+
+# Of a follower in steady formation; tests/unit/test_budgets.py holds the budgets of tests/unit/budgets.json.
+tick: .venv/fly.ready
+	$(BIN)/python -m tests.bench.tick
+
+# Writes today's figures into the budgets where they are lower.
+tighten: .venv/fly.ready
+	$(BIN)/python -m tests.bench.budgets --tighten
 
 check: .venv/test.ready docs-check
 	$(BIN)/python -m companion.mavlink.generate --check

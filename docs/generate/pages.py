@@ -14,6 +14,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).parents[2]))
 sys.path.insert(0, str(Path(__file__).parent))
 
 import api_tables
@@ -23,8 +24,9 @@ import metrics_table
 import package_diagram
 import phase_diagram
 import protocol_tables
-import tick
 import troubleshooting_page
+
+from tests.bench import stages
 
 DOCS = Path(__file__).parent.parent
 TOP = DOCS.parent
@@ -44,7 +46,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "packages": package_diagram.diagram,
     "phases": phase_diagram.diagram,
     "commands": phase_diagram.table,
-    "tick": tick.diagram,
+    "tick": stages.diagram,
     "timing": protocol_tables.timing,
     "telemetry": protocol_tables.telemetry,
     "modes": protocol_tables.modes,

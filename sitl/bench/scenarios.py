@@ -1,4 +1,4 @@
-"""Scenarios of the measurements: lines, grids and stars of any number of vehicles in hover."""
+"""Scenarios of the measurements: lines, grids, stars and complete graphs of any number of vehicles in hover."""
 
 from __future__ import annotations
 
@@ -32,6 +32,12 @@ def star(neighbours: int, form_s: float) -> Scenario:
     """Vehicle 2, a follower, has this many neighbours, vehicle 1, the leader, among them; they have no other."""
     slots = _grid(neighbours + 1)
     return _scenario(slots, [[2, i] for i in slots if i != 2], form_s)
+
+
+def complete(count: int, form_s: float) -> Scenario:
+    """Vehicles on a square grid, each a neighbour of all others."""
+    slots = _grid(count)
+    return _scenario(slots, [[a, b] for a, b in combinations(slots, 2)], form_s)
 
 
 def _grid(count: int) -> dict[int, Position]:

@@ -1,0 +1,1 @@
+"""Measurements of speed, size and resources: `make help` lists them."""
