@@ -21,6 +21,9 @@ NOT_COUNTED = re.compile(
 )
 
 
+WORD = re.compile(r"\S*\w\S*")
+
+
 def pages() -> dict[str, int]:
     """Words of each hand-written page, by its path from the top of the repository."""
     found = [
@@ -30,7 +33,9 @@ def pages() -> dict[str, int]:
         *sorted((DOCS / "architecture").glob("*.md")),
     ]
     counted = [path for path in found if path.name not in GENERATED | MEASURED]
-    return {str(path.relative_to(TOP)): len(NOT_COUNTED.sub("", path.read_text("utf-8")).split()) for path in counted}
+    return {
+        str(path.relative_to(TOP)): len(WORD.findall(NOT_COUNTED.sub("", path.read_text("utf-8")))) for path in counted
+    }
 
 
 def main() -> int:
