@@ -60,6 +60,6 @@ def run(options: argparse.Namespace) -> int:
         return fail("companion doctor: --host changes nothing: leave out --fix", EXIT_FILE)
     if options.config is None:
         return fail("companion doctor: --config FILE is needed, or --host for this computer alone", EXIT_FILE)
-    from companion.tools.doctor import Options, run_doctor
+    from companion.tools.doctor import DoctorOptions, run_doctor
 
-    return exit_code_of(lambda: run_doctor(Options(options.config, options.wait_s, options.fix, options.json)))
+    return exit_code_of(lambda: run_doctor(DoctorOptions(options.config, options.wait_s, options.fix, options.json)))

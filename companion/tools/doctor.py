@@ -29,7 +29,7 @@ ASK_ORIGIN_PERIOD_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class Options:
+class DoctorOptions:
     """Options of the command line."""
 
     file: Path
@@ -38,14 +38,14 @@ class Options:
     as_json: bool
 
 
-def run_doctor(options: Options) -> int:
+def run_doctor(options: DoctorOptions) -> int:
     """The exit code. Raises ConfigError and AutopilotSilentError."""
     config = load_agent(options.file)
     check_agent(options.file, config)
     return asyncio.run(_run(options, config))
 
 
-async def _run(options: Options, config: AgentConfig) -> int:
+async def _run(options: DoctorOptions, config: AgentConfig) -> int:
     with closing(DoctorSession(options.file, config)) as session:
         diagnosis = await run_on_bench(session, options.wait_s, partial(_examine, session, options))
     if options.as_json:
@@ -53,7 +53,7 @@ async def _run(options: Options, config: AgentConfig) -> int:
     return FIT if diagnosis.fit else UNFIT
 
 
-async def _examine(session: DoctorSession, options: Options) -> Diagnosis:
+async def _examine(session: DoctorSession, options: DoctorOptions) -> Diagnosis:
     """Audit and print; with --fix set parameters, then audit and print again."""
     show: Callable[[str], None] = _nothing if options.as_json else print
     diagnosis = await session.diagnose()

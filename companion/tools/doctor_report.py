@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from companion.core.safety.audit import Finding, Verdict
 from companion.types.autopilot import AutopilotKind
 
-MAKES = {AutopilotKind.PX4: "PX4", AutopilotKind.ARDUPILOT: "ArduCopter"}
+AUTOPILOT_NAMES = {AutopilotKind.PX4: "PX4", AutopilotKind.ARDUPILOT: "ArduCopter"}
 SHOWN = {Verdict.OK: "ok", Verdict.WARNING: "warning", Verdict.REFUSAL: "REFUSAL"}
 WIDEST_FOUND = 44  # characters; a longer value shifts only its own line
 
@@ -46,7 +46,7 @@ class Diagnosis:
 
 def heading(diagnosis: Diagnosis) -> str:
     """The first line of the report."""
-    return f"vehicle {diagnosis.vehicle}, {MAKES[diagnosis.autopilot]} at {diagnosis.mavlink}"
+    return f"vehicle {diagnosis.vehicle}, {AUTOPILOT_NAMES[diagnosis.autopilot]} at {diagnosis.mavlink}"
 
 
 def lines(findings: Sequence[Finding]) -> Iterator[str]:

@@ -44,7 +44,7 @@ class Written:
 
 
 @dataclass(frozen=True, slots=True)
-class Kind:
+class CsvKind:
     """The records that become one file: its name ends in `name`. `cells` makes the row of a record."""
 
     name: str
@@ -62,8 +62,8 @@ def _status_cells(report: StatusReport) -> list[Any]:
 
 
 KINDS = (
-    Kind("decision", DECISION, DECISIONS.names, DECISIONS.cells),
-    Kind("status", STATUS, STATUSES.names, _status_cells),
+    CsvKind("decision", DECISION, DECISIONS.names, DECISIONS.cells),
+    CsvKind("status", STATUS, STATUSES.names, _status_cells),
 )
 
 
@@ -107,7 +107,7 @@ def _names(found: Sequence[Recording]) -> list[str]:
     return names
 
 
-def _written(path: Path, recording: Recording, clock: Clock, begin_s: float, kind: Kind) -> Written:
+def _written(path: Path, recording: Recording, clock: Clock, begin_s: float, kind: CsvKind) -> Written:
     """Raises OSError."""
     rows = 0
     with _complete_or_absent(path) as file:

@@ -18,7 +18,16 @@ from companion.config.file import ConfigError
 from companion.config.vehicle import AgentConfig, load_agent
 from companion.link.bench import LISTEN_PERIOD_S, Bench, run_on_bench
 from companion.link.flight_logs import FlightLogs, FlightLogsError, LogEntry, NothingCameError
-from companion.tools.logs_report import Log, NoSuchLogError, Report, choose, file_name, heading, listing, progress_text
+from companion.tools.logs_report import (
+    FlightLog,
+    LogsReport,
+    NoSuchLogError,
+    choose,
+    file_name,
+    heading,
+    listing,
+    progress_text,
+)
 from companion.types.autopilot import AutopilotKind
 from companion.types.telemetry import HeartbeatSample, TextSample
 
@@ -68,9 +77,9 @@ async def _run(options: LogsOptions, config: AgentConfig) -> int:
     return INCOMPLETE if report.failure else COMPLETE
 
 
-async def _serve(session: LogSession, options: LogsOptions) -> Report:
+async def _serve(session: LogSession, options: LogsOptions) -> LogsReport:
     """List the logs, or download the selected ones, and print the progress."""
-    report = Report(session.vehicle_id, session.autopilot, session.endpoint)
+    report = LogsReport(session.vehicle_id, session.autopilot, session.endpoint)
     show: Callable[[str], None] = _nothing if options.as_json else print
     try:
         listed = await session.entries()
@@ -79,7 +88,7 @@ async def _serve(session: LogSession, options: LogsOptions) -> Report:
         chosen = choose(listed, options.wanted, session.autopilot)
         show(heading(report))
         if not options.wanted:
-            report = replace(report, logs=tuple(Log(log.id, log.date_utc, log.size_bytes) for log in listed))
+            report = replace(report, logs=tuple(FlightLog(log.id, log.date_utc, log.size_bytes) for log in listed))
             for line in listing(report.logs):
                 show(line)
         for entry in chosen:
@@ -159,10 +168,10 @@ class LogSession:
                 break
         return listed
 
-    async def get(self, entry: LogEntry, folder: Path) -> tuple[Log, str]:
+    async def get(self, entry: LogEntry, folder: Path) -> tuple[FlightLog, str]:
         """Download a log: (the log with its file, a line for the report). Raises FlightLogsError."""
         file = folder / file_name(self.vehicle_id, entry, self.autopilot)
-        log = Log(entry.id, entry.date_utc, entry.size_bytes, str(file))
+        log = FlightLog(entry.id, entry.date_utc, entry.size_bytes, str(file))
         try:
             if file.exists():
                 _check_same(file, entry)

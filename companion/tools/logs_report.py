@@ -8,7 +8,7 @@ from datetime import datetime
 from pathlib import Path
 
 from companion.link.flight_logs import LogEntry
-from companion.tools.doctor_report import MAKES
+from companion.tools.doctor_report import AUTOPILOT_NAMES
 from companion.types.autopilot import AutopilotKind
 
 ALL, LAST = "all", "last"  # in place of an id
@@ -16,7 +16,7 @@ SUFFIXES = {AutopilotKind.PX4: ".ulg", AutopilotKind.ARDUPILOT: ".bin"}
 
 
 @dataclass(frozen=True, slots=True)
-class Log:
+class FlightLog:
     """One log; `file` is its copy after --get."""
 
     id: int
@@ -26,7 +26,7 @@ class Log:
 
 
 @dataclass(frozen=True, slots=True)
-class Report:
+class LogsReport:
     """Result for one vehicle, as `--json` prints it.
 
     `logs` are those listed, or with --get those now in the folder. `failure` is the reason why some are missing.
@@ -35,7 +35,7 @@ class Report:
     vehicle: int
     autopilot: AutopilotKind
     mavlink: str
-    logs: tuple[Log, ...] = ()
+    logs: tuple[FlightLog, ...] = ()
     failure: str = ""
 
 
@@ -70,12 +70,12 @@ def file_name(vehicle_id: int, log: LogEntry, autopilot: AutopilotKind) -> Path:
     return Path(f"vehicle-{vehicle_id}{date}_log-{log.id}{SUFFIXES[autopilot]}")
 
 
-def heading(report: Report) -> str:
+def heading(report: LogsReport) -> str:
     """The first line of the report."""
-    return f"vehicle {report.vehicle}, {MAKES[report.autopilot]} at {report.mavlink}"
+    return f"vehicle {report.vehicle}, {AUTOPILOT_NAMES[report.autopilot]} at {report.mavlink}"
 
 
-def listing(logs: Sequence[Log]) -> Iterator[str]:
+def listing(logs: Sequence[FlightLog]) -> Iterator[str]:
     """The list, in columns."""
     yield f"{'log':>5}  {'last written (UTC)':<19}  {'size':>10}"
     for log in logs:
