@@ -53,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """The exit code."""
     if options.host and not options.fix:
-        from companion.tools.host.report import run_host
+        from companion.tools.host_checks import run_host
 
         return exit_code_of(lambda: run_host(options.config, options.json))
     if options.host:

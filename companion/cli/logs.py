@@ -67,7 +67,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _requested_log(text: str) -> int | str:
-    from companion.tools.logs_report import ALL, LAST
+    from companion.tools.logs import ALL, LAST
 
     if text in (ALL, LAST):
         return text

@@ -1,27 +1,115 @@
-"""`companion doctor`: checks whether a vehicle is fit to fly in formation, and sets safe parameter values."""
+"""Report of `companion doctor`: one line per finding, and a summary."""
 
 from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Coroutine, Iterable
+from collections.abc import Callable, Coroutine, Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 
 import msgspec
 
 from companion.assembly import check_agent, output_limits_of, tracker_of
+from companion.config.file import ConfigError
 from companion.config.vehicle import AgentConfig, load_agent
 from companion.core.estimation.survey import WINDOW_S, Survey
-from companion.core.safety.audit import Facts, Finding, PositionCheck, audit, parameter_names, worst
+from companion.core.safety.audit import Facts, Finding, PositionCheck, Verdict, audit, parameter_names, worst
 from companion.link.bench import LISTEN_PERIOD_S, Bench, run_on_bench
 from companion.link.parameters import ParameterError, Parameters
-from companion.tools.doctor_report import Change, Diagnosis, heading, lines, summary
-from companion.tools.network_report import network_line
-from companion.types.autopilot import VehicleState
+from companion.types.autopilot import AutopilotKind, VehicleState
 from companion.types.requests import RequestOrigin
+
+AUTOPILOT_NAMES = {AutopilotKind.PX4: "PX4", AutopilotKind.ARDUPILOT: "ArduCopter"}
+SHOWN = {Verdict.OK: "ok", Verdict.WARNING: "warning", Verdict.REFUSAL: "REFUSAL"}
+WIDEST_FOUND = 44  # characters; a longer value shifts only its own line
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """A parameter that --fix set, or the reason why it did not."""
+
+    name: str
+    found: str
+    value: float
+    failure: str = ""
+
+    def __str__(self) -> str:
+        outcome = f"not set: {self.failure}" if self.failure else "set and read back"
+        return f"{self.name}: {self.found} -> {self.value:g}: {outcome}"
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """Result of the doctor for one vehicle, as `--json` prints it."""
+
+    vehicle: int
+    autopilot: AutopilotKind
+    mavlink: str
+    verdict: Verdict
+    findings: tuple[Finding, ...]
+    changes: tuple[Change, ...] = ()
+
+    @property
+    def fit(self) -> bool:
+        """Whether there is no refusal and every parameter could be set."""
+        return self.verdict is not Verdict.REFUSAL and not any(change.failure for change in self.changes)
+
+
+def heading(diagnosis: Diagnosis) -> str:
+    """The first line of the report."""
+    return f"vehicle {diagnosis.vehicle}, {AUTOPILOT_NAMES[diagnosis.autopilot]} at {diagnosis.mavlink}"
+
+
+def lines(findings: Sequence[Finding]) -> Iterator[str]:
+    """One line per finding, in columns; the code follows where the finding is not OK."""
+    subject_width = max((len(finding.subject) for finding in findings), default=0)
+    found_width = min(WIDEST_FOUND, max((len(finding.found) for finding in findings), default=0))
+    for finding in findings:
+        wanted = f"wanted: {finding.wanted}" + (f"; {finding.remedy}" if finding.remedy else "")
+        wanted += f" [{finding.code}]" if finding.code else ""
+        yield f"{SHOWN[finding.verdict]:<8} {finding.subject:<{subject_width}}  {finding.found:<{found_width}}  {wanted}"
+
+
+def summary(diagnosis: Diagnosis) -> str:
+    """The last line: fit or not, number of findings, and what --fix would set."""
+    refusals = sum(finding.verdict is Verdict.REFUSAL for finding in diagnosis.findings)
+    warnings = sum(finding.verdict is Verdict.WARNING for finding in diagnosis.findings)
+    fixable = [f"{finding.subject} to {finding.fix:g}" for finding in diagnosis.findings if finding.fix is not None]
+    text = "not fit to fly in formation" if refusals else "fit to fly in formation"
+    text += f": {_count(refusals, 'refusal')}, {_count(warnings, 'warning')}"
+    if fixable and not diagnosis.changes:
+        text += f"; --fix would set {', '.join(fixable)}"
+    return text
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}" + ("" if number == 1 else "s")
+
+
+SOON_DAYS = 30
+
+
+def network_line(vehicle_file: Path, config: AgentConfig) -> str:
+    """Identity, no security, or none needed. An identity that cannot be used is named, as the agent would refuse it."""
+    if config.vehicle.identity is None:
+        if config.fleet.security == "none":
+            return "warning  network: UNSECURED: strangers in it can command this vehicle (security: none in the fleet file)"
+        return "ok       network: reached from this computer only"
+    from companion.link.fleet.own_identity import vehicle_identity  # without an identity its library is not loaded
+
+    try:
+        identity = vehicle_identity(vehicle_file, config)
+    except ConfigError as error:
+        return f"REFUSAL  network: {error}"
+    days = (identity.expires_at - datetime.now(UTC)).days
+    soon = f"; companion provision renew, {days} days are left" if days < SOON_DAYS else ""
+    words = f"identity {identity.common_name}, valid until {identity.expires_at:%Y-%m-%d}"
+    return f"{'warning' if soon else 'ok':<8} network: {words}, admission list {identity.admitted.number}{soon}"
+
 
 FIT, UNFIT = 0, 1  # exit codes
 SETTLE_S = 1.0  # until the streams have the requested rates

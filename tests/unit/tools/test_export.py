@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from companion.cli.main import main
 from companion.recording.reader import Recording
 from companion.recording.records import DECISION, STATUS, DecisionRecord
-from companion.tools.columns import Table
+from companion.tools.export import Table
 from companion.types.autopilot import PositionError
 from companion.types.formation import LeaderBeacon
 from companion.types.notices import Code, Notice

@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 from companion.link.flight_logs import FlightLogsError, LogEntry
-from companion.tools.logs import give_name
-from companion.tools.logs_report import NoSuchLogError, choose, file_name, progress_text, size_text
+from companion.tools.logs import NoSuchLogError, choose, file_name, give_name, progress_text, size_text
 from companion.types.autopilot import AutopilotKind
 
 PX4, ARDUPILOT = AutopilotKind.PX4, AutopilotKind.ARDUPILOT

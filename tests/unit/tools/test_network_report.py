@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from companion.config.vehicle import load_agent
-from companion.tools.network_report import network_line
+from companion.tools.doctor import network_line
 from identities import provisioned
 
 

@@ -8,13 +8,23 @@ from pathlib import Path
 import pytest
 
 from board_tree import LINKS, OUTPUTS, board_tree
-from companion.tools.host.board import Board
-from companion.tools.host.finding import HostFinding, HostVerdict
-from companion.tools.host.network import clock, wifi_power_saving
-from companion.tools.host.power import governor, supply_voltage, temperature
-from companion.tools.host.report import examine, report, serial_port_of
-from companion.tools.host.serial_port import serial_console, uart_speed
-from companion.tools.host.system import disk, kernel, python, root_file_system
+from companion.tools.host_board import Board, HostFinding, HostVerdict
+from companion.tools.host_checks import (
+    clock,
+    disk,
+    examine,
+    governor,
+    kernel,
+    python,
+    report,
+    root_file_system,
+    serial_console,
+    serial_port_of,
+    supply_voltage,
+    temperature,
+    uart_speed,
+    wifi_power_saving,
+)
 
 OK, UNKNOWN, WARNING, PROBLEM = HostVerdict.OK, HostVerdict.UNKNOWN, HostVerdict.WARNING, HostVerdict.PROBLEM
 Make = Callable[..., Board]

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import re
 
-from companion.tools.host.network import SWITCH_OFF
-from companion.tools.host.power import KEEP_PERFORMANCE
+from companion.tools.host_checks import KEEP_PERFORMANCE, SWITCH_OFF
 from repository import ROOT
 
 

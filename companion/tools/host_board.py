@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
 from pathlib import Path
 
 MOST_BYTES = 65536  # of one file; all that are read are far shorter
@@ -90,3 +91,38 @@ def _output(command: tuple[str, ...]) -> str | None:
     except (OSError, subprocess.SubprocessError):
         return None
     return done.stdout.strip()
+
+
+class HostVerdict(StrEnum):
+    """How a finding is judged. Missing information is never a problem."""
+
+    OK = "ok"
+    UNKNOWN = "not known"
+    WARNING = "warning"
+    PROBLEM = "problem"
+
+
+@dataclass(frozen=True, slots=True)
+class HostFinding:
+    """One line of the report: what was checked, what was found, and what to do about it."""
+
+    subject: str
+    verdict: HostVerdict
+    found: str
+    remedy: str = ""
+
+
+def ok(subject: str, found: str) -> HostFinding:
+    return HostFinding(subject, HostVerdict.OK, found)
+
+
+def unknown(subject: str, found: str, remedy: str = "") -> HostFinding:
+    return HostFinding(subject, HostVerdict.UNKNOWN, found, remedy)
+
+
+def warning(subject: str, found: str, remedy: str) -> HostFinding:
+    return HostFinding(subject, HostVerdict.WARNING, found, remedy)
+
+
+def problem(subject: str, found: str, remedy: str) -> HostFinding:
+    return HostFinding(subject, HostVerdict.PROBLEM, found, remedy)

@@ -1,1 +1,0 @@
-"""`companion doctor --host`: checks of the companion computer itself. Each is a pure function of a `Board`."""
