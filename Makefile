@@ -52,44 +52,44 @@ fly: .venv/fly.ready
 # Ends with exit code 1 where two vehicles came closer than allowed; the table is written in any case.
 SECONDS = 3600
 soak: .venv/fly.ready
-	$(BIN)/python -m sitl.soak --seconds $(SECONDS) $(if $(filter 3600,$(SECONDS)),--page docs/soak.md)
+	$(BIN)/python -m tests.soak --seconds $(SECONDS) $(if $(filter 3600,$(SECONDS)),--page docs/soak.md)
 
 gauntlet: .venv/fly.ready
 	$(BIN)/sitl gauntlet --flights 1000 --seed 1 --out runs/gauntlet --page docs/gauntlet.md
 
 # Real-time figures are measured: without other load. The environment with RotorPy is made once, which takes some minutes.
 bench: .venv/fly.ready .venv-bench/bench.ready
-	$(BIN)/python -m sitl.bench --out runs/bench/bench.json --page docs/performance.md
+	$(BIN)/python -m tests.bench --out runs/bench/bench.json --page docs/performance.md
 
 # Ten million inputs for each decoder and a million ticks of whole agents; the result is docs/hostile.md.
 hostile: .venv/fly.ready
-	$(BIN)/sitl hostile --inputs 10000000 --ticks 1000000 --out docs/hostile.md
+	$(BIN)/python -m tests.fuzz --inputs 10000000 --ticks 1000000 --out docs/hostile.md
 
 bench-batch: .venv-bench/bench.ready
-	.venv-bench/bin/python -m sitl.batch.benchmark
+	.venv-bench/bin/python -m tests.bench.batch_models
 
 # In network namespaces: needs root and iproute2.
 transports: .venv/fly.ready
-	$(BIN)/python -m sitl.transports --page docs/transports.md
+	$(BIN)/python -m tests.bench.transports --page docs/transports.md
 
 bench-identities: .venv/fly.ready
-	$(BIN)/python -m sitl.transports.agents
+	$(BIN)/python -m tests.bench.identities
 
 bench-recording: .venv/fly.ready
-	$(BIN)/python -m sitl.recording_benchmark
+	$(BIN)/python -m tests.bench.recording
 
 bench-replay: .venv/fly.ready
-	$(BIN)/python -m sitl.replay_benchmark
+	$(BIN)/python -m tests.bench.replay
 
 bench-page: .venv/test.ready
-	$(BIN)/python -m sitl.page_benchmark
+	$(BIN)/python -m tests.bench.live_page
 
 # Needs iproute2, for the kernel's counters of bytes.
 bench-large-fleet: .venv/fly.ready
-	$(BIN)/python -m sitl.large_fleet --page docs/large-fleets.md
+	$(BIN)/python -m tests.bench.large_fleet --page docs/large-fleets.md
 
 bench-filter: .venv/fly.ready
-	$(BIN)/python -m sitl.filter_benchmark
+	$(BIN)/python -m tests.bench.filter_step
 
 # What README and docs show of scenarios flown in virtual time: the same pictures to the last bit wherever they are made.
 PICTURES = aggregation ring_figure_8 formations moving_target leaving turning_column fence_and_obstacles

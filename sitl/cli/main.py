@@ -45,7 +45,7 @@ def _main() -> int:
 
 
 def parser() -> argparse.ArgumentParser:
-    from sitl.cli import autopilot, completion, fleet, fly, gauntlet, hostile, new, paper, run, study, sweep, switching
+    from sitl.cli import autopilot, completion, fleet, fly, gauntlet, new, paper, run, study, sweep, switching
 
     whole = LineParser(prog="sitl", description="Stand-in vehicles, and whole fleets of real processes.")
     whole.add_argument("--version", action="version", version=f"sitl {__version__}")
@@ -60,7 +60,6 @@ def parser() -> argparse.ArgumentParser:
         "sweep": sweep,
         "study": study,
         "switching": switching,
-        "hostile": hostile,
         "gauntlet": gauntlet,
         "completion": completion,
     }

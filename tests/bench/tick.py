@@ -24,13 +24,13 @@ from types import CodeType, FrameType
 
 from companion.core.agent import Agent
 from companion.types.tick import Outbox
-from sitl.bench.scenarios import complete
 from sitl.flight.director import Director
 from sitl.flight.lockstep import Lockstep
 from sitl.flight.scenario import Scenario, load_scenario
 from sitl.flight.watch import watch_of
 from sitl.report.progress import Progress
 from tests.bench import stages
+from tests.bench.scenarios import complete
 
 TOP = Path(__file__).parents[2]
 PLATOON = TOP / "config" / "scenarios" / "platoon.yaml"

@@ -30,7 +30,7 @@ from companion.types.telemetry import (
 from companion.types.tick import Inbox, Outbox
 from companion.types.traffic import ReceivedTraffic, TrafficSample
 from companion.types.vectors import Vector3
-from sitl.hostile.plant import PARAMETERS
+from tests.fuzz.plant import PARAMETERS
 
 FLEET = FleetConfig(
     name="pair",

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from background import Background
 from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
 from companion.mavlink.signing import SigningKey
-from sitl.hostile.plant import PARAMETERS
+from tests.fuzz.plant import PARAMETERS
 
 PERIOD_S = 0.02
 LOITER, OFFBOARD = (4, 3), (6, 0)

@@ -13,7 +13,7 @@ from companion.config.network import ZenohEndpoints
 from companion.link.fleet.zenoh_link import ZenohLink
 from companion.types.commands import Command, CommandReply
 from companion.types.notices import Code
-from sitl.monitor_load import SteadyFleet, steady_fleet
+from tests.bench.monitor_load import SteadyFleet, steady_fleet
 
 PERIOD_S = 0.05
 Answer = Callable[[int, Command], CommandReply | None]

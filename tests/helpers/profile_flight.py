@@ -18,7 +18,7 @@ from companion.types.flight import FlightPhase, Role
 from companion.types.notices import Code, Notice
 from companion.types.status import Status
 from companion.types.tick import Inbox
-from sitl.hostile.plant import PARAMETERS
+from tests.fuzz.plant import PARAMETERS
 
 M, P, C = mavlink, FlightPhase, CommandName
 PX4, ARDUPILOT = AutopilotKind.PX4, AutopilotKind.ARDUPILOT

@@ -22,7 +22,7 @@ from companion.monitor.server.site import Site
 from companion.monitor.sources import LiveSource, ReplaySource, Source
 from companion.monitor.station import Station
 from linked_vehicles import LinkedVehicles
-from sitl.monitor_load import SteadyFleet, steady_fleet
+from tests.bench.monitor_load import SteadyFleet, steady_fleet
 
 TOKEN = "a-token-of-this-test"
 

@@ -15,8 +15,8 @@ from companion.types.flight import FlightPhase
 from companion.types.notices import Code
 from companion.types.peers import PeerPacket
 from companion.types.vectors import Vector3
-from sitl.hostile.fleet import Hostile, HostileFleet
-from sitl.hostile.plant import TICK_S
+from tests.fuzz.fleet import Hostile, HostileFleet
+from tests.fuzz.plant import TICK_S
 
 LEADER, FOLLOWER = 1, 2
 MOST_M, GONE_M, GONE_AFTER_S = 0.6, 0.05, 12.0

@@ -32,7 +32,9 @@ def monitored(folder: Path, *options: str) -> Iterator[str]:
     """The URL of the page of three vehicles in formation."""
     port, page_port = free_port(SOCK_STREAM), free_port(SOCK_STREAM)
     fleet_file = folder / "fleet.yaml"
-    with running("sitl.monitor_load", "--vehicles", "3", "--port", str(port), "--write-fleet", str(fleet_file)) as load:
+    with running(
+        "tests.bench.monitor_load", "--vehicles", "3", "--port", str(port), "--write-fleet", str(fleet_file)
+    ) as load:
         assert load.stdout
         assert load.stdout.readline()
         listening = ("--connect", f"tcp/127.0.0.1:{port}", "--listen", f"127.0.0.1:{page_port}")

@@ -21,7 +21,7 @@ from companion.types.notices import Code
 from companion.wire.ground import StatusReport
 from linked_vehicles import LinkedVehicles, accept, linked_vehicles
 from served_site import TOKEN, Served, served_live, until_true
-from sitl.monitor_load import SteadyFleet
+from tests.bench.monitor_load import SteadyFleet
 
 
 def with_fleet(work: Callable[[Served, LinkedVehicles], Awaitable[None]]) -> None:

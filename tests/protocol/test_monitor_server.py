@@ -19,7 +19,7 @@ from companion.wire.keys import status_key
 from companion.wire.version import WIRE_VERSION
 from linked_vehicles import LinkedVehicles, linked_vehicles
 from monitor_process import get, monitor, snapshot
-from sitl.monitor_load import write_fleet
+from tests.bench.monitor_load import write_fleet
 
 
 @pytest.fixture(scope="module")

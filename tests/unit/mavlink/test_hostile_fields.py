@@ -19,9 +19,9 @@ from companion.types.autopilot import AutopilotKind, VehicleState
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
 from companion.types.telemetry import Telemetry
-from sitl.hostile.fleet import Hostile, HostileFleet
-from sitl.hostile.mavlink import INTEGERS, MESSAGES
-from sitl.hostile.plant import Plant
+from tests.fuzz.fleet import Hostile, HostileFleet
+from tests.fuzz.mavlink import INTEGERS, MESSAGES
+from tests.fuzz.plant import Plant
 
 NOW_S = 100.0
 LARGEST_FLOAT = 3.4028234e38

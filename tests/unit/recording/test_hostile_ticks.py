@@ -10,8 +10,8 @@ from companion.recording.codec import decode_inbox, decode_outbox, encode_inbox,
 from companion.types.commands import CommandName
 from companion.types.tick import Inbox, Outbox
 from companion.wire.rounding import as_sent
-from sitl.hostile.fleet import HostileFleet
-from sitl.hostile.stream import HostileStream
+from tests.fuzz.fleet import HostileFleet
+from tests.fuzz.stream import HostileStream
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
 from companion.types.peers import PeerPacket
-from sitl.hostile.fleet import Hostile, HostileFleet
+from tests.fuzz.fleet import Hostile, HostileFleet
 
 C, P = CommandName, FlightPhase
 FORMED_WITHIN_S = 20.0  # undisturbed 10 s at most

@@ -11,7 +11,7 @@ from companion.monitor.api import CommandRequest, Preview
 from companion.monitor.control.preview import preview_of
 from companion.monitor.control.requests import fleet_request
 from companion.types.status import Status
-from sitl.monitor_load import steady_fleet
+from tests.bench.monitor_load import steady_fleet
 
 LOAD = steady_fleet("load", 4)
 STATUSES = {i: LOAD.report(i, 30.0).status for i in LOAD.vehicle_ids}

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from companion.config.reference import CircleReference
 from companion.monitor.api import CommandRequest
 from companion.monitor.control.requests import ACTIONS, CHANGES, RequestError, fleet_request
-from sitl.monitor_load import steady_fleet
+from tests.bench.monitor_load import steady_fleet
 
 FLEET = steady_fleet("load", 3).fleet
 CIRCLE = {"kind": "circle", "centre_enu_m": [0.0, 0.0, 10.0], "radius_m": 5.0, "period_s": 60.0}

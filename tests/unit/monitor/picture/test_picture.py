@@ -20,7 +20,7 @@ from companion.types.flight import FlightPhase, HealthFlag
 from companion.types.status import Status
 from companion.wire.ground import StatusReport
 from reported_fleet import TIMING, leader, reported
-from sitl.monitor_load import SteadyFleet, steady_fleet
+from tests.bench.monitor_load import SteadyFleet, steady_fleet
 
 UNIX_S = 1.8e9
 

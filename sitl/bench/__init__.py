@@ -1,1 +1,0 @@
-"""Speed of agents, simulation and batch beside other programs, measured in one run: `make bench`."""

@@ -1,1 +1,0 @@
-"""Hostile input: decoders and whole agents under seeded streams of damaged, wrong and forged messages."""

@@ -1,0 +1,83 @@
+"""CPU of whole agents in formation with identities, against the same flight without: python -m tests.bench.identities.
+
+Both fly on addresses of this machine, in turn. The limit is LIMIT times the CPU of agents without identities.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+from statistics import fmean
+from tempfile import TemporaryDirectory
+
+from companion.ground.session import FleetSession
+from companion.link.fleet.own_identity import load
+from companion.security.identity import Identity
+from sitl.flight.director import Director, MachineClock
+from sitl.flight.files import ids_of, write_files
+from sitl.flight.orders import FlightFailure
+from sitl.flight.processes.fleet import Fleet, stand_ins_together
+from sitl.flight.processes.identities import identity_folder, provision, use_identities
+from sitl.flight.scenario import Scenario, load_scenario
+from sitl.flight.watch import watch_of
+from sitl.links.free_ports import reserved_ports
+from sitl.links.ports import LOOPBACK, ports_of
+from sitl.report.progress import Progress
+from tests.bench.scenarios import SCENARIOS
+
+SCENARIO = SCENARIOS / "platoon.yaml"
+ROUNDS = 2
+FORM_S = 40.0
+LIMIT = 1.2
+GROUND = "ground-bench"
+
+
+def main() -> int:
+    scenario = load_scenario(SCENARIO, [f"timeline[3].for_s={FORM_S:g}"])
+    percent: dict[bool, list[float]] = {False: [], True: []}
+    for number in range(2 * ROUNDS):
+        secured = number % 2 == 1
+        with TemporaryDirectory(prefix="agents-") as folder:
+            percent[secured].append(_cpu_percent(scenario, Path(folder), secured))
+        print(f"  {_name(secured):22} {percent[secured][-1]:5.1f} % of a core for each agent", flush=True)
+    ratio = fmean(percent[True]) / fmean(percent[False])
+    print(f"TLS against TCP: {ratio:.2f} times the CPU, limit {LIMIT:g}")
+    return 0 if ratio <= LIMIT else 1
+
+
+def _name(secured: bool) -> str:
+    return "TLS with identities" if secured else "TCP without identities"
+
+
+def _cpu_percent(scenario: Scenario, folder: Path, secured: bool) -> float:
+    """Mean of the agents in formation, as they report it."""
+    ids = ids_of(scenario)
+    with reserved_ports(ids, scenario.stand_in.autopilot, None) as offset:
+        write_files(scenario, folder, offset)
+        identity: Identity | None = None
+        if secured:
+            keys = folder / "keys"
+            provision(scenario, folder, keys, [GROUND])
+            use_identities(scenario, folder, keys)
+            identity = load(identity_folder(keys, GROUND))
+        endpoints = [f"{'tls' if secured else 'tcp'}/{LOOPBACK}:{ports_of(i, offset).zenoh}" for i in ids]
+        watch = watch_of(scenario, time.monotonic())
+        progress = Progress(_name(secured), True, watch.began_s)
+        with Fleet.start_written(scenario, folder, offset, stand_ins_together(scenario)) as fleet, progress:
+            with FleetSession(scenario.fleet.name, endpoints, "" if identity else "bench", identity) as session:
+
+                def check() -> None:
+                    if ending := fleet.unexpected_end():
+                        raise FlightFailure(ending)
+
+                director = Director(session, watch, progress, check, fleet.lost_vehicles, MachineClock())
+                failures = director.fly_and_land(scenario.timeline)
+            failures.extend(fleet.stop_all())
+    if failures:
+        raise SystemExit("\n".join(failures))
+    return fmean(timing.cpu_percent for timing in watch.newest_timing.values())
+
+
+if __name__ == "__main__":
+    sys.exit(main())
