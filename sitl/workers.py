@@ -42,7 +42,7 @@ class WorkerDiedError(FailedError):
         )
 
 
-class Running(Generic[Result]):
+class RunningJobs(Generic[Result]):
     """Jobs in progress. Only `wait` and `results` block.
 
     `check` raises what prevents the jobs from ending; it is called while they are waited for.
@@ -91,7 +91,7 @@ class Workers(Protocol):
 
     def running(
         self, work: Callable[[Job], Result], jobs: Sequence[Job], weights: Sequence[float] = ()
-    ) -> AbstractContextManager[Running[Result]]:
+    ) -> AbstractContextManager[RunningJobs[Result]]:
         """Start all jobs, those with the largest weight first. `work` is a function of a module.
 
         When the block ends, jobs that are not done are cancelled.
@@ -108,7 +108,7 @@ class LocalWorkers:
     @contextmanager
     def running(
         self, work: Callable[[Job], Result], jobs: Sequence[Job], weights: Sequence[float] = ()
-    ) -> Iterator[Running[Result]]:
+    ) -> Iterator[RunningJobs[Result]]:
         """See Workers. When the block ends, all processes end with it. They are spawned, not forked: a fork copies locks that
         other threads of the parent hold.
         """
@@ -125,7 +125,7 @@ class LocalWorkers:
                 # The pool looks for dead workers among those that it knew at the last submission. A worker is started after
                 # that look, so one more job, which does nothing, makes the pool watch the last worker too.
                 pool.submit(_do_nothing)
-            yield Running([futures[index] for index in range(len(jobs))], weights, shares)
+            yield RunningJobs([futures[index] for index in range(len(jobs))], weights, shares)
         finally:
             with _terminal_signals_blocked():
                 ours.close()

@@ -12,9 +12,9 @@ from companion.geometry.frames import enu_from_geodetic, euler_from_quaternion, 
 from companion.types.autopilot import AutopilotKind
 from companion.types.vectors import Vector3
 from sitl.autopilots.incidents import Incidents
-from sitl.autopilots.logs.flight_logs import FlightLogs
-from sitl.autopilots.parameters import Parameters
-from sitl.vehicle.attitude_control import Loops, Setpoint
+from sitl.autopilots.logs.flight_logs import StandInLogs
+from sitl.autopilots.parameters import StandInParameters
+from sitl.vehicle.attitude_control import AttitudeSetpoint, Loops
 from sitl.vehicle.automatic_flight import AutomaticFlight, Speeds
 from sitl.vehicle.config import AutopilotFile
 from sitl.vehicle.ground_contact import GroundContact
@@ -46,10 +46,10 @@ class Autopilot(ABC):
     """A stand-in vehicle. `dt_s` is the step of physics and attitude control."""
 
     kind: ClassVar[AutopilotKind]
-    flight_logs: FlightLogs
+    flight_logs: StandInLogs
 
     def __init__(
-        self, file: AutopilotFile, dt_s: float, loops: Loops, parameters: Parameters, braking_m_s2: float
+        self, file: AutopilotFile, dt_s: float, loops: Loops, parameters: StandInParameters, braking_m_s2: float
     ) -> None:
         self.system_id = file.id
         self.dt_s = dt_s
@@ -117,7 +117,7 @@ class Autopilot(ABC):
     # ------------------------------------------------------------ requests
 
     @abstractmethod
-    def take_setpoint(self, setpoint: Setpoint) -> None:
+    def take_setpoint(self, setpoint: AttitudeSetpoint) -> None:
         """An external attitude and thrust."""
 
     def send_text(self, severity: int, text: str) -> None:

@@ -18,7 +18,7 @@ from sitl.vehicle.config import AutopilotFile
 
 
 @dataclass(frozen=True, slots=True)
-class Behaviour:
+class AutopilotType:
     """What differs between the makes: the autopilot, its link ends, its parameters with their defaults.
 
     `tcp_link` is None for an autopilot that does not listen on TCP.
@@ -31,11 +31,11 @@ class Behaviour:
     parameters: Mapping[str, float]
 
 
-BEHAVIOURS: dict[AutopilotKind, Behaviour] = {
-    AutopilotKind.PX4: Behaviour(
+AUTOPILOT_TYPES: dict[AutopilotKind, AutopilotType] = {
+    AutopilotKind.PX4: AutopilotType(
         Px4, px4_link_end.onboard_link, px4_link_end.ground_link, None, px4_parameters.DEFAULTS
     ),
-    AutopilotKind.ARDUPILOT: Behaviour(
+    AutopilotKind.ARDUPILOT: AutopilotType(
         ArduCopter,
         ardupilot_link_end.onboard_link,
         ardupilot_link_end.ground_link,

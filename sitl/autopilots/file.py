@@ -10,7 +10,7 @@ import msgspec
 from companion.config.file import ConfigError, load, refuse
 from companion.config.validation import Problem, did_you_mean
 from companion.types.autopilot import AutopilotKind
-from sitl.autopilots.behaviour import BEHAVIOURS
+from sitl.autopilots.behaviour import AUTOPILOT_TYPES
 from sitl.vehicle.config import AutopilotFile, StandIn
 
 
@@ -43,7 +43,7 @@ def _loaded(path: Path | None, vehicle_id: int | None, autopilot: AutopilotKind 
 
 def parameter_problems(stand_in: StandIn) -> Iterator[Problem]:
     """Every overridden parameter must exist in this autopilot."""
-    known = BEHAVIOURS[stand_in.autopilot].parameters
+    known = AUTOPILOT_TYPES[stand_in.autopilot].parameters
     for name in stand_in.parameters:
         if name not in known:
             hint = did_you_mean(name, known) or "; take it out"

@@ -79,7 +79,7 @@ def extended_sys_state(autopilot: Autopilot) -> MavlinkMessage:
     return M.MAVLink_extended_sys_state_message(0, autopilot.landed_state)
 
 
-class Sensors(NamedTuple):
+class SensorBits(NamedTuple):
     """Bits of SYS_STATUS but for the arming checks in `healthy`."""
 
     present: int
@@ -92,7 +92,7 @@ def system_time(autopilot: Autopilot) -> MavlinkMessage:
     return M.MAVLink_system_time_message(0, autopilot.boot_ms)
 
 
-def sys_status(autopilot: Autopilot, sensors: Sensors) -> MavlinkMessage:
+def sys_status(autopilot: Autopilot, sensors: SensorBits) -> MavlinkMessage:
     healthy = sensors.healthy | (M.MAV_SYS_STATUS_PREARM_CHECK if autopilot.armable else 0)
     return M.MAVLink_sys_status_message(
         sensors.present, sensors.enabled, healthy,

@@ -11,7 +11,7 @@ from companion.mavlink.codec import MavlinkMessage, mavlink
 REAL32: int = mavlink.MAV_PARAM_TYPE_REAL32
 
 
-class Parameters(ABC):
+class StandInParameters(ABC):
     """Values by name; the type of a parameter is that of its default value."""
 
     def __init__(self, defaults: Mapping[str, float | int], overrides: Mapping[str, float]) -> None:

@@ -17,9 +17,9 @@ from threading import Event
 from companion.config.file import ConfigError
 from companion.link.tick import LateLoopLog
 from sitl.autopilots.autopilot import DT_S, Autopilot
-from sitl.autopilots.behaviour import BEHAVIOURS
+from sitl.autopilots.behaviour import AUTOPILOT_TYPES
 from sitl.links.ports import GROUND_STATION_PORT, LOOPBACK, Ports
-from sitl.links.sockets import Link, TcpLink, UdpLink, receive_waiting
+from sitl.links.sockets import SocketLink, TcpSocketLink, UdpSocketLink, receive_waiting
 from sitl.vehicle.config import AutopilotFile
 from sitl.vehicle.truth import TruthLog
 
@@ -30,7 +30,7 @@ PORT_HINT = "stop what uses the port, or move all ports with --port-offset"
 
 
 @dataclass(frozen=True, slots=True)
-class StandIn:
+class ServedStandIn:
     """One vehicle to be run: its file, its ports, and the file for its true states."""
 
     file: AutopilotFile
@@ -38,7 +38,7 @@ class StandIn:
     truth: Path | None
 
 
-def run_autopilots(stand_ins: Sequence[StandIn], seconds: float | None) -> None:
+def run_autopilots(stand_ins: Sequence[ServedStandIn], seconds: float | None) -> None:
     """Run until SIGTERM, SIGINT or `seconds` have passed. Raises ConfigError for a port in use or an unwritable file."""
     done = Event()
     for number in (signal.SIGTERM, signal.SIGINT):
@@ -56,27 +56,27 @@ def run_autopilots(stand_ins: Sequence[StandIn], seconds: float | None) -> None:
 class _Vehicle:
     """One stand-in with its open links and its truth file."""
 
-    def __init__(self, stand_in: StandIn, selector: selectors.BaseSelector, stack: ExitStack) -> None:
+    def __init__(self, stand_in: ServedStandIn, selector: selectors.BaseSelector, stack: ExitStack) -> None:
         """Raises ConfigError. `stack` closes what it opens."""
         file, ports, truth = stand_in.file, stand_in.ports, stand_in.truth
-        behaviour = BEHAVIOURS[file.stand_in.autopilot]
+        behaviour = AUTOPILOT_TYPES[file.stand_in.autopilot]
         self._autopilot: Autopilot = behaviour.vehicle(file, DT_S)
         self._autopilot.flight_logs.utc_at_start_s = time.time()
         try:
             self._log = TruthLog(stack.enter_context(truth.open("w", encoding="ascii"))) if truth else None
         except OSError as error:
             raise ConfigError(f"--truth {truth}", "", f"{error.strerror}; name a file that can be written") from error
-        self._links: list[Link] = []
+        self._links: list[SocketLink] = []
         for end, port, address in (
             (behaviour.onboard_link(self._autopilot), ports.onboard, (LOOPBACK, ports.companion)),
             (behaviour.ground_link(self._autopilot), ports.ground_link, (LOOPBACK, GROUND_STATION_PORT)),
         ):
             with _named_port("UDP", port):
-                self._links.append(stack.enter_context(closing(UdpLink(end, port, address, selector))))
+                self._links.append(stack.enter_context(closing(UdpSocketLink(end, port, address, selector))))
         where = f"UDP {ports.onboard} to {ports.companion}, ground station on {ports.ground_link}"
         if behaviour.tcp_link:
             with _named_port("TCP", ports.tcp):
-                tcp = TcpLink(behaviour.tcp_link(self._autopilot), ports.tcp, selector)
+                tcp = TcpSocketLink(behaviour.tcp_link(self._autopilot), ports.tcp, selector)
             self._links.append(stack.enter_context(closing(tcp)))
             where = f"TCP {ports.tcp}, {where}"
         self._steps = 0

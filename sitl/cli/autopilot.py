@@ -62,7 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(parsed: argparse.Namespace) -> int:
     from sitl.autopilots.file import load_autopilot_files
-    from sitl.autopilots.realtime import StandIn, run_autopilots
+    from sitl.autopilots.realtime import ServedStandIn, run_autopilots
     from sitl.links.ports import ports_of
 
     files = load_autopilot_files(parsed.config, parsed.id, parsed.autopilot)
@@ -70,5 +70,5 @@ def run(parsed: argparse.Namespace) -> int:
     if len(truths) != len(files):
         raise ConfigError("--truth", "", f"{len(truths)} files for {len(files)} vehicles: expected one for each")
     ports = [ports_of(file.id, parsed.port_offset) for file in files]
-    run_autopilots([StandIn(*one) for one in zip(files, ports, truths, strict=True)], parsed.seconds)
+    run_autopilots([ServedStandIn(*one) for one in zip(files, ports, truths, strict=True)], parsed.seconds)
     return 0

@@ -16,9 +16,9 @@ from distributed import Client, KilledWorker, Security
 from distributed.core import rpc
 
 from sitl.cluster.software import software
-from sitl.cluster.task import TOPIC, Run, UnfitError, task, unfitness
+from sitl.cluster.task import TOPIC, ClusterRun, UnfitError, task, unfitness
 from sitl.errors import FailedError, UnusableError
-from sitl.workers import Job, Result, Running, heaviest_first
+from sitl.workers import Job, Result, RunningJobs, heaviest_first
 
 ANSWERS_WITHIN_S = 10.0  # a scheduler
 WORKERS_WITHIN_S = 30.0  # a nanny starts a lost worker process again within a few seconds
@@ -66,9 +66,9 @@ class ClusterWorkers:
     @contextmanager
     def running(
         self, work: Callable[[Job], Result], jobs: Sequence[Job], weights: Sequence[float] = ()
-    ) -> Iterator[Running[Result]]:
+    ) -> Iterator[RunningJobs[Result]]:
         """See sitl.workers.Workers. Raises the errors of this module while jobs are waited for."""
-        run = Run(uuid4().hex, software())
+        run = ClusterRun(uuid4().hex, software())
         weights = weights or [1.0] * len(jobs)
         shares = [0.0] * len(jobs)
         executor = self.client.get_executor(pure=False)
@@ -76,7 +76,7 @@ class ClusterWorkers:
         try:
             futures = {index: executor.submit(task, run, work, index, jobs[index]) for index in heaviest_first(weights)}
             watch = _Watch(self.client, self.address)
-            yield Running([futures[index] for index in range(len(jobs))], weights, shares, watch.look)
+            yield RunningJobs([futures[index] for index in range(len(jobs))], weights, shares, watch.look)
         except KilledWorker as error:
             raise DeadlyJobError(
                 f"a job ended {error.allowed_failures + 1} worker processes, the last at {error.last_worker.address}, "

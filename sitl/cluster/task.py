@@ -28,14 +28,14 @@ class CancelledTaskError(Exception):
     """The client no longer wants the result of this task. Nobody sees this error."""
 
 
-class Run(Struct, frozen=True):
+class ClusterRun(Struct, frozen=True):
     """Jobs that a client started together: an identity, and the software of the client."""
 
     id: str
     software: dict[str, str]
 
 
-def task(run: Run, work: Callable[[Job], Result], index: int, job: Job) -> Result:
+def task(run: ClusterRun, work: Callable[[Job], Result], index: int, job: Job) -> Result:
     """The result of a job. A worker that joined after the client's check is checked here."""
     worker = get_worker()
     wrong = unfitness(run.software, software(), worker.state.nthreads)

@@ -12,14 +12,14 @@ from companion.types.commands import CommandName
 from sitl.errors import EXIT_DONE, EXIT_FAILED
 from sitl.flight.convergence import DivergesError, check_convergence
 from sitl.flight.options import RunOptions
-from sitl.flight.results import Result
+from sitl.flight.results import FlightResult
 from sitl.flight.scenario import Scenario, load_scenario
 from sitl.report.compare import compare, in_a_table, with_law, write_comparison
 from sitl.report.folder import open_folder
 from sitl.report.summary import Summary, in_words
 from sitl.stopping import StopRequest
 
-FlyOnce = Callable[[Scenario, str, Path, StopRequest], Result]  # scenario, its name, the folder for the results
+FlyOnce = Callable[[Scenario, str, Path, StopRequest], FlightResult]  # scenario, its name, the folder for the results
 Prepare = Callable[[Scenario], AbstractContextManager[FlyOnce]]
 
 
@@ -78,7 +78,7 @@ def _fly_laws(scenarios: list[Scenario], name: str, folder: Path, fly_once: FlyO
 
     A law that fails in formation is part of the comparison; a flight without a formation ends it.
     """
-    results: list[Result] = []
+    results: list[FlightResult] = []
     for scenario in scenarios:
         result = fly_once(scenario, name, folder / scenario.fleet.law.name, stop)
         results.append(result)

@@ -20,7 +20,7 @@ from companion.wire.rounding import as_sent
 from sitl.autopilots.autopilot import DT_S
 from sitl.flight.files import autopilot_file, ids_of, reached_stand_in, vehicle_file
 from sitl.flight.scenario import Scenario
-from sitl.flight.world import StandIn, World
+from sitl.flight.world import VirtualStandIn, World
 from sitl.links.network import Network
 
 OPERATOR = "sitl-run"
@@ -38,7 +38,7 @@ class Lockstep:
         self._network = Network(ids, scenario.links, scenario.stand_in.seed)
         self._reports: list[StatusReport] = []
         self._vehicles = {
-            stand_in.vehicle_id: Vehicle(scenario, stand_in, self._network, self._reports, recordings)
+            stand_in.vehicle_id: VirtualAgent(scenario, stand_in, self._network, self._reports, recordings)
             for stand_in in self._world.stand_ins
         }
         self._in_order = list(self._vehicles.values())
@@ -46,7 +46,7 @@ class Lockstep:
         self._target_samples = 0
 
     @property
-    def stand_ins(self) -> list[StandIn]:
+    def stand_ins(self) -> list[VirtualStandIn]:
         return self._world.stand_ins
 
     def now_s(self) -> float:
@@ -108,13 +108,13 @@ class Lockstep:
                 vehicle.tick(now_s)
 
 
-class Vehicle:
+class VirtualAgent:
     """An agent with its links: fills the Inbox, runs a tick, sends the Outbox, as the agent's process does."""
 
     def __init__(
         self,
         scenario: Scenario,
-        stand_in: StandIn,
+        stand_in: VirtualStandIn,
         network: Network,
         reports: list[StatusReport],
         recordings: Path | None = None,

@@ -16,7 +16,7 @@ from sitl.report.tracking import tracking
 
 
 @dataclass(frozen=True, slots=True)
-class Result:
+class FlightResult:
     """One flight: its figures, and what they are drawn from (None where no formation was flown)."""
 
     summary: Summary
@@ -33,7 +33,7 @@ def write_results(
     flight_s: float,
     real_time_factor: float | None = None,
     source: TrackSource = "true",
-) -> Result:
+) -> FlightResult:
     """summary.json and, where a formation was flown, its figures. `tracks` is None where none are known."""
     flight = _flight(scenario, watch, tracks, source) if tracks else None
     figures = formation_figures(flight.tracks, flight.slots, flight.reference, flight.formation) if flight else None
@@ -52,7 +52,7 @@ def write_results(
         save_figure_5(folder / "figure_5.png", flight, name)
         save_figure_6(folder / "figure_6.png", flight, name)
         save_plan_view(folder / "from_above.png", flight, watch, name, scenario.fleet.airspace)
-    return Result(summary, flight)
+    return FlightResult(summary, flight)
 
 
 def reference_flown(scenario: Scenario, watch: FlightWatch) -> ReferenceTrajectory:

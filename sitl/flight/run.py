@@ -9,7 +9,7 @@ from pathlib import Path
 from sitl.flight.files import truth_path, write_scenario
 from sitl.flight.flights import run_flights
 from sitl.flight.options import RunOptions
-from sitl.flight.results import Result, write_results
+from sitl.flight.results import FlightResult, write_results
 from sitl.flight.scenario import Scenario
 from sitl.flight.virtual_flight import fly_in_virtual_time
 from sitl.report.progress import Progress
@@ -21,7 +21,7 @@ def run_virtual(options: RunOptions) -> int:
     return run_flights(options, lambda _scenario: nullcontext(partial(_run_once, options)))
 
 
-def _run_once(options: RunOptions, scenario: Scenario, name: str, folder: Path, stop: StopRequest) -> Result:
+def _run_once(options: RunOptions, scenario: Scenario, name: str, folder: Path, stop: StopRequest) -> FlightResult:
     folder.mkdir(parents=True, exist_ok=True)
     write_scenario(scenario, folder)
     progress = Progress(f"{name}, {scenario.fleet.law.name}", options.quiet, began_s=0.0)

@@ -16,7 +16,7 @@ from sitl.flight.orders import FlightFailure, Refusal
 from sitl.flight.scenario import Scenario
 from sitl.flight.timeline import TimelineStep
 from sitl.flight.watch import FlightWatch, watch_of
-from sitl.flight.world import StandIn
+from sitl.flight.world import VirtualStandIn
 from sitl.report.progress import Progress
 from sitl.report.tracks import Track
 from sitl.stopping import StopRequest
@@ -27,7 +27,7 @@ class Flown:
     """One flight in virtual time. `watch` holds what the vehicles reported; `wall_s` is the computing time."""
 
     watch: FlightWatch
-    stand_ins: list[StandIn]
+    stand_ins: list[VirtualStandIn]
     failure: str | None
     refusals: list[Refusal]  # of steps that may fail
     flight_s: float

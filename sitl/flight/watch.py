@@ -29,7 +29,7 @@ SAME_POSITION_S = 0.005  # two reports of one position differ by less, because t
 SILENT_S = 3.0  # the agent of a flying vehicle that reports nothing for so long has failed
 
 
-class Event(Struct, frozen=True, kw_only=True):
+class ReportedEvent(Struct, frozen=True, kw_only=True):
     """An event that a vehicle reported, `time_s` after the flight's beginning."""
 
     time_s: float
@@ -78,7 +78,7 @@ class FlightWatch:
         """`leader_ids` are the leaders at the beginning."""
         self.vehicle_ids = sorted(vehicle_ids)
         self.began_s = began_s
-        self.events: list[Event] = []
+        self.events: list[ReportedEvent] = []
         self.topology: list[TopologyChange] = []
         self.commands: list[CommandGiven] = []
         self.timing: dict[int, Timing] = {}  # of each vehicle's last formation
@@ -129,7 +129,7 @@ class FlightWatch:
             self.timing[vehicle_id] = report.timing
         if status.last_event and (before is None or status.last_event != before.last_event):
             self.events.append(
-                Event(
+                ReportedEvent(
                     time_s=round(now_s - self.began_s, 3),
                     vehicle=vehicle_id,
                     code=status.last_event.code,

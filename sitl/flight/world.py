@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from companion.mavlink.dialect import DIALECTS
 from companion.types.autopilot import AutopilotMode
 from sitl.autopilots.autopilot import DT_S
-from sitl.autopilots.behaviour import BEHAVIOURS
+from sitl.autopilots.behaviour import AUTOPILOT_TYPES
 from sitl.links.direct_link import DirectLink
 from sitl.report.tracks import Track
 from sitl.vehicle.config import AutopilotFile, Links
@@ -27,12 +27,12 @@ OFF_GROUND_M = 0.1  # higher than this above its start
 STATE_KEPT = 10  # numbers of a state: position, velocity, attitude
 
 
-class StandIn:
+class VirtualStandIn:
     """One vehicle: autopilot, link to its agent, and true track at 50 Hz."""
 
     def __init__(self, file: AutopilotFile, links: Links, phase_s: float) -> None:
         self.vehicle_id = file.id
-        behaviour = BEHAVIOURS[file.stand_in.autopilot]
+        behaviour = AUTOPILOT_TYPES[file.stand_in.autopilot]
         self.autopilot = behaviour.vehicle(file, DT_S)
         self.ground_m = file.start_enu_m[2]
         self.link = DirectLink(self.autopilot, behaviour.onboard_link(self.autopilot), links, phase_s)
@@ -90,7 +90,7 @@ class World:
     def __init__(self, files: Sequence[AutopilotFile], links: Links) -> None:
         self.now_s = 0.0
         self._steps = 0
-        self.stand_ins = [StandIn(file, links, _phase_s(file)) for file in files]
+        self.stand_ins = [VirtualStandIn(file, links, _phase_s(file)) for file in files]
 
     def step(self) -> None:
         """One step of DT_S."""

@@ -8,7 +8,7 @@ from itertools import combinations
 import numpy as np
 from msgspec import Struct
 
-from sitl.flight.world import StandIn
+from sitl.flight.world import VirtualStandIn
 
 SENSOR_FACTOR = {"ideal": 1.0, "default": 0.8, "px4_sih": 0.6}
 """Share of `separation_m` below which a true distance is a violation, by the sensors of the flight."""
@@ -32,7 +32,7 @@ class Distances(Struct, frozen=True, kw_only=True):
     automatic: Closest | None
 
 
-def distances(stand_ins: Sequence[StandIn]) -> Distances:
+def distances(stand_ins: Sequence[VirtualStandIn]) -> Distances:
     """Over the whole flight, at 50 Hz."""
     tracks = {s.vehicle_id: s.track() for s in stand_ins}
     commanded = {s.vehicle_id: s.commanded() for s in stand_ins}

@@ -34,7 +34,7 @@ from sitl.autopilots.messages import global_position, gps_raw
 from sitl.autopilots.px4.autopilot import Px4
 from sitl.autopilots.px4.messages import estimator_status
 from sitl.links.link_end import LinkEnd
-from sitl.vehicle.attitude_control import Setpoint
+from sitl.vehicle.attitude_control import AttitudeSetpoint
 from sitl.vehicle.config import Links
 
 M = mavlink
@@ -113,10 +113,10 @@ SAMPLES: dict[int, Callable[[Autopilot, float], tuple[Telemetry, ...]]] = {
 }
 
 
-def setpoint_of(kind: AutopilotKind, target: AttitudeTarget) -> Setpoint:
+def setpoint_of(kind: AutopilotKind, target: AttitudeTarget) -> AttitudeSetpoint:
     """The stand-in's setpoint for this SET_ATTITUDE_TARGET, without rounding to 32 bits."""
     thrust = DIALECTS[kind].thrust_of(target)
-    return Setpoint(quaternion_from_euler(target.roll_rad, target.pitch_rad, target.yaw_rad), thrust)
+    return AttitudeSetpoint(quaternion_from_euler(target.roll_rad, target.pitch_rad, target.yaw_rad), thrust)
 
 
 class DirectLink:
@@ -132,7 +132,7 @@ class DirectLink:
         self._to_agent: deque[Telemetry] = deque()  # in the order of `received_s`
         self._positions_s: deque[float] = deque()  # when those among them arrive
         self.setpoint_s = -inf  # when the agent sent its last attitude target
-        self._to_autopilot: deque[tuple[float, Setpoint | bytes]] = deque()
+        self._to_autopilot: deque[tuple[float, AttitudeSetpoint | bytes]] = deque()
 
     # ------------------------------------------------------------ the autopilot's end
 
@@ -140,7 +140,7 @@ class DirectLink:
         """Deliver to the autopilot what has arrived by now."""
         while self._to_autopilot and self._to_autopilot[0][0] <= now_s:
             _, what = self._to_autopilot.popleft()
-            if isinstance(what, Setpoint):
+            if isinstance(what, AttitudeSetpoint):
                 self.autopilot.take_setpoint(what)
             else:
                 self._send(self._end.receive(what), now_s)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from companion.types.autopilot import AutopilotKind
-from sitl.autopilots.behaviour import BEHAVIOURS
+from sitl.autopilots.behaviour import AUTOPILOT_TYPES
 from sitl.errors import UnusableError
 from sitl.links.ports import GROUND_STATION_PORT, LOOPBACK, ports_of
 
@@ -70,7 +70,7 @@ def _ports_of_fleet(vehicle_ids: Iterable[int], kind: AutopilotKind | None, port
 def _ports_of_vehicle(vehicle_id: int, kind: AutopilotKind | None, port_offset: int) -> Iterator[WantedPort]:
     ports = ports_of(vehicle_id, port_offset)
     if kind is not None:
-        if BEHAVIOURS[kind].tcp_link:
+        if AUTOPILOT_TYPES[kind].tcp_link:
             yield socket.SOCK_STREAM, ports.tcp, f"autopilot {vehicle_id}"
         yield socket.SOCK_DGRAM, ports.onboard, f"autopilot {vehicle_id} towards its agent"
         yield socket.SOCK_DGRAM, ports.companion, f"agent {vehicle_id} towards its autopilot"

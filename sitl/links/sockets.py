@@ -22,7 +22,7 @@ DATAGRAMS_PER_STEP = 64  # of one link; the rest waits for the next step
 MOST_WAITING_BYTES = 65_536  # for a client that does not read; further packets are dropped
 
 
-class Link(Protocol):
+class SocketLink(Protocol):
     """One link behind a socket. Its constructor registers what `receive_waiting` calls."""
 
     def send_due(self) -> None:
@@ -48,7 +48,7 @@ def _answers(end: LinkEnd, data: bytes) -> Iterator[bytes]:
         os.abort()
 
 
-class UdpLink:
+class UdpSocketLink:
     """One UDP link. Its peer is the first sender, for the life of the process; before, packets go to `address`."""
 
     def __init__(self, end: LinkEnd, port: int, address: tuple[str, int], selector: selectors.BaseSelector) -> None:
@@ -91,7 +91,7 @@ class UdpLink:
                 self._socket.sendto(packet, self._address)
 
 
-class TcpLink:
+class TcpSocketLink:
     """One TCP port. A second client is rejected while the first is connected.
 
     A later client finds the message rates unchanged.

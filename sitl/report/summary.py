@@ -11,7 +11,7 @@ from msgspec import Struct
 from companion.assembly import law_of
 from companion.wire.ground import Percentiles
 from sitl.flight.scenario import Scenario
-from sitl.flight.watch import CommandGiven, Event, FlightWatch
+from sitl.flight.watch import CommandGiven, FlightWatch, ReportedEvent
 from sitl.report.load import overload_line
 from sitl.report.metrics import FormationFigures, TrackSource, neighbouring_pairs, pair_name
 from sitl.report.tracking import Tracking
@@ -83,7 +83,7 @@ class Summary(Struct, frozen=True, kw_only=True):
     overload: str | None = None
     smallest_distance_m: float | None
     commands: list[CommandGiven]
-    events: list[Event]
+    events: list[ReportedEvent]
 
 
 def summarize(

@@ -39,7 +39,7 @@ PX4_LOOPS = Loops(
 )
 
 
-class Setpoint(Struct, frozen=True, gc=False):
+class AttitudeSetpoint(Struct, frozen=True, gc=False):
     """Attitude (FLU to ENU) and collective thrust (0 to 1) that the loops follow.
 
     `yaw_rate_rad_s` about the vertical is fed forward. `rates_rad_s` (p, q, r), if given, replaces the attitude.
@@ -54,21 +54,21 @@ class Setpoint(Struct, frozen=True, gc=False):
 class AttitudeControl:
     """Both loops of one vehicle, which follow setpoints after the delay of the loops, one per step of `dt_s`."""
 
-    def __init__(self, loops: Loops, inertia_kg_m2: Vector3, first: Setpoint, dt_s: float) -> None:
+    def __init__(self, loops: Loops, inertia_kg_m2: Vector3, first: AttitudeSetpoint, dt_s: float) -> None:
         """`first` is followed until the delay has passed."""
         self._loops = loops
         jx, jy, jz = inertia_kg_m2
         self._rate_gains = (jx * loops.rate_gain_1_s, jy * loops.rate_gain_1_s, jz * loops.yaw_rate_gain_1_s)
         self._delayed = deque([first] * max(1, round(loops.delay_s / dt_s)))
 
-    def moments_n_m(self, setpoint: Setpoint, measured: Quaternion, p: float, q: float, r: float) -> Vector3:
+    def moments_n_m(self, setpoint: AttitudeSetpoint, measured: Quaternion, p: float, q: float, r: float) -> Vector3:
         """Moments about the body axes in the next step, from the measured attitude and body rates [rad/s]."""
         self._delayed.append(setpoint)
         wanted_p, wanted_q, wanted_r = self._wanted_rates(self._delayed.popleft(), measured)
         gain_p, gain_q, gain_r = self._rate_gains
         return (gain_p * (wanted_p - p), gain_q * (wanted_q - q), gain_r * (wanted_r - r))
 
-    def _wanted_rates(self, setpoint: Setpoint, measured: Quaternion) -> Vector3:
+    def _wanted_rates(self, setpoint: AttitudeSetpoint, measured: Quaternion) -> Vector3:
         """Body rates p, q, r [rad/s] that turn the measured attitude towards the setpoint by the shorter rotation."""
         loops = self._loops
         if setpoint.rates_rad_s is not None:

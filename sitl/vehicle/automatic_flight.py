@@ -13,7 +13,7 @@ from math import hypot, isfinite, radians
 from companion.geometry.frames import Quaternion, enu_from_geodetic, quaternion_from_euler, wrap_pi
 from companion.types.vectors import GRAVITY_M_S2, Vector3
 from sitl.autopilots.setpoints import Course
-from sitl.vehicle.attitude_control import Setpoint
+from sitl.vehicle.attitude_control import AttitudeSetpoint
 from sitl.vehicle.position_control import MAX_LIFT_RATIO, MIN_LIFT_RATIO, PositionControl
 from sitl.vehicle.quadrotor import Quadrotor
 
@@ -124,7 +124,7 @@ class AutomaticFlight:
         if yaw_rad is not None:
             self._control.yaw_rad = yaw_rad
 
-    def follow(self, course: Course, dt_s: float) -> Setpoint:
+    def follow(self, course: Course, dt_s: float) -> AttitudeSetpoint:
         """Follow external positions or velocities. An axis without either holds its position."""
         for axis, position, velocity in zip(self._control.axes, course.position_m, course.velocity_m_s, strict=True):
             if isfinite(position):
@@ -136,7 +136,7 @@ class AutomaticFlight:
         self._control.yaw_rad = wrap_pi(self._control.yaw_rad + course.yaw_rate_rad_s * dt_s)
         return self._control_setpoint(dt_s)
 
-    def climb(self, attitude: Quaternion, climb_m_s: float, dt_s: float) -> Setpoint:
+    def climb(self, attitude: Quaternion, climb_m_s: float, dt_s: float) -> AttitudeSetpoint:
         """This attitude, with the thrust of the vertical loop at this climb rate."""
         up = self._control.axes[2]
         up.goal_m_s = climb_m_s
@@ -145,13 +145,13 @@ class AutomaticFlight:
         )
         lift = min(max(1.0 + acceleration / GRAVITY_M_S2, MIN_LIFT_RATIO), MAX_LIFT_RATIO)
         thrust = self.hover_thrust_norm * lift / max(cos_tilt(attitude), LEAST_COS_TILT)
-        return Setpoint(attitude, min(thrust, 1.0))
+        return AttitudeSetpoint(attitude, min(thrust, 1.0))
 
     def origin_moved(self, offset_m: Vector3) -> None:
         """The local frame has moved; goals keep their place in the world."""
         self._control.shift(offset_m)
 
-    def setpoint(self, dt_s: float) -> Setpoint:
+    def setpoint(self, dt_s: float) -> AttitudeSetpoint:
         """Attitude and thrust for this step of the task."""
         position = self._quad.estimated_position_local_enu_m()
         if self._task is Task.SINK:
@@ -162,7 +162,7 @@ class AutomaticFlight:
             self._descend(position[2])
         return self._control_setpoint(dt_s)
 
-    def _control_setpoint(self, dt_s: float) -> Setpoint:
+    def _control_setpoint(self, dt_s: float) -> AttitudeSetpoint:
         return self._control.setpoint(
             self._quad.estimated_position_local_enu_m(),
             self._quad.estimated_velocity_enu_m_s(),
@@ -170,10 +170,10 @@ class AutomaticFlight:
             dt_s,
         )
 
-    def _sink(self, climb_m_s: float, yaw_rad: float) -> Setpoint:
+    def _sink(self, climb_m_s: float, yaw_rad: float) -> AttitudeSetpoint:
         lift = 1.0 + SINK_GAIN_1_S * (-self._speeds().sink_m_s - climb_m_s) / GRAVITY_M_S2
         level = quaternion_from_euler(0.0, DRIFT_TILT_RAD, yaw_rad)
-        return Setpoint(level, self.hover_thrust_norm * min(max(lift, 0.3), 1.7))
+        return AttitudeSetpoint(level, self.hover_thrust_norm * min(max(lift, 0.3), 1.7))
 
     def _set_speeds(self, level_m_s: float, climb_m_s: float) -> None:
         """Clamped: clients may set parameters to any value."""

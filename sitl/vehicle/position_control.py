@@ -12,7 +12,7 @@ from math import copysign, inf, radians, sqrt
 from companion.core.control.attitude import attitude_target, limit_acceleration
 from companion.geometry.frames import quaternion_from_euler
 from companion.types.vectors import Vector3
-from sitl.vehicle.attitude_control import Setpoint
+from sitl.vehicle.attitude_control import AttitudeSetpoint
 
 LEVEL_GAINS = (1.6, 2.2, 0.4)  # on position [1/s^2], velocity [1/s] and the integral of position [1/s^3]
 CLIMB_GAINS = (4.0, 3.6, 0.4)
@@ -24,7 +24,7 @@ MIN_LIFT_RATIO, MAX_LIFT_RATIO = 0.3, 1.7  # vertical thrust over weight
 
 
 @dataclass(slots=True)
-class Axis:
+class ControlAxis:
     """One axis: a target that moves to the goal, and the loop that follows the target."""
 
     gains: tuple[float, float, float]
@@ -78,9 +78,9 @@ class PositionControl:
     def __init__(self, hover_thrust_norm: float, braking_m_s2: float) -> None:
         self._hover_thrust_norm = hover_thrust_norm
         self.axes = (
-            Axis(LEVEL_GAINS, braking_m_s2),
-            Axis(LEVEL_GAINS, braking_m_s2),
-            Axis(CLIMB_GAINS, CLIMB_BRAKING_M_S2),
+            ControlAxis(LEVEL_GAINS, braking_m_s2),
+            ControlAxis(LEVEL_GAINS, braking_m_s2),
+            ControlAxis(CLIMB_GAINS, CLIMB_BRAKING_M_S2),
         )
         self.yaw_rad = 0.0
 
@@ -101,7 +101,7 @@ class PositionControl:
             axis.goal_m += offset
             axis.target_m += offset
 
-    def setpoint(self, position_m: Vector3, velocity_m_s: Vector3, euler_rad: Vector3, dt_s: float) -> Setpoint:
+    def setpoint(self, position_m: Vector3, velocity_m_s: Vector3, euler_rad: Vector3, dt_s: float) -> AttitudeSetpoint:
         """Attitude and thrust for one step of `dt_s`."""
         x, y, z = (
             axis.acceleration_m_s2(position, velocity, dt_s)
@@ -114,4 +114,4 @@ class PositionControl:
         roll, pitch = (0.0, 0.0) if tilted else (roll, pitch)
         target = attitude_target(acceleration, self.yaw_rad, roll, pitch, self._hover_thrust_norm)
         quaternion = quaternion_from_euler(target.roll_rad, target.pitch_rad, target.yaw_rad)
-        return Setpoint(quaternion, min(1.0, target.thrust_norm))
+        return AttitudeSetpoint(quaternion, min(1.0, target.thrust_norm))

@@ -13,13 +13,13 @@ from companion.geometry.frames import (
     quaternion_from_euler,
 )
 from companion.types.vectors import GRAVITY_M_S2, ZERO3, Vector3
-from sitl.vehicle.attitude_control import AttitudeControl, Loops, Setpoint
+from sitl.vehicle.attitude_control import AttitudeControl, AttitudeSetpoint, Loops
 from sitl.vehicle.config import AutopilotFile
 from sitl.vehicle.disturbances import EstimatorError, Gusts
 from sitl.vehicle.dynamics import THRUST, Body, State, at_rest
 from sitl.vehicle.small_turn import back, small_turn, turned
 
-MOTORS_OFF = Setpoint((1.0, 0.0, 0.0, 0.0), 0.0)
+MOTORS_OFF = AttitudeSetpoint((1.0, 0.0, 0.0, 0.0), 0.0)
 ESTIMATE_PERIOD_STEPS = 5  # the estimator's error changes at 50 Hz, the rate of an agent's ticks
 
 
@@ -121,7 +121,7 @@ class Quadrotor:
         """On the ground and not climbing."""
         return self._is_on_ground(self.state)
 
-    def step(self, setpoint: Setpoint, most: int = 1) -> int:
+    def step(self, setpoint: AttitudeSetpoint, most: int = 1) -> int:
         """Advance by at most so many steps of dt_s under this setpoint, until it is on the ground. Returns their number."""
         state, error, ground_z_m = self.state, self._error, self._ground_z_m
         thrust_n = setpoint.thrust_norm * self._newton_per_thrust
@@ -146,7 +146,7 @@ class Quadrotor:
     def _is_on_ground(self, state: State) -> bool:
         return state[2] <= self._ground_z_m and state[5] <= 0.0
 
-    def _at_commanded_attitude(self, state: State, setpoint: Setpoint) -> State:
+    def _at_commanded_attitude(self, state: State, setpoint: AttitudeSetpoint) -> State:
         """The ideal of section 3.1: the estimated attitude equals the commanded one without delay."""
         rates = setpoint.rates_rad_s
         if rates is not None:

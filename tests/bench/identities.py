@@ -17,7 +17,7 @@ from companion.security.identity import Identity
 from sitl.flight.director import Director, MachineClock
 from sitl.flight.files import ids_of, write_files
 from sitl.flight.orders import FlightFailure
-from sitl.flight.processes.fleet import Fleet, stand_ins_together
+from sitl.flight.processes.fleet import FleetProcesses, stand_ins_together
 from sitl.flight.processes.identities import identity_folder, provision, use_identities
 from sitl.flight.scenario import Scenario, load_scenario
 from sitl.flight.watch import watch_of
@@ -64,7 +64,7 @@ def _cpu_percent(scenario: Scenario, folder: Path, secured: bool) -> float:
         endpoints = [f"{'tls' if secured else 'tcp'}/{LOOPBACK}:{ports_of(i, offset).zenoh}" for i in ids]
         watch = watch_of(scenario, time.monotonic())
         progress = Progress(_name(secured), True, watch.began_s)
-        with Fleet.start_written(scenario, folder, offset, stand_ins_together(scenario)) as fleet, progress:
+        with FleetProcesses.start_written(scenario, folder, offset, stand_ins_together(scenario)) as fleet, progress:
             with FleetSession(scenario.fleet.name, endpoints, "" if identity else "bench", identity) as session:
 
                 def check() -> None:

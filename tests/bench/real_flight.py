@@ -18,7 +18,7 @@ from companion.types.telemetry import PositionSample
 from sitl.flight.director import Director, MachineClock
 from sitl.flight.files import ids_of, write_files
 from sitl.flight.orders import FlightFailure
-from sitl.flight.processes.fleet import Fleet, stand_ins_together
+from sitl.flight.processes.fleet import FleetProcesses, stand_ins_together
 from sitl.flight.scenario import Scenario
 from sitl.flight.watch import watch_of
 from sitl.links.ports import zenoh_endpoint
@@ -47,7 +47,7 @@ def fly(scenario: Scenario, folder: Path, offset: int, prepare: Callable[[], Non
     prepare()
     watch = watch_of(scenario, time.monotonic())
     progress = Progress(f"{len(ids)} vehicles", not sys.stdout.isatty(), watch.began_s)
-    with Fleet.start_written(scenario, folder, offset, stand_ins_together(scenario)) as fleet, progress:
+    with FleetProcesses.start_written(scenario, folder, offset, stand_ins_together(scenario)) as fleet, progress:
         with FleetSession(scenario.fleet.name, [zenoh_endpoint(i, offset) for i in ids], "bench") as session:
             sampler = _Sampler({int(i): fleet.pid_of(f"agent {i}") for i in ids})
 

@@ -23,7 +23,7 @@ from companion.recording.writer.folder import MB, recorded_files
 from sitl.flight.director import Director, MachineClock
 from sitl.flight.files import ids_of, write_files
 from sitl.flight.orders import FlightFailure
-from sitl.flight.processes.fleet import Fleet, stand_ins_together
+from sitl.flight.processes.fleet import FleetProcesses, stand_ins_together
 from sitl.flight.scenario import Scenario, load_scenario
 from sitl.flight.watch import FlightWatch, watch_of
 from sitl.links.free_ports import reserved_ports
@@ -83,7 +83,7 @@ def _flown(scenario: Scenario, folder: Path, recording: tuple[int, ...]) -> Flig
             _do_not_record(folder / f"vehicle_{vehicle_id}.yaml")
         watch = watch_of(scenario, time.monotonic())
         progress = Progress("recording", True, watch.began_s)
-        with Fleet.start_written(scenario, folder, offset, stand_ins_together(scenario)) as fleet, progress:
+        with FleetProcesses.start_written(scenario, folder, offset, stand_ins_together(scenario)) as fleet, progress:
             with FleetSession(scenario.fleet.name, [zenoh_endpoint(i, offset) for i in ids], "bench") as session:
 
                 def check() -> None:

@@ -15,7 +15,7 @@ from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
 from own_ports import free_fleet_offset
 from repository import ROOT
-from sitl.flight.processes.fleet import Fleet
+from sitl.flight.processes.fleet import FleetProcesses
 from sitl.flight.scenario import load_scenario
 from sitl.links.ports import zenoh_endpoint
 
@@ -37,7 +37,7 @@ def until(ground: Ground, condition: Callable[[], bool], within_s: float = 40.0)
 
 def test_the_gap_of_a_dead_follower_stays_open_also_after_the_fleet_moved(tmp_path: Path) -> None:
     port_offset = free_fleet_offset()
-    with Fleet.start(load_scenario(LEAVING, OVERRIDES), tmp_path, port_offset) as fleet:
+    with FleetProcesses.start(load_scenario(LEAVING, OVERRIDES), tmp_path, port_offset) as fleet:
         endpoints = [zenoh_endpoint(i, port_offset) for i in ALL]
         with FleetSession("leaving", endpoints) as session:
             ground = Ground(session)

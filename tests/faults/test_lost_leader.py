@@ -15,7 +15,7 @@ from companion.types.flight import FlightPhase, HealthFlag, Role
 from companion.types.notices import Code
 from own_ports import free_fleet_offset
 from repository import ROOT
-from sitl.flight.processes.fleet import Fleet
+from sitl.flight.processes.fleet import FleetProcesses
 from sitl.flight.scenario import load_scenario
 from sitl.links.ports import zenoh_endpoint
 
@@ -31,7 +31,7 @@ ALL = (1, *FOLLOWERS)
 def test_followers_hold_when_the_leader_dies(tmp_path: Path) -> None:
     scenario = load_scenario(SCENARIOS / "platoon.yaml", [READY_SOON])
     port_offset = free_fleet_offset()
-    with Fleet.start(scenario, tmp_path, port_offset) as fleet:
+    with FleetProcesses.start(scenario, tmp_path, port_offset) as fleet:
         endpoints = [zenoh_endpoint(i, port_offset) for i in ALL]
         with FleetSession("platoon", endpoints) as session:
             ground = Ground(session)
@@ -54,7 +54,7 @@ def test_a_successor_becomes_leader_when_the_leader_dies_on_the_figure_8(tmp_pat
         [READY_SOON, "fleet.successors=[2]", "fleet.law.name=cooperative", "fleet.land_after_s=20"],
     )
     port_offset = free_fleet_offset()
-    with Fleet.start(scenario, tmp_path, port_offset) as fleet:
+    with FleetProcesses.start(scenario, tmp_path, port_offset) as fleet:
         endpoints = [zenoh_endpoint(i, port_offset) for i in ALL]
         with FleetSession("ring", endpoints) as session:
             ground = Ground(session)

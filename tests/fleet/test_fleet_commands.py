@@ -23,7 +23,7 @@ from companion.types.status import Status
 from companion.wire.ground import decode_reply, encode
 from companion.wire.keys import command_key, reply_key
 from own_ports import free_fleet_offset
-from sitl.flight.processes.fleet import Fleet
+from sitl.flight.processes.fleet import FleetProcesses
 from sitl.flight.scenario import scenario_from
 from sitl.links.ports import zenoh_endpoint
 
@@ -92,7 +92,7 @@ class Ground:
 @pytest.fixture(scope="module")
 def ground(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ground]:
     folder, port_offset = tmp_path_factory.mktemp("commanded"), free_fleet_offset()
-    with Fleet.start(scenario_from(folder / "scenario.yaml", yaml.safe_load(SCENARIO)), folder, port_offset):
+    with FleetProcesses.start(scenario_from(folder / "scenario.yaml", yaml.safe_load(SCENARIO)), folder, port_offset):
         yield Ground(folder, port_offset)
 
 

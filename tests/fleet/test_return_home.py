@@ -19,7 +19,7 @@ from companion.types.flight import FlightPhase
 from companion.types.status import Status
 from own_ports import free_fleet_offset
 from sitl.flight.files import truth_path
-from sitl.flight.processes.fleet import Fleet
+from sitl.flight.processes.fleet import FleetProcesses
 from sitl.flight.scenario import scenario_from
 from sitl.links.ports import zenoh_endpoint
 
@@ -72,7 +72,9 @@ def test_both_vehicles_return_home_also_without_an_agent(tmp_path: Path, make: s
         return main(["fleet", *action, "--fleet", file, "--connect", *endpoints, "--wait-s", "10", "--as", "anna"])
 
     with (
-        Fleet.start(scenario_from(tmp_path / "scenario.yaml", yaml.safe_load(text)), tmp_path, offset) as fleet,
+        FleetProcesses.start(
+            scenario_from(tmp_path / "scenario.yaml", yaml.safe_load(text)), tmp_path, offset
+        ) as fleet,
         FleetSession("home", endpoints) as session,
     ):
         wait(session, lambda _: True)

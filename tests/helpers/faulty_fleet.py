@@ -34,7 +34,7 @@ from fault_table import FaultRow
 from own_ports import free_fleet_offset
 from repository import ROOT
 from sitl.flight.files import truth_path, write_files, write_network
-from sitl.flight.processes.fleet import Fleet
+from sitl.flight.processes.fleet import FleetProcesses
 from sitl.flight.scenario import Scenario, load_scenario
 from sitl.links.ports import ports_of, zenoh_endpoint
 from sitl.vehicle.config import Links
@@ -99,7 +99,7 @@ class FaultyFleet:
     scenario: Scenario
     folder: Path
     port_offset: int
-    fleet: Fleet
+    fleet: FleetProcesses
     session: FleetSession
     ground: Ground
     taps: dict[int, WireTap]
@@ -252,7 +252,7 @@ def faulty_fleet(folder: Path, *overrides: str) -> Iterator[FaultyFleet]:
     with ExitStack() as stack:
         taps = {i: stack.enter_context(_tap(folder, i, port_offset)) for i in IDS}
         one_by_one = [[i] for i in IDS]  # each stand-in can be killed by itself
-        fleet = stack.enter_context(Fleet.start_written(scenario, folder, port_offset, one_by_one))
+        fleet = stack.enter_context(FleetProcesses.start_written(scenario, folder, port_offset, one_by_one))
         endpoints = [zenoh_endpoint(i, port_offset) for i in IDS]
         session = stack.enter_context(FleetSession(scenario.fleet.name, endpoints))
         stack.callback(_resume, fleet)
@@ -270,7 +270,7 @@ def _tap(folder: Path, vehicle_id: int, port_offset: int) -> WireTap:
     return WireTap(port, port + AGENTS_PORTS, PX4.formation_mode, PX4.mode_message)
 
 
-def _resume(fleet: Fleet) -> None:
+def _resume(fleet: FleetProcesses) -> None:
     """Frozen processes do not end by SIGTERM."""
     for role in ("agent", "autopilot"):
         for vehicle_id in IDS:

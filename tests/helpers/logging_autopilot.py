@@ -11,7 +11,7 @@ from background import Background
 from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
 from companion.types.autopilot import AutopilotKind
 from sitl.autopilots.autopilot import DT_S
-from sitl.autopilots.behaviour import BEHAVIOURS
+from sitl.autopilots.behaviour import AUTOPILOT_TYPES
 from sitl.autopilots.logs.flight_logs import FlightLog
 from sitl.vehicle.config import AutopilotFile, StandIn
 
@@ -36,10 +36,10 @@ class LoggingAutopilot(Background):
     def __post_init__(self) -> None:
         super().__init__()
         file = AutopilotFile(id=1, stand_in=StandIn(autopilot=self.kind, sensors="ideal", armable_after_s=0.0))
-        self._autopilot = BEHAVIOURS[self.kind].vehicle(file, DT_S)
+        self._autopilot = AUTOPILOT_TYPES[self.kind].vehicle(file, DT_S)
         self._autopilot.flight_logs.utc_at_start_s = self.utc_at_start_s
         self._autopilot.flight_logs.files = [FlightLog(bytearray(log), 60.0 * i) for i, log in enumerate(self.logs)]
-        self._end = BEHAVIOURS[self.kind].onboard_link(self._autopilot)
+        self._end = AUTOPILOT_TYPES[self.kind].onboard_link(self._autopilot)
         self._client = MavlinkCodec(255, 190)  # decodes received packets
         self._lottery = Random(4)
         self._data_packets = 0

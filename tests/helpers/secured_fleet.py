@@ -17,7 +17,7 @@ from companion.security.identity import Identity
 from own_ports import free_fleet_offset
 from repository import ROOT
 from sitl.flight.files import truth_path, write_files
-from sitl.flight.processes.fleet import Fleet, stand_ins_together
+from sitl.flight.processes.fleet import FleetProcesses, stand_ins_together
 from sitl.flight.processes.identities import identity_folder, provision, use_identities
 from sitl.flight.scenario import Scenario, load_scenario
 from sitl.links.ports import ports_of
@@ -94,7 +94,7 @@ def secured_fleet(folder: Path, *overrides: str) -> Iterator[SecuredFleet]:
     use_identities(scenario, folder, keys)
     endpoints = [f"{protocol}/127.0.0.1:{ports_of(i, offset).zenoh}" for i in IDS]
     with (
-        Fleet.start_written(scenario, folder, offset, stand_ins_together(scenario)),
+        FleetProcesses.start_written(scenario, folder, offset, stand_ins_together(scenario)),
         FleetSession("*", endpoints, identity=load(identity_folder(keys, OTHERS[0]), {})) as session,
     ):
         fleet = SecuredFleet(scenario, folder, keys, offset, protocol, session, Ground(session))

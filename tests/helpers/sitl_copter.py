@@ -11,7 +11,7 @@ from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
 from companion.types.autopilot import AutopilotKind
 from sitl.autopilots.ardupilot.autopilot import ArduCopter
 from sitl.autopilots.ardupilot.link_end import tcp_link
-from sitl.autopilots.ardupilot.modes import Mode
+from sitl.autopilots.ardupilot.modes import CopterMode
 from sitl.vehicle.config import Airframe, AutopilotFile, StandIn
 
 DT_S = 0.004
@@ -85,7 +85,7 @@ class Copter:
     def take_off(self, height_m: float = 5.0) -> None:
         """Fly from power-on to hold at this height in GUIDED."""
         self.fly(0.1)
-        assert self.set_mode(Mode.GUIDED) == M.MAV_RESULT_ACCEPTED
+        assert self.set_mode(CopterMode.GUIDED) == M.MAV_RESULT_ACCEPTED
         assert self.arm() == M.MAV_RESULT_ACCEPTED
         assert self.command(M.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, height_m) == M.MAV_RESULT_ACCEPTED
         self.fly(7.0 + height_m)

@@ -10,13 +10,13 @@ from sitl.autopilots.px4.autopilot import Px4
 from sitl.autopilots.px4.commands import Px4Receiver
 from sitl.autopilots.px4.link import ONBOARD_RATES_HZ, Px4Schedule
 from sitl.autopilots.px4.messages import BUILDERS
-from sitl.autopilots.px4.modes import Mode
-from sitl.vehicle.attitude_control import Setpoint
+from sitl.autopilots.px4.modes import Px4Mode
+from sitl.vehicle.attitude_control import AttitudeSetpoint
 from sitl.vehicle.config import Airframe, AutopilotFile, StandIn, Wind
 
 DT_S = 0.004
 HOVER = 0.49
-LEVEL = Setpoint(quaternion_from_euler(0.0, 0.0, 0.0), HOVER)
+LEVEL = AttitudeSetpoint(quaternion_from_euler(0.0, 0.0, 0.0), HOVER)
 
 
 class Vehicle:
@@ -37,7 +37,7 @@ class Vehicle:
         self.receiver = Px4Receiver(self.px4, self.schedule)
         self.sent: list[MavlinkMessage] = []
 
-    def fly(self, seconds: float, stream: Setpoint | None = None, stream_hz: float = 50.0) -> None:
+    def fly(self, seconds: float, stream: AttitudeSetpoint | None = None, stream_hz: float = 50.0) -> None:
         """Advance the time, with or without a setpoint stream."""
         every = round(1.0 / stream_hz / DT_S)
         for step in range(round(seconds / DT_S)):
@@ -60,7 +60,7 @@ class Vehicle:
         answers = self.command(number, *parameters, target=target)
         return [answer.result for answer in answers if answer.get_type() == "COMMAND_ACK"]
 
-    def set_mode(self, mode: Mode) -> list[int]:
+    def set_mode(self, mode: Px4Mode) -> list[int]:
         return self.results(mavlink.MAV_CMD_DO_SET_MODE, 1.0, *mode.value)
 
     def take_off(self, height_m: float = 2.5) -> None:
@@ -69,13 +69,13 @@ class Vehicle:
         assert self.px4.arm() is None
         assert self.px4.take_off(self.altitude_amsl_m + height_m)
         self.fly(4.0 + height_m)
-        assert self.px4.mode is Mode.LOITER
+        assert self.px4.mode is Px4Mode.LOITER
 
     def offboard(self) -> None:
         """Fly from power-on to a hover in OFFBOARD."""
         self.take_off()
         self.fly(0.2, LEVEL)
-        assert self.set_mode(Mode.OFFBOARD) == [0, 0]
+        assert self.set_mode(Px4Mode.OFFBOARD) == [0, 0]
         self.fly(0.2, LEVEL)
 
     @property

@@ -12,11 +12,11 @@ from companion.types.autopilot import AutopilotKind
 from companion.types.requests import AttitudeTarget, RequestOrigin
 from companion.types.telemetry import AckSample, AttitudeSample, OriginSample, PositionSample, Telemetry
 from sitl.autopilots.autopilot import DT_S
-from sitl.autopilots.behaviour import BEHAVIOURS
+from sitl.autopilots.behaviour import AUTOPILOT_TYPES
 from sitl.autopilots.px4 import setpoints as px4_setpoints
 from sitl.autopilots.px4.autopilot import Px4
 from sitl.autopilots.px4.messages import BUILDERS
-from sitl.autopilots.px4.modes import Mode
+from sitl.autopilots.px4.modes import Px4Mode
 from sitl.links.direct_link import SAMPLES, DirectLink, rates_hz, setpoint_of
 from sitl.vehicle.config import AutopilotFile, BatteryLevel, Links, StandIn
 
@@ -39,7 +39,7 @@ def flying() -> Iterator[Px4]:
             px4.take_off(None)
         if step in (1150, 1500, 2500):
             yield px4
-    assert px4.set_mode(Mode.LAND)
+    assert px4.set_mode(Px4Mode.LAND)
     yield px4
 
 
@@ -95,8 +95,8 @@ def test_setpoints_equal_those_of_the_messages_to_a_microradian(target: Attitude
 
 
 def direct_link(links: Links, phase_s: float) -> DirectLink:
-    px4 = BEHAVIOURS[AutopilotKind.PX4].vehicle(AutopilotFile(), DT_S)
-    return DirectLink(px4, BEHAVIOURS[AutopilotKind.PX4].onboard_link(px4), links, phase_s)
+    px4 = AUTOPILOT_TYPES[AutopilotKind.PX4].vehicle(AutopilotFile(), DT_S)
+    return DirectLink(px4, AUTOPILOT_TYPES[AutopilotKind.PX4].onboard_link(px4), links, phase_s)
 
 
 def stepped(link: DirectLink, first: int, last: int) -> None:

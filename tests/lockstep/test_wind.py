@@ -17,7 +17,7 @@ from companion.types.flight import FlightPhase
 from companion.types.status import Status
 from companion.wire.ground import StatusReport
 from repository import ROOT
-from sitl.autopilots.px4.modes import Mode
+from sitl.autopilots.px4.modes import Px4Mode
 from sitl.flight.director import Director
 from sitl.flight.files import ids_of
 from sitl.flight.lockstep import Lockstep
@@ -42,10 +42,10 @@ HANDED_OVER_S = 0.1  # the attitude that is commanded, from before a change of m
 
 @dataclass(frozen=True)
 class Row:
-    """Mode and setpoint that one stand-in follows."""
+    """Px4Mode and setpoint that one stand-in follows."""
 
     time_s: float
-    mode: Mode
+    mode: Px4Mode
     roll_rad: float
     pitch_rad: float
     thrust_norm: float
@@ -99,7 +99,7 @@ class Flown:
         slots = {member.id: member.slot_enu_m for member in self.scenario.fleet.vehicles}
         return np.array([errors_m(track, standing(slots)[i], reference_m, times_s) for i, track in self.tracks.items()])
 
-    def changes(self, before: Mode, after: Mode) -> list[tuple[list[Row], int]]:
+    def changes(self, before: Px4Mode, after: Px4Mode) -> list[tuple[list[Row], int]]:
         """The rows of each vehicle, and the index of the first in the new mode."""
         found = []
         for rows in self.watch.followed.values():
@@ -108,7 +108,7 @@ class Flown:
             found.append((rows, changed[0]))
         return found
 
-    def steps(self, before: Mode, after: Mode) -> list[tuple[float, float]]:
+    def steps(self, before: Px4Mode, after: Px4Mode) -> list[tuple[float, float]]:
         """Step at the hand-over, for every vehicle."""
         return [step_of(rows, changed) for rows, changed in self.changes(before, after)]
 
@@ -139,7 +139,7 @@ def windy(share: float, *overrides: str) -> Flown:
     return flown("platoon_wind", THEN_HOLD, assuming(share), *overrides)
 
 
-INTO_FORMATION, OUT_OF_FORMATION = (Mode.LOITER, Mode.OFFBOARD), (Mode.OFFBOARD, Mode.LOITER)
+INTO_FORMATION, OUT_OF_FORMATION = (Px4Mode.LOITER, Px4Mode.OFFBOARD), (Px4Mode.OFFBOARD, Px4Mode.LOITER)
 
 
 def step_of(rows: list[Row], changed: int) -> tuple[float, float]:

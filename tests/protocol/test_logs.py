@@ -23,7 +23,7 @@ from agent_process import AgentFiles, agent_files, companion, until
 from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
 from companion.types.autopilot import AutopilotKind
 from logging_autopilot import LoggingAutopilot
-from sitl.autopilots.ardupilot.modes import Mode
+from sitl.autopilots.ardupilot.modes import CopterMode
 from sitl.autopilots.logs.ulog import MAGIC
 from sitl.links.receiver import FORCE
 from stand_in_process import StandInProcess, stand_in
@@ -271,7 +271,7 @@ def test_the_log_of_a_flight(kind: AutopilotKind, tmp_path: Path) -> None:
             pilot = Pilot(process, udp)
             until(lambda: len(process.truth()) > 50)  # started: it keeps a mode from now on
             if kind is ARDUPILOT:
-                pilot.command(mavlink.MAV_CMD_DO_SET_MODE, 1.0, Mode.GUIDED)
+                pilot.command(mavlink.MAV_CMD_DO_SET_MODE, 1.0, CopterMode.GUIDED)
             pilot.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
             until(lambda: process.newest.armed)
             pilot.command(mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, 2.0 if kind is ARDUPILOT else 490.0)

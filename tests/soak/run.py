@@ -14,7 +14,7 @@ from companion.ground.session import FleetSession
 from sitl.flight.director import Director, MachineClock
 from sitl.flight.files import ids_of
 from sitl.flight.orders import FlightFailure
-from sitl.flight.processes.fleet import Fleet
+from sitl.flight.processes.fleet import FleetProcesses
 from sitl.flight.scenario import Scenario, load_scenario
 from sitl.flight.watch import FlightWatch, watch_of
 from sitl.links.free_ports import reserved_ports
@@ -74,7 +74,7 @@ def scenario_file(folder: Path, seconds: float) -> Path:
 class Sampler:
     """Samples the agents while they fly formation."""
 
-    def __init__(self, fleet: Fleet, watch: FlightWatch, ids: list[int], seconds: float) -> None:
+    def __init__(self, fleet: FleetProcesses, watch: FlightWatch, ids: list[int], seconds: float) -> None:
         self._pids = [fleet.pid_of(f"agent {i}") for i in ids]
         self._watch = watch
         self._period_s = max(LEAST_PERIOD_S, seconds / SAMPLES)
@@ -148,7 +148,7 @@ def _fly(
     endpoints = [zenoh_endpoint(vehicle_id, offset) for vehicle_id in ids]
     watch = watch_of(scenario, time.monotonic())
     progress = Progress("soak", quiet, watch.began_s)
-    with Fleet.start(scenario, folder, offset) as fleet, progress, ExitStack() as stack:
+    with FleetProcesses.start(scenario, folder, offset) as fleet, progress, ExitStack() as stack:
         session = stack.enter_context(FleetSession(scenario.fleet.name, endpoints, "soak"))
         sampler = Sampler(fleet, watch, ids, seconds)
 

@@ -11,15 +11,15 @@ from math import inf, isfinite
 from companion.geometry.frames import Quaternion, euler_from_quaternion, quaternion_from_euler
 from companion.types.autopilot import AutopilotKind
 from companion.types.vectors import Vector3
-from sitl.autopilots.ardupilot.modes import ARMABLE, GROUND_STATION_LOSS, NEED_A_POSITION, Mode
+from sitl.autopilots.ardupilot.modes import ARMABLE, GROUND_STATION_LOSS, NEED_A_POSITION, CopterMode
 from sitl.autopilots.ardupilot.parameters import ArduPilotParameters
-from sitl.autopilots.ardupilot.startup import Start
+from sitl.autopilots.ardupilot.startup import StartUp
 from sitl.autopilots.autopilot import CRITICAL, IDLE_THRUST_NORM, INFO, WARNING, Autopilot
 from sitl.autopilots.logs.dataflash import DataFlash
-from sitl.autopilots.logs.flight_logs import FlightLogs
+from sitl.autopilots.logs.flight_logs import StandInLogs
 from sitl.autopilots.messages import LANDED_IN_AIR, LANDED_LANDING, LANDED_ON_GROUND, LANDED_TAKEOFF
 from sitl.autopilots.setpoints import Course
-from sitl.vehicle.attitude_control import Loops, Setpoint
+from sitl.vehicle.attitude_control import AttitudeSetpoint, Loops
 from sitl.vehicle.automatic_flight import LEAST_COS_TILT, Speeds, Task, cos_tilt
 from sitl.vehicle.config import AutopilotFile
 
@@ -47,7 +47,7 @@ STATE_BOOT, STATE_STANDBY, STATE_ACTIVE, STATE_CRITICAL = 1, 3, 4, 5  # MAV_STAT
 
 
 @dataclass(frozen=True, slots=True)
-class Signing:
+class SigningSetup:
     """Key and timestamp (10 us since 2015) of the last SETUP_SIGNING, and the time of its receipt."""
 
     key: bytes
@@ -72,23 +72,23 @@ class ArduCopter(Autopilot):
     def __init__(self, file: AutopilotFile, dt_s: float) -> None:
         parameters = ArduPilotParameters(file.id, file.stand_in.parameters)
         super().__init__(file, dt_s, ARDUPILOT_LOOPS, parameters, BRAKING_M_S2)
-        self.flight_logs = FlightLogs(DataFlash(self), LOGS_AFTER_DISARMING_S)
+        self.flight_logs = StandInLogs(DataFlash(self), LOGS_AFTER_DISARMING_S)
         self.log_service = LogService()
-        self.mode = Mode.STABILIZE
-        self.start = Start(file.stand_in.ready_after_s)
+        self.mode = CopterMode.STABILIZE
+        self.start = StartUp(file.stand_in.ready_after_s)
         self.throttle_norm = 0.0  # commanded, before the compensation of the tilt
         self.failsafe = False
-        self.signing: Signing | None = None
+        self.signing: SigningSetup | None = None
         self._taking_off = False
         self._lifts_off_s = 0.0
-        self._followed: Setpoint | Course | None = None  # in GUIDED; None holds
+        self._followed: AttitudeSetpoint | Course | None = None  # in GUIDED; None holds
         self._followed_s = 0.0
         self._level: Quaternion | None = None  # since a stream of attitudes ended
 
     # ------------------------------------------------------------ state
 
     @property
-    def flight_mode(self) -> Mode:
+    def flight_mode(self) -> CopterMode:
         return self.mode
 
     @property
@@ -149,10 +149,10 @@ class ArduCopter(Autopilot):
 
     # ------------------------------------------------------------ requests
 
-    def set_mode(self, mode: Mode) -> str | None:
+    def set_mode(self, mode: CopterMode) -> str | None:
         """The reason of a refusal, or None. Disarmed, every mode is accepted."""
         if self.armed and mode is not self.mode:
-            if mode is Mode.AUTO:
+            if mode is CopterMode.AUTO:
                 return "Mode change to AUTO failed: init failed"  # there is no mission
             if mode in NEED_A_POSITION and not self.has_position:
                 return f"Mode change to {mode.name} failed: requires position"
@@ -160,9 +160,9 @@ class ArduCopter(Autopilot):
             self._enter(mode)
         return None
 
-    def take_setpoint(self, setpoint: Setpoint | Course) -> None:
+    def take_setpoint(self, setpoint: AttitudeSetpoint | Course) -> None:
         """The next setpoint of GUIDED; in other modes it is ignored silently."""
-        if self.mode is not Mode.GUIDED:
+        if self.mode is not CopterMode.GUIDED:
             return
         if type(setpoint) is not type(self._followed):
             self._stop()
@@ -170,14 +170,14 @@ class ArduCopter(Autopilot):
 
     def stop(self) -> None:
         """Brake and hold in GUIDED: the reaction to an invalid setpoint."""
-        if self.mode is Mode.GUIDED and (self._followed is not None or self._taking_off):
+        if self.mode is CopterMode.GUIDED and (self._followed is not None or self._taking_off):
             self._stop()
 
     def take_off(self, height_m: float) -> bool:
         """NAV_TAKEOFF to a height above home, in GUIDED, armed and on the ground."""
         top_m = self.home[2] + height_m
         if (
-            self.mode is not Mode.GUIDED
+            self.mode is not CopterMode.GUIDED
             or not self.armed
             or not self._ground.landed
             or top_m <= self.here_geodetic()[2]
@@ -225,7 +225,7 @@ class ArduCopter(Autopilot):
         for text in self.start.announcements(self.time_s):
             self.send_text(INFO, text)
             if text == "ArduPilot Ready":  # earlier mode commands are lost
-                self._enter(Mode.STABILIZE)
+                self._enter(CopterMode.STABILIZE)
             elif "origin set" in text:
                 self.home = self.here_geodetic()
                 self.origin_changes += 1
@@ -250,12 +250,12 @@ class ArduCopter(Autopilot):
 
     def _control(self, control_is_due: bool) -> None:
         if self._waits_on_ground():
-            self._thrust(Setpoint(self.quad.estimated_quaternion(), IDLE_THRUST_NORM))
-            if self.mode is Mode.LAND:
+            self._thrust(AttitudeSetpoint(self.quad.estimated_quaternion(), IDLE_THRUST_NORM))
+            if self.mode is CopterMode.LAND:
                 self.throttle_norm = TOUCHED_DOWN_THROTTLE_NORM
-        elif self.mode is Mode.STABILIZE:  # the throttle stick is at the bottom
-            self._thrust(Setpoint(quaternion_from_euler(0.0, 0.0, self.quad.estimated_euler_rad()[2]), 0.0))
-        elif self.mode is Mode.GUIDED and isinstance(self._followed, Setpoint):
+        elif self.mode is CopterMode.STABILIZE:  # the throttle stick is at the bottom
+            self._thrust(AttitudeSetpoint(quaternion_from_euler(0.0, 0.0, self.quad.estimated_euler_rad()[2]), 0.0))
+        elif self.mode is CopterMode.GUIDED and isinstance(self._followed, AttitudeSetpoint):
             self._follow_attitude(self._followed, control_is_due)
         elif control_is_due:
             self._fly_automatically()
@@ -267,19 +267,19 @@ class ArduCopter(Autopilot):
         return not self._is_to_lift_off() or self.time_s < self._lifts_off_s
 
     def _is_to_lift_off(self) -> bool:
-        if self._taking_off or self.mode is not Mode.GUIDED:
+        if self._taking_off or self.mode is not CopterMode.GUIDED:
             return self._taking_off
-        if isinstance(self._followed, Setpoint) and self._level is None:
+        if isinstance(self._followed, AttitudeSetpoint) and self._level is None:
             return self._followed.thrust_norm > (0.0 if self._takes_thrust() else 0.5)
         return False
 
     def _fly_automatically(self) -> None:
         if self._taking_off and self._automatic.taken_off():
             self._taking_off = False
-        if self._incidents.course is not None and self.mode is Mode.LOITER:
+        if self._incidents.course is not None and self.mode is CopterMode.LOITER:
             self._thrust(self._automatic.follow(self._incidents.course, self._control_dt_s))
             return
-        followed = self._followed if self.mode is Mode.GUIDED else None
+        followed = self._followed if self.mode is CopterMode.GUIDED else None
         if isinstance(followed, Course):
             if not isfinite(followed.position_m[0]) and self._silent_s() > self.parameters["GUID_TIMEOUT"]:
                 self._stop()
@@ -288,7 +288,7 @@ class ArduCopter(Autopilot):
                 return
         self._thrust(self._automatic.setpoint(self._control_dt_s))
 
-    def _follow_attitude(self, followed: Setpoint, control_is_due: bool) -> None:
+    def _follow_attitude(self, followed: AttitudeSetpoint, control_is_due: bool) -> None:
         """Follow the last attitude and thrust until they are GUID_TIMEOUT old; then level at this height, drifting."""
         if self._level is None and self._silent_s() > self.parameters["GUID_TIMEOUT"]:
             self._level = quaternion_from_euler(0.0, 0.0, euler_from_quaternion(followed.quaternion)[2])
@@ -304,14 +304,14 @@ class ArduCopter(Autopilot):
             boost = 1.0
             if followed.rates_rad_s is None and self.parameters["ATC_ANGLE_BOOST"]:
                 boost = 1.0 / max(cos_tilt(followed.quaternion), LEAST_COS_TILT)
-            self.setpoint = Setpoint(
+            self.setpoint = AttitudeSetpoint(
                 followed.quaternion, min(self.throttle_norm * boost, 1.0), followed.yaw_rate_rad_s, followed.rates_rad_s
             )
 
     def _takes_thrust(self) -> bool:
         return bool(int(self.parameters["GUID_OPTIONS"]) & THRUST_INSTEAD_OF_CLIMB_RATE)
 
-    def _climb_m_s(self, followed: Setpoint) -> float:
+    def _climb_m_s(self, followed: AttitudeSetpoint) -> float:
         """Climb rate of a thrust without GUID_OPTIONS bit 3: 0.5 holds, 1 and 0 are the WPNAV climb and descent speeds."""
         share = 2.0 * (min(max(followed.thrust_norm, 0.0), 1.0) - 0.5) if isfinite(followed.thrust_norm) else 0.0
         return share * self.parameters["WPNAV_SPEED_UP" if share > 0.0 else "WPNAV_SPEED_DN"] / 100.0
@@ -319,7 +319,7 @@ class ArduCopter(Autopilot):
     def _silent_s(self) -> float:
         return self.time_s - self._followed_s
 
-    def _thrust(self, setpoint: Setpoint) -> None:
+    def _thrust(self, setpoint: AttitudeSetpoint) -> None:
         """Set a setpoint whose thrust already compensates the tilt."""
         self.setpoint = setpoint
         self.throttle_norm = setpoint.thrust_norm * max(cos_tilt(setpoint.quaternion), LEAST_COS_TILT)
@@ -328,15 +328,15 @@ class ArduCopter(Autopilot):
 
     def _update_ground_contact(self) -> None:
         self._ground.update(self.quad.on_ground, self._thrust_is_low(), self.time_s)
-        landing = self._ground.flown and self.mode in (Mode.LAND, Mode.RTL)
+        landing = self._ground.flown and self.mode in (CopterMode.LAND, CopterMode.RTL)
         delay_s = DISARMED_AFTER_LANDING_S if landing else self.parameters["DISARM_DELAY"] or inf
         if self._ground.idle_s(self.time_s) > delay_s and not self._is_to_lift_off():
             self.disarm(forced=True)
 
     def _enter_pilot_mode(self) -> None:
-        self._enter(Mode.LOITER)
+        self._enter(CopterMode.LOITER)
 
-    def _enter(self, mode: Mode) -> None:
+    def _enter(self, mode: CopterMode) -> None:
         self.mode = mode
         self._stop()
 

@@ -6,10 +6,10 @@ from collections.abc import Iterator
 from math import isfinite
 
 from companion.mavlink.codec import MavlinkMessage, mavlink
-from sitl.autopilots.ardupilot.autopilot import ArduCopter, Signing
+from sitl.autopilots.ardupilot.autopilot import ArduCopter, SigningSetup
 from sitl.autopilots.ardupilot.logs import ArduPilotLogTransfer
 from sitl.autopilots.ardupilot.messages import BUILDERS
-from sitl.autopilots.ardupilot.modes import Mode
+from sitl.autopilots.ardupilot.modes import CopterMode
 from sitl.autopilots.ardupilot.setpoints import course_of, setpoint_of
 from sitl.autopilots.autopilot import CRITICAL, INFO, WARNING
 from sitl.links.receiver import ACCEPTED, DENIED, FAILED, FORCE, Answers, Receiver
@@ -38,9 +38,9 @@ class ArduPilotReceiver(Receiver):
             M.MAV_CMD_DO_SET_MODE: self._do_set_mode,
             M.MAV_CMD_COMPONENT_ARM_DISARM: self._arm_disarm,
             M.MAV_CMD_NAV_TAKEOFF: self._take_off,
-            M.MAV_CMD_NAV_LAND: lambda _p: self._to(Mode.LAND),
-            M.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda _p: self._to(Mode.RTL),
-            M.MAV_CMD_NAV_LOITER_UNLIM: lambda _p: self._to(Mode.LOITER),
+            M.MAV_CMD_NAV_LAND: lambda _p: self._to(CopterMode.LAND),
+            M.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda _p: self._to(CopterMode.RTL),
+            M.MAV_CMD_NAV_LOITER_UNLIM: lambda _p: self._to(CopterMode.LOITER),
             M.MAV_CMD_SET_MESSAGE_INTERVAL: self._set_interval,
         }
 
@@ -66,7 +66,7 @@ class ArduPilotReceiver(Receiver):
         yield from ()
 
     def _set_attitude_target(self, message: MavlinkMessage) -> Answers:
-        if self._copter.mode is Mode.GUIDED:
+        if self._copter.mode is CopterMode.GUIDED:
             setpoint = setpoint_of(message)
             if setpoint is None:
                 self._copter.stop()
@@ -90,20 +90,20 @@ class ArduPilotReceiver(Receiver):
         elif not any(key) and message.initial_timestamp == 0:
             self._copter.signing = None
         else:
-            self._copter.signing = Signing(key, message.initial_timestamp, self._copter.time_s)
+            self._copter.signing = SigningSetup(key, message.initial_timestamp, self._copter.time_s)
         yield from ()
 
     # ------------------------------------------------------------ commands
 
     def _do_set_mode(self, parameters: list[float]) -> Iterator[int]:
         number = int(parameters[1]) if isfinite(parameters[1]) else -1
-        if number not in list(Mode):
+        if number not in list(CopterMode):
             self._copter.send_text(WARNING, f"No such mode {number}")
             yield FAILED
         else:
-            yield from self._to(Mode(number))
+            yield from self._to(CopterMode(number))
 
-    def _to(self, mode: Mode) -> Iterator[int]:
+    def _to(self, mode: CopterMode) -> Iterator[int]:
         refusal = self._copter.set_mode(mode)
         if refusal:
             self._copter.send_text(WARNING, refusal)

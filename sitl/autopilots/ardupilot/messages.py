@@ -15,8 +15,8 @@ from sitl.autopilots.ardupilot.modes import REPORTED_AS_GUIDED
 M = mavlink
 # As recorded of ArduCopter 4.5 in SITL. Armed: motors, position and altitude control are enabled.
 PRESENT = 0x5371FC2F
-DISARMED = shared.Sensors(PRESENT, enabled=0x52619C2F, healthy=0x47719C2F)
-ARMED = shared.Sensors(PRESENT, enabled=0x5361FC2F, healthy=0x4771FC2F)
+DISARMED = shared.SensorBits(PRESENT, enabled=0x52619C2F, healthy=0x47719C2F)
+ARMED = shared.SensorBits(PRESENT, enabled=0x5361FC2F, healthy=0x4771FC2F)
 EKF_READY, EKF_WITHOUT_POSITION = 831, 167
 VERSION = (4 << 24) | (6 << 16) | (2 << 8) | 255  # 4.6.2, release
 

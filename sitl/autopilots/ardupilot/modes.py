@@ -7,7 +7,7 @@ from enum import IntEnum
 from sitl.vehicle.automatic_flight import Task
 
 
-class Mode(IntEnum):
+class CopterMode(IntEnum):
     """A flight mode as custom_mode."""
 
     STABILIZE = 0
@@ -29,18 +29,23 @@ class Mode(IntEnum):
 
 
 # Its simulator has a remote control whose throttle stick is at the bottom: LOITER and ALT_HOLD sink with it.
-_TASKS = {Mode.ALT_HOLD: Task.SINK, Mode.LOITER: Task.SINK, Mode.LAND: Task.LAND, Mode.RTL: Task.RETURN}
-ARMABLE = frozenset({Mode.STABILIZE, Mode.ALT_HOLD, Mode.GUIDED, Mode.LOITER})
-NEED_A_POSITION = frozenset({Mode.AUTO, Mode.GUIDED, Mode.LOITER, Mode.RTL, Mode.BRAKE})
-REPORTED_AS_GUIDED = NEED_A_POSITION | {Mode.LAND}  # in HEARTBEAT: the modes that control the position
+_TASKS = {
+    CopterMode.ALT_HOLD: Task.SINK,
+    CopterMode.LOITER: Task.SINK,
+    CopterMode.LAND: Task.LAND,
+    CopterMode.RTL: Task.RETURN,
+}
+ARMABLE = frozenset({CopterMode.STABILIZE, CopterMode.ALT_HOLD, CopterMode.GUIDED, CopterMode.LOITER})
+NEED_A_POSITION = frozenset({CopterMode.AUTO, CopterMode.GUIDED, CopterMode.LOITER, CopterMode.RTL, CopterMode.BRAKE})
+REPORTED_AS_GUIDED = NEED_A_POSITION | {CopterMode.LAND}  # in HEARTBEAT: the modes that control the position
 
 # FS_GCS_ENABLE: the mode after the loss of the ground station, none for 0. SMART_RTL has no path here and becomes RTL.
 GROUND_STATION_LOSS = {
-    1: Mode.RTL,
-    2: Mode.RTL,
-    3: Mode.RTL,
-    4: Mode.LAND,
-    5: Mode.LAND,
-    6: Mode.RTL,
-    7: Mode.BRAKE,
+    1: CopterMode.RTL,
+    2: CopterMode.RTL,
+    3: CopterMode.RTL,
+    4: CopterMode.LAND,
+    5: CopterMode.LAND,
+    6: CopterMode.RTL,
+    7: CopterMode.BRAKE,
 }

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from companion.mavlink.codec import mavlink
-from sitl.autopilots.parameters import REAL32, Parameters
+from sitl.autopilots.parameters import REAL32, StandInParameters
 
 M = mavlink
 INTEGERS = (
@@ -96,7 +96,7 @@ DEFAULTS: dict[str, float | int] = {
 }
 
 
-class ArduPilotParameters(Parameters):
+class ArduPilotParameters(StandInParameters):
     """The type in a client's PARAM_SET is ignored."""
 
     def __init__(self, system_id: int, overrides: Mapping[str, float]) -> None:

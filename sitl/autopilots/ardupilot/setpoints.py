@@ -24,13 +24,13 @@ from sitl.autopilots.setpoints import (
     IGNORE_YAW_RATE,
     Course,
 )
-from sitl.vehicle.attitude_control import Setpoint
+from sitl.vehicle.attitude_control import AttitudeSetpoint
 
 SQUARE_OF_UNIT_WITHIN = 1e-3
 NO_VECTOR: Vector3 = (nan, nan, nan)
 
 
-def setpoint_of(message: MavlinkMessage) -> Setpoint | None:
+def setpoint_of(message: MavlinkMessage) -> AttitudeSetpoint | None:
     """The setpoint, None to stop. The thrust is as sent; its meaning depends on GUID_OPTIONS.
 
     Raises AutopilotAbortedError for a NaN quaternion, which aborts the real autopilot by a floating point exception.
@@ -49,9 +49,9 @@ def setpoint_of(message: MavlinkMessage) -> Setpoint | None:
     p, q, r = flu_from_frd((message.body_roll_rate, message.body_pitch_rate, message.body_yaw_rate))
     rates = ZERO3 if no_rates else (p, q, r)
     if mask & IGNORE_ATTITUDE:
-        return Setpoint((1.0, 0.0, 0.0, 0.0), message.thrust, rates_rad_s=rates)
+        return AttitudeSetpoint((1.0, 0.0, 0.0, 0.0), message.thrust, rates_rad_s=rates)
     euler = euler_enu_from_ned(*euler_from_quaternion(tuple(message.q)))
-    return Setpoint(quaternion_from_euler(*euler), message.thrust, yaw_rate_rad_s=rates[2])
+    return AttitudeSetpoint(quaternion_from_euler(*euler), message.thrust, yaw_rate_rad_s=rates[2])
 
 
 def course_of(message: MavlinkMessage) -> Course | None:

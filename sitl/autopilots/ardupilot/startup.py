@@ -12,7 +12,7 @@ INITIALISED, ACCELS, GYROS, ORIGIN, USING_GPS = 0.06, 0.28, 0.56, 0.48, 0.88  # 
 
 
 @dataclass(slots=True)
-class Start:
+class StartUp:
     """The start of one vehicle. `announcements` is to be called repeatedly."""
 
     armable_after_s: float

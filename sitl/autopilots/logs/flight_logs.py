@@ -40,7 +40,7 @@ class FlightLog:
 
 
 @dataclass(slots=True)
-class FlightLogs:
+class StandInLogs:
     """All logs of one vehicle, the oldest first. Without `utc_at_start_s` the autopilot does not know the date."""
 
     log_format: LogFormat

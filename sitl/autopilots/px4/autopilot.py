@@ -11,13 +11,13 @@ from math import inf, radians, tan
 from companion.types.autopilot import AutopilotKind
 from companion.types.vectors import Vector3
 from sitl.autopilots.autopilot import CRITICAL, IDLE_THRUST_NORM, INFO, Autopilot
-from sitl.autopilots.logs.flight_logs import FlightLogs
+from sitl.autopilots.logs.flight_logs import StandInLogs
 from sitl.autopilots.logs.ulog import ULog
 from sitl.autopilots.messages import LANDED_IN_AIR, LANDED_LANDING, LANDED_ON_GROUND, LANDED_TAKEOFF
-from sitl.autopilots.px4.modes import GROUND_STATION_LOSS, NEED_A_PILOT, OFFBOARD_LOSS, PREVENT_ARMING, Mode
+from sitl.autopilots.px4.modes import GROUND_STATION_LOSS, NEED_A_PILOT, OFFBOARD_LOSS, PREVENT_ARMING, Px4Mode
 from sitl.autopilots.px4.parameters import Px4Parameters
 from sitl.autopilots.setpoints import Course
-from sitl.vehicle.attitude_control import PX4_LOOPS, Setpoint
+from sitl.vehicle.attitude_control import PX4_LOOPS, AttitudeSetpoint
 from sitl.vehicle.automatic_flight import Speeds
 from sitl.vehicle.config import AutopilotFile
 from sitl.vehicle.ground_contact import Contact
@@ -36,7 +36,7 @@ LANDING_SLOWS_M = (5.0, 10.0)  # MPC_LAND_ALT2 and MPC_LAND_ALT1 above home
 class OffboardStream:
     """The setpoint stream of OFFBOARD: the newest setpoint, its time, and the start of the stream without a gap."""
 
-    newest: Setpoint | Course | None = None
+    newest: AttitudeSetpoint | Course | None = None
     newest_s: float = -inf
     since_s: float = -inf
 
@@ -49,14 +49,14 @@ class Px4(Autopilot):
 
     def __init__(self, file: AutopilotFile, dt_s: float) -> None:
         super().__init__(file, dt_s, PX4_LOOPS, Px4Parameters(file.id, file.stand_in.parameters), BRAKING_M_S2)
-        self.flight_logs = FlightLogs(ULog(self), after_disarming_s=0.0)
-        self.mode = Mode.LOITER
-        self.intended_mode = Mode.LOITER
+        self.flight_logs = StandInLogs(ULog(self), after_disarming_s=0.0)
+        self.mode = Px4Mode.LOITER
+        self.intended_mode = Px4Mode.LOITER
         self.failsafe = False
         self.takeoff_altitude_amsl_m: float | None = None
         self._ready_after_s = file.stand_in.ready_after_s
         self._failsafe_steps = max(1, round(FAILSAFE_PERIOD_S / dt_s))
-        self._mode_after_disarming = Mode.LOITER
+        self._mode_after_disarming = Px4Mode.LOITER
         self._stream = OffboardStream()
         self._ground_station_failsafe_s: float | None = None
         self._ground_station_loss_known = False
@@ -64,14 +64,14 @@ class Px4(Autopilot):
     # ------------------------------------------------------------ state
 
     @property
-    def flight_mode(self) -> Mode:
+    def flight_mode(self) -> Px4Mode:
         return self.mode
 
     @property
     def armable(self) -> bool:
-        if self.time_s < self._ready_after_s or self.mode in PREVENT_ARMING | NEED_A_PILOT | {Mode.MISSION}:
+        if self.time_s < self._ready_after_s or self.mode in PREVENT_ARMING | NEED_A_PILOT | {Px4Mode.MISSION}:
             return False
-        if self.mode is Mode.OFFBOARD and not self.streaming:
+        if self.mode is Px4Mode.OFFBOARD and not self.streaming:
             return False
         return not (self.parameters["NAV_DLL_ACT"] > 0 and self.ground_station_lost)
 
@@ -87,7 +87,7 @@ class Px4(Autopilot):
     def landed_state(self) -> int:
         if self._ground.landed:
             return LANDED_ON_GROUND
-        if self.mode is Mode.TAKEOFF:
+        if self.mode is Px4Mode.TAKEOFF:
             return LANDED_TAKEOFF
         return LANDED_LANDING if self._automatic.landing else LANDED_IN_AIR
 
@@ -138,18 +138,18 @@ class Px4(Autopilot):
 
     # ------------------------------------------------------------ requests
 
-    def take_setpoint(self, setpoint: Setpoint | Course) -> None:
+    def take_setpoint(self, setpoint: AttitudeSetpoint | Course) -> None:
         """The next setpoint of the OFFBOARD stream."""
         stream = self._stream
         if not self.streaming:
             stream.since_s = self.time_s
-        if isinstance(setpoint, Course) and not isinstance(stream.newest, Course) and self.mode is Mode.OFFBOARD:
-            self._enter(Mode.OFFBOARD)
+        if isinstance(setpoint, Course) and not isinstance(stream.newest, Course) and self.mode is Px4Mode.OFFBOARD:
+            self._enter(Px4Mode.OFFBOARD)
         stream.newest, stream.newest_s = setpoint, self.time_s
 
-    def set_mode(self, mode: Mode, takeoff_altitude_amsl_m: float | None = None) -> bool:
+    def set_mode(self, mode: Px4Mode, takeoff_altitude_amsl_m: float | None = None) -> bool:
         """A mode change on request. Disarmed, every mode is accepted; armed, the mode must be able to fly the vehicle."""
-        can_fly = mode not in NEED_A_PILOT | {Mode.MISSION} and (mode is not Mode.OFFBOARD or self.streaming)
+        can_fly = mode not in NEED_A_PILOT | {Px4Mode.MISSION} and (mode is not Px4Mode.OFFBOARD or self.streaming)
         if self.armed and not can_fly:
             return False
         if mode is not self.mode or takeoff_altitude_amsl_m is not None:
@@ -164,10 +164,10 @@ class Px4(Autopilot):
 
     def take_off(self, altitude_amsl_m: float | None) -> bool:
         """NAV_TAKEOFF, also during a take-off: the new altitude replaces the old one."""
-        again = self.mode is Mode.TAKEOFF
-        self.set_mode(Mode.TAKEOFF, altitude_amsl_m)
+        again = self.mode is Px4Mode.TAKEOFF
+        self.set_mode(Px4Mode.TAKEOFF, altitude_amsl_m)
         if again:
-            self._enter(Mode.TAKEOFF)
+            self._enter(Px4Mode.TAKEOFF)
         if altitude_amsl_m is not None and altitude_amsl_m < self.here_geodetic()[2]:
             self.send_text(CRITICAL, "Already higher than takeoff altitude")  # it holds its present height
         return True
@@ -176,7 +176,7 @@ class Px4(Autopilot):
         """DO_REPOSITION: hold at this position."""
         if not self.armed or self._ground.landed:
             return False
-        self.set_mode(Mode.LOITER)
+        self.set_mode(Px4Mode.LOITER)
         self._automatic.go_to(position_local_enu_m, yaw_rad)
         return True
 
@@ -212,23 +212,23 @@ class Px4(Autopilot):
 
     def _control(self, control_is_due: bool) -> None:
         newest = self._stream.newest
-        if self.mode is Mode.OFFBOARD and isinstance(newest, Setpoint):
+        if self.mode is Px4Mode.OFFBOARD and isinstance(newest, AttitudeSetpoint):
             self.setpoint = newest
         elif not control_is_due:
             return
-        elif self.mode is Mode.OFFBOARD and isinstance(newest, Course):
+        elif self.mode is Px4Mode.OFFBOARD and isinstance(newest, Course):
             self.setpoint = self._automatic.follow(newest, self._control_dt_s)
-        elif self.mode is Mode.POSCTL and self._incidents.course is not None:
+        elif self.mode is Px4Mode.POSCTL and self._incidents.course is not None:
             self.setpoint = self._automatic.follow(self._incidents.course, self._control_dt_s)
         else:
-            if self._ground.landed and self.mode is not Mode.TAKEOFF:
-                self.setpoint = Setpoint(self.quad.estimated_quaternion(), IDLE_THRUST_NORM)
+            if self._ground.landed and self.mode is not Px4Mode.TAKEOFF:
+                self.setpoint = AttitudeSetpoint(self.quad.estimated_quaternion(), IDLE_THRUST_NORM)
                 return
-            if self.mode is Mode.TAKEOFF and self._automatic.taken_off():
+            if self.mode is Px4Mode.TAKEOFF and self._automatic.taken_off():
                 # It holds the commanded height, not the present one.
-                self.mode = Mode.LOITER
-                if self.intended_mode is Mode.TAKEOFF:
-                    self.intended_mode = self._mode_after_disarming = Mode.LOITER
+                self.mode = Px4Mode.LOITER
+                if self.intended_mode is Px4Mode.TAKEOFF:
+                    self.intended_mode = self._mode_after_disarming = Px4Mode.LOITER
             self.setpoint = self._automatic.setpoint(self._control_dt_s)
 
     # ------------------------------------------------------------ failsafes
@@ -242,36 +242,36 @@ class Px4(Autopilot):
         elif check_is_due and self._ground_station_is_newly_lost():
             self._ground_station_failsafe_s = self.time_s
             hold_s = self.parameters["COM_FAIL_ACT_T"]  # the pilot may take over in this time
-            self._activate_failsafe(Mode.LOITER, f": entering Hold for {hold_s:.0f} seconds")
-        elif self.mode is Mode.OFFBOARD:
+            self._activate_failsafe(Px4Mode.LOITER, f": entering Hold for {hold_s:.0f} seconds")
+        elif self.mode is Px4Mode.OFFBOARD:
             gap_s = self.time_s - self._stream.newest_s
             if check_is_due and gap_s > self.parameters["COM_OF_LOSS_T"] + STREAM_LOST_GRACE_S:
-                self._activate_failsafe(OFFBOARD_LOSS.get(int(self.parameters["COM_OBL_RC_ACT"]), Mode.POSCTL))
-        elif self.intended_mode is Mode.OFFBOARD and self._stream_is_back():
+                self._activate_failsafe(OFFBOARD_LOSS.get(int(self.parameters["COM_OBL_RC_ACT"]), Px4Mode.POSCTL))
+        elif self.intended_mode is Px4Mode.OFFBOARD and self._stream_is_back():
             # PX4 re-enters OFFBOARD without a command when setpoints come again.
             self.failsafe = False
-            self._switch(Mode.OFFBOARD)
+            self._switch(Px4Mode.OFFBOARD)
 
     def _stream_is_back(self) -> bool:
         return self.streaming and self.time_s - self._stream.since_s >= STREAM_BACK_AFTER_S
 
     def _ground_station_is_newly_lost(self) -> bool:
         lost = self.ground_station_lost and int(self.parameters["NAV_DLL_ACT"]) in GROUND_STATION_LOSS
-        newly = lost and not self._ground_station_loss_known and self.mode is not Mode.LAND
+        newly = lost and not self._ground_station_loss_known and self.mode is not Px4Mode.LAND
         self._ground_station_loss_known = lost
         return newly
 
     def _go_on_without_ground_station(self, since_s: float) -> None:
         """Latched: only a mode change ends it, neither the ground station's return nor a setpoint stream."""
-        if self.mode is Mode.LOITER and self.time_s - since_s >= self.parameters["COM_FAIL_ACT_T"]:
-            self._fly_failsafe(GROUND_STATION_LOSS.get(int(self.parameters["NAV_DLL_ACT"]), Mode.LOITER))
+        if self.mode is Px4Mode.LOITER and self.time_s - since_s >= self.parameters["COM_FAIL_ACT_T"]:
+            self._fly_failsafe(GROUND_STATION_LOSS.get(int(self.parameters["NAV_DLL_ACT"]), Px4Mode.LOITER))
 
-    def _activate_failsafe(self, mode: Mode | None, how: str = "") -> None:
+    def _activate_failsafe(self, mode: Px4Mode | None, how: str = "") -> None:
         self.failsafe = True
         self.send_text(CRITICAL, f"Failsafe activated{how}")
         self._fly_failsafe(mode)
 
-    def _fly_failsafe(self, mode: Mode | None) -> None:
+    def _fly_failsafe(self, mode: Px4Mode | None) -> None:
         if mode is None:
             self.disarm(forced=True, reason="failsafe")
         else:
@@ -295,13 +295,13 @@ class Px4(Autopilot):
             self.disarm(forced=True, reason="auto preflight disarming")
 
     def _enter_pilot_mode(self) -> None:
-        self.intended_mode, self.failsafe, self._ground_station_failsafe_s = Mode.POSCTL, False, None
-        self._switch(Mode.POSCTL)
+        self.intended_mode, self.failsafe, self._ground_station_failsafe_s = Px4Mode.POSCTL, False, None
+        self._switch(Px4Mode.POSCTL)
 
-    def _switch(self, mode: Mode) -> None:
+    def _switch(self, mode: Px4Mode) -> None:
         if mode is not self.mode:
             self.mode = mode
             self._enter(mode)
 
-    def _enter(self, mode: Mode) -> None:
+    def _enter(self, mode: Px4Mode) -> None:
         self._automatic.enter(mode.task, self.home, self.takeoff_altitude_amsl_m)

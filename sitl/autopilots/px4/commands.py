@@ -12,7 +12,7 @@ from sitl.autopilots.px4.autopilot import Px4
 from sitl.autopilots.px4.link import Px4Schedule
 from sitl.autopilots.px4.logs import Px4LogTransfer
 from sitl.autopilots.px4.messages import BUILDERS
-from sitl.autopilots.px4.modes import Mode
+from sitl.autopilots.px4.modes import Px4Mode
 from sitl.autopilots.px4.setpoints import course_of, setpoint_of
 from sitl.autopilots.setpoints import MAX_DISTANCE_M
 from sitl.links.receiver import (
@@ -52,9 +52,9 @@ class Px4Receiver(Receiver):
             M.MAV_CMD_DO_SET_MODE: self._do_set_mode,
             M.MAV_CMD_COMPONENT_ARM_DISARM: self._arm_disarm,
             M.MAV_CMD_NAV_TAKEOFF: self._takeoff,
-            M.MAV_CMD_NAV_LAND: lambda _p: self._to(Mode.LAND),
-            M.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda _p: self._to(Mode.RTL),
-            M.MAV_CMD_NAV_LOITER_UNLIM: lambda _p: self._to(Mode.LOITER),
+            M.MAV_CMD_NAV_LAND: lambda _p: self._to(Px4Mode.LAND),
+            M.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda _p: self._to(Px4Mode.RTL),
+            M.MAV_CMD_NAV_LOITER_UNLIM: lambda _p: self._to(Px4Mode.LOITER),
             M.MAV_CMD_DO_REPOSITION: self._reposition,
             M.MAV_CMD_MISSION_START: self._mission_start,
             M.MAV_CMD_SET_MESSAGE_INTERVAL: self._set_interval,
@@ -123,14 +123,14 @@ class Px4Receiver(Receiver):
         """Answered twice: accepted on receipt, then with the result of the mode change."""
         yield ACCEPTED
         try:
-            mode = Mode((int(parameters[1]), int(parameters[2])))
+            mode = Px4Mode((int(parameters[1]), int(parameters[2])))
         except (ValueError, OverflowError):  # not a number, or not a mode
             self._px4.send_text(CRITICAL, "Unsupported auto mode")
             yield LATER
             return
         yield ACCEPTED if self._px4.set_mode(mode) else LATER
 
-    def _to(self, mode: Mode) -> Iterator[int]:
+    def _to(self, mode: Px4Mode) -> Iterator[int]:
         yield ACCEPTED if self._px4.set_mode(mode) else LATER
 
     def _arm_disarm(self, parameters: list[float]) -> Iterator[int]:

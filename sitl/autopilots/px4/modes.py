@@ -7,7 +7,7 @@ from enum import Enum
 from sitl.vehicle.automatic_flight import Task
 
 
-class Mode(Enum):
+class Px4Mode(Enum):
     """A flight mode as (main, sub) of custom_mode."""
 
     MANUAL = (1, 0)
@@ -39,20 +39,20 @@ class Mode(Enum):
 
 
 # There is no remote control, so these cannot fly the vehicle.
-NEED_A_PILOT = frozenset({Mode.MANUAL, Mode.ALTCTL, Mode.POSCTL, Mode.ACRO, Mode.STABILIZED})
-_TASKS = {Mode.TAKEOFF: Task.TAKE_OFF, Mode.LAND: Task.LAND, Mode.RTL: Task.RETURN}
-PREVENT_ARMING = frozenset({Mode.LAND, Mode.RTL})
+NEED_A_PILOT = frozenset({Px4Mode.MANUAL, Px4Mode.ALTCTL, Px4Mode.POSCTL, Px4Mode.ACRO, Px4Mode.STABILIZED})
+_TASKS = {Px4Mode.TAKEOFF: Task.TAKE_OFF, Px4Mode.LAND: Task.LAND, Px4Mode.RTL: Task.RETURN}
+PREVENT_ARMING = frozenset({Px4Mode.LAND, Px4Mode.RTL})
 
 # COM_OBL_RC_ACT: where the vehicle goes when the setpoint stream is lost; None stops the motors. What is not listed is as 0.
-OFFBOARD_LOSS: dict[int, Mode | None] = {
-    0: Mode.POSCTL,
-    1: Mode.ALTCTL,
-    2: Mode.STABILIZED,
-    3: Mode.RTL,
-    4: Mode.LAND,
-    5: Mode.LOITER,
+OFFBOARD_LOSS: dict[int, Px4Mode | None] = {
+    0: Px4Mode.POSCTL,
+    1: Px4Mode.ALTCTL,
+    2: Px4Mode.STABILIZED,
+    3: Px4Mode.RTL,
+    4: Px4Mode.LAND,
+    5: Px4Mode.LOITER,
     6: None,
     7: None,
 }
 # NAV_DLL_ACT: where it goes when the ground station is lost. 0 is nowhere.
-GROUND_STATION_LOSS: dict[int, Mode | None] = {1: Mode.LOITER, 2: Mode.RTL, 3: Mode.LAND, 5: None, 6: None}
+GROUND_STATION_LOSS: dict[int, Px4Mode | None] = {1: Px4Mode.LOITER, 2: Px4Mode.RTL, 3: Px4Mode.LAND, 5: None, 6: None}

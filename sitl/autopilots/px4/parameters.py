@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from zlib import crc32
 
 from companion.mavlink.codec import MavlinkMessage, mavlink
-from sitl.autopilots.parameters import REAL32, Parameters
+from sitl.autopilots.parameters import REAL32, StandInParameters
 
 INT32: int = mavlink.MAV_PARAM_TYPE_INT32
 HASH_CHECK = "_HASH_CHECK"  # the name under which PX4 sends a checksum of all parameters
@@ -77,7 +77,7 @@ DEFAULTS: dict[str, float | int] = {
 }
 
 
-class Px4Parameters(Parameters):
+class Px4Parameters(StandInParameters):
     """Integers are sent bytewise; a checksum lets a client skip the download."""
 
     def __init__(self, system_id: int, overrides: Mapping[str, float]) -> None:

@@ -26,10 +26,10 @@ from sitl.autopilots.setpoints import (
     MAX_DISTANCE_M,
     Course,
 )
-from sitl.vehicle.attitude_control import Setpoint
+from sitl.vehicle.attitude_control import AttitudeSetpoint
 
 
-def setpoint_of(message: MavlinkMessage, attitude: Quaternion) -> Setpoint | None:
+def setpoint_of(message: MavlinkMessage, attitude: Quaternion) -> AttitudeSetpoint | None:
     """The setpoint, None for a message without one; `attitude` is the present attitude.
 
     Nothing is rejected: throttle ignore, NaN or negative thrust, and a q that is not a rotation make the vehicle fall.
@@ -41,12 +41,14 @@ def setpoint_of(message: MavlinkMessage, attitude: Quaternion) -> Setpoint | Non
     if message.type_mask & IGNORE_ATTITUDE:
         if message.type_mask & (IGNORE_RATES[0] | IGNORE_RATES[1]):
             return None
-        return Setpoint(attitude, thrust, rates_rad_s=rates)
+        return AttitudeSetpoint(attitude, thrust, rates_rad_s=rates)
     quaternion = _unit(message.q)
     if quaternion is None:
-        return Setpoint(attitude, 0.0)
+        return AttitudeSetpoint(attitude, 0.0)
     euler = euler_enu_from_ned(*euler_from_quaternion(quaternion))
-    return Setpoint(quaternion_from_euler(*euler), thrust, yaw_rate_rad_s=rates[2])  # fed forward, about the vertical
+    return AttitudeSetpoint(
+        quaternion_from_euler(*euler), thrust, yaw_rate_rad_s=rates[2]
+    )  # fed forward, about the vertical
 
 
 def course_of(message: MavlinkMessage) -> Course | None:

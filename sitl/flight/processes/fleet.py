@@ -48,7 +48,7 @@ class Child:
         return f"{self.name} ended with exit code {code}: {self.last_output()}"
 
 
-class Fleet:
+class FleetProcesses:
     """The processes of one flight, a context manager: all processes are killed at its end."""
 
     def __init__(self, children: Sequence[Child]) -> None:
@@ -62,7 +62,7 @@ class Fleet:
         folder: Path,
         port_offset: int,
         external: Mapping[int, ReachedVehicle] | None = None,
-    ) -> Fleet:
+    ) -> FleetProcesses:
         """Write every process's file into `folder` and start it, stand-ins first; `external` autopilots need no stand-in."""
         write_files(scenario, folder, port_offset, external)
         together = stand_ins_together(scenario) if external is None else []
@@ -71,7 +71,7 @@ class Fleet:
     @classmethod
     def start_written(
         cls, scenario: Scenario, folder: Path, port_offset: int, stand_ins: Sequence[Sequence[int]]
-    ) -> Fleet:
+    ) -> FleetProcesses:
         """Start the processes of the files in `folder`. Each item of `stand_ins` is the ids of those in one process."""
         fleet = cls([])
         try:

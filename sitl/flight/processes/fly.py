@@ -15,10 +15,10 @@ from sitl.flight.files import estimated_path, ids_of, truth_path
 from sitl.flight.flights import FlyOnce, run_flights
 from sitl.flight.options import FlyOptions
 from sitl.flight.orders import FlightFailure
-from sitl.flight.processes.fleet import Fleet
+from sitl.flight.processes.fleet import FleetProcesses
 from sitl.flight.processes.target_publishers import publish_targets
 from sitl.flight.readiness import Readiness
-from sitl.flight.results import Result, write_results
+from sitl.flight.results import FlightResult, write_results
 from sitl.flight.scenario import Scenario
 from sitl.flight.watch import FlightWatch, vehicles_in_words, watch_of
 from sitl.links.free_ports import reserved_ports
@@ -46,7 +46,7 @@ def run_fly(options: FlyOptions) -> int:
                 endpoints = " ".join(zenoh_endpoint(i, offset) for i in ids_of(scenario))
                 print(f"all ports are offset by {offset}: companion monitor --connect {endpoints}", flush=True)
 
-            def fly_once(scenario: Scenario, name: str, folder: Path, stop: StopRequest) -> Result:
+            def fly_once(scenario: Scenario, name: str, folder: Path, stop: StopRequest) -> FlightResult:
                 return _Flight(scenario, name, folder, options.run.quiet, offset, external, stop).result()
 
             yield fly_once
@@ -78,7 +78,7 @@ class _Flight:
         self._watch = watch_of(scenario, time.monotonic())
         self._progress = Progress(f"{name}, {scenario.fleet.law.name}", quiet, self._watch.began_s)
 
-    def result(self) -> Result:
+    def result(self) -> FlightResult:
         """Fly and write the folder."""
         failure = "; ".join(self._fly()) or None
         flight_s = time.monotonic() - self._watch.began_s
@@ -106,7 +106,10 @@ class _Flight:
         self._folder.mkdir(parents=True, exist_ok=True)
         fleet_name = self._scenario.fleet.name
         endpoints = [zenoh_endpoint(i, self._port_offset) for i in ids_of(self._scenario)]
-        with Fleet.start(self._scenario, self._folder, self._port_offset, self._external) as fleet, self._progress:
+        with (
+            FleetProcesses.start(self._scenario, self._folder, self._port_offset, self._external) as fleet,
+            self._progress,
+        ):
             with FleetSession(fleet_name, endpoints, OPERATOR) as session, ExitStack() as stack:
                 targets = publish_targets(self._scenario, endpoints, self._watch.began_s, stack)
 

@@ -16,7 +16,7 @@ from sitl.flight.director import Director, MachineClock
 from sitl.flight.files import ids_of, truth_path
 from sitl.flight.options import FleetOptions
 from sitl.flight.orders import REPLY_WITHIN_S
-from sitl.flight.processes.fleet import Fleet
+from sitl.flight.processes.fleet import FleetProcesses
 from sitl.flight.processes.target_publishers import publish_targets
 from sitl.flight.scenario import Scenario, load_scenario
 from sitl.flight.watch import watch_of
@@ -62,7 +62,7 @@ def _wait_and_land(
     watch = watch_of(scenario, time.monotonic())
     progress = Progress(scenario.fleet.name, quiet, watch.began_s)
     failures: list[str] = []
-    with Fleet.start(scenario, folder, offset) as fleet, progress:
+    with FleetProcesses.start(scenario, folder, offset) as fleet, progress:
         with FleetSession(scenario.fleet.name, endpoints, OPERATOR) as session, ExitStack() as stack:
             targets = publish_targets(scenario, endpoints, watch.began_s, stack)
 

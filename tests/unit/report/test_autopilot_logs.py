@@ -18,7 +18,7 @@ from companion.types.autopilot import AutopilotKind
 from companion.types.notices import Code
 from flown_records import flight_of, records_of
 from sitl.autopilots.autopilot import DT_S
-from sitl.autopilots.behaviour import BEHAVIOURS
+from sitl.autopilots.behaviour import AUTOPILOT_TYPES
 from sitl.vehicle.config import AutopilotFile, StandIn
 
 WRITERS = {".ulg": write_ulog, ".bin": write_dataflash}
@@ -113,7 +113,7 @@ def test_a_truncated_log_is_read_up_to_there(suffix: str, starts: list[StartReco
 @pytest.mark.parametrize(("kind", "suffix"), [(AutopilotKind.PX4, ".ulg"), (AutopilotKind.ARDUPILOT, ".bin")])
 def test_logs_of_the_stand_ins_are_read(kind: AutopilotKind, suffix: str, tmp_path: Path) -> None:
     file = AutopilotFile(id=1, stand_in=StandIn(autopilot=kind, sensors="ideal", armable_after_s=0.0))
-    autopilot = BEHAVIOURS[kind].vehicle(file, DT_S)
+    autopilot = AUTOPILOT_TYPES[kind].vehicle(file, DT_S)
     autopilot.armed = True
     for _ in range(round(3.0 / DT_S)):
         autopilot.step()

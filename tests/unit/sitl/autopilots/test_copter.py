@@ -9,7 +9,7 @@ import pytest
 from companion.mavlink import ardupilot, telemetry
 from companion.mavlink.codec import MavlinkCodec, mavlink
 from companion.types.autopilot import AutopilotKind
-from sitl.autopilots.ardupilot.modes import Mode
+from sitl.autopilots.ardupilot.modes import CopterMode
 from sitl.autopilots.setpoints import Course
 from sitl.vehicle.config import ARMABLE_AFTER_S, HOVER_THRUST_NORM
 from sitl_copter import DT_S, HOVER, Copter, M, attitude
@@ -61,12 +61,12 @@ def test_every_command_has_one_answer_for_broadcast_and_unknown_components() -> 
     copter.fly(0.1)
     assert copter.command(M.MAV_CMD_DO_SET_MODE, 1.0, 4, target=(0, 0)) == ACCEPTED
     assert copter.command(M.MAV_CMD_DO_SET_MODE, 1.0, 4, target=(1, 77)) == ACCEPTED
-    assert copter.copter.mode is Mode.GUIDED
+    assert copter.copter.mode is CopterMode.GUIDED
     assert copter.set_mode(99) == FAILED
     assert copter.command(31_999) == UNSUPPORTED
     padded = [1.0, 9.0, *[0.0] * 5]
     assert copter.send(M.MAVLink_command_long_message(2, 1, M.MAV_CMD_DO_SET_MODE, 0, *padded)) == []
-    assert copter.copter.mode is Mode.GUIDED
+    assert copter.copter.mode is CopterMode.GUIDED
     copter.fly(0.1)
     assert "No such mode 99" in copter.texts()
 
@@ -80,7 +80,7 @@ def test_guided_is_accepted_before_arming_is_possible_and_reasons_are_sent() -> 
     copter = Copter(armable_after_s=42.0)
     texts = []
     copter.fly(3.0)
-    assert copter.set_mode(Mode.GUIDED) == ACCEPTED
+    assert copter.set_mode(CopterMode.GUIDED) == ACCEPTED
     while (result := copter.arm()) == FAILED:
         copter.fly(1.0)
         texts += copter.texts()
@@ -113,15 +113,15 @@ def test_sys_status_has_the_sensors_of_arducopter() -> None:
 def test_a_mode_set_before_initialisation_is_lost() -> None:
     copter = Copter(armable_after_s=42.0)
     copter.fly(0.5)
-    assert copter.set_mode(Mode.GUIDED) == ACCEPTED
+    assert copter.set_mode(CopterMode.GUIDED) == ACCEPTED
     assert copter.arm() == FAILED
     copter.fly(3.0)
-    assert copter.copter.mode is Mode.STABILIZE
+    assert copter.copter.mode is CopterMode.STABILIZE
     assert "Arm: System not initialised" in copter.texts()
 
 
-@pytest.mark.parametrize("mode", [Mode.LAND, Mode.RTL, Mode.BRAKE, Mode.AUTO])
-def test_arming_is_refused_in_modes_that_do_not_allow_it(mode: Mode) -> None:
+@pytest.mark.parametrize("mode", [CopterMode.LAND, CopterMode.RTL, CopterMode.BRAKE, CopterMode.AUTO])
+def test_arming_is_refused_in_modes_that_do_not_allow_it(mode: CopterMode) -> None:
     copter = Copter()
     copter.fly(0.1)
     assert copter.set_mode(mode) == ACCEPTED
@@ -149,13 +149,13 @@ def test_position_origin_and_home_are_sent_when_known() -> None:
 def test_take_off_is_to_a_height_above_home_when_armed_in_guided() -> None:
     copter = Copter()
     copter.fly(0.1)
-    copter.set_mode(Mode.GUIDED)
+    copter.set_mode(CopterMode.GUIDED)
     take_off = (TAKEOFF, 0, 0, 0, 0, 0, 0, 3.0)
     assert copter.command(*take_off) == FAILED
-    copter.set_mode(Mode.ALT_HOLD)
+    copter.set_mode(CopterMode.ALT_HOLD)
     copter.arm()
     assert copter.command(*take_off) == FAILED
-    copter.set_mode(Mode.GUIDED)
+    copter.set_mode(CopterMode.GUIDED)
     assert copter.command(*take_off) == ACCEPTED
     copter.fly(2.6)
     assert copter.height_m == 0.0
@@ -169,7 +169,7 @@ def test_take_off_is_to_a_height_above_home_when_armed_in_guided() -> None:
 def test_take_off_is_delayed_by_the_spool_up_when_motors_idle() -> None:
     copter = Copter()
     copter.fly(0.1)
-    copter.set_mode(Mode.GUIDED)
+    copter.set_mode(CopterMode.GUIDED)
     copter.arm()
     copter.fly(4.0)
     copter.command(TAKEOFF, 0, 0, 0, 0, 0, 0, 3.0)
@@ -182,20 +182,20 @@ def test_take_off_is_delayed_by_the_spool_up_when_motors_idle() -> None:
 def test_it_disarms_10_s_after_arming_without_take_off() -> None:
     copter = Copter()
     copter.fly(0.1)
-    copter.set_mode(Mode.GUIDED)
+    copter.set_mode(CopterMode.GUIDED)
     copter.arm()
     copter.fly(9.8)
     assert copter.copter.armed
     copter.fly(0.4)
     assert not copter.copter.armed
-    assert copter.copter.mode is Mode.GUIDED
+    assert copter.copter.mode is CopterMode.GUIDED
     assert copter.texts()[-2:] == ["Arming motors", "Disarming motors"]
 
 
 def test_it_lands_at_half_a_metre_per_second_and_disarms_2_s_after_touchdown() -> None:
     copter = Copter()
     copter.take_off(3.0)
-    assert copter.set_mode(Mode.LAND) == ACCEPTED
+    assert copter.set_mode(CopterMode.LAND) == ACCEPTED
     copter.fly(2.0)
     assert copter.climb_m_s == pytest.approx(-0.5, abs=0.05)
     while not copter.copter.quad.on_ground:
@@ -204,13 +204,13 @@ def test_it_lands_at_half_a_metre_per_second_and_disarms_2_s_after_touchdown() -
     while copter.copter.armed:
         copter.fly(DT_S)
     assert copter.copter.time_s - touched_s == pytest.approx(2.1, abs=0.2)
-    assert copter.copter.mode is Mode.LAND
+    assert copter.copter.mode is CopterMode.LAND
 
 
 def test_negative_reported_thrust_is_read_as_zero_after_landing() -> None:
     copter = Copter()
     copter.take_off(3.0)
-    copter.set_mode(Mode.LAND)
+    copter.set_mode(CopterMode.LAND)
     copter.interval(M.MAVLINK_MSG_ID_ATTITUDE_TARGET, 50.0)
     while copter.copter.armed:
         copter.fly(DT_S)
@@ -224,12 +224,12 @@ def test_brake_holds_the_position_and_loiter_sinks_without_a_pilot() -> None:
     copter.take_off()
     copter.fly(1.5, attitude(10.0))
     assert abs(copter.copter.quad.velocity_enu_m_s[0]) > 1.5
-    assert copter.set_mode(Mode.BRAKE) == ACCEPTED
+    assert copter.set_mode(CopterMode.BRAKE) == ACCEPTED
     copter.fly(6.0, attitude(10.0))  # ignored in BRAKE
     position = copter.copter.quad.position_enu_m
     copter.fly(20.0)
     assert copter.copter.quad.position_enu_m == pytest.approx(position, abs=0.05)
-    assert copter.set_mode(Mode.LOITER) == ACCEPTED
+    assert copter.set_mode(CopterMode.LOITER) == ACCEPTED
     copter.fly(1.5)
     assert copter.climb_m_s < -1.5
 
@@ -252,20 +252,20 @@ def test_rtl_begins_when_the_ground_station_is_lost_and_stays_when_it_is_back() 
     copter = Copter(FS_GCS_ENABLE=1)
     copter.take_off(3.0)
     copter.fly(8.0)
-    assert copter.copter.mode is Mode.GUIDED  # a station without any heartbeat cannot be lost
+    assert copter.copter.mode is CopterMode.GUIDED  # a station without any heartbeat cannot be lost
     station = M.MAVLink_heartbeat_message(M.MAV_TYPE_GCS, M.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3)
     copter.send(station)
     copter.fly(4.9)
-    assert copter.copter.mode is Mode.GUIDED
+    assert copter.copter.mode is CopterMode.GUIDED
     companion = MavlinkCodec(1, M.MAV_COMP_ID_ONBOARD_COMPUTER)
     copter.send(
         M.MAVLink_heartbeat_message(M.MAV_TYPE_ONBOARD_CONTROLLER, M.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3), companion
     )
     copter.fly(0.3)
-    assert copter.copter.mode is Mode.RTL
+    assert copter.copter.mode is CopterMode.RTL
     copter.send(station)
     copter.fly(0.5)
-    assert copter.copter.mode is Mode.RTL
+    assert copter.copter.mode is CopterMode.RTL
     assert copter.texts()[-2:] == ["GCS Failsafe", "GCS Failsafe Cleared"]
 
 
@@ -278,7 +278,7 @@ def test_rtl_climbs_waits_above_home_and_lands_without_a_mode_change(distance_m:
     copter.take_off(3.0)
     copter.copter.take_setpoint(Course((distance_m, 0.0, 3.0), (nan, nan, nan), nan, 0.0))
     copter.fly(8.0)
-    assert copter.set_mode(Mode.RTL) == M.MAV_RESULT_ACCEPTED
+    assert copter.set_mode(CopterMode.RTL) == M.MAV_RESULT_ACCEPTED
     heights, waited_s = [], 0.0
     while copter.copter.landed_state != M.MAV_LANDED_STATE_LANDING:
         copter.fly(0.1)
@@ -289,7 +289,7 @@ def test_rtl_climbs_waits_above_home_and_lands_without_a_mode_change(distance_m:
     assert waited_s == pytest.approx(5.0, abs=0.7)  # RTL_LOIT_TIME
     while copter.copter.armed:
         copter.fly(1.0)
-        assert copter.copter.mode is Mode.RTL
+        assert copter.copter.mode is CopterMode.RTL
         assert copter.copter.time_s < 90.0
     assert hypot(*copter.copter.quad.position_enu_m[:2]) < 0.1
 
@@ -297,7 +297,7 @@ def test_rtl_climbs_waits_above_home_and_lands_without_a_mode_change(distance_m:
 def test_rtl_does_not_land_when_rtl_alt_final_is_above_zero() -> None:
     copter = Copter(RTL_ALT_FINAL=400)
     copter.take_off(6.0)
-    assert copter.set_mode(Mode.RTL) == M.MAV_RESULT_ACCEPTED
+    assert copter.set_mode(CopterMode.RTL) == M.MAV_RESULT_ACCEPTED
     copter.fly(30.0)
     assert copter.copter.armed
     assert copter.height_m == pytest.approx(4.0, abs=0.3)
@@ -307,7 +307,7 @@ def test_companion_heartbeats_are_not_needed() -> None:
     copter = Copter()
     copter.take_off(3.0)
     copter.fly(20.0)
-    assert copter.copter.mode is Mode.GUIDED
+    assert copter.copter.mode is CopterMode.GUIDED
     assert copter.height_m == pytest.approx(3.0, abs=0.1)
 
 

@@ -10,9 +10,9 @@ from companion.geometry.frames import euler_from_quaternion, quaternion_from_eul
 from companion.mavlink.codec import MavlinkMessage
 from companion.types.autopilot import AutopilotKind
 from sitl.autopilots.ardupilot.autopilot import ARDUPILOT_LOOPS
-from sitl.autopilots.ardupilot.modes import Mode
+from sitl.autopilots.ardupilot.modes import CopterMode
 from sitl.autopilots.autopilot import AutopilotAbortedError
-from sitl.vehicle.attitude_control import Setpoint
+from sitl.vehicle.attitude_control import AttitudeSetpoint
 from sitl.vehicle.config import AutopilotFile, StandIn
 from sitl.vehicle.quadrotor import Quadrotor
 from sitl_copter import DT_S, HOVER, Copter, M, attitude
@@ -43,12 +43,12 @@ def step_ms(axis: int, step_deg: float) -> tuple[dict[int, float], float]:
     )
     quad = Quadrotor(file, ARDUPILOT_LOOPS, DT_S)
     for _ in range(250):
-        quad.step(Setpoint(quaternion_from_euler(0.0, 0.0, 0.0), 0.6))
+        quad.step(AttitudeSetpoint(quaternion_from_euler(0.0, 0.0, 0.0), 0.6))
     angles = [0.0, 0.0, 0.0]
     angles[axis] = radians(step_deg)
     seen = []
     for _ in range(round(2.0 / DT_S)):
-        quad.step(Setpoint(quaternion_from_euler(*angles), 0.6))
+        quad.step(AttitudeSetpoint(quaternion_from_euler(*angles), 0.6))
         seen.append(degrees(euler_from_quaternion(quad.quaternion)[axis]))
     passed = {
         share: next((i + 1) * DT_S * 1000.0 for i, angle in enumerate(seen) if angle >= share / 100 * step_deg)
@@ -103,7 +103,7 @@ def test_thrust_is_divided_by_the_cosine_of_the_tilt_and_reported_as_commanded()
 def test_it_lifts_off_2_8_s_after_arming_by_thrust_alone() -> None:
     copter = Copter(GUID_OPTIONS=8)
     copter.fly(0.1)
-    copter.set_mode(Mode.GUIDED)
+    copter.set_mode(CopterMode.GUIDED)
     copter.arm()
     armed_s = copter.copter.time_s
     while copter.height_m < 0.02:
@@ -126,7 +126,7 @@ def test_the_last_attitude_is_kept_for_3_s_when_the_stream_ends() -> None:
     assert abs(copter.copter.quad.velocity_enu_m_s[0]) > 0.5
     assert abs(copter.copter.quad.position_enu_m[0]) > drift_m + 5.0
     assert copter.height_m == pytest.approx(height_m, abs=0.3)
-    assert copter.copter.mode is Mode.GUIDED
+    assert copter.copter.mode is CopterMode.GUIDED
     assert len(copter.texts()) == texts
     copter.fly(1.0, attitude(-8.0, 0.37))
     assert tilt_deg(copter) == pytest.approx(8.0, abs=0.5)  # the next setpoint is followed again
@@ -172,7 +172,7 @@ def test_it_brakes_when_the_setpoint_is_invalid(message: MavlinkMessage) -> None
     assert abs(copter.copter.quad.velocity_enu_m_s[0]) < 0.1
     copter.fly(3.0)
     assert copter.copter.quad.position_enu_m == pytest.approx(position, abs=0.1)
-    assert copter.copter.mode is Mode.GUIDED
+    assert copter.copter.mode is CopterMode.GUIDED
 
 
 def test_the_autopilot_aborts_when_the_quaternion_is_nan() -> None:
@@ -197,9 +197,9 @@ def test_only_the_target_system_of_a_setpoint_is_checked(target: int, tilt: floa
 
 def test_setpoints_are_ignored_outside_guided_and_not_kept() -> None:
     copter = real_thrust()
-    copter.set_mode(Mode.BRAKE)
+    copter.set_mode(CopterMode.BRAKE)
     copter.fly(1.0, attitude(10.0))
-    copter.set_mode(Mode.GUIDED)
+    copter.set_mode(CopterMode.GUIDED)
     copter.fly(1.0)
     assert tilt_deg(copter) < 0.5
 

@@ -12,9 +12,9 @@ from pymavlink.DFReader import DFReader_binary
 from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
 from companion.types.autopilot import AutopilotKind
 from sitl.autopilots.ardupilot.autopilot import ArduCopter
-from sitl.autopilots.ardupilot.modes import Mode
+from sitl.autopilots.ardupilot.modes import CopterMode
 from sitl.autopilots.autopilot import DT_S, Autopilot
-from sitl.autopilots.behaviour import BEHAVIOURS
+from sitl.autopilots.behaviour import AUTOPILOT_TYPES
 from sitl.autopilots.logs.flight_logs import FlightLog
 from sitl.autopilots.logs.ulog import MAGIC
 from sitl.autopilots.px4.autopilot import Px4
@@ -74,11 +74,14 @@ def copter(logs: Sequence[bytes] = LOGS) -> tuple[ArduCopter, Client, Client]:
 def autopilot_with(kind: AutopilotKind, logs: Sequence[bytes]) -> tuple[Autopilot, Client, Client]:
     """An autopilot with these logs, and clients on two of its links."""
     file = AutopilotFile(stand_in=StandIn(autopilot=kind, sensors="ideal", armable_after_s=0.0))
-    autopilot = BEHAVIOURS[kind].vehicle(file, DT_S)
+    autopilot = AUTOPILOT_TYPES[kind].vehicle(file, DT_S)
     autopilot.flight_logs.utc_at_start_s = 1000.0
     autopilot.flight_logs.files = [FlightLog(bytearray(log), 10.0 * (i + 1)) for i, log in enumerate(logs)]
     fly(autopilot, 1.0)
-    clients = [Client(BEHAVIOURS[kind].onboard_link(autopilot)), Client(BEHAVIOURS[kind].ground_link(autopilot))]
+    clients = [
+        Client(AUTOPILOT_TYPES[kind].onboard_link(autopilot)),
+        Client(AUTOPILOT_TYPES[kind].ground_link(autopilot)),
+    ]
     for client in clients:
         client.listen()
     return autopilot, clients[0], clients[1]
@@ -197,7 +200,7 @@ def test_ardupilot_sends_some_packets_per_step_on_one_link() -> None:
 def test_ardupilot_sends_logs_only_when_disarmed() -> None:
     autopilot, client, _ = copter([bytes(46_080)])
     client.data(1, 0, 46_080)
-    autopilot.set_mode(Mode.GUIDED)
+    autopilot.set_mode(CopterMode.GUIDED)
     assert autopilot.arm() == []
     autopilot.texts.clear()
     assert client.listen() == []  # the transfer in progress is paused
@@ -249,7 +252,7 @@ def test_px4_writes_a_ulog_from_arming_to_disarming() -> None:
 
 def test_ardupilot_begins_another_log_when_the_current_one_is_read() -> None:
     autopilot, client, other = copter(())
-    autopilot.set_mode(Mode.GUIDED)
+    autopilot.set_mode(CopterMode.GUIDED)
     assert autopilot.arm() == []
     fly(autopilot, 2.0)
     autopilot.disarm(forced=True)
@@ -291,7 +294,7 @@ def rows_of(ulog: bytes) -> tuple[list[bytes], list[bytes]]:
 
 def test_ardupilot_writes_a_bin_until_15_s_after_disarming(tmp_path: Path) -> None:
     autopilot, _, _ = copter(())
-    autopilot.set_mode(Mode.GUIDED)
+    autopilot.set_mode(CopterMode.GUIDED)
     assert autopilot.arm() == []
     assert autopilot.take_off(2.0)
     fly(autopilot, 8.0)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from companion.mavlink import telemetry
 from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
 from sitl.autopilots.px4.messages import BUILDERS
-from sitl.autopilots.px4.modes import Mode
+from sitl.autopilots.px4.modes import Px4Mode
 from sitl_vehicle import Vehicle
 
 M = mavlink
@@ -113,10 +113,10 @@ def test_current_mode_shows_a_change_before_the_heartbeat_does() -> None:
     vehicle = Vehicle()
     vehicle.results(SET_INTERVAL, 436.0, 20_000.0)
     vehicle.fly(1.1)
-    vehicle.set_mode(Mode.LAND)
+    vehicle.set_mode(Px4Mode.LAND)
     vehicle.sent.clear()
     vehicle.fly(0.024)
-    land = Mode.LAND.custom_mode
+    land = Px4Mode.LAND.custom_mode
     assert land in {m.custom_mode for m in vehicle.messages("CURRENT_MODE")}
     assert {m.intended_custom_mode for m in vehicle.messages("CURRENT_MODE")} == {land}
     assert not vehicle.messages("HEARTBEAT")
@@ -136,7 +136,12 @@ def test_the_heartbeat_has_mode_arming_and_autopilot() -> None:
 
     vehicle = Vehicle()
     vehicle.take_off()
-    for mode, name in ((Mode.LOITER, "LOITER"), (Mode.LAND, "LAND"), (Mode.RTL, "RTL"), (Mode.TAKEOFF, "TAKEOFF")):
+    for mode, name in (
+        (Px4Mode.LOITER, "LOITER"),
+        (Px4Mode.LAND, "LAND"),
+        (Px4Mode.RTL, "RTL"),
+        (Px4Mode.TAKEOFF, "TAKEOFF"),
+    ):
         vehicle.set_mode(mode)
         heartbeat = BUILDERS[0](vehicle.px4)
         assert interpret_px4_mode(heartbeat.base_mode, heartbeat.custom_mode) == name

@@ -10,9 +10,9 @@ import pytest
 from companion.geometry.frames import quaternion_from_euler
 from companion.mavlink.codec import mavlink as M  # noqa: N812 -- short, used in most lines
 from companion.types.autopilot import AutopilotKind
-from sitl.autopilots.behaviour import BEHAVIOURS
-from sitl.autopilots.px4.modes import NEED_A_PILOT, Mode
-from sitl.vehicle.attitude_control import Setpoint
+from sitl.autopilots.behaviour import AUTOPILOT_TYPES
+from sitl.autopilots.px4.modes import NEED_A_PILOT, Px4Mode
+from sitl.vehicle.attitude_control import AttitudeSetpoint
 from sitl.vehicle.config import AutopilotFile
 from sitl_vehicle import DT_S, LEVEL, Vehicle
 
@@ -21,7 +21,7 @@ ARM, SET_MODE, TAKEOFF = M.MAV_CMD_COMPONENT_ARM_DISARM, M.MAV_CMD_DO_SET_MODE, 
 FORCE = 21196.0
 
 
-def until(vehicle: Vehicle, mode: Mode, within_s: float, stream: Setpoint | None = None) -> float:
+def until(vehicle: Vehicle, mode: Px4Mode, within_s: float, stream: AttitudeSetpoint | None = None) -> float:
     """Seconds until the vehicle is in `mode`."""
     for step in range(round(within_s / DT_S)):
         if vehicle.px4.mode is mode:
@@ -55,22 +55,24 @@ def test_arming_is_denied_when_the_parameter_is_neither_0_nor_1() -> None:
     assert vehicle.results(ARM, float("nan")) == [DENIED]
 
 
-@pytest.mark.parametrize("mode", [Mode.LAND, Mode.RTL, Mode.MISSION, Mode.OFFBOARD, *sorted(NEED_A_PILOT, key=str)])
-def test_modes_that_prevent_arming(mode: Mode) -> None:
+@pytest.mark.parametrize(
+    "mode", [Px4Mode.LAND, Px4Mode.RTL, Px4Mode.MISSION, Px4Mode.OFFBOARD, *sorted(NEED_A_PILOT, key=str)]
+)
+def test_modes_that_prevent_arming(mode: Px4Mode) -> None:
     vehicle = Vehicle()
     vehicle.fly(4.2)
     assert vehicle.set_mode(mode) == [ACCEPTED, ACCEPTED]  # disarmed, every mode is accepted
     assert vehicle.results(ARM, 1.0) == [LATER]
-    vehicle.set_mode(Mode.LOITER)
+    vehicle.set_mode(Px4Mode.LOITER)
     assert vehicle.results(ARM, 1.0) == [ACCEPTED]
 
 
 def test_it_lifts_off_when_armed_in_offboard() -> None:
     vehicle = Vehicle()
     vehicle.fly(4.2)
-    climb = Setpoint(LEVEL.quaternion, 0.65)
+    climb = AttitudeSetpoint(LEVEL.quaternion, 0.65)
     vehicle.fly(0.5, climb)
-    vehicle.set_mode(Mode.OFFBOARD)
+    vehicle.set_mode(Px4Mode.OFFBOARD)
     assert vehicle.results(ARM, 1.0) == [ACCEPTED]
     vehicle.fly(0.3, climb)
     assert vehicle.height_m > 0.02
@@ -107,11 +109,11 @@ def test_take_off_of_1_m_is_settled_within_4_s(armed_first: bool) -> None:
     orders = [(ARM, (1.0,)), (TAKEOFF, (0.0,) * 6 + (vehicle.altitude_amsl_m + 1.0,))]
     for number, parameters in orders if armed_first else reversed(orders):
         assert vehicle.results(number, *parameters) == [ACCEPTED]
-    assert vehicle.px4.mode is Mode.TAKEOFF
+    assert vehicle.px4.mode is Px4Mode.TAKEOFF
     vehicle.fly(0.7)
     assert vehicle.px4.landed_state == M.MAV_LANDED_STATE_TAKEOFF
     vehicle.fly(3.3)
-    assert vehicle.px4.mode is vehicle.px4.intended_mode is Mode.LOITER
+    assert vehicle.px4.mode is vehicle.px4.intended_mode is Px4Mode.LOITER
     for _ in range(20):
         assert vehicle.px4.quad.position_enu_m == pytest.approx((0.0, 0.0, 1.0), abs=0.01)
         vehicle.fly(0.5)
@@ -129,10 +131,10 @@ def test_take_off_is_to_mis_takeoff_alt_without_an_altitude() -> None:
 def test_hold_brakes_and_keeps_the_position() -> None:
     vehicle = Vehicle()
     vehicle.offboard()
-    vehicle.fly(1.0, Setpoint(quaternion_from_euler(0.0, 0.25, 0.0), 0.51))
+    vehicle.fly(1.0, AttitudeSetpoint(quaternion_from_euler(0.0, 0.25, 0.0), 0.51))
     speed = vehicle.px4.quad.velocity_enu_m_s[0]
     assert speed > 1.0
-    vehicle.set_mode(Mode.LOITER)
+    vehicle.set_mode(Px4Mode.LOITER)
     xs = [vehicle.px4.quad.position_enu_m[0]]
     for _ in range(60):
         vehicle.fly(0.1)
@@ -160,7 +162,7 @@ def test_landing_sinks_at_0_7_m_s_and_disarms_2_s_after_touchdown() -> None:
 def test_return_climbs_flies_home_and_lands_without_a_mode_change() -> None:
     vehicle = Vehicle(RTL_RETURN_ALT=8.0)
     vehicle.offboard()
-    vehicle.fly(5.0, Setpoint(quaternion_from_euler(0.0, 0.2, 0.0), 0.50))
+    vehicle.fly(5.0, AttitudeSetpoint(quaternion_from_euler(0.0, 0.2, 0.0), 0.50))
     assert vehicle.px4.quad.position_enu_m[0] > 10.0
     assert vehicle.results(M.MAV_CMD_NAV_RETURN_TO_LAUNCH) == [ACCEPTED]
     heights = []
@@ -169,10 +171,10 @@ def test_return_climbs_flies_home_and_lands_without_a_mode_change() -> None:
         heights.append(vehicle.height_m)
         if not vehicle.px4.armed:
             break
-        assert vehicle.px4.mode is Mode.RTL
+        assert vehicle.px4.mode is Px4Mode.RTL
     assert max(heights) == pytest.approx(8.0, abs=0.6)
     assert vehicle.px4.quad.position_enu_m == pytest.approx((0.0, 0.0, 0.0), abs=0.7)
-    assert vehicle.px4.mode is Mode.OFFBOARD  # the last mode that allows arming
+    assert vehicle.px4.mode is Px4Mode.OFFBOARD  # the last mode that allows arming
 
 
 @pytest.mark.parametrize(
@@ -184,7 +186,7 @@ def test_return_climbs_less_when_home_is_near(distance_m: float, highest_m: floa
     vehicle.take_off(3.0)
     assert vehicle.px4.go_to((distance_m, 0.0, 3.0), None)
     vehicle.fly(8.0)
-    assert vehicle.set_mode(Mode.RTL) == [ACCEPTED, ACCEPTED]
+    assert vehicle.set_mode(Px4Mode.RTL) == [ACCEPTED, ACCEPTED]
     heights = []
     while vehicle.px4.landed_state != M.MAV_LANDED_STATE_LANDING:
         vehicle.fly(0.1)
@@ -194,14 +196,14 @@ def test_return_climbs_less_when_home_is_near(distance_m: float, highest_m: floa
     x, y, _ = vehicle.px4.quad.position_enu_m
     assert hypot(x, y) <= 2.0  # NAV_ACC_RAD: the landing begins within this radius of home
     vehicle.fly(0.1)
-    assert vehicle.px4.mode is Mode.RTL
+    assert vehicle.px4.mode is Px4Mode.RTL
 
 
 @pytest.mark.parametrize(("delay_s", "lands"), [(3.0, True), (-1.0, False)])
 def test_return_waits_at_rtl_descend_alt_and_does_not_land_with_a_negative_delay(delay_s: float, lands: bool) -> None:
     vehicle = Vehicle(RTL_RETURN_ALT=8.0, RTL_DESCEND_ALT=5.0, RTL_LAND_DELAY=delay_s, RTL_CONE_ANG=0)
     vehicle.take_off(3.0)
-    assert vehicle.set_mode(Mode.RTL) == [ACCEPTED, ACCEPTED]
+    assert vehicle.set_mode(Px4Mode.RTL) == [ACCEPTED, ACCEPTED]
     vehicle.fly(8.0)
     assert vehicle.height_m == pytest.approx(5.0, abs=0.5)
     assert vehicle.px4.landed_state == M.MAV_LANDED_STATE_IN_AIR
@@ -229,7 +231,7 @@ def test_manual_modes_are_refused_in_the_air() -> None:
         assert vehicle.set_mode(mode) == [ACCEPTED, LATER]
     assert vehicle.results(SET_MODE, 1.0, 99.0, 0.0) == [ACCEPTED, LATER]
     assert vehicle.results(SET_MODE, 1.0, float("nan"), 0.0) == [ACCEPTED, LATER]
-    assert vehicle.px4.mode is Mode.LOITER
+    assert vehicle.px4.mode is Px4Mode.LOITER
 
 
 # ---------------------------------------------------------------- OFFBOARD and the loss of its stream
@@ -238,11 +240,11 @@ def test_manual_modes_are_refused_in_the_air() -> None:
 def test_offboard_needs_a_stream_while_armed() -> None:
     vehicle = Vehicle()
     vehicle.take_off()
-    assert vehicle.set_mode(Mode.OFFBOARD) == [ACCEPTED, LATER]
-    assert vehicle.px4.mode is Mode.LOITER
+    assert vehicle.set_mode(Px4Mode.OFFBOARD) == [ACCEPTED, LATER]
+    assert vehicle.px4.mode is Px4Mode.LOITER
     vehicle.fly(0.1, LEVEL)
-    assert vehicle.set_mode(Mode.OFFBOARD) == [ACCEPTED, ACCEPTED]
-    assert vehicle.px4.mode is Mode.OFFBOARD
+    assert vehicle.set_mode(Px4Mode.OFFBOARD) == [ACCEPTED, ACCEPTED]
+    assert vehicle.px4.mode is Px4Mode.OFFBOARD
 
 
 @pytest.mark.parametrize("rate_hz", [4.0, 2.0, 1.25])
@@ -251,7 +253,7 @@ def test_offboard_is_kept_with_slow_streams(rate_hz: float) -> None:
     vehicle.offboard()
     for _ in range(8):
         vehicle.fly(1.0 / rate_hz, LEVEL, stream_hz=rate_hz)
-        assert vehicle.px4.mode is Mode.OFFBOARD
+        assert vehicle.px4.mode is Px4Mode.OFFBOARD
 
 
 def test_the_mode_alternates_when_the_stream_is_below_1_hz() -> None:
@@ -263,24 +265,33 @@ def test_the_mode_alternates_when_the_stream_is_below_1_hz() -> None:
             vehicle.px4.take_setpoint(LEVEL)
         vehicle.fly(DT_S)
         modes.add(vehicle.px4.mode)
-    assert modes == {Mode.OFFBOARD, Mode.POSCTL}
+    assert modes == {Px4Mode.OFFBOARD, Px4Mode.POSCTL}
 
 
 @pytest.mark.parametrize(
     ("action", "mode"),
-    [(0, Mode.POSCTL), (1, Mode.ALTCTL), (2, Mode.STABILIZED), (3, Mode.RTL), (4, Mode.LAND), (5, Mode.LOITER)],
+    [
+        (0, Px4Mode.POSCTL),
+        (1, Px4Mode.ALTCTL),
+        (2, Px4Mode.STABILIZED),
+        (3, Px4Mode.RTL),
+        (4, Px4Mode.LAND),
+        (5, Px4Mode.LOITER),
+    ],
 )
-def test_the_failsafe_mode_is_entered_when_the_stream_is_lost_and_left_when_it_is_back(action: int, mode: Mode) -> None:
+def test_the_failsafe_mode_is_entered_when_the_stream_is_lost_and_left_when_it_is_back(
+    action: int, mode: Px4Mode
+) -> None:
     vehicle = Vehicle(COM_OBL_RC_ACT=action)
     vehicle.offboard()
     last_setpoint_s = vehicle.px4.time_s - vehicle.px4.time_s % 0.02
     until(vehicle, mode, 1.5)
     assert 1.0 <= vehicle.px4.time_s - last_setpoint_s <= 1.12
-    assert vehicle.px4.intended_mode is Mode.OFFBOARD
+    assert vehicle.px4.intended_mode is Px4Mode.OFFBOARD
     assert vehicle.px4.system_status == M.MAV_STATE_CRITICAL
     assert vehicle.texts()[-1] == "Failsafe activated"
     vehicle.fly(0.5)
-    assert 0.03 <= until(vehicle, Mode.OFFBOARD, 0.5, LEVEL) <= 0.055  # automatically
+    assert 0.03 <= until(vehicle, Px4Mode.OFFBOARD, 0.5, LEVEL) <= 0.055  # automatically
     assert vehicle.px4.system_status == M.MAV_STATE_ACTIVE
 
 
@@ -288,9 +299,9 @@ def test_it_sinks_and_drifts_in_position_mode_without_a_pilot() -> None:
     vehicle = Vehicle()
     vehicle.take_off(6.0)
     vehicle.fly(0.2, LEVEL)
-    vehicle.set_mode(Mode.OFFBOARD)
+    vehicle.set_mode(Px4Mode.OFFBOARD)
     vehicle.fly(0.2, LEVEL)
-    until(vehicle, Mode.POSCTL, 1.5)
+    until(vehicle, Px4Mode.POSCTL, 1.5)
     x0, _, _ = vehicle.px4.quad.position_enu_m
     vehicle.fly(3.0)
     assert -1.0 < vehicle.px4.quad.velocity_enu_m_s[2] < -0.7
@@ -300,7 +311,7 @@ def test_it_sinks_and_drifts_in_position_mode_without_a_pilot() -> None:
 def test_hold_keeps_the_position_within_half_a_metre_after_stream_loss() -> None:
     vehicle = Vehicle(sensors="default", COM_OBL_RC_ACT=5)
     vehicle.offboard()
-    until(vehicle, Mode.LOITER, 1.5)
+    until(vehicle, Px4Mode.LOITER, 1.5)
     position = vehicle.px4.quad.position_enu_m
     for _ in range(10):
         vehicle.fly(1.0)
@@ -319,11 +330,11 @@ def test_motors_stop_on_stream_loss_when_the_parameter_demands_it(action: int) -
 def test_offboard_is_not_entered_again_when_another_mode_was_set() -> None:
     vehicle = Vehicle()
     vehicle.offboard()
-    until(vehicle, Mode.POSCTL, 1.5)
-    vehicle.set_mode(Mode.LOITER)
+    until(vehicle, Px4Mode.POSCTL, 1.5)
+    vehicle.set_mode(Px4Mode.LOITER)
     assert vehicle.px4.system_status == M.MAV_STATE_ACTIVE
     vehicle.fly(2.0, LEVEL)
-    assert vehicle.px4.mode is Mode.LOITER
+    assert vehicle.px4.mode is Px4Mode.LOITER
 
 
 # ---------------------------------------------------------------- OFFBOARD with positions and velocities
@@ -336,7 +347,7 @@ def follow(vehicle: Vehicle, seconds: float, mask: int, *values: float, frame: i
     for step in range(round(seconds / 0.05)):
         vehicle.send(message)
         if step == 2:
-            vehicle.set_mode(Mode.OFFBOARD)
+            vehicle.set_mode(Px4Mode.OFFBOARD)
         vehicle.fly(0.05)
 
 
@@ -347,7 +358,7 @@ def test_offboard_flies_to_a_position_and_turns() -> None:
     vehicle = Vehicle()
     vehicle.take_off()
     follow(vehicle, 8.0, POSITION, 3.0, -2.0, -4.0, 0.0, 0.0, 0.0, 0.5)
-    assert vehicle.px4.mode is Mode.OFFBOARD
+    assert vehicle.px4.mode is Px4Mode.OFFBOARD
     assert vehicle.px4.quad.position_enu_m == pytest.approx((-2.0, 3.0, 4.0), abs=0.05)
     assert vehicle.px4.quad.estimated_euler_rad()[2] == pytest.approx(1.5707963 - 0.5, abs=0.01)
 
@@ -357,7 +368,7 @@ def test_offboard_follows_a_velocity_after_attitudes() -> None:
     vehicle.offboard()  # with attitudes
     follow(vehicle, 4.0, VELOCITY, 0.0, 0.0, 0.0, 1.0, 0.0, -0.5, 0.0)
     assert vehicle.px4.quad.velocity_enu_m_s == pytest.approx((0.0, 1.0, 0.5), abs=0.1)
-    until(vehicle, Mode.POSCTL, 1.5)  # this stream must continue, too
+    until(vehicle, Px4Mode.POSCTL, 1.5)  # this stream must continue, too
 
 
 def test_a_course_in_another_frame_does_not_count_as_stream() -> None:
@@ -365,7 +376,7 @@ def test_a_course_in_another_frame_does_not_count_as_stream() -> None:
     vehicle.take_off()
     follow(vehicle, 0.5, VELOCITY, *[1.0] * 7, frame=M.MAV_FRAME_BODY_NED)
     follow(vehicle, 0.5, VELOCITY, *[float("nan")] * 7)
-    assert vehicle.px4.mode is Mode.LOITER
+    assert vehicle.px4.mode is Px4Mode.LOITER
 
 
 # ---------------------------------------------------------------- the ground station
@@ -386,16 +397,16 @@ def test_hold_then_return_are_entered_when_the_ground_station_is_lost() -> None:
     vehicle.results(TAKEOFF, *[float("nan")] * 7)
     vehicle.fly(5.0, LEVEL)
     vehicle.send(heartbeat_of(M.MAV_TYPE_GCS))
-    vehicle.set_mode(Mode.OFFBOARD)
-    assert until(vehicle, Mode.LOITER, 12.0, LEVEL) == pytest.approx(10.0, abs=0.15)  # COM_DL_LOSS_T
+    vehicle.set_mode(Px4Mode.OFFBOARD)
+    assert until(vehicle, Px4Mode.LOITER, 12.0, LEVEL) == pytest.approx(10.0, abs=0.15)  # COM_DL_LOSS_T
     assert vehicle.px4.system_status == M.MAV_STATE_CRITICAL
-    assert until(vehicle, Mode.RTL, 7.0, LEVEL) == pytest.approx(5.0, abs=0.15)  # COM_FAIL_ACT_T
+    assert until(vehicle, Px4Mode.RTL, 7.0, LEVEL) == pytest.approx(5.0, abs=0.15)  # COM_FAIL_ACT_T
     vehicle.send(heartbeat_of(M.MAV_TYPE_GCS))
     vehicle.fly(1.0, LEVEL)
-    assert vehicle.px4.mode is Mode.RTL  # neither the stream nor the heartbeat ends RTL
-    assert vehicle.set_mode(Mode.OFFBOARD) == [ACCEPTED, ACCEPTED]
+    assert vehicle.px4.mode is Px4Mode.RTL  # neither the stream nor the heartbeat ends RTL
+    assert vehicle.set_mode(Px4Mode.OFFBOARD) == [ACCEPTED, ACCEPTED]
     vehicle.fly(3.0, LEVEL)
-    assert vehicle.px4.mode is Mode.OFFBOARD
+    assert vehicle.px4.mode is Px4Mode.OFFBOARD
 
 
 def test_a_lost_ground_station_is_ignored_by_default() -> None:
@@ -403,23 +414,23 @@ def test_a_lost_ground_station_is_ignored_by_default() -> None:
     vehicle.offboard()
     vehicle.send(heartbeat_of(M.MAV_TYPE_GCS))
     vehicle.fly(20.0, LEVEL)
-    assert vehicle.px4.mode is Mode.OFFBOARD
+    assert vehicle.px4.mode is Px4Mode.OFFBOARD
 
 
 def test_the_last_mode_that_allows_arming_is_set_after_disarming() -> None:
     """After a formation this is OFFBOARD; arming is then refused until another mode is set."""
     vehicle = Vehicle()
     vehicle.offboard()
-    vehicle.set_mode(Mode.LAND)
+    vehicle.set_mode(Px4Mode.LAND)
     vehicle.fly(15.0)
     assert not vehicle.px4.armed
-    assert vehicle.px4.mode is Mode.OFFBOARD
+    assert vehicle.px4.mode is Px4Mode.OFFBOARD
     assert vehicle.px4.arm() is not None
-    assert vehicle.px4.set_mode(Mode.LOITER)
+    assert vehicle.px4.set_mode(Px4Mode.LOITER)
     assert vehicle.px4.arm() is None
 
 
-@pytest.mark.parametrize("kind", BEHAVIOURS)
+@pytest.mark.parametrize("kind", AUTOPILOT_TYPES)
 def test_a_stand_in_has_fewer_than_30_attributes(kind: AutopilotKind) -> None:
     """CPython 3.11 keeps the first 30 attributes in the object; with one more, `sitl run` took 1.6 times as long."""
-    assert len(vars(BEHAVIOURS[kind].vehicle(AutopilotFile(), DT_S))) < 30
+    assert len(vars(AUTOPILOT_TYPES[kind].vehicle(AutopilotFile(), DT_S))) < 30

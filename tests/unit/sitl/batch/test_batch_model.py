@@ -21,7 +21,7 @@ from sitl.batch.columns import columns_of, phase_steps
 from sitl.batch.commands import Commands
 from sitl.batch.rotations import euler_rad, product, quaternion_of_euler, quaternion_of_turns
 from sitl.flight.world import _phase_s
-from sitl.vehicle.attitude_control import PX4_LOOPS, AttitudeControl, Setpoint
+from sitl.vehicle.attitude_control import PX4_LOOPS, AttitudeControl, AttitudeSetpoint
 from sitl.vehicle.config import Airframe, AutopilotFile, StandIn
 from sitl.vehicle.dynamics import Body
 from sitl.vehicle.small_turn import small_turn, turned
@@ -75,7 +75,7 @@ def test_attitude_loops_respond_as_in_the_stand_in() -> None:
     out = np.empty((3, COUNT))
     AttitudeLoops(inertia).moments(goal, measured, rates, out)
     for column in range(COUNT):
-        setpoint = Setpoint(tuple(goal[:, column].tolist()), 0.5)
+        setpoint = AttitudeSetpoint(tuple(goal[:, column].tolist()), 0.5)
         control = AttitudeControl(PX4_LOOPS, (0.02, 0.03, 0.05), setpoint, DT_S)
         single = control.moments_n_m(setpoint, tuple(measured[:, column].tolist()), *rates[:, column].tolist())
         np.testing.assert_allclose(out[:, column], single, rtol=1e-9, atol=1e-12)

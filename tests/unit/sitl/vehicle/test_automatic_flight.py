@@ -9,7 +9,7 @@ import pytest
 
 from companion.mavlink.codec import mavlink
 from companion.types.vectors import Vector3
-from sitl.autopilots.px4.modes import Mode
+from sitl.autopilots.px4.modes import Px4Mode
 from sitl.vehicle.config import Airframe, Wind
 from sitl_vehicle import DT_S, LEVEL, Vehicle
 
@@ -67,7 +67,7 @@ def test_landing_from_hold_keeps_the_position_in_wind() -> None:
     vehicle = Vehicle(wind=WIND_OF_5_M_S)
     vehicle.take_off(3.0)
     vehicle.fly(25.0)
-    vehicle.set_mode(Mode.LAND)
+    vehicle.set_mode(Px4Mode.LAND)
     while vehicle.px4.armed:
         vehicle.fly(0.1)
         x, y, _ = vehicle.px4.quad.position_enu_m
@@ -82,9 +82,9 @@ def test_the_wind_estimate_is_reset_between_flights() -> None:
         vehicle.take_off(1.0)
         drifts.append(vehicle.px4.quad.position_enu_m[0] - x0)
         vehicle.fly(15.0)
-        vehicle.set_mode(Mode.LAND)
+        vehicle.set_mode(Px4Mode.LAND)
         vehicle.fly(8.0)
-        vehicle.set_mode(Mode.LOITER)
+        vehicle.set_mode(Px4Mode.LOITER)
     assert drifts[0] > 0.1
     assert drifts[1] == pytest.approx(drifts[0], rel=0.1)
 
@@ -96,9 +96,9 @@ def test_every_airframe_takes_off_holds_and_lands(sensors: Any, airframe: Airfra
     vehicle.take_off(1.0)
     assert vehicle.height_m == pytest.approx(1.0, abs=0.5)
     vehicle.fly(0.2, LEVEL)
-    vehicle.set_mode(Mode.OFFBOARD)
+    vehicle.set_mode(Px4Mode.OFFBOARD)
     vehicle.fly(0.5, LEVEL)
-    vehicle.set_mode(Mode.LAND)
+    vehicle.set_mode(Px4Mode.LAND)
     vehicle.fly(8.0)
     assert not vehicle.px4.armed
     assert vehicle.height_m == 0.0
@@ -107,9 +107,9 @@ def test_every_airframe_takes_off_holds_and_lands(sensors: Any, airframe: Airfra
 def test_a_take_off_altitude_is_used_once() -> None:
     vehicle = Vehicle()
     vehicle.take_off(1.0)
-    vehicle.set_mode(Mode.LAND)
+    vehicle.set_mode(Px4Mode.LAND)
     vehicle.fly(8.0)
-    vehicle.set_mode(Mode.TAKEOFF)  # without an altitude: MIS_TAKEOFF_ALT
+    vehicle.set_mode(Px4Mode.TAKEOFF)  # without an altitude: MIS_TAKEOFF_ALT
     assert vehicle.px4.arm() is None
     vehicle.fly(8.0)
     assert vehicle.height_m == pytest.approx(2.5, abs=0.05)
@@ -122,16 +122,16 @@ def test_it_does_not_descend_to_take_off() -> None:
     assert vehicle.texts()[-1] == "Already higher than takeoff altitude"
     vehicle.fly(5.0)
     assert vehicle.height_m == pytest.approx(3.0, abs=0.05)
-    assert vehicle.px4.mode is Mode.LOITER
+    assert vehicle.px4.mode is Px4Mode.LOITER
 
 
 def test_the_system_status_is_uninit_in_a_mode_that_prevents_arming() -> None:
     vehicle = Vehicle()
     vehicle.fly(5.0)
-    vehicle.set_mode(Mode.OFFBOARD)
+    vehicle.set_mode(Px4Mode.OFFBOARD)
     assert vehicle.px4.arm() == "Resolve system health failures first"  # there is no stream
     assert vehicle.px4.system_status == mavlink.MAV_STATE_UNINIT
-    vehicle.set_mode(Mode.LOITER)
+    vehicle.set_mode(Px4Mode.LOITER)
     assert vehicle.px4.system_status == mavlink.MAV_STATE_STANDBY
     assert vehicle.px4.arm() is None
 
@@ -139,7 +139,7 @@ def test_the_system_status_is_uninit_in_a_mode_that_prevents_arming() -> None:
 def test_landing_touches_the_ground_at_the_landing_speed() -> None:
     vehicle = Vehicle(sensors="default")
     vehicle.take_off(3.0)
-    vehicle.set_mode(Mode.LAND)
+    vehicle.set_mode(Px4Mode.LAND)
     sink = 0.0
     while not vehicle.px4.quad.on_ground:
         sink = vehicle.px4.quad.velocity_enu_m_s[2]

@@ -10,7 +10,7 @@ import pytest
 from companion.geometry.frames import euler_from_quaternion, quaternion_from_euler
 from companion.mavlink.codec import mavlink
 from companion.types.vectors import GRAVITY_M_S2
-from sitl.vehicle.attitude_control import Setpoint, rotation_error
+from sitl.vehicle.attitude_control import AttitudeSetpoint, rotation_error
 from sitl.vehicle.config import Airframe
 from sitl_vehicle import DT_S, HOVER, LEVEL, Vehicle
 
@@ -30,7 +30,7 @@ def step_response(axis: int, step_deg: float) -> Response:
     vehicle.offboard()
     angles = [0.0, 0.0, 0.0]
     angles[axis] = radians(step_deg)
-    setpoint = Setpoint(quaternion_from_euler(*angles), HOVER)
+    setpoint = AttitudeSetpoint(quaternion_from_euler(*angles), HOVER)
     seen, peak = [], 0.0
     for step in range(round(1.2 / DT_S)):
         if step % 5 == 0:
@@ -164,9 +164,9 @@ def test_the_yaw_rate_is_fed_forward() -> None:
 def test_thrust_is_linear_about_hover(thrust: float) -> None:
     vehicle = Vehicle(airframe=Airframe(drag_n_per_m_s=0.0))
     vehicle.offboard()
-    vehicle.fly(0.5, Setpoint(LEVEL.quaternion, thrust))
+    vehicle.fly(0.5, AttitudeSetpoint(LEVEL.quaternion, thrust))
     before = vehicle.px4.quad.velocity_enu_m_s[2]
-    vehicle.fly(0.1, Setpoint(LEVEL.quaternion, thrust))
+    vehicle.fly(0.1, AttitudeSetpoint(LEVEL.quaternion, thrust))
     acceleration = (vehicle.px4.quad.velocity_enu_m_s[2] - before) / 0.1
     assert acceleration == pytest.approx(GRAVITY_M_S2 * thrust / HOVER - GRAVITY_M_S2, abs=0.01)
 
@@ -177,7 +177,7 @@ def test_the_ideal_airframe_is_a_double_integrator() -> None:
     x0, _, _ = vehicle.px4.quad.position_enu_m
     v0, _, _ = vehicle.px4.quad.velocity_enu_m_s
     pitch = radians(10.0)
-    setpoint = Setpoint(quaternion_from_euler(0.0, pitch, 0.0), HOVER)
+    setpoint = AttitudeSetpoint(quaternion_from_euler(0.0, pitch, 0.0), HOVER)
     vehicle.fly(1.0, setpoint)
     x, _, _ = vehicle.px4.quad.position_enu_m
     acceleration = GRAVITY_M_S2 * 0.17364817766693033  # sin(10 degrees)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from sitl.flight.processes.fleet import Child, Fleet
+from sitl.flight.processes.fleet import Child, FleetProcesses
 
 
 def child(tmp_path: Path, name: str, code: str) -> Child:
@@ -38,7 +38,7 @@ def until_it_runs(*children: Child) -> None:
 def test_an_unexpected_end_is_reported_once_with_the_last_output(tmp_path: Path) -> None:
     ends = child(tmp_path, "agent 2", "import sys; print('a reason'); print(); sys.exit(3)")
     runs = child(tmp_path, "agent 1", SLEEP)
-    with Fleet([ends, runs]) as fleet:
+    with FleetProcesses([ends, runs]) as fleet:
         ends.process.wait()
         until_it_runs(runs)
         assert fleet.unexpected_end() == "agent 2 ended with exit code 3: a reason"
@@ -52,7 +52,7 @@ def test_a_process_that_ignores_sigterm_is_killed(tmp_path: Path, monkeypatch: p
     monkeypatch.setattr("sitl.flight.processes.fleet.STAND_IN_ENDS_WITHIN_S", 0.3)
     deaf = child(tmp_path, "autopilot 1", DEAF)
     until_it_runs(deaf)
-    with Fleet([deaf]) as fleet:
+    with FleetProcesses([deaf]) as fleet:
         assert fleet.stop() == ["autopilot 1"]
     assert deaf.process.returncode == -signal.SIGKILL
 
@@ -60,7 +60,7 @@ def test_a_process_that_ignores_sigterm_is_killed(tmp_path: Path, monkeypatch: p
 def test_no_process_is_left_after_the_block(tmp_path: Path) -> None:
     runs = child(tmp_path, "agent 1", SLEEP)
     until_it_runs(runs)
-    with pytest.raises(KeyboardInterrupt), Fleet([runs]):
+    with pytest.raises(KeyboardInterrupt), FleetProcesses([runs]):
         raise KeyboardInterrupt
     assert runs.process.returncode == -signal.SIGKILL
 
