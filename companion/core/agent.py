@@ -6,7 +6,7 @@ from msgspec import Struct
 
 from companion.core.command.arbitration import CommandArbitration, Intake
 from companion.core.command.dispatcher import CommandDispatcher
-from companion.core.command.phase import Flight, PhaseMachine
+from companion.core.command.phase import PhaseMachine
 from companion.core.consensus.distant import NONE, DistantPeers
 from companion.core.consensus.neighbourhood import Consensus, ConsensusStage
 from companion.core.control.setpoint import Setpoint, SetpointStage
@@ -14,7 +14,7 @@ from companion.core.estimation.perception import Perception, PerceptionStage
 from companion.core.formation.guidance import Guidance, GuidanceStage
 from companion.core.outputs import ReportStage
 from companion.core.safety.safeguard import SafeguardStage, Safety
-from companion.types.flight import FailsafeAction, FlightPhase
+from companion.types.flight import FailsafeAction, Flight, FlightPhase
 from companion.types.requests import AutopilotRequest
 from companion.types.separation import SeparationReport
 from companion.types.tick import Inbox, Outbox
@@ -121,7 +121,10 @@ class Agent:
         setpoint = self._setpoint.step(now_s, vehicle, before, flight, consensus, guidance, safety, inbox.traffic)
         self._flight, self._last_guidance, self._last_safety = flight, guidance, safety
         self._last_setpoint_s, self._last_separation = setpoint.sent_s, setpoint.separation
-        self._distant = self._distant_peers.step(now_s, vehicle, flight, guidance.slot, consensus)
+        hears_leader = consensus.leader_beacon is not None
+        self._distant = self._distant_peers.step(
+            now_s, vehicle, flight, guidance.slot, hears_leader, consensus.neighbour_ids, consensus.newest
+        )
         requests = perception.requests + flight.requests + parameter_requests
         return Decision(
             now_s, intake, perception, consensus, guidance, safety, flight, setpoint, requests, self._distant

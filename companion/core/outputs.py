@@ -10,7 +10,6 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from companion.core.command.arbitration import Intake
-from companion.core.command.phase import RULES, Flight
 from companion.core.consensus.law import FormationLaw, used_weights
 from companion.core.consensus.neighbourhood import Consensus
 from companion.core.control.setpoint import Setpoint
@@ -23,7 +22,7 @@ from companion.core.safety.return_check import refusal_of_return
 from companion.core.safety.safeguard import Safety
 from companion.types.autopilot import VehicleState
 from companion.types.commands import CommandName
-from companion.types.flight import FlightPhase, Role
+from companion.types.flight import RULES, Flight, FlightPhase, Role
 from companion.types.notices import Notice
 from companion.types.peers import PeerPacket
 from companion.types.rejections import counted, summed

@@ -79,3 +79,8 @@ class VehicleState(Struct, frozen=True, gc=False):
     position_error: PositionError | None = None  # None if not reported or stale
     estimator_healthy: bool = True  # as last reported; True where it is not reported
     battery_percent: float = -1.0  # -1 where unknown
+
+
+def in_air(vehicle: VehicleState) -> bool:
+    """Armed and not known to be on the ground: an unknown landed state counts as flying."""
+    return vehicle.armed and vehicle.landed is not LandedState.ON_GROUND

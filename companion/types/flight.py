@@ -1,8 +1,15 @@
-"""Roles, flight phases, health flags and failsafe actions."""
+"""Roles, flight phases and the commands that change them (RULES), health flags and failsafe actions."""
 
 from __future__ import annotations
 
-from enum import IntEnum, StrEnum
+from dataclasses import dataclass
+from enum import Enum, IntEnum, StrEnum, auto
+
+from msgspec import Struct
+
+from companion.types.commands import CommandName
+from companion.types.notices import Answer, Notice
+from companion.types.requests import AutopilotRequest
 
 
 class Role(StrEnum):
@@ -13,7 +20,7 @@ class Role(StrEnum):
 
 
 class FlightPhase(StrEnum):
-    """Flight phase of the agent. `core/command/phase.py` has the table of transitions."""
+    """Flight phase of the agent. RULES has the commands that change it, `core/command/phase.py` the state machine."""
 
     OBSERVE = "observe"  # sends nothing; after the start and after a pilot takes over
     PREPARE = "prepare"
@@ -36,6 +43,7 @@ HELD = frozenset({FlightPhase.RELEASE, FlightPhase.HOLD})
 COOPERATING = STREAMING | HELD
 TO_THE_GROUND = frozenset({FlightPhase.LAND, FlightPhase.RETURN})  # by the autopilot alone
 FLYING = COOPERATING | TO_THE_GROUND | {FlightPhase.TAKEOFF}
+LEAD_CHANGES_IN = ON_GROUND | {FlightPhase.HOLD, FlightPhase.FORMATION}
 
 
 class HealthFlag(StrEnum):
@@ -100,3 +108,74 @@ class FailsafeAction(IntEnum):
     LAND = 4  # hold, and from there the autopilot's own landing
     LEAVE = 5  # observe: nothing is sent, the pilot or the autopilot continues
     STOP_STREAM = 6  # the state is unknown: no setpoint, so that the autopilot's failsafe acts
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """A command: the phases that allow it, the phase while it runs, the phase after it, and the phase after a failure.
+
+    After a failure that leads to RELEASE the agent requests a hold.
+    """
+
+    allowed: frozenset[FlightPhase]
+    via: FlightPhase
+    to: FlightPhase
+    on_failure: FlightPhase
+    on_ground: bool  # True: only on the ground; False: only in the air
+
+
+P, C = FlightPhase, CommandName
+
+# All commands that change the phase. LEAD, FORMATION and TAKE do not; ABORT becomes one of these.
+RULES: dict[CommandName, Rule] = {
+    C.PREPARE: Rule(frozenset({P.OBSERVE}), P.PREPARE, P.READY, P.OBSERVE, True),
+    C.ARM: Rule(frozenset({P.READY}), P.ARM, P.ARMED, P.READY, True),
+    C.TAKEOFF: Rule(frozenset({P.ARMED}), P.TAKEOFF, P.HOLD, P.OBSERVE, True),
+    C.FORM: Rule(frozenset({P.HOLD}), P.ENGAGE, P.FORMATION, P.HOLD, False),
+    C.HOLD: Rule(FLYING | {P.OBSERVE}, P.RELEASE, P.HOLD, P.OBSERVE, False),
+    C.LAND: Rule(FLYING | {P.OBSERVE}, P.LAND, P.OBSERVE, P.OBSERVE, False),
+    C.RETURN: Rule(STREAMING | {P.HOLD, P.RELEASE}, P.RETURN, P.OBSERVE, P.RELEASE, False),
+    C.DISARM: Rule(ON_GROUND | {P.OBSERVE}, P.LAND, P.OBSERVE, P.OBSERVE, True),
+}
+
+
+class PhaseChange(Enum):
+    """What a stage may request of the phase machine. Each is ignored in a phase that it does not apply to."""
+
+    HAND_OVER = auto()  # from ENGAGE and FORMATION to the autopilot's own hold, level first
+    HAND_OVER_NOW = auto()  # the same without levelling, where the attitude is unknown
+    GIVE_UP = auto()  # from ENGAGE and FORMATION to OBSERVE
+    ABANDON = auto()  # from every phase to OBSERVE
+    LAND = auto()  # from HOLD by the autopilot's own landing, unless a command came in the same tick
+    RETURN = auto()  # from HOLD by the autopilot's own return, likewise
+    END_STREAM = auto()  # no more setpoints; requests to the autopilot continue
+
+
+class PhaseRequest(Struct, frozen=True, gc=False):
+    """A change of phase that a stage asks for, with the reason for the event."""
+
+    kind: PhaseChange
+    reason: Notice
+
+
+class Flight(Struct, frozen=True, gc=False):
+    """The flight phase and what follows from it in this tick.
+
+    `streams`: attitude targets go out. `in_formation`: formation is flown or being left, so mission time runs. `on_ground`:
+    before a take-off or after a landing. `levels`: level attitude of a hand-over. `commanded`: a command was executed.
+    """
+
+    phase: FlightPhase = FlightPhase.OBSERVE
+    streams: bool = False
+    in_formation: bool = False
+    on_ground: bool = True
+    levels: bool = False
+    commanded: bool = False
+    requests: tuple[AutopilotRequest, ...] = ()
+    answers: tuple[tuple[int, Answer], ...] = ()
+    events: tuple[Notice, ...] = ()
+
+    @property
+    def has_handed_over(self) -> bool:
+        """No setpoint stream is left that the autopilot would miss."""
+        return self.phase is not FlightPhase.RELEASE and not self.streams

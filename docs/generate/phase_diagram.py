@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from companion.core.command.phase import RULES
+from companion.types.flight import RULES
 
 DRAWN_SINGLY = 4  # a command that is allowed in more phases gets one arrow from a state that stands for them all
 

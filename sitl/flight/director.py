@@ -9,10 +9,9 @@ import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
-from companion.core.command.phase import RULES
 from companion.types.autopilot import LandedState
 from companion.types.commands import CommandName
-from companion.types.flight import ON_GROUND, FlightPhase, Role
+from companion.types.flight import ON_GROUND, RULES, FlightPhase, Role
 from companion.types.status import Status
 from sitl.flight.orders import (
     REPEAT_S,

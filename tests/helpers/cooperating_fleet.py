@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from companion.core.command.phase import Flight
 from companion.core.consensus.neighbourhood import Consensus, ConsensusStage
 from companion.core.consensus.neighbours import EdgeRule
 from companion.core.consensus.peers import PeerTable
@@ -14,7 +13,7 @@ from companion.core.election.leadership import Leadership
 from companion.core.election.succession import Succession
 from companion.types.autopilot import VehicleState
 from companion.types.commands import Lead
-from companion.types.flight import FlightPhase, HealthFlag, Role
+from companion.types.flight import Flight, FlightPhase, HealthFlag, Role
 from companion.types.formation import FlownSlot
 from companion.types.peers import PeerPacket, ReceivedPeerPacket
 from companion.types.vectors import ZERO3

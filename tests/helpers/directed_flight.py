@@ -7,10 +7,9 @@ from collections.abc import Iterable
 import pytest
 from msgspec.structs import replace
 
-from companion.core.command.phase import RULES
 from companion.types.autopilot import LandedState
 from companion.types.commands import CommandName, CommandReply, Content, Lead, ReferenceChange
-from companion.types.flight import FlightPhase, Role
+from companion.types.flight import RULES, FlightPhase, Role
 from companion.types.formation import FlownSlot, FormationChange, HeldReference
 from companion.types.notices import Code, Notice
 from companion.types.status import Status

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from math import inf
 
 from companion.core.command.procedure import Procedure, Truth
-from companion.types.autopilot import AutopilotKind, AutopilotMode, LandedState, VehicleState
+from companion.types.autopilot import AutopilotKind, AutopilotMode, LandedState, VehicleState, in_air
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
 from companion.types.requests import Arm, Disarm, SetMode, TakeOff
@@ -55,11 +55,6 @@ def _armed(vehicle: VehicleState) -> bool:
 
 def _disarmed(vehicle: VehicleState) -> bool:
     return not vehicle.armed
-
-
-def in_air(vehicle: VehicleState) -> bool:
-    """Armed and not known to be on the ground: an unknown landed state counts as flying."""
-    return vehicle.armed and vehicle.landed is not LandedState.ON_GROUND
 
 
 def _mode_time_s(vehicle: VehicleState) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from companion.core.command.arbitration import Intake
-from companion.core.command.phase import RULES, PhaseCommand
+from companion.core.command.phase import PhaseCommand
 from companion.core.consensus.neighbourhood import Consensus
 from companion.core.estimation.perception import Perception
 from companion.core.formation.guidance import Guidance
@@ -13,7 +13,7 @@ from companion.core.safety.health import POSITION_IN_DOUBT
 from companion.core.safety.return_check import refusal_of_return
 from companion.core.safety.safeguard import Safety
 from companion.types.commands import Command, CommandName
-from companion.types.flight import OF_THE_FLEET, HealthFlag, Role
+from companion.types.flight import OF_THE_FLEET, RULES, HealthFlag, Role
 from companion.types.notices import Notice
 
 NEEDS_NOTHING = (CommandName.LAND, CommandName.HOLD, CommandName.DISARM)

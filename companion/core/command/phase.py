@@ -1,4 +1,4 @@
-"""Flight phases: the table of commands and phases (RULES), and the state machine.
+"""The state machine of the flight phases, by the table RULES of `types/flight.py`.
 
 The pilot has precedence: in a mode that the present phase did not command, the agent returns to OBSERVE and sends nothing
 until the next command.
@@ -7,16 +7,26 @@ until the next command.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
-from dataclasses import dataclass, replace
-from enum import Enum, auto
+from dataclasses import replace
 
 from msgspec import Struct
 
-from companion.core.command.autopilot_profile import in_air, profile_of
+from companion.core.command.autopilot_profile import profile_of
 from companion.core.command.procedure import Progress, RunningProcedure
-from companion.types.autopilot import AutopilotMode, LandedState, VehicleState
+from companion.types.autopilot import AutopilotMode, LandedState, VehicleState, in_air
 from companion.types.commands import CommandName
-from companion.types.flight import FLYING, ON_GROUND, STREAMING, TO_THE_GROUND, FlightPhase
+from companion.types.flight import (
+    FLYING,
+    ON_GROUND,
+    RULES,
+    STREAMING,
+    TO_THE_GROUND,
+    Flight,
+    FlightPhase,
+    PhaseChange,
+    PhaseRequest,
+    Rule,
+)
 from companion.types.notices import Answer, Code, Notice, accepted, refused
 from companion.types.requests import AutopilotRequest
 from companion.types.telemetry import Telemetry
@@ -26,37 +36,10 @@ P, M, C = FlightPhase, AutopilotMode, CommandName
 LEVEL_BEFORE_HAND_OVER_S = 0.25  # autopilots begin their own hold level, from any attitude
 TAKES_OVER_WITHIN_S = 0.25  # both autopilots take over within 50 ms of the request
 
-
-@dataclass(frozen=True, slots=True)
-class Rule:
-    """A command: the phases that allow it, the phase while it runs, the phase after it, and the phase after a failure.
-
-    After a failure that leads to RELEASE the agent requests a hold.
-    """
-
-    allowed: frozenset[FlightPhase]
-    via: FlightPhase
-    to: FlightPhase
-    on_failure: FlightPhase
-    on_ground: bool  # True: only on the ground; False: only in the air
-
-
 FLOWN_BY_OTHERS = frozenset({M.LAND, M.RETURN, M.OTHER})  # while the agent observes: by a pilot or a failsafe
 MUST_BE_ARMED = {P.ARMED} | FLYING - TO_THE_GROUND
 
-LEAD_CHANGES_IN = ON_GROUND | {P.HOLD, P.FORMATION}
 
-# All commands that change the phase. LEAD, FORMATION and TAKE do not; ABORT becomes one of these.
-RULES: dict[CommandName, Rule] = {
-    C.PREPARE: Rule(frozenset({P.OBSERVE}), P.PREPARE, P.READY, P.OBSERVE, True),
-    C.ARM: Rule(frozenset({P.READY}), P.ARM, P.ARMED, P.READY, True),
-    C.TAKEOFF: Rule(frozenset({P.ARMED}), P.TAKEOFF, P.HOLD, P.OBSERVE, True),
-    C.FORM: Rule(frozenset({P.HOLD}), P.ENGAGE, P.FORMATION, P.HOLD, False),
-    C.HOLD: Rule(FLYING | {P.OBSERVE}, P.RELEASE, P.HOLD, P.OBSERVE, False),
-    C.LAND: Rule(FLYING | {P.OBSERVE}, P.LAND, P.OBSERVE, P.OBSERVE, False),
-    C.RETURN: Rule(STREAMING | {P.HOLD, P.RELEASE}, P.RETURN, P.OBSERVE, P.RELEASE, False),
-    C.DISARM: Rule(ON_GROUND | {P.OBSERVE}, P.LAND, P.OBSERVE, P.OBSERVE, True),
-}
 LANDING, RETURNING = RULES[C.LAND], RULES[C.RETURN]
 FORMATION = P.FORMATION  # member lookup of an enum is slow
 
@@ -66,25 +49,6 @@ ALREADY = {
     P.HOLD: "already in hold",
     P.FORMATION: "already in formation",
 }
-
-
-class PhaseChange(Enum):
-    """What a stage may request of the phase machine. Each is ignored in a phase that it does not apply to."""
-
-    HAND_OVER = auto()  # from ENGAGE and FORMATION to the autopilot's own hold, level first
-    HAND_OVER_NOW = auto()  # the same without levelling, where the attitude is unknown
-    GIVE_UP = auto()  # from ENGAGE and FORMATION to OBSERVE
-    ABANDON = auto()  # from every phase to OBSERVE
-    LAND = auto()  # from HOLD by the autopilot's own landing, unless a command came in the same tick
-    RETURN = auto()  # from HOLD by the autopilot's own return, likewise
-    END_STREAM = auto()  # no more setpoints; requests to the autopilot continue
-
-
-class PhaseRequest(Struct, frozen=True, gc=False):
-    """A change of phase that a stage asks for, with the reason for the event."""
-
-    kind: PhaseChange
-    reason: Notice
 
 
 class PhaseCommand(Struct, frozen=True, gc=False):
@@ -99,41 +63,6 @@ class PhaseCommand(Struct, frozen=True, gc=False):
     unfit: Notice | None = None
     refusal: Notice | None = None
     warning: Notice | None = None
-
-
-class Flight(Struct, frozen=True, gc=False):
-    """The flight phase and what follows from it in this tick.
-
-    `streams`: attitude targets go out. `in_formation`: formation is flown or being left, so mission time runs. `on_ground`:
-    before a take-off or after a landing. `levels`: level attitude of a hand-over. `commanded`: a command was executed.
-    """
-
-    phase: FlightPhase = P.OBSERVE
-    streams: bool = False
-    in_formation: bool = False
-    on_ground: bool = True
-    levels: bool = False
-    commanded: bool = False
-    requests: tuple[AutopilotRequest, ...] = ()
-    answers: tuple[tuple[int, Answer], ...] = ()
-    events: tuple[Notice, ...] = ()
-
-    @property
-    def has_handed_over(self) -> bool:
-        """No setpoint stream is left that the autopilot would miss."""
-        return self.phase is not P.RELEASE and not self.streams
-
-
-def refusal_of_lead(flight: Flight, vehicle: VehicleState) -> Notice | None:
-    """The reason why leadership cannot change now; None where it can.
-
-    In formation it changes in flight, in hold and on the ground before the next formation. A vehicle that climbs, lands or
-    is flown by its pilot takes no part; it receives the new epoch from its peers.
-    """
-    if flight.phase in LEAD_CHANGES_IN or (flight.phase is P.OBSERVE and not in_air(vehicle)):
-        return None
-    text = f"lead is not possible in phase {flight.phase}, only in formation, in hold or on the ground"
-    return Notice(Code.WRONG_PHASE, text)
 
 
 class PhaseMachine:

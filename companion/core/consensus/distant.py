@@ -7,16 +7,14 @@ is received at 50 Hz: forming, leaving, landing, a change of the formation, a lo
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from math import dist, inf, sqrt
 
-from companion.core.command.phase import Flight
-from companion.core.consensus.neighbourhood import Consensus
 from companion.core.consensus.peers import DISTANT_MAX_AGE_S, PeerState
 from companion.geometry.separation import HEIGHT_WEIGHT
 from companion.types.autopilot import VehicleState
-from companion.types.flight import FlightPhase, Role
+from companion.types.flight import Flight, FlightPhase, Role
 from companion.types.formation import FlownSlot
 
 FORMATION = FlightPhase.FORMATION  # member lookup of an enum is slow
@@ -53,22 +51,36 @@ class DistantPeers:
         self._next_s = -inf
 
     def step(
-        self, now_s: float, vehicle: VehicleState, flight: Flight, slot: FlownSlot, consensus: Consensus
+        self,
+        now_s: float,
+        vehicle: VehicleState,
+        flight: Flight,
+        slot: FlownSlot,
+        hears_leader: bool,
+        neighbour_ids: Collection[int],
+        peers: Mapping[int, PeerState],
     ) -> frozenset[int]:
-        """Ids of the distant peers. `slot` is the one that this vehicle flies."""
-        if flight.phase is not FORMATION or consensus.leader_beacon is None or _changes(slot):
+        """Ids of the distant ones of these peers. `slot` is the one that this vehicle flies."""
+        if flight.phase is not FORMATION or not hears_leader or _changes(slot):
             self._ids, self._steady_s = NONE, inf
             self._since_s.clear()
         elif now_s >= self._next_s:
             self._steady_s = min(self._steady_s, now_s)
             self._next_s = now_s + CHOICE_PERIOD_S
-            self._ids = frozenset(self._chosen(now_s, vehicle, slot, consensus))
+            self._ids = frozenset(self._chosen(now_s, vehicle, slot, neighbour_ids, peers))
         return self._ids
 
-    def _chosen(self, now_s: float, vehicle: VehicleState, slot: FlownSlot, consensus: Consensus) -> Iterable[int]:
-        at_full_rate = {*self._limits.full_rate_ids, *consensus.neighbour_ids}
+    def _chosen(
+        self,
+        now_s: float,
+        vehicle: VehicleState,
+        slot: FlownSlot,
+        neighbour_ids: Collection[int],
+        peers: Mapping[int, PeerState],
+    ) -> Iterable[int]:
+        at_full_rate = {*self._limits.full_rate_ids, *neighbour_ids}
         since_s, self._since_s = self._since_s, {}
-        for peer_id, peer in consensus.newest.items():
+        for peer_id, peer in peers.items():
             if peer_id in at_full_rate or not _is_steady(now_s, peer, slot):
                 continue
             farther = 1.0 if peer_id in self._ids else FARTHER

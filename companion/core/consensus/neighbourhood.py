@@ -8,21 +8,20 @@ from math import inf
 from msgspec import Struct
 from msgspec.structs import replace
 
-from companion.core.command.phase import Flight, refusal_of_lead
 from companion.core.consensus.law import FormationState
 from companion.core.consensus.neighbours import NeighbourRule
 from companion.core.consensus.peers import PeerState, PeerTable
 from companion.core.consensus.plausibility import MAX_TURN_RAD_S
 from companion.core.consensus.priority import next_prc
 from companion.core.election.leader_beacon import BeaconMonitor
-from companion.core.election.leadership import Leadership
+from companion.core.election.leadership import Leadership, refusal_of_lead
 from companion.core.election.mission_clock import WAITED_S, MissionClock
 from companion.core.election.succession import Succession
 from companion.geometry.turning import heading_after
 from companion.geometry.vectors import clamped
 from companion.types.autopilot import VehicleState
 from companion.types.commands import EPOCHS_AHEAD, NUMBERS_AHEAD, Command, Lead
-from companion.types.flight import COOPERATING, STREAMING, FlightPhase, HealthFlag, Role
+from companion.types.flight import COOPERATING, STREAMING, Flight, FlightPhase, HealthFlag, Role
 from companion.types.formation import Heading, LeaderBeacon, Term
 from companion.types.notices import Answer, Notice
 from companion.types.peers import PeerPacket, ReceivedPeerPacket

@@ -7,7 +7,6 @@ from collections.abc import Iterable, Mapping
 from msgspec import Struct
 
 from companion.core.command.autopilot_profile import profile_of
-from companion.core.command.phase import Flight
 from companion.core.consensus.kept_off import KeptOff
 from companion.core.consensus.law import (
     FormationLaw,
@@ -25,7 +24,7 @@ from companion.core.formation.guidance import Guidance
 from companion.core.safety.filter.safety_filter import SafetyFilter
 from companion.core.safety.safeguard import Safety
 from companion.types.autopilot import AutopilotMode, LandedState, VehicleState
-from companion.types.flight import COOPERATING, FailsafeAction, FlightPhase
+from companion.types.flight import COOPERATING, FailsafeAction, Flight, FlightPhase
 from companion.types.requests import AttitudeTarget
 from companion.types.separation import SeparationReport
 from companion.types.traffic import ReceivedTraffic

@@ -4,8 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable
 
+from companion.types.autopilot import VehicleState, in_air
 from companion.types.commands import EPOCHS_AHEAD, MAX_EPOCH, NUMBERS_AHEAD, Lead
-from companion.types.flight import Role
+from companion.types.flight import (
+    LEAD_CHANGES_IN,
+    Flight,
+    FlightPhase,
+    Role,
+)
 from companion.types.formation import LeaderBeacon, Term
 from companion.types.notices import Answer, Code, Notice, accepted
 
@@ -132,3 +138,15 @@ class Leadership:
         if role is before:
             return ()
         return (Notice(Code.ROLE_CHANGED, f"{before} -> {role} in epoch {term[0]} ({reason})"),)
+
+
+def refusal_of_lead(flight: Flight, vehicle: VehicleState) -> Notice | None:
+    """The reason why leadership cannot change now; None where it can.
+
+    In formation it changes in flight, in hold and on the ground before the next formation. A vehicle that climbs, lands or
+    is flown by its pilot takes no part; it receives the new epoch from its peers.
+    """
+    if flight.phase in LEAD_CHANGES_IN or (flight.phase is FlightPhase.OBSERVE and not in_air(vehicle)):
+        return None
+    text = f"lead is not possible in phase {flight.phase}, only in formation, in hold or on the ground"
+    return Notice(Code.WRONG_PHASE, text)

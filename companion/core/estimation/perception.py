@@ -7,11 +7,10 @@ from math import inf
 
 from msgspec import Struct
 
-from companion.core.command.phase import Flight
 from companion.core.estimation.vehicle_state import VehicleTracker
 from companion.core.safety.preflight import Fitness, Preflight
 from companion.types.autopilot import VehicleState
-from companion.types.flight import COOPERATING
+from companion.types.flight import COOPERATING, Flight
 from companion.types.notices import Notice
 from companion.types.requests import AutopilotRequest, RequestOrigin
 from companion.types.telemetry import Telemetry

@@ -10,12 +10,12 @@ from __future__ import annotations
 
 from math import exp, hypot
 
+from companion.core.estimation.position_reset import LONGEST_GAP_S
 from companion.geometry.vectors import plus, shortened
 from companion.types.vectors import ZERO3, Vector3
 
 LARGEST_M_S = 0.6  # of the correction: a larger disagreement is no slow error of an estimator
-JUMP_M = 0.2  # the position moved without a motion, beyond what the largest correction explains
-LONGEST_GAP_S = 0.5  # between positions; the motion in a longer gap is unknown
+UNEXPLAINED_M = 0.2  # the position moved without a motion, beyond what the largest correction explains
 
 
 class VelocityCorrection:
@@ -24,7 +24,7 @@ class VelocityCorrection:
     def __init__(self, bandwidth_1_s: float) -> None:
         """`bandwidth_1_s` is w, above 0."""
         self._bandwidth_1_s = bandwidth_1_s
-        self._largest_error_m = JUMP_M + LARGEST_M_S / (exp(1.0) * bandwidth_1_s)  # the peak after a step of b
+        self._largest_error_m = UNEXPLAINED_M + LARGEST_M_S / (exp(1.0) * bandwidth_1_s)  # the peak after a step of b
         self._correction_m_s: Vector3 = ZERO3
         self._before: tuple[float, Vector3, Vector3] | None = None  # time, filtered position, velocity as reported
 

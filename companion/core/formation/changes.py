@@ -10,7 +10,6 @@ from math import inf
 
 from msgspec import Struct
 
-from companion.core.command.phase import Flight
 from companion.core.consensus.law import formation_state
 from companion.core.consensus.neighbourhood import Consensus
 from companion.core.formation.change_gossip import first_leader, passed_on
@@ -23,7 +22,7 @@ from companion.geometry.curves import rest_to_rest
 from companion.geometry.vectors import plus
 from companion.types.autopilot import VehicleState
 from companion.types.commands import Command, Content, ReferenceChange
-from companion.types.flight import FlightPhase, Role
+from companion.types.flight import Flight, FlightPhase, Role
 from companion.types.formation import FlownSlot, FormationChange
 from companion.types.notices import Answer, Code, Notice, refused
 from companion.types.steps import Steps

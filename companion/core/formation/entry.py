@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable
 
-from companion.core.command.phase import Flight
 from companion.core.consensus.law import FormationState, formation_state
 from companion.core.consensus.neighbourhood import Consensus
 from companion.core.consensus.peers import PeerState
@@ -16,7 +15,7 @@ from companion.core.formation.lead_in import LeadIn
 from companion.core.formation.paths import Path
 from companion.core.formation.together import FormingTogether, Frame
 from companion.types.autopilot import VehicleState
-from companion.types.flight import COOPERATING, STREAMING, FlightPhase, Role
+from companion.types.flight import COOPERATING, STREAMING, Flight, FlightPhase, Role
 from companion.types.formation import FlownSlot, Heading
 from companion.types.notices import Code, Notice, Refused
 from companion.types.vectors import Vector3

@@ -7,7 +7,6 @@ from math import dist
 
 from msgspec import Struct
 
-from companion.core.command.phase import RULES, Flight, PhaseChange, PhaseRequest
 from companion.core.consensus.law import FormationState, formation_state
 from companion.core.consensus.neighbourhood import Consensus
 from companion.core.formation.changes import Changes
@@ -19,7 +18,7 @@ from companion.core.reference.plan import ReferencePlan
 from companion.geometry.turning import turned_slot
 from companion.types.autopilot import VehicleState
 from companion.types.commands import Command, CommandName
-from companion.types.flight import STREAMING, FlightPhase, Role
+from companion.types.flight import RULES, STREAMING, Flight, FlightPhase, PhaseChange, PhaseRequest, Role
 from companion.types.formation import EAST, FlownSlot, FormationChange, Heading, HeldReference
 from companion.types.notices import Answer, Code, Notice, Refused
 from companion.types.peers import ReceivedTarget

@@ -11,9 +11,8 @@ from math import inf, isfinite
 from msgspec import Struct
 from msgspec.structs import replace
 
-from companion.core.command.phase import Flight
 from companion.types.autopilot import AutopilotMode
-from companion.types.flight import FlightPhase
+from companion.types.flight import Flight, FlightPhase
 from companion.types.peers import PeerPacket
 from companion.types.requests import AttitudeTarget, AutopilotRequest, SetMode
 from companion.types.telemetry import ModeSample, Telemetry

@@ -9,10 +9,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from math import hypot
 
-from companion.core.command.phase import RULES
 from companion.types.autopilot import VehicleState
 from companion.types.commands import CommandName
-from companion.types.flight import FlightPhase
+from companion.types.flight import RULES, FlightPhase
 from companion.types.notices import Code, Notice
 from companion.types.peers import PeerPacket
 from companion.types.vectors import Vector3

@@ -6,7 +6,6 @@ from math import inf
 
 from msgspec import Struct
 
-from companion.core.command.phase import Flight, PhaseChange, PhaseRequest
 from companion.core.consensus.neighbourhood import Consensus
 from companion.core.safety.failsafe import (
     LATE_TICK_S,
@@ -20,7 +19,16 @@ from companion.core.safety.failsafe_watch import NONE_ACTIVE, ActiveFailsafe, Fa
 from companion.core.safety.health import HealthLimits, health_flags
 from companion.core.safety.return_check import refusal_of_return
 from companion.types.autopilot import VehicleState
-from companion.types.flight import COOPERATING, STREAMING, FailsafeAction, FlightPhase, HealthFlag
+from companion.types.flight import (
+    COOPERATING,
+    STREAMING,
+    FailsafeAction,
+    Flight,
+    FlightPhase,
+    HealthFlag,
+    PhaseChange,
+    PhaseRequest,
+)
 from companion.types.notices import Code, Notice
 from companion.types.separation import SeparationReport
 

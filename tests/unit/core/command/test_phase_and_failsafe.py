@@ -7,18 +7,17 @@ from commanded_phases import AIR, GROUND, ImmediateAutopilot, flown_to, levelled
 from companion.core.command.phase import (
     FLYING,
     LEVEL_BEFORE_HAND_OVER_S,
-    RULES,
     TAKES_OVER_WITHIN_S,
     TO_THE_GROUND,
     PhaseMachine,
-    refusal_of_lead,
 )
+from companion.core.election.leadership import refusal_of_lead
 from companion.core.safety.health import AgeLimits, HealthLimits, health_flags
 from companion.core.safety.output_limits import OutputLimits
 from companion.geometry.airspace import Fence
 from companion.types.autopilot import AutopilotMode, LandedState, VehicleState
 from companion.types.commands import CONTENT, CommandName
-from companion.types.flight import FlightPhase, HealthFlag
+from companion.types.flight import RULES, FlightPhase, HealthFlag
 from companion.types.notices import Code, Notice
 from companion.types.requests import Arm, Disarm, RequestOrigin, SetMode, TakeOff
 from companion.types.telemetry import AckSample

@@ -8,7 +8,6 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
-from companion.core.command.phase import Flight
 from companion.core.consensus.distant import (
     CHOICE_PERIOD_S,
     NONE,
@@ -18,11 +17,10 @@ from companion.core.consensus.distant import (
     DistantLimits,
     DistantPeers,
 )
-from companion.core.consensus.neighbourhood import Consensus
 from companion.core.consensus.peers import DISTANT_MAX_AGE_S, FULL_RATE_WITHIN_S, PeerState, PeerTable
 from companion.core.consensus.plausibility import FleetLimits
 from companion.types.autopilot import VehicleState
-from companion.types.flight import FlightPhase, Role
+from companion.types.flight import Flight, FlightPhase, Role
 from companion.types.formation import FlownSlot, LeaderBeacon
 from companion.types.notices import Code
 from companion.types.peers import PeerPacket, ReceivedPeerPacket
@@ -67,21 +65,11 @@ class Choice:
         for _ in range(round(seconds / 0.02)):
             self.now_s += 0.02
             measured_s = self.now_s - self.age_s
-            consensus = Consensus(
-                role=Role.FOLLOWER,
-                epoch=0,
-                reference_s=0.0,
-                prc=2,
-                leader_beacon=self.beacon,
-                leader_beacon_age_s=0.0,
-                leaderless=None,
-                neighbours=(),
-                neighbour_ids=self.neighbour_ids,
-                flying=(),
-                heading=None,
-                newest={packet.vehicle_id: PeerState(packet, measured_s, 0.0, measured_s)},
+            peers = {packet.vehicle_id: PeerState(packet, measured_s, 0.0, measured_s)}
+            hears_leader = self.beacon is not None
+            ids = self.peers.step(
+                self.now_s, VehicleState(), self.flight, self.slot, hears_leader, self.neighbour_ids, peers
             )
-            ids = self.peers.step(self.now_s, VehicleState(), self.flight, self.slot, consensus)
         return ids
 
 

@@ -9,14 +9,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from companion.core.command.phase import Flight
 from companion.core.consensus.law import weighted
 from companion.core.election.leadership import Leadership
 from companion.core.election.mission_clock import WAITED_S, MissionClock
 from companion.stability.interaction import interaction_matrix, settled_prcs
 from companion.types.autopilot import VehicleState
 from companion.types.commands import MAX_EPOCH, NUMBERS_AHEAD, Command, CommandName, Lead, next_epoch
-from companion.types.flight import FlightPhase, Role
+from companion.types.flight import Flight, FlightPhase, Role
 from companion.types.formation import LeaderBeacon
 from companion.types.notices import Code, Notice
 from companion.types.peers import ReceivedPeerPacket

@@ -7,7 +7,6 @@ from math import inf, radians
 import pytest
 from msgspec.structs import replace
 
-from companion.core.command.phase import Flight, PhaseChange
 from companion.core.consensus.neighbourhood import Consensus
 from companion.core.consensus.peers import PeerState
 from companion.core.safety.audit_parameters import RULES
@@ -17,7 +16,7 @@ from companion.core.safety.output_limits import OutputLimits
 from companion.core.safety.safeguard import SafeguardStage, Safety
 from companion.geometry.airspace import Fence
 from companion.types.autopilot import AutopilotKind, AutopilotMode, LandedState, PositionError, VehicleState
-from companion.types.flight import STREAMING, FailsafeAction, FlightPhase, HealthFlag, Role
+from companion.types.flight import STREAMING, FailsafeAction, Flight, FlightPhase, HealthFlag, PhaseChange, Role
 from companion.types.notices import Code
 from companion.types.separation import NearestVehicle, SeparationReport
 from slot_peers import peer

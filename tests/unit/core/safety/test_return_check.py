@@ -7,11 +7,11 @@ from msgspec.structs import replace
 
 from agent_flight import Flight
 from commanded_phases import AIR, ImmediateAutopilot, flown_to, levelled, tick
-from companion.core.command.phase import RULES, PhaseMachine
+from companion.core.command.phase import PhaseMachine
 from companion.core.safety.return_check import Path, apart, refusal_of_return
 from companion.types.autopilot import AutopilotMode, LandedState
 from companion.types.commands import CommandName
-from companion.types.flight import FlightPhase
+from companion.types.flight import RULES, FlightPhase
 from companion.types.notices import Answer, Code, Notice
 from companion.types.peers import PeerPacket
 from companion.types.requests import SetMode
