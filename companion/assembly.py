@@ -19,22 +19,17 @@ from companion.core.command.arbitration import CommandArbitration
 from companion.core.command.dispatcher import CommandDispatcher
 from companion.core.command.phase import PhaseMachine
 from companion.core.consensus import law as formation
-from companion.core.consensus.distant import DistantLimits, DistantPeers
-from companion.core.consensus.law import FormationLaw, Gains
-from companion.core.consensus.neighbourhood import ConsensusStage
-from companion.core.consensus.neighbours import EdgeRule, NeighbourRule, RangeRule
-from companion.core.consensus.peers import PeerTable
-from companion.core.consensus.plausibility import FleetLimits
-from companion.core.consensus.weights import Weighting
+from companion.core.consensus.law import FormationLaw, Gains, Weighting
+from companion.core.consensus.neighbours import DistantLimits, DistantPeers, EdgeRule, NeighbourRule, RangeRule
+from companion.core.consensus.peers import FleetLimits, PeerTable
+from companion.core.consensus.stage import ConsensusStage
 from companion.core.control.setpoint import SetpointStage
 from companion.core.control.setpoint_stream import SetpointStream
-from companion.core.election.leader_beacon import BeaconMonitor
-from companion.core.election.leadership import Leadership
-from companion.core.election.succession import Succession
-from companion.core.estimation.disturbance_observer import DisturbanceObserver
-from companion.core.estimation.perception import PerceptionStage
-from companion.core.estimation.vehicle_state import VehicleTracker
-from companion.core.estimation.velocity_correction import VelocityCorrection
+from companion.core.election.beacon import BeaconMonitor
+from companion.core.election.leadership import Leadership, Succession
+from companion.core.estimation.corrections import VelocityCorrection
+from companion.core.estimation.vehicle import PerceptionStage, VehicleTracker
+from companion.core.estimation.wind import DisturbanceObserver
 from companion.core.formation.entry import FormationEntry
 from companion.core.formation.gap_filling import GapFilling
 from companion.core.formation.guidance import GuidanceStage
@@ -44,13 +39,14 @@ from companion.core.formation.limits import FormationLimits
 from companion.core.formation.paths import law_within_m
 from companion.core.formation.slots import SlotPlan
 from companion.core.formation.together import FormingTogether
-from companion.core.outputs import Identity, ReportStage
+from companion.core.preflight import Preflight
 from companion.core.reference.blend import BlendLimits
 from companion.core.reference.heading import CourseHeading, FixedHeading
 from companion.core.reference.plan import LiveReference, ReferencePlan, Rft
 from companion.core.reference.room import Box
 from companion.core.reference.target_follower import TargetLimits
 from companion.core.reference.trajectories import ReferenceTrajectory, along
+from companion.core.report import Identity, ReportStage
 from companion.core.safety.failsafe import FailsafeSettings
 from companion.core.safety.filter.acceleration_filter import AccelerationLimits
 from companion.core.safety.filter.boundaries import Boundaries
@@ -60,14 +56,13 @@ from companion.core.safety.filter.speed_limit import SpeedLimit
 from companion.core.safety.fleet_checks import FleetChecks
 from companion.core.safety.health import AgeLimits, HealthLimits
 from companion.core.safety.output_limits import OutputLimits
-from companion.core.safety.preflight import Preflight
 from companion.core.safety.safeguard import SafeguardStage
 from companion.following import USUAL_DRAG_1_S, following_steps
 from companion.geometry.airspace import Airspace
 from companion.types.commands import Described
 from companion.types.flight import FailsafeAction, Role
 from companion.types.steps import Steps
-from companion.types.vectors import GRAVITY_M_S2, Vector3
+from companion.types.values import GRAVITY_M_S2, Vector3
 
 Value = TypeVar("Value")
 LAWS: dict[LawName, Callable[[], FormationLaw]] = {

@@ -25,7 +25,7 @@ from companion.geometry.curves import PEAK_ACCELERATION, PEAK_SPEED, duration_s
 from companion.geometry.separation import counted
 from companion.types.flight import Role
 from companion.types.steps import Steps, whole
-from companion.types.vectors import GRAVITY_M_S2, Vector3
+from companion.types.values import GRAVITY_M_S2, Vector3
 
 USUAL_DRAG_1_S = 0.25  # of a small open quadrotor
 MANY_LEGS, DURATION_STEP = 32, 1.06

@@ -47,7 +47,7 @@ class LineParser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Ends the program with EXIT_USAGE."""
-        from companion.types.printable import printable
+        from companion.types.values import printable
 
         self.exit(EXIT_USAGE, f"{self.prog}: {printable(message)}; {self.prog} --help explains it\n")
 
@@ -117,7 +117,7 @@ def add_identity(parser: argparse.ArgumentParser) -> None:
 
 def fail(line: str, exit_code: int) -> int:
     """Prints the line on standard error, without control characters of foreign text; returns the exit code."""
-    from companion.types.printable import printable_lines
+    from companion.types.values import printable_lines
 
     print(printable_lines(line), file=sys.stderr)
     return exit_code

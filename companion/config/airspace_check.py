@@ -14,7 +14,7 @@ from companion.geometry.clear_path import conflict_steps, leg_conflict_steps, ne
 from companion.geometry.turning import reach_m
 from companion.geometry.vectors import plus
 from companion.types.steps import Steps, coarser
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 
 SMALLEST_AREA_M2 = 1.0
 

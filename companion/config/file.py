@@ -11,7 +11,7 @@ import yaml
 
 from companion.config.bounded_read import read_regular
 from companion.config.validation import Problem, all_finite, each, examine, in_file_order
-from companion.types.printable import printable
+from companion.types.values import printable
 
 MAX_DEPTH = 50  # levels of a file; ours have five
 MAX_VALUES = 10_000  # of a file, with all aliases expanded; 250 vehicles have 2500

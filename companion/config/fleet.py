@@ -12,7 +12,7 @@ from companion.config.obstacles import ObstacleSection, PointM
 from companion.config.values import Name, NetworkAddress, PositionM, Section, VehicleId
 from companion.geometry.airspace import Airspace, Fence
 from companion.types.flight import Role
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 
 
 class GeodeticOrigin(Section, frozen=True):

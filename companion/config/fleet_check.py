@@ -20,7 +20,7 @@ from companion.config.validation import INVALID, Problem, each, unless_invalid
 from companion.geometry.separation import counted
 from companion.geometry.transition import ROUNDING_M
 from companion.types.flight import Role
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 
 CLOSEST_STARTS_M = 0.3  # nearer to each other, two vehicles on the ground touch
 

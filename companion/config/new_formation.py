@@ -30,7 +30,7 @@ from companion.config.validation import Problem
 from companion.config.values import FLEET_NAME_WORDS
 from companion.geometry.curves import duration_s
 from companion.geometry.turning import reach_m
-from companion.types.bounds import FLEET_NAME
+from companion.types.values import FLEET_NAME
 
 ProblemsOf = Callable[[FleetConfig, Reference], Iterable[Problem]]
 """Why a fleet cannot fly a reference."""

@@ -22,7 +22,7 @@ from companion.config.validation import INVALID, Problem, each, unless_invalid
 from companion.config.values import Name, PositionM, Section, VehicleId
 from companion.geometry.shapes import SHAPES, slots_of
 from companion.types.flight import Role
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 
 DEFAULT_ORIGIN = GeodeticOrigin(latitude_deg=47.397742, longitude_deg=8.545594, altitude_amsl_m=488.0)
 """Zurich, the usual home of PX4's simulations."""

@@ -11,7 +11,7 @@ from companion.config.file import convert
 from companion.config.kind import read_as
 from companion.config.values import Name, PositionM, Section
 from companion.geometry.curves import Curve, centred_at, circle, figure_8, waypoint_path
-from companion.types.vectors import ZERO3, Vector3
+from companion.types.values import ZERO3, Vector3
 
 Period = Annotated[float, Meta(ge=1, le=3600, description="time of a lap at full pace")]
 Ramp = Annotated[float, Meta(ge=0.1, le=60, description="time from rest to full pace")]

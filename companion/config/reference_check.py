@@ -25,7 +25,7 @@ from companion.config.reference import (
 from companion.config.validation import Problem, each, needs
 from companion.geometry.curves import PEAK_ACCELERATION, PEAK_SPEED, duration_s
 from companion.geometry.turning import SLOT_ACCELERATION_M_S2, course, reach_m, swept, turn_limits
-from companion.types.vectors import GRAVITY_M_S2, Vector3
+from companion.types.values import GRAVITY_M_S2, Vector3
 
 RAMP_SAMPLES, LAP_SAMPLES = 100, 500
 SHORTEST_M = 1e-6  # of a leg; a shorter one takes no time

@@ -13,7 +13,7 @@ from companion.config.fleet import FleetConfig
 from companion.config.kind import read_as
 from companion.config.validation import Problem
 from companion.config.values import PositionM, Section, VehicleId
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 
 
 class SlotsSection(Section, frozen=True):

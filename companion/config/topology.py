@@ -9,7 +9,7 @@ from typing import Literal
 
 from companion.config.fleet import EdgeNeighbours, FormationMember, RangeNeighbours
 from companion.config.planned_flight import default_neighbours
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 
 Topology = Literal["chain", "double", "ring", "all", "range"]
 TOPOLOGY_WORDS: dict[Topology, str] = {

@@ -10,7 +10,7 @@ from typing import Annotated
 
 from msgspec import Meta, Struct
 
-from companion.types.bounds import FLEET_NAME
+from companion.types.values import FLEET_NAME
 
 MAX_DRAG_1_S = 10.0
 FLEET_NAME_WORDS = "at most 41 lower-case letters, digits, - and _, a letter or digit first"

@@ -7,16 +7,16 @@ from msgspec import Struct
 from companion.core.command.arbitration import CommandArbitration, Intake
 from companion.core.command.dispatcher import CommandDispatcher
 from companion.core.command.phase import PhaseMachine
-from companion.core.consensus.distant import NONE, DistantPeers
-from companion.core.consensus.neighbourhood import Consensus, ConsensusStage
+from companion.core.consensus.neighbours import NONE, DistantPeers
+from companion.core.consensus.stage import Consensus, ConsensusStage
 from companion.core.control.setpoint import Setpoint, SetpointStage
-from companion.core.estimation.perception import Perception, PerceptionStage
+from companion.core.estimation.vehicle import Perception, PerceptionStage
 from companion.core.formation.guidance import Guidance, GuidanceStage
-from companion.core.outputs import ReportStage
+from companion.core.report import ReportStage
 from companion.core.safety.safeguard import SafeguardStage, Safety
+from companion.types.autopilot import AutopilotRequest
 from companion.types.flight import FailsafeAction, Flight, FlightPhase
-from companion.types.requests import AutopilotRequest
-from companion.types.separation import SeparationReport
+from companion.types.status import SeparationReport
 from companion.types.tick import Inbox, Outbox
 
 FORMATION, WARN = FlightPhase.FORMATION, FailsafeAction.WARN  # member lookup of an enum is slow

@@ -11,7 +11,7 @@ from math import hypot, inf, sqrt
 
 from msgspec import Struct
 
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 
 Corner = tuple[float, float]
 Gap = tuple[float, Vector3]

@@ -8,7 +8,7 @@ from math import dist
 from companion.geometry.airspace import Airspace
 from companion.geometry.vectors import plus
 from companion.types.steps import Steps, whole
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 
 SHORTEST_STEP_M = 0.25  # along a wall; deeper than half of it no path gets into the clearance unseen
 ROUNDING_M = 1e-6

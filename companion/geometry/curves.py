@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from itertools import accumulate, pairwise
 from math import cos, dist, pi, sin, sqrt
 
-from companion.types.vectors import ZERO3, Vector3
+from companion.types.values import ZERO3, Vector3
 
 Motion = tuple[Vector3, Vector3, Vector3]
 """Position [m], velocity [m/s], acceleration [m/s^2]."""

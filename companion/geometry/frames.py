@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from math import asin, atan2, copysign, cos, degrees, pi, radians, sin, sqrt
 
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 
 Quaternion = tuple[float, float, float, float]  # w, x, y, z
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from math import hypot
 
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 
 HEIGHT_WEIGHT = 0.5
 """What a metre of height counts for, compared with a horizontal metre: two vehicles above each other need twice the distance.

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from math import ceil, cos, dist, pi, sin, sqrt
 
 from companion.geometry.separation import HEIGHT_WEIGHT, counted
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 
 LAYERS = 2
 LAYER_HEIGHT = 1.0 / (HEIGHT_WEIGHT * sqrt(2.0))  # half a step aside in x and y, slots of two layers are one step apart

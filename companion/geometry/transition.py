@@ -12,7 +12,7 @@ from itertools import combinations
 from math import dist, hypot, inf
 
 from companion.geometry.curves import PEAK_SPEED
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 
 # Tolerance of a distance between slots. The ground computes with the slots that vehicles report, to 0.1 mm on each axis.
 ROUNDING_M = 5e-4

@@ -8,7 +8,7 @@ from math import atan2, cos, hypot, remainder, sin, sqrt, tau
 from msgspec import Struct
 
 from companion.types.formation import EAST, FlownSlot, Heading
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 
 # Of a slot by each of: rotation, a formation change, joining, gap filling.
 SLOT_ACCELERATION_M_S2 = 1.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from math import hypot
 
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 
 
 def plus(a: Vector3, b: Vector3) -> Vector3:

@@ -12,9 +12,8 @@ from companion.ground.text import formation_text, reference_text
 from companion.types.autopilot import LandedState, PositionError
 from companion.types.flight import WITHOUT_LEADER, FlightPhase, HealthFlag, Role
 from companion.types.notices import Notice
-from companion.types.separation import SeparationReport
-from companion.types.status import NetworkState, Status
-from companion.types.vectors import Vector3
+from companion.types.status import NetworkState, SeparationReport, Status
+from companion.types.values import Vector3
 from companion.wire.ground import StatusReport, Timing
 
 MOST_VEHICLES = 500

@@ -19,12 +19,11 @@ from companion.geometry.turning import SLOT_ACCELERATION_M_S2
 from companion.ground.fleet_time import AHEAD_S, fleet_time_s
 from companion.ground.requests import FormationRequest, command_line
 from companion.ground.usable_reports import check_reports
-from companion.types.bounds import MIN_CHANGE_S
 from companion.types.commands import next_for_all
 from companion.types.flight import FlightPhase
 from companion.types.formation import FormationChange
 from companion.types.status import Status
-from companion.types.vectors import Vector3
+from companion.types.values import MIN_CHANGE_S, Vector3
 
 
 def named_slots(shape: str, n: int, spacing_m: float, heading_deg: float) -> list[Vector3]:

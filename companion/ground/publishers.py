@@ -11,9 +11,8 @@ import zenoh
 
 from companion.geometry.frames import enu_from_geodetic
 from companion.ground.connection import GroundConnection
-from companion.types.peers import TargetSample
-from companion.types.traffic import TrafficSample
-from companion.types.vectors import Vector3
+from companion.types.peers import TargetSample, TrafficSample
+from companion.types.values import Vector3
 from companion.wire.keys import target_key, traffic_key
 from companion.wire.target import encode_target
 from companion.wire.traffic import encode_traffic

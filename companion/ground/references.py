@@ -10,7 +10,7 @@ from companion.ground.fleet_time import AHEAD_S, fleet_time_s
 from companion.ground.requests import ReferenceRequest, command_line
 from companion.types.commands import Described, ReferenceChange, next_for_all
 from companion.types.status import Status
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 
 POSITION_KEY = {
     "point": "point_enu_m",

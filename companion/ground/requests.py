@@ -8,7 +8,7 @@ from pathlib import Path
 
 from companion.config.reference import Reference
 from companion.types.commands import Described
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 
 
 def command_line(action: str) -> Path:

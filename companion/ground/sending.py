@@ -22,7 +22,7 @@ from companion.types.commands import CommandName, Content, Lead, ReferenceChange
 from companion.types.flight import FlightPhase
 from companion.types.formation import FormationChange
 from companion.types.status import Status
-from companion.types.vectors import ZERO3
+from companion.types.values import ZERO3
 
 PREPARED_WITHIN_S = 8.0  # the longest mode change of an autopilot, with a margin
 

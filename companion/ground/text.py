@@ -8,7 +8,7 @@ from collections.abc import Collection
 from math import degrees
 
 from companion.types.formation import EAST, FlownSlot, Heading, HeldReference
-from companion.types.printable import printable
+from companion.types.values import printable
 
 WIDEST, NARROWEST = 100, 60  # columns of an answer
 

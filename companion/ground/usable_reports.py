@@ -6,8 +6,8 @@ from collections.abc import Iterable
 
 from companion.config.file import ConfigError
 from companion.ground.requests import command_line
-from companion.types.bounds import MAX_COORDINATE_M
 from companion.types.status import Status
+from companion.types.values import MAX_COORDINATE_M
 
 
 def check_reports(action: str, statuses: Iterable[Status]) -> None:

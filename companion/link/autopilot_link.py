@@ -14,9 +14,15 @@ from companion.config.vehicle import VehicleConfig
 from companion.link.mavlink_link import open_link
 from companion.link.recorded_link import RecordedLink, RecordPacket
 from companion.mavlink.translator import Translator
+from companion.types.autopilot import (
+    AttitudeTarget,
+    AutopilotRequest,
+    HeartbeatSample,
+    ModeSample,
+    PositionSample,
+    Telemetry,
+)
 from companion.types.notices import Code
-from companion.types.requests import AttitudeTarget, AutopilotRequest
-from companion.types.telemetry import HeartbeatSample, ModeSample, PositionSample, Telemetry
 
 HEARTBEAT_PERIOD_S = 1.0
 STREAM_CHECK_PERIOD_S = 2.0

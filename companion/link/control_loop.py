@@ -21,9 +21,9 @@ from companion.link.log import EventLog, RejectionLog, field_of
 from companion.link.systemd import Notifier, status_line
 from companion.link.tick import BACK_UP_S, PERIOD_S, LateLoopLog, TickMeter, TickTrigger, monotonic_s
 from companion.recording.records import TimingRecord
+from companion.types.autopilot import PositionSample, Telemetry
 from companion.types.notices import Code, Notice
 from companion.types.status import RecordingState
-from companion.types.telemetry import PositionSample, Telemetry
 from companion.types.tick import Inbox, Outbox
 from companion.wire.ground import StatusReport
 from companion.wire.rounding import as_sent, target_as_sent

@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 from typing import Protocol
 
+from companion.types.autopilot import AttitudeTarget, AutopilotRequest, Telemetry
 from companion.types.commands import Command, CommandReply
-from companion.types.peers import PeerPacket, ReceivedPeerPacket, ReceivedTarget
-from companion.types.requests import AttitudeTarget, AutopilotRequest
+from companion.types.peers import PeerPacket, ReceivedPeerPacket, ReceivedTarget, ReceivedTraffic
 from companion.types.status import NetworkState
-from companion.types.telemetry import Telemetry
-from companion.types.traffic import ReceivedTraffic
 from companion.wire.ground import StatusReport
 
 

@@ -15,8 +15,8 @@ from companion.mavlink.codec import mavlink
 from companion.types.commands import Command, CommandReply
 from companion.types.flight import HealthFlag
 from companion.types.notices import Notice
-from companion.types.printable import printable_lines
 from companion.types.rejections import rejection_text
+from companion.types.values import printable_lines
 
 REPEAT_AFTER_S = 1.0  # of a key
 BURST = 20  # lines of one code at once

@@ -16,14 +16,17 @@ from math import cos
 from companion.geometry.frames import Quaternion
 from companion.mavlink.codec import MavlinkMessage, mavlink
 from companion.mavlink.commands import command_long, common_command
-from companion.types.autopilot import AutopilotMode
-from companion.types.requests import AttitudeTarget, AutopilotRequest, SetMode, TakeOff
-from companion.types.telemetry import (
+from companion.types.autopilot import (
     AttitudeSample,
+    AttitudeTarget,
+    AutopilotMode,
+    AutopilotRequest,
     HeartbeatSample,
     LandedSample,
     PositionSample,
+    SetMode,
     SystemSample,
+    TakeOff,
     Telemetry,
     ThrustSample,
 )

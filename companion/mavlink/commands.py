@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from companion.mavlink.codec import MavlinkMessage, mavlink
-from companion.types.requests import Arm, Disarm, RequestOrigin, RequestParameter, SetMode, TakeOff
+from companion.types.autopilot import Arm, Disarm, RequestOrigin, RequestParameter, SetMode, TakeOff
 
 # Command of a COMMAND_ACK -> requests that it may answer.
 ANSWERS: dict[int, tuple[type, ...]] = {

@@ -11,9 +11,7 @@ from typing import Protocol
 from companion.geometry.frames import Quaternion
 from companion.mavlink import ardupilot, px4
 from companion.mavlink.codec import MavlinkMessage
-from companion.types.autopilot import AutopilotKind, AutopilotMode
-from companion.types.requests import AttitudeTarget, AutopilotRequest
-from companion.types.telemetry import Telemetry
+from companion.types.autopilot import AttitudeTarget, AutopilotKind, AutopilotMode, AutopilotRequest, Telemetry
 
 
 class Dialect(Protocol):

@@ -15,20 +15,21 @@ from companion.geometry.frames import enu_from_ned, euler_enu_from_ned, euler_fr
 from companion.geometry.vectors import rounded
 from companion.mavlink.codec import MavlinkMessage, mavlink
 from companion.mavlink.commands import ANSWERS
-from companion.types.autopilot import AutopilotKind, LandedState
-from companion.types.printable import printable
-from companion.types.telemetry import (
+from companion.types.autopilot import (
     AckSample,
     AttitudeSample,
+    AutopilotKind,
     EstimatorSample,
     GlobalPositionSample,
     HeartbeatSample,
     LandedSample,
+    LandedState,
     OriginSample,
     PositionSample,
     SystemSample,
     TextSample,
 )
+from companion.types.values import printable
 
 RESULT_TEXTS = {
     mavlink.MAV_RESULT_ACCEPTED: "accepted",

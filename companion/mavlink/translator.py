@@ -13,10 +13,16 @@ from companion.mavlink.commands import stream_request
 from companion.mavlink.dialect import DIALECTS, Dialect, autopilot_kind, describe_heartbeat
 from companion.mavlink.plain_packets import Packet
 from companion.mavlink.signing import SIGNATURE_CODES, SigningKey
-from companion.types.autopilot import AutopilotKind
+from companion.types.autopilot import (
+    AttitudeTarget,
+    AutopilotKind,
+    AutopilotRequest,
+    ModeSample,
+    ParameterSample,
+    Telemetry,
+    ThrustSample,
+)
 from companion.types.notices import Code
-from companion.types.requests import AttitudeTarget, AutopilotRequest
-from companion.types.telemetry import ModeSample, ParameterSample, Telemetry, ThrustSample
 
 AUTOPILOT = mavlink.MAV_COMP_ID_AUTOPILOT1
 THRUST_DECIMALS = 5

@@ -10,9 +10,8 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Meta, Struct
 
-from companion.types.bounds import Finite, FleetName, VehicleIds, Word
 from companion.types.status import NetworkState, RecordingState
-from companion.types.vectors import Vector3
+from companion.types.values import Finite, FleetName, Vector3, VehicleIds, Word
 
 API_VERSION = 1
 TOKEN_HEADER = "X-Companion-Token"  # of a POST with --control: the token of the printed URL, after #token=

@@ -18,7 +18,7 @@ from companion.monitor.server.run import Address, listen_address, serve
 from companion.monitor.sources import LiveSource
 from companion.monitor.station import Station
 from companion.security.names import ParticipantRole
-from companion.types.bounds import FLEET_NAME
+from companion.types.values import FLEET_NAME
 
 if TYPE_CHECKING:
     from companion.monitor.ground_recording import GroundRecording

@@ -18,8 +18,8 @@ from prometheus_client.registry import Collector
 
 from companion.monitor.api import FleetView, Snapshot, VehicleView
 from companion.monitor.picture.vehicle_view import is_old
-from companion.types.bounds import FLEET_NAME
 from companion.types.flight import FlightPhase, HealthFlag, Role
+from companion.types.values import FLEET_NAME
 
 CONTENT_TYPE = CONTENT_TYPE_LATEST
 OF_VEHICLE, OF_FLEET = ("fleet", "vehicle"), ("fleet",)

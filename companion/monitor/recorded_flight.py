@@ -19,7 +19,7 @@ from companion.recording.mcap_file import Warn
 from companion.recording.one_flight import APART_S, of_one_flight
 from companion.recording.reader import Recording, recordings
 from companion.recording.records import COMMAND, GROUND_STATUS, REPLY, STATUS
-from companion.types.printable import printable
+from companion.types.values import printable
 
 MOST_REPORTS = 300_000  # ten vehicles for 100 minutes, in 1.3 GB of memory
 MOST_HAPPENINGS = 100_000

@@ -19,11 +19,11 @@ from msgspec.structs import fields
 from companion.recording import numbers
 from companion.recording.compact import Form, form_of
 from companion.recording.records import FORMAT, FORMAT_VERSION, DecisionRecord, Header, TimingRecord
-from companion.types.bounds import MAX_VEHICLES
+from companion.types.autopilot import AutopilotRequest
 from companion.types.commands import Command, CommandReply
 from companion.types.notices import Notice
-from companion.types.requests import AutopilotRequest
 from companion.types.tick import Inbox, Outbox
+from companion.types.values import MAX_VEHICLES
 from companion.wire.ground import StatusReport
 
 T = TypeVar("T")

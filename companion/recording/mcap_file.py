@@ -21,7 +21,7 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Metadata
 
-from companion.types.printable import printable
+from companion.types.values import printable
 
 Warn = Callable[[str], None]
 

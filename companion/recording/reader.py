@@ -31,8 +31,8 @@ from companion.recording.records import (
 )
 from companion.types.commands import Command, CommandReply
 from companion.types.notices import Notice
-from companion.types.printable import printable
 from companion.types.tick import Inbox, Outbox
+from companion.types.values import printable
 from companion.wire.ground import StatusReport
 
 MAX_FILES = 10_000

@@ -9,7 +9,7 @@ from __future__ import annotations
 from msgspec import Struct
 
 from companion import __version__
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 
 FORMAT = "formation-companion"
 FORMAT_VERSION = 1

@@ -17,7 +17,7 @@ from companion.recording.configuration import recorded_config
 from companion.recording.mcap_file import Warn
 from companion.recording.reader import MissingTicksError, Recording, Tick
 from companion.replay.same_settings import Progress
-from companion.types.requests import AttitudeTarget
+from companion.types.autopilot import AttitudeTarget
 from companion.wire.rounding import as_sent
 
 

@@ -9,7 +9,7 @@ from companion.recording.reader import Recording
 from companion.recording.records import SOFTWARE
 from companion.replay.other_settings import Compared, Deviation
 from companion.replay.same_settings import FirstDifference, Replayed
-from companion.types.printable import printable
+from companion.types.values import printable
 
 HEADING = (
     f"{'':20} {'commands':>8}  {'roll max, RMS':>15}  {'pitch max, RMS':>15}  {'thrust max, RMS':>15}  first difference"

@@ -17,8 +17,8 @@ from companion.recording.reader import Recording, RecordingError, recordings
 from companion.replay.other_settings import Row, compare
 from companion.replay.report import compared_lines, name_of, replayed_lines
 from companion.replay.same_settings import Progress, Replayed, replay
-from companion.types.printable import printable, printable_lines
-from companion.types.requests import AttitudeTarget
+from companion.types.autopilot import AttitudeTarget
+from companion.types.values import printable, printable_lines
 
 EXIT_EQUAL, EXIT_DIFFERENT, EXIT_UNUSABLE = 0, 1, 2
 SHOWN_EVERY = 500  # ticks

@@ -20,8 +20,7 @@ from msgspec import Meta, Struct
 
 from companion.security.certificates import HASH, UNUSABLE, common_name, organization, p256, public_key_of
 from companion.security.names import FORM, ParticipantName, ParticipantRole, parse_common_name
-from companion.types.bounds import FleetName
-from companion.types.printable import printable
+from companion.types.values import FleetName, printable
 
 MAX_LIST_BYTES = 256 * 1024
 MAX_PARTICIPANTS = 256

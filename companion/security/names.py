@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 from enum import StrEnum
 
-from companion.types.bounds import FLEET_NAME, MAX_VEHICLES
+from companion.types.values import FLEET_NAME, MAX_VEHICLES
 
 MAX_GENERATION = 9999
 FORM = re.compile(r"(?P<participant>(?P<role>[a-z]+)-(?P<id>[A-Za-z0-9_-]+))(?:\.(?P<generation>[1-9][0-9]{0,3}))?")

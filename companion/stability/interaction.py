@@ -13,8 +13,7 @@ from math import atan2, inf, log, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.core.consensus.law import FormationLaw, Gains
-from companion.core.consensus.weights import neighbour_weights
+from companion.core.consensus.law import FormationLaw, Gains, neighbour_weights
 from companion.stability.arrays import FloatArray
 
 Graph = Mapping[int, Collection[int]]  # vehicle id -> ids of its neighbours

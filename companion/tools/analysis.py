@@ -46,7 +46,7 @@ from companion.stability.state_space import worst_transient_peak
 from companion.stability.string_stability import string_gains
 from companion.stability.velocity_error import share_left, shift_m
 from companion.types.flight import Role
-from companion.types.vectors import ZERO3, Vector3
+from companion.types.values import ZERO3, Vector3
 
 LAW_NAMES: tuple[LawName, ...] = get_args(LawName)
 AVERAGE_LAWS: tuple[LawName, ...] = ("average_22", "average_26")

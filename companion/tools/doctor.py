@@ -16,12 +16,11 @@ import msgspec
 from companion.assembly import check_agent, output_limits_of, tracker_of
 from companion.config.file import ConfigError
 from companion.config.vehicle import AgentConfig, load_agent
-from companion.core.estimation.survey import WINDOW_S, Survey
+from companion.core.preflight import WINDOW_S, Survey
 from companion.core.safety.audit import Facts, Finding, PositionCheck, Verdict, audit, parameter_names, worst
 from companion.link.bench import LISTEN_PERIOD_S, Bench, run_on_bench
 from companion.link.parameters import ParameterError, Parameters
-from companion.types.autopilot import AutopilotKind, VehicleState
-from companion.types.requests import RequestOrigin
+from companion.types.autopilot import AutopilotKind, RequestOrigin, VehicleState
 
 AUTOPILOT_NAMES = {AutopilotKind.PX4: "PX4", AutopilotKind.ARDUPILOT: "ArduCopter"}
 SHOWN = {Verdict.OK: "ok", Verdict.WARNING: "warning", Verdict.REFUSAL: "REFUSAL"}

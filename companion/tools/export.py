@@ -18,8 +18,8 @@ from msgspec.structs import fields
 from companion.recording.alignment import Clock, align
 from companion.recording.reader import Recording, RecordingError, recordings
 from companion.recording.records import DECISION, STATUS, DecisionRecord
-from companion.types.printable import printable
 from companion.types.status import NO_STATE_AGE_S
+from companion.types.values import printable
 from companion.wire.ground import StatusReport
 
 Getter = Callable[[Any], Any]

@@ -22,7 +22,7 @@ from companion.tools.host_board import (
     unknown,
     warning,
 )
-from companion.types.printable import printable
+from companion.types.values import printable
 
 CONSOLE, SPEED = "serial console", "UART speed"
 UARTS = re.compile(r"tty(?:S|AMA|THS|TCU)\d+")

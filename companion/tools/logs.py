@@ -20,8 +20,7 @@ from companion.config.vehicle import AgentConfig, load_agent
 from companion.link.bench import LISTEN_PERIOD_S, Bench, run_on_bench
 from companion.link.flight_logs import FlightLogs, FlightLogsError, LogEntry, NothingCameError
 from companion.tools.doctor import AUTOPILOT_NAMES
-from companion.types.autopilot import AutopilotKind
-from companion.types.telemetry import HeartbeatSample, TextSample
+from companion.types.autopilot import AutopilotKind, HeartbeatSample, TextSample
 
 ALL, LAST = "all", "last"  # in place of an id
 SUFFIXES = {AutopilotKind.PX4: ".ulg", AutopilotKind.ARDUPILOT: ".bin"}

@@ -8,9 +8,9 @@ from typing import Annotated
 
 from msgspec import Meta, Struct
 
-from companion.types.bounds import MAX_NUMBER, Finite, Line, MissionTime, Number, VehicleId, VehicleIds, Word
 from companion.types.formation import FormationChange
 from companion.types.notices import Code
+from companion.types.values import MAX_NUMBER, Finite, Line, MissionTime, Number, VehicleId, VehicleIds, Word
 
 
 class CommandName(StrEnum):

@@ -7,9 +7,9 @@ from enum import Enum, IntEnum, StrEnum, auto
 
 from msgspec import Struct
 
+from companion.types.autopilot import AutopilotRequest
 from companion.types.commands import CommandName
 from companion.types.notices import Answer, Notice
-from companion.types.requests import AutopilotRequest
 
 
 class Role(StrEnum):

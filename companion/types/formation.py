@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from msgspec import Struct
 
-from companion.types.bounds import (
+from companion.types.values import (
+    ZERO3,
     ChangeDuration,
     Finite,
     FiniteVector,
@@ -14,7 +15,6 @@ from companion.types.bounds import (
     VehicleId,
     VehicleIds,
 )
-from companion.types.vectors import ZERO3
 
 # (epoch, minus the rank of the claim). The larger term is the newer leadership; a commanded leadership
 # is above a claimed one of the same epoch.

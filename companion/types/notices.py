@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from msgspec import Struct
 
-from companion.types.bounds import Line
+from companion.types.values import Line
 
 
 class Code(StrEnum):

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from msgspec import Struct
 
+from companion.types.autopilot import AttitudeTarget, AutopilotRequest, Telemetry
 from companion.types.commands import Command, CommandReply
 from companion.types.notices import Notice
-from companion.types.peers import PeerPacket, ReceivedPeerPacket, ReceivedTarget
-from companion.types.requests import AttitudeTarget, AutopilotRequest
+from companion.types.peers import PeerPacket, ReceivedPeerPacket, ReceivedTarget, ReceivedTraffic
 from companion.types.status import Status
-from companion.types.telemetry import Telemetry
-from companion.types.traffic import ReceivedTraffic
 
 
 class Inbox(Struct, frozen=True, gc=False):

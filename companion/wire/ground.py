@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import msgspec
 
-from companion.types.bounds import Finite, Number
 from companion.types.commands import CONTENT, Command, CommandReply, ReferenceChange
 from companion.types.notices import Code
 from companion.types.status import Status
+from companion.types.values import Finite, Number
 from companion.wire.version import WireError, seal, unsealed
 
 

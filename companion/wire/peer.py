@@ -5,12 +5,11 @@ from __future__ import annotations
 import msgspec
 
 from companion.types.autopilot import PositionError
-from companion.types.bounds import ChangeDuration, MissionTime, Number, SlotsOfAll, VehicleId, VehicleIds
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import EAST, FlownSlot, FormationChange, Heading, HeldReference, LeaderBeacon
 from companion.types.notices import Code
 from companion.types.peers import PeerPacket
-from companion.types.vectors import Vector3
+from companion.types.values import ChangeDuration, MissionTime, Number, SlotsOfAll, Vector3, VehicleId, VehicleIds
 from companion.wire.version import seal, unsealed
 
 _BeaconWire = tuple[VehicleId, Number, Number, float, Number, tuple[float, float, float] | None]

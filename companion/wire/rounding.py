@@ -10,14 +10,12 @@ from __future__ import annotations
 from msgspec.structs import replace
 
 from companion.geometry.vectors import rounded
-from companion.types.autopilot import PositionError
+from companion.types.autopilot import AttitudeTarget, PositionError
 from companion.types.formation import FlownSlot, Heading, LeaderBeacon
 from companion.types.peers import PeerPacket
-from companion.types.requests import AttitudeTarget
-from companion.types.separation import SeparationReport
-from companion.types.status import Status
+from companion.types.status import SeparationReport, Status
 from companion.types.tick import Outbox
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 
 LENGTH = 4  # decimals: 0.1 mm
 VELOCITY = 3  # 1 mm/s

@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 
 from companion.types.notices import Code
-from companion.types.traffic import TrafficSample
+from companion.types.peers import TrafficSample
 from companion.wire.version import seal, unsealed
 
 _encoder = msgspec.msgpack.Encoder()

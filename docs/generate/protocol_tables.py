@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from companion.config.fleet import PeerLimits
-from companion.core.election.succession import TURN_S
+from companion.core.election.leadership import TURN_S
 from companion.core.safety.health import AgeLimits
 from companion.core.safety.safeguard import HAND_OVER_S, SILENT_TOO_LONG_S
 from companion.link.fleet.zenoh_session import LEASE_MS

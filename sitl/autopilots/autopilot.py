@@ -10,7 +10,7 @@ from typing import ClassVar, Protocol
 
 from companion.geometry.frames import enu_from_geodetic, euler_from_quaternion, geodetic_from_enu
 from companion.types.autopilot import AutopilotKind
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 from sitl.autopilots.incidents import Incidents
 from sitl.autopilots.logs.flight_logs import StandInLogs
 from sitl.autopilots.parameters import StandInParameters

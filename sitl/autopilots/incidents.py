@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import inf, nan
 
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 from sitl.autopilots.setpoints import Course
 from sitl.vehicle.config import AutopilotFile
 

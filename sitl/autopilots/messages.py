@@ -13,7 +13,7 @@ from companion.geometry.frames import (
     quaternion_from_euler,
 )
 from companion.mavlink.codec import MavlinkMessage, mavlink
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 from sitl.autopilots.autopilot import Autopilot
 
 M = mavlink

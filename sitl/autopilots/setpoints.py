@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 
 IGNORE_RATES = (0x01, 0x02, 0x04)  # of type_mask: roll, pitch, yaw
 IGNORE_THROTTLE, IGNORE_ATTITUDE = 0x40, 0x80

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from companion.stability.arrays import FloatArray
-from companion.types.vectors import GRAVITY_M_S2
+from companion.types.values import GRAVITY_M_S2
 from sitl.batch.columns import IntArray
 from sitl.vehicle.config import Airframe
 

@@ -8,7 +8,7 @@ from math import radians, tan
 import numpy as np
 
 from companion.stability.arrays import FloatArray
-from companion.types.vectors import GRAVITY_M_S2
+from companion.types.values import GRAVITY_M_S2
 from sitl.batch.columns import Columns
 from sitl.batch.rotations import quaternion_of_euler
 from sitl.flight.scenario import Scenario

@@ -14,7 +14,7 @@ from companion.recording.writer.writing import WritingAtOnce
 from companion.types.commands import Command, CommandName, CommandReply, Content
 from companion.types.peers import ReceivedTarget, TargetSample
 from companion.types.tick import Inbox, Outbox
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 from companion.wire.ground import Percentiles, StatusReport, Timing
 from companion.wire.rounding import as_sent
 from sitl.autopilots.autopilot import DT_S

@@ -9,7 +9,7 @@ from msgspec import Meta
 
 from companion.config.reference import CircleReference, Figure8Reference, PointReference, WaypointsReference
 from companion.config.values import Name, Section
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 
 PERIOD_S = 0.1
 

@@ -16,7 +16,7 @@ from companion.types.flight import RULES, FlightPhase, Role
 from companion.types.formation import FormationChange
 from companion.types.notices import Code
 from companion.types.status import Status
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 from companion.wire.ground import StatusReport
 from sitl.flight.timeline import FormationStep, TimelineStep
 from sitl.flight.watch import FlightWatch, vehicles_in_words

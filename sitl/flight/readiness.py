@@ -10,7 +10,7 @@ from companion.config.fleet import GeodeticOrigin
 from companion.geometry.frames import geodetic_from_enu
 from companion.types.flight import WITHOUT_LEADER
 from companion.types.status import Status
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 from sitl.flight.scenario import Scenario
 from sitl.flight.watch import vehicles_in_words
 

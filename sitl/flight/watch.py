@@ -16,7 +16,7 @@ from companion.types.commands import CommandName, CommandReply
 from companion.types.flight import FlightPhase, Role
 from companion.types.notices import Code
 from companion.types.status import Status
-from companion.types.vectors import ZERO3, Vector3
+from companion.types.values import ZERO3, Vector3
 from companion.wire.ground import StatusReport, Timing
 from sitl.flight.scenario import Scenario
 from sitl.flight.timeline import TimelineStep

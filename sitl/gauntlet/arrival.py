@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from companion.stability.arrays import FloatArray
 from companion.types.flight import FlightPhase
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 from sitl.flight.virtual_flight import Flown
 from sitl.flight.watch import FlightWatch
 from sitl.gauntlet.drawn import Drawn

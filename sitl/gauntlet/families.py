@@ -16,7 +16,7 @@ from companion.geometry.curves import PEAK_SPEED
 from companion.geometry.shapes import SHAPES, slots_of
 from companion.ground.formations import assigned
 from companion.types.autopilot import AutopilotKind
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 from sitl.gauntlet.fleets import (
     START_SPACING,
     Fleet,

@@ -21,7 +21,7 @@ from companion.geometry.shapes import SHAPES, slots_of
 from companion.ground.formations import assigned
 from companion.types.autopilot import AutopilotKind
 from companion.types.flight import Role
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 
 SensorsName = Literal["ideal", "default", "px4_sih"]
 SENSORS: tuple[SensorsName, ...] = ("ideal", "default", "px4_sih")

@@ -16,13 +16,15 @@ from companion.mavlink import telemetry
 from companion.mavlink.codec import mavlink
 from companion.mavlink.dialect import DIALECTS
 from companion.mavlink.translator import Translator
-from companion.types.autopilot import AutopilotKind, LandedState
-from companion.types.requests import AttitudeTarget, AutopilotRequest
-from companion.types.telemetry import (
+from companion.types.autopilot import (
     AttitudeSample,
+    AttitudeTarget,
+    AutopilotKind,
+    AutopilotRequest,
     EstimatorSample,
     HeartbeatSample,
     LandedSample,
+    LandedState,
     ModeSample,
     PositionSample,
     SystemSample,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from heapq import heappop, heappush
 
-from companion.core.consensus.distant import LOW_RATE_TICKS
+from companion.core.consensus.neighbours import LOW_RATE_TICKS
 from companion.types.peers import PeerPacket, ReceivedPeerPacket
 from sitl.links.impairment import Path
 from sitl.vehicle.config import Links

@@ -7,11 +7,10 @@ from math import cos, degrees, dist, hypot, pi, radians, sin, tan
 
 import numpy as np
 
-from companion.core.consensus.law import average_22, average_26, weighted
-from companion.core.consensus.weights import neighbour_weights
+from companion.core.consensus.law import average_22, average_26, neighbour_weights, weighted
 from companion.core.control.attitude import attitude_target
 from companion.stability.interaction import interaction_matrix, settled_prcs
-from companion.types.vectors import GRAVITY_M_S2
+from companion.types.values import GRAVITY_M_S2
 from sitl.paper.claim import Erratum
 from sitl.paper.theory.algorithm1 import printed_prcs
 from sitl.paper.theory.survey import lambda_min

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.assembly import law_of
-from companion.core.consensus.weights import neighbour_weights
+from companion.core.consensus.law import neighbour_weights
 from companion.stability.arrays import FloatArray
 from companion.types.flight import Role
 from sitl.flight.watch import TopologyChange

@@ -14,7 +14,7 @@ from companion.core.reference.trajectories import ReferenceTrajectory
 from companion.stability.arrays import FloatArray
 from companion.stability.settling import SETTLED_WITHIN_M
 from companion.stability.settling import settle_time_s as settle_time_s
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 from sitl.report.tracks import Track
 
 SAMPLE_S = 0.02

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from companion.stability.arrays import FloatArray
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 
 USED = ("monotonic_s", "x_m", "y_m", "z_m")
 

@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping
 
 from companion.config.fleet import Envelope, FormationMember, GeodeticOrigin
 from companion.types.flight import Role
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 from sitl.study.shapes import LEADER
 
 ORIGIN = GeodeticOrigin(latitude_deg=47.397742, longitude_deg=8.545594, altitude_amsl_m=488.0)

@@ -14,7 +14,7 @@ from math import cos, dist, floor, pi, sin, sqrt
 import numpy as np
 
 from companion.stability.interaction import reached_from
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 
 LEADER = 1
 SPACING_M = 1.5

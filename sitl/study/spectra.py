@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csc_array, diags_array
 from scipy.sparse.linalg import LinearOperator, eigs, eigsh, splu
 
-from companion.core.consensus.law import FormationLaw
-from companion.core.consensus.weights import neighbour_weights
+from companion.core.consensus.law import FormationLaw, neighbour_weights
 from companion.stability.interaction import Graph, couple, eigenvalues, mode_eigenvalues, reached_from, settled_prcs
 
 DENSE_UP_TO = 20  # vehicles; the Lanczos method needs more dimensions than that

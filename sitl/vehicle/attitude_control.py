@@ -10,7 +10,7 @@ from msgspec import Struct
 
 from companion.geometry.frames import Quaternion
 from companion.geometry.vectors import clamped
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from enum import Enum, auto
 from math import hypot, isfinite, radians
 
 from companion.geometry.frames import Quaternion, enu_from_geodetic, quaternion_from_euler, wrap_pi
-from companion.types.vectors import GRAVITY_M_S2, Vector3
+from companion.types.values import GRAVITY_M_S2, Vector3
 from sitl.autopilots.setpoints import Course
 from sitl.vehicle.attitude_control import AttitudeSetpoint
 from sitl.vehicle.position_control import MAX_LIFT_RATIO, MIN_LIFT_RATIO, PositionControl

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import cos, exp, log, radians, sin, sqrt, tau
 from random import Random
 
-from companion.types.vectors import ZERO3, Vector3
+from companion.types.values import ZERO3, Vector3
 from sitl.vehicle.config import Sensors, Wind
 from sitl.vehicle.small_turn import NO_TURN, small_turn
 

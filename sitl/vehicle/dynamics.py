@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from math import sqrt
 
-from companion.types.vectors import GRAVITY_M_S2, Vector3
+from companion.types.values import GRAVITY_M_S2, Vector3
 
 State = tuple[float, ...]  # 17 numbers
 

@@ -11,7 +11,7 @@ from math import copysign, inf, radians, sqrt
 
 from companion.core.control.attitude import attitude_target, limit_acceleration
 from companion.geometry.frames import quaternion_from_euler
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 from sitl.vehicle.attitude_control import AttitudeSetpoint
 
 LEVEL_GAINS = (1.6, 2.2, 0.4)  # on position [1/s^2], velocity [1/s] and the integral of position [1/s^3]

@@ -12,7 +12,7 @@ from companion.geometry.frames import (
     geodetic_from_enu,
     quaternion_from_euler,
 )
-from companion.types.vectors import GRAVITY_M_S2, ZERO3, Vector3
+from companion.types.values import GRAVITY_M_S2, ZERO3, Vector3
 from sitl.vehicle.attitude_control import AttitudeControl, AttitudeSetpoint, Loops
 from sitl.vehicle.config import AutopilotFile
 from sitl.vehicle.disturbances import EstimatorError, Gusts

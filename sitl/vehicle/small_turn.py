@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import sqrt
 
 from companion.geometry.frames import Quaternion
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 
 SmallTurn = tuple[float, float, float, float]
 """Half of the angles about x, y and z [rad], and the norm of the quaternion (1, a, b, c) that they make."""

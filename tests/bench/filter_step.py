@@ -18,7 +18,7 @@ from companion.types.autopilot import PositionError, VehicleState
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot
 from companion.types.peers import PeerPacket
-from companion.types.vectors import ZERO3, Vector3
+from companion.types.values import ZERO3, Vector3
 
 LIMIT_US = 60.0
 TICK_US = 20_000.0

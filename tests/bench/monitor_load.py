@@ -22,16 +22,15 @@ from companion.config.fleet import FleetConfig
 from companion.config.new_formation import NewFormation, planned_formation
 from companion.config.reference import Reference
 from companion.config.topology import neighbour_graph
-from companion.core.consensus.weights import neighbour_weights
+from companion.core.consensus.law import neighbour_weights
 from companion.link.fleet.zenoh_session import EndpointError, open_session
 from companion.stability.interaction import settled_prcs
 from companion.types.autopilot import LandedState, PositionError
 from companion.types.flight import FlightPhase, HealthFlag, Role
 from companion.types.formation import FlownSlot, HeldReference, LeaderBeacon
 from companion.types.notices import Code, Notice
-from companion.types.separation import NearestVehicle, SeparationReport
-from companion.types.status import Status
-from companion.types.vectors import Vector3
+from companion.types.status import NearestVehicle, SeparationReport, Status
+from companion.types.values import Vector3
 from companion.wire.ground import Percentiles, StatusReport, Timing, encode
 from companion.wire.keys import status_key
 

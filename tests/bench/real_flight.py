@@ -14,7 +14,7 @@ from pathlib import Path
 from companion.ground.session import FleetSession
 from companion.recording.reader import recordings
 from companion.recording.records import INBOX, TIMING, TimingRecord
-from companion.types.telemetry import PositionSample
+from companion.types.autopilot import PositionSample
 from sitl.flight.director import Director, MachineClock
 from sitl.flight.files import ids_of, write_files
 from sitl.flight.orders import FlightFailure

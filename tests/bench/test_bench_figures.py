@@ -8,9 +8,8 @@ import pytest
 
 from companion.recording.records import TimingRecord
 from companion.recording.writer.writing import WritingAtOnce
-from companion.types.autopilot import AutopilotKind
-from companion.types.telemetry import PositionSample
-from companion.types.vectors import ZERO3
+from companion.types.autopilot import AutopilotKind, PositionSample
+from companion.types.values import ZERO3
 from failing_flight import FailingFlight
 from recorded_agent import recorder
 from tests.bench.batch import section as batch_section

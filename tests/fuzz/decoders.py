@@ -16,9 +16,8 @@ from companion.types.commands import Command, CommandName, CommandReply, Lead, R
 from companion.types.flight import FlightPhase, HealthFlag, Role
 from companion.types.formation import FlownSlot, FormationChange, HeldReference, LeaderBeacon
 from companion.types.notices import Code, Notice
-from companion.types.peers import PeerPacket, TargetSample
+from companion.types.peers import PeerPacket, TargetSample, TrafficSample
 from companion.types.status import Status
-from companion.types.traffic import TrafficSample
 from companion.wire.ground import StatusReport, decode_command, decode_reply, decode_report, encode
 from companion.wire.peer import decode_peer, encode_peer
 from companion.wire.target import decode_target, encode_target

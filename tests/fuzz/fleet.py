@@ -15,15 +15,13 @@ from companion.config.law import Law
 from companion.config.reference import CircleReference, PointReference, Reference, TargetReference
 from companion.config.vehicle import AgentConfig, VehicleConfig
 from companion.core.agent import Agent
-from companion.core.consensus.distant import LOW_RATE_TICKS
+from companion.core.consensus.neighbours import LOW_RATE_TICKS
+from companion.types.autopilot import AttitudeTarget, Telemetry
 from companion.types.commands import Command, CommandName, CommandReply, Content, next_number
 from companion.types.flight import Role
-from companion.types.peers import PeerPacket, ReceivedPeerPacket, ReceivedTarget
-from companion.types.requests import AttitudeTarget
+from companion.types.peers import PeerPacket, ReceivedPeerPacket, ReceivedTarget, ReceivedTraffic
 from companion.types.status import Status
-from companion.types.telemetry import Telemetry
 from companion.types.tick import Inbox, Outbox
-from companion.types.traffic import ReceivedTraffic
 from companion.wire.ground import StatusReport, decode_reply, decode_report, encode
 from companion.wire.peer import decode_peer, encode_peer
 from companion.wire.version import WireError

@@ -11,8 +11,7 @@ from typing import Any
 
 from companion.mavlink.codec import MavlinkMessage, mavlink
 from companion.mavlink.translator import Translator
-from companion.types.autopilot import AutopilotKind, AutopilotMode
-from companion.types.telemetry import Telemetry
+from companion.types.autopilot import AutopilotKind, AutopilotMode, Telemetry
 from tests.fuzz.mutation import other_float, other_int
 from tests.fuzz.plant import HOVER_THRUST_NORM, ORIGIN, PARAMETERS, Plant
 

@@ -5,29 +5,29 @@ from __future__ import annotations
 from collections.abc import Mapping
 from math import cos, sin
 
-from companion.types.autopilot import AutopilotKind, AutopilotMode, LandedState
-from companion.types.requests import (
+from companion.types.autopilot import (
     Arm,
+    AttitudeSample,
     AttitudeTarget,
+    AutopilotKind,
+    AutopilotMode,
     AutopilotRequest,
     Disarm,
-    RequestOrigin,
-    RequestParameter,
-    SetMode,
-    TakeOff,
-)
-from companion.types.telemetry import (
-    AttitudeSample,
     HeartbeatSample,
     LandedSample,
+    LandedState,
     ModeSample,
     OriginSample,
     ParameterSample,
     PositionSample,
+    RequestOrigin,
+    RequestParameter,
+    SetMode,
     SystemSample,
+    TakeOff,
     Telemetry,
 )
-from companion.types.vectors import GRAVITY_M_S2, Vector3
+from companion.types.values import GRAVITY_M_S2, Vector3
 
 TICK_S = 0.02
 HOVER_THRUST_NORM = 0.5

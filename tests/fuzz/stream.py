@@ -9,13 +9,11 @@ from typing import Any
 from msgspec.structs import replace
 
 from companion.core.consensus.law import formation_state
-from companion.types.autopilot import PositionError
+from companion.types.autopilot import PositionError, Telemetry
 from companion.types.commands import CONTENT, Command, CommandName, Lead, ReferenceChange
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FormationChange, HeldReference, LeaderBeacon
-from companion.types.peers import PeerPacket, ReceivedTarget, TargetSample
-from companion.types.telemetry import Telemetry
-from companion.types.traffic import ReceivedTraffic, TrafficSample
+from companion.types.peers import PeerPacket, ReceivedTarget, ReceivedTraffic, TargetSample, TrafficSample
 from companion.wire.ground import decode_command, encode
 from companion.wire.peer import decode_peer, encode_peer
 from companion.wire.target import decode_target, encode_target

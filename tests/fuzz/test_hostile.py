@@ -9,11 +9,9 @@ from msgspec.structs import replace
 
 from companion.config.fleet import EdgeNeighbours
 from companion.mavlink.translator import Translator
-from companion.types.autopilot import AutopilotKind, AutopilotMode, LandedState
+from companion.types.autopilot import AttitudeTarget, AutopilotKind, AutopilotMode, LandedState, Telemetry
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
-from companion.types.requests import AttitudeTarget
-from companion.types.telemetry import Telemetry
 from tests.fuzz import run
 from tests.fuzz.decoders import decoders, fuzz
 from tests.fuzz.episode import Outcome, fly

@@ -9,27 +9,33 @@ from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember
 from companion.config.law import Law
 from companion.config.reference import PointReference, Reference
 from companion.config.vehicle import AgentConfig, VehicleConfig
-from companion.types.autopilot import AutopilotKind, AutopilotMode, LandedState
-from companion.types.commands import Command, CommandName, Content
-from companion.types.flight import FlightPhase, Role
-from companion.types.formation import FlownSlot, HeldReference, LeaderBeacon
-from companion.types.notices import Notice
-from companion.types.peers import PeerPacket, ReceivedPeerPacket
-from companion.types.requests import Arm, AttitudeTarget, RequestOrigin, RequestParameter, SetMode, TakeOff
-from companion.types.telemetry import (
+from companion.types.autopilot import (
+    Arm,
     AttitudeSample,
+    AttitudeTarget,
+    AutopilotKind,
+    AutopilotMode,
     HeartbeatSample,
     LandedSample,
+    LandedState,
     ModeSample,
     OriginSample,
     ParameterSample,
     PositionSample,
+    RequestOrigin,
+    RequestParameter,
+    SetMode,
     SystemSample,
+    TakeOff,
     Telemetry,
 )
+from companion.types.commands import Command, CommandName, Content
+from companion.types.flight import FlightPhase, Role
+from companion.types.formation import FlownSlot, HeldReference, LeaderBeacon
+from companion.types.notices import Notice
+from companion.types.peers import PeerPacket, ReceivedPeerPacket, ReceivedTraffic, TrafficSample
 from companion.types.tick import Inbox, Outbox
-from companion.types.traffic import ReceivedTraffic, TrafficSample
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 from tests.fuzz.plant import PARAMETERS
 
 FLEET = FleetConfig(

@@ -5,11 +5,20 @@ from collections.abc import Iterable, Sequence
 from msgspec.structs import replace
 
 from companion.core.command.phase import LEVEL_BEFORE_HAND_OVER_S, PhaseMachine
-from companion.types.autopilot import AutopilotKind, AutopilotMode, LandedState, VehicleState
+from companion.types.autopilot import (
+    Arm,
+    AutopilotKind,
+    AutopilotMode,
+    AutopilotRequest,
+    Disarm,
+    LandedState,
+    SetMode,
+    TakeOff,
+    Telemetry,
+    VehicleState,
+)
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
-from companion.types.requests import Arm, AutopilotRequest, Disarm, SetMode, TakeOff
-from companion.types.telemetry import Telemetry
 
 NEW = float("inf")  # state that is always newer than the request
 GROUND = VehicleState(

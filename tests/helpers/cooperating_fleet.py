@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from companion.core.consensus.neighbourhood import Consensus, ConsensusStage
 from companion.core.consensus.neighbours import EdgeRule
-from companion.core.consensus.peers import PeerTable
-from companion.core.consensus.plausibility import FleetLimits
-from companion.core.election.leader_beacon import BeaconMonitor
-from companion.core.election.leadership import Leadership
-from companion.core.election.succession import Succession
+from companion.core.consensus.peers import FleetLimits, PeerTable
+from companion.core.consensus.stage import Consensus, ConsensusStage
+from companion.core.election.beacon import BeaconMonitor
+from companion.core.election.leadership import Leadership, Succession
 from companion.types.autopilot import VehicleState
 from companion.types.commands import Lead
 from companion.types.flight import Flight, FlightPhase, HealthFlag, Role
 from companion.types.formation import FlownSlot
 from companion.types.peers import PeerPacket, ReceivedPeerPacket
-from companion.types.vectors import ZERO3
+from companion.types.values import ZERO3
 
 TICK_S = 0.02
 RING = ((1, 2), (2, 3), (3, 4), (4, 1))

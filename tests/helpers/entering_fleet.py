@@ -13,7 +13,7 @@ import yaml
 from companion.types.commands import CommandName, CommandReply, Content
 from companion.types.flight import FlightPhase
 from companion.types.status import Status
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 from recorded_flight import record_targets
 from sitl.flight.director import Director
 from sitl.flight.files import ids_of

@@ -11,14 +11,11 @@ from companion.link.systemd import Notifier
 from companion.link.tick import TickTrigger
 from companion.mavlink.codec import MavlinkMessage
 from companion.recording.writer.recorder import Recorder
-from companion.types.autopilot import AutopilotKind
+from companion.types.autopilot import AttitudeTarget, AutopilotKind, AutopilotRequest, Telemetry
 from companion.types.commands import Command, CommandName, CommandReply
 from companion.types.flight import FlightPhase
-from companion.types.peers import PeerPacket, ReceivedPeerPacket, ReceivedTarget
-from companion.types.requests import AttitudeTarget, AutopilotRequest
+from companion.types.peers import PeerPacket, ReceivedPeerPacket, ReceivedTarget, ReceivedTraffic
 from companion.types.status import NetworkState
-from companion.types.telemetry import Telemetry
-from companion.types.traffic import ReceivedTraffic
 from companion.wire.ground import StatusReport, encode
 from companion.wire.peer import decode_peer, encode_peer
 from profile_flight import HOLD, Autopilot, Flight

@@ -29,7 +29,7 @@ from companion.ground.session import FleetSession
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 from fault_table import FaultRow
 from own_ports import free_fleet_offset
 from repository import ROOT

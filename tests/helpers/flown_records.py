@@ -35,7 +35,7 @@ from companion.types.notices import Code, Notice
 from companion.types.peers import PeerPacket, ReceivedPeerPacket
 from companion.types.status import Status
 from companion.types.tick import Inbox
-from companion.types.vectors import ZERO3, Vector3
+from companion.types.values import ZERO3, Vector3
 from companion.wire.ground import Percentiles, StatusReport, Timing
 from recording_files import RecordingFile
 

@@ -8,7 +8,7 @@ from companion.core.consensus.peers import PeerState
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot
 from companion.types.peers import PeerPacket
-from companion.types.vectors import ZERO3, Vector3
+from companion.types.values import ZERO3, Vector3
 
 SLOTS: dict[int, Vector3] = {1: (0.0, 0.0, 0.0), 2: (-2.0, 0.0, 0.0), 3: (-4.0, 0.0, 0.0)}
 FLEET: Vector3 = (10.0, 0.0, 5.0)

@@ -6,7 +6,7 @@ from msgspec.structs import replace
 
 from companion.monitor.api import AlarmView, FlagView, FleetView, NearestView, Snapshot, TimingView, VehicleView
 from companion.types.status import NetworkState
-from companion.types.vectors import ZERO3
+from companion.types.values import ZERO3
 
 VEHICLE = VehicleView(
     fleet="platoon",

@@ -16,7 +16,7 @@ from companion.monitor.api import (
     VehicleView,
 )
 from companion.types.status import NetworkState
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 
 SPACING_M = 4.0
 ALTITUDE_M = 5.0

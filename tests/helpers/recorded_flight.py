@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TypeVar
 
-from companion.types.requests import AttitudeTarget
+from companion.types.autopilot import AttitudeTarget
 from companion.types.status import Status
 from companion.wire.ground import StatusReport
 from sitl.flight.files import ids_of

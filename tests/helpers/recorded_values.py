@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from msgspec import Struct
 from msgspec.structs import fields
 
-from companion.types.requests import AutopilotRequest
+from companion.types.autopilot import AutopilotRequest
 from companion.types.tick import Inbox, Outbox
 
 REQUESTS = get_args(AutopilotRequest)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import sqrt
 
-from companion.types.vectors import GRAVITY_M_S2, Vector3
+from companion.types.values import GRAVITY_M_S2, Vector3
 from sitl.vehicle.dynamics import ATTITUDE, State
 
 

@@ -18,16 +18,14 @@ from companion.config.fleet import EdgeNeighbours, Envelope, FleetConfig, Format
 from companion.config.law import Law
 from companion.config.obstacles import Obstacle
 from companion.core.consensus.law import Gains, feedback
-from companion.core.consensus.peers import PeerTable
-from companion.core.consensus.plausibility import FleetLimits
+from companion.core.consensus.peers import FleetLimits, PeerTable
 from companion.core.safety.filter.acceleration_filter import AccelerationLimits
 from companion.types.autopilot import PositionError, VehicleState
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot
-from companion.types.peers import PeerPacket, ReceivedPeerPacket
-from companion.types.separation import SeparationReport
-from companion.types.traffic import ReceivedTraffic, TrafficSample
-from companion.types.vectors import ZERO3, Vector3
+from companion.types.peers import PeerPacket, ReceivedPeerPacket, ReceivedTraffic, TrafficSample
+from companion.types.status import SeparationReport
+from companion.types.values import ZERO3, Vector3
 
 TICK_S = 0.02
 DEAD_TICKS = 3

@@ -8,9 +8,16 @@ import pytest
 
 from companion.mavlink.codec import MavlinkCodec, mavlink
 from companion.mavlink.translator import Translator
-from companion.types.autopilot import AutopilotKind
-from companion.types.requests import AttitudeTarget, RequestOrigin
-from companion.types.telemetry import AckSample, AttitudeSample, OriginSample, PositionSample, Telemetry
+from companion.types.autopilot import (
+    AckSample,
+    AttitudeSample,
+    AttitudeTarget,
+    AutopilotKind,
+    OriginSample,
+    PositionSample,
+    RequestOrigin,
+    Telemetry,
+)
 from sitl.autopilots.autopilot import DT_S
 from sitl.autopilots.behaviour import AUTOPILOT_TYPES
 from sitl.autopilots.px4 import setpoints as px4_setpoints

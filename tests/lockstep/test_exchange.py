@@ -11,7 +11,7 @@ from companion.ground.formations import change_to
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 from entering_fleet import EnteringFleet, scenario_of
 from repository import ROOT
 from sitl.flight.scenario import load_scenario

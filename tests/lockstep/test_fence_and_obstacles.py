@@ -15,7 +15,7 @@ from companion.core.consensus.law import FormationState
 from companion.core.reference.trajectories import ReferenceTrajectory
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
-from companion.types.vectors import ZERO3, Vector3
+from companion.types.values import ZERO3, Vector3
 from entering_fleet import EnteringFleet
 from recorded_flight import Recorder
 from repository import ROOT

@@ -12,9 +12,9 @@ from companion.assembly import build_agent
 from companion.config.vehicle import AgentConfig
 from companion.core.consensus.law import weighted
 from companion.stability.interaction import interaction_matrix, settled_prcs
+from companion.types.autopilot import AttitudeTarget
 from companion.types.commands import CommandName, Lead
 from companion.types.flight import FlightPhase, Role
-from companion.types.requests import AttitudeTarget
 from companion.types.status import Status
 from recorded_flight import Recorder, record_targets
 from repository import ROOT

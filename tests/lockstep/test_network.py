@@ -7,7 +7,7 @@ import pytest
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot
 from companion.types.peers import PeerPacket
-from companion.types.vectors import ZERO3
+from companion.types.values import ZERO3
 from sitl.links.network import Network
 from sitl.vehicle.config import Links, Partition
 

@@ -14,7 +14,7 @@ from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code
 from companion.types.peers import PeerPacket
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 from tests.fuzz.fleet import Hostile, HostileFleet
 from tests.fuzz.plant import TICK_S
 

@@ -9,7 +9,7 @@ import pytest
 
 from companion.geometry.frames import geodetic_from_enu, quaternion_from_euler
 from companion.types.flight import Role
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 from repository import ROOT
 from sitl.autopilots.autopilot import Autopilot
 from sitl.flight.director import Director

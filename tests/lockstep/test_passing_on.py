@@ -11,7 +11,7 @@ from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
 from companion.types.formation import FormationChange
 from companion.types.notices import Code
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 from repository import ROOT
 
 SCENARIO = ROOT / "config" / "scenarios" / "formations.yaml"

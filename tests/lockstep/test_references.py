@@ -16,7 +16,7 @@ from companion.types.commands import CommandName, Content, Lead
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code
 from companion.types.status import Status
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 from decided_flight import JUMP_M, Decisions
 from notices import outcome
 from recorded_flight import Recorder

@@ -8,10 +8,9 @@ import pytest
 
 from commanded_flight import Flight
 from companion.ground.references import reference_change
-from companion.types.autopilot import AutopilotKind
+from companion.types.autopilot import Arm, AutopilotKind, AutopilotRequest, RequestOrigin, RequestParameter
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase, Role
-from companion.types.requests import Arm, AutopilotRequest, RequestOrigin, RequestParameter
 from companion.types.status import Status
 from repository import ROOT
 from sitl.gauntlet.distances import SENSOR_FACTOR

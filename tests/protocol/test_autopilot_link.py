@@ -16,9 +16,8 @@ from companion.link.autopilot_link import SAMPLES_KEPT, AutopilotLink
 from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
 from companion.mavlink.dialect import DIALECTS
 from companion.mavlink.translator import Translator
-from companion.types.autopilot import AutopilotKind
+from companion.types.autopilot import AutopilotKind, PositionSample, Telemetry
 from companion.types.notices import Code
-from companion.types.telemetry import PositionSample, Telemetry
 
 HOST = "127.0.0.1"
 MORE_THAN_ASKED = 5.0  # so that a busy machine does not make a stream that is there pass for one that is not

@@ -14,14 +14,14 @@ import zenoh
 
 from agent_process import agent, faulty_agent, until
 from companion.cli.vehicle_link import EXIT_DEFECT
-from companion.core.consensus.neighbourhood import ConsensusStage
+from companion.core.consensus.stage import ConsensusStage
 from companion.ground.connection import GroundConnection
 from companion.link.fleet.zenoh_link import ZenohLink
 from companion.link.fleet.zenoh_session import drain
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code
-from companion.types.vectors import ZERO3
+from companion.types.values import ZERO3
 from companion.wire.keys import peer_key
 from companion.wire.peer import decode_peer
 from tapped_flight import UNDER_WAY, Flight

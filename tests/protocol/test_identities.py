@@ -26,8 +26,7 @@ from companion.security.admission import accept
 from companion.security.certificates import read_certificate
 from companion.types.commands import Command, CommandName
 from companion.types.notices import Code
-from companion.types.peers import PeerPacket, TargetSample
-from companion.types.traffic import TrafficSample
+from companion.types.peers import PeerPacket, TargetSample, TrafficSample
 from companion.wire.ground import encode
 from companion.wire.keys import abort_key, command_key, peer_key, reply_key, status_key, target_key, traffic_key
 from companion.wire.peer import encode_peer

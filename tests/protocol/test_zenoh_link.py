@@ -20,8 +20,7 @@ from msgspec.structs import replace
 
 from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember, PeerLimits
 from companion.config.network import ZenohEndpoints
-from companion.core.consensus.peers import PeerTable
-from companion.core.consensus.plausibility import FleetLimits
+from companion.core.consensus.peers import FleetLimits, PeerTable
 from companion.ground.publishers import TargetPublisher, TrafficPublisher
 from companion.ground.session import AGAIN_S, FleetSession
 from companion.link.fleet.zenoh_link import LONG_PAUSE_S, ZenohLink
@@ -31,9 +30,8 @@ from companion.types.commands import Command, CommandName, CommandReply, Content
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot, FormationChange, LeaderBeacon
 from companion.types.notices import Code
-from companion.types.peers import ReceivedPeerPacket, ReceivedTarget
+from companion.types.peers import ReceivedPeerPacket, ReceivedTarget, ReceivedTraffic, TrafficSample
 from companion.types.status import Status
-from companion.types.traffic import ReceivedTraffic, TrafficSample
 from companion.wire.ground import Percentiles, StatusReport, Timing, encode
 from companion.wire.keys import abort_key, command_key, peer_key, status_key, target_key, traffic_key
 from companion.wire.peer import encode_peer

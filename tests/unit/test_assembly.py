@@ -15,7 +15,7 @@ from companion.types.autopilot import AutopilotKind
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase, Role
 from companion.types.notices import Code
-from companion.types.vectors import GRAVITY_M_S2
+from companion.types.values import GRAVITY_M_S2
 from profile_flight import Flight
 
 FLEET = FleetConfig(

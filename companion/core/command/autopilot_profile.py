@@ -10,10 +10,19 @@ from dataclasses import dataclass, replace
 from math import inf
 
 from companion.core.command.procedure import Procedure, Truth
-from companion.types.autopilot import AutopilotKind, AutopilotMode, LandedState, VehicleState, in_air
+from companion.types.autopilot import (
+    Arm,
+    AutopilotKind,
+    AutopilotMode,
+    Disarm,
+    LandedState,
+    SetMode,
+    TakeOff,
+    VehicleState,
+    in_air,
+)
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
-from companion.types.requests import Arm, Disarm, SetMode, TakeOff
 
 P, M, C = FlightPhase, AutopilotMode, CommandName
 

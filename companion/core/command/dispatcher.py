@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from companion.core.command.arbitration import Intake
 from companion.core.command.phase import PhaseCommand
-from companion.core.consensus.neighbourhood import Consensus
-from companion.core.estimation.perception import Perception
+from companion.core.consensus.stage import Consensus
+from companion.core.estimation.vehicle import Perception
 from companion.core.formation.guidance import Guidance
 from companion.core.safety.failsafe import flags_notice
 from companion.core.safety.fleet_checks import FleetChecks

@@ -13,7 +13,7 @@ from msgspec import Struct
 
 from companion.core.command.autopilot_profile import profile_of
 from companion.core.command.procedure import Progress, RunningProcedure
-from companion.types.autopilot import AutopilotMode, LandedState, VehicleState, in_air
+from companion.types.autopilot import AutopilotMode, AutopilotRequest, LandedState, Telemetry, VehicleState, in_air
 from companion.types.commands import CommandName
 from companion.types.flight import (
     FLYING,
@@ -28,8 +28,6 @@ from companion.types.flight import (
     Rule,
 )
 from companion.types.notices import Answer, Code, Notice, accepted, refused
-from companion.types.requests import AutopilotRequest
-from companion.types.telemetry import Telemetry
 
 P, M, C = FlightPhase, AutopilotMode, CommandName
 

@@ -10,9 +10,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from math import inf
 
-from companion.types.autopilot import VehicleState
-from companion.types.requests import AutopilotRequest
-from companion.types.telemetry import AckSample, Telemetry, TextSample
+from companion.types.autopilot import AckSample, AutopilotRequest, Telemetry, TextSample, VehicleState
 
 TEXTS_KEPT = 3
 

@@ -8,14 +8,15 @@ x_i - x_j - d_ij = (x_i - d_i0) - (x_j - d_j0).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
+from math import dist, inf
 
 from msgspec import Struct
 
-from companion.core.consensus.weights import Weighting, neighbour_weights
 from companion.types.formation import FlownSlot
-from companion.types.vectors import ZERO3, Vector3
+from companion.types.values import ZERO3, Vector3
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,3 +186,85 @@ def feedback(gains: Gains, position_error_m: Vector3, velocity_error_m_s: Vector
     px, py, pz = position_error_m
     vx, vy, vz = velocity_error_m_s
     return (-k1 * px - k2 * vx, -k1 * py - k2 * vy, -k1 * pz - k2 * vz)
+
+
+@dataclass(frozen=True, slots=True)
+class Weighting:
+    """How the share of a neighbour falls with its PrC p: as ratio^p / p^exponent.
+
+    Exponent 1 and ratio 1 is the paper's Algorithm 2, exponent 0 and ratio 1 the average of eq. 22. A power is sharp between
+    the first hops and nearly flat behind twenty: a vehicle there would follow its own followers. A ratio rho < 1 (0 < rho) is
+    as sharp at every hop: of two neighbours at p - 1 and p + 1 the second has rho^2 times the weight of the first.
+    """
+
+    exponent: float = 1.0
+    ratio: float = 1.0
+
+
+def neighbour_weights(prcs: Sequence[int], weighting: Weighting) -> tuple[float, ...]:
+    """w_ij = s_j / sum_j s_j with the shares s_j of neighbours with PrCs p_j >= 1, in their order.
+
+    The weights add up to one. There are none without neighbours, where the paper's algorithm would divide by zero.
+    """
+    return _weights(tuple(prcs), weighting.exponent, weighting.ratio)
+
+
+@lru_cache(maxsize=256)  # PrCs change seldom, and every tick needs their weights
+def _weights(prcs: tuple[int, ...], exponent: float, ratio: float) -> tuple[float, ...]:
+    # rho^p of the 160th hop is below the smallest float, so hops are counted from the nearest neighbour.
+    least = min(prcs, default=1)
+    shares = [prc**-exponent * ratio ** (prc - least) for prc in prcs]
+    total = sum(shares)
+    return tuple([share / total for share in shares])
+
+
+def next_prc(is_leader: bool, neighbour_prcs: Iterable[int], n: int) -> int:
+    """p_i(k+1) of Algorithm 1 (line 3 corrected: per[j] = p_j(k)).
+
+    `n` is the number of vehicles; a follower without neighbours gets n, a leader 1.
+    """
+    if is_leader:
+        return 1
+    least = n
+    for prc in neighbour_prcs:
+        if prc < least:
+            least = prc
+    return min(n, least + 1)
+
+
+INTERVENES_M_S2 = 0.3  # less comes and goes with noise
+LASTS_S = 3.0  # after the last intervention
+BACK_WITHIN_M = 0.1  # of the slot: from there on its own position counts again
+# So does it where the vehicle comes no nearer: on an RFT that moves, the law itself may lag more than that.
+NEARER_M, NEARER_WITHIN_S = 0.02, 1.0
+
+
+class KeptOff:
+    """Whether this vehicle is kept off its slot."""
+
+    def __init__(self) -> None:
+        self._intervened_s = -inf
+        self._is_kept_off = False
+        self._nearest_m, self._nearer_s = inf, -inf  # on the way back, and when it came so near
+
+    def intervened(self, now_s: float, taken_m_s2: float) -> bool:
+        """Whether it is, or was and is not back yet. `taken_m_s2`: of the acceleration that the law wants, by vehicles."""
+        if taken_m_s2 > INTERVENES_M_S2:
+            self._intervened_s, self._is_kept_off, self._nearest_m = now_s, True, inf
+        return self._is_kept_off
+
+    def rft(self, now_s: float, own: FormationState, target: FormationState) -> FormationState | None:
+        """The RFT to publish: that of the law. None from when this vehicle is back in its slot, or as near as it comes."""
+        if now_s - self._intervened_s <= LASTS_S:
+            return target
+        off_m = dist(own.position_enu_m, target.position_enu_m)
+        if off_m < self._nearest_m - NEARER_M:
+            self._nearest_m, self._nearer_s = off_m, now_s
+        if off_m < BACK_WITHIN_M or now_s - self._nearer_s > NEARER_WITHIN_S:
+            self._is_kept_off = False
+            return None
+        return target
+
+    def end(self) -> None:
+        """Outside formation."""
+        self._intervened_s, self._is_kept_off = -inf, False

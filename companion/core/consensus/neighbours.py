@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from math import dist, inf
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass
+from math import dist, inf, sqrt
 from typing import Protocol
 
-from companion.core.consensus.peers import PeerState
-from companion.types.vectors import Vector3
+from companion.core.consensus.peers import DISTANT_MAX_AGE_S, PeerState
+from companion.geometry.separation import HEIGHT_WEIGHT
+from companion.types.autopilot import VehicleState
+from companion.types.flight import Flight, FlightPhase, Role
+from companion.types.formation import FlownSlot
+from companion.types.values import Vector3
 
 
 class NeighbourRule(Protocol):
@@ -62,3 +67,117 @@ class RangeRule:
                 self._bridge = min(led, key=lambda i: (dist(own_position_enu_m, peers[i].position_at(now_s)), i))
                 self._bridged_s = now_s
         return tuple(sorted(self._members if self._bridge is None else self._members | {self._bridge}))
+
+
+FORMATION = FlightPhase.FORMATION  # member lookup of an enum is slow
+LOW_RATE_TICKS = 10  # 5 Hz
+CHOICE_PERIOD_S = 0.2
+STATE_AGE_S = 0.2 + 0.2  # of a packet at 5 Hz, after another that is lost
+# That state, the next choice, the queue of subscriptions, and the first packet at 50 Hz
+UNTIL_FULL_RATE_S = STATE_AGE_S + CHOICE_PERIOD_S + 0.1 + 0.1
+ROOM_M = 2.0  # for the lag of attitude, delays and the response of the separation filter
+STEADY_S = 2.0  # so long a peer is steady and far away before it is distant
+FARTHER = 1.2  # than needed it is then
+
+NONE: frozenset[int] = frozenset()
+
+
+@dataclass(frozen=True, slots=True)
+class DistantLimits:
+    """`full_rate_ids`: always received at 50 Hz. `range_m`: with hysteresis, 0 where neighbours are fixed."""
+
+    full_rate_ids: Collection[int]
+    range_m: float
+    separation_m: float
+    acceleration_m_s2: float  # at the tilt limit
+
+
+class DistantPeers:
+    """Chooses the distant peers, CHOICE_PERIOD_S apart."""
+
+    def __init__(self, limits: DistantLimits) -> None:
+        self._limits = limits
+        self._ids = NONE
+        self._since_s: dict[int, float] = {}  # since when each peer has been steady and far away
+        self._steady_s = inf  # since when this vehicle has been steady
+        self._next_s = -inf
+
+    def step(
+        self,
+        now_s: float,
+        vehicle: VehicleState,
+        flight: Flight,
+        slot: FlownSlot,
+        hears_leader: bool,
+        neighbour_ids: Collection[int],
+        peers: Mapping[int, PeerState],
+    ) -> frozenset[int]:
+        """Ids of the distant ones of these peers. `slot` is the one that this vehicle flies."""
+        if flight.phase is not FORMATION or not hears_leader or _changes(slot):
+            self._ids, self._steady_s = NONE, inf
+            self._since_s.clear()
+        elif now_s >= self._next_s:
+            self._steady_s = min(self._steady_s, now_s)
+            self._next_s = now_s + CHOICE_PERIOD_S
+            self._ids = frozenset(self._chosen(now_s, vehicle, slot, neighbour_ids, peers))
+        return self._ids
+
+    def _chosen(
+        self,
+        now_s: float,
+        vehicle: VehicleState,
+        slot: FlownSlot,
+        neighbour_ids: Collection[int],
+        peers: Mapping[int, PeerState],
+    ) -> Iterable[int]:
+        at_full_rate = {*self._limits.full_rate_ids, *neighbour_ids}
+        since_s, self._since_s = self._since_s, {}
+        for peer_id, peer in peers.items():
+            if peer_id in at_full_rate or not _is_steady(now_s, peer, slot):
+                continue
+            farther = 1.0 if peer_id in self._ids else FARTHER
+            if _apart_m(now_s, vehicle, peer) <= farther * self._needed_m(now_s, vehicle, peer):
+                continue
+            self._since_s[peer_id] = since_s.get(peer_id, now_s)
+            if now_s - max(self._since_s[peer_id], self._steady_s) >= STEADY_S:
+                yield peer_id
+
+    def _needed_m(self, now_s: float, vehicle: VehicleState, peer: PeerState) -> float:
+        """Nearer than this a peer is received at 50 Hz.
+
+        Both may fly towards each other at the tilt limit until it is, and then brake as the separation filter plans to. Where
+        more packets are lost than one, they have flown so for longer.
+        """
+        limits, until_s = self._limits, UNTIL_FULL_RATE_S + max(0.0, now_s - peer.measured_s - STATE_AGE_S)
+        towards_m_s2 = 2.0 * limits.acceleration_m_s2
+        speed_m_s = dist(vehicle.velocity_enu_m_s, peer.packet.velocity_enu_m_s)
+        nearer_m = speed_m_s * until_s + 0.5 * towards_m_s2 * until_s * until_s
+        fastest_m_s = speed_m_s + towards_m_s2 * until_s
+        braking_m = fastest_m_s * fastest_m_s / towards_m_s2  # each brakes with half of the tilt limit
+        # Position errors count as much as separation_m at most.
+        apart_m = 2.0 * limits.separation_m + ROOM_M + nearer_m + braking_m
+        return max(apart_m, limits.range_m + nearer_m) if limits.range_m else apart_m
+
+
+def _changes(slot: FlownSlot) -> bool:
+    return slot.moves or slot.waiting != slot.formation
+
+
+def _is_steady(now_s: float, peer: PeerState, slot: FlownSlot) -> bool:
+    """Whether a peer flies in its slot at rest, in the same formation as this vehicle, and does not lead."""
+    packet = peer.packet
+    return (
+        packet.phase is FORMATION
+        and packet.role is not Role.LEADER
+        and packet.rft is None
+        and not _changes(packet.slot)
+        and packet.slot.formation == slot.formation
+        and now_s - peer.measured_s <= DISTANT_MAX_AGE_S
+    )
+
+
+def _apart_m(now_s: float, vehicle: VehicleState, peer: PeerState) -> float:
+    """As the separation filter counts it: a height counts for less, because of the downwash."""
+    (x, y, z), (px, py, pz) = vehicle.position_enu_m, peer.position_at(now_s)
+    dx, dy, dz = x - px, y - py, (z - pz) * HEIGHT_WEIGHT
+    return sqrt(dx * dx + dy * dy + dz * dz)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from math import atan, cos, hypot, sin, tan
 
 from companion.geometry.vectors import between
-from companion.types.requests import AttitudeTarget
-from companion.types.vectors import GRAVITY_M_S2, Vector3
+from companion.types.autopilot import AttitudeTarget
+from companion.types.values import GRAVITY_M_S2, Vector3
 
 
 def limit_acceleration(

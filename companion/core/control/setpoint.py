@@ -7,28 +7,27 @@ from collections.abc import Iterable, Mapping
 from msgspec import Struct
 
 from companion.core.command.autopilot_profile import profile_of
-from companion.core.consensus.kept_off import KeptOff
 from companion.core.consensus.law import (
     FormationLaw,
     FormationState,
     Gains,
+    KeptOff,
     feedback,
     formation_acceleration,
     formation_state,
     target,
 )
-from companion.core.consensus.neighbourhood import Consensus
+from companion.core.consensus.stage import Consensus
 from companion.core.control.setpoint_stream import THRUST_FRESH_S, SetpointStream
-from companion.core.estimation.disturbance_observer import Motion
+from companion.core.estimation.wind import Motion
 from companion.core.formation.guidance import Guidance
 from companion.core.safety.filter.safety_filter import SafetyFilter
 from companion.core.safety.safeguard import Safety
-from companion.types.autopilot import AutopilotMode, LandedState, VehicleState
+from companion.types.autopilot import AttitudeTarget, AutopilotMode, LandedState, VehicleState
 from companion.types.flight import COOPERATING, FailsafeAction, Flight, FlightPhase
-from companion.types.requests import AttitudeTarget
-from companion.types.separation import SeparationReport
-from companion.types.traffic import ReceivedTraffic
-from companion.types.vectors import ZERO3, Vector3
+from companion.types.peers import ReceivedTraffic
+from companion.types.status import SeparationReport
+from companion.types.values import ZERO3, Vector3
 
 UNFILTERED = SeparationReport()
 # Member lookup of an enum is slow, and every tick needs these.

@@ -6,13 +6,12 @@ from collections import Counter
 from math import cos, degrees, hypot, inf
 
 from companion.core.control.attitude import attitude_target, limit_acceleration
-from companion.core.estimation.disturbance_observer import DisturbanceObserver
+from companion.core.estimation.wind import DisturbanceObserver
 from companion.core.safety.output_limits import OutputLimiter, OutputLimits
-from companion.types.autopilot import VehicleState
+from companion.types.autopilot import AttitudeTarget, VehicleState
 from companion.types.notices import Code
 from companion.types.rejections import counted
-from companion.types.requests import AttitudeTarget
-from companion.types.vectors import ZERO3, Vector3
+from companion.types.values import ZERO3, Vector3
 
 THRUST_FRESH_S = 0.3  # PX4 sends its thrust 10 times a second by default
 

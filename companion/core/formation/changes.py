@@ -11,7 +11,7 @@ from math import inf
 from msgspec import Struct
 
 from companion.core.consensus.law import formation_state
-from companion.core.consensus.neighbourhood import Consensus
+from companion.core.consensus.stage import Consensus
 from companion.core.formation.change_gossip import first_leader, passed_on
 from companion.core.formation.gap_filling import GapFilling, Proposal
 from companion.core.formation.obstructions import Tracks, members, refusal_of_tracks, tracks_about
@@ -26,7 +26,7 @@ from companion.types.flight import Flight, FlightPhase, Role
 from companion.types.formation import FlownSlot, FormationChange
 from companion.types.notices import Answer, Code, Notice, refused
 from companion.types.steps import Steps
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 
 LEADER, FORMATION = Role.LEADER, FlightPhase.FORMATION  # member lookup of an enum is slow
 QUEUED = 3  # commands with content that wait for their check; more of them are refused

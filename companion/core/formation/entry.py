@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 
 from companion.core.consensus.law import FormationState, formation_state
-from companion.core.consensus.neighbourhood import Consensus
 from companion.core.consensus.peers import PeerState
+from companion.core.consensus.stage import Consensus
 from companion.core.formation.joining import Joining, mean_state
 from companion.core.formation.lead_in import LeadIn
 from companion.core.formation.paths import Path
@@ -18,7 +18,7 @@ from companion.types.autopilot import VehicleState
 from companion.types.flight import COOPERATING, STREAMING, Flight, FlightPhase, Role
 from companion.types.formation import FlownSlot, Heading
 from companion.types.notices import Code, Notice, Refused
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 
 LEADER, ENGAGE, FORMATION = Role.LEADER, FlightPhase.ENGAGE, FlightPhase.FORMATION  # member lookup of an enum is slow
 COMMANDED_WITHIN_S = 0.25  # from the command to this vehicle to the packet of a peer that was commanded as well

@@ -17,11 +17,9 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import cos, dist, hypot, inf, pi, sin
 
-from companion.core.consensus.law import FormationLaw
-from companion.core.consensus.priority import next_prc
-from companion.core.consensus.weights import neighbour_weights
+from companion.core.consensus.law import FormationLaw, neighbour_weights, next_prc
 from companion.types.steps import Steps, whole
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 
 LAG_S, DELAY_S, FEEDFORWARD_DELAY_S = 0.2, 0.05, 0.02  # of stability/prediction.py
 PHASES = 48  # of a lap at which two harmonics are added

@@ -17,12 +17,11 @@ from companion.core.consensus.peers import PeerState
 from companion.core.formation.limits import FormationLimits
 from companion.geometry.curves import duration_s, rest_to_rest
 from companion.geometry.turning import SLOT_ACCELERATION_M_S2
-from companion.types.bounds import MIN_CHANGE_S
 from companion.types.flight import STREAMING, FlightPhase
 from companion.types.formation import FormationChange
 from companion.types.notices import Code, Notice
 from companion.types.peers import PeerPacket
-from companion.types.vectors import Vector3
+from companion.types.values import MIN_CHANGE_S, Vector3
 
 FORMATION = FlightPhase.FORMATION  # member lookup of an enum is slow
 GONE_FOR_S = 3.0  # a short loss of packets moves no vehicle

@@ -8,7 +8,7 @@ from math import dist
 from msgspec import Struct
 
 from companion.core.consensus.law import FormationState, formation_state
-from companion.core.consensus.neighbourhood import Consensus
+from companion.core.consensus.stage import Consensus
 from companion.core.formation.changes import Changes
 from companion.core.formation.entry import FormationEntry
 from companion.core.formation.gap_filling import GapFilling
@@ -22,7 +22,7 @@ from companion.types.flight import RULES, STREAMING, Flight, FlightPhase, PhaseC
 from companion.types.formation import EAST, FlownSlot, FormationChange, Heading, HeldReference
 from companion.types.notices import Answer, Code, Notice, Refused
 from companion.types.peers import ReceivedTarget
-from companion.types.vectors import ZERO3
+from companion.types.values import ZERO3
 
 # Member lookup of an enum is slow, and every tick needs these.
 LEADER, ENGAGE, FORMATION = Role.LEADER, FlightPhase.ENGAGE, FlightPhase.FORMATION

@@ -18,7 +18,7 @@ from companion.types.flight import FlightPhase
 from companion.types.formation import Heading
 from companion.types.notices import Code, Refused
 from companion.types.peers import PeerPacket
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 
 FORMATION = FlightPhase.FORMATION  # member lookup of an enum is slow
 JOINS_AFTER_S = 2.0  # a peer in formation for longer did not form together with this vehicle

@@ -17,7 +17,7 @@ from companion.geometry.turning import reach_m, swept
 from companion.geometry.vectors import plus
 from companion.types.notices import Code, Notice
 from companion.types.steps import Steps, coarser, whole
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 
 Slots = Mapping[int, Vector3]
 """d_i0 by vehicle id, ENU metres relative to the RFT."""

@@ -14,7 +14,7 @@ from companion.geometry.vectors import minus, plus, scaled
 from companion.types.flight import HELD, ON_GROUND, STREAMING, FlightPhase
 from companion.types.notices import Code, Notice
 from companion.types.peers import PeerPacket
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 
 Tracks = Mapping[int, Sequence[Vector3]]
 """Positions over time by vehicle id, ENU metres."""

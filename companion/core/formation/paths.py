@@ -16,7 +16,7 @@ from companion.geometry.curves import Curve, decay_to_rest, duration_s
 from companion.geometry.turning import SLOT_ACCELERATION_M_S2, in_formation_frame
 from companion.types.formation import Heading
 from companion.types.notices import Code, Refused
-from companion.types.vectors import ZERO3, Vector3
+from companion.types.values import ZERO3, Vector3
 
 LONGER = 1.1  # factor of the duration from one attempt to the next
 

@@ -9,21 +9,20 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from math import ceil
 
-from companion.core.election.mission_clock import FALLS_BACK_S
+from companion.core.election.beacon import FALLS_BACK_S
 from companion.core.formation.limits import FormationLimits
 from companion.core.formation.paths import Path
 from companion.core.paced import BEING_CHECKED, PENDING, Pending
 from companion.geometry.curves import rest_to_rest
 from companion.geometry.turning import reach_m
 from companion.geometry.vectors import plus
-from companion.types.bounds import MAX_CHANGE_S, MIN_CHANGE_S
 from companion.types.commands import NUMBERS_AHEAD
 from companion.types.flight import STREAMING, FlightPhase
 from companion.types.formation import FlownSlot, FormationChange
 from companion.types.notices import Answer, Code, Notice, accepted
 from companion.types.peers import PeerPacket
 from companion.types.steps import Steps, whole
-from companion.types.vectors import ZERO3, Vector3
+from companion.types.values import MAX_CHANGE_S, MIN_CHANGE_S, ZERO3, Vector3
 
 LATEST_S = 60.0  # ahead of mission time
 # Time until every vehicle knows who has accepted a change: each cancels it at its beginning where another one lacks it.

@@ -25,7 +25,7 @@ from companion.types.autopilot import VehicleState
 from companion.types.flight import ON_GROUND, STREAMING, FlightPhase
 from companion.types.formation import Heading
 from companion.types.notices import Code, Notice
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 
 SPREAD = 1.0 / 3.0  # of the distance that the law settles: so much may offsets differ there, as paths of the law bend
 SLACK = 1.15  # of the duration: a vehicle that enters a little later still ends with the leader

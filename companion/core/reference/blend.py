@@ -19,7 +19,7 @@ from companion.geometry.curves import Curve, decay_to_rest, duration_s
 from companion.geometry.turning import swept
 from companion.geometry.vectors import minus, plus
 from companion.types.steps import Steps, coarser, whole
-from companion.types.vectors import ZERO3, Vector3
+from companion.types.values import ZERO3, Vector3
 
 SHORTEST_S = 1.0
 LONGEST_S = 600.0

@@ -11,7 +11,7 @@ from math import copysign, inf, pi, remainder, tau
 from typing import Protocol
 
 from companion.core.consensus.law import FormationState
-from companion.core.consensus.neighbourhood import Consensus
+from companion.core.consensus.stage import Consensus
 from companion.core.reference.approach import APPROACH, JERK_1_S, LONGEST_S, SETTLE_S, approach_speed
 from companion.geometry.turning import TurnLimits, course, heading_after, turn_limits
 from companion.geometry.vectors import clamped

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from msgspec import json
 
 from companion.core.consensus.law import FormationState
-from companion.core.election.mission_clock import FALLS_BACK_S
+from companion.core.election.beacon import FALLS_BACK_S
 from companion.core.paced import BEING_CHECKED, PENDING, PacedChecks
 from companion.core.reference.blend import BlendLimits, blending
 from companion.core.reference.target_follower import TargetLimits, TargetPursuit, can_keep
@@ -24,7 +24,7 @@ from companion.types.formation import HeldReference
 from companion.types.notices import Answer, Code, Notice, accepted, refused
 from companion.types.peers import PeerPacket, ReceivedTarget
 from companion.types.steps import Steps, first_steps
-from companion.types.vectors import ZERO3, Vector3
+from companion.types.values import ZERO3, Vector3
 
 LEADER, FORMATION = Role.LEADER, FlightPhase.FORMATION  # member lookup of an enum is slow
 LATEST_S = 60.0  # ahead of mission time

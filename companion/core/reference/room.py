@@ -12,7 +12,7 @@ from math import hypot
 from companion.core.reference.approach import APPROACH, PULL_1_S, approach_speed
 from companion.geometry.airspace import Airspace, Gap
 from companion.geometry.vectors import dot, plus, scaled
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 
 Box = tuple[Vector3, Vector3]
 """Lowest and highest coordinates, m."""

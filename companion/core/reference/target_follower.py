@@ -17,7 +17,7 @@ from companion.core.consensus.law import FormationState
 from companion.core.reference.approach import APPROACH, JERK_1_S, LONGEST_S, SETTLE_S, approach_speed
 from companion.core.reference.room import STEP_S, Box, Room
 from companion.geometry.vectors import minus, plus, scaled, shortened
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,13 +9,12 @@ from math import hypot, isfinite
 from msgspec import Struct
 
 from companion.core.consensus.message_order import Disorder, Stream, following
-from companion.core.consensus.plausibility import MAX_SENT_S
+from companion.core.consensus.peers import MAX_SENT_S
 from companion.geometry.vectors import extrapolated
-from companion.types.bounds import MAX_COORDINATE_M
 from companion.types.notices import Code
 from companion.types.peers import ReceivedTarget, TargetSample
 from companion.types.rejections import counted
-from companion.types.vectors import ZERO3, Vector3
+from companion.types.values import MAX_COORDINATE_M, ZERO3, Vector3
 
 CODES = {
     Disorder.TWO_SENDERS: Code.TARGET_NAME_TWICE,

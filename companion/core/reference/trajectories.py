@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from companion.core.consensus.law import FormationState
 from companion.geometry.curves import Curve
-from companion.types.vectors import ZERO3, Vector3
+from companion.types.values import ZERO3, Vector3
 
 ReferenceTrajectory = Callable[[float], FormationState]
 """Seconds since the start of the RFT -> R and r''. The RFT starts when the leader enters formation."""

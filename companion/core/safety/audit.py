@@ -14,7 +14,7 @@ from companion.core.safety.audit_parameters import RULES, Judgement, ParameterRu
 from companion.core.safety.audit_parameters import Verdict as Verdict
 from companion.types.autopilot import AutopilotKind
 from companion.types.notices import Code
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 
 # PX4 sends CURRENT_MODE twice a second and at every change, regardless of requests; HEARTBEAT at 1 Hz alone is too slow.
 MIN_RATES_HZ = {"positions": 40.0, "attitudes": 40.0, "modes": 1.5, "landed states": 2.0}

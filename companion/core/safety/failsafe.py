@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
-from companion.core.estimation.position_reset import ORIGIN_WITHIN_S
+from companion.core.estimation.corrections import ORIGIN_WITHIN_S
 from companion.types.autopilot import AutopilotKind
 from companion.types.flight import FLAG_TEXTS, FailsafeAction, HealthFlag
 from companion.types.notices import Code, Notice

@@ -11,12 +11,10 @@ from math import inf, isfinite
 from msgspec import Struct
 from msgspec.structs import replace
 
-from companion.types.autopilot import AutopilotMode
+from companion.types.autopilot import AttitudeTarget, AutopilotMode, AutopilotRequest, ModeSample, SetMode, Telemetry
 from companion.types.flight import Flight, FlightPhase
 from companion.types.peers import PeerPacket
-from companion.types.requests import AttitudeTarget, AutopilotRequest, SetMode
-from companion.types.telemetry import ModeSample, Telemetry
-from companion.types.vectors import ZERO3
+from companion.types.values import ZERO3
 
 REPEAT_REQUEST_S = 0.1
 TELEMETRY_FRESH_S = 0.1  # without telemetry a pilot's change of mode would remain unseen

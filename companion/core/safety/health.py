@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import acos, cos, inf, radians
 
-from companion.core.estimation.position_reset import LARGEST_JUMP_M, ORIGIN_WITHIN_S
+from companion.core.estimation.corrections import LARGEST_JUMP_M, ORIGIN_WITHIN_S
 from companion.core.safety.output_limits import OutputLimits
 from companion.types.autopilot import VehicleState
 from companion.types.flight import HealthFlag

@@ -8,7 +8,7 @@ from math import hypot, isfinite, pi
 from companion.geometry.airspace import Fence
 from companion.geometry.frames import wrap_pi
 from companion.geometry.vectors import between, clamped
-from companion.types.requests import AttitudeTarget
+from companion.types.autopilot import AttitudeTarget
 
 
 @dataclass(frozen=True, slots=True)

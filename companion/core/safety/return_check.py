@@ -14,7 +14,7 @@ from companion.types.commands import CommandName
 from companion.types.flight import RULES, FlightPhase
 from companion.types.notices import Code, Notice
 from companion.types.peers import PeerPacket
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 
 # Phases in which a vehicle returns, may be commanded to, or (in OBSERVE) may return by a failsafe of its autopilot.
 MAY_GO_HOME = RULES[CommandName.RETURN].allowed | {FlightPhase.RETURN, FlightPhase.OBSERVE}

@@ -6,7 +6,7 @@ from math import inf
 
 from msgspec import Struct
 
-from companion.core.consensus.neighbourhood import Consensus
+from companion.core.consensus.stage import Consensus
 from companion.core.safety.failsafe import (
     LATE_TICK_S,
     NO_SETPOINT_FAILSAFE,
@@ -30,7 +30,7 @@ from companion.types.flight import (
     PhaseRequest,
 )
 from companion.types.notices import Code, Notice
-from companion.types.separation import SeparationReport
+from companion.types.status import SeparationReport
 
 HAND_OVER_S = 2.0  # at the end: how long the autopilot may take to go into its own hold
 MODE_SURE_S = 0.2  # so old may the mode be where the agent, without other telemetry, still requests another

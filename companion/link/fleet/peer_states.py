@@ -13,7 +13,7 @@ from typing import Any
 import zenoh
 
 from companion.config.fleet import FleetConfig
-from companion.core.consensus.distant import LOW_RATE_TICKS
+from companion.core.consensus.neighbours import LOW_RATE_TICKS
 from companion.link.fleet.peer_datagrams import packet_of_fleet
 from companion.link.fleet.zenoh_session import drain
 from companion.types.notices import Code

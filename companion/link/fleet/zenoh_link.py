@@ -27,9 +27,8 @@ from companion.link.log import CommandLog
 from companion.security.names import ParticipantRole, parse_common_name
 from companion.types.commands import Command, CommandName, CommandReply
 from companion.types.notices import Code
-from companion.types.peers import PeerPacket, ReceivedPeerPacket, ReceivedTarget
+from companion.types.peers import PeerPacket, ReceivedPeerPacket, ReceivedTarget, ReceivedTraffic
 from companion.types.status import NetworkState
-from companion.types.traffic import ReceivedTraffic
 from companion.wire.ground import StatusReport, decode_command, encode
 from companion.wire.keys import (
     abort_key,

@@ -20,7 +20,7 @@ from companion.ground.usable_reports import check_reports
 from companion.monitor.api import PathView, Preview
 from companion.types.formation import FlownSlot
 from companion.types.status import Status
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 
 TRACK_POINTS = 400
 

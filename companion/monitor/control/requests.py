@@ -17,7 +17,7 @@ from companion.config.slots import check_slots
 from companion.config.values import PositionM
 from companion.ground.requests import FleetRequest, FormationRequest, ReferenceRequest
 from companion.monitor.api import CommandRequest
-from companion.types.bounds import VehicleId
+from companion.types.values import VehicleId
 
 WAIT_S = 3.0  # for reports and replies, as `companion fleet` does
 ABORT, DOCTOR, HOLD, LAND = "abort", "doctor", "hold", "land"

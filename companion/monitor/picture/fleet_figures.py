@@ -23,7 +23,7 @@ from companion.stability.interaction import (
     time_to_shrink_s,
 )
 from companion.types.flight import STREAMING, Role
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 
 TREND_S = 5.0
 SAMPLE_S = 0.5

@@ -8,7 +8,7 @@ from math import cos, pi, sin
 from companion.config.fleet import EdgeNeighbours, FleetConfig, RangeNeighbours
 from companion.geometry.airspace import Cuboid, Obstacle
 from companion.monitor.api import FleetFileView, MemberView, ObstacleView
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 
 CIRCLE_CORNERS = 24
 NO_ORIGIN = (0.0, 0.0, 0.0)  # of a fleet indoors: there is no map below it

@@ -34,7 +34,7 @@ from companion.monitor.picture.history import HistoryRing
 from companion.monitor.picture.vehicle_view import vehicle_view
 from companion.types.autopilot import LandedState
 from companion.types.notices import Code
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 from companion.wire.ground import StatusReport
 
 RATE_OVER_S = 3.0

@@ -10,7 +10,7 @@ from companion.monitor.api import NearestView, NeighbourView, TimingView, Vehicl
 from companion.monitor.picture.flags import flag_view
 from companion.types.flight import STREAMING
 from companion.types.status import Status
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 from companion.wire.ground import Timing
 
 NEVER_S = 1e5  # an agent without a position reports an age beyond this

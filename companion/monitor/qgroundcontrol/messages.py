@@ -11,10 +11,9 @@ from math import atan2, degrees, hypot
 from companion.geometry.frames import geodetic_from_enu, ned_from_enu
 from companion.mavlink.codec import MavlinkMessage, mavlink
 from companion.types.autopilot import LandedState
-from companion.types.bounds import MAX_COORDINATE_M
 from companion.types.flight import FLAG_TEXTS, FLYING, STREAMING, WITHOUT_LEADER, HealthFlag
 from companion.types.status import Status
-from companion.types.vectors import Vector3
+from companion.types.values import MAX_COORDINATE_M, Vector3
 
 OLDEST_POSITION_S = 1.0  # an older one is not sent: it would look live
 SLOWEST_COURSE_M_S = 0.5  # slower, the course is noise

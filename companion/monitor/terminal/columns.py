@@ -11,7 +11,7 @@ from math import isfinite
 
 from companion.ground.fleet_status import SILENT_AFTER_S
 from companion.monitor.terminal.fleet_rows import TableRow
-from companion.types.printable import printable
+from companion.types.values import printable
 
 SEPARATOR = " "
 NONE = "-"

@@ -12,7 +12,7 @@ from companion.ground.fleet_status import SILENT_AFTER_S, VehicleRow
 from companion.ground.text import count, id_list
 from companion.monitor.terminal.problems import Problem, problems_of
 from companion.types.flight import Role
-from companion.types.printable import printable
+from companion.types.values import printable
 
 Members = Mapping[str, frozenset[int]]  # fleet -> the vehicles in its fleet file
 NO_MEMBERS: Members = MappingProxyType({})

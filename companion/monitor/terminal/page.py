@@ -15,7 +15,7 @@ from companion.ground.text import id_list
 from companion.monitor.terminal.columns import Column, cells, columns_for, line
 from companion.monitor.terminal.fleet_rows import NO_MEMBERS, FleetRows, Members, TableRow, fleets, heading
 from companion.monitor.terminal.problems import SILENT, grouped
-from companion.types.printable import printable
+from companion.types.values import printable
 
 NARROWEST = 40
 TURN_S = 3.0  # how long one part of the other vehicles is shown

@@ -21,7 +21,7 @@ from companion.ground.text import id_list
 from companion.monitor.error import MonitorError
 from companion.monitor.terminal.fleet_rows import NO_MEMBERS, Members, fleets
 from companion.monitor.terminal.page import page
-from companion.types.bounds import FLEET_NAME
+from companion.types.values import FLEET_NAME
 
 if TYPE_CHECKING:
     from companion.security.identity import Identity

@@ -58,7 +58,7 @@ ENTRIES: dict[str, Explanation] = {
     "TRAFFIC_MALFORMED": Explanation(
         "Counted in the status; the sample is not used.",
         "A traffic sample cannot be decoded, or a position, speed, age or error is out of range.",
-        "Check the program that publishes the traffic; `companion/types/traffic.py` has the ranges.",
+        "Check the program that publishes the traffic; `companion/types/peers.py` has the ranges.",
     ),
     "TARGET_MALFORMED": Explanation(
         "Counted in the status.",

@@ -10,7 +10,7 @@ from math import inf, isfinite
 
 from companion.geometry.frames import Quaternion, euler_from_quaternion, quaternion_from_euler
 from companion.types.autopilot import AutopilotKind
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 from sitl.autopilots.ardupilot.modes import ARMABLE, GROUND_STATION_LOSS, NEED_A_POSITION, CopterMode
 from sitl.autopilots.ardupilot.parameters import ArduPilotParameters
 from sitl.autopilots.ardupilot.startup import StartUp

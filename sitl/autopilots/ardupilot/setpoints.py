@@ -12,7 +12,7 @@ from companion.geometry.frames import (
     quaternion_from_euler,
 )
 from companion.mavlink.codec import MavlinkMessage, mavlink
-from companion.types.vectors import ZERO3, Vector3
+from companion.types.values import ZERO3, Vector3
 from sitl.autopilots.autopilot import AutopilotAbortedError
 from sitl.autopilots.setpoints import (
     IGNORE_ATTITUDE,

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from math import inf, radians, tan
 
 from companion.types.autopilot import AutopilotKind
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 from sitl.autopilots.autopilot import CRITICAL, IDLE_THRUST_NORM, INFO, Autopilot
 from sitl.autopilots.logs.flight_logs import StandInLogs
 from sitl.autopilots.logs.ulog import ULog

@@ -14,7 +14,7 @@ from companion.geometry.frames import (
     quaternion_from_euler,
 )
 from companion.mavlink.codec import MavlinkMessage, mavlink
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 from sitl.autopilots.setpoints import (
     IGNORE_ATTITUDE,
     IGNORE_POSITION,

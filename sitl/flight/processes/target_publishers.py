@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 
 from companion.ground.publishers import TargetPublisher
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 from sitl.flight.moving_targets import MovingTargets
 from sitl.flight.scenario import Scenario
 

@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping
 
 import numpy as np
 
-from companion.core.consensus.priority import next_prc
+from companion.core.consensus.law import next_prc
 from companion.stability.interaction import Graph
 from sitl.paper.claim import Claim, Progress, Verdict, no_progress
 from sitl.paper.theory.graphs import Led, connected_graphs, diameter, hops

@@ -11,7 +11,7 @@ from math import dist
 import numpy as np
 
 from companion.stability.interaction import Graph
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 
 Edge = tuple[int, int]
 FEWEST_RANDOM, MOST_RANDOM = 8, 40  # vertices of a random graph; smaller graphs are all enumerated

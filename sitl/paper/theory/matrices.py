@@ -7,11 +7,10 @@ from fractions import Fraction
 
 import numpy as np
 
-from companion.core.consensus.law import FormationLaw, average_22, average_26, weighted
-from companion.core.consensus.weights import neighbour_weights
+from companion.core.consensus.law import FormationLaw, average_22, average_26, neighbour_weights, weighted
 from companion.stability.arrays import FloatArray
 from companion.stability.interaction import Graph, interaction_matrix, settled_prcs
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 from sitl.paper.claim import Claim, Verdict
 from sitl.paper.theory.graphs import graph_of, hops, within_range
 from sitl.study.shapes import ring

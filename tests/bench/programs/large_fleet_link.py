@@ -18,7 +18,7 @@ from companion.link.fleet.zenoh_session import SETTINGS, THREADS, drain
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot, LeaderBeacon
 from companion.types.peers import PeerPacket
-from companion.types.vectors import ZERO3
+from companion.types.values import ZERO3
 from companion.wire.keys import distant_key, peer_key
 from companion.wire.peer import decode_peer, encode_peer
 

@@ -27,7 +27,7 @@ from companion.link.tick import PERIOD_S
 from companion.types.flight import FlightPhase
 from companion.types.formation import FlownSlot, LeaderBeacon
 from companion.types.peers import PeerPacket
-from companion.types.vectors import ZERO3
+from companion.types.values import ZERO3
 
 
 class Measured(msgspec.Struct, frozen=True):

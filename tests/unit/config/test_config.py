@@ -10,8 +10,7 @@ import yaml
 from companion.assembly import law_of
 from companion.config.file import ConfigError
 from companion.config.vehicle import load_agent
-from companion.core.consensus.law import Gains, cooperative, weighted
-from companion.core.consensus.weights import Weighting
+from companion.core.consensus.law import Gains, Weighting, cooperative, weighted
 
 FLEET: dict[str, Any] = {
     "name": "pair",

@@ -13,7 +13,7 @@ import pytest
 from companion.config.bounded_read import MAX_BYTES
 from companion.config.file import MAX_VALUES, ConfigError, read_yaml
 from companion.link.log import PrintableFormatter
-from companion.types.printable import printable
+from companion.types.values import printable
 
 LIMIT_S = 1.0  # of processor time, which other programs do not lengthen
 

@@ -12,22 +12,26 @@ from companion.config.fleet import FleetConfig, FormationMember
 from companion.config.law import Law
 from companion.config.reference import Figure8Reference, PointReference
 from companion.core.command.phase import LEVEL_BEFORE_HAND_OVER_S, TAKES_OVER_WITHIN_S
-from companion.types.autopilot import AutopilotMode, LandedState
+from companion.types.autopilot import (
+    AttitudeSample,
+    AttitudeTarget,
+    AutopilotMode,
+    HeartbeatSample,
+    LandedSample,
+    LandedState,
+    ModeSample,
+    PositionSample,
+    RequestOrigin,
+    RequestParameter,
+    SetMode,
+)
 from companion.types.commands import CommandName, Lead, ReferenceChange
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot, FormationChange, HeldReference, LeaderBeacon
 from companion.types.notices import Code, Notice
 from companion.types.peers import ReceivedPeerPacket
-from companion.types.requests import AttitudeTarget, RequestOrigin, RequestParameter, SetMode
-from companion.types.telemetry import (
-    AttitudeSample,
-    HeartbeatSample,
-    LandedSample,
-    ModeSample,
-    PositionSample,
-)
 from companion.types.tick import Inbox, Outbox
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 from notices import codes_of, outcome
 
 

@@ -6,14 +6,13 @@ import pytest
 from msgspec import Struct
 
 from agent_flight import Flight
+from companion.types.autopilot import AttitudeTarget
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase, HealthFlag
 from companion.types.notices import Code, Notice
-from companion.types.requests import AttitudeTarget
-from companion.types.separation import NearestVehicle
-from companion.types.status import Status
-from companion.types.traffic import TrafficSample
-from companion.types.vectors import ZERO3, Vector3
+from companion.types.peers import TrafficSample
+from companion.types.status import NearestVehicle, Status
+from companion.types.values import ZERO3, Vector3
 from notices import codes_of
 
 FROM_THE_NORTH = TrafficSample((-1.5, 1.6, 1.0), (0.0, -1.0, 0.0))  # straight at the vehicle, which is at (-1.5, 0, 1)

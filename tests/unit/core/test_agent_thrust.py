@@ -6,10 +6,10 @@ from math import degrees, hypot, nan
 import pytest
 
 from agent_flight import Flight
+from companion.types.autopilot import ParameterSample, ThrustSample
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code
-from companion.types.telemetry import ParameterSample, ThrustSample
 from companion.types.tick import Outbox
 
 

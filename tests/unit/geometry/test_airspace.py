@@ -19,7 +19,7 @@ from companion.geometry.airspace import (
     in_polygon,
 )
 from companion.geometry.clear_path import first_conflict, leg_conflict
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 
 U_SHAPE = ((0.0, 0.0), (30.0, 0.0), (30.0, 20.0), (20.0, 20.0), (20.0, 10.0), (10.0, 10.0), (10.0, 20.0), (0.0, 20.0))
 FENCE = Fence((-5.0, -5.0, 0.0), (40.0, 30.0, 12.0), U_SHAPE)

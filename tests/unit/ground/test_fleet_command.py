@@ -26,7 +26,7 @@ from companion.ground.session import operator_here
 from companion.types.flight import FlightPhase
 from companion.types.formation import FlownSlot, Heading
 from companion.types.status import Status
-from companion.types.vectors import ZERO3, Vector3
+from companion.types.values import ZERO3, Vector3
 from directed_flight import status
 from repository import ROOT
 

@@ -13,7 +13,7 @@ from companion.types.autopilot import LandedState
 from companion.types.flight import FlightPhase, HealthFlag, Role
 from companion.types.formation import FlownSlot, Heading, LeaderBeacon
 from companion.types.status import Status
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 from companion.wire.ground import StatusReport
 
 STATUS = replace(

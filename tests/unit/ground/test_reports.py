@@ -11,7 +11,7 @@ from companion.types.autopilot import PositionError
 from companion.types.flight import HealthFlag, Role
 from companion.types.formation import FlownSlot, Heading, HeldReference
 from companion.types.notices import Code, Notice
-from companion.types.vectors import ZERO3
+from companion.types.values import ZERO3
 from directed_flight import status
 
 READY = replace(status(1), peers=(2,), battery_percent=80.0, position_error=PositionError(0.1, 0.2))

@@ -13,7 +13,7 @@ from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot, FormationChange, HeldReference
 from companion.types.notices import Code, Notice
 from companion.types.status import Status
-from companion.types.vectors import ZERO3
+from companion.types.values import ZERO3
 from directed_flight import status
 
 P, C = FlightPhase, CommandName

@@ -11,8 +11,7 @@ from typing import Any
 import pytest
 
 from companion.core.agent import Agent
-from companion.core.consensus.peers import PeerTable
-from companion.core.consensus.plausibility import FleetLimits
+from companion.core.consensus.peers import FleetLimits, PeerTable
 from companion.core.safety.failure_response import HAND_OVER_WITHIN_S
 from companion.link.control_loop import ControlLoop
 from companion.mavlink.codec import mavlink
@@ -20,7 +19,7 @@ from companion.types.autopilot import AutopilotKind
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code
-from companion.types.vectors import ZERO3
+from companion.types.values import ZERO3
 from failing_flight import PERIOD_S, FailingFlight
 from profile_flight import BOTH, HOLD, MANUAL
 

@@ -11,14 +11,13 @@ from typing import Any
 import pytest
 from fastcrc.crc16 import mcrf4xx
 
-from companion.core.estimation.vehicle_state import VehicleTracker
-from companion.core.estimation.velocity_correction import VelocityCorrection
+from companion.core.estimation.corrections import VelocityCorrection
+from companion.core.estimation.vehicle import VehicleTracker
 from companion.mavlink.codec import mavlink
 from companion.mavlink.translator import Translator
-from companion.types.autopilot import AutopilotKind, VehicleState
+from companion.types.autopilot import AutopilotKind, Telemetry, VehicleState
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
-from companion.types.telemetry import Telemetry
 from tests.fuzz.fleet import Hostile, HostileFleet
 from tests.fuzz.mavlink import INTEGERS, MESSAGES
 from tests.fuzz.plant import Plant

@@ -10,21 +10,28 @@ from companion.geometry.frames import quaternion_from_euler
 from companion.mavlink import px4
 from companion.mavlink.codec import MavlinkCodec, mavlink
 from companion.mavlink.translator import Translator
-from companion.types.autopilot import AutopilotKind, AutopilotMode, LandedState
-from companion.types.notices import Code
-from companion.types.requests import Arm, AttitudeTarget, Disarm, RequestOrigin, SetMode, TakeOff
-from companion.types.telemetry import (
+from companion.types.autopilot import (
     AckSample,
+    Arm,
     AttitudeSample,
+    AttitudeTarget,
+    AutopilotKind,
+    AutopilotMode,
+    Disarm,
     EstimatorSample,
     GlobalPositionSample,
     HeartbeatSample,
     LandedSample,
+    LandedState,
     ModeSample,
     OriginSample,
     PositionSample,
+    RequestOrigin,
+    SetMode,
+    TakeOff,
     TextSample,
 )
+from companion.types.notices import Code
 
 AUTO_LOITER = (4 << 16) | (3 << 24)
 

@@ -22,9 +22,8 @@ from companion.recording.codec import (
     monotonic_s,
 )
 from companion.recording.records import Header, TimingRecord
+from companion.types.autopilot import AckSample, Arm, Disarm, EstimatorSample, ParameterSample, TextSample
 from companion.types.notices import Code, Notice
-from companion.types.requests import Arm, Disarm
-from companion.types.telemetry import AckSample, EstimatorSample, ParameterSample, TextSample
 from companion.types.tick import Inbox, Outbox
 from recorded_values import inboxes, outboxes
 

@@ -18,7 +18,7 @@ from companion.core.agent import Agent
 from companion.recording.codec import encode_outbox
 from companion.recording.reader import Recording, recordings
 from companion.recording.records import Header
-from companion.types.requests import AttitudeTarget
+from companion.types.autopilot import AttitudeTarget
 from companion.types.status import Status
 from companion.types.tick import Inbox, Outbox
 from recorded_platoon import fly

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from companion.link.fleet.zenoh_link import TRAFFIC_NAME
 from companion.security.names import ParticipantName, ParticipantRole, parse_common_name, participant_name
-from companion.types.bounds import FLEET_NAME
+from companion.types.values import FLEET_NAME
 
 
 @pytest.mark.parametrize(

@@ -5,8 +5,7 @@ from math import factorial
 import numpy as np
 import pytest
 
-from companion.core.consensus.law import FormationLaw, Gains, average_26
-from companion.core.consensus.weights import Weighting
+from companion.core.consensus.law import FormationLaw, Gains, Weighting, average_26
 from companion.stability.delay_margin import delay_margin_with_lag_s
 from companion.stability.interaction import Coupling, couple
 from companion.stability.prediction import LinearModel

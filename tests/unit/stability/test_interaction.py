@@ -11,9 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.cli.main import main
-from companion.core.consensus.law import FormationLaw, Gains, average_22, average_26, weighted
-from companion.core.consensus.priority import next_prc
-from companion.core.consensus.weights import Weighting
+from companion.core.consensus.law import FormationLaw, Gains, Weighting, average_22, average_26, next_prc, weighted
 from companion.stability.interaction import (
     couple,
     eigenvalues,

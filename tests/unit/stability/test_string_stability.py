@@ -8,8 +8,16 @@ import pytest
 import yaml
 
 from companion.cli.main import main
-from companion.core.consensus.law import PAPER_GAINS, FormationLaw, Gains, average_22, average_26, cooperative, weighted
-from companion.core.consensus.weights import Weighting
+from companion.core.consensus.law import (
+    PAPER_GAINS,
+    FormationLaw,
+    Gains,
+    Weighting,
+    average_22,
+    average_26,
+    cooperative,
+    weighted,
+)
 from companion.stability.delay_margin import delay_margin_with_lag_s
 from companion.stability.interaction import Coupling, couple, mode_figures
 from companion.stability.prediction import LinearModel, errors_over_time

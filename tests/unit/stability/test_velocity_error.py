@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from companion.core.consensus.law import cooperative
-from companion.core.estimation.velocity_correction import VelocityCorrection
+from companion.core.estimation.corrections import VelocityCorrection
 from companion.stability.velocity_error import share_left, shift_m
 
 GAINS = cooperative().gains

@@ -12,8 +12,7 @@ import yaml
 
 from companion.cli.main import main
 from companion.config.file import ConfigError
-from companion.core.consensus.law import FormationLaw, Gains
-from companion.core.consensus.weights import Weighting
+from companion.core.consensus.law import FormationLaw, Gains, Weighting
 from companion.stability.delay_margin import delay_margin_with_lag_s
 from companion.stability.interaction import couple
 from companion.stability.string_stability import string_gains

@@ -9,10 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import astuple, replace
 
+from companion.types.autopilot import AttitudeTarget
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot, FormationChange, HeldReference, LeaderBeacon
 from companion.types.peers import PeerPacket
-from companion.types.requests import AttitudeTarget
 from companion.types.tick import Outbox
 from companion.wire.rounding import as_sent, target_as_sent
 

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from companion.types.autopilot import LandedState, PositionError
-from companion.types.bounds import FLEET_NAME, MAX_CHANGE_S, MAX_COORDINATE_M, MAX_MISSION_S, MAX_NUMBER
 from companion.types.commands import (
     CONTENT,
     MAX_EPOCH,
@@ -28,6 +27,7 @@ from companion.types.formation import EAST, FlownSlot, FormationChange, Heading,
 from companion.types.notices import Code, Notice
 from companion.types.peers import PeerPacket, TargetSample
 from companion.types.status import Status
+from companion.types.values import FLEET_NAME, MAX_CHANGE_S, MAX_COORDINATE_M, MAX_MISSION_S, MAX_NUMBER
 from companion.wire.ground import (
     Percentiles,
     StatusReport,

@@ -9,10 +9,8 @@ from companion.types.commands import Command, CommandName, CommandReply, Lead, R
 from companion.types.flight import FlightPhase, HealthFlag, Role
 from companion.types.formation import FlownSlot, FormationChange, Heading, HeldReference, LeaderBeacon
 from companion.types.notices import Code, Notice
-from companion.types.peers import PeerPacket, TargetSample
-from companion.types.separation import NearestVehicle, SeparationReport
-from companion.types.status import NetworkState, RecordingState, Status
-from companion.types.traffic import TrafficSample
+from companion.types.peers import PeerPacket, TargetSample, TrafficSample
+from companion.types.status import NearestVehicle, NetworkState, RecordingState, SeparationReport, Status
 from companion.wire.ground import (
     Percentiles,
     StatusReport,

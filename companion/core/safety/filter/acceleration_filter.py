@@ -13,7 +13,7 @@ from math import hypot, inf
 
 from msgspec import Struct
 
-from companion.types.vectors import GRAVITY_M_S2, ZERO3, Vector3
+from companion.types.values import GRAVITY_M_S2, ZERO3, Vector3
 
 MET_M_S2 = 1e-6  # a half-space that is violated by less is met
 LEAST_SHARE = 1e-12  # of an active normal in another one, below which it counts as none

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import inf
 
 from companion.types.notices import Code, Notice
-from companion.types.separation import SeparationReport
+from companion.types.status import SeparationReport
 
 REPORTED_M_S2 = 0.3  # smaller changes come and go with noise
 ENDS_AFTER_S = 2.0  # without a change: then the next one is another intervention

@@ -10,7 +10,7 @@ from __future__ import annotations
 from msgspec import Struct
 
 from companion.types.autopilot import VehicleState
-from companion.types.vectors import ZERO3, Vector3
+from companion.types.values import ZERO3, Vector3
 
 LAG_S = 0.2  # from a commanded to the flown acceleration: the mean delay of the attitude step response
 

@@ -15,8 +15,8 @@ from companion.geometry.separation import HEIGHT_WEIGHT
 from companion.types.autopilot import PositionError
 from companion.types.flight import FlightPhase
 from companion.types.formation import FlownSlot
-from companion.types.traffic import ReceivedTraffic
-from companion.types.vectors import ZERO3, Vector3
+from companion.types.peers import ReceivedTraffic
+from companion.types.values import ZERO3, Vector3
 
 FORMATION = FlightPhase.FORMATION
 NEAR_M, NEAR_S = 8.0, 3.0  # farther than NEAR_M + NEAR_S * relative speed nothing is computed

@@ -7,7 +7,7 @@ from math import hypot
 
 from companion.core.consensus.law import Gains
 from companion.core.safety.filter.separation import Barrier
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 
 TURN = 0.8  # sideways acceleration for each m/s^2 that a half-space takes from the wanted one
 LARGEST_TURN_M_S2 = 2.0  # towards the right of all blocking vehicles together

@@ -18,9 +18,9 @@ from companion.core.safety.filter.speed_limit import SpeedLimit, limited
 from companion.core.safety.filter.traffic import Traffic
 from companion.types.autopilot import VehicleState
 from companion.types.formation import FlownSlot
-from companion.types.separation import SeparationReport
-from companion.types.traffic import ReceivedTraffic
-from companion.types.vectors import Vector3
+from companion.types.peers import ReceivedTraffic
+from companion.types.status import SeparationReport
+from companion.types.values import Vector3
 
 TURN_STEPS = 3  # of the active set, for the turn to the right
 

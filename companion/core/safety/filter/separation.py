@@ -24,9 +24,9 @@ from companion.core.safety.filter.others import NO_ERROR, Other, Others
 from companion.core.safety.filter.silence import KEPT_S, Motion, Silence, column_m, nearest_on_way
 from companion.types.autopilot import PositionError, VehicleState
 from companion.types.formation import FlownSlot
-from companion.types.separation import NearestVehicle
-from companion.types.traffic import ReceivedTraffic
-from companion.types.vectors import Vector3
+from companion.types.peers import ReceivedTraffic
+from companion.types.status import NearestVehicle
+from companion.types.values import Vector3
 
 PLANNED_SHARE = 0.5  # of the acceleration at the tilt limit: what each vehicle plans to brake with
 ALONE_SHARE = 0.6  # of that, where the own vehicle alone makes way: others may stand behind it

@@ -13,7 +13,7 @@ from msgspec import Struct
 
 from companion.core.safety.filter.lag import Ahead
 from companion.geometry.vectors import shortened
-from companion.types.vectors import ZERO3, Vector3
+from companion.types.values import ZERO3, Vector3
 
 KEPT_S = 1.0  # an autopilot without setpoints keeps its attitude for so long
 COAST_1_S = 0.25  # decay of the speed of a level multirotor: less than that of most airframes

@@ -13,7 +13,7 @@ from math import hypot
 
 from companion.core.safety.filter.acceleration_filter import HalfSpace, Rank
 from companion.core.safety.filter.lag import Ahead
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 
 SPEED = Rank.SPEED
 RESPONSE_1_S = 2.0  # k

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from math import dist
 
-from companion.types.traffic import ReceivedTraffic
-from companion.types.vectors import Vector3
+from companion.types.peers import ReceivedTraffic
+from companion.types.values import Vector3
 
 KEPT = 16
 EXPIRES_S = 30.0

@@ -15,11 +15,10 @@ from companion.geometry.airspace import Fence
 from companion.mavlink.codec import MavlinkCodec, MavlinkMessage
 from companion.mavlink.dialect import DIALECTS
 from companion.mavlink.translator import Translator
-from companion.types.autopilot import AutopilotKind, AutopilotMode
+from companion.types.autopilot import AttitudeTarget, AutopilotKind, AutopilotMode
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code
-from companion.types.requests import AttitudeTarget
 from profile_flight import (
     ACCEPTED,
     ARDUPILOT,

@@ -15,12 +15,20 @@ from companion.core.election.leadership import refusal_of_lead
 from companion.core.safety.health import AgeLimits, HealthLimits, health_flags
 from companion.core.safety.output_limits import OutputLimits
 from companion.geometry.airspace import Fence
-from companion.types.autopilot import AutopilotMode, LandedState, VehicleState
+from companion.types.autopilot import (
+    AckSample,
+    Arm,
+    AutopilotMode,
+    Disarm,
+    LandedState,
+    RequestOrigin,
+    SetMode,
+    TakeOff,
+    VehicleState,
+)
 from companion.types.commands import CONTENT, CommandName
 from companion.types.flight import RULES, FlightPhase, HealthFlag
 from companion.types.notices import Code, Notice
-from companion.types.requests import Arm, Disarm, RequestOrigin, SetMode, TakeOff
-from companion.types.telemetry import AckSample
 from notices import code_of, outcome
 
 REASON = Notice(Code.AGENT_STOPPING, "a test")

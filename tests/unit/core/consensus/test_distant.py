@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
-from companion.core.consensus.distant import (
+from companion.core.consensus.neighbours import (
     CHOICE_PERIOD_S,
     NONE,
     STATE_AGE_S,
@@ -17,14 +17,13 @@ from companion.core.consensus.distant import (
     DistantLimits,
     DistantPeers,
 )
-from companion.core.consensus.peers import DISTANT_MAX_AGE_S, FULL_RATE_WITHIN_S, PeerState, PeerTable
-from companion.core.consensus.plausibility import FleetLimits
+from companion.core.consensus.peers import DISTANT_MAX_AGE_S, FULL_RATE_WITHIN_S, FleetLimits, PeerState, PeerTable
 from companion.types.autopilot import VehicleState
 from companion.types.flight import Flight, FlightPhase, Role
 from companion.types.formation import FlownSlot, LeaderBeacon
 from companion.types.notices import Code
 from companion.types.peers import PeerPacket, ReceivedPeerPacket
-from companion.types.vectors import ZERO3
+from companion.types.values import ZERO3
 
 BEACON = LeaderBeacon(1, 0, 20)
 SLOT = FlownSlot((-10.0, 0.0, 0.0), formation=3, waiting=3)

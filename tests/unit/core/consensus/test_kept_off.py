@@ -6,13 +6,21 @@ from math import inf
 
 import pytest
 
-from companion.core.consensus.kept_off import BACK_WITHIN_M, INTERVENES_M_S2, LASTS_S, NEARER_WITHIN_S, KeptOff
-from companion.core.consensus.law import FormationState, target, weighted
+from companion.core.consensus.law import (
+    BACK_WITHIN_M,
+    INTERVENES_M_S2,
+    LASTS_S,
+    NEARER_WITHIN_S,
+    FormationState,
+    KeptOff,
+    target,
+    weighted,
+)
 from companion.core.consensus.peers import PeerState
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot
 from companion.types.peers import PeerPacket
-from companion.types.vectors import ZERO3
+from companion.types.values import ZERO3
 
 RFT = FormationState((10.0, 0.0, 5.0), (1.0, 0.0, 0.0), (0.0, 0.5, 0.0))
 

@@ -6,18 +6,18 @@ from companion.core.consensus.law import (
     FormationLaw,
     FormationState,
     Gains,
+    Weighting,
     average_22,
     average_26,
     formation_acceleration,
     formation_state,
+    next_prc,
     used_weights,
     weighted,
 )
-from companion.core.consensus.priority import next_prc
-from companion.core.consensus.weights import Weighting
 from companion.core.reference.trajectories import point
 from companion.types.formation import FlownSlot
-from companion.types.vectors import ZERO3
+from companion.types.values import ZERO3
 
 K = Gains(1.39, 1.2)
 REST = (0.0, 0.0, 0.0)

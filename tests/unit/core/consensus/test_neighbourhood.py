@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from companion.core.consensus.neighbourhood import FORMING_S
+from companion.core.consensus.stage import FORMING_S
 from companion.types.commands import Lead
 from companion.types.flight import FlightPhase
 from cooperating_fleet import RING, TICK_S, Fleet

@@ -9,14 +9,13 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from companion.core.consensus.neighbours import BRIDGED_S, BRIDGES_AFTER_S, EdgeRule, RangeRule
-from companion.core.consensus.peers import EXTRAPOLATED_MOST_S, PeerState, PeerTable
-from companion.core.consensus.plausibility import FleetLimits
+from companion.core.consensus.peers import EXTRAPOLATED_MOST_S, FleetLimits, PeerState, PeerTable
 from companion.types.autopilot import PositionError
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot, FormationChange, Heading, LeaderBeacon
 from companion.types.notices import Code
 from companion.types.peers import PeerPacket, ReceivedPeerPacket
-from companion.types.vectors import ZERO3
+from companion.types.values import ZERO3
 
 LIMITS = FleetLimits(25.0, 8.0, (200.0, 200.0, 55.0))
 MAY_LEAD = {1: True, 2: False, 3: False}

@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.core.consensus.priority import next_prc
-from companion.core.consensus.weights import Weighting, neighbour_weights
+from companion.core.consensus.law import Weighting, neighbour_weights, next_prc
 
 Graph = dict[int, set[int]]
 

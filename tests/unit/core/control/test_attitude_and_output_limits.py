@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from companion.core.control.attitude import attitude_target, limit_acceleration
 from companion.core.safety.output_limits import OutputLimiter, OutputLimits
 from companion.geometry.airspace import Fence
-from companion.types.requests import AttitudeTarget
-from companion.types.vectors import GRAVITY_M_S2
+from companion.types.autopilot import AttitudeTarget
+from companion.types.values import GRAVITY_M_S2
 
 LIMITS = OutputLimits(
     max_tilt_rad=radians(25.0),

@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import pytest
 
-from companion.core.election.leader_beacon import BeaconMonitor
+from companion.core.election.beacon import BeaconMonitor
 from companion.types.formation import LeaderBeacon
 
 TICK_S = 0.02

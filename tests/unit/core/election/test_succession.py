@@ -9,10 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from companion.core.consensus.neighbourhood import Consensus
-from companion.core.election.leader_beacon import BeaconMonitor
-from companion.core.election.leadership import UNCONFIRMED_S, Leadership
-from companion.core.election.succession import TURN_S, Succession
+from companion.core.consensus.stage import Consensus
+from companion.core.election.beacon import BeaconMonitor
+from companion.core.election.leadership import TURN_S, UNCONFIRMED_S, Leadership, Succession
 from companion.stability.interaction import settled_prcs
 from companion.types.commands import MAX_EPOCH, Lead
 from companion.types.flight import FlightPhase, HealthFlag, Role

@@ -6,7 +6,7 @@ from math import atan2, cos, hypot, inf, nan, sin
 import pytest
 from msgspec.structs import replace
 
-from companion.core.estimation.disturbance_observer import (
+from companion.core.estimation.wind import (
     HOVER_RANGE_NORM,
     LONGEST_GAP_S,
     MAX_DISTURBANCE_M_S2,
@@ -15,7 +15,7 @@ from companion.core.estimation.disturbance_observer import (
     DisturbanceObserver,
     Motion,
 )
-from companion.types.vectors import GRAVITY_M_S2, ZERO3, Vector3
+from companion.types.values import GRAVITY_M_S2, ZERO3, Vector3
 
 TICK_S = 0.02
 HOVER = 0.49

@@ -5,21 +5,24 @@ from math import nan
 
 import pytest
 
-from companion.core.estimation.position_reset import RELEASE_M_S
-from companion.core.estimation.vehicle_state import VehicleTracker
+from companion.core.estimation.corrections import RELEASE_M_S
+from companion.core.estimation.vehicle import VehicleTracker
 from companion.geometry.frames import geodetic_from_enu
-from companion.types.autopilot import AutopilotKind, LandedState, PositionError, VehicleState
-from companion.types.notices import Code, Notice
-from companion.types.telemetry import (
+from companion.types.autopilot import (
+    AutopilotKind,
     EstimatorSample,
     GlobalPositionSample,
     HeartbeatSample,
     LandedSample,
+    LandedState,
     OriginSample,
+    PositionError,
     PositionSample,
     Telemetry,
+    VehicleState,
 )
-from companion.types.vectors import Vector3
+from companion.types.notices import Code, Notice
+from companion.types.values import Vector3
 
 FLEET = (47.397742, 8.545594, 488.0)
 

@@ -5,8 +5,8 @@ from math import dist
 
 import pytest
 
-from companion.core.estimation.position_reset import LONGEST_GAP_S, RELEASE_M_S, PositionReset
-from companion.types.vectors import Vector3
+from companion.core.estimation.corrections import LONGEST_GAP_S, RELEASE_M_S, PositionReset
+from companion.types.values import Vector3
 
 DT_S = 0.02
 

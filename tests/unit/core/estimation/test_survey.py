@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from companion.core.estimation.survey import WINDOW_S, Survey
-from companion.types.autopilot import LandedState
-from companion.types.telemetry import LandedSample, PositionSample, SystemSample, TextSample
+from companion.core.preflight import WINDOW_S, Survey
+from companion.types.autopilot import LandedSample, LandedState, PositionSample, SystemSample, TextSample
 
 POSITION = PositionSample(0.0, 0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 

@@ -4,11 +4,11 @@ from math import nan
 
 import pytest
 
-from companion.core.estimation.vehicle_state import VehicleTracker
-from companion.core.estimation.velocity_correction import VelocityCorrection
+from companion.core.estimation.corrections import VelocityCorrection
+from companion.core.estimation.vehicle import VehicleTracker
 from companion.geometry.frames import geodetic_from_enu
-from companion.types.telemetry import AttitudeSample, OriginSample, PositionSample
-from companion.types.vectors import Vector3
+from companion.types.autopilot import AttitudeSample, OriginSample, PositionSample
+from companion.types.values import Vector3
 
 FLEET = (47.397742, 8.545594, 488.0)
 

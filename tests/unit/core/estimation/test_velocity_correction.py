@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.core.estimation.velocity_correction import LARGEST_M_S, LONGEST_GAP_S, VelocityCorrection
-from companion.types.vectors import ZERO3, Vector3
+from companion.core.estimation.corrections import LARGEST_M_S, LONGEST_GAP_S, VelocityCorrection
+from companion.types.values import ZERO3, Vector3
 
 DT_S = 0.02
 

@@ -7,12 +7,11 @@ from math import inf
 import numpy as np
 import pytest
 
-from companion.core.consensus.law import FormationLaw, average_22, average_26, cooperative, weighted
-from companion.core.consensus.weights import neighbour_weights
+from companion.core.consensus.law import FormationLaw, average_22, average_26, cooperative, neighbour_weights, weighted
 from companion.core.formation.following import OVERSHOOT, Chain, Harmonic, refused_cases, slower_by, too_close
 from companion.stability.interaction import couple
 from companion.types.steps import whole
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 
 LAWS = [weighted(), average_22(), average_26(), cooperative()]
 NAMES = ["weighted", "average_22", "average_26", "cooperative"]

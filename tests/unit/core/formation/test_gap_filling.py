@@ -19,7 +19,7 @@ from companion.geometry.shapes import SHAPES, slots_of
 from companion.types.flight import FlightPhase
 from companion.types.formation import FlownSlot, FormationChange
 from companion.types.notices import Code, Notice
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 from formation_peers import NOW_S, peer
 from notices import codes_of
 from repository import ROOT

@@ -14,7 +14,7 @@ from companion.geometry.turning import turned_slot
 from companion.types.flight import FlightPhase
 from companion.types.formation import EAST, FlownSlot, Heading
 from companion.types.notices import Refused
-from companion.types.vectors import ZERO3, Vector3
+from companion.types.values import ZERO3, Vector3
 from formation_peers import FLEET, NOW_S, SLOTS, peer
 
 

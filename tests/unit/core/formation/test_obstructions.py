@@ -9,7 +9,7 @@ from companion.core.formation.obstructions import members, refusal_of_tracks, tr
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code
 from companion.types.peers import PeerPacket
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 from notices import code_of
 from slot_peers import peer
 

@@ -21,7 +21,7 @@ from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot, FormationChange
 from companion.types.notices import Code, Notice, accepted
 from companion.types.peers import PeerPacket
-from companion.types.vectors import ZERO3, Vector3
+from companion.types.values import ZERO3, Vector3
 from notices import outcome
 
 SIZES = (1, 2, 3, 4, 5, 6, 7, 8, 12, 25)

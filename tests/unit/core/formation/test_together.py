@@ -16,7 +16,7 @@ from companion.types.autopilot import VehicleState
 from companion.types.flight import FlightPhase
 from companion.types.formation import EAST, FlownSlot
 from companion.types.notices import Code, Notice
-from companion.types.vectors import ZERO3, Vector3
+from companion.types.values import ZERO3, Vector3
 from notices import code_of
 from slot_peers import SLOTS, peer
 

@@ -18,8 +18,8 @@ from companion.config.fleet_check import load_fleet
 from companion.config.reference import CircleReference, PointReference, Reference
 from companion.config.reference_check import check_reference, most_pace
 from companion.core.consensus.law import FormationState
-from companion.core.consensus.neighbourhood import Consensus
-from companion.core.election.mission_clock import WAITED_S
+from companion.core.consensus.stage import Consensus
+from companion.core.election.beacon import WAITED_S
 from companion.core.formation.limits import FormationLimits
 from companion.core.reference.blend import BlendLimits
 from companion.core.reference.heading import JERK_1_S, SLOWEST_M_S, CourseHeading, FixedHeading, turned_towards
@@ -37,7 +37,7 @@ from companion.types.commands import Lead
 from companion.types.flight import FlightPhase, HealthFlag, Role
 from companion.types.formation import EAST, FlownSlot, Heading
 from companion.types.notices import Code, Notice
-from companion.types.vectors import ZERO3, Vector3
+from companion.types.values import ZERO3, Vector3
 from cooperating_fleet import RING, Fleet
 from repository import ROOT
 

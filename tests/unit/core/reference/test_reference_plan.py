@@ -24,7 +24,7 @@ from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot, HeldReference
 from companion.types.notices import Answer, Code, Notice, accepted, refused
 from companion.types.peers import PeerPacket, ReceivedTarget, TargetSample
-from companion.types.vectors import ZERO3, Vector3
+from companion.types.values import ZERO3, Vector3
 from notices import code_of, codes_of, outcome
 from repository import ROOT
 from sitl.flight.files import reached_stand_in, vehicle_file

@@ -13,7 +13,7 @@ from companion.core.reference.room import Box, Room
 from companion.core.reference.target_follower import LONGEST_S, TargetLimits, TargetPursuit, can_keep
 from companion.geometry.airspace import Airspace, Cuboid, Cylinder, Fence
 from companion.geometry.vectors import plus
-from companion.types.vectors import ZERO3, Vector3
+from companion.types.values import ZERO3, Vector3
 
 BOX: Box = ((-50.0, -20.0, 1.0), (50.0, 20.0, 30.0))
 ROOM = Room(BOX)

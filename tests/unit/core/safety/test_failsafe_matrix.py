@@ -7,8 +7,8 @@ from math import inf, radians
 import pytest
 from msgspec.structs import replace
 
-from companion.core.consensus.neighbourhood import Consensus
 from companion.core.consensus.peers import PeerState
+from companion.core.consensus.stage import Consensus
 from companion.core.safety.audit_parameters import RULES
 from companion.core.safety.failsafe import FAILSAFES, OTHER_FAILSAFES, RELIED_ON, FailsafeSettings
 from companion.core.safety.health import AgeLimits, HealthLimits
@@ -18,7 +18,7 @@ from companion.geometry.airspace import Fence
 from companion.types.autopilot import AutopilotKind, AutopilotMode, LandedState, PositionError, VehicleState
 from companion.types.flight import STREAMING, FailsafeAction, Flight, FlightPhase, HealthFlag, PhaseChange, Role
 from companion.types.notices import Code
-from companion.types.separation import NearestVehicle, SeparationReport
+from companion.types.status import NearestVehicle, SeparationReport
 from slot_peers import peer
 
 F, P, A = HealthFlag, FlightPhase, FailsafeAction

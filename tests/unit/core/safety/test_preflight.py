@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from companion.core.estimation.disturbance_observer import DisturbanceObserver
-from companion.core.safety.preflight import ASK_PERIOD_S, REFRESH_PERIOD_S, Preflight
-from companion.types.autopilot import AutopilotKind
+from companion.core.estimation.wind import DisturbanceObserver
+from companion.core.preflight import ASK_PERIOD_S, REFRESH_PERIOD_S, Preflight
+from companion.types.autopilot import AutopilotKind, ParameterSample
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code
-from companion.types.telemetry import ParameterSample
 from notices import code_of, codes_of
 from profile_flight import ARDUPILOT, BOTH, IN_ORDER, PX4, Flight
 

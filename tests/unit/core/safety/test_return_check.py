@@ -9,14 +9,12 @@ from agent_flight import Flight
 from commanded_phases import AIR, ImmediateAutopilot, flown_to, levelled, tick
 from companion.core.command.phase import PhaseMachine
 from companion.core.safety.return_check import Path, apart, refusal_of_return
-from companion.types.autopilot import AutopilotMode, LandedState
+from companion.types.autopilot import AckSample, AutopilotMode, HeartbeatSample, LandedState, SetMode
 from companion.types.commands import CommandName
 from companion.types.flight import RULES, FlightPhase
 from companion.types.notices import Answer, Code, Notice
 from companion.types.peers import PeerPacket
-from companion.types.requests import SetMode
-from companion.types.telemetry import AckSample, HeartbeatSample
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 from notices import code_of, outcome
 from slot_peers import peer
 

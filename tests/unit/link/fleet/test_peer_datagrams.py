@@ -17,12 +17,11 @@ from companion.link.endpoint import LinkError
 from companion.link.fleet.datagram_seal import HEADER_BYTES, MARK, DatagramSeal
 from companion.link.fleet.peer_datagrams import BYTES_PER_VEHICLE, LONGEST_BYTES, PeerDatagrams, packet_of_fleet
 from companion.types.autopilot import PositionError
-from companion.types.bounds import MAX_NUMBER, MAX_VEHICLES
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot, FormationChange, Heading, HeldReference, LeaderBeacon
 from companion.types.notices import Code
 from companion.types.peers import PeerPacket
-from companion.types.vectors import ZERO3
+from companion.types.values import MAX_NUMBER, MAX_VEHICLES, ZERO3
 from companion.wire.peer import encode_peer
 from own_ports import free_port
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from companion.link.fleet.peer_states import LEAST_PER_VEHICLE, PACKETS_PER_VEHICLE, SAMPLES_KEPT, samples_kept
-from companion.types.bounds import MAX_VEHICLES
+from companion.types.values import MAX_VEHICLES
 
 REFUSED_IN_US = 15  # one message, counted
 TICK_US = 20_000

@@ -15,7 +15,7 @@ from companion.config.law import Law
 from companion.monitor.api import NearestView
 from companion.monitor.picture.fleet_figures import FleetFigures, convergence, smallest_separation, weakest_link
 from companion.stability.interaction import interaction_matrix
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 from monitored_fleet import vehicle
 
 WEIGHTED = Law(name="weighted")

@@ -11,7 +11,7 @@ from companion.monitor.terminal.columns import cells, columns_for, count_text, d
 from companion.monitor.terminal.fleet_rows import TableRow, fleets
 from companion.monitor.terminal.problems import WORST_FIRST
 from companion.types.flight import HealthFlag
-from companion.types.separation import NearestVehicle, SeparationReport
+from companion.types.status import NearestVehicle, SeparationReport
 from reported_fleet import leader, reported, rows_of
 
 

@@ -12,7 +12,7 @@ from companion.core.safety.output_limits import OutputLimiter, OutputLimits
 from companion.geometry.airspace import Fence
 from companion.geometry.frames import euler_from_quaternion, quaternion_from_euler
 from companion.stability.arrays import FloatArray
-from companion.types.requests import AttitudeTarget
+from companion.types.autopilot import AttitudeTarget
 from rigid_body import Equations
 from sitl.autopilots.autopilot import DT_S
 from sitl.batch.attitude_loops import AttitudeLoops

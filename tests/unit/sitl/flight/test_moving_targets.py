@@ -10,7 +10,7 @@ from companion.types.autopilot import LandedState
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot, LeaderBeacon
 from companion.types.status import Status
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 from companion.wire.ground import Percentiles, StatusReport, Timing
 from sitl.flight.moving_targets import MovingTarget, MovingTargets
 from sitl.flight.watch import FlightWatch

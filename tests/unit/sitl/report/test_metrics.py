@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from companion.core.consensus.law import FormationState
 from companion.core.reference.trajectories import point
 from companion.stability.arrays import FloatArray
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 from sitl.report.metrics import (
     Formation,
     errors_m,

@@ -6,8 +6,15 @@ from math import dist
 import numpy as np
 import pytest
 
-from companion.core.consensus.law import PAPER_GAINS, FormationLaw, average_22, average_26, cooperative, weighted
-from companion.core.consensus.weights import Weighting
+from companion.core.consensus.law import (
+    PAPER_GAINS,
+    FormationLaw,
+    Weighting,
+    average_22,
+    average_26,
+    cooperative,
+    weighted,
+)
 from companion.stability.interaction import couple, eigenvalues, mode_eigenvalues
 from sitl.study import spectra
 from sitl.study.shapes import RANGE_M, SPACING_M, Shape, chain, grid, is_connected, random_geometric, ring

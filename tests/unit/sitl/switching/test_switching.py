@@ -9,7 +9,7 @@ import pytest
 
 from companion.config.fleet import RangeNeighbours
 from companion.core.consensus.law import weighted
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 from sitl.cli.main import main
 from sitl.report.table import table_text
 from sitl.switching.figure import save_switching

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from companion.mavlink.codec import mavlink
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 from sitl.autopilots.px4.modes import Px4Mode
 from sitl.vehicle.config import Airframe, Wind
 from sitl_vehicle import DT_S, LEVEL, Vehicle

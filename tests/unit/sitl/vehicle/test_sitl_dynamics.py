@@ -7,7 +7,7 @@ from math import cos, exp, pi, sin, sqrt
 import pytest
 
 from companion.geometry.frames import euler_from_quaternion, quaternion_from_euler
-from companion.types.vectors import GRAVITY_M_S2, ZERO3, Vector3
+from companion.types.values import GRAVITY_M_S2, ZERO3, Vector3
 from rigid_body import Equations
 from sitl.vehicle.dynamics import POSITION, RATES, THRUST, VELOCITY, Body, State, at_rest
 

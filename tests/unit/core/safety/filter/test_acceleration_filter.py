@@ -6,7 +6,7 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from companion.core.safety.filter.acceleration_filter import AccelerationLimits, HalfSpace, Rank, filtered, half_space
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 
 LIMITS = AccelerationLimits.of_envelope(tan(radians(25.0)), 0.3, 1.6)
 LEVEL_M_S2 = LIMITS.level_radius_m_s2(0.0)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from companion.types.autopilot import VehicleState
-from companion.types.separation import NearestVehicle
-from companion.types.vectors import ZERO3, Vector3
+from companion.types.status import NearestVehicle
+from companion.types.values import ZERO3, Vector3
 from separation_flight import Body, Intruder, SeparationFlight, off_m, to_goal
 
 SEPARATION_M = 2.0

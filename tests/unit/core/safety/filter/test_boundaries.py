@@ -15,7 +15,7 @@ from companion.core.safety.filter.lag import Ahead, Lag
 from companion.core.safety.filter.speed_limit import SpeedLimit, limited
 from companion.geometry.airspace import Airspace, Cuboid, Cylinder, Fence
 from companion.types.autopilot import VehicleState
-from companion.types.vectors import GRAVITY_M_S2, ZERO3, Vector3
+from companion.types.values import GRAVITY_M_S2, ZERO3, Vector3
 
 TAN_TILT = tan(radians(25.0))
 LIMITS = AccelerationLimits.of_envelope(TAN_TILT, 0.3, 1.6)

@@ -7,7 +7,7 @@ import pytest
 from companion.types.autopilot import VehicleState
 from companion.types.flight import FlightPhase
 from companion.types.formation import FlownSlot
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 from separation_flight import DRAG_1_S, Body, SeparationFlight, Wish, counted_m, off_m, to_goal
 
 SEPARATION_M = 1.0

@@ -1,6 +1,6 @@
 from companion.core.safety.filter.interventions import ENDS_AFTER_S, Interventions
 from companion.types.notices import Code
-from companion.types.separation import NearestVehicle, SeparationReport
+from companion.types.status import NearestVehicle, SeparationReport
 
 CHANGED = SeparationReport(NearestVehicle("2", 1.1, 1.2), 2.0)
 QUIET = SeparationReport(NearestVehicle("2", 1.5, 1.2))

@@ -9,7 +9,7 @@ from companion.config.obstacles import CylinderObstacle, Obstacle
 from companion.types.autopilot import PositionError
 from companion.types.flight import FlightPhase
 from companion.types.formation import FlownSlot
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 from separation_flight import Body, Noise, SeparationFlight, counted_m, off_m, to_goal
 
 SEPARATION_M = 1.0

@@ -7,7 +7,7 @@ import pytest
 from companion.types.autopilot import VehicleState
 from companion.types.flight import FlightPhase
 from companion.types.formation import FlownSlot
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 from separation_flight import DEFAULT, IDEAL, PX4_SIH, Body, Link, Noise, SeparationFlight, off_m, to_goal
 
 LATE_AND_LOSSY = Link(delay_s=0.1, loss=0.1)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from companion.core.safety.filter.lag import Ahead
 from companion.core.safety.filter.silence import KEPT_S, Motion, Silence, column_m, nearest_on_way
-from companion.types.vectors import ZERO3, Vector3
+from companion.types.values import ZERO3, Vector3
 
 PEER = Silence(0.3, 0.0, KEPT_S, 15.0)
 BRAKING_M_S2 = 2.0

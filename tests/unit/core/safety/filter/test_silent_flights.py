@@ -7,7 +7,7 @@ import pytest
 from companion.core.consensus.law import feedback
 from companion.types.autopilot import VehicleState
 from companion.types.formation import FlownSlot
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 from separation_flight import DRAG_1_S, GAINS, Body, SeparationFlight, to_goal
 
 SEPARATION_M = 1.0

@@ -1,8 +1,8 @@
 import pytest
 
 from companion.core.safety.filter.traffic import EXPIRES_S, KEPT, Traffic
-from companion.types.traffic import ReceivedTraffic, TrafficSample
-from companion.types.vectors import ZERO3
+from companion.types.peers import ReceivedTraffic, TrafficSample
+from companion.types.values import ZERO3
 from companion.wire.traffic import decode_traffic, encode_traffic
 from companion.wire.version import WireError, seal
 

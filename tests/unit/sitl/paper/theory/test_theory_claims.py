@@ -3,7 +3,7 @@
 import msgspec
 import pytest
 
-from companion.types.vectors import ZERO3
+from companion.types.values import ZERO3
 from sitl.paper.claim import Claim, Verdict
 from sitl.paper.errata import acceleration_of, errata, printed_attitude, right_attitude
 from sitl.paper.theory import comparison, matrices

@@ -1,4 +1,4 @@
-"""Bounds of received values. msgspec enforces them where a message is decoded; NaN and infinity lie outside every bound."""
+"""Vectors of the world frame, and gravity."""
 
 from __future__ import annotations
 
@@ -6,6 +6,11 @@ from sys import float_info
 from typing import Annotated
 
 from msgspec import Meta
+
+Vector3 = tuple[float, float, float]
+ZERO3: Vector3 = (0.0, 0.0, 0.0)
+GRAVITY_M_S2 = 9.80665
+
 
 MAX_COORDINATE_M = 20_000.0
 MAX_MISSION_S = 1e6  # eleven days
@@ -29,3 +34,13 @@ VehicleIds = Annotated[tuple[VehicleId, ...], Meta(max_length=MAX_VEHICLES)]
 FleetName = Annotated[str, Meta(pattern=rf"{FLEET_NAME[:-1]}\Z")]
 Word = Annotated[str, Meta(max_length=80, pattern=f"^[^{CONTROL}]*$")]  # a name or a key
 Line = Annotated[str, Meta(max_length=2000, pattern=f"^[^{CONTROL}]*$")]  # a sentence, shown on a terminal
+
+
+def printable(text: str) -> str:
+    """The text in one line, with ? for each character that could control a terminal or reverse the text."""
+    return "".join(c if c.isprintable() else "?" for c in text)
+
+
+def printable_lines(text: str) -> str:
+    """The same for a text of several lines."""
+    return "\n".join(map(printable, text.split("\n")))

@@ -1,32 +1,89 @@
-"""Telemetry -> VehicleState in the fleet frame. Implausible samples are counted and ignored."""
+"""Perception: telemetry -> the vehicle's state and fitness, and requests for what telemetry does not bring by itself."""
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Iterable
-from math import hypot, isfinite
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from math import dist, hypot, inf, isfinite
 from typing import Any
 
-from companion.core.estimation.fleet_frame import FleetFrame
-from companion.core.estimation.position_reset import RELEASE_M_S, PositionReset
-from companion.core.estimation.velocity_correction import VelocityCorrection
-from companion.types.autopilot import LandedState, PositionError, VehicleState
-from companion.types.notices import Code, Notice
-from companion.types.rejections import counted
-from companion.types.telemetry import (
+from msgspec import Struct
+
+from companion.core.estimation.corrections import RELEASE_M_S, PositionReset, VelocityCorrection
+from companion.core.preflight import Fitness, Preflight
+from companion.geometry.frames import enu_from_geodetic
+from companion.geometry.vectors import mean
+from companion.types.autopilot import (
     AttitudeSample,
+    AutopilotRequest,
     EstimatorSample,
     GlobalPositionSample,
     HeartbeatSample,
     LandedSample,
+    LandedState,
     ModeSample,
     OriginSample,
+    PositionError,
     PositionSample,
+    RequestOrigin,
     SystemSample,
     Telemetry,
     ThrustSample,
+    VehicleState,
 )
-from companion.types.vectors import ZERO3, Vector3
+from companion.types.flight import COOPERATING, Flight
+from companion.types.notices import Code, Notice
+from companion.types.rejections import counted
+from companion.types.values import ZERO3, Vector3
+
+ORIGIN_REPEAT_S = 1.0
+ORIGIN_REFRESH_S = 5.0  # PX4 sends a changed origin once, and that one datagram may be lost
+ORIGIN_SOON_S = 0.1  # when the position jumped: a new origin may be why
+
+
+class Perception(Struct, frozen=True, gc=False):
+    """The own vehicle in this tick. `rejected` counts samples by reason."""
+
+    vehicle: VehicleState
+    fitness: Fitness
+    rejected: Mapping[str, int]
+    requests: tuple[AutopilotRequest, ...] = ()
+    events: tuple[Notice, ...] = ()
+
+
+class PerceptionStage:
+    """Tracks the vehicle's state and its preflight checks."""
+
+    def __init__(self, tracker: VehicleTracker, preflight: Preflight) -> None:
+        self._tracker = tracker
+        self._preflight = preflight
+        self._origin_asked_s = -inf
+
+    def step(self, now_s: float, telemetry: Sequence[Telemetry], before: Flight) -> Perception:
+        """`before` is the flight of the last tick: only while it cooperates does a position that jumps follow slowly."""
+        tracker, preflight = self._tracker, self._preflight
+        if before.phase not in COOPERATING:
+            tracker.accept_next_position()
+        vehicle, resets = tracker.fold(telemetry)
+        findings = preflight.update(now_s, telemetry, vehicle.autopilot)
+        requests = self._origin_requests(now_s, vehicle)
+        return Perception(vehicle, preflight.fitness, tracker.rejected, requests, findings + resets)
+
+    def parameter_requests(self, now_s: float, flight: Flight) -> tuple[AutopilotRequest, ...]:
+        """The parameters to read next. None while setpoints stream: those read before count for the whole formation."""
+        return () if flight.streams else self._preflight.ask(now_s)
+
+    def _origin_requests(self, now_s: float, vehicle: VehicleState) -> tuple[AutopilotRequest, ...]:
+        if vehicle.autopilot is None:
+            return ()
+        period_s = ORIGIN_REPEAT_S if vehicle.altitude_amsl_m is None else ORIGIN_REFRESH_S
+        if now_s - vehicle.jump_time_s < ORIGIN_REPEAT_S:
+            period_s = ORIGIN_SOON_S
+        if now_s - self._origin_asked_s < period_s:
+            return ()
+        self._origin_asked_s = now_s
+        return (RequestOrigin(),)
+
 
 MAX_LOCAL_M = 100_000.0  # the 32-bit floats of LOCAL_POSITION_NED lose centimetres well below this
 MAX_SPEED_M_S = 100.0
@@ -224,3 +281,87 @@ def _within(vector: Vector3, limit: float) -> bool:
     """Whether every component is at most `limit` in size. False for NaN."""
     x, y, z = vector
     return abs(x) <= limit and abs(y) <= limit and abs(z) <= limit
+
+
+MAX_OFFSET_M = 100_000.0
+SAME_TIME_S = 0.1  # most time between the global and the local position that are compared
+COMPARISONS = 5  # consecutive comparisons that decide: one second at 5 Hz
+AGREE_M = 0.3
+CONTRADICT_M = 2.0
+
+
+class FleetFrame:
+    """Position of one autopilot's local origin in the fleet frame.
+
+    `fleet_origin` is (latitude deg, longitude deg, altitude AMSL m). It is None where all vehicles already share one local
+    frame, as with one motion-capture system.
+    """
+
+    def __init__(self, fleet_origin: Vector3 | None) -> None:
+        self._fleet_origin = fleet_origin
+        self._origin_reported = False
+        self._offsets_enu_m: deque[Vector3] = deque(maxlen=COMPARISONS)
+        self.offset_enu_m: Vector3 | None = None  # of the local origin in the fleet frame
+        self.own_altitude_amsl_m: float | None = None  # of the local origin
+        self.contradicted = False
+        self.forget()
+
+    def forget(self) -> None:
+        """Discard the origin after a reboot of the autopilot. In a shared frame only the altitude is lost."""
+        self._origin_reported = False
+        self._offsets_enu_m.clear()
+        self.own_altitude_amsl_m = None
+        self.offset_enu_m = ZERO3 if self._fleet_origin is None else None
+        self.contradicted = False
+
+    def use_origin(self, sample: OriginSample) -> bool:
+        """Take GPS_GLOBAL_ORIGIN. Returns False, and changes nothing, where the origin is implausible."""
+        plausible = abs(sample.latitude_deg) <= 90.0 and abs(sample.longitude_deg) <= 180.0
+        if not plausible or not -1000.0 < sample.altitude_amsl_m < 10_000.0:
+            return False
+        self.own_altitude_amsl_m = sample.altitude_amsl_m
+        self._origin_reported = True
+        if self._fleet_origin is not None:
+            offset_m = enu_from_geodetic(
+                sample.latitude_deg, sample.longitude_deg, sample.altitude_amsl_m, self._fleet_origin
+            )
+            if offset_m != self.offset_enu_m:
+                self._offsets_enu_m.clear()
+                self.contradicted = False
+            self.offset_enu_m = offset_m
+        return True
+
+    def use_global_position(self, sample: GlobalPositionSample, local: PositionSample) -> bool:
+        """Compare GLOBAL_POSITION_INT with `local`, the newest local position.
+
+        Returns False where the offset is implausible: without a fix some autopilots report 0, 0.
+        """
+        if self._fleet_origin is None:
+            return True
+        later_s = sample.boot_time_s - local.boot_time_s
+        if abs(later_s) > SAME_TIME_S:
+            return True
+        east, north, up = enu_from_geodetic(
+            sample.latitude_deg, sample.longitude_deg, sample.altitude_amsl_m, self._fleet_origin
+        )
+        (x, y, z), (vx, vy, vz) = local.position_local_enu_m, local.velocity_enu_m_s
+        offset_m = (east - x - vx * later_s, north - y - vy * later_s, up - z - vz * later_s)
+        if not all(abs(component) <= MAX_OFFSET_M for component in offset_m):
+            return False
+        self._offsets_enu_m.append(offset_m)
+        self._evaluate_offsets()
+        return True
+
+    def _evaluate_offsets(self) -> None:
+        """Let COMPARISONS consecutive offsets contradict a reported origin, or replace one that was never reported."""
+        compared, used = self._offsets_enu_m, self.offset_enu_m
+        if len(compared) < COMPARISONS:
+            return
+        if self._origin_reported and used is not None:
+            self.contradicted = all(dist(offset_m, used) > CONTRADICT_M for offset_m in compared)
+            return
+        mean_m = mean(compared)
+        agree = all(dist(offset_m, mean_m) <= AGREE_M for offset_m in compared)
+        if agree and (used is None or dist(mean_m, used) > AGREE_M) and self._fleet_origin is not None:
+            self.offset_enu_m = mean_m
+            self.own_altitude_amsl_m = self._fleet_origin[2] + mean_m[2]

@@ -7,9 +7,10 @@ position relative to it may arrive in either order: each alone is a jump, both t
 
 from __future__ import annotations
 
-from math import hypot
+from math import exp, hypot
 
-from companion.types.vectors import ZERO3, Vector3
+from companion.geometry.vectors import plus, shortened
+from companion.types.values import ZERO3, Vector3
 
 RELEASE_M_S = 0.2  # rate at which a held-back difference is released: one metre in 5 s
 JUMP_M = 0.2  # smallest jump, beyond the distance that the velocities explain
@@ -61,3 +62,54 @@ class PositionReset:
             left = 1.0 - RELEASE_M_S * step_s / distance_m if distance_m > 0.0 else 0.0
             self.held_back_m = (hx * left, hy * left, hz * left) if left > 0.0 else ZERO3
         return 0.0
+
+
+LARGEST_M_S = 0.6  # of the correction: a larger disagreement is no slow error of an estimator
+UNEXPLAINED_M = 0.2  # the position moved without a motion, beyond what the largest correction explains
+
+
+class VelocityCorrection:
+    """The correction b of one vehicle, in the axes of its velocity."""
+
+    def __init__(self, bandwidth_1_s: float) -> None:
+        """`bandwidth_1_s` is w, above 0."""
+        self._bandwidth_1_s = bandwidth_1_s
+        self._largest_error_m = UNEXPLAINED_M + LARGEST_M_S / (exp(1.0) * bandwidth_1_s)  # the peak after a step of b
+        self._correction_m_s: Vector3 = ZERO3
+        self._before: tuple[float, Vector3, Vector3] | None = None  # time, filtered position, velocity as reported
+
+    def restart(self) -> None:
+        """Begin with the next position, without a correction."""
+        self._correction_m_s, self._before = ZERO3, None
+
+    def follow(self, time_s: float, position_m: Vector3, velocity_m_s: Vector3) -> Vector3:
+        """The velocity to be used, m/s. `time_s` is the autopilot's clock and increases from call to call."""
+        before = self._before
+        if before is None or time_s - before[0] > LONGEST_GAP_S:
+            self.restart()
+            filtered_m = position_m
+        else:
+            filtered_m = self._filtered(time_s - before[0], position_m, velocity_m_s, before[1], before[2])
+        self._before = (time_s, filtered_m, velocity_m_s)
+        return plus(velocity_m_s, self._correction_m_s)
+
+    def _filtered(
+        self, step_s: float, position_m: Vector3, velocity_m_s: Vector3, filtered_m: Vector3, velocity0_m_s: Vector3
+    ) -> Vector3:
+        """The filtered position after a step. A jump of the reported one moves it and leaves the correction as it is."""
+        (vx0, vy0, vz0), (vx, vy, vz), (bx, by, bz) = velocity0_m_s, velocity_m_s, self._correction_m_s
+        (x, y, z), (fx, fy, fz) = position_m, filtered_m
+        # The prediction p, and the error e
+        px = fx + ((vx0 + vx) * 0.5 + bx) * step_s
+        py = fy + ((vy0 + vy) * 0.5 + by) * step_s
+        pz = fz + ((vz0 + vz) * 0.5 + bz) * step_s
+        ex, ey, ez = x - px, y - py, z - pz
+        if hypot(ex, ey, ez) > self._largest_error_m:
+            return position_m
+        # The continuous filter, sampled: critically damped with both poles at exp(-w step), stable at every step.
+        pole = exp(-self._bandwidth_1_s * step_s)
+        on_velocity_1_s = (1.0 - pole) * (1.0 - pole) / step_s
+        corrected_m_s = (bx + ex * on_velocity_1_s, by + ey * on_velocity_1_s, bz + ez * on_velocity_1_s)
+        self._correction_m_s = shortened(corrected_m_s, LARGEST_M_S)
+        on_position = 1.0 - pole * pole
+        return (px + ex * on_position, py + ey * on_position, pz + ez * on_position)

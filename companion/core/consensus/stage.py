@@ -8,15 +8,11 @@ from math import inf
 from msgspec import Struct
 from msgspec.structs import replace
 
-from companion.core.consensus.law import FormationState
+from companion.core.consensus.law import FormationState, next_prc
 from companion.core.consensus.neighbours import NeighbourRule
-from companion.core.consensus.peers import PeerState, PeerTable
-from companion.core.consensus.plausibility import MAX_TURN_RAD_S
-from companion.core.consensus.priority import next_prc
-from companion.core.election.leader_beacon import BeaconMonitor
-from companion.core.election.leadership import Leadership, refusal_of_lead
-from companion.core.election.mission_clock import WAITED_S, MissionClock
-from companion.core.election.succession import Succession
+from companion.core.consensus.peers import MAX_TURN_RAD_S, PeerState, PeerTable
+from companion.core.election.beacon import WAITED_S, BeaconMonitor, MissionClock
+from companion.core.election.leadership import Leadership, Succession, refusal_of_lead
 from companion.geometry.turning import heading_after
 from companion.geometry.vectors import clamped
 from companion.types.autopilot import VehicleState
@@ -25,7 +21,7 @@ from companion.types.flight import COOPERATING, STREAMING, Flight, FlightPhase, 
 from companion.types.formation import Heading, LeaderBeacon, Term
 from companion.types.notices import Answer, Notice
 from companion.types.peers import PeerPacket, ReceivedPeerPacket
-from companion.types.vectors import Vector3
+from companion.types.values import Vector3
 
 # Member lookup of an enum is slow, and every tick needs these.
 LEADER, FORMATION = Role.LEADER, FlightPhase.FORMATION

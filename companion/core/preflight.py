@@ -6,18 +6,26 @@ The agent never sets a parameter. `companion doctor` does, on the ground and aft
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import inf
 
 from msgspec import Struct
 
-from companion.core.estimation.disturbance_observer import HOVER_PARAMETERS, DisturbanceObserver
-from companion.core.estimation.survey import Survey
+from companion.core.estimation.wind import HOVER_PARAMETERS, DisturbanceObserver
 from companion.core.safety.audit import Facts, Finding, Verdict, audit, parameter_names
-from companion.types.autopilot import AutopilotKind
+from companion.types.autopilot import (
+    AttitudeSample,
+    AutopilotKind,
+    LandedSample,
+    ModeSample,
+    ParameterSample,
+    PositionSample,
+    RequestParameter,
+    SystemSample,
+    Telemetry,
+    TextSample,
+)
 from companion.types.notices import Code, Notice
-from companion.types.requests import RequestParameter
-from companion.types.telemetry import ParameterSample, Telemetry
 
 ASK_PERIOD_S = 0.05  # while answers are missing
 REFRESH_PERIOD_S = 0.5  # afterwards, in turn: a pilot may correct a parameter at any time
@@ -151,3 +159,60 @@ class Preflight:
 def _notice(finding: Finding) -> Notice:
     assert finding.code is not None  # never called for findings that are OK
     return Notice(finding.code, str(finding))
+
+
+WINDOW_S = 2.0  # over which rates are counted
+NAMES: Mapping[type[Telemetry], str] = {
+    PositionSample: "positions",
+    AttitudeSample: "attitudes",
+    ModeSample: "modes",
+    LandedSample: "landed states",
+}
+WARNING = 4  # MAV_SEVERITY
+
+
+class Survey:
+    """Newest values and message rates. Rates are of the last complete window; None before the first."""
+
+    def __init__(self) -> None:
+        self.rates_hz: Mapping[str, float] | None = None
+        self.battery_percent: float | None = None
+        self.may_arm: bool | None = None
+        self.last_warning = ""  # newest STATUSTEXT of severity WARNING or worse
+        self._counts: dict[type[Telemetry], int] = dict.fromkeys(NAMES, 0)
+        self._window_since_s: float | None = None
+
+    def update(self, now_s: float, telemetry: Sequence[Telemetry]) -> bool:
+        """Add the telemetry since the last call; return whether what is found has changed.
+
+        The telemetry of the first call is older than the window and is not counted.
+        """
+        changed = False
+        if self._window_since_s is None:
+            self._window_since_s = now_s
+            telemetry = ()
+        counts = self._counts
+        for sample in telemetry:
+            kind = type(sample)
+            if kind in counts:
+                counts[kind] += 1
+            elif isinstance(sample, SystemSample):
+                changed |= (self.battery_percent, self.may_arm) != (sample.battery_percent, sample.may_arm)
+                self.battery_percent, self.may_arm = sample.battery_percent, sample.may_arm
+            elif isinstance(sample, TextSample) and sample.severity <= WARNING:
+                changed |= self.last_warning != sample.text
+                self.last_warning = sample.text
+        elapsed_s = now_s - self._window_since_s
+        if elapsed_s >= WINDOW_S:
+            rates_hz = {name: counts[kind] / elapsed_s for kind, name in NAMES.items()}
+            changed |= rates_hz != self.rates_hz
+            self.rates_hz, self._counts = rates_hz, dict.fromkeys(NAMES, 0)
+            self._window_since_s = now_s
+        return changed
+
+    @property
+    def failing_checks(self) -> str | None:
+        """Why the autopilot's preflight checks fail; "" where they pass, None where it has not reported them."""
+        if self.may_arm is None:
+            return None
+        return "" if self.may_arm else self.last_warning or "the autopilot's preflight checks do not pass"

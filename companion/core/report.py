@@ -11,9 +11,9 @@ from msgspec.structs import replace
 
 from companion.core.command.arbitration import Intake
 from companion.core.consensus.law import FormationLaw, used_weights
-from companion.core.consensus.neighbourhood import Consensus
+from companion.core.consensus.stage import Consensus
 from companion.core.control.setpoint import Setpoint
-from companion.core.estimation.perception import Perception
+from companion.core.estimation.vehicle import Perception
 from companion.core.formation.guidance import Guidance
 from companion.core.safety.filter.interventions import Interventions
 from companion.core.safety.fleet_checks import FleetChecks

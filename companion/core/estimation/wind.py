@@ -16,7 +16,7 @@ from math import cos, exp, hypot, sin
 from msgspec import Struct
 
 from companion.geometry.vectors import between, clamped
-from companion.types.vectors import GRAVITY_M_S2, ZERO3, Vector3
+from companion.types.values import GRAVITY_M_S2, ZERO3, Vector3
 
 HOVER_PARAMETERS = ("MPC_THR_HOVER", "MOT_THST_HOVER")  # of PX4 and of ArduCopter
 THRUST_LAG_S = 0.06  # of the motors, with the transport to them
