@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
-from companion.ground.session import Answer
 from companion.ground.text import count, wrapped
+from companion.types.commands import CommandReply
 from companion.types.notices import Code, Notice
 
 
@@ -17,6 +17,14 @@ class AnswerKind(StrEnum):
     REFUSED = "refused"
     MISSING = "missing"  # no reply came
     NOT_SENT = "not sent"  # a check before the command failed, of this vehicle or of another
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """A vehicle's reply to a command, and the time from the command to it."""
+
+    reply: CommandReply
+    after_s: float
 
 
 @dataclass(frozen=True, slots=True)

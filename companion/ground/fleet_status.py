@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
-from math import dist
+from math import degrees, dist
 
 from companion.geometry.turning import turned_slot
-from companion.ground.text import formation_text, reference_text
 from companion.types.autopilot import LandedState, PositionError
 from companion.types.flight import WITHOUT_LEADER, FlightPhase, HealthFlag, Role
+from companion.types.formation import EAST, FlownSlot, Heading, HeldReference
 from companion.types.notices import Notice
 from companion.types.status import NetworkState, SeparationReport, Status
 from companion.types.values import Vector3
@@ -189,3 +189,23 @@ def _reference_enu_m(facts: _FleetFacts, status: Status) -> Vector3 | None:
     if status.leader_beacon and status.leader_beacon.leader_id in known:
         return known[status.leader_beacon.leader_id]
     return next(iter(known.values()), None)
+
+
+def formation_text(slot: FlownSlot, heading: Heading) -> str:
+    """ "1", "1, then 2" or "changing to 2"; with the heading where that is not east."""
+    pointed = "" if heading == EAST else f" at {degrees(heading.angle_rad):.0f} deg"
+    return _formation(slot) + pointed
+
+
+def _formation(slot: FlownSlot) -> str:
+    if slot.waiting != slot.formation:
+        return f"{slot.formation}, then {slot.waiting}"
+    return f"changing to {slot.formation}" if slot.moves else str(slot.formation)
+
+
+def reference_text(held: HeldReference | None, target_age_s: float | None) -> str:
+    """ "1" or "1, then 2", with the age of the target followed; "-" where the vehicle holds none."""
+    if held is None:
+        return "-"
+    reference = str(held.flown) if held.waiting == held.flown else f"{held.flown}, then {held.waiting}"
+    return reference if target_age_s is None else f"{reference}, target {target_age_s:.1f} s old"

@@ -5,9 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from math import radians
 
-import numpy as np
-from scipy.optimize import linear_sum_assignment
-
 from companion.config.file import ConfigError
 from companion.config.fleet import FleetConfig
 from companion.config.slots import load_slots
@@ -76,11 +73,13 @@ def positions_enu_m(statuses: Sequence[Status]) -> dict[int, Vector3]:
 
 def assigned(flown_enu_m: Mapping[int, Vector3], slots_enu_m: Sequence[Vector3]) -> dict[int, Vector3]:
     """A slot for each vehicle with the least sum of squared distances: no two straight paths cross (see transition.py)."""
+    from scipy.optimize import linear_sum_assignment  # takes seconds to load
+
     ids = sorted(flown_enu_m)
     cost_m2 = [
         [sum((a - b) ** 2 for a, b in zip(flown_enu_m[i], slot, strict=True)) for slot in slots_enu_m] for i in ids
     ]
-    _, chosen = linear_sum_assignment(np.array(cost_m2))
+    _, chosen = linear_sum_assignment(cost_m2)
     return {vehicle_id: slots_enu_m[index] for vehicle_id, index in zip(ids, chosen.tolist(), strict=True)}
 
 

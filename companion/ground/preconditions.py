@@ -12,14 +12,16 @@ from companion.types.flight import FLAG_TEXTS, OF_THE_FLEET, FlightPhase, Health
 from companion.types.notices import Code, Notice
 from companion.types.status import Status
 
-P, F = FlightPhase, HealthFlag
+F = HealthFlag
 
 ALL_OR_NONE = (CommandName.TAKEOFF, CommandName.RETURN)
 PHASES = {  # in which a vehicle accepts the command, or has begun or finished the action
-    CommandName.TAKEOFF: frozenset({P.ARMED, P.TAKEOFF, P.HOLD}),
-    CommandName.RETURN: frozenset({P.ENGAGE, P.FORMATION, P.RELEASE, P.HOLD, P.RETURN}),
+    CommandName.TAKEOFF: frozenset({FlightPhase.ARMED, FlightPhase.TAKEOFF, FlightPhase.HOLD}),
+    CommandName.RETURN: frozenset(
+        {FlightPhase.ENGAGE, FlightPhase.FORMATION, FlightPhase.RELEASE, FlightPhase.HOLD, FlightPhase.RETURN}
+    ),
 }
-STILL_CHANGING = frozenset({P.PREPARE, P.ARM})  # for seconds at most: worth waiting for
+STILL_CHANGING = frozenset({FlightPhase.PREPARE, FlightPhase.ARM})  # for seconds at most: worth waiting for
 NEXT_STEP = {
     CommandName.TAKEOFF: "send arm first and wait until it has finished",
     CommandName.RETURN: "it returns from hold or formation; send hold or land to a vehicle in another phase",

@@ -8,8 +8,9 @@ from typing import Any
 import msgspec
 
 from companion.ground.answers import AnswerKind
+from companion.ground.fleet_status import formation_text, reference_text
 from companion.ground.readiness import Check
-from companion.ground.text import formation_text, reference_text, wrapped
+from companion.ground.text import wrapped
 from companion.types.notices import Code, Notice
 from companion.types.status import Status
 

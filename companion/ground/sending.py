@@ -12,11 +12,12 @@ import msgspec
 from companion import GROUND_INSTALL
 from companion.config.fleet import FleetConfig
 from companion.config.reference_check import check_reference
-from companion.ground.answers import AnswerKind, Outcome, outcome_of
+from companion.ground.answers import Answer, AnswerKind, Outcome, outcome_of
+from companion.ground.formations import change_to, check_request, refusal_of, requested_slots
 from companion.ground.preconditions import ALL_OR_NONE, STILL_CHANGING, check_all
 from companion.ground.references import reference_change, requested_reference
 from companion.ground.requests import FleetRequest, FormationRequest, ReferenceRequest, command_line
-from companion.ground.session import POLL_S, Answer
+from companion.ground.session import POLL_S
 from companion.ground.usable_reports import check_reports
 from companion.types.commands import CommandName, Content, Lead, ReferenceChange, next_epoch
 from companion.types.flight import FlightPhase
@@ -126,8 +127,6 @@ class Sender:
 
     def _formation(self, request: FormationRequest) -> Sent:
         """From the present positions of all vehicles: all of them must report."""
-        from companion.ground.formations import change_to, refusal_of, requested_slots
-
         reports = self._session.statuses(self._all, self._wait_s)
         if silent := [str(i) for i in self._all if i not in reports]:
             raise OperateError(
@@ -172,8 +171,6 @@ def check_content(request: FleetRequest, fleet: FleetConfig) -> None:
     """Finds mistakes before the wait for any vehicle. Raises ConfigError and OperateError."""
     if request.formation:
         _need_scipy()
-        from companion.ground.formations import check_request
-
         check_request(request.formation, fleet)
     if request.reference:
         requested_reference(request.reference, here_enu_m=ZERO3)

@@ -9,12 +9,12 @@ import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from math import inf
 from typing import TYPE_CHECKING
 
 import zenoh
 
+from companion.ground.answers import Answer
 from companion.ground.connection import GroundConnection
 from companion.ground.fleet_status import SILENT_AFTER_S
 from companion.link.fleet.zenoh_session import drain
@@ -49,14 +49,6 @@ def operator_here() -> str:
     except (KeyError, OSError):  # no such user, as in some containers
         user = "operator"
     return re.sub(r"[^A-Za-z0-9_.@+-]", "-", f"{user}@{socket.gethostname()}").lstrip("_.@+-")[:63]
-
-
-@dataclass(frozen=True, slots=True)
-class Answer:
-    """A vehicle's reply to a command, and the time from the command to it."""
-
-    reply: CommandReply
-    after_s: float
 
 
 class FleetSession(GroundConnection):

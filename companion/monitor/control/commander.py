@@ -19,6 +19,7 @@ from companion.ground.sending import OperateError, Sender, check_content
 from companion.ground.session import FleetSession
 from companion.ground.text import id_list
 from companion.monitor.api import AnswerView, CommandRequest, CommandResult, Preview
+from companion.monitor.control.preview import preview_of
 from companion.monitor.control.requests import ABORT, DOCTOR, HOLD, LAND, RequestError, fleet_request
 from companion.monitor.control.until_ended import EndedError, Running, UntilEnded
 from companion.types.notices import Code, Notice
@@ -126,8 +127,6 @@ class Commander:
             return Preview(refused=_one_line(error))
 
     def _previewed(self, wanted: FleetRequest) -> Preview:
-        from companion.monitor.control.preview import preview_of  # with scipy, which takes seconds to load
-
         check_content(wanted, self._fleet)
         return preview_of(wanted, self._fleet, self._session.newest())
 

@@ -6,8 +6,8 @@ import asyncio
 import time
 from collections.abc import Iterable
 
-from companion.ground.answers import AnswerKind, Outcome, outcome_of
-from companion.ground.session import POLL_S, Answer, FleetSession
+from companion.ground.answers import Answer, AnswerKind, Outcome, outcome_of
+from companion.ground.session import POLL_S, FleetSession
 from companion.monitor.control.requests import WAIT_S
 from companion.types.commands import CommandName, Content
 from companion.types.notices import Code, Notice

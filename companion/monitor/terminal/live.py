@@ -9,16 +9,16 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from types import FrameType
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import zenoh
-from rich.console import Console
-from rich.live import Live
-from rich.text import Text
 
 from companion.ground.fleet_status import VehicleRow
 from companion.monitor.terminal.fleet_rows import Members
 from companion.monitor.terminal.page import Line, Style, fitted_page
+
+if TYPE_CHECKING:
+    from rich.text import Text
 
 PERIOD_S = 0.2
 CONNECTIONS_EVERY_S = 3.0
@@ -34,6 +34,9 @@ def show_live(
 
     `unreachable` gives the reason by endpoint and may take seconds.
     """
+    from rich.console import Console
+    from rich.live import Live
+
     console = Console(highlight=False)
     with (
         _Connections(unreachable) as connections,
@@ -87,6 +90,8 @@ def _nothing_yet(endpoints: Sequence[str]) -> list[Line]:
 
 def as_text(lines: Sequence[Line]) -> Text:
     """With the styles; NO_COLOR leaves their colours out."""
+    from rich.text import Text
+
     return Text("\n").join(Text(shown.text, style=shown.style.value) for shown in lines)  # brackets are no markup
 
 

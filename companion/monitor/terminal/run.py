@@ -7,8 +7,9 @@ import re
 import shutil
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
+from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -20,6 +21,7 @@ from companion.ground.session import FleetSession
 from companion.ground.text import id_list
 from companion.monitor.error import MonitorError
 from companion.monitor.terminal.fleet_rows import NO_MEMBERS, Members, fleets
+from companion.monitor.terminal.live import show_live
 from companion.monitor.terminal.page import page
 from companion.types.values import FLEET_NAME
 
@@ -34,7 +36,6 @@ WITHOUT_CURSOR = ("dumb", "unknown", "")  # values of TERM: lines can only be ad
 EXIT_ENDED, EXIT_NO_REPORT = 0, 1
 
 Print = Callable[[list[VehicleRow]], None]
-ShowLive = Callable[[Callable[[], Sequence[VehicleRow]], Sequence[str], Callable[[], Mapping[str, str]], Members], None]
 
 
 def run_monitor(
@@ -53,14 +54,15 @@ def run_monitor(
     if fleet != "*" and not re.fullmatch(FLEET_NAME, fleet):
         raise MonitorError(f"--fleet {fleet!r}: expected the name in a fleet file, like platoon, or * for every fleet")
     is_live = _is_live_terminal() and not (once or as_json)
-    show_live = _live_screen() if is_live else None
+    if is_live:
+        _need_rich()
     show: Print = _json if as_json else partial(_plain_table, members=members)
     show_once: Print = partial(_json_once, members=members) if as_json else show
     with FleetSession(fleet, endpoints, identity=identity) as session:
         try:
             if once:
                 return _once(session, endpoints, show_once)
-            if show_live:
+            if is_live:
                 known = () if endpoints_are_guessed else endpoints
                 show_live(_reader(session), endpoints, lambda: unreachable(known, session.linked()), members)
             else:
@@ -103,15 +105,10 @@ def _nothing_received(session: FleetSession, endpoints: Sequence[str]) -> str:
     )
 
 
-def _live_screen() -> ShowLive:
+def _need_rich() -> None:
     """Raises MonitorError where its package is missing."""
-    try:
-        from companion.monitor.terminal.live import show_live
-    except ImportError as error:
-        raise MonitorError(
-            f"the live table needs the package rich: {GROUND_INSTALL}, or use --once, --json or a pipe"
-        ) from error
-    return show_live
+    if find_spec("rich") is None:
+        raise MonitorError(f"the live table needs the package rich: {GROUND_INSTALL}, or use --once, --json or a pipe")
 
 
 def _reader(session: FleetSession) -> Callable[[], list[VehicleRow]]:

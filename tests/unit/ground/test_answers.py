@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from companion.ground.answers import End, Outcome, answer_lines, answers_as_data, end_lines, outcome_of
-from companion.ground.session import Answer
+from companion.ground.answers import Answer, End, Outcome, answer_lines, answers_as_data, end_lines, outcome_of
 from companion.types.commands import CommandReply
 from companion.types.notices import Code, Notice
 
