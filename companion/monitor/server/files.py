@@ -10,9 +10,10 @@ from pathlib import Path
 
 from aiohttp import web
 
+from companion import monitor
 from companion.monitor.server.access import error
 
-PAGE = Path(__file__).parent.parent / "page"
+PAGE = Path(monitor.__file__).parent / "page"
 TYPES = {
     ".html": "text/html",
     ".css": "text/css",
