@@ -12,9 +12,10 @@ from msgspec.structs import replace
 from companion.config.fleet import FleetConfig
 from companion.ground.readiness import Check
 from companion.ground.requests import FleetRequest
+from companion.ground.sending import check_content
 from companion.ground.session import FleetSession
 from companion.monitor.api import TOKEN_HEADER
-from companion.monitor.control import commander
+from companion.monitor.control.commander import readiness_view
 from companion.types.commands import Command, CommandName, CommandReply
 from companion.types.formation import FlownSlot
 from companion.types.notices import Code
@@ -312,13 +313,12 @@ def test_land_ends_a_hold_of_the_same_vehicles_but_not_one_of_others_too() -> No
 def test_hold_does_not_wait_for_the_check_of_a_formation(monkeypatch: pytest.MonkeyPatch) -> None:
     """That loads scipy. Afterwards the formation is not sent: hold has ended it."""
     begun, loaded = threading.Event(), threading.Event()
-    checked = commander.check_content
 
     def check(wanted: FleetRequest, fleet: FleetConfig) -> None:
         if wanted.formation:
             begun.set()
             loaded.wait(10.0)
-        checked(wanted, fleet)
+        check_content(wanted, fleet)
 
     async def work(server: Served, vehicles: LinkedVehicles) -> None:
         changing = asyncio.create_task(server.command("formation", {"shape": "line", "spacing_m": 4.0}))
@@ -329,18 +329,17 @@ def test_hold_does_not_wait_for_the_check_of_a_formation(monkeypatch: pytest.Mon
         assert "ended by hold" in (await changing)["error"]
         assert {command.name for _, command in vehicles.commands} == {"hold"}
 
-    monkeypatch.setattr(commander, "check_content", check)
+    monkeypatch.setattr("companion.monitor.control.commander.check_content", check)
     with_fleet(work)
 
 
 def test_scipy_is_not_loaded_in_the_event_loop(monkeypatch: pytest.MonkeyPatch) -> None:
     """It takes seconds on a small computer; meanwhile no ABORT would go out."""
     threads: list[str] = []
-    checked = commander.check_content
 
     def check(*arguments: object) -> None:
         threads.append(threading.current_thread().name)
-        checked(*arguments)  # type: ignore[arg-type]
+        check_content(*arguments)  # type: ignore[arg-type]
 
     async def work(server: Served, _vehicles: LinkedVehicles) -> None:
         wanted = {"fleet": "load", "name": "formation", "content": {"shape": "line", "spacing_m": 4.0}}
@@ -348,7 +347,7 @@ def test_scipy_is_not_loaded_in_the_event_loop(monkeypatch: pytest.MonkeyPatch) 
         await server.command("formation", {"shape": "line", "spacing_m": 4.0})
         assert [name.rstrip("_0123456789") for name in threads] == ["preview", "preview"]
 
-    monkeypatch.setattr(commander, "check_content", check)
+    monkeypatch.setattr("companion.monitor.control.commander.check_content", check)
     with_fleet(work)
 
 
@@ -370,10 +369,10 @@ async def none_reports(server: Served) -> bool:
 
 def test_doctor_tells_warnings_of_a_vehicle_that_is_ready() -> None:
     checks = [Check("origin", (), "in the fleet frame"), Check("battery", (), "unknown", (Code.BATTERY_UNKNOWN,))]
-    answer = commander._readiness(2, checks)
+    answer = readiness_view(2, checks)
     assert (answer.kind, answer.code, answer.text) == ("ready, with warnings", "BATTERY_UNKNOWN", "battery: unknown")
-    assert commander._readiness(2, checks[:1]).kind == "ready"
-    failed = commander._readiness(2, [Check("peers", (Code.PEER_STALE,), "no fresh report"), *checks])
+    assert readiness_view(2, checks[:1]).kind == "ready"
+    failed = readiness_view(2, [Check("peers", (Code.PEER_STALE,), "no fresh report"), *checks])
     assert (failed.kind, failed.code) == ("not ready", "PEER_STALE")
 
 

@@ -151,7 +151,7 @@ class Commander:
                 notice = no_report(SILENT_AFTER_S)
                 answers.append(AnswerView(i, AnswerKind.MISSING, notice.code, notice.text, None))
                 continue
-            answers.append(_readiness(i, (*checks_of(status, every, own_hash), leader)))
+            answers.append(readiness_view(i, (*checks_of(status, every, own_hash), leader)))
         return CommandResult(DOCTOR, tuple(answers))
 
     def _log_command(self, name: str, ids: list[int], wanted: FleetRequest) -> None:
@@ -177,7 +177,7 @@ class Commander:
             threads.shutdown(wait=False, cancel_futures=True)
 
 
-def _readiness(vehicle_id: int, checks: Sequence[Check]) -> AnswerView:
+def readiness_view(vehicle_id: int, checks: Sequence[Check]) -> AnswerView:
     """What the checks of one vehicle found; warnings keep none from flying."""
     failed = [check for check in checks if not check.passed]
     warned = [check for check in checks if check.passed and check.warnings]

@@ -13,7 +13,6 @@ import pytest
 from aiohttp import ClientSession, WSServerHandshakeError
 
 from companion.monitor.api import TOKEN_HEADER
-from companion.monitor.server import files
 from companion.monitor.server.access import is_loopback
 from companion.monitor.server.clients import LONGEST_MESSAGE, MOST_CLIENTS
 from companion.monitor.server.connections import MOST_CONNECTIONS
@@ -201,7 +200,7 @@ def test_a_slow_folder_of_tiles_delays_nothing_else(tmp_path: Path, monkeypatch:
         found.set()
         assert (await asked)[0] == 404
 
-    monkeypatch.setattr(files, "_is_below", is_below)
+    monkeypatch.setattr("companion.monitor.server.files._is_below", is_below)
     with_server(work, tmp_path)
 
 

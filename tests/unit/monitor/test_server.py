@@ -10,7 +10,6 @@ import msgspec
 import pytest
 
 from companion.monitor.api import FleetFileView, History, Snapshot
-from companion.monitor.server import clients
 from served_site import Served, recorded, served, until_true
 
 
@@ -77,7 +76,7 @@ def test_a_client_that_does_not_read_delays_no_other() -> None:
 
 
 def test_a_client_that_does_not_read_leaves_its_place(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(clients, "SEND_WITHIN_S", 0.2)
+    monkeypatch.setattr("companion.monitor.server.clients.SEND_WITHIN_S", 0.2)
 
     async def work(server: Served) -> None:
         slow = await server.http.ws_connect(f"{server.url}/api/v1/live")
