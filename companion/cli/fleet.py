@@ -12,7 +12,7 @@ from companion.cli import fleet_admit, fleet_formation, fleet_reference, fleet_u
 from companion.cli.options import add_identity, fail, number, operator, seconds, vehicle_id
 
 if TYPE_CHECKING:
-    from companion.ground.requests import FleetRequest
+    from companion.ground.changes import FleetRequest
 
 NAME = "fleet"
 SUMMARY = "commands a whole fleet from the ground"
@@ -140,8 +140,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """The exit code."""
     from companion.config.file import ConfigError
+    from companion.ground.commands import OperateError
     from companion.ground.operate import run_fleet
-    from companion.ground.sending import OperateError
     from companion.link.fleet.zenoh_session import EndpointError
 
     try:
@@ -162,8 +162,8 @@ def fleet_request(parsed: argparse.Namespace) -> FleetRequest:
     A fleet file that is not an option is named on standard error.
     """
     from companion.config.file import ConfigError
+    from companion.ground.changes import FleetRequest, command_line
     from companion.ground.current_fleet import FLEET_VARIABLE, select
-    from companion.ground.requests import FleetRequest, command_line
 
     selection = select(parsed.fleet, parsed.connect or (), parsed.identity, os.environ)
     if selection.fleet is None:

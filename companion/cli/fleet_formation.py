@@ -10,7 +10,7 @@ from companion.cli.options import number
 from companion.geometry.shapes import SHAPES
 
 if TYPE_CHECKING:
-    from companion.ground.requests import FormationRequest
+    from companion.ground.changes import FormationRequest
 
 DESCRIPTION = """\
 Change the slots about the reference, in flight as well. Three ways: a named shape, whose slots
@@ -51,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def formation_request(parsed: argparse.Namespace) -> FormationRequest:
-    from companion.ground.requests import FormationRequest
+    from companion.ground.changes import FormationRequest
 
     return FormationRequest(parsed.shape, parsed.slots, parsed.spacing, parsed.heading, parsed.scale)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from companion.ground.requests import ReferenceRequest
+    from companion.ground.changes import ReferenceRequest
 
 DESCRIPTION = """\
 Change the reference trajectory (RFT) of the formation, in flight as well. It is sent to the
@@ -68,7 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def reference_request(parsed: argparse.Namespace) -> ReferenceRequest:
-    from companion.ground.requests import ReferenceRequest
+    from companion.ground.changes import ReferenceRequest
 
     options = {
         name.removeprefix(OPTION_PREFIX): value

@@ -114,7 +114,7 @@ def run(options: argparse.Namespace) -> int:
     """The exit code."""
     from companion.config.file import ConfigError
     from companion.link.fleet.zenoh_session import EndpointError
-    from companion.monitor.error import MonitorError
+    from companion.monitor import MonitorError
 
     in_terminal = options.tui or options.once or options.json
     if in_terminal and (given := _options_of_page(options)):
@@ -157,7 +157,7 @@ def _simulation(fleet: FleetConfig | None) -> tuple[str, ...]:
 
 
 def _run_terminal(options: argparse.Namespace) -> int:
-    from companion.monitor.terminal.run import run_monitor
+    from companion.monitor.tui import run_monitor
 
     _, fleet, identity, endpoints = _selected(options)
     return run_monitor(

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import shutil
+import textwrap
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
-from companion.ground.text import count, wrapped
 from companion.types.commands import CommandReply
 from companion.types.notices import Code, Notice
+from companion.types.values import printable
 
 
 class AnswerKind(StrEnum):
@@ -107,3 +109,29 @@ def _end_as_data(end: End | None) -> dict[str, Any]:
         "end_code": end.notice.code,
         "end_reason": end.notice.text,
     }
+
+
+WIDEST, NARROWEST = 100, 60  # columns of an answer
+
+
+def wrapped(head: str, text: str) -> list[str]:
+    """`head` and the text in lines of at most WIDEST columns, fewer on a narrow terminal; the text is indented below itself."""
+    columns = shutil.get_terminal_size((WIDEST, 24)).columns
+    width = min(WIDEST, max(NARROWEST, columns))
+    return textwrap.wrap(
+        printable(text),
+        width,
+        initial_indent=head,
+        subsequent_indent=" " * min(len(head), width // 2),
+        break_on_hyphens=False,
+    ) or [head.rstrip()]
+
+
+def count(vehicles: int) -> str:
+    return f"{vehicles} vehicle{'' if vehicles == 1 else 's'}"
+
+
+def id_list(vehicle_ids: Collection[int]) -> str:
+    """ "vehicle 3" or "vehicles 1, 2"."""
+    plural = "" if len(vehicle_ids) == 1 else "s"
+    return f"vehicle{plural} {', '.join(map(str, sorted(vehicle_ids)))}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,24 +11,32 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from companion.config.bounded_read import read_regular
 from companion.config.fleet import FleetConfig
 from companion.config.fleet_check import load_fleet
 from companion.config.network import ground_endpoints
-from companion.ground.answers import AnswerKind, answer_lines, answers_as_data, end_lines
-from companion.ground.current_fleet import simulation_endpoints
-from companion.ground.endpoints import unreachable
-from companion.ground.preconditions import divided
-from companion.ground.readiness import checks_of, leader_check
-from companion.ground.reports import readiness_as_data, readiness_lines, status_as_data, status_lines
-from companion.ground.requests import FleetRequest
-from companion.ground.sending import OperateError, Sender, Sent, check_content
+from companion.ground.answers import AnswerKind, answer_lines, answers_as_data, end_lines, wrapped
+from companion.ground.changes import FleetRequest
+from companion.ground.commands import OperateError, Sender, Sent, check_content
+from companion.ground.current_fleet import simulation_endpoints, unreachable
+from companion.ground.goals import Goal, divided, goal_of, wait_for
+from companion.ground.reports import (
+    checks_of,
+    leader_check,
+    readiness_as_data,
+    readiness_lines,
+    status_as_data,
+    status_lines,
+)
 from companion.ground.session import FleetSession
-from companion.ground.text import wrapped
-from companion.ground.waiting import Goal, goal_of, wait_for
+from companion.security.admission import MAX_LIST_BYTES, AdmissionError, verify
+from companion.security.identity import Identity
 from companion.security.names import ParticipantRole
+from companion.types.status import Status
 
 if TYPE_CHECKING:
     from companion.security.identity import Identity
+
 
 EXIT_ALL, EXIT_SOME = 0, 1
 REPORTS = ("status", "doctor")
@@ -104,7 +113,6 @@ def _report(
 def _admit(session: FleetSession, file: Path, identity: Identity | None, ids: Sequence[int]) -> int:
     if identity is None:
         raise OperateError("needs the identity of a ground: --identity DIR")
-    from companion.ground.admitting import admit
 
     lines, good = admit(session, identity, file, ids)
     _print(lines)
@@ -153,3 +161,39 @@ def _print(lines: Sequence[str]) -> None:
 
 def _print_json(request: FleetRequest, vehicles: list[dict[str, Any]], **more: Any) -> None:
     print(msgspec.json.encode({"action": request.action, **more, "vehicles": vehicles}).decode())
+
+
+AGAIN_S = 1.0
+ADMITTED_WITHIN_S = 10.0  # agents look for a list every 2 s
+
+
+def admit(session: FleetSession, identity: Identity, file: Path, ids: Sequence[int]) -> tuple[list[str], bool]:
+    """One line for each vehicle, and whether all hold the list. Raises OperateError for a file that is none."""
+    try:
+        data, _ = read_regular(file, MAX_LIST_BYTES)
+        admitted = verify(data, identity.authority)
+    except OSError as error:
+        raise OperateError(f"{file}: cannot be read: {error.strerror}") from error
+    except AdmissionError as error:
+        raise OperateError(f"{file}: {error}") from error
+    end_s = time.monotonic() + ADMITTED_WITHIN_S
+    while time.monotonic() < end_s:
+        session.send_admission_list(data)
+        time.sleep(AGAIN_S)
+        if all(_holds(session.newest().get(i), admitted.number) for i in ids):
+            break
+    statuses = session.newest()
+    lines = [_line(i, statuses.get(i), admitted.number) for i in ids]
+    return lines, all(_holds(statuses.get(i), admitted.number) for i in ids)
+
+
+def _holds(status: Status | None, number: int) -> bool:
+    return status is not None and status.network.admission is not None and status.network.admission >= number
+
+
+def _line(vehicle_id: int, status: Status | None, number: int) -> str:
+    if status is None:
+        return f"vehicle {vehicle_id:<3} {AnswerKind.MISSING}  no report"
+    held = status.network.admission
+    kind = AnswerKind.ACCEPTED if _holds(status, number) else AnswerKind.MISSING
+    return f"vehicle {vehicle_id:<3} {kind}  holds list {'none' if held is None else held}, sent was {number}"

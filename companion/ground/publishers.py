@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import zenoh
 
 from companion.geometry.frames import enu_from_geodetic
-from companion.ground.connection import GroundConnection
+from companion.ground.session import GroundConnection
 from companion.types.peers import TargetSample, TrafficSample
 from companion.types.values import Vector3
 from companion.wire.keys import target_key, traffic_key

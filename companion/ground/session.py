@@ -1,4 +1,4 @@
-"""The Zenoh session of the ground: receives the status of every vehicle and sends commands. Needs no event loop."""
+"""The Zenoh session that every program of the ground opens to the vehicles."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Sequence
 from math import inf
-from typing import TYPE_CHECKING
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
 
 import zenoh
 
 from companion.ground.answers import Answer
-from companion.ground.connection import GroundConnection
-from companion.ground.fleet_status import SILENT_AFTER_S
-from companion.link.fleet.zenoh_session import drain
+from companion.ground.fleet_state import SILENT_AFTER_S
+from companion.link.fleet.zenoh_session import drain, open_session
 from companion.types.commands import Command, CommandName, CommandReply, Content, next_number
 from companion.types.notices import Code
 from companion.types.status import Status
@@ -35,6 +35,29 @@ from companion.wire.version import WireError
 
 if TYPE_CHECKING:
     from companion.security.identity import Identity
+
+
+class GroundConnection:
+    """Connects to vehicles' endpoints, in the background, without end. Use it in a `with`, or call `close()`.
+
+    Raises link.fleet.zenoh_session.EndpointError.
+    """
+
+    def __init__(self, connect: Sequence[str], identity: Identity | None = None) -> None:
+        self._session = open_session(listen=(), connect=connect, identity=identity)
+
+    def close(self) -> None:
+        """End the session; without this a process may hang at its exit."""
+        self._session.close()  # type: ignore[no-untyped-call]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
 
 REPORTS_KEPT = 4096  # a ring: without drain() the oldest reports are dropped
 POLL_S = 0.01

@@ -1,1 +1,5 @@
 """The live page of a fleet: its server, its interface for programs, and the page itself."""
+
+
+class MonitorError(Exception):
+    """The monitor cannot run as requested. str() is one line with what to do."""

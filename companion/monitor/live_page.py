@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING
 from companion.config.fleet import FleetConfig
 from companion.ground.session import FleetSession
 from companion.link.endpoint import LinkError
-from companion.monitor.control.commander import Commander
-from companion.monitor.error import MonitorError
-from companion.monitor.server.run import Address, listen_address, serve
+from companion.monitor import MonitorError
+from companion.monitor.commander import Commander
+from companion.monitor.server import Address, listen_address, serve
 from companion.monitor.sources import LiveSource
 from companion.monitor.station import Station
 from companion.security.names import ParticipantRole
 from companion.types.values import FLEET_NAME
 
 if TYPE_CHECKING:
-    from companion.monitor.ground_recording import GroundRecording
-    from companion.monitor.qgroundcontrol.feed import FleetFeed
+    from companion.monitor.qgroundcontrol import FleetFeed
+    from companion.monitor.recordings import GroundRecording
     from companion.security.identity import Identity
 
 
@@ -84,7 +84,7 @@ def _show_vehicles(options: LivePage, address: Address) -> None:
 
 def _recording(folder: Path, session: FleetSession, fleet: FleetConfig | None, station: Station) -> GroundRecording:
     """Raises MonitorError."""
-    from companion.monitor.ground_recording import GroundRecording
+    from companion.monitor.recordings import GroundRecording
 
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -96,7 +96,7 @@ def _recording(folder: Path, session: FleetSession, fleet: FleetConfig | None, s
 
 
 def _show_recording(options: LivePage, folder: Path, address: Address) -> None:
-    from companion.monitor.recorded_flight import NoFlightError, recorded_flight
+    from companion.monitor.recordings import NoFlightError, recorded_flight
     from companion.recording.reader import RecordingError
 
     if options.control or options.record is not None:
@@ -136,7 +136,7 @@ def _with_file(recorded: dict[str, FleetConfig], options: LivePage) -> dict[str,
 
 def _feed(endpoint: str, fleet: FleetConfig | None) -> FleetFeed:
     """The output for QGroundControl. Raises MonitorError."""
-    from companion.monitor.qgroundcontrol.feed import FleetFeed
+    from companion.monitor.qgroundcontrol import FleetFeed
 
     if fleet is None:
         raise MonitorError(

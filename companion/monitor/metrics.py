@@ -17,7 +17,7 @@ from prometheus_client.metrics_core import CounterMetricFamily, GaugeMetricFamil
 from prometheus_client.registry import Collector
 
 from companion.monitor.api import FleetView, Snapshot, VehicleView
-from companion.monitor.picture.vehicle_view import is_old
+from companion.monitor.vehicle_view import is_old
 from companion.types.flight import FlightPhase, HealthFlag, Role
 from companion.types.values import FLEET_NAME
 

@@ -8,11 +8,11 @@ from collections.abc import Callable, Sequence
 from math import inf
 from typing import NamedTuple, Protocol
 
-from companion.ground.endpoints import unreachable
-from companion.ground.fleet_status import VehicleKey
+from companion.ground.current_fleet import unreachable
+from companion.ground.fleet_state import VehicleKey
 from companion.ground.session import FleetSession
 from companion.monitor.api import ReplayView
-from companion.monitor.picture.events import Happening, answered
+from companion.monitor.events import Happening, answered
 from companion.types.rejections import rejection_text
 from companion.wire.ground import StatusReport
 

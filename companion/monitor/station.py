@@ -10,8 +10,8 @@ import msgspec
 
 from companion.config.fleet import FleetConfig
 from companion.monitor.api import AlarmView, ClientMessage, FleetFileView, History, Seek, Snapshot, Speed
-from companion.monitor.picture.events import Kind
-from companion.monitor.picture.picture import Picture
+from companion.monitor.events import Kind
+from companion.monitor.snapshot import Picture
 from companion.monitor.sources import BEFORE_JUMP_S, Moment, ReplaySource, Source, TimedReport
 
 PERIOD_S = 0.05

@@ -9,8 +9,7 @@ from typing import Protocol
 import msgspec
 from msgspec import Struct
 
-from companion.ground.formations import assigned, change_to, named_slots, positions_enu_m
-from companion.ground.references import reference_change
+from companion.ground.changes import assigned, change_to, named_slots, positions_enu_m, reference_change
 from companion.types.commands import CommandName, CommandReply, Content, Lead, ReferenceChange, next_epoch
 from companion.types.flight import RULES, FlightPhase, Role
 from companion.types.formation import FormationChange

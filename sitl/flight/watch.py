@@ -10,7 +10,7 @@ from msgspec import Struct
 from companion.core.consensus.law import FormationState
 from companion.core.reference.trajectories import ReferenceTrajectory
 from companion.geometry.turning import turned_slot
-from companion.ground.fleet_status import FleetState, VehicleRow, fold, rows
+from companion.ground.fleet_state import FleetState, VehicleRow, fold, rows
 from companion.types.autopilot import LandedState
 from companion.types.commands import CommandName, CommandReply
 from companion.types.flight import FlightPhase, Role

@@ -14,7 +14,7 @@ from typing import Any
 
 from companion.geometry.curves import PEAK_SPEED
 from companion.geometry.shapes import SHAPES, slots_of
-from companion.ground.formations import assigned
+from companion.ground.changes import assigned
 from companion.types.autopilot import AutopilotKind
 from companion.types.values import Vector3
 from sitl.gauntlet.fleets import (

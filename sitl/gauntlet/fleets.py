@@ -18,7 +18,7 @@ from companion.config.fleet import FleetConfig
 from companion.config.law import LawName
 from companion.config.planned_flight import DEFAULT_ORIGIN
 from companion.geometry.shapes import SHAPES, slots_of
-from companion.ground.formations import assigned
+from companion.ground.changes import assigned
 from companion.types.autopilot import AutopilotKind
 from companion.types.flight import Role
 from companion.types.values import Vector3

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from types import TracebackType
 from typing import Self, TextIO
 
-from companion.ground.fleet_status import VehicleRow
+from companion.ground.fleet_state import VehicleRow
 from companion.types.flight import WITHOUT_LEADER, FlightPhase
 from sitl.report.screen import Screen
 

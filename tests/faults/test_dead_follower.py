@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from commanding_ground import Ground
-from companion.ground.references import reference_change
+from companion.ground.changes import reference_change
 from companion.ground.session import FleetSession
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase

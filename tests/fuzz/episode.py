@@ -10,8 +10,7 @@ from random import Random
 from msgspec import Struct
 from msgspec.structs import replace
 
-from companion.ground.formations import change_to
-from companion.ground.references import reference_change
+from companion.ground.changes import change_to, reference_change
 from companion.types.autopilot import LandedState
 from companion.types.commands import CommandName, Described, Lead, ReferenceChange, next_epoch
 from companion.types.flight import COOPERATING, FlightPhase

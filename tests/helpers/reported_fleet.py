@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from msgspec.structs import replace
 
-from companion.ground.fleet_status import FleetState, VehicleRow, fold, rows
+from companion.ground.fleet_state import FleetState, VehicleRow, fold, rows
 from companion.types.autopilot import LandedState, PositionError
 from companion.types.flight import FlightPhase, HealthFlag, Role
 from companion.types.formation import FlownSlot, HeldReference

@@ -17,8 +17,8 @@ from aiohttp import ClientSession, web
 from companion.config.fleet import FleetConfig
 from companion.ground.session import FleetSession
 from companion.monitor.api import TOKEN_HEADER
-from companion.monitor.control.commander import Commander
-from companion.monitor.server.site import Site
+from companion.monitor.commander import Commander
+from companion.monitor.server import Site
 from companion.monitor.sources import LiveSource, ReplaySource, Source
 from companion.monitor.station import Station
 from linked_vehicles import LinkedVehicles

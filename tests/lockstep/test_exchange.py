@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from companion.ground.formations import change_to
+from companion.ground.changes import change_to
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code

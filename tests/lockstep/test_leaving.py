@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from commanded_flight import Flight
-from companion.ground.formations import change_to
-from companion.ground.references import reference_change
+from companion.ground.changes import change_to, reference_change
 from companion.types.commands import CommandName, Lead
 from companion.types.flight import FlightPhase, Role
 from companion.types.notices import Code

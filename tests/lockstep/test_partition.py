@@ -8,7 +8,7 @@ import pytest
 
 from commanded_flight import Flight
 from companion.assembly import law_of
-from companion.ground.references import reference_change
+from companion.ground.changes import reference_change
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase, HealthFlag, Role
 from decided_flight import JUMP_M

@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from commanded_flight import Flight
-from companion.ground.formations import change_to
-from companion.ground.references import reference_change
+from companion.ground.changes import change_to, reference_change
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
 from companion.types.formation import FormationChange

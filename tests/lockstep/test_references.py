@@ -11,7 +11,7 @@ import pytest
 
 from companion.assembly import build_agent
 from companion.config.vehicle import AgentConfig
-from companion.ground.references import reference_change
+from companion.ground.changes import reference_change
 from companion.types.commands import CommandName, Content, Lead
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code

@@ -9,8 +9,8 @@ import pytest
 
 from companion.cli.main import main
 from companion.monitor.api import Snapshot
-from companion.monitor.picture.picture import Picture
-from companion.monitor.recorded_flight import NoFlightError, recorded_flight
+from companion.monitor.recordings import NoFlightError, recorded_flight
+from companion.monitor.snapshot import Picture
 from companion.recording.reader import RecordingError
 from companion.types.flight import FlightPhase
 from repository import ROOT
@@ -90,7 +90,7 @@ def test_a_folder_without_a_recording_is_one_line(tmp_path: Path) -> None:
 def test_more_statuses_than_can_be_shown_are_one_line(
     flight: tuple[Flown, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("companion.monitor.recorded_flight.MOST_REPORTS", 50)
+    monkeypatch.setattr("companion.monitor.recordings.MOST_REPORTS", 50)
     with pytest.raises(NoFlightError, match="has more statuses than are shown at once, 50") as raised:
         recorded_flight(flight[1], print)
     assert "\n" not in str(raised.value)

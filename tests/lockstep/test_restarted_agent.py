@@ -7,7 +7,7 @@ from functools import cache
 import pytest
 
 from commanded_flight import Flight
-from companion.ground.references import reference_change
+from companion.ground.changes import reference_change
 from companion.types.autopilot import Arm, AutopilotKind, AutopilotRequest, RequestOrigin, RequestParameter
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase, Role

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from agent_process import agent, agent_files, until
-from companion.ground.fleet_status import FleetState, VehicleRow, fold, rows
+from companion.ground.fleet_state import FleetState, VehicleRow, fold, rows
 from companion.ground.session import FleetSession
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase

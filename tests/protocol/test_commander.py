@@ -10,12 +10,12 @@ import pytest
 from msgspec.structs import replace
 
 from companion.config.fleet import FleetConfig
-from companion.ground.readiness import Check
-from companion.ground.requests import FleetRequest
-from companion.ground.sending import check_content
+from companion.ground.changes import FleetRequest
+from companion.ground.commands import check_content
+from companion.ground.reports import Check
 from companion.ground.session import FleetSession
 from companion.monitor.api import TOKEN_HEADER
-from companion.monitor.control.commander import readiness_view
+from companion.monitor.commander import readiness_view
 from companion.types.commands import Command, CommandName, CommandReply
 from companion.types.formation import FlownSlot
 from companion.types.notices import Code
@@ -329,7 +329,7 @@ def test_hold_does_not_wait_for_the_check_of_a_formation(monkeypatch: pytest.Mon
         assert "ended by hold" in (await changing)["error"]
         assert {command.name for _, command in vehicles.commands} == {"hold"}
 
-    monkeypatch.setattr("companion.monitor.control.commander.check_content", check)
+    monkeypatch.setattr("companion.monitor.commander.check_content", check)
     with_fleet(work)
 
 
@@ -347,7 +347,7 @@ def test_scipy_is_not_loaded_in_the_event_loop(monkeypatch: pytest.MonkeyPatch) 
         await server.command("formation", {"shape": "line", "spacing_m": 4.0})
         assert [name.rstrip("_0123456789") for name in threads] == ["preview", "preview"]
 
-    monkeypatch.setattr("companion.monitor.control.commander.check_content", check)
+    monkeypatch.setattr("companion.monitor.commander.check_content", check)
     with_fleet(work)
 
 

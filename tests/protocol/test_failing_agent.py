@@ -15,7 +15,7 @@ import zenoh
 from agent_process import agent, faulty_agent, until
 from companion.cli.vehicle_link import EXIT_DEFECT
 from companion.core.consensus.stage import ConsensusStage
-from companion.ground.connection import GroundConnection
+from companion.ground.session import GroundConnection
 from companion.link.fleet.zenoh_link import ZenohLink
 from companion.link.fleet.zenoh_session import drain
 from companion.types.commands import CommandName

@@ -598,7 +598,7 @@ def test_no_session_stays_open_when_a_declaration_fails(port: int, monkeypatch: 
         opened.append(open_session(*arguments, **named))
         return opened[-1]
 
-    monkeypatch.setattr("companion.ground.connection.open_session", recording)
+    monkeypatch.setattr("companion.ground.session.open_session", recording)
     monkeypatch.setattr("companion.link.fleet.zenoh_link.open_session", recording)
     with pytest.raises(zenoh.ZError):
         FleetSession("a*", (endpoint(port),))

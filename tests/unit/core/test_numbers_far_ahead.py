@@ -8,8 +8,7 @@ from random import Random
 import pytest
 from msgspec.structs import replace
 
-from companion.ground.formations import change_to
-from companion.ground.references import reference_change
+from companion.ground.changes import change_to, reference_change
 from companion.types.commands import NUMBERS_AHEAD, CommandName, Lead, ReferenceChange, next_epoch
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FormationChange, LeaderBeacon

@@ -2,7 +2,7 @@
 
 import socket
 
-from companion.ground.endpoints import unreachable
+from companion.ground.current_fleet import unreachable
 
 
 def test_an_endpoint_without_a_listener_is_unreachable() -> None:

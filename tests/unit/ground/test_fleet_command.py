@@ -19,9 +19,15 @@ from companion.config.reference import (
     TargetReference,
     WaypointsReference,
 )
-from companion.ground.formations import assigned, check_request, positions_enu_m, refusal_of, requested_slots
-from companion.ground.references import requested_reference
-from companion.ground.requests import FleetRequest
+from companion.ground.changes import (
+    FleetRequest,
+    assigned,
+    check_request,
+    positions_enu_m,
+    refusal_of,
+    requested_reference,
+    requested_slots,
+)
 from companion.ground.session import operator_here
 from companion.types.flight import FlightPhase
 from companion.types.formation import FlownSlot, Heading

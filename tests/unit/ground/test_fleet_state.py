@@ -8,7 +8,7 @@ import pytest
 from msgspec.structs import replace
 
 import reported_fleet
-from companion.ground.fleet_status import MOST_VEHICLES, SILENT_AFTER_S, FleetState, fold, rows
+from companion.ground.fleet_state import MOST_VEHICLES, SILENT_AFTER_S, FleetState, fold, rows
 from companion.types.autopilot import LandedState
 from companion.types.flight import FlightPhase, HealthFlag, Role
 from companion.types.formation import FlownSlot, Heading, LeaderBeacon

@@ -4,7 +4,7 @@ import pytest
 from msgspec.structs import replace
 
 from companion.ground.answers import AnswerKind, Outcome
-from companion.ground.preconditions import check_all, divided
+from companion.ground.goals import check_all, divided
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase, HealthFlag
 from companion.types.notices import Code, Notice

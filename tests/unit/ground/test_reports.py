@@ -5,8 +5,14 @@ from math import pi
 import pytest
 from msgspec.structs import replace
 
-from companion.ground.readiness import checks_of, leader_check
-from companion.ground.reports import readiness_as_data, readiness_lines, status_as_data, status_lines
+from companion.ground.reports import (
+    checks_of,
+    leader_check,
+    readiness_as_data,
+    readiness_lines,
+    status_as_data,
+    status_lines,
+)
 from companion.types.autopilot import PositionError
 from companion.types.flight import HealthFlag, Role
 from companion.types.formation import FlownSlot, Heading, HeldReference

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from companion.core.formation.limits import FormationLimits
 from companion.geometry.shapes import SHAPES, rotated, slots_of
-from companion.ground.formations import assigned, change_to, refusal_of
+from companion.ground.changes import assigned, change_to, refusal_of
 from companion.types.formation import FlownSlot
 from companion.types.tick import Outbox
 from companion.wire.rounding import as_sent

@@ -6,7 +6,7 @@ import pytest
 from msgspec.structs import replace
 
 from companion.ground.answers import AnswerKind, Outcome
-from companion.ground.waiting import Goal, end_of, goal_of, progress_text, wait_for
+from companion.ground.goals import Goal, end_of, goal_of, progress_text, wait_for
 from companion.types.autopilot import LandedState
 from companion.types.commands import CommandName, Lead, ReferenceChange
 from companion.types.flight import FlightPhase, Role

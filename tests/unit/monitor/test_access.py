@@ -12,11 +12,9 @@ from pathlib import Path
 import pytest
 from aiohttp import ClientSession, WSServerHandshakeError
 
+from companion.monitor.access import LONGEST_MESSAGE, MOST_CLIENTS, MOST_CONNECTIONS, is_loopback
 from companion.monitor.api import TOKEN_HEADER
-from companion.monitor.server.access import is_loopback
-from companion.monitor.server.clients import LONGEST_MESSAGE, MOST_CLIENTS
-from companion.monitor.server.connections import MOST_CONNECTIONS
-from companion.monitor.server.site import LONGEST_BODY, Site
+from companion.monitor.server import LONGEST_BODY, Site
 from served_site import Served, recorded, served
 
 
@@ -200,7 +198,7 @@ def test_a_slow_folder_of_tiles_delays_nothing_else(tmp_path: Path, monkeypatch:
         found.set()
         assert (await asked)[0] == 404
 
-    monkeypatch.setattr("companion.monitor.server.files._is_below", is_below)
+    monkeypatch.setattr("companion.monitor.server._is_below", is_below)
     with_server(work, tmp_path)
 
 

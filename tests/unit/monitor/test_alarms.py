@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.monitor.picture.alarms import MOST_ALARMS, WARNS_AFTER_S, AlarmList, Condition, Delay, Key
+from companion.monitor.alarms import MOST_ALARMS, WARNS_AFTER_S, AlarmList, Condition, Delay, Key
 
 LOW = ("platoon", 2, "BATTERY_LOW")
 LATE = ("platoon", 1, "TICK_LATE")

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from companion.config.reference import CircleReference
 from companion.monitor.api import CommandRequest
-from companion.monitor.control.requests import ACTIONS, CHANGES, RequestError, fleet_request
+from companion.monitor.command_requests import ACTIONS, CHANGES, RequestError, fleet_request
 from tests.bench.monitor_load import steady_fleet
 
 FLEET = steady_fleet("load", 3).fleet

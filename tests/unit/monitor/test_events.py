@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from msgspec.structs import replace
 
-from companion.monitor.picture.events import EVENTS_KEPT, EventLog, answered, happened
+from companion.monitor.events import EVENTS_KEPT, EventLog, answered, happened
 from companion.types.commands import CommandReply
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code, Notice

@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from companion.assembly import law_of
 from companion.config.law import Law
 from companion.monitor.api import NearestView
-from companion.monitor.picture.fleet_figures import FleetFigures, convergence, smallest_separation, weakest_link
+from companion.monitor.fleet_figures import FleetFigures, convergence, smallest_separation, weakest_link
 from companion.stability.interaction import interaction_matrix
 from companion.types.values import Vector3
 from monitored_fleet import vehicle

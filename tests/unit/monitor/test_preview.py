@@ -8,8 +8,7 @@ import pytest
 from msgspec.structs import replace
 
 from companion.monitor.api import CommandRequest, Preview
-from companion.monitor.control.preview import preview_of
-from companion.monitor.control.requests import fleet_request
+from companion.monitor.command_requests import fleet_request, preview_of
 from companion.types.status import Status
 from tests.bench.monitor_load import steady_fleet
 

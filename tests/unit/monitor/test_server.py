@@ -76,7 +76,7 @@ def test_a_client_that_does_not_read_delays_no_other() -> None:
 
 
 def test_a_client_that_does_not_read_leaves_its_place(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("companion.monitor.server.clients.SEND_WITHIN_S", 0.2)
+    monkeypatch.setattr("companion.monitor.access.SEND_WITHIN_S", 0.2)
 
     async def work(server: Served) -> None:
         slow = await server.http.ws_connect(f"{server.url}/api/v1/live")

@@ -11,10 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from companion.ground.fleet_status import MOST_VEHICLES
+from companion.ground.fleet_state import MOST_VEHICLES
 from companion.monitor.api import Snapshot, VehicleView
-from companion.monitor.picture.history import KEPT_S, PERIOD_S
-from companion.monitor.picture.picture import Picture
+from companion.monitor.snapshot import KEPT_S, PERIOD_S, Picture
 from companion.types.autopilot import LandedState
 from companion.types.flight import FlightPhase, HealthFlag
 from companion.types.status import Status

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from companion.monitor.picture.events import Happening
+from companion.monitor.events import Happening
 from companion.monitor.sources import BEFORE_JUMP_S, ReplaySource
 from companion.wire.ground import StatusReport
 from reported_fleet import TIMING, leader, reported

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from companion.monitor.api import Seek
-from companion.monitor.picture.events import Happening
+from companion.monitor.events import Happening
 from companion.monitor.sources import ReplaySource
 from companion.monitor.station import RETRACED_S, Station
 from companion.wire.ground import StatusReport

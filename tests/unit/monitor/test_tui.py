@@ -15,7 +15,7 @@ TO_SECOND_SCREEN, BACK, SHOW_CURSOR = b"\x1b[?1049h", b"\x1b[?1049l", b"\x1b[?25
 # On a closed port: no vehicle is there, and none is needed.
 PROGRAM = """
 import sys
-from companion.monitor.terminal.run import run_monitor
+from companion.monitor.tui import run_monitor
 sys.exit(run_monitor("*", ["tcp/127.0.0.1:1"], None, once=False, as_json=False))
 """
 
@@ -50,7 +50,7 @@ def test_the_end_leaves_the_terminal_as_it_was(number: signal.Signals) -> None:
 
 
 def test_the_picture_has_its_time_and_the_endpoints_that_are_not_reached() -> None:
-    from companion.monitor.terminal.live import top_lines
+    from companion.monitor.tui import top_lines
 
     assert [line.text for line in top_lines("12:00:01", {}, 80)] == ["12:00:01"]
     lines = top_lines("12:00:01", {"tcp/10.0.0.2:7447": "connection refused; no agent listens there"}, 40)
@@ -73,8 +73,8 @@ def test_a_terminal_without_a_cursor_gets_lines(term: str) -> None:
 
 
 def test_without_colour_the_text_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    from companion.monitor.terminal.live import as_text
-    from companion.monitor.terminal.page import page
+    from companion.monitor.tui import as_text
+    from companion.monitor.tui_page import page
     from reported_fleet import troubled_fleet
 
     lines = page(troubled_fleet(), 80)

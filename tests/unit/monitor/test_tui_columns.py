@@ -7,9 +7,8 @@ from math import inf, nan
 import pytest
 
 from companion.cli.main import main
-from companion.monitor.terminal.columns import cells, columns_for, count_text, duration_text, metres_text, table_width
-from companion.monitor.terminal.fleet_rows import TableRow, fleets
-from companion.monitor.terminal.problems import WORST_FIRST
+from companion.monitor.tui_page import cells, columns_for, count_text, duration_text, metres_text, table_width
+from companion.monitor.tui_rows import WORST_FIRST, TableRow, fleets
 from companion.types.flight import HealthFlag
 from companion.types.status import NearestVehicle, SeparationReport
 from reported_fleet import leader, reported, rows_of

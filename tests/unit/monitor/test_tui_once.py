@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from companion.monitor.terminal.run import _json_once
+from companion.monitor.tui import _json_once
 from reported_fleet import leader, reported, rows_of
 
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.monitor.terminal.page import TURN_S, fitted_page, page
+from companion.monitor.tui_page import TURN_S, fitted_page, page
 from companion.types.flight import HealthFlag, Role
 from companion.types.notices import Code, Notice
 from companion.types.status import NetworkState

@@ -16,7 +16,7 @@ from companion.core.formation.slots import AGREED_WITHIN_S, SlotPlan
 from companion.geometry.curves import Motion, circle, duration_s, rest_to_rest, waypoint_path
 from companion.geometry.shapes import SHAPES, slots_of, smallest_distance
 from companion.geometry.transition import closest_approach, peak_speed_m_s
-from companion.ground.formations import assigned
+from companion.ground.changes import assigned
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot, FormationChange
 from companion.types.notices import Code, Notice, accepted

@@ -34,7 +34,7 @@ def test_a_missing_package_is_reported_in_one_line(command: str, package: str) -
     ("run", "arguments"),
     [
         ("companion.app.run_agent", ["agent", "--config", "vehicle.yaml"]),
-        ("companion.monitor.terminal.run.run_monitor", ["monitor", "--tui"]),
+        ("companion.monitor.tui.run_monitor", ["monitor", "--tui"]),
         ("companion.monitor.live_page.run_live_page", ["monitor"]),
     ],
 )

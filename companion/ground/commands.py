@@ -13,12 +13,21 @@ from companion import GROUND_INSTALL
 from companion.config.fleet import FleetConfig
 from companion.config.reference_check import check_reference
 from companion.ground.answers import Answer, AnswerKind, Outcome, outcome_of
-from companion.ground.formations import change_to, check_request, refusal_of, requested_slots
-from companion.ground.preconditions import ALL_OR_NONE, STILL_CHANGING, check_all
-from companion.ground.references import reference_change, requested_reference
-from companion.ground.requests import FleetRequest, FormationRequest, ReferenceRequest, command_line
+from companion.ground.changes import (
+    FleetRequest,
+    FormationRequest,
+    ReferenceRequest,
+    change_to,
+    check_reports,
+    check_request,
+    command_line,
+    reference_change,
+    refusal_of,
+    requested_reference,
+    requested_slots,
+)
+from companion.ground.goals import ALL_OR_NONE, STILL_CHANGING, check_all
 from companion.ground.session import POLL_S
-from companion.ground.usable_reports import check_reports
 from companion.types.commands import CommandName, Content, Lead, ReferenceChange, next_epoch
 from companion.types.flight import FlightPhase
 from companion.types.formation import FormationChange

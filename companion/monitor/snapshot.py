@@ -5,19 +5,12 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import groupby
+from math import cos, inf, pi, sin
 
-from companion.config.fleet import FleetConfig
-from companion.ground.fleet_status import FleetState, VehicleKey, fold, rows
-from companion.monitor.api import (
-    AlarmView,
-    FleetFileView,
-    FleetView,
-    History,
-    ReplayView,
-    Snapshot,
-    VehicleView,
-)
-from companion.monitor.picture.alarms import (
+from companion.config.fleet import EdgeNeighbours, FleetConfig, RangeNeighbours
+from companion.geometry.airspace import Cuboid, Obstacle
+from companion.ground.fleet_state import FleetState, VehicleKey, fold, rows
+from companion.monitor.alarms import (
     MISSING,
     NEVER_HEARD,
     OTHER_FILE,
@@ -27,11 +20,22 @@ from companion.monitor.picture.alarms import (
     Key,
     conditions_of,
 )
-from companion.monitor.picture.events import EventLog, happened
-from companion.monitor.picture.fleet_figures import FleetFigures
-from companion.monitor.picture.fleet_map import fleet_map
-from companion.monitor.picture.history import HistoryRing
-from companion.monitor.picture.vehicle_view import vehicle_view
+from companion.monitor.api import (
+    AlarmView,
+    FleetFileView,
+    FleetView,
+    History,
+    HistoryPoint,
+    HistorySample,
+    MemberView,
+    ObstacleView,
+    ReplayView,
+    Snapshot,
+    VehicleView,
+)
+from companion.monitor.events import EventLog, happened
+from companion.monitor.fleet_figures import FleetFigures
+from companion.monitor.vehicle_view import is_old, vehicle_view
 from companion.types.autopilot import LandedState
 from companion.types.notices import Code
 from companion.types.values import Vector3
@@ -191,3 +195,79 @@ class Picture:
         """None without the fleet file of this fleet."""
         file = self._files.get(name)
         return fleet_map(file, self._homes.get(name, {})) if file else None
+
+
+PERIOD_S = 0.5
+KEPT_S = 600.0
+
+
+class HistoryRing:
+    """Points in rising order of time, one for each fleet."""
+
+    def __init__(self) -> None:
+        self._points: deque[HistoryPoint] = deque()
+        self._added_s = -inf
+
+    def is_due(self, now_s: float) -> bool:
+        """By the clock of the reports: Unix time may be set back."""
+        return now_s - self._added_s >= PERIOD_S - 1e-6
+
+    def add(self, now_s: float, time_s: float, vehicles: Sequence[VehicleView], fleets: Sequence[FleetView]) -> None:
+        """Vehicles that are silent are left out: old values are no history of now."""
+        self._added_s = now_s
+        while self._points and self._points[-1].time_s >= time_s:  # the clock was set back
+            self._points.pop()
+        for fleet in fleets:
+            samples = tuple([_sample(v) for v in vehicles if v.fleet == fleet.name and not v.silent])
+            self._points.append(HistoryPoint(time_s, fleet.name, fleet.smallest_separation_m, samples))
+        while self._points and self._points[0].time_s <= time_s - KEPT_S + 1e-6:
+            self._points.popleft()
+
+    def points(self) -> tuple[HistoryPoint, ...]:
+        return tuple(self._points)
+
+
+def _sample(vehicle: VehicleView) -> HistorySample:
+    return HistorySample(
+        vehicle_id=vehicle.vehicle_id,
+        altitude_m=None if is_old(vehicle) else vehicle.position_enu_m[2],
+        error_to_slot_m=vehicle.error_to_slot_m,
+        battery_percent=vehicle.battery_percent,
+        late_p99_ms=vehicle.timing.late_p99_ms,
+        nearest_m=vehicle.nearest.distance_m if vehicle.nearest else None,
+    )
+
+
+CIRCLE_CORNERS = 24
+NO_ORIGIN = (0.0, 0.0, 0.0)  # of a fleet indoors: there is no map below it
+
+
+def fleet_map(fleet: FleetConfig, homes_enu_m: Mapping[int, Vector3]) -> FleetFileView:
+    """`homes_enu_m` is where each vehicle was last disarmed on the ground."""
+    envelope, neighbours = fleet.envelope, fleet.neighbours
+    (low_x, low_y, floor_m), (high_x, high_y, ceiling_m) = envelope.fence_min_enu_m, envelope.fence_max_enu_m
+    box = ((low_x, low_y), (high_x, low_y), (high_x, high_y), (low_x, high_y))
+    return FleetFileView(
+        name=fleet.name,
+        law=fleet.law.name,
+        origin=NO_ORIGIN if fleet.origin == "indoor" else fleet.origin.as_tuple(),
+        members=tuple(MemberView(m.id, m.role, m.can_lead, m.slot_enu_m) for m in fleet.vehicles),
+        edges=neighbours.edges if isinstance(neighbours, EdgeNeighbours) else (),
+        range_m=neighbours.range_m if isinstance(neighbours, RangeNeighbours) else None,
+        separation_m=fleet.separation_m,
+        fence_outline_enu_m=envelope.fence_corners_enu_m or box,
+        fence_floor_m=floor_m,
+        fence_ceiling_m=ceiling_m,
+        clearance_m=envelope.clearance_m,
+        obstacles=tuple(_obstacle(section.body) for section in fleet.obstacles),
+        homes_enu_m=dict(homes_enu_m),
+    )
+
+
+def _obstacle(body: Obstacle) -> ObstacleView:
+    if isinstance(body, Cuboid):
+        (x0, y0, floor_m), (x1, y1, top_m) = body.min_enu_m, body.max_enu_m
+        return ObstacleView(((x0, y0), (x1, y0), (x1, y1), (x0, y1)), floor_m, top_m)
+    (x, y), angles = body.centre_enu_m, [2.0 * pi * k / CIRCLE_CORNERS for k in range(CIRCLE_CORNERS)]
+    outline = tuple((x + body.radius_m * cos(a), y + body.radius_m * sin(a)) for a in angles)
+    return ObstacleView(outline, body.bottom_m, body.top_m)

@@ -11,7 +11,8 @@ from pathlib import Path
 
 from companion.config.file import ConfigError
 from companion.config.fleet import FleetConfig
-from companion.monitor.picture.events import Happening, answered, commanded
+from companion.ground.session import FleetSession
+from companion.monitor.events import Happening, answered, commanded
 from companion.monitor.sources import ReplaySource, TimedReport
 from companion.recording.alignment import Clock, align
 from companion.recording.configuration import recorded_fleet
@@ -19,6 +20,9 @@ from companion.recording.mcap_file import Warn
 from companion.recording.one_flight import APART_S, of_one_flight
 from companion.recording.reader import Recording, recordings
 from companion.recording.records import COMMAND, GROUND_STATUS, REPLY, STATUS
+from companion.recording.writer.ground_recorder import ground_recorder
+from companion.recording.writer.writing import WritingThread
+from companion.types.notices import Notice
 from companion.types.values import printable
 
 MOST_REPORTS = 300_000  # ten vehicles for 100 minutes, in 1.3 GB of memory
@@ -112,3 +116,34 @@ def _fleets(recorded: Sequence[Recording], warn: Warn) -> dict[str, FleetConfig]
         except ConfigError as error:
             warn(error.lines[0])
     return fleets
+
+
+STEP_S = 1.0
+
+
+class GroundRecording:
+    """A listener of the Station. The disk never delays it: a thread writes."""
+
+    def __init__(
+        self, folder: Path, session: FleetSession, fleet: FleetConfig | None, report: Callable[[Notice], None]
+    ) -> None:
+        """`report` gets what is to be known of the recording, like a full disk."""
+        self._session = session
+        self._report = report
+        unix_s, monotonic_s = time.time(), time.monotonic()
+        name = fleet.name if fleet else session.fleet
+        self._recorder = ground_recorder(name, fleet, folder, unix_s, monotonic_s, WritingThread())
+        self._stepped_s = -inf
+
+    def listen(self, reports: Sequence[TimedReport], now_s: float) -> None:
+        for arrived_s, report in reports:
+            self._recorder.status(report, arrived_s)
+        for command in self._session.drain_commands():
+            self._recorder.command(command, now_s)
+        if now_s - self._stepped_s >= STEP_S:
+            self._stepped_s = now_s
+            if notice := self._recorder.step(now_s):
+                self._report(notice)
+
+    def close(self) -> None:
+        self._recorder.close()

@@ -12,7 +12,7 @@ from companion.assembly import law_of
 from companion.config.fleet import FleetConfig, RangeNeighbours
 from companion.config.law import Law
 from companion.geometry.separation import separation_distance_m
-from companion.ground.fleet_status import SILENT_AFTER_S
+from companion.ground.fleet_state import SILENT_AFTER_S
 from companion.monitor.api import FleetView, VehicleView
 from companion.stability.interaction import (
     couple,

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from msgspec.structs import replace
 
 from companion.monitor.api import AlarmView, Severity, VehicleView
-from companion.monitor.picture.flags import advice_of
+from companion.monitor.vehicle_view import advice_of
 from companion.types.notices import Code
 
 MOST_ALARMS = 500

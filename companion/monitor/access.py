@@ -9,17 +9,21 @@
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import hmac
 import logging
 import re
 import socket
+from collections.abc import Callable
 from ipaddress import ip_address
 
 import msgspec
-from aiohttp import web
+from aiohttp import WSCloseCode, WSMsgType, web
 from aiohttp.typedefs import Handler, Middleware
+from aiohttp.web_protocol import RequestHandler
 
-from companion.monitor.api import TOKEN_HEADER
+from companion.monitor.api import TOKEN_HEADER, ClientMessage
 
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; font-src 'self'; "
@@ -124,3 +128,130 @@ def _reached_address(request: web.Request) -> str:
 def has_token(request: web.Request, token: str) -> bool:
     """Compared in constant time."""
     return hmac.compare_digest(request.headers.get(TOKEN_HEADER, "").encode(), token.encode())
+
+
+MOST_CONNECTIONS = 128  # the WebSockets among them; a process may have 1024 open files, those of Zenoh among them
+
+
+class Connections:
+    """At most MOST_CONNECTIONS, and those that come at the same moment. For a new one the oldest that waits for a request ends.
+
+    Who waits cannot be told from who means harm. A browser whose idle connection has ended opens another one.
+    """
+
+    def __init__(self) -> None:
+        self._busy: set[RequestHandler] = set()
+
+    @web.middleware
+    async def watch(self, request: web.Request, handler: Handler) -> web.StreamResponse:
+        """Around every request: a connection is busy until it is answered, a WebSocket until it ends."""
+        self._busy.add(request.protocol)
+        try:
+            return await handler(request)
+        finally:
+            self._busy.discard(request.protocol)
+
+    async def accept(self, runner: web.AppRunner, listening: socket.socket) -> asyncio.Server:
+        """Serve a bound socket by a runner that is set up, until the result is closed."""
+        server = runner.server
+        assert server is not None
+
+        def accepted() -> RequestHandler:
+            self._make_room(server)
+            return server()
+
+        return await asyncio.get_running_loop().create_server(accepted, sock=listening)
+
+    def _make_room(self, server: web.Server) -> None:
+        open_ones = [one for one in server.connections if one.transport and not one.transport.is_closing()]
+        if len(open_ones) < MOST_CONNECTIONS:
+            return
+        for one in open_ones:  # the oldest first
+            if one not in self._busy and one.transport:
+                one.transport.abort()
+                return
+
+
+MOST_CLIENTS = 32
+LONGEST_MESSAGE = 1024  # bytes of a client message
+SEND_WITHIN_S = 10.0  # a client that takes longer for one snapshot is closed
+LEAVE_WITHIN_S = 0.3  # at the end of the server
+ALIVE_S = 15.0  # a client is asked whether it is there
+
+_decoder = msgspec.json.Decoder(ClientMessage)
+
+
+class Clients:
+    """At most MOST_CLIENTS."""
+
+    def __init__(self) -> None:
+        self._clients: set[_Client] = set()
+
+    @property
+    def is_full(self) -> bool:
+        return len(self._clients) >= MOST_CLIENTS
+
+    def publish(self, snapshot: bytes) -> None:
+        """The same bytes to all. A client that still sends an older snapshot gets this one, or a newer one, after it."""
+        for client in self._clients:
+            client.offer(snapshot)
+
+    async def serve(
+        self, request: web.Request, first: bytes, act: Callable[[ClientMessage], None]
+    ) -> web.StreamResponse:
+        """Until the client leaves. `act` gets its messages; a message that is none ends the connection."""
+        socket = web.WebSocketResponse(max_msg_size=LONGEST_MESSAGE, heartbeat=ALIVE_S, compress=False, timeout=2.0)
+        await socket.prepare(request)
+        assert request.transport is not None  # the answer to the upgrade went through it
+        client = _Client(socket, request.transport)
+        client.offer(first)
+        self._clients.add(client)
+        sending = asyncio.create_task(client.send_newest())
+        try:
+            await _receive(socket, act)
+        finally:
+            self._clients.discard(client)
+            sending.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await sending
+        return socket
+
+    async def close(self) -> None:
+        """All of them, as the server ends."""
+        leaving = [client.socket.close(code=WSCloseCode.GOING_AWAY) for client in self._clients]
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(asyncio.gather(*leaving, return_exceptions=True), LEAVE_WITHIN_S)
+
+
+class _Client:
+    def __init__(self, socket: web.WebSocketResponse, transport: asyncio.Transport) -> None:
+        self.socket = socket
+        self._transport = transport
+        self._newest = b""
+        self._offered = asyncio.Event()
+
+    def offer(self, snapshot: bytes) -> None:
+        self._newest = snapshot
+        self._offered.set()
+
+    async def send_newest(self) -> None:
+        """Without end; a client that cannot be sent to is closed."""
+        try:
+            while True:
+                await self._offered.wait()
+                self._offered.clear()
+                async with asyncio.timeout(SEND_WITHIN_S):
+                    await self.socket.send_frame(self._newest, WSMsgType.TEXT)
+        except (TimeoutError, ConnectionError):
+            self._transport.abort()  # a close frame would wait behind what the client does not read
+
+
+async def _receive(socket: web.WebSocketResponse, act: Callable[[ClientMessage], None]) -> None:
+    async for message in socket:
+        try:
+            if message.type is not WSMsgType.TEXT:
+                raise msgspec.DecodeError("expected text")
+            act(_decoder.decode(message.data))
+        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+            await socket.close(code=WSCloseCode.UNSUPPORTED_DATA, message=str(error).encode()[:120])
+            return

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from itertools import zip_longest
 
-from companion.config.fleet import FleetConfig
-from companion.ground.fleet_status import SILENT_AFTER_S, VehicleRow
-from companion.monitor.api import NearestView, NeighbourView, TimingView, VehicleView
-from companion.monitor.picture.flags import flag_view
-from companion.types.flight import STREAMING
+from companion.config.fleet import FleetConfig, FleetSettings
+from companion.ground.fleet_state import SILENT_AFTER_S, VehicleRow
+from companion.monitor.api import FlagView, NearestView, NeighbourView, Severity, TimingView, VehicleView
+from companion.tools.explanations.table import EXPLANATIONS
+from companion.tools.failsafe_words import action_words
+from companion.types.flight import FLAG_TEXTS, STREAMING, HealthFlag
 from companion.types.status import Status
 from companion.types.values import Vector3
 from companion.wire.ground import Timing
@@ -109,3 +111,36 @@ def _timing(timing: Timing) -> TimingView:
         cpu_percent=round(timing.cpu_percent, 1),
         memory_mb=round(timing.rss_mb, 1),
     )
+
+
+# In flight these leave time, or pass by themselves. Every other flag is critical there.
+WARNINGS = frozenset({HealthFlag.LEADER_AWAITED, HealthFlag.BATTERY_LOW, HealthFlag.TICK_LATE})
+
+
+# They count while the vehicle flies by its neighbours: in hold it only cannot begin to.
+IN_FORMATION = frozenset({HealthFlag.LEADER_LOST, HealthFlag.FLEET_LINK_LOST})
+
+
+def severity_of(flag: HealthFlag, armed: bool, streaming: bool) -> Severity:
+    """On the ground a flag only keeps a vehicle from flying."""
+    if flag in WARNINGS or not armed or (flag in IN_FORMATION and not streaming):
+        return "warning"
+    return "critical"
+
+
+@lru_cache(maxsize=1024)
+def flag_view(flag: HealthFlag, armed: bool, streaming: bool, fleet: FleetSettings | None) -> FlagView:
+    """A flag of a vehicle of this fleet. `streaming`: its agent sends setpoints."""
+    return FlagView(
+        code=flag,
+        severity=severity_of(flag, armed, streaming),
+        text=FLAG_TEXTS[flag],
+        action=action_words(flag, fleet),
+        advice=advice_of(flag),
+    )
+
+
+def advice_of(code: str) -> str:
+    """What the operator should do; "" where nothing is known of the code."""
+    entry = EXPLANATIONS.get(code)
+    return entry.remedy if entry else ""

@@ -1,0 +1,239 @@
+"""What an operator asks of a fleet, as plain values: the input of `companion fleet`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from math import radians
+from pathlib import Path
+
+from companion.config.file import ConfigError, convert
+from companion.config.fleet import FleetConfig
+from companion.config.reference import Reference, ReferenceSection, load_reference
+from companion.config.slots import load_slots
+from companion.geometry.curves import duration_s
+from companion.geometry.separation import counted
+from companion.geometry.shapes import SHAPES, rotated, slots_of
+from companion.geometry.transition import ROUNDING_M, closest_approach, longest_path_m
+from companion.geometry.turning import SLOT_ACCELERATION_M_S2
+from companion.types.commands import Described, ReferenceChange, next_for_all
+from companion.types.flight import FlightPhase
+from companion.types.formation import FormationChange
+from companion.types.status import Status
+from companion.types.values import MAX_COORDINATE_M, MIN_CHANGE_S, Vector3
+
+
+def command_line(action: str) -> Path:
+    """Named in an error in place of a file."""
+    return Path(f"companion fleet {action}")
+
+
+@dataclass(frozen=True, slots=True)
+class FormationRequest:
+    """A shape by its name with `spacing_m`, or slots, or neither: the present slots. Each is rotated and scaled.
+
+    Slots are those in `slots_file`, or `slots_enu_m` by vehicle id.
+    """
+
+    shape: str | None
+    slots_file: Path | None
+    spacing_m: float | None
+    heading_deg: float
+    scale: float
+    slots_enu_m: Mapping[int, Vector3] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceRequest:
+    """A file, or the keys of its section `reference` without positions; `positions_enu_m` has every --at.
+
+    Or `whole`, a reference that is complete.
+    """
+
+    file: Path | None
+    described: Described
+    positions_enu_m: tuple[list[float], ...]
+    whole: Reference | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class FleetRequest:
+    """One action for the fleet in the file `fleet`. `only` is empty for all vehicles of the file.
+
+    `leaders`, `formation`, `reference` and `admission_list` belong to one action each.
+    """
+
+    action: str
+    fleet: Path
+    connect: tuple[str, ...]
+    operator: str  # "" for user@host; not used with an identity
+    only: tuple[int, ...]
+    wait_s: float  # for reports and replies
+    as_json: bool
+    wait: bool = True  # until the action is finished, after all vehicles have accepted it
+    identity: Path | None = None
+    timeout_s: float | None = None  # of that wait; None for the default of the action
+    leaders: tuple[int, ...] = ()
+    formation: FormationRequest | None = None
+    reference: ReferenceRequest | None = None
+    admission_list: Path | None = None
+
+
+POSITION_KEY = {
+    "point": "point_enu_m",
+    "waypoints": "points_enu_m",
+    "circle": "centre_enu_m",
+    "figure_8": "centre_enu_m",
+    "target": "start_enu_m",
+}
+
+
+def reference_change(reference: Described, statuses: Sequence[Status]) -> ReferenceChange:
+    """`reference` as in a file, with the next number, AHEAD_S after the fleet time of these reports."""
+    held = [status.reference for status in statuses if status.reference]
+    number = next_for_all(number for one in held for number in (one.flown, one.waiting))
+    return ReferenceChange(number, reference, fleet_time_s(statuses) + AHEAD_S)
+
+
+def requested_reference(request: ReferenceRequest, here_enu_m: Vector3 | None) -> Reference:
+    """The reference of a request. A target without a position is awaited `here_enu_m`. Raises ConfigError."""
+    if request.whole is not None:
+        return request.whole
+    if request.file is not None:
+        if request.described or request.positions_enu_m:
+            raise ConfigError(
+                command_line("reference"),
+                "--file",
+                "describes the whole reference; give it alone, or KIND with its options",
+            )
+        return load_reference(request.file)
+    described = request.described
+    kind = described.get("kind")
+    if not isinstance(kind, str):
+        raise ConfigError(
+            command_line("reference"), "KIND", f"missing; expected one of {', '.join(POSITION_KEY)}, or --file FILE"
+        )
+    positions = [list(position) for position in request.positions_enu_m]
+    if kind == "target" and not positions and here_enu_m is not None:
+        positions = [list(here_enu_m)]
+    if kind == "target" and not positions:
+        raise ConfigError(
+            command_line("reference"),
+            "--at",
+            "missing; no leader reports a reference: give the position to await the target at",
+        )
+    if not positions or (len(positions) > 1 and kind != "waypoints"):
+        expected = "one or more" if kind == "waypoints" else "one"
+        raise ConfigError(
+            command_line("reference"), "--at", f"given {len(positions)} times; a reference {kind} has {expected}"
+        )
+    position = {POSITION_KEY[kind]: positions if kind == "waypoints" else positions[0]}
+    return convert(command_line("reference"), {"reference": described | position}, ReferenceSection).reference
+
+
+def named_slots(shape: str, n: int, spacing_m: float, heading_deg: float) -> list[Vector3]:
+    """The slots of a shape of SHAPES for n vehicles. Raises KeyError for another name."""
+    return slots_of(SHAPES[shape], n, spacing_m, radians(heading_deg))
+
+
+def check_request(request: FormationRequest, fleet: FleetConfig) -> None:
+    """The checks that need no report of a vehicle. Raises ConfigError."""
+    if request.shape and request.slots_file:
+        raise ConfigError(
+            command_line("formation"), "--slots", f"is a whole formation; give it or {request.shape}, not both"
+        )
+    if request.shape and request.spacing_m is None:
+        raise ConfigError(
+            command_line("formation"), "--spacing", f"missing; {request.shape} needs it: --spacing METRES"
+        )
+    if request.spacing_m is not None and not request.shape:
+        raise ConfigError(command_line("formation"), "--spacing", "belongs to a SHAPE, and none is given")
+    if request.slots_file:
+        load_slots(request.slots_file, fleet)
+    elif not request.shape and request.slots_enu_m is None and request.scale == 1.0 and request.heading_deg == 0.0:
+        raise ConfigError(
+            command_line("formation"),
+            "SHAPE",
+            "missing; expected one, --slots FILE, or --scale or --heading for the present slots",
+        )
+
+
+def requested_slots(request: FormationRequest, statuses: Sequence[Status], fleet: FleetConfig) -> dict[int, Vector3]:
+    """The slot of each vehicle: as in the file, the flown one, or assigned for a shape. Raises ConfigError."""
+    check_reports("formation", statuses)
+    if request.shape and request.spacing_m is not None:
+        slots = named_slots(request.shape, len(statuses), request.spacing_m * request.scale, request.heading_deg)
+        return assigned(positions_enu_m(statuses), slots)
+    flown_enu_m = {status.vehicle_id: status.slot.position_enu_m for status in statuses}
+    slots_enu_m = load_slots(request.slots_file, fleet) if request.slots_file else request.slots_enu_m or flown_enu_m
+    return {i: rotated(slot, radians(request.heading_deg), request.scale) for i, slot in slots_enu_m.items()}
+
+
+def positions_enu_m(statuses: Sequence[Status]) -> dict[int, Vector3]:
+    """Positions of the vehicles in the formation's frame: their slots in flight, their own positions before a formation.
+
+    Own positions are not relative to the RFT; that changes neither the assignment of slots nor the distances of vehicles.
+    """
+    if any(status.phase is FlightPhase.FORMATION for status in statuses):
+        return {status.vehicle_id: status.slot.position_enu_m for status in statuses}
+    return {status.vehicle_id: rotated(status.position_enu_m, -status.heading.angle_rad, 1.0) for status in statuses}
+
+
+def assigned(flown_enu_m: Mapping[int, Vector3], slots_enu_m: Sequence[Vector3]) -> dict[int, Vector3]:
+    """A slot for each vehicle with the least sum of squared distances: no two straight paths cross (see transition.py)."""
+    from scipy.optimize import linear_sum_assignment  # takes seconds to load
+
+    ids = sorted(flown_enu_m)
+    cost_m2 = [
+        [sum((a - b) ** 2 for a, b in zip(flown_enu_m[i], slot, strict=True)) for slot in slots_enu_m] for i in ids
+    ]
+    _, chosen = linear_sum_assignment(cost_m2)
+    return {vehicle_id: slots_enu_m[index] for vehicle_id, index in zip(ids, chosen.tolist(), strict=True)}
+
+
+def refusal_of(slots_enu_m: Mapping[int, Vector3], separation_m: float, has_height: bool) -> str | None:
+    """The reason why no vehicle is sent these slots: two are too close; None where they may be flown.
+
+    Without `has_height` each vehicle keeps its own altitude. Paths may cross: the vehicles warn of it in their answers.
+    """
+    slots = {i: counted(slot, has_height) for i, slot in slots_enu_m.items()}
+    distance_m, i, j = closest_approach(slots, slots)
+    if distance_m >= separation_m - ROUNDING_M:
+        return None
+    return (
+        f"the slots of vehicles {i} and {j} come within {distance_m:.2f} m of each other;"
+        f" expected at least separation_m, {separation_m:g} m"
+    )
+
+
+def change_to(slots_enu_m: Mapping[int, Vector3], statuses: Sequence[Status], slot_speed_m_s: float) -> FormationChange:
+    """The change for all vehicles with a status, with the next number, AHEAD_S after their fleet time."""
+    flown = {status.vehicle_id: status.slot.position_enu_m for status in statuses}
+    lasts_s = duration_s(longest_path_m(flown, slots_enu_m), slot_speed_m_s, SLOT_ACCELERATION_M_S2)
+    return FormationChange(
+        number=next_for_all(number for s in statuses for number in (s.slot.formation, s.slot.waiting)),
+        slots_enu_m=tuple(sorted(slots_enu_m.items())),
+        begins_s=fleet_time_s(statuses) + AHEAD_S,
+        lasts_s=max(lasts_s, MIN_CHANGE_S),
+    )
+
+
+AHEAD_S = 1.0  # seconds from a command to its beginning: every vehicle has received it by then
+
+
+def fleet_time_s(statuses: Iterable[Status]) -> float:
+    """Time along the RFT by these reports, seconds; it does not advance while no leader is in formation."""
+    return max(status.reference_s for status in statuses)
+
+
+def check_reports(action: str, statuses: Iterable[Status]) -> None:
+    """Refuses positions that no vehicle can have: their squares overflow. Raises ConfigError."""
+    for status in statuses:
+        positions = {"position_enu_m": status.position_enu_m, "slot": status.slot.position_enu_m}
+        for name, position_enu_m in (positions | {"reference_enu_m": status.reference_enu_m or (0.0,)}).items():
+            if (largest_m := max(map(abs, position_enu_m))) > MAX_COORDINATE_M:
+                raise ConfigError(
+                    command_line(action),
+                    f"{name} of vehicle {status.vehicle_id}",
+                    f"is {largest_m:g} m from the origin by its report; expected at most {MAX_COORDINATE_M:g} m",
+                )

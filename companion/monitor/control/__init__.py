@@ -1,1 +1,0 @@
-"""Commands from the live page: what `companion fleet` does, without a terminal."""

@@ -1,1 +1,0 @@
-"""The whole fleet read-only in QGroundControl: `companion monitor --mavlink udpout:HOST:PORT`."""

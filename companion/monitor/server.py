@@ -1,0 +1,343 @@
+"""The addresses of the server and what each answers. docs/api.md has them for people."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import logging
+import re
+import secrets
+import signal
+import socket
+import sys
+from collections.abc import Coroutine, Iterable, Mapping
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+from aiohttp import web
+from aiohttp.http_exceptions import HttpProcessingError
+
+from companion import monitor
+from companion.monitor import MonitorError
+from companion.monitor.access import (
+    MOST_CLIENTS,
+    Clients,
+    Connections,
+    add_headers,
+    error,
+    guard,
+    has_token,
+    is_loopback,
+)
+from companion.monitor.api import CommandRequest, ControlView
+from companion.monitor.commander import Commander
+from companion.monitor.station import Station
+
+LONGEST_BODY = 64 * 1024  # bytes: a formation of 250 vehicles has 15 kB
+VIEW_ONLY = "this server shows and does not command; start it with: companion monitor --control"
+WRONG_TOKEN = "the token is missing or wrong; open the URL that companion monitor --control printed"
+
+T = TypeVar("T")
+_encoder = msgspec.json.Encoder()
+
+
+class Site:
+    """The handlers. `commander` is None without --control; then `token` is not used."""
+
+    def __init__(self, station: Station, commander: Commander | None, token: str, tiles: Path | None) -> None:
+        self._station = station
+        self._commander = commander
+        self._token = token
+        self._tiles = tiles
+        self._files = page_files()
+        self._encoded = _encoder.encode(station.newest)
+        self.clients = Clients()
+        self.connections = Connections()
+        station.publish = self._publish
+
+    def app(self, listen_address: str) -> web.Application:
+        middlewares = [self.connections.watch, guard(listen_address)]
+        app = web.Application(middlewares=middlewares, client_max_size=LONGEST_BODY)
+        app.on_response_prepare.append(add_headers)
+        api = "/api/v1"
+        app.add_routes(
+            [
+                web.get(f"{api}/live", self._live),
+                web.get(f"{api}/snapshot", self._snapshot),
+                web.get(f"{api}/history", self._history),
+                web.get(f"{api}/fleets/{{name}}", self._fleet),
+                web.get(f"{api}/control", self._control),
+                web.post(f"{api}/commands", self._command),
+                web.post(f"{api}/preview", self._preview),
+                web.post(rf"{api}/alarms/{{id:\d{{1,9}}}}/acknowledge", self._acknowledge),
+                web.get(r"/tiles/{z:\d{1,2}}/{x:\d{1,8}}/{y:\d{1,8}}.png", self._tile),
+                web.get("/metrics", self._metrics),
+                web.get("/{path:(?!api/|tiles/).*}", self._page),
+            ]
+        )
+        return app
+
+    def _publish(self, snapshot: bytes) -> None:
+        self._encoded = snapshot
+        self.clients.publish(snapshot)
+
+    async def _live(self, request: web.Request) -> web.StreamResponse:
+        if not web.WebSocketResponse().can_prepare(request):
+            return error(426, "expected a WebSocket; GET /api/v1/snapshot gives one snapshot")
+        if self.clients.is_full:
+            return error(503, f"{MOST_CLIENTS} clients are connected already; close one of them")
+        return await self.clients.serve(request, self._encoded, self._station.act)
+
+    async def _snapshot(self, _request: web.Request) -> web.StreamResponse:
+        return _json(self._station.newest)
+
+    async def _history(self, _request: web.Request) -> web.StreamResponse:
+        return _json(self._station.history())
+
+    async def _fleet(self, request: web.Request) -> web.StreamResponse:
+        view = self._station.fleet_map(request.match_info["name"])
+        if view is None:
+            known = ", ".join(self._station.fleet_names) or "none; give one with --fleet-file"
+            return error(404, f"this server has no such fleet file; it has: {known}")
+        return _json(msgspec.structs.replace(view, tiles=self._tiles is not None))
+
+    async def _acknowledge(self, request: web.Request) -> web.StreamResponse:
+        if self._commander and not has_token(request, self._token):
+            return error(403, WRONG_TOKEN)
+        alarm = self._station.acknowledge(int(request.match_info["id"]))
+        return error(404, "no such alarm; it has ended") if alarm is None else _json(alarm)
+
+    async def _control(self, request: web.Request) -> web.StreamResponse:
+        return _json(ControlView(self._commander is not None and has_token(request, self._token)))
+
+    async def _command(self, request: web.Request) -> web.StreamResponse:
+        if self._commander is None or not has_token(request, self._token):
+            return error(403, WRONG_TOKEN if self._commander else VIEW_ONLY)
+        wanted = await _body(request, CommandRequest)
+        if isinstance(wanted, web.Response):
+            return wanted
+        return _json(await self._commander.send(wanted))
+
+    async def _preview(self, request: web.Request) -> web.StreamResponse:
+        if self._commander is None or not has_token(request, self._token):
+            return error(403, WRONG_TOKEN if self._commander else VIEW_ONLY)
+        wanted = await _body(request, CommandRequest)
+        if isinstance(wanted, web.Response):
+            return wanted
+        return _json(await self._commander.preview(wanted))
+
+    async def _tile(self, request: web.Request) -> web.StreamResponse:
+        return await tile(request, self._tiles)
+
+    async def _page(self, request: web.Request) -> web.StreamResponse:
+        return await page_file(request, self._files)
+
+    async def _metrics(self, _request: web.Request) -> web.StreamResponse:
+        try:
+            from companion.monitor.metrics import CONTENT_TYPE, exposition
+        except ImportError:
+            return error(501, "this needs the package prometheus_client")
+        body = await asyncio.to_thread(exposition, self._station.newest)  # some 30 ms for 50 vehicles
+        return web.Response(body=body, headers={"Content-Type": CONTENT_TYPE})
+
+
+def _json(value: msgspec.Struct) -> web.Response:
+    return web.Response(body=_encoder.encode(value), content_type="application/json")
+
+
+async def _body(request: web.Request, type_: type[T]) -> T | web.Response:
+    """The body as a value of this type, or the refusal of it."""
+    if request.content_type != "application/json":
+        return error(415, "expected Content-Type: application/json")
+    try:
+        return msgspec.json.decode(await request.read(), type=type_)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as problem:
+        return error(400, f"the body is no {type_.__name__}: {problem}"[:300])
+
+
+PAGE = Path(monitor.__file__).parent / "page"
+TYPES = {
+    ".html": "text/html",
+    ".css": "text/css",
+    ".js": "text/javascript",
+    ".mjs": "text/javascript",
+    ".json": "application/json",
+    ".webmanifest": "application/manifest+json",
+    ".svg": "image/svg+xml",
+    ".png": "image/png",
+    ".ico": "image/x-icon",
+    ".woff2": "font/woff2",
+    ".txt": "text/plain",
+}
+PRELOADS = b"<!-- preloads -->"  # in index.html
+DEEPEST_ZOOM = 24
+TILE_AGE_S = 86400
+
+
+@dataclass(frozen=True, slots=True)
+class PageFile:
+    """A file of the page as it is sent."""
+
+    body: bytes
+    content_type: str
+    tag: str  # differs where the content does
+
+
+def page_files(folder: Path = PAGE) -> Mapping[str, PageFile]:
+    """The files of the page by their path below it, of known types; read once at the start."""
+    files = [file for file in sorted(folder.rglob("*")) if file.is_file() and file.suffix in TYPES]
+    bodies = {file.relative_to(folder).as_posix(): file.read_bytes() for file in files}
+    bodies["index.html"] = bodies["index.html"].replace(PRELOADS, _preloads(bodies))
+    return {path: PageFile(body, TYPES[Path(path).suffix], sha256(body).hexdigest()) for path, body in bodies.items()}
+
+
+def _preloads(paths: Iterable[str]) -> bytes:
+    """The browser asks for all modules at once; without this it finds the imports of a module when it has loaded that one."""
+    return "".join(f'<link rel="modulepreload" href="{path}">' for path in paths if path.endswith(".js")).encode()
+
+
+async def page_file(request: web.Request, files: Mapping[str, PageFile]) -> web.StreamResponse:
+    """A file of the page; / is index.html."""
+    file = files.get(request.match_info.get("path", "") or "index.html")
+    if file is None:
+        return error(404, f"{request.path[:200]}: no such file of the page")
+    if any(known.value == file.tag for known in request.if_none_match or ()):
+        return web.Response(status=304)
+    charset = "utf-8" if file.content_type.startswith("text/") else None
+    response = web.Response(body=file.body, content_type=file.content_type, charset=charset)
+    response.headers["Cache-Control"] = "no-cache"
+    response.etag = file.tag
+    return response
+
+
+def _is_below(folder: Path, file: Path) -> bool:
+    """Whether there is such a file in the folder; a link may lead anywhere."""
+    return file.is_file() and file.resolve().is_relative_to(folder.resolve())
+
+
+async def tile(request: web.Request, folder: Path | None) -> web.StreamResponse:
+    """A map tile FOLDER/Z/X/Y.png."""
+    z, x, y = (int(request.match_info[name]) for name in ("z", "x", "y"))
+    if folder is None or z > DEEPEST_ZOOM or x >= 1 << z or y >= 1 << z:
+        return error(404, "no such tile")
+    file = folder / str(z) / str(x) / f"{y}.png"
+    if not await asyncio.to_thread(_is_below, folder, file):  # a folder on a slow disk delays no snapshot
+        return error(404, "no such tile")
+    return web.FileResponse(file, headers={"Cache-Control": f"max-age={TILE_AGE_S}", "Content-Type": "image/png"})
+
+
+TOKEN_BYTES = 24
+CLOSE_WITHIN_S = 0.5
+LISTEN = re.compile(r"(?:(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9._-]+):)?(\d{1,5})")
+LISTEN_WORDS = "ADDRESS:PORT, like 127.0.0.1:8600; port 0 chooses a free one"
+_log = logging.getLogger(__name__)
+_log.addFilter(lambda record: not (record.exc_info and isinstance(record.exc_info[1], HttpProcessingError)))
+"""For aiohttp. Who sends what is no HTTP gets the reason as an answer; the operator's terminal needs none of it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Address:
+    host: str
+    port: int
+
+    def __str__(self) -> str:
+        return f"{self.host}:{self.port}"
+
+
+def listen_address(text: str) -> Address:
+    """Raises ValueError with what was expected."""
+    found = LISTEN.fullmatch(text)
+    if not found or int(found[2]) > 65535:
+        raise ValueError(f"{text!r}: expected {LISTEN_WORDS}")
+    return Address(found[1] or "127.0.0.1", int(found[2]))
+
+
+def serve(station: Station, commander: Commander | None, address: Address, tiles: Path | None = None) -> None:
+    """Until Ctrl-C or SIGTERM. Raises MonitorError."""
+    asyncio.run(_serve(station, commander, address, tiles))
+
+
+async def _serve(station: Station, commander: Commander | None, address: Address, tiles: Path | None) -> None:
+    token = secrets.token_urlsafe(TOKEN_BYTES) if commander else ""
+    site = Site(station, commander, token, tiles)
+    listening = _listening(address)
+    runner = web.AppRunner(
+        site.app(address.host), handle_signals=False, access_log=None, logger=_log, shutdown_timeout=CLOSE_WITHIN_S
+    )
+    await runner.setup()
+    accepting = await site.connections.accept(runner, listening)
+    try:
+        port = listening.getsockname()[1]
+        print(f"{url(address.host, port)}{'#token=' + token if token else ''}", flush=True)
+        for line in warnings(address.host, commander is not None):
+            print(line, file=sys.stderr, flush=True)
+        await _until_stopped(station.run())
+    finally:
+        accepting.close()
+        await site.clients.close()
+        await runner.cleanup()
+
+
+async def _until_stopped(job: Coroutine[Any, Any, None]) -> None:
+    """Run the job until SIGINT or SIGTERM. An error in it is raised."""
+    stop, loop = asyncio.Event(), asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, stop.set)
+    running, waiting = asyncio.create_task(job), asyncio.create_task(stop.wait())
+    await asyncio.wait([running, waiting], return_when=asyncio.FIRST_COMPLETED)
+    for task in (running, waiting):
+        task.cancel()
+    with contextlib.suppress(asyncio.CancelledError):
+        await running
+
+
+def _listening(address: Address) -> socket.socket:
+    """A bound socket. Raises MonitorError."""
+    host = address.host.strip("[]")
+    try:
+        family, kind, protocol, _, where = socket.getaddrinfo(host, address.port, type=socket.SOCK_STREAM)[0]
+        listening = socket.socket(family, kind, protocol)
+        try:
+            listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            listening.bind(where)
+        except OSError:
+            listening.close()
+            raise
+    except OSError as error:
+        raise MonitorError(f"--listen {address}: {_reason(error)}") from error
+    return listening
+
+
+def _reason(error: OSError) -> str:
+    if isinstance(error, socket.gaierror):
+        return "unknown host; expected an address of this machine, like 127.0.0.1"
+    match error.errno:
+        case errno.EADDRINUSE:
+            return "the port is in use; choose another one, or port 0 for any free one"
+        case errno.EADDRNOTAVAIL:
+            return "this machine has no such address; expected one of its own, like 127.0.0.1, or 0.0.0.0 for all"
+        case errno.EACCES:
+            return "not permitted; choose a port above 1023"
+    return error.strerror or str(error)
+
+
+def url(host: str, port: int) -> str:
+    """For a browser on this machine; of 0.0.0.0 and :: by its name in the network."""
+    shown = socket.gethostname() if host in ("0.0.0.0", "[::]") else host
+    return f"http://{shown}:{port}/"
+
+
+def warnings(host: str, may_control: bool) -> list[str]:
+    """One line where others reach the server."""
+    if is_loopback(host):
+        return []
+    what = (
+        "see this fleet, and command it with the token, which they can read on the way"
+        if may_control
+        else "see this fleet"
+    )
+    return [f"warning: all who reach {host} over the network can {what} (HTTP without encryption)"]

@@ -1,1 +1,0 @@
-"""`companion monitor --tui`: the fleet in a terminal of 80, 120 or 200 columns."""
