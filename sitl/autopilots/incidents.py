@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import inf, nan
 
 from companion.types.values import Vector3
-from sitl.autopilots.setpoints import Course
+from sitl.vehicle.automatic_flight import Course
 from sitl.vehicle.config import AutopilotFile
 
 FULL_BATTERY_PERCENT = 98

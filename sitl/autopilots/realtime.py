@@ -21,7 +21,7 @@ from sitl.autopilots.behaviour import AUTOPILOT_TYPES
 from sitl.links.ports import GROUND_STATION_PORT, LOOPBACK, Ports
 from sitl.links.sockets import SocketLink, TcpSocketLink, UdpSocketLink, receive_waiting
 from sitl.vehicle.config import AutopilotFile
-from sitl.vehicle.truth import TruthLog
+from sitl.vehicle.truth import TRUTH_HEADER, truth_row
 
 MAX_LAG_S = 0.5  # longer pauses of the machine are skipped
 TRUTH_STEPS, FLUSH_STEPS = 5, 250
@@ -63,9 +63,11 @@ class _Vehicle:
         self._autopilot: Autopilot = behaviour.vehicle(file, DT_S)
         self._autopilot.flight_logs.utc_at_start_s = time.time()
         try:
-            self._log = TruthLog(stack.enter_context(truth.open("w", encoding="ascii"))) if truth else None
+            self._truth = stack.enter_context(truth.open("w", encoding="ascii")) if truth else None
         except OSError as error:
             raise ConfigError(f"--truth {truth}", "", f"{error.strerror}; name a file that can be written") from error
+        if self._truth:
+            self._truth.write(TRUTH_HEADER)
         self._links: list[SocketLink] = []
         for end, port, address in (
             (behaviour.onboard_link(self._autopilot), ports.onboard, (LOOPBACK, ports.companion)),
@@ -90,14 +92,15 @@ class _Vehicle:
         for link in self._links:
             link.send_due()
         autopilot.texts.clear()
-        if self._log and self._steps % TRUTH_STEPS == 0:
-            self._log.write(autopilot, now_s)
+        if self._truth and self._steps % TRUTH_STEPS == 0:
+            quad, mode = autopilot.quad, autopilot.flight_mode.name
+            self._truth.write(truth_row(now_s, quad.state, quad.thrust_norm, autopilot.armed, mode))
         if self._steps % FLUSH_STEPS == 0:
             self.flush()
 
     def flush(self) -> None:
-        if self._log:
-            self._log.flush()
+        if self._truth:
+            self._truth.flush()
 
 
 @contextlib.contextmanager

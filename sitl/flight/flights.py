@@ -13,8 +13,8 @@ from sitl.errors import EXIT_DONE, EXIT_FAILED
 from sitl.flight.convergence import DivergesError, check_convergence
 from sitl.flight.options import RunOptions
 from sitl.flight.results import FlightResult
-from sitl.flight.scenario import Scenario, load_scenario
-from sitl.report.compare import compare, in_a_table, with_law, write_comparison
+from sitl.flight.scenario import Scenario, load_scenario, with_law
+from sitl.report.compare import compare, in_a_table, write_comparison
 from sitl.report.folder import open_folder
 from sitl.report.summary import Summary, in_words
 from sitl.stopping import StopRequest

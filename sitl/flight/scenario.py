@@ -16,6 +16,7 @@ from companion.config.file import convert
 from companion.config.fleet import FleetConfig
 from companion.config.fleet_check import checkable
 from companion.config.kind import read_as
+from companion.config.law import LawName
 from companion.config.overrides import SET, overridden
 from companion.config.planned_flight import PlannedFlight, fleet_of, planned_problems, starts_of
 from companion.config.reference import Reference
@@ -108,6 +109,11 @@ def load_scenario(path: Path, overrides: Sequence[str] = ()) -> Scenario:
 def reference_of(scenario: Scenario) -> ReferenceTrajectory:
     """The RFT as the leaders fly it: seconds since the leader entered formation -> R and r''."""
     return trajectory_of(scenario.reference)
+
+
+def with_law(scenario: Scenario, law: LawName) -> Scenario:
+    """The same scenario under another law."""
+    return replace(scenario, fleet=replace(scenario.fleet, law=scenario.fleet.law.renamed(law)))
 
 
 def scenario_from(path: Path, data: object) -> Scenario:

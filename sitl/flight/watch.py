@@ -5,16 +5,13 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Collection, Mapping
 
-from msgspec import Struct
-
 from companion.core.consensus.law import FormationState
 from companion.core.reference.trajectories import ReferenceTrajectory
 from companion.geometry.turning import turned_slot
 from companion.ground.fleet_state import FleetState, VehicleRow, fold, rows
 from companion.types.autopilot import LandedState
-from companion.types.commands import CommandName, CommandReply
+from companion.types.commands import CommandReply
 from companion.types.flight import FlightPhase, Role
-from companion.types.notices import Code
 from companion.types.status import Status
 from companion.types.values import ZERO3, Vector3
 from companion.wire.ground import StatusReport, Timing
@@ -22,50 +19,12 @@ from sitl.flight.scenario import Scenario
 from sitl.flight.timeline import TimelineStep
 from sitl.report.load import overload
 from sitl.report.metrics import Formation
+from sitl.report.records import CommandGiven, ReportedEvent, TopologyChange
 from sitl.report.tracking import Leadership
 from sitl.report.tracks import Track, reported_track
 
 SAME_POSITION_S = 0.005  # two reports of one position differ by less, because the transport time varies
 SILENT_S = 3.0  # the agent of a flying vehicle that reports nothing for so long has failed
-
-
-class ReportedEvent(Struct, frozen=True, kw_only=True):
-    """An event that a vehicle reported, `time_s` after the flight's beginning."""
-
-    time_s: float
-    vehicle: int
-    code: Code
-    event: str
-
-
-class CommandGiven(Struct, frozen=True, kw_only=True):
-    """A command to several vehicles at once, `time_s` after the flight's beginning.
-
-    `answered_in_s` is the time until the last of them had answered; None if one did not.
-    """
-
-    time_s: float
-    command: CommandName
-    in_words: str  # with its arguments
-    vehicles: list[int]
-    answered_in_s: float | None
-
-
-class TopologyChange(Struct, frozen=True, kw_only=True):
-    """A vehicle's role and neighbours from `time_s` after the flight's beginning until its next change."""
-
-    time_s: float
-    vehicle: int
-    role: Role
-    epoch: int
-    prc: int
-    neighbours: tuple[int, ...]
-    in_formation: bool
-
-    def same_as(self, status: Status) -> bool:
-        own = (self.role, self.epoch, self.prc, self.neighbours, self.in_formation)
-        reported = (status.role, status.epoch, status.prc, status.neighbours, status.phase is FlightPhase.FORMATION)
-        return own == reported
 
 
 class FlightWatch:

@@ -6,8 +6,8 @@ from collections.abc import Iterable
 from functools import cached_property
 
 from companion.config.law import LawName
-from sitl.paper.claim import Verdict
 from sitl.paper.flights import FlownPlan, Model, Subject
+from sitl.report.claim import Verdict
 from sitl.report.metrics import Flight, FormationFigures, formation_figures
 
 PERFECT = (Model.IDEAL, Model.FULL)

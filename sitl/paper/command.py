@@ -13,8 +13,8 @@ from sitl.report.share import ShareProgress
 from sitl.stopping import StopRequest
 
 if TYPE_CHECKING:
-    from sitl.paper.claim import Claim
     from sitl.paper.flights import FlownPlan
+    from sitl.report.claim import Claim
     from sitl.workers import Workers
 
 

@@ -11,9 +11,9 @@ from companion.config.law import LawName
 from sitl.errors import FailedError
 from sitl.flight.scenario import Scenario, load_scenario, reference_of
 from sitl.flight.virtual_flight import fly_in_virtual_time
-from sitl.flight.watch import TopologyChange
 from sitl.report.metrics import Flight, Formation, neighbouring_pairs, standing
 from sitl.report.progress import Progress
+from sitl.report.records import TopologyChange
 from sitl.report.tracks import Track
 
 SCENARIOS = Path(__file__).parents[1] / "scenarios"  # package data: a link to config/scenarios in the source tree

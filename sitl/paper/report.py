@@ -14,9 +14,9 @@ from msgspec import Struct
 from companion import __version__
 from sitl.paper.beyond import SettingRow
 from sitl.paper.book import listed
-from sitl.paper.claim import Claim, Erratum, Verdict
 from sitl.paper.figures.pictures import PICTURES, Picture
 from sitl.paper.law_table import LawRow
+from sitl.report.claim import Claim, Erratum, Verdict
 from sitl.report.plots import LAW_TITLES
 from sitl.report.summary import write_json
 from sitl.study.command import SHOWN

@@ -11,8 +11,8 @@ from companion.assembly import law_of
 from companion.core.consensus.law import neighbour_weights
 from companion.stability.arrays import FloatArray
 from companion.types.flight import Role
-from sitl.flight.watch import TopologyChange
 from sitl.paper.flights import FlownPlan
+from sitl.report.records import TopologyChange
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,10 +6,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from msgspec import Struct
-from msgspec.structs import replace
 
-from companion.config.law import LawName
-from sitl.flight.scenario import Scenario
 from sitl.report.load import IF_TOO_BUSY
 from sitl.report.metrics import Flight
 from sitl.report.summary import SCHEMA, Summary, write_json
@@ -34,10 +31,6 @@ class Comparison(Struct, frozen=True, kw_only=True):
     laws: list[str]
     too_busy: list[str]  # laws that the machine was too busy to fly in real time
     rows: list[Row]
-
-
-def with_law(scenario: Scenario, law: LawName) -> Scenario:
-    return replace(scenario, fleet=replace(scenario.fleet, law=scenario.fleet.law.renamed(law)))
 
 
 def compare(summaries: Sequence[Summary]) -> Comparison:

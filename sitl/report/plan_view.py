@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -18,10 +18,10 @@ from matplotlib.axes import Axes
 from companion.geometry.airspace import Airspace
 from companion.stability.arrays import FloatArray
 from companion.types.flight import Role
-from sitl.flight.watch import FlightWatch, TopologyChange
 from sitl.report.airspace_view import draw_airspace
-from sitl.report.metrics import Flight, reference_positions_m
+from sitl.report.metrics import Flight, Formation, reference_positions_m
 from sitl.report.plots import GUIDE, POSITIONS, law_title, new_figure
+from sitl.report.records import CommandGiven, TopologyChange
 
 COLUMNS = 3
 MAX_PANELS = 9
@@ -43,6 +43,15 @@ ELSEWHERE: dict[str, Any] = {"color": "#666666", "marker": "x", "markersize": 8,
 BESIDE: dict[str, Any] = {"xytext": (6, 6), "textcoords": "offset points", "fontsize": 8}
 
 
+class FlightRecord(Protocol):
+    """What the figure draws beside the tracks. Times of commands and topology count from `began_s`, of the tracks' clock."""
+
+    began_s: float
+    formations: list[Formation]
+    commands: list[CommandGiven]
+    topology: list[TopologyChange]
+
+
 @dataclass(frozen=True, slots=True)
 class Panel:
     """A part of a formation, in seconds of the tracks' clock, and the command at its start."""
@@ -52,7 +61,7 @@ class Panel:
     command: str
 
 
-def save_plan_view(path: Path, flight: Flight, watch: FlightWatch, name: str, airspace: Airspace) -> None:
+def save_plan_view(path: Path, flight: Flight, watch: FlightRecord, name: str, airspace: Airspace) -> None:
     """Paths from above; at each panel's end the positions, leaders and neighbours. Polygon of the fence, and obstacles."""
     panels = panels_of(watch)
     columns = min(COLUMNS, len(panels))
@@ -82,7 +91,7 @@ def save_plan_view(path: Path, flight: Flight, watch: FlightWatch, name: str, ai
     figure.savefig(path, dpi=130)
 
 
-def panels_of(watch: FlightWatch) -> list[Panel]:
+def panels_of(watch: FlightRecord) -> list[Panel]:
     """Panels from the first formation's start to the last one's end, divided by commands; at most the last MAX_PANELS.
 
     Commands within SOON_S share a panel, and a repeated command counts once.
@@ -112,7 +121,7 @@ def _extent_m(flight: Flight, panels: Sequence[Panel], airspace: Airspace) -> tu
     return middle_m - half_m - MARGIN * largest_m, middle_m + half_m + MARGIN * largest_m
 
 
-def _draw(axes: Axes, flight: Flight, watch: FlightWatch, panel: Panel) -> None:
+def _draw(axes: Axes, flight: Flight, watch: FlightRecord, panel: Panel) -> None:
     times_s = np.linspace(panel.start_s, panel.end_s, max(2, round((panel.end_s - panel.start_s) / SAMPLE_S)))
     reference_m = reference_positions_m(flight.reference, flight.formation.reference_start_s, times_s)
     axes.plot(reference_m[:, 0], reference_m[:, 1], **GUIDE)

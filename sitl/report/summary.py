@@ -8,13 +8,10 @@ from pathlib import Path
 import msgspec
 from msgspec import Struct
 
-from companion.assembly import law_of
 from companion.wire.ground import Percentiles
-from sitl.flight.scenario import Scenario
-from sitl.flight.watch import CommandGiven, FlightWatch, ReportedEvent
 from sitl.report.load import overload_line
-from sitl.report.metrics import FormationFigures, TrackSource, neighbouring_pairs, pair_name
-from sitl.report.tracking import Tracking
+from sitl.report.metrics import TrackSource
+from sitl.report.records import CommandGiven, ReportedEvent
 
 SCHEMA = 1
 MAX_EACH = 8  # vehicles whose figures are printed in one line
@@ -84,84 +81,6 @@ class Summary(Struct, frozen=True, kw_only=True):
     smallest_distance_m: float | None
     commands: list[CommandGiven]
     events: list[ReportedEvent]
-
-
-def summarize(
-    scenario: Scenario,
-    name: str,
-    watch: FlightWatch,
-    figures: FormationFigures | None,
-    tracked: Tracking | None,
-    smallest_distance_m: float | None,
-    failure: str | None,
-    flight_s: float,
-    real_time_factor: float | None = None,
-    source: TrackSource = "true",
-) -> Summary:
-    """`figures`, `tracked` and `smallest_distance_m` are of the tracks from `source`; the rest is from the reports."""
-    fleet, stand_in = scenario.fleet, scenario.stand_in
-    sensors = stand_in.sensors if isinstance(stand_in.sensors, str) else "as given"
-    slots_enu_m = {member.id: member.slot_enu_m for member in fleet.vehicles}
-    weighting = law_of(fleet.law).weighting
-    return Summary(
-        scenario=name,
-        law=fleet.law.name,
-        exponent=weighting.exponent,
-        weight_ratio=weighting.ratio,
-        tracks=source,
-        sensors=sensors if source == "true" else None,
-        seed=stand_in.seed if source == "true" else None,
-        failure=failure,
-        flight_s=round(flight_s, 1),
-        real_time_factor=None if real_time_factor is None else round(real_time_factor, 1),
-        duration_s=round(figures.duration_s, 3) if figures else None,
-        pairs=[pair_name(pair) for pair in neighbouring_pairs(slots_enu_m)],
-        wanted_distance_m=_rounded(figures.wanted_distance_m) if figures else None,
-        max_distance_m=_rounded(figures.max_distance_m) if figures else None,
-        min_distance_m=_rounded(figures.min_distance_m) if figures else None,
-        final_distance_m=_rounded(figures.final_distance_m) if figures else None,
-        reference_moves=figures.reference_moves if figures else None,
-        settle_s=round(figures.settle_s, 2) if figures and figures.settle_s is not None else None,
-        first_within_s=round(figures.first_within_s, 2) if figures and figures.first_within_s is not None else None,
-        least_error_m=round(figures.least_error_m, 4) if figures else None,
-        final_error_m=round(figures.final_error_m, 4) if figures else None,
-        overload=watch.overload(),
-        smallest_distance_m=None if smallest_distance_m is None else round(smallest_distance_m, 4),
-        vehicles=[
-            _vehicle(member.id, member.role, watch, figures, tracked)
-            for member in sorted(fleet.vehicles, key=lambda member: member.id)
-        ],
-        commands=watch.commands,
-        events=watch.events,
-    )
-
-
-def _vehicle(
-    vehicle_id: int, role: str, watch: FlightWatch, figures: FormationFigures | None, tracked: Tracking | None
-) -> VehicleSummary:
-    timing, step_deg = watch.timing.get(vehicle_id), watch.largest_step_deg.get(vehicle_id)
-    tick = timing and Tick(rate_hz=timing.rate_hz, ticks=timing.ticks, missed=timing.missed, late_us=timing.late_us)
-    return VehicleSummary(
-        id=vehicle_id,
-        role=role,
-        tick=tick or None,
-        telemetry_to_command_us=timing.telemetry_to_command_us if timing else None,
-        cpu_percent=timing.cpu_percent if timing else None,
-        rss_mb=timing.rss_mb if timing else None,
-        final_error_m=round(figures.final_error_of_vehicle_m[vehicle_id], 4) if figures else None,
-        tracking_error_m=_metres(tracked.to_reference_m[vehicle_id] if tracked else None),
-        behind_leader_m=_metres(tracked.to_leader_m[vehicle_id] if tracked else None),
-        largest_step_deg=None if step_deg is None else round(step_deg, 2),
-        rejected=watch.rejected()[vehicle_id],
-    )
-
-
-def _metres(value_m: float | None) -> float | None:
-    return None if value_m is None else round(value_m, 4)
-
-
-def _rounded(values_m: Mapping[str, float]) -> dict[str, float]:
-    return {name: round(value_m, 4) for name, value_m in values_m.items()}
 
 
 def write_json(path: Path, content: object) -> None:

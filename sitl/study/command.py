@@ -11,7 +11,7 @@ from msgspec import Struct
 
 from sitl.cluster import workers_of
 from sitl.errors import EXIT_DONE
-from sitl.paper.claim import Claim
+from sitl.report.claim import Claim
 from sitl.report.folder import results_folder
 from sitl.report.share import ShareProgress
 from sitl.report.summary import write_json

@@ -11,7 +11,7 @@ from companion.assembly import law_of
 from companion.config.fleet import Envelope
 from companion.stability.settling import SETTLED_WITHIN_M
 from companion.types.values import GRAVITY_M_S2
-from sitl.paper.claim import Claim, Verdict
+from sitl.report.claim import Claim, Verdict
 from sitl.study.cases import Figures
 from sitl.study.pairs import Pair
 from sitl.study.plan import GOAL_SHAPES

@@ -12,7 +12,6 @@ from math import hypot, isfinite, radians
 
 from companion.geometry.frames import Quaternion, enu_from_geodetic, quaternion_from_euler, wrap_pi
 from companion.types.values import GRAVITY_M_S2, Vector3
-from sitl.autopilots.setpoints import Course
 from sitl.vehicle.attitude_control import AttitudeSetpoint
 from sitl.vehicle.position_control import MAX_LIFT_RATIO, MIN_LIFT_RATIO, PositionControl
 from sitl.vehicle.quadrotor import Quadrotor
@@ -40,6 +39,16 @@ class Stage(Enum):
     CLIMB = auto()
     WAY_HOME = auto()
     WAIT = auto()  # above home
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """Position or velocity per axis in the local ENU frame, NaN if not given; the position has priority."""
+
+    position_m: Vector3
+    velocity_m_s: Vector3
+    yaw_rad: float
+    yaw_rate_rad_s: float
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TextIO
 
 from companion.geometry.frames import euler_from_quaternion
-from sitl.autopilots.autopilot import Autopilot
 from sitl.vehicle.dynamics import ATTITUDE, State
 
 TRUTH_HEADER = "monotonic_s,x_m,y_m,z_m,vx_m_s,vy_m_s,vz_m_s,roll_rad,pitch_rad,yaw_rad,thrust_norm,armed,mode\n"
@@ -30,18 +28,3 @@ def armed_at_m(file: Path) -> float | None:
     values = complete[-1].split(",") if complete else []
     columns = dict(zip(TRUTH_HEADER.strip().split(","), values, strict=False))
     return float(columns["z_m"]) if columns.get("armed") == "1" else None
-
-
-class TruthLog:
-    """True states as CSV at 50 Hz, stamped with the machine's monotonic clock, which all its processes share."""
-
-    def __init__(self, file: TextIO) -> None:
-        self._file = file
-        file.write(TRUTH_HEADER)
-
-    def write(self, autopilot: Autopilot, monotonic_s: float) -> None:
-        quad, mode = autopilot.quad, autopilot.flight_mode
-        self._file.write(truth_row(monotonic_s, quad.state, quad.thrust_norm, autopilot.armed, mode.name))
-
-    def flush(self) -> None:
-        self._file.flush()

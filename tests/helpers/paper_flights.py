@@ -11,11 +11,11 @@ from companion.config.law import LawName
 from companion.stability.arrays import FloatArray
 from companion.types.flight import Role
 from sitl.flight.scenario import Scenario, reference_of
-from sitl.flight.watch import TopologyChange
 from sitl.paper.book import PERFECT, Book
-from sitl.paper.claim import Claim, Verdict
 from sitl.paper.flights import COMPARED, NOISY_LAWS, FlownPlan, Model, Plan, Subject
+from sitl.report.claim import Claim, Verdict
 from sitl.report.metrics import Formation
+from sitl.report.records import TopologyChange
 from sitl.report.tracks import Track
 
 HOLDS, CONDITION, FAILS = Verdict.HOLDS, Verdict.CONDITION, Verdict.FAILS

@@ -18,9 +18,8 @@ from sitl.autopilots.autopilot import CRITICAL, IDLE_THRUST_NORM, INFO, WARNING,
 from sitl.autopilots.logs.dataflash import DataFlash
 from sitl.autopilots.logs.flight_logs import StandInLogs
 from sitl.autopilots.messages import LANDED_IN_AIR, LANDED_LANDING, LANDED_ON_GROUND, LANDED_TAKEOFF
-from sitl.autopilots.setpoints import Course
 from sitl.vehicle.attitude_control import AttitudeSetpoint, Loops
-from sitl.vehicle.automatic_flight import LEAST_COS_TILT, Speeds, Task, cos_tilt
+from sitl.vehicle.automatic_flight import LEAST_COS_TILT, Course, Speeds, Task, cos_tilt
 from sitl.vehicle.config import AutopilotFile
 
 # A roll step of 10 degrees reaches 10, 50 and 90 % after 70, 170 and 382 ms without overshoot; a yaw step of 60 degrees

@@ -22,9 +22,9 @@ from sitl.autopilots.setpoints import (
     IGNORE_VELOCITY,
     IGNORE_YAW,
     IGNORE_YAW_RATE,
-    Course,
 )
 from sitl.vehicle.attitude_control import AttitudeSetpoint
+from sitl.vehicle.automatic_flight import Course
 
 SQUARE_OF_UNIT_WITHIN = 1e-3
 NO_VECTOR: Vector3 = (nan, nan, nan)

@@ -16,9 +16,8 @@ from sitl.autopilots.logs.ulog import ULog
 from sitl.autopilots.messages import LANDED_IN_AIR, LANDED_LANDING, LANDED_ON_GROUND, LANDED_TAKEOFF
 from sitl.autopilots.px4.modes import GROUND_STATION_LOSS, NEED_A_PILOT, OFFBOARD_LOSS, PREVENT_ARMING, Px4Mode
 from sitl.autopilots.px4.parameters import Px4Parameters
-from sitl.autopilots.setpoints import Course
 from sitl.vehicle.attitude_control import PX4_LOOPS, AttitudeSetpoint
-from sitl.vehicle.automatic_flight import Speeds
+from sitl.vehicle.automatic_flight import Course, Speeds
 from sitl.vehicle.config import AutopilotFile
 from sitl.vehicle.ground_contact import Contact
 

@@ -24,9 +24,9 @@ from sitl.autopilots.setpoints import (
     IGNORE_YAW,
     IGNORE_YAW_RATE,
     MAX_DISTANCE_M,
-    Course,
 )
 from sitl.vehicle.attitude_control import AttitudeSetpoint
+from sitl.vehicle.automatic_flight import Course
 
 
 def setpoint_of(message: MavlinkMessage, attitude: Quaternion) -> AttitudeSetpoint | None:

@@ -89,7 +89,14 @@ class _Flight:
             failure = failure or str(error)
         source: TrackSource = "true" if self._external is None else "estimated"
         return write_results(
-            self._scenario, self._name, self._folder, self._watch, tracks, failure, flight_s, source=source
+            self._scenario,
+            self._name,
+            self._folder,
+            self._watch,
+            tracks,
+            failure=failure,
+            flight_s=flight_s,
+            source=source,
         )
 
     def _true_tracks(self) -> Tracks:

@@ -8,10 +8,10 @@ from math import dist, inf
 from companion.config.fleet import RangeNeighbours
 from companion.config.law import LawName
 from sitl.paper.book import PERFECT, Book, Entry, listed, seconds, verdict_of
-from sitl.paper.claim import Claim, Verdict
 from sitl.paper.claims.platoon import AVERAGES, FIRST_M, FITS_M, NAMES, largest_m
 from sitl.paper.flights import NOISY_LAWS, Model, Subject
 from sitl.paper.measures import Interval, alone_s, apart_s, beginning, broken_s, edges_m, fewest_in_range, total_s
+from sitl.report.claim import Claim, Verdict
 from sitl.report.metrics import pair_name
 
 LEADER = 1

@@ -7,10 +7,10 @@ from math import inf
 
 from companion.config.law import LawName
 from sitl.paper.book import PERFECT, Book, Entry, listed, verdict_of
-from sitl.paper.claim import Claim
 from sitl.paper.claims.platoon import AVERAGES, NAMES, PAIRS, exceptions, flown_platoon, largest_m
 from sitl.paper.flights import Model, Subject
 from sitl.paper.measures import response_s
+from sitl.report.claim import Claim
 
 
 def experiment_claims(book: Book) -> list[Claim]:

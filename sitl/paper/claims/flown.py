@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from sitl.paper.book import Book
-from sitl.paper.claim import Claim
 from sitl.paper.claims.aggregation import aggregation_claims
 from sitl.paper.claims.experiment import experiment_claims
 from sitl.paper.claims.platoon import platoon_claims
 from sitl.paper.claims.ring import ring_claims
+from sitl.report.claim import Claim
 
 
 def flight_claims(book: Book) -> list[Claim]:

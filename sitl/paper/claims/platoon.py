@@ -8,8 +8,8 @@ import numpy as np
 
 from companion.config.law import LawName
 from sitl.paper.book import PERFECT, Book, Entry, listed, metres, seconds, verdict_of
-from sitl.paper.claim import Claim
 from sitl.paper.flights import Model, Subject
+from sitl.report.claim import Claim
 from sitl.report.metrics import distances_m, settle_time_s
 
 PAIRS = ("1-2", "2-3", "3-4")

@@ -12,12 +12,12 @@ from companion.config.law import LawName
 from companion.config.reference import Figure8Reference
 from companion.stability.arrays import FloatArray
 from sitl.paper.book import PERFECT, Book, Entry, listed, seconds, verdict_of
-from sitl.paper.claim import Claim
 from sitl.paper.flights import FlownPlan, Model, Subject
 from sitl.paper.measures import behind_leader_m, response_s
 from sitl.paper.theory.graphs import hops
 from sitl.paper.theory.matrices import EXACT, RING_LED_BY_1, RING_LED_BY_2, printed_matrix
 from sitl.paper.topology import Leadership, leaderships, reported_matrix, topology_at
+from sitl.report.claim import Claim
 from sitl.report.metrics import distances_m, errors_m, pair_name, reference_positions_m
 
 PRINTED: Mapping[int, list[str]] = {1: RING_LED_BY_1, 2: RING_LED_BY_2}

@@ -8,9 +8,9 @@ import numpy as np
 
 from companion.core.consensus.law import next_prc
 from companion.stability.interaction import Graph
-from sitl.paper.claim import Claim, Progress, Verdict, no_progress
 from sitl.paper.theory.graphs import Led, connected_graphs, diameter, hops
 from sitl.paper.theory.survey import SEED, Survey
+from sitl.report.claim import Claim, Progress, Verdict, no_progress
 from sitl.study.shapes import chain
 
 Prcs = dict[int, int]

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import cache
 
-from sitl.paper.claim import Claim, Verdict
 from sitl.paper.theory.graphs import Led, described, layered_ring
 from sitl.paper.theory.matrices import aggregation_graph
 from sitl.paper.theory.survey import ROUNDING, Spectra, Survey, spectra_of
+from sitl.report.claim import Claim, Verdict
 from sitl.study.shapes import chain
 
 # The leader, two vertices in series, a layer of many vertices, and a wide path back to the leader through distant layers.

@@ -7,9 +7,9 @@ import numpy as np
 from companion.core.consensus.law import PAPER_GAINS, Gains
 from companion.stability.arrays import FloatArray
 from companion.stability.interaction import mode_figures
-from sitl.paper.claim import Claim, Progress, Verdict, no_progress
 from sitl.paper.theory.graphs import described
 from sitl.paper.theory.survey import Survey
+from sitl.report.claim import Claim, Progress, Verdict, no_progress
 
 OTHER_GAINS = (Gains(1.0, 2.0), Gains(1.0, 4.0))  # critically damped at lambda = 1 and at lambda = 0.25
 PROPORTIONAL = 1e-6  # relative tolerance; a double eigenvalue of eq. 19 is precise to the square root of rounding

@@ -11,8 +11,8 @@ from companion.core.consensus.law import FormationLaw, average_22, average_26, n
 from companion.stability.arrays import FloatArray
 from companion.stability.interaction import Graph, interaction_matrix, settled_prcs
 from companion.types.values import Vector3
-from sitl.paper.claim import Claim, Verdict
 from sitl.paper.theory.graphs import graph_of, hops, within_range
+from sitl.report.claim import Claim, Verdict
 from sitl.study.shapes import ring
 
 EXACT = 1e-12  # tolerance of a float against the paper's fraction

@@ -6,9 +6,9 @@ import numpy as np
 
 from companion.core.consensus.law import weighted
 from companion.stability.interaction import interaction_matrix
-from sitl.paper.claim import Claim, Verdict
 from sitl.paper.theory.graphs import Led, connected_graphs, described, random_parts, united
 from sitl.paper.theory.survey import ROUNDING, SEED, Survey, lambda_min, spectrum_of
+from sitl.report.claim import Claim, Verdict
 
 UNIONS = 300  # random graphs in parts
 

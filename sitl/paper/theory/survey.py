@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from companion.core.consensus.law import average_22, average_26, weighted
 from companion.stability.arrays import FloatArray
 from companion.stability.interaction import interaction_matrix, settled_prcs
-from sitl.paper.claim import Progress, no_progress
 from sitl.paper.theory.graphs import Led, every_small_pair, random_pairs
+from sitl.report.claim import Progress, no_progress
 
 ComplexArray = NDArray[np.complex128]
 

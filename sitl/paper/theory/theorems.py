@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from sitl.paper.claim import Claim, Progress, no_progress
 from sitl.paper.theory.algorithm1 import algorithm_1
 from sitl.paper.theory.comparison import platoon, proposition_2_against_22, proposition_2_against_26
 from sitl.paper.theory.convergence import proposition_1_and_corollary_1
 from sitl.paper.theory.matrices import matrix_claims
 from sitl.paper.theory.spectrum import corollary_2, lemma_1, lemma_1_converse, lemma_2, rows_of_g
 from sitl.paper.theory.survey import take_survey
+from sitl.report.claim import Claim, Progress, no_progress
 
 # Share of the run time at which each stage ends.
 SURVEYED, CONVERGED, COUNTED = 0.5, 0.8, 0.95

@@ -10,7 +10,7 @@ from companion.mavlink import ardupilot, telemetry
 from companion.mavlink.codec import MavlinkCodec, mavlink
 from companion.types.autopilot import AutopilotKind
 from sitl.autopilots.ardupilot.modes import CopterMode
-from sitl.autopilots.setpoints import Course
+from sitl.vehicle.automatic_flight import Course
 from sitl.vehicle.config import ARMABLE_AFTER_S, HOVER_THRUST_NORM
 from sitl_copter import DT_S, HOVER, Copter, M, attitude
 

@@ -253,7 +253,9 @@ def test_the_summary_states_the_source_of_the_positions(tmp_path: Path, scenario
     flight = Flight()
     flight.fly(*WHOLE)
     tracks = {i: reported_track(i, flight.watch.reported[i]) for i in (1, 2)}
-    result = write_results(scenario, "pair", tmp_path, flight.watch, tracks, None, 1.0, source="estimated")
+    result = write_results(
+        scenario, "pair", tmp_path, flight.watch, tracks, failure=None, flight_s=1.0, source="estimated"
+    )
     summary = read_summary(tmp_path / "summary.json")
     assert (summary.tracks, summary.sensors, summary.seed) == ("estimated", None, None)
     assert "  positions         as estimated by the vehicles" in in_words(result.summary)

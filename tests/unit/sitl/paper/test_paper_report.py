@@ -11,9 +11,7 @@ import pytest
 from companion.core.reference.trajectories import point
 from companion.stability.arrays import FloatArray
 from companion.types.flight import Role
-from sitl.flight.watch import TopologyChange
 from sitl.paper.book import listed, seconds, verdict_of
-from sitl.paper.claim import Claim, Erratum, Verdict
 from sitl.paper.figures.pictures import PICTURES
 from sitl.paper.flights import Model, Subject, paper_plans
 from sitl.paper.law_table import LawRow
@@ -21,7 +19,9 @@ from sitl.paper.measures import alone_s, behind_leader_m, broken_s, edges_m, res
 from sitl.paper.report import SIGNS, Report, as_html, sentence, verdict_counts, versions, write_report
 from sitl.paper.theory.matrices import printed_matrix
 from sitl.paper.topology import VehicleReport, topology_at
+from sitl.report.claim import Claim, Erratum, Verdict
 from sitl.report.metrics import Flight, Formation, standing
+from sitl.report.records import TopologyChange
 from sitl.report.tracks import Track
 
 

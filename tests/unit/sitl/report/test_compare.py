@@ -12,10 +12,11 @@ from companion.wire.ground import Percentiles, Timing
 from repository import ROOT
 from sitl.cli.fly import add_arguments, fly_options
 from sitl.flight.options import FlyOptions, RunOptions
-from sitl.flight.scenario import load_scenario
+from sitl.flight.results import summarize
+from sitl.flight.scenario import load_scenario, with_law
 from sitl.flight.watch import FlightWatch
-from sitl.report.compare import Comparison, compare, in_a_table, with_law
-from sitl.report.summary import Summary, in_words, read_summary, summarize, write_json
+from sitl.report.compare import Comparison, compare, in_a_table
+from sitl.report.summary import Summary, in_words, read_summary, write_json
 
 PLATOON = ROOT / "config" / "scenarios" / "platoon.yaml"
 TIMING = Timing(49.996, 2997, 3, Percentiles(1, 2, 3), Percentiles(4, 5, 6), 5.0, 48.0)
@@ -26,7 +27,7 @@ def summary(
 ) -> Summary:
     watch = FlightWatch([1, 2, 3, 4], [1], 0.0)
     watch.timing = watch.newest_timing = dict.fromkeys((1, 2, 3, 4), timing)
-    empty = summarize(load_scenario(PLATOON), "platoon", watch, None, None, 1.2, failure, 93.04)
+    empty = summarize(load_scenario(PLATOON), "platoon", watch, None, None, 1.2, failure=failure, flight_s=93.04)
     wanted = {"1-2": 1.5, "2-3": 1.5, "3-4": 1.5, "1-4": 4.5}
     return msgspec.structs.replace(
         empty,
@@ -105,7 +106,9 @@ def test_the_summary_of_a_flight_is_printed_in_lines() -> None:
 
 def test_a_flight_that_failed_before_formation_is_one_line() -> None:
     watch = FlightWatch([1, 2, 3, 4], [1], 0.0)
-    failed = summarize(load_scenario(PLATOON), "platoon", watch, None, None, None, "vehicle 2: no", 12.0)
+    failed = summarize(
+        load_scenario(PLATOON), "platoon", watch, None, None, None, failure="vehicle 2: no", flight_s=12.0
+    )
     assert in_words(failed) == "platoon, weighted: vehicle 2: no"
     assert failed.duration_s is None
     assert [vehicle.tick for vehicle in failed.vehicles] == [None] * 4

@@ -2,9 +2,10 @@
 
 from companion.types.commands import CommandName
 from sitl.flight.timeline import TimelineStep
-from sitl.flight.watch import CommandGiven, FlightWatch
+from sitl.flight.watch import FlightWatch
 from sitl.report.metrics import Formation
 from sitl.report.plan_view import Panel, panels_of
+from sitl.report.records import CommandGiven
 
 
 def watched(*asked: tuple[float, TimelineStep]) -> FlightWatch:

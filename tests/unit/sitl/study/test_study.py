@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from companion.assembly import law_of
 from companion.core.consensus.law import Weighting, cooperative, weighted
-from sitl.paper.claim import Claim, Verdict
+from sitl.report.claim import Claim, Verdict
 from sitl.study.cases import BAD_LINKS, GOOD_LINKS, Case, Figures, closest_m, fly, settled_s
 from sitl.study.figures import save_spectra, save_trade_off
 from sitl.study.goals import goal_claims

@@ -21,9 +21,9 @@ from paper_flights import (
     platoon,
     platoons,
 )
-from sitl.paper.claim import Verdict
 from sitl.paper.claims.aggregation import Connectivity, aggregation_claims
 from sitl.paper.flights import FlownPlan, Subject
+from sitl.report.claim import Verdict
 from sitl.report.metrics import Formation
 
 

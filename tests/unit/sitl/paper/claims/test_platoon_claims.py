@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from paper_flights import BAD, CONDITION, FAILS, GOOD, HIGH, HOLDS, Peaks, found, noisy, platoon, platoons
-from sitl.paper.claim import Verdict
 from sitl.paper.claims.experiment import experiment_claims
 from sitl.paper.claims.platoon import platoon_claims
 from sitl.paper.flights import FlownPlan
+from sitl.report.claim import Verdict
 
 
 @pytest.mark.parametrize("claim_id", ["fig-5-faster", "fig-6-faster"])

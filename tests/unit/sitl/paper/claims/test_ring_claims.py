@@ -21,11 +21,11 @@ from paper_flights import (
     rings,
     stretched,
 )
-from sitl.flight.watch import TopologyChange
 from sitl.paper.book import Book
-from sitl.paper.claim import Verdict
 from sitl.paper.claims.ring import ring_claims
 from sitl.paper.flights import FlownPlan
+from sitl.report.claim import Verdict
+from sitl.report.records import TopologyChange
 
 
 def test_following_the_8_holds() -> None:

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from companion.core.consensus.law import PAPER_GAINS, Gains, weighted
 from companion.stability.interaction import interaction_matrix, mode_figures
-from sitl.paper.claim import Verdict
 from sitl.paper.theory.algorithm1 import algorithm_1, printed_prcs, ticks_to_settle
 from sitl.paper.theory.comparison import contrary, proposition_2_against_22
 from sitl.paper.theory.convergence import abscissa_1_s, limit_of_proportion
@@ -30,6 +29,7 @@ from sitl.paper.theory.graphs import (
 from sitl.paper.theory.matrices import aggregation_graph
 from sitl.paper.theory.spectrum import corollary_2, lemma_1, lemma_1_converse, lemma_2, rows_of_g
 from sitl.paper.theory.survey import Survey, spectra_of, take_survey
+from sitl.report.claim import Verdict
 from sitl.study.shapes import chain, ring
 
 # ---------------------------------------------------------------- graphs

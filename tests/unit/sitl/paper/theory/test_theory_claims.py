@@ -4,10 +4,10 @@ import msgspec
 import pytest
 
 from companion.types.values import ZERO3
-from sitl.paper.claim import Claim, Verdict
 from sitl.paper.errata import acceleration_of, errata, printed_attitude, right_attitude
 from sitl.paper.theory import comparison, matrices
 from sitl.paper.theory.theorems import theory_claims
+from sitl.report.claim import Claim, Verdict
 from sitl.study.shapes import Shape
 
 CONDITION, FAILS = Verdict.CONDITION, Verdict.FAILS

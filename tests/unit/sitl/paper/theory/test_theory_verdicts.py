@@ -9,13 +9,13 @@ import pytest
 
 from companion.stability.arrays import FloatArray
 from sitl.paper.beyond import growth_text
-from sitl.paper.claim import Claim, Verdict
 from sitl.paper.theory import algorithm1, comparison, spectrum
 from sitl.paper.theory.comparison import platoon, proposition_2_against_22, proposition_2_against_26
 from sitl.paper.theory.convergence import proposition_1_and_corollary_1
 from sitl.paper.theory.graphs import every_small_pair, random_pairs
 from sitl.paper.theory.spectrum import corollary_2, lemma_1, lemma_1_converse, lemma_2, rows_of_g
 from sitl.paper.theory.survey import Spectra, Survey, spectra_of
+from sitl.report.claim import Claim, Verdict
 from sitl.study.settings import SETTINGS
 
 HOLDS, CONDITION, FAILS = Verdict.HOLDS, Verdict.CONDITION, Verdict.FAILS
