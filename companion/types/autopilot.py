@@ -1,4 +1,4 @@
-"""Autopilot makes and flight modes, and the state of the own vehicle."""
+"""What autopilot and agent exchange: telemetry samples, setpoints and requests; and the state of the own vehicle."""
 
 from __future__ import annotations
 

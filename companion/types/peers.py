@@ -1,4 +1,4 @@
-"""Messages between vehicles, and from targets."""
+"""Messages of others: peers of the fleet, targets, and traffic that a receiver of ADS-B or a tracking system reports."""
 
 from __future__ import annotations
 

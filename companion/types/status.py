@@ -1,4 +1,4 @@
-"""What the separation filter reports: the vehicle that is nearest to its required distance, and the change of the command."""
+"""What a vehicle reports to the ground, the report of its separation filter among it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Vectors of the world frame, and gravity."""
+"""Plain values: vectors of the world frame, bounds of received numbers and texts, and text that is safe to print.
+
+msgspec enforces the bounds where a message is decoded; NaN and infinity lie outside every bound.
+"""
 
 from __future__ import annotations
 

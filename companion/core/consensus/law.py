@@ -1,6 +1,7 @@
 """Formation law: eq. 14 with the weights of Algorithm 2, the two average laws of the paper and the cooperative law.
 
-All are one formula with different data: gains, weighting of the neighbours, whether a leader uses its neighbours, and the share
+PrC and weights (Algorithms 1 and 2) are here too, and the RFT that a vehicle publishes which is kept off its slot.
+All laws are one formula with different data: gains, weighting of the neighbours, whether a leader uses its neighbours, and the share
 of the neighbours' acceleration that is fed forward.
 With d_ij = d_i0 - d_j0 every relative error of the paper is a difference of two formation states:
 x_i - x_j - d_ij = (x_i - d_i0) - (x_j - d_j0).
@@ -240,7 +241,12 @@ NEARER_M, NEARER_WITHIN_S = 0.02, 1.0
 
 
 class KeptOff:
-    """Whether this vehicle is kept off its slot."""
+    """Whether the separation filter keeps this vehicle off its slot, and the RFT that it publishes in place of its own offset.
+
+    The law compares positions minus slots. A vehicle that makes way for another one is off its slot for seconds, and its peers
+    would follow it: it would pull the whole formation aside, vehicles that wait for each other would not come apart, and they
+    would reach their slots late or never. So it publishes the RFT that the law gives it, as if it were in its slot.
+    """
 
     def __init__(self) -> None:
         self._intervened_s = -inf

@@ -1,4 +1,10 @@
-"""The neighbour set N_i: by explicit edges, or by range with hysteresis."""
+"""The neighbour set N_i, by explicit edges or by range with hysteresis; and the distant peers of a large fleet.
+
+Distant peers are those that this vehicle receives at 5 Hz instead of 50 Hz. A peer may become distant only in steady flight:
+both are in formation, in slots at rest, and the leader is heard. It is farther away than any two vehicles can come together
+before this vehicle would have it at 50 Hz again. Whatever is not known to be so is received at 50 Hz: forming, leaving,
+landing, a change of the formation, a lost leader, a silent vehicle.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Checks of one peer packet alone: what it claims in the fleet, and its numbers. `peers.py` compares it with the last one."""
+"""Newest plausible state of every peer. Every peer packet passes the checks of this module before the law uses it.
+
+`refusal_of_claims` and `refusal_of_motion` look at one packet alone; `PeerTable` compares it with the last one.
+"""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ from companion.core.consensus.law import (
 )
 from companion.core.consensus.stage import Consensus
 from companion.core.control.setpoint_stream import THRUST_FRESH_S, SetpointStream
-from companion.core.estimation.wind import Motion
+from companion.core.estimation.wind import FlightSample
 from companion.core.formation.guidance import Guidance
 from companion.core.safety.filter.safety_filter import SafetyFilter
 from companion.core.safety.safeguard import Safety
@@ -196,7 +196,7 @@ class SetpointStage:
             observer.pause()
             return
         attitude_rad = (vehicle.roll_rad, vehicle.pitch_rad, vehicle.yaw_rad)
-        observer.update(Motion(vehicle.position_time_s, vehicle.velocity_enu_m_s, attitude_rad, thrust_norm))
+        observer.update(FlightSample(vehicle.position_time_s, vehicle.velocity_enu_m_s, attitude_rad, thrust_norm))
 
 
 def _flies_freely(vehicle: VehicleState, phase: FlightPhase) -> bool:

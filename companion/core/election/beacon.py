@@ -1,4 +1,4 @@
-"""Leader beacons: how a vehicle knows that a leader is alive, which PrC alone does not show.
+"""Leader beacons: how a vehicle knows that a leader is alive, which PrC alone does not show; and mission time.
 
 Without a leader in reach, PrC rises by one each tick and stays at n, and p = n is also valid at the end of a chain of n. So
 every packet carries a leader beacon beside the PrC: the leader's id, and a stamp that only the leader increases.

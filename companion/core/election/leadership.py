@@ -158,7 +158,10 @@ RETURN_S = 0.4  # the leader may leave a term without a leader later than this v
 
 
 class Succession:
-    """Time without a leader beacon.
+    """Loss of the leader: how long formation continues, and which successor becomes leader when.
+
+    Beacons get lost or arrive late, so a leader with a stale beacon need not be dead. A delay of less than one turn changes
+    nothing. Claims of vehicles that do not receive each other are ordered by their terms.
 
     The successor of rank k becomes leader k turns after the beacon was lost. All vehicles stop waiting two turns after the last
     successor's, which may have noticed the loss later; without successors, or without a neighbour in formation, after one turn,

@@ -1,4 +1,9 @@
-"""Perception: telemetry -> the vehicle's state and fitness, and requests for what telemetry does not bring by itself."""
+"""Perception: telemetry -> the vehicle's state in the fleet frame. Implausible samples are counted and ignored.
+
+The offset of the autopilot's local frame in the fleet frame comes from GPS_GLOBAL_ORIGIN. GLOBAL_POSITION_INT minus
+LOCAL_POSITION_NED gives the same offset to within centimetres: it checks a reported origin, and replaces one that was never
+reported.
+"""
 
 from __future__ import annotations
 

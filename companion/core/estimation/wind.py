@@ -29,7 +29,7 @@ LARGEST_INNOVATION_M_S = 1.0
 RESET_M_S, RESET_M_S2 = 0.5, 30.0  # a larger velocity jump means that the autopilot's estimator was reset
 
 
-class Motion(Struct, frozen=True, gc=False):
+class FlightSample(Struct, frozen=True, gc=False):
     """Velocity, attitude (roll, pitch, yaw of FLU in ENU) and last commanded thrust, measured at `time_s`."""
 
     time_s: float
@@ -53,7 +53,7 @@ class DisturbanceObserver:
         self.disturbance_enu_m_s2 = ZERO3  # z is always 0
         self._drag_1_s = drag_1_s
         self._bandwidth_1_s = bandwidth_1_s
-        self._last: Motion | None = None
+        self._last: FlightSample | None = None
         self._velocity_enu_m_s = ZERO3  # of the model
         self._thrust_norm = 0.0  # of the motors, after their lag
         self._has_flown = False
@@ -75,7 +75,7 @@ class DisturbanceObserver:
         self.pause()
         self.disturbance_enu_m_s2 = ZERO3
 
-    def update(self, motion: Motion) -> None:
+    def update(self, motion: FlightSample) -> None:
         """Correct the estimates with one measurement. A measurement no newer than the last changes nothing."""
         if self._bandwidth_1_s == 0.0:
             return
@@ -96,7 +96,7 @@ class DisturbanceObserver:
             return
         self._correct(motion, self._predicted(last, motion, dt_s), dt_s)
 
-    def _predicted(self, last: Motion, motion: Motion, dt_s: float) -> Vector3:
+    def _predicted(self, last: FlightSample, motion: FlightSample, dt_s: float) -> Vector3:
         """Velocity of the model after one step, m/s."""
         before_x, before_y, before_z = self._acceleration(last)
         self._thrust_norm += (last.thrust_norm - self._thrust_norm) * (1.0 - exp(-dt_s / THRUST_LAG_S))
@@ -108,7 +108,7 @@ class DisturbanceObserver:
             z + half_s * (before_z + after_z),
         )
 
-    def _acceleration(self, motion: Motion) -> Vector3:
+    def _acceleration(self, motion: FlightSample) -> Vector3:
         """Acceleration of the model, m/s^2."""
         per_mass_m_s2 = self._thrust_norm / self.hover_thrust_norm * GRAVITY_M_S2
         roll_rad, pitch_rad, yaw_rad = motion.attitude_rad
@@ -122,7 +122,7 @@ class DisturbanceObserver:
             cos(pitch_rad) * unrolled_m_s2 - GRAVITY_M_S2 - self._drag_1_s * vz,
         )
 
-    def _correct(self, motion: Motion, predicted: Vector3, dt_s: float) -> None:
+    def _correct(self, motion: FlightSample, predicted: Vector3, dt_s: float) -> None:
         """Correct velocity, disturbance and hover thrust. Both error poles are at the bandwidth for any step length."""
         pole = exp(-self._bandwidth_1_s * dt_s)
         to_velocity, to_disturbance = 1.0 - pole**2, (1.0 - pole) ** 2 / dt_s
