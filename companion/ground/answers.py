@@ -1,4 +1,4 @@
-"""The outcome of a command for each vehicle, as lines and as data. Pure."""
+"""The outcome of a command for each vehicle, as lines and as data, and how lines are wrapped. Pure."""
 
 from __future__ import annotations
 

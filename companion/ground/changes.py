@@ -1,4 +1,7 @@
-"""What an operator asks of a fleet, as plain values: the input of `companion fleet`."""
+"""What an operator asks of a fleet, and the changes it leads to: a formation with its slots, a reference (RFT).
+
+A change has a number, and begins in all vehicles at once: AHEAD_S after the fleet time that they report. Pure.
+"""
 
 from __future__ import annotations
 

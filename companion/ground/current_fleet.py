@@ -1,4 +1,7 @@
-"""The fleet file and the endpoints of a command: from its options, the environment or the saved current fleet."""
+"""The fleet file and the endpoints of a command, and why an endpoint is not reached.
+
+They come from the options of the command, the environment or the saved current fleet.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""When an action is finished, by the vehicles' reports: the end state of each action, and the wait for it."""
+"""What the reports must show before a command that is for all vehicles or none, and when an action is finished."""
 
 from __future__ import annotations
 

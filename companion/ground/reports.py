@@ -1,4 +1,4 @@
-"""Status and readiness of the vehicles, as lines and as data. Pure."""
+"""Status and readiness of the vehicles, as lines and as data: the vehicle checks itself, here its findings are sorted. Pure."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The Zenoh session that every program of the ground opens to the vehicles."""
+"""The Zenoh session of the ground: receives the status of every vehicle and sends commands. Needs no event loop."""
 
 from __future__ import annotations
 

@@ -1,10 +1,11 @@
-"""Who may ask the server for what. It is reached by browsers, so any page that the operator visits may try.
+"""Who may ask the server for what, and how many at once. It is reached by browsers: any page that the operator visits may try.
 
 - The name in Host is the server's own: another page cannot make the browser believe that this server is its own (DNS
   rebinding).
 - A POST and a WebSocket that name an Origin name that of this server: another page cannot send in the operator's name.
 - A command needs the token of the printed URL.
 - The page may load and run what this server has, and nothing else.
+- Connections and WebSocket clients are bounded. A slow client misses snapshots; nothing is queued for it.
 """
 
 from __future__ import annotations

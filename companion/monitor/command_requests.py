@@ -1,4 +1,4 @@
-"""A CommandRequest of the interface -> the FleetRequest of `companion fleet`, checked."""
+"""A request of the live page: checked, as a request of `companion fleet`, and what it would do before anything is sent."""
 
 from __future__ import annotations
 

@@ -1,6 +1,8 @@
 """Sends a fleet to one ground station by UDP. Nothing that it sends back is executed or passed on.
 
 Each vehicle is a system with its vehicle id. A silent vehicle is not sent any more: the ground station shows its link as lost.
+A status has no attitude, so ATTITUDE is not sent; the course over ground is the heading of GLOBAL_POSITION_INT while the
+vehicle moves. The autopilot type is not known on the ground: MAV_AUTOPILOT_GENERIC.
 """
 
 from __future__ import annotations

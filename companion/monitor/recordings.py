@@ -1,4 +1,4 @@
-"""The recordings of a flight as a source of the live page: statuses, commands and answers of all vehicles on one time."""
+"""What the monitor replays and records: a recorded flight as a source of the page, and the recording of the ground."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The addresses of the server and what each answers. docs/api.md has them for people."""
+"""The server of the live page: its addresses and what each answers, its files, and its run. docs/api.md has the addresses."""
 
 from __future__ import annotations
 
@@ -21,7 +21,6 @@ import msgspec
 from aiohttp import web
 from aiohttp.http_exceptions import HttpProcessingError
 
-from companion import monitor
 from companion.monitor import MonitorError
 from companion.monitor.access import (
     MOST_CLIENTS,
@@ -159,7 +158,7 @@ async def _body(request: web.Request, type_: type[T]) -> T | web.Response:
         return error(400, f"the body is no {type_.__name__}: {problem}"[:300])
 
 
-PAGE = Path(monitor.__file__).parent / "page"
+PAGE = Path(__file__).parent / "page"
 TYPES = {
     ".html": "text/html",
     ".css": "text/css",

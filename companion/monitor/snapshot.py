@@ -1,4 +1,4 @@
-"""The state behind the live page: a fold over reports and replies, and a snapshot of it at any time."""
+"""The state behind the live page: a fold over reports and replies, a snapshot of it at any time, and its history. Pure."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""`companion monitor --tui`: the fleet in the terminal, from Zenoh alone."""
+"""`companion monitor --tui`: the fleet in the terminal, from Zenoh alone.
+
+The live picture is refreshed in place on the second screen of the terminal: at the end it is as it was before.
+"""
 
 from __future__ import annotations
 

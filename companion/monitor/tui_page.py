@@ -1,6 +1,7 @@
 """The whole picture as lines of text for one width, and for one height where it is a terminal's. Pure.
 
-Where not all of it fits, vehicles with problems come first and the others take turns.
+Columns are designed for 80, 120 and 200 characters. A wider terminal shows more of them; the column `event` takes the rest.
+Where not all vehicles fit, those with problems come first and the others take turns.
 """
 
 from __future__ import annotations

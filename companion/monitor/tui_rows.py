@@ -1,4 +1,4 @@
-"""The rows of one fleet with what only the whole fleet shows: distances, and the heading. Pure."""
+"""The rows of one fleet with what only the whole fleet shows, and what is wrong with each vehicle, the worst first. Pure."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One vehicle: its newest report and the times of its reports -> VehicleView."""
+"""One vehicle for the live page: its newest report, and its health flags with what the operator should do. Pure."""
 
 from __future__ import annotations
 
