@@ -27,7 +27,7 @@ from companion.link.log import flush_log
 from companion.link.signing_key import read_signing_key
 from companion.link.systemd import Notifier
 from companion.link.tick import TickTrigger, monotonic_s
-from companion.mavlink.dialect import AGENT_STREAMS
+from companion.mavlink.autopilot_types import AGENT_STREAMS
 from companion.mavlink.ground_station import GroundStationFilter
 from companion.mavlink.translator import Translator
 from companion.recording.writer.folder import recordings_folder

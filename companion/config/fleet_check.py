@@ -11,17 +11,19 @@ from pathlib import Path
 
 from msgspec.structs import replace
 
-from companion.config.airspace_check import airspace_problems
 from companion.config.file import convert
 from companion.config.fleet import EdgeNeighbours, FleetConfig
 from companion.config.kind import read_as
 from companion.config.law import law_problems
+from companion.config.obstacles import BoxObstacle, CylinderObstacle
 from companion.config.validation import INVALID, Problem, each, unless_invalid
+from companion.geometry.airspace import area_m2, crossing_sides
 from companion.geometry.separation import counted
 from companion.geometry.transition import ROUNDING_M
 from companion.types.flight import Role
 from companion.types.values import Vector3
 
+SMALLEST_AREA_M2 = 1.0
 CLOSEST_STARTS_M = 0.3  # nearer to each other, two vehicles on the ground touch
 
 
@@ -194,6 +196,45 @@ def _battery(fleet: FleetConfig, where: str) -> Iterator[Problem]:
             f"{land:g} is more than leave_below_percent, {leave:g}: the vehicle would land before it leaves the formation;"
             f" expected at most {leave:g}",
         )
+
+
+def airspace_problems(fleet: FleetConfig, where: str = "") -> Iterator[Problem]:
+    """Fence and obstacles that cannot be used. `where` is the path of the fleet's section."""
+    envelope = fleet.envelope
+    lows, highs = envelope.fence_min_enu_m, envelope.fence_max_enu_m
+    for axis, low, high in zip("xyz", lows, highs, strict=True):
+        if low >= high:
+            yield Problem(
+                f"{where}envelope.fence_min_enu_m", f"{axis} is {low}, expected less than fence_max_enu_m's {high}"
+            )
+        elif high - low <= 2.0 * envelope.clearance_m:
+            text = f"{envelope.clearance_m:g} leaves no room along {axis}, where the fence is {high - low:g} m wide"
+            yield Problem(f"{where}envelope.clearance_m", text)
+    yield from _polygon(fleet, f"{where}envelope.fence_corners_enu_m")
+    for index, obstacle in enumerate(fleet.obstacles):
+        match obstacle:
+            case CylinderObstacle(bottom_m=bottom_m, top_m=top_m) if bottom_m >= top_m:
+                yield Problem(
+                    f"{where}obstacles[{index}].bottom_m", f"{bottom_m:g}: expected less than top_m, {top_m:g}"
+                )
+            case BoxObstacle(min_enu_m=low_m, max_enu_m=high_m):
+                for axis, low, high in zip("xyz", low_m, high_m, strict=True):
+                    if low >= high:
+                        text = f"{axis} is {low:g}, expected less than max_enu_m's {high:g}"
+                        yield Problem(f"{where}obstacles[{index}].min_enu_m", text)
+
+
+def _polygon(fleet: FleetConfig, where: str) -> Iterator[Problem]:
+    corners = fleet.envelope.fence_corners_enu_m
+    if not len(corners):
+        return
+    if len(corners) < 3:
+        yield Problem(where, f"has {len(corners)} corners; expected at least 3, or none for a box")
+    elif crossing := crossing_sides(corners):
+        i, j = crossing
+        yield Problem(where, f"the sides that begin at corners {i} and {j} touch or cross; expected corners in order")
+    elif (size_m2 := area_m2(corners)) < SMALLEST_AREA_M2:
+        yield Problem(where, f"has an area of {size_m2:.2f} m^2; expected at least {SMALLEST_AREA_M2:g}")
 
 
 def _listed(ids: list[int]) -> str:

@@ -8,7 +8,6 @@ from itertools import pairwise
 from math import dist, floor, hypot, radians, tan
 from pathlib import Path
 
-from companion.config.airspace_check import path_problems
 from companion.config.file import refuse
 from companion.config.fleet import FleetConfig
 from companion.config.reference import (
@@ -23,8 +22,12 @@ from companion.config.reference import (
     moves,
 )
 from companion.config.validation import Problem, each, needs
+from companion.geometry.airspace import Airspace
+from companion.geometry.clear_path import conflict_steps, leg_conflict_steps, nearest_kind
 from companion.geometry.curves import PEAK_ACCELERATION, PEAK_SPEED, duration_s
 from companion.geometry.turning import SLOT_ACCELERATION_M_S2, course, reach_m, swept, turn_limits
+from companion.geometry.vectors import plus
+from companion.types.steps import Steps, coarser
 from companion.types.values import GRAVITY_M_S2, Vector3
 
 RAMP_SAMPLES, LAP_SAMPLES = 100, 500
@@ -58,7 +61,7 @@ def reference_checks(
     slots = slots_enu_m or {member.id: member.slot_enu_m for member in fleet.vehicles}
     yield from each(
         _positions(where, fleet, reference, slots),
-        path_problems(where, fleet, reference, slots, largest_pace(reference)[0]),
+        _paths(where, fleet, reference, slots, largest_pace(reference)[0]),
     )
     yield None
     if moves(reference):
@@ -120,6 +123,47 @@ def _positions(
                 f"puts vehicle {outside[0]} at {name} = {outside[1]:g} m,"
                 f" outside the fence less clearance_m ({low_m:g} to {high_m:g})",
             )
+
+
+def _paths(
+    where: str, fleet: FleetConfig, reference: Reference, slots_enu_m: Mapping[int, Vector3], speed_m_s: float
+) -> Iterator[Problem | None]:
+    """The first vehicle whose path with this reference leaves the fence or meets an obstacle, in an airspace beyond a box.
+
+    `speed_m_s` is the largest speed of the reference. A slot that turns about the RFT needs room on its whole circle. None
+    stands for a pause of the check.
+    """
+    airspace = fleet.airspace
+    if airspace.is_box:
+        return
+    for vehicle_id, slot_enu_m in slots_enu_m.items():
+        offset, around_m = ((0.0, 0.0, slot_enu_m[2]), reach_m([slot_enu_m])) if fleet.slots_turn else (slot_enu_m, 0.0)
+        steps = _conflict(airspace, reference, offset, around_m, speed_m_s)
+        position = yield from coarser(steps, airspace.positions_per_step())
+        yield None
+        if position is not None:
+            x, y, z = position
+            place = f"({x:.1f}, {y:.1f}, {z:.1f})" + (f" with {around_m:.1f} m around it to turn" if around_m else "")
+            text = f"brings vehicle {vehicle_id} to {place}, too near to {nearest_kind(airspace, position)}"
+            clearance = f"expected a path that keeps envelope.clearance_m, {airspace.clearance_m:g} m"
+            yield Problem(f"{where}.{FIELD_OF_POSITION[type(reference)]}", f"{text}; {clearance}")
+            return
+
+
+def _conflict(
+    airspace: Airspace, reference: Reference, offset: Vector3, around_m: float, speed_m_s: float
+) -> Steps[Vector3 | None]:
+    if isinstance(reference, WaypointsReference):
+        points = [plus(point, offset) for point in reference.points_enu_m]
+        legs = pairwise(points) if len(points) > 1 else [(points[0], points[0])]
+        for a, b in legs:
+            if (found := (yield from leg_conflict_steps(airspace, a, b, around_m))) is not None:
+                return found
+        return None
+    curve = reference.curve()
+    lasts_s = reference.ramp_s + reference.period_s if isinstance(reference, Lapping) else 0.0
+    at, rate_m_s = lambda time_s: plus(curve(time_s)[0], offset), max(speed_m_s, 0.1)
+    return (yield from conflict_steps(airspace, at, lasts_s, rate_m_s, around_m))
 
 
 def _pace(where: str, fleet: FleetConfig, reference: Reference) -> Iterator[Problem]:

@@ -13,9 +13,8 @@ from companion.geometry.frames import enu_from_geodetic
 from companion.ground.session import GroundConnection
 from companion.types.peers import TargetSample, TrafficSample
 from companion.types.values import Vector3
+from companion.wire.ground import encode
 from companion.wire.keys import target_key, traffic_key
-from companion.wire.target import encode_target
-from companion.wire.traffic import encode_traffic
 
 if TYPE_CHECKING:
     from companion.security.identity import Identity
@@ -39,9 +38,7 @@ class TargetPublisher(GroundConnection):
         """The present velocity and position in the fleet frame; without a position, as of a joystick, the velocity alone."""
         self._published += 1
         sample = TargetSample(self._number, self._published, time.monotonic(), velocity_enu_m_s, position_enu_m)
-        self._session.put(
-            self._key, encode_target(sample), congestion_control=zenoh.CongestionControl.DROP, express=True
-        )
+        self._session.put(self._key, encode(sample), congestion_control=zenoh.CongestionControl.DROP, express=True)
 
 
 class TrafficPublisher(GroundConnection):
@@ -68,7 +65,7 @@ class TrafficPublisher(GroundConnection):
         sample = TrafficSample(position_enu_m, velocity_enu_m_s, age_s, error_m)
         self._session.put(
             traffic_key(self._fleet, self._source, name),
-            encode_traffic(sample),
+            encode(sample),
             congestion_control=zenoh.CongestionControl.DROP,
             express=True,
         )

@@ -11,7 +11,7 @@ import time
 
 from companion.link.endpoint import AllRead, LinkError, Received, encoded_host, explain
 
-READ_BYTES = 4096  # of a datagram: autopilots send at most an Ethernet frame
+DATAGRAM_BYTES = 4096  # of a datagram: autopilots send at most an Ethernet frame
 DATAGRAMS_PER_WAKE_UP = 64  # the rest wakes the loop again, after a tick that may be due
 BYTES_PER_WAKE_UP = 8192  # some 200 messages: 2 ms
 RELOCK_AFTER_S = 5.0  # a restarted autopilot may send from another port
@@ -19,8 +19,6 @@ RELOCK_AFTER_S = 5.0  # a restarted autopilot may send from another port
 _SO_TIMESTAMPNS = 35  # Linux; missing in the socket module
 _TIMESPEC = struct.Struct("@ll")
 _ANCILLARY_BYTES = socket.CMSG_SPACE(_TIMESPEC.size)
-
-_log = logging.getLogger(__name__)
 
 
 class UdpLink:
@@ -72,7 +70,7 @@ class UdpLink:
             if read_bytes > BYTES_PER_WAKE_UP:
                 return
             try:
-                data, ancillary, _, sender = self._socket.recvmsg(READ_BYTES, _ANCILLARY_BYTES)
+                data, ancillary, _, sender = self._socket.recvmsg(DATAGRAM_BYTES, _ANCILLARY_BYTES)
             except BlockingIOError:
                 return
             except OSError:
@@ -88,7 +86,7 @@ class UdpLink:
         if self._received(data, received_s):
             if sender != self._autopilot:
                 self._autopilot = sender
-                _log.info("autopilot at %s:%d", *sender[:2])
+                logging.getLogger(__name__).info("autopilot at %s:%d", *sender[:2])
             self._heard_s = received_s
 
 

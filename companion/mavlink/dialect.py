@@ -1,7 +1,4 @@
-"""MAVLink dialects: what differs between autopilots. The modules `px4` and `ardupilot` each are one dialect.
-
-HEARTBEAT selects the dialect; no other code asks for the make of the autopilot.
-"""
+"""What differs between the autopilot types in MAVLink (`Dialect`), and the commands that are the same for all of them."""
 
 from __future__ import annotations
 
@@ -9,9 +6,8 @@ from collections.abc import Mapping
 from typing import Protocol
 
 from companion.geometry.frames import Quaternion
-from companion.mavlink import ardupilot, px4
 from companion.mavlink.codec import MavlinkMessage
-from companion.types.autopilot import AttitudeTarget, AutopilotKind, AutopilotMode, AutopilotRequest, Telemetry
+from companion.types.autopilot import AttitudeTarget, AutopilotMode, AutopilotRequest, Telemetry
 
 
 class Dialect(Protocol):
@@ -52,25 +48,3 @@ class Dialect(Protocol):
 
     def parameter_value(self, message: MavlinkMessage) -> float:
         """The value in PARAM_VALUE, with integers decoded."""
-
-
-DIALECTS: dict[AutopilotKind, Dialect] = {AutopilotKind.PX4: px4, AutopilotKind.ARDUPILOT: ardupilot}
-
-# Messages of any dialect whose rate only the agent may set.
-AGENT_STREAMS = frozenset(
-    message_id for dialect in DIALECTS.values() for message_id, period_us in dialect.STREAMS_US.items() if period_us > 0
-)
-
-
-def autopilot_kind(heartbeat: MavlinkMessage) -> AutopilotKind | None:
-    """Make of the autopilot that sent this HEARTBEAT; None where it has no dialect."""
-    return next((kind for kind, dialect in DIALECTS.items() if dialect.matches(heartbeat)), None)
-
-
-def describe_heartbeat(heartbeat: MavlinkMessage) -> str:
-    """The autopilot that a HEARTBEAT reports, for messages."""
-    text, kind = f"MAV_AUTOPILOT {heartbeat.autopilot}", autopilot_kind(heartbeat)
-    if kind:
-        return f"{text} ({DIALECTS[kind].NAME})"
-    known = any(heartbeat.autopilot == dialect.MAV_AUTOPILOT for dialect in DIALECTS.values())
-    return f"{text} of MAV_TYPE {heartbeat.type}" if known else text

@@ -6,14 +6,14 @@ fields here, but its checksum and its signature are verified, it is passed on un
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterator
-from struct import Struct
 from typing import Any, ClassVar
 
-from companion.mavlink.generated import in_use as mavlink
+from companion.mavlink.generated import in_use
 from companion.mavlink.generated.others import OTHERS
 
-__all__ = ["OtherMessage", "mavlink"]
+mavlink = in_use
 
 
 class OtherMessage(mavlink.MAVLink_message):
@@ -42,7 +42,7 @@ class _OtherKind:
     fieldnames: ClassVar[list[str]] = ["payload"]
     ordered_fieldnames = fieldnames
 
-    def __init__(self, id_: int, name: str, crc_extra: int, unpacker: Struct, target_at: int) -> None:
+    def __init__(self, id_: int, name: str, crc_extra: int, unpacker: struct.Struct, target_at: int) -> None:
         self.id, self.msgname, self.crc_extra = id_, name, crc_extra
         self.unpacker, self.target_at = unpacker, target_at
 
@@ -51,7 +51,7 @@ class _OtherKind:
 
 
 def _other_kinds() -> Iterator[tuple[int, Any]]:
-    sizes = {size: Struct(f"{size}s") for _, _, _, size, _ in OTHERS}
+    sizes = {size: struct.Struct(f"{size}s") for _, _, _, size, _ in OTHERS}
     for id_, name, crc_extra, size, target_at in OTHERS:
         yield id_, _OtherKind(id_, name, crc_extra, sizes[size], target_at)
 

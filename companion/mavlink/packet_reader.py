@@ -6,7 +6,7 @@ from collections import Counter
 
 from companion.mavlink.checksum import mcrf4xx
 from companion.mavlink.messages import mavlink
-from companion.mavlink.plain_packets import Packet, read_plain
+from companion.mavlink.plain_packets import CHECKSUM_BYTES, Packet, read_plain
 from companion.mavlink.signing import SIGNATURE_CODES
 from companion.types.notices import Code
 
@@ -14,7 +14,7 @@ MAVLINK_2, MAVLINK_1 = 0xFD, 0xFE  # first byte of a packet
 SIGNED = 0x01  # the only incompat_flag that is defined
 OVERHEAD = {MAVLINK_2: 12, MAVLINK_1: 8}  # bytes of header and checksum
 ID_AT = {MAVLINK_2: slice(7, 10), MAVLINK_1: slice(5, 6)}
-CHECKSUM_BYTES, SIGNATURE_BYTES = 2, 13
+SIGNATURE_BYTES = 13
 MOST_DAMAGED = 16  # packets of one call; each costs a checksum, and what follows is discarded
 
 

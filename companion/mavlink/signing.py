@@ -15,7 +15,7 @@ from companion.types.notices import Code
 KEY_BYTES = 32
 UNITS_PER_S = 100_000  # a stamp counts 10 us
 EPOCH_UNIX_S = 1_420_070_400  # from 2015-01-01 UTC
-SIGNATURE_BYTES = 6
+HASH_BYTES = 6
 
 SIGNATURE_CODES = (Code.MAVLINK_UNSIGNED, Code.MAVLINK_WRONG_KEY, Code.MAVLINK_OLD_SIGNATURE)
 
@@ -54,8 +54,8 @@ class SignedMavlink(mavlink.MAVLink):
 
     def check_signature(self, msgbuf: bytearray, srcSystem: int, srcComponent: int) -> bool:  # noqa: N803
         """True for a correct signature. Raises MAVError with one of SIGNATURE_CODES otherwise."""
-        digest = hashlib.sha256(self._secret + msgbuf[:-SIGNATURE_BYTES]).digest()
-        if digest[:SIGNATURE_BYTES] != msgbuf[-SIGNATURE_BYTES:]:
+        digest = hashlib.sha256(self._secret + msgbuf[:-HASH_BYTES]).digest()
+        if digest[:HASH_BYTES] != msgbuf[-HASH_BYTES:]:
             raise mavlink.MAVError(Code.MAVLINK_WRONG_KEY)
         self.keep_time()
         if not super().check_signature(msgbuf, srcSystem, srcComponent):

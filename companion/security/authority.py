@@ -42,7 +42,7 @@ class Authority:
         """The private key. Raises ConfigError."""
         file = self.folder / KEY_FILE
         try:
-            key = read_key(_content(file))
+            key = read_key(_authority_content(file))
         except ValueError as error:
             raise ConfigError(file, "", f"{error}; {RESTORE}") from error
         if key.public_key() != self.certificate.public_key():
@@ -65,7 +65,7 @@ def open_authority(folder: Path) -> Authority:
     """The authority in a folder, without its private key. Raises ConfigError."""
     file = folder / AUTHORITY_FILE
     try:
-        certificate = read_certificate(_content(file))
+        certificate = read_certificate(_authority_content(file))
     except ValueError as error:
         raise ConfigError(file, "", f"{error}; {RESTORE}") from error
     return Authority(folder, certificate, read_admitted(folder / ADMITTED_FILE, certificate))
@@ -79,7 +79,7 @@ def signed(authority: Authority, key: ec.EllipticCurvePrivateKey, admitted: Admi
         raise ConfigError(authority.folder / ADMITTED_FILE, "", f"the new list {error}") from error
 
 
-def _content(file: Path) -> bytes:
+def _authority_content(file: Path) -> bytes:
     try:
         return read_regular(file, MAX_PEM_BYTES)[0]
     except OSError as error:

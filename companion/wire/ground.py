@@ -6,6 +6,7 @@ import msgspec
 
 from companion.types.commands import CONTENT, Command, CommandReply, ReferenceChange
 from companion.types.notices import Code
+from companion.types.peers import TargetSample, TrafficSample
 from companion.types.status import Status
 from companion.types.values import Finite, Number
 from companion.wire.version import WireError, seal, unsealed
@@ -49,7 +50,8 @@ _command_decoder = msgspec.msgpack.Decoder(Command)
 _reply_decoder = msgspec.msgpack.Decoder(CommandReply)
 
 
-def encode(message: StatusReport | Command | CommandReply) -> bytes:
+def encode(message: StatusReport | Command | CommandReply | TargetSample | TrafficSample) -> bytes:
+    """The message as a MessagePack map behind the version byte."""
     return seal(_encoder.encode(message))
 
 

@@ -6,17 +6,11 @@ import msgspec
 
 from companion.types.notices import Code
 from companion.types.peers import TargetSample
-from companion.wire.version import seal, unsealed
+from companion.wire.version import unsealed
 
-_encoder = msgspec.msgpack.Encoder()
-_decoder = msgspec.msgpack.Decoder(TargetSample)
-
-
-def encode_target(sample: TargetSample) -> bytes:
-    """The message for a target sample."""
-    return seal(_encoder.encode(sample))
+_target_decoder = msgspec.msgpack.Decoder(TargetSample)
 
 
 def decode_target(data: bytes) -> TargetSample:
     """The target sample of a message. Checks only form and version; `Targets` checks the values. Raises WireError."""
-    return unsealed(_decoder, data, Code.TARGET_MALFORMED, "target sample")
+    return unsealed(_target_decoder, data, Code.TARGET_MALFORMED, "target sample")

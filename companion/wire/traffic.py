@@ -6,17 +6,11 @@ import msgspec
 
 from companion.types.notices import Code
 from companion.types.peers import TrafficSample
-from companion.wire.version import seal, unsealed
+from companion.wire.version import unsealed
 
-_encoder = msgspec.msgpack.Encoder()
-_decoder = msgspec.msgpack.Decoder(TrafficSample)
-
-
-def encode_traffic(sample: TrafficSample) -> bytes:
-    """The message for a traffic sample."""
-    return seal(_encoder.encode(sample))
+_traffic_decoder = msgspec.msgpack.Decoder(TrafficSample)
 
 
 def decode_traffic(data: bytes) -> TrafficSample:
     """The traffic sample of a message, every number within its bounds. Raises WireError."""
-    return unsealed(_decoder, data, Code.TRAFFIC_MALFORMED, "traffic sample")
+    return unsealed(_traffic_decoder, data, Code.TRAFFIC_MALFORMED, "traffic sample")

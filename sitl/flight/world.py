@@ -10,7 +10,7 @@ from random import Random
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.mavlink.dialect import DIALECTS
+from companion.mavlink.autopilot_types import DIALECTS
 from companion.types.autopilot import AutopilotMode
 from sitl.autopilots.autopilot import DT_S
 from sitl.autopilots.behaviour import AUTOPILOT_TYPES

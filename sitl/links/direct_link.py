@@ -13,8 +13,8 @@ from math import inf
 
 from companion.geometry.frames import quaternion_from_euler
 from companion.mavlink import telemetry
+from companion.mavlink.autopilot_types import DIALECTS
 from companion.mavlink.codec import mavlink
-from companion.mavlink.dialect import DIALECTS
 from companion.mavlink.translator import Translator
 from companion.types.autopilot import (
     AttitudeSample,

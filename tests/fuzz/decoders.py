@@ -20,8 +20,8 @@ from companion.types.peers import PeerPacket, TargetSample, TrafficSample
 from companion.types.status import Status
 from companion.wire.ground import StatusReport, decode_command, decode_reply, decode_report, encode
 from companion.wire.peer import decode_peer, encode_peer
-from companion.wire.target import decode_target, encode_target
-from companion.wire.traffic import decode_traffic, encode_traffic
+from companion.wire.target import decode_target
+from companion.wire.traffic import decode_traffic
 from companion.wire.version import WireError
 from sitl.flight.lockstep import NOT_TIMED
 from sitl.workers import report_progress
@@ -86,10 +86,10 @@ def decoders() -> dict[str, Decoder]:
         "peer packet": Decoder(decode_peer, (WireError,), (PACKET,), encode_peer),
         "command": Decoder(decode_command, (WireError,), COMMANDS, encode),
         "target sample": Decoder(
-            decode_target, (WireError,), (TargetSample(1, 2, 3.0, (1.0, 0.0, 0.0), (4.0, 5.0, 6.0)),), encode_target
+            decode_target, (WireError,), (TargetSample(1, 2, 3.0, (1.0, 0.0, 0.0), (4.0, 5.0, 6.0)),), encode
         ),
         "traffic sample": Decoder(
-            decode_traffic, (WireError,), (TrafficSample((1.0, 2.0, 3.0), (4.0, 5.0, 6.0), 0.5, 2.0),), encode_traffic
+            decode_traffic, (WireError,), (TrafficSample((1.0, 2.0, 3.0), (4.0, 5.0, 6.0), 0.5, 2.0),), encode
         ),
         "status report": Decoder(decode_report, (WireError,), (StatusReport(STATUS, NOT_TIMED),), encode),
         "command reply": Decoder(

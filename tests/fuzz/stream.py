@@ -16,8 +16,8 @@ from companion.types.formation import FormationChange, HeldReference, LeaderBeac
 from companion.types.peers import PeerPacket, ReceivedTarget, ReceivedTraffic, TargetSample, TrafficSample
 from companion.wire.ground import decode_command, encode
 from companion.wire.peer import decode_peer, encode_peer
-from companion.wire.target import decode_target, encode_target
-from companion.wire.traffic import decode_traffic, encode_traffic
+from companion.wire.target import decode_target
+from companion.wire.traffic import decode_traffic
 from companion.wire.version import WireError
 from tests.fuzz.fleet import OPERATOR, Hostile, HostileFleet
 from tests.fuzz.mavlink import HostileTelemetry
@@ -160,7 +160,7 @@ class HostileStream:
     def _target(self) -> ReceivedTarget | None:
         rng, now_s = self._rng, self._fleet.now_s
         sample = TargetSample(rng.choice((1, 1, 2)), self._fleet.ticks, now_s, (1.0, 0.0, 0.0), (1.0, 1.0, 3.0))
-        passed = self._through("target", encode_target, decode_target, mutated(rng, sample, rng.choice((0, 1, 2))))
+        passed = self._through("target", encode, decode_target, mutated(rng, sample, rng.choice((0, 1, 2))))
         return ReceivedTarget(now_s, "main", passed) if passed else None
 
     def _traffic(self, vehicle_id: int) -> ReceivedTraffic | None:
@@ -170,7 +170,7 @@ class HostileStream:
         near = (x + rng.gauss(0.0, 5.0), y + rng.gauss(0.0, 5.0), z + rng.gauss(0.0, 2.0))
         sample = TrafficSample(near, (rng.gauss(0.0, 3.0), rng.gauss(0.0, 3.0), 0.0), 0.1, 1.0)
         hostile = mutated(rng, sample, rng.choice((0, 1, 2)))
-        passed = self._through("traffic", encode_traffic, decode_traffic, hostile)
+        passed = self._through("traffic", encode, decode_traffic, hostile)
         name = rng.choice(("a", "a", "b", f"{rng.randrange(10**6):06x}"))
         return ReceivedTraffic(now_s, name, passed) if passed else None
 

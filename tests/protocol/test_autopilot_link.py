@@ -13,8 +13,8 @@ import pytest
 
 from companion.link import autopilot_link
 from companion.link.autopilot_link import SAMPLES_KEPT, AutopilotLink
+from companion.mavlink.autopilot_types import DIALECTS
 from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
-from companion.mavlink.dialect import DIALECTS
 from companion.mavlink.translator import Translator
 from companion.types.autopilot import AutopilotKind, PositionSample, Telemetry
 from companion.types.notices import Code

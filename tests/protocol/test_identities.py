@@ -30,8 +30,6 @@ from companion.types.peers import PeerPacket, TargetSample, TrafficSample
 from companion.wire.ground import encode
 from companion.wire.keys import abort_key, command_key, peer_key, reply_key, status_key, target_key, traffic_key
 from companion.wire.peer import encode_peer
-from companion.wire.target import encode_target
-from companion.wire.traffic import encode_traffic
 from identities import FLEET_NAME, Identities, provisioned, stranger, tls_of
 from link_traffic import PACKET, until
 from own_ports import free_port
@@ -102,8 +100,8 @@ def everything(session: zenoh.Session, operators: tuple[str, ...] = ("ground-ann
                 session.put(command_key(FLEET_NAME, i, operator), encode(command))
                 abort = Command(CommandName.ABORT, number, operator, 7)
                 session.put(abort_key(FLEET_NAME, i, operator), encode(abort))
-        session.put(target_key(FLEET_NAME, "beacon"), encode_target(TargetSample(1, number, 0.0, ZERO, ZERO)))
-        session.put(traffic_key(FLEET_NAME, "adsb", "4b18"), encode_traffic(TrafficSample(ZERO, ZERO, 0.0, 0.0)))
+        session.put(target_key(FLEET_NAME, "beacon"), encode(TargetSample(1, number, 0.0, ZERO, ZERO)))
+        session.put(traffic_key(FLEET_NAME, "adsb", "4b18"), encode(TrafficSample(ZERO, ZERO, 0.0, 0.0)))
 
     return publish
 

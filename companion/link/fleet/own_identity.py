@@ -14,8 +14,6 @@ from companion.config.vehicle import AgentConfig
 from companion.security.identity import ADMITTED_FILE, Identity, IdentityError, load_identity, read_admitted
 from companion.security.names import ParticipantRole
 
-_log = logging.getLogger(__name__)
-
 
 def vehicle_identity(vehicle_file: Path, config: AgentConfig, environment: Mapping[str, str] = os.environ) -> Identity:
     """The identity that the vehicle file names. Raises ConfigError."""
@@ -43,7 +41,7 @@ def load(folder: Path, environment: Mapping[str, str] = os.environ) -> Identity:
     try:
         admitted = read_admitted(kept, identity.authority)
     except IdentityError as error:
-        _log.warning("%s; the list in %s is used", error, folder)
+        logging.getLogger(__name__).warning("%s; the list in %s is used", error, folder)
         return identity
     return replace(identity, admitted=admitted) if admitted.number > identity.admitted.number else identity
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import time
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,6 @@ from pymavlink.dialects.v20 import common
 
 from companion.config.file import ConfigError
 from companion.config.vehicle import Signing
-from companion.link import signing_key
 from companion.link.signing_key import read_signing_key
 from companion.mavlink.codec import MavlinkCodec, mavlink
 from companion.mavlink.signing import EPOCH_UNIX_S, UNITS_PER_S, SigningKey
@@ -184,7 +184,7 @@ def test_missing_key_file_is_reported_in_one_line(tmp_path: Path) -> None:
 
 def test_signing_is_refused_when_the_clock_is_not_set(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     key_file(tmp_path, SECRET)
-    monkeypatch.setattr(signing_key.time, "time", Clock(86_400.0))
-    monkeypatch.setattr(signing_key.time, "gmtime", lambda: (1970, 1, 2, 0, 0, 0, 0, 0, 0))
+    monkeypatch.setattr(time, "time", Clock(86_400.0))
+    monkeypatch.setattr(time, "gmtime", lambda: (1970, 1, 2, 0, 0, 0, 0, 0, 0))
     with pytest.raises(ConfigError, match="clock shows 1970-01-02; set it first"):
         read_signing_key(tmp_path / "vehicle.yaml", Signing(key_file="mavlink.key"))

@@ -21,8 +21,8 @@ from companion.wire.ground import (
     encode,
 )
 from companion.wire.peer import decode_peer, encode_peer
-from companion.wire.target import decode_target, encode_target
-from companion.wire.traffic import decode_traffic, encode_traffic
+from companion.wire.target import decode_target
+from companion.wire.traffic import decode_traffic
 
 CHANGE = FormationChange(9, ((2, (-2.0, 1.0, 0.5)), (3, (-4.0, -1.0, 0.25))), 61.5, 7.5, absent=(5,))
 
@@ -336,11 +336,11 @@ def test_reply() -> None:
 @pytest.mark.parametrize("name", TARGETS)
 def test_target_sample(name: str) -> None:
     data = bytes.fromhex(BYTES[name])
-    assert encode_target(TARGETS[name]).hex() == data.hex()
+    assert encode(TARGETS[name]).hex() == data.hex()
     assert decode_target(data) == TARGETS[name]
 
 
 def test_traffic_sample() -> None:
     data = bytes.fromhex(BYTES["traffic"])
-    assert encode_traffic(TRAFFIC).hex() == data.hex()
+    assert encode(TRAFFIC).hex() == data.hex()
     assert decode_traffic(data) == TRAFFIC

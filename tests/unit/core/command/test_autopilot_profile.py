@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from companion.core.safety.output_limits import OutputLimiter, OutputLimits
 from companion.core.safety.safeguard import HAND_OVER_S
 from companion.geometry.airspace import Fence
+from companion.mavlink.autopilot_types import DIALECTS
 from companion.mavlink.codec import MavlinkCodec, MavlinkMessage
-from companion.mavlink.dialect import DIALECTS
 from companion.mavlink.translator import Translator
 from companion.types.autopilot import AttitudeTarget, AutopilotKind, AutopilotMode
 from companion.types.commands import CommandName

@@ -3,7 +3,8 @@ import pytest
 from companion.core.safety.filter.traffic import EXPIRES_S, KEPT, Traffic
 from companion.types.peers import ReceivedTraffic, TrafficSample
 from companion.types.values import ZERO3
-from companion.wire.traffic import decode_traffic, encode_traffic
+from companion.wire.ground import encode
+from companion.wire.traffic import decode_traffic
 from companion.wire.version import WireError, seal
 
 
@@ -33,14 +34,14 @@ def test_traffic_is_forgotten() -> None:
 
 
 def test_a_sample_passes_the_wire() -> None:
-    assert decode_traffic(encode_traffic(sample(3.0))) == sample(3.0)
+    assert decode_traffic(encode(sample(3.0))) == sample(3.0)
 
 
 @pytest.mark.parametrize("number", [float("nan"), float("inf"), 1e9, -1e9])
 def test_numbers_out_of_range_are_refused(number: float) -> None:
     with pytest.raises(WireError):
-        decode_traffic(encode_traffic(TrafficSample((number, 0.0, 0.0), (0.0, 0.0, 0.0))))
+        decode_traffic(encode(TrafficSample((number, 0.0, 0.0), (0.0, 0.0, 0.0))))
     with pytest.raises(WireError):
-        decode_traffic(encode_traffic(TrafficSample((0.0, 0.0, 0.0), (number, 0.0, 0.0))))
+        decode_traffic(encode(TrafficSample((0.0, 0.0, 0.0), (number, 0.0, 0.0))))
     with pytest.raises(WireError):
         decode_traffic(seal(b"\x81\xa1x"))
