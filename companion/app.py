@@ -16,16 +16,14 @@ from companion.assembly import build_agent, check_agent
 from companion.config.file import ConfigError
 from companion.config.vehicle import AgentConfig, load_agent
 from companion.core.agent import Agent
-from companion.link.autopilot_link import AutopilotLink, AutopilotSilentError
+from companion.link.autopilot_link import AutopilotLink, AutopilotSilentError, read_signing_key
+from companion.link.byte_links import LinkError
 from companion.link.control_loop import ControlLoop, Job
-from companion.link.endpoint import LinkError
 from companion.link.fleet.zenoh_link import ZenohLink
 from companion.link.fleet.zenoh_session import EndpointError
 from companion.link.ground_link import GroundStationLink
-from companion.link.journal import log_as_service
 from companion.link.log import flush_log
-from companion.link.signing_key import read_signing_key
-from companion.link.systemd import Notifier
+from companion.link.systemd import Notifier, log_as_service
 from companion.link.tick import TickTrigger, monotonic_s
 from companion.mavlink.autopilot_types import AGENT_STREAMS
 from companion.mavlink.ground_station import GroundStationFilter
@@ -33,7 +31,7 @@ from companion.mavlink.translator import Translator
 from companion.recording.writer.folder import recordings_folder
 
 if TYPE_CHECKING:
-    from companion.link.fleet.admissions import Admissions
+    from companion.link.fleet.identity import Admissions
     from companion.link.fleet.peer_datagrams import PeerDatagrams
     from companion.recording.writer.recorder import Recorder
     from companion.security.identity import Identity
@@ -133,14 +131,13 @@ def _identity(settings: Settings, config: AgentConfig) -> Identity | None:
     """Of the vehicle file. Only an agent with an identity loads the library for it. Raises ConfigError."""
     if config.vehicle.identity is None:
         return None
-    from companion.link.fleet.own_identity import vehicle_identity
+    from companion.link.fleet.identity import vehicle_identity
 
     return vehicle_identity(settings.file, config)
 
 
 def _admissions(identity: Identity, link: ZenohLink) -> Admissions:
-    from companion.link.fleet.admissions import Admissions
-    from companion.link.fleet.own_identity import list_file
+    from companion.link.fleet.identity import Admissions, list_file
 
     return Admissions(identity, list_file(identity.authority_file.parent, os.environ), link)
 
@@ -163,8 +160,7 @@ def _ground_station(
 
 def _datagrams(settings: Settings, config: AgentConfig, agent: Agent, secured: bool) -> PeerDatagrams:
     """Link of the peer states where it is not Zenoh. Only an agent with one loads it. Raises ConfigError."""
-    from companion.link.fleet.datagram_seal import DatagramSeal
-    from companion.link.fleet.peer_datagrams import PeerDatagrams
+    from companion.link.fleet.peer_datagrams import DatagramSeal, PeerDatagrams
 
     endpoints = config.datagrams
     assert endpoints is not None

@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from companion.config.file import ConfigError, convert, refuse
-from companion.config.fleet import EdgeNeighbours, FleetConfig
-from companion.config.law import Law, LawName
+from companion.config.fleet import EdgeNeighbours, FleetConfig, Law, LawName
 from companion.config.reference import Reference, ReferenceSection, TargetReference
 from companion.config.reference_check import most_pace, reference_checks
 from companion.config.validation import Problem, needs

@@ -7,6 +7,7 @@ from itertools import combinations, pairwise
 from math import ceil, dist, floor, hypot, inf, log, radians, tan, tau
 
 from companion.config.fleet import FleetConfig
+from companion.config.planned_flight import neighbour_graph
 from companion.config.reference import (
     CircleReference,
     Figure8Reference,
@@ -17,7 +18,6 @@ from companion.config.reference import (
     WaypointsReference,
 )
 from companion.config.reference_check import largest_pace
-from companion.config.topology import neighbour_graph
 from companion.config.validation import Problem, needs
 from companion.core.consensus.law import FormationLaw
 from companion.core.formation.following import ROUNDING, Chain, Harmonic, Motion, Pair, refused_cases, slower_by

@@ -27,7 +27,7 @@ def run(options: argparse.Namespace) -> int:
     """The exit code. Raises ConfigError and link.fleet.zenoh_session.EndpointError."""
     from companion.config.fleet_check import load_fleet
     from companion.ground.current_fleet import forget_current, save_current, select
-    from companion.link.fleet.own_identity import load
+    from companion.link.fleet.identity import load
     from companion.link.fleet.zenoh_session import check_endpoints
 
     if options.clear:

@@ -137,9 +137,9 @@ def _selected(
 ) -> tuple[Selection, FleetConfig | None, Identity | None, tuple[str, ...]]:
     """Fleet file, identity and endpoints. No endpoints: a simulation is guessed. Raises ConfigError."""
     from companion.config.fleet_check import load_fleet
-    from companion.config.network import ground_endpoints
+    from companion.config.vehicle import ground_endpoints
     from companion.ground.current_fleet import Selection, select
-    from companion.link.fleet.own_identity import load
+    from companion.link.fleet.identity import load
 
     if options.replay and not options.fleet_file:  # a flight has the fleet file that it was flown with
         return Selection(None, "", (), "", None), None, None, ()

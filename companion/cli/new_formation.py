@@ -5,10 +5,9 @@ from __future__ import annotations
 import argparse
 from typing import get_args
 
-from companion.config.law import LawName
+from companion.config.fleet import LawName
 from companion.config.new_formation import NewFormation, ReferenceKind
-from companion.config.planned_flight import ShapeName
-from companion.config.topology import TOPOLOGY_WORDS, Topology
+from companion.config.planned_flight import TOPOLOGY_WORDS, ShapeName, Topology
 
 TOPOLOGIES = "topologies:\n" + "\n".join(f"  {name:<8} {words}" for name, words in TOPOLOGY_WORDS.items())
 

@@ -1,17 +1,46 @@
-"""One YAML file -> one validated type, or one line for each error: file, field, value, what was expected."""
+"""Reads files that are named by a user or another file: regular ones only, of limited size."""
 
 from __future__ import annotations
 
+import errno
+import os
+import re
+import stat
 from collections.abc import Callable, Hashable, Iterable, Sequence
+from copy import deepcopy
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 import msgspec
 import yaml
 
-from companion.config.bounded_read import read_regular
 from companion.config.validation import Problem, all_finite, each, examine, in_file_order
 from companion.types.values import printable
+
+MAX_BYTES = 128 * 1024  # a fleet of 250 vehicles has 20 kB
+
+
+def read_regular(path: Path, most_bytes: int = MAX_BYTES) -> tuple[bytes, os.stat_result]:
+    """The content and state of a file. Raises OSError, also for a device, pipe or folder and for a larger file.
+
+    O_NONBLOCK: opening a named pipe would otherwise wait for its writer.
+    """
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    try:
+        state = os.fstat(descriptor)
+        if stat.S_ISDIR(state.st_mode):
+            raise OSError(errno.EISDIR, os.strerror(errno.EISDIR))
+        if not stat.S_ISREG(state.st_mode):
+            raise OSError(errno.EINVAL, "not a regular file")
+        content = b""
+        while len(content) <= most_bytes and (chunk := os.read(descriptor, most_bytes + 1 - len(content))):
+            content += chunk
+        if len(content) > most_bytes:
+            raise OSError(errno.EFBIG, f"larger than {most_bytes // 1024} kB")
+    finally:
+        os.close(descriptor)
+    return content, state
+
 
 MAX_DEPTH = 50  # levels of a file; ours have five
 MAX_VALUES = 10_000  # of a file, with all aliases expanded; 250 vehicles have 2500
@@ -157,3 +186,94 @@ def _values(node: yaml.Node, known: dict[yaml.Node, int]) -> int:
             children = (child for pair in node.value for child in pair)
         known[node] = 1 + sum(_values(child, known) for child in children)
     return known[node]
+
+
+FileKind = Literal["scenario", "vehicle", "fleet", "external", "slots", "reference"]
+KEYS_OF_KIND: dict[FileKind, set[str]] = {  # no other kind of file has these
+    "scenario": {"starts_enu_m", "timeline"},
+    "vehicle": {"mavlink", "hover_thrust_norm"},
+    "fleet": {"vehicles", "neighbours", "takeoff_height_m"},
+    "external": {"external_vehicles"},
+    "slots": {"slots_enu_m"},
+    "reference": set(),  # scenarios and vehicle files have such a section, too
+}
+A_FILE: dict[FileKind, str] = {
+    "scenario": "a scenario",
+    "vehicle": "a vehicle file",
+    "fleet": "a fleet file",
+    "external": "a file of external vehicles",
+    "slots": "a file with slots_enu_m",
+    "reference": "a file with nothing but a reference",
+}
+
+
+def kind_of_file(data: Any) -> FileKind | None:
+    """The kind by the keys; None if they do not show one kind."""
+    kinds = [kind for kind, keys in KEYS_OF_KIND.items() if isinstance(data, dict) and keys & data.keys()]
+    return kinds[0] if len(kinds) == 1 else None
+
+
+def read_as(path: Path, *expected: FileKind) -> Any:
+    """The plain content of a YAML file of one of these kinds. Raises ConfigError."""
+    data = read_yaml(path)
+    kind = kind_of_file(data)
+    if kind is not None and kind not in expected:
+        wanted = " or ".join(A_FILE[kind] for kind in expected)
+        raise ConfigError(path, "", f"this is {A_FILE[kind]}; {wanted} is expected")
+    return data
+
+
+SET = Path("--set")  # named in errors instead of a file
+LONGEST_KEY = 200
+
+
+def overridden(data: Any, overrides: Sequence[str], example: str) -> Any:
+    """A copy of the content with these values. Raises ConfigError, where `example` may help."""
+    data = deepcopy(data)
+    for override in overrides:
+        _put(data, override, example)
+    return data
+
+
+def _put(data: Any, override: str, example: str) -> None:
+    """Set the value, written in YAML; sections that are missing are made. Raises ConfigError, where `example` may help."""
+    field, equals, text = override.partition("=")
+    steps = _steps(field) if len(field) <= LONGEST_KEY else []  # Python refuses to read a number of thousands of digits
+    if not equals or not steps:
+        raise ConfigError(SET, override, f"expected KEY=VALUE, like {example}")
+    try:
+        value = yaml.load(text, Loader=StrictLoader)
+    except yaml.YAMLError as error:
+        raise ConfigError(SET, field, f"{text!r} is not a YAML value") from error
+    node, place = data, ""
+    for step, following in zip(steps, [*steps[1:], None], strict=True):
+        _check_step(node, place, step)
+        if following is None:
+            node[step] = value
+        elif isinstance(node, dict):
+            if node.get(step) is None:
+                node[step] = {}
+            node = node[step]
+        else:
+            node = node[step]
+        place = f"{place}[{step}]" if isinstance(step, int) else f"{place}.{step}".lstrip(".")
+
+
+def _steps(field: str) -> list[str | int]:
+    """ "timeline[3].for_s" -> ["timeline", 3, "for_s"]; a bare number is a number, too (starts_enu_m.1)."""
+    if not re.fullmatch(r"\w+(\.\w+|\[\d+\])*", field):
+        return []
+    return [int(step) if step.isdecimal() else step for step in re.findall(r"\w+", field)]
+
+
+def _check_step(node: Any, place: str, step: str | int) -> None:
+    if isinstance(node, dict):
+        return
+    if not isinstance(node, list):
+        raise ConfigError(SET, place, f"is {node!r}, which has no keys inside; set it as a whole")
+    if not isinstance(step, int):
+        raise ConfigError(
+            SET, f"{place}.{step}", f"{place} is a list; expected a number, {place}[0] to [{len(node) - 1}]"
+        )
+    if step >= len(node):
+        raise ConfigError(SET, f"{place}[{step}]", f"no such item; expected {place}[0] to [{len(node) - 1}]")

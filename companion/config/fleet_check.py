@@ -8,15 +8,15 @@ from ipaddress import IPv4Address
 from itertools import combinations
 from math import dist, hypot, inf
 from pathlib import Path
+from typing import Annotated
 
+from msgspec import Meta
 from msgspec.structs import replace
 
-from companion.config.file import convert
-from companion.config.fleet import EdgeNeighbours, FleetConfig
-from companion.config.kind import read_as
-from companion.config.law import law_problems
-from companion.config.obstacles import BoxObstacle, CylinderObstacle
+from companion.config.file import convert, read_as, refuse
+from companion.config.fleet import EdgeNeighbours, FleetConfig, law_problems
 from companion.config.validation import INVALID, Problem, each, unless_invalid
+from companion.config.values import BoxObstacle, CylinderObstacle, PositionM, Section, VehicleId
 from companion.geometry.airspace import area_m2, crossing_sides
 from companion.geometry.separation import counted
 from companion.geometry.transition import ROUNDING_M
@@ -239,3 +239,28 @@ def _polygon(fleet: FleetConfig, where: str) -> Iterator[Problem]:
 
 def _listed(ids: list[int]) -> str:
     return ", ".join(str(i) for i in ids)
+
+
+class SlotsSection(Section, frozen=True):
+    """The slot of every vehicle of the fleet."""
+
+    slots_enu_m: Annotated[dict[VehicleId, PositionM], Meta(description="d_i0 of eq. 12 by vehicle id")]
+
+
+def load_slots(path: Path, fleet: FleetConfig) -> dict[int, Vector3]:
+    """Slot by vehicle id, one for each vehicle of the fleet. Raises ConfigError."""
+    section = convert(path, read_as(path, "slots"), SlotsSection, lambda section: _problems(section.slots_enu_m, fleet))
+    return dict(section.slots_enu_m)
+
+
+def check_slots(source: Path, slots_enu_m: Mapping[int, Vector3], fleet: FleetConfig) -> None:
+    """`source` is named in errors. Raises ConfigError."""
+    refuse(source, _problems(slots_enu_m, fleet))
+
+
+def _problems(slots_enu_m: Mapping[int, Vector3], fleet: FleetConfig) -> Iterator[Problem]:
+    ids = {member.id for member in fleet.vehicles}
+    known = ", ".join(str(i) for i in sorted(ids))
+    for vehicle_id in sorted(ids ^ slots_enu_m.keys()):
+        problem = "missing" if vehicle_id in ids else "no such vehicle in the fleet"
+        yield Problem(f"slots_enu_m.{vehicle_id}", f"{problem}; expected a slot for each of {known}")

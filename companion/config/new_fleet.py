@@ -12,7 +12,6 @@ from msgspec.structs import replace
 
 from companion.config.file import ConfigError, convert, refuse
 from companion.config.fleet import GeodeticOrigin
-from companion.config.network import reaches_network
 from companion.config.new_formation import (
     NewFormation,
     PlannedFormation,
@@ -26,7 +25,7 @@ from companion.config.new_formation import (
     write_new,
 )
 from companion.config.validation import Problem
-from companion.config.vehicle import load_agent
+from companion.config.vehicle import load_agent, reaches_network
 from companion.types.autopilot import AutopilotKind
 
 ZENOH_PORT = 7447

@@ -14,9 +14,15 @@ from msgspec import Struct, to_builtins
 from msgspec.structs import replace
 
 from companion.config.file import ConfigError, refuse
-from companion.config.fleet import Envelope, FleetConfig, FormationMember, GeodeticOrigin
-from companion.config.law import Law, LawName
-from companion.config.planned_flight import DEFAULT_ORIGIN, ShapeName, members_of
+from companion.config.fleet import Envelope, FleetConfig, FormationMember, GeodeticOrigin, Law, LawName
+from companion.config.planned_flight import (
+    DEFAULT_ORIGIN,
+    TOPOLOGY_WORDS,
+    ShapeName,
+    Topology,
+    members_of,
+    neighbours_of,
+)
 from companion.config.reference import (
     CircleReference,
     Figure8Reference,
@@ -25,7 +31,6 @@ from companion.config.reference import (
     WaypointsReference,
 )
 from companion.config.reference_check import largest_pace
-from companion.config.topology import TOPOLOGY_WORDS, Topology, neighbours_of
 from companion.config.validation import Problem
 from companion.config.values import FLEET_NAME_WORDS
 from companion.geometry.curves import duration_s

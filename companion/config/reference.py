@@ -7,8 +7,7 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from companion.config.file import convert
-from companion.config.kind import read_as
+from companion.config.file import convert, read_as
 from companion.config.values import Name, PositionM, Section
 from companion.geometry.curves import Curve, centred_at, circle, figure_8, waypoint_path
 from companion.types.values import ZERO3, Vector3

@@ -12,8 +12,8 @@ from pathlib import Path
 
 from companion.config.file import ConfigError, convert
 from companion.config.fleet import FleetConfig
+from companion.config.fleet_check import load_slots
 from companion.config.reference import Reference, ReferenceSection, load_reference
-from companion.config.slots import load_slots
 from companion.geometry.curves import duration_s
 from companion.geometry.separation import counted
 from companion.geometry.shapes import SHAPES, rotated, slots_of

@@ -15,8 +15,7 @@ from pathlib import Path
 
 import msgspec
 
-from companion.config.bounded_read import read_regular
-from companion.config.file import ConfigError
+from companion.config.file import ConfigError, read_regular
 
 FLEET_VARIABLE, CONNECT_VARIABLE = "COMPANION_FLEET", "COMPANION_CONNECT"
 IDENTITY_VARIABLE = "COMPANION_IDENTITY"

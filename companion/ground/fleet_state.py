@@ -14,7 +14,7 @@ from companion.types.formation import EAST, FlownSlot, Heading, HeldReference
 from companion.types.notices import Notice
 from companion.types.status import NetworkState, SeparationReport, Status
 from companion.types.values import Vector3
-from companion.wire.ground import StatusReport, Timing
+from companion.wire.messages import StatusReport, Timing
 
 MOST_VEHICLES = 500
 SILENT_AFTER_S = 1.0  # ten reports missed

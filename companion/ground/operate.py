@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from companion.config.bounded_read import read_regular
+from companion.config.file import read_regular
 from companion.config.fleet import FleetConfig
 from companion.config.fleet_check import load_fleet
-from companion.config.network import ground_endpoints
+from companion.config.vehicle import ground_endpoints
 from companion.ground.answers import AnswerKind, answer_lines, answers_as_data, end_lines, wrapped
 from companion.ground.changes import FleetRequest
 from companion.ground.commands import OperateError, Sender, Sent, check_content
@@ -62,7 +62,7 @@ def _identity(request: FleetRequest, fleet: FleetConfig) -> Identity | None:
     """The identity of this ground. Raises ConfigError, and OperateError for one that the vehicles would not obey."""
     if request.identity is None:
         return None
-    from companion.link.fleet.own_identity import load  # without an identity its library is not loaded
+    from companion.link.fleet.identity import load  # without an identity its library is not loaded
 
     identity = load(request.identity)
     if identity.fleet != fleet.name:

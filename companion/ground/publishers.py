@@ -13,8 +13,8 @@ from companion.geometry.frames import enu_from_geodetic
 from companion.ground.session import GroundConnection
 from companion.types.peers import TargetSample, TrafficSample
 from companion.types.values import Vector3
-from companion.wire.ground import encode
 from companion.wire.keys import target_key, traffic_key
+from companion.wire.messages import encode
 
 if TYPE_CHECKING:
     from companion.security.identity import Identity

@@ -21,7 +21,6 @@ from companion.link.fleet.zenoh_session import drain, open_session
 from companion.types.commands import Command, CommandName, CommandReply, Content, next_number
 from companion.types.notices import Code
 from companion.types.status import Status
-from companion.wire.ground import StatusReport, decode_reply, decode_report, encode
 from companion.wire.keys import (
     abort_key,
     admission_key,
@@ -31,7 +30,7 @@ from companion.wire.keys import (
     reply_key,
     status_key,
 )
-from companion.wire.version import WireError
+from companion.wire.messages import StatusReport, WireError, decode_reply, decode_report, encode
 
 if TYPE_CHECKING:
     from companion.security.identity import Identity

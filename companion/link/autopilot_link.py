@@ -4,15 +4,21 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import os
+import re
+import stat
+import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from math import floor
 from pathlib import Path
 from typing import NoReturn
 
-from companion.config.vehicle import VehicleConfig
-from companion.link.mavlink_link import open_link
-from companion.link.recorded_link import RecordedLink, RecordPacket
+from companion.config.file import ConfigError, read_regular
+from companion.config.vehicle import Signing, VehicleConfig
+from companion.link.byte_links import MavlinkLink, open_link
+from companion.link.tick import monotonic_s
+from companion.mavlink.codec import KEY_BYTES, SigningKey
 from companion.mavlink.translator import Translator
 from companion.types.autopilot import (
     AttitudeTarget,
@@ -200,3 +206,89 @@ class AutopilotLink:
         if self._has_position:
             self._has_position = False
             self._position_arrived()
+
+
+RecordPacket = Callable[[bytes, float], None]  # (packet, time on the monotonic clock)
+
+
+class RecordedLink:
+    """A MavlinkLink. What arrives is recorded where it is decoded, packet by packet."""
+
+    def __init__(self, link: MavlinkLink, record: RecordPacket) -> None:
+        self._link, self._record = link, record
+
+    def send(self, data: bytes) -> None:
+        self._link.send(data)
+        self._record(data, monotonic_s())
+
+    def offer(self, data: bytes) -> bool:
+        if sent := self._link.offer(data):
+            self._record(data, monotonic_s())
+        return sent
+
+    async def run(self) -> None:
+        await self._link.run()
+
+    def problem(self) -> str:
+        return self._link.problem()
+
+    def close(self) -> None:
+        self._link.close()
+
+
+EARLIEST_UNIX_S = 1_767_225_600  # 2026-01-01 UTC: before this program was written
+WANTED = "expected 32 bytes or 64 hexadecimal digits (head -c 32 /dev/urandom > FILE makes a key)"
+
+
+def read_signing_key(vehicle_file: Path, signing: Signing, environment: Mapping[str, str] = os.environ) -> SigningKey:
+    """The key that the vehicle file names.
+
+    Raises ConfigError for an invalid key, a key file that all users may read, and a clock that was never set.
+    """
+    if signing.key_file is not None:
+        field, path = "signing.key_file", vehicle_file.parent / signing.key_file
+    else:
+        field, path = "signing.credential", _credential(vehicle_file, str(signing.credential), environment)
+    secret = _secret(vehicle_file, f"{field}: {path}", path)
+    if time.time() < EARLIEST_UNIX_S:
+        raise ConfigError(
+            vehicle_file,
+            "signing",
+            f"this computer's clock shows {time.strftime('%Y-%m-%d', time.gmtime())}; set it first (NTP, or a clock with a"
+            " battery): signatures carry the time, so that old packets are not accepted as new",
+        )
+    return SigningKey(secret, signing.link_id, time.time)
+
+
+def _credential(vehicle_file: Path, name: str, environment: Mapping[str, str]) -> Path:
+    folder = environment.get("CREDENTIALS_DIRECTORY", "")
+    if not folder:
+        raise ConfigError(
+            vehicle_file,
+            "signing.credential",
+            f'"{name}": no credentials given; put LoadCredential={name}:FILE into the systemd unit, or use key_file',
+        )
+    return Path(folder) / name
+
+
+def _secret(vehicle_file: Path, where: str, path: Path) -> bytes:
+    try:
+        content, state = read_regular(path)
+    except OSError as error:
+        raise ConfigError(vehicle_file, where, f"{error.strerror}; check the path and its permissions") from error
+    if state.st_mode & stat.S_IRWXO:
+        raise ConfigError(vehicle_file, where, f"every user of this computer has access to the key; chmod 600 {path}")
+    secret = _decoded(content)
+    if secret is None:
+        raise ConfigError(vehicle_file, where, f"{len(content)} bytes that are not a key; {WANTED}")
+    if not any(secret):
+        raise ConfigError(vehicle_file, where, f"a key of zeros means no signing; {WANTED}")
+    return secret
+
+
+def _decoded(content: bytes) -> bytes | None:
+    """The key in a file's content, or None. 32 hexadecimal digits are half a key, not 32 bytes."""
+    if re.fullmatch(rb"\s*[0-9a-fA-F]{64}\s*", content):
+        return bytes.fromhex(content.decode("ascii"))
+    is_digits = re.fullmatch(rb"\s*[0-9a-fA-F]*\s*", content) is not None
+    return content if len(content) == KEY_BYTES and not is_digits else None

@@ -15,7 +15,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import NoReturn
 
-from companion.link.endpoint import LinkError, encoded_host
+from companion.link.byte_links import LinkError, encoded_host
 from companion.mavlink.ground_station import GroundStationFilter
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code

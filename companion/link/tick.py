@@ -15,7 +15,7 @@ from pathlib import Path
 
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code, Notice
-from companion.wire.ground import Percentiles, Timing
+from companion.wire.messages import Percentiles, Timing
 
 PERIOD_S = 0.02  # 50 Hz
 BACK_UP_S = 0.03  # longest time between two ticks

@@ -10,8 +10,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Set
 
-from companion.mavlink.codec import MavlinkMessage, mavlink
-from companion.mavlink.packet_reader import PacketReader
+from companion.mavlink.codec import MavlinkMessage, PacketReader, mavlink
 from companion.types.flight import FLYING, FlightPhase
 from companion.types.notices import Code
 

@@ -14,7 +14,7 @@ from math import isfinite, nan
 from companion.geometry.frames import enu_from_ned, euler_enu_from_ned, euler_from_quaternion
 from companion.geometry.vectors import rounded
 from companion.mavlink.codec import MavlinkMessage, mavlink
-from companion.mavlink.commands import ANSWERS
+from companion.mavlink.dialect import ANSWERS
 from companion.types.autopilot import (
     AckSample,
     AttitudeSample,

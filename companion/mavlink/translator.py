@@ -9,11 +9,8 @@ from math import isfinite
 from companion.geometry.frames import euler_ned_from_enu, quaternion_from_euler
 from companion.mavlink import telemetry
 from companion.mavlink.autopilot_types import DIALECTS, autopilot_kind, describe_heartbeat
-from companion.mavlink.codec import MavlinkCodec, mavlink
-from companion.mavlink.commands import stream_request
-from companion.mavlink.dialect import Dialect
-from companion.mavlink.plain_packets import Packet
-from companion.mavlink.signing import SIGNATURE_CODES, SigningKey
+from companion.mavlink.codec import SIGNATURE_CODES, MavlinkCodec, Packet, SigningKey, mavlink
+from companion.mavlink.dialect import Dialect, stream_request
 from companion.types.autopilot import (
     AttitudeTarget,
     AutopilotKind,

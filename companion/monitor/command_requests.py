@@ -12,11 +12,11 @@ from msgspec import Meta, Struct
 
 from companion.config.file import ConfigError, convert
 from companion.config.fleet import FleetConfig
+from companion.config.fleet_check import check_slots
 from companion.config.new_formation import flight_time_s
 from companion.config.planned_flight import ShapeName
 from companion.config.reference import Reference, ReferenceSection, TargetReference, moves
 from companion.config.reference_check import reference_problems
-from companion.config.slots import check_slots
 from companion.config.values import PositionM
 from companion.geometry.separation import counted
 from companion.geometry.transition import closest_approach

@@ -9,8 +9,7 @@ from itertools import combinations
 from math import dist, inf
 
 from companion.assembly import law_of
-from companion.config.fleet import FleetConfig, RangeNeighbours
-from companion.config.law import Law
+from companion.config.fleet import FleetConfig, Law, RangeNeighbours
 from companion.geometry.separation import separation_distance_m
 from companion.ground.fleet_state import SILENT_AFTER_S
 from companion.monitor.api import FleetView, VehicleView

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from companion.config.fleet import FleetConfig
 from companion.ground.session import FleetSession
-from companion.link.endpoint import LinkError
+from companion.link.byte_links import LinkError
 from companion.monitor import MonitorError
 from companion.monitor.commander import Commander
 from companion.monitor.server import Address, listen_address, serve

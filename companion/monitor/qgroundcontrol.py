@@ -18,13 +18,13 @@ from typing import Self
 from companion.config.fleet import FleetConfig, GeodeticOrigin
 from companion.geometry.frames import geodetic_from_enu, ned_from_enu
 from companion.ground.fleet_state import SILENT_AFTER_S
-from companion.link.endpoint import LinkError, encoded_host
+from companion.link.byte_links import LinkError, encoded_host
 from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
 from companion.types.autopilot import LandedState
 from companion.types.flight import FLAG_TEXTS, FLYING, STREAMING, WITHOUT_LEADER, HealthFlag
 from companion.types.status import Status
 from companion.types.values import MAX_COORDINATE_M, Vector3
-from companion.wire.ground import StatusReport
+from companion.wire.messages import StatusReport
 
 POSITIONS_EVERY_S, STATES_EVERY_S = 0.2, 1.0
 DATAGRAMS_PER_STEP, READ_BYTES = 64, 4096

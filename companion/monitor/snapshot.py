@@ -39,7 +39,7 @@ from companion.monitor.vehicle_view import is_old, vehicle_view
 from companion.types.autopilot import LandedState
 from companion.types.notices import Code
 from companion.types.values import Vector3
-from companion.wire.ground import StatusReport
+from companion.wire.messages import StatusReport
 
 RATE_OVER_S = 3.0
 HEARD_WITHIN_S = 5.0  # after the first vehicle of its fleet

@@ -14,7 +14,7 @@ from companion.ground.session import FleetSession
 from companion.monitor.api import ReplayView
 from companion.monitor.events import Happening, answered
 from companion.types.rejections import rejection_text
-from companion.wire.ground import StatusReport
+from companion.wire.messages import StatusReport
 
 TimedReport = tuple[float, StatusReport]
 BEFORE_JUMP_S = 2.0  # after a jump in a replay these reports are read, for rates and changes

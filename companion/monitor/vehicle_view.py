@@ -13,7 +13,7 @@ from companion.tools.failsafe_words import action_words
 from companion.types.flight import FLAG_TEXTS, STREAMING, HealthFlag
 from companion.types.status import Status
 from companion.types.values import Vector3
-from companion.wire.ground import Timing
+from companion.wire.messages import Timing
 
 NEVER_S = 1e5  # an agent without a position reports an age beyond this
 

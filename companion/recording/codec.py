@@ -24,7 +24,7 @@ from companion.types.commands import Command, CommandReply
 from companion.types.notices import Notice
 from companion.types.tick import Inbox, Outbox
 from companion.types.values import MAX_VEHICLES
-from companion.wire.ground import StatusReport
+from companion.wire.messages import StatusReport
 
 T = TypeVar("T")
 Message = DecisionRecord | TimingRecord | StatusReport | Notice | Command | CommandReply

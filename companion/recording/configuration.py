@@ -8,10 +8,9 @@ from typing import Any
 
 import msgspec
 
-from companion.config.file import ConfigError, convert
+from companion.config.file import SET, ConfigError, convert, overridden
 from companion.config.fleet import FleetConfig
 from companion.config.fleet_check import fleet_problems
-from companion.config.overrides import SET, overridden
 from companion.config.validation import Problem, each
 from companion.config.values import Section
 from companion.config.vehicle import AgentConfig, VehicleConfig, membership_problems

@@ -33,7 +33,7 @@ from companion.types.commands import Command, CommandReply
 from companion.types.notices import Notice
 from companion.types.tick import Inbox, Outbox
 from companion.types.values import printable
-from companion.wire.ground import StatusReport
+from companion.wire.messages import StatusReport
 
 MAX_FILES = 10_000
 

@@ -29,7 +29,7 @@ from companion.recording.records import (
 )
 from companion.types.commands import Command, CommandReply
 from companion.types.notices import Notice
-from companion.wire.ground import StatusReport
+from companion.wire.messages import StatusReport
 
 ENCODING = "jsonschema"  # of the schemas, as MCAP names it
 MESSAGE_ENCODING = "json"

@@ -1,20 +1,120 @@
-"""The identity of one participant: a folder with its key and certificate, the authority and the admission list."""
+"""Files and folders that are complete or absent, with permissions that do not depend on the umask."""
 
 from __future__ import annotations
 
+import fcntl
 import os
+import shutil
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
 from cryptography import x509
+from cryptography.hazmat.primitives.asymmetric import ec
 
-from companion.config.bounded_read import read_regular
-from companion.config.file import ConfigError
-from companion.security.admission import MAX_LIST_BYTES, AdmissionError, Admitted, verify
-from companion.security.certificates import common_name, issued_by, organization, read_certificate, read_key
+from companion.config.file import ConfigError, read_regular
+from companion.security.admission import (
+    MAX_LIST_BYTES,
+    AdmissionError,
+    Admitted,
+    authority_certificate,
+    certificate_pem,
+    common_name,
+    issued_by,
+    key_pem,
+    new_key,
+    now_in_seconds,
+    organization,
+    read_certificate,
+    read_key,
+    sign,
+    verify,
+)
 from companion.security.names import ParticipantName, ParticipantRole, parse_common_name
+
+PRIVATE, PUBLIC = 0o600, 0o644
+PRIVATE_FOLDER, PUBLIC_FOLDER = 0o700, 0o755
+PART = ".part"  # suffix of what is not complete yet
+
+
+def write_file(path: Path, content: bytes, mode: int = PUBLIC) -> None:
+    """Writes a file under another name in its folder, then renames it. A file in its place is replaced. Raises OSError."""
+    part = _part(path)
+    try:
+        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+        with os.fdopen(os.open(part, flags, PRIVATE), "wb") as file:
+            os.fchmod(file.fileno(), mode)
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        part.replace(path)
+        _sync(path.parent)
+    except BaseException:
+        part.unlink(missing_ok=True)
+        raise
+
+
+@contextmanager
+def new_folder(path: Path, mode: int = PRIVATE_FOLDER) -> Iterator[Path]:
+    """A folder under another name, which gets its name when it is complete. Nothing is left of it after an exception."""
+    part = _part(path)
+    try:
+        make_folder(part, mode)
+        yield part
+        _sync(part)
+        part.rename(path)
+        _sync(path.parent)
+    except BaseException:
+        shutil.rmtree(part, ignore_errors=True)
+        raise
+
+
+def make_folder(path: Path, mode: int = PRIVATE_FOLDER) -> None:
+    """A folder, for its owner alone without a `mode`. Raises OSError where it exists."""
+    path.mkdir(PRIVATE_FOLDER)
+    path.chmod(mode)
+
+
+def remove_parts(folder: Path) -> None:
+    """Removes what a run that was killed left under other names."""
+    for part in folder.glob(f".*{PART}"):
+        shutil.rmtree(part) if part.is_dir() else part.unlink()
+
+
+@contextmanager
+def one_at_a_time(folder: Path) -> Iterator[None]:
+    """Only one process at a time is in here for a folder. Raises ConfigError for the second one, and for any OSError."""
+    try:
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    except OSError as error:
+        raise ConfigError(folder, "", f"{error.strerror}; check the path") from error
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    except BlockingIOError as error:
+        raise ConfigError(folder, "", "another companion provision is at work here; wait until it has ended") from error
+    except OSError as error:
+        problem = f"{error.strerror}; then run the same command again, it completes what is missing"
+        raise ConfigError(error.filename or folder, "", problem) from error
+    finally:
+        os.close(descriptor)
+
+
+def _part(path: Path) -> Path:
+    return path.with_name(f".{path.name}.{os.getpid()}{PART}")
+
+
+def _sync(folder: Path) -> None:
+    """So that a name is on the disk, too."""
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
 
 AUTHORITY_FILE, CERTIFICATE_FILE, KEY_FILE = "authority.pem", "certificate.pem", "private.key"
 ADMITTED_FILE = "admitted.json"
@@ -153,3 +253,66 @@ def _check_admitted(file: Path, admitted: Admitted, name: ParticipantName) -> No
     else:
         problem = f"does not admit {name}; {COPY_AGAIN}"
     raise IdentityError(file, problem)
+
+
+RESTORE = "restore the folder from its backup"
+
+
+@dataclass(frozen=True, slots=True)
+class Authority:
+    """The certificate of a fleet's authority and the newest list."""
+
+    folder: Path
+    certificate: x509.Certificate
+    admitted: Admitted
+
+    @property
+    def fleet(self) -> str:
+        return self.admitted.fleet
+
+    def key(self) -> ec.EllipticCurvePrivateKey:
+        """The private key. Raises ConfigError."""
+        file = self.folder / KEY_FILE
+        try:
+            key = read_key(_authority_content(file))
+        except ValueError as error:
+            raise ConfigError(file, "", f"{error}; {RESTORE}") from error
+        if key.public_key() != self.certificate.public_key():
+            raise ConfigError(file, "", f"is not the key of {AUTHORITY_FILE}; {RESTORE}")
+        return key
+
+
+def create_authority(folder: Path, fleet: str, now: datetime) -> None:
+    """Makes the folder with a new key, for this fleet, and an empty list with the number 0. Raises OSError."""
+    key = new_key()
+    certificate = authority_certificate(fleet, key, now)
+    empty = sign(Admitted(fleet=fleet, number=0, issued_at=now_in_seconds(now)), key, certificate)
+    with new_folder(folder) as part:
+        write_file(part / KEY_FILE, key_pem(key), PRIVATE)
+        write_file(part / AUTHORITY_FILE, certificate_pem(certificate))
+        write_file(part / ADMITTED_FILE, empty)
+
+
+def open_authority(folder: Path) -> Authority:
+    """The authority in a folder, without its private key. Raises ConfigError."""
+    file = folder / AUTHORITY_FILE
+    try:
+        certificate = read_certificate(_authority_content(file))
+    except ValueError as error:
+        raise ConfigError(file, "", f"{error}; {RESTORE}") from error
+    return Authority(folder, certificate, read_admitted(folder / ADMITTED_FILE, certificate))
+
+
+def signed(authority: Authority, key: ec.EllipticCurvePrivateKey, admitted: Admitted) -> bytes:
+    """The file of a new list. Raises ConfigError for one that is too large."""
+    try:
+        return sign(admitted, key, authority.certificate)
+    except AdmissionError as error:
+        raise ConfigError(authority.folder / ADMITTED_FILE, "", f"the new list {error}") from error
+
+
+def _authority_content(file: Path) -> bytes:
+    try:
+        return read_regular(file, MAX_PEM_BYTES)[0]
+    except OSError as error:
+        raise ConfigError(file, "", f"cannot be read: {error.strerror}; {RESTORE}") from error

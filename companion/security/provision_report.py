@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from datetime import datetime, timedelta
 
-from companion.security.admission import Admitted, AdmittedParticipant
-from companion.security.authority import Authority
-from companion.security.certificates import day
+from companion.security.admission import Admitted, AdmittedParticipant, day
 from companion.security.fleet_folder import MAVLINK_KEY_FILE, FleetFolder
-from companion.security.identity import ADMITTED_FILE, KEY_FILE
+from companion.security.identity import ADMITTED_FILE, KEY_FILE, Authority
 from companion.security.names import ParticipantRole, parse_common_name
 from companion.security.provisioning import Provisioned
 

@@ -16,15 +16,11 @@ from msgspec import Struct, structs
 from numpy.typing import NDArray
 
 from companion.assembly import flyable_problems, law_of
-from companion.config.file import convert
-from companion.config.fleet import EdgeNeighbours, FleetConfig
+from companion.config.file import SET, convert, kind_of_file, overridden, read_as
+from companion.config.fleet import EdgeNeighbours, FleetConfig, LawName
 from companion.config.fleet_check import fleet_problems
-from companion.config.kind import kind_of_file, read_as
-from companion.config.law import LawName
-from companion.config.overrides import SET, overridden
-from companion.config.planned_flight import PlannedFlight, fleet_of, planned_problems, starts_of
+from companion.config.planned_flight import PlannedFlight, fleet_of, neighbour_graph, planned_problems, starts_of
 from companion.config.reference import Reference, moves
-from companion.config.topology import neighbour_graph
 from companion.config.validation import Problem, each, unless_invalid
 from companion.core.consensus.law import FormationLaw, Gains
 from companion.stability.delay_margin import delay_margin_with_lag_s

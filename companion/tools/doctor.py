@@ -18,8 +18,7 @@ from companion.config.file import ConfigError
 from companion.config.vehicle import AgentConfig, load_agent
 from companion.core.preflight import WINDOW_S, Survey
 from companion.core.safety.audit import Facts, Finding, PositionCheck, Verdict, audit, parameter_names, worst
-from companion.link.bench import LISTEN_PERIOD_S, Bench, run_on_bench
-from companion.link.parameters import ParameterError, Parameters
+from companion.link.bench import LISTEN_PERIOD_S, Bench, ParameterError, Parameters, run_on_bench
 from companion.types.autopilot import AutopilotKind, RequestOrigin, VehicleState
 
 AUTOPILOT_NAMES = {AutopilotKind.PX4: "PX4", AutopilotKind.ARDUPILOT: "ArduCopter"}
@@ -98,7 +97,7 @@ def network_line(vehicle_file: Path, config: AgentConfig) -> str:
         if config.fleet.security == "none":
             return "warning  network: UNSECURED: strangers in it can command this vehicle (security: none in the fleet file)"
         return "ok       network: reached from this computer only"
-    from companion.link.fleet.own_identity import vehicle_identity  # without an identity its library is not loaded
+    from companion.link.fleet.identity import vehicle_identity  # without an identity its library is not loaded
 
     try:
         identity = vehicle_identity(vehicle_file, config)

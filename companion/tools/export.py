@@ -20,7 +20,7 @@ from companion.recording.reader import Recording, RecordingError, recordings
 from companion.recording.records import DECISION, STATUS, DecisionRecord
 from companion.types.status import NO_STATE_AGE_S
 from companion.types.values import printable
-from companion.wire.ground import StatusReport
+from companion.wire.messages import StatusReport
 
 Getter = Callable[[Any], Any]
 AXES = ("east", "north", "up")

@@ -17,8 +17,15 @@ import msgspec
 
 from companion.config.file import ConfigError
 from companion.config.vehicle import AgentConfig, load_agent
-from companion.link.bench import LISTEN_PERIOD_S, Bench, run_on_bench
-from companion.link.flight_logs import FlightLogs, FlightLogsError, LogEntry, NothingCameError
+from companion.link.bench import (
+    LISTEN_PERIOD_S,
+    Bench,
+    FlightLogs,
+    FlightLogsError,
+    LogEntry,
+    NothingCameError,
+    run_on_bench,
+)
 from companion.tools.doctor import AUTOPILOT_NAMES
 from companion.types.autopilot import AutopilotKind, HeartbeatSample, TextSample
 

@@ -10,7 +10,7 @@ from companion.types.formation import EAST, FlownSlot, FormationChange, Heading,
 from companion.types.notices import Code
 from companion.types.peers import PeerPacket
 from companion.types.values import ChangeDuration, MissionTime, Number, SlotsOfAll, Vector3, VehicleId, VehicleIds
-from companion.wire.version import seal, unsealed
+from companion.wire.messages import seal, unsealed
 
 _BeaconWire = tuple[VehicleId, Number, Number, float, Number, tuple[float, float, float] | None]
 """Leader id, epoch, stamp, reference_s, claim, heading with rate and acceleration (None: east and constant)."""

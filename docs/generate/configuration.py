@@ -15,9 +15,9 @@ from msgspec import NODEFAULT, Meta, Struct, to_builtins
 from msgspec.structs import FieldInfo, fields
 
 from companion.config.fleet import FleetConfig, FleetSettings
+from companion.config.fleet_check import SlotsSection
 from companion.config.planned_flight import ScenarioFleet
 from companion.config.reference import Reference, ReferenceSection
-from companion.config.slots import SlotsSection
 from companion.config.values import PositionM
 from companion.config.vehicle import VehicleConfig
 from sitl.flight.external import ExternalFile

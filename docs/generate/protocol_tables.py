@@ -11,7 +11,7 @@ from companion.link.tick import BACK_UP_S, PERIOD_S
 from companion.mavlink import ardupilot, px4
 from companion.mavlink.codec import mavlink
 from companion.types.commands import EPOCHS_AHEAD, NUMBERS_AHEAD
-from companion.wire.version import WIRE_VERSION
+from companion.wire.messages import WIRE_VERSION
 
 
 def timing() -> str:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import get_args
 
 from companion.cli.options import add_overrides
-from companion.config.law import LawName
+from companion.config.fleet import LawName
 from sitl.cli.options import add_autopilot, add_out_and_quiet, add_scenario, overrides_of
 from sitl.flight.options import RunOptions
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from companion.assembly import law_of
-from companion.config.topology import neighbour_graph
+from companion.config.planned_flight import neighbour_graph
 from companion.core.consensus.law import FormationLaw
 from companion.stability.delay_margin import delay_margin_with_lag_s
 from companion.stability.interaction import Graph, couple, mode_eigenvalues, mode_figures, reached_from

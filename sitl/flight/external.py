@@ -8,9 +8,8 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from companion.config.file import ConfigError, convert
+from companion.config.file import ConfigError, convert, read_as
 from companion.config.fleet import FleetConfig
-from companion.config.kind import read_as
 from companion.config.validation import Problem
 from companion.config.values import Drag, HoverThrust, Section, VehicleId
 from companion.config.vehicle import MavlinkEndpoint

@@ -10,9 +10,8 @@ import yaml
 from msgspec.structs import replace
 
 from companion.config.fleet import FleetConfig, GeodeticOrigin
-from companion.config.network import DatagramEndpoints, ZenohEndpoints
 from companion.config.values import MAX_DRAG_1_S, VehicleId
-from companion.config.vehicle import RecordingSettings, VehicleConfig
+from companion.config.vehicle import DatagramEndpoints, RecordingSettings, VehicleConfig, ZenohEndpoints
 from companion.types.autopilot import AutopilotKind
 from sitl.flight.external import ReachedVehicle
 from sitl.flight.scenario import Scenario

@@ -7,7 +7,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 
 from companion.config.file import ConfigError
-from companion.config.law import LawName
+from companion.config.fleet import LawName
 from companion.types.commands import CommandName
 from sitl.errors import EXIT_DONE, EXIT_FAILED
 from sitl.flight.convergence import DivergesError, check_convergence

@@ -15,7 +15,7 @@ from companion.types.commands import Command, CommandName, CommandReply, Content
 from companion.types.peers import ReceivedTarget, TargetSample
 from companion.types.tick import Inbox, Outbox
 from companion.types.values import Vector3
-from companion.wire.ground import Percentiles, StatusReport, Timing
+from companion.wire.messages import Percentiles, StatusReport, Timing
 from companion.wire.rounding import as_sent
 from sitl.autopilots.autopilot import DT_S
 from sitl.flight.files import autopilot_file, ids_of, reached_stand_in, vehicle_file

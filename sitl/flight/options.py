@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from companion.config.law import LawName
+from companion.config.fleet import LawName
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,12 +12,9 @@ from msgspec import Meta, field
 from msgspec.structs import replace
 
 from companion.assembly import flyable_problems, trajectory_of
-from companion.config.file import convert
-from companion.config.fleet import FleetConfig
+from companion.config.file import SET, convert, overridden, read_as
+from companion.config.fleet import FleetConfig, LawName
 from companion.config.fleet_check import checkable
-from companion.config.kind import read_as
-from companion.config.law import LawName
-from companion.config.overrides import SET, overridden
 from companion.config.planned_flight import PlannedFlight, fleet_of, planned_problems, starts_of
 from companion.config.reference import Reference
 from companion.config.validation import Problem, each, unless_invalid

@@ -14,7 +14,7 @@ from companion.types.commands import CommandReply
 from companion.types.flight import FlightPhase, Role
 from companion.types.status import Status
 from companion.types.values import ZERO3, Vector3
-from companion.wire.ground import StatusReport, Timing
+from companion.wire.messages import StatusReport, Timing
 from sitl.flight.scenario import Scenario
 from sitl.flight.timeline import TimelineStep
 from sitl.report.load import overload

@@ -14,8 +14,7 @@ from typing import Any, Literal
 
 import msgspec
 
-from companion.config.fleet import FleetConfig
-from companion.config.law import LawName
+from companion.config.fleet import FleetConfig, LawName
 from companion.config.planned_flight import DEFAULT_ORIGIN
 from companion.geometry.shapes import SHAPES, slots_of
 from companion.ground.changes import assigned

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from functools import cached_property
 
-from companion.config.law import LawName
+from companion.config.fleet import LawName
 from sitl.paper.flights import FlownPlan, Model, Subject
 from sitl.report.claim import Verdict
 from sitl.report.metrics import Flight, FormationFigures, formation_figures

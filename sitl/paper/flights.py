@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
-from companion.config.law import LawName
+from companion.config.fleet import LawName
 from sitl.errors import FailedError
 from sitl.flight.scenario import Scenario, load_scenario, reference_of
 from sitl.flight.virtual_flight import fly_in_virtual_time

@@ -11,7 +11,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import get_args
 
-from companion.config.law import LawName
+from companion.config.fleet import LawName
 from sitl.errors import UnusableError
 
 RUNS = Path("runs")

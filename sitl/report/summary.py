@@ -8,7 +8,7 @@ from pathlib import Path
 import msgspec
 from msgspec import Struct
 
-from companion.wire.ground import Percentiles
+from companion.wire.messages import Percentiles
 from sitl.report.load import overload_line
 from sitl.report.metrics import TrackSource
 from sitl.report.records import CommandGiven, ReportedEvent

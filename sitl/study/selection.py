@@ -21,7 +21,7 @@ from math import inf
 from msgspec import Struct
 
 from companion.assembly import law_of
-from companion.config.law import Law
+from companion.config.fleet import Law
 from companion.stability.settling import SETTLED_WITHIN_M
 from sitl.batch.flight import fly_batch
 from sitl.study.cases import BAD_LINKS, GOOD_LINKS, STEP_M, Case, Figures, Sensing, fly, settled_s

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from companion.assembly import law_of
-from companion.config.law import Gains, Law
+from companion.config.fleet import Gains, Law
 
 SHARPER = {"exponent": 0.0, "weight_ratio": 0.03}
 DESIGNED = Gains(position_1_s2=2.0, velocity_1_s=2.4)

@@ -9,9 +9,8 @@ from math import cos, dist, pi, sin, sqrt
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from companion.config.fleet import FleetConfig
+from companion.config.fleet import FleetConfig, Law, LawName
 from companion.config.fleet import RangeNeighbours as Range
-from companion.config.law import Law, LawName
 from companion.config.reference import PointReference
 from companion.types.commands import CommandName
 from companion.types.values import Vector3

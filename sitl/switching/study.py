@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.assembly import law_of
+from companion.config.fleet import Law, LawName
 from companion.config.fleet import RangeNeighbours as Range
-from companion.config.law import Law, LawName
 from companion.core.election.leadership import TURN_S
 from sitl.batch.flight import BatchFlight, fly_batch
 from sitl.study.cases import closest_m

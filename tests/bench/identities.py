@@ -12,7 +12,7 @@ from statistics import fmean
 from tempfile import TemporaryDirectory
 
 from companion.ground.session import FleetSession
-from companion.link.fleet.own_identity import load
+from companion.link.fleet.identity import load
 from companion.security.identity import Identity
 from sitl.flight.director import Director, MachineClock
 from sitl.flight.files import ids_of, write_files

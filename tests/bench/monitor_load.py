@@ -20,8 +20,8 @@ import zenoh
 from companion.assembly import law_of
 from companion.config.fleet import FleetConfig
 from companion.config.new_formation import NewFormation, planned_formation
+from companion.config.planned_flight import neighbour_graph
 from companion.config.reference import Reference
-from companion.config.topology import neighbour_graph
 from companion.core.consensus.law import neighbour_weights
 from companion.link.fleet.zenoh_session import EndpointError, open_session
 from companion.stability.interaction import settled_prcs
@@ -31,8 +31,8 @@ from companion.types.formation import FlownSlot, HeldReference, LeaderBeacon
 from companion.types.notices import Code, Notice
 from companion.types.status import NearestVehicle, SeparationReport, Status
 from companion.types.values import Vector3
-from companion.wire.ground import Percentiles, StatusReport, Timing, encode
 from companion.wire.keys import status_key
+from companion.wire.messages import Percentiles, StatusReport, Timing, encode
 
 SPACING_M = 6.0
 OFF_SLOT_M, SWAY_S = 0.3, 7.0  # how far, and with which period, a vehicle moves about its slot

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from companion.config.fleet_check import load_fleet
-from companion.wire.ground import decode_report, encode
+from companion.wire.messages import decode_report, encode
 from tests.bench.monitor_load import OFF_SLOT_M, main, steady_fleet, write_fleet
 
 

@@ -20,8 +20,8 @@ from companion.types.commands import Command, CommandName, CommandReply
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code
 from companion.types.status import Status
-from companion.wire.ground import decode_reply, encode
 from companion.wire.keys import command_key, reply_key
+from companion.wire.messages import decode_reply, encode
 from own_ports import free_fleet_offset
 from sitl.flight.processes.fleet import FleetProcesses
 from sitl.flight.scenario import scenario_from

@@ -18,11 +18,17 @@ from companion.types.formation import FlownSlot, FormationChange, HeldReference,
 from companion.types.notices import Code, Notice
 from companion.types.peers import PeerPacket, TargetSample, TrafficSample
 from companion.types.status import Status
-from companion.wire.ground import StatusReport, decode_command, decode_reply, decode_report, encode
+from companion.wire.messages import (
+    StatusReport,
+    WireError,
+    decode_command,
+    decode_reply,
+    decode_report,
+    decode_target,
+    decode_traffic,
+    encode,
+)
 from companion.wire.peer import decode_peer, encode_peer
-from companion.wire.target import decode_target
-from companion.wire.traffic import decode_traffic
-from companion.wire.version import WireError
 from sitl.flight.lockstep import NOT_TIMED
 from sitl.workers import report_progress
 from tests.fuzz.mavlink import mavlink_packets, resealed

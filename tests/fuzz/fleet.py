@@ -10,8 +10,7 @@ from time import thread_time
 from typing import NamedTuple
 
 from companion.assembly import build_agent
-from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember, PeerLimits, RangeNeighbours
-from companion.config.law import Law
+from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember, Law, PeerLimits, RangeNeighbours
 from companion.config.reference import CircleReference, PointReference, Reference, TargetReference
 from companion.config.vehicle import AgentConfig, VehicleConfig
 from companion.core.agent import Agent
@@ -22,9 +21,8 @@ from companion.types.flight import Role
 from companion.types.peers import PeerPacket, ReceivedPeerPacket, ReceivedTarget, ReceivedTraffic
 from companion.types.status import Status
 from companion.types.tick import Inbox, Outbox
-from companion.wire.ground import StatusReport, decode_reply, decode_report, encode
+from companion.wire.messages import StatusReport, WireError, decode_reply, decode_report, encode
 from companion.wire.peer import decode_peer, encode_peer
-from companion.wire.version import WireError
 from sitl.flight.lockstep import NOT_TIMED
 from tests.fuzz.plant import HOVER_THRUST_NORM, TICK_S, Plant
 

@@ -14,11 +14,8 @@ from companion.types.commands import CONTENT, Command, CommandName, Lead, Refere
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FormationChange, HeldReference, LeaderBeacon
 from companion.types.peers import PeerPacket, ReceivedTarget, ReceivedTraffic, TargetSample, TrafficSample
-from companion.wire.ground import decode_command, encode
+from companion.wire.messages import WireError, decode_command, decode_target, decode_traffic, encode
 from companion.wire.peer import decode_peer, encode_peer
-from companion.wire.target import decode_target
-from companion.wire.traffic import decode_traffic
-from companion.wire.version import WireError
 from tests.fuzz.fleet import OPERATOR, Hostile, HostileFleet
 from tests.fuzz.mavlink import HostileTelemetry
 from tests.fuzz.mutation import mutated, other

@@ -5,8 +5,7 @@ from math import isfinite
 from msgspec.structs import replace
 
 from companion.assembly import build_agent
-from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember
-from companion.config.law import Law
+from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember, Law
 from companion.config.reference import PointReference, Reference
 from companion.config.vehicle import AgentConfig, VehicleConfig
 from companion.types.autopilot import (

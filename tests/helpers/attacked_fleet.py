@@ -19,8 +19,8 @@ from companion.types.commands import Command, CommandName
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot
 from companion.types.peers import PeerPacket
-from companion.wire.ground import encode
 from companion.wire.keys import abort_key, command_key, peer_key, reply_key, status_key
+from companion.wire.messages import encode
 from companion.wire.peer import encode_peer
 from fault_table import FaultRow
 from identities import tls_of

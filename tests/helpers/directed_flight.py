@@ -14,7 +14,7 @@ from companion.types.formation import FlownSlot, FormationChange, HeldReference
 from companion.types.notices import Code, Notice
 from companion.types.status import Status
 from companion.types.tick import Outbox
-from companion.wire.ground import Percentiles, StatusReport, Timing
+from companion.wire.messages import Percentiles, StatusReport, Timing
 from companion.wire.rounding import as_sent
 from sitl.flight.director import Director, MachineClock
 from sitl.flight.orders import FlightFailure

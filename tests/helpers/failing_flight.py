@@ -16,7 +16,7 @@ from companion.types.commands import Command, CommandName, CommandReply
 from companion.types.flight import FlightPhase
 from companion.types.peers import PeerPacket, ReceivedPeerPacket, ReceivedTarget, ReceivedTraffic
 from companion.types.status import NetworkState
-from companion.wire.ground import StatusReport, encode
+from companion.wire.messages import StatusReport, encode
 from companion.wire.peer import decode_peer, encode_peer
 from profile_flight import HOLD, Autopilot, Flight
 

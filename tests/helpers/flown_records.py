@@ -36,7 +36,7 @@ from companion.types.peers import PeerPacket, ReceivedPeerPacket
 from companion.types.status import Status
 from companion.types.tick import Inbox
 from companion.types.values import ZERO3, Vector3
-from companion.wire.ground import Percentiles, StatusReport, Timing
+from companion.wire.messages import Percentiles, StatusReport, Timing
 from recording_files import RecordingFile
 
 PERIOD_S = 0.02

@@ -9,8 +9,7 @@ import time
 from dataclasses import dataclass, field
 
 from background import Background
-from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
-from companion.mavlink.signing import SigningKey
+from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, SigningKey, mavlink
 from tests.fuzz.plant import PARAMETERS
 
 PERIOD_S = 0.02

@@ -11,7 +11,7 @@ from typing import Any
 
 import zenoh
 
-from companion.link.fleet.own_identity import load
+from companion.link.fleet.identity import load
 from companion.link.fleet.zenoh_session import SETTINGS
 from companion.security.identity import Identity
 from companion.security.names import parse_common_name

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
 
-from companion.config.network import ZenohEndpoints
+from companion.config.vehicle import ZenohEndpoints
 from companion.link.fleet.zenoh_link import ZenohLink
 from companion.types.commands import Command, CommandReply
 from companion.types.notices import Code

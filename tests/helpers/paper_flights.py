@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from companion.config.law import LawName
+from companion.config.fleet import LawName
 from companion.stability.arrays import FloatArray
 from companion.types.flight import Role
 from sitl.flight.scenario import Scenario, reference_of

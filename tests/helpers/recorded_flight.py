@@ -7,7 +7,7 @@ from typing import TypeVar
 
 from companion.types.autopilot import AttitudeTarget
 from companion.types.status import Status
-from companion.wire.ground import StatusReport
+from companion.wire.messages import StatusReport
 from sitl.flight.files import ids_of
 from sitl.flight.lockstep import Lockstep
 from sitl.flight.scenario import Scenario

@@ -10,7 +10,7 @@ from companion.types.flight import FlightPhase, HealthFlag, Role
 from companion.types.formation import FlownSlot, HeldReference
 from companion.types.notices import Code, Notice
 from companion.types.status import NearestVehicle, SeparationReport, Status
-from companion.wire.ground import Percentiles, StatusReport, Timing
+from companion.wire.messages import Percentiles, StatusReport, Timing
 
 TIMING = Timing(50.0, 3000, 0, Percentiles(180.0, 950.0, 4000.0), Percentiles(600.0, 2100.0, 5000.0), 14.0, 49.0)
 STATUS = Status(

@@ -10,9 +10,9 @@ from math import dist
 from pathlib import Path
 
 from commanding_ground import Ground
-from companion.config.network import protocol_of
+from companion.config.vehicle import protocol_of
 from companion.ground.session import FleetSession
-from companion.link.fleet.own_identity import load
+from companion.link.fleet.identity import load
 from companion.security.identity import Identity
 from own_ports import free_fleet_offset
 from repository import ROOT

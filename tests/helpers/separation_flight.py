@@ -14,9 +14,8 @@ from math import dist, exp, hypot, radians, sqrt, tan
 from random import Random
 
 from companion.assembly import safety_filter_of
-from companion.config.fleet import EdgeNeighbours, Envelope, FleetConfig, FormationMember
-from companion.config.law import Law
-from companion.config.obstacles import Obstacle
+from companion.config.fleet import EdgeNeighbours, Envelope, FleetConfig, FormationMember, Law
+from companion.config.values import Obstacle
 from companion.core.consensus.law import Gains, feedback
 from companion.core.consensus.peers import FleetLimits, PeerTable
 from companion.core.safety.filter.acceleration_filter import AccelerationLimits

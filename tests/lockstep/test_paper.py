@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from companion.config.law import LawName
+from companion.config.fleet import LawName
 from sitl.paper.book import Book, Entry
 from sitl.paper.claims.aggregation import broken_edges, has_gathered, left_for_good_s
 from sitl.paper.flights import PATIENT, FlownPlan, Model, NoFormationError, Plan, Subject, fly

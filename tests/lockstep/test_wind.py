@@ -15,7 +15,7 @@ import pytest
 from companion.stability.arrays import FloatArray
 from companion.types.flight import FlightPhase
 from companion.types.status import Status
-from companion.wire.ground import StatusReport
+from companion.wire.messages import StatusReport
 from repository import ROOT
 from sitl.autopilots.px4.modes import Px4Mode
 from sitl.flight.director import Director

@@ -22,8 +22,8 @@ from companion.mavlink.translator import Translator
 from companion.types.commands import CommandName, CommandReply
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code
-from companion.wire.ground import StatusReport
 from companion.wire.keys import command_key, peer_key
+from companion.wire.messages import StatusReport
 from hovering_autopilot import LOITER, OFFBOARD, HoveringAutopilot
 
 

@@ -9,8 +9,7 @@ import pytest
 
 from agent_process import AgentFiles, agent, agent_files, companion, until
 from companion.ground.session import FleetSession
-from companion.mavlink.codec import MavlinkCodec, mavlink
-from companion.mavlink.signing import SigningKey
+from companion.mavlink.codec import MavlinkCodec, SigningKey, mavlink
 from companion.types.commands import CommandName
 from companion.types.notices import Code
 from companion.types.status import Status

@@ -114,8 +114,7 @@ def test_over_tcp(tmp_path: Path) -> None:
 @pytest.mark.parametrize("baud", [0, 1, 10**9, 10**12])
 def test_an_unusual_baud_rate_is_accepted_or_refused_in_one_line(baud: int) -> None:
     """Devices accept different rates; none may cause a traceback."""
-    from companion.link.endpoint import LinkError
-    from companion.link.stream_link import SerialLine
+    from companion.link.byte_links import LinkError, SerialLine
 
     master, slave = os.openpty()
     try:

@@ -19,7 +19,7 @@ from companion.monitor.commander import readiness_view
 from companion.types.commands import Command, CommandName, CommandReply
 from companion.types.formation import FlownSlot
 from companion.types.notices import Code
-from companion.wire.ground import StatusReport
+from companion.wire.messages import StatusReport
 from linked_vehicles import LinkedVehicles, accept, linked_vehicles
 from served_site import TOKEN, Served, served_live, until_true
 from tests.bench.monitor_load import SteadyFleet

@@ -17,18 +17,17 @@ import zenoh
 from msgspec.structs import replace
 
 from companion.config.fleet_check import load_fleet
-from companion.config.network import ZenohEndpoints
+from companion.config.vehicle import ZenohEndpoints
 from companion.ground.publishers import TargetPublisher, TrafficPublisher
 from companion.ground.session import FleetSession
 from companion.link.fleet.zenoh_link import ZenohLink
 from companion.link.fleet.zenoh_session import EndpointError, open_session
-from companion.security.admission import accept
-from companion.security.certificates import read_certificate
+from companion.security.admission import accept, read_certificate
 from companion.types.commands import Command, CommandName
 from companion.types.notices import Code
 from companion.types.peers import PeerPacket, TargetSample, TrafficSample
-from companion.wire.ground import encode
 from companion.wire.keys import abort_key, command_key, peer_key, reply_key, status_key, target_key, traffic_key
+from companion.wire.messages import encode
 from companion.wire.peer import encode_peer
 from identities import FLEET_NAME, Identities, provisioned, stranger, tls_of
 from link_traffic import PACKET, until

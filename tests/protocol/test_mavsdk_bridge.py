@@ -7,7 +7,7 @@ import time
 
 from mavsdk.plugins.log_files import LogFiles
 
-from companion.link.mavsdk_bridge import MavsdkBridge
+from companion.link.bench import MavsdkBridge
 from companion.mavlink.codec import MavlinkCodec, mavlink
 
 HEARTBEAT = mavlink.MAVLink_heartbeat_message(

@@ -16,7 +16,7 @@ import pytest
 from agent_process import companion, until
 from companion.link.fleet.zenoh_session import open_session
 from companion.wire.keys import status_key
-from companion.wire.version import WIRE_VERSION
+from companion.wire.messages import WIRE_VERSION
 from linked_vehicles import LinkedVehicles, linked_vehicles
 from monitor_process import get, monitor, snapshot
 from tests.bench.monitor_load import write_fleet

@@ -17,8 +17,15 @@ import pytest
 
 from agent_process import AgentFiles, agent, agent_files, companion, until
 from companion.ground.session import FleetSession
-from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
-from companion.mavlink.signing import EPOCH_UNIX_S, SIGNATURE_CODES, UNITS_PER_S, SigningKey
+from companion.mavlink.codec import (
+    EPOCH_UNIX_S,
+    SIGNATURE_CODES,
+    UNITS_PER_S,
+    MavlinkCodec,
+    MavlinkMessage,
+    SigningKey,
+    mavlink,
+)
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
 from companion.types.status import Status

@@ -16,7 +16,7 @@ import zenoh
 from msgspec.structs import replace
 
 from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember
-from companion.config.network import ZenohEndpoints
+from companion.config.vehicle import ZenohEndpoints
 from companion.core.command.arbitration import CommandArbitration
 from companion.ground.session import FleetSession
 from companion.link.fleet.peer_states import CHANGES_PER_TICK
@@ -27,8 +27,8 @@ from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot
 from companion.types.notices import Answer, Code, Notice
 from companion.types.peers import PeerPacket
-from companion.wire.ground import encode
 from companion.wire.keys import abort_key, peer_key
+from companion.wire.messages import encode
 from own_ports import free_port
 
 FLEET = FleetConfig(
@@ -48,7 +48,7 @@ DEAF_CLIENT = """
 import time, zenoh
 from companion.link.fleet.zenoh_session import BATCH_BYTES, open_session
 from companion.types.commands import Command, CommandName
-from companion.wire.ground import encode
+from companion.wire.messages import encode
 session = open_session([], ["{endpoint}"])
 deaf = session.declare_subscriber("formation/floodtest/peer/*", zenoh.handlers.FifoChannel(1))
 replies = session.declare_subscriber("formation/floodtest/reply/*", zenoh.handlers.FifoChannel(1))
@@ -67,7 +67,7 @@ ABORT_FLOOD = """
 import time, zenoh
 from companion.link.fleet.zenoh_session import BATCH_BYTES, open_session
 from companion.types.commands import Command, CommandName
-from companion.wire.ground import encode
+from companion.wire.messages import encode
 session = open_session([], ["{endpoint}"])
 number = 0
 while True:

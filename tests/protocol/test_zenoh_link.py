@@ -19,7 +19,7 @@ import zenoh
 from msgspec.structs import replace
 
 from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember, PeerLimits
-from companion.config.network import ZenohEndpoints
+from companion.config.vehicle import ZenohEndpoints
 from companion.core.consensus.peers import FleetLimits, PeerTable
 from companion.ground.publishers import TargetPublisher, TrafficPublisher
 from companion.ground.session import AGAIN_S, FleetSession
@@ -32,10 +32,9 @@ from companion.types.formation import FlownSlot, FormationChange, LeaderBeacon
 from companion.types.notices import Code
 from companion.types.peers import ReceivedPeerPacket, ReceivedTarget, ReceivedTraffic, TrafficSample
 from companion.types.status import Status
-from companion.wire.ground import Percentiles, StatusReport, Timing, encode
 from companion.wire.keys import abort_key, command_key, peer_key, status_key, target_key, traffic_key
+from companion.wire.messages import WIRE_VERSION, Percentiles, StatusReport, Timing, encode
 from companion.wire.peer import encode_peer
-from companion.wire.version import WIRE_VERSION
 from link_traffic import PACKET, until
 from own_ports import free_port
 

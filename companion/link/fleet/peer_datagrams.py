@@ -7,18 +7,25 @@ datagram costs only itself.
 from __future__ import annotations
 
 import contextlib
+import hashlib
+import hmac
+import secrets
 import socket
 from collections.abc import Callable, Collection
 from ipaddress import ip_address
+from math import inf
+
+import zenoh
 
 from companion.config.fleet import FleetConfig
-from companion.config.network import DatagramEndpoints
-from companion.link.endpoint import LinkError, encoded_host, explain
-from companion.link.fleet.datagram_seal import DatagramSeal
+from companion.config.vehicle import DatagramEndpoints
+from companion.link.byte_links import LinkError, encoded_host, explain
+from companion.link.fleet.zenoh_session import drain
 from companion.types.notices import Code
 from companion.types.peers import PeerPacket, ReceivedPeerPacket
+from companion.wire.keys import every_pairing, pairing_key
+from companion.wire.messages import WireError
 from companion.wire.peer import decode_peer, encode_peer
-from companion.wire.version import WireError
 
 READ_BYTES = 16_384  # a change of MAX_VEHICLES slots with a tag for each vehicle has 11,000; most packets a few hundred
 DATAGRAMS_PER_VEHICLE = 8  # read in one tick
@@ -146,3 +153,86 @@ def _resolved(endpoint: str) -> Address:
     except socket.gaierror as error:
         raise LinkError(f'"{host}" has no address; expected one like 192.168.1.11') from error
     return str(address[0]), int(address[1])
+
+
+MARK = 0xD5  # no wire version, so that a fleet with and without authentication is told apart
+KEY_BYTES, TAG_BYTES = 32, 8
+HEADER_BYTES = 3
+
+
+class DatagramSeal:
+    """Keys of one vehicle for all others, and their keys for it."""
+
+    def __init__(self, own_id: int, fleet_ids: Collection[int]) -> None:
+        self._own_id = own_id
+        self.own_keys = {i: secrets.token_bytes(KEY_BYTES) for i in sorted(fleet_ids) if i != own_id}
+        self._keys: dict[int, bytes] = {}  # by sender
+
+    def learn(self, sender_id: int, key: bytes) -> None:
+        """The key with which this sender makes its tags for this vehicle. Another length is no key."""
+        if sender_id in self.own_keys and len(key) == KEY_BYTES:
+            self._keys[sender_id] = bytes(key)
+
+    def forget(self, vehicle_id: int) -> None:
+        """From now on neither receive from this vehicle nor make tags for it."""
+        self.own_keys.pop(vehicle_id, None)
+        self._keys.pop(vehicle_id, None)
+
+    def sealed(self, payload: bytes) -> bytes:
+        """The datagram of a peer packet."""
+        signed = bytes((self._own_id,)) + payload
+        tags = [bytes((i,)) + _tag(key, signed) for i, key in self.own_keys.items()]
+        return b"".join((bytes((MARK, self._own_id, len(tags))), *tags, payload))
+
+    def opened(self, datagram: bytes) -> tuple[int, bytes] | Code:
+        """Sender and peer packet; for anything that this sender did not make for this vehicle the code of the rejection."""
+        if len(datagram) < HEADER_BYTES or datagram[0] != MARK:
+            return Code.PEER_NOT_AUTHENTICATED
+        sender_id, count = datagram[1], datagram[2]
+        payload = datagram[HEADER_BYTES + count * (1 + TAG_BYTES) :]
+        key = self._keys.get(sender_id)
+        tag = self._own_tag(datagram, count)
+        if key is None or tag is None or not hmac.compare_digest(tag, _tag(key, bytes((sender_id,)) + payload)):
+            return Code.PEER_NOT_AUTHENTICATED
+        return sender_id, payload
+
+    def _own_tag(self, datagram: bytes, count: int) -> bytes | None:
+        for place in range(HEADER_BYTES, HEADER_BYTES + count * (1 + TAG_BYTES), 1 + TAG_BYTES):
+            if len(datagram) >= place + 1 + TAG_BYTES and datagram[place] == self._own_id:
+                return datagram[place + 1 : place + 1 + TAG_BYTES]
+        return None
+
+
+def _tag(key: bytes, content: bytes) -> bytes:
+    return hashlib.blake2s(content, key=key, digest_size=TAG_BYTES).digest()
+
+
+PERIOD_S = 1.0  # a vehicle that restarts has all keys after this time
+KEYS_READ = 16  # in one tick
+
+
+class Pairing:
+    """Publishes and receives once per period; a step costs a few microseconds otherwise."""
+
+    def __init__(self, session: zenoh.Session, fleet: str, own_id: int, seal: DatagramSeal) -> None:
+        self._session, self._fleet, self._own_id, self._seal = session, fleet, own_id, seal
+        self._keys = session.declare_subscriber(
+            every_pairing(fleet, own_id), zenoh.handlers.RingChannel(2 * len(seal.own_keys) or 1)
+        )
+        self._due_s = -inf
+
+    def step(self, now_s: float) -> None:
+        """Never blocks."""
+        for sample in drain(self._keys, KEYS_READ):
+            sender = str(sample.key_expr).split("/")[-2]
+            if len(sender) <= 3 and sender.isdecimal():
+                self._seal.learn(int(sender), sample.payload.to_bytes())
+        if now_s < self._due_s:
+            return
+        self._due_s = now_s + PERIOD_S
+        for receiver_id, key in self._seal.own_keys.items():
+            self._session.put(
+                pairing_key(self._fleet, self._own_id, receiver_id),
+                key,
+                congestion_control=zenoh.CongestionControl.DROP,
+            )

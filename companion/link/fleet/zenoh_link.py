@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Literal
 import zenoh
 
 from companion.config.fleet import FleetConfig
-from companion.config.network import ZenohEndpoints
-from companion.link.fleet.pairing import Pairing
+from companion.config.vehicle import ZenohEndpoints
+from companion.link.fleet.peer_datagrams import Pairing
 from companion.link.fleet.peer_states import PeerStates
 from companion.link.fleet.zenoh_session import drain, open_session
 from companion.link.log import CommandLog
@@ -29,7 +29,6 @@ from companion.types.commands import Command, CommandName, CommandReply
 from companion.types.notices import Code
 from companion.types.peers import PeerPacket, ReceivedPeerPacket, ReceivedTarget, ReceivedTraffic
 from companion.types.status import NetworkState
-from companion.wire.ground import StatusReport, decode_command, encode
 from companion.wire.keys import (
     abort_key,
     command_key,
@@ -41,9 +40,7 @@ from companion.wire.keys import (
     reply_key,
     status_key,
 )
-from companion.wire.target import decode_target
-from companion.wire.traffic import decode_traffic
-from companion.wire.version import WireError
+from companion.wire.messages import StatusReport, WireError, decode_command, decode_target, decode_traffic, encode
 
 if TYPE_CHECKING:
     from companion.link.fleet.peer_datagrams import PeerDatagrams

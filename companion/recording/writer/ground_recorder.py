@@ -19,7 +19,7 @@ from companion.recording.writer.stream import MessageStream
 from companion.recording.writer.writing import Writing
 from companion.types.commands import Command
 from companion.types.notices import Notice
-from companion.wire.ground import StatusReport
+from companion.wire.messages import StatusReport
 
 TOPICS = (GROUND_STATUS, GROUND_COMMAND)
 KEEP_MB, PART_MB = 2000, 50

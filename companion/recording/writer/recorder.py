@@ -33,7 +33,7 @@ from companion.recording.writer.writing import Writing
 from companion.types.notices import Notice
 from companion.types.status import RecordingState
 from companion.types.tick import Inbox, Outbox
-from companion.wire.ground import StatusReport
+from companion.wire.messages import StatusReport
 
 # Ticks. One after the other they take half the time, as the processor still has code and data at hand.
 ENCODED_TOGETHER = 10

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
-from companion.mavlink.signing import EPOCH_UNIX_S, UNITS_PER_S, SigningKey
+from companion.mavlink.codec import EPOCH_UNIX_S, UNITS_PER_S, MavlinkCodec, MavlinkMessage, SigningKey, mavlink
 from sitl.autopilots.ardupilot.autopilot import ArduCopter
 from sitl.autopilots.ardupilot.commands import ArduPilotReceiver
 from sitl.autopilots.ardupilot.messages import BUILDERS

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import dist, inf
 
-from companion.config.fleet import RangeNeighbours
-from companion.config.law import LawName
+from companion.config.fleet import LawName, RangeNeighbours
 from sitl.paper.book import PERFECT, Book, Entry, listed, seconds, verdict_of
 from sitl.paper.claims.platoon import AVERAGES, FIRST_M, FITS_M, NAMES, largest_m
 from sitl.paper.flights import NOISY_LAWS, Model, Subject

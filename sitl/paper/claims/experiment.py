@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from math import inf
 
-from companion.config.law import LawName
+from companion.config.fleet import LawName
 from sitl.paper.book import PERFECT, Book, Entry, listed, verdict_of
 from sitl.paper.claims.platoon import AVERAGES, NAMES, PAIRS, exceptions, flown_platoon, largest_m
 from sitl.paper.flights import Model, Subject

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 
-from companion.config.law import LawName
+from companion.config.fleet import LawName
 from sitl.paper.book import PERFECT, Book, Entry, listed, metres, seconds, verdict_of
 from sitl.paper.flights import Model, Subject
 from sitl.report.claim import Claim

@@ -8,7 +8,7 @@ from math import inf, nan
 
 import numpy as np
 
-from companion.config.law import LawName
+from companion.config.fleet import LawName
 from companion.config.reference import Figure8Reference
 from companion.stability.arrays import FloatArray
 from sitl.paper.book import PERFECT, Book, Entry, listed, seconds, verdict_of

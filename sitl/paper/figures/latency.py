@@ -6,7 +6,7 @@ from pathlib import Path
 
 from matplotlib.axes import Axes
 
-from companion.config.law import LawName
+from companion.config.fleet import LawName
 from sitl.paper.book import Book, Entry
 from sitl.paper.figures.platoon import DPI
 from sitl.paper.flights import Model, Subject

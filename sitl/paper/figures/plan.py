@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from companion.config.law import LawName
+from companion.config.fleet import LawName
 from companion.stability.arrays import FloatArray
 from companion.types.flight import Role
 from sitl.paper.book import PERFECT, Book, Entry

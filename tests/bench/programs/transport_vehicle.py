@@ -19,9 +19,8 @@ import msgspec
 import numpy as np
 
 from companion.config.vehicle import AgentConfig, load_agent
-from companion.link.fleet.datagram_seal import DatagramSeal
-from companion.link.fleet.own_identity import vehicle_identity
-from companion.link.fleet.peer_datagrams import PeerDatagrams
+from companion.link.fleet.identity import vehicle_identity
+from companion.link.fleet.peer_datagrams import DatagramSeal, PeerDatagrams
 from companion.link.fleet.zenoh_link import ZenohLink
 from companion.link.tick import PERIOD_S
 from companion.types.flight import FlightPhase

@@ -5,8 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 
-from companion.mavlink.codec import MavlinkCodec
-from companion.mavlink.signing import SigningKey
+from companion.mavlink.codec import MavlinkCodec, SigningKey
 
 PROGRAM = """
 from companion.cli.main import main
@@ -16,9 +15,9 @@ assert main(["agent", "--config", "/no/such/vehicle.yaml"]) == 2
 from pathlib import Path
 
 import companion.app, companion.recording.writer.start
-from companion.link.fleet.datagram_seal import DatagramSeal
+from companion.link.fleet.peer_datagrams import DatagramSeal
 from companion.mavlink.codec import MavlinkCodec, mavlink
-from companion.mavlink.signing import SigningKey
+from companion.mavlink.codec import SigningKey
 
 assert DatagramSeal(1, [1, 2]).own_keys
 assert "libcrypto" not in Path("/proc/self/maps").read_text()

@@ -10,8 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from companion.config.bounded_read import MAX_BYTES
-from companion.config.file import MAX_VALUES, ConfigError, read_yaml
+from companion.config.file import MAX_BYTES, MAX_VALUES, ConfigError, read_yaml
 from companion.link.log import PrintableFormatter
 from companion.types.values import printable
 

@@ -10,8 +10,7 @@ import pytest
 from companion.cli.main import main
 from companion.config.file import ConfigError
 from companion.config.new_formation import NewFormation, ReferenceKind, flight_time_s
-from companion.config.planned_flight import ShapeName
-from companion.config.topology import Topology, neighbour_graph
+from companion.config.planned_flight import ShapeName, Topology, neighbour_graph
 from companion.config.vehicle import AgentConfig, load_agent
 from companion.geometry.shapes import smallest_distance
 from companion.stability.interaction import reached_from

@@ -10,8 +10,7 @@ import yaml
 
 from companion.config.file import ConfigError
 from companion.config.fleet import RangeNeighbours
-from companion.config.planned_flight import DEFAULT_ORIGIN, ShapeName, default_neighbours
-from companion.config.topology import neighbour_graph
+from companion.config.planned_flight import DEFAULT_ORIGIN, ShapeName, default_neighbours, neighbour_graph
 from companion.geometry.shapes import SHAPES
 from companion.stability.interaction import reached_from
 from companion.tools.analysis import load_subject

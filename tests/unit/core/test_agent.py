@@ -8,8 +8,7 @@ from msgspec.structs import replace
 
 from agent_flight import FLEET, POINT, Flight
 from companion.assembly import trajectory_of
-from companion.config.fleet import FleetConfig, FormationMember
-from companion.config.law import Law
+from companion.config.fleet import FleetConfig, FormationMember, Law
 from companion.config.reference import Figure8Reference, PointReference
 from companion.core.command.phase import LEVEL_BEFORE_HAND_OVER_S, TAKES_OVER_WITHIN_S
 from companion.types.autopilot import (

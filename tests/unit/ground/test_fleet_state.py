@@ -14,7 +14,7 @@ from companion.types.flight import FlightPhase, HealthFlag, Role
 from companion.types.formation import FlownSlot, Heading, LeaderBeacon
 from companion.types.status import Status
 from companion.types.values import Vector3
-from companion.wire.ground import StatusReport
+from companion.wire.messages import StatusReport
 
 STATUS = replace(
     reported_fleet.STATUS,

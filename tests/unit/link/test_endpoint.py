@@ -6,7 +6,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from companion.link.endpoint import LinkError, encoded_host
+from companion.link.byte_links import LinkError, encoded_host
 
 LABELS = st.text("ab.-", max_size=6) | st.sampled_from(["a" * 63, "a" * 64, "ü", "ü" * 64])
 

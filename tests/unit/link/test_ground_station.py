@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import development as mavlink
 
 from companion.link import ground_link
-from companion.link.endpoint import LinkError
+from companion.link.byte_links import LinkError
 from companion.link.ground_link import GroundStationLink
 from companion.mavlink.codec import MavlinkCodec, MavlinkMessage
 from companion.mavlink.ground_station import AGENT_FLIES, GroundStationFilter

@@ -14,8 +14,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.link.journal import JournalHandler, entry, leads_to_journal
 from companion.link.log import LINES_KEPT, CommandLog, EventLog, PrintableFormatter, RejectionLog
+from companion.link.systemd import JournalHandler, entry, leads_to_journal
 from companion.types.commands import Command, CommandName, CommandReply
 from companion.types.notices import Code, Notice
 

@@ -11,8 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from companion.link.endpoint import LinkError
-from companion.link.stream_link import SerialLine, StreamLink, TcpConnection
+from companion.link.byte_links import LinkError, SerialLine, StreamLink, TcpConnection
 
 
 class Received:

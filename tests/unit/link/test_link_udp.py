@@ -10,9 +10,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from companion.link.endpoint import LinkError
-from companion.link.mavlink_link import open_link
-from companion.link.udp_link import UdpLink
+from companion.link.byte_links import LinkError, UdpLink, open_link
 
 HOST = "127.0.0.1"
 
@@ -97,7 +95,7 @@ def test_autopilot_is_found_at_another_port_after_silence(
         with sender(port) as before, sender(port) as after:
             before.send(b"A1")
             await until(recorder.data)
-            monkeypatch.setattr("companion.link.udp_link.RELOCK_AFTER_S", 0.0)
+            monkeypatch.setattr("companion.link.byte_links.RELOCK_AFTER_S", 0.0)
             after.send(b"A2")
             await until(lambda: b"A2" in recorder.data())
             link.send(b"hello")

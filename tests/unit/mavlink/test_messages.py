@@ -10,10 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common, development
 
-from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
-from companion.mavlink.messages import OtherMessage
-from companion.mavlink.packet_reader import PacketReader
-from companion.mavlink.signing import SigningKey
+from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, OtherMessage, PacketReader, SigningKey, mavlink
 
 IN_USE = sorted(id_ for id_, kind in mavlink.mavlink_map.items() if isinstance(kind, type))
 OTHERS = sorted(set(mavlink.mavlink_map) - set(IN_USE))

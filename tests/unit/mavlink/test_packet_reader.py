@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.mavlink.codec import MavlinkCodec, mavlink
-from companion.mavlink.packet_reader import MOST_DAMAGED, PacketReader
+from companion.mavlink.codec import MOST_DAMAGED, MavlinkCodec, PacketReader, mavlink
 from companion.types.notices import Code
 
 POSITIONS = 2000

@@ -8,9 +8,7 @@ from fastcrc.crc16 import mcrf4xx
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from companion.mavlink.codec import MavlinkMessage, mavlink
-from companion.mavlink.packet_reader import PacketReader
-from companion.mavlink.plain_packets import Packet, encode_plain, read_plain
+from companion.mavlink.codec import MavlinkMessage, Packet, PacketReader, encode_plain, mavlink, read_plain
 
 HOT = (
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,

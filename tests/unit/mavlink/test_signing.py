@@ -11,9 +11,8 @@ from pymavlink.dialects.v20 import common
 
 from companion.config.file import ConfigError
 from companion.config.vehicle import Signing
-from companion.link.signing_key import read_signing_key
-from companion.mavlink.codec import MavlinkCodec, mavlink
-from companion.mavlink.signing import EPOCH_UNIX_S, UNITS_PER_S, SigningKey
+from companion.link.autopilot_link import read_signing_key
+from companion.mavlink.codec import EPOCH_UNIX_S, UNITS_PER_S, MavlinkCodec, SigningKey, mavlink
 from companion.types.notices import Code
 
 NOW_S = 1_795_000_000.0

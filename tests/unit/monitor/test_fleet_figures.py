@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from companion.assembly import law_of
-from companion.config.law import Law
+from companion.config.fleet import Law
 from companion.monitor.api import NearestView
 from companion.monitor.fleet_figures import FleetFigures, convergence, smallest_separation, weakest_link
 from companion.stability.interaction import interaction_matrix

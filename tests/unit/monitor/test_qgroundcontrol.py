@@ -15,12 +15,12 @@ from pymavlink.dialects.v20 import common
 from companion.config.fleet import FleetConfig
 from companion.config.fleet_check import load_fleet
 from companion.geometry.frames import enu_from_geodetic
-from companion.link.endpoint import LinkError
+from companion.link.byte_links import LinkError
 from companion.monitor.qgroundcontrol import DENIALS_PER_STEP, TEXT_AGAIN_S, TEXTS_PER_STEP, FleetFeed
 from companion.types.autopilot import LandedState
 from companion.types.flight import FlightPhase, HealthFlag
 from companion.types.status import Status
-from companion.wire.ground import StatusReport
+from companion.wire.messages import StatusReport
 from reported_fleet import TIMING, leader, reported
 from repository import ROOT
 

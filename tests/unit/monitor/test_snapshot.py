@@ -17,7 +17,7 @@ from companion.monitor.snapshot import KEPT_S, PERIOD_S, Picture
 from companion.types.autopilot import LandedState
 from companion.types.flight import FlightPhase, HealthFlag
 from companion.types.status import Status
-from companion.wire.ground import StatusReport
+from companion.wire.messages import StatusReport
 from reported_fleet import TIMING, leader, reported
 from tests.bench.monitor_load import SteadyFleet, steady_fleet
 

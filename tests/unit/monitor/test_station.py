@@ -8,7 +8,7 @@ from companion.monitor.api import Seek
 from companion.monitor.events import Happening
 from companion.monitor.sources import ReplaySource
 from companion.monitor.station import RETRACED_S, Station
-from companion.wire.ground import StatusReport
+from companion.wire.messages import StatusReport
 from reported_fleet import TIMING, leader, reported
 
 BEGIN_S = 1.8e9

@@ -14,7 +14,7 @@ from companion.types.formation import FlownSlot
 from companion.types.peers import PeerPacket, ReceivedPeerPacket
 from companion.types.tick import Inbox
 from companion.types.values import ZERO3
-from companion.wire.ground import StatusReport
+from companion.wire.messages import StatusReport
 from directed_flight import TIMING
 from directed_flight import status as status_of
 from recording_files import HEADER, RecordingFile

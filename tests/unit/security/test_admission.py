@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from companion.security.admission import (
+    HASH,
     MAX_LIST_BYTES,
     MAX_PARTICIPANTS,
     MAX_REVOKED,
@@ -20,10 +21,12 @@ from companion.security.admission import (
     AdmittedParticipant,
     RevokedParticipant,
     accept,
+    authority_certificate,
+    key_der,
+    new_key,
     sign,
     verify,
 )
-from companion.security.certificates import HASH, authority_certificate, key_der, new_key
 from companion.security.names import ParticipantRole, parse_common_name
 
 NOW = datetime(2026, 11, 22, 12, 0, 0, tzinfo=UTC)

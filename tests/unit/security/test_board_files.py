@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from companion.security.board_files import BoardFileError, board_vehicle_file
+from companion.security.fleet_folder import BoardFileError, board_vehicle_file
 from provisioned_fleet import fleet_files
 
 BLOCK = """\

@@ -10,7 +10,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.security.certificates import (
+from companion.security.admission import (
     AUTHORITY_DAYS,
     HASH,
     authority_certificate,

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from companion.config.file import ConfigError
-from companion.security.private_files import PRIVATE, new_folder, one_at_a_time, remove_parts, write_file
+from companion.security.identity import PRIVATE, new_folder, one_at_a_time, remove_parts, write_file
 
 
 @pytest.fixture(params=[0o000, 0o022, 0o777])

@@ -10,12 +10,10 @@ import pytest
 
 from companion.config.file import ConfigError
 from companion.config.vehicle import Signing
-from companion.link.signing_key import read_signing_key
+from companion.link.autopilot_link import read_signing_key
 from companion.security.admission import accept
-from companion.security.authority import open_authority
-from companion.security.identity import load_identity
+from companion.security.identity import load_identity, one_at_a_time, open_authority
 from companion.security.names import ParticipantName, ParticipantRole, participant_name
-from companion.security.private_files import one_at_a_time
 from companion.security.provision_report import new_text, renew_text
 from companion.security.provisioning import Provisioned, open_provisioned, provision_new, renew, revoke
 from provisioned_fleet import GROUND, NOW, fleet_files, provisioned, tree

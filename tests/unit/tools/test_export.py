@@ -15,7 +15,7 @@ from companion.types.autopilot import PositionError
 from companion.types.formation import LeaderBeacon
 from companion.types.notices import Code, Notice
 from companion.types.status import NO_STATE_AGE_S
-from companion.wire.ground import StatusReport
+from companion.wire.messages import StatusReport
 from directed_flight import TIMING, status
 from recording_files import HEADER, RecordingFile
 

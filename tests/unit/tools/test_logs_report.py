@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from companion.link.flight_logs import FlightLogsError, LogEntry
+from companion.link.bench import FlightLogsError, LogEntry
 from companion.tools.logs import NoSuchLogError, choose, file_name, give_name, progress_text, size_text
 from companion.types.autopilot import AutopilotKind
 

@@ -28,18 +28,19 @@ from companion.types.notices import Code, Notice
 from companion.types.peers import PeerPacket, TargetSample
 from companion.types.status import Status
 from companion.types.values import FLEET_NAME, MAX_CHANGE_S, MAX_COORDINATE_M, MAX_MISSION_S, MAX_NUMBER
-from companion.wire.ground import (
+from companion.wire.messages import (
+    WIRE_VERSION,
     Percentiles,
     StatusReport,
     Timing,
+    WireError,
     decode_command,
     decode_reply,
     decode_report,
+    decode_target,
     encode,
 )
 from companion.wire.peer import decode_peer, encode_peer
-from companion.wire.target import decode_target
-from companion.wire.version import WIRE_VERSION, WireError
 
 numbers = st.floats(allow_nan=False, allow_infinity=False)
 vectors = st.tuples(numbers, numbers, numbers)
@@ -376,5 +377,5 @@ def test_non_finite_numbers_pass_the_decoder() -> None:
 
 def test_decoders_leave_the_interpreter_whole() -> None:
     """msgspec frees the decoders at the end: a type that it lays out wrongly aborts the process there."""
-    ended = subprocess.run([sys.executable, "-c", "import companion.wire.ground, companion.wire.peer"], check=False)
+    ended = subprocess.run([sys.executable, "-c", "import companion.wire.messages, companion.wire.peer"], check=False)
     assert ended.returncode == 0

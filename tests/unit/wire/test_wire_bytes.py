@@ -11,18 +11,18 @@ from companion.types.formation import FlownSlot, FormationChange, Heading, HeldR
 from companion.types.notices import Code, Notice
 from companion.types.peers import PeerPacket, TargetSample, TrafficSample
 from companion.types.status import NearestVehicle, NetworkState, RecordingState, SeparationReport, Status
-from companion.wire.ground import (
+from companion.wire.messages import (
     Percentiles,
     StatusReport,
     Timing,
     decode_command,
     decode_reply,
     decode_report,
+    decode_target,
+    decode_traffic,
     encode,
 )
 from companion.wire.peer import decode_peer, encode_peer
-from companion.wire.target import decode_target
-from companion.wire.traffic import decode_traffic
 
 CHANGE = FormationChange(9, ((2, (-2.0, 1.0, 0.5)), (3, (-4.0, -1.0, 0.25))), 61.5, 7.5, absent=(5,))
 

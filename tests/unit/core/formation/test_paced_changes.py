@@ -8,8 +8,7 @@ from collections.abc import Iterable
 import pytest
 
 from agent_flight import Flight
-from companion.config.fleet import FleetConfig, FormationMember, RangeNeighbours
-from companion.config.law import Law
+from companion.config.fleet import FleetConfig, FormationMember, Law, RangeNeighbours
 from companion.config.reference import CircleReference, Figure8Reference
 from companion.core.formation import following
 from companion.core.formation.changes import HEARD_PERIOD_S, QUEUED, Changes

@@ -6,7 +6,7 @@ from itertools import product
 
 import pytest
 
-from companion.link.fleet.access import access_control, published
+from companion.link.fleet.zenoh_session import access_control, published
 from companion.security.names import ParticipantName, parse_common_name
 
 NAMES = (

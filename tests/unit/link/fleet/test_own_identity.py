@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from companion.link.fleet.own_identity import load
+from companion.link.fleet.identity import load
 from companion.security.identity import ADMITTED_FILE
 from identities import provisioned
 

@@ -12,10 +12,17 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember
-from companion.config.network import DatagramEndpoints
-from companion.link.endpoint import LinkError
-from companion.link.fleet.datagram_seal import HEADER_BYTES, MARK, DatagramSeal
-from companion.link.fleet.peer_datagrams import BYTES_PER_VEHICLE, LONGEST_BYTES, PeerDatagrams, packet_of_fleet
+from companion.config.vehicle import DatagramEndpoints
+from companion.link.byte_links import LinkError
+from companion.link.fleet.peer_datagrams import (
+    BYTES_PER_VEHICLE,
+    HEADER_BYTES,
+    LONGEST_BYTES,
+    MARK,
+    DatagramSeal,
+    PeerDatagrams,
+    packet_of_fleet,
+)
 from companion.types.autopilot import PositionError
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot, FormationChange, Heading, HeldReference, LeaderBeacon

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from pymavlink import mavutil
 
-from companion.link.recorded_link import RecordedLink
+from companion.link.autopilot_link import RecordedLink
 from companion.mavlink.translator import Translator
 from companion.recording.writer.writing import WritingAtOnce
 from companion.types.autopilot import AutopilotKind

@@ -11,7 +11,7 @@ from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot, LeaderBeacon
 from companion.types.status import Status
 from companion.types.values import Vector3
-from companion.wire.ground import Percentiles, StatusReport, Timing
+from companion.wire.messages import Percentiles, StatusReport, Timing
 from sitl.flight.moving_targets import MovingTarget, MovingTargets
 from sitl.flight.watch import FlightWatch
 

@@ -8,7 +8,7 @@ import pytest
 
 from companion.assembly import law_of
 from companion.core.consensus.law import cooperative
-from companion.wire.ground import Percentiles, Timing
+from companion.wire.messages import Percentiles, Timing
 from repository import ROOT
 from sitl.cli.fly import add_arguments, fly_options
 from sitl.flight.options import FlyOptions, RunOptions

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from companion.config.fleet import Envelope
-from companion.config.obstacles import CylinderObstacle, Obstacle
+from companion.config.values import CylinderObstacle, Obstacle
 from companion.types.autopilot import PositionError
 from companion.types.flight import FlightPhase
 from companion.types.formation import FlownSlot

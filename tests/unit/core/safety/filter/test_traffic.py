@@ -3,9 +3,7 @@ import pytest
 from companion.core.safety.filter.traffic import EXPIRES_S, KEPT, Traffic
 from companion.types.peers import ReceivedTraffic, TrafficSample
 from companion.types.values import ZERO3
-from companion.wire.ground import encode
-from companion.wire.traffic import decode_traffic
-from companion.wire.version import WireError, seal
+from companion.wire.messages import WireError, decode_traffic, encode, seal
 
 
 def sample(east_m: float, age_s: float = 0.0) -> TrafficSample:

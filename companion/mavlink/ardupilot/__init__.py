@@ -15,7 +15,7 @@ from math import cos
 
 from companion.geometry.frames import Quaternion
 from companion.mavlink.codec import MavlinkMessage, mavlink
-from companion.mavlink.commands import command_long, common_command
+from companion.mavlink.dialect import command_long, common_command
 from companion.types.autopilot import (
     AttitudeSample,
     AttitudeTarget,

@@ -1,0 +1,414 @@
+"""Common parts of all links to the autopilot: the callback for bytes, and errors of endpoints that cannot be opened."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import fcntl
+import logging
+import os
+import socket
+import struct
+import termios
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+Received = Callable[[bytes, float], bool]  # (bytes, time of arrival) -> whether they are from the autopilot
+AllRead = Callable[[], None]  # after `Received` was called for all that waited, up to a limit
+
+_IN_USE = "{what} is in use; stop the other program (an agent or ground station?) or choose another one"
+_ADVICE = {
+    errno.EADDRINUSE: _IN_USE,
+    errno.EBUSY: _IN_USE,
+    errno.EAGAIN: _IN_USE,  # the lock on a serial device
+    errno.EADDRNOTAVAIL: "this machine has no such address; use one of its own, or 0.0.0.0 for all of them",
+    errno.EACCES: "no permission for {what}; use a port above 1023, or join the device's group (usually dialout)",
+    errno.EPERM: "no permission for {what}; join the device's group (usually dialout)",
+    errno.ENOENT: "there is no {what}; is it plugged in? expected a device like /dev/ttyACM0, see /dev/serial/by-id",
+    errno.ECONNREFUSED: "no program listens at {what}; is the autopilot running?",
+    errno.ENOTTY: "{what} is not a serial device; expected one like /dev/ttyACM0, see /dev/serial/by-id",
+}
+
+
+class LinkError(Exception):
+    """An endpoint that cannot be opened. `str()` is the reason and the remedy."""
+
+
+def encoded_host(host: str) -> bytes:
+    """The host as `socket` passes it to the operating system. Raises LinkError where no lookup takes it.
+
+    Only a name that is not ASCII needs Python's codec for names, and `socket` itself would load it: half an MB of an agent.
+    """
+    if "\0" in host:
+        raise LinkError("there is a zero byte in the host, expected one like 192.168.1.11")
+    try:
+        return _ascii_host(host) if host.isascii() else host.encode("idna")
+    except ValueError as error:
+        raise LinkError("the host is neither an address nor a name, expected one like 192.168.1.11") from error
+
+
+def _ascii_host(host: str) -> bytes:
+    """As the codec for names would encode it. Raises ValueError."""
+    labels = host.removesuffix(".").split(".")
+    if host and not all(0 < len(label) < 64 for label in labels):
+        raise ValueError("label empty or too long")
+    return host.encode()
+
+
+def explain(error: OSError, what: str) -> str:
+    """Message for an operating system's error about `what`, with the remedy."""
+    advice = _ADVICE.get(error.errno or 0)
+    return advice.format(what=what) if advice else f"{what} cannot be opened: {error.strerror or error}"
+
+
+LONGEST_NUMBER = 9  # digits; Python refuses to parse thousands of them
+
+
+class MavlinkLink(Protocol):
+    """A byte link to the autopilot."""
+
+    def send(self, data: bytes) -> None:
+        """Hand one message to the operating system, or drop it. Never raises, never blocks."""
+
+    def offer(self, data: bytes) -> bool:
+        """Like `send`, for data that may wait: only while the link is nearly free. Returns whether it was sent."""
+
+    async def run(self) -> None:
+        """Receive until cancelled; a lost connection is opened again."""
+
+    def problem(self) -> str:
+        """Why nothing is received, as far as this end knows."""
+
+    def close(self) -> None:
+        """Close the link."""
+
+
+def open_link(endpoint: str, received: Received, all_read: AllRead) -> MavlinkLink:
+    """The link for "udpin:HOST:PORT", "tcp:HOST:PORT" or "serial:DEVICE:BAUD". Raises LinkError."""
+    kind, _, rest = endpoint.partition(":")
+    address, _, number = rest.rpartition(":")
+    if len(number) > LONGEST_NUMBER:
+        raise LinkError(f"the number at the end has {len(number)} digits, expected at most {LONGEST_NUMBER}")
+    if kind == "serial":
+        return StreamLink(SerialLine(address, int(number)), received, all_read)
+    if not 0 < int(number) <= 65535:
+        raise LinkError(f"port {number}, expected 1 to 65535")
+    if kind == "tcp":
+        return StreamLink(TcpConnection(address, int(number)), received, all_read)
+    return UdpLink(address, int(number), received, all_read)
+
+
+DATAGRAM_BYTES = 4096  # of a datagram: autopilots send at most an Ethernet frame
+DATAGRAMS_PER_WAKE_UP = 64  # the rest wakes the loop again, after a tick that may be due
+BYTES_PER_WAKE_UP = 8192  # some 200 messages: 2 ms
+RELOCK_AFTER_S = 5.0  # a restarted autopilot may send from another port
+
+_SO_TIMESTAMPNS = 35  # Linux; missing in the socket module
+_TIMESPEC = struct.Struct("@ll")
+_ANCILLARY_BYTES = socket.CMSG_SPACE(_TIMESPEC.size)
+
+
+class UdpLink:
+    """Listens and answers only the address that first sent packets of the autopilot.
+
+    Times of arrival are the kernel's: datagrams that waited during a pause of this process keep their true age.
+    """
+
+    def __init__(self, host: str, port: int, received: Received, all_read: AllRead) -> None:
+        self._received, self._all_read = received, all_read
+        self._socket = _bound_udp_socket(host, port)
+        self._autopilot: tuple[str, int] | None = None
+        self._heard_s = float("-inf")
+        self._anything_arrived = False
+
+    def send(self, data: bytes) -> None:
+        if self._autopilot:
+            # ConnectionRefused refers to an earlier datagram, BlockingIOError to a full buffer: both are lost packets.
+            with contextlib.suppress(OSError):
+                self._socket.sendto(data, self._autopilot)
+
+    def offer(self, data: bytes) -> bool:
+        self.send(data)
+        return self._autopilot is not None
+
+    async def run(self) -> None:
+        loop = asyncio.get_running_loop()
+        loop.add_reader(self._socket, self._readable)
+        try:
+            await loop.create_future()
+        finally:
+            loop.remove_reader(self._socket)
+
+    def problem(self) -> str:
+        if self._anything_arrived:
+            return "packets arrived, none of them from this autopilot; check its id (MAV_SYS_ID)"
+        return "nothing arrived; is the autopilot running, and does it send to this port?"
+
+    def close(self) -> None:
+        self._socket.close()
+
+    def _readable(self) -> None:
+        self._read_waiting()
+        self._all_read()
+
+    def _read_waiting(self) -> None:
+        read_bytes = 0
+        for _ in range(DATAGRAMS_PER_WAKE_UP):
+            if read_bytes > BYTES_PER_WAKE_UP:
+                return
+            try:
+                data, ancillary, _, sender = self._socket.recvmsg(DATAGRAM_BYTES, _ANCILLARY_BYTES)
+            except BlockingIOError:
+                return
+            except OSError:
+                continue  # ICMP error for a datagram sent earlier
+            read_bytes += len(data)
+            self._datagram(data, _arrival_s(ancillary), sender)
+
+    def _datagram(self, data: bytes, received_s: float, sender: tuple[str, int]) -> None:
+        self._anything_arrived = True
+        is_locked = self._autopilot is not None and received_s - self._heard_s < RELOCK_AFTER_S
+        if is_locked and sender != self._autopilot:
+            return
+        if self._received(data, received_s):
+            if sender != self._autopilot:
+                self._autopilot = sender
+                logging.getLogger(__name__).info("autopilot at %s:%d", *sender[:2])
+            self._heard_s = received_s
+
+
+def _bound_udp_socket(host: str, port: int) -> socket.socket:
+    name = encoded_host(host)
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(name, port, type=socket.SOCK_DGRAM)[0]
+    except socket.gaierror as error:
+        raise LinkError(f'"{host}" is not an address of this machine; use 0.0.0.0 for all of them') from error
+    udp = socket.socket(family, kind, protocol)
+    try:
+        udp.bind(address)
+    except OSError as error:
+        udp.close()
+        raise LinkError(explain(error, f"UDP port {port}")) from error
+    udp.setblocking(False)
+    with contextlib.suppress(OSError):  # not Linux: the time of reading is used instead
+        udp.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
+    return udp
+
+
+def _arrival_s(ancillary: list[tuple[int, int, bytes]]) -> float:
+    """Time at which the kernel received the datagram, on the monotonic clock; never later than now."""
+    now_s = time.monotonic()
+    for level, kind, value in ancillary:
+        if (level, kind) == (socket.SOL_SOCKET, _SO_TIMESTAMPNS) and len(value) == _TIMESPEC.size:
+            seconds, nanoseconds = _TIMESPEC.unpack(value)
+            waited_s = (time.time_ns() - int(seconds) * 1_000_000_000 - int(nanoseconds)) * 1e-9
+            return now_s - max(0.0, waited_s)
+    return now_s
+
+
+READ_BYTES = 4096  # at once, some 100 messages; the rest wakes the loop again, after a tick that may be due
+RECONNECT_FIRST_S, RECONNECT_MAX_S = 0.2, 2.0
+BACKLOG_BYTES = 1024  # most unsent bytes in the kernel before data is dropped: a third of a second of setpoints
+# The link counts as free up to this number of unsent bytes.
+SERIAL_IDLE_BYTES = 64
+TCP_IDLE_BYTES = 512  # sent but not acknowledged
+SILENT_PEER_MS = 5000  # a TCP connection without acknowledgements for this time is lost
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Stream:
+    """An open, non-blocking file descriptor and the function that closes it."""
+
+    fd: int
+    close: Callable[[], None]
+    idle_bytes: int  # it counts as free up to this number of unsent bytes
+
+
+class Line(Protocol):
+    """Opens a stream. `name` is for messages."""
+
+    name: str
+
+    async def open(self) -> Stream:
+        """An open stream. Raises OSError."""
+
+
+class StreamLink:
+    """One byte stream to the autopilot, opened again until it succeeds."""
+
+    def __init__(self, line: Line, received: Received, all_read: AllRead) -> None:
+        self._line = line
+        self._received, self._all_read = received, all_read
+        self._stream: Stream | None = None
+        self._rest = b""  # unsent part of a message
+        self._lost: asyncio.Future[str] | None = None
+        self._problem = ""
+
+    def send(self, data: bytes) -> None:
+        if not self._stream or self._rest:
+            return
+        try:
+            if _waiting_bytes(self._stream.fd) <= BACKLOG_BYTES:
+                self._write(data)
+        except OSError as error:
+            self._lose(error.strerror or str(error))
+
+    def offer(self, data: bytes) -> bool:
+        if not self._stream or self._rest:
+            return False
+        try:
+            if _waiting_bytes(self._stream.fd) > self._stream.idle_bytes:
+                return False
+            self._write(data)
+        except OSError as error:
+            self._lose(error.strerror or str(error))
+            return False
+        return True
+
+    async def run(self) -> None:
+        delay_s = RECONNECT_FIRST_S
+        try:
+            while True:
+                try:
+                    self._stream = await self._line.open()
+                except OSError as error:
+                    self._problem = explain(error, self._line.name)
+                    await asyncio.sleep(delay_s)
+                    delay_s = min(2 * delay_s, RECONNECT_MAX_S)
+                    continue
+                self._problem = await self._receive(self._stream)
+                _log.info("%s: %s, connecting again", self._line.name, self._problem)
+                delay_s = RECONNECT_FIRST_S
+                await asyncio.sleep(delay_s)
+        finally:
+            self.close()
+
+    def problem(self) -> str:
+        return (
+            self._problem or f"{self._line.name} is open, but no packet of this autopilot arrived; check the other end"
+        )
+
+    def close(self) -> None:
+        if self._stream:
+            self._stream.close()
+            self._stream = None
+
+    async def _receive(self, stream: Stream) -> str:
+        """Receive until the stream is lost; returns the reason."""
+        _log.info("%s is open", self._line.name)
+        self._problem, self._rest = "", b""
+        loop = asyncio.get_running_loop()
+        self._lost = loop.create_future()
+        loop.add_reader(stream.fd, self._readable, stream.fd)
+        try:
+            return await self._lost
+        finally:
+            loop.remove_reader(stream.fd)
+            loop.remove_writer(stream.fd)
+            self.close()
+
+    def _readable(self, fd: int) -> None:
+        try:
+            data = os.read(fd, READ_BYTES)
+        except BlockingIOError:
+            return
+        except OSError as error:
+            self._lose(error.strerror or str(error))
+            return
+        if not data:
+            self._lose("closed by the other end")
+            return
+        self._received(data, time.monotonic())
+        self._all_read()
+
+    def _write(self, data: bytes) -> None:
+        """Write as much as the kernel takes. The rest of the message follows when possible, to keep the stream intact."""
+        assert self._stream is not None
+        fd = self._stream.fd
+        with contextlib.suppress(BlockingIOError):
+            data = data[os.write(fd, data) :]
+            if data:
+                self._rest = data
+                asyncio.get_running_loop().add_writer(fd, self._writable, fd)
+
+    def _writable(self, fd: int) -> None:
+        try:
+            self._rest = self._rest[os.write(fd, self._rest) :]
+        except BlockingIOError:
+            return
+        except OSError as error:
+            self._lose(error.strerror or str(error))
+        if not self._rest:
+            asyncio.get_running_loop().remove_writer(fd)
+
+    def _lose(self, why: str) -> None:
+        if self._lost and not self._lost.done():
+            self._lost.set_result(why)
+
+
+def _waiting_bytes(fd: int) -> int:
+    """Unsent bytes in the kernel (TIOCOUTQ), of a serial line or a TCP socket."""
+    buffer = fcntl.ioctl(fd, termios.TIOCOUTQ, b"\0" * 4)
+    return int(struct.unpack("@i", buffer)[0])
+
+
+# ---------------------------------------------------------------- TCP and serial
+
+
+class TcpConnection:
+    """TCP connection to a listening autopilot, such as ArduPilot's simulation."""
+
+    def __init__(self, host: str, port: int) -> None:
+        """Raises LinkError."""
+        self.name = f"tcp:{host}:{port}"
+        self._host, self._port = encoded_host(host), port
+
+    async def open(self) -> Stream:
+        loop = asyncio.get_running_loop()
+        found = await loop.getaddrinfo(self._host, self._port, type=socket.SOCK_STREAM)
+        family, kind, protocol, _, address = found[0]
+        connection = socket.socket(family, kind, protocol)
+        try:
+            connection.setblocking(False)
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            if hasattr(socket, "TCP_USER_TIMEOUT"):
+                connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, SILENT_PEER_MS)
+            await loop.sock_connect(connection, address)
+        except BaseException:
+            connection.close()
+            raise
+        return Stream(connection.fileno(), connection.close, TCP_IDLE_BYTES)
+
+
+class SerialLine:
+    """A serial device. The constructor opens it, so that a wrong name is found at the start. Raises LinkError."""
+
+    def __init__(self, device: str, baud: int) -> None:
+        self.name = f"serial device {device}"
+        self._device, self._baud = device, baud
+        try:
+            self._first: Stream | None = self._open()
+        except OSError as error:
+            raise LinkError(explain(error, self.name)) from error
+
+    async def open(self) -> Stream:
+        stream, self._first = self._first or self._open(), None
+        return stream
+
+    def _open(self) -> Stream:
+        import serial  # only an agent with a serial link loads it
+
+        try:
+            line = serial.Serial(self._device, self._baud, timeout=0, write_timeout=0, exclusive=True)
+        except serial.SerialException as error:
+            if error.errno is None:  # pyserial reports a refused terminal setting without its errno
+                raise OSError(errno.ENOTTY, str(error)) from error
+            raise
+        except (ValueError, OverflowError) as error:
+            raise OSError(errno.EINVAL, f"{self._baud} baud is refused") from error
+        return Stream(line.fileno(), line.close, SERIAL_IDLE_BYTES)
