@@ -11,6 +11,7 @@ from math import inf, isfinite
 from companion.geometry.frames import Quaternion, euler_from_quaternion, quaternion_from_euler
 from companion.types.autopilot import AutopilotKind
 from companion.types.values import Vector3
+from sitl.autopilots.ardupilot.logs import LogService
 from sitl.autopilots.ardupilot.modes import ARMABLE, GROUND_STATION_LOSS, NEED_A_POSITION, CopterMode
 from sitl.autopilots.ardupilot.parameters import ArduPilotParameters
 from sitl.autopilots.ardupilot.startup import StartUp
@@ -52,14 +53,6 @@ class SigningSetup:
     key: bytes
     stamp: int
     set_s: float
-
-
-@dataclass(slots=True)
-class LogService:
-    """The link whose log request is served, and whether the refusal while armed was sent."""
-
-    link: object | None = None
-    refusal_sent: bool = False
 
 
 class ArduCopter(Autopilot):

@@ -15,7 +15,6 @@ from sitl.autopilots.autopilot import CRITICAL, INFO, WARNING
 from sitl.links.receiver import ACCEPTED, DENIED, FAILED, FORCE, Answers, Receiver
 from sitl.links.schedule import Schedule
 
-M = mavlink
 SHORTEST_INTERVAL_US = 2000.0  # 0.8 of the period of a 400 Hz loop; shorter intervals, and this one, are too fast
 
 
@@ -25,7 +24,9 @@ class ArduPilotReceiver(Receiver):
     def __init__(self, copter: ArduCopter, schedule: Schedule) -> None:
         super().__init__(copter, schedule)
         self._copter = copter
-        self.logs = ArduPilotLogTransfer(copter, lambda severity, text: self.texts([(severity, text)]))
+        self.logs = ArduPilotLogTransfer(
+            copter, copter.log_service, lambda severity, text: self.texts([(severity, text)])
+        )
         del self._messages["PING"], self._messages["FILE_TRANSFER_PROTOCOL"]
         self._messages |= {
             "SET_MODE": self._set_mode_message,
@@ -35,13 +36,13 @@ class ArduPilotReceiver(Receiver):
             **self.logs.requests,
         }
         self._commands |= {
-            M.MAV_CMD_DO_SET_MODE: self._do_set_mode,
-            M.MAV_CMD_COMPONENT_ARM_DISARM: self._arm_disarm,
-            M.MAV_CMD_NAV_TAKEOFF: self._take_off,
-            M.MAV_CMD_NAV_LAND: lambda _p: self._to(CopterMode.LAND),
-            M.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda _p: self._to(CopterMode.RTL),
-            M.MAV_CMD_NAV_LOITER_UNLIM: lambda _p: self._to(CopterMode.LOITER),
-            M.MAV_CMD_SET_MESSAGE_INTERVAL: self._set_interval,
+            mavlink.MAV_CMD_DO_SET_MODE: self._do_set_mode,
+            mavlink.MAV_CMD_COMPONENT_ARM_DISARM: self._arm_disarm,
+            mavlink.MAV_CMD_NAV_TAKEOFF: self._take_off,
+            mavlink.MAV_CMD_NAV_LAND: lambda _p: self._to(CopterMode.LAND),
+            mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda _p: self._to(CopterMode.RTL),
+            mavlink.MAV_CMD_NAV_LOITER_UNLIM: lambda _p: self._to(CopterMode.LOITER),
+            mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: self._set_interval,
         }
 
     def _is_for_it(self, message: MavlinkMessage) -> bool:

@@ -12,8 +12,7 @@ from sitl.autopilots.autopilot import Autopilot
 from sitl.links.link_end import LinkEnd
 from sitl.links.schedule import Schedule
 
-M = mavlink
-RATES_HZ = {M.MAVLINK_MSG_ID_HEARTBEAT: 1.0}
+RATES_HZ = {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0}
 
 
 class ArduPilotLinkEnd(LinkEnd):
@@ -44,7 +43,7 @@ class ArduPilotLinkEnd(LinkEnd):
         """Origin and home once they are set."""
         if self._origin_sent != self._copter.origin_changes:
             self._origin_sent = self._copter.origin_changes
-            yield from self._messages((M.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN, M.MAVLINK_MSG_ID_HOME_POSITION))
+            yield from self._messages((mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN, mavlink.MAVLINK_MSG_ID_HOME_POSITION))
 
     def _telemetry(self) -> Iterator[MavlinkMessage]:
         yield from self._messages(self.schedule.due(self._copter.time_s))
@@ -60,13 +59,13 @@ def codec_of(copter: ArduCopter, link_id: int) -> MavlinkCodec:
     """The codec of the present signing. Timestamps continue from that of SETUP_SIGNING."""
     signing = copter.signing
     if signing is None:
-        return MavlinkCodec(copter.system_id, M.MAV_COMP_ID_AUTOPILOT1)
+        return MavlinkCodec(copter.system_id, mavlink.MAV_COMP_ID_AUTOPILOT1)
 
     def unix_time_s() -> float:
         return EPOCH_UNIX_S + signing.stamp / UNITS_PER_S + copter.time_s - signing.set_s
 
     key = SigningKey(signing.key, link_id, unix_time_s)
-    return MavlinkCodec(copter.system_id, M.MAV_COMP_ID_AUTOPILOT1, key)
+    return MavlinkCodec(copter.system_id, mavlink.MAV_COMP_ID_AUTOPILOT1, key)
 
 
 def tcp_link(copter: Autopilot) -> LinkEnd:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from functools import partial
 
 from companion.mavlink.codec import MavlinkMessage, mavlink
-from sitl.autopilots.ardupilot.autopilot import ArduCopter
-from sitl.autopilots.autopilot import ERROR, INFO
+from sitl.autopilots.autopilot import ERROR, INFO, Autopilot
 from sitl.autopilots.logs.transfer import CHUNK_BYTES, LogTransfer, log_data
 
 # As measured over TCP: 1600 entries and 1.3 MB a second.
@@ -15,13 +15,24 @@ ENTRIES_PER_STEP, PACKETS_PER_STEP = 6, 58
 HIGHEST_ID = 0xFFFF
 
 
+@dataclass(slots=True)
+class LogService:
+    """The link whose log request is served, and whether the refusal while armed was sent."""
+
+    link: object | None = None
+    refusal_sent: bool = False
+
+
 class ArduPilotLogTransfer(LogTransfer):
     """Log transfer on one link. Ids count from 1. `text` makes the STATUSTEXT of this link alone."""
 
-    def __init__(self, copter: ArduCopter, text: Callable[[int, str], Iterator[MavlinkMessage]]) -> None:
+    def __init__(
+        self, copter: Autopilot, service: LogService, text: Callable[[int, str], Iterator[MavlinkMessage]]
+    ) -> None:
         super().__init__()
         self.requests = {name: partial(self._on_ground, handle) for name, handle in self.requests.items()}
         self._copter = copter
+        self._service = service
         self._text = text
         self._next_id, self._last_id, self._number = 0, 0, 0
         self._is_listing = False
@@ -29,7 +40,7 @@ class ArduPilotLogTransfer(LogTransfer):
 
     def due(self) -> Iterator[MavlinkMessage]:
         for _ in range(ENTRIES_PER_STEP if self._is_listing else PACKETS_PER_STEP):
-            if self._copter.log_service.link is not self or self._copter.armed:
+            if self._service.link is not self or self._copter.armed:
                 return
             yield self._next_entry() if self._is_listing else self._next_data()
 
@@ -66,26 +77,25 @@ class ArduPilotLogTransfer(LogTransfer):
         self, handle: Callable[[MavlinkMessage], Iterator[MavlinkMessage]], request: MavlinkMessage
     ) -> Iterator[MavlinkMessage]:
         """Armed, requests are refused; the text is sent once until a request comes while disarmed."""
-        service = self._copter.log_service
         if not self._copter.armed:
-            service.refusal_sent = False
+            self._service.refusal_sent = False
             yield from handle(request)
-        elif not service.refusal_sent:
-            service.refusal_sent = True
+        elif not self._service.refusal_sent:
+            self._service.refusal_sent = True
             yield from self._text(ERROR, "Disarm for log download")
 
     def _list(self, request: MavlinkMessage) -> Iterator[MavlinkMessage]:
-        if self._copter.log_service.link is not None:
+        if self._service.link is not None:
             yield from self._text(INFO, "Log download in progress")
         else:
             self._number = len(self._copter.flight_logs.files)
             self._next_id = max(request.start, 1) if self._number else 0
             self._last_id = min(request.end, self._number)
             self._is_listing = True
-            self._copter.log_service.link = self
+            self._service.link = self
 
     def _data(self, request: MavlinkMessage) -> Iterator[MavlinkMessage]:
-        served = self._copter.log_service.link
+        served = self._service.link
         if served is not None:  # a request on the same link is dropped silently
             if served is not self:
                 yield from self._text(INFO, "Log download in progress")
@@ -94,7 +104,7 @@ class ArduPilotLogTransfer(LogTransfer):
             self._sent_id, self._sent_bytes = request.id, request.ofs
             self._left_bytes = min(max(size_bytes - request.ofs, 0), request.count)
             self._is_listing = False
-            self._copter.log_service.link = self
+            self._service.link = self
             self._copter.flight_logs.pause()  # it does not write logs while it reads them
 
     def _end(self, _request: MavlinkMessage) -> Iterator[MavlinkMessage]:
@@ -106,5 +116,5 @@ class ArduPilotLogTransfer(LogTransfer):
         yield from self._end(request)
 
     def _stop_serving(self) -> None:
-        self._copter.log_service.link = None
+        self._service.link = None
         self._copter.flight_logs.resume()

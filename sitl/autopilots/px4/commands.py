@@ -27,8 +27,7 @@ from sitl.links.receiver import (
     Receiver,
 )
 
-M = mavlink
-ABOVE_SEA_LEVEL = (M.MAV_FRAME_GLOBAL, M.MAV_FRAME_GLOBAL_INT)
+ABOVE_SEA_LEVEL = (mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT)
 
 
 class Px4Receiver(Receiver):
@@ -49,15 +48,15 @@ class Px4Receiver(Receiver):
             **self.logs.requests,
         }
         self._commands |= {
-            M.MAV_CMD_DO_SET_MODE: self._do_set_mode,
-            M.MAV_CMD_COMPONENT_ARM_DISARM: self._arm_disarm,
-            M.MAV_CMD_NAV_TAKEOFF: self._takeoff,
-            M.MAV_CMD_NAV_LAND: lambda _p: self._to(Px4Mode.LAND),
-            M.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda _p: self._to(Px4Mode.RTL),
-            M.MAV_CMD_NAV_LOITER_UNLIM: lambda _p: self._to(Px4Mode.LOITER),
-            M.MAV_CMD_DO_REPOSITION: self._reposition,
-            M.MAV_CMD_MISSION_START: self._mission_start,
-            M.MAV_CMD_SET_MESSAGE_INTERVAL: self._set_interval,
+            mavlink.MAV_CMD_DO_SET_MODE: self._do_set_mode,
+            mavlink.MAV_CMD_COMPONENT_ARM_DISARM: self._arm_disarm,
+            mavlink.MAV_CMD_NAV_TAKEOFF: self._takeoff,
+            mavlink.MAV_CMD_NAV_LAND: lambda _p: self._to(Px4Mode.LAND),
+            mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda _p: self._to(Px4Mode.RTL),
+            mavlink.MAV_CMD_NAV_LOITER_UNLIM: lambda _p: self._to(Px4Mode.LOITER),
+            mavlink.MAV_CMD_DO_REPOSITION: self._reposition,
+            mavlink.MAV_CMD_MISSION_START: self._mission_start,
+            mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: self._set_interval,
         }
 
     def _is_for_it(self, message: MavlinkMessage) -> bool:
@@ -65,12 +64,12 @@ class Px4Receiver(Receiver):
         if message.get_type() in self.logs.requests:
             return True
         target = getattr(message, "target_system", self._px4.system_id)
-        component = getattr(message, "target_component", M.MAV_COMP_ID_AUTOPILOT1)
+        component = getattr(message, "target_component", mavlink.MAV_COMP_ID_AUTOPILOT1)
         if message.get_type() in ("SET_ATTITUDE_TARGET", "SET_POSITION_TARGET_LOCAL_NED"):
             return (target, component) in ((0, 0), (self._px4.system_id, 0), (self._px4.system_id, 1))
         if message.get_type() in ("TIMESYNC", "PING"):
             return target in (0, self._px4.system_id)
-        return target == self._px4.system_id and component in (0, M.MAV_COMP_ID_AUTOPILOT1)
+        return target == self._px4.system_id and component in (0, mavlink.MAV_COMP_ID_AUTOPILOT1)
 
     def _terminated(self, text: str) -> str:
         return text + "\t"
@@ -82,7 +81,7 @@ class Px4Receiver(Receiver):
     # ------------------------------------------------------------ messages
 
     def _is_of_ground_station(self, heartbeat: MavlinkMessage) -> bool:
-        return bool(heartbeat.type == M.MAV_TYPE_GCS)
+        return bool(heartbeat.type == mavlink.MAV_TYPE_GCS)
 
     def _command_int(self, message: MavlinkMessage) -> Answers:
         first = [getattr(message, f"param{i}") for i in range(1, 5)]

@@ -8,73 +8,72 @@ from companion.mavlink.codec import mavlink
 from sitl.autopilots.px4.autopilot import Px4
 from sitl.links.schedule import Schedule
 
-M = mavlink
 MAX_RATE_HZ = 125.0  # 500 Hz is accepted and gives 125
 STATUS_PERIOD_S = 0.51  # of CURRENT_MODE while nothing changes, whatever the interval
 
 # Default rates in Hz of PX4's onboard link; other messages are off until requested.
 ONBOARD_RATES_HZ = {
-    M.MAVLINK_MSG_ID_HEARTBEAT: 1.0,
-    M.MAVLINK_MSG_ID_TIMESYNC: 10.0,
-    M.MAVLINK_MSG_ID_HIGHRES_IMU: 50.0,
-    M.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 30.0,
-    M.MAVLINK_MSG_ID_ATTITUDE: 100.0,
-    M.MAVLINK_MSG_ID_ALTITUDE: 10.0,
-    M.MAVLINK_MSG_ID_ODOMETRY: 30.0,
-    M.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 50.0,
-    M.MAVLINK_MSG_ID_ATTITUDE_TARGET: 10.0,
-    M.MAVLINK_MSG_ID_BATTERY_STATUS: 0.5,
-    M.MAVLINK_MSG_ID_CURRENT_MODE: 0.5,
-    M.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 1.0,
-    M.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,
-    M.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 50.0,
-    M.MAVLINK_MSG_ID_GPS_RAW_INT: 8.0,
-    M.MAVLINK_MSG_ID_HOME_POSITION: 0.5,
-    M.MAVLINK_MSG_ID_PING: 1.0,
-    M.MAVLINK_MSG_ID_SYS_STATUS: 5.0,
-    M.MAVLINK_MSG_ID_SYSTEM_TIME: 1.0,
-    M.MAVLINK_MSG_ID_VFR_HUD: 10.0,
+    mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0,
+    mavlink.MAVLINK_MSG_ID_TIMESYNC: 10.0,
+    mavlink.MAVLINK_MSG_ID_HIGHRES_IMU: 50.0,
+    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 30.0,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE: 100.0,
+    mavlink.MAVLINK_MSG_ID_ALTITUDE: 10.0,
+    mavlink.MAVLINK_MSG_ID_ODOMETRY: 30.0,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 50.0,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET: 10.0,
+    mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: 0.5,
+    mavlink.MAVLINK_MSG_ID_CURRENT_MODE: 0.5,
+    mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 1.0,
+    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,
+    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 50.0,
+    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 8.0,
+    mavlink.MAVLINK_MSG_ID_HOME_POSITION: 0.5,
+    mavlink.MAVLINK_MSG_ID_PING: 1.0,
+    mavlink.MAVLINK_MSG_ID_SYS_STATUS: 5.0,
+    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: 1.0,
+    mavlink.MAVLINK_MSG_ID_VFR_HUD: 10.0,
 }
 # Of the ground link, after its peer has connected.
 GROUND_RATES_HZ = {
-    M.MAVLINK_MSG_ID_HEARTBEAT: 1.0,
-    M.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 1.0,
-    M.MAVLINK_MSG_ID_ATTITUDE: 15.0,
-    M.MAVLINK_MSG_ID_ALTITUDE: 1.0,
-    M.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 10.0,
-    M.MAVLINK_MSG_ID_ATTITUDE_TARGET: 2.0,
-    M.MAVLINK_MSG_ID_BATTERY_STATUS: 0.5,
-    M.MAVLINK_MSG_ID_CURRENT_MODE: 0.5,
-    M.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 0.5,
-    M.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 1.0,
-    M.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 5.0,
-    M.MAVLINK_MSG_ID_GPS_RAW_INT: 5.0,
-    M.MAVLINK_MSG_ID_HOME_POSITION: 0.5,
-    M.MAVLINK_MSG_ID_PING: 0.1,
-    M.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
-    M.MAVLINK_MSG_ID_SYSTEM_TIME: 1.0,
-    M.MAVLINK_MSG_ID_VFR_HUD: 4.0,
+    mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0,
+    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 1.0,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE: 15.0,
+    mavlink.MAVLINK_MSG_ID_ALTITUDE: 1.0,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 10.0,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET: 2.0,
+    mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: 0.5,
+    mavlink.MAVLINK_MSG_ID_CURRENT_MODE: 0.5,
+    mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 0.5,
+    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 1.0,
+    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 5.0,
+    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 5.0,
+    mavlink.MAVLINK_MSG_ID_HOME_POSITION: 0.5,
+    mavlink.MAVLINK_MSG_ID_PING: 0.1,
+    mavlink.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
+    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: 1.0,
+    mavlink.MAVLINK_MSG_ID_VFR_HUD: 4.0,
 }
-HEARTBEAT_ONLY = {M.MAVLINK_MSG_ID_HEARTBEAT: 1.0}
+HEARTBEAT_ONLY = {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0}
 # Streams of PX4 without data here: their intervals can be set, as for a sensor that is not fitted.
 SILENT = frozenset(
     {
-        M.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,  # sent once and on every change, whatever the interval
-        M.MAVLINK_MSG_ID_RC_CHANNELS,
-        M.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW,
-        M.MAVLINK_MSG_ID_DISTANCE_SENSOR,
-        M.MAVLINK_MSG_ID_OPTICAL_FLOW_RAD,
-        M.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED,
-        M.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT,
-        M.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT,
-        M.MAVLINK_MSG_ID_SCALED_IMU,
-        M.MAVLINK_MSG_ID_SCALED_PRESSURE,
-        M.MAVLINK_MSG_ID_VIBRATION,
-        M.MAVLINK_MSG_ID_WIND_COV,
-        M.MAVLINK_MSG_ID_UTM_GLOBAL_POSITION,
+        mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,  # sent once and on every change, whatever the interval
+        mavlink.MAVLINK_MSG_ID_RC_CHANNELS,
+        mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW,
+        mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR,
+        mavlink.MAVLINK_MSG_ID_OPTICAL_FLOW_RAD,
+        mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED,
+        mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT,
+        mavlink.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT,
+        mavlink.MAVLINK_MSG_ID_SCALED_IMU,
+        mavlink.MAVLINK_MSG_ID_SCALED_PRESSURE,
+        mavlink.MAVLINK_MSG_ID_VIBRATION,
+        mavlink.MAVLINK_MSG_ID_WIND_COV,
+        mavlink.MAVLINK_MSG_ID_UTM_GLOBAL_POSITION,
     }
 )
-SETTABLE = (frozenset(ONBOARD_RATES_HZ) | SILENT) - {M.MAVLINK_MSG_ID_HEARTBEAT}
+SETTABLE = (frozenset(ONBOARD_RATES_HZ) | SILENT) - {mavlink.MAVLINK_MSG_ID_HEARTBEAT}
 
 
 class Px4Schedule(Schedule):
@@ -97,11 +96,11 @@ class Px4Schedule(Schedule):
         return True
 
     def _without_old_news(self, ready: list[int]) -> list[int]:
-        if M.MAVLINK_MSG_ID_ATTITUDE_TARGET in ready and not self._setpoint_is_new():
-            ready.remove(M.MAVLINK_MSG_ID_ATTITUDE_TARGET)
-        if M.MAVLINK_MSG_ID_CURRENT_MODE in ready and not self._mode_is_due():
-            ready.remove(M.MAVLINK_MSG_ID_CURRENT_MODE)
-            self.postpone(M.MAVLINK_MSG_ID_CURRENT_MODE)
+        if mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET in ready and not self._setpoint_is_new():
+            ready.remove(mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET)
+        if mavlink.MAVLINK_MSG_ID_CURRENT_MODE in ready and not self._mode_is_due():
+            ready.remove(mavlink.MAVLINK_MSG_ID_CURRENT_MODE)
+            self.postpone(mavlink.MAVLINK_MSG_ID_CURRENT_MODE)
         return ready
 
     def _setpoint_is_new(self) -> bool:

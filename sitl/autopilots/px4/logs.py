@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from companion.mavlink.codec import MavlinkMessage, mavlink
+from sitl.autopilots.autopilot import Autopilot
 from sitl.autopilots.logs.transfer import CHUNK_BYTES, LogTransfer, log_data
-from sitl.autopilots.px4.autopilot import Px4
 
 END_OF_LIST = 0xFFFF
 
@@ -24,7 +24,7 @@ class Listed:
 class Px4LogTransfer(LogTransfer):
     """Log transfer on one link. Ids count from 0; the list ends with the last log, whatever end was requested."""
 
-    def __init__(self, px4: Px4) -> None:
+    def __init__(self, px4: Autopilot) -> None:
         super().__init__()
         self._px4 = px4
         self._listed: list[Listed] = []

@@ -28,7 +28,7 @@ from sitl.report.progress import Progress
 from sitl.report.tracks import TrackError, read_track, reported_track, write_track
 from sitl.stopping import StopRequest
 
-OPERATOR = "sitl-fly"  # another operator that wants to command these vehicles has to take command first
+FLYING_OPERATOR = "sitl-fly"  # another operator that wants to command these vehicles has to take command first
 External = Mapping[int, ReachedVehicle]  # by id
 
 
@@ -117,7 +117,7 @@ class _Flight:
             FleetProcesses.start(self._scenario, self._folder, self._port_offset, self._external) as fleet,
             self._progress,
         ):
-            with FleetSession(fleet_name, endpoints, OPERATOR) as session, ExitStack() as stack:
+            with FleetSession(fleet_name, endpoints, FLYING_OPERATOR) as session, ExitStack() as stack:
                 targets = publish_targets(self._scenario, endpoints, self._watch.began_s, stack)
 
                 def check() -> None:

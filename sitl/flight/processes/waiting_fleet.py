@@ -28,7 +28,7 @@ from sitl.report.progress import Progress
 from sitl.stopping import StopRequest
 from sitl.vehicle.truth import armed_at_m
 
-OPERATOR = "sitl-fleet"
+WAITING_OPERATOR = "sitl-fleet"
 HOW_TO = """\
 fleet {name}, vehicles {ids}. In a second terminal, one after the other:
   {companion} fleet use {file}        from then on this fleet is meant
@@ -63,7 +63,7 @@ def _wait_and_land(
     progress = Progress(scenario.fleet.name, quiet, watch.began_s)
     failures: list[str] = []
     with FleetProcesses.start(scenario, folder, offset) as fleet, progress:
-        with FleetSession(scenario.fleet.name, endpoints, OPERATOR) as session, ExitStack() as stack:
+        with FleetSession(scenario.fleet.name, endpoints, WAITING_OPERATOR) as session, ExitStack() as stack:
             targets = publish_targets(scenario, endpoints, watch.began_s, stack)
 
             def update() -> None:
