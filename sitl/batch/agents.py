@@ -15,8 +15,8 @@ from sitl.batch.commands import Commands
 from sitl.batch.laws import Laws
 from sitl.batch.packets import ACCELERATION, PRC, REDUCED_POSITION, SHARE, VELOCITY, WIDTH, Packets, Received
 from sitl.batch.references import References
+from sitl.flight.lockstep import TELEMETRY_STEPS
 from sitl.flight.scenario import Scenario
-from sitl.flight.world import TELEMETRY_STEPS
 
 
 class Agents:

@@ -11,8 +11,8 @@ from companion.stability.arrays import FloatArray
 from sitl.autopilots.autopilot import DT_S
 from sitl.batch.columns import BoolArray, Columns, IntArray
 from sitl.batch.noise import LINKS
+from sitl.flight.lockstep import TELEMETRY_STEPS
 from sitl.flight.scenario import Scenario
-from sitl.flight.world import TELEMETRY_STEPS
 
 PERIOD_S = DT_S * TELEMETRY_STEPS
 ROUND_TICKS = 1e-6  # tolerance within which a delay counts as whole steps

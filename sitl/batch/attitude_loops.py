@@ -1,11 +1,11 @@
-"""sitl.vehicle.attitude_control for many vehicles: attitude goals -> moments about the body axes."""
+"""sitl.vehicle.control for many vehicles: attitude goals -> moments about the body axes."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from companion.stability.arrays import FloatArray
-from sitl.vehicle.attitude_control import PX4_LOOPS as LOOPS
+from sitl.vehicle.control import PX4_LOOPS as LOOPS
 
 HALF_TURN = 1e-6  # bound of `turn` for an error of half a turn, where either direction is as short
 MOST_RAD_S = np.array([[LOOPS.max_rate_rad_s], [LOOPS.max_rate_rad_s], [LOOPS.max_yaw_rate_rad_s]])
@@ -35,7 +35,7 @@ class AttitudeLoops:
         out *= self._gain
 
     def _wanted_rates(self, goal: FloatArray, measured: FloatArray, out: FloatArray) -> None:
-        """Gains times sitl.vehicle.attitude_control.rotation_error."""
+        """Gains times sitl.vehicle.control.rotation_error."""
         product, (ew, ex, ey, ez) = self._products, self._error
         np.multiply(measured[:, None, :], goal[None, :, :], out=product)
         np.add(product[0, 0], product[1, 1], out=ew)

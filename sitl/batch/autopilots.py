@@ -14,8 +14,8 @@ from sitl.batch.bodies import ATTITUDE, POSITION, RATES, Bodies
 from sitl.batch.columns import Columns, IntArray
 from sitl.batch.disturbances import EstimatorErrors, Gusts
 from sitl.batch.rotations import euler_rad, product, quaternion_of_turns
+from sitl.flight.lockstep import TELEMETRY_STEPS
 from sitl.flight.scenario import Scenario
-from sitl.flight.world import TELEMETRY_STEPS
 from sitl.vehicle.config import Links
 from sitl.vehicle.quadrotor import ESTIMATE_PERIOD_STEPS
 

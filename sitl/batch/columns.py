@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from companion.config.reference import TargetReference
 from companion.stability.arrays import FloatArray
 from sitl.flight.files import ids_of
+from sitl.flight.lockstep import TELEMETRY_STEPS
 from sitl.flight.scenario import Scenario
-from sitl.flight.world import TELEMETRY_STEPS
 
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
@@ -74,7 +74,7 @@ def columns_of(scenarios: Sequence[Scenario]) -> Columns:
 
 
 def phase_steps(seed: int, vehicle_id: int) -> int:
-    """Step within its period in which a vehicle's telemetry is sampled, as in sitl.flight.world."""
+    """Step within its period in which a vehicle's telemetry is sampled, as in sitl.flight.lockstep."""
     return Random(f"{seed} {vehicle_id} phase").randrange(TELEMETRY_STEPS)
 
 

@@ -17,8 +17,8 @@ from companion.stability.arrays import FloatArray
 from sitl.batch.arrivals import PERIOD_S, Arrivals, ticks_until_use
 from sitl.batch.candidates import Candidates
 from sitl.batch.columns import BoolArray, Columns, IntArray
+from sitl.flight.lockstep import TELEMETRY_STEPS
 from sitl.flight.scenario import Scenario
-from sitl.flight.world import TELEMETRY_STEPS
 
 # Fields of a packet: position minus slot [m], velocity [m/s], acceleration command [m/s^2], PrC, and p^-alpha.
 REDUCED_POSITION, VELOCITY, ACCELERATION, PRC, SHARE, WIDTH = slice(0, 3), slice(3, 6), slice(6, 9), 9, 10, 11

@@ -16,8 +16,8 @@ from sitl.batch.columns import BoolArray, Columns
 from sitl.batch.laws import Laws
 from sitl.batch.references import References
 from sitl.flight.files import ids_of
+from sitl.flight.lockstep import TELEMETRY_STEPS
 from sitl.flight.scenario import Scenario
-from sitl.flight.world import TELEMETRY_STEPS
 
 
 @dataclass(frozen=True, slots=True)

@@ -61,9 +61,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(parsed: argparse.Namespace) -> int:
-    from sitl.autopilots.file import load_autopilot_files
-    from sitl.autopilots.realtime import ServedStandIn, run_autopilots
+    from sitl.autopilots.types import load_autopilot_files
     from sitl.links.ports import ports_of
+    from sitl.links.realtime import ServedStandIn, run_autopilots
 
     files = load_autopilot_files(parsed.config, parsed.id, parsed.autopilot)
     truths = parsed.truth or [None] * len(files)

@@ -51,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(parsed: argparse.Namespace) -> int:
-    from sitl.flight.processes.waiting_fleet import run_fleet
+    from sitl.flight.fly import run_fleet
 
     return run_fleet(fleet_options(parsed))
 

@@ -80,7 +80,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(parsed: argparse.Namespace) -> int:
-    from sitl.flight.processes.fly import run_fly
+    from sitl.flight.fly import run_fly
 
     return run_fly(fly_options(parsed))
 

@@ -78,7 +78,7 @@ def add_flight_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(parsed: argparse.Namespace) -> int:
-    from sitl.flight.run import run_virtual
+    from sitl.flight.flights import run_virtual
 
     return run_virtual(run_options(parsed))
 

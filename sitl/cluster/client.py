@@ -15,8 +15,7 @@ from uuid import uuid4
 from distributed import Client, KilledWorker, Security
 from distributed.core import rpc
 
-from sitl.cluster.software import software
-from sitl.cluster.task import TOPIC, ClusterRun, UnfitError, task, unfitness
+from sitl.cluster.task import TOPIC, ClusterRun, UnfitError, software, task, unfitness
 from sitl.errors import FailedError, UnusableError
 from sitl.workers import Job, Result, RunningJobs, heaviest_first
 

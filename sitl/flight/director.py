@@ -13,6 +13,7 @@ from companion.types.autopilot import LandedState
 from companion.types.commands import CommandName
 from companion.types.flight import ON_GROUND, RULES, FlightPhase, Role
 from companion.types.status import Status
+from sitl.flight.external import READY_WITHIN_S, Readiness, armed_already
 from sitl.flight.orders import (
     REPEAT_S,
     REPLY_WITHIN_S,
@@ -23,8 +24,7 @@ from sitl.flight.orders import (
     newest_report,
     order_of,
 )
-from sitl.flight.readiness import READY_WITHIN_S, Readiness, armed_already
-from sitl.flight.timeline import TO_ALL, TimelineStep
+from sitl.flight.scenario import TO_ALL, TimelineStep
 from sitl.flight.watch import SILENT_S, FlightWatch, vehicles_in_words
 from sitl.report.progress import Progress
 

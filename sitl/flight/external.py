@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from itertools import combinations
+from math import hypot
 from pathlib import Path
 from typing import Annotated
 
 from msgspec import Meta
 
 from companion.config.file import ConfigError, convert, read_as
-from companion.config.fleet import FleetConfig
+from companion.config.fleet import FleetConfig, GeodeticOrigin
 from companion.config.validation import Problem
 from companion.config.values import Drag, HoverThrust, Section, VehicleId
 from companion.config.vehicle import MavlinkEndpoint
+from companion.geometry.frames import geodetic_from_enu
 from companion.types.autopilot import AutopilotKind
+from companion.types.flight import WITHOUT_LEADER
+from companion.types.status import Status
+from companion.types.values import Vector3
+from sitl.flight.scenario import Scenario
+from sitl.flight.watch import vehicles_in_words
 
 
 class ReachedVehicle(Section, frozen=True):
@@ -65,3 +73,98 @@ def vehicles_of(path: Path, vehicles: Sequence[ReachedVehicle], fleet: FleetConf
                 path, "external_vehicles", f"no vehicle {member.id}, which fleet {fleet.name} has; found {ids}"
             )
     return {member.id: known[member.id] for member in fleet.vehicles}
+
+
+READY_WITHIN_S = 120.0  # an ArduCopter can be armed 42 s after its start; the rest is for slow machines
+READY_FOR_S = 2.0  # without interruption: a fresh estimate may still jump
+FAR_M = 10.0  # from its start: it was started elsewhere, or has another origin. A shorter distance is from an earlier flight
+HEIGHT_M = 1.0  # above or below its start: the height of the formation would have the same error
+CLOSEST_M = 1.0  # two vehicles nearer than this, and than half their starts' distance, are at the same position
+
+
+class Readiness:
+    """Readiness of the vehicles of one scenario; `is_reached` is to be called repeatedly.
+
+    They may have flown before and be where they landed, but apart from each other.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        origin = scenario.fleet.origin
+        assert isinstance(origin, GeodeticOrigin)  # scenario_from accepts no other
+        self._origin, self._starts_enu_m = origin, scenario.starts_enu_m
+        self._ready_since_s: float | None = None
+        self.lacking = ""  # what prevents the flight at present
+
+    def is_reached(self, statuses: Callable[[int], Status | None], now_s: float) -> bool:
+        """Whether all have been ready for READY_FOR_S without interruption."""
+        known = {vehicle_id: statuses(vehicle_id) for vehicle_id in sorted(self._starts_enu_m)}
+        lacking = {i: self._lacks(i, status) for i, status in known.items()}
+        if not any(lacking.values()):
+            lacking = self._at_same_position({i: status.position_enu_m for i, status in known.items() if status})
+        self.lacking = _by_reason({i: reason for i, reason in lacking.items() if reason})
+        if self.lacking:
+            self._ready_since_s = None
+            return False
+        if self._ready_since_s is None:
+            self._ready_since_s = now_s
+        return now_s - self._ready_since_s >= READY_FOR_S
+
+    def _at_same_position(self, positions_enu_m: Mapping[int, Vector3]) -> dict[int, str]:
+        """Vehicles at the position of another one, with texts; separate simulations do not collide."""
+        found = {}
+        for i, j in combinations(sorted(positions_enu_m), 2):
+            apart_m = _level_m(positions_enu_m[i], positions_enu_m[j])
+            if apart_m < min(CLOSEST_M, 0.5 * _level_m(self._starts_enu_m[i], self._starts_enu_m[j])):
+                start_it = _start_it(self._starts_enu_m[j], self._origin)
+                found[j] = f"is {apart_m:.1f} m from vehicle {i}; {start_it} its starts_enu_m"
+        return found
+
+    def _lacks(self, vehicle_id: int, status: Status | None) -> str:
+        """What a vehicle on the ground lacks before a formation from its start; "" for nothing."""
+        if status is None:
+            return "no status from its agent yet"
+        missing = [*(flag for flag in status.flags if flag not in WITHOUT_LEADER), *map(str, status.lacks)]
+        if missing:
+            return "; ".join(missing)
+        return _away(status.position_enu_m, self._starts_enu_m[vehicle_id], self._origin)
+
+
+def armed_already(statuses: Collection[Status]) -> str:
+    """Vehicles that are armed already, in one line; they must not be commanded. "" if there are none."""
+    armed = sorted(status.vehicle_id for status in statuses if status.armed)
+    if not armed:
+        return ""
+    return f"{vehicles_in_words(armed)} armed before the flight; land and disarm first"
+
+
+def _away(position_enu_m: Vector3, start_enu_m: Vector3, origin: GeodeticOrigin) -> str:
+    z, z0 = position_enu_m[2], start_enu_m[2]
+    away_m = _level_m(position_enu_m, start_enu_m)
+    if away_m > FAR_M:
+        return (
+            f"is {away_m:.0f} m from its starts_enu_m; {_start_it(start_enu_m, origin)}"
+            " or correct fleet.origin or starts_enu_m"
+        )
+    if abs(z - z0) > HEIGHT_M:
+        return (
+            f"is at a height of {z:.1f} m, its starts_enu_m at {z0:.1f} m; {_start_it(start_enu_m, origin)}"
+            " or correct fleet.origin, or count heights from the ground: fleet.altitude_source=takeoff"
+        )
+    return ""
+
+
+def _level_m(one_enu_m: Vector3, other_enu_m: Vector3) -> float:
+    return hypot(one_enu_m[0] - other_enu_m[0], one_enu_m[1] - other_enu_m[1])
+
+
+def _start_it(start_enu_m: Vector3, origin: GeodeticOrigin) -> str:
+    latitude_deg, longitude_deg, altitude_m = geodetic_from_enu(start_enu_m, origin.as_tuple())
+    return f"start it at {latitude_deg:.7f}, {longitude_deg:.7f}, {altitude_m:.1f} m,"
+
+
+def _by_reason(lacking: dict[int, str]) -> str:
+    """Each reason once, with all vehicles that have it."""
+    vehicles: dict[str, list[int]] = {}
+    for vehicle_id, reason in lacking.items():
+        vehicles.setdefault(reason, []).append(vehicle_id)
+    return "; ".join(f"{vehicles_in_words(ids)}: {reason}" for reason, ids in vehicles.items())

@@ -17,7 +17,7 @@ from companion.types.notices import Code
 from companion.types.status import Status
 from companion.types.values import Vector3
 from companion.wire.messages import StatusReport
-from sitl.flight.timeline import FormationStep, TimelineStep
+from sitl.flight.scenario import FormationStep, TimelineStep
 from sitl.flight.watch import FlightWatch, vehicles_in_words
 
 REPEAT_S = 0.5

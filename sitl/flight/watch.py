@@ -15,8 +15,7 @@ from companion.types.flight import FlightPhase, Role
 from companion.types.status import Status
 from companion.types.values import ZERO3, Vector3
 from companion.wire.messages import StatusReport, Timing
-from sitl.flight.scenario import Scenario
-from sitl.flight.timeline import TimelineStep
+from sitl.flight.scenario import Scenario, TimelineStep
 from sitl.report.load import overload
 from sitl.report.metrics import Formation
 from sitl.report.records import CommandGiven, ReportedEvent, TopologyChange

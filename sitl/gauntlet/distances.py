@@ -8,7 +8,7 @@ from itertools import combinations
 import numpy as np
 from msgspec import Struct
 
-from sitl.flight.world import VirtualStandIn
+from sitl.flight.lockstep import VirtualStandIn
 
 SENSOR_FACTOR = {"ideal": 1.0, "default": 0.8, "px4_sih": 0.6}
 """Share of `separation_m` below which a true distance is a violation, by the sensors of the flight."""

@@ -10,7 +10,7 @@ from typing import Any
 
 from companion.config.file import ConfigError
 from companion.config.fleet import FleetConfig
-from sitl.flight.convergence import DivergesError, check_convergence
+from sitl.flight.flights import DivergesError, check_convergence
 from sitl.flight.scenario import Scenario, scenario_from
 from sitl.gauntlet.families import FAMILIES, FORM_S, Plan, step
 from sitl.gauntlet.fleets import START_SPACING, Fleet, SensorsName, random_fleet, rounded, sections

@@ -32,12 +32,12 @@ from companion.types.autopilot import (
     ThrustSample,
 )
 from sitl.autopilots.autopilot import Autopilot
+from sitl.autopilots.link_end import LinkEnd
 from sitl.autopilots.messages import global_position, gps_raw
 from sitl.autopilots.px4.autopilot import Px4
 from sitl.autopilots.px4.messages import estimator_status
-from sitl.links.link_end import LinkEnd
-from sitl.vehicle.attitude_control import AttitudeSetpoint
 from sitl.vehicle.config import Links
+from sitl.vehicle.control import AttitudeSetpoint
 
 M = mavlink
 _TWO_FLOATS = struct.Struct("<2f")

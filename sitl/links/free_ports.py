@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from companion.types.autopilot import AutopilotKind
-from sitl.autopilots.behaviour import AUTOPILOT_TYPES
+from sitl.autopilots.types import AUTOPILOT_TYPES
 from sitl.errors import UnusableError
 from sitl.links.ports import GROUND_STATION_PORT, LOOPBACK, ports_of
 

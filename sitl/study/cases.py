@@ -16,8 +16,7 @@ from companion.stability.arrays import FloatArray
 from companion.stability.settling import SETTLED_WITHIN_M, settle_time_s
 from companion.types.commands import CommandName
 from sitl.batch.flight import BatchFlight, fly_batch
-from sitl.flight.scenario import Scenario
-from sitl.flight.timeline import TimelineStep
+from sitl.flight.scenario import Scenario, TimelineStep
 from sitl.study.scenarios import ORIGIN, members_of, wide_fence
 from sitl.study.settings import Setting
 from sitl.study.shapes import Shape

@@ -14,8 +14,7 @@ from companion.config.fleet import RangeNeighbours as Range
 from companion.config.reference import PointReference
 from companion.types.commands import CommandName
 from companion.types.values import Vector3
-from sitl.flight.scenario import Scenario
-from sitl.flight.timeline import TimelineStep
+from sitl.flight.scenario import Scenario, TimelineStep
 from sitl.study.scenarios import ORIGIN, members_of, wide_fence
 from sitl.study.shapes import LEADER, grid, is_connected
 from sitl.vehicle.config import Airframe

@@ -7,7 +7,7 @@ from random import Random
 
 from companion.types.values import ZERO3, Vector3
 from sitl.vehicle.config import Sensors, Wind
-from sitl.vehicle.small_turn import NO_TURN, small_turn
+from sitl.vehicle.dynamics import NO_TURN, small_turn
 
 
 class Normals:

@@ -13,11 +13,10 @@ from companion.geometry.frames import (
     quaternion_from_euler,
 )
 from companion.types.values import GRAVITY_M_S2, ZERO3, Vector3
-from sitl.vehicle.attitude_control import AttitudeControl, AttitudeSetpoint, Loops
 from sitl.vehicle.config import AutopilotFile
+from sitl.vehicle.control import AttitudeControl, AttitudeSetpoint, Loops
 from sitl.vehicle.disturbances import EstimatorError, Gusts
-from sitl.vehicle.dynamics import THRUST, Body, State, at_rest
-from sitl.vehicle.small_turn import back, small_turn, turned
+from sitl.vehicle.dynamics import THRUST, Body, State, at_rest, back, small_turn, turned
 
 MOTORS_OFF = AttitudeSetpoint((1.0, 0.0, 0.0, 0.0), 0.0)
 ESTIMATE_PERIOD_STEPS = 5  # the estimator's error changes at 50 Hz, the rate of an agent's ticks

@@ -16,9 +16,9 @@ from companion.link.fleet.identity import load
 from companion.security.identity import Identity
 from sitl.flight.director import Director, MachineClock
 from sitl.flight.files import ids_of, write_files
+from sitl.flight.identities import identity_folder, provision, use_identities
 from sitl.flight.orders import FlightFailure
-from sitl.flight.processes.fleet import FleetProcesses, stand_ins_together
-from sitl.flight.processes.identities import identity_folder, provision, use_identities
+from sitl.flight.processes import FleetProcesses, stand_ins_together
 from sitl.flight.scenario import Scenario, load_scenario
 from sitl.flight.watch import watch_of
 from sitl.links.free_ports import reserved_ports

@@ -166,7 +166,7 @@ def _sample(agent: subprocess.Popen[str], router: subprocess.Popen[str] | None) 
 
 def _started(stack: ExitStack, module: str, *arguments: str) -> subprocess.Popen[str]:
     """A process that ends with the stack, or with this process."""
-    bound = [sys.executable, "-m", "sitl.flight.processes.bound", str(os.getpid())]
+    bound = [sys.executable, "-m", "sitl.flight.bound", str(os.getpid())]
     command = [*bound, sys.executable, "-m", f"tests.bench.programs.large_fleet_{module}", *arguments]
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     stack.callback(_end, process)

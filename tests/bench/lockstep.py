@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import time
 
-from sitl.flight.collector import collecting_seldom
 from sitl.flight.director import Director
 from sitl.flight.lockstep import Lockstep
 from sitl.flight.scenario import load_scenario
-from sitl.flight.virtual_flight import fly_in_virtual_time
+from sitl.flight.virtual_flight import collecting_seldom, fly_in_virtual_time
 from sitl.flight.watch import watch_of
 from sitl.report.progress import Progress
 from tests.bench.figures import REPEATS, Row, Section, Target

@@ -72,7 +72,7 @@ def _of_median_vehicle(of_vehicles: Sequence[Sequence[Ages]], share: str) -> tup
 
 
 def _start(stack: ExitStack, file: Path, ports: Sequence[int]) -> subprocess.Popen[str]:
-    bound = [sys.executable, "-m", "sitl.flight.processes.bound", str(os.getpid())]
+    bound = [sys.executable, "-m", "sitl.flight.bound", str(os.getpid())]
     arguments = [str(file), str(REPEATS), str(WINDOW_S), *map(str, ports)]
     vehicle = subprocess.Popen(
         [*bound, sys.executable, "-m", "tests.bench.programs.peer_vehicle", *arguments],

@@ -18,7 +18,7 @@ from companion.types.autopilot import PositionSample
 from sitl.flight.director import Director, MachineClock
 from sitl.flight.files import ids_of, write_files
 from sitl.flight.orders import FlightFailure
-from sitl.flight.processes.fleet import FleetProcesses, stand_ins_together
+from sitl.flight.processes import FleetProcesses, stand_ins_together
 from sitl.flight.scenario import Scenario
 from sitl.flight.watch import watch_of
 from sitl.links.ports import zenoh_endpoint
@@ -111,7 +111,7 @@ def _cpu_s(pid: int) -> float:
 
 def start(stack: ExitStack, *command: str) -> subprocess.Popen[bytes]:
     """A process that ends with the stack, or with this process."""
-    bound = [sys.executable, "-m", "sitl.flight.processes.bound", str(os.getpid())]
+    bound = [sys.executable, "-m", "sitl.flight.bound", str(os.getpid())]
     process = subprocess.Popen(
         [*bound, *command], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
     )

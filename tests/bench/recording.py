@@ -23,7 +23,7 @@ from companion.recording.writer.folder import MB, recorded_files
 from sitl.flight.director import Director, MachineClock
 from sitl.flight.files import ids_of, write_files
 from sitl.flight.orders import FlightFailure
-from sitl.flight.processes.fleet import FleetProcesses, stand_ins_together
+from sitl.flight.processes import FleetProcesses, stand_ins_together
 from sitl.flight.scenario import Scenario, load_scenario
 from sitl.flight.watch import FlightWatch, watch_of
 from sitl.links.free_ports import reserved_ports

@@ -15,7 +15,7 @@ from companion.types.flight import FlightPhase, HealthFlag, Role
 from companion.types.notices import Code
 from own_ports import free_fleet_offset
 from repository import ROOT
-from sitl.flight.processes.fleet import FleetProcesses
+from sitl.flight.processes import FleetProcesses
 from sitl.flight.scenario import load_scenario
 from sitl.links.ports import zenoh_endpoint
 

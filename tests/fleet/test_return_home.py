@@ -19,7 +19,7 @@ from companion.types.flight import FlightPhase
 from companion.types.status import Status
 from own_ports import free_fleet_offset
 from sitl.flight.files import truth_path
-from sitl.flight.processes.fleet import FleetProcesses
+from sitl.flight.processes import FleetProcesses
 from sitl.flight.scenario import scenario_from
 from sitl.links.ports import zenoh_endpoint
 

@@ -25,7 +25,7 @@ from companion.wire.peer import encode_peer
 from fault_table import FaultRow
 from identities import tls_of
 from secured_fleet import IDS, OTHERS, SecuredFleet
-from sitl.flight.processes.identities import identity_folder, provision
+from sitl.flight.identities import identity_folder, provision
 
 MEASURED_S = 3.0
 LARGEST_ERROR_M = 0.1  # more than in undisturbed flight

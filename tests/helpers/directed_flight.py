@@ -18,7 +18,7 @@ from companion.wire.messages import Percentiles, StatusReport, Timing
 from companion.wire.rounding import as_sent
 from sitl.flight.director import Director, MachineClock
 from sitl.flight.orders import FlightFailure
-from sitl.flight.timeline import TimelineStep
+from sitl.flight.scenario import TimelineStep
 from sitl.flight.watch import FlightWatch
 from sitl.report.progress import Progress
 

@@ -34,7 +34,7 @@ from fault_table import FaultRow
 from own_ports import free_fleet_offset
 from repository import ROOT
 from sitl.flight.files import truth_path, write_files, write_network
-from sitl.flight.processes.fleet import FleetProcesses
+from sitl.flight.processes import FleetProcesses
 from sitl.flight.scenario import Scenario, load_scenario
 from sitl.links.ports import ports_of, zenoh_endpoint
 from sitl.vehicle.config import Links

@@ -11,8 +11,8 @@ from background import Background
 from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
 from companion.types.autopilot import AutopilotKind
 from sitl.autopilots.autopilot import DT_S
-from sitl.autopilots.behaviour import AUTOPILOT_TYPES
-from sitl.autopilots.logs.flight_logs import FlightLog
+from sitl.autopilots.logs import FlightLog
+from sitl.autopilots.types import AUTOPILOT_TYPES
 from sitl.vehicle.config import AutopilotFile, StandIn
 
 WRITTEN_UTC_S = 1_790_000_000  # 2026-09-21 14:13:20 UTC

@@ -17,8 +17,8 @@ from companion.security.identity import Identity
 from own_ports import free_fleet_offset
 from repository import ROOT
 from sitl.flight.files import truth_path, write_files
-from sitl.flight.processes.fleet import FleetProcesses, stand_ins_together
-from sitl.flight.processes.identities import identity_folder, provision, use_identities
+from sitl.flight.identities import identity_folder, provision, use_identities
+from sitl.flight.processes import FleetProcesses, stand_ins_together
 from sitl.flight.scenario import Scenario, load_scenario
 from sitl.links.ports import ports_of
 

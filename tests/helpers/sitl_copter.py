@@ -10,7 +10,7 @@ from companion.geometry.frames import quaternion_from_euler
 from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
 from companion.types.autopilot import AutopilotKind
 from sitl.autopilots.ardupilot.autopilot import ArduCopter
-from sitl.autopilots.ardupilot.link_end import tcp_link
+from sitl.autopilots.ardupilot.link import tcp_link
 from sitl.autopilots.ardupilot.modes import CopterMode
 from sitl.vehicle.config import Airframe, AutopilotFile, StandIn
 

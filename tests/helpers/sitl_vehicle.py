@@ -6,13 +6,11 @@ from typing import Any
 
 from companion.geometry.frames import quaternion_from_euler
 from companion.mavlink.codec import MavlinkMessage, mavlink
-from sitl.autopilots.px4.autopilot import Px4
-from sitl.autopilots.px4.commands import Px4Receiver
-from sitl.autopilots.px4.link import ONBOARD_RATES_HZ, Px4Schedule
+from sitl.autopilots.px4.autopilot import Px4, Px4Mode
+from sitl.autopilots.px4.link import ONBOARD_RATES_HZ, Px4Receiver, Px4Schedule
 from sitl.autopilots.px4.messages import BUILDERS
-from sitl.autopilots.px4.modes import Px4Mode
-from sitl.vehicle.attitude_control import AttitudeSetpoint
 from sitl.vehicle.config import Airframe, AutopilotFile, StandIn, Wind
+from sitl.vehicle.control import AttitudeSetpoint
 
 DT_S = 0.004
 HOVER = 0.49

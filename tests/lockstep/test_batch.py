@@ -18,9 +18,9 @@ from sitl.batch.columns import phase_steps
 from sitl.batch.flight import fly_batch
 from sitl.batch.metrics import batch_figures
 from sitl.batch.simulation import BatchStart
+from sitl.flight.lockstep import TELEMETRY_STEPS
 from sitl.flight.scenario import Scenario, load_scenario, reference_of
 from sitl.flight.virtual_flight import Flown, fly_without_landing
-from sitl.flight.world import TELEMETRY_STEPS
 from sitl.report.metrics import Formation, formation_figures, standing
 from sitl.report.progress import Progress
 

@@ -18,7 +18,7 @@ from repository import ROOT
 from sitl.cli.ending import exit_code_of
 from sitl.cli.main import parser
 from sitl.cluster import client, workers_of
-from sitl.cluster.software import software
+from sitl.cluster.task import software
 from sitl.paper.flights import Model, Plan, Subject
 from sitl.paper.flights import fly as fly_plan
 from sitl.report.share import ShareProgress

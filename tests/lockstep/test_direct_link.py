@@ -19,11 +19,10 @@ from companion.types.autopilot import (
     Telemetry,
 )
 from sitl.autopilots.autopilot import DT_S
-from sitl.autopilots.behaviour import AUTOPILOT_TYPES
-from sitl.autopilots.px4 import setpoints as px4_setpoints
-from sitl.autopilots.px4.autopilot import Px4
+from sitl.autopilots.px4 import link as px4_link
+from sitl.autopilots.px4.autopilot import Px4, Px4Mode
 from sitl.autopilots.px4.messages import BUILDERS
-from sitl.autopilots.px4.modes import Px4Mode
+from sitl.autopilots.types import AUTOPILOT_TYPES
 from sitl.links.direct_link import SAMPLES, DirectLink, rates_hz, setpoint_of
 from sitl.vehicle.config import AutopilotFile, BatteryLevel, Links, StandIn
 
@@ -92,7 +91,7 @@ def test_all_requested_messages_are_sent() -> None:
 @pytest.mark.parametrize("target", [AttitudeTarget(0.1, -0.2, 3.0, 0.51), AttitudeTarget(-0.3, 0.05, -3.1, 0.2)])
 def test_setpoints_equal_those_of_the_messages_to_a_microradian(target: AttitudeTarget) -> None:
     (message,) = MavlinkCodec(1, 1).decode(Translator(1, AutopilotKind.PX4).attitude_target(target, 3.0))
-    received = px4_setpoints.setpoint_of(message, (1.0, 0.0, 0.0, 0.0))
+    received = px4_link.setpoint_of(message, (1.0, 0.0, 0.0, 0.0))
     direct = setpoint_of(AutopilotKind.PX4, target)
     assert received is not None
     assert direct.quaternion == pytest.approx(received.quaternion, abs=MICRORADIAN)

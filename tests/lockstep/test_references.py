@@ -23,8 +23,8 @@ from recorded_flight import Recorder
 from repository import ROOT
 from sitl.flight.director import Director
 from sitl.flight.files import reached_stand_in, vehicle_file
+from sitl.flight.flights import reference_flown
 from sitl.flight.lockstep import Lockstep
-from sitl.flight.results import reference_flown
 from sitl.flight.scenario import load_scenario
 from sitl.report.metrics import formation_figures, smallest_distance_m
 from sitl.report.progress import Progress

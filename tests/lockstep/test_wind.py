@@ -17,7 +17,7 @@ from companion.types.flight import FlightPhase
 from companion.types.status import Status
 from companion.wire.messages import StatusReport
 from repository import ROOT
-from sitl.autopilots.px4.modes import Px4Mode
+from sitl.autopilots.px4.autopilot import Px4Mode
 from sitl.flight.director import Director
 from sitl.flight.files import ids_of
 from sitl.flight.lockstep import Lockstep

@@ -13,7 +13,7 @@ from companion.types.formation import HeldReference
 from companion.types.notices import Code, Notice
 from directed_flight import DOING_S, TIMING, WHOLE, C, Flight, P
 from sitl.flight.orders import FlightFailure
-from sitl.flight.timeline import FormationStep, TimelineStep
+from sitl.flight.scenario import FormationStep, TimelineStep
 from sitl.report.progress import vehicle_line
 
 

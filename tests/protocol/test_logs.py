@@ -24,8 +24,8 @@ from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
 from companion.types.autopilot import AutopilotKind
 from logging_autopilot import LoggingAutopilot
 from sitl.autopilots.ardupilot.modes import CopterMode
-from sitl.autopilots.logs.ulog import MAGIC
-from sitl.links.receiver import FORCE
+from sitl.autopilots.link_end import FORCE
+from sitl.autopilots.px4.logs import MAGIC
 from stand_in_process import StandInProcess, stand_in
 
 PX4, ARDUPILOT = AutopilotKind.PX4, AutopilotKind.ARDUPILOT

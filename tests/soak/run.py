@@ -14,7 +14,7 @@ from companion.ground.session import FleetSession
 from sitl.flight.director import Director, MachineClock
 from sitl.flight.files import ids_of
 from sitl.flight.orders import FlightFailure
-from sitl.flight.processes.fleet import FleetProcesses
+from sitl.flight.processes import FleetProcesses
 from sitl.flight.scenario import Scenario, load_scenario
 from sitl.flight.watch import FlightWatch, watch_of
 from sitl.links.free_ports import reserved_ports

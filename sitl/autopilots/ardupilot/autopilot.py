@@ -1,6 +1,6 @@
 """The stand-in that behaves like ArduCopter 4.5 to 4.7, as measured: modes, arming, failsafes.
 
-No sockets, no clocks. `sitl.autopilots.ardupilot.commands` handles incoming messages.
+No sockets, no clocks. `sitl.autopilots.ardupilot.link` handles incoming messages.
 """
 
 from __future__ import annotations
@@ -11,17 +11,15 @@ from math import inf, isfinite
 from companion.geometry.frames import Quaternion, euler_from_quaternion, quaternion_from_euler
 from companion.types.autopilot import AutopilotKind
 from companion.types.values import Vector3
-from sitl.autopilots.ardupilot.logs import LogService
-from sitl.autopilots.ardupilot.modes import ARMABLE, GROUND_STATION_LOSS, NEED_A_POSITION, CopterMode
+from sitl.autopilots.ardupilot.logs import DataFlash, LogService
+from sitl.autopilots.ardupilot.modes import ARMABLE, GROUND_STATION_LOSS, NEED_A_POSITION, CopterMode, StartUp
 from sitl.autopilots.ardupilot.parameters import ArduPilotParameters
-from sitl.autopilots.ardupilot.startup import StartUp
 from sitl.autopilots.autopilot import CRITICAL, IDLE_THRUST_NORM, INFO, WARNING, Autopilot
-from sitl.autopilots.logs.dataflash import DataFlash
-from sitl.autopilots.logs.flight_logs import StandInLogs
+from sitl.autopilots.logs import StandInLogs
 from sitl.autopilots.messages import LANDED_IN_AIR, LANDED_LANDING, LANDED_ON_GROUND, LANDED_TAKEOFF
-from sitl.vehicle.attitude_control import AttitudeSetpoint, Loops
 from sitl.vehicle.automatic_flight import LEAST_COS_TILT, Course, Speeds, Task, cos_tilt
 from sitl.vehicle.config import AutopilotFile
+from sitl.vehicle.control import AttitudeSetpoint, Loops
 
 # A roll step of 10 degrees reaches 10, 50 and 90 % after 70, 170 and 382 ms without overshoot; a yaw step of 60 degrees
 # reaches 90 % after 0.94 s.

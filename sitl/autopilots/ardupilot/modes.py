@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from enum import IntEnum
 
 from sitl.vehicle.automatic_flight import Task
@@ -49,3 +50,56 @@ GROUND_STATION_LOSS = {
     6: CopterMode.RTL,
     7: CopterMode.BRAKE,
 }
+
+
+PREARM_EVERY_S = 30.0
+INITIALISED, ACCELS, GYROS, ORIGIN, USING_GPS = 0.06, 0.28, 0.56, 0.48, 0.88  # shares of `armable_after_s`
+
+
+@dataclass(slots=True)
+class StartUp:
+    """The start of one vehicle. `announcements` is to be called repeatedly."""
+
+    armable_after_s: float
+    _announced_s: float = -1.0
+    _prearm_s: float = 0.0
+
+    def initialised(self, time_s: float) -> bool:
+        return time_s >= INITIALISED * self.armable_after_s
+
+    def has_origin(self, time_s: float) -> bool:
+        """Whether it has an origin and a home."""
+        return time_s >= ORIGIN * self.armable_after_s
+
+    def has_position(self, time_s: float) -> bool:
+        return time_s >= USING_GPS * self.armable_after_s
+
+    def obstacles(self, time_s: float, needs_position: bool, checks_sensors: bool) -> list[str]:
+        """Reasons why it cannot be armed, as ArduCopter words them."""
+        if not self.initialised(time_s):
+            return ["System not initialised"]
+        reasons = []
+        if checks_sensors and time_s < GYROS * self.armable_after_s:
+            reasons.append("Gyros inconsistent" if time_s >= ACCELS * self.armable_after_s else "Accels inconsistent")
+        if needs_position and not self.has_origin(time_s):
+            reasons.append("AHRS: waiting for home")
+        elif needs_position and time_s < self.armable_after_s:
+            reasons.append("Need Position Estimate")
+        return reasons
+
+    def announcements(self, time_s: float) -> list[str]:
+        """Texts of the stages reached since the last call."""
+        before, self._announced_s = self._announced_s, time_s
+        stages = (
+            (INITIALISED, "ArduPilot Ready"),
+            (ORIGIN, "EKF3 IMU0 origin set"),
+            (USING_GPS, "EKF3 IMU0 is using GPS"),
+        )
+        return [text for share, text in stages if before < share * self.armable_after_s <= time_s]
+
+    def prearm_is_due(self, time_s: float) -> bool:
+        """Whether the reasons why it cannot be armed are to be sent again."""
+        if time_s - self._prearm_s < PREARM_EVERY_S:
+            return False
+        self._prearm_s = time_s
+        return True

@@ -1,25 +1,73 @@
-"""The stand-in that behaves like PX4 v1.16, as measured: modes, arming, failsafes. No sockets, no clocks.
-
-`step` advances virtual time; `sitl.autopilots.px4.commands` handles incoming messages, the links' schedules outgoing ones.
-"""
+"""PX4's flight modes, their tasks and their conditions."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
 from math import inf, radians, tan
 
 from companion.types.autopilot import AutopilotKind
 from companion.types.values import Vector3
 from sitl.autopilots.autopilot import CRITICAL, IDLE_THRUST_NORM, INFO, Autopilot
-from sitl.autopilots.logs.flight_logs import StandInLogs
-from sitl.autopilots.logs.ulog import ULog
+from sitl.autopilots.logs import StandInLogs
 from sitl.autopilots.messages import LANDED_IN_AIR, LANDED_LANDING, LANDED_ON_GROUND, LANDED_TAKEOFF
-from sitl.autopilots.px4.modes import GROUND_STATION_LOSS, NEED_A_PILOT, OFFBOARD_LOSS, PREVENT_ARMING, Px4Mode
+from sitl.autopilots.px4.logs import ULog
 from sitl.autopilots.px4.parameters import Px4Parameters
-from sitl.vehicle.attitude_control import PX4_LOOPS, AttitudeSetpoint
-from sitl.vehicle.automatic_flight import Course, Speeds
+from sitl.vehicle.automatic_flight import Contact, Course, Speeds, Task
 from sitl.vehicle.config import AutopilotFile
-from sitl.vehicle.ground_contact import Contact
+from sitl.vehicle.control import PX4_LOOPS, AttitudeSetpoint
+
+
+class Px4Mode(Enum):
+    """A flight mode as (main, sub) of custom_mode."""
+
+    MANUAL = (1, 0)
+    ALTCTL = (2, 0)
+    POSCTL = (3, 0)
+    TAKEOFF = (4, 2)
+    LOITER = (4, 3)
+    MISSION = (4, 4)
+    RTL = (4, 5)
+    LAND = (4, 6)
+    ACRO = (5, 0)
+    OFFBOARD = (6, 0)
+    STABILIZED = (7, 0)
+
+    @property
+    def custom_mode(self) -> int:
+        """The main mode in its third byte, the sub mode in its fourth."""
+        main, sub = self.value
+        return int(main << 16 | sub << 24)
+
+    @property
+    def is_auto(self) -> bool:
+        main: int = self.value[0]
+        return main == 4
+
+    @property
+    def task(self) -> Task:
+        return Task.SINK if self in NEED_A_PILOT else _TASKS.get(self, Task.HOLD)
+
+
+# There is no remote control, so these cannot fly the vehicle.
+NEED_A_PILOT = frozenset({Px4Mode.MANUAL, Px4Mode.ALTCTL, Px4Mode.POSCTL, Px4Mode.ACRO, Px4Mode.STABILIZED})
+_TASKS = {Px4Mode.TAKEOFF: Task.TAKE_OFF, Px4Mode.LAND: Task.LAND, Px4Mode.RTL: Task.RETURN}
+PREVENT_ARMING = frozenset({Px4Mode.LAND, Px4Mode.RTL})
+
+# COM_OBL_RC_ACT: where the vehicle goes when the setpoint stream is lost; None stops the motors. What is not listed is as 0.
+OFFBOARD_LOSS: dict[int, Px4Mode | None] = {
+    0: Px4Mode.POSCTL,
+    1: Px4Mode.ALTCTL,
+    2: Px4Mode.STABILIZED,
+    3: Px4Mode.RTL,
+    4: Px4Mode.LAND,
+    5: Px4Mode.LOITER,
+    6: None,
+    7: None,
+}
+# NAV_DLL_ACT: where it goes when the ground station is lost. 0 is nowhere.
+GROUND_STATION_LOSS: dict[int, Px4Mode | None] = {1: Px4Mode.LOITER, 2: Px4Mode.RTL, 3: Px4Mode.LAND, 5: None, 6: None}
+
 
 FAILSAFE_PERIOD_S = 0.1  # of the check for lost streams, and so the largest delay of a failsafe
 STREAM_LOST_GRACE_S = 0.01  # with the period, a lost stream is detected after 1.01 to 1.12 s

@@ -1,12 +1,116 @@
-"""PX4's links: default message rates and the intervals that can be set."""
+"""Setpoints of OFFBOARD from SET_ATTITUDE_TARGET and SET_POSITION_TARGET_LOCAL_NED, as PX4 interprets them."""
 
 from __future__ import annotations
 
-from math import inf
+from collections.abc import Iterator, Sequence
+from math import inf, isfinite, nan, sqrt
 
-from companion.mavlink.codec import mavlink
-from sitl.autopilots.px4.autopilot import Px4
-from sitl.links.schedule import Schedule
+from companion.geometry.frames import (
+    Quaternion,
+    enu_from_geodetic,
+    enu_from_ned,
+    euler_enu_from_ned,
+    euler_from_quaternion,
+    flu_from_frd,
+    quaternion_from_euler,
+)
+from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
+from companion.types.values import Vector3
+from sitl.autopilots.autopilot import CRITICAL, Autopilot
+from sitl.autopilots.link_end import (
+    ACCEPTED,
+    DENIED,
+    FAILED,
+    FORCE,
+    LATER,
+    NO_COORDINATE,
+    UNSUPPORTED,
+    Answers,
+    LinkEnd,
+    Receiver,
+    Schedule,
+)
+from sitl.autopilots.px4.autopilot import Px4, Px4Mode
+from sitl.autopilots.px4.logs import Px4LogTransfer
+from sitl.autopilots.px4.messages import BUILDERS
+from sitl.autopilots.setpoints import (
+    IGNORE_ATTITUDE,
+    IGNORE_POSITION,
+    IGNORE_RATES,
+    IGNORE_THROTTLE,
+    IGNORE_VELOCITY,
+    IGNORE_YAW,
+    IGNORE_YAW_RATE,
+    MAX_DISTANCE_M,
+)
+from sitl.vehicle.automatic_flight import Course
+from sitl.vehicle.control import AttitudeSetpoint
+
+
+def setpoint_of(message: MavlinkMessage, attitude: Quaternion) -> AttitudeSetpoint | None:
+    """The setpoint, None for a message without one; `attitude` is the present attitude.
+
+    Nothing is rejected: throttle ignore, NaN or negative thrust, and a q that is not a rotation make the vehicle fall.
+    """
+    thrust = message.thrust
+    falls = message.type_mask & IGNORE_THROTTLE or not isfinite(thrust) or thrust < 0.0
+    thrust = 0.0 if falls else min(thrust, 1.0)
+    rates = flu_from_frd(_given_rates(message))
+    if message.type_mask & IGNORE_ATTITUDE:
+        if message.type_mask & (IGNORE_RATES[0] | IGNORE_RATES[1]):
+            return None
+        return AttitudeSetpoint(attitude, thrust, rates_rad_s=rates)
+    quaternion = _unit(message.q)
+    if quaternion is None:
+        return AttitudeSetpoint(attitude, 0.0)
+    euler = euler_enu_from_ned(*euler_from_quaternion(quaternion))
+    return AttitudeSetpoint(
+        quaternion_from_euler(*euler), thrust, yaw_rate_rad_s=rates[2]
+    )  # fed forward, about the vertical
+
+
+def course_of(message: MavlinkMessage) -> Course | None:
+    """The course of a SET_POSITION_TARGET_LOCAL_NED, None without one. Accelerations are not followed."""
+    mask = message.type_mask
+    position = _given((message.x, message.y, message.z), IGNORE_POSITION, mask)
+    velocity = _given((message.vx, message.vy, message.vz), IGNORE_VELOCITY, mask)
+    if message.coordinate_frame != mavlink.MAV_FRAME_LOCAL_NED or not any(map(isfinite, (*position, *velocity))):
+        return None
+    no_yaw = mask & IGNORE_YAW or not isfinite(message.yaw)
+    no_rate = mask & IGNORE_YAW_RATE or not isfinite(message.yaw_rate)
+    return Course(
+        enu_from_ned(position),
+        enu_from_ned(velocity),
+        nan if no_yaw else euler_enu_from_ned(0.0, 0.0, message.yaw)[2],
+        0.0 if no_rate else flu_from_frd((0.0, 0.0, message.yaw_rate))[2],
+    )
+
+
+def _given(values: Vector3, ignored: tuple[int, int, int], mask: int) -> Vector3:
+    x, y, z = (
+        value if not mask & bit and abs(value) <= MAX_DISTANCE_M else nan
+        for value, bit in zip(values, ignored, strict=True)
+    )
+    return (x, y, z)
+
+
+def _given_rates(message: MavlinkMessage) -> Vector3:
+    """Body rates FRD of a SET_ATTITUDE_TARGET; zero if masked or not finite."""
+    mask, rates = message.type_mask, (message.body_roll_rate, message.body_pitch_rate, message.body_yaw_rate)
+    p, q, r = (
+        0.0 if mask & ignored or not isfinite(rate) else rate for ignored, rate in zip(IGNORE_RATES, rates, strict=True)
+    )
+    return (p, q, r)
+
+
+def _unit(q: Sequence[float]) -> Quaternion | None:
+    """The rotation of a scaled or negated quaternion; None for one that is not a rotation."""
+    norm = sqrt(sum(part * part for part in q))
+    if not isfinite(norm) or norm < 1e-6:
+        return None
+    w, x, y, z = q
+    return (w / norm, x / norm, y / norm, z / norm)
+
 
 MAX_RATE_HZ = 125.0  # 500 Hz is accepted and gives 125
 STATUS_PERIOD_S = 0.51  # of CURRENT_MODE while nothing changes, whatever the interval
@@ -116,3 +220,195 @@ class Px4Schedule(Schedule):
             return False
         self._status_sent, self._status_sent_s = status, px4.time_s
         return True
+
+
+ABOVE_SEA_LEVEL = (mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT)
+
+
+class Px4Receiver(Receiver):
+    """Incoming messages of one link."""
+
+    _schedule: Px4Schedule
+
+    def __init__(self, px4: Px4, schedule: Px4Schedule) -> None:
+        super().__init__(px4, schedule)
+        self._px4 = px4
+        self.logs = Px4LogTransfer(px4)
+        self._messages |= {
+            "COMMAND_INT": self._command_int,
+            "SET_MODE": self._set_mode_message,
+            "SET_ATTITUDE_TARGET": self._set_attitude_target,
+            "SET_POSITION_TARGET_LOCAL_NED": self._set_position_target,
+            "SET_GPS_GLOBAL_ORIGIN": self._set_origin,
+            **self.logs.requests,
+        }
+        self._commands |= {
+            mavlink.MAV_CMD_DO_SET_MODE: self._do_set_mode,
+            mavlink.MAV_CMD_COMPONENT_ARM_DISARM: self._arm_disarm,
+            mavlink.MAV_CMD_NAV_TAKEOFF: self._takeoff,
+            mavlink.MAV_CMD_NAV_LAND: lambda _p: self._to(Px4Mode.LAND),
+            mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda _p: self._to(Px4Mode.RTL),
+            mavlink.MAV_CMD_NAV_LOITER_UNLIM: lambda _p: self._to(Px4Mode.LOITER),
+            mavlink.MAV_CMD_DO_REPOSITION: self._reposition,
+            mavlink.MAV_CMD_MISSION_START: self._mission_start,
+            mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: self._set_interval,
+        }
+
+    def _is_for_it(self, message: MavlinkMessage) -> bool:
+        """Commands to target 0 are ignored silently. Log requests are accepted for every target."""
+        if message.get_type() in self.logs.requests:
+            return True
+        target = getattr(message, "target_system", self._px4.system_id)
+        component = getattr(message, "target_component", mavlink.MAV_COMP_ID_AUTOPILOT1)
+        if message.get_type() in ("SET_ATTITUDE_TARGET", "SET_POSITION_TARGET_LOCAL_NED"):
+            return (target, component) in ((0, 0), (self._px4.system_id, 0), (self._px4.system_id, 1))
+        if message.get_type() in ("TIMESYNC", "PING"):
+            return target in (0, self._px4.system_id)
+        return target == self._px4.system_id and component in (0, mavlink.MAV_COMP_ID_AUTOPILOT1)
+
+    def _terminated(self, text: str) -> str:
+        return text + "\t"
+
+    def _requested(self, message_id: int) -> tuple[MavlinkMessage | None, int]:
+        builder = BUILDERS.get(message_id)
+        return (builder(self._px4), ACCEPTED) if builder else (None, DENIED)
+
+    # ------------------------------------------------------------ messages
+
+    def _is_of_ground_station(self, heartbeat: MavlinkMessage) -> bool:
+        return bool(heartbeat.type == mavlink.MAV_TYPE_GCS)
+
+    def _command_int(self, message: MavlinkMessage) -> Answers:
+        first = [getattr(message, f"param{i}") for i in range(1, 5)]
+        latitude, longitude = (nan if abs(x) >= NO_COORDINATE else x / 1e7 for x in (message.x, message.y))
+        if message.frame in ABOVE_SEA_LEVEL:
+            yield from self._command(message, [*first, latitude, longitude, message.z])
+        else:
+            yield self._ack(message, UNSUPPORTED)
+
+    def _set_mode_message(self, message: MavlinkMessage) -> Answers:
+        custom = message.custom_mode
+        for _ in self._do_set_mode([1.0, custom >> 16 & 0xFF, custom >> 24 & 0xFF]):
+            pass
+        yield from ()
+
+    def _set_attitude_target(self, message: MavlinkMessage) -> Answers:
+        setpoint = setpoint_of(message, self._px4.quad.estimated_quaternion())
+        if setpoint is not None:
+            self._px4.take_setpoint(setpoint)
+        yield from ()
+
+    def _set_position_target(self, message: MavlinkMessage) -> Answers:
+        course = course_of(message)
+        if course is not None:
+            self._px4.take_setpoint(course)
+        yield from ()
+
+    def _set_origin(self, message: MavlinkMessage) -> Answers:
+        """Every link then sends the new origin. The stand-in's world is flat, so distant origins are rejected."""
+        origin = (message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1e3)
+        if max(map(abs, enu_from_geodetic(*origin, self._px4.quad.world_origin))) <= MAX_DISTANCE_M:
+            self._px4.set_origin(origin)
+        yield from ()
+
+    # ------------------------------------------------------------ commands
+
+    def _do_set_mode(self, parameters: list[float]) -> Iterator[int]:
+        """Answered twice: accepted on receipt, then with the result of the mode change."""
+        yield ACCEPTED
+        try:
+            mode = Px4Mode((int(parameters[1]), int(parameters[2])))
+        except (ValueError, OverflowError):  # not a number, or not a mode
+            self._px4.send_text(CRITICAL, "Unsupported auto mode")
+            yield LATER
+            return
+        yield ACCEPTED if self._px4.set_mode(mode) else LATER
+
+    def _to(self, mode: Px4Mode) -> Iterator[int]:
+        yield ACCEPTED if self._px4.set_mode(mode) else LATER
+
+    def _arm_disarm(self, parameters: list[float]) -> Iterator[int]:
+        forced = parameters[1] == FORCE
+        if parameters[0] == 1.0:
+            refusal, prefix = self._px4.arm(forced), "Arming denied: "
+        elif parameters[0] == 0.0:
+            refusal, prefix = self._px4.disarm(forced), "Disarming denied: "
+        else:
+            yield DENIED
+            return
+        if refusal:
+            self._px4.send_text(CRITICAL, prefix + refusal)
+        yield LATER if refusal else ACCEPTED
+
+    def _takeoff(self, parameters: list[float]) -> Iterator[int]:
+        """Param 7 is above mean sea level; NaN selects MIS_TAKEOFF_ALT."""
+        altitude = parameters[6]
+        yield ACCEPTED if self._px4.take_off(altitude if isfinite(altitude) else None) else LATER
+
+    def _reposition(self, parameters: list[float]) -> Iterator[int]:
+        """To latitude, longitude and altitude above sea level; a value that is NaN is kept."""
+        latitude, longitude, altitude = parameters[4:7]
+        here = self._px4.here_geodetic()
+        goal = [new if isfinite(new) else old for new, old in zip((latitude, longitude, altitude), here, strict=True)]
+        position = enu_from_geodetic(goal[0], goal[1], goal[2], self._px4.quad.origin)
+        yaw_ned = parameters[3]
+        yaw = euler_enu_from_ned(0.0, 0.0, yaw_ned)[2] if isfinite(yaw_ned) else None
+        if max(map(abs, position)) > MAX_DISTANCE_M:
+            yield DENIED
+        else:
+            yield ACCEPTED if self._px4.go_to(position, yaw) else LATER
+
+    def _mission_start(self, _parameters: list[float]) -> Iterator[int]:
+        self._px4.send_text(CRITICAL, "Mission start denied! No valid mission")
+        yield LATER
+
+    def _set_interval(self, parameters: list[float]) -> Iterator[int]:
+        known = all(map(isfinite, parameters[:2]))
+        done = known and self._schedule.set_interval(int(parameters[0] + 0.5), parameters[1], self._px4.time_s)
+        yield ACCEPTED if done else FAILED
+
+
+GROUND_STATION_LOST_S = 5.0
+
+
+class Px4LinkEnd(LinkEnd):
+    """With `connected_rates_hz` it sends at its first rates only until the peer has connected."""
+
+    def __init__(self, px4: Px4, rates_hz: dict[int, float], connected_rates_hz: dict[int, float]) -> None:
+        schedule = Px4Schedule(px4, rates_hz)
+        codec = MavlinkCodec(px4.system_id, mavlink.MAV_COMP_ID_AUTOPILOT1)
+        super().__init__(px4, schedule, Px4Receiver(px4, schedule), codec)
+        self._px4 = px4
+        self._connected_rates_hz = connected_rates_hz
+        self._sends_all = not connected_rates_hz
+        self._origin_sent: int | None = None
+
+    def peer_connected(self) -> None:
+        self._sends_all = True
+        if self._connected_rates_hz:
+            self.schedule.reset(self._connected_rates_hz, self._px4.time_s)
+
+    def _sends_texts(self) -> bool:
+        """Only on a link with heartbeats of a ground station."""
+        heartbeat_s = self.receiver.ground_station_s
+        return heartbeat_s is not None and self._px4.time_s - heartbeat_s < GROUND_STATION_LOST_S
+
+    def _changes(self) -> Iterator[MavlinkMessage]:
+        """The origin, once and on every change."""
+        if self._sends_all and self._origin_sent != self._px4.origin_changes:
+            self._origin_sent = self._px4.origin_changes
+            yield BUILDERS[mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN](self._px4)
+
+    def _telemetry(self) -> Iterator[MavlinkMessage]:
+        for message_id in self.schedule.due(self._px4.time_s):
+            yield BUILDERS[message_id](self._px4)
+
+
+def onboard_link(px4: Autopilot) -> LinkEnd:
+    assert isinstance(px4, Px4)
+    return Px4LinkEnd(px4, ONBOARD_RATES_HZ, {})
+
+
+def ground_link(px4: Autopilot) -> LinkEnd:
+    assert isinstance(px4, Px4)
+    return Px4LinkEnd(px4, HEARTBEAT_ONLY, GROUND_RATES_HZ)

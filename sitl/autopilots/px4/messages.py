@@ -8,8 +8,7 @@ from math import nan
 from companion.geometry.frames import euler_ned_from_enu, ned_from_enu, quaternion_from_euler
 from companion.mavlink.codec import MavlinkMessage, mavlink
 from sitl.autopilots import messages as shared
-from sitl.autopilots.px4.autopilot import Px4
-from sitl.autopilots.px4.modes import NEED_A_PILOT
+from sitl.autopilots.px4.autopilot import NEED_A_PILOT, Px4
 
 M = mavlink
 ESTIMATES = (

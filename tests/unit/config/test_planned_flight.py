@@ -14,8 +14,7 @@ from companion.config.planned_flight import DEFAULT_ORIGIN, ShapeName, default_n
 from companion.geometry.shapes import SHAPES
 from companion.stability.interaction import reached_from
 from companion.tools.analysis import load_subject
-from sitl.flight.scenario import Scenario, load_scenario
-from sitl.flight.timeline import STANDARD_TIMELINE
+from sitl.flight.scenario import STANDARD_TIMELINE, Scenario, load_scenario
 
 POINT = {"kind": "point", "point_enu_m": [5.0, 1.0, 3.0]}
 

@@ -18,7 +18,7 @@ from companion.types.autopilot import AutopilotKind
 from companion.types.notices import Code
 from flown_records import flight_of, records_of
 from sitl.autopilots.autopilot import DT_S
-from sitl.autopilots.behaviour import AUTOPILOT_TYPES
+from sitl.autopilots.types import AUTOPILOT_TYPES
 from sitl.vehicle.config import AutopilotFile, StandIn
 
 WRITERS = {".ulg": write_ulog, ".bin": write_dataflash}

@@ -12,8 +12,8 @@ from companion.types.autopilot import AutopilotKind
 from sitl.autopilots.ardupilot.autopilot import ARDUPILOT_LOOPS
 from sitl.autopilots.ardupilot.modes import CopterMode
 from sitl.autopilots.autopilot import AutopilotAbortedError
-from sitl.vehicle.attitude_control import AttitudeSetpoint
 from sitl.vehicle.config import AutopilotFile, StandIn
+from sitl.vehicle.control import AttitudeSetpoint
 from sitl.vehicle.quadrotor import Quadrotor
 from sitl_copter import DT_S, HOVER, Copter, M, attitude
 

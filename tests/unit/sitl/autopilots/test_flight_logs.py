@@ -14,11 +14,11 @@ from companion.types.autopilot import AutopilotKind
 from sitl.autopilots.ardupilot.autopilot import ArduCopter
 from sitl.autopilots.ardupilot.modes import CopterMode
 from sitl.autopilots.autopilot import DT_S, Autopilot
-from sitl.autopilots.behaviour import AUTOPILOT_TYPES
-from sitl.autopilots.logs.flight_logs import FlightLog
-from sitl.autopilots.logs.ulog import MAGIC
+from sitl.autopilots.link_end import LinkEnd
+from sitl.autopilots.logs import FlightLog
 from sitl.autopilots.px4.autopilot import Px4
-from sitl.links.link_end import LinkEnd
+from sitl.autopilots.px4.logs import MAGIC
+from sitl.autopilots.types import AUTOPILOT_TYPES
 from sitl.vehicle.config import AutopilotFile, StandIn
 
 M = mavlink

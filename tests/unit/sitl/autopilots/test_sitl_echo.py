@@ -6,8 +6,8 @@ import pytest
 
 from companion.geometry.frames import quaternion_from_euler
 from companion.mavlink.codec import mavlink
-from sitl.autopilots.px4.modes import Px4Mode
-from sitl.vehicle.attitude_control import AttitudeSetpoint
+from sitl.autopilots.px4.autopilot import Px4Mode
+from sitl.vehicle.control import AttitudeSetpoint
 from sitl_vehicle import DT_S, HOVER, LEVEL, Vehicle
 
 SET_INTERVAL = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL

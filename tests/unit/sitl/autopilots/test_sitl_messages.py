@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from companion.mavlink import telemetry
 from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
+from sitl.autopilots.px4.autopilot import Px4Mode
 from sitl.autopilots.px4.messages import BUILDERS
-from sitl.autopilots.px4.modes import Px4Mode
 from sitl_vehicle import Vehicle
 
 M = mavlink

@@ -10,10 +10,10 @@ import pytest
 from companion.geometry.frames import quaternion_from_euler
 from companion.mavlink.codec import mavlink as M  # noqa: N812 -- short, used in most lines
 from companion.types.autopilot import AutopilotKind
-from sitl.autopilots.behaviour import AUTOPILOT_TYPES
-from sitl.autopilots.px4.modes import NEED_A_PILOT, Px4Mode
-from sitl.vehicle.attitude_control import AttitudeSetpoint
+from sitl.autopilots.px4.autopilot import NEED_A_PILOT, Px4Mode
+from sitl.autopilots.types import AUTOPILOT_TYPES
 from sitl.vehicle.config import AutopilotFile
+from sitl.vehicle.control import AttitudeSetpoint
 from sitl_vehicle import DT_S, LEVEL, Vehicle
 
 ACCEPTED, LATER, DENIED, UNSUPPORTED = 0, 1, 2, 3

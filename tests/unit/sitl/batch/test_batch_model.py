@@ -20,11 +20,10 @@ from sitl.batch.bodies import Bodies, RungeKutta
 from sitl.batch.columns import columns_of, phase_steps
 from sitl.batch.commands import Commands
 from sitl.batch.rotations import euler_rad, product, quaternion_of_euler, quaternion_of_turns
-from sitl.flight.world import _phase_s
-from sitl.vehicle.attitude_control import PX4_LOOPS, AttitudeControl, AttitudeSetpoint
+from sitl.flight.lockstep import _phase_s
 from sitl.vehicle.config import Airframe, AutopilotFile, StandIn
-from sitl.vehicle.dynamics import Body
-from sitl.vehicle.small_turn import small_turn, turned
+from sitl.vehicle.control import PX4_LOOPS, AttitudeControl, AttitudeSetpoint
+from sitl.vehicle.dynamics import Body, small_turn, turned
 
 AIRFRAMES = [
     Airframe(),

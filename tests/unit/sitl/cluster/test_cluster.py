@@ -21,12 +21,11 @@ from sitl.cli.options import cluster_address
 from sitl.cluster import client as client_module
 from sitl.cluster import workers_of
 from sitl.cluster.client import DeadlyJobError, NoWorkersLeftError, SchedulerLostError
-from sitl.cluster.software import differences, software
-from sitl.cluster.task import UnfitError, unfitness
+from sitl.cluster.task import UnfitError, differences, software, unfitness
 from sitl.errors import UnusableError
 from sitl.workers import LocalWorkers, all_results
 
-OTHER_NUMPY = "from sitl.cluster import software\nsoftware.software()['numpy'] = '1.0'\n"
+OTHER_NUMPY = "from sitl.cluster import task\ntask.software()['numpy'] = '1.0'\n"
 
 
 @pytest.fixture(autouse=True)
@@ -217,7 +216,7 @@ def test_a_worker_with_threads_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.skipif("X86_V4" not in opt_func_info(func_name="^sin$")["sin"]["dd"]["current"], reason="needs AVX-512")
 def test_another_instruction_set_is_another_arithmetic() -> None:
-    code = "from sitl.cluster.software import software; print(software()['arithmetic'])"
+    code = "from sitl.cluster.task import software; print(software()['arithmetic'])"
     for disabled, same in (("", True), ("X86_V4", False)):
         environment = os.environ | {"NPY_DISABLE_CPU_FEATURES": disabled}
         printed = subprocess.check_output([sys.executable, "-c", code], env=environment, text=True)

@@ -9,7 +9,7 @@ from companion.tools.analysis import analyse, load_subject
 from companion.types.notices import Code
 from repository import ROOT
 from sitl.cli.main import main as sitl
-from sitl.flight.convergence import DivergesError, check_convergence
+from sitl.flight.flights import DivergesError, check_convergence
 from sitl.flight.scenario import load_scenario
 
 SCENARIOS = ROOT / "config" / "scenarios"

@@ -21,10 +21,9 @@ from companion.types.status import Status
 from directed_flight import WHOLE, Flight, status
 from repository import ROOT
 from sitl.cli.fly import add_arguments, fly_options
-from sitl.flight.external import ReachedVehicle, load_external, vehicles_of
+from sitl.flight.external import READY_FOR_S, ReachedVehicle, Readiness, load_external, vehicles_of
 from sitl.flight.files import estimated_path, write_files
-from sitl.flight.readiness import READY_FOR_S, Readiness
-from sitl.flight.results import write_results
+from sitl.flight.flights import write_results
 from sitl.flight.scenario import Scenario, load_scenario
 from sitl.links.free_ports import PortInUseError, check_agents_ports
 from sitl.report.folder import remove_old_run

@@ -11,8 +11,8 @@ from companion.core.consensus.law import cooperative
 from companion.wire.messages import Percentiles, Timing
 from repository import ROOT
 from sitl.cli.fly import add_arguments, fly_options
+from sitl.flight.flights import summarize
 from sitl.flight.options import FlyOptions, RunOptions
-from sitl.flight.results import summarize
 from sitl.flight.scenario import load_scenario, with_law
 from sitl.flight.watch import FlightWatch
 from sitl.report.compare import Comparison, compare, in_a_table

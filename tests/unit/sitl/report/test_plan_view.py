@@ -1,7 +1,7 @@
 """Division of a flight into the panels of its plan view."""
 
 from companion.types.commands import CommandName
-from sitl.flight.timeline import TimelineStep
+from sitl.flight.scenario import TimelineStep
 from sitl.flight.watch import FlightWatch
 from sitl.report.metrics import Formation
 from sitl.report.plan_view import Panel, panels_of

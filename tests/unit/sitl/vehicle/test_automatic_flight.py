@@ -9,7 +9,7 @@ import pytest
 
 from companion.mavlink.codec import mavlink
 from companion.types.values import Vector3
-from sitl.autopilots.px4.modes import Px4Mode
+from sitl.autopilots.px4.autopilot import Px4Mode
 from sitl.vehicle.config import Airframe, Wind
 from sitl_vehicle import DT_S, LEVEL, Vehicle
 

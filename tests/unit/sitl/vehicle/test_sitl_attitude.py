@@ -10,8 +10,8 @@ import pytest
 from companion.geometry.frames import euler_from_quaternion, quaternion_from_euler
 from companion.mavlink.codec import mavlink
 from companion.types.values import GRAVITY_M_S2
-from sitl.vehicle.attitude_control import AttitudeSetpoint, rotation_error
 from sitl.vehicle.config import Airframe
+from sitl.vehicle.control import AttitudeSetpoint, rotation_error
 from sitl_vehicle import DT_S, HOVER, LEVEL, Vehicle
 
 WITHIN = 0.15

@@ -9,14 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from sitl.flight.processes.fleet import Child, FleetProcesses
+from sitl.flight.processes import Child, FleetProcesses
 
 
 def child(tmp_path: Path, name: str, code: str) -> Child:
     log = tmp_path / f"{name}.log"
     with log.open("wb") as output:
         process = subprocess.Popen(
-            [sys.executable, "-m", "sitl.flight.processes.bound", str(os.getpid()), sys.executable, "-c", code],
+            [sys.executable, "-m", "sitl.flight.bound", str(os.getpid()), sys.executable, "-c", code],
             stdout=output,
             stderr=subprocess.STDOUT,
             start_new_session=True,
@@ -49,7 +49,7 @@ def test_an_unexpected_end_is_reported_once_with_the_last_output(tmp_path: Path)
 
 
 def test_a_process_that_ignores_sigterm_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sitl.flight.processes.fleet.STAND_IN_ENDS_WITHIN_S", 0.3)
+    monkeypatch.setattr("sitl.flight.processes.STAND_IN_ENDS_WITHIN_S", 0.3)
     deaf = child(tmp_path, "autopilot 1", DEAF)
     until_it_runs(deaf)
     with FleetProcesses([deaf]) as fleet:
@@ -70,7 +70,7 @@ def test_a_bound_command_ends_with_its_parent() -> None:
     parent_code = (
         "import os, subprocess, sys, time\n"
         f"command = [sys.executable, '-c', {SLEEP!r}]\n"
-        "child = subprocess.Popen([sys.executable, '-m', 'sitl.flight.processes.bound', str(os.getpid()), *command])\n"
+        "child = subprocess.Popen([sys.executable, '-m', 'sitl.flight.bound', str(os.getpid()), *command])\n"
         "print(child.pid, flush=True)\n"
         "time.sleep(60)\n"
     )
@@ -86,15 +86,13 @@ def test_a_bound_command_ends_with_its_parent() -> None:
 
 
 def test_a_bound_command_does_not_start_without_its_parent() -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "sitl.flight.processes.bound", "1", "touch", "/never"], timeout=10, check=False
-    )
+    done = subprocess.run([sys.executable, "-m", "sitl.flight.bound", "1", "touch", "/never"], timeout=10, check=False)
     assert done.returncode == 1
 
 
 def test_a_bound_command_that_does_not_exist_is_reported() -> None:
     done = subprocess.run(
-        [sys.executable, "-m", "sitl.flight.processes.bound", str(os.getpid()), "no-such-command"],
+        [sys.executable, "-m", "sitl.flight.bound", str(os.getpid()), "no-such-command"],
         capture_output=True,
         text=True,
         timeout=10,

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from sitl.flight.files import truth_path
-from sitl.flight.processes.waiting_fleet import companion_program, left_armed
+from sitl.flight.fly import companion_program, left_armed
 from sitl.vehicle.truth import TRUTH_HEADER
 
 

@@ -1,19 +1,79 @@
-"""Incoming messages as ArduCopter handles them: commands with one answer each, setpoints. One entry per message."""
+"""Setpoints of GUIDED from SET_ATTITUDE_TARGET and SET_POSITION_TARGET_LOCAL_NED, as ArduCopter interprets them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from math import isfinite
+from collections.abc import Iterable, Iterator
+from math import isfinite, isnan, nan
 
-from companion.mavlink.codec import MavlinkMessage, mavlink
+from companion.geometry.frames import (
+    enu_from_ned,
+    euler_enu_from_ned,
+    euler_from_quaternion,
+    flu_from_frd,
+    quaternion_from_euler,
+)
+from companion.mavlink.codec import EPOCH_UNIX_S, UNITS_PER_S, MavlinkCodec, MavlinkMessage, SigningKey, mavlink
+from companion.types.values import ZERO3, Vector3
 from sitl.autopilots.ardupilot.autopilot import ArduCopter, SigningSetup
 from sitl.autopilots.ardupilot.logs import ArduPilotLogTransfer
 from sitl.autopilots.ardupilot.messages import BUILDERS
 from sitl.autopilots.ardupilot.modes import CopterMode
-from sitl.autopilots.ardupilot.setpoints import course_of, setpoint_of
-from sitl.autopilots.autopilot import CRITICAL, INFO, WARNING
-from sitl.links.receiver import ACCEPTED, DENIED, FAILED, FORCE, Answers, Receiver
-from sitl.links.schedule import Schedule
+from sitl.autopilots.autopilot import CRITICAL, INFO, WARNING, Autopilot, AutopilotAbortedError
+from sitl.autopilots.link_end import ACCEPTED, DENIED, FAILED, FORCE, Answers, LinkEnd, Receiver, Schedule
+from sitl.autopilots.setpoints import (
+    IGNORE_ATTITUDE,
+    IGNORE_POSITION,
+    IGNORE_RATES,
+    IGNORE_THROTTLE,
+    IGNORE_VELOCITY,
+    IGNORE_YAW,
+    IGNORE_YAW_RATE,
+)
+from sitl.vehicle.automatic_flight import Course
+from sitl.vehicle.control import AttitudeSetpoint
+
+SQUARE_OF_UNIT_WITHIN = 1e-3
+NO_VECTOR: Vector3 = (nan, nan, nan)
+
+
+def setpoint_of(message: MavlinkMessage) -> AttitudeSetpoint | None:
+    """The setpoint, None to stop. The thrust is as sent; its meaning depends on GUID_OPTIONS.
+
+    Raises AutopilotAbortedError for a NaN quaternion, which aborts the real autopilot by a floating point exception.
+    """
+    mask = message.type_mask
+    if mask & IGNORE_THROTTLE:
+        return None
+    no_rates = mask & sum(IGNORE_RATES)
+    if not mask & IGNORE_ATTITUDE:
+        if any(map(isnan, message.q)):
+            raise AutopilotAbortedError("SET_ATTITUDE_TARGET with a quaternion that is not a number")
+        if abs(sum(part * part for part in message.q) - 1.0) > SQUARE_OF_UNIT_WITHIN:
+            return None
+    if no_rates not in (0, sum(IGNORE_RATES)):
+        return None
+    p, q, r = flu_from_frd((message.body_roll_rate, message.body_pitch_rate, message.body_yaw_rate))
+    rates = ZERO3 if no_rates else (p, q, r)
+    if mask & IGNORE_ATTITUDE:
+        return AttitudeSetpoint((1.0, 0.0, 0.0, 0.0), message.thrust, rates_rad_s=rates)
+    euler = euler_enu_from_ned(*euler_from_quaternion(tuple(message.q)))
+    return AttitudeSetpoint(quaternion_from_euler(*euler), message.thrust, yaw_rate_rad_s=rates[2])
+
+
+def course_of(message: MavlinkMessage) -> Course | None:
+    """The course, None to stop. A position or velocity is given with all axes or none; accelerations are not followed."""
+    mask = message.type_mask
+    position = NO_VECTOR if mask & sum(IGNORE_POSITION) else enu_from_ned((message.x, message.y, message.z))
+    velocity = NO_VECTOR if mask & sum(IGNORE_VELOCITY) else enu_from_ned((message.vx, message.vy, message.vz))
+    if message.coordinate_frame != mavlink.MAV_FRAME_LOCAL_NED or (position is NO_VECTOR and velocity is NO_VECTOR):
+        return None
+    return Course(
+        position,
+        velocity,
+        nan if mask & IGNORE_YAW else euler_enu_from_ned(0.0, 0.0, message.yaw)[2],
+        0.0 if mask & IGNORE_YAW_RATE else flu_from_frd((0.0, 0.0, message.yaw_rate))[2],
+    )
+
 
 SHORTEST_INTERVAL_US = 2000.0  # 0.8 of the period of a 400 Hz loop; shorter intervals, and this one, are too fast
 
@@ -143,3 +203,76 @@ class ArduPilotReceiver(Receiver):
             rate_hz = default_hz if interval_us == 0.0 else 1e6 / interval_us
             self._schedule.set_rate(int(number), rate_hz, self._copter.time_s)
             yield ACCEPTED
+
+
+RATES_HZ = {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0}
+
+
+class ArduPilotLinkEnd(LinkEnd):
+    """All links behave alike; `link_id` is that of signing."""
+
+    def __init__(self, copter: ArduCopter, link_id: int) -> None:
+        schedule = Schedule(RATES_HZ)
+        super().__init__(copter, schedule, ArduPilotReceiver(copter, schedule), codec_of(copter, link_id))
+        self._copter = copter
+        self._link_id = link_id
+        self._signing = copter.signing
+        self._origin_sent = 0
+
+    def _codec_now(self) -> MavlinkCodec:
+        """With a key all packets are signed, and unsigned packets are dropped silently."""
+        if self._copter.signing is not self._signing:
+            self._signing = self._copter.signing
+            self._codec = codec_of(self._copter, self._link_id)
+        return self._codec
+
+    def peer_connected(self) -> None:
+        """No effect."""
+
+    def _sends_texts(self) -> bool:
+        return True
+
+    def _changes(self) -> Iterator[MavlinkMessage]:
+        """Origin and home once they are set."""
+        if self._origin_sent != self._copter.origin_changes:
+            self._origin_sent = self._copter.origin_changes
+            yield from self._messages((mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN, mavlink.MAVLINK_MSG_ID_HOME_POSITION))
+
+    def _telemetry(self) -> Iterator[MavlinkMessage]:
+        yield from self._messages(self.schedule.due(self._copter.time_s))
+
+    def _messages(self, message_ids: Iterable[int]) -> Iterator[MavlinkMessage]:
+        for message_id in message_ids:
+            message = BUILDERS[message_id](self._copter)
+            if message is not None:
+                yield message
+
+
+def codec_of(copter: ArduCopter, link_id: int) -> MavlinkCodec:
+    """The codec of the present signing. Timestamps continue from that of SETUP_SIGNING."""
+    signing = copter.signing
+    if signing is None:
+        return MavlinkCodec(copter.system_id, mavlink.MAV_COMP_ID_AUTOPILOT1)
+
+    def unix_time_s() -> float:
+        return EPOCH_UNIX_S + signing.stamp / UNITS_PER_S + copter.time_s - signing.set_s
+
+    key = SigningKey(signing.key, link_id, unix_time_s)
+    return MavlinkCodec(copter.system_id, mavlink.MAV_COMP_ID_AUTOPILOT1, key)
+
+
+def tcp_link(copter: Autopilot) -> LinkEnd:
+    return _link(copter, 0)
+
+
+def onboard_link(copter: Autopilot) -> LinkEnd:
+    return _link(copter, 1)
+
+
+def ground_link(copter: Autopilot) -> LinkEnd:
+    return _link(copter, 2)
+
+
+def _link(copter: Autopilot, link_id: int) -> LinkEnd:
+    assert isinstance(copter, ArduCopter)
+    return ArduPilotLinkEnd(copter, link_id)

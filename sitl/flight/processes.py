@@ -8,13 +8,17 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from companion.ground.publishers import TargetPublisher
+from companion.types.values import Vector3
 from sitl.flight.external import ReachedVehicle
 from sitl.flight.files import autopilot_path, ids_of, network_path, truth_path, write_files
+from sitl.flight.moving_targets import MovingTargets
 from sitl.flight.scenario import Scenario
 
 AGENT_ENDS_WITHIN_S = 5.0  # it first hands over to the autopilot
@@ -105,7 +109,7 @@ class FleetProcesses:
         with log.open("wb") as output:
             process = subprocess.Popen(
                 [
-                    *(sys.executable, "-m", "sitl.flight.processes.bound", str(os.getpid())),
+                    *(sys.executable, "-m", "sitl.flight.bound", str(os.getpid())),
                     *(sys.executable, "-m", module, *arguments),
                 ],
                 stdin=subprocess.DEVNULL,
@@ -187,3 +191,16 @@ def _signal(child: Child, number: signal.Signals) -> None:
     """Signal the process's whole session; poll() tells whether its process id is still its own."""
     if child.process.poll() is None:
         os.killpg(child.process.pid, number)
+
+
+def publish_targets(scenario: Scenario, endpoints: Sequence[str], began_s: float, stack: ExitStack) -> MovingTargets:
+    """One publisher per target, closed with `stack`."""
+    publishers = {
+        target.name: stack.enter_context(TargetPublisher(scenario.fleet.name, endpoints, target.name))
+        for target in scenario.targets
+    }
+
+    def publish(name: str, velocity_enu_m_s: Vector3, position_enu_m: Vector3) -> None:
+        publishers[name].publish(velocity_enu_m_s, position_enu_m)
+
+    return MovingTargets(scenario.targets, publish, began_s)

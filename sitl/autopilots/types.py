@@ -1,8 +1,9 @@
-"""The files of `sitl autopilot --config`, with the overrides of the command line."""
+"""The stand-in autopilots by make, behind one interface for flights in virtual and in real time."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
@@ -10,8 +11,43 @@ import msgspec
 from companion.config.file import ConfigError, load, refuse
 from companion.config.validation import Problem, did_you_mean
 from companion.types.autopilot import AutopilotKind
-from sitl.autopilots.behaviour import AUTOPILOT_TYPES
+from sitl.autopilots.ardupilot import link as ardupilot_link_end
+from sitl.autopilots.ardupilot import parameters as ardupilot_parameters
+from sitl.autopilots.ardupilot.autopilot import ArduCopter
+from sitl.autopilots.autopilot import Autopilot
+from sitl.autopilots.link_end import LinkEnd
+from sitl.autopilots.px4 import link as px4_link_end
+from sitl.autopilots.px4 import parameters as px4_parameters
+from sitl.autopilots.px4.autopilot import Px4
 from sitl.vehicle.config import AutopilotFile, StandIn
+
+
+@dataclass(frozen=True, slots=True)
+class AutopilotType:
+    """What differs between the makes: the autopilot, its link ends, its parameters with their defaults.
+
+    `tcp_link` is None for an autopilot that does not listen on TCP.
+    """
+
+    vehicle: Callable[[AutopilotFile, float], Autopilot]
+    onboard_link: Callable[[Autopilot], LinkEnd]
+    ground_link: Callable[[Autopilot], LinkEnd]
+    tcp_link: Callable[[Autopilot], LinkEnd] | None
+    parameters: Mapping[str, float]
+
+
+AUTOPILOT_TYPES: dict[AutopilotKind, AutopilotType] = {
+    AutopilotKind.PX4: AutopilotType(
+        Px4, px4_link_end.onboard_link, px4_link_end.ground_link, None, px4_parameters.DEFAULTS
+    ),
+    AutopilotKind.ARDUPILOT: AutopilotType(
+        ArduCopter,
+        ardupilot_link_end.onboard_link,
+        ardupilot_link_end.ground_link,
+        ardupilot_link_end.tcp_link,
+        ardupilot_parameters.DEFAULTS,
+    ),
+}
 
 
 def load_autopilot_files(

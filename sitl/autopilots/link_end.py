@@ -6,13 +6,13 @@ The receiver of each make adds its own messages and commands, one entry each.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
-from math import isfinite
+from collections.abc import Callable, Iterable, Iterator
+from itertools import chain
+from math import inf, isfinite
 
-from companion.mavlink.codec import MavlinkMessage, mavlink
+from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
 from sitl.autopilots.autopilot import Autopilot
-from sitl.autopilots.logs.transfer import LogTransfer
-from sitl.links.schedule import Schedule
+from sitl.autopilots.logs import LogTransfer
 
 M = mavlink
 ACCEPTED, LATER, DENIED = M.MAV_RESULT_ACCEPTED, M.MAV_RESULT_TEMPORARILY_REJECTED, M.MAV_RESULT_DENIED
@@ -179,3 +179,113 @@ class Receiver(ABC):
         reply[2] = request[2]  # the session, by which MAVProxy matches answers
         reply[3], reply[4], reply[5], reply[12] = 129, 1, request[3], 10  # NAK, one byte: file not found
         yield M.MAVLink_file_transfer_protocol_message(0, message.get_srcSystem(), message.get_srcComponent(), reply)
+
+
+EPSILON_S = 1e-6
+
+
+class Schedule:
+    """Rates of one link. They persist when the peer reconnects."""
+
+    def __init__(self, rates_hz: dict[int, float]) -> None:
+        self.reset(rates_hz, 0.0)
+
+    def reset(self, rates_hz: dict[int, float], now_s: float) -> None:
+        """Set other default rates: PX4's ground link sends more after its peer has connected."""
+        self._defaults = rates_hz
+        self._period_s = {message_id: 1.0 / rate_hz for message_id, rate_hz in rates_hz.items() if rate_hz > 0.0}
+        self._due_s = dict.fromkeys(self._period_s, now_s)
+        self._next_s = now_s
+
+    def set_rate(self, message_id: int, rate_hz: float, now_s: float) -> None:
+        """Set a rate; the first message is due one period from now. 0 is off."""
+        self._due_s.pop(message_id, None)
+        self._period_s.pop(message_id, None)
+        if rate_hz > 0.0:
+            self._period_s[message_id] = 1.0 / rate_hz
+            self._due_s[message_id] = now_s + self._period_s[message_id]
+        self._next_s = min(self._due_s.values(), default=inf)
+
+    def postpone(self, message_id: int) -> None:
+        """Skip a message that is due; it is due again one period later."""
+        self._due_s[message_id] += self._period_s[message_id]
+
+    def default_hz(self, message_id: int) -> float:
+        return self._defaults.get(message_id, 0.0)
+
+    def interval_us(self, message_id: int) -> int:
+        """Interval as in MESSAGE_INTERVAL: -1 is off."""
+        return round(self._period_s[message_id] * 1e6) if message_id in self._period_s else -1
+
+    def due(self, now_s: float) -> list[int]:
+        """Messages to be sent now. They are evenly spaced: a late step does not shift the following ones."""
+        if now_s < self._next_s - EPSILON_S:
+            return []
+        ready = [message_id for message_id, due_s in self._due_s.items() if now_s >= due_s - EPSILON_S]
+        ready = self._without_old_news(ready)
+        for message_id in ready:
+            period_s = self._period_s[message_id]
+            next_s = self._due_s[message_id] + period_s
+            self._due_s[message_id] = next_s if next_s > now_s else now_s + period_s
+        self._next_s = min(self._due_s.values(), default=inf)
+        return ready
+
+    def _without_old_news(self, ready: list[int]) -> list[int]:
+        """The due messages that are sent; the others remain due."""
+        return ready
+
+
+class LinkEnd(ABC):
+    """One link. Messages are due by the autopilot's clock."""
+
+    def __init__(self, autopilot: Autopilot, schedule: Schedule, receiver: Receiver, codec: MavlinkCodec) -> None:
+        self._autopilot = autopilot
+        self._codec = codec
+        self.schedule = schedule
+        self.receiver = receiver
+
+    @property
+    def system_id(self) -> int:
+        """Of the autopilot."""
+        return self._autopilot.system_id
+
+    def receive(self, data: bytes) -> Iterator[bytes]:
+        """Answers to received bytes."""
+        for message in self._codec_now().decode(data):
+            yield from self._encoded(self.receiver.receive(message))
+
+    def due(self) -> Iterator[bytes]:
+        """All packets that are due now."""
+        yield from self.texts()
+        yield from self._encoded(chain(self._changes(), self._telemetry(), self.receiver.logs.due()))
+
+    def texts(self) -> Iterator[bytes]:
+        """STATUSTEXT of the autopilot's texts, if this link sends them."""
+        if self._autopilot.texts and self._sends_texts():
+            yield from self._encoded(self.receiver.texts(self._autopilot.texts))
+
+    def changes(self) -> Iterator[bytes]:
+        """Messages that are sent on change, independently of the rates."""
+        yield from self._encoded(self._changes())
+
+    @abstractmethod
+    def peer_connected(self) -> None:
+        """The first packet of a peer has come."""
+
+    @abstractmethod
+    def _sends_texts(self) -> bool: ...
+
+    @abstractmethod
+    def _changes(self) -> Iterator[MavlinkMessage]: ...
+
+    @abstractmethod
+    def _telemetry(self) -> Iterator[MavlinkMessage]:
+        """Messages that are due by the schedule."""
+
+    def _codec_now(self) -> MavlinkCodec:
+        """The codec of the present signing."""
+        return self._codec
+
+    def _encoded(self, messages: Iterable[MavlinkMessage]) -> Iterator[bytes]:
+        for message in messages:
+            yield self._codec_now().encode(message)

@@ -1,4 +1,4 @@
-"""Run a command that receives SIGTERM when its parent ends: `python -m sitl.flight.processes.bound PARENT_PID COMMAND`.
+"""Run a command that receives SIGTERM when its parent ends: `python -m sitl.flight.bound PARENT_PID COMMAND`.
 
 A parent that is killed with SIGKILL cannot stop its children; on Linux the kernel then sends them SIGTERM. The setting
 survives exec, so the command needs no change. On other systems the command is only run.

@@ -1,1 +1,0 @@
-"""Flight logs of the stand-ins and their transfer over MAVLink."""
