@@ -7,6 +7,8 @@ from batch_scenarios import platoon
 from tests.bench import batch_models
 from tests.bench.batch_models import formations, ours
 
+pytestmark = pytest.mark.long
+
 
 @pytest.mark.parametrize("runge_kutta", [False, True])
 def test_our_vehicles_track_the_commanded_pitch(runge_kutta: bool) -> None:

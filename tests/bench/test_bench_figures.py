@@ -22,6 +22,8 @@ from tests.bench.real_flight import Flown, delays_of_ticks
 from tests.bench.resources import FEW, MANY, SOME
 from tests.bench.resources import section as resources_section
 
+pytestmark = pytest.mark.long
+
 
 def row(*values: float, beside: tuple[float, ...] = (), target: Target | None = None) -> Row:
     name = "other" if beside else ""

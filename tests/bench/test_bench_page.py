@@ -8,6 +8,8 @@ from tests.bench.figures import Row, Section, Target
 from tests.bench.machine import Machine
 from tests.bench.page import digits, page, quantity, row_in_words, table, target_in_words
 
+pytestmark = pytest.mark.long
+
 MACHINE = Machine(
     processor="a processor",
     cores=2,

@@ -19,6 +19,8 @@ from sitl.links.ports import LOOPBACK
 from tests.bench import batch_models, scenarios
 from tests.bench.programs import loops, relay
 
+pytestmark = pytest.mark.long
+
 
 def encoded(*messages: mavlink.MAVLink_message) -> bytes:
     codec = mavlink.MAVLink(None, srcSystem=1)

@@ -23,6 +23,8 @@ from tests.bench.large_fleet import (
 )
 from tests.bench.programs.large_fleet_agent import Result
 
+pytestmark = pytest.mark.long
+
 SHOWN = """\
 ESTAB 0 0 127.0.0.1:7600 127.0.0.1:5000 users:(("python",pid=12,fd=9)) ts bytes_sent:100 bytes_acked:100 bytes_received:2000 segs_out:3 segs_in:20 data_segs_out:2
 ESTAB 0 0 127.0.0.1:7600 127.0.0.1:5001 users:(("python",pid=12,fd=10)) ts bytes_sent:50 bytes_received:1000 segs_out:1 segs_in:10

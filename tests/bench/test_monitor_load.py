@@ -12,6 +12,8 @@ from companion.config.fleet_check import load_fleet
 from companion.wire.messages import decode_report, encode
 from tests.bench.monitor_load import OFF_SLOT_M, main, steady_fleet, write_fleet
 
+pytestmark = pytest.mark.long
+
 
 @pytest.mark.parametrize("vehicles", [1, 2, 50])
 def test_every_report_passes_the_checks_of_the_ground(vehicles: int) -> None:

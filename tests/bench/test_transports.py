@@ -12,6 +12,8 @@ from tests.bench.hosts import Radio, address
 from tests.bench.programs.transport_vehicle import Measured
 from tests.bench.transports import BEGIN, END, Row, table, write_page
 
+pytestmark = pytest.mark.long
+
 
 class Air:
     """A radio whose hosts are sockets of this process."""

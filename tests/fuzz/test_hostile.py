@@ -20,6 +20,8 @@ from tests.fuzz.mavlink import HostileTelemetry, mavlink_packets
 from tests.fuzz.plant import Plant
 from tests.fuzz.run import EPISODE_TICKS, run_hostile
 
+pytestmark = pytest.mark.long
+
 
 @pytest.mark.parametrize("name", decoders())
 def test_decoders_refuse_damaged_input_with_their_own_error(name: str) -> None:

@@ -17,6 +17,8 @@ from tests.soak.page import page
 from tests.soak.run import VEHICLES, scenario_file
 from tests.soak.samples import ROWS, Sample, Ticks, findings, slope, table
 
+pytestmark = pytest.mark.long
+
 
 def samples(count: int = 100, **growth: float) -> list[Sample]:
     """Constant but for the growth per sample, 10 s apart."""

@@ -19,6 +19,7 @@ from sitl.flight.scenario import load_scenario
 
 TOP_PAGES = [ROOT / name for name in ("README.md", "ARCHITECTURE.md", "CHANGELOG.md")]
 PAGES = [*TOP_PAGES, *sorted((ROOT / "docs").rglob("*.md"))]
+MAKEFILES = [ROOT / "Makefile", *(ROOT / name for name in ("tests/lab.mk", "deploy/package.mk", "docs/docs.mk"))]
 LONGEST_LINE = 100
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 LINK = re.compile(r"(?<!`)\[[^\]]*\]\(([^)\s]+)\)")
@@ -107,7 +108,7 @@ def unknown(parser: argparse.ArgumentParser, words: list[str]) -> Iterator[str]:
 
 
 def make_targets() -> set[str]:
-    return set(re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
+    return {target for file in MAKEFILES for target in re.findall(r"^([\w-]+):", file.read_text("utf-8"), re.MULTILINE)}
 
 
 def test_scenario_of_the_page_flies(tmp_path: Path) -> None:

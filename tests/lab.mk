@@ -1,0 +1,91 @@
+# The laboratory: what measures, soaks and attacks the product. Real-time figures need a machine without other load.
+#
+## make bench      speed of agents, lockstep and batch beside C, asyncio, mavsdk, UDP and RotorPy; writes docs/performance.md (ten minutes)
+## make bench-batch  vehicle-steps a second of whole batches on one core, and RotorPy's; installs PyTorch in .venv-bench
+## make bench-filter  time of the separation filter with seven vehicles nearby, against its limit of 60 us
+## make bench-identities  CPU of agents in formation with identities against those without; limit 1.2 times
+## make bench-recording  CPU, tick lateness and disk of agents that record against those that do not
+## make bench-replay  ten minutes of four real agents: every tick replayed, and the time of the report (a quarter of an hour)
+## make bench-large-fleet  CPU and bytes of an agent's Zenoh link among 8 to 64 others, with and without a router; writes docs/large-fleets.md
+## make bench-page  the live page with 50 vehicles in a headless Chromium: update time, server, first picture
+## make transports  age of the states over TCP, TLS, QUIC and multicast with lost packets; writes docs/transports.md (needs root)
+## make soak       eight vehicles for an hour: memory, files, threads and ticks over time; writes docs/soak.md; SECONDS=300: a short run without the page
+## make hostile    hostile input for every decoder and for whole agents; writes docs/hostile.md (a quarter of an hour on two cores); HOSTILE=: a minute
+## make gauntlet   1,000 random flights in virtual time; writes docs/gauntlet.md (over an hour on two cores; Ctrl-C reports those that are complete)
+## make faults     flies real fleets under every fault and writes the measured table into docs/faults.md (a quarter of an hour)
+## make attacks    lets strangers attack a real fleet with identities and writes the table into docs/attacks.md (minutes)
+## make test-vehicles, test-fleets  real processes one at a time: single vehicles, fleets
+## make tighten    lowers the budgets of source and tick (tests/unit/budgets.json) to today's figures
+
+.PHONY: bench bench-batch bench-filter bench-identities bench-recording bench-replay bench-large-fleet bench-page transports soak hostile gauntlet faults attacks test-vehicles test-fleets tighten
+
+LAB = $(BIN)/python -m tests
+
+# The environment with RotorPy is made once, which takes some minutes.
+bench: .venv/test.ready .venv-bench/bench.ready
+	$(LAB).bench --out runs/bench/bench.json --page docs/performance.md
+
+bench-batch: .venv-bench/bench.ready
+	.venv-bench/bin/python -m tests.bench.batch_models
+
+bench-filter: .venv/fly.ready
+	$(LAB).bench.filter_step
+
+bench-identities: .venv/test.ready
+	$(LAB).bench.identities
+
+bench-recording: .venv/test.ready
+	$(LAB).bench.recording
+
+bench-replay: .venv/test.ready
+	$(LAB).bench.replay
+
+# Needs iproute2, for the kernel's counters of bytes.
+bench-large-fleet: .venv/test.ready
+	$(LAB).bench.large_fleet --page docs/large-fleets.md
+
+bench-page: .venv/test.ready
+	$(LAB).bench.live_page
+
+# In network namespaces: needs root and iproute2.
+transports: .venv/test.ready
+	$(LAB).bench.transports --page docs/transports.md
+
+# Ends with exit code 1 where two vehicles came closer than allowed; the table is written in any case.
+SECONDS = 3600
+soak: .venv/test.ready
+	$(LAB).soak --seconds $(SECONDS) $(if $(filter 3600,$(SECONDS)),--page docs/soak.md)
+
+# Ten million inputs for each decoder and a million ticks of whole agents.
+HOSTILE = --inputs 10000000 --ticks 1000000 --out docs/hostile.md
+hostile: .venv/fly.ready
+	$(LAB).fuzz $(HOSTILE)
+
+gauntlet: .venv/fly.ready
+	$(BIN)/sitl gauntlet --flights 1000 --seed 1 --out runs/gauntlet --page docs/gauntlet.md
+
+# One flight at a time: latencies are measured.
+FAULT_TESTS = tests/faults/test_link_faults.py tests/faults/test_process_faults.py tests/faults/test_autopilot_faults.py
+faults: .venv/test.ready
+	$(BIN)/pytest -v --durations 5 --faults --fault-table docs/faults.md $(FAULT_TESTS)
+
+attacks: .venv/test.ready
+	$(BIN)/pytest -v --faults --fault-table docs/attacks.md tests/faults/test_strangers.py tests/faults/test_strangers_quic.py
+
+test-vehicles: .venv/test.ready
+	$(REAL_TIME_TESTS) -n 1 tests/protocol
+
+test-fleets: .venv/test.ready
+	$(REAL_TIME_TESTS) -n 1 tests/fleet tests/faults
+
+tighten: .venv/fly.ready
+	$(LAB).bench.budgets --tighten
+
+# A venv of its own: PyTorch is as large as all the rest together, and nothing else needs it. It comes first, and in one
+# version, because RotorPy would take any.
+.venv-bench/bench.ready: pyproject.toml constraints.txt .venv/bin/python
+	@echo "Installing RotorPy and PyTorch into .venv-bench (some minutes) ..."
+	@$(PYTHON) -m venv .venv-bench
+	.venv-bench/bin/$(PIP_INSTALL) torch==2.13.0
+	.venv-bench/bin/$(PIP_INSTALL) --editable '.[bench]'
+	@touch $@
