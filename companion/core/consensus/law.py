@@ -1,8 +1,8 @@
 """Formation law: eq. 14 with the weights of Algorithm 2, the two average laws of the paper and the cooperative law.
 
 PrC and weights (Algorithms 1 and 2) are here too, and the RFT that a vehicle publishes which is kept off its slot.
-All laws are one formula with different data: gains, weighting of the neighbours, whether a leader uses its neighbours, and the share
-of the neighbours' acceleration that is fed forward.
+All laws are one formula with different data: gains, weighting of the neighbours, whether a leader uses its neighbours, and
+the share of the neighbours' acceleration that is fed forward.
 With d_ij = d_i0 - d_j0 every relative error of the paper is a difference of two formation states:
 x_i - x_j - d_ij = (x_i - d_i0) - (x_j - d_j0).
 """
