@@ -22,7 +22,7 @@ from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from typing import Generic, Protocol, TypeVar
 
-from sitl.errors import FailedError
+from companion.types.errors import FailedError
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")

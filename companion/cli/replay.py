@@ -55,7 +55,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """The exit code."""
-    from companion.replay.run import Options, UnusableError, run_replay
+    from companion.replay.run import Options, run_replay
+    from companion.types.errors import UnusableError
 
     overrides = [*([f"fleet.law.name={options.law}"] if options.law else []), *options.overrides]
     if options.csv and not overrides:

@@ -15,6 +15,7 @@ import msgspec
 import yaml
 
 from companion.config.validation import Problem, all_finite, each, examine, in_file_order
+from companion.types.errors import UnusableError
 from companion.types.values import printable
 
 MAX_BYTES = 128 * 1024  # a fleet of 250 vehicles has 20 kB
@@ -49,7 +50,7 @@ TOO_MANY_VALUES = f"more than {MAX_VALUES} values, counting each alias as what i
 T = TypeVar("T")
 
 
-class ConfigError(Exception):
+class ConfigError(UnusableError):
     """A file that cannot be used. str() has one line for each error: file, field, value, what was expected, what to do."""
 
     def __init__(self, file: Path | str, field: str, problem: str) -> None:

@@ -17,6 +17,8 @@ import msgspec
 from msgspec import NODEFAULT, Meta, Struct
 from msgspec.structs import FieldInfo, fields
 
+from companion.types.errors import CompanionError
+
 T = TypeVar("T")
 YAML_NAMES = {"object": "a section with keys", "array": "a list"}  # of msgspec's names for types
 
@@ -28,7 +30,7 @@ class Problem(NamedTuple):
     text: str
 
 
-class InvalidFieldError(Exception):
+class InvalidFieldError(CompanionError):
     """A check has used a field whose value is invalid."""
 
 

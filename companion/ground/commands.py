@@ -29,6 +29,7 @@ from companion.ground.changes import (
 from companion.ground.goals import ALL_OR_NONE, STILL_CHANGING, check_all
 from companion.ground.session import POLL_S
 from companion.types.commands import CommandName, Content, Lead, ReferenceChange, next_epoch
+from companion.types.errors import CompanionError
 from companion.types.flight import FlightPhase
 from companion.types.formation import FormationChange
 from companion.types.status import Status
@@ -37,7 +38,7 @@ from companion.types.values import ZERO3
 PREPARED_WITHIN_S = 8.0  # the longest mode change of an autopilot, with a margin
 
 
-class OperateError(Exception):
+class OperateError(CompanionError):
     """No command was sent. str() is one line with what to do."""
 
 

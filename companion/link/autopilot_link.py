@@ -28,6 +28,7 @@ from companion.types.autopilot import (
     PositionSample,
     Telemetry,
 )
+from companion.types.errors import EXIT_NO_AUTOPILOT, EndingError
 from companion.types.notices import Code
 
 HEARTBEAT_PERIOD_S = 1.0
@@ -44,8 +45,10 @@ SIGNATURE_ADVICE = {
 _log = logging.getLogger(__name__)
 
 
-class AutopilotSilentError(Exception):
+class AutopilotSilentError(EndingError):
     """No answer of the autopilot. `str()` is one line: file, field, endpoint, what was expected, what to do."""
+
+    exit_code = EXIT_NO_AUTOPILOT
 
     def __init__(self, file: Path, vehicle: VehicleConfig, waited_s: float, why: str) -> None:
         super().__init__(

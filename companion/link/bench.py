@@ -26,6 +26,7 @@ from companion.link.autopilot_link import AutopilotLink, AutopilotSilentError, r
 from companion.link.byte_links import LinkError
 from companion.mavlink.codec import mavlink
 from companion.mavlink.translator import Translator
+from companion.types.errors import CompanionError
 
 
 class MavsdkBridge:
@@ -134,7 +135,7 @@ async def run_on_bench(session: BenchSession, wait_s: float, work: Callable[[], 
     return outcomes[0]
 
 
-class ParameterError(Exception):
+class ParameterError(CompanionError):
     """A parameter that could not be set. `str()` names it and the reason."""
 
 
@@ -196,7 +197,7 @@ STOPPED_WITHIN_S = 2.0
 FIRST_SET_YEAR = 2000  # an autopilot clock that was never set is in 1970 or 1980
 
 
-class FlightLogsError(Exception):
+class FlightLogsError(CompanionError):
     """A list or a log that could not be read. `str()` is the reason."""
 
 

@@ -16,6 +16,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
+from companion.types.errors import CompanionError
+
 Received = Callable[[bytes, float], bool]  # (bytes, time of arrival) -> whether they are from the autopilot
 AllRead = Callable[[], None]  # after `Received` was called for all that waited, up to a limit
 
@@ -33,7 +35,7 @@ _ADVICE = {
 }
 
 
-class LinkError(Exception):
+class LinkError(CompanionError):
     """An endpoint that cannot be opened. `str()` is the reason and the remedy."""
 
 

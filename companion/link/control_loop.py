@@ -22,6 +22,7 @@ from companion.link.tick import BACK_UP_S, PERIOD_S, LateLoopLog, TickMeter, Tic
 from companion.recording.records import TimingRecord
 from companion.types.autopilot import AttitudeTarget, AutopilotRequest, PositionSample, Telemetry
 from companion.types.commands import Command, CommandReply
+from companion.types.errors import EXIT_DEFECT, EndingError
 from companion.types.notices import Code, Notice
 from companion.types.peers import PeerPacket, ReceivedPeerPacket, ReceivedTarget, ReceivedTraffic
 from companion.types.status import NetworkState, RecordingState
@@ -79,8 +80,10 @@ Job = Callable[[], Coroutine[Any, Any, None]]
 _log = logging.getLogger(__name__)
 
 
-class AgentFailedError(Exception):
+class AgentFailedError(EndingError):
     """A defect ended the agent. `str()` is one line: what failed, and what was done."""
+
+    exit_code = EXIT_DEFECT
 
 
 class ControlLoop:

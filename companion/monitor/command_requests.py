@@ -32,6 +32,7 @@ from companion.ground.changes import (
     requested_slots,
 )
 from companion.monitor.api import CommandRequest, PathView, Preview
+from companion.types.errors import CompanionError
 from companion.types.formation import FlownSlot
 from companion.types.status import Status
 from companion.types.values import Vector3, VehicleId
@@ -46,7 +47,7 @@ REQUEST = Path("request")  # named in an error in place of a file
 T = TypeVar("T", bound=Struct)
 
 
-class RequestError(Exception):
+class RequestError(CompanionError):
     """A request that cannot be used; nothing was sent. str() is one line: field, and what was expected."""
 
 

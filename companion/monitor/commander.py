@@ -29,6 +29,7 @@ from companion.monitor.command_requests import (
     preview_of,
 )
 from companion.types.commands import CommandName, Content
+from companion.types.errors import CompanionError
 from companion.types.notices import Code, Notice
 from companion.types.status import Status
 
@@ -223,7 +224,7 @@ class Running:
         self.ended_by = self.ended_by or by
 
 
-class EndedError(Exception):
+class EndedError(CompanionError):
     """Another command came while this one was being sent. str() says which."""
 
 

@@ -22,6 +22,7 @@ from companion.recording.reader import Recording, recordings
 from companion.recording.records import COMMAND, GROUND_STATUS, REPLY, STATUS
 from companion.recording.writer.ground_recorder import ground_recorder
 from companion.recording.writer.writing import WritingThread
+from companion.types.errors import CompanionError
 from companion.types.notices import Notice
 from companion.types.values import printable
 
@@ -37,7 +38,7 @@ class RecordedFlight:
     fleets: dict[str, FleetConfig]
 
 
-class NoFlightError(Exception):
+class NoFlightError(CompanionError):
     """Recordings without anything to show. str() is one line."""
 
 

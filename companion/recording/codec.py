@@ -21,6 +21,7 @@ from companion.recording.compact import Form, form_of
 from companion.recording.records import FORMAT, FORMAT_VERSION, DecisionRecord, Header, TimingRecord
 from companion.types.autopilot import AutopilotRequest
 from companion.types.commands import Command, CommandReply
+from companion.types.errors import CompanionError
 from companion.types.notices import Notice
 from companion.types.tick import Inbox, Outbox
 from companion.types.values import MAX_VEHICLES
@@ -36,7 +37,7 @@ _REQUESTS = {type_.__name__: type_ for type_ in get_args(AutopilotRequest)}
 DECODE_ERRORS = (msgspec.MsgspecError, ValueError, RecursionError, LookupError, AttributeError, TypeError)
 
 
-class RecordError(Exception):
+class RecordError(CompanionError):
     """A message that cannot be decoded."""
 
 

@@ -21,6 +21,7 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Metadata
 
+from companion.types.errors import CompanionError
 from companion.types.values import printable
 
 Warn = Callable[[str], None]
@@ -39,7 +40,7 @@ _KNOWN = frozenset(Opcode)
 _PARSE_ERRORS = (McapError, struct.error, UnicodeDecodeError, OverflowError, ValueError)
 
 
-class UnusableFileError(Exception):
+class UnusableFileError(CompanionError):
     """A file that is no MCAP file, or cannot be read at all. str() is the reason."""
 
 
@@ -52,7 +53,7 @@ class RawMessage(NamedTuple):
     data: bytes
 
 
-class _DamagedError(Exception):
+class _DamagedError(CompanionError):
     pass
 
 

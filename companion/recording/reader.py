@@ -30,6 +30,7 @@ from companion.recording.records import (
     TimingRecord,
 )
 from companion.types.commands import Command, CommandReply
+from companion.types.errors import CompanionError
 from companion.types.notices import Notice
 from companion.types.tick import Inbox, Outbox
 from companion.types.values import printable
@@ -51,11 +52,11 @@ _DECODE: dict[str, Callable[[bytes], Any]] = {
 }
 
 
-class RecordingError(Exception):
+class RecordingError(CompanionError):
     """A folder without any recording that can be used. str() is one line."""
 
 
-class MissingTicksError(Exception):
+class MissingTicksError(CompanionError):
     """A tick is not recorded. str() says which."""
 
 

@@ -18,6 +18,7 @@ from companion.recording.mcap_file import Warn
 from companion.recording.reader import MissingTicksError, Recording, Tick
 from companion.replay.same_settings import Progress
 from companion.types.autopilot import AttitudeTarget
+from companion.types.errors import CompanionError
 from companion.wire.rounding import as_sent
 
 
@@ -55,7 +56,7 @@ class Row(Struct, frozen=True):
     computed: AttitudeTarget | None
 
 
-class _AgentFailedError(Exception):
+class _AgentFailedError(CompanionError):
     """str() says where and why."""
 
 

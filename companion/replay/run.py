@@ -18,6 +18,7 @@ from companion.replay.other_settings import Row, compare
 from companion.replay.report import compared_lines, name_of, replayed_lines
 from companion.replay.same_settings import Progress, Replayed, replay
 from companion.types.autopilot import AttitudeTarget
+from companion.types.errors import UnusableError
 from companion.types.values import printable, printable_lines
 
 EXIT_EQUAL, EXIT_DIFFERENT, EXIT_UNUSABLE = 0, 1, 2
@@ -36,10 +37,6 @@ class Options:
     overrides: Sequence[str] = ()
     csv_file: Path | None = None
     as_json: bool = False
-
-
-class UnusableError(Exception):
-    """Nothing can be replayed, or a file cannot be written. str() has one line for each reason."""
 
 
 def run_replay(options: Options) -> int:

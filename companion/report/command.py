@@ -19,12 +19,13 @@ from companion.report.finding import Severity, rows_of
 from companion.report.judge import judged
 from companion.report.load import load
 from companion.report.page import page_of, verdict
+from companion.types.errors import RefusedCommandError
 
 EXIT_WRITTEN, EXIT_CRITICAL = 0, 1
 FILE_NAME = "report.html"
 
 
-class ReportError(Exception):
+class ReportError(RefusedCommandError):
     """Nothing was written. str() is one line."""
 
 

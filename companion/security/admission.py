@@ -17,6 +17,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from msgspec import Meta, Struct
 
 from companion.security.names import FORM, ParticipantName, ParticipantRole, parse_common_name
+from companion.types.errors import CompanionError
 from companion.types.values import FleetName, printable
 
 AUTHORITY_DAYS = 3650
@@ -208,7 +209,7 @@ Serial = Annotated[str, Meta(pattern=r"^[1-9a-f][0-9a-f]{0,39}\Z")]
 Instant = Annotated[datetime, Meta(tz=True)]
 
 
-class AdmissionError(Exception):
+class AdmissionError(CompanionError):
     """An admission list that is refused. str() is one printable line without the name of the file."""
 
     def __init__(self, problem: str) -> None:

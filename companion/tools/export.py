@@ -18,6 +18,7 @@ from msgspec.structs import fields
 from companion.recording.alignment import Clock, align
 from companion.recording.reader import Recording, RecordingError, recordings
 from companion.recording.records import DECISION, STATUS, DecisionRecord
+from companion.types.errors import UnusableError
 from companion.types.status import NO_STATE_AGE_S
 from companion.types.values import printable
 from companion.wire.messages import StatusReport
@@ -105,7 +106,7 @@ STATE_COLUMNS = frozenset(
 )
 
 
-class ExportError(Exception):
+class ExportError(UnusableError):
     """Nothing can be exported, or a file cannot be written. str() is one line."""
 
 

@@ -28,6 +28,7 @@ from companion.link.bench import (
 )
 from companion.tools.doctor import AUTOPILOT_NAMES
 from companion.types.autopilot import AutopilotKind, HeartbeatSample, TextSample
+from companion.types.errors import CompanionError
 
 ALL, LAST = "all", "last"  # in place of an id
 SUFFIXES = {AutopilotKind.PX4: ".ulg", AutopilotKind.ARDUPILOT: ".bin"}
@@ -57,7 +58,7 @@ class LogsReport:
     failure: str = ""
 
 
-class NoSuchLogError(Exception):
+class NoSuchLogError(CompanionError):
     """An id that is not in the list. `str()` names it and the existing ones."""
 
 

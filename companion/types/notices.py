@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from msgspec import Struct
 
+from companion.types.errors import CompanionError
 from companion.types.values import Line
 
 
@@ -278,7 +279,7 @@ class Answer(NamedTuple):
     notice: Notice
 
 
-class Refused(Exception):  # noqa: N818 -- what happens to a request, not an error of this program
+class Refused(CompanionError):  # noqa: N818 -- what happens to a request, not an error of this program
     """Ends the check of a request. `notice` is the reason."""
 
     def __init__(self, code: Code, text: str) -> None:

@@ -11,6 +11,7 @@ from typing import TypeVar
 import msgspec
 
 from companion.types.commands import CONTENT, Command, CommandReply, ReferenceChange
+from companion.types.errors import CompanionError
 from companion.types.notices import Code
 from companion.types.peers import TargetSample, TrafficSample
 from companion.types.rejections import rejection_key
@@ -26,7 +27,7 @@ DECODE_ERRORS = (msgspec.MsgspecError, UnicodeDecodeError, RecursionError)
 _PLACE = re.compile(r" - at `(\$[\w.\[\]]{1,60})`$")
 
 
-class WireError(Exception):
+class WireError(CompanionError):
     """A message that cannot be decoded. `str()` is the reason; `key` is the counter of such rejections."""
 
     def __init__(self, code: Code, text: str, detail: int | None = None) -> None:

@@ -8,6 +8,7 @@ from typing import ClassVar, Protocol
 
 from companion.geometry.frames import enu_from_geodetic, euler_from_quaternion, geodetic_from_enu
 from companion.types.autopilot import AutopilotKind
+from companion.types.errors import CompanionError
 from companion.types.values import Vector3
 from sitl.autopilots.logs import StandInLogs
 from sitl.autopilots.parameters import StandInParameters
@@ -62,7 +63,7 @@ LOW_THRUST_RATIO = 0.6  # of hover thrust
 CRITICAL, ERROR, WARNING, INFO = 2, 3, 4, 6  # MAV_SEVERITY
 
 
-class AutopilotAbortedError(Exception):
+class AutopilotAbortedError(CompanionError):
     """The real autopilot's process would have aborted here; str() names the cause."""
 
 

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Callable
 
 from companion.config.file import ConfigError
-from sitl.errors import EXIT_FAILED, EXIT_UNUSABLE, FailedError, UnusableError
+from companion.types.errors import EXIT_FAILED, EXIT_UNUSABLE, FailedError, UnusableError
 from sitl.stopping import StopNow
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
 
-from sitl.errors import UnusableError
+from companion.types.errors import UnusableError
 from sitl.workers import LocalWorkers, Workers
 
 INSTALL = "pip install --editable '.[cluster]' in the project's folder"

@@ -15,8 +15,8 @@ from uuid import uuid4
 from distributed import Client, KilledWorker, Security
 from distributed.core import rpc
 
+from companion.types.errors import FailedError, UnusableError
 from sitl.cluster.task import TOPIC, ClusterRun, UnfitError, software, task, unfitness
-from sitl.errors import FailedError, UnusableError
 from sitl.workers import Job, Result, RunningJobs, heaviest_first
 
 ANSWERS_WITHIN_S = 10.0  # a scheduler

@@ -18,7 +18,7 @@ from msgspec import Struct
 
 import companion
 import sitl
-from sitl.errors import UnusableError
+from companion.types.errors import CompanionError, UnusableError
 from sitl.workers import reporting_to
 
 PACKAGES = ("numpy", "scipy", "msgspec", "distributed")
@@ -89,7 +89,7 @@ class UnfitError(UnusableError):
     """A machine of the cluster cannot give the results of this one. str() is one line that names it and what differs."""
 
 
-class CancelledTaskError(Exception):
+class CancelledTaskError(CompanionError):
     """The client no longer wants the result of this task. Nobody sees this error."""
 
 

@@ -21,9 +21,9 @@ from companion.stability.prediction import LinearModel
 from companion.stability.string_stability import string_gains
 from companion.tools.analysis_report import BADLY_DAMPED, GROWS, SMALL_DELAY_MARGIN_S
 from companion.types.commands import CommandName
+from companion.types.errors import EXIT_DONE, EXIT_FAILED, UnusableError
 from companion.types.flight import Role
 from companion.types.notices import Code, Notice
-from sitl.errors import EXIT_DONE, EXIT_FAILED, UnusableError
 from sitl.flight.files import truth_path, write_scenario
 from sitl.flight.options import RunOptions
 from sitl.flight.scenario import Scenario, load_scenario, reference_of, with_law

@@ -12,7 +12,7 @@ from pathlib import Path
 from companion.config.file import ConfigError
 from companion.ground.session import FleetSession
 from companion.types.commands import CommandName
-from sitl.errors import EXIT_DONE, EXIT_FAILED
+from companion.types.errors import EXIT_DONE, EXIT_FAILED
 from sitl.flight.director import Director, MachineClock
 from sitl.flight.external import ReachedVehicle, Readiness, load_external, vehicles_of
 from sitl.flight.files import estimated_path, ids_of, truth_path

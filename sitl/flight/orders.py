@@ -11,6 +11,7 @@ from msgspec import Struct
 
 from companion.ground.changes import assigned, change_to, named_slots, positions_enu_m, reference_change
 from companion.types.commands import CommandName, CommandReply, Content, Lead, ReferenceChange, next_epoch
+from companion.types.errors import CompanionError
 from companion.types.flight import RULES, FlightPhase, Role
 from companion.types.formation import FormationChange
 from companion.types.notices import Code
@@ -29,7 +30,7 @@ TO_THE_GROUND = (CommandName.LAND, CommandName.RETURN)
 MAY_OBSERVE = (CommandName.PREPARE, CommandName.DISARM, *TO_THE_GROUND)
 
 
-class FlightFailure(Exception):  # noqa: N818 -- an outcome of a flight, not an error of this program
+class FlightFailure(CompanionError):  # noqa: N818 -- an outcome of a flight, not an error of this program
     """The flight cannot continue. str() is the reason in one line."""
 
 

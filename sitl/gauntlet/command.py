@@ -11,8 +11,8 @@ from pathlib import Path
 from msgspec import Struct
 
 from companion.config.fleet_check import load_fleet
+from companion.types.errors import EXIT_DONE, EXIT_FAILED, UnusableError
 from sitl.cluster import workers_of
-from sitl.errors import EXIT_DONE, EXIT_FAILED, UnusableError
 from sitl.gauntlet.drawn import family_of
 from sitl.gauntlet.families import FAMILIES
 from sitl.gauntlet.flight import Job, Outcome, fly

@@ -10,6 +10,7 @@ from typing import Any
 
 from companion.config.file import ConfigError
 from companion.config.fleet import FleetConfig
+from companion.types.errors import CompanionError
 from sitl.flight.flights import DivergesError, check_convergence
 from sitl.flight.scenario import Scenario, scenario_from
 from sitl.gauntlet.families import FAMILIES, FORM_S, Plan, step
@@ -35,7 +36,7 @@ class Drawn:
     runaway: int | None
 
 
-class NoFlightError(Exception):
+class NoFlightError(CompanionError):
     """No draw gave a flight that vehicles accept. str() names the last refusal."""
 
 

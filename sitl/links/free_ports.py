@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import BinaryIO
 
 from companion.types.autopilot import AutopilotKind
+from companion.types.errors import UnusableError
 from sitl.autopilots.types import AUTOPILOT_TYPES
-from sitl.errors import UnusableError
 from sitl.links.ports import GROUND_STATION_PORT, LOOPBACK, ports_of
 
 WantedPort = tuple[socket.SocketKind, int, str]  # kind, number, purpose

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from companion.types.errors import EXIT_DONE
 from sitl.cluster import workers_of
-from sitl.errors import EXIT_DONE
 from sitl.report.share import ShareProgress
 from sitl.stopping import StopRequest
 

@@ -8,7 +8,7 @@ from enum import StrEnum
 from pathlib import Path
 
 from companion.config.fleet import LawName
-from sitl.errors import FailedError
+from companion.types.errors import FailedError
 from sitl.flight.scenario import Scenario, load_scenario, reference_of
 from sitl.flight.virtual_flight import fly_in_virtual_time
 from sitl.report.metrics import Flight, Formation, neighbouring_pairs, standing

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import get_args
 
 from companion.config.fleet import LawName
-from sitl.errors import UnusableError
+from companion.types.errors import UnusableError
 
 RUNS = Path("runs")
 LAWS: tuple[LawName, ...] = get_args(LawName)

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from companion.stability.arrays import FloatArray
+from companion.types.errors import CompanionError
 from companion.types.values import Vector3
 
 USED = ("monotonic_s", "x_m", "y_m", "z_m")
@@ -28,7 +29,7 @@ class Track:
         return np.stack(axes, axis=1)
 
 
-class TrackError(Exception):
+class TrackError(CompanionError):
     """A track that cannot be used. str() is one line."""
 
 

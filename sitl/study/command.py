@@ -9,8 +9,8 @@ from textwrap import fill
 
 from msgspec import Struct
 
+from companion.types.errors import EXIT_DONE
 from sitl.cluster import workers_of
-from sitl.errors import EXIT_DONE
 from sitl.report.claim import Claim
 from sitl.report.folder import results_folder
 from sitl.report.share import ShareProgress

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from companion.types.errors import EXIT_DONE
 from sitl.cluster import workers_of
-from sitl.errors import EXIT_DONE
 from sitl.report.folder import results_folder
 from sitl.report.share import ShareProgress
 from sitl.report.summary import write_json

@@ -9,8 +9,8 @@ from pathlib import Path
 from msgspec import Struct
 
 from companion.config.file import ConfigError
+from companion.types.errors import EXIT_DONE
 from sitl.cluster import workers_of
-from sitl.errors import EXIT_DONE
 from sitl.report.folder import results_folder
 from sitl.report.share import ShareProgress
 from sitl.report.summary import write_json

@@ -12,10 +12,10 @@ import pytest
 
 from companion.types.autopilot import AutopilotKind
 from companion.types.commands import CommandName
+from companion.types.errors import EXIT_DONE, UnusableError
 from companion.types.flight import FlightPhase
 from repository import ROOT
 from sitl.cli.gauntlet import add_arguments, run
-from sitl.errors import EXIT_DONE, UnusableError
 from sitl.flight.lockstep import Lockstep
 from sitl.flight.scenario import Scenario, load_scenario
 from sitl.flight.virtual_flight import fly_without_landing

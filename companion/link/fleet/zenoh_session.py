@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import zenoh
 
 from companion.security.names import ParticipantName, ParticipantRole, parse_common_name
+from companion.types.errors import UnusableError
 from companion.wire.keys import (
     abort_key,
     admission_key,
@@ -76,13 +77,16 @@ SETTINGS: dict[str, Any] = {
 }
 
 
-class EndpointError(Exception):
+class EndpointError(UnusableError):
     """A Zenoh endpoint that cannot be used. `str()` is the reason and the remedy, without the endpoint."""
 
     def __init__(self, kind: str, endpoint: str, problem: str) -> None:
         super().__init__(problem)
         self.kind = kind  # "listen" or "connect"
         self.endpoint = endpoint
+
+    def line(self, command: str) -> str:
+        return f'{command}: --{self.kind} "{self.endpoint}": {self}'
 
 
 def open_session(listen: Sequence[str], connect: Sequence[str], identity: Identity | None = None) -> zenoh.Session:

@@ -7,9 +7,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from companion.report.arrays import Floats
+from companion.types.errors import CompanionError
 
 
-class LogError(Exception):
+class LogError(CompanionError):
     """A log that cannot be used. str() is the reason."""
 
 

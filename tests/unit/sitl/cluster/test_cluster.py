@@ -16,13 +16,13 @@ from distributed import Client
 from numpy.lib.introspect import opt_func_info
 
 import cluster_jobs as jobs
+from companion.types.errors import UnusableError
 from dask_cluster import Cluster, cluster, until
 from sitl.cli.options import cluster_address
 from sitl.cluster import client as client_module
 from sitl.cluster import workers_of
 from sitl.cluster.client import DeadlyJobError, NoWorkersLeftError, SchedulerLostError
 from sitl.cluster.task import UnfitError, differences, software, unfitness
-from sitl.errors import UnusableError
 from sitl.workers import LocalWorkers, all_results
 
 OTHER_NUMPY = "from sitl.cluster import task\ntask.software()['numpy'] = '1.0'\n"
