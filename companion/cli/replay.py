@@ -55,14 +55,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """The exit code."""
-    from companion.replay.run import Options, run_replay
+    from companion.replay.run import ReplayOptions, run_replay
     from companion.types.errors import UnusableError
 
     overrides = [*([f"fleet.law.name={options.law}"] if options.law else []), *options.overrides]
     if options.csv and not overrides:
         return fail("companion replay: --csv: needs --law or --set; without them the commands are equal", EXIT_UNUSABLE)
     try:
-        return run_replay(Options(options.folder, options.vehicle, overrides, options.csv, options.json))
+        return run_replay(ReplayOptions(options.folder, options.vehicle, overrides, options.csv, options.json))
     except UnusableError as error:
         return fail(str(error), EXIT_UNUSABLE)
     except KeyboardInterrupt:

@@ -14,7 +14,7 @@ from companion.config.fleet import FleetConfig
 from companion.ground.session import FleetSession
 from companion.monitor.events import Happening, answered, commanded
 from companion.monitor.sources import ReplaySource, TimedReport
-from companion.recording.alignment import Clock, align
+from companion.recording.alignment import RecordingClock, align
 from companion.recording.configuration import recorded_fleet
 from companion.recording.mcap_file import Warn
 from companion.recording.one_flight import APART_S, of_one_flight
@@ -79,17 +79,17 @@ def _about(times_s: Sequence[float]) -> tuple[float, float]:
     return (min(times_s) - APART_S, max(times_s) + APART_S) if times_s else (-inf, inf)
 
 
-def _own_clock(recording: Recording) -> Clock:
-    return Clock(recording.header.monotonic_s, recording.header.unix_s, 0.0)
+def _own_clock(recording: Recording) -> RecordingClock:
+    return RecordingClock(recording.header.monotonic_s, recording.header.unix_s, 0.0)
 
 
-def _reports(recorded: Sequence[tuple[Recording, Clock]], topic: str, warn: Warn) -> Iterator[TimedReport]:
+def _reports(recorded: Sequence[tuple[Recording, RecordingClock]], topic: str, warn: Warn) -> Iterator[TimedReport]:
     for one, clock in recorded:
         for message in one.read([topic], warn):
             yield clock.common_s(message.now_s), message.value
 
 
-def _happenings(recorded: Sequence[tuple[Recording, Clock]], warn: Warn) -> Iterator[Happening]:
+def _happenings(recorded: Sequence[tuple[Recording, RecordingClock]], warn: Warn) -> Iterator[Happening]:
     """Commands as the vehicles received them, and their answers; each once, however often its operator repeated it."""
     for one, clock in recorded:
         fleet, vehicle_id = one.header.fleet, one.vehicle_id

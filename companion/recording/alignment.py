@@ -53,7 +53,7 @@ _decoder = msgspec.json.Decoder(_Packets)
 
 
 @dataclass(frozen=True, slots=True)
-class Clock:
+class RecordingClock:
     """The clock of one recording. Common time is the Unix time of the first vehicle, and Unix time of none of the others.
 
     `width_s`: twice the largest error against the first vehicle; None where the clock could not be compared, so that common
@@ -74,13 +74,13 @@ class Clock:
         return self.width_s is not None
 
 
-def align(recordings: Sequence[Recording], warn: Warn) -> tuple[Clock, ...]:
+def align(recordings: Sequence[Recording], warn: Warn) -> tuple[RecordingClock, ...]:
     """The clock of each recording. The reference is the first recording of those that are connected with the most others.
 
     Of several such groups, as with all flights of a day in one folder, it is the latest by its own clocks.
     """
     lines = _lines(recordings, warn)
-    own = [Clock(one.header.monotonic_s, one.header.unix_s, 0.0) for one in recordings]
+    own = [RecordingClock(one.header.monotonic_s, one.header.unix_s, 0.0) for one in recordings]
     groups = [_connected(start, own[start], lines) for start in range(len(recordings))]
     best = max(groups, key=lambda group: (len(group), max(own[i].unix_s for i in group)), default={})
     if len(best) == 1:
@@ -88,9 +88,9 @@ def align(recordings: Sequence[Recording], warn: Warn) -> tuple[Clock, ...]:
     return tuple(best.get(index, clock) for index, clock in enumerate(own))
 
 
-def _connected(start: int, clock: Clock, lines: dict[tuple[int, int], ClockLine]) -> dict[int, Clock]:
+def _connected(start: int, clock: RecordingClock, lines: dict[tuple[int, int], ClockLine]) -> dict[int, RecordingClock]:
     """The clocks that are connected with this one, each over the narrowest corridors."""
-    clocks: dict[int, Clock] = {}
+    clocks: dict[int, RecordingClock] = {}
     waiting = {start: replace(clock, width_s=0.0)}
     while waiting:
         index = min(waiting, key=lambda i: (waiting[i].width_s or 0.0, i))
@@ -102,9 +102,9 @@ def _connected(start: int, clock: Clock, lines: dict[tuple[int, int], ClockLine]
     return clocks
 
 
-def _behind(known: Clock, line: ClockLine) -> Clock:
+def _behind(known: RecordingClock, line: ClockLine) -> RecordingClock:
     """The clock b of a line whose clock a is known."""
-    return Clock(
+    return RecordingClock(
         at_s=line.at_s + line.offset_s,
         unix_s=known.common_s(line.at_s),
         rate=(1.0 + known.rate) / (1.0 + line.rate) - 1.0,

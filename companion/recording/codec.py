@@ -16,8 +16,8 @@ import msgspec
 from msgspec import Struct
 from msgspec.structs import fields
 
-from companion.recording import numbers
 from companion.recording.compact import Form, form_of
+from companion.recording.numbers import decode_exact, encode_exact, has_not_finite
 from companion.recording.records import FORMAT, FORMAT_VERSION, DecisionRecord, Header, TimingRecord
 from companion.types.autopilot import AutopilotRequest
 from companion.types.commands import Command, CommandReply
@@ -62,14 +62,12 @@ class _TickCodec:
             value = getattr(tick, name)
             if value or value.__class__ is float:  # 0.0 too: -0.0 is another number
                 record[name] = pack(value) if pack else value
-        return numbers.encode(record)
+        return encode_exact(record)
 
     def decode(self, data: bytes) -> tuple[float, Any]:
         try:
-            if numbers.has_not_finite(data):
-                wire = msgspec.convert(numbers.decoded(data), self._wire)
-            else:
-                wire = self._decoder.decode(data)
+            exact = has_not_finite(data)
+            wire: Any = msgspec.convert(decode_exact(data), self._wire) if exact else self._decoder.decode(data)
             values = {}
             for name, unpack in self._unpacks:
                 value = getattr(wire, name)
@@ -108,8 +106,8 @@ def encode(message: Message) -> bytes:
     return _encoder.encode(message)
 
 
-class Decoder(Generic[T]):
-    """Decodes the messages of one topic: `Decoder(Notice)` those of /event."""
+class TopicDecoder(Generic[T]):
+    """Decodes the messages of one topic: `TopicDecoder(Notice)` those of /event."""
 
     def __init__(self, type_: type[T]) -> None:
         self._type = type_

@@ -17,7 +17,7 @@ _encoder = msgspec.json.Encoder()
 _decoder = msgspec.json.Decoder()
 
 
-def encode(record: dict[str, Any]) -> bytes:
+def encode_exact(record: dict[str, Any]) -> bytes:
     """The record as JSON. Its values are plain, and none of them is None."""
     data = _encoder.encode(record)
     if b"null" in data and (numbers := _not_finite(record)):
@@ -26,11 +26,11 @@ def encode(record: dict[str, Any]) -> bytes:
 
 
 def has_not_finite(data: bytes) -> bool:
-    """Whether `decoded` is needed."""
+    """Whether `decode_exact` is needed."""
     return data.startswith(START)
 
 
-def decoded(data: bytes) -> Any:
+def decode_exact(data: bytes) -> Any:
     """The plain content of a message with numbers that are not finite. Raises ValueError, as msgspec's errors are."""
     record = _decoder.decode(data)
     stand_for = record.pop(KEY)

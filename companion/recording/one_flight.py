@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from datetime import UTC, datetime
 
-from companion.recording.alignment import Clock
+from companion.recording.alignment import RecordingClock
 from companion.recording.mcap_file import Warn
 from companion.recording.reader import Recording
 
@@ -14,8 +14,8 @@ NAMED = 5  # of those that are left out
 
 
 def of_one_flight(
-    recordings: Sequence[Recording], clocks: Sequence[Clock], warn: Warn
-) -> list[tuple[Recording, Clock]]:
+    recordings: Sequence[Recording], clocks: Sequence[RecordingClock], warn: Warn
+) -> list[tuple[Recording, RecordingClock]]:
     """Those whose clocks are aligned, and what begins near them; without any, the latest and what begins near it.
 
     `warn` gets one line where others are left out. There is at least one recording.

@@ -11,7 +11,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from companion.recording.codec import Decoder, RecordError, decode_inbox, decode_outbox, header_of, monotonic_s
+from companion.recording.codec import RecordError, TopicDecoder, decode_inbox, decode_outbox, header_of, monotonic_s
 from companion.recording.mcap_file import McapFile, RawMessage, UnusableFileError, Warn
 from companion.recording.records import (
     COMMAND,
@@ -41,14 +41,14 @@ MAX_FILES = 10_000
 _DECODE: dict[str, Callable[[bytes], Any]] = {
     INBOX: decode_inbox,
     OUTBOX: decode_outbox,
-    DECISION: Decoder(DecisionRecord).decode,
-    TIMING: Decoder(TimingRecord).decode,
-    STATUS: Decoder(StatusReport).decode,
-    EVENT: Decoder(Notice).decode,
-    COMMAND: Decoder(Command).decode,
-    REPLY: Decoder(CommandReply).decode,
-    GROUND_STATUS: Decoder(StatusReport).decode,
-    GROUND_COMMAND: Decoder(Command).decode,
+    DECISION: TopicDecoder(DecisionRecord).decode,
+    TIMING: TopicDecoder(TimingRecord).decode,
+    STATUS: TopicDecoder(StatusReport).decode,
+    EVENT: TopicDecoder(Notice).decode,
+    COMMAND: TopicDecoder(Command).decode,
+    REPLY: TopicDecoder(CommandReply).decode,
+    GROUND_STATUS: TopicDecoder(StatusReport).decode,
+    GROUND_COMMAND: TopicDecoder(Command).decode,
 }
 
 
@@ -71,7 +71,7 @@ class Recorded(NamedTuple):
     value: Any
 
 
-class Tick(NamedTuple):
+class RecordedTick(NamedTuple):
     """`number`: from 1 in a start, without gaps. `output` is the message of /outbox, b"" where there is none of the tick."""
 
     number: int
@@ -85,7 +85,7 @@ class Tick(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class RecordedPart:
     """One file."""
 
     path: Path
@@ -96,7 +96,7 @@ class Part:
 class Recording:
     """What one start of one agent recorded, or one start on the ground (vehicle 0). Parts are in order, of one at least."""
 
-    parts: tuple[Part, ...]
+    parts: tuple[RecordedPart, ...]
 
     @property
     def header(self) -> Header:
@@ -137,7 +137,7 @@ class Recording:
             if unreadable:
                 warn(f"{_shown(part.path)}: {unreadable} messages cannot be read, the first of {printable(first)}")
 
-    def ticks(self, warn: Warn) -> Iterator[Tick]:
+    def ticks(self, warn: Warn) -> Iterator[RecordedTick]:
         """All ticks, from the first of the start on. `warn` as for `read`.
 
         Raises MissingTicksError at a tick that is not recorded: those after it depend on it.
@@ -153,7 +153,7 @@ class Recording:
                             yield pending
                         if sequence != number + 1:
                             raise MissingTicksError(_not_recorded(number, sequence))
-                        number, pending = sequence, Tick(sequence, *decode_inbox(data), b"")
+                        number, pending = sequence, RecordedTick(sequence, *decode_inbox(data), b"")
                     elif pending and sequence == number:
                         yield pending._replace(output=data)
                         pending = None
@@ -172,7 +172,7 @@ def recordings(folder: Path, warn: Warn) -> list[Recording]:
     parts = [part for path in files if (part := _part(path, warn))]
     if not parts:
         raise RecordingError(f"{_shown(folder)}: {_nothing_usable(folder, files)}")
-    starts: dict[tuple[str, int, int, float], dict[int, Part]] = {}
+    starts: dict[tuple[str, int, int, float], dict[int, RecordedPart]] = {}
     for part in parts:
         header = part.header
         of_start = starts.setdefault((header.fleet, header.vehicle_id, header.session, header.unix_s), {})
@@ -202,16 +202,16 @@ def _nothing_usable(folder: Path, files: list[Path]) -> str:
     return "no recordings here; expected files *.mcap of agents, also in folders inside"
 
 
-def _part(path: Path, warn: Warn) -> Part | None:
+def _part(path: Path, warn: Warn) -> RecordedPart | None:
     """None with a line for `warn` where the file is no recording that can be used."""
     try:
-        return Part(path, header_of(McapFile(path).metadata(FORMAT)))
+        return RecordedPart(path, header_of(McapFile(path).metadata(FORMAT)))
     except (UnusableFileError, RecordError) as error:
         warn(f"{_shown(path)}: {printable(str(error))}")
         return None
 
 
-def _messages(part: Part, topics: Collection[str], warn: Warn) -> Iterator[RawMessage]:
+def _messages(part: RecordedPart, topics: Collection[str], warn: Warn) -> Iterator[RawMessage]:
     """A file that was there before may be gone."""
     try:
         yield from McapFile(part.path).messages(topics, warn)

@@ -31,7 +31,7 @@ from companion.types.commands import Command, CommandReply
 from companion.types.notices import Notice
 from companion.wire.messages import StatusReport
 
-ENCODING = "jsonschema"  # of the schemas, as MCAP names it
+SCHEMA_ENCODING = "jsonschema"  # of the schemas, as MCAP names it
 MESSAGE_ENCODING = "json"
 Schema = dict[str, Any]
 NoneType = type(None)

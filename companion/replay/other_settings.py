@@ -15,7 +15,7 @@ from companion.core.agent import Agent
 from companion.recording.codec import RecordError
 from companion.recording.configuration import recorded_config
 from companion.recording.mcap_file import Warn
-from companion.recording.reader import MissingTicksError, Recording, Tick
+from companion.recording.reader import MissingTicksError, RecordedTick, Recording
 from companion.replay.same_settings import Progress
 from companion.types.autopilot import AttitudeTarget
 from companion.types.errors import CompanionError
@@ -29,7 +29,7 @@ class Deviation(Struct, frozen=True):
     rms: float = 0.0
 
 
-class Compared(Struct, frozen=True, kw_only=True):
+class SettingsComparison(Struct, frozen=True, kw_only=True):
     """`commands`: ticks with a setpoint in both. `unusable`: why there are no more ticks, "" at the end of the recording."""
 
     vehicle_id: int
@@ -46,7 +46,7 @@ class Compared(Struct, frozen=True, kw_only=True):
     unusable: str = ""
 
 
-class Row(Struct, frozen=True):
+class CommandPair(Struct, frozen=True):
     """The commands of one tick. `time_s`: since the first tick."""
 
     vehicle_id: int
@@ -96,8 +96,8 @@ class _Commands:
 
 
 def compare(
-    recording: Recording, overrides: Sequence[str], row: Callable[[Row], None], progress: Progress, warn: Warn
-) -> Compared:
+    recording: Recording, overrides: Sequence[str], row: Callable[[CommandPair], None], progress: Progress, warn: Warn
+) -> SettingsComparison:
     """Feeds every recorded input to an agent with these settings. `row` gets the commands of each tick. Raises ConfigError."""
     header, path = recording.header, recording.parts[0].path
     formation_hash = recorded_config(path, header).fleet.formation_hash()
@@ -114,11 +114,11 @@ def compare(
             commands.add(recorded, computed)
             if first is None and recorded != computed:
                 first = (tick.number, round(tick.now_s - begin_s, 6))
-            row(Row(header.vehicle_id, header.session, round(tick.now_s - begin_s, 6), recorded, computed))
+            row(CommandPair(header.vehicle_id, header.session, round(tick.now_s - begin_s, 6), recorded, computed))
             progress(ticks, tick.now_s - begin_s)
     except (MissingTicksError, RecordError, _AgentFailedError) as error:
         unusable = str(error)
-    return Compared(
+    return SettingsComparison(
         vehicle_id=header.vehicle_id,
         session=header.session,
         ticks=ticks,
@@ -134,7 +134,7 @@ def compare(
     )
 
 
-def _command(agent: Agent, tick: Tick) -> AttitudeTarget | None:
+def _command(agent: Agent, tick: RecordedTick) -> AttitudeTarget | None:
     """Raises _AgentFailedError."""
     try:
         return as_sent(agent.step(tick.now_s, tick.inbox)).attitude_target

@@ -7,8 +7,8 @@ from datetime import UTC, datetime
 
 from companion.recording.reader import Recording
 from companion.recording.records import SOFTWARE
-from companion.replay.other_settings import Compared, Deviation
-from companion.replay.same_settings import FirstDifference, Replayed
+from companion.replay.other_settings import Deviation, SettingsComparison
+from companion.replay.same_settings import FirstDifference, ReplayResult
 from companion.types.values import printable
 
 HEADING = (
@@ -25,7 +25,7 @@ def name_of(recording: Recording, all_of_them: Sequence[Recording]) -> str:
     return printable(name + (f", start {starts.index(recording) + 1}" if len(starts) > 1 else ""))
 
 
-def replayed_lines(name: str, result: Replayed) -> Iterator[str]:
+def replayed_lines(name: str, result: ReplayResult) -> Iterator[str]:
     """The result for one start of one vehicle."""
     if not result.ticks:
         yield f"{name}: cannot be replayed: {printable(result.unusable)}"
@@ -47,7 +47,9 @@ def _place(difference: FirstDifference) -> str:
     return f"tick {difference.tick} differs, {difference.time_s:.3f} s after the first ({utc:%Y-%m-%d %H:%M:%S.%f} UTC)"
 
 
-def compared_lines(names: Sequence[str], results: Sequence[Compared], overrides: Sequence[str]) -> Iterator[str]:
+def compared_lines(
+    names: Sequence[str], results: Sequence[SettingsComparison], overrides: Sequence[str]
+) -> Iterator[str]:
     """A table: how far the commands with other settings are from the recorded ones."""
     yield f"with {printable(', '.join(overrides))}, against the recorded commands (roll and pitch in degrees, thrust 0 to 1):"
     yield HEADING

@@ -14,9 +14,9 @@ import msgspec
 
 from companion.config.file import ConfigError
 from companion.recording.reader import Recording, RecordingError, recordings
-from companion.replay.other_settings import Row, compare
+from companion.replay.other_settings import CommandPair, compare
 from companion.replay.report import compared_lines, name_of, replayed_lines
-from companion.replay.same_settings import Progress, Replayed, replay
+from companion.replay.same_settings import Progress, ReplayResult, replay
 from companion.types.autopilot import AttitudeTarget
 from companion.types.errors import UnusableError
 from companion.types.values import printable, printable_lines
@@ -29,7 +29,7 @@ COLUMNS = ("vehicle", "session", "time_s", *(f"{which}_{value}" for which in ("r
 
 
 @dataclass(frozen=True, slots=True)
-class Options:
+class ReplayOptions:
     """`overrides`: KEY=VALUE of other settings. `vehicle_id` None: all."""
 
     folder: Path
@@ -39,7 +39,7 @@ class Options:
     as_json: bool = False
 
 
-def run_replay(options: Options) -> int:
+def run_replay(options: ReplayOptions) -> int:
     """Prints the result and returns the exit code. Raises UnusableError."""
     left_out: list[str] = []
     try:
@@ -61,7 +61,7 @@ def run_replay(options: Options) -> int:
 # ------------------------------------------------------------ the recorded settings
 
 
-def _replay_all(options: Options, found: Sequence[Recording]) -> int:
+def _replay_all(options: ReplayOptions, found: Sequence[Recording]) -> int:
     results = []
     for recording in found:
         name = name_of(recording, found)
@@ -78,12 +78,12 @@ def _replay_all(options: Options, found: Sequence[Recording]) -> int:
     return EXIT_EQUAL if equal else EXIT_UNUSABLE
 
 
-def _replayed(recording: Recording, progress: Progress) -> Replayed:
+def _replayed(recording: Recording, progress: Progress) -> ReplayResult:
     try:
         return replay(recording, progress, _warn)
     except ConfigError as error:
         header = recording.header
-        return Replayed(
+        return ReplayResult(
             vehicle_id=header.vehicle_id, session=header.session, software=header.software, ticks=0, unusable=str(error)
         )
 
@@ -91,7 +91,7 @@ def _replayed(recording: Recording, progress: Progress) -> Replayed:
 # ------------------------------------------------------------ other settings
 
 
-def _compare_all(options: Options, found: Sequence[Recording]) -> int:
+def _compare_all(options: ReplayOptions, found: Sequence[Recording]) -> int:
     names, results = [name_of(recording, found) for recording in found], []
     with _rows_to(options.csv_file) as row:
         for name, recording in zip(names, found, strict=True):
@@ -108,7 +108,7 @@ def _compare_all(options: Options, found: Sequence[Recording]) -> int:
 
 
 @contextmanager
-def _rows_to(path: Path | None) -> Iterator[Callable[[Row], None]]:
+def _rows_to(path: Path | None) -> Iterator[Callable[[CommandPair], None]]:
     """A function that writes the rows of a CSV file, if there is to be one. Raises UnusableError."""
     if path is None:
         yield lambda _: None
@@ -122,7 +122,7 @@ def _rows_to(path: Path | None) -> Iterator[Callable[[Row], None]]:
         raise UnusableError(f"--csv: {printable(str(path))}: {error.strerror}") from error
 
 
-def _cells(row: Row) -> list[object]:
+def _cells(row: CommandPair) -> list[object]:
     return [row.vehicle_id, row.session, row.time_s, *_command(row.recorded), *_command(row.computed)]
 
 

@@ -11,7 +11,7 @@ from companion.core.agent import Agent
 from companion.recording.codec import RecordError, encode_outbox
 from companion.recording.configuration import recorded_config
 from companion.recording.mcap_file import Warn
-from companion.recording.reader import MissingTicksError, Recording, Tick
+from companion.recording.reader import MissingTicksError, RecordedTick, Recording
 from companion.replay.differences import Difference, first_difference
 from companion.wire.rounding import as_sent
 
@@ -30,7 +30,7 @@ class FirstDifference(Struct, frozen=True, kw_only=True):
     computed: str
 
 
-class Replayed(Struct, frozen=True, kw_only=True):
+class ReplayResult(Struct, frozen=True, kw_only=True):
     """`ticks`: those that were compared, the different one among them. `unusable`: why there are no more, "" at the end.
 
     `not_recorded`: ticks whose output is not in the recording.
@@ -45,7 +45,7 @@ class Replayed(Struct, frozen=True, kw_only=True):
     unusable: str = ""
 
 
-def replay(recording: Recording, progress: Progress, warn: Warn) -> Replayed:
+def replay(recording: Recording, progress: Progress, warn: Warn) -> ReplayResult:
     """Feeds every recorded input to the agent until an output differs. Raises ConfigError for an unusable configuration."""
     header = recording.header
     agent = build_agent(recorded_config(recording.parts[0].path, header), header.session)
@@ -70,7 +70,7 @@ def replay(recording: Recording, progress: Progress, warn: Warn) -> Replayed:
                 break
     except (MissingTicksError, RecordError) as error:
         unusable = str(error)
-    return Replayed(
+    return ReplayResult(
         vehicle_id=header.vehicle_id,
         session=header.session,
         software=header.software,
@@ -81,7 +81,7 @@ def replay(recording: Recording, progress: Progress, warn: Warn) -> Replayed:
     )
 
 
-def _compared(agent: Agent, tick: Tick) -> Difference | None:
+def _compared(agent: Agent, tick: RecordedTick) -> Difference | None:
     try:
         computed = as_sent(agent.step(tick.now_s, tick.inbox))
     except Exception as error:  # noqa: BLE001 -- a defect of the agent is what a replay is to find

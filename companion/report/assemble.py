@@ -10,7 +10,7 @@ import msgspec
 from companion.config.fleet import FleetConfig
 from companion.recording.records import DecisionRecord, Header, TimingRecord
 from companion.report.columns import statuses_of, ticks_of, timing_of
-from companion.report.flight import Event, GivenCommand, Start, VehicleLog
+from companion.report.flight import AgentStart, FlightEvent, GivenCommand, VehicleLog
 from companion.types.commands import Command, CommandReply
 from companion.types.notices import Notice
 from companion.types.status import Status
@@ -65,16 +65,16 @@ def vehicle_log(starts: Sequence[StartRecords], clocks: Sequence[ToFlight], alig
         ticks_of([time_s for time_s, _ in decisions], [record for _, record in decisions]),
         timing_of([time_s for time_s, _ in timings], [record for _, record in timings]),
         statuses_of([time_s for time_s, _ in statuses], [status for _, status in statuses]),
-        tuple(Event(at(time_s), one.code, one.text) for start, at in both for time_s, one in start.events),
+        tuple(FlightEvent(at(time_s), one.code, one.text) for start, at in both for time_s, one in start.events),
         tuple(command for start, at in both for command in given_commands(start, at)),
         aligned,
     )
 
 
-def _start(start: StartRecords, at: ToFlight) -> Start:
+def _start(start: StartRecords, at: ToFlight) -> AgentStart:
     begins_s, ends_s = start.span_s
     header = start.header
-    return Start(header.session, header.software, at(begins_s), at(ends_s), start.files, start.problems)
+    return AgentStart(header.session, header.software, at(begins_s), at(ends_s), start.files, start.problems)
 
 
 def given_commands(start: StartRecords, at: ToFlight) -> list[GivenCommand]:

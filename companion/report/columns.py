@@ -10,16 +10,16 @@ import numpy as np
 
 from companion.recording.records import DecisionRecord, TimingRecord
 from companion.report.arrays import Bools, Floats, Words
-from companion.report.flight import NeighbourUse, Statuses, Ticks, TickTiming
+from companion.report.flight import NeighbourUse, Statuses, TickColumns, TickTiming
 from companion.types.status import Status
 
 NO_VECTOR = (np.nan, np.nan, np.nan)
 LARGEST = 1e9  # of no quantity in the units of the records is there more
 
 
-def ticks_of(time_s: Sequence[float], records: Sequence[DecisionRecord]) -> Ticks:
+def ticks_of(time_s: Sequence[float], records: Sequence[DecisionRecord]) -> TickColumns:
     """The columns of decisions at these times (n,)."""
-    return Ticks(
+    return TickColumns(
         time_s=np.array(time_s, dtype=np.float64),
         phase=_words(records, "phase"),
         role=_words(records, "role"),

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from companion.config.fleet import EdgeNeighbours, FleetConfig
-from companion.report.flight import RecordedFlight
+from companion.report.flight import FlightRecords
 
 MOST_EDGES = 40
 
 
-def settings(fleet: FleetConfig) -> list[tuple[str, str]]:
+def settings_rows(fleet: FleetConfig) -> list[tuple[str, str]]:
     """(name as in the fleet file, value)."""
     envelope, law = fleet.envelope, fleet.law
     neighbours = fleet.neighbours
@@ -37,7 +37,7 @@ def settings(fleet: FleetConfig) -> list[tuple[str, str]]:
     ]
 
 
-def members(fleet: FleetConfig) -> list[tuple[int, str, str, bool]]:
+def member_rows(fleet: FleetConfig) -> list[tuple[int, str, str, bool]]:
     """(vehicle, role, slot, may lead)."""
     return [
         (member.id, str(member.role), ", ".join(f"{x:g}" for x in member.slot_enu_m), member.can_lead)
@@ -45,7 +45,7 @@ def members(fleet: FleetConfig) -> list[tuple[int, str, str, bool]]:
     ]
 
 
-def recordings(flight: RecordedFlight) -> list[tuple[int, int, str, float, float, str]]:
+def recording_rows(flight: FlightRecords) -> list[tuple[int, int, str, float, float, str]]:
     """(vehicle, number of the start, software, begin, end, files)."""
     return [
         (vehicle.vehicle_id, number, start.software, start.begins_s, start.ends_s, ", ".join(start.files))

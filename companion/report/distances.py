@@ -9,14 +9,14 @@ import numpy as np
 
 from companion.geometry.separation import HEIGHT_WEIGHT
 from companion.report.arrays import Bools, Floats
-from companion.report.flight import RecordedFlight, VehicleLog
+from companion.report.flight import FlightRecords, VehicleLog
 
 GRID_S = 0.02
 LONGEST_GAP_S = 0.5  # across a longer gap of a recording there is no position
 
 
 @dataclass(frozen=True, slots=True)
-class Grid:
+class TimeGrid:
     """Positions of all vehicles at common times (n,): (n, 3) by vehicle id, NaN where there is none."""
 
     time_s: Floats
@@ -42,16 +42,16 @@ class PairDistance:
         return float(self.time_s[int(np.nanargmin(np.where(self.judged, self.distance_m, np.inf)))])
 
 
-def grid_of(flight: RecordedFlight) -> Grid:
+def grid_of(flight: FlightRecords) -> TimeGrid:
     """Positions every 20 ms, interpolated between the ticks of each vehicle."""
     vehicles = [vehicle for vehicle in flight.vehicles if vehicle.ticks.time_s.size]
     if not vehicles:
-        return Grid(np.empty(0), {}, {})
+        return TimeGrid(np.empty(0), {}, {})
     ends_s = max(float(vehicle.ticks.time_s[-1]) for vehicle in vehicles)
     time_s = np.arange(0.0, ends_s + GRID_S / 2.0, GRID_S)
     positions = {vehicle.vehicle_id: sampled(vehicle, vehicle.ticks.position_enu_m, time_s) for vehicle in vehicles}
     in_air = {vehicle.vehicle_id: _in_air(vehicle, time_s) for vehicle in vehicles}
-    return Grid(time_s, positions, in_air)
+    return TimeGrid(time_s, positions, in_air)
 
 
 def sampled(vehicle: VehicleLog, values: Floats, time_s: Floats) -> Floats:
@@ -74,7 +74,7 @@ def _in_air(vehicle: VehicleLog, time_s: Floats) -> Bools:
     return np.asarray(vehicle.in_air()[row], dtype=np.bool_)
 
 
-def pair_distances(flight: RecordedFlight, grid: Grid) -> list[PairDistance]:
+def pair_distances(flight: FlightRecords, grid: TimeGrid) -> list[PairDistance]:
     """Of every pair, the one that came nearest first."""
     weights = np.array([1.0, 1.0, 0.0 if _keeps_altitudes(flight) else HEIGHT_WEIGHT])
     pairs = []
@@ -86,6 +86,6 @@ def pair_distances(flight: RecordedFlight, grid: Grid) -> list[PairDistance]:
     return sorted(pairs, key=lambda pair: (np.nan_to_num(pair.smallest_m, nan=np.inf), pair.pair))
 
 
-def _keeps_altitudes(flight: RecordedFlight) -> bool:
+def _keeps_altitudes(flight: FlightRecords) -> bool:
     """With `law.altitude: hold` each vehicle keeps its own altitude, and only the horizontal distance counts."""
     return flight.fleet is not None and flight.fleet.law.altitude == "hold"

@@ -6,11 +6,11 @@ import numpy as np
 
 from companion.report.arrays import Bools, Floats
 from companion.report.distances import sampled
-from companion.report.flight import RecordedFlight, VehicleLog
+from companion.report.flight import FlightRecords, VehicleLog
 from companion.types.flight import FlightPhase
 
 
-def errors_to_slot_m(flight: RecordedFlight) -> dict[int, Floats]:
+def errors_to_slot_m(flight: FlightRecords) -> dict[int, Floats]:
     """Per vehicle and tick (n,): NaN on the ground and where no leader has a reference."""
     return {vehicle.vehicle_id: _error_m(flight, vehicle) for vehicle in flight.vehicles}
 
@@ -20,14 +20,14 @@ def in_formation(vehicle: VehicleLog) -> Bools:
     return np.asarray(vehicle.ticks.phase == FlightPhase.FORMATION, dtype=np.bool_)
 
 
-def _error_m(flight: RecordedFlight, vehicle: VehicleLog) -> Floats:
+def _error_m(flight: FlightRecords, vehicle: VehicleLog) -> Floats:
     ticks = vehicle.ticks
     flown_reference_enu_m = ticks.position_enu_m - ticks.slot_offset_enu_m
     error_m = np.linalg.norm(flown_reference_enu_m - _reference_enu_m(flight, vehicle), axis=1)
     return np.where(vehicle.in_air(), error_m, np.nan)
 
 
-def _reference_enu_m(flight: RecordedFlight, vehicle: VehicleLog) -> Floats:
+def _reference_enu_m(flight: FlightRecords, vehicle: VehicleLog) -> Floats:
     """Per tick (n, 3): the own reference, else that of the known leader, else of any leader."""
     ticks = vehicle.ticks
     reference = ticks.reference_enu_m.copy()

@@ -24,7 +24,7 @@ class Severity(StrEnum):
     INFO = "info"
 
 
-class Kind(StrEnum):
+class FindingKind(StrEnum):
     """What a finding is about, in the order of the page."""
 
     CLOSE = "too close"
@@ -43,7 +43,7 @@ class Finding(Struct, frozen=True, kw_only=True):
     `advice` is what to do, by `companion explain CODE`.
     """
 
-    kind: Kind
+    kind: FindingKind
     severity: Severity
     code: Code
     vehicle_id: int | None
@@ -54,7 +54,7 @@ class Finding(Struct, frozen=True, kw_only=True):
 
 
 def finding(
-    kind: Kind,
+    kind: FindingKind,
     severity: Severity,
     code: Code,
     vehicle_id: int | None,
@@ -75,7 +75,7 @@ def finding(
     )
 
 
-class Row(NamedTuple):
+class FindingRow(NamedTuple):
     """The same finding of several vehicles at one time, or often: one row of the page.
 
     `finding` is the first; of one that came often, the longest.
@@ -86,7 +86,7 @@ class Row(NamedTuple):
     times: int = 1
 
 
-def rows_of(findings: Sequence[Finding]) -> list[Row]:
+def rows_of(findings: Sequence[Finding]) -> list[FindingRow]:
     """The rows of the page, in the order of their first findings. Critical ones are never put together by code."""
     rows = _by_time(findings)
     often = {
@@ -94,33 +94,33 @@ def rows_of(findings: Sequence[Finding]) -> list[Row]:
         for key, count in Counter(_kind_of(row) for row in rows).items()
         if count > MOST_APART and key[0] is not Severity.CRITICAL
     }
-    shown: dict[object, list[Row]] = {}
+    shown: dict[object, list[FindingRow]] = {}
     for n, row in enumerate(rows):
         key = _kind_of(row)
         shown.setdefault(key if key in often else n, []).append(row)
     return [_together(same) for same in shown.values()]
 
 
-def _kind_of(row: Row) -> tuple[Severity, Kind, Code]:
+def _kind_of(row: FindingRow) -> tuple[Severity, FindingKind, Code]:
     return row.finding.severity, row.finding.kind, row.finding.code
 
 
-def _together(same: Sequence[Row]) -> Row:
+def _together(same: Sequence[FindingRow]) -> FindingRow:
     """Rows of one code as one: the longest, with all vehicles."""
     longest = max(same, key=lambda row: row.finding.lasts_s or 0.0)
-    return Row(longest.finding, tuple(sorted({i for row in same for i in row.vehicle_ids})), len(same))
+    return FindingRow(longest.finding, tuple(sorted({i for row in same for i in row.vehicle_ids})), len(same))
 
 
-def _by_time(findings: Sequence[Finding]) -> list[Row]:
+def _by_time(findings: Sequence[Finding]) -> list[FindingRow]:
     """One row for the same finding of several vehicles at one time."""
-    rows: list[Row] = []
+    rows: list[FindingRow] = []
     for one in findings:
         ids = () if one.vehicle_id is None else (one.vehicle_id,)
         same = next((n for n, row in enumerate(rows) if _is_same(row.finding, one)), None)
         if same is None or not ids:
-            rows.append(Row(one, ids))
+            rows.append(FindingRow(one, ids))
         else:
-            rows[same] = Row(rows[same].finding, tuple(sorted({*rows[same].vehicle_ids, *ids})))
+            rows[same] = FindingRow(rows[same].finding, tuple(sorted({*rows[same].vehicle_ids, *ids})))
     return rows
 
 

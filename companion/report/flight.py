@@ -31,7 +31,7 @@ class NeighbourUse:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Ticks:
+class TickColumns:
     """The decisions of one vehicle, one row per tick; vectors are (n, 3)."""
 
     time_s: Floats
@@ -97,7 +97,7 @@ class Statuses:
 
 
 @dataclass(frozen=True, slots=True)
-class Event:
+class FlightEvent:
     time_s: float
     code: Code
     text: str
@@ -118,7 +118,7 @@ class GivenCommand:
 
 
 @dataclass(frozen=True, slots=True)
-class Start:
+class AgentStart:
     """One start of the agent. `problems`: one line for each file that could not be read to its end."""
 
     session: int
@@ -134,11 +134,11 @@ class VehicleLog:
     """Everything recorded of one vehicle, in all starts of its agent."""
 
     vehicle_id: int
-    starts: tuple[Start, ...]
-    ticks: Ticks
+    starts: tuple[AgentStart, ...]
+    ticks: TickColumns
     timing: TickTiming
     statuses: Statuses
-    events: tuple[Event, ...] = ()
+    events: tuple[FlightEvent, ...] = ()
     commands: tuple[GivenCommand, ...] = ()
     aligned: bool = True  # whether its clock could be compared with those of the others
 
@@ -151,7 +151,7 @@ class VehicleLog:
 
 
 @dataclass(frozen=True, slots=True)
-class RecordedFlight:
+class FlightRecords:
     """A whole flight. `begin_unix_s` is the Unix time of 0 s, by the clock of the first vehicle.
 
     `fleet` is None where no recording has a usable fleet file. `problems`: files that could not be read at all.

@@ -10,22 +10,22 @@ from companion.report.autopilot.files import NO_LOGS, AutopilotLogs
 from companion.report.distances import PairDistance, grid_of, pair_distances
 from companion.report.errors import errors_to_slot_m
 from companion.report.findings.all import all_findings
-from companion.report.flight import RecordedFlight
-from companion.report.summary import Summary, summary_of
+from companion.report.flight import FlightRecords
+from companion.report.summary import FlightSummary, summary_of
 
 
 @dataclass(frozen=True, slots=True)
 class Judged:
     """Pairs with the nearest first; errors to the slot by vehicle, per tick."""
 
-    flight: RecordedFlight
+    flight: FlightRecords
     pairs: Sequence[PairDistance]
     errors_m: Mapping[int, Floats]
-    summary: Summary
+    summary: FlightSummary
     logs: AutopilotLogs
 
 
-def judged(flight: RecordedFlight, logs: AutopilotLogs = NO_LOGS) -> Judged:
+def judged(flight: FlightRecords, logs: AutopilotLogs = NO_LOGS) -> Judged:
     """Distances, errors and findings, from all records."""
     pairs = pair_distances(flight, grid_of(flight))
     errors_m = errors_to_slot_m(flight)

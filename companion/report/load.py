@@ -10,12 +10,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from companion.recording.alignment import Clock, align
+from companion.recording.alignment import RecordingClock, align
 from companion.recording.one_flight import of_one_flight
 from companion.recording.reader import Recording, RecordingError, recordings
 from companion.recording.records import COMMAND, DECISION, EVENT, REPLY, STATUS, TIMING
 from companion.report.assemble import StartRecords, fleet_of, vehicle_log
-from companion.report.flight import RecordedFlight, VehicleLog
+from companion.report.flight import FlightRecords, VehicleLog
 
 TOPICS = (DECISION, TIMING, STATUS, EVENT, COMMAND, REPLY)
 MOST = {DECISION: 720_000, TIMING: 720_000, STATUS: 100_000, EVENT: 10_000, COMMAND: 10_000, REPLY: 10_000}
@@ -24,7 +24,7 @@ LONGEST_S = 86_400.0
 Show = Callable[[str], None]
 
 
-def load(folder: Path, show: Show) -> RecordedFlight:
+def load(folder: Path, show: Show) -> FlightRecords:
     """The flight in a folder. `show` gets a line for each step. Raises RecordingError."""
     problems: list[str] = []
     chosen = _of_one_fleet(folder, recordings(folder, problems.append), problems)
@@ -32,7 +32,7 @@ def load(folder: Path, show: Show) -> RecordedFlight:
     vehicles = sorted({recording.vehicle_id for recording, _ in pairs})
     show(f"recordings of vehicle{'s' if len(vehicles) > 1 else ''} {', '.join(map(str, vehicles))}")
     begin_s = min(clock.common_s(_first_s(recording)) for recording, clock in pairs)
-    jobs: list[list[tuple[Recording, Clock]]] = []
+    jobs: list[list[tuple[Recording, RecordingClock]]] = []
     for vehicle_id in vehicles:
         own = [pair for pair in pairs if pair[0].vehicle_id == vehicle_id]
         jobs.append(sorted(own, key=lambda pair: pair[1].common_s(_first_s(pair[0]))))
@@ -42,12 +42,12 @@ def load(folder: Path, show: Show) -> RecordedFlight:
     header = pairs[0][0].header
     fleet, why_not = fleet_of(header)
     problems = [_without(line, str(folder)) for line in problems]
-    flight = RecordedFlight(header.fleet, tuple(logs), begin_s, fleet, header.fleet_file, (*problems, *why_not))
+    flight = FlightRecords(header.fleet, tuple(logs), begin_s, fleet, header.fleet_file, (*problems, *why_not))
     _check_span(folder, flight)
     return flight
 
 
-def _check_span(folder: Path, flight: RecordedFlight) -> None:
+def _check_span(folder: Path, flight: FlightRecords) -> None:
     """Raises RecordingError: positions are compared every 20 ms from the first record to the last."""
     first_s = min(start.begins_s for vehicle in flight.vehicles for start in vehicle.starts)
     if not flight.ends_s - min(0.0, first_s) <= LONGEST_S:
@@ -76,7 +76,7 @@ def _first_s(recording: Recording) -> float:
 
 
 def _read_vehicle(
-    recordings_: Sequence[tuple[Recording, Clock]], begin_s: float, folder: str, aligned: bool
+    recordings_: Sequence[tuple[Recording, RecordingClock]], begin_s: float, folder: str, aligned: bool
 ) -> VehicleLog:
     starts = [_read_start(recording, folder) for recording, _ in recordings_]
     to_flight = [lambda now_s, clock=clock: clock.common_s(now_s) - begin_s for _, clock in recordings_]

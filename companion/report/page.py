@@ -10,14 +10,14 @@ import jinja2
 from markupsafe import Markup, escape
 
 from companion import __version__
-from companion.report import configuration
+from companion.report.configuration import member_rows, recording_rows, settings_rows
 from companion.report.figures.all import Section, sections_of
-from companion.report.figures.style import Axis, marks_of
-from companion.report.finding import Row, Severity, rows_of
+from companion.report.figures.style import TimeAxis, marks_of
+from companion.report.finding import FindingRow, Severity, rows_of
 from companion.report.findings.timing import LATE_P99_MS, TO_COMMAND_P99_MS
-from companion.report.flight import Event, GivenCommand, RecordedFlight
+from companion.report.flight import FlightEvent, FlightRecords, GivenCommand
 from companion.report.judge import Judged
-from companion.report.summary import Summary
+from companion.report.summary import FlightSummary
 
 SIGNS = {Severity.CRITICAL: "✖", Severity.WARNING: "▲", Severity.INFO: "●"}  # distinct without colour
 MOST_EVENTS, MOST_COMMANDS = 400, 1000
@@ -26,7 +26,7 @@ MOST_EVENTS, MOST_COMMANDS = 400, 1000
 @dataclass(frozen=True, slots=True)
 class EventRow:
     vehicle_id: int
-    event: Event
+    event: FlightEvent
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,11 +37,11 @@ class CommandRow:
 
 def page_of(one: Judged, zone: tzinfo) -> str:
     """Draws the figures and writes the page. `zone`: of the local times."""
-    axis = Axis(one.flight.ends_s, one.flight.begin_unix_s, zone, marks_of(rows_of(one.summary.findings)))
+    axis = TimeAxis(one.flight.ends_s, one.flight.begin_unix_s, zone, marks_of(rows_of(one.summary.findings)))
     return page(one.flight, one.summary, sections_of(one, axis), axis)
 
 
-def page(flight: RecordedFlight, summary: Summary, sections: Sequence[Section], axis: Axis) -> str:
+def page(flight: FlightRecords, summary: FlightSummary, sections: Sequence[Section], axis: TimeAxis) -> str:
     """The whole page. It requests nothing from a network and prints on A4."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("companion.report"),
@@ -67,20 +67,20 @@ def page(flight: RecordedFlight, summary: Summary, sections: Sequence[Section], 
         commands_left_out=max(0, len(commands) - MOST_COMMANDS),
         events=events[:MOST_EVENTS],
         events_left_out=max(0, len(events) - MOST_EVENTS),
-        settings=configuration.settings(flight.fleet) if flight.fleet else [],
-        members=configuration.members(flight.fleet) if flight.fleet else [],
-        recordings=configuration.recordings(flight),
+        settings=settings_rows(flight.fleet) if flight.fleet else [],
+        members=member_rows(flight.fleet) if flight.fleet else [],
+        recordings=recording_rows(flight),
         limits={"late_p99_ms": LATE_P99_MS, "to_command_p99_ms": TO_COMMAND_P99_MS},
         software=__version__,
     )
 
 
-def counted(rows: Sequence[Row], severity: Severity) -> int:
+def counted(rows: Sequence[FindingRow], severity: Severity) -> int:
     """Rows of the page of one severity."""
     return sum(row.finding.severity is severity for row in rows)
 
 
-def verdict(rows: Sequence[Row]) -> str:
+def verdict(rows: Sequence[FindingRow]) -> str:
     """ "2 critical findings and 1 warning", or that there are none."""
     critical, warnings = counted(rows, Severity.CRITICAL), counted(rows, Severity.WARNING)
     parts = []
@@ -105,13 +105,13 @@ def prose(text: str) -> Markup:
     return Markup("").join(Markup("<code>{}</code>").format(part) if i % 2 else part for i, part in enumerate(parts))
 
 
-def command_rows(flight: RecordedFlight) -> list[CommandRow]:
+def command_rows(flight: FlightRecords) -> list[CommandRow]:
     """All commands by time."""
     rows = [CommandRow(vehicle.vehicle_id, one) for vehicle in flight.vehicles for one in vehicle.commands]
     return sorted(rows, key=lambda row: (row.command.time_s, row.vehicle_id))
 
 
-def event_rows(flight: RecordedFlight) -> list[EventRow]:
+def event_rows(flight: FlightRecords) -> list[EventRow]:
     """All events by time."""
     rows = [EventRow(vehicle.vehicle_id, one) for vehicle in flight.vehicles for one in vehicle.events]
     return sorted(rows, key=lambda row: (row.event.time_s, row.vehicle_id))

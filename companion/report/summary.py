@@ -14,7 +14,7 @@ from companion.report.distances import PairDistance
 from companion.report.errors import in_formation
 from companion.report.finding import Finding, Severity
 from companion.report.findings.timing import timing_figures
-from companion.report.flight import RecordedFlight, VehicleLog
+from companion.report.flight import FlightRecords, VehicleLog
 
 SUMMARY_VERSION = 1
 
@@ -51,7 +51,7 @@ class SmallestSeparation(Struct, frozen=True):
     time_s: float
 
 
-class Summary(Struct, frozen=True, kw_only=True):
+class FlightSummary(Struct, frozen=True, kw_only=True):
     """What `companion report --json` prints. `begin_unix_s` is the Unix time of 0 s."""
 
     version: int = SUMMARY_VERSION
@@ -69,14 +69,14 @@ class Summary(Struct, frozen=True, kw_only=True):
 
 
 def summary_of(
-    flight: RecordedFlight,
+    flight: FlightRecords,
     pairs: Sequence[PairDistance],
     errors_m: Mapping[int, Floats],
     findings: Sequence[Finding],
-) -> Summary:
+) -> FlightSummary:
     """The figures of the whole flight."""
     judged = [pair for pair in pairs if pair.judged.any()]
-    return Summary(
+    return FlightSummary(
         fleet=flight.fleet_name,
         begin_unix_s=round(flight.begin_unix_s, 3),
         lasts_s=round(flight.ends_s, 3),

@@ -15,7 +15,7 @@ from typing import Annotated, Any, TextIO, Union, get_args, get_origin
 from msgspec import Struct
 from msgspec.structs import fields
 
-from companion.recording.alignment import Clock, align
+from companion.recording.alignment import RecordingClock, align
 from companion.recording.reader import Recording, RecordingError, recordings
 from companion.recording.records import DECISION, STATUS, DecisionRecord
 from companion.types.errors import UnusableError
@@ -182,7 +182,7 @@ def _names(found: Sequence[Recording]) -> list[str]:
     return names
 
 
-def _written(path: Path, recording: Recording, clock: Clock, begin_s: float, kind: CsvKind) -> Written:
+def _written(path: Path, recording: Recording, clock: RecordingClock, begin_s: float, kind: CsvKind) -> Written:
     """Raises OSError."""
     rows = 0
     with _complete_or_absent(path) as file:

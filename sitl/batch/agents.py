@@ -12,8 +12,8 @@ from sitl.autopilots.autopilot import DT_S
 from sitl.batch.candidates import Candidates
 from sitl.batch.columns import BoolArray, Columns
 from sitl.batch.commands import Commands
-from sitl.batch.laws import Laws
-from sitl.batch.packets import ACCELERATION, PRC, REDUCED_POSITION, SHARE, VELOCITY, WIDTH, Packets, Received
+from sitl.batch.laws import BatchLaws
+from sitl.batch.packets import ACCELERATION, PRC, REDUCED_POSITION, SHARE, VELOCITY, WIDTH, Packets, ReceivedPackets
 from sitl.batch.references import References
 from sitl.flight.lockstep import TELEMETRY_STEPS
 from sitl.flight.scenario import Scenario
@@ -26,7 +26,7 @@ class Agents:
         self,
         scenarios: Sequence[Scenario],
         columns: Columns,
-        laws: Laws,
+        laws: BatchLaws,
         references: References,
         candidates: Candidates,
         telemetry: FloatArray,
@@ -86,7 +86,7 @@ class Agents:
         relation[columns.order[receiver], columns.order[sender] % n] = True
         return relation.reshape(columns.formations, n, n)
 
-    def _from_neighbours(self, group: slice, own_enu_m: FloatArray, received: Received) -> Received:
+    def _from_neighbours(self, group: slice, own_enu_m: FloatArray, received: ReceivedPackets) -> ReceivedPackets:
         """The packets from N_i of these vehicles. Stores N_i for the hysteresis."""
         if not self._candidates.by_range:
             self._members[group] = received.fresh
@@ -123,7 +123,7 @@ class Agents:
         return prcs
 
 
-def _weighted_sum(used: Received, packets: FloatArray, shares: FloatArray) -> tuple[FloatArray, BoolArray]:
+def _weighted_sum(used: ReceivedPackets, packets: FloatArray, shares: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Algorithm 2: weighted sums (9, G) over the neighbours, and whether a vehicle has any (G,).
 
     The rows are positions minus slots, velocities and accelerations, extrapolated as `PeerState.formation_state_at` does.

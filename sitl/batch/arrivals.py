@@ -18,7 +18,7 @@ PERIOD_S = DT_S * TELEMETRY_STEPS
 ROUND_TICKS = 1e-6  # tolerance within which a delay counts as whole steps
 
 
-class Arrivals:
+class LinkArrivals:
     """Arrival times on all links (B n, K), receiver by candidate. Ticks count from 0; earlier packets arrived in time."""
 
     def __init__(

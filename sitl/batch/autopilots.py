@@ -12,7 +12,7 @@ from sitl.autopilots.autopilot import DT_S
 from sitl.batch.attitude_loops import AttitudeLoops, delay_steps
 from sitl.batch.bodies import ATTITUDE, POSITION, RATES, Bodies
 from sitl.batch.columns import Columns, IntArray
-from sitl.batch.disturbances import EstimatorErrors, Gusts
+from sitl.batch.disturbances import BatchGusts, EstimatorErrors
 from sitl.batch.rotations import euler_rad, product, quaternion_of_turns
 from sitl.flight.lockstep import TELEMETRY_STEPS
 from sitl.flight.scenario import Scenario
@@ -35,7 +35,7 @@ class Autopilots:
         self._instant = airframes[0].attitude == "instant"
         self._command = np.zeros((4, columns.count))
         self._goal = np.zeros((4, columns.count))
-        self._gusts = Gusts(scenarios, columns)
+        self._gusts = BatchGusts(scenarios, columns)
         self._errors = EstimatorErrors(scenarios, columns)
         self._turns = quaternion_of_turns(self._errors.attitude_rad)
         late = np.array([command_steps(scenario.links) for scenario in scenarios])[columns.formation]

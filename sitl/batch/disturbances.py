@@ -10,7 +10,7 @@ import numpy as np
 from companion.stability.arrays import FloatArray
 from sitl.autopilots.autopilot import DT_S
 from sitl.batch.columns import Columns
-from sitl.batch.noise import GUSTS, SENSORS, Gaussians, GaussMarkov
+from sitl.batch.noise import GUSTS, SENSORS, BatchGaussMarkov, Gaussians
 from sitl.flight.scenario import Scenario
 from sitl.vehicle.config import Sensors
 from sitl.vehicle.quadrotor import ESTIMATE_PERIOD_STEPS
@@ -39,7 +39,7 @@ class EstimatorErrors:
         )
         time_s = np.array([[m.position_time_s] * 3 + [m.velocity_time_s] * 6 for m in sensors])
         first = self._gaussians.next()[:9]
-        self._drifts = GaussMarkov(sd[columns.formation].T, time_s[columns.formation].T, period_s, first)
+        self._drifts = BatchGaussMarkov(sd[columns.formation].T, time_s[columns.formation].T, period_s, first)
         self._white_m_s = columns.spread([m.velocity_white_sd_m_s for m in sensors])
         self.step()
 
@@ -53,7 +53,7 @@ class EstimatorErrors:
         self.velocity_m_s = drifts[3:6] + gaussian[9:12] * self._white_m_s
 
 
-class Gusts:
+class BatchGusts:
     """Steady wind with first-order gusts [m/s] in ENU, (3, B n)."""
 
     def __init__(self, scenarios: Sequence[Scenario], columns: Columns) -> None:
@@ -68,7 +68,7 @@ class Gusts:
         self._gaussians = Gaussians(seeds, quiet, GUSTS, columns, 3, round(BLOCK_S / DT_S))
         sd = columns.spread([wind.gust_sd_m_s for wind in winds])
         time_s = columns.spread([wind.gust_time_s for wind in winds])
-        self._gusts = GaussMarkov(sd, time_s, DT_S, self._gaussians.next())
+        self._gusts = BatchGaussMarkov(sd, time_s, DT_S, self._gaussians.next())
 
     def step(self) -> FloatArray:
         """The wind (3, B n) of the next physics step."""

@@ -14,7 +14,7 @@ from sitl.flight.files import known_drag_1_s
 from sitl.flight.scenario import Scenario
 
 
-class Laws:
+class BatchLaws:
     """Law, role and slot of each column. Arrays per column are (B n,) or (k, B n)."""
 
     def __init__(self, scenarios: Sequence[Scenario], columns: Columns) -> None:

@@ -50,7 +50,7 @@ class Gaussians:
         self._used = 0
 
 
-class GaussMarkov:
+class BatchGaussMarkov:
     """sitl.vehicle.disturbances.GaussMarkov for (rows, B n) numbers, started from their stationary distributions."""
 
     def __init__(self, sd: FloatArray, time_s: FloatArray, dt_s: float, first: FloatArray) -> None:

@@ -14,7 +14,7 @@ from math import ceil
 import numpy as np
 
 from companion.stability.arrays import FloatArray
-from sitl.batch.arrivals import PERIOD_S, Arrivals, ticks_until_use
+from sitl.batch.arrivals import PERIOD_S, LinkArrivals, ticks_until_use
 from sitl.batch.candidates import Candidates
 from sitl.batch.columns import BoolArray, Columns, IntArray
 from sitl.flight.lockstep import TELEMETRY_STEPS
@@ -25,7 +25,7 @@ REDUCED_POSITION, VELOCITY, ACCELERATION, PRC, SHARE, WIDTH = slice(0, 3), slice
 
 
 @dataclass(frozen=True, slots=True)
-class Received:
+class ReceivedPackets:
     """The newest packets of a group from its candidates, as indices (G, K) into the ring; `fresh` (G, K) marks those in use.
 
     `age_s` (G, K) is the age of a packet beyond that of one without jitter; None where no link is random.
@@ -35,7 +35,7 @@ class Received:
     fresh: BoolArray
     age_s: FloatArray | None
 
-    def only(self, members: BoolArray) -> Received:
+    def only(self, members: BoolArray) -> ReceivedPackets:
         """The packets of `members` (G, K) alone, in as short rows as possible: a tenth of the candidates are in range."""
         receiver, candidate = np.nonzero(members)
         counts = members.sum(axis=1)
@@ -45,10 +45,10 @@ class Received:
         indices, fresh = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.bool_)
         indices[at], fresh[at] = self.indices[receiver, candidate], True
         if self.age_s is None:
-            return Received(indices, fresh, None)
+            return ReceivedPackets(indices, fresh, None)
         age_s = np.zeros(shape)
         age_s[at] = self.age_s[receiver, candidate]
-        return Received(indices, fresh, age_s)
+        return ReceivedPackets(indices, fresh, age_s)
 
 
 class Packets:
@@ -66,7 +66,7 @@ class Packets:
         self._lag = lag = ticks_until_use(ticks_late)
         jitter_s = max(scenario.links.peer_jitter_s for scenario in scenarios)
         is_random = jitter_s > 0.0 or any(scenario.links.peer_loss > 0.0 for scenario in scenarios)
-        self._arrivals = Arrivals(scenarios, columns, candidates.valid, ticks_late) if is_random else None
+        self._arrivals = LinkArrivals(scenarios, columns, candidates.valid, ticks_late) if is_random else None
         oldest_s = max(scenario.fleet.peers.max_age_s for scenario in scenarios) + jitter_s if is_random else 0.0
         self._kept = int(lag.max()) + ceil(oldest_s / PERIOD_S) + 3
         self._ring = np.broadcast_to(start.T, (self._kept, columns.count, WIDTH)).reshape(-1, WIDTH).copy()
@@ -79,22 +79,22 @@ class Packets:
         self._ring[begin + group.start : begin + group.stop] = packets.T
         self._motions[begin + group.start : begin + group.stop] = packets[:6].T
 
-    def receive(self, tick: int, group: slice) -> Received:
+    def receive(self, tick: int, group: slice) -> ReceivedPackets:
         """The newest packets of this group in this tick."""
         if self._arrivals is None:
             indices = self._first_index[group] + tick % self._kept * self._count
-            return Received(indices, self._valid[group], None)
+            return ReceivedPackets(indices, self._valid[group], None)
         newest = self._arrivals.newest(tick, group)
         ages_ticks = tick - newest - self._lag[group]
         indices = newest % self._kept * self._count + self._sender[group]
         fresh = self._arrivals.fresh(ages_ticks, group) & self._valid[group]
-        return Received(indices, fresh, np.multiply(ages_ticks, PERIOD_S, dtype=np.float64))
+        return ReceivedPackets(indices, fresh, np.multiply(ages_ticks, PERIOD_S, dtype=np.float64))
 
-    def packets(self, received: Received) -> FloatArray:
+    def packets(self, received: ReceivedPackets) -> FloatArray:
         """Packets (G, K, WIDTH)."""
         return self._ring.take(received.indices, axis=0, mode="wrap")
 
-    def reduced_positions_enu_m(self, received: Received) -> FloatArray:
+    def reduced_positions_enu_m(self, received: ReceivedPackets) -> FloatArray:
         """Positions minus slots (G, K, 3), extrapolated to this tick."""
         motions = self._motions.take(received.indices, axis=0, mode="wrap")
         if received.age_s is not None:

@@ -13,7 +13,7 @@ from sitl.batch.agents import Agents
 from sitl.batch.autopilots import Autopilots
 from sitl.batch.candidates import candidates_of
 from sitl.batch.columns import BoolArray, Columns
-from sitl.batch.laws import Laws
+from sitl.batch.laws import BatchLaws
 from sitl.batch.references import References
 from sitl.flight.files import ids_of
 from sitl.flight.lockstep import TELEMETRY_STEPS
@@ -44,7 +44,7 @@ class Simulation:
         self._columns = columns
         self._steps = 0
         self._reference_s = start.reference_s
-        laws = Laws(scenarios, columns)
+        laws = BatchLaws(scenarios, columns)
         self.slots_enu_m = laws.slots_by_vehicle_enu_m
         self.references = References(scenarios, columns, laws.is_leader)
         self._autopilots = Autopilots(

@@ -26,7 +26,7 @@ from sitl.flight.orders import (
 )
 from sitl.flight.scenario import TO_ALL, TimelineStep
 from sitl.flight.watch import SILENT_S, FlightWatch, vehicles_in_words
-from sitl.report.progress import Progress
+from sitl.report.progress import FlightProgress
 
 POLL_S = 0.02  # the period of an agent's ticks: the resolution of the entry into formation
 LANDED_WITHIN_S = 60.0
@@ -55,7 +55,7 @@ class Director:
         self,
         session: Session,
         watch: FlightWatch,
-        progress: Progress,
+        progress: FlightProgress,
         check: Callable[[], None],
         lost: Callable[[], Collection[int]],
         clock: Clock,

@@ -32,8 +32,8 @@ from sitl.flight.watch import FlightWatch
 from sitl.report.compare import compare, in_a_table, write_comparison
 from sitl.report.folder import open_folder
 from sitl.report.metrics import (
-    Flight,
     FormationFigures,
+    FormationFlight,
     Tracks,
     TrackSource,
     formation_figures,
@@ -41,8 +41,8 @@ from sitl.report.metrics import (
     pair_name,
     smallest_distance_m,
 )
-from sitl.report.progress import Progress
-from sitl.report.summary import Summary, Tick, VehicleSummary, in_words, write_json
+from sitl.report.progress import FlightProgress
+from sitl.report.summary import RunSummary, TickFigures, VehicleSummary, in_words, write_json
 from sitl.report.tracking import Tracking, tracking
 from sitl.stopping import StopRequest
 
@@ -97,8 +97,8 @@ def _warnings(graph: Graph, leaders: list[int], law: FormationLaw, margin_s: flo
 class FlightResult:
     """One flight: its figures, and what they are drawn from (None where no formation was flown)."""
 
-    summary: Summary
-    flight: Flight | None
+    summary: RunSummary
+    flight: FormationFlight | None
 
 
 def write_results(
@@ -155,13 +155,13 @@ def summarize(
     flight_s: float,
     real_time_factor: float | None = None,
     source: TrackSource = "true",
-) -> Summary:
+) -> RunSummary:
     """`figures`, `tracked` and `smallest_distance_m` are of the tracks from `source`; the rest is from the reports."""
     fleet, stand_in = scenario.fleet, scenario.stand_in
     sensors = stand_in.sensors if isinstance(stand_in.sensors, str) else "as given"
     slots_enu_m = {member.id: member.slot_enu_m for member in fleet.vehicles}
     weighting = law_of(fleet.law).weighting
-    return Summary(
+    return RunSummary(
         scenario=name,
         law=fleet.law.name,
         exponent=weighting.exponent,
@@ -198,7 +198,9 @@ def _vehicle(
     vehicle_id: int, role: str, watch: FlightWatch, figures: FormationFigures | None, tracked: Tracking | None
 ) -> VehicleSummary:
     timing, step_deg = watch.timing.get(vehicle_id), watch.largest_step_deg.get(vehicle_id)
-    tick = timing and Tick(rate_hz=timing.rate_hz, ticks=timing.ticks, missed=timing.missed, late_us=timing.late_us)
+    tick = timing and TickFigures(
+        rate_hz=timing.rate_hz, ticks=timing.ticks, missed=timing.missed, late_us=timing.late_us
+    )
     return VehicleSummary(
         id=vehicle_id,
         role=role,
@@ -229,12 +231,12 @@ def reference_flown(scenario: Scenario, watch: FlightWatch) -> ReferenceTrajecto
     return watch.reported_reference() if varies and len(watch.reference) > 1 else reference_of(scenario)
 
 
-def _flight(scenario: Scenario, watch: FlightWatch, tracks: Tracks, source: TrackSource) -> Flight | None:
+def _flight(scenario: Scenario, watch: FlightWatch, tracks: Tracks, source: TrackSource) -> FormationFlight | None:
     if watch.formation is None:
         return None
     pairs = neighbouring_pairs({member.id: member.slot_enu_m for member in scenario.fleet.vehicles})
     reference = reference_flown(scenario, watch)
-    return Flight(scenario.fleet.law.name, tracks, watch.slots(), pairs, reference, watch.formation, source)
+    return FormationFlight(scenario.fleet.law.name, tracks, watch.slots(), pairs, reference, watch.formation, source)
 
 
 FlyOnce = Callable[[Scenario, str, Path, StopRequest], FlightResult]  # scenario, its name, the folder for the results
@@ -310,7 +312,7 @@ def _fly_laws(scenarios: list[Scenario], name: str, folder: Path, fly_once: FlyO
     return max(_exit_code(result.summary) for result in results)
 
 
-def _exit_code(summary: Summary) -> int:
+def _exit_code(summary: RunSummary) -> int:
     return EXIT_FAILED if summary.failure else EXIT_DONE
 
 
@@ -322,7 +324,7 @@ def run_virtual(options: RunOptions) -> int:
 def _run_once(options: RunOptions, scenario: Scenario, name: str, folder: Path, stop: StopRequest) -> FlightResult:
     folder.mkdir(parents=True, exist_ok=True)
     write_scenario(scenario, folder)
-    progress = Progress(f"{name}, {scenario.fleet.law.name}", options.quiet, began_s=0.0)
+    progress = FlightProgress(f"{name}, {scenario.fleet.law.name}", options.quiet, began_s=0.0)
     with progress:
         flown = fly_in_virtual_time(scenario, progress, stop, folder if options.record else None)
     for stand_in in flown.stand_ins:

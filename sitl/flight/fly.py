@@ -27,7 +27,7 @@ from sitl.links.ports import LOOPBACK, ports_of, zenoh_endpoint
 from sitl.report.folder import open_folder
 from sitl.report.load import overload_line
 from sitl.report.metrics import Tracks, TrackSource
-from sitl.report.progress import Progress
+from sitl.report.progress import FlightProgress
 from sitl.report.tracks import TrackError, read_track, reported_track, write_track
 from sitl.stopping import StopRequest
 from sitl.vehicle.truth import armed_at_m
@@ -80,7 +80,7 @@ class _Flight:
         self._scenario, self._name, self._folder = scenario, name, folder
         self._port_offset, self._external, self._stop = port_offset, external, stop
         self._watch = watch_of(scenario, time.monotonic())
-        self._progress = Progress(f"{name}, {scenario.fleet.law.name}", quiet, self._watch.began_s)
+        self._progress = FlightProgress(f"{name}, {scenario.fleet.law.name}", quiet, self._watch.began_s)
 
     def result(self) -> FlightResult:
         """Fly and write the folder."""
@@ -187,7 +187,7 @@ def _wait_and_land(
     ids = ids_of(scenario)
     endpoints = [zenoh_endpoint(vehicle_id, offset) for vehicle_id in ids]
     watch = watch_of(scenario, time.monotonic())
-    progress = Progress(scenario.fleet.name, quiet, watch.began_s)
+    progress = FlightProgress(scenario.fleet.name, quiet, watch.began_s)
     failures: list[str] = []
     with FleetProcesses.start(scenario, folder, offset) as fleet, progress:
         with FleetSession(scenario.fleet.name, endpoints, WAITING_OPERATOR) as session, ExitStack() as stack:

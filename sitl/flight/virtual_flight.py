@@ -15,7 +15,7 @@ from sitl.flight.moving_targets import MovingTargets
 from sitl.flight.orders import FlightFailure, Refusal
 from sitl.flight.scenario import Scenario, TimelineStep
 from sitl.flight.watch import FlightWatch, watch_of
-from sitl.report.progress import Progress
+from sitl.report.progress import FlightProgress
 from sitl.report.tracks import Track
 from sitl.stopping import StopRequest
 
@@ -49,13 +49,13 @@ class Flown:
 
 
 def fly_in_virtual_time(
-    scenario: Scenario, progress: Progress, stop: StopRequest | None = None, recordings: Path | None = None
+    scenario: Scenario, progress: FlightProgress, stop: StopRequest | None = None, recordings: Path | None = None
 ) -> Flown:
     """Fly the scenario's whole timeline and land, also after a failure. `recordings` is the folder for what agents record."""
     return _flown(scenario, progress, stop, Director.fly_and_land, recordings)
 
 
-def fly_without_landing(scenario: Scenario, progress: Progress) -> Flown:
+def fly_without_landing(scenario: Scenario, progress: FlightProgress) -> Flown:
     """Fly the scenario's timeline to its end or to a failure. The vehicles remain as they are."""
     return _flown(scenario, progress, None, _failures_of)
 
@@ -70,7 +70,7 @@ def _failures_of(director: Director, timeline: Sequence[TimelineStep]) -> list[s
 
 def _flown(
     scenario: Scenario,
-    progress: Progress,
+    progress: FlightProgress,
     stop: StopRequest | None,
     fly: Callable[[Director, Sequence[TimelineStep]], list[str]],
     recordings: Path | None = None,

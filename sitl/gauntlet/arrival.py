@@ -21,7 +21,7 @@ SETTLED = 20  # samples in its slot in a row, until a vehicle has reached it
 RESTS_WITHIN_M = 0.1  # of its last place: from then on the reference rests
 
 
-class Arrivals(Struct, frozen=True, kw_only=True):
+class SlotArrivals(Struct, frozen=True, kw_only=True):
     """`expected`: number of vehicles that were to be in their slots at the end of the flight.
 
     `not_in_formation`: those of them that were not in formation then; `reached_s`: of each other vehicle by id, the time that
@@ -33,7 +33,7 @@ class Arrivals(Struct, frozen=True, kw_only=True):
     reached_s: dict[int, float | None]
 
 
-def arrivals(flight: Drawn, flown: Flown) -> Arrivals:
+def arrivals(flight: Drawn, flown: Flown) -> SlotArrivals:
     """A vehicle is in its slot where the slot and a reference that comes to rest move no more, and its error is small."""
     watch = flown.watch
     out = [i for i in flight.expected if not _in_formation(watch, i)]
@@ -46,7 +46,7 @@ def arrivals(flight: Drawn, flown: Flown) -> Arrivals:
         for i, errors_m in _errors_m(watch, present, times_s).items():
             from_s = max(rests_from_s, watch.slot_moved_s.get(i, 0.0))
             reached_s[i] = settled_s((errors_m <= within_m) & (times_s >= from_s))
-    return Arrivals(expected=len(flight.expected), not_in_formation=out, reached_s=reached_s)
+    return SlotArrivals(expected=len(flight.expected), not_in_formation=out, reached_s=reached_s)
 
 
 def _in_formation(watch: FlightWatch, vehicle_id: int) -> bool:

@@ -15,7 +15,7 @@ from companion.types.errors import EXIT_DONE, EXIT_FAILED, UnusableError
 from sitl.cluster import workers_of
 from sitl.gauntlet.drawn import family_of
 from sitl.gauntlet.families import FAMILIES
-from sitl.gauntlet.flight import Job, Outcome, fly
+from sitl.gauntlet.flight import FlightOutcome, Job, fly
 from sitl.gauntlet.page import page
 from sitl.gauntlet.summary import COLUMNS, MEANING, FamilySummary, cells, summarize
 from sitl.gauntlet.worst import write_worst
@@ -29,13 +29,13 @@ from sitl.workers import POLL_S, Workers
 SCHEMA = 1
 
 
-class Report(Struct, frozen=True, kw_only=True):
+class GauntletReport(Struct, frozen=True, kw_only=True):
     """Content of gauntlet.json."""
 
     schema: int = SCHEMA
     seed: int
     families: list[FamilySummary]
-    flights: list[Outcome]
+    flights: list[FlightOutcome]
 
 
 def run_gauntlet(arguments: argparse.Namespace) -> int:
@@ -76,7 +76,7 @@ def numbers_of(families: Sequence[str]) -> Iterator[int]:
     return (number for number in count() if family_of(number) in families)
 
 
-def _fly_all(workers: Workers, jobs: list[Job], progress: ShareProgress, stop: StopRequest) -> list[Outcome]:
+def _fly_all(workers: Workers, jobs: list[Job], progress: ShareProgress, stop: StopRequest) -> list[FlightOutcome]:
     """The flights that were flown: all, or fewer where a stop was requested. Raises StopNow where no flight was."""
     with workers.running(fly, jobs) as in_progress:
         while not in_progress.wait(POLL_S):
@@ -89,10 +89,10 @@ def _fly_all(workers: Workers, jobs: list[Job], progress: ShareProgress, stop: S
         return in_progress.results()
 
 
-def _finish(arguments: argparse.Namespace, folder: Path, outcomes: list[Outcome], worst: list[str]) -> int:
+def _finish(arguments: argparse.Namespace, folder: Path, outcomes: list[FlightOutcome], worst: list[str]) -> int:
     """Write the report, print the table and return the exit code."""
     families = summarize(outcomes)
-    write_json(folder / "gauntlet.json", Report(seed=arguments.seed, families=families, flights=outcomes))
+    write_json(folder / "gauntlet.json", GauntletReport(seed=arguments.seed, families=families, flights=outcomes))
     if arguments.page:
         arguments.page.write_text(page(arguments.seed, families, outcomes), encoding="utf-8")
     print(

@@ -13,8 +13,8 @@ from companion.config.fleet import FleetConfig
 from companion.types.errors import CompanionError
 from sitl.flight.flights import DivergesError, check_convergence
 from sitl.flight.scenario import Scenario, scenario_from
-from sitl.gauntlet.families import FAMILIES, FORM_S, Plan, step
-from sitl.gauntlet.fleets import START_SPACING, Fleet, SensorsName, random_fleet, rounded, sections
+from sitl.gauntlet.families import FAMILIES, FORM_S, FamilyPlan, step
+from sitl.gauntlet.fleets import START_SPACING, DrawnFleet, SensorsName, random_fleet, rounded, sections
 
 RUNAWAY_EVERY = 10
 SEEN_S = 1.0  # a runaway has its speed, and the others have received it
@@ -36,7 +36,7 @@ class Drawn:
     runaway: int | None
 
 
-class NoFlightError(CompanionError):
+class ImpossibleFlightError(CompanionError):
     """No draw gave a flight that vehicles accept. str() names the last refusal."""
 
 
@@ -67,14 +67,16 @@ def drawn(seed: int, number: int, sensors: SensorsName | None = None, own: Fleet
         arrives = tuple(i for i in expected if i != runaway and (i not in plan.stays_out or _joins(plan, i)))
         times_s = (rounded(FORM_S + plan.slots_from_s), rounded(FORM_S + plan.lasts_s))
         return Drawn(number, family_of(number), scenario, arrives, *times_s, runaway)
-    raise NoFlightError(f"no draw of flight {number} with seed {seed} can be flown: {last}")
+    raise ImpossibleFlightError(f"no draw of flight {number} with seed {seed} can be flown: {last}")
 
 
-def _joins(plan: Plan, vehicle_id: int) -> bool:
+def _joins(plan: FamilyPlan, vehicle_id: int) -> bool:
     return any(one["command"] == "form" and vehicle_id in one.get("vehicles", ()) for one in plan.steps)
 
 
-def _content(random: Random, fleet: Fleet, plan: Plan, with_runaway: bool) -> tuple[dict[str, Any], int | None]:
+def _content(
+    random: Random, fleet: DrawnFleet, plan: FamilyPlan, with_runaway: bool
+) -> tuple[dict[str, Any], int | None]:
     """The scenario as plain content, and the runaway vehicle."""
     stays_out, runaway, pilots = set(plan.stays_out), None, []
     if with_runaway:
@@ -108,7 +110,7 @@ def _without(one: dict[str, Any], runaway: int) -> dict[str, Any]:
     return one | {"vehicles": vehicles} if vehicles else one
 
 
-def _pilot(random: Random, fleet: Fleet, runaway: int) -> tuple[dict[str, Any], bool]:
+def _pilot(random: Random, fleet: DrawnFleet, runaway: int) -> tuple[dict[str, Any], bool]:
     """The pilot of the runaway vehicle, and whether it comes from outside the formation."""
     speed_m_s, from_outside = random.uniform(*RUNAWAY_M_S), random.random() < 0.7
     angle_rad = random.uniform(0.0, 2.0 * pi)
@@ -128,7 +130,7 @@ def _pilot(random: Random, fleet: Fleet, runaway: int) -> tuple[dict[str, Any], 
     return {"vehicle": runaway, "at_s": at_s, "velocity_enu_m_s": velocity}, from_outside
 
 
-def _seen_at_s(at_s: float, plan: Plan) -> float:
+def _seen_at_s(at_s: float, plan: FamilyPlan) -> float:
     """When the pilot takes over: not while a partition may hide from the others that the vehicle begins to move."""
     for split in plan.partitions:
         if split["from_s"] - SEEN_S < at_s < split["until_s"]:

@@ -19,7 +19,7 @@ from companion.types.autopilot import AutopilotKind
 from companion.types.values import Vector3
 from sitl.gauntlet.fleets import (
     START_SPACING,
-    Fleet,
+    DrawnFleet,
     direction,
     moved,
     on_grid,
@@ -38,7 +38,7 @@ Content = dict[str, Any]
 
 
 @dataclass
-class Plan:
+class FamilyPlan:
     """Commands after take-off, and what is particular to this flight.
 
     `stays_out`: vehicles that take off and are not commanded to form at first. `slots_from_s`: the time from which vehicles
@@ -56,7 +56,7 @@ class Plan:
     turns: bool = False
 
 
-Family = Callable[[Random, Fleet], Plan]
+Family = Callable[[Random, DrawnFleet], FamilyPlan]
 
 
 def step(command: str, after_s: float, **content: object) -> Content:
@@ -66,11 +66,11 @@ def step(command: str, after_s: float, **content: object) -> Content:
     return {"command": command, "at_s": at_s, "may_fail": True, "timeout_s": GIVEN_UP_AFTER_S, **fields}
 
 
-def point(fleet: Fleet, at: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Content:
+def point(fleet: DrawnFleet, at: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Content:
     return {"kind": "point", "point_enu_m": [at[0], at[1], rounded(fleet.height_m + at[2])]}
 
 
-def slow(random: Random, fleet: Fleet) -> Content:
+def slow(random: Random, fleet: DrawnFleet) -> Content:
     """A reference that rests or moves slowly."""
     if random.random() < 0.5:
         return point(fleet)
@@ -80,7 +80,7 @@ def slow(random: Random, fleet: Fleet) -> Content:
     return {"kind": "waypoints", "points_enu_m": points, "max_speed_m_s": speed_m_s, "max_acceleration_m_s2": 0.4}
 
 
-def shape_change(random: Random, fleet: Fleet) -> Content:
+def shape_change(random: Random, fleet: DrawnFleet) -> Content:
     shape = random.choice(("line", "column", "v", "diamond", "rectangle", "circle", "grid"))
     heading_deg = random.choice((0.0, 90.0, rounded(random.uniform(-180.0, 180.0))))
     speed_m_s = rounded(random.uniform(0.5, 0.98) * fleet.slot_speed_m_s)
@@ -90,14 +90,14 @@ def shape_change(random: Random, fleet: Fleet) -> Content:
 # ---------------------------------------------------------------- forming
 
 
-def form_near(random: Random, fleet: Fleet) -> Plan:
+def form_near(random: Random, fleet: DrawnFleet) -> FamilyPlan:
     """Random starts within several metres of the slots, each vehicle with the slot that suits its start."""
     starts = scattered(random, fleet.size, START_SPACING * fleet.separation_m)
     fleet.starts_enu_m = suited_starts(starts, fleet.slots_enu_m)
-    return Plan(slow(random, fleet))
+    return FamilyPlan(slow(random, fleet))
 
 
-def form_far(random: Random, fleet: Fleet) -> Plan:
+def form_far(random: Random, fleet: DrawnFleet) -> FamilyPlan:
     """The reference begins 10 to 40 m from the starts, at most as far as slots of this speed move in 20 s at full speed."""
     plan = form_near(random, fleet)
     away = direction(random, random.uniform(10.0, min(40.0, 20.0 * fleet.slot_speed_m_s)))
@@ -107,13 +107,13 @@ def form_far(random: Random, fleet: Fleet) -> Plan:
     return plan
 
 
-def form_crossing(random: Random, fleet: Fleet) -> Plan:
+def form_crossing(random: Random, fleet: DrawnFleet) -> FamilyPlan:
     """Vehicles start on each other's places, so that their paths cross."""
     starts = list(fleet.starts_enu_m.values())
     random.shuffle(starts)
     fleet.starts_enu_m = dict(zip(fleet.ids, starts, strict=True))
     way_m = max(dist(start[:2], fleet.slots_enu_m[i][:2]) for i, start in fleet.starts_enu_m.items())
-    return Plan(slow(random, fleet), lasts_s=max(25.0, _with_delays_s(way_m, fleet.slot_speed_m_s)))
+    return FamilyPlan(slow(random, fleet), lasts_s=max(25.0, _with_delays_s(way_m, fleet.slot_speed_m_s)))
 
 
 def _with_delays_s(way_m: float, speed_m_s: float) -> float:
@@ -121,7 +121,7 @@ def _with_delays_s(way_m: float, speed_m_s: float) -> float:
     return rounded(min(10.0 + 1.5 * PEAK_SPEED * way_m / speed_m_s, LONGEST_S))
 
 
-def hovering(random: Random, fleet: Fleet) -> Plan:
+def hovering(random: Random, fleet: DrawnFleet) -> FamilyPlan:
     """A vehicle hovers in the way of the others, which form 6 to 12 m away."""
     away = direction(random, random.uniform(6.0, 12.0))
     out = random.choice(fleet.followers)
@@ -135,15 +135,15 @@ def hovering(random: Random, fleet: Fleet) -> Plan:
             fleet.starts_enu_m[out] = place
             break
     free = [i for i in fleet.ids if i == out or _is_free(fleet.slots_enu_m[i], fleet.starts_enu_m[out], fleet)]
-    return Plan(point(fleet), stays_out=(out,), expected=free, lasts_s=28.0)
+    return FamilyPlan(point(fleet), stays_out=(out,), expected=free, lasts_s=28.0)
 
 
-def _is_free(slot_enu_m: Vector3, hovering_enu_m: Vector3, fleet: Fleet) -> bool:
+def _is_free(slot_enu_m: Vector3, hovering_enu_m: Vector3, fleet: DrawnFleet) -> bool:
     """Whether a vehicle can be in this slot beside one that hovers and makes no way."""
     return dist(slot_enu_m[:2], hovering_enu_m[:2]) > START_SPACING * fleet.separation_m
 
 
-def joining(random: Random, fleet: Fleet) -> Plan:
+def joining(random: Random, fleet: DrawnFleet) -> FamilyPlan:
     """One or two vehicles join the fleet in flight."""
     late = tuple(random.sample(fleet.followers, random.choice((1, 2))))
     inside = [start for i, start in fleet.starts_enu_m.items() if i not in late]
@@ -151,20 +151,20 @@ def joining(random: Random, fleet: Fleet) -> Plan:
     fleet.starts_enu_m |= dict(zip(late, places, strict=True))
     begins_s = rounded(random.uniform(5.0, 9.0))
     steps = [step("form", begins_s, vehicles=[i]) for i in late]
-    return Plan(slow(random, fleet), steps, stays_out=late, slots_from_s=begins_s, lasts_s=30.0)
+    return FamilyPlan(slow(random, fleet), steps, stays_out=late, slots_from_s=begins_s, lasts_s=30.0)
 
 
 # ---------------------------------------------------------------- formations
 
 
-def formation_change(random: Random, fleet: Fleet) -> Plan:
+def formation_change(random: Random, fleet: DrawnFleet) -> FamilyPlan:
     """Two changes of the shape, the second sometimes during the first."""
     first_s, gap_s = rounded(random.uniform(4.0, 7.0)), rounded(random.choice((2.0, random.uniform(6.0, 9.0))))
     steps = [step("formation", at_s, formation=shape_change(random, fleet)) for at_s in (first_s, first_s + gap_s)]
-    return Plan(slow(random, fleet), steps, slots_from_s=first_s + gap_s, lasts_s=32.0)
+    return FamilyPlan(slow(random, fleet), steps, slots_from_s=first_s + gap_s, lasts_s=32.0)
 
 
-def exchange(random: Random, fleet: Fleet) -> Plan:
+def exchange(random: Random, fleet: DrawnFleet) -> FamilyPlan:
     """Vehicles exchange their slots crosswise: each with the opposite one, or in a random order."""
     own = list(fleet.slots_enu_m.values())
     others = [*own]
@@ -177,10 +177,10 @@ def exchange(random: Random, fleet: Fleet) -> Plan:
     change = {"slots_enu_m": slots, "speed_m_s": speed_m_s}
     steps = [step("formation", 5.0, formation=change, timeout_s=ENTERED_WITHIN_S)]
     way_m = max(dist(a, b) for a, b in zip(own, others, strict=True))
-    return Plan(point(fleet), steps, slots_from_s=5.0, lasts_s=max(32.0, _with_delays_s(way_m, speed_m_s)))
+    return FamilyPlan(point(fleet), steps, slots_from_s=5.0, lasts_s=max(32.0, _with_delays_s(way_m, speed_m_s)))
 
 
-def turning(random: Random, fleet: Fleet) -> Plan:
+def turning(random: Random, fleet: DrawnFleet) -> FamilyPlan:
     """The formation turns with the course of its reference."""
     radius_m = rounded(random.uniform(5.0, 12.0))
     period_s = rounded(random.uniform(25.0, 60.0))
@@ -188,7 +188,7 @@ def turning(random: Random, fleet: Fleet) -> Plan:
     size = {"radius_m": radius_m} if kind == "circle" else {"width_m": 2.0 * radius_m, "height_m": radius_m}
     centre = [-radius_m if kind == "circle" else 0.0, 0.0, fleet.height_m]
     reference: Content = {"kind": kind, "centre_enu_m": centre, "period_s": period_s, "ramp_s": 8.0, **size}
-    plan = Plan(reference, turns=True, lasts_s=28.0)
+    plan = FamilyPlan(reference, turns=True, lasts_s=28.0)
     if random.random() < 0.4:
         change = shape_change(random, fleet)
         plan.steps, plan.slots_from_s = [step("formation", 12.0, formation=change)], 12.0
@@ -196,7 +196,7 @@ def turning(random: Random, fleet: Fleet) -> Plan:
     return plan
 
 
-def _way_m(fleet: Fleet, change: Content) -> float:
+def _way_m(fleet: DrawnFleet, change: Content) -> float:
     """The longest way into a slot of a new shape."""
     slots = slots_of(SHAPES[change["shape"]], fleet.size, fleet.spacing_m, radians(change["heading_deg"]))
     assigned_m = assigned(fleet.slots_enu_m, slots)
@@ -206,7 +206,7 @@ def _way_m(fleet: Fleet, change: Content) -> float:
 # ---------------------------------------------------------------- references
 
 
-def fast(random: Random, fleet: Fleet) -> Plan:
+def fast(random: Random, fleet: DrawnFleet) -> FamilyPlan:
     """A reference near the fastest that the fleet accepts."""
     radius_m = rounded(random.uniform(4.0, 15.0))
     acceleration_m_s2 = random.uniform(1.0, 4.0)
@@ -221,16 +221,16 @@ def fast(random: Random, fleet: Fleet) -> Plan:
             "max_speed_m_s": rounded(random.uniform(2.0, 8.0)),
             "max_acceleration_m_s2": rounded(acceleration_m_s2),
         }
-        return Plan({"kind": kind, "points_enu_m": points, **limits}, lasts_s=25.0)
+        return FamilyPlan({"kind": kind, "points_enu_m": points, **limits}, lasts_s=25.0)
     period_s = rounded(2.0 * pi * (radius_m / acceleration_m_s2) ** 0.5 * (1.0 if kind == "circle" else 1.5))
     size = {"radius_m": radius_m} if kind == "circle" else {"width_m": 2.0 * radius_m, "height_m": radius_m}
     centre = [-radius_m if kind == "circle" else 0.0, 0.0, fleet.height_m]
-    return Plan(
+    return FamilyPlan(
         {"kind": kind, "centre_enu_m": centre, "period_s": max(period_s, 4.0), "ramp_s": 6.0, **size}, lasts_s=25.0
     )
 
 
-def reference_step(random: Random, fleet: Fleet) -> Plan:
+def reference_step(random: Random, fleet: DrawnFleet) -> FamilyPlan:
     """The reference steps by 5 to 10 m, twice."""
     first = direction(random, random.uniform(5.0, 10.0))
     second = moved(first, direction(random, random.uniform(5.0, 10.0)))
@@ -238,10 +238,10 @@ def reference_step(random: Random, fleet: Fleet) -> Plan:
         step("reference", at_s, reference=point(fleet, (x, y, rounded(random.uniform(-0.5, 1.0)))))
         for at_s, (x, y, _) in zip((5.0, 12.0), (first, second), strict=True)
     ]
-    return Plan(point(fleet), steps, slots_from_s=12.0, lasts_s=28.0)
+    return FamilyPlan(point(fleet), steps, slots_from_s=12.0, lasts_s=28.0)
 
 
-def reference_handover(random: Random, fleet: Fleet) -> Plan:
+def reference_handover(random: Random, fleet: DrawnFleet) -> FamilyPlan:
     """From one moving reference to another, and back to rest."""
     plan = fast(random, fleet)
     plan.reference = slow(random, fleet)
@@ -258,24 +258,24 @@ def reference_handover(random: Random, fleet: Fleet) -> Plan:
 # ---------------------------------------------------------------- leaders and leaving
 
 
-def leader_change(random: Random, fleet: Fleet) -> Plan:
+def leader_change(random: Random, fleet: DrawnFleet) -> FamilyPlan:
     """The leader changes while the reference moves, and sometimes while the formation changes."""
     reference = fast(random, fleet).reference if random.random() < 0.3 else slow(random, fleet)
     steps = [step("lead", 4.0, leaders=[fleet.successor]), step("lead", 9.0, leaders=[fleet.leader])]
     if random.random() < 0.5:
         steps.insert(1, step("formation", 6.0, formation=shape_change(random, fleet)))
-    return Plan(reference, steps, slots_from_s=6.0, lasts_s=24.0)
+    return FamilyPlan(reference, steps, slots_from_s=6.0, lasts_s=24.0)
 
 
-def leader_leaves(random: Random, fleet: Fleet) -> Plan:
+def leader_leaves(random: Random, fleet: DrawnFleet) -> FamilyPlan:
     """The leader holds in the middle of the fleet, then lands or stays; its successor continues."""
     steps = [step("hold", 5.0, vehicles=[fleet.leader])]
     if random.random() < 0.6:
         steps.append(step("land", 7.0, vehicles=[fleet.leader]))
-    return Plan(slow(random, fleet), steps, expected=fleet.followers, lasts_s=25.0)
+    return FamilyPlan(slow(random, fleet), steps, expected=fleet.followers, lasts_s=25.0)
 
 
-def leader_dies(random: Random, fleet: Fleet) -> Plan:
+def leader_dies(random: Random, fleet: DrawnFleet) -> FamilyPlan:
     """The leader's agent ends, and starts again after 2 to 6 s; of PX4, it sometimes never does.
 
     An ArduCopter without an agent drifts, and no other vehicle knows where it is: the filter cannot avoid it.
@@ -285,18 +285,18 @@ def leader_dies(random: Random, fleet: Fleet) -> Plan:
     if random.random() >= STAYS_DEAD or fleet.autopilot is AutopilotKind.ARDUPILOT:
         end["restarts_after_s"] = restarts_after_s
     reference = fast(random, fleet).reference if random.random() < 0.5 else slow(random, fleet)
-    return Plan(reference, agent_ends=[end], expected=fleet.followers, lasts_s=24.0)
+    return FamilyPlan(reference, agent_ends=[end], expected=fleet.followers, lasts_s=24.0)
 
 
-def returning(random: Random, fleet: Fleet) -> Plan:
+def returning(random: Random, fleet: DrawnFleet) -> FamilyPlan:
     """All vehicles, or some of them, return by their autopilots."""
     some = random.sample(fleet.ids, random.randint(1, fleet.size - 1))
     going = sorted(some) if random.random() < 0.7 else fleet.ids
     expected = [i for i in fleet.ids if i not in going]
-    return Plan(slow(random, fleet), [step("return", 6.0, vehicles=going)], expected=expected, lasts_s=28.0)
+    return FamilyPlan(slow(random, fleet), [step("return", 6.0, vehicles=going)], expected=expected, lasts_s=28.0)
 
 
-def hold_and_land(random: Random, fleet: Fleet) -> Plan:
+def hold_and_land(random: Random, fleet: DrawnFleet) -> FamilyPlan:
     """Some followers hold or land in the middle of the fleet, which then changes its shape or moves on."""
     going = sorted(random.sample(fleet.followers, random.randint(1, max(1, fleet.size // 3))))
     steps = [step("hold", 4.0, vehicles=going)]
@@ -307,10 +307,10 @@ def hold_and_land(random: Random, fleet: Fleet) -> Plan:
     else:
         steps.append(step("reference", 7.0, reference=point(fleet, direction(random, random.uniform(3.0, 8.0)))))
     expected = [i for i in fleet.ids if i not in going]
-    return Plan(point(fleet), steps, expected=expected, slots_from_s=7.0, lasts_s=28.0)
+    return FamilyPlan(point(fleet), steps, expected=expected, slots_from_s=7.0, lasts_s=28.0)
 
 
-def partition(random: Random, fleet: Fleet) -> Plan:
+def partition(random: Random, fleet: DrawnFleet) -> FamilyPlan:
     """The network splits into two parts and heals; vehicles that hold are commanded to form again."""
     part = sorted(random.sample(fleet.ids, random.randint(1, fleet.size - 1)))
     from_s, lasts_s = random.uniform(4.0, 6.0), random.uniform(0.2, 6.0)
@@ -319,7 +319,7 @@ def partition(random: Random, fleet: Fleet) -> Plan:
     steps = [step("form", 16.0)]
     if random.random() < 0.4:
         steps.insert(0, step("formation", rounded(from_s + 0.5), formation=shape_change(random, fleet)))
-    return Plan(slow(random, fleet), steps, partitions=[split], slots_from_s=16.0, lasts_s=30.0)
+    return FamilyPlan(slow(random, fleet), steps, partitions=[split], slots_from_s=16.0, lasts_s=30.0)
 
 
 FAMILIES: dict[str, Family] = {

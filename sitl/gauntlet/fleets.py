@@ -35,7 +35,7 @@ SHAPE_NAMES = tuple(SHAPES)
 
 
 @dataclass
-class Fleet:
+class DrawnFleet:
     """A drawn fleet. `starts_enu_m` are on the ground; `slots_enu_m` are relative to the reference."""
 
     size: int
@@ -76,7 +76,7 @@ class Fleet:
         return [i for i in self.ids if i != self.leader]
 
 
-def random_fleet(random: Random, sensors: SensorsName | None = None, own: FleetConfig | None = None) -> Fleet:
+def random_fleet(random: Random, sensors: SensorsName | None = None, own: FleetConfig | None = None) -> DrawnFleet:
     """A fleet that starts below its slots, with the reference at x = y = 0; with `own` only its surroundings are random."""
     size, law = min(random.randint(4, 12), random.randint(4, 12)), random.choice(LAWS)
     autopilot = random.choice(tuple(AutopilotKind))
@@ -86,7 +86,7 @@ def random_fleet(random: Random, sensors: SensorsName | None = None, own: FleetC
     spacing_m = rounded(max(separation_m * random.uniform(*SPACING), LEAST_SIGMAS_M[used_sensors]))
     good_network = random.random() < 0.3
     delay_s, jitter_s, loss = random.uniform(0.0, 0.1), random.uniform(0.0, 0.05), random.uniform(0.0, 0.1)
-    fleet = Fleet(
+    fleet = DrawnFleet(
         size=size,
         law=law,
         autopilot=autopilot,
@@ -109,7 +109,7 @@ def random_fleet(random: Random, sensors: SensorsName | None = None, own: FleetC
     return fleet
 
 
-def _take_settings(fleet: Fleet, own: FleetConfig) -> None:
+def _take_settings(fleet: DrawnFleet, own: FleetConfig) -> None:
     """Size, law, separation, slots and heights of the user's fleet."""
     fleet.size, fleet.law, fleet.separation_m = len(own.vehicles), own.law.name, own.separation_m
     fleet.height_m, fleet.slot_speed_m_s = own.takeoff_height_m, own.slot_speed_m_s
@@ -118,7 +118,7 @@ def _take_settings(fleet: Fleet, own: FleetConfig) -> None:
     fleet.spacing_m = rounded(min((dist(a, b) for a, b in combinations(slots, 2)), default=own.separation_m))
 
 
-def random_slots(random: Random, fleet: Fleet) -> dict[int, Vector3]:
+def random_slots(random: Random, fleet: DrawnFleet) -> dict[int, Vector3]:
     """The slots of a random shape with a random heading by vehicle id."""
     shape = random.choice(SHAPE_NAMES)
     heading_rad = radians(random.choice((0.0, 0.0, random.uniform(-180.0, 180.0))))
@@ -126,7 +126,7 @@ def random_slots(random: Random, fleet: Fleet) -> dict[int, Vector3]:
     return {i: on_grid(slot) for i, slot in enumerate(slots, start=1)}
 
 
-def below(slots_enu_m: Mapping[int, Vector3], fleet: Fleet) -> dict[int, Vector3]:
+def below(slots_enu_m: Mapping[int, Vector3], fleet: DrawnFleet) -> dict[int, Vector3]:
     """Starts below the slots, moved apart where slots are above each other."""
     flat = {i: (x, y) for i, (x, y, _) in slots_enu_m.items()}
     nearest_m = min(dist(a, b) for a, b in combinations(flat.values(), 2))
@@ -171,7 +171,7 @@ def on_grid(point: Sequence[float]) -> Vector3:
     return (rounded(x), rounded(y), rounded(z))
 
 
-def sections(fleet: Fleet, random: Random) -> dict[str, Any]:
+def sections(fleet: DrawnFleet, random: Random) -> dict[str, Any]:
     """The scenario of the fleet as plain content, still without reference and timeline."""
     vehicles = [
         {

@@ -13,11 +13,11 @@ from companion.types.notices import Code
 from sitl.flight.orders import Refusal
 from sitl.flight.scenario import Scenario
 from sitl.flight.virtual_flight import Flown, fly_without_landing
-from sitl.gauntlet.arrival import Arrivals, arrivals
+from sitl.gauntlet.arrival import SlotArrivals, arrivals
 from sitl.gauntlet.distances import SENSOR_FACTOR, Distances, distances
-from sitl.gauntlet.drawn import Drawn, NoFlightError, drawn, family_of
+from sitl.gauntlet.drawn import Drawn, ImpossibleFlightError, drawn, family_of
 from sitl.gauntlet.fleets import SensorsName
-from sitl.report.progress import Progress
+from sitl.report.progress import FlightProgress
 from sitl.vehicle.config import Links
 
 UNDISTURBED_EVERY = 3
@@ -33,7 +33,7 @@ class Job(Struct, frozen=True):
     own: FleetConfig | None = None
 
 
-class Outcome(Struct, frozen=True, kw_only=True):
+class FlightOutcome(Struct, frozen=True, kw_only=True):
     """One flight. `ratio`: smallest distance of the pairs that count, in units of `separation_m`; None: none counted.
 
     `exception` is a whole traceback, "" without one. `codes` are those of all events.
@@ -51,7 +51,7 @@ class Outcome(Struct, frozen=True, kw_only=True):
     ratio: float | None = None
     distances: Distances | None = None
     violation: bool = False
-    arrivals: Arrivals | None = None
+    arrivals: SlotArrivals | None = None
     undisturbed_s: dict[int, float | None] = {}
     refusals: list[Refusal] = []
     codes: list[Code] = []
@@ -60,20 +60,20 @@ class Outcome(Struct, frozen=True, kw_only=True):
     cpu_s: float = 0.0
 
 
-def fly(job: Job) -> Outcome:
+def fly(job: Job) -> FlightOutcome:
     """Draw and fly one flight. An exception of the flight is part of the outcome."""
     began_s = time.process_time()
     try:
         flight = drawn(job.seed, job.number, job.sensors, job.own)
-    except NoFlightError as error:
-        return Outcome(seed=job.seed, number=job.number, family=family_of(job.number), failure=str(error))
+    except ImpossibleFlightError as error:
+        return FlightOutcome(seed=job.seed, number=job.number, family=family_of(job.number), failure=str(error))
     return measured(job, flight, began_s)
 
 
-def measured(job: Job, flight: Drawn, began_s: float) -> Outcome:
+def measured(job: Job, flight: Drawn, began_s: float) -> FlightOutcome:
     scenario = flight.scenario
     sensors = str(scenario.stand_in.sensors)
-    known = Outcome(
+    known = FlightOutcome(
         seed=job.seed,
         number=job.number,
         family=flight.family,
@@ -85,7 +85,7 @@ def measured(job: Job, flight: Drawn, began_s: float) -> Outcome:
         runaway=flight.runaway,
     )
     try:
-        flown = fly_without_landing(scenario, Progress("gauntlet", True, 0.0))
+        flown = fly_without_landing(scenario, FlightProgress("gauntlet", True, 0.0))
     except Exception:  # noqa: BLE001 -- any defect of an agent is an outcome, and the other flights go on
         return replace(known, exception=traceback.format_exc(), cpu_s=_since(began_s))
     found, arrived = distances(flown.stand_ins), arrivals(flight, flown)
@@ -104,11 +104,11 @@ def measured(job: Job, flight: Drawn, began_s: float) -> Outcome:
     )
 
 
-def _undisturbed_s(flight: Drawn, arrived: Arrivals) -> dict[int, float | None]:
+def _undisturbed_s(flight: Drawn, arrived: SlotArrivals) -> dict[int, float | None]:
     """Times to the slots without disturbance; of every UNDISTURBED_EVERY-th flight, because it takes another flight."""
     if flight.number % UNDISTURBED_EVERY or not any(s is not None for s in arrived.reached_s.values()):
         return {}
-    flown = fly_without_landing(undisturbed(flight.scenario), Progress("gauntlet", True, 0.0))
+    flown = fly_without_landing(undisturbed(flight.scenario), FlightProgress("gauntlet", True, 0.0))
     return arrivals(flight, flown).reached_s
 
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from sitl.gauntlet.families import FAMILIES, RESTARTS_AFTER_S, STAYS_DEAD
-from sitl.gauntlet.flight import Outcome
+from sitl.gauntlet.flight import FlightOutcome
 from sitl.gauntlet.summary import COLUMNS, GRACE_S, IN_TIME, FamilySummary, cells
 
 
-def page(seed: int, families: Sequence[FamilySummary], outcomes: Sequence[Outcome]) -> str:
+def page(seed: int, families: Sequence[FamilySummary], outcomes: Sequence[FlightOutcome]) -> str:
     """The whole page as Markdown."""
     return "\n".join(
         [
@@ -37,7 +37,7 @@ def page(seed: int, families: Sequence[FamilySummary], outcomes: Sequence[Outcom
     )
 
 
-def _vehicles(outcomes: Sequence[Outcome]) -> str:
+def _vehicles(outcomes: Sequence[FlightOutcome]) -> str:
     sizes = [outcome.vehicles for outcome in outcomes if outcome.vehicles]
     return f"{min(sizes)} to {max(sizes)} vehicles each" if sizes else "none of them possible"
 

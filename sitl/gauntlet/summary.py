@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from msgspec import Struct
 
-from sitl.gauntlet.flight import Outcome
+from sitl.gauntlet.flight import FlightOutcome
 from sitl.report.table import Column
 
 IN_TIME = 2.0  # times the undisturbed time
@@ -42,15 +42,15 @@ class FamilySummary(Struct, frozen=True, kw_only=True):
     exceptions: int
 
 
-def summarize(outcomes: Sequence[Outcome]) -> list[FamilySummary]:
+def summarize(outcomes: Sequence[FlightOutcome]) -> list[FamilySummary]:
     """One summary per family in the order of the first flight, and one of all flights."""
-    families: dict[str, list[Outcome]] = {}
+    families: dict[str, list[FlightOutcome]] = {}
     for outcome in outcomes:
         families.setdefault(outcome.family, []).append(outcome)
     return [*(_summary(name, own) for name, own in families.items()), _summary("all", outcomes)]
 
 
-def _summary(family: str, outcomes: Sequence[Outcome]) -> FamilySummary:
+def _summary(family: str, outcomes: Sequence[FlightOutcome]) -> FamilySummary:
     ratios = [o.ratio for o in outcomes if o.ratio is not None]
     automatic = [
         o.distances.automatic.distance_m / o.separation_m for o in outcomes if o.distances and o.distances.automatic
@@ -90,7 +90,7 @@ class Fate(Struct, frozen=True):
     in_time: bool | None
 
 
-def fates(outcome: Outcome) -> list[Fate]:
+def fates(outcome: FlightOutcome) -> list[Fate]:
     """One of each vehicle. A vehicle that refused a command and is in a slot nevertheless has reached it."""
     if outcome.arrivals is None:
         return []

@@ -12,13 +12,13 @@ from companion.config.fleet import FleetConfig
 from sitl.gauntlet.distances import SENSOR_FACTOR
 from sitl.gauntlet.drawn import drawn
 from sitl.gauntlet.fleets import SensorsName
-from sitl.gauntlet.flight import Outcome
+from sitl.gauntlet.flight import FlightOutcome
 
 KEPT = 10
 
 
 def write_worst(
-    folder: Path, outcomes: Sequence[Outcome], sensors: SensorsName | None, own: FleetConfig | None
+    folder: Path, outcomes: Sequence[FlightOutcome], sensors: SensorsName | None, own: FleetConfig | None
 ) -> list[str]:
     """Write a scenario file for each of the KEPT flights nearest to a violation, and those with an exception.
 
@@ -36,19 +36,19 @@ def write_worst(
     return lines
 
 
-def worst_of(outcomes: Sequence[Outcome]) -> list[Outcome]:
+def worst_of(outcomes: Sequence[FlightOutcome]) -> list[FlightOutcome]:
     """Flights with an exception first, then those with the smallest ratio for their sensors."""
     failed = [outcome for outcome in outcomes if outcome.exception]
     ranked = sorted((o for o in outcomes if o.ratio is not None), key=_share_of_limit)
     return [*failed, *ranked][:KEPT]
 
 
-def _share_of_limit(outcome: Outcome) -> float:
+def _share_of_limit(outcome: FlightOutcome) -> float:
     assert outcome.ratio is not None
     return outcome.ratio / SENSOR_FACTOR[outcome.sensors]
 
 
-def in_a_line(outcome: Outcome) -> str:
+def in_a_line(outcome: FlightOutcome) -> str:
     """The flight, and what was worst in it."""
     name = f"flight {outcome.number}, {outcome.family}, {outcome.law}, {outcome.autopilot}, {outcome.sensors}"
     if outcome.exception:

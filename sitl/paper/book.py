@@ -6,9 +6,9 @@ from collections.abc import Iterable
 from functools import cached_property
 
 from companion.config.fleet import LawName
-from sitl.paper.flights import FlownPlan, Model, Subject
-from sitl.report.claim import Verdict
-from sitl.report.metrics import Flight, FormationFigures, formation_figures
+from sitl.paper.flights import FlightSubject, FlownPlan, Model
+from sitl.report.claim import ClaimVerdict
+from sitl.report.metrics import FormationFigures, FormationFlight, formation_figures
 
 PERFECT = (Model.IDEAL, Model.FULL)
 
@@ -20,7 +20,7 @@ class Entry:
         self.flown = flown
 
     @cached_property
-    def flight(self) -> Flight:
+    def flight(self) -> FormationFlight:
         """Raises NoFormationError."""
         return self.flown.flight()
 
@@ -43,12 +43,12 @@ class Book:
     def __init__(self, flown: Iterable[FlownPlan]) -> None:
         self._entries = [Entry(one) for one in flown]
 
-    def all(self, subject: Subject, law: LawName, model: Model) -> list[Entry]:
+    def all(self, subject: FlightSubject, law: LawName, model: Model) -> list[Entry]:
         """The flights with all seeds."""
         wanted = (subject, law, model)
         return [e for e in self._entries if (e.flown.plan.subject, e.flown.plan.law, e.flown.plan.model) == wanted]
 
-    def one(self, subject: Subject, law: LawName, model: Model) -> Entry:
+    def one(self, subject: FlightSubject, law: LawName, model: Model) -> Entry:
         """The flight with the first seed. Raises LookupError."""
         found = self.all(subject, law, model)
         if not found:
@@ -56,11 +56,11 @@ class Book:
         return found[0]
 
 
-def verdict_of(to_the_letter: bool, with_a_condition: bool = False) -> Verdict:
+def verdict_of(to_the_letter: bool, with_a_condition: bool = False) -> ClaimVerdict:
     """HOLDS where the claim holds to the letter, else CONDITION or FAILS by `with_a_condition`."""
     if to_the_letter:
-        return Verdict.HOLDS
-    return Verdict.CONDITION if with_a_condition else Verdict.FAILS
+        return ClaimVerdict.HOLDS
+    return ClaimVerdict.CONDITION if with_a_condition else ClaimVerdict.FAILS
 
 
 def seconds(value_s: float, digits: int = 1) -> str:

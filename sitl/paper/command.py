@@ -49,7 +49,7 @@ def _reproduce(options: PaperOptions) -> int:
     from sitl.paper.errata import errata
     from sitl.paper.figures.pictures import PICTURES
     from sitl.paper.law_table import law_table
-    from sitl.paper.report import Report, verdict_counts, versions, write_report
+    from sitl.paper.report import PaperReport, verdict_counts, versions, write_report
     from sitl.study.command import draw, study_report
 
     began_s = time.perf_counter()
@@ -64,7 +64,7 @@ def _reproduce(options: PaperOptions) -> int:
             progress.show(number / len(PICTURES))
             picture.save(options.out / picture.file, book)
         draw(options.out, study)
-    report = Report(
+    report = PaperReport(
         claims=[*theory, *flight_claims(book)],
         past_claims=study.claims,
         past_words=growth_text(study),

@@ -11,8 +11,8 @@ from companion.config.fleet import LawName
 from companion.types.errors import FailedError
 from sitl.flight.scenario import Scenario, load_scenario, reference_of
 from sitl.flight.virtual_flight import fly_in_virtual_time
-from sitl.report.metrics import Flight, Formation, neighbouring_pairs, standing
-from sitl.report.progress import Progress
+from sitl.report.metrics import Formation, FormationFlight, neighbouring_pairs, standing
+from sitl.report.progress import FlightProgress
 from sitl.report.records import TopologyChange
 from sitl.report.tracks import Track
 
@@ -52,7 +52,7 @@ MODEL_OVERRIDES: dict[Model, tuple[str, ...]] = {
 }
 
 
-class Subject(StrEnum):
+class FlightSubject(StrEnum):
     """An experiment of the paper; the value is the name of its scenario."""
 
     PLATOON = "platoon"
@@ -61,13 +61,13 @@ class Subject(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class PaperPlan:
     """One flight to be flown, with its overrides of the scenario.
 
     Disturbance observer and velocity correction are off, as in the paper.
     """
 
-    subject: Subject
+    subject: FlightSubject
     law: LawName
     model: Model
     seed: int = 1
@@ -87,50 +87,52 @@ class FlownPlan:
     `formation` is None where the vehicles never formed up; `failure` then gives the reason.
     """
 
-    plan: Plan
+    plan: PaperPlan
     scenario: Scenario
     tracks: dict[int, Track]
     formation: Formation | None
     topology: tuple[TopologyChange, ...]
     failure: str | None
 
-    def flight(self) -> Flight:
+    def flight(self) -> FormationFlight:
         """The flight for the metrics. Raises NoFormationError."""
         if self.formation is None:
             raise NoFormationError(f"{self.plan.subject}, {self.plan.law}, {self.plan.model}: {self.failure}")
         slots_enu_m = {member.id: member.slot_enu_m for member in self.scenario.fleet.vehicles}
         pairs = neighbouring_pairs(slots_enu_m)
-        return Flight(
+        return FormationFlight(
             self.plan.law, self.tracks, standing(slots_enu_m), pairs, reference_of(self.scenario), self.formation
         )
 
 
-def paper_plans(full: bool) -> list[Plan]:
+def paper_plans(full: bool) -> list[PaperPlan]:
     """All flights of the report, the longest first; `full` adds flights with noise."""
     return list(_plans(range(1, 1 + (MORE_SEEDS if full else SEEDS))))
 
 
-def _plans(seeds: range) -> Iterator[Plan]:
+def _plans(seeds: range) -> Iterator[PaperPlan]:
     perfect = (Model.IDEAL, Model.FULL)
     for law in COMPARED:
-        yield from (Plan(Subject.FIGURE_8, law, model) for model in perfect if law != "average_26")
+        yield from (PaperPlan(FlightSubject.FIGURE_8, law, model) for model in perfect if law != "average_26")
     for law in COMPARED:
-        yield from (Plan(Subject.PLATOON, law, model) for model in perfect)
+        yield from (PaperPlan(FlightSubject.PLATOON, law, model) for model in perfect)
     short = f"timeline[3].for_s={COOPERATION_S:g}"
     for law in NOISY_LAWS:
-        yield from (Plan(Subject.PLATOON, law, Model.NOISY, seed, (short,)) for seed in seeds)
+        yield from (PaperPlan(FlightSubject.PLATOON, law, Model.NOISY, seed, (short,)) for seed in seeds)
     for model in perfect:
-        yield Plan(Subject.AGGREGATION, "weighted", model)
-        yield Plan(Subject.AGGREGATION, "average_22", model)
-        yield Plan(Subject.AGGREGATION, "average_26", model, more=(PATIENT, f"timeline[3].for_s={ALONE_S:g}"))
+        yield PaperPlan(FlightSubject.AGGREGATION, "weighted", model)
+        yield PaperPlan(FlightSubject.AGGREGATION, "average_22", model)
+        yield PaperPlan(
+            FlightSubject.AGGREGATION, "average_26", model, more=(PATIENT, f"timeline[3].for_s={ALONE_S:g}")
+        )
     for law in NOISY_LAWS:
-        yield from (Plan(Subject.AGGREGATION, law, Model.NOISY, seed, (PATIENT,)) for seed in seeds)
+        yield from (PaperPlan(FlightSubject.AGGREGATION, law, Model.NOISY, seed, (PATIENT,)) for seed in seeds)
 
 
-def fly(plan: Plan) -> FlownPlan:
+def fly(plan: PaperPlan) -> FlownPlan:
     """Fly the whole timeline of the plan in virtual time, including the landing. Raises ConfigError."""
     scenario = plan.scenario()
-    flown = fly_in_virtual_time(scenario, Progress(plan.subject, quiet=True, began_s=0.0))
+    flown = fly_in_virtual_time(scenario, FlightProgress(plan.subject, quiet=True, began_s=0.0))
     return FlownPlan(
         plan=plan,
         scenario=scenario,

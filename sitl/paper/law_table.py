@@ -6,7 +6,7 @@ from msgspec import Struct
 
 from sitl.paper.book import PERFECT, Book
 from sitl.paper.claims.platoon import PAIRS
-from sitl.paper.flights import COMPARED, Model, Subject
+from sitl.paper.flights import COMPARED, FlightSubject, Model
 from sitl.paper.ideal_model import ideal_figures
 
 DELAY_S = 0.01  # agents tick every 0.02 s at different phases: the mean age of a neighbour's state is half of that
@@ -25,13 +25,13 @@ class LawRow(Struct, frozen=True, kw_only=True):
 def law_table(book: Book) -> list[LawRow]:
     rows = []
     for law in COMPARED:
-        flown = book.one(Subject.PLATOON, law, Model.IDEAL).flown
+        flown = book.one(FlightSubject.PLATOON, law, Model.IDEAL).flown
         for source, delay_s in (("equations", 0.0), (f"equations, neighbours delayed by {DELAY_S:g} s", DELAY_S)):
             ideal = ideal_figures(flown, delay_s)
             largest_m = tuple(ideal.max_distance_m[pair] for pair in PAIRS)
             rows.append(LawRow(law=law, source=source, largest_m=largest_m, settle_s=ideal.settle_s))
         for model in PERFECT:
-            figures = book.one(Subject.PLATOON, law, model).figures
+            figures = book.one(FlightSubject.PLATOON, law, model).figures
             largest_m = tuple(figures.max_distance_m[pair] for pair in PAIRS)
             rows.append(LawRow(law=law, source=FLOWN[model], largest_m=largest_m, settle_s=figures.settle_s))
     return rows

@@ -9,14 +9,14 @@ import numpy as np
 
 from companion.stability.arrays import FloatArray
 from sitl.paper.theory.graphs import graph_of
-from sitl.report.metrics import Flight, Pair, Tracks, distances_m, pairs_of
+from sitl.report.metrics import FormationFlight, Pair, Tracks, distances_m, pairs_of
 from sitl.study.shapes import is_connected
 
 Interval = tuple[float, float]  # from, to [s] after the start of the formation
 RESPONDED_SHARE = 0.5  # a vehicle has responded after this share of its distance
 
 
-def response_s(flight: Flight, vehicle_id: int) -> float:
+def response_s(flight: FormationFlight, vehicle_id: int) -> float:
     """Time from the start of the formation until the vehicle has covered half of its distance in x; inf where it never does."""
     times_s = flight.formation.times_s()
     x_m = flight.tracks[vehicle_id].at(times_s)[:, 0]
@@ -25,13 +25,13 @@ def response_s(flight: Flight, vehicle_id: int) -> float:
     return float(times_s[done[0]] - times_s[0]) if done.size else float("inf")
 
 
-def broken_s(flight: Flight, pair: Pair, range_m: float) -> list[Interval]:
+def broken_s(flight: FormationFlight, pair: Pair, range_m: float) -> list[Interval]:
     """Intervals in which two vehicles were out of range of each other."""
     times_s = flight.formation.times_s()
     return _intervals(distances_m(flight.tracks, pair, times_s) > range_m, times_s)
 
 
-def alone_s(flight: Flight, vehicle_id: int, range_m: float) -> list[Interval]:
+def alone_s(flight: FormationFlight, vehicle_id: int, range_m: float) -> list[Interval]:
     """Intervals in which a vehicle had no other in range."""
     times_s = flight.formation.times_s()
     pairs = [pair for pair in pairs_of(flight.tracks) if vehicle_id in pair]
@@ -39,7 +39,7 @@ def alone_s(flight: Flight, vehicle_id: int, range_m: float) -> list[Interval]:
     return _intervals(nearest_m > range_m, times_s)
 
 
-def apart_s(flight: Flight, range_m: float) -> list[Interval]:
+def apart_s(flight: FormationFlight, range_m: float) -> list[Interval]:
     """Intervals in which the graph of vehicles in range was not connected."""
     times_s = flight.formation.times_s()
     pairs = pairs_of(flight.tracks)
@@ -52,7 +52,7 @@ def apart_s(flight: Flight, range_m: float) -> list[Interval]:
     return _intervals(np.array(in_parts)[at.ravel()], times_s)
 
 
-def fewest_in_range(flight: Flight, vehicle_id: int, range_m: float) -> list[int]:
+def fewest_in_range(flight: FormationFlight, vehicle_id: int, range_m: float) -> list[int]:
     """Ids of the vehicles in range of a vehicle at the time when these were fewest."""
     times_s = flight.formation.times_s()
     others = sorted(flight.tracks.keys() - {vehicle_id})
@@ -76,7 +76,7 @@ def _intervals(condition: np.ndarray[tuple[int, ...], np.dtype[np.bool_]], times
     ]
 
 
-def beginning(flight: Flight, seconds_s: float) -> Flight:
+def beginning(flight: FormationFlight, seconds_s: float) -> FormationFlight:
     """The same flight with its formation cut after `seconds_s`."""
     formation = flight.formation
     return replace(flight, formation=replace(formation, end_s=min(formation.end_s, formation.start_s + seconds_s)))
@@ -86,7 +86,7 @@ def total_s(intervals: Sequence[Interval]) -> float:
     return float(sum(to_s - from_s for from_s, to_s in intervals))
 
 
-def behind_leader_m(flight: Flight, leader_id: int, vehicle_id: int, times_s: FloatArray) -> FloatArray:
+def behind_leader_m(flight: FormationFlight, leader_id: int, vehicle_id: int, times_s: FloatArray) -> FloatArray:
     """Distance |(x_i - d_i0) - (x_l - d_l0)| (n,) of a follower to its slot relative to the leader."""
     own = flight.tracks[vehicle_id].at(times_s) - np.array(flight.slots_enu_m[vehicle_id])
     leader = flight.tracks[leader_id].at(times_s) - np.array(flight.slots_enu_m[leader_id])

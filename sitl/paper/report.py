@@ -14,19 +14,19 @@ from msgspec import Struct
 from companion import __version__
 from sitl.paper.beyond import SettingRow
 from sitl.paper.book import listed
-from sitl.paper.figures.pictures import PICTURES, Picture
+from sitl.paper.figures.pictures import PICTURES, PaperFigure
 from sitl.paper.law_table import LawRow
-from sitl.report.claim import Claim, Erratum, Verdict
+from sitl.report.claim import Claim, ClaimVerdict, Erratum
 from sitl.report.plots import LAW_TITLES
 from sitl.report.summary import write_json
 from sitl.study.command import SHOWN
 
 SCHEMA = 1
-SIGNS = {Verdict.HOLDS: "✓", Verdict.CONDITION: "◐", Verdict.FAILS: "✗"}  # distinct without colour
-CSS_CLASSES = {Verdict.HOLDS: "holds", Verdict.CONDITION: "condition", Verdict.FAILS: "fails"}
+SIGNS = {ClaimVerdict.HOLDS: "✓", ClaimVerdict.CONDITION: "◐", ClaimVerdict.FAILS: "✗"}  # distinct without colour
+CSS_CLASSES = {ClaimVerdict.HOLDS: "holds", ClaimVerdict.CONDITION: "condition", ClaimVerdict.FAILS: "fails"}
 
 
-class Report(Struct, frozen=True, kw_only=True):
+class PaperReport(Struct, frozen=True, kw_only=True):
     """Content of claims.json. `took_s`: run time of the command; `flights`: number of its flights."""
 
     schema: int = SCHEMA
@@ -53,7 +53,7 @@ def versions() -> dict[str, str]:
 
 def verdict_counts(claims: Sequence[Claim]) -> str:
     """ "31 claims: 22 hold, 8 hold with a condition and 1 does not hold"."""
-    counts = {verdict: sum(claim.verdict is verdict for claim in claims) for verdict in Verdict}
+    counts = {verdict: sum(claim.verdict is verdict for claim in claims) for verdict in ClaimVerdict}
     holds, condition, fails = counts.values()
     parts = [
         f"{holds} {'holds' if holds == 1 else 'hold'}",
@@ -63,13 +63,13 @@ def verdict_counts(claims: Sequence[Claim]) -> str:
     return f"{len(claims)} claim{'' if len(claims) == 1 else 's'}: {listed(parts)}"
 
 
-def write_report(folder: Path, report: Report) -> None:
+def write_report(folder: Path, report: PaperReport) -> None:
     """Write index.html and claims.json to the folder of the figures."""
     write_json(folder / "claims.json", report)
     (folder / "index.html").write_text(as_html(report), encoding="utf-8")
 
 
-def as_html(report: Report) -> str:
+def as_html(report: PaperReport) -> str:
     """The page. It needs no network; its figures are files in the same folder."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("sitl.paper"),
@@ -84,7 +84,7 @@ def as_html(report: Report) -> str:
     return template.render(
         report=report,
         summary=verdict_counts(report.claims),
-        verdicts=[(verdict, [c for c in report.claims if c.verdict is verdict]) for verdict in Verdict],
+        verdicts=[(verdict, [c for c in report.claims if c.verdict is verdict]) for verdict in ClaimVerdict],
         pictures=[(picture, _claims_of(picture, by_id)) for picture in PICTURES],
         law_titles=LAW_TITLES,
         past_shapes=SHOWN,
@@ -98,5 +98,5 @@ def sentence(text: str) -> str:
     return capital if not text or text.endswith(".") else f"{capital}."
 
 
-def _claims_of(picture: Picture, by_id: dict[str, Claim]) -> list[Claim]:
+def _claims_of(picture: PaperFigure, by_id: dict[str, Claim]) -> list[Claim]:
     return [by_id[claim_id] for claim_id in picture.claim_ids if claim_id in by_id]

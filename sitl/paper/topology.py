@@ -28,7 +28,7 @@ Topology = dict[int, VehicleReport]  # by vehicle id
 
 
 @dataclass(frozen=True, slots=True)
-class Leadership:
+class LeadershipSpan:
     """UAV `leader_id` was leader from `from_s` to `to_s` of the flight's clock. `settled_s`: time of the last PrC change."""
 
     leader_id: int
@@ -46,7 +46,7 @@ def topology_at(changes: Sequence[TopologyChange], time_s: float) -> Topology:
     return dict(sorted(found.items()))
 
 
-def leaderships(flown: FlownPlan) -> list[Leadership]:
+def leaderships(flown: FlownPlan) -> list[LeadershipSpan]:
     """All leaderships of the formation, in order of time. Raises NoFormationError."""
     formation = flown.flight().formation
     first = topology_at(flown.topology, formation.start_s)
@@ -57,7 +57,7 @@ def leaderships(flown: FlownPlan) -> list[Leadership]:
             starts.append((change.vehicle, change.time_s))
     ends = [*(from_s for _, from_s in starts[1:]), formation.end_s]
     return [
-        Leadership(leader_id, from_s, _settled_s(flown.topology, from_s, to_s), to_s)
+        LeadershipSpan(leader_id, from_s, _settled_s(flown.topology, from_s, to_s), to_s)
         for (leader_id, from_s), to_s in zip(starts, ends, strict=True)
     ]
 

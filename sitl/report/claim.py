@@ -10,7 +10,7 @@ import msgspec
 Progress = Callable[[float], None]  # called with the share done, 0 to 1
 
 
-class Verdict(StrEnum):
+class ClaimVerdict(StrEnum):
     """Result of the check of a claim by computation or flight."""
 
     HOLDS = "holds"
@@ -27,7 +27,7 @@ class Claim(msgspec.Struct, frozen=True, kw_only=True):
     paper: str  # the paper's figure, as text
     ideal: str  # our result with the ideal model, or by exact computation, as text
     full: str  # our result with the full quadrotor; "-" where it does not apply
-    verdict: Verdict
+    verdict: ClaimVerdict
     remark: str = ""  # the condition, the counterexample, the correction
     measured: dict[str, float] = {}  # every number behind the texts; names end in the unit
 

@@ -8,13 +8,13 @@ from pathlib import Path
 from msgspec import Struct
 
 from sitl.report.load import IF_TOO_BUSY
-from sitl.report.metrics import Flight
-from sitl.report.summary import SCHEMA, Summary, write_json
+from sitl.report.metrics import FormationFlight
+from sitl.report.summary import SCHEMA, RunSummary, write_json
 
 BEST = "*"
 
 
-class Row(Struct, frozen=True, kw_only=True):
+class ComparisonRow(Struct, frozen=True, kw_only=True):
     """One figure of every law, in the order of the flights. `best` names the laws with the best value."""
 
     figure: str
@@ -30,10 +30,10 @@ class Comparison(Struct, frozen=True, kw_only=True):
     scenario: str
     laws: list[str]
     too_busy: list[str]  # laws that the machine was too busy to fly in real time
-    rows: list[Row]
+    rows: list[ComparisonRow]
 
 
-def compare(summaries: Sequence[Summary]) -> Comparison:
+def compare(summaries: Sequence[RunSummary]) -> Comparison:
     """`summaries` are of one scenario, each with another law and with a formation."""
     rows = [
         _row(f"largest distance {pair}", "m", {s.law: (s.max_distance_m or {}).get(pair) for s in summaries})
@@ -58,7 +58,7 @@ def compare(summaries: Sequence[Summary]) -> Comparison:
     )
 
 
-def _settling_row(summaries: Sequence[Summary]) -> Row:
+def _settling_row(summaries: Sequence[RunSummary]) -> ComparisonRow:
     """About a moving reference a law may never settle: then the first time within 10 cm is compared."""
     settles = any(s.settle_s is not None or not s.reference_moves for s in summaries)
     if settles:
@@ -71,11 +71,11 @@ def _largest(values: Iterable[float | None]) -> float | None:
     return max((value for value in values if value is not None), default=None)
 
 
-def _row(figure: str, unit: str, values: dict[str, float | None], largest_is_best: bool = False) -> Row:
+def _row(figure: str, unit: str, values: dict[str, float | None], largest_is_best: bool = False) -> ComparisonRow:
     known = [value for value in values.values() if value is not None]
     best = (max(known) if largest_is_best else min(known)) if known else None
     winners = [law for law, value in values.items() if best is not None and value == best]
-    return Row(figure=figure, unit=unit, values=values, best=winners)
+    return ComparisonRow(figure=figure, unit=unit, values=values, best=winners)
 
 
 def in_a_table(comparison: Comparison) -> str:
@@ -92,7 +92,7 @@ def in_a_table(comparison: Comparison) -> str:
     return "\n".join(lines)
 
 
-def _cell(row: Row, law: str) -> str:
+def _cell(row: ComparisonRow, law: str) -> str:
     value = row.values[law]
     if value is None:
         return "never  "
@@ -100,7 +100,7 @@ def _cell(row: Row, law: str) -> str:
     return f"{value:.{digits}f} {BEST if law in row.best else ' '}"
 
 
-def write_comparison(folder: Path, comparison: Comparison, flights: Sequence[Flight]) -> None:
+def write_comparison(folder: Path, comparison: Comparison, flights: Sequence[FormationFlight]) -> None:
     """comparison.json and comparison.png."""
     from sitl.report.plots import (
         save_comparison,  # matplotlib is slow to import; not before the flights are over

@@ -44,7 +44,7 @@ class Formation:
 
 
 @dataclass(frozen=True, slots=True)
-class Flight:
+class FormationFlight:
     """One formation as flown, with its slots and reference. `pairs` are those whose distances are reported."""
 
     law: str

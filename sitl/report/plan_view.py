@@ -19,7 +19,7 @@ from companion.geometry.airspace import Airspace
 from companion.stability.arrays import FloatArray
 from companion.types.flight import Role
 from sitl.report.airspace_view import draw_airspace
-from sitl.report.metrics import Flight, Formation, reference_positions_m
+from sitl.report.metrics import Formation, FormationFlight, reference_positions_m
 from sitl.report.plots import GUIDE, POSITIONS, law_title, new_figure
 from sitl.report.records import CommandGiven, TopologyChange
 
@@ -61,7 +61,7 @@ class Panel:
     command: str
 
 
-def save_plan_view(path: Path, flight: Flight, watch: FlightRecord, name: str, airspace: Airspace) -> None:
+def save_plan_view(path: Path, flight: FormationFlight, watch: FlightRecord, name: str, airspace: Airspace) -> None:
     """Paths from above; at each panel's end the positions, leaders and neighbours. Polygon of the fence, and obstacles."""
     panels = panels_of(watch)
     columns = min(COLUMNS, len(panels))
@@ -109,7 +109,7 @@ def panels_of(watch: FlightRecord) -> list[Panel]:
     return panels[-MAX_PANELS:]
 
 
-def _extent_m(flight: Flight, panels: Sequence[Panel], airspace: Airspace) -> tuple[FloatArray, FloatArray]:
+def _extent_m(flight: FormationFlight, panels: Sequence[Panel], airspace: Airspace) -> tuple[FloatArray, FloatArray]:
     """Lower left and upper right corner, (2,) each, of everything drawn, with a margin."""
     times_s = np.arange(panels[0].start_s, panels[-1].end_s, SAMPLE_S)
     flown_m = np.concatenate([track.at(times_s)[:, :2] for track in flight.tracks.values()])
@@ -121,7 +121,7 @@ def _extent_m(flight: Flight, panels: Sequence[Panel], airspace: Airspace) -> tu
     return middle_m - half_m - MARGIN * largest_m, middle_m + half_m + MARGIN * largest_m
 
 
-def _draw(axes: Axes, flight: Flight, watch: FlightRecord, panel: Panel) -> None:
+def _draw(axes: Axes, flight: FormationFlight, watch: FlightRecord, panel: Panel) -> None:
     times_s = np.linspace(panel.start_s, panel.end_s, max(2, round((panel.end_s - panel.start_s) / SAMPLE_S)))
     reference_m = reference_positions_m(flight.reference, flight.formation.reference_start_s, times_s)
     axes.plot(reference_m[:, 0], reference_m[:, 1], **GUIDE)

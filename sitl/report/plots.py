@@ -15,7 +15,15 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from companion.stability.arrays import FloatArray
-from sitl.report.metrics import Flight, Formation, Pair, TrackSource, distances_m, pair_name, reference_positions_m
+from sitl.report.metrics import (
+    Formation,
+    FormationFlight,
+    Pair,
+    TrackSource,
+    distances_m,
+    pair_name,
+    reference_positions_m,
+)
 
 BEFORE_S = 2.0  # shown before the formation
 PAIRS_SHOWN = 7  # each with a curve of its own; of more pairs the nearest and the farthest ones, the others thin
@@ -38,7 +46,7 @@ LAW_TITLES = {
 }
 
 
-def save_figure_5(path: Path, flight: Flight, name: str) -> None:
+def save_figure_5(path: Path, flight: FormationFlight, name: str) -> None:
     """x and y of all vehicles over time, with their slots."""
     figure = new_figure(8.4, 6.0, f"{name}: x and y of every vehicle")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=_heights([flight]))
@@ -54,7 +62,7 @@ def save_figure_5(path: Path, flight: Flight, name: str) -> None:
     figure.savefig(path, dpi=150)
 
 
-def save_figure_6(path: Path, flight: Flight, name: str) -> None:
+def save_figure_6(path: Path, flight: FormationFlight, name: str) -> None:
     """Inter-distances over time, with the wanted ones."""
     figure = new_figure(8.4, 4.6 + _height_of_legends_in(len(flight.pairs)), f"{name}: inter-distances")
     axes = figure.subplots()
@@ -66,7 +74,7 @@ def save_figure_6(path: Path, flight: Flight, name: str) -> None:
     figure.savefig(path, dpi=150)
 
 
-def save_comparison(path: Path, flights: Sequence[Flight], name: str) -> None:
+def save_comparison(path: Path, flights: Sequence[FormationFlight], name: str) -> None:
     """Figures 5 and 6 side by side, a column for each law."""
     height_in = 8.6 + _height_of_legends_in(max(len(flight.pairs) for flight in flights))
     title = f"{name}: the laws side by side, from {POSITIONS[flights[0].source]}"
@@ -86,12 +94,12 @@ def save_comparison(path: Path, flights: Sequence[Flight], name: str) -> None:
     figure.savefig(path, dpi=130)
 
 
-def law_title(flight: Flight) -> str:
+def law_title(flight: FormationFlight) -> str:
     """Title of the flight's column."""
     return LAW_TITLES.get(flight.law, flight.law)
 
 
-def _times_s(flight: Flight) -> FloatArray:
+def _times_s(flight: FormationFlight) -> FloatArray:
     """Sample times (n,), from a little before the formation to its end."""
     return Formation(flight.formation.start_s - BEFORE_S, flight.formation.end_s, 0.0).times_s()
 
@@ -103,7 +111,7 @@ def new_figure(width_in: float, height_in: float, title: str) -> Figure:
     return figure
 
 
-def _heights(flights: Sequence[Flight]) -> list[float]:
+def _heights(flights: Sequence[FormationFlight]) -> list[float]:
     """Relative heights of the panels of x and y: at least half the larger one."""
     extents = [np.ptp(track.position_enu_m, axis=0) for flight in flights for track in flight.tracks.values()]
     x_m, y_m, _ = np.max(extents, axis=0)
@@ -126,7 +134,7 @@ def look(index: int, samples: int) -> dict[str, Any]:
     }
 
 
-def draw_positions(axes: Axes, flight: Flight, axis: int) -> None:
+def draw_positions(axes: Axes, flight: FormationFlight, axis: int) -> None:
     """One coordinate of every vehicle; thin dotted lines are the slots r + d_i0."""
     times_s = _times_s(flight)
     since_s = times_s - flight.formation.start_s
@@ -138,7 +146,7 @@ def draw_positions(axes: Axes, flight: Flight, axis: int) -> None:
     dress(axes, since_s)
 
 
-def draw_distances(axes: Axes, flight: Flight) -> None:
+def draw_distances(axes: Axes, flight: FormationFlight) -> None:
     """The distance of every drawn pair, largest values in the legend; thin dotted lines are the wanted distances."""
     times_s = _times_s(flight)
     since_s = times_s - flight.formation.start_s

@@ -11,17 +11,17 @@ from companion.ground.fleet_state import VehicleRow
 from companion.types.flight import WITHOUT_LEADER, FlightPhase
 from sitl.report.screen import Screen
 
-PLAIN_EVERY_S = 5.0
+VIEW_EVERY_S = 5.0
 LONGEST_AGE_S = 1e5  # above: no data has come yet
 NEEDS_A_LEADER = (FlightPhase.HOLD, FlightPhase.ENGAGE, FlightPhase.FORMATION, FlightPhase.RELEASE)
 
 
-class Progress:
+class FlightProgress:
     """Shows one flight. Its times are arguments, because it may fly in virtual time. `quiet` shows nothing."""
 
     def __init__(self, name: str, quiet: bool, began_s: float, out: TextIO | None = None) -> None:
         self._name = name
-        self._screen = Screen(quiet, out or sys.stdout, PLAIN_EVERY_S, transient=False)
+        self._screen = Screen(quiet, out or sys.stdout, VIEW_EVERY_S, transient=False)
         self._screen.make_due()
         self._began_s = began_s
         self._step, self._step_began_s, self._step_lasts_s = "starting", self._began_s, 0.0

@@ -9,7 +9,7 @@ from typing import Self, TextIO
 
 from sitl.report.screen import Screen
 
-PLAIN_EVERY_S = 10.0
+SHARE_EVERY_S = 10.0
 LEAST_SHARE = 0.01  # below it the time left cannot be estimated
 
 
@@ -17,7 +17,7 @@ class ShareProgress:
     """One line on standard error, so that results can be piped; removed from a terminal when the block ends."""
 
     def __init__(self, quiet: bool, out: TextIO | None = None) -> None:
-        self._screen = Screen(quiet, out or sys.stderr, PLAIN_EVERY_S, transient=True)
+        self._screen = Screen(quiet, out or sys.stderr, SHARE_EVERY_S, transient=True)
         self._began_s = time.monotonic()
         self._stage, self._stage_began_s = "", self._began_s
 

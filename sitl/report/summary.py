@@ -17,7 +17,7 @@ SCHEMA = 1
 MAX_EACH = 8  # vehicles whose figures are printed in one line
 
 
-class Tick(Struct, frozen=True, kw_only=True):
+class TickFigures(Struct, frozen=True, kw_only=True):
     """How well an agent kept its 50 Hz in formation; times in microseconds."""
 
     rate_hz: float
@@ -34,7 +34,7 @@ class VehicleSummary(Struct, frozen=True, kw_only=True):
 
     id: int
     role: str
-    tick: Tick | None
+    tick: TickFigures | None
     telemetry_to_command_us: Percentiles | None
     cpu_percent: float | None
     rss_mb: float | None
@@ -45,7 +45,7 @@ class VehicleSummary(Struct, frozen=True, kw_only=True):
     rejected: dict[str, int]  # counted rejections by reason
 
 
-class Summary(Struct, frozen=True, kw_only=True):
+class RunSummary(Struct, frozen=True, kw_only=True):
     """One flight. Figures of the formation are None if none was flown; `failure` is None for a flight without one.
 
     `real_time_factor`: seconds flown per second of computing time; None for real processes.
@@ -87,12 +87,12 @@ def write_json(path: Path, content: object) -> None:
     path.write_bytes(msgspec.json.format(msgspec.json.encode(content), indent=2) + b"\n")
 
 
-def read_summary(path: Path) -> Summary:
+def read_summary(path: Path) -> RunSummary:
     """Read a summary.json that `write_json` wrote."""
-    return msgspec.json.decode(path.read_bytes(), type=Summary)
+    return msgspec.json.decode(path.read_bytes(), type=RunSummary)
 
 
-def in_words(summary: Summary) -> str:
+def in_words(summary: RunSummary) -> str:
     """The result as a few printed lines."""
     head = f"{summary.scenario}, {summary.law}: " + (summary.failure or f"flown and landed in {summary.flight_s:.0f} s")
     if summary.max_distance_m is None or summary.wanted_distance_m is None:
@@ -117,7 +117,7 @@ def in_words(summary: Summary) -> str:
     return "\n".join(lines)
 
 
-def _settled(summary: Summary) -> str:
+def _settled(summary: RunSummary) -> str:
     """About a moving reference errors need not stay small: then the best that was reached is reported."""
     if summary.settle_s is not None:
         return f"  settled           {summary.settle_s:.1f} s to 10 cm"
@@ -128,11 +128,11 @@ def _settled(summary: Summary) -> str:
     return f"  smallest error    {summary.least_error_m:.3f} m of all vehicles at once, about a moving reference"
 
 
-def _overload_lines(summary: Summary) -> list[str]:
+def _overload_lines(summary: RunSummary) -> list[str]:
     return [f"  {overload_line(summary.overload, summary.tracks)}"] if summary.overload else []
 
 
-def _tracking_in_words(summary: Summary) -> list[str]:
+def _tracking_in_words(summary: RunSummary) -> list[str]:
     lines = []
     if about_rft := {v.id: v.tracking_error_m for v in summary.vehicles if v.tracking_error_m is not None}:
         lines.append(f"  tracking error    {_each(about_rft)}   (RMS about the RFT, second half)")
@@ -143,7 +143,7 @@ def _tracking_in_words(summary: Summary) -> list[str]:
     return lines
 
 
-def _answers_in_words(summary: Summary) -> list[str]:
+def _answers_in_words(summary: RunSummary) -> list[str]:
     answered_s = [asked.answered_in_s for asked in summary.commands]
     in_time_s = [seconds for seconds in answered_s if seconds is not None]
     if not in_time_s:
@@ -160,7 +160,7 @@ def _each(values_m: Mapping[int, float]) -> str:
     return f"at most {values_m[worst]:.3f} m, vehicle {worst}"
 
 
-def _ticks_in_words(summary: Summary) -> list[str]:
+def _ticks_in_words(summary: RunSummary) -> list[str]:
     ticks = [vehicle.tick for vehicle in summary.vehicles if vehicle.tick]
     if not ticks:
         return []

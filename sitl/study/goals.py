@@ -11,7 +11,7 @@ from companion.assembly import law_of
 from companion.config.fleet import Envelope
 from companion.stability.settling import SETTLED_WITHIN_M
 from companion.types.values import GRAVITY_M_S2
-from sitl.report.claim import Claim, Verdict
+from sitl.report.claim import Claim, ClaimVerdict
 from sitl.study.cases import Figures
 from sitl.study.pairs import Pair
 from sitl.study.plan import GOAL_SHAPES
@@ -195,11 +195,11 @@ def _bad_links(shape: str, noisy: Sequence[Pair], disturbed: Sequence[Pair]) -> 
     )
 
 
-def _verdict(holds: bool, secondary_hold: bool = True) -> Verdict:
+def _verdict(holds: bool, secondary_hold: bool = True) -> ClaimVerdict:
     """HOLDS where also the secondary figures that the remark names reach the goal, else CONDITION or FAILS."""
     if not holds:
-        return Verdict.FAILS
-    return Verdict.HOLDS if secondary_hold else Verdict.CONDITION
+        return ClaimVerdict.FAILS
+    return ClaimVerdict.HOLDS if secondary_hold else ClaimVerdict.CONDITION
 
 
 def _of(flights: Sequence[Figures], setting: Setting) -> list[Figures]:

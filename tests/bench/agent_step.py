@@ -8,10 +8,10 @@ from pathlib import Path
 
 from companion.assembly import build_agent
 from companion.recording.configuration import recorded_config
-from companion.recording.reader import Recording, Tick, recordings
+from companion.recording.reader import RecordedTick, Recording, recordings
 from companion.types.flight import FlightPhase
 from sitl.flight.virtual_flight import fly_in_virtual_time
-from sitl.report.progress import Progress
+from sitl.report.progress import FlightProgress
 from tests.bench.figures import REPEATS, Row, Section, percentile
 from tests.bench.scenarios import star
 
@@ -58,18 +58,18 @@ def measure(folder: Path) -> Section:
     return Section(title="Agent.step", how=HOW, rows=tuple(rows))
 
 
-def _recorded(neighbours: int, folder: Path) -> tuple[Recording, list[Tick]]:
+def _recorded(neighbours: int, folder: Path) -> tuple[Recording, list[RecordedTick]]:
     """What the follower recorded in a flight."""
     folder.mkdir()
     scenario = star(neighbours, FORM_S)
-    flown = fly_in_virtual_time(scenario, Progress("", True, 0.0), recordings=folder)
+    flown = fly_in_virtual_time(scenario, FlightProgress("", True, 0.0), recordings=folder)
     if flown.failure:
         raise RuntimeError(f"{neighbours} neighbours: {flown.failure}")
     recording = next(one for one in recordings(folder, print) if one.vehicle_id == AGENT)
     return recording, list(recording.ticks(print))
 
 
-def step_times_us(recording: Recording, ticks: list[Tick], pause_s: float = 0.0) -> list[float]:
+def step_times_us(recording: Recording, ticks: list[RecordedTick], pause_s: float = 0.0) -> list[float]:
     """Of every tick that begins and ends in formation, each after a pause."""
     header = recording.header
     agent = build_agent(recorded_config(recording.parts[0].path, header), header.session)

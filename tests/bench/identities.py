@@ -23,7 +23,7 @@ from sitl.flight.scenario import Scenario, load_scenario
 from sitl.flight.watch import watch_of
 from sitl.links.free_ports import reserved_ports
 from sitl.links.ports import LOOPBACK, ports_of
-from sitl.report.progress import Progress
+from sitl.report.progress import FlightProgress
 from tests.bench.scenarios import SCENARIOS
 
 SCENARIO = SCENARIOS / "platoon.yaml"
@@ -63,7 +63,7 @@ def _cpu_percent(scenario: Scenario, folder: Path, secured: bool) -> float:
             identity = load(identity_folder(keys, GROUND))
         endpoints = [f"{'tls' if secured else 'tcp'}/{LOOPBACK}:{ports_of(i, offset).zenoh}" for i in ids]
         watch = watch_of(scenario, time.monotonic())
-        progress = Progress(_name(secured), True, watch.began_s)
+        progress = FlightProgress(_name(secured), True, watch.began_s)
         with FleetProcesses.start_written(scenario, folder, offset, stand_ins_together(scenario)) as fleet, progress:
             with FleetSession(scenario.fleet.name, endpoints, "" if identity else "bench", identity) as session:
 

@@ -9,7 +9,7 @@ from sitl.flight.lockstep import Lockstep
 from sitl.flight.scenario import load_scenario
 from sitl.flight.virtual_flight import collecting_seldom, fly_in_virtual_time
 from sitl.flight.watch import watch_of
-from sitl.report.progress import Progress
+from sitl.report.progress import FlightProgress
 from tests.bench.figures import REPEATS, Row, Section, Target
 from tests.bench.scenarios import SCENARIOS, grid
 
@@ -47,7 +47,7 @@ def measure() -> Section:
 
 def _of_whole_flights_1_s() -> tuple[float, ...]:
     scenario = load_scenario(PLATOON)
-    flights = [fly_in_virtual_time(scenario, Progress("", True, 0.0)) for _ in range(REPEATS)]
+    flights = [fly_in_virtual_time(scenario, FlightProgress("", True, 0.0)) for _ in range(REPEATS)]
     return tuple(len(scenario.fleet.vehicles) * flown.flight_s / flown.wall_s for flown in flights)
 
 
@@ -57,7 +57,7 @@ def _rates_1_s(count: int, window_s: float) -> tuple[float, ...]:
     lockstep = Lockstep(scenario)
     watch = watch_of(scenario, lockstep.now_s())
     with collecting_seldom():
-        Director(lockstep, watch, Progress("", True, 0.0), lambda: None, tuple, lockstep).fly(to_formation)
+        Director(lockstep, watch, FlightProgress("", True, 0.0), lambda: None, tuple, lockstep).fly(to_formation)
         rates = []
         for _ in range(REPEATS):
             virtual_s, began_s = lockstep.now_s(), time.perf_counter()

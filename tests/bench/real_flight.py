@@ -22,7 +22,7 @@ from sitl.flight.processes import FleetProcesses, stand_ins_together
 from sitl.flight.scenario import Scenario
 from sitl.flight.watch import watch_of
 from sitl.links.ports import zenoh_endpoint
-from sitl.report.progress import Progress
+from sitl.report.progress import FlightProgress
 from tests.bench.figures import REPEATS, Use
 from tests.bench.processes import use_of
 
@@ -46,7 +46,7 @@ def fly(scenario: Scenario, folder: Path, offset: int, prepare: Callable[[], Non
     write_files(scenario, folder, offset)
     prepare()
     watch = watch_of(scenario, time.monotonic())
-    progress = Progress(f"{len(ids)} vehicles", not sys.stdout.isatty(), watch.began_s)
+    progress = FlightProgress(f"{len(ids)} vehicles", not sys.stdout.isatty(), watch.began_s)
     with FleetProcesses.start_written(scenario, folder, offset, stand_ins_together(scenario)) as fleet, progress:
         with FleetSession(scenario.fleet.name, [zenoh_endpoint(i, offset) for i in ids], "bench") as session:
             sampler = _Sampler({int(i): fleet.pid_of(f"agent {i}") for i in ids})

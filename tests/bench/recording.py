@@ -28,7 +28,7 @@ from sitl.flight.scenario import Scenario, load_scenario
 from sitl.flight.watch import FlightWatch, watch_of
 from sitl.links.free_ports import reserved_ports
 from sitl.links.ports import zenoh_endpoint
-from sitl.report.progress import Progress
+from sitl.report.progress import FlightProgress
 from tests.bench.scenarios import SCENARIOS
 
 SCENARIO = SCENARIOS / "platoon.yaml"
@@ -82,7 +82,7 @@ def _flown(scenario: Scenario, folder: Path, recording: tuple[int, ...]) -> Flig
         for vehicle_id in set(ids) - set(recording):
             _do_not_record(folder / f"vehicle_{vehicle_id}.yaml")
         watch = watch_of(scenario, time.monotonic())
-        progress = Progress("recording", True, watch.began_s)
+        progress = FlightProgress("recording", True, watch.began_s)
         with FleetProcesses.start_written(scenario, folder, offset, stand_ins_together(scenario)) as fleet, progress:
             with FleetSession(scenario.fleet.name, [zenoh_endpoint(i, offset) for i in ids], "bench") as session:
 

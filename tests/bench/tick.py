@@ -28,7 +28,7 @@ from sitl.flight.director import Director
 from sitl.flight.lockstep import Lockstep
 from sitl.flight.scenario import Scenario, load_scenario
 from sitl.flight.watch import watch_of
-from sitl.report.progress import Progress
+from sitl.report.progress import FlightProgress
 from tests.bench import stages
 from tests.bench.scenarios import complete
 
@@ -124,7 +124,7 @@ def count_ticks(scenario: Scenario) -> list[Tick]:
     lockstep = Lockstep(scenario)
     watch = watch_of(scenario, lockstep.now_s())
     to_formation = scenario.timeline[:-1]
-    Director(lockstep, watch, Progress("", True, 0.0), lambda: None, tuple, lockstep).fly(to_formation)
+    Director(lockstep, watch, FlightProgress("", True, 0.0), lambda: None, tuple, lockstep).fly(to_formation)
     counter = TickCounter()
     with counter.counting():
         lockstep.sleep(COUNTED_S)

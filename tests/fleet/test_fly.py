@@ -15,7 +15,7 @@ from companion.types.notices import Code
 from own_ports import free_fleet_offset
 from repository import ROOT
 from sitl.flight.scenario import load_scenario
-from sitl.report.summary import Summary, read_summary
+from sitl.report.summary import RunSummary, read_summary
 from sitl.report.tracks import read_track
 
 pytestmark = [pytest.mark.fleet, pytest.mark.timeout(600)]
@@ -47,7 +47,7 @@ def fly(folder: Path, *more: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([*command, *more], capture_output=True, text=True, timeout=580, check=False)
 
 
-def flown(folder: Path, *more: str) -> Summary:
+def flown(folder: Path, *more: str) -> RunSummary:
     done = fly(folder, *more)
     assert done.returncode == 0, done.stdout + done.stderr
     return read_summary(folder / "summary.json")
@@ -61,7 +61,7 @@ class Compared:
         self.weighted, self.average = (read_summary(folder / law / "summary.json") for law in LAWS)
 
     @property
-    def both(self) -> Sequence[Summary]:
+    def both(self) -> Sequence[RunSummary]:
         return (self.weighted, self.average)
 
 
@@ -72,13 +72,13 @@ def compared(tmp_path_factory: pytest.TempPathFactory) -> Compared:
 
 
 @pytest.fixture(scope="module")
-def noisy(tmp_path_factory: pytest.TempPathFactory) -> Summary:
+def noisy(tmp_path_factory: pytest.TempPathFactory) -> RunSummary:
     """Formation with sensor noise."""
     folder = tmp_path_factory.mktemp("noisy")
     return flown(folder, "--set", "stand_in.sensors=default", "--set", f"{FORM}={NOISY_S}", "--quiet")
 
 
-def largest(summary: Summary, pair: str = "1-2") -> float:
+def largest(summary: RunSummary, pair: str = "1-2") -> float:
     assert summary.max_distance_m is not None
     return summary.max_distance_m[pair]
 
@@ -184,7 +184,7 @@ def test_real_processes_and_virtual_time_agree(compared: Compared, tmp_path: Pat
 
 
 @pytest.mark.long
-def test_with_sensor_noise_the_platoon_keeps_its_formation(noisy: Summary) -> None:
+def test_with_sensor_noise_the_platoon_keeps_its_formation(noisy: RunSummary) -> None:
     assert noisy.final_error_m is not None
     assert noisy.final_error_m <= 0.30
     assert noisy.smallest_distance_m is not None

@@ -19,7 +19,7 @@ from agent_process import until
 from companion.mavlink.codec import MavlinkCodec, mavlink
 from own_ports import free_fleet_offset
 from sitl.links.ports import ports_of
-from sitl.report.summary import Summary, read_summary
+from sitl.report.summary import RunSummary, read_summary
 from sitl.report.tracks import read_track
 
 pytestmark = [pytest.mark.fleet, pytest.mark.timeout(300)]
@@ -107,7 +107,7 @@ def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
     return process.returncode, printed
 
 
-def summary_of(folder: Path) -> Summary:
+def summary_of(folder: Path) -> RunSummary:
     return read_summary(folder / "out" / "summary.json")
 
 

@@ -23,7 +23,7 @@ from sitl.flight.files import ids_of, reached_stand_in, vehicle_file
 from sitl.flight.lockstep import Lockstep
 from sitl.flight.scenario import load_scenario
 from sitl.flight.watch import FlightWatch
-from sitl.report.progress import Progress
+from sitl.report.progress import FlightProgress
 from sitl.vehicle.config import Partition
 
 FORMATION = FlightPhase.FORMATION
@@ -36,7 +36,7 @@ class Flight:
         self.scenario = load_scenario(scenario, ["stand_in.sensors=ideal", *overrides])
         self.lockstep = Lockstep(self.scenario)
         watch = FlightWatch(ids_of(self.scenario), [1], 0.0)
-        director = Director(self.lockstep, watch, Progress("test", True, 0.0), lambda: None, tuple, self.lockstep)
+        director = Director(self.lockstep, watch, FlightProgress("test", True, 0.0), lambda: None, tuple, self.lockstep)
         steps = self.scenario.timeline
         director.fly(steps[: 1 + [step.command for step in steps].index(CommandName.FORM)])
         self.newest: dict[int, Status] = {}

@@ -20,7 +20,7 @@ from sitl.flight.director import Director, MachineClock
 from sitl.flight.orders import FlightFailure
 from sitl.flight.scenario import TimelineStep
 from sitl.flight.watch import FlightWatch
-from sitl.report.progress import Progress
+from sitl.report.progress import FlightProgress
 
 C, P = CommandName, FlightPhase
 TIMING = Timing(50.0, 100, 0, Percentiles(1, 2, 3), Percentiles(4, 5, 6), 5.0, 48.0)
@@ -149,7 +149,7 @@ class Flight:
         self.director = Director(
             self.vehicles,
             self.watch,
-            Progress("pair", False, self.watch.began_s, self.shown),
+            FlightProgress("pair", False, self.watch.began_s, self.shown),
             self._check,
             lambda: self.lost,
             MachineClock(),

@@ -20,7 +20,7 @@ from sitl.flight.files import ids_of
 from sitl.flight.lockstep import Lockstep
 from sitl.flight.scenario import Scenario, load_scenario
 from sitl.flight.watch import FlightWatch
-from sitl.report.progress import Progress
+from sitl.report.progress import FlightProgress
 
 ORIGIN = {"latitude_deg": 47.397742, "longitude_deg": 8.545594, "altitude_amsl_m": 488.0}
 
@@ -67,7 +67,7 @@ class EnteringFleet:
         self.ids = ids_of(scenario)
         self.lockstep = Lockstep(scenario)
         watch = FlightWatch(self.ids, [self.ids[0]], 0.0)
-        director = Director(self.lockstep, watch, Progress("test", True, 0.0), lambda: None, tuple, self.lockstep)
+        director = Director(self.lockstep, watch, FlightProgress("test", True, 0.0), lambda: None, tuple, self.lockstep)
         director.fly(scenario.timeline)
         self.newest: dict[int, Status] = {}
         self.events: list[tuple[int, str]] = []

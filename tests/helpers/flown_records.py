@@ -26,7 +26,7 @@ from companion.recording.records import (
 )
 from companion.report.assemble import StartRecords, vehicle_log
 from companion.report.assemble import fleet_of as of_header
-from companion.report.flight import RecordedFlight
+from companion.report.flight import FlightRecords
 from companion.types.autopilot import LandedState, PositionError
 from companion.types.commands import Command, CommandName, CommandReply
 from companion.types.flight import FlightPhase, HealthFlag, Role
@@ -117,7 +117,7 @@ def records_of(
     return starts
 
 
-def flight_of(starts: Sequence[StartRecords], unaligned: Collection[int] = ()) -> RecordedFlight:
+def flight_of(starts: Sequence[StartRecords], unaligned: Collection[int] = ()) -> FlightRecords:
     """The flight of these recordings, by exact clocks."""
     logs = []
     for vehicle_id in sorted({start.header.vehicle_id for start in starts}):
@@ -125,7 +125,7 @@ def flight_of(starts: Sequence[StartRecords], unaligned: Collection[int] = ()) -
         logs.append(vehicle_log(own, [_clock(start) for start in own], vehicle_id not in unaligned))
     header = starts[0].header
     fleet, problems = of_header(header)
-    return RecordedFlight(header.fleet, tuple(logs), BEGIN_UNIX_S, fleet, header.fleet_file, problems)
+    return FlightRecords(header.fleet, tuple(logs), BEGIN_UNIX_S, fleet, header.fleet_file, problems)
 
 
 def _clock(start: StartRecords) -> Callable[[float], float]:

@@ -12,25 +12,25 @@ from companion.stability.arrays import FloatArray
 from companion.types.flight import Role
 from sitl.flight.scenario import Scenario, reference_of
 from sitl.paper.book import PERFECT, Book
-from sitl.paper.flights import COMPARED, NOISY_LAWS, FlownPlan, Model, Plan, Subject
-from sitl.report.claim import Claim, Verdict
+from sitl.paper.flights import COMPARED, NOISY_LAWS, FlightSubject, FlownPlan, Model, PaperPlan
+from sitl.report.claim import Claim, ClaimVerdict
 from sitl.report.metrics import Formation
 from sitl.report.records import TopologyChange
 from sitl.report.tracks import Track
 
-HOLDS, CONDITION, FAILS = Verdict.HOLDS, Verdict.CONDITION, Verdict.FAILS
+HOLDS, CONDITION, FAILS = ClaimVerdict.HOLDS, ClaimVerdict.CONDITION, ClaimVerdict.FAILS
 START_S = 5.0  # of every formation here
 Claims = Callable[[Book], list[Claim]]
 Key = tuple[LawName, Model]
 
 
 @cache
-def scenario_of(subject: Subject) -> Scenario:
-    return Plan(subject, "weighted", Model.IDEAL).scenario()
+def scenario_of(subject: FlightSubject) -> Scenario:
+    return PaperPlan(subject, "weighted", Model.IDEAL).scenario()
 
 
 def flown(
-    subject: Subject,
+    subject: FlightSubject,
     key: Key,
     paths_m: Mapping[int, FloatArray],
     end_s: float,
@@ -43,7 +43,7 @@ def flown(
     tracks = {i: Track(np.linspace(0.0, end_s, len(path_m)), path_m) for i, path_m in paths_m.items()}
     formation = Formation(START_S, end_s, START_S)
     law, model = key
-    plan = Plan(subject, law, model, seed)
+    plan = PaperPlan(subject, law, model, seed)
     return FlownPlan(plan, scenario_of(subject), tracks, formation, tuple(topology), failure)
 
 
@@ -86,7 +86,7 @@ def platoons(
     }
     return [
         flown(
-            Subject.PLATOON,
+            FlightSubject.PLATOON,
             (law, model),
             full if full and (law, model) == ("weighted", Model.FULL) else paths[law],
             PLATOON_END_S,
@@ -99,7 +99,7 @@ def platoons(
 def noisy(*pairs: tuple[dict[int, FloatArray], dict[int, FloatArray]]) -> list[FlownPlan]:
     """Flights with noise: (weighted, eq. 22) for each seed."""
     return [
-        flown(Subject.PLATOON, (law, Model.NOISY), paths[law == "average_22"], PLATOON_END_S, seed=seed)
+        flown(FlightSubject.PLATOON, (law, Model.NOISY), paths[law == "average_22"], PLATOON_END_S, seed=seed)
         for law in NOISY_LAWS
         for seed, paths in enumerate(pairs, start=1)
     ]
@@ -119,7 +119,7 @@ def path(from_m: FloatArray, to_m: FloatArray, done: FloatArray) -> FloatArray:
 
 def aggregation(leader: FloatArray, followers: FloatArray, aside_2_m: float = 0.0) -> Paths:
     """Share of the distance of each vehicle (n,); UAV 2 is `aside_2_m` to the west from 2 s to 4 s."""
-    scenario = scenario_of(Subject.AGGREGATION)
+    scenario = scenario_of(FlightSubject.AGGREGATION)
     goal_m, paths_m = np.array(reference_of(scenario)(0.0).position_enu_m), {}
     for member in scenario.fleet.vehicles:
         start_m = np.array(scenario.starts_enu_m[member.id]) + np.array([0.0, 0.0, 1.0])
@@ -149,9 +149,9 @@ def aggregations(
     keys: list[tuple[Key, Paths]] = [((law, model), paths[law]) for law in COMPARED for model in PERFECT]
     noisy_keys: tuple[Key, Key] = ("weighted", Model.NOISY), ("average_22", Model.NOISY)
     return [
-        *(flown(Subject.AGGREGATION, key, paths_m, AGGREGATION_END_S) for key, paths_m in keys),
+        *(flown(FlightSubject.AGGREGATION, key, paths_m, AGGREGATION_END_S) for key, paths_m in keys),
         *(
-            flown(Subject.AGGREGATION, key, paths_m, AGGREGATION_END_S, seed=seed)
+            flown(FlightSubject.AGGREGATION, key, paths_m, AGGREGATION_END_S, seed=seed)
             for seed, own_m in enumerate(noise, start=1)
             for key, paths_m in zip(noisy_keys, (own_m, average_noise or LEFT), strict=True)
         ),
@@ -168,7 +168,7 @@ PRCS = {1: {1: 1, 2: 2, 4: 2, 3: 3}, 2: {2: 1, 1: 2, 3: 2, 4: 3}, 3: {3: 1, 2: 2
 
 def ring(off_m: Mapping[int, float], led: Sequence[tuple[int, float]] = LED) -> Paths:
     """`off_m`: hops from the leader (PrC - 1) -> error of a vehicle to the east."""
-    scenario = scenario_of(Subject.FIGURE_8)
+    scenario = scenario_of(FlightSubject.FIGURE_8)
     reference = reference_of(scenario)
     r_m = np.array([reference(max(0.0, time_s - START_S)).position_enu_m for time_s in RING_TIMES_S])
     leaders = [
@@ -218,7 +218,7 @@ def rings(
     reported = reports() if topology is None else topology
     return [
         *(
-            flown(Subject.FIGURE_8, (law, model), paths_m, RING_END_S, topology=reported, failure=failure)
+            flown(FlightSubject.FIGURE_8, (law, model), paths_m, RING_END_S, topology=reported, failure=failure)
             for law, paths_m in laws
             for model in PERFECT
         ),

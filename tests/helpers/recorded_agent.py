@@ -12,10 +12,10 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
+import companion.recording.writer.files as files
 from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember
 from companion.config.reference import PointReference
 from companion.config.vehicle import AgentConfig, RecordingSettings, VehicleConfig
-from companion.recording.writer import files
 from companion.recording.writer.recorder import Recorder
 from companion.recording.writer.start import recorder_of
 from companion.recording.writer.writing import Writing

@@ -8,7 +8,7 @@ from sitl.flight.director import Director
 from sitl.flight.lockstep import Lockstep
 from sitl.flight.scenario import Scenario, scenario_from
 from sitl.flight.watch import watch_of
-from sitl.report.progress import Progress
+from sitl.report.progress import FlightProgress
 
 PLATOON = {
     "fleet": {
@@ -46,7 +46,7 @@ def fly(folder: Path) -> None:
     flown = scenario()
     lockstep = Lockstep(flown, folder)
     director = Director(
-        lockstep, watch_of(flown, lockstep.now_s()), Progress("test", True, 0.0), lambda: None, tuple, lockstep
+        lockstep, watch_of(flown, lockstep.now_s()), FlightProgress("test", True, 0.0), lambda: None, tuple, lockstep
     )
     assert not director.fly_and_land(flown.timeline)
     lockstep.close()

@@ -10,7 +10,7 @@ from mcap.writer import CompressionType, Writer
 
 from companion.recording.codec import encode, encode_inbox, encode_outbox, log_time_ns, metadata_of
 from companion.recording.records import FORMAT, INBOX, OUTBOX, Header
-from companion.recording.schemas import ENCODING, MESSAGE_ENCODING, TYPES, schema
+from companion.recording.schemas import MESSAGE_ENCODING, SCHEMA_ENCODING, TYPES, schema
 from companion.types.tick import Inbox, Outbox
 
 HEADER = Header(
@@ -39,7 +39,7 @@ class RecordingFile:
         self._channels = {}
         for topic in TYPES:
             name, text = schema(topic)
-            schema_id = self._writer.register_schema(name, ENCODING, text)
+            schema_id = self._writer.register_schema(name, SCHEMA_ENCODING, text)
             self._channels[topic] = self._writer.register_channel(topic, MESSAGE_ENCODING, schema_id)
 
     def write(self, topic: str, now_s: float, message: Any, number: int = 0) -> None:

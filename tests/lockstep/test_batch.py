@@ -22,7 +22,7 @@ from sitl.flight.lockstep import TELEMETRY_STEPS
 from sitl.flight.scenario import Scenario, load_scenario, reference_of
 from sitl.flight.virtual_flight import Flown, fly_without_landing
 from sitl.report.metrics import Formation, formation_figures, standing
-from sitl.report.progress import Progress
+from sitl.report.progress import FlightProgress
 
 PLATOON = ROOT / "config" / "scenarios" / "platoon.yaml"
 FLOWN_S = 12.0
@@ -47,7 +47,7 @@ def scenario_of(*overrides: str) -> Scenario:
 
 @cache
 def in_lockstep(*overrides: str) -> Flown:
-    flown = fly_without_landing(scenario_of(*overrides), Progress("test", True, 0.0))
+    flown = fly_without_landing(scenario_of(*overrides), FlightProgress("test", True, 0.0))
     assert flown.failure is None
     return flown
 

@@ -19,7 +19,7 @@ from sitl.cli.ending import exit_code_of
 from sitl.cli.main import parser
 from sitl.cluster import client, workers_of
 from sitl.cluster.task import software
-from sitl.paper.flights import Model, Plan, Subject
+from sitl.paper.flights import FlightSubject, Model, PaperPlan
 from sitl.paper.flights import fly as fly_plan
 from sitl.report.share import ShareProgress
 from sitl.study.cases import Case
@@ -99,7 +99,7 @@ def test_random_starts_are_the_same(two: Cluster, tmp_path: Path) -> None:
 
 
 def test_flights_of_the_paper_and_the_study_are_the_same(two: Cluster) -> None:
-    plans = [Plan(Subject.PLATOON, "weighted", Model.FULL, more=("timeline[3].for_s=4",))]
+    plans = [PaperPlan(FlightSubject.PLATOON, "weighted", Model.FULL, more=("timeline[3].for_s=4",))]
     batches = [Batch((Case(chain(4), AVERAGE_22, "default"),), 4.0)]
     (flight,) = all_results(LocalWorkers(), fly_plan, plans, no_progress)
     (pairs,) = all_results(LocalWorkers(), fly_batch_of_pairs, batches, no_progress)

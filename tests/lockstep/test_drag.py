@@ -7,7 +7,7 @@ from repository import ROOT
 from sitl.flight.scenario import load_scenario, reference_of
 from sitl.flight.virtual_flight import fly_without_landing
 from sitl.report.metrics import errors_m, reference_positions_m, standing
-from sitl.report.progress import Progress
+from sitl.report.progress import FlightProgress
 
 FIGURE_8 = ROOT / "config" / "scenarios" / "ring_figure_8.yaml"
 DRAG = "stand_in.airframe.drag_n_per_m_s=1.0"
@@ -28,7 +28,7 @@ OBSERVED = (
 def test_the_fleet_stays_within_a_decimetre_of_the_figure_8(overrides: tuple[str, ...]) -> None:
     """Without feed-forward of the drag it lags by 0.2 m. The observer takes what is assumed wrongly for wind."""
     scenario = load_scenario(FIGURE_8, (COOPERATIVE, DRAG, OBSERVED, *overrides))
-    flown = fly_without_landing(scenario, Progress("test", True, 0.0))
+    flown = fly_without_landing(scenario, FlightProgress("test", True, 0.0))
     assert flown.failure is None
     formation = flown.watch.formation
     assert formation is not None

@@ -16,7 +16,7 @@ from entering_fleet import EnteringFleet, scenario_of
 from repository import ROOT
 from sitl.flight.scenario import load_scenario
 from sitl.flight.virtual_flight import fly_in_virtual_time
-from sitl.report.progress import Progress
+from sitl.report.progress import FlightProgress
 
 SEPARATION_M = 2.5
 PAIR: dict[int, Vector3] = {1: (0.0, 0.0, 0.0), 2: (-3.0, 0.0, 0.0)}
@@ -108,7 +108,7 @@ def test_a_vehicle_in_hold_is_in_the_way_of_an_exchange(tmp_path: Path) -> None:
 
 def test_the_shipped_exchange_is_flown() -> None:
     scenario = load_scenario(ROOT / "config" / "scenarios" / "exchange.yaml", ["stand_in.sensors=ideal"])
-    flight = fly_in_virtual_time(scenario, Progress("test", True, 0.0))
+    flight = fly_in_virtual_time(scenario, FlightProgress("test", True, 0.0))
     assert flight.failure is None
     end = {i: flight.watch.slots()[i].position_enu_m[-1] for i in flight.tracks()}
     assert {i: (round(float(p[0])), round(float(p[1]))) for i, p in end.items()} == {

@@ -17,7 +17,7 @@ from sitl.flight.director import Director
 from sitl.flight.lockstep import Lockstep
 from sitl.flight.scenario import Scenario, load_scenario
 from sitl.report.metrics import SAMPLE_S, pairs_of
-from sitl.report.progress import Progress
+from sitl.report.progress import FlightProgress
 
 PLATOON = ROOT / "config" / "scenarios" / "platoon.yaml"
 REFUSED_S, ACCEPTED_S = 35.0, 62.0  # one turn of the circle, and there and back, at the two paces
@@ -35,7 +35,7 @@ def flown_by(reference: Reference, for_s: float) -> Scenario:
 def smallest_m(scenario: Scenario) -> float:
     """The smallest true distance of two vehicles in formation."""
     lockstep, watch = Lockstep(scenario), Recorder(scenario)
-    director = Director(lockstep, watch, Progress("test", True, 0.0), lambda: None, tuple, lockstep)
+    director = Director(lockstep, watch, FlightProgress("test", True, 0.0), lambda: None, tuple, lockstep)
     assert director.fly_and_land(scenario.timeline) == []
     assert watch.formation is not None
     times_s = np.arange(watch.formation.start_s, watch.formation.end_s, SAMPLE_S)

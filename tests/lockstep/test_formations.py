@@ -10,7 +10,7 @@ from repository import ROOT
 from sitl.flight.scenario import load_scenario, reference_of
 from sitl.flight.virtual_flight import Flown, fly_in_virtual_time
 from sitl.report.metrics import SAMPLE_S, errors_m, pairs_of, reference_positions_m
-from sitl.report.progress import Progress
+from sitl.report.progress import FlightProgress
 from sitl.report.tracks import Track
 
 SCENARIO = ROOT / "config" / "scenarios" / "formations.yaml"
@@ -19,7 +19,7 @@ IDEAL = "stand_in.sensors=ideal"
 
 @cache
 def flown(*overrides: str) -> Flown:
-    flight = fly_in_virtual_time(load_scenario(SCENARIO, overrides), Progress("test", True, 0.0))
+    flight = fly_in_virtual_time(load_scenario(SCENARIO, overrides), FlightProgress("test", True, 0.0))
     assert flight.failure is None
     return flight
 

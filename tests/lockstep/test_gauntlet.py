@@ -25,7 +25,7 @@ from sitl.gauntlet.drawn import drawn, family_of, has_runaway
 from sitl.gauntlet.families import FAMILIES
 from sitl.gauntlet.flight import UNDISTURBED_EVERY, Job, fly
 from sitl.gauntlet.worst import write_worst
-from sitl.report.progress import Progress
+from sitl.report.progress import FlightProgress
 from sitl.report.tracks import Track
 
 FLEET = """
@@ -88,7 +88,7 @@ def test_a_flight_is_the_same_bit_for_bit_and_from_its_file(tmp_path: Path) -> N
     assert flown.ratio is not None
     write_worst(tmp_path, [flown], "ideal", None)
     scenario = load_scenario(tmp_path / f"leader_leaves_{number}.yaml")
-    again = distances(fly_without_landing(scenario, Progress("test", True, 0.0)).stand_ins)
+    again = distances(fly_without_landing(scenario, FlightProgress("test", True, 0.0)).stand_ins)
     assert again == flown.distances
 
 
@@ -175,7 +175,7 @@ def test_a_pilot_flies_one_vehicle_straight_on(autopilot: str) -> None:
         "stand_in.pilots=[{vehicle: 3, at_s: 14, velocity_enu_m_s: [0, 2, 0]}]",
         f"timeline=[{STEPS}, {{command: form, vehicles: [1], may_fail: true, at_s: 12, for_s: 7}}]",
     )
-    flown = fly_without_landing(scenario, Progress("test", True, 0.0))
+    flown = fly_without_landing(scenario, FlightProgress("test", True, 0.0))
     assert flown.failure is None
     track = flown.tracks()[3]
     (at_16, at_18) = track.at(np.array([16.0, 18.0]))
@@ -234,7 +234,7 @@ def test_a_refused_step_that_may_fail_does_not_end_the_flight() -> None:
         f"timeline=[{STEPS}, {{command: form, for_s: 3}},"
         f" {{command: formation, formation: {{{crossing}, speed_m_s: 20}}, may_fail: true, for_s: 1}}]"
     )
-    flown = fly_without_landing(scenario, Progress("test", True, 0.0))
+    flown = fly_without_landing(scenario, FlightProgress("test", True, 0.0))
     assert flown.failure is None
     assert {refusal.vehicle for refusal in flown.refusals} == {1, 2, 3, 4, 5}
     assert all(refusal.code for refusal in flown.refusals)
@@ -246,7 +246,7 @@ def test_a_reference_is_commanded_to_vehicles_that_may_lead() -> None:
         f"timeline=[{STEPS}, {{command: form, for_s: 2}},"
         f" {{command: reference, reference: {there}, may_fail: true, for_s: 1}}]"
     )
-    flown = fly_without_landing(scenario, Progress("test", True, 0.0))
+    flown = fly_without_landing(scenario, FlightProgress("test", True, 0.0))
     assert flown.failure is None
     assert flown.refusals == []
     assert flown.watch.commands[-1].vehicles == [1, 2]

@@ -30,7 +30,7 @@ from sitl.report.metrics import (
     smallest_distance_m,
     standing,
 )
-from sitl.report.progress import Progress
+from sitl.report.progress import FlightProgress
 from sitl.report.tracking import Tracking, tracking
 from sitl.report.tracks import Track
 
@@ -70,7 +70,7 @@ def _flown(*overrides: str) -> Flown:
     scenario = load_scenario(RING, overrides)
     lockstep, watch = Lockstep(scenario), Recorder(scenario)
     targets = record_targets(lockstep)
-    director = Director(lockstep, watch, Progress("test", True, 0.0), lambda: None, tuple, lockstep)
+    director = Director(lockstep, watch, FlightProgress("test", True, 0.0), lambda: None, tuple, lockstep)
     failures = director.fly_and_land(scenario.timeline)
     return Flown(scenario, watch, failures, {s.vehicle_id: s.track() for s in lockstep.stand_ins}, targets)
 
@@ -192,7 +192,7 @@ def test_an_agent_restarted_in_flight_does_not_become_leader_again() -> None:
     """UAV 1 is leader by its file. While its agent restarts, UAV 2 is leader, and stays leader."""
     scenario = load_scenario(RING)
     lockstep, watch = Lockstep(scenario), Recorder(scenario)
-    director = Director(lockstep, watch, Progress("test", True, 0.0), lambda: None, tuple, lockstep)
+    director = Director(lockstep, watch, FlightProgress("test", True, 0.0), lambda: None, tuple, lockstep)
     director.fly(scenario.timeline[:5])
     member = scenario.fleet.vehicles[0]
     file = vehicle_file(scenario, reached_stand_in(scenario, member.id, port_offset=0), port_offset=0)
@@ -237,7 +237,7 @@ class FirstLap:
         scenario = load_scenario(RING)
         self.ids = ids_of(scenario)
         self.lockstep, watch = Lockstep(scenario), Recorder(scenario)
-        director = Director(self.lockstep, watch, Progress("test", True, 0.0), lambda: None, tuple, self.lockstep)
+        director = Director(self.lockstep, watch, FlightProgress("test", True, 0.0), lambda: None, tuple, self.lockstep)
         director.fly(scenario.timeline[:3])
         self.give(CommandName.FORM, *self.ids)
         self.lockstep.sleep(15.0)

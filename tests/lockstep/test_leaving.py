@@ -14,7 +14,7 @@ from decided_flight import JUMP_M
 from repository import ROOT
 from sitl.flight.scenario import load_scenario
 from sitl.flight.virtual_flight import fly_in_virtual_time
-from sitl.report.progress import Progress
+from sitl.report.progress import FlightProgress
 
 SCENARIO = ROOT / "config" / "scenarios" / "leaving.yaml"
 OTHERS = (1, 2, 4, 5)
@@ -286,7 +286,7 @@ def test_the_gap_is_filled_over_a_bad_network_with_noise() -> None:
 @pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
 def test_the_scenario_is_flown_completely(autopilot: str) -> None:
     scenario = load_scenario(SCENARIO, [f"stand_in.autopilot={autopilot}"])
-    flight = fly_in_virtual_time(scenario, Progress("test", True, 0.0))
+    flight = fly_in_virtual_time(scenario, FlightProgress("test", True, 0.0))
     assert flight.failure is None
     events = [event.event for event in flight.watch.events]
     assert any(event.startswith("closes the gap of vehicle 3") for event in events)

@@ -11,7 +11,7 @@ from repository import ROOT
 from sitl.flight.scenario import load_scenario, reference_of
 from sitl.flight.virtual_flight import Flown, fly_in_virtual_time
 from sitl.report.metrics import FormationFigures, formation_figures, standing
-from sitl.report.progress import Progress
+from sitl.report.progress import FlightProgress
 
 PLATOON = ROOT / "config" / "scenarios" / "platoon.yaml"
 NOISY = "stand_in.sensors=default"
@@ -20,7 +20,7 @@ BAD_NETWORK = ("links.peer_loss=0.1", "links.peer_delay_s=0.1")
 
 
 def fly(*overrides: str) -> Flown:
-    return fly_in_virtual_time(load_scenario(PLATOON, overrides), Progress("test", True, 0.0))
+    return fly_in_virtual_time(load_scenario(PLATOON, overrides), FlightProgress("test", True, 0.0))
 
 
 @cache
@@ -108,14 +108,16 @@ def test_the_director_flies_the_timeline() -> None:
 
 
 def test_a_flight_that_cannot_start_gives_the_reason() -> None:
-    flight = fly_in_virtual_time(load_scenario(PLATOON, ["timeline[1].timeout_s=1"]), Progress("test", True, 0.0))
+    flight = fly_in_virtual_time(load_scenario(PLATOON, ["timeline[1].timeout_s=1"]), FlightProgress("test", True, 0.0))
     assert flight.failure is not None
     assert flight.failure.startswith("arm not done within 1 s: vehicles 1, 2, 3, 4")
     assert flight.watch.formation is None
 
 
 def test_followers_without_peers_hand_over_to_the_autopilot() -> None:
-    flight = fly_in_virtual_time(load_scenario(PLATOON, [SHORT, "links.peer_loss=1"]), Progress("test", True, 0.0))
+    flight = fly_in_virtual_time(
+        load_scenario(PLATOON, [SHORT, "links.peer_loss=1"]), FlightProgress("test", True, 0.0)
+    )
     assert flight.failure is not None
     assert "LEADER_LOST" in flight.failure
     for vehicle_id in (1, 2, 3, 4):
@@ -127,6 +129,6 @@ def test_followers_without_peers_hand_over_to_the_autopilot() -> None:
 
 def test_progress_is_shown_in_virtual_time() -> None:
     shown = io.StringIO()
-    fly_in_virtual_time(load_scenario(PLATOON, [SHORT]), Progress("platoon", False, 0.0, shown))
+    fly_in_virtual_time(load_scenario(PLATOON, [SHORT]), FlightProgress("platoon", False, 0.0, shown))
     assert "step 4 of 5, form   0." in shown.getvalue()
     assert "UAV 1   leader" in shown.getvalue()

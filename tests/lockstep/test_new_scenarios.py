@@ -12,7 +12,7 @@ from companion.tools.analysis import analyse, load_subject
 from sitl.flight.scenario import load_scenario
 from sitl.flight.virtual_flight import fly_in_virtual_time
 from sitl.report.metrics import SAMPLE_S
-from sitl.report.progress import Progress
+from sitl.report.progress import FlightProgress
 
 V_ON_CIRCLE = ("--vehicles", "5", "--shape", "v", "--spacing", "3", "--reference", "circle")
 COLUMN_ON_EIGHT = (
@@ -27,7 +27,7 @@ def test_a_new_scenario_flies_as_it_is(choices: tuple[str, ...], tmp_path: Path)
     path = tmp_path / "new.yaml"
     assert analyse(load_subject(path)).converges
     scenario = load_scenario(path)
-    flight = fly_in_virtual_time(scenario, Progress("test", True, 0.0))
+    flight = fly_in_virtual_time(scenario, FlightProgress("test", True, 0.0))
     assert flight.failure is None and flight.watch.formation is not None
     times_s = np.arange(flight.watch.formation.start_s, flight.watch.formation.end_s, SAMPLE_S)
     at = {i: track.at(times_s) for i, track in flight.tracks().items()}

@@ -19,7 +19,7 @@ from sitl.flight.scenario import Scenario, load_scenario, reference_of
 from sitl.flight.virtual_flight import fly_in_virtual_time
 from sitl.flight.watch import FlightWatch
 from sitl.report.metrics import formation_figures, standing
-from sitl.report.progress import Progress
+from sitl.report.progress import FlightProgress
 
 PLATOON = ROOT / "config" / "scenarios" / "platoon.yaml"
 COOPERATIVE = "fleet.law={name: cooperative}"
@@ -85,7 +85,7 @@ def flown(*overrides: str, at_s: float = np.inf, do: Callable[[list[Autopilot]],
         observed.times_s.append(lockstep.now_s())
         observed.wanted_euler_rad.append([autopilot.wanted_euler_rad() for autopilot in autopilots])
 
-    director = Director(lockstep, observed.watch, Progress("test", True, 0.0), look, tuple, lockstep)
+    director = Director(lockstep, observed.watch, FlightProgress("test", True, 0.0), look, tuple, lockstep)
     observed.failures = director.fly_and_land(scenario.timeline)
     assert done or do is None
     return observed
@@ -169,7 +169,7 @@ def test_a_reset_beyond_the_limit_hands_over_with_an_event() -> None:
 
 def failure_of(*overrides: str) -> str:
     scenario = load_scenario(PLATOON, (SHORT, *overrides))
-    return fly_in_virtual_time(scenario, Progress("test", True, 0.0)).failure or ""
+    return fly_in_virtual_time(scenario, FlightProgress("test", True, 0.0)).failure or ""
 
 
 def test_different_altitudes_on_the_ground_are_refused() -> None:

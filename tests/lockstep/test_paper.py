@@ -13,7 +13,7 @@ import pytest
 from companion.config.fleet import LawName
 from sitl.paper.book import Book, Entry
 from sitl.paper.claims.aggregation import broken_edges, has_gathered, left_for_good_s
-from sitl.paper.flights import PATIENT, FlownPlan, Model, NoFormationError, Plan, Subject, fly
+from sitl.paper.flights import PATIENT, FlightSubject, FlownPlan, Model, NoFormationError, PaperPlan, fly
 from sitl.paper.ideal_model import ideal_figures
 from sitl.paper.theory.matrices import RING_LED_BY_1, RING_LED_BY_2, printed_matrix
 from sitl.paper.topology import leaderships, reported_matrix, topology_at
@@ -24,13 +24,13 @@ SHORT = "timeline[3].for_s=6"
 
 
 @cache
-def flown(subject: Subject, law: LawName, *more: str) -> FlownPlan:
-    return fly(Plan(subject, law, Model.IDEAL, more=more))
+def flown(subject: FlightSubject, law: LawName, *more: str) -> FlownPlan:
+    return fly(PaperPlan(subject, law, Model.IDEAL, more=more))
 
 
 @pytest.mark.parametrize("law", ["weighted", "average_22", "average_26"])
 def test_the_agents_agree_with_the_equations(law: LawName) -> None:
-    flight = flown(Subject.PLATOON, law, SHORT)
+    flight = flown(FlightSubject.PLATOON, law, SHORT)
     of_agents = formation_figures(
         flight.tracks, flight.flight().slots, flight.flight().reference, flight.flight().formation
     )
@@ -41,8 +41,8 @@ def test_the_agents_agree_with_the_equations(law: LawName) -> None:
 
 
 def test_the_leader_is_soon_alone_under_eq_26_but_not_under_the_weighted_law() -> None:
-    average = Entry(flown(Subject.AGGREGATION, "average_26", PATIENT, SHORT))
-    weighted = Entry(flown(Subject.AGGREGATION, "weighted", SHORT))
+    average = Entry(flown(FlightSubject.AGGREGATION, "average_26", PATIENT, SHORT))
+    weighted = Entry(flown(FlightSubject.AGGREGATION, "weighted", SHORT))
     assert 0.05 < left_for_good_s(average) < 0.5
     assert not has_gathered(average)
     assert left_for_good_s(weighted) == float("inf")
@@ -51,7 +51,7 @@ def test_the_leader_is_soon_alone_under_eq_26_but_not_under_the_weighted_law() -
 
 def test_reported_matrices_are_those_of_the_paper_during_leader_changes() -> None:
     steps = [f"timeline[{number}].for_s=1" for number in (3, 4, 5, 6, 7, 8)]
-    flight = flown(Subject.FIGURE_8, "weighted", *steps)
+    flight = flown(FlightSubject.FIGURE_8, "weighted", *steps)
     spans = leaderships(flight)
     assert [lead.leader_id for lead in spans] == [1, 2, 1, 2, 1, 2]
     for lead in spans:
@@ -61,14 +61,14 @@ def test_reported_matrices_are_those_of_the_paper_during_leader_changes() -> Non
 
 
 def test_measuring_a_flight_without_formation_gives_the_reason() -> None:
-    flight = flown(Subject.PLATOON, "weighted", "timeline[1].timeout_s=1")
+    flight = flown(FlightSubject.PLATOON, "weighted", "timeline[1].timeout_s=1")
     assert flight.formation is None
     with pytest.raises(NoFormationError, match="arm not done within 1 s"):
         flight.flight()
 
 
 def test_flights_in_worker_processes_are_the_same() -> None:
-    plans = [Plan(Subject.PLATOON, law, Model.IDEAL, more=(SHORT,)) for law in ("weighted", "average_22")]
+    plans = [PaperPlan(FlightSubject.PLATOON, law, Model.IDEAL, more=(SHORT,)) for law in ("weighted", "average_22")]
     with LocalWorkers(2).running(fly, plans) as flights:
         assert flights.wait(60.0)
         assert flights.share_done == 1.0
@@ -79,7 +79,7 @@ def test_flights_in_worker_processes_are_the_same() -> None:
         here = flown(plan.subject, plan.law, SHORT).tracks
         assert all(np.array_equal(tracks[i].position_enu_m, here[i].position_enu_m) for i in here)
     with pytest.raises(LookupError):
-        book.one(Subject.PLATOON, "average_26", Model.IDEAL)
+        book.one(FlightSubject.PLATOON, "average_26", Model.IDEAL)
 
 
 # ---------------------------------------------------------------- the command line

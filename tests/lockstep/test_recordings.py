@@ -9,7 +9,7 @@ from companion.recording.reader import recordings
 from companion.recording.records import INBOX
 from sitl.flight.scenario import Scenario, load_scenario
 from sitl.flight.virtual_flight import fly_in_virtual_time
-from sitl.report.progress import Progress
+from sitl.report.progress import FlightProgress
 
 PLATOON = Path(__file__).parents[2] / "config/scenarios/platoon.yaml"
 
@@ -20,7 +20,7 @@ def scenario(*overrides: str) -> Scenario:
 
 def flown(flight: Scenario, folder: Path | None) -> list[object]:
     """The true tracks."""
-    quiet = Progress("", True, began_s=0.0)
+    quiet = FlightProgress("", True, began_s=0.0)
     with quiet:
         result = fly_in_virtual_time(flight, quiet, recordings=folder)
     assert result.failure is None

@@ -27,7 +27,7 @@ from sitl.flight.flights import reference_flown
 from sitl.flight.lockstep import Lockstep
 from sitl.flight.scenario import load_scenario
 from sitl.report.metrics import formation_figures, smallest_distance_m
-from sitl.report.progress import Progress
+from sitl.report.progress import FlightProgress
 
 RING = ROOT / "config" / "scenarios" / "ring_figure_8.yaml"
 CIRCLE = "{kind: circle, centre_enu_m: [0, 0, 2], radius_m: 4, period_s: 20}"
@@ -47,7 +47,7 @@ class Flight:
         self.lockstep, self.watch = Lockstep(self.scenario), Recorder(self.scenario)
         self.decisions = Decisions(self.lockstep)
         self.director = Director(
-            self.lockstep, self.watch, Progress("test", True, 0.0), lambda: None, tuple, self.lockstep
+            self.lockstep, self.watch, FlightProgress("test", True, 0.0), lambda: None, tuple, self.lockstep
         )
 
     def led(self, from_s: float = 0.0) -> Iterator[tuple[float, Status]]:

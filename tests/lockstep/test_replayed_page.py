@@ -16,7 +16,7 @@ from companion.types.flight import FlightPhase
 from repository import ROOT
 from sitl.flight.scenario import load_scenario
 from sitl.flight.virtual_flight import Flown, fly_in_virtual_time
-from sitl.report.progress import Progress
+from sitl.report.progress import FlightProgress
 
 PLATOON = ROOT / "config" / "scenarios" / "platoon.yaml"
 
@@ -25,7 +25,7 @@ PLATOON = ROOT / "config" / "scenarios" / "platoon.yaml"
 def flight(tmp_path_factory: pytest.TempPathFactory) -> tuple[Flown, Path]:
     folder = tmp_path_factory.mktemp("recordings")
     scenario = load_scenario(PLATOON, ["timeline[3].for_s=4"])
-    return fly_in_virtual_time(scenario, Progress("test", True, 0.0), recordings=folder), folder
+    return fly_in_virtual_time(scenario, FlightProgress("test", True, 0.0), recordings=folder), folder
 
 
 class Shown:

@@ -15,7 +15,7 @@ from companion.types.flight import FlightPhase, HealthFlag, Role
 from repository import ROOT
 from sitl.flight.scenario import scenario_from
 from sitl.flight.virtual_flight import Flown, fly_in_virtual_time
-from sitl.report.progress import Progress
+from sitl.report.progress import FlightProgress
 
 STARTS: dict[int, tuple[float, float, float]] = {
     1: (0.0, 0.0, 0.0),
@@ -60,7 +60,7 @@ def flown(tmp_path: Path, make: str, way: tuple[float, float], **last_step: floa
         ],
     }
     scenario = scenario_from(tmp_path / "scenario.yaml", data)
-    return fly_in_virtual_time(scenario, Progress("test", True, 0.0))
+    return fly_in_virtual_time(scenario, FlightProgress("test", True, 0.0))
 
 
 @pytest.mark.parametrize("make", sorted(AutopilotKind))

@@ -5,7 +5,7 @@ import numpy as np
 from repository import ROOT
 from sitl.flight.scenario import load_scenario
 from sitl.flight.virtual_flight import Flown, fly_in_virtual_time
-from sitl.report.progress import Progress
+from sitl.report.progress import FlightProgress
 
 PLATOON = ROOT / "config" / "scenarios" / "platoon.yaml"
 SHUFFLED = ("starts_enu_m.2=[-3.0,0.0,0.0]", "starts_enu_m.3=[-1.5,0.0,0.0]", "fleet.law.name=cooperative")
@@ -15,7 +15,7 @@ UP, DOWN = "{command: takeoff, for_s: 3}, {command: form, for_s: 15, timeout_s: 
 
 def flown(timeline: str) -> Flown:
     scenario = load_scenario(PLATOON, [*SHUFFLED, f"timeline=[{timeline}]"])
-    return fly_in_virtual_time(scenario, Progress("test", True, 0.0))
+    return fly_in_virtual_time(scenario, FlightProgress("test", True, 0.0))
 
 
 def test_vehicles_that_form_through_each_other_pass_at_a_distance() -> None:

@@ -26,7 +26,7 @@ from sitl.flight.lockstep import Lockstep
 from sitl.flight.scenario import load_scenario, reference_of
 from sitl.flight.watch import FlightWatch
 from sitl.report.metrics import errors_m, reference_positions_m, standing
-from sitl.report.progress import Progress
+from sitl.report.progress import FlightProgress
 
 RING = ROOT / "config" / "scenarios" / "ring_figure_8.yaml"
 SUCCESSOR = "fleet.successors=[2]"
@@ -68,7 +68,7 @@ class Flown:
 def flown(*overrides: str, dead: Iterable[int] = (1,), for_s: float = 5.0) -> Flown:
     scenario = load_scenario(RING, overrides)
     lockstep, watch = Lockstep(scenario), FlightWatch(ids_of(scenario), [1], 0.0)
-    director = Director(lockstep, watch, Progress("test", True, 0.0), lambda: None, tuple, lockstep)
+    director = Director(lockstep, watch, FlightProgress("test", True, 0.0), lambda: None, tuple, lockstep)
     director.fly([*scenario.timeline[:3], replace(scenario.timeline[3], for_s=DIES_AFTER_S)])
     died_s, packets = lockstep.now_s(), []
     send = lockstep._network.send
@@ -174,7 +174,7 @@ def test_all_vehicles_stay_in_hold_without_a_land_time() -> None:
 def test_a_commanded_hold_does_not_end_in_landing() -> None:
     scenario = load_scenario(RING, ["fleet.land_after_s=1"])
     lockstep, watch = Lockstep(scenario), FlightWatch(ids_of(scenario), [1], 0.0)
-    director = Director(lockstep, watch, Progress("test", True, 0.0), lambda: None, tuple, lockstep)
+    director = Director(lockstep, watch, FlightProgress("test", True, 0.0), lambda: None, tuple, lockstep)
     director.fly(scenario.timeline[:3])
     assert all(reply and reply.accepted for reply in lockstep.command([2, 3], CommandName.HOLD, 1.0).values())
     lockstep._in_order = lockstep._in_order[1:3]

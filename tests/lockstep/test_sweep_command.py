@@ -15,7 +15,7 @@ from repository import ROOT
 from sitl.flight.scenario import load_scenario, reference_of
 from sitl.flight.virtual_flight import fly_in_virtual_time
 from sitl.report.metrics import formation_figures, neighbouring_pairs, pair_name, standing
-from sitl.report.progress import Progress
+from sitl.report.progress import FlightProgress
 from sitl.report.share import ShareProgress
 from sitl.sweep import flights
 from sitl.sweep.options import SweepOptions
@@ -47,7 +47,7 @@ def test_figures_agree_with_sitl_run(tmp_path: Path) -> None:
     rows = {row["fleet.law.name"]: row for row in rows_of(tmp_path) if row["seed"] == "2"}
     for law in laws:
         scenario = load_scenario(PLATOON, [f"fleet.law.name={law}", "timeline[3].for_s=30", "stand_in.seed=2"])
-        flown = fly_in_virtual_time(scenario, Progress("test", True, 0.0))
+        flown = fly_in_virtual_time(scenario, FlightProgress("test", True, 0.0))
         assert flown.watch.formation is not None
         slots = {member.id: member.slot_enu_m for member in scenario.fleet.vehicles}
         expected = formation_figures(flown.tracks(), standing(slots), reference_of(scenario), flown.watch.formation)

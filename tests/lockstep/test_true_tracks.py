@@ -17,7 +17,7 @@ import pytest
 
 from sitl.flight.scenario import load_scenario
 from sitl.flight.virtual_flight import fly_in_virtual_time
-from sitl.report.progress import Progress
+from sitl.report.progress import FlightProgress
 
 SCENARIOS = Path(__file__).parents[2] / "config" / "scenarios"
 HASHES = Path(__file__).with_name("true_tracks.json")
@@ -29,7 +29,7 @@ def track_hash(scenario_name: str, autopilot: str) -> str:
     """SHA-256 of the times and true positions of all vehicles in the order of their ids, as doubles."""
     path = SCENARIOS / f"{scenario_name}.yaml"
     scenario = load_scenario(path, [f"stand_in.autopilot={autopilot}"])
-    flown = fly_in_virtual_time(scenario, Progress(scenario_name, True, 0.0))
+    flown = fly_in_virtual_time(scenario, FlightProgress(scenario_name, True, 0.0))
     digest = sha256(str(flown.failure).encode())
     for vehicle_id, track in sorted(flown.tracks().items()):
         digest.update(str(vehicle_id).encode() + track.time_s.tobytes() + track.position_enu_m.tobytes())

@@ -23,7 +23,7 @@ from sitl.flight.director import Director
 from sitl.flight.lockstep import Lockstep
 from sitl.flight.scenario import load_scenario, reference_of
 from sitl.report.metrics import SAMPLE_S, errors_m, pairs_of, reference_positions_m, smallest_distance_m
-from sitl.report.progress import Progress
+from sitl.report.progress import FlightProgress
 
 SCENARIOS = ROOT / "config" / "scenarios"
 RING, COLUMN = "ring_figure_8.yaml", "turning_column.yaml"
@@ -41,7 +41,7 @@ class Flown:
         agents = {vehicle_id: vehicle._agent for vehicle_id, vehicle in lockstep._vehicles.items()}
         self.headings = record_at_setpoints(lockstep, lambda vehicle_id, _: agents[vehicle_id]._last_guidance.heading)
         self.decisions = Decisions(lockstep)
-        director = Director(lockstep, self.watch, Progress("test", True, 0.0), lambda: None, tuple, lockstep)
+        director = Director(lockstep, self.watch, FlightProgress("test", True, 0.0), lambda: None, tuple, lockstep)
         self.failures = director.fly_and_land(self.scenario.timeline)
         self.tracks = {s.vehicle_id: s.track() for s in lockstep.stand_ins}
         assert self.watch.formation is not None

@@ -8,7 +8,7 @@ import pytest
 from repository import ROOT
 from sitl.flight.scenario import load_scenario
 from sitl.flight.virtual_flight import fly_without_landing
-from sitl.report.progress import Progress
+from sitl.report.progress import FlightProgress
 
 FOUR_IN_LINE = ROOT / "config" / "scenarios" / "four_in_line.yaml"
 RESTS_S = 10.0
@@ -18,7 +18,7 @@ def resting_error_m(correction_1_s: float) -> float:
     """The largest mean distance of a vehicle from its slot about the reference point, over the last RESTS_S."""
     sensors = ("stand_in.sensors=ardupilot_sitl", f"fleet.law.velocity_correction_1_s={correction_1_s}")
     scenario = load_scenario(FOUR_IN_LINE, sensors)
-    flown = fly_without_landing(scenario, Progress("test", True, 0.0))
+    flown = fly_without_landing(scenario, FlightProgress("test", True, 0.0))
     assert flown.failure is None
     assert flown.watch.formation is not None
     end_s = flown.watch.formation.end_s

@@ -24,7 +24,7 @@ from sitl.flight.lockstep import Lockstep
 from sitl.flight.scenario import Scenario, load_scenario, reference_of
 from sitl.flight.watch import FlightWatch
 from sitl.report.metrics import Formation, errors_m, reference_positions_m, standing
-from sitl.report.progress import Progress
+from sitl.report.progress import FlightProgress
 from sitl.report.tracks import Track
 
 SCENARIOS = ROOT / "config" / "scenarios"
@@ -126,7 +126,7 @@ def flown(name: str, *overrides: str) -> Flown:
     scenario = load_scenario(SCENARIOS / f"{name}.yaml", overrides)
     lockstep = Lockstep(scenario)
     watch = Recorder(lockstep, scenario)
-    director = Director(lockstep, watch, Progress("test", True, 0.0), lambda: None, tuple, lockstep)
+    director = Director(lockstep, watch, FlightProgress("test", True, 0.0), lambda: None, tuple, lockstep)
     assert director.fly_and_land(scenario.timeline) == []
     return Flown(scenario, watch, {s.vehicle_id: s.track() for s in lockstep.stand_ins})
 

@@ -19,7 +19,7 @@ from sitl.flight.scenario import Scenario, load_scenario
 from sitl.flight.watch import FlightWatch, watch_of
 from sitl.links.free_ports import reserved_ports
 from sitl.links.ports import zenoh_endpoint
-from sitl.report.progress import Progress
+from sitl.report.progress import FlightProgress
 from sitl.stopping import StopRequest
 from tests.bench.machine import stolen_percent, this_machine, times
 from tests.bench.processes import use_of
@@ -147,7 +147,7 @@ def _fly(
     ids = ids_of(scenario)
     endpoints = [zenoh_endpoint(vehicle_id, offset) for vehicle_id in ids]
     watch = watch_of(scenario, time.monotonic())
-    progress = Progress("soak", quiet, watch.began_s)
+    progress = FlightProgress("soak", quiet, watch.began_s)
     with FleetProcesses.start(scenario, folder, offset) as fleet, progress, ExitStack() as stack:
         session = stack.enter_context(FleetSession(scenario.fleet.name, endpoints, "soak"))
         sampler = Sampler(fleet, watch, ids, seconds)

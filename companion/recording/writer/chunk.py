@@ -10,7 +10,7 @@ _FIELDS = _FRAME.size - 9  # bytes of the length that are not data
 _MOST_SEQUENCE = 2**32
 
 
-class Chunk:
+class MessageChunk:
     """Messages in the order of `add`, each as an MCAP record. Times are nanoseconds of Unix time."""
 
     def __init__(self) -> None:

@@ -9,13 +9,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Generic, Protocol, TypeVar
 
-from companion.recording.writer.folder import Flight
+from companion.recording.writer.folder import FlightFiles
 
 Piece = TypeVar("Piece")
 Taken = TypeVar("Taken", contravariant=True)
 
 
-class Part(Protocol[Taken]):
+class PartFormat(Protocol[Taken]):
     """The bytes of one file, in order: `opening`, any number of pieces, `closing`."""
 
     def opening(self) -> bytes: ...
@@ -65,10 +65,12 @@ class PartFiles(Generic[Piece]):
     `part_of` makes the content of the part with this number, from 1.
     """
 
-    def __init__(self, flight: Flight, kind: str, part_bytes: int, part_of: Callable[[int], Part[Piece]]) -> None:
+    def __init__(
+        self, flight: FlightFiles, kind: str, part_bytes: int, part_of: Callable[[int], PartFormat[Piece]]
+    ) -> None:
         self._flight, self._kind, self._part_bytes, self._part_of = flight, kind, part_bytes, part_of
         self._number = 0  # of the last part
-        self._open: tuple[Part[Piece], PartFile] | None = None
+        self._open: tuple[PartFormat[Piece], PartFile] | None = None
 
     def write(self, piece: Piece) -> None:
         """Append a piece. Raises OSError; then nothing of the piece is in a file, and the next one begins a part."""

@@ -59,7 +59,7 @@ def recorded_files(folder: Path) -> list[RecordedFile]:
     return files
 
 
-class Flight:
+class FlightFiles:
     """The files of one flight that is recorded now, in a folder that may use `keep_bytes`."""
 
     def __init__(

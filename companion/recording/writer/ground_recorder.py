@@ -10,10 +10,10 @@ from companion.config.fleet import FleetConfig
 from companion.recording.codec import encode
 from companion.recording.configuration import as_json
 from companion.recording.records import GROUND_COMMAND, GROUND_STATUS, SOFTWARE, Header
-from companion.recording.writer.chunk import Chunk
+from companion.recording.writer.chunk import MessageChunk
 from companion.recording.writer.drops import DropReport
 from companion.recording.writer.files import PartFiles
-from companion.recording.writer.folder import GROUND, MB, MCAP, Flight
+from companion.recording.writer.folder import GROUND, MB, MCAP, FlightFiles
 from companion.recording.writer.mcap_part import McapPart
 from companion.recording.writer.stream import MessageStream
 from companion.recording.writer.writing import Writing
@@ -21,7 +21,7 @@ from companion.types.commands import Command
 from companion.types.notices import Notice
 from companion.wire.messages import StatusReport
 
-TOPICS = (GROUND_STATUS, GROUND_COMMAND)
+GROUND_TOPICS = (GROUND_STATUS, GROUND_COMMAND)
 KEEP_MB, PART_MB = 2000, 50
 
 
@@ -31,9 +31,9 @@ class GroundRecorder:
     All methods are called in one thread, `step` once a second.
     """
 
-    def __init__(self, header: Header, files: PartFiles[Chunk], writing: Writing) -> None:
+    def __init__(self, header: Header, files: PartFiles[MessageChunk], writing: Writing) -> None:
         self._writing = writing
-        self._stream = MessageStream(header, TOPICS, files, writing)
+        self._stream = MessageStream(header, GROUND_TOPICS, files, writing)
         self._drops = DropReport(writing)
         self._messages = 0
 
@@ -78,9 +78,9 @@ def ground_recorder(
         fleet_file=as_json(fleet) if fleet else "",
         vehicle_file="",
     )
-    flight = Flight(folder, GROUND, KEEP_MB * MB)
+    flight = FlightFiles(folder, GROUND, KEEP_MB * MB)
     return GroundRecorder(
         header,
-        PartFiles(flight, MCAP, PART_MB * MB, lambda part: McapPart(replace(header, part=part), TOPICS)),
+        PartFiles(flight, MCAP, PART_MB * MB, lambda part: McapPart(replace(header, part=part), GROUND_TOPICS)),
         writing,
     )

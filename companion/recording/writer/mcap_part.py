@@ -18,11 +18,11 @@ from mcap.records import Channel, DataEnd, Footer, McapRecord, Metadata, Metadat
 from mcap.records import Chunk as ChunkRecord
 from mcap.records import Header as McapHeader
 
-from companion.recording import schemas
 from companion.recording.codec import metadata_of
 from companion.recording.records import FORMAT, Header
-from companion.recording.writer.chunk import Chunk
-from companion.recording.writer.files import Part
+from companion.recording.schemas import MESSAGE_ENCODING, SCHEMA_ENCODING, schema
+from companion.recording.writer.chunk import MessageChunk
+from companion.recording.writer.files import PartFormat
 
 MAGIC = b"\x89MCAP0\r\n"  # first and last bytes of a file; mcap.writer, which has them too, would take 2 MB of memory
 CRC_BYTES = 4  # at the end of a footer, the one field that its checksum leaves out
@@ -37,7 +37,7 @@ def channel_ids(topics: Sequence[str]) -> dict[str, int]:
     return {topic: number for number, topic in enumerate(topics, start=1)}
 
 
-class McapPart(Part[Chunk]):
+class McapPart(PartFormat[MessageChunk]):
     """The bytes of one file, with a chunk as a piece."""
 
     def __init__(self, header: Header, topics: Sequence[str]) -> None:
@@ -54,7 +54,7 @@ class McapPart(Part[Chunk]):
         before, metadata = self._before_messages()
         return before + metadata + self._compressed(_bytes_of(*self._described), 0, 0)
 
-    def piece(self, chunk: Chunk) -> bytes:
+    def piece(self, chunk: MessageChunk) -> bytes:
         """A chunk, compressed. zstd and the checksum of large chunks release the interpreter."""
         self._counts.update(chunk.counts)
         self._start_ns = chunk.start_ns if self._start_ns is None else min(self._start_ns, chunk.start_ns)
@@ -110,13 +110,11 @@ def _described(topics: Sequence[str]) -> list[McapRecord]:
     """A schema and a channel for each topic."""
     records: list[McapRecord] = []
     for topic, number in channel_ids(topics).items():
-        name, data = schemas.schema(topic)
-        records.append(Schema(id=number, name=name, encoding=schemas.ENCODING, data=data))
+        name, data = schema(topic)
+        records.append(Schema(id=number, name=name, encoding=SCHEMA_ENCODING, data=data))
         metadata: dict[str, str] = {}
         records.append(
-            Channel(
-                id=number, topic=topic, message_encoding=schemas.MESSAGE_ENCODING, metadata=metadata, schema_id=number
-            )
+            Channel(id=number, topic=topic, message_encoding=MESSAGE_ENCODING, metadata=metadata, schema_id=number)
         )
     return records
 

@@ -24,7 +24,7 @@ from companion.recording.records import (
     Header,
     TimingRecord,
 )
-from companion.recording.writer.chunk import Chunk
+from companion.recording.writer.chunk import MessageChunk
 from companion.recording.writer.drops import DropReport
 from companion.recording.writer.files import PartFiles
 from companion.recording.writer.stream import MessageStream
@@ -85,7 +85,7 @@ class Recorder:
         header: Header,
         law: FormationLaw,
         writing: Writing,
-        mcap: PartFiles[Chunk],
+        mcap: PartFiles[MessageChunk],
         tlog: PartFiles[bytes] | None = None,
     ) -> None:
         self._header, self._law, self._writing, self._tlog = header, law, writing, tlog

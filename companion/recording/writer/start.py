@@ -10,9 +10,9 @@ from companion.assembly import law_of
 from companion.config.vehicle import AgentConfig
 from companion.recording.configuration import as_json
 from companion.recording.records import SOFTWARE, Header
-from companion.recording.writer.chunk import Chunk
+from companion.recording.writer.chunk import MessageChunk
 from companion.recording.writer.files import PartFiles
-from companion.recording.writer.folder import MB, MCAP, TLOG, Flight
+from companion.recording.writer.folder import MB, MCAP, TLOG, FlightFiles
 from companion.recording.writer.mcap_part import McapPart
 from companion.recording.writer.recorder import TOPICS, Recorder
 from companion.recording.writer.tlog import TlogPart
@@ -35,8 +35,8 @@ def recorder_of(
         fleet_file=as_json(config.fleet),
         vehicle_file=as_json(vehicle),
     )
-    flight, part_bytes = Flight(folder, f"vehicle_{vehicle.id}", settings.keep_mb * MB), settings.part_mb * MB
-    mcap: PartFiles[Chunk] = PartFiles(
+    flight, part_bytes = FlightFiles(folder, f"vehicle_{vehicle.id}", settings.keep_mb * MB), settings.part_mb * MB
+    mcap: PartFiles[MessageChunk] = PartFiles(
         flight, MCAP, part_bytes, lambda part: McapPart(replace(header, part=part), TOPICS)
     )
     tlog = PartFiles(flight, TLOG, part_bytes, lambda _part: TlogPart()) if settings.tlog else None

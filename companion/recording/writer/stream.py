@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from companion.recording.codec import log_time_ns
 from companion.recording.records import Header
-from companion.recording.writer.chunk import Chunk
+from companion.recording.writer.chunk import MessageChunk
 from companion.recording.writer.files import PartFiles
 from companion.recording.writer.mcap_part import channel_ids
 from companion.recording.writer.writing import Writing
@@ -22,10 +22,10 @@ TOO_MUCH = f"more than {MOST_BYTES // 1_000_000} MB in a second: the network is 
 class MessageStream:
     """Frames messages and hands them on once a second, as one chunk."""
 
-    def __init__(self, header: Header, topics: Sequence[str], files: PartFiles[Chunk], writing: Writing) -> None:
+    def __init__(self, header: Header, topics: Sequence[str], files: PartFiles[MessageChunk], writing: Writing) -> None:
         self._header, self._files, self._writing = header, files, writing
         self._ids = channel_ids(topics)
-        self._chunk = Chunk()
+        self._chunk = MessageChunk()
         self._began_s = 0.0
 
     def add(self, topic: str, sequence: int, now_s: float, data: bytes) -> None:
@@ -48,4 +48,4 @@ class MessageStream:
         """Hand on what there is."""
         if self._chunk.frames:
             self._writing.put(self._files, self._chunk, len(self._chunk))
-            self._chunk = Chunk()
+            self._chunk = MessageChunk()

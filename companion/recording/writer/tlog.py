@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import struct
 
-from companion.recording.writer.files import Part
+from companion.recording.writer.files import PartFormat
 
 _TIME = struct.Struct(">Q")
 
@@ -17,7 +17,7 @@ def stamped(packet: bytes, unix_us: int) -> bytes:
     return _TIME.pack(unix_us) + packet
 
 
-class TlogPart(Part[bytes]):
+class TlogPart(PartFormat[bytes]):
     """A file of stamped packets, which has neither beginning nor end."""
 
     def opening(self) -> bytes:

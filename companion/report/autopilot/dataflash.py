@@ -16,8 +16,8 @@ from pymavlink import DFReader
 from companion.report.arrays import Floats
 from companion.report.autopilot.log import AutopilotLog, LogError, LogMessage, Series
 
-TYPES = ("POS", "XKF1", "BAT", "VIBE", "GPS", "GPA", "MSG", "ERR")
-VIBRATION_LIMIT_M_S2 = 30.0  # of VIBE
+DATAFLASH_TYPES = ("POS", "XKF1", "BAT", "VIBE", "GPS", "GPA", "MSG", "ERR")
+DATAFLASH_VIBRATION_M_S2 = 30.0  # of VIBE
 METRES_PER_DEGREE = 111_319.5
 FIRST_ONLY = {"XKF1": "C", "BAT": "Inst", "VIBE": "IMU", "GPS": "I", "GPA": "I"}  # field that counts instances
 # Subsystems of ERR that are failsafes; a code of 0 is their end.
@@ -36,7 +36,7 @@ FAILSAFES = {
     29: "vibration",
     31: "dead reckoning",
 }
-DAMAGED = (TypeError, ValueError, KeyError, IndexError, AttributeError, EOFError, struct.error, OSError)
+DAMAGED_DATAFLASH = (TypeError, ValueError, KeyError, IndexError, AttributeError, EOFError, struct.error, OSError)
 Rows = dict[str, list[Any]]
 
 
@@ -52,40 +52,40 @@ def read_dataflash(path: Path) -> AutopilotLog:
         make="ArduPilot",
         altitude_m=altitude_m,
         velocity_enu_m_s=velocity_enu_m_s,
-        voltage_v=_series(rows, "BAT", lambda row: row.Volt),
-        vibration_m_s2=_series(rows, "VIBE", lambda row: max(row.VibeX, row.VibeY, row.VibeZ)),
-        vibration_limit_m_s2=VIBRATION_LIMIT_M_S2,
-        satellites=_series(rows, "GPS", lambda row: row.NSats),
-        position_error_m=_series(rows, "GPA", lambda row: row.HAcc),
+        voltage_v=_row_series(rows, "BAT", lambda row: row.Volt),
+        vibration_m_s2=_row_series(rows, "VIBE", lambda row: max(row.VibeX, row.VibeY, row.VibeZ)),
+        vibration_limit_m_s2=DATAFLASH_VIBRATION_M_S2,
+        satellites=_row_series(rows, "GPS", lambda row: row.NSats),
+        position_error_m=_row_series(rows, "GPA", lambda row: row.HAcc),
         messages=tuple(_messages(rows)),
     )
 
 
 def _rows(path: Path) -> Rows:
     """The rows of each type, of its first instance. Raises LogError."""
-    rows: Rows = {name: [] for name in TYPES}
+    rows: Rows = {name: [] for name in DATAFLASH_TYPES}
     try:
         with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):  # the library prints what it skips
             log = DFReader.DFReader_binary(str(path), zero_time_base=True)
-            while (row := log.recv_match(type=list(TYPES))) is not None:
+            while (row := log.recv_match(type=list(DATAFLASH_TYPES))) is not None:
                 name = row.get_type()
                 if getattr(row, FIRST_ONLY.get(name, ""), 0) == 0:
                     rows[name].append(row)
-    except DAMAGED as error:
+    except DAMAGED_DATAFLASH as error:
         raise LogError(f"not a DataFlash log that can be read: {str(error) or type(error).__name__}") from error
     return rows
 
 
-def _series(rows: Rows, name: str, value_of: Callable[[Any], float]) -> Series:
+def _row_series(rows: Rows, name: str, value_of: Callable[[Any], float]) -> Series:
     """Empty where this version of the type has no such field."""
     try:
         values = np.array([value_of(row) for row in rows[name]], dtype=np.float64)
     except AttributeError:
         return Series()
-    return Series(_times_s(rows[name]), values)
+    return Series(_row_times_s(rows[name]), values)
 
 
-def _times_s(rows: list[Any]) -> Floats:
+def _row_times_s(rows: list[Any]) -> Floats:
     return np.array([row.TimeUS for row in rows], dtype=np.float64) / 1e6
 
 
@@ -95,7 +95,7 @@ def _by_filter(rows: Rows) -> tuple[Series, Floats] | None:
     if len(found) < 2:
         return None
     velocity = np.array([(row.VE, row.VN, -row.VD) for row in found], dtype=np.float64)
-    return Series(_times_s(found), -np.array([row.PD for row in found], dtype=np.float64)), velocity
+    return Series(_row_times_s(found), -np.array([row.PD for row in found], dtype=np.float64)), velocity
 
 
 def _by_position(rows: Rows) -> tuple[Series, Floats] | None:
@@ -103,7 +103,7 @@ def _by_position(rows: Rows) -> tuple[Series, Floats] | None:
     found = rows["POS"]
     if len(found) < 3:
         return None
-    time_s = _times_s(found)
+    time_s = _row_times_s(found)
     east = METRES_PER_DEGREE * cos(radians(found[0].Lat))
     position = np.array(
         [((row.Lng - found[0].Lng) * east, (row.Lat - found[0].Lat) * METRES_PER_DEGREE, row.Alt) for row in found],

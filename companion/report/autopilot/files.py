@@ -8,8 +8,8 @@ from pathlib import Path
 
 from companion.report.autopilot.log import AutopilotLog, LogError
 from companion.report.autopilot.match import MatchedLog, match
-from companion.report.finding import Finding, Kind, Severity, finding
-from companion.report.flight import RecordedFlight
+from companion.report.finding import Finding, FindingKind, Severity, finding
+from companion.report.flight import FlightRecords
 from companion.types.notices import Code
 
 ULOG, DATAFLASH = ".ulg", ".bin"
@@ -47,7 +47,7 @@ def log_files(folder: Path, named: Sequence[Path]) -> tuple[Path, ...]:
     return tuple(path for path in inside if path.suffix.lower() in SUFFIXES and path.resolve() not in known)
 
 
-def read_logs(files: Sequence[Path], flight: RecordedFlight, named: Sequence[AutopilotLog] = ()) -> AutopilotLogs:
+def read_logs(files: Sequence[Path], flight: FlightRecords, named: Sequence[AutopilotLog] = ()) -> AutopilotLogs:
     """All logs, and those of the command line, with their vehicles and times."""
     logs, left_out = [*named], []
     for path in files:
@@ -85,4 +85,4 @@ def read_log(path: Path) -> AutopilotLog:
 
 
 def _left_out(code: Code, text: str) -> Finding:
-    return finding(Kind.AUTOPILOT, Severity.WARNING, code, None, 0.0, text)
+    return finding(FindingKind.AUTOPILOT, Severity.WARNING, code, None, 0.0, text)

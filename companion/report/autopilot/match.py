@@ -10,7 +10,7 @@ import numpy as np
 
 from companion.report.arrays import Floats
 from companion.report.autopilot.log import AutopilotLog
-from companion.report.flight import RecordedFlight, VehicleLog
+from companion.report.flight import FlightRecords, VehicleLog
 
 STEP_S = 0.1  # of the search over all offsets
 FINE_S = 0.01  # and near the best one
@@ -30,7 +30,7 @@ class MatchedLog:
     agreement: float
 
 
-def match(log: AutopilotLog, flight: RecordedFlight) -> MatchedLog | None:
+def match(log: AutopilotLog, flight: FlightRecords) -> MatchedLog | None:
     """By the id in the name of the file, else the vehicle that moved most alike; None where none did."""
     named = NAMED.search(log.name)
     candidates = [one for one in flight.vehicles if not named or one.vehicle_id == int(named.group(1))]

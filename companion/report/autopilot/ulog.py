@@ -15,7 +15,7 @@ from pyulog.exceptions import ULogException
 from companion.report.arrays import Floats
 from companion.report.autopilot.log import AutopilotLog, LogError, LogMessage, Series
 
-TOPICS = (
+ULOG_TOPICS = (
     "vehicle_local_position",
     "battery_status",
     "vehicle_imu_status",
@@ -24,17 +24,27 @@ TOPICS = (
     "vehicle_status",
 )
 SEVERE = frozenset({"EMERGENCY", "ALERT", "CRITICAL", "ERROR", "WARNING"})
-VIBRATION_LIMIT_M_S2 = 9.81  # of accel_vibration_metric
+ULOG_VIBRATION_M_S2 = 9.81  # of accel_vibration_metric
 # What the library raises for files that are damaged.
-DAMAGED = (ULogException, TypeError, ValueError, KeyError, IndexError, AttributeError, EOFError, struct.error, OSError)
+DAMAGED_ULOG = (
+    ULogException,
+    TypeError,
+    ValueError,
+    KeyError,
+    IndexError,
+    AttributeError,
+    EOFError,
+    struct.error,
+    OSError,
+)
 
 
 def read_ulog(path: Path) -> AutopilotLog:
     """Raises LogError."""
     try:
         with redirect_stdout(io.StringIO()):  # the library prints what it skips
-            log = ULog(str(path), list(TOPICS))
-    except DAMAGED as error:
+            log = ULog(str(path), list(ULOG_TOPICS))
+    except DAMAGED_ULOG as error:
         raise LogError(f"not a ULog that can be read: {str(error) or type(error).__name__}") from error
     position = _topic(log, "vehicle_local_position")
     if position is None:
@@ -43,13 +53,13 @@ def read_ulog(path: Path) -> AutopilotLog:
     return AutopilotLog(
         name=path.name,
         make="PX4",
-        altitude_m=Series(_times_s(position), -_column(position, "z")),
+        altitude_m=Series(_topic_times_s(position), -_column(position, "z")),
         velocity_enu_m_s=np.stack([_column(position, "vy"), _column(position, "vx"), -_column(position, "vz")], axis=1),
-        voltage_v=_series(log, "battery_status", "voltage_v"),
-        vibration_m_s2=_series(log, "vehicle_imu_status", "accel_vibration_metric"),
-        vibration_limit_m_s2=VIBRATION_LIMIT_M_S2,
-        satellites=_series(log, gps, "satellites_used"),
-        position_error_m=_series(log, gps, "eph"),
+        voltage_v=_topic_series(log, "battery_status", "voltage_v"),
+        vibration_m_s2=_topic_series(log, "vehicle_imu_status", "accel_vibration_metric"),
+        vibration_limit_m_s2=ULOG_VIBRATION_M_S2,
+        satellites=_topic_series(log, gps, "satellites_used"),
+        position_error_m=_topic_series(log, gps, "eph"),
         messages=(*_failsafes(log), *_logged(log)),
     )
 
@@ -60,7 +70,7 @@ def _topic(log: ULog, name: str) -> Any | None:
     return min(found, key=lambda one: one.multi_id, default=None)
 
 
-def _times_s(topic: Any) -> Floats:
+def _topic_times_s(topic: Any) -> Floats:
     return np.asarray(topic.data["timestamp"], dtype=np.float64) / 1e6
 
 
@@ -70,9 +80,11 @@ def _column(topic: Any, name: str) -> Floats:
     return np.full(len(topic.data["timestamp"]), np.nan) if values is None else np.asarray(values, dtype=np.float64)
 
 
-def _series(log: ULog, topic_name: str, field: str) -> Series:
+def _topic_series(log: ULog, topic_name: str, field: str) -> Series:
     topic = _topic(log, topic_name)
-    return Series() if topic is None or field not in topic.data else Series(_times_s(topic), _column(topic, field))
+    return (
+        Series() if topic is None or field not in topic.data else Series(_topic_times_s(topic), _column(topic, field))
+    )
 
 
 def _failsafes(log: ULog) -> list[LogMessage]:
@@ -82,7 +94,7 @@ def _failsafes(log: ULog) -> list[LogMessage]:
         return []
     active = _column(status, "failsafe") > 0.0
     begins = np.flatnonzero(active & ~np.concatenate(([False], active[:-1])))
-    time_s = _times_s(status)
+    time_s = _topic_times_s(status)
     return [LogMessage(float(time_s[row]), "vehicle_status.failsafe", failsafe=True, severe=True) for row in begins]
 
 

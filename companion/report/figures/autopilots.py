@@ -9,19 +9,19 @@ from matplotlib.axes import Axes
 
 from companion.report.autopilot.log import Series
 from companion.report.autopilot.match import MatchedLog
-from companion.report.figures.picture import Picture, picture
-from companion.report.figures.style import LIMIT, Axis, dress, dress_time, finish, look, new_figure, plot
+from companion.report.figures.picture import DrawnFigure, picture
+from companion.report.figures.style import LIMIT, TimeAxis, dress, dress_time, finish, look, new_figure, plot
 from companion.report.findings.autopilot import LARGEST_POSITION_ERROR_M, LEAST_SATELLITES
-from companion.report.flight import RecordedFlight, VehicleLog
+from companion.report.flight import FlightRecords, VehicleLog
 
 
-def autopilot_logs(flight: RecordedFlight, matched: Sequence[MatchedLog], axis: Axis) -> list[Picture]:
+def draw_autopilot_logs(flight: FlightRecords, matched: Sequence[MatchedLog], axis: TimeAxis) -> list[DrawnFigure]:
     """One figure for each log."""
     vehicles = {vehicle.vehicle_id: vehicle for vehicle in flight.vehicles}
     return [_figure(vehicles[one.vehicle_id], one, number, axis) for number, one in enumerate(matched, start=1)]
 
 
-def _figure(vehicle: VehicleLog, matched: MatchedLog, number: int, axis: Axis) -> Picture:
+def _figure(vehicle: VehicleLog, matched: MatchedLog, number: int, axis: TimeAxis) -> DrawnFigure:
     log, by_s = matched.log, matched.offset_s
     shown: list[tuple[str, Series, float | None, str]] = [
         ("voltage [V]", log.voltage_v, None, ""),

@@ -9,10 +9,10 @@ from itertools import pairwise
 import numpy as np
 from matplotlib.axes import Axes
 
-from companion.report.figures.picture import Picture, picture
-from companion.report.figures.style import LEFT_IN, Axis, dress, dress_time, finish, new_figure
+from companion.report.figures.picture import DrawnFigure, picture
+from companion.report.figures.style import LEFT_IN, TimeAxis, dress, dress_time, finish, new_figure
 from companion.report.findings.failsafes import counting
-from companion.report.flight import RecordedFlight
+from companion.report.flight import FlightRecords
 from companion.report.intervals import Interval, runs, stretches
 from companion.types.flight import FlightPhase
 
@@ -43,7 +43,7 @@ class Bar:
     label: str = ""
 
 
-def phases(flight: RecordedFlight, axis: Axis) -> Picture:
+def draw_phases(flight: FlightRecords, axis: TimeAxis) -> DrawnFigure:
     """Phase of every agent."""
     rows = []
     for vehicle in flight.vehicles:
@@ -58,13 +58,13 @@ def phases(flight: RecordedFlight, axis: Axis) -> Picture:
     return _picture(rows, axis, "phases", "Flight phases over time", caption, used_phases(flight))
 
 
-def used_phases(flight: RecordedFlight) -> list[str]:
+def used_phases(flight: FlightRecords) -> list[str]:
     """In the order of a flight, for the legend."""
     used = {str(phase) for vehicle in flight.vehicles for phase in np.unique(vehicle.ticks.phase)}
     return [str(phase) for phase in FlightPhase if phase in used]
 
 
-def leaders(flight: RecordedFlight, axis: Axis) -> Picture:
+def draw_leaders(flight: FlightRecords, axis: TimeAxis) -> DrawnFigure:
     """Known leader of every vehicle."""
     shades = ("#cfe3f1", "#f6e3b4", "#9cc9a9", "#e7bcae", "#d9cfe8")
     rows = []
@@ -84,7 +84,7 @@ def leaders(flight: RecordedFlight, axis: Axis) -> Picture:
     return _picture(rows, axis, "leaders", "Leader over time", caption)
 
 
-def flags(flight: RecordedFlight, axis: Axis) -> Picture | None:
+def draw_flags(flight: FlightRecords, axis: TimeAxis) -> DrawnFigure | None:
     """None where no flag was ever raised."""
     rows = []
     for vehicle in flight.vehicles:
@@ -112,12 +112,12 @@ def _recorded(time_s: np.ndarray) -> list[slice]:
 
 def _picture(
     rows: Sequence[tuple[str, Sequence[Bar]]],
-    axis: Axis,
+    axis: TimeAxis,
     id_: str,
     title: str,
     caption: str,
     legend_of: Sequence[str] = (),
-) -> Picture:
+) -> DrawnFigure:
     figure = new_figure(0.27 * len(rows) + 0.05)
     axes = figure.subplots()
     for place, (_, bars) in enumerate(rows):
@@ -136,7 +136,7 @@ def _picture(
     return picture(figure, id_, title, caption)
 
 
-def _draw(axes: Axes, place: int, bar: Bar, axis: Axis) -> None:
+def _draw(axes: Axes, place: int, bar: Bar, axis: TimeAxis) -> None:
     least_s = 0.0012 * axis.ends_s  # a short one must be seen
     lasts_s = max(bar.interval.lasts_s, least_s)
     axes.barh(

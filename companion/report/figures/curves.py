@@ -9,9 +9,9 @@ from matplotlib.ticker import MaxNLocator
 
 from companion.report.arrays import Floats
 from companion.report.distances import PairDistance
-from companion.report.figures.picture import Picture, picture
-from companion.report.figures.style import GREY, LIMIT, Axis, dress, dress_time, finish, look, new_figure, plot
-from companion.report.flight import RecordedFlight, VehicleLog
+from companion.report.figures.picture import DrawnFigure, picture
+from companion.report.figures.style import GREY, LIMIT, TimeAxis, dress, dress_time, finish, look, new_figure, plot
+from companion.report.flight import FlightRecords, VehicleLog
 
 MOST_PAIRS = 10  # of large fleets only the nearest pairs are drawn
 MOST_PANELS = 12
@@ -19,7 +19,7 @@ SMOOTH_TICKS = 100  # 2 s: the estimate follows every gust and the noise
 JUDGED = "Judged are all records; drawn are the smallest and largest of each moment."
 
 
-def altitude(flight: RecordedFlight, axis: Axis) -> Picture:
+def draw_altitude(flight: FlightRecords, axis: TimeAxis) -> DrawnFigure:
     """Altitude of every vehicle."""
     figure = new_figure(1.8)
     axes = figure.subplots()
@@ -32,7 +32,7 @@ def altitude(flight: RecordedFlight, axis: Axis) -> Picture:
     return picture(figure, "altitude", "Altitude over time", "As estimated on board, in the fleet frame.")
 
 
-def distances(flight: RecordedFlight, pairs: Sequence[PairDistance], axis: Axis) -> Picture:
+def draw_distances(flight: FlightRecords, pairs: Sequence[PairDistance], axis: TimeAxis) -> DrawnFigure:
     """The pair that came nearest is highlighted, with what the separation filter of its vehicles required."""
     figure = new_figure(2.5)
     axes = figure.subplots()
@@ -65,7 +65,7 @@ def distances(flight: RecordedFlight, pairs: Sequence[PairDistance], axis: Axis)
     return picture(figure, "distances", "Inter-distances over time", caption)
 
 
-def _required(flight: RecordedFlight, pair: tuple[int, int]) -> tuple[Floats, Floats]:
+def _required(flight: FlightRecords, pair: tuple[int, int]) -> tuple[Floats, Floats]:
     """Required distance of the pair, where one of the two has the other as its nearest vehicle."""
     for own, other in (pair, pair[::-1]):
         ticks = next(vehicle.ticks for vehicle in flight.vehicles if vehicle.vehicle_id == own)
@@ -75,7 +75,7 @@ def _required(flight: RecordedFlight, pair: tuple[int, int]) -> tuple[Floats, Fl
     return np.empty(0), np.empty(0)
 
 
-def errors(flight: RecordedFlight, errors_m: Mapping[int, Floats], axis: Axis) -> Picture:
+def draw_errors(flight: FlightRecords, errors_m: Mapping[int, Floats], axis: TimeAxis) -> DrawnFigure:
     """Error to the slot of every vehicle; `errors_m` is per tick, by vehicle."""
     figure = new_figure(1.9)
     axes = figure.subplots()
@@ -89,7 +89,7 @@ def errors(flight: RecordedFlight, errors_m: Mapping[int, Floats], axis: Axis) -
     return picture(figure, "errors", "Error to the slot over time", caption)
 
 
-def prc(flight: RecordedFlight, axis: Axis) -> Picture:
+def draw_prc(flight: FlightRecords, axis: TimeAxis) -> DrawnFigure:
     """PrC of every vehicle, as steps."""
     figure = new_figure(1.3)
     axes = figure.subplots()
@@ -118,7 +118,7 @@ def _changes(time_s: Floats, values: Floats) -> tuple[Floats, Floats]:
     return time_s[keep], values[keep]
 
 
-def weights(flight: RecordedFlight, axis: Axis) -> Picture | None:
+def draw_weights(flight: FlightRecords, axis: TimeAxis) -> DrawnFigure | None:
     """A panel for each vehicle that used neighbours; None without any."""
     users = [vehicle for vehicle in flight.vehicles if vehicle.ticks.neighbours][:MOST_PANELS]
     if not users:
@@ -139,13 +139,13 @@ def weights(flight: RecordedFlight, axis: Axis) -> Picture | None:
     return picture(figure, "weights", "Weights of the neighbours over time", "w_ij of eq. 6; a gap: not used.")
 
 
-def _all_ids(flight: RecordedFlight) -> list[int]:
+def _all_ids(flight: FlightRecords) -> list[int]:
     """Recorded vehicles in their order, then those that are only known as neighbours."""
     others = {other for vehicle in flight.vehicles for other in vehicle.ticks.neighbours}
     return [*flight.ids, *sorted(others - set(flight.ids))]
 
 
-def peer_ages(flight: RecordedFlight, axis: Axis) -> Picture:
+def draw_peer_ages(flight: FlightRecords, axis: TimeAxis) -> DrawnFigure:
     """The oldest state of a neighbour that was used in each tick."""
     figure = new_figure(1.5)
     axes = figure.subplots()
@@ -171,7 +171,7 @@ def _oldest_s(vehicle: VehicleLog) -> Floats:
     return np.asarray(oldest, dtype=np.float64)
 
 
-def battery(flight: RecordedFlight, axis: Axis) -> Picture:
+def draw_battery(flight: FlightRecords, axis: TimeAxis) -> DrawnFigure:
     """Charge of every vehicle, with the thresholds of the fleet file."""
     figure = new_figure(1.5)
     axes = figure.subplots()
@@ -190,7 +190,7 @@ def battery(flight: RecordedFlight, axis: Axis) -> Picture:
     return picture(figure, "battery", "Battery over time", "As reported by the autopilots.")
 
 
-def wind(flight: RecordedFlight, axis: Axis) -> Picture:
+def draw_wind(flight: FlightRecords, axis: TimeAxis) -> DrawnFigure:
     """Estimated acceleration by wind, east and north."""
     figure = new_figure(2.2)
     panels = list(figure.subplots(2, 1, sharex=True))
@@ -216,7 +216,7 @@ def _smooth(values: Floats) -> Floats:
     return np.asarray((sums[SMOOTH_TICKS:] - sums[:-SMOOTH_TICKS]) / SMOOTH_TICKS, dtype=np.float64)
 
 
-def interventions(flight: RecordedFlight, axis: Axis) -> Picture:
+def draw_interventions(flight: FlightRecords, axis: TimeAxis) -> DrawnFigure:
     """What the separation filter changed, and the room that was left."""
     figure = new_figure(2.4)
     above, below = figure.subplots(2, 1, sharex=True)
@@ -237,7 +237,7 @@ def interventions(flight: RecordedFlight, axis: Axis) -> Picture:
     return picture(figure, "interventions", "Separation filter: interventions and room", caption)
 
 
-def position_errors(flight: RecordedFlight, axis: Axis) -> Picture:
+def draw_position_errors(flight: FlightRecords, axis: TimeAxis) -> DrawnFigure:
     """Horizontal position error that each estimator reports."""
     figure = new_figure(1.5)
     axes = figure.subplots()

@@ -21,7 +21,7 @@ NO_METADATA = {"Date": None, "Creator": None, "Format": None, "Type": None}
 
 
 @dataclass(frozen=True, slots=True)
-class Picture:
+class DrawnFigure:
     """One figure of the page. `body` is an `svg` or an `img` element."""
 
     id: str
@@ -30,13 +30,13 @@ class Picture:
     body: str
 
 
-def picture(figure: Figure, id_: str, title: str, caption: str) -> Picture:
+def picture(figure: Figure, id_: str, title: str, caption: str) -> DrawnFigure:
     """Draws the figure. The title is that of the page's caption, and the picture's accessible name."""
     svg = _svg(figure, id_, title)
     if len(svg) > LARGE_SVG_BYTES:
         png = _png(figure, title)
         svg = min(svg, png, key=len)
-    return Picture(id_, title, caption, svg)
+    return DrawnFigure(id_, title, caption, svg)
 
 
 def _svg(figure: Figure, id_: str, title: str) -> str:

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MultipleLocator
 
 from companion.report.arrays import Floats
-from companion.report.finding import Row, Severity
+from companion.report.finding import FindingRow, Severity
 
 WIDTH_IN = 7.3  # of A4 between margins of 12 mm
 COLUMNS = 500  # of a drawn curve: two values for each
@@ -33,7 +33,7 @@ MOST_STEPS = 12
 
 
 @dataclass(frozen=True, slots=True)
-class Axis:
+class TimeAxis:
     """The time axis of all figures: from 0 s to the end, its local time of day, and the findings to be marked on it."""
 
     ends_s: float
@@ -47,7 +47,7 @@ class Axis:
         return f"{at:%H:%M:%S}" + (f".{at.microsecond // 10 ** (6 - digits):0{digits}d}" if digits else "")
 
 
-def marks_of(rows: Sequence[Row]) -> tuple[tuple[float, str], ...]:
+def marks_of(rows: Sequence[FindingRow]) -> tuple[tuple[float, str], ...]:
     """Times and numbers of the findings that have a moment, information left out."""
     numbered = enumerate((row.finding for row in rows), start=1)
     marked = [(one.time_s, str(n)) for n, one in numbered if one.severity is not Severity.INFO and one.time_s > 0.0]
@@ -106,7 +106,7 @@ def dress(axes: Axes, label: str, columns: int = 1) -> None:
     axes.set_axisbelow(True)
 
 
-def dress_time(panels: Sequence[Axes], axis: Axis) -> None:
+def dress_time(panels: Sequence[Axes], axis: TimeAxis) -> None:
     """The time below the last panel, the local time of day above the first, and numbered marks of findings."""
     for axes in panels:
         axes.set_xlim(0.0, max(axis.ends_s, 1.0))
@@ -127,7 +127,7 @@ def dress_time(panels: Sequence[Axes], axis: Axis) -> None:
     _number(panels[0], axis)
 
 
-def _number(axes: Axes, axis: Axis) -> None:
+def _number(axes: Axes, axis: TimeAxis) -> None:
     """The numbers of the findings above the upper edge; those of one place share a label."""
     places: list[tuple[float, list[str]]] = []
     for time_s, number in sorted(axis.marks):

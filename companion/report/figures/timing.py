@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 
 from companion.link.tick import LATE_S
 from companion.report.arrays import Floats
-from companion.report.figures.picture import Picture, picture
+from companion.report.figures.picture import DrawnFigure, picture
 from companion.report.figures.style import (
     BOTTOM_IN,
     LEFT_IN,
@@ -15,7 +15,7 @@ from companion.report.figures.style import (
     LIMIT,
     RIGHT_IN,
     WIDTH_IN,
-    Axis,
+    TimeAxis,
     dress,
     dress_time,
     finish,
@@ -24,13 +24,13 @@ from companion.report.figures.style import (
     plot,
 )
 from companion.report.findings.timing import LATE_P99_MS, TO_COMMAND_P99_MS, in_air_ms, percentiles
-from companion.report.flight import RecordedFlight
+from companion.report.flight import FlightRecords
 
 LEAST_MS, MOST_MS, BINS = 0.01, 1000.0, 60
 MOST_TICKS = 1e6  # more than five hours of one vehicle
 
 
-def histograms(flight: RecordedFlight) -> Picture:
+def draw_histograms(flight: FlightRecords) -> DrawnFigure:
     """Of the ticks in the air."""
     figure = new_figure(3.0)
     left, right = figure.subplots(1, 2, sharey=True)
@@ -71,7 +71,7 @@ def _histogram(axes: Axes, values_ms: Floats, vehicle_id: int, index: int) -> No
     axes.stairs(np.where(counts > 0, counts, np.nan), edges, label=label, **look(index))
 
 
-def lateness(flight: RecordedFlight, axis: Axis) -> Picture:
+def draw_lateness(flight: FlightRecords, axis: TimeAxis) -> DrawnFigure:
     """Lateness of every tick."""
     figure = new_figure(1.5)
     axes = figure.subplots()

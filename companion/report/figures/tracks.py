@@ -13,9 +13,9 @@ from companion.geometry.airspace import Cuboid, Cylinder, Obstacle
 from companion.report.arrays import Floats
 from companion.report.distances import PairDistance
 from companion.report.errors import in_formation
-from companion.report.figures.picture import Picture, picture
+from companion.report.figures.picture import DrawnFigure, picture
 from companion.report.figures.style import LEFT_IN, MARKERS, RIGHT_IN, WIDTH_IN, dress, finish, look, new_figure
-from companion.report.flight import RecordedFlight, VehicleLog
+from companion.report.flight import FlightRecords, VehicleLog
 
 Range = tuple[float, float]
 HIGHEST_IN = 5.2
@@ -24,7 +24,7 @@ CORNERS = 24  # of a cylinder
 MOST_CELLS = 16  # vehicles in the table of shares
 
 
-def tracks(flight: RecordedFlight, pairs: Sequence[PairDistance]) -> Picture:
+def draw_tracks(flight: FlightRecords, pairs: Sequence[PairDistance]) -> DrawnFigure:
     """Tracks of all vehicles, with the place where two came nearest."""
     x_range, y_range = _view(flight)
     figure = new_figure(_height_in(x_range, y_range))
@@ -45,7 +45,7 @@ def tracks(flight: RecordedFlight, pairs: Sequence[PairDistance]) -> Picture:
     return picture(figure, "tracks", "Tracks from above", caption)
 
 
-def _view(flight: RecordedFlight) -> tuple[Range, Range]:
+def _view(flight: FlightRecords) -> tuple[Range, Range]:
     """What the tracks cover, with a margin: a far fence does not make them small."""
     tracks_m = [vehicle.ticks.position_enu_m[vehicle.ticks.located, :2] for vehicle in flight.vehicles]
     positions = [track_m for track_m in tracks_m if track_m.size]
@@ -77,7 +77,7 @@ def _draw_track(axes: Axes, vehicle: VehicleLog, index: int) -> None:
     axes.annotate(str(vehicle.vehicle_id), begin, xytext=(5, 5), textcoords="offset points", fontsize=8, zorder=5)
 
 
-def _nearest(axes: Axes, flight: RecordedFlight, pairs: Sequence[PairDistance]) -> None:
+def _nearest(axes: Axes, flight: FlightRecords, pairs: Sequence[PairDistance]) -> None:
     """A line between the two vehicles that came nearest, at that time."""
     if not pairs or not pairs[0].judged.any():
         return
@@ -92,7 +92,7 @@ def _nearest(axes: Axes, flight: RecordedFlight, pairs: Sequence[PairDistance]) 
     axes.plot([x1, x2], [y1, y2], color="#000000", linewidth=2.6, solid_capstyle="round", label=label, zorder=6)
 
 
-def _airspace(axes: Axes, flight: RecordedFlight, x_range: Range, y_range: Range) -> None:
+def _airspace(axes: Axes, flight: FlightRecords, x_range: Range, y_range: Range) -> None:
     if flight.fleet is None:
         return
     fence = flight.fleet.airspace.fence
@@ -135,7 +135,7 @@ def outline(obstacle: Obstacle) -> list[tuple[float, float]]:
     return [(x + obstacle.radius_m * cos(angle), y + obstacle.radius_m * sin(angle)) for angle in angles]
 
 
-def topology(flight: RecordedFlight) -> Picture | None:
+def draw_topology(flight: FlightRecords) -> DrawnFigure | None:
     """Who used whom in formation, and for which share of the time; None without a formation."""
     shares = used_shares(flight)
     if shares is None:
@@ -154,7 +154,7 @@ def topology(flight: RecordedFlight) -> Picture | None:
     return picture(figure, "topology", "Topology: who used whom", caption)
 
 
-def used_shares(flight: RecordedFlight) -> tuple[list[int], Floats] | None:
+def used_shares(flight: FlightRecords) -> tuple[list[int], Floats] | None:
     """(ids, share of the time in formation in which the vehicle of a row used that of a column)."""
     known = {other for vehicle in flight.vehicles for other in vehicle.ticks.neighbours}
     if not known:
@@ -173,7 +173,7 @@ def used_shares(flight: RecordedFlight) -> tuple[list[int], Floats] | None:
     return ids, share
 
 
-def _draw_graph(axes: Axes, flight: RecordedFlight, ids: list[int], share: Floats) -> None:
+def _draw_graph(axes: Axes, flight: FlightRecords, ids: list[int], share: Floats) -> None:
     places = {vehicle.vehicle_id: _place(vehicle) for vehicle in flight.vehicles}
     for row, own in enumerate(ids):
         for column, other in enumerate(ids):

@@ -20,17 +20,17 @@ from companion.report.findings.failsafes import (
 from companion.report.findings.lost import lost_peers
 from companion.report.findings.recording import recording_gaps, starts_and_ends, whole_flight
 from companion.report.findings.timing import late
-from companion.report.flight import RecordedFlight
+from companion.report.flight import FlightRecords
 
 
 def all_findings(
-    flight: RecordedFlight, pairs: Sequence[PairDistance], logs: AutopilotLogs = NO_LOGS
+    flight: FlightRecords, pairs: Sequence[PairDistance], logs: AutopilotLogs = NO_LOGS
 ) -> tuple[Finding, ...]:
     """In the order of the page: the most severe first."""
     return in_order(_found(flight, pairs, logs))
 
 
-def _found(flight: RecordedFlight, pairs: Sequence[PairDistance], logs: AutopilotLogs) -> Iterator[Finding]:
+def _found(flight: FlightRecords, pairs: Sequence[PairDistance], logs: AutopilotLogs) -> Iterator[Finding]:
     settings = settings_of(flight.fleet)
     yield from whole_flight(flight)
     yield from too_close(pairs, flight.separation_m)

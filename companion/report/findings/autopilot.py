@@ -9,14 +9,14 @@ import numpy as np
 from companion.report.arrays import Bools, Floats
 from companion.report.autopilot.log import LogMessage, Series
 from companion.report.autopilot.match import MatchedLog
-from companion.report.finding import Finding, Kind, Severity, finding
+from companion.report.finding import Finding, FindingKind, Severity, finding
 from companion.report.flight import VehicleLog
 from companion.report.intervals import runs
 from companion.types.notices import Code
 
 LEAST_SATELLITES = 6
 LARGEST_POSITION_ERROR_M = 3.0
-APART_S = 5.0
+EXCEEDED_APART_S = 5.0
 HELD_S = 2.0  # rows of GPS come a few times a second
 
 
@@ -61,17 +61,19 @@ def _of_messages(matched: MatchedLog, vehicle: VehicleLog) -> Iterator[Finding]:
 
 def _of_message(message: LogMessage, vehicle_id: int, time_s: float) -> Finding:
     if message.failsafe:
-        return finding(Kind.AUTOPILOT, Severity.CRITICAL, Code.AUTOPILOT_FAILSAFE, vehicle_id, time_s, message.text)
-    return finding(Kind.AUTOPILOT, Severity.WARNING, Code.AUTOPILOT_MESSAGE, vehicle_id, time_s, message.text)
+        return finding(
+            FindingKind.AUTOPILOT, Severity.CRITICAL, Code.AUTOPILOT_FAILSAFE, vehicle_id, time_s, message.text
+        )
+    return finding(FindingKind.AUTOPILOT, Severity.WARNING, Code.AUTOPILOT_MESSAGE, vehicle_id, time_s, message.text)
 
 
 def _beyond(vehicle: VehicleLog, series: Series, limit: float, code: Code, text: str) -> Iterator[Finding]:
     """One finding for each time in the air with values above the limit; `text` may show the largest one."""
     beyond = (series.values > limit) & in_air_at(vehicle, series.time_s)
-    for episode in runs(series.time_s, beyond, APART_S, HELD_S):
+    for episode in runs(series.time_s, beyond, EXCEEDED_APART_S, HELD_S):
         largest = float(series.values[episode.first : episode.last + 1].max())
         yield finding(
-            Kind.AUTOPILOT,
+            FindingKind.AUTOPILOT,
             Severity.WARNING,
             code,
             vehicle.vehicle_id,

@@ -7,11 +7,11 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from companion.report.distances import PairDistance
-from companion.report.finding import Finding, Kind, Severity, finding
+from companion.report.finding import Finding, FindingKind, Severity, finding
 from companion.report.intervals import runs
 from companion.types.notices import Code
 
-APART_S = 2.0  # what is nearer again within this time is the same encounter
+ENCOUNTERS_APART_S = 2.0  # what is nearer again within this time is the same encounter
 
 
 def too_close(pairs: Sequence[PairDistance], separation_m: float | None) -> Iterator[Finding]:
@@ -20,7 +20,7 @@ def too_close(pairs: Sequence[PairDistance], separation_m: float | None) -> Iter
         return
     for pair in pairs:
         distance_m = np.where(pair.judged, pair.distance_m, np.inf)
-        for episode in runs(pair.time_s, distance_m < separation_m, APART_S):
+        for episode in runs(pair.time_s, distance_m < separation_m, ENCOUNTERS_APART_S):
             row = episode.first + int(np.argmin(distance_m[episode.first : episode.last + 1]))
             a, b = pair.pair
             text = (
@@ -28,7 +28,7 @@ def too_close(pairs: Sequence[PairDistance], separation_m: float | None) -> Iter
                 f" separation_m is {separation_m:g} m"
             )
             yield finding(
-                Kind.CLOSE,
+                FindingKind.CLOSE,
                 Severity.CRITICAL,
                 Code.SEPARATION_VIOLATED,
                 a,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from companion.report.finding import Finding, Kind, Severity, finding
+from companion.report.finding import Finding, FindingKind, Severity, finding
 from companion.report.flight import GivenCommand, VehicleLog
 from companion.types.notices import Code
 
@@ -17,12 +17,14 @@ def refused_commands(vehicle: VehicleLog) -> Iterator[Finding]:
         label = f"command {command.name} (number {command.number}, {command.operator})"
         if command.answered_s is None:
             text = f"{label} has no recorded answer"
-            yield finding(Kind.REFUSED, Severity.WARNING, Code.NO_REPLY, vehicle.vehicle_id, command.time_s, text)
+            yield finding(
+                FindingKind.REFUSED, Severity.WARNING, Code.NO_REPLY, vehicle.vehicle_id, command.time_s, text
+            )
         elif not command.accepted and command.code is not None:
             again_s = _accepted_after_s(vehicle, command)
             text = f"{label} refused: {command.text}" + ("" if again_s is None else f"; accepted {again_s:.1f} s later")
             severity = Severity.WARNING if again_s is None else Severity.INFO
-            yield finding(Kind.REFUSED, severity, command.code, vehicle.vehicle_id, command.time_s, text)
+            yield finding(FindingKind.REFUSED, severity, command.code, vehicle.vehicle_id, command.time_s, text)
 
 
 def _accepted_after_s(vehicle: VehicleLog, refused: GivenCommand) -> float | None:

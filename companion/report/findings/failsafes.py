@@ -9,14 +9,14 @@ import numpy as np
 from companion.config.fleet import FleetConfig
 from companion.core.safety.failsafe import FAILSAFES, STOP, FailsafeSettings, schedule
 from companion.report.arrays import Bools
-from companion.report.finding import Finding, Kind, Severity, finding
+from companion.report.finding import Finding, FindingKind, Severity, finding
 from companion.report.flight import VehicleLog
 from companion.report.intervals import Episode, runs
 from companion.types.flight import FLAG_TEXTS, STREAMING, FailsafeAction, HealthFlag
 from companion.types.notices import Code
 
 SAME_TICK_S = 0.005  # of an event and a tick
-APART_S = 2.0  # a flag that comes and goes within this time is one finding
+FLAGS_APART_S = 2.0  # a flag that comes and goes within this time is one finding
 LOST_FLAGS = frozenset({HealthFlag.LEADER_AWAITED, HealthFlag.LEADER_LOST, HealthFlag.FLEET_LINK_LOST})
 LATE_FLAGS = frozenset({HealthFlag.TICK_LATE})
 # These count in every phase in the air; the others only while the agent commands setpoints.
@@ -35,7 +35,7 @@ EVENTS = {
     Code.RECORDING_DROPS: Severity.WARNING,
     Code.SEPARATION_INTERVENES: Severity.INFO,
 }
-KINDS = {Code.SEPARATION_INTERVENES: Kind.CLOSE, Code.RECORDING_DROPS: Kind.RECORDING}
+KINDS = {Code.SEPARATION_INTERVENES: FindingKind.CLOSE, Code.RECORDING_DROPS: FindingKind.RECORDING}
 
 
 def settings_of(fleet: FleetConfig | None) -> FailsafeSettings:
@@ -55,7 +55,7 @@ def raised_flags(vehicle: VehicleLog, settings: FailsafeSettings) -> Iterator[Fi
         # The positions of all vehicles show SEPARATION_VIOLATED better than one vehicle's view: see `closeness`.
         if raised is None or flag is HealthFlag.SEPARATION_VIOLATED:
             continue
-        for episode in runs(vehicle.ticks.time_s, counting(vehicle, flag), APART_S):
+        for episode in runs(vehicle.ticks.time_s, counting(vehicle, flag), FLAGS_APART_S):
             streamed = bool(streaming[episode.first : episode.last + 1].any())
             yield _of_flag(vehicle, flag, episode, _action(schedules[flag], episode, streamed))
 
@@ -78,7 +78,7 @@ def _action(steps: tuple[tuple[float, FailsafeAction], ...], episode: Episode, s
 
 
 def _of_flag(vehicle: VehicleLog, flag: HealthFlag, episode: Episode, action: FailsafeAction) -> Finding:
-    kind = Kind.LOST if flag in LOST_FLAGS else Kind.LATE if flag in LATE_FLAGS else Kind.FAILSAFE
+    kind = FindingKind.LOST if flag in LOST_FLAGS else FindingKind.LATE if flag in LATE_FLAGS else FindingKind.FAILSAFE
     beyond = action not in (FailsafeAction.NONE, FailsafeAction.WARN, FailsafeAction.STOP_STREAM)
     text = f"{FLAG_TEXTS[flag]} {episode.duration_text}"
     if beyond:
@@ -93,7 +93,7 @@ def failsafe_events(vehicle: VehicleLog) -> Iterator[Finding]:
     """Events that are findings by themselves."""
     for event in vehicle.events:
         if severity := EVENTS.get(event.code):
-            kind = KINDS.get(event.code, Kind.FAILSAFE)
+            kind = KINDS.get(event.code, FindingKind.FAILSAFE)
             yield finding(kind, severity, event.code, vehicle.vehicle_id, event.time_s, event.text)
 
 
@@ -107,7 +107,9 @@ def streams_ended(vehicle: VehicleLog) -> Iterator[Finding]:
     ended_s = vehicle.ticks.time_s[ended[vehicle.in_air()[ended]]]
     for event in vehicle.events:
         if event.code in STOPPING_FLAGS and np.any(np.abs(ended_s - event.time_s) < SAME_TICK_S):
-            yield finding(Kind.FAILSAFE, Severity.CRITICAL, event.code, vehicle.vehicle_id, event.time_s, event.text)
+            yield finding(
+                FindingKind.FAILSAFE, Severity.CRITICAL, event.code, vehicle.vehicle_id, event.time_s, event.text
+            )
 
 
 def disarmed_in_air(vehicle: VehicleLog) -> Iterator[Finding]:
@@ -117,7 +119,9 @@ def disarmed_in_air(vehicle: VehicleLog) -> Iterator[Finding]:
     for row in fell:
         time_s = float(statuses.time_s[row + 1])
         text = f"disarmed in the air, {_height_text(vehicle, time_s)}, in mode {statuses.mode[row]}"
-        yield finding(Kind.FAILSAFE, Severity.CRITICAL, Code.AUTOPILOT_DISARMED, vehicle.vehicle_id, time_s, text)
+        yield finding(
+            FindingKind.FAILSAFE, Severity.CRITICAL, Code.AUTOPILOT_DISARMED, vehicle.vehicle_id, time_s, text
+        )
 
 
 def _height_text(vehicle: VehicleLog, time_s: float) -> str:

@@ -7,17 +7,17 @@ from collections.abc import Iterator
 import numpy as np
 
 from companion.report.arrays import Bools
-from companion.report.finding import Finding, Kind, Severity, finding
-from companion.report.flight import RecordedFlight, VehicleLog
+from companion.report.finding import Finding, FindingKind, Severity, finding
+from companion.report.flight import FlightRecords, VehicleLog
 from companion.report.intervals import runs
 from companion.types.notices import Code
 
 LOST_S = 0.25  # in three reports in a row
-APART_S = 1.0
+LOST_APART_S = 1.0
 REPORT_S = 0.35  # a report counts until the next one, at most for this time
 
 
-def lost_peers(flight: RecordedFlight) -> Iterator[Finding]:
+def lost_peers(flight: FlightRecords) -> Iterator[Finding]:
     """One finding for each time a vehicle did not receive another one that was in the air and had been received before."""
     for vehicle in flight.vehicles:
         for other in flight.vehicles:
@@ -32,14 +32,14 @@ def _lost(vehicle: VehicleLog, other: VehicleLog) -> Iterator[Finding]:
         return
     known = np.arange(fresh.size) > int(np.argmax(fresh))
     missing = ~fresh & known & statuses.in_air & _in_air_at(other, vehicle)
-    for episode in runs(statuses.time_s, missing, APART_S, REPORT_S):
+    for episode in runs(statuses.time_s, missing, LOST_APART_S, REPORT_S):
         if episode.longest_s >= LOST_S:
             text = f"no packets of vehicle {other.vehicle_id} {episode.duration_text}"
             ended_s = _last_record_s(other, episode.interval.ends_s)
             if episode.interval.ends_s - ended_s > REPORT_S:
                 text += f"; its records end at {ended_s:.1f} s, in the air"
             yield finding(
-                Kind.LOST,
+                FindingKind.LOST,
                 Severity.WARNING,
                 Code.PEER_STALE,
                 vehicle.vehicle_id,

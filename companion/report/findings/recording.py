@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from companion.link.tick import PERIOD_S
-from companion.report.finding import Finding, Kind, Severity, finding
-from companion.report.flight import RecordedFlight, VehicleLog
+from companion.report.finding import Finding, FindingKind, Severity, finding
+from companion.report.flight import FlightRecords, VehicleLog
 from companion.types.notices import Code
 
 GAP_S = 0.06  # time between two ticks that their lateness does not explain
@@ -34,7 +34,7 @@ def recording_gaps(vehicle: VehicleLog) -> Iterator[Finding]:
                 f" {missing_s[worst]:.2f} s at {time_s[worst]:.1f} s"
             )
             yield finding(
-                Kind.RECORDING,
+                FindingKind.RECORDING,
                 Severity.WARNING,
                 Code.RECORDING_GAP,
                 vehicle.vehicle_id,
@@ -52,12 +52,17 @@ def _late_s(timing_s: np.ndarray, late_ms: np.ndarray, time_s: np.ndarray) -> np
     return np.where(np.abs(timing_s[row] - time_s) < 1e-3, late_ms[row] / 1e3, 0.0)
 
 
-def starts_and_ends(flight: RecordedFlight, vehicle: VehicleLog) -> Iterator[Finding]:
+def starts_and_ends(flight: FlightRecords, vehicle: VehicleLog) -> Iterator[Finding]:
     """Files that end early, agents that started again in the air, and recordings that end there."""
     for start in vehicle.starts:
         for problem in start.problems:
             yield finding(
-                Kind.RECORDING, Severity.WARNING, Code.RECORDING_TRUNCATED, vehicle.vehicle_id, start.ends_s, problem
+                FindingKind.RECORDING,
+                Severity.WARNING,
+                Code.RECORDING_TRUNCATED,
+                vehicle.vehicle_id,
+                start.ends_s,
+                problem,
             )
     for before, start in zip(vehicle.starts, vehicle.starts[1:], strict=False):
         if _in_air_at(vehicle, before.ends_s):
@@ -66,7 +71,7 @@ def starts_and_ends(flight: RecordedFlight, vehicle: VehicleLog) -> Iterator[Fin
                 " the air"
             )
             yield finding(
-                Kind.FAILSAFE, Severity.CRITICAL, Code.AGENT_RESTARTED, vehicle.vehicle_id, start.begins_s, text
+                FindingKind.FAILSAFE, Severity.CRITICAL, Code.AGENT_RESTARTED, vehicle.vehicle_id, start.begins_s, text
             )
     last = vehicle.starts[-1]
     if _in_air_at(vehicle, last.ends_s):
@@ -75,7 +80,7 @@ def starts_and_ends(flight: RecordedFlight, vehicle: VehicleLog) -> Iterator[Fin
             f", {early_s:.1f} s before that of the others" if early_s > ENDED_BEFORE_S else ""
         )
         yield finding(
-            Kind.RECORDING,
+            FindingKind.RECORDING,
             Severity.CRITICAL if early_s > ENDED_BEFORE_S else Severity.WARNING,
             Code.RECORDING_ENDS_IN_AIR,
             vehicle.vehicle_id,
@@ -89,19 +94,21 @@ def _in_air_at(vehicle: VehicleLog, time_s: float) -> bool:
     return row >= 0 and bool(vehicle.in_air()[row])
 
 
-def whole_flight(flight: RecordedFlight) -> Iterator[Finding]:
+def whole_flight(flight: FlightRecords) -> Iterator[Finding]:
     """Vehicles of the fleet without a recording, clocks that could not be compared, and a flight on the ground only."""
     members = {member.id for member in flight.fleet.vehicles} if flight.fleet else set()
     for vehicle_id in sorted(members - set(flight.ids)):
         text = f"vehicle {vehicle_id} is in the fleet file and has no recording here"
-        yield finding(Kind.RECORDING, Severity.WARNING, Code.RECORDING_MISSING, vehicle_id, 0.0, text)
+        yield finding(FindingKind.RECORDING, Severity.WARNING, Code.RECORDING_MISSING, vehicle_id, 0.0, text)
     for problem in flight.problems:
-        yield finding(Kind.RECORDING, Severity.WARNING, Code.RECORDING_UNREADABLE, None, 0.0, problem)
+        yield finding(FindingKind.RECORDING, Severity.WARNING, Code.RECORDING_UNREADABLE, None, 0.0, problem)
     for vehicle in flight.vehicles:
         if not vehicle.aligned:
             text = (
                 "its clock could not be compared with those of the others: its times are by its own date and may be off"
             )
-            yield finding(Kind.RECORDING, Severity.WARNING, Code.CLOCK_NOT_ALIGNED, vehicle.vehicle_id, 0.0, text)
+            yield finding(
+                FindingKind.RECORDING, Severity.WARNING, Code.CLOCK_NOT_ALIGNED, vehicle.vehicle_id, 0.0, text
+            )
     if not any(vehicle.in_air().any() for vehicle in flight.vehicles):
-        yield finding(Kind.RECORDING, Severity.INFO, Code.NOT_FLOWN, None, 0.0, "no vehicle was in the air")
+        yield finding(FindingKind.RECORDING, Severity.INFO, Code.NOT_FLOWN, None, 0.0, "no vehicle was in the air")

@@ -10,7 +10,7 @@ import numpy as np
 from companion.core.safety.failsafe import SILENT_TOO_LONG_S
 from companion.link.tick import LATE_S, PERIOD_S
 from companion.report.arrays import Floats
-from companion.report.finding import Finding, Kind, Severity, finding
+from companion.report.finding import Finding, FindingKind, Severity, finding
 from companion.report.flight import VehicleLog
 from companion.types.notices import Code
 
@@ -20,7 +20,7 @@ FEW_LATE = 0.001  # a smaller share of late ticks is information, unless one was
 
 
 @dataclass(frozen=True, slots=True)
-class Percentiles:
+class TimePercentiles:
     """Of measured times, milliseconds; NaN without any."""
 
     p50_ms: float
@@ -35,17 +35,17 @@ class TimingFigures:
     ticks: int
     missed: int
     late: int
-    lateness: Percentiles
-    to_command: Percentiles
+    lateness: TimePercentiles
+    to_command: TimePercentiles
 
 
-def percentiles(values_ms: Floats) -> Percentiles:
+def percentiles(values_ms: Floats) -> TimePercentiles:
     """Of the known values (n,)."""
     known = values_ms[~np.isnan(values_ms)]
     if not known.size:
-        return Percentiles(np.nan, np.nan, np.nan)
+        return TimePercentiles(np.nan, np.nan, np.nan)
     p50, p99 = np.percentile(known, (50, 99))
-    return Percentiles(float(p50), float(p99), float(known.max()))
+    return TimePercentiles(float(p50), float(p99), float(known.max()))
 
 
 def timing_figures(vehicle: VehicleLog) -> TimingFigures:
@@ -82,7 +82,7 @@ def late(vehicle: VehicleLog) -> Iterator[Finding]:
             f" {figures.to_command.max_ms:.1f} ms; limit {TO_COMMAND_P99_MS:g} ms (p99)"
         )
         time_s = float(vehicle.timing.time_s[int(np.nanargmax(vehicle.timing.to_command_ms))])
-        yield finding(Kind.LATE, Severity.WARNING, Code.COMMANDS_SLOW, vehicle.vehicle_id, time_s, text)
+        yield finding(FindingKind.LATE, Severity.WARNING, Code.COMMANDS_SLOW, vehicle.vehicle_id, time_s, text)
 
 
 def _ticks_late(vehicle: VehicleLog, figures: TimingFigures) -> Finding:
@@ -94,4 +94,4 @@ def _ticks_late(vehicle: VehicleLog, figures: TimingFigures) -> Finding:
         f" {worst:.0f} ms; {figures.missed} periods without a tick; lateness {figures.lateness.p99_ms:.1f} ms (p99)"
     )
     severity = Severity.WARNING if often or worst > 1e3 * SILENT_TOO_LONG_S else Severity.INFO
-    return finding(Kind.LATE, severity, Code.LOOP_LATE, vehicle.vehicle_id, time_s, text)
+    return finding(FindingKind.LATE, severity, Code.LOOP_LATE, vehicle.vehicle_id, time_s, text)

@@ -8,9 +8,9 @@ from math import dist, inf
 from companion.config.fleet import LawName, RangeNeighbours
 from sitl.paper.book import PERFECT, Book, Entry, listed, seconds, verdict_of
 from sitl.paper.claims.platoon import AVERAGES, FIRST_M, FITS_M, NAMES, largest_m
-from sitl.paper.flights import NOISY_LAWS, Model, Subject
+from sitl.paper.flights import NOISY_LAWS, FlightSubject, Model
 from sitl.paper.measures import Interval, alone_s, apart_s, beginning, broken_s, edges_m, fewest_in_range, total_s
-from sitl.report.claim import Claim, Verdict
+from sitl.report.claim import Claim, ClaimVerdict
 from sitl.report.metrics import pair_name
 
 LEADER = 1
@@ -116,7 +116,7 @@ def stays_whole(entry: Entry) -> bool:
 
 
 def _flown(book: Book, law: LawName, model: Model) -> Entry:
-    return book.one(Subject.AGGREGATION, law, model)
+    return book.one(FlightSubject.AGGREGATION, law, model)
 
 
 def _average_fails(book: Book) -> Claim:
@@ -156,7 +156,7 @@ def _average_fails(book: Book) -> Claim:
 def _weighted_succeeds(book: Book) -> Claim:
     entries = {model: _flown(book, "weighted", model) for model in PERFECT}
     succeeds = all(has_gathered(entry) for entry in entries.values())
-    noisy = book.all(Subject.AGGREGATION, "weighted", Model.NOISY)
+    noisy = book.all(FlightSubject.AGGREGATION, "weighted", Model.NOISY)
     noisy_gathered = sum(has_gathered(entry) for entry in noisy)
     ideal = entries[Model.IDEAL]
     starts = ideal.flown.scenario.starts_enu_m
@@ -195,7 +195,7 @@ def _weighted_keeps_together(book: Book) -> Claim:
     window_s = min(_duration_s(entry) for entry in entries.values())
     kept = {key: connectivity(entry, window_s) for key, entry in entries.items()}
     better = {law: all(kept["weighted", m].better_than(kept[law, m]) for m in PERFECT) for law in AVERAGES}
-    noisy = {law: book.all(Subject.AGGREGATION, law, Model.NOISY) for law in NOISY_LAWS}
+    noisy = {law: book.all(FlightSubject.AGGREGATION, law, Model.NOISY) for law in NOISY_LAWS}
     whole = {law: sum(stays_whole(entry) for entry in flights) for law, flights in noisy.items()}
     with_noise = whole["weighted"] > max(whole["average_22"], len(noisy["weighted"]) / 2)
 
@@ -263,7 +263,7 @@ def _fewest_text(entry: Entry) -> str:
 def _one_average_law(book: Book) -> Claim:
     """Figures 4 and 6 compare with the same law according to the paper; the claim holds if one law fits both figures."""
     outcomes = {(law, m): outcome(_flown(book, law, m)) for law in AVERAGES for m in PERFECT}
-    peaks_m = {(law, m): largest_m(book.one(Subject.PLATOON, law, m), "1-2") for law in AVERAGES for m in PERFECT}
+    peaks_m = {(law, m): largest_m(book.one(FlightSubject.PLATOON, law, m), "1-2") for law in AVERAGES for m in PERFECT}
     figure_4 = [law for law in AVERAGES if outcomes[law, Model.IDEAL] == "fails"]
     figure_6 = [law for law in AVERAGES if abs(peaks_m[law, Model.IDEAL] - FIRST_M) <= FITS_M]
 
@@ -278,7 +278,7 @@ def _one_average_law(book: Book) -> Claim:
         paper="fails and 1.8 m",
         ideal=result(Model.IDEAL),
         full=result(Model.FULL),
-        verdict=Verdict.HOLDS if "average_26" in figure_4 and "average_26" in figure_6 else Verdict.FAILS,
+        verdict=ClaimVerdict.HOLDS if "average_26" in figure_4 and "average_26" in figure_6 else ClaimVerdict.FAILS,
         remark=f"With the ideal model figure 4 is matched by {fit_4}, and figure 6 by {fit_6} (to {FITS_M:g} m).",
         measured={f"largest_d12_m_{law}_{model}": m for (law, model), m in peaks_m.items()}
         | {f"fails_{law}_{model}": float(outcome_text == "fails") for (law, model), outcome_text in outcomes.items()},

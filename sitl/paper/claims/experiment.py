@@ -8,7 +8,7 @@ from math import inf
 from companion.config.fleet import LawName
 from sitl.paper.book import PERFECT, Book, Entry, listed, verdict_of
 from sitl.paper.claims.platoon import AVERAGES, NAMES, PAIRS, exceptions, flown_platoon, largest_m
-from sitl.paper.flights import Model, Subject
+from sitl.paper.flights import FlightSubject, Model
 from sitl.paper.measures import response_s
 from sitl.report.claim import Claim
 
@@ -126,5 +126,5 @@ def _too_close(both_ways_m: Mapping[tuple[LawName, Model], float], where: Sequen
 
 def _noisy_pairs(book: Book) -> list[tuple[Entry, Entry]]:
     """Pairs of flights (weighted, eq. 22) with the same noise."""
-    weighted, average = (book.all(Subject.PLATOON, law, Model.NOISY) for law in ("weighted", "average_22"))
+    weighted, average = (book.all(FlightSubject.PLATOON, law, Model.NOISY) for law in ("weighted", "average_22"))
     return list(zip(weighted, average, strict=True))

@@ -8,7 +8,7 @@ import numpy as np
 
 from companion.config.fleet import LawName
 from sitl.paper.book import PERFECT, Book, Entry, listed, metres, seconds, verdict_of
-from sitl.paper.flights import Model, Subject
+from sitl.paper.flights import FlightSubject, Model
 from sitl.report.claim import Claim
 from sitl.report.metrics import distances_m, settle_time_s
 
@@ -33,7 +33,7 @@ def platoon_claims(book: Book) -> list[Claim]:
 
 
 def flown_platoon(book: Book, law: LawName, model: Model) -> Entry:
-    return book.one(Subject.PLATOON, law, model)
+    return book.one(FlightSubject.PLATOON, law, model)
 
 
 def largest_m(entry: Entry, pair: str) -> float:

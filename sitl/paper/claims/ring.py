@@ -12,11 +12,11 @@ from companion.config.fleet import LawName
 from companion.config.reference import Figure8Reference
 from companion.stability.arrays import FloatArray
 from sitl.paper.book import PERFECT, Book, Entry, listed, seconds, verdict_of
-from sitl.paper.flights import FlownPlan, Model, Subject
+from sitl.paper.flights import FlightSubject, FlownPlan, Model
 from sitl.paper.measures import behind_leader_m, response_s
 from sitl.paper.theory.graphs import hops
 from sitl.paper.theory.matrices import EXACT, RING_LED_BY_1, RING_LED_BY_2, printed_matrix
-from sitl.paper.topology import Leadership, leaderships, reported_matrix, topology_at
+from sitl.paper.topology import LeadershipSpan, leaderships, reported_matrix, topology_at
 from sitl.report.claim import Claim
 from sitl.report.metrics import distances_m, errors_m, pair_name, reference_positions_m
 
@@ -40,10 +40,10 @@ def ring_claims(book: Book) -> list[Claim]:
 
 
 def _flown(book: Book, model: Model, law: LawName = "weighted") -> Entry:
-    return book.one(Subject.FIGURE_8, law, model)
+    return book.one(FlightSubject.FIGURE_8, law, model)
 
 
-def steady_s(lead: Leadership) -> FloatArray:
+def steady_s(lead: LeadershipSpan) -> FloatArray:
     """Sample times (n,) of a leadership without its transient."""
     return np.arange(min(lead.from_s + TRANSIENT_S, lead.to_s - 1.0), lead.to_s, 0.02)
 
@@ -151,7 +151,7 @@ def _width_m(entry: Entry) -> float:
     return reference.width_m
 
 
-def matrix_follows_s(flown: FlownPlan, lead: Leadership) -> float:
+def matrix_follows_s(flown: FlownPlan, lead: LeadershipSpan) -> float:
     """Time from the leader's first report until the reported G stays the printed one; inf where it never does."""
     changes_s = [change.time_s for change in flown.topology if lead.from_s <= change.time_s < lead.to_s]
     moments_s = sorted({lead.from_s, *changes_s})
@@ -162,7 +162,7 @@ def matrix_follows_s(flown: FlownPlan, lead: Leadership) -> float:
     return moments_s[first_right] - lead.from_s
 
 
-def _off_by(flown: FlownPlan, lead: Leadership, time_s: float) -> float:
+def _off_by(flown: FlownPlan, lead: LeadershipSpan, time_s: float) -> float:
     """Largest difference of an entry of G from the printed matrix of this leader; inf where the paper has none."""
     if lead.leader_id not in PRINTED:
         return inf
@@ -246,7 +246,7 @@ def _latency_grows(book: Book) -> Claim:
     """Latency along the platoon, whose followers are one to three hops from the leader."""
 
     def responses(model: Model) -> list[float]:
-        flight = book.one(Subject.PLATOON, "weighted", model).flight
+        flight = book.one(FlightSubject.PLATOON, "weighted", model).flight
         return [response_s(flight, i) for i in sorted(flight.tracks)]
 
     found = {model: responses(model) for model in PERFECT}

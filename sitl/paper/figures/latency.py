@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from companion.config.fleet import LawName
 from sitl.paper.book import Book, Entry
 from sitl.paper.figures.platoon import DPI
-from sitl.paper.flights import Model, Subject
+from sitl.paper.flights import FlightSubject, Model
 from sitl.paper.measures import behind_leader_m
 from sitl.paper.topology import leaderships
 from sitl.report.plots import LAW_TITLES, TIME_LABEL, dress, look, new_figure
@@ -22,7 +22,7 @@ def save_latency(path: Path, book: Book) -> None:
     """One panel per law; the background shade shows the leader."""
     figure = new_figure(12.0, 6.8, "Square on the figure of eight: distance to the slot relative to the leader")
     for axes, law in zip(figure.subplots(2, 1, sharex=True, sharey=True), LAWS, strict=True):
-        _draw(axes, book.one(Subject.FIGURE_8, law, Model.FULL))
+        _draw(axes, book.one(FlightSubject.FIGURE_8, law, Model.FULL))
         axes.set_title(f"{LAW_TITLES[law]}, full quadrotor", fontsize=11)
         axes.set_ylabel("distance [m]")
     figure.axes[0].set_ylim(0.0, 1.12 * figure.axes[0].get_ylim()[1])  # room for the labels of the leader

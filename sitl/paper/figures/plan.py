@@ -19,7 +19,7 @@ from companion.types.flight import Role
 from sitl.paper.book import PERFECT, Book, Entry
 from sitl.paper.claims.aggregation import has_gathered, left_for_good_s, range_m
 from sitl.paper.figures.platoon import DPI, MODEL_TITLES
-from sitl.paper.flights import Model, Subject
+from sitl.paper.flights import FlightSubject, Model
 from sitl.paper.measures import edges_m
 from sitl.paper.topology import Topology, leaderships, reported_matrix, topology_at
 from sitl.report.metrics import Pair, Tracks, reference_positions_m
@@ -41,7 +41,7 @@ def save_figure_4(path: Path, book: Book) -> None:
     grid = figure.subplots(len(PERFECT), len(FIGURE_4_LAWS), sharex=True, sharey=True)
     for row, model in zip(grid, PERFECT, strict=True):
         for axes, law in zip(row, FIGURE_4_LAWS, strict=True):
-            _draw_aggregation(axes, book.one(Subject.AGGREGATION, law, model))
+            _draw_aggregation(axes, book.one(FlightSubject.AGGREGATION, law, model))
         row[0].set_ylabel(f"{MODEL_TITLES[model]}\ny, north [m]")
     for axes, law in zip(grid[0], FIGURE_4_LAWS, strict=True):
         axes.set_title(f"{LAW_TITLES[law]}\n{axes.get_title()}", fontsize=11)
@@ -132,7 +132,7 @@ def _dress_plan(axes: Axes) -> None:
 
 def save_figure_9(path: Path, book: Book) -> None:
     """One snapshot in the middle of every leadership, with the 8 and the last seconds of every path."""
-    entry = book.one(Subject.FIGURE_8, "weighted", Model.FULL)
+    entry = book.one(FlightSubject.FIGURE_8, "weighted", Model.FULL)
     flight, spans = entry.flight, leaderships(entry.flown)
     columns = 3
     rows = -(-len(spans) // columns)
@@ -169,7 +169,7 @@ def _edges_of(topology: Topology) -> list[Pair]:
 
 def save_figure_10(path: Path, book: Book) -> None:
     """Roles, PrCs and weights just before a leader change, and after the last change of a PrC."""
-    entry = book.one(Subject.FIGURE_8, "weighted", Model.FULL)
+    entry = book.one(FlightSubject.FIGURE_8, "weighted", Model.FULL)
     before, after = leaderships(entry.flown)[:2]
     figure = new_figure(11.5, 5.6, "Topology before and after a leader change, as reported by the vehicles")
     start_s = entry.flight.formation.start_s

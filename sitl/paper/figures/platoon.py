@@ -9,9 +9,9 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from sitl.paper.book import PERFECT, Book, Entry
-from sitl.paper.flights import COMPARED, Model, Subject
+from sitl.paper.flights import COMPARED, FlightSubject, Model
 from sitl.paper.measures import beginning
-from sitl.report.metrics import Flight, Formation, distances_m, pair_name
+from sitl.report.metrics import Formation, FormationFlight, distances_m, pair_name
 from sitl.report.plots import (
     GUIDE,
     LAW_TITLES,
@@ -39,8 +39,8 @@ def save_figure_5(path: Path, book: Book) -> None:
     grid = figure.subplots(3, len(COMPARED), sharex=True, sharey="row", height_ratios=[1.0, 1.0, 0.45])
     for column, law in zip(grid.T, COMPARED, strict=True):
         for axes, model in zip(column, PERFECT, strict=False):
-            draw_positions(axes, _beginning(book.one(Subject.PLATOON, law, model)), 0)
-        draw_positions(column[2], _beginning(book.one(Subject.PLATOON, law, Model.FULL)), 1)
+            draw_positions(axes, _beginning(book.one(FlightSubject.PLATOON, law, model)), 0)
+        draw_positions(column[2], _beginning(book.one(FlightSubject.PLATOON, law, Model.FULL)), 1)
         column[0].set_title(LAW_TITLES[law], fontsize=11)
         column[2].set_xlabel(TIME_LABEL)
     names = [f"x, {MODEL_TITLES[model]} [m]" for model in PERFECT]
@@ -57,7 +57,7 @@ def save_figure_6(path: Path, book: Book) -> None:
     grid = figure.subplots(2, len(COMPARED), sharex=True, sharey=True)
     for column, law in zip(grid.T, COMPARED, strict=True):
         for axes, model in zip(column, PERFECT, strict=True):
-            draw_distances(axes, _beginning(book.one(Subject.PLATOON, law, model)))
+            draw_distances(axes, _beginning(book.one(FlightSubject.PLATOON, law, model)))
         column[0].set_title(LAW_TITLES[law], fontsize=11)
         column[1].set_xlabel(TIME_LABEL)
     for row, model in zip(grid, PERFECT, strict=True):
@@ -66,7 +66,7 @@ def save_figure_6(path: Path, book: Book) -> None:
     figure.savefig(path, dpi=DPI)
 
 
-def _beginning(entry: Entry) -> Flight:
+def _beginning(entry: Entry) -> FormationFlight:
     return beginning(entry.flight, SHOWN_S)
 
 
@@ -118,15 +118,15 @@ def save_figure_8(path: Path, book: Book) -> None:
 
 
 def _noisy(book: Book) -> list[Entry]:
-    return [book.one(Subject.PLATOON, law, Model.NOISY) for law in ("average_22", "weighted")]
+    return [book.one(FlightSubject.PLATOON, law, Model.NOISY) for law in ("average_22", "weighted")]
 
 
-def _whole_s(flight: Flight) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+def _whole_s(flight: FormationFlight) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
     end_s = max(float(track.time_s[-1]) for track in flight.tracks.values())
     return Formation(0.0, end_s, 0.0).times_s()
 
 
-def _shade(axes: Axes, flight: Flight, end_s: float) -> None:
+def _shade(axes: Axes, flight: FormationFlight, end_s: float) -> None:
     """Shade the time in formation."""
     axes.axvspan(flight.formation.start_s, flight.formation.end_s, color="#eef3f8", zorder=0)
     axes.set_xlim(0.0, end_s)
@@ -136,6 +136,6 @@ def _shade(axes: Axes, flight: Flight, end_s: float) -> None:
     axes.tick_params(labelsize=9)
 
 
-def _name_the_parts(axes: Axes, flight: Flight) -> None:
+def _name_the_parts(axes: Axes, flight: FormationFlight) -> None:
     middle_s = (flight.formation.start_s + flight.formation.end_s) / 2
     axes.text(middle_s, 0.12, "cooperation", ha="center", transform=axes.get_xaxis_transform(), color="#333333")

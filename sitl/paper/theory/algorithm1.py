@@ -9,8 +9,8 @@ import numpy as np
 from companion.core.consensus.law import next_prc
 from companion.stability.interaction import Graph
 from sitl.paper.theory.graphs import Led, connected_graphs, diameter, hops
-from sitl.paper.theory.survey import SEED, Survey
-from sitl.report.claim import Claim, Progress, Verdict, no_progress
+from sitl.paper.theory.survey import SEED, GraphSurvey
+from sitl.report.claim import Claim, ClaimVerdict, Progress, no_progress
 from sitl.study.shapes import chain
 
 Prcs = dict[int, int]
@@ -37,7 +37,7 @@ def printed_prcs(graph: Graph, leaders: Collection[int]) -> Prcs:
     return prcs
 
 
-def algorithm_1(survey: Survey, progress: Progress = no_progress) -> Claim:
+def algorithm_1(survey: GraphSurvey, progress: Progress = no_progress) -> Claim:
     """p_i = hops + 1 within diameter + 1 ticks, from p = n at all vehicles including leaders, and from random PrCs."""
     random = np.random.default_rng(SEED)
     wrong = late = late_from_any = printed_right = 0
@@ -67,7 +67,7 @@ def algorithm_1(survey: Survey, progress: Progress = no_progress) -> Claim:
         ideal=f"correct on {pairs - wrong} of {pairs} pairs, and within diameter + 1 ticks on "
         f"{pairs - max(late, late_from_any)}, both from p = n and from random PrCs, on {survey.extent()}",
         full="-",
-        verdict=Verdict.CONDITION if good and climbs else Verdict.HOLDS if good else Verdict.FAILS,
+        verdict=ClaimVerdict.CONDITION if good and climbs else ClaimVerdict.HOLDS if good else ClaimVerdict.FAILS,
         remark="line 3 must read p_j(k): as printed every follower stays at n, which is correct on "
         f"{printed_right} pairs only.{_leader_loss_text(survey.most_vertices) if climbs else ''}",
         measured=survey.counts()
@@ -82,7 +82,7 @@ def algorithm_1(survey: Survey, progress: Progress = no_progress) -> Claim:
     )
 
 
-def _without_leader(survey: Survey) -> dict[str, float]:
+def _without_leader(survey: GraphSurvey) -> dict[str, float]:
     """Counts for every small connected graph that has just lost its leader: all PrCs start at 1."""
     graphs = [graph for n in range(2, survey.most_vertices + 1) for graph in connected_graphs(n)]
     settled = [ticks_to_settle(graph, (), dict.fromkeys(graph, 1)) for graph in graphs]

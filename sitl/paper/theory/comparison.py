@@ -7,8 +7,8 @@ from functools import cache
 
 from sitl.paper.theory.graphs import Led, described, layered_ring
 from sitl.paper.theory.matrices import aggregation_graph
-from sitl.paper.theory.survey import ROUNDING, Spectra, Survey, spectra_of
-from sitl.report.claim import Claim, Verdict
+from sitl.paper.theory.survey import ROUNDING, GraphSpectra, GraphSurvey, spectra_of
+from sitl.report.claim import Claim, ClaimVerdict
 from sitl.study.shapes import chain
 
 # The leader, two vertices in series, a layer of many vertices, and a wide path back to the leader through distant layers.
@@ -18,19 +18,19 @@ CONTRARY_LAYERS = (1, 1, 1, 50, 20, 5, 5, 5, 20, 10, 20, 10, 100)
 
 
 @cache
-def contrary() -> Spectra:
+def contrary() -> GraphSpectra:
     """A graph on which Proposition 2 fails for eq. 22."""
     return spectra_of(Led(layered_ring(CONTRARY_LAYERS), frozenset({1})))
 
 
-def proposition_2_against_22(survey: Survey) -> Claim:
+def proposition_2_against_22(survey: GraphSurvey) -> Claim:
     """lambda_min(eq. 21) >= lambda_min(eq. 22): the proposition as stated."""
     worse = [spectra for spectra in survey.all if spectra.lambda_min < spectra.lambda_min_22 - ROUNDING]
     equal = sum(1 for spectra in survey.all if abs(spectra.lambda_min - spectra.lambda_min_22) <= ROUNDING)
     gain = max(survey.all, key=lambda spectra: spectra.lambda_min / spectra.lambda_min_22)
     against = contrary()
     fails_there = against.lambda_min < against.lambda_min_22 - ROUNDING
-    verdict = Verdict.FAILS if worse else Verdict.CONDITION if fails_there else Verdict.HOLDS
+    verdict = ClaimVerdict.FAILS if worse else ClaimVerdict.CONDITION if fails_there else ClaimVerdict.HOLDS
     return Claim(
         id="proposition-2-vs-22",
         where="Proposition 2, eq. 22",
@@ -43,7 +43,7 @@ def proposition_2_against_22(survey: Survey) -> Claim:
         remark=_where_it_is_below(worse[0])
         if worse
         else _condition_of_proposition_2(survey)
-        if verdict is Verdict.CONDITION
+        if verdict is ClaimVerdict.CONDITION
         else "",
         measured=survey.counts()
         | {
@@ -57,11 +57,11 @@ def proposition_2_against_22(survey: Survey) -> Claim:
     )
 
 
-def _where_it_is_below(spectra: Spectra) -> str:
+def _where_it_is_below(spectra: GraphSpectra) -> str:
     return f"{spectra.lambda_min:.4f} against {spectra.lambda_min_22:.4f} on {described(spectra.pair)}"
 
 
-def _condition_of_proposition_2(survey: Survey) -> str:
+def _condition_of_proposition_2(survey: GraphSurvey) -> str:
     against = contrary()
     layers = ", ".join(str(size) for size in CONTRARY_LAYERS)
     return (
@@ -72,7 +72,7 @@ def _condition_of_proposition_2(survey: Survey) -> str:
     )
 
 
-def proposition_2_against_26(survey: Survey) -> Claim:
+def proposition_2_against_26(survey: GraphSurvey) -> Claim:
     """The same for eq. 26, the law of the comparison in section 5.1, on small graphs with one leader and on random ones."""
     pairs = survey.one_leader
     worse = _below_26(pairs)
@@ -92,7 +92,7 @@ def proposition_2_against_26(survey: Survey) -> Claim:
         f"with every vertex as the leader) and on {len(worse_drawn)} of {len(drawn)} random larger ones; {own.lambda_min:.4f} "
         f"against {own.lambda_min_26:.4f} on the graph of eq. 27",
         full="-",
-        verdict=Verdict.FAILS if fails else Verdict.HOLDS,
+        verdict=ClaimVerdict.FAILS if fails else ClaimVerdict.HOLDS,
         remark=f"the worst case is {worst.lambda_min:.4f} against {worst.lambda_min_26:.4f}, on {described(worst.pair)}. The "
         "leader of eq. 26 uses no neighbours: it settles independently of its followers, and does not wait for them (figure 4)",
         measured={
@@ -111,7 +111,7 @@ def proposition_2_against_26(survey: Survey) -> Claim:
     )
 
 
-def _below_26(pairs: Sequence[Spectra]) -> list[Spectra]:
+def _below_26(pairs: Sequence[GraphSpectra]) -> list[GraphSpectra]:
     return [spectra for spectra in pairs if spectra.lambda_min < spectra.lambda_min_26 - ROUNDING]
 
 
@@ -127,7 +127,7 @@ def platoon() -> Claim:
         ideal=f"lambda_min {least.lambda_min_22:.4f} (eq. 22), {least.lambda_min_26:.4f} (eq. 26), "
         f"{least.lambda_min:.4f} (weighted)",
         full="-",
-        verdict=Verdict.HOLDS if faster else Verdict.FAILS,
+        verdict=ClaimVerdict.HOLDS if faster else ClaimVerdict.FAILS,
         remark=f"{least.lambda_min / least.lambda_min_22:.2f} times as fast as eq. 22, "
         f"{least.lambda_min / least.lambda_min_26:.2f} times as fast as eq. 26",
         measured={

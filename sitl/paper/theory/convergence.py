@@ -8,8 +8,8 @@ from companion.core.consensus.law import PAPER_GAINS, Gains
 from companion.stability.arrays import FloatArray
 from companion.stability.interaction import mode_figures
 from sitl.paper.theory.graphs import described
-from sitl.paper.theory.survey import Survey
-from sitl.report.claim import Claim, Progress, Verdict, no_progress
+from sitl.paper.theory.survey import GraphSurvey
+from sitl.report.claim import Claim, ClaimVerdict, Progress, no_progress
 
 OTHER_GAINS = (Gains(1.0, 2.0), Gains(1.0, 4.0))  # critically damped at lambda = 1 and at lambda = 0.25
 PROPORTIONAL = 1e-6  # relative tolerance; a double eigenvalue of eq. 19 is precise to the square root of rounding
@@ -24,7 +24,7 @@ def abscissa_1_s(interaction: FloatArray, gains: Gains) -> float:
     return float(np.linalg.eigvals(closed_loop).real.max())
 
 
-def proposition_1_and_corollary_1(survey: Survey, progress: Progress = no_progress) -> list[Claim]:
+def proposition_1_and_corollary_1(survey: GraphSurvey, progress: Progress = no_progress) -> list[Claim]:
     """Both claims, from the spectral abscissas of the same matrices."""
     all_gains = (PAPER_GAINS, *OTHER_GAINS)
     pairs = survey.all
@@ -36,7 +36,7 @@ def proposition_1_and_corollary_1(survey: Survey, progress: Progress = no_progre
     return [_proposition_1(survey, abscissas), _corollary_1(survey, abscissas)]
 
 
-def _proposition_1(survey: Survey, abscissas: FloatArray) -> Claim:
+def _proposition_1(survey: GraphSurvey, abscissas: FloatArray) -> Claim:
     """Negative abscissas [pair, gains], and the bound of eq. 20, a step of the proof."""
     positive = all(spectra.lambda_min > 0.0 for spectra in survey.all)
     worst = float(abscissas.max())
@@ -57,7 +57,7 @@ def _proposition_1(survey: Survey, abscissas: FloatArray) -> Claim:
         ideal=f"spectral abscissa of eq. 19 at most {worst:.3g} 1/s with {len(abscissas[0])} sets of gains, on "
         f"{survey.extent()}",
         full="-",
-        verdict=Verdict.HOLDS if positive and worst < 0.0 else Verdict.FAILS,
+        verdict=ClaimVerdict.HOLDS if positive and worst < 0.0 else ClaimVerdict.FAILS,
         remark=f"the bound of eq. 20 itself is exceeded on {broken}: the slowest mode may be an overdamped one of a larger "
         "eigenvalue"
         if broken
@@ -68,7 +68,7 @@ def _proposition_1(survey: Survey, abscissas: FloatArray) -> Claim:
     )
 
 
-def _corollary_1(survey: Survey, abscissas: FloatArray) -> Claim:
+def _corollary_1(survey: GraphSurvey, abscissas: FloatArray) -> Claim:
     """Rate / (k2/2 lambda_min), which is 1 where the corollary holds, and its limit lambda = 4 k1/k2^2."""
     shares = {
         _name(gains): np.array(
@@ -88,7 +88,13 @@ def _corollary_1(survey: Survey, abscissas: FloatArray) -> Claim:
     worst_share = float(shares[worst_name][worst_at])
     broken = "; ".join(f"K = {name} beyond lambda = {limits[name]:g} on {off[name]} pairs" for name in others)
     always = f", so always, for lambda <= {LARGEST_LAMBDA:g}" if limits[paper] > LARGEST_LAMBDA else ""
-    verdict = Verdict.FAILS if off[paper] else Verdict.CONDITION if any(off[name] for name in others) else Verdict.HOLDS
+    verdict = (
+        ClaimVerdict.FAILS
+        if off[paper]
+        else ClaimVerdict.CONDITION
+        if any(off[name] for name in others)
+        else ClaimVerdict.HOLDS
+    )
     return Claim(
         id="corollary-1",
         where="Corollary 1",

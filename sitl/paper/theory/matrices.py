@@ -12,7 +12,7 @@ from companion.stability.arrays import FloatArray
 from companion.stability.interaction import Graph, interaction_matrix, settled_prcs
 from companion.types.values import Vector3
 from sitl.paper.theory.graphs import graph_of, hops, within_range
-from sitl.report.claim import Claim, Verdict
+from sitl.report.claim import Claim, ClaimVerdict
 from sitl.study.shapes import ring
 
 EXACT = 1e-12  # tolerance of a float against the paper's fraction
@@ -95,7 +95,7 @@ def _matrix_claim(
         paper="; ".join(f"{name} = {_text(printed_matrix(printed))}" for name, printed, _, _ in parts),
         ideal=f"{matrices}; largest difference of {entries} entries {worst:.1g}",
         full="-",
-        verdict=Verdict.HOLDS if worst <= EXACT else Verdict.FAILS,
+        verdict=ClaimVerdict.HOLDS if worst <= EXACT else ClaimVerdict.FAILS,
         remark=remark,
         measured={f"{_key(name)}_largest_difference": value for name, value in differences.items()} | (measured or {}),
     )
@@ -116,7 +116,7 @@ def figure_2() -> Claim:
         paper="w31 > w32 > w35 = w36; distance 2",
         ideal=f"{listed}; distance {distance}",
         full="-",
-        verdict=Verdict.HOLDS if right else Verdict.FAILS,
+        verdict=ClaimVerdict.HOLDS if right else ClaimVerdict.FAILS,
         remark="the scan lacks the picture: the edges are chosen to fit the text, which determines these weights",
         measured={f"weight_3_{j}": weight for j, weight in ours.items()}
         | {"largest_difference": worst, "distance_1_5_hops": float(distance)},

@@ -7,13 +7,13 @@ import numpy as np
 from companion.core.consensus.law import weighted
 from companion.stability.interaction import interaction_matrix
 from sitl.paper.theory.graphs import Led, connected_graphs, described, random_parts, united
-from sitl.paper.theory.survey import ROUNDING, SEED, Survey, lambda_min, spectrum_of
-from sitl.report.claim import Claim, Verdict
+from sitl.paper.theory.survey import ROUNDING, SEED, GraphSurvey, lambda_min, spectrum_of
+from sitl.report.claim import Claim, ClaimVerdict
 
 UNIONS = 300  # random graphs in parts
 
 
-def rows_of_g(survey: Survey) -> Claim:
+def rows_of_g(survey: GraphSurvey) -> Claim:
     """Section 2.2: entries off the diagonal are not positive and row i adds up to w_i^l."""
     row_error, off_diagonal = 0.0, -np.inf
     for spectra in survey.all:
@@ -29,12 +29,12 @@ def rows_of_g(survey: Survey) -> Claim:
         ideal=f"errors of the sums at most {row_error:.0e}, largest entry off the diagonal {off_diagonal:g}, on "
         f"{survey.extent()}",
         full="-",
-        verdict=Verdict.HOLDS if row_error < ROUNDING and off_diagonal <= 0.0 else Verdict.FAILS,
+        verdict=ClaimVerdict.HOLDS if row_error < ROUNDING and off_diagonal <= 0.0 else ClaimVerdict.FAILS,
         measured=survey.counts() | {"largest_row_sum_error": row_error, "largest_off_diagonal": off_diagonal},
     )
 
 
-def lemma_1(survey: Survey) -> Claim:
+def lemma_1(survey: GraphSurvey) -> Claim:
     """Positive eigenvalues where every connected part has a leader, on graphs of one part and of several parts."""
     random = np.random.default_rng(SEED)
     smallest = min(survey.all, key=lambda spectra: spectra.lambda_min)
@@ -47,7 +47,7 @@ def lemma_1(survey: Survey) -> Claim:
         paper="all positive",
         ideal=f"smallest {least:.4g}, on {survey.extent()}; and on {UNIONS} random graphs of 2 to 4 parts",
         full="-",
-        verdict=Verdict.HOLDS if least > ROUNDING else Verdict.FAILS,
+        verdict=ClaimVerdict.HOLDS if least > ROUNDING else ClaimVerdict.FAILS,
         remark=f"the smallest on a connected graph is {smallest.lambda_min:.4g}, on {described(smallest.pair)}",
         measured=survey.counts()
         | {
@@ -58,7 +58,7 @@ def lemma_1(survey: Survey) -> Claim:
     )
 
 
-def lemma_1_converse(survey: Survey) -> Claim:
+def lemma_1_converse(survey: GraphSurvey) -> Claim:
     """A part without a leader makes G singular: every small connected graph without leader, and unions with such a part."""
     random = np.random.default_rng(SEED + 1)
     alone = [graph for n in range(2, survey.most_vertices + 1) for graph in connected_graphs(n)]
@@ -76,7 +76,7 @@ def lemma_1_converse(survey: Survey) -> Claim:
         ideal=f"an eigenvalue within {largest:.0e} of zero on each of {len(nearest)} graphs: every connected one of 2 to "
         f"{survey.most_vertices} vertices without a leader, and {UNIONS} of several parts, one of them without a leader",
         full="-",
-        verdict=Verdict.HOLDS if singular else Verdict.FAILS,
+        verdict=ClaimVerdict.HOLDS if singular else ClaimVerdict.FAILS,
         remark="so the condition of Lemma 1 is necessary; by Lemma 1 a disconnected graph still converges if each part has a "
         "leader"
         if singular
@@ -85,7 +85,7 @@ def lemma_1_converse(survey: Survey) -> Claim:
     )
 
 
-def lemma_2(survey: Survey) -> Claim:
+def lemma_2(survey: GraphSurvey) -> Claim:
     """Real eigenvalues: by a general solver, and by the similar symmetric matrix of the proof."""
     imaginary = max(spectra.largest_imaginary for spectra in survey.all)
     asymmetry = max(spectra.asymmetry for spectra in survey.all)
@@ -99,7 +99,7 @@ def lemma_2(survey: Survey) -> Claim:
         ideal=f"largest imaginary part {imaginary:.1g}; T^-1 G T symmetric within {asymmetry:.0e} and its eigenvalues those of "
         f"G within {gap:.0e}, on {survey.extent()}",
         full="-",
-        verdict=Verdict.HOLDS if max(imaginary, asymmetry, gap) < ROUNDING else Verdict.FAILS,
+        verdict=ClaimVerdict.HOLDS if max(imaginary, asymmetry, gap) < ROUNDING else ClaimVerdict.FAILS,
         remark=f"{unsymmetric} of these G are not symmetric",
         measured=survey.counts()
         | {
@@ -111,7 +111,7 @@ def lemma_2(survey: Survey) -> Claim:
     )
 
 
-def corollary_2(survey: Survey) -> Claim:
+def corollary_2(survey: GraphSurvey) -> Claim:
     """0 < lambda <= 3, and the part of this range that occurs."""
     least = min(spectra.lambda_min for spectra in survey.all)
     # Rounded, so that of equal values the smallest graph is named.
@@ -125,7 +125,7 @@ def corollary_2(survey: Survey) -> Claim:
         paper="0 < lambda <= 3",
         ideal=f"{least:.4g} to {most:.6g}, with one leader up to {most_one_leader:.6g}, on {survey.extent()}",
         full="-",
-        verdict=Verdict.HOLDS if least > ROUNDING and most <= 3.0 + ROUNDING else Verdict.FAILS,
+        verdict=ClaimVerdict.HOLDS if least > ROUNDING and most <= 3.0 + ROUNDING else ClaimVerdict.FAILS,
         remark=f"the largest eigenvalue is on {described(widest.pair)}",
         measured=survey.counts() | {"smallest": least, "largest": most, "largest_one_leader": most_one_leader},
     )

@@ -23,7 +23,7 @@ ROUNDING = 1e-9  # eigenvalues with a smaller difference count as equal
 
 
 @dataclass(frozen=True, slots=True)
-class Spectra:
+class GraphSpectra:
     """Spectra of one pair. `interaction` is G of eq. 21 (n x n), `eigenvalues` are those of G in rising order (n,)."""
 
     pair: Led
@@ -41,19 +41,19 @@ class Spectra:
 
 
 @dataclass(frozen=True, slots=True)
-class Survey:
+class GraphSurvey:
     """`small`: every connected graph of up to `most_vertices` with every set of leaders; `drawn`: random larger ones."""
 
     most_vertices: int
-    small: Sequence[Spectra]
-    drawn: Sequence[Spectra]
+    small: Sequence[GraphSpectra]
+    drawn: Sequence[GraphSpectra]
 
     @property
-    def all(self) -> Sequence[Spectra]:
+    def all(self) -> Sequence[GraphSpectra]:
         return [*self.small, *self.drawn]
 
     @property
-    def one_leader(self) -> Sequence[Spectra]:
+    def one_leader(self) -> Sequence[GraphSpectra]:
         """The small pairs with a single leader: 809 for up to 6 vertices, 6780 for up to 7."""
         return [spectra for spectra in self.small if len(spectra.pair.leaders) == 1]
 
@@ -74,23 +74,23 @@ class Survey:
         )
 
 
-def take_survey(full: bool = False, progress: Progress = no_progress) -> Survey:
+def take_survey(full: bool = False, progress: Progress = no_progress) -> GraphSurvey:
     most_vertices = MOST_VERTICES_FULL if full else MOST_VERTICES
     small = list(every_small_pair(most_vertices))
     drawn = list(random_pairs(np.random.default_rng(SEED), RANDOM_PAIRS_FULL if full else RANDOM_PAIRS))
-    found: list[Spectra] = []
+    found: list[GraphSpectra] = []
     for index, pair in enumerate([*small, *drawn]):
         found.append(spectra_of(pair))
         if index % 100 == 0:
             progress(index / (len(small) + len(drawn)))
-    return Survey(most_vertices, found[: len(small)], found[len(small) :])
+    return GraphSurvey(most_vertices, found[: len(small)], found[len(small) :])
 
 
-def spectra_of(pair: Led) -> Spectra:
+def spectra_of(pair: Led) -> GraphSpectra:
     matrix = interaction_matrix(pair.graph, pair.leaders, weighted())
     spectrum = spectrum_of(matrix)
     similar = symmetric_form(pair, matrix)
-    return Spectra(
+    return GraphSpectra(
         pair=pair,
         interaction=matrix,
         eigenvalues=np.sort(spectrum.real),

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from companion.recording.alignment import Clock, align
+from companion.recording.alignment import RecordingClock, align
 from companion.recording.reader import Recording, recordings
 from companion.recording.records import INBOX, STATUS
 from companion.types.flight import FlightPhase, Role
@@ -59,7 +59,7 @@ def recorded(folder: Path, senders: dict[Computer, list[Computer]]) -> list[Reco
     return recordings(folder, print)
 
 
-def apart_s(a: tuple[Computer, Clock], b: tuple[Computer, Clock], true_s: float) -> float:
+def apart_s(a: tuple[Computer, RecordingClock], b: tuple[Computer, RecordingClock], true_s: float) -> float:
     """How far apart one true moment is for two recordings."""
     return abs(a[1].common_s(a[0].now_s(true_s)) - b[1].common_s(b[0].now_s(true_s)))
 

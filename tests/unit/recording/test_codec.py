@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.recording.codec import (
-    Decoder,
     RecordError,
+    TopicDecoder,
     decode_inbox,
     decode_outbox,
     encode,
@@ -128,11 +128,11 @@ def test_a_damaged_message_is_one_line(data: bytes) -> None:
 def test_the_other_messages_are_plain_json() -> None:
     notice = Notice(Code.PEER_STALE, "2: no packet for 0.3 s")
     assert json.loads(encode(notice)) == {"code": "PEER_STALE", "text": "2: no packet for 0.3 s"}
-    assert Decoder(Notice).decode(encode(notice)) == notice
+    assert TopicDecoder(Notice).decode(encode(notice)) == notice
     timing = TimingRecord(1.0, 20, 300, 900, None)
-    assert Decoder(TimingRecord).decode(encode(timing)) == timing
+    assert TopicDecoder(TimingRecord).decode(encode(timing)) == timing
     with pytest.raises(RecordError):
-        Decoder(TimingRecord).decode(encode(notice))
+        TopicDecoder(TimingRecord).decode(encode(notice))
 
 
 def test_a_header_comes_back_from_metadata() -> None:

@@ -6,23 +6,24 @@ from pathlib import Path
 
 from msgspec.structs import replace
 
-from companion.recording.alignment import Clock
+from companion.recording.alignment import RecordingClock
 from companion.recording.one_flight import of_one_flight
-from companion.recording.reader import Part, Recording
+from companion.recording.reader import RecordedPart, Recording
 from recording_files import HEADER
 
 DAY_S = 86_400.0
 
 
 def recording(vehicle_id: int, unix_s: float) -> Recording:
-    return Recording((Part(Path("a.mcap"), replace(HEADER, vehicle_id=vehicle_id, unix_s=unix_s)),))
+    return Recording((RecordedPart(Path("a.mcap"), replace(HEADER, vehicle_id=vehicle_id, unix_s=unix_s)),))
 
 
 def chosen(*starts: tuple[Recording, bool]) -> tuple[list[Recording], list[str]]:
     """Of recordings with whether their clocks are aligned, and what is said."""
     said: list[str] = []
     clocks = [
-        Clock(one.header.monotonic_s, one.header.unix_s, 0.0, 0.01 if aligned else None) for one, aligned in starts
+        RecordingClock(one.header.monotonic_s, one.header.unix_s, 0.0, 0.01 if aligned else None)
+        for one, aligned in starts
     ]
     return [one for one, _ in of_one_flight([one for one, _ in starts], clocks, said.append)], said
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
+import companion.report.load as load
 from companion.cli.main import main
 from companion.recording.records import DecisionRecord
-from companion.report import load
 from companion.report.assemble import StartRecords
 from companion.report.findings.commands import refused_commands
 from companion.types.commands import CommandName

@@ -7,7 +7,7 @@ from msgspec.structs import replace
 
 from companion.recording.records import DecisionRecord, TimingRecord
 from companion.report.distances import grid_of, pair_distances
-from companion.report.finding import Finding, Kind, Severity
+from companion.report.finding import Finding, FindingKind, Severity
 from companion.report.findings.all import all_findings
 from companion.types.autopilot import LandedState
 from companion.types.commands import CommandName
@@ -73,7 +73,7 @@ def test_the_golden_flight_has_exactly_the_known_findings() -> None:
 
 def test_the_nearest_moment_of_an_encounter_is_named() -> None:
     (found,) = findings_of({2: Faults(decision=near_vehicle_1)})
-    assert found.kind is Kind.CLOSE
+    assert found.kind is FindingKind.CLOSE
     assert "vehicles 1 and 2 were 1.00 m apart" in found.text
     assert "separation_m is 1.5 m" in found.text
     assert found.lasts_s is not None
@@ -82,7 +82,7 @@ def test_the_nearest_moment_of_an_encounter_is_named() -> None:
 
 def test_a_leader_lost_long_enough_is_critical_and_names_the_failsafe() -> None:
     (brief,) = findings_of({3: flagged(HealthFlag.LEADER_AWAITED, 20.0, 20.4)})
-    assert (brief.kind, brief.severity, brief.code) == (Kind.LOST, WARNING, Code.LEADER_AWAITED)
+    assert (brief.kind, brief.severity, brief.code) == (FindingKind.LOST, WARNING, Code.LEADER_AWAITED)
     (lost,) = findings_of({3: flagged(HealthFlag.LEADER_LOST, 20.0, 20.4)})
     assert (lost.severity, lost.code) == (CRITICAL, Code.LEADER_LOST)
     assert "failsafe: hold" in lost.text
@@ -167,7 +167,7 @@ def test_the_others_miss_a_vehicle_whose_agent_ended_in_the_air() -> None:
     found = findings_of({1: Faults(status=without_peer_3), 3: Faults(ends_s=30.0)}, vehicles=3)
     assert short(found) == [(CRITICAL, Code.RECORDING_ENDS_IN_AIR, 3, 30.0), (WARNING, Code.PEER_STALE, 1, 30.3)]
     lost = found[1]
-    assert lost.kind is Kind.LOST
+    assert lost.kind is FindingKind.LOST
     assert lost.text == "no packets of vehicle 3 for 27.70 s; its records end at 30.0 s, in the air"
 
 

@@ -15,7 +15,7 @@ from companion.recording.records import DecisionRecord
 from companion.report.autopilot.files import read_logs
 from companion.report.figures.style import COLUMNS, STYLES, look, thinned
 from companion.report.figures.tracks import _view
-from companion.report.finding import Kind, Severity, finding, rows_of
+from companion.report.finding import FindingKind, Severity, finding, rows_of
 from companion.report.judge import judged
 from companion.report.page import page_of, prose
 from companion.types.commands import CommandName
@@ -191,7 +191,7 @@ def test_28_vehicles_look_different() -> None:
 
 def test_the_same_finding_of_several_vehicles_is_one_row() -> None:
     def refused(vehicle_id: int, time_s: float, text: str = "no") -> object:
-        return finding(Kind.REFUSED, Severity.WARNING, Code.WRONG_PHASE, vehicle_id, time_s, text)
+        return finding(FindingKind.REFUSED, Severity.WARNING, Code.WRONG_PHASE, vehicle_id, time_s, text)
 
     rows = rows_of([refused(3, 1.0), refused(1, 1.02), refused(2, 1.0, "other"), refused(1, 9.0)])  # type: ignore[list-item]
     assert [row.vehicle_ids for row in rows] == [(1, 3), (2,), (1,)]
@@ -199,7 +199,9 @@ def test_the_same_finding_of_several_vehicles_is_one_row() -> None:
 
 def test_a_finding_that_comes_often_is_one_row_with_its_longest_time() -> None:
     found = [
-        finding(Kind.FAILSAFE, Severity.WARNING, Code.POSITION_STALE, 1 + n % 2, 10.0 * n, f"for {n} s", float(n))
+        finding(
+            FindingKind.FAILSAFE, Severity.WARNING, Code.POSITION_STALE, 1 + n % 2, 10.0 * n, f"for {n} s", float(n)
+        )
         for n in range(5)
     ]
     (row,) = rows_of(found)
@@ -209,7 +211,8 @@ def test_a_finding_that_comes_often_is_one_row_with_its_longest_time() -> None:
 
 def test_critical_findings_stay_apart() -> None:
     found = [
-        finding(Kind.CLOSE, Severity.CRITICAL, Code.SEPARATION_VIOLATED, 1, 10.0 * n, f"pair {n}") for n in range(5)
+        finding(FindingKind.CLOSE, Severity.CRITICAL, Code.SEPARATION_VIOLATED, 1, 10.0 * n, f"pair {n}")
+        for n in range(5)
     ]
     assert len(rows_of(found)) == 5
 

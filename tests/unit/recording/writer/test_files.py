@@ -9,7 +9,7 @@ import pytest
 
 from companion.config.vehicle import RecordingSettings
 from companion.recording.writer.files import PartFiles
-from companion.recording.writer.folder import TLOG, Flight, recorded_files, recordings_folder
+from companion.recording.writer.folder import TLOG, FlightFiles, recorded_files, recordings_folder
 from companion.recording.writer.tlog import TlogPart
 from recorded_agent import Disk
 
@@ -19,7 +19,7 @@ LATER_S = 1e10  # by that time, all other flights are over
 def files_in(
     folder: Path, keep_bytes: int = 10**9, part_bytes: int = 100, source: str = "vehicle_3"
 ) -> PartFiles[bytes]:
-    flight = Flight(folder, source, keep_bytes, lambda: LATER_S)
+    flight = FlightFiles(folder, source, keep_bytes, lambda: LATER_S)
     return PartFiles(flight, TLOG, part_bytes, lambda _part: TlogPart())
 
 
@@ -70,7 +70,7 @@ def test_a_long_flight_loses_its_own_beginning(tmp_path: Path) -> None:
 def test_a_flight_that_another_agent_records_stays(tmp_path: Path) -> None:
     other = tmp_path / "vehicle_4_0001_001.mcap"
     other.write_bytes(b"x" * 500)
-    flight = Flight(tmp_path, "vehicle_3", 300, lambda: other.stat().st_mtime + 5.0)
+    flight = FlightFiles(tmp_path, "vehicle_3", 300, lambda: other.stat().st_mtime + 5.0)
     PartFiles(flight, TLOG, 100, lambda _part: TlogPart()).write(b"x")
     assert other.exists()
 

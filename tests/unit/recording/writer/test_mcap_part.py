@@ -12,7 +12,7 @@ from mcap.reader import NonSeekingReader, SeekingReader
 
 from companion.recording.mcap_file import McapFile
 from companion.recording.records import FORMAT, GROUND_COMMAND, GROUND_STATUS, Header
-from companion.recording.writer.chunk import Chunk
+from companion.recording.writer.chunk import MessageChunk
 from companion.recording.writer.mcap_part import McapPart
 
 TOPICS = (GROUND_STATUS, GROUND_COMMAND)
@@ -28,7 +28,7 @@ def file_of(*chunks: list[tuple[int, int, bytes]]) -> tuple[bytes, list[int]]:
     data = part.opening()
     lengths = [len(data)]
     for content in chunks:
-        chunk = Chunk()
+        chunk = MessageChunk()
         for number, (channel_id, time_ns, payload) in enumerate(content):
             chunk.add(channel_id, number, time_ns, payload)
         data += part.piece(chunk)

@@ -16,7 +16,7 @@ from companion.recording.codec import decode_inbox, decode_outbox, encode
 from companion.recording.decisions import decision_record
 from companion.recording.reader import recordings
 from companion.recording.records import DECISION, EVENT, INBOX, OUTBOX, TIMING
-from companion.recording.writer.chunk import Chunk
+from companion.recording.writer.chunk import MessageChunk
 from companion.recording.writer.files import PartFiles
 from companion.recording.writer.stream import MOST_BYTES, TOO_MUCH
 from companion.recording.writer.writing import WAITING, WritingAtOnce, WritingThread
@@ -165,7 +165,7 @@ def test_a_flood_of_commands_fills_neither_the_memory_nor_the_disk(
     flight = flight_with(recording).fly_to(P.FORMATION)
     put, flood, sent = writing.put, largest_commands(), len(flight.autopilot.targets)
 
-    def sized(files: PartFiles[Chunk], chunk: Chunk, records: int) -> None:
+    def sized(files: PartFiles[MessageChunk], chunk: MessageChunk, records: int) -> None:
         sizes.append(sum(map(len, chunk.frames)))
         put(files, chunk, records)
 

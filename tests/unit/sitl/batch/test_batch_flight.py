@@ -5,7 +5,7 @@ import pytest
 
 from batch_scenarios import platoon
 from sitl.batch.columns import columns_of
-from sitl.batch.disturbances import EstimatorErrors, Gusts
+from sitl.batch.disturbances import BatchGusts, EstimatorErrors
 from sitl.batch.flight import fly_batch
 from sitl.batch.simulation import Simulation, starts_at_rest
 from sitl.vehicle.config import SENSORS
@@ -157,7 +157,7 @@ def test_gusts_have_the_configured_mean_and_spread() -> None:
     wind = ("stand_in.wind={mean_enu_m_s: [3, 0, -1], gust_sd_m_s: 0.5, gust_time_s: 1.0}",)
     scenarios = [platoon(*wind, f"stand_in.seed={seed}") for seed in range(200)] + [platoon()]
     columns = columns_of(scenarios)
-    gusts = Gusts(scenarios, columns)
+    gusts = BatchGusts(scenarios, columns)
     for _ in range(300):
         blowing = gusts.step()
     by_vehicle = columns.by_vehicle(blowing)

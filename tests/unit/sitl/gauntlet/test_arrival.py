@@ -7,8 +7,8 @@ import pytest
 
 from companion.types.notices import Code
 from sitl.flight.orders import Refusal
-from sitl.gauntlet.arrival import SETTLED, Arrivals, reference_rests_from_s, settled_s
-from sitl.gauntlet.flight import Outcome
+from sitl.gauntlet.arrival import SETTLED, SlotArrivals, reference_rests_from_s, settled_s
+from sitl.gauntlet.flight import FlightOutcome
 from sitl.gauntlet.summary import Fate, fates, summarize
 
 
@@ -56,11 +56,11 @@ def refusal(vehicle_id: int) -> Refusal:
 
 
 def test_fates_compare_with_the_undisturbed_flight() -> None:
-    outcome = Outcome(
+    outcome = FlightOutcome(
         seed=1,
         number=3,
         family="joining",
-        arrivals=Arrivals(
+        arrivals=SlotArrivals(
             expected=9,
             not_in_formation=[1, 2],
             reached_s={3: 9.0, 4: 9.1, 5: None, 6: 30.0, 7: 2.0, 8: None, 9: 5.0},

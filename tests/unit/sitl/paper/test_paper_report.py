@@ -13,19 +13,19 @@ from companion.stability.arrays import FloatArray
 from companion.types.flight import Role
 from sitl.paper.book import listed, seconds, verdict_of
 from sitl.paper.figures.pictures import PICTURES
-from sitl.paper.flights import Model, Subject, paper_plans
+from sitl.paper.flights import FlightSubject, Model, paper_plans
 from sitl.paper.law_table import LawRow
 from sitl.paper.measures import alone_s, behind_leader_m, broken_s, edges_m, response_s, total_s
-from sitl.paper.report import SIGNS, Report, as_html, sentence, verdict_counts, versions, write_report
+from sitl.paper.report import SIGNS, PaperReport, as_html, sentence, verdict_counts, versions, write_report
 from sitl.paper.theory.matrices import printed_matrix
 from sitl.paper.topology import VehicleReport, topology_at
-from sitl.report.claim import Claim, Erratum, Verdict
-from sitl.report.metrics import Flight, Formation, standing
+from sitl.report.claim import Claim, ClaimVerdict, Erratum
+from sitl.report.metrics import Formation, FormationFlight, standing
 from sitl.report.records import TopologyChange
 from sitl.report.tracks import Track
 
 
-def claim(claim_id: str, verdict: Verdict, remark: str = "", full: str = "1.81 m") -> Claim:
+def claim(claim_id: str, verdict: ClaimVerdict, remark: str = "", full: str = "1.81 m") -> Claim:
     return Claim(
         id=claim_id,
         where="figure 6",
@@ -39,8 +39,8 @@ def claim(claim_id: str, verdict: Verdict, remark: str = "", full: str = "1.81 m
     )
 
 
-def report(*claims: Claim) -> Report:
-    return Report(
+def report(*claims: Claim) -> PaperReport:
+    return PaperReport(
         claims=list(claims),
         errata=[Erratum(place="eq. 8", printed="tan(phi) - phi", right="tan(phi)", shown="<b>38 deg</b>")],
         laws=[
@@ -58,31 +58,31 @@ def report(*claims: Claim) -> Report:
 
 
 def test_the_summary_counts_every_verdict() -> None:
-    claims = [claim("a", Verdict.HOLDS), claim("b", Verdict.HOLDS), claim("c", Verdict.FAILS)]
+    claims = [claim("a", ClaimVerdict.HOLDS), claim("b", ClaimVerdict.HOLDS), claim("c", ClaimVerdict.FAILS)]
     assert verdict_counts(claims) == "3 claims: 2 hold, 0 hold with a condition and 1 does not hold"
     assert verdict_counts(claims[:1]) == "1 claim: 1 holds, 0 hold with a condition and 0 do not hold"
 
 
 def test_every_verdict_has_its_own_sign_and_text() -> None:
-    assert len(set(SIGNS.values())) == len(Verdict)
-    for verdict in Verdict:
+    assert len(set(SIGNS.values())) == len(ClaimVerdict)
+    for verdict in ClaimVerdict:
         page = as_html(report(claim("a", verdict)))
         row = page[page.index('<tr id="claim-a"') :]
         row = row[: row.index("</tr>")]
         assert SIGNS[verdict] in row
         assert verdict.value in row
-        assert not any(SIGNS[other] in row for other in Verdict if other is not verdict)
+        assert not any(SIGNS[other] in row for other in ClaimVerdict if other is not verdict)
 
 
 def test_texts_of_claims_are_escaped() -> None:
-    page = as_html(report(claim("a", Verdict.HOLDS, remark="<script>alert(1)</script>")))
+    page = as_html(report(claim("a", ClaimVerdict.HOLDS, remark="<script>alert(1)</script>")))
     assert "d12 &lt; 1.75 m &amp; d23 &lt; 1.75 m" in page
     assert "<script" not in page
     assert "&lt;b&gt;38 deg" in page
 
 
 def test_the_page_needs_no_network_and_names_every_figure() -> None:
-    page = as_html(report(claim("a", Verdict.HOLDS)))
+    page = as_html(report(claim("a", ClaimVerdict.HOLDS)))
     assert not re.search(r"""(src|href)=["']?(https?:)?//""", page)
     assert "url(" not in page
     for picture in PICTURES:
@@ -92,19 +92,19 @@ def test_the_page_needs_no_network_and_names_every_figure() -> None:
 
 
 def test_a_figure_is_followed_by_its_claims() -> None:
-    page = as_html(report(claim("fig-8-peak", Verdict.CONDITION)))
+    page = as_html(report(claim("fig-8-peak", ClaimVerdict.CONDITION)))
     figure_8 = page[page.index('id="figure_8.png"') : page.index('id="figure_9.png"')]
     assert "Claim: d12 &lt; 1.75 m" in figure_8
-    assert Verdict.CONDITION.value in figure_8
+    assert ClaimVerdict.CONDITION.value in figure_8
 
 
 def test_failed_claims_are_listed_at_the_top() -> None:
-    page = as_html(report(claim("a", Verdict.FAILS, remark="d23 passes it"), claim("b", Verdict.HOLDS)))
+    page = as_html(report(claim("a", ClaimVerdict.FAILS, remark="d23 passes it"), claim("b", ClaimVerdict.HOLDS)))
     top = page[: page.index('id="claims"')]
     assert "d23 passes it" in top
     assert '<a href="#claim-a">' in top
     assert '<a href="#claim-b">' not in top
-    assert "What does not hold" not in as_html(report(claim("b", Verdict.HOLDS)))
+    assert "What does not hold" not in as_html(report(claim("b", ClaimVerdict.HOLDS)))
 
 
 def test_a_law_that_never_settles_is_marked() -> None:
@@ -114,7 +114,7 @@ def test_a_law_that_never_settles_is_marked() -> None:
 
 
 def test_the_folder_holds_the_page_and_all_numbers(tmp_path: Path) -> None:
-    written = report(claim("a", Verdict.FAILS))
+    written = report(claim("a", ClaimVerdict.FAILS))
     write_report(tmp_path, written)
     assert (tmp_path / "index.html").read_text(encoding="utf-8") == as_html(written)
     content = msgspec.json.decode((tmp_path / "claims.json").read_bytes())
@@ -136,9 +136,9 @@ def test_texts_of_figures() -> None:
     assert listed(["a"]) == "a"
     assert listed(["a", "b", "c"]) == "a, b and c"
     assert [sentence(text) for text in ("", "so it is", "It is.", "d23 is")] == ["", "So it is.", "It is.", "d23 is."]
-    assert verdict_of(True) is Verdict.HOLDS
-    assert verdict_of(False, True) is Verdict.CONDITION
-    assert verdict_of(False) is Verdict.FAILS
+    assert verdict_of(True) is ClaimVerdict.HOLDS
+    assert verdict_of(False, True) is ClaimVerdict.CONDITION
+    assert verdict_of(False) is ClaimVerdict.FAILS
 
 
 # ---------------------------------------------------------------- figures
@@ -147,13 +147,13 @@ def test_texts_of_figures() -> None:
 TIMES_S = np.arange(0.0, 20.0, 0.02)
 
 
-def moving(*x_m: FloatArray) -> Flight:
+def moving(*x_m: FloatArray) -> FormationFlight:
     """Vehicles 1, 2, ... along x; the formation lasts from 5 s to 15 s, the goal is x = 2 m."""
     tracks = {
         i: Track(TIMES_S, np.stack([x, np.zeros_like(x), np.ones_like(x)], axis=1)) for i, x in enumerate(x_m, start=1)
     }
     slots = {i: (1.0 - i, 0.0, 0.0) for i in tracks}
-    return Flight("weighted", tracks, standing(slots), [], point((2.0, 0.0, 1.0)), Formation(5.0, 15.0, 5.0))
+    return FormationFlight("weighted", tracks, standing(slots), [], point((2.0, 0.0, 1.0)), Formation(5.0, 15.0, 5.0))
 
 
 def test_edges_out_of_range_and_a_leader_alone() -> None:
@@ -215,7 +215,7 @@ def test_printed_matrices_are_parsed() -> None:
 def test_every_experiment_is_flown_with_both_models() -> None:
     plans = paper_plans(full=False)
     assert len(plans) == len(set(plans))
-    for subject in Subject:
+    for subject in FlightSubject:
         for model in (Model.IDEAL, Model.FULL):
             assert [p for p in plans if (p.subject, p.law, p.model) == (subject, "weighted", model)]
     assert set(plans) < set(paper_plans(full=True))

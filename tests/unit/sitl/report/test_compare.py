@@ -16,7 +16,7 @@ from sitl.flight.options import FlyOptions, RunOptions
 from sitl.flight.scenario import load_scenario, with_law
 from sitl.flight.watch import FlightWatch
 from sitl.report.compare import Comparison, compare, in_a_table
-from sitl.report.summary import Summary, in_words, read_summary, write_json
+from sitl.report.summary import RunSummary, in_words, read_summary, write_json
 
 PLATOON = ROOT / "config" / "scenarios" / "platoon.yaml"
 TIMING = Timing(49.996, 2997, 3, Percentiles(1, 2, 3), Percentiles(4, 5, 6), 5.0, 48.0)
@@ -24,7 +24,7 @@ TIMING = Timing(49.996, 2997, 3, Percentiles(1, 2, 3), Percentiles(4, 5, 6), 5.0
 
 def summary(
     law: str, largest_m: float, settle_s: float | None, failure: str | None = None, timing: Timing = TIMING
-) -> Summary:
+) -> RunSummary:
     watch = FlightWatch([1, 2, 3, 4], [1], 0.0)
     watch.timing = watch.newest_timing = dict.fromkeys((1, 2, 3, 4), timing)
     empty = summarize(load_scenario(PLATOON), "platoon", watch, None, None, 1.2, failure=failure, flight_s=93.04)

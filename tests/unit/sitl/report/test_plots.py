@@ -8,14 +8,14 @@ import pytest
 from matplotlib.figure import Figure
 
 from companion.core.reference.trajectories import point
-from sitl.report.metrics import Flight, Formation, standing
+from sitl.report.metrics import Formation, FormationFlight, standing
 from sitl.report.plots import COLOURS, MARKERS, STYLES, save_comparison, save_figure_5, save_figure_6
 from sitl.report.tracks import Track
 
 PNG = b"\x89PNG\r\n\x1a\n"
 
 
-def flight(law: str, vehicles: int = 4) -> Flight:
+def flight(law: str, vehicles: int = 4) -> FormationFlight:
     """A flight whose vehicles reach their slots within some seconds."""
     times_s = np.linspace(100.0, 140.0, 2001)
     closing = 1.0 - np.exp(-np.maximum(0.0, times_s - 110.0) / 3.0)
@@ -25,7 +25,7 @@ def flight(law: str, vehicles: int = 4) -> Flight:
         for i, slot in slots.items()
     }
     pairs = [pair for pair in combinations(slots, 2) if pair[1] - pair[0] == 1]
-    return Flight(law, tracks, standing(slots), pairs, point((1.0, 0.0, 1.0)), Formation(110.0, 135.0, 109.9))
+    return FormationFlight(law, tracks, standing(slots), pairs, point((1.0, 0.0, 1.0)), Formation(110.0, 135.0, 109.9))
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from companion.assembly import law_of
 from companion.core.consensus.law import Weighting, cooperative, weighted
-from sitl.report.claim import Claim, Verdict
+from sitl.report.claim import Claim, ClaimVerdict
 from sitl.study.cases import BAD_LINKS, GOOD_LINKS, Case, Figures, closest_m, fly, settled_s
 from sitl.study.figures import save_spectra, save_trade_off
 from sitl.study.goals import goal_claims
@@ -106,15 +106,15 @@ def claims(
 
 
 def test_the_goals_hold_for_good_figures() -> None:
-    assert {claim.verdict for claim in claims().values()} == {Verdict.HOLDS}
+    assert {claim.verdict for claim in claims().values()} == {ClaimVerdict.HOLDS}
 
 
 @pytest.mark.parametrize("bad", [goal_flights(21.0), goal_flights(None), goal_flights(5.0, weighted_s=49.0)])
 def test_the_goal_fails_for_a_slow_law_or_a_fast_rival(bad: list[Figures]) -> None:
     for found in (claims(quiet=bad), claims(noisy=bad)):
-        assert found["chain-16-sooner"].verdict is Verdict.FAILS
+        assert found["chain-16-sooner"].verdict is ClaimVerdict.FAILS
     for found in (claims(with_drag=bad), claims(in_band=bad)):
-        assert found["chain-16-sooner"].verdict is Verdict.CONDITION
+        assert found["chain-16-sooner"].verdict is ClaimVerdict.CONDITION
         assert "which misses the goal" in found["chain-16-sooner"].remark
     assert "which misses the goal" not in claims()["chain-16-sooner"].remark
 
@@ -131,22 +131,22 @@ def test_a_flight_that_never_settled_has_no_settle_time() -> None:
 @pytest.mark.parametrize("bad", [goal_flights(5.0, largest_m=1.9), goal_flights(5.0, smallest_m=1.3)])
 def test_distances_must_be_better_than_under_both_laws(bad: list[Figures]) -> None:
     for found, air in ((claims(in_band=bad), "Missed with noise"), (claims(quiet=bad), "Missed without noise")):
-        assert found["grid-10x10-distances"].verdict is Verdict.FAILS
+        assert found["grid-10x10-distances"].verdict is ClaimVerdict.FAILS
         assert air in found["grid-10x10-distances"].remark
     assert "Missed" not in claims()["grid-10x10-distances"].remark
 
 
 def test_bad_links_are_compared_with_the_papers_law_undisturbed() -> None:
     for bad in (goal_flights(250.0), goal_flights(None), goal_flights(5.0, smallest_m=0.7)):
-        assert claims(disturbed=bad)["chain-16-bad-links"].verdict is Verdict.FAILS
-    assert claims(noisy=goal_flights(5.0, weighted_s=4.0))["chain-16-bad-links"].verdict is Verdict.FAILS
-    assert claims(in_band=goal_flights(5.0, weighted_s=4.0))["chain-16-bad-links"].verdict is Verdict.CONDITION
+        assert claims(disturbed=bad)["chain-16-bad-links"].verdict is ClaimVerdict.FAILS
+    assert claims(noisy=goal_flights(5.0, weighted_s=4.0))["chain-16-bad-links"].verdict is ClaimVerdict.FAILS
+    assert claims(in_band=goal_flights(5.0, weighted_s=4.0))["chain-16-bad-links"].verdict is ClaimVerdict.CONDITION
 
 
 def test_a_band_larger_than_the_step_does_not_affect_the_verdict() -> None:
     quick = goal_flights(5.0, weighted_s=4.0)
     found = claims(in_band=quick, band_m=1.2)
-    assert {found[f"chain-16-{goal}"].verdict for goal in ("sooner", "bad-links")} == {Verdict.HOLDS}
+    assert {found[f"chain-16-{goal}"].verdict for goal in ("sooner", "bad-links")} == {ClaimVerdict.HOLDS}
     assert (
         "All flights start inside that band; times after which they stay in it: over 300.0 s, 4.0 s, 5.0 s."
         in found["chain-16-sooner"].remark

@@ -22,8 +22,8 @@ from paper_flights import (
     platoons,
 )
 from sitl.paper.claims.aggregation import Connectivity, aggregation_claims
-from sitl.paper.flights import FlownPlan, Subject
-from sitl.report.claim import Verdict
+from sitl.paper.flights import FlightSubject, FlownPlan
+from sitl.report.claim import ClaimVerdict
 from sitl.report.metrics import Formation
 
 
@@ -40,7 +40,7 @@ from sitl.report.metrics import Formation
     ],
 )
 def test_the_average_law_loses_its_leader_within_a_few_seconds(
-    eq_22: Paths, eq_26: Paths, verdict: Verdict, text: str
+    eq_22: Paths, eq_26: Paths, verdict: ClaimVerdict, text: str
 ) -> None:
     claim = found(aggregation_claims, aggregations(GATHERS, eq_22, eq_26), "fig-4-average")
     assert claim.verdict is verdict
@@ -52,7 +52,7 @@ def test_a_leader_alone_at_the_end_of_a_short_flight_is_not_finally_alone() -> N
     flights = aggregations(GATHERS, LEFT, LEFT)
     cut = [
         FlownPlan(f.plan, f.scenario, f.tracks, Formation(START_S, START_S + 2.0, START_S), (), None)
-        if (f.plan.subject, f.plan.law) == (Subject.AGGREGATION, "average_26")
+        if (f.plan.subject, f.plan.law) == (FlightSubject.AGGREGATION, "average_26")
         else f
         for f in flights
     ]
@@ -69,7 +69,7 @@ def test_a_leader_alone_at_the_end_of_a_short_flight_is_not_finally_alone() -> N
         (LEFT, (GATHERS, GATHERS), FAILS),
     ],
 )
-def test_the_weighted_law_must_gather(weighted: Paths, noise: tuple[Paths, ...], verdict: Verdict) -> None:
+def test_the_weighted_law_must_gather(weighted: Paths, noise: tuple[Paths, ...], verdict: ClaimVerdict) -> None:
     claim = found(aggregation_claims, aggregations(weighted, GATHERS, LEFT, *noise), "fig-4-weighted")
     assert claim.verdict is verdict
     assert ("does not gather" in claim.ideal) == (verdict is FAILS)
@@ -88,7 +88,7 @@ def test_the_weighted_law_must_gather(weighted: Paths, noise: tuple[Paths, ...],
     ],
 )
 def test_connectivity_must_be_better(
-    weighted: Paths, eq_22: Paths, eq_26: Paths, verdict: Verdict, remark: str
+    weighted: Paths, eq_22: Paths, eq_26: Paths, verdict: ClaimVerdict, remark: str
 ) -> None:
     flights = aggregations(weighted, eq_22, eq_26, GATHERS, GATHERS)
     claim = found(aggregation_claims, flights, "fig-4-robust")
@@ -108,7 +108,7 @@ def test_connectivity_must_be_better(
     ],
 )
 def test_connectivity_must_be_better_with_noise_too(
-    noise: tuple[Paths, ...], average: Paths, verdict: Verdict, remark: str
+    noise: tuple[Paths, ...], average: Paths, verdict: ClaimVerdict, remark: str
 ) -> None:
     flights = aggregations(GATHERS, LEFT, LEFT, *noise, average_noise=average)
     claim = found(aggregation_claims, flights, "fig-4-robust")
@@ -138,8 +138,8 @@ def test_better_means_worse_in_no_figure() -> None:
         (STANDS, (0.31, 0.1, 0.1), FAILS),  # it does not gather, but it does not lose its leader
     ],
 )
-def test_one_average_law_must_fit_both_figures(eq_26: Paths, eq_26_peaks: Peaks, verdict: Verdict) -> None:
-    flights = [f for f in aggregations(GATHERS, GATHERS, eq_26) if f.plan.subject is Subject.AGGREGATION]
+def test_one_average_law_must_fit_both_figures(eq_26: Paths, eq_26_peaks: Peaks, verdict: ClaimVerdict) -> None:
+    flights = [f for f in aggregations(GATHERS, GATHERS, eq_26) if f.plan.subject is FlightSubject.AGGREGATION]
     flights += platoons(GOOD, platoon((0.31, 0.1, 0.1)), platoon(eq_26_peaks))
     claim = found(aggregation_claims, flights, "average-law")
     assert claim.verdict is verdict

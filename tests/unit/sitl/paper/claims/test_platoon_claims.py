@@ -7,7 +7,7 @@ from paper_flights import BAD, CONDITION, FAILS, GOOD, HIGH, HOLDS, Peaks, found
 from sitl.paper.claims.experiment import experiment_claims
 from sitl.paper.claims.platoon import platoon_claims
 from sitl.paper.flights import FlownPlan
-from sitl.report.claim import Verdict
+from sitl.report.claim import ClaimVerdict
 
 
 @pytest.mark.parametrize("claim_id", ["fig-5-faster", "fig-6-faster"])
@@ -22,7 +22,7 @@ from sitl.report.claim import Verdict
     ],
 )
 def test_the_weighted_law_must_be_faster(
-    claim_id: str, weighted_s: float, eq_22_s: float, eq_26_s: float, verdict: Verdict
+    claim_id: str, weighted_s: float, eq_22_s: float, eq_26_s: float, verdict: ClaimVerdict
 ) -> None:
     flights = platoons(*(platoon(HIGH, settled_s) for settled_s in (weighted_s, eq_22_s, eq_26_s)))
     claim = found(platoon_claims, flights, claim_id)
@@ -35,7 +35,7 @@ def test_the_weighted_law_must_be_faster(
     ("eq_22_m", "eq_26_m", "verdict"), [(0.5, 0.31, HOLDS), (0.31, 0.5, CONDITION), (0.1, 0.5, FAILS)]
 )
 def test_the_peak_of_figure_6_is_that_of_the_law_named_in_the_paper(
-    eq_22_m: float, eq_26_m: float, verdict: Verdict
+    eq_22_m: float, eq_26_m: float, verdict: ClaimVerdict
 ) -> None:
     flights = platoons(platoon(), platoon((eq_22_m, 0.1, 0.1)), platoon((eq_26_m, 0.1, 0.1)))
     claim = found(platoon_claims, flights, "fig-6-average")
@@ -49,7 +49,7 @@ def test_the_peak_of_figure_6_is_that_of_the_law_named_in_the_paper(
     [(0.240, 0.245, HOLDS), (0.240, 0.300, CONDITION), (0.253, 0.253, CONDITION), (0.260, 0.240, FAILS)],
 )
 def test_distances_must_be_below_the_papers(
-    claim_id: str, pair: int, ideal_m: float, full_m: float, verdict: Verdict
+    claim_id: str, pair: int, ideal_m: float, full_m: float, verdict: ClaimVerdict
 ) -> None:
     def peaks(peak_m: float) -> Peaks:
         return (peak_m, 0.1, 0.1) if pair == 0 else (0.1, 0.1, peak_m)
@@ -71,7 +71,7 @@ def test_distances_must_be_below_the_papers(
         ((0.4, 0.25, 0.2), (0.3, 0.2, 0.15), FAILS),  # none is
     ],
 )
-def test_one_peak_must_be_smaller_and_the_others_larger(weighted: Peaks, eq_26: Peaks, verdict: Verdict) -> None:
+def test_one_peak_must_be_smaller_and_the_others_larger(weighted: Peaks, eq_26: Peaks, verdict: ClaimVerdict) -> None:
     flights = platoons(platoon(weighted), platoon(HIGH), platoon(eq_26))
     claim = found(platoon_claims, flights, "fig-6-one-peak")
     assert claim.verdict is verdict
@@ -90,7 +90,7 @@ def test_one_peak_must_be_smaller_and_the_others_larger(weighted: Peaks, eq_26: 
         (platoons(GOOD, GOOD) + noisy((GOOD, GOOD)), FAILS),
     ],
 )
-def test_the_verdict_with_noise(claim_id: str, flights: list[FlownPlan], verdict: Verdict) -> None:
+def test_the_verdict_with_noise(claim_id: str, flights: list[FlownPlan], verdict: ClaimVerdict) -> None:
     claim = found(experiment_claims, flights, claim_id)
     assert claim.verdict is verdict
     not_26 = claim.measured["noisy_pairs"] == 1 and verdict is CONDITION

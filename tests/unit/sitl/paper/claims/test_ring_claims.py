@@ -24,7 +24,7 @@ from paper_flights import (
 from sitl.paper.book import Book
 from sitl.paper.claims.ring import ring_claims
 from sitl.paper.flights import FlownPlan
-from sitl.report.claim import Verdict
+from sitl.report.claim import ClaimVerdict
 from sitl.report.records import TopologyChange
 
 
@@ -89,7 +89,7 @@ def test_weights_that_never_change_fail(claim_id: str) -> None:
     ],
 )
 def test_weights_are_checked_in_each_leadership(
-    topology: list[TopologyChange], at_once: Verdict, matrices: Verdict
+    topology: list[TopologyChange], at_once: ClaimVerdict, matrices: ClaimVerdict
 ) -> None:
     assert found(ring_claims, rings(topology=topology), "fig-10-at-once").verdict is at_once
     assert found(ring_claims, rings(topology=topology), "fig-10-matrices").verdict is matrices

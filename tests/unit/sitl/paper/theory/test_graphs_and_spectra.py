@@ -28,8 +28,8 @@ from sitl.paper.theory.graphs import (
 )
 from sitl.paper.theory.matrices import aggregation_graph
 from sitl.paper.theory.spectrum import corollary_2, lemma_1, lemma_1_converse, lemma_2, rows_of_g
-from sitl.paper.theory.survey import Survey, spectra_of, take_survey
-from sitl.report.claim import Verdict
+from sitl.paper.theory.survey import GraphSurvey, spectra_of, take_survey
+from sitl.report.claim import ClaimVerdict
 from sitl.study.shapes import chain, ring
 
 # ---------------------------------------------------------------- graphs
@@ -175,40 +175,40 @@ def _layers() -> list[set[int]]:
 # ---------------------------------------------------------------- a verdict can be "does not hold"
 
 
-def survey_of(*pairs: Led) -> Survey:
-    return Survey(2, [spectra_of(pair) for pair in pairs], [])
+def survey_of(*pairs: Led) -> GraphSurvey:
+    return GraphSurvey(2, [spectra_of(pair) for pair in pairs], [])
 
 
 def test_a_graph_without_a_leader_breaks_lemma_1_and_corollary_2() -> None:
     survey = survey_of(Led(chain(3).adjacency(), frozenset({1})), Led(chain(3).adjacency(), frozenset()))
-    assert lemma_1(survey).verdict is Verdict.FAILS
-    assert corollary_2(survey).verdict is Verdict.FAILS
+    assert lemma_1(survey).verdict is ClaimVerdict.FAILS
+    assert corollary_2(survey).verdict is ClaimVerdict.FAILS
 
 
 def test_the_counterexample_in_the_survey_breaks_proposition_2() -> None:
-    survey = Survey(2, [spectra_of(Led(chain(3).adjacency(), frozenset({1})))], [contrary()])
+    survey = GraphSurvey(2, [spectra_of(Led(chain(3).adjacency(), frozenset({1})))], [contrary()])
     claim = proposition_2_against_22(survey)
-    assert claim.verdict is Verdict.FAILS
+    assert claim.verdict is ClaimVerdict.FAILS
     assert claim.measured["pairs_below"] == 1
 
 
 def test_a_directed_graph_breaks_lemma_2() -> None:
     one_way = {1: {2}, 2: {3}, 3: {4}, 4: {2}}
     claim = lemma_2(survey_of(Led(one_way, frozenset({1}))))
-    assert claim.verdict is Verdict.FAILS
+    assert claim.verdict is ClaimVerdict.FAILS
     assert claim.measured["largest_imaginary_part"] > 0.1
 
 
 def test_line_3_as_printed_breaks_algorithm_1(monkeypatch: pytest.MonkeyPatch) -> None:
     survey = survey_of(Led(chain(4).adjacency(), frozenset({1})))
-    assert algorithm_1(survey).verdict is Verdict.CONDITION
+    assert algorithm_1(survey).verdict is ClaimVerdict.CONDITION
     monkeypatch.setattr("sitl.paper.theory.algorithm1.next_prc", lambda is_leader, _prcs, n: 1 if is_leader else n)
-    assert algorithm_1(survey).verdict is Verdict.FAILS
+    assert algorithm_1(survey).verdict is ClaimVerdict.FAILS
 
 
 def test_the_claims_hold_on_a_small_survey() -> None:
     survey = survey_of(*every_small_pair(3))
-    assert {claim(survey).verdict for claim in (rows_of_g, lemma_1, lemma_1_converse, lemma_2)} == {Verdict.HOLDS}
+    assert {claim(survey).verdict for claim in (rows_of_g, lemma_1, lemma_1_converse, lemma_2)} == {ClaimVerdict.HOLDS}
 
 
 def test_the_survey_is_reproducible(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,14 +3,15 @@
 import msgspec
 import pytest
 
+import sitl.paper.theory.comparison as comparison
+import sitl.paper.theory.matrices as matrices
 from companion.types.values import ZERO3
 from sitl.paper.errata import acceleration_of, errata, printed_attitude, right_attitude
-from sitl.paper.theory import comparison, matrices
 from sitl.paper.theory.theorems import theory_claims
-from sitl.report.claim import Claim, Verdict
+from sitl.report.claim import Claim, ClaimVerdict
 from sitl.study.shapes import Shape
 
-CONDITION, FAILS = Verdict.CONDITION, Verdict.FAILS
+CONDITION, FAILS = ClaimVerdict.CONDITION, ClaimVerdict.FAILS
 
 
 @pytest.fixture(scope="module")
@@ -24,14 +25,14 @@ def claims(shares: list[float]) -> dict[str, Claim]:
 
 
 def test_the_verdicts_of_all_theory_claims(claims: dict[str, Claim]) -> None:
-    assert {claim.id: claim.verdict for claim in claims.values() if claim.verdict is not Verdict.HOLDS} == {
+    assert {claim.id: claim.verdict for claim in claims.values() if claim.verdict is not ClaimVerdict.HOLDS} == {
         "algorithm-1": CONDITION,
         "corollary-1": CONDITION,
         "proposition-2-vs-22": CONDITION,
         "proposition-2-vs-26": FAILS,
     }
     assert len(claims) == 14
-    assert all(claim.remark for claim in claims.values() if claim.verdict is not Verdict.HOLDS)
+    assert all(claim.remark for claim in claims.values() if claim.verdict is not ClaimVerdict.HOLDS)
 
 
 def test_the_size_of_the_survey(claims: dict[str, Claim]) -> None:
@@ -79,7 +80,7 @@ def test_progress_rises_to_one(claims: dict[str, Claim], shares: list[float]) ->
 
 
 def test_a_matrix_that_differs_from_the_papers_fails(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert matrices.eq_27().verdict is Verdict.HOLDS
+    assert matrices.eq_27().verdict is ClaimVerdict.HOLDS
     monkeypatch.setattr(matrices, "EQ_27_G2", ["2 -1/2 -1/2 0", *matrices.EQ_27_G2[1:3], "0 -1/2 -1/3 1"])
     claim = matrices.eq_27()
     assert claim.verdict is FAILS

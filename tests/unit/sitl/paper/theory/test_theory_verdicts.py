@@ -7,39 +7,41 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+import sitl.paper.theory.algorithm1 as algorithm1
+import sitl.paper.theory.comparison as comparison
+import sitl.paper.theory.spectrum as spectrum
 from companion.stability.arrays import FloatArray
 from sitl.paper.beyond import growth_text
-from sitl.paper.theory import algorithm1, comparison, spectrum
 from sitl.paper.theory.comparison import platoon, proposition_2_against_22, proposition_2_against_26
 from sitl.paper.theory.convergence import proposition_1_and_corollary_1
 from sitl.paper.theory.graphs import every_small_pair, random_pairs
 from sitl.paper.theory.spectrum import corollary_2, lemma_1, lemma_1_converse, lemma_2, rows_of_g
-from sitl.paper.theory.survey import Spectra, Survey, spectra_of
-from sitl.report.claim import Claim, Verdict
+from sitl.paper.theory.survey import GraphSpectra, GraphSurvey, spectra_of
+from sitl.report.claim import Claim, ClaimVerdict
 from sitl.study.settings import SETTINGS
 
-HOLDS, CONDITION, FAILS = Verdict.HOLDS, Verdict.CONDITION, Verdict.FAILS
+HOLDS, CONDITION, FAILS = ClaimVerdict.HOLDS, ClaimVerdict.CONDITION, ClaimVerdict.FAILS
 
 
 @pytest.fixture(scope="module")
-def survey() -> Survey:
+def survey() -> GraphSurvey:
     """A small survey that agrees with the paper."""
     drawn = [spectra_of(pair) for pair in random_pairs(np.random.default_rng(1), 4)]
-    return Survey(4, [spectra_of(pair) for pair in every_small_pair(4)], drawn)
+    return GraphSurvey(4, [spectra_of(pair) for pair in every_small_pair(4)], drawn)
 
 
-def with_one(survey: Survey, **changes: object) -> Survey:
+def with_one(survey: GraphSurvey, **changes: object) -> GraphSurvey:
     """The survey with one changed pair."""
     index = next(i for i, s in enumerate(survey.small) if len(s.pair.graph) == 4 and len(s.pair.leaders) == 1)
     odd = replace(survey.small[index], **changes)  # type: ignore[arg-type]
     return replace(survey, small=[*survey.small[:index], odd, *survey.small[index + 1 :]])
 
 
-def proposition_1(survey: Survey) -> Claim:
+def proposition_1(survey: GraphSurvey) -> Claim:
     return proposition_1_and_corollary_1(survey)[0]
 
 
-def corollary_1(survey: Survey) -> Claim:
+def corollary_1(survey: GraphSurvey) -> Claim:
     return proposition_1_and_corollary_1(survey)[1]
 
 
@@ -65,19 +67,19 @@ OTHER: FloatArray = np.diag([0.4, 1.0, 1.0, 1.0])
     ],
 )
 def test_a_single_different_pair_breaks_a_claim(
-    survey: Survey, claim_of: Callable[[Survey], Claim], usually: Verdict, changes: dict[str, object]
+    survey: GraphSurvey, claim_of: Callable[[GraphSurvey], Claim], usually: ClaimVerdict, changes: dict[str, object]
 ) -> None:
     assert claim_of(survey).verdict is usually
     claim = claim_of(with_one(survey, **changes))
     assert claim.verdict is FAILS
 
 
-def test_a_failed_proposition_names_a_counterexample(survey: Survey) -> None:
+def test_a_failed_proposition_names_a_counterexample(survey: GraphSurvey) -> None:
     assert "against 3.0000 on the graph" in proposition_2_against_22(with_one(survey, lambda_min_22=3.0)).remark
 
 
-def test_proposition_2_holds_without_its_counterexamples(survey: Survey, monkeypatch: pytest.MonkeyPatch) -> None:
-    def tame(spectra: Spectra) -> Spectra:
+def test_proposition_2_holds_without_its_counterexamples(survey: GraphSurvey, monkeypatch: pytest.MonkeyPatch) -> None:
+    def tame(spectra: GraphSpectra) -> GraphSpectra:
         return replace(spectra, lambda_min_22=1e-4, lambda_min_26=1e-4)
 
     monkeypatch.setattr(comparison, "contrary", lambda: tame(survey.small[0]))
@@ -90,7 +92,7 @@ def test_proposition_2_holds_without_its_counterexamples(survey: Survey, monkeyp
 
 
 def test_a_regular_matrix_without_leader_breaks_the_converse_of_lemma_1(
-    survey: Survey, monkeypatch: pytest.MonkeyPatch
+    survey: GraphSurvey, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert lemma_1_converse(survey).remark.startswith("so the condition")
     matrix = spectrum.interaction_matrix
@@ -102,7 +104,7 @@ def test_a_regular_matrix_without_leader_breaks_the_converse_of_lemma_1(
 
 @pytest.mark.parametrize("wrong", [lambda *_known: 1, lambda leads, _heard, n: 1 if leads else n])
 def test_prcs_that_are_not_hops_break_algorithm_1(
-    survey: Survey, monkeypatch: pytest.MonkeyPatch, wrong: Callable[..., int]
+    survey: GraphSurvey, monkeypatch: pytest.MonkeyPatch, wrong: Callable[..., int]
 ) -> None:
     assert "PrC climbs" in algorithm1.algorithm_1(survey).remark
     monkeypatch.setattr(algorithm1, "next_prc", wrong)
