@@ -28,12 +28,12 @@ from companion.link.tick import TickTrigger, monotonic_s
 from companion.mavlink.autopilot_types import AGENT_STREAMS
 from companion.mavlink.ground_station import GroundStationFilter
 from companion.mavlink.translator import Translator
-from companion.recording.writer.folder import recordings_folder
+from companion.recording.files import recordings_folder
 
 if TYPE_CHECKING:
     from companion.link.fleet.identity import Admissions
     from companion.link.fleet.peer_datagrams import PeerDatagrams
-    from companion.recording.writer.recorder import Recorder
+    from companion.recording.recorder import Recorder
     from companion.security.identity import Identity
 
 WAIT_FOR_AUTOPILOT_S = 15.0
@@ -120,8 +120,8 @@ def _recorder(settings: Settings, config: AgentConfig, session: int) -> Recorder
     """Only an agent that records loads the library for it."""
     if (folder := recordings_folder(settings.file, config.vehicle.recording, os.environ)) is None:
         return None
-    from companion.recording.writer.start import recorder_of
-    from companion.recording.writer.writing import WritingThread
+    from companion.recording.recorder import recorder_of
+    from companion.recording.writing import WritingThread
 
     _log.info("records into %s", folder)
     return recorder_of(config, session, folder, time.time(), monotonic_s(), WritingThread())

@@ -55,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """The exit code."""
-    from companion.replay.run import ReplayOptions, run_replay
+    from companion.replay.command import ReplayOptions, run_replay
     from companion.types.errors import UnusableError
 
     overrides = [*([f"fleet.law.name={options.law}"] if options.law else []), *options.overrides]

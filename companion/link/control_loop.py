@@ -31,7 +31,7 @@ from companion.wire.messages import StatusReport
 from companion.wire.rounding import as_sent, target_as_sent
 
 if TYPE_CHECKING:
-    from companion.recording.writer.recorder import Recorder
+    from companion.recording.recorder import Recorder
 
 
 class AutopilotEnd(Protocol):

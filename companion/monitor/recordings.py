@@ -14,14 +14,13 @@ from companion.config.fleet import FleetConfig
 from companion.ground.session import FleetSession
 from companion.monitor.events import Happening, answered, commanded
 from companion.monitor.sources import ReplaySource, TimedReport
-from companion.recording.alignment import RecordingClock, align
-from companion.recording.configuration import recorded_fleet
+from companion.recording.alignment import APART_S, RecordingClock, align, of_one_flight
+from companion.recording.codec import recorded_fleet
 from companion.recording.mcap_file import Warn
-from companion.recording.one_flight import APART_S, of_one_flight
 from companion.recording.reader import Recording, recordings
+from companion.recording.recorder import ground_recorder
 from companion.recording.records import COMMAND, GROUND_STATUS, REPLY, STATUS
-from companion.recording.writer.ground_recorder import ground_recorder
-from companion.recording.writer.writing import WritingThread
+from companion.recording.writing import WritingThread
 from companion.types.errors import CompanionError
 from companion.types.notices import Notice
 from companion.types.values import printable

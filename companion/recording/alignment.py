@@ -9,15 +9,16 @@ from __future__ import annotations
 
 from array import array
 from collections import defaultdict
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from itertools import combinations
 
 import msgspec
 import numpy as np
 from msgspec import Struct
+from numpy.typing import NDArray
 
-from companion.recording.clock_line import ClockLine, Floats, fitted_line
 from companion.recording.codec import DECODE_ERRORS, LAST_S
 from companion.recording.mcap_file import Warn
 from companion.recording.reader import Recording
@@ -154,3 +155,102 @@ def _times(recording: Recording, senders: Collection[Key], warn: Warn) -> dict[K
                 sent[key].append(head.sent_s)
                 received[key].append(received_s)
     return {key: (np.array(sent[key]), np.array(received[key])) for key in sent}
+
+
+Floats = NDArray[np.float64]
+
+MAX_RATE = 3e-4  # seconds per second; the clocks of two computers drift apart by less
+RATE_NEEDS_S = 30.0  # a rate that only messages nearer to each other than this show is noise
+BIN_S = 5.0  # one bound for each direction in this time
+SURE = 20  # of so many messages in a bin the second best counts: one wrong time of sending must not decide
+RATE_STEPS = 80  # of the search, each a third nearer
+
+
+@dataclass(frozen=True, slots=True)
+class ClockLine:
+    """Clock b minus clock a at the time `a_s` of clock a: offset_s + rate * (a_s - at_s). `width_s` is that of the corridor."""
+
+    at_s: float
+    offset_s: float
+    rate: float
+    width_s: float
+
+
+def fitted_line(sent_a_s: Floats, received_b_s: Floats, sent_b_s: Floats, received_a_s: Floats) -> ClockLine | None:
+    """The line by the messages from a to b and from b to a; None where there are none in one direction."""
+    if not len(sent_a_s) or not len(sent_b_s):
+        return None
+    at_s = float(np.mean(sent_a_s))
+    upper_at_s, upper_s = _least(sent_a_s - at_s, received_b_s - sent_a_s)
+    lower_at_s, negative_s = _least(received_a_s - at_s, received_a_s - sent_b_s)
+    lower_s = -negative_s
+
+    def corridor(rate: float) -> tuple[float, float]:
+        """Highest line below and lowest line above all bounds, by their offsets at `at_s`."""
+        return float(np.max(lower_s - rate * lower_at_s)), float(np.min(upper_s - rate * upper_at_s))
+
+    rate = _widest(corridor)
+    least_s, most_s = corridor(rate)
+    return ClockLine(at_s, (least_s + most_s) / 2.0, rate, abs(most_s - least_s))
+
+
+def _least(at_s: Floats, apart_s: Floats) -> tuple[Floats, Floats]:
+    """The smallest value in each bin of time, or the second one where there are many, and its time."""
+    order = np.lexsort((apart_s, np.floor(at_s / BIN_S)))
+    bins = np.floor(at_s[order] / BIN_S)
+    first = np.flatnonzero(np.diff(bins, prepend=np.nan) != 0)
+    count = np.diff(np.append(first, len(bins)))
+    chosen = order[first + (count >= SURE)]
+    return at_s[chosen], apart_s[chosen]
+
+
+def _widest(corridor: Callable[[float], tuple[float, float]]) -> float:
+    """The rate with the widest corridor. The width is concave in the rate."""
+
+    def width(rate: float) -> float:
+        least_s, most_s = corridor(rate)
+        return most_s - least_s - abs(rate) * RATE_NEEDS_S
+
+    low, high = -MAX_RATE, MAX_RATE
+    for _ in range(RATE_STEPS):
+        third = (high - low) / 3.0
+        if width(low + third) < width(high - third):
+            low += third
+        else:
+            high -= third
+    return (low + high) / 2.0
+
+
+APART_S = 3600.0  # what begins by more before or after all of a flight is none of it
+NAMED = 5  # of those that are left out
+
+
+def of_one_flight(
+    recordings: Sequence[Recording], clocks: Sequence[RecordingClock], warn: Warn
+) -> list[tuple[Recording, RecordingClock]]:
+    """Those whose clocks are aligned, and what begins near them; without any, the latest and what begins near it.
+
+    `warn` gets one line where others are left out. There is at least one recording.
+    """
+    pairs = list(zip(recordings, clocks, strict=True))
+    begins_s = [clock.common_s(one.header.monotonic_s) for one, clock in pairs]
+    of_flight_s = [s for s, clock in zip(begins_s, clocks, strict=True) if clock.is_aligned] or [max(begins_s)]
+    first_s, last_s = min(of_flight_s) - APART_S, max(of_flight_s) + APART_S
+    others = [one for (one, _), s in zip(pairs, begins_s, strict=True) if not first_s <= s <= last_s]
+    if others:
+        warn(_left_out(others))
+    return [pair for pair, s in zip(pairs, begins_s, strict=True) if first_s <= s <= last_s]
+
+
+def _left_out(others: Sequence[Recording]) -> str:
+    named = ", ".join(f"{one.name} of {_date(one.header.unix_s)}" for one in others[:NAMED])
+    more = f" and {len(others) - NAMED} more" if len(others) > NAMED else ""
+    count = "1 recording" if len(others) == 1 else f"{len(others)} recordings"
+    return (
+        f"{count} of more than an hour before or after this flight, by the clocks on board, left out: {named}{more};"
+        " give each flight its own folder"
+    )
+
+
+def _date(unix_s: float) -> str:
+    return f"{datetime.fromtimestamp(unix_s, UTC):%Y-%m-%d %H:%M} UTC"

@@ -6,10 +6,24 @@ only to be looked at (`/decision`, `/timing`) is rounded. Times without other wo
 
 from __future__ import annotations
 
+from functools import cache
+from math import degrees, inf
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
+
+import msgspec
 from msgspec import Struct
+from msgspec.structs import fields
 
 from companion import __version__
+from companion.core.agent import Decision
+from companion.core.consensus.law import FormationLaw, used_weights
+from companion.geometry.vectors import rounded
+from companion.types.commands import Command, CommandReply
+from companion.types.flight import Role
+from companion.types.notices import Notice
 from companion.types.values import Vector3
+from companion.wire.messages import StatusReport
+from companion.wire.rounding import ACCELERATION, LENGTH, VELOCITY
 
 FORMAT = "formation-companion"
 FORMAT_VERSION = 1
@@ -80,3 +94,123 @@ class TimingRecord(Struct, frozen=True):
     decide_us: int
     whole_us: int
     telemetry_to_command_us: int | None
+
+
+SCHEMA_ENCODING = "jsonschema"  # of the schemas, as MCAP names it
+MESSAGE_ENCODING = "json"
+Schema = dict[str, Any]
+NoneType = type(None)
+
+
+class _InboxShown(Struct):
+    """What of /inbox has a fixed form."""
+
+    now_s: float
+    late_s: float
+    stopping: bool
+
+
+class _OutboxShown(Struct):
+    """What of /outbox has a fixed form: roll, pitch, yaw (rad) and thrust."""
+
+    now_s: float
+    attitude_target: tuple[float, float, float, float]
+
+
+TYPES: dict[str, tuple[str, type]] = {  # name of the schema and type of the messages
+    INBOX: ("companion.Inbox", _InboxShown),
+    OUTBOX: ("companion.Outbox", _OutboxShown),
+    DECISION: ("companion.DecisionRecord", DecisionRecord),
+    TIMING: ("companion.TimingRecord", TimingRecord),
+    STATUS: ("companion.StatusReport", StatusReport),
+    EVENT: ("companion.Notice", Notice),
+    COMMAND: ("companion.Command", Command),
+    REPLY: ("companion.CommandReply", CommandReply),
+    GROUND_STATUS: ("companion.StatusReport", StatusReport),
+    GROUND_COMMAND: ("companion.Command", Command),
+}
+
+
+@cache
+def schema(topic: str) -> tuple[str, bytes]:
+    """Name and JSON Schema of the messages of a topic."""
+    name, type_ = TYPES[topic]
+    return name, msgspec.json.encode({"title": name, **_object(type_)})
+
+
+def _object(type_: type) -> Schema:
+    properties = {field.name: described for field in fields(type_) if (described := _schema(field.type))}
+    return {"type": "object", "properties": properties}
+
+
+def _schema(type_: Any) -> Schema | None:
+    """None where the values have no fixed form."""
+    origin, parts = get_origin(type_), get_args(type_)
+    if origin is Annotated:
+        return _schema(parts[0])
+    if origin is Literal:
+        return _schema(type(parts[0]))
+    if origin in (tuple, list):
+        return _array([part for part in parts if part is not Ellipsis])
+    if origin is Union or type_.__class__.__name__ == "UnionType":
+        inner = [part for part in parts if part is not NoneType]
+        return _schema(inner[0]) if len(inner) == 1 else None
+    if not isinstance(type_, type):
+        return None
+    if issubclass(type_, Struct):
+        return _object(type_)
+    for base, name in ((bool, "boolean"), (str, "string"), (int, "integer"), (float, "number")):
+        if issubclass(type_, base):
+            return {"type": name}
+    return None
+
+
+def _array(parts: list[Any]) -> Schema | None:
+    items = [_schema(part) for part in parts]
+    same = items[0] if items and all(item == items[0] for item in items) else None
+    return None if same is None or same["type"] == "array" else {"type": "array", "items": same}
+
+
+def decision_record(decision: Decision, law: FormationLaw) -> DecisionRecord:
+    """The record of a decision under this law.
+
+    The own state has as many decimals as in the peer packet: the same text again costs a recording nothing.
+    """
+    vehicle, consensus, guidance, setpoint = (
+        decision.perception.vehicle,
+        decision.consensus,
+        decision.guidance,
+        decision.setpoint,
+    )
+    target, separation, reference, now_s = setpoint.target, setpoint.separation, guidance.reference, decision.now_s
+    nearest, battery_percent = separation.nearest, decision.perception.fitness.battery_percent
+    role, leader = consensus.role, consensus.leader_beacon
+    ids, located = consensus.neighbour_ids, vehicle.position_time_s > -inf
+    return DecisionRecord(
+        now_s=round(now_s, 6),
+        phase=decision.flight.phase.value,
+        role=role.value,
+        leader_id=leader.leader_id if leader else None,
+        epoch=consensus.epoch,
+        prc=consensus.prc,
+        position_enu_m=rounded(vehicle.position_enu_m, LENGTH) if located else None,
+        velocity_enu_m_s=rounded(vehicle.velocity_enu_m_s, VELOCITY) if located else None,
+        slot_offset_enu_m=rounded(guidance.slot.position_enu_m, 3),
+        reference_enu_m=rounded(reference.position_enu_m, 3) if reference and role is Role.LEADER else None,
+        neighbours=ids,
+        weights=tuple([round(w, 4) for w in used_weights(law, role is Role.LEADER, consensus.neighbour_prcs)]),
+        peer_ages_s=tuple([round(now_s - consensus.newest[i].measured_s, 3) for i in ids]),
+        acceleration_enu_m_s2=rounded(setpoint.acceleration_enu_m_s2, ACCELERATION),
+        roll_deg=round(degrees(target.roll_rad), 1) if target else None,
+        pitch_deg=round(degrees(target.pitch_rad), 1) if target else None,
+        yaw_deg=round(degrees(target.yaw_rad), 1) if target else None,
+        thrust_norm=round(target.thrust_norm, 3) if target else None,
+        nearest=nearest.name if nearest else "",
+        nearest_m=round(nearest.distance_m, 2) if nearest else None,
+        required_m=round(nearest.required_m, 2) if nearest else None,
+        filter_changed_m_s2=round(separation.changed_m_s2, 3),
+        wind_acceleration_enu_m_s2=rounded(setpoint.disturbance_enu_m_s2, 2),
+        hover_thrust_norm=round(setpoint.hover_thrust_norm, 3),
+        battery_percent=battery_percent,
+        flags=tuple(sorted(decision.safety.flags)),
+    )

@@ -13,12 +13,11 @@ from pathlib import Path
 import msgspec
 
 from companion.recording.reader import RecordingError
-from companion.report.autopilot.files import log_files, named_logs, read_logs
-from companion.report.autopilot.log import LogError
-from companion.report.finding import Severity, rows_of
-from companion.report.judge import judged
+from companion.report.autopilot_logs import LogError, log_files, named_logs, read_logs
+from companion.report.findings import Severity, rows_of
 from companion.report.load import load
 from companion.report.page import page_of, verdict
+from companion.report.summary import judged
 from companion.types.errors import RefusedCommandError
 
 EXIT_WRITTEN, EXIT_CRITICAL = 0, 1

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from companion.config.fleet import FleetConfig
-from companion.report.arrays import Bools, Floats, Words
 from companion.types.flight import FLYING
 from companion.types.notices import Code
 
@@ -175,3 +176,9 @@ class FlightRecords:
     @property
     def separation_m(self) -> float | None:
         return self.fleet.separation_m if self.fleet else None
+
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Words = NDArray[np.str_]
+Anything = NDArray[Any]

@@ -4,18 +4,47 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
-from companion.recording.alignment import RecordingClock, align
-from companion.recording.one_flight import of_one_flight
+import msgspec
+import numpy as np
+
+from companion.config.fleet import FleetConfig
+from companion.recording.alignment import RecordingClock, align, of_one_flight
 from companion.recording.reader import Recording, RecordingError, recordings
-from companion.recording.records import COMMAND, DECISION, EVENT, REPLY, STATUS, TIMING
-from companion.report.assemble import StartRecords, fleet_of, vehicle_log
-from companion.report.flight import FlightRecords, VehicleLog
+from companion.recording.records import (
+    COMMAND,
+    DECISION,
+    EVENT,
+    REPLY,
+    STATUS,
+    TIMING,
+    DecisionRecord,
+    Header,
+    TimingRecord,
+)
+from companion.report.flight import (
+    AgentStart,
+    Bools,
+    FlightEvent,
+    FlightRecords,
+    Floats,
+    GivenCommand,
+    NeighbourUse,
+    Statuses,
+    TickColumns,
+    TickTiming,
+    VehicleLog,
+    Words,
+)
+from companion.types.commands import Command, CommandReply
+from companion.types.notices import Notice
+from companion.types.status import Status
 
 TOPICS = (DECISION, TIMING, STATUS, EVENT, COMMAND, REPLY)
 MOST = {DECISION: 720_000, TIMING: 720_000, STATUS: 100_000, EVENT: 10_000, COMMAND: 10_000, REPLY: 10_000}
@@ -117,3 +146,194 @@ def _without(line: str, folder: str) -> str:
 
 def _nothing(_line: str) -> None:
     """Damage is reported when a recording is read as a whole."""
+
+
+ToFlight = Callable[[float], float]
+"""The time of the flight at a time of a monotonic clock."""
+
+
+@dataclass(frozen=True, slots=True)
+class StartRecords:
+    """What one start of an agent recorded, with times of its monotonic clock. Lists are in the order of time."""
+
+    header: Header
+    decisions: list[DecisionRecord] = field(default_factory=list)
+    timings: list[TimingRecord] = field(default_factory=list)
+    statuses: list[tuple[float, Status]] = field(default_factory=list)
+    events: list[tuple[float, Notice]] = field(default_factory=list)
+    commands: list[tuple[float, Command]] = field(default_factory=list)
+    replies: list[tuple[float, CommandReply]] = field(default_factory=list)
+    files: tuple[str, ...] = ()
+    problems: tuple[str, ...] = ()
+
+    @property
+    def span_s(self) -> tuple[float, float]:
+        """First and last record; the time of the header where there is none."""
+        times_s = [record.now_s for record in (*self.decisions[:1], *self.decisions[-1:])]
+        for timed in (self.statuses, self.events, self.commands):
+            times_s += [row[0] for row in (*timed[:1], *timed[-1:])]
+        return (min(times_s), max(times_s)) if times_s else (self.header.monotonic_s, self.header.monotonic_s)
+
+
+def fleet_of(header: Header) -> tuple[FleetConfig | None, tuple[str, ...]]:
+    """The fleet file of a recording, or why it cannot be used."""
+    try:
+        return msgspec.json.decode(header.fleet_file, type=FleetConfig), ()
+    except msgspec.MsgspecError as error:
+        return None, (
+            f"the fleet file in the recording of vehicle {header.vehicle_id} cannot be used ({error}): distances are"
+            " not judged",
+        )
+
+
+def vehicle_log(starts: Sequence[StartRecords], clocks: Sequence[ToFlight], aligned: bool = True) -> VehicleLog:
+    """One vehicle from its starts in the order of time; `clocks` give the times of the flight for each."""
+    both = list(zip(starts, clocks, strict=True))
+    decisions = [(at(record.now_s), record) for start, at in both for record in start.decisions]
+    timings = [(at(record.now_s), record) for start, at in both for record in start.timings]
+    statuses = [(at(time_s), status) for start, at in both for time_s, status in start.statuses]
+    return VehicleLog(
+        starts[0].header.vehicle_id,
+        tuple(_start(start, at) for start, at in both),
+        ticks_of([time_s for time_s, _ in decisions], [record for _, record in decisions]),
+        timing_of([time_s for time_s, _ in timings], [record for _, record in timings]),
+        statuses_of([time_s for time_s, _ in statuses], [status for _, status in statuses]),
+        tuple(FlightEvent(at(time_s), one.code, one.text) for start, at in both for time_s, one in start.events),
+        tuple(command for start, at in both for command in given_commands(start, at)),
+        aligned,
+    )
+
+
+def _start(start: StartRecords, at: ToFlight) -> AgentStart:
+    begins_s, ends_s = start.span_s
+    header = start.header
+    return AgentStart(header.session, header.software, at(begins_s), at(ends_s), start.files, start.problems)
+
+
+def given_commands(start: StartRecords, at: ToFlight) -> list[GivenCommand]:
+    """Each command once, however often its sender repeated it, with its first answer."""
+    answers: dict[tuple[str, int], tuple[float, CommandReply]] = {}
+    for time_s, reply in start.replies:
+        answers.setdefault((reply.operator, reply.number), (time_s, reply))
+    given: dict[tuple[str, int], GivenCommand] = {}
+    for time_s, command in start.commands:
+        key = (command.operator, command.number)
+        if key in given:
+            continue
+        given[key] = GivenCommand(at(time_s), command.name, command.number, command.operator)
+        if answer := answers.get(key):
+            answered_s, reply = answer
+            given[key] = replace(
+                given[key],
+                answered_s=at(answered_s),
+                accepted=reply.accepted,
+                code=reply.code,
+                text=reply.reason,
+            )
+    return list(given.values())
+
+
+NO_VECTOR = (np.nan, np.nan, np.nan)
+LARGEST = 1e9  # of no quantity in the units of the records is there more
+
+
+def ticks_of(time_s: Sequence[float], records: Sequence[DecisionRecord]) -> TickColumns:
+    """The columns of decisions at these times (n,)."""
+    return TickColumns(
+        time_s=np.array(time_s, dtype=np.float64),
+        phase=_words(records, "phase"),
+        role=_words(records, "role"),
+        leader_id=_numbers(records, "leader_id"),
+        epoch=_numbers(records, "epoch"),
+        prc=_numbers(records, "prc"),
+        position_enu_m=_vectors(records, "position_enu_m"),
+        velocity_enu_m_s=_vectors(records, "velocity_enu_m_s"),
+        slot_offset_enu_m=_vectors(records, "slot_offset_enu_m"),
+        reference_enu_m=_vectors(records, "reference_enu_m"),
+        neighbours=_neighbours(records),
+        acceleration_enu_m_s2=_vectors(records, "acceleration_enu_m_s2"),
+        nearest=_words(records, "nearest"),
+        nearest_m=_numbers(records, "nearest_m"),
+        required_m=_numbers(records, "required_m"),
+        filter_changed_m_s2=_numbers(records, "filter_changed_m_s2"),
+        wind_acceleration_enu_m_s2=_vectors(records, "wind_acceleration_enu_m_s2"),
+        hover_thrust_norm=_numbers(records, "hover_thrust_norm"),
+        battery_percent=_numbers(records, "battery_percent"),
+        flags=_flags(records),
+    )
+
+
+def timing_of(time_s: Sequence[float], records: Sequence[TimingRecord]) -> TickTiming:
+    """The columns of the timing of ticks, in milliseconds."""
+    return TickTiming(
+        np.array(time_s, dtype=np.float64),
+        _numbers(records, "late_us") / 1e3,
+        _numbers(records, "decide_us") / 1e3,
+        _numbers(records, "whole_us") / 1e3,
+        _numbers(records, "telemetry_to_command_us") / 1e3,
+    )
+
+
+def statuses_of(time_s: Sequence[float], records: Sequence[Status]) -> Statuses:
+    """The columns of status reports."""
+    errors = [record.position_error for record in records]
+    return Statuses(
+        np.array(time_s, dtype=np.float64),
+        np.array([record.armed for record in records], dtype=np.bool_),
+        np.array([int(record.landed) for record in records], dtype=np.float64),
+        _words(records, "mode_name"),
+        _numbers(records, "battery_percent"),
+        np.array([error.horizontal_m if error else np.nan for error in errors], dtype=np.float64),
+        np.array([error.vertical_m if error else np.nan for error in errors], dtype=np.float64),
+        tuple(frozenset(record.peers) for record in records),
+        np.array([float(sum(record.rejected.values())) for record in records], dtype=np.float64),
+    )
+
+
+def _numbers(records: Iterable[Any], name: str) -> Floats:
+    get = attrgetter(name)
+    return _possible(
+        np.array([np.nan if (value := get(record)) is None else value for record in records], dtype=np.float64)
+    )
+
+
+def _vectors(records: Iterable[Any], name: str) -> Floats:
+    get = attrgetter(name)
+    return _possible(np.array([get(record) or NO_VECTOR for record in records], dtype=np.float64).reshape(-1, 3))
+
+
+def _possible(values: Floats) -> Floats:
+    """NaN in place of what no agent records: a figure would have no end."""
+    return np.where(np.abs(values) <= LARGEST, values, np.nan)
+
+
+def _words(records: Iterable[Any], name: str) -> Words:
+    get = attrgetter(name)
+    return np.array([get(record) for record in records], dtype=np.str_)
+
+
+def _neighbours(records: Sequence[DecisionRecord]) -> Mapping[int, NeighbourUse]:
+    """A weight or an age that is missing at the end of a record counts as not known."""
+    columns: dict[int, NeighbourUse] = {}
+    for row, record in enumerate(records):
+        for place, other in enumerate(record.neighbours):
+            use = columns.get(other)
+            if use is None:
+                use = columns[other] = NeighbourUse(_unknown(len(records)), _unknown(len(records)))
+            use.weight[row] = record.weights[place] if place < len(record.weights) else np.nan
+            use.age_s[row] = record.peer_ages_s[place] if place < len(record.peer_ages_s) else 0.0
+    return dict(sorted(columns.items()))
+
+
+def _flags(records: Sequence[DecisionRecord]) -> Mapping[str, Bools]:
+    columns: dict[str, Bools] = {}
+    for row, record in enumerate(records):
+        for flag in record.flags:
+            if flag not in columns:
+                columns[flag] = np.zeros(len(records), dtype=np.bool_)
+            columns[flag][row] = True
+    return columns
+
+
+def _unknown(rows: int) -> Floats:
+    return np.full(rows, np.nan)

@@ -10,14 +10,27 @@ import jinja2
 from markupsafe import Markup, escape
 
 from companion import __version__
-from companion.report.configuration import member_rows, recording_rows, settings_rows
-from companion.report.figures.all import Section, sections_of
-from companion.report.figures.style import TimeAxis, marks_of
-from companion.report.finding import FindingRow, Severity, rows_of
-from companion.report.findings.timing import LATE_P99_MS, TO_COMMAND_P99_MS
+from companion.config.fleet import EdgeNeighbours, FleetConfig
+from companion.report.bar_figures import draw_flags, draw_histograms, draw_lateness, draw_leaders, draw_phases
+from companion.report.curve_figures import (
+    draw_altitude,
+    draw_autopilot_logs,
+    draw_battery,
+    draw_distances,
+    draw_errors,
+    draw_interventions,
+    draw_peer_ages,
+    draw_position_errors,
+    draw_prc,
+    draw_weights,
+    draw_wind,
+)
+from companion.report.findings import FindingRow, Severity, rows_of
 from companion.report.flight import FlightEvent, FlightRecords, GivenCommand
-from companion.report.judge import Judged
-from companion.report.summary import FlightSummary
+from companion.report.plotting import DrawnFigure, TimeAxis, marks_of
+from companion.report.record_findings import LATE_P99_MS, TO_COMMAND_P99_MS
+from companion.report.summary import FlightSummary, Judged
+from companion.report.track_figures import draw_topology, draw_tracks
 
 SIGNS = {Severity.CRITICAL: "✖", Severity.WARNING: "▲", Severity.INFO: "●"}  # distinct without colour
 MOST_EVENTS, MOST_COMMANDS = 400, 1000
@@ -115,3 +128,100 @@ def event_rows(flight: FlightRecords) -> list[EventRow]:
     """All events by time."""
     rows = [EventRow(vehicle.vehicle_id, one) for vehicle in flight.vehicles for one in vehicle.events]
     return sorted(rows, key=lambda row: (row.event.time_s, row.vehicle_id))
+
+
+MOST_EDGES = 40
+
+
+def settings_rows(fleet: FleetConfig) -> list[tuple[str, str]]:
+    """(name as in the fleet file, value)."""
+    envelope, law = fleet.envelope, fleet.law
+    neighbours = fleet.neighbours
+    if isinstance(neighbours, EdgeNeighbours):
+        edges = ", ".join(f"{a} - {b}" for a, b in neighbours.edges[:MOST_EDGES])
+        topology = f"edges {edges}" + (" and more" if len(neighbours.edges) > MOST_EDGES else "")
+    else:
+        topology = f"within {neighbours.range_m:g} m, hysteresis {neighbours.hysteresis_m:g} m"
+    low, high = envelope.fence_min_enu_m, envelope.fence_max_enu_m
+    fence = ", ".join(f"{name} {a:g} to {b:g} m" for name, a, b in zip(("x", "y", "z"), low, high, strict=True))
+    return [
+        ("law", f"{law.name}, altitude {law.altitude}"),
+        ("neighbours", topology),
+        ("separation_m", f"{fleet.separation_m:g}"),
+        ("fence", fence + (f"; polygon of {n} corners" if (n := len(envelope.fence_corners_enu_m)) else "")),
+        ("obstacles", str(len(fleet.obstacles))),
+        ("max_speed_m_s", f"{envelope.max_speed_m_s:g}"),
+        ("max_tilt_deg", f"{envelope.max_tilt_deg:g}"),
+        ("peers.max_age_s", f"{fleet.peers.max_age_s:g}"),
+        ("peers.leader_beacon_max_age_s", f"{fleet.peers.leader_beacon_max_age_s:g}"),
+        ("successors", ", ".join(map(str, fleet.successors)) or "none"),
+        ("leave_below_percent", _percent(fleet.leave_below_percent) + f", then {fleet.low_battery_action}"),
+        ("land_below_percent", _percent(fleet.land_below_percent)),
+        ("formation_heading", fleet.formation_heading),
+        ("when_one_leaves", fleet.when_one_leaves),
+    ]
+
+
+def member_rows(fleet: FleetConfig) -> list[tuple[int, str, str, bool]]:
+    """(vehicle, role, slot, may lead)."""
+    return [
+        (member.id, str(member.role), ", ".join(f"{x:g}" for x in member.slot_enu_m), member.can_lead)
+        for member in fleet.vehicles
+    ]
+
+
+def recording_rows(flight: FlightRecords) -> list[tuple[int, int, str, float, float, str]]:
+    """(vehicle, number of the start, software, begin, end, files)."""
+    return [
+        (vehicle.vehicle_id, number, start.software, start.begins_s, start.ends_s, ", ".join(start.files))
+        for vehicle in flight.vehicles
+        for number, start in enumerate(vehicle.starts, start=1)
+    ]
+
+
+def _percent(value: float | None) -> str:
+    return "not set" if value is None else f"{value:g}"
+
+
+Section = tuple[str, list[DrawnFigure]]
+
+
+def sections_of(one: Judged, axis: TimeAxis) -> list[Section]:
+    """(title, figures). A figure of something that never occurred is left out."""
+    flight, pairs, errors_m = one.flight, one.pairs, one.errors_m
+    drawn: list[tuple[str, list[DrawnFigure | None]]] = [
+        (
+            "Flight",
+            [draw_tracks(flight, pairs), draw_altitude(flight, axis), draw_phases(flight, axis)],
+        ),
+        (
+            "Formation",
+            [
+                draw_distances(flight, pairs, axis) if pairs else None,
+                draw_errors(flight, errors_m, axis),
+                draw_interventions(flight, axis),
+            ],
+        ),
+        (
+            "Law and leader",
+            [
+                draw_leaders(flight, axis),
+                draw_prc(flight, axis),
+                draw_topology(flight),
+                draw_peer_ages(flight, axis),
+                draw_weights(flight, axis),
+            ],
+        ),
+        (
+            "Health",
+            [
+                draw_flags(flight, axis),
+                draw_battery(flight, axis),
+                draw_position_errors(flight, axis),
+                draw_wind(flight, axis),
+            ],
+        ),
+        ("Autopilots", [*draw_autopilot_logs(flight, one.logs.matched, axis)]),
+        ("Timing", [draw_histograms(flight), draw_lateness(flight, axis)]),
+    ]
+    return [(title, [one for one in pictures if one is not None]) for title, pictures in drawn]

@@ -3,18 +3,35 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from msgspec import Struct
 
 from companion import __version__
-from companion.report.arrays import Floats
-from companion.report.distances import PairDistance
-from companion.report.errors import in_formation
-from companion.report.finding import Finding, Severity
-from companion.report.findings.timing import timing_figures
-from companion.report.flight import FlightRecords, VehicleLog
+from companion.report.autopilot_logs import NO_LOGS, AutopilotLogs
+from companion.report.distances import PairDistance, errors_to_slot_m, grid_of, in_formation, pair_distances
+from companion.report.findings import Finding, Severity, in_order
+from companion.report.flight import FlightRecords, Floats, VehicleLog
+from companion.report.flight_findings import (
+    disarmed_in_air,
+    failsafe_events,
+    lost_peers,
+    raised_flags,
+    refused_commands,
+    settings_of,
+    streams_ended,
+    too_close,
+)
+from companion.report.record_findings import (
+    autopilot_findings,
+    late,
+    recording_gaps,
+    starts_and_ends,
+    timing_figures,
+    whole_flight,
+)
 
 SUMMARY_VERSION = 1
 
@@ -128,3 +145,49 @@ def _lasts_s(vehicle: VehicleLog, holds: np.ndarray) -> float:
 
 def _known(value: float, digits: int = 2) -> float | None:
     return None if math.isnan(value) else round(float(value), digits)
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """Pairs with the nearest first; errors to the slot by vehicle, per tick."""
+
+    flight: FlightRecords
+    pairs: Sequence[PairDistance]
+    errors_m: Mapping[int, Floats]
+    summary: FlightSummary
+    logs: AutopilotLogs
+
+
+def judged(flight: FlightRecords, logs: AutopilotLogs = NO_LOGS) -> Judged:
+    """Distances, errors and findings, from all records."""
+    pairs = pair_distances(flight, grid_of(flight))
+    errors_m = errors_to_slot_m(flight)
+    findings = all_findings(flight, pairs, logs)
+    return Judged(flight, pairs, errors_m, summary_of(flight, pairs, errors_m, findings), logs)
+
+
+def all_findings(
+    flight: FlightRecords, pairs: Sequence[PairDistance], logs: AutopilotLogs = NO_LOGS
+) -> tuple[Finding, ...]:
+    """In the order of the page: the most severe first."""
+    return in_order(_found(flight, pairs, logs))
+
+
+def _found(flight: FlightRecords, pairs: Sequence[PairDistance], logs: AutopilotLogs) -> Iterator[Finding]:
+    settings = settings_of(flight.fleet)
+    yield from whole_flight(flight)
+    yield from too_close(pairs, flight.separation_m)
+    yield from lost_peers(flight)
+    for vehicle in flight.vehicles:
+        yield from raised_flags(vehicle, settings)
+        yield from failsafe_events(vehicle)
+        yield from streams_ended(vehicle)
+        yield from disarmed_in_air(vehicle)
+        yield from late(vehicle)
+        yield from refused_commands(vehicle)
+        yield from recording_gaps(vehicle)
+        yield from starts_and_ends(flight, vehicle)
+    yield from logs.left_out
+    vehicles = {vehicle.vehicle_id: vehicle for vehicle in flight.vehicles}
+    for matched in logs.matched:
+        yield from autopilot_findings(matched, vehicles[matched.vehicle_id])

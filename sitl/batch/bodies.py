@@ -14,6 +14,7 @@ from companion.stability.arrays import FloatArray
 from companion.types.values import GRAVITY_M_S2
 from sitl.batch.columns import IntArray
 from sitl.vehicle.config import Airframe
+from sitl.vehicle.control import PX4_LOOPS as LOOPS
 
 ROWS = 17
 POSITION, VELOCITY, ATTITUDE, RATES, MOTORS = slice(0, 3), slice(3, 6), slice(6, 10), slice(10, 13), slice(13, 17)
@@ -153,3 +154,119 @@ class RungeKutta:
         total *= dt_s / 6.0
         state += total
         bodies.normalise(state)
+
+
+def product(first: FloatArray, then: FloatArray) -> FloatArray:
+    """The rotation `first`, followed by `then` about the rotated body axes."""
+    w, x, y, z = first
+    a, b, c, d = then
+    turned = np.empty_like(first)
+    turned[0] = w * a - x * b - y * c - z * d
+    turned[1] = x * a + w * b + y * d - z * c
+    turned[2] = y * a + w * c + z * b - x * d
+    turned[3] = z * a + w * d + x * c - y * b
+    return turned
+
+
+def quaternion_of_turns(angles_rad: FloatArray) -> FloatArray:
+    """Quaternions of small angles (3, k) about the body axes."""
+    quaternion = np.empty((4, angles_rad.shape[1]))
+    quaternion[0] = 1.0
+    np.multiply(angles_rad, 0.5, out=quaternion[1:])
+    quaternion /= np.sqrt(np.square(quaternion).sum(axis=0))
+    return quaternion
+
+
+def euler_rad(attitude: FloatArray) -> FloatArray:
+    """Roll, pitch, yaw (3, k) of unit quaternions (4, k), FLU in ENU."""
+    w, x, y, z = attitude
+    euler = np.empty((3, w.size))
+    np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y), out=euler[0])
+    np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0), out=euler[1])
+    np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z), out=euler[2])
+    return euler
+
+
+def quaternion_of_euler(roll_rad: FloatArray, pitch_rad: FloatArray, yaw_rad: FloatArray) -> FloatArray:
+    """Quaternions (4, k) of Rz(yaw) Ry(pitch) Rx(roll)."""
+    halves = 0.5 * np.stack([roll_rad, pitch_rad, yaw_rad])
+    (cr, cp, cy), (sr, sp, sy) = np.cos(halves), np.sin(halves)
+    return np.stack(
+        [
+            cr * cp * cy + sr * sp * sy,
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+        ]
+    )
+
+
+HALF_TURN = 1e-6  # bound of `turn` for an error of half a turn, where either direction is as short
+MOST_RAD_S = np.array([[LOOPS.max_rate_rad_s], [LOOPS.max_rate_rad_s], [LOOPS.max_yaw_rate_rad_s]])
+
+
+def delay_steps(dt_s: float) -> int:
+    """Delay of an attitude target in the loops."""
+    return max(1, round(LOOPS.delay_s / dt_s))
+
+
+class AttitudeLoops:
+    """Both loops of N vehicles with inertia (3, N). Reuses its working memory between steps."""
+
+    def __init__(self, inertia_kg_m2: FloatArray) -> None:
+        count = inertia_kg_m2.shape[1]
+        self._gain = inertia_kg_m2 * np.array([[LOOPS.rate_gain_1_s], [LOOPS.rate_gain_1_s], [LOOPS.yaw_rate_gain_1_s]])
+        self._products = np.empty((4, 4, count))
+        self._error = np.empty((4, count))
+        self._turn, self._one = np.empty(count), np.empty(count)
+
+    def moments(self, goal: FloatArray, measured: FloatArray, rates_rad_s: FloatArray, out: FloatArray) -> None:
+        """Moments [N m] into `out` (3, N). Attitudes are quaternions (4, N), FLU to ENU."""
+        self._wanted_rates(goal, measured, out)
+        np.minimum(out, MOST_RAD_S, out=out)
+        np.maximum(out, -MOST_RAD_S, out=out)
+        out -= rates_rad_s
+        out *= self._gain
+
+    def _wanted_rates(self, goal: FloatArray, measured: FloatArray, out: FloatArray) -> None:
+        """Gains times sitl.vehicle.control.rotation_error."""
+        product, (ew, ex, ey, ez) = self._products, self._error
+        np.multiply(measured[:, None, :], goal[None, :, :], out=product)
+        np.add(product[0, 0], product[1, 1], out=ew)
+        ew += product[2, 2]
+        ew += product[3, 3]
+        np.subtract(product[0, 1], product[1, 0], out=ex)
+        ex -= product[2, 3]
+        ex += product[3, 2]
+        np.subtract(product[0, 2], product[2, 0], out=ey)
+        ey += product[1, 3]
+        ey -= product[3, 1]
+        np.subtract(product[0, 3], product[3, 0], out=ez)
+        ez -= product[1, 2]
+        ez += product[2, 1]
+
+        turn, one = self._turn, self._one
+        np.square(ew, out=turn)
+        np.square(ez, out=one)
+        turn += one
+        np.sqrt(turn, out=turn)
+        upside_down = np.flatnonzero(turn < HALF_TURN) if turn.min() < HALF_TURN else None
+        np.maximum(turn, HALF_TURN, out=turn)
+        np.divide(2.0 * LOOPS.tilt_gain_1_s, turn, out=turn)
+
+        p, q, r = out
+        np.multiply(ew, ex, out=p)
+        np.multiply(ez, ey, out=one)
+        p -= one
+        p *= turn
+        np.multiply(ew, ey, out=q)
+        np.multiply(ez, ex, out=one)
+        q += one
+        q *= turn
+        np.multiply(ez, turn, out=r)
+        r *= LOOPS.yaw_gain_1_s / LOOPS.tilt_gain_1_s
+        np.copysign(1.0, ew, out=one)
+        r *= one
+        if upside_down is not None:
+            out[:, upside_down] = 2.0 * LOOPS.tilt_gain_1_s * self._error[1:4, upside_down]
+            out[2, upside_down] = 0.0

@@ -7,11 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from companion.assembly import law_of
+from companion.config.reference import Reference
+from companion.core.consensus.law import FormationState
+from companion.core.reference.trajectories import ReferenceTrajectory
 from companion.stability.arrays import FloatArray
 from companion.types.flight import Role
 from sitl.batch.columns import BoolArray, Columns, IntArray
 from sitl.flight.files import known_drag_1_s
-from sitl.flight.scenario import Scenario
+from sitl.flight.scenario import Scenario, reference_of
 
 
 class BatchLaws:
@@ -93,3 +96,47 @@ class BatchLaws:
             vertical = -self._hold_k1[group] * climb_m - self._hold_k2[group] * own[5]
             np.copyto(acceleration[2], vertical, where=holds)
         return acceleration
+
+
+class References:
+    """References of all columns, constant before t = 0. `leaders[g]` (L,) are the columns of group g with a reference."""
+
+    def __init__(self, scenarios: Sequence[Scenario], columns: Columns, is_leader: BoolArray) -> None:
+        kinds: dict[Reference, int] = {}
+        self._trajectories: list[ReferenceTrajectory] = []
+        of_formation = np.zeros(len(scenarios), dtype=np.int64)
+        for b, scenario in enumerate(scenarios):
+            if scenario.reference not in kinds:
+                kinds[scenario.reference] = len(self._trajectories)
+                self._trajectories.append(reference_of(scenario))
+            of_formation[b] = kinds[scenario.reference]
+        self._of_formation = of_formation
+        self.leaders: list[IntArray] = []
+        self._kinds: list[IntArray] = []  # the distinct references of each group
+        self._which: list[IntArray] = []  # for each leader, the index of its reference in `_kinds`
+        of_column = of_formation[columns.formation]
+        for group in columns.groups:
+            leaders = np.flatnonzero(is_leader[group])
+            distinct, which = np.unique(of_column[group][leaders], return_inverse=True)
+            self.leaders.append(leaders)
+            self._kinds.append(distinct)
+            self._which.append(which)
+
+    def at(self, group: int, reference_s: float) -> FloatArray:
+        """R and r'' (9, L) for the leaders of this group."""
+        rows = np.array([_row(self._trajectories[kind](max(0.0, reference_s))) for kind in self._kinds[group].tolist()])
+        return rows.reshape(-1, 9)[self._which[group]].T
+
+    def positions_enu_m(self, reference_s: FloatArray) -> FloatArray:
+        """r (ticks, 3) where all formations have the same, else (ticks, B, 3)."""
+        of_kind = np.array(
+            [
+                [trajectory(t).position_enu_m for trajectory in self._trajectories]
+                for t in np.maximum(0.0, reference_s).tolist()
+            ]
+        )
+        return of_kind[:, 0] if len(self._trajectories) == 1 else of_kind[:, self._of_formation]
+
+
+def _row(place: FormationState) -> tuple[float, ...]:
+    return (*place.position_enu_m, *place.velocity_enu_m_s, *place.acceleration_enu_m_s2)

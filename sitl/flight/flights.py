@@ -34,16 +34,17 @@ from sitl.report.folder import open_folder
 from sitl.report.metrics import (
     FormationFigures,
     FormationFlight,
+    Tracking,
     Tracks,
     TrackSource,
     formation_figures,
     neighbouring_pairs,
     pair_name,
     smallest_distance_m,
+    tracking,
 )
 from sitl.report.progress import FlightProgress
 from sitl.report.summary import RunSummary, TickFigures, VehicleSummary, in_words, write_json
-from sitl.report.tracking import Tracking, tracking
 from sitl.stopping import StopRequest
 
 MODEL = LinearModel()

@@ -25,10 +25,9 @@ from sitl.flight.watch import FlightWatch, vehicles_in_words, watch_of
 from sitl.links.free_ports import reserved_ports
 from sitl.links.ports import LOOPBACK, ports_of, zenoh_endpoint
 from sitl.report.folder import open_folder
-from sitl.report.load import overload_line
-from sitl.report.metrics import Tracks, TrackSource
+from sitl.report.metrics import TrackError, Tracks, TrackSource, read_track, reported_track, write_track
 from sitl.report.progress import FlightProgress
-from sitl.report.tracks import TrackError, read_track, reported_track, write_track
+from sitl.report.summary import overload_line
 from sitl.stopping import StopRequest
 from sitl.vehicle.truth import armed_at_m
 

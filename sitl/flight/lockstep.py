@@ -14,9 +14,9 @@ from companion.assembly import build_agent
 from companion.config.vehicle import AgentConfig
 from companion.core.agent import Agent
 from companion.mavlink.autopilot_types import DIALECTS
+from companion.recording.recorder import recorder_of
 from companion.recording.records import TimingRecord
-from companion.recording.writer.start import recorder_of
-from companion.recording.writer.writing import WritingAtOnce
+from companion.recording.writing import WritingAtOnce
 from companion.types.autopilot import AutopilotMode
 from companion.types.commands import Command, CommandName, CommandReply, Content
 from companion.types.peers import ReceivedTarget, TargetSample
@@ -30,7 +30,7 @@ from sitl.flight.files import autopilot_file, ids_of, reached_stand_in, vehicle_
 from sitl.flight.scenario import Scenario
 from sitl.links.direct_link import DirectLink
 from sitl.links.network import Network
-from sitl.report.tracks import Track
+from sitl.report.metrics import Track
 from sitl.vehicle.config import AutopilotFile, Links
 from sitl.vehicle.dynamics import State
 from sitl.vehicle.truth import TRUTH_HEADER, truth_row

@@ -15,8 +15,8 @@ from sitl.flight.moving_targets import MovingTargets
 from sitl.flight.orders import FlightFailure, Refusal
 from sitl.flight.scenario import Scenario, TimelineStep
 from sitl.flight.watch import FlightWatch, watch_of
+from sitl.report.metrics import Track
 from sitl.report.progress import FlightProgress
-from sitl.report.tracks import Track
 from sitl.stopping import StopRequest
 
 OBJECTS = 50_000  # net allocations before a collection; with the default of 700 it takes an eighth of the time

@@ -16,11 +16,8 @@ from companion.types.status import Status
 from companion.types.values import ZERO3, Vector3
 from companion.wire.messages import StatusReport, Timing
 from sitl.flight.scenario import Scenario, TimelineStep
-from sitl.report.load import overload
-from sitl.report.metrics import Formation
-from sitl.report.records import CommandGiven, ReportedEvent, TopologyChange
-from sitl.report.tracking import Leadership
-from sitl.report.tracks import Track, reported_track
+from sitl.report.metrics import Formation, Leadership, Track, reported_track
+from sitl.report.summary import CommandGiven, ReportedEvent, TopologyChange, overload
 
 SAME_POSITION_S = 0.005  # two reports of one position differ by less, because the transport time varies
 SILENT_S = 3.0  # the agent of a flying vehicle that reports nothing for so long has failed

@@ -13,16 +13,12 @@ from msgspec import Struct
 from companion.config.fleet_check import load_fleet
 from companion.types.errors import EXIT_DONE, EXIT_FAILED, UnusableError
 from sitl.cluster import workers_of
-from sitl.gauntlet.drawn import family_of
 from sitl.gauntlet.families import FAMILIES
-from sitl.gauntlet.flight import FlightOutcome, Job, fly
-from sitl.gauntlet.page import page
-from sitl.gauntlet.summary import COLUMNS, MEANING, FamilySummary, cells, summarize
-from sitl.gauntlet.worst import write_worst
-from sitl.report.folder import results_folder
-from sitl.report.share import ShareProgress
+from sitl.gauntlet.flight import FlightOutcome, Job, family_of, fly
+from sitl.gauntlet.summary import COLUMNS, MEANING, FamilySummary, cells, page, summarize, write_worst
+from sitl.report.folder import results_folder, table_text
+from sitl.report.progress import ShareProgress
 from sitl.report.summary import write_json
-from sitl.report.table import table_text
 from sitl.stopping import StopNow, StopRequest
 from sitl.workers import POLL_S, Workers
 

@@ -4,19 +4,35 @@ from __future__ import annotations
 
 import time
 import traceback
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from math import cos, pi, sin
+from pathlib import Path
+from random import Random
+from typing import Any
 
+import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
+from companion.config.file import ConfigError
 from companion.config.fleet import FleetConfig
+from companion.stability.arrays import FloatArray
+from companion.types.errors import CompanionError
+from companion.types.flight import FlightPhase
 from companion.types.notices import Code
+from companion.types.values import Vector3
+from sitl.flight.flights import DivergesError, check_convergence
+from sitl.flight.lockstep import VirtualStandIn
 from sitl.flight.orders import Refusal
-from sitl.flight.scenario import Scenario
+from sitl.flight.scenario import Scenario, scenario_from
 from sitl.flight.virtual_flight import Flown, fly_without_landing
-from sitl.gauntlet.arrival import SlotArrivals, arrivals
-from sitl.gauntlet.distances import SENSOR_FACTOR, Distances, distances
-from sitl.gauntlet.drawn import Drawn, ImpossibleFlightError, drawn, family_of
-from sitl.gauntlet.fleets import SensorsName
+from sitl.flight.watch import FlightWatch
+from sitl.gauntlet.families import FAMILIES, FORM_S, FamilyPlan, step
+from sitl.gauntlet.fleets import START_SPACING, DrawnFleet, SensorsName, random_fleet, rounded, sections
+from sitl.report.metrics import Track, reported_track
 from sitl.report.progress import FlightProgress
 from sitl.vehicle.config import Links
 
@@ -132,3 +148,249 @@ def _codes(flown: Flown) -> list[Code]:
 
 def _since(began_s: float) -> float:
     return round(time.process_time() - began_s, 2)
+
+
+RUNAWAY_EVERY = 10
+SEEN_S = 1.0  # a runaway has its speed, and the others have received it
+RUNAWAY_M_S = (0.3, 2.0)
+DRAWS = 200
+NAMES = tuple(FAMILIES)
+
+
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """A flight before it is flown. `expected`: the vehicles that are to be in their slots at the end."""
+
+    number: int
+    family: str
+    scenario: Scenario
+    expected: tuple[int, ...]
+    slots_from_s: float
+    ends_s: float
+    runaway: int | None
+
+
+class ImpossibleFlightError(CompanionError):
+    """No draw gave a flight that vehicles accept. str() names the last refusal."""
+
+
+def family_of(number: int) -> str:
+    """The family of a flight; it depends on its number alone."""
+    return NAMES[number % len(NAMES)]
+
+
+def has_runaway(number: int) -> bool:
+    return number % RUNAWAY_EVERY == RUNAWAY_EVERY - 1
+
+
+def drawn(seed: int, number: int, sensors: SensorsName | None = None, own: FleetConfig | None = None) -> Drawn:
+    """The flight with this seed and number, of a user's own fleet if one is given. Raises NoFlightError."""
+    random, last = Random(f"{seed} {number} gauntlet"), ""
+    for _ in range(DRAWS):
+        fleet = random_fleet(random, sensors, own)
+        plan = FAMILIES[family_of(number)](random, fleet)
+        content, runaway = _content(random, fleet, plan, has_runaway(number))
+        content["description"] = f"Flight {number} of the gauntlet with seed {seed}, {family_of(number)}."
+        try:
+            scenario = scenario_from(Path(f"flight {number}"), content)
+            check_convergence(scenario)
+        except (ConfigError, DivergesError) as error:
+            last = str(error)
+            continue
+        expected = plan.expected if plan.expected is not None else fleet.ids
+        arrives = tuple(i for i in expected if i != runaway and (i not in plan.stays_out or _joins(plan, i)))
+        times_s = (rounded(FORM_S + plan.slots_from_s), rounded(FORM_S + plan.lasts_s))
+        return Drawn(number, family_of(number), scenario, arrives, *times_s, runaway)
+    raise ImpossibleFlightError(f"no draw of flight {number} with seed {seed} can be flown: {last}")
+
+
+def _joins(plan: FamilyPlan, vehicle_id: int) -> bool:
+    return any(one["command"] == "form" and vehicle_id in one.get("vehicles", ()) for one in plan.steps)
+
+
+def _content(
+    random: Random, fleet: DrawnFleet, plan: FamilyPlan, with_runaway: bool
+) -> tuple[dict[str, Any], int | None]:
+    """The scenario as plain content, and the runaway vehicle."""
+    stays_out, runaway, pilots = set(plan.stays_out), None, []
+    if with_runaway:
+        runaway = random.choice([i for i in fleet.followers if i not in (fleet.successor, *stays_out)])
+        pilot, from_outside = _pilot(random, fleet, runaway)
+        pilots.append(pilot | {"at_s": _seen_at_s(pilot["at_s"], plan)})
+        stays_out |= {runaway} if from_outside else set()
+        plan.steps = [_without(one, runaway) for one in plan.steps]
+    content = sections(fleet, random)
+    if fleet.own is None:
+        content["fleet"]["formation_heading"] = "course" if plan.turns else "fixed"
+    content["reference"] = plan.reference
+    content["stand_in"]["pilots"] = pilots
+    content["links"]["partitions"] = plan.partitions
+    content["agent_ends"] = plan.agent_ends
+    forming = [i for i in fleet.ids if i not in stays_out]
+    content["timeline"] = [
+        {"command": "prepare"},
+        {"command": "arm"},
+        {"command": "takeoff"},
+        step("form", 0.0, vehicles=forming if stays_out else None),
+        *plan.steps,
+    ]
+    _end(content["timeline"], FORM_S + plan.lasts_s)
+    return content, runaway
+
+
+def _without(one: dict[str, Any], runaway: int) -> dict[str, Any]:
+    """The step without the runaway vehicle, which no command concerns."""
+    vehicles = [i for i in one.get("vehicles", ()) if i != runaway]
+    return one | {"vehicles": vehicles} if vehicles else one
+
+
+def _pilot(random: Random, fleet: DrawnFleet, runaway: int) -> tuple[dict[str, Any], bool]:
+    """The pilot of the runaway vehicle, and whether it comes from outside the formation."""
+    speed_m_s, from_outside = random.uniform(*RUNAWAY_M_S), random.random() < 0.7
+    angle_rad = random.uniform(0.0, 2.0 * pi)
+    if from_outside:
+        others = [start for i, start in fleet.starts_enu_m.items() if i != runaway]
+        aim = random.choice(others)
+        away_m = random.uniform(4.0, 8.0)
+        while True:
+            x, y = aim[0] + away_m * cos(angle_rad), aim[1] + away_m * sin(angle_rad)
+            if all(abs(complex(x - a, y - b)) > 2.0 * START_SPACING * fleet.separation_m for a, b, _ in others):
+                break
+            away_m += 0.5
+        fleet.starts_enu_m[runaway] = (rounded(x), rounded(y), 0.0)
+        angle_rad += pi + random.uniform(-0.1, 0.1)
+    velocity = [rounded(speed_m_s * cos(angle_rad)), rounded(speed_m_s * sin(angle_rad)), 0.0]
+    at_s = rounded(FORM_S + random.uniform(2.0 if from_outside else 5.0, 9.0))
+    return {"vehicle": runaway, "at_s": at_s, "velocity_enu_m_s": velocity}, from_outside
+
+
+def _seen_at_s(at_s: float, plan: FamilyPlan) -> float:
+    """When the pilot takes over: not while a partition may hide from the others that the vehicle begins to move."""
+    for split in plan.partitions:
+        if split["from_s"] - SEEN_S < at_s < split["until_s"]:
+            return rounded(split["until_s"] + SEEN_S)
+    return at_s
+
+
+def _end(timeline: list[dict[str, Any]], ends_s: float) -> None:
+    """The last step lasts until the end of the flight."""
+    last = timeline[-1]
+    last["for_s"] = rounded(max(ends_s - last["at_s"], 0.0))
+
+
+SENSOR_FACTOR = {"ideal": 1.0, "default": 0.8, "px4_sih": 0.6}
+"""Share of `separation_m` below which a true distance is a violation, by the sensors of the flight."""
+
+
+class Closest(Struct, frozen=True, kw_only=True):
+    """The smallest distance of a kind of pairs."""
+
+    distance_m: float
+    time_s: float
+    vehicles: tuple[int, int]
+
+
+class Distances(Struct, frozen=True, kw_only=True):
+    """`commanded`: of pairs where an agent commands the attitude of at least one vehicle.
+
+    `automatic`: of other pairs in the air, which both fly by their autopilots or pilots. None: there were none.
+    """
+
+    commanded: Closest | None
+    automatic: Closest | None
+
+
+def distances(stand_ins: Sequence[VirtualStandIn]) -> Distances:
+    """Over the whole flight, at 50 Hz."""
+    tracks = {s.vehicle_id: s.track() for s in stand_ins}
+    commanded = {s.vehicle_id: s.commanded() for s in stand_ins}
+    flies = {s.vehicle_id: s.flies() for s in stand_ins}
+    closest: dict[bool, Closest | None] = {True: None, False: None}
+    for i, j in combinations(sorted(tracks), 2):
+        apart_m = np.linalg.norm(tracks[i].position_enu_m - tracks[j].position_enu_m, axis=1)
+        either = commanded[i] | commanded[j]
+        for kind, counts in ((True, either), (False, ~either & flies[i] & flies[j])):
+            if not counts.any():
+                continue
+            row = int(np.where(counts, apart_m, np.inf).argmin())
+            before = closest[kind]
+            if before is None or apart_m[row] < before.distance_m:
+                time_s = round(float(tracks[i].time_s[row]), 3)
+                closest[kind] = Closest(distance_m=round(float(apart_m[row]), 4), time_s=time_s, vehicles=(i, j))
+    return Distances(commanded=closest[True], automatic=closest[False])
+
+
+WITHIN_M = {"ideal": 0.5, "default": 0.5, "px4_sih": 1.0}
+"""Error of a vehicle in its slot, by the sensors of the flight: with `px4_sih` the attitude error alone moves it by 0.5 m."""
+SAMPLE_S = 0.1
+SETTLED = 20  # samples in its slot in a row, until a vehicle has reached it
+RESTS_WITHIN_M = 0.1  # of its last place: from then on the reference rests
+
+
+class SlotArrivals(Struct, frozen=True, kw_only=True):
+    """`expected`: number of vehicles that were to be in their slots at the end of the flight.
+
+    `not_in_formation`: those of them that were not in formation then; `reached_s`: of each other vehicle by id, the time that
+    it took to its slot; None where it was not in it at the end.
+    """
+
+    expected: int
+    not_in_formation: list[int]
+    reached_s: dict[int, float | None]
+
+
+def arrivals(flight: Drawn, flown: Flown) -> SlotArrivals:
+    """A vehicle is in its slot where the slot and a reference that comes to rest move no more, and its error is small."""
+    watch = flown.watch
+    out = [i for i in flight.expected if not _in_formation(watch, i)]
+    times_s = np.arange(flight.slots_from_s, flown.flight_s - SAMPLE_S, SAMPLE_S)
+    present = [i for i in flight.expected if i not in out]
+    reached_s: dict[int, float | None] = dict.fromkeys(present)
+    if present and len(watch.led_enu_m) > 1 and times_s.size:
+        within_m = WITHIN_M[str(flight.scenario.stand_in.sensors)]
+        rests_from_s = reference_rests_from_s(_track(watch.led_enu_m).at(times_s), times_s)
+        for i, errors_m in _errors_m(watch, present, times_s).items():
+            from_s = max(rests_from_s, watch.slot_moved_s.get(i, 0.0))
+            reached_s[i] = settled_s((errors_m <= within_m) & (times_s >= from_s))
+    return SlotArrivals(expected=len(flight.expected), not_in_formation=out, reached_s=reached_s)
+
+
+def _in_formation(watch: FlightWatch, vehicle_id: int) -> bool:
+    status = watch.status(vehicle_id)
+    return status is not None and status.phase is FlightPhase.FORMATION
+
+
+def _errors_m(watch: FlightWatch, ids: list[int], times_s: FloatArray) -> dict[int, FloatArray]:
+    """The smaller one of the errors about the reference and about the median of the fleet, which lags behind a fast one."""
+    slots = watch.slots()
+    about = {i: _track(watch.reported[i]).at(times_s) - slots[i].at(times_s) for i in ids}
+    reference, fleet = _track(watch.led_enu_m).at(times_s), np.median(list(about.values()), axis=0)
+    return {
+        i: np.minimum(np.linalg.norm(own - reference, axis=1), np.linalg.norm(own - fleet, axis=1))
+        for i, own in about.items()
+    }
+
+
+def _track(reported: list[tuple[float, Vector3]]) -> Track:
+    return reported_track(0, reported)
+
+
+def reference_rests_from_s(reference_enu_m: FloatArray, times_s: FloatArray) -> float:
+    """Time from which the reference, shape (samples, 3), stays at its last place; the first time if it moves to the end.
+
+    A fleet that follows its reference has small errors on all of the way, also while the reference goes to its place.
+    """
+    moves = np.flatnonzero(np.linalg.norm(reference_enu_m - reference_enu_m[-1], axis=1) > RESTS_WITHIN_M)
+    if not moves.size or moves[-1] >= times_s.size - SETTLED:
+        return float(times_s[0])
+    return float(times_s[moves[-1] + 1])
+
+
+def settled_s(in_slot: NDArray[np.bool_]) -> float | None:
+    """Time from which the vehicle is in its slot for SETTLED samples in a row; None where it is not at the end."""
+    if in_slot.size < SETTLED:
+        return None
+    settled = np.flatnonzero(np.convolve(in_slot, np.ones(SETTLED), "valid") == SETTLED)
+    if not settled.size or settled[-1] < in_slot.size - SETTLED:
+        return None
+    return round(float(settled[0]) * SAMPLE_S, 2)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from companion.types.errors import EXIT_DONE
 from sitl.cluster import workers_of
-from sitl.report.share import ShareProgress
+from sitl.report.progress import ShareProgress
 from sitl.stopping import StopRequest
 
 if TYPE_CHECKING:
@@ -43,13 +43,19 @@ def _check(options: PaperOptions) -> None:
 
 def _reproduce(options: PaperOptions) -> int:
     """Compute, fly, draw and write the report. Slow imports are made here."""
-    from sitl.paper.beyond import growth_text, setting_rows
-    from sitl.paper.book import Book
-    from sitl.paper.claims.flown import flight_claims
+    from sitl.paper.aggregation_claims import flight_claims
     from sitl.paper.errata import errata
-    from sitl.paper.figures.pictures import PICTURES
-    from sitl.paper.law_table import law_table
-    from sitl.paper.report import PaperReport, verdict_counts, versions, write_report
+    from sitl.paper.figures import PICTURES
+    from sitl.paper.flights import Book
+    from sitl.paper.report import (
+        PaperReport,
+        growth_text,
+        law_table,
+        setting_rows,
+        verdict_counts,
+        versions,
+        write_report,
+    )
     from sitl.study.command import draw, study_report
 
     began_s = time.perf_counter()
@@ -88,7 +94,7 @@ def _compute_and_fly(
 ) -> tuple[list[Claim], list[FlownPlan]]:
     """Compute the theory in this process while the workers fly the flights."""
     from sitl.paper.flights import fly, paper_plans
-    from sitl.paper.theory.theorems import theory_claims
+    from sitl.paper.theorems import theory_claims
     from sitl.workers import POLL_S
 
     plans = paper_plans(options.full)

@@ -11,8 +11,8 @@ from companion.core.consensus.law import average_22, average_26, neighbour_weigh
 from companion.core.control.attitude import attitude_target
 from companion.stability.interaction import interaction_matrix, settled_prcs
 from companion.types.values import GRAVITY_M_S2
-from sitl.paper.theory.algorithm1 import printed_prcs
-from sitl.paper.theory.survey import lambda_min
+from sitl.paper.spectrum import lambda_min
+from sitl.paper.theorems import printed_prcs
 from sitl.report.claim import Erratum
 from sitl.study.shapes import chain
 

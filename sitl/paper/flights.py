@@ -2,19 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import cached_property
 from pathlib import Path
 
+import numpy as np
+
+from companion.assembly import law_of
 from companion.config.fleet import LawName
+from companion.core.consensus.law import neighbour_weights
+from companion.stability.arrays import FloatArray
 from companion.types.errors import FailedError
+from companion.types.flight import Role
 from sitl.flight.scenario import Scenario, load_scenario, reference_of
 from sitl.flight.virtual_flight import fly_in_virtual_time
-from sitl.report.metrics import Formation, FormationFlight, neighbouring_pairs, standing
+from sitl.paper.graphs import graph_of
+from sitl.report.claim import ClaimVerdict
+from sitl.report.metrics import (
+    Formation,
+    FormationFigures,
+    FormationFlight,
+    Pair,
+    Track,
+    Tracks,
+    distances_m,
+    formation_figures,
+    neighbouring_pairs,
+    pairs_of,
+    standing,
+)
 from sitl.report.progress import FlightProgress
-from sitl.report.records import TopologyChange
-from sitl.report.tracks import Track
+from sitl.report.summary import TopologyChange
+from sitl.study.shapes import is_connected
 
 SCENARIOS = Path(__file__).parents[1] / "scenarios"  # package data: a link to config/scenarios in the source tree
 # The paper's law and both candidates for the law that it was compared with.
@@ -141,3 +162,219 @@ def fly(plan: PaperPlan) -> FlownPlan:
         topology=tuple(flown.watch.topology),
         failure=flown.failure,
     )
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleReport:
+    """Role, PrC and neighbours reported by one vehicle."""
+
+    role: Role
+    prc: int
+    neighbours: tuple[int, ...]
+
+
+Topology = dict[int, VehicleReport]  # by vehicle id
+
+
+@dataclass(frozen=True, slots=True)
+class LeadershipSpan:
+    """UAV `leader_id` was leader from `from_s` to `to_s` of the flight's clock. `settled_s`: time of the last PrC change."""
+
+    leader_id: int
+    from_s: float
+    settled_s: float
+    to_s: float
+
+
+def topology_at(changes: Sequence[TopologyChange], time_s: float) -> Topology:
+    """The last report of each vehicle at this time."""
+    found: Topology = {}
+    for change in changes:
+        if change.time_s <= time_s:
+            found[change.vehicle] = VehicleReport(change.role, change.prc, change.neighbours)
+    return dict(sorted(found.items()))
+
+
+def leaderships(flown: FlownPlan) -> list[LeadershipSpan]:
+    """All leaderships of the formation, in order of time. Raises NoFormationError."""
+    formation = flown.flight().formation
+    first = topology_at(flown.topology, formation.start_s)
+    starts = [(next(i for i, report in first.items() if report.role is Role.LEADER), formation.start_s)]
+    for change in flown.topology:
+        in_formation = formation.start_s < change.time_s < formation.end_s
+        if in_formation and change.role is Role.LEADER and change.vehicle != starts[-1][0]:
+            starts.append((change.vehicle, change.time_s))
+    ends = [*(from_s for _, from_s in starts[1:]), formation.end_s]
+    return [
+        LeadershipSpan(leader_id, from_s, _settled_s(flown.topology, from_s, to_s), to_s)
+        for (leader_id, from_s), to_s in zip(starts, ends, strict=True)
+    ]
+
+
+def _settled_s(changes: Sequence[TopologyChange], from_s: float, to_s: float) -> float:
+    """Time of the last change of the topology in this leadership."""
+    return max([from_s, *(change.time_s for change in changes if from_s <= change.time_s < to_s)])
+
+
+def reported_matrix(flown: FlownPlan, topology: Topology) -> FloatArray:
+    """G by Algorithm 2 from the reported PrCs and neighbours."""
+    law, ids = law_of(flown.scenario.fleet.law), sorted(topology)
+    matrix = np.zeros((len(ids), len(ids)))
+    for row, i in enumerate(ids):
+        report = topology[i]
+        is_leader = report.role is Role.LEADER
+        neighbours = report.neighbours if not is_leader or law.leader_uses_neighbours else ()
+        weights = neighbour_weights([topology[j].prc for j in neighbours], law.weighting)
+        for j, weight in zip(neighbours, weights, strict=True):
+            matrix[row, ids.index(j)] = -weight
+        matrix[row, row] = sum(weights) + is_leader
+    return matrix
+
+
+Interval = tuple[float, float]  # from, to [s] after the start of the formation
+RESPONDED_SHARE = 0.5  # a vehicle has responded after this share of its distance
+
+
+def response_s(flight: FormationFlight, vehicle_id: int) -> float:
+    """Time from the start of the formation until the vehicle has covered half of its distance in x; inf where it never does."""
+    times_s = flight.formation.times_s()
+    x_m = flight.tracks[vehicle_id].at(times_s)[:, 0]
+    way_m = flight.reference(0.0).position_enu_m[0] + flight.slots_enu_m[vehicle_id][0] - x_m[0]
+    done = np.flatnonzero((x_m - x_m[0]) * np.sign(way_m) >= RESPONDED_SHARE * abs(way_m))
+    return float(times_s[done[0]] - times_s[0]) if done.size else float("inf")
+
+
+def broken_s(flight: FormationFlight, pair: Pair, range_m: float) -> list[Interval]:
+    """Intervals in which two vehicles were out of range of each other."""
+    times_s = flight.formation.times_s()
+    return _intervals(distances_m(flight.tracks, pair, times_s) > range_m, times_s)
+
+
+def alone_s(flight: FormationFlight, vehicle_id: int, range_m: float) -> list[Interval]:
+    """Intervals in which a vehicle had no other in range."""
+    times_s = flight.formation.times_s()
+    pairs = [pair for pair in pairs_of(flight.tracks) if vehicle_id in pair]
+    nearest_m = np.min([distances_m(flight.tracks, pair, times_s) for pair in pairs], axis=0)
+    return _intervals(nearest_m > range_m, times_s)
+
+
+def apart_s(flight: FormationFlight, range_m: float) -> list[Interval]:
+    """Intervals in which the graph of vehicles in range was not connected."""
+    times_s = flight.formation.times_s()
+    pairs = pairs_of(flight.tracks)
+    in_range = np.array([distances_m(flight.tracks, pair, times_s) <= range_m for pair in pairs])
+    graphs, at = np.unique(in_range, axis=1, return_inverse=True)
+    in_parts = [
+        not is_connected(graph_of(flight.tracks, [pair for pair, is_edge in zip(pairs, graph, strict=True) if is_edge]))
+        for graph in graphs.T
+    ]
+    return _intervals(np.array(in_parts)[at.ravel()], times_s)
+
+
+def fewest_in_range(flight: FormationFlight, vehicle_id: int, range_m: float) -> list[int]:
+    """Ids of the vehicles in range of a vehicle at the time when these were fewest."""
+    times_s = flight.formation.times_s()
+    others = sorted(flight.tracks.keys() - {vehicle_id})
+    in_range = np.array([distances_m(flight.tracks, (vehicle_id, other), times_s) <= range_m for other in others])
+    at = int(in_range.sum(axis=0).argmin())
+    return [other for other, is_near in zip(others, in_range[:, at], strict=True) if is_near]
+
+
+def edges_m(tracks: Tracks, time_s: float, range_m: float) -> list[Pair]:
+    """Pairs in range of each other at one time."""
+    return [pair for pair in pairs_of(tracks) if float(distances_m(tracks, pair, np.array([time_s]))[0]) <= range_m]
+
+
+def _intervals(condition: np.ndarray[tuple[int, ...], np.dtype[np.bool_]], times_s: FloatArray) -> list[Interval]:
+    """Intervals in which `condition` (n,) is true, in seconds after the first time."""
+    steps = np.flatnonzero(np.diff(np.concatenate([[False], condition, [False]]).astype(int)))
+    since_s = times_s - times_s[0]
+    return [
+        (float(since_s[a]), float(since_s[min(b, since_s.size - 1)]))
+        for a, b in zip(steps[::2], steps[1::2], strict=True)
+    ]
+
+
+def beginning(flight: FormationFlight, seconds_s: float) -> FormationFlight:
+    """The same flight with its formation cut after `seconds_s`."""
+    formation = flight.formation
+    return replace(flight, formation=replace(formation, end_s=min(formation.end_s, formation.start_s + seconds_s)))
+
+
+def total_s(intervals: Sequence[Interval]) -> float:
+    return float(sum(to_s - from_s for from_s, to_s in intervals))
+
+
+def behind_leader_m(flight: FormationFlight, leader_id: int, vehicle_id: int, times_s: FloatArray) -> FloatArray:
+    """Distance |(x_i - d_i0) - (x_l - d_l0)| (n,) of a follower to its slot relative to the leader."""
+    own = flight.tracks[vehicle_id].at(times_s) - np.array(flight.slots_enu_m[vehicle_id])
+    leader = flight.tracks[leader_id].at(times_s) - np.array(flight.slots_enu_m[leader_id])
+    return np.asarray(np.linalg.norm(own - leader, axis=1))
+
+
+PERFECT = (Model.IDEAL, Model.FULL)
+
+
+class Entry:
+    """One flight and its figures, computed once."""
+
+    def __init__(self, flown: FlownPlan) -> None:
+        self.flown = flown
+
+    @cached_property
+    def flight(self) -> FormationFlight:
+        """Raises NoFormationError."""
+        return self.flown.flight()
+
+    @cached_property
+    def figures(self) -> FormationFigures:
+        """Raises NoFormationError."""
+        flight = self.flight
+        return formation_figures(flight.tracks, flight.slots, flight.reference, flight.formation)
+
+    @property
+    def settle_s(self) -> float:
+        """Settle time; inf where the flight never settled."""
+        settle_s = self.figures.settle_s
+        return float("inf") if settle_s is None else settle_s
+
+
+class Book:
+    """All flights of a report."""
+
+    def __init__(self, flown: Iterable[FlownPlan]) -> None:
+        self._entries = [Entry(one) for one in flown]
+
+    def all(self, subject: FlightSubject, law: LawName, model: Model) -> list[Entry]:
+        """The flights with all seeds."""
+        wanted = (subject, law, model)
+        return [e for e in self._entries if (e.flown.plan.subject, e.flown.plan.law, e.flown.plan.model) == wanted]
+
+    def one(self, subject: FlightSubject, law: LawName, model: Model) -> Entry:
+        """The flight with the first seed. Raises LookupError."""
+        found = self.all(subject, law, model)
+        if not found:
+            raise LookupError(f"nothing was flown of {subject}, {law}, {model}")
+        return found[0]
+
+
+def verdict_of(to_the_letter: bool, with_a_condition: bool = False) -> ClaimVerdict:
+    """HOLDS where the claim holds to the letter, else CONDITION or FAILS by `with_a_condition`."""
+    if to_the_letter:
+        return ClaimVerdict.HOLDS
+    return ClaimVerdict.CONDITION if with_a_condition else ClaimVerdict.FAILS
+
+
+def seconds(value_s: float, digits: int = 1) -> str:
+    return "never" if value_s == float("inf") else f"{value_s:.{digits}f} s"
+
+
+def metres(values_m: Iterable[float], digits: int = 2) -> str:
+    """ "1.75, 1.78 and 1.66 m"."""
+    return listed(f"{value_m:.{digits}f}" for value_m in values_m) + " m"
+
+
+def listed(parts: Iterable[str]) -> str:
+    """ "a, b and c"; empty for nothing."""
+    *most, last = list(parts) or [""]
+    return f"{', '.join(most)} and {last}" if most else last

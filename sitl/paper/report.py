@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import jinja2
@@ -12,14 +13,22 @@ import numpy as np
 from msgspec import Struct
 
 from companion import __version__
-from sitl.paper.beyond import SettingRow
-from sitl.paper.book import listed
-from sitl.paper.figures.pictures import PICTURES, PaperFigure
-from sitl.paper.law_table import LawRow
+from companion.assembly import law_of
+from companion.config.fleet import EdgeNeighbours
+from companion.stability.arrays import FloatArray
+from companion.stability.interaction import interaction_matrix
+from companion.types.flight import Role
+from sitl.paper.figures import PICTURES, PaperFigure
+from sitl.paper.flights import COMPARED, PERFECT, Book, FlightSubject, FlownPlan, Model, listed
+from sitl.paper.graphs import graph_of
+from sitl.paper.platoon_claims import PAIRS
 from sitl.report.claim import Claim, ClaimVerdict, Erratum
+from sitl.report.metrics import settle_time_s
 from sitl.report.plots import LAW_TITLES
 from sitl.report.summary import write_json
-from sitl.study.command import SHOWN
+from sitl.study.command import SHOWN, StudyReport
+from sitl.study.settings import COOPERATIVE, SETTINGS, WEIGHTED, parameters_text
+from sitl.study.table import cells_of
 
 SCHEMA = 1
 SIGNS = {ClaimVerdict.HOLDS: "✓", ClaimVerdict.CONDITION: "◐", ClaimVerdict.FAILS: "✗"}  # distinct without colour
@@ -100,3 +109,120 @@ def sentence(text: str) -> str:
 
 def _claims_of(picture: PaperFigure, by_id: dict[str, Claim]) -> list[Claim]:
     return [by_id[claim_id] for claim_id in picture.claim_ids if claim_id in by_id]
+
+
+CHAINS = ("chain-4", "chain-16")
+SHARPER_ALONE = next(setting for setting in SETTINGS if setting.label.startswith("a: "))
+
+
+class SettingRow(Struct, frozen=True, kw_only=True):
+    """One setting: label, parameters, and for each shape of `SHOWN` the settle time and the distances, as text."""
+
+    label: str
+    numbers: str
+    cells: tuple[str, ...]
+
+
+def growth_text(report: StudyReport) -> str:
+    """How errors develop along a chain, under the paper's law and under the laws with sharper weights."""
+    # Reversed: of two flights of the same case the first counts, as these have the same duration.
+    worst_m = {(f.shape, f.setting): max(f.stretch_m, f.squeeze_m) for f in reversed(report.study.quiet)}
+    few_m, many_m = (worst_m[shape, WEIGHTED.label] for shape in CHAINS)
+    sharper_m, ours_m = (worst_m[CHAINS[1], setting.label] for setting in (SHARPER_ALONE, COOPERATIVE))
+    few, many = (shape.removeprefix("chain-") for shape in CHAINS)
+    return (
+        f"Under the paper's law the largest deviation of a neighbour distance is {few_m:.2f} m in the chain of {few} and "
+        f"{many_m:.2f} m in the chain of {many}: the errors {'grow' if many_m > few_m else 'do not grow'} along it. In the "
+        f"chain of {many} it is {sharper_m:.2f} m with sharper weights alone (a) and {ours_m:.2f} m with cooperative."
+    )
+
+
+def setting_rows(report: StudyReport) -> list[SettingRow]:
+    """One row per setting of the law, in the order of the study."""
+    return [
+        SettingRow(
+            label=setting.label, numbers=parameters_text(setting), cells=cells_of(report.study.quiet, setting, SHOWN)
+        )
+        for setting in SETTINGS
+    ]
+
+
+DELAY_S = 0.01  # agents tick every 0.02 s at different phases: the mean age of a neighbour's state is half of that
+FLOWN = {Model.IDEAL: "agents, ideal model", Model.FULL: "agents, full quadrotor"}
+
+
+class LawRow(Struct, frozen=True, kw_only=True):
+    """Largest distances [m] in the order of PAIRS, and settle time to 10 cm [s], None for a flight that never settled."""
+
+    law: str
+    source: str
+    largest_m: tuple[float, ...]
+    settle_s: float | None
+
+
+def law_table(book: Book) -> list[LawRow]:
+    rows = []
+    for law in COMPARED:
+        flown = book.one(FlightSubject.PLATOON, law, Model.IDEAL).flown
+        for source, delay_s in (("equations", 0.0), (f"equations, neighbours delayed by {DELAY_S:g} s", DELAY_S)):
+            ideal = ideal_figures(flown, delay_s)
+            largest_m = tuple(ideal.max_distance_m[pair] for pair in PAIRS)
+            rows.append(LawRow(law=law, source=source, largest_m=largest_m, settle_s=ideal.settle_s))
+        for model in PERFECT:
+            figures = book.one(FlightSubject.PLATOON, law, model).figures
+            largest_m = tuple(figures.max_distance_m[pair] for pair in PAIRS)
+            rows.append(LawRow(law=law, source=FLOWN[model], largest_m=largest_m, settle_s=figures.settle_s))
+    return rows
+
+
+STEP_S = 0.005
+TICK_STEPS = 4  # 50 Hz
+
+
+@dataclass(frozen=True, slots=True)
+class IdealFigures:
+    """Figures of the ideal model. `max_distance_m` is by pair of neighbouring ids, as in `FormationFigures`."""
+
+    max_distance_m: Mapping[str, float]
+    settle_s: float | None
+
+
+def ideal_figures(flown: FlownPlan, delay_s: float) -> IdealFigures:
+    """Figures of a flight along x by eq. 2 and the law, from its true start; neighbour states are delayed by `delay_s`."""
+    fleet, flight = flown.scenario.fleet, flown.flight()
+    if not isinstance(fleet.neighbours, EdgeNeighbours):
+        raise TypeError("eq. 18 needs a fixed graph")
+    ids = sorted(flight.tracks)
+    leaders = {member.id for member in fleet.vehicles if member.role is Role.LEADER}
+    matrix = interaction_matrix(graph_of(ids, fleet.neighbours.edges), leaders, law_of(fleet.law))
+    slots_m = np.array([flight.slots_enu_m[i][0] for i in ids])
+    starts_m = np.array([flown.scenario.starts_enu_m[i][0] for i in ids])
+    errors_m = starts_m - flight.reference(0.0).position_enu_m[0] - slots_m
+    gains = law_of(fleet.law).gains
+    duration_s = flight.formation.end_s - flight.formation.start_s
+    history_m = _errors_m(matrix, (gains.position_1_s2, gains.velocity_1_s), errors_m, duration_s, delay_s)
+    apart_m = np.abs(np.diff(history_m + slots_m, axis=1)).max(axis=0)
+    times_s = STEP_S * np.arange(len(history_m), dtype=np.float64)
+    return IdealFigures(
+        max_distance_m={f"{i}-{j}": float(d) for i, j, d in zip(ids, ids[1:], apart_m, strict=False)},
+        settle_s=settle_time_s(times_s, np.asarray(np.abs(history_m).max(axis=1))),
+    )
+
+
+def _errors_m(
+    matrix: FloatArray, gains: tuple[float, float], start_m: FloatArray, duration_s: float, delay_s: float
+) -> FloatArray:
+    """Errors (steps, n) from rest. The own state is current, those of neighbours (off the diagonal of G) are delayed."""
+    own, others = np.diag(np.diag(matrix)), matrix - np.diag(np.diag(matrix))
+    late = round(delay_s / STEP_S)
+    position_m, velocity_m_s, u = start_m.astype(float), np.zeros(len(start_m)), np.zeros(len(start_m))
+    feedback = [gains[0] * position_m]  # K e of every step
+    history = []
+    for step in range(round(duration_s / STEP_S)):
+        history.append(position_m)
+        if step % TICK_STEPS == 0:
+            u = -(own @ feedback[-1]) - others @ feedback[max(0, len(feedback) - 1 - late)]
+        position_m = position_m + velocity_m_s * STEP_S + 0.5 * u * STEP_S**2
+        velocity_m_s = velocity_m_s + u * STEP_S
+        feedback.append(gains[0] * position_m + gains[1] * velocity_m_s)
+    return np.array(history)

@@ -7,9 +7,8 @@ from pathlib import Path
 
 from msgspec import Struct
 
-from sitl.report.load import IF_TOO_BUSY
 from sitl.report.metrics import FormationFlight
-from sitl.report.summary import SCHEMA, RunSummary, write_json
+from sitl.report.summary import IF_TOO_BUSY, SCHEMA, RunSummary, write_json
 
 BEST = "*"
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import fcntl
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
@@ -80,3 +80,19 @@ def remove_old_run(folder: Path) -> None:
                 file.unlink()
             if place != folder and not any(place.iterdir()):
                 place.rmdir()
+
+
+Column = tuple[str, str, int]  # two lines of the head, and the width: negative for left alignment
+
+
+def table_text(columns: Sequence[Column], rows: Iterable[Sequence[str]]) -> str:
+    """The head and one line per row. A row has one cell per column."""
+    above, below = [first for first, _, _ in columns], [second for _, second, _ in columns]
+    return "\n".join(_line(columns, cells) for cells in (above, below, *rows))
+
+
+def _line(columns: Sequence[Column], cells: Sequence[str]) -> str:
+    return "".join(
+        f"{cell:<{-width}}" if width < 0 else f"{cell:>{width}}"
+        for cell, (_, _, width) in zip(cells, columns, strict=True)
+    ).rstrip()

@@ -1,11 +1,13 @@
-"""The figures of a flight from tracks. Pure: arrays in, figures out."""
+"""Tracks of vehicles as arrays and CSV files: true positions of stand-ins, reported positions of all others."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import csv
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from math import dist
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -14,8 +16,63 @@ from companion.core.reference.trajectories import ReferenceTrajectory
 from companion.stability.arrays import FloatArray
 from companion.stability.settling import SETTLED_WITHIN_M
 from companion.stability.settling import settle_time_s as settle_time_s
+from companion.types.errors import CompanionError
 from companion.types.values import Vector3
-from sitl.report.tracks import Track
+
+USED = ("monotonic_s", "x_m", "y_m", "z_m")
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """One vehicle's flight: `time_s` (k,) of the machine's monotonic clock, rising; `position_enu_m` (k, 3)."""
+
+    time_s: FloatArray
+    position_enu_m: FloatArray
+
+    def at(self, times_s: FloatArray) -> FloatArray:
+        """Positions (n, 3) in metres, interpolated; constant beyond the ends of the track."""
+        axes = [np.interp(times_s, self.time_s, self.position_enu_m[:, axis]) for axis in range(3)]
+        return np.stack(axes, axis=1)
+
+
+class TrackError(CompanionError):
+    """A track that cannot be used. str() is one line."""
+
+
+def read_track(path: Path) -> Track:
+    """Read a stand-in's CSV; an incomplete last line is ignored. Raises TrackError."""
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            return _track(path, csv.reader(file))
+    except OSError as error:
+        raise TrackError(f"{path}: cannot be read: {error.strerror}") from error
+
+
+def _track(path: Path, lines: Iterable[list[str]]) -> Track:
+    rows = iter(lines)
+    header = next(rows, [])
+    if missing := [name for name in USED if name not in header]:
+        raise TrackError(f"{path}: has no column {', '.join(missing)}")
+    columns = [header.index(name) for name in USED]
+    whole = [[float(row[column]) for column in columns] for row in rows if len(row) == len(header)]
+    if not whole:
+        raise TrackError(f"{path}: holds no positions")
+    table = np.array(whole)
+    return Track(table[:, 0], table[:, 1:])
+
+
+def reported_track(vehicle_id: int, reported: Sequence[tuple[float, Vector3]]) -> Track:
+    """The track of reported (monotonic seconds, position ENU in metres), times rising. Raises TrackError."""
+    if not reported:
+        raise TrackError(f"vehicle {vehicle_id} reported no position in flight")
+    return Track(np.array([time_s for time_s, _ in reported]), np.array([position_m for _, position_m in reported]))
+
+
+def write_track(path: Path, track: Track) -> None:
+    """A CSV file that `read_track` reads."""
+    table = np.column_stack([track.time_s, track.position_enu_m])
+    np.savetxt(path, table, fmt=["%.6f", "%.4f", "%.4f", "%.4f"], delimiter=",", header=",".join(USED), comments="")
+
 
 SAMPLE_S = 0.02
 FINAL_S = 2.0  # interval of the final figures
@@ -157,3 +214,54 @@ def smallest_distance_m(tracks: Tracks) -> float | None:
         return None
     times_s = Formation(start_s, end_s, start_s).times_s()
     return min(float(distances_m(tracks, pair, times_s).min()) for pair in pairs_of(tracks))
+
+
+Leadership = Mapping[int, Sequence[tuple[float, bool]]]
+"""By vehicle: times from which it is leader (True) or follower, seconds of the tracks' clock, rising."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tracking:
+    """RMS distances in metres, by vehicle.
+
+    `to_reference_m` is of eq. 12, x_i - r - d_i0. `to_leader_m` is of x_i - d_i0 less the same of the leader, the mean of
+    several leaders, over the times when the vehicle follows; None for one that never did.
+    """
+
+    to_reference_m: dict[int, float]
+    to_leader_m: dict[int, float | None]
+
+
+def tracking(
+    tracks: Tracks, slots: Tracks, reference: ReferenceTrajectory, formation: Formation, leads: Leadership
+) -> Tracking:
+    """Errors over the second half of a formation. All arguments but `reference` name the same vehicles."""
+    times_s = formation.times_s()
+    times_s = times_s[times_s.size // 2 :]
+    reference_enu_m = reference_positions_m(reference, formation.reference_start_s, times_s)
+    ids = sorted(tracks)
+    leading = {i: _leads_at(leads[i], times_s) for i in ids}
+    positions = {i: tracks[i].at(times_s) - slots[i].at(times_s) for i in ids}
+    leaders = np.sum([leading[i] for i in ids], axis=0)
+    led = leaders > 0
+    led_to_enu_m = np.sum([positions[i] * leading[i][:, None] for i in ids], axis=0) / np.maximum(leaders, 1)[:, None]
+    return Tracking(
+        {i: _rms(errors_m(tracks[i], slots[i], reference_enu_m, times_s)) for i in ids},
+        {i: _rms_or_none(np.linalg.norm(positions[i] - led_to_enu_m, axis=1)[led & ~leading[i]]) for i in ids},
+    )
+
+
+def _leads_at(since: Sequence[tuple[float, bool]], times_s: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    """Whether it is leader at these times (n,). Before its first report the first report applies."""
+    if not since:
+        return np.zeros(times_s.size, dtype=bool)
+    index = np.searchsorted([time_s for time_s, _ in since], times_s, side="right") - 1
+    return np.array([leads for _, leads in since])[np.maximum(index, 0)]
+
+
+def _rms(distances_m: FloatArray) -> float:
+    return float(np.sqrt(np.mean(distances_m**2)))
+
+
+def _rms_or_none(distances_m: FloatArray) -> float | None:
+    return _rms(distances_m) if distances_m.size else None

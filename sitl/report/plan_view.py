@@ -14,14 +14,14 @@ from typing import Any, Protocol
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.patches import Circle, Rectangle
 
-from companion.geometry.airspace import Airspace
+from companion.geometry.airspace import Airspace, Cylinder
 from companion.stability.arrays import FloatArray
 from companion.types.flight import Role
-from sitl.report.airspace_view import draw_airspace
 from sitl.report.metrics import Formation, FormationFlight, reference_positions_m
 from sitl.report.plots import GUIDE, POSITIONS, law_title, new_figure
-from sitl.report.records import CommandGiven, TopologyChange
+from sitl.report.summary import CommandGiven, TopologyChange
 
 COLUMNS = 3
 MAX_PANELS = 9
@@ -166,3 +166,22 @@ def _legend(axes: Axes) -> None:
     axes.plot([], [], color=FOLLOWS["color"], linewidth=0.9, label="path")
     axes.plot([], [], color=EDGE, linewidth=1.0, label="neighbours")
     axes.plot([], [], **GUIDE, label="reference")
+
+
+FENCE: dict[str, Any] = {"color": "#000000", "linewidth": 1.4, "linestyle": (0, (6, 2, 1, 2))}
+OBSTACLE: dict[str, Any] = {"facecolor": "white", "edgecolor": "#444444", "hatch": "////", "linewidth": 1.0}
+
+
+def draw_airspace(axes: Axes, airspace: Airspace) -> None:
+    """The polygon of the fence and all obstacles, with one legend entry for each kind."""
+    corners = airspace.fence.corners_enu_m
+    if corners:
+        xs, ys = zip(*corners, corners[0], strict=True)
+        axes.plot(xs, ys, **FENCE, label="fence")
+    for index, obstacle in enumerate(airspace.obstacles):
+        label = "" if index else "obstacle"
+        if isinstance(obstacle, Cylinder):
+            axes.add_patch(Circle(obstacle.centre_enu_m, obstacle.radius_m, **OBSTACLE, label=label))
+        else:
+            (x, y, _), (far_x, far_y, _) = obstacle.min_enu_m, obstacle.max_enu_m
+            axes.add_patch(Rectangle((x, y), far_x - x, far_y - y, **OBSTACLE, label=label))

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Sequence
 from types import TracebackType
 from typing import Self, TextIO
 
+from rich.console import Console
+from rich.live import Live
+from rich.text import Text
+
 from companion.ground.fleet_state import VehicleRow
 from companion.types.flight import WITHOUT_LEADER, FlightPhase
-from sitl.report.screen import Screen
 
 VIEW_EVERY_S = 5.0
 LONGEST_AGE_S = 1e5  # above: no data has come yet
@@ -70,3 +74,90 @@ def vehicle_line(row: VehicleRow) -> str:
         f"  UAV {row.vehicle_id:<3d} {row.role:<8}  {row.phase:<9}  altitude {row.altitude_m:5.2f} m"
         f"   error {error}   PrC {row.prc}   {data}{alarm}"
     )
+
+
+IN_PLACE_EVERY_S = 0.2
+FIRST_PLAIN_AFTER_S = 2.0  # a computation that is over at once prints no plain line
+
+
+class _Console(Console):
+    """After its reader has gone it prints nothing more: the flight that it shows goes on."""
+
+    def on_broken_pipe(self) -> None:
+        self.quiet = True
+
+
+class Screen:
+    """`quiet` shows nothing. `transient` lines are removed from a terminal at the end; plain lines always remain."""
+
+    def __init__(self, quiet: bool, out: TextIO, plain_every_s: float, transient: bool) -> None:
+        self._console = _Console(file=out, quiet=quiet, markup=False, highlight=False, emoji=False)
+        in_place = self._console.is_terminal and not self._console.is_dumb_terminal
+        self._live = Live(console=self._console, auto_refresh=False, transient=transient) if in_place else None
+        self._every_s = IN_PLACE_EVERY_S if in_place else plain_every_s
+        self._next_s = time.monotonic() + (0.0 if in_place else FIRST_PLAIN_AFTER_S)  # on the clock of the machine
+
+    def is_due(self) -> bool:
+        return not self._console.quiet and time.monotonic() >= self._next_s
+
+    def make_due(self) -> None:
+        self._next_s = 0.0
+
+    def show(self, lines: Sequence[str]) -> None:
+        """Replace the lines shown before, or print below them."""
+        if self._console.quiet:
+            return
+        self._next_s = time.monotonic() + self._every_s
+        text = Text("\n".join(lines), no_wrap=True, overflow="crop")
+        if self._live is None:
+            self._console.print(text, soft_wrap=True)
+            return
+        self._live.start()
+        self._live.update(text, refresh=True)
+
+    def close(self) -> None:
+        """Later output follows below; transient lines are removed."""
+        if self._live is not None:
+            self._live.stop()
+
+
+SHARE_EVERY_S = 10.0
+LEAST_SHARE = 0.01  # below it the time left cannot be estimated
+
+
+class ShareProgress:
+    """One line on standard error, so that results can be piped; removed from a terminal when the block ends."""
+
+    def __init__(self, quiet: bool, out: TextIO | None = None) -> None:
+        self._screen = Screen(quiet, out or sys.stderr, SHARE_EVERY_S, transient=True)
+        self._began_s = time.monotonic()
+        self._stage, self._stage_began_s = "", self._began_s
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._screen.close()
+
+    def begin(self, stage: str) -> None:
+        """Shares and the time left are those of this stage from now on."""
+        self._stage, self._stage_began_s = stage, time.monotonic()
+
+    def show(self, share: float, more: str = "") -> None:
+        """`share` of the stage done, 0 to 1; `more` is shown beside it."""
+        if not self._screen.is_due():
+            return
+        now_s = time.monotonic()
+        times = _duration(now_s - self._began_s)
+        if share >= LEAST_SHARE:
+            times += f", {_duration((now_s - self._stage_began_s) * (1.0 / share - 1.0))} left"
+        self._screen.show(["   ".join(filter(None, (f"{self._stage} {share:4.0%}", more, times)))])
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 120.0:
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60.0)
+    return f"{minutes} min" if minutes < 120 else f"{minutes / 60.0:.1f} h"

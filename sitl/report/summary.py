@@ -8,10 +8,12 @@ from pathlib import Path
 import msgspec
 from msgspec import Struct
 
+from companion.types.commands import CommandName
+from companion.types.flight import FlightPhase, Role
+from companion.types.notices import Code
+from companion.types.status import Status
 from companion.wire.messages import Percentiles
-from sitl.report.load import overload_line
 from sitl.report.metrics import TrackSource
-from sitl.report.records import CommandGiven, ReportedEvent
 
 SCHEMA = 1
 MAX_EACH = 8  # vehicles whose figures are printed in one line
@@ -39,7 +41,7 @@ class VehicleSummary(Struct, frozen=True, kw_only=True):
     cpu_percent: float | None
     rss_mb: float | None
     final_error_m: float | None
-    tracking_error_m: float | None  # about the RFT, second half of the formation: sitl/report/tracking.py
+    tracking_error_m: float | None  # about the RFT, second half of the formation: sitl/report/metrics.py
     behind_leader_m: float | None  # likewise about the leader, while it follows
     largest_step_deg: float | None  # of the commanded attitude, setpoint to setpoint
     rejected: dict[str, int]  # counted rejections by reason
@@ -168,3 +170,67 @@ def _ticks_in_words(summary: RunSummary) -> list[str]:
     rate = f"{slowest:.2f}" if f"{slowest:.2f}" == f"{fastest:.2f}" else f"{slowest:.2f} to {fastest:.2f}"
     missed, count = sum(tick.missed for tick in ticks), sum(tick.ticks for tick in ticks)
     return [f"  control loop      {rate} Hz, {missed} of {missed + count} ticks missed"]
+
+
+MAX_MISSED_SHARE, MAX_LATENCY_MS = 0.005, 5.0  # of the ticks; p99 from telemetry to command. Idle: none, below 1 ms
+IF_TOO_BUSY = "distrust the figures, or fly in virtual time: sitl run"
+TOO_SLOW = {
+    "true": "the machine was too busy for real time: {}; " + IF_TOO_BUSY,
+    "estimated": "the machine or the autopilots were too slow for real time: {}",  # PX4's clock may run 2 % slow
+}
+
+
+def overload(ticks: int, missed: int, slowest_us: float) -> str | None:
+    """What was measured beyond the limits, in one line; None within them, and in virtual time.
+
+    `ticks` and `missed` are sums over all agents; `slowest_us` is the largest p99 from telemetry to command.
+    """
+    found = []
+    if missed > MAX_MISSED_SHARE * (ticks + missed):
+        found.append(f"{100.0 * missed / (ticks + missed):.1f} % of the ticks missed")
+    if slowest_us > 1000.0 * MAX_LATENCY_MS:
+        found.append(f"{slowest_us / 1000.0:.0f} ms from telemetry to command (p99)")
+    return ", ".join(found) or None
+
+
+def overload_line(found: str, source: TrackSource = "true") -> str:
+    return TOO_SLOW[source].format(found)
+
+
+class ReportedEvent(Struct, frozen=True, kw_only=True):
+    """An event that a vehicle reported, `time_s` after the flight's beginning."""
+
+    time_s: float
+    vehicle: int
+    code: Code
+    event: str
+
+
+class CommandGiven(Struct, frozen=True, kw_only=True):
+    """A command to several vehicles at once, `time_s` after the flight's beginning.
+
+    `answered_in_s` is the time until the last of them had answered; None if one did not.
+    """
+
+    time_s: float
+    command: CommandName
+    in_words: str  # with its arguments
+    vehicles: list[int]
+    answered_in_s: float | None
+
+
+class TopologyChange(Struct, frozen=True, kw_only=True):
+    """A vehicle's role and neighbours from `time_s` after the flight's beginning until its next change."""
+
+    time_s: float
+    vehicle: int
+    role: Role
+    epoch: int
+    prc: int
+    neighbours: tuple[int, ...]
+    in_formation: bool
+
+    def same_as(self, status: Status) -> bool:
+        own = (self.role, self.epoch, self.prc, self.neighbours, self.in_formation)
+        reported = (status.role, status.epoch, status.prc, status.neighbours, status.phase is FlightPhase.FORMATION)
+        return own == reported

@@ -13,7 +13,7 @@ from companion.types.errors import EXIT_DONE
 from sitl.cluster import workers_of
 from sitl.report.claim import Claim
 from sitl.report.folder import results_folder
-from sitl.report.share import ShareProgress
+from sitl.report.progress import ShareProgress
 from sitl.report.summary import write_json
 from sitl.stopping import StopRequest
 from sitl.study.goals import goal_claims

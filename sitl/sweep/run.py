@@ -11,7 +11,7 @@ from pathlib import Path
 from companion.types.errors import EXIT_DONE
 from sitl.cluster import workers_of
 from sitl.report.folder import results_folder
-from sitl.report.share import ShareProgress
+from sitl.report.progress import ShareProgress
 from sitl.report.summary import write_json
 from sitl.stopping import StopNow, StopRequest
 from sitl.sweep.flights import Chunk, FlightFigures, chunks_of, fly_chunk

@@ -11,10 +11,9 @@ from msgspec import Struct
 from companion.config.file import ConfigError
 from companion.types.errors import EXIT_DONE
 from sitl.cluster import workers_of
-from sitl.report.folder import results_folder
-from sitl.report.share import ShareProgress
+from sitl.report.folder import results_folder, table_text
+from sitl.report.progress import ShareProgress
 from sitl.report.summary import write_json
-from sitl.report.table import table_text
 from sitl.stopping import StopRequest
 from sitl.switching.starts import Start, random_start
 from sitl.switching.study import fly_all, plans

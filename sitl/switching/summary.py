@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from msgspec import Struct
 
-from sitl.report.table import Column
+from sitl.report.folder import Column
 from sitl.switching.topology import Topology
 
 ARRIVED_M = 0.2

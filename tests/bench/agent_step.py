@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 
 from companion.assembly import build_agent
-from companion.recording.configuration import recorded_config
+from companion.recording.codec import recorded_config
 from companion.recording.reader import RecordedTick, Recording, recordings
 from companion.types.flight import FlightPhase
 from sitl.flight.virtual_flight import fly_in_virtual_time

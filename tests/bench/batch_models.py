@@ -19,10 +19,9 @@ from typing import Any
 import numpy as np
 
 from sitl.autopilots.autopilot import DT_S
-from sitl.batch.attitude_loops import AttitudeLoops
-from sitl.batch.bodies import ATTITUDE, RATES, Bodies, RungeKutta
+from sitl.batch.bodies import ATTITUDE, RATES, AttitudeLoops, Bodies, RungeKutta
 from sitl.batch.columns import columns_of
-from sitl.batch.simulation import Simulation, starts_at_rest
+from sitl.batch.flight import Simulation, starts_at_rest
 from sitl.flight.scenario import Scenario
 from sitl.vehicle.config import Airframe
 

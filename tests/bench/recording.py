@@ -17,9 +17,9 @@ from tempfile import TemporaryDirectory
 
 from companion.ground.session import FleetSession
 from companion.link.tick import PERIOD_S
+from companion.recording.files import MB, recorded_files
 from companion.recording.reader import recordings
 from companion.recording.records import INBOX
-from companion.recording.writer.folder import MB, recorded_files
 from sitl.flight.director import Director, MachineClock
 from sitl.flight.files import ids_of, write_files
 from sitl.flight.orders import FlightFailure

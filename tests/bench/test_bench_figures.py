@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from companion.recording.records import TimingRecord
-from companion.recording.writer.writing import WritingAtOnce
+from companion.recording.writing import WritingAtOnce
 from companion.types.autopilot import AutopilotKind, PositionSample
 from companion.types.values import ZERO3
 from failing_flight import FailingFlight

@@ -15,8 +15,8 @@ from companion.types.notices import Code
 from own_ports import free_fleet_offset
 from repository import ROOT
 from sitl.flight.scenario import load_scenario
+from sitl.report.metrics import read_track
 from sitl.report.summary import RunSummary, read_summary
-from sitl.report.tracks import read_track
 
 pytestmark = [pytest.mark.fleet, pytest.mark.timeout(600)]
 

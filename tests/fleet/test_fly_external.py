@@ -19,8 +19,8 @@ from agent_process import until
 from companion.mavlink.codec import MavlinkCodec, mavlink
 from own_ports import free_fleet_offset
 from sitl.links.ports import ports_of
+from sitl.report.metrics import read_track
 from sitl.report.summary import RunSummary, read_summary
-from sitl.report.tracks import read_track
 
 pytestmark = [pytest.mark.fleet, pytest.mark.timeout(300)]
 

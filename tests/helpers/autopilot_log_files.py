@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from companion.recording.records import DecisionRecord
-from companion.report.assemble import StartRecords
+from companion.report.load import StartRecords
 
 MAGIC = b"ULog\x01\x12\x35\x01"
 DEGREES_PER_METRE = 1.0 / 111_319.5

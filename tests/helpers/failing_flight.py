@@ -10,7 +10,7 @@ from companion.link.control_loop import ControlLoop
 from companion.link.systemd import Notifier
 from companion.link.tick import TickTrigger
 from companion.mavlink.codec import MavlinkMessage
-from companion.recording.writer.recorder import Recorder
+from companion.recording.recorder import Recorder
 from companion.types.autopilot import AttitudeTarget, AutopilotKind, AutopilotRequest, Telemetry
 from companion.types.commands import Command, CommandName, CommandReply
 from companion.types.flight import FlightPhase

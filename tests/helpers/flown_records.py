@@ -24,9 +24,9 @@ from companion.recording.records import (
     Header,
     TimingRecord,
 )
-from companion.report.assemble import StartRecords, vehicle_log
-from companion.report.assemble import fleet_of as of_header
 from companion.report.flight import FlightRecords
+from companion.report.load import StartRecords, vehicle_log
+from companion.report.load import fleet_of as of_header
 from companion.types.autopilot import LandedState, PositionError
 from companion.types.commands import Command, CommandName, CommandReply
 from companion.types.flight import FlightPhase, HealthFlag, Role

@@ -11,12 +11,10 @@ from companion.config.fleet import LawName
 from companion.stability.arrays import FloatArray
 from companion.types.flight import Role
 from sitl.flight.scenario import Scenario, reference_of
-from sitl.paper.book import PERFECT, Book
-from sitl.paper.flights import COMPARED, NOISY_LAWS, FlightSubject, FlownPlan, Model, PaperPlan
+from sitl.paper.flights import COMPARED, NOISY_LAWS, PERFECT, Book, FlightSubject, FlownPlan, Model, PaperPlan
 from sitl.report.claim import Claim, ClaimVerdict
-from sitl.report.metrics import Formation
-from sitl.report.records import TopologyChange
-from sitl.report.tracks import Track
+from sitl.report.metrics import Formation, Track
+from sitl.report.summary import TopologyChange
 
 HOLDS, CONDITION, FAILS = ClaimVerdict.HOLDS, ClaimVerdict.CONDITION, ClaimVerdict.FAILS
 START_S = 5.0  # of every formation here

@@ -12,13 +12,12 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-import companion.recording.writer.files as files
+import companion.recording.files as files
 from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember
 from companion.config.reference import PointReference
 from companion.config.vehicle import AgentConfig, RecordingSettings, VehicleConfig
-from companion.recording.writer.recorder import Recorder
-from companion.recording.writer.start import recorder_of
-from companion.recording.writer.writing import Writing
+from companion.recording.recorder import Recorder, recorder_of
+from companion.recording.writing import Writing
 from companion.types.flight import Role
 
 SESSION, BEGAN_UNIX_S, BEGAN_S = 7, 1_700_000_000.0, 100.0

@@ -9,8 +9,7 @@ from typing import Any
 from mcap.writer import CompressionType, Writer
 
 from companion.recording.codec import encode, encode_inbox, encode_outbox, log_time_ns, metadata_of
-from companion.recording.records import FORMAT, INBOX, OUTBOX, Header
-from companion.recording.schemas import MESSAGE_ENCODING, SCHEMA_ENCODING, TYPES, schema
+from companion.recording.records import FORMAT, INBOX, MESSAGE_ENCODING, OUTBOX, SCHEMA_ENCODING, TYPES, Header, schema
 from companion.types.tick import Inbox, Outbox
 
 HEADER = Header(

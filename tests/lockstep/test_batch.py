@@ -15,9 +15,8 @@ from companion.types.flight import Role
 from repository import ROOT
 from sitl.autopilots.autopilot import DT_S
 from sitl.batch.columns import phase_steps
-from sitl.batch.flight import fly_batch
+from sitl.batch.flight import BatchStart, fly_batch
 from sitl.batch.metrics import batch_figures
-from sitl.batch.simulation import BatchStart
 from sitl.flight.lockstep import TELEMETRY_STEPS
 from sitl.flight.scenario import Scenario, load_scenario, reference_of
 from sitl.flight.virtual_flight import Flown, fly_without_landing

@@ -21,7 +21,7 @@ from sitl.cluster import client, workers_of
 from sitl.cluster.task import software
 from sitl.paper.flights import FlightSubject, Model, PaperPlan
 from sitl.paper.flights import fly as fly_plan
-from sitl.report.share import ShareProgress
+from sitl.report.progress import ShareProgress
 from sitl.study.cases import Case
 from sitl.study.plan import Batch
 from sitl.study.settings import AVERAGE_22

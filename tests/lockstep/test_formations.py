@@ -9,9 +9,8 @@ import pytest
 from repository import ROOT
 from sitl.flight.scenario import load_scenario, reference_of
 from sitl.flight.virtual_flight import Flown, fly_in_virtual_time
-from sitl.report.metrics import SAMPLE_S, errors_m, pairs_of, reference_positions_m
+from sitl.report.metrics import SAMPLE_S, Track, errors_m, pairs_of, reference_positions_m
 from sitl.report.progress import FlightProgress
-from sitl.report.tracks import Track
 
 SCENARIO = ROOT / "config" / "scenarios" / "formations.yaml"
 IDEAL = "stand_in.sensors=ideal"

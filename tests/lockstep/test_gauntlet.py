@@ -20,13 +20,11 @@ from sitl.flight.lockstep import Lockstep
 from sitl.flight.scenario import Scenario, load_scenario
 from sitl.flight.virtual_flight import fly_without_landing
 from sitl.gauntlet.command import numbers_of
-from sitl.gauntlet.distances import distances
-from sitl.gauntlet.drawn import drawn, family_of, has_runaway
 from sitl.gauntlet.families import FAMILIES
-from sitl.gauntlet.flight import UNDISTURBED_EVERY, Job, fly
-from sitl.gauntlet.worst import write_worst
+from sitl.gauntlet.flight import UNDISTURBED_EVERY, Job, distances, drawn, family_of, fly, has_runaway
+from sitl.gauntlet.summary import write_worst
+from sitl.report.metrics import Track
 from sitl.report.progress import FlightProgress
-from sitl.report.tracks import Track
 
 FLEET = """
 name: four

@@ -24,15 +24,16 @@ from sitl.flight.lockstep import Lockstep
 from sitl.flight.scenario import Scenario, load_scenario, reference_of
 from sitl.report.metrics import (
     Formation,
+    Track,
+    Tracking,
     errors_m,
     formation_figures,
     reference_positions_m,
     smallest_distance_m,
     standing,
+    tracking,
 )
 from sitl.report.progress import FlightProgress
-from sitl.report.tracking import Tracking, tracking
-from sitl.report.tracks import Track
 
 RING = ROOT / "config" / "scenarios" / "ring_figure_8.yaml"
 CHANGES = 5

@@ -11,12 +11,23 @@ import numpy as np
 import pytest
 
 from companion.config.fleet import LawName
-from sitl.paper.book import Book, Entry
-from sitl.paper.claims.aggregation import broken_edges, has_gathered, left_for_good_s
-from sitl.paper.flights import PATIENT, FlightSubject, FlownPlan, Model, NoFormationError, PaperPlan, fly
-from sitl.paper.ideal_model import ideal_figures
-from sitl.paper.theory.matrices import RING_LED_BY_1, RING_LED_BY_2, printed_matrix
-from sitl.paper.topology import leaderships, reported_matrix, topology_at
+from sitl.paper.aggregation_claims import broken_edges, has_gathered, left_for_good_s
+from sitl.paper.flights import (
+    PATIENT,
+    Book,
+    Entry,
+    FlightSubject,
+    FlownPlan,
+    Model,
+    NoFormationError,
+    PaperPlan,
+    fly,
+    leaderships,
+    reported_matrix,
+    topology_at,
+)
+from sitl.paper.graphs import RING_LED_BY_1, RING_LED_BY_2, printed_matrix
+from sitl.paper.report import ideal_figures
 from sitl.report.metrics import formation_figures
 from sitl.workers import LocalWorkers
 

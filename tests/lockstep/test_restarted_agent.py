@@ -13,7 +13,7 @@ from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase, Role
 from companion.types.status import Status
 from repository import ROOT
-from sitl.gauntlet.distances import SENSOR_FACTOR
+from sitl.gauntlet.flight import SENSOR_FACTOR
 
 LEAVING = ROOT / "config" / "scenarios" / "leaving.yaml"
 ENDS_S, RESTARTS_AFTER_S = 24.0, 3.0

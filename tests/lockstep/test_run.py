@@ -15,8 +15,8 @@ from companion.types.autopilot import AutopilotKind
 from repository import ROOT
 from sitl.flight.scenario import load_scenario
 from sitl.report.folder import remove_old_run
+from sitl.report.metrics import read_track
 from sitl.report.summary import read_summary
-from sitl.report.tracks import read_track
 
 PLATOON = ROOT / "config" / "scenarios" / "platoon.yaml"
 SHORT = ("--set", "timeline[3].for_s=3")

@@ -15,8 +15,7 @@ from repository import ROOT
 from sitl.flight.scenario import load_scenario, reference_of
 from sitl.flight.virtual_flight import fly_in_virtual_time
 from sitl.report.metrics import formation_figures, neighbouring_pairs, pair_name, standing
-from sitl.report.progress import FlightProgress
-from sitl.report.share import ShareProgress
+from sitl.report.progress import FlightProgress, ShareProgress
 from sitl.sweep import flights
 from sitl.sweep.options import SweepOptions
 from sitl.sweep.run import run as run_sweep

@@ -23,9 +23,8 @@ from sitl.flight.files import ids_of
 from sitl.flight.lockstep import Lockstep
 from sitl.flight.scenario import Scenario, load_scenario, reference_of
 from sitl.flight.watch import FlightWatch
-from sitl.report.metrics import Formation, errors_m, reference_positions_m, standing
+from sitl.report.metrics import Formation, Track, errors_m, reference_positions_m, standing
 from sitl.report.progress import FlightProgress
-from sitl.report.tracks import Track
 
 SCENARIOS = ROOT / "config" / "scenarios"
 TRUE_HOVER = 0.49

@@ -9,9 +9,9 @@ from pathlib import Path
 from pymavlink import mavutil
 
 from agent_process import agent, agent_files, until
+from companion.recording.mcap_part import CHUNK_S
 from companion.recording.reader import recordings
 from companion.recording.records import INBOX, STATUS
-from companion.recording.writer.stream import CHUNK_S
 from hovering_autopilot import HoveringAutopilot
 
 CHUNK_BYTES = 5000  # a second of this flight has some more

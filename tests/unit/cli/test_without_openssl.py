@@ -14,7 +14,7 @@ assert main(["agent", "--config", "/no/such/vehicle.yaml"]) == 2
 
 from pathlib import Path
 
-import companion.app, companion.recording.writer.start
+import companion.app, companion.recording.recorder
 from companion.link.fleet.peer_datagrams import DatagramSeal
 from companion.mavlink.codec import MavlinkCodec, mavlink
 from companion.mavlink.codec import SigningKey

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.recording.clock_line import ClockLine, fitted_line
+from companion.recording.alignment import ClockLine, fitted_line
 
 FLIGHT_S, PERIOD_S = 600.0, 0.1
 

@@ -6,8 +6,7 @@ from pathlib import Path
 
 from msgspec.structs import replace
 
-from companion.recording.alignment import RecordingClock
-from companion.recording.one_flight import of_one_flight
+from companion.recording.alignment import RecordingClock, of_one_flight
 from companion.recording.reader import RecordedPart, Recording
 from recording_files import HEADER
 

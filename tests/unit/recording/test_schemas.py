@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from companion.recording import records
-from companion.recording.schemas import TYPES, schema
+from companion.recording.records import TYPES, schema
 
 TOPICS = [
     value

@@ -8,12 +8,10 @@ import pytest
 from msgspec.structs import replace
 
 from autopilot_log_files import AT_S, LoggedFaults, write_dataflash, write_ulog
-from companion.report.assemble import StartRecords
-from companion.report.autopilot.files import AutopilotLogs, log_files, read_log, read_logs
-from companion.report.autopilot.log import LogError
-from companion.report.autopilot.match import match
-from companion.report.finding import Severity
-from companion.report.judge import judged
+from companion.report.autopilot_logs import AutopilotLogs, LogError, log_files, match, read_log, read_logs
+from companion.report.findings import Severity
+from companion.report.load import StartRecords
+from companion.report.summary import judged
 from companion.types.autopilot import AutopilotKind
 from companion.types.notices import Code
 from flown_records import flight_of, records_of

@@ -12,8 +12,8 @@ from msgspec.structs import replace
 import companion.report.load as load
 from companion.cli.main import main
 from companion.recording.records import DecisionRecord
-from companion.report.assemble import StartRecords
-from companion.report.findings.commands import refused_commands
+from companion.report.flight_findings import refused_commands
+from companion.report.load import StartRecords
 from companion.types.commands import CommandName
 from companion.types.notices import Code, Notice
 from flown_records import BEGIN_UNIX_S, Faults, flight_of, records_of, write_recordings

@@ -7,8 +7,8 @@ from msgspec.structs import replace
 
 from companion.recording.records import DecisionRecord, TimingRecord
 from companion.report.distances import grid_of, pair_distances
-from companion.report.finding import Finding, FindingKind, Severity
-from companion.report.findings.all import all_findings
+from companion.report.findings import Finding, FindingKind, Severity
+from companion.report.summary import all_findings
 from companion.types.autopilot import LandedState
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase, HealthFlag

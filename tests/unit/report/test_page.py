@@ -12,12 +12,12 @@ from msgspec.structs import replace
 
 from autopilot_log_files import write_ulog
 from companion.recording.records import DecisionRecord
-from companion.report.autopilot.files import read_logs
-from companion.report.figures.style import COLUMNS, STYLES, look, thinned
-from companion.report.figures.tracks import _view
-from companion.report.finding import FindingKind, Severity, finding, rows_of
-from companion.report.judge import judged
+from companion.report.autopilot_logs import read_logs
+from companion.report.findings import FindingKind, Severity, finding, rows_of
 from companion.report.page import page_of, prose
+from companion.report.plotting import COLUMNS, STYLES, look, thinned
+from companion.report.summary import judged
+from companion.report.track_figures import _view
 from companion.types.commands import CommandName
 from companion.types.flight import HealthFlag
 from companion.types.notices import Code, Notice

@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from companion.recording.records import DecisionRecord
-from companion.report.distances import grid_of, pair_distances
-from companion.report.errors import errors_to_slot_m
-from companion.report.intervals import HELD_S, runs, stretches
+from companion.report.distances import errors_to_slot_m, grid_of, pair_distances
+from companion.report.findings import HELD_S, runs, stretches
 from flown_records import Faults, fleet_of, flight_of, records_of
 
 TIME_S = np.arange(0.0, 10.0, 0.02)

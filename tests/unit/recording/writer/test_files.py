@@ -8,9 +8,7 @@ from pathlib import Path
 import pytest
 
 from companion.config.vehicle import RecordingSettings
-from companion.recording.writer.files import PartFiles
-from companion.recording.writer.folder import TLOG, FlightFiles, recorded_files, recordings_folder
-from companion.recording.writer.tlog import TlogPart
+from companion.recording.files import TLOG, FlightFiles, PartFiles, TlogPart, recorded_files, recordings_folder
 from recorded_agent import Disk
 
 LATER_S = 1e10  # by that time, all other flights are over

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from companion.recording.reader import recordings
+from companion.recording.recorder import ground_recorder
 from companion.recording.records import GROUND_COMMAND, GROUND_STATUS
-from companion.recording.writer.ground_recorder import ground_recorder
-from companion.recording.writer.writing import WritingThread
+from companion.recording.writing import WritingThread
 from companion.types.autopilot import AutopilotKind
 from companion.types.commands import Command, CommandName
 from failing_flight import FailingFlight

@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 from mcap.reader import NonSeekingReader, SeekingReader
 
 from companion.recording.mcap_file import McapFile
+from companion.recording.mcap_part import McapPart, MessageChunk
 from companion.recording.records import FORMAT, GROUND_COMMAND, GROUND_STATUS, Header
-from companion.recording.writer.chunk import MessageChunk
-from companion.recording.writer.mcap_part import McapPart
 
 TOPICS = (GROUND_STATUS, GROUND_COMMAND)
 HEADER = Header(

@@ -13,13 +13,11 @@ from mcap.reader import make_reader
 
 from companion.core.consensus.law import cooperative
 from companion.recording.codec import decode_inbox, decode_outbox, encode
-from companion.recording.decisions import decision_record
+from companion.recording.files import PartFiles
+from companion.recording.mcap_part import MOST_BYTES, TOO_MUCH, MessageChunk
 from companion.recording.reader import recordings
-from companion.recording.records import DECISION, EVENT, INBOX, OUTBOX, TIMING
-from companion.recording.writer.chunk import MessageChunk
-from companion.recording.writer.files import PartFiles
-from companion.recording.writer.stream import MOST_BYTES, TOO_MUCH
-from companion.recording.writer.writing import WAITING, WritingAtOnce, WritingThread
+from companion.recording.records import DECISION, EVENT, INBOX, OUTBOX, TIMING, decision_record
+from companion.recording.writing import WAITING, WritingAtOnce, WritingThread
 from companion.types.autopilot import AutopilotKind
 from companion.types.commands import Command, CommandName, ReferenceChange
 from companion.types.flight import FlightPhase
@@ -188,7 +186,7 @@ def test_a_flood_of_commands_fills_neither_the_memory_nor_the_disk(
 
 def test_a_process_ends_though_its_disk_hangs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     disk = Disk(monkeypatch)
-    monkeypatch.setattr("companion.recording.writer.writing.CLOSE_WITHIN_S", 0.05)
+    monkeypatch.setattr("companion.recording.writing.CLOSE_WITHIN_S", 0.05)
     recording = recorder(tmp_path, WritingThread())
     flight = flight_with(recording)
     disk.works.clear()
@@ -258,7 +256,7 @@ def test_a_defect_of_the_recorder_ends_the_recording_and_not_the_flight(
 ) -> None:
     recording = recorder(tmp_path, WritingAtOnce())
     flight = flight_with(recording).fly_to(P.FORMATION)
-    monkeypatch.setattr("companion.recording.writer.recorder.encode_inbox", lambda *_: 1 / 0)
+    monkeypatch.setattr("companion.recording.recorder.encode_inbox", lambda *_: 1 / 0)
     sent = len(flight.autopilot.targets)
     flight.ticks(1.0)
     assert len(flight.autopilot.targets) - sent == SECOND

@@ -9,7 +9,7 @@ from pymavlink import mavutil
 
 from companion.link.autopilot_link import RecordedLink
 from companion.mavlink.translator import Translator
-from companion.recording.writer.writing import WritingAtOnce
+from companion.recording.writing import WritingAtOnce
 from companion.types.autopilot import AutopilotKind
 from failing_flight import FailingFlight
 from recorded_agent import BEGAN_S, BEGAN_UNIX_S, recorder

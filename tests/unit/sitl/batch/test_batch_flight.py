@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from batch_scenarios import platoon
+from sitl.batch.autopilots import BatchGusts, EstimatorErrors
 from sitl.batch.columns import columns_of
-from sitl.batch.disturbances import BatchGusts, EstimatorErrors
-from sitl.batch.flight import fly_batch
-from sitl.batch.simulation import Simulation, starts_at_rest
+from sitl.batch.flight import Simulation, fly_batch, starts_at_rest
 from sitl.vehicle.config import SENSORS
 
 NOISY = ("stand_in.sensors=default", "stand_in.wind.gust_sd_m_s=0.5", "links.peer_loss=0.2", "links.peer_jitter_s=0.05")

@@ -10,13 +10,13 @@ from sitl.flight.scenario import Scenario, reference_of
 from sitl.report.metrics import (
     Formation,
     FormationFigures,
+    Track,
     formation_figures,
     neighbouring_pairs,
     pair_name,
     settle_time_s,
     standing,
 )
-from sitl.report.tracks import Track
 
 SQUARE = (
     "fleet.vehicles=[{id: 1, role: leader, slot_enu_m: [0, 0, 0]}, {id: 2, role: follower, slot_enu_m: [-1, 0, 0]},"

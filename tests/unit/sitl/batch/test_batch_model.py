@@ -15,11 +15,17 @@ from companion.stability.arrays import FloatArray
 from companion.types.autopilot import AttitudeTarget
 from rigid_body import Equations
 from sitl.autopilots.autopilot import DT_S
-from sitl.batch.attitude_loops import AttitudeLoops
-from sitl.batch.bodies import Bodies, RungeKutta
+from sitl.batch.agents import Commands
+from sitl.batch.bodies import (
+    AttitudeLoops,
+    Bodies,
+    RungeKutta,
+    euler_rad,
+    product,
+    quaternion_of_euler,
+    quaternion_of_turns,
+)
 from sitl.batch.columns import columns_of, phase_steps
-from sitl.batch.commands import Commands
-from sitl.batch.rotations import euler_rad, product, quaternion_of_euler, quaternion_of_turns
 from sitl.flight.lockstep import _phase_s
 from sitl.vehicle.config import Airframe, AutopilotFile, StandIn
 from sitl.vehicle.control import PX4_LOOPS, AttitudeControl, AttitudeSetpoint

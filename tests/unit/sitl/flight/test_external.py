@@ -27,8 +27,8 @@ from sitl.flight.flights import write_results
 from sitl.flight.scenario import Scenario, load_scenario
 from sitl.links.free_ports import PortInUseError, check_agents_ports
 from sitl.report.folder import remove_old_run
+from sitl.report.metrics import TrackError, read_track, reported_track, write_track
 from sitl.report.summary import in_words, read_summary
-from sitl.report.tracks import TrackError, read_track, reported_track, write_track
 
 CONFIG = ROOT / "config"
 EXAMPLES = sorted((CONFIG / "external").glob("*.yaml"))

@@ -7,8 +7,7 @@ import pytest
 
 from companion.types.notices import Code
 from sitl.flight.orders import Refusal
-from sitl.gauntlet.arrival import SETTLED, SlotArrivals, reference_rests_from_s, settled_s
-from sitl.gauntlet.flight import FlightOutcome
+from sitl.gauntlet.flight import SETTLED, FlightOutcome, SlotArrivals, reference_rests_from_s, settled_s
 from sitl.gauntlet.summary import Fate, fates, summarize
 
 

@@ -11,18 +11,28 @@ import pytest
 from companion.core.reference.trajectories import point
 from companion.stability.arrays import FloatArray
 from companion.types.flight import Role
-from sitl.paper.book import listed, seconds, verdict_of
-from sitl.paper.figures.pictures import PICTURES
-from sitl.paper.flights import FlightSubject, Model, paper_plans
-from sitl.paper.law_table import LawRow
-from sitl.paper.measures import alone_s, behind_leader_m, broken_s, edges_m, response_s, total_s
-from sitl.paper.report import SIGNS, PaperReport, as_html, sentence, verdict_counts, versions, write_report
-from sitl.paper.theory.matrices import printed_matrix
-from sitl.paper.topology import VehicleReport, topology_at
+from sitl.paper.figures import PICTURES
+from sitl.paper.flights import (
+    FlightSubject,
+    Model,
+    VehicleReport,
+    alone_s,
+    behind_leader_m,
+    broken_s,
+    edges_m,
+    listed,
+    paper_plans,
+    response_s,
+    seconds,
+    topology_at,
+    total_s,
+    verdict_of,
+)
+from sitl.paper.graphs import printed_matrix
+from sitl.paper.report import SIGNS, LawRow, PaperReport, as_html, sentence, verdict_counts, versions, write_report
 from sitl.report.claim import Claim, ClaimVerdict, Erratum
-from sitl.report.metrics import Formation, FormationFlight, standing
-from sitl.report.records import TopologyChange
-from sitl.report.tracks import Track
+from sitl.report.metrics import Formation, FormationFlight, Track, standing
+from sitl.report.summary import TopologyChange
 
 
 def claim(claim_id: str, verdict: ClaimVerdict, remark: str = "", full: str = "1.81 m") -> Claim:

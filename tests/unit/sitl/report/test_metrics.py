@@ -15,14 +15,16 @@ from companion.stability.arrays import FloatArray
 from companion.types.values import Vector3
 from sitl.report.metrics import (
     Formation,
+    Track,
+    TrackError,
     errors_m,
     formation_figures,
+    read_track,
     reference_positions_m,
     settle_time_s,
     smallest_distance_m,
     standing,
 )
-from sitl.report.tracks import Track, TrackError, read_track
 
 TIMES_S = np.linspace(0.0, 100.0, 5001)
 SLOTS: dict[int, Vector3] = {1: (0.0, 0.0, 0.0), 2: (-1.5, 0.0, 0.0), 3: (-3.0, 0.0, 0.0)}

@@ -5,7 +5,7 @@ from sitl.flight.scenario import TimelineStep
 from sitl.flight.watch import FlightWatch
 from sitl.report.metrics import Formation
 from sitl.report.plan_view import Panel, panels_of
-from sitl.report.records import CommandGiven
+from sitl.report.summary import CommandGiven
 
 
 def watched(*asked: tuple[float, TimelineStep]) -> FlightWatch:

@@ -8,9 +8,8 @@ import pytest
 from matplotlib.figure import Figure
 
 from companion.core.reference.trajectories import point
-from sitl.report.metrics import Formation, FormationFlight, standing
+from sitl.report.metrics import Formation, FormationFlight, Track, standing
 from sitl.report.plots import COLOURS, MARKERS, STYLES, save_comparison, save_figure_5, save_figure_6
-from sitl.report.tracks import Track
 
 PNG = b"\x89PNG\r\n\x1a\n"
 

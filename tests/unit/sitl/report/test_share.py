@@ -4,7 +4,7 @@ import io
 
 import pytest
 
-from sitl.report.share import ShareProgress
+from sitl.report.progress import ShareProgress
 
 HIDE_CURSOR = "\x1b[?25l"
 ONE_UP_AND_ERASE = "\x1b[1A\x1b[2K"

@@ -11,7 +11,7 @@ from companion.config.fleet import RangeNeighbours
 from companion.core.consensus.law import weighted
 from companion.types.values import Vector3
 from sitl.cli.main import main
-from sitl.report.table import table_text
+from sitl.report.folder import table_text
 from sitl.switching.figure import save_switching
 from sitl.switching.starts import APART_M, Start, random_start
 from sitl.switching.summary import COLUMNS, cells, limits_text, summarize

@@ -21,7 +21,7 @@ from paper_flights import (
     platoon,
     platoons,
 )
-from sitl.paper.claims.aggregation import Connectivity, aggregation_claims
+from sitl.paper.aggregation_claims import Connectivity, aggregation_claims
 from sitl.paper.flights import FlightSubject, FlownPlan
 from sitl.report.claim import ClaimVerdict
 from sitl.report.metrics import Formation

@@ -20,9 +20,8 @@ from paper_flights import (
     rings,
     scenario_of,
 )
-from sitl.paper.book import Book
-from sitl.paper.claims.flown import flight_claims
-from sitl.paper.flights import FlightSubject, Model
+from sitl.paper.aggregation_claims import flight_claims
+from sitl.paper.flights import Book, FlightSubject, Model
 
 
 def test_every_flown_claim_is_tested_with_different_verdicts() -> None:

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from paper_flights import BAD, CONDITION, FAILS, GOOD, HIGH, HOLDS, Peaks, found, noisy, platoon, platoons
-from sitl.paper.claims.experiment import experiment_claims
-from sitl.paper.claims.platoon import platoon_claims
 from sitl.paper.flights import FlownPlan
+from sitl.paper.platoon_claims import experiment_claims, platoon_claims
 from sitl.report.claim import ClaimVerdict
 
 

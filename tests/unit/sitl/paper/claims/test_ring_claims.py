@@ -21,11 +21,10 @@ from paper_flights import (
     rings,
     stretched,
 )
-from sitl.paper.book import Book
-from sitl.paper.claims.ring import ring_claims
-from sitl.paper.flights import FlownPlan
+from sitl.paper.flights import Book, FlownPlan
+from sitl.paper.ring_claims import ring_claims
 from sitl.report.claim import ClaimVerdict
-from sitl.report.records import TopologyChange
+from sitl.report.summary import TopologyChange
 
 
 def test_following_the_8_holds() -> None:

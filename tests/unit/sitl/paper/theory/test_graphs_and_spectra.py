@@ -9,11 +9,9 @@ from hypothesis import strategies as st
 
 from companion.core.consensus.law import PAPER_GAINS, Gains, weighted
 from companion.stability.interaction import interaction_matrix, mode_figures
-from sitl.paper.theory.algorithm1 import algorithm_1, printed_prcs, ticks_to_settle
-from sitl.paper.theory.comparison import contrary, proposition_2_against_22
-from sitl.paper.theory.convergence import abscissa_1_s, limit_of_proportion
-from sitl.paper.theory.graphs import (
+from sitl.paper.graphs import (
     Led,
+    aggregation_graph,
     connected_graphs,
     diameter,
     every_small_pair,
@@ -26,9 +24,25 @@ from sitl.paper.theory.graphs import (
     united,
     within_range,
 )
-from sitl.paper.theory.matrices import aggregation_graph
-from sitl.paper.theory.spectrum import corollary_2, lemma_1, lemma_1_converse, lemma_2, rows_of_g
-from sitl.paper.theory.survey import GraphSurvey, spectra_of, take_survey
+from sitl.paper.spectrum import (
+    GraphSurvey,
+    corollary_2,
+    lemma_1,
+    lemma_1_converse,
+    lemma_2,
+    rows_of_g,
+    spectra_of,
+    take_survey,
+)
+from sitl.paper.theorems import (
+    abscissa_1_s,
+    algorithm_1,
+    contrary,
+    limit_of_proportion,
+    printed_prcs,
+    proposition_2_against_22,
+    ticks_to_settle,
+)
 from sitl.report.claim import ClaimVerdict
 from sitl.study.shapes import chain, ring
 
@@ -202,7 +216,7 @@ def test_a_directed_graph_breaks_lemma_2() -> None:
 def test_line_3_as_printed_breaks_algorithm_1(monkeypatch: pytest.MonkeyPatch) -> None:
     survey = survey_of(Led(chain(4).adjacency(), frozenset({1})))
     assert algorithm_1(survey).verdict is ClaimVerdict.CONDITION
-    monkeypatch.setattr("sitl.paper.theory.algorithm1.next_prc", lambda is_leader, _prcs, n: 1 if is_leader else n)
+    monkeypatch.setattr("sitl.paper.theorems.next_prc", lambda is_leader, _prcs, n: 1 if is_leader else n)
     assert algorithm_1(survey).verdict is ClaimVerdict.FAILS
 
 
@@ -212,8 +226,8 @@ def test_the_claims_hold_on_a_small_survey() -> None:
 
 
 def test_the_survey_is_reproducible(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sitl.paper.theory.survey.MOST_VERTICES", 3)
-    monkeypatch.setattr("sitl.paper.theory.survey.RANDOM_PAIRS", 5)
+    monkeypatch.setattr("sitl.paper.spectrum.MOST_VERTICES", 3)
+    monkeypatch.setattr("sitl.paper.spectrum.RANDOM_PAIRS", 5)
     one, other = take_survey(), take_survey()
     assert [spectra.pair for spectra in one.drawn] == [spectra.pair for spectra in other.drawn]
     assert len(one.small) == 3 + 2 * 7

@@ -3,11 +3,11 @@
 import msgspec
 import pytest
 
-import sitl.paper.theory.comparison as comparison
-import sitl.paper.theory.matrices as matrices
+import sitl.paper.graphs as matrices
+import sitl.paper.theorems as comparison
 from companion.types.values import ZERO3
 from sitl.paper.errata import acceleration_of, errata, printed_attitude, right_attitude
-from sitl.paper.theory.theorems import theory_claims
+from sitl.paper.theorems import theory_claims
 from sitl.report.claim import Claim, ClaimVerdict
 from sitl.study.shapes import Shape
 

@@ -7,16 +7,28 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-import sitl.paper.theory.algorithm1 as algorithm1
-import sitl.paper.theory.comparison as comparison
-import sitl.paper.theory.spectrum as spectrum
+import sitl.paper.spectrum as spectrum
+import sitl.paper.theorems as algorithm1
+import sitl.paper.theorems as comparison
 from companion.stability.arrays import FloatArray
-from sitl.paper.beyond import growth_text
-from sitl.paper.theory.comparison import platoon, proposition_2_against_22, proposition_2_against_26
-from sitl.paper.theory.convergence import proposition_1_and_corollary_1
-from sitl.paper.theory.graphs import every_small_pair, random_pairs
-from sitl.paper.theory.spectrum import corollary_2, lemma_1, lemma_1_converse, lemma_2, rows_of_g
-from sitl.paper.theory.survey import GraphSpectra, GraphSurvey, spectra_of
+from sitl.paper.graphs import every_small_pair, random_pairs
+from sitl.paper.report import growth_text
+from sitl.paper.spectrum import (
+    GraphSpectra,
+    GraphSurvey,
+    corollary_2,
+    lemma_1,
+    lemma_1_converse,
+    lemma_2,
+    rows_of_g,
+    spectra_of,
+)
+from sitl.paper.theorems import (
+    platoon,
+    proposition_1_and_corollary_1,
+    proposition_2_against_22,
+    proposition_2_against_26,
+)
 from sitl.report.claim import Claim, ClaimVerdict
 from sitl.study.settings import SETTINGS
 

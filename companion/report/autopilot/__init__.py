@@ -1,1 +1,0 @@
-"""Logs of the autopilots themselves, beside the recordings of the agents."""

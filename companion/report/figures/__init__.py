@@ -1,1 +1,0 @@
-"""The figures of the page, each as one self-contained picture."""

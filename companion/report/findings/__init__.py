@@ -1,1 +1,0 @@
-"""What deserves attention in a flight: one module for each kind of finding."""

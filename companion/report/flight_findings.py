@@ -1,0 +1,239 @@
+"""Failsafes: health flags in flight, and events by which an agent or an autopilot left the formation."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from companion.config.fleet import FleetConfig
+from companion.core.safety.failsafe import FAILSAFES, STOP, FailsafeSettings, schedule
+from companion.report.distances import PairDistance
+from companion.report.findings import Episode, Finding, FindingKind, Severity, finding, runs
+from companion.report.flight import Bools, FlightRecords, GivenCommand, VehicleLog
+from companion.types.flight import FLAG_TEXTS, STREAMING, FailsafeAction, HealthFlag
+from companion.types.notices import Code
+
+SAME_TICK_S = 0.005  # of an event and a tick
+FLAGS_APART_S = 2.0  # a flag that comes and goes within this time is one finding
+LOST_FLAGS = frozenset({HealthFlag.LEADER_AWAITED, HealthFlag.LEADER_LOST, HealthFlag.FLEET_LINK_LOST})
+LATE_FLAGS = frozenset({HealthFlag.TICK_LATE})
+# These count in every phase in the air; the others only while the agent commands setpoints.
+ALWAYS_COUNT = frozenset(
+    {HealthFlag.BATTERY_LOW, HealthFlag.BATTERY_CRITICAL, HealthFlag.OUTSIDE_FENCE, HealthFlag.ESTIMATOR_BAD}
+)
+STOPPING_FLAGS = frozenset(row.condition for row in FAILSAFES if STOP in row.steps)
+STREAMING_PHASES = tuple(str(phase) for phase in STREAMING)
+EVENTS = {
+    Code.AGENT_FAILED: Severity.CRITICAL,
+    Code.HAND_OVER_FAILED: Severity.CRITICAL,
+    Code.NO_SETPOINT: Severity.CRITICAL,
+    Code.PROCEDURE_FAILED: Severity.WARNING,
+    Code.MODE_CHANGED_BY_OTHERS: Severity.WARNING,
+    Code.AGENT_STOPPING: Severity.WARNING,
+    Code.RECORDING_DROPS: Severity.WARNING,
+    Code.SEPARATION_INTERVENES: Severity.INFO,
+}
+KINDS = {Code.SEPARATION_INTERVENES: FindingKind.CLOSE, Code.RECORDING_DROPS: FindingKind.RECORDING}
+
+
+def settings_of(fleet: FleetConfig | None) -> FailsafeSettings:
+    """What the fleet file chooses; the defaults without one."""
+    if fleet is None:
+        return FailsafeSettings()
+    action = FailsafeAction[fleet.low_battery_action.upper()]
+    return FailsafeSettings(action, fleet.land_after_s, fleet.leader_holds_after_s)
+
+
+def raised_flags(vehicle: VehicleLog, settings: FailsafeSettings) -> Iterator[Finding]:
+    """One finding for each time a flag was raised in the air. Critical where a failsafe beyond a warning came due."""
+    streaming = np.asarray(np.isin(vehicle.ticks.phase, STREAMING_PHASES), dtype=np.bool_)
+    schedules = {HealthFlag(row.condition): schedule(row.steps, settings) for row in FAILSAFES}
+    for flag in HealthFlag:
+        raised = vehicle.ticks.flags.get(flag)
+        # The positions of all vehicles show SEPARATION_VIOLATED better than one vehicle's view: see `closeness`.
+        if raised is None or flag is HealthFlag.SEPARATION_VIOLATED:
+            continue
+        for episode in runs(vehicle.ticks.time_s, counting(vehicle, flag), FLAGS_APART_S):
+            streamed = bool(streaming[episode.first : episode.last + 1].any())
+            yield _of_flag(vehicle, flag, episode, _action(schedules[flag], episode, streamed))
+
+
+def counting(vehicle: VehicleLog, flag: str) -> Bools:
+    """Per tick: whether the flag is raised where it counts: on the ground most flags are expected."""
+    streaming = np.isin(vehicle.ticks.phase, STREAMING_PHASES)
+    return np.asarray(
+        vehicle.ticks.flags[flag] & vehicle.in_air() & (streaming | (flag in ALWAYS_COUNT)), dtype=np.bool_
+    )
+
+
+def _action(steps: tuple[tuple[float, FailsafeAction], ...], episode: Episode, streaming: bool) -> FailsafeAction:
+    """The strongest step that came due while the flag was raised; a warning where no step is taken.
+
+    The steps count from when the flag is raised: once it is cleared, they begin anew.
+    """
+    due = [action for due_s, action in steps if due_s <= episode.longest_s + 0.02]
+    return max(due, default=FailsafeAction.WARN) if streaming else FailsafeAction.WARN
+
+
+def _of_flag(vehicle: VehicleLog, flag: HealthFlag, episode: Episode, action: FailsafeAction) -> Finding:
+    kind = FindingKind.LOST if flag in LOST_FLAGS else FindingKind.LATE if flag in LATE_FLAGS else FindingKind.FAILSAFE
+    beyond = action not in (FailsafeAction.NONE, FailsafeAction.WARN, FailsafeAction.STOP_STREAM)
+    text = f"{FLAG_TEXTS[flag]} {episode.duration_text}"
+    if beyond:
+        text += f"; failsafe: {action.name.lower()}"
+    elif action is FailsafeAction.STOP_STREAM:
+        text += "; no setpoint was sent in that time"
+    severity = Severity.CRITICAL if beyond else Severity.WARNING
+    return finding(kind, severity, Code(flag), vehicle.vehicle_id, episode.interval.begins_s, text, episode.held_s)
+
+
+def failsafe_events(vehicle: VehicleLog) -> Iterator[Finding]:
+    """Events that are findings by themselves."""
+    for event in vehicle.events:
+        if severity := EVENTS.get(event.code):
+            kind = KINDS.get(event.code, FindingKind.FAILSAFE)
+            yield finding(kind, severity, event.code, vehicle.vehicle_id, event.time_s, event.text)
+
+
+def streams_ended(vehicle: VehicleLog) -> Iterator[Finding]:
+    """Events that end the setpoints of an agent in the air, because its input was not valid.
+
+    `raised_flags` does not find them all: the flag may be raised in the tick of the event alone.
+    """
+    streaming = np.isin(vehicle.ticks.phase, STREAMING_PHASES)
+    ended = np.flatnonzero(streaming[:-1] & ~streaming[1:]) + 1
+    ended_s = vehicle.ticks.time_s[ended[vehicle.in_air()[ended]]]
+    for event in vehicle.events:
+        if event.code in STOPPING_FLAGS and np.any(np.abs(ended_s - event.time_s) < SAME_TICK_S):
+            yield finding(
+                FindingKind.FAILSAFE, Severity.CRITICAL, event.code, vehicle.vehicle_id, event.time_s, event.text
+            )
+
+
+def disarmed_in_air(vehicle: VehicleLog) -> Iterator[Finding]:
+    """The autopilot disarmed while it reported to be in the air."""
+    statuses = vehicle.statuses
+    fell = np.flatnonzero(statuses.armed[:-1] & ~statuses.armed[1:] & statuses.in_air[:-1] & statuses.in_air[1:])
+    for row in fell:
+        time_s = float(statuses.time_s[row + 1])
+        text = f"disarmed in the air, {_height_text(vehicle, time_s)}, in mode {statuses.mode[row]}"
+        yield finding(
+            FindingKind.FAILSAFE, Severity.CRITICAL, Code.AUTOPILOT_DISARMED, vehicle.vehicle_id, time_s, text
+        )
+
+
+def _height_text(vehicle: VehicleLog, time_s: float) -> str:
+    height_m = float(np.interp(time_s, vehicle.ticks.time_s, vehicle.ticks.position_enu_m[:, 2]))
+    return "at an unknown height" if np.isnan(height_m) else f"{height_m:.1f} m above the origin"
+
+
+GIVEN_AGAIN_S = 5.0
+
+
+def refused_commands(vehicle: VehicleLog) -> Iterator[Finding]:
+    """One finding for each command; its code is that of the answer. One that was accepted soon after is information."""
+    for command in vehicle.commands:
+        label = f"command {command.name} (number {command.number}, {command.operator})"
+        if command.answered_s is None:
+            text = f"{label} has no recorded answer"
+            yield finding(
+                FindingKind.REFUSED, Severity.WARNING, Code.NO_REPLY, vehicle.vehicle_id, command.time_s, text
+            )
+        elif not command.accepted and command.code is not None:
+            again_s = _accepted_after_s(vehicle, command)
+            text = f"{label} refused: {command.text}" + ("" if again_s is None else f"; accepted {again_s:.1f} s later")
+            severity = Severity.WARNING if again_s is None else Severity.INFO
+            yield finding(FindingKind.REFUSED, severity, command.code, vehicle.vehicle_id, command.time_s, text)
+
+
+def _accepted_after_s(vehicle: VehicleLog, refused: GivenCommand) -> float | None:
+    """After what time the same operator gave the same command with success; None if not soon."""
+    after_s = [
+        one.time_s - refused.time_s
+        for one in vehicle.commands
+        if one.accepted and (one.name, one.operator) == (refused.name, refused.operator)
+    ]
+    return min((time_s for time_s in after_s if 0.0 <= time_s <= GIVEN_AGAIN_S), default=None)
+
+
+LOST_S = 0.25  # in three reports in a row
+LOST_APART_S = 1.0
+REPORT_S = 0.35  # a report counts until the next one, at most for this time
+
+
+def lost_peers(flight: FlightRecords) -> Iterator[Finding]:
+    """One finding for each time a vehicle did not receive another one that was in the air and had been received before."""
+    for vehicle in flight.vehicles:
+        for other in flight.vehicles:
+            if other is not vehicle:
+                yield from _lost(vehicle, other)
+
+
+def _lost(vehicle: VehicleLog, other: VehicleLog) -> Iterator[Finding]:
+    statuses = vehicle.statuses
+    fresh = np.array([other.vehicle_id in peers for peers in statuses.peers], dtype=np.bool_)
+    if not fresh.any():
+        return
+    known = np.arange(fresh.size) > int(np.argmax(fresh))
+    missing = ~fresh & known & statuses.in_air & _in_air_at(other, vehicle)
+    for episode in runs(statuses.time_s, missing, LOST_APART_S, REPORT_S):
+        if episode.longest_s >= LOST_S:
+            text = f"no packets of vehicle {other.vehicle_id} {episode.duration_text}"
+            ended_s = _last_record_s(other, episode.interval.ends_s)
+            if episode.interval.ends_s - ended_s > REPORT_S:
+                text += f"; its records end at {ended_s:.1f} s, in the air"
+            yield finding(
+                FindingKind.LOST,
+                Severity.WARNING,
+                Code.PEER_STALE,
+                vehicle.vehicle_id,
+                episode.interval.begins_s,
+                text,
+                episode.held_s,
+            )
+
+
+def _in_air_at(other: VehicleLog, vehicle: VehicleLog) -> Bools:
+    """Whether the other vehicle is in the air at each report of this one.
+
+    A vehicle whose records end in the air counts as in the air from then on: its agent may have died, not the vehicle.
+    """
+    time_s, own_s = vehicle.statuses.time_s, other.ticks.time_s
+    if not own_s.size:
+        return np.zeros(time_s.size, dtype=np.bool_)
+    row = np.clip(np.searchsorted(own_s, time_s, side="right") - 1, 0, own_s.size - 1)
+    return np.asarray(other.in_air()[row] & (time_s >= own_s[0]), dtype=np.bool_)
+
+
+def _last_record_s(vehicle: VehicleLog, until_s: float) -> float:
+    """Time of its last tick up to a time, of which there is at least one."""
+    own_s = vehicle.ticks.time_s
+    return float(own_s[np.searchsorted(own_s, until_s, side="right") - 1])
+
+
+ENCOUNTERS_APART_S = 2.0  # what is nearer again within this time is the same encounter
+
+
+def too_close(pairs: Sequence[PairDistance], separation_m: float | None) -> Iterator[Finding]:
+    """One finding for each encounter. None can be judged without `separation_m`."""
+    if separation_m is None:
+        return
+    for pair in pairs:
+        distance_m = np.where(pair.judged, pair.distance_m, np.inf)
+        for episode in runs(pair.time_s, distance_m < separation_m, ENCOUNTERS_APART_S):
+            row = episode.first + int(np.argmin(distance_m[episode.first : episode.last + 1]))
+            a, b = pair.pair
+            text = (
+                f"vehicles {a} and {b} were {distance_m[row]:.2f} m apart at {pair.time_s[row]:.1f} s,"
+                f" separation_m is {separation_m:g} m"
+            )
+            yield finding(
+                FindingKind.CLOSE,
+                Severity.CRITICAL,
+                Code.SEPARATION_VIOLATED,
+                a,
+                episode.interval.begins_s,
+                text,
+                episode.held_s,
+            )

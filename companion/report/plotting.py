@@ -1,0 +1,244 @@
+"""The look of all figures: readable on A4 and in grey, one colour, line style and marker for each vehicle."""
+
+from __future__ import annotations
+
+import base64
+import io
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime, tzinfo
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, MultipleLocator
+
+from companion.report.findings import FindingRow, Severity
+from companion.report.flight import Floats
+
+WIDTH_IN = 7.3  # of A4 between margins of 12 mm
+COLUMNS = 500  # of a drawn curve: two values for each
+# The colour-blind safe palette of Okabe and Ito.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#000000", "#CC79A7", "#E69F00", "#56B4E9")
+STYLES: tuple[Any, ...] = ("-", (0, (6, 2)), (0, (5, 1.5, 1, 1.5)), (0, (2, 1.2)))
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+LIMIT: dict[str, Any] = {"color": "#a3201d", "linewidth": 1.2, "linestyle": (0, (4, 2)), "zorder": 3}
+GREY = "#808080"
+TIME_LABEL = "time since the first record [s]"
+MOST_MARKS = 20
+LEFT_IN, RIGHT_IN, TOP_IN, BOTTOM_IN = 0.62, 0.14, 0.38, 0.44  # margins; the right one has half a label of the time
+LEGEND_ROW_IN = 0.165
+LABEL_IN = 0.5  # from the values of an axis to its label
+STEPS_S = (0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 1200, 1800, 3600, 7200)
+MOST_STEPS = 12
+
+
+@dataclass(frozen=True, slots=True)
+class TimeAxis:
+    """The time axis of all figures: from 0 s to the end, its local time of day, and the findings to be marked on it."""
+
+    ends_s: float
+    begin_unix_s: float
+    zone: tzinfo
+    marks: tuple[tuple[float, str], ...] = ()
+
+    def clock(self, time_s: float, digits: int = 0) -> str:
+        """The local time of day."""
+        at = datetime.fromtimestamp(round(self.begin_unix_s + time_s, digits), self.zone)
+        return f"{at:%H:%M:%S}" + (f".{at.microsecond // 10 ** (6 - digits):0{digits}d}" if digits else "")
+
+
+def marks_of(rows: Sequence[FindingRow]) -> tuple[tuple[float, str], ...]:
+    """Times and numbers of the findings that have a moment, information left out."""
+    numbered = enumerate((row.finding for row in rows), start=1)
+    marked = [(one.time_s, str(n)) for n, one in numbered if one.severity is not Severity.INFO and one.time_s > 0.0]
+    return tuple(marked[:MOST_MARKS])
+
+
+def look(index: int) -> dict[str, Any]:
+    """Style of the curve of a vehicle."""
+    turn, colour = divmod(index, len(COLOURS))
+    return {
+        "color": COLOURS[colour],
+        "linestyle": STYLES[(colour + turn) % len(STYLES)],
+        "linewidth": 1.3,
+    }
+
+
+def new_figure(panels_in: float) -> Figure:
+    """An empty figure of the width of the page, with this height for its panels.
+
+    `finish` adds fixed margins and the legend, so the time axes of all figures are of one width.
+    """
+    return Figure(figsize=(WIDTH_IN, panels_in))
+
+
+def thinned(time_s: Floats, values: Floats) -> tuple[Floats, Floats]:
+    """Smallest and largest value of each of COLUMNS parts of the time: what is drawn keeps every peak. NaN breaks the curve."""
+    if time_s.size <= 3 * COLUMNS:
+        return time_s, values
+    length = -(-time_s.size // COLUMNS)
+    padded = np.full(length * COLUMNS, np.nan)
+    padded[: values.size] = values
+    parts = padded.reshape(COLUMNS, length)
+    missing = np.isnan(parts)
+    picks = (
+        np.argmin(np.where(missing, np.inf, parts), axis=1),
+        np.argmax(np.where(missing, -np.inf, parts), axis=1),
+        np.argmax(missing, axis=1),  # the first NaN, else the first value
+    )
+    rows = np.unique(np.concatenate([np.arange(COLUMNS) * length + pick for pick in picks]))
+    rows = rows[rows < values.size]
+    return time_s[rows], values[rows]
+
+
+def plot(axes: Axes, time_s: Floats, values: Floats, label: str, **style: Any) -> None:
+    """One curve over time, thinned."""
+    axes.plot(*thinned(time_s, values), label=label, **style)
+
+
+def dress(axes: Axes, label: str, columns: int = 1) -> None:
+    """Grid, label of the values, quiet frame. `columns`: of panels beside each other."""
+    axes.set_ylabel(label, fontsize=8)
+    axes.yaxis.set_label_coords(-LABEL_IN / (WIDTH_IN - LEFT_IN - RIGHT_IN) * columns, 0.5)
+    axes.grid(True, color="#dddddd", linewidth=0.6)
+    axes.tick_params(labelsize=8)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.set_axisbelow(True)
+
+
+def dress_time(panels: Sequence[Axes], axis: TimeAxis) -> None:
+    """The time below the last panel, the local time of day above the first, and numbered marks of findings."""
+    for axes in panels:
+        axes.set_xlim(0.0, max(axis.ends_s, 1.0))
+        for time_s, _ in axis.marks:
+            axes.axvline(time_s, color="#555555", linewidth=0.7, linestyle=(0, (1, 1.5)), zorder=1)
+    step_s = next((step_s for step_s in STEPS_S if axis.ends_s / step_s <= MOST_STEPS), axis.ends_s / MOST_STEPS)
+    panels[0].xaxis.set_major_locator(MultipleLocator(step_s))
+    panels[-1].xaxis.set_major_locator(MultipleLocator(step_s))
+    panels[-1].set_xlabel(TIME_LABEL, fontsize=8.5)
+    above = panels[0].secondary_xaxis("top")
+    above.xaxis.set_major_locator(MultipleLocator(step_s))
+    # A label at the right end would leave the picture.
+    above.xaxis.set_major_formatter(
+        FuncFormatter(lambda time_s, _: axis.clock(time_s) if time_s < 0.96 * axis.ends_s else "")
+    )
+    above.tick_params(labelsize=7, colors="#666666", length=0, pad=11)
+    above.spines["top"].set_visible(False)
+    _number(panels[0], axis)
+
+
+def _number(axes: Axes, axis: TimeAxis) -> None:
+    """The numbers of the findings above the upper edge; those of one place share a label."""
+    places: list[tuple[float, list[str]]] = []
+    for time_s, number in sorted(axis.marks):
+        if places and time_s - places[-1][0] < 0.02 * axis.ends_s:
+            places[-1][1].append(number)
+        else:
+            places.append((time_s, [number]))
+    for time_s, numbers in places:
+        axes.text(
+            time_s,
+            1.02,
+            ",".join(numbers),
+            transform=axes.get_xaxis_transform(),
+            fontsize=6.5,
+            ha="center",
+            va="bottom",
+            color="#333333",
+            bbox={"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "#555555", "linewidth": 0.5},
+            zorder=6,
+        )
+
+
+def finish(figure: Figure, panels: Sequence[Axes], left_in: float = LEFT_IN) -> None:
+    """Margins of fixed size, and one legend below all panels in as many columns as fit, each label once."""
+    found: dict[str, Any] = {}
+    for axes in panels:
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            found.setdefault(label, handle)
+    columns, rows = 1, 0
+    if found:
+        columns = min(len(found), max(1, int((WIDTH_IN - 0.2) / (0.68 + 0.066 * max(map(len, found))))))
+        rows = -(-len(found) // columns)
+    legend_in = LEGEND_ROW_IN * rows + (0.08 if rows else 0.0)
+    height_in = figure.get_figheight() + TOP_IN + BOTTOM_IN + legend_in
+    figure.set_figheight(height_in)
+    figure.subplots_adjust(
+        left=left_in / WIDTH_IN,
+        right=1.0 - RIGHT_IN / WIDTH_IN,
+        top=1.0 - TOP_IN / height_in,
+        bottom=(BOTTOM_IN + legend_in) / height_in,
+        hspace=0.16,
+    )
+    if found:
+        figure.legend(
+            found.values(),
+            found.keys(),
+            loc="lower center",
+            bbox_to_anchor=(0.5, 0.0),
+            ncols=columns,
+            fontsize=7.5,
+            frameon=False,
+            handlelength=3.2,
+            borderaxespad=0.1,
+        )
+
+
+LARGE_SVG_BYTES = 150_000  # above this a PNG may be smaller
+PNG_DPI = 170  # sharp on A4
+# Text stays text: it can be searched, and a page of many figures stays small.
+RC: Any = {"svg.fonttype": "none", "svg.hashsalt": "report", "font.sans-serif": ["DejaVu Sans"]}
+FONT = "'DejaVu Sans'"  # what matplotlib draws with and measures by; the others are not wider
+FONTS = f"{FONT}, Arial, Helvetica, sans-serif"
+NO_METADATA = {"Date": None, "Creator": None, "Format": None, "Type": None}
+
+
+@dataclass(frozen=True, slots=True)
+class DrawnFigure:
+    """One figure of the page. `body` is an `svg` or an `img` element."""
+
+    id: str
+    title: str
+    caption: str
+    body: str
+
+
+def picture(figure: Figure, id_: str, title: str, caption: str) -> DrawnFigure:
+    """Draws the figure. The title is that of the page's caption, and the picture's accessible name."""
+    svg = _svg(figure, id_, title)
+    if len(svg) > LARGE_SVG_BYTES:
+        png = _png(figure, title)
+        svg = min(svg, png, key=len)
+    return DrawnFigure(id_, title, caption, svg)
+
+
+def _svg(figure: Figure, id_: str, title: str) -> str:
+    buffer = io.StringIO()
+    with matplotlib.rc_context(RC):
+        figure.savefig(buffer, format="svg", metadata=NO_METADATA)
+    text = buffer.getvalue()
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    text = re.sub(r' xmlns(:\w+)?="[^"]*"', "", text)  # HTML needs none, and a page without addresses is easy to check
+    text = text.replace("xlink:href", "href").replace(FONT, FONTS)
+    # Ids are unique in one figure only.
+    text = re.sub(r'\bid="', f'id="{id_}-', text)
+    text = re.sub(r"url\(#", f"url(#{id_}-", text)
+    text = re.sub(r'href="#', f'href="#{id_}-', text)
+    text = re.sub(r"(\d+\.\d\d)\d+", r"\1", text)  # a hundredth of a point
+    return text.replace("<svg ", f'<svg role="img" aria-label="{_attribute(title)}" ', 1)
+
+
+def _png(figure: Figure, title: str) -> str:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=PNG_DPI, pil_kwargs={"optimize": True})
+    data = base64.b64encode(buffer.getvalue()).decode("ascii")
+    return f'<img alt="{_attribute(title)}" src="data:image/png;base64,{data}">'
+
+
+def _attribute(text: str) -> str:
+    return text.replace("&", "&amp;").replace('"', "&quot;").replace("<", "&lt;")

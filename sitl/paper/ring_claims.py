@@ -1,0 +1,313 @@
+"""Claims on figures 9 and 10 and on latency: the ring of four on the figure 8, with leader changes in flight."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import inf, nan
+
+import numpy as np
+
+from companion.config.fleet import LawName
+from companion.config.reference import Figure8Reference
+from companion.stability.arrays import FloatArray
+from sitl.paper.flights import (
+    PERFECT,
+    Book,
+    Entry,
+    FlightSubject,
+    FlownPlan,
+    LeadershipSpan,
+    Model,
+    behind_leader_m,
+    leaderships,
+    listed,
+    reported_matrix,
+    response_s,
+    seconds,
+    topology_at,
+    verdict_of,
+)
+from sitl.paper.graphs import EXACT, RING_LED_BY_1, RING_LED_BY_2, hops, printed_matrix
+from sitl.report.claim import Claim
+from sitl.report.metrics import distances_m, errors_m, pair_name, reference_positions_m
+
+PRINTED: Mapping[int, list[str]] = {1: RING_LED_BY_1, 2: RING_LED_BY_2}
+RING_HOPS = (1, 2)  # from the leader of a ring of four to the others
+TRANSIENT_S = 5.0  # after a leader change; steady flight on the 8 follows
+AT_ONCE_S = 0.2  # two periods of the vehicles' reports
+LEADER_WITHIN, ALL_WITHIN = 1 / 20, 1 / 10  # bounds of RMS errors, as shares of the 8's width
+SIDE_WITHIN = 1 / 6  # bound of a side's deviation, as a share of its length
+
+
+def ring_claims(book: Book) -> list[Claim]:
+    return [
+        _follows_the_8(book),
+        _reported_weights(book),
+        _changes_at_once(book),
+        _diagonal_is_worst(book),
+        _latency_grows(book),
+        _latency_is_reduced(book),
+    ]
+
+
+def _flown(book: Book, model: Model, law: LawName = "weighted") -> Entry:
+    return book.one(FlightSubject.FIGURE_8, law, model)
+
+
+def steady_s(lead: LeadershipSpan) -> FloatArray:
+    """Sample times (n,) of a leadership without its transient."""
+    return np.arange(min(lead.from_s + TRANSIENT_S, lead.to_s - 1.0), lead.to_s, 0.02)
+
+
+def errors_by_hops_m(entry: Entry) -> dict[int, float]:
+    """Hops from the leader -> RMS distance of a vehicle to its slot relative to the leader, over all leaderships."""
+    squares: dict[int, list[FloatArray]] = {}
+    for lead in leaderships(entry.flown):
+        topology = topology_at(entry.flown.topology, lead.settled_s)
+        away = hops({i: report.neighbours for i, report in topology.items()}, [lead.leader_id])
+        for i in away.keys() - {lead.leader_id}:
+            error_m = behind_leader_m(entry.flight, lead.leader_id, i, steady_s(lead))
+            squares.setdefault(away[i], []).append(error_m**2)
+    return {h: float(np.sqrt(np.mean(np.concatenate(squares[h])))) for h in sorted(squares)}
+
+
+def _follows_the_8(book: Book) -> Claim:
+    """The verdict is on the errors of the leader and of all vehicles on the 8, on the sides, and on the leaders.
+
+    The paper gives no figures for these. The bounds are a twentieth and a tenth of the 8's width for the errors, and for a side
+    a sixth of its length, the relative deviation in the paper's figure 6: 1.75 m instead of 1.5 m.
+    """
+    found = {model: _on_the_8(_flown(book, model)) for model in PERFECT}
+    full = _flown(book, Model.FULL)
+    width_m = _width_m(full)
+    side_m = min(full.figures.wanted_distance_m[pair_name(pair)] for pair in full.flight.pairs)
+    held = all(
+        _flown(book, model).flown.failure is None
+        and one.changes >= 2
+        and one.leaders == PRINTED.keys()
+        and one.leader_rms_m < LEADER_WITHIN * width_m
+        and one.all_rms_m < ALL_WITHIN * width_m
+        and one.side_off_m < SIDE_WITHIN * side_m
+        for model, one in found.items()
+    )
+
+    def result(model: Model) -> str:
+        one = found[model]
+        errors = f"RMS errors {one.leader_rms_m:.2f} m (leader) and {one.all_rms_m:.2f} m (all)"
+        return f"{one.changes} leader changes; every side within {one.side_off_m:.2f} m of its length; {errors}"
+
+    return Claim(
+        id="fig-9",
+        where="figure 9",
+        claim="the formation follows the figure 8 while the leader changes between UAV 1 and UAV 2 (criterion: RMS errors "
+        "below a tenth of the 8's width, below a twentieth for the leader, and every side within a sixth of its length)",
+        paper="follows; no figure",
+        ideal=result(Model.IDEAL),
+        full=result(Model.FULL),
+        verdict=verdict_of(held),
+        remark=f"The 8 is {width_m:g} m wide and a side {side_m:g} m long, so the bounds are {ALL_WITHIN * width_m:.2f} m, "
+        f"{LEADER_WITHIN * width_m:.2f} m for the leader and {SIDE_WITHIN * side_m:.2f} m for a side, as in the paper's figure "
+        "6: 1.75 m instead of 1.5 m. The figures include the leader changes. The law uses r and r' but not r'', so that the "
+        "leader also deviates from the 8 in the bends. Size and speed of the 8 are ours; the paper gives none.",
+        measured={
+            f"{name}_{model}": value
+            for model, one in found.items()
+            for name, value in (
+                ("changes", float(one.changes)),
+                ("side_deviation_m", one.side_off_m),
+                ("leader_rms_m", one.leader_rms_m),
+                ("all_rms_m", one.all_rms_m),
+            )
+        }
+        | {"bound_leader_rms_m": LEADER_WITHIN * width_m, "bound_all_rms_m": ALL_WITHIN * width_m}
+        | {"bound_side_deviation_m": SIDE_WITHIN * side_m},
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _On8:
+    """One flight on the 8: leaders, largest deviation of a side, and RMS errors of the leader and of all vehicles."""
+
+    changes: int
+    leaders: set[int]
+    side_off_m: float
+    leader_rms_m: float
+    all_rms_m: float
+
+
+def _on_the_8(entry: Entry) -> _On8:
+    flight, times_s, spans = entry.flight, entry.flight.formation.times_s(), leaderships(entry.flown)
+    desired_m = entry.figures.wanted_distance_m
+    off_m = [distances_m(flight.tracks, pair, times_s) - desired_m[pair_name(pair)] for pair in flight.pairs]
+    r_m = reference_positions_m(flight.reference, flight.formation.reference_start_s, times_s)
+    error_m = {i: errors_m(track, flight.slots[i], r_m, times_s) for i, track in flight.tracks.items()}
+    led_m = [error_m[lead.leader_id][(times_s >= lead.from_s) & (times_s <= lead.to_s)] for lead in spans]
+    return _On8(
+        changes=len(spans) - 1,
+        leaders={lead.leader_id for lead in spans},
+        side_off_m=float(np.abs(off_m).max()),
+        leader_rms_m=_rms(np.concatenate(led_m)),
+        all_rms_m=_rms(np.concatenate(list(error_m.values()))),
+    )
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _width_m(entry: Entry) -> float:
+    reference = entry.flown.scenario.reference
+    if not isinstance(reference, Figure8Reference):
+        raise TypeError("the ring's reference is an 8")
+    return reference.width_m
+
+
+def matrix_follows_s(flown: FlownPlan, lead: LeadershipSpan) -> float:
+    """Time from the leader's first report until the reported G stays the printed one; inf where it never does."""
+    changes_s = [change.time_s for change in flown.topology if lead.from_s <= change.time_s < lead.to_s]
+    moments_s = sorted({lead.from_s, *changes_s})
+    wrong = [not _off_by(flown, lead, time_s) <= EXACT for time_s in moments_s]
+    if wrong[-1]:
+        return inf
+    first_right = max((index + 1 for index, is_wrong in enumerate(wrong) if is_wrong), default=0)
+    return moments_s[first_right] - lead.from_s
+
+
+def _off_by(flown: FlownPlan, lead: LeadershipSpan, time_s: float) -> float:
+    """Largest difference of an entry of G from the printed matrix of this leader; inf where the paper has none."""
+    if lead.leader_id not in PRINTED:
+        return inf
+    reported = reported_matrix(flown, topology_at(flown.topology, time_s))
+    return float(np.abs(reported - printed_matrix(PRINTED[lead.leader_id])).max())
+
+
+def _reported_weights(book: Book) -> Claim:
+    """G from the reports in each leadership, compared with the printed matrix."""
+    spans = {model: leaderships(_flown(book, model).flown) for model in PERFECT}
+    worst = {
+        model: max(_off_by(_flown(book, model).flown, lead, lead.settled_s) for lead in each)
+        for model, each in spans.items()
+    }
+    both_led = all({lead.leader_id for lead in each} == PRINTED.keys() for each in spans.values())
+
+    def result(model: Model) -> str:
+        return f"largest difference of an entry {worst[model]:.1g} in {len(spans[model])} leaderships"
+
+    return Claim(
+        id="fig-10-matrices",
+        where="section 5.2",
+        claim="in flight the interaction matrix is that of section 5.2, with UAV 1 and with UAV 2 as the leader",
+        paper="G1 and G2 of section 5.2",
+        ideal=result(Model.IDEAL),
+        full=result(Model.FULL),
+        verdict=verdict_of(both_led and max(worst.values()) <= EXACT),
+        remark="Computed from the roles, PrCs and neighbours reported by the vehicles in flight alone.",
+        measured={f"largest_difference_{model}": off for model, off in worst.items()}
+        | {f"leads_{model}": float(len(each)) for model, each in spans.items()},
+    )
+
+
+def _changes_at_once(book: Book) -> Claim:
+    late_s = {
+        model: [
+            matrix_follows_s(_flown(book, model).flown, lead) for lead in leaderships(_flown(book, model).flown)[1:]
+        ]
+        for model in PERFECT
+    }
+
+    def result(model: Model) -> str:
+        return f"{seconds(max(late_s[model], default=inf), digits=2)} (the slowest of {len(late_s[model])} changes)"
+
+    return Claim(
+        id="fig-10-at-once",
+        where="figure 10, section 5.2",
+        claim="when the leader changes, all weights change in real time",
+        paper="in real time",
+        ideal=result(Model.IDEAL),
+        full=result(Model.FULL),
+        verdict=verdict_of(all(each and max(each) <= AT_ONCE_S for each in late_s.values())),
+        remark=f"Time from the first report of the new leader until the reported weights are those of section 5.2. In real "
+        f"time means within {AT_ONCE_S:g} s. Reports have a period of 0.1 s; a PrC passes one hop per tick of 0.02 s.",
+        measured={f"weights_follow_lead_s_{model}": max(each, default=inf) for model, each in late_s.items()}
+        | {f"changes_{model}": float(len(each)) for model, each in late_s.items()},
+    )
+
+
+def _diagonal_is_worst(book: Book) -> Claim:
+    errors = {model: errors_by_hops_m(_flown(book, model)) for model in PERFECT}
+
+    def result(model: Model) -> str:
+        return f"{errors[model].get(2, nan):.3f} m against {errors[model].get(1, nan):.3f} m"
+
+    return Claim(
+        id="latency-diagonal",
+        where="section 5.2",
+        claim="the follower that is not connected with the leader has a larger error than the two that are",
+        paper="more significant",
+        ideal=result(Model.IDEAL),
+        full=result(Model.FULL),
+        verdict=verdict_of(all(e.get(2, nan) > e.get(1, nan) for e in errors.values())),
+        remark="RMS distance to the slot relative to the leader, on the 8 over all leaderships: the vehicle opposite to the "
+        "leader, and the two next to it.",
+        measured={f"error_m_{h}_hops_{model}": m for model, e in errors.items() for h, m in e.items()},
+    )
+
+
+def _latency_grows(book: Book) -> Claim:
+    """Latency along the platoon, whose followers are one to three hops from the leader."""
+
+    def responses(model: Model) -> list[float]:
+        flight = book.one(FlightSubject.PLATOON, "weighted", model).flight
+        return [response_s(flight, i) for i in sorted(flight.tracks)]
+
+    found = {model: responses(model) for model in PERFECT}
+
+    def result(model: Model) -> str:
+        return "/".join(f"{s:.2f}" for s in found[model]) + " s for UAV 1/2/3/4"
+
+    return Claim(
+        id="latency-hops",
+        where="section 5.2",
+        claim="the latency grows with every further vehicle on the path from the leader",
+        paper="grows",
+        ideal=result(Model.IDEAL),
+        full=result(Model.FULL),
+        verdict=verdict_of(all(sorted(set(each)) == each for each in found.values())),
+        remark="Time to half of the distance, in the platoon of figure 5 under the weighted law.",
+        measured={f"response_s_uav_{i}_{m}": s for m, each in found.items() for i, s in enumerate(each, start=1)},
+    )
+
+
+def _latency_is_reduced(book: Book) -> Claim:
+    """Latency on the 8, hop by hop, compared with the average law whose leader also uses its neighbours."""
+    errors = {
+        (law, model): errors_by_hops_m(_flown(book, model, law))
+        for law in ("weighted", "average_22")
+        for model in PERFECT
+    }
+    less = all(
+        errors["weighted", model].get(hop, nan) < errors["average_22", model].get(hop, nan)
+        for model in PERFECT
+        for hop in RING_HOPS
+    )
+
+    def result(model: Model) -> str:
+        parts = (
+            f"{errors['weighted', model].get(hop, nan):.3f} m against {errors['average_22', model].get(hop, nan):.3f} m "
+            f"({hop} {'hop' if hop == 1 else 'hops'})"
+            for hop in RING_HOPS
+        )
+        return listed(parts)
+
+    return Claim(
+        id="latency-reduced",
+        where="section 5.2",
+        claim="the weighted law reduces the latency of the followers",
+        paper="reduced",
+        ideal=result(Model.IDEAL),
+        full=result(Model.FULL),
+        verdict=verdict_of(less),
+        remark="The same error on the 8, compared with a flight under eq. 22.",
+        measured={f"error_m_{hop}_hops_{law}_{m}": e for (law, m), each in errors.items() for hop, e in each.items()},
+    )

@@ -1,0 +1,251 @@
+"""Claims on the eigenvalues of G: section 2.2, Lemmas 1 and 2, Corollary 2."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.core.consensus.law import average_22, average_26, weighted
+from companion.stability.arrays import FloatArray
+from companion.stability.interaction import interaction_matrix, settled_prcs
+from sitl.paper.graphs import Led, connected_graphs, described, every_small_pair, random_pairs, random_parts, united
+from sitl.report.claim import Claim, ClaimVerdict, Progress, no_progress
+
+UNIONS = 300  # random graphs in parts
+
+
+def rows_of_g(survey: GraphSurvey) -> Claim:
+    """Section 2.2: entries off the diagonal are not positive and row i adds up to w_i^l."""
+    row_error, off_diagonal = 0.0, -np.inf
+    for spectra in survey.all:
+        matrix = spectra.interaction
+        role = np.array([1.0 if i in spectra.pair.leaders else 0.0 for i in sorted(spectra.pair.graph)])
+        row_error = max(row_error, float(np.abs(matrix.sum(axis=1) - role).max()))
+        off_diagonal = max(off_diagonal, float((matrix - np.diag(np.diag(matrix))).max()))
+    return Claim(
+        id="section-2.2",
+        where="section 2.2",
+        claim="no entry of G off its diagonal is positive, and row i adds up to 1 for a leader and to 0 for a follower",
+        paper="properties of a Laplacian",
+        ideal=f"errors of the sums at most {row_error:.0e}, largest entry off the diagonal {off_diagonal:g}, on "
+        f"{survey.extent()}",
+        full="-",
+        verdict=ClaimVerdict.HOLDS if row_error < ROUNDING and off_diagonal <= 0.0 else ClaimVerdict.FAILS,
+        measured=survey.counts() | {"largest_row_sum_error": row_error, "largest_off_diagonal": off_diagonal},
+    )
+
+
+def lemma_1(survey: GraphSurvey) -> Claim:
+    """Positive eigenvalues where every connected part has a leader, on graphs of one part and of several parts."""
+    random = np.random.default_rng(SEED)
+    smallest = min(survey.all, key=lambda spectra: spectra.lambda_min)
+    in_parts = [_smallest_eigenvalue(united(random_parts(random))) for _ in range(UNIONS)]
+    least = min(smallest.lambda_min, *in_parts)
+    return Claim(
+        id="lemma-1",
+        where="Lemma 1",
+        claim="G has only positive eigenvalues if every connected part of the graph has a leader",
+        paper="all positive",
+        ideal=f"smallest {least:.4g}, on {survey.extent()}; and on {UNIONS} random graphs of 2 to 4 parts",
+        full="-",
+        verdict=ClaimVerdict.HOLDS if least > ROUNDING else ClaimVerdict.FAILS,
+        remark=f"the smallest on a connected graph is {smallest.lambda_min:.4g}, on {described(smallest.pair)}",
+        measured=survey.counts()
+        | {
+            "graphs_in_parts": float(UNIONS),
+            "smallest_eigenvalue": least,
+            "smallest_eigenvalue_in_parts": min(in_parts),
+        },
+    )
+
+
+def lemma_1_converse(survey: GraphSurvey) -> Claim:
+    """A part without a leader makes G singular: every small connected graph without leader, and unions with such a part."""
+    random = np.random.default_rng(SEED + 1)
+    alone = [graph for n in range(2, survey.most_vertices + 1) for graph in connected_graphs(n)]
+    nearest = [_nearest_to_zero(Led(graph, frozenset())) for graph in alone]
+    for _ in range(UNIONS):
+        first, *others = random_parts(random)
+        nearest.append(_nearest_to_zero(united([Led(first.graph, frozenset()), *others])))
+    largest = max(nearest)
+    singular = largest < ROUNDING
+    return Claim(
+        id="lemma-1-converse",
+        where="Lemma 1, section 4.2",
+        claim="a connected part without a leader makes G singular, so that the formation does not converge",
+        paper="a singular G belongs to a disconnected topology",
+        ideal=f"an eigenvalue within {largest:.0e} of zero on each of {len(nearest)} graphs: every connected one of 2 to "
+        f"{survey.most_vertices} vertices without a leader, and {UNIONS} of several parts, one of them without a leader",
+        full="-",
+        verdict=ClaimVerdict.HOLDS if singular else ClaimVerdict.FAILS,
+        remark="so the condition of Lemma 1 is necessary; by Lemma 1 a disconnected graph still converges if each part has a "
+        "leader"
+        if singular
+        else f"not singular on {sum(distance >= ROUNDING for distance in nearest)} of them",
+        measured={"graphs": float(len(nearest)), "largest_distance_from_zero": largest},
+    )
+
+
+def lemma_2(survey: GraphSurvey) -> Claim:
+    """Real eigenvalues: by a general solver, and by the similar symmetric matrix of the proof."""
+    imaginary = max(spectra.largest_imaginary for spectra in survey.all)
+    asymmetry = max(spectra.asymmetry for spectra in survey.all)
+    gap = max(float(np.abs(s.symmetric_eigenvalues - s.eigenvalues).max()) for s in survey.all)
+    unsymmetric = sum(1 for s in survey.all if np.abs(s.interaction - s.interaction.T).max() > ROUNDING)
+    return Claim(
+        id="lemma-2",
+        where="Lemma 2",
+        claim="the eigenvalues of G are real although G is not symmetric",
+        paper="real, since T^-1 G T is symmetric",
+        ideal=f"largest imaginary part {imaginary:.1g}; T^-1 G T symmetric within {asymmetry:.0e} and its eigenvalues those of "
+        f"G within {gap:.0e}, on {survey.extent()}",
+        full="-",
+        verdict=ClaimVerdict.HOLDS if max(imaginary, asymmetry, gap) < ROUNDING else ClaimVerdict.FAILS,
+        remark=f"{unsymmetric} of these G are not symmetric",
+        measured=survey.counts()
+        | {
+            "largest_imaginary_part": imaginary,
+            "largest_asymmetry": asymmetry,
+            "largest_gap_of_solvers": gap,
+            "pairs_not_symmetric": float(unsymmetric),
+        },
+    )
+
+
+def corollary_2(survey: GraphSurvey) -> Claim:
+    """0 < lambda <= 3, and the part of this range that occurs."""
+    least = min(spectra.lambda_min for spectra in survey.all)
+    # Rounded, so that of equal values the smallest graph is named.
+    widest = max(survey.all, key=lambda spectra: round(float(spectra.eigenvalues[-1]), 9))
+    most = float(widest.eigenvalues[-1])
+    most_one_leader = max(float(spectra.eigenvalues[-1]) for spectra in survey.one_leader)
+    return Claim(
+        id="corollary-2",
+        where="Corollary 2",
+        claim="every eigenvalue of G is larger than 0 and at most 3",
+        paper="0 < lambda <= 3",
+        ideal=f"{least:.4g} to {most:.6g}, with one leader up to {most_one_leader:.6g}, on {survey.extent()}",
+        full="-",
+        verdict=ClaimVerdict.HOLDS if least > ROUNDING and most <= 3.0 + ROUNDING else ClaimVerdict.FAILS,
+        remark=f"the largest eigenvalue is on {described(widest.pair)}",
+        measured=survey.counts() | {"smallest": least, "largest": most, "largest_one_leader": most_one_leader},
+    )
+
+
+def _smallest_eigenvalue(pair: Led) -> float:
+    return lambda_min(interaction_matrix(pair.graph, pair.leaders, weighted()))
+
+
+def _nearest_to_zero(pair: Led) -> float:
+    return float(np.abs(spectrum_of(interaction_matrix(pair.graph, pair.leaders, weighted()))).min())
+
+
+ComplexArray = NDArray[np.complex128]
+
+SEED = 2021
+MOST_VERTICES, MOST_VERTICES_FULL = 6, 7
+RANDOM_PAIRS, RANDOM_PAIRS_FULL = 300, 3000
+ROUNDING = 1e-9  # eigenvalues with a smaller difference count as equal
+
+
+@dataclass(frozen=True, slots=True)
+class GraphSpectra:
+    """Spectra of one pair. `interaction` is G of eq. 21 (n x n), `eigenvalues` are those of G in rising order (n,)."""
+
+    pair: Led
+    interaction: FloatArray
+    eigenvalues: FloatArray
+    largest_imaginary: float
+    symmetric_eigenvalues: FloatArray  # of T^-1 G T, by a solver for symmetric matrices (n,)
+    asymmetry: float  # largest difference of T^-1 G T from its transpose
+    lambda_min_22: float
+    lambda_min_26: float
+
+    @property
+    def lambda_min(self) -> float:
+        return float(self.eigenvalues[0])
+
+
+@dataclass(frozen=True, slots=True)
+class GraphSurvey:
+    """`small`: every connected graph of up to `most_vertices` with every set of leaders; `drawn`: random larger ones."""
+
+    most_vertices: int
+    small: Sequence[GraphSpectra]
+    drawn: Sequence[GraphSpectra]
+
+    @property
+    def all(self) -> Sequence[GraphSpectra]:
+        return [*self.small, *self.drawn]
+
+    @property
+    def one_leader(self) -> Sequence[GraphSpectra]:
+        """The small pairs with a single leader: 809 for up to 6 vertices, 6780 for up to 7."""
+        return [spectra for spectra in self.small if len(spectra.pair.leaders) == 1]
+
+    def counts(self) -> dict[str, float]:
+        return {
+            "pairs": float(len(self.small) + len(self.drawn)),
+            "pairs_small": float(len(self.small)),
+            "pairs_small_one_leader": float(len(self.one_leader)),
+            "pairs_random": float(len(self.drawn)),
+        }
+
+    def extent(self) -> str:
+        """Text: the pairs of the survey."""
+        return (
+            f"{len(self.small) + len(self.drawn)} pairs of a graph and its leaders: every connected graph of 2 to "
+            f"{self.most_vertices} vertices with every set of leaders ({len(self.one_leader)} with one leader) and "
+            f"{len(self.drawn)} random larger ones"
+        )
+
+
+def take_survey(full: bool = False, progress: Progress = no_progress) -> GraphSurvey:
+    most_vertices = MOST_VERTICES_FULL if full else MOST_VERTICES
+    small = list(every_small_pair(most_vertices))
+    drawn = list(random_pairs(np.random.default_rng(SEED), RANDOM_PAIRS_FULL if full else RANDOM_PAIRS))
+    found: list[GraphSpectra] = []
+    for index, pair in enumerate([*small, *drawn]):
+        found.append(spectra_of(pair))
+        if index % 100 == 0:
+            progress(index / (len(small) + len(drawn)))
+    return GraphSurvey(most_vertices, found[: len(small)], found[len(small) :])
+
+
+def spectra_of(pair: Led) -> GraphSpectra:
+    matrix = interaction_matrix(pair.graph, pair.leaders, weighted())
+    spectrum = spectrum_of(matrix)
+    similar = symmetric_form(pair, matrix)
+    return GraphSpectra(
+        pair=pair,
+        interaction=matrix,
+        eigenvalues=np.sort(spectrum.real),
+        largest_imaginary=float(np.abs(spectrum.imag).max()),
+        symmetric_eigenvalues=np.asarray(np.linalg.eigvalsh(similar), dtype=np.float64),
+        asymmetry=float(np.abs(similar - similar.T).max()),
+        lambda_min_22=lambda_min(interaction_matrix(pair.graph, pair.leaders, average_22())),
+        lambda_min_26=lambda_min(interaction_matrix(pair.graph, pair.leaders, average_26())),
+    )
+
+
+def symmetric_form(pair: Led, matrix: FloatArray) -> FloatArray:
+    """T^-1 G T in the proof of Lemma 2: T = W1^-1/2 W2^1/2, W1 = diag(sum of 1/p_j over the neighbours), W2 = diag(p_i)."""
+    prcs = settled_prcs(pair.graph, pair.leaders)
+    ids = sorted(pair.graph)
+    w1 = np.array([sum(1.0 / prcs[j] for j in pair.graph[i]) for i in ids])
+    w2 = np.array([float(prcs[i]) for i in ids])
+    t = np.sqrt(w2 / w1)
+    similar: FloatArray = matrix * t[np.newaxis, :] / t[:, np.newaxis]
+    return similar
+
+
+def spectrum_of(matrix: FloatArray) -> ComplexArray:
+    """Eigenvalues (n,) by a general solver: a symmetric one would assume Lemma 2, which is to be checked."""
+    return np.asarray(np.linalg.eigvals(matrix), dtype=np.complex128)
+
+
+def lambda_min(matrix: FloatArray) -> float:
+    return float(spectrum_of(matrix).real.min())
