@@ -1,4 +1,4 @@
-"""The type of a real array."""
+"""The types of real and complex arrays."""
 
 from __future__ import annotations
 
@@ -6,3 +6,4 @@ import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]

@@ -13,15 +13,13 @@ from itertools import pairwise
 from math import atan2, inf, log, pi, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
 from companion.core.consensus.law import Gains
-from companion.stability.arrays import FloatArray
+from companion.stability.arrays import ComplexArray, FloatArray
 from companion.stability.interaction import Coupling, eigenvalues, lag_margin_s, mode_eigenvalues, mode_figures
 from companion.stability.prediction import LinearModel
 from companion.stability.state_space import is_stable
 
-ComplexArray = NDArray[np.complex128]
 COARSE, PER_E_FOLD = 24, 6  # minimum number of grid points, in total and per e-fold
 CLOSE = 1e-6  # relative width of the frequency interval at which the search ends
 

@@ -13,14 +13,12 @@ from dataclasses import dataclass
 from math import exp, log, pi, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
-from companion.stability.arrays import FloatArray
+from companion.stability.arrays import ComplexArray, FloatArray
 from companion.stability.interaction import Coupling, mode_eigenvalues
 from companion.stability.prediction import LinearModel
 from companion.stability.state_space import is_stable
 
-ComplexArray = NDArray[np.complex128]
 POINTS_PER_DECADE = 80
 PEAKS = 5  # number of grid peaks that are refined
 REFINING_STEPS = 24

@@ -10,7 +10,6 @@ from msgspec.structs import replace
 
 from companion.assembly import flyable_problems
 from companion.config.reference import CircleReference, Reference, WaypointsReference
-from companion.core.safety.filter import safety_filter
 from recorded_flight import Recorder
 from repository import ROOT
 from sitl.flight.director import Director
@@ -57,7 +56,8 @@ def accepted(reference: Reference, text: str) -> Reference:
 def test_a_refused_reference_compresses_the_formation_and_the_named_pace_does_not(
     reference: Reference, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(safety_filter, "filtered", lambda wanted, _spaces, _limits: wanted)  # the law alone
+    filter_by = "companion.core.safety.filter.safety_filter.filtered"
+    monkeypatch.setattr(filter_by, lambda wanted, _spaces, _limits: wanted)  # the law alone
     scenario = flown_by(reference, REFUSED_S)
     (problem,) = flyable_problems(scenario.fleet, reference)
     separation_m = scenario.fleet.separation_m

@@ -8,8 +8,6 @@ from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FormationChange, Term
 from companion.types.peers import PeerPacket
 
-LEADER, FORMATION = Role.LEADER, FlightPhase.FORMATION  # member lookup of an enum is slow
-
 
 def first_leader(flying: Iterable[PeerPacket], own_id: int | None) -> int | None:
     """The smallest id of all leaders in formation; None without one. `own_id`: this vehicle, where it is one of them."""
@@ -33,4 +31,4 @@ def passed_on(flying: Iterable[PeerPacket], term: Term, on_ground: bool) -> list
 
 
 def _leads(packet: PeerPacket) -> bool:
-    return packet.role is LEADER and packet.phase is FORMATION
+    return packet.role is Role.LEADER and packet.phase is FlightPhase.FORMATION

@@ -20,7 +20,6 @@ from companion.types.notices import Code, Refused
 from companion.types.peers import PeerPacket
 from companion.types.values import Vector3
 
-FORMATION = FlightPhase.FORMATION  # member lookup of an enum is slow
 JOINS_AFTER_S = 2.0  # a peer in formation for longer did not form together with this vehicle
 
 
@@ -36,7 +35,7 @@ class Joining:
 
     def update(self, now_s: float, flying: Iterable[PeerPacket]) -> None:
         """Once a tick, with all fresh peers that fly."""
-        formed = [p.vehicle_id for p in flying if p.phase is FORMATION]
+        formed = [p.vehicle_id for p in flying if p.phase is FlightPhase.FORMATION]
         if formed != self._formed:
             self._formed, since_s = formed, self._since_s
             self._since_s = {vehicle_id: since_s.get(vehicle_id, now_s) for vehicle_id in formed}
@@ -58,7 +57,7 @@ class Joining:
 
         `peers` are all that fly. Raises Refused without a vehicle in formation, or where separation_m would not be kept.
         """
-        formed = [peer for peer in peers if peer.packet.phase is FORMATION]
+        formed = [peer for peer in peers if peer.packet.phase is FlightPhase.FORMATION]
         self._refuse_while_others_move(peers)
         if not formed:
             raise Refused(Code.NO_FORMATION_TO_JOIN, "no vehicle is in formation any more")
@@ -90,7 +89,7 @@ class Joining:
         """Raises Refused while another vehicle moves within the formation or joins: vehicles join one at a time."""
         for packet in (peer.packet for peer in peers):
             slot = packet.slot
-            if packet.phase is FORMATION and (slot.moves or slot.waiting != slot.formation):
+            if packet.phase is FlightPhase.FORMATION and (slot.moves or slot.waiting != slot.formation):
                 text = f"vehicle {packet.vehicle_id} is not in its slot yet; give form again then"
                 raise Refused(Code.PEER_STILL_JOINING, text)
             if packet.phase is FlightPhase.ENGAGE and packet.vehicle_id < self._own_id:

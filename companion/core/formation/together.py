@@ -31,7 +31,7 @@ SPREAD = 1.0 / 3.0  # of the distance that the law settles: so much may offsets 
 SLACK = 1.15  # of the duration: a vehicle that enters a little later still ends with the leader
 BELIEVED = 2.0  # times what the farthest vehicle needs: a peer that publishes a longer duration is wrong
 PATH_MARGIN_M = 0.05  # a path counts where it is nearer than both its ends by this; slots too close are another check
-SAMPLES = 40
+PATH_SAMPLES = 40
 VERTICAL = frozenset({FlightPhase.TAKEOFF, FlightPhase.LAND, FlightPhase.RETURN})  # any height may be flown through
 
 
@@ -185,8 +185,8 @@ def _distances_m(
 ) -> list[float]:
     """Distances of two vehicles over this time; with `level` in the plane."""
     apart_m = []
-    for k in range(SAMPLES + 1):
-        t = lasts_s * k / SAMPLES
+    for k in range(PATH_SAMPLES + 1):
+        t = lasts_s * k / PATH_SAMPLES
         (x, y, z), (ox, oy, oz) = delta(t)[0], other(t)[0]
         here = (slot_m[0] + x, slot_m[1] + y, slot_m[2] + z)
         there = (other_slot_m[0] + ox, other_slot_m[1] + oy, other_slot_m[2] + oz)

@@ -2,7 +2,7 @@
 
 A control barrier function of a double integrator (Ames et al., "Control Barrier Functions: Theory and Applications", ECC 2019)
 for each wall and obstacle: with the room h and its rate h', b = h' + V(h) >= 0 means that the vehicle can still stop, where V
-is the approach speed of `braking.py`. b' >= -k b is linear in the acceleration. It is evaluated for the state that the
+is the approach speed of `geometry/curves.py`. b' >= -k b is linear in the acceleration. It is evaluated for the state that the
 attitude lag leads to (`lag.py`). Distances to convex bodies are convex in time, so moving past one only adds room.
 """
 
@@ -11,12 +11,12 @@ from __future__ import annotations
 from math import sqrt
 
 from companion.core.safety.filter.acceleration_filter import HalfSpace, Rank
-from companion.core.safety.filter.braking import approach_speed
 from companion.core.safety.filter.lag import Ahead
 from companion.geometry.airspace import Airspace, Gap
+from companion.geometry.curves import approach_speed
 
 OBSTACLE, FENCE = Rank.OBSTACLE, Rank.FENCE
-RESPONSE_1_S = 4.0  # k: how fast b may approach 0
+BOUNDARY_RESPONSE_1_S = 4.0  # k: how fast b may approach 0
 SLOPE_1_S = 2.0  # of the approach speed near the boundary
 FASTEST_RETURN_M_S = 1.0  # demanded beyond the boundary
 NEVER_WANTED_M_S2 = 20.0  # no acceleration is larger, so a half-space that allows all up to this cannot matter
@@ -46,7 +46,7 @@ class Boundaries:
     def _reach_m(self, ahead: Ahead) -> float:
         """Farther than this nothing limits an acceleration: V(h) is above the speed by NEVER_WANTED_M_S2 / k."""
         vx, vy, vz = ahead.velocity_enu_m_s
-        speed_m_s = sqrt(vx * vx + vy * vy + vz * vz) + NEVER_WANTED_M_S2 / RESPONSE_1_S
+        speed_m_s = sqrt(vx * vx + vy * vy + vz * vz) + NEVER_WANTED_M_S2 / BOUNDARY_RESPONSE_1_S
         return self._reach_at_rest_m + speed_m_s * speed_m_s / (2.0 * self._least_m_s2)
 
     def _half_space(self, gap: Gap, ahead: Ahead, rank: Rank) -> HalfSpace:
@@ -58,7 +58,7 @@ class Boundaries:
         )
         if speed_m_s < -FASTEST_RETURN_M_S:
             speed_m_s, slope_1_s = -FASTEST_RETURN_M_S, 0.0
-        least = -RESPONSE_1_S * (rate_m_s + speed_m_s) - slope_1_s * rate_m_s
+        least = -BOUNDARY_RESPONSE_1_S * (rate_m_s + speed_m_s) - slope_1_s * rate_m_s
         return (nx, ny, nz, least, rank)
 
     def _braking_m_s2(self, upward: float) -> float:

@@ -2,8 +2,8 @@
 
 After Wang, Ames and Egerstedt, "Safety Barrier Certificates for Collisions-Free Multirobot Systems", IEEE T-RO 2017. For a pair
 with distance d and radial speed d', h = d' + V(d - D) >= 0 means that both can still brake before the required distance D;
-V is the approach speed of `braking.py`. h' >= -k h is linear in both accelerations. Each of two cooperating vehicles takes
-half of it, and what the other's last command leaves open; for any other vehicle the own one takes all of it.
+V is the approach speed of `geometry/curves.py`. h' >= -k h is linear in both accelerations. Each of two cooperating vehicles
+takes half of it, and what the other's last command leaves open; for any other vehicle the own one takes all of it.
 
 Both vehicles are taken ahead by their attitude lag (`lag.py`), where they are exact double integrators.
 """
@@ -18,10 +18,10 @@ from msgspec import Struct
 
 from companion.core.consensus.peers import PeerState
 from companion.core.safety.filter.acceleration_filter import MARGIN, VEHICLE, HalfSpace
-from companion.core.safety.filter.braking import approach_speed
 from companion.core.safety.filter.lag import LAG_S, Ahead
 from companion.core.safety.filter.others import NO_ERROR, Other, Others
 from companion.core.safety.filter.silence import KEPT_S, Motion, Silence, column_m, nearest_on_way
+from companion.geometry.curves import approach_speed
 from companion.types.autopilot import PositionError, VehicleState
 from companion.types.formation import FlownSlot
 from companion.types.peers import ReceivedTraffic

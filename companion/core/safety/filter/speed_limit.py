@@ -16,7 +16,7 @@ from companion.core.safety.filter.lag import Ahead
 from companion.types.values import Vector3
 
 SPEED = Rank.SPEED
-RESPONSE_1_S = 2.0  # k
+SPEED_RESPONSE_1_S = 2.0  # k
 STILL_M_S = 0.1  # below this speed its direction means nothing
 
 
@@ -32,12 +32,12 @@ class SpeedLimit:
         """Half-spaces of the vertical and of the horizontal speed. Their normals are perpendicular to each other."""
         vx, vy, vz = ahead.velocity_enu_m_s
         if vz > 0.0:
-            spaces: list[HalfSpace] = [(0.0, 0.0, -1.0, -RESPONSE_1_S * (self.climb_m_s - vz), SPEED)]
+            spaces: list[HalfSpace] = [(0.0, 0.0, -1.0, -SPEED_RESPONSE_1_S * (self.climb_m_s - vz), SPEED)]
         else:
-            spaces = [(0.0, 0.0, 1.0, -RESPONSE_1_S * (self.descent_m_s + vz), SPEED)]
+            spaces = [(0.0, 0.0, 1.0, -SPEED_RESPONSE_1_S * (self.descent_m_s + vz), SPEED)]
         level_m_s = hypot(vx, vy)
         if level_m_s > STILL_M_S:
-            least_m_s2 = -RESPONSE_1_S * (self.level_m_s - level_m_s)
+            least_m_s2 = -SPEED_RESPONSE_1_S * (self.level_m_s - level_m_s)
             spaces.append((-vx / level_m_s, -vy / level_m_s, 0.0, least_m_s2, SPEED))
         return spaces
 

@@ -10,8 +10,8 @@ import pytest
 from agent_flight import Flight
 from companion.config.fleet import FleetConfig, FormationMember, Law, RangeNeighbours
 from companion.config.reference import CircleReference, Figure8Reference
-from companion.core.formation import following
 from companion.core.formation.changes import HEARD_PERIOD_S, QUEUED, Changes
+from companion.core.formation.following import COST_PER_STEP, Chain
 from companion.core.paced import PENDING, RESULTS_KEPT, STEPS_PER_TICK, PacedChecks
 from companion.types.commands import Command, CommandName, CommandReply, ReferenceChange
 from companion.types.flight import Role
@@ -136,13 +136,13 @@ def test_two_hundred_waypoints_are_checked_over_several_ticks(
     monkeypatch: pytest.MonkeyPatch, speed_m_s: float
 ) -> None:
     solved: list[int] = []
-    responses = following.Chain._responses
+    responses = Chain._responses
 
-    def counted(chain: following.Chain, rate_rad_s: float) -> dict[int, complex]:
+    def counted(chain: Chain, rate_rad_s: float) -> dict[int, complex]:
         solved.append(checks.steps)
         return responses(chain, rate_rad_s)
 
-    monkeypatch.setattr(following.Chain, "_responses", counted)
+    monkeypatch.setattr(Chain, "_responses", counted)
     flight = on_ground()
     checks = changes_of(flight)._checks
     solved.clear()
@@ -150,7 +150,7 @@ def test_two_hundred_waypoints_are_checked_over_several_ticks(
     assert reply.accepted == (speed_m_s < 1.0), reply.reason
     assert 1 < len(steps) < (50 if reply.accepted else 200)  # it begins a second after the command
     assert max(steps) <= STEPS_PER_TICK
-    assert max(Counter(solved).values()) <= following.COST_PER_STEP * 4 // VEHICLES**3 + 1
+    assert max(Counter(solved).values()) <= COST_PER_STEP * 4 // VEHICLES**3 + 1
 
 
 def test_a_reply_that_comes_later_comes_once_and_again_when_the_command_is_sent_again() -> None:
