@@ -13,7 +13,7 @@ from companion.core.estimation.wind import (
     MAX_DISTURBANCE_RATE_M_S3,
     MAX_HOVER_RATE_1_S,
     DisturbanceObserver,
-    Motion,
+    FlightSample,
 )
 from companion.types.values import GRAVITY_M_S2, ZERO3, Vector3
 
@@ -33,12 +33,12 @@ def flown(
     drag_1_s: float = 0.0,
     seconds: float = 5.0,
     velocity_enu_m_s: Vector3 = ZERO3,
-) -> Iterator[Motion]:
+) -> Iterator[FlightSample]:
     """Point mass with ideal motors, small integration steps, one measurement per TICK_S."""
     vx, vy, vz = velocity_enu_m_s
     steps, time_s = 20, 0.0
     for _ in range(round(seconds / TICK_S)):
-        yield Motion(time_s, (vx, vy, vz), *pilot(time_s))
+        yield FlightSample(time_s, (vx, vy, vz), *pilot(time_s))
         for step in range(steps):
             (roll, pitch, yaw), thrust = pilot(time_s + step * TICK_S / steps)
             lift = thrust / HOVER * GRAVITY_M_S2
@@ -54,7 +54,7 @@ def observer(hover: float = HOVER, drag_1_s: float = 0.0, bandwidth_1_s: float =
     return DisturbanceObserver(hover, drag_1_s, bandwidth_1_s)
 
 
-def fed(observing: DisturbanceObserver, motions: Iterator[Motion]) -> DisturbanceObserver:
+def fed(observing: DisturbanceObserver, motions: Iterator[FlightSample]) -> DisturbanceObserver:
     for motion in motions:
         observing.update(motion)
     return observing
@@ -131,7 +131,7 @@ def test_hover_thrust_stays_within_its_bounds(thrust: float, bound: float) -> No
     """A vehicle held by a rope: it neither falls nor climbs."""
     found = observer()
     for tick in range(3000):
-        found.update(Motion(tick * TICK_S, ZERO3, ZERO3, thrust))
+        found.update(FlightSample(tick * TICK_S, ZERO3, ZERO3, thrust))
     assert found.hover_thrust_norm == pytest.approx(bound)
 
 
@@ -154,7 +154,7 @@ def test_gap_in_telemetry_changes_nothing() -> None:
         if pauses:
             found.pause()
         after_s = 5.0 + (0.0 if pauses else LONGEST_GAP_S + 0.01)
-        found.update(Motion(after_s, (9.0, 0.0, 5.0), ZERO3, 0.9))
+        found.update(FlightSample(after_s, (9.0, 0.0, 5.0), ZERO3, 0.9))
         assert (found.hover_thrust_norm, found.disturbance_enu_m_s2) == before
 
 
@@ -162,7 +162,7 @@ def test_sample_that_is_not_newer_changes_nothing() -> None:
     found = fed(observer(0.4), flown(seconds=1.0))
     before = found.hover_thrust_norm
     for time_s in (0.98, 0.5):
-        found.update(Motion(time_s, (9.0, 0.0, 5.0), ZERO3, 0.9))
+        found.update(FlightSample(time_s, (9.0, 0.0, 5.0), ZERO3, 0.9))
     assert found.hover_thrust_norm == before
 
 
