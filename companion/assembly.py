@@ -7,6 +7,7 @@ from math import hypot, radians, tan
 from pathlib import Path
 from typing import TypeVar
 
+from companion.analysis.pace import USUAL_DRAG_1_S, following_steps
 from companion.config.file import ConfigError, convert, refuse
 from companion.config.fleet import EdgeNeighbours, FleetConfig, Law, LawName
 from companion.config.reference import Reference, ReferenceSection, TargetReference
@@ -14,49 +15,38 @@ from companion.config.reference_check import most_pace, reference_checks
 from companion.config.validation import Problem, needs
 from companion.config.vehicle import AgentConfig
 from companion.core.agent import Agent
-from companion.core.command.arbitration import CommandArbitration
-from companion.core.command.dispatcher import CommandDispatcher
+from companion.core.command.arbitration import CommandArbitration, CommandDispatcher
 from companion.core.command.phase import PhaseMachine
 from companion.core.consensus import law as formation
 from companion.core.consensus.law import FormationLaw, Gains, Weighting
 from companion.core.consensus.neighbours import DistantLimits, DistantPeers, EdgeRule, NeighbourRule, RangeRule
 from companion.core.consensus.peers import FleetLimits, PeerTable
 from companion.core.consensus.stage import ConsensusStage
-from companion.core.control.setpoint import SetpointStage
-from companion.core.control.setpoint_stream import SetpointStream
+from companion.core.control.setpoint import SetpointStage, SetpointStream
 from companion.core.election.beacon import BeaconMonitor
 from companion.core.election.leadership import Leadership, Succession
 from companion.core.estimation.corrections import VelocityCorrection
 from companion.core.estimation.vehicle import PerceptionStage, VehicleTracker
 from companion.core.estimation.wind import DisturbanceObserver
-from companion.core.formation.entry import FormationEntry
-from companion.core.formation.gap_filling import GapFilling
+from companion.core.filter.filter import Boundaries, SafetyFilter, SpeedLimit
+from companion.core.filter.solver import AccelerationLimits
+from companion.core.filter.vehicles import PLANNED_SHARE, Separation, SeparationSettings
+from companion.core.formation.entry import FormationEntry, Joining, LeadIn
+from companion.core.formation.gaps import GapFilling
 from companion.core.formation.guidance import GuidanceStage
-from companion.core.formation.joining import Joining
-from companion.core.formation.lead_in import LeadIn
 from companion.core.formation.limits import FormationLimits
-from companion.core.formation.paths import law_within_m
+from companion.core.formation.paths import FormingTogether, law_within_m
 from companion.core.formation.slots import SlotPlan
-from companion.core.formation.together import FormingTogether
 from companion.core.preflight import Preflight
-from companion.core.reference.blend import BlendLimits
+from companion.core.reference.blend import BlendLimits, ReferenceTrajectory, along
 from companion.core.reference.heading import CourseHeading, FixedHeading
 from companion.core.reference.plan import LiveReference, ReferencePlan, Rft
-from companion.core.reference.room import Box
-from companion.core.reference.target_follower import TargetLimits
-from companion.core.reference.trajectories import ReferenceTrajectory, along
+from companion.core.reference.target import Box, TargetLimits
 from companion.core.report import Identity, ReportStage
 from companion.core.safety.failsafe import FailsafeSettings
-from companion.core.safety.filter.acceleration_filter import AccelerationLimits
-from companion.core.safety.filter.boundaries import Boundaries
-from companion.core.safety.filter.safety_filter import SafetyFilter
-from companion.core.safety.filter.separation import PLANNED_SHARE, Separation, SeparationSettings
-from companion.core.safety.filter.speed_limit import SpeedLimit
 from companion.core.safety.fleet_checks import FleetChecks
-from companion.core.safety.health import AgeLimits, HealthLimits
-from companion.core.safety.output_limits import OutputLimits
-from companion.core.safety.safeguard import SafeguardStage
-from companion.following import USUAL_DRAG_1_S, following_steps
+from companion.core.safety.limits import OutputLimits
+from companion.core.safety.safeguard import AgeLimits, HealthLimits, SafeguardStage
 from companion.geometry.airspace import Airspace
 from companion.types.commands import Described
 from companion.types.flight import FailsafeAction, Role

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from companion.cli.options import number
-from companion.geometry.shapes import SHAPES
+from companion.geometry.formations import SHAPES
 
 if TYPE_CHECKING:
     from companion.ground.changes import FormationRequest

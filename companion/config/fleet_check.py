@@ -18,8 +18,7 @@ from companion.config.fleet import EdgeNeighbours, FleetConfig, law_problems
 from companion.config.validation import INVALID, Problem, each, unless_invalid
 from companion.config.values import BoxObstacle, CylinderObstacle, PositionM, Section, VehicleId
 from companion.geometry.airspace import area_m2, crossing_sides
-from companion.geometry.separation import counted
-from companion.geometry.transition import ROUNDING_M
+from companion.geometry.formations import ROUNDING_M, counted
 from companion.types.flight import Role
 from companion.types.values import Vector3
 

@@ -34,7 +34,7 @@ from companion.config.reference_check import largest_pace
 from companion.config.validation import Problem
 from companion.config.values import FLEET_NAME_WORDS
 from companion.geometry.curves import duration_s
-from companion.geometry.turning import reach_m
+from companion.geometry.formations import reach_m
 from companion.types.values import FLEET_NAME
 
 ProblemsOf = Callable[[FleetConfig, Reference], Iterable[Problem]]

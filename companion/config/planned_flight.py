@@ -20,7 +20,7 @@ from companion.config.fleet import (
 from companion.config.fleet_check import checkable, fleet_problems, start_problems
 from companion.config.validation import INVALID, Problem, each, unless_invalid
 from companion.config.values import Name, PositionM, Section, VehicleId
-from companion.geometry.shapes import SHAPES, slots_of
+from companion.geometry.formations import SHAPES, slots_of
 from companion.types.flight import Role
 from companion.types.values import Vector3
 

@@ -22,10 +22,9 @@ from companion.config.reference import (
     moves,
 )
 from companion.config.validation import Problem, each, needs
-from companion.geometry.airspace import Airspace
-from companion.geometry.clear_path import conflict_steps, leg_conflict_steps, nearest_kind
+from companion.geometry.airspace import Airspace, conflict_steps, leg_conflict_steps, nearest_kind
 from companion.geometry.curves import PEAK_ACCELERATION, PEAK_SPEED, duration_s
-from companion.geometry.turning import SLOT_ACCELERATION_M_S2, course, reach_m, swept, turn_limits
+from companion.geometry.formations import SLOT_ACCELERATION_M_S2, course, reach_m, swept, turn_limits
 from companion.geometry.vectors import plus
 from companion.types.steps import Steps, coarser
 from companion.types.values import GRAVITY_M_S2, Vector3

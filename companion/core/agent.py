@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from msgspec import Struct
 
-from companion.core.command.arbitration import CommandArbitration, Intake
-from companion.core.command.dispatcher import CommandDispatcher
+from companion.core.command.arbitration import CommandArbitration, CommandDispatcher, Intake
 from companion.core.command.phase import PhaseMachine
 from companion.core.consensus.neighbours import NONE, DistantPeers
 from companion.core.consensus.stage import Consensus, ConsensusStage

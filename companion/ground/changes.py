@@ -15,10 +15,16 @@ from companion.config.fleet import FleetConfig
 from companion.config.fleet_check import load_slots
 from companion.config.reference import Reference, ReferenceSection, load_reference
 from companion.geometry.curves import duration_s
-from companion.geometry.separation import counted
-from companion.geometry.shapes import SHAPES, rotated, slots_of
-from companion.geometry.transition import ROUNDING_M, closest_approach, longest_path_m
-from companion.geometry.turning import SLOT_ACCELERATION_M_S2
+from companion.geometry.formations import (
+    ROUNDING_M,
+    SHAPES,
+    SLOT_ACCELERATION_M_S2,
+    closest_approach,
+    counted,
+    longest_path_m,
+    rotated,
+    slots_of,
+)
 from companion.types.commands import Described, ReferenceChange, next_for_all
 from companion.types.flight import FlightPhase
 from companion.types.formation import FormationChange

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from itertools import groupby
 from math import degrees, dist
 
-from companion.geometry.turning import turned_slot
+from companion.geometry.formations import turned_slot
 from companion.types.autopilot import LandedState, PositionError
 from companion.types.flight import WITHOUT_LEADER, FlightPhase, HealthFlag, Role
 from companion.types.formation import EAST, FlownSlot, Heading, HeldReference

@@ -18,9 +18,7 @@ from companion.config.planned_flight import ShapeName
 from companion.config.reference import Reference, ReferenceSection, TargetReference, moves
 from companion.config.reference_check import reference_problems
 from companion.config.values import PositionM
-from companion.geometry.separation import counted
-from companion.geometry.transition import closest_approach
-from companion.geometry.turning import turned_slot
+from companion.geometry.formations import closest_approach, counted, turned_slot
 from companion.ground.changes import (
     FleetRequest,
     FormationRequest,

@@ -8,12 +8,7 @@ from functools import lru_cache
 from itertools import combinations
 from math import dist, inf
 
-from companion.assembly import law_of
-from companion.config.fleet import FleetConfig, Law, RangeNeighbours
-from companion.geometry.separation import separation_distance_m
-from companion.ground.fleet_state import SILENT_AFTER_S
-from companion.monitor.api import FleetView, VehicleView
-from companion.stability.interaction import (
+from companion.analysis.interaction import (
     couple,
     eigenvalues,
     mode_eigenvalues,
@@ -21,6 +16,11 @@ from companion.stability.interaction import (
     reached_from,
     time_to_shrink_s,
 )
+from companion.assembly import law_of
+from companion.config.fleet import FleetConfig, Law, RangeNeighbours
+from companion.geometry.formations import separation_distance_m
+from companion.ground.fleet_state import SILENT_AFTER_S
+from companion.monitor.api import FleetView, VehicleView
 from companion.types.flight import STREAMING, Role
 from companion.types.values import Vector3
 

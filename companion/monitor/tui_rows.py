@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from itertools import combinations, groupby
 from types import MappingProxyType
 
-from companion.geometry.separation import separation_distance_m
+from companion.geometry.formations import separation_distance_m
 from companion.ground.answers import count, id_list
 from companion.ground.fleet_state import SILENT_AFTER_S, VehicleRow
 from companion.monitor.vehicle_view import advice_of

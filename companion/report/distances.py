@@ -7,7 +7,7 @@ from itertools import combinations
 
 import numpy as np
 
-from companion.geometry.separation import HEIGHT_WEIGHT
+from companion.geometry.formations import HEIGHT_WEIGHT
 from companion.report.flight import Bools, FlightRecords, Floats, VehicleLog
 from companion.types.flight import FlightPhase
 

@@ -15,16 +15,7 @@ import numpy as np
 from msgspec import Struct, structs
 from numpy.typing import NDArray
 
-from companion.assembly import flyable_problems, law_of
-from companion.config.file import SET, convert, kind_of_file, overridden, read_as
-from companion.config.fleet import EdgeNeighbours, FleetConfig, LawName
-from companion.config.fleet_check import fleet_problems
-from companion.config.planned_flight import PlannedFlight, fleet_of, neighbour_graph, planned_problems, starts_of
-from companion.config.reference import Reference, moves
-from companion.config.validation import Problem, each, unless_invalid
-from companion.core.consensus.law import FormationLaw, Gains
-from companion.stability.delay_margin import delay_margin_with_lag_s
-from companion.stability.interaction import (
+from companion.analysis.interaction import (
     Coupling,
     Graph,
     couple,
@@ -34,13 +25,26 @@ from companion.stability.interaction import (
     mode_figures,
     reached_from,
     settled_prcs,
+    share_left,
+    shift_m,
     time_to_shrink_s,
 )
-from companion.stability.prediction import LinearModel, errors_over_time, settled_after_s, transient_peak
-from companion.stability.settling import SETTLED_WITHIN_M
-from companion.stability.state_space import worst_transient_peak
-from companion.stability.string_stability import string_gains
-from companion.stability.velocity_error import share_left, shift_m
+from companion.analysis.margins import delay_margin_with_lag_s, string_gains, worst_transient_peak
+from companion.analysis.prediction import (
+    SETTLED_WITHIN_M,
+    LinearModel,
+    errors_over_time,
+    settled_after_s,
+    transient_peak,
+)
+from companion.assembly import flyable_problems, law_of
+from companion.config.file import SET, convert, kind_of_file, overridden, read_as
+from companion.config.fleet import EdgeNeighbours, FleetConfig, LawName
+from companion.config.fleet_check import fleet_problems
+from companion.config.planned_flight import PlannedFlight, fleet_of, neighbour_graph, planned_problems, starts_of
+from companion.config.reference import Reference, moves
+from companion.config.validation import Problem, each, unless_invalid
+from companion.core.consensus.law import FormationLaw, Gains
 from companion.types.flight import Role
 from companion.types.values import ZERO3, Vector3
 

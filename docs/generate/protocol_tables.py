@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from companion.config.fleet import PeerLimits
 from companion.core.election.leadership import TURN_S
-from companion.core.safety.health import AgeLimits
-from companion.core.safety.safeguard import HAND_OVER_S, SILENT_TOO_LONG_S
+from companion.core.safety.safeguard import HAND_OVER_S, SILENT_TOO_LONG_S, AgeLimits
 from companion.link.fleet.zenoh_session import LEASE_MS
 from companion.link.tick import BACK_UP_S, PERIOD_S
 from companion.mavlink import ardupilot, px4

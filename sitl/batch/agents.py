@@ -7,8 +7,8 @@ from math import radians, tan
 
 import numpy as np
 
+from companion.analysis.interaction import FloatArray
 from companion.core.consensus.peers import EXTRAPOLATED_MOST_S, EXTRAPOLATED_NEAR_LEADER_S, NEAR_LEADER_PRC
-from companion.stability.arrays import FloatArray
 from companion.types.values import GRAVITY_M_S2
 from sitl.autopilots.autopilot import DT_S
 from sitl.batch.bodies import quaternion_of_euler

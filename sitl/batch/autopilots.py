@@ -7,7 +7,7 @@ from math import ceil, floor, radians
 
 import numpy as np
 
-from companion.stability.arrays import FloatArray
+from companion.analysis.interaction import FloatArray
 from sitl.autopilots.autopilot import DT_S
 from sitl.batch.bodies import (
     ATTITUDE,

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from companion.stability.arrays import FloatArray
+from companion.analysis.interaction import FloatArray
 from companion.types.values import GRAVITY_M_S2
 from sitl.batch.columns import IntArray
 from sitl.vehicle.config import Airframe

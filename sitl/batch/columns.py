@@ -13,8 +13,8 @@ from random import Random
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.analysis.interaction import FloatArray
 from companion.config.reference import TargetReference
-from companion.stability.arrays import FloatArray
 from sitl.flight.files import ids_of
 from sitl.flight.lockstep import TELEMETRY_STEPS
 from sitl.flight.scenario import Scenario

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.stability.arrays import FloatArray
+from companion.analysis.interaction import FloatArray
 from sitl.autopilots.autopilot import DT_S
 from sitl.batch.agents import Agents
 from sitl.batch.autopilots import Autopilots

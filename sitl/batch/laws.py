@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from companion.analysis.interaction import FloatArray
 from companion.assembly import law_of
 from companion.config.reference import Reference
 from companion.core.consensus.law import FormationState
-from companion.core.reference.trajectories import ReferenceTrajectory
-from companion.stability.arrays import FloatArray
+from companion.core.reference.blend import ReferenceTrajectory
 from companion.types.flight import Role
 from sitl.batch.columns import BoolArray, Columns, IntArray
 from sitl.flight.files import known_drag_1_s

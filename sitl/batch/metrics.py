@@ -7,8 +7,8 @@ from itertools import combinations
 
 import numpy as np
 
-from companion.stability.arrays import FloatArray
-from companion.stability.settling import settle_time_s
+from companion.analysis.interaction import FloatArray
+from companion.analysis.prediction import settle_time_s
 from sitl.batch.columns import BoolArray
 from sitl.batch.flight import BatchFlight
 from sitl.report.metrics import FINAL_S, neighbouring_pairs

@@ -13,8 +13,8 @@ from math import ceil
 
 import numpy as np
 
+from companion.analysis.interaction import FloatArray
 from companion.config.fleet import EdgeNeighbours, FleetConfig
-from companion.stability.arrays import FloatArray
 from sitl.autopilots.autopilot import DT_S
 from sitl.batch.columns import LINKS, BoolArray, Columns, IntArray
 from sitl.flight.files import ids_of

@@ -8,17 +8,16 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from companion.analysis.interaction import Graph, couple, mode_eigenvalues, mode_figures, reached_from
+from companion.analysis.margins import delay_margin_with_lag_s, string_gains
+from companion.analysis.prediction import LinearModel
 from companion.assembly import law_of
 from companion.config.file import ConfigError
 from companion.config.fleet import LawName
 from companion.config.planned_flight import neighbour_graph
 from companion.config.reference import TargetReference
 from companion.core.consensus.law import FormationLaw
-from companion.core.reference.trajectories import ReferenceTrajectory
-from companion.stability.delay_margin import delay_margin_with_lag_s
-from companion.stability.interaction import Graph, couple, mode_eigenvalues, mode_figures, reached_from
-from companion.stability.prediction import LinearModel
-from companion.stability.string_stability import string_gains
+from companion.core.reference.blend import ReferenceTrajectory
 from companion.tools.analysis_report import BADLY_DAMPED, GROWS, SMALL_DELAY_MARGIN_S
 from companion.types.commands import CommandName
 from companion.types.errors import EXIT_DONE, EXIT_FAILED, UnusableError

@@ -27,7 +27,7 @@ from companion.config.planned_flight import (
 from companion.config.reference import Reference
 from companion.config.validation import Problem, each, unless_invalid
 from companion.config.values import Drag, HoverThrust, PositionM, Section, VehicleId
-from companion.core.reference.trajectories import ReferenceTrajectory
+from companion.core.reference.blend import ReferenceTrajectory
 from companion.types.commands import CommandName
 from sitl.autopilots.types import parameter_problems
 from sitl.flight.moving_targets import MovingTarget

@@ -6,8 +6,8 @@ from bisect import bisect_right
 from collections.abc import Collection, Mapping
 
 from companion.core.consensus.law import FormationState
-from companion.core.reference.trajectories import ReferenceTrajectory
-from companion.geometry.turning import turned_slot
+from companion.core.reference.blend import ReferenceTrajectory
+from companion.geometry.formations import turned_slot
 from companion.ground.fleet_state import FleetState, VehicleRow, fold, rows
 from companion.types.autopilot import LandedState
 from companion.types.commands import CommandReply

@@ -13,7 +13,7 @@ from random import Random
 from typing import Any
 
 from companion.geometry.curves import PEAK_SPEED
-from companion.geometry.shapes import SHAPES, slots_of
+from companion.geometry.formations import SHAPES, slots_of
 from companion.ground.changes import assigned
 from companion.types.autopilot import AutopilotKind
 from companion.types.values import Vector3

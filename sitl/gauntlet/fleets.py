@@ -16,7 +16,7 @@ import msgspec
 
 from companion.config.fleet import FleetConfig, LawName
 from companion.config.planned_flight import DEFAULT_ORIGIN
-from companion.geometry.shapes import SHAPES, slots_of
+from companion.geometry.formations import SHAPES, slots_of
 from companion.ground.changes import assigned
 from companion.types.autopilot import AutopilotKind
 from companion.types.flight import Role

@@ -17,9 +17,9 @@ from msgspec import Struct
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
+from companion.analysis.interaction import FloatArray
 from companion.config.file import ConfigError
 from companion.config.fleet import FleetConfig
-from companion.stability.arrays import FloatArray
 from companion.types.errors import CompanionError
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code

@@ -7,9 +7,9 @@ from math import cos, degrees, dist, hypot, pi, radians, sin, tan
 
 import numpy as np
 
+from companion.analysis.interaction import interaction_matrix, settled_prcs
 from companion.core.consensus.law import average_22, average_26, neighbour_weights, weighted
-from companion.core.control.attitude import attitude_target
-from companion.stability.interaction import interaction_matrix, settled_prcs
+from companion.core.control.setpoint import attitude_target
 from companion.types.values import GRAVITY_M_S2
 from sitl.paper.spectrum import lambda_min
 from sitl.paper.theorems import printed_prcs

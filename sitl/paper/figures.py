@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
+from companion.analysis.interaction import FloatArray
 from companion.config.fleet import LawName
-from companion.stability.arrays import FloatArray
 from companion.types.flight import Role
 from sitl.paper.aggregation_claims import has_gathered, left_for_good_s, range_m
 from sitl.paper.flights import (

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
+from companion.analysis.interaction import FloatArray
 from companion.assembly import law_of
 from companion.config.fleet import LawName
 from companion.core.consensus.law import neighbour_weights
-from companion.stability.arrays import FloatArray
 from companion.types.errors import FailedError
 from companion.types.flight import Role
 from sitl.flight.scenario import Scenario, load_scenario, reference_of

@@ -13,10 +13,9 @@ import numpy as np
 from msgspec import Struct
 
 from companion import __version__
+from companion.analysis.interaction import FloatArray, interaction_matrix
 from companion.assembly import law_of
 from companion.config.fleet import EdgeNeighbours
-from companion.stability.arrays import FloatArray
-from companion.stability.interaction import interaction_matrix
 from companion.types.flight import Role
 from sitl.paper.figures import PICTURES, PaperFigure
 from sitl.paper.flights import COMPARED, PERFECT, Book, FlightSubject, FlownPlan, Model, listed

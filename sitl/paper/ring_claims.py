@@ -8,9 +8,9 @@ from math import inf, nan
 
 import numpy as np
 
+from companion.analysis.interaction import FloatArray
 from companion.config.fleet import LawName
 from companion.config.reference import Figure8Reference
-from companion.stability.arrays import FloatArray
 from sitl.paper.flights import (
     PERFECT,
     Book,

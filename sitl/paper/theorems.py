@@ -7,9 +7,8 @@ from functools import cache
 
 import numpy as np
 
+from companion.analysis.interaction import FloatArray, Graph, mode_figures
 from companion.core.consensus.law import PAPER_GAINS, Gains, next_prc
-from companion.stability.arrays import FloatArray
-from companion.stability.interaction import Graph, mode_figures
 from sitl.paper.graphs import (
     Led,
     aggregation_graph,

@@ -12,10 +12,10 @@ from typing import Literal
 
 import numpy as np
 
-from companion.core.reference.trajectories import ReferenceTrajectory
-from companion.stability.arrays import FloatArray
-from companion.stability.settling import SETTLED_WITHIN_M
-from companion.stability.settling import settle_time_s as settle_time_s
+from companion.analysis.interaction import FloatArray
+from companion.analysis.prediction import SETTLED_WITHIN_M
+from companion.analysis.prediction import settle_time_s as settle_time_s
+from companion.core.reference.blend import ReferenceTrajectory
 from companion.types.errors import CompanionError
 from companion.types.values import Vector3
 

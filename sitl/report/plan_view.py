@@ -16,8 +16,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Circle, Rectangle
 
+from companion.analysis.interaction import FloatArray
 from companion.geometry.airspace import Airspace, Cylinder
-from companion.stability.arrays import FloatArray
 from companion.types.flight import Role
 from sitl.report.metrics import Formation, FormationFlight, reference_positions_m
 from sitl.report.plots import GUIDE, POSITIONS, law_title, new_figure

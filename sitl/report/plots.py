@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from companion.stability.arrays import FloatArray
+from companion.analysis.interaction import FloatArray
 from sitl.report.metrics import (
     Formation,
     FormationFlight,

@@ -10,10 +10,10 @@ from typing import Literal
 import numpy as np
 from msgspec import Struct
 
+from companion.analysis.interaction import FloatArray
+from companion.analysis.prediction import SETTLED_WITHIN_M, settle_time_s
 from companion.config.fleet import EdgeNeighbours, FleetConfig
 from companion.config.reference import PointReference
-from companion.stability.arrays import FloatArray
-from companion.stability.settling import SETTLED_WITHIN_M, settle_time_s
 from companion.types.commands import CommandName
 from sitl.batch.flight import BatchFlight, fly_batch
 from sitl.flight.scenario import Scenario, TimelineStep

@@ -7,9 +7,9 @@ from math import inf, radians, tan
 from statistics import median
 from typing import NamedTuple
 
+from companion.analysis.prediction import SETTLED_WITHIN_M
 from companion.assembly import law_of
 from companion.config.fleet import Envelope
-from companion.stability.settling import SETTLED_WITHIN_M
 from companion.types.values import GRAVITY_M_S2
 from sitl.report.claim import Claim, ClaimVerdict
 from sitl.study.cases import Figures

@@ -12,8 +12,8 @@ import msgspec
 import numpy as np
 from msgspec import Struct
 
-from companion.stability.arrays import FloatArray
-from companion.stability.settling import SETTLED_WITHIN_M
+from companion.analysis.interaction import FloatArray
+from companion.analysis.prediction import SETTLED_WITHIN_M
 from sitl.batch.flight import BatchFlight, fly_batch
 from sitl.study.cases import Case, Figures, figures_of, settled_s
 from sitl.workers import report_progress

@@ -20,9 +20,9 @@ from math import inf
 
 from msgspec import Struct
 
+from companion.analysis.prediction import SETTLED_WITHIN_M
 from companion.assembly import law_of
 from companion.config.fleet import Law
-from companion.stability.settling import SETTLED_WITHIN_M
 from sitl.batch.flight import fly_batch
 from sitl.study.cases import BAD_LINKS, GOOD_LINKS, STEP_M, Case, Figures, Sensing, fly, settled_s
 from sitl.study.settings import AVERAGE_22, Setting

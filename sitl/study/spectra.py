@@ -1,6 +1,6 @@
 """Spectra of large formations, up to 10,000 vehicles, with sparse matrices.
 
-`companion/stability/interaction.py` is the dense and complete version; both agree on small formations.
+`companion/analysis/interaction.py` is the dense and complete version; both agree on small formations.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csc_array, diags_array
 from scipy.sparse.linalg import LinearOperator, eigs, eigsh, splu
 
+from companion.analysis.interaction import Graph, couple, eigenvalues, mode_eigenvalues, reached_from, settled_prcs
 from companion.core.consensus.law import FormationLaw, neighbour_weights
-from companion.stability.interaction import Graph, couple, eigenvalues, mode_eigenvalues, reached_from, settled_prcs
 
 DENSE_UP_TO = 20  # vehicles; the Lanczos method needs more dimensions than that
 Sparse = Any  # scipy's sparse arrays have no types

@@ -6,8 +6,8 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from companion.analysis.interaction import eigenvalues, interaction_matrix, reached_from
 from companion.core.consensus.law import FormationLaw
-from companion.stability.interaction import eigenvalues, interaction_matrix, reached_from
 from sitl.study.shapes import LEADER
 
 BoolArray = NDArray[np.bool_]

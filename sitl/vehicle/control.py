@@ -8,7 +8,7 @@ from math import copysign, inf, radians, sqrt
 
 from msgspec import Struct
 
-from companion.core.control.attitude import attitude_target, limit_acceleration
+from companion.core.control.setpoint import attitude_target, limit_acceleration
 from companion.geometry.frames import Quaternion, quaternion_from_euler
 from companion.geometry.vectors import clamped
 from companion.types.values import Vector3

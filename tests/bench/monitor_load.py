@@ -17,6 +17,7 @@ import msgspec
 import yaml
 import zenoh
 
+from companion.analysis.interaction import settled_prcs
 from companion.assembly import law_of
 from companion.config.fleet import FleetConfig
 from companion.config.new_formation import NewFormation, planned_formation
@@ -24,7 +25,6 @@ from companion.config.planned_flight import neighbour_graph
 from companion.config.reference import Reference
 from companion.core.consensus.law import neighbour_weights
 from companion.link.fleet.zenoh_session import EndpointError, open_session
-from companion.stability.interaction import settled_prcs
 from companion.types.autopilot import LandedState, PositionError
 from companion.types.flight import FlightPhase, HealthFlag, Role
 from companion.types.formation import FlownSlot, HeldReference, LeaderBeacon

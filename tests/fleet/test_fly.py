@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from companion.stability.arrays import FloatArray
+from companion.analysis.interaction import FloatArray
 from companion.types.notices import Code
 from own_ports import free_fleet_offset
 from repository import ROOT

@@ -19,8 +19,8 @@ from aiohttp import WSMsgType, web
 from msgspec import structs
 
 import companion.monitor
-from companion.geometry.shapes import SHAPES
-from companion.geometry.shapes import slots_of as shape_slots
+from companion.geometry.formations import SHAPES
+from companion.geometry.formations import slots_of as shape_slots
 from companion.monitor.api import (
     AlarmView,
     AnswerView,

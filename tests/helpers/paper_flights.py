@@ -7,8 +7,8 @@ from functools import cache
 
 import numpy as np
 
+from companion.analysis.interaction import FloatArray
 from companion.config.fleet import LawName
-from companion.stability.arrays import FloatArray
 from companion.types.flight import Role
 from sitl.flight.scenario import Scenario, reference_of
 from sitl.paper.flights import COMPARED, NOISY_LAWS, PERFECT, Book, FlightSubject, FlownPlan, Model, PaperPlan

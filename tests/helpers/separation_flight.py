@@ -18,7 +18,7 @@ from companion.config.fleet import EdgeNeighbours, Envelope, FleetConfig, Format
 from companion.config.values import Obstacle
 from companion.core.consensus.law import Gains, feedback
 from companion.core.consensus.peers import FleetLimits, PeerTable
-from companion.core.safety.filter.acceleration_filter import AccelerationLimits
+from companion.core.filter.solver import AccelerationLimits
 from companion.types.autopilot import PositionError, VehicleState
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot

@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from companion.stability.arrays import FloatArray
+from companion.analysis.interaction import FloatArray
 from companion.types.flight import Role
 from repository import ROOT
 from sitl.autopilots.autopilot import DT_S

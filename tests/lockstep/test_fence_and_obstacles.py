@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from companion.core.consensus.law import FormationState
-from companion.core.reference.trajectories import ReferenceTrajectory
+from companion.core.reference.blend import ReferenceTrajectory
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
 from companion.types.values import ZERO3, Vector3

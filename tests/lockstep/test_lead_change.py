@@ -8,10 +8,10 @@ from math import degrees, dist
 import numpy as np
 import pytest
 
+from companion.analysis.interaction import interaction_matrix, settled_prcs
 from companion.assembly import build_agent
 from companion.config.vehicle import AgentConfig
 from companion.core.consensus.law import weighted
-from companion.stability.interaction import interaction_matrix, settled_prcs
 from companion.types.autopilot import AttitudeTarget
 from companion.types.commands import CommandName, Lead
 from companion.types.flight import FlightPhase, Role

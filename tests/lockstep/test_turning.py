@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from commanded_flight import Flight
+from companion.analysis.interaction import FloatArray
 from companion.core.reference.heading import JERK_1_S
-from companion.geometry.turning import turn_limits
-from companion.stability.arrays import FloatArray
+from companion.geometry.formations import turn_limits
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase, Role
 from companion.types.status import Status

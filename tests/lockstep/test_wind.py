@@ -12,7 +12,7 @@ from math import degrees, hypot
 import numpy as np
 import pytest
 
-from companion.stability.arrays import FloatArray
+from companion.analysis.interaction import FloatArray
 from companion.types.flight import FlightPhase
 from companion.types.status import Status
 from companion.wire.messages import StatusReport

@@ -14,7 +14,7 @@ from math import dist, inf, sqrt
 from typing import Protocol
 
 from companion.core.consensus.peers import DISTANT_MAX_AGE_S, PeerState
-from companion.geometry.separation import HEIGHT_WEIGHT
+from companion.geometry.formations import HEIGHT_WEIGHT
 from companion.types.autopilot import VehicleState
 from companion.types.flight import Flight, FlightPhase, Role
 from companion.types.formation import FlownSlot

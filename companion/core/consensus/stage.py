@@ -13,7 +13,7 @@ from companion.core.consensus.neighbours import NeighbourRule
 from companion.core.consensus.peers import MAX_TURN_RAD_S, PeerState, PeerTable
 from companion.core.election.beacon import WAITED_S, BeaconMonitor, MissionClock
 from companion.core.election.leadership import Leadership, Succession, refusal_of_lead
-from companion.geometry.turning import heading_after
+from companion.geometry.formations import heading_after
 from companion.geometry.vectors import clamped
 from companion.types.autopilot import VehicleState
 from companion.types.commands import EPOCHS_AHEAD, NUMBERS_AHEAD, Command, Lead

@@ -5,16 +5,15 @@ Each vehicle checks every change itself.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from math import inf
 
 from msgspec import Struct
 
 from companion.core.consensus.law import formation_state
 from companion.core.consensus.stage import Consensus
-from companion.core.formation.change_gossip import first_leader, passed_on
-from companion.core.formation.gap_filling import GapFilling, Proposal
-from companion.core.formation.obstructions import Tracks, members, refusal_of_tracks, tracks_about
+from companion.core.formation.gaps import GapFilling, Proposal
+from companion.core.formation.limits import Tracks, members, refusal_of_tracks, tracks_about
 from companion.core.formation.slots import SlotPlan
 from companion.core.paced import BEING_CHECKED, STEPS_PER_TICK, PacedChecks, Pending
 from companion.core.reference.plan import ReferencePlan
@@ -23,8 +22,9 @@ from companion.geometry.vectors import plus
 from companion.types.autopilot import VehicleState
 from companion.types.commands import Command, Content, ReferenceChange
 from companion.types.flight import Flight, FlightPhase, Role
-from companion.types.formation import FlownSlot, FormationChange
+from companion.types.formation import FlownSlot, FormationChange, Term
 from companion.types.notices import Answer, Code, Notice, refused
+from companion.types.peers import PeerPacket
 from companion.types.steps import Steps
 from companion.types.values import Vector3
 
@@ -260,3 +260,28 @@ class Changes:
 def _fleet_enu_m(vehicle: VehicleState, slot: FlownSlot) -> Vector3:
     """r of the fleet, derived from this vehicle's own position and slot."""
     return formation_state(vehicle.position_enu_m, vehicle.velocity_enu_m_s, slot).position_enu_m
+
+
+def first_leader(flying: Iterable[PeerPacket], own_id: int | None) -> int | None:
+    """The smallest id of all leaders in formation; None without one. `own_id`: this vehicle, where it is one of them."""
+    ids = [packet.vehicle_id for packet in flying if _leads(packet)]
+    return min(ids if own_id is None else [*ids, own_id], default=None)
+
+
+def passed_on(flying: Iterable[PeerPacket], term: Term, on_ground: bool) -> list[tuple[int, FormationChange]]:
+    """(leader, change) from the leaders of this term, the smallest id first.
+
+    A vehicle `on_ground` adopts only the formation that the leader flies already, not one that is still to begin.
+    """
+    changes = [
+        (packet.vehicle_id, packet.change)
+        for packet in flying
+        if packet.change and _leads(packet) and packet.leader_beacon and packet.leader_beacon.term == term
+        if not on_ground or packet.change.number == packet.slot.formation
+    ]
+    changes.sort(key=lambda change: change[0])
+    return changes
+
+
+def _leads(packet: PeerPacket) -> bool:
+    return packet.role is Role.LEADER and packet.phase is FlightPhase.FORMATION

@@ -11,11 +11,11 @@ from companion.core.consensus.law import FormationState, formation_state
 from companion.core.consensus.stage import Consensus
 from companion.core.formation.changes import Changes
 from companion.core.formation.entry import FormationEntry
-from companion.core.formation.gap_filling import GapFilling
+from companion.core.formation.gaps import GapFilling
 from companion.core.formation.slots import SlotPlan
 from companion.core.reference.heading import FormationHeading
 from companion.core.reference.plan import ReferencePlan
-from companion.geometry.turning import turned_slot
+from companion.geometry.formations import turned_slot
 from companion.types.autopilot import VehicleState
 from companion.types.commands import Command, CommandName
 from companion.types.flight import RULES, STREAMING, Flight, FlightPhase, PhaseChange, PhaseRequest, Role

@@ -6,16 +6,21 @@ Peers know such a path as well: the quintic that begins with the published motio
 
 from __future__ import annotations
 
-from math import acos, acosh, exp, hypot, sqrt
+from collections.abc import Iterable, Iterator, Mapping
+from math import acos, acosh, dist, exp, hypot, sqrt
 
 from msgspec import Struct
 
 from companion.core.consensus.law import FormationState, Gains
+from companion.core.consensus.peers import PeerState
+from companion.core.formation.limits import crossing_notice
 from companion.core.reference.blend import LONGEST_S, SAMPLES, SHORTEST_S, within
 from companion.geometry.curves import Curve, decay_to_rest, duration_s
-from companion.geometry.turning import SLOT_ACCELERATION_M_S2, in_formation_frame
+from companion.geometry.formations import ROUNDING_M, SLOT_ACCELERATION_M_S2, counted, in_formation_frame
+from companion.types.autopilot import VehicleState
+from companion.types.flight import ON_GROUND, STREAMING, FlightPhase
 from companion.types.formation import Heading
-from companion.types.notices import Code, Refused
+from companion.types.notices import Code, Notice, Refused
 from companion.types.values import ZERO3, Vector3
 
 LONGER = 1.1  # factor of the duration from one attempt to the next
@@ -90,3 +95,170 @@ def law_within_m(gains: Gains, speed_m_s: float) -> float:
     angle = acos(damping) if damping < 1.0 else acosh(damping)
     share = damping * angle / b if b > 1e-6 else 1.0  # the limit of both
     return speed_m_s / (frequency_1_s * exp(-share))
+
+
+SPREAD = 1.0 / 3.0  # of the distance that the law settles: so much may offsets differ there, as paths of the law bend
+SLACK = 1.15  # of the duration: a vehicle that enters a little later still ends with the leader
+BELIEVED = 2.0  # times what the farthest vehicle needs: a peer that publishes a longer duration is wrong
+PATH_MARGIN_M = 0.05  # a path counts where it is nearer than both its ends by this; slots too close are another check
+PATH_SAMPLES = 40
+VERTICAL = frozenset({FlightPhase.TAKEOFF, FlightPhase.LAND, FlightPhase.RETURN})  # any height may be flown through
+
+
+class Frame(Struct, frozen=True, gc=False):
+    """The formation that a vehicle enters: the state of the RFT as the fleet flies it, its heading, and all slots in it."""
+
+    fleet: FormationState
+    heading: Heading
+    slots_m: Mapping[int, Vector3]
+
+
+class FormingTogether:
+    """Paths of vehicles that form together, and whether they keep `separation_m`.
+
+    Vehicles that form make way for each other, so their paths may cross. Others must not be in the way.
+    """
+
+    def __init__(
+        self, own_id: int, separation_m: float, speed_m_s: float, law_within_m: float, slots_have_height: bool
+    ) -> None:
+        """Up to `law_within_m` the law alone settles an offset. Without `slots_have_height` each vehicle keeps its altitude."""
+        self._own_id = own_id
+        self._separation_m = separation_m
+        self._speed_m_s = speed_m_s
+        self._law_within_m = law_within_m
+        self._slots_have_height = slots_have_height
+
+    def leaders_path(
+        self, now_s: float, vehicle: VehicleState, frame: Frame, peers: Iterable[PeerState]
+    ) -> Path | None:
+        """The path of the first leader, long enough for all `peers` that form; None where the law alone flies.
+
+        Raises Refused for a slot that is too far away.
+        """
+        own = self._own_offset(vehicle, frame)
+        offsets = [own, *(self._peer_offset(now_s, peer, frame) for peer in peers)]
+        differ_m = max(dist(own.position_m, offset.position_m) for offset in offsets)
+        farthest_m = max(offset.distance_m for offset in offsets)
+        near = farthest_m <= self._law_within_m and differ_m <= SPREAD * self._law_within_m
+        if near and own.speed_m_s <= self._speed_m_s:
+            return None
+        return gentle_path(own, self._speed_m_s, min(SLACK * self._needed_s(farthest_m), LONGEST_S))
+
+    def longest_s(self, now_s: float, vehicle: VehicleState, frame: Frame, peers: Iterable[PeerState]) -> float:
+        """The longest duration that a path of these vehicles may have. One packet may report any."""
+        in_air = [self._peer_offset(now_s, peer, frame) for peer in peers if peer.packet.phase not in ON_GROUND]
+        offsets = [self._own_offset(vehicle, frame), *in_air]
+        return BELIEVED * self._needed_s(max(offset.distance_m for offset in offsets))
+
+    def followers_path(self, vehicle: VehicleState, frame: Frame, ends_in_s: float) -> Path | None:
+        """The path that ends in `ends_in_s` with that of the leader; None where that flies none and this vehicle is near.
+
+        Raises Refused for a slot that is too far away.
+        """
+        own = self._own_offset(vehicle, frame)
+        near = own.distance_m <= SPREAD * self._law_within_m and own.speed_m_s <= self._speed_m_s
+        if near and ends_in_s == 0.0:
+            return None
+        return gentle_path(own, self._speed_m_s, ends_in_s)
+
+    def refusal(
+        self,
+        now_s: float,
+        vehicle: VehicleState,
+        frame: Frame,
+        path: Path | None,
+        peers: Iterable[PeerState],
+        all_form: bool,
+    ) -> Notice | None:
+        """Why this path must not be flown: it comes too near to a peer that does not form.
+
+        `all_form`: peers in hold count as if they were commanded to form as well.
+        """
+        for peer_id, apart_m, forms in self._too_close(now_s, vehicle, frame, path, peers, all_form):
+            if not forms:
+                text = (
+                    f"the path to its slot comes within {apart_m:.2f} m of vehicle {peer_id}, which does not form;"
+                    f" expected at least separation_m, {self._separation_m:g} m"
+                )
+                return Notice(Code.PATH_TOO_CLOSE, text)
+        return None
+
+    def crossing(
+        self, now_s: float, vehicle: VehicleState, frame: Frame, path: Path | None, peers: Iterable[PeerState]
+    ) -> Notice | None:
+        """The warning of the nearest peer whose path this one crosses, where all in hold form as well."""
+        conflicts = self._too_close(now_s, vehicle, frame, path, peers, all_form=True)
+        nearest = min(((apart_m, i) for i, apart_m, forms in conflicts if forms), default=None)
+        return nearest and crossing_notice(self._own_id, nearest[1], nearest[0], self._separation_m)
+
+    def _too_close(
+        self,
+        now_s: float,
+        vehicle: VehicleState,
+        frame: Frame,
+        path: Path | None,
+        peers: Iterable[PeerState],
+        all_form: bool,
+    ) -> Iterator[tuple[int, float, bool]]:
+        """(peer, distance in m, whether it forms) of each peer that comes too near on the way."""
+        forming = STREAMING | {FlightPhase.HOLD} if all_form else STREAMING
+        own, slot_m = self._own_offset(vehicle, frame), frame.slots_m[self._own_id]
+        delta, lasts_s = path or path_from(own, self._needed_s(own.distance_m))
+        for peer in sorted(peers, key=lambda p: p.packet.vehicle_id):
+            packet = peer.packet
+            if packet.phase in ON_GROUND or not packet.armed:
+                continue
+            forms = packet.phase in forming
+            motion = self._forming(now_s, peer, frame, lasts_s) if forms else self._staying(now_s, peer, frame)
+            level = packet.phase in VERTICAL or not self._slots_have_height
+            longest_s = max(lasts_s, packet.slot.moves_for_s)
+            apart_m = _distances_m(slot_m, delta, frame.slots_m[packet.vehicle_id], motion, longest_s, level)
+            ends_m = min(apart_m[0], apart_m[-1]) if forms else apart_m[0]
+            if min(apart_m) < self._separation_m - ROUNDING_M and min(apart_m) < ends_m - PATH_MARGIN_M:
+                yield packet.vehicle_id, min(apart_m), forms
+
+    def _own_offset(self, vehicle: VehicleState, frame: Frame) -> Offset:
+        return self._offset(self._own_id, vehicle.position_enu_m, vehicle.velocity_enu_m_s, frame)
+
+    def _peer_offset(self, now_s: float, peer: PeerState, frame: Frame) -> Offset:
+        return self._offset(peer.packet.vehicle_id, peer.position_at(now_s), peer.packet.velocity_enu_m_s, frame)
+
+    def _offset(self, vehicle_id: int, position_enu_m: Vector3, velocity_enu_m_s: Vector3, frame: Frame) -> Offset:
+        offset = offset_from(position_enu_m, velocity_enu_m_s, frame.fleet, frame.slots_m[vehicle_id], frame.heading)
+        if self._slots_have_height:
+            return offset
+        (x, y, _), (vx, vy, _) = offset.position_m, offset.velocity_m_s
+        return Offset((x, y, 0.0), (vx, vy, 0.0))
+
+    def _needed_s(self, distance_m: float) -> float:
+        return max(SHORTEST_S, duration_s(distance_m, self._speed_m_s, SLOT_ACCELERATION_M_S2))
+
+    def _forming(self, now_s: float, peer: PeerState, frame: Frame, lasts_s: float) -> Curve:
+        """Offset of a peer from its slot over time: the rest of its published path, or a path as long as the own one."""
+        offset, slot = self._peer_offset(now_s, peer, frame), peer.packet.slot
+        if not slot.moves:
+            return path_from(offset, lasts_s)[0]
+        velocity = in_formation_frame(slot.velocity_enu_m_s, frame.heading)
+        acceleration = in_formation_frame(slot.acceleration_enu_m_s2, frame.heading)
+        return decay_to_rest((offset.position_m, velocity, acceleration), slot.moves_for_s)
+
+    def _staying(self, now_s: float, peer: PeerState, frame: Frame) -> Curve:
+        """Offset from its slot of a peer that stays where it is, while the formation moves on at its present velocity."""
+        offset = self._peer_offset(now_s, peer, frame)
+        (x, y, z), (vx, vy, vz) = offset.position_m, offset.velocity_m_s
+        return lambda t: ((x + vx * t, y + vy * t, z + vz * t), offset.velocity_m_s, (0.0, 0.0, 0.0))
+
+
+def _distances_m(
+    slot_m: Vector3, delta: Curve, other_slot_m: Vector3, other: Curve, lasts_s: float, level: bool
+) -> list[float]:
+    """Distances of two vehicles over this time; with `level` in the plane."""
+    apart_m = []
+    for k in range(PATH_SAMPLES + 1):
+        t = lasts_s * k / PATH_SAMPLES
+        (x, y, z), (ox, oy, oz) = delta(t)[0], other(t)[0]
+        here = (slot_m[0] + x, slot_m[1] + y, slot_m[2] + z)
+        there = (other_slot_m[0] + ox, other_slot_m[1] + oy, other_slot_m[2] + oz)
+        apart_m.append(dist(counted(here, not level), counted(there, not level)))
+    return apart_m

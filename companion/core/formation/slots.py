@@ -14,7 +14,7 @@ from companion.core.formation.limits import FormationLimits
 from companion.core.formation.paths import Path
 from companion.core.paced import BEING_CHECKED, PENDING, Pending
 from companion.geometry.curves import rest_to_rest
-from companion.geometry.turning import reach_m
+from companion.geometry.formations import reach_m
 from companion.geometry.vectors import plus
 from companion.types.commands import NUMBERS_AHEAD
 from companion.types.flight import STREAMING, FlightPhase

@@ -6,17 +6,15 @@ all three. It depends on the two RFTs alone. So every possible leader computes t
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from math import ceil, hypot
 
 from companion.core.consensus.law import FormationState
-from companion.core.reference.room import Box, Room
-from companion.core.reference.trajectories import ReferenceTrajectory
-from companion.geometry.airspace import Airspace
-from companion.geometry.clear_path import room_for
+from companion.core.reference.target import Box, Room
+from companion.geometry.airspace import Airspace, room_for
 from companion.geometry.curves import Curve, decay_to_rest, duration_s
-from companion.geometry.turning import swept
+from companion.geometry.formations import swept
 from companion.geometry.vectors import minus, plus
 from companion.types.steps import Steps, coarser, whole
 from companion.types.values import ZERO3, Vector3
@@ -161,3 +159,18 @@ def _sum(new: ReferenceTrajectory, delta: Curve, begins_s: float) -> ReferenceTr
         )
 
     return trajectory
+
+
+ReferenceTrajectory = Callable[[float], FormationState]
+"""Seconds since the start of the RFT -> R and r''. The RFT starts when the leader enters formation."""
+
+
+def point(position_enu_m: Vector3) -> ReferenceTrajectory:
+    """RFT at a fixed point: r' = r'' = 0."""
+    at_rest = FormationState(position_enu_m, ZERO3)
+    return lambda _reference_s: at_rest
+
+
+def along(curve: Curve) -> ReferenceTrajectory:
+    """RFT along a curve."""
+    return lambda reference_s: FormationState(*curve(reference_s))

@@ -12,8 +12,8 @@ from typing import Protocol
 
 from companion.core.consensus.law import FormationState
 from companion.core.consensus.stage import Consensus
-from companion.core.reference.approach import APPROACH, JERK_1_S, LONGEST_S, SETTLE_S, approach_speed
-from companion.geometry.turning import TurnLimits, course, heading_after, turn_limits
+from companion.core.reference.target import APPROACH, JERK_1_S, LONGEST_S, SETTLE_S, approach_speed
+from companion.geometry.formations import TurnLimits, course, heading_after, turn_limits
 from companion.geometry.vectors import clamped
 from companion.types.flight import HealthFlag
 from companion.types.formation import EAST, Heading

@@ -14,10 +14,8 @@ from msgspec import json
 from companion.core.consensus.law import FormationState
 from companion.core.election.beacon import FALLS_BACK_S
 from companion.core.paced import BEING_CHECKED, PENDING, PacedChecks
-from companion.core.reference.blend import BlendLimits, blending
-from companion.core.reference.target_follower import TargetLimits, TargetPursuit, can_keep
-from companion.core.reference.targets import Targets
-from companion.core.reference.trajectories import ReferenceTrajectory
+from companion.core.reference.blend import BlendLimits, ReferenceTrajectory, blending
+from companion.core.reference.target import TargetLimits, TargetPursuit, Targets, can_keep
 from companion.types.commands import NUMBERS_AHEAD, Described, ReferenceChange
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import HeldReference

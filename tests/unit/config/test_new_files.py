@@ -7,13 +7,13 @@ from typing import get_args
 
 import pytest
 
+from companion.analysis.interaction import reached_from
 from companion.cli.main import main
 from companion.config.file import ConfigError
 from companion.config.new_formation import NewFormation, ReferenceKind, flight_time_s
 from companion.config.planned_flight import ShapeName, Topology, neighbour_graph
 from companion.config.vehicle import AgentConfig, load_agent
-from companion.geometry.shapes import smallest_distance
-from companion.stability.interaction import reached_from
+from companion.geometry.formations import smallest_distance
 from companion.tools.analysis import load_subject
 from sitl.flight.new_scenario import new_scenario
 from sitl.flight.scenario import Scenario, load_scenario

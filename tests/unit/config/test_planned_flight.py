@@ -8,11 +8,11 @@ from typing import Any, get_args
 import pytest
 import yaml
 
+from companion.analysis.interaction import reached_from
 from companion.config.file import ConfigError
 from companion.config.fleet import RangeNeighbours
 from companion.config.planned_flight import DEFAULT_ORIGIN, ShapeName, default_neighbours, neighbour_graph
-from companion.geometry.shapes import SHAPES
-from companion.stability.interaction import reached_from
+from companion.geometry.formations import SHAPES
 from companion.tools.analysis import load_subject
 from sitl.flight.scenario import STANDARD_TIMELINE, Scenario, load_scenario
 

@@ -16,9 +16,10 @@ from companion.geometry.airspace import (
     Obstacle,
     area_m2,
     crossing_sides,
+    first_conflict,
     in_polygon,
+    leg_conflict,
 )
-from companion.geometry.clear_path import first_conflict, leg_conflict
 from companion.types.values import Vector3
 
 U_SHAPE = ((0.0, 0.0), (30.0, 0.0), (30.0, 20.0), (20.0, 20.0), (20.0, 10.0), (10.0, 10.0), (10.0, 20.0), (0.0, 20.0))

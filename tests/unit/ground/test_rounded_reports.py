@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.core.formation.limits import FormationLimits
-from companion.geometry.shapes import SHAPES, rotated, slots_of
+from companion.geometry.formations import SHAPES, rotated, slots_of
 from companion.ground.changes import assigned, change_to, refusal_of
 from companion.types.formation import FlownSlot
 from companion.types.tick import Outbox

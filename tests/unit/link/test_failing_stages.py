@@ -12,7 +12,7 @@ import pytest
 
 from companion.core.agent import Agent
 from companion.core.consensus.peers import FleetLimits, PeerTable
-from companion.core.safety.failure_response import HAND_OVER_WITHIN_S
+from companion.core.safety.limits import HAND_OVER_WITHIN_S
 from companion.link.control_loop import ControlLoop
 from companion.mavlink.codec import mavlink
 from companion.types.autopilot import AutopilotKind

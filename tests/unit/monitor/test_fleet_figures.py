@@ -10,11 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
+from companion.analysis.interaction import interaction_matrix
 from companion.assembly import law_of
 from companion.config.fleet import Law
 from companion.monitor.api import NearestView
 from companion.monitor.fleet_figures import FleetFigures, convergence, smallest_separation, weakest_link
-from companion.stability.interaction import interaction_matrix
 from companion.types.values import Vector3
 from monitored_fleet import vehicle
 

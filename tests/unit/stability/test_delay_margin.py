@@ -5,10 +5,10 @@ from math import factorial
 import numpy as np
 import pytest
 
+from companion.analysis.interaction import Coupling, couple
+from companion.analysis.margins import delay_margin_with_lag_s
+from companion.analysis.prediction import LinearModel
 from companion.core.consensus.law import FormationLaw, Gains, Weighting, average_26
-from companion.stability.delay_margin import delay_margin_with_lag_s
-from companion.stability.interaction import Coupling, couple
-from companion.stability.prediction import LinearModel
 
 ORDER = 6
 MODEL = LinearModel()

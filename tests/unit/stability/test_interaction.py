@@ -10,9 +10,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from companion.cli.main import main
-from companion.core.consensus.law import FormationLaw, Gains, Weighting, average_22, average_26, next_prc, weighted
-from companion.stability.interaction import (
+from companion.analysis.interaction import (
     couple,
     eigenvalues,
     interaction_matrix,
@@ -23,7 +21,7 @@ from companion.stability.interaction import (
     settled_prcs,
     time_to_shrink_s,
 )
-from companion.stability.prediction import (
+from companion.analysis.prediction import (
     DIVERGED_M,
     TICK_S,
     LinearModel,
@@ -31,6 +29,8 @@ from companion.stability.prediction import (
     settled_after_s,
     transient_peak,
 )
+from companion.cli.main import main
+from companion.core.consensus.law import FormationLaw, Gains, Weighting, average_22, average_26, next_prc, weighted
 from companion.tools.analysis import analyse, load_subject
 from companion.tools.analysis_report import report, verdict
 from companion.types.notices import Code

@@ -7,6 +7,16 @@ import numpy as np
 import pytest
 import yaml
 
+from companion.analysis.interaction import Coupling, couple, mode_figures
+from companion.analysis.margins import (
+    delay_margin_with_lag_s,
+    is_stable,
+    response,
+    state_matrix,
+    string_gains,
+    worst_transient_peak,
+)
+from companion.analysis.prediction import LinearModel, errors_over_time
 from companion.cli.main import main
 from companion.core.consensus.law import (
     PAPER_GAINS,
@@ -18,11 +28,6 @@ from companion.core.consensus.law import (
     cooperative,
     weighted,
 )
-from companion.stability.delay_margin import delay_margin_with_lag_s
-from companion.stability.interaction import Coupling, couple, mode_figures
-from companion.stability.prediction import LinearModel, errors_over_time
-from companion.stability.state_space import is_stable, state_matrix, worst_transient_peak
-from companion.stability.string_stability import response, string_gains
 from companion.tools.analysis import analyse, load_subject
 from companion.tools.analysis_report import report, verdict
 from companion.types.notices import Code

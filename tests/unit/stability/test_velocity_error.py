@@ -5,9 +5,9 @@ from math import cos, inf, sin
 import numpy as np
 import pytest
 
+from companion.analysis.interaction import share_left, shift_m
 from companion.core.consensus.law import cooperative
 from companion.core.estimation.corrections import VelocityCorrection
-from companion.stability.velocity_error import share_left, shift_m
 
 GAINS = cooperative().gains
 W = 2.0

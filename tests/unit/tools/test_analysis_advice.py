@@ -10,12 +10,11 @@ from typing import Any
 import pytest
 import yaml
 
+from companion.analysis.interaction import couple
+from companion.analysis.margins import delay_margin_with_lag_s, string_gains
 from companion.cli.main import main
 from companion.config.file import ConfigError
 from companion.core.consensus.law import FormationLaw, Gains, Weighting
-from companion.stability.delay_margin import delay_margin_with_lag_s
-from companion.stability.interaction import couple
-from companion.stability.string_stability import string_gains
 from companion.tools.analysis import MODEL, Analysis, analyse, load_subject
 from companion.tools.analysis_report import report, verdict
 from companion.types.notices import Code

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.core.safety.output_limits import OutputLimiter, OutputLimits
+from companion.core.safety.limits import OutputLimiter, OutputLimits
 from companion.core.safety.safeguard import HAND_OVER_S
 from companion.geometry.airspace import Fence
 from companion.mavlink.autopilot_types import DIALECTS

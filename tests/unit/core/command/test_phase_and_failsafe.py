@@ -12,8 +12,8 @@ from companion.core.command.phase import (
     PhaseMachine,
 )
 from companion.core.election.leadership import refusal_of_lead
-from companion.core.safety.health import AgeLimits, HealthLimits, health_flags
-from companion.core.safety.output_limits import OutputLimits
+from companion.core.safety.limits import OutputLimits
+from companion.core.safety.safeguard import AgeLimits, HealthLimits, health_flags
 from companion.geometry.airspace import Fence
 from companion.types.autopilot import (
     AckSample,

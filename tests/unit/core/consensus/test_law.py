@@ -15,7 +15,7 @@ from companion.core.consensus.law import (
     used_weights,
     weighted,
 )
-from companion.core.reference.trajectories import point
+from companion.core.reference.blend import point
 from companion.types.formation import FlownSlot
 from companion.types.values import ZERO3
 

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.core.control.attitude import attitude_target, limit_acceleration
-from companion.core.safety.output_limits import OutputLimiter, OutputLimits
+from companion.core.control.setpoint import attitude_target, limit_acceleration
+from companion.core.safety.limits import OutputLimiter, OutputLimits
 from companion.geometry.airspace import Fence
 from companion.types.autopilot import AttitudeTarget
 from companion.types.values import GRAVITY_M_S2

@@ -9,10 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
+from companion.analysis.interaction import interaction_matrix, settled_prcs
 from companion.core.consensus.law import weighted
 from companion.core.election.beacon import WAITED_S, MissionClock
 from companion.core.election.leadership import Leadership
-from companion.stability.interaction import interaction_matrix, settled_prcs
 from companion.types.autopilot import VehicleState
 from companion.types.commands import MAX_EPOCH, NUMBERS_AHEAD, Command, CommandName, Lead, next_epoch
 from companion.types.flight import Flight, FlightPhase, Role

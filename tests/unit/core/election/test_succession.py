@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from companion.analysis.interaction import settled_prcs
 from companion.core.consensus.stage import Consensus
 from companion.core.election.beacon import BeaconMonitor
 from companion.core.election.leadership import TURN_S, UNCONFIRMED_S, Leadership, Succession
-from companion.stability.interaction import settled_prcs
 from companion.types.commands import MAX_EPOCH, Lead
 from companion.types.flight import FlightPhase, HealthFlag, Role
 from companion.types.formation import LeaderBeacon

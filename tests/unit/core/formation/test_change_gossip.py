@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from msgspec.structs import replace
 
-from companion.core.formation.change_gossip import first_leader, passed_on
+from companion.core.formation.changes import first_leader, passed_on
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot, FormationChange, LeaderBeacon
 from companion.types.peers import PeerPacket

@@ -7,9 +7,9 @@ from math import inf
 import numpy as np
 import pytest
 
+from companion.analysis.interaction import couple
+from companion.analysis.response import OVERSHOOT, Chain, Harmonic, refused_cases, slower_by, too_close
 from companion.core.consensus.law import FormationLaw, average_22, average_26, cooperative, neighbour_weights, weighted
-from companion.core.formation.following import OVERSHOOT, Chain, Harmonic, refused_cases, slower_by, too_close
-from companion.stability.interaction import couple
 from companion.types.steps import whole
 from companion.types.values import Vector3
 

@@ -12,10 +12,10 @@ from msgspec.structs import replace
 from companion.config.file import ConfigError, refuse
 from companion.config.fleet_check import fleet_problems
 from companion.core.consensus.peers import PeerState
-from companion.core.formation.gap_filling import GONE_FOR_S, GapFilling, Proposal, closed_up
+from companion.core.formation.gaps import GONE_FOR_S, GapFilling, Proposal, closed_up
 from companion.core.formation.limits import FormationLimits
 from companion.core.formation.slots import SlotPlan
-from companion.geometry.shapes import SHAPES, slots_of
+from companion.geometry.formations import SHAPES, slots_of
 from companion.types.flight import FlightPhase
 from companion.types.formation import FlownSlot, FormationChange
 from companion.types.notices import Code, Notice

@@ -9,8 +9,8 @@ import pytest
 from msgspec.structs import replace
 
 from companion.core.consensus.peers import PeerState
-from companion.core.formation.joining import JOINS_AFTER_S, Joining
-from companion.geometry.turning import turned_slot
+from companion.core.formation.entry import JOINS_AFTER_S, Joining
+from companion.geometry.formations import turned_slot
 from companion.types.flight import FlightPhase
 from companion.types.formation import EAST, FlownSlot, Heading
 from companion.types.notices import Refused

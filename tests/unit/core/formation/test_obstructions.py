@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
-from companion.core.formation.obstructions import members, refusal_of_tracks, tracks_about
+from companion.core.formation.limits import members, refusal_of_tracks, tracks_about
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code
 from companion.types.peers import PeerPacket

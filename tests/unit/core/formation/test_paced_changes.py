@@ -8,10 +8,10 @@ from collections.abc import Iterable
 import pytest
 
 from agent_flight import Flight
+from companion.analysis.response import COST_PER_STEP, Chain
 from companion.config.fleet import FleetConfig, FormationMember, Law, RangeNeighbours
 from companion.config.reference import CircleReference, Figure8Reference
 from companion.core.formation.changes import HEARD_PERIOD_S, QUEUED, Changes
-from companion.core.formation.following import COST_PER_STEP, Chain
 from companion.core.paced import PENDING, RESULTS_KEPT, STEPS_PER_TICK, PacedChecks
 from companion.types.commands import Command, CommandName, CommandReply, ReferenceChange
 from companion.types.flight import Role

@@ -14,8 +14,7 @@ from msgspec.structs import replace
 from companion.core.formation.limits import FormationLimits
 from companion.core.formation.slots import AGREED_WITHIN_S, SlotPlan
 from companion.geometry.curves import Motion, circle, duration_s, rest_to_rest, waypoint_path
-from companion.geometry.shapes import SHAPES, slots_of, smallest_distance
-from companion.geometry.transition import closest_approach, peak_speed_m_s
+from companion.geometry.formations import SHAPES, closest_approach, peak_speed_m_s, slots_of, smallest_distance
 from companion.ground.changes import assigned
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot, FormationChange

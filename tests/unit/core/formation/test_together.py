@@ -10,8 +10,7 @@ from msgspec.structs import replace
 
 from companion.core.consensus.law import FormationState, Gains, cooperative, weighted
 from companion.core.consensus.peers import PeerState
-from companion.core.formation.paths import law_within_m
-from companion.core.formation.together import FormingTogether, Frame
+from companion.core.formation.paths import FormingTogether, Frame, law_within_m
 from companion.types.autopilot import VehicleState
 from companion.types.flight import FlightPhase
 from companion.types.formation import EAST, FlownSlot

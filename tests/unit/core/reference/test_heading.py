@@ -23,7 +23,7 @@ from companion.core.election.beacon import WAITED_S
 from companion.core.formation.limits import FormationLimits
 from companion.core.reference.blend import BlendLimits
 from companion.core.reference.heading import JERK_1_S, SLOWEST_M_S, CourseHeading, FixedHeading, turned_towards
-from companion.geometry.turning import (
+from companion.geometry.formations import (
     SLOT_ACCELERATION_M_S2,
     TurnLimits,
     course,

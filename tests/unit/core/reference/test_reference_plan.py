@@ -14,10 +14,9 @@ from msgspec.structs import replace
 from companion.assembly import build_agent
 from companion.config.vehicle import AgentConfig
 from companion.core.consensus.law import FormationState
-from companion.core.reference.blend import BlendLimits, blended, reference_box
+from companion.core.reference.blend import BlendLimits, along, blended, point, reference_box
 from companion.core.reference.plan import ReferencePlan
-from companion.core.reference.room import Box
-from companion.core.reference.trajectories import along, point
+from companion.core.reference.target import Box
 from companion.geometry.curves import Curve, centred_at, circle, decay_to_rest, figure_8
 from companion.types.commands import ReferenceChange
 from companion.types.flight import FlightPhase, Role

@@ -9,8 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.core.consensus.law import FormationState
-from companion.core.reference.room import Box, Room
-from companion.core.reference.target_follower import LONGEST_S, TargetLimits, TargetPursuit, can_keep
+from companion.core.reference.target import LONGEST_S, Box, Room, TargetLimits, TargetPursuit, can_keep
 from companion.geometry.airspace import Airspace, Cuboid, Cylinder, Fence
 from companion.geometry.vectors import plus
 from companion.types.values import ZERO3, Vector3

@@ -7,7 +7,7 @@ from math import inf, nan
 import pytest
 from msgspec.structs import replace
 
-from companion.core.reference.targets import TOO_LATE_S, Targets
+from companion.core.reference.target import TOO_LATE_S, Targets
 from companion.types.notices import Code
 from companion.types.peers import ReceivedTarget, TargetSample
 

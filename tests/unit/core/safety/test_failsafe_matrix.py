@@ -11,9 +11,8 @@ from companion.core.consensus.peers import PeerState
 from companion.core.consensus.stage import Consensus
 from companion.core.safety.audit_parameters import RULES
 from companion.core.safety.failsafe import FAILSAFES, OTHER_FAILSAFES, RELIED_ON, FailsafeSettings
-from companion.core.safety.health import AgeLimits, HealthLimits
-from companion.core.safety.output_limits import OutputLimits
-from companion.core.safety.safeguard import SafeguardStage, Safety
+from companion.core.safety.limits import OutputLimits
+from companion.core.safety.safeguard import AgeLimits, HealthLimits, SafeguardStage, Safety
 from companion.geometry.airspace import Fence
 from companion.types.autopilot import AutopilotKind, AutopilotMode, LandedState, PositionError, VehicleState
 from companion.types.flight import STREAMING, FailsafeAction, Flight, FlightPhase, HealthFlag, PhaseChange, Role

@@ -8,7 +8,7 @@ from msgspec.structs import replace
 from agent_flight import Flight
 from commanded_phases import AIR, ImmediateAutopilot, flown_to, levelled, tick
 from companion.core.command.phase import PhaseMachine
-from companion.core.safety.return_check import Path, apart, refusal_of_return
+from companion.core.safety.fleet_checks import Path, apart, refusal_of_return
 from companion.types.autopilot import AckSample, AutopilotMode, HeartbeatSample, LandedState, SetMode
 from companion.types.commands import CommandName
 from companion.types.flight import RULES, FlightPhase

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from batch_scenarios import platoon
+from companion.analysis.interaction import FloatArray
 from companion.config.fleet import Envelope
-from companion.core.control.attitude import attitude_target, limit_acceleration
-from companion.core.safety.output_limits import OutputLimiter, OutputLimits
+from companion.core.control.setpoint import attitude_target, limit_acceleration
+from companion.core.safety.limits import OutputLimiter, OutputLimits
 from companion.geometry.airspace import Fence
 from companion.geometry.frames import euler_from_quaternion, quaternion_from_euler
-from companion.stability.arrays import FloatArray
 from companion.types.autopilot import AttitudeTarget
 from rigid_body import Equations
 from sitl.autopilots.autopilot import DT_S

@@ -8,8 +8,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from companion.core.reference.trajectories import point
-from companion.stability.arrays import FloatArray
+from companion.analysis.interaction import FloatArray
+from companion.core.reference.blend import point
 from companion.types.flight import Role
 from sitl.paper.figures import PICTURES
 from sitl.paper.flights import (

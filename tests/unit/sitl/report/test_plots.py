@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from companion.core.reference.trajectories import point
+from companion.core.reference.blend import point
 from sitl.report.metrics import Formation, FormationFlight, Track, standing
 from sitl.report.plots import COLOURS, MARKERS, STYLES, save_comparison, save_figure_5, save_figure_6
 

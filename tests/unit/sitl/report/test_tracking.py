@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from companion.core.reference.trajectories import point
+from companion.core.reference.blend import point
 from sitl.report.metrics import Formation, Track, standing, tracking
 
 SLOTS = standing({1: (0.0, 0.0, 0.0), 2: (-2.0, 0.0, 0.0), 3: (-4.0, 0.0, 0.0)})

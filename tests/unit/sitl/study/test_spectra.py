@@ -1,4 +1,4 @@
-"""Shapes of any size, and their sparse spectra against the dense ones of companion.stability."""
+"""Shapes of any size, and their sparse spectra against the dense ones of companion.analysis."""
 
 from itertools import combinations
 from math import dist
@@ -6,6 +6,7 @@ from math import dist
 import numpy as np
 import pytest
 
+from companion.analysis.interaction import couple, eigenvalues, mode_eigenvalues
 from companion.core.consensus.law import (
     PAPER_GAINS,
     FormationLaw,
@@ -15,7 +16,6 @@ from companion.core.consensus.law import (
     cooperative,
     weighted,
 )
-from companion.stability.interaction import couple, eigenvalues, mode_eigenvalues
 from sitl.study import spectra
 from sitl.study.shapes import RANGE_M, SPACING_M, Shape, chain, grid, is_connected, random_geometric, ring
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from companion.core.safety.filter.acceleration_filter import AccelerationLimits, HalfSpace, Rank, filtered, half_space
+from companion.core.filter.solver import AccelerationLimits, HalfSpace, Rank, filtered, half_space
 from companion.types.values import Vector3
 
 LIMITS = AccelerationLimits.of_envelope(tan(radians(25.0)), 0.3, 1.6)

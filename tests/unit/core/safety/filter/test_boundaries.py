@@ -9,10 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from companion.core.safety.filter.acceleration_filter import AccelerationLimits, filtered
-from companion.core.safety.filter.boundaries import Boundaries
-from companion.core.safety.filter.lag import Ahead, Lag
-from companion.core.safety.filter.speed_limit import SpeedLimit, limited
+from companion.core.filter.filter import Boundaries, SpeedLimit, limited
+from companion.core.filter.motion import Ahead, Lag
+from companion.core.filter.solver import AccelerationLimits, filtered
 from companion.geometry.airspace import Airspace, Cuboid, Cylinder, Fence
 from companion.types.autopilot import VehicleState
 from companion.types.values import GRAVITY_M_S2, ZERO3, Vector3

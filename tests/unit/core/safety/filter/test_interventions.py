@@ -1,4 +1,4 @@
-from companion.core.safety.filter.interventions import ENDS_AFTER_S, Interventions
+from companion.core.filter.filter import ENDS_AFTER_S, Interventions
 from companion.types.notices import Code
 from companion.types.status import NearestVehicle, SeparationReport
 

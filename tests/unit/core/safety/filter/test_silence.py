@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.core.safety.filter.lag import Ahead
-from companion.core.safety.filter.silence import KEPT_S, Motion, Silence, column_m, nearest_on_way
+from companion.core.filter.motion import KEPT_S, Ahead, Motion, Silence, column_m, nearest_on_way
 from companion.types.values import ZERO3, Vector3
 
 PEER = Silence(0.3, 0.0, KEPT_S, 15.0)

@@ -1,6 +1,6 @@
 import pytest
 
-from companion.core.safety.filter.traffic import EXPIRES_S, KEPT, Traffic
+from companion.core.filter.motion import EXPIRES_S, KEPT, Traffic
 from companion.types.peers import ReceivedTraffic, TrafficSample
 from companion.types.values import ZERO3
 from companion.wire.messages import WireError, decode_traffic, encode, seal

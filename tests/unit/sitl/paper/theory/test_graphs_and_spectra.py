@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from companion.analysis.interaction import interaction_matrix, mode_figures
 from companion.core.consensus.law import PAPER_GAINS, Gains, weighted
-from companion.stability.interaction import interaction_matrix, mode_figures
 from sitl.paper.graphs import (
     Led,
     aggregation_graph,

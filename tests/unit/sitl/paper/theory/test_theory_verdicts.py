@@ -10,7 +10,7 @@ import pytest
 import sitl.paper.spectrum as spectrum
 import sitl.paper.theorems as algorithm1
 import sitl.paper.theorems as comparison
-from companion.stability.arrays import FloatArray
+from companion.analysis.interaction import FloatArray
 from sitl.paper.graphs import every_small_pair, random_pairs
 from sitl.paper.report import growth_text
 from sitl.paper.spectrum import (

@@ -1,20 +1,104 @@
-"""What is sent after a stage of the tick has failed: level attitude, the autopilot's hold, and a last packet to the peers.
-
-It uses only what was sent and received before. The results of the stages cannot be relied on any more.
-"""
+"""Output limits: the last stage before MAVLink. Every attitude setpoint passes through it."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from math import inf, isfinite
+from dataclasses import dataclass
+from math import hypot, inf, isfinite, pi
 
 from msgspec import Struct
 from msgspec.structs import replace
 
+from companion.geometry.airspace import Fence
+from companion.geometry.frames import wrap_pi
+from companion.geometry.vectors import between, clamped
 from companion.types.autopilot import AttitudeTarget, AutopilotMode, AutopilotRequest, ModeSample, SetMode, Telemetry
 from companion.types.flight import Flight, FlightPhase
 from companion.types.peers import PeerPacket
 from companion.types.values import ZERO3
+
+
+@dataclass(frozen=True, slots=True)
+class OutputLimits:
+    """Limits of attitude setpoints and the fence. Thrust as ratio of hover thrust."""
+
+    max_tilt_rad: float
+    max_tilt_rate_rad_s: float
+    min_thrust_ratio: float
+    max_thrust_ratio: float
+    max_thrust_rate_1_s: float
+    fence: Fence
+
+
+class OutputLimiter:
+    """Limits tilt, thrust and their rates of change, and refuses setpoints that are not finite.
+
+    Thrust limits scale with the present hover thrust estimate, so a wrong estimate narrows the usable range.
+    """
+
+    def __init__(self, limits: OutputLimits) -> None:
+        self._limits = limits
+        self._last: AttitudeTarget | None = None
+        self._last_s = float("-inf")
+
+    def open_at(self, now_s: float, current: AttitudeTarget, hover_thrust_norm: float) -> None:
+        """Begin a stream at the vehicle's present attitude and thrust, so that the first step is small."""
+        if _finite(current):
+            self._last = self._within_limits(current, hover_thrust_norm)
+            self._last_s = now_s
+
+    def admit(self, now_s: float, wanted: AttitudeTarget, hover_thrust_norm: float) -> AttitudeTarget | None:
+        """The allowed setpoint nearest to the wanted one. None where it is not finite or no stream was begun."""
+        last = self._last
+        if last is None or not _finite(wanted):
+            return None
+        # After a gap the slew still starts from the last setpoint: without setpoints a vehicle has not turned far.
+        elapsed_s = between(now_s - self._last_s, 0.0, 0.1)
+        # Slewing each angle separately can leave the tilt circle slightly, so the tilt is limited again.
+        allowed = self._within_limits(wanted, hover_thrust_norm)
+        slewed = self._slewed(last, allowed, elapsed_s, hover_thrust_norm)
+        self._last_s = now_s
+        self._last = admitted = self._within_limits(slewed, hover_thrust_norm)
+        return admitted
+
+    def _within_limits(self, target: AttitudeTarget, hover_thrust_norm: float) -> AttitudeTarget:
+        roll, pitch, yaw = target.roll_rad, target.pitch_rad, target.yaw_rad
+        if not (-pi <= roll < pi and -pi <= pitch < pi and -pi <= yaw < pi):
+            roll, pitch, yaw = wrap_pi(roll), wrap_pi(pitch), wrap_pi(yaw)
+        # The tilt acos(cos(roll) cos(pitch)) never exceeds hypot(roll, pitch), so this limit is safe and smooth.
+        tilt, limits = hypot(roll, pitch), self._limits
+        if tilt > limits.max_tilt_rad:
+            scale = limits.max_tilt_rad / tilt
+            roll, pitch = roll * scale, pitch * scale
+        least, most = hover_thrust_norm * limits.min_thrust_ratio, hover_thrust_norm * limits.max_thrust_ratio
+        if most > 1.0:
+            most = 1.0
+        return AttitudeTarget(roll, pitch, yaw, between(target.thrust_norm, least, most))
+
+    def _slewed(
+        self, last: AttitudeTarget, wanted: AttitudeTarget, elapsed_s: float, hover_thrust_norm: float
+    ) -> AttitudeTarget:
+        """`wanted`, no farther from `last` than the rates allow. Yaw is wrapped by `_within_limits`."""
+        angle = self._limits.max_tilt_rate_rad_s * elapsed_s
+        thrust = self._limits.max_thrust_rate_1_s * hover_thrust_norm * elapsed_s
+        roll, pitch, yaw = last.roll_rad, last.pitch_rad, last.yaw_rad
+        turn = wrap_pi(wanted.yaw_rad - yaw)
+        return AttitudeTarget(
+            roll + clamped(wanted.roll_rad - roll, angle),
+            pitch + clamped(wanted.pitch_rad - pitch, angle),
+            yaw + clamped(turn, angle),
+            last.thrust_norm + clamped(wanted.thrust_norm - last.thrust_norm, thrust),
+        )
+
+
+def _finite(target: AttitudeTarget) -> bool:
+    return (
+        isfinite(target.roll_rad)
+        and isfinite(target.pitch_rad)
+        and isfinite(target.yaw_rad)
+        and isfinite(target.thrust_norm)
+    )
+
 
 REPEAT_REQUEST_S = 0.1
 TELEMETRY_FRESH_S = 0.1  # without telemetry a pilot's change of mode would remain unseen

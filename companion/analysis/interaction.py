@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.core.consensus.law import FormationLaw, Gains, neighbour_weights
-from companion.stability.arrays import FloatArray
 
 Graph = Mapping[int, Collection[int]]  # vehicle id -> ids of its neighbours
 
@@ -154,3 +153,20 @@ def time_to_shrink_s(rate_1_s: float, error_m: float, within_m: float) -> float:
     if error_m <= within_m:
         return 0.0
     return log(error_m / within_m) / rate_1_s if rate_1_s > 0.0 else inf
+
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+def shift_m(gains: Gains, velocity_error_m_s: float) -> float:
+    """Distance from the slot with a constant velocity error, m."""
+    return gains.velocity_1_s / gains.position_1_s2 * velocity_error_m_s
+
+
+def share_left(rate_rad_s: float, bandwidth_1_s: float) -> float:
+    """Share of a velocity error that turns at this rate which the correction leaves; 1 where it is off."""
+    if bandwidth_1_s == 0.0:
+        return 1.0
+    s = 1j * rate_rad_s
+    return abs(s * (s + 2.0 * bandwidth_1_s)) / abs(s + bandwidth_1_s) ** 2

@@ -16,7 +16,7 @@ from msgspec import Struct
 from companion.core.consensus.peers import PeerState
 from companion.core.formation.limits import FormationLimits
 from companion.geometry.curves import duration_s, rest_to_rest
-from companion.geometry.turning import SLOT_ACCELERATION_M_S2
+from companion.geometry.formations import SLOT_ACCELERATION_M_S2
 from companion.types.flight import STREAMING, FlightPhase
 from companion.types.formation import FormationChange
 from companion.types.notices import Code, Notice

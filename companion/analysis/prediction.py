@@ -12,9 +12,7 @@ from math import exp
 
 import numpy as np
 
-from companion.stability.arrays import FloatArray
-from companion.stability.interaction import Coupling
-from companion.stability.settling import settle_time_s
+from companion.analysis.interaction import Coupling, FloatArray
 
 TICK_S = 0.02
 SUBSTEPS = 4
@@ -118,3 +116,23 @@ def transient_peak(errors_m: FloatArray) -> float:
     """Largest error of all vehicles and times over the largest error at the start, at least 1."""
     largest_m = np.linalg.norm(errors_m, axis=2).max(axis=1)
     return float(largest_m.max() / largest_m[0]) if largest_m[0] > 0.0 else 1.0
+
+
+SETTLED_WITHIN_M = 0.10
+STAY_S = 2.0
+
+
+def settle_time_s(
+    times_s: FloatArray, error_m: FloatArray, within_m: float = SETTLED_WITHIN_M, stay_s: float = STAY_S
+) -> float | None:
+    """Seconds from the first of evenly spaced times (n,) until the error (n,) stays within `within_m`.
+
+    None if it is not inside for at least the last `stay_s`: an oscillation that is inside only at
+    the end has not settled.
+    """
+    outside = np.flatnonzero(error_m > within_m)
+    first_inside = int(outside[-1]) + 1 if outside.size else 0
+    sample_s = float(times_s[1] - times_s[0]) if times_s.size > 1 else 0.0
+    if first_inside == times_s.size or times_s[-1] - times_s[first_inside] < stay_s - sample_s / 2:
+        return None
+    return float(times_s[first_inside] - times_s[0])

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from itertools import combinations, pairwise
 from math import ceil, dist, floor, hypot, inf, log, radians, tan, tau
 
+from companion.analysis.response import ROUNDING, Chain, Harmonic, Motion, Pair, refused_cases, slower_by
 from companion.config.fleet import FleetConfig
 from companion.config.planned_flight import neighbour_graph
 from companion.config.reference import (
@@ -20,9 +21,8 @@ from companion.config.reference import (
 from companion.config.reference_check import largest_pace
 from companion.config.validation import Problem, needs
 from companion.core.consensus.law import FormationLaw
-from companion.core.formation.following import ROUNDING, Chain, Harmonic, Motion, Pair, refused_cases, slower_by
 from companion.geometry.curves import PEAK_ACCELERATION, PEAK_SPEED, duration_s
-from companion.geometry.separation import counted
+from companion.geometry.formations import counted
 from companion.types.flight import Role
 from companion.types.steps import Steps, whole
 from companion.types.values import GRAVITY_M_S2, Vector3

@@ -1,0 +1,346 @@
+"""State of a vehicle ahead by its attitude lag, for checks that must act in time.
+
+A vehicle follows its commanded acceleration u with a lag T: a' = (u - a)/T. With q = p + T v and w = v + T a it is an exact
+double integrator, q' = w and w' = u, and p and v follow q and w by a low pass of T. What holds for q and w at all times thus
+holds for p and v.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from math import dist, exp, hypot, inf, sqrt
+
+from msgspec import Struct
+from msgspec.structs import replace
+
+from companion.core.consensus.peers import PeerState
+from companion.geometry.formations import HEIGHT_WEIGHT
+from companion.geometry.vectors import shortened
+from companion.types.autopilot import PositionError, VehicleState
+from companion.types.flight import FlightPhase
+from companion.types.formation import FlownSlot
+from companion.types.peers import ReceivedTraffic
+from companion.types.values import ZERO3, Vector3
+
+LAG_S = 0.2  # from a commanded to the flown acceleration: the mean delay of the attitude step response
+
+
+class Ahead(Struct, frozen=True, gc=False):
+    """q and w of the fleet frame."""
+
+    position_enu_m: Vector3
+    velocity_enu_m_s: Vector3
+
+
+class Lag:
+    """Follows the flown acceleration of one vehicle."""
+
+    def __init__(self) -> None:
+        self._acceleration_enu_m_s2 = ZERO3
+        self._last_s: float | None = None
+
+    def step(self, now_s: float, vehicle: VehicleState, commanded_enu_m_s2: Vector3) -> Ahead:
+        """`commanded_enu_m_s2` is the command of the last tick."""
+        elapsed_s = now_s - self._last_s if self._last_s is not None else 0.0
+        self._last_s = now_s
+        share = elapsed_s / (LAG_S + elapsed_s) if elapsed_s > 0.0 else 0.0
+        (ax, ay, az), (ux, uy, uz) = self._acceleration_enu_m_s2, commanded_enu_m_s2
+        ax, ay, az = ax + share * (ux - ax), ay + share * (uy - ay), az + share * (uz - az)
+        self._acceleration_enu_m_s2 = (ax, ay, az)
+        (x, y, z), (vx, vy, vz) = vehicle.position_enu_m, vehicle.velocity_enu_m_s
+        ahead_s = now_s - vehicle.position_time_s + LAG_S
+        return Ahead(
+            (x + vx * ahead_s, y + vy * ahead_s, z + vz * ahead_s),
+            (vx + ax * ahead_s, vy + ay * ahead_s, vz + az * ahead_s),
+        )
+
+
+KEPT_S = 1.0  # an autopilot without setpoints keeps its attitude for so long
+COAST_1_S = 0.25  # decay of the speed of a level multirotor: less than that of most airframes
+GROWS_S = 0.4  # from the expected position to the whole way
+DESCENT_M_S = 1.5  # of an autopilot that lands
+LANDS_S = 0.6  # PX4's smallest COM_OF_LOSS_T
+COLUMN_M_S = 1.0  # growth of the distance that a vehicle below keeps
+
+Motion = tuple[Vector3, Vector3, Vector3]
+"""Position, velocity and acceleration."""
+
+
+class Silence(Struct, frozen=True, gc=False):
+    """From which age of its last state on a vehicle counts as silent, and how it may fly then.
+
+    It brakes after `brakes_s` at the earliest, and keeps its attitude until `kept_s`. It flies `most_m_s` at most: one
+    packet may report any velocity. `lands`: it may do so.
+    """
+
+    begins_s: float
+    brakes_s: float
+    kept_s: float
+    most_m_s: float = inf
+    lands: bool = True
+
+
+def nearest_on_way(
+    own: Ahead, last: Motion, age_s: float, ahead_s: float, silence: Silence, braking_m_s2: float, weight: float
+) -> Motion:
+    """The point nearest to this vehicle of all where a silent one may be `ahead_s` from now, and how that point moves.
+
+    `last` is `age_s` old. The way is a straight line from where the vehicle brakes at once to where it coasts. It grows from
+    the expected position within GROWS_S, so nothing jumps. Between its ends the point follows this vehicle along the way.
+    `weight` is that of heights.
+    """
+    at_s, most_m_s = age_s + ahead_s, silence.most_m_s
+    plausible = (last[0], shortened(last[1], most_m_s), last[2])
+    braked = _braking(plausible, at_s, silence.brakes_s, braking_m_s2)
+    coasted = _coasting(plausible, at_s, silence.kept_s, most_m_s)
+    part = (age_s - silence.begins_s) / GROWS_S
+    if part < 1.0:
+        expected = _expected(last, at_s)
+        braked, coasted = _grown(expected, braked, part), _grown(expected, coasted, part)
+    (x, y, z), (px, py, pz), (qx, qy, qz) = own.position_enu_m, braked[0], coasted[0]
+    dx, dy, dz = qx - px, qy - py, (qz - pz) * weight
+    length2_m2 = dx * dx + dy * dy + dz * dz
+    share = ((x - px) * dx + (y - py) * dy + (z - pz) * weight * dz) / length2_m2 if length2_m2 > 0.0 else 0.0
+    if share <= 0.0:
+        return braked
+    if share >= 1.0:
+        return coasted
+    position_enu_m, (vx, vy, vz), acceleration_enu_m_s2 = _between(braked, coasted, share)
+    wx, wy, wz = own.velocity_enu_m_s
+    follows_1_s = ((wx - vx) * dx + (wy - vy) * dy + (wz - vz) * weight * dz) / length2_m2
+    vx, vy, vz = vx + follows_1_s * (qx - px), vy + follows_1_s * (qy - py), vz + follows_1_s * (qz - pz)
+    return position_enu_m, (vx, vy, vz), acceleration_enu_m_s2
+
+
+def column_m(required_m: float, above_m: float, silent_s: float, weight: float) -> tuple[float, float]:
+    """(horizontal distance to keep below a vehicle that may land, its growth in m/s).
+
+    It has been silent for `silent_s` longer than an autopilot keeps its attitude, and was last `above_m` above this one. It
+    may be at any height that a landing reaches by now.
+    """
+    growing_m = COLUMN_M_S * silent_s
+    left_m = above_m - DESCENT_M_S * (silent_s + KEPT_S - LANDS_S)
+    below_m, below_m_s = (required_m - left_m * weight, DESCENT_M_S * weight) if left_m > 0.0 else (required_m, 0.0)
+    return (growing_m, COLUMN_M_S) if growing_m < below_m else (below_m, below_m_s)
+
+
+def _expected(last: Motion, at_s: float) -> Motion:
+    """As a fresh vehicle is extrapolated."""
+    (x, y, z), (vx, vy, vz), (ax, ay, az) = last
+    there_enu_m = (x + vx * at_s, y + vy * at_s, z + vz * at_s)
+    return there_enu_m, (vx + ax * at_s, vy + ay * at_s, vz + az * at_s), last[2]
+
+
+def _braking(last: Motion, at_s: float, brakes_s: float, braking_m_s2: float) -> Motion:
+    """Straight on, then braking to a stop."""
+    (x, y, z), (vx, vy, vz), _ = last
+    speed_m_s = sqrt(vx * vx + vy * vy + vz * vz)
+    if speed_m_s == 0.0:
+        return last[0], ZERO3, ZERO3
+    stop_s, braking_s = speed_m_s / braking_m_s2, at_s - brakes_s
+    stopped = braking_s >= stop_s
+    if stopped:
+        braking_s = stop_s
+    # Times at the first velocity, and shares of it.
+    gone_s = brakes_s + braking_s - 0.5 * braking_s * braking_s / stop_s
+    left = 0.0 if stopped else 1.0 - braking_s / stop_s
+    slows_1_s = 0.0 if stopped else -1.0 / stop_s
+    return (
+        (x + gone_s * vx, y + gone_s * vy, z + gone_s * vz),
+        (left * vx, left * vy, left * vz),
+        (slows_1_s * vx, slows_1_s * vy, slows_1_s * vz),
+    )
+
+
+def _coasting(last: Motion, at_s: float, kept_s: float, most_m_s: float) -> Motion:
+    """The attitude is kept, then level; heights are held then."""
+    (x, y, z), (vx, vy, vz), (ax, ay, _) = last
+    keeps_s = min(at_s, kept_s)
+    added_s2 = 0.5 * keeps_s * keeps_s
+    there_enu_m = (x + keeps_s * vx + added_s2 * ax, y + keeps_s * vy + added_s2 * ay, z + keeps_s * vz)
+    vx, vy = vx + keeps_s * ax, vy + keeps_s * ay
+    if at_s <= kept_s:
+        return there_enu_m, (vx, vy, vz), (ax, ay, 0.0)
+    speed_m_s = hypot(vx, vy)
+    if speed_m_s > most_m_s:
+        vx, vy = vx * most_m_s / speed_m_s, vy * most_m_s / speed_m_s
+    left = exp(-COAST_1_S * (at_s - kept_s))
+    reach_s = (1.0 - left) / COAST_1_S
+    x, y, z = there_enu_m
+    slows_1_s = -COAST_1_S * left
+    return (x + reach_s * vx, y + reach_s * vy, z), (left * vx, left * vy, 0.0), (slows_1_s * vx, slows_1_s * vy, 0.0)
+
+
+def _grown(expected: Motion, end: Motion, part: float) -> Motion:
+    """From the expected motion to an end of the way, smoothly."""
+    share, rate_1_s = part * part * (3.0 - 2.0 * part), 6.0 * part * (1.0 - part) / GROWS_S
+    position_enu_m, (vx, vy, vz), acceleration_enu_m_s2 = _between(expected, end, share)
+    (px, py, pz), (qx, qy, qz) = expected[0], end[0]
+    moving = (vx + rate_1_s * (qx - px), vy + rate_1_s * (qy - py), vz + rate_1_s * (qz - pz))
+    return position_enu_m, moving, acceleration_enu_m_s2
+
+
+def _between(one: Motion, other: Motion, share: float) -> Motion:
+    ((ax, ay, az), (bx, by, bz), (cx, cy, cz)), ((dx, dy, dz), (ex, ey, ez), (fx, fy, fz)) = one, other
+    return (
+        (ax + share * (dx - ax), ay + share * (dy - ay), az + share * (dz - az)),
+        (bx + share * (ex - bx), by + share * (ey - by), bz + share * (ez - bz)),
+        (cx + share * (fx - cx), cy + share * (fy - cy), cz + share * (fz - cz)),
+    )
+
+
+FORMATION = FlightPhase.FORMATION
+NEAR_M, NEAR_S = 8.0, 3.0  # farther than NEAR_M + NEAR_S * relative speed nothing is computed
+FORGOTTEN_S = 600.0  # a vehicle that is silent for so long is no obstacle any more: its battery lasts no longer
+TRAFFIC_EXTRAPOLATED_S = 5.0  # an aircraft holds its course
+TRAFFIC_SILENCE = Silence(TRAFFIC_EXTRAPOLATED_S, TRAFFIC_EXTRAPOLATED_S, TRAFFIC_EXTRAPOLATED_S, lands=False)
+NO_ERROR = PositionError(0.0, 0.0)
+
+
+class Other(Struct, frozen=True, gc=False):
+    """Position and velocity `age_s` ago, the acceleration it flies by its commands, and what it is.
+
+    A peer that is not fresh keeps its acceleration: an autopilot without setpoints keeps its attitude at first.
+    `silence`: how it may fly where its state is too old, else None.
+    `slot` is None for a vehicle that does not cooperate. `side` is the sign of its number compared with the own one.
+    """
+
+    key: int | str
+    position_enu_m: Vector3
+    velocity_enu_m_s: Vector3
+    acceleration_enu_m_s2: Vector3
+    age_s: float
+    silence: Silence | None
+    error: PositionError
+    height_weight: float
+    slot: FlownSlot | None
+    side: float
+
+
+class Others:
+    """Selects the vehicles nearby. Holds the lagged accelerations that peers fly by their commands."""
+
+    def __init__(self, own_id: int, silence: Silence) -> None:
+        self._own_id = own_id
+        self._silence = silence  # of peers
+        self._silence_on_ground = replace(silence, lands=False)
+        self._lagged_enu_m_s2: dict[int, Vector3] = {}
+        self._last_s = -inf
+
+    def step(
+        self,
+        now_s: float,
+        position_enu_m: Vector3,
+        velocity_enu_m_s: Vector3,
+        cooperates: bool,
+        peers: Mapping[int, PeerState],
+        fresh: Mapping[int, PeerState],
+        traffic: Mapping[str, ReceivedTraffic],
+    ) -> list[Other]:
+        """`cooperates`: this vehicle flies in formation, so peers expect its share."""
+        near = self._peers_nearby(now_s, position_enu_m, velocity_enu_m_s, cooperates, peers, fresh)
+        if traffic:
+            near += _traffic_nearby(now_s, position_enu_m, velocity_enu_m_s, traffic)
+        return near
+
+    def _peers_nearby(
+        self,
+        now_s: float,
+        position_enu_m: Vector3,
+        velocity_enu_m_s: Vector3,
+        cooperates: bool,
+        peers: Mapping[int, PeerState],
+        fresh: Mapping[int, PeerState],
+    ) -> list[Other]:
+        elapsed_s, self._last_s = now_s - self._last_s, now_s
+        lag_share = 1.0 - LAG_S / (LAG_S + elapsed_s)
+        near, before, begins_s = [], self._lagged_enu_m_s2, self._silence.begins_s
+        commanded: dict[int, Vector3] = {}
+        for peer_id, peer in peers.items():
+            packet, age_s = peer.packet, now_s - peer.measured_s
+            there_enu_m, moving_enu_m_s = packet.position_enu_m, packet.velocity_enu_m_s
+            acceleration, reaches_m_s = packet.acceleration_enu_m_s2, moving_enu_m_s
+            is_fresh = peer_id in fresh
+            if not is_fresh:
+                (vx, vy, vz), (ax, ay, _) = moving_enu_m_s, acceleration
+                reaches_m_s = (abs(vx) + KEPT_S * abs(ax), abs(vy) + KEPT_S * abs(ay), abs(vz) + DESCENT_M_S)
+            if age_s > FORGOTTEN_S or not _near(position_enu_m, velocity_enu_m_s, there_enu_m, reaches_m_s, age_s):
+                continue
+            last = before.get(peer_id)
+            if last is not None and is_fresh:
+                (lx, ly, lz), (ux, uy, uz) = last, acceleration
+                acceleration = (lx + lag_share * (ux - lx), ly + lag_share * (uy - ly), lz + lag_share * (uz - lz))
+            commanded[peer_id] = acceleration
+            near.append(
+                Other(
+                    peer_id,
+                    there_enu_m,
+                    moving_enu_m_s,
+                    acceleration,
+                    age_s,
+                    None if age_s <= begins_s else self._silence if packet.armed else self._silence_on_ground,
+                    packet.position_error or NO_ERROR,
+                    HEIGHT_WEIGHT if packet.armed else 1.0,  # no downwash reaches a vehicle on the ground
+                    packet.slot if cooperates and is_fresh and packet.phase is FORMATION else None,
+                    1.0 if self._own_id < peer_id else -1.0,
+                )
+            )
+        self._lagged_enu_m_s2 = commanded
+        return near
+
+
+def _traffic_nearby(
+    now_s: float, position_enu_m: Vector3, velocity_enu_m_s: Vector3, traffic: Mapping[str, ReceivedTraffic]
+) -> list[Other]:
+    near = []
+    for name, one in traffic.items():
+        sample = one.sample
+        age_s = now_s - one.received_s + sample.age_s
+        there_enu_m, moving_enu_m_s = sample.position_enu_m, sample.velocity_enu_m_s
+        if _near(position_enu_m, velocity_enu_m_s, there_enu_m, moving_enu_m_s, age_s):
+            error = PositionError(sample.error_m, sample.error_m)
+            silence = TRAFFIC_SILENCE if age_s > TRAFFIC_EXTRAPOLATED_S else None
+            near.append(
+                Other(name, there_enu_m, moving_enu_m_s, ZERO3, age_s, silence, error, HEIGHT_WEIGHT, None, 1.0)
+            )
+    return near
+
+
+def _near(own_m: Vector3, own_m_s: Vector3, other_m: Vector3, other_m_s: Vector3, age_s: float) -> bool:
+    """Whether the two might meet within NEAR_S, or come within NEAR_M."""
+    (x, y, z), (px, py, pz) = own_m, other_m
+    dx, dy, dz = abs(x - px), abs(y - py), abs(z - pz)
+    if dx < NEAR_M and dy < NEAR_M and dz < NEAR_M:
+        return True
+    (wx, wy, wz), (vx, vy, vz) = own_m_s, other_m_s
+    reach_m = NEAR_M + NEAR_S * (abs(wx) + abs(wy) + abs(wz)) + (NEAR_S + age_s) * (abs(vx) + abs(vy) + abs(vz))
+    return dx < reach_m and dy < reach_m and dz < reach_m
+
+
+KEPT = 16
+EXPIRES_S = 30.0
+
+
+class Traffic:
+    """The newest sample by name. The wire has checked the numbers."""
+
+    def __init__(self) -> None:
+        self.newest: dict[str, ReceivedTraffic] = {}
+
+    def step(self, now_s: float, own_enu_m: Vector3, received: Iterable[ReceivedTraffic]) -> None:
+        """Take these samples and forget those older than EXPIRES_S."""
+        newest = self.newest
+        for one in received:
+            known = newest.get(one.name)
+            if known is None or _measured_s(one) > _measured_s(known):
+                newest[one.name] = one
+        if not newest:
+            return
+        for name in [name for name, one in newest.items() if now_s - _measured_s(one) > EXPIRES_S]:
+            del newest[name]
+        while len(newest) > KEPT:
+            del newest[max(newest, key=lambda name: dist(newest[name].sample.position_enu_m, own_enu_m))]
+
+
+def _measured_s(one: ReceivedTraffic) -> float:
+    return one.received_s - one.sample.age_s
