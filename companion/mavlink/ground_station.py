@@ -102,9 +102,7 @@ class GroundStationFilter:
 
         Packets to other vehicles are left out without counting: many ground stations send every packet to all vehicles.
         """
-        reader = PacketReader(
-            mavlink.MAVLink(None)
-        )  # a new one: an incomplete packet must not consume the next datagram
+        reader = PacketReader()  # a new one: an incomplete packet must not consume the next datagram
         admitted = []
         for packet in reader.read(datagram):
             message = packet.message

@@ -53,12 +53,12 @@ class Translator:
             mavlink.MAVLINK_MSG_ID_CURRENT_MODE: self._mode,
             mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET: self._thrust,
             mavlink.MAVLINK_MSG_ID_HEARTBEAT: self._heartbeat,
-            mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: lambda p, s: (telemetry.landed(p.message, s),),
-            mavlink.MAVLINK_MSG_ID_SYS_STATUS: lambda p, s: (telemetry.system(p.message, s),),
-            mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: lambda p, s: (telemetry.global_position(p.message, s),),
-            mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: lambda p, s: (telemetry.estimator_status(p.message, s),),
+            mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: lambda p, s: (telemetry.landed(p.fields, s),),
+            mavlink.MAVLINK_MSG_ID_SYS_STATUS: lambda p, s: (telemetry.system(p.fields, s),),
+            mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: lambda p, s: (telemetry.global_position(p.fields, s),),
+            mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: lambda p, s: (telemetry.estimator_status(p.fields, s),),
             mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: self._gps_error,
-            mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: lambda p, s: (telemetry.origin(p.message, s),),
+            mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: lambda p, s: (telemetry.origin(p.fields, s),),
             mavlink.MAVLINK_MSG_ID_PARAM_VALUE: self._parameter,
             mavlink.MAVLINK_MSG_ID_COMMAND_ACK: self._acknowledgement,
             mavlink.MAVLINK_MSG_ID_STATUSTEXT: self._text,
@@ -100,7 +100,7 @@ class Translator:
         return (attitude,)
 
     def _heartbeat(self, packet: Packet, received_s: float) -> Samples:
-        message = packet.message
+        message = packet.fields
         kind = autopilot_kind(message)
         if kind is None or self._autopilot not in (None, kind):
             self.refused_heartbeat = f"HEARTBEAT reports {describe_heartbeat(message)}, expected {self._expected()}"
@@ -140,10 +140,10 @@ class Translator:
     def _gps_error(self, packet: Packet, received_s: float) -> Samples:
         if self._autopilot is None or mavlink.MAVLINK_MSG_ID_GPS_RAW_INT not in self.dialect.STREAMS_US:
             return ()
-        return (telemetry.gps_error(packet.message, received_s),)
+        return (telemetry.gps_error(packet.fields, received_s),)
 
     def _acknowledgement(self, packet: Packet, received_s: float) -> Samples:
-        message = packet.message
+        message = packet.fields
         if message.target_system not in (0, self._system_id):
             return ()  # addressed to a ground station on the same link
         return (telemetry.acknowledgement(message, received_s),)

@@ -49,7 +49,7 @@ MAVLINK_TYPE_DOUBLE = 10
 # CRC calculation using fastcrc, falling back to a pure Python implementation
 # if fastcrc is not available
 try:
-    from companion.mavlink.checksum import mcrf4xx
+    from companion.mavlink.generated import mcrf4xx
 except Exception:
     mcrf4xx = None  # type: ignore
 

@@ -6,7 +6,7 @@ from fastcrc import crc16
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.mavlink.checksum import mcrf4xx
+from companion.mavlink.generated import mcrf4xx
 
 
 def test_the_check_value() -> None:

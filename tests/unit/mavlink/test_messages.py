@@ -39,7 +39,7 @@ def other_packets(draw: st.DrawFn) -> bytes:
 
 
 def read(packet: bytes) -> list[MavlinkMessage]:
-    return [packet.message for packet in PacketReader(mavlink.MAVLink(None)).read(packet)]
+    return [packet.message for packet in PacketReader().read(packet)]
 
 
 def test_every_message_is_known() -> None:
@@ -74,7 +74,8 @@ def test_another_message_passes_as_it_came(packet: bytes) -> None:
     assert bytes(message.get_msgbuf()) == packet
     assert vars(message.get_header()) == vars(known.get_header())
     assert getattr(message, "target_system", None) == getattr(known, "target_system", None)
-    assert read(packet[:-1] + bytes((packet[-1] ^ 1,))) == []
+    # A packet of an unknown message may seem to begin inside a damaged one.
+    assert MavlinkCodec(1, 191).decode(packet[:-1] + bytes((packet[-1] ^ 1,))) == []
 
 
 @CASES

@@ -67,7 +67,7 @@ def test_a_damaged_packet_costs_only_itself() -> None:
 def test_an_unknown_packet_is_kept_and_an_invented_one_is_garbage() -> None:
     unknown = bytearray(positions(1)[0])
     unknown[7:10] = b"\xab\xcd\xef"
-    reader = PacketReader(mavlink.MAVLink(None))
+    reader = PacketReader()
     kinds = [packet.message_id for packet in reader.read(bytes(unknown) + positions(1)[0])]
     assert kinds == [mavlink.MAVLINK_MSG_ID_UNKNOWN, mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED]
     assert not reader.refused
@@ -79,7 +79,7 @@ def test_an_unknown_packet_is_kept_and_an_invented_one_is_garbage() -> None:
 def test_work_per_call_is_bounded() -> None:
     damaged = bytearray(positions(1)[0])
     damaged[-1] ^= 0xFF
-    reader = PacketReader(mavlink.MAVLink(None))
+    reader = PacketReader()
     assert reader.read(bytes(damaged) * (MOST_DAMAGED + 1) + positions(1)[0]) == []
     assert len(reader.read(positions(1)[0])) == 1
 
