@@ -33,14 +33,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """The exit code."""
-    from companion.tools.explanations.report import listing, report
-    from companion.tools.explanations.table import EXPLANATIONS
+    from companion.tools.explanations import listing, report
+    from companion.types.code_table import code_entries
 
     if options.code is None:
         print(listing())
         return 0
     code = options.code.upper().replace("-", "_")
-    if code not in EXPLANATIONS:
+    if code not in code_entries():
         return fail(f"companion explain: no code {code}; `companion explain` lists all codes", EXIT_UNKNOWN)
     print(report(code))
     return 0

@@ -11,7 +11,8 @@ from companion.geometry.formations import separation_distance_m
 from companion.ground.answers import count, id_list
 from companion.ground.fleet_state import SILENT_AFTER_S, VehicleRow
 from companion.monitor.vehicle_view import advice_of
-from companion.types.flight import FLAG_TEXTS, HealthFlag, Role
+from companion.types.code_table import code_table
+from companion.types.flight import FLAG_TEXTS, Role
 from companion.types.notices import Code
 from companion.types.values import printable
 
@@ -106,16 +107,8 @@ def heading(fleet: FleetRows) -> list[str]:
     return parts
 
 
-F = HealthFlag
-# A danger to others, then what takes the vehicle out of the formation, then what only warns.
-WORST_FIRST: tuple[HealthFlag, ...] = (
-    F.SEPARATION_VIOLATED, F.TILT_EXCEEDED, F.BATTERY_CRITICAL, F.DUPLICATE_ID, F.OUTSIDE_FENCE,
-    F.POSITION_STALE, F.ATTITUDE_STALE, F.FRAME_UNKNOWN, F.MODE_STALE, F.ESTIMATOR_BAD, F.POSITION_JUMPED,
-    F.FRAME_CONTRADICTED, F.ARMED_STALE, F.LANDED_STALE, F.LEADER_LOST, F.FLEET_LINK_LOST, F.TICK_LATE,
-    F.BATTERY_LOW, F.LEADER_AWAITED,
-)  # fmt: skip
 SILENT = "SILENT"
-_RANKS = {str(flag): rank for rank, flag in enumerate(WORST_FIRST)}
+_RANKS = {flag: rank for rank, flag in enumerate(code_table().worst_first)}
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,8 +8,8 @@ from itertools import zip_longest
 from companion.config.fleet import FleetConfig, FleetSettings
 from companion.ground.fleet_state import SILENT_AFTER_S, VehicleRow
 from companion.monitor.api import FlagView, NearestView, NeighbourView, Severity, TimingView, VehicleView
-from companion.tools.explanations.table import EXPLANATIONS
-from companion.tools.failsafe_words import action_words
+from companion.tools.explanations import action_words
+from companion.types.code_table import code_entries
 from companion.types.flight import FLAG_TEXTS, STREAMING, HealthFlag
 from companion.types.status import Status
 from companion.types.values import Vector3
@@ -113,19 +113,11 @@ def _timing(timing: Timing) -> TimingView:
     )
 
 
-# In flight these leave time, or pass by themselves. Every other flag is critical there.
-WARNINGS = frozenset({HealthFlag.LEADER_AWAITED, HealthFlag.BATTERY_LOW, HealthFlag.TICK_LATE})
-
-
-# They count while the vehicle flies by its neighbours: in hold it only cannot begin to.
-IN_FORMATION = frozenset({HealthFlag.LEADER_LOST, HealthFlag.FLEET_LINK_LOST})
-
-
 def severity_of(flag: HealthFlag, armed: bool, streaming: bool) -> Severity:
     """On the ground a flag only keeps a vehicle from flying."""
-    if flag in WARNINGS or not armed or (flag in IN_FORMATION and not streaming):
-        return "warning"
-    return "critical"
+    entry = code_entries()[flag]
+    counts = armed and (streaming or not entry.in_formation_only)
+    return entry.severity if counts else "warning"
 
 
 @lru_cache(maxsize=1024)
@@ -142,5 +134,5 @@ def flag_view(flag: HealthFlag, armed: bool, streaming: bool, fleet: FleetSettin
 
 def advice_of(code: str) -> str:
     """What the operator should do; "" where nothing is known of the code."""
-    entry = EXPLANATIONS.get(code)
+    entry = code_entries().get(code)
     return entry.remedy if entry else ""

@@ -11,7 +11,7 @@ import numpy as np
 from msgspec import Struct
 
 from companion.report.flight import Anything, Bools, Floats
-from companion.tools.explanations.table import EXPLANATIONS
+from companion.types.code_table import code_entries
 from companion.types.notices import Code
 
 SAME_TIME_S = 0.5  # a command to all vehicles reaches them within this time
@@ -73,7 +73,7 @@ def finding(
         time_s=round(time_s, 3),
         lasts_s=None if lasts_s is None else round(lasts_s, 3),
         text=text,
-        advice=EXPLANATIONS[code].remedy,
+        advice=code_entries()[code].remedy,
     )
 
 

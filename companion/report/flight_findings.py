@@ -11,30 +11,15 @@ from companion.core.safety.failsafe import FAILSAFES, STOP, FailsafeSettings, sc
 from companion.report.distances import PairDistance
 from companion.report.findings import Episode, Finding, FindingKind, Severity, finding, runs
 from companion.report.flight import Bools, FlightRecords, GivenCommand, VehicleLog
+from companion.types.code_table import code_entries
 from companion.types.flight import FLAG_TEXTS, STREAMING, FailsafeAction, HealthFlag
 from companion.types.notices import Code
 
 SAME_TICK_S = 0.005  # of an event and a tick
 FLAGS_APART_S = 2.0  # a flag that comes and goes within this time is one finding
-LOST_FLAGS = frozenset({HealthFlag.LEADER_AWAITED, HealthFlag.LEADER_LOST, HealthFlag.FLEET_LINK_LOST})
-LATE_FLAGS = frozenset({HealthFlag.TICK_LATE})
-# These count in every phase in the air; the others only while the agent commands setpoints.
-ALWAYS_COUNT = frozenset(
-    {HealthFlag.BATTERY_LOW, HealthFlag.BATTERY_CRITICAL, HealthFlag.OUTSIDE_FENCE, HealthFlag.ESTIMATOR_BAD}
-)
+IN_EVERY_PHASE = frozenset(code for code, entry in code_entries().items() if entry.in_every_phase)
 STOPPING_FLAGS = frozenset(row.condition for row in FAILSAFES if STOP in row.steps)
 STREAMING_PHASES = tuple(str(phase) for phase in STREAMING)
-EVENTS = {
-    Code.AGENT_FAILED: Severity.CRITICAL,
-    Code.HAND_OVER_FAILED: Severity.CRITICAL,
-    Code.NO_SETPOINT: Severity.CRITICAL,
-    Code.PROCEDURE_FAILED: Severity.WARNING,
-    Code.MODE_CHANGED_BY_OTHERS: Severity.WARNING,
-    Code.AGENT_STOPPING: Severity.WARNING,
-    Code.RECORDING_DROPS: Severity.WARNING,
-    Code.SEPARATION_INTERVENES: Severity.INFO,
-}
-KINDS = {Code.SEPARATION_INTERVENES: FindingKind.CLOSE, Code.RECORDING_DROPS: FindingKind.RECORDING}
 
 
 def settings_of(fleet: FleetConfig | None) -> FailsafeSettings:
@@ -63,7 +48,7 @@ def counting(vehicle: VehicleLog, flag: str) -> Bools:
     """Per tick: whether the flag is raised where it counts: on the ground most flags are expected."""
     streaming = np.isin(vehicle.ticks.phase, STREAMING_PHASES)
     return np.asarray(
-        vehicle.ticks.flags[flag] & vehicle.in_air() & (streaming | (flag in ALWAYS_COUNT)), dtype=np.bool_
+        vehicle.ticks.flags[flag] & vehicle.in_air() & (streaming | (flag in IN_EVERY_PHASE)), dtype=np.bool_
     )
 
 
@@ -77,7 +62,7 @@ def _action(steps: tuple[tuple[float, FailsafeAction], ...], episode: Episode, s
 
 
 def _of_flag(vehicle: VehicleLog, flag: HealthFlag, episode: Episode, action: FailsafeAction) -> Finding:
-    kind = FindingKind.LOST if flag in LOST_FLAGS else FindingKind.LATE if flag in LATE_FLAGS else FindingKind.FAILSAFE
+    kind = FindingKind(code_entries()[flag].topic)
     beyond = action not in (FailsafeAction.NONE, FailsafeAction.WARN, FailsafeAction.STOP_STREAM)
     text = f"{FLAG_TEXTS[flag]} {episode.duration_text}"
     if beyond:
@@ -91,8 +76,9 @@ def _of_flag(vehicle: VehicleLog, flag: HealthFlag, episode: Episode, action: Fa
 def failsafe_events(vehicle: VehicleLog) -> Iterator[Finding]:
     """Events that are findings by themselves."""
     for event in vehicle.events:
-        if severity := EVENTS.get(event.code):
-            kind = KINDS.get(event.code, FindingKind.FAILSAFE)
+        entry = code_entries().get(event.code)
+        if entry and entry.event:
+            kind, severity = FindingKind(entry.topic), Severity(entry.event)
             yield finding(kind, severity, event.code, vehicle.vehicle_id, event.time_s, event.text)
 
 

@@ -9,6 +9,8 @@ from msgspec import Struct
 
 from companion.types.autopilot import AutopilotRequest
 from companion.types.commands import CommandName
+from companion.types.generated.codes import TEXTS
+from companion.types.generated.codes import HealthFlag as HealthFlag
 from companion.types.notices import Answer, Notice
 
 
@@ -46,51 +48,7 @@ FLYING = COOPERATING | TO_THE_GROUND | {FlightPhase.TAKEOFF}
 LEAD_CHANGES_IN = ON_GROUND | {FlightPhase.HOLD, FlightPhase.FORMATION}
 
 
-class HealthFlag(StrEnum):
-    """Present faults, causes before what they cause. `core/safety/failsafe.py` has the actions, FLAG_TEXTS the texts."""
-
-    FRAME_UNKNOWN = "FRAME_UNKNOWN"
-    POSITION_STALE = "POSITION_STALE"
-    ATTITUDE_STALE = "ATTITUDE_STALE"
-    MODE_STALE = "MODE_STALE"
-    ARMED_STALE = "ARMED_STALE"
-    LANDED_STALE = "LANDED_STALE"
-    LEADER_AWAITED = "LEADER_AWAITED"
-    LEADER_LOST = "LEADER_LOST"
-    FLEET_LINK_LOST = "FLEET_LINK_LOST"
-    DUPLICATE_ID = "DUPLICATE_ID"
-    SEPARATION_VIOLATED = "SEPARATION_VIOLATED"
-    OUTSIDE_FENCE = "OUTSIDE_FENCE"
-    FRAME_CONTRADICTED = "FRAME_CONTRADICTED"
-    POSITION_JUMPED = "POSITION_JUMPED"
-    ESTIMATOR_BAD = "ESTIMATOR_BAD"
-    TILT_EXCEEDED = "TILT_EXCEEDED"
-    TICK_LATE = "TICK_LATE"
-    BATTERY_LOW = "BATTERY_LOW"
-    BATTERY_CRITICAL = "BATTERY_CRITICAL"
-
-
-FLAG_TEXTS: dict[HealthFlag, str] = {
-    HealthFlag.POSITION_STALE: "position older than allowed",
-    HealthFlag.ATTITUDE_STALE: "attitude older than allowed",
-    HealthFlag.MODE_STALE: "flight mode older than allowed",
-    HealthFlag.FRAME_UNKNOWN: "the autopilot's origin is unknown",
-    HealthFlag.ARMED_STALE: "armed state older than allowed",
-    HealthFlag.LANDED_STALE: "landed state older than allowed",
-    HealthFlag.LEADER_AWAITED: "no fresh leader beacon for a moment; followers hold formation",
-    HealthFlag.LEADER_LOST: "no fresh leader beacon",
-    HealthFlag.OUTSIDE_FENCE: "outside the fence",
-    HealthFlag.FRAME_CONTRADICTED: "the autopilot's origin and its global position contradict each other",
-    HealthFlag.POSITION_JUMPED: "the autopilot's position jumped too far to be used",
-    HealthFlag.FLEET_LINK_LOST: "no other vehicle of the fleet is received any more",
-    HealthFlag.DUPLICATE_ID: "two agents use the same vehicle id",
-    HealthFlag.SEPARATION_VIOLATED: "another vehicle is nearer than separation_m",
-    HealthFlag.ESTIMATOR_BAD: "the autopilot's estimator reports a bad position",
-    HealthFlag.TILT_EXCEEDED: "tilted beyond the limit",
-    HealthFlag.TICK_LATE: "the agent's ticks begin late",
-    HealthFlag.BATTERY_LOW: "battery below leave_below_percent",
-    HealthFlag.BATTERY_CRITICAL: "battery below land_below_percent",
-}
+FLAG_TEXTS = {flag: TEXTS[flag] for flag in HealthFlag}
 
 
 WITHOUT_LEADER = frozenset({HealthFlag.LEADER_AWAITED, HealthFlag.LEADER_LOST})

@@ -18,6 +18,7 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 sys.path.insert(0, str(Path(__file__).parent))
 
 import api_tables
+import code_enumerations
 import configuration
 import failsafe_table
 import metrics_table
@@ -31,8 +32,9 @@ from tests.bench import stages
 DOCS = Path(__file__).parent.parent
 TOP = DOCS.parent
 
-# Pages that are generated as a whole, by their path from the top of the repository.
+# Files that are generated as a whole, by their path from the top of the repository.
 PAGES: dict[str, Callable[[], str]] = {
+    "companion/types/generated/codes.py": code_enumerations.module,
     "docs/configuration.md": configuration.configuration,
     "docs/troubleshooting.md": troubleshooting_page.page,
 }

@@ -8,7 +8,8 @@ import pytest
 
 from companion.cli.main import main
 from companion.monitor.tui_page import cells, columns_for, count_text, duration_text, metres_text, table_width
-from companion.monitor.tui_rows import WORST_FIRST, TableRow, fleets
+from companion.monitor.tui_rows import TableRow, fleets
+from companion.types.code_table import code_table
 from companion.types.flight import HealthFlag
 from companion.types.status import NearestVehicle, SeparationReport
 from reported_fleet import leader, reported, rows_of
@@ -39,7 +40,7 @@ def test_nothing_important_is_missing_at_80_columns() -> None:
 
 @pytest.mark.parametrize("flag", list(HealthFlag))
 def test_every_flag_has_a_rank_and_is_shown_whole(flag: HealthFlag) -> None:
-    assert WORST_FIRST.count(flag) == 1
+    assert code_table().worst_first.count(flag) == 1
     assert cell(row(flags=(flag,)), "flag", 80) == flag
 
 

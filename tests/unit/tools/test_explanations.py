@@ -3,8 +3,8 @@
 import pytest
 
 from companion.cli.main import main
-from companion.tools.explanations.report import COLUMNS, listing, report
-from companion.tools.explanations.table import EXPLANATIONS, SECTIONS
+from companion.tools.explanations import COLUMNS, listing, report
+from companion.types.code_table import code_entries, code_table
 from companion.types.flight import HealthFlag
 from companion.types.notices import Code
 
@@ -12,20 +12,20 @@ CODES = {str(code) for code in Code} | {str(flag) for flag in HealthFlag}
 
 
 def test_every_code_and_health_flag_is_explained() -> None:
-    assert sorted(CODES - EXPLANATIONS.keys()) == []
+    assert sorted(CODES - code_entries().keys()) == []
 
 
 def test_every_explanation_is_of_a_code() -> None:
-    assert sorted(EXPLANATIONS.keys() - CODES) == []
+    assert sorted(code_entries().keys() - CODES) == []
 
 
 def test_no_code_is_explained_twice() -> None:
-    assert sum(len(entries) for entries in SECTIONS.values()) == len(EXPLANATIONS)
+    assert sum(len(entries) for entries in code_table().sections.values()) == len(code_entries())
 
 
-@pytest.mark.parametrize("code", sorted(EXPLANATIONS))
+@pytest.mark.parametrize("code", sorted(code_entries()))
 def test_symptom_cause_and_remedy_are_sentences(code: str) -> None:
-    entry = EXPLANATIONS[code]
+    entry = code_entries()[code]
     for text in (entry.symptom, entry.cause, entry.remedy):
         assert text.endswith(".")
         assert "  " not in text
@@ -47,7 +47,7 @@ def test_explain_prints_the_entry_whatever_the_case(capsys: pytest.CaptureFixtur
 def test_explain_lists_all_codes(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["explain"]) == 0
     assert capsys.readouterr().out.strip() == listing()
-    assert all(f"  {code} " in listing() for code in EXPLANATIONS)
+    assert all(f"  {code} " in listing() for code in code_entries())
     assert all(len(line) <= COLUMNS for line in listing().splitlines())
 
 

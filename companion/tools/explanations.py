@@ -1,11 +1,16 @@
-"""What an agent does by itself because of a health flag, in words, from the failsafe matrix."""
+"""Codes for people: their entries in a terminal, and in words what an agent does by itself because of a health flag."""
 
 from __future__ import annotations
 
+import textwrap
+
 from companion.config.fleet import FleetSettings
 from companion.core.safety.failsafe import FAILSAFES, Step
+from companion.types.code_table import code_entries, code_table
 from companion.types.flight import FailsafeAction, HealthFlag
 
+COLUMNS = 100
+CODE_COLUMNS = 33
 A = FailsafeAction
 WORDS = {
     A.NONE: "nothing",
@@ -17,6 +22,26 @@ WORDS = {
     A.STOP_STREAM: "sends no setpoint, so that the autopilot's failsafe acts",
 }
 _STEPS = {HealthFlag(row.condition): row.steps for row in FAILSAFES}
+
+
+def report(code: str) -> str:
+    """The entry of a code, wrapped to COLUMNS. Raises KeyError."""
+    entry = code_entries()[code]
+    lines = [code]
+    for name, text in (("symptom", entry.symptom), ("cause", entry.cause), ("remedy", entry.remedy)):
+        lines += textwrap.wrap(text, COLUMNS, initial_indent=f"  {name:<9}", subsequent_indent=" " * 11)
+    return "\n".join(lines)
+
+
+def listing() -> str:
+    """All codes by subject, each with its symptom in one line of at most COLUMNS."""
+    lines = []
+    for title, entries in code_table().sections.items():
+        lines.append(f"{title}:")
+        for code, entry in entries.items():
+            symptom = textwrap.shorten(entry.symptom, COLUMNS - 2 - CODE_COLUMNS, placeholder=" ...")
+            lines.append(f"  {code:<{CODE_COLUMNS}}{symptom}")
+    return "\n".join(lines)
 
 
 def action_words(flag: HealthFlag, fleet: FleetSettings | None) -> str:

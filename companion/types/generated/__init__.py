@@ -1,0 +1,1 @@
+"""The enumerations and short texts of codes.toml, written by `make docs`."""
