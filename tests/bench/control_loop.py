@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -17,9 +16,10 @@ from sitl.flight.files import autopilot_file, autopilot_path, ids_of
 from sitl.links.free_ports import reserved_ports
 from sitl.links.ports import LOOPBACK, ports_of
 from tests.bench.figures import Row, Section, Target, Window, lateness_us, percentile, windows_of, within
+from tests.bench.processes import module, start_silent
 from tests.bench.programs.loops import Cycle, build_c_loop, cycles_of
 from tests.bench.programs.relay import commands_of
-from tests.bench.real_flight import FORM_S, Flown, delays_of_ticks, fly, start
+from tests.bench.real_flight import FORM_S, Flown, delays_of_ticks, fly
 from tests.bench.scenarios import line
 
 VEHICLES = 4
@@ -79,10 +79,6 @@ def measure(folder: Path) -> tuple[list[Section], Flown]:
     return [_lateness(measured, c_loop, flown.failure), _command(measured, c_loop, flown.failure)], flown
 
 
-def _relay(port: int, to: int, out: Path) -> tuple[str, ...]:
-    return sys.executable, "-m", "tests.bench.programs.relay", str(port), str(to), str(out)
-
-
 def _behind_relay(folder: Path, offset: int) -> None:
     """Let the agent listen where the relay forwards to."""
     ports, path = ports_of(MEASURED, offset), folder / f"vehicle_{MEASURED}.yaml"
@@ -95,14 +91,18 @@ def _behind_relay(folder: Path, offset: int) -> None:
 def _start_beside(stack: ExitStack, folder: Path, offset: int, c_loop: Path | None) -> None:
     """The UDP ports of Zenoh are free with TCP as transport."""
     for vehicle_id in (MEASURED, MAVSDK):
-        ports = ports_of(vehicle_id, offset)
-        start(stack, *_relay(ports.companion, ports.zenoh, folder / f"relay_{vehicle_id}.txt"))
+        ports, out = ports_of(vehicle_id, offset), str(folder / f"relay_{vehicle_id}.txt")
+        start_silent(stack, _program("relay", str(ports.companion), str(ports.zenoh), out))
     config = str(autopilot_path(folder, MAVSDK))
-    start(stack, sys.executable, "-m", "sitl", "autopilot", "--config", config, "--port-offset", str(offset))
-    start(stack, sys.executable, "-m", "tests.bench.programs.mavsdk_client", str(ports_of(MAVSDK, offset).zenoh))
-    start(stack, sys.executable, "-m", "tests.bench.programs.loops", str(folder / "asyncio.txt"))
+    start_silent(stack, module("sitl", "autopilot", "--config", config, "--port-offset", str(offset)))
+    start_silent(stack, _program("mavsdk_client", str(ports_of(MAVSDK, offset).zenoh)))
+    start_silent(stack, _program("loops", str(folder / "asyncio.txt")))
     if c_loop:
-        start(stack, str(c_loop), str(folder / "c.txt"))
+        start_silent(stack, [str(c_loop), str(folder / "c.txt")])
+
+
+def _program(name: str, *arguments: str) -> list[str]:
+    return module(f"tests.bench.programs.{name}", *arguments)
 
 
 def _measured(flown: Flown, folder: Path) -> Measured:

@@ -6,24 +6,17 @@ Both fly on addresses of this machine, in turn. The limit is LIMIT times the CPU
 from __future__ import annotations
 
 import sys
-import time
 from pathlib import Path
 from statistics import fmean
 from tempfile import TemporaryDirectory
 
-from companion.ground.session import FleetSession
 from companion.link.fleet.identity import load
 from companion.security.identity import Identity
-from sitl.flight.director import Director, MachineClock
 from sitl.flight.files import ids_of, write_files
 from sitl.flight.identities import identity_folder, provision, use_identities
-from sitl.flight.orders import FlightFailure
-from sitl.flight.processes import FleetProcesses, stand_ins_together
 from sitl.flight.scenario import Scenario, load_scenario
-from sitl.flight.watch import watch_of
 from sitl.links.free_ports import reserved_ports
-from sitl.links.ports import LOOPBACK, ports_of
-from sitl.report.progress import FlightProgress
+from tests.bench.real_flight import RealFlight
 from tests.bench.scenarios import SCENARIOS
 
 SCENARIO = SCENARIOS / "platoon.yaml"
@@ -61,22 +54,11 @@ def _cpu_percent(scenario: Scenario, folder: Path, secured: bool) -> float:
             provision(scenario, folder, keys, [GROUND])
             use_identities(scenario, folder, keys)
             identity = load(identity_folder(keys, GROUND))
-        endpoints = [f"{'tls' if secured else 'tcp'}/{LOOPBACK}:{ports_of(i, offset).zenoh}" for i in ids]
-        watch = watch_of(scenario, time.monotonic())
-        progress = FlightProgress(_name(secured), True, watch.began_s)
-        with FleetProcesses.start_written(scenario, folder, offset, stand_ins_together(scenario)) as fleet, progress:
-            with FleetSession(scenario.fleet.name, endpoints, "" if identity else "bench", identity) as session:
-
-                def check() -> None:
-                    if ending := fleet.unexpected_end():
-                        raise FlightFailure(ending)
-
-                director = Director(session, watch, progress, check, fleet.lost_vehicles, MachineClock())
-                failures = director.fly_and_land(scenario.timeline)
-            failures.extend(fleet.stop_all())
+        flight = RealFlight(scenario, folder, offset, identity=identity)
+        failures = flight.fly()
     if failures:
         raise SystemExit("\n".join(failures))
-    return fmean(timing.cpu_percent for timing in watch.newest_timing.values())
+    return fmean(timing.cpu_percent for timing in flight.watch.newest_timing.values())
 
 
 if __name__ == "__main__":

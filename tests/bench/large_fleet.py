@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 import re
 import subprocess
 import sys
@@ -14,20 +13,19 @@ from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from statistics import median
-from threading import Timer
 from typing import NamedTuple
 
-import msgspec
-
-from tests.bench.machine import others_cpu_s
-from tests.bench.processes import use_of
-from tests.bench.programs.large_fleet_agent import Result
+from tests.bench.machine import Meanwhile
+from tests.bench.page import write_between_marks
+from tests.bench.processes import Program, cpu_s, module, use_of, wait_for
+from tests.bench.programs.large_fleet import Result
 
 NUMBERS = (8, 16, 32, 64)
 AT_FULL_RATE = 8
 SETTLES_S, WINDOW_S, REPEATS = 1.0, 4.0, 3
-HEARD_WITHIN_S = 60.0
-BEGIN, END = "<!-- measured: large fleet -->", "<!-- end of large fleet -->"
+HEADERS = 52  # bytes of IPv4 and TCP with time stamps in each segment
+COUNTERS = ("bytes_sent", "segs_out", "bytes_received", "segs_in")
+MARKS = "large fleet"  # of its page
 HEAD = (
     "| others | at 50 Hz | through | packets received [1/s] | received [kB/s] | sent [kB/s] | CPU of the link"
     " | CPU of the router | memory [MB] | age at 50 Hz: p50, p99 [ms] | oldest at 5 Hz [ms] | to 50 Hz: p50, worst [ms] |\n"
@@ -104,25 +102,22 @@ def measure(case: Case, port: int) -> Row:
     """Raises RuntimeError where the agent does not hear all others."""
     endpoint, numbers = f"tcp/127.0.0.1:{port}", (str(case.number), str(case.full))
     with ExitStack() as stack:
-        router = _started(stack, "router", endpoint) if case.routed else None
+        router = _program(stack, "router", endpoint) if case.routed else None
         if router:
-            _wait_for(router, "ready")
+            wait_for([router], "ready")
         mode, where = ("client", "connect") if case.routed else ("peer", "listen")
-        agent = _started(stack, "agent", mode, where, endpoint, *numbers)
-        _started(stack, "others", mode, endpoint, *numbers)
-        _wait_for(agent, "heard")
+        agent = _program(stack, "agent", mode, where, endpoint, *numbers)
+        _program(stack, "others", mode, endpoint, *numbers)
+        wait_for([agent], "heard")
         time.sleep(SETTLES_S)
-        assert agent.stdin is not None
-        agent.stdin.write("\n")
-        agent.stdin.flush()
+        agent.begin()
         samples = [_sample(agent, router)]
         for _ in range(REPEATS):
             time.sleep(WINDOW_S)
             samples.append(_sample(agent, router))
         memory_mb = use_of(agent.pid).memory_mb
-        agent.stdin.close()
-        assert agent.stdout is not None
-        result = msgspec.json.decode(agent.stdout.readline(), type=Result)
+        agent.end_input()
+        result = agent.result(Result)
     return row(case, samples, memory_mb, result)
 
 
@@ -150,47 +145,13 @@ def table(rows: Sequence[Row]) -> str:
     return "\n".join([HEAD, *(one.line() for one in rows)])
 
 
-def write_page(page: Path, text: str) -> None:
-    """Between the marks of a page. Raises ValueError where it has none."""
-    before, mark, rest = page.read_text(encoding="utf-8").partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not mark or not end:
-        raise ValueError(f"{page}: expected the lines {BEGIN} and {END}")
-    page.write_text(f"{before}{BEGIN}\n{text}\n{END}{after}", encoding="utf-8")
-
-
-def _sample(agent: subprocess.Popen[str], router: subprocess.Popen[str] | None) -> Sample:
+def _sample(agent: Program, router: Program | None) -> Sample:
     at_s = time.monotonic()
     return Sample(at_s, traffic_of(agent.pid), cpu_s(agent.pid), cpu_s(router.pid) if router else 0.0)
 
 
-def _started(stack: ExitStack, module: str, *arguments: str) -> subprocess.Popen[str]:
-    """A process that ends with the stack, or with this process."""
-    bound = [sys.executable, "-m", "sitl.flight.bound", str(os.getpid())]
-    command = [*bound, sys.executable, "-m", f"tests.bench.programs.large_fleet_{module}", *arguments]
-    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-    stack.callback(_end, process)
-    return process
-
-
-def _end(process: subprocess.Popen[str]) -> None:
-    process.kill()
-    process.wait()
-
-
-def _wait_for(process: subprocess.Popen[str], line: str) -> None:
-    limit = Timer(HEARD_WITHIN_S, process.kill)
-    limit.start()
-    try:
-        assert process.stdout is not None
-        if process.stdout.readline() != f"{line}\n":
-            raise RuntimeError(f"no {line!r} within {HEARD_WITHIN_S:g} s")
-    finally:
-        limit.cancel()
-
-
-HEADERS = 52  # bytes of IPv4 and TCP with time stamps in each segment
-COUNTERS = ("bytes_sent", "segs_out", "bytes_received", "segs_in")
+def _program(stack: ExitStack, role: str, *arguments: str) -> Program:
+    return Program(stack, module("tests.bench.programs.large_fleet", role, *arguments))
 
 
 class Traffic(NamedTuple):
@@ -219,12 +180,6 @@ def traffic_in(shown: str, pid: int) -> Traffic:
     return Traffic(sums["bytes_sent"] + HEADERS * sent, sent, sums["bytes_received"] + HEADERS * received, received)
 
 
-def cpu_s(pid: int) -> float:
-    """Time that all threads of a process have run."""
-    tasks = Path(f"/proc/{pid}/task").iterdir()
-    return sum(int((task / "schedstat").read_text(encoding="ascii").split()[0]) for task in tasks) / 1e9
-
-
 def main() -> int:
     parser = argparse.ArgumentParser(
         prog="python -m tests.bench.large_fleet",
@@ -239,7 +194,7 @@ def main() -> int:
     options = parser.parse_args()
     if not all(1 <= number <= 200 for number in options.others):
         parser.error("expected 1 to 200 publishers")
-    rows, before_s, began_s = [], others_cpu_s(), time.monotonic()
+    rows, meanwhile = [], Meanwhile()
     try:
         for row in measure_all(options.others, options.port):
             print(row.line(), flush=True)
@@ -247,11 +202,10 @@ def main() -> int:
     except RuntimeError as error:
         print(f"large fleet: {error}", file=sys.stderr)
         return 1
-    others_cores = (others_cpu_s() - before_s) / (time.monotonic() - began_s)
-    elsewhere = f"Meanwhile other processes used {others_cores:.1f} cores."
+    elsewhere = f"Meanwhile other processes used {meanwhile.others_cores():.1f} cores."
     print(elsewhere)
     if options.page:
-        write_page(options.page, f"{table(rows)}\n\n{elsewhere}")
+        write_between_marks(options.page, MARKS, f"{table(rows)}\n\n{elsewhere}")
     return 0
 
 

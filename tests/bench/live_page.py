@@ -5,17 +5,16 @@ Real Zenoh, the real `companion monitor` and a headless Chromium, all on this ma
 
 from __future__ import annotations
 
-import os
 import re
-import subprocess
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import IO, TYPE_CHECKING
+from typing import TYPE_CHECKING
+
+from tests.bench.processes import Program, cpu_s, module
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -65,60 +64,37 @@ def _measured(folder: Path) -> Measured:
     from playwright.sync_api import sync_playwright
 
     fleet_file = folder / "fleet.yaml"
-    load = ("tests.bench.monitor_load", "--vehicles", str(VEHICLES), "--rate", str(RATE_HZ), "--port", str(LOAD_PORT))
-    show = ("companion", "monitor", "--connect", f"tcp/127.0.0.1:{LOAD_PORT}", "--fleet-file", str(fleet_file))
-    with _running(*load, "--write-fleet", str(fleet_file)) as (loading, _):
-        _first_line(loading)
-        with _running(*show, "--listen", f"127.0.0.1:{PAGE_PORT}") as (output, server_id), sync_playwright() as tool:
-            url = _url(output)
-            browser = tool.chromium.launch(executable_path=str(CHROMIUM), args=ARGUMENTS)
-            page = browser.new_page(viewport={"width": WIDTH_PX, "height": HEIGHT_PX})
-            page.goto(url)
-            while not page.evaluate("globalThis.companionMetrics?.count"):  # the page forbids to wait by eval
-                time.sleep(0.05)
-            first_s = page.evaluate("companionMetrics.firstPaintMs") / 1000.0
-            time.sleep(SETTLE_S)
-            measured = _steady(page, server_id, first_s)
-            browser.close()
+    load = module("tests.bench.monitor_load", "--vehicles", str(VEHICLES), "--rate", str(RATE_HZ))
+    show = module("companion", "monitor", "--connect", f"tcp/127.0.0.1:{LOAD_PORT}", "--fleet-file", str(fleet_file))
+    with ExitStack() as stack, sync_playwright() as tool:
+        Program(stack, [*load, "--port", str(LOAD_PORT), "--write-fleet", str(fleet_file)]).line()
+        server = Program(stack, [*show, "--listen", f"127.0.0.1:{PAGE_PORT}"])
+        url = _url(server)
+        browser = tool.chromium.launch(executable_path=str(CHROMIUM), args=ARGUMENTS)
+        page = browser.new_page(viewport={"width": WIDTH_PX, "height": HEIGHT_PX})
+        page.goto(url)
+        while not page.evaluate("globalThis.companionMetrics?.count"):  # the page forbids to wait by eval
+            time.sleep(0.05)
+        first_s = page.evaluate("companionMetrics.firstPaintMs") / 1000.0
+        time.sleep(SETTLE_S)
+        measured = _steady(page, server.pid, first_s)
+        browser.close()
     return measured
 
 
 def _steady(page: Page, server_id: int, first_s: float) -> Measured:
     page.evaluate("companionMetrics.restart()")
-    cpu_s, began_s = _cpu_s(server_id), time.monotonic()
+    used_s, began_s = cpu_s(server_id), time.monotonic()
     time.sleep(MEASURE_S)
-    cpu_percent = 100.0 * (_cpu_s(server_id) - cpu_s) / (time.monotonic() - began_s)
+    cpu_percent = 100.0 * (cpu_s(server_id) - used_s) / (time.monotonic() - began_s)
     p50, p95, count = page.evaluate("[companionMetrics.p50_ms, companionMetrics.p95_ms, companionMetrics.count]")
     return Measured(p50, p95, count, first_s, cpu_percent)
 
 
-@contextmanager
-def _running(*module: str) -> Iterator[tuple[IO[str], int]]:
-    """Standard output and process id of `python -m MODULE ...`."""
-    with subprocess.Popen([sys.executable, "-m", *module], stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        try:
-            yield process.stdout, process.pid
-        finally:
-            process.terminate()
-
-
-def _first_line(output: IO[str]) -> str:
-    if not (line := output.readline()):
-        raise SystemExit("a program ended before it was ready; see above")
-    return line
-
-
-def _url(output: IO[str]) -> str:
-    while not (found := URL.search(_first_line(output))):
+def _url(server: Program) -> str:
+    while not (found := URL.search(server.line())):
         pass
     return found[0]
-
-
-def _cpu_s(process_id: int) -> float:
-    """Processor time of a process with all its threads."""
-    fields = Path(f"/proc/{process_id}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 if __name__ == "__main__":

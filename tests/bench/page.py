@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from math import floor, inf, log10
+from pathlib import Path
 from textwrap import fill
 
 from tests.bench.figures import Row, Section, Target
@@ -94,3 +95,18 @@ def _bullet(text: str) -> str:
     return fill(
         words, WIDTH, initial_indent="- ", subsequent_indent="  ", break_long_words=False, break_on_hyphens=False
     )
+
+
+def write_between_marks(page_file: Path, name: str, text: str) -> None:
+    """Between the marks `measured: NAME` of a page. Raises ValueError where it has none."""
+    begin, end = marks(name)
+    before, mark, rest = page_file.read_text(encoding="utf-8").partition(begin)
+    _, found, after = rest.partition(end)
+    if not mark or not found:
+        raise ValueError(f"{page_file}: expected the lines {begin} and {end}")
+    page_file.write_text(f"{before}{begin}\n{text}\n{end}{after}", encoding="utf-8")
+
+
+def marks(name: str) -> tuple[str, str]:
+    """The lines before and after a measured table."""
+    return f"<!-- measured: {name} -->", f"<!-- end of {name} -->"

@@ -2,29 +2,29 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
 import sys
 import time
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from companion.ground.session import FleetSession
 from companion.recording.reader import recordings
 from companion.recording.records import INBOX, TIMING, TimingRecord
+from companion.security.identity import Identity
 from companion.types.autopilot import PositionSample
 from sitl.flight.director import Director, MachineClock
 from sitl.flight.files import ids_of, write_files
 from sitl.flight.orders import FlightFailure
 from sitl.flight.processes import FleetProcesses, stand_ins_together
 from sitl.flight.scenario import Scenario
-from sitl.flight.watch import watch_of
-from sitl.links.ports import zenoh_endpoint
+from sitl.flight.watch import FlightWatch, watch_of
+from sitl.links.ports import LOOPBACK, ports_of
 from sitl.report.progress import FlightProgress
 from tests.bench.figures import REPEATS, Use
-from tests.bench.processes import use_of
+from tests.bench.processes import cpu_s, use_of
+
+Observer = Callable[[Mapping[int, int], FlightWatch, float], None]
 
 SETTLES_S = 5.0  # of formation before the first window: it begins with the busiest second of a flight
 WINDOW_S = 7.0
@@ -42,25 +42,58 @@ class Flown:
 
 def fly(scenario: Scenario, folder: Path, offset: int, prepare: Callable[[], None] = lambda: None) -> Flown:
     """The whole flight. `prepare` is called when the files are written, before anything starts."""
-    ids = ids_of(scenario)
     write_files(scenario, folder, offset)
     prepare()
-    watch = watch_of(scenario, time.monotonic())
-    progress = FlightProgress(f"{len(ids)} vehicles", not sys.stdout.isatty(), watch.began_s)
-    with FleetProcesses.start_written(scenario, folder, offset, stand_ins_together(scenario)) as fleet, progress:
-        with FleetSession(scenario.fleet.name, [zenoh_endpoint(i, offset) for i in ids], "bench") as session:
-            sampler = _Sampler({int(i): fleet.pid_of(f"agent {i}") for i in ids})
-
-            def check() -> None:
-                if ending := fleet.unexpected_end():
-                    raise FlightFailure(ending)
-                if watch.is_in_formation:
-                    sampler.update(time.monotonic())
-
-            director = Director(session, watch, progress, check, fleet.lost_vehicles, MachineClock())
-            failures = director.fly_and_land(scenario.timeline)
-        failures += fleet.stop_all()
+    sampler = _Sampler()
+    flight = RealFlight(scenario, folder, offset, sampler.update)
+    failures = flight.fly(quiet=not sys.stdout.isatty())
     return Flown(sampler.uses, _timings(folder), "; ".join(failures))
+
+
+class RealFlight:
+    """Agents and stand-ins of the files in `folder`, commanded through the scenario's timeline to the ground.
+
+    While all are in formation `observe` is called in every pass with the process id of each agent, what they have reported, and
+    the time. With an `identity` the ground uses TLS. `check` may raise FlightFailure in every pass.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        folder: Path,
+        offset: int,
+        observe: Observer = lambda _pids, _watch, _now_s: None,
+        identity: Identity | None = None,
+        check: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._scenario, self._folder, self._offset = scenario, folder, offset
+        self._observe, self._identity, self._check = observe, identity, check
+        self.watch = watch_of(scenario, time.monotonic())
+
+    def fly(self, quiet: bool = True) -> list[str]:
+        """Returns the failures, one line each."""
+        scenario, ids = self._scenario, [int(i) for i in ids_of(self._scenario)]
+        progress = FlightProgress(f"{len(ids)} vehicles", quiet, self.watch.began_s)
+        together = stand_ins_together(scenario)
+        with FleetProcesses.start_written(scenario, self._folder, self._offset, together) as fleet, progress:
+            pids = {i: fleet.pid_of(f"agent {i}") for i in ids}
+            with self._session(ids) as session:
+
+                def check() -> None:
+                    self._check()
+                    if ending := fleet.unexpected_end():
+                        raise FlightFailure(ending)
+                    if self.watch.is_in_formation:
+                        self._observe(pids, self.watch, time.monotonic())
+
+                director = Director(session, self.watch, progress, check, fleet.lost_vehicles, MachineClock())
+                failures = director.fly_and_land(scenario.timeline)
+            return failures + fleet.stop_all()
+
+    def _session(self, ids: list[int]) -> FleetSession:
+        protocol = "tls" if self._identity else "tcp"
+        endpoints = [f"{protocol}/{LOOPBACK}:{ports_of(i, self._offset).zenoh}" for i in ids]
+        return FleetSession(self._scenario.fleet.name, endpoints, "" if self._identity else "bench", self._identity)
 
 
 def _timings(folder: Path) -> dict[int, list[TimingRecord]]:
@@ -88,41 +121,16 @@ def _ignore(_: str) -> None:
 class _Sampler:
     """Samples all agents at the end of each window."""
 
-    def __init__(self, pids: dict[int, int]) -> None:
-        self._pids, self._due_s = pids, 0.0
+    def __init__(self) -> None:
+        self._due_s = 0.0
         self.uses: list[Use] = []
 
-    def update(self, now_s: float) -> None:
+    def update(self, pids: Mapping[int, int], _watch: FlightWatch, now_s: float) -> None:
         """In formation, in every pass."""
         self._due_s = self._due_s or now_s + SETTLES_S
         if now_s < self._due_s or len(self.uses) > REPEATS:
             return
         self._due_s += WINDOW_S
-        cpu_s = {i: _cpu_s(pid) for i, pid in self._pids.items()}
-        memory_mb = {i: use_of(pid).memory_mb for i, pid in self._pids.items()}
-        self.uses.append(Use(now_s, cpu_s, memory_mb))
-
-
-def _cpu_s(pid: int) -> float:
-    """Time that all threads of a process have run, to the nanosecond."""
-    tasks = Path(f"/proc/{pid}/task").iterdir()
-    return sum(int((task / "schedstat").read_text(encoding="ascii").split()[0]) for task in tasks) / 1e9
-
-
-def start(stack: ExitStack, *command: str) -> subprocess.Popen[bytes]:
-    """A process that ends with the stack, or with this process."""
-    bound = [sys.executable, "-m", "sitl.flight.bound", str(os.getpid())]
-    process = subprocess.Popen(
-        [*bound, *command], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    )
-    stack.callback(_end, process)
-    return process
-
-
-def _end(process: subprocess.Popen[bytes]) -> None:
-    process.terminate()
-    try:
-        process.wait(3.0)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
+        used_s = {i: cpu_s(pid) for i, pid in pids.items()}
+        memory_mb = {i: use_of(pid).memory_mb for i, pid in pids.items()}
+        self.uses.append(Use(now_s, used_s, memory_mb))

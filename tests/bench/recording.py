@@ -9,26 +9,20 @@ from __future__ import annotations
 
 import re
 import sys
-import time
 from math import log, sqrt
 from pathlib import Path
 from statistics import fmean, geometric_mean, stdev
 from tempfile import TemporaryDirectory
 
-from companion.ground.session import FleetSession
 from companion.link.tick import PERIOD_S
 from companion.recording.files import MB, recorded_files
 from companion.recording.reader import recordings
 from companion.recording.records import INBOX
-from sitl.flight.director import Director, MachineClock
 from sitl.flight.files import ids_of, write_files
-from sitl.flight.orders import FlightFailure
-from sitl.flight.processes import FleetProcesses, stand_ins_together
 from sitl.flight.scenario import Scenario, load_scenario
-from sitl.flight.watch import FlightWatch, watch_of
+from sitl.flight.watch import FlightWatch
 from sitl.links.free_ports import reserved_ports
-from sitl.links.ports import zenoh_endpoint
-from sitl.report.progress import FlightProgress
+from tests.bench.real_flight import RealFlight
 from tests.bench.scenarios import SCENARIOS
 
 SCENARIO = SCENARIOS / "platoon.yaml"
@@ -81,21 +75,11 @@ def _flown(scenario: Scenario, folder: Path, recording: tuple[int, ...]) -> Flig
         write_files(scenario, folder, offset)
         for vehicle_id in set(ids) - set(recording):
             _do_not_record(folder / f"vehicle_{vehicle_id}.yaml")
-        watch = watch_of(scenario, time.monotonic())
-        progress = FlightProgress("recording", True, watch.began_s)
-        with FleetProcesses.start_written(scenario, folder, offset, stand_ins_together(scenario)) as fleet, progress:
-            with FleetSession(scenario.fleet.name, [zenoh_endpoint(i, offset) for i in ids], "bench") as session:
-
-                def check() -> None:
-                    if ending := fleet.unexpected_end():
-                        raise FlightFailure(ending)
-
-                director = Director(session, watch, progress, check, fleet.lost_vehicles, MachineClock())
-                failures = director.fly_and_land(scenario.timeline)
-            failures.extend(fleet.stop_all())
+        flight = RealFlight(scenario, folder, offset)
+        failures = flight.fly()
     if failures:
         raise SystemExit("\n".join(failures))
-    return watch
+    return flight.watch
 
 
 def _do_not_record(vehicle_file: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -12,7 +11,7 @@ from msgspec.structs import replace
 
 from tests.bench import agent_step, batch, control_loop, lockstep, peer_states, resources
 from tests.bench.figures import Section
-from tests.bench.machine import Machine, others_cpu_s, stolen_percent, this_machine, times
+from tests.bench.machine import Machine, Meanwhile
 from tests.bench.page import others_in_words, page, row_in_words
 from tests.bench.real_flight import Flown
 
@@ -28,18 +27,18 @@ class Run(msgspec.Struct, frozen=True, kw_only=True):
 
 def run(out: Path, page_file: Path) -> None:
     """Measures everything, prints each figure when it is there, and writes both files at the end."""
-    before, began_s = times(), time.monotonic()
+    meanwhile = Meanwhile()
     sections: list[Section] = []
     with TemporaryDirectory(prefix="bench-") as name:
         steps = list(_steps(Path(name)))
         for number, (what, measure) in enumerate(steps, start=1):
-            print(f"[{number} of {len(steps)}, {time.monotonic() - began_s:.0f} s] {what}", flush=True)
+            print(f"[{number} of {len(steps)}, {meanwhile.lasted_s:.0f} s] {what}", flush=True)
             for section in _with_others(measure):
                 sections.append(section)
                 for row in section.rows:
                     print(f"  {row_in_words(row)}", flush=True)
                 print(f"  {others_in_words(section)}", flush=True)
-    machine = this_machine(time.monotonic() - began_s, stolen_percent(before, times()))
+    machine = meanwhile.machine()
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_bytes(msgspec.json.format(msgspec.json.encode(Run(machine=machine, sections=tuple(sections))), indent=2))
     page_file.write_text(page(machine, sections), encoding="utf-8")
@@ -68,7 +67,5 @@ def _steps(folder: Path) -> Iterator[Step]:
 
 def _with_others(measure: Callable[[], list[Section]]) -> list[Section]:
     """The sections, with the use of the cores by other processes during their measurement."""
-    before_s, began_s = others_cpu_s(), time.monotonic()
-    sections = measure()
-    used = (others_cpu_s() - before_s) / (time.monotonic() - began_s)
-    return [replace(section, others_cores=used) for section in sections]
+    meanwhile = Meanwhile()
+    return [replace(section, others_cores=meanwhile.others_cores()) for section in measure()]

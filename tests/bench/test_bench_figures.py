@@ -15,8 +15,8 @@ from recorded_agent import recorder
 from tests.bench.batch import section as batch_section
 from tests.bench.control_loop import rate_of_slowest_hz
 from tests.bench.figures import Row, Target, Use, Window, cpu_percent, lateness_us, percentile, windows_of, within
-from tests.bench.machine import Times, stolen_percent, times_of, used_by_others
 from tests.bench.peer_states import section as peers_section
+from tests.bench.processes import CoreTime, stolen_percent, used_by_others
 from tests.bench.programs.peer_vehicle import Ages, Result
 from tests.bench.real_flight import Flown, delays_of_ticks
 from tests.bench.resources import FEW, MANY, SOME
@@ -155,9 +155,7 @@ def test_batches_are_beside_rotorpy_with_the_same_integrator() -> None:
 
 
 def test_the_share_that_the_hypervisor_took() -> None:
-    before = times_of("cpu  100 0 50 800 50 0 0 10 0 0\ncpu0 1 2 3\n")
-    assert before == Times(1010, 10)
-    assert stolen_percent(before, Times(1110, 15)) == 5.0
+    assert stolen_percent(CoreTime(1010.0, 10.0), CoreTime(1110.0, 15.0)) == 5.0
 
 
 def test_what_others_use_is_not_of_this_process_nor_of_those_that_it_started() -> None:

@@ -7,10 +7,9 @@ import pytest
 from sitl.links.free_ports import reserved_ports
 from sitl.links.ports import ports_of
 from tests.bench.large_fleet import (
-    BEGIN,
-    END,
     HEAD,
     HEADERS,
+    MARKS,
     Case,
     Sample,
     Traffic,
@@ -19,9 +18,9 @@ from tests.bench.large_fleet import (
     row,
     table,
     traffic_in,
-    write_page,
 )
-from tests.bench.programs.large_fleet_agent import Result
+from tests.bench.page import marks, write_between_marks
+from tests.bench.programs.large_fleet import Result
 
 pytestmark = pytest.mark.long
 
@@ -53,15 +52,16 @@ def test_a_row_is_the_median_of_the_windows() -> None:
 def test_the_table_is_written_between_the_marks(tmp_path: Path) -> None:
     samples = [Sample(float(second), Traffic(0, 0, 0, 0), 0.0, 0.0) for second in range(2)]
     rows = [row(Case(8, 8, routed=routed), samples, 46.0, RESULT) for routed in (False, True)]
+    begin, end = marks(MARKS)
     page = tmp_path / "page.md"
-    page.write_text(f"a\n{BEGIN}\nold\n{END}\nb\n", encoding="utf-8")
-    write_page(page, table(rows))
+    page.write_text(f"a\n{begin}\nold\n{end}\nb\n", encoding="utf-8")
+    write_between_marks(page, MARKS, table(rows))
     text = page.read_text(encoding="utf-8")
-    assert text.startswith(f"a\n{BEGIN}\n{HEAD}\n| 8 | all | own connections | 400 |")
-    assert text.endswith(f"\n{END}\nb\n")
+    assert text.startswith(f"a\n{begin}\n{HEAD}\n| 8 | all | own connections | 400 |")
+    assert text.endswith(f"\n{end}\nb\n")
     assert {line.count("|") for line in table(rows).splitlines()} == {13}
     with pytest.raises(ValueError, match="expected the lines"):
-        write_page(Path(__file__), "")
+        write_between_marks(Path(__file__), MARKS, "")
 
 
 @pytest.mark.parametrize("routed", [False, True])

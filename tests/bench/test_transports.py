@@ -9,8 +9,9 @@ from pathlib import Path
 import pytest
 
 from tests.bench.hosts import Radio, address
+from tests.bench.page import marks, write_between_marks
 from tests.bench.programs.transport_vehicle import Measured
-from tests.bench.transports import BEGIN, END, Row, table, write_page
+from tests.bench.transports import MARKS, Row, table
 
 pytestmark = pytest.mark.long
 
@@ -74,14 +75,15 @@ def test_a_radio_loses_and_delays(stack: ExitStack) -> None:
 
 def test_the_table_takes_its_place_in_the_page(tmp_path: Path) -> None:
     rows = [Row("`quic`", 0.1, Measured(12.4, 40.0, 99.6, 0.0123, 0.051), 31.4), Row("`tcp` (TLS)", 0.3, None, 0.0)]
+    begin, end = marks(MARKS)
     page = tmp_path / "page.md"
-    page.write_text(f"# Page\n\n{BEGIN}\nold\n{END}\nafter\n")
-    write_page(page, table(rows))
+    page.write_text(f"# Page\n\n{begin}\nold\n{end}\nafter\n")
+    write_between_marks(page, MARKS, table(rows))
     text = page.read_text()
     assert "| `quic` | 10% | 12.4 | 40.0 | 100 | 1.23% | 31 | 5.1% |" in text
     assert "| `tcp` (TLS) | 30% | not connected within 60 s |" in text
     assert "old" not in text
-    assert text.endswith(f"{END}\nafter\n")
+    assert text.endswith(f"{end}\nafter\n")
     page.write_text("no marks")
     with pytest.raises(ValueError, match="expected the lines"):
-        write_page(page, "")
+        write_between_marks(page, MARKS, "")

@@ -4,30 +4,29 @@ from __future__ import annotations
 
 import argparse
 import re
-import subprocess
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from statistics import fmean
 from tempfile import TemporaryDirectory
-from threading import Timer
 
 import msgspec
 
 from companion.security.names import parse_common_name
 from companion.security.provisioning import provision_new
 from tests.bench.hosts import HostsError, Radio, address, hosts, inside
+from tests.bench.page import write_between_marks
+from tests.bench.processes import HEARD_WITHIN_S, Program, module, wait_for
 from tests.bench.programs.transport_vehicle import Measured
 
 VEHICLES = (1, 2, 3, 4)
 LOSSES = (0.0, 0.1, 0.3)
 DELAY_S = 0.002
-HEARD_WITHIN_S = 60.0
 PORT, GROUP = 7447, "239.255.77.1:7446"
-BEGIN, END = "<!-- measured: transports -->", "<!-- end of transports -->"
+MARKS = "transports"  # of its page
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,15 +86,6 @@ def table(rows: Sequence[Row]) -> str:
     return "\n".join([head, *(row.line() for row in rows)])
 
 
-def write_page(page: Path, text: str) -> None:
-    """Between the marks of a page. Raises ValueError where it has none."""
-    before, mark, rest = page.read_text(encoding="utf-8").partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not mark or not end:
-        raise ValueError(f"{page}: expected the lines {BEGIN} and {END}")
-    page.write_text(f"{before}{BEGIN}\n{text}\n{END}{after}", encoding="utf-8")
-
-
 def _files(folder: Path, transport: Transport) -> dict[int, Path]:
     """Vehicle files of a new fleet, with identities where it is secured."""
     folder.mkdir(parents=True)
@@ -118,68 +108,22 @@ def _files(folder: Path, transport: Transport) -> dict[int, Path]:
 
 
 def _row(transport: Transport, files: dict[int, Path], radio: Radio, seconds: float) -> Row:
-    with _vehicles(files, seconds) as vehicles:
-        if not _all_heard(vehicles):
+    with ExitStack() as stack:
+        programs = {
+            i: module("tests.bench.programs.transport_vehicle", str(file), str(seconds)) for i, file in files.items()
+        }
+        vehicles = [Program(stack, [*inside(i), *program]) for i, program in programs.items()]
+        try:
+            wait_for(vehicles, "heard")
+        except RuntimeError:
             return Row(transport.name, radio.loss, None, 0.0)
         before = dict(radio.sent_bytes)
         for vehicle in vehicles:
-            _line_to(vehicle)
-        results = [_result(vehicle) for vehicle in vehicles]
+            vehicle.begin()
+        results = [vehicle.result(Measured) for vehicle in vehicles]
         sent_kb_s = fmean(radio.sent_bytes[i] - before[i] for i in VEHICLES) / seconds / 1e3
     worst = Measured(*(max(figures) for figures in zip(*map(msgspec.structs.astuple, results), strict=True)))
     return Row(transport.name, radio.loss, worst, sent_kb_s)
-
-
-@contextmanager
-def _vehicles(files: dict[int, Path], seconds: float) -> Iterator[list[subprocess.Popen[str]]]:
-    """The processes, ended with the block."""
-    with ExitStack() as stack:
-        vehicles = []
-        for i, file in files.items():
-            command = [
-                *inside(i),
-                sys.executable,
-                "-m",
-                "tests.bench.programs.transport_vehicle",
-                str(file),
-                str(seconds),
-            ]
-            vehicle = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-            stack.callback(_end, vehicle)
-            vehicles.append(vehicle)
-        yield vehicles
-
-
-def _end(vehicle: subprocess.Popen[str]) -> None:
-    vehicle.kill()
-    vehicle.communicate()
-
-
-def _all_heard(vehicles: Sequence[subprocess.Popen[str]]) -> bool:
-    """Whether each vehicle has heard all others within HEARD_WITHIN_S."""
-    limit = Timer(HEARD_WITHIN_S, _kill, [vehicles])
-    limit.start()
-    try:
-        return all(vehicle.stdout is not None and vehicle.stdout.readline() == "heard\n" for vehicle in vehicles)
-    finally:
-        limit.cancel()
-
-
-def _kill(vehicles: Sequence[subprocess.Popen[str]]) -> None:
-    for vehicle in vehicles:
-        vehicle.kill()
-
-
-def _line_to(vehicle: subprocess.Popen[str]) -> None:
-    with suppress(BrokenPipeError):
-        assert vehicle.stdin is not None
-        vehicle.stdin.write("\n")
-        vehicle.stdin.flush()
-
-
-def _result(vehicle: subprocess.Popen[str]) -> Measured:
-    assert vehicle.stdout is not None
-    return msgspec.json.decode(vehicle.stdout.readline(), type=Measured)
 
 
 EXIT_UNUSABLE = 2
@@ -204,7 +148,7 @@ def main() -> int:
         print(f"transports: {error}", file=sys.stderr)
         return EXIT_UNUSABLE
     if options.page:
-        write_page(options.page, table(rows))
+        write_between_marks(options.page, MARKS, table(rows))
     return 0 if all(row.worst for row in rows) else 1
 
 

@@ -3,26 +3,21 @@
 from __future__ import annotations
 
 import csv
-import time
-from contextlib import ExitStack
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 
 import yaml
 
-from companion.ground.session import FleetSession
-from sitl.flight.director import Director, MachineClock
-from sitl.flight.files import ids_of
+from sitl.flight.files import ids_of, write_files
 from sitl.flight.orders import FlightFailure
-from sitl.flight.processes import FleetProcesses
 from sitl.flight.scenario import Scenario, load_scenario
-from sitl.flight.watch import FlightWatch, watch_of
+from sitl.flight.watch import FlightWatch
 from sitl.links.free_ports import reserved_ports
-from sitl.links.ports import zenoh_endpoint
-from sitl.report.progress import FlightProgress
 from sitl.stopping import StopRequest
-from tests.bench.machine import stolen_percent, this_machine, times
+from tests.bench.machine import Meanwhile
 from tests.bench.processes import use_of
+from tests.bench.real_flight import RealFlight
 from tests.soak.page import page, save_plot
 from tests.soak.samples import Sample, Ticks, findings, table
 
@@ -74,29 +69,27 @@ def scenario_file(folder: Path, seconds: float) -> Path:
 class Sampler:
     """Samples the agents while they fly formation."""
 
-    def __init__(self, fleet: FleetProcesses, watch: FlightWatch, ids: list[int], seconds: float) -> None:
-        self._pids = [fleet.pid_of(f"agent {i}") for i in ids]
-        self._watch = watch
+    def __init__(self, seconds: float) -> None:
         self._period_s = max(LEAST_PERIOD_S, seconds / SAMPLES)
         self._due_s = 0.0
         self._before: dict[int, Ticks] | None = None
         self.samples: list[Sample] = []
 
-    def update(self, now_s: float) -> None:
+    def update(self, pids: Mapping[int, int], watch: FlightWatch, now_s: float) -> None:
         """Take a sample where one is due and all vehicles have a formation's timing."""
-        if now_s < self._due_s or len(self._watch.newest_timing) < len(self._pids):
+        if now_s < self._due_s or len(watch.newest_timing) < len(pids):
             return
         self._due_s = now_s + self._period_s
-        timings = self._watch.newest_timing
-        ticks = {i: Ticks(self._watch.timing_received_s[i], t.ticks, t.missed) for i, t in timings.items()}
+        timings = watch.newest_timing
+        ticks = {i: Ticks(watch.timing_received_s[i], t.ticks, t.missed) for i, t in timings.items()}
         before, self._before = self._before, ticks
         if before is None or any(ticks[i].ticks < before[i].ticks for i in ticks):
             self.samples.clear()  # the timing begins again with the formation
             return
-        uses = [use_of(pid) for pid in self._pids]
+        uses = [use_of(pid) for pid in pids.values()]
         self.samples.append(
             Sample(
-                time_s=now_s - self._watch.began_s,
+                time_s=now_s - watch.began_s,
                 memory_mb=max(use.memory_mb for use in uses),
                 files=max(use.files for use in uses),
                 threads=max(use.threads for use in uses),
@@ -113,7 +106,7 @@ def run_soak(folder: Path, seconds: float, quiet: bool, page_file: Path | None) 
     Writes soak.csv and soak.png into `folder`, and where a page is wanted, the page and its plot in images/ beside it.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    before, began_s = times(), time.monotonic()
+    meanwhile = Meanwhile()
     scenario = load_scenario(scenario_file(folder, seconds))
     with (
         reserved_ports(ids_of(scenario), scenario.stand_in.autopilot, None) as offset,
@@ -134,8 +127,7 @@ def run_soak(folder: Path, seconds: float, quiet: bool, page_file: Path | None) 
     for finding in verdict:
         print(f"{finding.name:<22} {'constant' if finding.constant else 'CHANGES':<9} {finding.text}")
     if page_file:
-        machine = this_machine(time.monotonic() - began_s, stolen_percent(before, times()))
-        page_file.write_text(page(machine, samples, verdict, failures), encoding="utf-8")
+        page_file.write_text(page(meanwhile.machine(), samples, verdict, failures), encoding="utf-8")
         save_plot(page_file.parent / "images/soak.png", samples)
     print("\n".join([*failures, f"samples and plot in {folder}"]))
     return 0 if not failures and all(finding.constant for finding in verdict) else 1
@@ -144,26 +136,14 @@ def run_soak(folder: Path, seconds: float, quiet: bool, page_file: Path | None) 
 def _fly(
     scenario: Scenario, folder: Path, offset: int, seconds: float, quiet: bool, stop: StopRequest
 ) -> tuple[list[Sample], list[str]]:
-    ids = ids_of(scenario)
-    endpoints = [zenoh_endpoint(vehicle_id, offset) for vehicle_id in ids]
-    watch = watch_of(scenario, time.monotonic())
-    progress = FlightProgress("soak", quiet, watch.began_s)
-    with FleetProcesses.start(scenario, folder, offset) as fleet, progress, ExitStack() as stack:
-        session = stack.enter_context(FleetSession(scenario.fleet.name, endpoints, "soak"))
-        sampler = Sampler(fleet, watch, ids, seconds)
+    def check() -> None:
+        if stop.number:
+            raise FlightFailure(f"interrupted by {stop.number.name}")
 
-        def check() -> None:
-            if stop.number:
-                raise FlightFailure(f"interrupted by {stop.number.name}")
-            if ending := fleet.unexpected_end():
-                raise FlightFailure(ending)
-            if watch.is_in_formation:
-                sampler.update(time.monotonic())
-
-        director = Director(session, watch, progress, check, fleet.lost_vehicles, MachineClock())
-        failures = director.fly_and_land(scenario.timeline)
-        stack.close()
-        failures.extend(fleet.stop_all())
+    write_files(scenario, folder, offset)
+    sampler = Sampler(seconds)
+    flight = RealFlight(scenario, folder, offset, sampler.update, check=check)
+    failures = flight.fly(quiet)
     return sampler.samples, failures
 
 

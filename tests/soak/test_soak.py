@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
-import threading
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +9,6 @@ import pytest
 
 from sitl.flight.scenario import load_scenario
 from tests.bench.machine import Machine
-from tests.bench.processes import use_of
 from tests.soak.page import page
 from tests.soak.run import VEHICLES, scenario_file
 from tests.soak.samples import ROWS, Sample, Ticks, findings, slope, table
@@ -98,19 +94,6 @@ def test_the_page_has_the_verdict_the_samples_and_what_failed() -> None:
 
 def test_slope_of_a_line() -> None:
     assert slope([0.0, 1.0, 2.0], [1.0, 3.0, 5.0]) == pytest.approx(2.0)
-
-
-def test_use_of_a_process_counts_its_files_and_threads() -> None:
-    before = use_of(os.getpid())
-    stop = threading.Event()
-    thread = threading.Thread(target=stop.wait)
-    thread.start()
-    with tempfile.TemporaryFile():
-        during = use_of(os.getpid())
-    stop.set()
-    thread.join()
-    assert (during.files, during.threads) == (before.files + 1, before.threads + 1)
-    assert during.memory_mb > 1.0
 
 
 def test_the_scenario_of_the_soak_is_valid(tmp_path: Path) -> None:
