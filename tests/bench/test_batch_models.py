@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from batch_scenarios import platoon
+from lockstep_fleet import platoon
 from tests.bench import batch_models
 from tests.bench.batch_models import formations, ours
 

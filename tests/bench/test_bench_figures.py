@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
+from agent_on_bytes import FailingFlight
 from companion.recording.records import TimingRecord
 from companion.recording.writing import WritingAtOnce
 from companion.types.autopilot import AutopilotKind, PositionSample
 from companion.types.values import ZERO3
-from failing_flight import FailingFlight
-from recorded_agent import recorder
+from one_agent import recorder
 from tests.bench.batch import section as batch_section
 from tests.bench.control_loop import rate_of_slowest_hz
 from tests.bench.figures import Row, Target, Use, Window, cpu_percent, lateness_us, percentile, windows_of, within

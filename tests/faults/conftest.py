@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from faulty_fleet import FaultyFleet, faulty_fleet
+from process_fleet import FaultyFleet, faulty_fleet
 
 
 @pytest.fixture

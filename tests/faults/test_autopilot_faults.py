@@ -14,10 +14,9 @@ from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code
 from fault_table import FaultRow
-from faulty_fleet import IDS, LEADER, FaultyFleet, demanded, faulty_fleet
-from hovering_autopilot import HoveringAutopilot
+from process_fleet import IDS, LEADER, PX4, FaultyFleet, demanded, faulty_fleet
 from sitl.links.ports import LOOPBACK, ports_of
-from tapped_flight import PX4
+from wire_autopilots import HoveringAutopilot
 
 pytestmark = [pytest.mark.fleet, pytest.mark.timeout(240)]
 

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from own_ports import free_fleet_offset
-from repository import ROOT
+from common import ROOT
+from processes import free_fleet_offset
 from sitl.links.ports import ports_of
 from sitl.report.summary import read_summary
 

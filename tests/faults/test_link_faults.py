@@ -10,7 +10,7 @@ from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code
 from fault_table import FaultRow
-from faulty_fleet import (
+from process_fleet import (
     CONVERGED_M,
     FOLLOWERS,
     IDS,

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from commanding_ground import Ground
+from common import ROOT
 from companion.ground.session import FleetSession
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase, HealthFlag, Role
 from companion.types.notices import Code
-from own_ports import free_fleet_offset
-from repository import ROOT
+from process_fleet import Ground
+from processes import free_fleet_offset
 from sitl.flight.processes import FleetProcesses
 from sitl.flight.scenario import load_scenario
 from sitl.links.ports import zenoh_endpoint

@@ -11,7 +11,7 @@ import pytest
 from companion.types.flight import FlightPhase, Role
 from companion.types.notices import Code
 from fault_table import FaultRow
-from faulty_fleet import CONVERGED_M, FOLLOWERS, IDS, LEADER, LOST_S, FaultyFleet, demanded, faulty_fleet
+from process_fleet import CONVERGED_M, FOLLOWERS, IDS, LEADER, LOST_S, FaultyFleet, demanded, faulty_fleet
 from sitl.links.ports import zenoh_endpoint
 
 pytestmark = [pytest.mark.fleet, pytest.mark.timeout(240)]

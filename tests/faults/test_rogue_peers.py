@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
+from common import ROOT
 from companion.config.file import ConfigError, load
 from companion.config.fleet import FleetConfig
 from companion.link.fleet.zenoh_session import open_session
@@ -20,8 +21,7 @@ from companion.types.notices import Code
 from companion.types.peers import PeerPacket
 from companion.wire.keys import peer_key
 from companion.wire.peer import encode_peer
-from own_ports import free_fleet_offset
-from repository import ROOT
+from processes import free_fleet_offset
 from sitl.links.ports import LOOPBACK, ports_of
 from sitl.report.summary import read_summary
 

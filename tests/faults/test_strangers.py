@@ -18,16 +18,25 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from agent_process import companion, until
-from attacked_fleet import MEASURED_S, Undisturbed, measured, publishing, running, tls_of_a_stranger
 from companion.ground.session import FleetSession
 from companion.security.provisioning import revoke
 from companion.types.commands import CommandName
 from companion.wire.keys import peer_key
 from fault_table import FaultRow
-from identities import stranger, tls_of
-from monitor_process import monitor, snapshot
-from secured_fleet import IDS, secured_fleet
+from live_site import monitor, snapshot
+from processes import companion, until
+from secured_fleet import (
+    IDS,
+    MEASURED_S,
+    Undisturbed,
+    measured,
+    publishing,
+    running,
+    secured_fleet,
+    stranger,
+    tls_of,
+    tls_of_a_stranger,
+)
 
 pytestmark = [pytest.mark.fleet, pytest.mark.timeout(240)]
 

@@ -11,12 +11,21 @@ from pathlib import Path
 
 import pytest
 
-from attacked_fleet import MEASURED_S, Undisturbed, measured, publishing, running, tls_of_a_stranger
 from companion.types.notices import Code
 from fault_table import FaultRow
-from identities import stranger, tls_of
-from own_ports import free_port
-from secured_fleet import IDS, secured_fleet
+from processes import free_port
+from secured_fleet import (
+    IDS,
+    MEASURED_S,
+    Undisturbed,
+    measured,
+    publishing,
+    running,
+    secured_fleet,
+    stranger,
+    tls_of,
+    tls_of_a_stranger,
+)
 
 pytestmark = [pytest.mark.fleet, pytest.mark.every_fault, pytest.mark.timeout(240)]
 

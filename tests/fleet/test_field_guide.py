@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
+from common import ROOT
 from deploy.boot.documented import PAGE as INSTALLATION
 from guided_field import Field
-from own_ports import free_fleet_offset
-from repository import ROOT
+from processes import free_fleet_offset
 
 pytestmark = [pytest.mark.fleet, pytest.mark.long, pytest.mark.timeout(600)]
 

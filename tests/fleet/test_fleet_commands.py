@@ -22,7 +22,7 @@ from companion.types.notices import Code
 from companion.types.status import Status
 from companion.wire.keys import command_key, reply_key
 from companion.wire.messages import decode_reply, encode
-from own_ports import free_fleet_offset
+from processes import free_fleet_offset
 from sitl.flight.processes import FleetProcesses
 from sitl.flight.scenario import scenario_from
 from sitl.links.ports import zenoh_endpoint

@@ -10,10 +10,10 @@ import msgspec
 import numpy as np
 import pytest
 
+from common import ROOT
 from companion.analysis.interaction import FloatArray
 from companion.types.notices import Code
-from own_ports import free_fleet_offset
-from repository import ROOT
+from processes import free_fleet_offset
 from sitl.flight.scenario import load_scenario
 from sitl.report.metrics import read_track
 from sitl.report.summary import RunSummary, read_summary

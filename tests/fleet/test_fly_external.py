@@ -15,9 +15,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent_process import until
 from companion.mavlink.codec import MavlinkCodec, mavlink
-from own_ports import free_fleet_offset
+from processes import free_fleet_offset, until
 from sitl.links.ports import ports_of
 from sitl.report.metrics import read_track
 from sitl.report.summary import RunSummary, read_summary

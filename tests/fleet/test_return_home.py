@@ -17,7 +17,7 @@ from companion.cli.main import main
 from companion.ground.session import FleetSession
 from companion.types.flight import FlightPhase
 from companion.types.status import Status
-from own_ports import free_fleet_offset
+from processes import free_fleet_offset
 from sitl.flight.files import truth_path
 from sitl.flight.processes import FleetProcesses
 from sitl.flight.scenario import scenario_from

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from common import ROOT
 from companion.types.notices import Code
-from own_ports import free_fleet_offset
-from repository import ROOT
+from processes import free_fleet_offset
 from sitl.report.summary import read_summary
 
 pytestmark = [pytest.mark.fleet, pytest.mark.long, pytest.mark.timeout(300)]

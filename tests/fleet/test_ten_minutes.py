@@ -6,7 +6,7 @@ import pytest
 
 from companion.recording.reader import recordings
 from companion.types.notices import Code
-from own_ports import free_fleet_offset
+from processes import free_fleet_offset
 from tests.bench.replay import changes, fly, replayed
 
 pytestmark = [pytest.mark.fleet, pytest.mark.long, pytest.mark.timeout(1200)]

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from own_ports import free_fleet_offset
-from repository import ROOT
+from common import ROOT
+from processes import free_fleet_offset
 
 pytestmark = [pytest.mark.fleet, pytest.mark.timeout(180)]
 

@@ -1,17 +1,65 @@
-"""A real Dask scheduler and worker processes on loopback."""
+"""A real Dask scheduler and workers on loopback, and jobs for them: workers import this module by its name."""
 
 from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import Any
 
-from repository import ROOT
+from common import ROOT
+from sitl.workers import report_progress
+
+
+def square(x: int) -> int:
+    return x * x
+
+
+def fail(job: int) -> int:
+    raise ValueError(f"job {job}")
+
+
+def die(_job: int) -> int:
+    os.kill(os.getpid(), signal.SIGKILL)
+    return 0
+
+
+def half(folder: Path) -> None:
+    """Report half of the work until the job is cancelled; then write a file."""
+    (folder / "begun").touch()
+    try:
+        while True:
+            report_progress(0.5)
+            time.sleep(0.05)
+    finally:
+        (folder / "ended").touch()
+
+
+def once_killed(job: tuple[Path, int]) -> int:
+    """The square of a number. The first attempt writes the process id to a file and waits there for its end."""
+    folder, x = job
+    file = folder / str(x)
+    if not file.exists():
+        file.with_suffix(".new").write_text(str(os.getpid()))
+        file.with_suffix(".new").rename(file)
+        time.sleep(60.0)
+    return x * x
+
+
+def known_tasks(dask_scheduler: Any) -> int:
+    """Tasks that the scheduler has not forgotten."""
+    return len(dask_scheduler.tasks)
+
+
+def running_tasks(dask_worker: Any) -> int:
+    return len(dask_worker.state.executing)
+
 
 HELPERS = Path(__file__).parent
 STARTS_WITHIN_S = 60.0
@@ -41,7 +89,7 @@ class Cluster:
             process = subprocess.Popen(
                 command, cwd=self._folder, env=os.environ | {"PYTHONPATH": path}, stdout=log, stderr=log
             )
-        self._stack.callback(_end, process)
+        self._stack.callback(_end_process, process)
         return process
 
 
@@ -61,6 +109,6 @@ def until(what: Callable[[], bool], seconds: float) -> None:
         time.sleep(0.02)
 
 
-def _end(process: subprocess.Popen[bytes]) -> None:
+def _end_process(process: subprocess.Popen[bytes]) -> None:
     process.kill()
     process.wait()

@@ -10,9 +10,9 @@ from functools import cache
 import numpy as np
 import pytest
 
+from common import ROOT
 from companion.analysis.interaction import FloatArray
 from companion.types.flight import Role
-from repository import ROOT
 from sitl.autopilots.autopilot import DT_S
 from sitl.batch.columns import phase_steps
 from sitl.batch.flight import BatchStart, fly_batch

@@ -12,9 +12,8 @@ import numpy as np
 import pytest
 from distributed import Client
 
-from cluster_jobs import known_tasks, running_tasks
-from dask_cluster import Cluster, cluster, until
-from repository import ROOT
+from common import ROOT
+from dask_cluster import Cluster, cluster, known_tasks, running_tasks, until
 from sitl.cli.ending import exit_code_of
 from sitl.cli.main import parser
 from sitl.cluster import client, workers_of

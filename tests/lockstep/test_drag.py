@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from repository import ROOT
+from common import ROOT
 from sitl.flight.scenario import load_scenario, reference_of
 from sitl.flight.virtual_flight import fly_without_landing
 from sitl.report.metrics import errors_m, reference_positions_m, standing

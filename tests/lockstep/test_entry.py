@@ -12,7 +12,7 @@ from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code
 from companion.types.values import Vector3
-from entering_fleet import EnteringFleet, scenario_of
+from lockstep_fleet import EnteringFleet, scenario_of
 
 SLOTS: dict[int, Vector3] = {1: (0.0, 0.0, 0.0), 2: (-3.0, 0.0, 0.0), 3: (-6.0, 0.0, 0.0), 4: (-9.0, 0.0, 0.0)}
 JOINING_M_S = 1.0  # slot_speed_m_s

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
+from common import ROOT
 from companion.ground.changes import change_to
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code
 from companion.types.values import Vector3
-from entering_fleet import EnteringFleet, scenario_of
-from repository import ROOT
+from lockstep_fleet import EnteringFleet, scenario_of
 from sitl.flight.scenario import load_scenario
 from sitl.flight.virtual_flight import fly_in_virtual_time
 from sitl.report.progress import FlightProgress

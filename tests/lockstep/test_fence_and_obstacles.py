@@ -11,14 +11,13 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from common import ROOT
 from companion.core.consensus.law import FormationState
 from companion.core.reference.blend import ReferenceTrajectory
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
 from companion.types.values import ZERO3, Vector3
-from entering_fleet import EnteringFleet
-from recorded_flight import Recorder
-from repository import ROOT
+from lockstep_fleet import EnteringFleet, Recorder
 from sitl.flight.director import Director
 from sitl.flight.lockstep import Lockstep
 from sitl.flight.scenario import Scenario, load_scenario

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from common import ROOT
 from companion.assembly import flyable_problems
 from companion.config.reference import CircleReference, Reference, WaypointsReference
-from recorded_flight import Recorder
-from repository import ROOT
+from lockstep_fleet import Recorder
 from sitl.flight.director import Director
 from sitl.flight.lockstep import Lockstep
 from sitl.flight.scenario import Scenario, load_scenario

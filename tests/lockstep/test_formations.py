@@ -6,7 +6,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from repository import ROOT
+from common import ROOT
 from sitl.flight.scenario import load_scenario, reference_of
 from sitl.flight.virtual_flight import Flown, fly_in_virtual_time
 from sitl.report.metrics import SAMPLE_S, Track, errors_m, pairs_of, reference_positions_m

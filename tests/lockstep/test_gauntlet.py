@@ -10,11 +10,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from common import ROOT
 from companion.types.autopilot import AutopilotKind
 from companion.types.commands import CommandName
 from companion.types.errors import EXIT_DONE, UnusableError
 from companion.types.flight import FlightPhase
-from repository import ROOT
 from sitl.cli.gauntlet import add_arguments, run
 from sitl.flight.lockstep import Lockstep
 from sitl.flight.scenario import Scenario, load_scenario

@@ -7,10 +7,10 @@ from collections.abc import Iterable
 import numpy as np
 import pytest
 
-from commanded_flight import Flight
+from common import ROOT
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase, HealthFlag, Role
-from repository import ROOT
+from lockstep_fleet import CommandedFlight
 
 CHAIN = ROOT / "config" / "scenarios" / "chain_16.yaml"
 C, P = CommandName, FlightPhase
@@ -26,7 +26,7 @@ EDGES = {"kind": "edges", "edges": [[i, i + 1] for i in IDS[:-1]]}
 RANGE = {"kind": "range", "range_m": 1.2 * SPACING_M, "hysteresis_m": 1.0}
 
 
-class LargeFleet(Flight):
+class LargeFleet(CommandedFlight):
     """A chain in a circle, with `full_rate_up_to` from the fleet file, and who receives whom at 5 Hz."""
 
     def __init__(self, neighbours: dict[str, object] = EDGES, full_rate_up_to: int = 1, *overrides: str) -> None:
@@ -72,7 +72,7 @@ class LargeFleet(Flight):
         return {s.vehicle_id: s.track().at(times_s).tolist() for s in self.lockstep.stand_ins}
 
 
-def rejected(flight: Flight) -> set[str]:
+def rejected(flight: CommandedFlight) -> set[str]:
     return {key for status in flight.newest.values() for key in status.rejected}
 
 

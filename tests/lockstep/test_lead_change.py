@@ -8,6 +8,7 @@ from math import degrees, dist
 import numpy as np
 import pytest
 
+from common import ROOT
 from companion.analysis.interaction import interaction_matrix, settled_prcs
 from companion.assembly import build_agent
 from companion.config.vehicle import AgentConfig
@@ -16,8 +17,7 @@ from companion.types.autopilot import AttitudeTarget
 from companion.types.commands import CommandName, Lead
 from companion.types.flight import FlightPhase, Role
 from companion.types.status import Status
-from recorded_flight import Recorder, record_targets
-from repository import ROOT
+from lockstep_fleet import Recorder, record_targets
 from sitl.flight.director import Director
 from sitl.flight.files import ids_of, reached_stand_in, vehicle_file
 from sitl.flight.lockstep import Lockstep

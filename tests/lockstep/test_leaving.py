@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from commanded_flight import Flight
+from common import ROOT
 from companion.ground.changes import change_to, reference_change
 from companion.types.commands import CommandName, Lead
 from companion.types.flight import FlightPhase, Role
 from companion.types.notices import Code
-from decided_flight import JUMP_M
-from repository import ROOT
+from lockstep_fleet import JUMP_M, CommandedFlight
 from sitl.flight.scenario import load_scenario
 from sitl.flight.virtual_flight import fly_in_virtual_time
 from sitl.report.progress import FlightProgress
@@ -31,8 +30,8 @@ def goes_on(speed_m_s: float) -> str:
     return f"reference={{{way}, max_speed_m_s: {speed_m_s}, max_acceleration_m_s2: 0.5}}"
 
 
-def flight(*overrides: str) -> Flight:
-    return Flight(SCENARIO, *overrides)
+def flight(*overrides: str) -> CommandedFlight:
+    return CommandedFlight(SCENARIO, *overrides)
 
 
 def test_a_vehicle_that_left_is_no_neighbour_and_the_others_continue() -> None:

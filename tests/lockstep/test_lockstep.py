@@ -6,8 +6,8 @@ from functools import cache
 import numpy as np
 import pytest
 
+from common import ROOT
 from companion.types.flight import FlightPhase
-from repository import ROOT
 from sitl.flight.scenario import load_scenario, reference_of
 from sitl.flight.virtual_flight import Flown, fly_in_virtual_time
 from sitl.report.metrics import FormationFigures, formation_figures, standing

@@ -7,10 +7,10 @@ from math import acos, degrees
 import numpy as np
 import pytest
 
+from common import ROOT
 from companion.geometry.frames import geodetic_from_enu, quaternion_from_euler
 from companion.types.flight import Role
 from companion.types.values import Vector3
-from repository import ROOT
 from sitl.autopilots.autopilot import Autopilot
 from sitl.flight.director import Director
 from sitl.flight.files import ids_of

@@ -6,13 +6,12 @@ from random import Random
 
 import pytest
 
-from commanded_flight import Flight
+from common import ROOT
 from companion.assembly import law_of
 from companion.ground.changes import reference_change
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase, HealthFlag, Role
-from decided_flight import JUMP_M
-from repository import ROOT
+from lockstep_fleet import JUMP_M, CommandedFlight
 
 RING = ROOT / "config" / "scenarios" / "ring_figure_8.yaml"
 C, P, F = CommandName, FlightPhase, HealthFlag
@@ -25,22 +24,22 @@ HEALED_JUMP_M = {"cooperative": 0.075, "weighted": 0.2}
 HEALED_WITHIN_S = 1.0
 
 
-def on_the_figure_8(law: str, *overrides: str) -> Flight:
+def on_the_figure_8(law: str, *overrides: str) -> CommandedFlight:
     """Four vehicles in a ring, on the figure since 14 s."""
-    flight = Flight(RING, f"fleet.law.name={law}", "timeline[3].for_s=4", *SUCCESSORS, *overrides)
+    flight = CommandedFlight(RING, f"fleet.law.name={law}", "timeline[3].for_s=4", *SUCCESSORS, *overrides)
     flight.go_on(9.5)
     return flight
 
 
-def leaders(flight: Flight) -> set[int]:
+def leaders(flight: CommandedFlight) -> set[int]:
     return {i for i, status in flight.newest.items() if status.role is Role.LEADER}
 
 
-def phases(flight: Flight) -> dict[int, FlightPhase]:
+def phases(flight: CommandedFlight) -> dict[int, FlightPhase]:
     return {i: status.phase for i, status in flight.newest.items()}
 
 
-def assert_safe(flight: Flight, since_s: float, separated_for_s: float | None = None) -> None:
+def assert_safe(flight: CommandedFlight, since_s: float, separated_for_s: float | None = None) -> None:
     """No two vehicles too near, no jump of a slot or a reference, and none of what is steered to when the network heals."""
     assert flight.smallest_m(since_s) >= SEPARATION_M
     assert flight.decisions.jump_m(since_s) < JUMP_M
@@ -50,7 +49,7 @@ def assert_safe(flight: Flight, since_s: float, separated_for_s: float | None = 
         assert jump_m < HEALED_JUMP_M[law.name]
 
 
-def form_again(flight: Flight, vehicle_id: int) -> None:
+def form_again(flight: CommandedFlight, vehicle_id: int) -> None:
     """Command `form` until it is accepted: while others fly past, the way to the slot is not free."""
     for _ in range(40):
         reply = flight.answers(C.FORM, vehicle_id)[vehicle_id]

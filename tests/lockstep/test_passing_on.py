@@ -4,26 +4,26 @@ from __future__ import annotations
 
 import pytest
 
-from commanded_flight import Flight
+from common import ROOT
 from companion.ground.changes import change_to, reference_change
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
 from companion.types.formation import FormationChange
 from companion.types.notices import Code
 from companion.types.values import Vector3
-from repository import ROOT
+from lockstep_fleet import CommandedFlight
 
 SCENARIO = ROOT / "config" / "scenarios" / "formations.yaml"
 WIDER: dict[int, Vector3] = {i: (0.0, 8.75 - 2.5 * (i - 1), 0.0) for i in range(1, 9)}
 
 
-def wider(flight: Flight) -> FormationChange:
+def wider(flight: CommandedFlight) -> FormationChange:
     return change_to(WIDER, list(flight.newest.values()), 1.0)
 
 
 @pytest.mark.parametrize("overrides", [(), ("links.peer_loss=0.1", "links.peer_delay_s=0.05")])
 def test_all_vehicles_fly_a_formation_commanded_to_the_leader_only(overrides: tuple[str, ...]) -> None:
-    flight = Flight(SCENARIO, *overrides)
+    flight = CommandedFlight(SCENARIO, *overrides)
     flight.give(CommandName.FORMATION, 1, content=wider(flight))
     flight.go_on(0.8)
     assert {status.slot.waiting for status in flight.newest.values()} == {1}
@@ -36,7 +36,7 @@ def test_all_vehicles_fly_a_formation_commanded_to_the_leader_only(overrides: tu
 
 
 def test_a_formation_that_the_leader_lacks_does_not_begin() -> None:
-    flight = Flight(SCENARIO)
+    flight = CommandedFlight(SCENARIO)
     flight.give(CommandName.FORMATION, *range(2, 9), content=wider(flight))
     flight.go_on(2.0)
     assert {status.slot.formation for status in flight.newest.values()} == {0}
@@ -46,7 +46,7 @@ def test_a_formation_that_the_leader_lacks_does_not_begin() -> None:
 def test_a_formation_outside_the_fence_with_the_next_reference_is_refused() -> None:
     """Both are inside the fence separately: the reference with the present slots, the slots with the present reference."""
     fence = ("fleet.envelope.fence_min_enu_m=[-20, -13, 0]", "fleet.envelope.fence_max_enu_m=[20, 13, 10]")
-    flight = Flight(SCENARIO.with_name("leaving.yaml"), *fence)
+    flight = CommandedFlight(SCENARIO.with_name("leaving.yaml"), *fence)
     point = {"kind": "point", "point_enu_m": [0.0, 8.0, 2.0]}
     flight.give(CommandName.REFERENCE, 1, 2, content=reference_change(point, list(flight.newest.values())))
     flight.go_on(0.3)
@@ -63,7 +63,7 @@ def test_a_formation_outside_the_fence_with_the_next_reference_is_refused() -> N
 
 
 def test_a_landed_and_a_restarted_vehicle_get_the_formation_on_the_ground() -> None:
-    flight = Flight(SCENARIO)
+    flight = CommandedFlight(SCENARIO)
     flight.give(CommandName.LAND, 8)
     flight.go_on(15.0)
     assert not flight.newest[8].armed
@@ -86,7 +86,7 @@ def test_a_landed_and_a_restarted_vehicle_get_the_formation_on_the_ground() -> N
 
 def test_a_restarted_leader_does_not_form_with_vehicles_of_another_formation() -> None:
     """All get the command form at once; over a slow network they do not know in time that the others form too."""
-    flight = Flight(SCENARIO, "links.peer_delay_s=0.05")
+    flight = CommandedFlight(SCENARIO, "links.peer_delay_s=0.05")
     flight.give(CommandName.FORMATION, content=wider(flight))
     flight.go_on(14.0)
     flight.give(CommandName.HOLD)

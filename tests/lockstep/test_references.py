@@ -9,6 +9,7 @@ from math import cos, dist, hypot, sin
 
 import pytest
 
+from common import ROOT, outcome
 from companion.assembly import build_agent
 from companion.config.vehicle import AgentConfig
 from companion.ground.changes import reference_change
@@ -17,10 +18,7 @@ from companion.types.flight import FlightPhase
 from companion.types.notices import Code
 from companion.types.status import Status
 from companion.types.values import Vector3
-from decided_flight import JUMP_M, Decisions
-from notices import outcome
-from recorded_flight import Recorder
-from repository import ROOT
+from lockstep_fleet import JUMP_M, Decisions, Recorder
 from sitl.flight.director import Director
 from sitl.flight.files import reached_stand_in, vehicle_file
 from sitl.flight.flights import reference_flown

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
+from common import ROOT
 from companion.cli.main import main
 from companion.monitor.api import Snapshot
 from companion.monitor.recordings import NoFlightError, recorded_flight
 from companion.monitor.snapshot import Picture
 from companion.recording.reader import RecordingError
 from companion.types.flight import FlightPhase
-from repository import ROOT
 from sitl.flight.scenario import load_scenario
 from sitl.flight.virtual_flight import Flown, fly_in_virtual_time
 from sitl.report.progress import FlightProgress

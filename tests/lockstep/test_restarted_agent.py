@@ -6,13 +6,13 @@ from functools import cache
 
 import pytest
 
-from commanded_flight import Flight
+from common import ROOT
 from companion.ground.changes import reference_change
 from companion.types.autopilot import Arm, AutopilotKind, AutopilotRequest, RequestOrigin, RequestParameter
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase, Role
 from companion.types.status import Status
-from repository import ROOT
+from lockstep_fleet import CommandedFlight
 from sitl.gauntlet.flight import SENSOR_FACTOR
 
 LEAVING = ROOT / "config" / "scenarios" / "leaving.yaml"
@@ -24,7 +24,7 @@ PARAMETERS = {AutopilotKind.PX4: "COM_OBL_RC_ACT: 5", AutopilotKind.ARDUPILOT: "
 MAKES = pytest.mark.parametrize("make", list(AutopilotKind))
 
 
-class RestartedLeader(Flight):
+class RestartedLeader(CommandedFlight):
     """A column of five, 2 m apart. Where it moves, it flies along itself, through the place where the leader remains.
 
     `requests` are those of vehicle 1 since its agent started again.

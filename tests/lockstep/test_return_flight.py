@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from commanded_flight import Flight
+from common import ROOT
 from companion.types.autopilot import AutopilotKind
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase, HealthFlag, Role
-from repository import ROOT
+from lockstep_fleet import CommandedFlight
 from sitl.flight.scenario import scenario_from
 from sitl.flight.virtual_flight import Flown, fly_in_virtual_time
 from sitl.report.progress import FlightProgress
@@ -93,9 +93,9 @@ def test_a_return_with_crossing_paths_is_refused_with_the_reason(tmp_path: Path)
     assert all(ends_m[i][0] - start[0] > 11.0 for i, start in STARTS.items())
 
 
-def returned_alone(make: str, *ids: int) -> Flight:
+def returned_alone(make: str, *ids: int) -> CommandedFlight:
     """Five in a column fly north and back over their starts; only these vehicles are told to return, on the way back."""
-    flight = Flight(COLUMN, THERE_AND_BACK, f"stand_in.autopilot={make}")
+    flight = CommandedFlight(COLUMN, THERE_AND_BACK, f"stand_in.autopilot={make}")
     flight.go_on(ON_THE_WAY_BACK_S)
     since_s = flight.lockstep.now_s()
     flight.give(CommandName.RETURN, *ids)
@@ -108,7 +108,7 @@ def returned_alone(make: str, *ids: int) -> Flight:
     return flight
 
 
-def phases_of(flight: Flight, *ids: int) -> dict[int, FlightPhase]:
+def phases_of(flight: CommandedFlight, *ids: int) -> dict[int, FlightPhase]:
     return {i: flight.newest[i].phase for i in ids}
 
 

@@ -11,8 +11,8 @@ from typing import Any
 import msgspec
 import pytest
 
+from common import ROOT
 from companion.types.autopilot import AutopilotKind
-from repository import ROOT
 from sitl.flight.scenario import load_scenario
 from sitl.report.folder import remove_old_run
 from sitl.report.metrics import read_track

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from repository import ROOT
+from common import ROOT
 from sitl.flight.scenario import load_scenario
 from sitl.flight.virtual_flight import Flown, fly_in_virtual_time
 from sitl.report.progress import FlightProgress

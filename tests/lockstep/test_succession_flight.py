@@ -12,14 +12,13 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from commanded_flight import Flight
+from common import ROOT
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase, HealthFlag, Role
 from companion.types.notices import Code
 from companion.types.peers import PeerPacket
 from companion.types.status import Status
-from decided_flight import JUMP_M, Decisions
-from repository import ROOT
+from lockstep_fleet import JUMP_M, CommandedFlight, Decisions
 from sitl.flight.director import Director
 from sitl.flight.files import ids_of
 from sitl.flight.lockstep import Lockstep
@@ -184,7 +183,7 @@ def test_a_commanded_hold_does_not_end_in_landing() -> None:
 
 def test_a_successor_that_lags_far_behind_a_fast_reference_takes_over_and_nobody_holds() -> None:
     """The weighted law lags behind an acceleration: that does not show that the successor's reference is another one."""
-    flight = Flight(RING, SUCCESSOR, "fleet.law.name=weighted", *FAST_WAY)
+    flight = CommandedFlight(RING, SUCCESSOR, "fleet.law.name=weighted", *FAST_WAY)
     flight.go_on(FAST_AFTER_S)
     assert min(error_m for i, error_m in flight.errors_m().items() if i != 1) > LAG_M
     since_s = flight.lockstep.now_s()

@@ -11,7 +11,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from repository import ROOT
+from common import ROOT
 from sitl.flight.scenario import load_scenario, reference_of
 from sitl.flight.virtual_flight import fly_in_virtual_time
 from sitl.report.metrics import formation_figures, neighbouring_pairs, pair_name, standing

@@ -9,16 +9,14 @@ from math import degrees, remainder, sqrt, tau
 import numpy as np
 import pytest
 
-from commanded_flight import Flight
+from common import ROOT
 from companion.analysis.interaction import FloatArray
 from companion.core.reference.heading import JERK_1_S
 from companion.geometry.formations import turn_limits
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase, Role
 from companion.types.status import Status
-from decided_flight import JUMP_M, Decisions
-from recorded_flight import Recorder, record_at_setpoints
-from repository import ROOT
+from lockstep_fleet import JUMP_M, CommandedFlight, Decisions, Recorder, record_at_setpoints
 from sitl.flight.director import Director
 from sitl.flight.lockstep import Lockstep
 from sitl.flight.scenario import load_scenario, reference_of
@@ -160,7 +158,9 @@ def test_a_vehicle_rejoins_a_turning_formation() -> None:
 
 def test_a_vehicle_in_hold_turns_to_the_heading_of_a_new_leader() -> None:
     """A leader that landed restarts with heading east. Vehicles in hold must not turn at the limited rate, for ten seconds."""
-    fleet = Flight(SCENARIOS / COLUMN, "fleet.separation_m=0.5")  # straight paths between two headings are narrow
+    fleet = CommandedFlight(
+        SCENARIOS / COLUMN, "fleet.separation_m=0.5"
+    )  # straight paths between two headings are narrow
     fleet.go_on(6.0)
     assert all(status.heading.angle_rad > 1.5 for status in fleet.newest.values())
     fleet.land(1)

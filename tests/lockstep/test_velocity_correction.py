@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from repository import ROOT
+from common import ROOT
 from sitl.flight.scenario import load_scenario
 from sitl.flight.virtual_flight import fly_without_landing
 from sitl.report.progress import FlightProgress

@@ -12,11 +12,11 @@ from math import degrees, hypot
 import numpy as np
 import pytest
 
+from common import ROOT
 from companion.analysis.interaction import FloatArray
 from companion.types.flight import FlightPhase
 from companion.types.status import Status
 from companion.wire.messages import StatusReport
-from repository import ROOT
 from sitl.autopilots.px4.autopilot import Px4Mode
 from sitl.flight.director import Director
 from sitl.flight.files import ids_of

@@ -16,9 +16,8 @@ from pathlib import Path
 
 import pytest
 
-from agent_process import FLEET, VEHICLE, until
-from own_ports import free_port, free_vehicle_offset
-from repository import ROOT
+from common import ROOT
+from processes import FLEET, VEHICLE, free_port, free_vehicle_offset, until
 from sitl.links.ports import ports_of
 
 pytestmark = pytest.mark.timeout(900)

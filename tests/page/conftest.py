@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from page_waits import until
+from page_server import until_shown
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -53,7 +53,7 @@ def open_page(browser: Browser) -> Iterator[OpenPage]:
         page = context.new_page()
         listen(page)
         page.goto(url)
-        until(page, "globalThis.companionMetrics?.count > 0")
+        until_shown(page, "globalThis.companionMetrics?.count > 0")
         return page
 
     yield open_

@@ -12,9 +12,9 @@ from playwright.sync_api import Browser, Locator, Page, sync_playwright
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))
 
+from common import ROOT
 from companion.monitor.api import FlagView, ReplayView, VehicleView
 from page_server import PageServer
-from repository import ROOT
 
 IMAGES = ROOT / "docs" / "images"
 CHROMIUM = "/usr/bin/chromium"

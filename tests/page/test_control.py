@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 from msgspec.structs import replace
 
-from page_server import PageServer
-from page_waits import until
+from page_server import PageServer, until_shown
 
 expect = pytest.importorskip("playwright.sync_api", reason="Playwright is missing").expect
 
@@ -41,7 +40,7 @@ def test_a_dangerous_action_is_sent_only_when_it_is_held(open_page: OpenPage) ->
         expect(page.locator("#hint")).to_contain_text('Hold "Take off" for a second')
         assert server.commands == []
         hold(page, "takeoff")
-        until(page, lambda: len(server.commands) == 1)
+        until_shown(page, lambda: len(server.commands) == 1)
         assert (server.commands[0].name, server.commands[0].vehicle_ids) == ("takeoff", ())
 
 
@@ -52,7 +51,7 @@ def test_keys_hold_a_button_too(open_page: OpenPage) -> None:
         page.keyboard.down("Enter")
         page.wait_for_timeout(HELD_MS)
         page.keyboard.up("Enter")
-        until(page, lambda: [command.name for command in server.commands] == ["arm"])
+        until_shown(page, lambda: [command.name for command in server.commands] == ["arm"])
 
 
 def test_each_vehicles_answer_is_shown(open_page: OpenPage) -> None:
@@ -76,7 +75,7 @@ def test_commands_go_to_the_selected_vehicles_where_that_is_chosen(open_page: Op
         page.locator("tbody.vehicle[data-id='2']").click(modifiers=["Shift"])
         page.get_by_label("selected: 2, 3").check()
         page.locator("[data-action=hold]").click()
-        until(page, lambda: [command.vehicle_ids for command in server.commands] == [(2, 3)])
+        until_shown(page, lambda: [command.vehicle_ids for command in server.commands] == [(2, 3)])
 
 
 def test_a_selected_vehicle_becomes_leader(open_page: OpenPage) -> None:
@@ -87,7 +86,7 @@ def test_a_selected_vehicle_becomes_leader(open_page: OpenPage) -> None:
         page.locator("tbody.vehicle[data-id='2']").click()
         expect(page.locator("[data-action=leader]")).to_have_text("Make 2 leader")
         hold(page, "leader")
-        until(page, lambda: [command.content for command in server.commands] == [{"leader_ids": [2]}])
+        until_shown(page, lambda: [command.content for command in server.commands] == [{"leader_ids": [2]}])
 
 
 def test_a_formation_is_previewed_before_it_can_be_sent(open_page: OpenPage) -> None:
@@ -105,7 +104,7 @@ def test_a_formation_is_previewed_before_it_can_be_sent(open_page: OpenPage) -> 
         expect(page.locator(".previewed")).to_contain_text("smallest separation on the way 2.81")
         assert server.commands == []
         page.locator("[data-action=send-formation]").click()
-        until(page, lambda: bool(server.commands))
+        until_shown(page, lambda: bool(server.commands))
         assert server.commands[0].content == {"shape": "line", "spacing_m": 3.5, "heading_deg": 0}
 
 
@@ -151,7 +150,7 @@ def test_a_reference_is_placed_on_the_map(open_page: OpenPage) -> None:
         page.get_by_label("Point 1, N, metres").blur()
         page.locator("[data-action=preview-reference]").click()
         page.locator("[data-action=send-reference]").click()
-        until(page, lambda: bool(server.commands))
+        until_shown(page, lambda: bool(server.commands))
         content = server.commands[0].content
         assert content == {"kind": "circle", "centre_enu_m": [2.5, -1, 6], "radius_m": 6, "period_s": 40}
 
@@ -168,7 +167,7 @@ def test_shift_escape_aborts_from_everywhere_when_it_is_held(open_page: OpenPage
         expect(page.locator("#banner")).not_to_contain_text("Keep holding")
         assert server.commands == []
         page.keyboard.down("Escape")
-        until(page, lambda: bool(server.commands))
+        until_shown(page, lambda: bool(server.commands))
         page.keyboard.up("Escape")
         page.keyboard.up("Shift")
         assert [(command.name, command.vehicle_ids) for command in server.commands] == [("abort", ())]
@@ -186,7 +185,7 @@ def test_the_abort_button_is_held_for_half_a_second(open_page: OpenPage) -> None
         page.mouse.down()
         page.wait_for_timeout(HELD_MS)
         page.mouse.up()
-        until(page, lambda: [command.name for command in server.commands] == ["abort"])
+        until_shown(page, lambda: [command.name for command in server.commands] == ["abort"])
 
 
 def test_an_alarm_is_acknowledged_by_a_page_with_the_token(open_page: OpenPage) -> None:

@@ -8,8 +8,7 @@ import pytest
 from msgspec.structs import replace
 
 from companion.monitor.api import FlagView, VehicleView
-from page_server import PageServer
-from page_waits import until
+from page_server import PageServer, until_shown
 
 expect = pytest.importorskip("playwright.sync_api", reason="Playwright is missing").expect
 expect.set_options(timeout=20_000)
@@ -43,7 +42,7 @@ def test_a_lost_server_is_shown_at_once_and_control_ends(open_page: OpenPage) ->
         assert box
         assert box["width"] == 1440
         before = banner.inner_text()
-        until(page, lambda: banner.inner_text() != before)  # the age counts up
+        until_shown(page, lambda: banner.inner_text() != before)  # the age counts up
 
 
 def test_a_server_that_only_stops_sending_is_lost_too(open_page: OpenPage) -> None:
@@ -88,7 +87,7 @@ def test_abort_is_tried_although_snapshots_are_missing(open_page: OpenPage) -> N
         expect(page.locator(".live")).to_have_text("LOST")
         page.keyboard.down("Shift")
         page.keyboard.down("Escape")
-        until(page, lambda: [command.name for command in server.commands] == ["abort"])
+        until_shown(page, lambda: [command.name for command in server.commands] == ["abort"])
         page.keyboard.up("Escape")
         page.keyboard.up("Shift")
 
@@ -122,6 +121,6 @@ def test_an_inline_script_would_be_stopped(browser: Browser) -> None:
         refusals: list[str] = []
         page.on("console", lambda message: refusals.append(message.text))
         page.evaluate(SCRIPT_ELEMENT)
-        until(page, lambda: any("Content Security Policy" in text for text in refusals))
+        until_shown(page, lambda: any("Content Security Policy" in text for text in refusals))
         assert page.evaluate("globalThis.harmed ?? null") is None
         page.close()

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 from msgspec.structs import replace
 
-from page_server import PageServer
-from page_waits import until
+from page_server import PageServer, until_shown
 
 expect = pytest.importorskip("playwright.sync_api", reason="Playwright is missing").expect
 expect.set_options(timeout=20_000)
@@ -30,7 +29,7 @@ def test_the_theme_follows_the_system_and_is_remembered(open_page: OpenPage) -> 
         page.get_by_role("button", name="Theme: system").click()
         assert page.evaluate(theme) == "light"
         page.reload()
-        until(page, "globalThis.companionMetrics?.count > 0")
+        until_shown(page, "globalThis.companionMetrics?.count > 0")
         expect(page.get_by_role("button", name="Theme: light")).to_be_visible()
         assert page.evaluate(theme) == "light"
         page.emulate_media(color_scheme="light")
@@ -104,7 +103,7 @@ def test_sound_is_off_until_it_is_switched_on(open_page: OpenPage) -> None:
         assert page.evaluate("tones") == 0
         button.click()
         expect(button).to_have_attribute("aria-pressed", "true")
-        until(page, "tones >= 2")  # one to show that it works, then the alarm that is not acknowledged
+        until_shown(page, "tones >= 2")  # one to show that it works, then the alarm that is not acknowledged
 
 
 def test_the_help_explains_the_abort_key(open_page: OpenPage) -> None:

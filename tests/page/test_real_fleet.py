@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from own_ports import free_fleet_offset
-from page_waits import until
-from repository import ROOT
-from running_program import running
+from common import ROOT
+from page_server import until_shown
+from processes import free_fleet_offset, running
 
 expect = pytest.importorskip("playwright.sync_api", reason="Playwright is missing").expect
 
@@ -56,7 +55,7 @@ def test_an_operator_arms_a_fleet_on_the_page_and_aborts(open_page: OpenPage, fl
             expect(page.locator(".answer").first.locator("li")).to_have_count(4, timeout=PATIENCE_MS)
             return page.locator(".answer").first.locator("li.ready, li.ready-with-warnings").count() == 4
 
-        until(page, all_checks_pass)
+        until_shown(page, all_checks_pass)
         hold(page, "[data-action=arm]")
         expect(page.locator(".answer", has_text="arm, all").locator("li.accepted")).to_have_count(
             4, timeout=PATIENCE_MS

@@ -8,8 +8,7 @@ import pytest
 from msgspec.structs import replace
 
 from companion.monitor.api import FlagView, ReplayView, VehicleView
-from page_server import PageServer
-from page_waits import until
+from page_server import PageServer, until_shown
 
 expect = pytest.importorskip("playwright.sync_api", reason="Playwright is missing").expect
 expect.set_options(timeout=20_000)
@@ -213,14 +212,14 @@ def test_a_replay_is_never_taken_for_a_flight(open_page: OpenPage) -> None:
         expect(page.locator("#abort")).to_have_count(0)
         page.get_by_role("button", name="Pause").click()
         page.locator("#replay input").fill("120")
-        until(page, lambda: {"type": "speed", "speed": 0} in server.received)
-        until(page, lambda: {"type": "seek", "time_s": server.begin_s + 120.0} in server.received)
+        until_shown(page, lambda: {"type": "speed", "speed": 0} in server.received)
+        until_shown(page, lambda: {"type": "seek", "time_s": server.begin_s + 120.0} in server.received)
 
 
 def test_update_times_are_measured(open_page: OpenPage) -> None:
     with PageServer() as server:
         page = open_page(server.url)
-        until(page, "companionMetrics.count >= 10")
+        until_shown(page, "companionMetrics.count >= 10")
         p50_ms, p95_ms = page.evaluate("[companionMetrics.p50_ms, companionMetrics.p95_ms]")
         assert 0.0 < p50_ms <= p95_ms
         assert page.evaluate("performance.getEntriesByName('snapshot').length") >= 1

@@ -15,9 +15,8 @@ import pytest
 from matplotlib.image import imsave
 
 from companion.config.planned_flight import DEFAULT_ORIGIN
-from own_ports import free_port
-from page_waits import until
-from running_program import running
+from page_server import until_shown
+from processes import free_port, running
 
 if TYPE_CHECKING:
     from conftest import OpenPage
@@ -66,7 +65,7 @@ def tiles(tmp_path: Path) -> Path:
 def test_tiles_of_a_folder_are_drawn_below_the_fleet(open_page: OpenPage, tmp_path: Path, tiles: Path) -> None:
     with monitored(tmp_path, "--tiles", str(tiles)) as url:
         page = open_page(url)
-        until(page, lambda: page.evaluate(CORNER) == ORANGE)
+        until_shown(page, lambda: page.evaluate(CORNER) == ORANGE)
 
 
 def test_without_a_folder_no_tile_is_asked_for(open_page: OpenPage, tmp_path: Path) -> None:
@@ -75,6 +74,6 @@ def test_without_a_folder_no_tile_is_asked_for(open_page: OpenPage, tmp_path: Pa
         asked: list[str] = []
         page.on("request", lambda request: asked.append(request.url))
         page.reload()
-        until(page, "globalThis.companionMetrics?.count > 20")
+        until_shown(page, "globalThis.companionMetrics?.count > 20")
         assert any("/api/v1/fleets/" in path for path in asked)
         assert not any("/tiles/" in path for path in asked)

@@ -13,7 +13,6 @@ from pathlib import Path
 
 import pytest
 
-from agent_process import AgentFiles, Running, agent, agent_files, companion, faulty_agent, until
 from companion.cli.vehicle_link import EXIT_DEFECT
 from companion.ground.session import FleetSession
 from companion.link.fleet.zenoh_session import open_session
@@ -24,7 +23,8 @@ from companion.types.flight import FlightPhase
 from companion.types.notices import Code
 from companion.wire.keys import command_key, peer_key
 from companion.wire.messages import StatusReport
-from hovering_autopilot import LOITER, OFFBOARD, HoveringAutopilot
+from processes import AgentFiles, Running, agent, agent_files, companion, faulty_agent, until
+from wire_autopilots import LOITER, OFFBOARD, HoveringAutopilot
 
 
 @pytest.fixture

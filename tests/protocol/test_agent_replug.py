@@ -12,11 +12,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from agent_process import agent, agent_files, until
 from companion.ground.session import FleetSession
 from companion.mavlink.codec import mavlink
 from companion.types.commands import CommandName
-from hovering_autopilot import LOITER, OFFBOARD, HoveringAutopilot
+from processes import agent, agent_files, until
+from wire_autopilots import LOITER, OFFBOARD, HoveringAutopilot
 
 
 class Cable:

@@ -13,12 +13,11 @@ from pathlib import Path
 
 import pytest
 
-from agent_process import agent, agent_files, until
 from companion.ground.session import FleetSession
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
-from hovering_autopilot import LOITER, HoveringAutopilot
-from own_ports import free_port
+from processes import agent, agent_files, free_port, until
+from wire_autopilots import LOITER, HoveringAutopilot
 
 PIECE_BYTES = 7  # packets arrive in pieces, as on a slow line
 

@@ -8,12 +8,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from agent_process import agent, agent_files, until
 from companion.ground.fleet_state import FleetState, VehicleRow, fold, rows
 from companion.ground.session import FleetSession
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
-from service_manager import service_manager
+from processes import agent, agent_files, service_manager, until
 
 PX4_COMPANION_PORT = 14540
 

@@ -20,15 +20,15 @@ from companion.types.commands import Command, CommandName, CommandReply
 from companion.types.formation import FlownSlot
 from companion.types.notices import Code
 from companion.wire.messages import StatusReport
-from linked_vehicles import LinkedVehicles, accept, linked_vehicles
-from served_site import TOKEN, Served, served_live, until_true
+from ground_fleet import LinkedVehicles, accept, linked_vehicles
+from live_site import TOKEN, Served, served_live, until_served
 from tests.bench.monitor_load import SteadyFleet
 
 
 def with_fleet(work: Callable[[Served, LinkedVehicles], Awaitable[None]]) -> None:
     async def run(vehicles: LinkedVehicles) -> None:
         async with served_live(vehicles) as server:
-            await until_true(lambda: all_report(server))
+            await until_served(lambda: all_report(server))
             await work(server, vehicles)
 
     with linked_vehicles() as vehicles:
@@ -106,12 +106,12 @@ def test_the_timeline_has_the_answers_to_other_programs_of_this_operator_once() 
         vehicles.answer = answer
         with FleetSession("load", vehicles.endpoints, "anna@ground") as program:
             await asyncio.to_thread(program.command, [1, 3], CommandName.LAND, 5.0)
-        await until_true(lambda: equal(answers(server), [1, 3]))
+        await until_served(lambda: equal(answers(server), [1, 3]))
         await server.command("hold", ids=(1, 2))
         assert await answers(server) == [1, 1, 2, 3]  # vehicle 2: no reply
         held[:] = held[-1:]
         await server.command("take", ids=(2,))
-        await until_true(lambda: equal(answers(server), [1, 1, 2, 2, 2, 3]))
+        await until_served(lambda: equal(answers(server), [1, 1, 2, 2, 2, 3]))
 
     async def equal(found: Awaitable[list[int]], expected: list[int]) -> bool:
         return await found == expected
@@ -197,7 +197,7 @@ class _Far:
 def test_a_report_that_cannot_be_computed_with_is_named(name: str, content: dict[str, object]) -> None:
     async def work(server: Served, vehicles: LinkedVehicles) -> None:
         vehicles.load = _Far(vehicles.load)  # type: ignore[assignment]
-        await until_true(lambda: far(server))
+        await until_served(lambda: far(server))
         words = "slot of vehicle 2: is 1e+200 m from the origin by its report; expected at most 20000 m"
         assert words in (await server.command(name, content))["error"]
         wanted = {"fleet": "load", "name": name, "content": content}
@@ -354,7 +354,7 @@ def test_scipy_is_not_loaded_in_the_event_loop(monkeypatch: pytest.MonkeyPatch) 
 def test_abort_needs_no_report_and_misses_no_vehicle_that_is_silent() -> None:
     async def work(server: Served, vehicles: LinkedVehicles) -> None:
         vehicles.silent = {1, 2, 3}
-        await until_true(lambda: none_reports(server))
+        await until_served(lambda: none_reports(server))
         result = await server.command("abort")
         assert [a["kind"] for a in result["answers"]] == ["accepted"] * 3
         missing = await server.command("hold")

@@ -20,7 +20,7 @@ from mavsdk.asyncio.plugins.telemetry import TelemetryAsync
 from mavsdk.plugins.telemetry.telemetry import FlightMode
 from pymavlink import mavutil
 
-from stand_in_process import StandInProcess, stand_in
+from processes import StandInProcess, stand_in
 
 M = mavutil.mavlink
 TIMEOUT_S = 15.0

@@ -10,10 +10,9 @@ from pathlib import Path
 from subprocess import CompletedProcess
 from typing import Any
 
-from agent_process import AgentFiles, agent_files, companion, until
 from companion.types.notices import Code
-from hovering_autopilot import IN_ORDER, HoveringAutopilot
-from stand_in_process import StandInProcess, stand_in
+from processes import AgentFiles, StandInProcess, agent_files, companion, stand_in, until
+from wire_autopilots import IN_ORDER, HoveringAutopilot
 
 CONFIGURED = {"COM_OBL_RC_ACT": 5, "COM_RC_OVERRIDE": 3, "GF_MAX_HOR_DIST": 90.0, "GF_MAX_VER_DIST": 40.0}
 

@@ -15,8 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from agent_process import until
-from own_ports import free_fleet_offset
+from processes import free_fleet_offset, until
 from sitl.links.emulated_network import emulated_host
 from sitl.links.ports import LOOPBACK, ports_of
 

@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from agent_process import agent, faulty_agent, until
 from companion.cli.vehicle_link import EXIT_DEFECT
 from companion.core.consensus.stage import ConsensusStage
 from companion.ground.session import GroundConnection
@@ -24,7 +23,8 @@ from companion.types.notices import Code
 from companion.types.values import ZERO3
 from companion.wire.keys import peer_key
 from companion.wire.peer import decode_peer
-from tapped_flight import UNDER_WAY, Flight
+from process_fleet import UNDER_WAY, TappedFlight
+from processes import agent, faulty_agent, until
 
 PEER_KEY = peer_key("processtest", 1)
 PACKETS_KEPT = 256  # a few seconds
@@ -32,7 +32,7 @@ PACKETS_KEPT = 256  # a few seconds
 
 @pytest.mark.parametrize("stage", [ConsensusStage.step, ZenohLink.publish_peer], ids=["consensus", "publishing"])
 def test_a_failing_stage_ends_in_hold_and_a_restarted_agent_observes(
-    vehicle: Flight, tmp_path: Path, stage: Callable[..., object]
+    vehicle: TappedFlight, tmp_path: Path, stage: Callable[..., object]
 ) -> None:
     make, switch = vehicle.make, tmp_path / "switch"
     with faulty_agent(vehicle.files, stage, switch) as process:
@@ -69,7 +69,7 @@ def test_a_failing_stage_ends_in_hold_and_a_restarted_agent_observes(
     print(f"\nlevel setpoints for {(last.at_s - failed_s) * 1000:.0f} ms after the switch")
 
 
-def test_an_agent_killed_and_restarted_in_flight_observes(vehicle: Flight) -> None:
+def test_an_agent_killed_and_restarted_in_flight_observes(vehicle: TappedFlight) -> None:
     with agent(vehicle.files) as first:
         first.wait_for_log("heartbeat of autopilot 1")
         vehicle.forget_reports()  # those of the agent before

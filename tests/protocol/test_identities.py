@@ -29,9 +29,9 @@ from companion.types.peers import PeerPacket, TargetSample, TrafficSample
 from companion.wire.keys import abort_key, command_key, peer_key, reply_key, status_key, target_key, traffic_key
 from companion.wire.messages import encode
 from companion.wire.peer import encode_peer
-from identities import FLEET_NAME, Identities, provisioned, stranger, tls_of
-from link_traffic import PACKET, until
-from own_ports import free_port
+from ground_fleet import PACKET, until
+from processes import free_port
+from secured_fleet import FLEET_NAME, Identities, provisioned, stranger, tls_of
 
 TRIES_S = 1.5
 ZERO = (0.0, 0.0, 0.0)

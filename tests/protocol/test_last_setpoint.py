@@ -12,24 +12,24 @@ import time
 
 import pytest
 
-from agent_process import agent, until
 from companion.mavlink.codec import MavlinkCodec, mavlink
 from companion.types.flight import FlightPhase
-from tapped_flight import Flight
+from process_fleet import TappedFlight
+from processes import agent, until
 
 KILLED_LIMIT_S = 0.04
 PILOT_LIMIT_S = 0.1
 TIMES = 3
 
 
-def last_setpoint_after(flight: Flight, start_s: float) -> float:
+def last_setpoint_after(flight: TappedFlight, start_s: float) -> float:
     """Seconds from then to the last setpoint; 0 where none came."""
     time.sleep(0.5)
     return max((setpoint.at_s - start_s for setpoint in flight.tap.setpoints_since(start_s)), default=0.0)
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP], ids=["killed", "frozen"])
-def test_no_setpoint_later_than_40_ms_after_the_end_of_the_agent(vehicle: Flight, number: int) -> None:
+def test_no_setpoint_later_than_40_ms_after_the_end_of_the_agent(vehicle: TappedFlight, number: int) -> None:
     measured_s = []
     for _ in range(TIMES):
         with agent(vehicle.files) as process:
@@ -43,7 +43,7 @@ def test_no_setpoint_later_than_40_ms_after_the_end_of_the_agent(vehicle: Flight
     assert max(measured_s) <= KILLED_LIMIT_S
 
 
-def test_no_setpoint_later_than_100_ms_after_a_pilots_mode_is_visible(vehicle: Flight) -> None:
+def test_no_setpoint_later_than_100_ms_after_a_pilots_mode_is_visible(vehicle: TappedFlight) -> None:
     measured_s = []
     with (
         agent(vehicle.files) as process,

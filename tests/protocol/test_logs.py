@@ -19,14 +19,13 @@ from subprocess import CompletedProcess
 import pytest
 from pymavlink.DFReader import DFReader_binary
 
-from agent_process import AgentFiles, agent_files, companion, until
 from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
 from companion.types.autopilot import AutopilotKind
-from logging_autopilot import LoggingAutopilot
+from processes import AgentFiles, StandInProcess, agent_files, companion, stand_in, until
 from sitl.autopilots.ardupilot.modes import CopterMode
 from sitl.autopilots.link_end import FORCE
 from sitl.autopilots.px4.logs import MAGIC
-from stand_in_process import StandInProcess, stand_in
+from wire_autopilots import LoggingAutopilot
 
 PX4, ARDUPILOT = AutopilotKind.PX4, AutopilotKind.ARDUPILOT
 FIRST_ID = {PX4: 0, ARDUPILOT: 1}

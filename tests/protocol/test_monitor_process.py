@@ -14,8 +14,8 @@ from pathlib import Path
 
 import pytest
 
-from agent_process import AgentFiles, agent, agent_files, companion, until
-from hovering_autopilot import HoveringAutopilot
+from processes import AgentFiles, agent, agent_files, companion, until
+from wire_autopilots import HoveringAutopilot
 
 
 @pytest.fixture

@@ -13,12 +13,12 @@ from pathlib import Path
 
 import pytest
 
-from agent_process import companion, until
 from companion.link.fleet.zenoh_session import open_session
 from companion.wire.keys import status_key
 from companion.wire.messages import WIRE_VERSION
-from linked_vehicles import LinkedVehicles, linked_vehicles
-from monitor_process import get, monitor, snapshot
+from ground_fleet import LinkedVehicles, linked_vehicles
+from live_site import get, monitor, snapshot
+from processes import companion, until
 from tests.bench.monitor_load import write_fleet
 
 

@@ -8,11 +8,11 @@ from pathlib import Path
 
 from pymavlink import mavutil
 
-from agent_process import agent, agent_files, until
 from companion.recording.mcap_part import CHUNK_S
 from companion.recording.reader import recordings
 from companion.recording.records import INBOX, STATUS
-from hovering_autopilot import HoveringAutopilot
+from processes import agent, agent_files, until
+from wire_autopilots import HoveringAutopilot
 
 CHUNK_BYTES = 5000  # a second of this flight has some more
 WRITTEN_WITHIN_S = 2.0  # on a busy machine

@@ -15,21 +15,21 @@ from itertools import pairwise
 
 import pytest
 
-from agent_process import Running, agent, until
 from companion.mavlink.codec import MavlinkCodec, mavlink
 from companion.types.flight import FlightPhase
-from tapped_flight import UNDER_WAY, Flight
+from process_fleet import UNDER_WAY, TappedFlight
+from processes import Running, agent, until
 
 
 @pytest.fixture(scope="module")
-def flight(vehicle: Flight) -> Iterator[tuple[Flight, Running]]:
+def flight(vehicle: TappedFlight) -> Iterator[tuple[TappedFlight, Running]]:
     """With one agent for all tests; each enters formation by itself."""
     with agent(vehicle.files) as process:
         process.wait_for_log("heartbeat of autopilot 1")
         yield vehicle, process
 
 
-def test_a_short_gap_in_positions_pauses_the_stream(flight: tuple[Flight, Running]) -> None:
+def test_a_short_gap_in_positions_pauses_the_stream(flight: tuple[TappedFlight, Running]) -> None:
     vehicle, _ = flight
     vehicle.form()
     start_s = time.monotonic()
@@ -45,7 +45,7 @@ def test_a_short_gap_in_positions_pauses_the_stream(flight: tuple[Flight, Runnin
     assert vehicle.phase is FlightPhase.FORMATION
 
 
-def test_without_telemetry_the_stream_ends_for_good(flight: tuple[Flight, Running]) -> None:
+def test_without_telemetry_the_stream_ends_for_good(flight: tuple[TappedFlight, Running]) -> None:
     vehicle, _ = flight
     vehicle.form()
     cut_s = time.monotonic()
@@ -61,7 +61,7 @@ def test_without_telemetry_the_stream_ends_for_good(flight: tuple[Flight, Runnin
     assert vehicle.is_silent(cut_s)
 
 
-def test_an_agent_resumed_after_a_pause_sends_no_late_setpoints(flight: tuple[Flight, Running]) -> None:
+def test_an_agent_resumed_after_a_pause_sends_no_late_setpoints(flight: tuple[TappedFlight, Running]) -> None:
     vehicle, process = flight
     vehicle.form()
     process.process.send_signal(signal.SIGSTOP)
@@ -76,7 +76,7 @@ def test_an_agent_resumed_after_a_pause_sends_no_late_setpoints(flight: tuple[Fl
     assert len(vehicle.law_setpoints_since(resumed_s)) <= len(vehicle.tap.positions_since(resumed_s)) + UNDER_WAY
 
 
-def test_an_agent_resumed_after_a_long_pause_observes(flight: tuple[Flight, Running]) -> None:
+def test_an_agent_resumed_after_a_long_pause_observes(flight: tuple[TappedFlight, Running]) -> None:
     vehicle, process = flight
     vehicle.form()
     process.process.send_signal(signal.SIGSTOP)
@@ -94,7 +94,7 @@ def test_an_agent_resumed_after_a_long_pause_observes(flight: tuple[Flight, Runn
         vehicle.observes_and_sends_nothing(2.0)
 
 
-def test_a_mode_set_by_a_pilot_ends_the_stream_until_the_next_command(flight: tuple[Flight, Running]) -> None:
+def test_a_mode_set_by_a_pilot_ends_the_stream_until_the_next_command(flight: tuple[TappedFlight, Running]) -> None:
     vehicle, process = flight
     vehicle.form()
     before_s = time.monotonic()
@@ -112,7 +112,7 @@ def test_a_mode_set_by_a_pilot_ends_the_stream_until_the_next_command(flight: tu
     vehicle.stand_in.wait_for_mode(vehicle.make.formation_mode_name)
 
 
-def test_without_positions_the_agent_requests_hold(flight: tuple[Flight, Running]) -> None:
+def test_without_positions_the_agent_requests_hold(flight: tuple[TappedFlight, Running]) -> None:
     vehicle, _ = flight
     vehicle.form()
     cut_s, commands = time.monotonic(), len(vehicle.tap.commands)

@@ -15,9 +15,8 @@ from typing import IO
 
 import pytest
 
-from agent_process import until
+from processes import StandInProcess, stand_in, until
 from sitl.autopilots.px4.parameters import DEFAULTS
-from stand_in_process import StandInProcess, stand_in
 
 
 @dataclass

@@ -18,7 +18,7 @@ from mavsdk.asyncio.plugins.param import ParamAsync, ParamError
 from mavsdk.asyncio.plugins.telemetry import TelemetryAsync
 from mavsdk.plugins.telemetry.telemetry import FlightMode, LandedState
 
-from stand_in_process import StandInProcess, stand_in
+from processes import StandInProcess, stand_in
 
 HOVER_THRUST = 0.49
 TIMEOUT_S = 60.0

@@ -13,11 +13,9 @@ from statistics import median
 
 import pytest
 
-from agent_process import until
-from own_ports import free_vehicle_offset
+from processes import free_vehicle_offset, stand_in, until
 from sitl.links.ports import ports_of
 from sitl.vehicle.truth import TRUTH_HEADER
-from stand_in_process import stand_in
 
 
 def sitl(*arguments: str) -> subprocess.CompletedProcess[str]:

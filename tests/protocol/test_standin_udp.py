@@ -14,8 +14,8 @@ import pytest
 from pymavlink.dialects.v10 import common as mavlink_1
 
 from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
+from processes import StandInProcess, stand_in
 from sitl.autopilots.px4.parameters import DEFAULTS
-from stand_in_process import StandInProcess, stand_in
 
 M = mavlink
 TIMEOUT_S = 10.0

@@ -9,12 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from agent_process import AgentFiles, agent, agent_files, until
 from companion.config.vehicle import load_agent
 from companion.link.fleet.zenoh_link import ZenohLink
 from companion.link.systemd import MIN_WATCHDOG_PERIOD_S, Notifier
-from hovering_autopilot import HoveringAutopilot
-from service_manager import WATCHDOG_S, ServiceManager, service_manager
+from processes import WATCHDOG_S, AgentFiles, ServiceManager, agent, agent_files, service_manager, until
+from wire_autopilots import HoveringAutopilot
 
 
 @pytest.fixture

@@ -29,7 +29,7 @@ from companion.types.notices import Answer, Code, Notice
 from companion.types.peers import PeerPacket
 from companion.wire.keys import abort_key, peer_key
 from companion.wire.messages import encode
-from own_ports import free_port
+from processes import free_port
 
 FLEET = FleetConfig(
     name="floodtest",

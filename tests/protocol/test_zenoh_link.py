@@ -35,8 +35,8 @@ from companion.types.status import Status
 from companion.wire.keys import abort_key, command_key, peer_key, status_key, target_key, traffic_key
 from companion.wire.messages import WIRE_VERSION, Percentiles, StatusReport, Timing, encode
 from companion.wire.peer import encode_peer
-from link_traffic import PACKET, until
-from own_ports import free_port
+from ground_fleet import PACKET, until
+from processes import free_port
 
 FLEET = FleetConfig(
     name="testfleet",

@@ -7,6 +7,7 @@ from math import hypot, radians, tan
 import pytest
 from msgspec.structs import replace
 
+from agent_on_bytes import FlightOnBytes
 from companion.assembly import build_agent, fleet_limits
 from companion.config.fleet import EdgeNeighbours, Envelope, FleetConfig, FormationMember, PeerLimits
 from companion.config.reference import PointReference
@@ -16,7 +17,6 @@ from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase, Role
 from companion.types.notices import Code
 from companion.types.values import GRAVITY_M_S2
-from profile_flight import Flight
 
 FLEET = FleetConfig(
     name="one",
@@ -48,9 +48,9 @@ def test_received_speeds_are_limited_by_the_peers_section_and_slots_by_the_fence
 SINKS, FALLS, HOLDS = (0, 1, 2), 7, 5  # position, altitude and manual mode without a pilot; disarm; hold
 
 
-def prepared(loss_action: int, accepts: bool) -> Flight:
+def prepared(loss_action: int, accepts: bool) -> FlightOnBytes:
     """An agent with a PX4 that does this when setpoints end, after the command to prepare."""
-    flight = Flight(AutopilotKind.PX4)
+    flight = FlightOnBytes(AutopilotKind.PX4)
     (member,) = FLEET.vehicles
     vehicle = VehicleConfig(
         id=3,

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from common import ROOT
 from companion.cli.ending import ending_quietly
-from repository import ROOT
 
 PLATOON = ROOT / "config" / "scenarios" / "platoon.yaml"
 

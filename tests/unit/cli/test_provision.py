@@ -11,7 +11,7 @@ import pytest
 
 from companion.cli.main import main
 from companion.security.provisioning import open_provisioned
-from provisioned_fleet import fleet_files, tree
+from secured_fleet import fleet_files, tree
 
 
 @pytest.fixture

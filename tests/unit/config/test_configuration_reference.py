@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from repository import ROOT
+from common import ROOT
 
 
 @pytest.fixture(scope="module")

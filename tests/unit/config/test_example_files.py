@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from common import ROOT
 from companion.config.vehicle import load_agent
-from repository import ROOT
 
 CONFIG = ROOT / "config"
 VEHICLES = sorted((CONFIG / "vehicles").glob("*.yaml"))

@@ -3,9 +3,9 @@
 import pytest
 from msgspec import ValidationError, convert
 
-from agent_flight import FLEET
 from companion.config.reference import ReferenceSection
 from companion.config.reference_check import reference_problems
+from one_agent import FLEET
 
 WAYPOINTS = {"kind": "waypoints", "points_enu_m": [[0.0, 0.0, 5.0], [5.0, 0.0, 5.0]]}
 CIRCLE = {"kind": "circle", "centre_enu_m": [0.0, 0.0, 5.0], "radius_m": 3.0, "period_s": 20.0}

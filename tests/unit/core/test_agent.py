@@ -6,7 +6,7 @@ from math import dist, inf, nan
 import pytest
 from msgspec.structs import replace
 
-from agent_flight import FLEET, POINT, Flight
+from common import codes_of, outcome
 from companion.assembly import trajectory_of
 from companion.config.fleet import FleetConfig, FormationMember, Law
 from companion.config.reference import Figure8Reference, PointReference
@@ -31,11 +31,11 @@ from companion.types.notices import Code, Notice
 from companion.types.peers import ReceivedPeerPacket
 from companion.types.tick import Inbox, Outbox
 from companion.types.values import Vector3
-from notices import codes_of, outcome
+from one_agent import FLEET, POINT, AgentFlight
 
 
 def test_no_setpoint_is_sent_on_the_ground() -> None:
-    flight = Flight()
+    flight = AgentFlight()
     asked = [request for _ in range(1000) for request in flight.tick().requests]
     asked = [request for request in asked if not isinstance(request, RequestParameter)]
     assert asked == [RequestOrigin()] * 4  # in 20 s: a change of origin may have been lost
@@ -46,7 +46,9 @@ def test_a_geodetic_fleet_asks_for_the_origin_once_a_second() -> None:
     from companion.config.fleet import GeodeticOrigin
 
     origin = GeodeticOrigin(latitude_deg=47.0, longitude_deg=8.0, altitude_amsl_m=400.0)
-    flight = Flight(fleet=FleetConfig(name="pair", origin=origin, vehicles=FLEET.vehicles, neighbours=FLEET.neighbours))
+    flight = AgentFlight(
+        fleet=FleetConfig(name="pair", origin=origin, vehicles=FLEET.vehicles, neighbours=FLEET.neighbours)
+    )
     flight.sends_origin = False
     asked = [request for _ in range(150) for request in flight.tick().requests]
     asked = [request for request in asked if not isinstance(request, RequestParameter)]
@@ -57,7 +59,7 @@ def test_a_geodetic_fleet_asks_for_the_origin_once_a_second() -> None:
 
 
 def test_every_tick_in_formation_sends_one_setpoint() -> None:
-    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight = AgentFlight().fly_to(FlightPhase.FORMATION)
     before = len(flight.targets)
     for _ in range(50):
         flight.tick()
@@ -65,7 +67,7 @@ def test_every_tick_in_formation_sends_one_setpoint() -> None:
 
 
 def test_the_follower_follows_eq_14() -> None:
-    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight = AgentFlight().fly_to(FlightPhase.FORMATION)
     flight.peer_position = (0.5, 0.0, 1.0)  # the leader is 0.5 m ahead of the position that fits this vehicle's slot
     for _ in range(20):
         flight.tick()
@@ -77,7 +79,7 @@ def test_the_follower_follows_eq_14() -> None:
 
 
 def test_the_leader_tracks_its_reference() -> None:
-    flight = Flight(vehicle_id=1)
+    flight = AgentFlight(vehicle_id=1)
     flight.position, flight.peer_position = (0.0, 0.0, 0.0), (-1.5, 0.0, 1.0)
     flight.fly_to(FlightPhase.FORMATION)
     for _ in range(20):
@@ -91,7 +93,7 @@ def test_the_leader_tracks_its_reference() -> None:
 
 
 def test_the_hand_over_begins_level_and_steps_little() -> None:
-    flight = Flight().fly_to(FlightPhase.HOLD)
+    flight = AgentFlight().fly_to(FlightPhase.HOLD)
     flight.peer_position, flight.peer_phase = (5.0, 0.0, 1.0), FlightPhase.HOLD  # a peer that forms with it
     for _ in range(20):
         flight.tick()
@@ -107,7 +109,7 @@ def test_the_hand_over_begins_level_and_steps_little() -> None:
 
 @pytest.mark.parametrize("ticks", [1, 5, 20])
 def test_no_setpoint_is_sent_without_a_fresh_state(ticks: int) -> None:
-    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight = AgentFlight().fly_to(FlightPhase.FORMATION)
     before = len(flight.targets)
     for _ in range(ticks):
         flight.tick(telemetry=[])
@@ -119,7 +121,7 @@ def test_no_setpoint_is_sent_without_a_fresh_state(ticks: int) -> None:
 
 @pytest.mark.parametrize(("age_s", "setpoints"), [(0.0, 1), (0.039, 1), (0.041, 0)])
 def test_no_setpoint_is_sent_from_a_position_older_than_40_ms(age_s: float, setpoints: int) -> None:
-    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight = AgentFlight().fly_to(FlightPhase.FORMATION)
     for _ in range(3):
         flight.tick(telemetry=[])
     before, came_s = len(flight.targets), flight.now_s + 0.02 - age_s
@@ -129,7 +131,7 @@ def test_no_setpoint_is_sent_from_a_position_older_than_40_ms(age_s: float, setp
 
 def test_the_stream_stays_ended_after_a_long_silence() -> None:
     """PX4 re-enters OFFBOARD when a stream returns: an agent that was silent must wait for a command."""
-    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight = AgentFlight().fly_to(FlightPhase.FORMATION)
     for _ in range(30):
         flight.tick(telemetry=[])
     assert flight.agent.phase is FlightPhase.OBSERVE
@@ -141,7 +143,7 @@ def test_the_stream_stays_ended_after_a_long_silence() -> None:
 
 def test_no_setpoint_is_sent_when_upside_down() -> None:
     """Remark 1: beyond 90 degrees no thrust carries the vehicle; no setpoint is sent, and the autopilot holds."""
-    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight = AgentFlight().fly_to(FlightPhase.FORMATION)
     before = len(flight.targets)
     flight.roll_rad = 2.0
     for _ in range(50):
@@ -154,7 +156,7 @@ def test_no_setpoint_is_sent_when_upside_down() -> None:
 
 @pytest.mark.parametrize("bad", [nan, inf, 1e12])
 def test_no_setpoint_is_sent_from_invalid_telemetry(bad: float) -> None:
-    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight = AgentFlight().fly_to(FlightPhase.FORMATION)
     before = len(flight.targets)
     flight.position = (bad, 0.0, 1.0)
     for _ in range(10):
@@ -165,7 +167,7 @@ def test_no_setpoint_is_sent_from_invalid_telemetry(bad: float) -> None:
 
 
 def test_a_lost_leader_ends_in_the_autopilots_hold() -> None:
-    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight = AgentFlight().fly_to(FlightPhase.FORMATION)
     flight.peer_position = None
     for _ in range(60):
         flight.tick()
@@ -178,7 +180,7 @@ def test_a_lost_leader_ends_in_the_autopilots_hold() -> None:
 
 
 def test_a_leader_is_lost_when_its_packets_are_five_seconds_late() -> None:
-    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight = AgentFlight().fly_to(FlightPhase.FORMATION)
     flight.peer_late_s = 5.0
     statuses = [status for _ in range(60) if (status := flight.tick().status)]
     assert flight.agent.phase is FlightPhase.HOLD
@@ -187,7 +189,7 @@ def test_a_leader_is_lost_when_its_packets_are_five_seconds_late() -> None:
 
 
 def test_leaving_the_fence_ends_in_the_autopilots_hold() -> None:
-    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight = AgentFlight().fly_to(FlightPhase.FORMATION)
     flight.position = (-101.0, 0.0, 1.0)
     for _ in range(30):
         flight.tick()
@@ -195,7 +197,7 @@ def test_leaving_the_fence_ends_in_the_autopilots_hold() -> None:
 
 
 def test_the_pilots_mode_stops_the_stream_at_once() -> None:
-    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight = AgentFlight().fly_to(FlightPhase.FORMATION)
     flight.mode = AutopilotMode.OTHER
     assert flight.tick().attitude_target is None
     assert flight.agent.phase is FlightPhase.OBSERVE
@@ -211,7 +213,7 @@ def test_own_altitude_hold_leaves_the_horizontal_law_alone() -> None:
         law=Law(name="weighted", altitude="hold"),
         takeoff_height_m=1.0,
     )
-    flight = Flight(fleet=fleet).fly_to(FlightPhase.FORMATION)
+    flight = AgentFlight(fleet=fleet).fly_to(FlightPhase.FORMATION)
     flight.peer_position = (0.5, 0.0, 7.0)  # a neighbour's altitude is not used
     flight.position = (-1.5, 0.0, 0.9)  # 0.1 m below where it was when the formation began
     for _ in range(20):
@@ -221,7 +223,7 @@ def test_own_altitude_hold_leaves_the_horizontal_law_alone() -> None:
 
 
 def test_a_peer_with_another_fleet_file_is_not_used() -> None:
-    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight = AgentFlight().fly_to(FlightPhase.FORMATION)
     flight.fleet = FleetConfig(name="other", origin="indoor", vehicles=FLEET.vehicles, neighbours=FLEET.neighbours)
     for _ in range(40):
         flight.tick()
@@ -233,7 +235,7 @@ def test_a_peer_with_another_fleet_file_is_not_used() -> None:
 
 def test_the_same_inputs_give_the_same_outputs_to_the_bit() -> None:
     def outputs() -> list[AttitudeTarget]:
-        flight = Flight().fly_to(FlightPhase.FORMATION)
+        flight = AgentFlight().fly_to(FlightPhase.FORMATION)
         for tick in range(200):
             flight.peer_position = (0.001 * tick, 0.01, 1.0)
             flight.tick()
@@ -243,7 +245,7 @@ def test_the_same_inputs_give_the_same_outputs_to_the_bit() -> None:
 
 
 def test_commands_are_answered_with_their_number() -> None:
-    flight = Flight()
+    flight = AgentFlight()
     flight.tick()
     outbox = flight.tick(CommandName.PREPARE, CommandName.LAND)
     assert [(reply.number, reply.accepted) for reply in outbox.replies] == [(1, True), (2, False)]
@@ -251,7 +253,7 @@ def test_commands_are_answered_with_their_number() -> None:
 
 
 def test_a_status_comes_ten_times_a_second() -> None:
-    flight = Flight()
+    flight = AgentFlight()
     statuses = [status for _ in range(100) if (status := flight.tick().status)]
     assert len(statuses) == 20
     assert replace(statuses[-1], state_age_s=0.0).phase is FlightPhase.OBSERVE
@@ -261,7 +263,7 @@ def test_a_status_comes_ten_times_a_second() -> None:
 
 
 def test_a_failsafe_in_the_tick_of_the_pilots_take_over_does_not_override_the_pilot() -> None:
-    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight = AgentFlight().fly_to(FlightPhase.FORMATION)
     flight.mode, flight.position = AutopilotMode.OTHER, (-101.0, 0.0, 1.0)
     for _ in range(200):
         outbox = flight.tick()
@@ -271,7 +273,7 @@ def test_a_failsafe_in_the_tick_of_the_pilots_take_over_does_not_override_the_pi
 
 
 def test_a_command_in_the_tick_of_the_pilots_take_over_is_refused() -> None:
-    flight = Flight().fly_to(FlightPhase.HOLD)
+    flight = AgentFlight().fly_to(FlightPhase.HOLD)
     flight.mode = AutopilotMode.OTHER
     reply = flight.tick(CommandName.FORM).replies[0]
     assert not reply.accepted
@@ -279,14 +281,14 @@ def test_a_command_in_the_tick_of_the_pilots_take_over_is_refused() -> None:
 
 
 def test_a_stopping_agent_hands_over_unless_a_pilot_flies() -> None:
-    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight = AgentFlight().fly_to(FlightPhase.FORMATION)
     flight.stopping = True
     assert not flight.agent.has_handed_over
     for _ in range(30):
         flight.tick()
     assert flight.mode is AutopilotMode.HOLD
     assert flight.agent.has_handed_over
-    flown = Flight().fly_to(FlightPhase.FORMATION)
+    flown = AgentFlight().fly_to(FlightPhase.FORMATION)
     flown.stopping, flown.mode = True, AutopilotMode.OTHER
     for _ in range(30):
         assert [r for r in flown.tick().requests if isinstance(r, SetMode)] == []
@@ -294,7 +296,7 @@ def test_a_stopping_agent_hands_over_unless_a_pilot_flies() -> None:
 
 @pytest.mark.parametrize("kind", [ModeSample, AttitudeSample])
 def test_the_stream_stops_without_mode_or_attitude(kind: type) -> None:
-    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight = AgentFlight().fly_to(FlightPhase.FORMATION)
     flight.withheld = (kind,)
     for _ in range(45):
         flight.tick()
@@ -303,7 +305,7 @@ def test_the_stream_stops_without_mode_or_attitude(kind: type) -> None:
 
 @pytest.mark.parametrize("kind", [HeartbeatSample, LandedSample])
 def test_a_hand_over_follows_without_armed_or_landed_state(kind: type) -> None:
-    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight = AgentFlight().fly_to(FlightPhase.FORMATION)
     flight.withheld = (kind,)
     for _ in range(200):
         flight.tick()
@@ -312,7 +314,7 @@ def test_a_hand_over_follows_without_armed_or_landed_state(kind: type) -> None:
 
 
 def test_no_formation_from_outside_the_fence() -> None:
-    flight = Flight().fly_to(FlightPhase.HOLD)
+    flight = AgentFlight().fly_to(FlightPhase.HOLD)
     flight.position = (-101.0, 0.0, 1.0)
     reply = flight.tick(CommandName.FORM).replies[0]
     assert not reply.accepted
@@ -321,14 +323,14 @@ def test_no_formation_from_outside_the_fence() -> None:
 
 @pytest.mark.parametrize("phase", [FlightPhase.OBSERVE, FlightPhase.TAKEOFF, FlightPhase.LAND, FlightPhase.RETURN])
 def test_a_peer_that_lands_or_is_flown_by_its_pilot_is_no_neighbour(phase: FlightPhase) -> None:
-    flight = Flight().fly_to(FlightPhase.HOLD)
+    flight = AgentFlight().fly_to(FlightPhase.HOLD)
     flight.peer_phase = phase
     statuses = [status for _ in range(20) if (status := flight.tick().status)]
     assert statuses[-1].neighbours == ()
 
 
 def test_the_status_has_the_weights_and_the_ages_of_the_neighbours() -> None:
-    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight = AgentFlight().fly_to(FlightPhase.FORMATION)
     status = [status for _ in range(20) if (status := flight.tick().status)][-1]
     assert len(status.neighbours) == 1
     assert status.weights == (1.0,)
@@ -339,7 +341,7 @@ def test_the_status_has_the_weights_and_the_ages_of_the_neighbours() -> None:
 
 
 def test_a_landing_is_requested_again_when_the_state_is_stale() -> None:
-    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight = AgentFlight().fly_to(FlightPhase.FORMATION)
     flight.tick(CommandName.LAND)
     flight.mode = AutopilotMode.OFFBOARD  # the one request was lost
     for _ in range(40):
@@ -351,7 +353,7 @@ def test_a_landing_is_requested_again_when_the_state_is_stale() -> None:
 
 
 def test_a_hand_over_is_level_and_brakes_when_the_autopilot_does_not_take_over() -> None:
-    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight = AgentFlight().fly_to(FlightPhase.FORMATION)
     flight.tick()
     flight.peer_position = (-120.0, 0.0, 1.0)  # a neighbour that would pull it farther out
     flight.position, flight.velocity = (-101.0, 0.0, 0.9), (3.0, 0.0, -1.0)
@@ -373,7 +375,7 @@ def reported_acceleration(outbox: Outbox) -> Vector3:
 
 def test_packets_have_the_acceleration_that_the_autopilot_still_flies() -> None:
     """A tick without a new position sends no setpoint; the packet has the acceleration of the last one."""
-    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight = AgentFlight().fly_to(FlightPhase.FORMATION)
     flight.peer_position = (0.5, 0.0, 1.0)
     commanded = reported_acceleration(flight.tick())
     assert commanded[0] > 0.5
@@ -383,7 +385,7 @@ def test_packets_have_the_acceleration_that_the_autopilot_still_flies() -> None:
 
 
 def test_packets_have_no_acceleration_that_was_never_sent() -> None:
-    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight = AgentFlight().fly_to(FlightPhase.FORMATION)
     flight.peer_position = (0.5, 0.0, 1.0)
     commanded = reported_acceleration(flight.tick())
     flight.peer_position, flight.roll_rad = (2.5, 0.0, 1.0), 2.0  # Remark 1: no attitude gives what the law wants now
@@ -396,7 +398,7 @@ def test_packets_have_no_acceleration_that_was_never_sent() -> None:
 
 
 def test_packets_have_no_acceleration_after_the_stream() -> None:
-    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight = AgentFlight().fly_to(FlightPhase.FORMATION)
     flight.peer_position = (0.5, 0.0, 1.0)
     flight.tick()
     flight.mode = AutopilotMode.OTHER
@@ -418,7 +420,7 @@ EIGHT = Figure8Reference(centre_enu_m=(0.0, 0.0, 1.0), width_m=6.0, height_m=3.0
 
 
 def test_a_vehicle_that_may_lead_ignores_the_rft_until_it_is_leader() -> None:
-    one, other = (Flight(fleet=MAY_LEAD, reference=r).fly_to(FlightPhase.FORMATION) for r in (POINT, EIGHT))
+    one, other = (AgentFlight(fleet=MAY_LEAD, reference=r).fly_to(FlightPhase.FORMATION) for r in (POINT, EIGHT))
     assert one.targets == other.targets
     status = next(status for _ in range(10) if (status := one.tick().status))
     assert status.reference_enu_m is None
@@ -426,10 +428,10 @@ def test_a_vehicle_that_may_lead_ignores_the_rft_until_it_is_leader() -> None:
 
 def test_a_commanded_reference_is_in_packets_and_status() -> None:
     change = ReferenceChange(1, {"kind": "point", "point_enu_m": [4.0, 0.0, 1.0]}, 36.0)
-    follower = Flight().fly_to(FlightPhase.FORMATION)
+    follower = AgentFlight().fly_to(FlightPhase.FORMATION)
     reply = follower.tick(CommandName.REFERENCE, lead=change).replies[0]
     assert outcome(reply) == (False, Code.REFERENCE_NOT_ALLOWED)
-    flight = Flight(fleet=MAY_LEAD, reference=EIGHT)
+    flight = AgentFlight(fleet=MAY_LEAD, reference=EIGHT)
     flight.peer_reference, flight.peer_reference_s = HeldReference(0, 1), 30.0
     flight.fly_to(FlightPhase.FORMATION)
     flight.tick()
@@ -450,7 +452,7 @@ def test_a_commanded_reference_is_in_packets_and_status() -> None:
 
 
 def test_leadership_is_refused_when_the_reference_differs_from_the_leader_s() -> None:
-    flight = Flight(fleet=MAY_LEAD, reference=EIGHT)
+    flight = AgentFlight(fleet=MAY_LEAD, reference=EIGHT)
     flight.peer_reference, flight.peer_reference_s = HeldReference(1, 1, 5.0), 33.0
     flight.fly_to(FlightPhase.FORMATION)
     reply = flight.tick(CommandName.LEAD, lead=Lead((2,), 1)).replies[0]
@@ -460,7 +462,7 @@ def test_leadership_is_refused_when_the_reference_differs_from_the_leader_s() ->
 
 def test_leadership_is_refused_when_the_reference_is_far_from_the_fleet() -> None:
     """Number and begin are those of the leader, but the hand-over to it differed."""
-    flight = Flight(fleet=MAY_LEAD, reference=PointReference(point_enu_m=(30.5, 0.0, 1.0)))
+    flight = AgentFlight(fleet=MAY_LEAD, reference=PointReference(point_enu_m=(30.5, 0.0, 1.0)))
     flight.peer_reference_s = 33.0
     flight.fly_to(FlightPhase.FORMATION)
     reply = flight.tick(CommandName.LEAD, lead=Lead((2,), 1)).replies[0]
@@ -470,7 +472,7 @@ def test_leadership_is_refused_when_the_reference_is_far_from_the_fleet() -> Non
 
 def test_a_leader_leads_in_when_its_reference_is_away_from_the_fleet() -> None:
     """The fleet lags behind, or the leader was lost while it led in itself."""
-    flight = Flight(fleet=MAY_LEAD, reference=PointReference(point_enu_m=(3.5, 0.0, 1.0)))
+    flight = AgentFlight(fleet=MAY_LEAD, reference=PointReference(point_enu_m=(3.5, 0.0, 1.0)))
     flight.peer_reference_s = 33.0
     flight.fly_to(FlightPhase.FORMATION)
     flight.peer_role = Role.FOLLOWER
@@ -485,7 +487,7 @@ def test_a_leader_leads_in_when_its_reference_is_away_from_the_fleet() -> None:
 
 
 def test_a_commanded_leader_continues_the_rft_in_the_same_tick() -> None:
-    flight = Flight(fleet=MAY_LEAD, reference=EIGHT)
+    flight = AgentFlight(fleet=MAY_LEAD, reference=EIGHT)
     flight.peer_reference_s = 0.1  # R is still near the fleet
     flight.fly_to(FlightPhase.FORMATION)
     flight.peer_role = Role.FOLLOWER
@@ -525,7 +527,7 @@ def test_a_commanded_leader_continues_the_rft_in_the_same_tick() -> None:
 def test_an_invalid_change_of_leader_is_refused_with_the_reason(
     fleet: FleetConfig, phase: FlightPhase, lead: Lead, code: Code
 ) -> None:
-    flight = Flight(fleet=fleet)
+    flight = AgentFlight(fleet=fleet)
     flight.fly_to(FlightPhase.HOLD if phase is FlightPhase.ENGAGE else phase)
     if phase is FlightPhase.ENGAGE:
         flight.tick(CommandName.FORM)
@@ -537,7 +539,7 @@ def test_an_invalid_change_of_leader_is_refused_with_the_reason(
 
 
 def test_a_leader_becomes_follower_in_the_tick_of_a_newer_beacon() -> None:
-    flight = Flight(vehicle_id=1, fleet=MAY_LEAD)
+    flight = AgentFlight(vehicle_id=1, fleet=MAY_LEAD)
     flight.position, flight.peer_position = (0.0, 0.0, 0.0), (-1.5, 0.0, 1.0)
     flight.fly_to(FlightPhase.FORMATION)
     packet = replace(flight.peer()[0].packet, role=Role.LEADER, prc=1, leader_beacon=LeaderBeacon(2, 1, 5, 7.0))
@@ -559,7 +561,7 @@ def reference_s_of(outbox: Outbox) -> float:
 
 @pytest.mark.parametrize("lands", [False, True])
 def test_a_leader_s_second_formation_continues_the_rft_unless_it_has_landed(lands: bool) -> None:
-    flight = Flight(vehicle_id=1, reference=EIGHT)
+    flight = AgentFlight(vehicle_id=1, reference=EIGHT)
     flight.position, flight.peer_position = (0.0, 0.0, 0.0), (-1.5, 0.0, 1.0)
     flight.fly_to(FlightPhase.FORMATION)
     for _ in range(500):
@@ -587,7 +589,7 @@ SLOTS = ((1, (0.0, 0.0, 0.0)), (2, (-98.0, 0.0, 0.0)))
 
 
 def test_a_follower_refuses_a_formation_outside_the_fence_at_the_fleet_s_position() -> None:
-    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight = AgentFlight().fly_to(FlightPhase.FORMATION)
     for _ in range(60):  # until it is in its slot
         flight.tick()
     flight.peer_reference_s = 9.0
@@ -602,14 +604,14 @@ def test_a_follower_refuses_a_formation_outside_the_fence_at_the_fleet_s_positio
 
 
 def test_a_vehicle_that_may_lead_refuses_a_formation_outside_the_fence_along_the_reference() -> None:
-    eight = Flight(fleet=MAY_LEAD, reference=EIGHT)
+    eight = AgentFlight(fleet=MAY_LEAD, reference=EIGHT)
     eight.tick()
     reply = eight.tick(CommandName.FORMATION, lead=FormationChange(1, SLOTS, 1.0, 10.0)).replies[0]
     assert "puts vehicle 2 at x = -99." in reply.reason  # 3 m west of the eight's centre, half a minute from now
 
 
 def test_a_formation_without_a_present_vehicle_is_refused() -> None:
-    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight = AgentFlight().fly_to(FlightPhase.FORMATION)
     flight.peer_reference_s = 9.0
     flight.tick()
     change = FormationChange(1, SLOTS, 12.0, 300.0, absent=(1, 2))
@@ -623,7 +625,7 @@ def test_a_formation_without_a_present_vehicle_is_refused() -> None:
 
 
 def test_a_formation_commanded_on_the_ground_applies_to_the_next_flight() -> None:
-    flight = Flight()
+    flight = AgentFlight()
     flight.tick()
     change = FormationChange(1, ((1, (0.0, 0.0, 0.0)), (2, (-3.0, 0.0, 0.0))), 1.0, 10.0)
     flight.peer_phase = FlightPhase.READY

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from msgspec import Struct
 
-from agent_flight import Flight
+from common import codes_of
 from companion.types.autopilot import AttitudeTarget
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase, HealthFlag
@@ -13,7 +13,7 @@ from companion.types.notices import Code, Notice
 from companion.types.peers import TrafficSample
 from companion.types.status import NearestVehicle, Status
 from companion.types.values import ZERO3, Vector3
-from notices import codes_of
+from one_agent import AgentFlight
 
 FROM_THE_NORTH = TrafficSample((-1.5, 1.6, 1.0), (0.0, -1.0, 0.0))  # straight at the vehicle, which is at (-1.5, 0, 1)
 
@@ -27,7 +27,7 @@ class Seen(Struct):
     acceleration_enu_m_s2: Vector3
 
 
-def after(flight: Flight, seconds: float) -> Seen:
+def after(flight: AgentFlight, seconds: float) -> Seen:
     events: list[Notice] = []
     status = None
     for _ in range(round(seconds / 0.02)):
@@ -45,7 +45,7 @@ def nearest_of(status: Status) -> NearestVehicle:
 
 
 def test_traffic_changes_attitude_and_acceleration_and_the_status_shows_it() -> None:
-    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight = AgentFlight().fly_to(FlightPhase.FORMATION)
     alone = after(flight, 2.0)
     assert alone.status.separation.changed_m_s2 == 0.0
     flight.traffic["ABCDEF"] = FROM_THE_NORTH
@@ -61,7 +61,7 @@ def test_traffic_changes_attitude_and_acceleration_and_the_status_shows_it() -> 
 
 
 def test_traffic_received_before_formation_counts_in_formation() -> None:
-    flight = Flight().fly_to(FlightPhase.HOLD)
+    flight = AgentFlight().fly_to(FlightPhase.HOLD)
     flight.traffic["ABCDEF"] = TrafficSample((-1.5, 5.0, 1.0), ZERO3)
     flight.tick()
     flight.traffic.clear()
@@ -78,7 +78,7 @@ APART: Vector3 = (0.0, 0.0, 1.0)  # as their slots are
 
 
 def test_a_peer_nearer_than_separation_is_flagged_and_shown_while_it_is_there() -> None:
-    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight = AgentFlight().fly_to(FlightPhase.FORMATION)
     assert VIOLATED not in after(flight, 1.0).status.flags
     flight.peer_position = TOO_NEAR
     near = after(flight, 1.0)
@@ -99,7 +99,7 @@ def test_a_peer_nearer_than_separation_is_flagged_and_shown_while_it_is_there() 
 
 
 def test_a_peer_that_stays_too_near_is_reported_once() -> None:
-    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight = AgentFlight().fly_to(FlightPhase.FORMATION)
     after(flight, 1.0)
     flight.peer_position = TOO_NEAR
     near = after(flight, 20.0)
@@ -108,7 +108,7 @@ def test_a_peer_that_stays_too_near_is_reported_once() -> None:
 
 
 def test_a_peer_that_comes_too_near_again_is_reported_again() -> None:
-    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight = AgentFlight().fly_to(FlightPhase.FORMATION)
     after(flight, 1.0)
     for _ in range(2):
         flight.peer_position = TOO_NEAR
@@ -118,7 +118,7 @@ def test_a_peer_that_comes_too_near_again_is_reported_again() -> None:
 
 
 def test_a_peer_too_near_is_flagged_also_while_another_vehicle_lacks_more_of_its_required_distance() -> None:
-    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight = AgentFlight().fly_to(FlightPhase.FORMATION)
     flight.peer_position = TOO_NEAR
     flight.traffic["ABCDEF"] = TrafficSample((-1.5, 3.0, 1.0), ZERO3, error_m=5.0)
     near = after(flight, 1.0)
@@ -129,7 +129,7 @@ def test_a_peer_too_near_is_flagged_also_while_another_vehicle_lacks_more_of_its
 
 def test_a_vehicle_too_near_is_pushed_away_while_the_agent_hands_over() -> None:
     """In the level setpoints at first, and in the braking of an autopilot that does not take over."""
-    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight = AgentFlight().fly_to(FlightPhase.FORMATION)
     after(flight, 1.0)
     flight.executes_requests = False
     flight.tick(CommandName.HOLD)

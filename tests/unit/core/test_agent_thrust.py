@@ -5,15 +5,15 @@ from math import degrees, hypot, nan
 
 import pytest
 
-from agent_flight import Flight
 from companion.types.autopilot import ParameterSample, ThrustSample
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code
 from companion.types.tick import Outbox
+from one_agent import AgentFlight
 
 
-def reported_hover(flight: Flight) -> float:
+def reported_hover(flight: AgentFlight) -> float:
     """In the next status."""
     for _ in range(10):
         outbox = flight.tick()
@@ -22,13 +22,13 @@ def reported_hover(flight: Flight) -> float:
     raise AssertionError("no status")
 
 
-def tick_with_thrust(flight: Flight, thrust_norm: float) -> Outbox:
+def tick_with_thrust(flight: AgentFlight, thrust_norm: float) -> Outbox:
     return flight.tick(telemetry=[*flight.telemetry(), ThrustSample(flight.now_s + 0.02, thrust_norm)])
 
 
-def engaging(thrust_norm: float | None) -> Flight:
+def engaging(thrust_norm: float | None) -> AgentFlight:
     """A flight after two seconds in hold, with this thrust reported."""
-    flight = Flight().fly_to(FlightPhase.HOLD)
+    flight = AgentFlight().fly_to(FlightPhase.HOLD)
     for _ in range(100):
         flight.tick() if thrust_norm is None else tick_with_thrust(flight, thrust_norm)
     return flight
@@ -55,14 +55,14 @@ def test_hover_thrust_is_estimated_in_hold() -> None:
 
 
 def test_no_hover_thrust_is_estimated_on_the_ground() -> None:
-    flight = Flight().fly_to(FlightPhase.ARMED)
+    flight = AgentFlight().fly_to(FlightPhase.ARMED)
     for _ in range(200):
         tick_with_thrust(flight, 0.08)
     assert reported_hover(flight) == 0.5
 
 
 def test_an_impossible_thrust_is_refused_and_counted() -> None:
-    flight = Flight().fly_to(FlightPhase.HOLD)
+    flight = AgentFlight().fly_to(FlightPhase.HOLD)
     for thrust_norm in (nan, -0.1, 1.1):
         tick_with_thrust(flight, thrust_norm)
     for _ in range(6):
@@ -83,12 +83,12 @@ def test_an_impossible_thrust_is_refused_and_counted() -> None:
     ],
 )
 def test_the_estimate_begins_with_the_autopilot_s_parameter(name: str, value: float, hover: float) -> None:
-    flight = Flight()
+    flight = AgentFlight()
     flight.tick(telemetry=[*flight.telemetry(), ParameterSample(flight.now_s, name, value)])
     assert reported_hover(flight) == hover
 
 
-def reported_step_deg(flight: Flight) -> float:
+def reported_step_deg(flight: AgentFlight) -> float:
     """In the next status."""
     for _ in range(10):
         if status := flight.tick().status:
@@ -97,7 +97,7 @@ def reported_step_deg(flight: Flight) -> float:
 
 
 def test_the_largest_attitude_step_is_reported_for_each_stream() -> None:
-    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight = AgentFlight().fly_to(FlightPhase.FORMATION)
     before_deg = reported_step_deg(flight)
     del flight.targets[:-1]
     flight.velocity = (0.3, 0.6, 0.0)

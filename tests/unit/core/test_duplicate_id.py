@@ -5,18 +5,18 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
-from agent_flight import Flight
 from companion.core.safety.safeguard import DUPLICATE_FOR_S
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase, HealthFlag
 from companion.types.notices import Code
 from companion.types.peers import ReceivedPeerPacket
+from one_agent import AgentFlight
 
 OWN_ID, PEER_ID = 2, 1
 GROUND_COMMANDS = (CommandName.PREPARE, CommandName.ARM, CommandName.TAKEOFF, CommandName.FORM)
 
 
-class Doubled(Flight):
+class Doubled(AgentFlight):
     """A flight beside which a second agent sends under `double_id`: valid packets from another place, in another session."""
 
     double_id: int | None = None

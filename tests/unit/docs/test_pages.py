@@ -13,7 +13,7 @@ import yaml
 
 import companion.cli.main
 import sitl.cli.main
-from repository import ROOT
+from common import ROOT
 from sitl.flight.external import load_external
 from sitl.flight.scenario import load_scenario
 

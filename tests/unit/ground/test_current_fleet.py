@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from common import ROOT
 from companion.cli.main import main
 from companion.config.file import ConfigError
 from companion.ground.current_fleet import (
@@ -14,7 +15,6 @@ from companion.ground.current_fleet import (
     select,
     simulation_endpoints,
 )
-from repository import ROOT
 
 PAIR = ROOT / "config" / "fleets" / "pair.yaml"
 HERE, THERE = "tcp/10.0.0.1:7447", "tcp/10.0.0.2:7447"

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
+from common import ROOT
 from companion.cli.fleet import add_arguments, fleet_request
 from companion.cli.main import main
 from companion.config.file import ConfigError
@@ -33,8 +34,7 @@ from companion.types.flight import FlightPhase
 from companion.types.formation import FlownSlot, Heading
 from companion.types.status import Status
 from companion.types.values import ZERO3, Vector3
-from directed_flight import status
-from repository import ROOT
+from ground_fleet import directed_status
 
 PAIR = str(ROOT / "config" / "fleets" / "pair.yaml")
 AT = ["--at", "0", "-5", "4"]
@@ -182,7 +182,7 @@ def slots_by(*arguments: str) -> dict[int, Vector3]:
 def flying(phase: FlightPhase, **where_enu_m: Vector3) -> list[Status]:
     """Both with FLOWN as their slots, at these positions."""
     return [
-        replace(status(i), phase=phase, slot=FlownSlot(slot), position_enu_m=where_enu_m.get(f"v{i}", slot))
+        replace(directed_status(i), phase=phase, slot=FlownSlot(slot), position_enu_m=where_enu_m.get(f"v{i}", slot))
         for i, slot in FLOWN.items()
     ]
 

@@ -7,7 +7,6 @@ from math import inf, pi, sqrt
 import pytest
 from msgspec.structs import replace
 
-import reported_fleet
 from companion.ground.fleet_state import MOST_VEHICLES, SILENT_AFTER_S, FleetState, fold, rows
 from companion.types.autopilot import LandedState
 from companion.types.flight import FlightPhase, HealthFlag, Role
@@ -15,9 +14,11 @@ from companion.types.formation import FlownSlot, Heading, LeaderBeacon
 from companion.types.status import Status
 from companion.types.values import Vector3
 from companion.wire.messages import StatusReport
+from ground_fleet import STATUS as REPORTED_STATUS
+from ground_fleet import TIMING
 
 STATUS = replace(
-    reported_fleet.STATUS,
+    REPORTED_STATUS,
     position_enu_m=(0.0, 0.0, 1.0),
     velocity_enu_m_s=(0.0, 0.0, 0.0),
     neighbours=(),
@@ -38,7 +39,7 @@ def follower(vehicle_id: int, **changes: object) -> Status:
 def received(*statuses: Status, at_s: float = 100.0, state: FleetState | None = None) -> FleetState:
     state = state or FleetState()
     for status in statuses:
-        state = fold(state, StatusReport(status, reported_fleet.TIMING), at_s)
+        state = fold(state, StatusReport(status, TIMING), at_s)
     return state
 
 

@@ -9,14 +9,14 @@ from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase, HealthFlag
 from companion.types.notices import Code, Notice
 from companion.types.status import Status
-from directed_flight import status
+from ground_fleet import directed_status
 
 P, C, F = FlightPhase, CommandName, HealthFlag
 TOO_CLOSE = Notice(Code.RETURN_PATH_TOO_CLOSE, "separation: 0.4 m")
 
 
 def report(vehicle_id: int, phase: FlightPhase, **more: object) -> Status:
-    return replace(status(vehicle_id), phase=phase, **({"flags": ()} | more))  # type: ignore[arg-type]
+    return replace(directed_status(vehicle_id), phase=phase, **({"flags": ()} | more))  # type: ignore[arg-type]
 
 
 def check(name: CommandName, *reports: Status) -> dict[int, Outcome]:

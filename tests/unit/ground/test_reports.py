@@ -18,9 +18,9 @@ from companion.types.flight import HealthFlag, Role
 from companion.types.formation import FlownSlot, Heading, HeldReference
 from companion.types.notices import Code, Notice
 from companion.types.values import ZERO3
-from directed_flight import status
+from ground_fleet import directed_status
 
-READY = replace(status(1), peers=(2,), battery_percent=80.0, position_error=PositionError(0.1, 0.2))
+READY = replace(directed_status(1), peers=(2,), battery_percent=80.0, position_error=PositionError(0.1, 0.2))
 
 
 def test_a_vehicle_without_findings_is_ready() -> None:

@@ -13,7 +13,7 @@ from companion.ground.changes import assigned, change_to, refusal_of
 from companion.types.formation import FlownSlot
 from companion.types.tick import Outbox
 from companion.wire.rounding import as_sent
-from reported_fleet import reported
+from ground_fleet import reported
 
 SPACING_M = 2.0
 shapes = st.sampled_from(sorted(SHAPES))

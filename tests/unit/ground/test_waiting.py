@@ -14,13 +14,13 @@ from companion.types.formation import FlownSlot, FormationChange, HeldReference
 from companion.types.notices import Code, Notice
 from companion.types.status import Status
 from companion.types.values import ZERO3
-from directed_flight import status
+from ground_fleet import directed_status
 
 P, C = FlightPhase, CommandName
 
 
 def report(phase: FlightPhase, armed: bool = True, **more: object) -> Status:
-    return replace(status(1), phase=phase, armed=armed, command_number=7, **more)  # type: ignore[arg-type]
+    return replace(directed_status(1), phase=phase, armed=armed, command_number=7, **more)  # type: ignore[arg-type]
 
 
 def code_of(name: CommandName, reported: Status) -> Code | None:

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from common import ROOT
 from fault_table import FaultRow, cells_of, rows_of, table_of
-from repository import ROOT
 
 CASES = """
     import pytest

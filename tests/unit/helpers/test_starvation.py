@@ -7,27 +7,27 @@ from pathlib import Path
 
 import pytest
 
-from repository import ROOT
+from common import ROOT
 
 CONFTEST = """\
-import lateness
+import starvation
 import pytest
 
-lateness.STARVED_S = {limit_s}
-lateness.STOLEN_WITHIN_S = 0.05
-lateness.STAT = __import__("pathlib").Path(__file__).parent / "stat"
+starvation.STARVED_S = {limit_s}
+starvation.STOLEN_WITHIN_S = 0.05
+starvation.STAT = __import__("pathlib").Path(__file__).parent / "stat"
 
 def write(user, stolen):
     '''At once, as the kernel does: another thread reads it.'''
-    new = lateness.STAT.with_suffix(".new")
+    new = starvation.STAT.with_suffix(".new")
     new.write_text(f"cpu  {{user}} 0 0 100 0 0 0 {{stolen}} 0 0\\n")
-    new.rename(lateness.STAT)
+    new.rename(starvation.STAT)
 
 write(100, 0)
 
 @pytest.fixture
 def stolen():
-    user, stolen = [int(lateness.STAT.read_text().split()[i]) for i in (1, 8)]
+    user, stolen = [int(starvation.STAT.read_text().split()[i]) for i in (1, 8)]
     write(user + 100 - {stolen}, stolen + {stolen})
     yield
     __import__("time").sleep(0.2)

@@ -5,9 +5,9 @@ import gc
 
 import pytest
 
+from agent_on_bytes import FailingFlight
 from companion.link import control_loop
 from companion.types.autopilot import AutopilotKind
-from failing_flight import FailingFlight
 
 
 def test_full_collections_run_beside_the_ticks(monkeypatch: pytest.MonkeyPatch) -> None:

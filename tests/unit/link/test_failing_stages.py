@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from agent_on_bytes import BOTH, HOLD, MANUAL, PERIOD_S, FailingFlight
 from companion.core.agent import Agent
 from companion.core.consensus.peers import FleetLimits, PeerTable
 from companion.core.safety.limits import HAND_OVER_WITHIN_S
@@ -20,8 +21,6 @@ from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code
 from companion.types.values import ZERO3
-from failing_flight import PERIOD_S, FailingFlight
-from profile_flight import BOTH, HOLD, MANUAL
 
 P = FlightPhase
 SET_MODE = mavlink.MAV_CMD_DO_SET_MODE

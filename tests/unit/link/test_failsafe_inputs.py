@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
+from agent_on_bytes import BOTH, PX4, FailingFlight
 from companion.mavlink.codec import mavlink
 from companion.types.autopilot import AutopilotKind
 from companion.types.flight import FlightPhase, HealthFlag
-from failing_flight import FailingFlight
-from profile_flight import BOTH, PX4
 
 P, F, M = FlightPhase, HealthFlag, mavlink
 GOOD = M.ESTIMATOR_ATTITUDE | M.ESTIMATOR_VELOCITY_HORIZ | M.ESTIMATOR_VELOCITY_VERT | M.ESTIMATOR_POS_VERT_ABS

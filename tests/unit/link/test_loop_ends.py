@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 
+from agent_on_bytes import FailingFlight
 from companion.link.control_loop import AgentFailedError
 from companion.types.autopilot import AutopilotKind
 from companion.types.notices import Code
-from failing_flight import FailingFlight
 
 STAGES: dict[str, Callable[[FailingFlight], tuple[Any, str]]] = {
     "peers received early": lambda flight: (flight.peers, "receive_early"),

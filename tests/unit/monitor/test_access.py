@@ -15,7 +15,7 @@ from aiohttp import ClientSession, WSServerHandshakeError
 from companion.monitor.access import LONGEST_MESSAGE, MOST_CLIENTS, MOST_CONNECTIONS, is_loopback
 from companion.monitor.api import TOKEN_HEADER
 from companion.monitor.server import LONGEST_BODY, Site
-from served_site import Served, recorded, served
+from live_site import Served, recorded, served
 
 
 def with_server(work: Callable[[Served], Awaitable[None]], tiles: Path | None = None) -> None:

@@ -8,7 +8,7 @@ from companion.monitor.events import EVENTS_KEPT, EventLog, answered, happened
 from companion.types.commands import CommandReply
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code, Notice
-from reported_fleet import STATUS
+from ground_fleet import STATUS
 
 RESET = Notice(Code.POSITION_RESET, "position reset by 0.4 m followed")
 

@@ -16,7 +16,7 @@ from companion.config.fleet import Law
 from companion.monitor.api import NearestView
 from companion.monitor.fleet_figures import FleetFigures, convergence, smallest_separation, weakest_link
 from companion.types.values import Vector3
-from monitored_fleet import vehicle
+from live_site import monitored_vehicle
 
 WEIGHTED = Law(name="weighted")
 coordinates = st.floats(-100.0, 100.0)
@@ -31,8 +31,8 @@ def test_a_metre_of_height_counts_half() -> None:
 
 def test_a_silent_vehicle_counts_where_another_one_sees_it() -> None:
     """It hovers in the way; from here nothing is received of it."""
-    one = vehicle(1, nearest=NearestView("3", 1.75, 1.35, 0.2), position_enu_m=(0.0, 0.0, 2.0))
-    other = vehicle(2, nearest=NearestView("1", 1.97, 1.3, 0.0), position_enu_m=(1.97, 0.0, 2.0))
+    one = monitored_vehicle(1, nearest=NearestView("3", 1.75, 1.35, 0.2), position_enu_m=(0.0, 0.0, 2.0))
+    other = monitored_vehicle(2, nearest=NearestView("1", 1.97, 1.3, 0.0), position_enu_m=(1.97, 0.0, 2.0))
     view = FleetFigures("platoon", None).view(10.0, [one, other])
     assert (view.smallest_separation_m, view.smallest_separation_pair) == (1.75, (1, 3))
     assert view.smallest_separation_unheard

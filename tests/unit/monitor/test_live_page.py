@@ -11,7 +11,7 @@ from companion.cli.main import main
 from companion.config.fleet import FleetConfig
 from companion.monitor import live_page
 from companion.monitor.live_page import LivePage, _with_file
-from flown_records import fleet_of
+from made_flights import fleet_of
 
 FLOWN = fleet_of(3)
 

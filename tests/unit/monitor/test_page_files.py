@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from repository import ROOT
+from common import ROOT
 
 PAGE = ROOT / "companion" / "monitor" / "page"
 VENDOR = PAGE / "vendor"

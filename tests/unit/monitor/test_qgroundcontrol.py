@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 from pymavlink.dialects.v20 import common
 
+from common import ROOT
 from companion.config.fleet import FleetConfig
 from companion.config.fleet_check import load_fleet
 from companion.geometry.frames import enu_from_geodetic
@@ -21,8 +22,7 @@ from companion.types.autopilot import LandedState
 from companion.types.flight import FlightPhase, HealthFlag
 from companion.types.status import Status
 from companion.wire.messages import StatusReport
-from reported_fleet import TIMING, leader, reported
-from repository import ROOT
+from ground_fleet import TIMING, leader, reported
 
 FIELD = load_fleet(ROOT / "config/fleets/pair.yaml")
 

@@ -10,7 +10,7 @@ import msgspec
 import pytest
 
 from companion.monitor.api import FleetFileView, History, Snapshot
-from served_site import Served, recorded, served, until_true
+from live_site import Served, recorded, served, until_served
 
 
 def with_server(work: Callable[[Served], Awaitable[None]], lost_after_s: float = inf) -> None:
@@ -24,7 +24,7 @@ def with_server(work: Callable[[Served], Awaitable[None]], lost_after_s: float =
 
 def test_every_address_answers_with_its_type() -> None:
     async def work(server: Served) -> None:
-        await until_true(lambda: _vehicles(server))
+        await until_served(lambda: _vehicles(server))
         for path, type_ in (("snapshot", Snapshot), ("history", History), ("fleets/load", FleetFileView)):
             async with server.http.get(f"{server.url}/api/v1/{path}") as response:
                 assert response.content_type == "application/json"
@@ -87,7 +87,7 @@ def test_a_client_that_does_not_read_leaves_its_place(monkeypatch: pytest.Monkey
         async def left() -> bool:
             return not server.site.clients._clients
 
-        await until_true(left, 1.5)  # without the heartbeat, which would come after 15 s
+        await until_served(left, 1.5)  # without the heartbeat, which would come after 15 s
         transport.abort()  # type: ignore[union-attr]
 
     with_server(work)
@@ -138,7 +138,7 @@ def test_an_alarm_is_acknowledged_without_control() -> None:
         async with server.http.ws_connect(f"{server.url}/api/v1/live") as live:
             await live.send_json({"type": "speed", "speed": 20.0})
             await live.receive()
-        alarm = await until_true(lambda: _alarm(server))
+        alarm = await until_served(lambda: _alarm(server))
         assert (alarm["vehicle_id"], alarm["code"]) == (3, "SILENT")
         status, answer = await server.post(f"/api/v1/alarms/{alarm['id']}/acknowledge", {})
         assert (status, answer["acknowledged"]) == (200, True)

@@ -18,7 +18,7 @@ from companion.types.autopilot import LandedState
 from companion.types.flight import FlightPhase, HealthFlag
 from companion.types.status import Status
 from companion.wire.messages import StatusReport
-from reported_fleet import TIMING, leader, reported
+from ground_fleet import TIMING, leader, reported
 from tests.bench.monitor_load import SteadyFleet, steady_fleet
 
 UNIX_S = 1.8e9

@@ -7,7 +7,7 @@ import pytest
 from companion.monitor.events import Happening
 from companion.monitor.sources import BEFORE_JUMP_S, ReplaySource
 from companion.wire.messages import StatusReport
-from reported_fleet import TIMING, leader, reported
+from ground_fleet import TIMING, leader, reported
 
 REPORTS = [(1000.0 + k / 10, StatusReport(leader(), TIMING)) for k in range(301)]  # 30 s
 

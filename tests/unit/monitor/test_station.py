@@ -9,7 +9,7 @@ from companion.monitor.events import Happening
 from companion.monitor.sources import ReplaySource
 from companion.monitor.station import RETRACED_S, Station
 from companion.wire.messages import StatusReport
-from reported_fleet import TIMING, leader, reported
+from ground_fleet import TIMING, leader, reported
 
 BEGIN_S = 1.8e9
 LOST_S = 20.0

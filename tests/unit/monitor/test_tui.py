@@ -75,7 +75,7 @@ def test_a_terminal_without_a_cursor_gets_lines(term: str) -> None:
 def test_without_colour_the_text_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     from companion.monitor.tui import as_text
     from companion.monitor.tui_page import page
-    from reported_fleet import troubled_fleet
+    from ground_fleet import troubled_fleet
 
     lines = page(troubled_fleet(), 80)
     monkeypatch.setenv("NO_COLOR", "1")

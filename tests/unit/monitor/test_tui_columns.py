@@ -12,7 +12,7 @@ from companion.monitor.tui_rows import TableRow, fleets
 from companion.types.code_table import code_table
 from companion.types.flight import HealthFlag
 from companion.types.status import NearestVehicle, SeparationReport
-from reported_fleet import leader, reported, rows_of
+from ground_fleet import leader, reported, rows_of
 
 
 def row(**changes: object) -> TableRow:

@@ -7,7 +7,7 @@ import json
 import pytest
 
 from companion.monitor.tui import _json_once
-from reported_fleet import leader, reported, rows_of
+from ground_fleet import leader, reported, rows_of
 
 
 def test_a_vehicle_that_never_reported_is_named_beside_the_array(capsys: pytest.CaptureFixture[str]) -> None:

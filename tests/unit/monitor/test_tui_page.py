@@ -13,7 +13,7 @@ from companion.monitor.tui_page import TURN_S, fitted_page, page
 from companion.types.flight import HealthFlag, Role
 from companion.types.notices import Code, Notice
 from companion.types.status import NetworkState
-from reported_fleet import large_fleet, leader, reported, rows_of, troubled_fleet
+from ground_fleet import large_fleet, leader, reported, rows_of, troubled_fleet
 
 SNAPSHOTS = Path(__file__).parent / "snapshots"
 

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
+from common import ROOT
 from deploy.debian.build import MACHINES, PYTHONS
 from deploy.debian.tree import SCRIPTS, UNITS, digest_of, stage
-from repository import ROOT
 
 DEBIAN = ROOT / "deploy" / "debian"
 WHEELS = {"formation_companion-0.1.0-py3-none-any.whl": b"one", "numpy-2.4.6-cp311-cp311-linux_x86_64.whl": b"two"}

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from setuptools import find_namespace_packages
 
-from repository import ROOT
+from common import ROOT
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 FOUND = PROJECT["tool"]["setuptools"]["packages"]["find"]

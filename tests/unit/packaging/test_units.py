@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from common import ROOT
 from companion.app import WAIT_FOR_AUTOPILOT_S
 from companion.core.safety.safeguard import HAND_OVER_S
 from companion.link.systemd import MIN_WATCHDOG_PERIOD_S
-from repository import ROOT
 
 UNITS = sorted((ROOT / "deploy").glob("*.service"))
 AGENT = ROOT / "deploy" / "companion@.service"

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from setuptools import find_packages
 
-from repository import ROOT
+from common import ROOT
 
 SETTINGS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 LABORATORY = re.compile(r"benchmark|soak|hostile|fuzz|monitor_load|large_fleet|^sitl/(bench|transports)/")

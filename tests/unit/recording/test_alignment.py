@@ -15,9 +15,9 @@ from companion.types.peers import PeerPacket, ReceivedPeerPacket
 from companion.types.tick import Inbox
 from companion.types.values import ZERO3
 from companion.wire.messages import StatusReport
-from directed_flight import TIMING
-from directed_flight import status as status_of
-from recording_files import HEADER, RecordingFile
+from ground_fleet import DIRECTED_TIMING
+from ground_fleet import directed_status as status_of
+from recordings import HEADER, RecordingFile
 
 TICK_S, DELAY_S, FLIGHT_S = 0.02, 0.004, 60.0
 
@@ -49,7 +49,7 @@ class Computer:
             packets = [ReceivedPeerPacket(now_s, other.packet(true_s - DELAY_S)) for other in senders]
             file.tick(number, now_s, Inbox(peers=tuple(packets)), None)
             if number % 50 == 0:
-                file.write(STATUS, now_s, StatusReport(status_of(self.vehicle_id), TIMING))
+                file.write(STATUS, now_s, StatusReport(status_of(self.vehicle_id), DIRECTED_TIMING))
         file.close()
 
 

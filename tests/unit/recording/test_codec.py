@@ -25,7 +25,7 @@ from companion.recording.records import Header, TimingRecord
 from companion.types.autopilot import AckSample, Arm, Disarm, EstimatorSample, ParameterSample, TextSample
 from companion.types.notices import Code, Notice
 from companion.types.tick import Inbox, Outbox
-from recorded_values import inboxes, outboxes
+from recordings import inboxes, outboxes
 
 HEADER = Header(
     software="1.2",

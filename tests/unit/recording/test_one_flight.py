@@ -8,7 +8,7 @@ from msgspec.structs import replace
 
 from companion.recording.alignment import RecordingClock, of_one_flight
 from companion.recording.reader import RecordedPart, Recording
-from recording_files import HEADER
+from recordings import HEADER
 
 DAY_S = 86_400.0
 

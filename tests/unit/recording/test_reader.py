@@ -20,7 +20,7 @@ from companion.recording.reader import MissingTicksError, Recording, RecordingEr
 from companion.recording.records import EVENT, INBOX, OUTBOX, TIMING, TimingRecord
 from companion.types.notices import Code, Notice
 from companion.types.tick import Inbox, Outbox
-from recording_files import HEADER, RecordingFile, time_of, write_ticks
+from recordings import HEADER, RecordingFile, time_of, write_ticks
 
 TICKS = range(1, 301)
 

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
+from common import ROOT
 from companion.cli.main import main
 from companion.core.agent import Agent
 from companion.recording.codec import encode_outbox
@@ -21,9 +22,8 @@ from companion.recording.records import Header
 from companion.types.autopilot import AttitudeTarget
 from companion.types.status import Status
 from companion.types.tick import Inbox, Outbox
-from recorded_platoon import fly
-from recording_files import RecordingFile
-from repository import ROOT
+from lockstep_fleet import fly
+from recordings import RecordingFile
 
 Change = Callable[[int, Inbox, Outbox], tuple[Inbox, Outbox | None] | None]
 """Number, input and output of a tick -> those to be recorded; None leaves the tick out."""

@@ -7,14 +7,13 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from autopilot_log_files import AT_S, LoggedFaults, write_dataflash, write_ulog
 from companion.report.autopilot_logs import AutopilotLogs, LogError, log_files, match, read_log, read_logs
 from companion.report.findings import Severity
 from companion.report.load import StartRecords
 from companion.report.summary import judged
 from companion.types.autopilot import AutopilotKind
 from companion.types.notices import Code
-from flown_records import flight_of, records_of
+from made_flights import AT_S, LoggedFaults, flight_of, records_of, write_dataflash, write_ulog
 from sitl.autopilots.autopilot import DT_S
 from sitl.autopilots.types import AUTOPILOT_TYPES
 from sitl.vehicle.config import AutopilotFile, StandIn

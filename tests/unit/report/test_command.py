@@ -16,7 +16,7 @@ from companion.report.flight_findings import refused_commands
 from companion.report.load import StartRecords
 from companion.types.commands import CommandName
 from companion.types.notices import Code, Notice
-from flown_records import BEGIN_UNIX_S, Faults, flight_of, records_of, write_recordings
+from made_flights import BEGIN_UNIX_S, Faults, flight_of, records_of, write_recordings
 
 SECONDS = 24.0
 

@@ -14,7 +14,7 @@ from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase, HealthFlag
 from companion.types.notices import Code, Notice
 from companion.types.status import Status
-from flown_records import Faults, flagged, fleet_of, flight_of, near_vehicle_1, records_of
+from made_flights import Faults, flagged, fleet_of, flight_of, near_vehicle_1, records_of
 
 Expected = tuple[Severity, Code, int | None, float]
 CRITICAL, WARNING, INFO = Severity

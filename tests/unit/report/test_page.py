@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from autopilot_log_files import write_ulog
 from companion.recording.records import DecisionRecord
 from companion.report.autopilot_logs import read_logs
 from companion.report.findings import FindingKind, Severity, finding, rows_of
@@ -21,7 +20,7 @@ from companion.report.track_figures import _view
 from companion.types.commands import CommandName
 from companion.types.flight import HealthFlag
 from companion.types.notices import Code, Notice
-from flown_records import Faults, flagged, flight_of, near_vehicle_1, records_of
+from made_flights import Faults, flagged, flight_of, near_vehicle_1, records_of, write_ulog
 
 ZONE = timezone(timedelta(hours=2))
 VOID = {"meta", "br", "img", "path", "use", "rect", "line", "circle"}

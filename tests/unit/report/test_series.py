@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from companion.recording.records import DecisionRecord
 from companion.report.distances import errors_to_slot_m, grid_of, pair_distances
 from companion.report.findings import HELD_S, runs, stretches
-from flown_records import Faults, fleet_of, flight_of, records_of
+from made_flights import Faults, fleet_of, flight_of, records_of
 
 TIME_S = np.arange(0.0, 10.0, 0.02)
 

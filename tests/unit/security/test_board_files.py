@@ -6,7 +6,7 @@ import pytest
 import yaml
 
 from companion.security.fleet_folder import BoardFileError, board_vehicle_file
-from provisioned_fleet import fleet_files
+from secured_fleet import fleet_files
 
 BLOCK = """\
 # tcp/10.0.0.1:7447 is the first vehicle

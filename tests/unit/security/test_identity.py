@@ -9,7 +9,7 @@ import pytest
 from companion.security.identity import IdentityError, load_identity
 from companion.security.names import ParticipantRole, participant_name
 from companion.security.provisioning import provision_new, revoke
-from provisioned_fleet import GROUND, NOW, provisioned
+from secured_fleet import GROUND_ANNA, NOW, provisioned_by_operator
 
 
 @pytest.fixture(scope="module")
@@ -17,7 +17,7 @@ def fleets(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two fleets, `alpha` and `beta`, and `again`: alpha with another authority."""
     top = tmp_path_factory.mktemp("fleets")
     for folder, name in (("alpha", "alpha"), ("beta", "beta"), ("again", "alpha")):
-        provisioned(top / folder, name=name)
+        provisioned_by_operator(top / folder, name=name)
     return top
 
 
@@ -117,20 +117,20 @@ def test_an_expired_certificate_and_a_clock_that_was_not_set(folder: Path) -> No
 
 
 def test_a_revoked_identity_and_its_successor(tmp_path: Path) -> None:
-    provisioned(tmp_path)
+    provisioned_by_operator(tmp_path)
     board = shutil.copytree(tmp_path / "copy/vehicle-1/identity", tmp_path / "board")
     revoke(tmp_path, ["vehicle-1"], NOW)
     shutil.copy(tmp_path / "authority/admitted.json", board)
     refused(board, "admitted.json", "vehicle-1 is revoked since 2026-11-22")
-    provision_new(tmp_path, [], GROUND, 365, NOW)
+    provision_new(tmp_path, [], GROUND_ANNA, 365, NOW)
     successor = load_identity(tmp_path / "copy/vehicle-1/identity", NOW)
     assert (successor.common_name, successor.id) == ("vehicle-1.2", "1")
 
 
 def test_a_list_from_before_the_participant_does_not_admit_it(tmp_path: Path) -> None:
-    provisioned(tmp_path)
+    provisioned_by_operator(tmp_path)
     old = (tmp_path / "authority/admitted.json").read_bytes()
-    provision_new(tmp_path, [participant_name(ParticipantRole.MONITOR, "tower")], GROUND, 365, NOW)
+    provision_new(tmp_path, [participant_name(ParticipantRole.MONITOR, "tower")], GROUND_ANNA, 365, NOW)
     identity = tmp_path / "copy/monitor-tower/identity"
     (identity / "admitted.json").write_bytes(old)
     refused(identity, "admitted.json", "does not admit monitor-tower")

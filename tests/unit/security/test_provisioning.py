@@ -16,7 +16,7 @@ from companion.security.identity import load_identity, one_at_a_time, open_autho
 from companion.security.names import ParticipantName, ParticipantRole, participant_name
 from companion.security.provision_report import new_text, renew_text
 from companion.security.provisioning import Provisioned, open_provisioned, provision_new, renew, revoke
-from provisioned_fleet import GROUND, NOW, fleet_files, provisioned, tree
+from secured_fleet import GROUND_ANNA, NOW, fleet_files, provisioned_by_operator, tree
 
 LATER = NOW + timedelta(days=30)
 TOWER = participant_name(ParticipantRole.MONITOR, "tower")
@@ -26,7 +26,7 @@ BEN = participant_name(ParticipantRole.GROUND, "ben")
 @pytest.fixture
 def field(tmp_path: Path) -> Path:
     """A fleet with two vehicles and ground-anna."""
-    provisioned(tmp_path / "field")
+    provisioned_by_operator(tmp_path / "field")
     return tmp_path / "field"
 
 
@@ -38,7 +38,7 @@ def umask(request: pytest.FixtureRequest) -> Iterator[int]:
 
 
 def again(field: Path, *wanted: ParticipantName) -> Provisioned:
-    return provision_new(field, wanted, GROUND, 365, LATER)
+    return provision_new(field, wanted, GROUND_ANNA, 365, LATER)
 
 
 def names(field: Path) -> list[str]:
@@ -122,7 +122,7 @@ def test_a_vehicle_that_is_added_to_the_fleet_file_gets_an_identity_and_differin
 
 
 def test_a_vehicle_that_left_the_fleet_file_is_named(tmp_path: Path) -> None:
-    provisioned(tmp_path / "field", vehicles=3)
+    provisioned_by_operator(tmp_path / "field", vehicles=3)
     fleet = fleet_files(tmp_path / "two", 2, "alpha")
     shutil.copy(fleet / "fleet.yaml", tmp_path / "field")
     assert again(tmp_path / "field").not_in_fleet == ("vehicle-3",)
@@ -135,7 +135,7 @@ def test_a_copy_that_was_removed_stays_away(field: Path) -> None:
 
 
 def test_the_default_ground_is_for_fleets_without_one(tmp_path: Path) -> None:
-    done = provisioned(tmp_path / "field", BEN)
+    done = provisioned_by_operator(tmp_path / "field", BEN)
     assert done.names == ("vehicle-1", "vehicle-2", "ground-ben")
     revoke(tmp_path / "field", ["ground-ben"], NOW)
     assert again(tmp_path / "field").names == ("ground-anna",)
@@ -238,7 +238,7 @@ def test_a_lost_authority_is_not_replaced_silently(field: Path) -> None:
 
 
 def test_the_key_of_another_authority_is_refused(field: Path, tmp_path: Path) -> None:
-    provisioned(tmp_path / "other")
+    provisioned_by_operator(tmp_path / "other")
     shutil.copy(tmp_path / "other/authority/private.key", field / "authority")
     with pytest.raises(ConfigError, match=r"private.key: is not the key of authority.pem"):
         again(field, TOWER)
@@ -349,7 +349,7 @@ def test_the_same_revocation_twice_keeps_the_identity_that_came_after(field: Pat
         ConfigError, match=r"vehicle-1: is revoked since .*; companion provision new DIR makes its next"
     ):
         revoke(field, ["vehicle-1"], NOW)
-    provision_new(field, [], GROUND, 365, NOW)
+    provision_new(field, [], GROUND_ANNA, 365, NOW)
     with pytest.raises(ConfigError, match=r"vehicle-1: is revoked since .*; its present identity is vehicle-1\.2"):
         revoke(field, ["vehicle-1"], NOW)
     assert open_provisioned(field).admitted.participant("vehicle-1.2")

@@ -10,6 +10,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from common import ROOT
 from companion.analysis.interaction import (
     couple,
     eigenvalues,
@@ -34,7 +35,6 @@ from companion.core.consensus.law import FormationLaw, Gains, Weighting, average
 from companion.tools.analysis import analyse, load_subject
 from companion.tools.analysis_report import report, verdict
 from companion.types.notices import Code
-from repository import ROOT
 
 SCENARIOS = ROOT / "config" / "scenarios"
 K = Gains(1.39, 1.2)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import yaml
 
+from common import ROOT
 from companion.analysis.interaction import Coupling, couple, mode_figures
 from companion.analysis.margins import (
     delay_margin_with_lag_s,
@@ -31,7 +32,6 @@ from companion.core.consensus.law import (
 from companion.tools.analysis import analyse, load_subject
 from companion.tools.analysis_report import report, verdict
 from companion.types.notices import Code
-from repository import ROOT
 
 SCENARIOS = ROOT / "config" / "scenarios"
 K = Gains(1.39, 1.2)

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 import yaml
 
+from common import ROOT
 from companion.analysis.interaction import couple
 from companion.analysis.margins import delay_margin_with_lag_s, string_gains
 from companion.cli.main import main
@@ -18,7 +19,6 @@ from companion.core.consensus.law import FormationLaw, Gains, Weighting
 from companion.tools.analysis import MODEL, Analysis, analyse, load_subject
 from companion.tools.analysis_report import report, verdict
 from companion.types.notices import Code
-from repository import ROOT
 from sitl.flight.scenario import ScenarioFile, load_scenario
 
 CONFIG = ROOT / "config"

@@ -16,8 +16,8 @@ from companion.types.formation import LeaderBeacon
 from companion.types.notices import Code, Notice
 from companion.types.status import NO_STATE_AGE_S
 from companion.wire.messages import StatusReport
-from directed_flight import TIMING, status
-from recording_files import HEADER, RecordingFile
+from ground_fleet import DIRECTED_TIMING, directed_status
+from recordings import HEADER, RecordingFile
 
 DECISION_1 = DecisionRecord(
     now_s=101.0,
@@ -53,7 +53,7 @@ def record(path: Path, vehicle_id: int = 1, unix_s: float = HEADER.unix_s, sessi
     file = RecordingFile(path, replace(HEADER, vehicle_id=vehicle_id, unix_s=unix_s, session=session))
     file.write(DECISION, 101.0, DECISION_1)
     file.write(DECISION, 101.02, replace(DECISION_1, roll_deg=2.5, flags=()))
-    file.write(STATUS, 101.0, StatusReport(status(vehicle_id), TIMING))
+    file.write(STATUS, 101.0, StatusReport(directed_status(vehicle_id), DIRECTED_TIMING))
     file.close()
 
 
@@ -78,7 +78,7 @@ def test_decisions_have_units_and_empty_cells(tmp_path: Path, capsys: pytest.Cap
 def test_position_and_velocity_are_empty_before_the_first_position(tmp_path: Path) -> None:
     file = RecordingFile(tmp_path / "a.mcap", HEADER)
     file.write(DECISION, 101.0, replace(DECISION_1, position_enu_m=None, velocity_enu_m_s=None))
-    file.write(STATUS, 101.0, StatusReport(replace(status(1), state_age_s=NO_STATE_AGE_S), TIMING))
+    file.write(STATUS, 101.0, StatusReport(replace(directed_status(1), state_age_s=NO_STATE_AGE_S), DIRECTED_TIMING))
     file.close()
     assert main(["export", str(tmp_path)]) == 0
     (decision,) = rows(tmp_path / "csv" / "vehicle-1_decision.csv")
@@ -126,13 +126,13 @@ def test_cells_of_nested_values() -> None:
     table = Table(StatusReport)
     beacon, note = LeaderBeacon(3, 1, 2), Notice(Code.PEER_STALE, "text")
     full = replace(
-        status(2),
+        directed_status(2),
         leader_beacon=beacon,
         last_event=note,
         rejected={"A": 2, "B": 3},
         position_error=PositionError(0.1, 0.2),
     )
-    cells = dict(zip(table.names, table.cells(StatusReport(full, TIMING)), strict=True))
+    cells = dict(zip(table.names, table.cells(StatusReport(full, DIRECTED_TIMING)), strict=True))
     assert cells["status_leader_beacon_leader_id"] == 3
     assert cells["status_leader_beacon_heading_rate_rad_s"] == 0.0
     assert cells["status_last_event_code"] == "PEER_STALE"

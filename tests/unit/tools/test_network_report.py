@@ -9,7 +9,7 @@ import pytest
 
 from companion.config.vehicle import load_agent
 from companion.tools.doctor import network_line
-from identities import provisioned
+from secured_fleet import provisioned
 
 
 def line(folder: Path, vehicle: str = "", fleet: str = "") -> str:

@@ -3,12 +3,12 @@
 import pytest
 from msgspec.structs import replace
 
-from agent_flight import SESSION, Flight
+from common import codes_of, outcome, texts_of
 from companion.core.command.arbitration import NUMBERS_AHEAD, CommandArbitration
 from companion.types.commands import Command, CommandName, CommandReply
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code, Notice, accepted, refused
-from notices import codes_of, outcome, texts_of
+from one_agent import SESSION, AgentFlight
 
 C = CommandName
 
@@ -127,7 +127,7 @@ def test_aborts_of_one_tick_are_executed_once_and_all_are_answered() -> None:
 
 @pytest.mark.parametrize("name", [C.RETURN, C.LAND])
 def test_an_abort_goes_before_the_other_commands_of_its_tick(name: CommandName) -> None:
-    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight = AgentFlight().fly_to(FlightPhase.FORMATION)
     other = flight.command(name)
     outbox = flight.tick(given=(flight.command(C.ABORT), other))
     assert [(reply.number, reply.accepted) for reply in outbox.replies if reply.number == other.number] == [
@@ -165,7 +165,7 @@ def test_the_repeated_abort_of_another_operator_is_one_event() -> None:
 
 
 def test_a_second_operator_is_refused_in_flight() -> None:
-    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight = AgentFlight().fly_to(FlightPhase.FORMATION)
     outbox = flight.tick(given=(flight.command(C.LAND, "boris"), flight.command(C.FORM)))
     assert list(map(outcome, outbox.replies)) == [(False, Code.OTHER_HOLDS_COMMAND), (True, Code.ALREADY_DONE)]
     assert flight.agent.phase is FlightPhase.FORMATION
@@ -176,7 +176,7 @@ def test_a_second_operator_is_refused_in_flight() -> None:
 
 
 def test_a_recorded_take_off_is_refused() -> None:
-    flight = Flight()
+    flight = AgentFlight()
     flight.tick()
     prepare = flight.command(C.PREPARE)
     first = flight.tick(given=(prepare, prepare)).replies
@@ -198,7 +198,7 @@ def test_a_recorded_take_off_is_refused() -> None:
 
 
 def test_the_status_has_the_holder_of_command_and_the_peers() -> None:
-    flight = Flight()
+    flight = AgentFlight()
     for _ in range(20):
         flight.tick()
     flight.tick(C.PREPARE)
@@ -208,7 +208,7 @@ def test_the_status_has_the_holder_of_command_and_the_peers() -> None:
 
 
 def test_abort_is_executed_when_telemetry_is_stale() -> None:
-    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight = AgentFlight().fly_to(FlightPhase.FORMATION)
     reply = flight.tick(telemetry=[], given=(flight.command(C.ABORT, "carla"),)).replies[0]
     assert reply.accepted, reply.reason
     for _ in range(50):
@@ -217,7 +217,7 @@ def test_abort_is_executed_when_telemetry_is_stale() -> None:
 
 
 def test_a_repeated_abort_changes_nothing_more() -> None:
-    flight = Flight().fly_to(FlightPhase.FORMATION)
+    flight = AgentFlight().fly_to(FlightPhase.FORMATION)
     for _ in range(100):
         assert flight.tick(C.ABORT).replies[0].accepted
     assert flight.agent.phase is FlightPhase.HOLD
@@ -228,7 +228,7 @@ def test_a_repeated_abort_changes_nothing_more() -> None:
 
 
 def test_a_repeated_abort_on_the_ground_makes_no_events() -> None:
-    flight = Flight()
+    flight = AgentFlight()
     flight.tick()
     for _ in range(100):
         assert flight.tick(C.ABORT).replies[0].accepted
@@ -237,7 +237,7 @@ def test_a_repeated_abort_on_the_ground_makes_no_events() -> None:
 
 
 def test_arming_is_refused_beside_another_vehicle() -> None:
-    flight = Flight()
+    flight = AgentFlight()
     flight.peer_position, flight.peer_phase = (-1.5, 0.4, 0.0), FlightPhase.OBSERVE
     flight.tick()
     flight.tick(C.PREPARE)

@@ -9,17 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.core.safety.limits import OutputLimiter, OutputLimits
-from companion.core.safety.safeguard import HAND_OVER_S
-from companion.geometry.airspace import Fence
-from companion.mavlink.autopilot_types import DIALECTS
-from companion.mavlink.codec import MavlinkCodec, MavlinkMessage
-from companion.mavlink.translator import Translator
-from companion.types.autopilot import AttitudeTarget, AutopilotKind, AutopilotMode
-from companion.types.commands import CommandName
-from companion.types.flight import FlightPhase
-from companion.types.notices import Code
-from profile_flight import (
+from agent_on_bytes import (
     ACCEPTED,
     ARDUPILOT,
     BOTH,
@@ -30,24 +20,34 @@ from profile_flight import (
     TAKEOFF_M,
     TEMPORARILY_REJECTED,
     Answer,
-    Autopilot,
+    AutopilotOnBytes,
     C,
-    Flight,
+    FlightOnBytes,
     M,
     P,
     asked,
 )
+from companion.core.safety.limits import OutputLimiter, OutputLimits
+from companion.core.safety.safeguard import HAND_OVER_S
+from companion.geometry.airspace import Fence
+from companion.mavlink.autopilot_types import DIALECTS
+from companion.mavlink.codec import MavlinkCodec, MavlinkMessage
+from companion.mavlink.translator import Translator
+from companion.types.autopilot import AttitudeTarget, AutopilotKind, AutopilotMode
+from companion.types.commands import CommandName
+from companion.types.flight import FlightPhase
+from companion.types.notices import Code
 
 
 def test_messages_of_a_whole_flight_with_px4() -> None:
-    flight = Flight(PX4).fly_to(P.FORMATION)
+    flight = FlightOnBytes(PX4).fly_to(P.FORMATION)
     assert flight.do(C.HOLD) is P.HOLD
     assert flight.do(C.LAND) is P.LAND
     assert asked(flight) == [(176, 1, 4, 3), (400, 1), (22, 490), (176, 1, 6), (176, 1, 4, 3), (176, 1, 4, 6)]
 
 
 def test_messages_of_a_whole_flight_with_ardupilot() -> None:
-    flight = Flight(ARDUPILOT).fly_to(P.FORMATION)
+    flight = FlightOnBytes(ARDUPILOT).fly_to(P.FORMATION)
     assert flight.do(C.HOLD) is P.HOLD
     assert flight.do(C.FORM) is P.FORMATION  # from BRAKE now
     assert flight.do(C.LAND) is P.LAND
@@ -72,7 +72,7 @@ def test_messages_of_a_whole_flight_with_ardupilot() -> None:
 def test_a_procedure_without_effect_fails_after_bounded_retries(
     kind: AutopilotKind, before: FlightPhase, name: CommandName, number: int, answers: Answer
 ) -> None:
-    flight = Flight(kind).fly_to(before)
+    flight = FlightOnBytes(kind).fly_to(before)
     flight.autopilot.refuses[number] = answers
     flight.autopilot.commands.clear()
     flight.tick(name)
@@ -87,7 +87,7 @@ def test_a_procedure_without_effect_fails_after_bounded_retries(
 
 
 def test_ardupilots_reason_in_chunks_is_relayed() -> None:
-    flight = Flight(ARDUPILOT).fly_to(P.READY)
+    flight = FlightOnBytes(ARDUPILOT).fly_to(P.READY)
     flight.autopilot.refuses[M.MAV_CMD_COMPONENT_ARM_DISARM] = (FAILED,)
     flight.tick(C.ARM)
     whole = b"Arm: Accels inconsistent, and this is a reason that goes on in a second chunk"
@@ -102,7 +102,7 @@ def test_ardupilots_reason_in_chunks_is_relayed() -> None:
 
 
 def test_the_vehicle_holds_when_px4_refuses_offboard_after_accepting_it() -> None:
-    flight = Flight(PX4).fly_to(P.HOLD)
+    flight = FlightOnBytes(PX4).fly_to(P.HOLD)
     flight.autopilot.refuses[M.MAV_CMD_DO_SET_MODE] = (ACCEPTED, TEMPORARILY_REJECTED)
     assert flight.do(C.FORM, 6.0) is P.HOLD
     assert flight.events[-1].text == "engage -> hold (engage failed: DO_SET_MODE temporarily rejected)"
@@ -111,7 +111,7 @@ def test_the_vehicle_holds_when_px4_refuses_offboard_after_accepting_it() -> Non
 @BOTH
 def test_an_accepted_take_off_is_requested_again_only_with_px4(kind: AutopilotKind) -> None:
     """ArduCopter restarts its spin-up with every request and reports the climb 3 s later."""
-    flight = Flight(kind).fly_to(P.ARMED)
+    flight = FlightOnBytes(kind).fly_to(P.ARMED)
     flight.autopilot.refuses[M.MAV_CMD_NAV_TAKEOFF] = (ACCEPTED,)
     flight.autopilot.commands.clear()
     flight.do(C.TAKEOFF, 3.0)
@@ -119,7 +119,7 @@ def test_an_accepted_take_off_is_requested_again_only_with_px4(kind: AutopilotKi
 
 
 def test_ardupilots_climb_ends_with_the_landed_state_in_air() -> None:
-    flight = Flight(ARDUPILOT).fly_to(P.ARMED)
+    flight = FlightOnBytes(ARDUPILOT).fly_to(P.ARMED)
     flight.autopilot.refuses[M.MAV_CMD_NAV_TAKEOFF] = (ACCEPTED,)
     flight.do(C.TAKEOFF)
     flight.autopilot.landed, flight.autopilot.up_m = 3, TAKEOFF_M
@@ -132,7 +132,7 @@ def test_ardupilots_climb_ends_with_the_landed_state_in_air() -> None:
 
 @BOTH
 def test_arming_waits_for_a_heartbeat_newer_than_the_request(kind: AutopilotKind) -> None:
-    flight = Flight(kind).fly_to(P.READY)
+    flight = FlightOnBytes(kind).fly_to(P.READY)
     flight.autopilot.withheld = ("HEARTBEAT",)
     assert flight.do(C.ARM, 1.0) is P.ARM
     assert flight.autopilot.armed
@@ -144,7 +144,7 @@ def test_arming_waits_for_a_heartbeat_newer_than_the_request(kind: AutopilotKind
 @BOTH
 @pytest.mark.parametrize("phase", [P.READY, P.HOLD, P.FORMATION])
 def test_a_pilot_mode_ends_the_stream_at_once(kind: AutopilotKind, phase: FlightPhase) -> None:
-    flight = Flight(kind).fly_to(phase)
+    flight = FlightOnBytes(kind).fly_to(phase)
     flight.autopilot.custom_mode = 3 << 16 if kind is PX4 else 5  # POSCTL, LOITER
     flight.autopilot.targets.clear()
     flight.autopilot.commands.clear()
@@ -155,15 +155,15 @@ def test_a_pilot_mode_ends_the_stream_at_once(kind: AutopilotKind, phase: Flight
     assert (flight.autopilot.targets, flight.autopilot.commands) == ([], [])
 
 
-def level_targets(flight: Flight) -> list[bool]:
+def level_targets(flight: FlightOnBytes) -> list[bool]:
     return [abs(m.q[1]) < 1e-6 and abs(m.q[2]) < 1e-6 for m in flight.autopilot.targets]
 
 
-def without_positions(flight: Flight) -> None:
+def without_positions(flight: FlightOnBytes) -> None:
     flight.autopilot.withheld = ("LOCAL_POSITION_NED",)
 
 
-def without_mode_changes(flight: Flight) -> None:
+def without_mode_changes(flight: FlightOnBytes) -> None:
     flight.stopping, flight.autopilot.north_m_s = True, 1.0
     flight.autopilot.refuses[M.MAV_CMD_DO_SET_MODE] = ()
 
@@ -171,9 +171,9 @@ def without_mode_changes(flight: Flight) -> None:
 @BOTH
 @pytest.mark.parametrize("disturb", [without_positions, without_mode_changes])
 def test_the_last_setpoint_is_level_when_the_autopilot_continues_it(
-    kind: AutopilotKind, disturb: Callable[[Flight], None]
+    kind: AutopilotKind, disturb: Callable[[FlightOnBytes], None]
 ) -> None:
-    flight = Flight(kind).fly_to(P.FORMATION)
+    flight = FlightOnBytes(kind).fly_to(P.FORMATION)
     assert not any(level_targets(flight)[-5:])
     disturb(flight)
     flight.autopilot.targets.clear()
@@ -185,7 +185,7 @@ def test_the_last_setpoint_is_level_when_the_autopilot_continues_it(
 
 
 def test_one_level_setpoint_ends_a_stream() -> None:
-    flight = Flight(ARDUPILOT).fly_to(P.FORMATION)
+    flight = FlightOnBytes(ARDUPILOT).fly_to(P.FORMATION)
     for _ in range(2):
         flight.autopilot.targets.clear()
         flight.autopilot.withheld = ("LOCAL_POSITION_NED",)
@@ -198,12 +198,12 @@ def test_one_level_setpoint_ends_a_stream() -> None:
 
 
 def test_a_long_silence_ends_in_brake_unless_the_mode_is_unknown() -> None:
-    flight = Flight(ARDUPILOT).fly_to(P.FORMATION)
+    flight = FlightOnBytes(ARDUPILOT).fly_to(P.FORMATION)
     flight.autopilot.withheld = ("LOCAL_POSITION_NED",)
     flight.ticks(1.0)
     assert flight.agent.phase is P.HOLD
     assert flight.autopilot.custom_mode == HOLD[ARDUPILOT]
-    blind = Flight(ARDUPILOT).fly_to(P.FORMATION)
+    blind = FlightOnBytes(ARDUPILOT).fly_to(P.FORMATION)
     blind.autopilot.withheld = ("LOCAL_POSITION_NED", "HEARTBEAT")
     blind.autopilot.commands.clear()
     blind.ticks(5.0)
@@ -213,8 +213,8 @@ def test_a_long_silence_ends_in_brake_unless_the_mode_is_unknown() -> None:
 
 @BOTH
 def test_an_agent_started_in_flight_sends_nothing_until_a_hold_command(kind: AutopilotKind) -> None:
-    flying = Flight(kind).fly_to(P.FORMATION).autopilot
-    restarted = Flight(kind)
+    flying = FlightOnBytes(kind).fly_to(P.FORMATION).autopilot
+    restarted = FlightOnBytes(kind)
     restarted.autopilot = flying
     flying.targets.clear()
     flying.commands.clear()
@@ -230,7 +230,7 @@ def test_an_agent_started_in_flight_sends_nothing_until_a_hold_command(kind: Aut
 
 @BOTH
 def test_every_command_is_refused_before_the_heartbeat(kind: AutopilotKind) -> None:
-    flight = Flight(kind)
+    flight = FlightOnBytes(kind)
     flight.autopilot.withheld = ("HEARTBEAT",)
     flight.ticks(1.0)
     for name in (C.PREPARE, C.ARM, C.TAKEOFF, C.FORM, C.HOLD, C.LAND, C.DISARM):
@@ -244,7 +244,7 @@ def test_every_command_is_refused_before_the_heartbeat(kind: AutopilotKind) -> N
 @BOTH
 def test_a_heartbeat_of_another_make_than_configured_is_refused(kind: AutopilotKind) -> None:
     other = PX4 if kind is ARDUPILOT else ARDUPILOT
-    flight = Flight(kind, wanted=other)
+    flight = FlightOnBytes(kind, wanted=other)
     flight.ticks(1.0)
     assert flight.translator.rejected[Code.AUTOPILOT_OTHER_MAKE] > 0
     reported, expected = (f"{MAV_AUTOPILOT[k]} ({DIALECTS[k].NAME})" for k in (kind, other))
@@ -255,8 +255,8 @@ def test_a_heartbeat_of_another_make_than_configured_is_refused(kind: AutopilotK
 
 @BOTH
 def test_an_autopilot_does_not_change_its_make_in_flight(kind: AutopilotKind) -> None:
-    flight = Flight(kind).fly_to(P.HOLD)
-    flight.autopilot.queued.append(Autopilot(PX4 if kind is ARDUPILOT else ARDUPILOT).heartbeat())
+    flight = FlightOnBytes(kind).fly_to(P.HOLD)
+    flight.autopilot.queued.append(AutopilotOnBytes(PX4 if kind is ARDUPILOT else ARDUPILOT).heartbeat())
     flight.ticks(1.0)
     assert flight.agent.phase is P.HOLD
     assert flight.translator.rejected == {Code.AUTOPILOT_OTHER_MAKE: 1}

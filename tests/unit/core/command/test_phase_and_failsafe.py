@@ -3,7 +3,7 @@
 import pytest
 from msgspec.structs import replace
 
-from commanded_phases import AIR, GROUND, ImmediateAutopilot, flown_to, levelled, tick
+from common import code_of, outcome
 from companion.core.command.phase import (
     FLYING,
     LEVEL_BEFORE_HAND_OVER_S,
@@ -29,7 +29,7 @@ from companion.types.autopilot import (
 from companion.types.commands import CONTENT, CommandName
 from companion.types.flight import RULES, FlightPhase, HealthFlag
 from companion.types.notices import Code, Notice
-from notices import code_of, outcome
+from one_agent import AIR, GROUND, ImmediateAutopilot, flown_to, levelled, tick
 
 REASON = Notice(Code.AGENT_STOPPING, "a test")
 

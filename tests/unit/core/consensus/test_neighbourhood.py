@@ -5,26 +5,26 @@ from __future__ import annotations
 from companion.core.consensus.stage import FORMING_S
 from companion.types.commands import Lead
 from companion.types.flight import FlightPhase
-from cooperating_fleet import RING, TICK_S, Fleet
+from consensus_fleet import RING, TICK_S, CooperatingFleet
 
 FORMED = round(FORMING_S / TICK_S) + 5
 
 
 def test_vehicles_that_form_are_neighbours_while_a_formation_assembles() -> None:
-    fleet = Fleet(RING, may_lead=(1,))
+    fleet = CooperatingFleet(RING, may_lead=(1,))
     fleet.phases[3] = FlightPhase.ENGAGE
     assert fleet.fly(10)[2].neighbour_ids == (1, 3)
 
 
 def test_vehicle_in_hold_is_no_neighbour_while_a_formation_assembles() -> None:
-    fleet = Fleet(RING, may_lead=(1,))
+    fleet = CooperatingFleet(RING, may_lead=(1,))
     fleet.phases[3] = FlightPhase.HOLD  # it was not commanded to form
     around = fleet.fly(10)
     assert [around[i].neighbour_ids for i in (1, 2, 4)] == [(2, 4), (1,), (1,)]
 
 
 def test_vehicle_in_hold_passes_the_leader_beacon_on_while_a_formation_assembles() -> None:
-    fleet = Fleet(((1, 2), (2, 3)), may_lead=(1,))
+    fleet = CooperatingFleet(((1, 2), (2, 3)), may_lead=(1,))
     fleet.phases[2] = FlightPhase.HOLD
     around = fleet.fly(25)
     assert around[3].neighbour_ids == ()
@@ -32,7 +32,7 @@ def test_vehicle_in_hold_passes_the_leader_beacon_on_while_a_formation_assembles
 
 
 def test_leaving_vehicle_is_no_neighbour_until_it_returns() -> None:
-    fleet = Fleet(RING, may_lead=(1,))
+    fleet = CooperatingFleet(RING, may_lead=(1,))
     assert fleet.fly(FORMED)[2].neighbour_ids == (1, 3)
     fleet.phases[3] = FlightPhase.HOLD
     around = fleet.fly(5)
@@ -45,7 +45,7 @@ def test_leaving_vehicle_is_no_neighbour_until_it_returns() -> None:
 
 
 def test_leader_that_left_is_a_neighbour_until_another_leads() -> None:
-    fleet = Fleet(RING, may_lead=(1, 3))
+    fleet = CooperatingFleet(RING, may_lead=(1, 3))
     fleet.fly(FORMED)
     fleet.phases[1] = FlightPhase.HOLD
     assert fleet.fly(5)[2].neighbour_ids == (1, 3)

@@ -9,14 +9,14 @@ from msgspec.structs import replace
 
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import LeaderBeacon
-from cooperating_fleet import CHAIN, RING, TICK_S, Fleet, leaders_in
+from consensus_fleet import CHAIN, RING, TICK_S, CooperatingFleet, leaders_in
 
 TEN_HOPS = tuple((i, i + 1) for i in range(1, 11))
 GRAPHS = {"ring": RING, "chain of 6": CHAIN, "10 hops": TEN_HOPS}
 
 
 def assert_recovers(
-    fleet: Fleet, sender: int, leader: int, to: Collection[int], epoch: int = 5, claim: int = 0
+    fleet: CooperatingFleet, sender: int, leader: int, to: Collection[int], epoch: int = 5, claim: int = 0
 ) -> None:
     """One packet under the id of `sender`, with a beacon of `leader`, reaches `to`."""
     honest = fleet.packets[sender]
@@ -39,7 +39,7 @@ def assert_recovers(
 @pytest.mark.parametrize("max_age_s", [0.25, 0.3, 0.5, 1.0])
 @pytest.mark.parametrize("graph", GRAPHS)
 def test_one_beacon_deposes_no_leader_for_long(graph: str, max_age_s: float, successors: tuple[int, ...]) -> None:
-    fleet = Fleet(GRAPHS[graph], (1, 2, 3), successors, max_age_s)
+    fleet = CooperatingFleet(GRAPHS[graph], (1, 2, 3), successors, max_age_s)
     fleet.fly(50)
     last = fleet.ids[-1]
     attacks = ((1, 1, fleet.ids), (2, 2, [3]), (4, 1, fleet.ids), (last - 1, 2, [last]))
@@ -54,14 +54,14 @@ def test_one_beacon_at_an_end_of_ten_hops_of_short_range(
     at: int, max_age_s: float, successors: tuple[int, ...]
 ) -> None:
     """Each vehicle receives its neighbours only: all enter and leave the term one after another."""
-    fleet = Fleet(TEN_HOPS, (1, 2, 3), successors, max_age_s)
+    fleet = CooperatingFleet(TEN_HOPS, (1, 2, 3), successors, max_age_s)
     fleet.receives = lambda receiver, sender: abs(receiver - sender) == 1
     fleet.fly(50)
     assert_recovers(fleet, 10 if at == 11 else 2, 2, [at])
 
 
 def test_one_claimed_beacon_of_the_next_term_deposes_no_leader_for_long() -> None:
-    fleet = Fleet(CHAIN, (1, 2, 3), (2, 3))
+    fleet = CooperatingFleet(CHAIN, (1, 2, 3), (2, 3))
     fleet.fly(50)
     assert_recovers(fleet, 2, 2, fleet.ids, epoch=1, claim=1)
     fleet.dead = {1}

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
+from common import outcome
 from companion.analysis.interaction import interaction_matrix, settled_prcs
 from companion.core.consensus.law import weighted
 from companion.core.election.beacon import WAITED_S, MissionClock
@@ -19,8 +20,7 @@ from companion.types.flight import Flight, FlightPhase, Role
 from companion.types.formation import LeaderBeacon
 from companion.types.notices import Code, Notice
 from companion.types.peers import ReceivedPeerPacket
-from cooperating_fleet import CHAIN, RING, TICK_S, Fleet, leaders_in
-from notices import outcome
+from consensus_fleet import CHAIN, RING, TICK_S, CooperatingFleet, leaders_in
 
 
 def leadership(own_id: int = 1) -> Leadership:
@@ -125,7 +125,7 @@ def test_an_epoch_is_lowered_only_to_where_that_of_its_peers_is_not_believed(
 
 
 def test_a_vehicle_whose_epoch_a_command_lowers_does_not_return_to_it_by_its_peers() -> None:
-    fleet = Fleet(RING, may_lead=(1, 2))
+    fleet = CooperatingFleet(RING, may_lead=(1, 2))
     fleet.fly(20)
     fleet.give(Lead((2,), 900))
     fleet.fly(20)
@@ -306,7 +306,7 @@ def graph_of(edges: tuple[tuple[int, int], ...]) -> dict[int, set[int]]:
 def test_prcs_settle_within_the_diameter_and_one_tick(
     edges: tuple[tuple[int, int], ...], diameter: int, leaders: tuple[int, ...]
 ) -> None:
-    fleet = Fleet(edges, may_lead=(1, 2, 3, 4))
+    fleet = CooperatingFleet(edges, may_lead=(1, 2, 3, 4))
     fleet.fly(20)
     fleet.give(Lead(leaders, 1))
     settled = settled_prcs(graph_of(edges), leaders)
@@ -319,7 +319,7 @@ def test_prcs_settle_within_the_diameter_and_one_tick(
 
 
 def test_the_ring_has_the_paper_s_matrices_before_and_after_a_change_of_leader() -> None:
-    fleet = Fleet(RING, may_lead=(1, 2))
+    fleet = CooperatingFleet(RING, may_lead=(1, 2))
     before = fleet.fly(20)
     fleet.give(Lead((2,), 1))
     after = fleet.fly(3)
@@ -337,7 +337,7 @@ PAPER_MATRICES = {
 
 @pytest.mark.parametrize("missed", [missed for n in (0, 1, 2) for missed in combinations((1, 3, 4), n)])
 def test_two_epochs_have_leaders_for_at_most_one_packet(missed: tuple[int, ...]) -> None:
-    fleet = Fleet(RING, may_lead=(1, 2))
+    fleet = CooperatingFleet(RING, may_lead=(1, 2))
     fleet.fly(20)
     fleet.give(Lead((2,), 1), *(set(fleet.ids) - set(missed)))
     assert leaders_in(fleet.tick()) == ([1, 2] if 1 in missed else [2])
@@ -351,7 +351,7 @@ def test_two_epochs_have_leaders_for_at_most_one_packet(missed: tuple[int, ...])
 
 
 def test_an_old_leader_without_reception_is_used_by_no_vehicle() -> None:
-    fleet = Fleet(RING, may_lead=(1, 2))
+    fleet = CooperatingFleet(RING, may_lead=(1, 2))
     fleet.fly(20)
     fleet.deaf = {1}
     fleet.give(Lead((2,), 1), 2, 3, 4)
@@ -367,7 +367,7 @@ def test_an_old_leader_without_reception_is_used_by_no_vehicle() -> None:
 @pytest.mark.parametrize("restarted", [1, 2])
 def test_a_restarted_agent_is_follower_in_a_newer_epoch(restarted: int) -> None:
     """1 is leader by the file, 2 was leader of epoch 1 when it restarted: the epoch has no leader until a command."""
-    fleet = Fleet(RING, may_lead=(1, 2))
+    fleet = CooperatingFleet(RING, may_lead=(1, 2))
     fleet.fly(20)
     fleet.give(Lead((2,), 1))
     fleet.fly(20)
@@ -387,7 +387,7 @@ def test_a_restarted_agent_is_follower_in_a_newer_epoch(restarted: int) -> None:
 
 
 def test_mission_time_is_passed_on_and_continues_at_a_change_of_leader() -> None:
-    fleet = Fleet(RING, may_lead=(1, 2))
+    fleet = CooperatingFleet(RING, may_lead=(1, 2))
     around = fleet.fly(500)
     leader_s = around[1].reference_s
     assert all(abs(what.reference_s - leader_s) < 2 * (TICK_S - WAITED_S) + 1e-6 for what in around.values())
@@ -401,7 +401,7 @@ def test_mission_time_is_passed_on_and_continues_at_a_change_of_leader() -> None
 
 @pytest.mark.parametrize("edges", [RING, CHAIN])
 def test_the_rft_continues_after_its_leader_was_in_hold(edges: tuple[tuple[int, int], ...]) -> None:
-    fleet = Fleet(edges, may_lead=(1, 2))
+    fleet = CooperatingFleet(edges, may_lead=(1, 2))
     stopped_s = fleet.fly(500)[1].reference_s
     fleet.phases[1] = FlightPhase.HOLD
     around = fleet.fly(500)
@@ -421,7 +421,7 @@ def test_the_rft_continues_after_its_leader_was_in_hold(edges: tuple[tuple[int, 
 
 @pytest.mark.parametrize("holds", [1, 3])
 def test_a_leader_in_hold_does_not_stop_the_time_of_another(holds: int) -> None:
-    fleet = Fleet(RING, may_lead=(1, 3))
+    fleet = CooperatingFleet(RING, may_lead=(1, 3))
     fleet.give(Lead((1, 3), 1))
     leads = 4 - holds
     fleet.phases[holds] = FlightPhase.HOLD
@@ -434,7 +434,7 @@ def test_a_leader_in_hold_does_not_stop_the_time_of_another(holds: int) -> None:
 
 
 def test_a_beacon_of_a_huge_epoch_claims_nothing() -> None:
-    fleet = Fleet(RING, may_lead=(1, 2))
+    fleet = CooperatingFleet(RING, may_lead=(1, 2))
     fleet.fly(20)
     honest = fleet.packets[4]
     forged = replace(
@@ -461,7 +461,7 @@ def test_a_beacon_of_a_huge_epoch_claims_nothing() -> None:
 
 
 def test_a_restarted_agent_catches_up_with_all_epochs_it_may_have_missed() -> None:
-    fleet = Fleet(RING, may_lead=(1, 2))
+    fleet = CooperatingFleet(RING, may_lead=(1, 2))
     fleet.give(Lead((2,), NUMBERS_AHEAD))
     fleet.vehicles[1], fleet.phases[1] = fleet.started(1), FlightPhase.HOLD
     around = fleet.fly(5)

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from common import outcome
 from companion.analysis.interaction import settled_prcs
 from companion.core.consensus.stage import Consensus
 from companion.core.election.beacon import BeaconMonitor
@@ -17,8 +18,7 @@ from companion.types.commands import MAX_EPOCH, Lead
 from companion.types.flight import FlightPhase, HealthFlag, Role
 from companion.types.formation import LeaderBeacon
 from companion.types.notices import Code
-from cooperating_fleet import BEACON_MAX_AGE_S, CHAIN, RING, TICK_S, Fleet, leaders_in
-from notices import outcome
+from consensus_fleet import BEACON_MAX_AGE_S, CHAIN, RING, TICK_S, CooperatingFleet, leaders_in
 
 ALL_6 = tuple(range(1, 7))
 STAR = ((1, 2), (1, 3), (1, 4))
@@ -26,13 +26,13 @@ STAR = ((1, 2), (1, 3), (1, 4))
 
 def fleet_in_flight(
     edges: tuple[tuple[int, int], ...] = RING, successors: tuple[int, ...] = (2, 3), may_lead: tuple[int, ...] = ALL_6
-) -> Fleet:
-    fleet = Fleet(edges, may_lead, successors)
+) -> CooperatingFleet:
+    fleet = CooperatingFleet(edges, may_lead, successors)
     fleet.fly(50)
     return fleet
 
 
-def seconds_until_led(fleet: Fleet, by: int) -> float:
+def seconds_until_led(fleet: CooperatingFleet, by: int) -> float:
     """Time until all remaining vehicles receive this leader's beacon."""
     began_s = fleet.now_s
     while True:
@@ -167,7 +167,7 @@ def test_a_leader_received_directly_is_not_replaced_when_no_neighbour_passes_it_
 
 
 def test_a_successor_that_does_not_know_mission_time_claims_no_leadership() -> None:
-    fleet = Fleet(RING, ALL_6, (2, 3))
+    fleet = CooperatingFleet(RING, ALL_6, (2, 3))
     fleet.phases[1] = FlightPhase.HOLD  # not in the RFT yet
     fleet.fly(20)
     fleet.dead = {1}

@@ -8,7 +8,7 @@ from companion.core.formation.changes import first_leader, passed_on
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot, FormationChange, LeaderBeacon
 from companion.types.peers import PeerPacket
-from formation_peers import peer
+from consensus_fleet import peer
 
 CHANGE = FormationChange(1, ((1, (0.0, 0.0, 0.0)), (2, (-2.0, 0.0, 0.0)), (3, (-4.0, 0.0, 0.0))), 10.0, 5.0)
 

@@ -15,7 +15,7 @@ from companion.types.flight import FlightPhase
 from companion.types.formation import EAST, FlownSlot, Heading
 from companion.types.notices import Refused
 from companion.types.values import ZERO3, Vector3
-from formation_peers import FLEET, NOW_S, SLOTS, peer
+from consensus_fleet import FLEET, NOW_S, PEER_SLOTS, peer
 
 
 def joining() -> Joining:
@@ -35,7 +35,7 @@ def test_joining_is_due_when_a_peer_has_been_in_formation_for_a_while() -> None:
 @pytest.mark.parametrize("moves_m_s", [ZERO3, (2.0, 0.0, 0.0)])
 def test_the_path_begins_at_position_and_velocity_and_ends_in_the_slot(moves_m_s: Vector3) -> None:
     start: Vector3 = (0.0, 3.0, 2.0)
-    delta, lasts_s = joining().path(NOW_S, start, ZERO3, SLOTS[3], EAST, [peer(1, moves_m_s), peer(2, moves_m_s)])
+    delta, lasts_s = joining().path(NOW_S, start, ZERO3, PEER_SLOTS[3], EAST, [peer(1, moves_m_s), peer(2, moves_m_s)])
     begin, end = delta(0.0), delta(lasts_s)
     assert begin[0] == pytest.approx((-6.0, 3.0, -3.0))  # of x - r - d
     assert begin[1] == pytest.approx([-v for v in moves_m_s])
@@ -49,13 +49,13 @@ def test_the_path_begins_at_rest_when_the_formation_turns() -> None:
     heading, start = Heading(1.0, 0.2), (0.0, 3.0, 2.0)
     peers = []
     for vehicle_id in (1, 2):
-        slot = turned_slot(FlownSlot(SLOTS[vehicle_id]), heading)
+        slot = turned_slot(FlownSlot(PEER_SLOTS[vehicle_id]), heading)
         x, y, z = (r + d for r, d in zip(FLEET, slot.position_enu_m, strict=True))
         peers.append(peer(vehicle_id, slot.velocity_enu_m_s, position_enu_m=(x, y, z), slot=slot))
-    delta, lasts_s = joining().path(NOW_S, start, ZERO3, SLOTS[3], heading, peers)
+    delta, lasts_s = joining().path(NOW_S, start, ZERO3, PEER_SLOTS[3], heading, peers)
     assert delta(lasts_s)[0] == pytest.approx(ZERO3)
     position, velocity, _ = delta(0.0)
-    x, y, z = (d + e for d, e in zip(SLOTS[3], position, strict=True))
+    x, y, z = (d + e for d, e in zip(PEER_SLOTS[3], position, strict=True))
     begin = turned_slot(FlownSlot((x, y, z), velocity), heading)
     assert begin.position_enu_m == pytest.approx([a - b for a, b in zip(start, FLEET, strict=True)])
     assert begin.velocity_enu_m_s == pytest.approx(ZERO3)
@@ -67,10 +67,10 @@ def test_the_path_begins_at_rest_when_the_formation_turns() -> None:
         ([peer(1, phase=FlightPhase.HOLD)], "no vehicle is in formation any more"),
         ([peer(1), peer(2, slot=FlownSlot((-4.3, 0.0, 0.0)))], "its slot is taken: vehicle 2 flies 0.30 m from it"),
         (
-            [peer(1), peer(2, slot=FlownSlot(SLOTS[2], (0.1, 0.0, 0.0), moves_for_s=1.0))],
+            [peer(1), peer(2, slot=FlownSlot(PEER_SLOTS[2], (0.1, 0.0, 0.0), moves_for_s=1.0))],
             "vehicle 2 is not in its slot yet",
         ),
-        ([peer(1), peer(2, slot=FlownSlot(SLOTS[2], waiting=1))], "vehicle 2 is not in its slot yet"),
+        ([peer(1), peer(2, slot=FlownSlot(PEER_SLOTS[2], waiting=1))], "vehicle 2 is not in its slot yet"),
         ([peer(1), peer(2, phase=FlightPhase.ENGAGE)], "vehicle 2 is joining; give form again then"),
         (
             [peer(1), peer(2, phase=FlightPhase.HOLD, position_enu_m=(2.0, 0.2, 5.0))],
@@ -82,7 +82,7 @@ def test_the_path_begins_at_rest_when_the_formation_turns() -> None:
 def test_joining_is_refused_with_the_reason_when_there_is_no_path(peers: list[PeerState], text: str) -> None:
     start: Vector3 = (-5000.0, 0.0, 5.0) if text == "too far" else (-2.0, 0.0, 5.0)
     with pytest.raises(Refused, match=text):
-        joining().path(NOW_S, start, ZERO3, SLOTS[3], EAST, peers)
+        joining().path(NOW_S, start, ZERO3, PEER_SLOTS[3], EAST, peers)
 
 
 def test_a_path_beside_the_formation_keeps_the_separation() -> None:
@@ -92,6 +92,6 @@ def test_a_path_beside_the_formation_keeps_the_separation() -> None:
     points = [
         tuple(d + e for d, e in zip((-4.0, 4.0, 0.0), delta(t)[0], strict=True)) for t in np.linspace(0, lasts_s, 99)
     ]
-    assert min(dist(point, SLOTS[i]) for point in points for i in (1, 2)) >= 1.0
+    assert min(dist(point, PEER_SLOTS[i]) for point in points for i in (1, 2)) >= 1.0
     with pytest.raises(Refused, match="of vehicle 1; expected at least separation_m, 1 m"):
-        joining().path(NOW_S, (14.0, 0.0, 5.0), ZERO3, SLOTS[3], EAST, [peer(1), peer(2)])
+        joining().path(NOW_S, (14.0, 0.0, 5.0), ZERO3, PEER_SLOTS[3], EAST, [peer(1), peer(2)])

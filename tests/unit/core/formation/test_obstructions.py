@@ -5,20 +5,20 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
+from common import code_of
 from companion.core.formation.limits import members, refusal_of_tracks, tracks_about
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code
 from companion.types.peers import PeerPacket
 from companion.types.values import Vector3
-from notices import code_of
-from slot_peers import peer
+from consensus_fleet import slot_peer
 
 P = FlightPhase
 EAST: list[Vector3] = [(0.0, 0.0, 5.0), (3.0, 0.0, 5.0), (6.0, 0.0, 5.0)]
 
 
 def at(position: Vector3, phase: FlightPhase = P.HOLD, armed: bool = True) -> PeerPacket:
-    return replace(peer(3, air=True), position_enu_m=position, phase=phase, armed=armed)
+    return replace(slot_peer(3, air=True), position_enu_m=position, phase=phase, armed=armed)
 
 
 @pytest.mark.parametrize("phase", [P.HOLD, P.RELEASE, P.LAND, P.RETURN, P.TAKEOFF, P.OBSERVE])
@@ -49,7 +49,7 @@ def test_a_vehicle_too_close_at_the_beginning_refuses_nothing() -> None:
 
 
 def test_tracks_are_those_of_the_vehicles_in_formation() -> None:
-    peers = [at((0.0, 0.0, 5.0)), replace(peer(1, air=True), phase=P.FORMATION)]
+    peers = [at((0.0, 0.0, 5.0)), replace(slot_peer(1, air=True), phase=P.FORMATION)]
     assert members(2, peers) == [2, 1]
     tracks = tracks_about(EAST, {1: (0.0, 1.0, 0.0), 2: (0.0, 0.0, 0.0), 3: (9.0, 0.0, 0.0)}, [2, 1])
     assert tracks == {2: EAST, 1: [(0.0, 1.0, 5.0), (3.0, 1.0, 5.0), (6.0, 1.0, 5.0)]}

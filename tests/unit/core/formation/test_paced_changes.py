@@ -7,7 +7,6 @@ from collections.abc import Iterable
 
 import pytest
 
-from agent_flight import Flight
 from companion.analysis.response import COST_PER_STEP, Chain
 from companion.config.fleet import FleetConfig, FormationMember, Law, RangeNeighbours
 from companion.config.reference import CircleReference, Figure8Reference
@@ -18,6 +17,7 @@ from companion.types.flight import Role
 from companion.types.formation import FlownSlot, FormationChange
 from companion.types.notices import Code
 from companion.types.steps import Steps
+from one_agent import AgentFlight
 
 C = CommandName
 VEHICLES = 12
@@ -53,19 +53,19 @@ def waypoints(points: int, speed_m_s: float = 0.05) -> dict[str, object]:
     }
 
 
-def on_ground(reference: Figure8Reference | CircleReference = LAP) -> Flight:
-    flight = Flight(fleet=TWELVE, reference=reference)
+def on_ground(reference: Figure8Reference | CircleReference = LAP) -> AgentFlight:
+    flight = AgentFlight(fleet=TWELVE, reference=reference)
     flight.peer_reference_s = 30.0
     for _ in range(5):
         flight.tick()
     return flight
 
 
-def changes_of(flight: Flight) -> Changes:
+def changes_of(flight: AgentFlight) -> Changes:
     return flight.agent._guidance._changes
 
 
-def reference_of(flight: Flight, number: int, described: dict[str, object], ahead_s: float = 3.0) -> Command:
+def reference_of(flight: AgentFlight, number: int, described: dict[str, object], ahead_s: float = 3.0) -> Command:
     change = ReferenceChange(number, described, flight.peer_reference_s + ahead_s)  # type: ignore[arg-type]
     return flight.command(C.REFERENCE, content=change)
 
@@ -75,7 +75,9 @@ def wider(number: int, begins_s: float, by: float = 1.05) -> FormationChange:
     return FormationChange(number, slots, begins_s, 30.0)
 
 
-def until_answered(flight: Flight, given: Iterable[Command], most: int = 200) -> tuple[list[CommandReply], list[int]]:
+def until_answered(
+    flight: AgentFlight, given: Iterable[Command], most: int = 200
+) -> tuple[list[CommandReply], list[int]]:
     """The replies, and the steps of each tick."""
     checks, replies, steps, commands = changes_of(flight)._checks, [], [], tuple(given)
     awaited = len(commands)

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
+from common import outcome
 from companion.core.formation.limits import FormationLimits
 from companion.core.formation.slots import AGREED_WITHIN_S, SlotPlan
 from companion.geometry.curves import Motion, circle, duration_s, rest_to_rest, waypoint_path
@@ -21,7 +22,6 @@ from companion.types.formation import FlownSlot, FormationChange
 from companion.types.notices import Code, Notice, accepted
 from companion.types.peers import PeerPacket
 from companion.types.values import ZERO3, Vector3
-from notices import outcome
 
 SIZES = (1, 2, 3, 4, 5, 6, 7, 8, 12, 25)
 LINE: dict[int, Vector3] = {1: (0.0, 0.0, 0.0), 2: (-2.0, 0.0, 0.0), 3: (-4.0, 0.0, 0.0)}

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from common import code_of
 from companion.core.consensus.law import FormationState, Gains, cooperative, weighted
 from companion.core.consensus.peers import PeerState
 from companion.core.formation.paths import FormingTogether, Frame, law_within_m
@@ -16,8 +17,7 @@ from companion.types.flight import FlightPhase
 from companion.types.formation import EAST, FlownSlot
 from companion.types.notices import Code, Notice
 from companion.types.values import ZERO3, Vector3
-from notices import code_of
-from slot_peers import SLOTS, peer
+from consensus_fleet import SLOTS, slot_peer
 
 NOW_S = 100.0
 AT: Vector3 = (20.0, 0.0, 2.0)  # of the RFT
@@ -33,7 +33,7 @@ def forming(own_id: int = 2, separation_m: float = 1.0, has_height: bool = True)
 
 
 def holding(vehicle_id: int, at: Vector3, phase: FlightPhase = FlightPhase.HOLD, **changes: object) -> PeerState:
-    packet = replace(peer(vehicle_id, air=True), position_enu_m=at, phase=phase, **changes)
+    packet = replace(slot_peer(vehicle_id, air=True), position_enu_m=at, phase=phase, **changes)
     return PeerState(packet, NOW_S, NOW_S, NOW_S)
 
 

@@ -12,6 +12,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
+from common import ROOT
 from companion.config.file import ConfigError
 from companion.config.fleet import FleetConfig
 from companion.config.fleet_check import load_fleet
@@ -38,8 +39,7 @@ from companion.types.flight import FlightPhase, HealthFlag, Role
 from companion.types.formation import EAST, FlownSlot, Heading
 from companion.types.notices import Code, Notice
 from companion.types.values import ZERO3, Vector3
-from cooperating_fleet import RING, Fleet
-from repository import ROOT
+from consensus_fleet import RING, CooperatingFleet
 
 TICK_S = 0.02
 LIMITS = TurnLimits(0.3, 0.2)
@@ -252,7 +252,7 @@ def test_fixed_formation_ignores_headings() -> None:
     assert heading.flown == heading.published == EAST
 
 
-def received_heading(fleet: Fleet, vehicle_id: int, published: dict[int, Heading]) -> Heading | None:
+def received_heading(fleet: CooperatingFleet, vehicle_id: int, published: dict[int, Heading]) -> Heading | None:
     """Heading that a vehicle of a fleet receives for these published headings."""
     for _ in range(10):
         fleet.tick()
@@ -269,20 +269,20 @@ def received_heading(fleet: Fleet, vehicle_id: int, published: dict[int, Heading
 
 def test_heading_of_the_leader_is_extrapolated_over_its_age() -> None:
     heading = Heading(1.0, 0.5)
-    fleet = Fleet(RING, (1, 2))
+    fleet = CooperatingFleet(RING, (1, 2))
     assert received_heading(fleet, 1, {1: heading}) is None
     assert received_heading(fleet, 2, {1: heading}) == heading_after(heading, WAITED_S)
 
 
 def test_relayed_heading_stays_plausible() -> None:
-    fleet = Fleet(RING, (1, 2))
+    fleet = CooperatingFleet(RING, (1, 2))
     assert received_heading(fleet, 2, {1: Heading(0.0, 5.0, 20.0)}) == replace(
         heading_after(Heading(0.0, 5.0, 20.0), WAITED_S), rate_rad_s=5.0
     )
 
 
 def test_heading_is_of_the_leader_with_the_lowest_id() -> None:
-    fleet = Fleet(RING, (1, 2))
+    fleet = CooperatingFleet(RING, (1, 2))
     fleet.give(Lead((1, 2), 1))
     published = {1: Heading(1.0), 2: Heading(2.0)}
     assert received_heading(fleet, 1, published) is None
@@ -290,7 +290,7 @@ def test_heading_is_of_the_leader_with_the_lowest_id() -> None:
 
 
 def test_leader_outside_formation_uses_the_heading_of_a_flying_leader() -> None:
-    fleet = Fleet(RING, (1, 2))
+    fleet = CooperatingFleet(RING, (1, 2))
     fleet.give(Lead((1, 2), 1))
     fleet.phases[1] = FlightPhase.HOLD
     assert received_heading(fleet, 1, {2: Heading(2.0)}) == Heading(2.0)

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
+from common import ROOT, code_of, codes_of, outcome
 from companion.assembly import build_agent
 from companion.config.vehicle import AgentConfig
 from companion.core.consensus.law import FormationState
@@ -24,8 +25,6 @@ from companion.types.formation import FlownSlot, HeldReference
 from companion.types.notices import Answer, Code, Notice, accepted, refused
 from companion.types.peers import PeerPacket, ReceivedTarget, TargetSample
 from companion.types.values import ZERO3, Vector3
-from notices import code_of, codes_of, outcome
-from repository import ROOT
 from sitl.flight.files import reached_stand_in, vehicle_file
 from sitl.flight.scenario import load_scenario
 

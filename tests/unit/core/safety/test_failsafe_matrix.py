@@ -18,7 +18,7 @@ from companion.types.autopilot import AutopilotKind, AutopilotMode, LandedState,
 from companion.types.flight import STREAMING, FailsafeAction, Flight, FlightPhase, HealthFlag, PhaseChange, Role
 from companion.types.notices import Code
 from companion.types.status import NearestVehicle, SeparationReport
-from slot_peers import peer
+from consensus_fleet import slot_peer
 
 F, P, A = HealthFlag, FlightPhase, FailsafeAction
 KINDS = list(AutopilotKind)
@@ -151,7 +151,7 @@ class Vehicle:
         )
 
     def _consensus(self) -> Consensus:
-        other = {4: PeerState(replace(peer(4), position_enu_m=(30.0, 30.0, 5.0)), self.now_s, 0.0, self.now_s)}
+        other = {4: PeerState(replace(slot_peer(4), position_enu_m=(30.0, 30.0, 5.0)), self.now_s, 0.0, self.now_s)}
         leaderless = next((flag for flag in (F.LEADER_AWAITED, F.LEADER_LOST) if flag in self.raised), None)
         return Consensus(
             role=Role.LEADER,

@@ -7,12 +7,12 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
+from agent_on_bytes import BOTH, FlightOnBytes
 from companion.core.safety.safeguard import Safety
 from companion.types.autopilot import AutopilotKind
 from companion.types.commands import CommandName
 from companion.types.flight import FLAG_TEXTS, FlightPhase, HealthFlag
 from companion.types.notices import Code
-from profile_flight import BOTH, Flight
 
 C, P, F = CommandName, FlightPhase, HealthFlag
 # The phase that each command is given in.
@@ -48,7 +48,7 @@ OWN_MODE = {  # AUTO.LAND and AUTO.RTL; LAND and RTL
 }
 
 
-def raise_flags(flight: Flight, flags: set[HealthFlag]) -> None:
+def raise_flags(flight: FlightOnBytes, flags: set[HealthFlag]) -> None:
     """From now on the safeguard reports these flags besides its own; `flags` may change later."""
     safeguard: Any = flight.agent._safeguard
     step = safeguard.step
@@ -63,7 +63,7 @@ def raise_flags(flight: Flight, flags: set[HealthFlag]) -> None:
 @BOTH
 @pytest.mark.parametrize("name", GIVEN_IN)
 def test_the_commands_that_each_flag_refuses(kind: AutopilotKind, name: CommandName) -> None:
-    flight, phase = Flight(kind).fly_to(GIVEN_IN[name]), GIVEN_IN[name]
+    flight, phase = FlightOnBytes(kind).fly_to(GIVEN_IN[name]), GIVEN_IN[name]
     flags: set[HealthFlag] = set()
     raise_flags(flight, flags)
     for flag in sorted(REFUSES[name]):
@@ -83,7 +83,7 @@ def test_the_commands_that_each_flag_refuses(kind: AutopilotKind, name: CommandN
 @BOTH
 @pytest.mark.parametrize("name", [name for name in GIVEN_IN if REFUSES[name]])
 def test_a_command_that_several_flags_refuse_names_all_of_them(kind: AutopilotKind, name: CommandName) -> None:
-    flight = Flight(kind).fly_to(GIVEN_IN[name])
+    flight = FlightOnBytes(kind).fly_to(GIVEN_IN[name])
     raise_flags(flight, set(F))
     flight.tick(name)
     accepted, _code, reason = flight.replies[-1]
@@ -99,7 +99,7 @@ def test_each_command_that_changes_the_phase_stands_here() -> None:
 @BOTH
 @pytest.mark.parametrize("phase", [P.OBSERVE, P.READY, P.ARMED, P.HOLD])
 def test_a_stopping_agent_leaves_a_vehicle_alone_that_it_does_not_fly(kind: AutopilotKind, phase: FlightPhase) -> None:
-    flight = Flight(kind).fly_to(phase)
+    flight = FlightOnBytes(kind).fly_to(phase)
     commands, targets = len(flight.autopilot.commands), len(flight.autopilot.targets)
     flight.stopping = True
     flight.ticks(4.0)
@@ -112,7 +112,7 @@ def test_a_stopping_agent_leaves_a_vehicle_alone_that_it_does_not_fly(kind: Auto
 @pytest.mark.parametrize("name", [None, C.HOLD, C.LAND, C.RETURN])
 def test_a_stopping_agent_hands_over_the_stream_of_every_phase(kind: AutopilotKind, name: CommandName | None) -> None:
     """Out of formation by hold. A hold, a landing or a return that has begun is completed."""
-    flight = Flight(kind).fly_to(P.FORMATION)
+    flight = FlightOnBytes(kind).fly_to(P.FORMATION)
     if name:
         flight.tick(name)
     flight.stopping = True
@@ -131,7 +131,7 @@ def test_a_flag_in_the_first_moments_of_a_landing_or_return_does_not_end_it(
     kind: AutopilotKind, name: CommandName
 ) -> None:
     """A flag that holds at once in formation, while setpoints are still sent: the autopilot's mode is requested after them."""
-    flight = Flight(kind).fly_to(P.FORMATION)
+    flight = FlightOnBytes(kind).fly_to(P.FORMATION)
     flight.tick(name)
     sent = len(flight.autopilot.targets)
     flight.autopilot.up_m = 60.0  # above the fence
@@ -145,7 +145,7 @@ def test_a_flag_in_the_first_moments_of_a_landing_or_return_does_not_end_it(
 
 def test_a_command_in_the_wrong_phase_is_refused_for_the_phase_and_not_for_a_flag() -> None:
     """On the ground no vehicle has a leader beacon: `form` needs a take-off, not a leader."""
-    flight = Flight(AutopilotKind.PX4).fly_to(P.READY)
+    flight = FlightOnBytes(AutopilotKind.PX4).fly_to(P.READY)
     raise_flags(flight, {F.LEADER_LOST})
     flight.tick(C.FORM)
     assert flight.replies[-1][:2] == (False, Code.WRONG_PHASE)

@@ -3,6 +3,7 @@
 import pytest
 from msgspec.structs import replace
 
+from common import code_of
 from companion.core.safety.fleet_checks import FleetChecks
 from companion.types.autopilot import PositionError, VehicleState
 from companion.types.commands import CommandName
@@ -10,8 +11,7 @@ from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot
 from companion.types.notices import Code, Notice
 from companion.types.peers import PeerPacket
-from notices import code_of
-from slot_peers import SLOTS, peer
+from consensus_fleet import SLOTS, slot_peer
 
 OWN = FlownSlot(SLOTS[2])
 CHECKS = FleetChecks(2, slots_have_height=True, ground_spread_m=1.0, separation_m=1.0)
@@ -26,7 +26,7 @@ def vehicle(z_m: float = 0.0, error: PositionError | None = None) -> VehicleStat
 
 @pytest.mark.parametrize("name", [CommandName.ARM, CommandName.TAKEOFF])
 def test_takeoff_is_refused_when_altitudes_differ(name: CommandName) -> None:
-    refusal, _ = CHECKS.judge(name, vehicle(0.3), OWN, [peer(1, 0.0), peer(3, 1.4)], Role.FOLLOWER)
+    refusal, _ = CHECKS.judge(name, vehicle(0.3), OWN, [slot_peer(1, 0.0), slot_peer(3, 1.4)], Role.FOLLOWER)
     assert code_of(refusal) is Code.ALTITUDES_DIFFER
     assert "vehicle 3 is 1.4 m above vehicle 1" in refusal.text
 
@@ -35,8 +35,8 @@ def test_takeoff_is_refused_when_altitudes_differ(name: CommandName) -> None:
     ("own_m", "peers"),
     [
         (0.0, []),
-        (0.3, [peer(1, -0.3), peer(3, 0.6)]),
-        (0.0, [peer(1, 30.0, air=True)]),  # it flies already
+        (0.3, [slot_peer(1, -0.3), slot_peer(3, 0.6)]),
+        (0.0, [slot_peer(1, 30.0, air=True)]),  # it flies already
     ],
 )
 def test_takeoff_is_accepted_when_altitudes_agree(own_m: float, peers: list[PeerPacket]) -> None:
@@ -46,16 +46,16 @@ def test_takeoff_is_accepted_when_altitudes_agree(own_m: float, peers: list[Peer
 @pytest.mark.parametrize("name", [CommandName.ARM, CommandName.TAKEOFF])
 @pytest.mark.parametrize("height_m", [0.0, 20.0])  # on the ground, and in the air above
 def test_takeoff_is_refused_within_the_separation_of_a_peer(name: CommandName, height_m: float) -> None:
-    beside = replace(peer(3, air=height_m > 0.0), position_enu_m=(0.6, -0.5, height_m))
-    refusal, _ = CHECKS.judge(name, vehicle(), OWN, [peer(1), beside], Role.FOLLOWER)
+    beside = replace(slot_peer(3, air=height_m > 0.0), position_enu_m=(0.6, -0.5, height_m))
+    refusal, _ = CHECKS.judge(name, vehicle(), OWN, [slot_peer(1), beside], Role.FOLLOWER)
     assert code_of(refusal) is Code.VEHICLE_TOO_CLOSE
     assert "vehicle 3 is 0.78 m from vehicle 2; expected at least separation_m, 1 m" in refusal.text
-    assert CHECKS.lacks(vehicle(), [peer(1), beside]) == (refusal,)
+    assert CHECKS.lacks(vehicle(), [slot_peer(1), beside]) == (refusal,)
 
 
 def test_landing_near_a_peer_is_a_warning() -> None:
     refusal, warning = CHECKS.judge(
-        CommandName.LAND, vehicle(3.0), OWN, [replace(peer(1), position_enu_m=(0.1, 0.0, 0.0))], Role.FOLLOWER
+        CommandName.LAND, vehicle(3.0), OWN, [replace(slot_peer(1), position_enu_m=(0.1, 0.0, 0.0))], Role.FOLLOWER
     )
     assert refusal is None
     assert code_of(warning) is Code.VEHICLE_TOO_CLOSE
@@ -67,7 +67,7 @@ def test_landing_near_a_peer_is_a_warning() -> None:
 def judged(own_m: float | None, *others: tuple[int, float | None]) -> tuple[Notice | None, Notice | None]:
     """`own_m` and the second item of `others` are position errors, horizontal and vertical."""
     own = None if own_m is None else PositionError(own_m, own_m)
-    peers = [peer(i, error=None if m is None else PositionError(m, m), air=True) for i, m in others]
+    peers = [slot_peer(i, error=None if m is None else PositionError(m, m), air=True) for i, m in others]
     return CHECKS.judge(CommandName.FORM, vehicle(error=own), OWN, peers, Role.FOLLOWER)
 
 
@@ -103,7 +103,7 @@ def test_slot_spacing_limits_by_reported_position_error(
     for errors_m, wanted in ((fits_m, (False, False)), (warned_m, (False, True)), (refused_m, (True, False))):
         for error_m in errors_m:
             error = PositionError(error_m, 3.0)  # on level slots, height does not count
-            other = replace(peer(2, error=error, air=True), slot=FlownSlot((0.0, spacing_m, 0.0)))
+            other = replace(slot_peer(2, error=error, air=True), slot=FlownSlot((0.0, spacing_m, 0.0)))
             refusal, warning = checks.judge(
                 CommandName.FORM, vehicle(error=error), FlownSlot(SLOTS[1]), [other], Role.FOLLOWER
             )
@@ -128,7 +128,7 @@ def test_unknown_position_error_is_a_warning() -> None:
 
 def test_vertical_error_counts_only_when_the_law_controls_altitude() -> None:
     own = vehicle(error=PositionError(0.05, 0.6))
-    above = [peer(4, error=PositionError(0.05, 0.6), air=True)]
+    above = [slot_peer(4, error=PositionError(0.05, 0.6), air=True)]
     with_height = FleetChecks(3, slots_have_height=True, ground_spread_m=1.0, separation_m=1.0)
     assert "1.2 sigma" in with_height.judge(CommandName.FORM, own, FlownSlot(SLOTS[3]), above, Role.FOLLOWER)[0].text
     without = FleetChecks(3, slots_have_height=False, ground_spread_m=1.0, separation_m=1.0)
@@ -136,14 +136,14 @@ def test_vertical_error_counts_only_when_the_law_controls_altitude() -> None:
 
 
 def test_joining_is_refused_when_peers_fly_another_formation() -> None:
-    other = replace(peer(1, air=True), phase=FlightPhase.FORMATION, slot=FlownSlot(SLOTS[1], formation=3))
+    other = replace(slot_peer(1, air=True), phase=FlightPhase.FORMATION, slot=FlownSlot(SLOTS[1], formation=3))
     refusal, _ = CHECKS.judge(CommandName.FORM, vehicle(), OWN, [other], Role.FOLLOWER)
     assert code_of(refusal) is Code.FORMATION_DIFFERS
 
 
 def test_joining_is_refused_when_the_leader_has_another_formation() -> None:
-    leader = replace(peer(1, air=True), role=Role.LEADER, slot=FlownSlot(SLOTS[1], formation=3))
-    refusal, _ = CHECKS.judge(CommandName.FORM, vehicle(), OWN, [leader, peer(3, air=True)], Role.FOLLOWER)
+    leader = replace(slot_peer(1, air=True), role=Role.LEADER, slot=FlownSlot(SLOTS[1], formation=3))
+    refusal, _ = CHECKS.judge(CommandName.FORM, vehicle(), OWN, [leader, slot_peer(3, air=True)], Role.FOLLOWER)
     assert code_of(refusal) is Code.FORMATION_DIFFERS
     assert "leader 1 has 3" in refusal.text
     assert "leader 1 has 3" in CHECKS.judge(CommandName.FORM, vehicle(), OWN, [leader], Role.LEADER)[0].text
@@ -151,6 +151,6 @@ def test_joining_is_refused_when_the_leader_has_another_formation() -> None:
     assert CHECKS.judge(CommandName.FORM, vehicle(), OWN, [second], Role.LEADER)[0] is None
     follower = replace(leader, role=Role.FOLLOWER)
     on_ground = replace(leader, phase=FlightPhase.READY)
-    formed = replace(peer(3, air=True), phase=FlightPhase.FORMATION)
+    formed = replace(slot_peer(3, air=True), phase=FlightPhase.FORMATION)
     for others in ([follower], [on_ground], [leader, formed]):
         assert CHECKS.judge(CommandName.FORM, vehicle(), OWN, others, Role.FOLLOWER)[0] is None

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import pytest
 
+from agent_on_bytes import ARDUPILOT, BOTH, IN_ORDER, PX4, FlightOnBytes
+from common import code_of, codes_of
 from companion.core.estimation.wind import DisturbanceObserver
 from companion.core.preflight import ASK_PERIOD_S, REFRESH_PERIOD_S, Preflight
 from companion.types.autopilot import AutopilotKind, ParameterSample
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code
-from notices import code_of, codes_of
-from profile_flight import ARDUPILOT, BOTH, IN_ORDER, PX4, Flight
 
 C, P = CommandName, FlightPhase
 
 
-def form(flight: Flight) -> tuple[bool, Code, str]:
+def form(flight: FlightOnBytes) -> tuple[bool, Code, str]:
     flight.tick(C.FORM)
     return flight.replies[-1]
 
@@ -34,7 +34,7 @@ def form(flight: Flight) -> tuple[bool, Code, str]:
 def test_formation_is_refused_until_the_parameter_is_set(
     kind: AutopilotKind, name: str, value: float, words: str
 ) -> None:
-    flight = Flight(kind)
+    flight = FlightOnBytes(kind)
     flight.autopilot.parameters[name] = value
     flight.fly_to(P.HOLD)
     accepted, _, reason = form(flight)
@@ -53,7 +53,7 @@ def test_formation_is_refused_until_the_parameter_is_set(
 
 @BOTH
 def test_low_battery_refuses_formation_and_permits_landing(kind: AutopilotKind) -> None:
-    flight = Flight(kind).fly_to(P.HOLD)
+    flight = FlightOnBytes(kind).fly_to(P.HOLD)
     flight.autopilot.battery_percent = 15
     flight.tick()
     accepted, _, reason = form(flight)
@@ -63,7 +63,7 @@ def test_low_battery_refuses_formation_and_permits_landing(kind: AutopilotKind) 
 
 
 def test_other_px4_version_is_a_warning() -> None:
-    flight = Flight(PX4)
+    flight = FlightOnBytes(PX4)
     flight.autopilot.parameters = {"COM_OBL_RC_ACT": 5}
     flight.fly_to(P.HOLD)
     assert next(event for event in flight.events if "not found" in event.text).text.startswith(
@@ -80,7 +80,7 @@ def test_no_parameter_is_requested_before_the_heartbeat() -> None:
 
 
 def test_ardupilot_without_the_thrust_parameter_is_refused() -> None:
-    flight = Flight(ARDUPILOT)
+    flight = FlightOnBytes(ARDUPILOT)
     del flight.autopilot.parameters["GUID_OPTIONS"]
     flight.fly_to(P.HOLD)
     accepted, _, reason = form(flight)
@@ -90,10 +90,10 @@ def test_ardupilot_without_the_thrust_parameter_is_refused() -> None:
 
 @BOTH
 def test_warnings_are_reported_once(kind: AutopilotKind) -> None:
-    quiet = Flight(kind)
+    quiet = FlightOnBytes(kind)
     quiet.ticks(5.0)
     assert quiet.events == []
-    warned = Flight(kind)
+    warned = FlightOnBytes(kind)
     name, value = ("COM_OBL_RC_ACT", 3) if kind is PX4 else ("GUID_TIMEOUT", 3.0)
     warned.autopilot.parameters[name] = value
     warned.ticks(20.0)
@@ -104,7 +104,7 @@ def test_warnings_are_reported_once(kind: AutopilotKind) -> None:
 
 @BOTH
 def test_parameters_are_read_in_turn_and_never_set(kind: AutopilotKind) -> None:
-    flight = Flight(kind)
+    flight = FlightOnBytes(kind)
     flight.ticks(len(IN_ORDER[kind]) * ASK_PERIOD_S + 0.3)
     assert sorted(set(flight.autopilot.read)) == sorted(IN_ORDER[kind])
     read = len(flight.autopilot.read)
@@ -117,7 +117,7 @@ def test_parameters_are_read_in_turn_and_never_set(kind: AutopilotKind) -> None:
     assert "PARAM_SET" not in {message.get_type() for message in flight.autopilot.commands}
 
 
-def lacks(flight: Flight) -> list[Code]:
+def lacks(flight: FlightOnBytes) -> list[Code]:
     flight.ticks(0.2)  # until the next status
     assert flight.status is not None
     return codes_of(flight.status.lacks)
@@ -125,7 +125,7 @@ def lacks(flight: Flight) -> list[Code]:
 
 @BOTH
 def test_status_lists_findings_on_the_ground_until_they_are_solved(kind: AutopilotKind) -> None:
-    flight = Flight(kind)
+    flight = FlightOnBytes(kind)
     flight.autopilot.may_arm = False
     assert lacks(flight)[0] is Code.PARAMETERS_UNREAD
     flight.ticks(1.0)
@@ -138,7 +138,7 @@ def test_status_lists_findings_on_the_ground_until_they_are_solved(kind: Autopil
 
 @BOTH
 def test_status_lists_no_findings_when_armed(kind: AutopilotKind) -> None:
-    flight = Flight(kind).fly_to(P.ARMED)
+    flight = FlightOnBytes(kind).fly_to(P.ARMED)
     flight.autopilot.may_arm = False
     assert lacks(flight) == []
 
@@ -153,7 +153,7 @@ def test_observer_starts_from_the_hover_thrust_parameter(kind: AutopilotKind, na
 
 @BOTH
 def test_a_warning_of_the_audit_stays_in_the_status_on_the_ground(kind: AutopilotKind) -> None:
-    flight = Flight(kind)
+    flight = FlightOnBytes(kind)
     flight.autopilot.parameters["GF_ACTION" if kind is PX4 else "FENCE_ENABLE"] = 0
     flight.fly_to(P.READY)
     flight.ticks(1.0)

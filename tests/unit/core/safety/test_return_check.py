@@ -5,8 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from agent_flight import Flight
-from commanded_phases import AIR, ImmediateAutopilot, flown_to, levelled, tick
+from common import code_of, outcome
 from companion.core.command.phase import PhaseMachine
 from companion.core.safety.fleet_checks import Path, apart, refusal_of_return
 from companion.types.autopilot import AckSample, AutopilotMode, HeartbeatSample, LandedState, SetMode
@@ -15,8 +14,8 @@ from companion.types.flight import RULES, FlightPhase
 from companion.types.notices import Answer, Code, Notice
 from companion.types.peers import PeerPacket
 from companion.types.values import Vector3
-from notices import code_of, outcome
-from slot_peers import peer
+from consensus_fleet import slot_peer
+from one_agent import AIR, AgentFlight, ImmediateAutopilot, flown_to, levelled, tick
 
 P, M, C = FlightPhase, AutopilotMode, CommandName
 
@@ -43,7 +42,7 @@ def test_smallest_distance_of_two_paths(a: Path, b: Path, apart_m: float) -> Non
 
 
 def peer_in(phase: FlightPhase, at: Vector3) -> PeerPacket:
-    return replace(peer(1), phase=phase, position_enu_m=at)
+    return replace(slot_peer(1), phase=phase, position_enu_m=at)
 
 
 def refusal(at: Vector3, home: Vector3 | None, *others: PeerPacket, peer_home: Vector3 | None = None) -> Notice | None:
@@ -216,13 +215,13 @@ def test_vehicle_holds_when_the_return_mode_is_refused(phase: FlightPhase) -> No
 # ---------------------------------------------------------------- the agent
 
 
-def answer(flight: Flight) -> Answer:
+def answer(flight: AgentFlight) -> Answer:
     reply = flight.tick(C.RETURN).replies[0]
     return Answer(reply.accepted, Notice(reply.code, reply.reason))
 
 
 def test_return_from_formation_levels_before_the_mode_change() -> None:
-    flight = Flight().fly_to(P.FORMATION)
+    flight = AgentFlight().fly_to(P.FORMATION)
     assert answer(flight) == (True, Notice(Code.PHASE_CHANGED, "return begins"))
     levels = 0
     while flight.mode is not M.RETURN:
@@ -237,7 +236,7 @@ def test_return_from_formation_levels_before_the_mode_change() -> None:
 
 
 def test_return_check_uses_the_recorded_homes_of_peers() -> None:
-    flight = Flight()
+    flight = AgentFlight()
     flight.peer_phase, flight.peer_position = P.ARMED, (0.0, 0.0, 0.0)
     flight.fly_to(P.HOLD)
     flight.peer_phase, flight.peer_position = P.HOLD, (-3.0, 0.0, 1.0)  # on the other side of this one's home
@@ -255,7 +254,7 @@ def test_return_check_uses_the_recorded_homes_of_peers() -> None:
 
 
 def test_home_is_unknown_after_a_restart_in_flight() -> None:
-    flight = Flight()
+    flight = AgentFlight()
     flight.armed, flight.landed, flight.mode = True, LandedState.IN_AIR, M.HOLD
     late = [sample for sample in flight.telemetry() if not isinstance(sample, HeartbeatSample)]
     flight.tick(telemetry=late)  # the first telemetry has no armed state
@@ -269,7 +268,7 @@ def test_home_is_unknown_after_a_restart_in_flight() -> None:
 
 
 def test_return_is_accepted_outside_the_fence_and_refused_without_a_valid_position() -> None:
-    flight = Flight().fly_to(P.HOLD)
+    flight = AgentFlight().fly_to(P.HOLD)
     flight.position = (-101.0, 0.0, 1.0)
     flight.peer_position = None
     flight.tick()
@@ -283,7 +282,7 @@ def test_return_is_accepted_outside_the_fence_and_refused_without_a_valid_positi
 
 
 def test_formation_does_not_wait_for_a_returning_vehicle() -> None:
-    flight = Flight().fly_to(P.FORMATION)
+    flight = AgentFlight().fly_to(P.FORMATION)
     flight.peer_phase = P.RETURN
     statuses = [status for _ in range(20) if (status := flight.tick().status)]
     assert statuses[-1].neighbours == ()

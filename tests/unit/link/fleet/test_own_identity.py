@@ -7,7 +7,7 @@ import pytest
 
 from companion.link.fleet.identity import load
 from companion.security.identity import ADMITTED_FILE
-from identities import provisioned
+from secured_fleet import provisioned
 
 
 def test_the_newer_of_two_lists_is_used(tmp_path: Path) -> None:

@@ -30,7 +30,7 @@ from companion.types.notices import Code
 from companion.types.peers import PeerPacket
 from companion.types.values import MAX_NUMBER, MAX_VEHICLES, ZERO3
 from companion.wire.peer import encode_peer
-from own_ports import free_port
+from processes import free_port
 
 FLEET = FleetConfig(
     name="pair",

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from agent_on_bytes import FailingFlight
 from companion.recording.reader import recordings
 from companion.recording.recorder import ground_recorder
 from companion.recording.records import GROUND_COMMAND, GROUND_STATUS
 from companion.recording.writing import WritingThread
 from companion.types.autopilot import AutopilotKind
 from companion.types.commands import Command, CommandName
-from failing_flight import FailingFlight
-from recorded_agent import until
+from one_agent import until
 
 
 def test_statuses_and_commands_are_recorded(tmp_path: Path) -> None:

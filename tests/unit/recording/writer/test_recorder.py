@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
+from agent_on_bytes import PERIOD_S, FailingFlight
 from companion.core.consensus.law import cooperative
 from companion.recording.codec import decode_inbox, decode_outbox, encode
 from companion.recording.files import PartFiles
@@ -24,8 +25,7 @@ from companion.types.flight import FlightPhase
 from companion.types.notices import Code
 from companion.types.tick import Inbox, Outbox
 from companion.wire.rounding import as_sent
-from failing_flight import PERIOD_S, FailingFlight
-from recorded_agent import BEGAN_UNIX_S, Disk, recorder, until
+from one_agent import BEGAN_UNIX_S, Disk, recorder, until
 
 P = FlightPhase
 SECOND = round(1.0 / PERIOD_S)  # ticks

@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 from pymavlink import mavutil
 
+from agent_on_bytes import FailingFlight
 from companion.link.autopilot_link import RecordedLink
 from companion.mavlink.translator import Translator
 from companion.recording.writing import WritingAtOnce
 from companion.types.autopilot import AutopilotKind
-from failing_flight import FailingFlight
-from recorded_agent import BEGAN_S, BEGAN_UNIX_S, recorder
+from one_agent import BEGAN_S, BEGAN_UNIX_S, recorder
 
 
 class Wire:

@@ -12,14 +12,14 @@ from companion.types.autopilot import AutopilotKind
 from sitl.autopilots.ardupilot.modes import CopterMode
 from sitl.vehicle.automatic_flight import Course
 from sitl.vehicle.config import ARMABLE_AFTER_S, HOVER_THRUST_NORM
-from sitl_copter import DT_S, HOVER, Copter, M, attitude
+from stand_ins import COPTER_DT_S, COPTER_HOVER, CopterOnBytes, M, attitude
 
 ACCEPTED, DENIED, FAILED, UNSUPPORTED = 0, 2, 4, 3
 ARM, TAKEOFF, REQUEST = M.MAV_CMD_COMPONENT_ARM_DISARM, M.MAV_CMD_NAV_TAKEOFF, M.MAV_CMD_REQUEST_MESSAGE
 
 
 def test_only_heartbeats_and_texts_are_sent_without_requests() -> None:
-    copter = Copter()
+    copter = CopterOnBytes()
     copter.fly(1.0)
     copter.received.clear()
     copter.fly(5.0)
@@ -37,7 +37,7 @@ def test_only_heartbeats_and_texts_are_sent_without_requests() -> None:
     ],
 )
 def test_a_message_is_sent_at_exactly_50_hz_on_request(message_id: int, kind: str) -> None:
-    copter = Copter()
+    copter = CopterOnBytes()
     copter.fly(1.0)
     assert copter.interval(message_id, 50.0) == ACCEPTED
     copter.received.clear()
@@ -46,7 +46,7 @@ def test_a_message_is_sent_at_exactly_50_hz_on_request(message_id: int, kind: st
 
 
 def test_too_fast_rates_and_unknown_messages_are_refused() -> None:
-    copter = Copter()
+    copter = CopterOnBytes()
     assert copter.interval(M.MAVLINK_MSG_ID_ATTITUDE, 500.0) == DENIED
     for unknown in (M.MAVLINK_MSG_ID_CURRENT_MODE, M.MAVLINK_MSG_ID_ODOMETRY, M.MAVLINK_MSG_ID_ESTIMATOR_STATUS):
         assert copter.interval(unknown, 50.0) == DENIED
@@ -57,7 +57,7 @@ def test_too_fast_rates_and_unknown_messages_are_refused() -> None:
 
 
 def test_every_command_has_one_answer_for_broadcast_and_unknown_components() -> None:
-    copter = Copter()
+    copter = CopterOnBytes()
     copter.fly(0.1)
     assert copter.command(M.MAV_CMD_DO_SET_MODE, 1.0, 4, target=(0, 0)) == ACCEPTED
     assert copter.command(M.MAV_CMD_DO_SET_MODE, 1.0, 4, target=(1, 77)) == ACCEPTED
@@ -73,11 +73,11 @@ def test_every_command_has_one_answer_for_broadcast_and_unknown_components() -> 
 
 def test_defaults_are_the_measured_values() -> None:
     assert ARMABLE_AFTER_S[AutopilotKind.ARDUPILOT] == 42.0
-    assert HOVER_THRUST_NORM[AutopilotKind.ARDUPILOT] == HOVER
+    assert HOVER_THRUST_NORM[AutopilotKind.ARDUPILOT] == COPTER_HOVER
 
 
 def test_guided_is_accepted_before_arming_is_possible_and_reasons_are_sent() -> None:
-    copter = Copter(armable_after_s=42.0)
+    copter = CopterOnBytes(armable_after_s=42.0)
     texts = []
     copter.fly(3.0)
     assert copter.set_mode(CopterMode.GUIDED) == ACCEPTED
@@ -93,7 +93,7 @@ def test_guided_is_accepted_before_arming_is_possible_and_reasons_are_sent() -> 
 
 def test_sys_status_has_the_sensors_of_arducopter() -> None:
     """As recorded of ArduCopter 4.5 in SITL: before it can be armed, ready, and armed."""
-    copter = Copter(armable_after_s=5.0)
+    copter = CopterOnBytes(armable_after_s=5.0)
     copter.interval(M.MAVLINK_MSG_ID_SYS_STATUS, 10.0)
     seen = []
     for step in (lambda: None, lambda: copter.fly(6.0), copter.take_off):
@@ -111,7 +111,7 @@ def test_sys_status_has_the_sensors_of_arducopter() -> None:
 
 
 def test_a_mode_set_before_initialisation_is_lost() -> None:
-    copter = Copter(armable_after_s=42.0)
+    copter = CopterOnBytes(armable_after_s=42.0)
     copter.fly(0.5)
     assert copter.set_mode(CopterMode.GUIDED) == ACCEPTED
     assert copter.arm() == FAILED
@@ -122,7 +122,7 @@ def test_a_mode_set_before_initialisation_is_lost() -> None:
 
 @pytest.mark.parametrize("mode", [CopterMode.LAND, CopterMode.RTL, CopterMode.BRAKE, CopterMode.AUTO])
 def test_arming_is_refused_in_modes_that_do_not_allow_it(mode: CopterMode) -> None:
-    copter = Copter()
+    copter = CopterOnBytes()
     copter.fly(0.1)
     assert copter.set_mode(mode) == ACCEPTED
     assert copter.arm() == FAILED
@@ -131,7 +131,7 @@ def test_arming_is_refused_in_modes_that_do_not_allow_it(mode: CopterMode) -> No
 
 
 def test_position_origin_and_home_are_sent_when_known() -> None:
-    copter = Copter(armable_after_s=10.0)
+    copter = CopterOnBytes(armable_after_s=10.0)
     copter.interval(M.MAVLINK_MSG_ID_LOCAL_POSITION_NED, 50.0)
     assert copter.command(REQUEST, M.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN) == ACCEPTED
     copter.fly(4.0)
@@ -147,7 +147,7 @@ def test_position_origin_and_home_are_sent_when_known() -> None:
 
 
 def test_take_off_is_to_a_height_above_home_when_armed_in_guided() -> None:
-    copter = Copter()
+    copter = CopterOnBytes()
     copter.fly(0.1)
     copter.set_mode(CopterMode.GUIDED)
     take_off = (TAKEOFF, 0, 0, 0, 0, 0, 0, 3.0)
@@ -167,7 +167,7 @@ def test_take_off_is_to_a_height_above_home_when_armed_in_guided() -> None:
 
 
 def test_take_off_is_delayed_by_the_spool_up_when_motors_idle() -> None:
-    copter = Copter()
+    copter = CopterOnBytes()
     copter.fly(0.1)
     copter.set_mode(CopterMode.GUIDED)
     copter.arm()
@@ -180,7 +180,7 @@ def test_take_off_is_delayed_by_the_spool_up_when_motors_idle() -> None:
 
 
 def test_it_disarms_10_s_after_arming_without_take_off() -> None:
-    copter = Copter()
+    copter = CopterOnBytes()
     copter.fly(0.1)
     copter.set_mode(CopterMode.GUIDED)
     copter.arm()
@@ -193,34 +193,34 @@ def test_it_disarms_10_s_after_arming_without_take_off() -> None:
 
 
 def test_it_lands_at_half_a_metre_per_second_and_disarms_2_s_after_touchdown() -> None:
-    copter = Copter()
+    copter = CopterOnBytes()
     copter.take_off(3.0)
     assert copter.set_mode(CopterMode.LAND) == ACCEPTED
     copter.fly(2.0)
     assert copter.climb_m_s == pytest.approx(-0.5, abs=0.05)
     while not copter.copter.quad.on_ground:
-        copter.fly(DT_S)
+        copter.fly(COPTER_DT_S)
     touched_s = copter.copter.time_s
     while copter.copter.armed:
-        copter.fly(DT_S)
+        copter.fly(COPTER_DT_S)
     assert copter.copter.time_s - touched_s == pytest.approx(2.1, abs=0.2)
     assert copter.copter.mode is CopterMode.LAND
 
 
 def test_negative_reported_thrust_is_read_as_zero_after_landing() -> None:
-    copter = Copter()
+    copter = CopterOnBytes()
     copter.take_off(3.0)
     copter.set_mode(CopterMode.LAND)
     copter.interval(M.MAVLINK_MSG_ID_ATTITUDE_TARGET, 50.0)
     while copter.copter.armed:
-        copter.fly(DT_S)
+        copter.fly(COPTER_DT_S)
     reported = [message for message in copter.messages("ATTITUDE_TARGET") if message.thrust < 0.0]
     assert 20 < len(reported) < 120
     assert {ardupilot.commanded_thrust(message.thrust, message.q) for message in reported} == {0.0}
 
 
 def test_brake_holds_the_position_and_loiter_sinks_without_a_pilot() -> None:
-    copter = Copter(GUID_OPTIONS=8)
+    copter = CopterOnBytes(GUID_OPTIONS=8)
     copter.take_off()
     copter.fly(1.5, attitude(10.0))
     assert abs(copter.copter.quad.velocity_enu_m_s[0]) > 1.5
@@ -235,7 +235,7 @@ def test_brake_holds_the_position_and_loiter_sinks_without_a_pilot() -> None:
 
 
 def test_parameters_are_floats_by_value() -> None:
-    copter = Copter()
+    copter = CopterOnBytes()
     (reported,) = copter.send(M.MAVLink_param_request_read_message(1, 1, b"GUID_OPTIONS", -1))
     assert (reported.param_value, reported.param_type) == (0.0, M.MAV_PARAM_TYPE_INT32)
     (reported,) = copter.send(M.MAVLink_param_set_message(1, 1, b"GUID_OPTIONS", 8.0, M.MAV_PARAM_TYPE_REAL32))
@@ -249,7 +249,7 @@ def test_parameters_are_floats_by_value() -> None:
 
 
 def test_rtl_begins_when_the_ground_station_is_lost_and_stays_when_it_is_back() -> None:
-    copter = Copter(FS_GCS_ENABLE=1)
+    copter = CopterOnBytes(FS_GCS_ENABLE=1)
     copter.take_off(3.0)
     copter.fly(8.0)
     assert copter.copter.mode is CopterMode.GUIDED  # a station without any heartbeat cannot be lost
@@ -274,7 +274,7 @@ def test_rtl_begins_when_the_ground_station_is_lost_and_stays_when_it_is_back() 
     [(0.0, 3.0), (4.0, 12.0), (8.0, 15.0)],  # from 3 m above home; measured 2.97, 12.05 and 14.99
 )
 def test_rtl_climbs_waits_above_home_and_lands_without_a_mode_change(distance_m: float, highest_m: float) -> None:
-    copter = Copter()
+    copter = CopterOnBytes()
     copter.take_off(3.0)
     copter.copter.take_setpoint(Course((distance_m, 0.0, 3.0), (nan, nan, nan), nan, 0.0))
     copter.fly(8.0)
@@ -295,7 +295,7 @@ def test_rtl_climbs_waits_above_home_and_lands_without_a_mode_change(distance_m:
 
 
 def test_rtl_does_not_land_when_rtl_alt_final_is_above_zero() -> None:
-    copter = Copter(RTL_ALT_FINAL=400)
+    copter = CopterOnBytes(RTL_ALT_FINAL=400)
     copter.take_off(6.0)
     assert copter.set_mode(CopterMode.RTL) == M.MAV_RESULT_ACCEPTED
     copter.fly(30.0)
@@ -304,7 +304,7 @@ def test_rtl_does_not_land_when_rtl_alt_final_is_above_zero() -> None:
 
 
 def test_companion_heartbeats_are_not_needed() -> None:
-    copter = Copter()
+    copter = CopterOnBytes()
     copter.take_off(3.0)
     copter.fly(20.0)
     assert copter.copter.mode is CopterMode.GUIDED
@@ -312,7 +312,7 @@ def test_companion_heartbeats_are_not_needed() -> None:
 
 
 def test_timesync_is_answered() -> None:
-    copter = Copter()
+    copter = CopterOnBytes()
     copter.fly(2.0)
     (answer,) = copter.send(M.MAVLink_timesync_message(0, 12345))
     assert (answer.ts1, answer.tc1) == (12345, 2_000_000_000)
@@ -320,7 +320,7 @@ def test_timesync_is_answered() -> None:
 
 def test_unsigned_messages_are_dropped_and_answers_are_signed_when_signing_is_on() -> None:
     key = bytes(range(32))
-    copter = Copter()
+    copter = CopterOnBytes()
     copter.fly(0.1)
     assert copter.send(M.MAVLink_setup_signing_message(1, 1, list(key), 10**12)) == []
     ask = M.MAVLink_param_request_read_message(1, 1, b"GUID_OPTIONS", -1)

@@ -15,23 +15,23 @@ from sitl.autopilots.autopilot import AutopilotAbortedError
 from sitl.vehicle.config import AutopilotFile, StandIn
 from sitl.vehicle.control import AttitudeSetpoint
 from sitl.vehicle.quadrotor import Quadrotor
-from sitl_copter import DT_S, HOVER, Copter, M, attitude
+from stand_ins import COPTER_DT_S, COPTER_HOVER, CopterOnBytes, M, attitude
 
 WITHIN = 0.15
 
 
-def guided(**parameters: float) -> Copter:
+def guided(**parameters: float) -> CopterOnBytes:
     """A copter that hovers 5 m high in GUIDED."""
-    copter = Copter(**parameters)
+    copter = CopterOnBytes(**parameters)
     copter.take_off()
     return copter
 
 
-def real_thrust() -> Copter:
+def real_thrust() -> CopterOnBytes:
     return guided(GUID_OPTIONS=8)
 
 
-def tilt_deg(copter: Copter) -> float:
+def tilt_deg(copter: CopterOnBytes) -> float:
     roll, pitch, _ = euler_from_quaternion(copter.copter.quad.quaternion)
     return degrees(max(abs(roll), abs(pitch)))
 
@@ -41,17 +41,17 @@ def step_ms(axis: int, step_deg: float) -> tuple[dict[int, float], float]:
     file = AutopilotFile(
         start_enu_m=(0.0, 0.0, 0.0), stand_in=StandIn(autopilot=AutopilotKind.ARDUPILOT, sensors="ideal")
     )
-    quad = Quadrotor(file, ARDUPILOT_LOOPS, DT_S)
+    quad = Quadrotor(file, ARDUPILOT_LOOPS, COPTER_DT_S)
     for _ in range(250):
         quad.step(AttitudeSetpoint(quaternion_from_euler(0.0, 0.0, 0.0), 0.6))
     angles = [0.0, 0.0, 0.0]
     angles[axis] = radians(step_deg)
     seen = []
-    for _ in range(round(2.0 / DT_S)):
+    for _ in range(round(2.0 / COPTER_DT_S)):
         quad.step(AttitudeSetpoint(quaternion_from_euler(*angles), 0.6))
         seen.append(degrees(euler_from_quaternion(quad.quaternion)[axis]))
     passed = {
-        share: next((i + 1) * DT_S * 1000.0 for i, angle in enumerate(seen) if angle >= share / 100 * step_deg)
+        share: next((i + 1) * COPTER_DT_S * 1000.0 for i, angle in enumerate(seen) if angle >= share / 100 * step_deg)
         for share in (10, 50, 90)
     }
     return passed, max(seen) - step_deg
@@ -72,7 +72,7 @@ def test_yaw_step_of_60_degrees() -> None:
 
 def test_thrust_is_thrust_and_hover_takes_0_365_when_bit_3_is_set() -> None:
     copter = real_thrust()
-    copter.fly(2.0, attitude(thrust=HOVER))
+    copter.fly(2.0, attitude(thrust=COPTER_HOVER))
     assert abs(copter.climb_m_s) < 0.05
     copter.fly(0.5, attitude(thrust=1.0))
     assert copter.climb_m_s == pytest.approx(6.3, rel=0.3)
@@ -85,7 +85,7 @@ def test_thrust_is_a_climb_rate_by_default() -> None:
     for thrust, climb_m_s in ((0.5, 0.0), (0.7, 1.0), (0.4, -0.3)):
         copter.fly(3.0, attitude(thrust=thrust))
         assert copter.climb_m_s == pytest.approx(climb_m_s, abs=0.05)
-    copter.fly(2.0, attitude(thrust=HOVER))  # the thrust of a hover, here a descent
+    copter.fly(2.0, attitude(thrust=COPTER_HOVER))  # the thrust of a hover, here a descent
     assert copter.climb_m_s == pytest.approx(-0.41, abs=0.05)
 
 
@@ -101,7 +101,7 @@ def test_thrust_is_divided_by_the_cosine_of_the_tilt_and_reported_as_commanded()
 
 
 def test_it_lifts_off_2_8_s_after_arming_by_thrust_alone() -> None:
-    copter = Copter(GUID_OPTIONS=8)
+    copter = CopterOnBytes(GUID_OPTIONS=8)
     copter.fly(0.1)
     copter.set_mode(CopterMode.GUIDED)
     copter.arm()
@@ -148,7 +148,7 @@ def test_the_attitude_is_followed_with_usual_masks(mask: int) -> None:
 
 def test_rates_are_followed_with_mask_0x80() -> None:
     copter = real_thrust()
-    rates = M.MAVLink_set_attitude_target_message(0, 1, 1, 0x80, [0.0] * 4, 0.2, 0.0, 0.0, HOVER)
+    rates = M.MAVLink_set_attitude_target_message(0, 1, 1, 0x80, [0.0] * 4, 0.2, 0.0, 0.0, COPTER_HOVER)
     copter.fly(0.5, rates)
     assert 4.0 < tilt_deg(copter) < 7.0
 
@@ -178,7 +178,7 @@ def test_it_brakes_when_the_setpoint_is_invalid(message: MavlinkMessage) -> None
 def test_the_autopilot_aborts_when_the_quaternion_is_nan() -> None:
     copter = real_thrust()
     with pytest.raises(AutopilotAbortedError):
-        copter.send(M.MAVLink_set_attitude_target_message(0, 1, 1, 7, [nan] * 4, 0.0, 0.0, 0.0, HOVER))
+        copter.send(M.MAVLink_set_attitude_target_message(0, 1, 1, 7, [nan] * 4, 0.0, 0.0, 0.0, COPTER_HOVER))
 
 
 def test_a_tilt_past_angle_max_is_followed() -> None:

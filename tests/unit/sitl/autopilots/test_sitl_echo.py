@@ -8,14 +8,14 @@ from companion.geometry.frames import quaternion_from_euler
 from companion.mavlink.codec import mavlink
 from sitl.autopilots.px4.autopilot import Px4Mode
 from sitl.vehicle.control import AttitudeSetpoint
-from sitl_vehicle import DT_S, HOVER, LEVEL, Vehicle
+from stand_ins import DT_S, HOVER, LEVEL, Px4OnBytes
 
 SET_INTERVAL = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
 ATTITUDE_TARGET = mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET
 
 
-def flying(interval_us: float) -> Vehicle:
-    vehicle = Vehicle()
+def flying(interval_us: float) -> Px4OnBytes:
+    vehicle = Px4OnBytes()
     vehicle.offboard()
     assert vehicle.results(SET_INTERVAL, ATTITUDE_TARGET, interval_us) == [mavlink.MAV_RESULT_ACCEPTED]
     vehicle.fly(0.1, LEVEL)

@@ -14,7 +14,7 @@ from companion.mavlink import telemetry
 from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
 from sitl.autopilots.px4.autopilot import Px4Mode
 from sitl.autopilots.px4.messages import BUILDERS
-from sitl_vehicle import Vehicle
+from stand_ins import Px4OnBytes
 
 M = mavlink
 ACCEPTED, DENIED, UNSUPPORTED, FAILED = 0, 2, 3, 4
@@ -25,7 +25,7 @@ REQUEST, SET_INTERVAL, GET_INTERVAL = (
 )
 
 
-def rate_hz(vehicle: Vehicle, kind: str, seconds: float = 4.0) -> float:
+def rate_hz(vehicle: Px4OnBytes, kind: str, seconds: float = 4.0) -> float:
     vehicle.fly(0.1)  # all streams begin at the same time
     vehicle.sent.clear()
     vehicle.fly(seconds)
@@ -37,12 +37,12 @@ def rate_hz(vehicle: Vehicle, kind: str, seconds: float = 4.0) -> float:
 
 @pytest.mark.parametrize("target", [(0, 0), (0, 1), (2, 1), (1, 2)])
 def test_commands_to_other_targets_are_not_answered(target: tuple[int, int]) -> None:
-    assert Vehicle().command(REQUEST, 148.0, target=target) == []
+    assert Px4OnBytes().command(REQUEST, 148.0, target=target) == []
 
 
 @pytest.mark.parametrize("target", [(1, 1), (1, 0)])
 def test_unknown_commands_and_messages_are_refused(target: tuple[int, int]) -> None:
-    vehicle = Vehicle()
+    vehicle = Px4OnBytes()
     assert vehicle.results(REQUEST, 9999.0, target=target) == [DENIED]
     assert vehicle.results(REQUEST, nan, target=target) == [DENIED]
     assert vehicle.results(SET_INTERVAL, 9999.0, 20_000.0, target=target) == [FAILED]
@@ -52,14 +52,14 @@ def test_unknown_commands_and_messages_are_refused(target: tuple[int, int]) -> N
 
 @pytest.mark.parametrize("number", sorted(BUILDERS))
 def test_every_message_can_be_requested_and_packed(number: int) -> None:
-    message, ack = Vehicle(sensors="px4_sih").command(REQUEST, float(number))
+    message, ack = Px4OnBytes(sensors="px4_sih").command(REQUEST, float(number))
     assert (message.get_msgId(), ack.result) == (number, ACCEPTED)
     decoded = MavlinkCodec(255, 190).decode(MavlinkCodec(1, 1).encode(message))
     assert [m.get_msgId() for m in decoded] == [number]
 
 
 def test_an_acknowledgement_is_addressed_to_the_sender() -> None:
-    vehicle = Vehicle()
+    vehicle = Px4OnBytes()
     request = M.MAVLink_command_long_message(1, 1, 31_999, 0, *[0.0] * 7)
     (ack,) = vehicle.send(request, sender=(7, 191))
     assert (ack.target_system, ack.target_component) == (7, 191)
@@ -82,11 +82,11 @@ def test_an_acknowledgement_is_addressed_to_the_sender() -> None:
     ],
 )
 def test_default_rates(kind: str, hz: float) -> None:
-    assert rate_hz(Vehicle(), kind, 20.0) == pytest.approx(hz, rel=0.06)
+    assert rate_hz(Px4OnBytes(), kind, 20.0) == pytest.approx(hz, rel=0.06)
 
 
 def test_messages_at_50_hz_are_evenly_spaced() -> None:
-    vehicle = Vehicle()
+    vehicle = Px4OnBytes()
     assert vehicle.results(SET_INTERVAL, 32.0, 20_000.0) == [ACCEPTED]
     vehicle.fly(2.0)
     times = [message.time_boot_ms for message in vehicle.messages("LOCAL_POSITION_NED")]
@@ -95,7 +95,7 @@ def test_messages_at_50_hz_are_evenly_spaced() -> None:
 
 @pytest.mark.parametrize(("interval_us", "hz"), [(2_000.0, 125.0), (0.0, 30.0), (-1.0, 0.0), (100_000.0, 10.0)])
 def test_requested_intervals_are_kept(interval_us: float, hz: float) -> None:
-    vehicle = Vehicle()
+    vehicle = Px4OnBytes()
     vehicle.results(SET_INTERVAL, 32.0, 50_000.0)
     assert vehicle.results(SET_INTERVAL, 32.0, interval_us) == [ACCEPTED]
     assert rate_hz(vehicle, "LOCAL_POSITION_NED") == pytest.approx(hz, rel=0.06)
@@ -104,13 +104,13 @@ def test_requested_intervals_are_kept(interval_us: float, hz: float) -> None:
 
 
 def test_the_interval_of_the_heartbeat_cannot_be_changed() -> None:
-    vehicle = Vehicle()
+    vehicle = Px4OnBytes()
     assert vehicle.results(SET_INTERVAL, 0.0, 20_000.0) == [FAILED]
     assert rate_hz(vehicle, "HEARTBEAT") == pytest.approx(1.0)
 
 
 def test_current_mode_shows_a_change_before_the_heartbeat_does() -> None:
-    vehicle = Vehicle()
+    vehicle = Px4OnBytes()
     vehicle.results(SET_INTERVAL, 436.0, 20_000.0)
     vehicle.fly(1.1)
     vehicle.set_mode(Px4Mode.LAND)
@@ -126,7 +126,7 @@ def test_current_mode_shows_a_change_before_the_heartbeat_does() -> None:
 
 def test_an_unchanged_mode_is_sent_twice_a_second_at_any_interval() -> None:
     """Measured: 0.51 to 0.53 s apart; a change is sent at once."""
-    vehicle = Vehicle()
+    vehicle = Px4OnBytes()
     vehicle.results(SET_INTERVAL, 436.0, 20_000.0)
     assert rate_hz(vehicle, "CURRENT_MODE", 20.0) == pytest.approx(1.92, abs=0.06)
 
@@ -134,7 +134,7 @@ def test_an_unchanged_mode_is_sent_twice_a_second_at_any_interval() -> None:
 def test_the_heartbeat_has_mode_arming_and_autopilot() -> None:
     from pymavlink.mavutil import interpret_px4_mode
 
-    vehicle = Vehicle()
+    vehicle = Px4OnBytes()
     vehicle.take_off()
     for mode, name in (
         (Px4Mode.LOITER, "LOITER"),
@@ -151,7 +151,7 @@ def test_the_heartbeat_has_mode_arming_and_autopilot() -> None:
 
 def test_the_estimator_calls_the_position_constant_only_at_rest_on_the_ground() -> None:
     """As recorded of PX4 v1.16; its position is as good there as in flight, and `companion` must not refuse to arm it."""
-    vehicle = Vehicle()
+    vehicle = Px4OnBytes()
     on_ground, _ = vehicle.command(REQUEST, float(M.MAVLINK_MSG_ID_ESTIMATOR_STATUS))
     vehicle.take_off()
     in_flight, _ = vehicle.command(REQUEST, float(M.MAVLINK_MSG_ID_ESTIMATOR_STATUS))
@@ -162,7 +162,7 @@ def test_the_estimator_calls_the_position_constant_only_at_rest_on_the_ground() 
 
 def test_sys_status_has_the_sensors_of_px4() -> None:
     """As recorded of PX4 v1.16, before and after it can be armed. AHRS (0x200000) is healthy and not enabled."""
-    vehicle = Vehicle()
+    vehicle = Px4OnBytes()
     refused, _ = vehicle.command(REQUEST, float(M.MAVLINK_MSG_ID_SYS_STATUS))
     vehicle.fly(5.0)
     ready, _ = vehicle.command(REQUEST, float(M.MAVLINK_MSG_ID_SYS_STATUS))
@@ -177,7 +177,7 @@ def test_sys_status_has_the_sensors_of_px4() -> None:
 
 
 def test_heading_is_clockwise_from_north() -> None:
-    vehicle = Vehicle()  # on the ground, nose to the east
+    vehicle = Px4OnBytes()  # on the ground, nose to the east
     assert BUILDERS[M.MAVLINK_MSG_ID_VFR_HUD](vehicle.px4).heading == 90
     assert BUILDERS[M.MAVLINK_MSG_ID_ATTITUDE](vehicle.px4).yaw == pytest.approx(1.5707963)
 
@@ -185,14 +185,14 @@ def test_heading_is_clockwise_from_north() -> None:
 # ---------------------------------------------------------------- texts
 
 
-def texts(vehicle: Vehicle) -> list[MavlinkMessage]:
+def texts(vehicle: Px4OnBytes) -> list[MavlinkMessage]:
     sent = list(vehicle.receiver.texts(vehicle.px4.texts))
     vehicle.px4.texts.clear()
     return sent
 
 
 def test_texts_are_sent_in_chunks_of_50_and_end_in_a_tab() -> None:
-    vehicle = Vehicle()
+    vehicle = Px4OnBytes()
     vehicle.results(M.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
     first, last = texts(vehicle)
     whole = "Arming denied: Resolve system health failures first\t"
@@ -219,16 +219,16 @@ def as_wire(value: int) -> float:
     return float(struct.unpack("<f", struct.pack("<i", value))[0])
 
 
-def read(vehicle: Vehicle, name: str, index: int = -1) -> list[MavlinkMessage]:
+def read(vehicle: Px4OnBytes, name: str, index: int = -1) -> list[MavlinkMessage]:
     return vehicle.send(M.MAVLink_param_request_read_message(1, 1, name.encode(), index))
 
 
-def write(vehicle: Vehicle, name: str, value: float, kind: int) -> list[MavlinkMessage]:
+def write(vehicle: Px4OnBytes, name: str, value: float, kind: int) -> list[MavlinkMessage]:
     return vehicle.send(M.MAVLink_param_set_message(1, 1, name.encode(), value, kind))
 
 
 def test_the_list_begins_with_its_checksum_and_is_complete() -> None:
-    vehicle = Vehicle()
+    vehicle = Px4OnBytes()
     check, *listed = vehicle.send(M.MAVLink_param_request_list_message(1, 1))
     assert (name_of(check), check.param_index, check.param_type) == ("_HASH_CHECK", 65535, M.MAV_PARAM_TYPE_UINT32)
     assert [message.param_index for message in listed] == list(range(len(listed)))
@@ -243,7 +243,7 @@ def test_the_list_begins_with_its_checksum_and_is_complete() -> None:
 
 
 def test_parameters_are_read_by_name_and_by_index() -> None:
-    vehicle = Vehicle(vehicle_id=1)
+    vehicle = Px4OnBytes(vehicle_id=1)
     (by_name,) = read(vehicle, "COM_OF_LOSS_T")
     assert value_of(by_name) == 1.0
     (by_index,) = read(vehicle, "", by_name.param_index)
@@ -252,7 +252,7 @@ def test_parameters_are_read_by_name_and_by_index() -> None:
 
 
 def test_integers_are_sent_bytewise() -> None:
-    vehicle = Vehicle()
+    vehicle = Px4OnBytes()
     (answer,) = write(vehicle, "COM_OBL_RC_ACT", as_wire(5), M.MAV_PARAM_TYPE_INT32)
     assert value_of(answer) == 5
     assert vehicle.px4.parameters["COM_OBL_RC_ACT"] == 5
@@ -260,13 +260,13 @@ def test_integers_are_sent_bytewise() -> None:
 
 @pytest.mark.parametrize("value", [nan, float("inf")])
 def test_a_value_that_is_not_finite_is_refused(value: float) -> None:
-    vehicle = Vehicle()
+    vehicle = Px4OnBytes()
     (answer,) = write(vehicle, "COM_OF_LOSS_T", value, M.MAV_PARAM_TYPE_REAL32)
     assert value_of(answer) == 1.0
 
 
 def test_a_value_of_another_type_is_refused() -> None:
-    vehicle = Vehicle()
+    vehicle = Px4OnBytes()
     (answer,) = write(vehicle, "COM_OBL_RC_ACT", 4.0, M.MAV_PARAM_TYPE_REAL32)
     assert value_of(answer) == 0
 
@@ -276,7 +276,7 @@ def test_a_value_of_another_type_is_refused() -> None:
 
 @pytest.mark.parametrize("kind", [0, 1, 2], ids=["mission", "fence", "rally"])
 def test_missions_are_empty(kind: int) -> None:
-    vehicle = Vehicle()
+    vehicle = Px4OnBytes()
     (count,) = vehicle.send(M.MAVLink_mission_request_list_message(1, 1, kind))
     assert (count.count, count.mission_type) == (0, kind)
     (cleared,) = vehicle.send(M.MAVLink_mission_clear_all_message(1, 1, kind))
@@ -288,7 +288,7 @@ def test_missions_are_empty(kind: int) -> None:
 
 
 def test_timesync_answers_with_the_time_of_the_vehicle() -> None:
-    vehicle = Vehicle()
+    vehicle = Px4OnBytes()
     vehicle.fly(1.5)
     (answer,) = vehicle.send(M.MAVLink_timesync_message(0, 77))
     assert (answer.tc1, answer.ts1) == (1_500_000_000, 77)
@@ -298,7 +298,7 @@ def test_timesync_answers_with_the_time_of_the_vehicle() -> None:
 
 
 def test_file_transfer_is_refused_with_an_answer() -> None:
-    vehicle = Vehicle()
+    vehicle = Px4OnBytes()
     payload = bytearray(251)
     payload[0:2], payload[3] = (9).to_bytes(2, "little"), 4  # sequence 9, OpenFileRO
     (answer,) = vehicle.send(M.MAVLink_file_transfer_protocol_message(0, 1, 1, payload))
@@ -343,7 +343,7 @@ def messages(draw: st.DrawFn) -> MavlinkMessage:
 @settings(max_examples=150, deadline=None)
 @given(st.lists(messages(), min_size=1, max_size=12), st.booleans())
 def test_no_message_makes_the_state_invalid(incoming: list[MavlinkMessage], flying: bool) -> None:
-    vehicle = Vehicle()
+    vehicle = Px4OnBytes()
     vehicle.fly(4.2)
     if flying:
         vehicle.px4.arm()

@@ -14,14 +14,14 @@ from sitl.autopilots.px4.autopilot import NEED_A_PILOT, Px4Mode
 from sitl.autopilots.types import AUTOPILOT_TYPES
 from sitl.vehicle.config import AutopilotFile
 from sitl.vehicle.control import AttitudeSetpoint
-from sitl_vehicle import DT_S, LEVEL, Vehicle
+from stand_ins import DT_S, LEVEL, Px4OnBytes
 
 ACCEPTED, LATER, DENIED, UNSUPPORTED = 0, 1, 2, 3
 ARM, SET_MODE, TAKEOFF = M.MAV_CMD_COMPONENT_ARM_DISARM, M.MAV_CMD_DO_SET_MODE, M.MAV_CMD_NAV_TAKEOFF
 FORCE = 21196.0
 
 
-def until(vehicle: Vehicle, mode: Px4Mode, within_s: float, stream: AttitudeSetpoint | None = None) -> float:
+def until(vehicle: Px4OnBytes, mode: Px4Mode, within_s: float, stream: AttitudeSetpoint | None = None) -> float:
     """Seconds until the vehicle is in `mode`."""
     for step in range(round(within_s / DT_S)):
         if vehicle.px4.mode is mode:
@@ -34,7 +34,7 @@ def until(vehicle: Vehicle, mode: Px4Mode, within_s: float, stream: AttitudeSetp
 
 
 def test_arming_is_accepted_about_4_s_after_the_start() -> None:
-    vehicle = Vehicle()
+    vehicle = Px4OnBytes()
     vehicle.fly(3.5)
     assert vehicle.results(ARM, 1.0) == [LATER]
     assert vehicle.texts() == ["Arming denied: Resolve system health failures first"]
@@ -44,12 +44,12 @@ def test_arming_is_accepted_about_4_s_after_the_start() -> None:
 
 
 def test_force_arms_at_once() -> None:
-    vehicle = Vehicle()
+    vehicle = Px4OnBytes()
     assert vehicle.results(ARM, 1.0, FORCE) == [ACCEPTED]
 
 
 def test_arming_is_denied_when_the_parameter_is_neither_0_nor_1() -> None:
-    vehicle = Vehicle()
+    vehicle = Px4OnBytes()
     vehicle.fly(4.2)
     assert vehicle.results(ARM, 0.5) == [DENIED]
     assert vehicle.results(ARM, float("nan")) == [DENIED]
@@ -59,7 +59,7 @@ def test_arming_is_denied_when_the_parameter_is_neither_0_nor_1() -> None:
     "mode", [Px4Mode.LAND, Px4Mode.RTL, Px4Mode.MISSION, Px4Mode.OFFBOARD, *sorted(NEED_A_PILOT, key=str)]
 )
 def test_modes_that_prevent_arming(mode: Px4Mode) -> None:
-    vehicle = Vehicle()
+    vehicle = Px4OnBytes()
     vehicle.fly(4.2)
     assert vehicle.set_mode(mode) == [ACCEPTED, ACCEPTED]  # disarmed, every mode is accepted
     assert vehicle.results(ARM, 1.0) == [LATER]
@@ -68,7 +68,7 @@ def test_modes_that_prevent_arming(mode: Px4Mode) -> None:
 
 
 def test_it_lifts_off_when_armed_in_offboard() -> None:
-    vehicle = Vehicle()
+    vehicle = Px4OnBytes()
     vehicle.fly(4.2)
     climb = AttitudeSetpoint(LEVEL.quaternion, 0.65)
     vehicle.fly(0.5, climb)
@@ -80,7 +80,7 @@ def test_it_lifts_off_when_armed_in_offboard() -> None:
 
 
 def test_it_disarms_after_10_s_without_take_off() -> None:
-    vehicle = Vehicle()
+    vehicle = Px4OnBytes()
     vehicle.fly(4.2)
     vehicle.results(ARM, 1.0)
     vehicle.fly(9.5)
@@ -90,7 +90,7 @@ def test_it_disarms_after_10_s_without_take_off() -> None:
 
 
 def test_disarming_in_the_air_needs_force() -> None:
-    vehicle = Vehicle()
+    vehicle = Px4OnBytes()
     vehicle.take_off()
     assert vehicle.results(ARM, 0.0) == [LATER]
     assert vehicle.texts()[-1] == "Disarming denied: not landed"
@@ -104,7 +104,7 @@ def test_disarming_in_the_air_needs_force() -> None:
 
 @pytest.mark.parametrize("armed_first", [True, False])
 def test_take_off_of_1_m_is_settled_within_4_s(armed_first: bool) -> None:
-    vehicle = Vehicle()
+    vehicle = Px4OnBytes()
     vehicle.fly(4.2)
     orders = [(ARM, (1.0,)), (TAKEOFF, (0.0,) * 6 + (vehicle.altitude_amsl_m + 1.0,))]
     for number, parameters in orders if armed_first else reversed(orders):
@@ -120,7 +120,7 @@ def test_take_off_of_1_m_is_settled_within_4_s(armed_first: bool) -> None:
 
 
 def test_take_off_is_to_mis_takeoff_alt_without_an_altitude() -> None:
-    vehicle = Vehicle(MIS_TAKEOFF_ALT=4.0)
+    vehicle = Px4OnBytes(MIS_TAKEOFF_ALT=4.0)
     vehicle.fly(4.2)
     vehicle.results(ARM, 1.0)
     vehicle.results(TAKEOFF, *[float("nan")] * 7)
@@ -129,7 +129,7 @@ def test_take_off_is_to_mis_takeoff_alt_without_an_altitude() -> None:
 
 
 def test_hold_brakes_and_keeps_the_position() -> None:
-    vehicle = Vehicle()
+    vehicle = Px4OnBytes()
     vehicle.offboard()
     vehicle.fly(1.0, AttitudeSetpoint(quaternion_from_euler(0.0, 0.25, 0.0), 0.51))
     speed = vehicle.px4.quad.velocity_enu_m_s[0]
@@ -145,7 +145,7 @@ def test_hold_brakes_and_keeps_the_position() -> None:
 
 
 def test_landing_sinks_at_0_7_m_s_and_disarms_2_s_after_touchdown() -> None:
-    vehicle = Vehicle()
+    vehicle = Px4OnBytes()
     vehicle.take_off()
     assert vehicle.results(M.MAV_CMD_NAV_LAND) == [ACCEPTED]
     vehicle.fly(2.0)
@@ -160,7 +160,7 @@ def test_landing_sinks_at_0_7_m_s_and_disarms_2_s_after_touchdown() -> None:
 
 
 def test_return_climbs_flies_home_and_lands_without_a_mode_change() -> None:
-    vehicle = Vehicle(RTL_RETURN_ALT=8.0)
+    vehicle = Px4OnBytes(RTL_RETURN_ALT=8.0)
     vehicle.offboard()
     vehicle.fly(5.0, AttitudeSetpoint(quaternion_from_euler(0.0, 0.2, 0.0), 0.50))
     assert vehicle.px4.quad.position_enu_m[0] > 10.0
@@ -182,7 +182,7 @@ def test_return_climbs_flies_home_and_lands_without_a_mode_change() -> None:
     [(0.0, 3.0), (4.0, 4.0), (8.0, 8.0), (12.0, 30.0)],  # from 3 m above home; measured 2.9, 4.0, 8.1 and 29.9
 )
 def test_return_climbs_less_when_home_is_near(distance_m: float, highest_m: float) -> None:
-    vehicle = Vehicle()
+    vehicle = Px4OnBytes()
     vehicle.take_off(3.0)
     assert vehicle.px4.go_to((distance_m, 0.0, 3.0), None)
     vehicle.fly(8.0)
@@ -201,7 +201,7 @@ def test_return_climbs_less_when_home_is_near(distance_m: float, highest_m: floa
 
 @pytest.mark.parametrize(("delay_s", "lands"), [(3.0, True), (-1.0, False)])
 def test_return_waits_at_rtl_descend_alt_and_does_not_land_with_a_negative_delay(delay_s: float, lands: bool) -> None:
-    vehicle = Vehicle(RTL_RETURN_ALT=8.0, RTL_DESCEND_ALT=5.0, RTL_LAND_DELAY=delay_s, RTL_CONE_ANG=0)
+    vehicle = Px4OnBytes(RTL_RETURN_ALT=8.0, RTL_DESCEND_ALT=5.0, RTL_LAND_DELAY=delay_s, RTL_CONE_ANG=0)
     vehicle.take_off(3.0)
     assert vehicle.set_mode(Px4Mode.RTL) == [ACCEPTED, ACCEPTED]
     vehicle.fly(8.0)
@@ -212,7 +212,7 @@ def test_return_waits_at_rtl_descend_alt_and_does_not_land_with_a_negative_delay
 
 
 def test_reposition_flies_to_the_latitude_and_altitude() -> None:
-    vehicle = Vehicle()
+    vehicle = Px4OnBytes()
     vehicle.take_off()
     north = vehicle.px4.quad.origin[0] + 3.0 / 111_170.0
     message = M.MAVLink_command_int_message(
@@ -225,7 +225,7 @@ def test_reposition_flies_to_the_latitude_and_altitude() -> None:
 
 
 def test_manual_modes_are_refused_in_the_air() -> None:
-    vehicle = Vehicle()
+    vehicle = Px4OnBytes()
     vehicle.take_off()
     for mode in sorted(NEED_A_PILOT, key=str):
         assert vehicle.set_mode(mode) == [ACCEPTED, LATER]
@@ -238,7 +238,7 @@ def test_manual_modes_are_refused_in_the_air() -> None:
 
 
 def test_offboard_needs_a_stream_while_armed() -> None:
-    vehicle = Vehicle()
+    vehicle = Px4OnBytes()
     vehicle.take_off()
     assert vehicle.set_mode(Px4Mode.OFFBOARD) == [ACCEPTED, LATER]
     assert vehicle.px4.mode is Px4Mode.LOITER
@@ -249,7 +249,7 @@ def test_offboard_needs_a_stream_while_armed() -> None:
 
 @pytest.mark.parametrize("rate_hz", [4.0, 2.0, 1.25])
 def test_offboard_is_kept_with_slow_streams(rate_hz: float) -> None:
-    vehicle = Vehicle()
+    vehicle = Px4OnBytes()
     vehicle.offboard()
     for _ in range(8):
         vehicle.fly(1.0 / rate_hz, LEVEL, stream_hz=rate_hz)
@@ -257,7 +257,7 @@ def test_offboard_is_kept_with_slow_streams(rate_hz: float) -> None:
 
 
 def test_the_mode_alternates_when_the_stream_is_below_1_hz() -> None:
-    vehicle = Vehicle()
+    vehicle = Px4OnBytes()
     vehicle.offboard()
     modes = set()
     for step in range(round(8.0 / DT_S)):
@@ -282,7 +282,7 @@ def test_the_mode_alternates_when_the_stream_is_below_1_hz() -> None:
 def test_the_failsafe_mode_is_entered_when_the_stream_is_lost_and_left_when_it_is_back(
     action: int, mode: Px4Mode
 ) -> None:
-    vehicle = Vehicle(COM_OBL_RC_ACT=action)
+    vehicle = Px4OnBytes(COM_OBL_RC_ACT=action)
     vehicle.offboard()
     last_setpoint_s = vehicle.px4.time_s - vehicle.px4.time_s % 0.02
     until(vehicle, mode, 1.5)
@@ -296,7 +296,7 @@ def test_the_failsafe_mode_is_entered_when_the_stream_is_lost_and_left_when_it_i
 
 
 def test_it_sinks_and_drifts_in_position_mode_without_a_pilot() -> None:
-    vehicle = Vehicle()
+    vehicle = Px4OnBytes()
     vehicle.take_off(6.0)
     vehicle.fly(0.2, LEVEL)
     vehicle.set_mode(Px4Mode.OFFBOARD)
@@ -309,7 +309,7 @@ def test_it_sinks_and_drifts_in_position_mode_without_a_pilot() -> None:
 
 
 def test_hold_keeps_the_position_within_half_a_metre_after_stream_loss() -> None:
-    vehicle = Vehicle(sensors="default", COM_OBL_RC_ACT=5)
+    vehicle = Px4OnBytes(sensors="default", COM_OBL_RC_ACT=5)
     vehicle.offboard()
     until(vehicle, Px4Mode.LOITER, 1.5)
     position = vehicle.px4.quad.position_enu_m
@@ -320,7 +320,7 @@ def test_hold_keeps_the_position_within_half_a_metre_after_stream_loss() -> None
 
 @pytest.mark.parametrize("action", [6, 7])
 def test_motors_stop_on_stream_loss_when_the_parameter_demands_it(action: int) -> None:
-    vehicle = Vehicle(COM_OBL_RC_ACT=action)
+    vehicle = Px4OnBytes(COM_OBL_RC_ACT=action)
     vehicle.offboard()
     vehicle.fly(2.0)
     assert not vehicle.px4.armed
@@ -328,7 +328,7 @@ def test_motors_stop_on_stream_loss_when_the_parameter_demands_it(action: int) -
 
 
 def test_offboard_is_not_entered_again_when_another_mode_was_set() -> None:
-    vehicle = Vehicle()
+    vehicle = Px4OnBytes()
     vehicle.offboard()
     until(vehicle, Px4Mode.POSCTL, 1.5)
     vehicle.set_mode(Px4Mode.LOITER)
@@ -340,7 +340,7 @@ def test_offboard_is_not_entered_again_when_another_mode_was_set() -> None:
 # ---------------------------------------------------------------- OFFBOARD with positions and velocities
 
 
-def follow(vehicle: Vehicle, seconds: float, mask: int, *values: float, frame: int = M.MAV_FRAME_LOCAL_NED) -> None:
+def follow(vehicle: Px4OnBytes, seconds: float, mask: int, *values: float, frame: int = M.MAV_FRAME_LOCAL_NED) -> None:
     """SET_POSITION_TARGET_LOCAL_NED at 20 Hz: x y z, vx vy vz, yaw."""
     numbers = (*values[:6], 0.0, 0.0, 0.0, values[6], 0.0)
     message = M.MAVLink_set_position_target_local_ned_message(0, 1, 1, frame, mask, *numbers)
@@ -355,7 +355,7 @@ POSITION, VELOCITY = 0b1001_1111_1000, 0b1001_1100_0111
 
 
 def test_offboard_flies_to_a_position_and_turns() -> None:
-    vehicle = Vehicle()
+    vehicle = Px4OnBytes()
     vehicle.take_off()
     follow(vehicle, 8.0, POSITION, 3.0, -2.0, -4.0, 0.0, 0.0, 0.0, 0.5)
     assert vehicle.px4.mode is Px4Mode.OFFBOARD
@@ -364,7 +364,7 @@ def test_offboard_flies_to_a_position_and_turns() -> None:
 
 
 def test_offboard_follows_a_velocity_after_attitudes() -> None:
-    vehicle = Vehicle()
+    vehicle = Px4OnBytes()
     vehicle.offboard()  # with attitudes
     follow(vehicle, 4.0, VELOCITY, 0.0, 0.0, 0.0, 1.0, 0.0, -0.5, 0.0)
     assert vehicle.px4.quad.velocity_enu_m_s == pytest.approx((0.0, 1.0, 0.5), abs=0.1)
@@ -372,7 +372,7 @@ def test_offboard_follows_a_velocity_after_attitudes() -> None:
 
 
 def test_a_course_in_another_frame_does_not_count_as_stream() -> None:
-    vehicle = Vehicle()
+    vehicle = Px4OnBytes()
     vehicle.take_off()
     follow(vehicle, 0.5, VELOCITY, *[1.0] * 7, frame=M.MAV_FRAME_BODY_NED)
     follow(vehicle, 0.5, VELOCITY, *[float("nan")] * 7)
@@ -387,7 +387,7 @@ def heartbeat_of(kind: int) -> object:
 
 
 def test_hold_then_return_are_entered_when_the_ground_station_is_lost() -> None:
-    vehicle = Vehicle(NAV_DLL_ACT=2, RTL_RETURN_ALT=4.0)
+    vehicle = Px4OnBytes(NAV_DLL_ACT=2, RTL_RETURN_ALT=4.0)
     vehicle.fly(4.2)
     assert vehicle.results(ARM, 1.0) == [LATER]  # a heartbeat of a ground station is required first
     vehicle.send(heartbeat_of(M.MAV_TYPE_ONBOARD_CONTROLLER))
@@ -410,7 +410,7 @@ def test_hold_then_return_are_entered_when_the_ground_station_is_lost() -> None:
 
 
 def test_a_lost_ground_station_is_ignored_by_default() -> None:
-    vehicle = Vehicle()
+    vehicle = Px4OnBytes()
     vehicle.offboard()
     vehicle.send(heartbeat_of(M.MAV_TYPE_GCS))
     vehicle.fly(20.0, LEVEL)
@@ -419,7 +419,7 @@ def test_a_lost_ground_station_is_ignored_by_default() -> None:
 
 def test_the_last_mode_that_allows_arming_is_set_after_disarming() -> None:
     """After a formation this is OFFBOARD; arming is then refused until another mode is set."""
-    vehicle = Vehicle()
+    vehicle = Px4OnBytes()
     vehicle.offboard()
     vehicle.set_mode(Px4Mode.LAND)
     vehicle.fly(15.0)

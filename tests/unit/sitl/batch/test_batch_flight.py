@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from batch_scenarios import platoon
+from lockstep_fleet import platoon
 from sitl.batch.autopilots import BatchGusts, EstimatorErrors
 from sitl.batch.columns import columns_of
 from sitl.batch.flight import Simulation, fly_batch, starts_at_rest

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from batch_scenarios import platoon
+from lockstep_fleet import platoon
 from sitl.batch.flight import BatchFlight, fly_batch
 from sitl.batch.metrics import BatchFigures, batch_figures, settle_times_s
 from sitl.flight.scenario import Scenario, reference_of

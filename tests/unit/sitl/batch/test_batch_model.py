@@ -5,7 +5,6 @@ from math import radians
 import numpy as np
 import pytest
 
-from batch_scenarios import platoon
 from companion.analysis.interaction import FloatArray
 from companion.config.fleet import Envelope
 from companion.core.control.setpoint import attitude_target, limit_acceleration
@@ -13,7 +12,7 @@ from companion.core.safety.limits import OutputLimiter, OutputLimits
 from companion.geometry.airspace import Fence
 from companion.geometry.frames import euler_from_quaternion, quaternion_from_euler
 from companion.types.autopilot import AttitudeTarget
-from rigid_body import Equations
+from lockstep_fleet import platoon
 from sitl.autopilots.autopilot import DT_S
 from sitl.batch.agents import Commands
 from sitl.batch.bodies import (
@@ -30,6 +29,7 @@ from sitl.flight.lockstep import _phase_s
 from sitl.vehicle.config import Airframe, AutopilotFile, StandIn
 from sitl.vehicle.control import PX4_LOOPS, AttitudeControl, AttitudeSetpoint
 from sitl.vehicle.dynamics import Body, small_turn, turned
+from stand_ins import Equations
 
 AIRFRAMES = [
     Airframe(),

@@ -15,7 +15,7 @@ import pytest
 from distributed import Client
 from numpy.lib.introspect import opt_func_info
 
-import cluster_jobs as jobs
+import dask_cluster as jobs
 from companion.types.errors import UnusableError
 from dask_cluster import Cluster, cluster, until
 from sitl.cli.options import cluster_address

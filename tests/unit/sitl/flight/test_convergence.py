@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
+from common import ROOT
 from companion.config.file import ConfigError
 from companion.tools.analysis import analyse, load_subject
 from companion.types.notices import Code
-from repository import ROOT
 from sitl.cli.main import main as sitl
 from sitl.flight.flights import DivergesError, check_convergence
 from sitl.flight.scenario import load_scenario

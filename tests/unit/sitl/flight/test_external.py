@@ -14,12 +14,12 @@ import pytest
 import yaml
 from msgspec.structs import replace
 
+from common import ROOT
 from companion.config.file import ConfigError
 from companion.types.autopilot import AutopilotKind, LandedState
 from companion.types.flight import FlightPhase, HealthFlag
 from companion.types.status import Status
-from directed_flight import WHOLE, Flight, status
-from repository import ROOT
+from ground_fleet import WHOLE, DirectedFlight, directed_status
 from sitl.cli.fly import add_arguments, fly_options
 from sitl.flight.external import READY_FOR_S, ReachedVehicle, Readiness, load_external, vehicles_of
 from sitl.flight.files import estimated_path, write_files
@@ -137,7 +137,7 @@ def known(*statuses: Status) -> Callable[[int], Status | None]:
     return {status.vehicle_id: status for status in statuses}.get
 
 
-READY_1, READY_2 = status(1), replace(status(2), position_enu_m=(-3.0, 0.0, 0.0))
+READY_1, READY_2 = directed_status(1), replace(directed_status(2), position_enu_m=(-3.0, 0.0, 0.0))
 
 
 def test_readiness_requires_all_vehicles_ready_for_some_time(scenario: Scenario) -> None:
@@ -184,14 +184,14 @@ def test_a_vehicle_away_from_its_start_is_reported(
 
 
 def test_the_director_waits_without_commands_until_all_are_ready(scenario: Scenario) -> None:
-    flight = Flight()
+    flight = DirectedFlight()
     flight.vehicles.change(2, position_enu_m=(-3.0, 0.0, 0.0))
     assert flight.director.wait_for(Readiness(scenario)) == []
     assert flight.vehicles.received == []
 
 
 def test_a_vehicle_that_is_already_armed_ends_the_wait(scenario: Scenario) -> None:
-    flight = Flight()
+    flight = DirectedFlight()
     flight.vehicles.change(2, armed=True)
     failures = flight.director.wait_for(Readiness(scenario))
     assert failures == ["vehicle 2 armed before the flight; land and disarm first"]
@@ -199,21 +199,21 @@ def test_a_vehicle_that_is_already_armed_ends_the_wait(scenario: Scenario) -> No
 
 
 def test_the_reason_for_the_end_of_the_wait_is_reported(scenario: Scenario) -> None:
-    flight = Flight()
+    flight = DirectedFlight()
     flight.checks.append("agent 2 ended with exit code 3: why")
     assert flight.director.wait_for(Readiness(scenario)) == ["agent 2 ended with exit code 3: why"]
 
 
 def test_a_vehicle_that_never_becomes_ready_is_named(scenario: Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sitl.flight.director.READY_WITHIN_S", 0.3)
-    flight = Flight()
+    flight = DirectedFlight()
     flight.vehicles.change(2, position_enu_m=(-3.0, 0.0, 0.0), lacks=("GUID_OPTIONS: 0",))
     assert flight.director.wait_for(Readiness(scenario)) == ["not ready within 0.3 s: vehicle 2: GUID_OPTIONS: 0"]
     assert "  vehicles 1, 2: no status from its agent yet\n" in flight.shown.getvalue()
 
 
 def test_a_vehicle_that_flies_without_a_command_gets_none() -> None:
-    flight = Flight()
+    flight = DirectedFlight()
     flight.vehicles.change(1, armed=True, landed=LandedState.IN_AIR, phase=FlightPhase.FORMATION)
     flight.vehicles.change(2, armed=True, landed=LandedState.IN_AIR)
     for report in flight.vehicles.drain():
@@ -228,7 +228,7 @@ def test_a_vehicle_that_flies_without_a_command_gets_none() -> None:
 
 
 def test_a_track_holds_the_positions_reported_in_flight(tmp_path: Path) -> None:
-    flight = Flight()
+    flight = DirectedFlight()
     for now_s, armed, age_s, x_m in (
         (0.0, False, inf, 9.0),
         (1.0, True, 0.02, 1.0),
@@ -249,7 +249,7 @@ def test_a_track_holds_the_positions_reported_in_flight(tmp_path: Path) -> None:
 
 
 def test_the_summary_states_the_source_of_the_positions(tmp_path: Path, scenario: Scenario) -> None:
-    flight = Flight()
+    flight = DirectedFlight()
     flight.fly(*WHOLE)
     tracks = {i: reported_track(i, flight.watch.reported[i]) for i in (1, 2)}
     result = write_results(

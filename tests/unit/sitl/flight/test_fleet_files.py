@@ -6,10 +6,10 @@ import msgspec
 import pytest
 from msgspec.structs import replace
 
+from common import ROOT
 from companion.config.file import ConfigError, load
 from companion.config.vehicle import load_agent
 from companion.types.flight import Role
-from repository import ROOT
 from sitl.flight.files import autopilot_file, ids_of, network_path, reached_stand_in, vehicle_file, write_files
 from sitl.flight.scenario import Scenario, load_scenario
 from sitl.links.emulated_network import NetworkFile

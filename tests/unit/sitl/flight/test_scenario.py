@@ -9,9 +9,9 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
+from common import ROOT
 from companion.config.file import ConfigError, read_yaml
 from companion.config.fleet import EdgeNeighbours, RangeNeighbours
-from repository import ROOT
 from sitl.flight.scenario import load_scenario, scenario_from
 
 SCENARIOS = ROOT / "config" / "scenarios"

@@ -7,8 +7,8 @@ from contextlib import contextmanager
 
 import pytest
 
+from common import ROOT
 from companion.types.autopilot import AutopilotKind
-from repository import ROOT
 from sitl.flight.files import ids_of
 from sitl.flight.scenario import load_scenario
 from sitl.links.free_ports import PortInUseError, reserved_ports

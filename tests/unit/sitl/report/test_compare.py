@@ -6,10 +6,10 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from common import ROOT
 from companion.assembly import law_of
 from companion.core.consensus.law import cooperative
 from companion.wire.messages import Percentiles, Timing
-from repository import ROOT
 from sitl.cli.fly import add_arguments, fly_options
 from sitl.flight.flights import summarize
 from sitl.flight.options import FlyOptions, RunOptions

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from matplotlib.figure import Figure
 
-from batch_scenarios import PLATOON, platoon
 from companion.config.file import ConfigError
+from lockstep_fleet import PLATOON_FILE, platoon
 from sitl.flight.scenario import load_scenario
 from sitl.sweep.figure import MOST_CURVES, save_sweep
 from sitl.sweep.flights import (
@@ -38,7 +38,7 @@ def figures(settle_s: float | None = 12.0, final_error_m: float = 0.01) -> Fligh
 
 
 def points(*varied: str) -> list[Point]:
-    return points_of(PLATOON, (), axes_of(varied, 1), lambda _number, _of: None)
+    return points_of(PLATOON_FILE, (), axes_of(varied, 1), lambda _number, _of: None)
 
 
 # ---------------------------------------------------------------- points
@@ -69,7 +69,7 @@ def test_all_combinations_are_made_and_the_last_key_varies_fastest() -> None:
 def test_without_vary_there_is_one_combination() -> None:
     (point,) = points()
     assert point.choices == ()
-    assert point.scenario == load_scenario(PLATOON)
+    assert point.scenario == load_scenario(PLATOON_FILE)
 
 
 @pytest.mark.parametrize(
@@ -113,32 +113,32 @@ def test_too_many_flights_are_refused_before_any_scenario_is_made() -> None:
 
 def test_a_seed_cannot_be_set() -> None:
     with pytest.raises(ConfigError, match="use --seeds N"):
-        base_scenario(PLATOON, ["stand_in.seed=3"])
+        base_scenario(PLATOON_FILE, ["stand_in.seed=3"])
 
 
 def test_a_sweep_with_ardupilot_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"stand_in.autopilot: .*px4 only"):
-        base_scenario(PLATOON, ["stand_in.autopilot=ardupilot"])
+        base_scenario(PLATOON_FILE, ["stand_in.autopilot=ardupilot"])
 
 
 def test_a_sweep_with_a_target_is_refused() -> None:
     with pytest.raises(ConfigError, match=r'reference.kind: "target": a sweep does not support targets'):
-        base_scenario(PLATOON, ["fleet.law.name=cooperative", "reference={kind: target, start_enu_m: [0, 0, 1]}"])
+        base_scenario(PLATOON_FILE, ["fleet.law.name=cooperative", "reference={kind: target, start_enu_m: [0, 0, 1]}"])
 
 
 def test_a_sweep_with_a_turning_formation_is_refused() -> None:
     with pytest.raises(
         ConfigError, match=r'fleet.formation_heading: "course": a sweep does not support turning formations'
     ):
-        base_scenario(PLATOON, ["fleet.formation_heading=course"])
+        base_scenario(PLATOON_FILE, ["fleet.formation_heading=course"])
 
 
 def test_the_duration_is_that_of_the_form_step() -> None:
-    assert formation_time_s(PLATOON, platoon()) == 75.0
+    assert formation_time_s(PLATOON_FILE, platoon()) == 75.0
     with pytest.raises(ConfigError, match="no step with command: form; set the duration with --seconds S"):
-        formation_time_s(PLATOON, platoon("timeline=[{command: prepare}]"))
+        formation_time_s(PLATOON_FILE, platoon("timeline=[{command: prepare}]"))
     with pytest.raises(ConfigError, match="for_s: 1; expected 2 or more"):
-        formation_time_s(PLATOON, platoon("timeline[3].for_s=1"))
+        formation_time_s(PLATOON_FILE, platoon("timeline[3].for_s=1"))
 
 
 # ---------------------------------------------------------------- chunks

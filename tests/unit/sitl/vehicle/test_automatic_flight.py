@@ -11,13 +11,13 @@ from companion.mavlink.codec import mavlink
 from companion.types.values import Vector3
 from sitl.autopilots.px4.autopilot import Px4Mode
 from sitl.vehicle.config import Airframe, Wind
-from sitl_vehicle import DT_S, LEVEL, Vehicle
+from stand_ins import DT_S, LEVEL, Px4OnBytes
 
 WIND_OF_5_M_S = Wind(mean_enu_m_s=(4.0, 3.0, 0.0))
 SIH_AIRFRAME = Airframe(drag_n_per_m_s=1.0)  # of PX4's simulator; about four times the usual drag
 
 
-def worst_error_m(vehicle: Vehicle, goal_m: Vector3, seconds: float) -> float:
+def worst_error_m(vehicle: Px4OnBytes, goal_m: Vector3, seconds: float) -> float:
     """Largest error in m of the true position to `goal_m`, over time and axes."""
     worst = 0.0
     for _ in range(round(seconds / 0.1)):
@@ -28,7 +28,7 @@ def worst_error_m(vehicle: Vehicle, goal_m: Vector3, seconds: float) -> float:
 
 
 def test_a_vehicle_on_the_ground_is_not_moved_by_the_wind() -> None:
-    vehicle = Vehicle(airframe=SIH_AIRFRAME, wind=WIND_OF_5_M_S)
+    vehicle = Px4OnBytes(airframe=SIH_AIRFRAME, wind=WIND_OF_5_M_S)
     vehicle.fly(5.0)
     vehicle.px4.arm()
     vehicle.fly(5.0)
@@ -36,21 +36,21 @@ def test_a_vehicle_on_the_ground_is_not_moved_by_the_wind() -> None:
 
 
 def test_hold_with_ideal_sensors_is_within_1_cm() -> None:
-    vehicle = Vehicle()
+    vehicle = Px4OnBytes()
     vehicle.take_off(1.0)
     assert worst_error_m(vehicle, (0.0, 0.0, 1.0), 30.0) < 0.01
 
 
 @pytest.mark.parametrize("airframe", [Airframe(), SIH_AIRFRAME])
 def test_hold_is_within_1_cm_in_steady_wind(airframe: Airframe) -> None:
-    vehicle = Vehicle(airframe=airframe, wind=WIND_OF_5_M_S)
+    vehicle = Px4OnBytes(airframe=airframe, wind=WIND_OF_5_M_S)
     vehicle.take_off(1.0)
     vehicle.fly(45.0)
     assert worst_error_m(vehicle, (0.0, 0.0, 1.0), 30.0) < 0.01
 
 
 def test_hold_is_within_10_cm_of_the_estimate_with_noise_and_wind() -> None:
-    vehicle = Vehicle(sensors="default", wind=WIND_OF_5_M_S)
+    vehicle = Px4OnBytes(sensors="default", wind=WIND_OF_5_M_S)
     vehicle.fly(4.2)
     goal = vehicle.px4.quad.estimated_position_local_enu_m()
     vehicle.take_off(1.0)
@@ -64,7 +64,7 @@ def test_hold_is_within_10_cm_of_the_estimate_with_noise_and_wind() -> None:
 
 
 def test_landing_from_hold_keeps_the_position_in_wind() -> None:
-    vehicle = Vehicle(wind=WIND_OF_5_M_S)
+    vehicle = Px4OnBytes(wind=WIND_OF_5_M_S)
     vehicle.take_off(3.0)
     vehicle.fly(25.0)
     vehicle.set_mode(Px4Mode.LAND)
@@ -75,7 +75,7 @@ def test_landing_from_hold_keeps_the_position_in_wind() -> None:
 
 
 def test_the_wind_estimate_is_reset_between_flights() -> None:
-    vehicle = Vehicle(wind=WIND_OF_5_M_S)
+    vehicle = Px4OnBytes(wind=WIND_OF_5_M_S)
     drifts = []
     for _ in range(2):
         x0, _, _ = vehicle.px4.quad.position_enu_m
@@ -92,7 +92,7 @@ def test_the_wind_estimate_is_reset_between_flights() -> None:
 @pytest.mark.parametrize("sensors", ["ideal", "default", "px4_sih"])
 @pytest.mark.parametrize("airframe", [Airframe(), Airframe(attitude="instant"), SIH_AIRFRAME])
 def test_every_airframe_takes_off_holds_and_lands(sensors: Any, airframe: Airframe) -> None:
-    vehicle = Vehicle(sensors=sensors, airframe=airframe)
+    vehicle = Px4OnBytes(sensors=sensors, airframe=airframe)
     vehicle.take_off(1.0)
     assert vehicle.height_m == pytest.approx(1.0, abs=0.5)
     vehicle.fly(0.2, LEVEL)
@@ -105,7 +105,7 @@ def test_every_airframe_takes_off_holds_and_lands(sensors: Any, airframe: Airfra
 
 
 def test_a_take_off_altitude_is_used_once() -> None:
-    vehicle = Vehicle()
+    vehicle = Px4OnBytes()
     vehicle.take_off(1.0)
     vehicle.set_mode(Px4Mode.LAND)
     vehicle.fly(8.0)
@@ -116,7 +116,7 @@ def test_a_take_off_altitude_is_used_once() -> None:
 
 
 def test_it_does_not_descend_to_take_off() -> None:
-    vehicle = Vehicle()
+    vehicle = Px4OnBytes()
     vehicle.take_off(3.0)
     assert vehicle.px4.take_off(vehicle.altitude_amsl_m - 2.0)
     assert vehicle.texts()[-1] == "Already higher than takeoff altitude"
@@ -126,7 +126,7 @@ def test_it_does_not_descend_to_take_off() -> None:
 
 
 def test_the_system_status_is_uninit_in_a_mode_that_prevents_arming() -> None:
-    vehicle = Vehicle()
+    vehicle = Px4OnBytes()
     vehicle.fly(5.0)
     vehicle.set_mode(Px4Mode.OFFBOARD)
     assert vehicle.px4.arm() == "Resolve system health failures first"  # there is no stream
@@ -137,7 +137,7 @@ def test_the_system_status_is_uninit_in_a_mode_that_prevents_arming() -> None:
 
 
 def test_landing_touches_the_ground_at_the_landing_speed() -> None:
-    vehicle = Vehicle(sensors="default")
+    vehicle = Px4OnBytes(sensors="default")
     vehicle.take_off(3.0)
     vehicle.set_mode(Px4Mode.LAND)
     sink = 0.0

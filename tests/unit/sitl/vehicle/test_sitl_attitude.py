@@ -12,7 +12,7 @@ from companion.mavlink.codec import mavlink
 from companion.types.values import GRAVITY_M_S2
 from sitl.vehicle.config import Airframe
 from sitl.vehicle.control import AttitudeSetpoint, rotation_error
-from sitl_vehicle import DT_S, HOVER, LEVEL, Vehicle
+from stand_ins import DT_S, HOVER, LEVEL, Px4OnBytes
 
 WITHIN = 0.15
 
@@ -26,7 +26,7 @@ class Response:
 
 def step_response(axis: int, step_deg: float) -> Response:
     """Response of the true angle to a step of the OFFBOARD setpoint."""
-    vehicle = Vehicle()
+    vehicle = Px4OnBytes()
     vehicle.offboard()
     angles = [0.0, 0.0, 0.0]
     angles[axis] = radians(step_deg)
@@ -84,9 +84,9 @@ def target(mask: int = 7, q: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0), thrust: f
     return mavlink.MAVLink_set_attitude_target_message(0, *ids, mask, q, *rates, thrust)  # type: ignore[misc]
 
 
-def flown(message: object, seconds: float = 0.6, vehicle: Vehicle | None = None) -> Vehicle:
+def flown(message: object, seconds: float = 0.6, vehicle: Px4OnBytes | None = None) -> Px4OnBytes:
     """The vehicle after a hover in OFFBOARD and this SET_ATTITUDE_TARGET at 50 Hz."""
-    vehicle = vehicle or Vehicle()
+    vehicle = vehicle or Px4OnBytes()
     vehicle.offboard()
     for _ in range(round(seconds / 0.02)):
         vehicle.send(message)
@@ -162,7 +162,7 @@ def test_the_yaw_rate_is_fed_forward() -> None:
 
 @pytest.mark.parametrize("thrust", [0.4, 0.49, 0.6, 1.0])
 def test_thrust_is_linear_about_hover(thrust: float) -> None:
-    vehicle = Vehicle(airframe=Airframe(drag_n_per_m_s=0.0))
+    vehicle = Px4OnBytes(airframe=Airframe(drag_n_per_m_s=0.0))
     vehicle.offboard()
     vehicle.fly(0.5, AttitudeSetpoint(LEVEL.quaternion, thrust))
     before = vehicle.px4.quad.velocity_enu_m_s[2]
@@ -172,7 +172,7 @@ def test_thrust_is_linear_about_hover(thrust: float) -> None:
 
 
 def test_the_ideal_airframe_is_a_double_integrator() -> None:
-    vehicle = Vehicle(airframe=Airframe(attitude="instant", motor_lag_s=0.0, drag_n_per_m_s=0.0))
+    vehicle = Px4OnBytes(airframe=Airframe(attitude="instant", motor_lag_s=0.0, drag_n_per_m_s=0.0))
     vehicle.offboard()
     x0, _, _ = vehicle.px4.quad.position_enu_m
     v0, _, _ = vehicle.px4.quad.velocity_enu_m_s

@@ -8,8 +8,8 @@ import pytest
 
 from companion.geometry.frames import euler_from_quaternion, quaternion_from_euler
 from companion.types.values import GRAVITY_M_S2, ZERO3, Vector3
-from rigid_body import Equations
 from sitl.vehicle.dynamics import POSITION, RATES, THRUST, VELOCITY, Body, State, at_rest
+from stand_ins import Equations
 
 MASS_KG, INERTIA_KG_M2, LAG_S, DT_S = 1.2, (0.02, 0.03, 0.04), 0.05, 0.004
 HOVER_N = MASS_KG * GRAVITY_M_S2

@@ -12,18 +12,18 @@ from companion.geometry.frames import enu_from_geodetic, enu_from_ned
 from companion.mavlink.codec import mavlink
 from sitl.vehicle.config import SENSORS, Sensors, Wind
 from sitl.vehicle.disturbances import GaussMarkov, Normals
-from sitl_vehicle import Vehicle
+from stand_ins import Px4OnBytes
 
 
-def ensemble(sensors: Sensors, seconds: float = 0.0, number: int = 200) -> list[Vehicle]:
+def ensemble(sensors: Sensors, seconds: float = 0.0, number: int = 200) -> list[Px4OnBytes]:
     """Vehicles that differ only in their seeds."""
-    vehicles = [Vehicle(sensors=sensors, seed=seed) for seed in range(number)]
+    vehicles = [Px4OnBytes(sensors=sensors, seed=seed) for seed in range(number)]
     for vehicle in vehicles:
         vehicle.fly(seconds)
     return vehicles
 
 
-def position_error_m(vehicle: Vehicle, axis: int) -> float:
+def position_error_m(vehicle: Px4OnBytes, axis: int) -> float:
     quad = vehicle.px4.quad
     origin = enu_from_geodetic(*quad.origin, quad.world_origin)
     return quad.estimated_position_local_enu_m()[axis] + origin[axis] - quad.position_enu_m[axis]
@@ -68,7 +68,7 @@ def test_velocity_and_attitude_errors_have_the_configured_spread() -> None:
 
 
 def test_ideal_sensors_have_no_error() -> None:
-    vehicle = Vehicle()
+    vehicle = Px4OnBytes()
     vehicle.take_off()
     quad = vehicle.px4.quad
     assert all(position_error_m(vehicle, axis) == pytest.approx(0.0, abs=1e-9) for axis in range(3))
@@ -79,7 +79,7 @@ def test_ideal_sensors_have_no_error() -> None:
 def test_flights_with_the_same_seed_are_identical() -> None:
     def flight(seed: int, vehicle_id: int) -> tuple[float, ...]:
         wind = Wind(mean_enu_m_s=(1.0, 0.0, 0.0), gust_sd_m_s=0.5)
-        vehicle = Vehicle(sensors="px4_sih", wind=wind, seed=seed, vehicle_id=vehicle_id)
+        vehicle = Px4OnBytes(sensors="px4_sih", wind=wind, seed=seed, vehicle_id=vehicle_id)
         vehicle.fly(4.2)
         vehicle.px4.arm()
         vehicle.px4.take_off(None)
@@ -103,7 +103,7 @@ def test_origins_have_the_configured_spread() -> None:
 
 @pytest.mark.parametrize("rebased", [False, True])
 def test_local_and_global_position_agree_to_1_cm(rebased: bool) -> None:
-    vehicle = Vehicle(sensors="px4_sih")
+    vehicle = Px4OnBytes(sensors="px4_sih")
     vehicle.take_off()
     if rebased:
         vehicle.send(mavlink.MAVLink_set_gps_global_origin_message(1, 473_978_000, 85_456_500, 480_000))
@@ -117,7 +117,7 @@ def test_local_and_global_position_agree_to_1_cm(rebased: bool) -> None:
 
 
 def test_the_true_position_is_unchanged_by_a_new_origin() -> None:
-    vehicle = Vehicle(sensors=Sensors(origin_sd_m=(0.3, 0.3, 0.8)))
+    vehicle = Px4OnBytes(sensors=Sensors(origin_sd_m=(0.3, 0.3, 0.8)))
     vehicle.take_off()
     before = vehicle.px4.quad.position_enu_m
     vehicle.send(mavlink.MAVLink_set_gps_global_origin_message(1, 473_978_000, 85_456_500, 480_000))
@@ -127,7 +127,9 @@ def test_the_true_position_is_unchanged_by_a_new_origin() -> None:
 
 
 def test_gusts_move_the_vehicle_about_its_hold_position() -> None:
-    calm, windy = (Vehicle(wind=Wind(mean_enu_m_s=(mean, 0.0, 0.0), gust_sd_m_s=sd)) for mean, sd in ((0, 0), (4, 1)))
+    calm, windy = (
+        Px4OnBytes(wind=Wind(mean_enu_m_s=(mean, 0.0, 0.0), gust_sd_m_s=sd)) for mean, sd in ((0, 0), (4, 1))
+    )
     for vehicle in (calm, windy):
         vehicle.take_off()
     assert calm.px4.quad.position_enu_m[0] == pytest.approx(0.0, abs=0.01)

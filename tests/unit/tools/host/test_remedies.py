@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import re
 
+from common import ROOT
 from companion.tools.host_checks import KEEP_PERFORMANCE, SWITCH_OFF
-from repository import ROOT
 
 
 def test_the_remedies_name_headings_of_the_guide() -> None:

@@ -1,19 +1,34 @@
-"""One agent in virtual time, with a simple autopilot that executes its requests."""
+"""One agent in virtual time, with an autopilot that executes its requests; alone its phases, and its recorder."""
 
+from __future__ import annotations
+
+import errno
+import os
+import threading
+import time
+from collections.abc import Callable, Iterable, Sequence
 from math import isfinite
+from pathlib import Path
 
+import pytest
 from msgspec.structs import replace
 
+import companion.recording.files as files
 from companion.assembly import build_agent
 from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember, Law
 from companion.config.reference import PointReference, Reference
-from companion.config.vehicle import AgentConfig, VehicleConfig
+from companion.config.vehicle import AgentConfig, RecordingSettings, VehicleConfig
+from companion.core.command.phase import LEVEL_BEFORE_HAND_OVER_S, PhaseMachine
+from companion.recording.recorder import Recorder, recorder_of
+from companion.recording.writing import Writing
 from companion.types.autopilot import (
     Arm,
     AttitudeSample,
     AttitudeTarget,
     AutopilotKind,
     AutopilotMode,
+    AutopilotRequest,
+    Disarm,
     HeartbeatSample,
     LandedSample,
     LandedState,
@@ -27,6 +42,7 @@ from companion.types.autopilot import (
     SystemSample,
     TakeOff,
     Telemetry,
+    VehicleState,
 )
 from companion.types.commands import Command, CommandName, Content
 from companion.types.flight import FlightPhase, Role
@@ -52,7 +68,7 @@ SESSION = 7
 POINT = PointReference(point_enu_m=(1.0, 0.0, 1.0))
 
 
-class Flight:
+class AgentFlight:
     """One agent, fed at 50 Hz by an autopilot that executes requests at once and does not move by itself.
 
     A new `position` takes a while by the autopilot's clock, so that it is no jump.
@@ -189,7 +205,7 @@ class Flight:
                     self.mode, self.landed = AutopilotMode.HOLD, LandedState.IN_AIR
                     self.position = (self.position[0], self.position[1], self.position[2] + height_m)
 
-    def fly_to(self, phase: FlightPhase) -> "Flight":
+    def fly_to(self, phase: FlightPhase) -> AgentFlight:
         for name in (CommandName.PREPARE, CommandName.ARM, CommandName.TAKEOFF, CommandName.FORM):
             if self.agent.phase is phase:
                 break
@@ -199,3 +215,128 @@ class Flight:
                 self.tick()
         assert self.agent.phase is phase, self.events
         return self
+
+
+NEW = float("inf")  # state that is always newer than the request
+GROUND = VehicleState(
+    mode_time_s=NEW,
+    heartbeat_time_s=NEW,
+    autopilot=AutopilotKind.PX4,
+    mode=AutopilotMode.OTHER,
+    mode_name="POSCTL",
+    landed=LandedState.ON_GROUND,
+    altitude_amsl_m=488.0,
+)
+AIR = replace(GROUND, armed=True, landed=LandedState.IN_AIR, mode=AutopilotMode.HOLD, position_enu_m=(0.0, 0.0, 2.5))
+
+
+def tick(
+    machine: PhaseMachine, now_s: float, vehicle: VehicleState, telemetry: Sequence[Telemetry]
+) -> tuple[AutopilotRequest, ...]:
+    """Autopilot requests of one tick without commands."""
+    machine.follow_truth(vehicle)
+    return machine.advance(now_s, vehicle, telemetry)
+
+
+class ImmediateAutopilot:
+    """An autopilot that executes every request at once."""
+
+    def __init__(self) -> None:
+        self.state = GROUND
+        self.asked: list[AutopilotRequest] = []
+
+    def execute(self, requests: Iterable[AutopilotRequest]) -> None:
+        for request in requests:
+            self.asked.append(request)
+            match request:
+                case SetMode(mode):
+                    self.state = replace(self.state, mode=mode, mode_name=mode)
+                case Arm():
+                    self.state = replace(self.state, armed=True)
+                case Disarm():
+                    self.state = replace(self.state, armed=False)
+                case TakeOff():
+                    self.state = replace(AIR, mode=AutopilotMode.HOLD)
+
+
+def flown_to(phase: FlightPhase) -> tuple[PhaseMachine, ImmediateAutopilot, float]:
+    """A machine that reached `phase` by the usual commands."""
+    machine, autopilot, now_s = PhaseMachine(2.5), ImmediateAutopilot(), 0.0
+    for name in (CommandName.PREPARE, CommandName.ARM, CommandName.TAKEOFF, CommandName.FORM):
+        if machine.phase is phase:
+            break
+        assert machine.command(name, now_s, autopilot.state)[0]
+        for _ in range(100):
+            if machine.phase is phase:
+                return machine, autopilot, now_s
+            autopilot.execute(tick(machine, now_s, autopilot.state, ()))
+            now_s += 0.02
+    return machine, autopilot, now_s
+
+
+def levelled(machine: PhaseMachine, autopilot: ImmediateAutopilot, now_s: float) -> float:
+    """Let a hand-over from formation stream until its level phase ends; the time of the request that follows."""
+    until_s = now_s + LEVEL_BEFORE_HAND_OVER_S
+    while now_s < until_s:
+        assert tick(machine, now_s, autopilot.state, ()) == ()
+        assert machine.streams(autopilot.state) and machine.hands_over_level(now_s)
+        now_s += 0.02
+    autopilot.execute(tick(machine, now_s, autopilot.state, ()))
+    return now_s
+
+
+RECORDED_SESSION, BEGAN_UNIX_S, BEGAN_S = 7, 1_700_000_000.0, 100.0
+
+
+def config(recording: RecordingSettings | None = None) -> AgentConfig:
+    """That of vehicle 3, which leads alone."""
+    member = FormationMember(id=3, role=Role.LEADER, slot_enu_m=(0.0, 0.0, 0.0))
+    fleet = FleetConfig(name="one", origin="indoor", vehicles=(member,), neighbours=EdgeNeighbours(edges=()))
+    vehicle = VehicleConfig(
+        id=3,
+        fleet="fleet.yaml",
+        mavlink="udpin:127.0.0.1:14540",
+        hover_thrust_norm=0.5,
+        reference=PointReference(point_enu_m=(20.0, 0.0, 5.0)),
+        recording=recording or RecordingSettings(),
+    )
+    return AgentConfig(vehicle, fleet, member)
+
+
+def recorder(folder: Path, writing: Writing, **settings: object) -> Recorder:
+    """A recorder of that agent; `settings` are of the section `recording`."""
+    recording = replace(RecordingSettings(), **settings)
+    return recorder_of(config(recording), RECORDED_SESSION, folder, BEGAN_UNIX_S, BEGAN_S, writing)
+
+
+class Disk:
+    """The system calls of recordings, with room for a number of bytes, that can hang."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.room = 1 << 40
+        self.works = threading.Event()
+        self.works.set()
+        self.waiting = threading.Event()
+        self._write = os.write
+        monkeypatch.setattr(files.os, "write", self.write)
+        monkeypatch.setattr(files.os, "fdatasync", self.sync)
+
+    def write(self, descriptor: int, data: bytes) -> int:
+        fits = min(self.room, len(data))
+        if not fits:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        self.room -= fits
+        return self._write(descriptor, data[:fits])
+
+    def sync(self, _descriptor: int) -> None:
+        if not self.works.is_set():
+            self.waiting.set()
+            self.works.wait(60.0)
+
+
+def until(holds: Callable[[], bool], within_s: float = 60.0) -> None:
+    """Wait for another thread."""
+    give_up_s = time.monotonic() + within_s
+    while not holds():
+        assert time.monotonic() < give_up_s
+        time.sleep(0.002)

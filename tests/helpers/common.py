@@ -1,11 +1,14 @@
-"""What tests compare of notices, answers and replies: their codes."""
+"""Where the repository and its example files are, and what tests compare of notices and answers: their codes."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from pathlib import Path
 
 from companion.types.commands import CommandReply
 from companion.types.notices import Answer, Code, Notice
+
+ROOT = Path(__file__).parents[2]
 
 
 def code_of(notice: Notice | None) -> Code | None:

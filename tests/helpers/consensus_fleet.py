@@ -1,20 +1,22 @@
-"""A fleet of consensus stages, tick by tick: roles, leader beacons and packets, without flight."""
+"""A fleet of consensus stages, tick by tick, without flight, and packets of peers in their slots."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
+from msgspec.structs import replace
+
 from companion.core.consensus.neighbours import EdgeRule
-from companion.core.consensus.peers import FleetLimits, PeerTable
+from companion.core.consensus.peers import FleetLimits, PeerState, PeerTable
 from companion.core.consensus.stage import Consensus, ConsensusStage
 from companion.core.election.beacon import BeaconMonitor
 from companion.core.election.leadership import Leadership, Succession
-from companion.types.autopilot import VehicleState
+from companion.types.autopilot import PositionError, VehicleState
 from companion.types.commands import Lead
 from companion.types.flight import Flight, FlightPhase, HealthFlag, Role
 from companion.types.formation import FlownSlot
 from companion.types.peers import PeerPacket, ReceivedPeerPacket
-from companion.types.values import ZERO3
+from companion.types.values import ZERO3, Vector3
 
 TICK_S = 0.02
 RING = ((1, 2), (2, 3), (3, 4), (4, 1))
@@ -29,7 +31,7 @@ def leaders_in(around: dict[int, Consensus]) -> list[int]:
 LIMITS = FleetLimits(25.0, 8.0, (200.0, 200.0, 55.0))
 
 
-class Fleet:
+class CooperatingFleet:
     """Vehicles in formation that receive all packets of the previous tick, except those in `deaf`.
 
     Vehicles in `dead` do not run. `receives(receiver, sender)` may replace the network, which loses nothing by default.
@@ -123,3 +125,54 @@ class Fleet:
             leader_beacon=what.leader_beacon,
             slot=FlownSlot(ZERO3),
         )
+
+
+PEER_SLOTS: dict[int, Vector3] = {1: (0.0, 0.0, 0.0), 2: (-2.0, 0.0, 0.0), 3: (-4.0, 0.0, 0.0)}
+FLEET: Vector3 = (10.0, 0.0, 5.0)
+NOW_S = 100.0
+
+
+def peer(vehicle_id: int, moves_m_s: Vector3 = ZERO3, **changes: object) -> PeerState:
+    x, y, z = (r + d for r, d in zip(FLEET, PEER_SLOTS[vehicle_id], strict=True))
+    packet = PeerPacket(
+        vehicle_id=vehicle_id,
+        session=1,
+        sequence=1,
+        formation_hash=0,
+        phase=FlightPhase.FORMATION,
+        role=Role.FOLLOWER,
+        position_enu_m=(x, y, z),
+        velocity_enu_m_s=moves_m_s,
+        acceleration_enu_m_s2=ZERO3,
+        state_age_s=0.0,
+        sent_s=0.0,
+        prc=2,
+        leader_beacon=None,
+        slot=FlownSlot(PEER_SLOTS[vehicle_id]),
+    )
+    return PeerState(replace(packet, **changes), NOW_S, NOW_S, NOW_S)
+
+
+SLOTS: dict[int, Vector3] = {1: (0.0, 0.0, 0.0), 2: (-1.5, 0.0, 0.0), 3: (-3.0, 0.0, 0.0), 4: (-3.0, 0.0, 1.0)}
+
+
+def slot_peer(vehicle_id: int, z_m: float = 0.0, error: PositionError | None = None, air: bool = False) -> PeerPacket:
+    phase = FlightPhase.HOLD if air else FlightPhase.READY
+    at, zero = (3.0 * vehicle_id - 6.0, 0.0, z_m), (0.0, 0.0, 0.0)
+    return PeerPacket(
+        vehicle_id,
+        1,
+        1,
+        0,
+        phase,
+        Role.FOLLOWER,
+        at,
+        zero,
+        zero,
+        0.0,
+        0.0,
+        2,
+        None,
+        FlownSlot(SLOTS[vehicle_id]),
+        error,
+    )
