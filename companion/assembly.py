@@ -28,9 +28,9 @@ from companion.core.election.leadership import Leadership, Succession
 from companion.core.estimation.corrections import VelocityCorrection
 from companion.core.estimation.vehicle import PerceptionStage, VehicleTracker
 from companion.core.estimation.wind import DisturbanceObserver
-from companion.core.filter.filter import Boundaries, SafetyFilter, SpeedLimit
+from companion.core.filter.filter import Bounds, SafetyFilter, SpeedLimit
 from companion.core.filter.solver import AccelerationLimits
-from companion.core.filter.vehicles import PLANNED_SHARE, Separation, SeparationSettings
+from companion.core.filter.vehicles import PLANNED_SHARE, SeparationSettings
 from companion.core.formation.entry import FormationEntry, Joining, LeadIn
 from companion.core.formation.gaps import GapFilling
 from companion.core.formation.guidance import GuidanceStage
@@ -172,11 +172,10 @@ def safety_filter_of(fleet: FleetConfig, own_id: int) -> SafetyFilter:
     braking_m_s2, speeds = PLANNED_SHARE * GRAVITY_M_S2 * tan_max_tilt, fleet.envelope
     settings = SeparationSettings(own_id, fleet.separation_m, braking_m_s2, fleet.peers.max_age_s, speeds.max_speed_m_s)
     vertical_m_s2 = PLANNED_SHARE * GRAVITY_M_S2 * min(1.0 - envelope.min_thrust_ratio, envelope.max_thrust_ratio - 1.0)
+    limit = SpeedLimit(speeds.max_speed_m_s, speeds.max_climb_m_s, speeds.max_descent_m_s)
     return SafetyFilter(
-        Separation(settings),
-        fleet.separation_m,
-        Boundaries(fleet.airspace, braking_m_s2, vertical_m_s2),
-        SpeedLimit(speeds.max_speed_m_s, speeds.max_climb_m_s, speeds.max_descent_m_s),
+        settings,
+        Bounds(fleet.airspace, limit, braking_m_s2, vertical_m_s2),
         AccelerationLimits.of_envelope(tan_max_tilt, envelope.min_thrust_ratio, envelope.max_thrust_ratio),
         law_of(fleet.law).gains,
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from itertools import accumulate, pairwise
-from math import cos, dist, pi, sin, sqrt
+from math import cos, dist, inf, pi, sin, sqrt
 
 from companion.types.values import ZERO3, Vector3
 
@@ -115,17 +115,21 @@ def rest_to_rest(before: Vector3, after: Vector3, elapsed_s: float, lasts_s: flo
     )
 
 
-def approach_speed(distance_m: float, deceleration_m_s2: float, slope_1_s: float) -> tuple[float, float]:
-    """(speed m/s, its derivative by the distance 1/s): sqrt(2 a s) far away, and proportional to the distance near it.
+def approach_speed(
+    distance_m: float, deceleration_m_s2: float, slope_1_s: float, fastest_leaving_m_s: float = inf
+) -> tuple[float, float]:
+    """(speed m/s, its derivative by the distance 1/s) at which something may be approached that must not be passed.
 
-    The square root alone has an infinite slope at distance 0, which no vehicle can follow; the straight line touches it at
-    a/k^2, as in ArduPilot's `sqrt_controller`. Negative for a negative distance: the speed to leave at.
+    sqrt(2 a s) far away, and proportional to the distance near it: the square root alone has an infinite slope at distance 0,
+    which no vehicle can follow. The straight line touches it at a/k^2, as in ArduPilot's `sqrt_controller`. Negative for a
+    negative distance: the speed to leave at, of at most `fastest_leaving_m_s`.
     """
     straight_m = deceleration_m_s2 / (slope_1_s * slope_1_s)
-    if distance_m <= straight_m:
-        return slope_1_s * distance_m, slope_1_s
-    speed_m_s = sqrt(2.0 * deceleration_m_s2 * (distance_m - 0.5 * straight_m))
-    return speed_m_s, deceleration_m_s2 / speed_m_s
+    if distance_m > straight_m:
+        speed_m_s = sqrt(2.0 * deceleration_m_s2 * (distance_m - 0.5 * straight_m))
+        return speed_m_s, deceleration_m_s2 / speed_m_s
+    speed_m_s = slope_1_s * distance_m
+    return (speed_m_s, slope_1_s) if speed_m_s >= -fastest_leaving_m_s else (-fastest_leaving_m_s, 0.0)
 
 
 Coefficients = tuple[float, float, float, float, float, float]

@@ -65,9 +65,7 @@ def filter_step(count: int, distance_m: float, wanted_enu_m_s2: Vector3) -> Call
     )
 
     def step() -> None:
-        safety_filter.step(
-            10.001, vehicle, True, peers, peers, FlownSlot(ZERO3), wanted_enu_m_s2, (0.1, 0.0, 0.0), ZERO3
-        )
+        safety_filter.step(10.001, vehicle, FlownSlot(ZERO3), peers, peers, wanted_enu_m_s2, (0.1, 0.0, 0.0), ZERO3)
 
     return step
 

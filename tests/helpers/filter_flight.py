@@ -228,10 +228,9 @@ class SeparationFlight:
             result = self._filters[i].step(
                 self.now_s,
                 state,
-                body.phase is FlightPhase.FORMATION,
+                body.slot if body.phase is FlightPhase.FORMATION else None,
                 table.newest,
                 table.fresh(self.now_s),
-                body.slot,
                 wanted,
                 self._commanded[i],
                 ZERO3,
@@ -239,7 +238,7 @@ class SeparationFlight:
             self.reports[i] = result.separation
             self.interventions += result.acceleration_enu_m_s2 is not wanted
             wanted = result.acceleration_enu_m_s2
-        self._commanded[i] = STILL.nearest(wanted)
+        self._commanded[i] = STILL.limit(wanted)
 
     def _send(self, i: int, state: VehicleState) -> None:
         body = self.bodies[i]

@@ -86,7 +86,7 @@ class SetpointStage:
         self._drag_1_s = drag_1_s
         self._hold_altitude_m = 0.0
         self._separation = UNFILTERED  # of the last setpoint
-        self._taken_m_s2 = 0.0  # from the acceleration that the law wants, by other vehicles
+        self._removed_m_s2 = 0.0  # from the acceleration that the law wants, by other vehicles
         self._kept_off = KeptOff()
 
     def step(
@@ -101,17 +101,36 @@ class SetpointStage:
         traffic: Iterable[ReceivedTraffic] = (),
     ) -> Setpoint:
         """`before` is the flight at the beginning of the tick, `flight` the one after commands and requests."""
-        stream, silent = self._stream, safety.action is STOP_STREAM
+        stream, phase, silent = self._stream, flight.phase, safety.action is STOP_STREAM
         self._observe(now_s, vehicle, before, silent)
-        self._safety_filter.receive(now_s, vehicle, traffic)
+        if traffic or self._safety_filter.traffic:
+            self._safety_filter.receive(now_s, vehicle, traffic)
         if flight.streams and not before.streams:
             stream.open(now_s, vehicle)
         attitude_target = None
         if flight.streams and not silent:
-            if stream.may_follow(vehicle):
-                attitude_target = self._decide(now_s, vehicle, flight, consensus, guidance)
+            if phase is ENGAGE:  # the autopilot has not taken the stream yet
+                attitude_target = self._carry_on(now_s, vehicle)
+            elif vehicle.position_time_s > stream.position_used_s:  # a decision needs a new position
+                safe = self._safety_filter.step(
+                    now_s,
+                    vehicle,
+                    guidance.slot if phase is FORMATION else None,
+                    consensus.newest,
+                    consensus.fresh,
+                    self._wanted(vehicle, flight, consensus, guidance),
+                    stream.flown_acceleration_enu_m_s2(now_s, self._flown_for_s),
+                    stream.observer.disturbance_enu_m_s2,
+                )
+                self._separation, self._removed_m_s2 = safe.separation, safe.removed_accel_m_s2
+                attitude_target = stream.follow(now_s, vehicle, safe.acceleration_enu_m_s2)
         elif before.streams and _listens_in_silence(vehicle):
             attitude_target = stream.final_level_setpoint(now_s)
+        rft = None
+        if phase is not FORMATION:
+            self._kept_off.end()
+        elif self._kept_off.intervened(now_s, self._removed_m_s2):
+            rft = self._published_rft(now_s, vehicle, consensus, guidance)
         observer = stream.observer
         return Setpoint(
             target=attitude_target,
@@ -124,39 +143,24 @@ class SetpointStage:
             largest_step_deg=stream.largest_step_deg,
             rejected=stream.rejected,
             separation=self._separation if flight.streams else UNFILTERED,
-            rft=self._published_rft(now_s, vehicle, flight, consensus, guidance),
+            rft=rft,
         )
 
-    def _decide(
-        self, now_s: float, vehicle: VehicleState, flight: Flight, consensus: Consensus, guidance: Guidance
-    ) -> AttitudeTarget | None:
-        """The attitude target of this phase; None where the output limits refuse it."""
-        phase = flight.phase
-        if phase is ENGAGE:  # the autopilot has not taken the stream yet
-            self._hold_altitude_m = vehicle.position_enu_m[2]
-            return self._stream.carry_on(now_s, vehicle)
-        if phase is FORMATION:
-            wanted_enu_m_s2 = self._in_formation(vehicle, consensus, guidance)
-        elif flight.levels:  # no acceleration over ground
-            wanted_enu_m_s2 = (0.0, 0.0, self._braking(vehicle)[2])
-        else:  # the autopilot does not take over
-            wanted_enu_m_s2 = self._braking(vehicle)
-        safe = self._safety_filter.step(
-            now_s,
-            vehicle,
-            phase is FORMATION,
-            consensus.newest,
-            consensus.fresh,
-            guidance.slot,
-            wanted_enu_m_s2,
-            self._stream.flown_acceleration_enu_m_s2(now_s, self._flown_for_s),
-            self._stream.observer.disturbance_enu_m_s2,
-        )
-        self._separation, self._taken_m_s2 = safe.separation, safe.taken_m_s2
-        return self._stream.follow(now_s, vehicle, safe.acceleration_enu_m_s2)
+    def _carry_on(self, now_s: float, vehicle: VehicleState) -> AttitudeTarget | None:
+        """What the vehicle does already. A decision needs a new position here, too."""
+        if vehicle.position_time_s <= self._stream.position_used_s:
+            return None
+        self._hold_altitude_m = vehicle.position_enu_m[2]
+        return self._stream.carry_on(now_s, vehicle)
 
-    def _in_formation(self, vehicle: VehicleState, consensus: Consensus, guidance: Guidance) -> Vector3:
-        """Eq. 14 about a slot that may move, or on z the vehicle's own altitude hold; m/s^2 in ENU."""
+    def _wanted(self, vehicle: VehicleState, flight: Flight, consensus: Consensus, guidance: Guidance) -> Vector3:
+        """The acceleration of this phase, m/s^2 in ENU, before the safety filter.
+
+        In formation eq. 14 about a slot that may move, or on z the vehicle's own altitude hold.
+        """
+        if flight.phase is not FORMATION:  # the autopilot takes over, level first, or does not take over
+            braking = self._braking(vehicle)
+            return (0.0, 0.0, braking[2]) if flight.levels else braking
         slot = guidance.slot
         own = formation_state(vehicle.position_enu_m, vehicle.velocity_enu_m_s, slot)
         x, y, z = formation_acceleration(self._law, own, consensus.neighbours, guidance.reference, self._drag_1_s)
@@ -167,14 +171,9 @@ class SetpointStage:
         return (x + dx, y + dy, z + dz)
 
     def _published_rft(
-        self, now_s: float, vehicle: VehicleState, flight: Flight, consensus: Consensus, guidance: Guidance
+        self, now_s: float, vehicle: VehicleState, consensus: Consensus, guidance: Guidance
     ) -> FormationState | None:
-        """The RFT for peers where the separation filter keeps this vehicle off its slot."""
-        if flight.phase is not FORMATION:
-            self._kept_off.end()
-            return None
-        if not self._kept_off.intervened(now_s, self._taken_m_s2):
-            return None
+        """The RFT for peers while the separation filter keeps this vehicle off its slot."""
         rft = target(self._law, consensus.neighbours, guidance.reference)
         if rft is None:
             return None
@@ -197,20 +196,15 @@ class SetpointStage:
         thrust_time_s, thrust_norm = vehicle.thrust_time_s, vehicle.thrust_norm  # as the autopilot reports it
         if vehicle.mode is OFFBOARD and before.streams:
             thrust_time_s, thrust_norm = stream.sent_s, stream.sent.thrust_norm
-        if silent or now_s - thrust_time_s > THRUST_FRESH_S or not _flies_freely(vehicle, before.phase):
+        flies_freely = before.phase in COOPERATING  # flown by the agent or as the agent requested
+        if before.phase is TAKEOFF:  # it may not have left the ground yet, whatever the landed state
+            flies_freely = vehicle.velocity_enu_m_s[2] > CLIMBS_M_S
+        flies_freely = flies_freely and vehicle.landed in OFF_THE_GROUND
+        if silent or now_s - thrust_time_s > THRUST_FRESH_S or not flies_freely:
             observer.pause()
             return
         attitude_rad = (vehicle.roll_rad, vehicle.pitch_rad, vehicle.yaw_rad)
         observer.update(FlightSample(vehicle.position_time_s, vehicle.velocity_enu_m_s, attitude_rad, thrust_norm))
-
-
-def _flies_freely(vehicle: VehicleState, phase: FlightPhase) -> bool:
-    """Off the ground, and flown by the agent or as the agent requested."""
-    if vehicle.landed not in OFF_THE_GROUND:
-        return False
-    if phase is TAKEOFF:  # it may not have left the ground yet, whatever the landed state
-        return vehicle.velocity_enu_m_s[2] > CLIMBS_M_S
-    return phase in COOPERATING
 
 
 def _listens_in_silence(vehicle: VehicleState) -> bool:
@@ -234,7 +228,7 @@ class SetpointStream:
         self.observer = observer
         self.rejected: Counter[str] = Counter()
         self.largest_step_deg = 0.0
-        self._position_used_s = -inf
+        self.position_used_s = -inf  # of the newest position that was decided on
         self.sent_s = 0.0  # of the last setpoint, or when the stream was opened
         self._final_level_sent = False  # in this silence
         self._commanded_enu_m_s2 = ZERO3  # by the last setpoint, less what it did against the disturbance
@@ -248,10 +242,6 @@ class SetpointStream:
         current = self._as_it_flies(now_s, vehicle)
         self.sent, self.largest_step_deg = current, 0.0
         self._gate.open_at(now_s, current, self.observer.hover_thrust_norm)
-
-    def may_follow(self, vehicle: VehicleState) -> bool:
-        """A decision needs a position that no decision was made from before."""
-        return vehicle.position_time_s > self._position_used_s
 
     def carry_on(self, now_s: float, vehicle: VehicleState) -> AttitudeTarget | None:
         """What the vehicle does already, until the autopilot has taken the stream."""
@@ -268,7 +258,7 @@ class SetpointStream:
                 (x, y, z), self._yaw_rad, vehicle.roll_rad, vehicle.pitch_rad, self.observer.hover_thrust_norm
             )
         except ValueError:
-            self._position_used_s = vehicle.position_time_s
+            self.position_used_s = vehicle.position_time_s
             self.rejected = counted(self.rejected, Code.SETPOINT_IMPOSSIBLE)
             return None
         return self._send(now_s, vehicle, (x + dx, y + dy, z + dz), target)
@@ -291,7 +281,7 @@ class SetpointStream:
     def _send(
         self, now_s: float, vehicle: VehicleState, acceleration_enu_m_s2: Vector3, wanted: AttitudeTarget
     ) -> AttitudeTarget | None:
-        self._position_used_s = vehicle.position_time_s
+        self.position_used_s = vehicle.position_time_s
         target = self._gate.admit(now_s, wanted, self.observer.hover_thrust_norm)
         if target is None:
             self.rejected = counted(self.rejected, Code.SETPOINT_IMPOSSIBLE)
@@ -322,7 +312,9 @@ def limit_acceleration(
     Thrust ratios are vertical thrust over weight.
     """
     ux, uy, uz = acceleration_enu_m_s2
-    lift = between(uz + GRAVITY_M_S2, min_thrust_ratio * GRAVITY_M_S2, max_thrust_ratio * GRAVITY_M_S2)
+    lift, least, highest = uz + GRAVITY_M_S2, min_thrust_ratio * GRAVITY_M_S2, max_thrust_ratio * GRAVITY_M_S2
+    if not least <= lift <= highest:
+        lift = between(lift, least, highest)
     level = hypot(ux, uy)
     most = lift * tan(max_tilt_rad)
     scale = most / level if level > most else 1.0

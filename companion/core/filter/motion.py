@@ -1,4 +1,4 @@
-"""State of a vehicle ahead by its attitude lag, for checks that must act in time.
+"""Where this vehicle and those near it are, ahead by their attitude lag, for checks that must act in time.
 
 A vehicle follows its commanded acceleration u with a lag T: a' = (u - a)/T. With q = p + T v and w = v + T a it is an exact
 double integrator, q' = w and w' = u, and p and v follow q and w by a low pass of T. What holds for q and w at all times thus
@@ -32,34 +32,12 @@ class Ahead(Struct, frozen=True, gc=False):
     velocity_enu_m_s: Vector3
 
 
-class Lag:
-    """Follows the flown acceleration of one vehicle."""
-
-    def __init__(self) -> None:
-        self._acceleration_enu_m_s2 = ZERO3
-        self._last_s: float | None = None
-
-    def step(self, now_s: float, vehicle: VehicleState, commanded_enu_m_s2: Vector3) -> Ahead:
-        """`commanded_enu_m_s2` is the command of the last tick."""
-        elapsed_s = now_s - self._last_s if self._last_s is not None else 0.0
-        self._last_s = now_s
-        share = elapsed_s / (LAG_S + elapsed_s) if elapsed_s > 0.0 else 0.0
-        (ax, ay, az), (ux, uy, uz) = self._acceleration_enu_m_s2, commanded_enu_m_s2
-        ax, ay, az = ax + share * (ux - ax), ay + share * (uy - ay), az + share * (uz - az)
-        self._acceleration_enu_m_s2 = (ax, ay, az)
-        (x, y, z), (vx, vy, vz) = vehicle.position_enu_m, vehicle.velocity_enu_m_s
-        ahead_s = now_s - vehicle.position_time_s + LAG_S
-        return Ahead(
-            (x + vx * ahead_s, y + vy * ahead_s, z + vz * ahead_s),
-            (vx + ax * ahead_s, vy + ay * ahead_s, vz + az * ahead_s),
-        )
-
-
 KEPT_S = 1.0  # an autopilot without setpoints keeps its attitude for so long
 COAST_1_S = 0.25  # decay of the speed of a level multirotor: less than that of most airframes
 GROWS_S = 0.4  # from the expected position to the whole way
 DESCENT_M_S = 1.5  # of an autopilot that lands
 LANDS_S = 0.6  # PX4's smallest COM_OF_LOSS_T
+SPEED_MARGIN_RATIO = 1.25  # of the speed limit: faster no vehicle is taken to fly in silence
 COLUMN_M_S = 1.0  # growth of the distance that a vehicle below keeps
 
 Motion = tuple[Vector3, Vector3, Vector3]
@@ -198,7 +176,7 @@ NO_ERROR = PositionError(0.0, 0.0)
 
 
 class Other(Struct, frozen=True, gc=False):
-    """Position and velocity `age_s` ago, the acceleration it flies by its commands, and what it is.
+    """Position and velocity `age_s` ago with the acceleration flown by the last command (`last`), and what it is.
 
     A peer that is not fresh keeps its acceleration: an autopilot without setpoints keeps its attitude at first.
     `silence`: how it may fly where its state is too old, else None.
@@ -206,9 +184,7 @@ class Other(Struct, frozen=True, gc=False):
     """
 
     key: int | str
-    position_enu_m: Vector3
-    velocity_enu_m_s: Vector3
-    acceleration_enu_m_s2: Vector3
+    last: Motion
     age_s: float
     silence: Silence | None
     error: PositionError
@@ -217,102 +193,106 @@ class Other(Struct, frozen=True, gc=False):
     side: float
 
 
-class Others:
-    """Selects the vehicles nearby. Holds the lagged accelerations that peers fly by their commands."""
+class Motions:
+    """Where this vehicle and those near it are. Holds the lagged accelerations that they fly by their commands."""
 
     def __init__(self, own_id: int, silence: Silence) -> None:
         self._own_id = own_id
         self._silence = silence  # of peers
         self._silence_on_ground = replace(silence, lands=False)
+        self._own_enu_m_s2 = ZERO3
+        self._own_s: float | None = None
         self._lagged_enu_m_s2: dict[int, Vector3] = {}
-        self._last_s = -inf
+        self._peers_s = -inf
 
-    def step(
+    def own(self, now_s: float, vehicle: VehicleState, commanded_enu_m_s2: Vector3) -> Ahead:
+        """This vehicle ahead by its attitude lag. `commanded_enu_m_s2` is the command of the last tick."""
+        elapsed_s = now_s - self._own_s if self._own_s is not None else 0.0
+        self._own_s = now_s
+        share = elapsed_s / (LAG_S + elapsed_s) if elapsed_s > 0.0 else 0.0
+        (ax, ay, az), (ux, uy, uz) = self._own_enu_m_s2, commanded_enu_m_s2
+        ax, ay, az = ax + share * (ux - ax), ay + share * (uy - ay), az + share * (uz - az)
+        self._own_enu_m_s2 = (ax, ay, az)
+        (x, y, z), (vx, vy, vz) = vehicle.position_enu_m, vehicle.velocity_enu_m_s
+        ahead_s = now_s - vehicle.position_time_s + LAG_S
+        return Ahead(
+            (x + vx * ahead_s, y + vy * ahead_s, z + vz * ahead_s),
+            (vx + ax * ahead_s, vy + ay * ahead_s, vz + az * ahead_s),
+        )
+
+    def peers(
         self,
         now_s: float,
-        position_enu_m: Vector3,
-        velocity_enu_m_s: Vector3,
-        cooperates: bool,
-        peers: Mapping[int, PeerState],
-        fresh: Mapping[int, PeerState],
-        traffic: Mapping[str, ReceivedTraffic],
-    ) -> list[Other]:
-        """`cooperates`: this vehicle flies in formation, so peers expect its share."""
-        near = self._peers_nearby(now_s, position_enu_m, velocity_enu_m_s, cooperates, peers, fresh)
-        if traffic:
-            near += _traffic_nearby(now_s, position_enu_m, velocity_enu_m_s, traffic)
-        return near
-
-    def _peers_nearby(
-        self,
-        now_s: float,
-        position_enu_m: Vector3,
-        velocity_enu_m_s: Vector3,
+        vehicle: VehicleState,
         cooperates: bool,
         peers: Mapping[int, PeerState],
         fresh: Mapping[int, PeerState],
     ) -> list[Other]:
-        elapsed_s, self._last_s = now_s - self._last_s, now_s
+        """The peers nearby. `cooperates`: this vehicle flies in formation, so peers expect its share."""
+        elapsed_s, self._peers_s = now_s - self._peers_s, now_s
         lag_share = 1.0 - LAG_S / (LAG_S + elapsed_s)
         near, before, begins_s = [], self._lagged_enu_m_s2, self._silence.begins_s
         commanded: dict[int, Vector3] = {}
+        x, y, z = vehicle.position_enu_m
         for peer_id, peer in peers.items():
             packet, age_s = peer.packet, now_s - peer.measured_s
-            there_enu_m, moving_enu_m_s = packet.position_enu_m, packet.velocity_enu_m_s
-            acceleration, reaches_m_s = packet.acceleration_enu_m_s2, moving_enu_m_s
-            is_fresh = peer_id in fresh
-            if not is_fresh:
-                (vx, vy, vz), (ax, ay, _) = moving_enu_m_s, acceleration
-                reaches_m_s = (abs(vx) + KEPT_S * abs(ax), abs(vy) + KEPT_S * abs(ay), abs(vz) + DESCENT_M_S)
-            if age_s > FORGOTTEN_S or not _near(position_enu_m, velocity_enu_m_s, there_enu_m, reaches_m_s, age_s):
+            there_enu_m, moving_enu_m_s, acceleration = (
+                packet.position_enu_m,
+                packet.velocity_enu_m_s,
+                packet.acceleration_enu_m_s2,
+            )
+            is_fresh, (px, py, pz) = peer_id in fresh, there_enu_m
+            if age_s > FORGOTTEN_S:
                 continue
+            if abs(x - px) >= NEAR_M or abs(y - py) >= NEAR_M or abs(z - pz) >= NEAR_M:
+                reaches_m_s = moving_enu_m_s if is_fresh else _reached_in_silence(moving_enu_m_s, acceleration)
+                if not _may_meet(vehicle, there_enu_m, reaches_m_s, age_s):
+                    continue
             last = before.get(peer_id)
             if last is not None and is_fresh:
                 (lx, ly, lz), (ux, uy, uz) = last, acceleration
                 acceleration = (lx + lag_share * (ux - lx), ly + lag_share * (uy - ly), lz + lag_share * (uz - lz))
             commanded[peer_id] = acceleration
-            near.append(
-                Other(
-                    peer_id,
-                    there_enu_m,
-                    moving_enu_m_s,
-                    acceleration,
-                    age_s,
-                    None if age_s <= begins_s else self._silence if packet.armed else self._silence_on_ground,
-                    packet.position_error or NO_ERROR,
-                    HEIGHT_WEIGHT if packet.armed else 1.0,  # no downwash reaches a vehicle on the ground
-                    packet.slot if cooperates and is_fresh and packet.phase is FORMATION else None,
-                    1.0 if self._own_id < peer_id else -1.0,
-                )
+            other = Other(
+                peer_id,
+                (there_enu_m, moving_enu_m_s, acceleration),
+                age_s,
+                None if age_s <= begins_s else self._silence if packet.armed else self._silence_on_ground,
+                packet.position_error or NO_ERROR,
+                HEIGHT_WEIGHT if packet.armed else 1.0,  # no downwash reaches a vehicle on the ground
+                packet.slot if cooperates and is_fresh and packet.phase is FORMATION else None,
+                1.0 if self._own_id < peer_id else -1.0,
             )
+            near.append(other)
         self._lagged_enu_m_s2 = commanded
         return near
 
 
-def _traffic_nearby(
-    now_s: float, position_enu_m: Vector3, velocity_enu_m_s: Vector3, traffic: Mapping[str, ReceivedTraffic]
-) -> list[Other]:
+def traffic_nearby(now_s: float, vehicle: VehicleState, traffic: Mapping[str, ReceivedTraffic]) -> list[Other]:
+    """The vehicles outside the fleet that are near this one."""
     near = []
     for name, one in traffic.items():
         sample = one.sample
         age_s = now_s - one.received_s + sample.age_s
-        there_enu_m, moving_enu_m_s = sample.position_enu_m, sample.velocity_enu_m_s
-        if _near(position_enu_m, velocity_enu_m_s, there_enu_m, moving_enu_m_s, age_s):
+        last = (sample.position_enu_m, sample.velocity_enu_m_s, ZERO3)
+        if _may_meet(vehicle, *last[:2], age_s):
             error = PositionError(sample.error_m, sample.error_m)
             silence = TRAFFIC_SILENCE if age_s > TRAFFIC_EXTRAPOLATED_S else None
-            near.append(
-                Other(name, there_enu_m, moving_enu_m_s, ZERO3, age_s, silence, error, HEIGHT_WEIGHT, None, 1.0)
-            )
+            near.append(Other(name, last, age_s, silence, error, HEIGHT_WEIGHT, None, 1.0))
     return near
 
 
-def _near(own_m: Vector3, own_m_s: Vector3, other_m: Vector3, other_m_s: Vector3, age_s: float) -> bool:
+def _reached_in_silence(velocity_enu_m_s: Vector3, acceleration_enu_m_s2: Vector3) -> Vector3:
+    """The largest speed on each axis of a vehicle that keeps its attitude for a while, and may land."""
+    (vx, vy, vz), (ax, ay, _) = velocity_enu_m_s, acceleration_enu_m_s2
+    return (abs(vx) + KEPT_S * abs(ax), abs(vy) + KEPT_S * abs(ay), abs(vz) + DESCENT_M_S)
+
+
+def _may_meet(vehicle: VehicleState, other_m: Vector3, other_m_s: Vector3, age_s: float) -> bool:
     """Whether the two might meet within NEAR_S, or come within NEAR_M."""
-    (x, y, z), (px, py, pz) = own_m, other_m
+    (x, y, z), (px, py, pz) = vehicle.position_enu_m, other_m
+    (wx, wy, wz), (vx, vy, vz) = vehicle.velocity_enu_m_s, other_m_s
     dx, dy, dz = abs(x - px), abs(y - py), abs(z - pz)
-    if dx < NEAR_M and dy < NEAR_M and dz < NEAR_M:
-        return True
-    (wx, wy, wz), (vx, vy, vz) = own_m_s, other_m_s
     reach_m = NEAR_M + NEAR_S * (abs(wx) + abs(wy) + abs(wz)) + (NEAR_S + age_s) * (abs(vx) + abs(vy) + abs(vz))
     return dx < reach_m and dy < reach_m and dz < reach_m
 

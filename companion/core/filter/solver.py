@@ -1,8 +1,8 @@
-"""The acceleration nearest to the wanted one that meets all half-spaces within the acceleration limits.
+"""The acceleration nearest to the wanted one that meets all constraints within the acceleration limits.
 
 A quadratic program in three variables, solved by the dual active-set method of Goldfarb and Idnani (1983): it starts at the
-wanted acceleration and adds one violated half-space at a time, so nothing is computed where none is violated. Where the
-half-spaces contradict each other, those of the lowest rank in the contradiction are relaxed by the same least amount.
+wanted acceleration and adds one violated constraint at a time, so nothing is computed where none is violated. Where the
+constraints contradict each other, those of the lowest rank in the contradiction are relaxed by the same least amount.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from msgspec import Struct
 
 from companion.types.values import GRAVITY_M_S2, ZERO3, Vector3
 
-MET_M_S2 = 1e-6  # a half-space that is violated by less is met
+MET_M_S2 = 1e-6  # a constraint that is violated by less is met
 LEAST_SHARE = 1e-12  # of an active normal in another one, below which it counts as none
 LEAST_NEW = 1e-9  # share of a normal outside the span of the active ones, squared, below which it lies within
 TILT_ROUNDING = 1.01  # the tilt limit is a cone: its tangent planes are cut off this close to it
 NEVER_ACTIVE_M_S2 = -12.0  # beyond what any vehicle flies
 SURELY_POSSIBLE_M_S2 = 1.0
-MOST_STEPS = 5  # of the active set: bounds the time; the half-spaces violated most come first
+MOST_STEPS = 5  # of the active set: bounds the time; the constraints violated most come first
 
 
 class Rank(IntEnum):
-    """Which half-spaces give way first where not all can be met: the largest rank."""
+    """Which constraints give way first where not all can be met: the largest rank."""
 
     LIMIT = 0  # what the vehicle can fly; never relaxed
     VEHICLE = 1
@@ -36,18 +36,18 @@ class Rank(IntEnum):
 
 
 LIMIT, VEHICLE, MARGIN = Rank.LIMIT, Rank.VEHICLE, Rank.MARGIN  # enum member lookup is slow, and every tick needs them
-HalfSpace = tuple[float, float, float, float, Rank]
+Constraint = tuple[float, float, float, float, Rank]
 """Accelerations u with normal . u >= least, m/s^2: the normal of length 1 (east, north, up), least, and the rank.
 
-A flat tuple, because the solver goes through all half-spaces many times in a tick.
+A flat tuple, because the solver goes through all constraints many times in a tick.
 """
-Contradiction = list[tuple[HalfSpace, float]]
-"""Half-spaces that cannot be met together, with shares: the sum of share * normal is 0, all shares are positive."""
+Contradiction = list[tuple[Constraint, float]]
+"""Constraints that cannot be met together, with shares: the sum of share * normal is 0, all shares are positive."""
 NO_CONTRADICTION: Contradiction = []
 
 
-def half_space(normal_enu: Vector3, least_m_s2: float, rank: Rank = Rank.VEHICLE) -> HalfSpace:
-    """A half-space from its normal."""
+def to_constraint(normal_enu: Vector3, least_m_s2: float, rank: Rank = Rank.VEHICLE) -> Constraint:
+    """A constraint from its normal, of length 1."""
     return (*normal_enu, least_m_s2, rank)
 
 
@@ -69,17 +69,14 @@ class AccelerationLimits(Struct, frozen=True, gc=False):
         lowest_m_s2, highest_m_s2 = (min_thrust_ratio - 1.0) * GRAVITY_M_S2, (max_thrust_ratio - 1.0) * GRAVITY_M_S2
         return cls(tan_max_tilt, lowest_m_s2, highest_m_s2, ZERO3)
 
-    def in_wind(self, disturbance_enu_m_s2: Vector3) -> AccelerationLimits:
-        return AccelerationLimits(self.tan_max_tilt, self.lowest_m_s2, self.highest_m_s2, disturbance_enu_m_s2)
-
     def level_radius_m_s2(self, up_m_s2: float) -> float:
         """Largest horizontal acceleration in still air beside this vertical one."""
         return (self._vertical(up_m_s2) + GRAVITY_M_S2) * self.tan_max_tilt
 
-    def nearest(self, acceleration_enu_m_s2: Vector3) -> Vector3:
+    def limit(self, acceleration_enu_m_s2: Vector3) -> Vector3:
         """The possible acceleration with the vertical part first, then the horizontal direction; itself if possible."""
         (x, y, up), (dx, dy, _) = acceleration_enu_m_s2, self.disturbance_enu_m_s2
-        z = self._vertical(up)
+        z = up if self.lowest_m_s2 <= up <= self.highest_m_s2 else self._vertical(up)
         radius, level = (z + GRAVITY_M_S2) * self.tan_max_tilt, hypot(x - dx, y - dy)
         if level <= radius:
             return acceleration_enu_m_s2 if z == up else (x, y, z)
@@ -92,22 +89,25 @@ class AccelerationLimits(Struct, frozen=True, gc=False):
         return self.highest_m_s2 if up_m_s2 > self.highest_m_s2 else up_m_s2
 
 
-def filtered(
-    wanted_enu_m_s2: Vector3, half_spaces: Sequence[HalfSpace], limits: AccelerationLimits, most_steps: int = MOST_STEPS
+def filter_acceleration(
+    wanted_enu_m_s2: Vector3,
+    constraints: Sequence[Constraint],
+    limits: AccelerationLimits,
+    most_steps: int = MOST_STEPS,
 ) -> Vector3:
-    """The wanted acceleration itself, the same object, where it meets all half-spaces; else the nearest one that does.
+    """The wanted acceleration itself, the same object, where it meets all constraints; else the nearest one that does.
 
     Of one that the vehicle cannot fly, what the limits leave of it must meet them, too.
     """
-    possible = limits.nearest(wanted_enu_m_s2)
-    if _meets(wanted_enu_m_s2, half_spaces) and (possible is wanted_enu_m_s2 or _meets(possible, half_spaces)):
+    possible = limits.limit(wanted_enu_m_s2)
+    if _meets(wanted_enu_m_s2, constraints) and (possible is wanted_enu_m_s2 or _meets(possible, constraints)):
         return wanted_enu_m_s2
-    return _solved(possible, half_spaces, limits, most_steps)
+    return _solve(possible, constraints, limits, most_steps)
 
 
-def _meets(acceleration_enu_m_s2: Vector3, half_spaces: Sequence[HalfSpace]) -> bool:
+def _meets(acceleration_enu_m_s2: Vector3, constraints: Sequence[Constraint]) -> bool:
     x, y, z = acceleration_enu_m_s2
-    for nx, ny, nz, least, _ in half_spaces:
+    for nx, ny, nz, least, _ in constraints:
         if nx * x + ny * y + nz * z < least - MET_M_S2:
             break
     else:  # not all(): it is slow
@@ -115,18 +115,18 @@ def _meets(acceleration_enu_m_s2: Vector3, half_spaces: Sequence[HalfSpace]) -> 
     return False
 
 
-def _solved(
-    start_enu_m_s2: Vector3, half_spaces: Sequence[HalfSpace], limits: AccelerationLimits, steps: int
+def _solve(
+    start_enu_m_s2: Vector3, constraints: Sequence[Constraint], limits: AccelerationLimits, steps: int
 ) -> Vector3:
-    rows = _asked(half_spaces, limits, start_enu_m_s2[2])
+    rows = _asked(constraints, limits, start_enu_m_s2[2])
     complete = None  # the last point of an active set that came to its end
     while True:
         found, steps, contradiction = _active_set(start_enu_m_s2, rows, steps)
-        possible = limits.nearest(found)
+        possible = limits.limit(found)
         if steps < 0:  # half a solution may leave out what a whole one of before meets
             return possible if complete is None else min(complete, possible, key=lambda u: _shortfalls(u, rows))
         if contradiction:
-            complete, rows = possible, _relaxed(rows, contradiction)
+            complete, rows = possible, _relax(rows, contradiction)
             continue
         cut = None if possible is found else _cut(found, limits)
         if cut is None:
@@ -135,7 +135,7 @@ def _solved(
         rows.append(cut)
 
 
-def _shortfalls(acceleration_enu_m_s2: Vector3, rows: Sequence[HalfSpace]) -> list[float]:
+def _shortfalls(acceleration_enu_m_s2: Vector3, rows: Sequence[Constraint]) -> list[float]:
     """By how much it violates the row of each rank that it violates most, those first that give way last."""
     x, y, z = acceleration_enu_m_s2
     worst = [MET_M_S2] * len(Rank)
@@ -146,27 +146,27 @@ def _shortfalls(acceleration_enu_m_s2: Vector3, rows: Sequence[HalfSpace]) -> li
     return worst
 
 
-def _asked(half_spaces: Sequence[HalfSpace], limits: AccelerationLimits, up_m_s2: float) -> list[HalfSpace]:
-    """Half-spaces that may matter. More than the vehicle can do is asked of it as all that it can do.
+def _asked(constraints: Sequence[Constraint], limits: AccelerationLimits, up_m_s2: float) -> list[Constraint]:
+    """Constraints that may matter. More than the vehicle can do is asked of it as all that it can do.
 
     That is the largest acceleration along the normal while the vertical one is about `up_m_s2`.
     """
-    asked: list[HalfSpace] = []
+    asked: list[Constraint] = []
     radius, (dx, dy, _) = limits.level_radius_m_s2(up_m_s2), limits.disturbance_enu_m_s2
     lowest, highest = limits.lowest_m_s2, limits.highest_m_s2
-    for space in half_spaces:
-        nx, ny, nz, least, rank = space
+    for constraint in constraints:
+        nx, ny, nz, least, rank = constraint
         if least < NEVER_ACTIVE_M_S2:
             continue
         if least > SURELY_POSSIBLE_M_S2:
             most = radius * hypot(nx, ny) + nx * dx + ny * dy + nz * (highest if nz > 0.0 else lowest)
             if most < least:
-                space = (nx, ny, nz, most, rank)
-        asked.append(space)
+                constraint = (nx, ny, nz, most, rank)
+        asked.append(constraint)
     return asked
 
 
-def _cut(found_enu_m_s2: Vector3, limits: AccelerationLimits) -> HalfSpace | None:
+def _cut(found_enu_m_s2: Vector3, limits: AccelerationLimits) -> Constraint | None:
     """The limit that this acceleration violates, as a tangent plane; None within the limits."""
     (x, y, z), (dx, dy, _) = found_enu_m_s2, limits.disturbance_enu_m_s2
     if z > limits.highest_m_s2 + MET_M_S2:
@@ -185,7 +185,7 @@ def _cut(found_enu_m_s2: Vector3, limits: AccelerationLimits) -> HalfSpace | Non
     return (nx, ny, nz, nx * dx + ny * dy - nz * GRAVITY_M_S2, LIMIT)
 
 
-def _relaxed(rows: list[HalfSpace], contradiction: Contradiction) -> list[HalfSpace]:
+def _relax(rows: list[Constraint], contradiction: Contradiction) -> list[Constraint]:
     """The rows with less asked of those of the lowest rank in a contradiction, by the same and smallest amount."""
     lowest = LIMIT
     for (_, _, _, _, rank), _ in contradiction:
@@ -203,13 +203,13 @@ def _relaxed(rows: list[HalfSpace], contradiction: Contradiction) -> list[HalfSp
     ]
 
 
-def _active_set(start: Vector3, rows: list[HalfSpace], steps: int) -> tuple[Vector3, int, Contradiction]:
+def _active_set(start: Vector3, rows: list[Constraint], steps: int) -> tuple[Vector3, int, Contradiction]:
     """(the point nearest to `start` that meets all rows, the steps left, no contradiction); -1 where the steps do not suffice.
 
     Where rows contradict each other, the point is the one found before.
     """
     x, y, z = start
-    active: list[HalfSpace] = []
+    active: list[Constraint] = []
     weights: list[float] = []  # multipliers of the active rows
     while True:
         worst, most = None, MET_M_S2
@@ -252,7 +252,7 @@ def _active_set(start: Vector3, rows: list[HalfSpace], steps: int) -> tuple[Vect
             most = least - nx * x - ny * y - nz * z
 
 
-def _split(x: float, y: float, z: float, active: list[HalfSpace]) -> tuple[Sequence[float], float, float, float]:
+def _split(x: float, y: float, z: float, active: list[Constraint]) -> tuple[Sequence[float], float, float, float]:
     """Shares of the active normals in a normal (x, y, z), and what is left outside their span. At most three are active."""
     if not active:
         return (), x, y, z

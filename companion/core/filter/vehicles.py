@@ -1,40 +1,27 @@
-"""Half-spaces of the own acceleration that keep a distance from every other vehicle: safety barrier certificates.
+"""Constraints of the own acceleration that keep a distance from every other vehicle: safety barrier certificates.
 
 After Wang, Ames and Egerstedt, "Safety Barrier Certificates for Collisions-Free Multirobot Systems", IEEE T-RO 2017. For a pair
 with distance d and radial speed d', h = d' + V(d - D) >= 0 means that both can still brake before the required distance D;
 V is the approach speed of `geometry/curves.py`. h' >= -k h is linear in both accelerations. Each of two cooperating vehicles
 takes half of it, and what the other's last command leaves open; for any other vehicle the own one takes all of it.
 
-Both vehicles are taken ahead by their attitude lag (`lag.py`), where they are exact double integrators.
+Both vehicles are taken ahead by their attitude lag (`motion.py`), where they are exact double integrators.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
-from math import hypot, sqrt
+from math import hypot, inf, sqrt
 
 from msgspec import Struct
 
 from companion.core.consensus.law import Gains
-from companion.core.consensus.peers import PeerState
-from companion.core.filter.motion import (
-    KEPT_S,
-    LAG_S,
-    NO_ERROR,
-    Ahead,
-    Motion,
-    Other,
-    Others,
-    Silence,
-    column_m,
-    nearest_on_way,
-)
-from companion.core.filter.solver import MARGIN, VEHICLE, HalfSpace
+from companion.core.filter.motion import LAG_S, NO_ERROR, Ahead, Motion, Other, Silence, column_m, nearest_on_way
+from companion.core.filter.solver import MARGIN, VEHICLE, Constraint
 from companion.geometry.curves import approach_speed
 from companion.types.autopilot import PositionError, VehicleState
 from companion.types.formation import FlownSlot
-from companion.types.peers import ReceivedTraffic
 from companion.types.status import NearestVehicle
 from companion.types.values import Vector3
 
@@ -50,13 +37,12 @@ SLOPE_1_S = 4.0  # of the approach speed near the required distance
 FASTEST_LEAVING_M_S = 1.5  # demanded inside the required distance
 # Where slots move: the attitude follows late, and between others a vehicle cannot always brake as planned.
 TRACKING_M = 0.1
-LARGEST_ERROR = 1.0  # of separation_m: more than both positions' errors count for; slots are 3 to 6 errors apart
+LARGEST_ERROR_RATIO = 1.0  # of separation_m: more than both positions' errors count for; slots are 3 to 6 errors apart
 SLOT_SHARE = 0.5  # of the room between separation_m and the distance of two slots: the most that margins may take
 PASSING_M = 0.15  # of the distance of two vehicles that pass each other on the way to their slots
 PLACED_WITHIN_M = 0.5  # nearer than that to the offset of their slots, two vehicles do not pass each other
 GROWTH_M_S = 0.25  # of the required distance from a silent vehicle
-LARGEST_GROWTH = 0.5  # of separation_m
-FASTEST = 1.25  # of the speed limit: faster no vehicle is taken to fly in silence
+LARGEST_GROWTH_RATIO = 0.5  # of separation_m
 LEAST_DISTANCE_M = 1e-6
 NEAREST_M = 0.1  # keeps the turn of the line between two vehicles finite
 TURNING_S2 = 0.5 * LAG_S * LAG_S
@@ -74,19 +60,19 @@ class SeparationSettings:
 
 
 class Barrier(Struct, frozen=True, gc=False):
-    """The half-space of one other vehicle, and the offset of this vehicle from it.
+    """The constraint of one other vehicle, and the offset of this vehicle from it.
 
-    `room_m` is how much farther away it is than required, as both will be after their lag. `bare` is what is left of `space`
-    without the margins for position errors and silence: `space` gives way to obstacles and the fence then, `bare` does not.
-    `below`: this vehicle is below a silent one that may land.
+    `margin_m` is how much farther away it is than required, as both will be after their lag. `constraint_without_margins` is
+    what is left of `constraint` without the margins for position errors and silence: `constraint` gives way to obstacles and
+    the fence then, `constraint_without_margins` does not. `below`: this vehicle is below a silent one that may land.
     """
 
-    space: HalfSpace
+    constraint: Constraint
     other: Other
     offset_enu_m: Vector3
     required_m: float
-    room_m: float
-    bare: HalfSpace | None = None
+    margin_m: float
+    constraint_without_margins: Constraint | None = None
     below: bool = False
 
 
@@ -94,46 +80,35 @@ class Separation:
     """One barrier for each vehicle nearby."""
 
     def __init__(self, settings: SeparationSettings) -> None:
-        self._separation_m = settings.separation_m
+        self.separation_m = settings.separation_m
         self._braking_alone_m_s2 = ALONE_SHARE * settings.braking_m_s2
         self._braking_together_m_s2 = 2.0 * settings.braking_m_s2
         self._braking_m_s2 = settings.braking_m_s2
-        self._largest_error_m = LARGEST_ERROR * settings.separation_m
-        # A vehicle that is silent for longer than its attitude is kept counts as silent, also where older states are fresh.
-        begins_s = min(settings.fresh_s, KEPT_S)
-        self._others = Others(settings.own_id, Silence(begins_s, 0.0, KEPT_S, FASTEST * settings.max_speed_m_s))
+        self._largest_error_m = LARGEST_ERROR_RATIO * settings.separation_m
 
-    def step(
-        self,
-        now_s: float,
-        vehicle: VehicleState,
-        ahead: Ahead,
-        slot: FlownSlot,
-        in_formation: bool,
-        peers: Mapping[int, PeerState],
-        fresh: Mapping[int, PeerState],
-        traffic: Mapping[str, ReceivedTraffic],
+    def barriers(
+        self, ahead: Ahead, own: PositionError | None, slot: FlownSlot | None, others: Iterable[Other]
     ) -> list[Barrier]:
-        """`peers` are the newest packets of any age, `fresh` those in time. `in_formation`: peers expect a share."""
-        position_enu_m, velocity_enu_m_s = vehicle.position_enu_m, vehicle.velocity_enu_m_s
-        others = self._others.step(now_s, position_enu_m, velocity_enu_m_s, in_formation, peers, fresh, traffic)
-        error = vehicle.position_error or NO_ERROR
-        barriers = [self._barrier(ahead, error, slot, other) for other in others]
-        if len(fresh) < len(peers):
-            below = (self._below(ahead, error, slot, other, other.silence) for other in others if other.silence)
-            barriers += [barrier for barrier in below if barrier is not None]
-        return barriers
+        """A barrier for each of these vehicles. `own` error and `slot` are of this one; no slot outside formation."""
+        error = own or NO_ERROR
+        return [self._barrier(ahead, error, slot, other) for other in others]
 
-    def _barrier(self, ahead: Ahead, error: PositionError, slot: FlownSlot, other: Other) -> Barrier:
-        """The half-space n . u >= a that keeps h' >= -k h, in coordinates whose height is weighted."""
+    def barriers_below(
+        self, ahead: Ahead, own: PositionError | None, slot: FlownSlot | None, others: Iterable[Other]
+    ) -> list[Barrier]:
+        """A further barrier for each silent vehicle that may land and is above this one."""
+        error = own or NO_ERROR
+        below = [self._below(ahead, error, slot, other, other.silence) for other in others if other.silence]
+        return [barrier for barrier in below if barrier is not None]
+
+    def _barrier(self, ahead: Ahead, error: PositionError, slot: FlownSlot | None, other: Other) -> Barrier:
+        """The constraint n . u >= a that keeps h' >= -k h, in coordinates whose height is weighted."""
         (x, y, z), (wx, wy, wz) = ahead.position_enu_m, ahead.velocity_enu_m_s
-        (px, py, pz), (vx, vy, vz) = other.position_enu_m, other.velocity_enu_m_s
-        ax, ay, az = other.acceleration_enu_m_s2
-        age_s, weight, slot_of_other = other.age_s, other.height_weight, other.slot
-        ahead_s = age_s + LAG_S
-        if other.silence is not None:
-            (px, py, pz), (vx, vy, vz), (ax, ay, az) = self._nearest_on_way(ahead, other, other.silence)
-            ahead_s = 0.0
+        weight, slot_of_other = other.height_weight, other.slot
+        if other.silence is None:
+            ahead_s, ((px, py, pz), (vx, vy, vz), (ax, ay, az)) = other.age_s + LAG_S, other.last
+        else:
+            ahead_s, ((px, py, pz), (vx, vy, vz), (ax, ay, az)) = 0.0, self._nearest_on_way(ahead, other, other.silence)
         wx, wy, wz = wx - vx - ax * ahead_s, wy - vy - ay * ahead_s, (wz - vz - az * ahead_s) * weight
         rx, ry, rz = x - px - vx * ahead_s, y - py - vy * ahead_s, z - pz - vz * ahead_s
         sz = rz * weight
@@ -147,39 +122,37 @@ class Separation:
         mz = nz * weight
         offset_enu_m = (rx, ry, rz)
         required_m = self._required(error, slot, other, offset_enu_m, mz)
-        late_m = UNSEEN_DELAY_S * closing_m_s if closing_m_s > 0.0 else 0.0
+        late_m, braking_m_s2 = UNSEEN_DELAY_S * closing_m_s if closing_m_s > 0.0 else 0.0, self._braking_together_m_s2
+        margins_m = required_m - self.separation_m
         if slot_of_other is None:  # its late packet hides how far a pursuer has come, also where it closes no more
             braking_m_s2 = self._braking_alone_m_s2
-            margin_m = required_m - self._separation_m
             late_m = max(late_m, PURSUED_S * (nx * vx + ny * vy + nz * vz * weight)) + RIPPLE_M + TRACKING_M
-        else:
-            braking_m_s2 = self._braking_together_m_s2
         # p of a pair that turns about each other lags inside q; a closing vehicle is nearer than its late packet reports.
         required_m += TURNING_S2 * across_m_s2 + late_m
-        room_m = apart_m - required_m
+        margin_m = apart_m - required_m
         size = sqrt(nx * nx + ny * ny + mz * mz)  # of the gradient: at most 1
         braking_m_s2 *= size
-        allowed_m_s, slope_1_s = approach_speed(room_m, braking_m_s2, SLOPE_1_S)
-        if allowed_m_s < -FASTEST_LEAVING_M_S:
-            allowed_m_s, slope_1_s = -FASTEST_LEAVING_M_S, 0.0
+        allowed_m_s, slope_1_s = approach_speed(margin_m, braking_m_s2, SLOPE_1_S, FASTEST_LEAVING_M_S)
         least_m_s2 = RESPONSE_1_S * (closing_m_s - allowed_m_s) + slope_1_s * closing_m_s - across_m_s2
         towards_m_s2 = nx * ax + ny * ay + mz * az
         own_m_s2 = least_m_s2 + towards_m_s2
+        nx, ny, mz, rank, without_margins = nx / size, ny / size, mz / size, VEHICLE, None
         if slot_of_other is not None:
             if own_m_s2 < 0.5 * least_m_s2:
                 own_m_s2 = 0.5 * least_m_s2
-        elif margin_m > 0.0:
-            bare_m_s2 = _least_m_s2(room_m + margin_m, closing_m_s, braking_m_s2) - across_m_s2 + towards_m_s2
-            nx, ny, mz = nx / size, ny / size, mz / size
-            bare = (nx, ny, mz, bare_m_s2 / size, VEHICLE)
-            return Barrier((nx, ny, mz, own_m_s2 / size, MARGIN), other, offset_enu_m, required_m, room_m, bare)
-        space = (nx / size, ny / size, mz / size, own_m_s2 / size, VEHICLE)
-        return Barrier(space, other, offset_enu_m, required_m, room_m)
+        elif margins_m > 0.0:
+            allowed_m_s, slope_1_s = approach_speed(margin_m + margins_m, braking_m_s2, SLOPE_1_S, FASTEST_LEAVING_M_S)
+            least_m_s2 = (
+                RESPONSE_1_S * (closing_m_s - allowed_m_s) + slope_1_s * closing_m_s - across_m_s2 + towards_m_s2
+            )
+            rank, without_margins = MARGIN, (nx, ny, mz, least_m_s2 / size, VEHICLE)
+        constraint = (nx, ny, mz, own_m_s2 / size, rank)
+        return Barrier(constraint, other, offset_enu_m, required_m, margin_m, without_margins)
 
     def _below(
-        self, ahead: Ahead, error: PositionError, slot: FlownSlot, other: Other, silence: Silence
+        self, ahead: Ahead, error: PositionError, slot: FlownSlot | None, other: Other, silence: Silence
     ) -> Barrier | None:
-        """The half-space that keeps a horizontal distance below a silent vehicle, which may land."""
+        """The constraint that keeps a horizontal distance below a silent vehicle, which may land."""
         silent_s = other.age_s - silence.kept_s
         if silent_s <= 0.0 or not silence.lands:
             return None
@@ -194,27 +167,28 @@ class Separation:
         nx, ny = (rx / apart_m, ry / apart_m) if apart_m > LEAST_DISTANCE_M else (other.side, 0.0)
         closing_m_s = grows_m_s - nx * wx - ny * wy
         across_m_s = nx * wy - ny * wx
-        room_m = apart_m - required_m
-        least_m_s2 = _least_m_s2(room_m, closing_m_s, self._braking_alone_m_s2) + nx * ax + ny * ay
+        margin_m = apart_m - required_m
+        allowed_m_s, slope_1_s = approach_speed(margin_m, self._braking_alone_m_s2, SLOPE_1_S, FASTEST_LEAVING_M_S)
+        least_m_s2 = RESPONSE_1_S * (closing_m_s - allowed_m_s) + slope_1_s * closing_m_s + nx * ax + ny * ay
         least_m_s2 -= across_m_s * across_m_s / (apart_m + NEAREST_M)
-        space = (nx, ny, 0.0, least_m_s2, MARGIN)
-        return Barrier(space, other, (rx, ry, rz), required_m, room_m, below=True)
+        constraint = (nx, ny, 0.0, least_m_s2, MARGIN)
+        return Barrier(constraint, other, (rx, ry, rz), required_m, margin_m, below=True)
 
     def _nearest_on_way(self, ahead: Ahead, other: Other, silence: Silence) -> Motion:
-        last = other.position_enu_m, other.velocity_enu_m_s, other.acceleration_enu_m_s2
-        return nearest_on_way(ahead, last, other.age_s, LAG_S, silence, self._braking_m_s2, other.height_weight)
+        braking_m_s2, weight = self._braking_m_s2, other.height_weight
+        return nearest_on_way(ahead, other.last, other.age_s, LAG_S, silence, braking_m_s2, weight)
 
     def _required(
-        self, own: PositionError, slot: FlownSlot, other: Other, offset_enu_m: Vector3, upward: float
+        self, own: PositionError, slot: FlownSlot | None, other: Other, offset_enu_m: Vector3, upward: float
     ) -> float:
         """separation_m, both position errors along the line between the vehicles, and growth while the other is silent.
 
-        One packet may report any error, so no more than LARGEST_ERROR counts; only that of traffic has a bound of its own.
-        Less where two slots are so near that these margins would push the formation apart. Slots nearer than separation_m
+        One packet may report any error, so no more than LARGEST_ERROR_RATIO counts; only that of traffic has a bound of its
+        own. Less where two slots are so near that these margins would push the formation apart. Slots nearer than separation_m
         cross each other: the less these can be flown, the more margins count. Vehicles that are not placed as their slots pass
         each other on the way there: they get room for it. `offset_enu_m`: from the other vehicle to this one.
         """
-        separation_m, error = self._separation_m, other.error
+        separation_m, error = self.separation_m, other.error
         level_m = hypot(own.horizontal_m, error.horizontal_m)
         height_m = hypot(own.vertical_m, error.vertical_m) * abs(upward)
         margin_m = level_m + height_m  # one standard deviation
@@ -225,9 +199,9 @@ class Separation:
             margin_m = min(margin_m, most_m)
         if other.silence is not None:
             silent_s = max(0.0, other.age_s - other.silence.kept_s)
-            margin_m += min(silent_s * GROWTH_M_S, LARGEST_GROWTH * separation_m)
+            margin_m += min(silent_s * GROWTH_M_S, LARGEST_GROWTH_RATIO * separation_m)
         required_m = separation_m + margin_m
-        if other.slot is None:
+        if slot is None or other.slot is None:
             return required_m
         (x, y, z), (ox, oy, oz), (rx, ry, rz) = slot.position_enu_m, other.slot.position_enu_m, offset_enu_m
         weight = other.height_weight
@@ -236,43 +210,52 @@ class Separation:
         dz *= weight
         if slot.moves_for_s > 0.0 or other.slot.moves_for_s > 0.0:
             required_m += TRACKING_M
-        room_m = SLOT_SHARE * abs(sqrt(dx * dx + dy * dy + dz * dz) - separation_m)
+        allowance_m = SLOT_SHARE * abs(sqrt(dx * dx + dy * dy + dz * dz) - separation_m)
         if ex * ex + ey * ey + ez * ez > PLACED_WITHIN_M * PLACED_WITHIN_M:
             passing_m = SLOT_SHARE * (sqrt(ex * ex + ey * ey + ez * ez) - PLACED_WITHIN_M)
             required_m += passing_m if passing_m < PASSING_M else PASSING_M
-            room_m = max(room_m, passing_m)
-        most_m = separation_m + room_m
+            allowance_m = max(allowance_m, passing_m)
+        most_m = separation_m + allowance_m
         return required_m if required_m < most_m else most_m
 
 
-def _least_m_s2(room_m: float, closing_m_s: float, braking_m_s2: float) -> float:
-    """Least acceleration of the pair away from each other, along the line between them."""
-    allowed_m_s, slope_1_s = approach_speed(room_m, braking_m_s2, SLOPE_1_S)
-    if allowed_m_s < -FASTEST_LEAVING_M_S:
-        allowed_m_s, slope_1_s = -FASTEST_LEAVING_M_S, 0.0
-    return RESPONSE_1_S * (closing_m_s - allowed_m_s) + slope_1_s * closing_m_s
+def nearest_and_violated(
+    now_s: float, vehicle: VehicleState, barriers: list[Barrier], separation_m: float
+) -> tuple[NearestVehicle | None, bool]:
+    """The vehicle with the least margin, with its present distance by its last packet; and whether any is too near.
 
-
-def nearest_vehicle(now_s: float, vehicle: VehicleState, barriers: list[Barrier]) -> NearestVehicle | None:
-    """The vehicle with the least room, with its present distance by its last packet."""
-    if not barriers:
-        return None
-    least = barriers[0]
-    for barrier in barriers:
-        if barrier.room_m < least.room_m and not barrier.below:
-            least = barrier
-    return NearestVehicle(str(least.other.key), distance_m(now_s, vehicle, least.other), least.required_m)
-
-
-def distance_m(now_s: float, vehicle: VehicleState, other: Other) -> float:
-    """The present distance from a vehicle by its last packet, in the metric of `separation_m`."""
+    Distances are in the metric of `separation_m`. Where positions are uncertain, the vehicle with the least margin may be
+    farther away than another one.
+    """
     old_s = now_s - vehicle.position_time_s
     (x, y, z), (vx, vy, vz) = vehicle.position_enu_m, vehicle.velocity_enu_m_s
-    (px, py, pz), (wx, wy, wz) = other.position_enu_m, other.velocity_enu_m_s
-    age_s = other.age_s if other.silence is None else min(other.age_s, other.silence.kept_s)
-    dx, dy = x + vx * old_s - px - wx * age_s, y + vy * old_s - py - wy * age_s
-    dz = (z + vz * old_s - pz - wz * age_s) * other.height_weight
-    return sqrt(dx * dx + dy * dy + dz * dz)
+    x, y, z = x + vx * old_s, y + vy * old_s, z + vz * old_s
+    least: Barrier | None = None
+    least_m, violated = inf, False
+    for barrier in barriers:
+        other, is_least = barrier.other, least is None or (barrier.margin_m < least.margin_m and not barrier.below)
+        (px, py, pz), (wx, wy, wz), _ = other.last
+        age_s = other.age_s if other.silence is None else min(other.age_s, other.silence.kept_s)
+        dx, dy = x - px - wx * age_s, y - py - wy * age_s
+        dz = (z - pz - wz * age_s) * other.height_weight
+        distance_m = sqrt(dx * dx + dy * dy + dz * dz)
+        violated = violated or distance_m < separation_m
+        if is_least:
+            least, least_m = barrier, distance_m
+    nearest = None if least is None else NearestVehicle(str(least.other.key), least_m, least.required_m)
+    return nearest, violated
+
+
+def largest_removed_m_s2(wanted_enu_m_s2: Vector3, barriers: Iterable[Barrier]) -> float:
+    """The most that the constraint of a vehicle removes from the wanted acceleration."""
+    x, y, z = wanted_enu_m_s2
+    most = 0.0
+    for barrier in barriers:
+        nx, ny, nz, least, _ = barrier.constraint
+        short = least - nx * x - ny * y - nz * z
+        if short > most:
+            most = short
+    return most
 
 
 TURN = 0.8  # sideways acceleration for each m/s^2 that a half-space takes from the wanted one
@@ -293,21 +276,21 @@ def turn_right(
     (x, y, z), (vx, vy, _) = wanted_enu_m_s2, velocity_enu_m_s
     right_x = right_y = 0.0
     for barrier in barriers:
-        nx, ny, nz, least, _ = barrier.space
+        nx, ny, nz, least, _ = barrier.constraint
         along = nx * x + ny * y + nz * z
-        taken = (least if least < 0.0 else 0.0) - along  # of what is wanted towards the other vehicle
-        if taken <= 0.0:
+        removed = (least if least < 0.0 else 0.0) - along  # of what is wanted towards the other vehicle
+        if removed <= 0.0:
             continue
         if barrier.other.slot is None:
             k1, k2 = gains.position_1_s2, gains.velocity_1_s
             rx, ry, _ = barrier.offset_enu_m
-            other_x, other_y, _ = barrier.other.velocity_enu_m_s
+            other_x, other_y, _ = barrier.other.last[1]
             goal_m = hypot((x + k2 * vx) / k1 + rx, (y + k2 * vy) / k1 + ry)
             leaves = hypot(other_x, other_y) / PASSING_M_S
-            taken *= min(max(2.0 * (goal_m / barrier.required_m - OCCUPIED), leaves, 0.0), 1.0)
+            removed *= min(max(2.0 * (goal_m / barrier.required_m - OCCUPIED), leaves, 0.0), 1.0)
             if (vy - other_y) * nx - (vx - other_x) * ny < -DRIFTING_M_S:  # already passing on the other side
-                taken = -taken
-        right_x, right_y = right_x - TURN * taken * ny, right_y + TURN * taken * nx
+                removed = -removed
+        right_x, right_y = right_x - TURN * removed * ny, right_y + TURN * removed * nx
     size = hypot(right_x, right_y)
     scale = LARGEST_TURN_M_S2 / size if size > LARGEST_TURN_M_S2 else 1.0
     return (right_x * scale, right_y * scale)

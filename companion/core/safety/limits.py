@@ -17,6 +17,8 @@ from companion.types.flight import Flight, FlightPhase
 from companion.types.peers import PeerPacket
 from companion.types.values import ZERO3
 
+LONGEST_SLEW_S = 0.1  # of a gap in the stream; five ticks
+
 
 @dataclass(frozen=True, slots=True)
 class OutputLimits:
@@ -53,7 +55,7 @@ class OutputLimiter:
         if last is None or not _finite(wanted):
             return None
         # After a gap the slew still starts from the last setpoint: without setpoints a vehicle has not turned far.
-        elapsed_s = between(now_s - self._last_s, 0.0, 0.1)
+        elapsed_s = min(max(now_s - self._last_s, 0.0), LONGEST_SLEW_S)
         # Slewing each angle separately can leave the tilt circle slightly, so the tilt is limited again.
         allowed = self._within_limits(wanted, hover_thrust_norm)
         slewed = self._slewed(last, allowed, elapsed_s, hover_thrust_norm)
@@ -70,10 +72,13 @@ class OutputLimiter:
         if tilt > limits.max_tilt_rad:
             scale = limits.max_tilt_rad / tilt
             roll, pitch = roll * scale, pitch * scale
+        thrust = target.thrust_norm
         least, most = hover_thrust_norm * limits.min_thrust_ratio, hover_thrust_norm * limits.max_thrust_ratio
         if most > 1.0:
             most = 1.0
-        return AttitudeTarget(roll, pitch, yaw, between(target.thrust_norm, least, most))
+        if not least <= thrust <= most:
+            thrust = between(thrust, least, most)
+        return AttitudeTarget(roll, pitch, yaw, thrust)
 
     def _slewed(
         self, last: AttitudeTarget, wanted: AttitudeTarget, elapsed_s: float, hover_thrust_norm: float
@@ -81,13 +86,16 @@ class OutputLimiter:
         """`wanted`, no farther from `last` than the rates allow. Yaw is wrapped by `_within_limits`."""
         angle = self._limits.max_tilt_rate_rad_s * elapsed_s
         thrust = self._limits.max_thrust_rate_1_s * hover_thrust_norm * elapsed_s
-        roll, pitch, yaw = last.roll_rad, last.pitch_rad, last.yaw_rad
-        turn = wrap_pi(wanted.yaw_rad - yaw)
+        d_roll, d_pitch = wanted.roll_rad - last.roll_rad, wanted.pitch_rad - last.pitch_rad
+        d_yaw, d_thrust = wanted.yaw_rad - last.yaw_rad, wanted.thrust_norm - last.thrust_norm
+        if not -pi <= d_yaw < pi:
+            d_yaw = wrap_pi(d_yaw)
+        if max(abs(d_roll), abs(d_pitch), abs(d_yaw)) > angle:
+            d_roll, d_pitch, d_yaw = clamped(d_roll, angle), clamped(d_pitch, angle), clamped(d_yaw, angle)
+        if abs(d_thrust) > thrust:
+            d_thrust = clamped(d_thrust, thrust)
         return AttitudeTarget(
-            roll + clamped(wanted.roll_rad - roll, angle),
-            pitch + clamped(wanted.pitch_rad - pitch, angle),
-            yaw + clamped(turn, angle),
-            last.thrust_norm + clamped(wanted.thrust_norm - last.thrust_norm, thrust),
+            last.roll_rad + d_roll, last.pitch_rad + d_pitch, last.yaw_rad + d_yaw, last.thrust_norm + d_thrust
         )
 
 

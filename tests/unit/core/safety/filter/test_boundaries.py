@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from companion.core.filter.filter import Boundaries, SpeedLimit, limited
-from companion.core.filter.motion import Ahead, Lag
-from companion.core.filter.solver import AccelerationLimits, filtered
+from companion.core.filter.filter import Bounds, SpeedLimit
+from companion.core.filter.motion import Ahead, Motions, Silence
+from companion.core.filter.solver import AccelerationLimits, filter_acceleration
 from companion.geometry.airspace import Airspace, Cuboid, Cylinder, Fence
 from companion.types.autopilot import VehicleState
 from companion.types.values import GRAVITY_M_S2, ZERO3, Vector3
@@ -33,7 +33,7 @@ TREE, HOUSE = Cylinder((-40.0, 10.0), 3.0, 0.0, 12.0), Cuboid((30.0, -20.0, 0.0)
 POLE = Cylinder((0.0, -25.0), 0.2, -5.0, 50.0)
 FENCE = Fence((-100.0, -100.0, 0.0), (100.0, 100.0, 30.0), U_SHAPE)
 AIRSPACE = Airspace(FENCE, (TREE, HOUSE, POLE), clearance_m=0.5)
-BOUNDARIES = Boundaries(AIRSPACE, 0.5 * GRAVITY_M_S2 * TAN_TILT, 0.5 * GRAVITY_M_S2 * 0.6)
+BOUNDS = Bounds(AIRSPACE, SPEED, 0.5 * GRAVITY_M_S2 * TAN_TILT, 0.5 * GRAVITY_M_S2 * 0.6)
 DEEPEST_M = 0.1  # into the clearance, in the flights below
 TICK_S, STEP_S, DELAY_TICKS = 0.02, 0.005, 2
 
@@ -48,16 +48,15 @@ class Flown:
 def fly(position: Vector3, wanted: list[Vector3], lag_s: float, each_s: float = 2.0) -> Flown:
     """A vehicle with attitude lag and 40 ms of transport delay, from rest, on which a law pulls that knows no limits."""
     x, v, a = list(position), [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
-    lag, flown, command, waiting = Lag(), Flown(), ZERO3, deque([ZERO3] * DELAY_TICKS)
+    motions, flown, command, waiting = Motions(1, Silence(0.3, 0.0, 1.0)), Flown(), ZERO3, deque([ZERO3] * DELAY_TICKS)
     for tick in range(round(each_s * len(wanted) / TICK_S)):
         now_s = tick * TICK_S
         state = VehicleState(
             position_enu_m=(x[0], x[1], x[2]), velocity_enu_m_s=(v[0], v[1], v[2]), position_time_s=now_s
         )
-        ahead = lag.step(now_s, state, command)
-        slowed = limited(wanted[int(now_s / each_s)], SPEED.half_spaces(ahead))
-        spaces = BOUNDARIES.half_spaces(ahead) + SPEED.half_spaces(ahead)
-        command = LIMITS.nearest(filtered(slowed, spaces, LIMITS))
+        ahead = motions.own(now_s, state, command)
+        slowed, speed = BOUNDS.limit_speed(ahead, wanted[int(now_s / each_s)])
+        command = LIMITS.limit(filter_acceleration(slowed, BOUNDS.constraints(ahead) + speed, LIMITS))
         waiting.append(command)
         arrived = waiting.popleft()
         for _ in range(round(TICK_S / STEP_S)):
@@ -118,18 +117,18 @@ def test_a_pull_sideways_beyond_the_tilt_limit_takes_no_braking_away(back_m_s2: 
 def test_a_command_far_from_all_limits_is_the_same_object() -> None:
     ahead = Ahead((0.0, -20.0, 15.0), (2.0, 1.0, 0.5))
     wanted = (0.1234567, -0.7654321, 0.3)
-    assert limited(wanted, SPEED.half_spaces(ahead)) is wanted
-    assert filtered(wanted, BOUNDARIES.half_spaces(ahead) + SPEED.half_spaces(ahead), LIMITS) is wanted
+    slowed, speed = BOUNDS.limit_speed(ahead, wanted)
+    assert slowed is wanted
+    assert filter_acceleration(wanted, BOUNDS.constraints(ahead) + speed, LIMITS) is wanted
 
 
 def test_above_the_speed_limit_the_vehicle_is_slowed_down() -> None:
-    spaces = SPEED.half_spaces(Ahead(ZERO3, (15.0, 0.0, 4.0)))
-    x, y, z = limited((3.0, 1.0, 2.0), spaces)
-    assert (x, y, z) == (-6.0, 1.0, -2.0)
+    slowed, _ = BOUNDS.limit_speed(Ahead(ZERO3, (15.0, 0.0, 4.0)), (3.0, 1.0, 2.0))
+    assert slowed == (-6.0, 1.0, -2.0)
 
 
 def test_a_vehicle_outside_the_fence_is_brought_back_slowly() -> None:
     ahead = Ahead((0.0, 3.0, 15.0), ZERO3)  # in the notch
-    x, y, z = filtered(ZERO3, BOUNDARIES.half_spaces(ahead), LIMITS)
+    x, y, z = filter_acceleration(ZERO3, BOUNDS.constraints(ahead), LIMITS)
     assert (x, z) == (pytest.approx(0.0, abs=1e-5), pytest.approx(0.0, abs=1e-5))
     assert y < -1.0
