@@ -48,6 +48,7 @@ from companion.core.safety.fleet_checks import FleetChecks
 from companion.core.safety.limits import OutputLimits
 from companion.core.safety.safeguard import AgeLimits, HealthLimits, SafeguardStage
 from companion.geometry.airspace import Airspace
+from companion.mavlink.autopilot_types import PROFILES
 from companion.types.commands import Described
 from companion.types.flight import FailsafeAction, Role
 from companion.types.steps import Steps
@@ -87,12 +88,14 @@ def build_agent(config: AgentConfig, session: int, formation_hash: int | None = 
     )
     return Agent(
         member.id,
-        perception=PerceptionStage(tracker_of(fleet), Preflight(observer, vehicle.accept_uncontrolled_descent)),
-        phases=PhaseMachine(fleet.takeoff_height_m),
+        perception=PerceptionStage(
+            tracker_of(fleet), Preflight(observer, PROFILES, vehicle.accept_uncontrolled_descent)
+        ),
+        phases=PhaseMachine(fleet.takeoff_height_m, PROFILES),
         arbitration=CommandArbitration(session),
         consensus=_consensus(fleet, member.id, identity.formation_hash),
         guidance=_guidance(config),
-        safeguard=SafeguardStage(member.id, fleet.separation_m, health, _failsafes(fleet)),
+        safeguard=SafeguardStage(member.id, fleet.separation_m, health, _failsafes(fleet), PROFILES),
         dispatcher=CommandDispatcher(checks),
         setpoint=_setpoint(config, SetpointStream(envelope, observer), ages.state_s),
         distant_peers=_distant_peers(fleet, member.id),
@@ -192,6 +195,7 @@ def _setpoint(config: AgentConfig, stream: SetpointStream, flown_for_s: float) -
         stream=stream,
         flown_for_s=flown_for_s,
         drag_1_s=config.vehicle.drag_1_s,
+        profiles=PROFILES,
     )
 
 

@@ -83,6 +83,7 @@ def run(options: argparse.Namespace) -> int:
     from companion.assembly import flyable_problems
     from companion.config.file import ConfigError
     from companion.config.new_fleet import NewFleet, new_fleet, origin_of
+    from companion.mavlink.autopilot_types import PROFILES
 
     try:
         choices = NewFleet(
@@ -93,6 +94,7 @@ def run(options: argparse.Namespace) -> int:
             hover_thrust_norm=options.hover_thrust,
             autopilot=options.autopilot,
             security=options.security,
+            hover_parameters={kind: profile.hover_parameter for kind, profile in PROFILES.items()},
         )
         print(new_fleet(choices, options.folder, flyable_problems), end="")
     except ConfigError as error:

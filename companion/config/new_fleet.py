@@ -30,7 +30,6 @@ from companion.types.autopilot import AutopilotKind
 
 ZENOH_PORT = 7447
 ID_IN_PATTERN = re.compile(r"\{id(?:\+(\d{1,5}))?\}")
-HOVER_PARAMETER = {AutopilotKind.PX4: "MPC_THR_HOVER", AutopilotKind.ARDUPILOT: "MOT_THST_HOVER"}
 LAND_AFTER_S = 60.0
 NEXT = """\
 wrote {files} in {folder}
@@ -52,7 +51,10 @@ OPEN = """\
 
 
 class NewFleet(Struct, frozen=True, kw_only=True):
-    """The choices for real vehicles. `addresses` and `mavlink`: one for each vehicle, or one pattern with {id} or {id+N}."""
+    """The choices for real vehicles. `addresses` and `mavlink`: one for each vehicle, or one pattern with {id} or {id+N}.
+
+    `hover_parameters` are the names of the parameter with the hover thrust.
+    """
 
     formation: NewFormation
     origin: GeodeticOrigin | Literal["indoor"]
@@ -61,6 +63,7 @@ class NewFleet(Struct, frozen=True, kw_only=True):
     hover_thrust_norm: float
     autopilot: AutopilotKind | None = None
     security: Literal["none"] | None = None
+    hover_parameters: Mapping[AutopilotKind, str]
 
     def needs_identities(self, addresses: Mapping[int, str]) -> bool:
         """Where strangers could reach the vehicles, and the choice is not to let them."""
@@ -126,7 +129,8 @@ def vehicle_text(new: NewFleet, planned: PlannedFormation, vehicle_id: int, mavl
     """One whole vehicle file."""
     member = planned.fleet.member(vehicle_id)
     leads = member is not None and member.can_lead
-    parameters = HOVER_PARAMETER[new.autopilot] if new.autopilot else ", ".join(HOVER_PARAMETER.values())
+    named = new.hover_parameters
+    parameters = named[new.autopilot] if new.autopilot else ", ".join(named.values())
     reference = inline(planned.reference)
     lines = [
         f"# The settings of vehicle {vehicle_id}. Its agent: companion agent --config vehicle-{vehicle_id}.yaml",

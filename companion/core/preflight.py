@@ -11,8 +11,9 @@ from math import inf
 
 from msgspec import Struct
 
-from companion.core.estimation.wind import HOVER_PARAMETERS, DisturbanceObserver
-from companion.core.safety.audit import Facts, Finding, Verdict, audit, parameter_names
+from companion.core.autopilot import AutopilotProfile, Profiles
+from companion.core.estimation.wind import DisturbanceObserver
+from companion.core.safety.audit import Facts, Finding, Verdict, audit
 from companion.types.autopilot import (
     AttitudeSample,
     AutopilotKind,
@@ -51,11 +52,15 @@ class Fitness(Struct, frozen=True, gc=False):
 class Preflight:
     """Fitness of the vehicle. Findings that are not OK are reported once, when all parameters have been read."""
 
-    def __init__(self, observer: DisturbanceObserver, accepts_uncontrolled_descent: bool = False) -> None:
+    def __init__(
+        self, observer: DisturbanceObserver, profiles: Profiles, accepts_uncontrolled_descent: bool = False
+    ) -> None:
+        self._profiles = profiles
         self._accepts_uncontrolled_descent = accepts_uncontrolled_descent
         self._observer = observer  # begins with the hover thrust of the autopilot, once read
         self._hover_thrust_norm = observer.hover_thrust_norm  # configured in the vehicle file
         self._autopilot: AutopilotKind | None = None
+        self._profile: AutopilotProfile | None = None  # its
         self._names: deque[str] = deque()  # in the order of the next requests
         self._survey = Survey()
         self._values: dict[str, float] = {}
@@ -67,17 +72,18 @@ class Preflight:
     def update(
         self, now_s: float, telemetry: Sequence[Telemetry], autopilot: AutopilotKind | None
     ) -> tuple[Notice, ...]:
-        """Use the telemetry of this tick, from an autopilot of this make; return the events."""
+        """Use the telemetry of this tick, from an autopilot of this type; return the events."""
         if self._survey.update(now_s, telemetry):
             self._fitness = None
         if autopilot is not self._autopilot and autopilot is not None:
             self._fitness = None
-            self._autopilot, self._names = autopilot, deque(parameter_names(autopilot))
+            self._autopilot, self._profile = autopilot, self._profiles[autopilot]
+            self._names = deque(rule.name for rule in self._profile.parameters)
         for sample in telemetry:
             if isinstance(sample, ParameterSample) and sample.name in self._names:
                 if self._values.get(sample.name) != sample.value:
                     self._values[sample.name], self._fitness = sample.value, None
-                if sample.name in HOVER_PARAMETERS:
+                if self._profile and sample.name == self._profile.hover_parameter:
                     self._observer.start_from(sample.value)
         if self._reported or not self._names or self._unread():
             return ()
@@ -142,12 +148,11 @@ class Preflight:
         return sorted(name for name in self._names if name not in self._values and self._asked[name] < TRIES)
 
     def _findings(self) -> tuple[Finding, ...]:
-        assert self._autopilot is not None
-        values = {name: self._values.get(name) for name in parameter_names(self._autopilot)}
-        survey = self._survey
+        assert self._profile is not None
+        rules, survey = self._profile.parameters, self._survey
         facts = Facts(
-            self._autopilot,
-            values,
+            rules,
+            {rule.name: self._values.get(rule.name) for rule in rules},
             self._hover_thrust_norm,
             rates_hz=survey.rates_hz,
             battery_percent=survey.battery_percent,

@@ -5,12 +5,14 @@ HEARTBEAT selects the type; no other code asks for it.
 
 from __future__ import annotations
 
+from companion.core.autopilot import Profiles
 from companion.mavlink import ardupilot, px4
 from companion.mavlink.codec import MavlinkMessage
 from companion.mavlink.dialect import Dialect
 from companion.types.autopilot import AutopilotKind
 
 DIALECTS: dict[AutopilotKind, Dialect] = {AutopilotKind.PX4: px4, AutopilotKind.ARDUPILOT: ardupilot}
+PROFILES: Profiles = {kind: dialect.PROFILE for kind, dialect in DIALECTS.items()}
 
 # Messages of any dialect whose rate only the agent may set.
 AGENT_STREAMS = frozenset(

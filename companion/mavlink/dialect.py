@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Protocol
 
+from companion.core.autopilot import AutopilotProfile
 from companion.geometry.frames import Quaternion
 from companion.mavlink.codec import MavlinkMessage, mavlink
 from companion.types.autopilot import (
@@ -21,14 +23,34 @@ from companion.types.autopilot import (
 )
 
 
+@dataclass(frozen=True, slots=True)
+class LogHabits:
+    """How an autopilot type keeps its flight logs.
+
+    `numbered_by_time`: the log with the highest number is the newest, whatever its date. `ends_when_read`: reading the newest
+    log ends it and begins another. `silent_without_logs`: a request for the list has no answer where there are none.
+    """
+
+    suffix: str
+    numbered_by_time: bool = False
+    ends_when_read: bool = False
+    silent_without_logs: bool = False
+
+
 class Dialect(Protocol):
-    """Interface of a dialect: a module with these names."""
+    """What the product knows of an autopilot type: a folder, which is a package with these names."""
 
     @property
     def NAME(self) -> str: ...  # noqa: N802  for display
 
     @property
     def MAV_AUTOPILOT(self) -> int: ...  # noqa: N802
+
+    @property
+    def PROFILE(self) -> AutopilotProfile: ...  # noqa: N802  what the core knows of it
+
+    @property
+    def LOGS(self) -> LogHabits: ...  # noqa: N802
 
     @property
     def STREAMS_US(self) -> Mapping[int, int]:  # noqa: N802

@@ -17,11 +17,11 @@ from companion.assembly import check_agent, output_limits_of, tracker_of
 from companion.config.file import ConfigError
 from companion.config.vehicle import AgentConfig, load_agent
 from companion.core.preflight import WINDOW_S, Survey
-from companion.core.safety.audit import Facts, Finding, PositionCheck, Verdict, audit, parameter_names, worst
+from companion.core.safety.audit import Facts, Finding, PositionCheck, Verdict, audit, worst
 from companion.link.bench import LISTEN_PERIOD_S, Bench, ParameterError, Parameters, run_on_bench
+from companion.mavlink.autopilot_types import DIALECTS, PROFILES
 from companion.types.autopilot import AutopilotKind, RequestOrigin, VehicleState
 
-AUTOPILOT_NAMES = {AutopilotKind.PX4: "PX4", AutopilotKind.ARDUPILOT: "ArduCopter"}
 SHOWN = {Verdict.OK: "ok", Verdict.WARNING: "warning", Verdict.REFUSAL: "REFUSAL"}
 WIDEST_FOUND = 44  # characters; a longer value shifts only its own line
 
@@ -59,7 +59,7 @@ class Diagnosis:
 
 def heading(diagnosis: Diagnosis) -> str:
     """The first line of the report."""
-    return f"vehicle {diagnosis.vehicle}, {AUTOPILOT_NAMES[diagnosis.autopilot]} at {diagnosis.mavlink}"
+    return f"vehicle {diagnosis.vehicle}, {DIALECTS[diagnosis.autopilot].NAME} at {diagnosis.mavlink}"
 
 
 def lines(findings: Sequence[Finding]) -> Iterator[str]:
@@ -209,9 +209,10 @@ class DoctorSession:
         vehicle, survey, config = self._tracker.state, self._survey, self.config
         assert vehicle.autopilot is not None  # it answers
         assert self._parameters is not None
+        rules = PROFILES[vehicle.autopilot].parameters
         facts = Facts(
-            autopilot=vehicle.autopilot,
-            parameters=await self._parameters.read_all(parameter_names(vehicle.autopilot)),
+            rules=rules,
+            parameters=await self._parameters.read_all(rule.name for rule in rules),
             hover_thrust_norm=config.vehicle.hover_thrust_norm,
             rates_hz=survey.rates_hz,
             failing_checks=None if vehicle.armed else survey.failing_checks,
@@ -223,7 +224,7 @@ class DoctorSession:
             accepts_uncontrolled_descent=config.vehicle.accept_uncontrolled_descent,
         )
         findings = audit(facts)
-        return Diagnosis(config.vehicle.id, facts.autopilot, config.vehicle.mavlink, worst(findings), findings)
+        return Diagnosis(config.vehicle.id, vehicle.autopilot, config.vehicle.mavlink, worst(findings), findings)
 
     async def fix(self, finding: Finding) -> Change:
         """Set the safe value of a finding; not while the vehicle is armed."""

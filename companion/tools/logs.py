@@ -26,12 +26,11 @@ from companion.link.bench import (
     NothingCameError,
     run_on_bench,
 )
-from companion.tools.doctor import AUTOPILOT_NAMES
+from companion.mavlink.autopilot_types import DIALECTS
 from companion.types.autopilot import AutopilotKind, HeartbeatSample, TextSample
 from companion.types.errors import CompanionError
 
 ALL, LAST = "all", "last"  # in place of an id
-SUFFIXES = {AutopilotKind.PX4: ".ulg", AutopilotKind.ARDUPILOT: ".bin"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +77,7 @@ def _there(logs: Sequence[LogEntry]) -> str:
 
 def newest(logs: Sequence[LogEntry], autopilot: AutopilotKind) -> LogEntry:
     """The newest log. ArduPilot numbers logs in order of time, independent of its clock; PX4 in order of its folders."""
-    if autopilot is AutopilotKind.ARDUPILOT:
+    if DIALECTS[autopilot].LOGS.numbered_by_time:
         return logs[-1]
     return max(logs, key=lambda log: (log.date_utc.timestamp() if log.date_utc else 0.0, log.id))
 
@@ -86,12 +85,12 @@ def newest(logs: Sequence[LogEntry], autopilot: AutopilotKind) -> LogEntry:
 def file_name(vehicle_id: int, log: LogEntry, autopilot: AutopilotKind) -> Path:
     """Name of a log's file. It contains the id, because the date may be unknown or the same for two logs."""
     date = f"_{log.date_utc:%Y-%m-%d_%H-%M-%S}" if log.date_utc else ""
-    return Path(f"vehicle-{vehicle_id}{date}_log-{log.id}{SUFFIXES[autopilot]}")
+    return Path(f"vehicle-{vehicle_id}{date}_log-{log.id}{DIALECTS[autopilot].LOGS.suffix}")
 
 
 def heading(report: LogsReport) -> str:
     """The first line of the report."""
-    return f"vehicle {report.vehicle}, {AUTOPILOT_NAMES[report.autopilot]} at {report.mavlink}"
+    return f"vehicle {report.vehicle}, {DIALECTS[report.autopilot].NAME} at {report.mavlink}"
 
 
 def listing(logs: Sequence[FlightLog]) -> Iterator[str]:
@@ -234,8 +233,9 @@ class LogSession:
         try:
             listed = await self._logs.entries()
         except NothingCameError as error:
-            px4 = "; PX4 does not answer where it has no logs" if self.autopilot is AutopilotKind.PX4 else ""
-            raise FlightLogsError(f"{error}{px4}{self._why()}") from error
+            dialect = DIALECTS[self.autopilot]
+            hint = f"; {dialect.NAME} does not answer where it has no logs" if dialect.LOGS.silent_without_logs else ""
+            raise FlightLogsError(f"{error}{hint}{self._why()}") from error
         if not listed:
             raise FlightLogsError("it has no logs")
         return listed
@@ -246,7 +246,7 @@ class LogSession:
         Gives up after SETTLED_WITHIN_S, for autopilots that log all the time (LOG_DISARMED). Raises FlightLogsError.
         """
         give_up_s = time.monotonic() + SETTLED_WITHIN_S
-        while self.autopilot is AutopilotKind.ARDUPILOT and time.monotonic() < give_up_s:
+        while DIALECTS[self.autopilot].LOGS.ends_when_read and time.monotonic() < give_up_s:
             await asyncio.sleep(LOOK_AGAIN_S)
             before, listed = listed, await self.entries()
             if (before[-1].id, before[-1].size_bytes) == (listed[-1].id, listed[-1].size_bytes):

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from companion.core.safety.audit_parameters import RULES
-from companion.core.safety.failsafe import FAILSAFES, OTHER_FAILSAFES, RELIED_ON, Failsafe, Step
-from companion.types.autopilot import AutopilotKind
+from companion.core.safety.failsafe import FAILSAFES, OTHER_FAILSAFES, Failsafe, Step
+from companion.mavlink.autopilot_types import DIALECTS, PROFILES
 from companion.types.flight import FLAG_TEXTS, FailsafeAction, HealthFlag
-
-NAMES = {AutopilotKind.PX4: "PX4", AutopilotKind.ARDUPILOT: "ArduCopter"}
 
 
 def table() -> str:
@@ -25,9 +22,9 @@ def table() -> str:
 def parameters() -> str:
     """The autopilots' parameters that decide what follows when setpoints end."""
     rows = ["| autopilot | parameter | wanted |", "|---|---|---|"]
-    for kind, names in RELIED_ON.items():
-        wanted = {rule.name: rule.wanted for rule in RULES[kind]}
-        rows += [f"| {NAMES[kind]} | `{name}` | {wanted[name]} |" for name in names]
+    for kind, profile in PROFILES.items():
+        wanted = {rule.name: rule.wanted for rule in profile.parameters}
+        rows += [f"| {DIALECTS[kind].NAME} | `{name}` | {wanted[name]} |" for name in profile.decide_in_silence]
     return "\n".join(rows)
 
 
@@ -39,11 +36,12 @@ def _first(row: Failsafe) -> FailsafeAction:
 
 def _steps(row: Failsafe) -> str:
     """First action | the later ones."""
-    if not row.ardupilot:
+    if not row.flies_on:
         return _columns(row.steps)
     first, later = _columns(row.steps).split(" | ")
-    other, _ = _columns(row.ardupilot).split(" | ")
-    return f"{first}; {NAMES[AutopilotKind.ARDUPILOT]}: {other} | {later}"
+    other, _ = _columns(row.flies_on).split(" | ")
+    flying_on = ", ".join(DIALECTS[kind].NAME for kind, profile in PROFILES.items() if profile.flies_on_in_silence)
+    return f"{first}; {flying_on}: {other} | {later}"
 
 
 def _columns(steps: Sequence[Step]) -> str:

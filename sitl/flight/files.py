@@ -12,6 +12,7 @@ from msgspec.structs import replace
 from companion.config.fleet import FleetConfig, GeodeticOrigin
 from companion.config.values import MAX_DRAG_1_S, VehicleId
 from companion.config.vehicle import DatagramEndpoints, RecordingSettings, VehicleConfig, ZenohEndpoints
+from companion.mavlink.autopilot_types import PROFILES
 from companion.types.autopilot import AutopilotKind
 from sitl.flight.external import ReachedVehicle
 from sitl.flight.scenario import Scenario
@@ -20,7 +21,6 @@ from sitl.links.ports import LOOPBACK, ports_of, zenoh_endpoint
 from sitl.vehicle.config import AutopilotFile, Links
 
 ARMABLE_IN_SCENARIOS_S = 4.0
-HOVER_PARAMETER = {AutopilotKind.PX4: "MPC_THR_HOVER", AutopilotKind.ARDUPILOT: "MOT_THST_HOVER"}
 SET_UP: dict[AutopilotKind, dict[str, float]] = {
     AutopilotKind.PX4: {"COM_OBL_RC_ACT": 5.0},  # hold when the setpoints end
     AutopilotKind.ARDUPILOT: {
@@ -170,7 +170,7 @@ def autopilot_file(scenario: Scenario, vehicle_id: int) -> AutopilotFile:
     assert isinstance(origin, GeodeticOrigin)  # scenario_from accepts no other
     stand_in = scenario.stand_in
     hover_thrust_norm = scenario.assumed.hover_thrust_norm
-    assumed = {} if hover_thrust_norm is None else {HOVER_PARAMETER[stand_in.autopilot]: hover_thrust_norm}
+    assumed = {} if hover_thrust_norm is None else {PROFILES[stand_in.autopilot].hover_parameter: hover_thrust_norm}
     ready_s = ARMABLE_IN_SCENARIOS_S if stand_in.armable_after_s is None else stand_in.armable_after_s
     return AutopilotFile(
         id=vehicle_id,

@@ -19,6 +19,7 @@ from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember,
 from companion.config.reference import PointReference, Reference
 from companion.config.vehicle import AgentConfig, RecordingSettings, VehicleConfig
 from companion.core.command.phase import LEVEL_BEFORE_HAND_OVER_S, PhaseMachine
+from companion.mavlink.autopilot_types import PROFILES
 from companion.recording.recorder import Recorder, recorder_of
 from companion.recording.writing import Writing
 from companion.types.autopilot import (
@@ -261,7 +262,7 @@ class ImmediateAutopilot:
 
 def flown_to(phase: FlightPhase) -> tuple[PhaseMachine, ImmediateAutopilot, float]:
     """A machine that reached `phase` by the usual commands."""
-    machine, autopilot, now_s = PhaseMachine(2.5), ImmediateAutopilot(), 0.0
+    machine, autopilot, now_s = PhaseMachine(2.5, PROFILES), ImmediateAutopilot(), 0.0
     for name in (CommandName.PREPARE, CommandName.ARM, CommandName.TAKEOFF, CommandName.FORM):
         if machine.phase is phase:
             break

@@ -11,8 +11,7 @@ from dataclasses import replace
 
 from msgspec import Struct
 
-from companion.core.command.autopilot_profile import profile_of
-from companion.core.command.procedure import Progress, RunningProcedure
+from companion.core.autopilot import Profiles, Progress, RunningProcedure, profile_of
 from companion.types.autopilot import AutopilotMode, AutopilotRequest, LandedState, Telemetry, VehicleState, in_air
 from companion.types.commands import CommandName
 from companion.types.flight import (
@@ -66,8 +65,9 @@ class PhaseCommand(Struct, frozen=True, gc=False):
 class PhaseMachine:
     """The flight phase. This stage alone changes it, by RULES; other stages return PhaseRequests."""
 
-    def __init__(self, takeoff_height_m: float) -> None:
+    def __init__(self, takeoff_height_m: float, profiles: Profiles) -> None:
         self._takeoff_height_m = takeoff_height_m
+        self._profiles = profiles
         self.phase = P.OBSERVE
         self._rule: Rule | None = None
         self._running: RunningProcedure | None = None
@@ -272,7 +272,7 @@ class PhaseMachine:
         level_first_s: float = LEVEL_BEFORE_HAND_OVER_S,
     ) -> None:
         rule = RULES[name]
-        procedure = profile_of(vehicle).procedures[name](vehicle, self._takeoff_height_m)
+        procedure = profile_of(vehicle, self._profiles).procedures[name](vehicle, self._takeoff_height_m)
         leaving = self.streams(vehicle) and rule.via is not P.ENGAGE
         if self.phase is P.FORMATION:  # before it, the present attitude is streamed anyway
             procedure = replace(procedure, delay_s=level_first_s)
@@ -308,7 +308,7 @@ class PhaseMachine:
     def _mode_is_ours(self, vehicle: VehicleState) -> bool:
         if self.phase in TO_THE_GROUND and vehicle.landed is LandedState.ON_GROUND:
             return True  # at disarming PX4 reports its new mode before it reports disarmed
-        own = profile_of(vehicle).modes.get(self.phase)
+        own = profile_of(vehicle, self._profiles).modes.get(self.phase)
         if own is None or vehicle.mode in own:
             if self._rule is LANDING or self._rule is RETURNING:
                 # It has begun: any other mode from now on is the pilot's, and nothing is left to hand over.

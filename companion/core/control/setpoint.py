@@ -8,7 +8,7 @@ from math import atan, cos, degrees, hypot, inf, sin, tan
 
 from msgspec import Struct
 
-from companion.core.command.autopilot_profile import profile_of
+from companion.core.autopilot import Profiles, profile_of
 from companion.core.consensus.law import (
     FormationLaw,
     FormationState,
@@ -72,6 +72,7 @@ class SetpointStage:
         stream: SetpointStream,
         flown_for_s: float,
         drag_1_s: float,
+        profiles: Profiles,
     ) -> None:
         """Without `law_flies_altitude` the vehicle holds the altitude at which it came into formation.
 
@@ -84,6 +85,7 @@ class SetpointStage:
         self._stream = stream
         self._flown_for_s = flown_for_s
         self._drag_1_s = drag_1_s
+        self._profiles = profiles
         self._hold_altitude_m = 0.0
         self._separation = UNFILTERED  # of the last setpoint
         self._removed_m_s2 = 0.0  # from the acceleration that the law wants, by other vehicles
@@ -124,7 +126,7 @@ class SetpointStage:
                 )
                 self._separation, self._removed_m_s2 = safe.separation, safe.removed_accel_m_s2
                 attitude_target = stream.follow(now_s, vehicle, safe.acceleration_enu_m_s2)
-        elif before.streams and _listens_in_silence(vehicle):
+        elif before.streams and self._listens_in_silence(vehicle):
             attitude_target = stream.final_level_setpoint(now_s)
         rft = None
         if phase is not FORMATION:
@@ -206,10 +208,9 @@ class SetpointStage:
         attitude_rad = (vehicle.roll_rad, vehicle.pitch_rad, vehicle.yaw_rad)
         observer.update(FlightSample(vehicle.position_time_s, vehicle.velocity_enu_m_s, attitude_rad, thrust_norm))
 
-
-def _listens_in_silence(vehicle: VehicleState) -> bool:
-    """The autopilot still takes setpoints, and would go on with the last one."""
-    return vehicle.mode is OFFBOARD and profile_of(vehicle).flies_on_in_silence
+    def _listens_in_silence(self, vehicle: VehicleState) -> bool:
+        """The autopilot still takes setpoints, and would go on with the last one."""
+        return vehicle.mode is OFFBOARD and profile_of(vehicle, self._profiles).flies_on_in_silence
 
 
 THRUST_FRESH_S = 0.3  # PX4 sends its thrust 10 times a second by default

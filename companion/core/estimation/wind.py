@@ -18,7 +18,6 @@ from msgspec import Struct
 from companion.geometry.vectors import between, clamped
 from companion.types.values import GRAVITY_M_S2, ZERO3, Vector3
 
-HOVER_PARAMETERS = ("MPC_THR_HOVER", "MOT_THST_HOVER")  # of PX4 and of ArduCopter
 THRUST_LAG_S = 0.06  # of the motors, with the transport to them
 LONGEST_GAP_S = 0.2  # a longer gap in the measurements restarts the velocity; the estimates are kept
 MAX_DISTURBANCE_M_S2 = 4.0  # horizontal: a tilt of 22 degrees

@@ -1,7 +1,7 @@
 """Vehicle audit: whether a vehicle is fit to fly in formation. Used by `companion doctor` and by the agent before `form`.
 
-`Facts` -> `Finding`s. A vehicle may fly with warnings but not with refusals. `audit_parameters.py` holds the table of the
-autopilots' parameters; the rest is the same for every autopilot.
+`Facts` -> `Finding`s. A vehicle may fly with warnings but not with refusals. The rules for parameters are those of the
+autopilot type; the rest is the same for every autopilot.
 """
 
 from __future__ import annotations
@@ -10,9 +10,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
-from companion.core.safety.audit_parameters import RULES, Judgement, ParameterRule
-from companion.core.safety.audit_parameters import Verdict as Verdict
-from companion.types.autopilot import AutopilotKind
+from companion.core.autopilot import Judgement, ParameterRule
+from companion.core.autopilot import Verdict as Verdict
 from companion.types.notices import Code
 from companion.types.values import Vector3
 
@@ -40,7 +39,7 @@ class Facts:
     is -1 where the autopilot does not know it. `failing_checks` is the reason of failing preflight checks, "" where they pass.
     """
 
-    autopilot: AutopilotKind
+    rules: tuple[ParameterRule, ...]  # of its autopilot type
     parameters: Mapping[str, float | None]
     hover_thrust_norm: float  # configured in the vehicle file
     rates_hz: Mapping[str, float] | None = None
@@ -73,11 +72,6 @@ class Finding:
         return f"{self.subject}: {self.found}; wanted: {self.wanted}" + (f"; {self.remedy}" if self.remedy else "")
 
 
-def parameter_names(autopilot: AutopilotKind) -> tuple[str, ...]:
-    """Names of the parameters that the audit checks, in its order."""
-    return tuple(rule.name for rule in RULES[autopilot])
-
-
 def audit(facts: Facts) -> tuple[Finding, ...]:
     """All findings of these facts, in a fixed order."""
     return tuple(_findings(facts))
@@ -100,7 +94,7 @@ def _findings(facts: Facts) -> Iterator[Finding]:
         yield _battery(facts.battery_percent)
     if facts.armed is not None:
         yield _mode(facts.mode_name or "unknown", facts.armed)
-    for rule in RULES[facts.autopilot]:
+    for rule in facts.rules:
         if rule.name in facts.parameters:
             yield _parameter(rule, facts.parameters[rule.name], facts)
 

@@ -1,7 +1,7 @@
 """The failsafe matrix: what follows from each health flag, after what time, and what ends it.
 
 One table, after the model of PX4's commander/failsafe. A step counts from the time of the step before it, the first from when
-the flag is raised. STOP_STREAM is not an emergency brake: the autopilot's own failsafe acts (RELIED_ON).
+the flag is raised. STOP_STREAM is not an emergency brake: the autopilot itself acts (`decide_in_silence` of its profile).
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from math import inf
 
 from msgspec import Struct
 
+from companion.core.autopilot import AutopilotProfile
 from companion.core.estimation.corrections import ORIGIN_WITHIN_S
-from companion.types.autopilot import AutopilotKind
 from companion.types.flight import FLAG_TEXTS, HELD, STREAMING, FailsafeAction, FlightPhase, HealthFlag
 from companion.types.notices import Code, Notice
 
@@ -40,7 +40,8 @@ class Failsafe:
     """One row: the steps while `condition` lasts, when it is raised, and what clears it.
 
     A hold, a return or a landing that has begun is finished after the flag has cleared. `latched`: so is the next step.
-    `in_hold`: the steps are also taken in a commanded hold. `ardupilot`: steps of ArduCopter, where they differ.
+    `in_hold`: the steps are also taken in a commanded hold. `flies_on`: the steps with an autopilot that flies on in silence,
+    where they differ.
     """
 
     condition: Code
@@ -49,11 +50,11 @@ class Failsafe:
     clears: str
     latched: bool = False
     in_hold: bool = False
-    ardupilot: tuple[Step, ...] = ()
+    flies_on: tuple[Step, ...] = ()
 
-    def steps_of(self, kind: AutopilotKind) -> tuple[Step, ...]:
-        """The steps with this make of autopilot."""
-        return self.ardupilot if kind is AutopilotKind.ARDUPILOT and self.ardupilot else self.steps
+    def steps_of(self, profile: AutopilotProfile) -> tuple[Step, ...]:
+        """The steps with an autopilot of this profile."""
+        return self.flies_on if profile.flies_on_in_silence and self.flies_on else self.steps
 
 
 SILENT_TOO_LONG_S = 0.5  # less than COM_OF_LOSS_T: PX4 re-enters OFFBOARD by itself when a stream returns
@@ -111,7 +112,7 @@ FAILSAFES: tuple[Failsafe, ...] = (
 )
 
 NO_SETPOINT_FAILSAFE = Failsafe(
-    C.NO_SETPOINT, f"{SILENT_TOO_LONG_S:g} s without a setpoint", (Step(A.LEAVE),), "a command", ardupilot=(HOLD,)
+    C.NO_SETPOINT, f"{SILENT_TOO_LONG_S:g} s without a setpoint", (Step(A.LEAVE),), "a command", flies_on=(HOLD,)
 )
 # Conditions that the phase machine and the end of the process judge, not health flags.
 OTHER_FAILSAFES: tuple[Failsafe, ...] = (
@@ -121,12 +122,6 @@ OTHER_FAILSAFES: tuple[Failsafe, ...] = (
     Failsafe(C.AGENT_STOPPING, "at once", (HOLD, Step(A.LEAVE, 2.0)), "a restart, which observes"),
     Failsafe(C.AGENT_FAILED, "an exception in a tick", (HOLD, Step(A.LEAVE, 0.5)), "a restart, which observes"),
 )
-
-# Parameters of the autopilot that decide what follows when setpoints end; `audit_parameters.py` judges each of them.
-RELIED_ON: dict[AutopilotKind, tuple[str, ...]] = {
-    AutopilotKind.PX4: ("COM_OF_LOSS_T", "COM_OBL_RC_ACT"),
-    AutopilotKind.ARDUPILOT: ("GUID_TIMEOUT", "GUID_OPTIONS"),
-}
 
 
 def schedule(steps: Sequence[Step], settings: FailsafeSettings) -> tuple[tuple[float, FailsafeAction], ...]:

@@ -7,6 +7,7 @@ from math import acos, cos, inf, radians
 
 from msgspec import Struct
 
+from companion.core.autopilot import Profiles, profile_of
 from companion.core.consensus.stage import Consensus
 from companion.core.estimation.corrections import LARGEST_JUMP_M, ORIGIN_WITHIN_S
 from companion.core.safety.failsafe import (
@@ -60,11 +61,14 @@ SAFE = Safety()
 class SafeguardStage:
     """Judges the health of vehicle, fleet and agent, and requests the phase changes of the failsafe matrix."""
 
-    def __init__(self, own_id: int, separation_m: float, limits: HealthLimits, settings: FailsafeSettings) -> None:
+    def __init__(
+        self, own_id: int, separation_m: float, limits: HealthLimits, settings: FailsafeSettings, profiles: Profiles
+    ) -> None:
         self._own_id = own_id
         self._separation_m = separation_m
         self._limits = limits
         self._settings = settings
+        self._profiles = profiles
         self._watch = FailsafeWatch(settings)
         self._stopping_s: float | None = None  # since when this agent is to stop
         self._late_s = -inf  # when a tick was last late
@@ -152,7 +156,7 @@ class SafeguardStage:
         if flight.phase not in STREAMING or vehicle.autopilot is None:
             return [end]
         reason = reason.about(f"no setpoint for {SILENT_TOO_LONG_S} s")
-        ((_, action),) = schedule(NO_SETPOINT_FAILSAFE.steps_of(vehicle.autopilot), self._settings)
+        ((_, action),) = schedule(NO_SETPOINT_FAILSAFE.steps_of(profile_of(vehicle, self._profiles)), self._settings)
         holds = action is FailsafeAction.HOLD and now_s - vehicle.mode_time_s < MODE_SURE_S
         return [PhaseRequest(PhaseChange.HAND_OVER_NOW if holds else PhaseChange.GIVE_UP, reason), end]
 

@@ -1,4 +1,4 @@
-"""MAVLink dialect of ArduCopter, versions 4.5 to 4.7.
+"""ArduCopter, versions 4.5 to 4.7: its MAVLink dialect here, its modes, procedures and parameters in `profile.py`.
 
 ArduCopter sends only HEARTBEAT and STATUSTEXT until other messages are requested. It does not support CURRENT_MODE; HEARTBEAT
 comes at the requested rate and reports mode and arming. Each command has one COMMAND_ACK, which is final.
@@ -14,8 +14,9 @@ from functools import lru_cache
 from math import cos
 
 from companion.geometry.frames import Quaternion
+from companion.mavlink.ardupilot.profile import PROFILE as PROFILE
 from companion.mavlink.codec import MavlinkMessage, mavlink
-from companion.mavlink.dialect import command_long, common_command
+from companion.mavlink.dialect import LogHabits, command_long, common_command
 from companion.types.autopilot import (
     AttitudeSample,
     AttitudeTarget,
@@ -32,6 +33,7 @@ from companion.types.autopilot import (
 )
 
 NAME = "ArduCopter"
+LOGS = LogHabits(".bin", numbered_by_time=True, ends_when_read=True)
 MAV_AUTOPILOT = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
 # Planes and rovers report the same MAV_AUTOPILOT with other meanings of the mode numbers.
 MAV_TYPES = frozenset(

@@ -1,4 +1,4 @@
-"""MAVLink dialect of PX4, version 1.16."""
+"""PX4, version 1.16: its MAVLink dialect here, its modes, procedures and parameters in `profile.py`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from math import nan
 
 from companion.geometry.frames import Quaternion
 from companion.mavlink.codec import MavlinkMessage, mavlink
-from companion.mavlink.dialect import command_long, common_command
+from companion.mavlink.dialect import LogHabits, command_long, common_command
+from companion.mavlink.px4.profile import PROFILE as PROFILE
 from companion.types.autopilot import (
     AttitudeSample,
     AttitudeTarget,
@@ -25,6 +26,7 @@ from companion.types.autopilot import (
 )
 
 NAME = "PX4"
+LOGS = LogHabits(".ulg", silent_without_logs=True)  # in order of its folders
 MAV_AUTOPILOT = mavlink.MAV_AUTOPILOT_PX4
 
 # custom_mode holds the main mode in its third byte and the sub mode in its fourth.

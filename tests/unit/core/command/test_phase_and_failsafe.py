@@ -15,6 +15,7 @@ from companion.core.election.leadership import refusal_of_lead
 from companion.core.safety.limits import OutputLimits
 from companion.core.safety.safeguard import AgeLimits, HealthLimits, health_flags
 from companion.geometry.airspace import Fence
+from companion.mavlink.autopilot_types import PROFILES
 from companion.types.autopilot import (
     AckSample,
     Arm,
@@ -113,7 +114,7 @@ def test_every_command_in_every_phase_is_accepted_by_the_table_or_refused(
 
 @pytest.mark.parametrize("name", list(RULES))
 def test_nothing_is_requested_before_the_heartbeat(name: CommandName) -> None:
-    machine = PhaseMachine(2.5)
+    machine = PhaseMachine(2.5, PROFILES)
     silent = replace(GROUND, autopilot=None)
     assert outcome(machine.command(name, 0.0, silent)) == (False, Code.NO_HEARTBEAT)
     assert tick(machine, 0.0, silent, ()) == ()
@@ -150,7 +151,7 @@ def aborted(machine: PhaseMachine, autopilot: ImmediateAutopilot, now_s: float) 
 )
 def test_abort_on_the_ground_disarms_from_every_phase(phase: FlightPhase) -> None:
     machine, autopilot, now_s = (
-        (PhaseMachine(2.5), ImmediateAutopilot(), 0.0) if phase is FlightPhase.OBSERVE else began(phase)
+        (PhaseMachine(2.5, PROFILES), ImmediateAutopilot(), 0.0) if phase is FlightPhase.OBSERVE else began(phase)
     )
     assert aborted(machine, autopilot, now_s) is FlightPhase.OBSERVE
     assert autopilot.asked == [] if phase is FlightPhase.OBSERVE else autopilot.asked[-1] == Disarm()
@@ -210,14 +211,14 @@ def test_abort_stops_no_motors_just_after_flight() -> None:
 
 @pytest.mark.parametrize("mode", [AutopilotMode.OTHER, AutopilotMode.LAND, AutopilotMode.RETURN])
 def test_abort_leaves_a_vehicle_to_its_pilot(mode: AutopilotMode) -> None:
-    machine = PhaseMachine(2.5)
+    machine = PhaseMachine(2.5, PROFILES)
     piloted = replace(AIR, mode=mode, mode_name="POSCTL")
     assert outcome(machine.abort(0.0, piloted)) == (True, Code.FLOWN_BY_OTHERS)
     assert tick(machine, 0.0, piloted, ()) == ()
 
 
 def test_abort_is_refused_before_the_heartbeat() -> None:
-    machine = PhaseMachine(2.5)
+    machine = PhaseMachine(2.5, PROFILES)
     assert not machine.abort(0.0, replace(GROUND, autopilot=None))[0]
 
 
@@ -246,7 +247,7 @@ def test_offboard_shown_again_at_disarming_starts_no_stream() -> None:
 
 
 def test_an_agent_restarted_in_flight_accepts_only_hold() -> None:
-    machine = PhaseMachine(2.5)
+    machine = PhaseMachine(2.5, PROFILES)
     flying = replace(AIR, mode=AutopilotMode.OFFBOARD)
     for count in range(200):
         assert tick(machine, 0.02 * count, flying, ()) == ()

@@ -6,13 +6,14 @@ from dataclasses import replace
 
 import pytest
 
-from companion.core.safety.audit import Facts, Finding, PositionCheck, Verdict, audit, parameter_names, worst
-from companion.core.safety.audit_parameters import RULES
+from companion.core.safety.audit import Facts, Finding, PositionCheck, Verdict, audit, worst
+from companion.mavlink.autopilot_types import PROFILES
 from companion.types.autopilot import AutopilotKind
 
 PX4, ARDUPILOT = AutopilotKind.PX4, AutopilotKind.ARDUPILOT
 OK, WARNING, REFUSAL = Verdict.OK, Verdict.WARNING, Verdict.REFUSAL
 HOVER = 0.49
+RULES = {kind: profile.parameters for kind, profile in PROFILES.items()}
 
 # (autopilot, parameter, value, verdict, what --fix would set)
 CASES: list[tuple[AutopilotKind, str, float | None, Verdict, float | None]] = [
@@ -88,7 +89,7 @@ def finding(facts: Facts) -> Finding:
 def test_verdict_of_every_parameter_value(
     autopilot: AutopilotKind, name: str, value: float | None, verdict: Verdict, fix: float | None
 ) -> None:
-    found = finding(Facts(autopilot, {name: value}, HOVER))
+    found = finding(Facts(RULES[autopilot], {name: value}, HOVER))
     assert (found.subject, found.verdict, found.fix) == (name, verdict, fix)
     assert found.wanted
     assert bool(found.remedy) is (verdict is not OK)  # every warning has a remedy
@@ -100,40 +101,40 @@ def test_verdict_of_every_parameter_value(
     ("value", "accepted"), [(0, WARNING), (1, WARNING), (2, WARNING), (None, WARNING), (6, REFUSAL), (7, REFUSAL)]
 )
 def test_a_vehicle_file_accepts_a_descent_in_silence_but_no_fall(value: float | None, accepted: Verdict) -> None:
-    facts = Facts(PX4, {"COM_OBL_RC_ACT": value}, HOVER)
+    facts = Facts(RULES[PX4], {"COM_OBL_RC_ACT": value}, HOVER)
     assert finding(facts).verdict is REFUSAL
     assert finding(replace(facts, accepts_uncontrolled_descent=True)).verdict is accepted
 
 
 @pytest.mark.parametrize("autopilot", AutopilotKind)
 def test_every_rule_is_tested(autopilot: AutopilotKind) -> None:
-    assert set(parameter_names(autopilot)) == {name for kind, name, *_ in CASES if kind is autopilot}
+    assert {rule.name for rule in RULES[autopilot]} == {name for kind, name, *_ in CASES if kind is autopilot}
 
 
 @pytest.mark.parametrize("autopilot", AutopilotKind)
 def test_values_set_by_fix_pass_the_audit(autopilot: AutopilotKind) -> None:
     for kind, name, value, _verdict, fix in CASES:
         if kind is autopilot and fix is not None:
-            assert finding(Facts(kind, {name: fix}, HOVER)).verdict is OK, (name, value)
+            assert finding(Facts(RULES[kind], {name: fix}, HOVER)).verdict is OK, (name, value)
 
 
 @pytest.mark.parametrize("autopilot", AutopilotKind)
 def test_unknown_parameter_value_is_reported(autopilot: AutopilotKind) -> None:
-    nothing = audit(Facts(autopilot, dict.fromkeys(parameter_names(autopilot)), HOVER))
+    nothing = audit(Facts(RULES[autopilot], {rule.name: None for rule in RULES[autopilot]}, HOVER))
     assert {found.found for found in nothing} == {"not found"}
     assert all(found.wanted for found in nothing)
     assert len(nothing) == len(RULES[autopilot])
 
 
 def test_missing_hover_thrust_parameter_is_reported_with_the_configured_value() -> None:
-    assert str(finding(Facts(PX4, {"MPC_THR_HOVER": None}, HOVER))) == (
+    assert str(finding(Facts(RULES[PX4], {"MPC_THR_HOVER": None}, HOVER))) == (
         "MPC_THR_HOVER: not found; wanted: near hover_thrust_norm of the vehicle file, 0.49;"
         " update the firmware, or check the link for packet loss"
     )
 
 
 BENCH = Facts(
-    PX4,
+    RULES[PX4],
     {},
     HOVER,
     rates_hz={"positions": 50.0, "attitudes": 50.0, "modes": 3.0, "landed states": 10.0},
@@ -184,7 +185,7 @@ def test_each_defect_has_one_finding(facts: Facts, subject: str, verdict: Verdic
 
 
 def test_facts_that_are_not_checked_have_no_finding() -> None:
-    assert audit(Facts(PX4, {}, HOVER)) == ()
+    assert audit(Facts(RULES[PX4], {}, HOVER)) == ()
 
 
 def test_worst_verdict_counts() -> None:

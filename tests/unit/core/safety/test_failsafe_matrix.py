@@ -9,11 +9,11 @@ from msgspec.structs import replace
 
 from companion.core.consensus.peers import PeerState
 from companion.core.consensus.stage import Consensus
-from companion.core.safety.audit_parameters import RULES
-from companion.core.safety.failsafe import FAILSAFES, OTHER_FAILSAFES, RELIED_ON, FailsafeSettings
+from companion.core.safety.failsafe import FAILSAFES, OTHER_FAILSAFES, FailsafeSettings
 from companion.core.safety.limits import OutputLimits
 from companion.core.safety.safeguard import AgeLimits, HealthLimits, SafeguardStage, Safety
 from companion.geometry.airspace import Fence
+from companion.mavlink.autopilot_types import PROFILES
 from companion.types.autopilot import AutopilotKind, AutopilotMode, LandedState, PositionError, VehicleState
 from companion.types.flight import STREAMING, FailsafeAction, Flight, FlightPhase, HealthFlag, PhaseChange, Role
 from companion.types.notices import Code
@@ -74,7 +74,7 @@ class Vehicle:
 
     def __init__(self, kind: AutopilotKind, settings: FailsafeSettings = SETTINGS) -> None:
         self.kind = kind
-        self.stage = SafeguardStage(3, SEPARATION_M, LIMITS, settings)
+        self.stage = SafeguardStage(3, SEPARATION_M, LIMITS, settings, PROFILES)
         self.now_s = 100.0
         self.raised: set[HealthFlag] = set()
         self.phase = P.FORMATION
@@ -485,4 +485,4 @@ def test_steps_without_a_configured_time_are_never_taken() -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_audit_judges_every_parameter_that_the_matrix_relies_on(kind: AutopilotKind) -> None:
-    assert set(RELIED_ON[kind]) <= {rule.name for rule in RULES[kind]}
+    assert set(PROFILES[kind].decide_in_silence) <= {rule.name for rule in PROFILES[kind].parameters}

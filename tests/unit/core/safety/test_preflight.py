@@ -8,6 +8,7 @@ from agent_on_bytes import ARDUPILOT, BOTH, IN_ORDER, PX4, FlightOnBytes
 from common import code_of, codes_of
 from companion.core.estimation.wind import DisturbanceObserver
 from companion.core.preflight import ASK_PERIOD_S, REFRESH_PERIOD_S, Preflight
+from companion.mavlink.autopilot_types import PROFILES
 from companion.types.autopilot import AutopilotKind, ParameterSample
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
@@ -73,7 +74,7 @@ def test_other_px4_version_is_a_warning() -> None:
 
 
 def test_no_parameter_is_requested_before_the_heartbeat() -> None:
-    preflight = Preflight(DisturbanceObserver(0.5, 0.0, 4.0))
+    preflight = Preflight(DisturbanceObserver(0.5, 0.0, 4.0), PROFILES)
     preflight.update(0.0, (), None)
     assert preflight.ask(0.0) == ()
     assert code_of(preflight.fitness.refusal) is Code.AUTOPILOT_UNKNOWN
@@ -146,7 +147,7 @@ def test_status_lists_no_findings_when_armed(kind: AutopilotKind) -> None:
 @pytest.mark.parametrize(("kind", "name"), [(PX4, "MPC_THR_HOVER"), (ARDUPILOT, "MOT_THST_HOVER")])
 def test_observer_starts_from_the_hover_thrust_parameter(kind: AutopilotKind, name: str) -> None:
     observer = DisturbanceObserver(0.5, 0.0, 4.0)
-    preflight = Preflight(observer)
+    preflight = Preflight(observer, PROFILES)
     preflight.update(0.0, (ParameterSample(0.0, name, 0.35),), kind)
     assert observer.hover_thrust_norm == 0.35
 

@@ -1,0 +1,143 @@
+"""ArduCopter in flight: the modes of each phase, the request that carries out each command, and the parameters of the audit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from companion.core.autopilot import (
+    HOVER,
+    NEAR_CONFIGURED,
+    OK,
+    PILOTS_CHOICE,
+    REFUSAL,
+    SHORTEST_TIMEOUT_S,
+    WARNING,
+    AutopilotProfile,
+    Judgement,
+    ParameterRule,
+    Procedure,
+    always,
+    arm,
+    climb,
+    disarm,
+    hold,
+    land,
+    mode_is,
+    mode_time_s,
+    one_of,
+    return_home,
+    with_bit,
+)
+from companion.types.autopilot import AutopilotMode, LandedState, SetMode, VehicleState
+from companion.types.commands import CommandName
+from companion.types.flight import FlightPhase
+from companion.types.notices import Code
+
+P, M, C = FlightPhase, AutopilotMode, CommandName
+
+THRUST_IS_THRUST = 8  # bit 3 of GUID_OPTIONS
+
+
+def _guided(_vehicle: VehicleState, _height_m: float) -> Procedure:
+    # ArduCopter enters GUIDED without a stream, and keeps its position there until the first setpoint.
+    taken = mode_is(M.OFFBOARD)
+    return Procedure(SetMode(M.OFFBOARD), taken, taken, mode_time_s, timeout_s=5.0)
+
+
+def _take_off_in_guided(vehicle: VehicleState, height_m: float) -> Procedure:
+    # The motors spin up for 3 s before lift-off, and restart that when the request is repeated. The mode is GUIDED before and
+    # after: only the landed state shows that the climb has ended.
+    procedure = climb(vehicle, height_m, lambda v: v.mode is M.OFFBOARD and v.landed is LandedState.IN_AIR)
+    return replace(procedure, acceptance_counts=True)
+
+
+GROUND_STATION_LOSS = {0: Judgement(OK, "nothing")}
+FENCE_ACTIONS = {0: Judgement(WARNING, "report only")}
+
+
+def _guided_options(value: float) -> Judgement:
+    if int(value) & THRUST_IS_THRUST:
+        return Judgement(OK, "thrust is thrust")
+    return Judgement(REFUSAL, "thrust is taken as a climb rate")
+
+
+def _angle_boost(value: float) -> Judgement:
+    return Judgement(OK, "tilt is compensated") if value else Judgement(WARNING, "sinks when it tilts")
+
+
+def _guided_timeout(seconds: float) -> Judgement:
+    if seconds > 1.5:
+        return Judgement(REFUSAL if seconds > 3.0 else WARNING, "keeps the last attitude and thrust for this time")
+    if seconds < SHORTEST_TIMEOUT_S:
+        return Judgement(WARNING, "shorter than the agent's")
+    return Judgement(OK)
+
+
+def _switch(value: float) -> Judgement:
+    return Judgement(OK, "on") if value else Judgement(WARNING, "no fence")
+
+
+PARAMETERS: tuple[ParameterRule, ...] = (
+    ParameterRule(
+        "GUID_OPTIONS",
+        Code.THRUST_IS_CLIMB_RATE,
+        "bit 3 (8) set",
+        _guided_options,
+        with_bit(THRUST_IS_THRUST),
+        not_found=Judgement(REFUSAL),
+    ),
+    ParameterRule("ATC_ANGLE_BOOST", Code.ANGLE_BOOST_OFF, "1", _angle_boost, always(1.0)),
+    ParameterRule("GUID_TIMEOUT", Code.SETPOINT_TIMEOUT_UNSAFE, "0.6 to 1.5 s", _guided_timeout, always(1.0), unit="s"),
+    ParameterRule(
+        "FS_GCS_ENABLE",
+        Code.GROUND_LOSS_ACTION,
+        "0 (nothing)",
+        one_of(GROUND_STATION_LOSS, Judgement(WARNING, "leaves the formation without a ground station")),
+        remedy=PILOTS_CHOICE.format("FS_GCS_ENABLE"),
+    ),
+    ParameterRule(
+        "FENCE_ENABLE",
+        Code.AUTOPILOT_FENCE_OFF,
+        "1",
+        _switch,
+        remedy="set FENCE_RADIUS and FENCE_ALT_MAX a little wider than the fleet's fence, then FENCE_ENABLE to 1",
+    ),
+    ParameterRule(
+        "FENCE_ACTION",
+        Code.FENCE_ACTION_UNSAFE,
+        "1 (return or land) or more",
+        one_of(FENCE_ACTIONS, Judgement(OK)),
+        always(1.0),
+    ),
+    ParameterRule("MOT_THST_HOVER", Code.HOVER_THRUST_DIFFERS, NEAR_CONFIGURED, None, remedy=HOVER),
+)
+
+# ArduCopter arms, climbs, holds and flies formation in GUIDED. It leaves formation for BRAKE.
+PROFILE = AutopilotProfile(
+    modes={
+        P.PREPARE: frozenset({M.OFFBOARD}),
+        P.READY: frozenset({M.OFFBOARD}),
+        P.ARM: frozenset({M.OFFBOARD}),
+        P.ARMED: frozenset({M.OFFBOARD}),
+        P.TAKEOFF: frozenset({M.OFFBOARD}),
+        P.HOLD: frozenset({M.OFFBOARD, M.HOLD}),
+        P.ENGAGE: frozenset({M.OFFBOARD, M.HOLD}),
+        P.FORMATION: frozenset({M.OFFBOARD}),
+        P.RELEASE: frozenset({M.HOLD}),
+        P.LAND: frozenset({M.LAND}),
+        P.RETURN: frozenset({M.RETURN}),
+    },
+    procedures={
+        C.PREPARE: _guided,
+        C.ARM: arm,
+        C.TAKEOFF: _take_off_in_guided,
+        C.FORM: _guided,
+        C.HOLD: hold,
+        C.LAND: land,
+        C.RETURN: return_home,
+        C.DISARM: disarm,
+    },
+    flies_on_in_silence=True,  # for GUID_TIMEOUT, 3 s; then it levels and keeps its altitude, but not its position
+    parameters=PARAMETERS,
+    decide_in_silence=("GUID_TIMEOUT", "GUID_OPTIONS"),
+)
