@@ -1,1 +1,1 @@
-"""Command lines: one module per command, light to import."""
+"""Command lines: the parser and ending of both programs, and the commands of `companion`, light to import."""

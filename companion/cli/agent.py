@@ -1,22 +1,52 @@
-"""`companion agent`: the command line of the onboard agent."""
+"""`companion agent`: the command of the onboard agent, and how it keeps OpenSSL out of its memory."""
 
 from __future__ import annotations
 
 import argparse
+import sys
+from importlib.util import find_spec
 
-from companion.cli.options import add_vehicle_file, fail
-from companion.cli.vehicle_link import EXIT_DEFECT, exit_code_of
-from companion.cli.without_openssl import leave_out_openssl
+from companion.cli.options import add_vehicle_file
+from companion.cli.program import Command
+from companion.types.errors import EXIT_DONE
 
-NAME = "agent"
-SUMMARY = "runs on each vehicle, beside its autopilot"
-DESCRIPTION = """\
+BUILT_IN_SHA256 = ("_sha256", "_sha2")  # until Python 3.11, and since
+
+
+def _run_agent(options: argparse.Namespace) -> int:
+    leave_out_openssl()
+    try:
+        from companion.app import Settings, run_agent
+
+        run_agent(Settings(options.config, options.wait_s))
+    except KeyboardInterrupt:  # the usual end, here before the agent handles signals itself
+        pass
+    return EXIT_DONE
+
+
+def leave_out_openssl() -> None:
+    """Makes `import ssl` and `import _hashlib` fail from now on, as on a system without OpenSSL: 5 MB of memory less.
+
+    To be called before `asyncio` imports it for TLS and `hashlib` for hashes. `asyncio` then has no TLS, which no agent uses
+    (Zenoh and `cryptography` carry their own), and `hashlib` takes the interpreter's own algorithms; an interpreter without
+    them keeps those of OpenSSL.
+    """
+    left_out = ["ssl", "_ssl"]
+    if any(map(find_spec, BUILT_IN_SHA256)) and find_spec("_blake2"):
+        left_out.append("_hashlib")
+    for name in left_out:
+        sys.modules.setdefault(name, None)  # type: ignore[arg-type]  # documented: an import of it then fails
+
+
+AGENT = Command(
+    name="agent",
+    summary="runs on each vehicle, beside its autopilot",
+    description="""\
 Run the agent of one vehicle. It reads telemetry from the autopilot over MAVLink and the states of
 the peers over Zenoh, and sends attitude and thrust setpoints at 50 Hz. It starts in phase observe
 and sends no setpoint before a command.
-"""
-
-MORE = """\
+""",
+    more="""\
 examples:
   companion agent --config config/vehicles/simulation-1.yaml
   companion agent --config /etc/companion/vehicle-3.yaml --wait-s 60
@@ -36,30 +66,7 @@ exit codes:
   2  a file, an endpoint in it or an argument cannot be used; standard error has the reason
   3  the autopilot never answered
   4  a defect: level attitude and the autopilot's hold mode were sent first; standard error has the reason
-"""
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_vehicle_file(parser)
-
-
-def run(options: argparse.Namespace) -> int:
-    """The exit code."""
-    leave_out_openssl()
-    return exit_code_of(lambda: _run(options))
-
-
-def _run(options: argparse.Namespace) -> int:
-    """Raises ConfigError and AutopilotSilentError."""
-    try:
-        from companion.app import Settings, run_agent
-        from companion.link.control_loop import AgentFailedError
-    except KeyboardInterrupt:  # the usual end, here before the agent handles signals itself
-        return 0
-    try:
-        run_agent(Settings(options.config, options.wait_s))
-    except KeyboardInterrupt:
-        return 0
-    except AgentFailedError as error:
-        return fail(str(error), EXIT_DEFECT)
-    return 0
+""",
+    add_arguments=add_vehicle_file,
+    run=_run_agent,
+)

@@ -1,4 +1,4 @@
-"""`companion analyze`: the command line of the formation analysis."""
+"""Commands that need neither a vehicle nor a recording: `companion analyze` and `companion explain`."""
 
 from __future__ import annotations
 
@@ -6,18 +6,65 @@ import argparse
 import os
 from pathlib import Path
 
-from companion.cli.options import add_overrides, fail
+from companion.cli.options import add_json, add_overrides
+from companion.cli.program import Command
+from companion.types.errors import EXIT_DONE, UnusableError
 
-NAME = "analyze"
-SUMMARY = "predicts the behaviour of a formation before it flies"
-EXIT_CONVERGES, EXIT_CANNOT_CONVERGE, EXIT_FILE = 0, 1, 2
-DESCRIPTION = """\
+EXIT_CONVERGES, EXIT_CANNOT_CONVERGE = 0, 1
+
+
+def _add_analyze(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("file", type=Path, metavar="FILE", help="a scenario or fleet file (YAML)")
+    add_overrides(parser, "change one key of the file")
+    add_json(parser, "all figures as one JSON object instead of the text")
+
+
+def _run_analyze(options: argparse.Namespace) -> int:
+    os.environ.setdefault("OMP_NUM_THREADS", "1")  # numpy's matrices are small: threads only wait for each other
+
+    import msgspec
+
+    from companion.tools.analysis import analyse, load_subject
+    from companion.tools.analysis_report import report, verdict
+
+    analysis = analyse(load_subject(options.file, options.overrides))
+    if options.json:
+        figures = msgspec.to_builtins(analysis) | {"verdict": msgspec.to_builtins(verdict(analysis))}
+        print(msgspec.json.format(msgspec.json.encode(figures), indent=2).decode())
+    else:
+        print(report(analysis))
+    return EXIT_CONVERGES if analysis.converges else EXIT_CANNOT_CONVERGE
+
+
+def _add_explain(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "code", nargs="?", metavar="CODE", help="a code, such as SLOT_TOO_CLOSE; in any case of letters"
+    )
+
+
+def _run_explain(options: argparse.Namespace) -> int:
+    from companion.tools.explanations import listing, report
+    from companion.types.code_table import code_entries
+
+    if options.code is None:
+        print(listing())
+        return EXIT_DONE
+    code = options.code.upper().replace("-", "_")
+    if code not in code_entries():
+        raise UnusableError(f"companion explain: no code {code}; `companion explain` lists all codes")
+    print(report(code))
+    return EXIT_DONE
+
+
+ANALYZE = Command(
+    name="analyze",
+    summary="predicts the behaviour of a formation before it flies",
+    description="""\
 Predict the behaviour of a formation before it flies: the neighbours of each vehicle, the
 interaction matrix G under each law, its eigenvalues, rate, damping and delay margin, the largest
 and smallest distances to expect, and a verdict.
-"""
-
-MORE = """\
+""",
+    more="""\
 examples:
   companion analyze config/scenarios/platoon.yaml
   companion analyze config/scenarios/chain_16.yaml --set fleet.law.weight_ratio=0.1
@@ -34,32 +81,28 @@ exit codes:
   1    it cannot converge: no path to a leader, or an unstable law with that lag and delay
   2    the file cannot be used
   130  ended by Ctrl-C
-"""
+""",
+    add_arguments=_add_analyze,
+    run=_run_analyze,
+)
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("file", type=Path, metavar="FILE", help="a scenario or fleet file (YAML)")
-    add_overrides(parser, "change one key of the file")
-    parser.add_argument("--json", action="store_true", help="all figures as one JSON object instead of the text")
+EXPLAIN = Command(
+    name="explain",
+    summary="explains a code of a message: symptom, cause, remedy",
+    description="""\
+Explain a code of a message: its symptom, cause and remedy. Without a code: all codes, in one line each. The same texts are the
+page docs/troubleshooting.md.
+""",
+    more="""\
+examples:
+  companion explain SLOT_TOO_CLOSE
+  companion explain | grep LEADER
 
-
-def run(options: argparse.Namespace) -> int:
-    """The exit code."""
-    os.environ.setdefault("OMP_NUM_THREADS", "1")  # numpy's matrices are small: threads only wait for each other
-
-    import msgspec
-
-    from companion.config.file import ConfigError
-    from companion.tools.analysis import analyse, load_subject
-    from companion.tools.analysis_report import report, verdict
-
-    try:
-        analysis = analyse(load_subject(options.file, options.overrides))
-    except ConfigError as error:
-        return fail(str(error), EXIT_FILE)
-    if options.json:
-        figures = msgspec.to_builtins(analysis) | {"verdict": msgspec.to_builtins(verdict(analysis))}
-        print(msgspec.json.format(msgspec.json.encode(figures), indent=2).decode())
-    else:
-        print(report(analysis))
-    return EXIT_CONVERGES if analysis.converges else EXIT_CANNOT_CONVERGE
+exit codes:
+  0    explained
+  2    no such code
+""",
+    add_arguments=_add_explain,
+    run=_run_explain,
+)

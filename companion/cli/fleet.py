@@ -1,4 +1,4 @@
-"""`companion fleet`: the command line of commands to a fleet."""
+"""`companion fleet`: commands to a fleet, its reports, the current fleet and its admission list."""
 
 from __future__ import annotations
 
@@ -8,25 +8,224 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from companion.cli import fleet_admit, fleet_formation, fleet_reference, fleet_use
-from companion.cli.options import add_identity, fail, number, operator, seconds, vehicle_id
+from companion.cli.fleet_changes import (
+    FORMATION,
+    FORMATION_EXAMPLES,
+    REFERENCE,
+    REFERENCE_EXAMPLES,
+    add_formation_options,
+    add_reference_options,
+    formation_request,
+    reference_request,
+)
+from companion.cli.options import add_identity, add_json, number, operator, seconds, vehicle_id
+from companion.cli.program import Command
+from companion.types.errors import UnusableError
 
 if TYPE_CHECKING:
     from companion.ground.changes import FleetRequest
 
-NAME = "fleet"
-SUMMARY = "commands a whole fleet from the ground"
-EXIT_UNUSABLE = 2
+SEE = "`companion fleet --help` explains the fleet file, the endpoints, holding command, and the exit codes."
+REPORTS = {
+    "status": "phase, position, formation and reference of each vehicle, and the operator who holds command",
+    "doctor": "checks before flight, while the agents run: autopilot, estimator, battery, origin, peers, fleet file, distances",
+}
+SIMPLE_COMMANDS = {
+    "arm": "prepares vehicles in phase observe, then arms",
+    "takeoff": "climbs vertically to takeoff_height_m, then the autopilot's hold mode",
+    "form": "from hold into the formation",
+    "hold": "from formation into the autopilot's hold mode",
+    "land": "vertically, at the present position",
+    "return": "to the takeoff position of each vehicle and down, by the autopilot's return mode",
+    "disarm": "on the ground",
+    "abort": "in any phase: disarms on the ground, the autopilot's hold mode in the air",
+    "take": "takes command over from another operator",
+}
+CHANGES = {
+    "formation": (
+        "changes the slots, in flight as well: a shape, a file, or scaling",
+        FORMATION,
+        FORMATION_EXAMPLES,
+        add_formation_options,
+    ),
+    "reference": (
+        "changes the reference, in flight as well: a point, waypoints, a circle, ...",
+        REFERENCE,
+        REFERENCE_EXAMPLES,
+        add_reference_options,
+    ),
+}
+USE = """\
+Save a fleet file, endpoints and an identity as the current fleet; without FILE, show the current fleet and
+where it comes from.
+"""
+ADMIT = """\
+Send an admission list to all vehicles. Each one verifies that the authority of the fleet has signed
+it and that it is newer than its own, keeps it, and from then on uses nothing of a participant that
+is no longer admitted. A new identity is connected when the agents start again.
+"""
 
-DESCRIPTION = """\
+
+def _add_fleet(parser: argparse.ArgumentParser) -> None:
+    actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION", title="actions")
+    use = actions.add_parser(
+        "use", help="saves or shows the current fleet: a fleet file and endpoints", description=USE
+    )
+    _add_use(use)
+    for name, summary in REPORTS.items():
+        parents = [_connection(), _some_vehicles()]
+        actions.add_parser(name, parents=parents, help=summary, description=summary, epilog=SEE)
+    for name, summary in SIMPLE_COMMANDS.items():
+        parents = [_connection(), _waiting(), _some_vehicles()]
+        actions.add_parser(name, parents=parents, help=summary, description=summary, epilog=SEE)
+    summary = "sends a new admission list to the vehicles, as after companion provision revoke"
+    admit = actions.add_parser("admit", parents=[_connection()], help=summary, description=ADMIT, epilog=SEE)
+    admit.add_argument("file", type=Path, metavar="FILE", help="admitted.json of the own identity, or of any other")
+    command, raw = [_connection(), _waiting()], argparse.RawDescriptionHelpFormatter
+    summary = "changes the leader, in flight as well"
+    leader = actions.add_parser("leader", parents=command, help=summary, description=summary, epilog=SEE)
+    leader.add_argument(
+        "leaders", nargs="+", type=vehicle_id, metavar="ID", help="the new leaders; all other vehicles follow"
+    )
+    for name, (summary, description, examples, add_options) in CHANGES.items():
+        one = actions.add_parser(
+            name, parents=command, help=summary, description=description, epilog=examples, formatter_class=raw
+        )
+        add_options(one)
+
+
+def _add_use(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("file", nargs="?", type=Path, metavar="FILE", help="the fleet file of the vehicles")
+    parser.add_argument(
+        "--connect", nargs="+", action="extend", default=[], metavar="ENDPOINT", help="Zenoh endpoints of vehicles"
+    )
+    parser.add_argument("--identity", type=Path, metavar="DIR", help="folder of the own certificate")
+    parser.add_argument("--clear", action="store_true", help="delete the saved current fleet")
+
+
+def _run_fleet(options: argparse.Namespace) -> int:
+    from companion.ground.commands import OperateError
+    from companion.ground.operate import run_fleet
+
+    if options.action == "use":
+        return _run_use(options)
+    try:
+        return run_fleet(fleet_request(options))
+    except OperateError as error:
+        raise UnusableError(f"companion fleet {options.action}: {error}") from error
+
+
+def _run_use(options: argparse.Namespace) -> int:
+    from companion.config.fleet_check import load_fleet
+    from companion.ground.current_fleet import forget_current, save_current, select
+    from companion.link.fleet.identity import load
+    from companion.link.fleet.zenoh_session import check_endpoints
+
+    if options.clear:
+        forget_current(os.environ)
+    elif options.file:
+        load_fleet(options.file)
+        check_endpoints("connect", options.connect)
+        if options.identity:
+            load(options.identity)
+        print(f"saved in {save_current(options.file, options.connect, options.identity, os.environ)}")
+    print(select(None, (), None, os.environ))
+    return 0
+
+
+def fleet_request(parsed: argparse.Namespace) -> FleetRequest:
+    """Options, environment and saved current fleet as a request. Raises ConfigError.
+
+    A fleet file that is not an option is named on standard error.
+    """
+    from companion.config.file import ConfigError
+    from companion.ground.changes import FleetRequest, command_line
+    from companion.ground.current_fleet import FLEET_VARIABLE, select
+
+    selection = select(parsed.fleet, parsed.connect or (), parsed.identity, os.environ)
+    if selection.fleet is None:
+        raise ConfigError(
+            command_line(parsed.action),
+            "--fleet",
+            f"missing; give it, set {FLEET_VARIABLE}, or save one: companion fleet use FILE",
+        )
+    if parsed.fleet is None:
+        print(selection, file=sys.stderr)
+    return FleetRequest(
+        action=parsed.action,
+        fleet=selection.fleet,
+        connect=selection.connect,
+        identity=selection.identity,
+        operator=parsed.operator or "",
+        only=tuple(getattr(parsed, "only", ())),
+        wait_s=parsed.wait_s,
+        as_json=parsed.json,
+        wait=getattr(parsed, "wait", False),
+        timeout_s=getattr(parsed, "timeout", None),
+        leaders=tuple(getattr(parsed, "leaders", ())),
+        formation=formation_request(parsed) if parsed.action == "formation" else None,
+        admission_list=parsed.file if parsed.action == "admit" else None,
+        reference=reference_request(parsed) if parsed.action == "reference" else None,
+    )
+
+
+def _connection() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(add_help=False)
+    parser.add_argument(
+        "--fleet", type=Path, metavar="FILE", help="the fleet file of the vehicles (default: the current fleet)"
+    )
+    parser.add_argument("--connect", nargs="+", action="extend", metavar="ENDPOINT", help="Zenoh endpoints of vehicles")
+    add_identity(parser)
+    parser.add_argument(
+        "--as", dest="operator", type=operator, metavar="NAME", help="the operator (default: user@host)"
+    )
+    parser.add_argument(
+        "--wait-s",
+        type=number("seconds from 0.1 to 60", 0.1, 60.0),
+        default=3.0,
+        metavar="S",
+        help="how long to wait for reports and replies (default 3)",
+    )
+    add_json(parser, "one JSON object instead of the lines")
+    return parser
+
+
+def _waiting() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(add_help=False)
+    parser.add_argument(
+        "--wait",
+        action=argparse.BooleanOptionalAction,
+        default=True,
+        help="wait until all vehicles have finished the action (default: --wait)",
+    )
+    parser.add_argument("--timeout", type=seconds, metavar="S", help="end that wait after S seconds")
+    return parser
+
+
+def _some_vehicles() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(add_help=False)
+    parser.add_argument(
+        "--only",
+        nargs="+",
+        type=vehicle_id,
+        default=[],
+        metavar="ID",
+        help="these vehicles (default: all of the fleet)",
+    )
+    return parser
+
+
+FLEET = Command(
+    name="fleet",
+    summary="commands a whole fleet from the ground",
+    description="""\
 Command a fleet from the ground. The command goes to all vehicles at the same time; each vehicle
 decides for itself. One line per vehicle: accepted, refused, missing or not sent, with a code, the
 reason and the time to its reply. Then waits until all vehicles have finished the action. takeoff
 and return are for all vehicles or none: where the report of one shows that it cannot begin, none
 gets the command.
-"""
-
-MORE = """\
+""",
+    more="""\
 examples:
   companion fleet use fleet.yaml --identity identity                 saves the current fleet
   companion fleet doctor
@@ -74,165 +273,7 @@ exit codes:
   1    some vehicles refused, are missing, did not finish or are not ready
   2    the fleet file, an endpoint or an argument cannot be used; no command was sent
   130  ended by Ctrl-C
-"""
-
-SEE = "`companion fleet --help` explains the fleet file, the endpoints, holding command, and the exit codes."
-REPORTS = {
-    "status": "phase, position, formation and reference of each vehicle, and the operator who holds command",
-    "doctor": "checks before flight, while the agents run: autopilot, estimator, battery, origin, peers, fleet file, distances",
-}
-SIMPLE_COMMANDS = {
-    "arm": "prepares vehicles in phase observe, then arms",
-    "takeoff": "climbs vertically to takeoff_height_m, then the autopilot's hold mode",
-    "form": "from hold into the formation",
-    "hold": "from formation into the autopilot's hold mode",
-    "land": "vertically, at the present position",
-    "return": "to the takeoff position of each vehicle and down, by the autopilot's return mode",
-    "disarm": "on the ground",
-    "abort": "in any phase: disarms on the ground, the autopilot's hold mode in the air",
-    "take": "takes command over from another operator",
-}
-CHANGES = {
-    "leader": "changes the leader, in flight as well",
-    "formation": "changes the slots, in flight as well: a shape, a file, or scaling",
-    "reference": "changes the reference, in flight as well: a point, waypoints, a circle, ...",
-}
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    report, command = [_connection()], [_connection(), _waiting()]
-    actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION", title="actions")
-    use = actions.add_parser(fleet_use.NAME, help=fleet_use.SUMMARY, description=fleet_use.DESCRIPTION)
-    fleet_use.add_arguments(use)
-    for name, summary in REPORTS.items():
-        actions.add_parser(name, parents=[*report, _some_vehicles()], help=summary, description=summary, epilog=SEE)
-    for name, summary in SIMPLE_COMMANDS.items():
-        actions.add_parser(name, parents=[*command, _some_vehicles()], help=summary, description=summary, epilog=SEE)
-    fleet_admit.add_arguments(
-        actions.add_parser(
-            fleet_admit.NAME,
-            parents=report,
-            help=fleet_admit.SUMMARY,
-            description=fleet_admit.DESCRIPTION,
-            epilog=SEE,
-        )
-    )
-    leader = actions.add_parser(
-        "leader", parents=command, help=CHANGES["leader"], description=CHANGES["leader"], epilog=SEE
-    )
-    leader.add_argument(
-        "leaders", nargs="+", type=vehicle_id, metavar="ID", help="the new leaders; all other vehicles follow"
-    )
-    raw = argparse.RawDescriptionHelpFormatter
-    for name, module in (("formation", fleet_formation), ("reference", fleet_reference)):
-        module.add_arguments(
-            actions.add_parser(
-                name,
-                parents=command,
-                help=CHANGES[name],
-                description=module.DESCRIPTION,
-                epilog=module.MORE,
-                formatter_class=raw,
-            )
-        )
-
-
-def run(options: argparse.Namespace) -> int:
-    """The exit code."""
-    from companion.config.file import ConfigError
-    from companion.ground.commands import OperateError
-    from companion.ground.operate import run_fleet
-    from companion.link.fleet.zenoh_session import EndpointError
-
-    try:
-        if options.action == fleet_use.NAME:
-            return fleet_use.run(options)
-        return run_fleet(fleet_request(options))
-    except ConfigError as error:
-        return fail(str(error), EXIT_UNUSABLE)
-    except EndpointError as error:
-        return fail(f'companion fleet: --connect "{error.endpoint}": {error}', EXIT_UNUSABLE)
-    except OperateError as error:
-        return fail(f"companion fleet {options.action}: {error}", EXIT_UNUSABLE)
-
-
-def fleet_request(parsed: argparse.Namespace) -> FleetRequest:
-    """Options, environment and saved current fleet as a request. Raises ConfigError.
-
-    A fleet file that is not an option is named on standard error.
-    """
-    from companion.config.file import ConfigError
-    from companion.ground.changes import FleetRequest, command_line
-    from companion.ground.current_fleet import FLEET_VARIABLE, select
-
-    selection = select(parsed.fleet, parsed.connect or (), parsed.identity, os.environ)
-    if selection.fleet is None:
-        raise ConfigError(
-            command_line(parsed.action),
-            "--fleet",
-            f"missing; give it, set {FLEET_VARIABLE}, or save one: companion fleet use FILE",
-        )
-    if parsed.fleet is None:
-        print(selection, file=sys.stderr)
-    return FleetRequest(
-        action=parsed.action,
-        fleet=selection.fleet,
-        connect=selection.connect,
-        identity=selection.identity,
-        operator=parsed.operator or "",
-        only=tuple(getattr(parsed, "only", ())),
-        wait_s=parsed.wait_s,
-        as_json=parsed.json,
-        wait=getattr(parsed, "wait", False),
-        timeout_s=getattr(parsed, "timeout", None),
-        leaders=tuple(getattr(parsed, "leaders", ())),
-        formation=fleet_formation.formation_request(parsed) if parsed.action == "formation" else None,
-        admission_list=parsed.file if parsed.action == fleet_admit.NAME else None,
-        reference=fleet_reference.reference_request(parsed) if parsed.action == "reference" else None,
-    )
-
-
-def _connection() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(add_help=False)
-    parser.add_argument(
-        "--fleet", type=Path, metavar="FILE", help="the fleet file of the vehicles (default: the current fleet)"
-    )
-    parser.add_argument("--connect", nargs="+", action="extend", metavar="ENDPOINT", help="Zenoh endpoints of vehicles")
-    add_identity(parser)
-    parser.add_argument(
-        "--as", dest="operator", type=operator, metavar="NAME", help="the operator (default: user@host)"
-    )
-    parser.add_argument(
-        "--wait-s", type=_wait_s, default=3.0, metavar="S", help="how long to wait for reports and replies (default 3)"
-    )
-    parser.add_argument("--json", action="store_true", help="one JSON object instead of the lines")
-    return parser
-
-
-def _waiting() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(add_help=False)
-    parser.add_argument(
-        "--wait",
-        action=argparse.BooleanOptionalAction,
-        default=True,
-        help="wait until all vehicles have finished the action (default: --wait)",
-    )
-    parser.add_argument("--timeout", type=seconds, metavar="S", help="end that wait after S seconds")
-    return parser
-
-
-def _some_vehicles() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(add_help=False)
-    parser.add_argument(
-        "--only",
-        nargs="+",
-        type=vehicle_id,
-        default=[],
-        metavar="ID",
-        help="these vehicles (default: all of the fleet)",
-    )
-    return parser
-
-
-def _wait_s(text: str) -> float:
-    return number(text, "seconds from 0.1 to 60", 0.1, 60.0)
+""",
+    add_arguments=_add_fleet,
+    run=_run_fleet,
+)

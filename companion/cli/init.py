@@ -1,44 +1,62 @@
-"""`companion init`: the command line that writes the files of real vehicles."""
+"""`companion init`: the files of real vehicles; and the options of a new formation, which `sitl new` shares."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import get_args
 
-from companion.cli.new_formation import TOPOLOGIES, add_formation, formation_of
-from companion.cli.options import fail
+from companion.cli.program import Command
+from companion.config.fleet import LawName
+from companion.config.new_formation import NewFormation, ReferenceKind
+from companion.config.planned_flight import TOPOLOGY_WORDS, ShapeName, Topology
 from companion.types.autopilot import AutopilotKind
+from companion.types.errors import EXIT_DONE
 
-NAME = "init"
-SUMMARY = "writes the fleet file and the vehicle files of real vehicles"
-EXIT_WRITTEN, EXIT_REFUSED = 0, 2
-DESCRIPTION = """\
-Write the files of N real vehicles into DIR: fleet.yaml, which all of them share, and vehicle-1.yaml
-to vehicle-N.yaml with the endpoint of the autopilot, the hover thrust, and the reference for the
-vehicles that may lead. All files are commented and agree with each other.
-Existing files are not overwritten.
-"""
-
-MORE = f"""\
-examples:
-  companion init field --vehicles 2 --origin 47.3977 8.5456 488
-  companion init field --vehicles 3 --shape v --may-lead 2 --origin indoor \\
-      --address 10.0.0.5 10.0.0.7 10.0.0.9
-  companion init bench --vehicles 4 --origin 47.3977 8.5456 488 --address 127.0.0.1:{{id+7447}} \\
-      --mavlink udpin:127.0.0.1:{{id+14539}}
-
---address and --mavlink take one value for each vehicle, or one pattern for all: {{id}} is the vehicle
-id, {{id+10}} is ten more.
-
-{TOPOLOGIES}
-
-exit codes:
-  0  written; the last lines are the commands to go on with
-  2  an argument cannot be used, or a file exists
-"""
+TOPOLOGIES = "topologies:\n" + "\n".join(f"  {name:<8} {words}" for name, words in TOPOLOGY_WORDS.items())
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_formation(parser: argparse.ArgumentParser) -> None:
+    """The choices of a formation. Their defaults are those of NewFormation."""
+    parser.add_argument("--vehicles", type=int, required=True, metavar="N", help="number of vehicles; vehicle 1 leads")
+    parser.add_argument("--shape", choices=get_args(ShapeName), default="line", help="shape (default line)")
+    parser.add_argument(
+        "--spacing", type=float, default=3.0, metavar="M", help="smallest distance between slots (default 3)"
+    )
+    parser.add_argument("--topology", choices=get_args(Topology), default="chain", help="neighbours (default chain)")
+    parser.add_argument(
+        "--reference", choices=get_args(ReferenceKind), default="point", help="reference (default point)"
+    )
+    parser.add_argument("--law", choices=get_args(LawName), default="cooperative", help="law (default cooperative)")
+    parser.add_argument(
+        "--heading",
+        choices=("fixed", "course"),
+        default="fixed",
+        help="fixed: the formation points east; course: it turns with the reference (default fixed)",
+    )
+    parser.add_argument("--height", type=float, default=3.0, metavar="M", help="height of the flight (default 3)")
+    parser.add_argument(
+        "--may-lead", type=int, nargs="+", default=[], metavar="ID", help="followers that can become leader"
+    )
+
+
+def formation_of(parsed: argparse.Namespace, name: str) -> NewFormation:
+    """The choices of the command line."""
+    return NewFormation(
+        name=name,
+        vehicles=parsed.vehicles,
+        shape=parsed.shape,
+        spacing_m=parsed.spacing,
+        topology=parsed.topology,
+        reference=parsed.reference,
+        law=parsed.law,
+        heading=parsed.heading,
+        height_m=parsed.height,
+        may_lead=tuple(dict.fromkeys(parsed.may_lead)),
+    )
+
+
+def _add_init(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("folder", type=Path, metavar="DIR", help="where to write the files; it is created")
     parser.add_argument("--name", default="fleet", help="name of the fleet on the network (default fleet)")
     parser.add_argument(
@@ -78,25 +96,51 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run(options: argparse.Namespace) -> int:
-    """The exit code."""
+def _run_init(options: argparse.Namespace) -> int:
     from companion.assembly import flyable_problems
-    from companion.config.file import ConfigError
     from companion.config.new_fleet import NewFleet, new_fleet, origin_of
     from companion.mavlink.autopilot_types import PROFILES
 
-    try:
-        choices = NewFleet(
-            formation=formation_of(options, options.name),
-            origin=origin_of(options.origin),
-            addresses=options.address,
-            mavlink=options.mavlink,
-            hover_thrust_norm=options.hover_thrust,
-            autopilot=options.autopilot,
-            security=options.security,
-            hover_parameters={kind: profile.hover_parameter for kind, profile in PROFILES.items()},
-        )
-        print(new_fleet(choices, options.folder, flyable_problems), end="")
-    except ConfigError as error:
-        return fail(str(error), EXIT_REFUSED)
-    return EXIT_WRITTEN
+    choices = NewFleet(
+        formation=formation_of(options, options.name),
+        origin=origin_of(options.origin),
+        addresses=options.address,
+        mavlink=options.mavlink,
+        hover_thrust_norm=options.hover_thrust,
+        autopilot=options.autopilot,
+        security=options.security,
+        hover_parameters={kind: profile.hover_parameter for kind, profile in PROFILES.items()},
+    )
+    print(new_fleet(choices, options.folder, flyable_problems), end="")
+    return EXIT_DONE
+
+
+INIT = Command(
+    name="init",
+    summary="writes the fleet file and the vehicle files of real vehicles",
+    description="""\
+Write the files of N real vehicles into DIR: fleet.yaml, which all of them share, and vehicle-1.yaml
+to vehicle-N.yaml with the endpoint of the autopilot, the hover thrust, and the reference for the
+vehicles that may lead. All files are commented and agree with each other.
+Existing files are not overwritten.
+""",
+    more=f"""\
+examples:
+  companion init field --vehicles 2 --origin 47.3977 8.5456 488
+  companion init field --vehicles 3 --shape v --may-lead 2 --origin indoor \\
+      --address 10.0.0.5 10.0.0.7 10.0.0.9
+  companion init bench --vehicles 4 --origin 47.3977 8.5456 488 --address 127.0.0.1:{{id+7447}} \\
+      --mavlink udpin:127.0.0.1:{{id+14539}}
+
+--address and --mavlink take one value for each vehicle, or one pattern for all: {{id}} is the vehicle
+id, {{id+10}} is ten more.
+
+{TOPOLOGIES}
+
+exit codes:
+  0  written; the last lines are the commands to go on with
+  2  an argument cannot be used, or a file exists
+""",
+    add_arguments=_add_init,
+    run=_run_init,
+)

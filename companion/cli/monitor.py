@@ -8,60 +8,21 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from companion.cli.options import add_identity, fail
+from companion import GROUND_INSTALL
+from companion.cli.options import add_identity
+from companion.cli.program import Command
+from companion.types.errors import EXIT_DONE, RefusedCommandError
 
 if TYPE_CHECKING:
     from companion.config.fleet import FleetConfig
     from companion.ground.current_fleet import Selection
     from companion.security.identity import Identity
 
-NAME = "monitor"
-SUMMARY = "shows a fleet live: a page for the browser, or a table in the terminal"
 LISTEN = "127.0.0.1:8600"
-EXIT_ENDED, EXIT_UNUSABLE = 0, 2
 SIMULATED_VEHICLES = range(1, 9)  # by default
-DESCRIPTION = """\
-Show every vehicle of a fleet, from Zenoh alone. Prints one URL: the live page has a map, the
-vehicles, alarms, plots and a timeline, and works without the internet. --tui shows the essentials
-in the terminal instead. A vehicle without a report for one second is SILENT and stays.
-"""
-
-MORE = """\
-examples:
-  companion monitor                                          the current fleet, or a simulation
-  companion monitor --control                                and commands from the page
-  companion monitor --connect tls/192.168.1.11:7447 --identity identity      one vehicle of a real fleet
-  companion monitor --fleet-file fleet.yaml --tiles tiles    with fence, slots and a local map
-  companion monitor --listen 0.0.0.0:8600                    for the tablets in this network
-  companion monitor --mavlink udpout:127.0.0.1:14550         and in QGroundControl
-  companion monitor --replay flights/2026-05-03              a recorded flight
-  companion monitor --tui                                    over ssh
-  companion monitor --once --json | jq '.[].error_to_slot_m'
-
-The page needs no file of a fleet to show its vehicles; with it, it also shows fence, obstacles,
-slots and the figures of the law. The fleet file is --fleet-file, else COMPANION_FLEET, else the
-current fleet (companion fleet use). Each endpoint reaches one vehicle; those of all vehicles come
-from the addresses in the fleet file. A fleet with identities needs that of a ground or of a
-monitor, and for --control that of a ground.
-
-Without --control nothing can be sent. With it the URL has a token: who has the URL commands the
-fleet. Only this machine reaches the default address; the connection is not encrypted, so use it
-over other networks through ssh -L 8600:127.0.0.1:8600, or a VPN.
-
-docs/api.md has the interface for programs: JSON, WebSocket, /metrics for Prometheus.
-docs/monitor-interfaces.md has the terminal's columns, and what QGroundControl is sent.
-
---tui on terminals of 80, 120 and 200 columns shows more the wider they are; into a pipe or a file
-it is printed once a second. --once prints it one time.
-
-exit codes:
-  0  ended by Ctrl-C, or --once received at least one report
-  1  --once received no report for 3 s
-  2  an argument cannot be used, the address is in use, or a package is missing
-"""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def _add_monitor(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--fleet", default="*", metavar="NAME", help="only this fleet (default: every fleet)")
     parser.add_argument("--fleet-file", type=Path, metavar="FILE", help="the fleet file (default: the current fleet)")
     parser.add_argument(
@@ -110,26 +71,15 @@ def _options_of_page(options: argparse.Namespace) -> list[str]:
     return [name for name, value in values.items() if value]
 
 
-def run(options: argparse.Namespace) -> int:
-    """The exit code."""
-    from companion.config.file import ConfigError
-    from companion.link.fleet.zenoh_session import EndpointError
-    from companion.monitor import MonitorError
-
+def _run_monitor(options: argparse.Namespace) -> int:
     in_terminal = options.tui or options.once or options.json
     if in_terminal and (given := _options_of_page(options)):
         reason = f"{', '.join(given)}: only for the live page; leave --tui, --once and --json out"
-        return fail(f"companion monitor: {reason}", EXIT_UNUSABLE)
+        raise RefusedCommandError(reason)
     try:
         return _run_terminal(options) if in_terminal else _run_page(options)
-    except EndpointError as error:
-        return fail(f'companion monitor: --connect "{error.endpoint}": {error}', EXIT_UNUSABLE)
-    except ConfigError as error:
-        return fail(str(error), EXIT_UNUSABLE)
-    except MonitorError as error:
-        return fail(f"companion monitor: {error}", EXIT_UNUSABLE)
     except KeyboardInterrupt:  # the usual end, here before anything is shown
-        return EXIT_ENDED
+        return EXIT_DONE
 
 
 def _selected(
@@ -172,11 +122,9 @@ def _run_terminal(options: argparse.Namespace) -> int:
 
 
 def _run_page(options: argparse.Namespace) -> int:
-    from companion import GROUND_INSTALL
-
     if not find_spec("aiohttp"):
         needed = f"the live page needs the package aiohttp: {GROUND_INSTALL}, or use --tui"
-        return fail(f"companion monitor: {needed}", EXIT_UNUSABLE)
+        raise RefusedCommandError(needed)
     from companion.monitor.live_page import LivePage, run_live_page
 
     selection, fleet, identity, endpoints = _selected(options)
@@ -196,4 +144,50 @@ def _run_page(options: argparse.Namespace) -> int:
             replay=options.replay,
         )
     )
-    return EXIT_ENDED
+    return EXIT_DONE
+
+
+MONITOR = Command(
+    name="monitor",
+    summary="shows a fleet live: a page for the browser, or a table in the terminal",
+    description="""\
+Show every vehicle of a fleet, from Zenoh alone. Prints one URL: the live page has a map, the
+vehicles, alarms, plots and a timeline, and works without the internet. --tui shows the essentials
+in the terminal instead. A vehicle without a report for one second is SILENT and stays.
+""",
+    more="""\
+examples:
+  companion monitor                                          the current fleet, or a simulation
+  companion monitor --control                                and commands from the page
+  companion monitor --connect tls/192.168.1.11:7447 --identity identity      one vehicle of a real fleet
+  companion monitor --fleet-file fleet.yaml --tiles tiles    with fence, slots and a local map
+  companion monitor --listen 0.0.0.0:8600                    for the tablets in this network
+  companion monitor --mavlink udpout:127.0.0.1:14550         and in QGroundControl
+  companion monitor --replay flights/2026-05-03              a recorded flight
+  companion monitor --tui                                    over ssh
+  companion monitor --once --json | jq '.[].error_to_slot_m'
+
+The page needs no file of a fleet to show its vehicles; with it, it also shows fence, obstacles,
+slots and the figures of the law. The fleet file is --fleet-file, else COMPANION_FLEET, else the
+current fleet (companion fleet use). Each endpoint reaches one vehicle; those of all vehicles come
+from the addresses in the fleet file. A fleet with identities needs that of a ground or of a
+monitor, and for --control that of a ground.
+
+Without --control nothing can be sent. With it the URL has a token: who has the URL commands the
+fleet. Only this machine reaches the default address; the connection is not encrypted, so use it
+over other networks through ssh -L 8600:127.0.0.1:8600, or a VPN.
+
+docs/api.md has the interface for programs: JSON, WebSocket, /metrics for Prometheus.
+docs/monitor-interfaces.md has the terminal's columns, and what QGroundControl is sent.
+
+--tui on terminals of 80, 120 and 200 columns shows more the wider they are; into a pipe or a file
+it is printed once a second. --once prints it one time.
+
+exit codes:
+  0  ended by Ctrl-C, or --once received at least one report
+  1  --once received no report for 3 s
+  2  an argument cannot be used, the address is in use, or a package is missing
+""",
+    add_arguments=_add_monitor,
+    run=_run_monitor,
+)

@@ -1,55 +1,55 @@
-"""Types and options that several commands share. Light to import."""
+"""Types of arguments and options that several commands share. Light to import."""
 
 from __future__ import annotations
 
 import argparse
-import os
 import re
-import sys
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NoReturn
 
-EXIT_USAGE = 2
 MAX_VEHICLE_ID = 250
 MAX_WAIT_FOR_AUTOPILOT_S = 3600.0
+LONGEST_NUMBER = 9  # digits; Python refuses to read thousands of them
 
 
-class Help(argparse.RawDescriptionHelpFormatter):
-    """As wide as the terminal. argparse would ask `shutil`, which takes 1 MB of an agent's memory."""
+def number(expected: str, least: float, most: float) -> Callable[[str], float]:
+    """An argparse type: a number from `least` to `most`. Its error names what was `expected`."""
 
-    def __init__(self, prog: str) -> None:
-        super().__init__(prog, width=_columns() - 2)
+    def read(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = float("nan")
+        if not least <= value <= most:
+            raise argparse.ArgumentTypeError(f"{text!r}, expected {expected}")
+        return value
 
-
-def _columns() -> int:
-    """Of the terminal; COLUMNS where it is set, 80 without a terminal."""
-    columns = os.environ.get("COLUMNS", "")
-    if columns.isdecimal() and int(columns) > 0:
-        return int(columns)
-    try:
-        return os.get_terminal_size(sys.stdout.fileno()).columns or 80
-    except (AttributeError, ValueError, OSError):
-        return 80
+    return read
 
 
-class LineParser(argparse.ArgumentParser):
-    """Reports an argument that cannot be used in one line, without the usage text above it.
+def whole_number(least: int, most: int, what: str = "a whole number") -> Callable[[str], int]:
+    """An argparse type: a whole number from `least` to `most`. Its error names `what` was expected."""
 
-    An unknown one is reported by the parser of the command, whose help explains it, and not by that of the whole program.
-    """
+    def read(text: str) -> int:
+        is_number = text.isascii() and text.isdecimal() and len(text) <= LONGEST_NUMBER
+        if not is_number or not least <= int(text) <= most:
+            raise argparse.ArgumentTypeError(f"{text!r}, expected {what} from {least} to {most}")
+        return int(text)
 
-    def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
-        """Ends the program where an argument is unknown."""
-        parsed, unknown = super().parse_known_args(args, namespace)
-        if unknown:
-            self.error(f"unrecognized arguments: {' '.join(unknown)}")
-        return parsed, unknown
+    return read
 
-    def error(self, message: str) -> NoReturn:
-        """Ends the program with EXIT_USAGE."""
-        from companion.types.values import printable
 
-        self.exit(EXIT_USAGE, f"{self.prog}: {printable(message)}; {self.prog} --help explains it\n")
+seconds = number("seconds above 0, up to 3600", 1e-6, MAX_WAIT_FOR_AUTOPILOT_S)
+vehicle_id = whole_number(1, MAX_VEHICLE_ID, "a vehicle id")  # a MAVLink system id
+
+
+def operator(text: str) -> str:
+    """The name of an operator. Raises argparse.ArgumentTypeError."""
+    from companion.types.commands import OPERATOR, OPERATOR_WORDS
+
+    if not re.fullmatch(OPERATOR, text):
+        raise argparse.ArgumentTypeError(f"{text!r}, expected {OPERATOR_WORDS}")
+    return text
 
 
 def add_overrides(parser: argparse.ArgumentParser, what: str) -> None:
@@ -62,38 +62,6 @@ def add_overrides(parser: argparse.ArgumentParser, what: str) -> None:
         metavar="KEY=VALUE",
         help=f"{what}; may be given many times",
     )
-
-
-def number(text: str, expected: str, least: float, most: float) -> float:
-    """A number from `least` to `most`. Raises argparse.ArgumentTypeError, which names what was `expected`."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-    if not least <= value <= most:
-        raise argparse.ArgumentTypeError(f"{text!r}, expected {expected}")
-    return value
-
-
-def seconds(text: str) -> float:
-    """Seconds above 0. Raises argparse.ArgumentTypeError."""
-    return number(text, "seconds above 0, up to 3600", 1e-6, MAX_WAIT_FOR_AUTOPILOT_S)
-
-
-def vehicle_id(text: str) -> int:
-    """A MAVLink system id of a vehicle. Raises argparse.ArgumentTypeError."""
-    if not re.fullmatch("[0-9]{1,3}", text) or not 1 <= int(text) <= MAX_VEHICLE_ID:
-        raise argparse.ArgumentTypeError(f"{text!r}, expected a vehicle id from 1 to {MAX_VEHICLE_ID}")
-    return int(text)
-
-
-def operator(text: str) -> str:
-    """The name of an operator. Raises argparse.ArgumentTypeError."""
-    from companion.types.commands import OPERATOR, OPERATOR_WORDS
-
-    if not re.fullmatch(OPERATOR, text):
-        raise argparse.ArgumentTypeError(f"{text!r}, expected {OPERATOR_WORDS}")
-    return text
 
 
 def add_vehicle_file(parser: argparse.ArgumentParser, required: bool = True) -> None:
@@ -115,9 +83,6 @@ def add_identity(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def fail(line: str, exit_code: int) -> int:
-    """Prints the line on standard error, without control characters of foreign text; returns the exit code."""
-    from companion.types.values import printable_lines
-
-    print(printable_lines(line), file=sys.stderr)
-    return exit_code
+def add_json(parser: argparse.ArgumentParser, what: str) -> None:
+    """--json; its help says `what` is printed."""
+    parser.add_argument("--json", action="store_true", help=what)

@@ -10,44 +10,22 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from companion.cli.options import fail
+from companion.cli.options import whole_number
+from companion.cli.program import Command
+from companion.types.errors import EXIT_DONE, UnusableError
 
 if TYPE_CHECKING:
     from companion.security.names import ParticipantName
 
-NAME = "provision"
-SUMMARY = "makes, renews, lists and revokes the identities of a fleet"
-EXIT_DONE, EXIT_REFUSED = 0, 2
 MAX_DAYS = 3650
 DEFAULT_DAYS = 365
 
-DESCRIPTION = """\
-Make the identities with which the participants of a fleet know each other: vehicles, ground
-stations, monitors, targets and sources of traffic. An authority of the fleet signs a certificate
-for each, and the list of all that are admitted. DIR is the folder that companion init wrote.
-"""
 EXIT_CODES = """\
 exit codes:
   0    done; the last lines are what to go on with
   2    an argument or a file cannot be used; the line names it
   130  ended by Ctrl-C; the same command completes what is missing
 """
-MORE = f"""\
-examples:
-  companion init field --vehicles 3 --origin 47.3977 8.5456 488
-  companion provision new field --ground anna ben --monitor tower
-  companion provision list field
-  companion provision renew field --all
-  companion provision revoke field vehicle-3
-
-folders:
-  DIR/authority       key of the authority (private.key), its certificate and the admission list;
-                      stays here, with a backup
-  DIR/copy/NAME       what goes to the computer of one participant
-  DIR/retired         what copy/ held before a renewal or a revocation
-
-{EXIT_CODES}"""
-
 NEW = """\
 Make the authority, once, and an identity for each vehicle of the fleet file and for each named
 participant that has none. What exists stays as it is: run it again for a vehicle or a ground
@@ -64,7 +42,7 @@ the new list. The next identity of vehicle-3 is named vehicle-3.2.
 LIST = "Show the participants with the end of their certificates, and those that were revoked."
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def _add_provision(parser: argparse.ArgumentParser) -> None:
     raw = argparse.RawDescriptionHelpFormatter
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION", title="actions")
     for name, summary, description, add in (
@@ -79,17 +57,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             add(one)
 
 
-def run(options: argparse.Namespace) -> int:
-    """The exit code."""
-    from companion.config.file import ConfigError
-
+def _run_provision(options: argparse.Namespace) -> int:
     if options.folder.is_file():
         expected = "expected the folder of the fleet file and the vehicle files, which companion init writes"
-        return fail(f"{options.folder}: is a file; {expected}", EXIT_REFUSED)
-    try:
-        print(ACTIONS[options.action](options), end="")
-    except ConfigError as error:
-        return fail(str(error), EXIT_REFUSED)
+        raise UnusableError(f"{options.folder}: is a file; {expected}")
+    print(ACTIONS[options.action](options), end="")
     return EXIT_DONE
 
 
@@ -117,17 +89,11 @@ def _add_revoke(parser: argparse.ArgumentParser) -> None:
 def _add_days(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--days",
-        type=_days,
+        type=whole_number(1, MAX_DAYS, "days"),
         default=DEFAULT_DAYS,
         metavar="N",
         help=f"validity of the new certificates (default {DEFAULT_DAYS})",
     )
-
-
-def _days(text: str) -> int:
-    if not re.fullmatch("[0-9]{1,4}", text) or not 1 <= int(text) <= MAX_DAYS:
-        raise argparse.ArgumentTypeError(f"{text!r}, expected days from 1 to {MAX_DAYS}")
-    return int(text)
 
 
 def _id_of(role: str) -> Callable[[str], ParticipantName]:
@@ -198,3 +164,31 @@ def _default_ground() -> ParticipantName:
         user = ""
     text = re.sub("[^a-z0-9_-]", "-", user.lower()).lstrip("_-")[:32]
     return participant_name(ParticipantRole.GROUND, text or "operator")
+
+
+PROVISION = Command(
+    name="provision",
+    summary="makes, renews, lists and revokes the identities of a fleet",
+    description="""\
+Make the identities with which the participants of a fleet know each other: vehicles, ground
+stations, monitors, targets and sources of traffic. An authority of the fleet signs a certificate
+for each, and the list of all that are admitted. DIR is the folder that companion init wrote.
+""",
+    more=f"""\
+examples:
+  companion init field --vehicles 3 --origin 47.3977 8.5456 488
+  companion provision new field --ground anna ben --monitor tower
+  companion provision list field
+  companion provision renew field --all
+  companion provision revoke field vehicle-3
+
+folders:
+  DIR/authority       key of the authority (private.key), its certificate and the admission list;
+                      stays here, with a backup
+  DIR/copy/NAME       what goes to the computer of one participant
+  DIR/retired         what copy/ held before a renewal or a revocation
+
+{EXIT_CODES}""",
+    add_arguments=_add_provision,
+    run=_run_provision,
+)

@@ -1,1 +1,1 @@
-"""Command lines of `sitl`: one module per command, light to import."""
+"""The commands of `sitl`, light to import; companion/cli/program.py has the parser and the ending."""

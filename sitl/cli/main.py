@@ -1,76 +1,55 @@
-"""The `sitl` command: one module of this package per subcommand, each with HELP, DESCRIPTION, MORE, arguments and run."""
+"""The `sitl` command."""
 
 from __future__ import annotations
 
 import argparse
 import sys
 from collections.abc import Callable
-from typing import NoReturn, Protocol
+from typing import NoReturn
 
-from companion import __version__
-from companion.cli.ending import ending_quietly
-from companion.cli.options import LineParser
-
-
-class Subcommand(Protocol):
-    """A module of this package. It is light to import: `run` imports what flies."""
-
-    HELP: str
-    DESCRIPTION: str
-    MORE: str
-
-    def add_arguments(self, parser: argparse.ArgumentParser, /) -> None: ...
-
-    def run(self, parsed: argparse.Namespace, /) -> int: ...
+from companion.cli import program
+from companion.cli.program import Program, completion, fail
+from companion.types.errors import EXIT_UNUSABLE
 
 
 def main() -> NoReturn:
-    with ending_quietly():
-        sys.exit(_main())
-
-
-def _main() -> int:
-    """The exit code. Slow imports are made here, where Ctrl-C is handled."""
-    from sitl.cli.ending import exit_code_of
-    from sitl.cli.needed import check_installed
-
-    arguments = parser().parse_args()
-    run: Callable[[argparse.Namespace], int] = arguments.run
-
-    def installed_and_run() -> int:
-        check_installed(arguments.command)
-        return run(arguments)
-
-    return exit_code_of(installed_and_run)
+    """Ends the process with the exit code of the command. Slow imports are made where Ctrl-C is handled."""
+    with program.ending_quietly():
+        sys.exit(_program().main())
 
 
 def parser() -> argparse.ArgumentParser:
-    from sitl.cli import autopilot, completion, fleet, fly, gauntlet, new, paper, run, study, sweep, switching
+    """All commands with their arguments."""
+    return _program().parser()
 
-    whole = LineParser(prog="sitl", description="Stand-in vehicles, and whole fleets of real processes.")
-    whole.add_argument("--version", action="version", version=f"sitl {__version__}")
-    subparsers = whole.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    subcommands: dict[str, Subcommand] = {
-        "new": new,
-        "autopilot": autopilot,
-        "fly": fly,
-        "fleet": fleet,
-        "run": run,
-        "paper": paper,
-        "sweep": sweep,
-        "study": study,
-        "switching": switching,
-        "gauntlet": gauntlet,
-        "completion": completion,
-    }
-    for name, module in subcommands.items():
-        subparser = subparsers.add_parser(
-            name,
-            help=module.HELP,
-            description=module.DESCRIPTION,
-            formatter_class=argparse.RawDescriptionHelpFormatter,
-            epilog=module.MORE,
-        )
-        module.add_arguments(subparser)
-        subparser.set_defaults(run=module.run)
-    return whole
+
+def _program() -> Program:
+    """The program with its commands."""
+    from sitl.cli.flights import FLEET, FLY, RUN
+    from sitl.cli.stand_ins import AUTOPILOT, NEW
+    from sitl.cli.studies import GAUNTLET, PAPER, STUDY, SWEEP, SWITCHING
+
+    return Program(
+        name="sitl",
+        description="Stand-in vehicles, and whole fleets of real processes.",
+        commands=(
+            *(NEW, AUTOPILOT, FLY, FLEET, RUN, PAPER, SWEEP, STUDY, SWITCHING, GAUNTLET),
+            completion("sitl", parser),
+        ),
+        ending=exit_code_of,
+    )
+
+
+def exit_code_of(command: str, run: Callable[[], int]) -> int:
+    """That of `companion`, and for a signal that stops at once and for an error of the results folder one line as well."""
+    from sitl.stopping import StopNow
+
+    try:
+        return program.exit_code_of(command, run)
+    except StopNow as stop:
+        return fail(str(stop), stop.exit_code)
+    except BrokenPipeError:  # not caused by the results folder
+        raise
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        return fail(f"{where}{error.strerror}; choose another folder with --out", EXIT_UNUSABLE)

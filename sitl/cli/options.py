@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import argparse
 import re
-from collections.abc import Callable
-from math import nan
+import sys
 from pathlib import Path
 
+from companion.cli.options import whole_number
 from companion.types.autopilot import AutopilotKind
 from sitl.links.ports import MAX_PORT_OFFSET
 
 CLUSTER_ADDRESS = re.compile(r"(?P<protocol>(tcp|tls)://)?(?P<host>[\w.-]+|\[[\da-fA-F:.]+\]):(?P<port>[0-9]{1,5})")
 LAST_PORT = 65535
-LONGEST_NUMBER = 9  # digits; Python refuses to read thousands of them
+ABOVE_0, BELOW_INFINITY = 5e-324, sys.float_info.max  # bounds of a number
 
 
 def add_scenario(parser: argparse.ArgumentParser) -> None:
@@ -70,29 +70,3 @@ def overrides_of(parsed: argparse.Namespace) -> list[str]:
     short = [f"fleet.law.name={law}"] if law else []
     short += [f"stand_in.autopilot={autopilot}"] if autopilot else []
     return [*short, *parsed.overrides]
-
-
-def whole_number(least: int, most: int) -> Callable[[str], int]:
-    """An argparse type: a whole number from `least` to `most`."""
-
-    def read(text: str) -> int:
-        if not text.isdecimal() or len(text) > LONGEST_NUMBER or not least <= int(text) <= most:
-            raise argparse.ArgumentTypeError(f"{text!r}, expected a whole number from {least} to {most}")
-        return int(text)
-
-    return read
-
-
-def number(expected: str, accepts: Callable[[float], bool]) -> Callable[[str], float]:
-    """An argparse type: a number that `accepts`; `expected` names it in the error."""
-
-    def read(text: str) -> float:
-        try:
-            value = float(text)
-        except ValueError:
-            value = nan
-        if not accepts(value):
-            raise argparse.ArgumentTypeError(f"{text!r}, expected {expected}")
-        return value
-
-    return read

@@ -244,7 +244,7 @@ Prepare = Callable[[Scenario], AbstractContextManager[FlyOnce]]
 
 
 def run_flights(options: RunOptions, prepare: Prepare) -> int:
-    """Fly as the options require; returns the exit code. Raises the errors that sitl/cli/ending.py reports.
+    """Fly as the options require; returns the exit code. Raises what sitl/cli/main.py reports.
 
     `prepare` reserves what the flights need, before anything is written or flown; it may raise ConfigError or
     PortInUseError.

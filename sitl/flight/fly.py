@@ -166,7 +166,7 @@ Ctrl-C here lands all vehicles and ends."""
 
 
 def run_fleet(options: FleetOptions) -> int:
-    """The exit code. Raises the errors that sitl/cli/ending.py reports."""
+    """The exit code. Raises what sitl/cli/main.py reports."""
     scenario = load_scenario(options.scenario, options.overrides)
     stem = f"fleet-{options.scenario.stem}"
     with (

@@ -35,7 +35,7 @@ class GauntletReport(Struct, frozen=True, kw_only=True):
 
 
 def run_gauntlet(arguments: argparse.Namespace) -> int:
-    """Run the command and return the exit code. Raises the errors that sitl/cli/ending.py reports."""
+    """Run the command and return the exit code. Raises what sitl/cli/main.py reports."""
     own = load_fleet(arguments.fleet) if arguments.fleet else None
     families = chosen_families(arguments.families)
     with (

@@ -27,7 +27,7 @@ class PaperOptions:
 
 
 def run_paper(options: PaperOptions) -> int:
-    """Run `sitl paper` and return the exit code. Raises the errors that sitl/cli/ending.py reports."""
+    """Run `sitl paper` and return the exit code. Raises what sitl/cli/main.py reports."""
     with StopRequest("stopped; no report was written", at_once=True):
         _check(options)
         return _reproduce(options)

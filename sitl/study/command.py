@@ -43,7 +43,7 @@ class StudyReport(Struct, frozen=True, kw_only=True):
 
 
 def run_study_command(arguments: argparse.Namespace) -> int:
-    """Run the command and return the exit code. Raises the errors that sitl/cli/ending.py reports."""
+    """Run the command and return the exit code. Raises what sitl/cli/main.py reports."""
     with (
         StopRequest("stopped; nothing was written", at_once=True),
         ShareProgress(arguments.quiet) as progress,

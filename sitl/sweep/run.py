@@ -40,7 +40,7 @@ class FlownGrid:
 
 
 def run(options: SweepOptions) -> int:
-    """Run `sitl sweep` and return the exit code. Raises the errors that sitl/cli/ending.py reports."""
+    """Run `sitl sweep` and return the exit code. Raises what sitl/cli/main.py reports."""
     with StopRequest("stopped at once; nothing was kept") as stop:
         return _run(options, stop)
 

@@ -35,7 +35,7 @@ class Report(Struct, frozen=True, kw_only=True):
 
 
 def run_switching(arguments: argparse.Namespace) -> int:
-    """Run the command and return the exit code. Raises the errors that sitl/cli/ending.py reports."""
+    """Run the command and return the exit code. Raises what sitl/cli/main.py reports."""
     with StopRequest("stopped; nothing was written", at_once=True), ShareProgress(arguments.quiet) as progress:
         progress.begin("random starts")
         starts = _starts(arguments, progress.show)

@@ -13,7 +13,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from sitl.cli.options import whole_number
+from companion.cli.options import whole_number
 from tests.fuzz.run import run_hostile
 
 

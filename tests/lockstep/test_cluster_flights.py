@@ -14,8 +14,7 @@ from distributed import Client
 
 from common import ROOT
 from dask_cluster import Cluster, cluster, known_tasks, running_tasks, until
-from sitl.cli.ending import exit_code_of
-from sitl.cli.main import parser
+from sitl.cli.main import exit_code_of, parser
 from sitl.cluster import client, workers_of
 from sitl.cluster.task import software
 from sitl.paper.flights import FlightSubject, Model, PaperPlan
@@ -58,7 +57,7 @@ def no_progress(_share: float) -> None:
 
 def run(arguments: list[str], out: Path, *more: str) -> int:
     parsed = parser().parse_args([*arguments, "--out", str(out), *more])
-    code: int = parsed.run(parsed)
+    code: int = parsed.chosen.run(parsed)
     return code
 
 
@@ -137,7 +136,7 @@ def test_a_scheduler_that_is_away_ends_each_command_with_one_line(
     arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(client, "ANSWERS_WITHIN_S", 0.5)
-    assert exit_code_of(lambda: run(arguments, tmp_path, "--cluster", "127.0.0.1:1")) == 2
+    assert exit_code_of("sitl", lambda: run(arguments, tmp_path, "--cluster", "127.0.0.1:1")) == 2
     printed = capsys.readouterr()
     assert printed.out == ""
     (line,) = [line for line in printed.err.splitlines() if " % " not in line]

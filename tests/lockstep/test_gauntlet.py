@@ -15,7 +15,7 @@ from companion.types.autopilot import AutopilotKind
 from companion.types.commands import CommandName
 from companion.types.errors import EXIT_DONE, UnusableError
 from companion.types.flight import FlightPhase
-from sitl.cli.gauntlet import add_arguments, run
+from sitl.cli.studies import GAUNTLET
 from sitl.flight.lockstep import Lockstep
 from sitl.flight.scenario import Scenario, load_scenario
 from sitl.flight.virtual_flight import fly_without_landing
@@ -42,7 +42,7 @@ neighbours: {kind: edges, edges: [[3, 5], [5, 8], [8, 9], [3, 8], [5, 9]]}
 
 def arguments(*given: str) -> argparse.Namespace:
     parser = argparse.ArgumentParser()
-    add_arguments(parser)
+    GAUNTLET.add_arguments(parser)
     return parser.parse_args([*given, "--quiet"])
 
 
@@ -116,7 +116,7 @@ def test_a_flight_of_each_family_violates_no_separation_and_ends_in_formation(fa
 def test_the_command_flies_a_users_fleet(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "fleet.yaml").write_text(FLEET)
     given = ["--fleet", str(tmp_path / "fleet.yaml"), "--out", str(tmp_path / "out"), "--flights", "2", "--jobs", "2"]
-    code = run(arguments(*given, "--families", "form_near,reference_step", "--sensors", "ideal"))
+    code = GAUNTLET.run(arguments(*given, "--families", "form_near,reference_step", "--sensors", "ideal"))
     assert code == EXIT_DONE  # no violation and no exception
     assert (tmp_path / "out" / "gauntlet.json").exists()
     shown = capsys.readouterr().out
@@ -126,7 +126,7 @@ def test_the_command_flies_a_users_fleet(tmp_path: Path, capsys: pytest.CaptureF
 
 def test_an_unknown_family_is_refused() -> None:
     with pytest.raises(UnusableError, match="expected some of formation_change, form_near"):
-        run(arguments("--families", "forming"))
+        GAUNTLET.run(arguments("--families", "forming"))
 
 
 def test_an_exception_in_an_agent_is_an_outcome(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,12 +13,12 @@ from pathlib import Path
 
 import pytest
 
-from companion.cli.vehicle_link import EXIT_DEFECT
 from companion.ground.session import FleetSession
 from companion.link.fleet.zenoh_session import open_session
 from companion.mavlink.codec import mavlink
 from companion.mavlink.translator import Translator
 from companion.types.commands import CommandName, CommandReply
+from companion.types.errors import EXIT_DEFECT
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code
 from companion.wire.keys import command_key, peer_key

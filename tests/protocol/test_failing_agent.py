@@ -12,12 +12,12 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from companion.cli.vehicle_link import EXIT_DEFECT
 from companion.core.consensus.stage import ConsensusStage
 from companion.ground.session import GroundConnection
 from companion.link.fleet.zenoh_link import ZenohLink
 from companion.link.fleet.zenoh_session import drain
 from companion.types.commands import CommandName
+from companion.types.errors import EXIT_DEFECT
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code
 from companion.types.values import ZERO3

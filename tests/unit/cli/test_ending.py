@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from common import ROOT
-from companion.cli.ending import ending_quietly
+from companion.cli.program import ending_quietly
 
 PLATOON = ROOT / "config" / "scenarios" / "platoon.yaml"
 

@@ -44,9 +44,9 @@ def test_the_monitor_connects_to_simulated_vehicles_by_default() -> None:
 
 
 def test_the_examples_in_the_help_exist() -> None:
-    from companion.cli import agent
+    from companion.cli.agent import AGENT
 
-    named = re.findall(r"config/vehicles/\S+\.yaml", agent.MORE)
+    named = re.findall(r"config/vehicles/\S+\.yaml", AGENT.more)
     assert named
     for name in named:
         assert (CONFIG.parent / name).is_file()

@@ -8,7 +8,7 @@ import pytest
 from msgspec.structs import replace
 
 from common import ROOT
-from companion.cli.fleet import add_arguments, fleet_request
+from companion.cli.fleet import FLEET, fleet_request
 from companion.cli.main import main
 from companion.config.file import ConfigError
 from companion.config.fleet_check import load_fleet
@@ -236,7 +236,7 @@ def test_slots_too_close_are_refused() -> None:
 
 def request_of(*arguments: str) -> FleetRequest:
     parser = argparse.ArgumentParser()
-    add_arguments(parser)
+    FLEET.add_arguments(parser)
     return fleet_request(parser.parse_args(arguments))
 
 

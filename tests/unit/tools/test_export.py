@@ -104,7 +104,8 @@ def test_an_interrupted_export_leaves_complete_files_alone(
             raise KeyboardInterrupt
 
     monkeypatch.setattr(Recording, "read", interrupted)
-    assert main(["export", str(tmp_path)]) == 130
+    with pytest.raises(SystemExit, match="130"):
+        main(["export", str(tmp_path)])
     assert {path.name for path in older.parent.iterdir()} == {"vehicle-1_decision.csv", older.name}
     assert older.read_text() == "older"
     assert "vehicle-1_decision.csv: 2 rows" in capsys.readouterr().out

@@ -9,7 +9,7 @@ from typing import NoReturn
 import pytest
 
 from companion.config.file import ConfigError
-from sitl.cli.ending import exit_code_of
+from sitl.cli.main import exit_code_of
 from sitl.links.free_ports import PortInUseError
 from sitl.paper.flights import NoFormationError
 from sitl.stopping import StopNow, StopRequest
@@ -37,12 +37,12 @@ def test_errors_that_a_user_can_cause_are_one_line(
     def fails() -> NoReturn:
         raise error
 
-    assert exit_code_of(fails) == exit_code
+    assert exit_code_of("sitl run", fails) == exit_code
     assert capsys.readouterr() == ("", line + "\n")
 
 
 def test_nothing_is_printed_when_a_command_ends_normally(capsys: pytest.CaptureFixture[str]) -> None:
-    assert exit_code_of(lambda: 1) == 1
+    assert exit_code_of("sitl run", lambda: 1) == 1
     assert capsys.readouterr() == ("", "")
 
 
@@ -52,7 +52,7 @@ def test_other_errors_are_raised(error: Exception) -> None:
         raise error
 
     with pytest.raises(type(error)):
-        exit_code_of(fails)
+        exit_code_of("sitl run", fails)
 
 
 def test_the_text_of_the_stop_request_is_printed_on_a_signal(
@@ -64,5 +64,5 @@ def test_the_text_of_the_stop_request_is_printed_on_a_signal(
             signal.pause()
         return 0
 
-    assert exit_code_of(works) == 128 + signal.SIGTERM
+    assert exit_code_of("sitl run", works) == 128 + signal.SIGTERM
     assert capsys.readouterr().err == f"stopped; nothing is in {tmp_path}\n"

@@ -10,7 +10,7 @@ from common import ROOT
 from companion.assembly import law_of
 from companion.core.consensus.law import cooperative
 from companion.wire.messages import Percentiles, Timing
-from sitl.cli.fly import add_arguments, fly_options
+from sitl.cli.flights import FLY, fly_options
 from sitl.flight.flights import summarize
 from sitl.flight.options import FlyOptions, RunOptions
 from sitl.flight.scenario import load_scenario, with_law
@@ -158,7 +158,7 @@ def test_the_papers_laws_are_compared_with_the_same_gains_and_cooperative_has_it
 
 def fly(*arguments: str) -> FlyOptions:
     parser = argparse.ArgumentParser()
-    add_arguments(parser)
+    FLY.add_arguments(parser)
     return fly_options(parser.parse_args(["s.yaml", *arguments]))
 
 
