@@ -39,7 +39,7 @@ from companion.core.formation.paths import FormingTogether, law_within_m
 from companion.core.formation.slots import SlotPlan
 from companion.core.preflight import Preflight
 from companion.core.reference.blend import BlendLimits, ReferenceTrajectory, along
-from companion.core.reference.heading import CourseHeading, FixedHeading
+from companion.core.reference.heading import CourseHeading
 from companion.core.reference.plan import LiveReference, ReferencePlan, Rft
 from companion.core.reference.target import Box, TargetLimits
 from companion.core.report import Identity, ReportStage
@@ -149,7 +149,7 @@ def _guidance(config: AgentConfig) -> GuidanceStage:
     return GuidanceStage(
         own_id,
         slots=SlotPlan(own_id, {m.id: m.slot_enu_m for m in fleet.vehicles}, limits),
-        heading=CourseHeading(fleet.slot_speed_m_s) if fleet.slots_turn else FixedHeading(),
+        heading=CourseHeading(fleet.slot_speed_m_s) if fleet.slots_turn else None,
         references=_references(fleet, reference, config.vehicle.drag_1_s) if reference else None,
         entry=_entry(fleet, own_id),
         gap_filling=GapFilling(own_id, limits) if fleet.when_one_leaves == "close_up" else None,

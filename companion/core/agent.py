@@ -5,7 +5,7 @@ from __future__ import annotations
 from msgspec import Struct
 
 from companion.core.command.arbitration import CommandArbitration, CommandDispatcher, Intake
-from companion.core.command.phase import PhaseMachine
+from companion.core.command.phase import PhaseCommand, PhaseMachine
 from companion.core.consensus.neighbours import NONE, DistantPeers
 from companion.core.consensus.stage import Consensus, ConsensusStage
 from companion.core.control.setpoint import Setpoint, SetpointStage
@@ -112,7 +112,9 @@ class Agent:
             inbox.stopping,
             inbox.late_s,
         )
-        commands = self._dispatcher.step(intake, perception, consensus, guidance, safety)
+        commands: tuple[PhaseCommand, ...] = ()
+        if intake.admitted:
+            commands = self._dispatcher.step(intake, perception, consensus, guidance, safety)
         flight = self._phases.step(
             now_s, vehicle, before, inbox.telemetry, guidance.requests, commands, safety.requests
         )

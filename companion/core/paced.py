@@ -43,6 +43,11 @@ class PacedChecks:
         self._results: dict[Hashable, Any] = {}
         self.steps = 0
 
+    @property
+    def is_idle(self) -> bool:
+        """No check runs, and none was asked for in the last tick: a tick without one needs no `begin_tick`."""
+        return self._running is None and not self._asked
+
     def begin_tick(self) -> None:
         """A new tick: the steps of a tick are available. A check that was not asked for in the last tick is dropped."""
         if not self._asked:

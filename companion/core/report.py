@@ -79,7 +79,8 @@ class ReportStage:
     ) -> Report:
         """A packet every tick, a status ten times a second and at once with an event."""
         events = intake.events + perception.events + consensus.events + flight.events + guidance.events + safety.events
-        events += self._interventions.step(now_s, setpoint.separation)
+        if setpoint.separation.changed_m_s2 > 0.0:
+            events += self._interventions.step(now_s, setpoint.separation)
         if events:
             self._last_event = events[-1]
         status = None

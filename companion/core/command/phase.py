@@ -75,6 +75,8 @@ class PhaseMachine:
         self._level_until_s = float("-inf")  # of a hand-over
         self._tolerated: frozenset[AutopilotMode] = frozenset()
         self.events: list[Notice] = []
+        self._seen: tuple[object, ...] = ()  # by `observe` in the last tick
+        self._observed = Flight()
 
     def streams(self, vehicle: VehicleState) -> bool:
         """True while attitude targets go out: just before formation, in it, and until the autopilot has taken over."""
@@ -134,8 +136,12 @@ class PhaseMachine:
 
     def observe(self, now_s: float, vehicle: VehicleState) -> Flight:
         """The phase at the beginning of a tick, after a change of mode, arming or flight by others."""
+        seen = (self.phase, vehicle.mode, vehicle.armed, vehicle.landed, vehicle.autopilot)
+        if seen == self._seen and not self._leaving_formation:
+            return self._observed  # it follows from these alone
         self.follow_truth(vehicle)
-        return self._flight(now_s, vehicle)
+        self._seen, self._observed = seen, self._flight(now_s, vehicle)
+        return self._observed
 
     def step(
         self,
@@ -283,6 +289,7 @@ class PhaseMachine:
         self._leaving_formation = leaving
         self._tolerated = frozenset({vehicle.mode}) | ({M.OFFBOARD} if leaving else frozenset())
         self._running = running
+        self._seen = ()
 
     def _enter(self, phase: FlightPhase, reason: Notice | None = None) -> None:
         if reason:
@@ -294,6 +301,7 @@ class PhaseMachine:
         self._running = None
         self._leaving_formation = False
         self._tolerated = frozenset()
+        self._seen = ()
 
     def follow_truth(self, vehicle: VehicleState) -> None:
         """Observe after a change of mode, arming or take-off by others. Called first in a tick."""

@@ -250,14 +250,14 @@ class KeptOff:
 
     def __init__(self) -> None:
         self._intervened_s = -inf
-        self._is_kept_off = False
+        self.is_kept_off = False
         self._nearest_m, self._nearer_s = inf, -inf  # on the way back, and when it came so near
 
     def intervened(self, now_s: float, taken_m_s2: float) -> bool:
         """Whether it is, or was and is not back yet. `taken_m_s2`: of the acceleration that the law wants, by vehicles."""
         if taken_m_s2 > INTERVENES_M_S2:
-            self._intervened_s, self._is_kept_off, self._nearest_m = now_s, True, inf
-        return self._is_kept_off
+            self._intervened_s, self.is_kept_off, self._nearest_m = now_s, True, inf
+        return self.is_kept_off
 
     def rft(self, now_s: float, own: FormationState, target: FormationState) -> FormationState | None:
         """The RFT to publish: that of the law. None from when this vehicle is back in its slot, or as near as it comes."""
@@ -267,10 +267,10 @@ class KeptOff:
         if off_m < self._nearest_m - NEARER_M:
             self._nearest_m, self._nearer_s = off_m, now_s
         if off_m < BACK_WITHIN_M or now_s - self._nearer_s > NEARER_WITHIN_S:
-            self._is_kept_off = False
+            self.is_kept_off = False
             return None
         return target
 
     def end(self) -> None:
         """Outside formation."""
-        self._intervened_s, self._is_kept_off = -inf, False
+        self._intervened_s, self.is_kept_off = -inf, False

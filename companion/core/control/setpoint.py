@@ -131,7 +131,7 @@ class SetpointStage:
         rft = None
         if phase is not FORMATION:
             self._kept_off.end()
-        elif self._kept_off.intervened(now_s, self._removed_m_s2):
+        elif self._removed_m_s2 > 0.0 or self._kept_off.is_kept_off:
             rft = self._published_rft(now_s, vehicle, consensus, guidance)
         observer = stream.observer
         return Setpoint(
@@ -176,6 +176,8 @@ class SetpointStage:
         self, now_s: float, vehicle: VehicleState, consensus: Consensus, guidance: Guidance
     ) -> FormationState | None:
         """The RFT for peers while the separation filter keeps this vehicle off its slot."""
+        if not self._kept_off.intervened(now_s, self._removed_m_s2):
+            return None
         rft = target(self._law, consensus.neighbours, guidance.reference)
         if rft is None:
             return None

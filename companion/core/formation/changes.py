@@ -41,6 +41,9 @@ class Changed(Struct, frozen=True, gc=False):
     events: tuple[Notice, ...] = ()
 
 
+NOTHING_CHANGED = Changed()
+
+
 class Changes:
     """Applies changes to the slot plan and the reference plan of one vehicle."""
 
@@ -59,6 +62,9 @@ class Changes:
         self._last_heard_id = 0  # the leader whose change was judged last
         self._next_heard_s = -inf
         self._proposal: Proposal | None = None  # that is being checked
+        self.is_idle = (
+            gap_filling is None
+        )  # nothing is under way: without a command or a change of a leader no step is needed
 
     def step(
         self,
@@ -90,6 +96,8 @@ class Changes:
         events = self._adopt(now_s, vehicle, flight, consensus, slot)
         if self._gap_filling:
             events += self._fill_gap(self._gap_filling, now_s, vehicle, flight, consensus, slot)
+        else:
+            self.is_idle = not self._queue and self._heard is None and self._checks.is_idle
         return Changed(tuple(answers), events)
 
     def _judged(
@@ -284,4 +292,4 @@ def passed_on(flying: Iterable[PeerPacket], term: Term, on_ground: bool) -> list
 
 
 def _leads(packet: PeerPacket) -> bool:
-    return packet.role is Role.LEADER and packet.phase is FlightPhase.FORMATION
+    return packet.role is LEADER and packet.phase is FORMATION

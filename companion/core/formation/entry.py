@@ -19,7 +19,6 @@ from companion.types.autopilot import VehicleState
 from companion.types.flight import COOPERATING, STREAMING, Flight, FlightPhase, Role
 from companion.types.formation import FlownSlot, Heading
 from companion.types.notices import Code, Notice, Refused
-from companion.types.peers import PeerPacket
 from companion.types.values import Vector3
 
 LEADER, ENGAGE, FORMATION = Role.LEADER, FlightPhase.ENGAGE, FlightPhase.FORMATION  # member lookup of an enum is slow
@@ -40,9 +39,9 @@ class FormationEntry:
         self._check_s = 0.0
         self._led = False  # whether this vehicle was leader in formation in the last tick
 
-    def update(self, now_s: float, consensus: Consensus) -> None:
-        """Once a tick."""
-        self._joining.update(now_s, consensus.flying)
+    def update(self, now_s: float, formed: Iterable[int]) -> None:
+        """When other peers than before are in formation: their ids."""
+        self._joining.update(now_s, formed)
 
     def judge_command(
         self,
@@ -167,14 +166,11 @@ class Joining:
         self._separation_m = separation_m
         self._speed_m_s = speed_m_s
         self._since_s: dict[int, float] = {}
-        self._formed: list[int] = []  # its keys
 
-    def update(self, now_s: float, flying: Iterable[PeerPacket]) -> None:
-        """Once a tick, with all fresh peers that fly."""
-        formed = [p.vehicle_id for p in flying if p.phase is FlightPhase.FORMATION]
-        if formed != self._formed:
-            self._formed, since_s = formed, self._since_s
-            self._since_s = {vehicle_id: since_s.get(vehicle_id, now_s) for vehicle_id in formed}
+    def update(self, now_s: float, formed: Iterable[int]) -> None:
+        """When other peers than before are in formation: their ids."""
+        since_s = self._since_s
+        self._since_s = {vehicle_id: since_s.get(vehicle_id, now_s) for vehicle_id in formed}
 
     def is_due(self, now_s: float) -> bool:
         """Whether a peer has been in formation long enough for this vehicle to join it."""
@@ -193,7 +189,7 @@ class Joining:
 
         `peers` are all that fly. Raises Refused without a vehicle in formation, or where separation_m would not be kept.
         """
-        formed = [peer for peer in peers if peer.packet.phase is FlightPhase.FORMATION]
+        formed = [peer for peer in peers if peer.packet.phase is FORMATION]
         self._refuse_while_others_move(peers)
         if not formed:
             raise Refused(Code.NO_FORMATION_TO_JOIN, "no vehicle is in formation any more")
@@ -225,7 +221,7 @@ class Joining:
         """Raises Refused while another vehicle moves within the formation or joins: vehicles join one at a time."""
         for packet in (peer.packet for peer in peers):
             slot = packet.slot
-            if packet.phase is FlightPhase.FORMATION and (slot.moves or slot.waiting != slot.formation):
+            if packet.phase is FORMATION and (slot.moves or slot.waiting != slot.formation):
                 text = f"vehicle {packet.vehicle_id} is not in its slot yet; give form again then"
                 raise Refused(Code.PEER_STILL_JOINING, text)
             if packet.phase is FlightPhase.ENGAGE and packet.vehicle_id < self._own_id:

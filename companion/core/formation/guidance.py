@@ -9,11 +9,11 @@ from msgspec import Struct
 
 from companion.core.consensus.law import FormationState, formation_state
 from companion.core.consensus.stage import Consensus
-from companion.core.formation.changes import Changes
+from companion.core.formation.changes import NOTHING_CHANGED, Changes
 from companion.core.formation.entry import FormationEntry
 from companion.core.formation.gaps import GapFilling
 from companion.core.formation.slots import SlotPlan
-from companion.core.reference.heading import FormationHeading
+from companion.core.reference.heading import CourseHeading
 from companion.core.reference.plan import ReferencePlan
 from companion.geometry.formations import turned_slot
 from companion.types.autopilot import VehicleState
@@ -56,13 +56,16 @@ class Guidance(Struct, frozen=True, gc=False):
 
 
 class GuidanceStage:
-    """Owns the slot plan, the reference plan, the heading and the entry. A follower has no reference plan."""
+    """Owns the slot plan, the reference plan, the heading and the entry.
+
+    A follower has no reference plan; slots that keep their directions in ENU have no heading.
+    """
 
     def __init__(
         self,
         own_id: int,
         slots: SlotPlan,
-        heading: FormationHeading,
+        heading: CourseHeading | None,
         references: ReferencePlan | None,
         entry: FormationEntry,
         gap_filling: GapFilling | None,
@@ -73,6 +76,11 @@ class GuidanceStage:
         self._entry = entry
         self._changes = Changes(own_id, slots, references, gap_filling)
         self._slot = slots.flown
+        self._formed: list[int] = []  # the peers in formation
+
+    @property
+    def _flown_heading(self) -> Heading:
+        return self._heading.flown if self._heading else EAST
 
     def step(
         self,
@@ -88,9 +96,13 @@ class GuidanceStage:
         events: tuple[Notice, ...] = ()
         if not vehicle.armed:  # mission time restarts with the next flight
             events += slots.restart()
-            heading.restart()
-        changed = self._changes.step(now_s, vehicle, flight, consensus, self._slot, commands)
-        events += changed.events
+            if heading:
+                heading.restart()
+        changed = NOTHING_CHANGED
+        passed_on = [peer for peer in consensus.flying if peer.change is not None]
+        if commands or passed_on or not self._changes.is_idle:
+            changed = self._changes.step(now_s, vehicle, flight, consensus, self._slot, commands)
+            events += changed.events
         reference_s, leads = consensus.reference_s, consensus.role is LEADER
         held, reference, refusal_to_lead = None, None, None
         if references:
@@ -101,23 +113,30 @@ class GuidanceStage:
             if not leads and flight.phase is FORMATION:
                 refusal_to_lead = self._off_fleet(vehicle, held) or refusal_to_lead
         known = held if leads else None
-        self._entry.update(now_s, consensus)
-        requests = self._enter(now_s, vehicle, flight, consensus, known)
+        formed = [peer.vehicle_id for peer in consensus.flying if peer.phase is FORMATION]
+        if formed != self._formed:
+            self._formed = formed
+            self._entry.update(now_s, formed)
+        requests: tuple[PhaseRequest, ...] = ()
+        if flight.phase is not FORMATION:
+            requests = self._enter(now_s, vehicle, flight, consensus, known)
         events += slots.update(now_s, reference_s, consensus.flying, flight.phase in STREAMING)
-        if consensus.heading is not None and not flight.streams:
-            heading.restart()  # this vehicle does not fly by it, so it may step to the reported one
-        heading.update(now_s, consensus, known if flight.in_formation else None, slots.reach_m)
-        self._slot = turned_slot(slots.flown, heading.flown)
+        self._slot = slots.flown
+        if heading:
+            if consensus.heading is not None and not flight.streams:
+                heading.restart()  # this vehicle does not fly by it, so it may step to the reported one
+            heading.update(now_s, consensus, known if flight.in_formation else None, slots.reach_m)
+            self._slot = turned_slot(slots.flown, heading.flown)
         refusal_to_enter, warning_to_enter = None, None
         if flight.phase in MAY_FORM and _forms(commands):
             refusal_to_enter, warning_to_enter = self._entry.judge_command(
-                now_s, vehicle, consensus, known, heading.flown, slots.slots_enu_m
+                now_s, vehicle, consensus, known, self._flown_heading, slots.slots_enu_m
             )
         return Guidance(
             slot=self._slot,
             plan_slot=slots.flown,
-            heading=heading.flown,
-            published_heading=heading.published,
+            heading=heading.flown if heading else EAST,
+            published_heading=heading.published if heading else EAST,
             reference=reference,
             held_reference=references.held if references else None,
             target_age_s=references.target_age_s if references else None,
@@ -154,7 +173,7 @@ class GuidanceStage:
         elif flight.phase is ENGAGE:
             slots.end_path()
             try:
-                path = self._entry.path(now_s, vehicle, consensus, known, self._heading.flown, slots.slots_enu_m)
+                path = self._entry.path(now_s, vehicle, consensus, known, self._flown_heading, slots.slots_enu_m)
             except Refused as refusal:
                 return (PhaseRequest(PhaseChange.HAND_OVER, refusal.notice.about("does not enter formation")),)
             if path:

@@ -158,7 +158,10 @@ class SlotPlan:
             events += self._begin(self._waiting, others, in_formation)
         flown, own_id = self._flown, self._own_id
         elapsed_s = reference_s - flown.begins_s
-        motion = rest_to_rest(self._before_enu_m[own_id], self.slots_enu_m[own_id], elapsed_s, flown.lasts_s)
+        if elapsed_s > 0.0 and elapsed_s >= flown.lasts_s:
+            motion = (self.slots_enu_m[own_id], ZERO3, ZERO3)
+        else:
+            motion = rest_to_rest(self._before_enu_m[own_id], self.slots_enu_m[own_id], elapsed_s, flown.lasts_s)
         moves_for_s = flown.lasts_s - elapsed_s if motion[1] != ZERO3 else 0.0
         if self._path:
             (delta, lasts_s), begun_s = self._path

@@ -8,7 +8,6 @@ packets are late.
 from __future__ import annotations
 
 from math import copysign, inf, pi, remainder, tau
-from typing import Protocol
 
 from companion.core.consensus.law import FormationState
 from companion.core.consensus.stage import Consensus
@@ -22,36 +21,11 @@ SLOWEST_M_S = 0.1  # below this speed r' has no usable direction, and the last h
 ROUND_RAD = pi - 0.3  # a goal further behind than this is approached in the present direction of turn
 
 
-class FormationHeading(Protocol):
-    """`flown` turns the vehicle's own slot; `published` goes into its leader beacon."""
-
-    flown: Heading
-    published: Heading
-
-    def restart(self) -> None:
-        """Take the received heading at the next update without a turn, or east where there is none. After a landing."""
-
-    def update(self, now_s: float, around: Consensus, reference: FormationState | None, reach_m: float) -> None:
-        """Advance by one tick. `reference` is R while this vehicle is leader in formation, else None.
-
-        `reach_m` is the distance of the outermost slot from the RFT.
-        """
-
-
-class FixedHeading:
-    """Slots keep their configured ENU directions."""
-
-    flown = published = EAST
-
-    def restart(self) -> None:
-        pass
-
-    def update(self, now_s: float, around: Consensus, reference: FormationState | None, reach_m: float) -> None:
-        pass
-
-
 class CourseHeading:
-    """The x axis of the formation turns to the course of the RFT."""
+    """The x axis of the formation turns to the course of the RFT.
+
+    `flown` turns the vehicle's own slot; `published` goes into its leader beacon.
+    """
 
     def __init__(self, slot_speed_m_s: float) -> None:
         self._slot_speed_m_s = slot_speed_m_s
@@ -60,9 +34,14 @@ class CourseHeading:
         self._last_s = inf
 
     def restart(self) -> None:
+        """Take the received heading at the next update without a turn, or east where there is none. After a landing."""
         self._begins = True
 
     def update(self, now_s: float, around: Consensus, reference: FormationState | None, reach_m: float) -> None:
+        """Advance by one tick. `reference` is R while this vehicle is leader in formation, else None.
+
+        `reach_m` is the distance of the outermost slot from the RFT.
+        """
         seconds = min(max(now_s - self._last_s, 0.0), LONGEST_S)
         self._last_s = now_s
         received = around.heading

@@ -175,12 +175,14 @@ class FailsafeWatch:
         self._landed_for: set[HealthFlag] = set()  # these began a landing or return, and are still raised
         self._overridden: set[HealthFlag] = set()  # a command ended it
         self._warned_s: dict[HealthFlag, float] = {}
+        self.is_idle = True  # no flag is remembered: without a raised one no update is needed
 
     def update(
         self, now_s: float, phase: FlightPhase, flags: Collection[HealthFlag], commanded: bool
     ) -> ActiveFailsafe:
         """`commanded`: the last tick executed a command."""
         self._forget(phase, flags, commanded)
+        self.is_idle = not (flags or self._since_s or self._begun or self._landed_for or self._overridden)
         if not flags and not self._since_s:
             return NONE_ACTIVE
         begins = [flag for flag in flags if flag not in self._since_s and self._counts(flag, phase)]

@@ -97,7 +97,9 @@ class SafeguardStage:
             flags.add(HealthFlag.SEPARATION_VIOLATED)
         if now_s - self._late_s < LATE_FOR_S:
             flags.add(HealthFlag.TICK_LATE)
-        active = self._watch.update(now_s, flight.phase, flags, commanded)
+        active = NONE_ACTIVE
+        if flags or not self._watch.is_idle:
+            active = self._watch.update(now_s, flight.phase, flags, commanded)
         requests: list[PhaseRequest] = []
         if stopping:
             requests += self._stop(now_s, flight)
@@ -219,13 +221,10 @@ def health_flags(now_s: float, vehicle: VehicleState, limits: HealthLimits) -> s
         flags.add(HealthFlag.ESTIMATOR_BAD)
     if acos(cos(vehicle.roll_rad) * cos(vehicle.pitch_rad)) > limits.envelope.max_tilt_rad + limits.tilt_margin_rad:
         flags.add(HealthFlag.TILT_EXCEEDED)
-    if _below(vehicle.battery_percent, limits.low_battery_percent):
-        flags.add(HealthFlag.BATTERY_LOW)
-    if _below(vehicle.battery_percent, limits.critical_battery_percent):
-        flags.add(HealthFlag.BATTERY_CRITICAL)
+    percent, low, critical = vehicle.battery_percent, limits.low_battery_percent, limits.critical_battery_percent
+    if percent >= 0.0:  # an unknown charge (-1) is not low
+        if low is not None and percent < low:
+            flags.add(HealthFlag.BATTERY_LOW)
+        if critical is not None and percent < critical:
+            flags.add(HealthFlag.BATTERY_CRITICAL)
     return flags
-
-
-def _below(percent: float, limit_percent: float | None) -> bool:
-    """An unknown charge (-1) is not low."""
-    return limit_percent is not None and 0.0 <= percent < limit_percent

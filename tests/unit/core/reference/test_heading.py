@@ -21,9 +21,13 @@ from companion.config.reference_check import check_reference, most_pace
 from companion.core.consensus.law import FormationState
 from companion.core.consensus.stage import Consensus
 from companion.core.election.beacon import WAITED_S
+from companion.core.formation.entry import FormationEntry, Joining, LeadIn
+from companion.core.formation.guidance import GuidanceStage
 from companion.core.formation.limits import FormationLimits
+from companion.core.formation.paths import FormingTogether
+from companion.core.formation.slots import SlotPlan
 from companion.core.reference.blend import BlendLimits
-from companion.core.reference.heading import JERK_1_S, SLOWEST_M_S, CourseHeading, FixedHeading, turned_towards
+from companion.core.reference.heading import JERK_1_S, SLOWEST_M_S, CourseHeading, turned_towards
 from companion.geometry.formations import (
     SLOT_ACCELERATION_M_S2,
     TurnLimits,
@@ -34,8 +38,9 @@ from companion.geometry.formations import (
     turn_limits,
     turned_slot,
 )
+from companion.types.autopilot import VehicleState
 from companion.types.commands import Lead
-from companion.types.flight import FlightPhase, HealthFlag, Role
+from companion.types.flight import Flight, FlightPhase, HealthFlag, Role
 from companion.types.formation import EAST, FlownSlot, Heading
 from companion.types.notices import Code, Notice
 from companion.types.values import ZERO3, Vector3
@@ -246,10 +251,13 @@ def test_heading_is_reset_after_a_landing() -> None:
 
 
 def test_fixed_formation_ignores_headings() -> None:
-    heading = FixedHeading()
-    heading.update(100.0, receiving(Heading(1.0, 1.0, 1.0)), northwards(), REACH_M)
-    heading.restart()
-    assert heading.flown == heading.published == EAST
+    slots_m = {1: ZERO3, 2: (-3.0, 4.0, 0.0)}
+    slots = SlotPlan(2, slots_m, FormationLimits(1.0, 1.0, ((-50.0, -50.0, 0.0), (50.0, 50.0, 30.0))))
+    entry = FormationEntry(2, FormingTogether(2, 1.0, 1.0, 1.0, True), Joining(2, 1.0, 1.0), LeadIn(1.0, 1.0))
+    stage = GuidanceStage(2, slots, heading=None, references=None, entry=entry, gap_filling=None)
+    flown = stage.step(100.0, VehicleState(armed=True), Flight(), receiving(Heading(1.0, 1.0, 1.0)), (), ())
+    assert flown.heading == flown.published_heading == EAST
+    assert flown.slot.position_enu_m == slots_m[2]
 
 
 def received_heading(fleet: CooperatingFleet, vehicle_id: int, published: dict[int, Heading]) -> Heading | None:
