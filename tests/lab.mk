@@ -1,6 +1,8 @@
 # The laboratory: what measures, soaks and attacks the product. Real-time figures need a machine without other load.
 #
 ## make bench      speed of agents, lockstep and batch beside C, asyncio, mavsdk, UDP and RotorPy; writes docs/performance.md (ten minutes)
+##                 make bench AGAINST=COMMIT measures that commit and this tree in turn and prints the ratios (six minutes)
+##                 BENCH='step lockstep' leaves out the real flights (under three minutes)
 ## make bench-batch  vehicle-steps a second of whole batches on one core, and RotorPy's; installs PyTorch in .venv-bench
 ## make bench-filter  time of the separation filter with seven vehicles nearby, against its limit of 60 us
 ## make bench-identities  CPU of agents in formation with identities against those without; limit 1.2 times
@@ -15,15 +17,21 @@
 ## make faults     flies real fleets under every fault and writes the measured table into docs/faults.md (a quarter of an hour)
 ## make attacks    lets strangers attack a real fleet with identities and writes the table into docs/attacks.md (minutes)
 ## make test-vehicles, test-fleets  real processes one at a time: single vehicles, fleets
+## make coverage   lines of companion/core/safety that the tests in virtual time reach; every line must be
 ## make tighten    lowers the budgets of source and tick (tests/unit/budgets.json) to today's figures
 
-.PHONY: bench bench-batch bench-filter bench-identities bench-recording bench-replay bench-large-fleet bench-page transports soak hostile gauntlet faults attacks test-vehicles test-fleets tighten
+.PHONY: bench bench-batch bench-filter bench-identities bench-recording bench-replay bench-large-fleet bench-page transports soak hostile gauntlet faults attacks test-vehicles test-fleets coverage tighten
 
 LAB = $(BIN)/python -m tests
 
 # The environment with RotorPy is made once, which takes some minutes.
+ifdef AGAINST
+bench: .venv/test.ready
+	$(LAB).bench.against $(AGAINST) $(BENCH)
+else
 bench: .venv/test.ready .venv-bench/bench.ready
 	$(LAB).bench --out runs/bench/bench.json --page docs/performance.md
+endif
 
 bench-batch: .venv-bench/bench.ready
 	.venv-bench/bin/python -m tests.bench.batch_models
@@ -77,6 +85,14 @@ test-vehicles: .venv/test.ready
 
 test-fleets: .venv/test.ready
 	$(REAL_TIME_TESTS) -n 1 tests/fleet tests/faults
+
+# The filter, the limits and the failsafes.
+COVERED = companion/core/safety
+coverage: .venv/test.ready
+	$(BIN)/coverage erase
+	$(BIN)/coverage run --parallel-mode --include '$(COVERED)/*' -m pytest -q tests/unit/core tests/lockstep/test_separation_filter.py
+	$(BIN)/coverage combine --quiet
+	$(BIN)/coverage report --show-missing --fail-under 100
 
 tighten: .venv/fly.ready
 	$(LAB).bench.budgets --tighten

@@ -38,9 +38,9 @@ def start_silent(stack: ExitStack, command: Sequence[str]) -> None:
 class Program:
     """A running process, with its standard input and output."""
 
-    def __init__(self, stack: ExitStack, command: Sequence[str]) -> None:
+    def __init__(self, stack: ExitStack, command: Sequence[str], environment: Mapping[str, str] | None = None) -> None:
         self._command, pipe = command, subprocess.PIPE
-        self._process = subprocess.Popen([*_bound(), *command], stdin=pipe, stdout=pipe, text=True)
+        self._process = subprocess.Popen([*_bound(), *command], stdin=pipe, stdout=pipe, text=True, env=environment)
         stack.callback(_end, self._process)
 
     @property
@@ -54,11 +54,11 @@ class Program:
             raise RuntimeError(f"{' '.join(self._command)} has ended")
         return line
 
-    def begin(self) -> None:
+    def begin(self, what: str = "") -> None:
         """A line for its input."""
         assert self._process.stdin is not None
         with suppress(BrokenPipeError):
-            self._process.stdin.write("\n")
+            self._process.stdin.write(f"{what}\n")
             self._process.stdin.flush()
 
     def end_input(self) -> None:
