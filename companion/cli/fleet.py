@@ -23,7 +23,7 @@ from companion.cli.program import Command
 from companion.types.errors import UnusableError
 
 if TYPE_CHECKING:
-    from companion.ground.changes import FleetRequest
+    from companion.ground.operate import FleetRequest
 
 SEE = "`companion fleet --help` explains the fleet file, the endpoints, holding command, and the exit codes."
 REPORTS = {
@@ -139,8 +139,9 @@ def fleet_request(parsed: argparse.Namespace) -> FleetRequest:
     A fleet file that is not an option is named on standard error.
     """
     from companion.config.file import ConfigError
-    from companion.ground.changes import FleetRequest, command_line
+    from companion.ground.changes import FleetAction, command_line
     from companion.ground.current_fleet import FLEET_VARIABLE, select
+    from companion.ground.operate import FleetRequest
 
     selection = select(parsed.fleet, parsed.connect or (), parsed.identity, os.environ)
     if selection.fleet is None:
@@ -151,21 +152,24 @@ def fleet_request(parsed: argparse.Namespace) -> FleetRequest:
         )
     if parsed.fleet is None:
         print(selection, file=sys.stderr)
+    action = FleetAction(
+        name=parsed.action,
+        only=tuple(getattr(parsed, "only", ())),
+        leaders=tuple(getattr(parsed, "leaders", ())),
+        formation=formation_request(parsed) if parsed.action == "formation" else None,
+        reference=reference_request(parsed) if parsed.action == "reference" else None,
+    )
     return FleetRequest(
-        action=parsed.action,
+        action=action,
         fleet=selection.fleet,
         connect=selection.connect,
         identity=selection.identity,
         operator=parsed.operator or "",
-        only=tuple(getattr(parsed, "only", ())),
         wait_s=parsed.wait_s,
         as_json=parsed.json,
         wait=getattr(parsed, "wait", False),
         timeout_s=getattr(parsed, "timeout", None),
-        leaders=tuple(getattr(parsed, "leaders", ())),
-        formation=formation_request(parsed) if parsed.action == "formation" else None,
         admission_list=parsed.file if parsed.action == "admit" else None,
-        reference=reference_request(parsed) if parsed.action == "reference" else None,
     )
 
 

@@ -5,7 +5,7 @@ A change has a number, and begins in all vehicles at once: AHEAD_S after the fle
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import radians
 from pathlib import Path
@@ -66,26 +66,17 @@ class ReferenceRequest:
 
 
 @dataclass(frozen=True, slots=True)
-class FleetRequest:
-    """One action for the fleet in the file `fleet`. `only` is empty for all vehicles of the file.
+class FleetAction:
+    """One action for a fleet, by its name in `companion fleet`. `only` is empty for all vehicles of the fleet.
 
-    `leaders`, `formation`, `reference` and `admission_list` belong to one action each.
+    `leaders`, `formation` and `reference` belong to one action each.
     """
 
-    action: str
-    fleet: Path
-    connect: tuple[str, ...]
-    operator: str  # "" for user@host; not used with an identity
-    only: tuple[int, ...]
-    wait_s: float  # for reports and replies
-    as_json: bool
-    wait: bool = True  # until the action is finished, after all vehicles have accepted it
-    identity: Path | None = None
-    timeout_s: float | None = None  # of that wait; None for the default of the action
+    name: str
+    only: tuple[int, ...] = ()
     leaders: tuple[int, ...] = ()
     formation: FormationRequest | None = None
     reference: ReferenceRequest | None = None
-    admission_list: Path | None = None
 
 
 POSITION_KEY = {
@@ -102,6 +93,13 @@ def reference_change(reference: Described, statuses: Sequence[Status]) -> Refere
     held = [status.reference for status in statuses if status.reference]
     number = next_for_all(number for one in held for number in (one.flown, one.waiting))
     return ReferenceChange(number, reference, fleet_time_s(statuses) + AHEAD_S)
+
+
+def wanted_reference(request: ReferenceRequest, statuses: Collection[Status]) -> Reference:
+    """The reference of a request to a fleet with these reports. Raises ConfigError."""
+    check_reports("reference", statuses)
+    flown = [status.reference_enu_m for status in statuses if status.reference_enu_m]
+    return requested_reference(request, here_enu_m=flown[0] if flown else None)
 
 
 def requested_reference(request: ReferenceRequest, here_enu_m: Vector3 | None) -> Reference:

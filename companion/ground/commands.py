@@ -1,10 +1,13 @@
-"""From a request to commands: which vehicles get which command with which content, and in which order."""
+"""The only way of a command to a fleet: which vehicles get it with which content and in which order, and when it is done.
+
+Session and clock are arguments: vehicles over Zenoh and the machine's clock, or a fleet in virtual time.
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import msgspec
@@ -12,34 +15,105 @@ import msgspec
 from companion import GROUND_INSTALL
 from companion.config.fleet import FleetConfig
 from companion.config.reference_check import check_reference
-from companion.ground.answers import Answer, AnswerKind, Outcome, outcome_of
+from companion.ground.answers import Answer, AnswerKind, End, Outcome, outcome_of
 from companion.ground.changes import (
-    FleetRequest,
+    FleetAction,
     FormationRequest,
     ReferenceRequest,
     change_to,
-    check_reports,
     check_request,
     command_line,
     reference_change,
     refusal_of,
     requested_reference,
     requested_slots,
+    wanted_reference,
 )
-from companion.ground.goals import ALL_OR_NONE, STILL_CHANGING, check_all
-from companion.ground.session import POLL_S
-from companion.types.commands import CommandName, Content, Lead, ReferenceChange, next_epoch
+from companion.ground.goals import (
+    ALL_OR_NONE,
+    GOALS,
+    STILL_CHANGING,
+    Goal,
+    check_all,
+    end_of,
+    progress_text,
+    timed_out,
+)
+from companion.types.commands import CommandName, Content, Lead, next_epoch
 from companion.types.errors import CompanionError
 from companion.types.flight import FlightPhase
-from companion.types.formation import FormationChange
 from companion.types.status import Status
 from companion.types.values import ZERO3
 
+POLL_S = 0.01
 PREPARED_WITHIN_S = 8.0  # the longest mode change of an autopilot, with a margin
+PROGRESS_EVERY_S = 0.05
+FIRST_REPORTS_S = 1.0  # of all vehicles, before progress without them is shown
 
 
 class OperateError(CompanionError):
     """No command was sent. str() is one line with what to do."""
+
+
+class Clock(Protocol):
+    """The time in which vehicles answer."""
+
+    def now_s(self) -> float:
+        """Monotonic."""
+
+    def sleep(self, seconds: float) -> None:
+        """Wait for this time."""
+
+
+class MachineClock:
+    """The machine's monotonic clock."""
+
+    def now_s(self) -> float:
+        return time.monotonic()
+
+    def sleep(self, seconds: float) -> None:
+        time.sleep(seconds)
+
+
+MACHINE_CLOCK = MachineClock()
+
+
+class CommandSession(Protocol):
+    """The vehicles as an operator reaches them; `session.FleetSession` is one."""
+
+    @property
+    def operator(self) -> str:
+        """The name by which commands are sent."""
+
+    def newest(self) -> Mapping[int, Status]:
+        """The newest status of each vehicle that reports."""
+
+    def ask(
+        self, vehicle_ids: Iterable[int], name: CommandName, timeout_s: float, content: Content | None = None
+    ) -> dict[int, Answer | None]:
+        """Give one command to these vehicles and wait for their replies; None for a vehicle without one in time."""
+
+
+def give(
+    session: CommandSession,
+    vehicle_ids: Collection[int],
+    name: CommandName,
+    timeout_s: float,
+    content: Content | None = None,
+) -> dict[int, Answer | None]:
+    """One command to these vehicles, once.
+
+    New leaders get a change of leaders first; the other vehicles, the present leader among them, only after all of those have
+    accepted. So no vehicle gives up leadership that no other takes. A vehicle without the command learns it from the leaders.
+    """
+    if not isinstance(content, Lead):
+        return session.ask(vehicle_ids, name, timeout_s, content)
+    leaders = [i for i in vehicle_ids if i in content.leaders]
+    answers = session.ask(leaders, name, timeout_s, content) if leaders else {}
+    if not all(answer and answer.reply.accepted for answer in answers.values()):
+        return answers
+    others = [i for i in vehicle_ids if i not in content.leaders]
+    return answers | session.ask(others, name, timeout_s, content)
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,143 +126,161 @@ class Sent:
     running: bool = False
 
 
-class Commanding(Protocol):
-    """What a Sender uses of a FleetSession."""
+class Commands:
+    """Commands of one operator to one fleet, over an open session."""
 
-    @property
-    def operator(self) -> str: ...
-
-    def newest(self) -> dict[int, Status]: ...
-
-    def statuses(self, vehicle_ids: Iterable[int], timeout_s: float) -> dict[int, Status]: ...
-
-    def ask(
-        self, vehicle_ids: Iterable[int], name: CommandName, timeout_s: float, content: Content | None
-    ) -> dict[int, Answer | None]: ...
-
-
-class Sender:
-    """Sends the commands of one request over an open session."""
-
-    def __init__(self, session: Commanding, fleet: FleetConfig, request: FleetRequest, ids: Sequence[int]) -> None:
+    def __init__(
+        self, session: CommandSession, fleet: FleetConfig, wait_s: float, clock: Clock = MACHINE_CLOCK
+    ) -> None:
+        """`wait_s` is the time for reports, and for replies."""
         self._session = session
+        self._clock = clock
         self._fleet = fleet
-        self._ids = ids  # the vehicles of the request
         self._all = [member.id for member in fleet.vehicles]
-        self._wait_s = request.wait_s
+        self._wait_s = wait_s
 
-    def send(self, request: FleetRequest) -> Sent:
+    def send(self, action: FleetAction) -> Sent:
         """Raises ConfigError and OperateError, before any command is sent."""
-        if request.leaders:
-            return self._lead(request.leaders)
-        if request.formation:
-            return self._formation(request.formation)
-        if request.reference:
-            return self._reference(request.reference)
-        name = CommandName(request.action)
+        if action.leaders:
+            return self._lead(action.leaders)
+        if action.formation:
+            return self._formation(action.formation)
+        if action.reference:
+            return self._reference(action.reference)
+        name, ids = CommandName(action.name), sorted(set(action.only)) or self._all
         if name is CommandName.ARM:
-            return self._arm()
+            return self._arm(ids)
         if name in ALL_OR_NONE:
-            return self._all_or_none(name)
-        return Sent(name, None, self._ask(self._ids, name))
+            return self._all_or_none(name, ids)
+        return Sent(name, None, self._give(ids, name))
 
-    def _ask(self, ids: Sequence[int], name: CommandName, content: Content | None = None) -> dict[int, Outcome]:
-        answers = self._session.ask(ids, name, self._wait_s, content)
+    def _give(self, ids: Collection[int], name: CommandName, content: Content | None = None) -> dict[int, Outcome]:
+        answers = give(self._session, ids, name, self._wait_s, content)
         return {vehicle_id: outcome_of(answer, self._wait_s) for vehicle_id, answer in answers.items()}
 
-    def _arm(self) -> Sent:
+    def _arm(self, ids: Sequence[int]) -> Sent:
         """Vehicles in phase observe are prepared first; one that refuses that is not armed."""
-        reports = self._session.statuses(self._ids, self._wait_s)
+        reports = self._statuses(ids)
         observing = [i for i, status in reports.items() if status.phase is FlightPhase.OBSERVE and not status.armed]
-        outcomes = self._ask(observing, CommandName.PREPARE)
+        outcomes = self._give(observing, CommandName.PREPARE)
         prepared = [i for i, outcome in outcomes.items() if outcome.kind is AnswerKind.ACCEPTED]
         self._wait_while(prepared, {FlightPhase.OBSERVE, FlightPhase.PREPARE}, PREPARED_WITHIN_S)
-        to_arm = [i for i in self._ids if i not in outcomes or i in prepared]
-        return Sent(CommandName.ARM, None, outcomes | self._ask(to_arm, CommandName.ARM))
+        to_arm = [i for i in ids if i not in outcomes or i in prepared]
+        return Sent(CommandName.ARM, None, outcomes | self._give(to_arm, CommandName.ARM))
 
-    def _all_or_none(self, name: CommandName) -> Sent:
+    def _all_or_none(self, name: CommandName, ids: Sequence[int]) -> Sent:
         """Sent only where the reports of all vehicles permit it."""
-        self._session.statuses(self._ids, self._wait_s)
-        self._wait_while(self._ids, STILL_CHANGING, self._wait_s)
+        self._statuses(ids)
+        self._wait_while(ids, STILL_CHANGING, self._wait_s)
         statuses = self._session.newest()
-        refused = check_all(name, self._ids, statuses, self._session.operator, self._wait_s)
-        return Sent(name, None, refused or self._ask(self._ids, name))
-
-    def _wait_while(self, ids: Collection[int], phases: Collection[FlightPhase], within_s: float) -> None:
-        """Until none of these vehicles is in one of the phases."""
-        deadline_s = time.monotonic() + within_s
-        while time.monotonic() < deadline_s:
-            reports = self._session.newest()
-            if not any(i in reports and reports[i].phase in phases for i in ids):
-                return
-            time.sleep(POLL_S)
+        refused = check_all(name, ids, statuses, self._session.operator, self._wait_s)
+        return Sent(name, None, refused or self._give(ids, name))
 
     def _lead(self, leaders: tuple[int, ...]) -> Sent:
-        """The new leaders first; the other vehicles, the present leader among them, only after all of those have accepted.
-
-        So no vehicle gives up leadership that no other takes. A vehicle without the command learns it from the new leaders.
-        """
-        reports = self._session.statuses(self._ids, self._wait_s)
-        lead = Lead(leaders, next_epoch(status.epoch for status in reports.values()))
-        outcomes = self._ask(leaders, CommandName.LEAD, lead)
-        if all(outcome.kind is AnswerKind.ACCEPTED for outcome in outcomes.values()):
-            outcomes |= self._ask([i for i in self._ids if i not in leaders], CommandName.LEAD, lead)
-        return Sent(CommandName.LEAD, lead, outcomes)
+        lead = Lead(leaders, next_epoch(status.epoch for status in self._statuses(self._all).values()))
+        return Sent(CommandName.LEAD, lead, self._give(self._all, CommandName.LEAD, lead))
 
     def _formation(self, request: FormationRequest) -> Sent:
         """From the present positions of all vehicles: all of them must report."""
-        reports = self._session.statuses(self._all, self._wait_s)
+        reports = self._statuses(self._all)
         if silent := [str(i) for i in self._all if i not in reports]:
             raise OperateError(
                 f"no report of vehicle {', '.join(silent)} for {self._wait_s:g} s; all vehicles get new slots"
             )
-        statuses = list(reports.values())
-        slots_enu_m = requested_slots(request, statuses, self._fleet)
-        fleet = self._fleet
-        has_height = fleet.law.altitude == "formation"
-        if refusal := refusal_of(slots_enu_m, fleet.separation_m, has_height):
+        statuses, fleet = list(reports.values()), self._fleet
+        slots_enu_m = requested_slots(request, statuses, fleet)
+        if refusal := refusal_of(slots_enu_m, fleet.separation_m, has_height=fleet.law.altitude == "formation"):
             raise OperateError(refusal)
-        change = change_to(slots_enu_m, statuses, self._fleet.slot_speed_m_s)
-        return self._changed(CommandName.FORMATION, self._ids, change, statuses)
+        change = change_to(slots_enu_m, statuses, fleet.slot_speed_m_s)
+        outcomes = self._give(self._all, CommandName.FORMATION, change)
+        return Sent(CommandName.FORMATION, change, outcomes, time_runs(statuses))
 
     def _reference(self, request: ReferenceRequest) -> Sent:
         """Checked with the present slots, as by each vehicle that may lead."""
-        reports = self._session.statuses(self._all, self._wait_s)
+        reports = self._statuses(self._all)
         if not reports:
             raise OperateError(f"no report of any vehicle for {self._wait_s:g} s")
         statuses = list(reports.values())
-        check_reports("reference", statuses)
-        flown = [status.reference_enu_m for status in statuses if status.reference_enu_m]
-        reference = requested_reference(request, here_enu_m=flown[0] if flown else None)
+        reference = wanted_reference(request, statuses)
         slots_enu_m = {status.vehicle_id: status.slot.position_enu_m for status in statuses}
         check_reference(request.file or command_line("reference"), self._fleet, reference, slots_enu_m=slots_enu_m)
         change = reference_change(msgspec.to_builtins(reference), statuses)
         may_lead = [member.id for member in self._fleet.vehicles if member.can_lead]
-        return self._changed(CommandName.REFERENCE, may_lead, change, statuses)
+        outcomes = self._give(may_lead, CommandName.REFERENCE, change)
+        return Sent(CommandName.REFERENCE, change, outcomes, time_runs(statuses))
 
-    def _changed(
-        self,
-        name: CommandName,
-        ids: Sequence[int],
-        change: FormationChange | ReferenceChange,
-        statuses: Sequence[Status],
-    ) -> Sent:
-        running = any(status.phase is FlightPhase.FORMATION for status in statuses)
-        return Sent(name, change, self._ask(ids, name, change), running)
+    def _statuses(self, ids: Iterable[int]) -> dict[int, Status]:
+        """Status of these vehicles when all have reported, or of those that have in time."""
+        return statuses_of(self._session.newest, ids, self._wait_s, self._clock)
+
+    def _wait_while(self, ids: Collection[int], phases: Collection[FlightPhase], within_s: float) -> None:
+        """Until none of these vehicles is in one of the phases."""
+        deadline_s = self._clock.now_s() + within_s
+        while self._clock.now_s() < deadline_s:
+            reports = self._session.newest()
+            if not any(i in reports and reports[i].phase in phases for i in ids):
+                return
+            self._clock.sleep(POLL_S)
 
 
-def check_content(request: FleetRequest, fleet: FleetConfig) -> None:
+def statuses_of(
+    newest: Callable[[], Mapping[int, Status]], ids: Iterable[int], within_s: float, clock: Clock = MACHINE_CLOCK
+) -> dict[int, Status]:
+    """Status of these vehicles when all have reported, or of those that have after `within_s`."""
+    wanted, deadline_s = set(ids), clock.now_s() + within_s
+    while not wanted <= (reports := newest()).keys() and clock.now_s() < deadline_s:
+        clock.sleep(POLL_S)
+    return {i: reports[i] for i in sorted(wanted & reports.keys())}
+
+
+def time_runs(statuses: Iterable[Status]) -> bool:
+    """Whether the time of the reference runs: some vehicle is in formation."""
+    return any(status.phase is FlightPhase.FORMATION for status in statuses)
+
+
+def wait_for(
+    goal: Goal,
+    outcomes: Mapping[int, Outcome],
+    newest: Callable[[], Mapping[int, Status]],
+    timeout_s: float,
+    show: Callable[[str], None],
+    clock: Clock = MACHINE_CLOCK,
+) -> dict[int, Outcome]:
+    """The outcomes with the end of every accepted action. Only reports newer than the command count; ABORT has no number."""
+    pending = {
+        i: 0 if goal is GOALS[CommandName.ABORT] else outcome.number
+        for i, outcome in outcomes.items()
+        if outcome.kind is AnswerKind.ACCEPTED
+    }
+    ends: dict[int, End] = {}
+    began_s, before = clock.now_s(), ""
+    while pending:
+        reports = newest()
+        statuses = {
+            i: reports[i] for i, number in pending.items() if i in reports and reports[i].command_number >= number
+        }
+        after_s = clock.now_s() - began_s
+        ends |= {i: end for i, status in statuses.items() if (end := end_of(goal, status, after_s))}
+        pending = {i: number for i, number in pending.items() if i not in ends}
+        statuses = {i: status for i, status in statuses.items() if i in pending}
+        line = progress_text(goal, ends, {i: statuses.get(i) for i in pending}, len(outcomes))
+        if line != before and (len(statuses) == len(pending) or after_s > FIRST_REPORTS_S):
+            show(f"{after_s:5.1f} s  {line}")
+            before = line
+        if after_s > timeout_s:
+            ends |= {i: timed_out(goal, statuses.get(i), after_s, timeout_s) for i in pending}
+            break
+        clock.sleep(PROGRESS_EVERY_S)
+    return {i: replace(outcome, end=ends.get(i)) for i, outcome in outcomes.items()}
+
+
+def check_content(action: FleetAction, fleet: FleetConfig) -> None:
     """Finds mistakes before the wait for any vehicle. Raises ConfigError and OperateError."""
-    if request.formation:
-        _need_scipy()
-        check_request(request.formation, fleet)
-    if request.reference:
-        requested_reference(request.reference, here_enu_m=ZERO3)
-
-
-def _need_scipy() -> None:
-    """The assignment of slots uses it. Raises OperateError."""
-    try:
-        import scipy.optimize  # noqa: F401
-    except ImportError as error:
-        raise OperateError(f"formations need the package scipy: {GROUND_INSTALL}") from error
+    if action.formation:
+        try:
+            import scipy.optimize  # noqa: F401 -- it takes seconds: before reports are read, not after
+        except ImportError as error:
+            raise OperateError(f"formations need the package scipy: {GROUND_INSTALL}") from error
+        check_request(action.formation, fleet)
+    if action.reference:
+        requested_reference(action.reference, here_enu_m=ZERO3)

@@ -1,11 +1,10 @@
-"""What the reports must show before a command that is for all vehicles or none, and when an action is finished."""
+"""What the reports must show before a command for all vehicles or none, and the end state of each action. Pure."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Protocol
+from dataclasses import dataclass
+from math import dist, inf
 
 from companion.ground.answers import AnswerKind, End, Outcome, id_list
 from companion.ground.reports import no_report
@@ -18,8 +17,7 @@ from companion.types.status import Status
 
 P, C = FlightPhase, CommandName
 
-POLL_S = 0.05
-FIRST_REPORTS_S = 1.0  # of all vehicles, before progress without them is shown
+SLOT_REACHED_M = 0.001  # a status has its slot to 0.1 mm
 SHORT_S, LONG_S = 60.0, 300.0  # --timeout by default
 
 
@@ -31,10 +29,6 @@ class Goal:
     timeout_s: float
     reached: Callable[[Status], bool]
     on_the_way: frozenset[FlightPhase] = frozenset(P)
-
-
-class Reports(Protocol):
-    def newest(self) -> dict[int, Status]: ...
 
 
 def _on_ground(status: Status) -> bool:
@@ -85,8 +79,17 @@ def _follows(status: Status, lead: Lead) -> bool:
 
 
 def _flies(status: Status, change: FormationChange) -> bool:
+    """At rest in its slot, or as good as in that of the change."""
     flown = status.slot.formation
-    return (flown == change.number or is_newer(flown, change.number)) and not status.slot.moves
+    if flown != change.number and not is_newer(flown, change.number):
+        return False
+    return not status.slot.moves or way_left_m(status, change) < SLOT_REACHED_M
+
+
+def way_left_m(status: Status, change: FormationChange) -> float:
+    """From the slot that the vehicle flies to its slot in the new formation; inf where it has none there."""
+    slot_enu_m = dict(change.slots_enu_m).get(status.vehicle_id)
+    return inf if slot_enu_m is None else dist(status.slot.position_enu_m, slot_enu_m)
 
 
 def _holds(status: Status, change: ReferenceChange, running: bool) -> bool:
@@ -108,33 +111,11 @@ def end_of(goal: Goal, status: Status, after_s: float) -> End | None:
     return End(False, after_s, Notice(Code.ACTION_FAILED, f"not {goal.text}: phase {status.phase}{event}"))
 
 
-def wait_for(
-    goal: Goal, outcomes: Mapping[int, Outcome], reports: Reports, timeout_s: float, show: Callable[[str], None]
-) -> dict[int, Outcome]:
-    """The outcomes with the end of every accepted action. Only reports newer than the command count; ABORT has no number."""
-    pending = {
-        i: 0 if goal is GOALS[C.ABORT] else outcome.number
-        for i, outcome in outcomes.items()
-        if outcome.kind is AnswerKind.ACCEPTED
-    }
-    ends: dict[int, End] = {}
-    began_s, before = time.monotonic(), ""
-    while pending:
-        newest = reports.newest()
-        statuses = {i: newest[i] for i, number in pending.items() if i in newest and newest[i].command_number >= number}
-        after_s = time.monotonic() - began_s
-        ends |= {i: end for i, status in statuses.items() if (end := end_of(goal, status, after_s))}
-        pending = {i: number for i, number in pending.items() if i not in ends}
-        statuses = {i: status for i, status in statuses.items() if i in pending}
-        line = progress_text(goal, ends, {i: statuses.get(i) for i in pending}, len(outcomes))
-        if line != before and (len(statuses) == len(pending) or after_s > FIRST_REPORTS_S):
-            show(f"{after_s:5.1f} s  {line}")
-            before = line
-        if after_s > timeout_s:
-            ends |= {i: _timed_out(goal, statuses.get(i), after_s, timeout_s) for i in pending}
-            break
-        time.sleep(POLL_S)
-    return {i: replace(outcome, end=ends.get(i)) for i, outcome in outcomes.items()}
+def timed_out(goal: Goal, status: Status | None, after_s: float, timeout_s: float) -> End:
+    """The end of the wait for a vehicle that is still on the way, or does not report."""
+    state = f"phase {status.phase}" if status else "no new report"
+    text = f"not {goal.text} within {timeout_s:g} s: {state}; the action goes on"
+    return End(False, after_s, Notice(Code.ACTION_TIMED_OUT, text))
 
 
 def progress_text(goal: Goal, ends: Mapping[int, End], pending: Mapping[int, Status | None], total: int) -> str:
@@ -144,12 +125,6 @@ def progress_text(goal: Goal, ends: Mapping[int, End], pending: Mapping[int, Sta
         by_phase.setdefault(f"phase {status.phase}" if status else "no new report", []).append(i)
     rest = "".join(f"; {id_list(ids)}: {phase}" for phase, ids in sorted(by_phase.items()))
     return f"{sum(end.finished for end in ends.values())} of {total} {goal.text}{rest}"
-
-
-def _timed_out(goal: Goal, status: Status | None, after_s: float, timeout_s: float) -> End:
-    state = f"phase {status.phase}" if status else "no new report"
-    text = f"not {goal.text} within {timeout_s:g} s: {state}; the action goes on"
-    return End(False, after_s, Notice(Code.ACTION_TIMED_OUT, text))
 
 
 F = HealthFlag

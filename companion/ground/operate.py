@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,46 +16,60 @@ from companion.config.fleet import FleetConfig
 from companion.config.fleet_check import load_fleet
 from companion.config.vehicle import ground_endpoints
 from companion.ground.answers import AnswerKind, answer_lines, answers_as_data, end_lines, wrapped
-from companion.ground.changes import FleetRequest
-from companion.ground.commands import OperateError, Sender, Sent, check_content
+from companion.ground.changes import FleetAction
+from companion.ground.commands import Commands, OperateError, Sent, check_content, statuses_of, wait_for
 from companion.ground.current_fleet import simulation_endpoints, unreachable
-from companion.ground.goals import Goal, divided, goal_of, wait_for
+from companion.ground.goals import Goal, divided, goal_of
 from companion.ground.reports import (
-    checks_of,
-    leader_check,
     readiness_as_data,
     readiness_lines,
+    readiness_of,
     status_as_data,
     status_lines,
 )
 from companion.ground.session import FleetSession
-from companion.security.admission import MAX_LIST_BYTES, AdmissionError, verify
-from companion.security.identity import Identity
 from companion.security.names import ParticipantRole
 from companion.types.status import Status
 
 if TYPE_CHECKING:
     from companion.security.identity import Identity
 
-
 EXIT_ALL, EXIT_SOME = 0, 1
 REPORTS = ("status", "doctor")
+ADMIT_EVERY_S = 1.0
+ADMITTED_WITHIN_S = 10.0  # agents look for a list every 2 s
+
+
+@dataclass(frozen=True, slots=True)
+class FleetRequest:
+    """One action for the fleet in the file `fleet`, with the options of `companion fleet`."""
+
+    action: FleetAction
+    fleet: Path
+    connect: tuple[str, ...]
+    operator: str  # "" for user@host; not used with an identity
+    wait_s: float  # for reports and replies
+    as_json: bool
+    wait: bool = True  # until the action is finished, after all vehicles have accepted it
+    identity: Path | None = None
+    timeout_s: float | None = None  # of that wait; None for the default of the action
+    admission_list: Path | None = None  # of the action `admit`
 
 
 def run_fleet(request: FleetRequest) -> int:
     """The exit code. Raises ConfigError, OperateError and link.fleet.zenoh_session.EndpointError."""
     fleet = load_fleet(request.fleet)
     ids = _vehicles(request, fleet)
-    check_content(request, fleet)
+    check_content(request.action, fleet)
     identity = _identity(request, fleet)
     endpoints = request.connect or ground_endpoints(fleet, identity is not None)
     endpoints = endpoints or simulation_endpoints([member.id for member in fleet.vehicles])
     with FleetSession(fleet.name, endpoints, request.operator, identity) as session:
         if request.admission_list:
             return _admit(session, request.admission_list, identity, ids)
-        if request.action in REPORTS:
+        if request.action.name in REPORTS:
             return _report(session, request, fleet, ids, endpoints)
-        return _command(session, request, Sender(session, fleet, request, ids), endpoints)
+        return _command(session, request, Commands(session, fleet, request.wait_s), endpoints)
 
 
 def _identity(request: FleetRequest, fleet: FleetConfig) -> Identity | None:
@@ -70,7 +84,7 @@ def _identity(request: FleetRequest, fleet: FleetConfig) -> Identity | None:
     if request.operator:
         raise OperateError(f"--as is for fleets without identities; the operator is {identity.common_name}")
     readers = (ParticipantRole.GROUND, ParticipantRole.MONITOR)
-    wanted = readers if request.action in REPORTS else readers[:1]
+    wanted = readers if request.action.name in REPORTS else readers[:1]
     if identity.role not in wanted:
         expected = " or a ".join(wanted)
         raise OperateError(f"{identity.common_name} may not do this; expected the identity of a {expected}")
@@ -80,26 +94,24 @@ def _identity(request: FleetRequest, fleet: FleetConfig) -> Identity | None:
 def _vehicles(request: FleetRequest, fleet: FleetConfig) -> list[int]:
     """The vehicles of the request. Raises OperateError for one that is not in the fleet file."""
     known = [member.id for member in fleet.vehicles]
-    for vehicle_id in (*request.only, *request.leaders):
+    for vehicle_id in (*request.action.only, *request.action.leaders):
         if vehicle_id not in known:
             expected = ", ".join(map(str, known))
             raise OperateError(f"vehicle {vehicle_id} is not in {request.fleet}; expected some of {expected}")
-    return sorted(set(request.only)) or known
+    return sorted(set(request.action.only)) or known
 
 
 def _report(
     session: FleetSession, request: FleetRequest, fleet: FleetConfig, ids: Sequence[int], endpoints: Sequence[str]
 ) -> int:
     """Status or readiness; no command is sent."""
-    statuses = session.statuses(ids, request.wait_s)
+    statuses = statuses_of(session.newest, ids, request.wait_s)
     silent = [vehicle_id for vehicle_id in ids if vehicle_id not in statuses]
-    if request.action == "status":
+    if request.action.name == "status":
         lines, data = status_lines(statuses, silent, request.wait_s), status_as_data(statuses, silent)
         good = not silent
     else:
-        every, own_hash = [member.id for member in fleet.vehicles], fleet.formation_hash()
-        leader = leader_check(statuses, every)
-        checks = {i: (*checks_of(status, every, own_hash), leader) for i, status in statuses.items()}
+        checks = readiness_of(statuses, fleet)
         lines, data = readiness_lines(checks, silent, request.wait_s), readiness_as_data(checks, silent)
         good = not silent and all(check.passed for of_one in checks.values() for check in of_one)
     failed_endpoints = unreachable(endpoints, session.linked()) if silent else {}
@@ -111,16 +123,44 @@ def _report(
 
 
 def _admit(session: FleetSession, file: Path, identity: Identity | None, ids: Sequence[int]) -> int:
+    """Sends an admission list, until each vehicle reports its number. Raises OperateError for a file that is none."""
     if identity is None:
         raise OperateError("needs the identity of a ground: --identity DIR")
+    from companion.security.admission import MAX_LIST_BYTES, AdmissionError, verify
 
-    lines, good = admit(session, identity, file, ids)
-    _print(lines)
+    try:
+        data, _ = read_regular(file, MAX_LIST_BYTES)
+        number = verify(data, identity.authority).number
+    except OSError as error:
+        raise OperateError(f"{file}: cannot be read: {error.strerror}") from error
+    except AdmissionError as error:
+        raise OperateError(f"{file}: {error}") from error
+    end_s = time.monotonic() + ADMITTED_WITHIN_S
+    while True:
+        session.send_admission_list(data)
+        time.sleep(ADMIT_EVERY_S)
+        statuses = session.newest()
+        good = all(_holds(statuses.get(i), number) for i in ids)
+        if good or time.monotonic() > end_s:
+            break
+    _print([_admission_line(i, statuses.get(i), number) for i in ids])
     return EXIT_ALL if good else EXIT_SOME
 
 
-def _command(session: FleetSession, request: FleetRequest, sender: Sender, endpoints: Sequence[str]) -> int:
-    sent = sender.send(request)
+def _holds(status: Status | None, number: int) -> bool:
+    return status is not None and status.network.admission is not None and status.network.admission >= number
+
+
+def _admission_line(vehicle_id: int, status: Status | None, number: int) -> str:
+    if status is None:
+        return f"vehicle {vehicle_id:<3} {AnswerKind.MISSING}  no report"
+    held = status.network.admission
+    kind = AnswerKind.ACCEPTED if _holds(status, number) else AnswerKind.MISSING
+    return f"vehicle {vehicle_id:<3} {kind}  holds list {'none' if held is None else held}, sent was {number}"
+
+
+def _command(session: FleetSession, request: FleetRequest, commands: Commands, endpoints: Sequence[str]) -> int:
+    sent = commands.send(request.action)
     missing = any(outcome.kind is AnswerKind.MISSING for outcome in sent.outcomes.values())
     failed_endpoints = unreachable(endpoints, session.linked()) if missing else {}
     if not request.as_json:
@@ -141,7 +181,7 @@ def _command(session: FleetSession, request: FleetRequest, sender: Sender, endpo
 def _waited(session: FleetSession, request: FleetRequest, sent: Sent, goal: Goal) -> Sent:
     """Progress goes to standard error, the result to standard output."""
     timeout_s = request.timeout_s or goal.timeout_s
-    outcomes = wait_for(goal, sent.outcomes, session, timeout_s, _show_progress)
+    outcomes = wait_for(goal, sent.outcomes, session.newest, timeout_s, _show_progress)
     if not request.as_json:
         _print(end_lines(outcomes, goal.text))
     return replace(sent, outcomes=outcomes)
@@ -160,40 +200,4 @@ def _print(lines: Sequence[str]) -> None:
 
 
 def _print_json(request: FleetRequest, vehicles: list[dict[str, Any]], **more: Any) -> None:
-    print(msgspec.json.encode({"action": request.action, **more, "vehicles": vehicles}).decode())
-
-
-AGAIN_S = 1.0
-ADMITTED_WITHIN_S = 10.0  # agents look for a list every 2 s
-
-
-def admit(session: FleetSession, identity: Identity, file: Path, ids: Sequence[int]) -> tuple[list[str], bool]:
-    """One line for each vehicle, and whether all hold the list. Raises OperateError for a file that is none."""
-    try:
-        data, _ = read_regular(file, MAX_LIST_BYTES)
-        admitted = verify(data, identity.authority)
-    except OSError as error:
-        raise OperateError(f"{file}: cannot be read: {error.strerror}") from error
-    except AdmissionError as error:
-        raise OperateError(f"{file}: {error}") from error
-    end_s = time.monotonic() + ADMITTED_WITHIN_S
-    while time.monotonic() < end_s:
-        session.send_admission_list(data)
-        time.sleep(AGAIN_S)
-        if all(_holds(session.newest().get(i), admitted.number) for i in ids):
-            break
-    statuses = session.newest()
-    lines = [_line(i, statuses.get(i), admitted.number) for i in ids]
-    return lines, all(_holds(statuses.get(i), admitted.number) for i in ids)
-
-
-def _holds(status: Status | None, number: int) -> bool:
-    return status is not None and status.network.admission is not None and status.network.admission >= number
-
-
-def _line(vehicle_id: int, status: Status | None, number: int) -> str:
-    if status is None:
-        return f"vehicle {vehicle_id:<3} {AnswerKind.MISSING}  no report"
-    held = status.network.admission
-    kind = AnswerKind.ACCEPTED if _holds(status, number) else AnswerKind.MISSING
-    return f"vehicle {vehicle_id:<3} {kind}  holds list {'none' if held is None else held}, sent was {number}"
+    print(msgspec.json.encode({"action": request.action.name, **more, "vehicles": vehicles}).decode())

@@ -8,6 +8,7 @@ from typing import Any
 
 import msgspec
 
+from companion.config.fleet import FleetConfig
 from companion.ground.answers import AnswerKind, wrapped
 from companion.ground.fleet_state import formation_text, reference_text
 from companion.types.flight import BATTERY_FLAGS, FLAG_TEXTS, HealthFlag, Role
@@ -125,6 +126,13 @@ class Check:
     @property
     def passed(self) -> bool:
         return not self.codes
+
+
+def readiness_of(statuses: Mapping[int, Status], fleet: FleetConfig) -> dict[int, tuple[Check, ...]]:
+    """All checks of each vehicle that reports; `fleet` is that of the file on the ground."""
+    ids, own_hash = [member.id for member in fleet.vehicles], fleet.formation_hash()
+    leader = leader_check(statuses, ids)
+    return {i: (*checks_of(status, ids, own_hash), leader) for i, status in statuses.items()}
 
 
 def checks_of(status: Status, fleet_ids: Collection[int], formation_hash: int) -> tuple[Check, ...]:

@@ -155,13 +155,6 @@ class FleetSession(GroundConnection):
                 i: status for i, (received_s, status) in self._newest.items() if now_s - received_s < SILENT_AFTER_S
             }
 
-    def statuses(self, vehicle_ids: Iterable[int], timeout_s: float) -> dict[int, Status]:
-        """Status of these vehicles when all have reported, or of those that have after `timeout_s`."""
-        wanted, deadline_s = set(vehicle_ids), time.monotonic() + timeout_s
-        while not wanted <= (reports := self.newest()).keys() and time.monotonic() < deadline_s:
-            time.sleep(POLL_S)
-        return {i: reports[i] for i in sorted(wanted & reports.keys())}
-
     def command(
         self,
         vehicle_ids: Iterable[int],

@@ -20,14 +20,13 @@ from companion.config.reference_check import reference_problems
 from companion.config.values import PositionM
 from companion.geometry.formations import closest_approach, counted, turned_slot
 from companion.ground.changes import (
-    FleetRequest,
+    FleetAction,
     FormationRequest,
     ReferenceRequest,
     change_to,
-    check_reports,
     refusal_of,
-    requested_reference,
     requested_slots,
+    wanted_reference,
 )
 from companion.monitor.api import CommandRequest, PathView, Preview
 from companion.types.errors import CompanionError
@@ -67,7 +66,7 @@ class FormationContent(_Content, frozen=True):
     slots_enu_m: dict[VehicleId, PositionM] | None = None
 
 
-def fleet_request(request: CommandRequest, fleet: FleetConfig) -> FleetRequest:
+def fleet_action(request: CommandRequest, fleet: FleetConfig) -> FleetAction:
     """Raises RequestError."""
     if request.fleet != fleet.name:
         raise RequestError(f"fleet: {request.fleet!r} is not commanded here; expected {fleet.name!r}")
@@ -90,19 +89,8 @@ def fleet_request(request: CommandRequest, fleet: FleetConfig) -> FleetRequest:
             formation = formation_request(_content(request.content, FormationContent), fleet)
         case "reference":
             reference = ReferenceRequest(None, {}, (), reference_of(request.content))
-    return FleetRequest(
-        action=request.name,
-        fleet=REQUEST,
-        connect=(),
-        operator="",
-        only=() if request.name in CHANGES else request.vehicle_ids,
-        wait_s=WAIT_S,
-        as_json=False,
-        wait=False,
-        leaders=leaders,
-        formation=formation,
-        reference=reference,
-    )
+    only = () if request.name in CHANGES else request.vehicle_ids
+    return FleetAction(request.name, only, leaders, formation, reference)
 
 
 def _check_ids(field: str, ids: tuple[int, ...], known: list[int]) -> None:
@@ -153,7 +141,7 @@ def _one_line(error: ConfigError) -> str:
 TRACK_POINTS = 400
 
 
-def preview_of(wanted: FleetRequest, fleet: FleetConfig, statuses: Mapping[int, Status]) -> Preview:
+def preview_of(wanted: FleetAction, fleet: FleetConfig, statuses: Mapping[int, Status]) -> Preview:
     """Of a request with a formation or a reference. Raises ConfigError."""
     silent = [str(member.id) for member in fleet.vehicles if member.id not in statuses]
     if wanted.formation:
@@ -161,10 +149,7 @@ def preview_of(wanted: FleetRequest, fleet: FleetConfig, statuses: Mapping[int, 
             return Preview(refused=f"no report of vehicle {', '.join(silent)}; all vehicles get new slots")
         return _formation(wanted.formation, fleet, [statuses[member.id] for member in fleet.vehicles])
     assert wanted.reference is not None
-    check_reports("reference", statuses.values())
-    flown = [status.reference_enu_m for status in statuses.values() if status.reference_enu_m]
-    reference = requested_reference(wanted.reference, flown[0] if flown else None)
-    return _reference(reference, fleet, list(statuses.values()))
+    return _reference(wanted_reference(wanted.reference, statuses.values()), fleet, list(statuses.values()))
 
 
 def _formation(request: FormationRequest, fleet: FleetConfig, statuses: Sequence[Status]) -> Preview:

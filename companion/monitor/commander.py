@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Literal, Protocol, TypeVar
@@ -11,12 +10,12 @@ from typing import Literal, Protocol, TypeVar
 from companion.config.file import ConfigError
 from companion.config.fleet import FleetConfig
 from companion.ground.answers import Answer, AnswerKind, Outcome, id_list, outcome_of
-from companion.ground.changes import FleetRequest
-from companion.ground.commands import OperateError, Sender, check_content
+from companion.ground.changes import FleetAction
+from companion.ground.commands import Commands, OperateError, check_content
 from companion.ground.fleet_state import SILENT_AFTER_S
 from companion.ground.goals import divided
-from companion.ground.reports import Check, checks_of, leader_check, no_report
-from companion.ground.session import POLL_S, FleetSession
+from companion.ground.reports import Check, no_report, readiness_of
+from companion.ground.session import FleetSession
 from companion.monitor.api import AnswerView, CommandRequest, CommandResult, Preview
 from companion.monitor.command_requests import (
     ABORT,
@@ -25,7 +24,7 @@ from companion.monitor.command_requests import (
     LAND,
     WAIT_S,
     RequestError,
-    fleet_request,
+    fleet_action,
     preview_of,
 )
 from companion.types.commands import CommandName, Content
@@ -67,7 +66,7 @@ class Commander:
         Refused while another command is being sent; ABORT, hold and land end that one instead. Only ABORT is never ended.
         """
         try:
-            wanted = fleet_request(request, self._fleet)
+            wanted = fleet_action(request, self._fleet)
         except RequestError as error:
             return CommandResult(request.name, (), error=_one_line(error))
         ids = sorted(set(wanted.only)) or [member.id for member in self._fleet.vehicles]
@@ -104,19 +103,19 @@ class Commander:
             if one.ids & urgent.ids and not one.is_checked:
                 await one.left.wait()
 
-    async def _send(self, wanted: FleetRequest, running: Running, threads: ThreadPoolExecutor) -> CommandResult:
+    async def _send(self, wanted: FleetAction, running: Running, threads: ThreadPoolExecutor) -> CommandResult:
         """In one of these threads."""
         ids = sorted(running.ids)
-        self._log_command(wanted.action, ids, wanted)
+        self._log_command(wanted.name, ids, wanted)
         session = UntilEnded(self._session, running)
         try:
             await self._check(wanted, running)
-            result = await self._in_thread(threads, lambda: self._sent(session, wanted, ids))
+            result = await self._in_thread(threads, lambda: self._sent(session, wanted))
         except REFUSALS as error:
-            result = CommandResult(wanted.action, (), error=_one_line(error))
+            result = CommandResult(wanted.name, (), error=_one_line(error))
         return self._logged(result)
 
-    async def _check(self, wanted: FleetRequest, running: Running) -> None:
+    async def _check(self, wanted: FleetAction, running: Running) -> None:
         """Of the content, before anything is sent. Raises ConfigError and OperateError."""
         if wanted.formation:  # with scipy, which takes seconds to load: neither the event loop nor hold waits for it
             running.is_checked = True
@@ -128,42 +127,34 @@ class Commander:
     async def preview(self, request: CommandRequest) -> Preview:
         """What `formation` or `reference` would do. Nothing is sent."""
         try:
-            wanted = fleet_request(request, self._fleet)
+            wanted = fleet_action(request, self._fleet)
             if not (wanted.formation or wanted.reference):
                 raise RequestError("name: expected formation or reference; other commands have no preview")
             return await self._in_thread(self._preview_threads, lambda: self._previewed(wanted))
         except (RequestError, *REFUSALS) as error:
             return Preview(refused=_one_line(error))
 
-    def _previewed(self, wanted: FleetRequest) -> Preview:
+    def _previewed(self, wanted: FleetAction) -> Preview:
         check_content(wanted, self._fleet)
         return preview_of(wanted, self._fleet, self._session.newest())
 
     async def _in_thread(self, threads: ThreadPoolExecutor, work: Callable[[], T]) -> T:
         return await asyncio.get_running_loop().run_in_executor(threads, work)
 
-    def _sent(self, session: UntilEnded, wanted: FleetRequest, ids: list[int]) -> CommandResult:
+    def _sent(self, session: UntilEnded, wanted: FleetAction) -> CommandResult:
         try:
-            sent = Sender(session, self._fleet, wanted, ids).send(wanted)
+            sent = Commands(session, self._fleet, WAIT_S).send(wanted)
         except EndedError as error:
-            return CommandResult(wanted.action, _views(session.outcomes()), error=str(error))
+            return CommandResult(wanted.name, _views(session.outcomes()), error=str(error))
         advice = divided(sent.name, sent.outcomes)
-        return CommandResult(wanted.action, _views(sent.outcomes), str(advice) if advice else "")
+        return CommandResult(wanted.name, _views(sent.outcomes), str(advice) if advice else "")
 
     def _doctor(self, ids: list[int]) -> CommandResult:
         """The checks before flight; no command is sent."""
-        statuses, every = self._session.newest(), [member.id for member in self._fleet.vehicles]
-        own_hash, leader = self._fleet.formation_hash(), leader_check(statuses, every)
-        answers = []
-        for i in ids:
-            if (status := statuses.get(i)) is None:
-                notice = no_report(SILENT_AFTER_S)
-                answers.append(AnswerView(i, AnswerKind.MISSING, notice.code, notice.text, None))
-                continue
-            answers.append(readiness_view(i, (*checks_of(status, every, own_hash), leader)))
-        return CommandResult(DOCTOR, tuple(answers))
+        checks = readiness_of(self._session.newest(), self._fleet)
+        return CommandResult(DOCTOR, tuple(readiness_view(i, checks.get(i)) for i in ids))
 
-    def _log_command(self, name: str, ids: list[int], wanted: FleetRequest) -> None:
+    def _log_command(self, name: str, ids: list[int], wanted: FleetAction) -> None:
         details = f" {', '.join(map(str, wanted.leaders))}" if wanted.leaders else ""
         if wanted.formation and wanted.formation.shape:
             details = f" {wanted.formation.shape}, {wanted.formation.spacing_m:g} m"
@@ -186,8 +177,11 @@ class Commander:
             threads.shutdown(wait=False, cancel_futures=True)
 
 
-def readiness_view(vehicle_id: int, checks: Sequence[Check]) -> AnswerView:
-    """What the checks of one vehicle found; warnings keep none from flying."""
+def readiness_view(vehicle_id: int, checks: Sequence[Check] | None) -> AnswerView:
+    """What the checks of one vehicle found, None without a report; warnings keep none from flying."""
+    if checks is None:
+        notice = no_report(SILENT_AFTER_S)
+        return AnswerView(vehicle_id, AnswerKind.MISSING, notice.code, notice.text, None)
     failed = [check for check in checks if not check.passed]
     warned = [check for check in checks if check.passed and check.warnings]
     kind = NOT_READY if failed else WITH_WARNINGS if warned else READY
@@ -229,7 +223,7 @@ class EndedError(CompanionError):
 
 
 class UntilEnded:
-    """A session for a Sender: after the command has ended each call raises EndedError."""
+    """A session of one command: after its end each call raises EndedError."""
 
     def __init__(self, session: FleetSession, running: Running) -> None:
         self._session = session
@@ -249,14 +243,8 @@ class UntilEnded:
         self._check()
         return self._session.newest()
 
-    def statuses(self, vehicle_ids: Iterable[int], timeout_s: float) -> dict[int, Status]:
-        wanted, deadline_s = set(vehicle_ids), time.monotonic() + timeout_s
-        while not wanted <= (reports := self.newest()).keys() and time.monotonic() < deadline_s:
-            time.sleep(POLL_S)
-        return {i: reports[i] for i in sorted(wanted & reports.keys())}
-
     def ask(
-        self, vehicle_ids: Iterable[int], name: CommandName, timeout_s: float, content: Content | None
+        self, vehicle_ids: Iterable[int], name: CommandName, timeout_s: float, content: Content | None = None
     ) -> dict[int, Answer | None]:
         self._check()
         answers = self._session.ask(vehicle_ids, name, timeout_s, content, lambda: bool(self._running.ended_by))

@@ -5,25 +5,18 @@ Session and clock are arguments: Zenoh and the machine's clock, or a world in vi
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from typing import Protocol
 
+from companion.ground.commands import Clock, CommandSession
 from companion.types.autopilot import LandedState
 from companion.types.commands import CommandName
 from companion.types.flight import ON_GROUND, RULES, FlightPhase, Role
 from companion.types.status import Status
+from companion.wire.messages import StatusReport
 from sitl.flight.external import READY_WITHIN_S, Readiness, armed_already
-from sitl.flight.orders import (
-    REPEAT_S,
-    REPLY_WITHIN_S,
-    Clock,
-    FlightFailure,
-    Refusal,
-    Session,
-    newest_report,
-    order_of,
-)
+from sitl.flight.orders import REPEAT_S, REPLY_WITHIN_S, FlightFailure, Order, Refusal, newest_report
 from sitl.flight.scenario import TO_ALL, TimelineStep
 from sitl.flight.watch import SILENT_S, FlightWatch, vehicles_in_words
 from sitl.report.progress import FlightProgress
@@ -34,14 +27,11 @@ LISTEN_S = 0.3  # three reports of every vehicle
 GROUND_PHASES = frozenset({FlightPhase.OBSERVE, FlightPhase.PREPARE, FlightPhase.READY})
 
 
-class MachineClock:
-    """The machine's monotonic clock."""
+class DirectedSession(CommandSession, Protocol):
+    """Commands and reports of the vehicles: `companion.ground.session.FleetSession` is one, a `Lockstep` another."""
 
-    def now_s(self) -> float:
-        return time.monotonic()
-
-    def sleep(self, seconds: float) -> None:
-        time.sleep(seconds)
+    def drain(self) -> list[StatusReport]:
+        """All reports since the last call, oldest first."""
 
 
 class Director:
@@ -53,7 +43,7 @@ class Director:
 
     def __init__(
         self,
-        session: Session,
+        session: DirectedSession,
         watch: FlightWatch,
         progress: FlightProgress,
         check: Callable[[], None],
@@ -76,7 +66,7 @@ class Director:
             while not readiness.is_reached(self._watch.status, self._clock.now_s()):
                 self._progress.remark(readiness.lacking)
                 self._pass()
-                if armed := armed_already(self._statuses()):
+                if armed := armed_already(self._watch.statuses()):
                     raise FlightFailure(armed)
                 if self._clock.now_s() > began_s + READY_WITHIN_S:
                     raise FlightFailure(f"not ready within {READY_WITHIN_S:g} s: {readiness.lacking}")
@@ -116,16 +106,16 @@ class Director:
                     self._watch.end_formation(self._clock.now_s())
                 if step.may_fail:
                     self._try(step)
-                    phases |= {status.vehicle_id: status.phase for status in self._statuses()}
+                    phases |= {status.vehicle_id: status.phase for status in self._watch.statuses()}
                     continue
-                order_of(self._session, self._watch, step, self._clock).carry_out(self._pass)
+                Order(self._session, self._watch, step, self._clock).carry_out(self._pass)
                 if step.command not in TO_ALL:
                     phases |= dict.fromkeys(step.vehicles or self._watch.vehicle_ids, RULES[step.command].to)
                 self._stay(name, step, phases)
 
     def _try(self, step: TimelineStep) -> None:
         """A step that may fail: refusals are recorded, and its time passes whatever the vehicles do."""
-        self.refusals += order_of(self._session, self._watch, step, self._clock).attempt(self._pass)
+        self.refusals += Order(self._session, self._watch, step, self._clock).attempt(self._pass)
         if step.command is CommandName.FORM and self._leaders_formed():
             self._watch.begin_formation()
         self._pass_until(self._clock.now_s() + step.for_s)
@@ -139,7 +129,7 @@ class Director:
             self._watch.end_formation(self._clock.now_s())
 
     def _leaders_formed(self) -> bool:
-        leads = [status.phase for status in self._statuses() if status.role is Role.LEADER]
+        leads = [status.phase for status in self._watch.statuses() if status.role is Role.LEADER]
         return bool(leads) and set(leads) == {FlightPhase.FORMATION}
 
     def _wait_until(self, step: TimelineStep, name: str, phases: Mapping[int, FlightPhase]) -> None:
@@ -169,7 +159,7 @@ class Director:
         """Wait. Raises FlightFailure for a vehicle that leaves its phase, or flies and reports nothing."""
         while self._clock.now_s() < until_s:
             self._pass()
-            for status in self._statuses():
+            for status in self._watch.statuses():
                 if status.phase is not phases[status.vehicle_id]:
                     left = phases[status.vehicle_id]
                     raise FlightFailure(f"vehicle {status.vehicle_id} left phase {left}: {newest_report(status)}")
@@ -190,10 +180,6 @@ class Director:
         if self._progress.is_due():
             self._progress.show(self._watch.rows(now_s), now_s)
 
-    def _statuses(self) -> list[Status]:
-        found = (self._watch.status(vehicle_id) for vehicle_id in self._watch.vehicle_ids)
-        return [status for status in found if status]
-
     def land_all(self) -> str | None:
         """Land all flying vehicles, from any phase, except silent and lost ones. Returns in one line which still fly."""
         began_s = self._clock.now_s()
@@ -211,7 +197,7 @@ class Director:
             for name in (CommandName.LAND, CommandName.DISARM):
                 ids = [s.vehicle_id for s in up if _landing_command(s) is name]
                 if ids:
-                    self._session.command(ids, name, REPLY_WITHIN_S)
+                    self._session.ask(ids, name, REPLY_WITHIN_S)
             next_command_s = now_s + REPEAT_S
         up = self._still_up(self._clock.now_s())
         return (
@@ -222,7 +208,9 @@ class Director:
 
     def _still_up(self, now_s: float) -> list[Status]:
         reporting = {row.vehicle_id for row in self._watch.rows(now_s) if not row.silent} - set(self._lost())
-        return [s for s in self._statuses() if s.vehicle_id in reporting and (s.armed or s.phase not in GROUND_PHASES)]
+        return [
+            s for s in self._watch.statuses() if s.vehicle_id in reporting and (s.armed or s.phase not in GROUND_PHASES)
+        ]
 
 
 def _landing_command(status: Status) -> CommandName | None:

@@ -10,10 +10,11 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from companion.config.file import ConfigError
+from companion.ground.commands import MACHINE_CLOCK
 from companion.ground.session import FleetSession
 from companion.types.commands import CommandName
 from companion.types.errors import EXIT_DONE, EXIT_FAILED
-from sitl.flight.director import Director, MachineClock
+from sitl.flight.director import Director
 from sitl.flight.external import ReachedVehicle, Readiness, load_external, vehicles_of
 from sitl.flight.files import estimated_path, ids_of, truth_path
 from sitl.flight.flights import FlightResult, FlyOnce, run_flights, write_results
@@ -133,7 +134,7 @@ class _Flight:
                 def not_to_be_landed() -> set[int]:
                     return fleet.lost_vehicles() | (self._watch.flown_by_others() if self._external else set())
 
-                director = Director(session, self._watch, self._progress, check, not_to_be_landed, MachineClock())
+                director = Director(session, self._watch, self._progress, check, not_to_be_landed, MACHINE_CLOCK)
                 failures = director.wait_for(Readiness(self._scenario)) if self._external else []
                 failures = failures or director.fly_and_land(self._scenario.timeline)
                 if self._external:
@@ -197,10 +198,10 @@ def _wait_and_land(
                     progress.remark(ending)
                 targets.update(time.monotonic())
 
-            director = Director(session, watch, progress, update, fleet.lost_vehicles, MachineClock())
+            director = Director(session, watch, progress, update, fleet.lost_vehicles, MACHINE_CLOCK)
             print(_how_to(scenario, folder, offset), flush=True)
             director.attend(lambda: stop.number is not None)
-            session.command(set(ids) - fleet.lost_vehicles(), CommandName.TAKE, REPLY_WITHIN_S)
+            session.ask(set(ids) - fleet.lost_vehicles(), CommandName.TAKE, REPLY_WITHIN_S)
             if still_up := director.land_all():
                 failures.append(still_up)
         lost = fleet.lost_vehicles()

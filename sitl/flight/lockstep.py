@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from companion.assembly import build_agent
 from companion.config.vehicle import AgentConfig
 from companion.core.agent import Agent
+from companion.ground.answers import Answer
 from companion.mavlink.autopilot_types import DIALECTS
 from companion.recording.recorder import recorder_of
 from companion.recording.records import TimingRecord
@@ -20,6 +21,7 @@ from companion.recording.writing import WritingAtOnce
 from companion.types.autopilot import AutopilotMode
 from companion.types.commands import Command, CommandName, CommandReply, Content
 from companion.types.peers import ReceivedTarget, TargetSample
+from companion.types.status import Status
 from companion.types.tick import Inbox, Outbox
 from companion.types.values import Vector3
 from companion.wire.messages import Percentiles, StatusReport, Timing
@@ -131,6 +133,8 @@ NOT_TIMED = Timing(0.0, 0, 0, _NONE, _NONE, 0.0, 0.0)  # in virtual time no tick
 class Lockstep:
     """A whole fleet; for the director it is both session and clock. The result depends on the scenario alone."""
 
+    operator = OPERATOR
+
     def __init__(self, scenario: Scenario, recordings: Path | None = None) -> None:
         """With `recordings` every agent records into that folder, with virtual times."""
         ids = ids_of(scenario)
@@ -164,13 +168,13 @@ class Lockstep:
         self._reports.clear()
         return reports
 
-    def command(
-        self,
-        vehicle_ids: Iterable[int],
-        name: CommandName,
-        timeout_s: float,
-        content: Content | None = None,
-    ) -> dict[int, CommandReply | None]:
+    def newest(self) -> dict[int, Status]:
+        """The newest status of each vehicle that ever reported."""
+        return {i: vehicle.status for i, vehicle in self._vehicles.items() if vehicle.status}
+
+    def ask(
+        self, vehicle_ids: Iterable[int], name: CommandName, timeout_s: float, content: Content | None = None
+    ) -> dict[int, Answer | None]:
         """Give one command to these vehicles and advance the world until all have answered or `timeout_s` has passed.
 
         A vehicle that has not reported yet gets none, for lack of its session, and is waited for until it reports.
@@ -179,13 +183,14 @@ class Lockstep:
         number, asked = self._commands_given, [self._vehicles[vehicle_id] for vehicle_id in vehicle_ids]
         given = [vehicle for vehicle in asked if vehicle.session]
         for vehicle in given:
-            vehicle.give(Command(name, number, OPERATOR, vehicle.session, content))
-        deadline_s = self.now_s() + timeout_s
-        while self.now_s() < deadline_s and (
+            vehicle.give(Command(name, number, self.operator, vehicle.session, content))
+        given_s = self.now_s()
+        while self.now_s() < given_s + timeout_s and (
             any(vehicle.reply_to(number) is None for vehicle in given) or not all(vehicle.session for vehicle in asked)
         ):
             self._step()
-        return {vehicle.vehicle_id: vehicle.reply_to(number) for vehicle in asked}
+        replies = {vehicle.vehicle_id: vehicle.reply_to(number) for vehicle in asked}
+        return {i: Answer(reply, self.now_s() - given_s) if reply else None for i, reply in replies.items()}
 
     def publish_target(self, name: str, velocity_enu_m_s: Vector3, position_enu_m: Vector3 | None = None) -> None:
         """A sample of a moving target, received by all vehicles at once."""
@@ -233,6 +238,7 @@ class VirtualAgent:
         self._targets: tuple[tuple[str, TargetSample], ...] = ()
         self._reply: CommandReply | None = None  # the last
         self._distant_ids: tuple[int, ...] = ()
+        self.status: Status | None = None  # the newest
         self.session = 0  # of the agent, from its status; 0 before the first
 
     def give(self, command: Command) -> None:
@@ -300,7 +306,7 @@ class VirtualAgent:
             self._distant_ids = outbox.distant_ids
             self._network.receive_slowly(self.vehicle_id, outbox.distant_ids, now_s)
         if outbox.status:
-            self.session = outbox.status.session
+            self.status, self.session = outbox.status, outbox.status.session
             self._reports.append(StatusReport(outbox.status, NOT_TIMED))
 
 

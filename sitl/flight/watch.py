@@ -8,9 +8,9 @@ from collections.abc import Collection, Mapping
 from companion.core.consensus.law import FormationState
 from companion.core.reference.blend import ReferenceTrajectory
 from companion.geometry.formations import turned_slot
+from companion.ground.answers import Answer
 from companion.ground.fleet_state import FleetState, VehicleRow, fold, rows
 from companion.types.autopilot import LandedState
-from companion.types.commands import CommandReply
 from companion.types.flight import FlightPhase, Role
 from companion.types.status import Status
 from companion.types.values import ZERO3, Vector3
@@ -111,18 +111,18 @@ class FlightWatch:
         return {i: reported_track(i, slots) for i, slots in self._slots.items()}
 
     def note_answers(
-        self, given_s: float, now_s: float, step: TimelineStep, replies: Mapping[int, CommandReply | None]
+        self, given_s: float, now_s: float, step: TimelineStep, answers: Mapping[int, Answer | None]
     ) -> None:
         """Record the answers to a step's command given at `given_s`, unless an agent has not started yet."""
-        if any(self.status(vehicle_id) is None for vehicle_id in replies):
+        if any(self.status(vehicle_id) is None for vehicle_id in answers):
             return
         self.commands.append(
             CommandGiven(
                 time_s=round(given_s - self.began_s, 3),
                 command=step.command,
                 in_words=step.in_words(),
-                vehicles=sorted(replies),
-                answered_in_s=round(now_s - given_s, 3) if all(replies.values()) else None,
+                vehicles=sorted(answers),
+                answered_in_s=round(now_s - given_s, 3) if all(answers.values()) else None,
             )
         )
 
@@ -183,6 +183,10 @@ class FlightWatch:
 
     def status(self, vehicle_id: int) -> Status | None:
         return self._statuses.get(vehicle_id)
+
+    def statuses(self) -> list[Status]:
+        """The newest status of each vehicle that ever reported, by id."""
+        return [status for i in self.vehicle_ids if (status := self.status(i))]
 
     def is_armed(self, vehicle_id: int) -> bool:
         """By its newest status."""

@@ -8,12 +8,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from companion.ground.commands import MACHINE_CLOCK
 from companion.ground.session import FleetSession
 from companion.recording.reader import recordings
 from companion.recording.records import INBOX, TIMING, TimingRecord
 from companion.security.identity import Identity
 from companion.types.autopilot import PositionSample
-from sitl.flight.director import Director, MachineClock
+from sitl.flight.director import Director
 from sitl.flight.files import ids_of, write_files
 from sitl.flight.orders import FlightFailure
 from sitl.flight.processes import FleetProcesses, stand_ins_together
@@ -86,7 +87,7 @@ class RealFlight:
                     if self.watch.is_in_formation:
                         self._observe(pids, self.watch, time.monotonic())
 
-                director = Director(session, self.watch, progress, check, fleet.lost_vehicles, MachineClock())
+                director = Director(session, self.watch, progress, check, fleet.lost_vehicles, MACHINE_CLOCK)
                 failures = director.fly_and_land(scenario.timeline)
             return failures + fleet.stop_all()
 

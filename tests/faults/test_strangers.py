@@ -18,6 +18,7 @@ from pathlib import Path
 import pytest
 import zenoh
 
+from companion.ground.commands import statuses_of
 from companion.ground.session import FleetSession
 from companion.security.provisioning import revoke
 from companion.types.commands import CommandName
@@ -153,7 +154,7 @@ def test_a_flood_from_inside_displaces_nothing(flying: Undisturbed, row: FaultRo
 def test_a_revoked_ground_is_not_obeyed(flying: Undisturbed, row: FaultRow) -> None:
     fleet = flying.fleet
     with FleetSession("*", fleet.endpoints(), identity=fleet.identity("ground-ben")) as ben:
-        assert len(ben.statuses(IDS, NEW_SESSION_WITHIN_S)) == len(IDS)
+        assert len(statuses_of(ben.newest, IDS, NEW_SESSION_WITHIN_S)) == len(IDS)
         revoke(fleet.keys, ["ground-ben"], datetime.now(UTC))
         data = (fleet.keys / "authority" / "admitted.json").read_bytes()
         number = max(status.network.admission or 0 for status in fleet.ground.newest.values())
@@ -195,7 +196,7 @@ def test_failing_handshakes_keep_only_new_sessions_out(flying: Undisturbed, row:
     # Zenoh 1.10 accepts one connection after the other and pauses 0.1 s after each that failed.
     began_s = time.monotonic()
     with FleetSession("*", fleet.endpoints(), identity=fleet.identity("monitor-tower")) as tower:
-        assert len(tower.statuses(IDS, NEW_SESSION_WITHIN_S)) == len(IDS)
+        assert len(statuses_of(tower.newest, IDS, NEW_SESSION_WITHIN_S)) == len(IDS)
     row.measured.append(f"a new session {time.monotonic() - began_s:.1f} s after its end")
 
 

@@ -14,6 +14,7 @@ import yaml
 import zenoh
 
 from companion.cli.main import main
+from companion.ground.commands import statuses_of
 from companion.ground.session import FleetSession
 from companion.link.fleet.zenoh_session import open_session
 from companion.types.commands import Command, CommandName, CommandReply
@@ -82,7 +83,7 @@ class Ground:
         with FleetSession("commanded", self.endpoints) as session:
             end_s = time.monotonic() + 60.0
             while True:
-                statuses = session.statuses(ALL, 10.0)
+                statuses = statuses_of(session.newest, ALL, 10.0)
                 if len(statuses) == len(ALL) and all(s.phase is phase and condition(s) for s in statuses.values()):
                     return
                 assert time.monotonic() < end_s, statuses
@@ -194,7 +195,7 @@ def test_a_recorded_command_has_no_effect(ground: Ground) -> None:
         FleetSession("commanded", ground.endpoints) as session,
         closing(open_session((), ground.endpoints)) as network,
     ):
-        status = session.statuses([2], 10.0)[2]
+        status = statuses_of(session.newest, [2], 10.0)[2]
         received = network.declare_subscriber(reply_key("commanded", 2), zenoh.handlers.RingChannel(100))
         time.sleep(0.5)  # until the vehicle knows of the subscriber
 

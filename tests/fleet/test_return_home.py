@@ -14,6 +14,7 @@ import pytest
 import yaml
 
 from companion.cli.main import main
+from companion.ground.commands import statuses_of
 from companion.ground.session import FleetSession
 from companion.types.flight import FlightPhase
 from companion.types.status import Status
@@ -47,7 +48,7 @@ def wait(session: FleetSession, condition: Callable[[Status], bool], ids: Collec
     """Until the condition holds for all these vehicles."""
     end_s = time.monotonic() + 60.0
     while True:
-        statuses = session.statuses(ids, 10.0)
+        statuses = statuses_of(session.newest, ids, 10.0)
         if len(statuses) == len(ids) and all(map(condition, statuses.values())):
             return
         assert time.monotonic() < end_s, statuses

@@ -14,6 +14,8 @@ import pytest
 from msgspec.structs import replace
 
 from companion.config.vehicle import ZenohEndpoints
+from companion.ground.answers import Answer
+from companion.ground.commands import MACHINE_CLOCK
 from companion.ground.fleet_state import FleetState, VehicleRow, fold, rows
 from companion.link.fleet.zenoh_link import ZenohLink
 from companion.types.autopilot import LandedState, PositionError
@@ -26,7 +28,7 @@ from companion.types.status import NearestVehicle, SeparationReport, Status
 from companion.types.tick import Outbox
 from companion.wire.messages import Percentiles, StatusReport, Timing
 from companion.wire.rounding import as_sent
-from sitl.flight.director import Director, MachineClock
+from sitl.flight.director import Director
 from sitl.flight.orders import FlightFailure
 from sitl.flight.scenario import TimelineStep
 from sitl.flight.watch import FlightWatch
@@ -177,7 +179,18 @@ class DirectedVehicles:
         self.references: list[ReferenceChange] = []
         self._due: dict[int, tuple[float, CommandName]] = {}
 
-    def command(
+    operator = "anna@ground"
+
+    def newest(self) -> dict[int, Status]:
+        return self.statuses
+
+    def ask(
+        self, vehicle_ids: Iterable[int], name: CommandName, timeout_s: float, content: Content | None = None
+    ) -> dict[int, Answer | None]:
+        replies = self._replies(vehicle_ids, name, timeout_s, content)
+        return {i: Answer(reply, 0.0) if reply else None for i, reply in replies.items()}
+
+    def _replies(
         self, ids: Iterable[int], name: CommandName, timeout_s: float, content: Content | None = None
     ) -> dict[int, CommandReply | None]:
         assert timeout_s > 0
@@ -260,7 +273,7 @@ class DirectedFlight:
             FlightProgress("pair", False, self.watch.began_s, self.shown),
             self._check,
             lambda: self.lost,
-            MachineClock(),
+            MACHINE_CLOCK,
         )
 
     def _check(self) -> None:

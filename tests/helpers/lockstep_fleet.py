@@ -88,7 +88,8 @@ class CommandedFlight:
         assert all(reply and reply.accepted for reply in replies.values()), replies
 
     def answers(self, name: CommandName, *ids: int, content: Content | None = None) -> dict[int, CommandReply | None]:
-        return self.lockstep.command(ids or ids_of(self.scenario), name, 1.0, content)
+        answers = self.lockstep.ask(ids or ids_of(self.scenario), name, 1.0, content)
+        return {i: answer.reply if answer else None for i, answer in answers.items()}
 
     def take_off_again(self, vehicle_id: int) -> None:
         """Bring a vehicle from the ground into hold."""
@@ -256,7 +257,8 @@ class EnteringFleet:
                 self.events.append((report.status.vehicle_id, event.text))
 
     def give(self, name: CommandName, *ids: int, content: Content | None = None) -> dict[int, CommandReply | None]:
-        return self.lockstep.command(ids or self.ids, name, 1.0, content)
+        answers = self.lockstep.ask(ids or self.ids, name, 1.0, content)
+        return {i: answer.reply if answer else None for i, answer in answers.items()}
 
     def accepted(self, name: CommandName, *ids: int, content: Content | None = None) -> bool:
         return all(reply and reply.accepted for reply in self.give(name, *ids, content=content).values())

@@ -214,13 +214,13 @@ def test_a_restarted_agent_has_a_new_session_and_nothing_that_came_before() -> N
         statuses = [report.status for report in lockstep.drain() if report.status.vehicle_id == 2]
         received[at_s] = {status.session for status in statuses}
         if at_s == 1.5:
-            reply = lockstep.command([2], CommandName.PREPARE, 0.01)[2]  # to the session that has ended
-            assert reply is None
+            answer = lockstep.ask([2], CommandName.PREPARE, 0.01)[2]  # to the session that has ended
+            assert answer is None
     assert received == {1.0: {1}, 1.5: set(), 2.0: {2}, 2.5: set(), 3.0: {3}}
     lockstep.sleep(1.0)  # a HEARTBEAT comes once a second
-    reply = lockstep.command([2], CommandName.PREPARE, 0.5)[2]
-    assert reply is not None
-    assert reply.accepted
+    answer = lockstep.ask([2], CommandName.PREPARE, 0.5)[2]
+    assert answer is not None
+    assert answer.reply.accepted
     statuses = [report.status for report in lockstep.drain() if report.status.vehicle_id == 2]
     assert statuses[-1].peers == (1, 3, 4, 5)
     assert statuses[-1].rejected == {}  # packets of the time without a process would be refused as late

@@ -200,7 +200,9 @@ def test_an_agent_restarted_in_flight_does_not_become_leader_again() -> None:
     config = AgentConfig(file, scenario.fleet, member)
     lockstep._vehicles[1]._agent = build_agent(config, session=2)
     lockstep.sleep(2.0)
-    assert getattr(lockstep.command([1], CommandName.HOLD, 1.0)[1], "accepted", False)
+    answer = lockstep.ask([1], CommandName.HOLD, 1.0)[1]
+    assert answer is not None
+    assert answer.reply.accepted
     lockstep.sleep(2.0)
     sent = [report.status for report in lockstep.drain()]
     newest = {status.vehicle_id: status for status in sent}
@@ -245,8 +247,8 @@ class FirstLap:
         self.newest()
 
     def give(self, name: CommandName, *ids: int, lead: Lead | None = None) -> None:
-        replies = self.lockstep.command(ids, name, 1.0, lead)
-        assert all(reply is not None and reply.accepted for reply in replies.values()), replies
+        answers = self.lockstep.ask(ids, name, 1.0, lead)
+        assert all(answer is not None and answer.reply.accepted for answer in answers.values()), answers
 
     def newest(self) -> dict[int, Status]:
         return {report.status.vehicle_id: report.status for report in self.lockstep.drain()}

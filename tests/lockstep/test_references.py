@@ -56,8 +56,8 @@ class Flight:
                 yield at_s, status
 
     def command(self, name: CommandName, *ids: int, content: Content | None = None) -> None:
-        replies = self.lockstep.command(ids, name, 1.0, content)
-        assert all(reply is not None and reply.accepted for reply in replies.values()), replies
+        answers = self.lockstep.ask(ids, name, 1.0, content)
+        assert all(answer is not None and answer.reply.accepted for answer in answers.values()), answers
 
     def listen(self) -> dict[int, Status]:
         for report in self.lockstep.drain():
@@ -129,9 +129,9 @@ def test_a_reference_change_needs_all_vehicles_that_may_lead() -> None:
     flight.lockstep.sleep(3.0)
     point = {"kind": "point", "point_enu_m": [1.0, 1.0, 2.0]}
     change = reference_change(point, list(flight.listen().values()))
-    reply = flight.lockstep.command([3], CommandName.REFERENCE, 1.0, change)[3]
-    assert reply is not None
-    assert outcome(reply) == (False, Code.REFERENCE_NOT_ALLOWED)
+    answer = flight.lockstep.ask([3], CommandName.REFERENCE, 1.0, change)[3]
+    assert answer is not None
+    assert outcome(answer.reply) == (False, Code.REFERENCE_NOT_ALLOWED)
     flight.command(CommandName.REFERENCE, 1, content=change)
     flight.lockstep.sleep(2.0)
     statuses = flight.listen()
@@ -175,13 +175,13 @@ def test_an_agent_restarted_in_flight_does_not_become_leader_without_the_referen
         flight.command(name, 2)
         flight.lockstep.sleep(2.0)
         assert flight.listen()[2].phase is phase
-    reply = flight.lockstep.command([2], CommandName.LEAD, 1.0, Lead((2,), 1))[2]
-    assert reply is not None
-    assert not reply.accepted
-    assert reply.code is Code.REFERENCE_DIFFERS
-    reply = flight.lockstep.command([2], CommandName.REFERENCE, 1.0, change)[2]
-    assert reply is not None
-    assert outcome(reply) == (True, Code.REFERENCE_ACCEPTED)
+    answer = flight.lockstep.ask([2], CommandName.LEAD, 1.0, Lead((2,), 1))[2]
+    assert answer is not None
+    assert not answer.reply.accepted
+    assert answer.reply.code is Code.REFERENCE_DIFFERS
+    answer = flight.lockstep.ask([2], CommandName.REFERENCE, 1.0, change)[2]
+    assert answer is not None
+    assert outcome(answer.reply) == (True, Code.REFERENCE_ACCEPTED)
     flight.command(CommandName.LEAD, 1, 2, 3, 4, content=Lead((2,), 1))
     flight.lockstep.sleep(8.0)
     status = flight.listen()[2]
@@ -212,7 +212,7 @@ def test_a_target_is_followed_over_a_leader_change_and_its_loss_ends_at_rest() -
 
     began_s = flight.lockstep.now_s()
     follow(flight, 15.0, walk)
-    flight.lockstep.command([1, 2, 3, 4], CommandName.LEAD, 1.0, Lead((2,), 1))
+    flight.lockstep.ask([1, 2, 3, 4], CommandName.LEAD, 1.0, Lead((2,), 1))
     follow(flight, 10.0, lambda t: walk(t + 15.0))
     for at_s, status in flight.led(began_s + 14.0):
         assert status.reference_enu_m is not None

@@ -175,7 +175,8 @@ def test_a_commanded_hold_does_not_end_in_landing() -> None:
     lockstep, watch = Lockstep(scenario), FlightWatch(ids_of(scenario), [1], 0.0)
     director = Director(lockstep, watch, FlightProgress("test", True, 0.0), lambda: None, tuple, lockstep)
     director.fly(scenario.timeline[:3])
-    assert all(reply and reply.accepted for reply in lockstep.command([2, 3], CommandName.HOLD, 1.0).values())
+    answers = lockstep.ask([2, 3], CommandName.HOLD, 1.0)
+    assert all(answer and answer.reply.accepted for answer in answers.values())
     lockstep._in_order = lockstep._in_order[1:3]
     lockstep.sleep(5.0)
     assert {report.status.phase for report in lockstep.drain()[-2:]} == {FlightPhase.HOLD}

@@ -10,7 +10,7 @@ import pytest
 from msgspec.structs import replace
 
 from companion.config.fleet import FleetConfig
-from companion.ground.changes import FleetRequest
+from companion.ground.changes import FleetAction
 from companion.ground.commands import check_content
 from companion.ground.reports import Check
 from companion.ground.session import FleetSession
@@ -314,7 +314,7 @@ def test_hold_does_not_wait_for_the_check_of_a_formation(monkeypatch: pytest.Mon
     """That loads scipy. Afterwards the formation is not sent: hold has ended it."""
     begun, loaded = threading.Event(), threading.Event()
 
-    def check(wanted: FleetRequest, fleet: FleetConfig) -> None:
+    def check(wanted: FleetAction, fleet: FleetConfig) -> None:
         if wanted.formation:
             begun.set()
             loaded.wait(10.0)

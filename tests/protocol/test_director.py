@@ -291,7 +291,9 @@ def test_a_formation_that_is_still_on_its_way_is_not_complete(
     flight.fly(C.PREPARE)
     changed = flight.vehicles.change
     monkeypatch.setattr(
-        flight.vehicles, "change", lambda i, slot: changed(i, slot=replace(slot, position_enu_m=(1.0, 0.5, 0.0)))
+        flight.vehicles,
+        "change",
+        lambda i, slot: changed(i, slot=replace(slot, position_enu_m=(1.0, 0.5, 0.0), moves_for_s=1.0)),
     )
     step = TimelineStep(command=C.FORMATION, formation=FormationStep(slots_enu_m=APART), timeout_s=0.6)
     with pytest.raises(FlightFailure, match=r"vehicle 2: its slot is 0\.50 m from that of formation 1"):

@@ -21,7 +21,7 @@ from companion.config.reference import (
     WaypointsReference,
 )
 from companion.ground.changes import (
-    FleetRequest,
+    FleetAction,
     assigned,
     check_request,
     positions_enu_m,
@@ -234,10 +234,10 @@ def test_slots_too_close_are_refused() -> None:
     assert refusal_of({1: ZERO3}, 1.0, True) is None
 
 
-def request_of(*arguments: str) -> FleetRequest:
+def request_of(*arguments: str) -> FleetAction:
     parser = argparse.ArgumentParser()
     FLEET.add_arguments(parser)
-    return fleet_request(parser.parse_args(arguments))
+    return fleet_request(parser.parse_args(arguments)).action
 
 
 def test_the_default_operator_has_a_valid_name(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,7 +6,8 @@ import pytest
 from msgspec.structs import replace
 
 from companion.ground.answers import AnswerKind, Outcome
-from companion.ground.goals import Goal, end_of, goal_of, progress_text, wait_for
+from companion.ground.commands import wait_for
+from companion.ground.goals import Goal, end_of, goal_of, progress_text
 from companion.types.autopilot import LandedState
 from companion.types.commands import CommandName, Lead, ReferenceChange
 from companion.types.flight import FlightPhase, Role
@@ -130,7 +131,7 @@ def waited(
     shown: list[str] = []
     assert ARM
     show: Callable[[str], None] = shown.append
-    return wait_for(ARM, outcomes, reports, timeout_s, show), shown
+    return wait_for(ARM, outcomes, reports.newest, timeout_s, show), shown
 
 
 def test_the_wait_ends_when_all_have_finished_and_shows_progress() -> None:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from companion.config.reference import CircleReference
 from companion.monitor.api import CommandRequest
-from companion.monitor.command_requests import ACTIONS, CHANGES, RequestError, fleet_request
+from companion.monitor.command_requests import ACTIONS, CHANGES, RequestError, fleet_action
 from tests.bench.monitor_load import steady_fleet
 
 FLEET = steady_fleet("load", 3).fleet
@@ -23,20 +23,20 @@ def request(name: str, content: dict[str, Any] | None = None, ids: tuple[int, ..
 
 @pytest.mark.parametrize("name", sorted(set(ACTIONS) - set(CHANGES)))
 def test_a_command_without_content_goes_to_the_vehicles_named(name: str) -> None:
-    made = fleet_request(request(name, ids=(3, 1)), FLEET)
-    assert (made.action, made.only, made.wait) == (name, (3, 1), False)
+    made = fleet_action(request(name, ids=(3, 1)), FLEET)
+    assert (made.name, made.only) == (name, (3, 1))
 
 
 def test_changes_have_their_content() -> None:
-    assert fleet_request(request("leader", {"leader_ids": [2]}), FLEET).leaders == (2,)
-    shape = fleet_request(request("formation", {"shape": "v", "spacing_m": 4, "heading_deg": 90}), FLEET).formation
+    assert fleet_action(request("leader", {"leader_ids": [2]}), FLEET).leaders == (2,)
+    shape = fleet_action(request("formation", {"shape": "v", "spacing_m": 4, "heading_deg": 90}), FLEET).formation
     assert shape is not None
     assert (shape.shape, shape.spacing_m, shape.heading_deg, shape.scale) == ("v", 4, 90, 1.0)
     slots = {"1": [0, 0, 0], "2": [3, 0, 0], "3": [0, 3, 0]}
-    given_slots = fleet_request(request("formation", {"slots_enu_m": slots}), FLEET).formation
+    given_slots = fleet_action(request("formation", {"slots_enu_m": slots}), FLEET).formation
     assert given_slots is not None
     assert given_slots.slots_enu_m == {1: (0, 0, 0), 2: (3, 0, 0), 3: (0, 3, 0)}
-    reference = fleet_request(request("reference", CIRCLE, (1, 2, 3)), FLEET).reference
+    reference = fleet_action(request("reference", CIRCLE, (1, 2, 3)), FLEET).reference
     assert reference is not None
     assert isinstance(reference.whole, CircleReference)
 
@@ -69,7 +69,7 @@ def test_changes_have_their_content() -> None:
 )
 def test_a_wrong_request_is_one_line(wrong: CommandRequest, words: str) -> None:
     with pytest.raises(RequestError) as raised:
-        fleet_request(wrong, FLEET)
+        fleet_action(wrong, FLEET)
     assert words in str(raised.value)
     assert "\n" not in str(raised.value)
 
@@ -85,6 +85,6 @@ keys = st.sampled_from(["shape", "spacing_m", "slots_enu_m", "leader_ids", "kind
 @given(st.sampled_from(CHANGES), st.dictionaries(keys, json_values, max_size=5))
 def test_any_content_is_a_request_or_one_line(name: str, content: dict[str, Any]) -> None:
     try:
-        fleet_request(request(name, content), FLEET)
+        fleet_action(request(name, content), FLEET)
     except RequestError as error:
         assert "\n" not in str(error)

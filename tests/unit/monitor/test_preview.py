@@ -8,7 +8,7 @@ import pytest
 from msgspec.structs import replace
 
 from companion.monitor.api import CommandRequest, Preview
-from companion.monitor.command_requests import fleet_request, preview_of
+from companion.monitor.command_requests import fleet_action, preview_of
 from companion.types.status import Status
 from tests.bench.monitor_load import steady_fleet
 
@@ -17,7 +17,7 @@ STATUSES = {i: LOAD.report(i, 30.0).status for i in LOAD.vehicle_ids}
 
 
 def preview(name: str, content: dict[str, Any], statuses: dict[int, Status] = STATUSES) -> Preview:
-    return preview_of(fleet_request(CommandRequest("load", name, (), content), LOAD.fleet), LOAD.fleet, statuses)
+    return preview_of(fleet_action(CommandRequest("load", name, (), content), LOAD.fleet), LOAD.fleet, statuses)
 
 
 def test_paths_lead_from_the_present_slots_to_the_new_ones_in_the_fleet_frame() -> None:
