@@ -8,13 +8,12 @@ from itertools import groupby
 from math import degrees, dist
 
 from companion.geometry.formations import turned_slot
-from companion.types.autopilot import LandedState, PositionError
-from companion.types.flight import WITHOUT_LEADER, FlightPhase, HealthFlag, Role
-from companion.types.formation import EAST, FlownSlot, Heading, HeldReference
-from companion.types.notices import Notice
-from companion.types.status import NetworkState, SeparationReport, Status
+from companion.types.autopilot import LandedState
+from companion.types.flight import WITHOUT_LEADER, FlightPhase, HealthFlag
+from companion.types.formation import EAST, FlownSlot
+from companion.types.status import Status
 from companion.types.values import Vector3
-from companion.wire.messages import StatusReport, Timing
+from companion.wire.messages import StatusReport
 
 MOST_VEHICLES = 500
 SILENT_AFTER_S = 1.0  # ten reports missed
@@ -41,54 +40,50 @@ class FleetState:
 
 
 @dataclass(frozen=True, slots=True)
-class VehicleRow:
-    """One vehicle as the ground sees it at one time.
+class VehicleState:
+    """One vehicle as the ground sees it at one time: its newest report, and what this time and the other vehicles add to it.
 
-    `age_s` is the time since the last report; `data_age_s` adds the age of the position on board (inf where there never was
-    one). `peers` are fresh ones; `lacks` is what keeps it from flying besides flags. `error_to_slot_m` is |(x_i - d_i0) - r|,
-    None where no leader reports, the vehicle does not fly, or its position is older than SILENT_AFTER_S. `holder` is the
-    operator who holds command. `flags` has LEADER_AWAITED and LEADER_LOST only while a flight of the fleet is under way.
+    `age_s` is the time since the report; `data_age_s` adds the age of the position on board (inf where there never was one).
+    `flags` has LEADER_AWAITED and LEADER_LOST only while a flight of the fleet is under way. `reference_enu_m` is the point
+    that its slot is relative to: its own, or that of its leader. `slot_position_enu_m` is the place of its slot now, and
+    `error_to_slot_m` |(x_i - d_i0) - r|: None where no leader reports, the vehicle does not fly, or its position is older
+    than SILENT_AFTER_S.
     """
 
-    fleet: str
-    vehicle_id: int
-    role: Role
-    phase: FlightPhase
-    mode_name: str
-    armed: bool
-    position_enu_m: Vector3
-    prc: int
-    battery_percent: float | None
-    error_to_slot_m: float | None
-    hover_thrust_norm: float
-    disturbance_enu_m_s2: Vector3
+    report: StatusReport
     age_s: float
     data_age_s: float
     silent: bool
-    neighbours: tuple[int, ...]
-    peers: tuple[int, ...]
-    position_error: PositionError | None
-    lacks: tuple[Notice, ...]
-    formation: str
-    reference: str
-    holder: str
     flags: tuple[HealthFlag, ...]
-    rejected: int
-    separation: SeparationReport
-    last_event: Notice | None
-    timing: Timing
-    network: NetworkState
-    reference_enu_m: Vector3 | None = None  # which its slot is relative to: its own, or that of its leader
-    slot_position_enu_m: Vector3 | None = None  # of its slot now
+    reference_enu_m: Vector3 | None = None
+    slot_position_enu_m: Vector3 | None = None
+    error_to_slot_m: float | None = None
 
     @property
-    def altitude_m(self) -> float:
-        """Above the fleet's origin."""
-        return self.position_enu_m[2]
+    def status(self) -> Status:
+        return self.report.status
+
+    @property
+    def vehicle_id(self) -> int:
+        return self.report.status.vehicle_id
+
+    @property
+    def fleet(self) -> str:
+        return self.report.status.fleet
+
+    @property
+    def rejected(self) -> int:
+        """Messages that it has rejected, of all codes."""
+        return sum(self.report.status.rejected.values())
+
+    @property
+    def has_old_position(self) -> bool:
+        """Whether its position is none that holds now."""
+        return self.data_age_s > SILENT_AFTER_S
 
 
 def fold(state: FleetState, report: StatusReport, now_s: float) -> FleetState:
-    """The state with one more report, received at `now_s` (any monotonic clock, the same as for `rows`)."""
+    """The state with one more report, received at `now_s` (any monotonic clock, the same as for `vehicles_at`)."""
     key = (report.status.fleet, report.status.vehicle_id)
     vehicles = dict(state.vehicles)
     if key not in vehicles and len(vehicles) >= MOST_VEHICLES:
@@ -99,11 +94,11 @@ def fold(state: FleetState, report: StatusReport, now_s: float) -> FleetState:
     return FleetState(vehicles | {key: Received(now_s, report)})
 
 
-def rows(state: FleetState, now_s: float) -> list[VehicleRow]:
+def vehicles_at(state: FleetState, now_s: float) -> list[VehicleState]:
     """All vehicles that ever reported, by fleet and id."""
     ordered = [state.vehicles[key] for key in sorted(state.vehicles)]
     fleets = [list(of_fleet) for _, of_fleet in groupby(ordered, key=lambda received: received.report.status.fleet)]
-    return [_row(facts, received, now_s) for one in fleets for facts in [_facts(one, now_s)] for received in one]
+    return [_vehicle(facts, received, now_s) for one in fleets for facts in [_facts(one, now_s)] for received in one]
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,51 +120,19 @@ def _facts(fleet: Sequence[Received], now_s: float) -> _FleetFacts:
     )
 
 
-def _row(facts: _FleetFacts, received: Received, now_s: float) -> VehicleRow:
+def _vehicle(facts: _FleetFacts, received: Received, now_s: float) -> VehicleState:
     status = received.report.status
     age_s, silent = now_s - received.received_s, _is_silent(received, now_s)
+    data_age_s = age_s + status.state_age_s
     reference_enu_m = _reference_enu_m(facts, status)
     slot_position_enu_m = None if reference_enu_m is None else _slot_position_enu_m(status, reference_enu_m)
     error_to_slot_m = None
-    data_age_s = age_s + status.state_age_s
     if slot_position_enu_m is not None and status.landed in _FLYING and data_age_s <= SILENT_AFTER_S and not silent:
         error_to_slot_m = dist(status.position_enu_m, slot_position_enu_m)
-    return VehicleRow(
-        fleet=status.fleet,
-        vehicle_id=status.vehicle_id,
-        role=status.role,
-        phase=status.phase,
-        mode_name=status.mode_name,
-        armed=status.armed,
-        position_enu_m=status.position_enu_m,
-        prc=status.prc,
-        battery_percent=status.battery_percent,
-        error_to_slot_m=error_to_slot_m,
-        hover_thrust_norm=status.hover_thrust_norm,
-        disturbance_enu_m_s2=status.disturbance_enu_m_s2,
-        age_s=age_s,
-        data_age_s=data_age_s,
-        silent=silent,
-        neighbours=status.neighbours,
-        peers=status.peers,
-        position_error=status.position_error,
-        lacks=status.lacks,
-        formation=formation_text(status.slot, status.heading),
-        reference=reference_text(status.reference, status.target_age_s),
-        holder=status.holder,
-        flags=status.flags if facts.under_way else _without_leader_flags(status),
-        rejected=sum(status.rejected.values()),
-        separation=status.separation,
-        last_event=status.last_event,
-        timing=received.report.timing,
-        network=status.network,
-        reference_enu_m=reference_enu_m,
-        slot_position_enu_m=slot_position_enu_m,
+    flags = status.flags if facts.under_way else tuple(flag for flag in status.flags if flag not in WITHOUT_LEADER)
+    return VehicleState(
+        received.report, age_s, data_age_s, silent, flags, reference_enu_m, slot_position_enu_m, error_to_slot_m
     )
-
-
-def _without_leader_flags(status: Status) -> tuple[HealthFlag, ...]:
-    return tuple(flag for flag in status.flags if flag not in WITHOUT_LEADER)
 
 
 def _is_silent(received: Received, now_s: float) -> bool:
@@ -191,10 +154,10 @@ def _reference_enu_m(facts: _FleetFacts, status: Status) -> Vector3 | None:
     return next(iter(known.values()), None)
 
 
-def formation_text(slot: FlownSlot, heading: Heading) -> str:
+def formation_text(status: Status) -> str:
     """ "1", "1, then 2" or "changing to 2"; with the heading where that is not east."""
-    pointed = "" if heading == EAST else f" at {degrees(heading.angle_rad):.0f} deg"
-    return _formation(slot) + pointed
+    pointed = "" if status.heading == EAST else f" at {degrees(status.heading.angle_rad):.0f} deg"
+    return _formation(status.slot) + pointed
 
 
 def _formation(slot: FlownSlot) -> str:
@@ -203,9 +166,10 @@ def _formation(slot: FlownSlot) -> str:
     return f"changing to {slot.formation}" if slot.moves else str(slot.formation)
 
 
-def reference_text(held: HeldReference | None, target_age_s: float | None) -> str:
+def reference_text(status: Status) -> str:
     """ "1" or "1, then 2", with the age of the target followed; "-" where the vehicle holds none."""
+    held = status.reference
     if held is None:
         return "-"
     reference = str(held.flown) if held.waiting == held.flown else f"{held.flown}, then {held.waiting}"
-    return reference if target_age_s is None else f"{reference}, target {target_age_s:.1f} s old"
+    return reference if status.target_age_s is None else f"{reference}, target {status.target_age_s:.1f} s old"

@@ -76,8 +76,8 @@ def _status_lines(status: Status) -> list[str]:
         f" at {x:z.1f}, {y:z.1f}, {z:z.1f} m"
     )
     flown = (
-        f"formation {formation_text(status.slot, status.heading)},"
-        f" reference {reference_text(status.reference, status.target_age_s)},"
+        f"formation {formation_text(status)},"
+        f" reference {reference_text(status)},"
         f" operator {status.holder or '-'}, battery {battery}"
     )
     event = [UNSECURED] if status.network.security == "none" else []

@@ -9,7 +9,7 @@ from math import cos, inf, pi, sin
 
 from companion.config.fleet import EdgeNeighbours, FleetConfig, RangeNeighbours
 from companion.geometry.airspace import Cuboid, Obstacle
-from companion.ground.fleet_state import FleetState, VehicleKey, fold, rows
+from companion.ground.fleet_state import FleetState, VehicleKey, fold, vehicles_at
 from companion.monitor.alarms import (
     MISSING,
     NEVER_HEARD,
@@ -136,16 +136,10 @@ class Picture:
         )
 
     def _vehicles(self, now_s: float) -> tuple[VehicleView, ...]:
-        reports = self._state.vehicles
         return tuple(
             [
-                vehicle_view(
-                    row,
-                    reports[row.fleet, row.vehicle_id].report.status,
-                    self._rate_hz((row.fleet, row.vehicle_id), now_s),
-                    self._files.get(row.fleet),
-                )
-                for row in rows(self._state, now_s)
+                vehicle_view(state, self._rate_hz((state.fleet, state.vehicle_id), now_s), self._files.get(state.fleet))
+                for state in vehicles_at(self._state, now_s)
             ]
         )
 

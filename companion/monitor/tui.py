@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from functools import partial
 from importlib.util import find_spec
 from types import FrameType
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import msgspec
 import zenoh
@@ -26,7 +26,7 @@ import zenoh
 from companion import GROUND_INSTALL
 from companion.ground.answers import id_list
 from companion.ground.current_fleet import unreachable
-from companion.ground.fleet_state import FleetState, VehicleRow, fold, rows
+from companion.ground.fleet_state import FleetState, VehicleState, fold, formation_text, reference_text, vehicles_at
 from companion.ground.session import FleetSession
 from companion.monitor import MonitorError
 from companion.monitor.tui_page import Line, Style, fitted_page, page
@@ -45,8 +45,13 @@ PLAIN_PERIOD_S = 1.0
 PLAIN_WIDTH = 120  # where the output is no terminal and COLUMNS is not set
 WITHOUT_CURSOR = ("dumb", "unknown", "")  # values of TERM: lines can only be added
 EXIT_ENDED, EXIT_NO_REPORT = 0, 1
+PRINTED_OF_STATUS = (
+    *("fleet", "vehicle_id", "role", "phase", "mode_name", "armed", "position_enu_m", "prc", "battery_percent"),
+    *("hover_thrust_norm", "disturbance_enu_m_s2", "neighbours", "peers", "position_error", "lacks", "holder"),
+    *("separation", "last_event", "network"),
+)
 
-Print = Callable[[list[VehicleRow]], None]
+Print = Callable[[list[VehicleState]], None]
 
 
 def run_monitor(
@@ -99,7 +104,7 @@ def _once(session: FleetSession, endpoints: Sequence[str], show: Print) -> int:
     if not state.vehicles:
         print(f"companion monitor: {_nothing_received(session, endpoints)}", file=sys.stderr)
         return EXIT_NO_REPORT
-    show(rows(state, time.monotonic()))
+    show(vehicles_at(state, time.monotonic()))
     return EXIT_ENDED
 
 
@@ -122,14 +127,14 @@ def _need_rich() -> None:
         raise MonitorError(f"the live table needs the package rich: {GROUND_INSTALL}, or use --once, --json or a pipe")
 
 
-def _reader(session: FleetSession) -> Callable[[], list[VehicleRow]]:
+def _reader(session: FleetSession) -> Callable[[], list[VehicleState]]:
     """Gives the rows of all vehicles at each call."""
     state = FleetState()
 
-    def read() -> list[VehicleRow]:
+    def read() -> list[VehicleState]:
         nonlocal state
         state = _updated(session, state)
-        return rows(state, time.monotonic())
+        return vehicles_at(state, time.monotonic())
 
     return read
 
@@ -149,16 +154,35 @@ def _updated(session: FleetSession, state: FleetState) -> FleetState:
     return state
 
 
-def _plain_table(vehicles: list[VehicleRow], members: Members) -> None:
+def _plain_table(vehicles: list[VehicleState], members: Members) -> None:
     lines = page(vehicles, shutil.get_terminal_size((PLAIN_WIDTH, 24)).columns, members)
     print("\n".join(shown.text for shown in lines) or "no vehicle has reported yet")
 
 
-def _json(vehicles: list[VehicleRow]) -> None:
-    print(msgspec.json.encode(vehicles).decode())
+def _json(vehicles: list[VehicleState]) -> None:
+    print(msgspec.json.encode([vehicle_as_data(vehicle) for vehicle in vehicles]).decode())
 
 
-def _json_once(vehicles: list[VehicleRow], members: Members) -> None:
+def vehicle_as_data(vehicle: VehicleState) -> dict[str, Any]:
+    """What --json prints of a vehicle."""
+    status = vehicle.status
+    return {
+        **{key: getattr(status, key) for key in PRINTED_OF_STATUS},
+        "error_to_slot_m": vehicle.error_to_slot_m,
+        "age_s": vehicle.age_s,
+        "data_age_s": vehicle.data_age_s,
+        "silent": vehicle.silent,
+        "formation": formation_text(status),
+        "reference": reference_text(status),
+        "flags": vehicle.flags,
+        "rejected": vehicle.rejected,
+        "timing": vehicle.report.timing,
+        "reference_enu_m": vehicle.reference_enu_m,
+        "slot_position_enu_m": vehicle.slot_position_enu_m,
+    }
+
+
+def _json_once(vehicles: list[VehicleState], members: Members) -> None:
     """On standard error those that the array cannot have, because they never reported."""
     _json(vehicles)
     for fleet in fleets(vehicles, members):
@@ -172,7 +196,7 @@ CONNECTIONS_EVERY_S = 3.0
 
 
 def show_live(
-    vehicles: Callable[[], Sequence[VehicleRow]],
+    vehicles: Callable[[], Sequence[VehicleState]],
     endpoints: Sequence[str],
     unreachable: Callable[[], Mapping[str, str]],
     members: Members,

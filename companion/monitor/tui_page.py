@@ -13,7 +13,7 @@ from enum import StrEnum
 from math import isfinite
 
 from companion.ground.answers import id_list
-from companion.ground.fleet_state import SILENT_AFTER_S, VehicleRow
+from companion.ground.fleet_state import VehicleState, formation_text, reference_text
 from companion.monitor.tui_rows import NO_MEMBERS, SILENT, FleetRows, Members, TableRow, fleets, grouped, heading
 from companion.types.values import printable
 
@@ -38,13 +38,13 @@ class Line:
     style: Style = Style.PLAIN
 
 
-def page(vehicles: Sequence[VehicleRow], width: int, members: Members = NO_MEMBERS) -> list[Line]:
+def page(vehicles: Sequence[VehicleState], width: int, members: Members = NO_MEMBERS) -> list[Line]:
     """All of it, for a file, a pipe, or a terminal that is high enough."""
     return [shown for fleet in fleets(vehicles, members) for shown in _fleet(fleet, max(width, NARROWEST))]
 
 
 def fitted_page(
-    vehicles: Sequence[VehicleRow], width: int, height: int, now_s: float, members: Members = NO_MEMBERS
+    vehicles: Sequence[VehicleState], width: int, height: int, now_s: float, members: Members = NO_MEMBERS
 ) -> list[Line]:
     """At most `height` lines. `now_s`: any clock; it turns the part that is shown."""
     whole = page(vehicles, width, members)
@@ -147,8 +147,8 @@ def _events(fleet: FleetRows, width: int) -> Iterator[Line]:
     """Each last event once, with its vehicles."""
     vehicle_ids: dict[str, list[int]] = {}
     for vehicle in (row.vehicle for row in fleet.rows):
-        if vehicle.last_event and not vehicle.silent:
-            vehicle_ids.setdefault(str(vehicle.last_event), []).append(vehicle.vehicle_id)
+        if vehicle.status.last_event and not vehicle.silent:
+            vehicle_ids.setdefault(str(vehicle.status.last_event), []).append(vehicle.vehicle_id)
     for event, ids in vehicle_ids.items():
         yield from _wrapped(f"{id_list(ids)}: {event}", "  ", width, Style.QUIET)
 
@@ -176,13 +176,13 @@ class Column:
 
 
 def _phase(row: TableRow) -> str:
-    return "SILENT" if row.vehicle.silent else row.vehicle.phase
+    return "SILENT" if row.vehicle.silent else row.vehicle.status.phase
 
 
 def _flag(row: TableRow) -> str:
     """The worst one and how many others; of a silent vehicle what it was when it last reported."""
     if row.vehicle.silent:
-        return f"was {row.vehicle.phase}{', armed' if row.vehicle.armed else ''}"
+        return f"was {row.vehicle.status.phase}{', armed' if row.vehicle.status.armed else ''}"
     if not row.problems:
         return NONE
     others = f" +{len(row.problems) - 1}" if len(row.problems) > 1 else ""
@@ -205,11 +205,11 @@ def _live(text: Callable[[TableRow], str]) -> Callable[[TableRow], str]:
 
 def _of_fresh_position(text: Callable[[TableRow], str]) -> Callable[[TableRow], str]:
     """An old position has no value that holds now."""
-    return lambda row: NONE if row.vehicle.data_age_s > SILENT_AFTER_S else text(row)
+    return lambda row: NONE if row.vehicle.has_old_position else text(row)
 
 
 def _position(row: TableRow) -> str:
-    return " ".join(f"{x:z.1f}" for x in row.vehicle.position_enu_m)
+    return " ".join(f"{x:z.1f}" for x in row.vehicle.status.position_enu_m)
 
 
 def _error(row: TableRow) -> str:
@@ -218,25 +218,25 @@ def _error(row: TableRow) -> str:
 
 
 def _battery(row: TableRow) -> str:
-    percent = row.vehicle.battery_percent
+    percent = row.vehicle.status.battery_percent
     return NONE if percent is None else f"{percent:.0f}%"
 
 
 def _estimator(row: TableRow) -> str:
-    error = row.vehicle.position_error
+    error = row.vehicle.status.position_error
     return NONE if error is None else metres_text(error.horizontal_m)
 
 
 def _event(row: TableRow) -> str:
-    return str(row.vehicle.last_event or NONE)
+    return str(row.vehicle.status.last_event or NONE)
 
 
 FLAG_WIDTH = 20
 COLUMNS = (
     Column("id", 3, 0, lambda row: str(row.vehicle.vehicle_id), right=True),
     Column("phase", 9, 0, _phase),
-    Column("mode", 12, 80, _live(lambda row: row.vehicle.mode_name)),
-    Column("armed", 5, 42, _live(lambda row: "armed" if row.vehicle.armed else NONE)),
+    Column("mode", 12, 80, _live(lambda row: row.vehicle.status.mode_name)),
+    Column("armed", 5, 42, _live(lambda row: "armed" if row.vehicle.status.armed else NONE)),
     Column("batt", 4, 47, _live(_battery), right=True),
     Column("error", 6, 60, _live(_error), right=True),
     Column(
@@ -247,15 +247,15 @@ COLUMNS = (
         right=True,
     ),
     Column("nearest", 8, 69, _nearest, right=True),
-    Column("PrC", 3, 84, _live(lambda row: str(row.vehicle.prc)), right=True),
-    Column("formation", 13, 98, _live(lambda row: row.vehicle.formation)),
-    Column("Hz", 4, 103, _live(lambda row: f"{row.vehicle.timing.rate_hz:.1f}"), right=True),
-    Column("late", 5, 109, _live(lambda row: duration_text(row.vehicle.timing.late_us.p99 / 1e6)), right=True),
-    Column("peers", 5, 115, _live(lambda row: f"{len(row.vehicle.peers)}/{row.fleet_size - 1}"), right=True),
+    Column("PrC", 3, 84, _live(lambda row: str(row.vehicle.status.prc)), right=True),
+    Column("formation", 13, 98, _live(lambda row: formation_text(row.vehicle.status))),
+    Column("Hz", 4, 103, _live(lambda row: f"{row.vehicle.report.timing.rate_hz:.1f}"), right=True),
+    Column("late", 5, 109, _live(lambda row: duration_text(row.vehicle.report.timing.late_us.p99 / 1e6)), right=True),
+    Column("peers", 5, 115, _live(lambda row: f"{len(row.vehicle.status.peers)}/{row.fleet_size - 1}"), right=True),
     Column("rej", 4, 120, _live(lambda row: count_text(row.vehicle.rejected)), right=True),
     Column("position", 21, 142, _live(_of_fresh_position(_position)), right=True),
     Column("sigma", 5, 148, _live(_of_fresh_position(_estimator)), right=True),
-    Column("ref", 7, 156, _live(lambda row: row.vehicle.reference), right=True),
+    Column("ref", 7, 156, _live(lambda row: reference_text(row.vehicle.status)), right=True),
     Column("flag", FLAG_WIDTH, 0, _flag),
 )
 EVENT_FROM_COLUMNS = 185

@@ -9,7 +9,7 @@ from types import MappingProxyType
 
 from companion.geometry.formations import separation_distance_m
 from companion.ground.answers import count, id_list
-from companion.ground.fleet_state import SILENT_AFTER_S, VehicleRow
+from companion.ground.fleet_state import VehicleState
 from companion.monitor.vehicle_view import advice_of
 from companion.types.code_table import code_table
 from companion.types.flight import FLAG_TEXTS, Role
@@ -33,7 +33,7 @@ class Nearest:
 class TableRow:
     """A vehicle, its nearest other one (None if unknown) and what is wrong with it."""
 
-    vehicle: VehicleRow
+    vehicle: VehicleState
     fleet_size: int
     nearest: Nearest | None
     problems: tuple[Problem, ...]
@@ -52,18 +52,18 @@ class FleetRows:
     missing_ids: tuple[int, ...] = ()
 
 
-def fleets(vehicles: Sequence[VehicleRow], members: Members = NO_MEMBERS) -> Iterator[FleetRows]:
+def fleets(vehicles: Sequence[VehicleState], members: Members = NO_MEMBERS) -> Iterator[FleetRows]:
     """Of rows that come sorted by fleet."""
     for name, group in groupby(vehicles, key=lambda row: row.fleet):
         yield _fleet(name, list(group), members.get(name, frozenset()))
 
 
-def _fleet(name: str, vehicles: list[VehicleRow], members: frozenset[int]) -> FleetRows:
+def _fleet(name: str, vehicles: list[VehicleState], members: frozenset[int]) -> FleetRows:
     """Distances are in the metric of `separation_m`, between vehicles whose positions are not old."""
     nearest: dict[int, tuple[float, int]] = {}
-    known = [row for row in vehicles if not row.silent and row.data_age_s <= SILENT_AFTER_S]
+    known = [row for row in vehicles if not row.silent and not row.has_old_position]
     pairs = [
-        (separation_distance_m(a.position_enu_m, b.position_enu_m), a.vehicle_id, b.vehicle_id)
+        (separation_distance_m(a.status.position_enu_m, b.status.position_enu_m), a.vehicle_id, b.vehicle_id)
         for a, b in combinations(known, 2)
     ]
     for distance_m, one, other in sorted(pairs, reverse=True):  # the last one that stays is the nearest
@@ -74,13 +74,13 @@ def _fleet(name: str, vehicles: list[VehicleRow], members: frozenset[int]) -> Fl
     return FleetRows(name, tuple(rows), min(pairs, default=None), missing_ids)
 
 
-def _nearest(row: VehicleRow, on_the_ground: tuple[float, int] | None) -> Nearest | None:
+def _nearest(row: VehicleState, on_the_ground: tuple[float, int] | None) -> Nearest | None:
     """As the vehicle itself sees it while it flies in formation, with traffic; else from the positions reported."""
-    seen = row.separation.nearest
+    seen = row.status.separation.nearest
     if row.silent:
         return None
     if seen is not None:
-        return Nearest(seen.name, seen.distance_m, row.separation.changed_m_s2 > 0.0)
+        return Nearest(seen.name, seen.distance_m, row.status.separation.changed_m_s2 > 0.0)
     return Nearest(str(on_the_ground[1]), on_the_ground[0], False) if on_the_ground else None
 
 
@@ -88,9 +88,9 @@ def heading(fleet: FleetRows) -> list[str]:
     """What matters first. Parts for one or more lines; capitals mark what needs attention."""
     vehicles = [row.vehicle for row in fleet.rows]
     silent = [row.vehicle_id for row in vehicles if row.silent]
-    leaders = [row.vehicle_id for row in vehicles if row.role is Role.LEADER and not row.silent]
-    open_ = [row.vehicle_id for row in vehicles if row.network.security == "none"]
-    holders = sorted({row.holder for row in vehicles if row.holder and not row.silent})
+    leaders = [row.vehicle_id for row in vehicles if row.status.role is Role.LEADER and not row.silent]
+    open_ = [row.vehicle_id for row in vehicles if row.status.network.security == "none"]
+    holders = sorted({row.status.holder for row in vehicles if row.status.holder and not row.silent})
     parts = [f"fleet {fleet.name}: {count(len(vehicles))}"]
     if silent:
         parts.append(f"SILENT: {id_list(silent)}")
@@ -125,12 +125,12 @@ class Problem:
         return advice_of(Code.NO_REPORT if self.code == SILENT else self.code)
 
 
-def problems_of(row: VehicleRow) -> tuple[Problem, ...]:
+def problems_of(row: VehicleState) -> tuple[Problem, ...]:
     """The worst first. Of a silent vehicle nothing else is known."""
     if row.silent:
         return (Problem(SILENT, "no report any more; all that is known of it is old"),)
     flags = sorted((Problem(flag, FLAG_TEXTS[flag]) for flag in row.flags), key=lambda problem: _RANKS[problem.code])
-    return (*flags, *(Problem(notice.code, notice.text, in_flight=False) for notice in row.lacks))
+    return (*flags, *(Problem(notice.code, notice.text, in_flight=False) for notice in row.status.lacks))
 
 
 def grouped(problems: Iterable[tuple[int, Problem]]) -> list[tuple[Problem, list[int]]]:

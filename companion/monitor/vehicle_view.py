@@ -6,7 +6,7 @@ from functools import lru_cache
 from itertools import zip_longest
 
 from companion.config.fleet import FleetConfig, FleetSettings
-from companion.ground.fleet_state import SILENT_AFTER_S, VehicleRow
+from companion.ground.fleet_state import SILENT_AFTER_S, VehicleState, formation_text, reference_text
 from companion.monitor.api import FlagView, NearestView, NeighbourView, Severity, TimingView, VehicleView
 from companion.tools.explanations import action_words
 from companion.types.code_table import code_entries
@@ -23,40 +23,41 @@ def is_old(vehicle: VehicleView) -> bool:
     return vehicle.data_age_s is None or vehicle.data_age_s > SILENT_AFTER_S
 
 
-def vehicle_view(row: VehicleRow, status: Status, report_rate_hz: float, fleet: FleetConfig | None) -> VehicleView:
-    """`row` and `status` are of the same report; `fleet` is None without the fleet file."""
+def vehicle_view(vehicle: VehicleState, report_rate_hz: float, fleet: FleetConfig | None) -> VehicleView:
+    """`fleet` is None without the fleet file."""
+    status = vehicle.status
     nearest, error, beacon = status.separation.nearest, status.position_error, status.leader_beacon
     return VehicleView(
-        fleet=row.fleet,
-        vehicle_id=row.vehicle_id,
-        silent=row.silent,
-        age_s=round(row.age_s, 3),
-        data_age_s=round(row.data_age_s, 3) if row.data_age_s < NEVER_S else None,
+        fleet=status.fleet,
+        vehicle_id=status.vehicle_id,
+        silent=vehicle.silent,
+        age_s=round(vehicle.age_s, 3),
+        data_age_s=round(vehicle.data_age_s, 3) if vehicle.data_age_s < NEVER_S else None,
         report_rate_hz=round(report_rate_hz, 1),
-        phase=row.phase,
-        role=row.role,
-        mode=row.mode_name,
-        armed=row.armed,
+        phase=status.phase,
+        role=status.role,
+        mode=status.mode_name,
+        armed=status.armed,
         landed=status.landed.name.lower(),
-        position_enu_m=_in_mm(row.position_enu_m),
+        position_enu_m=_in_mm(status.position_enu_m),
         velocity_enu_m_s=_in_mm(status.velocity_enu_m_s),
         position_error_m=(round(error.horizontal_m, 3), round(error.vertical_m, 3)) if error else None,
-        battery_percent=None if row.battery_percent is None else round(row.battery_percent, 1),
+        battery_percent=None if status.battery_percent is None else round(status.battery_percent, 1),
         law=status.law,
-        prc=row.prc,
+        prc=status.prc,
         epoch=status.epoch,
         leader_id=beacon.leader_id if beacon else None,
         leader_beacon_age_s=status.leader_beacon_age_s,
         neighbours=_neighbours(status),
         peers=status.peers,
-        slot_position_enu_m=_in_mm(row.slot_position_enu_m) if row.slot_position_enu_m else None,
+        slot_position_enu_m=_in_mm(vehicle.slot_position_enu_m) if vehicle.slot_position_enu_m else None,
         slot_offset_enu_m=_in_mm(status.slot.position_enu_m),
-        error_to_slot_m=None if row.error_to_slot_m is None else round(row.error_to_slot_m, 3),
+        error_to_slot_m=None if vehicle.error_to_slot_m is None else round(vehicle.error_to_slot_m, 3),
         reference_enu_m=_in_mm(status.reference_enu_m) if status.reference_enu_m else None,
-        formation=row.formation,
-        reference=row.reference,
-        holder=row.holder,
-        flags=tuple([flag_view(flag, row.armed, row.phase in STREAMING, fleet) for flag in row.flags]),
+        formation=formation_text(status),
+        reference=reference_text(status),
+        holder=status.holder,
+        flags=tuple([flag_view(flag, status.armed, status.phase in STREAMING, fleet) for flag in vehicle.flags]),
         lacks=tuple(map(str, status.lacks)),
         refuses_return=str(status.refuses_return) if status.refuses_return else None,
         nearest=(
@@ -69,13 +70,13 @@ def vehicle_view(row: VehicleRow, status: Status, report_rate_hz: float, fleet: 
             if nearest
             else None
         ),
-        hover_thrust_norm=round(row.hover_thrust_norm, 4),
-        wind_acceleration_enu_m_s2=_in_mm(row.disturbance_enu_m_s2),
-        timing=_timing(row.timing),
-        network=row.network,
+        hover_thrust_norm=round(status.hover_thrust_norm, 4),
+        wind_acceleration_enu_m_s2=_in_mm(status.disturbance_enu_m_s2),
+        timing=_timing(vehicle.report.timing),
+        network=status.network,
         recording=status.recording,
-        rejected=row.rejected,
-        last_event=str(row.last_event) if row.last_event else None,
+        rejected=vehicle.rejected,
+        last_event=str(status.last_event) if status.last_event else None,
     )
 
 

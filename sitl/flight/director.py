@@ -178,7 +178,7 @@ class Director:
         for report in reports:
             self._watch.receive(report, now_s)
         if self._progress.is_due():
-            self._progress.show(self._watch.rows(now_s), now_s)
+            self._progress.show(self._watch.vehicles_at(now_s), now_s)
 
     def land_all(self) -> str | None:
         """Land all flying vehicles, from any phase, except silent and lost ones. Returns in one line which still fly."""
@@ -207,7 +207,9 @@ class Director:
         )
 
     def _still_up(self, now_s: float) -> list[Status]:
-        reporting = {row.vehicle_id for row in self._watch.rows(now_s) if not row.silent} - set(self._lost())
+        reporting = {vehicle.vehicle_id for vehicle in self._watch.vehicles_at(now_s) if not vehicle.silent} - set(
+            self._lost()
+        )
         return [
             s for s in self._watch.statuses() if s.vehicle_id in reporting and (s.armed or s.phase not in GROUND_PHASES)
         ]

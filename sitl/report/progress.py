@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from companion.ground.fleet_state import VehicleRow
+from companion.ground.fleet_state import VehicleState
 from companion.types.flight import WITHOUT_LEADER, FlightPhase
 
 VIEW_EVERY_S = 5.0
@@ -52,10 +52,10 @@ class FlightProgress:
         """Whether it is time to refresh."""
         return self._screen.is_due()
 
-    def show(self, rows: Sequence[VehicleRow], now_s: float) -> None:
+    def show(self, vehicles: Sequence[VehicleState], now_s: float) -> None:
         """Refresh the view."""
         remark = [f"  {self._remark}"] if self._remark else []
-        self._screen.show([self._headline(now_s), *remark, *(vehicle_line(row) for row in rows)])
+        self._screen.show([self._headline(now_s), *remark, *(vehicle_line(vehicle) for vehicle in vehicles)])
 
     def _headline(self, now_s: float) -> str:
         total = f" of {self._step_lasts_s:g}" if self._step_lasts_s else ""
@@ -63,16 +63,17 @@ class FlightProgress:
         return f"{self._name}   {self._step}   {step_s:.1f}{total} s   (flight {now_s - self._began_s:.0f} s)"
 
 
-def vehicle_line(row: VehicleRow) -> str:
+def vehicle_line(vehicle: VehicleState) -> str:
     """A vehicle's id, role, phase, altitude, error to its slot, PrC and age of its data."""
-    error = "   -  " if row.error_to_slot_m is None else f"{row.error_to_slot_m:4.2f} m"
-    age = f"{row.data_age_s * 1000:3.0f} ms old" if row.data_age_s < LONGEST_AGE_S else "  -"
-    data = f"SILENT for {row.age_s:.1f} s" if row.silent else f"data {age}"
-    flags = [flag for flag in row.flags if flag not in WITHOUT_LEADER or row.phase in NEEDS_A_LEADER]
+    status = vehicle.status
+    error = "   -  " if vehicle.error_to_slot_m is None else f"{vehicle.error_to_slot_m:4.2f} m"
+    age = f"{vehicle.data_age_s * 1000:3.0f} ms old" if vehicle.data_age_s < LONGEST_AGE_S else "  -"
+    data = f"SILENT for {vehicle.age_s:.1f} s" if vehicle.silent else f"data {age}"
+    flags = [flag for flag in vehicle.flags if flag not in WITHOUT_LEADER or status.phase in NEEDS_A_LEADER]
     alarm = f"   ! {', '.join(flags)}" if flags else ""
     return (
-        f"  UAV {row.vehicle_id:<3d} {row.role:<8}  {row.phase:<9}  altitude {row.altitude_m:5.2f} m"
-        f"   error {error}   PrC {row.prc}   {data}{alarm}"
+        f"  UAV {vehicle.vehicle_id:<3d} {status.role:<8}  {status.phase:<9}  altitude {status.position_enu_m[2]:5.2f} m"
+        f"   error {error}   PrC {status.prc}   {data}{alarm}"
     )
 
 

@@ -16,7 +16,7 @@ from msgspec.structs import replace
 from companion.config.vehicle import ZenohEndpoints
 from companion.ground.answers import Answer
 from companion.ground.commands import MACHINE_CLOCK
-from companion.ground.fleet_state import FleetState, VehicleRow, fold, rows
+from companion.ground.fleet_state import FleetState, VehicleState, fold, vehicles_at
 from companion.link.fleet.zenoh_link import ZenohLink
 from companion.types.autopilot import LandedState, PositionError
 from companion.types.commands import Command, CommandName, CommandReply, Content, Lead, ReferenceChange
@@ -88,16 +88,16 @@ def leader(**changes: object) -> Status:
     return reported(1, **leading | changes)
 
 
-def rows_of(*statuses: Status, silent: tuple[int, ...] = (), now_s: float = 100.04) -> list[VehicleRow]:
+def rows_of(*statuses: Status, silent: tuple[int, ...] = (), now_s: float = 100.04) -> list[VehicleState]:
     """The rows 40 ms after the reports; those of `silent` vehicles came 4.2 s before."""
     state = FleetState()
     for status in statuses:
         received_s = 95.84 if status.vehicle_id in silent else 100.0
         state = fold(state, StatusReport(status, TIMING), received_s)
-    return rows(state, now_s)
+    return vehicles_at(state, now_s)
 
 
-def troubled_fleet() -> list[VehicleRow]:
+def troubled_fleet() -> list[VehicleState]:
     """Five vehicles: a sound leader, one outside the fence with a late tick, one silent, one on the ground, one avoiding."""
     return rows_of(
         leader(),
@@ -123,7 +123,7 @@ def troubled_fleet() -> list[VehicleRow]:
     )
 
 
-def large_fleet() -> list[VehicleRow]:
+def large_fleet() -> list[VehicleState]:
     """Fifty vehicles; 17 has a low battery, 33 is silent."""
     flagged = reported(17, flags=(HealthFlag.BATTERY_LOW,), battery_percent=21.0)
     others = (reported(i) for i in range(2, 51) if i != 17)
@@ -310,7 +310,7 @@ def until(condition: Callable[[], object], each: Callable[[], object] = lambda: 
 
 
 PERIOD_S = 0.05
-Answer = Callable[[int, Command], CommandReply | None]
+Answering = Callable[[int, Command], CommandReply | None]
 """Vehicle id and command -> its reply; None: no reply."""
 
 
@@ -322,7 +322,7 @@ def accept(vehicle_id: int, command: Command) -> CommandReply:
 class LinkedVehicles:
     load: SteadyFleet
     endpoints: tuple[str, ...]
-    answer: Answer = accept
+    answer: Answering = accept
     commands: list[tuple[int, Command]] = field(default_factory=list)  # each once
     silent: set[int] = field(default_factory=set)  # ids that do not report
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from companion.ground.fleet_state import FleetState, VehicleRow, fold, rows
+from companion.ground.fleet_state import FleetState, VehicleState, fold, vehicles_at
 from companion.ground.session import FleetSession
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
@@ -53,21 +53,21 @@ def test_a_whole_flight(tmp_path: Path) -> None:
     ):
         state = FleetState()
 
-        def row() -> VehicleRow | None:
+        def row() -> VehicleState | None:
             nonlocal state
             manager.listen()  # the kernel keeps ten messages, not more
             for report in session.drain():
                 state = fold(state, report, 0.0)
-            return next(iter(rows(state, 0.0)), None)
+            return next(iter(vehicles_at(state, 0.0)), None)
 
-        def now() -> VehicleRow:
+        def now() -> VehicleState:
             seen = row()
             assert seen
             return seen
 
         def do(name: CommandName, phase: FlightPhase) -> None:
             reply = session.command([1], name, 5.0)[1]
-            until(lambda: now().phase is phase, 40.0)
+            until(lambda: now().status.phase is phase, 40.0)
             assert reply and reply.accepted, reply
 
         until(row)
@@ -75,16 +75,16 @@ def test_a_whole_flight(tmp_path: Path) -> None:
         with stand_in(files.udp_port - PX4_COMPANION_PORT, tmp_path / "stand_in.log"):
             manager.wait_for("READY=1")
             until(lambda: getattr(session.command([1], CommandName.PREPARE, 5.0)[1], "accepted", False), 30.0)
-            until(lambda: now().phase is FlightPhase.READY, 40.0)
+            until(lambda: now().status.phase is FlightPhase.READY, 40.0)
             do(CommandName.ARM, FlightPhase.ARMED)
             do(CommandName.TAKEOFF, FlightPhase.HOLD)
             do(CommandName.FORM, FlightPhase.FORMATION)
             until(lambda: (error := now().error_to_slot_m) is not None and error < 0.3, 40.0)
             manager.forget()
             manager.wait_for("WATCHDOG=1")
-            timing = now().timing
+            timing = now().report.timing
             do(CommandName.LAND, FlightPhase.OBSERVE)
-            assert not now().armed
+            assert not now().status.armed
             assert process.stop() == 0
         assert "STOPPING=1" in manager.listen()
     assert timing.rss_mb < 60.0

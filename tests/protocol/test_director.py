@@ -243,7 +243,7 @@ def test_progress_is_plain_lines_without_a_terminal(flight: DirectedFlight) -> N
 
 def test_missing_data_have_no_age(flight: DirectedFlight) -> None:
     flight.fly(C.PREPARE)
-    row = flight.watch.rows(time.monotonic())[0]
+    row = flight.watch.vehicles_at(time.monotonic())[0]
     assert "data   - " in vehicle_line(dataclasses.replace(row, data_age_s=1e6, silent=False)) + " "
     assert "data  20 ms old" in vehicle_line(dataclasses.replace(row, data_age_s=0.02, silent=False))
 

@@ -7,7 +7,7 @@ from math import inf, pi, sqrt
 import pytest
 from msgspec.structs import replace
 
-from companion.ground.fleet_state import MOST_VEHICLES, SILENT_AFTER_S, FleetState, fold, rows
+from companion.ground.fleet_state import MOST_VEHICLES, SILENT_AFTER_S, FleetState, fold, vehicles_at
 from companion.types.autopilot import LandedState
 from companion.types.flight import FlightPhase, HealthFlag, Role
 from companion.types.formation import FlownSlot, Heading, LeaderBeacon
@@ -44,11 +44,11 @@ def received(*statuses: Status, at_s: float = 100.0, state: FleetState | None = 
 
 
 def error_of(state: FleetState, vehicle_id: int, now_s: float = 100.1) -> float | None:
-    return next(row.error_to_slot_m for row in rows(state, now_s) if row.vehicle_id == vehicle_id)
+    return next(row.error_to_slot_m for row in vehicles_at(state, now_s) if row.vehicle_id == vehicle_id)
 
 
 def test_no_report_is_an_empty_table() -> None:
-    assert rows(FleetState(), 0.0) == []
+    assert vehicles_at(FleetState(), 0.0) == []
 
 
 def test_the_error_is_the_distance_from_slot_and_reference_together() -> None:
@@ -108,7 +108,7 @@ def test_of_two_leaders_that_of_the_leader_beacon_gives_the_reference() -> None:
 def test_a_silent_vehicle_is_shown_with_its_age_and_stays() -> None:
     state = received(leader(), follower(2), at_s=100.0)
     state = received(leader(), at_s=99_999.0, state=state)
-    talking, silent = rows(state, 100_000.0)
+    talking, silent = vehicles_at(state, 100_000.0)
     assert (talking.vehicle_id, talking.silent) == (1, True is False)
     assert (silent.vehicle_id, silent.silent) == (2, True)
     assert silent.age_s == pytest.approx(99_900.0)
@@ -117,7 +117,7 @@ def test_a_silent_vehicle_is_shown_with_its_age_and_stays() -> None:
 
 @pytest.mark.parametrize(("age_s", "silent"), [(0.0, False), (SILENT_AFTER_S, False), (SILENT_AFTER_S + 1e-6, True)])
 def test_silence_begins_after_one_second(age_s: float, silent: bool) -> None:
-    assert rows(received(leader(), at_s=0.0), age_s)[0].silent is silent
+    assert vehicles_at(received(leader(), at_s=0.0), age_s)[0].silent is silent
 
 
 def test_unknown_vehicles_fill_no_memory_and_displace_no_vehicle() -> None:
@@ -133,7 +133,7 @@ def test_unknown_vehicles_fill_no_memory_and_displace_no_vehicle() -> None:
 
 def test_data_age_includes_the_age_on_board() -> None:
     state = received(leader(state_age_s=0.4), follower(2, state_age_s=inf), at_s=100.0)
-    first, second = rows(state, 100.1)
+    first, second = vehicles_at(state, 100.1)
     assert first.age_s == pytest.approx(0.1)
     assert first.data_age_s == pytest.approx(0.5)
     assert second.data_age_s == inf
@@ -142,15 +142,15 @@ def test_data_age_includes_the_age_on_board() -> None:
 def test_the_newest_report_counts_and_the_fold_leaves_the_old_state_alone() -> None:
     before = received(leader())
     after = received(leader(rejected={"malformed": 2, "another": 3}, phase=FlightPhase.LAND), state=before)
-    assert rows(before, 100.0)[0].rejected == 0
-    assert rows(after, 100.0)[0].rejected == 5
-    assert rows(after, 100.0)[0].phase is FlightPhase.LAND
-    assert len(rows(after, 100.0)) == 1
+    assert vehicles_at(before, 100.0)[0].rejected == 0
+    assert vehicles_at(after, 100.0)[0].rejected == 5
+    assert vehicles_at(after, 100.0)[0].status.phase is FlightPhase.LAND
+    assert len(vehicles_at(after, 100.0)) == 1
 
 
 def test_rows_come_by_fleet_and_id() -> None:
     state = received(follower(10), follower(9), leader(fleet="alpha", vehicle_id=11))
-    assert [(row.fleet, row.vehicle_id) for row in rows(state, 100.0)] == [
+    assert [(row.fleet, row.vehicle_id) for row in vehicles_at(state, 100.0)] == [
         ("alpha", 11),
         ("platoon", 9),
         ("platoon", 10),
@@ -170,7 +170,7 @@ def test_rows_come_by_fleet_and_id() -> None:
 def test_a_missing_leader_is_shown_only_during_a_flight(phase: FlightPhase, shown: tuple[HealthFlag, ...]) -> None:
     waiting = follower(2, phase=FlightPhase.OBSERVE, flags=(HealthFlag.LEADER_LOST,))
     other_fleet = follower(3, fleet="other", phase=FlightPhase.OBSERVE, flags=(HealthFlag.LEADER_LOST,))
-    table = rows(received(follower(1, phase=phase), waiting, other_fleet), 100.0)
+    table = vehicles_at(received(follower(1, phase=phase), waiting, other_fleet), 100.0)
     assert {row.vehicle_id: row.flags for row in table} == {1: (), 2: shown, 3: ()}
 
 
@@ -178,4 +178,4 @@ def test_a_silent_vehicle_is_no_flight_and_other_flags_are_always_shown() -> Non
     flags = (HealthFlag.LEADER_LOST, HealthFlag.MODE_STALE)
     state = received(follower(1), at_s=100.0)
     state = received(follower(2, phase=FlightPhase.OBSERVE, flags=flags), at_s=110.0, state=state)
-    assert rows(state, 110.0)[1].flags == (HealthFlag.MODE_STALE,)
+    assert vehicles_at(state, 110.0)[1].flags == (HealthFlag.MODE_STALE,)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -91,7 +90,7 @@ def test_a_fleet_that_strangers_can_command_is_named_in_its_heading() -> None:
 
 
 def test_each_fleet_has_a_table_and_a_heading() -> None:
-    vehicles = [replace(row, fleet="alpha") for row in rows_of(leader())] + rows_of(leader(), reported(2))
+    vehicles = rows_of(leader(fleet="alpha")) + rows_of(leader(), reported(2))
     headings = [text.partition(",")[0] for text in texts(vehicles, 80) if text.startswith("fleet ")]
     assert headings == ["fleet alpha: 1 vehicle", "fleet platoon: 2 vehicles"]
 
