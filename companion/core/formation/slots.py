@@ -9,14 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from math import ceil
 
-from companion.core.election.beacon import FALLS_BACK_S
 from companion.core.formation.limits import FormationLimits
 from companion.core.formation.paths import Path
 from companion.core.paced import BEING_CHECKED, PENDING, Pending
+from companion.core.reference.agreement import Agreement
 from companion.geometry.curves import rest_to_rest
 from companion.geometry.formations import reach_m
 from companion.geometry.vectors import plus
-from companion.types.commands import NUMBERS_AHEAD
 from companion.types.flight import STREAMING, FlightPhase
 from companion.types.formation import FlownSlot, FormationChange
 from companion.types.notices import Answer, Code, Notice, accepted
@@ -24,7 +23,6 @@ from companion.types.peers import PeerPacket
 from companion.types.steps import Steps, whole
 from companion.types.values import MAX_CHANGE_S, MIN_CHANGE_S, ZERO3, Vector3
 
-LATEST_S = 60.0  # ahead of mission time
 # Time until every vehicle knows who has accepted a change: each cancels it at its beginning where another one lacks it.
 AGREED_WITHIN_S = 0.3
 Check = Callable[[Steps[Notice | None]], Notice | Pending | None]
@@ -41,9 +39,10 @@ class SlotPlan:
         self._before_enu_m = self.slots_enu_m = dict(slots_enu_m)  # of the formation flown, or moved to
         self._reach_before_m = self._reach_m = reach_m(slots_enu_m.values())
         self._flown = FormationChange(0, tuple(sorted(slots_enu_m.items())), 0.0, 0.0)
-        self._waiting: FormationChange | None = None
+        self._agreement: Agreement[FormationChange] = Agreement(
+            "formation", Code.FORMATION_CANCELLED, known_for_s=AGREED_WITHIN_S
+        )
         self._path: tuple[Path, float] | None = None  # into the slot, and when it begins on this vehicle's clock
-        self._reference_s = 0.0
         self.flown = FlownSlot(slots_enu_m[own_id])
 
     def change(
@@ -64,7 +63,7 @@ class SlotPlan:
 
         `check` does the dear part, after all other refusals: while the answer is BEING_CHECKED, ask again in the next tick.
         """
-        if change in (self._waiting, self._flown):
+        if change in (self._agreement.waiting, self._flown):
             return accepted(Code.FORMATION_KNOWN, f"formation {change.number} is known")
         if _is_flown(change, others):
             return self._adopt_flown(change)
@@ -77,7 +76,7 @@ class SlotPlan:
             return BEING_CHECKED
         if refusal:
             return Answer(False, refusal.about("formation"))
-        self._waiting = change
+        self._agreement.waiting = change
         text = f"formation {change.number} begins in {change.begins_s - reference_s:.1f} s"
         if crossing := self.limits.crossing(*self._flown_by_present(change)):
             text += f"; {crossing.text}"
@@ -115,21 +114,21 @@ class SlotPlan:
 
     def withdraw(self) -> None:
         """Drop the change that waits."""
-        self._waiting = None
+        self._agreement.waiting = None
 
     def lacks(self, change: FormationChange, over_own: bool) -> bool:
         """Whether a change passed on by a leader is new here.
 
         With `over_own` also if another one waits, of any number: one that the leader does not have would not begin.
         """
-        waiting = self._waiting
+        waiting = self._agreement.waiting
         if waiting is not None and change.number <= waiting.number and not over_own:
             return False
         return change != waiting and change.number != self._flown.number
 
     def is_settled(self, reference_s: float) -> bool:
         """Whether no change waits, and the formation flown has been reached."""
-        return self._waiting is None and reference_s >= self._flown.begins_s + self._flown.lasts_s
+        return self._agreement.waiting is None and reference_s >= self._flown.begins_s + self._flown.lasts_s
 
     def to_pass_on(self, others: Iterable[PeerPacket]) -> FormationChange | None:
         """The change that a leader sends to its peers. `others` are all fresh peers.
@@ -137,8 +136,8 @@ class SlotPlan:
         A waiting change is sent until it begins, so that all vehicles hold the same one; the formation flown is sent while a
         peer lacks it.
         """
-        if self._waiting:
-            return self._waiting
+        if self._agreement.waiting:
+            return self._agreement.waiting
         number = self._flown.number
         lacked = any(number not in (other.slot.formation, other.slot.waiting) for other in others)
         return self._flown if lacked else None
@@ -151,11 +150,12 @@ class SlotPlan:
         `others` are the fresh peers that fly; `in_formation` is whether this vehicle forms or flies in formation.
         """
         events: tuple[Notice, ...] = ()
-        if reference_s < self._reference_s - FALLS_BACK_S:  # the leader has landed or restarted meanwhile
+        agreement = self._agreement
+        if reference_s < agreement.reference_s and agreement.falls_back(reference_s):
             events = self.restart()
-        self._reference_s = reference_s
-        if self._waiting is not None and reference_s >= self._waiting.begins_s:
-            events += self._begin(self._waiting, others, in_formation)
+        agreement.reference_s = reference_s
+        if agreement.waiting and (due := agreement.take_due(reference_s)):
+            events += self._begin(due, others, in_formation)
         flown, own_id = self._flown, self._own_id
         elapsed_s = reference_s - flown.begins_s
         if elapsed_s > 0.0 and elapsed_s >= flown.lasts_s:
@@ -172,7 +172,7 @@ class SlotPlan:
             else:
                 x, y, z = (plus(a, b) for a, b in zip(motion, delta(now_s - begun_s), strict=True))
                 motion, moves_for_s = (x, y, z), max(moves_for_s, left_s)
-        number = self._waiting.number if self._waiting else flown.number
+        number = agreement.waiting.number if agreement.waiting else flown.number
         self.flown = FlownSlot(*motion, flown.number, number, moves_for_s)
         return events
 
@@ -180,14 +180,12 @@ class SlotPlan:
         self, waiting: FormationChange, others: Collection[PeerPacket], in_formation: bool
     ) -> tuple[Notice, ...]:
         """Begin the waiting change, or cancel it where a peer lacks it or an absent vehicle is back."""
-        self._waiting = None
         present = {o.vehicle_id for o in others if o.phase in STREAMING} | ({self._own_id} if in_formation else set())
         back = sorted(present & set(waiting.absent))
-        lacking = sorted(o.vehicle_id for o in others if waiting.number not in (o.slot.formation, o.slot.waiting))
-        if back:
-            return (_cancelled(waiting, f"vehicle {back[0]} is back in formation"),)
-        if lacking:
-            return (_cancelled(waiting, f"vehicle {lacking[0]} does not have it"),)
+        held = [(o.vehicle_id, o.slot.formation, o.slot.waiting) for o in others]
+        reason = f"vehicle {back[0]} is back in formation" if back else self._agreement.lacked_by(waiting, held)
+        if reason:
+            return self._agreement.cancel(waiting, reason)
         text = f"formation {self._flown.number} -> {waiting.number}"
         self._take(waiting)
         return (Notice(Code.FORMATION_CHANGED, text),)
@@ -199,9 +197,8 @@ class SlotPlan:
 
     def restart(self) -> tuple[Notice, ...]:
         """Mission time restarts, as with the next flight; the formation stays. Returns the event of a cancelled change."""
-        waiting = self._waiting
-        self._flown, self._before_enu_m, self._waiting = _begun(self._flown), self.slots_enu_m, None
-        return (_cancelled(waiting, "the mission time restarts"),) if waiting else ()
+        self._flown, self._before_enu_m = _begun(self._flown), self.slots_enu_m
+        return self._agreement.restart()
 
     def start_path(self, path: Path, now_s: float) -> None:
         """Fly this path into the slot from now on."""
@@ -214,7 +211,7 @@ class SlotPlan:
     def _take(self, change: FormationChange) -> None:
         self._before_enu_m, self.slots_enu_m = self.slots_enu_m, dict(change.slots_enu_m)
         self._reach_before_m, self._reach_m = self._reach_m, reach_m(self.slots_enu_m.values())
-        self._flown, self._waiting = change, None
+        self._flown, self._agreement.waiting = change, None
 
     def _adopt_flown(self, change: FormationChange) -> Answer:
         """Adopt the formation that others fly, at its end at once: a vehicle outside formation does not move.
@@ -237,28 +234,22 @@ class SlotPlan:
         if not set(change.absent) < set(ids):
             text = f"absent vehicles {sorted(change.absent)}; expected some of {sorted(ids)}, not all"
             return Notice(Code.SLOTS_INCOMPLETE, text)
-        if change.number > self._flown.number + NUMBERS_AHEAD:
-            text = f"number {change.number} is too far ahead of {self._flown.number}"
-            return Notice(Code.CHANGE_TOO_NEW, text)
-        return self.limits.refusal_of_extent(dict(change.slots_enu_m))
+        too_new = self._agreement.refusal_if_too_new(change.number, self._flown.number)
+        return too_new or self.limits.refusal_of_extent(dict(change.slots_enu_m))
 
     def _refusal(self, change: FormationChange, rft_enu_m: Iterable[Vector3], is_command: bool) -> Notice | None:
         """The refusal that does not depend on when it begins."""
-        if refusal := self._refusal_of_form(change):
+        if refusal := (
+            self._refusal_of_form(change)
+            or self._agreement.refusal_if_too_old(change.number, self._flown.number, is_command)
+        ):
             return refusal
-        if change.number == self._flown.number or (change.number < self._flown.number and not is_command):
-            text = f"number {change.number} is not newer than {self._flown.number}"
-            return Notice(Code.CHANGE_TOO_OLD, text)
         return self.limits.refusal_of_positions(dict(change.slots_enu_m), rft_enu_m)
 
     def _refusal_of_change(self, change: FormationChange, reference_s: float) -> Notice | None:
         """The refusal of its time, of its slots and of the speed from the formation flown now."""
-        if not reference_s + AGREED_WITHIN_S <= change.begins_s <= reference_s + LATEST_S:
-            text = (
-                f"begins at mission time {change.begins_s:.1f} s, which is {reference_s:.1f} s now; expected"
-                f" {AGREED_WITHIN_S:g} to {LATEST_S:g} s ahead"
-            )
-            return Notice(Code.CHANGE_NOT_IN_TIME, text)
+        if refusal := self._agreement.refusal_of_time(change, reference_s):
+            return refusal
         if not MIN_CHANGE_S <= change.lasts_s <= MAX_CHANGE_S:
             text = f"lasts {change.lasts_s:.1f} s; expected {MIN_CHANGE_S:g} to {MAX_CHANGE_S:g} s"
             return Notice(Code.CHANGE_TOO_LONG, text)
@@ -288,10 +279,6 @@ class SlotPlan:
 
 def _is_flown(change: FormationChange, others: Iterable[PeerPacket]) -> bool:
     return any(other.slot.formation == change.number for other in others)
-
-
-def _cancelled(change: FormationChange, reason: str) -> Notice:
-    return Notice(Code.FORMATION_CANCELLED, f"formation {change.number} does not begin: {reason}")
 
 
 def _begun(change: FormationChange) -> FormationChange:

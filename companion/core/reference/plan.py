@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from msgspec import json
 
 from companion.core.consensus.law import FormationState
-from companion.core.election.beacon import FALLS_BACK_S
 from companion.core.paced import BEING_CHECKED, PENDING, PacedChecks
+from companion.core.reference.agreement import Agreement
 from companion.core.reference.blend import BlendLimits, ReferenceTrajectory, blending
 from companion.core.reference.target import TargetLimits, TargetPursuit, Targets, can_keep
-from companion.types.commands import NUMBERS_AHEAD, Described, ReferenceChange
+from companion.types.commands import Described, ReferenceChange
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import HeldReference
 from companion.types.notices import Answer, Code, Notice, accepted, refused
@@ -25,7 +25,6 @@ from companion.types.steps import Steps, first_steps
 from companion.types.values import ZERO3, Vector3
 
 LEADER, FORMATION = Role.LEADER, FlightPhase.FORMATION  # member lookup of an enum is slow
-LATEST_S = 60.0  # ahead of mission time
 SETTLED_S = 0.5  # before a change begins it stays: longer than any packet of a peer counts
 LOOK_AHEAD_S = 120  # for this time ahead a formation must keep its limits along the RFT
 STEPS_AT_ONCE = 12  # of the search for a hand-over that begins now
@@ -74,21 +73,20 @@ class ReferencePlan:
         self._limits = limits
         self._targets = Targets()
         self._change: ReferenceChange | None = None  # that the RFT flown came by; None: configured
-        self._waiting: tuple[ReferenceChange, Rft] | None = None
-        self._rft = first
+        self._agreement: Agreement[ReferenceChange] = Agreement("reference", Code.REFERENCE_CANCELLED)
+        self._rft = self._waiting_rft = first
         self._flown = _from_start(first)
         self._handed: tuple[Flown, Mapping[int, Vector3], HandedOver] | None = None  # of the change that waits
         self.flown_count = 0  # of RFTs flown since the start
         self._begun_s = 0.0  # mission time at which the RFT flown began
-        self._reference_s = 0.0
         self._led_by: tuple[int, HeldReference] | None = None  # leader in formation, and its RFT
         self._led_s = 0.0
         self.target_age_s: float | None = None  # None without a target, or before its first sample
 
     @property
     def held(self) -> HeldReference:
-        flown = self._change.number if self._change else 0
-        return HeldReference(flown, self._waiting[0].number if self._waiting else flown, self._begun_s)
+        flown, waiting = self._change.number if self._change else 0, self._agreement.waiting
+        return HeldReference(flown, waiting.number if waiting else flown, self._begun_s)
 
     @property
     def rejected(self) -> Mapping[str, int]:
@@ -105,17 +103,17 @@ class ReferencePlan:
         """
         times_s = [reference_s + ahead_s for ahead_s in range(LOOK_AHEAD_S)]
         waiting_enu_m = []
-        if self._waiting:
-            change, rft = self._waiting
-            waiting_enu_m = _positions_enu_m(_from_start(rft), [max(0.0, t - change.begins_s) for t in times_s])
+        if change := self._agreement.waiting:
+            since_s = [max(0.0, time_s - change.begins_s) for time_s in times_s]
+            waiting_enu_m = _positions_enu_m(_from_start(self._waiting_rft), since_s)
         return _positions_enu_m(self._flown, times_s) + waiting_enu_m
 
     def refusal_of_slots(self, slots_enu_m: Mapping[int, Vector3]) -> Steps[str | None]:
         """Why the law cannot fly these slots with the RFT flown, or with the one that waits."""
-        waiting = self._waiting
+        waiting = self._agreement.waiting
         refusal = yield from self._refusal_of_slots(self._change.reference if self._change else None, slots_enu_m)
         if refusal is None and waiting:
-            refusal = yield from self._refusal_of_slots(waiting[0].reference, slots_enu_m)
+            refusal = yield from self._refusal_of_slots(waiting.reference, slots_enu_m)
         return refusal
 
     def change(
@@ -149,9 +147,10 @@ class ReferencePlan:
         rft, handed = found
         if handed is None:
             self._take(change, rft, _joined(rft, change.begins_s, fleet_enu_m))
-            self._waiting = None
+            self._agreement.waiting = None
             return accepted(Code.REFERENCE_ACCEPTED, f"reference {change.number}, which the leader flies")
-        self._waiting, self._handed = (change, rft), (self._flown, dict(slots), handed)
+        self._agreement.waiting, self._waiting_rft = change, rft
+        self._handed = (self._flown, dict(slots), handed)
         text = f"reference {change.number} begins in {change.begins_s - reference_s:.1f} s"
         return accepted(Code.REFERENCE_ACCEPTED, text)
 
@@ -168,17 +167,16 @@ class ReferencePlan:
 
     def waiting_track_enu_m(self, slots_enu_m: Mapping[int, Vector3]) -> list[Vector3]:
         """r of the change that waits, with its hand-over, once a second for LOOK_AHEAD_S; empty for a followed target."""
-        if self._waiting is None:
+        if (change := self._agreement.waiting) is None:
             return []
-        change, rft = self._waiting
-        flown, _ = self._handed_over(change, rft, slots_enu_m)
+        flown, _ = self._handed_over(change, slots_enu_m)
         if isinstance(flown, TargetPursuit):
             return []
         return _positions_enu_m(flown, [change.begins_s + ahead_s for ahead_s in range(LOOK_AHEAD_S)])
 
     def withdraw(self) -> None:
         """Drop the change that waits."""
-        self._waiting = None
+        self._agreement.waiting = None
 
     def update(
         self,
@@ -190,17 +188,18 @@ class ReferencePlan:
     ) -> tuple[Notice, ...]:
         """Once a tick, with the fresh peers that fly, the slots of the formation and new target samples; returns the events."""
         self._note_leader(now_s, others)
-        live = [rft for rft in (self._rft, self._waiting and self._waiting[1]) if isinstance(rft, LiveReference)]
-        self._targets.fold(targets, [rft.name for rft in live])
+        agreement = self._agreement
+        followed = (self._rft, self._waiting_rft) if agreement.waiting else (self._rft,)
+        self._targets.fold(targets, [rft.name for rft in followed if isinstance(rft, LiveReference)])
         events: tuple[Notice, ...] = ()
-        if reference_s < self._reference_s - FALLS_BACK_S:
+        if agreement.falls_back(reference_s):
             events = self._restart()
-            self._reference_s = reference_s
-        if self._waiting is not None and reference_s >= self._waiting[0].begins_s:
-            events += self._begin(*self._waiting, slots_enu_m, others)
+            agreement.reference_s = reference_s
+        if due := agreement.take_due(reference_s):
+            events += self._begin(due, slots_enu_m, others)
         if isinstance(self._flown, TargetPursuit) and isinstance(self._rft, LiveReference):
             events += self._follow(self._flown, self._rft, now_s, reference_s, slots_enu_m)
-        self._reference_s = max(self._reference_s, reference_s)  # corrections by milliseconds do not count
+        agreement.reference_s = max(agreement.reference_s, reference_s)  # corrections by milliseconds do not count
         return events
 
     def missing(self, now_s: float) -> Notice | None:
@@ -226,51 +225,45 @@ class ReferencePlan:
                 self._led_by, self._led_s = (other.vehicle_id, other.reference), now_s
 
     def _has(self, change: ReferenceChange) -> bool:
-        if self._waiting and change == self._waiting[0]:
+        if change == self._agreement.waiting:
             return True
         return change == self._change and change.begins_s == self._begun_s
 
     def _restart(self) -> tuple[Notice, ...]:
         """Mission time restarted after a landing, and with it the RFT flown last. Cancels a waiting change."""
-        waiting = self._waiting
-        self._waiting, self._begun_s = None, 0.0
+        self._begun_s = 0.0
         self._flown, self.target_age_s = _from_start(self._rft), None
         self.flown_count += 1
-        return (_cancelled(waiting[0], "the mission time restarts"),) if waiting else ()
+        return self._agreement.restart()
 
     def _refusal(self, change: ReferenceChange, reference_s: float, late: bool, in_formation: bool) -> Notice | None:
-        flown = self.held.flown
+        flown, agreement = self.held.flown, self._agreement
         # In the last moment one vehicle would begin the change that waits, and another one this change.
-        if self._waiting and in_formation and self._waiting[0].begins_s - reference_s < SETTLED_S:
-            return Notice(Code.CHANGE_IN_PROGRESS, f"{self._waiting[0].number} is about to begin")
-        # Every change is a command: it may have a smaller number than the one flown, which then was wrong.
-        if change.number == flown and not late:
-            return Notice(Code.CHANGE_TOO_OLD, f"number {change.number} is not newer than {flown}")
-        if change.number > flown + NUMBERS_AHEAD:
-            return Notice(Code.CHANGE_TOO_NEW, f"number {change.number} is too far ahead of {flown}")
-        if not late and not reference_s < change.begins_s <= reference_s + LATEST_S:
-            text = f"begins at mission time {change.begins_s:.1f} s, which is {reference_s:.1f} s now"
-            return Notice(Code.CHANGE_NOT_IN_TIME, text)
-        return None
+        if agreement.waiting and in_formation and agreement.waiting.begins_s - reference_s < SETTLED_S:
+            return Notice(Code.CHANGE_IN_PROGRESS, f"{agreement.waiting.number} is about to begin")
+        if refusal := agreement.refusal_if_too_new(change.number, flown):
+            return refusal
+        if late:
+            return None
+        too_old = agreement.refusal_if_too_old(change.number, flown, is_command=True)
+        return too_old or agreement.refusal_of_time(change, reference_s)
 
     def _begin(
-        self, change: ReferenceChange, rft: Rft, slots_enu_m: Mapping[int, Vector3], others: Iterable[PeerPacket]
+        self, change: ReferenceChange, slots_enu_m: Mapping[int, Vector3], others: Iterable[PeerPacket]
     ) -> tuple[Notice, ...]:
-        """Begin a waiting change, or cancel it where a peer that may lead lacks it or no hand-over is possible."""
-        self._waiting = None
-        held = [(o.vehicle_id, o.reference) for o in others if o.reference]
-        lacking = [i for i, theirs in held if change.number not in (theirs.flown, theirs.waiting)]
-        if lacking:
-            return (_cancelled(change, f"vehicle {min(lacking)} does not have it"),)
+        """Begin a change that is due, or cancel it where a peer that may lead lacks it or no hand-over is possible."""
+        held = [(o.vehicle_id, o.reference.flown, o.reference.waiting) for o in others if o.reference]
+        if lacking := self._agreement.lacked_by(change, held):
+            return self._agreement.cancel(change, lacking)
         try:
-            flown, how = self._handed_over(change, rft, slots_enu_m)
+            flown, how = self._handed_over(change, slots_enu_m)
         except ValueError as error:
-            return (_cancelled(change, str(error)),)
+            return self._agreement.cancel(change, str(error))
         text = f"reference {self.held.flown} -> {change.number} ({how})"
-        self._take(change, rft, flown)
+        self._take(change, self._waiting_rft, flown)
         return (Notice(Code.REFERENCE_CHANGED, text),)
 
-    def _handed_over(self, change: ReferenceChange, rft: Rft, slots_enu_m: Mapping[int, Vector3]) -> HandedOver:
+    def _handed_over(self, change: ReferenceChange, slots_enu_m: Mapping[int, Vector3]) -> HandedOver:
         """The hand-over of the change that waits. Raises ValueError where none is possible, or none is found at once.
 
         It was found when the change was checked, unless a target is followed or the slots are others now.
@@ -279,7 +272,7 @@ class ReferencePlan:
             flown, slots, handed = self._handed
             if flown is self._flown and slots == slots_enu_m:
                 return handed
-        return first_steps(self._handing_over(change, rft, slots_enu_m), STEPS_AT_ONCE)
+        return first_steps(self._handing_over(change, self._waiting_rft, slots_enu_m), STEPS_AT_ONCE)
 
     def _handing_over(self, change: ReferenceChange, rft: Rft, slots_enu_m: Mapping[int, Vector3]) -> Steps[HandedOver]:
         """The RFT with its hand-over. Raises ValueError where no hand-over is possible."""
@@ -302,7 +295,8 @@ class ReferencePlan:
         self._change, self._rft, self._flown = change, rft, flown
         self.flown_count += 1
         self._begun_s, self.target_age_s = change.begins_s, None
-        self._reference_s = max(self._reference_s, change.begins_s)  # a target is followed from then on
+        # A target is followed from then on.
+        self._agreement.reference_s = max(self._agreement.reference_s, change.begins_s)
 
     def _follow(
         self,
@@ -320,7 +314,7 @@ class ReferencePlan:
         if target and age_s is not None and age_s <= live.max_age_s:
             goal, velocity = live.goal(target.position_at(now_s), target.sample.velocity_enu_m_s)
         room = self._limits.room(slots_enu_m.values())
-        pursuit.advance(reference_s - self._reference_s, goal, velocity, room)
+        pursuit.advance(reference_s - self._agreement.reference_s, goal, velocity, room)
         return _target_events(live, before_s, age_s)
 
 
@@ -334,10 +328,6 @@ def _target_events(live: LiveReference, before_s: float | None, age_s: float | N
         text = f"target {live.name} is silent for {live.max_age_s:g} s: the reference comes to rest"
         return (Notice(Code.TARGET_LOST, text),)
     return ()
-
-
-def _cancelled(change: ReferenceChange, reason: str) -> Notice:
-    return Notice(Code.REFERENCE_CANCELLED, f"reference {change.number} does not begin: {reason}")
 
 
 def _positions_enu_m(flown: Flown, times_s: Iterable[float]) -> list[Vector3]:
