@@ -1,23 +1,39 @@
-"""What happens to one stand-in at given times: estimator resets, battery charges, and a pilot who takes over."""
+"""The common part of all stand-in autopilots: body, time, parameters, home, automatic flight. No sockets, no clocks.
+
+`step` advances virtual time. A stand-in's ends of its links (`sitl.autopilots.link_end`) handle messages. Beside it stand the
+incidents of a vehicle: estimator resets, battery charges, and a pilot who takes over.
+"""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from math import inf, nan
-from typing import ClassVar, Protocol
+from typing import Any, ClassVar, Protocol
 
 from companion.geometry.frames import enu_from_geodetic, euler_from_quaternion, geodetic_from_enu
 from companion.types.autopilot import AutopilotKind
 from companion.types.errors import CompanionError
 from companion.types.values import Vector3
 from sitl.autopilots.logs import StandInLogs
-from sitl.autopilots.parameters import StandInParameters
+from sitl.autopilots.parameters import AutopilotData, StandInParameters
 from sitl.vehicle.automatic_flight import AutomaticFlight, Course, GroundContact, Speeds
-from sitl.vehicle.config import AutopilotFile
+from sitl.vehicle.config import AutopilotFile, StandIn
 from sitl.vehicle.control import AttitudeSetpoint, Loops
 from sitl.vehicle.quadrotor import MOTORS_OFF, Quadrotor
 
+DT_S = 0.004  # physics and attitude control at 250 Hz
+CONTROL_PERIOD_S = 0.02  # of position control, and of the checks of setpoint streams
+IDLE_THRUST_NORM = 0.08
+LOW_THRUST_RATIO = 0.6  # of hover thrust
+CRITICAL, ERROR, WARNING, INFO = 2, 3, 4, 6  # MAV_SEVERITY
+LANDED_ON_GROUND, LANDED_IN_AIR, LANDED_TAKEOFF, LANDED_LANDING = 1, 2, 3, 4
+STATE_UNINIT, STATE_BOOT, STATE_STANDBY, STATE_ACTIVE, STATE_CRITICAL = 0, 1, 3, 4, 5  # MAV_STATE
 FULL_BATTERY_PERCENT = 98
+
+
+def known_or(given: float | None, default: float) -> float:
+    """A value of a file that may be left to the autopilot type."""
+    return default if given is None else given
 
 
 class Incidents:
@@ -56,19 +72,12 @@ class Incidents:
         return reported[-1] if reported else FULL_BATTERY_PERCENT
 
 
-DT_S = 0.004  # physics and attitude control at 250 Hz
-CONTROL_PERIOD_S = 0.02  # of position control, and of the checks of setpoint streams
-IDLE_THRUST_NORM = 0.08
-LOW_THRUST_RATIO = 0.6  # of hover thrust
-CRITICAL, ERROR, WARNING, INFO = 2, 3, 4, 6  # MAV_SEVERITY
-
-
 class AutopilotAbortedError(CompanionError):
     """The real autopilot's process would have aborted here; str() names the cause."""
 
 
 class FlightMode(Protocol):
-    """A flight mode of any make."""
+    """A flight mode of any autopilot type."""
 
     @property
     def name(self) -> str: ...
@@ -77,20 +86,30 @@ class FlightMode(Protocol):
     def custom_mode(self) -> int:
         """custom_mode of HEARTBEAT."""
 
+    @property
+    def flags(self) -> int:
+        """MAV_MODE_FLAG bits of HEARTBEAT that depend on the mode."""
+
 
 class Autopilot(ABC):
     """A stand-in vehicle. `dt_s` is the step of physics and attitude control."""
 
     kind: ClassVar[AutopilotKind]
+    data: ClassVar[AutopilotData]
+    loops: ClassVar[Loops]
+    braking_m_s2: ClassVar[float]  # of automatic flight
+    parameters_type: ClassVar[type[StandInParameters]] = StandInParameters
     flight_logs: StandInLogs
+    mode: FlightMode
+    intended_mode: FlightMode  # that it returns to by itself
 
-    def __init__(
-        self, file: AutopilotFile, dt_s: float, loops: Loops, parameters: StandInParameters, braking_m_s2: float
-    ) -> None:
+    def __init__(self, file: AutopilotFile, dt_s: float) -> None:
+        stand_in = file.stand_in
+        hover_thrust_norm = known_or(stand_in.airframe.hover_thrust_norm, self.data.hover_thrust_norm)
         self.system_id = file.id
         self.dt_s = dt_s
-        self.quad = Quadrotor(file, loops, dt_s)
-        self.parameters = parameters
+        self.quad = Quadrotor(file, self.loops, dt_s, hover_thrust_norm)
+        self.parameters = self.parameters_type(self.data, file.id, stand_in.parameters)
         self.time_s = 0.0
         self.armed = False
         self.home: Vector3 = self.here_geodetic()
@@ -100,15 +119,16 @@ class Autopilot(ABC):
         self.origin_changes = 0
         self._steps = 0
         self._control_steps = max(1, round(CONTROL_PERIOD_S / dt_s))
-        self._automatic = AutomaticFlight(self.quad, self.speeds, file.stand_in.hover_thrust_norm, braking_m_s2)
+        self._automatic = AutomaticFlight(self.quad, self.speeds, hover_thrust_norm, self.braking_m_s2)
         self._ground = GroundContact()
         self._incidents = Incidents(file)
 
-    # ------------------------------------------------------------ state
+    @classmethod
+    def armable_after_s(cls, stand_in: StandIn) -> float:
+        """Time from the start until arming is accepted."""
+        return known_or(stand_in.armable_after_s, cls.data.armable_after_s)
 
-    @property
-    @abstractmethod
-    def flight_mode(self) -> FlightMode: ...
+    # ------------------------------------------------------------ state
 
     @property
     @abstractmethod
@@ -117,8 +137,27 @@ class Autopilot(ABC):
 
     @property
     @abstractmethod
+    def system_status(self) -> int:
+        """MAV_STATE."""
+
+    @property
+    @abstractmethod
+    def takes_off(self) -> bool:
+        """Whether it climbs in a take-off that it was commanded."""
+
+    @property
     def landed_state(self) -> int:
         """MAV_LANDED_STATE."""
+        if self._ground.landed:
+            return LANDED_ON_GROUND
+        if self.takes_off:
+            return LANDED_TAKEOFF
+        return LANDED_LANDING if self._automatic.landing else LANDED_IN_AIR
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether it rests on the ground without vibration."""
+        return self._ground.landed and not self.armed
 
     @abstractmethod
     def speeds(self) -> Speeds:
@@ -128,6 +167,16 @@ class Autopilot(ABC):
     def has_position(self) -> bool:
         """Whether its estimator has a position."""
         return True
+
+    @property
+    def has_origin(self) -> bool:
+        """Whether it has an origin and a home."""
+        return True
+
+    @property
+    def commanded_thrust_norm(self) -> float:
+        """The thrust that ATTITUDE_TARGET reports."""
+        return self.setpoint.thrust_norm
 
     @property
     def battery_percent(self) -> int:
@@ -152,12 +201,30 @@ class Autopilot(ABC):
 
     # ------------------------------------------------------------ requests
 
+    @property
+    def follows_setpoints(self) -> bool:
+        """Whether it looks at external setpoints in its present mode."""
+        return True
+
     @abstractmethod
-    def take_setpoint(self, setpoint: AttitudeSetpoint) -> None:
-        """An external attitude and thrust."""
+    def take_setpoint(self, setpoint: AttitudeSetpoint | Course) -> None:
+        """An external attitude and thrust, or a position or velocity."""
+
+    @abstractmethod
+    def stop(self) -> None:
+        """The reaction to an external setpoint that cannot be followed."""
 
     def send_text(self, severity: int, text: str) -> None:
         self.texts.append((severity, text))
+
+    def _start_motors(self, text: str) -> None:
+        """Arm: home is here from now on."""
+        self.armed = True
+        self._ground.arm(self.time_s)
+        self.home = self.here_geodetic()
+        self._automatic.reset_integrals()
+        self._enter(self.mode)
+        self.send_text(INFO, text)
 
     def set_origin(self, origin_deg_deg_m: Vector3) -> None:
         """Move the origin of the local frame at once; the vehicle does not move."""
@@ -196,6 +263,10 @@ class Autopilot(ABC):
             self.reset_estimator(shift_enu_m)
         if self._incidents.pilot_takes_over(self.time_s) and self.armed and self._ground.flies:
             self._enter_pilot_mode()
+
+    @abstractmethod
+    def _enter(self, mode: Any) -> None:
+        """Begin the task of a mode of this type, from here."""
 
     @abstractmethod
     def _enter_pilot_mode(self) -> None:

@@ -1,23 +1,35 @@
-"""Incoming MAVLink messages of a stand-in that all makes handle alike: changes of the autopilot, and answers.
+"""A stand-in's end of one MAVLink link: bytes in, bytes out, message rates. No sockets, no clocks.
 
-The receiver of each make adds its own messages and commands, one entry each.
+`Receiver` handles the incoming messages that all autopilot types handle alike; that of each type adds its own messages and
+commands, one entry each.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from itertools import chain
 from math import inf, isfinite
+from typing import ClassVar
 
 from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
 from sitl.autopilots.autopilot import Autopilot
 from sitl.autopilots.logs import LogTransfer
+from sitl.autopilots.messages import BUILDERS
+from sitl.autopilots.parameters import AutopilotData
+from sitl.vehicle.automatic_flight import Course
+from sitl.vehicle.config import AutopilotFile
+from sitl.vehicle.control import AttitudeSetpoint
 
 M = mavlink
 ACCEPTED, LATER, DENIED = M.MAV_RESULT_ACCEPTED, M.MAV_RESULT_TEMPORARILY_REJECTED, M.MAV_RESULT_DENIED
 UNSUPPORTED, FAILED = M.MAV_RESULT_UNSUPPORTED, M.MAV_RESULT_FAILED
 FORCE = 21196.0  # param 2 of COMPONENT_ARM_DISARM
+IGNORE_RATES = (0x01, 0x02, 0x04)  # of type_mask of SET_ATTITUDE_TARGET: roll, pitch, yaw
+IGNORE_THROTTLE, IGNORE_ATTITUDE = 0x40, 0x80
+IGNORE_POSITION, IGNORE_VELOCITY = (0x01, 0x02, 0x04), (0x08, 0x10, 0x20)  # of SET_POSITION_TARGET_LOCAL_NED: x, y, z
+IGNORE_YAW, IGNORE_YAW_RATE = 0x400, 0x800
 CHUNK = 50  # characters of a STATUSTEXT
 NO_COORDINATE = 2**31 - 1  # COMMAND_INT's NaN
 # Older commands for REQUEST_MESSAGE.
@@ -34,8 +46,11 @@ class Receiver(ABC):
     """Incoming messages of one link. `receive` yields the answers on the same link."""
 
     logs: LogTransfer
+    UNKNOWN_MESSAGE: ClassVar[int]  # MAV_RESULT of a request for it
+    TEXT_ENDS_WITH: ClassVar[str] = ""
 
     def __init__(self, autopilot: Autopilot, schedule: Schedule) -> None:
+        """The receiver of a type adds the messages of its log transfer."""
         self._autopilot = autopilot
         self._schedule = schedule
         self._text_id = 0
@@ -54,8 +69,19 @@ class Receiver(ABC):
             "TIMESYNC": self._timesync,
             "PING": self._ping,
             "FILE_TRANSFER_PROTOCOL": self._file_transfer,
+            "SET_MODE": self._set_mode_message,
+            "SET_ATTITUDE_TARGET": self._set_attitude_target,
+            "SET_POSITION_TARGET_LOCAL_NED": self._set_position_target,
         }
-        self._commands: dict[int, Callable[[list[float]], Iterator[int]]] = {}  # results in their order
+        self._commands: dict[int, Callable[[list[float]], Iterator[int]]] = {  # results in their order
+            M.MAV_CMD_DO_SET_MODE: self._do_set_mode,
+            M.MAV_CMD_COMPONENT_ARM_DISARM: self._arm_disarm,
+            M.MAV_CMD_NAV_TAKEOFF: self._take_off,
+            M.MAV_CMD_NAV_LAND: lambda _p: self._enter_mode("LAND"),
+            M.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda _p: self._enter_mode("RTL"),
+            M.MAV_CMD_NAV_LOITER_UNLIM: lambda _p: self._enter_mode("LOITER"),
+            M.MAV_CMD_SET_MESSAGE_INTERVAL: self._set_interval,
+        }
 
     def receive(self, message: MavlinkMessage) -> Answers:
         """Answers to one message. Messages for other targets are ignored silently."""
@@ -67,7 +93,7 @@ class Receiver(ABC):
         """STATUSTEXT in chunks of 50 characters."""
         for severity, text in texts:
             self._text_id = self._text_id % 65535 + 1
-            whole = self._terminated(text)
+            whole = text + self.TEXT_ENDS_WITH
             chunks = [whole[i : i + CHUNK] for i in range(0, len(whole), CHUNK)]
             number = self._text_id if len(chunks) > 1 else 0
             for index, chunk in enumerate(chunks):
@@ -76,14 +102,6 @@ class Receiver(ABC):
     @abstractmethod
     def _is_for_it(self, message: MavlinkMessage) -> bool:
         """Whether this autopilot accepts the message's target."""
-
-    @abstractmethod
-    def _terminated(self, text: str) -> str:
-        """The text with its terminator on the wire."""
-
-    @abstractmethod
-    def _requested(self, message_id: int) -> tuple[MavlinkMessage | None, int]:
-        """REQUEST_MESSAGE: the message, and the MAV_RESULT."""
 
     # ------------------------------------------------------------ messages
 
@@ -102,10 +120,11 @@ class Receiver(ABC):
         command = message.command
         number = int(parameters[0]) if isfinite(parameters[0]) and 0.0 <= parameters[0] <= 65535.0 else -1
         if command == M.MAV_CMD_REQUEST_MESSAGE or command in REQUESTS_OF_ONE_MESSAGE:
-            reply, result = self._requested(REQUESTS_OF_ONE_MESSAGE.get(command, number))
-            if reply:
+            message_id = REQUESTS_OF_ONE_MESSAGE.get(command, number)
+            known = message_id in self._autopilot.data.message_ids
+            if known and (reply := BUILDERS[message_id](self._autopilot)) is not None:  # accepted also without data
                 yield reply
-            yield self._ack(message, result)
+            yield self._ack(message, ACCEPTED if known else self.UNKNOWN_MESSAGE)
             return
         if command == M.MAV_CMD_GET_MESSAGE_INTERVAL and number >= 0:
             yield M.MAVLink_message_interval_message(number, self._schedule.interval_us(number))
@@ -117,6 +136,58 @@ class Receiver(ABC):
             return
         for result in handler(parameters):
             yield self._ack(message, result)
+
+    def _set_mode_message(self, message: MavlinkMessage) -> Answers:
+        """SET_MODE is not answered."""
+        for _ in self._do_set_mode([1.0, *self._mode_parameters(message.custom_mode)]):
+            pass
+        yield from ()
+
+    def _set_attitude_target(self, message: MavlinkMessage) -> Answers:
+        if self._autopilot.follows_setpoints:
+            self._follow(self._attitude_of(message))
+        yield from ()
+
+    def _set_position_target(self, message: MavlinkMessage) -> Answers:
+        if self._autopilot.follows_setpoints:
+            self._follow(self._course_of(message))
+        yield from ()
+
+    def _follow(self, setpoint: AttitudeSetpoint | Course | None) -> None:
+        if setpoint is None:
+            self._autopilot.stop()
+        else:
+            self._autopilot.take_setpoint(setpoint)
+
+    @abstractmethod
+    def _attitude_of(self, message: MavlinkMessage) -> AttitudeSetpoint | None:
+        """The setpoint of a SET_ATTITUDE_TARGET; None without one that can be followed."""
+
+    @abstractmethod
+    def _course_of(self, message: MavlinkMessage) -> Course | None:
+        """The course of a SET_POSITION_TARGET_LOCAL_NED; None without one that can be followed."""
+
+    @abstractmethod
+    def _mode_parameters(self, custom_mode: int) -> tuple[float, ...]:
+        """The parameters of DO_SET_MODE, from the second on, for this custom_mode."""
+
+    # ------------------------------------------------------------ commands
+
+    @abstractmethod
+    def _do_set_mode(self, parameters: list[float]) -> Iterator[int]: ...
+
+    @abstractmethod
+    def _enter_mode(self, name: str) -> Iterator[int]:
+        """Enter the mode with this name, if the autopilot allows it."""
+
+    @abstractmethod
+    def _arm_disarm(self, parameters: list[float]) -> Iterator[int]: ...
+
+    @abstractmethod
+    def _take_off(self, parameters: list[float]) -> Iterator[int]: ...
+
+    @abstractmethod
+    def _set_interval(self, parameters: list[float]) -> Iterator[int]: ...
 
     def _ack(self, message: MavlinkMessage, result: int) -> MavlinkMessage:
         return M.MAVLink_command_ack_message(
@@ -235,12 +306,15 @@ class Schedule:
         return ready
 
 
-class LinkEnd(ABC):
+class LinkEnd:
     """One link. Messages are due by the autopilot's clock."""
+
+    ON_CHANGE: ClassVar[tuple[int, ...]] = (M.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,)  # sent whenever the origin changes
 
     def __init__(self, autopilot: Autopilot, schedule: Schedule, receiver: Receiver, codec: MavlinkCodec) -> None:
         self._autopilot = autopilot
         self._codec = codec
+        self._origin_sent: int | None = None  # the number of the change
         self.schedule = schedule
         self.receiver = receiver
 
@@ -257,7 +331,8 @@ class LinkEnd(ABC):
     def due(self) -> Iterator[bytes]:
         """All packets that are due now."""
         yield from self.texts()
-        yield from self._encoded(chain(self._changes(), self._telemetry(), self.receiver.logs.due()))
+        telemetry = self._built(self.schedule.due(self._autopilot.time_s))
+        yield from self._encoded(chain(self._changes(), telemetry, self.receiver.logs.due()))
 
     def texts(self) -> Iterator[bytes]:
         """STATUSTEXT of the autopilot's texts, if this link sends them."""
@@ -268,19 +343,25 @@ class LinkEnd(ABC):
         """Messages that are sent on change, independently of the rates."""
         yield from self._encoded(self._changes())
 
-    @abstractmethod
     def peer_connected(self) -> None:
         """The first packet of a peer has come."""
 
-    @abstractmethod
-    def _sends_texts(self) -> bool: ...
+    def _sends_texts(self) -> bool:
+        return True
 
-    @abstractmethod
-    def _changes(self) -> Iterator[MavlinkMessage]: ...
+    def _sends_changes(self) -> bool:
+        return True
 
-    @abstractmethod
-    def _telemetry(self) -> Iterator[MavlinkMessage]:
-        """Messages that are due by the schedule."""
+    def _changes(self) -> Iterator[MavlinkMessage]:
+        if self._sends_changes() and self._origin_sent != self._autopilot.origin_changes:
+            self._origin_sent = self._autopilot.origin_changes
+            yield from self._built(self.ON_CHANGE)
+
+    def _built(self, message_ids: Iterable[int]) -> Iterator[MavlinkMessage]:
+        for message_id in message_ids:
+            message = BUILDERS[message_id](self._autopilot)
+            if message is not None:
+                yield message
 
     def _codec_now(self) -> MavlinkCodec:
         """The codec of the present signing."""
@@ -289,3 +370,14 @@ class LinkEnd(ABC):
     def _encoded(self, messages: Iterable[MavlinkMessage]) -> Iterator[bytes]:
         for message in messages:
             yield self._codec_now().encode(message)
+
+
+@dataclass(frozen=True, slots=True)
+class AutopilotType:
+    """An autopilot type: its vehicle, and the ends of its links; `tcp_link` is None for one that does not listen on TCP."""
+
+    vehicle: Callable[[AutopilotFile, float], Autopilot]
+    data: AutopilotData
+    onboard_link: Callable[[Autopilot], LinkEnd]
+    ground_link: Callable[[Autopilot], LinkEnd]
+    tcp_link: Callable[[Autopilot], LinkEnd] | None = None

@@ -1,9 +1,11 @@
-"""Telemetry messages that all makes send alike: one function per message, from the autopilot's estimate."""
+"""Telemetry messages: one function for each, from the autopilot's estimate; None for one without data yet."""
 
 from __future__ import annotations
 
-from math import atan2, degrees, hypot
-from typing import NamedTuple
+from collections.abc import Callable
+from math import atan2, degrees, hypot, nan
+
+from pymavlink.dialects.v20.ardupilotmega import MAVLINK_MSG_ID_EKF_STATUS_REPORT, MAVLink_ekf_status_report_message
 
 from companion.geometry.frames import (
     enu_from_geodetic,
@@ -17,11 +19,34 @@ from companion.types.values import Vector3
 from sitl.autopilots.autopilot import Autopilot
 
 M = mavlink
-LANDED_ON_GROUND, LANDED_IN_AIR, LANDED_TAKEOFF, LANDED_LANDING = 1, 2, 3, 4
 BATTERY_V = 16.2
+ESTIMATES = (
+    M.ESTIMATOR_ATTITUDE | M.ESTIMATOR_VELOCITY_HORIZ | M.ESTIMATOR_VELOCITY_VERT | M.ESTIMATOR_POS_HORIZ_REL
+    | M.ESTIMATOR_POS_HORIZ_ABS | M.ESTIMATOR_POS_VERT_ABS | M.ESTIMATOR_POS_VERT_AGL
+    | M.ESTIMATOR_PRED_POS_HORIZ_REL | M.ESTIMATOR_PRED_POS_HORIZ_ABS
+)  # fmt: skip
+EKF_READY, EKF_WITHOUT_POSITION = 831, 167
+RELEASE = 255  # FIRMWARE_VERSION_TYPE
+
+Builder = Callable[[Autopilot], MavlinkMessage | None]
 
 
-def local_position(autopilot: Autopilot) -> MavlinkMessage:
+def heartbeat(autopilot: Autopilot) -> MavlinkMessage:
+    mode = autopilot.mode
+    flags = M.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | M.MAV_MODE_FLAG_STABILIZE_ENABLED | mode.flags
+    flags |= M.MAV_MODE_FLAG_SAFETY_ARMED if autopilot.armed else 0
+    return M.MAVLink_heartbeat_message(
+        M.MAV_TYPE_QUADROTOR, autopilot.data.mav_autopilot, flags, mode.custom_mode, autopilot.system_status, 3
+    )
+
+
+def current_mode(autopilot: Autopilot) -> MavlinkMessage:
+    return M.MAVLink_current_mode_message(0, autopilot.mode.custom_mode, autopilot.intended_mode.custom_mode)
+
+
+def local_position(autopilot: Autopilot) -> MavlinkMessage | None:
+    if not autopilot.has_position:
+        return None
     position = ned_from_enu(autopilot.quad.estimated_position_local_enu_m())
     velocity = ned_from_enu(autopilot.quad.estimated_velocity_enu_m_s())
     return M.MAVLink_local_position_ned_message(autopilot.boot_ms, *position, *velocity)
@@ -36,6 +61,44 @@ def attitude(autopilot: Autopilot) -> MavlinkMessage:
 def attitude_quaternion(autopilot: Autopilot) -> MavlinkMessage:
     quaternion = quaternion_from_euler(*euler_ned_from_enu(*autopilot.quad.estimated_euler_rad()))
     return M.MAVLink_attitude_quaternion_message(autopilot.boot_ms, *quaternion, *rates_frd(autopilot))
+
+
+def attitude_target(autopilot: Autopilot) -> MavlinkMessage:
+    """ATTITUDE_TARGET with the commanded thrust, before any compensation of the tilt."""
+    quaternion = quaternion_from_euler(*euler_ned_from_enu(*autopilot.wanted_euler_rad()))
+    return M.MAVLink_attitude_target_message(
+        autopilot.boot_ms, 0, quaternion, 0.0, 0.0, 0.0, autopilot.commanded_thrust_norm
+    )
+
+
+def odometry(autopilot: Autopilot) -> MavlinkMessage:
+    quad = autopilot.quad
+    quaternion = quaternion_from_euler(*euler_ned_from_enu(*quad.estimated_euler_rad()))
+    return M.MAVLink_odometry_message(
+        autopilot.boot_ms * 1000, M.MAV_FRAME_LOCAL_NED, M.MAV_FRAME_LOCAL_NED,
+        *ned_from_enu(quad.estimated_position_local_enu_m()), quaternion,
+        *ned_from_enu(quad.estimated_velocity_enu_m_s()), *rates_frd(autopilot), [nan] * 21, [nan] * 21,
+    )  # fmt: skip
+
+
+def altitude(autopilot: Autopilot) -> MavlinkMessage:
+    up = autopilot.quad.estimated_position_local_enu_m()[2]
+    amsl = autopilot.quad.origin[2] + up
+    return M.MAVLink_altitude_message(autopilot.boot_ms * 1000, amsl, amsl, up, amsl - autopilot.home[2], nan, nan)
+
+
+def estimator_status(autopilot: Autopilot) -> MavlinkMessage:
+    """PX4 calls the position of a vehicle that rests on the ground constant, however good it is."""
+    flags = ESTIMATES | (M.ESTIMATOR_CONST_POS_MODE if autopilot.at_rest else 0)
+    return M.MAVLink_estimator_status_message(
+        autopilot.boot_ms * 1000, flags, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1, *autopilot.quad.reported_error_m
+    )
+
+
+def ekf_status_report(autopilot: Autopilot) -> MavlinkMessage:
+    """Square roots of the innovation test ratios, 1 is the gate; small, as measured in a hover."""
+    flags = EKF_READY if autopilot.has_position else EKF_WITHOUT_POSITION
+    return MAVLink_ekf_status_report_message(flags, 0.02, 0.02, 0.02, 0.02, 0.0)
 
 
 def global_position(autopilot: Autopilot) -> MavlinkMessage:
@@ -59,14 +122,18 @@ def gps_raw(autopilot: Autopilot) -> MavlinkMessage:
     )  # fmt: skip
 
 
-def gps_global_origin(autopilot: Autopilot) -> MavlinkMessage:
+def gps_global_origin(autopilot: Autopilot) -> MavlinkMessage | None:
+    if not autopilot.has_origin:
+        return None
     latitude, longitude, altitude = autopilot.quad.origin
     return M.MAVLink_gps_global_origin_message(
         round(latitude * 1e7), round(longitude * 1e7), round(altitude * 1e3), autopilot.boot_ms * 1000
     )
 
 
-def home_position(autopilot: Autopilot) -> MavlinkMessage:
+def home_position(autopilot: Autopilot) -> MavlinkMessage | None:
+    if not autopilot.has_origin:
+        return None
     latitude, longitude, altitude = autopilot.home
     local = ned_from_enu(enu_from_geodetic(latitude, longitude, altitude, autopilot.quad.origin))
     return M.MAVLink_home_position_message(
@@ -79,20 +146,13 @@ def extended_sys_state(autopilot: Autopilot) -> MavlinkMessage:
     return M.MAVLink_extended_sys_state_message(0, autopilot.landed_state)
 
 
-class SensorBits(NamedTuple):
-    """Bits of SYS_STATUS but for the arming checks in `healthy`."""
-
-    present: int
-    enabled: int
-    healthy: int
-
-
 def system_time(autopilot: Autopilot) -> MavlinkMessage:
     """Time since boot only: the stand-in has no wall clock."""
     return M.MAVLink_system_time_message(0, autopilot.boot_ms)
 
 
-def sys_status(autopilot: Autopilot, sensors: SensorBits) -> MavlinkMessage:
+def sys_status(autopilot: Autopilot) -> MavlinkMessage:
+    sensors = autopilot.data.armed if autopilot.armed else autopilot.data.disarmed
     healthy = sensors.healthy | (M.MAV_SYS_STATUS_PREARM_CHECK if autopilot.armable else 0)
     return M.MAVLink_sys_status_message(
         sensors.present, sensors.enabled, healthy,
@@ -126,6 +186,20 @@ def timesync(autopilot: Autopilot) -> MavlinkMessage:
     return M.MAVLink_timesync_message(0, autopilot.boot_ms * 1_000_000)
 
 
+def ping(autopilot: Autopilot) -> MavlinkMessage:
+    return M.MAVLink_ping_message(autopilot.boot_ms * 1000, autopilot.boot_ms // 1000, 0, 0)
+
+
+def autopilot_version(autopilot: Autopilot) -> MavlinkMessage:
+    data = autopilot.data
+    capabilities = sum({getattr(M, f"MAV_PROTOCOL_CAPABILITY_{name}") for name in data.capabilities})
+    major, minor, patch = data.version
+    version = major << 24 | minor << 16 | patch << 8 | RELEASE
+    return M.MAVLink_autopilot_version_message(
+        capabilities, version, version, 0, 0, b"\0" * 8, b"\0" * 8, b"\0" * 8, 0, 0, data.uid | autopilot.system_id
+    )
+
+
 def rates_frd(autopilot: Autopilot) -> Vector3:
     return frd_from_flu(autopilot.quad.rates_rad_s)
 
@@ -133,3 +207,31 @@ def rates_frd(autopilot: Autopilot) -> Vector3:
 def heading_cdeg(autopilot: Autopilot) -> int:
     yaw_ned = euler_ned_from_enu(*autopilot.quad.estimated_euler_rad())[2]
     return round(degrees(yaw_ned) % 360.0 * 100) % 36000
+
+
+BUILDERS: dict[int, Builder] = {
+    M.MAVLINK_MSG_ID_HEARTBEAT: heartbeat,
+    M.MAVLINK_MSG_ID_CURRENT_MODE: current_mode,
+    M.MAVLINK_MSG_ID_LOCAL_POSITION_NED: local_position,
+    M.MAVLINK_MSG_ID_ATTITUDE: attitude,
+    M.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: attitude_quaternion,
+    M.MAVLINK_MSG_ID_ATTITUDE_TARGET: attitude_target,
+    M.MAVLINK_MSG_ID_ODOMETRY: odometry,
+    M.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: global_position,
+    M.MAVLINK_MSG_ID_GPS_RAW_INT: gps_raw,
+    M.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: gps_global_origin,
+    M.MAVLINK_MSG_ID_HOME_POSITION: home_position,
+    M.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: extended_sys_state,
+    M.MAVLINK_MSG_ID_SYS_STATUS: sys_status,
+    M.MAVLINK_MSG_ID_BATTERY_STATUS: battery_status,
+    M.MAVLINK_MSG_ID_VFR_HUD: vfr_hud,
+    M.MAVLINK_MSG_ID_ALTITUDE: altitude,
+    M.MAVLINK_MSG_ID_ESTIMATOR_STATUS: estimator_status,
+    MAVLINK_MSG_ID_EKF_STATUS_REPORT: ekf_status_report,
+    M.MAVLINK_MSG_ID_HIGHRES_IMU: highres_imu,
+    M.MAVLINK_MSG_ID_SYSTEM_TIME: system_time,
+    M.MAVLINK_MSG_ID_PING: ping,
+    M.MAVLINK_MSG_ID_TIMESYNC: timesync,
+    M.MAVLINK_MSG_ID_AUTOPILOT_VERSION: autopilot_version,
+}
+"""The messages of all autopilot types; the data of each names those that it sends."""

@@ -1,9 +1,8 @@
-"""The stand-in autopilots by make, behind one interface for flights in virtual and in real time."""
+"""The stand-in autopilots by type, one folder each and one line here; and the files of `sitl autopilot --config`."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import msgspec
@@ -11,43 +10,18 @@ import msgspec
 from companion.config.file import ConfigError, load, refuse
 from companion.config.validation import Problem, did_you_mean
 from companion.types.autopilot import AutopilotKind
-from sitl.autopilots.ardupilot import link as ardupilot_link_end
-from sitl.autopilots.ardupilot import parameters as ardupilot_parameters
-from sitl.autopilots.ardupilot.autopilot import ArduCopter
-from sitl.autopilots.autopilot import Autopilot
-from sitl.autopilots.link_end import LinkEnd
-from sitl.autopilots.px4 import link as px4_link_end
-from sitl.autopilots.px4 import parameters as px4_parameters
-from sitl.autopilots.px4.autopilot import Px4
+from sitl.autopilots.ardupilot.link import ARDUPILOT
+from sitl.autopilots.autopilot import known_or
+from sitl.autopilots.link_end import AutopilotType
+from sitl.autopilots.px4.link import PX4
 from sitl.vehicle.config import AutopilotFile, StandIn
 
-
-@dataclass(frozen=True, slots=True)
-class AutopilotType:
-    """What differs between the makes: the autopilot, its link ends, its parameters with their defaults.
-
-    `tcp_link` is None for an autopilot that does not listen on TCP.
-    """
-
-    vehicle: Callable[[AutopilotFile, float], Autopilot]
-    onboard_link: Callable[[Autopilot], LinkEnd]
-    ground_link: Callable[[Autopilot], LinkEnd]
-    tcp_link: Callable[[Autopilot], LinkEnd] | None
-    parameters: Mapping[str, float]
+AUTOPILOT_TYPES: dict[AutopilotKind, AutopilotType] = {AutopilotKind.PX4: PX4, AutopilotKind.ARDUPILOT: ARDUPILOT}
 
 
-AUTOPILOT_TYPES: dict[AutopilotKind, AutopilotType] = {
-    AutopilotKind.PX4: AutopilotType(
-        Px4, px4_link_end.onboard_link, px4_link_end.ground_link, None, px4_parameters.DEFAULTS
-    ),
-    AutopilotKind.ARDUPILOT: AutopilotType(
-        ArduCopter,
-        ardupilot_link_end.onboard_link,
-        ardupilot_link_end.ground_link,
-        ardupilot_link_end.tcp_link,
-        ardupilot_parameters.DEFAULTS,
-    ),
-}
+def hover_thrust_norm(stand_in: StandIn) -> float:
+    """The hover thrust of its stand-ins, 0 to 1."""
+    return known_or(stand_in.airframe.hover_thrust_norm, AUTOPILOT_TYPES[stand_in.autopilot].data.hover_thrust_norm)
 
 
 def load_autopilot_files(
@@ -79,7 +53,7 @@ def _loaded(path: Path | None, vehicle_id: int | None, autopilot: AutopilotKind 
 
 def parameter_problems(stand_in: StandIn) -> Iterator[Problem]:
     """Every overridden parameter must exist in this autopilot."""
-    known = AUTOPILOT_TYPES[stand_in.autopilot].parameters
+    known = AUTOPILOT_TYPES[stand_in.autopilot].data.parameters
     for name in stand_in.parameters:
         if name not in known:
             hint = did_you_mean(name, known) or "; take it out"

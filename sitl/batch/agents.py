@@ -11,6 +11,7 @@ from companion.analysis.interaction import FloatArray
 from companion.core.consensus.peers import EXTRAPOLATED_MOST_S, EXTRAPOLATED_NEAR_LEADER_S, NEAR_LEADER_PRC
 from companion.types.values import GRAVITY_M_S2
 from sitl.autopilots.autopilot import DT_S
+from sitl.autopilots.types import hover_thrust_norm
 from sitl.batch.bodies import quaternion_of_euler
 from sitl.batch.columns import BoolArray, Columns
 from sitl.batch.laws import BatchLaws, References
@@ -160,7 +161,7 @@ class Commands:
 
     def __init__(self, scenarios: Sequence[Scenario], columns: Columns, period_s: float) -> None:
         envelopes = [scenario.fleet.envelope for scenario in scenarios]
-        hover = columns.spread([scenario.stand_in.hover_thrust_norm for scenario in scenarios])
+        hover = columns.spread([hover_thrust_norm(scenario.stand_in) for scenario in scenarios])
         tilt_rad = columns.spread([radians(e.max_tilt_deg) for e in envelopes])
         least = columns.spread([e.min_thrust_ratio for e in envelopes])
         most = columns.spread([e.max_thrust_ratio for e in envelopes])

@@ -9,6 +9,7 @@ import numpy as np
 
 from companion.analysis.interaction import FloatArray
 from sitl.autopilots.autopilot import DT_S
+from sitl.autopilots.types import hover_thrust_norm
 from sitl.batch.bodies import (
     ATTITUDE,
     POSITION,
@@ -37,7 +38,7 @@ class Autopilots:
         self._bodies = Bodies(airframes, columns.formation)
         self._loops = AttitudeLoops(self._bodies.inertia_kg_m2)
         self._state = self._bodies.at_rest(position_enu_m, velocity_enu_m_s)
-        hover_norm = columns.spread([scenario.stand_in.hover_thrust_norm for scenario in scenarios])
+        hover_norm = columns.spread([hover_thrust_norm(scenario.stand_in) for scenario in scenarios])
         self._newton_per_thrust = self._bodies.hover_n / hover_norm
         self._instant = airframes[0].attitude == "instant"
         self._command = np.zeros((4, columns.count))

@@ -12,9 +12,9 @@ import numpy as np
 
 from companion.analysis.interaction import FloatArray
 from companion.types.values import GRAVITY_M_S2
+from sitl.autopilots.px4.autopilot import PX4_LOOPS as LOOPS
 from sitl.batch.columns import IntArray
 from sitl.vehicle.config import Airframe
-from sitl.vehicle.control import PX4_LOOPS as LOOPS
 
 ROWS = 17
 POSITION, VELOCITY, ATTITUDE, RATES, MOTORS = slice(0, 3), slice(3, 6), slice(6, 10), slice(10, 13), slice(13, 17)

@@ -14,6 +14,7 @@ from companion.config.values import MAX_DRAG_1_S, VehicleId
 from companion.config.vehicle import DatagramEndpoints, RecordingSettings, VehicleConfig, ZenohEndpoints
 from companion.mavlink.autopilot_types import PROFILES
 from companion.types.autopilot import AutopilotKind
+from sitl.autopilots.types import AUTOPILOT_TYPES, hover_thrust_norm
 from sitl.flight.external import ReachedVehicle
 from sitl.flight.scenario import Scenario
 from sitl.links.emulated_network import NetworkFile, emulated_host
@@ -21,14 +22,6 @@ from sitl.links.ports import LOOPBACK, ports_of, zenoh_endpoint
 from sitl.vehicle.config import AutopilotFile, Links
 
 ARMABLE_IN_SCENARIOS_S = 4.0
-SET_UP: dict[AutopilotKind, dict[str, float]] = {
-    AutopilotKind.PX4: {"COM_OBL_RC_ACT": 5.0},  # hold when the setpoints end
-    AutopilotKind.ARDUPILOT: {
-        "GUID_OPTIONS": 8.0,
-        "GUID_TIMEOUT": 1.0,
-    },  # thrust is thrust; level when the setpoints end
-}
-"""As `companion doctor` sets them, where the defaults are unsafe without an agent."""
 
 
 def ids_of(scenario: Scenario) -> list[VehicleId]:
@@ -89,7 +82,7 @@ def reached_stand_in(scenario: Scenario, vehicle_id: int, port_offset: int) -> R
     return ReachedVehicle(
         id=vehicle_id,
         mavlink=endpoints[kind],
-        hover_thrust_norm=scenario.stand_in.hover_thrust_norm,
+        hover_thrust_norm=hover_thrust_norm(scenario.stand_in),
         drag_1_s=_drag_1_s(scenario),
     )
 
@@ -168,9 +161,9 @@ def autopilot_file(scenario: Scenario, vehicle_id: int) -> AutopilotFile:
     """
     origin = scenario.fleet.origin
     assert isinstance(origin, GeodeticOrigin)  # scenario_from accepts no other
-    stand_in = scenario.stand_in
-    hover_thrust_norm = scenario.assumed.hover_thrust_norm
-    assumed = {} if hover_thrust_norm is None else {PROFILES[stand_in.autopilot].hover_parameter: hover_thrust_norm}
+    stand_in, data = scenario.stand_in, AUTOPILOT_TYPES[scenario.stand_in.autopilot].data
+    hover_norm = scenario.assumed.hover_thrust_norm
+    assumed = {} if hover_norm is None else {PROFILES[stand_in.autopilot].hover_parameter: hover_norm}
     ready_s = ARMABLE_IN_SCENARIOS_S if stand_in.armable_after_s is None else stand_in.armable_after_s
     return AutopilotFile(
         id=vehicle_id,
@@ -178,7 +171,7 @@ def autopilot_file(scenario: Scenario, vehicle_id: int) -> AutopilotFile:
         start_enu_m=scenario.starts_enu_m[vehicle_id],
         origin_enu_m=scenario.origins_enu_m.get(vehicle_id),
         stand_in=msgspec.structs.replace(
-            stand_in, armable_after_s=ready_s, parameters=SET_UP[stand_in.autopilot] | assumed | stand_in.parameters
+            stand_in, armable_after_s=ready_s, parameters=data.set_up | assumed | stand_in.parameters
         ),
     )
 

@@ -67,14 +67,14 @@ class VirtualStandIn:
     def record(self, now_s: float) -> None:
         autopilot, quad = self.autopilot, self.autopilot.quad
         self._track.extend((now_s, *quad.state[:STATE_KEPT], quad.thrust_norm))
-        self._modes.append((autopilot.armed, autopilot.flight_mode.name))
+        self._modes.append((autopilot.armed, autopilot.mode.name))
         self._commanded.append(self._is_commanded(now_s))
 
     def _is_commanded(self, now_s: float) -> bool:
         """Whether the autopilot flies attitudes that its agent sends."""
         if not self.autopilot.armed or now_s - self.link.setpoint_s >= STREAM_ENDED_AFTER_S:
             return False
-        mode, _ = DIALECTS[self.autopilot.kind].mode_of(self.autopilot.flight_mode.custom_mode)
+        mode, _ = DIALECTS[self.autopilot.kind].mode_of(self.autopilot.mode.custom_mode)
         return mode is AutopilotMode.OFFBOARD
 
     def commanded(self) -> BoolArray:

@@ -33,9 +33,7 @@ from companion.types.autopilot import (
 )
 from sitl.autopilots.autopilot import Autopilot
 from sitl.autopilots.link_end import LinkEnd
-from sitl.autopilots.messages import global_position, gps_raw
-from sitl.autopilots.px4.autopilot import Px4
-from sitl.autopilots.px4.messages import estimator_status
+from sitl.autopilots.messages import estimator_status, global_position, gps_raw
 from sitl.vehicle.config import Links
 from sitl.vehicle.control import AttitudeSetpoint
 
@@ -56,7 +54,7 @@ def _heartbeat(autopilot: Autopilot, received_s: float) -> tuple[Telemetry, ...]
 
 
 def _mode(autopilot: Autopilot, received_s: float) -> tuple[Telemetry, ...]:
-    return (ModeSample(received_s, *DIALECTS[autopilot.kind].mode_of(autopilot.flight_mode.custom_mode)),)
+    return (ModeSample(received_s, *DIALECTS[autopilot.kind].mode_of(autopilot.mode.custom_mode)),)
 
 
 def _position(autopilot: Autopilot, received_s: float) -> tuple[Telemetry, ...]:
@@ -95,7 +93,6 @@ def _gps_error(autopilot: Autopilot, received_s: float) -> tuple[Telemetry, ...]
 
 
 def _error(autopilot: Autopilot, received_s: float) -> tuple[Telemetry, ...]:
-    assert isinstance(autopilot, Px4)  # ArduCopter does not send it
     healthy = telemetry.estimator_status(estimator_status(autopilot), received_s).healthy
     horizontal_m, vertical_m = _TWO_FLOATS.unpack(_TWO_FLOATS.pack(*autopilot.quad.reported_error_m))
     return (EstimatorSample(received_s, horizontal_m, vertical_m, healthy),)

@@ -248,7 +248,7 @@ class _Vehicle:
             link.send_due()
         autopilot.texts.clear()
         if self._truth and self._steps % TRUTH_STEPS == 0:
-            quad, mode = autopilot.quad, autopilot.flight_mode.name
+            quad, mode = autopilot.quad, autopilot.mode.name
             self._truth.write(truth_row(now_s, quad.state, quad.thrust_norm, autopilot.armed, mode))
         if self._steps % FLUSH_STEPS == 0:
             self.flush()

@@ -86,11 +86,6 @@ class Wind(Section, frozen=True):
     gust_time_s: Annotated[Positive, Meta(description="correlation time of the gusts")] = 2.0
 
 
-# As measured: the hover thrust, and the time from the start until arming is accepted.
-HOVER_THRUST_NORM: dict[AutopilotKind, float] = {AutopilotKind.PX4: 0.49, AutopilotKind.ARDUPILOT: 0.365}
-ARMABLE_AFTER_S: dict[AutopilotKind, float] = {AutopilotKind.PX4: 4.0, AutopilotKind.ARDUPILOT: 42.0}
-
-
 class EstimatorReset(Section, frozen=True):
     """A step in the position estimate of one vehicle."""
 
@@ -158,17 +153,6 @@ class StandIn(Section, frozen=True):
     def sensor_model(self) -> Sensors:
         """The sensors by name, or as given."""
         return SENSORS[self.sensors] if isinstance(self.sensors, str) else self.sensors
-
-    @property
-    def hover_thrust_norm(self) -> float:
-        """The hover thrust, 0 to 1."""
-        given = self.airframe.hover_thrust_norm
-        return HOVER_THRUST_NORM[self.autopilot] if given is None else given
-
-    @property
-    def ready_after_s(self) -> float:
-        """The time from the start until arming is accepted."""
-        return ARMABLE_AFTER_S[self.autopilot] if self.armable_after_s is None else self.armable_after_s
 
 
 DelaySeconds = Annotated[float, Meta(ge=0, le=1)]

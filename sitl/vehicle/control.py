@@ -27,19 +27,6 @@ class Loops:
     max_yaw_rate_rad_s: float
 
 
-# A roll step of 10 degrees reaches 10, 50 and 90 % after 117, 198 and 278 ms and overshoots by 1.5 degrees; a yaw step of 60
-# degrees reaches 90 % after 0.81 s, at 109 deg/s at most. The gains correspond to MC_ROLL_P, MC_YAW_P and the rate gains.
-PX4_LOOPS = Loops(
-    tilt_gain_1_s=6.5,
-    yaw_gain_1_s=2.5,
-    rate_gain_1_s=12.5,
-    yaw_rate_gain_1_s=7.5,
-    delay_s=0.028,
-    max_rate_rad_s=radians(220.0),
-    max_yaw_rate_rad_s=radians(109.0),
-)
-
-
 class AttitudeSetpoint(Struct, frozen=True, gc=False):
     """Attitude (FLU to ENU) and collective thrust (0 to 1) that the loops follow.
 

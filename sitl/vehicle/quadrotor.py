@@ -25,7 +25,7 @@ ESTIMATE_PERIOD_STEPS = 5  # the estimator's error changes at 50 Hz, the rate of
 class Quadrotor:
     """Truth and estimate, advanced in steps of `dt_s`. Random numbers depend on (seed, vehicle id) alone."""
 
-    def __init__(self, file: AutopilotFile, loops: Loops, dt_s: float) -> None:
+    def __init__(self, file: AutopilotFile, loops: Loops, dt_s: float, hover_thrust_norm: float) -> None:
         airframe = file.stand_in.airframe
         # One random stream per subject: enabling gusts does not change the sensor noise.
         sensor_noise, gust_noise, origin_noise = (
@@ -34,7 +34,7 @@ class Quadrotor:
         self._dt_s = dt_s
         self._ideal_attitude = airframe.attitude == "instant"
         self._body = Body(airframe.mass_kg, airframe.inertia_kg_m2, airframe.drag_n_per_m_s, airframe.motor_lag_s, dt_s)
-        self._newton_per_thrust = airframe.mass_kg * GRAVITY_M_S2 / file.stand_in.hover_thrust_norm
+        self._newton_per_thrust = airframe.mass_kg * GRAVITY_M_S2 / hover_thrust_norm
         yaw = quaternion_from_euler(0.0, 0.0, radians(file.start_yaw_deg))
         self.state = at_rest(file.start_enu_m, yaw)
         self._ground_z_m = file.start_enu_m[2]

@@ -13,11 +13,11 @@ from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
 from companion.types.autopilot import AutopilotKind
 from companion.types.values import GRAVITY_M_S2, Vector3
 from sitl.autopilots.ardupilot.autopilot import ArduCopter
-from sitl.autopilots.ardupilot.link import tcp_link
+from sitl.autopilots.ardupilot.link import ArduPilotLinkEnd
 from sitl.autopilots.ardupilot.modes import CopterMode
+from sitl.autopilots.messages import BUILDERS
 from sitl.autopilots.px4.autopilot import Px4, Px4Mode
 from sitl.autopilots.px4.link import ONBOARD_RATES_HZ, Px4Receiver, Px4Schedule
-from sitl.autopilots.px4.messages import BUILDERS
 from sitl.vehicle.config import Airframe, AutopilotFile, StandIn, Wind
 from sitl.vehicle.control import AttitudeSetpoint
 from sitl.vehicle.dynamics import ATTITUDE, State
@@ -127,7 +127,7 @@ class CopterOnBytes:
             parameters=parameters,
         )
         self.copter = ArduCopter(AutopilotFile(id=vehicle_id, stand_in=stand_in), COPTER_DT_S)
-        self.end = tcp_link(self.copter)
+        self.end = ArduPilotLinkEnd(self.copter, link_id=0)
         self.client = MavlinkCodec(*STATION)
         self._reader = ardupilotmega.MAVLink(None)
         self._reader.robust_parsing = True

@@ -19,9 +19,9 @@ from companion.types.autopilot import (
     Telemetry,
 )
 from sitl.autopilots.autopilot import DT_S
+from sitl.autopilots.messages import BUILDERS
 from sitl.autopilots.px4 import link as px4_link
 from sitl.autopilots.px4.autopilot import Px4, Px4Mode
-from sitl.autopilots.px4.messages import BUILDERS
 from sitl.autopilots.types import AUTOPILOT_TYPES
 from sitl.links.direct_link import SAMPLES, DirectLink, rates_hz, setpoint_of
 from sitl.vehicle.config import AutopilotFile, BatteryLevel, Links, StandIn

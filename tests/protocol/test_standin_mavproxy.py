@@ -16,7 +16,7 @@ from typing import IO
 import pytest
 
 from processes import StandInProcess, stand_in, until
-from sitl.autopilots.px4.parameters import DEFAULTS
+from sitl.autopilots.px4.autopilot import Px4
 
 
 @dataclass
@@ -77,7 +77,7 @@ def test_a_flight_by_typed_commands(tmp_path: Path) -> None:
     with stand_in(tmp_path) as process, mavproxy(tmp_path, process) as proxy:
         proxy.wait_for("Detected vehicle 1:1")
         proxy.wait_for("Mode LOITER")
-        proxy.wait_for(f"Received {len(DEFAULTS)} parameters")
+        proxy.wait_for(f"Received {len(Px4.data.parameters)} parameters")
         assert "request timed out" not in proxy.log  # the stand-in refuses file requests at once
 
         proxy.type("param set MIS_TAKEOFF_ALT 1.5")

@@ -15,7 +15,7 @@ from pymavlink.dialects.v10 import common as mavlink_1
 
 from companion.mavlink.codec import MavlinkCodec, MavlinkMessage, mavlink
 from processes import StandInProcess, stand_in
-from sitl.autopilots.px4.parameters import DEFAULTS
+from sitl.autopilots.px4.autopilot import Px4
 
 M = mavlink
 TIMEOUT_S = 10.0
@@ -104,7 +104,7 @@ def test_the_requests_of_a_connecting_qgroundcontrol_are_answered(tmp_path: Path
                 values[message.param_index] = message.param_id
                 if len(values) == message.param_count:
                     break
-        assert sorted(values.values()) == sorted(DEFAULTS)
+        assert sorted(values.values()) == sorted(Px4.data.parameters)
         station.send(M.MAVLink_param_request_read_message(1, 1, b"_HASH_CHECK", -1))
         assert station.wait_for("PARAM_VALUE").param_id == "_HASH_CHECK"
 

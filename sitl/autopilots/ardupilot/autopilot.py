@@ -7,16 +7,26 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import inf, isfinite
+from pathlib import Path
 
 from companion.geometry.frames import Quaternion, euler_from_quaternion, quaternion_from_euler
 from companion.types.autopilot import AutopilotKind
 from companion.types.values import Vector3
 from sitl.autopilots.ardupilot.logs import DataFlash, LogService
 from sitl.autopilots.ardupilot.modes import ARMABLE, GROUND_STATION_LOSS, NEED_A_POSITION, CopterMode, StartUp
-from sitl.autopilots.ardupilot.parameters import ArduPilotParameters
-from sitl.autopilots.autopilot import CRITICAL, IDLE_THRUST_NORM, INFO, WARNING, Autopilot
+from sitl.autopilots.autopilot import (
+    CRITICAL,
+    IDLE_THRUST_NORM,
+    INFO,
+    STATE_ACTIVE,
+    STATE_BOOT,
+    STATE_CRITICAL,
+    STATE_STANDBY,
+    WARNING,
+    Autopilot,
+)
 from sitl.autopilots.logs import StandInLogs
-from sitl.autopilots.messages import LANDED_IN_AIR, LANDED_LANDING, LANDED_ON_GROUND, LANDED_TAKEOFF
+from sitl.autopilots.parameters import load_data
 from sitl.vehicle.automatic_flight import LEAST_COS_TILT, Course, Speeds, Task, cos_tilt
 from sitl.vehicle.config import AutopilotFile
 from sitl.vehicle.control import AttitudeSetpoint, Loops
@@ -33,7 +43,6 @@ ARDUPILOT_LOOPS = Loops(
     max_yaw_rate_rad_s=1.9,
 )
 THRUST_INSTEAD_OF_CLIMB_RATE = 8  # of GUID_OPTIONS
-BRAKING_M_S2 = 0.55
 SPOOLED_UP_AFTER_S = 2.7  # from arming; before, it does not lift off
 RUN_UP_S = 1.3  # of a take-off, from its command
 TOUCHED_DOWN_THROTTLE_NORM = -0.16  # its vertical loop still descends while the motors stop
@@ -41,7 +50,6 @@ DISARMED_AFTER_LANDING_S = 0.6  # in LAND and RTL, after the landing is detected
 AT_HOME_M = 0.5  # within this distance a return is at home
 LEAST_CONE_SLOPE = 0.5  # below it there is no cone
 LOGS_AFTER_DISARMING_S = 15.0
-STATE_BOOT, STATE_STANDBY, STATE_ACTIVE, STATE_CRITICAL = 1, 3, 4, 5  # MAV_STATE
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,15 +65,17 @@ class ArduCopter(Autopilot):
     """A stand-in ArduCopter. `dt_s` is the step of physics and attitude control."""
 
     kind = AutopilotKind.ARDUPILOT
-    parameters: ArduPilotParameters
+    data = load_data(Path(__file__).parent)
+    loops = ARDUPILOT_LOOPS
+    braking_m_s2 = 0.55
+    mode: CopterMode
 
     def __init__(self, file: AutopilotFile, dt_s: float) -> None:
-        parameters = ArduPilotParameters(file.id, file.stand_in.parameters)
-        super().__init__(file, dt_s, ARDUPILOT_LOOPS, parameters, BRAKING_M_S2)
+        super().__init__(file, dt_s)
         self.flight_logs = StandInLogs(DataFlash(self), LOGS_AFTER_DISARMING_S)
         self.log_service = LogService()
-        self.mode = CopterMode.STABILIZE
-        self.start = StartUp(file.stand_in.ready_after_s)
+        self.mode = self.intended_mode = CopterMode.STABILIZE
+        self.start = StartUp(self.armable_after_s(file.stand_in))
         self.throttle_norm = 0.0  # commanded, before the compensation of the tilt
         self.failsafe = False
         self.signing: SigningSetup | None = None
@@ -76,10 +86,6 @@ class ArduCopter(Autopilot):
         self._level: Quaternion | None = None  # since a stream of attitudes ended
 
     # ------------------------------------------------------------ state
-
-    @property
-    def flight_mode(self) -> CopterMode:
-        return self.mode
 
     @property
     def armable(self) -> bool:
@@ -98,12 +104,16 @@ class ArduCopter(Autopilot):
         return STATE_STANDBY if self._ground.landed else STATE_ACTIVE
 
     @property
-    def landed_state(self) -> int:
-        if self._ground.landed:
-            return LANDED_ON_GROUND
-        if self._taking_off:
-            return LANDED_TAKEOFF
-        return LANDED_LANDING if self._automatic.landing else LANDED_IN_AIR
+    def takes_off(self) -> bool:
+        return self._taking_off
+
+    @property
+    def has_origin(self) -> bool:
+        return self.start.has_origin(self.time_s)
+
+    @property
+    def commanded_thrust_norm(self) -> float:
+        return self.throttle_norm
 
     def speeds(self) -> Speeds:
         p = self.parameters
@@ -150,6 +160,10 @@ class ArduCopter(Autopilot):
             self._enter(mode)
         return None
 
+    @property
+    def follows_setpoints(self) -> bool:
+        return self.mode is CopterMode.GUIDED
+
     def take_setpoint(self, setpoint: AttitudeSetpoint | Course) -> None:
         """The next setpoint of GUIDED; in other modes it is ignored silently."""
         if self.mode is not CopterMode.GUIDED:
@@ -188,13 +202,8 @@ class ArduCopter(Autopilot):
                 return reasons
             if self.mode not in ARMABLE:
                 return [f"{self.mode.name} mode not armable"]
-        self.armed = True
         self._lifts_off_s = self.time_s + SPOOLED_UP_AFTER_S
-        self._ground.arm(self.time_s)
-        self.home = self.here_geodetic()
-        self._automatic.reset_integrals()
-        self._enter(self.mode)
-        self.send_text(INFO, "Arming motors")
+        self._start_motors("Arming motors")
         return []
 
     def disarm(self, forced: bool = False) -> bool:
@@ -327,7 +336,7 @@ class ArduCopter(Autopilot):
         self._enter(CopterMode.LOITER)
 
     def _enter(self, mode: CopterMode) -> None:
-        self.mode = mode
+        self.mode = self.intended_mode = mode
         self._stop()
 
     def _stop(self) -> None:

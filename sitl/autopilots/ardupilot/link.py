@@ -1,8 +1,8 @@
-"""Setpoints of GUIDED from SET_ATTITUDE_TARGET and SET_POSITION_TARGET_LOCAL_NED, as ArduCopter interprets them."""
+"""ArduCopter's end of a link: setpoints, commands with one answer each, signing. Every link sends little until asked."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterator
 from math import isfinite, isnan, nan
 
 from companion.geometry.frames import (
@@ -16,11 +16,13 @@ from companion.mavlink.codec import EPOCH_UNIX_S, UNITS_PER_S, MavlinkCodec, Mav
 from companion.types.values import ZERO3, Vector3
 from sitl.autopilots.ardupilot.autopilot import ArduCopter, SigningSetup
 from sitl.autopilots.ardupilot.logs import ArduPilotLogTransfer
-from sitl.autopilots.ardupilot.messages import BUILDERS
 from sitl.autopilots.ardupilot.modes import CopterMode
 from sitl.autopilots.autopilot import CRITICAL, INFO, WARNING, Autopilot, AutopilotAbortedError
-from sitl.autopilots.link_end import ACCEPTED, DENIED, FAILED, FORCE, Answers, LinkEnd, Receiver, Schedule
-from sitl.autopilots.setpoints import (
+from sitl.autopilots.link_end import (
+    ACCEPTED,
+    DENIED,
+    FAILED,
+    FORCE,
     IGNORE_ATTITUDE,
     IGNORE_POSITION,
     IGNORE_RATES,
@@ -28,7 +30,13 @@ from sitl.autopilots.setpoints import (
     IGNORE_VELOCITY,
     IGNORE_YAW,
     IGNORE_YAW_RATE,
+    Answers,
+    AutopilotType,
+    LinkEnd,
+    Receiver,
+    Schedule,
 )
+from sitl.autopilots.parameters import rates_by_id
 from sitl.vehicle.automatic_flight import Course
 from sitl.vehicle.control import AttitudeSetpoint
 
@@ -81,6 +89,8 @@ SHORTEST_INTERVAL_US = 2000.0  # 0.8 of the period of a 400 Hz loop; shorter int
 class ArduPilotReceiver(Receiver):
     """Incoming messages of one link. The sender is not checked, and of the target only the system."""
 
+    UNKNOWN_MESSAGE = FAILED
+
     def __init__(self, copter: ArduCopter, schedule: Schedule) -> None:
         super().__init__(copter, schedule)
         self._copter = copter
@@ -88,60 +98,24 @@ class ArduPilotReceiver(Receiver):
             copter, copter.log_service, lambda severity, text: self.texts([(severity, text)])
         )
         del self._messages["PING"], self._messages["FILE_TRANSFER_PROTOCOL"]
-        self._messages |= {
-            "SET_MODE": self._set_mode_message,
-            "SET_ATTITUDE_TARGET": self._set_attitude_target,
-            "SET_POSITION_TARGET_LOCAL_NED": self._set_position_target,
-            "SETUP_SIGNING": self._setup_signing,
-            **self.logs.requests,
-        }
-        self._commands |= {
-            mavlink.MAV_CMD_DO_SET_MODE: self._do_set_mode,
-            mavlink.MAV_CMD_COMPONENT_ARM_DISARM: self._arm_disarm,
-            mavlink.MAV_CMD_NAV_TAKEOFF: self._take_off,
-            mavlink.MAV_CMD_NAV_LAND: lambda _p: self._to(CopterMode.LAND),
-            mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda _p: self._to(CopterMode.RTL),
-            mavlink.MAV_CMD_NAV_LOITER_UNLIM: lambda _p: self._to(CopterMode.LOITER),
-            mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: self._set_interval,
-        }
+        self._messages |= {"SETUP_SIGNING": self._setup_signing, **self.logs.requests}
 
     def _is_for_it(self, message: MavlinkMessage) -> bool:
         return getattr(message, "target_system", 0) in (0, self._copter.system_id)
-
-    def _terminated(self, text: str) -> str:
-        return text
-
-    def _requested(self, message_id: int) -> tuple[MavlinkMessage | None, int]:
-        """Accepted also if the message has no data yet."""
-        builder = BUILDERS.get(message_id)
-        return (builder(self._copter), ACCEPTED) if builder else (None, FAILED)
 
     # ------------------------------------------------------------ messages
 
     def _is_of_ground_station(self, heartbeat: MavlinkMessage) -> bool:
         return bool(heartbeat.get_srcSystem() == self._copter.parameters["SYSID_MYGCS"])
 
-    def _set_mode_message(self, message: MavlinkMessage) -> Answers:
-        for _ in self._do_set_mode([1.0, float(message.custom_mode)]):
-            pass
-        yield from ()
+    def _attitude_of(self, message: MavlinkMessage) -> AttitudeSetpoint | None:
+        return setpoint_of(message)
 
-    def _set_attitude_target(self, message: MavlinkMessage) -> Answers:
-        if self._copter.mode is CopterMode.GUIDED:
-            setpoint = setpoint_of(message)
-            if setpoint is None:
-                self._copter.stop()
-            else:
-                self._copter.take_setpoint(setpoint)
-        yield from ()
+    def _course_of(self, message: MavlinkMessage) -> Course | None:
+        return course_of(message)
 
-    def _set_position_target(self, message: MavlinkMessage) -> Answers:
-        course = course_of(message)
-        if course is None:
-            self._copter.stop()
-        else:
-            self._copter.take_setpoint(course)
-        yield from ()
+    def _mode_parameters(self, custom_mode: int) -> tuple[float, ...]:
+        return (float(custom_mode),)
 
     def _setup_signing(self, message: MavlinkMessage) -> Answers:
         """No answer; from then on every link is signed. A key and a timestamp of zeros end signing."""
@@ -163,6 +137,9 @@ class ArduPilotReceiver(Receiver):
             yield FAILED
         else:
             yield from self._to(CopterMode(number))
+
+    def _enter_mode(self, name: str) -> Iterator[int]:
+        yield from self._to(CopterMode[name])
 
     def _to(self, mode: CopterMode) -> Iterator[int]:
         refusal = self._copter.set_mode(mode)
@@ -190,7 +167,7 @@ class ArduPilotReceiver(Receiver):
     def _set_interval(self, parameters: list[float]) -> Iterator[int]:
         """0 is the default, -1 off; unknown messages and too high rates are denied with a text."""
         number, interval_us = parameters[:2]
-        if not isfinite(number) or not isfinite(interval_us) or int(number) not in BUILDERS:
+        if not isfinite(number) or not isfinite(interval_us) or int(number) not in self._copter.data.message_ids:
             self._copter.send_text(INFO, f"No ap_message for mavlink id ({number:.0f})")
             yield DENIED
         elif 0.0 < interval_us <= SHORTEST_INTERVAL_US:
@@ -205,14 +182,13 @@ class ArduPilotReceiver(Receiver):
             yield ACCEPTED
 
 
-RATES_HZ = {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0}
-
-
 class ArduPilotLinkEnd(LinkEnd):
     """All links behave alike; `link_id` is that of signing."""
 
+    ON_CHANGE = (mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN, mavlink.MAVLINK_MSG_ID_HOME_POSITION)
+
     def __init__(self, copter: ArduCopter, link_id: int) -> None:
-        schedule = Schedule(RATES_HZ)
+        schedule = Schedule(rates_by_id(copter.data.onboard_rates_hz))
         super().__init__(copter, schedule, ArduPilotReceiver(copter, schedule), codec_of(copter, link_id))
         self._copter = copter
         self._link_id = link_id
@@ -225,27 +201,6 @@ class ArduPilotLinkEnd(LinkEnd):
             self._signing = self._copter.signing
             self._codec = codec_of(self._copter, self._link_id)
         return self._codec
-
-    def peer_connected(self) -> None:
-        """No effect."""
-
-    def _sends_texts(self) -> bool:
-        return True
-
-    def _changes(self) -> Iterator[MavlinkMessage]:
-        """Origin and home once they are set."""
-        if self._origin_sent != self._copter.origin_changes:
-            self._origin_sent = self._copter.origin_changes
-            yield from self._messages((mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN, mavlink.MAVLINK_MSG_ID_HOME_POSITION))
-
-    def _telemetry(self) -> Iterator[MavlinkMessage]:
-        yield from self._messages(self.schedule.due(self._copter.time_s))
-
-    def _messages(self, message_ids: Iterable[int]) -> Iterator[MavlinkMessage]:
-        for message_id in message_ids:
-            message = BUILDERS[message_id](self._copter)
-            if message is not None:
-                yield message
 
 
 def codec_of(copter: ArduCopter, link_id: int) -> MavlinkCodec:
@@ -261,18 +216,12 @@ def codec_of(copter: ArduCopter, link_id: int) -> MavlinkCodec:
     return MavlinkCodec(copter.system_id, mavlink.MAV_COMP_ID_AUTOPILOT1, key)
 
 
-def tcp_link(copter: Autopilot) -> LinkEnd:
-    return _link(copter, 0)
+def _link(link_id: int) -> Callable[[Autopilot], LinkEnd]:
+    def end_of(copter: Autopilot) -> LinkEnd:
+        assert isinstance(copter, ArduCopter)
+        return ArduPilotLinkEnd(copter, link_id)
+
+    return end_of
 
 
-def onboard_link(copter: Autopilot) -> LinkEnd:
-    return _link(copter, 1)
-
-
-def ground_link(copter: Autopilot) -> LinkEnd:
-    return _link(copter, 2)
-
-
-def _link(copter: Autopilot, link_id: int) -> LinkEnd:
-    assert isinstance(copter, ArduCopter)
-    return ArduPilotLinkEnd(copter, link_id)
+ARDUPILOT = AutopilotType(ArduCopter, ArduCopter.data, onboard_link=_link(1), ground_link=_link(2), tcp_link=_link(0))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 
+from companion.mavlink.codec import mavlink
 from sitl.vehicle.automatic_flight import Task
 
 
@@ -23,6 +24,11 @@ class CopterMode(IntEnum):
     @property
     def custom_mode(self) -> int:
         return int(self)
+
+    @property
+    def flags(self) -> int:
+        guided = mavlink.MAV_MODE_FLAG_GUIDED_ENABLED if self in REPORTED_AS_GUIDED else 0
+        return mavlink.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED | guided
 
     @property
     def task(self) -> Task:

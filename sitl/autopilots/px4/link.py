@@ -1,4 +1,4 @@
-"""Setpoints of OFFBOARD from SET_ATTITUDE_TARGET and SET_POSITION_TARGET_LOCAL_NED, as PX4 interprets them."""
+"""PX4's end of a link: setpoints, commands with their double answers, message rates."""
 
 from __future__ import annotations
 
@@ -22,18 +22,6 @@ from sitl.autopilots.link_end import (
     DENIED,
     FAILED,
     FORCE,
-    LATER,
-    NO_COORDINATE,
-    UNSUPPORTED,
-    Answers,
-    LinkEnd,
-    Receiver,
-    Schedule,
-)
-from sitl.autopilots.px4.autopilot import Px4, Px4Mode
-from sitl.autopilots.px4.logs import Px4LogTransfer
-from sitl.autopilots.px4.messages import BUILDERS
-from sitl.autopilots.setpoints import (
     IGNORE_ATTITUDE,
     IGNORE_POSITION,
     IGNORE_RATES,
@@ -41,10 +29,33 @@ from sitl.autopilots.setpoints import (
     IGNORE_VELOCITY,
     IGNORE_YAW,
     IGNORE_YAW_RATE,
-    MAX_DISTANCE_M,
+    LATER,
+    NO_COORDINATE,
+    UNSUPPORTED,
+    Answers,
+    AutopilotType,
+    LinkEnd,
+    Receiver,
+    Schedule,
 )
+from sitl.autopilots.parameters import message_ids, rates_by_id
+from sitl.autopilots.px4.autopilot import Px4, Px4Mode
+from sitl.autopilots.px4.logs import Px4LogTransfer
 from sitl.vehicle.automatic_flight import Course
 from sitl.vehicle.control import AttitudeSetpoint
+
+MAX_DISTANCE_M = 10_000.0
+GROUND_STATION_LOST_S = 5.0
+MAX_RATE_HZ = 125.0  # 500 Hz is accepted and gives 125
+STATUS_PERIOD_S = 0.51  # of CURRENT_MODE while nothing changes, whatever the interval
+
+DATA = Px4.data
+ONBOARD_RATES_HZ = rates_by_id(DATA.onboard_rates_hz)
+GROUND_RATES_HZ = rates_by_id(DATA.ground_rates_hz)  # once its peer has connected
+HEARTBEAT_ONLY = {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0}
+SILENT = frozenset(message_ids(DATA.silent))
+SETTABLE = (frozenset(ONBOARD_RATES_HZ) | SILENT) - {mavlink.MAVLINK_MSG_ID_HEARTBEAT}
+ABOVE_SEA_LEVEL = (mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT)
 
 
 def setpoint_of(message: MavlinkMessage, attitude: Quaternion) -> AttitudeSetpoint | None:
@@ -112,74 +123,6 @@ def _unit(q: Sequence[float]) -> Quaternion | None:
     return (w / norm, x / norm, y / norm, z / norm)
 
 
-MAX_RATE_HZ = 125.0  # 500 Hz is accepted and gives 125
-STATUS_PERIOD_S = 0.51  # of CURRENT_MODE while nothing changes, whatever the interval
-
-# Default rates in Hz of PX4's onboard link; other messages are off until requested.
-ONBOARD_RATES_HZ = {
-    mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0,
-    mavlink.MAVLINK_MSG_ID_TIMESYNC: 10.0,
-    mavlink.MAVLINK_MSG_ID_HIGHRES_IMU: 50.0,
-    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 30.0,
-    mavlink.MAVLINK_MSG_ID_ATTITUDE: 100.0,
-    mavlink.MAVLINK_MSG_ID_ALTITUDE: 10.0,
-    mavlink.MAVLINK_MSG_ID_ODOMETRY: 30.0,
-    mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 50.0,
-    mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET: 10.0,
-    mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: 0.5,
-    mavlink.MAVLINK_MSG_ID_CURRENT_MODE: 0.5,
-    mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 1.0,
-    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,
-    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 50.0,
-    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 8.0,
-    mavlink.MAVLINK_MSG_ID_HOME_POSITION: 0.5,
-    mavlink.MAVLINK_MSG_ID_PING: 1.0,
-    mavlink.MAVLINK_MSG_ID_SYS_STATUS: 5.0,
-    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: 1.0,
-    mavlink.MAVLINK_MSG_ID_VFR_HUD: 10.0,
-}
-# Of the ground link, after its peer has connected.
-GROUND_RATES_HZ = {
-    mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0,
-    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 1.0,
-    mavlink.MAVLINK_MSG_ID_ATTITUDE: 15.0,
-    mavlink.MAVLINK_MSG_ID_ALTITUDE: 1.0,
-    mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 10.0,
-    mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET: 2.0,
-    mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: 0.5,
-    mavlink.MAVLINK_MSG_ID_CURRENT_MODE: 0.5,
-    mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 0.5,
-    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 1.0,
-    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 5.0,
-    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 5.0,
-    mavlink.MAVLINK_MSG_ID_HOME_POSITION: 0.5,
-    mavlink.MAVLINK_MSG_ID_PING: 0.1,
-    mavlink.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
-    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: 1.0,
-    mavlink.MAVLINK_MSG_ID_VFR_HUD: 4.0,
-}
-HEARTBEAT_ONLY = {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0}
-# Streams of PX4 without data here: their intervals can be set, as for a sensor that is not fitted.
-SILENT = frozenset(
-    {
-        mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,  # sent once and on every change, whatever the interval
-        mavlink.MAVLINK_MSG_ID_RC_CHANNELS,
-        mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW,
-        mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR,
-        mavlink.MAVLINK_MSG_ID_OPTICAL_FLOW_RAD,
-        mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED,
-        mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT,
-        mavlink.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT,
-        mavlink.MAVLINK_MSG_ID_SCALED_IMU,
-        mavlink.MAVLINK_MSG_ID_SCALED_PRESSURE,
-        mavlink.MAVLINK_MSG_ID_VIBRATION,
-        mavlink.MAVLINK_MSG_ID_WIND_COV,
-        mavlink.MAVLINK_MSG_ID_UTM_GLOBAL_POSITION,
-    }
-)
-SETTABLE = (frozenset(ONBOARD_RATES_HZ) | SILENT) - {mavlink.MAVLINK_MSG_ID_HEARTBEAT}
-
-
 class Px4Schedule(Schedule):
     """PX4's rates: which intervals can be set, and which messages are sent only on change."""
 
@@ -222,12 +165,11 @@ class Px4Schedule(Schedule):
         return True
 
 
-ABOVE_SEA_LEVEL = (mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT)
-
-
 class Px4Receiver(Receiver):
     """Incoming messages of one link."""
 
+    UNKNOWN_MESSAGE = DENIED
+    TEXT_ENDS_WITH = "\t"
     _schedule: Px4Schedule
 
     def __init__(self, px4: Px4, schedule: Px4Schedule) -> None:
@@ -236,22 +178,12 @@ class Px4Receiver(Receiver):
         self.logs = Px4LogTransfer(px4)
         self._messages |= {
             "COMMAND_INT": self._command_int,
-            "SET_MODE": self._set_mode_message,
-            "SET_ATTITUDE_TARGET": self._set_attitude_target,
-            "SET_POSITION_TARGET_LOCAL_NED": self._set_position_target,
             "SET_GPS_GLOBAL_ORIGIN": self._set_origin,
             **self.logs.requests,
         }
         self._commands |= {
-            mavlink.MAV_CMD_DO_SET_MODE: self._do_set_mode,
-            mavlink.MAV_CMD_COMPONENT_ARM_DISARM: self._arm_disarm,
-            mavlink.MAV_CMD_NAV_TAKEOFF: self._takeoff,
-            mavlink.MAV_CMD_NAV_LAND: lambda _p: self._to(Px4Mode.LAND),
-            mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda _p: self._to(Px4Mode.RTL),
-            mavlink.MAV_CMD_NAV_LOITER_UNLIM: lambda _p: self._to(Px4Mode.LOITER),
             mavlink.MAV_CMD_DO_REPOSITION: self._reposition,
             mavlink.MAV_CMD_MISSION_START: self._mission_start,
-            mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: self._set_interval,
         }
 
     def _is_for_it(self, message: MavlinkMessage) -> bool:
@@ -266,13 +198,6 @@ class Px4Receiver(Receiver):
             return target in (0, self._px4.system_id)
         return target == self._px4.system_id and component in (0, mavlink.MAV_COMP_ID_AUTOPILOT1)
 
-    def _terminated(self, text: str) -> str:
-        return text + "\t"
-
-    def _requested(self, message_id: int) -> tuple[MavlinkMessage | None, int]:
-        builder = BUILDERS.get(message_id)
-        return (builder(self._px4), ACCEPTED) if builder else (None, DENIED)
-
     # ------------------------------------------------------------ messages
 
     def _is_of_ground_station(self, heartbeat: MavlinkMessage) -> bool:
@@ -286,23 +211,14 @@ class Px4Receiver(Receiver):
         else:
             yield self._ack(message, UNSUPPORTED)
 
-    def _set_mode_message(self, message: MavlinkMessage) -> Answers:
-        custom = message.custom_mode
-        for _ in self._do_set_mode([1.0, custom >> 16 & 0xFF, custom >> 24 & 0xFF]):
-            pass
-        yield from ()
+    def _attitude_of(self, message: MavlinkMessage) -> AttitudeSetpoint | None:
+        return setpoint_of(message, self._px4.quad.estimated_quaternion())
 
-    def _set_attitude_target(self, message: MavlinkMessage) -> Answers:
-        setpoint = setpoint_of(message, self._px4.quad.estimated_quaternion())
-        if setpoint is not None:
-            self._px4.take_setpoint(setpoint)
-        yield from ()
+    def _course_of(self, message: MavlinkMessage) -> Course | None:
+        return course_of(message)
 
-    def _set_position_target(self, message: MavlinkMessage) -> Answers:
-        course = course_of(message)
-        if course is not None:
-            self._px4.take_setpoint(course)
-        yield from ()
+    def _mode_parameters(self, custom_mode: int) -> tuple[float, ...]:
+        return (custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF)
 
     def _set_origin(self, message: MavlinkMessage) -> Answers:
         """Every link then sends the new origin. The stand-in's world is flat, so distant origins are rejected."""
@@ -324,8 +240,8 @@ class Px4Receiver(Receiver):
             return
         yield ACCEPTED if self._px4.set_mode(mode) else LATER
 
-    def _to(self, mode: Px4Mode) -> Iterator[int]:
-        yield ACCEPTED if self._px4.set_mode(mode) else LATER
+    def _enter_mode(self, name: str) -> Iterator[int]:
+        yield ACCEPTED if self._px4.set_mode(Px4Mode[name]) else LATER
 
     def _arm_disarm(self, parameters: list[float]) -> Iterator[int]:
         forced = parameters[1] == FORCE
@@ -340,7 +256,7 @@ class Px4Receiver(Receiver):
             self._px4.send_text(CRITICAL, prefix + refusal)
         yield LATER if refusal else ACCEPTED
 
-    def _takeoff(self, parameters: list[float]) -> Iterator[int]:
+    def _take_off(self, parameters: list[float]) -> Iterator[int]:
         """Param 7 is above mean sea level; NaN selects MIS_TAKEOFF_ALT."""
         altitude = parameters[6]
         yield ACCEPTED if self._px4.take_off(altitude if isfinite(altitude) else None) else LATER
@@ -368,40 +284,31 @@ class Px4Receiver(Receiver):
         yield ACCEPTED if done else FAILED
 
 
-GROUND_STATION_LOST_S = 5.0
-
-
 class Px4LinkEnd(LinkEnd):
-    """With `connected_rates_hz` it sends at its first rates only until the peer has connected."""
+    """It sends the origin on change, and texts to ground stations only.
+
+    With `connected_rates_hz` it sends at its first rates only until the peer has connected.
+    """
 
     def __init__(self, px4: Px4, rates_hz: dict[int, float], connected_rates_hz: dict[int, float]) -> None:
         schedule = Px4Schedule(px4, rates_hz)
         codec = MavlinkCodec(px4.system_id, mavlink.MAV_COMP_ID_AUTOPILOT1)
         super().__init__(px4, schedule, Px4Receiver(px4, schedule), codec)
-        self._px4 = px4
         self._connected_rates_hz = connected_rates_hz
         self._sends_all = not connected_rates_hz
-        self._origin_sent: int | None = None
 
     def peer_connected(self) -> None:
         self._sends_all = True
         if self._connected_rates_hz:
-            self.schedule.reset(self._connected_rates_hz, self._px4.time_s)
+            self.schedule.reset(self._connected_rates_hz, self._autopilot.time_s)
 
     def _sends_texts(self) -> bool:
         """Only on a link with heartbeats of a ground station."""
         heartbeat_s = self.receiver.ground_station_s
-        return heartbeat_s is not None and self._px4.time_s - heartbeat_s < GROUND_STATION_LOST_S
+        return heartbeat_s is not None and self._autopilot.time_s - heartbeat_s < GROUND_STATION_LOST_S
 
-    def _changes(self) -> Iterator[MavlinkMessage]:
-        """The origin, once and on every change."""
-        if self._sends_all and self._origin_sent != self._px4.origin_changes:
-            self._origin_sent = self._px4.origin_changes
-            yield BUILDERS[mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN](self._px4)
-
-    def _telemetry(self) -> Iterator[MavlinkMessage]:
-        for message_id in self.schedule.due(self._px4.time_s):
-            yield BUILDERS[message_id](self._px4)
+    def _sends_changes(self) -> bool:
+        return self._sends_all
 
 
 def onboard_link(px4: Autopilot) -> LinkEnd:
@@ -412,3 +319,6 @@ def onboard_link(px4: Autopilot) -> LinkEnd:
 def ground_link(px4: Autopilot) -> LinkEnd:
     assert isinstance(px4, Px4)
     return Px4LinkEnd(px4, HEARTBEAT_ONLY, GROUND_RATES_HZ)
+
+
+PX4 = AutopilotType(Px4, DATA, onboard_link, ground_link)

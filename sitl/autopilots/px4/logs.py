@@ -38,6 +38,7 @@ class ULog:
 
     def row(self) -> bytes:
         position, attitude = local_position(self._px4), attitude_quaternion(self._px4)
+        assert position is not None  # PX4 always has one
         fields = (position.x, position.y, position.z, position.vx, position.vy, position.vz)
         quaternion = (attitude.q1, attitude.q2, attitude.q3, attitude.q4)
         return _message("D", struct.pack("<HQ6f", LOCAL_POSITION, self._time_us(), *fields)) + _message(

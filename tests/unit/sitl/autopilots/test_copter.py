@@ -8,10 +8,9 @@ import pytest
 
 from companion.mavlink import ardupilot, telemetry
 from companion.mavlink.codec import MavlinkCodec, mavlink
-from companion.types.autopilot import AutopilotKind
+from sitl.autopilots.ardupilot.autopilot import ArduCopter
 from sitl.autopilots.ardupilot.modes import CopterMode
 from sitl.vehicle.automatic_flight import Course
-from sitl.vehicle.config import ARMABLE_AFTER_S, HOVER_THRUST_NORM
 from stand_ins import COPTER_DT_S, COPTER_HOVER, CopterOnBytes, M, attitude
 
 ACCEPTED, DENIED, FAILED, UNSUPPORTED = 0, 2, 4, 3
@@ -72,8 +71,8 @@ def test_every_command_has_one_answer_for_broadcast_and_unknown_components() -> 
 
 
 def test_defaults_are_the_measured_values() -> None:
-    assert ARMABLE_AFTER_S[AutopilotKind.ARDUPILOT] == 42.0
-    assert HOVER_THRUST_NORM[AutopilotKind.ARDUPILOT] == COPTER_HOVER
+    assert ArduCopter.data.armable_after_s == 42.0
+    assert ArduCopter.data.hover_thrust_norm == COPTER_HOVER
 
 
 def test_guided_is_accepted_before_arming_is_possible_and_reasons_are_sent() -> None:

@@ -14,6 +14,7 @@ from companion.geometry.frames import euler_from_quaternion, quaternion_from_eul
 from companion.types.autopilot import AttitudeTarget
 from lockstep_fleet import platoon
 from sitl.autopilots.autopilot import DT_S
+from sitl.autopilots.px4.autopilot import PX4_LOOPS
 from sitl.batch.agents import Commands
 from sitl.batch.bodies import (
     AttitudeLoops,
@@ -27,7 +28,7 @@ from sitl.batch.bodies import (
 from sitl.batch.columns import columns_of, phase_steps
 from sitl.flight.lockstep import _phase_s
 from sitl.vehicle.config import Airframe, AutopilotFile, StandIn
-from sitl.vehicle.control import PX4_LOOPS, AttitudeControl, AttitudeSetpoint
+from sitl.vehicle.control import AttitudeControl, AttitudeSetpoint
 from sitl.vehicle.dynamics import Body, small_turn, turned
 from stand_ins import Equations
 

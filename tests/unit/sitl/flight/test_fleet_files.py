@@ -97,12 +97,12 @@ def test_stand_ins_of_arducopter_use_tcp_and_thrust_and_arm_early() -> None:
     file = vehicle_file(scenario, reached_stand_in(scenario, 2, 100), 100)
     assert (file.mavlink, file.hover_thrust_norm) == ("tcp:127.0.0.1:5870", 0.365)
     stand_in = autopilot_file(scenario, 2).stand_in
-    assert (stand_in.ready_after_s, stand_in.parameters) == (4.0, {"GUID_OPTIONS": 8.0, "GUID_TIMEOUT": 1.0})
+    assert (stand_in.armable_after_s, stand_in.parameters) == (4.0, {"GUID_OPTIONS": 8.0, "GUID_TIMEOUT": 1.0})
     given = load_scenario(
         PLATOON,
         ["stand_in.autopilot=ardupilot", "stand_in.armable_after_s=42", "stand_in.parameters={GUID_OPTIONS: 0}"],
     )
-    assert given.stand_in.ready_after_s == 42.0
+    assert given.stand_in.armable_after_s == 42.0
     assert autopilot_file(given, 1).stand_in.parameters == {"GUID_OPTIONS": 0.0, "GUID_TIMEOUT": 1.0}
 
 
