@@ -16,7 +16,7 @@ from companion.assembly import build_agent, check_agent
 from companion.config.file import ConfigError
 from companion.config.vehicle import AgentConfig, load_agent
 from companion.core.agent import Agent
-from companion.link.autopilot_link import AutopilotLink, AutopilotSilentError, read_signing_key
+from companion.link.autopilot_link import AutopilotLink, AutopilotSilentError, open_autopilot_link, read_signing_key
 from companion.link.byte_links import LinkError
 from companion.link.control_loop import ControlLoop, Job
 from companion.link.fleet.zenoh_link import ZenohLink
@@ -27,7 +27,6 @@ from companion.link.systemd import Notifier, log_as_service
 from companion.link.tick import TickTrigger, monotonic_s
 from companion.mavlink.autopilot_types import AGENT_STREAMS
 from companion.mavlink.ground_station import GroundStationFilter
-from companion.mavlink.translator import Translator
 from companion.recording.files import recordings_folder
 
 if TYPE_CHECKING:
@@ -72,20 +71,14 @@ async def _run(settings: Settings, config: AgentConfig) -> None:
     session = int.from_bytes(os.urandom(4))
     vehicle, agent, trigger = config.vehicle, build_agent(config, session), TickTrigger()
     log_as_service(vehicle.id, lambda: agent.phase)
-    key = read_signing_key(settings.file, vehicle.signing) if vehicle.signing else None
+    key = read_signing_key(settings.file, vehicle.signing)
     identity = _identity(settings, config)
     with ExitStack() as stack:
         if recorder := _recorder(settings, config, session):
             stack.enter_context(closing(recorder))
         try:
-            autopilot = AutopilotLink(
-                vehicle.id,
-                vehicle.mavlink,
-                Translator(vehicle.id, vehicle.autopilot, key),
-                position_arrived=trigger.position_arrived,
-                reject=agent.reject,
-                record=recorder.mavlink if recorder and recorder.records_mavlink else None,
-            )
+            record = recorder.mavlink if recorder and recorder.records_mavlink else None
+            autopilot = open_autopilot_link(settings.file, vehicle, key, trigger.position_arrived, agent.reject, record)
             stack.enter_context(closing(autopilot))
             datagrams = (
                 stack.enter_context(closing(_datagrams(settings, config, agent, identity is not None)))
@@ -94,8 +87,6 @@ async def _run(settings: Settings, config: AgentConfig) -> None:
             )
             peers = ZenohLink(vehicle.id, config.fleet, config.zenoh, agent.reject, datagrams, identity)
             stack.enter_context(closing(peers))
-        except LinkError as error:
-            raise ConfigError(settings.file, "mavlink", f'"{vehicle.mavlink}": {error}') from error
         except EndpointError as error:
             field = f"zenoh.{error.kind}" if vehicle.zenoh else "fleet"
             raise ConfigError(settings.file, field, f'"{error.endpoint}": {error}') from error

@@ -1,4 +1,7 @@
-"""Link to the autopilot: telemetry in, setpoints and requests out, heartbeat and message rates kept up."""
+"""Link to the autopilot: telemetry in, setpoints and requests out, heartbeat and message rates kept up.
+
+The key of a signed link comes from a file or a systemd credential, and never appears in a message.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,7 @@ from typing import NoReturn
 
 from companion.config.file import ConfigError, read_regular
 from companion.config.vehicle import Signing, VehicleConfig
-from companion.link.byte_links import MavlinkLink, open_link
+from companion.link.byte_links import LinkError, open_link
 from companion.link.tick import monotonic_s
 from companion.mavlink.codec import KEY_BYTES, SigningKey
 from companion.mavlink.translator import Translator
@@ -41,6 +44,8 @@ SIGNATURE_ADVICE = {
     Code.MAVLINK_WRONG_KEY: "its packets are signed with another key; give both the same key",
     Code.MAVLINK_OLD_SIGNATURE: "its signatures are older than this computer's clock; correct the clock, or wait for its GPS",
 }
+
+RecordPacket = Callable[[bytes, float], None]  # (packet, time on the monotonic clock)
 
 _log = logging.getLogger(__name__)
 
@@ -85,8 +90,7 @@ class AutopilotLink:
         self._present = asyncio.Event()
         self._pass_on: Callable[[Sequence[bytes]], None] | None = None
         self._record = record
-        link = open_link(endpoint, self._bytes_arrived, self._all_read)
-        self._link = RecordedLink(link, record) if record else link
+        self._link = open_link(endpoint, self._bytes_arrived, self._all_read)
 
     @property
     def is_connected(self) -> bool:
@@ -101,12 +105,12 @@ class AutopilotLink:
 
     def command(self, target: AttitudeTarget, now_s: float) -> None:
         """Send one setpoint."""
-        self._link.send(self._translator.attitude_target(target, now_s))
+        self._send(self._translator.attitude_target(target, now_s))
 
     def request(self, requests: Iterable[AutopilotRequest]) -> None:
         """Send requests."""
         for request in requests:
-            self._link.send(self._translator.request(request))
+            self._send(self._translator.request(request))
 
     def pass_on_to(self, listener: Callable[[Sequence[bytes]], None]) -> None:
         """Pass received packets, unchanged, to one more listener."""
@@ -114,12 +118,15 @@ class AutopilotLink:
 
     def offer(self, packet: bytes) -> bool:
         """Send another program's packet if the link is free. Returns whether it was sent."""
-        return self._link.offer(packet)
+        sent = self._link.offer(packet)
+        if sent and self._record:
+            self._record(packet, monotonic_s())
+        return sent
 
     def relay(self, data: bytes) -> None:
         """Send the messages of another program on this computer as packets of this agent."""
         for packet in self._translator.relayed(data):
-            self._link.send(packet)
+            self._send(packet)
 
     async def receive(self) -> None:
         """Receive until cancelled."""
@@ -129,7 +136,7 @@ class AutopilotLink:
         """Send the companion's heartbeat, from the autopilot's first packet until cancelled."""
         await self._present.wait()
         while True:
-            self._link.send(self._translator.heartbeat())
+            self._send(self._translator.heartbeat())
             await asyncio.sleep(HEARTBEAT_PERIOD_S)
 
     async def keep_streams(self) -> NoReturn:
@@ -146,7 +153,7 @@ class AutopilotLink:
         slow_before: list[str] = []
         while True:
             for request in self._translator.stream_requests():
-                self._link.send(request)
+                self._send(request)
             while True:
                 self._received.clear()
                 await asyncio.sleep(STREAM_CHECK_PERIOD_S)
@@ -178,6 +185,11 @@ class AutopilotLink:
     def close(self) -> None:
         """Close the link."""
         self._link.close()
+
+    def _send(self, packet: bytes) -> None:
+        self._link.send(packet)
+        if self._record:
+            self._record(packet, monotonic_s())
 
     def _bytes_arrived(self, data: bytes, received_s: float) -> bool:
         received_s = floor(received_s * 1e5) / 1e5  # more digits would be noise in a recording; never after the tick
@@ -211,47 +223,46 @@ class AutopilotLink:
             self._position_arrived()
 
 
-RecordPacket = Callable[[bytes, float], None]  # (packet, time on the monotonic clock)
+# ---------------------------------------------------------------- what the vehicle file says of it
 
 
-class RecordedLink:
-    """A MavlinkLink. What arrives is recorded where it is decoded, packet by packet."""
-
-    def __init__(self, link: MavlinkLink, record: RecordPacket) -> None:
-        self._link, self._record = link, record
-
-    def send(self, data: bytes) -> None:
-        self._link.send(data)
-        self._record(data, monotonic_s())
-
-    def offer(self, data: bytes) -> bool:
-        if sent := self._link.offer(data):
-            self._record(data, monotonic_s())
-        return sent
-
-    async def run(self) -> None:
-        await self._link.run()
-
-    def problem(self) -> str:
-        return self._link.problem()
-
-    def close(self) -> None:
-        self._link.close()
+def open_autopilot_link(
+    file: Path,
+    vehicle: VehicleConfig,
+    key: SigningKey | None,
+    position_arrived: Callable[[], None],
+    reject: Callable[[str], None],
+    record: RecordPacket | None = None,
+) -> AutopilotLink:
+    """The link that a vehicle file describes. Raises ConfigError."""
+    translator = Translator(vehicle.id, vehicle.autopilot, key)
+    try:
+        return AutopilotLink(vehicle.id, vehicle.mavlink, translator, position_arrived, reject, record)
+    except LinkError as error:
+        raise ConfigError(file, "mavlink", f'"{vehicle.mavlink}": {error}') from error
 
 
 EARLIEST_UNIX_S = 1_767_225_600  # 2026-01-01 UTC: before this program was written
 WANTED = "expected 32 bytes or 64 hexadecimal digits (head -c 32 /dev/urandom > FILE makes a key)"
 
 
-def read_signing_key(vehicle_file: Path, signing: Signing, environment: Mapping[str, str] = os.environ) -> SigningKey:
-    """The key that the vehicle file names.
+def read_signing_key(
+    vehicle_file: Path, signing: Signing | None, environment: Mapping[str, str] = os.environ
+) -> SigningKey | None:
+    """The key that the vehicle file names; None for a link that is not signed.
 
     Raises ConfigError for an invalid key, a key file that all users may read, and a clock that was never set.
     """
+    if signing is None:
+        return None
     if signing.key_file is not None:
         field, path = "signing.key_file", vehicle_file.parent / signing.key_file
     else:
-        field, path = "signing.credential", _credential(vehicle_file, str(signing.credential), environment)
+        field, name = "signing.credential", str(signing.credential)
+        if not (folder := environment.get("CREDENTIALS_DIRECTORY")):
+            advice = f"put LoadCredential={name}:FILE into the systemd unit, or use key_file"
+            raise ConfigError(vehicle_file, field, f'"{name}": no credentials given; {advice}')
+        path = Path(folder) / name
     secret = _secret(vehicle_file, f"{field}: {path}", path)
     if time.time() < EARLIEST_UNIX_S:
         raise ConfigError(
@@ -261,17 +272,6 @@ def read_signing_key(vehicle_file: Path, signing: Signing, environment: Mapping[
             " battery): signatures carry the time, so that old packets are not accepted as new",
         )
     return SigningKey(secret, signing.link_id, time.time)
-
-
-def _credential(vehicle_file: Path, name: str, environment: Mapping[str, str]) -> Path:
-    folder = environment.get("CREDENTIALS_DIRECTORY", "")
-    if not folder:
-        raise ConfigError(
-            vehicle_file,
-            "signing.credential",
-            f'"{name}": no credentials given; put LoadCredential={name}:FILE into the systemd unit, or use key_file',
-        )
-    return Path(folder) / name
 
 
 def _secret(vehicle_file: Path, where: str, path: Path) -> bytes:

@@ -1,4 +1,4 @@
-"""mavsdk on the agent's own link: it is given the received bytes, and its packets are sent beside the others.
+"""Link to one vehicle for bench commands (doctor, logs): the agent's MAVLink link, with mavsdk on the same bytes.
 
 mavsdk serves what is not on the 50 Hz path: parameters and flight logs. It opens no port itself, so that the agent and the
 doctor use the same endpoints and report the same errors.
@@ -20,12 +20,9 @@ from mavsdk.logging import log_subscribe
 from mavsdk.plugins.log_files import Entry, LogFiles, LogFilesError, LogFilesResult, ProgressData
 from mavsdk.plugins.param import Param, ParamError, ParamResult
 
-from companion.config.file import ConfigError
 from companion.config.vehicle import AgentConfig
-from companion.link.autopilot_link import AutopilotLink, AutopilotSilentError, read_signing_key
-from companion.link.byte_links import LinkError
+from companion.link.autopilot_link import AutopilotSilentError, open_autopilot_link, read_signing_key
 from companion.mavlink.codec import mavlink
-from companion.mavlink.translator import Translator
 from companion.types.errors import CompanionError
 
 
@@ -77,19 +74,9 @@ class Bench:
     def __init__(self, file: Path, config: AgentConfig) -> None:
         """Opens the link. Raises ConfigError."""
         self._file, self._vehicle = file, config.vehicle
-        vehicle = config.vehicle
-        key = read_signing_key(file, vehicle.signing) if vehicle.signing else None
-        try:
-            self.link = AutopilotLink(
-                vehicle.id,
-                vehicle.mavlink,
-                Translator(vehicle.id, vehicle.autopilot, key),
-                position_arrived=lambda: None,
-                reject=lambda _reason: None,
-            )
-        except LinkError as error:
-            raise ConfigError(file, "mavlink", f'"{vehicle.mavlink}": {error}') from error
-        self._bridge = MavsdkBridge(vehicle.id, self.link.relay)
+        key = read_signing_key(file, config.vehicle.signing)
+        self.link = open_autopilot_link(file, config.vehicle, key, lambda: None, lambda _reason: None)
+        self._bridge = MavsdkBridge(config.vehicle.id, self.link.relay)
         self.link.pass_on_to(self._bridge.receive)
 
     async def system(self, wait_s: float) -> Any | None:

@@ -1,4 +1,4 @@
-"""What the control loop uses of its links."""
+"""The control loop around the agent: one tick per position, and the hand-over to the autopilot after a failure."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ import gc
 import logging
 import signal
 import time
-from collections.abc import Callable, Collection, Coroutine, Iterable, Sequence
+from collections.abc import Callable, Coroutine, Sequence
 from functools import partial
 from math import inf
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from msgspec.structs import replace
 
@@ -20,57 +20,18 @@ from companion.link.log import EventLog, RejectionLog, field_of
 from companion.link.systemd import Notifier, status_line
 from companion.link.tick import BACK_UP_S, PERIOD_S, LateLoopLog, TickMeter, TickTrigger, monotonic_s
 from companion.recording.records import TimingRecord
-from companion.types.autopilot import AttitudeTarget, AutopilotRequest, PositionSample, Telemetry
-from companion.types.commands import Command, CommandReply
+from companion.types.autopilot import PositionSample, Telemetry
 from companion.types.errors import EXIT_DEFECT, EndingError
 from companion.types.notices import Code, Notice
-from companion.types.peers import PeerPacket, ReceivedPeerPacket, ReceivedTarget, ReceivedTraffic
-from companion.types.status import NetworkState, RecordingState
+from companion.types.status import RecordingState
 from companion.types.tick import Inbox, Outbox
 from companion.wire.messages import StatusReport
 from companion.wire.rounding import as_sent, target_as_sent
 
 if TYPE_CHECKING:
+    from companion.link.autopilot_link import AutopilotLink
+    from companion.link.fleet.zenoh_link import ZenohLink
     from companion.recording.recorder import Recorder
-
-
-class AutopilotEnd(Protocol):
-    """The part of `AutopilotLink` that a tick uses."""
-
-    @property
-    def is_connected(self) -> bool: ...
-
-    def drain(self) -> tuple[Telemetry, ...]: ...
-
-    def command(self, target: AttitudeTarget, now_s: float) -> None: ...
-
-    def request(self, requests: Iterable[AutopilotRequest]) -> None: ...
-
-
-class PeerEnd(Protocol):
-    """The part of `ZenohLink` that a tick uses."""
-
-    @property
-    def network(self) -> NetworkState: ...
-
-    @property
-    def is_open(self) -> bool: ...
-
-    def receive_early(self, now_s: float) -> None: ...
-
-    def receive(self, now_s: float) -> tuple[tuple[ReceivedPeerPacket, ...], tuple[Command, ...]]: ...
-
-    def targets(self, now_s: float) -> tuple[ReceivedTarget, ...]: ...
-
-    def traffic(self, now_s: float) -> tuple[ReceivedTraffic, ...]: ...
-
-    def publish_peer(self, packet: PeerPacket) -> None: ...
-
-    def receive_slowly(self, distant_ids: Collection[int]) -> None: ...
-
-    def publish_status(self, report: StatusReport) -> None: ...
-
-    def reply(self, replies: Iterable[CommandReply]) -> None: ...
 
 
 COLLECT_PERIOD_S = 5.0
@@ -95,8 +56,8 @@ class ControlLoop:
     def __init__(
         self,
         agent: Agent,
-        autopilot: AutopilotEnd,
-        peers: PeerEnd,
+        autopilot: AutopilotLink,
+        peers: ZenohLink,
         trigger: TickTrigger,
         notifier: Notifier,
         recorder: Recorder | None = None,

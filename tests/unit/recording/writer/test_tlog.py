@@ -8,17 +8,18 @@ import pytest
 from pymavlink import mavutil
 
 from agent_on_bytes import FailingFlight
-from companion.link.autopilot_link import RecordedLink
+from companion.link.autopilot_link import AutopilotLink
+from companion.mavlink.codec import MavlinkCodec
 from companion.mavlink.translator import Translator
 from companion.recording.writing import WritingAtOnce
-from companion.types.autopilot import AutopilotKind
+from companion.types.autopilot import AttitudeTarget, AutopilotKind
 from one_agent import BEGAN_S, BEGAN_UNIX_S, recorder
 
 
 class Wire:
     """A link that sends nowhere, and is free every second time."""
 
-    def __init__(self) -> None:
+    def __init__(self, _endpoint: str, _received: object, _all_read: object) -> None:
         self.sent: list[bytes] = []
 
     def send(self, data: bytes) -> None:
@@ -27,13 +28,6 @@ class Wire:
     def offer(self, data: bytes) -> bool:
         self.sent.append(data)
         return len(self.sent) % 2 == 0
-
-    async def run(self) -> None: ...
-
-    def problem(self) -> str:
-        return ""
-
-    def close(self) -> None: ...
 
 
 def test_mavutil_reads_a_tlog(tmp_path: Path) -> None:
@@ -63,13 +57,18 @@ def packets(translator: Translator, flight: FailingFlight) -> list[bytes]:
     return translator.packets
 
 
-def test_only_what_was_sent_is_recorded() -> None:
+def test_only_what_was_sent_is_recorded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("companion.link.autopilot_link.open_link", Wire)
     recorded: list[bytes] = []
-    link = RecordedLink(Wire(), lambda packet, _now_s: recorded.append(packet))
-    link.send(b"setpoint")
+    translator = Translator(3, AutopilotKind.PX4)
+    record = lambda packet, _now_s: recorded.append(packet)  # noqa: E731
+    link = AutopilotLink(3, "", translator, lambda: None, lambda _code: None, record)
+    link.command(AttitudeTarget(0.0, 0.0, 0.0, 0.5), 1.0)
     assert link.offer(b"sent")
     assert not link.offer(b"link is busy")
-    assert recorded == [b"setpoint", b"sent"]
+    setpoint, offered = recorded
+    assert MavlinkCodec(3, 1).decode(setpoint)[0].get_type() == "SET_ATTITUDE_TARGET"
+    assert offered == b"sent"
 
 
 def test_without_the_setting_no_packet_is_kept(tmp_path: Path) -> None:
