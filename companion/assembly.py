@@ -42,7 +42,7 @@ from companion.core.reference.blend import BlendLimits, ReferenceTrajectory, alo
 from companion.core.reference.heading import CourseHeading
 from companion.core.reference.plan import LiveReference, ReferencePlan, Rft
 from companion.core.reference.target import Box, TargetLimits
-from companion.core.report import Identity, ReportStage
+from companion.core.report import AgentIdentity, ReportStage
 from companion.core.safety.failsafe import FailsafeSettings
 from companion.core.safety.fleet_checks import FleetChecks
 from companion.core.safety.limits import OutputLimits
@@ -76,7 +76,7 @@ def build_agent(config: AgentConfig, session: int, formation_hash: int | None = 
     fleet, member, law, vehicle = config.fleet, config.member, config.fleet.law, config.vehicle
     if formation_hash is None:
         formation_hash = fleet.formation_hash()
-    identity = Identity(member.id, session, fleet.name, formation_hash, law.name)
+    identity = AgentIdentity(member.id, session, fleet.name, formation_hash, law.name)
     ages, envelope = AgeLimits(), output_limits_of(fleet)
     observer = DisturbanceObserver(vehicle.hover_thrust_norm, vehicle.drag_1_s, law.disturbance_bandwidth_1_s)
     health = HealthLimits(ages, envelope, fleet.leave_below_percent, fleet.land_below_percent)

@@ -20,7 +20,7 @@ LawName = Literal["cooperative", "weighted", "average_22", "average_26"]
 PAPER_LAWS: tuple[LawName, ...] = ("weighted", "average_22", "average_26")
 
 
-class Gains(Section, frozen=True):
+class LawGains(Section, frozen=True):
     """Gains K = [k1, k2] of eq. 14. Without a value the law's own gain applies."""
 
     position_1_s2: Annotated[Gain, Meta(description="k1, on the position error")] | None = None
@@ -44,7 +44,7 @@ class Law(Section, frozen=True):
             " that the paper compares it with"
         ),
     ] = "cooperative"
-    gains: Gains = Gains()
+    gains: LawGains = LawGains()
     exponent: (
         Annotated[
             float, Meta(ge=0, le=16, description="alpha of the weights rho^p / p^alpha; 1 in the paper's Algorithm 2")
@@ -89,7 +89,7 @@ class Law(Section, frozen=True):
         return replace(
             self,
             name=name,
-            gains=self.gains if same_gains else Gains(),
+            gains=self.gains if same_gains else LawGains(),
             exponent=None,
             weight_ratio=None,
             feedforward=None,

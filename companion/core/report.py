@@ -31,7 +31,7 @@ STATUS_PERIOD_S = 0.099  # every fifth tick of 50 Hz, also where a tick comes a 
 
 
 @dataclass(frozen=True, slots=True)
-class Identity:
+class AgentIdentity:
     """The vehicle and its configuration. `session` differs from one start of this vehicle's agent to the next."""
 
     vehicle_id: int
@@ -52,7 +52,7 @@ class Report(Struct, frozen=True, gc=False):
 class ReportStage:
     """Peer packet, status and events. `refused` counts messages rejected before they came to the agent, by reason."""
 
-    def __init__(self, identity: Identity, law: FormationLaw, checks: FleetChecks) -> None:
+    def __init__(self, identity: AgentIdentity, law: FormationLaw, checks: FleetChecks) -> None:
         self._identity = identity
         self._law = law
         self._checks = checks

@@ -21,15 +21,7 @@ from companion.link.fleet.zenoh_session import drain, open_session
 from companion.types.commands import Command, CommandName, CommandReply, Content, next_number
 from companion.types.notices import Code
 from companion.types.status import Status
-from companion.wire.keys import (
-    abort_key,
-    admission_key,
-    command_key,
-    every_reply,
-    every_status,
-    reply_key,
-    status_key,
-)
+from companion.wire.keys import ANY, abort_key, admission_key, command_key, reply_key, status_key
 from companion.wire.messages import StatusReport, WireError, decode_reply, decode_report, encode
 
 if TYPE_CHECKING:
@@ -90,7 +82,7 @@ class FleetSession(GroundConnection):
         if identity and fleet == "*":
             fleet = identity.fleet
         # A name that is no part of a key is refused here, before a session is open.
-        status, reply = zenoh.KeyExpr(every_status(fleet)), zenoh.KeyExpr(every_reply(fleet))
+        status, reply = zenoh.KeyExpr(status_key(fleet, ANY)), zenoh.KeyExpr(reply_key(fleet, ANY))
         super().__init__(connect, identity)
         self.fleet = fleet
         self.operator = identity.common_name if identity else operator or operator_here()

@@ -223,7 +223,7 @@ _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
-class Stream:
+class ByteStream:
     """An open, non-blocking file descriptor and the function that closes it."""
 
     fd: int
@@ -231,22 +231,22 @@ class Stream:
     idle_bytes: int  # it counts as free up to this number of unsent bytes
 
 
-class Line(Protocol):
+class ByteLine(Protocol):
     """Opens a stream. `name` is for messages."""
 
     name: str
 
-    async def open(self) -> Stream:
+    async def open(self) -> ByteStream:
         """An open stream. Raises OSError."""
 
 
 class StreamLink:
     """One byte stream to the autopilot, opened again until it succeeds."""
 
-    def __init__(self, line: Line, received: Received, all_read: AllRead) -> None:
+    def __init__(self, line: ByteLine, received: Received, all_read: AllRead) -> None:
         self._line = line
         self._received, self._all_read = received, all_read
-        self._stream: Stream | None = None
+        self._stream: ByteStream | None = None
         self._rest = b""  # unsent part of a message
         self._lost: asyncio.Future[str] | None = None
         self._problem = ""
@@ -300,7 +300,7 @@ class StreamLink:
             self._stream.close()
             self._stream = None
 
-    async def _receive(self, stream: Stream) -> str:
+    async def _receive(self, stream: ByteStream) -> str:
         """Receive until the stream is lost; returns the reason."""
         _log.info("%s is open", self._line.name)
         self._problem, self._rest = "", b""
@@ -370,7 +370,7 @@ class TcpConnection:
         self.name = f"tcp:{host}:{port}"
         self._host, self._port = encoded_host(host), port
 
-    async def open(self) -> Stream:
+    async def open(self) -> ByteStream:
         loop = asyncio.get_running_loop()
         found = await loop.getaddrinfo(self._host, self._port, type=socket.SOCK_STREAM)
         family, kind, protocol, _, address = found[0]
@@ -384,7 +384,7 @@ class TcpConnection:
         except BaseException:
             connection.close()
             raise
-        return Stream(connection.fileno(), connection.close, TCP_IDLE_BYTES)
+        return ByteStream(connection.fileno(), connection.close, TCP_IDLE_BYTES)
 
 
 class SerialLine:
@@ -394,15 +394,15 @@ class SerialLine:
         self.name = f"serial device {device}"
         self._device, self._baud = device, baud
         try:
-            self._first: Stream | None = self._open()
+            self._first: ByteStream | None = self._open()
         except OSError as error:
             raise LinkError(explain(error, self.name)) from error
 
-    async def open(self) -> Stream:
+    async def open(self) -> ByteStream:
         stream, self._first = self._first or self._open(), None
         return stream
 
-    def _open(self) -> Stream:
+    def _open(self) -> ByteStream:
         import serial  # only an agent with a serial link loads it
 
         try:
@@ -413,4 +413,4 @@ class SerialLine:
             raise
         except (ValueError, OverflowError) as error:
             raise OSError(errno.EINVAL, f"{self._baud} baud is refused") from error
-        return Stream(line.fileno(), line.close, SERIAL_IDLE_BYTES)
+        return ByteStream(line.fileno(), line.close, SERIAL_IDLE_BYTES)

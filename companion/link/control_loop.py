@@ -16,7 +16,7 @@ from msgspec.structs import replace
 
 from companion.core.agent import Agent, Decision
 from companion.core.safety.limits import FailureResponse
-from companion.link.log import EventLog, RejectionLog, field_of
+from companion.link.log import AgentEventLog, RejectionLog, field_of
 from companion.link.systemd import Notifier, status_line
 from companion.link.tick import BACK_UP_S, PERIOD_S, LateLoopLog, TickMeter, TickTrigger, monotonic_s
 from companion.recording.records import TimingRecord
@@ -71,7 +71,7 @@ class ControlLoop:
         self._meter = TickMeter(time.monotonic())
         self._late = LateLoopLog()
         self._rejections = RejectionLog()
-        self._events = EventLog()
+        self._events = AgentEventLog()
         self._response = FailureResponse()
         self._stop_asked_s: float | None = None
         self._failure: BaseException | None = None
@@ -131,7 +131,7 @@ class ControlLoop:
         self._response.publishes(outbox.peer_packet)
         if outbox.peer_packet:
             self._peers.publish_peer(outbox.peer_packet)
-        self._peers.receive_slowly(outbox.distant_ids)
+        self._peers.set_low_rate_peers(outbox.distant_ids)
         self._meter.phase_after_tick(self._agent.phase, now_s)
         report = None
         if outbox.status:

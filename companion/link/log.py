@@ -141,7 +141,7 @@ def field_of(code: str) -> dict[str, str]:
     return {"companion_code": code}
 
 
-class EventLog:
+class AgentEventLog:
     """Logs the events of the agent."""
 
     def __init__(self) -> None:

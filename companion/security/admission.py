@@ -216,11 +216,11 @@ class AdmissionError(CompanionError):
         super().__init__(printable(problem))
 
 
-class Section(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A part of the list."""
+class ListPart(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A part of the list: no unknown keys."""
 
 
-class AdmittedParticipant(Section, frozen=True):
+class AdmittedParticipant(ListPart, frozen=True):
     """A participant with its newest certificate. `public_key` is a SubjectPublicKeyInfo in DER."""
 
     name: CommonName
@@ -239,7 +239,7 @@ class AdmittedParticipant(Section, frozen=True):
         return key
 
 
-class RevokedParticipant(Section, frozen=True):
+class RevokedParticipant(ListPart, frozen=True):
     """An identity that is no longer admitted. Its common name is never used again."""
 
     name: CommonName
@@ -247,7 +247,7 @@ class RevokedParticipant(Section, frozen=True):
     revoked_at: Instant
 
 
-class Admitted(Section, frozen=True):
+class Admitted(ListPart, frozen=True):
     """The list. `number` rises by one with each change; 0 is the empty list of a new authority."""
 
     fleet: FleetName
@@ -280,7 +280,7 @@ class Admitted(Section, frozen=True):
         return ParticipantName(name.role, name.id, max(generations, default=0) + 1)
 
 
-class SignedList(Section, frozen=True):
+class SignedList(ListPart, frozen=True):
     """The file: the list as JSON text, and the signature over this text in DER."""
 
     payload: str

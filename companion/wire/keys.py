@@ -1,11 +1,12 @@
-"""Zenoh key expressions: formation/FLEET/KIND/VEHICLE."""
+"""Zenoh key expressions: formation/FLEET/KIND/VEHICLE. With ANY in place of a part it is the expression of all of them."""
 
 from __future__ import annotations
 
 ROOT = "formation"
+ANY = "*"
 
 
-def peer_key(fleet: str, vehicle_id: int) -> str:
+def peer_key(fleet: str, vehicle_id: int | str) -> str:
     """Key of a vehicle's PeerPacket, published at every tick."""
     return f"{ROOT}/{fleet}/peer/{vehicle_id}"
 
@@ -15,7 +16,7 @@ def distant_key(fleet: str, vehicle_id: int) -> str:
     return f"{ROOT}/{fleet}/distant/{vehicle_id}"
 
 
-def status_key(fleet: str, vehicle_id: int) -> str:
+def status_key(fleet: str, vehicle_id: int | str) -> str:
     """Key of a vehicle's Status, published a few times per second."""
     return f"{ROOT}/{fleet}/status/{vehicle_id}"
 
@@ -25,19 +26,9 @@ def command_key(fleet: str, vehicle_id: int, operator: str) -> str:
     return f"{ROOT}/{fleet}/command/{vehicle_id}/{operator}"
 
 
-def every_command(fleet: str, vehicle_id: int) -> str:
-    """Key expression of all commands to a vehicle."""
-    return command_key(fleet, vehicle_id, "*")
-
-
 def abort_key(fleet: str, vehicle_id: int, operator: str) -> str:
     """Key of the Command ABORT, so that a flood of other commands cannot displace it."""
     return f"{ROOT}/{fleet}/abort/{vehicle_id}/{operator}"
-
-
-def every_abort(fleet: str, vehicle_id: int) -> str:
-    """Key expression of all aborts to a vehicle."""
-    return abort_key(fleet, vehicle_id, "*")
 
 
 def admission_key(fleet: str, ground: str) -> str:
@@ -45,12 +36,7 @@ def admission_key(fleet: str, ground: str) -> str:
     return f"{ROOT}/{fleet}/admitted/{ground}"
 
 
-def every_admission(fleet: str) -> str:
-    """Key expression of all admission lists of a fleet."""
-    return admission_key(fleet, "*")
-
-
-def reply_key(fleet: str, vehicle_id: int) -> str:
+def reply_key(fleet: str, vehicle_id: int | str) -> str:
     """Key under which a vehicle publishes its CommandReplies."""
     return f"{ROOT}/{fleet}/reply/{vehicle_id}"
 
@@ -60,41 +46,11 @@ def target_key(fleet: str, name: str) -> str:
     return f"{ROOT}/{fleet}/target/{name}"
 
 
-def every_target(fleet: str) -> str:
-    """Key expression of all targets of a fleet."""
-    return target_key(fleet, "*")
-
-
 def traffic_key(fleet: str, source: str, name: str) -> str:
     """Key under which a source publishes a vehicle outside the fleet, as a TrafficSample."""
     return f"{ROOT}/{fleet}/traffic/{source}/{name}"
 
 
-def every_traffic(fleet: str) -> str:
-    """Key expression of all traffic of a fleet."""
-    return traffic_key(fleet, "*", "*")
-
-
-def pairing_key(fleet: str, sender_id: int, receiver_id: int) -> str:
+def pairing_key(fleet: str, sender_id: int | str, receiver_id: int) -> str:
     """Key under which a vehicle gives another one the key of its datagrams. Only that one may receive it."""
     return f"{ROOT}/{fleet}/pairing/{sender_id}/{receiver_id}"
-
-
-def every_pairing(fleet: str, receiver_id: int) -> str:
-    """Key expression of all keys for one vehicle."""
-    return f"{ROOT}/{fleet}/pairing/*/{receiver_id}"
-
-
-def every_peer(fleet: str) -> str:
-    """Key expression of all peer packets of a fleet."""
-    return f"{ROOT}/{fleet}/peer/*"
-
-
-def every_status(fleet: str) -> str:
-    """Key expression of all status reports of a fleet; `fleet` may be * for all fleets."""
-    return f"{ROOT}/{fleet}/status/*"
-
-
-def every_reply(fleet: str) -> str:
-    """Key expression of all command replies of a fleet; `fleet` may be * for all fleets."""
-    return f"{ROOT}/{fleet}/reply/*"

@@ -304,7 +304,7 @@ class VirtualAgent:
             self._network.send(outbox.peer_packet, now_s)
         if outbox.distant_ids != self._distant_ids:
             self._distant_ids = outbox.distant_ids
-            self._network.receive_slowly(self.vehicle_id, outbox.distant_ids, now_s)
+            self._network.set_low_rate_peers(self.vehicle_id, outbox.distant_ids, now_s)
         if outbox.status:
             self.status, self.session = outbox.status, outbox.status.session
             self._reports.append(StatusReport(outbox.status, NOT_TIMED))

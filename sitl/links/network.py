@@ -75,7 +75,7 @@ class Network:
                 # The number keeps packets of one time in order.
                 heappush(self._in_transit[path.receiver], (arrives_s, self._sent, packet))
 
-    def receive_slowly(self, vehicle_id: int, distant_ids: Iterable[int], now_s: float) -> None:
+    def set_low_rate_peers(self, vehicle_id: int, distant_ids: Iterable[int], now_s: float) -> None:
         """This vehicle subscribes to these peers at 5 Hz, and to all others at 50 Hz."""
         self._next_distant.append((now_s + self._subscribed_after_s, vehicle_id, frozenset(distant_ids)))
 

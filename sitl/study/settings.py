@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from companion.assembly import law_of
-from companion.config.fleet import Gains, Law
+from companion.config.fleet import Law, LawGains
 
 SHARPER = {"exponent": 0.0, "weight_ratio": 0.03}
-DESIGNED = Gains(position_1_s2=2.0, velocity_1_s=2.4)
+DESIGNED = LawGains(position_1_s2=2.0, velocity_1_s=2.4)
 FED_FORWARD = 0.98
 
 
@@ -47,8 +47,10 @@ SETTINGS: tuple[Setting, ...] = (
     Setting("cooperative, g = 0.9", Law(name="cooperative", feedforward=0.9)),
     Setting("cooperative, alpha 8, rho 1", Law(name="cooperative", exponent=8.0, weight_ratio=1.0)),
     Setting("cooperative, alpha 16, rho 1", Law(name="cooperative", exponent=16.0, weight_ratio=1.0)),
-    Setting("cooperative, K = (1, 2)", Law(name="cooperative", gains=Gains(position_1_s2=1.0, velocity_1_s=2.0))),
-    Setting("cooperative, K = (1.39, 3)", Law(name="cooperative", gains=Gains(position_1_s2=1.39, velocity_1_s=3.0))),
+    Setting("cooperative, K = (1, 2)", Law(name="cooperative", gains=LawGains(position_1_s2=1.0, velocity_1_s=2.0))),
+    Setting(
+        "cooperative, K = (1.39, 3)", Law(name="cooperative", gains=LawGains(position_1_s2=1.39, velocity_1_s=3.0))
+    ),
 )
 
 

@@ -278,7 +278,7 @@ class RecordedPeers:
         self.packets.append(ReceivedPeerPacket(packet.sent_s, received))
         self.published_before.append(self.sent())
 
-    def receive_slowly(self, distant_ids: Collection[int]) -> None:
+    def set_low_rate_peers(self, distant_ids: Collection[int]) -> None:
         assert not distant_ids  # a small fleet
 
     def publish_status(self, report: StatusReport) -> None:

@@ -66,7 +66,7 @@ def test_agents_with_the_same_phase_receive_packets_in_the_next_tick() -> None:
 
 def test_distant_peers_are_received_at_5_hz_and_the_others_at_50_hz() -> None:
     network = Network([1, 2, 3], Links(peer_delay_s=0.0), 1)
-    network.receive_slowly(2, [1], 0.5)
+    network.set_low_rate_peers(2, [1], 0.5)
     counts = {2: 0, 3: 0}
     for number in range(100):
         now_s = 1.0 + number * 0.02
@@ -74,7 +74,7 @@ def test_distant_peers_are_received_at_5_hz_and_the_others_at_50_hz() -> None:
         for receiver in counts:
             counts[receiver] += len(sequences(network, receiver, now_s + 0.01))
     assert counts == {2: 10, 3: 100}
-    network.receive_slowly(2, [], 3.0)
+    network.set_low_rate_peers(2, [], 3.0)
     network.send(packet(1, 101), 3.0)
     network.send(packet(1, 102), 3.2)
     assert sequences(network, 2, 3.3) == [102]

@@ -223,7 +223,7 @@ def test_a_client_that_reads_nothing_does_not_block_a_change_of_rates(endpoint: 
             distant = others if change % 2 == 0 else frozenset[int]()
             for _ in range(len(others) // CHANGES_PER_TICK + 1):
                 start_s = time.monotonic()
-                link.receive_slowly(distant)
+                link.set_low_rate_peers(distant)
                 worst_s = max(worst_s, time.monotonic() - start_s)
         until_s = time.monotonic() + CLOSED_WITHIN_S
         while (connected := bool(link._session.info.peers_zid())) and time.monotonic() < until_s:

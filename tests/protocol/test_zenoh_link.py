@@ -272,7 +272,7 @@ def test_a_peer_is_received_at_the_rate_of_the_choice_without_gaps(port: int) ->
             for sender, vehicle_id in ((first, 1), (third, 3)):
                 sender.link.publish_peer(replace(PACKET, vehicle_id=vehicle_id, sequence=number))
             time.sleep(0.01)
-            second.link.receive_slowly(distant_ids)
+            second.link.set_low_rate_peers(distant_ids)
             second.tick()
 
         until(lambda: {received.packet.vehicle_id for received in second.packets} == {1, 3}, lambda: tick(()))

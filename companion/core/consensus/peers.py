@@ -238,7 +238,7 @@ class PeerTable:
         self.rejected: Counter[str] = Counter()
         self.duplicate_id_s = -inf  # when a packet of a second agent with a known id last came
 
-    def receive_slowly(self, now_s: float, distant: frozenset[int]) -> None:
+    def set_low_rate_peers(self, now_s: float, distant: frozenset[int]) -> None:
         """From now on these peers are received at 5 Hz, and their states may be older."""
         self._distant = distant
         if distant or self._distant_s:

@@ -133,7 +133,7 @@ class ConsensusStage:
         answers, events = self._command_leads(now_s, commands, vehicle, flight, refusal_to_lead)
         self._clock.on_ground = not vehicle.armed
         leadership, in_formation = self.leadership, flight.in_formation
-        self.peers.receive_slowly(now_s, distant)
+        self.peers.set_low_rate_peers(now_s, distant)
         fresh, present, changes = self._receive(now_s, packets)
         events += changes
         flying = [peer.packet for peer in present.values() if peer.packet.phase in COOPERATING]

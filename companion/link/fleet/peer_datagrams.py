@@ -23,7 +23,7 @@ from companion.link.byte_links import LinkError, encoded_host, explain
 from companion.link.fleet.zenoh_session import drain
 from companion.types.notices import Code
 from companion.types.peers import PeerPacket, ReceivedPeerPacket
-from companion.wire.keys import every_pairing, pairing_key
+from companion.wire.keys import ANY, pairing_key
 from companion.wire.messages import WireError
 from companion.wire.peer import decode_peer, encode_peer
 
@@ -217,7 +217,7 @@ class Pairing:
     def __init__(self, session: zenoh.Session, fleet: str, own_id: int, seal: DatagramSeal) -> None:
         self._session, self._fleet, self._own_id, self._seal = session, fleet, own_id, seal
         self._keys = session.declare_subscriber(
-            every_pairing(fleet, own_id), zenoh.handlers.RingChannel(2 * len(seal.own_keys) or 1)
+            pairing_key(fleet, ANY, own_id), zenoh.handlers.RingChannel(2 * len(seal.own_keys) or 1)
         )
         self._due_s = -inf
 

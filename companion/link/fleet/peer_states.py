@@ -82,7 +82,7 @@ class PeerStates:
                 packets += self._packets(drain(channel, most), sender_id)
         return packets
 
-    def receive_slowly(self, distant_ids: Collection[int]) -> None:
+    def set_low_rate_peers(self, distant_ids: Collection[int]) -> None:
         """Receive these at 5 Hz and all others at 50 Hz. Once a tick: each call makes a few of the changes.
 
         A peer that is to be received at 50 Hz remains at 5 Hz as well until its first packet at 50 Hz.

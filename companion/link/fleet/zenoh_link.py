@@ -14,7 +14,7 @@ import re
 import threading
 import time
 from collections.abc import Callable, Collection, Iterable, Sequence
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import zenoh
 
@@ -30,15 +30,14 @@ from companion.types.notices import Code
 from companion.types.peers import PeerPacket, ReceivedPeerPacket, ReceivedTarget, ReceivedTraffic
 from companion.types.status import NetworkState
 from companion.wire.keys import (
+    ANY,
     abort_key,
+    admission_key,
     command_key,
-    every_abort,
-    every_admission,
-    every_command,
-    every_target,
-    every_traffic,
     reply_key,
     status_key,
+    target_key,
+    traffic_key,
 )
 from companion.wire.messages import StatusReport, WireError, decode_command, decode_target, decode_traffic, encode
 
@@ -62,6 +61,8 @@ CLOSE_WITHIN_S = 2.0
 LONG_PAUSE_S = 0.1  # five ticks
 # Commands that end a formation. They are safe even when they are late.
 ACCEPTED_LATE = (CommandName.HOLD, CommandName.LAND, CommandName.ABORT)
+
+Message = TypeVar("Message")
 
 
 class ZenohLink:
@@ -87,9 +88,8 @@ class ZenohLink:
         self._datagrams = datagrams
         self._vehicle_id = vehicle_id
         self._identity = identity
-        self._refused: frozenset[str] = (
-            frozenset()
-        )  # participants that were admitted when the session began, and are no longer
+        # Participants that were admitted when the session began, and are no longer
+        self._refused: frozenset[str] = frozenset()
         security: Literal["local", "identity", "none"] = "none" if fleet.security == "none" else "local"
         self.network = NetworkState("identity", identity.admitted.number) if identity else NetworkState(security)
         self._fleet_name = fleet.name
@@ -107,25 +107,11 @@ class ZenohLink:
     def _declare(self, vehicle_id: int, fleet: FleetConfig) -> None:
         self._peers = PeerStates(self._session, vehicle_id, fleet, self._reject)
         may_lead = any(member.id == vehicle_id and member.can_lead for member in fleet.vehicles)
-        self._targets = (
-            self._session.declare_subscriber(every_target(fleet.name), zenoh.handlers.RingChannel(TARGETS_KEPT))
-            if may_lead
-            else None
-        )
-        self._traffic = self._session.declare_subscriber(
-            every_traffic(fleet.name), zenoh.handlers.RingChannel(TRAFFIC_KEPT)
-        )
-        self._commands = self._session.declare_subscriber(
-            every_command(fleet.name, vehicle_id), zenoh.handlers.RingChannel(COMMANDS_KEPT)
-        )
-        self._aborts = self._session.declare_subscriber(
-            every_abort(fleet.name, vehicle_id), zenoh.handlers.RingChannel(ABORT_SAMPLES_KEPT)
-        )
-        self._lists = (
-            self._session.declare_subscriber(every_admission(fleet.name), zenoh.handlers.RingChannel(LISTS_KEPT))
-            if self._identity
-            else None
-        )
+        self._targets = self._subscribed(target_key(fleet.name, ANY), TARGETS_KEPT) if may_lead else None
+        self._traffic = self._subscribed(traffic_key(fleet.name, ANY, ANY), TRAFFIC_KEPT)
+        self._commands = self._subscribed(command_key(fleet.name, vehicle_id, ANY), COMMANDS_KEPT)
+        self._aborts = self._subscribed(abort_key(fleet.name, vehicle_id, ANY), ABORT_SAMPLES_KEPT)
+        self._lists = self._subscribed(admission_key(fleet.name, ANY), LISTS_KEPT) if self._identity else None
         seal = self._datagrams.seal if self._datagrams else None
         self._pairing = Pairing(self._session, fleet.name, vehicle_id, seal) if seal else None
         self._reply_publisher = self._session.declare_publisher(
@@ -139,6 +125,10 @@ class ZenohLink:
             congestion_control=zenoh.CongestionControl.DROP,
             priority=zenoh.Priority.DATA,
         )
+
+    def _subscribed(self, key: str, kept: int) -> Any:
+        """A subscriber whose channel keeps so many messages, the newest, until they are drained."""
+        return self._session.declare_subscriber(key, zenoh.handlers.RingChannel(kept))
 
     @property
     def is_open(self) -> bool:
@@ -187,10 +177,10 @@ class ZenohLink:
         else:
             self._peers.publish(packet)
 
-    def receive_slowly(self, distant_ids: Collection[int]) -> None:
+    def set_low_rate_peers(self, distant_ids: Collection[int]) -> None:
         """Receive these peers at 5 Hz and all others at 50 Hz. Everyone hears multicast datagrams: they stay at 50 Hz."""
         if not self._datagrams:
-            self._peers.receive_slowly(distant_ids)
+            self._peers.set_low_rate_peers(distant_ids)
 
     def publish_status(self, report: StatusReport) -> None:
         """Publish the own status."""
@@ -234,25 +224,24 @@ class ZenohLink:
 
     def _target(self, sample: zenoh.Sample, now_s: float) -> ReceivedTarget | None:
         name = str(sample.key_expr).rpartition("/")[2]
-        if f"{ParticipantRole.TARGET}-{name}" in self._refused:
-            self._reject(Code.NOT_ADMITTED)
-            return None
-        try:
-            return ReceivedTarget(now_s, name, decode_target(sample.payload.to_bytes()))
-        except WireError as error:
-            self._reject(error.key)
-            return None
+        target = self._decoded(sample, decode_target, f"{ParticipantRole.TARGET}-{name}")
+        return ReceivedTarget(now_s, name, target) if target else None
 
     def _traffic_sample(self, sample: zenoh.Sample, now_s: float) -> ReceivedTraffic | None:
         source, name = str(sample.key_expr).split("/")[-2:]
         if not TRAFFIC_NAME.fullmatch(name):  # it appears in events and on terminals
             self._reject(Code.TRAFFIC_MALFORMED)
             return None
-        if f"{ParticipantRole.TRAFFIC}-{source}" in self._refused:
+        traffic = self._decoded(sample, decode_traffic, f"{ParticipantRole.TRAFFIC}-{source}")
+        return ReceivedTraffic(now_s, name, traffic) if traffic else None
+
+    def _decoded(self, sample: zenoh.Sample, decode: Callable[[bytes], Message], sender: str = "") -> Message | None:
+        """The message; None, which is counted, where it is malformed or its sender is no longer admitted."""
+        if sender in self._refused:
             self._reject(Code.NOT_ADMITTED)
             return None
         try:
-            return ReceivedTraffic(now_s, name, decode_traffic(sample.payload.to_bytes()))
+            return decode(sample.payload.to_bytes())
         except WireError as error:
             self._reject(error.key)
             return None
@@ -265,7 +254,7 @@ class ZenohLink:
                 continue  # the channel is emptied all the same
             if len(sample.payload) > LONGEST_ABORT or ABORT_TEXT not in sample.payload.to_bytes():
                 self._reject(Code.COMMAND_MALFORMED)
-            elif (command := self._decoded(sample, abort_key)) is not None:
+            elif (command := self._decoded_command(sample, abort_key)) is not None:
                 if command.name is CommandName.ABORT:
                     self._note(command)
                     aborts.append(command)
@@ -273,20 +262,18 @@ class ZenohLink:
                     self._reject(Code.COMMAND_MALFORMED)
         return aborts
 
-    def _decoded(self, sample: zenoh.Sample, key: Callable[[str, int, str], str]) -> Command | None:
+    def _decoded_command(self, sample: zenoh.Sample, key: Callable[[str, int, str], str]) -> Command | None:
         """The command; None for one that is malformed, or under the key of another operator than it names."""
-        try:
-            command = decode_command(sample.payload.to_bytes())
-        except WireError as error:
-            self._reject(error.key)
+        command = self._decoded(sample, decode_command)
+        if command is None:
             return None
         if str(sample.key_expr) != key(self._fleet_name, self._vehicle_id, command.operator):
             self._reject(Code.COMMAND_KEY_MISMATCH)
-            return None
-        if command.operator in self._refused:
+        elif command.operator in self._refused:
             self._reject(Code.NOT_ADMITTED)
-            return None
-        return command
+        else:
+            return command
+        return None
 
     def _note(self, command: Command) -> None:
         """Keep a command until its reply is logged."""
@@ -296,7 +283,7 @@ class ZenohLink:
 
     def _command(self, sample: zenoh.Sample, late: bool) -> Command | None:
         """The command in a message; None where it is malformed, and where it comes late, which is answered here."""
-        if (command := self._decoded(sample, command_key)) is None:
+        if (command := self._decoded_command(sample, command_key)) is None:
             return None
         self._note(command)
         if late and command.name not in ACCEPTED_LATE:

@@ -13,19 +13,11 @@ import zenoh
 from companion.security.names import ParticipantName, ParticipantRole, parse_common_name
 from companion.types.errors import UnusableError
 from companion.wire.keys import (
+    ANY,
     abort_key,
     admission_key,
     command_key,
     distant_key,
-    every_abort,
-    every_admission,
-    every_command,
-    every_pairing,
-    every_peer,
-    every_reply,
-    every_status,
-    every_target,
-    every_traffic,
     pairing_key,
     peer_key,
     reply_key,
@@ -227,20 +219,20 @@ def published(sender: ParticipantName, receiver: ParticipantName, fleet: str) ->
         if receiver.role is ParticipantRole.VEHICLE:
             to = int(receiver.id)
             states = (peer_key(fleet, i), distant_key(fleet, i))
-            return (*states, pairing_key(fleet, i, to)), (*states, every_pairing(fleet, to))
+            return (*states, pairing_key(fleet, i, to)), (*states, pairing_key(fleet, ANY, to))
         if receiver.role in READERS:
             keys = (peer_key(fleet, i), status_key(fleet, i), reply_key(fleet, i))
-            return keys, (every_peer(fleet), every_status(fleet), every_reply(fleet))
+            return keys, (peer_key(fleet, ANY), status_key(fleet, ANY), reply_key(fleet, ANY))
     elif receiver.role is ParticipantRole.VEHICLE:
         i = int(receiver.id)
         if sender.role is ParticipantRole.GROUND:
             name = str(sender)
             keys = (command_key(fleet, i, name), abort_key(fleet, i, name), admission_key(fleet, name))
-            return keys, (every_command(fleet, i), every_abort(fleet, i), every_admission(fleet))
+            return keys, (command_key(fleet, i, ANY), abort_key(fleet, i, ANY), admission_key(fleet, ANY))
         if sender.role is ParticipantRole.TARGET:
-            return (target_key(fleet, sender.id),), (every_target(fleet),)
+            return (target_key(fleet, sender.id),), (target_key(fleet, ANY),)
         if sender.role is ParticipantRole.TRAFFIC:
-            return (traffic_key(fleet, sender.id, "*"),), (every_traffic(fleet),)
+            return (traffic_key(fleet, sender.id, ANY),), (traffic_key(fleet, ANY, ANY),)
     return NOTHING
 
 

@@ -59,7 +59,7 @@ STAGES: dict[str, Callable[[FailingFlight], tuple[Any, str]]] = {
     "reply": lambda flight: (flight.peers, "reply"),
     "response to a failure, its packet": lambda flight: (flight.loop._response, "publishes"),
     "peer packet published": lambda flight: (flight.peers, "publish_peer"),
-    "rates of the peers changed": lambda flight: (flight.peers, "receive_slowly"),
+    "rates of the peers changed": lambda flight: (flight.peers, "set_low_rate_peers"),
     "phase measured": lambda flight: (flight.loop._meter, "phase_after_tick"),
     "timing reported": lambda flight: (flight.loop._meter, "timing"),
     "status published": lambda flight: (flight.peers, "publish_status"),

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.link.log import LINES_KEPT, CommandLog, EventLog, PrintableFormatter, RejectionLog
+from companion.link.log import LINES_KEPT, AgentEventLog, CommandLog, PrintableFormatter, RejectionLog
 from companion.link.systemd import JournalHandler, entry, leads_to_journal
 from companion.types.commands import Command, CommandName, CommandReply
 from companion.types.notices import Code, Notice
@@ -64,8 +64,8 @@ def handler_to(address: str, descriptor: int = 2, phase: Callable[[], str] = lam
 def test_an_event_can_be_found_by_code_vehicle_and_phase(journal: socket.socket, logger: logging.Logger) -> None:
     phases = iter(["formation", "hold"])
     logger.addHandler(handler_to(journal.getsockname(), phase=lambda: next(phases)))
-    EventLog().happened(Notice(Code.LEADER_LOST, "no fresh leader beacon"), 100.0)
-    EventLog().happened(Notice(Code.PHASE_CHANGED, "formation -> hold"), 100.0)
+    AgentEventLog().happened(Notice(Code.LEADER_LOST, "no fresh leader beacon"), 100.0)
+    AgentEventLog().happened(Notice(Code.PHASE_CHANGED, "formation -> hold"), 100.0)
     assert fields(journal.recv(65536)) == {
         "MESSAGE": "vehicle 3: LEADER_LOST: no fresh leader beacon",
         "PRIORITY": "4",

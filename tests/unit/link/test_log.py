@@ -8,7 +8,7 @@ import threading
 
 import pytest
 
-from companion.link.log import BURST, LINES_KEPT, CommandLog, DroppingHandler, EventLog, RejectionLog
+from companion.link.log import BURST, LINES_KEPT, AgentEventLog, CommandLog, DroppingHandler, RejectionLog
 from companion.types.commands import Command, CommandName, CommandReply
 from companion.types.notices import Code, Notice
 
@@ -35,7 +35,7 @@ def test_each_command_is_logged_and_a_flood_is_counted(caplog: pytest.LogCapture
 
 
 def test_a_flood_of_takes_is_a_few_lines(caplog: pytest.LogCaptureFixture) -> None:
-    events, commands = EventLog(), CommandLog()
+    events, commands = AgentEventLog(), CommandLog()
     with caplog.at_level(logging.INFO):
         for tick in range(14 * 50):
             now_s = 100.0 + 0.02 * tick
