@@ -26,11 +26,12 @@ def _run_analyze(options: argparse.Namespace) -> int:
 
     from companion.tools.analysis import analyse, load_subject
     from companion.tools.analysis_report import report, verdict
+    from companion.tools.output import json_text
 
     analysis = analyse(load_subject(options.file, options.overrides))
     if options.json:
         figures = msgspec.to_builtins(analysis) | {"verdict": msgspec.to_builtins(verdict(analysis))}
-        print(msgspec.json.format(msgspec.json.encode(figures), indent=2).decode())
+        print(json_text(figures))
     else:
         print(report(analysis))
     return EXIT_CONVERGES if analysis.converges else EXIT_CANNOT_CONVERGE

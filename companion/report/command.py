@@ -10,14 +10,13 @@ from dataclasses import dataclass
 from datetime import datetime, tzinfo
 from pathlib import Path
 
-import msgspec
-
 from companion.recording.reader import RecordingError
 from companion.report.autopilot_logs import LogError, log_files, named_logs, read_logs
 from companion.report.findings import Severity, rows_of
 from companion.report.load import load
 from companion.report.page import page_of, verdict
 from companion.report.summary import judged
+from companion.tools.output import json_text
 from companion.types.errors import RefusedCommandError
 
 EXIT_WRITTEN, EXIT_CRITICAL = 0, 1
@@ -69,7 +68,7 @@ def run_report(options: ReportOptions) -> int:
     html = page_of(one, _local_zone(flight.begin_unix_s))
     _write(out, html)
     if options.as_json:
-        print(msgspec.json.format(msgspec.json.encode(one.summary), indent=2).decode())
+        print(json_text(one.summary))
     steps.show(f"{verdict(rows_of(one.summary.findings))}: {out}")
     return EXIT_CRITICAL if one.summary.count(Severity.CRITICAL) else EXIT_WRITTEN
 

@@ -1,17 +1,15 @@
-"""Report of `companion doctor`: one line per finding, and a summary."""
+"""`companion doctor`: whether a vehicle is fit to fly in formation; with --fix it sets safe parameter values."""
 
 from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Coroutine, Iterable, Iterator, Sequence
+from collections.abc import Coroutine, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-
-import msgspec
 
 from companion.assembly import check_agent, output_limits_of, tracker_of
 from companion.config.file import ConfigError
@@ -20,10 +18,14 @@ from companion.core.preflight import WINDOW_S, Survey
 from companion.core.safety.audit import Facts, Finding, PositionCheck, Verdict, audit, worst
 from companion.link.bench import LISTEN_PERIOD_S, Bench, ParameterError, Parameters, run_on_bench
 from companion.mavlink.autopilot_types import DIALECTS, PROFILES
+from companion.tools.output import found_lines, json_text, shows_lines
 from companion.types.autopilot import AutopilotKind, RequestOrigin, VehicleState
 
+SOON_DAYS = 30
+FIT, UNFIT = 0, 1  # exit codes
+SETTLE_S = 1.0  # until the streams have the requested rates
+ASK_ORIGIN_PERIOD_S = 1.0
 SHOWN = {Verdict.OK: "ok", Verdict.WARNING: "warning", Verdict.REFUSAL: "REFUSAL"}
-WIDEST_FOUND = 44  # characters; a longer value shifts only its own line
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,12 +66,12 @@ def heading(diagnosis: Diagnosis) -> str:
 
 def lines(findings: Sequence[Finding]) -> Iterator[str]:
     """One line per finding, in columns; the code follows where the finding is not OK."""
-    subject_width = max((len(finding.subject) for finding in findings), default=0)
-    found_width = min(WIDEST_FOUND, max((len(finding.found) for finding in findings), default=0))
+    rows = []
     for finding in findings:
         wanted = f"wanted: {finding.wanted}" + (f"; {finding.remedy}" if finding.remedy else "")
         wanted += f" [{finding.code}]" if finding.code else ""
-        yield f"{SHOWN[finding.verdict]:<8} {finding.subject:<{subject_width}}  {finding.found:<{found_width}}  {wanted}"
+        rows.append((SHOWN[finding.verdict], finding.subject, finding.found, wanted))
+    return found_lines(rows, verdict_width=8)
 
 
 def summary(diagnosis: Diagnosis) -> str:
@@ -88,9 +90,6 @@ def _count(number: int, noun: str) -> str:
     return f"{number} {noun}" + ("" if number == 1 else "s")
 
 
-SOON_DAYS = 30
-
-
 def network_line(vehicle_file: Path, config: AgentConfig) -> str:
     """Identity, no security, or none needed. An identity that cannot be used is named, as the agent would refuse it."""
     if config.vehicle.identity is None:
@@ -107,11 +106,6 @@ def network_line(vehicle_file: Path, config: AgentConfig) -> str:
     soon = f"; companion provision renew, {days} days are left" if days < SOON_DAYS else ""
     words = f"identity {identity.common_name}, valid until {identity.expires_at:%Y-%m-%d}"
     return f"{'warning' if soon else 'ok':<8} network: {words}, admission list {identity.admitted.number}{soon}"
-
-
-FIT, UNFIT = 0, 1  # exit codes
-SETTLE_S = 1.0  # until the streams have the requested rates
-ASK_ORIGIN_PERIOD_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,34 +129,23 @@ async def _run(options: DoctorOptions, config: AgentConfig) -> int:
     with closing(DoctorSession(options.file, config)) as session:
         diagnosis = await run_on_bench(session, options.wait_s, partial(_examine, session, options))
     if options.as_json:
-        print(msgspec.json.format(msgspec.json.encode(diagnosis), indent=2).decode())
+        print(json_text(diagnosis))
     return FIT if diagnosis.fit else UNFIT
 
 
 async def _examine(session: DoctorSession, options: DoctorOptions) -> Diagnosis:
     """Audit and print; with --fix set parameters, then audit and print again."""
-    show: Callable[[str], None] = _nothing if options.as_json else print
+    show = shows_lines(options.as_json)
     diagnosis = await session.diagnose()
-    show(heading(diagnosis))
-    show(network_line(options.file, session.config))
-    _each(show, lines(diagnosis.findings))
+    show([heading(diagnosis), network_line(options.file, session.config), *lines(diagnosis.findings)])
     fixable = [finding for finding in diagnosis.findings if finding.fix is not None]
     if options.fix and fixable:
         changes = tuple([await session.fix(finding) for finding in fixable])
-        _each(show, ["", *map(str, changes), ""])
+        show(["", *map(str, changes), ""])
         diagnosis = replace(await session.diagnose(), changes=changes)
-        _each(show, lines(diagnosis.findings))
-    _each(show, ["", summary(diagnosis)])
+        show(lines(diagnosis.findings))
+    show(["", summary(diagnosis)])
     return diagnosis
-
-
-def _each(show: Callable[[str], None], texts: Iterable[str]) -> None:
-    for line in texts:
-        show(line)
-
-
-def _nothing(_line: str) -> None:
-    """Print nothing: with --json the output is one object."""
 
 
 class DoctorSession:

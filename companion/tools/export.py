@@ -1,4 +1,7 @@
-"""Values of a Struct as the cells of a table: one column for each number, with its unit in its name."""
+"""`companion export`: decisions and statuses of recordings as CSV files, on one time.
+
+A value of a Struct becomes cells: one column for each number, with its unit in its name.
+"""
 
 from __future__ import annotations
 

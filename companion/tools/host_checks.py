@@ -1,4 +1,4 @@
-"""The UART to the autopilot: no console on it, and a driver that can do its speed."""
+"""The checks of a companion computer, and their report: `companion doctor --host`."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
-
-import msgspec
 
 from companion.config.vehicle import load_agent
 from companion.tools.host_board import (
@@ -22,8 +20,25 @@ from companion.tools.host_board import (
     unknown,
     warning,
 )
+from companion.tools.output import found_lines, json_text
 from companion.types.values import printable
 
+SUPPLY, TEMPERATURE, GOVERNOR = "supply voltage", "temperature", "CPU governor"
+NOW, SINCE_START = 1 << 0, 1 << 16  # bits of the Raspberry Pi's firmware for undervoltage
+WARM_C, HOT_C = 70.0, 80.0  # a Raspberry Pi slows down from 80 degrees on
+COLDEST_C = -40.0  # below: a sensor that is off
+BETTER_SUPPLY = "use a supply of 5 V and 3 A (Raspberry Pi 5: 5 A) on short, thick wires"
+KEEP_PERFORMANCE = "set performance: docs/installation.md#governor"
+WIFI, CLOCK = "Wi-Fi power saving", "clock"
+SETTING = re.compile(r"^\s*wifi\.powersave\s*=\s*(\d)\s*$", re.MULTILINE)
+OFF = "2"  # NetworkManager's number for disabled
+SWITCH_OFF = "it delays packets by up to 0.1 s; switch it off: docs/installation.md#wi-fi-power-saving"
+DISK, ROOT, KERNEL, PYTHON = "disk", "root file system", "kernel", "Python"
+LITTLE_BYTES, LEAST_BYTES = 1_000_000_000, 100_000_000  # an upgrade needs 0.3 GB, the journal up to 0.2 GB
+OLDEST_KERNEL = (5, 10)
+OLDEST_PYTHON = (3, 11)
+IN_MEMORY = ("overlay", "tmpfs", "aufs")
+FIT, UNFIT = 0, 1  # exit codes
 CONSOLE, SPEED = "serial console", "UART speed"
 UARTS = re.compile(r"tty(?:S|AMA|THS|TCU)\d+")
 CLOCKS_PER_BIT = 16  # a UART samples each bit so often
@@ -91,14 +106,6 @@ def _logins(board: Board) -> list[str]:
     return [path.rpartition("/")[2] for place in places for path in board.paths(f"{place}/serial-getty@*.service")]
 
 
-SUPPLY, TEMPERATURE, GOVERNOR = "supply voltage", "temperature", "CPU governor"
-NOW, SINCE_START = 1 << 0, 1 << 16  # bits of the Raspberry Pi's firmware for undervoltage
-WARM_C, HOT_C = 70.0, 80.0  # a Raspberry Pi slows down from 80 degrees on
-COLDEST_C = -40.0  # below: a sensor that is off
-BETTER_SUPPLY = "use a supply of 5 V and 3 A (Raspberry Pi 5: 5 A) on short, thick wires"
-KEEP_PERFORMANCE = "set performance: docs/installation.md#governor"
-
-
 def supply_voltage(board: Board) -> HostFinding:
     """Undervoltage now, or since the start of the board."""
     bits = _firmware_bits(board)
@@ -148,12 +155,6 @@ def governor(board: Board) -> HostFinding:
     return ok(GOVERNOR, text) if set(names) == {"performance"} else warning(GOVERNOR, text, KEEP_PERFORMANCE)
 
 
-WIFI, CLOCK = "Wi-Fi power saving", "clock"
-SETTING = re.compile(r"^\s*wifi\.powersave\s*=\s*(\d)\s*$", re.MULTILINE)
-OFF = "2"  # NetworkManager's number for disabled
-SWITCH_OFF = "it delays packets by up to 0.1 s; switch it off: docs/installation.md#wi-fi-power-saving"
-
-
 def wifi_power_saving(board: Board) -> HostFinding:
     """What `iw` reports for each interface, else what NetworkManager is configured to do."""
     interfaces = [path.split("/")[3] for path in board.paths("sys/class/net/*/wireless")]
@@ -186,13 +187,6 @@ def clock(board: Board) -> HostFinding:
         text = "MAVLink signing and certificates need it: connect to an NTP server, or fit a clock with a battery"
         return warning(CLOCK, "not synchronised", text)
     return unknown(CLOCK, "no timedatectl")
-
-
-DISK, ROOT, KERNEL, PYTHON = "disk", "root file system", "kernel", "Python"
-LITTLE_BYTES, LEAST_BYTES = 1_000_000_000, 100_000_000  # an upgrade needs 0.3 GB, the journal up to 0.2 GB
-OLDEST_KERNEL = (5, 10)
-OLDEST_PYTHON = (3, 11)
-IN_MEMORY = ("overlay", "tmpfs", "aufs")
 
 
 def disk(board: Board) -> HostFinding:
@@ -242,12 +236,10 @@ def python(board: Board) -> HostFinding:
     return ok(PYTHON, found)
 
 
-FIT, UNFIT = 0, 1  # exit codes
 CHECKS: tuple[Callable[[Board], HostFinding], ...] = (
     *(serial_console, uart_speed, supply_voltage, temperature, governor),
     *(wifi_power_saving, clock, disk, root_file_system, kernel, python),
 )
-WIDEST_FOUND = 44  # characters; a longer value shifts only its own line
 
 
 def run_host(vehicle_file: Path | None, as_json: bool) -> int:
@@ -257,7 +249,7 @@ def run_host(vehicle_file: Path | None, as_json: bool) -> int:
     findings = examine(board)
     if as_json:
         found = {"board": board.model, "findings": [asdict(finding) for finding in findings]}
-        print(msgspec.json.format(msgspec.json.encode(found), indent=2).decode())
+        print(json_text(found))
     else:
         print("\n".join(report(board, findings)))
     return UNFIT if any(finding.verdict is HostVerdict.PROBLEM for finding in findings) else FIT
@@ -278,13 +270,8 @@ def examine(board: Board) -> tuple[HostFinding, ...]:
 def report(board: Board, findings: Sequence[HostFinding]) -> Iterator[str]:
     """The board, one line per finding in columns, and a summary."""
     yield printable(board.model or "an unknown board")
-    subject_width = max(len(finding.subject) for finding in findings)
-    found_width = min(WIDEST_FOUND, max(len(finding.found) for finding in findings))
-    for finding in findings:
-        line = (
-            f"{finding.verdict:<9} {finding.subject:<{subject_width}}  {finding.found:<{found_width}}  {finding.remedy}"
-        )
-        yield printable(line.rstrip())
+    rows = [(finding.verdict, finding.subject, finding.found, finding.remedy) for finding in findings]
+    yield from map(printable, found_lines(rows, verdict_width=9))
     counts = [f"{_count(findings, verdict)} {verdict}" for verdict in HostVerdict if _count(findings, verdict)]
     yield ""
     yield ", ".join(reversed(counts))

@@ -1,4 +1,4 @@
-"""Report of `companion logs`: the list, the choice of logs, file names and progress."""
+"""`companion logs`: lists and downloads the autopilot's flight logs by mavsdk over the agent's link."""
 
 from __future__ import annotations
 
@@ -6,14 +6,12 @@ import asyncio
 import os
 import sys
 import time
-from collections.abc import Callable, Coroutine, Iterator, Sequence
+from collections.abc import Coroutine, Iterator, Sequence
 from contextlib import aclosing, closing
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-
-import msgspec
 
 from companion.config.file import ConfigError
 from companion.config.vehicle import AgentConfig, load_agent
@@ -27,14 +25,20 @@ from companion.link.bench import (
     run_on_bench,
 )
 from companion.mavlink.autopilot_types import DIALECTS
+from companion.tools.output import json_text, shows_lines
 from companion.types.autopilot import AutopilotKind, HeartbeatSample, TextSample
 from companion.types.errors import CompanionError
 
+COMPLETE, INCOMPLETE = 0, 1  # exit codes
+SILENT_AFTER_S = 5.0  # without a HEARTBEAT
+LOOK_AGAIN_S, SETTLED_WITHIN_S = 1.0, 20.0  # for a log that is still written to
+PLAIN_STEP_PERCENT = 10  # of progress, where it is not shown on a terminal
+ARMED = "it is armed: land and disarm it first"
 ALL, LAST = "all", "last"  # in place of an id
 
 
 @dataclass(frozen=True, slots=True)
-class FlightLog:
+class ListedLog:
     """One log; `file` is its copy after --get."""
 
     id: int
@@ -53,7 +57,7 @@ class LogsReport:
     vehicle: int
     autopilot: AutopilotKind
     mavlink: str
-    logs: tuple[FlightLog, ...] = ()
+    logs: tuple[ListedLog, ...] = ()
     failure: str = ""
 
 
@@ -93,7 +97,7 @@ def heading(report: LogsReport) -> str:
     return f"vehicle {report.vehicle}, {DIALECTS[report.autopilot].NAME} at {report.mavlink}"
 
 
-def listing(logs: Sequence[FlightLog]) -> Iterator[str]:
+def listing(logs: Sequence[ListedLog]) -> Iterator[str]:
     """The list, in columns."""
     yield f"{'log':>5}  {'last written (UTC)':<19}  {'size':>10}"
     for log in logs:
@@ -113,13 +117,6 @@ def size_text(number_bytes: int) -> str:
     if number_bytes < 1000:
         return f"{number_bytes} B"
     return f"{number_bytes / 1e3:.1f} kB" if number_bytes < 1e6 else f"{number_bytes / 1e6:.1f} MB"
-
-
-COMPLETE, INCOMPLETE = 0, 1  # exit codes
-SILENT_AFTER_S = 5.0  # without a HEARTBEAT
-LOOK_AGAIN_S, SETTLED_WITHIN_S = 1.0, 20.0  # for a log that is still written to
-PLAIN_STEP_PERCENT = 10  # of progress, where it is not shown on a terminal
-ARMED = "it is armed: land and disarm it first"
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,7 +152,7 @@ async def _run(options: LogsOptions, config: AgentConfig) -> int:
     with closing(LogSession(options.file, config)) as session:
         report = await run_on_bench(session, options.wait_s, partial(_serve, session, options))
     if options.as_json:
-        print(msgspec.json.format(msgspec.json.encode(report), indent=2).decode())
+        print(json_text(report))
     if report.failure:
         print(f"vehicle {report.vehicle}: {report.failure}", file=sys.stderr)
     return INCOMPLETE if report.failure else COMPLETE
@@ -164,28 +161,23 @@ async def _run(options: LogsOptions, config: AgentConfig) -> int:
 async def _serve(session: LogSession, options: LogsOptions) -> LogsReport:
     """List the logs, or download the selected ones, and print the progress."""
     report = LogsReport(session.vehicle_id, session.autopilot, session.endpoint)
-    show: Callable[[str], None] = _nothing if options.as_json else print
+    show = shows_lines(options.as_json)
     try:
         listed = await session.entries()
         if options.wanted:
             listed = await session.settled(listed)
         chosen = choose(listed, options.wanted, session.autopilot)
-        show(heading(report))
+        show([heading(report)])
         if not options.wanted:
-            report = replace(report, logs=tuple(FlightLog(log.id, log.date_utc, log.size_bytes) for log in listed))
-            for line in listing(report.logs):
-                show(line)
+            report = replace(report, logs=tuple(ListedLog(log.id, log.date_utc, log.size_bytes) for log in listed))
+            show(listing(report.logs))
         for entry in chosen:
             log, text = await session.get(entry, options.folder)
             report = replace(report, logs=(*report.logs, log))
-            show(text)
+            show([text])
     except (FlightLogsError, NoSuchLogError) as error:
         return replace(report, failure=str(error))
     return report
-
-
-def _nothing(_line: str) -> None:
-    """Print nothing: with --json the output is one object."""
 
 
 class LogSession:
@@ -253,10 +245,10 @@ class LogSession:
                 break
         return listed
 
-    async def get(self, entry: LogEntry, folder: Path) -> tuple[FlightLog, str]:
+    async def get(self, entry: LogEntry, folder: Path) -> tuple[ListedLog, str]:
         """Download a log: (the log with its file, a line for the report). Raises FlightLogsError."""
         file = folder / file_name(self.vehicle_id, entry, self.autopilot)
-        log = FlightLog(entry.id, entry.date_utc, entry.size_bytes, str(file))
+        log = ListedLog(entry.id, entry.date_utc, entry.size_bytes, str(file))
         try:
             if file.exists():
                 _check_same(file, entry)
