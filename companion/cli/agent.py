@@ -7,7 +7,7 @@ import sys
 from importlib.util import find_spec
 
 from companion.cli.options import add_vehicle_file
-from companion.cli.program import Command
+from companion.cli.program import CliCommand
 from companion.types.errors import EXIT_DONE
 
 BUILT_IN_SHA256 = ("_sha256", "_sha2")  # until Python 3.11, and since
@@ -38,7 +38,7 @@ def leave_out_openssl() -> None:
         sys.modules.setdefault(name, None)  # type: ignore[arg-type]  # documented: an import of it then fails
 
 
-AGENT = Command(
+AGENT = CliCommand(
     name="agent",
     summary="runs on each vehicle, beside its autopilot",
     description="""\

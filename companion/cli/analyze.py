@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 
 from companion.cli.options import add_json, add_overrides
-from companion.cli.program import Command
+from companion.cli.program import CliCommand
 from companion.types.errors import EXIT_DONE, UnusableError
 
 EXIT_CONVERGES, EXIT_CANNOT_CONVERGE = 0, 1
@@ -57,7 +57,7 @@ def _run_explain(options: argparse.Namespace) -> int:
     return EXIT_DONE
 
 
-ANALYZE = Command(
+ANALYZE = CliCommand(
     name="analyze",
     summary="predicts the behaviour of a formation before it flies",
     description="""\
@@ -88,7 +88,7 @@ exit codes:
 )
 
 
-EXPLAIN = Command(
+EXPLAIN = CliCommand(
     name="explain",
     summary="explains a code of a message: symptom, cause, remedy",
     description="""\

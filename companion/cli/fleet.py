@@ -19,7 +19,7 @@ from companion.cli.fleet_changes import (
     reference_request,
 )
 from companion.cli.options import add_identity, add_json, number, operator, seconds, vehicle_id
-from companion.cli.program import Command
+from companion.cli.program import CliCommand
 from companion.types.errors import UnusableError
 
 if TYPE_CHECKING:
@@ -73,15 +73,15 @@ def _add_fleet(parser: argparse.ArgumentParser) -> None:
     )
     _add_use(use)
     for name, summary in REPORTS.items():
-        parents = [_connection(), _some_vehicles()]
+        parents = [_connection_options(), _vehicle_options()]
         actions.add_parser(name, parents=parents, help=summary, description=summary, epilog=SEE)
     for name, summary in SIMPLE_COMMANDS.items():
-        parents = [_connection(), _waiting(), _some_vehicles()]
+        parents = [_connection_options(), _waiting_options(), _vehicle_options()]
         actions.add_parser(name, parents=parents, help=summary, description=summary, epilog=SEE)
     summary = "sends a new admission list to the vehicles, as after companion provision revoke"
-    admit = actions.add_parser("admit", parents=[_connection()], help=summary, description=ADMIT, epilog=SEE)
+    admit = actions.add_parser("admit", parents=[_connection_options()], help=summary, description=ADMIT, epilog=SEE)
     admit.add_argument("file", type=Path, metavar="FILE", help="admitted.json of the own identity, or of any other")
-    command, raw = [_connection(), _waiting()], argparse.RawDescriptionHelpFormatter
+    command, raw = [_connection_options(), _waiting_options()], argparse.RawDescriptionHelpFormatter
     summary = "changes the leader, in flight as well"
     leader = actions.add_parser("leader", parents=command, help=summary, description=summary, epilog=SEE)
     leader.add_argument(
@@ -173,7 +173,7 @@ def fleet_request(parsed: argparse.Namespace) -> FleetRequest:
     )
 
 
-def _connection() -> argparse.ArgumentParser:
+def _connection_options() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(add_help=False)
     parser.add_argument(
         "--fleet", type=Path, metavar="FILE", help="the fleet file of the vehicles (default: the current fleet)"
@@ -194,7 +194,7 @@ def _connection() -> argparse.ArgumentParser:
     return parser
 
 
-def _waiting() -> argparse.ArgumentParser:
+def _waiting_options() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(add_help=False)
     parser.add_argument(
         "--wait",
@@ -206,7 +206,7 @@ def _waiting() -> argparse.ArgumentParser:
     return parser
 
 
-def _some_vehicles() -> argparse.ArgumentParser:
+def _vehicle_options() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(add_help=False)
     parser.add_argument(
         "--only",
@@ -219,7 +219,7 @@ def _some_vehicles() -> argparse.ArgumentParser:
     return parser
 
 
-FLEET = Command(
+FLEET = CliCommand(
     name="fleet",
     summary="commands a whole fleet from the ground",
     description="""\

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import get_args
 
-from companion.cli.program import Command
+from companion.cli.program import CliCommand
 from companion.config.fleet import LawName
 from companion.config.new_formation import NewFormation, ReferenceKind
 from companion.config.planned_flight import TOPOLOGY_WORDS, ShapeName, Topology
@@ -115,7 +115,7 @@ def _run_init(options: argparse.Namespace) -> int:
     return EXIT_DONE
 
 
-INIT = Command(
+INIT = CliCommand(
     name="init",
     summary="writes the fleet file and the vehicle files of real vehicles",
     description="""\

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from companion import GROUND_INSTALL
 from companion.cli.options import add_identity
-from companion.cli.program import Command
+from companion.cli.program import CliCommand
 from companion.types.errors import EXIT_DONE, RefusedCommandError
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ def _run_monitor(options: argparse.Namespace) -> int:
         return EXIT_DONE
 
 
-def _selected(
+def _select(
     options: argparse.Namespace,
 ) -> tuple[Selection, FleetConfig | None, Identity | None, tuple[str, ...]]:
     """Fleet file, identity and endpoints. No endpoints: a simulation is guessed. Raises ConfigError."""
@@ -109,7 +109,7 @@ def _simulation(fleet: FleetConfig | None) -> tuple[str, ...]:
 def _run_terminal(options: argparse.Namespace) -> int:
     from companion.monitor.tui import run_monitor
 
-    _, fleet, identity, endpoints = _selected(options)
+    _, fleet, identity, endpoints = _select(options)
     return run_monitor(
         options.fleet,
         endpoints or _simulation(fleet),
@@ -127,7 +127,7 @@ def _run_page(options: argparse.Namespace) -> int:
         raise RefusedCommandError(needed)
     from companion.monitor.live_page import LivePage, run_live_page
 
-    selection, fleet, identity, endpoints = _selected(options)
+    selection, fleet, identity, endpoints = _select(options)
     run_live_page(
         LivePage(
             fleet_name=options.fleet,
@@ -147,7 +147,7 @@ def _run_page(options: argparse.Namespace) -> int:
     return EXIT_DONE
 
 
-MONITOR = Command(
+MONITOR = CliCommand(
     name="monitor",
     summary="shows a fleet live: a page for the browser, or a table in the terminal",
     description="""\

@@ -28,7 +28,7 @@ FILES_OF_SHELLS = {"bash": "_shtab_compgen_files", "zsh": "_files"}
 
 
 @dataclass(frozen=True, slots=True)
-class Command:
+class CliCommand:
     """A command: its help, its arguments, and `run`, which returns the exit code and imports what it needs.
 
     `summary` is its line in the help of the program; `more` has its examples and exit codes; `needs` are packages beyond
@@ -68,7 +68,7 @@ class Program:
 
     name: str
     description: str
-    commands: tuple[Command, ...]
+    commands: tuple[CliCommand, ...]
     title: str | None = None
     more: str | None = None
     ending: Callable[[str, Callable[[], int]], int] = exit_code_of
@@ -77,12 +77,12 @@ class Program:
         """The exit code of the command that the arguments name; without them that of the process's own."""
         words = sys.argv[1:] if arguments is None else arguments
         command = next((word for word in words if not word.startswith("-")), None)
-        with ending_quietly():
+        with end_quietly():
             options = self.parser(command).parse_args(words)
             return self.ending(f"{self.name} {options.command}", lambda: self._run(options))
 
     def _run(self, options: argparse.Namespace) -> int:
-        chosen: Command = options.chosen
+        chosen: CliCommand = options.chosen
         chosen.check_installed(self.name)
         return chosen.run(options)
 
@@ -159,7 +159,7 @@ def fail(line: str, exit_code: int) -> int:
 
 
 @contextmanager
-def ending_quietly() -> Iterator[None]:
+def end_quietly() -> Iterator[None]:
     """Around a whole command. A broken pipe that is not standard output or error stays an error."""
     try:
         try:
@@ -184,7 +184,7 @@ def _reader_has_gone(number: int) -> bool:
     return any(events & select.POLLERR for _, events in poll.poll(0))
 
 
-def completion(program: str, make_parser: Callable[[], argparse.ArgumentParser]) -> Command:
+def completion(program: str, make_parser: Callable[[], argparse.ArgumentParser]) -> CliCommand:
     """The command that prints a completion script for a shell, made from the program's parser by shtab."""
 
     def run(options: argparse.Namespace) -> int:
@@ -200,7 +200,7 @@ def completion(program: str, make_parser: Callable[[], argparse.ArgumentParser])
     def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser.add_argument("shell", choices=SHELLS, metavar="SHELL", help=", ".join(SHELLS))
 
-    return Command(
+    return CliCommand(
         "completion",
         "prints a completion script for bash or zsh",
         "Print a completion script for a shell: commands, options, choices and file names.",

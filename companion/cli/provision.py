@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from companion.cli.options import whole_number
-from companion.cli.program import Command
+from companion.cli.program import CliCommand
 from companion.types.errors import EXIT_DONE, UnusableError
 
 if TYPE_CHECKING:
@@ -99,7 +99,7 @@ def _add_days(parser: argparse.ArgumentParser) -> None:
 def _id_of(role: str) -> Callable[[str], ParticipantName]:
     """The type of an argument: the id of a participant with this role."""
 
-    def named(text: str) -> ParticipantName:
+    def read(text: str) -> ParticipantName:
         from companion.security.names import ParticipantRole, participant_name
 
         try:
@@ -107,7 +107,7 @@ def _id_of(role: str) -> Callable[[str], ParticipantName]:
         except ValueError as error:
             raise argparse.ArgumentTypeError(str(error)) from error
 
-    return named
+    return read
 
 
 def _new(options: argparse.Namespace) -> str:
@@ -166,7 +166,7 @@ def _default_ground() -> ParticipantName:
     return participant_name(ParticipantRole.GROUND, text or "operator")
 
 
-PROVISION = Command(
+PROVISION = CliCommand(
     name="provision",
     summary="makes, renews, lists and revokes the identities of a fleet",
     description="""\

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from companion import GROUND_INSTALL
 from companion.cli.options import add_json, add_overrides, vehicle_id
-from companion.cli.program import Command
+from companion.cli.program import CliCommand
 from companion.types.errors import EXIT_DONE, UnusableError
 
 LAWS = ("cooperative", "weighted", "average_22", "average_26")
@@ -73,7 +73,7 @@ def _run_export(options: argparse.Namespace) -> int:
     return EXIT_DONE
 
 
-REPORT = Command(
+REPORT = CliCommand(
     name="report",
     summary="writes a page about a recorded flight, with figures and findings",
     description="""\
@@ -108,7 +108,7 @@ exit codes:
 )
 
 
-REPLAY = Command(
+REPLAY = CliCommand(
     name="replay",
     summary="feeds recorded inputs to the agent again and compares its commands",
     description="""\
@@ -144,7 +144,7 @@ exit codes:
 )
 
 
-EXPORT = Command(
+EXPORT = CliCommand(
     name="export",
     summary="writes recorded flights as CSV files",
     description="""\

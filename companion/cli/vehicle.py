@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from companion.cli.options import add_json, add_vehicle_file, whole_number
-from companion.cli.program import Command
+from companion.cli.program import CliCommand
 from companion.types.errors import UnusableError
 
 MAX_LOG_ID = 65535  # LOG_ENTRY.id has 16 bits
@@ -61,7 +61,7 @@ def _requested_log(text: str) -> int | str:
     return text if text in ("all", "last") else whole_number(0, MAX_LOG_ID, "`all`, `last` or a number")(text)
 
 
-DOCTOR = Command(
+DOCTOR = CliCommand(
     name="doctor",
     summary="checks a vehicle before flight, or its companion computer (--host), and names what to set",
     description="""\
@@ -98,7 +98,7 @@ exit codes:
 )
 
 
-LOGS = Command(
+LOGS = CliCommand(
     name="logs",
     summary="lists and downloads the flight logs of a vehicle's autopilot",
     description="""\

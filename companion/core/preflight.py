@@ -13,7 +13,7 @@ from msgspec import Struct
 
 from companion.core.autopilot import AutopilotProfile, Profiles
 from companion.core.estimation.wind import DisturbanceObserver
-from companion.core.safety.audit import Facts, Finding, Verdict, audit
+from companion.core.safety.audit import AuditFinding, Facts, Verdict, audit
 from companion.types.autopilot import (
     AttitudeSample,
     AutopilotKind,
@@ -147,7 +147,7 @@ class Preflight:
         """Names of parameters without an answer that were requested fewer than TRIES times."""
         return sorted(name for name in self._names if name not in self._values and self._asked[name] < TRIES)
 
-    def _findings(self) -> tuple[Finding, ...]:
+    def _findings(self) -> tuple[AuditFinding, ...]:
         assert self._profile is not None
         rules, survey = self._profile.parameters, self._survey
         facts = Facts(
@@ -161,7 +161,7 @@ class Preflight:
         return audit(facts)
 
 
-def _notice(finding: Finding) -> Notice:
+def _notice(finding: AuditFinding) -> Notice:
     assert finding.code is not None  # never called for findings that are OK
     return Notice(finding.code, str(finding))
 

@@ -23,7 +23,7 @@ from companion.types.commands import CommandName
 from companion.types.flight import RULES, Flight, FlightPhase, Role
 from companion.types.notices import Notice
 from companion.types.peers import PeerPacket
-from companion.types.rejections import counted, summed
+from companion.types.rejections import count_rejection, sum_counts
 from companion.types.status import NO_STATE_AGE_S, Status
 
 LEADER, FORMATION = Role.LEADER, FlightPhase.FORMATION  # member lookup of an enum is slow
@@ -64,7 +64,7 @@ class ReportStage:
 
     def refuse(self, key: str) -> None:
         """Count a message that was refused before it came to the agent."""
-        self.refused = counted(self.refused, key)
+        self.refused = count_rejection(self.refused, key)
 
     def step(
         self,
@@ -143,7 +143,9 @@ class ReportStage:
     ) -> Status:
         identity, vehicle, reference = self._identity, perception.vehicle, guidance.reference
         peers = consensus.peers
-        rejected = summed((self.refused, setpoint.rejected, perception.rejected, consensus.rejected, guidance.rejected))
+        rejected = sum_counts(
+            (self.refused, setpoint.rejected, perception.rejected, consensus.rejected, guidance.rejected)
+        )
         return Status(
             vehicle_id=identity.vehicle_id,
             session=identity.session,

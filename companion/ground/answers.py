@@ -22,7 +22,7 @@ class AnswerKind(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class TimedReply:
     """A vehicle's reply to a command, and the time from the command to it."""
 
     reply: CommandReply
@@ -54,7 +54,7 @@ class Outcome:
         return self.kind is AnswerKind.ACCEPTED and (self.end is None or self.end.finished)
 
 
-def outcome_of(answer: Answer | None, wait_s: float) -> Outcome:
+def outcome_of(answer: TimedReply | None, wait_s: float) -> Outcome:
     if answer is None:
         return Outcome(AnswerKind.MISSING, Notice(Code.NO_REPLY, f"no reply within {wait_s:g} s"))
     reply = answer.reply

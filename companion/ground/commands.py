@@ -15,7 +15,7 @@ import msgspec
 from companion import GROUND_INSTALL
 from companion.config.fleet import FleetConfig
 from companion.config.reference_check import check_reference
-from companion.ground.answers import Answer, AnswerKind, End, Outcome, outcome_of
+from companion.ground.answers import AnswerKind, End, Outcome, TimedReply, outcome_of
 from companion.ground.changes import (
     FleetAction,
     FormationRequest,
@@ -90,7 +90,7 @@ class CommandSession(Protocol):
 
     def ask(
         self, vehicle_ids: Iterable[int], name: CommandName, timeout_s: float, content: Content | None = None
-    ) -> dict[int, Answer | None]:
+    ) -> dict[int, TimedReply | None]:
         """Give one command to these vehicles and wait for their replies; None for a vehicle without one in time."""
 
 
@@ -100,7 +100,7 @@ def give(
     name: CommandName,
     timeout_s: float,
     content: Content | None = None,
-) -> dict[int, Answer | None]:
+) -> dict[int, TimedReply | None]:
     """One command to these vehicles, once.
 
     New leaders get a change of leaders first; the other vehicles, the present leader among them, only after all of those have

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Self
 
 import zenoh
 
-from companion.ground.answers import Answer
+from companion.ground.answers import TimedReply
 from companion.ground.fleet_state import SILENT_AFTER_S
 from companion.link.fleet.zenoh_session import drain, open_session
 from companion.types.commands import Command, CommandName, CommandReply, Content, next_number
@@ -165,7 +165,7 @@ class FleetSession(GroundConnection):
         timeout_s: float = 2.0,
         content: Content | None = None,
         cancelled: Callable[[], bool] = lambda: False,
-    ) -> dict[int, Answer | None]:
+    ) -> dict[int, TimedReply | None]:
         """Sends one command to these vehicles at the same time and waits for their replies. Some commands have a `content`.
 
         Returns one entry per id; None where no reply came within `timeout_s`. A command waits for the report of its vehicle,
@@ -176,7 +176,7 @@ class FleetSession(GroundConnection):
         with self._lock:
             self._listen_to_replies()  # those before this command are not for it
             self._mailboxes.append(mailbox)
-        answers: dict[int, Answer | None] = dict.fromkeys(vehicle_ids)
+        answers: dict[int, TimedReply | None] = dict.fromkeys(vehicle_ids)
         sent: dict[int, tuple[Command, float, float]] = {}  # command, time of the first and of the last sending
         try:
             self._ask(answers, sent, name, timeout_s, content, cancelled, mailbox)
@@ -190,7 +190,7 @@ class FleetSession(GroundConnection):
 
     def _ask(
         self,
-        answers: dict[int, Answer | None],
+        answers: dict[int, TimedReply | None],
         sent: dict[int, tuple[Command, float, float]],
         name: CommandName,
         timeout_s: float,
@@ -222,7 +222,7 @@ class FleetSession(GroundConnection):
                 reply = mailbox.popleft()
                 command, first_s, _ = sent.get(reply.vehicle_id, (None, 0.0, 0.0))
                 if command and (reply.operator, reply.number) == (command.operator, command.number):
-                    answers[reply.vehicle_id] = Answer(reply, time.monotonic() - first_s)
+                    answers[reply.vehicle_id] = TimedReply(reply, time.monotonic() - first_s)
 
     def _note(self, vehicle_id: int, command: Command) -> None:
         """A command that is sent for the first time."""

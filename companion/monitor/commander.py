@@ -9,7 +9,7 @@ from typing import Literal, Protocol, TypeVar
 
 from companion.config.file import ConfigError
 from companion.config.fleet import FleetConfig
-from companion.ground.answers import Answer, AnswerKind, Outcome, id_list, outcome_of
+from companion.ground.answers import AnswerKind, Outcome, TimedReply, id_list, outcome_of
 from companion.ground.changes import FleetAction
 from companion.ground.commands import Commands, OperateError, check_content
 from companion.ground.fleet_state import SILENT_AFTER_S
@@ -228,7 +228,7 @@ class UntilEnded:
     def __init__(self, session: FleetSession, running: Running) -> None:
         self._session = session
         self._running = running
-        self._answers: dict[int, Answer | None] = {}
+        self._answers: dict[int, TimedReply | None] = {}
 
     @property
     def operator(self) -> str:
@@ -245,7 +245,7 @@ class UntilEnded:
 
     def ask(
         self, vehicle_ids: Iterable[int], name: CommandName, timeout_s: float, content: Content | None = None
-    ) -> dict[int, Answer | None]:
+    ) -> dict[int, TimedReply | None]:
         self._check()
         answers = self._session.ask(vehicle_ids, name, timeout_s, content, lambda: bool(self._running.ended_by))
         self._answers |= answers

@@ -15,10 +15,10 @@ from companion.assembly import check_agent, output_limits_of, tracker_of
 from companion.config.file import ConfigError
 from companion.config.vehicle import AgentConfig, load_agent
 from companion.core.preflight import WINDOW_S, Survey
-from companion.core.safety.audit import Facts, Finding, PositionCheck, Verdict, audit, worst
+from companion.core.safety.audit import AuditFinding, Facts, PositionCheck, Verdict, audit, worst
 from companion.link.bench import LISTEN_PERIOD_S, Bench, ParameterError, Parameters, run_on_bench
 from companion.mavlink.autopilot_types import DIALECTS, PROFILES
-from companion.tools.output import found_lines, json_text, shows_lines
+from companion.tools.output import found_lines, json_text, line_printer
 from companion.types.autopilot import AutopilotKind, RequestOrigin, VehicleState
 
 SOON_DAYS = 30
@@ -50,7 +50,7 @@ class Diagnosis:
     autopilot: AutopilotKind
     mavlink: str
     verdict: Verdict
-    findings: tuple[Finding, ...]
+    findings: tuple[AuditFinding, ...]
     changes: tuple[Change, ...] = ()
 
     @property
@@ -64,7 +64,7 @@ def heading(diagnosis: Diagnosis) -> str:
     return f"vehicle {diagnosis.vehicle}, {DIALECTS[diagnosis.autopilot].NAME} at {diagnosis.mavlink}"
 
 
-def lines(findings: Sequence[Finding]) -> Iterator[str]:
+def lines(findings: Sequence[AuditFinding]) -> Iterator[str]:
     """One line per finding, in columns; the code follows where the finding is not OK."""
     rows = []
     for finding in findings:
@@ -135,7 +135,7 @@ async def _run(options: DoctorOptions, config: AgentConfig) -> int:
 
 async def _examine(session: DoctorSession, options: DoctorOptions) -> Diagnosis:
     """Audit and print; with --fix set parameters, then audit and print again."""
-    show = shows_lines(options.as_json)
+    show = line_printer(options.as_json)
     diagnosis = await session.diagnose()
     show([heading(diagnosis), network_line(options.file, session.config), *lines(diagnosis.findings)])
     fixable = [finding for finding in diagnosis.findings if finding.fix is not None]
@@ -209,7 +209,7 @@ class DoctorSession:
         findings = audit(facts)
         return Diagnosis(config.vehicle.id, vehicle.autopilot, config.vehicle.mavlink, worst(findings), findings)
 
-    async def fix(self, finding: Finding) -> Change:
+    async def fix(self, finding: AuditFinding) -> Change:
         """Set the safe value of a finding; not while the vehicle is armed."""
         assert finding.fix is not None
         assert self._parameters is not None

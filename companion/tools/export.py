@@ -47,7 +47,7 @@ def _of_struct(type_: type[Struct], prefix: str) -> Iterator[tuple[str, Getter]]
     for field in fields(type_):
         own = _attribute(field.name)
         for name, getter in _columns(field.type, f"{prefix}{field.name}"):
-            yield name, _chained(own, getter)
+            yield name, _chain(own, getter)
 
 
 def _columns(type_: Any, name: str) -> Iterator[tuple[str, Getter]]:
@@ -72,7 +72,7 @@ def _attribute(name: str) -> Getter:
     return lambda value: getattr(value, name)
 
 
-def _chained(first: Getter, then: Getter) -> Getter:
+def _chain(first: Getter, then: Getter) -> Getter:
     return lambda value: then(first(value))
 
 
@@ -168,7 +168,7 @@ def export(folder: Path, out: Path) -> Iterator[Written]:
         out.mkdir(parents=True, exist_ok=True)
         for name, one, clock in zip(_names(found), found, clocks, strict=True):
             for kind in KINDS:
-                yield _written(out / f"{name}_{kind.name}.csv", one, clock, begin_s, kind)
+                yield _write(out / f"{name}_{kind.name}.csv", one, clock, begin_s, kind)
     except OSError as error:
         raise ExportError(f"{printable(str(error.filename or out))}: cannot be written: {error.strerror}") from error
 
@@ -185,7 +185,7 @@ def _names(found: Sequence[Recording]) -> list[str]:
     return names
 
 
-def _written(path: Path, recording: Recording, clock: RecordingClock, begin_s: float, kind: CsvKind) -> Written:
+def _write(path: Path, recording: Recording, clock: RecordingClock, begin_s: float, kind: CsvKind) -> Written:
     """Raises OSError."""
     rows = 0
     with _complete_or_absent(path) as file:

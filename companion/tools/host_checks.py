@@ -52,7 +52,7 @@ def serial_console(board: Board) -> HostFinding:
     command_line = board.text("proc/cmdline")
     if command_line is None:
         return unknown(CONSOLE, "no kernel command line")
-    consoles = [_resolved(board, name) for name in re.findall(r"\bconsole=([A-Za-z0-9]+)", command_line)]
+    consoles = [_resolve(board, name) for name in re.findall(r"\bconsole=([A-Za-z0-9]+)", command_line)]
     logins = [name.partition("@")[2].removesuffix(".service") for name in _logins(board)]
     used = [name for name in dict.fromkeys([*consoles, *logins]) if UARTS.fullmatch(name)]
     port = _port(board)
@@ -96,7 +96,7 @@ def _port(board: Board) -> str:
     return (board.target(path) or path.rpartition("/")[2]) if path else ""
 
 
-def _resolved(board: Board, console: str) -> str:
+def _resolve(board: Board, console: str) -> str:
     """serial0 and serial1 are names of the Raspberry Pi's firmware."""
     return board.target(f"dev/{console}") or console
 

@@ -25,7 +25,7 @@ from companion.link.bench import (
     run_on_bench,
 )
 from companion.mavlink.autopilot_types import DIALECTS
-from companion.tools.output import json_text, shows_lines
+from companion.tools.output import json_text, line_printer
 from companion.types.autopilot import AutopilotKind, HeartbeatSample, TextSample
 from companion.types.errors import CompanionError
 
@@ -161,11 +161,11 @@ async def _run(options: LogsOptions, config: AgentConfig) -> int:
 async def _serve(session: LogSession, options: LogsOptions) -> LogsReport:
     """List the logs, or download the selected ones, and print the progress."""
     report = LogsReport(session.vehicle_id, session.autopilot, session.endpoint)
-    show = shows_lines(options.as_json)
+    show = line_printer(options.as_json)
     try:
         listed = await session.entries()
         if options.wanted:
-            listed = await session.settled(listed)
+            listed = await session.wait_until_settled(listed)
         chosen = choose(listed, options.wanted, session.autopilot)
         show([heading(report)])
         if not options.wanted:
@@ -232,7 +232,7 @@ class LogSession:
             raise FlightLogsError("it has no logs")
         return listed
 
-    async def settled(self, listed: tuple[LogEntry, ...]) -> tuple[LogEntry, ...]:
+    async def wait_until_settled(self, listed: tuple[LogEntry, ...]) -> tuple[LogEntry, ...]:
         """The list when its newest log no longer grows: ArduPilot ends that log when it is read, and begins another.
 
         Gives up after SETTLED_WITHIN_S, for autopilots that log all the time (LOG_DISARMED). Raises FlightLogsError.

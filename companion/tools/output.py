@@ -24,7 +24,7 @@ def found_lines(rows: Sequence[FoundRow], verdict_width: int) -> Iterator[str]:
         yield f"{verdict:<{verdict_width}} {subject:<{subject_width}}  {found:<{found_width}}  {more}".rstrip()
 
 
-def shows_lines(as_json: bool) -> Callable[[Iterable[str]], None]:
+def line_printer(as_json: bool) -> Callable[[Iterable[str]], None]:
     """Prints lines, or none where the output is one JSON object."""
 
     def show(lines: Iterable[str]) -> None:

@@ -40,9 +40,9 @@ class Refused(CompanionError):  # noqa: N818 -- what happens to a request, not a
         self.notice = Notice(code, text)
 
 
-def accepted(code: Code, text: str) -> Answer:
+def accept(code: Code, text: str) -> Answer:
     return Answer(True, Notice(code, text))
 
 
-def refused(code: Code, text: str) -> Answer:
+def refuse(code: Code, text: str) -> Answer:
     return Answer(False, Notice(code, text))

@@ -20,7 +20,7 @@ def rejection_text(key: str) -> str:
     return TEXTS.get(key.partition(" ")[0], "")
 
 
-def summed(counts: Iterable[Mapping[str, int]]) -> dict[str, int]:
+def sum_counts(counts: Iterable[Mapping[str, int]]) -> dict[str, int]:
     """The sums of several counts by key."""
     total: dict[str, int] = {}
     for count in counts:
@@ -29,7 +29,7 @@ def summed(counts: Iterable[Mapping[str, int]]) -> dict[str, int]:
     return total
 
 
-def counted(rejected: Counter[str], key: str) -> Counter[str]:
+def count_rejection(rejected: Counter[str], key: str) -> Counter[str]:
     """A new count with one more of `key`. The old one may be part of a result already, so it is not modified."""
     if key not in rejected and len(rejected) >= MAX_DETAILED:
         key = key.partition(" ")[0]  # without the detail

@@ -176,11 +176,13 @@ def _value(type_: Any) -> Value:
 
 
 def _union(values: list[Value]) -> Value:
-    def joined(part: Callable[[Value], Iterable[Any]]) -> list[Any]:
+    def join_values(part: Callable[[Value], Iterable[Any]]) -> list[Any]:
         return list(dict.fromkeys(item for value in values for item in part(value)))
 
     meaning = next((value.meaning for value in values if value.meaning), "")
-    return Value(joined(lambda v: v.names), joined(lambda v: v.bounds), meaning, joined(lambda v: v.sections))
+    return Value(
+        join_values(lambda v: v.names), join_values(lambda v: v.bounds), meaning, join_values(lambda v: v.sections)
+    )
 
 
 def _list(values: list[Value], of_any_length: bool) -> Value:

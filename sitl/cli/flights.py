@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import get_args
 
 from companion.cli.options import add_overrides
-from companion.cli.program import Command
+from companion.cli.program import CliCommand
 from companion.config.file import ConfigError
 from companion.config.fleet import LawName
 from sitl.cli.options import add_autopilot, add_out, add_out_and_quiet, add_port_offset, add_scenario, overrides_of
@@ -100,7 +100,7 @@ def fly_options(parsed: argparse.Namespace) -> FlyOptions:
     return FlyOptions(run_options(parsed), parsed.port_offset, parsed.external)
 
 
-RUN = Command(
+RUN = CliCommand(
     name="run",
     summary="flies a scenario in virtual time: one process, many times faster, bit-identical each time",
     description="""\
@@ -143,7 +143,7 @@ exit codes:
 )
 
 
-FLY = Command(
+FLY = CliCommand(
     name="fly",
     summary="a whole fleet of real processes through a scenario, with figures at its end",
     description="""\
@@ -206,7 +206,7 @@ exit codes:
 )
 
 
-FLEET = Command(
+FLEET = CliCommand(
     name="fleet",
     summary="a fleet of real processes that waits on the ground for `companion fleet`",
     description="""\

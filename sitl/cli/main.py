@@ -14,7 +14,7 @@ from companion.types.errors import EXIT_UNUSABLE
 
 def main() -> NoReturn:
     """Ends the process with the exit code of the command. Slow imports are made where Ctrl-C is handled."""
-    with program.ending_quietly():
+    with program.end_quietly():
         sys.exit(_program().main())
 
 

@@ -1,4 +1,4 @@
-"""Command line options that several `sitl` commands share, and the values they accept."""
+"""CliCommand line options that several `sitl` commands share, and the values they accept."""
 
 from __future__ import annotations
 

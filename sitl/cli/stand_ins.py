@@ -7,7 +7,7 @@ from pathlib import Path
 
 from companion.cli.init import TOPOLOGIES, add_formation, formation_of
 from companion.cli.options import number, whole_number
-from companion.cli.program import Command
+from companion.cli.program import CliCommand
 from companion.config.file import ConfigError
 from companion.types.autopilot import AutopilotKind
 from sitl.cli.options import ABOVE_0, BELOW_INFINITY
@@ -72,7 +72,7 @@ def _run_new(options: argparse.Namespace) -> int:
     return 0
 
 
-AUTOPILOT = Command(
+AUTOPILOT = CliCommand(
     name="autopilot",
     summary="stand-in quadrotors that behave like PX4 or ArduCopter, behind UDP and TCP",
     description="Stand-in quadrotors that behave like PX4 or ArduCopter, behind sockets of this machine; one per FILE.",
@@ -95,7 +95,7 @@ exit codes: 0 ended as asked, 2 bad file or port in use""",
 )
 
 
-NEW = Command(
+NEW = CliCommand(
     name="new",
     summary="writes a commented scenario file from a few choices",
     description="""\

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from companion.cli.options import add_overrides, number, whole_number
-from companion.cli.program import Command
+from companion.cli.program import CliCommand
 from sitl.cli.options import ABOVE_0, add_cluster, add_out_and_quiet, add_scenario
 from sitl.sweep.options import DEFAULT_SEEDS, LONGEST_S, MAX_FLIGHTS, SHORTEST_S, SweepOptions
 
@@ -136,7 +136,7 @@ def _run_gauntlet(options: argparse.Namespace) -> int:
     return run_gauntlet(options)
 
 
-PAPER = Command(
+PAPER = CliCommand(
     name="paper",
     summary="every claim of the paper computed or flown again, on one page",
     description="""\
@@ -165,7 +165,7 @@ exit codes:
 )
 
 
-SWEEP = Command(
+SWEEP = CliCommand(
     name="sweep",
     summary="statistics: many flights of one formation, with varied keys and seeds, side by side in arrays",
     description="""\
@@ -215,7 +215,7 @@ exit codes:
 )
 
 
-STUDY = Command(
+STUDY = CliCommand(
     name="study",
     summary="beyond the paper: every setting of the law on formations of 4 to 100 vehicles",
     description="""\
@@ -241,7 +241,7 @@ argument cannot be used; 130 ended by Ctrl-C (129 by SIGHUP, 143 by SIGTERM), wi
 )
 
 
-SWITCHING = Command(
+SWITCHING = CliCommand(
     name="switching",
     summary="neighbour sets that change with range: connectivity from a thousand random starts under each law",
     description="""\
@@ -267,7 +267,7 @@ exit codes: 0 flown; 1 a process ended before its flights did, most likely for l
 )
 
 
-GAUNTLET = Command(
+GAUNTLET = CliCommand(
     name="gauntlet",
     summary="random flights of whole fleets in virtual time: how close do vehicles come, and do they reach their slots?",
     description="""\

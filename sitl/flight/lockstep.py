@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from companion.assembly import build_agent
 from companion.config.vehicle import AgentConfig
 from companion.core.agent import Agent
-from companion.ground.answers import Answer
+from companion.ground.answers import TimedReply
 from companion.mavlink.autopilot_types import DIALECTS
 from companion.recording.recorder import recorder_of
 from companion.recording.records import TimingRecord
@@ -174,7 +174,7 @@ class Lockstep:
 
     def ask(
         self, vehicle_ids: Iterable[int], name: CommandName, timeout_s: float, content: Content | None = None
-    ) -> dict[int, Answer | None]:
+    ) -> dict[int, TimedReply | None]:
         """Give one command to these vehicles and advance the world until all have answered or `timeout_s` has passed.
 
         A vehicle that has not reported yet gets none, for lack of its session, and is waited for until it reports.
@@ -190,7 +190,7 @@ class Lockstep:
         ):
             self._step()
         replies = {vehicle.vehicle_id: vehicle.reply_to(number) for vehicle in asked}
-        return {i: Answer(reply, self.now_s() - given_s) if reply else None for i, reply in replies.items()}
+        return {i: TimedReply(reply, self.now_s() - given_s) if reply else None for i, reply in replies.items()}
 
     def publish_target(self, name: str, velocity_enu_m_s: Vector3, position_enu_m: Vector3 | None = None) -> None:
         """A sample of a moving target, received by all vehicles at once."""

@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 import msgspec
 from msgspec import Struct
 
-from companion.ground.answers import Answer
+from companion.ground.answers import TimedReply
 from companion.ground.changes import assigned, change_to, named_slots, positions_enu_m, reference_change
 from companion.ground.commands import Clock, CommandSession, give
 from companion.ground.goals import Goal, goal_of, way_left_m
@@ -96,7 +96,7 @@ class Order:
                 wait()
         return [refusal for vehicle_id, refusal in first.items() if vehicle_id not in self._accepted_s]
 
-    def _refusal(self, vehicle_id: int, answer: Answer | None) -> Refusal:
+    def _refusal(self, vehicle_id: int, answer: TimedReply | None) -> Refusal:
         return Refusal(
             time_s=round(self._clock.now_s() - self._watch.began_s, 3),
             vehicle=vehicle_id,
@@ -105,7 +105,7 @@ class Order:
             reason=answer.reply.reason if answer else "no answer from its agent",
         )
 
-    def _command(self, vehicle_ids: Collection[int]) -> dict[int, Answer | None]:
+    def _command(self, vehicle_ids: Collection[int]) -> dict[int, TimedReply | None]:
         given_s = self._clock.now_s()
         if not self._accepted_s and (self._content is None or self._step.command in EXPIRING):
             self._content = content_of(self._step, self._watch.statuses())  # while all refuse, its begin passes

@@ -8,7 +8,7 @@ from collections.abc import Collection, Mapping
 from companion.core.consensus.law import FormationState
 from companion.core.reference.blend import ReferenceTrajectory
 from companion.geometry.formations import turned_slot
-from companion.ground.answers import Answer
+from companion.ground.answers import TimedReply
 from companion.ground.fleet_state import FleetState, VehicleState, fold, vehicles_at
 from companion.types.autopilot import LandedState
 from companion.types.flight import FlightPhase, Role
@@ -111,7 +111,7 @@ class FlightWatch:
         return {i: reported_track(i, slots) for i, slots in self._slots.items()}
 
     def note_answers(
-        self, given_s: float, now_s: float, step: TimelineStep, answers: Mapping[int, Answer | None]
+        self, given_s: float, now_s: float, step: TimelineStep, answers: Mapping[int, TimedReply | None]
     ) -> None:
         """Record the answers to a step's command given at `given_s`, unless an agent has not started yet."""
         if any(self.status(vehicle_id) is None for vehicle_id in answers):

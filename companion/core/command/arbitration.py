@@ -25,7 +25,7 @@ from companion.core.safety.fleet_checks import FleetChecks, refusal_of_return
 from companion.core.safety.safeguard import POSITION_IN_DOUBT, Safety
 from companion.types.commands import NUMBERS_AHEAD, Command, CommandName, CommandReply
 from companion.types.flight import OF_THE_FLEET, RULES, HealthFlag, Role
-from companion.types.notices import Answer, Code, Notice, refused
+from companion.types.notices import Answer, Code, Notice, refuse
 
 ABORT_NUMBER = 0  # in place of its own, which may be that of another command
 
@@ -73,7 +73,7 @@ class CommandArbitration:
             repeated = command == self._last
             answer, changes = self.admit(command)
             if aborts and answer is None and not repeated:
-                answer = self._last_answer = refused(Code.ABORTED, f"{command.name}: an abort came at the same time")
+                answer = self._last_answer = refuse(Code.ABORTED, f"{command.name}: an abort came at the same time")
             answers.append(answer)
             events += changes
             if answer is None and not repeated:

@@ -26,7 +26,7 @@ from companion.types.flight import (
     PhaseRequest,
     Rule,
 )
-from companion.types.notices import Answer, Code, Notice, accepted, refused
+from companion.types.notices import Answer, Code, Notice, accept, refuse
 
 P, M, C = FlightPhase, AutopilotMode, CommandName
 
@@ -91,22 +91,22 @@ class PhaseMachine:
     def command(self, name: CommandName, now_s: float, vehicle: VehicleState) -> Answer:
         """(accepted, reason). A command that is under way or done already is accepted again."""
         if vehicle.autopilot is None:
-            return refused(Code.NO_HEARTBEAT, f"{name}: no HEARTBEAT has come from the autopilot yet")
+            return refuse(Code.NO_HEARTBEAT, f"{name}: no HEARTBEAT has come from the autopilot yet")
         rule = RULES[name]
         if self._is_under_way(name):
-            return accepted(Code.ALREADY_DONE, ALREADY.get(self.phase, f"{name} already in progress"))
+            return accept(Code.ALREADY_DONE, ALREADY.get(self.phase, f"{name} already in progress"))
         if self.phase not in rule.allowed:
             text = f"{name} is not possible in phase {self.phase}, only in {', '.join(sorted(rule.allowed))}"
-            return refused(Code.WRONG_PHASE, text)
+            return refuse(Code.WRONG_PHASE, text)
         if rule.on_ground is in_air(vehicle):
             if rule.on_ground:
-                return refused(Code.NOT_ON_GROUND, f"{name} needs the vehicle on the ground")
-            return refused(Code.NOT_IN_AIR, f"{name} needs the vehicle in the air")
+                return refuse(Code.NOT_ON_GROUND, f"{name} needs the vehicle on the ground")
+            return refuse(Code.NOT_IN_AIR, f"{name} needs the vehicle in the air")
         try:
             self._begin(name, now_s, vehicle, _command(name))
         except ValueError as error:
-            return refused(Code.ALTITUDE_UNKNOWN, f"{name}: {error}")
-        return accepted(Code.PHASE_CHANGED, f"{name} begins")
+            return refuse(Code.ALTITUDE_UNKNOWN, f"{name}: {error}")
+        return accept(Code.PHASE_CHANGED, f"{name} begins")
 
     def _is_under_way(self, name: CommandName) -> bool:
         """Or done already."""
@@ -120,18 +120,18 @@ class PhaseMachine:
         returning holds where it is.
         """
         if vehicle.autopilot is None:
-            return refused(Code.NO_HEARTBEAT, "abort: no HEARTBEAT has come from the autopilot yet")
+            return refuse(Code.NO_HEARTBEAT, "abort: no HEARTBEAT has come from the autopilot yet")
         if self.phase is P.LAND or (self.phase is P.RETURN and vehicle.landed is LandedState.LANDING):
-            return accepted(Code.LANDING_CONTINUES, "the landing continues")
+            return accept(Code.LANDING_CONTINUES, "the landing continues")
         if self.phase is P.OBSERVE and not vehicle.armed:
-            return accepted(Code.ALREADY_DONE, "already disarmed")
+            return accept(Code.ALREADY_DONE, "already disarmed")
         if not in_air(vehicle):
             # After a flight phase it lands, which disarms as well: with a wrong landed state, a disarm would stop the motors.
             lands = self.phase in FLYING - {P.TAKEOFF}
             self._begin(C.LAND if lands else C.DISARM, now_s, vehicle, _command(C.ABORT))
-            return accepted(Code.PHASE_CHANGED, "lands" if lands else "disarms")
+            return accept(Code.PHASE_CHANGED, "lands" if lands else "disarms")
         if self.phase is P.OBSERVE and vehicle.mode in FLOWN_BY_OTHERS:
-            return accepted(Code.FLOWN_BY_OTHERS, f"left to its pilot or failsafe, in mode {vehicle.mode_name}")
+            return accept(Code.FLOWN_BY_OTHERS, f"left to its pilot or failsafe, in mode {vehicle.mode_name}")
         return self.command(C.HOLD, now_s, vehicle)
 
     def observe(self, now_s: float, vehicle: VehicleState) -> Flight:

@@ -21,7 +21,7 @@ from companion.types.flight import ON_GROUND, Role
 from companion.types.formation import FlownSlot, FormationChange, Term
 from companion.types.notices import Code
 from companion.types.peers import PeerPacket, ReceivedPeerPacket
-from companion.types.rejections import counted, rejection_key
+from companion.types.rejections import count_rejection, rejection_key
 from companion.types.values import MAX_CHANGE_S, MAX_COORDINATE_M, MAX_MISSION_S, ZERO3, Vector3
 
 LEADER = Role.LEADER  # enum member lookup is slow, and every packet needs it
@@ -333,4 +333,4 @@ class PeerTable:
         )
 
     def _count(self, code: Code, vehicle_id: int) -> None:
-        self.rejected = counted(self.rejected, rejection_key(code, vehicle_id))
+        self.rejected = count_rejection(self.rejected, rejection_key(code, vehicle_id))

@@ -30,7 +30,7 @@ from companion.types.autopilot import AttitudeTarget, AutopilotMode, LandedState
 from companion.types.flight import COOPERATING, FailsafeAction, Flight, FlightPhase
 from companion.types.notices import Code
 from companion.types.peers import ReceivedTraffic
-from companion.types.rejections import counted
+from companion.types.rejections import count_rejection
 from companion.types.status import SeparationReport
 from companion.types.values import GRAVITY_M_S2, ZERO3, Vector3
 
@@ -262,7 +262,7 @@ class SetpointStream:
             )
         except ValueError:
             self.position_used_s = vehicle.position_time_s
-            self.rejected = counted(self.rejected, Code.SETPOINT_IMPOSSIBLE)
+            self.rejected = count_rejection(self.rejected, Code.SETPOINT_IMPOSSIBLE)
             return None
         return self._send(now_s, vehicle, (x + dx, y + dy, z + dz), target)
 
@@ -287,7 +287,7 @@ class SetpointStream:
         self.position_used_s = vehicle.position_time_s
         target = self._gate.admit(now_s, wanted, self.observer.hover_thrust_norm)
         if target is None:
-            self.rejected = counted(self.rejected, Code.SETPOINT_IMPOSSIBLE)
+            self.rejected = count_rejection(self.rejected, Code.SETPOINT_IMPOSSIBLE)
             return None
         sent = self.sent
         step_deg = degrees(hypot(target.roll_rad - sent.roll_rad, target.pitch_rad - sent.pitch_rad))

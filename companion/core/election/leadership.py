@@ -14,7 +14,7 @@ from companion.types.flight import (
     Role,
 )
 from companion.types.formation import LeaderBeacon, Term
-from companion.types.notices import Answer, Code, Notice, accepted
+from companion.types.notices import Answer, Code, Notice, accept
 
 UNCONFIRMED_S = 0.3  # after this time a received term ends, unless its leader is known to be alive
 RISES_AFTER_S = 0.15  # after a few beacons at once: a stamp that rises later is that of a leader that is alive
@@ -58,12 +58,12 @@ class Leadership:
     def command(self, lead: Lead) -> tuple[Answer, tuple[Notice, ...]]:
         """((accepted, reason), events). A repeated command of the present term is accepted again."""
         if lead == self._commanded and self.term == (lead.epoch, 0):
-            return accepted(Code.ALREADY_DONE, f"already {self.role} in epoch {self.epoch}"), ()
+            return accept(Code.ALREADY_DONE, f"already {self.role} in epoch {self.epoch}"), ()
         if refusal := self._refusal(lead):
             return Answer(False, refusal.about("lead")), ()
         self._commanded = lead
         events = self._enter((lead.epoch, 0), self._role_in(lead), "commanded")
-        return accepted(Code.ROLE_CHANGED, f"{self.role} in epoch {self.epoch}"), events
+        return accept(Code.ROLE_CHANGED, f"{self.role} in epoch {self.epoch}"), events
 
     def claim(self, rank: int) -> tuple[Notice, ...]:
         """Become leader of the next epoch as the successor of this rank; `core/election/succession.py` decides when."""

@@ -38,7 +38,7 @@ from companion.types.autopilot import (
 )
 from companion.types.flight import COOPERATING, Flight
 from companion.types.notices import Code, Notice
-from companion.types.rejections import counted
+from companion.types.rejections import count_rejection
 from companion.types.values import ZERO3, Vector3
 
 ORIGIN_REPEAT_S = 1.0
@@ -157,10 +157,10 @@ class VehicleTracker:
     def _fold_position(self, sample: PositionSample) -> None:
         step_s = sample.boot_time_s - self._position.boot_time_s if self._position else 0.0
         if self._position and -REBOOT_S < step_s <= 0.0:
-            self.rejected = counted(self.rejected, Code.POSITION_OUT_OF_ORDER)
+            self.rejected = count_rejection(self.rejected, Code.POSITION_OUT_OF_ORDER)
             return
         if not _within(sample.position_local_enu_m, MAX_LOCAL_M) or not _within(sample.velocity_enu_m_s, MAX_SPEED_M_S):
-            self.rejected = counted(self.rejected, Code.POSITION_IMPLAUSIBLE)
+            self.rejected = count_rejection(self.rejected, Code.POSITION_IMPLAUSIBLE)
             return
         if step_s <= -REBOOT_S:
             self._forget_origin()
@@ -236,7 +236,7 @@ class VehicleTracker:
 
     def _fold_attitude(self, sample: AttitudeSample) -> None:
         if not (isfinite(sample.roll_rad) and isfinite(sample.pitch_rad) and isfinite(sample.yaw_rad)):
-            self.rejected = counted(self.rejected, Code.ATTITUDE_INVALID)
+            self.rejected = count_rejection(self.rejected, Code.ATTITUDE_INVALID)
             return
         fields = self._fields
         fields["roll_rad"], fields["pitch_rad"], fields["yaw_rad"] = sample.roll_rad, sample.pitch_rad, sample.yaw_rad
@@ -244,21 +244,21 @@ class VehicleTracker:
 
     def _fold_thrust(self, sample: ThrustSample) -> None:
         if not 0.0 <= sample.thrust_norm <= 1.0:
-            self.rejected = counted(self.rejected, Code.THRUST_IMPLAUSIBLE)
+            self.rejected = count_rejection(self.rejected, Code.THRUST_IMPLAUSIBLE)
             return
         self._fields["thrust_norm"], self._fields["thrust_time_s"] = sample.thrust_norm, sample.received_s
 
     def _fold_origin(self, sample: OriginSample) -> None:
         before = self._frame.offset_enu_m
         if not self._frame.use_origin(sample):
-            self.rejected = counted(self.rejected, Code.ORIGIN_IMPLAUSIBLE)
+            self.rejected = count_rejection(self.rejected, Code.ORIGIN_IMPLAUSIBLE)
             return
         self._origin_updated(before)
 
     def _fold_global_position(self, sample: GlobalPositionSample) -> None:
         before = self._frame.offset_enu_m
         if self._position and not self._frame.use_global_position(sample, self._position):
-            self.rejected = counted(self.rejected, Code.GLOBAL_POSITION_IMPLAUSIBLE)
+            self.rejected = count_rejection(self.rejected, Code.GLOBAL_POSITION_IMPLAUSIBLE)
             return
         self._origin_updated(before)
 

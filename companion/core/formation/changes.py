@@ -23,7 +23,7 @@ from companion.types.autopilot import VehicleState
 from companion.types.commands import Command, Content, ReferenceChange
 from companion.types.flight import Flight, FlightPhase, Role
 from companion.types.formation import FlownSlot, FormationChange, Term
-from companion.types.notices import Answer, Code, Notice, refused
+from companion.types.notices import Answer, Code, Notice, refuse
 from companion.types.peers import PeerPacket
 from companion.types.steps import Steps
 from companion.types.values import Vector3
@@ -88,7 +88,7 @@ class Changes:
                 self._queue.append(command)
             else:
                 text = f"{command.name}: other changes are being checked; give it again"
-                answers.append((command.number, refused(Code.CHANGE_IN_PROGRESS, text)))
+                answers.append((command.number, refuse(Code.CHANGE_IN_PROGRESS, text)))
         if self._queue:
             answer = self._judged(self._queue[0].content, vehicle, flight, consensus, slot)
             if answer is not BEING_CHECKED:
@@ -172,7 +172,7 @@ class Changes:
     ) -> Answer:
         if self._references is None:
             text = "reference: this vehicle may not lead and has no reference"
-            return refused(Code.REFERENCE_NOT_ALLOWED, text)
+            return refuse(Code.REFERENCE_NOT_ALLOWED, text)
         fleet_enu_m, slots_enu_m = _fleet_enu_m(vehicle, slot), self._slots.slots_enu_m
         answer = self._references.change(
             change, consensus.reference_s, slots_enu_m, consensus.flying, fleet_enu_m, flight.in_formation, self._checks

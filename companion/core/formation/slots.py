@@ -18,7 +18,7 @@ from companion.geometry.formations import reach_m
 from companion.geometry.vectors import plus
 from companion.types.flight import STREAMING, FlightPhase
 from companion.types.formation import FlownSlot, FormationChange
-from companion.types.notices import Answer, Code, Notice, accepted
+from companion.types.notices import Answer, Code, Notice, accept
 from companion.types.peers import PeerPacket
 from companion.types.steps import Steps, whole
 from companion.types.values import MAX_CHANGE_S, MIN_CHANGE_S, ZERO3, Vector3
@@ -64,7 +64,7 @@ class SlotPlan:
         `check` does the dear part, after all other refusals: while the answer is BEING_CHECKED, ask again in the next tick.
         """
         if change in (self._agreement.waiting, self._flown):
-            return accepted(Code.FORMATION_KNOWN, f"formation {change.number} is known")
+            return accept(Code.FORMATION_KNOWN, f"formation {change.number} is known")
         if _is_flown(change, others):
             return self._adopt_flown(change)
         refusal = (
@@ -80,7 +80,7 @@ class SlotPlan:
         text = f"formation {change.number} begins in {change.begins_s - reference_s:.1f} s"
         if crossing := self.limits.crossing(*self._flown_by_present(change)):
             text += f"; {crossing.text}"
-        return accepted(Code.FORMATION_ACCEPTED, text)
+        return accept(Code.FORMATION_ACCEPTED, text)
 
     def change_on_ground(
         self,
@@ -92,7 +92,7 @@ class SlotPlan:
     ) -> Answer:
         """(accepted, reason), on the ground, where nothing moves. `flying` are the peers in the air; `check` as in flight."""
         if change == self._flown:
-            return accepted(Code.FORMATION_KNOWN, f"formation {change.number} is known")
+            return accept(Code.FORMATION_KNOWN, f"formation {change.number} is known")
         if _is_flown(change, [other for other in flying if other.phase is FlightPhase.FORMATION]):
             return self._adopt_flown(change)
         slots_enu_m = dict(change.slots_enu_m)
@@ -107,10 +107,10 @@ class SlotPlan:
             return Answer(False, refusal.about("formation"))
         if flying:
             text = f"formation {change.number} is adopted here when the others fly it"
-            return accepted(Code.FORMATION_ACCEPTED, text)
+            return accept(Code.FORMATION_ACCEPTED, text)
         self._take(_begun(change))
         self._before_enu_m = self.slots_enu_m
-        return accepted(Code.FORMATION_ACCEPTED, f"formation {change.number}, on the ground at once")
+        return accept(Code.FORMATION_ACCEPTED, f"formation {change.number}, on the ground at once")
 
     def withdraw(self) -> None:
         """Drop the change that waits."""
@@ -224,7 +224,7 @@ class SlotPlan:
             return Answer(False, refusal.about("formation"))
         self._take(_begun(change))
         self._before_enu_m = self.slots_enu_m
-        return accepted(Code.FORMATION_ACCEPTED, f"formation {change.number}, which the others fly")
+        return accept(Code.FORMATION_ACCEPTED, f"formation {change.number}, which the others fly")
 
     def _refusal_of_form(self, change: FormationChange) -> Notice | None:
         ids = [vehicle_id for vehicle_id, _ in change.slots_enu_m]

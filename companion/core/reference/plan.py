@@ -19,7 +19,7 @@ from companion.core.reference.target import TargetLimits, TargetPursuit, Targets
 from companion.types.commands import Described, ReferenceChange
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import HeldReference
-from companion.types.notices import Answer, Code, Notice, accepted, refused
+from companion.types.notices import Answer, Code, Notice, accept, refuse
 from companion.types.peers import PeerPacket, ReceivedTarget
 from companion.types.steps import Steps, first_steps
 from companion.types.values import ZERO3, Vector3
@@ -132,7 +132,7 @@ class ReferencePlan:
         `checks` do the dear part, after all other refusals: while the answer is BEING_CHECKED, ask again in the next tick.
         """
         if self._has(change):
-            return accepted(Code.REFERENCE_KNOWN, f"reference {change.number} is known")
+            return accept(Code.REFERENCE_KNOWN, f"reference {change.number} is known")
         theirs = HeldReference(change.number, begun_s=change.begins_s)
         late = any(other.reference and _is_same(other.reference, theirs) for other in others)
         if refusal := self._refusal(change, reference_s, late, in_formation):
@@ -143,16 +143,16 @@ class ReferencePlan:
         if found is PENDING:
             return BEING_CHECKED
         if isinstance(found, str):
-            return refused(Code.REFERENCE_INVALID, f"reference: {found}")
+            return refuse(Code.REFERENCE_INVALID, f"reference: {found}")
         rft, handed = found
         if handed is None:
             self._take(change, rft, _joined(rft, change.begins_s, fleet_enu_m))
             self._agreement.waiting = None
-            return accepted(Code.REFERENCE_ACCEPTED, f"reference {change.number}, which the leader flies")
+            return accept(Code.REFERENCE_ACCEPTED, f"reference {change.number}, which the leader flies")
         self._agreement.waiting, self._waiting_rft = change, rft
         self._handed = (self._flown, dict(slots), handed)
         text = f"reference {change.number} begins in {change.begins_s - reference_s:.1f} s"
-        return accepted(Code.REFERENCE_ACCEPTED, text)
+        return accept(Code.REFERENCE_ACCEPTED, text)
 
     def _checked(
         self, change: ReferenceChange, slots_enu_m: Mapping[int, Vector3], late: bool

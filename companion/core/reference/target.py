@@ -24,7 +24,7 @@ from companion.geometry.airspace import Airspace, Gap
 from companion.geometry.vectors import dot, extrapolated, minus, plus, scaled, shortened
 from companion.types.notices import Code
 from companion.types.peers import ReceivedTarget, TargetSample
-from companion.types.rejections import counted
+from companion.types.rejections import count_rejection
 from companion.types.values import MAX_COORDINATE_M, ZERO3, Vector3
 
 
@@ -145,7 +145,7 @@ class Targets:
             if sample.name not in names:
                 continue
             if code := _refusal(sample.sample) or self._refusal_of_order(sample):
-                self.rejected = counted(self.rejected, code)
+                self.rejected = count_rejection(self.rejected, code)
             else:
                 stream = self._streams[sample.name]
                 measured_s = sample.received_s - stream.late_s(sample.sample.sent_s)

@@ -53,7 +53,7 @@ class Facts:
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class AuditFinding:
     """One line of the audit. `code` is None where the verdict is OK.
 
     `fix` is the value that may be set without asking a pilot; None where a person decides.
@@ -72,18 +72,18 @@ class Finding:
         return f"{self.subject}: {self.found}; wanted: {self.wanted}" + (f"; {self.remedy}" if self.remedy else "")
 
 
-def audit(facts: Facts) -> tuple[Finding, ...]:
+def audit(facts: Facts) -> tuple[AuditFinding, ...]:
     """All findings of these facts, in a fixed order."""
     return tuple(_findings(facts))
 
 
-def worst(findings: tuple[Finding, ...]) -> Verdict:
+def worst(findings: tuple[AuditFinding, ...]) -> Verdict:
     """The worst verdict of these findings."""
     verdicts = {finding.verdict for finding in findings}
     return next(v for v in (Verdict.REFUSAL, Verdict.WARNING, Verdict.OK) if v in verdicts or v is Verdict.OK)
 
 
-def _findings(facts: Facts) -> Iterator[Finding]:
+def _findings(facts: Facts) -> Iterator[AuditFinding]:
     if facts.rates_hz is not None:
         yield from (_rate(name, facts.rates_hz.get(name, 0.0), least_hz) for name, least_hz in MIN_RATES_HZ.items())
     if facts.failing_checks is not None:
@@ -99,30 +99,30 @@ def _findings(facts: Facts) -> Iterator[Finding]:
             yield _parameter(rule, facts.parameters[rule.name], facts)
 
 
-def _rate(name: str, rate_hz: float, least_hz: float) -> Finding:
+def _rate(name: str, rate_hz: float, least_hz: float) -> AuditFinding:
     wanted = f"at least {least_hz:g} Hz"
     if rate_hz >= least_hz:
-        return Finding(name, Verdict.OK, None, f"{rate_hz:.1f} Hz", wanted)
+        return AuditFinding(name, Verdict.OK, None, f"{rate_hz:.1f} Hz", wanted)
     remedy = "a faster line (baud rate), fewer other streams on it (MAV_x_RATE, SRx_*), or another port"
-    return Finding(name, Verdict.REFUSAL, Code.TELEMETRY_SLOW, f"{rate_hz:.1f} Hz", wanted, remedy)
+    return AuditFinding(name, Verdict.REFUSAL, Code.TELEMETRY_SLOW, f"{rate_hz:.1f} Hz", wanted, remedy)
 
 
-def _checks(reason: str) -> Finding:
+def _checks(reason: str) -> AuditFinding:
     wanted = "the autopilot's preflight checks pass"
     if not reason:
-        return Finding("estimator and checks", Verdict.OK, None, "passed", wanted)
+        return AuditFinding("estimator and checks", Verdict.OK, None, "passed", wanted)
     remedy = "wait for GPS and keep the vehicle still; a ground station shows the failing check"
-    return Finding("estimator and checks", Verdict.REFUSAL, Code.ARMING_CHECKS_FAILED, reason, wanted, remedy)
+    return AuditFinding("estimator and checks", Verdict.REFUSAL, Code.ARMING_CHECKS_FAILED, reason, wanted, remedy)
 
 
-def _position(check: PositionCheck, position_enu_m: Vector3 | None) -> Finding:
+def _position(check: PositionCheck, position_enu_m: Vector3 | None) -> AuditFinding:
     wanted = PositionCheck.INSIDE.value
     found = check.value
     if position_enu_m is not None and check in (PositionCheck.INSIDE, PositionCheck.OUTSIDE):
         found += " at " + ", ".join(f"{coordinate:z.1f}" for coordinate in position_enu_m) + " m"
     match check:
         case PositionCheck.INSIDE:
-            return Finding("origin", Verdict.OK, None, found, wanted)
+            return AuditFinding("origin", Verdict.OK, None, found, wanted)
         case PositionCheck.OUTSIDE:
             code = Code.POSITION_OUTSIDE_FENCE
             remedy = "correct origin or envelope.fence_* of the fleet file, or move the vehicle into the fence"
@@ -132,43 +132,43 @@ def _position(check: PositionCheck, position_enu_m: Vector3 | None) -> Finding:
         case _:
             code = Code.POSITION_MISSING
             remedy = "wait for the estimator; LOCAL_POSITION_NED starts when it has a position"
-    return Finding("origin", Verdict.REFUSAL, code, found, wanted, remedy)
+    return AuditFinding("origin", Verdict.REFUSAL, code, found, wanted, remedy)
 
 
-def _battery(percent: float) -> Finding:
+def _battery(percent: float) -> AuditFinding:
     wanted = f"at least {LOW_BATTERY_PERCENT:g} %"
     if percent < 0.0:
         remedy = "calibrate the battery monitor of the autopilot"
-        return Finding("battery", Verdict.WARNING, Code.BATTERY_UNKNOWN, "not reported", wanted, remedy)
+        return AuditFinding("battery", Verdict.WARNING, Code.BATTERY_UNKNOWN, "not reported", wanted, remedy)
     if percent >= LOW_BATTERY_PERCENT:
-        return Finding("battery", Verdict.OK, None, f"{percent:.0f} %", wanted)
+        return AuditFinding("battery", Verdict.OK, None, f"{percent:.0f} %", wanted)
     verdict = Verdict.REFUSAL if percent < EMPTY_BATTERY_PERCENT else Verdict.WARNING
-    return Finding("battery", verdict, Code.BATTERY_LOW, f"{percent:.0f} %", wanted, "charge or change it")
+    return AuditFinding("battery", verdict, Code.BATTERY_LOW, f"{percent:.0f} %", wanted, "charge or change it")
 
 
-def _mode(mode_name: str, armed: bool) -> Finding:
+def _mode(mode_name: str, armed: bool) -> AuditFinding:
     wanted = "disarmed"
     if armed:
         remedy = "land and disarm first; nothing is set while the vehicle is armed"
-        return Finding("mode", Verdict.WARNING, Code.VEHICLE_ARMED, f"{mode_name}, armed", wanted, remedy)
-    return Finding("mode", Verdict.OK, None, f"{mode_name}, disarmed", wanted)
+        return AuditFinding("mode", Verdict.WARNING, Code.VEHICLE_ARMED, f"{mode_name}, armed", wanted, remedy)
+    return AuditFinding("mode", Verdict.OK, None, f"{mode_name}, disarmed", wanted)
 
 
-def _parameter(rule: ParameterRule, value: float | None, facts: Facts) -> Finding:
+def _parameter(rule: ParameterRule, value: float | None, facts: Facts) -> AuditFinding:
     wanted = rule.wanted if rule.judge else f"{rule.wanted}, {facts.hover_thrust_norm:g}"
     if value is None:
         remedy = "update the firmware, or check the link for packet loss"
         verdict = _accepted(rule.not_found, facts)
-        return Finding(rule.name, verdict, Code.PARAMETER_MISSING, "not found", wanted, remedy)
+        return AuditFinding(rule.name, verdict, Code.PARAMETER_MISSING, "not found", wanted, remedy)
     if rule.judge is None:
         return _hover_thrust(rule, value, facts.hover_thrust_norm, wanted)
     judgement = rule.judge(value)
     found = f"{value:g} {rule.unit}".rstrip() + (f" ({judgement.meaning})" if judgement.meaning else "")
     if judgement.verdict is Verdict.OK:
-        return Finding(rule.name, Verdict.OK, None, found, wanted)
+        return AuditFinding(rule.name, Verdict.OK, None, found, wanted)
     fix = rule.safe(value) if rule.safe else None
     remedy = f"set {rule.name} to {fix:g}" if fix is not None else rule.remedy
-    return Finding(rule.name, _accepted(judgement, facts), rule.code, found, wanted, remedy, fix)
+    return AuditFinding(rule.name, _accepted(judgement, facts), rule.code, found, wanted, remedy, fix)
 
 
 def _accepted(judgement: Judgement, facts: Facts) -> Verdict:
@@ -176,7 +176,7 @@ def _accepted(judgement: Judgement, facts: Facts) -> Verdict:
     return Verdict.WARNING if judgement.acceptable and facts.accepts_uncontrolled_descent else judgement.verdict
 
 
-def _hover_thrust(rule: ParameterRule, value: float, hover_thrust_norm: float, wanted: str) -> Finding:
+def _hover_thrust(rule: ParameterRule, value: float, hover_thrust_norm: float, wanted: str) -> AuditFinding:
     if abs(value - hover_thrust_norm) <= MAX_HOVER_THRUST_DIFFERENCE * max(value, hover_thrust_norm):
-        return Finding(rule.name, Verdict.OK, None, f"{value:.3g}", wanted)
-    return Finding(rule.name, Verdict.WARNING, rule.code, f"{value:.3g}", wanted, rule.remedy)
+        return AuditFinding(rule.name, Verdict.OK, None, f"{value:.3g}", wanted)
+    return AuditFinding(rule.name, Verdict.WARNING, rule.code, f"{value:.3g}", wanted, rule.remedy)

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from common import ROOT
-from companion.cli.program import ending_quietly
+from companion.cli.program import end_quietly
 
 PLATOON = ROOT / "config" / "scenarios" / "platoon.yaml"
 
@@ -39,5 +39,5 @@ def test_a_closed_pipe_is_no_traceback(arguments: tuple[object, ...], tmp_path: 
 
 
 def test_another_broken_pipe_is_an_error() -> None:
-    with pytest.raises(BrokenPipeError), ending_quietly():
+    with pytest.raises(BrokenPipeError), end_quietly():
         raise BrokenPipeError

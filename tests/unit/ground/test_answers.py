@@ -5,15 +5,17 @@ from dataclasses import replace
 
 import pytest
 
-from companion.ground.answers import Answer, End, Outcome, answer_lines, answers_as_data, end_lines, outcome_of
+from companion.ground.answers import End, Outcome, TimedReply, answer_lines, answers_as_data, end_lines, outcome_of
 from companion.types.commands import CommandReply
 from companion.types.notices import Code, Notice
 
 OUTCOMES = {
     i: outcome_of(answer, 3.0)
     for i, answer in {
-        2: Answer(CommandReply(2, 9, False, Code.ATTITUDE_STALE, "arm: attitude \x1b[31mstale", "anna@ground"), 0.0314),
-        1: Answer(CommandReply(1, 9, True, Code.PHASE_CHANGED, "arm begins", "anna@ground"), 0.012),
+        2: TimedReply(
+            CommandReply(2, 9, False, Code.ATTITUDE_STALE, "arm: attitude \x1b[31mstale", "anna@ground"), 0.0314
+        ),
+        1: TimedReply(CommandReply(1, 9, True, Code.PHASE_CHANGED, "arm begins", "anna@ground"), 0.012),
         3: None,
     }.items()
 }

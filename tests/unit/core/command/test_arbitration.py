@@ -7,7 +7,7 @@ from common import codes_of, outcome, texts_of
 from companion.core.command.arbitration import NUMBERS_AHEAD, CommandArbitration
 from companion.types.commands import Command, CommandName, CommandReply
 from companion.types.flight import FlightPhase
-from companion.types.notices import Code, Notice, accepted, refused
+from companion.types.notices import Code, Notice, accept, refuse
 from one_agent import SESSION, AgentFlight
 
 C = CommandName
@@ -66,14 +66,14 @@ def test_a_refused_command_cannot_be_repeated_later() -> None:
     """A recorded refused command must not be executed later."""
     arbitration = CommandArbitration(session=7)
     intake = arbitration.step((command(4, name=C.TAKEOFF),))
-    arbitration.replies(1, intake, [(4, refused(Code.BATTERY_LOW, "the battery is empty"))])
+    arbitration.replies(1, intake, [(4, refuse(Code.BATTERY_LOW, "the battery is empty"))])
     arbitration.admit(command(5))
     assert refusal(arbitration, command(4, name=C.TAKEOFF)) is Code.COMMAND_OLD
 
 
 def test_the_last_command_repeated_gets_its_answer_again() -> None:
     arbitration = CommandArbitration(session=7)
-    answer = accepted(Code.PHASE_CHANGED, "release")
+    answer = accept(Code.PHASE_CHANGED, "release")
     arbitration.replies(1, arbitration.step((command(4),)), [(4, answer)])
     assert arbitration.admit(command(4)) == (answer, ())
     assert refusal(arbitration, command(4, name=C.LAND)) is Code.COMMAND_OLD  # a different command with its number
@@ -116,7 +116,7 @@ def test_aborts_of_one_tick_are_executed_once_and_all_are_answered() -> None:
     hold, first, second = command(5), command(5, "boris", C.ABORT), command(9, "carla", C.ABORT)
     intake = arbitration.step((hold, first, second))
     assert [admitted.name for admitted in intake.admitted] == [C.ABORT]
-    answers = [(admitted.number, accepted(Code.ALREADY_DONE, "")) for admitted in intake.admitted]
+    answers = [(admitted.number, accept(Code.ALREADY_DONE, "")) for admitted in intake.admitted]
     replies = arbitration.replies(1, intake, answers)
     assert [(reply.number, reply.code) for reply in replies] == [
         (5, Code.ABORTED),
@@ -146,7 +146,7 @@ def test_a_command_is_answered_once_ticks_later_when_its_check_is_done() -> None
     repeated = arbitration.step((given,))
     assert repeated.admitted == ()
     assert arbitration.replies(1, repeated, ()) == ()
-    answer = (4, accepted(Code.REFERENCE_ACCEPTED, ""))
+    answer = (4, accept(Code.REFERENCE_ACCEPTED, ""))
     assert [reply.number for reply in arbitration.replies(1, arbitration.step(()), [answer])] == [4]
     assert arbitration.replies(1, arbitration.step(()), ()) == ()
     again = arbitration.step((given,))

@@ -19,7 +19,7 @@ from companion.geometry.formations import SHAPES, closest_approach, peak_speed_m
 from companion.ground.changes import assigned
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot, FormationChange
-from companion.types.notices import Code, Notice, accepted
+from companion.types.notices import Code, Notice, accept
 from companion.types.peers import PeerPacket
 from companion.types.values import ZERO3, Vector3
 
@@ -151,7 +151,7 @@ KNOW = [other(1, 0, 1), other(3, 0, 1)]
 
 def test_a_change_begins_at_its_time_when_all_peers_hold_it() -> None:
     slots = plan()
-    assert slots.change(CHANGE, 9.0, (), ()) == accepted(Code.FORMATION_ACCEPTED, "formation 1 begins in 1.0 s")
+    assert slots.change(CHANGE, 9.0, (), ()) == accept(Code.FORMATION_ACCEPTED, "formation 1 begins in 1.0 s")
     assert flown(slots, 9.9, KNOW, in_formation=True) == FlownSlot(LINE[2], formation=0, waiting=1)
     assert slots.update(0.0, 10.0, KNOW, in_formation=True) == (Notice(Code.FORMATION_CHANGED, "formation 0 -> 1"),)
     assert slots.flown == FlownSlot(LINE[2], formation=1, waiting=1)
@@ -335,7 +335,7 @@ def test_only_the_separation_of_slots_is_checked_on_the_ground() -> None:
 def test_a_vehicle_on_the_ground_adopts_a_change_when_the_others_fly_it() -> None:
     slots = plan()
     text = "formation 1 is adopted here when the others fly it"
-    assert slots.change_on_ground(CHANGE, KNOW, ()) == accepted(Code.FORMATION_ACCEPTED, text)
+    assert slots.change_on_ground(CHANGE, KNOW, ()) == accept(Code.FORMATION_ACCEPTED, text)
     assert flown(slots, 0.0, KNOW, in_formation=True) == FlownSlot(LINE[2])
     assert outcome(slots.change_on_ground(CHANGE, [other(1, 1, 1)], ())) == (True, Code.FORMATION_ACCEPTED)
     assert flown(slots, 0.0, KNOW, in_formation=True).position_enu_m == TURNED[2]

@@ -22,7 +22,7 @@ from companion.geometry.curves import Curve, centred_at, circle, decay_to_rest, 
 from companion.types.commands import ReferenceChange
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot, HeldReference
-from companion.types.notices import Answer, Code, Notice, accepted, refused
+from companion.types.notices import Answer, Code, Notice, accept, refuse
 from companion.types.peers import PeerPacket, ReceivedTarget, TargetSample
 from companion.types.values import ZERO3, Vector3
 from sitl.flight.files import reached_stand_in, vehicle_file
@@ -152,7 +152,7 @@ def test_a_command_replaces_a_reference_whose_number_was_too_far_ahead() -> None
 def test_a_change_begins_at_its_time_when_all_peers_that_may_lead_hold_it() -> None:
     references = plan()
     before = references.at(21.0)
-    assert commanded(references, CHANGE) == accepted(Code.REFERENCE_ACCEPTED, "reference 1 begins in 1.0 s")
+    assert commanded(references, CHANGE) == accept(Code.REFERENCE_ACCEPTED, "reference 1 begins in 1.0 s")
     assert references.held == HeldReference(0, 1)
     references.update(1.0, 20.9, SLOTS, [other(0, 1)], ())
     assert references.held == HeldReference(0, 1)
@@ -234,7 +234,7 @@ def test_a_reference_that_is_about_to_begin_is_not_replaced() -> None:
     commanded(references, CHANGE)
     late = replace(CHANGE, number=2, begins_s=23.0)
     answer = references.change(late, 20.6, SLOTS, (), ZERO3, in_formation=True)
-    assert answer == refused(Code.CHANGE_IN_PROGRESS, "reference: 1 is about to begin")
+    assert answer == refuse(Code.CHANGE_IN_PROGRESS, "reference: 1 is about to begin")
     assert references.change(late, 20.4, SLOTS, (), ZERO3, in_formation=True).accepted
 
 

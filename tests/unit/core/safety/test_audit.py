@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from companion.core.safety.audit import Facts, Finding, PositionCheck, Verdict, audit, worst
+from companion.core.safety.audit import AuditFinding, Facts, PositionCheck, Verdict, audit, worst
 from companion.mavlink.autopilot_types import PROFILES
 from companion.types.autopilot import AutopilotKind
 
@@ -80,7 +80,7 @@ CASES: list[tuple[AutopilotKind, str, float | None, Verdict, float | None]] = [
 ]
 
 
-def finding(facts: Facts) -> Finding:
+def finding(facts: Facts) -> AuditFinding:
     (only,) = audit(facts)
     return only
 
