@@ -10,7 +10,7 @@ from msgspec import Meta
 from msgspec.structs import replace
 
 from companion.config.validation import Problem
-from companion.config.values import Name, NetworkAddress, ObstacleSection, PointM, PositionM, Section, VehicleId
+from companion.config.values import Name, NetworkAddress, ObstacleSection, PointM, PositionM, Section, VehicleId, about
 from companion.geometry.airspace import Airspace, Fence
 from companion.types.flight import Role
 from companion.types.values import Vector3
@@ -23,15 +23,15 @@ PAPER_LAWS: tuple[LawName, ...] = ("weighted", "average_22", "average_26")
 class LawGains(Section, frozen=True):
     """Gains K = [k1, k2] of eq. 14. Without a value the law's own gain applies."""
 
-    position_1_s2: Annotated[Gain, Meta(description="k1, on the position error")] | None = None
-    velocity_1_s: Annotated[Gain, Meta(description="k2, on the velocity error")] | None = None
+    position_1_s2: Annotated[Gain | None, about("k1, on the position error")] = None
+    velocity_1_s: Annotated[Gain | None, about("k2, on the velocity error")] = None
 
 
 class AltitudeHoldGains(Section, frozen=True):
     """Gains of the altitude controller of a vehicle that holds its own altitude."""
 
-    position_1_s2: Annotated[Gain, Meta(description="on the altitude error")] = 2.0
-    velocity_1_s: Annotated[Gain, Meta(description="on the climb rate")] = 2.4
+    position_1_s2: Annotated[Gain, about("on the altitude error")] = 2.0
+    velocity_1_s: Annotated[Gain, about("on the climb rate")] = 2.4
 
 
 class Law(Section, frozen=True):
@@ -39,45 +39,38 @@ class Law(Section, frozen=True):
 
     name: Annotated[
         LawName,
-        Meta(
-            description="`cooperative` is the law to fly; `weighted` is the paper's; `average_22` and `average_26` are those"
+        about(
+            "`cooperative` is the law to fly; `weighted` is the paper's; `average_22` and `average_26` are those"
             " that the paper compares it with"
         ),
     ] = "cooperative"
     gains: LawGains = LawGains()
     exponent: (
-        Annotated[
-            float, Meta(ge=0, le=16, description="alpha of the weights rho^p / p^alpha; 1 in the paper's Algorithm 2")
-        ]
+        Annotated[float, about("alpha of the weights rho^p / p^alpha; 1 in the paper's Algorithm 2", ge=0, le=16)]
         | None
     ) = None
     weight_ratio: (
-        Annotated[float, Meta(ge=0.001, le=1, description="rho of the weights rho^p / p^alpha; 1 in the paper")] | None
+        Annotated[float, about("rho of the weights rho^p / p^alpha; 1 in the paper", ge=0.001, le=1)] | None
     ) = None
     feedforward: (
-        Annotated[float, Meta(ge=0, le=0.99, description="share of the neighbours' acceleration that is fed forward")]
-        | None
+        Annotated[float, about("share of the neighbours' acceleration that is fed forward", ge=0, le=0.99)] | None
     ) = None
-    leader_uses_neighbours: (
-        Annotated[bool, Meta(description="`false`: a leader tracks its reference without its neighbours")] | None
-    ) = None
+    leader_uses_neighbours: Annotated[
+        bool | None, about("`false`: a leader tracks its reference without its neighbours")
+    ] = None
     altitude: Annotated[
         Literal["formation", "hold"],
-        Meta(
-            description="`formation`: the law controls z too; `hold`: each vehicle holds the altitude it entered with"
-        ),
+        about("`formation`: the law controls z too; `hold`: each vehicle holds the altitude it entered with"),
     ] = "formation"
     altitude_hold_gains: AltitudeHoldGains = AltitudeHoldGains()
     disturbance_bandwidth_1_s: Annotated[
         float,
-        Meta(ge=0, le=5, description="bandwidth of the observer for wind and hover thrust error; 0 switches it off"),
+        about("bandwidth of the observer for wind and hover thrust error; 0 switches it off", ge=0, le=5),
     ] = 4.0
     velocity_correction_1_s: Annotated[
         float,
-        Meta(
-            ge=0,
-            le=10,
-            description="bandwidth of the filter that makes the velocity agree with the position; 0 switches it off",
+        about(
+            "bandwidth of the filter that makes the velocity agree with the position; 0 switches it off", ge=0, le=10
         ),
     ] = 2.0
 
@@ -110,9 +103,9 @@ def law_problems(law: Law, where: str) -> Iterator[Problem]:
 class GeodeticOrigin(Section, frozen=True):
     """The zero of the fleet frame (ENU), as WGS84 latitude and longitude."""
 
-    latitude_deg: Annotated[float, Meta(ge=-85, le=85, description="WGS84 latitude")]
-    longitude_deg: Annotated[float, Meta(ge=-180, le=180, description="WGS84 longitude")]
-    altitude_amsl_m: Annotated[float, Meta(ge=-500, le=9000, description="altitude above mean sea level")]
+    latitude_deg: Annotated[float, about("WGS84 latitude", ge=-85, le=85)]
+    longitude_deg: Annotated[float, about("WGS84 longitude", ge=-180, le=180)]
+    altitude_amsl_m: Annotated[float, about("altitude above mean sea level", ge=-500, le=9000)]
 
     def as_tuple(self) -> Vector3:
         """Latitude [deg], longitude [deg], altitude [m]."""
@@ -123,20 +116,15 @@ class FormationMember(Section, frozen=True):
     """A vehicle of the fleet with its slot."""
 
     id: VehicleId
-    role: Annotated[Role, Meta(description="role at the start; at least one vehicle is `leader`")]
-    slot_enu_m: Annotated[PositionM, Meta(description="d_i0 of eq. 12, the offset of the slot from the RFT")]
+    role: Annotated[Role, about("role at the start; at least one vehicle is `leader`")]
+    slot_enu_m: Annotated[PositionM, about("d_i0 of eq. 12, the offset of the slot from the RFT")]
     may_lead: Annotated[
-        bool, Meta(description="`true`: a follower that can be made leader; its vehicle file then holds the reference")
+        bool, about("`true`: a follower that can be made leader; its vehicle file then holds the reference")
     ] = False
-    address: (
-        Annotated[
-            NetworkAddress,
-            Meta(
-                description="where the agent of the vehicle listens in the network of the fleet, like `192.168.1.11:7447`"
-            ),
-        ]
-        | None
-    ) = None
+    address: Annotated[
+        NetworkAddress | None,
+        about("where the agent of the vehicle listens in the network of the fleet, like `192.168.1.11:7447`"),
+    ] = None
 
     @property
     def can_lead(self) -> bool:
@@ -147,10 +135,10 @@ class FormationMember(Section, frozen=True):
 class RangeNeighbours(Section, frozen=True, tag_field="kind", tag="range"):
     """Neighbours by distance."""
 
-    range_m: Annotated[float, Meta(gt=0, le=10_000, description="a vehicle within this distance becomes a neighbour")]
+    range_m: Annotated[float, about("a vehicle within this distance becomes a neighbour", gt=0, le=10_000)]
     hysteresis_m: Annotated[
         float,
-        Meta(ge=0, le=1_000, description="a neighbour stays one until it is this much farther away than the range"),
+        about("a neighbour stays one until it is this much farther away than the range", ge=0, le=1_000),
     ] = 0.0
 
 
@@ -159,28 +147,28 @@ class EdgeNeighbours(Section, frozen=True, tag_field="kind", tag="edges"):
 
     edges: Annotated[
         tuple[tuple[VehicleId, VehicleId], ...],
-        Meta(description="pairs of vehicle ids that are neighbours of each other, like `[[1, 2], [2, 3]]`"),
+        about("pairs of vehicle ids that are neighbours of each other, like `[[1, 2], [2, 3]]`"),
     ]
 
 
 class PeerLimits(Section, frozen=True):
     """Limits that received peer states must meet."""
 
-    max_age_s: Annotated[float, Meta(gt=0.02, le=5, description="an older peer state is not used")] = 0.3
+    max_age_s: Annotated[float, about("an older peer state is not used", gt=0.02, le=5)] = 0.3
     leader_beacon_max_age_s: Annotated[
-        float, Meta(gt=0.02, le=10, description="without a newer leader beacon for this time the leader is lost")
+        float, about("without a newer leader beacon for this time the leader is lost", gt=0.02, le=10)
     ] = 0.25  # two hops on it is missed within 0.3 s
     full_rate_up_to: Annotated[
         int,
-        Meta(
+        about(
+            "in a fleet of up to so many vehicles each receives all others at 50 Hz; in a larger one, those far"
+            " away in formation at 5 Hz",
             ge=1,
             le=250,
-            description="in a fleet of up to so many vehicles each receives all others at 50 Hz; in a larger one, those far"
-            " away in formation at 5 Hz",
         ),
     ] = 8
     max_speed_m_s: Annotated[
-        float, Meta(gt=0, le=100, description="a peer state with a larger speed is rejected; also limits references")
+        float, about("a peer state with a larger speed is rejected; also limits references", gt=0, le=100)
     ] = 25.0
 
 
@@ -188,43 +176,43 @@ class Envelope(Section, frozen=True):
     """Limits of speed, limits on every setpoint, and the fence: a box in the fleet frame, less what is outside a polygon."""
 
     max_speed_m_s: Annotated[
-        float, Meta(ge=0.5, le=50, description="largest horizontal speed of a vehicle; also limits references")
+        float, about("largest horizontal speed of a vehicle; also limits references", ge=0.5, le=50)
     ] = 12.0  # MPC_XY_VEL_MAX
-    max_climb_m_s: Annotated[float, Meta(ge=0.5, le=20, description="largest climb rate")] = 3.0  # MPC_Z_VEL_MAX_UP
-    max_descent_m_s: Annotated[float, Meta(ge=0.5, le=20, description="largest descent rate")] = 2.0
-    max_tilt_deg: Annotated[float, Meta(gt=0, le=45, description="largest commanded tilt")] = 25.0
-    max_tilt_rate_deg_s: Annotated[
-        float, Meta(gt=0, le=1000, description="largest change of the commanded tilt per second")
-    ] = 120.0  # 2.4 degrees from one setpoint to the next
-    min_thrust_ratio: Annotated[float, Meta(gt=0, lt=1, description="smallest thrust, as a share of hover thrust")] = (
-        0.3
+    max_climb_m_s: Annotated[float, about("largest climb rate", ge=0.5, le=20)] = 3.0  # MPC_Z_VEL_MAX_UP
+    max_descent_m_s: Annotated[float, about("largest descent rate", ge=0.5, le=20)] = 2.0
+    max_tilt_deg: Annotated[float, about("largest commanded tilt", gt=0, le=45)] = 25.0
+    max_tilt_rate_deg_s: Annotated[float, about("largest change of the commanded tilt per second", gt=0, le=1000)] = (
+        120.0  # 2.4 degrees from one setpoint to the next
     )
-    max_thrust_ratio: Annotated[
-        float, Meta(gt=1, le=4, description="largest thrust, as a multiple of hover thrust")
-    ] = 1.6
+    min_thrust_ratio: Annotated[float, about("smallest thrust, as a share of hover thrust", gt=0, lt=1)] = 0.3
+    max_thrust_ratio: Annotated[float, about("largest thrust, as a multiple of hover thrust", gt=1, le=4)] = 1.6
     max_thrust_rate_1_s: Annotated[
-        float, Meta(gt=0, le=100, description="largest change of the thrust, in hover thrusts per second")
+        float, about("largest change of the thrust, in hover thrusts per second", gt=0, le=100)
     ] = 10.0
-    fence_min_enu_m: Annotated[PositionM, Meta(description="lowest x, y, z of the fence; z is its floor")] = (
+    fence_min_enu_m: Annotated[PositionM, about("lowest x, y, z of the fence; z is its floor")] = (
         -100.0,
         -100.0,
         -5.0,
     )
-    fence_max_enu_m: Annotated[PositionM, Meta(description="highest x, y, z of the fence; z is its ceiling")] = (
+    fence_max_enu_m: Annotated[PositionM, about("highest x, y, z of the fence; z is its ceiling")] = (
         100.0,
         100.0,
         50.0,
     )
     fence_corners_enu_m: Annotated[
         tuple[PointM, ...],
-        Meta(
+        about(
+            "corners x, y of a polygon, in order: the part of the box inside it is the fence; may be concave",
             max_length=100,
-            description="corners x, y of a polygon, in order: the part of the box inside it is the fence; may be concave",
         ),
     ] = ()
     clearance_m: Annotated[
-        float, Meta(ge=0, le=100, description="distance that vehicles keep from the fence and from obstacles")
+        float, about("distance that vehicles keep from the fence and from obstacles", ge=0, le=100)
     ] = 0.5
+
+
+Hour = Annotated[float, Meta(gt=0, le=3600)]  # a time in seconds
+Charge = Annotated[float, Meta(gt=0, le=90)]
 
 
 class FleetSettings(Section, frozen=True, kw_only=True):
@@ -232,128 +220,87 @@ class FleetSettings(Section, frozen=True, kw_only=True):
 
     altitude_source: Annotated[
         Literal["origin", "takeoff"],
-        Meta(
-            description="zero of z: `origin`, the altitude of the origin; `takeoff`, the altitude where each vehicle was"
+        about(
+            "zero of z: `origin`, the altitude of the origin; `takeoff`, the altitude where each vehicle was"
             " armed, for fleets that start from level ground"
         ),
     ] = "origin"
     ground_spread_m: Annotated[
         float,
-        Meta(gt=0, le=1000, description="largest difference in altitude on the ground with which vehicles take off"),
+        about("largest difference in altitude on the ground with which vehicles take off", gt=0, le=1000),
     ] = 1.0
     law: Law = Law()
     separation_m: Annotated[
         float,
-        Meta(
+        about(
+            "smallest distance between vehicles at take-off and between slots, also during a formation change",
             gt=0,
             le=1000,
-            description="smallest distance between vehicles at take-off and between slots, also during a formation change",
         ),
     ] = 1.0
     slot_speed_m_s: Annotated[
-        float, Meta(gt=0, le=50, description="largest speed of a slot in a formation change and in a turn")
+        float, about("largest speed of a slot in a formation change and in a turn", gt=0, le=50)
     ] = 1.0
     hand_over_speed_m_s: Annotated[
         float,
-        Meta(gt=0, le=50, description="largest speed added while the fleet changes from one reference to another"),
+        about("largest speed added while the fleet changes from one reference to another", gt=0, le=50),
     ] = 2.0
     hand_over_acceleration_m_s2: Annotated[
-        float, Meta(gt=0, le=20, description="largest acceleration added while the fleet changes to another reference")
+        float, about("largest acceleration added while the fleet changes to another reference", gt=0, le=20)
     ] = 1.0
     formation_heading: Annotated[
         Literal["fixed", "course"],
-        Meta(description="x axis of the slots: `fixed`, always east; `course`, the direction in which the RFT moves"),
+        about("x axis of the slots: `fixed`, always east; `course`, the direction in which the RFT moves"),
     ] = "fixed"
-    takeoff_height_m: Annotated[float, Meta(ge=0.5, le=120, description="height of the take-off above the ground")] = (
-        2.5
-    )
+    takeoff_height_m: Annotated[float, about("height of the take-off above the ground", ge=0.5, le=120)] = 2.5
     successors: Annotated[
         tuple[VehicleId, ...],
-        Meta(
-            description="vehicles that may lead; the first of them in formation becomes leader when the leader is lost"
-        ),
+        about("vehicles that may lead; the first of them in formation becomes leader when the leader is lost"),
     ] = ()
-    land_after_s: (
-        Annotated[
-            float,
-            Meta(
-                gt=0,
-                le=3600,
-                description="time in hold without a leader after which a vehicle lands; without a value it holds",
-            ),
-        ]
-        | None
-    ) = None
+    land_after_s: Annotated[
+        Hour | None,
+        about("time in hold without a leader after which a vehicle lands; without a value it holds"),
+    ] = None
     when_one_leaves: Annotated[
         Literal["keep_gap", "close_up"],
-        Meta(
-            description="`keep_gap`: the slot of a vehicle that left stays free; `close_up`: the others fill it, which needs"
+        about(
+            "`keep_gap`: the slot of a vehicle that left stays free; `close_up`: the others fill it, which needs"
             " edges that stay connected without any one vehicle"
         ),
     ] = "keep_gap"
-    leave_below_percent: (
-        Annotated[
-            float,
-            Meta(
-                gt=0,
-                le=90,
-                description="a vehicle whose battery stays below this charge leaves the formation and lands",
-            ),
-        ]
-        | None
-    ) = None
+    leave_below_percent: Annotated[
+        Charge | None, about("a vehicle whose battery stays below this charge leaves the formation and lands")
+    ] = None
     low_battery_action: Annotated[
         Literal["hold", "return", "land"],
-        Meta(description="what follows `leave_below_percent`; `return` becomes `land` where the way home is not free"),
+        about("what follows `leave_below_percent`; `return` becomes `land` where the way home is not free"),
     ] = "land"
-    land_below_percent: (
-        Annotated[
-            float,
-            Meta(
-                gt=0,
-                le=90,
-                description="a vehicle whose battery stays below this charge lands, also from a commanded hold",
-            ),
-        ]
-        | None
-    ) = None
+    land_below_percent: Annotated[
+        Charge | None, about("a vehicle whose battery stays below this charge lands, also from a commanded hold")
+    ] = None
     leader_holds_after_s: Annotated[
         float,
-        Meta(
-            gt=0,
-            le=3600,
-            description="time after which a leader in formation that receives no other vehicle goes into hold",
-        ),
+        about("time after which a leader in formation that receives no other vehicle goes into hold", gt=0, le=3600),
     ] = 5.0
     transport: Annotated[
         Literal["tcp", "quic"],
-        Meta(
-            description="protocol between the addresses; with identities `tcp` is TLS over TCP; `quic` needs identities"
-        ),
+        about("protocol between the addresses; with identities `tcp` is TLS over TCP; `quic` needs identities"),
     ] = "tcp"
-    multicast: (
-        Annotated[
-            NetworkAddress,
-            Meta(
-                description="group and port, like `239.255.77.1:7446`: states of the vehicles as UDP multicast, for radio links"
-                " that lose packets; with identities each datagram is authenticated"
-            ),
-        ]
-        | None
-    ) = None
-    security: (
-        Annotated[
-            Literal["none"],
-            Meta(
-                description="`none`: agents without an identity may use a network; all who reach it can command the fleet"
-            ),
-        ]
-        | None
-    ) = None
+    multicast: Annotated[
+        NetworkAddress | None,
+        about(
+            "group and port, like `239.255.77.1:7446`: states of the vehicles as UDP multicast, for radio links"
+            " that lose packets; with identities each datagram is authenticated"
+        ),
+    ] = None
+    security: Annotated[
+        Literal["none"] | None,
+        about("`none`: agents without an identity may use a network; all who reach it can command the fleet"),
+    ] = None
     peers: PeerLimits = PeerLimits()
     envelope: Envelope = Envelope()
     obstacles: Annotated[
-        tuple[ObstacleSection, ...], Meta(max_length=100, description="static obstacles, which all vehicles avoid")
+        tuple[ObstacleSection, ...], about("static obstacles, which all vehicles avoid", max_length=100)
     ] = ()
 
     @property
@@ -372,15 +319,13 @@ class FleetSettings(Section, frozen=True, kw_only=True):
 class FleetConfig(FleetSettings, frozen=True, kw_only=True):
     """Settings that all vehicles of a fleet share. Every vehicle needs the same file."""
 
-    name: Annotated[Name, Meta(description="name of the fleet on the network (a part of its Zenoh keys)")]
+    name: Annotated[Name, about("name of the fleet on the network (a part of its Zenoh keys)")]
     origin: Annotated[
         GeodeticOrigin | Literal["indoor"],
-        Meta(
-            description="zero of the fleet frame; `indoor` where one motion-capture system gives all vehicles one frame"
-        ),
+        about("zero of the fleet frame; `indoor` where one motion-capture system gives all vehicles one frame"),
     ]
-    vehicles: Annotated[tuple[FormationMember, ...], Meta(description="the vehicles with their roles and slots")]
-    neighbours: Annotated[EdgeNeighbours | RangeNeighbours, Meta(description="the neighbours of each vehicle")]
+    vehicles: Annotated[tuple[FormationMember, ...], about("the vehicles with their roles and slots")]
+    neighbours: Annotated[EdgeNeighbours | RangeNeighbours, about("the neighbours of each vehicle")]
 
     @property
     def has_distant_peers(self) -> bool:

@@ -10,13 +10,12 @@ from math import dist, hypot, inf
 from pathlib import Path
 from typing import Annotated
 
-from msgspec import Meta
 from msgspec.structs import replace
 
 from companion.config.file import convert, read_as, refuse
 from companion.config.fleet import EdgeNeighbours, FleetConfig, law_problems
 from companion.config.validation import INVALID, Problem, each, unless_invalid
-from companion.config.values import BoxObstacle, CylinderObstacle, PositionM, Section, VehicleId
+from companion.config.values import BoxObstacle, CylinderObstacle, PositionM, Section, VehicleId, about
 from companion.geometry.airspace import area_m2, crossing_sides
 from companion.geometry.formations import ROUNDING_M, counted
 from companion.types.flight import Role
@@ -243,7 +242,7 @@ def _listed(ids: list[int]) -> str:
 class SlotsSection(Section, frozen=True):
     """The slot of every vehicle of the fleet."""
 
-    slots_enu_m: Annotated[dict[VehicleId, PositionM], Meta(description="d_i0 of eq. 12 by vehicle id")]
+    slots_enu_m: Annotated[dict[VehicleId, PositionM], about("d_i0 of eq. 12 by vehicle id")]
 
 
 def load_slots(path: Path, fleet: FleetConfig) -> dict[int, Vector3]:

@@ -19,7 +19,7 @@ from companion.config.fleet import (
 )
 from companion.config.fleet_check import checkable, fleet_problems, start_problems
 from companion.config.validation import INVALID, Problem, each, unless_invalid
-from companion.config.values import Name, PositionM, Section, VehicleId
+from companion.config.values import Name, PositionM, Section, VehicleId, about
 from companion.geometry.formations import SHAPES, slots_of
 from companion.types.flight import Role
 from companion.types.values import Vector3
@@ -32,15 +32,15 @@ START_CLEARANCE = 1.2
 """Smallest distance of default starts in the plane, in units of `separation_m`."""
 
 ShapeName = Literal["line", "column", "v", "diamond", "rectangle", "circle", "grid", "layers"]
-HeadingDeg = Annotated[float, Meta(ge=-360, le=360, description="heading of the formation: 0 is east, 90 is north")]
-SpacingM = Annotated[float, Meta(gt=0, le=1000, description="smallest distance between slots")]
+HeadingDeg = Annotated[float, about("heading of the formation: 0 is east, 90 is north", ge=-360, le=360)]
+SpacingM = Annotated[float, about("smallest distance between slots", gt=0, le=1000)]
 VehicleCount = Annotated[int, Meta(ge=1, le=250)]
 
 
 class NamedFormation(Section, frozen=True, kw_only=True):
     """Slots by the name of a shape."""
 
-    shape: Annotated[ShapeName, Meta(description="name of the shape")]
+    shape: Annotated[ShapeName, about("name of the shape")]
     spacing_m: SpacingM
     heading_deg: HeadingDeg = 0.0
 
@@ -48,48 +48,37 @@ class NamedFormation(Section, frozen=True, kw_only=True):
 class ScenarioFleet(FleetSettings, frozen=True, kw_only=True):
     """The fleet of a scenario: a fleet file's settings, where name, origin, slots and neighbours have defaults."""
 
-    name: Annotated[Name, Meta(description="name of the fleet on the network")] = "simulation"
+    name: Annotated[Name, about("name of the fleet on the network")] = "simulation"
     origin: Annotated[
         GeodeticOrigin | Literal["indoor"],
-        Meta(description="zero of the fleet frame; the default is 47.397742 N, 8.545594 E, 488 m"),
+        about("zero of the fleet frame; the default is 47.397742 N, 8.545594 E, 488 m"),
     ] = DEFAULT_ORIGIN
     vehicles: Annotated[
         tuple[FormationMember, ...] | VehicleCount,
-        Meta(description="the vehicles with their roles and slots, or only their number, with `formation`"),
+        about("the vehicles with their roles and slots, or only their number, with `formation`"),
     ]
-    formation: (
-        Annotated[
-            NamedFormation,
-            Meta(description="the slots, if `vehicles` is a number; the ids begin at 1, and vehicle 1 is the leader"),
-        ]
-        | None
-    ) = None
-    neighbours: (
-        Annotated[
-            EdgeNeighbours | RangeNeighbours,
-            Meta(
-                description="the neighbours of each vehicle; the default is by range: 1.5 times the shortest range that"
-                " connects all slots, with 0.25 times that range as hysteresis"
-            ),
-        ]
-        | None
-    ) = None
+    formation: Annotated[
+        NamedFormation | None,
+        about("the slots, if `vehicles` is a number; the ids begin at 1, and vehicle 1 is the leader"),
+    ] = None
+    neighbours: Annotated[
+        EdgeNeighbours | RangeNeighbours | None,
+        about(
+            "the neighbours of each vehicle; the default is by range: 1.5 times the shortest range that"
+            " connects all slots, with 0.25 times that range as hysteresis"
+        ),
+    ] = None
 
 
 class PlannedFlight(Section, frozen=True, kw_only=True):
     """The fleet of a scenario before the flight."""
 
-    description: Annotated[str, Meta(description="one sentence about the flight")] = ""
+    description: Annotated[str, about("one sentence about the flight")] = ""
     fleet: ScenarioFleet
-    starts_enu_m: (
-        Annotated[
-            dict[VehicleId, PositionM],
-            Meta(
-                description="start of each vehicle by id; the default is the ground below its slot at the reference's start"
-            ),
-        ]
-        | None
-    ) = None
+    starts_enu_m: Annotated[
+        dict[VehicleId, PositionM] | None,
+        about("start of each vehicle by id; the default is the ground below its slot at the reference's start"),
+    ] = None
 
 
 def fleet_of(planned: ScenarioFleet) -> FleetConfig:

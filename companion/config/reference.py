@@ -8,21 +8,21 @@ from typing import Annotated
 from msgspec import Meta
 
 from companion.config.file import convert, read_as
-from companion.config.values import Name, PositionM, Section
+from companion.config.values import Name, PositionM, Section, about
 from companion.geometry.curves import Curve, centred_at, circle, figure_8, waypoint_path
 from companion.types.values import ZERO3, Vector3
 
-Period = Annotated[float, Meta(ge=1, le=3600, description="time of a lap at full pace")]
-Ramp = Annotated[float, Meta(ge=0.1, le=60, description="time from rest to full pace")]
-Speed = Annotated[float, Meta(ge=0.01, le=100, description="largest speed")]
-Acceleration = Annotated[float, Meta(ge=0.01, le=50, description="largest acceleration")]
+Period = Annotated[float, about("time of a lap at full pace", ge=1, le=3600)]
+Ramp = Annotated[float, about("time from rest to full pace", ge=0.1, le=60)]
+Speed = Annotated[float, about("largest speed", ge=0.01, le=100)]
+Acceleration = Annotated[float, about("largest acceleration", ge=0.01, le=50)]
 Size = Annotated[float, Meta(ge=0.01, le=1000)]
 
 
 class PointReference(Section, frozen=True, tag_field="kind", tag="point"):
     """A fixed point: r = point, r' = 0."""
 
-    point_enu_m: Annotated[PositionM, Meta(description="the point")]
+    point_enu_m: Annotated[PositionM, about("the point")]
 
     @property
     def start_enu_m(self) -> Vector3:
@@ -39,9 +39,9 @@ class PointReference(Section, frozen=True, tag_field="kind", tag="point"):
 class Figure8Reference(Section, frozen=True, tag_field="kind", tag="figure_8"):
     """A level figure 8 along x, from rest at its centre."""
 
-    centre_enu_m: Annotated[PositionM, Meta(description="centre of the 8, where it starts")]
-    width_m: Annotated[Size, Meta(description="size of the whole 8 along x")]
-    height_m: Annotated[Size, Meta(description="size of the whole 8 along y")]
+    centre_enu_m: Annotated[PositionM, about("centre of the 8, where it starts")]
+    width_m: Annotated[Size, about("size of the whole 8 along x")]
+    height_m: Annotated[Size, about("size of the whole 8 along y")]
     period_s: Period
     ramp_s: Ramp = 5.0
 
@@ -61,11 +61,11 @@ class Figure8Reference(Section, frozen=True, tag_field="kind", tag="figure_8"):
 class CircleReference(Section, frozen=True, tag_field="kind", tag="circle"):
     """A level circle, counterclockwise, from rest at its easternmost point."""
 
-    centre_enu_m: Annotated[PositionM, Meta(description="centre of the circle")]
-    radius_m: Annotated[Size, Meta(description="radius")]
+    centre_enu_m: Annotated[PositionM, about("centre of the circle")]
+    radius_m: Annotated[Size, about("radius")]
     period_s: Period
     ramp_s: Ramp = 5.0
-    clockwise: Annotated[bool, Meta(description="`true`: clockwise, seen from above")] = False
+    clockwise: Annotated[bool, about("`true`: clockwise, seen from above")] = False
 
     @property
     def start_enu_m(self) -> Vector3:
@@ -84,10 +84,8 @@ class CircleReference(Section, frozen=True, tag_field="kind", tag="circle"):
 class WaypointsReference(Section, frozen=True, tag_field="kind", tag="waypoints"):
     """Straight lines from point to point, with a stop at each. It starts at the first point and ends at the last."""
 
-    points_enu_m: Annotated[
-        tuple[PositionM, ...], Meta(min_length=1, max_length=200, description="the points in order")
-    ]
-    wait_s: Annotated[float, Meta(ge=0, le=3600, description="time of the stop at each point")] = 0.0
+    points_enu_m: Annotated[tuple[PositionM, ...], about("the points in order", min_length=1, max_length=200)]
+    wait_s: Annotated[float, about("time of the stop at each point", ge=0, le=3600)] = 0.0
     max_speed_m_s: Speed = 2.0
     max_acceleration_m_s2: Acceleration = 1.0
 
@@ -107,16 +105,14 @@ class WaypointsReference(Section, frozen=True, tag_field="kind", tag="waypoints"
 class TargetReference(Section, frozen=True, tag_field="kind", tag="target"):
     """Follows a moving target, which publishes on formation/FLEET/target/NAME. It stays inside the fence by itself."""
 
-    start_enu_m: Annotated[PositionM, Meta(description="start, where it waits for the first message of the target")]
-    name: Annotated[Name, Meta(description="name of the target, NAME of its key")] = "main"
-    offset_enu_m: Annotated[PositionM, Meta(description="offset of the RFT from the target")] = ZERO3
-    follows_altitude: Annotated[
-        bool, Meta(description="`true`: z follows the target; `false`: z stays that of the start")
-    ] = False
+    start_enu_m: Annotated[PositionM, about("start, where it waits for the first message of the target")]
+    name: Annotated[Name, about("name of the target, NAME of its key")] = "main"
+    offset_enu_m: Annotated[PositionM, about("offset of the RFT from the target")] = ZERO3
+    follows_altitude: Annotated[bool, about("`true`: z follows the target; `false`: z stays that of the start")] = False
     max_speed_m_s: Speed = 3.0
     max_acceleration_m_s2: Acceleration = 1.0
     max_age_s: Annotated[
-        float, Meta(gt=0.05, le=10, description="without a newer message for this time the RFT comes to rest")
+        float, about("without a newer message for this time the RFT comes to rest", gt=0.05, le=10)
     ] = 1.0
 
     def corners_enu_m(self) -> tuple[Vector3, Vector3]:
@@ -142,7 +138,7 @@ FIELD_OF_POSITION: dict[type, str] = {
 class ReferenceSection(Section, frozen=True):
     """A file, command line or command with a reference and nothing else."""
 
-    reference: Annotated[Reference, Meta(description="the trajectory of the formation (RFT)")]
+    reference: Annotated[Reference, about("the trajectory of the formation (RFT)")]
 
 
 def load_reference(path: Path) -> Reference:

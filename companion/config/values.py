@@ -1,37 +1,46 @@
 """Types that sections of our files share: no unknown keys, and numbers with bounds and units.
 
 A description is written once, in the type: validation and the configuration reference (docs/generate) both use it. The unit
-is in the name of the field. `extra["format"]` describes the accepted format for error messages.
+is in the name of the field. `about` is the description of a key, `written` of a text.
 """
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 from msgspec import Meta, Struct
 
 from companion.geometry.airspace import Cuboid, Cylinder, Obstacle
 from companion.types.values import FLEET_NAME
 
+
+def written(pattern: str, words: str) -> Meta:
+    """Texts of this pattern. `words` describe it in messages."""
+    return Meta(pattern=pattern, extra={"format": words})
+
+
+def about(description: str, **bounds: Any) -> Meta:
+    """What a key means, for the configuration reference, with the bounds of its values (those of `msgspec.Meta`)."""
+    return Meta(description=description, **bounds)
+
+
 MAX_DRAG_1_S = 10.0
 FLEET_NAME_WORDS = "at most 41 lower-case letters, digits, - and _, a letter or digit first"
 
-Name = Annotated[str, Meta(pattern=FLEET_NAME, extra={"format": FLEET_NAME_WORDS})]
-VehicleId = Annotated[int, Meta(ge=1, le=250, description="MAVLink system id of the vehicle")]
+Name = Annotated[str, written(FLEET_NAME, FLEET_NAME_WORDS)]
+VehicleId = Annotated[int, about("MAVLink system id of the vehicle", ge=1, le=250)]
+Text = Annotated[str, Meta(min_length=1)]
 NetworkAddress = Annotated[
     str,
-    Meta(
-        pattern=r"^(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9._-]+):[0-9]{1,5}$",
-        extra={"format": "HOST:PORT, like 192.168.1.11:7447"},
-    ),
+    written(r"^(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9._-]+):[0-9]{1,5}$", "HOST:PORT, like 192.168.1.11:7447"),
 ]
 Seconds = Annotated[float, Meta(gt=0, le=60)]
 Coordinate = Annotated[float, Meta(ge=-10_000, le=10_000)]
 PositionM = tuple[Coordinate, Coordinate, Coordinate]
-HoverThrust = Annotated[float, Meta(ge=0.1, le=0.9, description="normalized thrust in a hover, 0 to 1")]
+HoverThrust = Annotated[float, about("normalized thrust in a hover, 0 to 1", ge=0.1, le=0.9)]
 Drag = Annotated[
     float,
-    Meta(ge=0, le=MAX_DRAG_1_S, description="deceleration by drag per speed through the air (linear drag over mass)"),
+    about("deceleration by drag per speed through the air (linear drag over mass)", ge=0, le=MAX_DRAG_1_S),
 ]
 
 
@@ -46,12 +55,10 @@ PointM = tuple[Coordinate, Coordinate]
 class CylinderObstacle(Section, frozen=True, tag_field="kind", tag="cylinder"):
     """An upright cylinder: a tree, a mast, a silo."""
 
-    centre_enu_m: Annotated[PointM, Meta(description="x, y of the axis")]
-    radius_m: Annotated[float, Meta(gt=0, le=1000, description="radius")]
-    bottom_m: Annotated[Coordinate, Meta(description="z of the lower end; without a value far below the ground")] = (
-        LOWEST_M
-    )
-    top_m: Annotated[Coordinate, Meta(description="z of the upper end; without a value above all vehicles")] = HIGHEST_M
+    centre_enu_m: Annotated[PointM, about("x, y of the axis")]
+    radius_m: Annotated[float, about("radius", gt=0, le=1000)]
+    bottom_m: Annotated[Coordinate, about("z of the lower end; without a value far below the ground")] = LOWEST_M
+    top_m: Annotated[Coordinate, about("z of the upper end; without a value above all vehicles")] = HIGHEST_M
 
     @property
     def body(self) -> Obstacle:
@@ -61,8 +68,8 @@ class CylinderObstacle(Section, frozen=True, tag_field="kind", tag="cylinder"):
 class BoxObstacle(Section, frozen=True, tag_field="kind", tag="box"):
     """A box along the axes of the fleet frame: a building, a wall."""
 
-    min_enu_m: Annotated[PositionM, Meta(description="lowest x, y, z")]
-    max_enu_m: Annotated[PositionM, Meta(description="highest x, y, z")]
+    min_enu_m: Annotated[PositionM, about("lowest x, y, z")]
+    max_enu_m: Annotated[PositionM, about("highest x, y, z")]
 
     @property
     def body(self) -> Obstacle:

@@ -8,15 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from msgspec import Meta
-
 from companion.config.file import ConfigError, convert, read_as
 from companion.config.fleet import FleetConfig, FormationMember
 from companion.config.fleet_check import load_fleet
 from companion.config.reference import Reference
 from companion.config.reference_check import reference_problems
 from companion.config.validation import Problem, each
-from companion.config.values import Drag, HoverThrust, NetworkAddress, Section, VehicleId
+from companion.config.values import Drag, HoverThrust, NetworkAddress, Section, Text, VehicleId, about, written
 from companion.types.autopilot import AutopilotKind
 from companion.types.flight import Role
 
@@ -30,19 +28,17 @@ STRANGERS = (
 class ZenohEndpoints(Section, frozen=True):
     """Endpoints of the vehicle's Zenoh session, like `tcp/192.168.1.11:7447`. Multicast scouting is off."""
 
-    listen: Annotated[tuple[str, ...], Meta(description="endpoints where the agent accepts connections")] = ()
-    connect: Annotated[tuple[str, ...], Meta(description="endpoints of other vehicles, tried until they answer")] = ()
+    listen: Annotated[tuple[str, ...], about("endpoints where the agent accepts connections")] = ()
+    connect: Annotated[tuple[str, ...], about("endpoints of other vehicles, tried until they answer")] = ()
 
 
 class DatagramEndpoints(Section, frozen=True):
     """Peer states as UDP datagrams instead of over Zenoh, for radio links that lose packets; the same in all vehicles."""
 
-    listen: Annotated[
-        NetworkAddress, Meta(description="address and port where the agent receives, like `0.0.0.0:7447`")
-    ]
+    listen: Annotated[NetworkAddress, about("address and port where the agent receives, like `0.0.0.0:7447`")]
     send_to: Annotated[
         tuple[NetworkAddress, ...],
-        Meta(min_length=1, description="where the other vehicles listen; one broadcast address reaches them all"),
+        about("where the other vehicles listen; one broadcast address reaches them all", min_length=1),
     ]
 
 
@@ -111,61 +107,46 @@ def reaches_network(address: str) -> bool:
     return not LOOPBACK.fullmatch(re.split("[?#]", address)[0].rpartition(":")[0])
 
 
+CredentialName = Annotated[str, written("^[A-Za-z0-9_.-]+$", "a name of letters, digits, _, . and -")]
+
+
 class Signing(Section, frozen=True):
     """MAVLink 2 signing between agent and autopilot, which needs the same key: one of `key_file` and `credential`."""
 
-    key_file: Annotated[str, Meta(description="file of the key; the path is relative to the vehicle file")] | None = (
-        None
-    )
-    credential: (
-        Annotated[
-            str,
-            Meta(
-                pattern="^[A-Za-z0-9_.-]+$",
-                description="name of the systemd credential with the key (LoadCredential)",
-                extra={"format": "a name of letters, digits, _, . and -"},
-            ),
-        ]
-        | None
-    ) = None
-    link_id: Annotated[int, Meta(ge=0, le=255, description="link id of the signed packets")] = 0
+    key_file: Annotated[str | None, about("file of the key; the path is relative to the vehicle file")] = None
+    credential: Annotated[
+        CredentialName | None, about("name of the systemd credential with the key (LoadCredential)")
+    ] = None
+    link_id: Annotated[int, about("link id of the signed packets", ge=0, le=255)] = 0
 
 
 class RecordingSettings(Section, frozen=True):
     """What the agent records of each flight, and how much of the disk that may use."""
 
-    enabled: Annotated[bool, Meta(description="`false`: nothing is recorded")] = True
-    folder: (
-        Annotated[
-            str,
-            Meta(
-                min_length=1,
-                description="folder of the recordings, relative to the vehicle file; without it `recordings` in the state"
-                " folder of the systemd unit, and without a unit nothing is recorded",
-            ),
-        ]
-        | None
-    ) = None
+    enabled: Annotated[bool, about("`false`: nothing is recorded")] = True
+    folder: Annotated[
+        Text | None,
+        about(
+            "folder of the recordings, relative to the vehicle file; without it `recordings` in the state"
+            " folder of the systemd unit, and without a unit nothing is recorded"
+        ),
+    ] = None
     keep_mb: Annotated[
         int,
-        Meta(
-            ge=2, le=1_000_000, description="what all files in the folder may use; the oldest flights are removed first"
-        ),
+        about("what all files in the folder may use; the oldest flights are removed first", ge=2, le=1_000_000),
     ] = 2000
-    part_mb: Annotated[int, Meta(ge=1, le=100_000, description="size at which another file is begun")] = 50
+    part_mb: Annotated[int, about("size at which another file is begun", ge=1, le=100_000)] = 50
     tlog: Annotated[
-        bool, Meta(description="`true`: also a `.tlog` of the raw MAVLink in both directions, some 0.8 MB a minute")
+        bool, about("`true`: also a `.tlog` of the raw MAVLink in both directions, some 0.8 MB a minute")
     ] = False
 
 
 MAVLINK_FORMAT = "udpin:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD, like serial:/dev/ttyAMA0:921600"
 MavlinkEndpoint = Annotated[
     str,
-    Meta(
-        pattern="^(udpin|tcp|serial):.+:[0-9]+$",
-        description="MAVLink endpoint of the autopilot: `udpin:HOST:PORT` (listen), `tcp:HOST:PORT` (connect) or"
-        " `serial:DEVICE:BAUD`",
-        extra={"format": MAVLINK_FORMAT},
+    written("^(udpin|tcp|serial):.+:[0-9]+$", MAVLINK_FORMAT),
+    about(
+        "MAVLink endpoint of the autopilot: `udpin:HOST:PORT` (listen), `tcp:HOST:PORT` (connect) or `serial:DEVICE:BAUD`"
     ),
 ]
 
@@ -174,61 +155,46 @@ class VehicleConfig(Section, frozen=True):
     """Settings of one vehicle."""
 
     id: VehicleId
-    fleet: Annotated[str, Meta(description="path of the fleet file, relative to the vehicle file")]
+    fleet: Annotated[str, about("path of the fleet file, relative to the vehicle file")]
     mavlink: MavlinkEndpoint
     hover_thrust_norm: Annotated[
         HoverThrust,
-        Meta(description="initial hover thrust (PX4: MPC_THR_HOVER, ArduPilot: MOT_THST_HOVER); estimated in flight"),
+        about("initial hover thrust (PX4: MPC_THR_HOVER, ArduPilot: MOT_THST_HOVER); estimated in flight"),
     ]
     drag_1_s: Annotated[
         Drag,
-        Meta(
-            description="linear drag over mass, which damps the vehicle; a leader feeds it forward along its reference; 0.25 is"
+        about(
+            "linear drag over mass, which damps the vehicle; a leader feeds it forward along its reference; 0.25 is"
             " that of a small open quadrotor"
         ),
     ] = 0.25
-    autopilot: (
-        Annotated[AutopilotKind, Meta(description="required autopilot; without a value the one of its HEARTBEAT")]
-        | None
-    ) = None
+    autopilot: Annotated[
+        AutopilotKind | None, about("required autopilot; without a value the one of its HEARTBEAT")
+    ] = None
     accept_uncontrolled_descent: Annotated[
         bool,
-        Meta(
-            description="`true`: formation also where the vehicle sinks when the setpoints end (PX4: `COM_OBL_RC_ACT` 0 to"
+        about(
+            "`true`: formation also where the vehicle sinks when the setpoints end (PX4: `COM_OBL_RC_ACT` 0 to"
             " 2), as a pilot stands by"
         ),
     ] = False
-    identity: (
-        Annotated[
-            str,
-            Meta(
-                min_length=1,
-                description="folder of the vehicle's certificate, made by `companion provision`; the path is relative to the"
-                " vehicle file",
-            ),
-        ]
-        | None
-    ) = None
-    zenoh: (
-        Annotated[
-            ZenohEndpoints,
-            Meta(description="instead of the addresses in the fleet file, for networks with translation"),
-        ]
-        | None
-    ) = None
-    datagrams: (
-        Annotated[
-            DatagramEndpoints,
-            Meta(description="instead of `multicast` of the fleet file: one address for each vehicle"),
-        ]
-        | None
-    ) = None
+    identity: Annotated[
+        Text | None,
+        about(
+            "folder of the vehicle's certificate, made by `companion provision`; the path is relative to the"
+            " vehicle file"
+        ),
+    ] = None
+    zenoh: Annotated[
+        ZenohEndpoints | None, about("instead of the addresses in the fleet file, for networks with translation")
+    ] = None
+    datagrams: Annotated[
+        DatagramEndpoints | None, about("instead of `multicast` of the fleet file: one address for each vehicle")
+    ] = None
     reference: (
         Annotated[
             Reference,
-            Meta(
-                description="the trajectory of the formation (RFT): required for a vehicle that may lead, refused for others"
-            ),
+            about("the trajectory of the formation (RFT): required for a vehicle that may lead, refused for others"),
         ]
         | None
     ) = None
@@ -236,11 +202,8 @@ class VehicleConfig(Section, frozen=True):
     recording: RecordingSettings = RecordingSettings()
     ground_station: Annotated[
         str,
-        Meta(
-            pattern="^(udpout:.+:[0-9]{1,9})?$",
-            description="`udpout:HOST:PORT` to which the autopilot's MAVLink is forwarded",
-            extra={"format": "udpout:HOST:PORT, like udpout:192.168.1.50:14550"},
-        ),
+        written("^(udpout:.+:[0-9]{1,9})?$", "udpout:HOST:PORT, like udpout:192.168.1.50:14550"),
+        about("`udpout:HOST:PORT` to which the autopilot's MAVLink is forwarded"),
     ] = ""
 
 
