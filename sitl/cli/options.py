@@ -1,4 +1,4 @@
-"""CliCommand line options that several `sitl` commands share, and the values they accept."""
+"""Command line options that several `sitl` commands share, and the values they accept."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ import pytest
 from msgspec.structs import replace
 
 from companion.config.vehicle import ZenohEndpoints
-from companion.ground.answers import Answer
+from companion.ground.answers import TimedReply
 from companion.ground.commands import MACHINE_CLOCK
 from companion.ground.fleet_state import FleetState, VehicleState, fold, vehicles_at
 from companion.link.fleet.zenoh_link import ZenohLink
@@ -186,9 +186,9 @@ class DirectedVehicles:
 
     def ask(
         self, vehicle_ids: Iterable[int], name: CommandName, timeout_s: float, content: Content | None = None
-    ) -> dict[int, Answer | None]:
+    ) -> dict[int, TimedReply | None]:
         replies = self._replies(vehicle_ids, name, timeout_s, content)
-        return {i: Answer(reply, 0.0) if reply else None for i, reply in replies.items()}
+        return {i: TimedReply(reply, 0.0) if reply else None for i, reply in replies.items()}
 
     def _replies(
         self, ids: Iterable[int], name: CommandName, timeout_s: float, content: Content | None = None
