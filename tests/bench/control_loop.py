@@ -46,7 +46,7 @@ packet before the call that sends it returns: on the wire the agents are faster 
 
 
 @dataclass
-class Measured:
+class WindowFigures:
     """One value for each window."""
 
     figures: dict[str, list[float]] = field(default_factory=dict)
@@ -105,8 +105,8 @@ def _program(name: str, *arguments: str) -> list[str]:
     return module(f"tests.bench.programs.{name}", *arguments)
 
 
-def _measured(flown: Flown, folder: Path) -> Measured:
-    measured = Measured()
+def _measured(flown: Flown, folder: Path) -> WindowFigures:
+    measured = WindowFigures()
     loops = {"C": cycles_of(folder / "c.txt"), "asyncio": cycles_of(folder / "asyncio.txt")}
     wires = {
         "agent": commands_of(folder / f"relay_{MEASURED}.txt"),
@@ -147,7 +147,7 @@ def _woken_us(cycles: Sequence[Cycle]) -> list[float]:
     return [(cycle.woken_s - cycle.due_s) * 1e6 for cycle in cycles]
 
 
-def _lateness(measured: Measured, c_loop: Path | None, failure: str) -> Section:
+def _lateness(measured: WindowFigures, c_loop: Path | None, failure: str) -> Section:
     remark = failure or ("" if c_loop else "gcc could not build the C loop")
     rows = [
         Row(
@@ -176,7 +176,7 @@ def _lateness(measured: Measured, c_loop: Path | None, failure: str) -> Section:
     return Section(title="Tick lateness at 50 Hz", how=LATE_HOW, rows=tuple(rows))
 
 
-def _command(measured: Measured, c_loop: Path | None, failure: str) -> Section:
+def _command(measured: WindowFigures, c_loop: Path | None, failure: str) -> Section:
     no_mavsdk = "" if measured.of("mavsdk wire p50") else "mavsdk sent no commands here"
     rows = [
         Row(

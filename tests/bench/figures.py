@@ -120,7 +120,7 @@ class Window(NamedTuple):
         return self.end_s - self.begin_s
 
 
-class Use(NamedTuple):
+class AgentsUse(NamedTuple):
     """CPU time of each agent up to now, and its resident memory, by vehicle id."""
 
     at_s: float
@@ -128,7 +128,7 @@ class Use(NamedTuple):
     memory_mb: Mapping[int, float]
 
 
-def windows_of(uses: list[Use]) -> list[Window]:
+def windows_of(uses: list[AgentsUse]) -> list[Window]:
     """From each sample to the next."""
     return [Window(a.at_s, b.at_s) for a, b in pairwise(uses)]
 
@@ -138,7 +138,7 @@ def within(window: Window, timed: Iterable[tuple[float, float]]) -> list[float]:
     return [value for at_s, value in timed if window.begin_s <= at_s < window.end_s]
 
 
-def cpu_percent(before: Use, after: Use) -> float:
+def cpu_percent(before: AgentsUse, after: AgentsUse) -> float:
     """Mean of the agents, of one core."""
     used_s = sum(after.cpu_s[i] - before.cpu_s[i] for i in before.cpu_s)
     return 100.0 * used_s / len(before.cpu_s) / (after.at_s - before.at_s)

@@ -18,7 +18,7 @@ from typing import NamedTuple
 from tests.bench.machine import Meanwhile
 from tests.bench.page import write_between_marks
 from tests.bench.processes import Program, cpu_s, module, use_of, wait_for
-from tests.bench.programs.large_fleet import Result
+from tests.bench.programs.large_fleet import LinkResult
 
 NUMBERS = (8, 16, 32, 64)
 AT_FULL_RATE = 8
@@ -41,7 +41,7 @@ class Case(NamedTuple):
     routed: bool
 
 
-class Sample(NamedTuple):
+class LinkCounters(NamedTuple):
     """Counters up to now."""
 
     at_s: float
@@ -51,7 +51,7 @@ class Sample(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class CaseFigures:
     """A case with its figures: the medians of its windows, and what the agent measured itself."""
 
     case: Case
@@ -60,7 +60,7 @@ class Row:
     cpu: float
     router_cpu: float
     memory_mb: float
-    result: Result
+    result: LinkResult
 
     def line(self) -> str:
         """Of the table."""
@@ -92,13 +92,13 @@ def cases(numbers: Sequence[int]) -> list[Case]:
     ]
 
 
-def measure_all(numbers: Sequence[int], first_port: int) -> Iterator[Row]:
+def measure_all(numbers: Sequence[int], first_port: int) -> Iterator[CaseFigures]:
     """A row for each case, as soon as it is measured. Raises RuntimeError where the vehicles do not hear each other."""
     for place, case in enumerate(cases(numbers)):
         yield measure(case, first_port + place)
 
 
-def measure(case: Case, port: int) -> Row:
+def measure(case: Case, port: int) -> CaseFigures:
     """Raises RuntimeError where the agent does not hear all others."""
     endpoint, numbers = f"tcp/127.0.0.1:{port}", (str(case.number), str(case.full))
     with ExitStack() as stack:
@@ -117,11 +117,11 @@ def measure(case: Case, port: int) -> Row:
             samples.append(_sample(agent, router))
         memory_mb = use_of(agent.pid).memory_mb
         agent.end_input()
-        result = agent.result(Result)
+        result = agent.result(LinkResult)
     return row(case, samples, memory_mb, result)
 
 
-def row(case: Case, samples: Sequence[Sample], memory_mb: float, result: Result) -> Row:
+def row(case: Case, samples: Sequence[LinkCounters], memory_mb: float, result: LinkResult) -> CaseFigures:
     """The medians of the windows between these samples."""
     lasted_s = [b.at_s - a.at_s for a, b in pairwise(samples)]
 
@@ -129,7 +129,7 @@ def row(case: Case, samples: Sequence[Sample], memory_mb: float, result: Result)
         grown = [after - before for before, after in pairwise(counters)]
         return median(growth / seconds for growth, seconds in zip(grown, lasted_s, strict=True))
 
-    return Row(
+    return CaseFigures(
         case=case,
         received_kb_s=rate([sample.traffic.received_bytes for sample in samples]) / 1e3,
         sent_kb_s=rate([sample.traffic.sent_bytes for sample in samples]) / 1e3,
@@ -140,14 +140,14 @@ def row(case: Case, samples: Sequence[Sample], memory_mb: float, result: Result)
     )
 
 
-def table(rows: Sequence[Row]) -> str:
+def table(rows: Sequence[CaseFigures]) -> str:
     """In Markdown."""
     return "\n".join([HEAD, *(one.line() for one in rows)])
 
 
-def _sample(agent: Program, router: Program | None) -> Sample:
+def _sample(agent: Program, router: Program | None) -> LinkCounters:
     at_s = time.monotonic()
-    return Sample(at_s, traffic_of(agent.pid), cpu_s(agent.pid), cpu_s(router.pid) if router else 0.0)
+    return LinkCounters(at_s, traffic_of(agent.pid), cpu_s(agent.pid), cpu_s(router.pid) if router else 0.0)
 
 
 def _program(stack: ExitStack, role: str, *arguments: str) -> Program:

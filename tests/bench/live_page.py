@@ -33,7 +33,7 @@ URL = re.compile(r"http://\S+")
 
 
 @dataclass(frozen=True, slots=True)
-class Measured:
+class PageFigures:
     """Times from the arrival of a snapshot to the painted frame, ms; the server's share of a core."""
 
     p50_ms: float
@@ -60,7 +60,7 @@ def main() -> int:
     return 0 if kept and measured.first_picture_s <= FIRST_LIMIT_S else 1
 
 
-def _measured(folder: Path) -> Measured:
+def _measured(folder: Path) -> PageFigures:
     from playwright.sync_api import sync_playwright
 
     fleet_file = folder / "fleet.yaml"
@@ -82,13 +82,13 @@ def _measured(folder: Path) -> Measured:
     return measured
 
 
-def _steady(page: Page, server_id: int, first_s: float) -> Measured:
+def _steady(page: Page, server_id: int, first_s: float) -> PageFigures:
     page.evaluate("companionMetrics.restart()")
     used_s, began_s = cpu_s(server_id), time.monotonic()
     time.sleep(MEASURE_S)
     cpu_percent = 100.0 * (cpu_s(server_id) - used_s) / (time.monotonic() - began_s)
     p50, p95, count = page.evaluate("[companionMetrics.p50_ms, companionMetrics.p95_ms, companionMetrics.count]")
-    return Measured(p50, p95, count, first_s, cpu_percent)
+    return PageFigures(p50, p95, count, first_s, cpu_percent)
 
 
 def _url(server: Program) -> str:

@@ -21,9 +21,9 @@ OTHERS = "What processes outside the bench used stands below each table: they de
 
 def page(machine: Machine, sections: Sequence[Section]) -> str:
     """The whole page."""
-    parts = ["# Performance", _wrapped(INTRODUCTION), _wrapped(f"{machine.in_words()} {OTHERS}")]
+    parts = ["# Performance", wrapped(INTRODUCTION), wrapped(f"{machine.in_words()} {OTHERS}")]
     for section in sections:
-        parts += [f"## {section.title}", *map(_wrapped, section.how.split("\n\n")), table(section.rows)]
+        parts += [f"## {section.title}", *map(wrapped, section.how.split("\n\n")), table(section.rows)]
         remarks = [_bullet(f"{row.what}: {row.remark}") for row in section.rows if row.remark]
         parts.append("\n".join([*remarks, _bullet(others_in_words(section))]))
     return "\n\n".join(parts) + "\n"
@@ -86,7 +86,7 @@ def _met(row: Row) -> str:
     return {True: "yes", False: "no", None: "not measured"}[row.is_met]
 
 
-def _wrapped(text: str) -> str:
+def wrapped(text: str) -> str:
     return fill(" ".join(text.split()), WIDTH, break_long_words=False, break_on_hyphens=False)
 
 

@@ -12,7 +12,7 @@ from sitl.links.free_ports import reserved_ports
 from sitl.links.ports import ports_of
 from tests.bench.figures import REPEATS, Row, Section
 from tests.bench.processes import Program, module, wait_for
-from tests.bench.programs.peer_vehicle import Ages, Result
+from tests.bench.programs.peer_vehicle import Ages, PeerAges
 from tests.bench.scenarios import line
 
 VEHICLES = 4
@@ -42,11 +42,11 @@ def measure(folder: Path) -> Section:
         wait_for(vehicles, "heard")
         for vehicle in vehicles:
             vehicle.begin()
-        results = [vehicle.result(Result) for vehicle in vehicles]
+        results = [vehicle.result(PeerAges) for vehicle in vehicles]
     return section(results)
 
 
-def section(results: Sequence[Result]) -> Section:
+def section(results: Sequence[PeerAges]) -> Section:
     """From the results of all vehicles."""
     rows = tuple(
         Row(

@@ -20,7 +20,7 @@ import psutil
 
 HEARD_WITHIN_S = 60.0
 ENDS_WITHIN_S = 3.0
-Result = TypeVar("Result")
+Decoded = TypeVar("Decoded")
 
 
 def module(name: str, *arguments: str) -> list[str]:
@@ -65,7 +65,7 @@ class Program:
         assert self._process.stdin is not None
         self._process.stdin.close()
 
-    def result(self, kind: type[Result]) -> Result:
+    def result(self, kind: type[Decoded]) -> Decoded:
         """The next line of its output, decoded."""
         return msgspec.json.decode(self.line(), type=kind)
 
@@ -108,7 +108,7 @@ def _end(process: subprocess.Popen[str] | subprocess.Popen[bytes]) -> None:
             stream.close()
 
 
-class Use(NamedTuple):
+class ProcessUse(NamedTuple):
     """Resident memory in MB, open files and threads of one process."""
 
     memory_mb: float
@@ -116,10 +116,10 @@ class Use(NamedTuple):
     threads: int
 
 
-def use_of(pid: int) -> Use:
+def use_of(pid: int) -> ProcessUse:
     """Of a running process. Raises psutil.NoSuchProcess."""
     process = psutil.Process(pid)
-    return Use(process.memory_info().rss / 1e6, process.num_fds(), process.num_threads())
+    return ProcessUse(process.memory_info().rss / 1e6, process.num_fds(), process.num_threads())
 
 
 def cpu_s(pid: int) -> float:

@@ -22,7 +22,7 @@ from sitl.flight.scenario import Scenario
 from sitl.flight.watch import FlightWatch, watch_of
 from sitl.links.ports import LOOPBACK, ports_of
 from sitl.report.progress import FlightProgress
-from tests.bench.figures import REPEATS, Use
+from tests.bench.figures import REPEATS, AgentsUse
 from tests.bench.processes import cpu_s, use_of
 
 Observer = Callable[[Mapping[int, int], FlightWatch, float], None]
@@ -36,7 +36,7 @@ FORM_S = SETTLES_S + REPEATS * WINDOW_S + 1.0
 class Flown:
     """What was sampled, one more than there are complete windows, and why the flight ended early, "" otherwise."""
 
-    uses: list[Use]
+    uses: list[AgentsUse]
     timings: dict[int, list[TimingRecord]]  # of every tick of each agent
     failure: str
 
@@ -124,7 +124,7 @@ class _Sampler:
 
     def __init__(self) -> None:
         self._due_s = 0.0
-        self.uses: list[Use] = []
+        self.uses: list[AgentsUse] = []
 
     def update(self, pids: Mapping[int, int], _watch: FlightWatch, now_s: float) -> None:
         """In formation, in every pass."""
@@ -134,4 +134,4 @@ class _Sampler:
         self._due_s += WINDOW_S
         used_s = {i: cpu_s(pid) for i, pid in pids.items()}
         memory_mb = {i: use_of(pid).memory_mb for i, pid in pids.items()}
-        self.uses.append(Use(now_s, used_s, memory_mb))
+        self.uses.append(AgentsUse(now_s, used_s, memory_mb))

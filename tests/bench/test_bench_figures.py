@@ -14,10 +14,10 @@ from companion.types.values import ZERO3
 from one_agent import recorder
 from tests.bench.batch import section as batch_section
 from tests.bench.control_loop import rate_of_slowest_hz
-from tests.bench.figures import Row, Target, Use, Window, cpu_percent, lateness_us, percentile, windows_of, within
+from tests.bench.figures import AgentsUse, Row, Target, Window, cpu_percent, lateness_us, percentile, windows_of, within
 from tests.bench.peer_states import section as peers_section
 from tests.bench.processes import CoreTime, stolen_percent, used_by_others
-from tests.bench.programs.peer_vehicle import Ages, Result
+from tests.bench.programs.peer_vehicle import Ages, PeerAges
 from tests.bench.real_flight import Flown, delays_of_ticks
 from tests.bench.resources import FEW, MANY, SOME
 from tests.bench.resources import section as resources_section
@@ -83,9 +83,9 @@ def test_lateness_of_no_ticks() -> None:
     assert lateness_us([], 0.02) == []
 
 
-def uses(cpu: float) -> list[Use]:
+def uses(cpu: float) -> list[AgentsUse]:
     """Three samples a second apart of two agents that use this share of a core."""
-    return [Use(10.0 + n, {1: cpu * n, 2: cpu * n}, {1: 50.0, 2: 52.0}) for n in range(3)]
+    return [AgentsUse(10.0 + n, {1: cpu * n, 2: cpu * n}, {1: 50.0, 2: 52.0}) for n in range(3)]
 
 
 def flown(cpu: float, failure: str = "") -> Flown:
@@ -105,8 +105,8 @@ def test_windows_lie_between_the_samples() -> None:
 
 
 def test_cpu_is_the_mean_of_the_agents() -> None:
-    before = Use(10.0, {1: 1.0, 2: 2.0}, {})
-    assert cpu_percent(before, Use(12.0, {1: 1.1, 2: 2.3}, {})) == pytest.approx(10.0)
+    before = AgentsUse(10.0, {1: 1.0, 2: 2.0}, {})
+    assert cpu_percent(before, AgentsUse(12.0, {1: 1.1, 2: 2.3}, {})) == pytest.approx(10.0)
 
 
 def test_the_slowest_agent_counts_for_the_rate() -> None:
@@ -136,7 +136,7 @@ def test_further_peers_cost_the_difference_of_two_flights() -> None:
 
 
 def test_ages_are_those_of_the_median_vehicle_in_each_window() -> None:
-    results = [Result([Ages(a, 20.0), Ages(a + 1.0, 20.0)], [Ages(9.0, 19.0)] * 2) for a in (10.0, 11.0, 30.0)]
+    results = [PeerAges([Ages(a, 20.0), Ages(a + 1.0, 20.0)], [Ages(9.0, 19.0)] * 2) for a in (10.0, 11.0, 30.0)]
     median = peers_section(results).rows[0]
     assert median.values == (11.0, 12.0)
     assert median.beside_values == (9.0, 9.0)

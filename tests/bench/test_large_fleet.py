@@ -11,7 +11,7 @@ from tests.bench.large_fleet import (
     HEADERS,
     MARKS,
     Case,
-    Sample,
+    LinkCounters,
     Traffic,
     cases,
     measure,
@@ -20,7 +20,7 @@ from tests.bench.large_fleet import (
     traffic_in,
 )
 from tests.bench.page import marks, write_between_marks
-from tests.bench.programs.large_fleet import Result
+from tests.bench.programs.large_fleet import LinkResult
 
 pytestmark = pytest.mark.long
 
@@ -30,7 +30,7 @@ ESTAB 0 0 127.0.0.1:7600 127.0.0.1:5001 users:(("python",pid=12,fd=10)) ts bytes
 ESTAB 0 0 127.0.0.1:5000 127.0.0.1:7600 users:(("python",pid=123,fd=9)) ts bytes_sent:2000 bytes_received:100 segs_out:20 segs_in:3
 ESTAB 0 0 127.0.0.1:5002 127.0.0.1:7600 users:(("python",pid=12,fd=11)) ts cwnd:10 segs_in:1
 """  # noqa: E501
-RESULT = Result(10.0, 20.0, None, 400.0, None, None)
+RESULT = LinkResult(10.0, 20.0, None, 400.0, None, None)
 
 
 def test_traffic_is_that_of_all_connections_of_the_process_alone() -> None:
@@ -44,13 +44,15 @@ def test_where_all_are_received_at_full_rate_there_is_one_case() -> None:
 
 def test_a_row_is_the_median_of_the_windows() -> None:
     counted = [(0.0, 0, 0.0), (2.0, 2000, 0.2), (4.0, 6000, 0.4), (6.0, 106000, 0.6)]
-    samples = [Sample(at_s, Traffic(2 * received, 0, received, 0), cpu_s, 0.0) for at_s, received, cpu_s in counted]
+    samples = [
+        LinkCounters(at_s, Traffic(2 * received, 0, received, 0), cpu_s, 0.0) for at_s, received, cpu_s in counted
+    ]
     one = row(Case(8, 8, routed=False), samples, 46.0, RESULT)
     assert (one.received_kb_s, one.sent_kb_s, one.cpu) == (2.0, 4.0, pytest.approx(0.1))
 
 
 def test_the_table_is_written_between_the_marks(tmp_path: Path) -> None:
-    samples = [Sample(float(second), Traffic(0, 0, 0, 0), 0.0, 0.0) for second in range(2)]
+    samples = [LinkCounters(float(second), Traffic(0, 0, 0, 0), 0.0, 0.0) for second in range(2)]
     rows = [row(Case(8, 8, routed=routed), samples, 46.0, RESULT) for routed in (False, True)]
     begin, end = marks(MARKS)
     page = tmp_path / "page.md"

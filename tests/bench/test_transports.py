@@ -10,8 +10,8 @@ import pytest
 
 from tests.bench.hosts import Radio, address
 from tests.bench.page import marks, write_between_marks
-from tests.bench.programs.transport_vehicle import Measured
-from tests.bench.transports import MARKS, Row, table
+from tests.bench.programs.transport_vehicle import TransportAges
+from tests.bench.transports import MARKS, TransportFigures, table
 
 pytestmark = pytest.mark.long
 
@@ -74,7 +74,10 @@ def test_a_radio_loses_and_delays(stack: ExitStack) -> None:
 
 
 def test_the_table_takes_its_place_in_the_page(tmp_path: Path) -> None:
-    rows = [Row("`quic`", 0.1, Measured(12.4, 40.0, 99.6, 0.0123, 0.051), 31.4), Row("`tcp` (TLS)", 0.3, None, 0.0)]
+    rows = [
+        TransportFigures("`quic`", 0.1, TransportAges(12.4, 40.0, 99.6, 0.0123, 0.051), 31.4),
+        TransportFigures("`tcp` (TLS)", 0.3, None, 0.0),
+    ]
     begin, end = marks(MARKS)
     page = tmp_path / "page.md"
     page.write_text(f"# Page\n\n{begin}\nold\n{end}\nafter\n")

@@ -20,7 +20,7 @@ from companion.security.provisioning import provision_new
 from tests.bench.hosts import HostsError, Radio, address, hosts, inside
 from tests.bench.page import write_between_marks
 from tests.bench.processes import HEARD_WITHIN_S, Program, module, wait_for
-from tests.bench.programs.transport_vehicle import Measured
+from tests.bench.programs.transport_vehicle import TransportAges
 
 VEHICLES = (1, 2, 3, 4)
 LOSSES = (0.0, 0.1, 0.3)
@@ -48,12 +48,12 @@ TRANSPORTS = (
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class TransportFigures:
     """One case: the worst vehicle of each figure, and the mean rate of sending. None where vehicles did not hear each other."""
 
     transport: str
     loss: float
-    worst: Measured | None
+    worst: TransportAges | None
     sent_kb_s: float
 
     def line(self) -> str:
@@ -68,7 +68,7 @@ class Row:
 
 def measure_all(
     folder: Path, transports: Sequence[Transport], losses: Sequence[float], seconds: float
-) -> Iterator[Row]:
+) -> Iterator[TransportFigures]:
     """One row after the other. Raises HostsError where the machine gives no namespaces."""
     for transport in transports:
         files = _files(folder / re.sub(r"\W+", "_", transport.name), transport)
@@ -77,7 +77,7 @@ def measure_all(
                 yield _row(transport, files, radio, seconds)
 
 
-def table(rows: Sequence[Row]) -> str:
+def table(rows: Sequence[TransportFigures]) -> str:
     """In Markdown."""
     head = (
         "| transport | loss | median age [ms] | 99 % [ms] | worst [ms] | over 0.3 s | sent [kB/s] | CPU |\n"
@@ -107,7 +107,7 @@ def _files(folder: Path, transport: Transport) -> dict[int, Path]:
     return {i: folder / "copy" / f"vehicle-{i}" / f"vehicle-{i}.yaml" for i in VEHICLES}
 
 
-def _row(transport: Transport, files: dict[int, Path], radio: Radio, seconds: float) -> Row:
+def _row(transport: Transport, files: dict[int, Path], radio: Radio, seconds: float) -> TransportFigures:
     with ExitStack() as stack:
         programs = {
             i: module("tests.bench.programs.transport_vehicle", str(file), str(seconds)) for i, file in files.items()
@@ -116,14 +116,14 @@ def _row(transport: Transport, files: dict[int, Path], radio: Radio, seconds: fl
         try:
             wait_for(vehicles, "heard")
         except RuntimeError:
-            return Row(transport.name, radio.loss, None, 0.0)
+            return TransportFigures(transport.name, radio.loss, None, 0.0)
         before = dict(radio.sent_bytes)
         for vehicle in vehicles:
             vehicle.begin()
-        results = [vehicle.result(Measured) for vehicle in vehicles]
+        results = [vehicle.result(TransportAges) for vehicle in vehicles]
         sent_kb_s = fmean(radio.sent_bytes[i] - before[i] for i in VEHICLES) / seconds / 1e3
-    worst = Measured(*(max(figures) for figures in zip(*map(msgspec.structs.astuple, results), strict=True)))
-    return Row(transport.name, radio.loss, worst, sent_kb_s)
+    worst = TransportAges(*(max(figures) for figures in zip(*map(msgspec.structs.astuple, results), strict=True)))
+    return TransportFigures(transport.name, radio.loss, worst, sent_kb_s)
 
 
 EXIT_UNUSABLE = 2

@@ -40,7 +40,7 @@ NO_ROOM = {
 CAN_CHANGE = COOPERATING | {FlightPhase.OBSERVE, FlightPhase.READY, FlightPhase.ARMED}
 
 
-class Outcome(Struct):
+class Outcome(Struct, kw_only=True):
     """What one episode did. `failures` has one line for each exception, broken invariant and lock."""
 
     seed: int
@@ -84,17 +84,17 @@ def fly(seed: int) -> Outcome:
         )
         failures.append(f"{type(error).__name__}{place}: {str(error)[:160]}")
     return Outcome(
-        seed,
-        fleet.ticks,
-        stream.refused,
-        stream.passed,
-        phases,
-        failures,
-        len(fleet.agents),
-        fleet.longest_tick_s,
-        fleet.longest_tick,
-        fleet.tick_seconds,
-        most_objects,
+        seed=seed,
+        ticks=fleet.ticks,
+        refused=stream.refused,
+        passed=stream.passed,
+        phases=phases,
+        failures=failures,
+        vehicles=len(fleet.agents),
+        longest_tick_s=fleet.longest_tick_s,
+        longest_tick=fleet.longest_tick,
+        tick_seconds=fleet.tick_seconds,
+        most_objects=most_objects,
     )
 
 

@@ -97,10 +97,26 @@ def test_a_silent_agent_leaves_the_plant_to_its_failsafe() -> None:
     assert plant.mode is AutopilotMode.HOLD
 
 
+def outcome_with(longest_tick_s: float, longest_tick: str) -> Outcome:
+    return Outcome(
+        seed=7,
+        ticks=1,
+        refused=Counter(),
+        passed=Counter(),
+        phases=Counter(),
+        failures=[],
+        vehicles=3,
+        longest_tick_s=longest_tick_s,
+        longest_tick=longest_tick,
+        tick_seconds=longest_tick_s,
+        most_objects=10,
+    )
+
+
 def test_a_tick_that_takes_too_long_is_a_finding_of_the_command(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    outcome = Outcome(7, 1, Counter(), Counter(), Counter(), [], 3, 0.021, "vehicle 2 in hold", 0.021, 10)
+    outcome = outcome_with(0.021, "vehicle 2 in hold")
     monkeypatch.setattr(run, "all_results", lambda *_: [[outcome]])
     assert run_hostile(inputs=0, ticks=0, seed=0, out=None) == 1
     assert "seed 7: a tick took 21.0 ms of CPU time: vehicle 2 in hold" in capsys.readouterr().out
@@ -110,7 +126,7 @@ def test_a_tick_that_takes_too_long_is_a_finding_of_the_command(
 
 @pytest.mark.parametrize(("seconds", "expected_s"), [([0.05, 0.004], 0.004), ([0.05, 0.04], 0.04), ([0.01], 0.01)])
 def test_a_slow_machine_is_no_finding(monkeypatch: pytest.MonkeyPatch, seconds: list[float], expected_s: float) -> None:
-    flown = [Outcome(7, 1, Counter(), Counter(), Counter(), [], 3, s, "", s, 10) for s in seconds]
+    flown = [outcome_with(s, "") for s in seconds]
     monkeypatch.setattr(run, "fly", lambda _seed: flown.pop(0))
     (outcome,) = run.work(("", 7, 1))
     assert isinstance(outcome, Outcome)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from textwrap import fill
 
 from matplotlib.figure import Figure
 
 from tests.bench.machine import Machine
+from tests.bench.page import wrapped
 from tests.soak.samples import (
     COLUMNS,
     LEAST_MEAN_RATE_HZ,
@@ -24,7 +24,6 @@ from tests.soak.samples import (
     shown,
 )
 
-WIDTH = 100
 INTRODUCTION = """\
 `make soak` flies eight vehicles as real processes for an hour: agents with their recordings, stand-in autopilots, \
 Zenoh and MAVLink over loopback. They fly a figure 8 in two columns, with neighbours by range. It writes this page, \
@@ -40,7 +39,7 @@ the first. `missed` is the sum of all agents since the row before."""
 
 def page(machine: Machine, samples: Sequence[Sample], verdict: Sequence[Finding], failures: Sequence[str]) -> str:
     """The whole page. `failures` are those of the flight."""
-    parts = ["# Soak", _wrapped(INTRODUCTION), _wrapped(machine.in_words()), _wrapped(WHAT_COUNTS)]
+    parts = ["# Soak", wrapped(INTRODUCTION), wrapped(machine.in_words()), wrapped(WHAT_COUNTS)]
     parts.append(_table(("figure", "verdict", "measured"), [_verdict(finding) for finding in verdict]))
     parts += [f"The flight failed: {failure}." for failure in failures]
     parts.append(_table(COLUMNS, [cells(sample) for sample in shown(samples)]))
@@ -55,10 +54,6 @@ def _verdict(finding: Finding) -> tuple[str, str, str]:
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     lines = [head, ["---"] * len(head), *rows]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
-
-
-def _wrapped(text: str) -> str:
-    return fill(text, WIDTH, break_long_words=False, break_on_hyphens=False)
 
 
 PANELS = (

@@ -17,6 +17,11 @@ def test_the_source_is_within_its_budgets(group: str, source: budgets.Budgets) -
     assert budgets.exceeded({group: source[group]}, budgets.stored()) == []
 
 
+def test_the_laboratory_needs_no_exception() -> None:
+    found = budgets.laboratory_exceptions()
+    assert found["lines_of_long_functions"] == found["repeated_class_names"] == found["positional_parameters"] == {}
+
+
 def test_a_tick_of_a_follower_in_steady_formation_is_within_its_budgets() -> None:
     assert budgets.exceeded({"tick": budgets.tick_budgets()}, budgets.stored()) == []
 

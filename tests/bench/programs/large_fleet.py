@@ -43,7 +43,7 @@ TICKS_PER_SLOW = 10  # 5 Hz
 SWITCHES = 20
 
 
-class Result(msgspec.Struct, frozen=True):
+class LinkResult(msgspec.Struct, frozen=True):
     """Ages at each tick of the newest states, in ms, and the time from declaring a subscriber to its first packet."""
 
     full_p50_ms: float
@@ -148,8 +148,8 @@ class Agent:
         self._slow_s.clear()
         self._packets, self._began_s = 0, time.monotonic()
 
-    def result(self, switches_s: list[float], lasted_s: float) -> Result:
-        return Result(
+    def result(self, switches_s: list[float], lasted_s: float) -> LinkResult:
+        return LinkResult(
             full_p50_ms=1e3 * percentile(self._full_s, 0.5),
             full_p99_ms=1e3 * percentile(self._full_s, 0.99),
             slow_worst_ms=1e3 * max(self._slow_s) if self._slow_s else None,

@@ -37,7 +37,7 @@ class Ages(msgspec.Struct, frozen=True):
     p99_ms: float
 
 
-class Result(msgspec.Struct, frozen=True):
+class PeerAges(msgspec.Struct, frozen=True):
     """One item for each window."""
 
     zenoh: list[Ages]
@@ -73,7 +73,7 @@ class PlainUdp:
         self._socket.close()
 
 
-class _Vehicle:
+class _TwoWayVehicle:
     """Publishes over both and receives from both once a tick."""
 
     def __init__(self, config: AgentConfig, zenoh: ZenohLink, udp: PlainUdp) -> None:
@@ -122,14 +122,14 @@ def main() -> None:
     talk = Input()
     link = ZenohLink(config.vehicle.id, config.fleet, config.zenoh, ignore_refused)
     with closing(link), closing(PlainUdp(own_port, other_ports)) as udp:
-        vehicle = _Vehicle(config, link, udp)
+        vehicle = _TwoWayVehicle(config, link, udp)
         while not vehicle.has_heard_all:
             vehicle.tick()
         print("heard", flush=True)
         while not talk.begun.is_set():
             vehicle.tick()
         ages = [vehicle.measure(window_s) for _ in range(windows)]
-        result = Result([zenoh for zenoh, _ in ages], [udp_ages for _, udp_ages in ages])
+        result = PeerAges([zenoh for zenoh, _ in ages], [udp_ages for _, udp_ages in ages])
         print(msgspec.json.encode(result).decode(), flush=True)
         while not talk.ended.is_set():
             vehicle.tick()

@@ -24,7 +24,7 @@ from companion.link.fleet.zenoh_link import ZenohLink
 from tests.bench.programs.vehicle import Input, NewestStates, TickGrid, example_packet, ignore_refused
 
 
-class Measured(msgspec.Struct, frozen=True):
+class TransportAges(msgspec.Struct, frozen=True):
     """Ages in milliseconds of the newest state of each peer, at every tick; share of a core."""
 
     median_ms: float
@@ -38,7 +38,7 @@ def main(file: Path, seconds: float) -> None:
     config = load_agent(file)
     talk = Input()
     with ExitStack() as stack:
-        vehicle = _Vehicle(_link(file, config, stack), config)
+        vehicle = _LinkedVehicle(_link(file, config, stack), config)
         while not vehicle.has_heard_all:
             vehicle.tick()
         print("heard", flush=True)
@@ -61,7 +61,7 @@ def _link(file: Path, config: AgentConfig, stack: ExitStack) -> ZenohLink:
     return stack.enter_context(closing(link))
 
 
-class _Vehicle:
+class _LinkedVehicle:
     """Publishes and receives once a tick."""
 
     def __init__(self, link: ZenohLink, config: AgentConfig) -> None:
@@ -83,7 +83,7 @@ class _Vehicle:
         self._newest.take(received.packet for received in packets)
         return now_s
 
-    def measure(self, seconds: float) -> Measured:
+    def measure(self, seconds: float) -> TransportAges:
         """Over this time from now on."""
         ages_s: list[float] = []
         began, end_s = os.times(), time.monotonic() + seconds
@@ -92,7 +92,7 @@ class _Vehicle:
         ended = os.times()
         median, p99, worst = np.quantile(ages_s, (0.5, 0.99, 1.0)) * 1e3
         used_s = ended.user + ended.system - began.user - began.system
-        return Measured(
+        return TransportAges(
             median_ms=float(median),
             p99_ms=float(p99),
             worst_ms=float(worst),
