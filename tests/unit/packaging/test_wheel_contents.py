@@ -25,6 +25,16 @@ def test_the_wheel_holds_no_part_of_the_laboratory() -> None:
     assert [module for module in modules() if LABORATORY.search(module)] == []
 
 
+def test_files_that_are_no_modules_are_in_the_wheel() -> None:
+    data = SETTINGS["tool"]["setuptools"]["package-data"]
+    patterns = [
+        (ROOT / package.replace(".", "/"), pattern) for package, patterns in data.items() for pattern in patterns
+    ]
+    packed = {path for folder, pattern in patterns for path in folder.glob(pattern)}
+    files = {path for program in ("companion", "sitl") for path in (ROOT / program).rglob("*") if path.is_file()}
+    assert {path for path in files if path.suffix not in (".py", ".pyc")} <= packed
+
+
 def test_both_programs_are_marked_as_typed() -> None:
     data = SETTINGS["tool"]["setuptools"]["package-data"]
     for program in ("companion", "sitl"):
