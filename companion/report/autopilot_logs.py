@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from companion.report.findings import Finding, FindingKind, Severity, finding
+from companion.report.findings import Finding, finding
 from companion.report.flight import FlightRecords, Floats, VehicleLog
 from companion.types.errors import CompanionError
 from companion.types.notices import Code
@@ -129,7 +129,7 @@ def read_log(path: Path) -> AutopilotLog:
 
 
 def _left_out(code: Code, text: str) -> Finding:
-    return finding(FindingKind.AUTOPILOT, Severity.WARNING, code, None, 0.0, text)
+    return finding(code, None, 0.0, text)
 
 
 STEP_S = 0.1  # of the search over all offsets

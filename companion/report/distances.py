@@ -1,4 +1,4 @@
-"""Distances between vehicles, in the metric of `separation_m`: a metre of height counts half."""
+"""Distances between vehicles, in the metric of `separation_m` (a metre of height counts half), and errors to the slots."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def grid_of(flight: FlightRecords) -> TimeGrid:
     ends_s = max(float(vehicle.ticks.time_s[-1]) for vehicle in vehicles)
     time_s = np.arange(0.0, ends_s + GRID_S / 2.0, GRID_S)
     positions = {vehicle.vehicle_id: sampled(vehicle, vehicle.ticks.position_enu_m, time_s) for vehicle in vehicles}
-    in_air = {vehicle.vehicle_id: _in_air(vehicle, time_s) for vehicle in vehicles}
+    in_air = {vehicle.vehicle_id: vehicle.in_air_at(time_s) for vehicle in vehicles}
     return TimeGrid(time_s, positions, in_air)
 
 
@@ -67,11 +67,6 @@ def _near(own_s: Floats, time_s: Floats) -> Bools:
     """Whether each time (n,) lies between two samples that are at most LONGEST_GAP_S apart."""
     after = np.clip(np.searchsorted(own_s, time_s, side="left"), 1, own_s.size - 1)
     return np.asarray(own_s[after] - own_s[after - 1] <= LONGEST_GAP_S, dtype=np.bool_)
-
-
-def _in_air(vehicle: VehicleLog, time_s: Floats) -> Bools:
-    row = np.maximum(np.searchsorted(vehicle.ticks.time_s, time_s, side="right") - 1, 0)
-    return np.asarray(vehicle.in_air()[row], dtype=np.bool_)
 
 
 def pair_distances(flight: FlightRecords, grid: TimeGrid) -> list[PairDistance]:

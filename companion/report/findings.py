@@ -1,4 +1,4 @@
-"""A finding: something in a flight that deserves attention."""
+"""What deserves attention in a flight: findings and their rows on the page, and the times in which a condition held."""
 
 from __future__ import annotations
 
@@ -56,24 +56,26 @@ class Finding(Struct, frozen=True, kw_only=True):
 
 
 def finding(
-    kind: FindingKind,
-    severity: Severity,
     code: Code,
     vehicle_id: int | None,
     time_s: float,
     text: str,
+    *,
     lasts_s: float | None = None,
+    kind: FindingKind | None = None,
+    severity: Severity | None = None,
 ) -> Finding:
-    """A finding with the advice of its code."""
+    """A finding with the advice of its code; kind and severity are those of the code where none are given."""
+    entry = code_entries()[code]
     return Finding(
-        kind=kind,
-        severity=severity,
+        kind=kind or FindingKind(entry.topic),
+        severity=severity or Severity(entry.event or entry.severity),
         code=code,
         vehicle_id=vehicle_id,
         time_s=round(time_s, 3),
         lasts_s=None if lasts_s is None else round(lasts_s, 3),
         text=text,
-        advice=code_entries()[code].remedy,
+        advice=entry.remedy,
     )
 
 

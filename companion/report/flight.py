@@ -16,6 +16,10 @@ from companion.config.fleet import FleetConfig
 from companion.types.flight import FLYING
 from companion.types.notices import Code
 
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Words = NDArray[np.str_]
+Anything = NDArray[Any]
 FLYING_PHASES = tuple(str(phase) for phase in FLYING)
 
 
@@ -150,6 +154,15 @@ class VehicleLog:
         index = np.searchsorted(self.statuses.time_s, self.ticks.time_s, side="right") - 1
         return np.asarray(self.statuses.in_air[np.maximum(index, 0)], dtype=np.bool_)
 
+    def in_air_at(self, time_s: Floats) -> Bools:
+        """Whether it is in the air at these times (n,), by the newest tick before each; before the first one it is not.
+
+        A vehicle whose records end in the air counts as in the air from then on: its agent may have died, not the vehicle.
+        """
+        row = np.searchsorted(self.ticks.time_s, time_s, side="right") - 1
+        known = np.append(self.in_air(), False)  # row -1
+        return np.asarray(known[row], dtype=np.bool_)
+
 
 @dataclass(frozen=True, slots=True)
 class FlightRecords:
@@ -176,9 +189,3 @@ class FlightRecords:
     @property
     def separation_m(self) -> float | None:
         return self.fleet.separation_m if self.fleet else None
-
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
-Words = NDArray[np.str_]
-Anything = NDArray[Any]

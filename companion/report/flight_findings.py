@@ -1,4 +1,4 @@
-"""Failsafes: health flags in flight, and events by which an agent or an autopilot left the formation."""
+"""Findings of the flight itself: failsafes, refused commands, lost peers, vehicles too close to each other."""
 
 from __future__ import annotations
 
@@ -16,6 +16,11 @@ from companion.types.flight import FLAG_TEXTS, STREAMING, FailsafeAction, Health
 from companion.types.notices import Code
 
 SAME_TICK_S = 0.005  # of an event and a tick
+GIVEN_AGAIN_S = 5.0  # a refused command that is accepted within this time is information
+LOST_S = 0.25  # in three reports in a row
+LOST_APART_S = 1.0
+REPORT_S = 0.35  # a report counts until the next one, at most for this time
+ENCOUNTERS_APART_S = 2.0  # what is nearer again within this time is the same encounter
 FLAGS_APART_S = 2.0  # a flag that comes and goes within this time is one finding
 IN_EVERY_PHASE = frozenset(code for code, entry in code_entries().items() if entry.in_every_phase)
 STOPPING_FLAGS = frozenset(row.condition for row in FAILSAFES if STOP in row.steps)
@@ -62,7 +67,6 @@ def _action(steps: tuple[tuple[float, FailsafeAction], ...], episode: Episode, s
 
 
 def _of_flag(vehicle: VehicleLog, flag: HealthFlag, episode: Episode, action: FailsafeAction) -> Finding:
-    kind = FindingKind(code_entries()[flag].topic)
     beyond = action not in (FailsafeAction.NONE, FailsafeAction.WARN, FailsafeAction.STOP_STREAM)
     text = f"{FLAG_TEXTS[flag]} {episode.duration_text}"
     if beyond:
@@ -70,7 +74,8 @@ def _of_flag(vehicle: VehicleLog, flag: HealthFlag, episode: Episode, action: Fa
     elif action is FailsafeAction.STOP_STREAM:
         text += "; no setpoint was sent in that time"
     severity = Severity.CRITICAL if beyond else Severity.WARNING
-    return finding(kind, severity, Code(flag), vehicle.vehicle_id, episode.interval.begins_s, text, episode.held_s)
+    begins_s = episode.interval.begins_s
+    return finding(Code(flag), vehicle.vehicle_id, begins_s, text, lasts_s=episode.held_s, severity=severity)
 
 
 def failsafe_events(vehicle: VehicleLog) -> Iterator[Finding]:
@@ -78,8 +83,7 @@ def failsafe_events(vehicle: VehicleLog) -> Iterator[Finding]:
     for event in vehicle.events:
         entry = code_entries().get(event.code)
         if entry and entry.event:
-            kind, severity = FindingKind(entry.topic), Severity(entry.event)
-            yield finding(kind, severity, event.code, vehicle.vehicle_id, event.time_s, event.text)
+            yield finding(event.code, vehicle.vehicle_id, event.time_s, event.text)
 
 
 def streams_ended(vehicle: VehicleLog) -> Iterator[Finding]:
@@ -93,7 +97,12 @@ def streams_ended(vehicle: VehicleLog) -> Iterator[Finding]:
     for event in vehicle.events:
         if event.code in STOPPING_FLAGS and np.any(np.abs(ended_s - event.time_s) < SAME_TICK_S):
             yield finding(
-                FindingKind.FAILSAFE, Severity.CRITICAL, event.code, vehicle.vehicle_id, event.time_s, event.text
+                event.code,
+                vehicle.vehicle_id,
+                event.time_s,
+                event.text,
+                kind=FindingKind.FAILSAFE,
+                severity=Severity.CRITICAL,
             )
 
 
@@ -104,17 +113,12 @@ def disarmed_in_air(vehicle: VehicleLog) -> Iterator[Finding]:
     for row in fell:
         time_s = float(statuses.time_s[row + 1])
         text = f"disarmed in the air, {_height_text(vehicle, time_s)}, in mode {statuses.mode[row]}"
-        yield finding(
-            FindingKind.FAILSAFE, Severity.CRITICAL, Code.AUTOPILOT_DISARMED, vehicle.vehicle_id, time_s, text
-        )
+        yield finding(Code.AUTOPILOT_DISARMED, vehicle.vehicle_id, time_s, text)
 
 
 def _height_text(vehicle: VehicleLog, time_s: float) -> str:
     height_m = float(np.interp(time_s, vehicle.ticks.time_s, vehicle.ticks.position_enu_m[:, 2]))
     return "at an unknown height" if np.isnan(height_m) else f"{height_m:.1f} m above the origin"
-
-
-GIVEN_AGAIN_S = 5.0
 
 
 def refused_commands(vehicle: VehicleLog) -> Iterator[Finding]:
@@ -123,14 +127,14 @@ def refused_commands(vehicle: VehicleLog) -> Iterator[Finding]:
         label = f"command {command.name} (number {command.number}, {command.operator})"
         if command.answered_s is None:
             text = f"{label} has no recorded answer"
-            yield finding(
-                FindingKind.REFUSED, Severity.WARNING, Code.NO_REPLY, vehicle.vehicle_id, command.time_s, text
-            )
+            yield finding(Code.NO_REPLY, vehicle.vehicle_id, command.time_s, text)
         elif not command.accepted and command.code is not None:
             again_s = _accepted_after_s(vehicle, command)
             text = f"{label} refused: {command.text}" + ("" if again_s is None else f"; accepted {again_s:.1f} s later")
             severity = Severity.WARNING if again_s is None else Severity.INFO
-            yield finding(FindingKind.REFUSED, severity, command.code, vehicle.vehicle_id, command.time_s, text)
+            yield finding(
+                command.code, vehicle.vehicle_id, command.time_s, text, kind=FindingKind.REFUSED, severity=severity
+            )
 
 
 def _accepted_after_s(vehicle: VehicleLog, refused: GivenCommand) -> float | None:
@@ -141,11 +145,6 @@ def _accepted_after_s(vehicle: VehicleLog, refused: GivenCommand) -> float | Non
         if one.accepted and (one.name, one.operator) == (refused.name, refused.operator)
     ]
     return min((time_s for time_s in after_s if 0.0 <= time_s <= GIVEN_AGAIN_S), default=None)
-
-
-LOST_S = 0.25  # in three reports in a row
-LOST_APART_S = 1.0
-REPORT_S = 0.35  # a report counts until the next one, at most for this time
 
 
 def lost_peers(flight: FlightRecords) -> Iterator[Finding]:
@@ -162,43 +161,21 @@ def _lost(vehicle: VehicleLog, other: VehicleLog) -> Iterator[Finding]:
     if not fresh.any():
         return
     known = np.arange(fresh.size) > int(np.argmax(fresh))
-    missing = ~fresh & known & statuses.in_air & _in_air_at(other, vehicle)
+    missing = ~fresh & known & statuses.in_air & other.in_air_at(statuses.time_s)
     for episode in runs(statuses.time_s, missing, LOST_APART_S, REPORT_S):
         if episode.longest_s >= LOST_S:
             text = f"no packets of vehicle {other.vehicle_id} {episode.duration_text}"
             ended_s = _last_record_s(other, episode.interval.ends_s)
             if episode.interval.ends_s - ended_s > REPORT_S:
                 text += f"; its records end at {ended_s:.1f} s, in the air"
-            yield finding(
-                FindingKind.LOST,
-                Severity.WARNING,
-                Code.PEER_STALE,
-                vehicle.vehicle_id,
-                episode.interval.begins_s,
-                text,
-                episode.held_s,
-            )
-
-
-def _in_air_at(other: VehicleLog, vehicle: VehicleLog) -> Bools:
-    """Whether the other vehicle is in the air at each report of this one.
-
-    A vehicle whose records end in the air counts as in the air from then on: its agent may have died, not the vehicle.
-    """
-    time_s, own_s = vehicle.statuses.time_s, other.ticks.time_s
-    if not own_s.size:
-        return np.zeros(time_s.size, dtype=np.bool_)
-    row = np.clip(np.searchsorted(own_s, time_s, side="right") - 1, 0, own_s.size - 1)
-    return np.asarray(other.in_air()[row] & (time_s >= own_s[0]), dtype=np.bool_)
+            begins_s = episode.interval.begins_s
+            yield finding(Code.PEER_STALE, vehicle.vehicle_id, begins_s, text, lasts_s=episode.held_s)
 
 
 def _last_record_s(vehicle: VehicleLog, until_s: float) -> float:
     """Time of its last tick up to a time, of which there is at least one."""
     own_s = vehicle.ticks.time_s
     return float(own_s[np.searchsorted(own_s, until_s, side="right") - 1])
-
-
-ENCOUNTERS_APART_S = 2.0  # what is nearer again within this time is the same encounter
 
 
 def too_close(pairs: Sequence[PairDistance], separation_m: float | None) -> Iterator[Finding]:
@@ -214,12 +191,4 @@ def too_close(pairs: Sequence[PairDistance], separation_m: float | None) -> Iter
                 f"vehicles {a} and {b} were {distance_m[row]:.2f} m apart at {pair.time_s[row]:.1f} s,"
                 f" separation_m is {separation_m:g} m"
             )
-            yield finding(
-                FindingKind.CLOSE,
-                Severity.CRITICAL,
-                Code.SEPARATION_VIOLATED,
-                a,
-                episode.interval.begins_s,
-                text,
-                episode.held_s,
-            )
+            yield finding(Code.SEPARATION_VIOLATED, a, episode.interval.begins_s, text, lasts_s=episode.held_s)

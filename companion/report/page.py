@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from datetime import datetime, tzinfo
+from typing import TypeVar
 
 import jinja2
 from markupsafe import Markup, escape
 
 from companion import __version__
 from companion.config.fleet import EdgeNeighbours, FleetConfig
-from companion.report.bar_figures import draw_flags, draw_histograms, draw_lateness, draw_leaders, draw_phases
+from companion.report.bar_figures import draw_flags, draw_histograms, draw_leaders, draw_phases
 from companion.report.curve_figures import (
     draw_altitude,
     draw_autopilot_logs,
@@ -19,6 +19,7 @@ from companion.report.curve_figures import (
     draw_distances,
     draw_errors,
     draw_interventions,
+    draw_lateness,
     draw_peer_ages,
     draw_position_errors,
     draw_prc,
@@ -27,25 +28,15 @@ from companion.report.curve_figures import (
 )
 from companion.report.findings import FindingRow, Severity, rows_of
 from companion.report.flight import FlightEvent, FlightRecords, GivenCommand
-from companion.report.plotting import DrawnFigure, TimeAxis, marks_of
+from companion.report.plotting import DrawnFigure, TimeAxis
 from companion.report.record_findings import LATE_P99_MS, TO_COMMAND_P99_MS
 from companion.report.summary import FlightSummary, Judged
 from companion.report.track_figures import draw_topology, draw_tracks
 
 SIGNS = {Severity.CRITICAL: "✖", Severity.WARNING: "▲", Severity.INFO: "●"}  # distinct without colour
-MOST_EVENTS, MOST_COMMANDS = 400, 1000
-
-
-@dataclass(frozen=True, slots=True)
-class EventRow:
-    vehicle_id: int
-    event: FlightEvent
-
-
-@dataclass(frozen=True, slots=True)
-class CommandRow:
-    vehicle_id: int
-    command: GivenCommand
+MOST_EVENTS, MOST_COMMANDS, MOST_EDGES, MOST_MARKS = 400, 1000, 40, 20
+Section = tuple[str, list[DrawnFigure]]
+Timed = TypeVar("Timed", FlightEvent, GivenCommand)
 
 
 def page_of(one: Judged, zone: tzinfo) -> str:
@@ -65,7 +56,8 @@ def page(flight: FlightRecords, summary: FlightSummary, sections: Sequence[Secti
     )
     environment.filters |= {"sign": SIGNS.__getitem__, "number": number, "clock": axis.clock, "prose": prose}
     rows = rows_of(summary.findings)
-    commands, events = command_rows(flight), event_rows(flight)
+    commands = _by_time({vehicle.vehicle_id: vehicle.commands for vehicle in flight.vehicles})
+    events = _by_time({vehicle.vehicle_id: vehicle.events for vehicle in flight.vehicles})
     begin = datetime.fromtimestamp(axis.begin_unix_s, axis.zone)
     return environment.get_template("report.html.j2").render(
         flight=flight,
@@ -75,7 +67,7 @@ def page(flight: FlightRecords, summary: FlightSummary, sections: Sequence[Secti
         sections=sections,
         date=f"{begin:%A, %d %B %Y}",
         zone=f"{begin:UTC%z}"[:6] + ":" + f"{begin:%z}"[3:5],
-        counts=[(severity, counted(rows, severity)) for severity in Severity],
+        counts=[(severity, count(rows, severity)) for severity in Severity],
         commands=commands[:MOST_COMMANDS],
         commands_left_out=max(0, len(commands) - MOST_COMMANDS),
         events=events[:MOST_EVENTS],
@@ -88,21 +80,28 @@ def page(flight: FlightRecords, summary: FlightSummary, sections: Sequence[Secti
     )
 
 
-def counted(rows: Sequence[FindingRow], severity: Severity) -> int:
+def marks_of(rows: Sequence[FindingRow]) -> tuple[tuple[float, str], ...]:
+    """Times and numbers of the findings that have a moment, information left out."""
+    numbered = enumerate((row.finding for row in rows), start=1)
+    marked = [(one.time_s, str(n)) for n, one in numbered if one.severity is not Severity.INFO and one.time_s > 0.0]
+    return tuple(marked[:MOST_MARKS])
+
+
+def count(rows: Sequence[FindingRow], severity: Severity) -> int:
     """Rows of the page of one severity."""
     return sum(row.finding.severity is severity for row in rows)
 
 
 def verdict(rows: Sequence[FindingRow]) -> str:
     """ "2 critical findings and 1 warning", or that there are none."""
-    critical, warnings = counted(rows, Severity.CRITICAL), counted(rows, Severity.WARNING)
+    critical, warnings = count(rows, Severity.CRITICAL), count(rows, Severity.WARNING)
     parts = []
     if critical:
         parts.append(f"{critical} critical finding{'s' if critical > 1 else ''}")
     if warnings:
         parts.append(f"{warnings} warning{'s' if warnings > 1 else ''}")
     if not parts:
-        informative = counted(rows, Severity.INFO)
+        informative = count(rows, Severity.INFO)
         return f"No findings but {informative} for information" if informative else "No findings"
     return " and ".join(parts)
 
@@ -118,19 +117,10 @@ def prose(text: str) -> Markup:
     return Markup("").join(Markup("<code>{}</code>").format(part) if i % 2 else part for i, part in enumerate(parts))
 
 
-def command_rows(flight: FlightRecords) -> list[CommandRow]:
-    """All commands by time."""
-    rows = [CommandRow(vehicle.vehicle_id, one) for vehicle in flight.vehicles for one in vehicle.commands]
-    return sorted(rows, key=lambda row: (row.command.time_s, row.vehicle_id))
-
-
-def event_rows(flight: FlightRecords) -> list[EventRow]:
-    """All events by time."""
-    rows = [EventRow(vehicle.vehicle_id, one) for vehicle in flight.vehicles for one in vehicle.events]
-    return sorted(rows, key=lambda row: (row.event.time_s, row.vehicle_id))
-
-
-MOST_EDGES = 40
+def _by_time(of: Mapping[int, Sequence[Timed]]) -> list[tuple[int, Timed]]:
+    """(vehicle, event or command), in the order of time."""
+    rows = [(vehicle_id, one) for vehicle_id, own in of.items() for one in own]
+    return sorted(rows, key=lambda row: (row[1].time_s, row[0]))
 
 
 def settings_rows(fleet: FleetConfig) -> list[tuple[str, str]]:
@@ -181,9 +171,6 @@ def recording_rows(flight: FlightRecords) -> list[tuple[int, int, str, float, fl
 
 def _percent(value: float | None) -> str:
     return "not set" if value is None else f"{value:g}"
-
-
-Section = tuple[str, list[DrawnFigure]]
 
 
 def sections_of(one: Judged, axis: TimeAxis) -> list[Section]:

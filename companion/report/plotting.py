@@ -1,37 +1,164 @@
-"""The look of all figures: readable on A4 and in grey, one colour, line style and marker for each vehicle."""
+"""The look of every figure of the report and of sitl: one palette, readable in grey and for the colour-blind.
+
+A vehicle has the colour, line style and marker of its id in all figures; the live page has the same palette
+(`companion/monitor/page/css/theme.css`). Helpers for title, units and legend come first, then the figures of the report's
+page, which share one time axis and are drawn into the page itself.
+"""
 
 from __future__ import annotations
 
 import base64
 import io
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import datetime, tzinfo
+from math import cos, pi, sin
 from typing import Any
 
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, MultipleLocator
+from matplotlib.patches import Polygon
+from matplotlib.ticker import FuncFormatter, LogLocator, MultipleLocator, NullFormatter
 
-from companion.report.findings import FindingRow, Severity
+from companion.geometry.airspace import Cuboid, Cylinder, Obstacle
 from companion.report.flight import Floats
 
-WIDTH_IN = 7.3  # of A4 between margins of 12 mm
-COLUMNS = 500  # of a drawn curve: two values for each
-# The colour-blind safe palette of Okabe and Ito.
+# The colour-blind safe palette of Okabe and Ito. 28 curves differ in colour or style.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#000000", "#CC79A7", "#E69F00", "#56B4E9")
 STYLES: tuple[Any, ...] = ("-", (0, (6, 2)), (0, (5, 1.5, 1, 1.5)), (0, (2, 1.2)))
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+GREY, SOFT, GRID = "#808080", "#444444", "#dddddd"
 LIMIT: dict[str, Any] = {"color": "#a3201d", "linewidth": 1.2, "linestyle": (0, (4, 2)), "zorder": 3}
-GREY = "#808080"
+GUIDE: dict[str, Any] = {"color": GREY, "linewidth": 1.1, "linestyle": (0, (1, 1.8)), "zorder": 1.5}
+FENCE: dict[str, Any] = {"fill": False, "edgecolor": "#a3201d", "linewidth": 1.3, "linestyle": (0, (6, 3)), "zorder": 2}
+OBSTACLE: dict[str, Any] = {
+    "facecolor": GRID,
+    "edgecolor": "#555555",
+    "hatch": "///",
+    "linewidth": 0.8,
+    "zorder": 1.5,
+}
+MARKERS_PER_CURVE = 12
+CORNERS = 24  # of a cylinder
+DPI = 130
+
+
+def curve_look(index: int) -> dict[str, Any]:
+    """Style of one of several curves."""
+    return {"color": COLOURS[index % len(COLOURS)], "linestyle": STYLES[index % len(STYLES)], "linewidth": 1.4}
+
+
+def vehicle_look(vehicle_id: int) -> dict[str, Any]:
+    """Style of the curve of a vehicle, the same in every figure."""
+    return curve_look(vehicle_id - 1)
+
+
+def marker_look(index: int) -> dict[str, Any]:
+    """Open markers in the colour of `curve_look`."""
+    return {
+        "color": COLOURS[index % len(COLOURS)],
+        "marker": MARKERS[index % len(MARKERS)],
+        "markersize": 5,
+        "markerfacecolor": "white",
+        "markeredgewidth": 1.2,
+    }
+
+
+def marked_look(index: int, samples: int) -> dict[str, Any]:
+    """Style of a curve with markers; those of different curves are at different times."""
+    every = max(1, samples // MARKERS_PER_CURVE)
+    return curve_look(index) | marker_look(index) | {"markevery": (index * every // 4 % every, every)}
+
+
+# ------------------------------------------------------------ title, units, legend
+
+
+def titled_figure(width_in: float, height_in: float, title: str) -> Figure:
+    """An empty figure with its title, for a file of its own."""
+    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+    figure.suptitle(title, fontsize=13, fontweight="bold")
+    return figure
+
+
+def dress(axes: Axes, x_label: str = "", y_label: str = "", size: float = 9) -> None:
+    """Grid, quiet frame, and labels, which have the unit in brackets. An empty label changes nothing."""
+    if x_label:
+        axes.set_xlabel(x_label, fontsize=size)
+    if y_label:
+        axes.set_ylabel(y_label, fontsize=size)
+    axes.grid(visible=True, which="major", color=GRID, linewidth=0.6)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.tick_params(labelsize=size)
+
+
+def dress_plan(axes: Axes, x_label: str = "", y_label: str = "") -> None:
+    """As `dress`, for a view from above: both axes have one scale."""
+    axes.set_aspect("equal", adjustable="box")
+    dress(axes, x_label, y_label)
+
+
+def dress_logarithmic(axes: Axes) -> None:
+    """Both axes logarithmic, with plain numbers along x."""
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.xaxis.set_major_locator(LogLocator(10.0, subs=(1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.xaxis.set_minor_formatter(NullFormatter())
+
+
+def put_legend_beside(axes: Axes) -> None:
+    """To the right of the axes."""
+    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=9, frameon=False, handlelength=3.5)
+
+
+def put_legend_below(figure: Figure, axes: Axes, columns: int, title: str | None = None) -> None:
+    """What `axes` shows, below all panels of a `titled_figure`."""
+    handles, labels = axes.get_legend_handles_labels()
+    style: dict[str, Any] = {"ncols": columns, "fontsize": 9, "frameon": False, "handlelength": 4, "title": title}
+    figure.legend(handles, labels, loc="outside lower center", **style)
+
+
+def label_once(axes: Axes, label: str) -> str:
+    """The label, or none where the legend of these axes already has it."""
+    return "_" if label in axes.get_legend_handles_labels()[1] else label
+
+
+def draw_fence(axes: Axes, corners_enu_m: Sequence[tuple[float, float]]) -> None:
+    """A fence from above; nothing without corners."""
+    if corners_enu_m:
+        axes.add_patch(Polygon(corners_enu_m, label="fence", **FENCE))
+
+
+def draw_obstacles(axes: Axes, obstacles: Iterable[Obstacle]) -> None:
+    """Obstacles from above, hatched, with one entry in the legend."""
+    for obstacle in obstacles:
+        axes.add_patch(Polygon(_outline(obstacle), label=label_once(axes, "obstacle"), **OBSTACLE))
+
+
+def _outline(obstacle: Obstacle) -> list[tuple[float, float]]:
+    """Corners of an obstacle from above."""
+    if isinstance(obstacle, Cuboid):
+        (x0, y0, _), (x1, y1, _) = obstacle.min_enu_m, obstacle.max_enu_m
+        return [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
+    assert isinstance(obstacle, Cylinder)
+    x, y = obstacle.centre_enu_m
+    angles = [2.0 * pi * i / CORNERS for i in range(CORNERS)]
+    return [(x + obstacle.radius_m * cos(angle), y + obstacle.radius_m * sin(angle)) for angle in angles]
+
+
+# ------------------------------------------------------------ figures of the report's page
+
+WIDTH_IN = 7.3  # of A4 between margins of 12 mm
+COLUMNS = 500  # of a drawn curve: two values for each
 TIME_LABEL = "time since the first record [s]"
-MOST_MARKS = 20
 LEFT_IN, RIGHT_IN, TOP_IN, BOTTOM_IN = 0.62, 0.14, 0.38, 0.44  # margins; the right one has half a label of the time
 LEGEND_ROW_IN = 0.165
 LABEL_IN = 0.5  # from the values of an axis to its label
+SIZE = 8.0  # of text, points
 STEPS_S = (0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 1200, 1800, 3600, 7200)
 MOST_STEPS = 12
 
@@ -49,23 +176,6 @@ class TimeAxis:
         """The local time of day."""
         at = datetime.fromtimestamp(round(self.begin_unix_s + time_s, digits), self.zone)
         return f"{at:%H:%M:%S}" + (f".{at.microsecond // 10 ** (6 - digits):0{digits}d}" if digits else "")
-
-
-def marks_of(rows: Sequence[FindingRow]) -> tuple[tuple[float, str], ...]:
-    """Times and numbers of the findings that have a moment, information left out."""
-    numbered = enumerate((row.finding for row in rows), start=1)
-    marked = [(one.time_s, str(n)) for n, one in numbered if one.severity is not Severity.INFO and one.time_s > 0.0]
-    return tuple(marked[:MOST_MARKS])
-
-
-def look(index: int) -> dict[str, Any]:
-    """Style of the curve of a vehicle."""
-    turn, colour = divmod(index, len(COLOURS))
-    return {
-        "color": COLOURS[colour],
-        "linestyle": STYLES[(colour + turn) % len(STYLES)],
-        "linewidth": 1.3,
-    }
 
 
 def new_figure(panels_in: float) -> Figure:
@@ -100,14 +210,10 @@ def plot(axes: Axes, time_s: Floats, values: Floats, label: str, **style: Any) -
     axes.plot(*thinned(time_s, values), label=label, **style)
 
 
-def dress(axes: Axes, label: str, columns: int = 1) -> None:
-    """Grid, label of the values, quiet frame. `columns`: of panels beside each other."""
-    axes.set_ylabel(label, fontsize=8)
+def dress_panel(axes: Axes, x_label: str, y_label: str, columns: int = 1) -> None:
+    """As `dress`, with the labels of y in one line over all figures. `columns`: of panels beside each other."""
+    dress(axes, x_label, y_label, SIZE)
     axes.yaxis.set_label_coords(-LABEL_IN / (WIDTH_IN - LEFT_IN - RIGHT_IN) * columns, 0.5)
-    axes.grid(True, color="#dddddd", linewidth=0.6)
-    axes.tick_params(labelsize=8)
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.set_axisbelow(True)
 
 
 def dress_time(panels: Sequence[Axes], axis: TimeAxis) -> None:
@@ -117,21 +223,20 @@ def dress_time(panels: Sequence[Axes], axis: TimeAxis) -> None:
         for time_s, _ in axis.marks:
             axes.axvline(time_s, color="#555555", linewidth=0.7, linestyle=(0, (1, 1.5)), zorder=1)
     step_s = next((step_s for step_s in STEPS_S if axis.ends_s / step_s <= MOST_STEPS), axis.ends_s / MOST_STEPS)
-    panels[0].xaxis.set_major_locator(MultipleLocator(step_s))
-    panels[-1].xaxis.set_major_locator(MultipleLocator(step_s))
-    panels[-1].set_xlabel(TIME_LABEL, fontsize=8.5)
+    panels[-1].set_xlabel(TIME_LABEL, fontsize=SIZE + 0.5)
     above = panels[0].secondary_xaxis("top")
-    above.xaxis.set_major_locator(MultipleLocator(step_s))
+    for one in (panels[0], panels[-1], above):
+        one.xaxis.set_major_locator(MultipleLocator(step_s))
     # A label at the right end would leave the picture.
     above.xaxis.set_major_formatter(
         FuncFormatter(lambda time_s, _: axis.clock(time_s) if time_s < 0.96 * axis.ends_s else "")
     )
     above.tick_params(labelsize=7, colors="#666666", length=0, pad=11)
     above.spines["top"].set_visible(False)
-    _number(panels[0], axis)
+    _number_marks(panels[0], axis)
 
 
-def _number(axes: Axes, axis: TimeAxis) -> None:
+def _number_marks(axes: Axes, axis: TimeAxis) -> None:
     """The numbers of the findings above the upper edge; those of one place share a label."""
     places: list[tuple[float, list[str]]] = []
     for time_s, number in sorted(axis.marks):
@@ -139,19 +244,10 @@ def _number(axes: Axes, axis: TimeAxis) -> None:
             places[-1][1].append(number)
         else:
             places.append((time_s, [number]))
+    box = {"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "#555555", "linewidth": 0.5}
+    where: dict[str, Any] = {"transform": axes.get_xaxis_transform(), "ha": "center", "va": "bottom", "zorder": 6}
     for time_s, numbers in places:
-        axes.text(
-            time_s,
-            1.02,
-            ",".join(numbers),
-            transform=axes.get_xaxis_transform(),
-            fontsize=6.5,
-            ha="center",
-            va="bottom",
-            color="#333333",
-            bbox={"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "#555555", "linewidth": 0.5},
-            zorder=6,
-        )
+        axes.text(time_s, 1.02, ",".join(numbers), fontsize=6.5, color="#333333", bbox=box, **where)
 
 
 def finish(figure: Figure, panels: Sequence[Axes], left_in: float = LEFT_IN) -> None:
@@ -207,7 +303,7 @@ class DrawnFigure:
     body: str
 
 
-def picture(figure: Figure, id_: str, title: str, caption: str) -> DrawnFigure:
+def render(figure: Figure, id_: str, title: str, caption: str) -> DrawnFigure:
     """Draws the figure. The title is that of the page's caption, and the picture's accessible name."""
     svg = _svg(figure, id_, title)
     if len(svg) > LARGE_SVG_BYTES:

@@ -1,4 +1,7 @@
-"""What is missing in the recordings themselves: then other findings may be missing, too."""
+"""Findings of the records: what is missing in them, how late the ticks were, and what the autopilots logged.
+
+Where records are missing, other findings may be missing, too.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +12,20 @@ import numpy as np
 
 from companion.core.safety.failsafe import SILENT_TOO_LONG_S
 from companion.link.tick import LATE_S, PERIOD_S
-from companion.report.autopilot_logs import LogMessage, MatchedLog, Series
-from companion.report.findings import Finding, FindingKind, Severity, finding, runs
+from companion.report.autopilot_logs import MatchedLog, Series
+from companion.report.findings import Finding, Severity, finding, runs
 from companion.report.flight import Bools, FlightRecords, Floats, VehicleLog
 from companion.types.notices import Code
 
 GAP_S = 0.06  # time between two ticks that their lateness does not explain
 ENDED_BEFORE_S = 1.0  # before the end of the flight
+LEAST_SATELLITES = 6
+LARGEST_POSITION_ERROR_M = 3.0
+EXCEEDED_APART_S = 5.0
+LOGGED_EVERY_S = 2.0  # rows of GPS come a few times a second
+LATE_P99_MS = 10.0  # half a period: then the formation flies by old states all the time
+TO_COMMAND_P99_MS = 20.0  # one period
+FEW_LATE = 0.001  # a smaller share of late ticks is information, unless one was so late that the autopilot took over
 
 
 def recording_gaps(vehicle: VehicleLog) -> Iterator[Finding]:
@@ -36,15 +46,8 @@ def recording_gaps(vehicle: VehicleLog) -> Iterator[Finding]:
                 f"records of {missing_s[gaps].sum():.2f} s are missing in {places}, the longest"
                 f" {missing_s[worst]:.2f} s at {time_s[worst]:.1f} s"
             )
-            yield finding(
-                FindingKind.RECORDING,
-                Severity.WARNING,
-                Code.RECORDING_GAP,
-                vehicle.vehicle_id,
-                float(time_s[gaps[0]]),
-                text,
-                float(missing_s[gaps].sum()),
-            )
+            lasts_s = float(missing_s[gaps].sum())
+            yield finding(Code.RECORDING_GAP, vehicle.vehicle_id, float(time_s[gaps[0]]), text, lasts_s=lasts_s)
 
 
 def _late_s(timing_s: np.ndarray, late_ms: np.ndarray, time_s: np.ndarray) -> np.ndarray:
@@ -59,42 +62,22 @@ def starts_and_ends(flight: FlightRecords, vehicle: VehicleLog) -> Iterator[Find
     """Files that end early, agents that started again in the air, and recordings that end there."""
     for start in vehicle.starts:
         for problem in start.problems:
-            yield finding(
-                FindingKind.RECORDING,
-                Severity.WARNING,
-                Code.RECORDING_TRUNCATED,
-                vehicle.vehicle_id,
-                start.ends_s,
-                problem,
-            )
+            yield finding(Code.RECORDING_TRUNCATED, vehicle.vehicle_id, start.ends_s, problem)
     for before, start in zip(vehicle.starts, vehicle.starts[1:], strict=False):
-        if _in_air_at(vehicle, before.ends_s):
+        if vehicle.in_air_at(np.array([before.ends_s])).any():
             text = (
                 f"the agent started again {start.begins_s - before.ends_s:.1f} s after its last record, which was in"
                 " the air"
             )
-            yield finding(
-                FindingKind.FAILSAFE, Severity.CRITICAL, Code.AGENT_RESTARTED, vehicle.vehicle_id, start.begins_s, text
-            )
+            yield finding(Code.AGENT_RESTARTED, vehicle.vehicle_id, start.begins_s, text)
     last = vehicle.starts[-1]
-    if _in_air_at(vehicle, last.ends_s):
+    if vehicle.in_air_at(np.array([last.ends_s])).any():
         early_s = flight.ends_s - last.ends_s
         text = "the recording ends in the air" + (
             f", {early_s:.1f} s before that of the others" if early_s > ENDED_BEFORE_S else ""
         )
-        yield finding(
-            FindingKind.RECORDING,
-            Severity.CRITICAL if early_s > ENDED_BEFORE_S else Severity.WARNING,
-            Code.RECORDING_ENDS_IN_AIR,
-            vehicle.vehicle_id,
-            last.ends_s,
-            text,
-        )
-
-
-def _in_air_at(vehicle: VehicleLog, time_s: float) -> bool:
-    row = int(np.searchsorted(vehicle.ticks.time_s, time_s, side="right")) - 1
-    return row >= 0 and bool(vehicle.in_air()[row])
+        severity = Severity.CRITICAL if early_s > ENDED_BEFORE_S else Severity.WARNING
+        yield finding(Code.RECORDING_ENDS_IN_AIR, vehicle.vehicle_id, last.ends_s, text, severity=severity)
 
 
 def whole_flight(flight: FlightRecords) -> Iterator[Finding]:
@@ -102,24 +85,17 @@ def whole_flight(flight: FlightRecords) -> Iterator[Finding]:
     members = {member.id for member in flight.fleet.vehicles} if flight.fleet else set()
     for vehicle_id in sorted(members - set(flight.ids)):
         text = f"vehicle {vehicle_id} is in the fleet file and has no recording here"
-        yield finding(FindingKind.RECORDING, Severity.WARNING, Code.RECORDING_MISSING, vehicle_id, 0.0, text)
+        yield finding(Code.RECORDING_MISSING, vehicle_id, 0.0, text)
     for problem in flight.problems:
-        yield finding(FindingKind.RECORDING, Severity.WARNING, Code.RECORDING_UNREADABLE, None, 0.0, problem)
+        yield finding(Code.RECORDING_UNREADABLE, None, 0.0, problem)
     for vehicle in flight.vehicles:
         if not vehicle.aligned:
             text = (
                 "its clock could not be compared with those of the others: its times are by its own date and may be off"
             )
-            yield finding(
-                FindingKind.RECORDING, Severity.WARNING, Code.CLOCK_NOT_ALIGNED, vehicle.vehicle_id, 0.0, text
-            )
+            yield finding(Code.CLOCK_NOT_ALIGNED, vehicle.vehicle_id, 0.0, text)
     if not any(vehicle.in_air().any() for vehicle in flight.vehicles):
-        yield finding(FindingKind.RECORDING, Severity.INFO, Code.NOT_FLOWN, None, 0.0, "no vehicle was in the air")
-
-
-LATE_P99_MS = 10.0  # half a period: then the formation flies by old states all the time
-TO_COMMAND_P99_MS = 20.0  # one period
-FEW_LATE = 0.001  # a smaller share of late ticks is information, unless one was so late that the autopilot took over
+        yield finding(Code.NOT_FLOWN, None, 0.0, "no vehicle was in the air")
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,7 +161,7 @@ def late(vehicle: VehicleLog) -> Iterator[Finding]:
             f" {figures.to_command.max_ms:.1f} ms; limit {TO_COMMAND_P99_MS:g} ms (p99)"
         )
         time_s = float(vehicle.timing.time_s[int(np.nanargmax(vehicle.timing.to_command_ms))])
-        yield finding(FindingKind.LATE, Severity.WARNING, Code.COMMANDS_SLOW, vehicle.vehicle_id, time_s, text)
+        yield finding(Code.COMMANDS_SLOW, vehicle.vehicle_id, time_s, text)
 
 
 def _ticks_late(vehicle: VehicleLog, figures: TimingFigures) -> Finding:
@@ -197,42 +173,21 @@ def _ticks_late(vehicle: VehicleLog, figures: TimingFigures) -> Finding:
         f" {worst:.0f} ms; {figures.missed} periods without a tick; lateness {figures.lateness.p99_ms:.1f} ms (p99)"
     )
     severity = Severity.WARNING if often or worst > 1e3 * SILENT_TOO_LONG_S else Severity.INFO
-    return finding(FindingKind.LATE, severity, Code.LOOP_LATE, vehicle.vehicle_id, time_s, text)
-
-
-LEAST_SATELLITES = 6
-LARGEST_POSITION_ERROR_M = 3.0
-EXCEEDED_APART_S = 5.0
-HELD_S = 2.0  # rows of GPS come a few times a second
+    return finding(Code.LOOP_LATE, vehicle.vehicle_id, time_s, text, severity=severity)
 
 
 def autopilot_findings(matched: MatchedLog, vehicle: VehicleLog) -> Iterator[Finding]:
     """Failsafes, warnings, vibration and GPS."""
     yield from _of_messages(matched, vehicle)
-    log, by_s = matched.log, matched.offset_s
-    limit = log.vibration_limit_m_s2
-    yield from _beyond(
-        vehicle,
-        log.vibration_m_s2.shifted(by_s),
-        limit,
-        Code.VIBRATION_HIGH,
-        f"vibration up to {{:.0f}}, limit {limit:g} m/s²",
-    )
-    yield from _beyond(
-        vehicle,
-        log.position_error_m.shifted(by_s),
-        LARGEST_POSITION_ERROR_M,
-        Code.GPS_POOR,
-        f"GPS error up to {{:.1f}} m, limit {LARGEST_POSITION_ERROR_M:g} m",
-    )
-    satellites = log.satellites.shifted(by_s)
-    yield from _beyond(
-        vehicle,
-        Series(satellites.time_s, LEAST_SATELLITES - satellites.values),
-        0.0,
-        Code.GPS_POOR,
-        f"fewer than {LEAST_SATELLITES} satellites",
-    )
+    log, limit = matched.log, matched.log.vibration_limit_m_s2
+    missing = Series(log.satellites.time_s, LEAST_SATELLITES - log.satellites.values)
+    gps_m = LARGEST_POSITION_ERROR_M
+    for series, most, code, text in (
+        (log.vibration_m_s2, limit, Code.VIBRATION_HIGH, f"vibration up to {{:.0f}}, limit {limit:g} m/s²"),
+        (log.position_error_m, gps_m, Code.GPS_POOR, f"GPS error up to {{:.1f}} m, limit {gps_m:g} m"),
+        (missing, 0.0, Code.GPS_POOR, f"fewer than {LEAST_SATELLITES} satellites"),
+    ):
+        yield from _beyond(vehicle, series.shifted(matched.offset_s), most, code, text)
 
 
 def _of_messages(matched: MatchedLog, vehicle: VehicleLog) -> Iterator[Finding]:
@@ -240,40 +195,22 @@ def _of_messages(matched: MatchedLog, vehicle: VehicleLog) -> Iterator[Finding]:
     known: set[str] = set()
     for message in matched.log.messages:
         time_s = message.time_s + matched.offset_s
-        if message.severe and message.text not in known and in_air_at(vehicle, np.array([time_s]))[0]:
+        if message.severe and message.text not in known and _is_flown(vehicle, np.array([time_s]))[0]:
             known.add(message.text)
-            yield _of_message(message, vehicle.vehicle_id, time_s)
-
-
-def _of_message(message: LogMessage, vehicle_id: int, time_s: float) -> Finding:
-    if message.failsafe:
-        return finding(
-            FindingKind.AUTOPILOT, Severity.CRITICAL, Code.AUTOPILOT_FAILSAFE, vehicle_id, time_s, message.text
-        )
-    return finding(FindingKind.AUTOPILOT, Severity.WARNING, Code.AUTOPILOT_MESSAGE, vehicle_id, time_s, message.text)
+            code = Code.AUTOPILOT_FAILSAFE if message.failsafe else Code.AUTOPILOT_MESSAGE
+            yield finding(code, vehicle.vehicle_id, time_s, message.text)
 
 
 def _beyond(vehicle: VehicleLog, series: Series, limit: float, code: Code, text: str) -> Iterator[Finding]:
     """One finding for each time in the air with values above the limit; `text` may show the largest one."""
-    beyond = (series.values > limit) & in_air_at(vehicle, series.time_s)
-    for episode in runs(series.time_s, beyond, EXCEEDED_APART_S, HELD_S):
+    beyond = (series.values > limit) & _is_flown(vehicle, series.time_s)
+    for episode in runs(series.time_s, beyond, EXCEEDED_APART_S, LOGGED_EVERY_S):
         largest = float(series.values[episode.first : episode.last + 1].max())
-        yield finding(
-            FindingKind.AUTOPILOT,
-            Severity.WARNING,
-            code,
-            vehicle.vehicle_id,
-            episode.interval.begins_s,
-            text.format(largest),
-            episode.held_s,
-        )
+        begins_s, lasts_s = episode.interval.begins_s, episode.held_s
+        yield finding(code, vehicle.vehicle_id, begins_s, text.format(largest), lasts_s=lasts_s)
 
 
-def in_air_at(vehicle: VehicleLog, time_s: Floats) -> Bools:
-    """Whether the vehicle was in the air at these times (n,)."""
-    own_s = vehicle.ticks.time_s
-    if not own_s.size:
-        return np.zeros(time_s.size, dtype=np.bool_)
-    row = np.clip(np.searchsorted(own_s, time_s, side="right") - 1, 0, own_s.size - 1)
-    inside = (time_s >= own_s[0]) & (time_s <= own_s[-1])
-    return np.asarray(vehicle.in_air()[row] & inside, dtype=np.bool_)
+def _is_flown(vehicle: VehicleLog, time_s: Floats) -> Bools:
+    """Whether the vehicle was in the air at these times (n,), by its own records."""
+    ends_s = vehicle.ticks.time_s[-1:].max(initial=-np.inf)
+    return np.asarray(vehicle.in_air_at(time_s) & (time_s <= ends_s), dtype=np.bool_)

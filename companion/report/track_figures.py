@@ -3,32 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import cos, pi, sin
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.patches import Polygon
 
-from companion.geometry.airspace import Cuboid, Cylinder, Obstacle
+from companion.config.fleet import FleetConfig
 from companion.report.distances import PairDistance, in_formation
 from companion.report.flight import FlightRecords, Floats, VehicleLog
 from companion.report.plotting import (
     LEFT_IN,
     MARKERS,
     RIGHT_IN,
+    SIZE,
     WIDTH_IN,
     DrawnFigure,
-    dress,
+    draw_fence,
+    draw_obstacles,
+    dress_panel,
     finish,
-    look,
     new_figure,
-    picture,
+    render,
+    vehicle_look,
 )
 
 Range = tuple[float, float]
 HIGHEST_IN = 5.2
 POINTS = 1500  # of a drawn track
-CORNERS = 24  # of a cylinder
 MOST_CELLS = 16  # vehicles in the table of shares
 
 
@@ -37,20 +38,19 @@ def draw_tracks(flight: FlightRecords, pairs: Sequence[PairDistance]) -> DrawnFi
     x_range, y_range = _view(flight)
     figure = new_figure(_height_in(x_range, y_range))
     axes = figure.subplots()
-    for index, vehicle in enumerate(flight.vehicles):
-        _draw_track(axes, vehicle, index)
-    _nearest(axes, flight, pairs)
-    _airspace(axes, flight, x_range, y_range)
+    for vehicle in flight.vehicles:
+        _draw_track(axes, vehicle)
+    _draw_nearest(axes, flight, pairs)
+    _draw_airspace(axes, flight.fleet, x_range, y_range)
     axes.set_xlim(*x_range)
     axes.set_ylim(*y_range)
     axes.set_aspect("equal")
-    dress(axes, "north [m]")
-    axes.set_xlabel("east [m]", fontsize=8.5)
+    dress_panel(axes, "east [m]", "north [m]")
     finish(figure, [axes])
     caption = (
         "Open symbols: first position; filled: last position. Fence and obstacles are drawn where they are in view."
     )
-    return picture(figure, "tracks", "Tracks from above", caption)
+    return render(figure, "tracks", "Tracks from above", caption)
 
 
 def _view(flight: FlightRecords) -> tuple[Range, Range]:
@@ -71,21 +71,21 @@ def _height_in(x_range: Range, y_range: Range) -> float:
     return float(np.clip(wanted_in, 1.6, HIGHEST_IN))
 
 
-def _draw_track(axes: Axes, vehicle: VehicleLog, index: int) -> None:
-    position = vehicle.ticks.position_enu_m[vehicle.ticks.located]
+def _draw_track(axes: Axes, vehicle: VehicleLog) -> None:
+    position = vehicle.ticks.position_enu_m[vehicle.ticks.located, :2]
     if not position.size:
         return
-    begin = (float(position[0, 0]), float(position[0, 1]))
     drawn = position[:: max(1, len(position) // POINTS)]
-    style = look(index)
-    axes.plot(drawn[:, 0], drawn[:, 1], label=f"vehicle {vehicle.vehicle_id}", **style)
-    marker = MARKERS[index % len(MARKERS)]
-    axes.plot(*begin, marker, color=style["color"], markerfacecolor="white", markersize=7, zorder=4)
-    axes.plot(*position[-1, :2], marker, color=style["color"], markersize=7, zorder=4)
-    axes.annotate(str(vehicle.vehicle_id), begin, xytext=(5, 5), textcoords="offset points", fontsize=8, zorder=5)
+    look = vehicle_look(vehicle.vehicle_id)
+    axes.plot(*drawn.T, label=f"vehicle {vehicle.vehicle_id}", **look)
+    marker = MARKERS[(vehicle.vehicle_id - 1) % len(MARKERS)]
+    begin, end = position[[0, -1]].tolist()
+    for place, fill in ((begin, "white"), (end, look["color"])):
+        axes.plot(*place, marker, color=look["color"], markerfacecolor=fill, markersize=7, zorder=4)
+    axes.annotate(str(vehicle.vehicle_id), begin, xytext=(5, 5), textcoords="offset points", fontsize=SIZE, zorder=5)
 
 
-def _nearest(axes: Axes, flight: FlightRecords, pairs: Sequence[PairDistance]) -> None:
+def _draw_nearest(axes: Axes, flight: FlightRecords, pairs: Sequence[PairDistance]) -> None:
     """A line between the two vehicles that came nearest, at that time."""
     if not pairs or not pairs[0].judged.any():
         return
@@ -100,47 +100,16 @@ def _nearest(axes: Axes, flight: FlightRecords, pairs: Sequence[PairDistance]) -
     axes.plot([x1, x2], [y1, y2], color="#000000", linewidth=2.6, solid_capstyle="round", label=label, zorder=6)
 
 
-def _airspace(axes: Axes, flight: FlightRecords, x_range: Range, y_range: Range) -> None:
-    if flight.fleet is None:
+def _draw_airspace(axes: Axes, fleet: FleetConfig | None, x_range: Range, y_range: Range) -> None:
+    """A fence that is a box alone is drawn where a side of it is in view."""
+    if fleet is None:
         return
-    fence = flight.fleet.airspace.fence
+    fence = fleet.airspace.fence
     (x0, y0, _), (x1, y1, _) = fence.min_enu_m, fence.max_enu_m
-    corners = fence.corners_enu_m or ((x0, y0), (x1, y0), (x1, y1), (x0, y1))
-    in_view = x_range[0] < x0 or x1 < x_range[1] or y_range[0] < y0 or y1 < y_range[1] or fence.corners_enu_m
-    axes.add_patch(
-        Polygon(
-            corners,
-            fill=False,
-            edgecolor="#a3201d",
-            linewidth=1.3,
-            linestyle=(0, (6, 3)),
-            label="fence" if in_view else "_",
-            zorder=2,
-        )
-    )
-    for number, obstacle in enumerate(flight.fleet.airspace.obstacles):
-        axes.add_patch(
-            Polygon(
-                outline(obstacle),
-                facecolor="#dddddd",
-                edgecolor="#555555",
-                hatch="///",
-                linewidth=0.8,
-                label="_" if number else "obstacle",
-                zorder=1.5,
-            )
-        )
-
-
-def outline(obstacle: Obstacle) -> list[tuple[float, float]]:
-    """Corners of an obstacle from above."""
-    if isinstance(obstacle, Cuboid):
-        (x0, y0, _), (x1, y1, _) = obstacle.min_enu_m, obstacle.max_enu_m
-        return [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
-    assert isinstance(obstacle, Cylinder)
-    x, y = obstacle.centre_enu_m
-    angles = [2.0 * pi * i / CORNERS for i in range(CORNERS)]
-    return [(x + obstacle.radius_m * cos(angle), y + obstacle.radius_m * sin(angle)) for angle in angles]
+    in_view = x_range[0] < x0 or x1 < x_range[1] or y_range[0] < y0 or y1 < y_range[1]
+    box = ((x0, y0), (x1, y0), (x1, y1), (x0, y1)) if in_view else ()
+    draw_fence(axes, fence.corners_enu_m or box)
+    draw_obstacles(axes, fleet.airspace.obstacles)
 
 
 def draw_topology(flight: FlightRecords) -> DrawnFigure | None:
@@ -159,7 +128,7 @@ def draw_topology(flight: FlightRecords) -> DrawnFigure | None:
         "Left: an arrow from a neighbour to the vehicle that used it, wider the longer, at the mean slots. Right: share of"
         " the time in formation in which the vehicle of the row used that of the column."
     )
-    return picture(figure, "topology", "Topology: who used whom", caption)
+    return render(figure, "topology", "Topology: who used whom", caption)
 
 
 def used_shares(flight: FlightRecords) -> tuple[list[int], Floats] | None:
@@ -183,40 +152,20 @@ def used_shares(flight: FlightRecords) -> tuple[list[int], Floats] | None:
 
 def _draw_graph(axes: Axes, flight: FlightRecords, ids: list[int], share: Floats) -> None:
     places = {vehicle.vehicle_id: _place(vehicle) for vehicle in flight.vehicles}
-    for row, own in enumerate(ids):
-        for column, other in enumerate(ids):
-            if own in places and other in places and share[row, column] > 0.005:
-                axes.annotate(
-                    "",
-                    xy=places[own],
-                    xytext=places[other],
-                    arrowprops={
-                        "arrowstyle": "-|>",
-                        "linewidth": 0.4 + 1.8 * share[row, column],
-                        "color": "#555555",
-                        "shrinkA": 9,
-                        "shrinkB": 9,
-                        "connectionstyle": "arc3,rad=0.12",
-                    },
-                )
-    for index, vehicle in enumerate(flight.vehicles):
-        x, y = places[vehicle.vehicle_id]
+    arrow = {"arrowstyle": "-|>", "color": "#555555", "shrinkA": 9, "shrinkB": 9, "connectionstyle": "arc3,rad=0.12"}
+    for row, column in zip(*np.nonzero(np.nan_to_num(share) > 0.005), strict=True):
+        own, other = ids[row], ids[column]
+        if own in places and other in places:
+            props = arrow | {"linewidth": 0.4 + 1.8 * share[row, column]}
+            axes.annotate("", xy=places[own], xytext=places[other], arrowprops=props)
+    for vehicle in flight.vehicles:
         leads = bool(np.any(in_formation(vehicle) & (vehicle.ticks.role == "leader")))
-        colour = look(index)["color"]
-        axes.plot(
-            x,
-            y,
-            "s" if leads else "o",
-            markersize=15,
-            markerfacecolor="white",
-            color=colour,
-            markeredgewidth=1.6,
-            clip_on=False,
-        )
-        axes.text(x, y, str(vehicle.vehicle_id), ha="center", va="center", fontsize=8, fontweight="bold")
+        place, colour = places[vehicle.vehicle_id], vehicle_look(vehicle.vehicle_id)["color"]
+        ring: dict[str, Any] = {"markersize": 15, "markerfacecolor": "white", "markeredgewidth": 1.6, "clip_on": False}
+        axes.plot(*place, "s" if leads else "o", color=colour, **ring)
+        axes.text(*place, str(vehicle.vehicle_id), ha="center", va="center", fontsize=SIZE, fontweight="bold")
     axes.margins(0.2)
-    dress(axes, "north of the reference [m]", 2)
-    axes.set_xlabel("east of the reference [m]; square: leader", fontsize=8.5)
+    dress_panel(axes, "east of the reference [m]; square: leader", "north of the reference [m]", 2)
     axes.set_aspect("equal", adjustable="datalim")
 
 
@@ -231,13 +180,12 @@ def _place(vehicle: VehicleLog) -> tuple[float, float]:
 
 def _draw_table(axes: Axes, ids: list[int], share: Floats) -> None:
     axes.imshow(share, cmap="Greys", vmin=0.0, vmax=1.6, aspect="auto")
-    for row in range(len(ids)):
-        for column in range(len(ids)):
-            value = share[row, column]
-            if not np.isnan(value):
-                text = "-" if value == 0.0 else f"{100.0 * value:.0f}" if value > 0.005 else "<1"
-                axes.text(column, row, text, ha="center", va="center", fontsize=8 if len(ids) <= 8 else 6)
-    axes.set_xticks(range(len(ids)), [str(i) for i in ids], fontsize=8)
-    axes.set_yticks(range(len(ids)), [str(i) for i in ids], fontsize=8)
-    axes.set_xlabel("used vehicle; share of the time [%]", fontsize=8.5)
-    axes.set_ylabel("by vehicle", fontsize=8.5)
+    for (row, column), value in np.ndenumerate(share):
+        if not np.isnan(value):
+            text = "-" if value == 0.0 else f"{100.0 * value:.0f}" if value > 0.005 else "<1"
+            axes.text(column, row, text, ha="center", va="center", fontsize=SIZE if len(ids) <= 8 else 6)
+    names = [str(i) for i in ids]
+    axes.set_xticks(range(len(ids)), names, fontsize=SIZE)
+    axes.set_yticks(range(len(ids)), names, fontsize=SIZE)
+    axes.set_xlabel("used vehicle; share of the time [%]", fontsize=SIZE + 0.5)
+    axes.set_ylabel("by vehicle", fontsize=SIZE + 0.5)

@@ -14,13 +14,23 @@ from typing import Any, Protocol
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.patches import Circle, Rectangle
 
 from companion.analysis.interaction import FloatArray
-from companion.geometry.airspace import Airspace, Cylinder
+from companion.geometry.airspace import Airspace
+from companion.report.plotting import (
+    DPI,
+    GUIDE,
+    SOFT,
+    draw_fence,
+    draw_obstacles,
+    dress_plan,
+    put_legend_below,
+    titled_figure,
+    vehicle_look,
+)
 from companion.types.flight import Role
 from sitl.report.metrics import Formation, FormationFlight, reference_positions_m
-from sitl.report.plots import GUIDE, POSITIONS, law_title, new_figure
+from sitl.report.plots import POSITIONS, law_title
 from sitl.report.summary import CommandGiven, TopologyChange
 
 COLUMNS = 3
@@ -31,15 +41,10 @@ SAMPLE_S = 0.1
 SHAPES = (0.35, 1.2)  # height to width of a panel, at the least and at the most
 MARGIN = 0.06  # of the larger extent
 EDGE = "#999999"
-LEADS: dict[str, Any] = {"color": "#D55E00", "marker": "s", "markersize": 8}
-FOLLOWS: dict[str, Any] = {
-    "color": "#0072B2",
-    "marker": "o",
-    "markersize": 8,
-    "markerfacecolor": "white",
-    "markeredgewidth": 1.5,
-}
-ELSEWHERE: dict[str, Any] = {"color": "#666666", "marker": "x", "markersize": 8, "markeredgewidth": 1.5}
+# By the role; the colour is that of the vehicle.
+LEADS: dict[str, Any] = {"marker": "s", "markersize": 8, "linestyle": ""}
+FOLLOWS: dict[str, Any] = LEADS | {"marker": "o", "markerfacecolor": "white", "markeredgewidth": 1.5}
+ELSEWHERE: dict[str, Any] = LEADS | {"marker": "x", "markeredgewidth": 1.5}
 BESIDE: dict[str, Any] = {"xytext": (6, 6), "textcoords": "offset points", "fontsize": 8}
 
 
@@ -69,12 +74,12 @@ def save_plan_view(path: Path, flight: FormationFlight, watch: FlightRecord, nam
     low_m, high_m = _extent_m(flight, panels, airspace)
     width_m, height_m = high_m - low_m
     panel_in = PANEL_IN * float(np.clip(height_m / width_m, *SHAPES))
-    figure = new_figure(0.8 + PANEL_IN * max(columns, 1.8), 1.4 + (panel_in + 0.35) * rows, f"{name}: from above")
+    figure = titled_figure(0.8 + PANEL_IN * max(columns, 1.8), 1.4 + (panel_in + 0.35) * rows, f"{name}: from above")
     grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     for axes, panel in zip(grid.flat, panels, strict=False):
-        draw_airspace(axes, airspace)
+        draw_fence(axes, airspace.fence.corners_enu_m)
+        draw_obstacles(axes, airspace.obstacles)
         _draw(axes, flight, watch, panel)
-        axes.set_aspect("equal")
         axes.set_xlim(low_m[0], high_m[0])
         axes.set_ylim(low_m[1], high_m[1])
     for axes in grid.flat[len(panels) :]:
@@ -85,10 +90,8 @@ def save_plan_view(path: Path, flight: FormationFlight, watch: FlightRecord, nam
     for axes in grid[:, 0]:
         axes.set_ylabel("y, north [m]")
     _legend(grid[0, 0])
-    handles, labels = grid[0, 0].get_legend_handles_labels()
-    source = f"{POSITIONS[flight.source]}, {law_title(flight)}"
-    figure.legend(handles, labels, loc="outside lower center", ncols=6, frameon=False, fontsize=9, title=source)
-    figure.savefig(path, dpi=130)
+    put_legend_below(figure, grid[0, 0], 6, f"{POSITIONS[flight.source]}, {law_title(flight)}")
+    figure.savefig(path, dpi=DPI)
 
 
 def panels_of(watch: FlightRecord) -> list[Panel]:
@@ -124,24 +127,21 @@ def _extent_m(flight: FormationFlight, panels: Sequence[Panel], airspace: Airspa
 def _draw(axes: Axes, flight: FormationFlight, watch: FlightRecord, panel: Panel) -> None:
     times_s = np.linspace(panel.start_s, panel.end_s, max(2, round((panel.end_s - panel.start_s) / SAMPLE_S)))
     reference_m = reference_positions_m(flight.reference, flight.formation.reference_start_s, times_s)
-    axes.plot(reference_m[:, 0], reference_m[:, 1], **GUIDE)
+    axes.plot(*reference_m[:, :2].T, **GUIDE)
     now = {change.vehicle: change for change in watch.topology if watch.began_s + change.time_s <= panel.end_s}
     at_end = {i: track.at(times_s[-1:])[0] for i, track in flight.tracks.items()}
     _draw_edges(axes, at_end, list(now.values()))
     for vehicle_id, track in sorted(flight.tracks.items()):
-        look, path_m = _look(now.get(vehicle_id)), track.at(times_s)
-        axes.plot(path_m[:, 0], path_m[:, 1], color=look["color"], linewidth=0.9, alpha=0.7)
+        colour = vehicle_look(vehicle_id)["color"]
+        axes.plot(*track.at(times_s)[:, :2].T, color=colour, linewidth=0.9, alpha=0.7)
         x_m, y_m, _ = at_end[vehicle_id]
-        axes.plot([x_m], [y_m], linestyle="", **look)
-        axes.annotate(str(vehicle_id), (x_m, y_m), **BESIDE, color=look["color"])
+        axes.plot([x_m], [y_m], color=colour, **_look(now.get(vehicle_id)))
+        axes.annotate(str(vehicle_id), (x_m, y_m), **BESIDE, color=colour)
     since_s = watch.formations[0].start_s
     axes.set_title(
         f"{panel.start_s - since_s:.0f} to {panel.end_s - since_s:.0f} s, after {panel.command}", fontsize=10
     )
-    axes.grid(visible=True, color="#e6e6e6", linewidth=0.7)
-    axes.set_axisbelow(True)
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.tick_params(labelsize=9)
+    dress_plan(axes)
 
 
 def _draw_edges(axes: Axes, at_end: dict[int, FloatArray], topology: Sequence[TopologyChange]) -> None:
@@ -162,26 +162,7 @@ def _look(part: TopologyChange | None) -> dict[str, Any]:
 def _legend(axes: Axes) -> None:
     """Legend entries for what `_draw` draws."""
     for look, name in ((LEADS, "leader"), (FOLLOWS, "follower"), (ELSEWHERE, "not in formation")):
-        axes.plot([], [], linestyle="", **look, label=name)
-    axes.plot([], [], color=FOLLOWS["color"], linewidth=0.9, label="path")
+        axes.plot([], [], color=SOFT, **look, label=name)
+    axes.plot([], [], color=SOFT, linewidth=0.9, label="path")
     axes.plot([], [], color=EDGE, linewidth=1.0, label="neighbours")
     axes.plot([], [], **GUIDE, label="reference")
-
-
-FENCE: dict[str, Any] = {"color": "#000000", "linewidth": 1.4, "linestyle": (0, (6, 2, 1, 2))}
-OBSTACLE: dict[str, Any] = {"facecolor": "white", "edgecolor": "#444444", "hatch": "////", "linewidth": 1.0}
-
-
-def draw_airspace(axes: Axes, airspace: Airspace) -> None:
-    """The polygon of the fence and all obstacles, with one legend entry for each kind."""
-    corners = airspace.fence.corners_enu_m
-    if corners:
-        xs, ys = zip(*corners, corners[0], strict=True)
-        axes.plot(xs, ys, **FENCE, label="fence")
-    for index, obstacle in enumerate(airspace.obstacles):
-        label = "" if index else "obstacle"
-        if isinstance(obstacle, Cylinder):
-            axes.add_patch(Circle(obstacle.centre_enu_m, obstacle.radius_m, **OBSTACLE, label=label))
-        else:
-            (x, y, _), (far_x, far_y, _) = obstacle.min_enu_m, obstacle.max_enu_m
-            axes.add_patch(Rectangle((x, y), far_x - x, far_y - y, **OBSTACLE, label=label))

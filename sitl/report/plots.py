@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from companion.analysis.interaction import FloatArray
+from companion.report.plotting import DPI, GUIDE, SOFT, dress, marked_look, put_legend_beside, titled_figure
 from sitl.report.metrics import (
     Formation,
     FormationFlight,
@@ -30,12 +30,6 @@ PAIRS_SHOWN = 7  # each with a curve of its own; of more pairs the nearest and t
 EXTREMES = 3  # as many of each
 MIN_SPAN_M = 1.0  # smallest range of an axis
 
-# The colour-blind safe palette of Okabe and Ito.
-COLOURS = ("#000000", "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
-STYLES: tuple[Any, ...] = ("-", (0, (6, 2)), (0, (5, 1.5, 1, 1.5)), (0, (2, 1.2)))
-MARKERS = ("o", "s", "^", "D", "v", "P", "X")
-MARKERS_PER_CURVE = 12
-GUIDE: dict[str, Any] = {"color": "#808080", "linewidth": 1.1, "linestyle": (0, (1, 1.8)), "zorder": 1.5}
 TIME_LABEL = "time since the start of the formation [s]"
 POSITIONS: dict[TrackSource, str] = {"true": "true positions", "estimated": "positions as estimated by the vehicles"}
 LAW_TITLES = {
@@ -48,9 +42,9 @@ LAW_TITLES = {
 
 def save_figure_5(path: Path, flight: FormationFlight, name: str) -> None:
     """x and y of all vehicles over time, with their slots."""
-    figure = new_figure(8.4, 6.0, f"{name}: x and y of every vehicle")
+    figure = titled_figure(8.4, 6.0, f"{name}: x and y of every vehicle")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=_heights([flight]))
-    upper.set_title(f"{POSITIONS[flight.source]}, {law_title(flight)}", fontsize=10, color="#444444")
+    upper.set_title(f"{POSITIONS[flight.source]}, {law_title(flight)}", fontsize=10, color=SOFT)
     draw_positions(upper, flight, 0)
     draw_positions(lower, flight, 1)
     keep_a_span([upper])
@@ -58,27 +52,27 @@ def save_figure_5(path: Path, flight: FormationFlight, name: str) -> None:
     upper.set_ylabel("x, east [m]")
     lower.set_ylabel("y, north [m]")
     lower.set_xlabel(TIME_LABEL)
-    legend_beside(upper)
-    figure.savefig(path, dpi=150)
+    put_legend_beside(upper)
+    figure.savefig(path, dpi=DPI)
 
 
 def save_figure_6(path: Path, flight: FormationFlight, name: str) -> None:
     """Inter-distances over time, with the wanted ones."""
-    figure = new_figure(8.4, 4.6 + _height_of_legends_in(len(flight.pairs)), f"{name}: inter-distances")
+    figure = titled_figure(8.4, 4.6 + _height_of_legends_in(len(flight.pairs)), f"{name}: inter-distances")
     axes = figure.subplots()
-    axes.set_title(f"from {POSITIONS[flight.source]}, {law_title(flight)}", fontsize=10, color="#444444")
+    axes.set_title(f"from {POSITIONS[flight.source]}, {law_title(flight)}", fontsize=10, color=SOFT)
     draw_distances(axes, flight)
     keep_a_span([axes], 0.5)
     axes.set_ylabel("distance [m]")
     axes.set_xlabel(TIME_LABEL)
-    figure.savefig(path, dpi=150)
+    figure.savefig(path, dpi=DPI)
 
 
 def save_comparison(path: Path, flights: Sequence[FormationFlight], name: str) -> None:
     """Figures 5 and 6 side by side, a column for each law."""
     height_in = 8.6 + _height_of_legends_in(max(len(flight.pairs) for flight in flights))
     title = f"{name}: the laws side by side, from {POSITIONS[flights[0].source]}"
-    figure = new_figure(1.4 + 4.4 * len(flights), height_in, title)
+    figure = titled_figure(1.4 + 4.4 * len(flights), height_in, title)
     heights = [*_heights(flights), 1.0]
     grid = figure.subplots(3, len(flights), sharex="col", sharey="row", squeeze=False, height_ratios=heights)
     for (x, y, distance), flight in zip(grid.T, flights, strict=True):
@@ -90,8 +84,8 @@ def save_comparison(path: Path, flights: Sequence[FormationFlight], name: str) -
     for row, label, span_m in zip(grid, ("x, east [m]", "y, north [m]", "distance [m]"), (1.0, 1.0, 0.5), strict=True):
         row[0].set_ylabel(label)
         keep_a_span(row, span_m)
-    legend_beside(grid[0, -1])
-    figure.savefig(path, dpi=130)
+    put_legend_beside(grid[0, -1])
+    figure.savefig(path, dpi=DPI)
 
 
 def law_title(flight: FormationFlight) -> str:
@@ -104,13 +98,6 @@ def _times_s(flight: FormationFlight) -> FloatArray:
     return Formation(flight.formation.start_s - BEFORE_S, flight.formation.end_s, 0.0).times_s()
 
 
-def new_figure(width_in: float, height_in: float, title: str) -> Figure:
-    """An empty figure with its title."""
-    figure = Figure(figsize=(width_in, height_in), layout="constrained")
-    figure.suptitle(title, fontsize=13, fontweight="bold")
-    return figure
-
-
 def _heights(flights: Sequence[FormationFlight]) -> list[float]:
     """Relative heights of the panels of x and y: at least half the larger one."""
     extents = [np.ptp(track.position_enu_m, axis=0) for flight in flights for track in flight.tracks.values()]
@@ -119,31 +106,17 @@ def _heights(flights: Sequence[FormationFlight]) -> list[float]:
     return [max(0.5, float(extent_m / widest_m)) for extent_m in (x_m, y_m)]
 
 
-def look(index: int, samples: int) -> dict[str, Any]:
-    """Style of a curve; the markers of different curves are at different times."""
-    every = max(1, samples // MARKERS_PER_CURVE)
-    return {
-        "color": COLOURS[index % len(COLOURS)],
-        "linestyle": STYLES[index % len(STYLES)],
-        "linewidth": 1.5,
-        "marker": MARKERS[index % len(MARKERS)],
-        "markersize": 4.5,
-        "markerfacecolor": "white",
-        "markeredgewidth": 1.1,
-        "markevery": (index * every // 4 % every, every),
-    }
-
-
 def draw_positions(axes: Axes, flight: FormationFlight, axis: int) -> None:
     """One coordinate of every vehicle; thin dotted lines are the slots r + d_i0."""
     times_s = _times_s(flight)
     since_s = times_s - flight.formation.start_s
     reference_m = reference_positions_m(flight.reference, flight.formation.reference_start_s, times_s)[:, axis]
-    for index, (vehicle_id, track) in enumerate(sorted(flight.tracks.items())):
+    for vehicle_id, track in sorted(flight.tracks.items()):
         axes.plot(since_s, reference_m + flight.slots[vehicle_id].at(times_s)[:, axis], **GUIDE, label="_")
-        axes.plot(since_s, track.at(times_s)[:, axis], label=f"UAV {vehicle_id}", **look(index, times_s.size))
+        look = marked_look(vehicle_id - 1, times_s.size)
+        axes.plot(since_s, track.at(times_s)[:, axis], label=f"vehicle {vehicle_id}", **look)
     axes.plot([], [], **GUIDE, label="its slot")
-    dress(axes, since_s)
+    dress_time(axes, since_s)
 
 
 def draw_distances(axes: Axes, flight: FormationFlight) -> None:
@@ -157,8 +130,8 @@ def draw_distances(axes: Axes, flight: FormationFlight) -> None:
         axes.plot(since_s, np.transpose(others_m), color="#b0b0b0", linewidth=0.6, zorder=1.8)
         axes.plot([], [], color="#b0b0b0", linewidth=0.6, label=f"{len(others_m)} other pairs")
     for index, (pair, range_m) in enumerate(shown.items()):
-        label = f"UAV {pair_name(pair)}, {range_m}"
-        axes.plot(since_s, curves_m[pair], label=label, **look(index, times_s.size))
+        label = f"{pair_name(pair)}, {range_m}"
+        axes.plot(since_s, curves_m[pair], label=label, **marked_look(index, times_s.size))
     if not flight.pairs:
         axes.text(0.5, 0.5, "one vehicle has no inter-distance", transform=axes.transAxes, ha="center")
     wanted_m = sorted({round(float(distances_m(flight.slots, pair, times_s[-1:])[0]), 3) for pair in flight.pairs})
@@ -167,7 +140,7 @@ def draw_distances(axes: Axes, flight: FormationFlight) -> None:
     if wanted_m:
         axes.plot([], [], **GUIDE, label="wanted, " + " and ".join(f"{value_m:.2f} m" for value_m in wanted_m))
         _legend_of_distances(axes, len(flight.pairs))
-    dress(axes, since_s)
+    dress_time(axes, since_s)
 
 
 def _legend_of_distances(axes: Axes, pairs: int) -> None:
@@ -198,14 +171,11 @@ def _shown(curves_m: dict[Pair, FloatArray], inside: NDArray[np.bool_]) -> dict[
     return {pair: f"{smallest_m[pair]:.2f} to {largest_m[pair]:.2f} m" for pair in dict.fromkeys([*farthest, *nearest])}
 
 
-def dress(axes: Axes, since_s: FloatArray) -> None:
+def dress_time(axes: Axes, since_s: FloatArray, label: str = "") -> None:
     """Grid, frame and range of a time axis, with a line at zero."""
     axes.axvline(0.0, color="#bbbbbb", linewidth=0.8, zorder=1)
     axes.set_xlim(float(since_s[0]), float(since_s[-1]))
-    axes.grid(visible=True, color="#e6e6e6", linewidth=0.7)
-    axes.set_axisbelow(True)
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.tick_params(labelsize=9)
+    dress(axes, y_label=label)
 
 
 def keep_a_span(row: Sequence[Axes], span_m: float = MIN_SPAN_M) -> None:
@@ -217,8 +187,3 @@ def keep_a_span(row: Sequence[Axes], span_m: float = MIN_SPAN_M) -> None:
     margin_m = max(0.07 * (high_m - low_m), (span_m - (high_m - low_m)) / 2)
     for axes in row:
         axes.set_ylim(low_m - margin_m, high_m + margin_m)
-
-
-def legend_beside(axes: Axes) -> None:
-    """To the right of the axes."""
-    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=9, frameon=False, handlelength=3.5)

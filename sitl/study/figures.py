@@ -6,10 +6,18 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter
 
-from sitl.report.plots import COLOURS, MARKERS, STYLES
+from companion.report.plotting import (
+    COLOURS,
+    DPI,
+    GUIDE,
+    MARKERS,
+    curve_look,
+    dress,
+    dress_logarithmic,
+    put_legend_below,
+    titled_figure,
+)
 from sitl.study.cases import Figures
 from sitl.study.settings import COOPERATIVE, SETTINGS, Setting
 from sitl.study.shapes import SPACING_M
@@ -19,16 +27,14 @@ NEVER_LABEL = "not settled"
 
 def save_trade_off(path: Path, flights: Sequence[Figures], shapes: Sequence[str]) -> None:
     """One panel per shape: x is the settle time, y the largest deviation of a neighbour distance from the desired one."""
-    figure = Figure(figsize=(13.0, 6.4), layout="constrained")
-    figure.suptitle("Settle time and worst inter-distance, full quadrotor model, step of 1 m", fontsize=13)
+    figure = titled_figure(13.0, 6.4, "Settle time and worst inter-distance, full quadrotor model, step of 1 m")
     panels = figure.subplots(1, len(shapes), squeeze=False)[0]
     for axes, shape in zip(panels, shapes, strict=True):
         _draw_trade_off(axes, [f for f in flights if f.shape == shape])
         axes.set_title(shape)
     panels[0].set_ylabel("largest deviation of a neighbour distance\nfrom the desired one [m]")
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=10, frameon=False)
-    figure.savefig(path, dpi=130)
+    put_legend_below(figure, panels[0], 4)
+    figure.savefig(path, dpi=DPI)
 
 
 def _draw_trade_off(axes: Axes, flights: Sequence[Figures]) -> None:
@@ -38,9 +44,8 @@ def _draw_trade_off(axes: Axes, flights: Sequence[Figures]) -> None:
     for setting in SETTINGS:
         if setting.label in flown:
             _draw_setting(axes, setting, flown[setting.label], never_s)
-    axes.set_xscale("log")
-    axes.set_yscale("log")
-    axes.axhline(SPACING_M, color="#808080", linewidth=1.0, linestyle=(0, (1, 1.8)))
+    dress_logarithmic(axes)
+    axes.axhline(SPACING_M, **GUIDE)
     axes.text(
         0.02,
         SPACING_M,
@@ -62,11 +67,7 @@ def _draw_trade_off(axes: Axes, flights: Sequence[Figures]) -> None:
     axes.set_xlim(right=right_s)
     bottom, top = axes.get_ylim()
     axes.set_ylim(top=top * (top / bottom) ** 0.12)  # room above every marker for the label of the grey strip
-    axes.xaxis.set_major_locator(LogLocator(10.0, subs=(1.0, 2.0, 5.0)))
-    axes.xaxis.set_major_formatter("{x:g}")
-    axes.xaxis.set_minor_formatter(NullFormatter())
-    axes.set_xlabel("settled to 10 cm after [s]")
-    axes.grid(True, which="major", color="#dddddd", linewidth=0.6)
+    dress(axes, "settled to 10 cm after [s]")
 
 
 def _draw_setting(axes: Axes, setting: Setting, flown: Figures, never_s: float) -> None:
@@ -92,29 +93,19 @@ def _look(setting: Setting) -> tuple[str, str]:
     if setting.law.name != "cooperative" and not setting.is_part and "+" not in setting.label:
         return "#ffffff", MARKERS[index % len(MARKERS)]
     if setting.law.name == "weighted":
-        return "#E69F00" if setting.is_part else "#56B4E9", MARKERS[index % len(MARKERS)]
-    return "#0072B2", MARKERS[index % len(MARKERS)]
+        return COLOURS[5 if setting.is_part else 6], MARKERS[index % len(MARKERS)]
+    return COLOURS[0], MARKERS[index % len(MARKERS)]
 
 
 def save_spectra(path: Path, spectra: Mapping[str, Mapping[str, Sequence[tuple[int, float]]]]) -> None:
     """lambda_min over the number of vehicles. `spectra`: kind of shape -> law -> (vehicles, lambda_min)."""
-    figure = Figure(figsize=(13.0, 5.0), layout="constrained")
-    figure.suptitle("Smallest eigenvalue of the interaction matrix for up to 10,000 vehicles", fontsize=13)
+    figure = titled_figure(13.0, 5.0, "Smallest eigenvalue of the interaction matrix for up to 10,000 vehicles")
     panels = figure.subplots(1, len(spectra), squeeze=False, sharey=True)[0]
     for axes, (kind, laws) in zip(panels, spectra.items(), strict=True):
         for index, (law, points) in enumerate(laws.items()):
-            axes.loglog(
-                [n for n, _ in points],
-                [value for _, value in points],
-                color=COLOURS[index],
-                linestyle=STYLES[index % len(STYLES)],
-                marker=MARKERS[index],
-                label=law,
-            )
+            axes.loglog(*zip(*points, strict=True), label=law, marker=MARKERS[index], **curve_look(index))
         axes.set_title(kind)
-        axes.set_xlabel("vehicles")
-        axes.grid(True, which="major", color="#dddddd", linewidth=0.6)
+        dress(axes, "vehicles")
     panels[0].set_ylabel("lambda_min of G [-]")
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), fontsize=10, frameon=False)
-    figure.savefig(path, dpi=130)
+    put_legend_below(figure, panels[0], len(next(iter(spectra.values()))))
+    figure.savefig(path, dpi=DPI)

@@ -6,11 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter
 
 from companion.assembly import law_of
-from sitl.report.plots import COLOURS, MARKERS
+from companion.report.plotting import COLOURS, DPI, GUIDE, MARKERS, dress, dress_logarithmic, titled_figure
 from sitl.study.selection import CANDIDATES, LOST_ROOM_M, Score
 
 STRIP = 1.5  # width of the strip for settings that did not settle, as a factor
@@ -18,9 +16,8 @@ STRIP = 1.5  # width of the strip for settings that did not settle, as a factor
 
 def save_selection(path: Path, found: Sequence[Score], chosen: Score | None) -> None:
     """x: the longest settling time over that of a leader alone; y: the most by which it comes nearer than eq. 22."""
-    figure = Figure(figsize=(9.0, 6.2), layout="constrained")
+    figure = titled_figure(9.0, 6.2, "Settings of cooperative: the worst of all shapes and conditions")
     axes = figure.subplots()
-    figure.suptitle("Settings of cooperative: the worst of all shapes and conditions", fontsize=13)
     never = STRIP * STRIP * max((score.settling for score in found if score.settling is not None), default=1.0)
     _draw_points(axes, found, never)
     if chosen is not None and chosen.settling is not None:
@@ -34,13 +31,13 @@ def save_selection(path: Path, found: Sequence[Score], chosen: Score | None) -> 
             markerfacecolor="none",
             markeredgecolor="black",
         )
-    axes.axhline(LOST_ROOM_M, color="#808080", linewidth=1.0, linestyle=(0, (1, 1.8)))
+    axes.axhline(LOST_ROOM_M, **GUIDE)
     axes.text(
         0.99, LOST_ROOM_M, "most allowed", transform=axes.get_yaxis_transform(), va="bottom", ha="right", fontsize=9
     )
     _dress(axes, never)
     axes.legend(fontsize=9, frameon=False)
-    figure.savefig(path, dpi=130)
+    figure.savefig(path, dpi=DPI)
 
 
 def _nearer_m(score: Score) -> float:
@@ -74,16 +71,11 @@ def _draw_points(axes: Axes, found: Sequence[Score], never: float) -> None:
 
 
 def _dress(axes: Axes, never: float) -> None:
-    axes.set_xscale("log")
-    axes.set_yscale("log")
+    dress_logarithmic(axes)
     axes.axvspan(never / STRIP, never * STRIP, color="#eeeeee", zorder=0)
     axes.set_xlim(right=never * STRIP)
     above = axes.get_xaxis_transform()
     axes.text(never, 0.03, "did not settle\nin every flight", transform=above, ha="center", fontsize=9)
-    axes.set_xlabel("longest settling time to 10 cm, in settling times of a leader alone [-]")
-    axes.set_ylabel("nearer than under eq. 22, at most in any flight [m]")
-    axes.xaxis.set_major_locator(LogLocator(10.0, subs=(1.0, 2.0, 5.0)))
-    axes.xaxis.set_major_formatter("{x:g}")
-    axes.xaxis.set_minor_formatter(NullFormatter())
     axes.yaxis.set_major_formatter("{x:g}")
-    axes.grid(True, which="major", color="#dddddd", linewidth=0.6)
+    x_label = "longest settling time to 10 cm, in settling times of a leader alone [-]"
+    dress(axes, x_label, "nearer than under eq. 22, at most in any flight [m]")

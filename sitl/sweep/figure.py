@@ -16,7 +16,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from sitl.report.plots import COLOURS, GUIDE, MARKERS, STYLES
+from companion.report.plotting import (
+    COLOURS,
+    DPI,
+    GUIDE,
+    curve_look,
+    dress,
+    marker_look,
+    put_legend_below,
+    titled_figure,
+)
 from sitl.sweep.points import Axis, Value
 from sitl.sweep.report import heading, short_name, value_text
 from sitl.sweep.statistics import Combination, Spread, Sweep
@@ -52,7 +61,7 @@ class Curve:
 def save_sweep(path: Path, sweep: Sweep, axes: Sequence[Axis]) -> None:
     along = _along(axes)
     figure = _curves(sweep, along.key) if along else _points(sweep)
-    figure.savefig(path, dpi=130)
+    figure.savefig(path, dpi=DPI)
 
 
 def _along(axes: Sequence[Axis]) -> Axis | None:
@@ -72,7 +81,8 @@ def _curves(sweep: Sweep, key: str) -> Figure:
     for name, axes in panels.items():
         for index, curve in enumerate(drawn):
             _draw_curve(axes, key, curve, name, index, sweep.seconds)
-        _dress(axes, PANELS[name])
+        axes.set_title(PANELS[name], fontsize=10)
+        dress(axes)
         _scale(axes, sweep.vary[key])
         axes.set_ylim(_limits(shown, name, sweep.seconds))
     for axes in list(panels.values())[3:]:
@@ -87,9 +97,8 @@ def _curves(sweep: Sweep, key: str) -> Figure:
 def _legend_below(figure: Figure, axes: Axes, curves: int) -> None:
     if curves < 2:
         return
-    handles, labels = axes.get_legend_handles_labels()
-    columns = max(1, min(curves, MOST_LETTERS // (max(map(len, labels)) + 10)))
-    figure.legend(handles, labels, loc="outside lower center", ncols=columns, fontsize=9, frameon=False, handlelength=4)
+    _, labels = axes.get_legend_handles_labels()
+    put_legend_below(figure, axes, max(1, min(curves, MOST_LETTERS // (max(map(len, labels)) + 10))))
 
 
 def curves_of(sweep: Sweep, key: str) -> list[Curve]:
@@ -104,11 +113,11 @@ def curves_of(sweep: Sweep, key: str) -> list[Curve]:
 def _draw_curve(axes: Axes, key: str, curve: Curve, name: str, index: int, seconds: float) -> None:
     values = np.array([one.values[key] for one in curve.combinations], dtype=float)
     low, middle, high = np.array([_spread(one, name, seconds) for one in curve.combinations], dtype=float).T
-    look = {"color": COLOURS[index % len(COLOURS)], "linestyle": STYLES[index % len(STYLES)]}
+    look = curve_look(index)
     axes.fill_between(values, low, high, color=look["color"], alpha=BAND_ALPHA, linewidth=0)
     for edge in (low, high):
-        axes.plot(values, edge, linewidth=0.7, alpha=0.7, **look)
-    axes.plot(values, middle, label=curve.label, linewidth=1.6, **{**_mark(index), **look})
+        axes.plot(values, edge, alpha=0.7, **look | {"linewidth": 0.7})
+    axes.plot(values, middle, label=curve.label, **marker_look(index) | look)
 
 
 def _scale(axes: Axes, values: Sequence[Value]) -> None:
@@ -134,8 +143,9 @@ def _points(sweep: Sweep) -> Figure:
         for row, one in enumerate(drawn):
             low, middle, high = _spread(one, name, sweep.seconds)
             axes.plot([low, high], [row, row], color=COLOURS[row % len(COLOURS)], linewidth=2.2, alpha=0.6)
-            axes.plot([middle], [row], **_mark(row))
-        _dress(axes, PANELS[name])
+            axes.plot([middle], [row], **marker_look(row))
+        axes.set_title(PANELS[name], fontsize=10)
+        dress(axes)
         axes.set_yticks(range(len(drawn)), labels)
         axes.set_ylim(len(drawn) - 0.5, -0.5)
         axes.set_xlim(_limits(drawn, name, sweep.seconds))
@@ -149,13 +159,7 @@ def _points(sweep: Sweep) -> Figure:
 
 
 def _figure(sweep: Sweep, size_in: tuple[float, float], left_out: str) -> Figure:
-    figure = Figure(figsize=size_in, layout="constrained")
-    figure.suptitle(
-        f"{heading(sweep)}\nmedian, and from 5 to 95 percent of flights{left_out}",
-        fontsize=12,
-        fontweight="bold",
-    )
-    return figure
+    return titled_figure(*size_in, f"{heading(sweep)}\nmedian, and from 5 to 95 percent of flights{left_out}")
 
 
 def _omitted(drawn: int, of: int, what: str) -> str:
@@ -194,21 +198,3 @@ def _limits(drawn: Sequence[Combination], name: str, seconds: float) -> tuple[fl
 
 def _some_never_settled(drawn: Sequence[Combination]) -> bool:
     return any(one.settle_s.p95 is None for one in drawn)
-
-
-def _mark(index: int) -> dict[str, Any]:
-    return {
-        "color": COLOURS[index % len(COLOURS)],
-        "marker": MARKERS[index % len(MARKERS)],
-        "markersize": 6,
-        "markerfacecolor": "white",
-        "markeredgewidth": 1.3,
-    }
-
-
-def _dress(axes: Axes, title: str) -> None:
-    axes.set_title(title, fontsize=10)
-    axes.grid(visible=True, color="#e6e6e6", linewidth=0.7)
-    axes.set_axisbelow(True)
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.tick_params(labelsize=9)

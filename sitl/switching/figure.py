@@ -7,9 +7,8 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
-from sitl.report.plots import COLOURS, MARKERS, STYLES
+from companion.report.plotting import COLOURS, DPI, MARKERS, STYLES, dress, put_legend_below, titled_figure
 from sitl.switching.topology import Topology
 
 MARKED = 0.12  # distance of markers, as a share of the diagonal; the laws stay distinct in greyscale
@@ -17,8 +16,7 @@ MARKED = 0.12  # distance of markers, as a share of the diagonal; the laws stay 
 
 def save_switching(path: Path, topologies: Sequence[Topology], duration_s: float, title: str) -> None:
     """Left: share of starts in which all vehicles were connected so far. Right: distribution of the smallest lambda_min."""
-    figure = Figure(figsize=(11.0, 5.2), layout="constrained")
-    figure.suptitle(title, fontsize=12)
+    figure = titled_figure(11.0, 5.2, title)
     left, right = figure.subplots(1, 2)
     laws = list(dict.fromkeys(t.law for t in topologies))
     hystereses_m = sorted({t.hysteresis_m for t in topologies})
@@ -29,27 +27,12 @@ def save_switching(path: Path, topologies: Sequence[Topology], duration_s: float
             look = {"color": colour, "linestyle": style, "marker": marker, "markevery": MARKED, "label": label}
             _draw_connected(left, group, duration_s, look)
             _draw_spread(right, group, look)
-    left.set(
-        xlabel="time since the start of the formation [s]", ylabel="connected so far [% of the starts]", ylim=(0, 102)
-    )
-    right.set(
-        xlabel="smallest lambda_min of the flight while connected [-]",
-        ylabel="starts below this value [%]",
-        ylim=(0, 102),
-    )
+    dress(left, "time since the start of the formation [s]", "connected so far [% of the starts]")
+    dress(right, "smallest lambda_min of the flight while connected [-]", "starts below this value [%]")
     for axes in (left, right):
-        axes.grid(True, color="#dddddd", linewidth=0.6)
-    handles, labels = left.get_legend_handles_labels()
-    figure.legend(
-        handles,
-        labels,
-        title="law, hysteresis",
-        loc="outside lower center",
-        ncols=len(laws),
-        handlelength=4.5,  # long enough to show dashes beside the marker
-        frameon=False,
-    )
-    figure.savefig(path, dpi=150)
+        axes.set_ylim(0, 102)
+    put_legend_below(figure, left, len(laws), "law, hysteresis")
+    figure.savefig(path, dpi=DPI)
 
 
 def _draw_connected(axes: Axes, group: Sequence[Topology], duration_s: float, look: dict[str, object]) -> None:

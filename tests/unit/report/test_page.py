@@ -14,7 +14,7 @@ from companion.recording.records import DecisionRecord
 from companion.report.autopilot_logs import read_logs
 from companion.report.findings import FindingKind, Severity, finding, rows_of
 from companion.report.page import page_of, prose
-from companion.report.plotting import COLUMNS, STYLES, look, thinned
+from companion.report.plotting import COLUMNS, STYLES, thinned, vehicle_look
 from companion.report.summary import judged
 from companion.report.track_figures import _view
 from companion.types.commands import CommandName
@@ -184,13 +184,13 @@ def test_what_is_drawn_keeps_every_peak() -> None:
 
 
 def test_28_vehicles_look_different() -> None:
-    looks = {(look(index)["color"], STYLES.index(look(index)["linestyle"])) for index in range(28)}
+    looks = {(vehicle_look(n)["color"], STYLES.index(vehicle_look(n)["linestyle"])) for n in range(1, 29)}
     assert len(looks) == 28
 
 
 def test_the_same_finding_of_several_vehicles_is_one_row() -> None:
     def refused(vehicle_id: int, time_s: float, text: str = "no") -> object:
-        return finding(FindingKind.REFUSED, Severity.WARNING, Code.WRONG_PHASE, vehicle_id, time_s, text)
+        return finding(Code.WRONG_PHASE, vehicle_id, time_s, text, kind=FindingKind.REFUSED, severity=Severity.WARNING)
 
     rows = rows_of([refused(3, 1.0), refused(1, 1.02), refused(2, 1.0, "other"), refused(1, 9.0)])  # type: ignore[list-item]
     assert [row.vehicle_ids for row in rows] == [(1, 3), (2,), (1,)]
@@ -198,9 +198,7 @@ def test_the_same_finding_of_several_vehicles_is_one_row() -> None:
 
 def test_a_finding_that_comes_often_is_one_row_with_its_longest_time() -> None:
     found = [
-        finding(
-            FindingKind.FAILSAFE, Severity.WARNING, Code.POSITION_STALE, 1 + n % 2, 10.0 * n, f"for {n} s", float(n)
-        )
+        finding(Code.POSITION_STALE, 1 + n % 2, 10.0 * n, f"for {n} s", lasts_s=float(n), severity=Severity.WARNING)
         for n in range(5)
     ]
     (row,) = rows_of(found)
@@ -209,10 +207,7 @@ def test_a_finding_that_comes_often_is_one_row_with_its_longest_time() -> None:
 
 
 def test_critical_findings_stay_apart() -> None:
-    found = [
-        finding(FindingKind.CLOSE, Severity.CRITICAL, Code.SEPARATION_VIOLATED, 1, 10.0 * n, f"pair {n}")
-        for n in range(5)
-    ]
+    found = [finding(Code.SEPARATION_VIOLATED, 1, 10.0 * n, f"pair {n}") for n in range(5)]
     assert len(rows_of(found)) == 5
 
 

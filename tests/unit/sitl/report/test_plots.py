@@ -8,8 +8,9 @@ import pytest
 from matplotlib.figure import Figure
 
 from companion.core.reference.blend import point
+from companion.report.plotting import COLOURS, MARKERS, STYLES
 from sitl.report.metrics import Formation, FormationFlight, Track, standing
-from sitl.report.plots import COLOURS, MARKERS, STYLES, save_comparison, save_figure_5, save_figure_6
+from sitl.report.plots import save_comparison, save_figure_5, save_figure_6
 
 PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -52,7 +53,7 @@ def is_png(path: Path) -> bool:
 def test_figure_5_has_every_vehicle_with_units_and_slots(tmp_path: Path, drawn: list[Figure]) -> None:
     save_figure_5(tmp_path / "f.png", flight("weighted"), "platoon")
     assert is_png(tmp_path / "f.png")
-    assert legend_of(drawn[0]) == ["UAV 1", "UAV 2", "UAV 3", "UAV 4", "its slot"]
+    assert legend_of(drawn[0]) == ["vehicle 1", "vehicle 2", "vehicle 3", "vehicle 4", "its slot"]
     assert [axes.get_ylabel() for axes in drawn[0].axes] == ["x, east [m]", "y, north [m]"]
     assert drawn[0].axes[1].get_xlabel().endswith("[s]")
     assert "platoon" in drawn[0].get_suptitle()
@@ -64,7 +65,7 @@ def test_figure_6_has_the_pairs_and_the_wanted_distance(tmp_path: Path, drawn: l
     assert is_png(tmp_path / "f.png")
     # All vehicles move alike in x; in y two neighbours are at most 0.2 m sin(1/2) apart: sqrt(1.5^2 + 0.096^2) = 1.503.
     assert legend_of(drawn[0]) == [
-        *(f"UAV {pair}, largest 1.50 m" for pair in ("1-2", "2-3", "3-4")),
+        *(f"{pair}, largest 1.50 m" for pair in ("1-2", "2-3", "3-4")),
         "wanted, 1.50 m",
     ]
     assert drawn[0].axes[0].get_ylabel() == "distance [m]"

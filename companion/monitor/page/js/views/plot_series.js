@@ -1,19 +1,19 @@
 /** Which lines the plots have: every vehicle of a small fleet; of a large one its range, median, and the selected vehicles. */
 
 const SMALL_FLEET = 8;
-const DASHES = [[], [7, 3], [2, 2], [9, 3, 2, 3]]; // so that lines differ without colour, too
-const COLOURS = ["accent", "phase-formation", "phase-armed", "phase-hold", "phase-land", "phase-return", "phase-ground", "text"];
+const DASHES = [[], [7, 3], [9, 3, 2, 3], [2, 2]]; // so that lines differ without colour, too
+const COLOURS = 7; // --vehicle-1 and so on; a vehicle has the colour and the dashes of its id, as in all figures
 const SHARES = { smallest: 0, median: 0.5, largest: 1 };
 
 /** {label, stroke, width, dash, id or share} of each line. */
 export function seriesFor(store, colours) {
   const ids = store.vehicles.map((vehicle) => vehicle.vehicle_id);
-  const line = (id, i) => ({
+  const line = (id) => ({
     label: String(id),
     id,
-    stroke: colours[COLOURS[i % COLOURS.length]],
+    stroke: colours[`vehicle-${((id - 1) % COLOURS) + 1}`],
     width: store.selected.has(id) ? 3 : 1.5,
-    dash: DASHES[i % DASHES.length],
+    dash: DASHES[(id - 1) % DASHES.length],
   });
   if (ids.length <= SMALL_FLEET) return ids.map(line);
   const shares = Object.entries(SHARES).map(([label, share]) => ({
