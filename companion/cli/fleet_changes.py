@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from companion.cli.options import number
-from companion.geometry.formations import SHAPES
 
 if TYPE_CHECKING:
     from companion.ground.changes import FormationRequest, ReferenceRequest
@@ -66,6 +65,8 @@ NUMBERS = {  # option: (key of the file, meaning)
 
 
 def add_formation_options(parser: argparse.ArgumentParser) -> None:
+    from companion.geometry.formations import SHAPES
+
     shapes = ", ".join(sorted(SHAPES))
     parser.add_argument("shape", nargs="?", choices=sorted(SHAPES), metavar="SHAPE", help=shapes)
     parser.add_argument(

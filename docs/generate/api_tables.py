@@ -1,4 +1,6 @@
-"""The tables of docs/api.md, from companion/monitor/api.py: each type with its fields, their JSON types and meanings."""
+"""The tables of docs/api.md, from companion/monitor/api.py: each type with its fields, their JSON types and meanings;
+and that of docs/metrics.md, from companion/monitor/metrics.py.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +10,7 @@ import textwrap
 from collections.abc import Iterator
 
 from companion.monitor import api
+from companion.monitor.metrics import FLEET_MEASURES, OF_FLEET, OF_VEHICLE, SERVER_MEASURES, VEHICLE_MEASURES, Measure
 
 NAMES = {
     "float": "number",
@@ -26,7 +29,7 @@ NAMES = {
 NOT_TYPES = {"HistorySample": "a list with these values, in this order"}
 
 
-def table() -> str:
+def types() -> str:
     """A heading, a sentence and a table for each type, in the order of the file."""
     source = inspect.getsource(api)
     lines = source.splitlines()
@@ -85,3 +88,15 @@ def json_type(node: ast.expr) -> str:
         case ast.Constant(value=None):
             return "null"
     return "object"
+
+
+def metrics() -> str:
+    rows = [_metric(measure, OF_VEHICLE) for measure in VEHICLE_MEASURES]
+    rows += [_metric(measure, OF_FLEET) for measure in FLEET_MEASURES]
+    rows += [f"| `{name}` | gauge | - | {text} |" for name, text in SERVER_MEASURES.items()]
+    return "\n".join(["| metric | type | labels | value |", "|---|---|---|---|", *rows])
+
+
+def _metric(measure: Measure, labels: tuple[str, ...]) -> str:
+    names = ", ".join((*labels, measure.by) if measure.by else labels)
+    return f"| `{measure.name}` | {'counter' if measure.is_counter else 'gauge'} | {names} | {measure.help} |"

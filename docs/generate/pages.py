@@ -18,14 +18,11 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 sys.path.insert(0, str(Path(__file__).parent))
 
 import api_tables
-import code_enumerations
+import code_files
 import configuration
-import failsafe_table
-import metrics_table
+import flight_tables
 import package_diagram
-import phase_diagram
 import protocol_tables
-import troubleshooting_page
 
 from tests.bench import stages
 
@@ -34,20 +31,20 @@ TOP = DOCS.parent
 
 # Files that are generated as a whole, by their path from the top of the repository.
 PAGES: dict[str, Callable[[], str]] = {
-    "companion/types/generated/codes.py": code_enumerations.module,
+    "companion/types/generated/codes.py": code_files.enumerations,
     "docs/configuration.md": configuration.configuration,
-    "docs/troubleshooting.md": troubleshooting_page.page,
+    "docs/troubleshooting.md": code_files.troubleshooting,
 }
 
 # Blocks within pages that are written by hand.
 BLOCKS: dict[str, Callable[[], str]] = {
-    "failsafe": failsafe_table.table,
-    "relied_on": failsafe_table.parameters,
-    "api": api_tables.table,
-    "metrics": metrics_table.table,
+    "failsafe": flight_tables.failsafes,
+    "relied_on": flight_tables.parameters_relied_on,
+    "api": api_tables.types,
+    "metrics": api_tables.metrics,
     "packages": package_diagram.diagram,
-    "phases": phase_diagram.diagram,
-    "commands": phase_diagram.table,
+    "phases": flight_tables.phases,
+    "commands": flight_tables.commands,
     "tick": stages.diagram,
     "timing": protocol_tables.timing,
     "telemetry": protocol_tables.telemetry,

@@ -3,9 +3,11 @@
 import pytest
 
 from companion.cli.main import main
+from companion.report.findings import FindingKind
 from companion.tools.explanations import COLUMNS, listing, report
 from companion.types.code_table import code_entries, code_table
 from companion.types.flight import HealthFlag
+from companion.types.generated.codes import TEXTS
 from companion.types.notices import Code
 
 CODES = {str(code) for code in Code} | {str(flag) for flag in HealthFlag}
@@ -17,6 +19,16 @@ def test_every_code_and_health_flag_is_explained() -> None:
 
 def test_every_explanation_is_of_a_code() -> None:
     assert sorted(code_entries().keys() - CODES) == []
+
+
+def test_health_flags_are_the_first_section_and_stand_in_both_orders() -> None:
+    flags = sorted(code_table().sections["Health flags"])
+    assert sorted(code_table().causes_first) == sorted(code_table().worst_first) == flags == sorted(HealthFlag)
+
+
+def test_every_flag_has_a_text_and_every_topic_is_one_of_a_report() -> None:
+    assert all(TEXTS[flag] for flag in HealthFlag)
+    assert {entry.topic for entry in code_entries().values()} <= {str(kind) for kind in FindingKind}
 
 
 def test_no_code_is_explained_twice() -> None:
