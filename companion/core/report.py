@@ -22,7 +22,7 @@ from companion.types.autopilot import VehicleState
 from companion.types.commands import CommandName
 from companion.types.flight import RULES, Flight, FlightPhase, Role
 from companion.types.notices import Notice
-from companion.types.peers import PeerPacket
+from companion.types.peers import LeaderReport, Motion, PeerPacket, Sender
 from companion.types.rejections import count_rejection, sum_counts
 from companion.types.status import NO_STATE_AGE_S, Status
 
@@ -108,20 +108,18 @@ class ReportStage:
         identity, beacon = self._identity, consensus.leader_beacon
         leads = consensus.role is LEADER and flight.phase is FORMATION
         rft = setpoint.rft
-        return PeerPacket(  # Python is slow with more than 15 keywords
-            identity.vehicle_id,
-            identity.session,
-            self._sequence,
-            identity.formation_hash,
-            flight.phase,
-            consensus.role,
-            vehicle.position_enu_m,
-            vehicle.velocity_enu_m_s,
-            acceleration_enu_m_s2=setpoint.acceleration_enu_m_s2,
-            state_age_s=max(0.0, now_s - vehicle.position_time_s),
-            sent_s=now_s,
-            prc=consensus.prc,
-            leader_beacon=beacon and replace(beacon, heading=guidance.published_heading),
+        return PeerPacket(
+            sender=Sender(identity.vehicle_id, identity.session, self._sequence, identity.formation_hash),
+            phase=flight.phase,
+            role=consensus.role,
+            motion=Motion(
+                position_enu_m=vehicle.position_enu_m,
+                velocity_enu_m_s=vehicle.velocity_enu_m_s,
+                acceleration_enu_m_s2=setpoint.acceleration_enu_m_s2,
+                state_age_s=max(0.0, now_s - vehicle.position_time_s),
+                sent_s=now_s,
+            ),
+            leader=LeaderReport(consensus.prc, beacon and replace(beacon, heading=guidance.published_heading)),
             slot=guidance.slot,
             position_error=vehicle.position_error,
             reference=guidance.held_reference,
@@ -180,7 +178,7 @@ class ReportStage:
             lacks=() if vehicle.armed else perception.fitness.lacks + self._checks.lacks(vehicle, peers),
             holder=intake.holder,
             command_number=intake.number,
-            peers=tuple(sorted(peer.vehicle_id for peer in peers)),
+            peers=tuple(sorted(peer.sender.vehicle_id for peer in peers)),
             battery_percent=perception.fitness.battery_percent,
             position_error=vehicle.position_error,
             heading=guidance.heading,

@@ -8,11 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from math import isfinite
+from operator import attrgetter
 from typing import Annotated, Any, Generic, TypeVar, Union, get_args, get_origin
 
 import msgspec
 from msgspec import Struct
-from msgspec.structs import astuple, fields
+from msgspec.structs import astuple
+
+from companion.types.values import flat_paths, from_flat
 
 T = TypeVar("T")
 Convert = Callable[[Any], Any]
@@ -112,12 +115,14 @@ class _Forms:
         return self._structs[type_, tagged]
 
     def _new_struct(self, type_: type[Struct], tagged: bool) -> Form[Any]:
-        forms = [(field, self.of(field.type)) for field in fields(type_)]
+        kinds = flat_paths(type_)
+        values_of = attrgetter(*kinds) if any("." in path for path in kinds) else astuple
+        forms = [(path.rpartition(".")[2], self.of(kind)) for path, kind in kinds.items()]
         packs = [(i, form.pack) for i, (_, form) in enumerate(forms) if form.pack]
         unpacks = [(i, form.unpack) for i, (_, form) in enumerate(forms) if form.unpack]
         wire = msgspec.defstruct(
             type_.__name__,
-            [(field.name, form.wire) for field, form in forms],
+            [(name, form.wire) for name, form in forms],
             array_like=True,
             tag=type_.__name__ if tagged else None,
             forbid_unknown_fields=True,
@@ -126,7 +131,7 @@ class _Forms:
         tag = (type_.__name__,)
 
         def pack(value: Struct) -> Any:
-            values = list(astuple(value))
+            values = list(values_of(value))
             for i, convert in packs:
                 values[i] = convert(values[i])
             return values
@@ -135,9 +140,9 @@ class _Forms:
             values = list(astuple(value))
             for i, convert in unpacks:
                 values[i] = convert(values[i])
-            return type_(*values)
+            return from_flat(type_, iter(values))
 
-        packed: Convert = pack if packs else astuple
+        packed: Convert = pack if packs else values_of
         if tagged:
             untagged = packed
             packed = lambda value: (*tag, *untagged(value))  # noqa: E731

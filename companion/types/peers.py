@@ -9,34 +9,55 @@ from msgspec import Meta, Struct
 from companion.types.autopilot import PositionError
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot, FormationChange, HeldReference, LeaderBeacon
-from companion.types.values import Number, Position, Vector3
+from companion.types.values import Number, Part, Position, Vector3
 
 
-class PeerPacket(Struct, frozen=True, gc=False):
-    """State of a vehicle that it publishes to its peers at every tick.
-
-    `state_age_s` is the age of the position at `sent_s`, which is of the sender's monotonic clock. `rft` is the state of the
-    RFT (position, velocity, acceleration) by which a vehicle flies that is kept off its slot; None where its own position
-    minus its slot counts.
-    """
+class Sender(Part, frozen=True, gc=False):
+    """Who sends, and which packet this is. `session` is the random number of a start: it tells a restart from a replay."""
 
     vehicle_id: int
-    session: int  # random number of a start: distinguishes a restart (sequence 0) from a replay
+    session: int
     sequence: int
     formation_hash: int
-    phase: FlightPhase
-    role: Role
+
+
+class Motion(Part, frozen=True, gc=False):
+    """Position and velocity, and the last acceleration command.
+
+    `state_age_s` is the age of the position at `sent_s`, which is of the sender's monotonic clock.
+    """
+
     position_enu_m: Vector3
     velocity_enu_m_s: Vector3
     acceleration_enu_m_s2: Vector3
     state_age_s: float
     sent_s: float
+
+
+class LeaderReport(Part, frozen=True, gc=False):
+    """What a vehicle knows of the leader: hops to it + 1, and its newest beacon, None without a fresh one."""
+
     prc: int
-    leader_beacon: LeaderBeacon | None
+    beacon: LeaderBeacon | None
+
+
+class PeerPacket(Struct, frozen=True, gc=False):
+    """State of a vehicle that it publishes to its peers at every tick.
+
+    `change` is from a leader in formation, for vehicles that lack the change. `rft` is the state of the RFT (position,
+    velocity, acceleration) by which a vehicle flies that is kept off its slot; None where its own position minus its slot
+    counts. The order of the fields is that of the bytes.
+    """
+
+    sender: Sender
+    phase: FlightPhase
+    role: Role
+    motion: Motion
+    leader: LeaderReport
     slot: FlownSlot
     position_error: PositionError | None = None  # None if the estimator does not report it
     reference: HeldReference | None = None  # None if the vehicle may not lead
-    change: FormationChange | None = None  # from a leader in formation, for vehicles that lack the change
+    change: FormationChange | None = None
     armed: bool = True
     rft: tuple[Vector3, Vector3, Vector3] | None = None
 

@@ -1,19 +1,23 @@
-"""Plain values: vectors of the world frame, bounds of received numbers and texts, and text that is safe to print.
+"""Plain values: vectors of the world frame, bounds of received numbers and texts, parts of messages, printable text.
 
 msgspec enforces the bounds where a message is decoded; NaN and infinity lie outside every bound.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from sys import float_info
-from typing import Annotated
+from typing import Annotated, Any, TypeVar
 
-from msgspec import Meta
+from msgspec import Meta, Struct
+from msgspec.structs import fields
 
 Vector3 = tuple[float, float, float]
 ZERO3: Vector3 = (0.0, 0.0, 0.0)
 GRAVITY_M_S2 = 9.80665
 
+
+M = TypeVar("M", bound=Struct)
 
 MAX_COORDINATE_M = 20_000.0
 MAX_MISSION_S = 1e6  # eleven days
@@ -47,3 +51,30 @@ def printable(text: str) -> str:
 def printable_lines(text: str) -> str:
     """The same for a text of several lines."""
     return "\n".join(map(printable, text.split("\n")))
+
+
+class Part(Struct, frozen=True, gc=False):
+    """A part of a message. In bytes and in recordings its fields stand in its place, so that the message is flat."""
+
+
+def flat_paths(message: type[Struct]) -> dict[str, type]:
+    """The fields of a message in the order of its bytes: dotted path -> type, with the fields of a part in its place."""
+    paths: dict[str, type] = {}
+    for field in fields(message):
+        if isinstance(field.type, type) and issubclass(field.type, Part):
+            paths |= {f"{field.name}.{path}": kind for path, kind in flat_paths(field.type).items()}
+        else:
+            paths[field.name] = field.type
+    return paths
+
+
+def from_flat(message: type[M], values: Iterator[Any]) -> M:
+    """The message of its values in the order of `flat_paths`."""
+    return message(
+        *[
+            from_flat(field.type, values)
+            if isinstance(field.type, type) and issubclass(field.type, Part)
+            else next(values)
+            for field in fields(message)
+        ]
+    )

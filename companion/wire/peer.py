@@ -8,7 +8,7 @@ from companion.types.autopilot import PositionError
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import EAST, FlownSlot, FormationChange, Heading, HeldReference, LeaderBeacon
 from companion.types.notices import Code
-from companion.types.peers import PeerPacket
+from companion.types.peers import LeaderReport, Motion, PeerPacket, Sender
 from companion.types.values import ChangeDuration, MissionTime, Number, SlotsOfAll, Vector3, VehicleId, VehicleIds
 from companion.wire.messages import seal, unsealed
 
@@ -46,25 +46,25 @@ _decoder = msgspec.msgpack.Decoder(_PeerWire)
 
 def encode_peer(packet: PeerPacket) -> bytes:
     """The message for a peer packet."""
-    beacon, slot, error, held = packet.leader_beacon, packet.slot, packet.position_error, packet.reference
-    change = packet.change
+    sender, motion, leader, slot = packet.sender, packet.motion, packet.leader, packet.slot
+    beacon, error, held, change = leader.beacon, packet.position_error, packet.reference, packet.change
     return seal(
         _encoder.encode(
             _PeerWire(
-                packet.vehicle_id,
-                packet.session,
-                packet.sequence,
-                packet.formation_hash,
-                packet.phase,
-                packet.role,
-                packet.position_enu_m,
-                packet.velocity_enu_m_s,
-                packet.acceleration_enu_m_s2,
-                packet.state_age_s,
-                packet.sent_s,
-                packet.prc,
-                _beacon_wire(beacon) if beacon else None,
-                (
+                vehicle_id=sender.vehicle_id,
+                session=sender.session,
+                sequence=sender.sequence,
+                formation_hash=sender.formation_hash,
+                phase=packet.phase,
+                role=packet.role,
+                position_enu_m=motion.position_enu_m,
+                velocity_enu_m_s=motion.velocity_enu_m_s,
+                acceleration_enu_m_s2=motion.acceleration_enu_m_s2,
+                state_age_s=motion.state_age_s,
+                sent_s=motion.sent_s,
+                prc=leader.prc,
+                leader_beacon=_beacon_wire(beacon) if beacon else None,
+                slot=(
                     slot.position_enu_m,
                     slot.velocity_enu_m_s,
                     slot.acceleration_enu_m_s2,
@@ -72,11 +72,13 @@ def encode_peer(packet: PeerPacket) -> bytes:
                     slot.waiting,
                     slot.moves_for_s,
                 ),
-                (error.horizontal_m, error.vertical_m) if error else None,
-                (held.flown, held.waiting, held.begun_s) if held else None,
-                (change.number, change.slots_enu_m, change.begins_s, change.lasts_s, change.absent) if change else None,
-                packet.armed,
-                packet.rft,
+                position_error=(error.horizontal_m, error.vertical_m) if error else None,
+                reference=(held.flown, held.waiting, held.begun_s) if held else None,
+                change=(change.number, change.slots_enu_m, change.begins_s, change.lasts_s, change.absent)
+                if change
+                else None,
+                armed=packet.armed,
+                rft=packet.rft,
             )
         )
     )
@@ -96,24 +98,23 @@ def _beacon_from(wire: _BeaconWire) -> LeaderBeacon:
 def decode_peer(data: bytes) -> PeerPacket:
     """The peer packet of a message. Checks form, version and sizes; `PeerTable` checks the values. Raises WireError."""
     wire = unsealed(_decoder, data, Code.PEER_MALFORMED, "peer packet")
+    beacon, error, held, change = wire.leader_beacon, wire.position_error, wire.reference, wire.change
     return PeerPacket(
-        wire.vehicle_id,
-        wire.session,
-        wire.sequence,
-        wire.formation_hash,
-        wire.phase,
-        wire.role,
-        wire.position_enu_m,
-        wire.velocity_enu_m_s,
-        wire.acceleration_enu_m_s2,
-        wire.state_age_s,
-        wire.sent_s,
-        wire.prc,
-        _beacon_from(wire.leader_beacon) if wire.leader_beacon else None,
-        FlownSlot(*wire.slot),
-        PositionError(*wire.position_error) if wire.position_error else None,
-        HeldReference(*wire.reference) if wire.reference else None,
-        FormationChange(*wire.change) if wire.change else None,
-        wire.armed,
-        wire.rft,
+        sender=Sender(wire.vehicle_id, wire.session, wire.sequence, wire.formation_hash),
+        phase=wire.phase,
+        role=wire.role,
+        motion=Motion(
+            position_enu_m=wire.position_enu_m,
+            velocity_enu_m_s=wire.velocity_enu_m_s,
+            acceleration_enu_m_s2=wire.acceleration_enu_m_s2,
+            state_age_s=wire.state_age_s,
+            sent_s=wire.sent_s,
+        ),
+        leader=LeaderReport(wire.prc, _beacon_from(beacon) if beacon else None),
+        slot=FlownSlot(*wire.slot),
+        position_error=PositionError(*error) if error else None,
+        reference=HeldReference(*held) if held else None,
+        change=FormationChange(*change) if change else None,
+        armed=wire.armed,
+        rft=wire.rft,
     )

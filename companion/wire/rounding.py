@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from companion.geometry.vectors import rounded
 from companion.types.autopilot import AttitudeTarget, PositionError
 from companion.types.formation import FlownSlot, Heading, LeaderBeacon
-from companion.types.peers import PeerPacket
+from companion.types.peers import LeaderReport, Motion, PeerPacket
 from companion.types.status import SeparationReport, Status
 from companion.types.tick import Outbox
 from companion.types.values import Vector3
@@ -49,15 +49,17 @@ def target_as_sent(target: AttitudeTarget) -> AttitudeTarget:
 
 def _packet_as_sent(packet: PeerPacket) -> PeerPacket:
     """What vehicles compare for equality is kept: numbers, and the slots of a change."""
-    beacon, error, rft = packet.leader_beacon, packet.position_error, packet.rft
+    motion, beacon, error, rft = packet.motion, packet.leader.beacon, packet.position_error, packet.rft
     return replace(
         packet,
-        position_enu_m=rounded(packet.position_enu_m, LENGTH),
-        velocity_enu_m_s=rounded(packet.velocity_enu_m_s, VELOCITY),
-        acceleration_enu_m_s2=rounded(packet.acceleration_enu_m_s2, ACCELERATION),
-        state_age_s=round(packet.state_age_s, TIME),
-        sent_s=round(packet.sent_s, TIME),
-        leader_beacon=_beacon(beacon) if beacon else None,
+        motion=Motion(
+            position_enu_m=rounded(motion.position_enu_m, LENGTH),
+            velocity_enu_m_s=rounded(motion.velocity_enu_m_s, VELOCITY),
+            acceleration_enu_m_s2=rounded(motion.acceleration_enu_m_s2, ACCELERATION),
+            state_age_s=round(motion.state_age_s, TIME),
+            sent_s=round(motion.sent_s, TIME),
+        ),
+        leader=LeaderReport(packet.leader.prc, _beacon(beacon) if beacon else None),
         slot=_slot(packet.slot),
         position_error=_error(error) if error else None,
         rft=_motion(*rft) if rft else None,

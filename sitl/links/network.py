@@ -66,8 +66,8 @@ class Network:
             _, receiver, distant_ids = self._next_distant.pop(0)
             self._distant[receiver] = distant_ids
         self._sent += 1
-        sender_id = packet.vehicle_id
-        at_low_rate = (packet.sequence + sender_id) % LOW_RATE_TICKS == 0
+        sender_id = packet.sender.vehicle_id
+        at_low_rate = (packet.sender.sequence + sender_id) % LOW_RATE_TICKS == 0
         for path in self._paths[sender_id]:
             if not at_low_rate and sender_id in self._distant[path.receiver]:
                 continue

@@ -17,7 +17,7 @@ from companion.core.consensus.peers import PeerState
 from companion.types.autopilot import PositionError, VehicleState
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot
-from companion.types.peers import PeerPacket
+from companion.types.peers import LeaderReport, Motion, PeerPacket, Sender
 from companion.types.values import ZERO3, Vector3
 
 LIMIT_US = 60.0
@@ -74,19 +74,17 @@ def _peer(vehicle_id: int, count: int, distance_m: float) -> PeerState:
     angle_rad = 2.0 * pi * (vehicle_id + 0.3) / count
     x, y = distance_m * cos(angle_rad), distance_m * sin(angle_rad)
     packet = PeerPacket(
-        vehicle_id=vehicle_id,
-        session=1,
-        sequence=1,
-        formation_hash=1,
+        sender=Sender(vehicle_id=vehicle_id, session=1, sequence=1, formation_hash=1),
         phase=FlightPhase.FORMATION,
         role=Role.FOLLOWER,
-        position_enu_m=(x, y, 10.2),
-        velocity_enu_m_s=(-0.2 * cos(angle_rad), -0.2 * sin(angle_rad), 0.0),
-        acceleration_enu_m_s2=(0.1, 0.1, 0.0),
-        state_age_s=0.01,
-        sent_s=10.0,
-        prc=2,
-        leader_beacon=None,
+        motion=Motion(
+            position_enu_m=(x, y, 10.2),
+            velocity_enu_m_s=(-0.2 * cos(angle_rad), -0.2 * sin(angle_rad), 0.0),
+            acceleration_enu_m_s2=(0.1, 0.1, 0.0),
+            state_age_s=0.01,
+            sent_s=10.0,
+        ),
+        leader=LeaderReport(prc=2, beacon=None),
         slot=FlownSlot((x, y, 0.0)),
         position_error=ERROR,
     )

@@ -111,7 +111,7 @@ class TickCounter:
 
     def _complete(self, outbox: Outbox) -> None:
         if outbox.peer_packet:
-            self._tick.vehicle_id = outbox.peer_packet.vehicle_id
+            self._tick.vehicle_id = outbox.peer_packet.sender.vehicle_id
             self._tick.has_status = outbox.status is not None
             self.ticks.append(self._tick)
 

@@ -9,16 +9,15 @@ from math import nan
 from pathlib import Path
 
 import pytest
-from msgspec.structs import replace
 
-from common import ROOT
+from common import ROOT, with_fields
 from companion.config.file import ConfigError, load
 from companion.config.fleet import FleetConfig
 from companion.link.fleet.zenoh_session import open_session
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot, LeaderBeacon
 from companion.types.notices import Code
-from companion.types.peers import PeerPacket
+from companion.types.peers import LeaderReport, Motion, PeerPacket, Sender
 from companion.wire.keys import peer_key
 from companion.wire.peer import encode_peer
 from processes import free_fleet_offset
@@ -47,25 +46,23 @@ OTHER_KEY = peer_key("platoon", 4)
 def rogue_packets(formation_hash: int) -> Iterator[bytes]:
     """False packets of vehicle 3, one of every kind; the last one would pull its neighbours a hundred metres away."""
     packet = PeerPacket(
-        vehicle_id=3,
-        session=1,
-        sequence=10**9,
-        formation_hash=formation_hash,
+        sender=Sender(vehicle_id=3, session=1, sequence=10**9, formation_hash=formation_hash),
         phase=FlightPhase.FORMATION,
         role=Role.FOLLOWER,
-        position_enu_m=(100.0, 100.0, 100.0),
-        velocity_enu_m_s=(0.0, 0.0, 0.0),
-        acceleration_enu_m_s2=(0.0, 0.0, 0.0),
-        state_age_s=0.0,
-        sent_s=0.0,
-        prc=2,
-        leader_beacon=LeaderBeacon(1, 0, 10**9),
+        motion=Motion(
+            position_enu_m=(100.0, 100.0, 100.0),
+            velocity_enu_m_s=(0.0, 0.0, 0.0),
+            acceleration_enu_m_s2=(0.0, 0.0, 0.0),
+            state_age_s=0.0,
+            sent_s=0.0,
+        ),
+        leader=LeaderReport(prc=2, beacon=LeaderBeacon(1, 0, 10**9)),
         slot=FlownSlot((0.0, 0.0, 0.0)),
     )
-    yield encode_peer(replace(packet, formation_hash=formation_hash ^ 1))
-    yield encode_peer(replace(packet, position_enu_m=(nan, 0.0, 0.0)))
-    yield encode_peer(replace(packet, position_enu_m=(1e9, 0.0, 0.0)))
-    yield encode_peer(replace(packet, role=Role.LEADER, prc=1))
+    yield encode_peer(with_fields(packet, formation_hash=formation_hash ^ 1))
+    yield encode_peer(with_fields(packet, position_enu_m=(nan, 0.0, 0.0)))
+    yield encode_peer(with_fields(packet, position_enu_m=(1e9, 0.0, 0.0)))
+    yield encode_peer(with_fields(packet, role=Role.LEADER, prc=1))
     good = encode_peer(packet)
     yield b"\x09" + good[1:]
     yield good[:-7]

@@ -16,7 +16,7 @@ from companion.types.commands import Command, CommandName, CommandReply, Lead, R
 from companion.types.flight import FlightPhase, HealthFlag, Role
 from companion.types.formation import FlownSlot, FormationChange, HeldReference, LeaderBeacon
 from companion.types.notices import Code, Notice
-from companion.types.peers import PeerPacket, TargetSample, TrafficSample
+from companion.types.peers import LeaderReport, Motion, PeerPacket, Sender, TargetSample, TrafficSample
 from companion.types.status import Status
 from companion.wire.messages import (
     StatusReport,
@@ -38,10 +38,24 @@ from tests.fuzz.stream import DESCRIBED
 SLOTS = ((1, (0.0, 0.0, 0.0)), (2, (-2.0, 0.0, 0.0)), (3, (-4.0, 0.0, 0.0)))
 CHANGE = FormationChange(1, SLOTS, 12.0, 8.0, (3,))
 PACKET = PeerPacket(
-    1, 7, 100, 42, FlightPhase.FORMATION, Role.LEADER, (1.0, 2.0, 3.0), (0.1, 0.2, 0.3), (0.0, 0.1, 0.0), 0.02, 100.0, 1,
-    LeaderBeacon(1, 2, 100_000, 12.5), FlownSlot((0.0, 0.0, 0.0), formation=1, waiting=2), PositionError(0.3, 0.4),
-    HeldReference(1, 2, 3.0), CHANGE, True, ((1.0, 2.0, 3.0), (0.1, 0.2, 0.3), (0.0, 0.1, 0.0)),
-)  # fmt: skip
+    sender=Sender(vehicle_id=1, session=7, sequence=100, formation_hash=42),
+    phase=FlightPhase.FORMATION,
+    role=Role.LEADER,
+    motion=Motion(
+        position_enu_m=(1.0, 2.0, 3.0),
+        velocity_enu_m_s=(0.1, 0.2, 0.3),
+        acceleration_enu_m_s2=(0.0, 0.1, 0.0),
+        state_age_s=0.02,
+        sent_s=100.0,
+    ),
+    leader=LeaderReport(prc=1, beacon=LeaderBeacon(1, 2, 100_000, 12.5)),
+    slot=FlownSlot((0.0, 0.0, 0.0), formation=1, waiting=2),
+    position_error=PositionError(0.3, 0.4),
+    reference=HeldReference(1, 2, 3.0),
+    change=CHANGE,
+    armed=True,
+    rft=((1.0, 2.0, 3.0), (0.1, 0.2, 0.3), (0.0, 0.1, 0.0)),
+)
 STATUS = Status(
     3, 1, "platoon", 5, "weighted", FlightPhase.HOLD, "AUTO.LOITER", True, LandedState.IN_AIR, (1.0, 2.0, 3.0),
     (0.0, 0.0, 0.0), 0.02, 0.49, (1.0, -2.0, 0.0), Role.FOLLOWER, 7, 2, LeaderBeacon(1, 2, 3), 0.1, (2, 4),

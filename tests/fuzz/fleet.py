@@ -182,9 +182,9 @@ class HostileFleet:
 
     def _reaches(self, packet: PeerPacket, vehicle_id: int) -> bool:
         """Of a vehicle that is received at 5 Hz every tenth packet, as `PeerStates` publishes it."""
-        sender_id = packet.vehicle_id
+        sender_id = packet.sender.vehicle_id
         if sender_id in self.distant.get(vehicle_id, ()):
-            return (packet.sequence + sender_id) % LOW_RATE_TICKS == 0
+            return (packet.sender.sequence + sender_id) % LOW_RATE_TICKS == 0
         return sender_id != vehicle_id
 
     def _described(self, vehicle_id: int, inbox: Inbox) -> str:

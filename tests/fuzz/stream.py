@@ -13,7 +13,7 @@ from companion.types.autopilot import PositionError, Telemetry
 from companion.types.commands import CONTENT, Command, CommandName, Lead, ReferenceChange
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FormationChange, HeldReference, LeaderBeacon
-from companion.types.peers import PeerPacket, ReceivedTarget, ReceivedTraffic, TargetSample, TrafficSample
+from companion.types.peers import LeaderReport, PeerPacket, ReceivedTarget, ReceivedTraffic, TargetSample, TrafficSample
 from companion.wire.messages import WireError, decode_command, decode_target, decode_traffic, encode
 from companion.wire.peer import decode_peer, encode_peer
 from tests.fuzz.fleet import OPERATOR, Hostile, HostileFleet
@@ -84,7 +84,8 @@ class HostileStream:
         if rng.random() < REPLAY_SHARE:
             return rng.choice(self._recorded)
         base = self._recorded[-rng.randint(1, min(3, len(self._recorded)))]
-        base = replace(base, sequence=base.sequence + rng.choice((0, 1, 1, 2, 3)))
+        sequence = base.sender.sequence + rng.choice((0, 1, 1, 2, 3))
+        base = replace(base, sender=replace(base.sender, sequence=sequence))
         if rng.random() < 0.4:
             base = self._as_leader(base)
         if rng.random() < KEPT_OFF_SHARE:
@@ -98,17 +99,20 @@ class HostileStream:
         rng, status = self._rng, self._fleet.statuses.get(1)
         epoch, reference_s = (status.epoch, status.reference_s) if status else (0, 0.0)
         beacon = LeaderBeacon(
-            packet.vehicle_id, epoch + rng.choice((0, 0, 1, 2)), int(self._fleet.now_s * 1000), reference_s + 0.02
+            packet.sender.vehicle_id,
+            epoch + rng.choice((0, 0, 1, 2)),
+            int(self._fleet.now_s * 1000),
+            reference_s + 0.02,
         )
         held = packet.reference or HeldReference()
         phase = rng.choice((FlightPhase.FORMATION, packet.phase))
         change = self._change() if rng.random() < 0.5 else None
-        leader = replace(packet, role=Role.LEADER, prc=1, leader_beacon=beacon, phase=phase, change=change)
+        leader = replace(packet, role=Role.LEADER, leader=LeaderReport(1, beacon), phase=phase, change=change)
         return replace(leader, reference=other(rng, held) if rng.random() < 0.2 else held)
 
     def _kept_off(self, packet: PeerPacket) -> PeerPacket:
         """The packet of a vehicle that makes way for another one, with the position error that its estimator reports."""
-        rng, own = self._rng, formation_state(packet.position_enu_m, packet.velocity_enu_m_s, packet.slot)
+        rng, own = self._rng, formation_state(packet.motion.position_enu_m, packet.motion.velocity_enu_m_s, packet.slot)
         rft, error = (own.position_enu_m, own.velocity_enu_m_s, own.acceleration_enu_m_s2), PositionError(0.3, 0.4)
         return replace(
             packet, rft=rng.choice((rft, other(rng, rft))), position_error=rng.choice((error, other(rng, error)))

@@ -5,8 +5,8 @@ from random import Random
 from typing import get_args
 
 import pytest
-from msgspec.structs import replace
 
+from common import with_fields
 from companion.config.fleet import EdgeNeighbours
 from companion.mavlink.translator import Translator
 from companion.types.autopilot import AttitudeTarget, AutopilotKind, AutopilotMode, LandedState, Telemetry
@@ -59,9 +59,11 @@ def test_in_a_wide_chain_vehicles_are_received_at_5_hz_until_something_hostile_c
     at_full_rate = {1, *fleet.config.successors}
     for i in fleet.agents:
         assert set(fleet.distant[i]) == fleet.agents.keys() - at_full_rate - {i - 1, i, i + 1}
-    hold = replace(fleet.packets[5], sequence=fleet.packets[5].sequence + 1, phase=FlightPhase.HOLD)
+    hold = with_fields(fleet.packets[5], sequence=fleet.packets[5].sender.sequence + 1, phase=FlightPhase.HOLD)
     for _ in range(11):  # the choice is made every 0.2 s
-        fleet.tick({i: Hostile([replace(hold, sequence=fleet.packets[5].sequence + 1)]) for i in fleet.agents})
+        fleet.tick(
+            {i: Hostile([with_fields(hold, sequence=fleet.packets[5].sender.sequence + 1)]) for i in fleet.agents}
+        )
     assert all(5 not in ids for i, ids in fleet.distant.items() if i != 5)
 
 

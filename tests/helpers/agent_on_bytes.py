@@ -275,7 +275,7 @@ class RecordedPeers:
 
     def publish_peer(self, packet: PeerPacket) -> None:
         received = decode_peer(encode_peer(packet))
-        self.packets.append(ReceivedPeerPacket(packet.sent_s, received))
+        self.packets.append(ReceivedPeerPacket(packet.motion.sent_s, received))
         self.published_before.append(self.sent())
 
     def set_low_rate_peers(self, distant_ids: Collection[int]) -> None:

@@ -4,9 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any, TypeVar
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from companion.types.commands import CommandReply
 from companion.types.notices import Answer, Code, Notice
+from companion.types.values import Part
 
 ROOT = Path(__file__).parents[2]
 
@@ -27,3 +32,23 @@ def outcome(answer: Answer | CommandReply | None) -> tuple[bool, Code]:
     """Whether it was accepted, and the code of why."""
     assert answer is not None
     return (answer.accepted, answer.code if isinstance(answer, CommandReply) else answer.notice.code)
+
+
+M = TypeVar("M", bound=Struct)
+
+
+def with_fields(message: M, **values: Any) -> M:
+    """A message with some fields changed, wherever its parts hold them.
+
+    `values` by the name of the field, in the message itself or in one of its parts.
+    """
+    own = {name: value for name, value in values.items() if name in message.__struct_fields__}
+    for name in message.__struct_fields__:
+        part = getattr(message, name)
+        if isinstance(part, Part):
+            inner = {key: value for key, value in values.items() if key in part.__struct_fields__ and key not in own}
+            if inner:
+                own[name] = replace(part, **inner)
+    known = own.keys() | {key for part in own.values() if isinstance(part, Part) for key in part.__struct_fields__}
+    assert values.keys() <= known, f"{type(message).__name__} has no {sorted(values.keys() - known)}"
+    return replace(message, **own)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from msgspec.structs import replace
-
+from common import with_fields
 from companion.core.consensus.neighbours import EdgeRule
 from companion.core.consensus.peers import FleetLimits, PeerState, PeerTable
 from companion.core.consensus.stage import Consensus, ConsensusStage
@@ -15,7 +14,7 @@ from companion.types.autopilot import PositionError, VehicleState
 from companion.types.commands import Lead
 from companion.types.flight import Flight, FlightPhase, HealthFlag, Role
 from companion.types.formation import FlownSlot
-from companion.types.peers import PeerPacket, ReceivedPeerPacket
+from companion.types.peers import LeaderReport, Motion, PeerPacket, ReceivedPeerPacket, Sender
 from companion.types.values import ZERO3, Vector3
 
 TICK_S = 0.02
@@ -105,24 +104,27 @@ class CooperatingFleet:
         senders = [] if vehicle_id in self.deaf else [i for i in self.packets if i != vehicle_id]
         others = [self.packets[i] for i in senders if self.receives(vehicle_id, i)]
         if forged := self.forged.get(vehicle_id):
-            others = [packet for packet in others if packet.vehicle_id != forged.vehicle_id] + [forged]
+            others = [packet for packet in others if packet.sender.vehicle_id != forged.sender.vehicle_id] + [forged]
         return [ReceivedPeerPacket(self.now_s, packet) for packet in others]
 
     def _packet(self, vehicle_id: int, what: Consensus) -> PeerPacket:
         return PeerPacket(
-            vehicle_id=vehicle_id,
-            session=self.sessions[vehicle_id],
-            sequence=round(self.now_s / TICK_S),
-            formation_hash=42,
+            sender=Sender(
+                vehicle_id=vehicle_id,
+                session=self.sessions[vehicle_id],
+                sequence=round(self.now_s / TICK_S),
+                formation_hash=42,
+            ),
             phase=self.phases[vehicle_id],
             role=what.role,
-            position_enu_m=ZERO3,
-            velocity_enu_m_s=ZERO3,
-            acceleration_enu_m_s2=ZERO3,
-            state_age_s=0.0,
-            sent_s=self.now_s,
-            prc=what.prc,
-            leader_beacon=what.leader_beacon,
+            motion=Motion(
+                position_enu_m=ZERO3,
+                velocity_enu_m_s=ZERO3,
+                acceleration_enu_m_s2=ZERO3,
+                state_age_s=0.0,
+                sent_s=self.now_s,
+            ),
+            leader=LeaderReport(prc=what.prc, beacon=what.leader_beacon),
             slot=FlownSlot(ZERO3),
         )
 
@@ -135,22 +137,20 @@ NOW_S = 100.0
 def peer(vehicle_id: int, moves_m_s: Vector3 = ZERO3, **changes: object) -> PeerState:
     x, y, z = (r + d for r, d in zip(FLEET, PEER_SLOTS[vehicle_id], strict=True))
     packet = PeerPacket(
-        vehicle_id=vehicle_id,
-        session=1,
-        sequence=1,
-        formation_hash=0,
+        sender=Sender(vehicle_id=vehicle_id, session=1, sequence=1, formation_hash=0),
         phase=FlightPhase.FORMATION,
         role=Role.FOLLOWER,
-        position_enu_m=(x, y, z),
-        velocity_enu_m_s=moves_m_s,
-        acceleration_enu_m_s2=ZERO3,
-        state_age_s=0.0,
-        sent_s=0.0,
-        prc=2,
-        leader_beacon=None,
+        motion=Motion(
+            position_enu_m=(x, y, z),
+            velocity_enu_m_s=moves_m_s,
+            acceleration_enu_m_s2=ZERO3,
+            state_age_s=0.0,
+            sent_s=0.0,
+        ),
+        leader=LeaderReport(prc=2, beacon=None),
         slot=FlownSlot(PEER_SLOTS[vehicle_id]),
     )
-    return PeerState(replace(packet, **changes), NOW_S, NOW_S, NOW_S)
+    return PeerState(with_fields(packet, **changes), NOW_S, NOW_S, NOW_S)
 
 
 SLOTS: dict[int, Vector3] = {1: (0.0, 0.0, 0.0), 2: (-1.5, 0.0, 0.0), 3: (-3.0, 0.0, 0.0), 4: (-3.0, 0.0, 1.0)}
@@ -160,19 +160,13 @@ def slot_peer(vehicle_id: int, z_m: float = 0.0, error: PositionError | None = N
     phase = FlightPhase.HOLD if air else FlightPhase.READY
     at, zero = (3.0 * vehicle_id - 6.0, 0.0, z_m), (0.0, 0.0, 0.0)
     return PeerPacket(
-        vehicle_id,
-        1,
-        1,
-        0,
-        phase,
-        Role.FOLLOWER,
-        at,
-        zero,
-        zero,
-        0.0,
-        0.0,
-        2,
-        None,
-        FlownSlot(SLOTS[vehicle_id]),
-        error,
+        sender=Sender(vehicle_id=vehicle_id, session=1, sequence=1, formation_hash=0),
+        phase=phase,
+        role=Role.FOLLOWER,
+        motion=Motion(
+            position_enu_m=at, velocity_enu_m_s=zero, acceleration_enu_m_s2=zero, state_age_s=0.0, sent_s=0.0
+        ),
+        leader=LeaderReport(prc=2, beacon=None),
+        slot=FlownSlot(SLOTS[vehicle_id]),
+        position_error=error,
     )

@@ -22,7 +22,15 @@ from companion.core.filter.solver import AccelerationLimits
 from companion.types.autopilot import PositionError, VehicleState
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot
-from companion.types.peers import PeerPacket, ReceivedPeerPacket, ReceivedTraffic, TrafficSample
+from companion.types.peers import (
+    LeaderReport,
+    Motion,
+    PeerPacket,
+    ReceivedPeerPacket,
+    ReceivedTraffic,
+    Sender,
+    TrafficSample,
+)
 from companion.types.status import SeparationReport
 from companion.types.values import ZERO3, Vector3
 
@@ -244,19 +252,17 @@ class SeparationFlight:
         body = self.bodies[i]
         streams = body.phase is FlightPhase.FORMATION
         packet = PeerPacket(
-            vehicle_id=i,
-            session=1,
-            sequence=self._sequence,
-            formation_hash=1,
+            sender=Sender(vehicle_id=i, session=1, sequence=self._sequence, formation_hash=1),
             phase=body.phase,
             role=Role.FOLLOWER,
-            position_enu_m=state.position_enu_m,
-            velocity_enu_m_s=state.velocity_enu_m_s,
-            acceleration_enu_m_s2=self._commanded[i] if streams else ZERO3,
-            state_age_s=0.0,
-            sent_s=self.now_s,
-            prc=2,
-            leader_beacon=None,
+            motion=Motion(
+                position_enu_m=state.position_enu_m,
+                velocity_enu_m_s=state.velocity_enu_m_s,
+                acceleration_enu_m_s2=self._commanded[i] if streams else ZERO3,
+                state_age_s=0.0,
+                sent_s=self.now_s,
+            ),
+            leader=LeaderReport(prc=2, beacon=None),
             slot=body.slot,
             position_error=self.reported_error.get(i, state.position_error),
             armed=body.armed,

@@ -23,7 +23,7 @@ from companion.types.commands import Command, CommandName, CommandReply, Content
 from companion.types.flight import RULES, FlightPhase, HealthFlag, Role
 from companion.types.formation import FlownSlot, FormationChange, HeldReference
 from companion.types.notices import Code, Notice
-from companion.types.peers import PeerPacket
+from companion.types.peers import LeaderReport, Motion, PeerPacket, Sender
 from companion.types.status import NearestVehicle, SeparationReport, Status
 from companion.types.tick import Outbox
 from companion.wire.messages import Percentiles, StatusReport, Timing
@@ -297,7 +297,14 @@ WHOLE = (C.PREPARE, C.ARM, C.TAKEOFF, C.FORM, C.LAND)
 
 
 ZERO = (0.0, 0.0, 0.0)
-PACKET = PeerPacket(1, 7, 1, 5, FlightPhase.HOLD, Role.LEADER, ZERO, ZERO, ZERO, 0.01, 0.0, 1, None, FlownSlot(ZERO))
+PACKET = PeerPacket(
+    sender=Sender(vehicle_id=1, session=7, sequence=1, formation_hash=5),
+    phase=FlightPhase.HOLD,
+    role=Role.LEADER,
+    motion=Motion(position_enu_m=ZERO, velocity_enu_m_s=ZERO, acceleration_enu_m_s2=ZERO, state_age_s=0.01, sent_s=0.0),
+    leader=LeaderReport(prc=1, beacon=None),
+    slot=FlownSlot(ZERO),
+)
 
 
 def until(condition: Callable[[], object], each: Callable[[], object] = lambda: None, timeout_s: float = 10.0) -> None:

@@ -34,7 +34,7 @@ from companion.types.commands import Command, CommandName, CommandReply
 from companion.types.flight import FlightPhase, HealthFlag, Role
 from companion.types.formation import FlownSlot
 from companion.types.notices import Code, Notice
-from companion.types.peers import PeerPacket, ReceivedPeerPacket
+from companion.types.peers import LeaderReport, Motion, PeerPacket, ReceivedPeerPacket, Sender
 from companion.types.status import Status
 from companion.types.tick import Inbox
 from companion.types.values import ZERO3, Vector3
@@ -349,19 +349,18 @@ def _received(start: StartRecords, starts: Sequence[StartRecords], now_s: float)
 def _packet(sender: StartRecords, sent_s: float) -> PeerPacket:
     """Only its sender and its time count here."""
     return PeerPacket(
-        vehicle_id=sender.header.vehicle_id,
-        session=sender.header.session,
-        sequence=round(1000 * sent_s),
-        formation_hash=1,
+        sender=Sender(
+            vehicle_id=sender.header.vehicle_id,
+            session=sender.header.session,
+            sequence=round(1000 * sent_s),
+            formation_hash=1,
+        ),
         phase=FlightPhase.FORMATION,
         role=Role.FOLLOWER,
-        position_enu_m=ZERO3,
-        velocity_enu_m_s=ZERO3,
-        acceleration_enu_m_s2=ZERO3,
-        state_age_s=0.0,
-        sent_s=sent_s,
-        prc=1,
-        leader_beacon=None,
+        motion=Motion(
+            position_enu_m=ZERO3, velocity_enu_m_s=ZERO3, acceleration_enu_m_s2=ZERO3, state_age_s=0.0, sent_s=sent_s
+        ),
+        leader=LeaderReport(prc=1, beacon=None),
         slot=FlownSlot(ZERO3),
     )
 

@@ -14,6 +14,7 @@ import pytest
 from msgspec.structs import replace
 
 import companion.recording.files as files
+from common import with_fields
 from companion.assembly import build_agent
 from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember, Law
 from companion.config.reference import PointReference, Reference
@@ -49,7 +50,15 @@ from companion.types.commands import Command, CommandName, Content
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot, HeldReference, LeaderBeacon
 from companion.types.notices import Notice
-from companion.types.peers import PeerPacket, ReceivedPeerPacket, ReceivedTraffic, TrafficSample
+from companion.types.peers import (
+    LeaderReport,
+    Motion,
+    PeerPacket,
+    ReceivedPeerPacket,
+    ReceivedTraffic,
+    Sender,
+    TrafficSample,
+)
 from companion.types.tick import Inbox, Outbox
 from companion.types.values import Vector3
 from tests.fuzz.plant import PARAMETERS
@@ -146,23 +155,26 @@ class AgentFlight:
         self._peer_sequence += 1
         leads = 1 if self.agent_id == 2 else 2
         packet = PeerPacket(
-            vehicle_id=leads,
-            session=1,
-            sequence=self._peer_sequence,
-            formation_hash=self.fleet.formation_hash(),
+            sender=Sender(
+                vehicle_id=leads, session=1, sequence=self._peer_sequence, formation_hash=self.fleet.formation_hash()
+            ),
             phase=self.peer_phase,
             role=self.peer_role or (Role.LEADER if leads == 1 else Role.FOLLOWER),
-            position_enu_m=self.peer_position,
-            velocity_enu_m_s=(0.0, 0.0, 0.0),
-            acceleration_enu_m_s2=(0.0, 0.0, 0.0),
-            state_age_s=0.0,
-            sent_s=self.now_s - self.peer_late_s,
-            prc=leads if self.peer_role is None else 2,
-            leader_beacon=LeaderBeacon(1, 0, int(self.now_s * 1000), self.peer_reference_s),
+            motion=Motion(
+                position_enu_m=self.peer_position,
+                velocity_enu_m_s=(0.0, 0.0, 0.0),
+                acceleration_enu_m_s2=(0.0, 0.0, 0.0),
+                state_age_s=0.0,
+                sent_s=self.now_s - self.peer_late_s,
+            ),
+            leader=LeaderReport(
+                prc=leads if self.peer_role is None else 2,
+                beacon=LeaderBeacon(1, 0, int(self.now_s * 1000), self.peer_reference_s),
+            ),
             slot=FlownSlot(self.fleet.vehicles[leads - 1].slot_enu_m),
             reference=self.peer_reference,
         )
-        return [ReceivedPeerPacket(self.now_s, replace(packet, **self.peer_changes))]
+        return [ReceivedPeerPacket(self.now_s, with_fields(packet, **self.peer_changes))]
 
     @property
     def agent_id(self) -> int:

@@ -18,7 +18,7 @@ from typing import Any
 import zenoh
 from msgspec.structs import replace
 
-from common import ROOT
+from common import ROOT, with_fields
 from companion.cli.main import main
 from companion.config.vehicle import protocol_of
 from companion.ground.session import FleetSession
@@ -30,7 +30,7 @@ from companion.security.provisioning import Provisioned, provision_new, revoke
 from companion.types.commands import Command, CommandName
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot
-from companion.types.peers import PeerPacket
+from companion.types.peers import LeaderReport, Motion, PeerPacket, Sender
 from companion.wire.keys import abort_key, command_key, peer_key, reply_key, status_key
 from companion.wire.messages import encode
 from companion.wire.peer import encode_peer
@@ -242,12 +242,24 @@ def false_messages(fleet: SecuredFleet, operators: tuple[str, ...]) -> Iterator[
     name, formation_hash = fleet.scenario.fleet.name, next(iter(fleet.ground.newest.values())).formation_hash
     sessions = {i: status.session for i, status in fleet.ground.newest.items()}
     packet = PeerPacket(
-        1, 1, 1, formation_hash, FlightPhase.FORMATION, Role.FOLLOWER, FAR_M, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0, 2,
-        None, FlownSlot((0.0, 0.0, 0.0)),
-    )  # fmt: skip
+        sender=Sender(vehicle_id=1, session=1, sequence=1, formation_hash=formation_hash),
+        phase=FlightPhase.FORMATION,
+        role=Role.FOLLOWER,
+        motion=Motion(
+            position_enu_m=FAR_M,
+            velocity_enu_m_s=(0.0, 0.0, 0.0),
+            acceleration_enu_m_s2=(0.0, 0.0, 0.0),
+            state_age_s=0.0,
+            sent_s=0.0,
+        ),
+        leader=LeaderReport(prc=2, beacon=None),
+        slot=FlownSlot((0.0, 0.0, 0.0)),
+    )
     for number in count(1):
         for i in IDS:
-            false = replace(packet, vehicle_id=i, session=sessions[i], sequence=10**6 + number, sent_s=time.monotonic())
+            false = with_fields(
+                packet, vehicle_id=i, session=sessions[i], sequence=10**6 + number, sent_s=time.monotonic()
+            )
             yield peer_key(name, i), encode_peer(false)
             yield status_key(name, i), b"\x08nonsense"
             yield reply_key(name, i), b"\x08nonsense"

@@ -59,7 +59,7 @@ class LargeFleet(CommandedFlight):
         def counted(receiver: int, now_s: float) -> Iterable[object]:
             packets = receive(receiver, now_s)
             if receiver == vehicle_id:
-                senders.extend(received.packet.vehicle_id for received in packets)
+                senders.extend(received.packet.sender.vehicle_id for received in packets)
             return packets
 
         self.lockstep._network.receive = counted  # type: ignore[method-assign, assignment]

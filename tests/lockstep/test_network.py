@@ -6,7 +6,7 @@ import pytest
 
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot
-from companion.types.peers import PeerPacket
+from companion.types.peers import LeaderReport, Motion, PeerPacket, Sender
 from companion.types.values import ZERO3
 from sitl.links.network import Network
 from sitl.vehicle.config import Links, Partition
@@ -14,25 +14,19 @@ from sitl.vehicle.config import Links, Partition
 
 def packet(vehicle_id: int, sequence: int) -> PeerPacket:
     return PeerPacket(
-        vehicle_id,
-        1,
-        sequence,
-        7,
-        FlightPhase.FORMATION,
-        Role.FOLLOWER,
-        ZERO3,
-        ZERO3,
-        ZERO3,
-        0.0,
-        0.0,
-        2,
-        None,
-        FlownSlot(ZERO3),
+        sender=Sender(vehicle_id=vehicle_id, session=1, sequence=sequence, formation_hash=7),
+        phase=FlightPhase.FORMATION,
+        role=Role.FOLLOWER,
+        motion=Motion(
+            position_enu_m=ZERO3, velocity_enu_m_s=ZERO3, acceleration_enu_m_s2=ZERO3, state_age_s=0.0, sent_s=0.0
+        ),
+        leader=LeaderReport(prc=2, beacon=None),
+        slot=FlownSlot(ZERO3),
     )
 
 
 def sequences(network: Network, receiver: int, now_s: float) -> list[int]:
-    return [received.packet.sequence for received in network.receive(receiver, now_s)]
+    return [received.packet.sender.sequence for received in network.receive(receiver, now_s)]
 
 
 def received(links: Links, seed: int, packets: int = 2000) -> list[tuple[int, ...]]:
@@ -129,7 +123,7 @@ def test_a_partition_loses_the_packets_of_its_direction_until_it_ends(
     def arrive(number: int, now_s: float) -> list[bool]:
         for sender in (1, 2):
             network.send(packet(sender, number), now_s)
-        to_3_from_2 = [received.packet.vehicle_id for received in network.receive(3, now_s + 0.02)]
+        to_3_from_2 = [received.packet.sender.vehicle_id for received in network.receive(3, now_s + 0.02)]
         assert 2 in to_3_from_2  # on one side
         return [bool(sequences(network, 2, now_s + 0.02)), 1 in to_3_from_2, bool(sequences(network, 1, now_s + 0.02))]
 

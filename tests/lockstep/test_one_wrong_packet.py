@@ -10,6 +10,7 @@ from random import Random
 import pytest
 from msgspec.structs import replace
 
+from common import with_fields
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code
@@ -33,28 +34,28 @@ def along(axis: int, size: float) -> Vector3:
 
 def wrong(packet: PeerPacket, what: str, axis: int, sign: float) -> PeerPacket:
     moved = along(axis, sign * FAR)
-    x, y, z = (a + b for a, b in zip(packet.position_enu_m, moved, strict=True))
-    packet = replace(packet, sequence=packet.sequence + 1)
+    x, y, z = (a + b for a, b in zip(packet.motion.position_enu_m, moved, strict=True))
+    packet = with_fields(packet, sequence=packet.sender.sequence + 1)
     match what:
         case "position":
-            return replace(packet, position_enu_m=(x, y, z))
+            return with_fields(packet, position_enu_m=(x, y, z))
         case "velocity":
-            return replace(packet, velocity_enu_m_s=along(axis, sign * 0.99 * FAST))
+            return with_fields(packet, velocity_enu_m_s=along(axis, sign * 0.99 * FAST))
         case "acceleration":
-            return replace(packet, acceleration_enu_m_s2=along(axis, sign * 99.0))
+            return with_fields(packet, acceleration_enu_m_s2=along(axis, sign * 99.0))
         case "all":
             motion = (along(axis, sign * 0.99 * FAST), along(axis, sign * HARD))
-            return replace(
+            return with_fields(
                 packet, position_enu_m=(x, y, z), velocity_enu_m_s=motion[0], acceleration_enu_m_s2=motion[1]
             )
         case "slot":
-            slot = replace(packet.slot, position_enu_m=along(axis, -sign * (390.0 if axis < 2 else 100.0)))
+            slot = with_fields(packet.slot, position_enu_m=along(axis, -sign * (390.0 if axis < 2 else 100.0)))
             return replace(packet, slot=slot)
         case "rft":
             rft = (along(axis, sign * 19_999.0), along(axis, sign * 0.99 * FAST), along(axis, sign * 99.0))
             return replace(packet, rft=rft)
         case _:
-            return replace(packet, state_age_s=9.9)
+            return with_fields(packet, state_age_s=9.9)
 
 
 @pytest.fixture(scope="module", params=SEEDS)
@@ -102,7 +103,7 @@ def carried(fleet: HostileFleet, liar: int | None, claimed_enu_m_s2: Vector3) ->
     fastest_m_s = hypot(envelope.max_speed_m_s, max(envelope.max_climb_m_s, envelope.max_descent_m_s))
     for tick in range(round((STREAM_S + GONE_AFTER_S) / TICK_S)):
         if liar and tick < round(STREAM_S / TICK_S):
-            fleet.packets[liar] = replace(fleet.packets[liar], acceleration_enu_m_s2=claimed_enu_m_s2)
+            fleet.packets[liar] = with_fields(fleet.packets[liar], acceleration_enu_m_s2=claimed_enu_m_s2)
         fleet.tick()
         for plant in fleet.plants.values():
             assert hypot(*plant.velocity_enu_m_s) <= fastest_m_s

@@ -92,7 +92,11 @@ def test_the_successor_stays_leader(make: AutopilotKind) -> None:
     stale = [s for _, s in flight.statuses if s.session == 2 and s.role is Role.LEADER]
     assert len(stale) <= 2  # the role of its file, until it has fresh peers
     assert all(s.phase is FlightPhase.OBSERVE for s in stale)
-    beacons = [p.leader_beacon for p in flight.packets if p.vehicle_id != 1 and p.sent_s > ENDS_S + RESTARTS_AFTER_S]
+    beacons = [
+        p.leader.beacon
+        for p in flight.packets
+        if p.sender.vehicle_id != 1 and p.motion.sent_s > ENDS_S + RESTARTS_AFTER_S
+    ]
     assert {beacon.leader_id for beacon in beacons if beacon} == {2}
 
 
@@ -109,7 +113,7 @@ def test_the_restarted_agent_observes(make: AutopilotKind) -> None:
 @MAKES
 def test_the_others_use_its_position_at_once_and_nothing_else(make: AutopilotKind) -> None:
     flight = observed(make)
-    first_s = min(p.sent_s for p in flight.packets if p.vehicle_id == 1 and p.session == 2)
+    first_s = min(p.motion.sent_s for p in flight.packets if p.sender.vehicle_id == 1 and p.sender.session == 2)
     assert first_s - ENDS_S - RESTARTS_AFTER_S < 1.2  # the origin follows a HEARTBEAT, which comes once a second
     for vehicle_id in OTHERS:
         after = [s for at_s, s in flight.statuses if s.vehicle_id == vehicle_id and at_s > first_s + FRESH_S]

@@ -60,7 +60,7 @@ class Flown:
         return {status.vehicle_id: status for status in self.reports}
 
     def _first(self, is_it) -> dict[int, float]:  # type: ignore[no-untyped-def]
-        return {packet.vehicle_id: at_s for at_s, packet in reversed(self.packets) if is_it(packet)}
+        return {packet.sender.vehicle_id: at_s for at_s, packet in reversed(self.packets) if is_it(packet)}
 
 
 @cache
@@ -112,7 +112,7 @@ def test_a_turning_formation_continues_without_a_step() -> None:
     assert max(flight.led_s(by=2).values()) < 0.65
     assert flight.decisions.jump_m() < JUMP_M
     for i in (2, 3, 4):
-        slots = [(at_s, packet.slot) for at_s, packet in flight.packets if packet.vehicle_id == i]
+        slots = [(at_s, packet.slot) for at_s, packet in flight.packets if packet.sender.vehicle_id == i]
         assert max(hypot(*slot.velocity_enu_m_s) for _, slot in slots) > 0.1  # the formation does turn
         for (a_s, a), (b_s, b) in pairwise(slots):
             moved = [x + v * (b_s - a_s) for x, v in zip(a.position_enu_m, a.velocity_enu_m_s, strict=True)]

@@ -49,7 +49,7 @@ def test_a_failing_stage_ends_in_hold_and_a_restarted_agent_observes(
             received = [decode_peer(sample.payload.to_bytes()) for sample in drain(packets, PACKETS_KEPT)]
     if stage is not ZenohLink.publish_peer:
         assert received[-1].phase is FlightPhase.RELEASE
-        assert received[-1].acceleration_enu_m_s2 == ZERO3
+        assert received[-1].motion.acceleration_enu_m_s2 == ZERO3
     vehicle.stand_in.wait_for_mode(make.hold_mode_name)
     last = vehicle.tap.setpoints[-1]
     assert last.is_level

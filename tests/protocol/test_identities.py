@@ -14,8 +14,8 @@ from typing import Any
 
 import pytest
 import zenoh
-from msgspec.structs import replace
 
+from common import with_fields
 from companion.config.fleet_check import load_fleet
 from companion.config.vehicle import ZenohEndpoints
 from companion.ground.publishers import TargetPublisher, TrafficPublisher
@@ -90,7 +90,7 @@ def everything(session: zenoh.Session, operators: tuple[str, ...] = ("ground-ann
     def publish() -> None:
         number = next(numbers)
         for i in (1, 2, 3):
-            packet = replace(PACKET, vehicle_id=i, sequence=number, sent_s=time.monotonic())
+            packet = with_fields(PACKET, vehicle_id=i, sequence=number, sent_s=time.monotonic())
             session.put(peer_key(FLEET_NAME, i), encode_peer(packet))
             session.put(status_key(FLEET_NAME, i), b"x")
             session.put(reply_key(FLEET_NAME, i), b"x")
@@ -113,7 +113,7 @@ def attacked(first: Link, attack: Callable[[], None]) -> None:
 
 def connected(first: Link, second: Link) -> None:
     """Until the first receives the second; then it forgets what came."""
-    packet = replace(PACKET, vehicle_id=2)
+    packet = with_fields(PACKET, vehicle_id=2)
     until(lambda: first.packets, lambda: (second.link.publish_peer(packet), first.tick()))
     time.sleep(0.3)
     first.tick()
@@ -181,7 +181,7 @@ def test_a_participant_publishes_only_under_its_own_keys(
         closing(stranger(endpoint, tls_of(fleet.folder_of(who)))) as session,
     ):
         attacked(first, everything(session, ("ground-anna", "ground-ben", "vehicle-2")))
-        assert {packet.vehicle_id for packet in first.packets} == packets_of
+        assert {packet.sender.vehicle_id for packet in first.packets} == packets_of
         assert {command.operator for command in first.commands} == operators
         assert {type(one).__name__ for one in first.others} == others
         assert not first.rejected
@@ -207,7 +207,7 @@ def test_who_is_revoked_is_not_used_from_the_next_list_on(tmp_path: Path) -> Non
         for seen in (first.packets, first.commands, first.others):
             seen.clear()
         attacked(first, lambda: [attack() for attack in attacks] and None)
-        assert {packet.vehicle_id for packet in first.packets} == {3}
+        assert {packet.sender.vehicle_id for packet in first.packets} == {3}
         assert {command.operator for command in first.commands} == {"ground-ben"}
         assert not first.others
         assert first.rejected.keys() == {Code.NOT_ADMITTED}

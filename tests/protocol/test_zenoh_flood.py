@@ -26,7 +26,7 @@ from companion.types.commands import Command, CommandName, CommandReply
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot
 from companion.types.notices import Answer, Code, Notice
-from companion.types.peers import PeerPacket
+from companion.types.peers import LeaderReport, Motion, PeerPacket, Sender
 from companion.wire.keys import abort_key, peer_key
 from companion.wire.messages import encode
 from processes import free_port
@@ -38,7 +38,14 @@ FLEET = FleetConfig(
     neighbours=EdgeNeighbours(edges=()),
 )
 ZERO = (0.0, 0.0, 0.0)
-PACKET = PeerPacket(1, 7, 1, 5, FlightPhase.HOLD, Role.LEADER, ZERO, ZERO, ZERO, 0.01, 0.0, 1, None, FlownSlot(ZERO))
+PACKET = PeerPacket(
+    sender=Sender(vehicle_id=1, session=7, sequence=1, formation_hash=5),
+    phase=FlightPhase.HOLD,
+    role=Role.LEADER,
+    motion=Motion(position_enu_m=ZERO, velocity_enu_m_s=ZERO, acceleration_enu_m_s2=ZERO, state_age_s=0.01, sent_s=0.0),
+    leader=LeaderReport(prc=1, beacon=None),
+    slot=FlownSlot(ZERO),
+)
 PERIOD_S = 0.02
 ABORTS = 10
 BLOCKED_S = 0.25  # a tick of this length was blocked: it was 5 s, and is 1 ms on an idle machine

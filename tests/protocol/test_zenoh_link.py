@@ -18,6 +18,7 @@ import pytest
 import zenoh
 from msgspec.structs import replace
 
+from common import with_fields
 from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember, PeerLimits
 from companion.config.vehicle import ZenohEndpoints
 from companion.core.consensus.peers import FleetLimits, PeerTable
@@ -131,20 +132,20 @@ def test_a_packet_reaches_the_peers_and_not_its_sender(port: int) -> None:
 def test_a_packet_that_is_decoded_early_is_received_once_with_its_own_time(port: int) -> None:
     with vehicle(1, listen=(endpoint(port),)) as first, vehicle(2, connect=(endpoint(port),)) as second:
         until(lambda: second.packets, lambda: (first.link.publish_peer(PACKET), second.tick()))
-        sequence = count(PACKET.sequence + 1)
+        sequence = count(PACKET.sender.sequence + 1)
         until(
             lambda: second.link._early,
             lambda: (
-                first.link.publish_peer(replace(PACKET, sequence=next(sequence))),
+                first.link.publish_peer(with_fields(PACKET, sequence=next(sequence))),
                 second.link.receive_early(time.monotonic()),
             ),
         )
         began_s, second.packets = time.monotonic(), []
         second.tick()
         assert second.packets[0].received_s <= began_s
-        sequences = [received.packet.sequence for received in second.packets]
+        sequences = [received.packet.sender.sequence for received in second.packets]
         second.tick()
-        sequences += [received.packet.sequence for received in second.packets[len(sequences) :]]
+        sequences += [received.packet.sender.sequence for received in second.packets[len(sequences) :]]
         assert sequences == sorted(set(sequences))
 
 
@@ -166,7 +167,7 @@ def test_agents_connect_to_configured_peers_only(port: int, other_port: int) -> 
     ):
 
         def publish() -> None:
-            third.link.publish_peer(replace(PACKET, vehicle_id=3))
+            third.link.publish_peer(with_fields(PACKET, vehicle_id=3))
             first.tick()
             second.tick()
 
@@ -183,7 +184,7 @@ def test_a_malformed_peer_packet_is_rejected_and_counted(port: int) -> None:
         Code.PEER_MALFORMED: (1, good[:-3]),
         Code.MESSAGE_EMPTY: (1, b""),
         Code.PEER_KEY_MISMATCH: (3, good),
-        Code.PEER_NOT_IN_FLEET: (3, encode_peer(replace(PACKET, vehicle_id=99))),
+        Code.PEER_NOT_IN_FLEET: (3, encode_peer(with_fields(PACKET, vehicle_id=99))),
     }
     with vehicle(2, listen=(endpoint(port),)) as second, closing(open_session((), (endpoint(port),))) as stranger:
         until(
@@ -220,14 +221,14 @@ def test_a_vehicle_that_floods_displaces_no_packet_of_another(port: int) -> None
     ):
         until(lambda: second.packets, lambda: (first.link.publish_peer(PACKET), second.tick()))
         second.packets.clear()
-        flood = replace(PACKET, vehicle_id=3)
+        flood = with_fields(PACKET, vehicle_id=3)
         for _ in range(100):
             first.link.publish_peer(PACKET)
             for _ in range(100):
                 third.link.publish_peer(flood)
             time.sleep(0.02)
             second.tick()
-        senders = Counter(received.packet.vehicle_id for received in second.packets)
+        senders = Counter(received.packet.sender.vehicle_id for received in second.packets)
         assert senders[1] > 50
         assert senders[3] <= 8 * 101
 
@@ -270,24 +271,24 @@ def test_a_peer_is_received_at_the_rate_of_the_choice_without_gaps(port: int) ->
         def tick(distant_ids: tuple[int, ...]) -> None:
             number = next(sequence)
             for sender, vehicle_id in ((first, 1), (third, 3)):
-                sender.link.publish_peer(replace(PACKET, vehicle_id=vehicle_id, sequence=number))
+                sender.link.publish_peer(with_fields(PACKET, vehicle_id=vehicle_id, sequence=number))
             time.sleep(0.01)
             second.link.set_low_rate_peers(distant_ids)
             second.tick()
 
-        until(lambda: {received.packet.vehicle_id for received in second.packets} == {1, 3}, lambda: tick(()))
+        until(lambda: {received.packet.sender.vehicle_id for received in second.packets} == {1, 3}, lambda: tick(()))
         second.packets.clear()
         for distant_ids in ((), (1,), (), (1,), ()):
             since = next(sequence)
             for _ in range(60):
                 tick(distant_ids)
-            received = [received.packet for received in second.packets if received.packet.sequence > since]
-            sequences = [packet.sequence for packet in received if packet.vehicle_id == 1]
+            received = [received.packet for received in second.packets if received.packet.sender.sequence > since]
+            sequences = [packet.sender.sequence for packet in received if packet.sender.vehicle_id == 1]
             wanted = range(5, 15) if distant_ids else range(50, 62)
             assert len(sequences) in wanted, (distant_ids, sequences)
             assert sequences == sorted(set(sequences)), "no packet twice, none out of order"
             assert all(b - a <= 21 for a, b in pairwise(sequences)), sequences
-            assert sum(packet.vehicle_id == 3 for packet in received) >= 55
+            assert sum(packet.sender.vehicle_id == 3 for packet in received) >= 55
         assert not second.rejected
 
 
@@ -306,7 +307,7 @@ def test_packets_that_waited_through_a_pause_are_dated_back(port: int) -> None:
     peers = PeerTable(
         2,
         {1: True, 2: False},
-        PACKET.formation_hash,
+        PACKET.sender.formation_hash,
         max_age_s=1.0,
         limits=FleetLimits(25.0, 8.0, (200.0, 200.0, 55.0)),
         successors=(),
@@ -315,13 +316,13 @@ def test_packets_that_waited_through_a_pause_are_dated_back(port: int) -> None:
 
     def publish() -> None:
         beacon = LeaderBeacon(1, 0, 1)
-        packet = replace(PACKET, sequence=next(sequence), sent_s=time.monotonic() + 1000.0, leader_beacon=beacon)
+        packet = with_fields(PACKET, sequence=next(sequence), sent_s=time.monotonic() + 1000.0, beacon=beacon)
         first.link.publish_peer(packet)
 
     def age_s() -> float:
         now_s = time.monotonic()
         peers.fold(second.link.receive(now_s)[0], epochs_up_to=0)
-        return now_s - peers.fresh(now_s)[1].measured_s - PACKET.state_age_s if peers.fresh(now_s) else 99.0
+        return now_s - peers.fresh(now_s)[1].measured_s - PACKET.motion.state_age_s if peers.fresh(now_s) else 99.0
 
     with vehicle(1, listen=(endpoint(port),)) as first, vehicle(2, connect=(endpoint(port),)) as second:
         until(lambda: age_s() < 0.05, publish)
@@ -335,16 +336,16 @@ def test_a_flood_of_packets_is_bounded_and_blocks_neither_side(port: int) -> Non
     with vehicle(1, listen=(endpoint(port),)) as first, vehicle(2, connect=(endpoint(port),)) as second:
         until(lambda: second.packets, lambda: (first.link.publish_peer(PACKET), second.tick()))
         sequences = count(10)
-        flood = [replace(PACKET, sequence=next(sequences)) for _ in range(5000)]
+        flood = [with_fields(PACKET, sequence=next(sequences)) for _ in range(5000)]
         for packet in flood:
             first.link.publish_peer(packet)
 
         def drain() -> bool:
             """Whether something newer than the flood has arrived: who sends may drop any packet, its last ones too."""
-            first.link.publish_peer(replace(PACKET, sequence=next(sequences)))
+            first.link.publish_peer(with_fields(PACKET, sequence=next(sequences)))
             packets, _ = second.link.receive(time.monotonic())
             assert len(packets) <= 8 * len(FLEET.vehicles)
-            return any(received.packet.sequence > flood[-1].sequence for received in packets)
+            return any(received.packet.sender.sequence > flood[-1].sender.sequence for received in packets)
 
         until(drain)
 

@@ -65,10 +65,10 @@ class RangeRule:
         )
         if self._bridge is not None and (self._bridge not in peers or now_s - self._bridged_s > BRIDGED_S):
             self._bridge = None
-        if any(peers[i].packet.leader_beacon is not None for i in self._members):
+        if any(peers[i].packet.leader.beacon is not None for i in self._members):
             self._led_s = now_s
         elif self._bridge is None and now_s - self._led_s > BRIDGES_AFTER_S:
-            led = [i for i, peer in peers.items() if peer.packet.leader_beacon is not None]
+            led = [i for i, peer in peers.items() if peer.packet.leader.beacon is not None]
             if led:
                 self._bridge = min(led, key=lambda i: (dist(own_position_enu_m, peers[i].position_at(now_s)), i))
                 self._bridged_s = now_s
@@ -156,7 +156,7 @@ class DistantPeers:
         """
         limits, until_s = self._limits, UNTIL_FULL_RATE_S + max(0.0, now_s - peer.measured_s - STATE_AGE_S)
         towards_m_s2 = 2.0 * limits.acceleration_m_s2
-        speed_m_s = dist(vehicle.velocity_enu_m_s, peer.packet.velocity_enu_m_s)
+        speed_m_s = dist(vehicle.velocity_enu_m_s, peer.packet.motion.velocity_enu_m_s)
         nearer_m = speed_m_s * until_s + 0.5 * towards_m_s2 * until_s * until_s
         fastest_m_s = speed_m_s + towards_m_s2 * until_s
         braking_m = fastest_m_s * fastest_m_s / towards_m_s2  # each brakes with half of the tilt limit

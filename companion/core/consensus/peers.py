@@ -20,7 +20,7 @@ from companion.types.commands import MAX_EPOCH
 from companion.types.flight import ON_GROUND, Role
 from companion.types.formation import FlownSlot, FormationChange, Term
 from companion.types.notices import Code
-from companion.types.peers import PeerPacket, ReceivedPeerPacket
+from companion.types.peers import LeaderReport, PeerPacket, ReceivedPeerPacket
 from companion.types.rejections import count_rejection, rejection_key
 from companion.types.values import MAX_CHANGE_S, MAX_COORDINATE_M, MAX_MISSION_S, ZERO3, Vector3
 
@@ -55,24 +55,24 @@ class FleetLimits:
 
 def refusal_of_claims(packet: PeerPacket, fleet: KnownFleet) -> Code | None:
     """Checks sender, formation hash, role, PrC, leader beacon, reference and change."""
-    if packet.vehicle_id == fleet.own_id:
+    if packet.sender.vehicle_id == fleet.own_id:
         return Code.PEER_OWN_ID
-    may_lead = fleet.may_lead.get(packet.vehicle_id)
+    may_lead = fleet.may_lead.get(packet.sender.vehicle_id)
     if may_lead is None:
         return Code.PEER_NOT_IN_FLEET
-    if packet.formation_hash != fleet.formation_hash:
+    if packet.sender.formation_hash != fleet.formation_hash:
         return Code.PEER_OTHER_FLEET_FILE
-    is_leader, beacon = packet.role is LEADER, packet.leader_beacon
+    is_leader, beacon = packet.role is LEADER, packet.leader.beacon
     if is_leader and not may_lead:
         return Code.PEER_NOT_A_LEADER
-    if not 1 <= packet.prc <= len(fleet.may_lead) or (packet.prc == 1) is not is_leader:
+    if not 1 <= packet.leader.prc <= len(fleet.may_lead) or (packet.leader.prc == 1) is not is_leader:
         return Code.PEER_PRC_IMPLAUSIBLE
     held = packet.reference
     if held and not (held.flown >= 0 and held.waiting >= 0 and 0.0 <= held.begun_s <= MAX_MISSION_S):
         return Code.PEER_REFERENCE_IMPLAUSIBLE
     if packet.change is not None and not (is_leader and _is_plausible_change(packet.change, fleet)):
         return Code.PEER_CHANGE_IMPLAUSIBLE
-    if is_leader and (beacon is None or beacon.leader_id != packet.vehicle_id):
+    if is_leader and (beacon is None or beacon.leader_id != packet.sender.vehicle_id):
         return Code.PEER_BEACON_MISSING
     if beacon is not None:
         may_claim = beacon.claim == 0 or (beacon.leader_id, beacon.claim) in fleet.claims
@@ -87,10 +87,10 @@ def refusal_of_claims(packet: PeerPacket, fleet: KnownFleet) -> Code | None:
 
 def refusal_of_motion(packet: PeerPacket, limits: FleetLimits, known: FlownSlot | None) -> Code | None:
     """Checks position, velocity, acceleration, times, slot and position error. `known` is a slot that has passed before."""
-    x, y, z = packet.position_enu_m
-    vx, vy, vz = packet.velocity_enu_m_s
-    ax, ay, az = packet.acceleration_enu_m_s2
-    numbers = x + y + z + vx + vy + vz + ax + ay + az + packet.state_age_s + packet.sent_s
+    x, y, z = packet.motion.position_enu_m
+    vx, vy, vz = packet.motion.velocity_enu_m_s
+    ax, ay, az = packet.motion.acceleration_enu_m_s2
+    numbers = x + y + z + vx + vy + vz + ax + ay + az + packet.motion.state_age_s + packet.motion.sent_s
     if not isfinite(numbers):  # one number that is not finite makes the sum so
         return Code.PEER_NOT_FINITE
     most = MAX_COORDINATE_M
@@ -100,7 +100,7 @@ def refusal_of_motion(packet: PeerPacket, limits: FleetLimits, known: FlownSlot 
         return Code.PEER_SPEED_IMPLAUSIBLE
     if hypot(ax, ay, az) > MAX_ACCELERATION_M_S2:
         return Code.PEER_ACCELERATION_IMPLAUSIBLE
-    if not 0.0 <= packet.state_age_s <= MAX_STATE_AGE_S or not 0.0 <= packet.sent_s <= MAX_SENT_S:
+    if not 0.0 <= packet.motion.state_age_s <= MAX_STATE_AGE_S or not 0.0 <= packet.motion.sent_s <= MAX_SENT_S:
         return Code.PEER_TIME_IMPLAUSIBLE
     slot = packet.slot
     if slot != known and not _is_plausible_slot(slot, limits):
@@ -173,7 +173,9 @@ class PeerState(Struct, frozen=True, gc=False):
 
     def position_at(self, now_s: float) -> Vector3:
         """Position extrapolated over its age, so that both sides of x_i - x_j refer to the same time."""
-        return extrapolated(self.packet.position_enu_m, self.packet.velocity_enu_m_s, now_s - self.measured_s)
+        return extrapolated(
+            self.packet.motion.position_enu_m, self.packet.motion.velocity_enu_m_s, now_s - self.measured_s
+        )
 
     def slot_at(self, now_s: float) -> FlownSlot:
         """Slot of the peer, extrapolated likewise."""
@@ -190,16 +192,16 @@ class PeerState(Struct, frozen=True, gc=False):
         by counts instead.
         """
         packet, age_s = self.packet, now_s - self.measured_s
-        most_s = EXTRAPOLATED_MOST_S if packet.prc > NEAR_LEADER_PRC else EXTRAPOLATED_NEAR_LEADER_S
+        most_s = EXTRAPOLATED_MOST_S if packet.leader.prc > NEAR_LEADER_PRC else EXTRAPOLATED_NEAR_LEADER_S
         if age_s > most_s:
             age_s = most_s
         if packet.rft is not None:
             (x, y, z), (vx, vy, vz), (ax, ay, az) = packet.rft
         else:
             slot = packet.slot
-            (x, y, z), (dx, dy, dz) = packet.position_enu_m, slot.position_enu_m
-            (vx, vy, vz), (dvx, dvy, dvz) = packet.velocity_enu_m_s, slot.velocity_enu_m_s
-            (ax, ay, az), (dax, day, daz) = packet.acceleration_enu_m_s2, slot.acceleration_enu_m_s2
+            (x, y, z), (dx, dy, dz) = packet.motion.position_enu_m, slot.position_enu_m
+            (vx, vy, vz), (dvx, dvy, dvz) = packet.motion.velocity_enu_m_s, slot.velocity_enu_m_s
+            (ax, ay, az), (dax, day, daz) = packet.motion.acceleration_enu_m_s2, slot.acceleration_enu_m_s2
             x, y, z = x - dx, y - dy, z - dz
             vx, vy, vz = vx - dvx, vy - dvy, vz - dvz
             ax, ay, az = ax - dax, ay - day, az - daz
@@ -249,7 +251,7 @@ class PeerTable:
         """Check and take these packets; of one with a beacon of a larger epoch only the motion."""
         for received in packets:
             packet = received.packet
-            before = self.newest.get(packet.vehicle_id)
+            before = self.newest.get(packet.sender.vehicle_id)
             known = before.packet.slot if before is not None else None
             code = refusal_of_claims(packet, self._fleet) or refusal_of_motion(packet, self._limits, known)
             code = code or self._refusal_of_order(received, before)
@@ -258,20 +260,20 @@ class PeerTable:
                 continue
             if code in DUPLICATES:
                 self.duplicate_id_s = received.received_s
-            self._count(code, packet.vehicle_id)
+            self._count(code, packet.sender.vehicle_id)
 
     def _take(self, packet: PeerPacket, epochs_up_to: int, before: PeerState | None) -> None:
         """An accepted packet, after its stream, as the newest state of its vehicle. `before` is the last one."""
-        vehicle_id, beacon = packet.vehicle_id, packet.leader_beacon
+        vehicle_id, beacon = packet.sender.vehicle_id, packet.leader.beacon
         if beacon is not None and beacon.epoch > epochs_up_to:
             packet, beacon = self._without_leader(packet), None
         packet = self._within_limits(packet)
         stream = self._streams[vehicle_id]
         clock = stream.clock
-        measured_s = clock.received_s - stream.late_s(packet.sent_s) - packet.state_age_s
+        measured_s = clock.received_s - stream.late_s(packet.motion.sent_s) - packet.motion.state_age_s
         term = beacon.term if beacon is not None else (0, 0)
         if packet.phase in ON_GROUND and before is not None and before.packet.phase in ON_GROUND:
-            self.ground_position_enu_m[vehicle_id] = packet.position_enu_m
+            self.ground_position_enu_m[vehicle_id] = packet.motion.position_enu_m
         self.newest[vehicle_id] = PeerState(packet, clock.received_s, clock.least_apart_s, measured_s, term)
 
     def fresh(self, now_s: float) -> dict[int, PeerState]:
@@ -296,15 +298,20 @@ class PeerTable:
     def _refusal_of_order(self, received: ReceivedPeerPacket, before: PeerState | None) -> Code | None:
         """Checks against the packets before of the same vehicle: session, sequence, delay and distance."""
         packet, received_s = received.packet, received.received_s
-        vehicle_id = packet.vehicle_id
+        vehicle_id = packet.sender.vehicle_id
         max_age_s = self._age_limit_s(vehicle_id) if self._distant_s else self._max_age_s
         stream, disorder = following(
-            self._streams.get(vehicle_id), packet.session, packet.sequence, packet.sent_s, received_s, max_age_s
+            self._streams.get(vehicle_id),
+            packet.sender.session,
+            packet.sender.sequence,
+            packet.motion.sent_s,
+            received_s,
+            max_age_s,
         )
         if disorder is None and before is not None and received_s - before.measured_s <= max_age_s:
             since_s = received_s - before.received_s
             elapsed_s = (since_s if since_s > 0.0 else 0.0) + max_age_s
-            distance_m = dist(packet.position_enu_m, before.packet.position_enu_m)
+            distance_m = dist(packet.motion.position_enu_m, before.packet.motion.position_enu_m)
             if distance_m > self._limits.speed_m_s * elapsed_s + JUMP_MARGIN_M:
                 return Code.PEER_POSITION_JUMPED
         self._streams[vehicle_id] = stream
@@ -312,22 +319,22 @@ class PeerTable:
 
     def _without_leader(self, packet: PeerPacket) -> PeerPacket:
         """The packet as of a follower that knows no leader. Its position is needed for separation."""
-        self._count(Code.PEER_EPOCH_TOO_HIGH, packet.vehicle_id)
-        return replace(packet, role=Role.FOLLOWER, prc=len(self._fleet.may_lead), leader_beacon=None, change=None)
+        self._count(Code.PEER_EPOCH_TOO_HIGH, packet.sender.vehicle_id)
+        return replace(packet, role=Role.FOLLOWER, leader=LeaderReport(len(self._fleet.may_lead), None), change=None)
 
     def _within_limits(self, packet: PeerPacket) -> PeerPacket:
         """The packet with accelerations that this fleet can fly: the law feeds them forward. Its position remains usable."""
-        most_m_s2, slot = self._limits.acceleration_m_s2, packet.slot
+        most_m_s2, motion, slot = self._limits.acceleration_m_s2, packet.motion, packet.slot
         squared, rft = most_m_s2 * most_m_s2, packet.rft
-        (ax, ay, az), (sx, sy, sz) = packet.acceleration_enu_m_s2, slot.acceleration_enu_m_s2
+        (ax, ay, az), (sx, sy, sz) = motion.acceleration_enu_m_s2, slot.acceleration_enu_m_s2
         rx, ry, rz = ZERO3 if rft is None else rft[2]
         own, of_slot, of_rft = ax * ax + ay * ay + az * az, sx * sx + sy * sy + sz * sz, rx * rx + ry * ry + rz * rz
         if own <= squared and of_slot <= squared and of_rft <= squared:
             return packet
-        self._count(Code.PEER_ACCELERATION_LIMITED, packet.vehicle_id)
+        self._count(Code.PEER_ACCELERATION_LIMITED, packet.sender.vehicle_id)
         return replace(
             packet,
-            acceleration_enu_m_s2=shortened(packet.acceleration_enu_m_s2, most_m_s2),
+            motion=replace(motion, acceleration_enu_m_s2=shortened(motion.acceleration_enu_m_s2, most_m_s2)),
             slot=replace(slot, acceleration_enu_m_s2=shortened(slot.acceleration_enu_m_s2, most_m_s2)),
             rft=rft and (*rft[:2], shortened(rft[2], most_m_s2)),
         )

@@ -73,7 +73,7 @@ def _states_of(
     """The fresh ones of the candidates, which are some of the present peers."""
     if len(candidates) == len(fresh) and present is fresh:  # the usual case: all of them
         return fresh
-    return {p.vehicle_id: fresh[p.vehicle_id] for p in candidates if p.vehicle_id in fresh}
+    return {p.sender.vehicle_id: fresh[p.sender.vehicle_id] for p in candidates if p.sender.vehicle_id in fresh}
 
 
 def _attracting(ids: tuple[int, ...], packets: Sequence[PeerPacket], leads: bool) -> tuple[int, ...]:
@@ -86,7 +86,7 @@ def _attracting(ids: tuple[int, ...], packets: Sequence[PeerPacket], leads: bool
     if len(streaming) == len(packets):
         return ids
     led = leads or any(p.role is LEADER for p in streaming)
-    return tuple([p.vehicle_id for p in packets if p.phase in STREAMING or (p.role is LEADER and not led)])
+    return tuple([p.sender.vehicle_id for p in packets if p.phase in STREAMING or (p.role is LEADER and not led)])
 
 
 class ConsensusStage:
@@ -186,7 +186,7 @@ class ConsensusStage:
         events: tuple[Notice, ...] = ()
         for peer in present.values():
             if self.leadership.term < peer.term and peer.term[0] <= epochs_up_to:  # a command may just have lowered it
-                events += self.leadership.receive(now_s, [peer.packet.leader_beacon])
+                events += self.leadership.receive(now_s, [peer.packet.leader.beacon])
         return fresh, present, events
 
     def _epochs_up_to(self, now_s: float) -> int:
@@ -207,13 +207,13 @@ class ConsensusStage:
             self._led_s = now_s
         if self.leadership.is_settled:
             return ()
-        return self.leadership.settle(now_s, [p.leader_beacon for p in flying if p.leader_beacon is not None])
+        return self.leadership.settle(now_s, [p.leader.beacon for p in flying if p.leader.beacon is not None])
 
     def _beacons_of_others(self, packets: Iterable[PeerPacket]) -> list[LeaderBeacon]:
         """The leader beacons in these packets. The own beacon is from before a handover or a restart: left out."""
         beacons = []
         for packet in packets:
-            beacon = packet.leader_beacon
+            beacon = packet.leader.beacon
             if beacon is not None and beacon.leader_id != self._own_id:
                 beacons.append(beacon)
         return beacons
@@ -224,8 +224,8 @@ class ConsensusStage:
         """(PrC, state) of each neighbour. A leader of an older term has not received the change yet: its PrC is n."""
         neighbours = []
         for peer in peers:
-            is_deposed = peer.packet.prc == 1 and peer.term < term
-            neighbours.append((self._n if is_deposed else peer.packet.prc, peer.formation_state_at(now_s)))
+            is_deposed = peer.packet.leader.prc == 1 and peer.term < term
+            neighbours.append((self._n if is_deposed else peer.packet.leader.prc, peer.formation_state_at(now_s)))
         return tuple(neighbours)
 
     def _command_leads(
@@ -296,7 +296,7 @@ class ConsensusStage:
     def _leads_in(self, flying: list[PeerPacket]) -> bool:
         """Whether a leader of this term or a newer one flies; a leader of an older term does not know the change yet."""
         term = self.leadership.term
-        return any(p.role is LEADER and p.leader_beacon is not None and p.leader_beacon.term >= term for p in flying)
+        return any(p.role is LEADER and p.leader.beacon is not None and p.leader.beacon.term >= term for p in flying)
 
     def _received_heading(
         self, role: Role, in_formation: bool, newest: LeaderBeacon | None, age_s: float

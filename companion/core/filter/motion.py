@@ -237,9 +237,9 @@ class Motions:
         for peer_id, peer in peers.items():
             packet, age_s = peer.packet, now_s - peer.measured_s
             there_enu_m, moving_enu_m_s, acceleration = (
-                packet.position_enu_m,
-                packet.velocity_enu_m_s,
-                packet.acceleration_enu_m_s2,
+                packet.motion.position_enu_m,
+                packet.motion.velocity_enu_m_s,
+                packet.motion.acceleration_enu_m_s2,
             )
             is_fresh, (px, py, pz) = peer_id in fresh, there_enu_m
             if age_s > FORGOTTEN_S:

@@ -272,7 +272,7 @@ def _fleet_enu_m(vehicle: VehicleState, slot: FlownSlot) -> Vector3:
 
 def first_leader(flying: Iterable[PeerPacket], own_id: int | None) -> int | None:
     """The smallest id of all leaders in formation; None without one. `own_id`: this vehicle, where it is one of them."""
-    ids = [packet.vehicle_id for packet in flying if _leads(packet)]
+    ids = [packet.sender.vehicle_id for packet in flying if _leads(packet)]
     return min(ids if own_id is None else [*ids, own_id], default=None)
 
 
@@ -282,9 +282,9 @@ def passed_on(flying: Iterable[PeerPacket], term: Term, on_ground: bool) -> list
     A vehicle `on_ground` adopts only the formation that the leader flies already, not one that is still to begin.
     """
     changes = [
-        (packet.vehicle_id, packet.change)
+        (packet.sender.vehicle_id, packet.change)
         for packet in flying
-        if packet.change and _leads(packet) and packet.leader_beacon and packet.leader_beacon.term == term
+        if packet.change and _leads(packet) and packet.leader.beacon and packet.leader.beacon.term == term
         if not on_ground or packet.change.number == packet.slot.formation
     ]
     changes.sort(key=lambda change: change[0])

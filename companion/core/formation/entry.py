@@ -132,7 +132,7 @@ class FormationEntry:
         leaders = [p for p in peers if p.packet.role is LEADER and p.packet.phase in COOPERATING]
         forming = [p for p in leaders if p.packet.phase in STREAMING]
         if reference is not None and not formed:
-            if not (first := _first(forming)) or first.packet.vehicle_id > self._own_id:
+            if not (first := _first(forming)) or first.packet.sender.vehicle_id > self._own_id:
                 return reference, 0.0
             return first.formation_state_at(now_s), first.packet.slot.moves_for_s
         if reference is None and (first := _first(forming)):
@@ -152,7 +152,7 @@ def _formed(peers: Iterable[PeerState]) -> list[PeerState]:
 
 
 def _first(peers: Collection[PeerState]) -> PeerState | None:
-    return min(peers, key=lambda peer: peer.packet.vehicle_id, default=None)
+    return min(peers, key=lambda peer: peer.packet.sender.vehicle_id, default=None)
 
 
 JOINS_AFTER_S = 2.0  # a peer in formation for longer did not form together with this vehicle
@@ -197,7 +197,7 @@ class Joining:
         for peer in formed:
             apart_m = dist(slot, in_formation_frame(peer.slot_at(now_s).position_enu_m, heading))
             if apart_m < self._separation_m:
-                text = f"its slot is taken: vehicle {peer.packet.vehicle_id} flies {apart_m:.2f} m from it"
+                text = f"its slot is taken: vehicle {peer.packet.sender.vehicle_id} flies {apart_m:.2f} m from it"
                 raise Refused(Code.SLOT_TAKEN, text)
         delta, lasts_s = gentle_path(
             offset_from(position_enu_m, velocity_enu_m_s, fleet, slot, heading), self._speed_m_s
@@ -212,7 +212,7 @@ class Joining:
             if apart_m < self._separation_m:
                 raise Refused(
                     Code.PATH_TOO_CLOSE,
-                    f"the path to its slot comes within {apart_m:.2f} m of vehicle {peer.packet.vehicle_id};"
+                    f"the path to its slot comes within {apart_m:.2f} m of vehicle {peer.packet.sender.vehicle_id};"
                     f" expected at least separation_m, {self._separation_m:g} m",
                 )
         return delta, lasts_s
@@ -222,10 +222,10 @@ class Joining:
         for packet in (peer.packet for peer in peers):
             slot = packet.slot
             if packet.phase is FORMATION and (slot.moves or slot.waiting != slot.formation):
-                text = f"vehicle {packet.vehicle_id} is not in its slot yet; give form again then"
+                text = f"vehicle {packet.sender.vehicle_id} is not in its slot yet; give form again then"
                 raise Refused(Code.PEER_STILL_JOINING, text)
-            if packet.phase is FlightPhase.ENGAGE and packet.vehicle_id < self._own_id:
-                text = f"vehicle {packet.vehicle_id} is joining; give form again then"
+            if packet.phase is FlightPhase.ENGAGE and packet.sender.vehicle_id < self._own_id:
+                text = f"vehicle {packet.sender.vehicle_id} is joining; give form again then"
                 raise Refused(Code.PEER_STILL_JOINING, text)
 
 

@@ -81,7 +81,7 @@ class GapFilling:
 
     def update(self, now_s: float, flying: Collection[PeerPacket]) -> None:
         """Once a tick, with all fresh peers that fly."""
-        present = {packet.vehicle_id for packet in flying if packet.phase is FORMATION}
+        present = {packet.sender.vehicle_id for packet in flying if packet.phase is FORMATION}
         for i in present:
             self._gone_s[i] = None
         for i, since_s in self._gone_s.items():
@@ -155,7 +155,7 @@ class GapFilling:
             return ""
         if gone.packet.phase in STREAMING:
             return "no packets come from it, and it may still fly in its slot"
-        x, y, _ = gone.position_at(now_s) if now_s - gone.measured_s < GONE_FOR_S else gone.packet.position_enu_m
+        x, y, _ = gone.position_at(now_s) if now_s - gone.measured_s < GONE_FOR_S else gone.packet.motion.position_enu_m
         after = dict(change.slots_enu_m)
         for k in range(SAMPLES + 1):
             elapsed_s = change.lasts_s * k / SAMPLES

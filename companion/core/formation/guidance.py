@@ -113,7 +113,7 @@ class GuidanceStage:
             if not leads and flight.phase is FORMATION:
                 refusal_to_lead = self._off_fleet(vehicle, held) or refusal_to_lead
         known = held if leads else None
-        formed = [peer.vehicle_id for peer in consensus.flying if peer.phase is FORMATION]
+        formed = [peer.sender.vehicle_id for peer in consensus.flying if peer.phase is FORMATION]
         if formed != self._formed:
             self._formed = formed
             self._entry.update(now_s, formed)

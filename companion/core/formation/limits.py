@@ -174,7 +174,7 @@ def refusal_of_tracks(tracks_enu_m: Tracks, peers: Iterable[PeerPacket], separat
         if not stays(peer):
             continue
         has_height = peer.phase in HELD
-        at = counted(peer.position_enu_m, has_height)
+        at = counted(peer.motion.position_enu_m, has_height)
         for vehicle_id, track_enu_m in tracks_enu_m.items():
             points = [counted(point, has_height) for point in track_enu_m]
             longest_m = max((dist(a, b) for a, b in pairwise(points)), default=0.0)
@@ -184,8 +184,8 @@ def refusal_of_tracks(tracks_enu_m: Tracks, peers: Iterable[PeerPacket], separat
             if apart_m < separation_m <= dist(at, points[0]):
                 return Notice(
                     Code.VEHICLE_IN_THE_WAY,
-                    f"vehicle {vehicle_id} would come within {apart_m:.2f} m of vehicle {peer.vehicle_id}, which is in phase"
-                    f" {peer.phase}; expected at least separation_m, {separation_m:g} m",
+                    f"vehicle {vehicle_id} would come within {apart_m:.2f} m of vehicle {peer.sender.vehicle_id}, which is in"
+                    f" phase {peer.phase}; expected at least separation_m, {separation_m:g} m",
                 )
     return None
 
@@ -197,7 +197,7 @@ def stays(peer: PeerPacket) -> bool:
 
 def members(own_id: int, peers: Iterable[PeerPacket]) -> list[int]:
     """The vehicles in formation, this one included."""
-    return [own_id, *(peer.vehicle_id for peer in peers if peer.phase is FlightPhase.FORMATION)]
+    return [own_id, *(peer.sender.vehicle_id for peer in peers if peer.phase is FlightPhase.FORMATION)]
 
 
 def tracks_about(

@@ -205,7 +205,7 @@ class FormingTogether:
         forming = STREAMING | {FlightPhase.HOLD} if all_form else STREAMING
         own, slot_m = self._own_offset(vehicle, frame), frame.slots_m[self._own_id]
         delta, lasts_s = path or path_from(own, self._needed_s(own.distance_m))
-        for peer in sorted(peers, key=lambda p: p.packet.vehicle_id):
+        for peer in sorted(peers, key=lambda p: p.packet.sender.vehicle_id):
             packet = peer.packet
             if packet.phase in ON_GROUND or not packet.armed:
                 continue
@@ -213,16 +213,18 @@ class FormingTogether:
             motion = self._forming(now_s, peer, frame, lasts_s) if forms else self._staying(now_s, peer, frame)
             level = packet.phase in VERTICAL or not self._slots_have_height
             longest_s = max(lasts_s, packet.slot.moves_for_s)
-            apart_m = _distances_m(slot_m, delta, frame.slots_m[packet.vehicle_id], motion, longest_s, level)
+            apart_m = _distances_m(slot_m, delta, frame.slots_m[packet.sender.vehicle_id], motion, longest_s, level)
             ends_m = min(apart_m[0], apart_m[-1]) if forms else apart_m[0]
             if min(apart_m) < self._separation_m - ROUNDING_M and min(apart_m) < ends_m - PATH_MARGIN_M:
-                yield packet.vehicle_id, min(apart_m), forms
+                yield packet.sender.vehicle_id, min(apart_m), forms
 
     def _own_offset(self, vehicle: VehicleState, frame: Frame) -> Offset:
         return self._offset(self._own_id, vehicle.position_enu_m, vehicle.velocity_enu_m_s, frame)
 
     def _peer_offset(self, now_s: float, peer: PeerState, frame: Frame) -> Offset:
-        return self._offset(peer.packet.vehicle_id, peer.position_at(now_s), peer.packet.velocity_enu_m_s, frame)
+        return self._offset(
+            peer.packet.sender.vehicle_id, peer.position_at(now_s), peer.packet.motion.velocity_enu_m_s, frame
+        )
 
     def _offset(self, vehicle_id: int, position_enu_m: Vector3, velocity_enu_m_s: Vector3, frame: Frame) -> Offset:
         offset = offset_from(position_enu_m, velocity_enu_m_s, frame.fleet, frame.slots_m[vehicle_id], frame.heading)

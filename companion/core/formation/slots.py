@@ -180,9 +180,11 @@ class SlotPlan:
         self, waiting: FormationChange, others: Collection[PeerPacket], in_formation: bool
     ) -> tuple[Notice, ...]:
         """Begin the waiting change, or cancel it where a peer lacks it or an absent vehicle is back."""
-        present = {o.vehicle_id for o in others if o.phase in STREAMING} | ({self._own_id} if in_formation else set())
+        present = {o.sender.vehicle_id for o in others if o.phase in STREAMING} | (
+            {self._own_id} if in_formation else set()
+        )
         back = sorted(present & set(waiting.absent))
-        held = [(o.vehicle_id, o.slot.formation, o.slot.waiting) for o in others]
+        held = [(o.sender.vehicle_id, o.slot.formation, o.slot.waiting) for o in others]
         reason = f"vehicle {back[0]} is back in formation" if back else self._agreement.lacked_by(waiting, held)
         if reason:
             return self._agreement.cancel(waiting, reason)

@@ -222,7 +222,7 @@ class ReferencePlan:
     def _note_leader(self, now_s: float, others: Iterable[PeerPacket]) -> None:
         for other in others:
             if other.reference and other.role is LEADER and other.phase is FORMATION:
-                self._led_by, self._led_s = (other.vehicle_id, other.reference), now_s
+                self._led_by, self._led_s = (other.sender.vehicle_id, other.reference), now_s
 
     def _has(self, change: ReferenceChange) -> bool:
         if change == self._agreement.waiting:
@@ -252,7 +252,7 @@ class ReferencePlan:
         self, change: ReferenceChange, slots_enu_m: Mapping[int, Vector3], others: Iterable[PeerPacket]
     ) -> tuple[Notice, ...]:
         """Begin a change that is due, or cancel it where a peer that may lead lacks it or no hand-over is possible."""
-        held = [(o.vehicle_id, o.reference.flown, o.reference.waiting) for o in others if o.reference]
+        held = [(o.sender.vehicle_id, o.reference.flown, o.reference.waiting) for o in others if o.reference]
         if lacking := self._agreement.lacked_by(change, held):
             return self._agreement.cancel(change, lacking)
         try:

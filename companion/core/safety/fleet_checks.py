@@ -73,7 +73,9 @@ class FleetChecks:
     def _too_near(self, vehicle: VehicleState, peers: Collection[PeerPacket]) -> Notice | None:
         """The nearest peer below separation_m in the plane, on the ground or in flight: all climb and land vertically."""
         x, y, _ = vehicle.position_enu_m
-        apart_m = {p.vehicle_id: hypot(p.position_enu_m[0] - x, p.position_enu_m[1] - y) for p in peers}
+        apart_m = {
+            p.sender.vehicle_id: hypot(p.motion.position_enu_m[0] - x, p.motion.position_enu_m[1] - y) for p in peers
+        }
         nearest = min(apart_m, key=apart_m.__getitem__, default=None)
         if nearest is None or apart_m[nearest] >= self.separation_m:
             return None
@@ -84,7 +86,7 @@ class FleetChecks:
         )
 
     def _altitudes_differ(self, own_z_m: float, peers: Collection[PeerPacket]) -> Notice | None:
-        z_m = {peer.vehicle_id: peer.position_enu_m[2] for peer in peers if peer.phase in ON_GROUND}
+        z_m = {peer.sender.vehicle_id: peer.motion.position_enu_m[2] for peer in peers if peer.phase in ON_GROUND}
         z_m[self.own_id] = own_z_m
         low, high = min(z_m, key=z_m.__getitem__), max(z_m, key=z_m.__getitem__)
         spread_m = z_m[high] - z_m[low]
@@ -102,30 +104,32 @@ class FleetChecks:
         if flies := next((peer for peer in formed if peer.slot.formation != own), None):
             return Notice(
                 Code.FORMATION_DIFFERS,
-                f"this vehicle has formation {own}, vehicle {flies.vehicle_id} flies {flies.slot.formation}; give this"
+                f"this vehicle has formation {own}, vehicle {flies.sender.vehicle_id} flies {flies.slot.formation}; give this"
                 " vehicle that formation first",
             )
         holding = [p for p in peers if p.role is Role.LEADER and p.phase is FlightPhase.HOLD]
-        before = [p for p in holding if role is not Role.LEADER or p.vehicle_id < self.own_id]
-        first = min(before, key=lambda p: p.vehicle_id, default=None)
+        before = [p for p in holding if role is not Role.LEADER or p.sender.vehicle_id < self.own_id]
+        first = min(before, key=lambda p: p.sender.vehicle_id, default=None)
         if formed or first is None or first.slot.formation == own:
             return None
         return Notice(
             Code.FORMATION_DIFFERS,
-            f"this vehicle has formation {own}, leader {first.vehicle_id} has {first.slot.formation}; command form to"
+            f"this vehicle has formation {own}, leader {first.sender.vehicle_id} has {first.slot.formation}; command form to"
             " the leader alone first, then this vehicle adopts its formation",
         )
 
     def _too_close(
         self, own: PositionError | None, slot: FlownSlot, peers: Collection[PeerPacket]
     ) -> tuple[Notice | None, Notice | None]:
-        reported = {self.own_id: own} | {peer.vehicle_id: peer.position_error for peer in peers}
+        reported = {self.own_id: own} | {peer.sender.vehicle_id: peer.position_error for peer in peers}
         silent = sorted(vehicle_id for vehicle_id, error in reported.items() if error is None)
         missing = f"no error reported by the estimator of vehicle {', '.join(map(str, silent))}"
         unknown = Notice(Code.POSITION_ERROR_UNKNOWN, missing) if silent else None
         if own is None:
             return None, unknown
-        spacings = {p.vehicle_id: self._spacing(own, slot, p.position_error, p.slot) for p in peers if p.position_error}
+        spacings = {
+            p.sender.vehicle_id: self._spacing(own, slot, p.position_error, p.slot) for p in peers if p.position_error
+        }
         nearest = min(spacings, key=lambda i: spacings[i].sigmas, default=None)
         if nearest is None or (spacing := spacings[nearest]).sigmas >= WARNED_BELOW_SIGMAS:
             return None, unknown
@@ -209,13 +213,13 @@ def _paths_near(
         (x0, y0), (x1, y1) = path
         beside = (x0 > east and x1 > east) or (x0 < west and x1 < west)
         if not (beside or (y0 > north and y1 > north) or (y0 < south and y1 < south)):
-            yield peer.vehicle_id, path
+            yield peer.sender.vehicle_id, path
 
 
 def _path_of(peer: PeerPacket, ground_position_enu_m: Mapping[int, Vector3]) -> Path:
     """The path home of a peer; its position alone where it does not return, or its home is unknown."""
-    here = peer.position_enu_m
-    return _path(here, ground_position_enu_m.get(peer.vehicle_id, here) if peer.phase in MAY_GO_HOME else here)
+    here = peer.motion.position_enu_m
+    return _path(here, ground_position_enu_m.get(peer.sender.vehicle_id, here) if peer.phase in MAY_GO_HOME else here)
 
 
 def apart(a: Path, b: Path) -> float:

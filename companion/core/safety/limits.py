@@ -178,13 +178,17 @@ class FailureResponse:
         last = self._packet
         if last is None:
             return None
+        sender, motion = last.sender, last.motion
         self._packet = replace(
             last,
-            sequence=last.sequence + 1,
+            sender=replace(sender, sequence=sender.sequence + 1),
             phase=FlightPhase.RELEASE,
-            acceleration_enu_m_s2=ZERO3,
-            state_age_s=last.state_age_s + max(0.0, now_s - last.sent_s),
-            sent_s=now_s,
+            motion=replace(
+                motion,
+                acceleration_enu_m_s2=ZERO3,
+                state_age_s=motion.state_age_s + max(0.0, now_s - motion.sent_s),
+                sent_s=now_s,
+            ),
             change=None,
             rft=None,
         )

@@ -84,7 +84,7 @@ class PeerDatagrams:
             return None
         sender_id, payload = opened
         packet = packet_of_fleet(payload, self._fleet_ids, self._reject)
-        if packet and packet.vehicle_id != sender_id:
+        if packet and packet.sender.vehicle_id != sender_id:
             self._reject(Code.PEER_KEY_MISMATCH)
             return None
         return packet
@@ -117,7 +117,7 @@ def packet_of_fleet(data: bytes, fleet_ids: Collection[int], reject: Callable[[s
     except WireError as error:
         reject(error.key)
         return None
-    if packet.vehicle_id not in fleet_ids:  # counted without the id: unknown senders cannot fill the counters
+    if packet.sender.vehicle_id not in fleet_ids:  # counted without the id: unknown senders cannot fill the counters
         reject(Code.PEER_NOT_IN_FLEET)
         return None
     return packet

@@ -57,7 +57,7 @@ class PeerStates:
         payload = encode_peer(packet)
         self._publisher.put(payload)
         # Not all vehicles in the same tick
-        if self._low_rate_publisher and (packet.sequence + self._own_id) % LOW_RATE_TICKS == 0:
+        if self._low_rate_publisher and (packet.sender.sequence + self._own_id) % LOW_RATE_TICKS == 0:
             self._low_rate_publisher.put(payload)
 
     def receive_early(self) -> list[PeerPacket]:
@@ -75,7 +75,7 @@ class PeerStates:
             if samples := drain(channel, most):
                 packets += self._packets(samples, sender_id)
         if self._at_5_hz:
-            at_full_rate = {packet.vehicle_id for packet in packets}
+            at_full_rate = {packet.sender.vehicle_id for packet in packets}
             for sender_id in at_full_rate & self._at_5_hz.keys():
                 self._at_5_hz.pop(sender_id).undeclare()  # what it holds are copies
             for sender_id, channel in self._at_5_hz.items():
@@ -115,7 +115,7 @@ class PeerStates:
 
     def _packet(self, sample: zenoh.Sample, sender_id: int) -> PeerPacket | None:
         packet = packet_of_fleet(sample.payload.to_bytes(), self._fleet_ids, self._reject)
-        if packet and packet.vehicle_id != sender_id:
+        if packet and packet.sender.vehicle_id != sender_id:
             self._reject(Code.PEER_KEY_MISMATCH)
             return None
         return packet

@@ -101,7 +101,8 @@ class PeerLink:
     def publish(self, now_s: float, also_slow: bool) -> None:
         """The next packet, at full rate; on the slow key as well where it is its turn."""
         self._sequence += 1
-        data = encode_peer(replace(self._packet, sequence=self._sequence, sent_s=now_s))
+        sender = replace(self._packet.sender, sequence=self._sequence)
+        data = encode_peer(replace(self._packet, sender=sender, motion=replace(self._packet.motion, sent_s=now_s)))
         self._full.put(data)
         if also_slow:
             self._slow.put(data)

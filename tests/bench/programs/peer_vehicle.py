@@ -90,10 +90,11 @@ class _TwoWayVehicle:
     def tick(self) -> float:
         """Each packet has its own time of sending. The way that goes first changes from tick to tick."""
         self._grid.wait()
-        self._packet = replace(self._packet, sequence=self._packet.sequence + 1)
+        sequence = self._packet.sender.sequence + 1
+        self._packet = replace(self._packet, sender=replace(self._packet.sender, sequence=sequence))
         ways = [self._zenoh.publish_peer, self._udp.publish]
-        for publish in ways if self._packet.sequence % 2 else reversed(ways):
-            publish(replace(self._packet, sent_s=time.monotonic()))
+        for publish in ways if sequence % 2 else reversed(ways):
+            publish(replace(self._packet, motion=replace(self._packet.motion, sent_s=time.monotonic())))
         now_s = time.monotonic()
         packets, _ = self._zenoh.receive(now_s)
         self._over_zenoh.take(received.packet for received in packets)

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from companion.config.vehicle import AgentConfig, load_agent
 from companion.link.fleet.identity import vehicle_identity
@@ -77,7 +78,10 @@ class _LinkedVehicle:
     def tick(self) -> float:
         """The time of this tick."""
         now_s = self._grid.wait()
-        self._packet = msgspec.structs.replace(self._packet, sequence=self._packet.sequence + 1, sent_s=now_s)
+        sender, motion = self._packet.sender, self._packet.motion
+        self._packet = replace(
+            self._packet, sender=replace(sender, sequence=sender.sequence + 1), motion=replace(motion, sent_s=now_s)
+        )
         self._link.publish_peer(self._packet)
         packets, _ = self._link.receive(now_s)
         self._newest.take(received.packet for received in packets)

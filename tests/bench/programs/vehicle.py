@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from companion.link.tick import PERIOD_S
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot, LeaderBeacon
-from companion.types.peers import PeerPacket
+from companion.types.peers import LeaderReport, Motion, PeerPacket, Sender
 from companion.types.values import ZERO3
 
 
@@ -50,7 +50,9 @@ class NewestStates:
 
     def take(self, packets: Iterable[PeerPacket]) -> None:
         for packet in packets:
-            self.sent_s[packet.vehicle_id] = max(packet.sent_s, self.sent_s.get(packet.vehicle_id, packet.sent_s))
+            self.sent_s[packet.sender.vehicle_id] = max(
+                packet.motion.sent_s, self.sent_s.get(packet.sender.vehicle_id, packet.motion.sent_s)
+            )
 
     def ages_s(self, now_s: float) -> list[float]:
         return [now_s - sent_s for sent_s in self.sent_s.values()]
@@ -59,19 +61,17 @@ class NewestStates:
 def example_packet(vehicle_id: int) -> PeerPacket:
     """A packet in formation, of the usual size."""
     return PeerPacket(
-        vehicle_id=vehicle_id,
-        session=2**61,
-        sequence=0,
-        formation_hash=2**61,
+        sender=Sender(vehicle_id=vehicle_id, session=2**61, sequence=0, formation_hash=2**61),
         phase=FlightPhase.FORMATION,
         role=Role.FOLLOWER,
-        position_enu_m=(1.5, 2.5, 10.5),
-        velocity_enu_m_s=(0.5, 0.5, 0.5),
-        acceleration_enu_m_s2=(0.1, 0.1, 0.1),
-        state_age_s=0.01,
-        sent_s=0.0,
-        prc=2,
-        leader_beacon=LeaderBeacon(1, 1, 100_000, 100.5),
+        motion=Motion(
+            position_enu_m=(1.5, 2.5, 10.5),
+            velocity_enu_m_s=(0.5, 0.5, 0.5),
+            acceleration_enu_m_s2=(0.1, 0.1, 0.1),
+            state_age_s=0.01,
+            sent_s=0.0,
+        ),
+        leader=LeaderReport(prc=2, beacon=LeaderBeacon(1, 1, 100_000, 100.5)),
         slot=FlownSlot(ZERO3),
     )
 

@@ -6,7 +6,7 @@ from math import dist, inf, nan
 import pytest
 from msgspec.structs import replace
 
-from common import codes_of, outcome
+from common import codes_of, outcome, with_fields
 from companion.assembly import trajectory_of
 from companion.config.fleet import FleetConfig, FormationMember, Law
 from companion.config.reference import Figure8Reference, PointReference
@@ -72,7 +72,7 @@ def test_the_follower_follows_eq_14() -> None:
     for _ in range(20):
         flight.tick()
     assert flight.outbox.peer_packet is not None
-    assert flight.outbox.peer_packet.acceleration_enu_m_s2 == pytest.approx((1.39 * 0.5, 0.0, 0.0))
+    assert flight.outbox.peer_packet.motion.acceleration_enu_m_s2 == pytest.approx((1.39 * 0.5, 0.0, 0.0))
     target = flight.targets[-1]
     assert target.yaw_rad == pytest.approx(0.3)  # the heading it had when the stream began
     assert target.pitch_rad > 0.0
@@ -85,8 +85,8 @@ def test_the_leader_tracks_its_reference() -> None:
     for _ in range(20):
         flight.tick()
     assert flight.outbox.peer_packet is not None
-    assert flight.outbox.peer_packet.acceleration_enu_m_s2 == pytest.approx((1.39 * 1.0, 0.0, 0.0))
-    beacon = flight.outbox.peer_packet.leader_beacon
+    assert flight.outbox.peer_packet.motion.acceleration_enu_m_s2 == pytest.approx((1.39 * 1.0, 0.0, 0.0))
+    beacon = flight.outbox.peer_packet.leader.beacon
     assert beacon is not None
     assert (beacon.leader_id, beacon.epoch, beacon.stamp) == (1, 0, int(flight.now_s * 1000))
     assert beacon.reference_s == pytest.approx(0.02 * flight.formation_ticks, abs=0.03)
@@ -163,7 +163,7 @@ def test_no_setpoint_is_sent_from_invalid_telemetry(bad: float) -> None:
         flight.tick()
     assert len(flight.targets) == before
     assert flight.outbox.peer_packet is not None
-    assert flight.outbox.peer_packet.position_enu_m == (-1.5, 0.0, 1.0)
+    assert flight.outbox.peer_packet.motion.position_enu_m == (-1.5, 0.0, 1.0)
 
 
 def test_a_lost_leader_ends_in_the_autopilots_hold() -> None:
@@ -219,7 +219,7 @@ def test_own_altitude_hold_leaves_the_horizontal_law_alone() -> None:
     for _ in range(20):
         flight.tick()
     assert flight.outbox.peer_packet is not None
-    assert flight.outbox.peer_packet.acceleration_enu_m_s2 == pytest.approx((1.39 * 0.5, 0.0, 0.2))
+    assert flight.outbox.peer_packet.motion.acceleration_enu_m_s2 == pytest.approx((1.39 * 0.5, 0.0, 0.2))
 
 
 def test_a_peer_with_another_fleet_file_is_not_used() -> None:
@@ -370,7 +370,7 @@ def test_a_hand_over_is_level_and_brakes_when_the_autopilot_does_not_take_over()
 
 def reported_acceleration(outbox: Outbox) -> Vector3:
     assert outbox.peer_packet is not None
-    return outbox.peer_packet.acceleration_enu_m_s2
+    return outbox.peer_packet.motion.acceleration_enu_m_s2
 
 
 def test_packets_have_the_acceleration_that_the_autopilot_still_flies() -> None:
@@ -495,24 +495,24 @@ def test_a_commanded_leader_continues_the_rft_in_the_same_tick() -> None:
     assert outbox.replies[0].accepted
     packet = outbox.peer_packet
     assert packet is not None
-    assert packet.leader_beacon is not None
-    assert (packet.role, packet.prc, packet.leader_beacon.leader_id, packet.leader_beacon.epoch) == (
+    assert packet.leader.beacon is not None
+    assert (packet.role, packet.leader.prc, packet.leader.beacon.leader_id, packet.leader.beacon.epoch) == (
         Role.LEADER,
         1,
         2,
         1,
     )
-    assert packet.leader_beacon.reference_s == pytest.approx(flight.peer_reference_s, abs=0.02)
+    assert packet.leader.beacon.reference_s == pytest.approx(flight.peer_reference_s, abs=0.02)
     assert outbox.attitude_target is not None  # no tick is without a setpoint
     assert outbox.events == (Notice(Code.ROLE_CHANGED, "follower -> leader in epoch 1 (commanded)"),)
     assert outbox.status is not None
-    expected = trajectory_of(EIGHT)(packet.leader_beacon.reference_s).position_enu_m
+    expected = trajectory_of(EIGHT)(packet.leader.beacon.reference_s).position_enu_m
     assert outbox.status.reference_enu_m == pytest.approx(expected)
     assert (outbox.status.role, outbox.status.epoch) == (Role.LEADER, 1)
     flight.tick()
     assert flight.outbox.peer_packet is not None
-    assert flight.outbox.peer_packet.leader_beacon is not None
-    step_s = flight.outbox.peer_packet.leader_beacon.reference_s - packet.leader_beacon.reference_s
+    assert flight.outbox.peer_packet.leader.beacon is not None
+    step_s = flight.outbox.peer_packet.leader.beacon.reference_s - packet.leader.beacon.reference_s
     assert step_s == pytest.approx(0.02)  # from now on it counts by itself
 
 
@@ -542,21 +542,21 @@ def test_a_leader_becomes_follower_in_the_tick_of_a_newer_beacon() -> None:
     flight = AgentFlight(vehicle_id=1, fleet=MAY_LEAD)
     flight.position, flight.peer_position = (0.0, 0.0, 0.0), (-1.5, 0.0, 1.0)
     flight.fly_to(FlightPhase.FORMATION)
-    packet = replace(flight.peer()[0].packet, role=Role.LEADER, prc=1, leader_beacon=LeaderBeacon(2, 1, 5, 7.0))
+    packet = with_fields(flight.peer()[0].packet, role=Role.LEADER, prc=1, beacon=LeaderBeacon(2, 1, 5, 7.0))
     outbox = flight.agent.step(
         flight.now_s + 0.02, Inbox(tuple(flight.telemetry()), (ReceivedPeerPacket(flight.now_s + 0.02, packet),))
     )
     assert outbox.peer_packet is not None
     assert outbox.peer_packet.role is Role.FOLLOWER
-    assert outbox.peer_packet.leader_beacon is not None
-    assert outbox.peer_packet.leader_beacon.leader_id == 2
+    assert outbox.peer_packet.leader.beacon is not None
+    assert outbox.peer_packet.leader.beacon.leader_id == 2
     assert Notice(Code.ROLE_CHANGED, "leader -> follower in epoch 1 (reported by a peer)") in outbox.events
 
 
 def reference_s_of(outbox: Outbox) -> float:
     assert outbox.peer_packet is not None
-    assert outbox.peer_packet.leader_beacon is not None
-    return outbox.peer_packet.leader_beacon.reference_s
+    assert outbox.peer_packet.leader.beacon is not None
+    return outbox.peer_packet.leader.beacon.reference_s
 
 
 @pytest.mark.parametrize("lands", [False, True])

@@ -35,7 +35,7 @@ def after(flight: AgentFlight, seconds: float) -> Seen:
         events += outbox.events
         status = outbox.status or status
     assert status is not None and outbox.attitude_target is not None and outbox.peer_packet is not None
-    return Seen(status, events, outbox.attitude_target, outbox.peer_packet.acceleration_enu_m_s2)
+    return Seen(status, events, outbox.attitude_target, outbox.peer_packet.motion.acceleration_enu_m_s2)
 
 
 def nearest_of(status: Status) -> NearestVehicle:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from msgspec.structs import replace
 
+from common import with_fields
 from companion.core.safety.safeguard import DUPLICATE_FOR_S
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase, HealthFlag
@@ -25,7 +25,7 @@ class Doubled(AgentFlight):
         received = super().peer()
         if self.double_id is not None:
             packet = received[0].packet
-            double = replace(packet, vehicle_id=self.double_id, session=99, position_enu_m=(0.3, 0.0, 1.0))
+            double = with_fields(packet, vehicle_id=self.double_id, session=99, position_enu_m=(0.3, 0.0, 1.0))
             received.append(ReceivedPeerPacket(self.now_s, double))
         return received
 

@@ -6,8 +6,8 @@ from itertools import accumulate
 from random import Random
 
 import pytest
-from msgspec.structs import replace
 
+from common import with_fields
 from companion.ground.changes import change_to, reference_change
 from companion.types.commands import NUMBERS_AHEAD, CommandName, Lead, ReferenceChange, next_epoch
 from companion.types.flight import FlightPhase, Role
@@ -109,4 +109,4 @@ def test_a_forged_mission_time_moves_no_clock(phase: FlightPhase) -> None:
 
 def with_mission_time(packet: PeerPacket, now_s: float, reference_s: float) -> PeerPacket:
     beacon = LeaderBeacon(2, 0, int(now_s * 1000), reference_s)
-    return replace(packet, sequence=packet.sequence + 1, leader_beacon=beacon, role=Role.FOLLOWER, prc=2)
+    return with_fields(packet, sequence=packet.sender.sequence + 1, beacon=beacon, role=Role.FOLLOWER, prc=2)

@@ -149,11 +149,11 @@ def test_the_peers_of_a_failing_agent_learn_that_it_brakes(kind: AutopilotKind, 
     flight = FailingFlight(kind).fly_to(P.FORMATION)
     flight.autopilot.north_m_s = 2.0
     flight.ticks(0.4)
-    peers = PeerTable(4, {3: True, 4: False}, flight.peers.packets[-1].packet.formation_hash, 0.3, LIMITS, ())
+    peers = PeerTable(4, {3: True, 4: False}, flight.peers.packets[-1].packet.sender.formation_hash, 0.3, LIMITS, ())
     peers.fold(flight.peers.packets, 0)
     last = peers.newest[3].packet
     assert last.phase is P.FORMATION
-    assert last.acceleration_enu_m_s2 != ZERO3
+    assert last.motion.acceleration_enu_m_s2 != ZERO3
     published, sent = len(flight.peers.packets), len(flight.autopilot.targets)
     flight.inject(*STAGES[stage](flight))
     if stage in AT_A_COMMAND:
@@ -162,13 +162,13 @@ def test_the_peers_of_a_failing_agent_learn_that_it_brakes(kind: AutopilotKind, 
         flight.tick()
     released = [one.packet for one in flight.peers.packets[published:] if one.packet.phase is P.RELEASE]
     packet = released[-1]
-    assert packet.acceleration_enu_m_s2 == ZERO3
+    assert packet.motion.acceleration_enu_m_s2 == ZERO3
     assert (packet.change, packet.rft) == (None, None)
     peers.fold(flight.peers.packets[published:], 0)
     assert peers.rejected == {}
     state = peers.newest[3]
     assert state.packet == packet
-    assert flight.failed_s - state.measured_s <= LAST_PACKET_TICKS * PERIOD_S + last.state_age_s + 1e-6
+    assert flight.failed_s - state.measured_s <= LAST_PACKET_TICKS * PERIOD_S + last.motion.state_age_s + 1e-6
     assert stage in SETPOINT_FAILS or flight.peers.published_before[-1] > sent  # the level setpoint goes first
 
 

@@ -6,12 +6,13 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
+from common import with_fields
 from companion.recording.alignment import RecordingClock, align
 from companion.recording.reader import Recording, recordings
 from companion.recording.records import INBOX, STATUS
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot
-from companion.types.peers import PeerPacket, ReceivedPeerPacket
+from companion.types.peers import LeaderReport, Motion, PeerPacket, ReceivedPeerPacket, Sender
 from companion.types.tick import Inbox
 from companion.types.values import ZERO3
 from companion.wire.messages import StatusReport
@@ -36,9 +37,19 @@ class Computer:
 
     def packet(self, true_s: float) -> PeerPacket:
         return PeerPacket(
-            self.vehicle_id, self.header.session, 1, 1, FlightPhase.HOLD, Role.FOLLOWER, ZERO3, ZERO3, ZERO3, 0.0,
-            self.now_s(true_s), 1, None, FlownSlot(ZERO3),
-        )  # fmt: skip
+            sender=Sender(vehicle_id=self.vehicle_id, session=self.header.session, sequence=1, formation_hash=1),
+            phase=FlightPhase.HOLD,
+            role=Role.FOLLOWER,
+            motion=Motion(
+                position_enu_m=ZERO3,
+                velocity_enu_m_s=ZERO3,
+                acceleration_enu_m_s2=ZERO3,
+                state_age_s=0.0,
+                sent_s=self.now_s(true_s),
+            ),
+            leader=LeaderReport(prc=1, beacon=None),
+            slot=FlownSlot(ZERO3),
+        )
 
     def record(self, folder: Path, senders: Iterable["Computer"]) -> None:
         """Its inputs: a packet of each of the others at every tick."""
@@ -120,7 +131,7 @@ def test_numbers_without_sense_are_not_used(tmp_path: Path) -> None:
     for number in range(1, 3000):
         now_s = one.now_s(number * TICK_S)
         packet = two.packet(number * TICK_S - DELAY_S)
-        wild = replace(packet, sent_s=(1e300, float("nan"), float("-inf"))[number % 3])
+        wild = with_fields(packet, sent_s=(1e300, float("nan"), float("-inf"))[number % 3])
         inbox = Inbox(peers=(ReceivedPeerPacket(now_s, wild), ReceivedPeerPacket(now_s, packet)))
         file.tick(number, now_s, inbox, None)
     file.raw(INBOX, 1.0, b"garbage", 3000)

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
+from common import with_fields
 from companion.types.autopilot import LandedState, PositionError
 from companion.types.commands import (
     CONTENT,
@@ -25,7 +26,7 @@ from companion.types.commands import (
 from companion.types.flight import FlightPhase, HealthFlag, Role
 from companion.types.formation import EAST, FlownSlot, FormationChange, Heading, HeldReference, LeaderBeacon
 from companion.types.notices import Code, Notice
-from companion.types.peers import PeerPacket, TargetSample
+from companion.types.peers import LeaderReport, Motion, PeerPacket, Sender, TargetSample
 from companion.types.status import Status
 from companion.types.values import FLEET_NAME, MAX_CHANGE_S, MAX_COORDINATE_M, MAX_MISSION_S, MAX_NUMBER
 from companion.wire.messages import (
@@ -66,19 +67,11 @@ leader_beacons = st.none() | st.builds(
 flown_slots = st.builds(FlownSlot, vectors, vectors, vectors, counts, counts, st.floats(0.0, 600.0))
 packets = st.builds(
     PeerPacket,
-    vehicle_id=st.integers(1, 250),
-    session=counts,
-    sequence=counts,
-    formation_hash=st.integers(0, 2**64 - 1),
+    sender=st.builds(Sender, st.integers(1, 250), counts, counts, st.integers(0, 2**64 - 1)),
     phase=st.sampled_from(FlightPhase),
     role=st.sampled_from(Role),
-    position_enu_m=vectors,
-    velocity_enu_m_s=vectors,
-    acceleration_enu_m_s2=vectors,
-    state_age_s=numbers,
-    sent_s=numbers,
-    prc=st.integers(1, 250),
-    leader_beacon=leader_beacons,
+    motion=st.builds(Motion, vectors, vectors, vectors, numbers, numbers),
+    leader=st.builds(LeaderReport, st.integers(1, 250), leader_beacons),
     slot=flown_slots,
     reference=st.none() | st.builds(HeldReference, counts, counts, numbers),
     change=st.none() | changes,
@@ -152,11 +145,21 @@ def test_command_and_reply_round_trip(command: Command, reply: CommandReply) -> 
 
 
 PACKET = PeerPacket(
-    3, 2**32 - 1, 10**6, 2**64 - 1, FlightPhase.FORMATION, Role.FOLLOWER, (1.0, 2.0, 3.0), (0.1, 0.2, 0.3),
-    (0.01, 0.02, 0.03), 0.021, 1234.5, 4, LeaderBeacon(1, 7, 60, 12.5),
-    FlownSlot((-3.0, 0.0, 0.5), (0.1, 0.0, 0.0), (0.2, 0.0, 0.0), 2, 3),
-    PositionError(0.29, 0.28), HeldReference(1, 2, 3.5),
-)  # fmt: skip
+    sender=Sender(vehicle_id=3, session=2**32 - 1, sequence=10**6, formation_hash=2**64 - 1),
+    phase=FlightPhase.FORMATION,
+    role=Role.FOLLOWER,
+    motion=Motion(
+        position_enu_m=(1.0, 2.0, 3.0),
+        velocity_enu_m_s=(0.1, 0.2, 0.3),
+        acceleration_enu_m_s2=(0.01, 0.02, 0.03),
+        state_age_s=0.021,
+        sent_s=1234.5,
+    ),
+    leader=LeaderReport(prc=4, beacon=LeaderBeacon(1, 7, 60, 12.5)),
+    slot=FlownSlot((-3.0, 0.0, 0.5), (0.1, 0.0, 0.0), (0.2, 0.0, 0.0), 2, 3),
+    position_error=PositionError(0.29, 0.28),
+    reference=HeldReference(1, 2, 3.5),
+)
 REPORT = StatusReport(
     Status(
         3, 1, "platoon", 5, "weighted", FlightPhase.HOLD, "AUTO.LOITER", True, LandedState.IN_AIR, (1.0, 2.0, 3.0),
@@ -179,7 +182,7 @@ DECODERS = {
 def test_peer_packet_size_is_bounded() -> None:
     assert len(encode_peer(PACKET)) < 300
     turns = LeaderBeacon(1, 7, 60, 12.5, heading=Heading(1.0, 0.2, 0.1))
-    assert len(encode_peer(replace(PACKET, leader_beacon=turns))) < 330
+    assert len(encode_peer(with_fields(PACKET, beacon=turns))) < 330
 
 
 @pytest.mark.parametrize("name", DECODERS)
@@ -355,22 +358,20 @@ def test_message_of_another_kind_is_refused(name: str) -> None:
 
 def test_non_finite_numbers_pass_the_decoder() -> None:
     packet = PeerPacket(
-        1,
-        1,
-        1,
-        1,
-        FlightPhase.HOLD,
-        Role.LEADER,
-        (nan, inf, -inf),
-        (0.0, 0.0, 0.0),
-        (0.0, 0.0, 0.0),
-        0.0,
-        0.0,
-        1,
-        None,
-        FlownSlot((0.0, 0.0, 0.0)),
+        sender=Sender(vehicle_id=1, session=1, sequence=1, formation_hash=1),
+        phase=FlightPhase.HOLD,
+        role=Role.LEADER,
+        motion=Motion(
+            position_enu_m=(nan, inf, -inf),
+            velocity_enu_m_s=(0.0, 0.0, 0.0),
+            acceleration_enu_m_s2=(0.0, 0.0, 0.0),
+            state_age_s=0.0,
+            sent_s=0.0,
+        ),
+        leader=LeaderReport(prc=1, beacon=None),
+        slot=FlownSlot((0.0, 0.0, 0.0)),
     )
-    x, y, z = decode_peer(encode_peer(packet)).position_enu_m
+    x, y, z = decode_peer(encode_peer(packet)).motion.position_enu_m
     assert isnan(x)
     assert (y, z) == (inf, -inf)
 

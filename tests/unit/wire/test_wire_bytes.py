@@ -9,7 +9,7 @@ from companion.types.commands import Command, CommandName, CommandReply, Lead, R
 from companion.types.flight import FlightPhase, HealthFlag, Role
 from companion.types.formation import FlownSlot, FormationChange, Heading, HeldReference, LeaderBeacon
 from companion.types.notices import Code, Notice
-from companion.types.peers import PeerPacket, TargetSample, TrafficSample
+from companion.types.peers import LeaderReport, Motion, PeerPacket, Sender, TargetSample, TrafficSample
 from companion.types.status import NearestVehicle, NetworkState, RecordingState, SeparationReport, Status
 from companion.wire.messages import (
     Percentiles,
@@ -29,35 +29,31 @@ CHANGE = FormationChange(9, ((2, (-2.0, 1.0, 0.5)), (3, (-4.0, -1.0, 0.25))), 61
 # Every value of the messages is another one, so that no two fields can change places.
 PACKETS = {
     "least": PeerPacket(
-        vehicle_id=2,
-        session=3,
-        sequence=4,
-        formation_hash=5,
+        sender=Sender(vehicle_id=2, session=3, sequence=4, formation_hash=5),
         phase=FlightPhase.HOLD,
         role=Role.LEADER,
-        position_enu_m=(1.5, 2.5, 3.5),
-        velocity_enu_m_s=(4.5, 5.5, 6.5),
-        acceleration_enu_m_s2=(7.5, 8.5, 9.5),
-        state_age_s=0.0625,
-        sent_s=1234.5,
-        prc=7,
-        leader_beacon=None,
+        motion=Motion(
+            position_enu_m=(1.5, 2.5, 3.5),
+            velocity_enu_m_s=(4.5, 5.5, 6.5),
+            acceleration_enu_m_s2=(7.5, 8.5, 9.5),
+            state_age_s=0.0625,
+            sent_s=1234.5,
+        ),
+        leader=LeaderReport(prc=7, beacon=None),
         slot=FlownSlot((10.5, 11.5, 12.5)),
     ),
     "whole": PeerPacket(
-        vehicle_id=3,
-        session=2**32 - 1,
-        sequence=10**6,
-        formation_hash=2**64 - 1,
+        sender=Sender(vehicle_id=3, session=2**32 - 1, sequence=10**6, formation_hash=2**64 - 1),
         phase=FlightPhase.FORMATION,
         role=Role.FOLLOWER,
-        position_enu_m=(1.25, 2.25, 3.25),
-        velocity_enu_m_s=(0.1, 0.2, 0.3),
-        acceleration_enu_m_s2=(0.01, 0.02, 0.03),
-        state_age_s=0.021,
-        sent_s=4321.0625,
-        prc=4,
-        leader_beacon=LeaderBeacon(1, 7, 60, 12.5, 8, Heading(1.5, 0.75, 0.375)),
+        motion=Motion(
+            position_enu_m=(1.25, 2.25, 3.25),
+            velocity_enu_m_s=(0.1, 0.2, 0.3),
+            acceleration_enu_m_s2=(0.01, 0.02, 0.03),
+            state_age_s=0.021,
+            sent_s=4321.0625,
+        ),
+        leader=LeaderReport(prc=4, beacon=LeaderBeacon(1, 7, 60, 12.5, 8, Heading(1.5, 0.75, 0.375))),
         slot=FlownSlot((-3.0, 0.5, 0.25), (-0.5, 0.125, 0.0625), (-0.75, 0.15, 0.35), 2, 6, 5.5),
         position_error=PositionError(0.29, 0.28),
         reference=HeldReference(11, 12, 3.5),
@@ -66,19 +62,17 @@ PACKETS = {
         rft=((20.5, 21.5, 22.5), (23.5, 24.5, 25.5), (26.5, 27.5, 28.5)),
     ),
     "relays a beacon to the east": PeerPacket(
-        vehicle_id=250,
-        session=0,
-        sequence=0,
-        formation_hash=0,
+        sender=Sender(vehicle_id=250, session=0, sequence=0, formation_hash=0),
         phase=FlightPhase.OBSERVE,
         role=Role.FOLLOWER,
-        position_enu_m=(0.0, -0.0, 1e-4),
-        velocity_enu_m_s=(-1.0, 0.001, 0.0),
-        acceleration_enu_m_s2=(0.0, 0.0, -9.81),
-        state_age_s=0.0,
-        sent_s=0.0,
-        prc=249,
-        leader_beacon=LeaderBeacon(9, 0, 2**40),
+        motion=Motion(
+            position_enu_m=(0.0, -0.0, 1e-4),
+            velocity_enu_m_s=(-1.0, 0.001, 0.0),
+            acceleration_enu_m_s2=(0.0, 0.0, -9.81),
+            state_age_s=0.0,
+            sent_s=0.0,
+        ),
+        leader=LeaderReport(prc=249, beacon=LeaderBeacon(9, 0, 2**40)),
         slot=FlownSlot((0.0, 0.0, 0.0), waiting=3),
         reference=HeldReference(),
     ),

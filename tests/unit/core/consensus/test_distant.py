@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
+from common import with_fields
 from companion.core.consensus.neighbours import (
     CHOICE_PERIOD_S,
     NONE,
@@ -22,7 +23,7 @@ from companion.types.autopilot import VehicleState
 from companion.types.flight import Flight, FlightPhase, Role
 from companion.types.formation import FlownSlot, LeaderBeacon
 from companion.types.notices import Code
-from companion.types.peers import PeerPacket, ReceivedPeerPacket
+from companion.types.peers import LeaderReport, Motion, PeerPacket, ReceivedPeerPacket, Sender
 from companion.types.values import ZERO3
 
 BEACON = LeaderBeacon(1, 0, 20)
@@ -31,19 +32,17 @@ FORMATION = Flight(FlightPhase.FORMATION, streams=True, in_formation=True, on_gr
 SEPARATION_M = 1.5
 LIMITS = DistantLimits(frozenset({1, 2}), 0.0, SEPARATION_M, 4.5)
 PACKET = PeerPacket(
-    vehicle_id=5,
-    session=77,
-    sequence=10,
-    formation_hash=42,
+    sender=Sender(vehicle_id=5, session=77, sequence=10, formation_hash=42),
     phase=FlightPhase.FORMATION,
     role=Role.FOLLOWER,
-    position_enu_m=(100.0, 0.0, 0.0),
-    velocity_enu_m_s=ZERO3,
-    acceleration_enu_m_s2=ZERO3,
-    state_age_s=0.0,
-    sent_s=0.0,
-    prc=2,
-    leader_beacon=BEACON,
+    motion=Motion(
+        position_enu_m=(100.0, 0.0, 0.0),
+        velocity_enu_m_s=ZERO3,
+        acceleration_enu_m_s2=ZERO3,
+        state_age_s=0.0,
+        sent_s=0.0,
+    ),
+    leader=LeaderReport(prc=2, beacon=BEACON),
     slot=SLOT,
 )
 
@@ -60,11 +59,11 @@ class Choice:
 
     def after(self, seconds: float, **changes: Any) -> frozenset[int]:
         """The choice with a peer like PACKET with `changes`."""
-        packet, ids = replace(PACKET, **changes), NONE
+        packet, ids = with_fields(PACKET, **changes), NONE
         for _ in range(round(seconds / 0.02)):
             self.now_s += 0.02
             measured_s = self.now_s - self.age_s
-            peers = {packet.vehicle_id: PeerState(packet, measured_s, 0.0, measured_s)}
+            peers = {packet.sender.vehicle_id: PeerState(packet, measured_s, 0.0, measured_s)}
             hears_leader = self.beacon is not None
             ids = self.peers.step(
                 self.now_s, VehicleState(), self.flight, self.slot, hears_leader, self.neighbour_ids, peers
@@ -211,7 +210,7 @@ def table() -> PeerTable:
 
 
 def receive(peers: PeerTable, now_s: float, **changes: Any) -> None:
-    packet = replace(PACKET, sequence=round(50 * now_s), sent_s=now_s, **changes)
+    packet = with_fields(PACKET, sequence=round(50 * now_s), sent_s=now_s, **changes)
     peers.fold([ReceivedPeerPacket(now_s, packet)], epochs_up_to=100)
 
 

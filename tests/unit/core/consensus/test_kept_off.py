@@ -19,7 +19,7 @@ from companion.core.consensus.law import (
 from companion.core.consensus.peers import PeerState
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot
-from companion.types.peers import PeerPacket
+from companion.types.peers import LeaderReport, Motion, PeerPacket, Sender
 from companion.types.values import ZERO3
 
 RFT = FormationState((10.0, 0.0, 5.0), (1.0, 0.0, 0.0), (0.0, 0.5, 0.0))
@@ -90,19 +90,17 @@ def test_the_rft_is_that_of_the_law() -> None:
 
 def test_peers_use_the_rft_in_place_of_its_offset() -> None:
     packet = PeerPacket(
-        vehicle_id=2,
-        session=1,
-        sequence=1,
-        formation_hash=0,
+        sender=Sender(vehicle_id=2, session=1, sequence=1, formation_hash=0),
         phase=FlightPhase.FORMATION,
         role=Role.FOLLOWER,
-        position_enu_m=(13.0, 0.0, 5.0),
-        velocity_enu_m_s=(0.0, 2.0, 0.0),
-        acceleration_enu_m_s2=(3.0, 0.0, 0.0),
-        state_age_s=0.0,
-        sent_s=0.0,
-        prc=2,
-        leader_beacon=None,
+        motion=Motion(
+            position_enu_m=(13.0, 0.0, 5.0),
+            velocity_enu_m_s=(0.0, 2.0, 0.0),
+            acceleration_enu_m_s2=(3.0, 0.0, 0.0),
+            state_age_s=0.0,
+            sent_s=0.0,
+        ),
+        leader=LeaderReport(prc=2, beacon=None),
         slot=FlownSlot((1.0, 0.0, 0.0)),
         rft=(RFT.position_enu_m, RFT.velocity_enu_m_s, RFT.acceleration_enu_m_s2),
     )

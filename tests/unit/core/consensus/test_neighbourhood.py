@@ -37,7 +37,7 @@ def test_leaving_vehicle_is_no_neighbour_until_it_returns() -> None:
     fleet.phases[3] = FlightPhase.HOLD
     around = fleet.fly(5)
     assert [around[i].neighbour_ids for i in (1, 2, 4)] == [(2, 4), (1,), (1,)]
-    assert {packet.vehicle_id for packet in around[2].flying} == {1, 3, 4}  # its packets are still received
+    assert {packet.sender.vehicle_id for packet in around[2].flying} == {1, 3, 4}  # its packets are still received
     assert around[3].neighbour_ids == (2, 4)  # and it still has a leader beacon
     assert around[3].leader_beacon is not None
     fleet.phases[3] = FlightPhase.FORMATION

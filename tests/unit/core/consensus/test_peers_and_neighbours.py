@@ -8,31 +8,30 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
+from common import with_fields
 from companion.core.consensus.neighbours import BRIDGED_S, BRIDGES_AFTER_S, EdgeRule, RangeRule
 from companion.core.consensus.peers import EXTRAPOLATED_MOST_S, FleetLimits, PeerState, PeerTable
 from companion.types.autopilot import PositionError
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot, FormationChange, Heading, LeaderBeacon
 from companion.types.notices import Code
-from companion.types.peers import PeerPacket, ReceivedPeerPacket
+from companion.types.peers import LeaderReport, Motion, PeerPacket, ReceivedPeerPacket, Sender
 from companion.types.values import ZERO3
 
 LIMITS = FleetLimits(25.0, 8.0, (200.0, 200.0, 55.0))
 MAY_LEAD = {1: True, 2: False, 3: False}
 GOOD = PeerPacket(
-    vehicle_id=2,
-    session=77,
-    sequence=10,
-    formation_hash=42,
+    sender=Sender(vehicle_id=2, session=77, sequence=10, formation_hash=42),
     phase=FlightPhase.FORMATION,
     role=Role.FOLLOWER,
-    position_enu_m=(1.0, 2.0, 3.0),
-    velocity_enu_m_s=(0.5, 0.0, 0.0),
-    acceleration_enu_m_s2=(0.0, 0.0, 0.0),
-    state_age_s=0.01,
-    sent_s=501.0,
-    prc=2,
-    leader_beacon=LeaderBeacon(1, 0, 20),
+    motion=Motion(
+        position_enu_m=(1.0, 2.0, 3.0),
+        velocity_enu_m_s=(0.5, 0.0, 0.0),
+        acceleration_enu_m_s2=(0.0, 0.0, 0.0),
+        state_age_s=0.01,
+        sent_s=501.0,
+    ),
+    leader=LeaderReport(prc=2, beacon=LeaderBeacon(1, 0, 20)),
     slot=FlownSlot((-1.5, 0.0, 0.0)),
 )
 
@@ -43,7 +42,7 @@ def table() -> PeerTable:
 
 def rejections(peers: PeerTable, received_s: float = 1.0, **changes: Any) -> list[str]:
     """Rejections counted so far, after one packet without delay."""
-    packet = replace(GOOD, **{"sent_s": 500.0 + received_s} | changes)
+    packet = with_fields(GOOD, **{"sent_s": 500.0 + received_s} | changes)
     peers.fold([ReceivedPeerPacket(received_s, packet)], epochs_up_to=1007)
     return list(peers.rejected)
 
@@ -54,7 +53,7 @@ def test_valid_packet_is_accepted() -> None:
     assert peers.fresh(1.1)[2].position_at(1.1) == pytest.approx((1.055, 2.0, 3.0))  # 0.11 s at 0.5 m/s
 
 
-MOVING = replace(
+MOVING = with_fields(
     GOOD,
     velocity_enu_m_s=(2.0, -1.0, 0.0),
     acceleration_enu_m_s2=(1.0, 0.5, -0.5),
@@ -74,7 +73,7 @@ def test_the_law_uses_neighbours_where_they_are_now(age_s: float) -> None:
 
 @pytest.mark.parametrize(("prc", "most_s"), [(1, 0.08), (3, 0.08), (4, 0.04), (100, 0.04)])
 def test_states_are_extrapolated_by_two_ticks_at_most_and_by_four_near_the_leader(prc: int, most_s: float) -> None:
-    state = PeerState(replace(MOVING, prc=prc), 1.0, 0.0, measured_s=1.0)
+    state = PeerState(with_fields(MOVING, prc=prc), 1.0, 0.0, measured_s=1.0)
     assert state.formation_state_at(1.3) == state.formation_state_at(1.0 + most_s)
     assert state.formation_state_at(1.3) != state.formation_state_at(0.99 + most_s)
     assert state.position_at(1.3)[0] == pytest.approx(1.0 + 2.0 * 0.3)  # what is kept apart is where it is
@@ -113,22 +112,22 @@ def test_states_are_extrapolated_by_two_ticks_at_most_and_by_four_near_the_leade
         ({"prc": 0}, Code.PEER_PRC_IMPLAUSIBLE),
         ({"prc": 4}, Code.PEER_PRC_IMPLAUSIBLE),
         ({"prc": 1}, Code.PEER_PRC_IMPLAUSIBLE),
-        ({"leader_beacon": LeaderBeacon(2, 0, 100)}, Code.PEER_BEACON_IMPLAUSIBLE),
-        ({"leader_beacon": LeaderBeacon(9, 0, 100)}, Code.PEER_BEACON_IMPLAUSIBLE),
-        ({"leader_beacon": LeaderBeacon(1, -1, 100)}, Code.PEER_BEACON_IMPLAUSIBLE),
-        ({"leader_beacon": LeaderBeacon(1, 2**63, 100)}, Code.PEER_BEACON_IMPLAUSIBLE),
-        ({"leader_beacon": LeaderBeacon(1, 1, 100, claim=2)}, Code.PEER_BEACON_IMPLAUSIBLE),
-        ({"leader_beacon": LeaderBeacon(1, 1, 100, claim=-1)}, Code.PEER_BEACON_IMPLAUSIBLE),
-        ({"leader_beacon": LeaderBeacon(1, 0, 100, nan)}, Code.PEER_BEACON_IMPLAUSIBLE),
-        ({"leader_beacon": LeaderBeacon(1, 0, 100, heading=Heading(nan))}, Code.PEER_BEACON_IMPLAUSIBLE),
-        ({"leader_beacon": LeaderBeacon(1, 0, 100, heading=Heading(3.2))}, Code.PEER_BEACON_IMPLAUSIBLE),
-        ({"leader_beacon": LeaderBeacon(1, 0, 100, heading=Heading(0.0, -5.1))}, Code.PEER_BEACON_IMPLAUSIBLE),
-        ({"leader_beacon": LeaderBeacon(1, 0, 100, heading=Heading(0.0, 0.0, inf))}, Code.PEER_BEACON_IMPLAUSIBLE),
-        ({"leader_beacon": LeaderBeacon(1, 0, 100, -0.1)}, Code.PEER_BEACON_IMPLAUSIBLE),
-        ({"leader_beacon": LeaderBeacon(1, 0, 100, 1e9)}, Code.PEER_BEACON_IMPLAUSIBLE),
+        ({"beacon": LeaderBeacon(2, 0, 100)}, Code.PEER_BEACON_IMPLAUSIBLE),
+        ({"beacon": LeaderBeacon(9, 0, 100)}, Code.PEER_BEACON_IMPLAUSIBLE),
+        ({"beacon": LeaderBeacon(1, -1, 100)}, Code.PEER_BEACON_IMPLAUSIBLE),
+        ({"beacon": LeaderBeacon(1, 2**63, 100)}, Code.PEER_BEACON_IMPLAUSIBLE),
+        ({"beacon": LeaderBeacon(1, 1, 100, claim=2)}, Code.PEER_BEACON_IMPLAUSIBLE),
+        ({"beacon": LeaderBeacon(1, 1, 100, claim=-1)}, Code.PEER_BEACON_IMPLAUSIBLE),
+        ({"beacon": LeaderBeacon(1, 0, 100, nan)}, Code.PEER_BEACON_IMPLAUSIBLE),
+        ({"beacon": LeaderBeacon(1, 0, 100, heading=Heading(nan))}, Code.PEER_BEACON_IMPLAUSIBLE),
+        ({"beacon": LeaderBeacon(1, 0, 100, heading=Heading(3.2))}, Code.PEER_BEACON_IMPLAUSIBLE),
+        ({"beacon": LeaderBeacon(1, 0, 100, heading=Heading(0.0, -5.1))}, Code.PEER_BEACON_IMPLAUSIBLE),
+        ({"beacon": LeaderBeacon(1, 0, 100, heading=Heading(0.0, 0.0, inf))}, Code.PEER_BEACON_IMPLAUSIBLE),
+        ({"beacon": LeaderBeacon(1, 0, 100, -0.1)}, Code.PEER_BEACON_IMPLAUSIBLE),
+        ({"beacon": LeaderBeacon(1, 0, 100, 1e9)}, Code.PEER_BEACON_IMPLAUSIBLE),
         ({"vehicle_id": 1, "prc": 2, "role": Role.LEADER}, Code.PEER_PRC_IMPLAUSIBLE),
         ({"vehicle_id": 1, "prc": 1, "role": Role.FOLLOWER}, Code.PEER_PRC_IMPLAUSIBLE),
-        ({"vehicle_id": 1, "prc": 1, "role": Role.LEADER, "leader_beacon": None}, Code.PEER_BEACON_MISSING),
+        ({"vehicle_id": 1, "prc": 1, "role": Role.LEADER, "beacon": None}, Code.PEER_BEACON_MISSING),
     ],
 )
 def test_implausible_packet_is_counted_and_not_used(changes: dict[str, Any], code: Code) -> None:
@@ -171,11 +170,11 @@ def test_the_speed_of_the_rft_is_checked_with_a_known_slot() -> None:
 def test_of_a_packet_with_an_epoch_too_high_only_the_motion_is_used() -> None:
     """By repeated commands one vehicle had such an epoch, and its position was missing for separation for 48 s."""
     peers = table()
-    leads = {"vehicle_id": 1, "prc": 1, "role": Role.LEADER, "leader_beacon": LeaderBeacon(1, 1008, 100)}
+    leads = {"vehicle_id": 1, "prc": 1, "role": Role.LEADER, "beacon": LeaderBeacon(1, 1008, 100)}
     assert rejections(peers, **leads) == [f"{Code.PEER_EPOCH_TOO_HIGH} 1"]
     peer = peers.fresh(1.0)[1]
     assert peer.term == (0, 0)
-    assert (peer.packet.role, peer.packet.prc, peer.packet.leader_beacon) == (Role.FOLLOWER, 3, None)
+    assert (peer.packet.role, peer.packet.leader.prc, peer.packet.leader.beacon) == (Role.FOLLOWER, 3, None)
 
 
 SLOTS = ((1, (0.0, 0.0, 0.0)), (2, (-2.0, 0.0, 0.0)), (3, (-4.0, 0.0, 0.0)))
@@ -226,7 +225,7 @@ def test_restarted_peer_is_accepted_when_its_old_session_is_stale() -> None:
     rejections(peers)
     assert rejections(peers, 1.02, session=78, sequence=1) == [f"{Code.PEER_ID_TWICE} 2"]
     rejections(peers, 2.0, session=78, sequence=2)
-    assert peers.fresh(2.0)[2].packet.session == 78
+    assert peers.fresh(2.0)[2].packet.sender.session == 78
 
 
 def test_position_jump_is_refused_until_the_old_state_is_stale() -> None:
@@ -234,7 +233,7 @@ def test_position_jump_is_refused_until_the_old_state_is_stale() -> None:
     rejections(peers)
     assert rejections(peers, 1.02, sequence=11, position_enu_m=(60.0, 2.0, 3.0)) == [f"{Code.PEER_POSITION_JUMPED} 2"]
     rejections(peers, 1.5, sequence=30, position_enu_m=(60.0, 2.0, 3.0))
-    assert peers.fresh(1.5)[2].packet.position_enu_m[0] == 60.0
+    assert peers.fresh(1.5)[2].packet.motion.position_enu_m[0] == 60.0
 
 
 class DelayedLink:
@@ -313,7 +312,7 @@ def test_one_wrong_packet_locks_no_peer_out(wrong: dict[str, Any], established: 
     link.send(0.01, **wrong)
     link.send(0.01, ticks=40)
     state = link.fresh(0.01)[2]
-    assert state.packet.sequence == link.sent
+    assert state.packet.sender.sequence == link.sent
     assert link.sent_s + 0.01 - state.measured_s == pytest.approx(0.01, abs=1e-3)
 
 
@@ -323,7 +322,7 @@ def test_a_sequence_far_ahead_costs_no_true_packet(sequence: int) -> None:
     link.send(0.01, ticks=50)
     assert link.send(0.01, sequence=sequence) == [f"{Code.PEER_OUT_OF_ORDER} 2"]
     link.send(0.01)
-    assert link.fresh(0.01)[2].packet.sequence == link.sent
+    assert link.fresh(0.01)[2].packet.sender.sequence == link.sent
 
 
 @pytest.mark.parametrize("wrong", [{"sequence": 2**62}, {"sent_s": 1e9}, {"sent_s": 0.0}, {"session": 5}])
@@ -331,7 +330,7 @@ def test_a_wrong_first_packet_locks_no_peer_out(wrong: dict[str, Any]) -> None:
     link = DelayedLink()
     link.send(0.01, **wrong)
     link.send(0.01, ticks=50)
-    assert link.fresh(0.01)[2].packet.sequence == link.sent
+    assert link.fresh(0.01)[2].packet.sender.sequence == link.sent
 
 
 def ages_s(link: DelayedLink, ticks: int) -> list[float]:
@@ -397,11 +396,11 @@ def test_accelerations_are_used_within_the_fleet_s_limits() -> None:
     counted = rejections(peers, acceleration_enu_m_s2=(60.0, 80.0, 0.0), slot=slot, rft=rft)
     assert counted == [f"{Code.PEER_ACCELERATION_LIMITED} 2"]
     packet = peers.fresh(1.0)[2].packet
-    assert packet.acceleration_enu_m_s2 == pytest.approx((4.8, 6.4, 0.0))
+    assert packet.motion.acceleration_enu_m_s2 == pytest.approx((4.8, 6.4, 0.0))
     assert packet.slot.acceleration_enu_m_s2 == pytest.approx((0.0, 0.0, -8.0))
     assert packet.rft is not None
     assert packet.rft[2] == pytest.approx((0.0, -8.0, 0.0))
-    assert packet.position_enu_m == GOOD.position_enu_m
+    assert packet.motion.position_enu_m == GOOD.motion.position_enu_m
 
 
 def test_one_packet_from_the_ground_is_no_home() -> None:
@@ -430,14 +429,14 @@ def test_clock_drift_does_not_increase_the_age(drift: float) -> None:
 
 def peer_at(x_m: float) -> PeerState:
     """At rest, as of 1 s."""
-    packet = replace(GOOD, position_enu_m=(x_m, 0.0, 0.0), velocity_enu_m_s=(0.0, 0.0, 0.0))
+    packet = with_fields(GOOD, position_enu_m=(x_m, 0.0, 0.0), velocity_enu_m_s=(0.0, 0.0, 0.0))
     return PeerState(packet, 1.0, 0.0, 1.0)
 
 
 def without_leader(x_m: float) -> PeerState:
     """The same, without a leader beacon."""
     peer = peer_at(x_m)
-    return replace(peer, packet=replace(peer.packet, leader_beacon=None))
+    return replace(peer, packet=with_fields(peer.packet, beacon=None))
 
 
 def test_neighbours_by_edges() -> None:

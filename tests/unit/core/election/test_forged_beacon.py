@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection
 
 import pytest
-from msgspec.structs import replace
 
+from common import with_fields
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import LeaderBeacon
 from consensus_fleet import CHAIN, RING, TICK_S, CooperatingFleet, leaders_in
@@ -20,9 +20,9 @@ def assert_recovers(
 ) -> None:
     """One packet under the id of `sender`, with a beacon of `leader`, reaches `to`."""
     honest = fleet.packets[sender]
-    beacon = LeaderBeacon(leader, epoch, int(fleet.now_s * 1000) + 20, honest.leader_beacon.reference_s, claim)  # type: ignore[union-attr]
+    beacon = LeaderBeacon(leader, epoch, int(fleet.now_s * 1000) + 20, honest.leader.beacon.reference_s, claim)  # type: ignore[union-attr]
     leads = {"role": Role.LEADER, "prc": 1} if leader == sender else {"role": Role.FOLLOWER, "prc": 3}
-    forged = replace(honest, leader_beacon=beacon, **leads)
+    forged = with_fields(honest, beacon=beacon, **leads)
     fleet.forged = {i: forged for i in to if i != sender}
     around = fleet.tick()
     assert all(around[i].epoch == epoch for i in to if i != sender)

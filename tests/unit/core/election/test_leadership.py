@@ -7,9 +7,8 @@ from itertools import combinations
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from msgspec.structs import replace
 
-from common import outcome
+from common import outcome, with_fields
 from companion.analysis.interaction import interaction_matrix, settled_prcs
 from companion.core.consensus.law import weighted
 from companion.core.election.beacon import WAITED_S, MissionClock
@@ -133,7 +132,8 @@ def test_a_vehicle_whose_epoch_a_command_lowers_does_not_return_to_it_by_its_pee
     for tick in range(50):
         fleet.now_s += TICK_S
         packets = [
-            replace(fleet.packets[i], sequence=fleet.packets[i].sequence + tick + 1, sent_s=fleet.now_s) for i in (2, 4)
+            with_fields(fleet.packets[i], sequence=fleet.packets[i].sender.sequence + tick + 1, sent_s=fleet.now_s)
+            for i in (2, 4)
         ]
         around = fleet.vehicles[1].step(
             fleet.now_s,
@@ -437,11 +437,11 @@ def test_a_beacon_of_a_huge_epoch_claims_nothing() -> None:
     fleet = CooperatingFleet(RING, may_lead=(1, 2))
     fleet.fly(20)
     honest = fleet.packets[4]
-    forged = replace(
+    forged = with_fields(
         honest,
-        sequence=honest.sequence + 1,
+        sequence=honest.sender.sequence + 1,
         sent_s=fleet.now_s,
-        leader_beacon=LeaderBeacon(1, MAX_EPOCH, 1, 1.0),
+        beacon=LeaderBeacon(1, MAX_EPOCH, 1, 1.0),
         position_enu_m=(0.0, 0.0, 0.5),
     )
     around = fleet.vehicles[1].step(
@@ -451,7 +451,7 @@ def test_a_beacon_of_a_huge_epoch_claims_nothing() -> None:
         [ReceivedPeerPacket(fleet.now_s, forged)],
     )
     assert (around.role, around.epoch) == (Role.LEADER, 0)
-    assert around.fresh[4].packet.position_enu_m == (0.0, 0.0, 0.5)  # separation needs it
+    assert around.fresh[4].packet.motion.position_enu_m == (0.0, 0.0, 0.5)  # separation needs it
     assert dict(fleet.vehicles[1].peers.rejected) == {f"{Code.PEER_EPOCH_TOO_HIGH} 4": 1}
     fleet.vehicles[1].peers.rejected.clear()
     del fleet.packets[4]  # the forged one has taken its place

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from msgspec.structs import replace
 
+from common import with_fields
 from companion.core.formation.changes import first_leader, passed_on
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot, FormationChange, LeaderBeacon
@@ -15,7 +16,7 @@ CHANGE = FormationChange(1, ((1, (0.0, 0.0, 0.0)), (2, (-2.0, 0.0, 0.0)), (3, (-
 
 def leader(vehicle_id: int, epoch: int = 4, flies: int = 0) -> PeerPacket:
     beacon, slot = LeaderBeacon(vehicle_id, epoch, 1), FlownSlot((0.0, 0.0, 0.0), formation=flies, waiting=1)
-    return replace(peer(vehicle_id).packet, role=Role.LEADER, prc=1, leader_beacon=beacon, slot=slot, change=CHANGE)
+    return with_fields(peer(vehicle_id).packet, role=Role.LEADER, prc=1, beacon=beacon, slot=slot, change=CHANGE)
 
 
 def test_changes_of_leaders_are_in_order_of_their_ids() -> None:
@@ -26,7 +27,7 @@ def test_changes_of_leaders_are_in_order_of_their_ids() -> None:
 def test_only_leaders_of_this_term_in_formation_count() -> None:
     follower = replace(leader(1), role=Role.FOLLOWER)
     holds = replace(leader(1), phase=FlightPhase.HOLD)
-    older_term, without_beacon = leader(1, epoch=3), replace(leader(1), leader_beacon=None)
+    older_term, without_beacon = leader(1, epoch=3), with_fields(leader(1), beacon=None)
     assert passed_on([follower, holds, older_term, without_beacon], (4, 0), on_ground=False) == []
 
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 from random import Random
 
 import pytest
-from msgspec.structs import replace
 
+from common import with_fields
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase
 from companion.types.peers import PeerPacket
@@ -40,8 +40,8 @@ def longest_path_s(fleet: HostileFleet) -> float:
 
 
 def with_duration(packet: PeerPacket, moves_for_s: float) -> PeerPacket:
-    slot = replace(packet.slot, moves_for_s=moves_for_s, velocity_enu_m_s=(0.0, 1e-6, 0.0))
-    return replace(packet, sequence=packet.sequence + 1, slot=slot)
+    slot = with_fields(packet.slot, moves_for_s=moves_for_s, velocity_enu_m_s=(0.0, 1e-6, 0.0))
+    return with_fields(packet, sequence=packet.sender.sequence + 1, slot=slot)
 
 
 @pytest.mark.parametrize("offset_m", [0.0, 5.0])

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from common import ROOT, codes_of
+from common import ROOT, codes_of, with_fields
 from companion.config.file import ConfigError, refuse
 from companion.config.fleet_check import fleet_problems
 from companion.core.consensus.peers import PeerState
@@ -141,7 +141,7 @@ def test_the_gap_of_a_silent_vehicle_is_kept() -> None:
 def test_slots_of_other_absent_vehicles_count_as_occupied() -> None:
     """They may still fly there: only the vehicle that has certainly left is absent."""
     plan = GapFilling(1, LIMITS)
-    plan.update(NOW_S - 1.0, [peer(2).packet, peer(3).packet, replace(peer(2).packet, vehicle_id=4)])
+    plan.update(NOW_S - 1.0, [peer(2).packet, peer(3).packet, with_fields(peer(2).packet, vehicle_id=4)])
     plan.update(NOW_S, [peer(2).packet])
     four = SLOTS | {4: (-6.0, 0.0, 0.0)}
     change = plan.propose(NOW_S + 4.0, four, 4, fleet(armed=False), 50.0, lambda _s: AT).change

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
-from common import code_of
+from common import code_of, with_fields
 from companion.core.formation.limits import members, refusal_of_tracks, tracks_about
 from companion.types.flight import FlightPhase
 from companion.types.notices import Code
@@ -18,7 +18,7 @@ EAST: list[Vector3] = [(0.0, 0.0, 5.0), (3.0, 0.0, 5.0), (6.0, 0.0, 5.0)]
 
 
 def at(position: Vector3, phase: FlightPhase = P.HOLD, armed: bool = True) -> PeerPacket:
-    return replace(slot_peer(3, air=True), position_enu_m=position, phase=phase, armed=armed)
+    return with_fields(slot_peer(3, air=True), position_enu_m=position, phase=phase, armed=armed)
 
 
 @pytest.mark.parametrize("phase", [P.HOLD, P.RELEASE, P.LAND, P.RETURN, P.TAKEOFF, P.OBSERVE])

@@ -20,7 +20,8 @@ from companion.ground.changes import assigned
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot, FormationChange
 from companion.types.notices import Code, Notice, accept
-from companion.types.peers import PeerPacket
+from companion.types.peers import LeaderReport, PeerPacket, Sender
+from companion.types.peers import Motion as PeerMotion
 from companion.types.values import ZERO3, Vector3
 
 SIZES = (1, 2, 3, 4, 5, 6, 7, 8, 12, 25)
@@ -143,7 +144,16 @@ def flown(slots: SlotPlan, reference_s: float, others: Collection[PeerPacket], i
 def other(vehicle_id: int, formation: int, waiting: int) -> PeerPacket:
     slot = FlownSlot(LINE[vehicle_id], formation=formation, waiting=waiting)
     phase = FlightPhase.FORMATION
-    return PeerPacket(vehicle_id, 1, 1, 0, phase, Role.FOLLOWER, ZERO3, ZERO3, ZERO3, 0.0, 0.0, 2, None, slot)
+    return PeerPacket(
+        sender=Sender(vehicle_id=vehicle_id, session=1, sequence=1, formation_hash=0),
+        phase=phase,
+        role=Role.FOLLOWER,
+        motion=PeerMotion(
+            position_enu_m=ZERO3, velocity_enu_m_s=ZERO3, acceleration_enu_m_s2=ZERO3, state_age_s=0.0, sent_s=0.0
+        ),
+        leader=LeaderReport(prc=2, beacon=None),
+        slot=slot,
+    )
 
 
 KNOW = [other(1, 0, 1), other(3, 0, 1)]

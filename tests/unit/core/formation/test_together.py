@@ -6,9 +6,8 @@ from math import dist, hypot
 
 import numpy as np
 import pytest
-from msgspec.structs import replace
 
-from common import code_of
+from common import code_of, with_fields
 from companion.core.consensus.law import FormationState, Gains, cooperative, weighted
 from companion.core.consensus.peers import PeerState
 from companion.core.formation.paths import FormingTogether, Frame, law_within_m
@@ -33,7 +32,7 @@ def forming(own_id: int = 2, separation_m: float = 1.0, has_height: bool = True)
 
 
 def holding(vehicle_id: int, at: Vector3, phase: FlightPhase = FlightPhase.HOLD, **changes: object) -> PeerState:
-    packet = replace(slot_peer(vehicle_id, air=True), position_enu_m=at, phase=phase, **changes)
+    packet = with_fields(slot_peer(vehicle_id, air=True), position_enu_m=at, phase=phase, **changes)
     return PeerState(packet, NOW_S, NOW_S, NOW_S)
 
 

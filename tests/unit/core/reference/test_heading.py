@@ -12,7 +12,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from common import ROOT
+from common import ROOT, with_fields
 from companion.config.file import ConfigError
 from companion.config.fleet import FleetConfig
 from companion.config.fleet_check import load_fleet
@@ -265,10 +265,10 @@ def received_heading(fleet: CooperatingFleet, vehicle_id: int, published: dict[i
     for _ in range(10):
         fleet.tick()
         fleet.packets = {
-            i: replace(
+            i: with_fields(
                 p,
-                leader_beacon=p.leader_beacon
-                and replace(p.leader_beacon, heading=published.get(p.leader_beacon.leader_id, EAST)),
+                beacon=p.leader.beacon
+                and replace(p.leader.beacon, heading=published.get(p.leader.beacon.leader_id, EAST)),
             )
             for i, p in fleet.packets.items()
         }

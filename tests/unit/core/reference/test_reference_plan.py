@@ -23,7 +23,7 @@ from companion.types.commands import ReferenceChange
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot, HeldReference
 from companion.types.notices import Answer, Code, Notice, accept, refuse
-from companion.types.peers import PeerPacket, ReceivedTarget, TargetSample
+from companion.types.peers import LeaderReport, Motion, PeerPacket, ReceivedTarget, Sender, TargetSample
 from companion.types.values import ZERO3, Vector3
 from sitl.flight.files import reached_stand_in, vehicle_file
 from sitl.flight.scenario import load_scenario
@@ -129,9 +129,16 @@ def plan() -> ReferencePlan:
 
 def other(flown: int, waiting: int, role: Role = Role.FOLLOWER, begun_s: float = 0.0) -> PeerPacket:
     return PeerPacket(
-        2, 1, 1, 0, FlightPhase.FORMATION, role, ZERO3, ZERO3, ZERO3, 0.0, 0.0, 2, None, FlownSlot(ZERO3),
+        sender=Sender(vehicle_id=2, session=1, sequence=1, formation_hash=0),
+        phase=FlightPhase.FORMATION,
+        role=role,
+        motion=Motion(
+            position_enu_m=ZERO3, velocity_enu_m_s=ZERO3, acceleration_enu_m_s2=ZERO3, state_age_s=0.0, sent_s=0.0
+        ),
+        leader=LeaderReport(prc=2, beacon=None),
+        slot=FlownSlot(ZERO3),
         reference=HeldReference(flown, waiting, begun_s),
-    )  # fmt: skip
+    )
 
 
 def commanded(references: ReferencePlan, change: ReferenceChange, others: Sequence[PeerPacket] = ()) -> Answer:

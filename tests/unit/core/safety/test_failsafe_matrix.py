@@ -5,8 +5,8 @@ from __future__ import annotations
 from math import inf, radians
 
 import pytest
-from msgspec.structs import replace
 
+from common import with_fields
 from companion.core.consensus.peers import PeerState
 from companion.core.consensus.stage import Consensus
 from companion.core.safety.failsafe import FAILSAFES, OTHER_FAILSAFES, FailsafeSettings
@@ -151,7 +151,7 @@ class Vehicle:
         )
 
     def _consensus(self) -> Consensus:
-        other = {4: PeerState(replace(slot_peer(4), position_enu_m=(30.0, 30.0, 5.0)), self.now_s, 0.0, self.now_s)}
+        other = {4: PeerState(with_fields(slot_peer(4), position_enu_m=(30.0, 30.0, 5.0)), self.now_s, 0.0, self.now_s)}
         leaderless = next((flag for flag in (F.LEADER_AWAITED, F.LEADER_LOST) if flag in self.raised), None)
         return Consensus(
             role=Role.LEADER,

@@ -3,7 +3,7 @@
 import pytest
 from msgspec.structs import replace
 
-from common import code_of
+from common import code_of, with_fields
 from companion.core.safety.fleet_checks import FleetChecks
 from companion.types.autopilot import PositionError, VehicleState
 from companion.types.commands import CommandName
@@ -46,7 +46,7 @@ def test_takeoff_is_accepted_when_altitudes_agree(own_m: float, peers: list[Peer
 @pytest.mark.parametrize("name", [CommandName.ARM, CommandName.TAKEOFF])
 @pytest.mark.parametrize("height_m", [0.0, 20.0])  # on the ground, and in the air above
 def test_takeoff_is_refused_within_the_separation_of_a_peer(name: CommandName, height_m: float) -> None:
-    beside = replace(slot_peer(3, air=height_m > 0.0), position_enu_m=(0.6, -0.5, height_m))
+    beside = with_fields(slot_peer(3, air=height_m > 0.0), position_enu_m=(0.6, -0.5, height_m))
     refusal, _ = CHECKS.judge(name, vehicle(), OWN, [slot_peer(1), beside], Role.FOLLOWER)
     assert code_of(refusal) is Code.VEHICLE_TOO_CLOSE
     assert "vehicle 3 is 0.78 m from vehicle 2; expected at least separation_m, 1 m" in refusal.text
@@ -55,7 +55,7 @@ def test_takeoff_is_refused_within_the_separation_of_a_peer(name: CommandName, h
 
 def test_landing_near_a_peer_is_a_warning() -> None:
     refusal, warning = CHECKS.judge(
-        CommandName.LAND, vehicle(3.0), OWN, [replace(slot_peer(1), position_enu_m=(0.1, 0.0, 0.0))], Role.FOLLOWER
+        CommandName.LAND, vehicle(3.0), OWN, [with_fields(slot_peer(1), position_enu_m=(0.1, 0.0, 0.0))], Role.FOLLOWER
     )
     assert refusal is None
     assert code_of(warning) is Code.VEHICLE_TOO_CLOSE
@@ -147,7 +147,7 @@ def test_joining_is_refused_when_the_leader_has_another_formation() -> None:
     assert code_of(refusal) is Code.FORMATION_DIFFERS
     assert "leader 1 has 3" in refusal.text
     assert "leader 1 has 3" in CHECKS.judge(CommandName.FORM, vehicle(), OWN, [leader], Role.LEADER)[0].text
-    second = replace(leader, vehicle_id=3)  # of several the smallest id's counts
+    second = with_fields(leader, vehicle_id=3)  # of several the smallest id's counts
     assert CHECKS.judge(CommandName.FORM, vehicle(), OWN, [second], Role.LEADER)[0] is None
     follower = replace(leader, role=Role.FOLLOWER)
     on_ground = replace(leader, phase=FlightPhase.READY)

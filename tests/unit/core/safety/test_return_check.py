@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from common import code_of, outcome
+from common import code_of, outcome, with_fields
 from companion.core.command.phase import PhaseMachine
 from companion.core.safety.fleet_checks import Path, apart, refusal_of_return
 from companion.types.autopilot import AckSample, AutopilotMode, HeartbeatSample, LandedState, SetMode
@@ -42,7 +42,7 @@ def test_smallest_distance_of_two_paths(a: Path, b: Path, apart_m: float) -> Non
 
 
 def peer_in(phase: FlightPhase, at: Vector3) -> PeerPacket:
-    return replace(slot_peer(1), phase=phase, position_enu_m=at)
+    return with_fields(slot_peer(1), phase=phase, position_enu_m=at)
 
 
 def refusal(at: Vector3, home: Vector3 | None, *others: PeerPacket, peer_home: Vector3 | None = None) -> Notice | None:

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
+from common import with_fields
 from companion.config.fleet import EdgeNeighbours, FleetConfig, FormationMember
 from companion.config.vehicle import DatagramEndpoints
 from companion.link.byte_links import LinkError
@@ -27,7 +28,7 @@ from companion.types.autopilot import PositionError
 from companion.types.flight import FlightPhase, Role
 from companion.types.formation import FlownSlot, FormationChange, Heading, HeldReference, LeaderBeacon
 from companion.types.notices import Code
-from companion.types.peers import PeerPacket
+from companion.types.peers import LeaderReport, Motion, PeerPacket, Sender
 from companion.types.values import MAX_NUMBER, MAX_VEHICLES, ZERO3
 from companion.wire.peer import encode_peer
 from processes import free_port
@@ -42,7 +43,12 @@ FLEET = FleetConfig(
     neighbours=EdgeNeighbours(edges=((1, 2),)),
 )
 PACKET = PeerPacket(
-    1, 7, 1, 5, FlightPhase.HOLD, Role.LEADER, ZERO3, ZERO3, ZERO3, 0.01, 0.0, 1, None, FlownSlot(ZERO3)
+    sender=Sender(1, 7, 1, 5),
+    phase=FlightPhase.HOLD,
+    role=Role.LEADER,
+    motion=Motion(ZERO3, ZERO3, ZERO3, state_age_s=0.01, sent_s=0.0),
+    leader=LeaderReport(1, None),
+    slot=FlownSlot(ZERO3),
 )
 
 
@@ -105,17 +111,17 @@ def test_an_own_broadcast_is_not_received(address: str) -> None:
         alone.publish_peer(PACKET)
         time.sleep(0.02)
         assert alone.receive(1.0) == ()
-        alone.publish_peer(replace(PACKET, sequence=2))
+        alone.publish_peer(with_fields(PACKET, sequence=2))
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as double:  # another vehicle with this id
             host, _, port = address.rpartition(":")
-            double.sendto(encode_peer(replace(PACKET, session=8)), (host, int(port)))
-        assert [packet.session for packet in received(alone)] == [8]
+            double.sendto(encode_peer(with_fields(PACKET, session=8)), (host, int(port)))
+        assert [packet.sender.session for packet in received(alone)] == [8]
 
 
 def test_other_data_is_counted_and_dropped(address: str) -> None:
     rejected = Counter[str]()
     with link(address, "127.0.0.1:9", rejected=rejected) as second, link(other_address(), address) as first:
-        first.publish_peer(replace(PACKET, vehicle_id=9))
+        first.publish_peer(with_fields(PACKET, vehicle_id=9))
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
             host, _, port = address.rpartition(":")
             for data in (b"", b"x" * 9000, encode_peer(PACKET)[:-7]):
@@ -132,23 +138,20 @@ def longest_packet(vehicles: int) -> PeerPacket:
     number, motion = MAX_NUMBER, ((-1e3 / 3, 1e3 / 3, 1e2 / 3),) * 3
     ids = range(MAX_VEHICLES, MAX_VEHICLES - vehicles, -1)
     return PeerPacket(
-        MAX_VEHICLES,
-        number,
-        number,
-        2**64 - 1,
-        FlightPhase.FORMATION,
-        Role.FOLLOWER,
-        *motion,
-        1.0 / 3,
-        1e6 / 3,
-        MAX_VEHICLES,
-        LeaderBeacon(MAX_VEHICLES, number, number, 1.0 / 3, number, Heading(1.0 / 3, 1.0 / 3, 1.0 / 3)),
-        FlownSlot(*motion, number, number, 1.0 / 3),
-        PositionError(1.0 / 3, 1.0 / 3),
-        HeldReference(number, number, 1.0 / 3),
-        FormationChange(number, tuple((i, motion[0]) for i in ids), 1.0 / 3, 1.0 / 3, tuple(ids)),
-        True,
-        motion,
+        sender=Sender(MAX_VEHICLES, number, number, 2**64 - 1),
+        phase=FlightPhase.FORMATION,
+        role=Role.FOLLOWER,
+        motion=Motion(*motion, state_age_s=1.0 / 3, sent_s=1e6 / 3),
+        leader=LeaderReport(
+            MAX_VEHICLES,
+            LeaderBeacon(MAX_VEHICLES, number, number, 1.0 / 3, number, Heading(1.0 / 3, 1.0 / 3, 1.0 / 3)),
+        ),
+        slot=FlownSlot(*motion, number, number, 1.0 / 3),
+        position_error=PositionError(1.0 / 3, 1.0 / 3),
+        reference=HeldReference(number, number, 1.0 / 3),
+        change=FormationChange(number, tuple((i, motion[0]) for i in ids), 1.0 / 3, 1.0 / 3, tuple(ids)),
+        armed=True,
+        rft=motion,
     )
 
 
@@ -166,7 +169,7 @@ def test_a_flood_does_not_hold_the_tick(address: str) -> None:
     with link(address, "127.0.0.1:9") as second, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
         host, _, port = address.rpartition(":")
         for sequence in range(100):
-            stranger.sendto(encode_peer(replace(PACKET, sequence=sequence)), (host, int(port)))
+            stranger.sendto(encode_peer(with_fields(PACKET, sequence=sequence)), (host, int(port)))
         assert len(received(second)) == 16
 
 
