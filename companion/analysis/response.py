@@ -18,6 +18,7 @@ from dataclasses import dataclass, field
 from math import cos, dist, hypot, inf, pi, sin
 
 from companion.core.consensus.law import FormationLaw, neighbour_weights, next_prc
+from companion.geometry.curves import Harmonic
 from companion.types.steps import Steps, whole
 from companion.types.values import Vector3
 
@@ -29,26 +30,6 @@ ROUNDING = 0.02  # of the separation: less than sensor errors
 COST_PER_STEP = 700  # see Chain.cost
 
 Graph = Mapping[int, Sequence[int]]
-
-
-@dataclass(frozen=True, slots=True)
-class Harmonic:
-    """A periodic part of the reference: each axis moves by its amplitude [m] at this rate.
-
-    `rotates`: in all horizontal directions in turn, or in one that is not known.
-    """
-
-    rate_rad_s: float
-    amplitude_enu_m: Vector3
-    rotates: bool = False
-
-    def slowed(self, times: float) -> Harmonic:
-        return Harmonic(self.rate_rad_s / times, self.amplitude_enu_m, self.rotates)
-
-    @property
-    def size_m(self) -> float:
-        x, y, z = self.amplitude_enu_m
-        return max(hypot(x, z), hypot(y, z)) if self.rotates else hypot(x, y, z)
 
 
 Motion = Sequence[Harmonic]

@@ -51,17 +51,6 @@ have the meaning of the keys of a file:
 """
 
 OPTION_PREFIX = "reference."  # of the argparse destination of an option that is a key of the file
-KINDS = ("point", "waypoints", "circle", "figure_8", "target")
-NUMBERS = {  # option: (key of the file, meaning)
-    "--radius": ("radius_m", "of a circle, metres"),
-    "--width": ("width_m", "of a whole figure 8, along x, metres"),
-    "--height": ("height_m", "of a whole figure 8, along y, metres"),
-    "--period": ("period_s", "of one lap of a circle or figure 8, seconds"),
-    "--ramp": ("ramp_s", "until a circle or figure 8 reaches its speed, seconds"),
-    "--pause": ("wait_s", "at each waypoint, seconds"),
-    "--speed": ("max_speed_m_s", "limit for waypoints or a target, m/s"),
-    "--acceleration": ("max_acceleration_m_s2", "limit for waypoints or a target, m/s^2"),
-}
 
 
 def add_formation_options(parser: argparse.ArgumentParser) -> None:
@@ -99,8 +88,8 @@ def formation_request(parsed: argparse.Namespace) -> FormationRequest:
 
 
 def add_reference_options(parser: argparse.ArgumentParser) -> None:
-    def add(option: str, key: str, **more: Any) -> None:
-        parser.add_argument(option, dest=f"{OPTION_PREFIX}{key}", **more)
+    """One option for each key that a kind of reference asks for; the kinds are those of `config/reference.py`."""
+    from companion.config.reference import ASKED, KINDS, type_of_key
 
     three = ("EAST", "NORTH", "UP")
     parser.add_argument("kind", nargs="?", choices=KINDS, metavar="KIND", help=", ".join(KINDS))
@@ -110,14 +99,14 @@ def add_reference_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--at", action="append", nargs=3, type=float, default=[], metavar=three, help="metres, fleet frame"
     )
-    for option, (key, meaning) in NUMBERS.items():
-        add(option, key, type=float, metavar="X", help=meaning)
-    add("--clockwise", "clockwise", action="store_const", const=True, help="a circle, seen from above")
-    add("--name", "name", metavar="NAME", help="of the target (default main)")
-    offset = "from the target to the reference, metres"
-    add("--offset", "offset_enu_m", nargs=3, type=float, metavar=three, help=offset)
-    follows = "follow the altitude of the target as well"
-    add("--follows-altitude", "follows_altitude", action="store_const", const=True, help=follows)
+    forms: dict[type, dict[str, Any]] = {
+        float: {"type": float, "metavar": "X"},
+        bool: {"action": "store_const", "const": True},
+        str: {"metavar": "NAME"},
+        tuple: {"nargs": 3, "type": float, "metavar": three},
+    }
+    for key, asked in ASKED.items():
+        parser.add_argument(asked.option, dest=f"{OPTION_PREFIX}{key}", help=asked.meaning, **forms[type_of_key(key)])
 
 
 def reference_request(parsed: argparse.Namespace) -> ReferenceRequest:

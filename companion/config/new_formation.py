@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Mapping
-from itertools import pairwise
-from math import ceil, dist, floor, tau
+from math import ceil, floor, tau
 from pathlib import Path
 from typing import Any, Literal
 
@@ -30,10 +29,8 @@ from companion.config.reference import (
     Reference,
     WaypointsReference,
 )
-from companion.config.reference_check import largest_pace
 from companion.config.validation import Problem
 from companion.config.values import FLEET_NAME_WORDS
-from companion.geometry.curves import duration_s
 from companion.geometry.formations import reach_m
 from companion.types.values import FLEET_NAME
 
@@ -99,35 +96,13 @@ def planned_formation(
     for _ in range(MOST_ATTEMPTS):
         if not any(problem.field in PACE_FIELDS for problem in problems_of(fleet, reference)):
             break
-        reference = _slowed(reference)
+        reference = reference.slowed(SLOWER)
     return PlannedFormation(fleet, reference)
-
-
-def _slowed(reference: Reference) -> Reference:
-    match reference:
-        case Figure8Reference() | CircleReference():
-            return replace(reference, period_s=float(ceil(reference.period_s * SLOWER)))
-        case WaypointsReference():
-            return replace(
-                reference,
-                max_speed_m_s=round(reference.max_speed_m_s / SLOWER, 3),
-                max_acceleration_m_s2=round(reference.max_acceleration_m_s2 / SLOWER**2, 3),
-            )
-        case _:
-            return reference
 
 
 def flight_time_s(reference: Reference) -> float:
     """Time in formation that shows the whole reference: a lap and the time to get up to its speed, or all legs."""
-    match reference:
-        case Figure8Reference() | CircleReference():
-            return float(ceil(reference.period_s + 2.0 * reference.ramp_s))
-        case WaypointsReference():
-            limits = (reference.max_speed_m_s, reference.max_acceleration_m_s2)
-            legs_s = [duration_s(dist(a, b), *limits) + reference.wait_s for a, b in pairwise(reference.points_enu_m)]
-            return float(ceil(sum(legs_s) + 5.0))
-        case _:
-            return 40.0
+    return reference.whole_s() or 40.0
 
 
 # ---------------------------------------------------------------- YAML
@@ -229,7 +204,7 @@ def _reference(new: NewFormation, members: tuple[FormationMember, ...]) -> Refer
             eight = Figure8Reference(
                 centre_enu_m=centre, width_m=2.0 * size_m, height_m=size_m, period_s=100.0, ramp_s=8.0
             )
-            return replace(eight, period_s=float(ceil(100.0 * largest_pace(eight)[0] / CRUISE_M_S)))
+            return replace(eight, period_s=float(ceil(100.0 * eight.largest_pace()[0] / CRUISE_M_S)))
         case "waypoints":
             corners = ((0.0, 0.0), (size_m, 0.0), (size_m, size_m), (0.0, size_m), (0.0, 0.0))
             points = tuple((x, y, new.height_m) for x, y in corners)

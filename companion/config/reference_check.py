@@ -3,34 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from functools import lru_cache
-from itertools import pairwise
-from math import dist, floor, hypot, radians, tan
+from math import dist, floor, radians, tan
 from pathlib import Path
 
 from companion.config.file import refuse
 from companion.config.fleet import FleetConfig
-from companion.config.reference import (
-    FIELD_OF_POSITION,
-    CircleReference,
-    Figure8Reference,
-    Lapping,
-    PointReference,
-    Reference,
-    TargetReference,
-    WaypointsReference,
-    moves,
-)
+from companion.config.reference import LappingReference, LimitedReference, Reference
 from companion.config.validation import Problem, each, needs
 from companion.geometry.airspace import Airspace, conflict_steps, leg_conflict_steps, nearest_kind
-from companion.geometry.curves import PEAK_ACCELERATION, PEAK_SPEED, duration_s
+from companion.geometry.curves import PEAK_SPEED, duration_s
 from companion.geometry.formations import SLOT_ACCELERATION_M_S2, course, reach_m, swept, turn_limits
 from companion.geometry.vectors import plus
 from companion.types.steps import Steps, coarser
 from companion.types.values import GRAVITY_M_S2, Vector3
 
-RAMP_SAMPLES, LAP_SAMPLES = 100, 500
-SHORTEST_M = 1e-6  # of a leg; a shorter one takes no time
 ROUNDED = 1.0 + 1e-9  # a limit that is met exactly is met
 
 
@@ -60,13 +46,13 @@ def reference_checks(
     slots = slots_enu_m or {member.id: member.slot_enu_m for member in fleet.vehicles}
     yield from each(
         _positions(where, fleet, reference, slots),
-        _paths(where, fleet, reference, slots, largest_pace(reference)[0]),
+        _paths(where, fleet, reference, slots, reference.largest_pace()[0]),
     )
     yield None
-    if moves(reference):
+    if reference.MOVES:
         yield from each(_pace(where, fleet, reference))
         yield None
-    if fleet.slots_turn and isinstance(reference, Lapping):
+    if fleet.slots_turn and isinstance(reference, LappingReference):
         yield from each(_turns(where, fleet, reference, slots))
 
 
@@ -83,22 +69,6 @@ def most_pace(fleet: FleetConfig) -> tuple[float, float]:
     if fleet.slots_turn:
         return speed_m_s - fleet.slot_speed_m_s, acceleration_m_s2 - SLOT_ACCELERATION_M_S2
     return speed_m_s, acceleration_m_s2
-
-
-@lru_cache(maxsize=8)  # several checks of a reference need it
-def largest_pace(reference: Reference) -> tuple[float, float]:
-    """Largest speed [m/s] and acceleration [m/s^2] of a reference at any time; of a target, its limits."""
-    match reference:
-        case PointReference():
-            return 0.0, 0.0
-        case TargetReference():
-            return reference.max_speed_m_s, reference.max_acceleration_m_s2
-        case WaypointsReference():
-            return _largest_pace_of_legs(reference)
-        case Figure8Reference() | CircleReference():
-            curve = reference.curve()
-            motions = [curve(time_s) for time_s in _ramp_s(reference) + _lap_s(reference)]
-            return max(hypot(*m[1]) for m in motions), max(hypot(*m[2]) for m in motions)
 
 
 def _positions(
@@ -118,7 +88,7 @@ def _positions(
         outside = next(((i, at_m) for i, at_m in positions if not low_m <= at_m <= high_m), None)
         if outside is not None:
             yield Problem(
-                f"{where}.{FIELD_OF_POSITION[type(reference)]}",
+                f"{where}.{reference.POSITION}",
                 f"puts vehicle {outside[0]} at {name} = {outside[1]:g} m,"
                 f" outside the fence less clearance_m ({low_m:g} to {high_m:g})",
             )
@@ -145,59 +115,56 @@ def _paths(
             place = f"({x:.1f}, {y:.1f}, {z:.1f})" + (f" with {around_m:.1f} m around it to turn" if around_m else "")
             text = f"brings vehicle {vehicle_id} to {place}, too near to {nearest_kind(airspace, position)}"
             clearance = f"expected a path that keeps envelope.clearance_m, {airspace.clearance_m:g} m"
-            yield Problem(f"{where}.{FIELD_OF_POSITION[type(reference)]}", f"{text}; {clearance}")
+            yield Problem(f"{where}.{reference.POSITION}", f"{text}; {clearance}")
             return
 
 
 def _conflict(
     airspace: Airspace, reference: Reference, offset: Vector3, around_m: float, speed_m_s: float
 ) -> Steps[Vector3 | None]:
-    if isinstance(reference, WaypointsReference):
-        points = [plus(point, offset) for point in reference.points_enu_m]
-        legs = pairwise(points) if len(points) > 1 else [(points[0], points[0])]
+    if legs := reference.legs_enu_m():
         for a, b in legs:
-            if (found := (yield from leg_conflict_steps(airspace, a, b, around_m))) is not None:
+            steps = leg_conflict_steps(airspace, plus(a, offset), plus(b, offset), around_m)
+            if (found := (yield from steps)) is not None:
                 return found
         return None
-    curve = reference.curve()
-    lasts_s = reference.ramp_s + reference.period_s if isinstance(reference, Lapping) else 0.0
+    curve, lasts_s = reference.curve(), reference.curve_s()
     at, rate_m_s = lambda time_s: plus(curve(time_s)[0], offset), max(speed_m_s, 0.1)
     return (yield from conflict_steps(airspace, at, lasts_s, rate_m_s, around_m))
 
 
 def _pace(where: str, fleet: FleetConfig, reference: Reference) -> Iterator[Problem]:
     """Above these limits vehicles cannot follow."""
-    speed_m_s, acceleration_m_s2 = largest_pace(reference)
+    speed_m_s, acceleration_m_s2 = reference.largest_pace()
     accepted_m_s, most_m_s2 = most_pace(fleet)
     for_turning = ", less what slots need that turn" if fleet.slots_turn else ""
     found: list[tuple[float, Problem]] = []  # how many times slower it must be, and the problem
     if acceleration_m_s2 > most_m_s2 * ROUNDED:
         times = (acceleration_m_s2 / most_m_s2) ** 0.5
-        field, asks, advice = _slower(reference, "max_acceleration_m_s2", most_m_s2, times)
+        field, asks, advice = reference.excess("max_acceleration_m_s2", most_m_s2, times)
         given = f"envelope.max_tilt_deg {fleet.envelope.max_tilt_deg:g} gives {most_m_s2:.1f}{for_turning}"
         text = f"{asks} for {acceleration_m_s2:.1f} m/s^2, {given}; expected {advice}"
         found.append((times, Problem(f"{where}.{field}", text)))
     if speed_m_s > accepted_m_s * ROUNDED:
         times = speed_m_s / accepted_m_s
-        field, asks, advice = _slower(reference, "max_speed_m_s", accepted_m_s, times)
+        field, asks, advice = reference.excess("max_speed_m_s", accepted_m_s, times)
         given = f"envelope.max_speed_m_s allows {accepted_m_s:g}{for_turning}"
         text = f"{asks} for {speed_m_s:.1f} m/s, {given}; expected {advice}"
         found.append((times, Problem(f"{where}.{field}", text)))
-    if isinstance(reference, WaypointsReference):
+    if isinstance(reference, LimitedReference):
         found += [(1.0, problem) for problem in _climbs(where, fleet, reference)]
-    if isinstance(reference, Lapping) and found:  # the same field: the slower period meets both limits
+    if isinstance(reference, LappingReference) and found:  # the same field: the slower period meets both limits
         found = [max(found)]
     yield from (problem for _, problem in found)
 
 
-def _climbs(where: str, fleet: FleetConfig, reference: WaypointsReference) -> Iterator[Problem]:
+def _climbs(where: str, fleet: FleetConfig, reference: LimitedReference) -> Iterator[Problem]:
     """The first leg that is faster upwards or downwards than the vehicles may be."""
-    limits = (reference.max_speed_m_s, reference.max_acceleration_m_s2)
-    for a, b in pairwise(reference.points_enu_m):
+    for a, b in reference.legs_enu_m():
         rise_m, leg_m = b[2] - a[2], dist(a, b)
         name = "max_climb_m_s" if rise_m > 0.0 else "max_descent_m_s"
         most_m_s = getattr(fleet.envelope, name)
-        lasts_s = duration_s(leg_m, *limits)
+        lasts_s = duration_s(leg_m, *reference.limits)
         rate_m_s = PEAK_SPEED * abs(rise_m) / lasts_s if lasts_s > 0.0 else 0.0
         if rate_m_s > most_m_s * ROUNDED:
             expected_m_s = floor(most_m_s * leg_m / abs(rise_m) * 100.0) / 100.0
@@ -209,12 +176,14 @@ def _climbs(where: str, fleet: FleetConfig, reference: WaypointsReference) -> It
             return
 
 
-def _turns(where: str, fleet: FleetConfig, reference: Lapping, slots_enu_m: Mapping[int, Vector3]) -> Iterator[Problem]:
+def _turns(
+    where: str, fleet: FleetConfig, reference: LappingReference, slots_enu_m: Mapping[int, Vector3]
+) -> Iterator[Problem]:
     """A formation that cannot turn as fast as the course falls behind more and more."""
     outermost_m = reach_m(slots_enu_m.values())
     most_rad_s = turn_limits(outermost_m, fleet.slot_speed_m_s).rate_rad_s
     curve, period_s = reference.curve(), reference.period_s
-    turns = (course(velocity, acceleration, 0.0) for _, velocity, acceleration in map(curve, _lap_s(reference)))
+    turns = (course(velocity, acceleration, 0.0) for _, velocity, acceleration in map(curve, reference.lap_s()))
     fastest_rad_s = max(abs(turn.rate_rad_s) for turn in turns if turn)
     if fastest_rad_s > most_rad_s * ROUNDED:
         longer_s = period_s * fastest_rad_s / most_rad_s + 0.05
@@ -223,35 +192,3 @@ def _turns(where: str, fleet: FleetConfig, reference: Lapping, slots_enu_m: Mapp
             f"{period_s:g} s turns the course by up to {fastest_rad_s:.2f} rad/s; a formation that turns with it and reaches"
             f" {outermost_m:.1f} m can {most_rad_s:.2f}; expected at least {longer_s:.1f} s, or a larger slot_speed_m_s",
         )
-
-
-def _slower(reference: Reference, limit: str, most: float, times: float) -> tuple[str, str, str]:
-    """(field, what asks for too much, advice) for a reference that is this many times too fast."""
-    if isinstance(reference, Lapping):
-        period_s, ramp_s = reference.period_s, reference.ramp_s
-        return (
-            "period_s",
-            f"{period_s:g} s with ramp_s {ramp_s:g} asks",
-            f"at least {period_s * times + 0.05:.1f} s with ramp_s {ramp_s * times + 0.05:.1f}, or a smaller figure",
-        )
-    return limit, f"{getattr(reference, limit):g} asks", f"at most {floor(most * 100.0) / 100.0:g}"
-
-
-def _largest_pace_of_legs(reference: WaypointsReference) -> tuple[float, float]:
-    legs_m = [leg_m for a, b in pairwise(reference.points_enu_m) if (leg_m := dist(a, b)) > SHORTEST_M]
-    limits = (reference.max_speed_m_s, reference.max_acceleration_m_s2)
-    legs = [(leg_m, duration_s(leg_m, *limits)) for leg_m in legs_m]
-    return (
-        max((PEAK_SPEED * leg_m / lasts_s for leg_m, lasts_s in legs), default=0.0),
-        max((PEAK_ACCELERATION * leg_m / lasts_s**2 for leg_m, lasts_s in legs), default=0.0),
-    )
-
-
-def _ramp_s(reference: Lapping) -> list[float]:
-    return [reference.ramp_s * index / RAMP_SAMPLES for index in range(RAMP_SAMPLES)]
-
-
-def _lap_s(reference: Lapping) -> list[float]:
-    """Times of a lap at full pace, as far as pace and turns differ: half of a figure 8, one time of a circle."""
-    samples = LAP_SAMPLES // 2 if isinstance(reference, Figure8Reference) else 1
-    return [reference.ramp_s + reference.period_s * index / LAP_SAMPLES for index in range(samples)]

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from itertools import accumulate, pairwise
-from math import cos, dist, inf, pi, sin, sqrt
+from math import cos, dist, hypot, inf, pi, sin, sqrt
 
 from companion.types.values import ZERO3, Vector3
 
@@ -16,6 +17,35 @@ Curve = Callable[[float], Motion]
 
 PEAK_SPEED = 1.875  # of `rest_to_rest`, in path lengths per duration
 PEAK_ACCELERATION = 10.0 / sqrt(3.0)  # in path lengths per duration squared
+
+
+@dataclass(frozen=True, slots=True)
+class Harmonic:
+    """A periodic part of the reference: each axis moves by its amplitude [m] at this rate.
+
+    `rotates`: in all horizontal directions in turn, or in one that is not known.
+    """
+
+    rate_rad_s: float
+    amplitude_enu_m: Vector3
+    rotates: bool = False
+
+    def slowed(self, times: float) -> Harmonic:
+        return Harmonic(self.rate_rad_s / times, self.amplitude_enu_m, self.rotates)
+
+    @property
+    def size_m(self) -> float:
+        x, y, z = self.amplitude_enu_m
+        return max(hypot(x, z), hypot(y, z)) if self.rotates else hypot(x, y, z)
+
+    @classmethod
+    def of_pace(
+        cls, speed_m_s: float, acceleration_m_s2: float, direction_enu: Vector3, rotates: bool = False
+    ) -> Harmonic:
+        """The one with this largest speed and acceleration."""
+        size_m = speed_m_s**2 / acceleration_m_s2
+        x, y, z = direction_enu
+        return cls(acceleration_m_s2 / speed_m_s, (x * size_m, y * size_m, z * size_m), rotates)
 
 
 def figure_8(time_s: float, width_m: float, height_m: float, period_s: float, ramp_s: float) -> Motion:

@@ -13,7 +13,7 @@ from pathlib import Path
 from companion.config.file import ConfigError, convert
 from companion.config.fleet import FleetConfig
 from companion.config.fleet_check import load_slots
-from companion.config.reference import Reference, ReferenceSection, load_reference
+from companion.config.reference import KINDS, Reference, ReferenceSection, load_reference
 from companion.geometry.curves import duration_s
 from companion.geometry.formations import (
     ROUNDING_M,
@@ -79,15 +79,6 @@ class FleetAction:
     reference: ReferenceRequest | None = None
 
 
-POSITION_KEY = {
-    "point": "point_enu_m",
-    "waypoints": "points_enu_m",
-    "circle": "centre_enu_m",
-    "figure_8": "centre_enu_m",
-    "target": "start_enu_m",
-}
-
-
 def reference_change(reference: Described, statuses: Sequence[Status]) -> ReferenceChange:
     """`reference` as in a file, with the next number, AHEAD_S after the fleet time of these reports."""
     held = [status.reference for status in statuses if status.reference]
@@ -114,28 +105,23 @@ def requested_reference(request: ReferenceRequest, here_enu_m: Vector3 | None) -
                 "describes the whole reference; give it alone, or KIND with its options",
             )
         return load_reference(request.file)
-    described = request.described
-    kind = described.get("kind")
-    if not isinstance(kind, str):
-        raise ConfigError(
-            command_line("reference"), "KIND", f"missing; expected one of {', '.join(POSITION_KEY)}, or --file FILE"
-        )
+    described, where = request.described, command_line("reference")
+    name = described.get("kind")
+    if not isinstance(name, str):
+        raise ConfigError(where, "KIND", f"missing; expected one of {', '.join(KINDS)}, or --file FILE")
+    kind = KINDS[name]
     positions = [list(position) for position in request.positions_enu_m]
-    if kind == "target" and not positions and here_enu_m is not None:
+    if kind.AWAITED and not positions:
+        if here_enu_m is None:
+            problem = "missing; no leader reports a reference: give the position to await the target at"
+            raise ConfigError(where, "--at", problem)
         positions = [list(here_enu_m)]
-    if kind == "target" and not positions:
-        raise ConfigError(
-            command_line("reference"),
-            "--at",
-            "missing; no leader reports a reference: give the position to await the target at",
-        )
-    if not positions or (len(positions) > 1 and kind != "waypoints"):
-        expected = "one or more" if kind == "waypoints" else "one"
-        raise ConfigError(
-            command_line("reference"), "--at", f"given {len(positions)} times; a reference {kind} has {expected}"
-        )
-    position = {POSITION_KEY[kind]: positions if kind == "waypoints" else positions[0]}
-    return convert(command_line("reference"), {"reference": described | position}, ReferenceSection).reference
+    most = kind.MOST_POSITIONS
+    if not positions or (len(positions) > 1 and most == 1):
+        expected = "one or more" if most > 1 else "one"
+        raise ConfigError(where, "--at", f"given {len(positions)} times; a reference {name} has {expected}")
+    position = {kind.POSITION: positions if most > 1 else positions[0]}
+    return convert(where, {"reference": described | position}, ReferenceSection).reference
 
 
 def named_slots(shape: str, n: int, spacing_m: float, heading_deg: float) -> list[Vector3]:

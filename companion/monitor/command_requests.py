@@ -8,14 +8,13 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import msgspec
-from msgspec import Meta, Struct
+from msgspec import Meta, Struct, structs
 
 from companion.config.file import ConfigError, convert
 from companion.config.fleet import FleetConfig
 from companion.config.fleet_check import check_slots
-from companion.config.new_formation import flight_time_s
 from companion.config.planned_flight import ShapeName
-from companion.config.reference import Reference, ReferenceSection, TargetReference, moves
+from companion.config.reference import ASKED, KINDS, Asked, Reference, ReferenceSection
 from companion.config.reference_check import reference_problems
 from companion.config.values import PositionM
 from companion.geometry.formations import closest_approach, counted, turned_slot
@@ -39,6 +38,8 @@ ABORT, DOCTOR, HOLD, LAND = "abort", "doctor", "hold", "land"
 SIMPLE = ("arm", "takeoff", "form", HOLD, LAND, "return", "disarm", "take")
 CHANGES = ("leader", "formation", "reference")
 ACTIONS = (*SIMPLE, ABORT, DOCTOR, *CHANGES)
+UNITS = {"_m_s": "m/s", "_m": "m", "_s": "s"}  # by the end of a key
+ORDER = {key: index for index, key in enumerate(ASKED)}
 REQUEST = Path("request")  # named in an error in place of a file
 
 T = TypeVar("T", bound=Struct)
@@ -141,6 +142,39 @@ def _one_line(error: ConfigError) -> str:
 TRACK_POINTS = 400
 
 
+def reference_forms() -> list[dict[str, Any]]:
+    """The kinds of reference with the inputs that the page shows for each, for `reference_form.js`."""
+    return [
+        {
+            "kind": name,
+            "title": kind.TITLE,
+            "position": kind.POSITION,
+            "place": kind.PLACE,
+            "most": kind.MOST_POSITIONS,
+            "inputs": [
+                _input(field, ASKED[field.name])
+                for field in sorted(structs.fields(kind), key=lambda field: ORDER.get(field.name, 0))
+                if field.name in ASKED and ASKED[field.name].title
+            ],
+        }
+        for name, kind in KINDS.items()
+    ]
+
+
+def _input(field: structs.FieldInfo, asked: Asked) -> dict[str, Any]:
+    accepted = msgspec.inspect.type_info(field.type)
+    while isinstance(accepted, msgspec.inspect.Metadata):
+        accepted = accepted.type
+    shown = {"name": field.name, "title": asked.title, "value": asked.initial or field.default}
+    match accepted:
+        case msgspec.inspect.FloatType(ge=least, le=most):
+            unit = next(unit for suffix, unit in UNITS.items() if field.name.endswith(suffix))
+            return shown | {"type": "number", "unit": unit, "min": least, "max": most}
+        case msgspec.inspect.StrType(pattern=pattern):
+            return shown | {"type": "text", "pattern": (pattern or "").replace("-]", r"\-]")}
+    return shown | {"type": "checkbox"}
+
+
 def preview_of(wanted: FleetAction, fleet: FleetConfig, statuses: Mapping[int, Status]) -> Preview:
     """Of a request with a formation or a reference. Raises ConfigError."""
     silent = [str(member.id) for member in fleet.vehicles if member.id not in statuses]
@@ -202,7 +236,7 @@ def _reference(reference: Reference, fleet: FleetConfig, statuses: Sequence[Stat
     problems = [
         ConfigError("reference", *problem) for problem in reference_problems(fleet, reference, "reference", slots_enu_m)
     ]
-    lasts_s = flight_time_s(reference) if moves(reference) and not isinstance(reference, TargetReference) else None
+    lasts_s = reference.whole_s()
     curve, points = reference.curve(), TRACK_POINTS if lasts_s else 1
     track = [curve((lasts_s or 0.0) * index / max(1, points - 1))[0] for index in range(points)]
     return Preview(

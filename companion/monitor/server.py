@@ -33,6 +33,7 @@ from companion.monitor.access import (
     is_loopback,
 )
 from companion.monitor.api import CommandRequest, ControlView
+from companion.monitor.command_requests import reference_forms
 from companion.monitor.commander import Commander
 from companion.monitor.station import Station
 
@@ -173,6 +174,7 @@ TYPES = {
     ".txt": "text/plain",
 }
 PRELOADS = b"<!-- preloads -->"  # in index.html
+REFERENCE_FORMS = b"[/* reference forms */]"  # likewise
 DEEPEST_ZOOM = 24
 TILE_AGE_S = 86400
 
@@ -190,7 +192,8 @@ def page_files(folder: Path = PAGE) -> Mapping[str, PageFile]:
     """The files of the page by their path below it, of known types; read once at the start."""
     files = [file for file in sorted(folder.rglob("*")) if file.is_file() and file.suffix in TYPES]
     bodies = {file.relative_to(folder).as_posix(): file.read_bytes() for file in files}
-    bodies["index.html"] = bodies["index.html"].replace(PRELOADS, _preloads(bodies))
+    index = bodies["index.html"].replace(PRELOADS, _preloads(bodies))
+    bodies["index.html"] = index.replace(REFERENCE_FORMS, _encoder.encode(reference_forms()))
     return {path: PageFile(body, TYPES[Path(path).suffix], sha256(body).hexdigest()) for path, body in bodies.items()}
 
 

@@ -42,7 +42,7 @@ from companion.config.file import SET, convert, kind_of_file, overridden, read_a
 from companion.config.fleet import EdgeNeighbours, FleetConfig, LawName
 from companion.config.fleet_check import fleet_problems
 from companion.config.planned_flight import PlannedFlight, fleet_of, neighbour_graph, planned_problems, starts_of
-from companion.config.reference import Reference, moves
+from companion.config.reference import Reference
 from companion.config.validation import Problem, each, unless_invalid
 from companion.core.consensus.law import FormationLaw, Gains
 from companion.types.flight import Role
@@ -177,7 +177,7 @@ def _subject(path: Path, data: Any) -> Subject:
         fleet=fleet,
         starts_enu_m=_starts(part, fleet),
         reference_enu_m=part.reference.start_enu_m if part.reference else _a_step(fleet),
-        reference_moves=part.reference is not None and moves(part.reference),
+        reference_moves=part.reference is not None and part.reference.MOVES,
         not_read=_not_read(data, fleet, "fleet."),
     )
 

@@ -43,6 +43,7 @@ from companion.monitor.api import (
     TimingView,
     VehicleView,
 )
+from companion.monitor.server import page_files
 from companion.types.status import NetworkState
 from companion.types.values import Vector3
 
@@ -420,8 +421,8 @@ async def _policy(request: web.Request, handler: Callable[[web.Request], object]
     return response
 
 
-async def _index(_: web.Request) -> web.FileResponse:
-    return web.FileResponse(PAGE / "index.html")
+async def _index(_: web.Request) -> web.Response:
+    return web.Response(body=page_files()["index.html"].body, content_type="text/html")
 
 
 def _json(value: object, status: int = 200) -> web.Response:

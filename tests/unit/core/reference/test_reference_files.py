@@ -18,7 +18,7 @@ from companion.config.reference import (
     TargetReference,
     WaypointsReference,
 )
-from companion.config.reference_check import check_reference, largest_pace
+from companion.config.reference_check import check_reference
 from companion.types.flight import Role
 
 EIGHT = Figure8Reference(centre_enu_m=(1.0, -2.0, 3.0), width_m=6.0, height_m=3.0, period_s=30.0, ramp_s=5.0)
@@ -75,10 +75,10 @@ def test_figure_8_has_its_size_and_period() -> None:
     assert eight(10.0).position_enu_m == pytest.approx(eight(40.0).position_enu_m)  # a lap later
     assert eight(2.5 + 15.0).position_enu_m == pytest.approx(EIGHT.centre_enu_m)  # half a lap: it crosses itself
     speeds = np.linalg.norm(velocity, axis=1)
-    assert speeds.max() == pytest.approx(largest_pace(EIGHT)[0], rel=1e-4)
+    assert speeds.max() == pytest.approx(EIGHT.largest_pace()[0], rel=1e-4)
     assert speeds.max() == pytest.approx(tau / 30.0 * hypot(3.0, 3.0), rel=1e-4)
     most = np.linalg.norm(acceleration, axis=1).max()
-    assert most == pytest.approx(largest_pace(EIGHT)[1], rel=1e-3)
+    assert most == pytest.approx(EIGHT.largest_pace()[1], rel=1e-3)
 
 
 def test_point_reference_is_at_rest() -> None:
@@ -137,7 +137,7 @@ def test_every_kind_begins_at_rest_and_keeps_its_box_and_limits(reference: Refer
     low, high = reference.corners_enu_m()
     assert position.min(axis=0) == pytest.approx(low, abs=1e-2)
     assert position.max(axis=0) == pytest.approx(high, abs=1e-2)
-    speed_m_s, acceleration_m_s2 = largest_pace(reference)
+    speed_m_s, acceleration_m_s2 = reference.largest_pace()
     assert np.linalg.norm(velocity, axis=1).max() == pytest.approx(speed_m_s, rel=1e-3)
     assert np.linalg.norm(acceleration, axis=1).max() == pytest.approx(acceleration_m_s2, rel=1e-3)
     start = trajectory_of(reference)(0.0)
@@ -155,10 +155,10 @@ def test_circle_is_counterclockwise_from_the_east_by_default() -> None:
 def test_waypoints_keep_their_limits_on_long_and_short_legs() -> None:
     for leg_m in (0.3, 200.0):
         way = WaypointsReference(((0.0, 0.0, 2.0), (leg_m, 0.0, 2.0)), max_speed_m_s=3.0, max_acceleration_m_s2=0.5)
-        speed_m_s, acceleration_m_s2 = largest_pace(way)
+        speed_m_s, acceleration_m_s2 = way.largest_pace()
         assert max(speed_m_s / 3.0, acceleration_m_s2 / 0.5) == pytest.approx(1.0)
     twice = WaypointsReference(((1.0, 0.0, 2.0), (1.0, 0.0, 2.0)))
-    assert largest_pace(twice) == (0.0, 0.0)
+    assert twice.largest_pace() == (0.0, 0.0)
     assert trajectory_of(twice)(3.0).position_enu_m == (1.0, 0.0, 2.0)
 
 

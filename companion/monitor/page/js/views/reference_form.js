@@ -4,73 +4,45 @@ import { vector } from "../format.js";
 import { html, nothing } from "./lit.js";
 import { previewed } from "./previewed.js";
 
-const METRES = { unit: "m", min: 0.01, max: 1000 };
-const SECONDS = { unit: "s", min: 1, max: 3600 };
-const SPEED = { name: "max_speed_m_s", title: "Speed", unit: "m/s", min: 0.01, max: 100, value: 2 };
-const PERIOD = { ...SECONDS, name: "period_s", title: "Period", value: 40 };
+// What the server knows of each kind: its title, the key and the name of its position, how many of them, and its inputs.
+const KINDS = JSON.parse(document.getElementById("reference-forms").textContent);
 
-// `points`: the key of the placed point, or points. `most` of them.
-const KINDS = {
-  point: { title: "Point", points: "point_enu_m", most: 1, fields: [] },
-  waypoints: {
-    title: "Waypoints",
-    points: "points_enu_m",
-    most: 200,
-    fields: [SPEED, { ...SECONDS, name: "wait_s", title: "Stop at each", min: 0, value: 0 }],
-  },
-  circle: {
-    title: "Circle",
-    points: "centre_enu_m",
-    most: 1,
-    fields: [{ ...METRES, name: "radius_m", title: "Radius", value: 6 }, PERIOD],
-    clockwise: true,
-  },
-  figure_8: {
-    title: "Figure 8",
-    points: "centre_enu_m",
-    most: 1,
-    fields: [
-      { ...METRES, name: "width_m", title: "Width, east", value: 16 },
-      { ...METRES, name: "height_m", title: "Height, north", value: 8 },
-      PERIOD,
-    ],
-  },
-  target: { title: "Follow a target", points: "start_enu_m", most: 1, fields: [{ ...SPEED, value: 3 }], target: true },
-};
-
-let kind = "point";
+let chosen = KINDS[0];
 
 export function referenceForm({ store, commanding, act }) {
-  const chosen = KINDS[kind];
   const points = store.drawing?.points ?? [];
   const choose = (event) => {
-    kind = event.target.value;
+    chosen = KINDS.find(({ kind }) => kind === event.target.value);
     act.stopDrawing();
     commanding.discard();
   };
   const submit = (event) => {
     event.preventDefault();
-    commanding.preview("reference", contentOf(chosen, new FormData(event.target), points));
+    commanding.preview("reference", contentOf(new FormData(event.target), points));
   };
   const edited = () => store.preview?.name === "reference" && commanding.discard();
   return html`<details class="form"><summary>Reference</summary>
     <form @submit=${submit} @input=${edited}>
-      <label>Kind <select name="kind" @change=${choose}>${Object.entries(KINDS).map(([key, { title }]) => html`
-        <option value=${key} ?selected=${key === kind}>${title}</option>`)}</select></label>
+      <label>Kind <select name="kind" @change=${choose}>${KINDS.map(({ kind, title }) => html`
+        <option value=${kind} ?selected=${kind === chosen.kind}>${title}</option>`)}</select></label>
       <label>Altitude <span class="unit"><input name="altitude_m" type="number" step="any" min="-1000" max="1000" required
         .value=${String(store.drawing?.altitudeM ?? act.altitude())} @change=${(event) => act.setAltitude(Number(event.target.value))}> m</span></label>
-      ${chosen.fields.map((field) => html`<label>${field.title} <span class="unit"><input name=${field.name} type="number" step="any"
-        required min=${field.min} max=${field.max} value=${field.value}> ${field.unit}</span></label>`)}
-      ${chosen.clockwise ? html`<label class="check"><input type="checkbox" name="clockwise"> clockwise</label>` : nothing}
-      ${chosen.target ? html`<label>Target <input name="name" value="main" required maxlength="40" pattern="[a-z0-9][a-z0-9_\\-]*"></label>` : nothing}
-      ${placing(chosen, store, points, act)}
+      ${chosen.inputs.map(inputOf)}
+      ${placing(store, points, act)}
       <button data-action="preview-reference" ?disabled=${commanding.previewing || !points.length}>Preview</button>
     </form>
     ${previewed({ store, commanding }, "reference")}</details>`;
 }
 
-function placing(chosen, store, points, act) {
-  const what = chosen.most > 1 ? "points" : { circle: "centre", figure_8: "centre", target: "start" }[kind] ?? "point";
+function inputOf({ name, title, type, value, unit, min, max, pattern }) {
+  if (type === "checkbox") return html`<label class="check"><input type="checkbox" name=${name}> ${title}</label>`;
+  if (type === "text") return html`<label>${title} <input name=${name} value=${value} required pattern=${pattern}></label>`;
+  return html`<label>${title} <span class="unit"><input name=${name} type="number" step="any"
+    required min=${min} max=${max} value=${value}> ${unit}</span></label>`;
+}
+
+function placing(store, points, act) {
+  const what = chosen.most > 1 ? "points" : chosen.place;
   return html`<div class="row">
       <button type="button" data-action="place" aria-pressed=${Boolean(store.drawing?.active)}
         @click=${() => act.draw(chosen.most)}>Place ${what} on the map</button>
@@ -81,10 +53,12 @@ function placing(chosen, store, points, act) {
     ${points.length ? html`<p class="unseen" aria-live="polite">${points.length} points, the last at ${vector(points.at(-1), 1)} metres</p>` : nothing}`;
 }
 
-function contentOf(chosen, data, points) {
-  const content = { kind, [chosen.points]: chosen.most > 1 ? points : points[0] };
-  for (const { name } of chosen.fields) content[name] = Number(data.get(name));
-  if (chosen.clockwise && data.get("clockwise")) content.clockwise = true;
-  if (chosen.target) content.name = data.get("name");
+function contentOf(data, points) {
+  const content = { kind: chosen.kind, [chosen.position]: chosen.most > 1 ? points : points[0] };
+  for (const { name, type } of chosen.inputs) {
+    if (type === "number") content[name] = Number(data.get(name));
+    else if (type === "text") content[name] = data.get(name);
+    else if (data.get(name)) content[name] = true;
+  }
   return content;
 }
