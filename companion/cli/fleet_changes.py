@@ -92,7 +92,7 @@ def add_reference_options(parser: argparse.ArgumentParser) -> None:
     from companion.config.reference import ASKED, KINDS, type_of_key
 
     three = ("EAST", "NORTH", "UP")
-    parser.add_argument("kind", nargs="?", choices=KINDS, metavar="KIND", help=", ".join(KINDS))
+    parser.add_argument("kind", nargs="?", choices=tuple(KINDS), metavar="KIND", help=", ".join(KINDS))
     parser.add_argument(
         "--file", type=Path, metavar="FILE", help="a file with a section reference (YAML) instead of KIND"
     )
