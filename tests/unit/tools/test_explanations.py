@@ -1,7 +1,10 @@
 """The table of explanations and `companion explain`."""
 
+import runpy
+
 import pytest
 
+from common import ROOT
 from companion.cli.main import main
 from companion.report.findings import FindingKind
 from companion.tools.explanations import COLUMNS, listing, report
@@ -66,3 +69,9 @@ def test_explain_lists_all_codes(capsys: pytest.CaptureFixture[str]) -> None:
 def test_explain_refuses_an_unknown_code(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["explain", "NO_SUCH_CODE"]) == 2
     assert "NO_SUCH_CODE" in capsys.readouterr().err
+
+
+def test_the_enumerations_are_those_of_the_table() -> None:
+    generated = ROOT / "companion" / "types" / "generated" / "codes.py"
+    made = runpy.run_path(str(ROOT / "docs" / "generate" / "code_files.py"))["enumerations"]()
+    assert generated.read_text(encoding="utf-8") == made
