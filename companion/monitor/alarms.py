@@ -9,12 +9,13 @@ from msgspec.structs import replace
 
 from companion.monitor.api import AlarmView, Severity, VehicleView
 from companion.monitor.vehicle_view import advice_of
+from companion.types.code_table import SEVERITIES
 from companion.types.notices import Code
 
 MOST_ALARMS = 500
 WARNS_AFTER_S = 0.5
 SILENT, NEVER_HEARD, UNSECURED, NOT_RECORDED = "SILENT", "NEVER_HEARD", "UNSECURED", "NOT_RECORDED"
-_RANKS: dict[Severity, int] = {"critical": 0, "warning": 1, "info": 2}
+_RANKS = {severity: rank for rank, severity in enumerate(SEVERITIES)}
 
 Key = tuple[str, int | None, str]  # fleet, vehicle id, code
 

@@ -10,12 +10,13 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Meta, Struct
 
+from companion.types.code_table import CodeSeverity
 from companion.types.status import NetworkState, RecordingState
 from companion.types.values import Finite, FleetName, Vector3, VehicleIds, Word
 
 API_VERSION = 1
 TOKEN_HEADER = "X-Companion-Token"  # of a POST with --control: the token of the printed URL, after #token=
-Severity = Literal["critical", "warning", "info"]
+Severity = CodeSeverity
 
 
 class NeighbourView(Struct, frozen=True):

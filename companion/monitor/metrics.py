@@ -18,12 +18,12 @@ from prometheus_client.registry import Collector
 
 from companion.monitor.api import FleetView, Snapshot, VehicleView
 from companion.monitor.vehicle_view import is_old
+from companion.types.code_table import SEVERITIES
 from companion.types.flight import FlightPhase, HealthFlag, Role
 from companion.types.values import FLEET_NAME
 
 CONTENT_TYPE = CONTENT_TYPE_LATEST
 OF_VEHICLE, OF_FLEET = ("fleet", "vehicle"), ("fleet",)
-SEVERITIES = ("critical", "warning", "info")
 
 View = TypeVar("View")
 Value = float | None

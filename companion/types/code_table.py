@@ -7,13 +7,14 @@ from __future__ import annotations
 
 from functools import cache
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 import msgspec
 from msgspec import Struct
 
 CODES_FILE = Path(__file__).with_name("codes.toml")
 CodeSeverity = Literal["critical", "warning", "info"]
+SEVERITIES: tuple[CodeSeverity, ...] = get_args(CodeSeverity)  # the worst first
 
 
 class CodeEntry(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
