@@ -43,14 +43,15 @@ from companion.core.reference.heading import CourseHeading
 from companion.core.reference.plan import LiveReference, ReferencePlan, Rft
 from companion.core.reference.target import Box, TargetLimits
 from companion.core.report import AgentIdentity, ReportStage
-from companion.core.safety.failsafe import FailsafeSettings
+from companion.core.safety.failsafe import FailsafeSettings, HealthLimits, limit_of
 from companion.core.safety.fleet_checks import FleetChecks
 from companion.core.safety.limits import OutputLimits
-from companion.core.safety.safeguard import AgeLimits, HealthLimits, SafeguardStage
+from companion.core.safety.safeguard import SafeguardStage
 from companion.geometry.airspace import Airspace
 from companion.mavlink.autopilot_types import PROFILES
 from companion.types.commands import Described
 from companion.types.flight import FailsafeAction, Role
+from companion.types.notices import Code
 from companion.types.steps import Steps
 from companion.types.values import GRAVITY_M_S2, Vector3
 
@@ -77,9 +78,9 @@ def build_agent(config: AgentConfig, session: int, formation_hash: int | None = 
     if formation_hash is None:
         formation_hash = fleet.formation_hash()
     identity = AgentIdentity(member.id, session, fleet.name, formation_hash, law.name)
-    ages, envelope = AgeLimits(), output_limits_of(fleet)
+    envelope = output_limits_of(fleet)
     observer = DisturbanceObserver(vehicle.hover_thrust_norm, vehicle.drag_1_s, law.disturbance_bandwidth_1_s)
-    health = HealthLimits(ages, envelope, fleet.leave_below_percent, fleet.land_below_percent)
+    health = HealthLimits(envelope, fleet.leave_below_percent, fleet.land_below_percent)
     checks = FleetChecks(
         own_id=member.id,
         slots_have_height=law.altitude == "formation",
@@ -97,7 +98,7 @@ def build_agent(config: AgentConfig, session: int, formation_hash: int | None = 
         guidance=_guidance(config),
         safeguard=SafeguardStage(member.id, fleet.separation_m, health, _failsafes(fleet), PROFILES),
         dispatcher=CommandDispatcher(checks),
-        setpoint=_setpoint(config, SetpointStream(envelope, observer), ages.state_s),
+        setpoint=_setpoint(config, SetpointStream(envelope, observer), limit_of(Code.POSITION_STALE)),
         distant_peers=_distant_peers(fleet, member.id),
         report=ReportStage(identity, law_of(law), checks),
     )

@@ -109,8 +109,7 @@ class Agent:
             self._last_separation,
             self._last_setpoint_s,
             last.commanded,
-            inbox.stopping,
-            inbox.late_s,
+            inbox,
         )
         commands: tuple[PhaseCommand, ...] = ()
         if intake.admitted:

@@ -16,8 +16,9 @@ from companion.core.control.setpoint import Setpoint
 from companion.core.estimation.vehicle import Perception
 from companion.core.filter.filter import Interventions
 from companion.core.formation.guidance import Guidance
+from companion.core.safety.failsafe import POSITION_WRONG
 from companion.core.safety.fleet_checks import FleetChecks, refusal_of_return
-from companion.core.safety.safeguard import POSITION_WRONG, Safety
+from companion.core.safety.safeguard import Safety
 from companion.types.autopilot import VehicleState
 from companion.types.commands import CommandName
 from companion.types.flight import RULES, Flight, FlightPhase, Role

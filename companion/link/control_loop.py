@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from msgspec.structs import replace
 
 from companion.core.agent import Agent, Decision
-from companion.core.safety.limits import FailureResponse
+from companion.core.safety.safeguard import FailureResponse
 from companion.link.log import AgentEventLog, RejectionLog, field_of
 from companion.link.systemd import Notifier, status_line
 from companion.link.tick import BACK_UP_S, PERIOD_S, LateLoopLog, TickMeter, TickTrigger, monotonic_s

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.core.safety.failsafe import SILENT_TOO_LONG_S
+from companion.core.safety.failsafe import limit_of
 from companion.link.tick import LATE_S, PERIOD_S
 from companion.report.autopilot_logs import MatchedLog, Series
 from companion.report.findings import Finding, Severity, finding, runs
@@ -172,7 +172,7 @@ def _ticks_late(vehicle: VehicleLog, figures: TimingFigures) -> Finding:
         f"{figures.late} of {figures.ticks} ticks in the air began more than {1e3 * LATE_S:g} ms late, at most"
         f" {worst:.0f} ms; {figures.missed} periods without a tick; lateness {figures.lateness.p99_ms:.1f} ms (p99)"
     )
-    severity = Severity.WARNING if often or worst > 1e3 * SILENT_TOO_LONG_S else Severity.INFO
+    severity = Severity.WARNING if often or worst > 1e3 * limit_of(Code.NO_SETPOINT) else Severity.INFO
     return finding(Code.LOOP_LATE, vehicle.vehicle_id, time_s, text, severity=severity)
 
 

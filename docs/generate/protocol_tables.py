@@ -4,26 +4,34 @@ from __future__ import annotations
 
 from companion.config.fleet import PeerLimits
 from companion.core.election.leadership import TURN_S
-from companion.core.safety.safeguard import HAND_OVER_S, SILENT_TOO_LONG_S, AgeLimits
+from companion.core.safety.failsafe import limit_of
+from companion.core.safety.safeguard import HAND_OVER_S
 from companion.link.fleet.zenoh_session import LEASE_MS
 from companion.link.tick import BACK_UP_S, PERIOD_S
 from companion.mavlink import ardupilot, px4
 from companion.mavlink.codec import mavlink
 from companion.types.commands import EPOCHS_AHEAD, NUMBERS_AHEAD
+from companion.types.notices import Code
 from companion.wire.messages import WIRE_VERSION
+
+C = Code
 
 
 def timing() -> str:
     """One row for each constant that decides when something counts as late, lost or over."""
-    ages, peers = AgeLimits(), PeerLimits()
+    peers = PeerLimits()
     rows = [
         ("wire version", f"{WIRE_VERSION}", "first byte of every message"),
         ("control period", f"{PERIOD_S * 1e3:g} ms", "one peer packet and one setpoint in each"),
         ("back-up tick", f"{BACK_UP_S * 1e3:g} ms", "longest time between two ticks without a position"),
-        ("oldest own position", f"{ages.state_s * 1e3:g} ms", "older: no setpoint (`POSITION_STALE`)"),
-        ("oldest own attitude", f"{ages.attitude_s * 1e3:g} ms", "older: no setpoint (`ATTITUDE_STALE`)"),
-        ("oldest flight mode", f"{ages.mode_s * 1e3:g} ms", "older: no setpoint (`MODE_STALE`)"),
-        ("oldest armed and landed state", f"{ages.armed_s:g} s, {ages.landed_s:g} s", "older: hand over to hold"),
+        ("oldest own position", f"{limit_of(C.POSITION_STALE) * 1e3:g} ms", "older: no setpoint (`POSITION_STALE`)"),
+        ("oldest own attitude", f"{limit_of(C.ATTITUDE_STALE) * 1e3:g} ms", "older: no setpoint (`ATTITUDE_STALE`)"),
+        ("oldest flight mode", f"{limit_of(C.MODE_STALE) * 1e3:g} ms", "older: no setpoint (`MODE_STALE`)"),
+        (
+            "oldest armed and landed state",
+            f"{limit_of(C.ARMED_STALE):g} s, {limit_of(C.LANDED_STALE):g} s",
+            "older: hand over to hold",
+        ),
         ("oldest peer state", f"{peers.max_age_s * 1e3:g} ms", "`peers.max_age_s`; older: not a neighbour"),
         (
             "oldest leader beacon",
@@ -31,7 +39,11 @@ def timing() -> str:
             "`peers.leader_beacon_max_age_s`; older: leader missed",
         ),
         ("turn of a successor", f"{TURN_S * 1e3:g} ms", "waited before the first claim and between claims"),
-        ("silence that ends a formation", f"{SILENT_TOO_LONG_S * 1e3:g} ms", "below PX4's `COM_OF_LOSS_T` of 1 s"),
+        (
+            "silence that ends a formation",
+            f"{limit_of(C.NO_SETPOINT) * 1e3:g} ms",
+            "below PX4's `COM_OF_LOSS_T` of 1 s",
+        ),
         ("hand-over at the end of the agent", f"{HAND_OVER_S:g} s", "then the process ends in any case"),
         (
             "epochs ahead, of peers",

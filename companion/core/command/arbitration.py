@@ -20,9 +20,9 @@ from companion.core.command.phase import PhaseCommand
 from companion.core.consensus.stage import Consensus
 from companion.core.estimation.vehicle import Perception
 from companion.core.formation.guidance import Guidance
-from companion.core.safety.failsafe import flags_notice
+from companion.core.safety.failsafe import POSITION_IN_DOUBT, flags_notice
 from companion.core.safety.fleet_checks import FleetChecks, refusal_of_return
-from companion.core.safety.safeguard import POSITION_IN_DOUBT, Safety
+from companion.core.safety.safeguard import Safety
 from companion.types.commands import NUMBERS_AHEAD, Command, CommandName, CommandReply
 from companion.types.flight import OF_THE_FLEET, RULES, HealthFlag, Role
 from companion.types.notices import Answer, Code, Notice, refuse

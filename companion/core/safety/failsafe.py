@@ -8,14 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from math import inf
+from math import acos, cos, inf, radians
 
 from msgspec import Struct
 
 from companion.core.autopilot import AutopilotProfile
-from companion.core.estimation.corrections import ORIGIN_WITHIN_S
-from companion.types.flight import FLAG_TEXTS, HELD, STREAMING, FailsafeAction, FlightPhase, HealthFlag
+from companion.core.consensus.stage import Consensus
+from companion.core.estimation.corrections import LARGEST_JUMP_M, ORIGIN_WITHIN_S
+from companion.core.safety.limits import OutputLimits
+from companion.types.autopilot import VehicleState
+from companion.types.flight import COOPERATING, FLAG_TEXTS, HELD, STREAMING, FailsafeAction, FlightPhase, HealthFlag
 from companion.types.notices import Code, Notice
+from companion.types.status import SeparationReport
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,38 +43,52 @@ class Step:
 class Failsafe:
     """One row: the steps while `condition` lasts, when it is raised, and what clears it.
 
+    The row holds the values that the code uses. `limit` is the age, angle or time from which on the condition is raised, in
+    the unit that `raises` names; `stays_s` is how long it stays after its last cause; `{}` in a text stands for the value.
     A hold, a return or a landing that has begun is finished after the flag has cleared. `latched`: so is the next step.
     `in_hold`: the steps are also taken in a commanded hold. `flies_on`: the steps with an autopilot that flies on in silence,
     where they differ.
     """
 
     condition: Code
-    raised: str
+    raises: str
     steps: tuple[Step, ...]
-    clears: str
+    clears_by: str
+    limit: float = 0.0
+    stays_s: float = 0.0
     latched: bool = False
     in_hold: bool = False
     flies_on: tuple[Step, ...] = ()
+
+    @property
+    def raised(self) -> str:
+        """When it is raised, for people."""
+        return self.raises.format(f"{self.limit:g}")
+
+    @property
+    def clears(self) -> str:
+        """What clears it, for people."""
+        return self.clears_by.format(f"{self.stays_s:g}")
 
     def steps_of(self, profile: AutopilotProfile) -> tuple[Step, ...]:
         """The steps with an autopilot of this profile."""
         return self.flies_on if profile.flies_on_in_silence and self.flies_on else self.steps
 
 
-SILENT_TOO_LONG_S = 0.5  # less than COM_OF_LOSS_T: PX4 re-enters OFFBOARD by itself when a stream returns
-LATE_TICK_S = 0.1
-
 F, A, C = HealthFlag, FailsafeAction, Code
 WARN, HOLD, LAND, STOP = Step(A.WARN), Step(A.HOLD), Step(A.LAND), Step(A.STOP_STREAM)
 LAND_IN_TIME = Step(A.LAND, "land_after_s")
 
 FAILSAFES: tuple[Failsafe, ...] = (
-    Failsafe(C.POSITION_STALE, "position 0.04 s old", (STOP,), "a fresh LOCAL_POSITION_NED"),
-    Failsafe(C.ATTITUDE_STALE, "attitude 0.1 s old", (STOP,), "a fresh ATTITUDE_QUATERNION"),
-    Failsafe(C.MODE_STALE, "mode 0.8 s old", (STOP,), "a fresh flight mode"),
+    # Two periods of 50 Hz: with an older position there is no fresh decision, and no setpoint.
+    Failsafe(C.POSITION_STALE, "position {} s old", (STOP,), "a fresh LOCAL_POSITION_NED", limit=0.04),
+    Failsafe(C.ATTITUDE_STALE, "attitude {} s old", (STOP,), "a fresh ATTITUDE_QUATERNION", limit=0.1),
+    # PX4 sends a new mode at once and an unchanged one twice a second, measured up to 0.53 s apart.
+    Failsafe(C.MODE_STALE, "mode {} s old", (STOP,), "a fresh flight mode", limit=0.8),
     Failsafe(C.FRAME_UNKNOWN, "at once", (STOP,), "GPS_GLOBAL_ORIGIN, or the ground altitude"),
-    Failsafe(C.ARMED_STALE, "HEARTBEAT 3 s old", (HOLD,), "a fresh HEARTBEAT"),
-    Failsafe(C.LANDED_STALE, "landed state 3 s old", (HOLD,), "a fresh EXTENDED_SYS_STATE"),
+    # PX4 sends HEARTBEAT once a second, whatever is asked: three in a row are lost.
+    Failsafe(C.ARMED_STALE, "HEARTBEAT {} s old", (HOLD,), "a fresh HEARTBEAT", limit=3.0),
+    Failsafe(C.LANDED_STALE, "landed state {} s old", (HOLD,), "a fresh EXTENDED_SYS_STATE", limit=3.0),
     Failsafe(C.LEADER_AWAITED, "`leader_beacon_max_age_s`", (WARN,), "a fresh leader beacon, or LEADER_LOST"),
     Failsafe(
         C.LEADER_LOST,
@@ -84,16 +102,31 @@ FAILSAFES: tuple[Failsafe, ...] = (
         (WARN, Step(A.HOLD, "leader_holds_after_s"), LAND_IN_TIME),
         "a packet of any vehicle",
     ),
-    Failsafe(C.DUPLICATE_ID, "at once", (WARN,), "3 s without such a packet"),
+    Failsafe(C.DUPLICATE_ID, "at once", (WARN,), "{} s without such a packet", stays_s=3.0),
     Failsafe(C.SEPARATION_VIOLATED, "at once", (WARN,), "a distance of `separation_m`"),
     Failsafe(C.OUTSIDE_FENCE, "at once", (HOLD,), "a position inside the fence"),
     Failsafe(C.FRAME_CONTRADICTED, "at once", (HOLD,), "an origin and a global position that agree"),
+    # A new origin explains a jump; it comes within ORIGIN_WITHIN_S.
     Failsafe(
-        C.POSITION_JUMPED, f"{ORIGIN_WITHIN_S:g} s after a jump", (HOLD,), "a new origin, or the jump is followed"
+        C.POSITION_JUMPED,
+        "{} s after a jump",
+        (HOLD,),
+        "a new origin, or the jump is followed",
+        limit=ORIGIN_WITHIN_S,
     ),
     Failsafe(C.ESTIMATOR_BAD, "next estimator status", (WARN, Step(A.HOLD, 1.0)), "a good estimator status"),
-    Failsafe(C.TILT_EXCEEDED, "`max_tilt_deg` and 10 deg", (WARN, Step(A.HOLD, 0.3)), "less tilt"),
-    Failsafe(C.TICK_LATE, f"a tick {LATE_TICK_S:g} s late", (WARN, Step(A.HOLD, 5.0)), "1 s without a late tick"),
+    # Autopilots overshoot the commanded limit, and gusts add to it. PX4 waits 0.3 s as well (FD_FAIL_R_TTRI).
+    Failsafe(C.TILT_EXCEEDED, "`max_tilt_deg` and {} deg", (WARN, Step(A.HOLD, 0.3)), "less tilt", limit=10.0),
+    # Five periods of 50 Hz; in the air at most a few milliseconds are usual (docs/latency.md).
+    Failsafe(
+        C.TICK_LATE,
+        "a tick {} s late",
+        (WARN, Step(A.HOLD, 5.0)),
+        "{} s without a late tick",
+        limit=0.1,
+        stays_s=1.0,
+    ),
+    # Against a dip of the voltage under load, as ArduPilot's BATT_LOW_TIMER.
     Failsafe(
         C.BATTERY_LOW,
         "below `leave_below_percent`",
@@ -111,17 +144,29 @@ FAILSAFES: tuple[Failsafe, ...] = (
     ),
 )
 
-NO_SETPOINT_FAILSAFE = Failsafe(
-    C.NO_SETPOINT, f"{SILENT_TOO_LONG_S:g} s without a setpoint", (Step(A.LEAVE),), "a command", flies_on=(HOLD,)
-)
 # Conditions that the phase machine and the end of the process judge, not health flags.
 OTHER_FAILSAFES: tuple[Failsafe, ...] = (
-    NO_SETPOINT_FAILSAFE,
+    # Less than PX4's COM_OF_LOSS_T, 1 s: PX4 re-enters OFFBOARD by itself when a stream returns.
+    Failsafe(C.NO_SETPOINT, "{} s without a setpoint", (Step(A.LEAVE),), "a command", limit=0.5, flies_on=(HOLD,)),
     Failsafe(C.MODE_CHANGED_BY_OTHERS, "next flight mode", (Step(A.LEAVE),), "a command"),
     Failsafe(C.AUTOPILOT_DISARMED, "next HEARTBEAT", (Step(A.LEAVE),), "a command"),
+    # Both autopilots take over within 50 ms of the request (measured: docs/safety.md); the rest is for lost requests.
     Failsafe(C.AGENT_STOPPING, "at once", (HOLD, Step(A.LEAVE, 2.0)), "a restart, which observes"),
     Failsafe(C.AGENT_FAILED, "an exception in a tick", (HOLD, Step(A.LEAVE, 0.5)), "a restart, which observes"),
 )
+BY_CONDITION = {row.condition: row for row in (*FAILSAFES, *OTHER_FAILSAFES)}
+
+
+def limit_of(condition: Code) -> float:
+    """The value from which on a condition is raised, in the unit of its row."""
+    return BY_CONDITION[condition].limit
+
+
+def leaves_after_s(condition: Code) -> float:
+    """Seconds from the first step of a condition to its last one, LEAVE."""
+    after_s = BY_CONDITION[condition].steps[-1].after_s
+    assert isinstance(after_s, float)
+    return after_s
 
 
 def schedule(steps: Sequence[Step], settings: FailsafeSettings) -> tuple[tuple[float, FailsafeAction], ...]:
@@ -140,6 +185,78 @@ def flags_notice(flags: Collection[HealthFlag]) -> Notice:
     """The code of the first flag in the order of HealthFlag, with the texts of all, of at least one."""
     ordered = [flag for flag in HealthFlag if flag in flags]
     return Notice(Code(ordered[0]), ", ".join([FLAG_TEXTS[flag] for flag in ordered]))
+
+
+# Positions that peers must not use; positions that the vehicle itself does not know.
+POSITION_WRONG = frozenset({HealthFlag.FRAME_CONTRADICTED, HealthFlag.POSITION_JUMPED})
+POSITION_IN_DOUBT = POSITION_WRONG | {HealthFlag.POSITION_STALE, HealthFlag.FRAME_UNKNOWN}
+
+
+@dataclass(frozen=True, slots=True)
+class HealthLimits:
+    """What raises the flags of the vehicle. A battery limit of None raises none."""
+
+    envelope: OutputLimits
+    low_battery_percent: float | None = None
+    critical_battery_percent: float | None = None
+    max_position_error_m: float = 5.0  # PX4: COM_POS_FS_EPH
+
+
+POSITION_S, ATTITUDE_S, MODE_S = limit_of(C.POSITION_STALE), limit_of(C.ATTITUDE_STALE), limit_of(C.MODE_STALE)
+ARMED_S, LANDED_S, JUMPED_S = limit_of(C.ARMED_STALE), limit_of(C.LANDED_STALE), limit_of(C.POSITION_JUMPED)
+TILT_MARGIN_RAD = radians(limit_of(C.TILT_EXCEEDED))
+DUPLICATE_FOR_S = BY_CONDITION[C.DUPLICATE_ID].stays_s
+
+
+def health_flags(now_s: float, vehicle: VehicleState, limits: HealthLimits) -> set[HealthFlag]:
+    """The flags that the state of the own vehicle raises at `now_s`."""
+    flags = set()
+    if now_s - vehicle.position_time_s > POSITION_S:
+        flags.add(F.POSITION_STALE)
+    if now_s - vehicle.attitude_time_s > ATTITUDE_S:
+        flags.add(F.ATTITUDE_STALE)
+    if now_s - vehicle.mode_time_s > MODE_S:
+        flags.add(F.MODE_STALE)
+    if now_s - vehicle.heartbeat_time_s > ARMED_S:
+        flags.add(F.ARMED_STALE)
+    if now_s - vehicle.landed_time_s > LANDED_S:
+        flags.add(F.LANDED_STALE)
+    if not vehicle.frame_known:
+        flags.add(F.FRAME_UNKNOWN)
+    if vehicle.frame_contradicted:
+        flags.add(F.FRAME_CONTRADICTED)
+    if vehicle.held_back_m > LARGEST_JUMP_M and now_s - vehicle.jump_time_s > JUMPED_S:
+        flags.add(F.POSITION_JUMPED)
+    if vehicle.position_time_s > -inf and not limits.envelope.fence.contains(vehicle.position_enu_m):
+        flags.add(F.OUTSIDE_FENCE)
+    error = vehicle.position_error
+    if not vehicle.estimator_healthy or (error and error.horizontal_m > limits.max_position_error_m):
+        flags.add(F.ESTIMATOR_BAD)
+    if acos(cos(vehicle.roll_rad) * cos(vehicle.pitch_rad)) > limits.envelope.max_tilt_rad + TILT_MARGIN_RAD:
+        flags.add(F.TILT_EXCEEDED)
+    percent, low, critical = vehicle.battery_percent, limits.low_battery_percent, limits.critical_battery_percent
+    if percent >= 0.0:  # an unknown charge (-1) is not low
+        if low is not None and percent < low:
+            flags.add(F.BATTERY_LOW)
+        if critical is not None and percent < critical:
+            flags.add(F.BATTERY_CRITICAL)
+    return flags
+
+
+def fleet_flags(
+    now_s: float, phase: FlightPhase, consensus: Consensus, separation: SeparationReport
+) -> set[HealthFlag]:
+    """What is wrong between the vehicles. The link counts as lost only where it was there before."""
+    flags = set()
+    if consensus.leaderless is not None:
+        flags.add(consensus.leaderless)
+    if phase in COOPERATING and consensus.newest and not consensus.present:
+        flags.add(F.FLEET_LINK_LOST)
+    if now_s - consensus.duplicate_id_s < DUPLICATE_FOR_S:
+        flags.add(F.DUPLICATE_ID)
+    if separation.violated:
+        flags.add(F.SEPARATION_VIOLATED)
+    return flags
 
 
 NONE = FailsafeAction.NONE

@@ -1,31 +1,43 @@
-"""Failsafes without a command: leave formation when something is wrong, end the stream, land or return out of hold."""
+"""Failsafes without a command: leave formation when something is wrong, end the stream, land or return out of hold.
+
+Here is also what is sent after a stage of the tick has failed.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from math import acos, cos, inf, radians
+from collections.abc import Iterable
+from math import inf, isfinite
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from companion.core.autopilot import Profiles, profile_of
 from companion.core.consensus.stage import Consensus
-from companion.core.estimation.corrections import LARGEST_JUMP_M, ORIGIN_WITHIN_S
 from companion.core.safety.failsafe import (
-    LATE_TICK_S,
-    NO_SETPOINT_FAILSAFE,
+    BY_CONDITION,
     NONE_ACTIVE,
-    SILENT_TOO_LONG_S,
     ActiveFailsafe,
     FailsafeSettings,
     FailsafeWatch,
+    HealthLimits,
     flags_notice,
+    fleet_flags,
+    health_flags,
+    leaves_after_s,
+    limit_of,
     schedule,
 )
 from companion.core.safety.fleet_checks import refusal_of_return
-from companion.core.safety.limits import OutputLimits
-from companion.types.autopilot import VehicleState
+from companion.types.autopilot import (
+    AttitudeTarget,
+    AutopilotMode,
+    AutopilotRequest,
+    ModeSample,
+    SetMode,
+    Telemetry,
+    VehicleState,
+)
 from companion.types.flight import (
-    COOPERATING,
     STREAMING,
     FailsafeAction,
     Flight,
@@ -35,12 +47,15 @@ from companion.types.flight import (
     PhaseRequest,
 )
 from companion.types.notices import Code, Notice
+from companion.types.peers import PeerPacket
 from companion.types.status import SeparationReport
+from companion.types.tick import Inbox
+from companion.types.values import ZERO3
 
-HAND_OVER_S = 2.0  # at the end: how long the autopilot may take to go into its own hold
+HAND_OVER_S = leaves_after_s(Code.AGENT_STOPPING)  # so long the autopilot may take to go into its own hold at the end
+SILENT_TOO_LONG_S = limit_of(Code.NO_SETPOINT)
+LATE_TICK_S, LATE_FOR_S = limit_of(Code.TICK_LATE), BY_CONDITION[Code.TICK_LATE].stays_s
 MODE_SURE_S = 0.2  # so old may the mode be where the agent, without other telemetry, still requests another
-LATE_FOR_S = 1.0  # so long TICK_LATE stays after a late tick
-DUPLICATE_FOR_S = 3.0  # so long DUPLICATE_ID stays after a packet of the other agent
 
 STOPPING = Notice(Code.AGENT_STOPPING, "this agent is stopping")
 NOT_TAKEN_OVER = Notice(Code.HAND_OVER_FAILED, "this agent is stopping, and the autopilot does not take over")
@@ -82,26 +97,20 @@ class SafeguardStage:
         separation: SeparationReport,
         last_setpoint_s: float,
         commanded: bool,
-        stopping: bool,
-        late_s: float,
+        inbox: Inbox,
     ) -> Safety:
-        """`separation` is of the last setpoint. `commanded`: the last tick executed a command, which ends automatic landings.
-
-        `stopping`: the process ends. `late_s`: how much later than due this tick began.
-        """
-        if late_s > LATE_TICK_S:
+        """`separation` is of the last setpoint. `commanded`: the last tick executed a command. It ends automatic landings."""
+        if inbox.late_s > LATE_TICK_S:
             self._late_s = now_s
         flags = health_flags(now_s, vehicle, self._limits)
-        flags |= self._flags_of_fleet(now_s, flight.phase, consensus)
-        if separation.violated:
-            flags.add(HealthFlag.SEPARATION_VIOLATED)
+        flags |= fleet_flags(now_s, flight.phase, consensus, separation)
         if now_s - self._late_s < LATE_FOR_S:
             flags.add(HealthFlag.TICK_LATE)
         active = NONE_ACTIVE
         if flags or not self._watch.is_idle:
             active = self._watch.update(now_s, flight.phase, flags, commanded)
         requests: list[PhaseRequest] = []
-        if stopping:
+        if inbox.stopping:
             requests += self._stop(now_s, flight)
         if flight.streams and now_s - last_setpoint_s > SILENT_TOO_LONG_S:
             requests += self._end_silent_formation(now_s, vehicle, flight, active)
@@ -112,17 +121,6 @@ class SafeguardStage:
         return Safety(
             frozenset(flags), active.action, tuple(requests), tuple([flags_notice([flag]) for flag in active.warnings])
         )
-
-    def _flags_of_fleet(self, now_s: float, phase: FlightPhase, consensus: Consensus) -> set[HealthFlag]:
-        """What is wrong between the vehicles. The link counts as lost only where it was there before."""
-        flags = set()
-        if consensus.leaderless is not None:
-            flags.add(consensus.leaderless)
-        if phase in COOPERATING and consensus.newest and not consensus.present:
-            flags.add(HealthFlag.FLEET_LINK_LOST)
-        if now_s - consensus.duplicate_id_s < DUPLICATE_FOR_S:
-            flags.add(HealthFlag.DUPLICATE_ID)
-        return flags
 
     def _stop(self, now_s: float, flight: Flight) -> list[PhaseRequest]:
         """Hand over, and give up where the autopilot does not take over in time."""
@@ -158,7 +156,9 @@ class SafeguardStage:
         if flight.phase not in STREAMING or vehicle.autopilot is None:
             return [end]
         reason = reason.about(f"no setpoint for {SILENT_TOO_LONG_S} s")
-        ((_, action),) = schedule(NO_SETPOINT_FAILSAFE.steps_of(profile_of(vehicle, self._profiles)), self._settings)
+        ((_, action),) = schedule(
+            BY_CONDITION[Code.NO_SETPOINT].steps_of(profile_of(vehicle, self._profiles)), self._settings
+        )
         holds = action is FailsafeAction.HOLD and now_s - vehicle.mode_time_s < MODE_SURE_S
         return [PhaseRequest(PhaseChange.HAND_OVER_NOW if holds else PhaseChange.GIVE_UP, reason), end]
 
@@ -167,64 +167,94 @@ NOTHING_TO_DECIDE_ON = Notice(Code.NO_SETPOINT, "no new position to decide on")
 PHASE_CHANGES = (FailsafeAction.HOLD, FailsafeAction.RETURN, FailsafeAction.LAND)
 
 
-# Positions that peers must not use; positions that the vehicle itself does not know.
-POSITION_WRONG = frozenset({HealthFlag.FRAME_CONTRADICTED, HealthFlag.POSITION_JUMPED})
-POSITION_IN_DOUBT = POSITION_WRONG | {HealthFlag.POSITION_STALE, HealthFlag.FRAME_UNKNOWN}
+REPEAT_REQUEST_S = 0.1
+TELEMETRY_FRESH_S = 0.1  # without telemetry a pilot's change of mode would remain unseen
+HAND_OVER_WITHIN_S = leaves_after_s(Code.AGENT_FAILED)
 
 
-@dataclass(frozen=True, slots=True)
-class AgeLimits:
-    """How old what the agent decides on may be, in seconds."""
+class Response(Struct, frozen=True, gc=False):
+    """What to send now. `ended`: the hand-over is complete, or the vehicle is not the agent's."""
 
-    state_s: float = 0.04  # two periods of 50 Hz: no fresh decision, no setpoint
-    attitude_s: float = 0.1
-    mode_s: float = 0.8  # PX4 sends a new mode at once and an unchanged one twice a second, up to 0.53 s apart
-    armed_s: float = 3.0  # PX4 sends HEARTBEAT once a second, whatever is asked
-    landed_s: float = 3.0
+    target: AttitudeTarget | None = None
+    requests: tuple[AutopilotRequest, ...] = ()
+    ended: bool = True
 
 
-@dataclass(frozen=True, slots=True)
-class HealthLimits:
-    """What raises the flags of the vehicle. A battery limit of None raises none."""
+class FailureResponse:
+    """Follows a stream of setpoints from outside, so that it can be ended when the stages cannot."""
 
-    ages: AgeLimits
-    envelope: OutputLimits
-    low_battery_percent: float | None = None
-    critical_battery_percent: float | None = None
-    max_position_error_m: float = 5.0  # PX4: COM_POS_FS_EPH
-    tilt_margin_rad: float = radians(10.0)  # above the commanded limit: autopilots overshoot it, and gusts add to it
+    def __init__(self) -> None:
+        self._mode: AutopilotMode | None = None
+        self._telemetry_s = -inf
+        self._flight = Flight()
+        self._packet: PeerPacket | None = None
+        self._level: AttitudeTarget | None = None
+        self._failed_s: float | None = None
+        self._requested_s = -inf
 
+    def receive(self, telemetry: Iterable[Telemetry]) -> None:
+        """The telemetry of a tick, before its stages."""
+        for sample in telemetry:
+            self._telemetry_s = sample.received_s
+            if isinstance(sample, ModeSample):
+                self._mode = sample.mode
 
-def health_flags(now_s: float, vehicle: VehicleState, limits: HealthLimits) -> set[HealthFlag]:
-    """The flags that the state of the own vehicle raises at `now_s`."""
-    flags, ages = set(), limits.ages
-    if now_s - vehicle.position_time_s > ages.state_s:
-        flags.add(HealthFlag.POSITION_STALE)
-    if now_s - vehicle.attitude_time_s > ages.attitude_s:
-        flags.add(HealthFlag.ATTITUDE_STALE)
-    if now_s - vehicle.mode_time_s > ages.mode_s:
-        flags.add(HealthFlag.MODE_STALE)
-    if now_s - vehicle.heartbeat_time_s > ages.armed_s:
-        flags.add(HealthFlag.ARMED_STALE)
-    if now_s - vehicle.landed_time_s > ages.landed_s:
-        flags.add(HealthFlag.LANDED_STALE)
-    if not vehicle.frame_known:
-        flags.add(HealthFlag.FRAME_UNKNOWN)
-    if vehicle.frame_contradicted:
-        flags.add(HealthFlag.FRAME_CONTRADICTED)
-    if vehicle.held_back_m > LARGEST_JUMP_M and now_s - vehicle.jump_time_s > ORIGIN_WITHIN_S:
-        flags.add(HealthFlag.POSITION_JUMPED)
-    if vehicle.position_time_s > -inf and not limits.envelope.fence.contains(vehicle.position_enu_m):
-        flags.add(HealthFlag.OUTSIDE_FENCE)
-    error = vehicle.position_error
-    if not vehicle.estimator_healthy or (error and error.horizontal_m > limits.max_position_error_m):
-        flags.add(HealthFlag.ESTIMATOR_BAD)
-    if acos(cos(vehicle.roll_rad) * cos(vehicle.pitch_rad)) > limits.envelope.max_tilt_rad + limits.tilt_margin_rad:
-        flags.add(HealthFlag.TILT_EXCEEDED)
-    percent, low, critical = vehicle.battery_percent, limits.low_battery_percent, limits.critical_battery_percent
-    if percent >= 0.0:  # an unknown charge (-1) is not low
-        if low is not None and percent < low:
-            flags.add(HealthFlag.BATTERY_LOW)
-        if critical is not None and percent < critical:
-            flags.add(HealthFlag.BATTERY_CRITICAL)
-    return flags
+    def sent(self, flight: Flight, target: AttitudeTarget | None, hover_thrust_norm: float) -> None:
+        """What a tick has sent; `target` is None where there was no setpoint."""
+        self._flight = flight
+        if not flight.streams:
+            self._level = None  # its heading is of an earlier stream
+        elif target and 0.0 < hover_thrust_norm < 1.0 and isfinite(target.yaw_rad):
+            self._level = AttitudeTarget(0.0, 0.0, target.yaw_rad, hover_thrust_norm)
+
+    def publishes(self, packet: PeerPacket | None) -> None:
+        """The peer packet of a tick, before it is published; None where peers must not use its position."""
+        self._packet = packet
+
+    def step(self, now_s: float) -> Response:
+        """The response at this time. The first one goes out in the tick that fails, the others until the autopilot holds.
+
+        A mode that the agent did not command is the pilot's: nothing is sent. Without a stream the autopilot flies itself: only
+        a hold that is under way is requested again.
+        """
+        is_first = self._failed_s is None
+        if self._failed_s is None:
+            self._failed_s = now_s
+        blind = now_s - self._telemetry_s > TELEMETRY_FRESH_S and not is_first
+        flight = self._flight
+        under_way = flight.streams or flight.phase is FlightPhase.RELEASE
+        if not under_way or blind or now_s - self._failed_s > HAND_OVER_WITHIN_S:
+            return Response()
+        if self._mode is AutopilotMode.OFFBOARD:
+            return Response(self._level, self._request(now_s), ended=False)
+        if flight.phase is FlightPhase.ENGAGE and self._mode is AutopilotMode.HOLD:
+            # The request to follow the setpoints may be under way.
+            return Response(None, self._request(now_s), ended=False)
+        return Response()
+
+    def packet(self, now_s: float) -> PeerPacket | None:
+        """The last peer packet for now: the vehicle is released and brakes. The age of its position has advanced."""
+        last = self._packet
+        if last is None:
+            return None
+        sender, motion = last.sender, last.motion
+        self._packet = replace(
+            last,
+            sender=replace(sender, sequence=sender.sequence + 1),
+            phase=FlightPhase.RELEASE,
+            motion=replace(
+                motion,
+                acceleration_enu_m_s2=ZERO3,
+                state_age_s=motion.state_age_s + max(0.0, now_s - motion.sent_s),
+                sent_s=now_s,
+            ),
+            change=None,
+            rft=None,
+        )
+        return self._packet
+
+    def _request(self, now_s: float) -> tuple[AutopilotRequest, ...]:
+        if now_s - self._requested_s < REPEAT_REQUEST_S:
+            return ()
+        self._requested_s = now_s
+        return (SetMode(AutopilotMode.HOLD),)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from common import with_fields
-from companion.core.safety.safeguard import DUPLICATE_FOR_S
+from companion.core.safety.failsafe import DUPLICATE_FOR_S
 from companion.types.commands import CommandName
 from companion.types.flight import FlightPhase, HealthFlag
 from companion.types.notices import Code

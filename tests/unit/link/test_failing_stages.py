@@ -13,7 +13,7 @@ import pytest
 from agent_on_bytes import BOTH, HOLD, MANUAL, PERIOD_S, FailingFlight
 from companion.core.agent import Agent
 from companion.core.consensus.peers import FleetLimits, PeerTable
-from companion.core.safety.limits import HAND_OVER_WITHIN_S
+from companion.core.safety.safeguard import HAND_OVER_WITHIN_S
 from companion.link.control_loop import ControlLoop
 from companion.mavlink.codec import mavlink
 from companion.types.autopilot import AutopilotKind
@@ -70,7 +70,7 @@ STAGES: dict[str, Callable[[FailingFlight], tuple[Any, str]]] = {
 }
 SETPOINT_FAILS = ("setpoint encoded", "setpoint sent")
 REQUEST_FAILS = ("request encoded", "request sent")
-AT_A_COMMAND = (*REQUEST_FAILS, "replies composed", "event logged")  # in a quiet tick these do nothing
+AT_A_COMMAND = (*REQUEST_FAILS, "dispatcher", "replies composed", "event logged")  # in a quiet tick these do nothing
 LAST_PACKET_TICKS = 2  # the last packet of a report that fails is of the tick before
 
 

@@ -12,8 +12,8 @@ from companion.core.command.phase import (
     PhaseMachine,
 )
 from companion.core.election.leadership import refusal_of_lead
+from companion.core.safety.failsafe import HealthLimits, health_flags
 from companion.core.safety.limits import OutputLimits
-from companion.core.safety.safeguard import AgeLimits, HealthLimits, health_flags
 from companion.geometry.airspace import Fence
 from companion.mavlink.autopilot_types import PROFILES
 from companion.types.autopilot import (
@@ -379,7 +379,7 @@ def test_a_climb_ends_at_its_height() -> None:
 def test_a_mode_reported_twice_a_second_is_not_stale() -> None:
     """Measured: 0.51 to 0.53 s from one CURRENT_MODE to the next, whatever rate was asked for."""
     envelope = OutputLimits(0.5, 7.0, 0.3, 1.6, 10.0, Fence((-9.0, -9.0, -9.0), (9.0, 9.0, 9.0)))
-    limits = HealthLimits(AgeLimits(), envelope)
+    limits = HealthLimits(envelope)
     vehicle = VehicleState(position_time_s=9.99, attitude_time_s=9.99, mode_time_s=10.0 - 0.53, heartbeat_time_s=9.5)
     flags = health_flags(10.0, vehicle, limits)
     assert HealthFlag.MODE_STALE not in flags

@@ -9,15 +9,16 @@ import pytest
 from common import with_fields
 from companion.core.consensus.peers import PeerState
 from companion.core.consensus.stage import Consensus
-from companion.core.safety.failsafe import FAILSAFES, OTHER_FAILSAFES, FailsafeSettings
+from companion.core.safety.failsafe import FAILSAFES, OTHER_FAILSAFES, FailsafeSettings, HealthLimits
 from companion.core.safety.limits import OutputLimits
-from companion.core.safety.safeguard import AgeLimits, HealthLimits, SafeguardStage, Safety
+from companion.core.safety.safeguard import SafeguardStage, Safety
 from companion.geometry.airspace import Fence
 from companion.mavlink.autopilot_types import PROFILES
 from companion.types.autopilot import AutopilotKind, AutopilotMode, LandedState, PositionError, VehicleState
 from companion.types.flight import STREAMING, FailsafeAction, Flight, FlightPhase, HealthFlag, PhaseChange, Role
 from companion.types.notices import Code
 from companion.types.status import NearestVehicle, SeparationReport
+from companion.types.tick import Inbox
 from consensus_fleet import slot_peer
 
 F, P, A = HealthFlag, FlightPhase, FailsafeAction
@@ -26,7 +27,6 @@ TICK_S = 0.1
 SEPARATION_M = 1.0
 SETTINGS = FailsafeSettings(low_battery_action=A.LAND, land_after_s=10.0, leader_holds_after_s=5.0)
 LIMITS = HealthLimits(
-    AgeLimits(),
     OutputLimits(radians(25.0), 2.0, 0.3, 1.6, 10.0, Fence((-50.0, -50.0, -5.0), (50.0, 50.0, 50.0))),
     low_battery_percent=25.0,
     critical_battery_percent=10.0,
@@ -98,8 +98,7 @@ class Vehicle:
             self._separation(),
             self.now_s if self.silent_since_s is None else self.silent_since_s,
             self.commanded,
-            self.stopping,
-            0.2 if F.TICK_LATE in self.raised else 0.0,
+            Inbox(stopping=self.stopping, late_s=0.2 if F.TICK_LATE in self.raised else 0.0),
         )
         assert safety.flags == self._expected_flags()
         self.commanded = False
