@@ -2,10 +2,12 @@
 
     python -m tests.bench.against COMMIT [step] [lockstep] [flight]
 
-`step` is the warm time of Agent.step, `lockstep` the vehicle-seconds per second in virtual time, `flight` CPU, memory and
-latency of real agents in flight; without a choice all. The commit is unpacked into build/against; this tree is measured as it
-is. Both take turns, so that the load and the temperature of the machine meet both alike. A ratio above 1 is better than the
-commit. Exit codes: 0 where no figure is worse by more than 5 %; 1 otherwise; 2 for a commit that cannot be unpacked.
+`step` is the warm time of Agent.step, `lockstep` the vehicle-seconds in virtual time per second of CPU time, `flight` CPU,
+memory and latency of real agents in flight; without a choice all. The commit is unpacked into build/against; this tree is
+measured as it is. Both take turns, so that the load and the temperature of the machine meet both alike. A ratio above 1 is
+better than the commit.
+
+Exit codes: 0 where no figure is worse by more than 5 %; 1 otherwise; 2 for a commit that cannot be unpacked or measured.
 """
 
 from __future__ import annotations
